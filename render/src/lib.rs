@@ -1,1 +1,4 @@
-//! render
+//! Differentiable light transport.
+
+pub mod error;
+pub mod math;

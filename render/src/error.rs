@@ -1,0 +1,218 @@
+//! Errors of loaders and builders. Every message names the place (file and line, or the parameter's
+//! key), what was expected there and what was found.
+
+use std::fmt;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// A line of a file, as `file:line`.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Location {
+    /// The file that holds the line, as it was named when it was opened.
+    pub file: Arc<Path>,
+    /// Line number, counted from one.
+    pub line: u32,
+}
+
+impl Location {
+    /// Line `line` (from one) of `file`.
+    pub fn new(file: impl Into<Arc<Path>>, line: u32) -> Self {
+        Self {
+            file: file.into(),
+            line,
+        }
+    }
+}
+
+impl fmt::Display for Location {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}:{}", self.file.display(), self.line)
+    }
+}
+
+/// What went wrong while a scene was loaded or built.
+#[non_exhaustive]
+#[derive(Debug, thiserror::Error)]
+pub enum SceneError {
+    /// The operating system refused to read a file.
+    #[error("{}: cannot read the file: {source}", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// The reason.
+        source: std::io::Error,
+    },
+
+    /// A mesh or image was read, but its content is not what was expected.
+    #[error("{}{}: expected {expected}, found {found}", path.display(), Line(*line))]
+    Asset {
+        /// The file.
+        path: PathBuf,
+        /// The line, for text formats.
+        line: Option<u32>,
+        /// What the reader expected.
+        expected: String,
+        /// What the file contains.
+        found: String,
+    },
+
+    /// A parameter given in code (not by a file) is out of range.
+    #[error("parameter `{key}`: expected {expected}, found {found}")]
+    Parameter {
+        /// The key of the parameter, such as `red.reflectance.value`.
+        key: String,
+        /// The values that are allowed.
+        expected: String,
+        /// The value that was given.
+        found: String,
+    },
+
+    /// The text does not have the structure of a scene file: not XML, an unknown or misplaced
+    /// element, stray text.
+    #[error("{location}: expected {expected}, found {found}")]
+    Syntax {
+        /// The offending line.
+        location: Location,
+        /// What may stand there.
+        expected: String,
+        /// What stands there.
+        found: String,
+    },
+
+    /// The value of an attribute has the wrong type or is out of range.
+    #[error("{location}: `{key}`: expected {expected}, found {found}")]
+    Value {
+        /// The line of the value.
+        location: Location,
+        /// The name of the attribute.
+        key: String,
+        /// The values that are allowed.
+        expected: String,
+        /// The value in the file.
+        found: String,
+    },
+
+    /// An attribute or child that a plugin needs is absent.
+    #[error("{location}: {owner} has no `{key}`: expected {expected}, found nothing")]
+    Missing {
+        /// The line of the plugin.
+        location: Location,
+        /// The plugin, such as "shape `obj`".
+        owner: String,
+        /// The name of the attribute.
+        key: String,
+        /// What should have been given.
+        expected: String,
+    },
+
+    /// An attribute or child that the plugin never asked for.
+    #[error("{location}: unknown {what} of {owner}; known: {}", List(known))]
+    Unknown {
+        /// The line of the attribute.
+        location: Location,
+        /// The attribute or child, such as "attribute `foo`".
+        what: String,
+        /// The plugin, such as "bsdf `diffuse`".
+        owner: String,
+        /// All names that the plugin asked for.
+        known: Vec<String>,
+    },
+
+    /// No plugin has this name.
+    #[error("{location}: unknown {tag} `{plugin}`; known: {}", List(known))]
+    UnknownPlugin {
+        /// The line of the plugin.
+        location: Location,
+        /// The kind of plugin, such as `bsdf`.
+        tag: String,
+        /// The name in the file.
+        plugin: String,
+        /// The names that exist.
+        known: Vec<String>,
+    },
+
+    /// A name that must be unique is given twice.
+    #[error("{location}: {what} is given twice, first at {first}")]
+    Duplicate {
+        /// The second occurrence.
+        location: Location,
+        /// The name, such as "id `white`".
+        what: String,
+        /// The first occurrence.
+        first: Location,
+    },
+
+    /// `$name` without a `<default>` above it and without a value from outside.
+    #[error("{location}: `{name}` is not defined; known: {}", List(known))]
+    UndefinedParameter {
+        /// The line that uses the name.
+        location: Location,
+        /// The name, with its dollar sign.
+        name: String,
+        /// The names that are defined.
+        known: Vec<String>,
+    },
+
+    /// A value from outside (`-D name=value`) that the scene does not use.
+    #[error("{}: no parameter `{name}` to define; known: {}", file.display(), List(known))]
+    UnusedDefine {
+        /// The scene file.
+        file: PathBuf,
+        /// The name that was given.
+        name: String,
+        /// The names that the scene uses.
+        known: Vec<String>,
+    },
+
+    /// `<ref>` to an id that no element has.
+    #[error("{location}: no element has the id `{id}`; known: {}", List(known))]
+    UnknownReference {
+        /// The line of the reference.
+        location: Location,
+        /// The id that was asked for.
+        id: String,
+        /// The ids that exist.
+        known: Vec<String>,
+    },
+
+    /// A reference or an include that leads back to itself.
+    #[error("{location}: {what} contains itself")]
+    Cycle {
+        /// The line that closes the cycle.
+        location: Location,
+        /// The element or file.
+        what: String,
+    },
+
+    /// The input exceeds a limit that protects against runaway recursion and memory use.
+    #[error("{location}: expected at most {limit} {what}, found more")]
+    Limit {
+        /// Where the limit was passed.
+        location: Location,
+        /// What is limited, in the plural.
+        what: &'static str,
+        /// The limit.
+        limit: usize,
+    },
+}
+
+/// `:12`, or nothing.
+struct Line(Option<u32>);
+
+impl fmt::Display for Line {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.map_or(Ok(()), |line| write!(f, ":{line}"))
+    }
+}
+
+/// A comma-separated list of names, or "(none)".
+struct List<'a>(&'a [String]);
+
+impl fmt::Display for List<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if self.0.is_empty() {
+            return f.write_str("(none)");
+        }
+        f.write_str(&self.0.join(", "))
+    }
+}
