@@ -1,4 +1,5 @@
 //! Differentiable light transport.
 
+pub mod accel;
 pub mod error;
 pub mod math;

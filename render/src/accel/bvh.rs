@@ -1,0 +1,282 @@
+//! Compressed eight-wide hierarchy: built by `obvhs`, traversed here.
+//!
+//! The node test is our own because the library's clamps distances at an absolute 1e-4 and rounds
+//! its slabs inwards; ours widens them by more than the rounding of any primitive test, so that a
+//! hit never depends on the shape of the tree.
+
+use super::curved::Curved;
+use super::packet::{Flat, RayLanes};
+use super::{Best, Item, Ray, Shape};
+use obvhs::bvh2::reinsertion::ReinsertionOptimizer;
+use obvhs::cwbvh::bvh2_to_cwbvh::bvh2_to_cwbvh;
+use obvhs::cwbvh::node::CwBvhNode;
+use obvhs::ploc::PlocBuilder;
+use obvhs::{Boundable, BvhBuildParams, aabb::Aabb};
+use wide::f32x8;
+
+/// Deepest hierarchy that is traversed; a wide tree over a billion primitives has a dozen levels.
+const MAX_DEPTH: usize = 48;
+
+/// Widening of the slabs, relative to the farthest point of the scene; must exceed the seam of
+/// the flat test.
+const SLACK: f32 = 32.0 * f32::EPSILON;
+
+/// Smallest direction component in a slab test: keeps reciprocals finite.
+const MIN_COMPONENT: f32 = 1e-20;
+
+/// Marks leaf slots that hold a flat primitive.
+const FLAT: u32 = u32::MAX;
+
+#[derive(Clone, Debug)]
+pub(super) struct Tree {
+    nodes: Vec<CwBvhNode>,
+    /// Leaf slots in traversal order.
+    flat: Vec<Flat<f32>>,
+    prims: Vec<u32>,
+    /// Per slot an index into `curved` or [`FLAT`]; empty if everything is flat.
+    kinds: Vec<u32>,
+    curved: Vec<Curved>,
+    center: [f32; 3],
+    half: [f32; 3],
+}
+
+impl Boundable for Item {
+    fn aabb(&self) -> Aabb {
+        Aabb::new(self.bounds[0].into(), self.bounds[1].into())
+    }
+}
+
+impl Tree {
+    /// `None` if the hierarchy is too deep for the stack.
+    pub(super) fn new(items: &[Item]) -> Option<Tree> {
+        let params = BvhBuildParams::medium_build();
+        let mut binary = PlocBuilder::with_capacity(items.len()).build(
+            params.ploc_search_distance,
+            items,
+            (0..items.len() as u32).collect(),
+            params.sort_precision,
+            params.search_depth_threshold,
+        );
+        ReinsertionOptimizer::default().run(&mut binary, params.reinsertion_batch_ratio, None);
+        let wide = bvh2_to_cwbvh(&binary, 3, true, false);
+        if depth(&wide.nodes) > MAX_DEPTH {
+            return None;
+        }
+        let mut tree = Tree {
+            nodes: wide.nodes,
+            flat: Vec::with_capacity(items.len()),
+            prims: Vec::with_capacity(items.len()),
+            kinds: Vec::new(),
+            curved: Vec::new(),
+            center: [0.0; 3],
+            half: [0.0; 3],
+        };
+        let mut kinds = Vec::with_capacity(items.len());
+        for &i in &wide.primitive_indices {
+            let item = &items[i as usize];
+            tree.prims.push(item.prim);
+            match item.shape {
+                Shape::Flat(f) => {
+                    tree.flat.push(f);
+                    kinds.push(FLAT);
+                }
+                Shape::Curved(c) => {
+                    tree.flat.push(Flat::EMPTY);
+                    kinds.push(tree.curved.len() as u32);
+                    tree.curved.push(c);
+                }
+            }
+        }
+        if !tree.curved.is_empty() {
+            tree.kinds = kinds;
+        }
+        for k in 0..3 {
+            let lo = items
+                .iter()
+                .map(|i| i.bounds[0][k])
+                .fold(f32::INFINITY, f32::min);
+            let hi = items
+                .iter()
+                .map(|i| i.bounds[1][k])
+                .fold(f32::NEG_INFINITY, f32::max);
+            if lo <= hi {
+                tree.center[k] = 0.5 * (lo + hi);
+                tree.half[k] = 0.5 * (hi - lo);
+            }
+        }
+        Some(tree)
+    }
+
+    #[inline]
+    pub(super) fn intersect(&self, ray: &Ray, best: &mut Best) {
+        let lanes = RayLanes::<f32>::new(ray);
+        if self.kinds.is_empty() {
+            self.traverse(ray, best.t, |slot| {
+                self.flat[slot].intersect(&lanes, self.prims[slot], best);
+                Some(best.t)
+            });
+        } else {
+            self.traverse(ray, best.t, |slot| {
+                match self.curved.get(self.kinds[slot] as usize) {
+                    Some(c) => {
+                        if let Some((t, u, v)) = c.intersect(ray, best.t) {
+                            best.offer(t, u, v, self.prims[slot]);
+                        }
+                    }
+                    None => self.flat[slot].intersect(&lanes, self.prims[slot], best),
+                }
+                Some(best.t)
+            });
+        }
+    }
+
+    #[inline]
+    pub(super) fn occluded(&self, ray: &Ray, t_max: f32) -> bool {
+        let lanes = RayLanes::<f32>::new(ray);
+        self.traverse(ray, t_max, |slot| {
+            let hit = match self
+                .kinds
+                .get(slot)
+                .and_then(|&k| self.curved.get(k as usize))
+            {
+                Some(c) => c.occluded(ray, t_max),
+                None => self.flat[slot].occluded(&lanes, t_max),
+            };
+            (!hit).then_some(t_max)
+        })
+    }
+
+    /// Calls `test` on leaf slots roughly front to back. It returns the new limit, or `None` to
+    /// stop; the result tells whether it did.
+    #[inline(always)]
+    fn traverse(&self, ray: &Ray, t_max: f32, mut test: impl FnMut(usize) -> Option<f32>) -> bool {
+        let slabs = Slabs::new(ray, &self.center, &self.half);
+        let mut limit = t_max;
+        let mut stack = [(0u32, 0u32); MAX_DEPTH];
+        let mut top = 0;
+        // Child base and, in the high byte, the children still to visit; the low byte is the mask
+        // of inner children. The root is the only child of a virtual node.
+        let mut group = (0u32, 0x8000_0000u32);
+        if self.nodes.is_empty() {
+            return false;
+        }
+        loop {
+            let bit = 31 - group.1.leading_zeros();
+            let slot = (bit - 24) ^ slabs.octant;
+            let relative = (group.1 & !(u32::MAX << slot)).count_ones();
+            let child = group.0 + relative;
+            group.1 &= !(1 << bit);
+            if group.1 & 0xff00_0000 != 0 {
+                stack[top] = group;
+                top += 1;
+            }
+            let node = &self.nodes[child as usize];
+            let hits = slabs.test(node, limit);
+            let mut leaves = hits & 0x00ff_ffff;
+            while leaves != 0 {
+                let slot = node.primitive_base_idx + leaves.trailing_zeros();
+                leaves &= leaves - 1;
+                match test(slot as usize) {
+                    Some(t) => limit = t,
+                    None => return true,
+                }
+            }
+            group = (
+                node.child_base_idx,
+                (hits & 0xff00_0000) | u32::from(node.imask),
+            );
+            if hits & 0xff00_0000 == 0 {
+                if top == 0 {
+                    return false;
+                }
+                top -= 1;
+                group = stack[top];
+            }
+        }
+    }
+
+    pub(super) fn memory_bytes(&self) -> usize {
+        size_of::<Self>()
+            + self.nodes.capacity() * size_of::<CwBvhNode>()
+            + self.flat.capacity() * size_of::<Flat<f32>>()
+            + (self.prims.capacity() + self.kinds.capacity()) * size_of::<u32>()
+            + self.curved.capacity() * size_of::<Curved>()
+    }
+}
+
+/// Number of levels. Children always come after their parent.
+fn depth(nodes: &[CwBvhNode]) -> usize {
+    let mut level = vec![1; nodes.len()];
+    for (i, n) in nodes.iter().enumerate() {
+        let first = n.child_base_idx as usize;
+        for child in first..first + n.imask.count_ones() as usize {
+            level[child] = level[i] + 1;
+        }
+    }
+    level.into_iter().max().unwrap_or(0)
+}
+
+/// A ray prepared for node tests.
+struct Slabs {
+    o: [f32; 3],
+    inverse: [f32; 3],
+    /// Widening of each slab in units of `t`.
+    slack: [f32; 3],
+    /// Order in which children are visited.
+    octant: u32,
+}
+
+impl Slabs {
+    #[inline(always)]
+    fn new(ray: &Ray, center: &[f32; 3], half: &[f32; 3]) -> Slabs {
+        let mut reach = 0.0;
+        for k in 0..3 {
+            reach += (ray.o[k] - center[k]).abs() + half[k];
+        }
+        let inverse = ray.d.map(|x| 1.0 / x.abs().max(MIN_COMPONENT).copysign(x));
+        let negative = |k: usize| u32::from(inverse[k] < 0.0);
+        Slabs {
+            o: ray.o,
+            inverse,
+            slack: inverse.map(|x| x.abs() * (SLACK * reach)),
+            octant: 7 ^ (negative(0) << 2 | negative(1) << 1 | negative(2)),
+        }
+    }
+
+    /// One bit per hit leaf slot (low 24) and per hit inner child (high 8, in visiting order).
+    #[inline(always)]
+    fn test(&self, node: &CwBvhNode, limit: f32) -> u32 {
+        let mut near = f32x8::splat(0.0);
+        let mut far = f32x8::splat(limit);
+        let p = node.p.to_array();
+        let mut axis = |k: usize, lo: &[u8; 8], hi: &[u8; 8]| {
+            let scale = f32::from_bits(u32::from(node.e[k]) << 23) * self.inverse[k];
+            let base = (p[k] - self.o[k]) * self.inverse[k];
+            let (first, last) = if self.inverse[k] < 0.0 {
+                (hi, lo)
+            } else {
+                (lo, hi)
+            };
+            let scale = f32x8::splat(scale);
+            near = near.fast_max(widen(first).mul_add(scale, f32x8::splat(base - self.slack[k])));
+            far = far.fast_min(widen(last).mul_add(scale, f32x8::splat(base + self.slack[k])));
+        };
+        axis(0, &node.child_min_x, &node.child_max_x);
+        axis(1, &node.child_min_y, &node.child_max_y);
+        axis(2, &node.child_min_z, &node.child_max_z);
+        let mut overlap = near.simd_le(far).to_bitmask();
+        let (bits, index) = node.get_child_and_index_bits(self.octant * 0x0101_0101);
+        let mut hits = 0;
+        while overlap != 0 {
+            let shift = overlap.trailing_zeros() * 8;
+            hits |= ((bits >> shift) as u32 & 0xff) << ((index >> shift) as u32 & 0x1f);
+            overlap &= overlap - 1;
+        }
+        hits
+    }
+}
+
+#[inline(always)]
+fn widen(q: &[u8; 8]) -> f32x8 {
+    f32x8::from(q.map(f32::from))
+}

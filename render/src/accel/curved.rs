@@ -1,0 +1,164 @@
+//! Spheres, discs and tubes. Their quadratics cancel badly in f32, so they are solved in f64,
+//! which costs the same and needs no rearrangement for far-away small ones.
+
+use super::{MIN_THICKNESS, Ray};
+
+/// One curved primitive.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Curved {
+    Sphere {
+        center: [f64; 3],
+        squared_radius: f64,
+    },
+    /// `normal` of any length; `du`, `dv` are dual to the half axes.
+    Disk {
+        center: [f64; 3],
+        normal: [f64; 3],
+        du: [f64; 3],
+        dv: [f64; 3],
+    },
+    /// `axis` has unit length.
+    Cylinder {
+        p0: [f64; 3],
+        axis: [f64; 3],
+        length: f64,
+        squared_radius: f64,
+    },
+}
+
+#[inline(always)]
+fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+#[inline(always)]
+fn minus(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
+}
+
+/// `a - s b`
+#[inline(always)]
+fn less(a: [f64; 3], s: f64, b: [f64; 3]) -> [f64; 3] {
+    [a[0] - s * b[0], a[1] - s * b[1], a[2] - s * b[2]]
+}
+
+fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    [
+        a[1] * b[2] - a[2] * b[1],
+        a[2] * b[0] - a[0] * b[2],
+        a[0] * b[1] - a[1] * b[0],
+    ]
+}
+
+/// Whether an f64 distance is a hit; the caller's limit is f32, so both sides are rounded alike.
+#[inline(always)]
+fn within(t: f64, t_max: f32) -> Option<f32> {
+    let t = t as f32;
+    (t > 0.0 && t <= t_max).then_some(t)
+}
+
+impl Curved {
+    /// `None` if the radius is not positive.
+    pub(super) fn sphere(center: [f32; 3], radius: f32) -> Option<Curved> {
+        (radius >= MIN_THICKNESS).then(|| Curved::Sphere {
+            center: center.map(f64::from),
+            squared_radius: f64::from(radius) * f64::from(radius),
+        })
+    }
+
+    /// `None` if the half axes are parallel or vanish.
+    pub(super) fn disk(center: [f32; 3], e1: [f32; 3], e2: [f32; 3]) -> Option<Curved> {
+        let (a, b) = (e1.map(f64::from), e2.map(f64::from));
+        let normal = cross(a, b);
+        let (aa, bb, nn) = (dot(a, a), dot(b, b), dot(normal, normal));
+        let thin = f64::from(MIN_THICKNESS) * f64::from(MIN_THICKNESS);
+        (nn >= thin * aa.max(bb) && nn > 1e-13 * aa * bb).then(|| Curved::Disk {
+            center: center.map(f64::from),
+            normal,
+            du: cross(b, normal).map(|x| x / nn),
+            dv: cross(normal, a).map(|x| x / nn),
+        })
+    }
+
+    /// `None` if the radius or the axis vanishes.
+    pub(super) fn cylinder(p0: [f32; 3], axis: [f32; 3], radius: f32) -> Option<Curved> {
+        let axis = axis.map(f64::from);
+        let length = dot(axis, axis).sqrt();
+        (radius >= MIN_THICKNESS && length >= f64::from(MIN_THICKNESS)).then(|| Curved::Cylinder {
+            p0: p0.map(f64::from),
+            axis: axis.map(|x| x / length),
+            length,
+            squared_radius: f64::from(radius) * f64::from(radius),
+        })
+    }
+
+    /// Nearest `(t, u, v)` with `0 < t <= t_max`.
+    #[inline]
+    pub(super) fn intersect(&self, ray: &Ray, t_max: f32) -> Option<(f32, f32, f32)> {
+        let (o, d) = (ray.o.map(f64::from), ray.d.map(f64::from));
+        match *self {
+            Curved::Sphere {
+                center,
+                squared_radius,
+            } => {
+                let (near, far) = roots(minus(center, o), d, squared_radius)?;
+                within(near, t_max)
+                    .or_else(|| within(far, t_max))
+                    .map(|t| (t, 0.0, 0.0))
+            }
+            Curved::Disk {
+                center,
+                normal,
+                du,
+                dv,
+            } => {
+                let to = minus(center, o);
+                let t = dot(normal, to) / dot(normal, d);
+                let t32 = within(t, t_max)?;
+                let p = less(to, t, d);
+                let (u, v) = (-dot(du, p), -dot(dv, p));
+                (u * u + v * v <= 1.0).then_some((t32, u as f32, v as f32))
+            }
+            Curved::Cylinder {
+                p0,
+                axis,
+                length,
+                squared_radius,
+            } => {
+                let to = minus(p0, o);
+                let (along_to, along_d) = (dot(to, axis), dot(d, axis));
+                // Seen along the axis the tube is a circle.
+                let flat_d = less(d, along_d, axis);
+                let (near, far) = roots(less(to, along_to, axis), flat_d, squared_radius)?;
+                let on = |t: f64| {
+                    let h = t * along_d - along_to;
+                    (h >= 0.0 && h <= length)
+                        .then(|| within(t, t_max))
+                        .flatten()
+                };
+                on(near).or_else(|| on(far)).map(|t| (t, 0.0, 0.0))
+            }
+        }
+    }
+
+    /// Whether there is a hit with `0 < t < t_max`.
+    #[inline]
+    pub(super) fn occluded(&self, ray: &Ray, t_max: f32) -> bool {
+        self.intersect(ray, t_max)
+            .is_some_and(|(t, _, _)| t < t_max)
+    }
+}
+
+/// Both `t` with `|t d - to|^2 = rr`, ascending.
+#[inline(always)]
+fn roots(to: [f64; 3], d: [f64; 3], rr: f64) -> Option<(f64, f64)> {
+    let dd = dot(d, d);
+    let middle = dot(to, d) / dd;
+    // Distance of the centre from the line; the usual b^2 - a c would lose a small far sphere.
+    let off = less(to, middle, d);
+    let spare = (rr - dot(off, off)) / dd;
+    (spare >= 0.0).then(|| {
+        let half = spare.sqrt();
+        (middle - half, middle + half)
+    })
+}

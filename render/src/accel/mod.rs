@@ -1,0 +1,422 @@
+//! Ray traversal: the nearest primitive along a ray, and whether there is any.
+//!
+//! Everything here is primal and f32: the renderer takes the primitive that was hit and computes
+//! the point again in its own scalar, so nothing in this module is ever differentiated.
+//!
+//! Small scenes are tested linearly, eight flat primitives at a time ([`packet`]); large scenes go
+//! through a compressed eight-wide hierarchy ([`bvh`]). Both run the same arithmetic on the same
+//! numbers and break ties towards the lowest primitive, so they return the same bits.
+
+mod bvh;
+mod curved;
+mod packet;
+
+#[cfg(test)]
+mod tests;
+
+use bvh::Tree;
+use curved::Curved;
+use packet::{Flat, Packets};
+use thiserror::Error;
+
+/// Largest coordinate magnitude: squares and cubes of it, divided by [`MIN_THICKNESS`], stay finite.
+pub const MAX_COORDINATE: f32 = 1e12;
+
+/// Primitives thinner than this in some direction count as degenerate.
+pub const MIN_THICKNESS: f32 = 1e-18;
+
+/// Up to this cost (in eight-wide packets) a linear scan beats the hierarchy.
+const MAX_LINEAR_COST: f32 = 8.0;
+
+/// Cost of one curved primitive, in packets of eight flat ones.
+const CURVED_COST: f32 = 0.5;
+
+/// One primitive in world space, as the ray sees it.
+///
+/// Degenerate primitives (no area, negative radius, no length) are accepted and never hit.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Primitive {
+    /// Points `v0 + u e1 + v e2` with `u, v >= 0` and `u + v <= 1`.
+    Triangle {
+        /// First vertex.
+        v0: [f32; 3],
+        /// Second vertex minus the first.
+        e1: [f32; 3],
+        /// Third vertex minus the first.
+        e2: [f32; 3],
+    },
+    /// Points `v0 + u e1 + v e2` with `0 <= u, v <= 1`: a rectangle or a face of a cube.
+    Parallelogram {
+        /// Corner.
+        v0: [f32; 3],
+        /// First side.
+        e1: [f32; 3],
+        /// Second side.
+        e2: [f32; 3],
+    },
+    /// The surface of a ball; hits leave `u = v = 0`.
+    Sphere {
+        /// Centre.
+        center: [f32; 3],
+        /// Radius.
+        radius: f32,
+    },
+    /// Points `center + u e1 + v e2` with `u^2 + v^2 <= 1`.
+    Disk {
+        /// Centre.
+        center: [f32; 3],
+        /// First half axis.
+        e1: [f32; 3],
+        /// Second half axis, orthogonal to the first.
+        e2: [f32; 3],
+    },
+    /// An open tube around the segment from `p0` to `p0 + axis`; hits leave `u = v = 0`.
+    Cylinder {
+        /// Start of the axis.
+        p0: [f32; 3],
+        /// End of the axis minus its start.
+        axis: [f32; 3],
+        /// Radius.
+        radius: f32,
+    },
+}
+
+/// Where a ray meets a primitive.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Hit {
+    /// Distance in units of the direction's length, `> 0`.
+    pub t: f32,
+    /// First surface coordinate, see [`Primitive`].
+    pub u: f32,
+    /// Second surface coordinate, see [`Primitive`].
+    pub v: f32,
+    /// Index of the primitive in the order given to [`Accel::build`].
+    pub prim: u32,
+}
+
+/// Why a set of primitives was refused.
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum AccelError {
+    /// A coordinate is NaN, infinite or beyond [`MAX_COORDINATE`].
+    #[error(
+        "primitive {primitive}: expected finite coordinates of magnitude at most {max:e}, found {found}",
+        max = MAX_COORDINATE
+    )]
+    Coordinate {
+        /// Index of the primitive.
+        primitive: usize,
+        /// The offending number.
+        found: f32,
+    },
+    /// More primitives than indices.
+    #[error("expected at most {max} primitives, found {found}", max = MAX_PRIMITIVES)]
+    TooMany {
+        /// Number of primitives given.
+        found: usize,
+    },
+}
+
+/// Indices are 32 bits wide and the largest one marks empty slots.
+const MAX_PRIMITIVES: usize = u32::MAX as usize - 1;
+
+/// An immutable set of primitives, ready for ray queries.
+///
+/// Queries are pure functions of their arguments and never panic. A ray misses everything if its
+/// direction is zero, NaN or infinite, or shorter or longer than `1e-18` or `1e18`, or if its origin
+/// is not finite or is farther out than a few [`MAX_COORDINATE`].
+#[derive(Clone, Debug)]
+pub struct Accel {
+    layout: Layout,
+}
+
+#[derive(Clone, Debug)]
+enum Layout {
+    Linear(Packets, Vec<(Curved, u32)>),
+    Tree(Box<Tree>),
+}
+
+impl Accel {
+    /// Prepares `prims` for queries. An empty set is valid and never hit.
+    pub fn build(prims: &[Primitive]) -> Result<Accel, AccelError> {
+        let items = prepare(prims)?;
+        let curved = items
+            .iter()
+            .filter(|s| matches!(s.shape, Shape::Curved(_)))
+            .count();
+        let flat = items.len() - curved;
+        let cost = flat.div_ceil(packet::LANES) as f32 + CURVED_COST * curved as f32;
+        Ok(if cost <= MAX_LINEAR_COST {
+            Self::linear(&items)
+        } else {
+            Self::tree(&items).unwrap_or_else(|| Self::linear(&items))
+        })
+    }
+
+    fn linear(items: &[Item]) -> Accel {
+        let mut flat = Vec::new();
+        let mut curved = Vec::new();
+        for &Item { shape, prim, .. } in items {
+            match shape {
+                Shape::Flat(f) => flat.push((f, prim)),
+                Shape::Curved(c) => curved.push((c, prim)),
+            }
+        }
+        Accel {
+            layout: Layout::Linear(Packets::new(&flat), curved),
+        }
+    }
+
+    /// `None` if the hierarchy came out too deep for the traversal stack.
+    fn tree(items: &[Item]) -> Option<Accel> {
+        Tree::new(items).map(|t| Accel {
+            layout: Layout::Tree(Box::new(t)),
+        })
+    }
+
+    /// Nearest hit of the ray `o + t d` with `0 < t < t_max`; the lowest primitive among equals.
+    ///
+    /// `d` need not be normalised. The caller offsets origins that lie on a surface.
+    #[inline]
+    pub fn intersect(&self, o: [f32; 3], d: [f32; 3], t_max: f32) -> Option<Hit> {
+        let (ray, scale) = Ray::new(o, d)?;
+        let mut best = Best::new(limit(t_max, scale));
+        match &self.layout {
+            Layout::Linear(packets, curved) => {
+                packets.intersect(&ray, &mut best);
+                for (c, prim) in curved {
+                    if let Some((t, u, v)) = c.intersect(&ray, best.t) {
+                        best.offer(t, u, v, *prim);
+                    }
+                }
+            }
+            Layout::Tree(tree) => tree.intersect(&ray, &mut best),
+        }
+        best.hit(scale)
+    }
+
+    /// Whether anything is hit with `0 < t < t_max`.
+    #[inline]
+    pub fn occluded(&self, o: [f32; 3], d: [f32; 3], t_max: f32) -> bool {
+        let Some((ray, scale)) = Ray::new(o, d) else {
+            return false;
+        };
+        let t_max = limit(t_max, scale);
+        match &self.layout {
+            Layout::Linear(packets, curved) => {
+                packets.occluded(&ray, t_max) || curved.iter().any(|(c, _)| c.occluded(&ray, t_max))
+            }
+            Layout::Tree(tree) => tree.occluded(&ray, t_max),
+        }
+    }
+
+    /// Heap and inline memory held, in bytes.
+    pub fn memory_bytes(&self) -> usize {
+        size_of::<Self>()
+            + match &self.layout {
+                Layout::Linear(packets, curved) => {
+                    packets.memory_bytes() + curved.capacity() * size_of::<(Curved, u32)>()
+                }
+                Layout::Tree(tree) => tree.memory_bytes(),
+            }
+    }
+}
+
+/// A primitive in the form its intersection test wants.
+#[derive(Clone, Copy, Debug)]
+enum Shape {
+    Flat(Flat<f32>),
+    Curved(Curved),
+}
+
+/// A primitive that can be hit.
+#[derive(Clone, Copy, Debug)]
+struct Item {
+    shape: Shape,
+    prim: u32,
+    /// Corners of a box around it.
+    bounds: [[f32; 3]; 2],
+}
+
+/// Checks the input, drops what can never be hit and precomputes the rest.
+fn prepare(prims: &[Primitive]) -> Result<Vec<Item>, AccelError> {
+    if prims.len() > MAX_PRIMITIVES {
+        return Err(AccelError::TooMany { found: prims.len() });
+    }
+    let mut items = Vec::with_capacity(prims.len());
+    for (i, p) in prims.iter().enumerate() {
+        let (vectors, radius) = match *p {
+            Primitive::Triangle { v0, e1, e2 } | Primitive::Parallelogram { v0, e1, e2 } => {
+                ([v0, e1, e2], 0.0)
+            }
+            Primitive::Disk { center, e1, e2 } => ([center, e1, e2], 0.0),
+            Primitive::Sphere { center, radius } => ([center, [0.0; 3], [0.0; 3]], radius),
+            Primitive::Cylinder { p0, axis, radius } => ([p0, axis, [0.0; 3]], radius),
+        };
+        let numbers = vectors.iter().flatten().chain([&radius]);
+        if let Some(&found) = numbers
+            .into_iter()
+            .find(|x| !x.is_finite() || x.abs() > MAX_COORDINATE)
+        {
+            return Err(AccelError::Coordinate {
+                primitive: i,
+                found,
+            });
+        }
+        let shape = match *p {
+            Primitive::Triangle { v0, e1, e2 } => Flat::new(v0, e1, e2, true).map(Shape::Flat),
+            Primitive::Parallelogram { v0, e1, e2 } => {
+                Flat::new(v0, e1, e2, false).map(Shape::Flat)
+            }
+            Primitive::Sphere { center, radius } => {
+                Curved::sphere(center, radius).map(Shape::Curved)
+            }
+            Primitive::Disk { center, e1, e2 } => Curved::disk(center, e1, e2).map(Shape::Curved),
+            Primitive::Cylinder { p0, axis, radius } => {
+                Curved::cylinder(p0, axis, radius).map(Shape::Curved)
+            }
+        };
+        items.extend(shape.map(|shape| Item {
+            shape,
+            prim: i as u32,
+            bounds: bounds(p),
+        }));
+    }
+    Ok(items)
+}
+
+/// Corners of a box around a primitive, rounded outwards.
+fn bounds(p: &Primitive) -> [[f32; 3]; 2] {
+    let axis = |k: usize| -> (f64, f64) {
+        let at = |x: [f32; 3]| f64::from(x[k]);
+        match *p {
+            Primitive::Triangle { v0, e1, e2 } => (
+                at(v0) + at(e1).min(at(e2)).min(0.0),
+                at(v0) + at(e1).max(at(e2)).max(0.0),
+            ),
+            Primitive::Parallelogram { v0, e1, e2 } => (
+                at(v0) + at(e1).min(0.0) + at(e2).min(0.0),
+                at(v0) + at(e1).max(0.0) + at(e2).max(0.0),
+            ),
+            Primitive::Sphere { center, radius } => (
+                at(center) - f64::from(radius),
+                at(center) + f64::from(radius),
+            ),
+            Primitive::Disk { center, e1, e2 } => {
+                let half = at(e1).hypot(at(e2));
+                (at(center) - half, at(center) + half)
+            }
+            Primitive::Cylinder { p0, axis, radius } => {
+                let squared: f64 = axis.iter().map(|&x| f64::from(x) * f64::from(x)).sum();
+                let sine = (1.0 - at(axis) * at(axis) / squared).max(0.0).sqrt();
+                let half = f64::from(radius) * sine;
+                (
+                    at(p0) + at(axis).min(0.0) - half,
+                    at(p0) + at(axis).max(0.0) + half,
+                )
+            }
+        }
+    };
+    let sides = [axis(0), axis(1), axis(2)];
+    [
+        sides.map(|s| (s.0 as f32).next_down()),
+        sides.map(|s| (s.1 as f32).next_up()),
+    ]
+}
+
+/// A ray with finite numbers of sane size.
+#[derive(Clone, Copy, Debug)]
+struct Ray {
+    o: [f32; 3],
+    d: [f32; 3],
+    /// Sum of the absolute components of `d`: bounds its length.
+    size: f32,
+}
+
+impl Ray {
+    /// The ray and the factor that converts the caller's distances to its own.
+    #[inline(always)]
+    fn new(o: [f32; 3], d: [f32; 3]) -> Option<(Ray, f32)> {
+        // Sums of magnitudes keep NaN and infinity, which max() would not.
+        let size = d[0].abs() + d[1].abs() + d[2].abs();
+        let reach = o[0].abs() + o[1].abs() + o[2].abs();
+        if size > 0.25 && size < 4.0 && reach <= 3.0 * MAX_COORDINATE {
+            Some((Ray { o, d, size }, 1.0))
+        } else {
+            Self::rescaled(o, d)
+        }
+    }
+
+    /// Brings the direction to unit size by a power of two, which rounds nothing.
+    #[cold]
+    fn rescaled(o: [f32; 3], d: [f32; 3]) -> Option<(Ray, f32)> {
+        let largest = d.iter().fold(0.0, |m: f32, x| m.max(x.abs()));
+        let sum: f32 = o.iter().chain(&d).map(|x| x.abs()).sum();
+        let reach = o.iter().fold(0.0, |m: f32, x| m.max(x.abs()));
+        // Directions beyond this range would overflow distances.
+        if !sum.is_finite() || reach > 3.0 * MAX_COORDINATE || !(1e-18..1e18).contains(&largest) {
+            return None;
+        }
+        let exponent = (largest.to_bits() >> 23) as i32 - 127;
+        let down = f32::from_bits(((127 - exponent) as u32) << 23);
+        let up = f32::from_bits(((127 + exponent) as u32) << 23);
+        let d = d.map(|x| x * down);
+        let size = d[0].abs() + d[1].abs() + d[2].abs();
+        Some((Ray { o, d, size }, up))
+    }
+}
+
+/// The caller's limit in the ray's units. Nothing can be farther than the cap, and with it the
+/// flat test stays finite. NaN stays NaN, which no distance is below.
+#[inline(always)]
+fn limit(t_max: f32, scale: f32) -> f32 {
+    const CAP: f32 = 1e15;
+    let t = t_max * scale;
+    if t > CAP { CAP } else { t }
+}
+
+/// Best hit so far.
+#[derive(Clone, Copy, Debug)]
+struct Best {
+    t: f32,
+    u: f32,
+    v: f32,
+    prim: u32,
+    found: bool,
+}
+
+impl Best {
+    #[inline(always)]
+    fn new(t_max: f32) -> Best {
+        // Primitive 0 as the start value makes every tie with t_max lose.
+        Best {
+            t: t_max,
+            u: 0.0,
+            v: 0.0,
+            prim: 0,
+            found: false,
+        }
+    }
+
+    #[inline(always)]
+    fn offer(&mut self, t: f32, u: f32, v: f32, prim: u32) {
+        if t < self.t || (t == self.t && prim < self.prim) {
+            *self = Best {
+                t,
+                u,
+                v,
+                prim,
+                found: true,
+            };
+        }
+    }
+
+    #[inline(always)]
+    fn hit(self, scale: f32) -> Option<Hit> {
+        self.found.then_some(Hit {
+            t: self.t / scale,
+            u: self.u,
+            v: self.v,
+            prim: self.prim,
+        })
+    }
+}

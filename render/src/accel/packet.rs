@@ -1,0 +1,344 @@
+//! Flat primitives, one at a time or eight at a time with the same arithmetic.
+
+use super::{Best, MIN_THICKNESS, Ray};
+use std::ops::{Add, Div, Mul, Sub};
+use wide::f32x8;
+
+/// Primitives per packet.
+pub(super) const LANES: usize = 8;
+
+/// Relative size of the seam by which neighbours overlap, so that no ray slips between them.
+///
+/// Covers the rounding of the hit point (a few half ulps of the distance travelled) and of
+/// vertices that callers rebuild as `v0 + e1`.
+const SEAM: f32 = 8.0 * f32::EPSILON;
+
+/// The operations the flat test needs, rounded alike for one lane and for eight.
+pub(super) trait Lane:
+    Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> + Div<Output = Self>
+{
+    fn splat(x: f32) -> Self;
+    /// `self * a + b`, fused exactly where `wide` fuses.
+    fn fma(self, a: Self, b: Self) -> Self;
+    fn lower(self, o: Self) -> Self;
+    fn upper(self, o: Self) -> Self;
+}
+
+/// Whether `wide` fuses `mul_add` on this target; scalar code must follow.
+const FUSED: bool = cfg!(all(target_feature = "avx", target_feature = "fma"));
+
+impl Lane for f32 {
+    #[inline(always)]
+    fn splat(x: f32) -> f32 {
+        x
+    }
+    #[inline(always)]
+    fn fma(self, a: f32, b: f32) -> f32 {
+        if FUSED {
+            self.mul_add(a, b)
+        } else {
+            self * a + b
+        }
+    }
+    #[inline(always)]
+    fn lower(self, o: f32) -> f32 {
+        if self < o { self } else { o }
+    }
+    #[inline(always)]
+    fn upper(self, o: f32) -> f32 {
+        if self > o { self } else { o }
+    }
+}
+
+impl Lane for f32x8 {
+    #[inline(always)]
+    fn splat(x: f32) -> f32x8 {
+        f32x8::splat(x)
+    }
+    #[inline(always)]
+    fn fma(self, a: f32x8, b: f32x8) -> f32x8 {
+        if FUSED {
+            self.mul_add(a, b)
+        } else {
+            self * a + b
+        }
+    }
+    #[inline(always)]
+    fn lower(self, o: f32x8) -> f32x8 {
+        self.fast_min(o)
+    }
+    #[inline(always)]
+    fn upper(self, o: f32x8) -> f32x8 {
+        self.fast_max(o)
+    }
+}
+
+/// A triangle or parallelogram as a plane and a dual basis, so that a test needs no cross product.
+#[derive(Clone, Copy, Debug)]
+#[repr(C, align(64))]
+pub(super) struct Flat<N> {
+    v0: [N; 3],
+    /// Unit normal; zero in empty slots, which no ray can hit.
+    n: [N; 3],
+    /// `du . e1 = 1`, `du . e2 = 0`, in the plane.
+    du: [N; 3],
+    /// `dv . e1 = 0`, `dv . e2 = 1`, in the plane.
+    dv: [N; 3],
+    /// 1 for triangles (`u + v <= 1`), 0 for parallelograms.
+    cut: N,
+    /// Seam width in `u` and `v` per unit of distance.
+    seam_u: N,
+    seam_v: N,
+    /// Distance that stands for the magnitude of the coordinates themselves.
+    reach: N,
+}
+
+fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    [
+        a[1] * b[2] - a[2] * b[1],
+        a[2] * b[0] - a[0] * b[2],
+        a[0] * b[1] - a[1] * b[0],
+    ]
+}
+
+fn length(a: [f64; 3]) -> f64 {
+    a[0].hypot(a[1]).hypot(a[2])
+}
+
+#[inline(always)]
+fn dot<N: Lane>(a: [N; 3], b: [N; 3]) -> N {
+    a[2].fma(b[2], a[1].fma(b[1], a[0] * b[0]))
+}
+
+impl Flat<f32> {
+    /// Cannot be hit; fills packets up and marks slots of other kinds.
+    pub(super) const EMPTY: Flat<f32> = Flat {
+        v0: [0.0; 3],
+        n: [0.0; 3],
+        du: [0.0; 3],
+        dv: [0.0; 3],
+        cut: 0.0,
+        seam_u: 0.0,
+        seam_v: 0.0,
+        reach: 0.0,
+    };
+
+    /// `None` if it has no area.
+    pub(super) fn new(v0: [f32; 3], e1: [f32; 3], e2: [f32; 3], triangle: bool) -> Option<Self> {
+        let (a, b) = (e1.map(f64::from), e2.map(f64::from));
+        let normal = cross(a, b);
+        let area = length(normal);
+        let (la, lb) = (length(a), length(b));
+        let thickness = area / la.max(lb);
+        // Sides that are parallel up to the rounding of their components enclose nothing.
+        let noise = 2.0 * f64::from(f32::EPSILON) * la * lb;
+        if !(thickness >= f64::from(MIN_THICKNESS) && area > noise) {
+            return None;
+        }
+        let n = normal.map(|x| x / area);
+        let du = cross(b, n).map(|x| x / area);
+        let dv = cross(n, a).map(|x| x / area);
+        let extent = v0.iter().fold(0.0, |m: f32, x| m.max(x.abs())) + (la + lb) as f32;
+        let narrow = |x: [f64; 3]| x.map(|x| x as f32);
+        Some(Flat {
+            v0,
+            n: narrow(n),
+            du: narrow(du),
+            dv: narrow(dv),
+            cut: if triangle { 1.0 } else { 0.0 },
+            seam_u: SEAM * length(du) as f32,
+            seam_v: SEAM * length(dv) as f32,
+            reach: extent,
+        })
+    }
+}
+
+/// A ray broadcast to every lane.
+#[derive(Clone, Copy)]
+pub(super) struct RayLanes<N> {
+    o: [N; 3],
+    d: [N; 3],
+    size: N,
+}
+
+impl<N: Lane> RayLanes<N> {
+    #[inline(always)]
+    pub(super) fn new(ray: &Ray) -> Self {
+        RayLanes {
+            o: ray.o.map(N::splat),
+            d: ray.d.map(N::splat),
+            size: N::splat(ray.size),
+        }
+    }
+}
+
+/// Candidate: a hit if `0 < t < t_max`, `inner >= 0` and `outer <= 1`. All NaN in empty slots.
+struct Candidate<N> {
+    t: N,
+    u: N,
+    v: N,
+    inner: N,
+    outer: N,
+}
+
+impl<N: Lane> Flat<N> {
+    #[inline(always)]
+    fn candidate(&self, ray: &RayLanes<N>) -> Candidate<N> {
+        let to = [
+            self.v0[0] - ray.o[0],
+            self.v0[1] - ray.o[1],
+            self.v0[2] - ray.o[2],
+        ];
+        let t = dot(self.n, to) / dot(self.n, ray.d);
+        // The hit relative to v0: small numbers, whatever the distance of the scene from zero.
+        let p = [
+            ray.d[0].fma(t, N::splat(0.0) - to[0]),
+            ray.d[1].fma(t, N::splat(0.0) - to[1]),
+            ray.d[2].fma(t, N::splat(0.0) - to[2]),
+        ];
+        let u = dot(self.du, p);
+        let v = dot(self.dv, p);
+        let travelled = t.fma(ray.size, self.reach);
+        let (su, sv) = (self.seam_u * travelled, self.seam_v * travelled);
+        let inner = (u + su).lower(v + sv);
+        let (u1, v1) = (u - su, v - sv);
+        let outer = self.cut.fma(v1, u1).upper(self.cut.fma(u1, v1));
+        Candidate {
+            t,
+            u,
+            v,
+            inner,
+            outer,
+        }
+    }
+}
+
+/// Moves coordinates that the seam let out back onto the primitive.
+#[inline(always)]
+fn onto(u: f32, v: f32, cut: f32) -> (f32, f32) {
+    let u = u.clamp(0.0, 1.0);
+    (u, v.clamp(0.0, 1.0 - cut * u))
+}
+
+impl Flat<f32> {
+    #[inline(always)]
+    pub(super) fn intersect(&self, ray: &RayLanes<f32>, prim: u32, best: &mut Best) {
+        let c = self.candidate(ray);
+        if c.t > 0.0 && c.t <= best.t && c.inner >= 0.0 && c.outer <= 1.0 {
+            let (u, v) = onto(c.u, c.v, self.cut);
+            best.offer(c.t, u, v, prim);
+        }
+    }
+
+    #[inline(always)]
+    pub(super) fn occluded(&self, ray: &RayLanes<f32>, t_max: f32) -> bool {
+        let c = self.candidate(ray);
+        c.t > 0.0 && c.t < t_max && c.inner >= 0.0 && c.outer <= 1.0
+    }
+}
+
+/// Flat primitives in packets of eight, tested one packet after the other.
+#[derive(Clone, Debug)]
+pub(super) struct Packets {
+    packets: Vec<Flat<f32x8>>,
+    /// Primitive of every slot, ascending.
+    prims: Vec<[u32; LANES]>,
+}
+
+impl Packets {
+    pub(super) fn new(flat: &[(Flat<f32>, u32)]) -> Packets {
+        let mut packets = Vec::new();
+        let mut prims = Vec::new();
+        for group in flat.chunks(LANES) {
+            let slot = |i: usize| group.get(i).map_or(Flat::EMPTY, |g| g.0);
+            let lanes = |f: &dyn Fn(&Flat<f32>) -> f32| {
+                f32x8::from(std::array::from_fn::<f32, LANES, _>(|i| f(&slot(i))))
+            };
+            let axes = |f: &dyn Fn(&Flat<f32>) -> [f32; 3]| {
+                std::array::from_fn::<f32x8, 3, _>(|k| lanes(&|g| f(g)[k]))
+            };
+            packets.push(Flat {
+                v0: axes(&|g| g.v0),
+                n: axes(&|g| g.n),
+                du: axes(&|g| g.du),
+                dv: axes(&|g| g.dv),
+                cut: lanes(&|g| g.cut),
+                seam_u: lanes(&|g| g.seam_u),
+                seam_v: lanes(&|g| g.seam_v),
+                reach: lanes(&|g| g.reach),
+            });
+            prims.push(std::array::from_fn(|i| {
+                group.get(i).map_or(u32::MAX, |g| g.1)
+            }));
+        }
+        Packets { packets, prims }
+    }
+
+    /// `best` must be fresh: only its distance is looked at.
+    #[inline(always)]
+    pub(super) fn intersect(&self, ray: &Ray, best: &mut Best) {
+        let lanes = RayLanes::<f32x8>::new(ray);
+        let (zero, one) = (f32x8::splat(0.0), f32x8::splat(1.0));
+        let start = f32x8::splat(best.t);
+        let (mut t, mut u, mut v) = (start, zero, zero);
+        let mut at = zero;
+        let mut index = zero;
+        for packet in &self.packets {
+            let c = packet.candidate(&lanes);
+            // Strict, and packets ascend: every lane keeps its lowest primitive among equals.
+            let hit =
+                c.t.simd_gt(zero) & c.t.simd_lt(t) & c.inner.simd_ge(zero) & c.outer.simd_le(one);
+            t = hit.select(c.t, t);
+            u = hit.select(c.u, u);
+            v = hit.select(c.v, v);
+            at = hit.select(index, at);
+            index += one;
+        }
+        if !t.simd_lt(start).any() {
+            return;
+        }
+        let ts = t.to_array();
+        let nearest = ts.iter().fold(best.t, |m, &x| m.lower(x));
+        let mut winners = t.simd_eq(f32x8::splat(nearest)).to_bitmask();
+        let (us, vs, ats) = (u.to_array(), v.to_array(), at.to_array());
+        let mut prim = u32::MAX;
+        let mut lane = 0;
+        while winners != 0 {
+            let i = winners.trailing_zeros() as usize % LANES;
+            let candidate = self.prims[ats[i] as usize][i];
+            if candidate < prim {
+                (prim, lane) = (candidate, i);
+            }
+            winners &= winners - 1;
+        }
+        let cut = self.packets[ats[lane] as usize].cut.to_array()[lane];
+        let (u, v) = onto(us[lane], vs[lane], cut);
+        *best = Best {
+            t: nearest,
+            u,
+            v,
+            prim,
+            found: true,
+        };
+    }
+
+    #[inline(always)]
+    pub(super) fn occluded(&self, ray: &Ray, t_max: f32) -> bool {
+        let lanes = RayLanes::<f32x8>::new(ray);
+        let (zero, one) = (f32x8::splat(0.0), f32x8::splat(1.0));
+        let t_max = f32x8::splat(t_max);
+        self.packets.iter().any(|packet| {
+            let c = packet.candidate(&lanes);
+            let hit = c.t.simd_gt(zero)
+                & c.t.simd_lt(t_max)
+                & c.inner.simd_ge(zero)
+                & c.outer.simd_le(one);
+            hit.any()
+        })
+    }
+
+    pub(super) fn memory_bytes(&self) -> usize {
+        self.packets.capacity() * size_of::<Flat<f32x8>>()
+            + self.prims.capacity() * size_of::<[u32; LANES]>()
+    }
+}

@@ -1,0 +1,646 @@
+use super::*;
+
+/// Small deterministic generator; tests need nothing better.
+struct Random(u64);
+
+impl Random {
+    fn bits(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^ (z >> 31)
+    }
+    /// In [-1, 1).
+    fn signed(&mut self) -> f32 {
+        (self.bits() >> 40) as f32 / (1 << 23) as f32 - 1.0
+    }
+    fn vector(&mut self, scale: f32) -> [f32; 3] {
+        [0; 3].map(|_| self.signed() * scale)
+    }
+    fn direction(&mut self) -> [f32; 3] {
+        loop {
+            let d = self.vector(1.0);
+            let l = d.iter().map(|x| x * x).sum::<f32>();
+            if l > 0.01 && l <= 1.0 {
+                return d.map(|x| x / l.sqrt());
+            }
+        }
+    }
+    fn primitive(&mut self, scale: f32) -> Primitive {
+        let p = self.vector(scale);
+        let s = 0.2 * scale;
+        let radius = s * (0.1 + 0.9 * self.signed().abs());
+        match self.bits() % 5 {
+            0 => Primitive::Triangle {
+                v0: p,
+                e1: self.vector(s),
+                e2: self.vector(s),
+            },
+            1 => Primitive::Parallelogram {
+                v0: p,
+                e1: self.vector(s),
+                e2: self.vector(s),
+            },
+            2 => Primitive::Sphere { center: p, radius },
+            3 => {
+                let n = self.direction();
+                let h = self.direction();
+                let e1 = unit(cross64(n.map(f64::from), h.map(f64::from)));
+                let e2 = unit(cross64(n.map(f64::from), e1));
+                Primitive::Disk {
+                    center: p,
+                    e1: e1.map(|x| x as f32 * radius),
+                    e2: e2.map(|x| x as f32 * radius * 0.5),
+                }
+            }
+            _ => Primitive::Cylinder {
+                p0: p,
+                axis: self.vector(s),
+                radius: 0.3 * radius,
+            },
+        }
+    }
+}
+
+fn cross64(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    [
+        a[1] * b[2] - a[2] * b[1],
+        a[2] * b[0] - a[0] * b[2],
+        a[0] * b[1] - a[1] * b[0],
+    ]
+}
+fn dot64(a: [f64; 3], b: [f64; 3]) -> f64 {
+    (0..3).map(|k| a[k] * b[k]).sum()
+}
+fn sub64(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    std::array::from_fn(|k| a[k] - b[k])
+}
+fn unit(a: [f64; 3]) -> [f64; 3] {
+    let l = dot64(a, a).sqrt();
+    a.map(|x| x / l)
+}
+fn wide64(a: [f32; 3]) -> [f64; 3] {
+    a.map(f64::from)
+}
+
+/// All distances at which the line meets the primitive, in f64 and by other formulas: vertices
+/// and triple products for flat ones, the plain quadratic for curved ones. The second number is
+/// how far inside the boundary the point is, in surface coordinates.
+fn reference(p: &Primitive, o: [f32; 3], d: [f32; 3]) -> Vec<(f64, f64)> {
+    let (o, d) = (wide64(o), wide64(d));
+    let at = |t: f64| -> [f64; 3] { std::array::from_fn(|k| o[k] + t * d[k]) };
+    let solve = |a: f64, b: f64, c: f64| {
+        let disc = b * b - a * c;
+        let s = disc.sqrt();
+        if disc >= 0.0 {
+            vec![(-b - s) / a, (-b + s) / a]
+        } else {
+            vec![]
+        }
+    };
+    let plane = |v0: [f32; 3], e1: [f32; 3], e2: [f32; 3]| {
+        let (a, b) = (wide64(e1), wide64(e2));
+        let q = cross64(d, b);
+        let det = dot64(a, q);
+        let s = sub64(o, wide64(v0));
+        let r = cross64(s, a);
+        (dot64(b, r) / det, dot64(s, q) / det, dot64(d, r) / det)
+    };
+    match *p {
+        Primitive::Triangle { v0, e1, e2 } => {
+            let (t, u, v) = plane(v0, e1, e2);
+            vec![(t, u.min(v).min(1.0 - u - v))]
+        }
+        Primitive::Parallelogram { v0, e1, e2 } => {
+            let (t, u, v) = plane(v0, e1, e2);
+            vec![(t, u.min(v).min(1.0 - u).min(1.0 - v))]
+        }
+        Primitive::Disk { center, e1, e2 } => {
+            let (t, u, v) = plane(center, e1, e2);
+            vec![(t, 1.0 - (u * u + v * v).sqrt())]
+        }
+        Primitive::Sphere { center, radius } => {
+            let s = sub64(o, wide64(center));
+            let r = f64::from(radius);
+            let roots = solve(dot64(d, d), dot64(s, d), dot64(s, s) - r * r);
+            let spread = roots.iter().fold(0.0, |m, t| t - m).abs() / r;
+            roots.into_iter().map(|t| (t, spread)).collect()
+        }
+        Primitive::Cylinder { p0, axis, radius } => {
+            let (c, x) = (wide64(p0), wide64(axis));
+            let n = unit(x);
+            let l = dot64(x, x).sqrt();
+            let s = sub64(o, c);
+            let flat = |w: [f64; 3]| cross64(n, w);
+            let (sf, df, r) = (flat(s), flat(d), f64::from(radius));
+            let roots = solve(dot64(df, df), dot64(sf, df), dot64(sf, sf) - r * r);
+            let spread = roots.iter().fold(0.0, |m, t| t - m).abs() / r;
+            roots
+                .into_iter()
+                .map(|t| {
+                    let h = dot64(sub64(at(t), c), n) / l;
+                    (t, h.min(1.0 - h).min(spread))
+                })
+                .collect()
+        }
+    }
+}
+
+/// Nearest clear hit of the reference, or `None` in the outer layer if a boundary is too close to
+/// call in f32.
+fn nearest(prims: &[Primitive], o: [f32; 3], d: [f32; 3]) -> Option<Option<(f64, usize)>> {
+    let margin = 2e-4;
+    let mut best: Option<(f64, usize)> = None;
+    let mut unclear = f64::INFINITY;
+    for (i, p) in prims.iter().enumerate() {
+        for (t, inside) in reference(p, o, d) {
+            if t <= 0.0 || !t.is_finite() {
+                continue;
+            }
+            if inside.abs() < margin {
+                unclear = unclear.min(t);
+            } else if inside > 0.0 && best.is_none_or(|b| t < b.0) {
+                best = Some((t, i));
+            }
+        }
+    }
+    (best.map_or(f64::INFINITY, |b| b.0) < unclear || unclear == f64::INFINITY).then_some(best)
+}
+
+fn both(prims: &[Primitive]) -> [Accel; 2] {
+    let items = prepare(prims).unwrap();
+    [Accel::linear(&items), Accel::tree(&items).unwrap()]
+}
+
+#[test]
+fn agrees_with_brute_force_in_f64() {
+    for (seed, scale) in [(1, 1.0), (2, 1e6), (3, 1e-4)] {
+        let mut random = Random(seed);
+        let prims: Vec<_> = (0..300).map(|_| random.primitive(scale)).collect();
+        let [linear, tree] = both(&prims);
+        let mut hits = 0;
+        for _ in 0..40_000 {
+            let (o, d) = (random.vector(1.2 * scale), random.direction());
+            let found = linear.intersect(o, d, f32::INFINITY);
+            assert_eq!(found, tree.intersect(o, d, f32::INFINITY));
+            let Some(expected) = nearest(&prims, o, d) else {
+                continue;
+            };
+            assert_eq!(
+                found.map(|h| h.prim as usize),
+                expected.map(|e| e.1),
+                "{o:?} {d:?} {found:?} {expected:?}"
+            );
+            let (Some(h), Some((t, _))) = (found, expected) else {
+                continue;
+            };
+            hits += 1;
+            let scale = f64::from(scale);
+            assert!(
+                (f64::from(h.t) - t).abs() <= 2e-5 * (t + 0.01 * scale),
+                "{} {t}",
+                h.t
+            );
+            for accel in [&linear, &tree] {
+                assert!(accel.occluded(o, d, f32::INFINITY));
+                assert!(accel.occluded(o, d, h.t * 1.001));
+                assert!(!accel.occluded(o, d, h.t * 0.999));
+                assert_eq!(accel.intersect(o, d, h.t), None);
+            }
+        }
+        assert!(hits > 8_000, "{hits}");
+    }
+}
+
+/// Most rays meet a plane at a moderate angle; there all three numbers are good to a few ulps of
+/// the distance.
+#[test]
+fn distances_and_coordinates_are_precise() {
+    let mut random = Random(4);
+    for _ in 0..50_000 {
+        let p = random.primitive(1.0);
+        let accel = Accel::build(&[p]).unwrap();
+        let (o, d) = (random.vector(3.0), random.direction());
+        let Some(h) = accel.intersect(o, d, f32::INFINITY) else {
+            continue;
+        };
+        let (v0, e1, e2) = match p {
+            Primitive::Triangle { v0, e1, e2 } | Primitive::Parallelogram { v0, e1, e2 } => {
+                (wide64(v0), wide64(e1), wide64(e2))
+            }
+            _ => continue,
+        };
+        let n = unit(cross64(e1, e2));
+        let cosine = dot64(n, wide64(d)).abs();
+        if cosine < 0.1 {
+            continue;
+        }
+        let t = reference(&p, o, d)[0].0;
+        assert!(
+            (f64::from(h.t) - t).abs() < 1e-6 * t / cosine,
+            "{} {t} {cosine}",
+            h.t
+        );
+        for k in 0..3 {
+            let surface = v0[k] + f64::from(h.u) * e1[k] + f64::from(h.v) * e2[k];
+            let ray = f64::from(o[k]) + t * f64::from(d[k]);
+            assert!(
+                (surface - ray).abs() < 3e-6 / cosine,
+                "{surface} {ray} {cosine}"
+            );
+        }
+    }
+}
+
+#[test]
+fn far_small_spheres_are_hit_where_they_are() {
+    let mut random = Random(5);
+    for _ in 0..20_000 {
+        let d = random.direction();
+        let distance = 1e4 * (1.0 + random.signed().abs());
+        let center = d.map(|x| x * distance);
+        let p = Primitive::Sphere {
+            center,
+            radius: 0.05,
+        };
+        let accel = Accel::build(&[p]).unwrap();
+        let o = random.vector(0.02);
+        let found = accel.intersect(o, d, f32::INFINITY);
+        if let Some(Some((t, _))) = nearest(&[p], o, d) {
+            assert!((f64::from(found.unwrap().t) / t - 1.0).abs() < 1e-7);
+        }
+    }
+}
+
+/// A bumpy closed surface: every ray from inside must hit it.
+fn blob(n: usize, offset: f32) -> Vec<Primitive> {
+    let vertex = |i: usize, j: usize| -> [f32; 3] {
+        let theta = std::f64::consts::PI * i as f64 / n as f64;
+        let phi = std::f64::consts::TAU * (j % (2 * n)) as f64 / (2 * n) as f64;
+        let s = if i.is_multiple_of(n) {
+            0.0
+        } else {
+            theta.sin()
+        };
+        let r = 1.0
+            + if i.is_multiple_of(n) {
+                0.0
+            } else {
+                0.1 * (7.0 * theta).sin() * (5.0 * phi).cos()
+            };
+        [r * s * phi.cos(), r * s * phi.sin(), r * theta.cos()].map(|x| x as f32 + offset)
+    };
+    let mut prims = Vec::new();
+    for i in 0..n {
+        for j in 0..2 * n {
+            let [a, b, c, d] = [
+                vertex(i, j),
+                vertex(i + 1, j),
+                vertex(i + 1, j + 1),
+                vertex(i, j + 1),
+            ];
+            for (p, q, r) in [(a, b, c), (a, c, d)] {
+                let minus = |x: [f32; 3]| std::array::from_fn(|k| x[k] - p[k]);
+                prims.push(Primitive::Triangle {
+                    v0: p,
+                    e1: minus(q),
+                    e2: minus(r),
+                });
+            }
+        }
+    }
+    prims
+}
+
+#[test]
+fn closed_mesh_does_not_leak() {
+    for (n, offset) in [(100, 0.0), (40, 100.0)] {
+        let accel = Accel::build(&blob(n, offset)).unwrap();
+        let mut random = Random(6);
+        let mut leaks = 0;
+        for _ in 0..500_000 {
+            let o = random.vector(0.3).map(|x| x + offset);
+            let d = random.direction();
+            leaks += usize::from(accel.intersect(o, d, f32::INFINITY).is_none());
+            leaks += usize::from(!accel.occluded(o, d, f32::INFINITY));
+        }
+        assert_eq!(leaks, 0);
+    }
+}
+
+/// Rays aimed at vertices and edges, where a leak would be if there were any.
+#[test]
+fn edges_and_vertices_do_not_leak() {
+    let prims = blob(30, 0.0);
+    let [linear, tree] = both(&prims);
+    let mut random = Random(7);
+    for p in &prims {
+        let Primitive::Triangle { v0, e1, e2 } = *p else {
+            unreachable!()
+        };
+        for k in 0..20 {
+            let w = if k < 4 {
+                0.0
+            } else {
+                0.5 + 0.5 * random.signed()
+            };
+            let e = match k % 3 {
+                0 => e1.map(|x| x * w),
+                1 => e2.map(|x| x * w),
+                _ => std::array::from_fn(|i| e1[i] * w + e2[i] * (1.0 - w)),
+            };
+            let o = random.vector(0.3);
+            let d = std::array::from_fn(|i| v0[i] + e[i] - o[i]);
+            let found = linear.intersect(o, d, f32::INFINITY);
+            assert!(found.is_some(), "{o:?} {d:?}");
+            assert_eq!(found, tree.intersect(o, d, f32::INFINITY));
+        }
+    }
+}
+
+fn cube(half: f32) -> Vec<Primitive> {
+    let mut prims = Vec::new();
+    for axis in 0..3 {
+        for side in [-half, half] {
+            let mut v0 = [-half; 3];
+            v0[axis] = side;
+            let (mut e1, mut e2) = ([0.0; 3], [0.0; 3]);
+            e1[(axis + 1) % 3] = 2.0 * half;
+            e2[(axis + 2) % 3] = 2.0 * half;
+            prims.push(Primitive::Parallelogram { v0, e1, e2 });
+        }
+    }
+    prims
+}
+
+/// Directions and origins on the axes, faces, edges and corners of a box.
+#[test]
+fn axis_aligned_rays_hit_boxes() {
+    let prims = cube(1.0);
+    let values = [-1.0, -0.5, -0.0, 0.0, 0.25, 1.0];
+    for accel in both(&prims) {
+        for x in values {
+            for y in values {
+                for z in [-0.75, 0.0, 0.75] {
+                    for axis in 0..3 {
+                        for sign in [-1.0, 1.0] {
+                            let mut o = [x, y, z];
+                            o.rotate_right(axis);
+                            let mut d = [-0.0, 0.0, sign];
+                            d.rotate_right(axis);
+                            let h = accel.intersect(o, d, f32::INFINITY).unwrap();
+                            assert_eq!(h.t, 1.0 - sign * z, "{o:?} {d:?}");
+                            assert!(accel.occluded(o, d, f32::INFINITY));
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn rays_from_a_surface_do_not_hit_it_again() {
+    let mut prims = cube(1.0);
+    prims.push(Primitive::Disk {
+        center: [0.0; 3],
+        e1: [0.5, 0.0, 0.0],
+        e2: [0.0, 0.5, 0.0],
+    });
+    let mut random = Random(8);
+    for accel in both(&prims) {
+        for _ in 0..2000 {
+            let mut d = random.direction();
+            d[2] = d[2].abs();
+            let o = [0.2 * random.signed(), 0.2 * random.signed(), -1.0];
+            assert_ne!(
+                accel.intersect(o, d, f32::INFINITY).map(|h| h.prim),
+                Some(4)
+            );
+            let h = accel
+                .intersect([o[0], o[1], 0.0], d, f32::INFINITY)
+                .unwrap();
+            assert_ne!(h.prim, 6);
+        }
+    }
+}
+
+#[test]
+fn lowest_primitive_wins_ties() {
+    let one = Primitive::Parallelogram {
+        v0: [-1.0, -1.0, 0.0],
+        e1: [2.0, 0.0, 0.0],
+        e2: [0.0, 2.0, 0.0],
+    };
+    let mut prims = vec![one; 100];
+    prims[0] = Primitive::Sphere {
+        center: [0.0, 0.0, 9.0],
+        radius: 1.0,
+    };
+    prims[1] = Primitive::Disk {
+        center: [0.0; 3],
+        e1: [1.0, 0.0, 0.0],
+        e2: [0.0, 1.0, 0.0],
+    };
+    let mut random = Random(9);
+    for accel in both(&prims) {
+        for _ in 0..1000 {
+            let o = [1.5 * random.signed(), 1.5 * random.signed(), -1.0];
+            let prim = accel.intersect(o, [0.0, 0.0, 1.0], 5.0).map(|h| h.prim);
+            let inside = o[0].abs() < 1.0 && o[1].abs() < 1.0;
+            let round = o[0] * o[0] + o[1] * o[1] < 1.0;
+            assert_eq!(prim, inside.then_some(if round { 1 } else { 2 }));
+        }
+    }
+}
+
+#[test]
+fn degenerate_primitives_are_never_hit() {
+    let x = [1.0, 0.0, 0.0];
+    let prims = [
+        Primitive::Triangle {
+            v0: [0.0; 3],
+            e1: x,
+            e2: x,
+        },
+        Primitive::Triangle {
+            v0: [0.0; 3],
+            e1: [0.1, 0.2, 0.3],
+            e2: [0.3, 0.6, 0.9],
+        },
+        Primitive::Parallelogram {
+            v0: [0.0; 3],
+            e1: [0.0; 3],
+            e2: x,
+        },
+        Primitive::Sphere {
+            center: [0.0; 3],
+            radius: 0.0,
+        },
+        Primitive::Sphere {
+            center: [0.0; 3],
+            radius: -1.0,
+        },
+        Primitive::Disk {
+            center: [0.0; 3],
+            e1: x,
+            e2: [0.0; 3],
+        },
+        Primitive::Cylinder {
+            p0: [0.0; 3],
+            axis: [0.0; 3],
+            radius: 1.0,
+        },
+        Primitive::Cylinder {
+            p0: [0.0; 3],
+            axis: x,
+            radius: 0.0,
+        },
+    ];
+    let mut random = Random(10);
+    for accel in both(&prims) {
+        for _ in 0..1000 {
+            let o = random.vector(1.0);
+            let d = if random.bits().is_multiple_of(2) {
+                o.map(|x| -x)
+            } else {
+                random.direction()
+            };
+            assert_eq!(accel.intersect(o, d, f32::INFINITY), None);
+            assert!(!accel.occluded(o, d, f32::INFINITY));
+        }
+    }
+}
+
+#[test]
+fn empty_set_is_never_hit() {
+    for accel in both(&[]).into_iter().chain([Accel::build(&[]).unwrap()]) {
+        assert_eq!(
+            accel.intersect([0.0; 3], [0.0, 0.0, 1.0], f32::INFINITY),
+            None
+        );
+        assert!(!accel.occluded([0.0; 3], [0.0, 0.0, 1.0], f32::INFINITY));
+    }
+}
+
+#[test]
+fn bad_coordinates_name_the_primitive() {
+    let good = Primitive::Sphere {
+        center: [0.0; 3],
+        radius: 1.0,
+    };
+    for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 1e20] {
+        for p in [
+            Primitive::Sphere {
+                center: [0.0, bad, 0.0],
+                radius: 1.0,
+            },
+            Primitive::Sphere {
+                center: [0.0; 3],
+                radius: bad,
+            },
+            Primitive::Triangle {
+                v0: [0.0; 3],
+                e1: [0.0, 1.0, 0.0],
+                e2: [0.0, 0.0, bad],
+            },
+        ] {
+            let error = Accel::build(&[good, good, p]).unwrap_err();
+            assert!(matches!(error, AccelError::Coordinate { primitive: 2, .. }));
+            assert!(error.to_string().contains("primitive 2"), "{error}");
+        }
+    }
+}
+
+#[test]
+fn strange_rays_miss_or_give_finite_hits() {
+    let mut random = Random(11);
+    let prims: Vec<_> = (0..100).map(|_| random.primitive(1.0)).collect();
+    let odd = [
+        0.0,
+        -0.0,
+        1.0,
+        -1.0,
+        1e-45,
+        1e-38,
+        1e-30,
+        -1e-19,
+        1e-10,
+        1e10,
+        1e19,
+        -1e30,
+        3e38,
+        f32::NAN,
+        f32::INFINITY,
+        f32::NEG_INFINITY,
+    ];
+    let accels = both(&prims);
+    for _ in 0..200_000 {
+        let mut pick = || odd[(random.bits() % odd.len() as u64) as usize];
+        let o = [pick(), pick(), pick()];
+        let d = [pick(), pick(), pick()];
+        let t_max = pick();
+        let found = accels[0].intersect(o, d, t_max);
+        assert_eq!(
+            found,
+            accels[1].intersect(o, d, t_max),
+            "{o:?} {d:?} {t_max}"
+        );
+        let blocked = accels[0].occluded(o, d, t_max);
+        assert_eq!(blocked, accels[1].occluded(o, d, t_max));
+        assert_eq!(blocked, found.is_some());
+        if let Some(h) = found {
+            assert!(h.t > 0.0 && h.t < t_max && h.u.is_finite() && h.v.is_finite());
+            assert!(d.iter().all(|x| x.is_finite()) && d != [0.0; 3]);
+        }
+    }
+}
+
+#[test]
+fn direction_length_only_scales_the_distance() {
+    let mut random = Random(12);
+    let prims: Vec<_> = (0..50).map(|_| random.primitive(1.0)).collect();
+    for accel in both(&prims) {
+        for _ in 0..2000 {
+            let (o, d) = (random.vector(1.0), random.direction());
+            let one = accel.intersect(o, d, f32::INFINITY);
+            for exponent in [-50, -20, -3, 2, 20, 50] {
+                let s = 2f32.powi(exponent);
+                let other = accel.intersect(o, d.map(|x| x * s), f32::INFINITY);
+                assert_eq!(one.map(|h| Hit { t: h.t / s, ..h }), other);
+            }
+        }
+    }
+}
+
+/// Identical and geometrically shrinking primitives make lopsided trees.
+#[test]
+fn lopsided_scenes_build() {
+    let sphere = |x: f32, radius: f32| Primitive::Sphere {
+        center: [x, 0.0, 0.0],
+        radius,
+    };
+    let same = vec![sphere(2.0, 1.0); 5000];
+    let shrinking: Vec<_> = (0..5000)
+        .map(|i| {
+            let x = 1e9 * 0.99f32.powi(i);
+            sphere(x, 0.001 * x + 1e-6)
+        })
+        .collect();
+    for prims in [same, shrinking] {
+        let accel = Accel::build(&prims).unwrap();
+        let h = accel
+            .intersect([-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], f32::INFINITY)
+            .unwrap();
+        assert!(h.t > 0.9 && h.t < 2.1);
+    }
+}
+
+#[test]
+fn memory_grows_with_the_scene() {
+    let small = Accel::build(&cube(1.0)).unwrap().memory_bytes();
+    let large = Accel::build(&blob(40, 0.0)).unwrap().memory_bytes();
+    assert!((512..4096).contains(&small), "{small}");
+    assert!((6400 * 64..6400 * 200).contains(&large), "{large}");
+}
