@@ -209,3 +209,38 @@ pub fn block_tridiagonal_solve<R: Real>(
     }
     true
 }
+
+/// Solves a dense `N x N` system by elimination with partial pivoting on primal values; `None` if
+/// the matrix is singular to the last pivot or not finite.
+pub fn solve_dense<R: Real, const N: usize>(mut a: [[R; N]; N], mut b: [R; N]) -> Option<[R; N]> {
+    for k in 0..N {
+        let mut p = k;
+        for i in k + 1..N {
+            if a[i][k].primal().abs() > a[p][k].primal().abs() {
+                p = i;
+            }
+        }
+        if !invertible(a[p][k]) {
+            return None;
+        }
+        a.swap(k, p);
+        b.swap(k, p);
+        let pivot = a[k];
+        for i in k + 1..N {
+            let factor = a[i][k] / pivot[k];
+            for (x, p) in a[i][k..].iter_mut().zip(&pivot[k..]) {
+                *x -= factor * *p;
+            }
+            let known = b[k];
+            b[i] -= factor * known;
+        }
+    }
+    for k in (0..N).rev() {
+        let mut x = b[k];
+        for j in k + 1..N {
+            x -= a[k][j] * b[j];
+        }
+        b[k] = x / a[k][k];
+    }
+    b.iter().all(|x| x.is_finite()).then_some(b)
+}
