@@ -3,3 +3,4 @@
 pub mod accel;
 pub mod error;
 pub mod math;
+pub mod scene;

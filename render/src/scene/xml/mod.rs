@@ -1,0 +1,177 @@
+//! Scene files in the XML format of Mitsuba 2 and 3: from text to a tree of typed, resolved
+//! plugins.
+//!
+//! This layer knows the format, not the plugins. It substitutes `$name`, splices `<include>`,
+//! follows `<ref>`, converts `toWorld` to `to_world` and parses every value. What a `bsdf` of type
+//! `diffuse` may contain is decided by its constructor, which asks its [`Node`] for it.
+//!
+//! ```
+//! use render::scene::xml::Document;
+//! let text = r#"<scene version="3.0.0">
+//!     <default name="albedo" value="0.5"/>
+//!     <bsdf type="diffuse" id="grey"><rgb name="reflectance" value="$albedo"/></bsdf>
+//!     <shape type="sphere"><ref id="grey"/></shape>
+//! </scene>"#;
+//! let defines = [("albedo".to_owned(), "0.2, 0.3, 0.4".to_owned())];
+//! let document = Document::from_str(text, std::path::Path::new("."), &defines)?;
+//! let shape = document.root().children_with_tag("shape")[0];
+//! let bsdf = shape.child_with_tag("bsdf")?.unwrap();
+//! assert_eq!(bsdf.rgb("reflectance")?, Some([0.2, 0.3, 0.4]));
+//! bsdf.finish()?;
+//! # Ok::<(), render::error::SceneError>(())
+//! ```
+
+mod node;
+mod parse;
+mod resolve;
+mod value;
+
+use std::collections::HashSet;
+use std::fmt;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
+
+pub use crate::error::Location;
+use crate::error::SceneError;
+pub use node::Node;
+use parse::Parser;
+
+/// Deepest nesting of elements, includes and references together: far above any real scene, far
+/// below any stack.
+const MAX_DEPTH: usize = 64;
+/// Most elements, counting an included or referenced element once per use.
+const MAX_ELEMENTS: usize = 1 << 20;
+/// Most bytes of text that substitution of `$name` may produce.
+const MAX_SUBSTITUTED: usize = 1 << 26;
+
+/// A scene file with everything it includes.
+#[derive(Debug)]
+pub struct Document {
+    root: Arc<Node>,
+    warnings: Warnings,
+}
+
+impl Document {
+    /// Reads `path` and all files that it includes. `defines` are `name = value` pairs that take
+    /// precedence over the `<default>` of the same name (the last pair wins); one that the scene
+    /// does not know is an error.
+    pub fn load(path: &Path, defines: &[(String, String)]) -> Result<Self, SceneError> {
+        let mut parser = Parser::new(defines);
+        parser.file(path)?;
+        Self::resolve(parser, path)
+    }
+
+    /// Parses `text` as a scene file that lies in `base_dir`.
+    pub fn from_str(
+        text: &str,
+        base_dir: &Path,
+        defines: &[(String, String)],
+    ) -> Result<Self, SceneError> {
+        let name = Path::new("<text>");
+        let mut parser = Parser::new(defines);
+        parser.text(text, name, base_dir)?;
+        Self::resolve(parser, name)
+    }
+
+    /// The `<scene>`.
+    pub fn root(&self) -> &Node {
+        &self.root
+    }
+
+    /// What was accepted but has no effect, in the order in which it was noticed. Plugin
+    /// constructors add to this.
+    pub fn warnings(&self) -> Vec<Warning> {
+        // A shared node may be read once per use, and warn each time.
+        let mut seen = HashSet::new();
+        let all = self.warnings.lock();
+        all.iter().filter(|w| seen.insert(*w)).cloned().collect()
+    }
+
+    fn resolve(parser: Parser, file: &Path) -> Result<Self, SceneError> {
+        parser.check_defines(file)?;
+        let warnings = Warnings::default();
+        let root = resolve::resolve(parser, &warnings)?;
+        Ok(Self { root, warnings })
+    }
+}
+
+/// Something in a scene file that has no effect.
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
+pub struct Warning {
+    /// The line.
+    pub location: Location,
+    /// What has no effect.
+    pub message: String,
+}
+
+impl fmt::Display for Warning {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}: {}", self.location, self.message)
+    }
+}
+
+/// The warnings of a document, shared by all its nodes.
+#[derive(Debug, Clone, Default)]
+struct Warnings(Arc<Mutex<Vec<Warning>>>);
+
+impl Warnings {
+    fn push(&self, location: Location, message: String) {
+        self.lock().push(Warning { location, message });
+    }
+
+    fn lock(&self) -> std::sync::MutexGuard<'_, Vec<Warning>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// Where the file names of one scene file are looked up: its own directory, then those of the files
+/// that include it. (Scenes keep fragments in a subfolder but name meshes relative to the main
+/// file.)
+#[derive(Debug, Clone)]
+struct Directories(Arc<[PathBuf]>);
+
+impl Directories {
+    fn new(own: &Path, includer: Option<&Self>) -> Self {
+        let own = if own == Path::new("") {
+            Path::new(".")
+        } else {
+            own
+        };
+        let own = std::path::absolute(own).unwrap_or_else(|_| own.to_owned());
+        let outer = includer.map_or(&[][..], |d| &d.0);
+        let outer = outer.iter().filter(|&d| *d != own).cloned();
+        Self(std::iter::once(own.clone()).chain(outer).collect())
+    }
+
+    /// The first existing file of this name.
+    fn find(&self, name: &Path) -> Option<PathBuf> {
+        self.0.iter().map(|d| d.join(name)).find(|p| p.is_file())
+    }
+}
+
+impl fmt::Display for Directories {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for (i, directory) in self.0.iter().enumerate() {
+            let separator = if i == 0 { "" } else { ", " };
+            write!(f, "{separator}{}", directory.display())?;
+        }
+        Ok(())
+    }
+}
+
+fn check_limit(
+    value: usize,
+    limit: usize,
+    what: &'static str,
+    location: &Location,
+) -> Result<(), SceneError> {
+    if value <= limit {
+        return Ok(());
+    }
+    let location = location.clone();
+    Err(SceneError::Limit {
+        location,
+        what,
+        limit,
+    })
+}

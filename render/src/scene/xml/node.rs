@@ -1,0 +1,422 @@
+//! The resolved tree: one node per plugin, its properties typed and its references replaced by
+//! their targets.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::ops::RangeInclusive;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use super::value::{Value, quoted};
+use super::{Directories, Warnings};
+use crate::error::{Location, SceneError};
+use crate::math::Transform;
+
+/// One plugin of the scene file, such as `<bsdf type="diffuse" id="white">`.
+///
+/// The constructor of a plugin asks for what it understands and then calls
+/// [`finish`](Self::finish), which rejects what is left over. All getters return `Ok(None)` for an
+/// absent attribute and an error for one of the wrong type.
+#[derive(Debug)]
+pub struct Node {
+    /// The kind: `scene`, `bsdf`, `shape`, `emitter`, `sensor`, `film`, `rfilter`, `sampler`,
+    /// `integrator`, `texture`. A `<spectrum>` that has a `type` is a `texture`.
+    pub tag: String,
+    /// The `type`, such as `diffuse`; "scene" for the root.
+    pub plugin: String,
+    /// The `id`, if there is one: unique in the scene.
+    pub id: Option<String>,
+    /// The line that opens the element, in the file that contains it.
+    pub location: Location,
+    pub(super) properties: BTreeMap<String, Property>,
+    pub(super) children: Vec<Child>,
+    pub(super) asked: Mutex<BTreeSet<String>>,
+    pub(super) warnings: Warnings,
+}
+
+/// `<float name=.. value=..>` and its kin.
+#[derive(Debug)]
+pub(super) struct Property {
+    pub value: Value,
+    /// The element, such as `float`.
+    pub tag: &'static str,
+    /// The text of the value, for messages.
+    pub text: String,
+    pub location: Location,
+    /// Where file names are looked up.
+    pub directories: Directories,
+    pub used: AtomicBool,
+}
+
+/// A nested plugin, or a reference to one.
+#[derive(Debug)]
+pub(super) struct Child {
+    pub name: Option<String>,
+    pub node: Arc<Node>,
+    pub location: Location,
+    pub used: AtomicBool,
+}
+
+impl Property {
+    /// "<float> `0.5`"
+    fn describe(&self) -> String {
+        match self.value {
+            Value::Transform(_) => "a <transform>".to_owned(),
+            _ => format!("<{}> {}", self.tag, quoted(&self.text)),
+        }
+    }
+}
+
+impl Node {
+    /// `<float>` or `<integer>`: finite, also in single precision.
+    pub fn float(&self, name: &str) -> Result<Option<f64>, SceneError> {
+        self.get(name, "a number (<float>)", |value| match *value {
+            Value::Float(x) => Some(x),
+            Value::Integer(i) => Some(i as f64),
+            _ => None,
+        })
+    }
+
+    /// [`float`](Self::float), or `default` if absent.
+    pub fn float_or(&self, name: &str, default: f64) -> Result<f64, SceneError> {
+        Ok(self.float(name)?.unwrap_or(default))
+    }
+
+    /// [`float_or`](Self::float_or) with both ends of the allowed range.
+    pub fn float_in(
+        &self,
+        name: &str,
+        default: f64,
+        range: RangeInclusive<f64>,
+    ) -> Result<f64, SceneError> {
+        let x = self.float_or(name, default)?;
+        if range.contains(&x) {
+            return Ok(x);
+        }
+        let (low, high) = (range.start(), range.end());
+        Err(self.invalid(name, &format!("a number from {low} to {high}")))
+    }
+
+    /// `<integer>`.
+    pub fn integer(&self, name: &str) -> Result<Option<i64>, SceneError> {
+        self.get(name, "an integer (<integer>)", |value| match *value {
+            Value::Integer(i) => Some(i),
+            _ => None,
+        })
+    }
+
+    /// [`integer`](Self::integer), or `default` if absent.
+    pub fn integer_or(&self, name: &str, default: i64) -> Result<i64, SceneError> {
+        Ok(self.integer(name)?.unwrap_or(default))
+    }
+
+    /// [`integer_or`](Self::integer_or) with both ends of the allowed range.
+    pub fn integer_in(
+        &self,
+        name: &str,
+        default: i64,
+        range: RangeInclusive<i64>,
+    ) -> Result<i64, SceneError> {
+        let i = self.integer_or(name, default)?;
+        if range.contains(&i) {
+            return Ok(i);
+        }
+        let (low, high) = (range.start(), range.end());
+        Err(self.invalid(name, &format!("an integer from {low} to {high}")))
+    }
+
+    /// `<boolean>`.
+    pub fn boolean(&self, name: &str) -> Result<Option<bool>, SceneError> {
+        self.get(name, "true or false (<boolean>)", |value| match *value {
+            Value::Boolean(b) => Some(b),
+            _ => None,
+        })
+    }
+
+    /// [`boolean`](Self::boolean), or `default` if absent.
+    pub fn boolean_or(&self, name: &str, default: bool) -> Result<bool, SceneError> {
+        Ok(self.boolean(name)?.unwrap_or(default))
+    }
+
+    /// `<string>`.
+    pub fn string(&self, name: &str) -> Result<Option<&str>, SceneError> {
+        self.get(name, "a text (<string>)", |value| match value {
+            Value::String(s) => Some(s.as_str()),
+            _ => None,
+        })
+    }
+
+    /// [`string`](Self::string), or `default` if absent.
+    pub fn string_or<'a>(&'a self, name: &str, default: &'a str) -> Result<&'a str, SceneError> {
+        Ok(self.string(name)?.unwrap_or(default))
+    }
+
+    /// `<string>` that is one of a few words; the value that belongs to the word.
+    pub fn choice<T: Copy>(
+        &self,
+        name: &str,
+        choices: &[(&str, T)],
+    ) -> Result<Option<T>, SceneError> {
+        let Some(text) = self.string(name)? else {
+            return Ok(None);
+        };
+        if let Some((_, value)) = choices.iter().find(|(word, _)| *word == text) {
+            return Ok(Some(*value));
+        }
+        let words: Vec<_> = choices
+            .iter()
+            .map(|(word, _)| format!("`{word}`"))
+            .collect();
+        Err(self.invalid(name, &words.join(" or ")))
+    }
+
+    /// Linear RGB: `<rgb>`, `<spectrum>` with one or three numbers, `<float>` or `<integer>` for a
+    /// grey.
+    ///
+    /// A texture of this name is an error: a plugin that accepts one asks for the
+    /// [`child`](Self::child) first.
+    pub fn rgb(&self, name: &str) -> Result<Option<[f64; 3]>, SceneError> {
+        self.get(name, "a colour (<rgb>)", |value| match *value {
+            Value::Color(c) => Some(c),
+            Value::Float(x) => Some([x; 3]),
+            Value::Integer(i) => Some([i as f64; 3]),
+            _ => None,
+        })
+    }
+
+    /// [`rgb`](Self::rgb), or `default` if absent.
+    pub fn rgb_or(&self, name: &str, default: [f64; 3]) -> Result<[f64; 3], SceneError> {
+        Ok(self.rgb(name)?.unwrap_or(default))
+    }
+
+    /// `<point>`.
+    pub fn point(&self, name: &str) -> Result<Option<[f64; 3]>, SceneError> {
+        self.get(name, "a point (<point>)", |value| match *value {
+            Value::Point(p) => Some(p),
+            _ => None,
+        })
+    }
+
+    /// `<vector>`.
+    pub fn vector(&self, name: &str) -> Result<Option<[f64; 3]>, SceneError> {
+        self.get(name, "a vector (<vector>)", |value| match *value {
+            Value::Vector(v) => Some(v),
+            _ => None,
+        })
+    }
+
+    /// `<transform>`: invertible, with all entries finite in single precision.
+    pub fn transform(&self, name: &str) -> Result<Option<Transform>, SceneError> {
+        self.get(name, "a <transform>", |value| match *value {
+            Value::Transform(t) => Some(t),
+            _ => None,
+        })
+    }
+
+    /// `<string>` that names an existing file: relative to the file that contains it, or else to
+    /// the files that include that one.
+    pub fn path(&self, name: &str) -> Result<Option<PathBuf>, SceneError> {
+        let Some(text) = self.string(name)? else {
+            return Ok(None);
+        };
+        let property = &self.properties[name];
+        match property.directories.find(Path::new(text)) {
+            Some(path) => Ok(Some(path)),
+            None => Err(SceneError::Value {
+                location: property.location.clone(),
+                key: name.to_owned(),
+                expected: format!("an existing file (looked in {})", property.directories),
+                found: quoted(text),
+            }),
+        }
+    }
+
+    /// The nested or referenced plugin with this `name`. A shared id gives the same `Arc`
+    /// everywhere.
+    pub fn child(&self, name: &str) -> Option<&Arc<Node>> {
+        self.note(name.to_owned());
+        self.child_quietly(name).map(Child::take)
+    }
+
+    /// All nested or referenced plugins with their `name`, in the order of the file.
+    pub fn children(&self) -> impl Iterator<Item = (Option<&str>, &Arc<Node>)> {
+        self.children
+            .iter()
+            .map(|child| (child.name.as_deref(), child.take()))
+    }
+
+    /// All nested or referenced plugins of one kind, such as `bsdf`, in the order of the file.
+    pub fn children_with_tag(&self, tag: &str) -> Vec<&Arc<Node>> {
+        self.note(format!("<{tag}>"));
+        self.children
+            .iter()
+            .filter(|child| child.node.tag == tag)
+            .map(Child::take)
+            .collect()
+    }
+
+    /// The only plugin of one kind; more than one is an error.
+    pub fn child_with_tag(&self, tag: &str) -> Result<Option<&Arc<Node>>, SceneError> {
+        self.note(format!("<{tag}>"));
+        let mut matching = self.children.iter().filter(|c| c.node.tag == tag);
+        let first = matching.next();
+        match (first, matching.next()) {
+            (Some(first), Some(second)) => Err(SceneError::Duplicate {
+                location: second.location.clone(),
+                what: format!("<{tag}> of {}", self.describe()),
+                first: first.location.clone(),
+            }),
+            _ => Ok(first.map(Child::take)),
+        }
+    }
+
+    /// Whether an attribute or child has this name; counts as asking for neither.
+    pub fn has(&self, name: &str) -> bool {
+        self.properties.contains_key(name) || self.child_quietly(name).is_some()
+    }
+
+    /// Accepts attributes and children that cannot change the image, with a warning for each that
+    /// is present.
+    pub fn ignore(&self, names: &[&str]) {
+        for &name in names {
+            self.note(name.to_owned());
+            let location = if let Some(property) = self.properties.get(name) {
+                property.used.store(true, Ordering::Relaxed);
+                &property.location
+            } else if let Some(child) = self.child_quietly(name) {
+                child.take();
+                &child.location
+            } else {
+                continue;
+            };
+            self.warn_at(location, format!("`{name}` has no effect"));
+        }
+    }
+
+    /// An error for the first attribute or child that nobody asked for.
+    ///
+    /// At the root, elements with an id are declarations and need not be asked for.
+    pub fn finish(&self) -> Result<(), SceneError> {
+        let unused = |flag: &AtomicBool| !flag.load(Ordering::Relaxed);
+        let properties = self
+            .properties
+            .iter()
+            .filter(|(_, p)| unused(&p.used))
+            .map(|(name, p)| (&p.location, format!("attribute `{name}`")));
+        let declaration = |c: &Child| self.tag == "scene" && c.node.id.is_some();
+        let children = self
+            .children
+            .iter()
+            .filter(|&c| unused(&c.used) && !declaration(c))
+            .map(|c| {
+                let name = c.name.as_ref().map(|n| format!(" named `{n}`"));
+                let what = format!("child {}{}", c.node.describe(), name.unwrap_or_default());
+                (&c.location, what)
+            });
+        match properties.chain(children).min_by_key(|(at, _)| at.line) {
+            None => Ok(()),
+            Some((location, what)) => Err(SceneError::Unknown {
+                location: location.clone(),
+                what,
+                owner: self.describe(),
+                known: self.lock_asked().iter().cloned().collect(),
+            }),
+        }
+    }
+
+    /// The error for an attribute that is present but has a value that the plugin cannot accept.
+    pub fn invalid(&self, name: &str, expected: &str) -> SceneError {
+        let (location, found) = match self.properties.get(name) {
+            Some(property) => (&property.location, property.describe()),
+            None => match self.child_quietly(name) {
+                Some(child) => (&child.location, child.node.describe()),
+                None => (&self.location, "nothing".to_owned()),
+            },
+        };
+        SceneError::Value {
+            location: location.clone(),
+            key: name.to_owned(),
+            expected: expected.to_owned(),
+            found,
+        }
+    }
+
+    /// The error for an attribute that the plugin cannot do without.
+    pub fn missing(&self, name: &str, expected: &str) -> SceneError {
+        SceneError::Missing {
+            location: self.location.clone(),
+            owner: self.describe(),
+            key: name.to_owned(),
+            expected: expected.to_owned(),
+        }
+    }
+
+    /// The error for a `type` that nobody implements, with the names that exist.
+    pub fn unknown_plugin(&self, known: &[&str]) -> SceneError {
+        SceneError::UnknownPlugin {
+            location: self.location.clone(),
+            tag: self.tag.clone(),
+            plugin: self.plugin.clone(),
+            known: known.iter().map(|&name| name.to_owned()).collect(),
+        }
+    }
+
+    /// Adds a warning about this plugin to those of the document.
+    pub fn warn(&self, message: impl Into<String>) {
+        self.warn_at(&self.location, message.into());
+    }
+
+    /// "bsdf `diffuse`"
+    pub fn describe(&self) -> String {
+        match self.tag.as_str() {
+            "scene" => "the scene".to_owned(),
+            tag => format!("{tag} {}", quoted(&self.plugin)),
+        }
+    }
+
+    fn warn_at(&self, location: &Location, message: String) {
+        let message = format!("{}: {message}", self.describe());
+        self.warnings.push(location.clone(), message);
+    }
+
+    fn get<'a, T>(
+        &'a self,
+        name: &str,
+        expected: &str,
+        convert: impl FnOnce(&'a Value) -> Option<T>,
+    ) -> Result<Option<T>, SceneError> {
+        self.note(name.to_owned());
+        let Some(property) = self.properties.get(name) else {
+            return match self.child_quietly(name) {
+                Some(_) => Err(self.invalid(name, expected)),
+                None => Ok(None),
+            };
+        };
+        property.used.store(true, Ordering::Relaxed);
+        match convert(&property.value) {
+            Some(value) => Ok(Some(value)),
+            None => Err(self.invalid(name, expected)),
+        }
+    }
+
+    fn child_quietly(&self, name: &str) -> Option<&Child> {
+        self.children
+            .iter()
+            .find(|c| c.name.as_deref() == Some(name))
+    }
+
+    fn note(&self, name: String) {
+        self.lock_asked().insert(name);
+    }
+
+    fn lock_asked(&self) -> std::sync::MutexGuard<'_, BTreeSet<String>> {
+        self.asked.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Child {
+    fn take(&self) -> &Arc<Node> {
+        self.used.store(true, Ordering::Relaxed);
+        &self.node
+    }
+}

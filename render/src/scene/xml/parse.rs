@@ -1,0 +1,794 @@
+//! From files to plugins whose values are typed but whose references are still names.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+use roxmltree as xml;
+
+use super::node::Property;
+use super::value::{self, Mismatch, Value, quoted};
+use super::{Directories, MAX_DEPTH, MAX_ELEMENTS, MAX_SUBSTITUTED, check_limit};
+use crate::error::{Location, SceneError};
+use crate::math::Transform;
+
+/// Elements that are plugins.
+const PLUGINS: [&str; 9] = [
+    "bsdf",
+    "emitter",
+    "film",
+    "integrator",
+    "rfilter",
+    "sampler",
+    "sensor",
+    "shape",
+    "texture",
+];
+const PROPERTIES: [&str; 9] = [
+    "boolean",
+    "float",
+    "integer",
+    "point",
+    "rgb",
+    "spectrum",
+    "string",
+    "transform",
+    "vector",
+];
+const DIRECTIVES: [&str; 4] = ["alias", "default", "include", "ref"];
+const OPERATIONS: [&str; 5] = ["lookat", "matrix", "rotate", "scale", "translate"];
+
+/// A plugin before its references are resolved.
+#[derive(Debug)]
+pub(super) struct RawNode {
+    pub tag: String,
+    pub plugin: String,
+    pub id: Option<String>,
+    pub location: Location,
+    /// Whether the scene itself is the parent.
+    pub at_root: bool,
+    pub properties: BTreeMap<String, Property>,
+    pub children: Vec<RawChild>,
+    /// The names of properties and children, which share one namespace.
+    names: BTreeMap<String, Location>,
+}
+
+#[derive(Debug)]
+pub(super) struct RawChild {
+    pub name: Option<String>,
+    pub location: Location,
+    pub target: Target,
+}
+
+#[derive(Debug)]
+pub(super) enum Target {
+    Node(usize),
+    Reference(String),
+}
+
+/// A `$name` and where it comes from.
+struct Parameter {
+    value: String,
+    /// Whether the scene declares or uses it, so that `-D` of it has a meaning.
+    known: bool,
+}
+
+/// All that is gathered while the files are read. Node 0 is the scene.
+pub(super) struct Parser {
+    pub nodes: Vec<RawNode>,
+    /// Targets of references, aliases included.
+    pub ids: BTreeMap<String, (usize, Location)>,
+    aliases: Vec<(String, String, Location)>,
+    parameters: BTreeMap<String, Parameter>,
+    /// The files between the scene and the current one, to notice cycles.
+    open: Vec<PathBuf>,
+    elements: usize,
+    substituted: usize,
+}
+
+/// One file.
+struct Source {
+    name: Arc<Path>,
+    directories: Directories,
+    /// Byte offsets of the line ends.
+    line_ends: Vec<usize>,
+}
+
+impl Source {
+    fn new(name: &Path, directories: Directories, text: &str) -> Self {
+        Self {
+            name: name.into(),
+            directories,
+            line_ends: text.match_indices('\n').map(|(i, _)| i).collect(),
+        }
+    }
+
+    fn at(&self, byte: usize) -> Location {
+        let line = 1 + self.line_ends.partition_point(|&end| end < byte);
+        Location::new(self.name.clone(), u32::try_from(line).unwrap_or(u32::MAX))
+    }
+}
+
+impl Parser {
+    pub fn new(defines: &[(String, String)]) -> Self {
+        let parameter = |(name, value): &(String, String)| {
+            let value = value.clone();
+            (
+                name.clone(),
+                Parameter {
+                    value,
+                    known: false,
+                },
+            )
+        };
+        Self {
+            nodes: Vec::new(),
+            ids: BTreeMap::new(),
+            aliases: Vec::new(),
+            parameters: defines.iter().map(parameter).collect(),
+            open: Vec::new(),
+            elements: 0,
+            substituted: 0,
+        }
+    }
+
+    /// The scene file itself.
+    pub fn file(&mut self, path: &Path) -> Result<(), SceneError> {
+        let text = read(path)?;
+        self.open.push(canonical(path));
+        self.text(&text, path, path.parent().unwrap_or(Path::new("")))
+    }
+
+    /// The text of the scene file, which lies in `directory`.
+    pub fn text(&mut self, text: &str, name: &Path, directory: &Path) -> Result<(), SceneError> {
+        let text = text.strip_prefix('\u{feff}').unwrap_or(text);
+        let source = Source::new(name, Directories::new(directory, None), text);
+        let tree = parse(text, &source)?;
+        let root = tree.root_element();
+        let mut element = self.element(root, &source)?;
+        if element.tag != "scene" {
+            return Err(element.syntax("<scene>"));
+        }
+        check_version(&mut element)?;
+        let id = element.take("id").map(|a| a.text);
+        element.finish()?;
+        let scene = self.add(
+            "scene".to_owned(),
+            "scene".to_owned(),
+            id,
+            element.location,
+            false,
+        )?;
+        self.body(root, &source, scene, 1)?;
+        self.add_aliases()
+    }
+
+    /// Rejects definitions from outside that the scene neither declares nor uses.
+    pub fn check_defines(&self, file: &Path) -> Result<(), SceneError> {
+        match self.parameters.iter().find(|(_, p)| !p.known) {
+            None => Ok(()),
+            Some((name, _)) => Err(SceneError::UnusedDefine {
+                file: file.to_owned(),
+                name: name.clone(),
+                known: self.known_parameters(""),
+            }),
+        }
+    }
+
+    fn known_parameters(&self, prefix: &str) -> Vec<String> {
+        let known = self.parameters.iter().filter(|(_, p)| p.known);
+        known.map(|(name, _)| format!("{prefix}{name}")).collect()
+    }
+
+    /// The elements inside a plugin, or inside the root of an included file.
+    fn body(
+        &mut self,
+        parent: xml::Node,
+        source: &Source,
+        owner: usize,
+        depth: usize,
+    ) -> Result<(), SceneError> {
+        for child in elements(parent, source) {
+            self.member(child?, source, owner, depth)?;
+        }
+        Ok(())
+    }
+
+    /// One element inside the plugin `owner`.
+    fn member(
+        &mut self,
+        xml: xml::Node,
+        source: &Source,
+        owner: usize,
+        depth: usize,
+    ) -> Result<(), SceneError> {
+        let mut element = self.element(xml, source)?;
+        check_limit(depth, MAX_DEPTH, "levels of nesting", &element.location)?;
+        let tag = match element.tag.as_str() {
+            "spectrum" if element.has("type") => "texture".to_owned(),
+            tag => tag.to_owned(),
+        };
+        if PLUGINS.contains(&tag.as_str()) {
+            return self.plugin(element, tag, xml, source, owner, depth);
+        }
+        if let Some(tag) = PROPERTIES.into_iter().find(|t| *t == tag) {
+            return self.property(element, tag, xml, source, owner);
+        }
+        match tag.as_str() {
+            "ref" => {
+                let id = element.require("id")?;
+                let name = element.take("name");
+                self.leaf(element, xml, source)?;
+                let target = Target::Reference(id.text);
+                self.child(owner, name, id.location, target)
+            }
+            "alias" => {
+                let id = element.require("id")?;
+                let alias = element.require("as")?;
+                self.leaf(element, xml, source)?;
+                self.aliases.push((id.text, alias.text, alias.location));
+                Ok(())
+            }
+            "default" => {
+                let name = element.require("name")?;
+                let value = element.require("value")?;
+                self.leaf(element, xml, source)?;
+                self.declare(name, value)
+            }
+            "include" => {
+                let file = element.require("filename")?;
+                self.leaf(element, xml, source)?;
+                self.include(&file, source, owner, depth)
+            }
+            _ => {
+                let mut allowed = [&PLUGINS[..], &PROPERTIES, &DIRECTIVES].concat();
+                allowed.sort_unstable();
+                Err(element.syntax(&format!("one of the elements {}", allowed.join(", "))))
+            }
+        }
+    }
+
+    fn plugin(
+        &mut self,
+        mut element: Element,
+        tag: String,
+        xml: xml::Node,
+        source: &Source,
+        owner: usize,
+        depth: usize,
+    ) -> Result<(), SceneError> {
+        let plugin = element.require("type")?.text;
+        let id = element.take("id").map(|a| a.text);
+        let name = element.take("name");
+        if xml == xml.document().root_element() {
+            element.take("version");
+        }
+        element.finish()?;
+        let location = element.location;
+        let at_root = owner == 0;
+        let node = self.add(tag, plugin, id, location.clone(), at_root)?;
+        self.child(owner, name, location, Target::Node(node))?;
+        self.body(xml, source, node, depth + 1)
+    }
+
+    fn property(
+        &mut self,
+        mut element: Element,
+        tag: &'static str,
+        xml: xml::Node,
+        source: &Source,
+        owner: usize,
+    ) -> Result<(), SceneError> {
+        let name = element.require("name")?;
+        let key = value::snake_case(&name.text);
+        element.key = key.clone();
+        let text = element.peek("value").unwrap_or_default().to_owned();
+        let value = match tag {
+            "float" => Value::Float(element.parse("value", value::float)?),
+            "integer" => Value::Integer(element.parse("value", value::integer)?),
+            "boolean" => Value::Boolean(element.parse("value", value::boolean)?),
+            "string" => Value::String(element.require("value")?.text),
+            "rgb" | "spectrum" => Value::Color(element.parse("value", value::triple_or_uniform)?),
+            "point" => Value::Point(element.coordinates(0.0, value::triple)?),
+            "vector" => Value::Vector(element.coordinates(0.0, value::triple)?),
+            _ => {
+                element.finish()?;
+                Value::Transform(self.transform(&element, xml, source)?)
+            }
+        };
+        let location = element.location.clone();
+        if tag != "transform" {
+            self.leaf(element, xml, source)?;
+        }
+        self.reserve(owner, &key, &name.location)?;
+        let property = Property {
+            value,
+            tag,
+            text,
+            location,
+            directories: source.directories.clone(),
+            used: AtomicBool::new(false),
+        };
+        self.nodes[owner].properties.insert(key, property);
+        Ok(())
+    }
+
+    fn transform(
+        &mut self,
+        owner: &Element,
+        xml: xml::Node,
+        source: &Source,
+    ) -> Result<Transform, SceneError> {
+        let mut total = Transform::IDENTITY;
+        for child in elements(xml, source) {
+            let child = child?;
+            let mut element = self.element(child, source)?;
+            element.key = format!("{}.{}", owner.key, element.tag);
+            let operation = match element.tag.as_str() {
+                "translate" => Transform::translate(element.coordinates(0.0, value::triple)?),
+                "scale" => Transform::scale(element.coordinates(1.0, value::triple_or_uniform)?),
+                "rotate" => {
+                    let axis = element.coordinates(0.0, value::triple)?;
+                    let angle = element.parse("angle", value::float)?;
+                    Transform::rotate(axis, angle)
+                        .ok_or_else(|| element.value_error("an axis", "the zero vector"))?
+                }
+                "lookat" | "lookAt" => {
+                    let origin = element.parse("origin", value::triple)?;
+                    let target = element.parse("target", value::triple)?;
+                    let up = match element.has("up") {
+                        true => element.parse("up", value::triple)?,
+                        false => any_perpendicular(origin, target),
+                    };
+                    Transform::look_at(origin, target, up).ok_or_else(|| {
+                        let expected = "a target away from the origin and not along `up`";
+                        element.value_error(expected, "no view direction")
+                    })?
+                }
+                "matrix" => element.parse("value", value::matrix)?,
+                _ => {
+                    let expected = format!("one of {}", OPERATIONS.join(", "));
+                    return Err(element.syntax(&expected));
+                }
+            };
+            self.leaf(element, child, source)?;
+            total = total.then(&operation);
+        }
+        let limit = f64::from(f32::MAX);
+        let representable = total
+            .matrix()
+            .as_flattened()
+            .iter()
+            .all(|x| x.abs() <= limit);
+        if !representable || total.inverse().is_none() {
+            let expected = "an invertible transform with finite entries";
+            return Err(owner.value_error(expected, "one that is singular or overflows"));
+        }
+        Ok(total)
+    }
+
+    /// `<include>`: the content of a `<scene>`, or a single plugin, takes the place of the element.
+    fn include(
+        &mut self,
+        file: &Attribute,
+        source: &Source,
+        owner: usize,
+        depth: usize,
+    ) -> Result<(), SceneError> {
+        let Some(path) = source.directories.find(Path::new(&file.text)) else {
+            return Err(SceneError::Value {
+                location: file.location.clone(),
+                key: "include".to_owned(),
+                expected: format!("an existing file (looked in {})", source.directories),
+                found: quoted(&file.text),
+            });
+        };
+        let identity = canonical(&path);
+        if self.open.contains(&identity) {
+            return Err(SceneError::Cycle {
+                location: file.location.clone(),
+                what: format!("the file {}", quoted(&file.text)),
+            });
+        }
+        let text = read(&path)?;
+        let text = text.strip_prefix('\u{feff}').unwrap_or(&text);
+        let directory = path.parent().unwrap_or(Path::new(""));
+        let directories = Directories::new(directory, Some(&source.directories));
+        let inner = Source::new(&path, directories, text);
+        let tree = parse(text, &inner)?;
+        let root = tree.root_element();
+        self.open.push(identity);
+        if root.has_tag_name("scene") {
+            let mut element = self.element(root, &inner)?;
+            check_version(&mut element)?;
+            element.finish()?;
+            self.body(root, &inner, owner, depth + 1)?;
+        } else {
+            self.member(root, &inner, owner, depth + 1)?;
+        }
+        self.open.pop();
+        Ok(())
+    }
+
+    /// `<default>`: the first one wins, and a definition from outside comes before all.
+    fn declare(&mut self, name: Attribute, value: Attribute) -> Result<(), SceneError> {
+        if name.text.is_empty() {
+            return Err(SceneError::Value {
+                location: name.location,
+                key: "default.name".to_owned(),
+                expected: "a name".to_owned(),
+                found: quoted(""),
+            });
+        }
+        let value = value.text;
+        self.parameters
+            .entry(name.text)
+            .or_insert(Parameter { value, known: true })
+            .known = true;
+        Ok(())
+    }
+
+    fn add(
+        &mut self,
+        tag: String,
+        plugin: String,
+        id: Option<String>,
+        location: Location,
+        at_root: bool,
+    ) -> Result<usize, SceneError> {
+        let index = self.nodes.len();
+        if let Some(id) = &id {
+            self.add_id(id, index, &location)?;
+        }
+        self.nodes.push(RawNode {
+            tag,
+            plugin,
+            id,
+            location,
+            at_root,
+            properties: BTreeMap::new(),
+            children: Vec::new(),
+            names: BTreeMap::new(),
+        });
+        Ok(index)
+    }
+
+    fn add_id(&mut self, id: &str, node: usize, location: &Location) -> Result<(), SceneError> {
+        match self.ids.get(id) {
+            None => {
+                self.ids.insert(id.to_owned(), (node, location.clone()));
+                Ok(())
+            }
+            Some((_, first)) => Err(SceneError::Duplicate {
+                location: location.clone(),
+                what: format!("id {}", quoted(id)),
+                first: first.clone(),
+            }),
+        }
+    }
+
+    /// In the order of the file, so an alias of an alias works.
+    fn add_aliases(&mut self) -> Result<(), SceneError> {
+        for (id, alias, location) in std::mem::take(&mut self.aliases) {
+            let node = self.find(&id, &location)?;
+            self.add_id(&alias, node, &location)?;
+        }
+        Ok(())
+    }
+
+    /// The node with this id.
+    pub fn find(&self, id: &str, location: &Location) -> Result<usize, SceneError> {
+        self.ids
+            .get(id)
+            .map(|(node, _)| *node)
+            .ok_or_else(|| SceneError::UnknownReference {
+                location: location.clone(),
+                id: id.to_owned(),
+                known: self.ids.keys().cloned().collect(),
+            })
+    }
+
+    fn child(
+        &mut self,
+        owner: usize,
+        name: Option<Attribute>,
+        location: Location,
+        target: Target,
+    ) -> Result<(), SceneError> {
+        let name = name.map(|n| value::snake_case(&n.text));
+        if let Some(name) = &name {
+            self.reserve(owner, name, &location)?;
+        }
+        self.nodes[owner].children.push(RawChild {
+            name,
+            location,
+            target,
+        });
+        Ok(())
+    }
+
+    fn reserve(&mut self, owner: usize, name: &str, at: &Location) -> Result<(), SceneError> {
+        let names = &mut self.nodes[owner].names;
+        match names.insert(name.to_owned(), at.clone()) {
+            None => Ok(()),
+            Some(first) => Err(SceneError::Duplicate {
+                location: at.clone(),
+                what: format!("attribute {}", quoted(name)),
+                first,
+            }),
+        }
+    }
+
+    /// An element with its attributes after substitution.
+    fn element(&mut self, xml: xml::Node, source: &Source) -> Result<Element, SceneError> {
+        let location = source.at(xml.range().start);
+        self.elements += 1;
+        check_limit(self.elements, MAX_ELEMENTS, "elements", &location)?;
+        let mut attributes = Vec::new();
+        for attribute in xml.attributes() {
+            let location = source.at(attribute.range().start);
+            attributes.push(Attribute {
+                name: attribute.name().to_owned(),
+                text: self.substitute(attribute.value(), &location)?,
+                location,
+            });
+        }
+        let tag = xml.tag_name().name().to_owned();
+        Ok(Element {
+            key: tag.clone(),
+            tag,
+            location,
+            attributes,
+            asked: Vec::new(),
+        })
+    }
+
+    /// Replaces each `$name`: the longest known name that does not end inside a word.
+    fn substitute(&mut self, text: &str, location: &Location) -> Result<String, SceneError> {
+        let mut out = String::new();
+        let mut rest = text;
+        while let Some(dollar) = rest.find('$') {
+            out.push_str(&rest[..dollar]);
+            let tail = &rest[dollar + 1..];
+            let word = |c: char| c.is_alphanumeric() || c == '_';
+            let found = self
+                .parameters
+                .iter_mut()
+                .filter(|(name, _)| {
+                    let after = tail.strip_prefix(name.as_str());
+                    after.is_some_and(|after| !after.starts_with(word))
+                })
+                .max_by_key(|(name, _)| name.len());
+            let Some((name, parameter)) = found else {
+                let end = tail.find(|c| !word(c)).unwrap_or(tail.len());
+                return Err(SceneError::UndefinedParameter {
+                    location: location.clone(),
+                    name: format!("${}", &tail[..end]),
+                    known: self.known_parameters("$"),
+                });
+            };
+            parameter.known = true;
+            // Without a bound, a chain of defaults that each double the last one fills the memory.
+            self.substituted += parameter.value.len();
+            let what = "bytes of substituted text";
+            check_limit(self.substituted, MAX_SUBSTITUTED, what, location)?;
+            out.push_str(&parameter.value);
+            rest = &tail[name.len()..];
+        }
+        out.push_str(rest);
+        Ok(out)
+    }
+
+    /// An element that must be empty and have no further attributes.
+    fn leaf(&self, element: Element, xml: xml::Node, source: &Source) -> Result<(), SceneError> {
+        element.finish()?;
+        match elements(xml, source).next() {
+            None => Ok(()),
+            Some(child) => {
+                let child = child?;
+                Err(SceneError::Syntax {
+                    location: source.at(child.range().start),
+                    expected: format!("nothing inside <{}>", element.tag),
+                    found: format!("<{}>", child.tag_name().name()),
+                })
+            }
+        }
+    }
+}
+
+/// An XML attribute.
+struct Attribute {
+    name: String,
+    text: String,
+    location: Location,
+}
+
+/// An XML element whose attributes are taken one by one, so that what is left over is unknown.
+struct Element {
+    tag: String,
+    /// What messages call it.
+    key: String,
+    location: Location,
+    attributes: Vec<Attribute>,
+    asked: Vec<&'static str>,
+}
+
+impl Element {
+    fn has(&self, name: &str) -> bool {
+        self.peek(name).is_some()
+    }
+
+    fn peek(&self, name: &str) -> Option<&str> {
+        let attribute = self.attributes.iter().find(|a| a.name == name)?;
+        Some(&attribute.text)
+    }
+
+    fn take(&mut self, name: &'static str) -> Option<Attribute> {
+        self.asked.push(name);
+        let index = self.attributes.iter().position(|a| a.name == name)?;
+        Some(self.attributes.swap_remove(index))
+    }
+
+    fn require(&mut self, name: &'static str) -> Result<Attribute, SceneError> {
+        self.take(name).ok_or_else(|| SceneError::Missing {
+            location: self.location.clone(),
+            owner: format!("<{}>", self.tag),
+            key: name.to_owned(),
+            expected: "an attribute".to_owned(),
+        })
+    }
+
+    fn parse<T>(
+        &mut self,
+        name: &'static str,
+        convert: impl FnOnce(&str) -> Result<T, Mismatch>,
+    ) -> Result<T, SceneError> {
+        let attribute = self.require(name)?;
+        convert(&attribute.text).map_err(|error| SceneError::Value {
+            location: attribute.location,
+            key: match name {
+                "value" => self.key.clone(),
+                _ => format!("{}.{name}", self.key),
+            },
+            expected: error.expected.to_owned(),
+            found: error.found,
+        })
+    }
+
+    /// `value="x y z"`, or some of `x`, `y` and `z`.
+    fn coordinates(
+        &mut self,
+        absent: f64,
+        convert: impl FnOnce(&str) -> Result<[f64; 3], Mismatch>,
+    ) -> Result<[f64; 3], SceneError> {
+        if !["x", "y", "z"].iter().any(|axis| self.has(axis)) {
+            return self.parse("value", convert);
+        }
+        let mut out = [absent; 3];
+        for (slot, axis) in out.iter_mut().zip(["x", "y", "z"]) {
+            if self.has(axis) {
+                *slot = self.parse(axis, value::float)?;
+            }
+        }
+        Ok(out)
+    }
+
+    fn finish(&self) -> Result<(), SceneError> {
+        match self.attributes.first() {
+            None => Ok(()),
+            Some(attribute) => Err(SceneError::Unknown {
+                location: attribute.location.clone(),
+                what: format!("attribute {}", quoted(&attribute.name)),
+                owner: format!("<{}>", self.tag),
+                known: self.asked.iter().map(|&name| name.to_owned()).collect(),
+            }),
+        }
+    }
+
+    fn syntax(&self, expected: &str) -> SceneError {
+        SceneError::Syntax {
+            location: self.location.clone(),
+            expected: expected.to_owned(),
+            found: format!("<{}>", self.tag),
+        }
+    }
+
+    fn value_error(&self, expected: &str, found: &str) -> SceneError {
+        SceneError::Value {
+            location: self.location.clone(),
+            key: self.key.clone(),
+            expected: expected.to_owned(),
+            found: found.to_owned(),
+        }
+    }
+}
+
+/// The child elements. Text between them is an error: nothing in the format is written as text.
+fn elements<'a, 'i: 'a>(
+    parent: xml::Node<'a, 'i>,
+    source: &Source,
+) -> impl Iterator<Item = Result<xml::Node<'a, 'i>, SceneError>> {
+    parent.children().filter_map(move |node| {
+        if node.is_element() {
+            return Some(Ok(node));
+        }
+        let text = node.text().filter(|_| node.is_text())?;
+        let word = text.trim();
+        (!word.is_empty()).then(|| {
+            let indent = text.len() - text.trim_start().len();
+            Err(SceneError::Syntax {
+                location: source.at(node.range().start + indent),
+                expected: "an element".to_owned(),
+                found: format!("the text {}", quoted(word)),
+            })
+        })
+    })
+}
+
+/// The format changed meaning between 0.x and 2.0, silently in places.
+fn check_version(element: &mut Element) -> Result<(), SceneError> {
+    let version = element.require("version")?;
+    let major = version.text.trim().split('.').next();
+    if matches!(major, Some("2" | "3")) {
+        return Ok(());
+    }
+    Err(SceneError::Value {
+        location: version.location,
+        key: "version".to_owned(),
+        expected: "2.x.x or 3.x.x".to_owned(),
+        found: quoted(&version.text),
+    })
+}
+
+/// Some direction across the view, where roll does not matter.
+fn any_perpendicular(origin: [f64; 3], target: [f64; 3]) -> [f64; 3] {
+    let along = [0, 1, 2].map(|i| (target[i] - origin[i]).abs());
+    let least = if along[1] <= along[0] && along[1] <= along[2] {
+        1
+    } else if along[0] <= along[2] {
+        0
+    } else {
+        2
+    };
+    [0, 1, 2].map(|i| if i == least { 1.0 } else { 0.0 })
+}
+
+fn read(path: &Path) -> Result<String, SceneError> {
+    let bytes = std::fs::read(path).map_err(|source| SceneError::Io {
+        path: path.to_owned(),
+        source,
+    })?;
+    String::from_utf8(bytes).map_err(|error| {
+        let valid = error.utf8_error().valid_up_to();
+        let lines = error.as_bytes()[..valid].iter().filter(|b| **b == b'\n');
+        let line = u32::try_from(1 + lines.count()).unwrap_or(u32::MAX);
+        SceneError::Syntax {
+            location: Location::new(path, line),
+            expected: "text in UTF-8".to_owned(),
+            found: format!("the byte {:#04x}", error.as_bytes()[valid]),
+        }
+    })
+}
+
+/// One name per file, for comparison only.
+fn canonical(path: &Path) -> PathBuf {
+    path.canonicalize().unwrap_or_else(|_| path.to_owned())
+}
+
+fn parse<'t>(text: &'t str, source: &Source) -> Result<xml::Document<'t>, SceneError> {
+    xml::Document::parse(text).map_err(|error| {
+        let line = match error {
+            // These carry no position.
+            xml::Error::UnexpectedEndOfStream
+            | xml::Error::UnclosedRootNode
+            | xml::Error::NoRootNode => source.at(text.len()).line,
+            _ => error.pos().row,
+        };
+        SceneError::Syntax {
+            location: Location::new(source.name.clone(), line),
+            expected: "well-formed XML".to_owned(),
+            found: format!("an error: {error}"),
+        }
+    })
+}
