@@ -1,0 +1,455 @@
+//! Adam.
+
+use crate::error::{OptimError, require, require_len};
+use crate::optimizer::{Optimizer, check_inputs, require_finite};
+use crate::rates::Rates;
+use crate::scalar::Scalar;
+use serde::{Deserialize, Serialize};
+
+/// Options of [`Adam`]; the names and the defaults are Mitsuba 3's.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct AdamOptions {
+    /// Decay of the mean gradient, in [0, 1).
+    #[serde(with = "crate::exact::number")]
+    pub beta1: f64,
+    /// Decay of the mean squared gradient, in [0, 1).
+    #[serde(with = "crate::exact::number")]
+    pub beta2: f64,
+    /// Added to the root of the mean square; positive, in units of the gradient.
+    #[serde(with = "crate::exact::number")]
+    pub epsilon: f64,
+    /// Undo the pull of both means towards their initial zero.
+    pub bias_correction: bool,
+    /// Take an exactly zero gradient for "not observed": neither parameter nor means change.
+    /// For sparse gradients, such as texels that no path of this step has met. The step count
+    /// behind the bias correction advances all the same.
+    pub mask_updates: bool,
+    /// Divide by the largest mean square of the range (see [`Rates`]) instead of each parameter's
+    /// own [Nicolet et al. 2021]: keeps the gradient's direction within the range.
+    pub uniform: bool,
+}
+
+impl Default for AdamOptions {
+    fn default() -> Self {
+        Self {
+            beta1: 0.9,
+            beta2: 0.999,
+            epsilon: 1e-8,
+            bias_correction: true,
+            mask_updates: false,
+            uniform: false,
+        }
+    }
+}
+
+impl AdamOptions {
+    fn validate<T: Scalar>(&self) -> Result<(), OptimError> {
+        let fraction =
+            |name, x: f64| require((0.0..1.0).contains(&x), name, "a value in [0, 1)", x);
+        fraction("beta1", self.beta1)?;
+        fraction("beta2", self.beta2)?;
+        // Positive also after rounding to the scalar type.
+        let e = T::from_f64(self.epsilon);
+        let valid = e > T::default() && e.is_finite();
+        require(valid, "epsilon", "a positive finite value", self.epsilon)
+    }
+
+    /// `sqrt(1 - beta2^t) / (1 - beta1^t)` at the step with number `t`, from 1.
+    fn correction(&self, t: u64) -> f64 {
+        if !self.bias_correction {
+            return 1.0;
+        }
+        let t = t as f64;
+        (1.0 - self.beta2.powf(t)).sqrt() / (1.0 - self.beta1.powf(t))
+    }
+}
+
+/// Adam [Kingma and Ba 2015, Alg. 1, in the reordered form of their section 2]:
+/// `m = beta1 m + (1 - beta1) g`, `v = beta2 v + (1 - beta2) g^2`,
+/// `p -= rate * sqrt(1 - beta2^t) / (1 - beta1^t) * m / (sqrt(v) + epsilon)`.
+///
+/// A parameter moves by about the rate per step, whatever the gradient's scale. As in Mitsuba 3
+/// epsilon joins the uncorrected root; PyTorch adds it after the correction.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "RawAdam<T>", bound = "")]
+pub struct Adam<T: Scalar> {
+    options: AdamOptions,
+    rates: Rates,
+    steps: u64,
+    #[serde(with = "crate::exact::slice")]
+    mean: Vec<T>,
+    #[serde(with = "crate::exact::slice")]
+    mean_square: Vec<T>,
+}
+
+#[derive(Deserialize)]
+#[serde(bound = "")]
+struct RawAdam<T: Scalar> {
+    options: AdamOptions,
+    rates: Rates,
+    steps: u64,
+    #[serde(with = "crate::exact::slice")]
+    mean: Vec<T>,
+    #[serde(with = "crate::exact::slice")]
+    mean_square: Vec<T>,
+}
+
+impl<T: Scalar> TryFrom<RawAdam<T>> for Adam<T> {
+    type Error = OptimError;
+    fn try_from(raw: RawAdam<T>) -> Result<Self, OptimError> {
+        let RawAdam {
+            options,
+            rates,
+            steps,
+            mean,
+            mean_square,
+        } = raw;
+        options.validate::<T>()?;
+        for (what, values) in [("mean", &mean), ("mean_square", &mean_square)] {
+            require_len(what, rates.len(), values.len())?;
+            require_finite(what, values)?;
+        }
+        if let Some(v) = mean_square.iter().find(|v| **v < T::default()) {
+            require(false, "mean_square", "values of at least 0", v.to_f64())?;
+        }
+        Ok(Self {
+            options,
+            rates,
+            steps,
+            mean,
+            mean_square,
+        })
+    }
+}
+
+impl<T: Scalar> Adam<T> {
+    /// Default options for `len` parameters.
+    pub fn new(len: usize, rate: f64) -> Result<Self, OptimError> {
+        Self::with_options(Rates::new(len, rate)?, AdamOptions::default())
+    }
+
+    /// With rates per range, a schedule, and options.
+    pub fn with_options(rates: Rates, options: AdamOptions) -> Result<Self, OptimError> {
+        options.validate::<T>()?;
+        let zeros = vec![T::default(); rates.len()];
+        Ok(Self {
+            options,
+            rates,
+            steps: 0,
+            mean: zeros.clone(),
+            mean_square: zeros,
+        })
+    }
+
+    /// The options.
+    pub fn options(&self) -> &AdamOptions {
+        &self.options
+    }
+}
+
+/// What becomes of one parameter and its two state entries in a step.
+struct Moved<T> {
+    param: T,
+    state: [T; 2],
+}
+
+impl<T: Scalar> Moved<T> {
+    fn is_finite(&self) -> bool {
+        self.param.is_finite() && self.state.iter().all(|s| s.is_finite())
+    }
+}
+
+/// The options in the scalar type.
+struct Update<T> {
+    beta1: T,
+    rest1: T,
+    beta2: T,
+    rest2: T,
+    epsilon: T,
+    mask: bool,
+}
+
+impl<T: Scalar> Update<T> {
+    fn new(options: &AdamOptions) -> Self {
+        Self {
+            beta1: T::from_f64(options.beta1),
+            rest1: T::from_f64(1.0 - options.beta1),
+            beta2: T::from_f64(options.beta2),
+            rest2: T::from_f64(1.0 - options.beta2),
+            epsilon: T::from_f64(options.epsilon),
+            mask: options.mask_updates,
+        }
+    }
+
+    fn mean_square(&self, g: T, v: T) -> T {
+        if self.mask && g == T::default() {
+            v
+        } else {
+            self.beta2 * v + self.rest2 * (g * g)
+        }
+    }
+
+    /// `shared`: the range's largest mean square after this step, for the uniform variant.
+    fn apply(&self, p: T, g: T, state: [T; 2], scale: T, shared: Option<T>) -> Moved<T> {
+        if self.mask && g == T::default() {
+            return Moved { param: p, state };
+        }
+        let m = self.beta1 * state[0] + self.rest1 * g;
+        let v = self.mean_square(g, state[1]);
+        let step = m / (shared.unwrap_or(v).sqrt() + self.epsilon);
+        Moved {
+            param: p - scale * step,
+            state: [m, v],
+        }
+    }
+}
+
+impl<T: Scalar> Optimizer<T> for Adam<T> {
+    fn step(&mut self, params: &mut [T], grad: &[T]) -> Result<(), OptimError> {
+        check_inputs(self.rates.len(), params, grad)?;
+        require_len("rates", self.mean.len(), self.rates.len())?;
+        let update = Update::new(&self.options);
+        let correction = self.options.correction(self.steps.saturating_add(1));
+        let mut ranges = Vec::new();
+        for (range, rate) in self.rates.at(self.steps) {
+            let shared = self.options.uniform.then(|| {
+                range.clone().fold(T::default(), |largest, i| {
+                    let v = update.mean_square(grad[i], self.mean_square[i]);
+                    if v > largest { v } else { largest }
+                })
+            });
+            let scale = T::from_f64(rate * correction);
+            for index in range.clone() {
+                let state = [self.mean[index], self.mean_square[index]];
+                if !update
+                    .apply(params[index], grad[index], state, scale, shared)
+                    .is_finite()
+                {
+                    return Err(OptimError::Overflow {
+                        what: "Adam step",
+                        index,
+                    });
+                }
+            }
+            ranges.push((range, scale, shared));
+        }
+        for (range, scale, shared) in ranges {
+            for i in range {
+                let state = [self.mean[i], self.mean_square[i]];
+                let moved = update.apply(params[i], grad[i], state, scale, shared);
+                params[i] = moved.param;
+                [self.mean[i], self.mean_square[i]] = moved.state;
+            }
+        }
+        self.steps = self.steps.saturating_add(1);
+        Ok(())
+    }
+
+    fn steps(&self) -> u64 {
+        self.steps
+    }
+    fn rates(&self) -> &Rates {
+        &self.rates
+    }
+    fn rates_mut(&mut self) -> &mut Rates {
+        &mut self.rates
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::test_functions::{PEER_GRADIENTS, PEER_START, descend, quadratic, rosenbrock};
+    use approx::assert_relative_eq;
+
+    fn adam(len: usize, rate: f64, options: AdamOptions) -> Adam<f64> {
+        Adam::with_options(Rates::new(len, rate).unwrap(), options).unwrap()
+    }
+
+    #[test]
+    fn two_steps_by_hand() {
+        // beta1 = 0.5, beta2 = 0.75, g = 2 then -1:
+        // m = 1, 0; v = 1, 1; corrections 0.5 / 0.5 and sqrt(0.4375) / 0.75.
+        let options = AdamOptions {
+            beta1: 0.5,
+            beta2: 0.75,
+            epsilon: 1.0,
+            ..Default::default()
+        };
+        let mut p = [1.0];
+        let mut o = adam(1, 0.1, options.clone());
+        o.step(&mut p, &[2.0]).unwrap();
+        assert_relative_eq!(p[0], 1.0 - 0.1 * 0.5, epsilon = 1e-15);
+        o.step(&mut p, &[-1.0]).unwrap();
+        assert_relative_eq!(p[0], 0.95, epsilon = 1e-15);
+        // g = 3: m = 1.5, v = 3, correction sqrt(1 - 27/64) / (7/8).
+        o.step(&mut p, &[3.0]).unwrap();
+        let step = (37.0f64 / 64.0).sqrt() / 0.875 * 1.5 / (3.0f64.sqrt() + 1.0);
+        assert_relative_eq!(p[0], 0.95 - 0.1 * step, epsilon = 1e-15);
+        // Without bias correction the first step is 0.1 * 1 / (1 + 1) as well, the third is not.
+        let mut p = [1.0];
+        let mut o = adam(
+            1,
+            0.1,
+            AdamOptions {
+                bias_correction: false,
+                ..options
+            },
+        );
+        for g in [2.0, -1.0, 3.0] {
+            o.step(&mut p, &[g]).unwrap();
+        }
+        assert_relative_eq!(
+            p[0],
+            0.95 - 0.1 * 1.5 / (3.0f64.sqrt() + 1.0),
+            epsilon = 1e-15
+        );
+    }
+
+    #[test]
+    fn first_step_has_the_length_of_the_rate() {
+        for g in [1e-6, 1.0, -1e30] {
+            let mut p = [0.0];
+            adam(
+                1,
+                0.01,
+                AdamOptions {
+                    epsilon: 1e-20,
+                    ..Default::default()
+                },
+            )
+            .step(&mut p, &[g])
+            .unwrap();
+            assert_relative_eq!(p[0], -0.01 * f64::signum(g), max_relative = 1e-10);
+        }
+    }
+
+    /// Five steps of `drjit.opt.Adam` (Mitsuba 3.9.1, llvm, double precision; its factor of rate
+    /// and bias correction is rounded to single precision).
+    #[test]
+    fn agrees_with_the_peer() {
+        let base = AdamOptions {
+            epsilon: 1e-4,
+            ..Default::default()
+        };
+        for (options, expected) in [
+            (
+                base.clone(),
+                [0.16339531345291372, -0.6854236736011678, 0.9743408646118127],
+            ),
+            (
+                AdamOptions {
+                    mask_updates: true,
+                    ..base.clone()
+                },
+                [0.19268192420329042, -0.677497325072158, 0.9743408646118127],
+            ),
+            (
+                AdamOptions {
+                    uniform: true,
+                    beta1: 0.8,
+                    beta2: 0.95,
+                    ..base
+                },
+                [0.23684103177776825, -0.6858664840757568, 1.0236479792984374],
+            ),
+        ] {
+            let mut optimizer = adam(3, 0.05, options);
+            let mut p = PEER_START;
+            for g in PEER_GRADIENTS {
+                optimizer.step(&mut p, &g).unwrap();
+            }
+            for (p, e) in p.iter().zip(expected) {
+                assert_relative_eq!(*p, e, epsilon = 1e-7);
+            }
+        }
+    }
+
+    #[test]
+    fn uniform_variant_takes_its_maximum_per_range() {
+        let mut rates = Rates::new(3, 0.1).unwrap();
+        rates.set_rate(2..3, 0.2).unwrap();
+        let options = AdamOptions {
+            uniform: true,
+            epsilon: 1e-12,
+            ..Default::default()
+        };
+        let mut p = [0.0; 3];
+        Adam::with_options(rates, options)
+            .unwrap()
+            .step(&mut p, &[1.0, 4.0, 0.5])
+            .unwrap();
+        for (p, e) in p.iter().zip([-0.025, -0.1, -0.2]) {
+            assert_relative_eq!(*p, e, epsilon = 1e-9);
+        }
+    }
+
+    #[test]
+    fn converges() {
+        let p = descend(
+            &mut adam(2, 0.05, Default::default()),
+            quadratic,
+            [3.0, -2.0],
+            3000,
+        );
+        assert_relative_eq!(p[0], 1.0, epsilon = 1e-6);
+        assert_relative_eq!(p[1], -0.5, epsilon = 1e-6);
+        let p = descend(
+            &mut adam(2, 0.01, Default::default()),
+            rosenbrock,
+            [-1.2, 1.0],
+            20_000,
+        );
+        assert_relative_eq!(p[0], 1.0, epsilon = 1e-5);
+        assert_relative_eq!(p[1], 1.0, epsilon = 1e-5);
+    }
+
+    #[test]
+    fn bad_options_are_named() {
+        let build = |options| Adam::<f32>::with_options(Rates::new(1, 0.1).unwrap(), options);
+        let message = |options| build(options).unwrap_err().to_string();
+        for bad in [1.0, -0.5, f64::NAN] {
+            assert_eq!(
+                message(AdamOptions {
+                    beta1: bad,
+                    ..Default::default()
+                }),
+                format!("beta1: expected a value in [0, 1), found {bad}")
+            );
+            assert_eq!(
+                message(AdamOptions {
+                    beta2: bad,
+                    ..Default::default()
+                }),
+                format!("beta2: expected a value in [0, 1), found {bad}")
+            );
+        }
+        // The last one is positive, but zero in single precision.
+        for bad in [0.0, -1.0, f64::INFINITY, f64::NAN, 1e-60] {
+            assert_eq!(
+                message(AdamOptions {
+                    epsilon: bad,
+                    ..Default::default()
+                }),
+                format!("epsilon: expected a positive finite value, found {bad}")
+            );
+        }
+    }
+
+    #[test]
+    fn a_square_beyond_the_range_is_an_error_not_a_frozen_parameter() {
+        let mut o = Adam::<f32>::new(2, 0.1).unwrap();
+        let fresh = o.clone();
+        let mut p = [1.0, 2.0];
+        let error = o.step(&mut p, &[1.0, 1e30]).unwrap_err();
+        assert_eq!(
+            error,
+            OptimError::Overflow {
+                what: "Adam step",
+                index: 1
+            }
+        );
+        assert_eq!((p, o), ([1.0, 2.0], fresh));
+    }
+}

@@ -1,0 +1,462 @@
+//! Losses over images and their adjoint images.
+//!
+//! # Noise and bias
+//!
+//! The adjoint image is evaluated at a *noisy* image. Two kinds of bias follow.
+//!
+//! - The image of the loss and the samples of the gradient pass must be independent. With common
+//!   samples even the squared error is biased: at its optimum, with N samples of variance V per
+//!   pixel, the gradient of `(image - target)^2 / 2` with respect to the pixel's scale is V / N
+//!   instead of 0 [Zeltner et al. 2021, Eqs. 4.4 and 4.5].
+//! - Independence is enough where the adjoint is *linear* in the image: for [`L2`] and
+//!   [`RelativeL2`]. The others stay biased. [`L1`] and [`RelativeL1`] pull towards the median of
+//!   the pixel's estimator instead of its mean: no bias at the optimum for symmetric noise, about
+//!   `N^-1/2` of the gradient's range for skewed noise such as fireflies. [`LogL2`] pulls
+//!   towards the geometric mean; its bias falls as 1 / N.
+//!
+//! Noise in the target is harmless for `L2`; in the relative losses it also enters the weights.
+
+use crate::error::{OptimError, require, require_len};
+use crate::optimizer::require_finite;
+use crate::scalar::Scalar;
+use std::str::FromStr;
+
+/// A scalar measure of the difference between two images of the same shape, as flat slices.
+///
+/// Every loss of this module is a mean over all entries (pixels times channels), so that its
+/// magnitude is independent of the resolution.
+pub trait Loss<T: Scalar> {
+    /// The loss, 0 for equal images. Summed in double precision.
+    fn value(&self, image: &[T], target: &[T]) -> Result<f64, OptimError>;
+
+    /// Writes the adjoint image: the derivative of [`value`](Self::value) with respect to every
+    /// entry of `image`. `d_image` is overwritten, and left alone if an error is returned.
+    fn gradient(&self, image: &[T], target: &[T], d_image: &mut [T]) -> Result<(), OptimError>;
+}
+
+/// A loss that is the mean of a function of single entries; implements [`Loss`] for both scalars.
+pub trait PixelLoss {
+    /// The entry's loss; finite for moderate inputs of any sign.
+    fn pixel(&self, image: f64, target: f64) -> f64;
+
+    /// Its derivative with respect to the image. Zero where the function has a kink.
+    fn d_pixel(&self, image: f64, target: f64) -> f64;
+}
+
+impl<T: Scalar, P: PixelLoss> Loss<T> for P {
+    fn value(&self, image: &[T], target: &[T]) -> Result<f64, OptimError> {
+        check(image, target)?;
+        let mut sum = 0.0;
+        for (index, (i, t)) in image.iter().zip(target).enumerate() {
+            // Divided first: the mean is finite where every entry is.
+            sum += self.pixel(i.to_f64(), t.to_f64()) / image.len() as f64;
+            if !sum.is_finite() {
+                return Err(OptimError::Overflow {
+                    what: "loss",
+                    index,
+                });
+            }
+        }
+        Ok(sum)
+    }
+
+    fn gradient(&self, image: &[T], target: &[T], d_image: &mut [T]) -> Result<(), OptimError> {
+        check(image, target)?;
+        require_len("d_image", image.len(), d_image.len())?;
+        let n = image.len() as f64;
+        let d = |index: usize| {
+            T::from_f64(self.d_pixel(image[index].to_f64(), target[index].to_f64()) / n)
+        };
+        if let Some(index) = (0..image.len()).find(|i| !d(*i).is_finite()) {
+            return Err(OptimError::Overflow {
+                what: "adjoint image",
+                index,
+            });
+        }
+        for (index, d_i) in d_image.iter_mut().enumerate() {
+            *d_i = d(index);
+        }
+        Ok(())
+    }
+}
+
+fn check<T: Scalar>(image: &[T], target: &[T]) -> Result<(), OptimError> {
+    if image.is_empty() {
+        return Err(OptimError::EmptyImage);
+    }
+    require_len("target", image.len(), target.len())?;
+    require_finite("image", image)?;
+    require_finite("target", target)
+}
+
+/// Epsilon of the losses that have one, unless told otherwise: a radiance below which differences
+/// count as absolute ones.
+pub const DEFAULT_EPSILON: f64 = 1e-2;
+
+/// Mean of `|image - target|`. Robust against outliers; see the module on its bias.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct L1;
+
+impl PixelLoss for L1 {
+    fn pixel(&self, image: f64, target: f64) -> f64 {
+        (image - target).abs()
+    }
+    fn d_pixel(&self, image: f64, target: f64) -> f64 {
+        sign(image - target)
+    }
+}
+
+/// Mean of `(image - target)^2`. Unbiased with independent gradient samples.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct L2;
+
+impl PixelLoss for L2 {
+    fn pixel(&self, image: f64, target: f64) -> f64 {
+        let d = image - target;
+        d * d
+    }
+    fn d_pixel(&self, image: f64, target: f64) -> f64 {
+        2.0 * (image - target)
+    }
+}
+
+macro_rules! with_epsilon {
+    ($(#[$doc:meta])* $name:ident) => {
+        $(#[$doc])*
+        #[derive(Clone, Copy, Debug, PartialEq)]
+        pub struct $name {
+            epsilon: f64,
+        }
+
+        impl $name {
+            /// With another epsilon than [`DEFAULT_EPSILON`]; positive and finite.
+            pub fn new(epsilon: f64) -> Result<Self, OptimError> {
+                let valid = epsilon > 0.0 && epsilon.is_finite();
+                require(valid, "epsilon", "a positive finite value", epsilon)?;
+                Ok(Self { epsilon })
+            }
+        }
+
+        impl Default for $name {
+            fn default() -> Self {
+                Self { epsilon: DEFAULT_EPSILON }
+            }
+        }
+    };
+}
+
+with_epsilon! {
+    /// Mean of `|image - target| / (|target| + epsilon)`: dark and bright regions count alike.
+    /// See the module on its bias.
+    RelativeL1
+}
+
+impl PixelLoss for RelativeL1 {
+    fn pixel(&self, image: f64, target: f64) -> f64 {
+        (image - target).abs() / (target.abs() + self.epsilon)
+    }
+    fn d_pixel(&self, image: f64, target: f64) -> f64 {
+        sign(image - target) / (target.abs() + self.epsilon)
+    }
+}
+
+with_epsilon! {
+    /// Mean of `(image - target)^2 / (target^2 + epsilon)`; epsilon in units of squared radiance.
+    /// The weight belongs to the target alone, so the adjoint is unbiased with independent samples.
+    RelativeL2
+}
+
+impl PixelLoss for RelativeL2 {
+    fn pixel(&self, image: f64, target: f64) -> f64 {
+        let d = image - target;
+        d * d / (target * target + self.epsilon)
+    }
+    fn d_pixel(&self, image: f64, target: f64) -> f64 {
+        2.0 * (image - target) / (target * target + self.epsilon)
+    }
+}
+
+with_epsilon! {
+    /// Mean of `(f(image) - f(target))^2` with `f(x) = ln(1 + x / epsilon)` for `x >= 0`, the same as
+    /// `(ln(image + epsilon) - ln(target + epsilon))^2`, continued as an odd function: an entry
+    /// that noise or a filter made negative has a finite loss too. See the module on its bias.
+    LogL2
+}
+
+impl LogL2 {
+    fn compress(&self, x: f64) -> f64 {
+        (x.abs() / self.epsilon).ln_1p().copysign(x)
+    }
+}
+
+impl PixelLoss for LogL2 {
+    fn pixel(&self, image: f64, target: f64) -> f64 {
+        let d = self.compress(image) - self.compress(target);
+        d * d
+    }
+    fn d_pixel(&self, image: f64, target: f64) -> f64 {
+        2.0 * (self.compress(image) - self.compress(target)) / (image.abs() + self.epsilon)
+    }
+}
+
+/// -1, 0 or 1; the subgradient of the absolute value that leaves a perfect pixel alone.
+fn sign(x: f64) -> f64 {
+    if x == 0.0 { 0.0 } else { x.signum() }
+}
+
+/// A loss that was chosen at run time; parses from the names in [`NAMES`](Self::NAMES).
+///
+/// ```
+/// use optim::{Loss, LossKind};
+/// let loss: LossKind = "relative-l2".parse()?;
+/// assert_eq!(loss.value(&[0.5f32, 1.0], &[0.5, 1.0])?, 0.0);
+/// assert!("l3".parse::<LossKind>().is_err());
+/// # Ok::<(), optim::OptimError>(())
+/// ```
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
+pub enum LossKind {
+    /// [`L1`]; parses from `l1` and `mae`.
+    L1(L1),
+    /// [`L2`]; parses from `l2` and `mse`.
+    L2(L2),
+    /// [`RelativeL1`]; parses from `relative-l1`.
+    RelativeL1(RelativeL1),
+    /// [`RelativeL2`]; parses from `relative-l2`.
+    RelativeL2(RelativeL2),
+    /// [`LogL2`]; parses from `log-l2`.
+    LogL2(LogL2),
+}
+
+impl LossKind {
+    /// The names of all losses, for help texts.
+    pub const NAMES: [&'static str; 5] = ["l1", "l2", "relative-l1", "relative-l2", "log-l2"];
+
+    fn inner(&self) -> &dyn PixelLoss {
+        match self {
+            Self::L1(l) => l,
+            Self::L2(l) => l,
+            Self::RelativeL1(l) => l,
+            Self::RelativeL2(l) => l,
+            Self::LogL2(l) => l,
+        }
+    }
+}
+
+impl FromStr for LossKind {
+    type Err = OptimError;
+    fn from_str(name: &str) -> Result<Self, OptimError> {
+        match name {
+            "l1" | "mae" => Ok(Self::L1(L1)),
+            "l2" | "mse" => Ok(Self::L2(L2)),
+            "relative-l1" => Ok(Self::RelativeL1(Default::default())),
+            "relative-l2" => Ok(Self::RelativeL2(Default::default())),
+            "log-l2" => Ok(Self::LogL2(Default::default())),
+            _ => Err(OptimError::UnknownName {
+                what: "loss",
+                expected: Self::NAMES.join(", "),
+                found: name.to_owned(),
+            }),
+        }
+    }
+}
+
+impl PixelLoss for LossKind {
+    fn pixel(&self, image: f64, target: f64) -> f64 {
+        self.inner().pixel(image, target)
+    }
+    fn d_pixel(&self, image: f64, target: f64) -> f64 {
+        self.inner().d_pixel(image, target)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use approx::assert_relative_eq;
+    use proptest::prelude::*;
+
+    fn all() -> [LossKind; 5] {
+        LossKind::NAMES.map(|name| name.parse().unwrap())
+    }
+
+    #[test]
+    fn values_by_hand() {
+        let expected = [
+            0.75,
+            1.25 / 2.0,
+            (1.0 / 1.01 + 0.5 / 0.01) / 2.0,
+            (1.0 / 1.01 + 0.25 / 0.01) / 2.0,
+            ((2.01f64 / 1.01).ln().powi(2) + 51.0f64.ln().powi(2)) / 2.0,
+        ];
+        for (loss, expected) in all().iter().zip(expected) {
+            assert_relative_eq!(
+                loss.value(&[2.0, 0.5], &[1.0, 0.0]).unwrap(),
+                expected,
+                max_relative = 1e-14
+            );
+        }
+        assert_eq!("mse".parse::<LossKind>().unwrap(), LossKind::L2(L2));
+        assert_eq!("mae".parse::<LossKind>().unwrap(), LossKind::L1(L1));
+    }
+
+    #[test]
+    fn adjoint_images_equal_central_differences() {
+        let target = [0.0, 1e-3, 0.4, 2.0, 30.0, 0.7];
+        let image = [0.02, 5e-3, 0.1, 2.5, 1.0, -0.03];
+        for loss in all() {
+            let mut d_image = [f64::NAN; 6];
+            loss.gradient(&image, &target, &mut d_image).unwrap();
+            for i in 0..6 {
+                let shifted = |h: f64| {
+                    let mut image = image;
+                    image[i] += h;
+                    loss.value(&image, &target).unwrap()
+                };
+                // Five points: fourth order, truncation about 1e-12.
+                let h = 1e-4;
+                let difference = (8.0 * (shifted(h) - shifted(-h))
+                    - (shifted(2.0 * h) - shifted(-2.0 * h)))
+                    / (12.0 * h);
+                assert_relative_eq!(d_image[i], difference, max_relative = 1e-5, epsilon = 1e-8);
+            }
+            // Single precision rounds the same numbers.
+            let mut single = [0f32; 6];
+            loss.gradient(
+                &image.map(|x| x as f32),
+                &target.map(|x| x as f32),
+                &mut single,
+            )
+            .unwrap();
+            for (s, d) in single.iter().zip(d_image) {
+                assert_relative_eq!(f64::from(*s), d, max_relative = 1e-5);
+            }
+        }
+    }
+
+    #[test]
+    fn equal_images_have_no_loss_and_no_gradient() {
+        let image = [0.0, -1.0, 3.0, 1e30, -0.0];
+        let target = [-0.0, -1.0, 3.0, 1e30, 0.0];
+        for loss in all() {
+            let mut d_image = [1.0; 5];
+            loss.gradient(&image, &target, &mut d_image).unwrap();
+            assert_eq!(loss.value(&image, &target).unwrap(), 0.0);
+            assert_eq!(d_image, [0.0; 5]);
+        }
+    }
+
+    /// Mean adjoint of one pixel of mean 1 at the optimum, for `spp` samples of exponential noise
+    /// (the mean of the image's distribution is the target), with its standard error.
+    fn bias(loss: LossKind, spp: usize) -> (f64, f64) {
+        let mut state = 12345u64;
+        let mut uniform = || {
+            // splitmix64
+            state = state.wrapping_add(0x9e37_79b9_7f4a_7c15);
+            let mut z = state;
+            z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+            z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+            ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
+        };
+        let runs = 200_000;
+        let (mut sum, mut squares) = (0.0, 0.0);
+        for _ in 0..runs {
+            let pixel = -(0..spp).map(|_| (1.0 - uniform()).ln()).sum::<f64>() / spp as f64;
+            let mut d = [0.0];
+            loss.gradient(&[pixel], &[1.0], &mut d).unwrap();
+            sum += d[0];
+            squares += d[0] * d[0];
+        }
+        let mean = sum / runs as f64;
+        (
+            mean,
+            ((squares / runs as f64 - mean * mean) / runs as f64).sqrt(),
+        )
+    }
+
+    /// The module's statement on noise: which losses are biased, and how fast the bias falls.
+    #[test]
+    fn bias_under_skewed_noise_is_as_documented() {
+        let [l1, l2, relative_l1, relative_l2, log_l2] = all();
+        // Two tests at 4 sigma: together about 1e-4.
+        for loss in [l2, relative_l2] {
+            let (mean, error) = bias(loss, 4);
+            assert!(mean.abs() < 4.0 * error, "{loss:?}: {mean} +- {error}");
+        }
+        // Expected ratio of the biases at 4 and 64 samples: 4 for N^-1/2, 16 for 1/N (and the
+        // higher orders of so few samples).
+        for (loss, lowest, highest) in [
+            (l1, 3.0, 5.0),
+            (relative_l1, 3.0, 5.0),
+            (log_l2, 13.0, 40.0),
+        ] {
+            let ((few, _), (many, error)) = (bias(loss, 4), bias(loss, 64));
+            assert!(many.abs() > 8.0 * error, "{loss:?}: {many} +- {error}");
+            let ratio = few / many;
+            assert!(
+                ratio > lowest && ratio < highest,
+                "{loss:?}: {few} / {many} = {ratio}"
+            );
+        }
+    }
+
+    #[test]
+    fn errors_name_what_was_expected() {
+        let loss: LossKind = "l2".parse().unwrap();
+        let mut d = [7.0f32; 2];
+        let message = |r: Result<(), OptimError>| r.unwrap_err().to_string();
+        for (image, target, expected) in [
+            (
+                &[1.0f32, 2.0][..],
+                &[1.0f32][..],
+                "target: expected 2 entries, found 1",
+            ),
+            (&[1.0], &[1.0], "d_image: expected 1 entries, found 2"),
+            (&[], &[], "image: expected at least one entry, found none"),
+            (
+                &[1.0, f32::NAN],
+                &[1.0, 1.0],
+                "image: expected a finite value, found NaN at index 1",
+            ),
+            (
+                &[1.0, 1.0],
+                &[f32::INFINITY, 1.0],
+                "target: expected a finite value, found inf at index 0",
+            ),
+        ] {
+            assert_eq!(message(loss.gradient(image, target, &mut d)), expected);
+            assert_eq!(d, [7.0; 2]);
+        }
+        assert_eq!(
+            loss.value(&[1e200], &[-1e200]).unwrap_err().to_string(),
+            "loss: the result at index 0 exceeds the range of the scalar type"
+        );
+        assert_eq!(
+            "L2".parse::<LossKind>().unwrap_err().to_string(),
+            "loss: expected one of l1, l2, relative-l1, relative-l2, log-l2, found `L2`"
+        );
+        assert!(RelativeL1::new(0.0).is_err() && LogL2::new(f64::NAN).is_err());
+        assert_relative_eq!(
+            RelativeL2::new(1.0).unwrap().value(&[2.0], &[1.0]).unwrap(),
+            0.5
+        );
+    }
+
+    proptest! {
+        #[test]
+        fn never_a_panic_nor_a_nan(
+            pairs in prop::collection::vec((any::<f64>(), any::<f64>()), 0..4),
+        ) {
+            let (image, target): (Vec<_>, Vec<_>) = pairs.into_iter().unzip();
+            for loss in all() {
+                if let Ok(value) = loss.value(&image, &target) {
+                    prop_assert!(value >= 0.0 && value.is_finite());
+                }
+                let mut d_image = image.clone();
+                if loss.gradient(&image, &target, &mut d_image).is_ok() {
+                    prop_assert!(d_image.iter().all(|d| d.is_finite()));
+                }
+            }
+        }
+    }
+}
