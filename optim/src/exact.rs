@@ -6,8 +6,7 @@
 //! the checkpoints of callers.
 
 /// A `Vec` of f32 or f64 as one string of bit patterns: 8 or 16 hexadecimal digits per value.
-///
-/// It takes a third of the space of decimal numbers, and not-a-numbers pass too.
+/// Not-a-numbers pass too.
 pub mod slice {
     use crate::scalar::{Scalar, sealed::Sealed};
     use serde::{Deserialize, Deserializer, Serializer, de::Error};

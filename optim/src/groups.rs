@@ -479,6 +479,27 @@ mod tests {
     }
 
     #[test]
+    fn steps_below_the_resolution_of_the_value_add_up() {
+        // Between 1000 and 1001 single precision has steps of 6e-5; dp/du is at most 1/4.
+        let map = Parameterisation::sigmoid(1000.0, 1001.0).unwrap();
+        let mut o = Constrained::new(Sgd::<f32>::new(1, 1e-5).unwrap(), one(map)).unwrap();
+        let mut p = [1000.5f32];
+        for _ in 0..4000 {
+            o.step(&mut p, &[-4.0]).unwrap();
+        }
+        assert_relative_eq!(p[0], 1000.5 + 0.04 / 4.0, epsilon = 1e-4);
+    }
+
+    #[test]
+    fn a_value_outside_its_box_is_projected_even_without_a_gradient() {
+        let map = Parameterisation::bounded(0.0, 1.0).unwrap();
+        let mut o = Constrained::new(Sgd::<f32>::new(1, 0.1).unwrap(), one(map)).unwrap();
+        let mut p = [-2.0f32];
+        o.step(&mut p, &[0.0]).unwrap();
+        assert_eq!(p, [0.0]);
+    }
+
+    #[test]
     fn errors_name_index_and_group_and_change_nothing() {
         let mut groups = Groups::new(3);
         groups

@@ -374,6 +374,20 @@ mod tests {
         )
     }
 
+    #[test]
+    fn symmetric_noise_does_not_bias_the_absolute_error() {
+        for loss in [
+            LossKind::L1(L1),
+            LossKind::RelativeL1(RelativeL1::default()),
+        ] {
+            let mut d = [0.0; 8];
+            let noisy = [0.1, -0.1, 0.7, -0.7, 0.01, -0.01, 2.0, -2.0].map(|n| 1.0 + n);
+            loss.gradient(&noisy, &[1.0; 8], &mut d).unwrap();
+            assert_eq!(d.iter().sum::<f64>(), 0.0);
+            assert!(d.iter().all(|d| *d != 0.0));
+        }
+    }
+
     /// The module's statement on noise: which losses are biased, and how fast the bias falls.
     #[test]
     fn bias_under_skewed_noise_is_as_documented() {
