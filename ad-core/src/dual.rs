@@ -5,6 +5,7 @@ use std::iter::Sum;
 use std::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAssign};
 
 use crate::elementary;
+use crate::lanes::Lanes;
 use crate::real::{Const, Real};
 
 /// A value and its derivatives along `N` directions: `re + sum_i eps[i] e_i` with `e_i e_j = 0`.
@@ -57,14 +58,14 @@ impl<P: Real, const N: usize> Dual<P, N> {
     pub fn chain(self, y: P, slope: P) -> Self {
         Self {
             re: y,
-            eps: self.eps.map(|e| e * slope),
+            eps: P::scale(self.eps, slope),
         }
     }
 
     /// Chain rule of a function of two arguments: value `y`, derivatives `da` and `db`.
     #[inline(always)]
     pub fn chain2(a: Self, b: Self, y: P, da: P, db: P) -> Self {
-        let eps = std::array::from_fn(|k| a.eps[k].mul_add(da, b.eps[k] * db));
+        let eps = P::combine(a.eps, da, b.eps, db);
         Self { re: y, eps }
     }
 }
@@ -123,7 +124,7 @@ impl<P: Real, const N: usize> Add for Dual<P, N> {
     fn add(self, o: Self) -> Self {
         Self {
             re: self.re + o.re,
-            eps: std::array::from_fn(|k| self.eps[k] + o.eps[k]),
+            eps: <P as Lanes>::add(self.eps, o.eps),
         }
     }
 }
@@ -134,7 +135,7 @@ impl<P: Real, const N: usize> Sub for Dual<P, N> {
     fn sub(self, o: Self) -> Self {
         Self {
             re: self.re - o.re,
-            eps: std::array::from_fn(|k| self.eps[k] - o.eps[k]),
+            eps: <P as Lanes>::sub(self.eps, o.eps),
         }
     }
 }
@@ -184,7 +185,7 @@ impl<P: Real, const N: usize> Mul<Const<P::Primal>> for Dual<P, N> {
     fn mul(self, c: Const<P::Primal>) -> Self {
         Self {
             re: self.re * c,
-            eps: self.eps.map(|e| e * c),
+            eps: P::scale_const(self.eps, c),
         }
     }
 }
@@ -196,7 +197,7 @@ impl<P: Real, const N: usize> Div<Const<P::Primal>> for Dual<P, N> {
         let (re, slope) = elementary::div_const(self.re, c);
         Self {
             re,
-            eps: self.eps.map(|e| e * slope),
+            eps: P::scale_const(self.eps, slope),
         }
     }
 }
@@ -230,6 +231,33 @@ macro_rules! chain_rule {
     )*};
 }
 
+impl<P: Real, const M: usize> Lanes for Dual<P, M> {
+    #[inline(always)]
+    fn add<const N: usize>(a: [Self; N], b: [Self; N]) -> [Self; N] {
+        std::array::from_fn(|k| a[k] + b[k])
+    }
+    #[inline(always)]
+    fn sub<const N: usize>(a: [Self; N], b: [Self; N]) -> [Self; N] {
+        std::array::from_fn(|k| a[k] - b[k])
+    }
+    #[inline(always)]
+    fn scale<const N: usize>(a: [Self; N], s: Self) -> [Self; N] {
+        a.map(|x| x * s)
+    }
+    #[inline(always)]
+    fn scale_const<const N: usize>(a: [Self; N], c: Const<<Self as Real>::Primal>) -> [Self; N] {
+        a.map(|x| x * c)
+    }
+    #[inline(always)]
+    fn combine<const N: usize>(a: [Self; N], s: Self, b: [Self; N], t: Self) -> [Self; N] {
+        std::array::from_fn(|k| a[k] * s + b[k] * t)
+    }
+    #[inline(always)]
+    fn combine_add<const N: usize>(a: [Self; N], s: Self, b: [Self; N]) -> [Self; N] {
+        std::array::from_fn(|k| a[k] * s + b[k])
+    }
+}
+
 impl<P: Real, const N: usize> Real for Dual<P, N> {
     type Primal = P::Primal;
     const IS_PRIMAL: bool = false;
@@ -255,7 +283,8 @@ impl<P: Real, const N: usize> Real for Dual<P, N> {
 
     #[inline(always)]
     fn recip(self) -> Self {
-        self.div_into(P::c(1.0))
+        let (y, slope) = elementary::recip(self.re);
+        self.chain(y, slope)
     }
     #[inline(always)]
     fn div_into(self, c: Const<P::Primal>) -> Self {

@@ -57,6 +57,13 @@ pub fn div<P: Real>(a: P, b: P) -> (P, P, P) {
     (q, finite(da), finite(-q * da))
 }
 
+/// Reciprocal.
+#[inline(always)]
+pub fn recip<P: Real>(x: P) -> (P, P) {
+    let q = x.recip();
+    (q, finite(-q.square()))
+}
+
 /// Quotient `x / c` by a constant; the slope is a constant too.
 #[inline(always)]
 pub fn div_const<P: Real>(x: P, c: Const<P::Primal>) -> (P, Const<P::Primal>) {
@@ -74,12 +81,13 @@ pub fn div_into<P: Real>(x: P, c: Const<P::Primal>) -> (P, P) {
 #[inline(always)]
 pub fn sqrt<P: Real>(x: P) -> (P, P) {
     let s = x.sqrt();
+    // No further guard: the root of the smallest positive number is far from zero.
     let slope = if s > P::zero() {
         s.div_into(P::c(0.5))
     } else {
         P::zero()
     };
-    (s, finite(slope))
+    (s, slope)
 }
 
 /// Cube root.

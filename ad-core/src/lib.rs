@@ -47,6 +47,8 @@ pub mod chain;
 pub mod check;
 pub mod dual;
 pub mod elementary;
+#[doc(hidden)]
+pub mod lanes;
 pub mod mat;
 pub mod newton;
 pub mod real;

@@ -84,21 +84,16 @@ macro_rules! vector {
             pub fn normalize(self) -> Self {
                 let l2 = self.length_squared();
                 let tiny = R::Primal::MIN_POSITIVE / R::Primal::EPSILON;
-                if l2.primal() > tiny && l2.primal() <= R::Primal::MAX {
-                    self * l2.sqrt().recip()
+                let (v, l2) = if l2.primal() > tiny && l2.primal() <= R::Primal::MAX {
+                    (self, l2)
                 } else {
-                    self.normalize_scaled()
-                }
-            }
-            /// `normalize` where the squared length leaves the range of normal numbers.
-            #[cold]
-            fn normalize_scaled(self) -> Self {
-                let s = self.primal().max_abs();
-                if !(s > <R::Primal as Real>::zero() && s.is_finite()) {
-                    return Self::zero();
-                }
-                let v = self.map(|x| x / Const(s));
-                v * v.length().recip()
+                    // The square left the range of normal numbers: scale first.
+                    let s = Real::min(self.primal().max_abs().recip(), R::Primal::MAX);
+                    let v = self * Const(s);
+                    (v, v.length_squared())
+                };
+                let inv = if l2 > R::zero() { l2.sqrt().recip() } else { R::zero() };
+                v * inv
             }
             /// Componentwise linear interpolation, `self` at `t = 0` and `o` at `t = 1`.
             #[inline(always)]
