@@ -21,9 +21,11 @@
 //! # Ok::<(), render::error::SceneError>(())
 //! ```
 
+mod element;
 mod node;
 mod parse;
 mod resolve;
+mod source;
 mod value;
 
 use std::collections::HashSet;

@@ -2,13 +2,14 @@
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use roxmltree as xml;
 
+use super::element::{Attribute, Element};
 use super::node::Property;
-use super::value::{self, Mismatch, Value, quoted};
+use super::source::{self, Source};
+use super::value::{self, Value, quoted};
 use super::{Directories, MAX_DEPTH, MAX_ELEMENTS, MAX_SUBSTITUTED, check_limit};
 use crate::error::{Location, SceneError};
 use crate::math::Transform;
@@ -78,36 +79,13 @@ struct Parameter {
 pub(super) struct Parser {
     pub nodes: Vec<RawNode>,
     /// Targets of references, aliases included.
-    pub ids: BTreeMap<String, (usize, Location)>,
+    ids: BTreeMap<String, (usize, Location)>,
     aliases: Vec<(String, String, Location)>,
     parameters: BTreeMap<String, Parameter>,
     /// The files between the scene and the current one, to notice cycles.
     open: Vec<PathBuf>,
     elements: usize,
     substituted: usize,
-}
-
-/// One file.
-struct Source {
-    name: Arc<Path>,
-    directories: Directories,
-    /// Byte offsets of the line ends.
-    line_ends: Vec<usize>,
-}
-
-impl Source {
-    fn new(name: &Path, directories: Directories, text: &str) -> Self {
-        Self {
-            name: name.into(),
-            directories,
-            line_ends: text.match_indices('\n').map(|(i, _)| i).collect(),
-        }
-    }
-
-    fn at(&self, byte: usize) -> Location {
-        let line = 1 + self.line_ends.partition_point(|&end| end < byte);
-        Location::new(self.name.clone(), u32::try_from(line).unwrap_or(u32::MAX))
-    }
 }
 
 impl Parser {
@@ -135,31 +113,23 @@ impl Parser {
 
     /// The scene file itself.
     pub fn file(&mut self, path: &Path) -> Result<(), SceneError> {
-        let text = read(path)?;
-        self.open.push(canonical(path));
+        let text = source::read(path)?;
+        self.open.push(source::canonical(path));
         self.text(&text, path, path.parent().unwrap_or(Path::new("")))
     }
 
     /// The text of the scene file, which lies in `directory`.
     pub fn text(&mut self, text: &str, name: &Path, directory: &Path) -> Result<(), SceneError> {
-        let text = text.strip_prefix('\u{feff}').unwrap_or(text);
         let source = Source::new(name, Directories::new(directory, None), text);
-        let tree = parse(text, &source)?;
+        let tree = source.parse(text)?;
         let root = tree.root_element();
-        let mut element = self.element(root, &source)?;
+        let element = self.element(root, &source)?;
         if element.tag != "scene" {
             return Err(element.syntax("<scene>"));
         }
-        check_version(&mut element)?;
-        let id = element.take("id").map(|a| a.text);
-        element.finish()?;
-        let scene = self.add(
-            "scene".to_owned(),
-            "scene".to_owned(),
-            id,
-            element.location,
-            false,
-        )?;
+        let location = element.location.clone();
+        let id = scene_id(element)?;
+        let scene = self.add("scene".to_owned(), "scene".to_owned(), id, location, false)?;
         self.body(root, &source, scene, 1)?;
         self.add_aliases()
     }
@@ -189,7 +159,7 @@ impl Parser {
         owner: usize,
         depth: usize,
     ) -> Result<(), SceneError> {
-        for child in elements(parent, source) {
+        for child in source.elements(parent) {
             self.member(child?, source, owner, depth)?;
         }
         Ok(())
@@ -321,7 +291,7 @@ impl Parser {
         source: &Source,
     ) -> Result<Transform, SceneError> {
         let mut total = Transform::IDENTITY;
-        for child in elements(xml, source) {
+        for child in source.elements(xml) {
             let child = child?;
             let mut element = self.element(child, source)?;
             element.key = format!("{}.{}", owner.key, element.tag);
@@ -384,25 +354,22 @@ impl Parser {
                 found: quoted(&file.text),
             });
         };
-        let identity = canonical(&path);
+        let identity = source::canonical(&path);
         if self.open.contains(&identity) {
             return Err(SceneError::Cycle {
                 location: file.location.clone(),
                 what: format!("the file {}", quoted(&file.text)),
             });
         }
-        let text = read(&path)?;
-        let text = text.strip_prefix('\u{feff}').unwrap_or(&text);
+        let text = source::read(&path)?;
         let directory = path.parent().unwrap_or(Path::new(""));
         let directories = Directories::new(directory, Some(&source.directories));
-        let inner = Source::new(&path, directories, text);
-        let tree = parse(text, &inner)?;
+        let inner = Source::new(&path, directories, &text);
+        let tree = inner.parse(&text)?;
         let root = tree.root_element();
         self.open.push(identity);
         if root.has_tag_name("scene") {
-            let mut element = self.element(root, &inner)?;
-            check_version(&mut element)?;
-            element.finish()?;
+            scene_id(self.element(root, &inner)?)?;
             self.body(root, &inner, owner, depth + 1)?;
         } else {
             self.member(root, &inner, owner, depth + 1)?;
@@ -583,7 +550,7 @@ impl Parser {
     /// An element that must be empty and have no further attributes.
     fn leaf(&self, element: Element, xml: xml::Node, source: &Source) -> Result<(), SceneError> {
         element.finish()?;
-        match elements(xml, source).next() {
+        match source.elements(xml).next() {
             None => Ok(()),
             Some(child) => {
                 let child = child?;
@@ -595,150 +562,6 @@ impl Parser {
             }
         }
     }
-}
-
-/// An XML attribute.
-struct Attribute {
-    name: String,
-    text: String,
-    location: Location,
-}
-
-/// An XML element whose attributes are taken one by one, so that what is left over is unknown.
-struct Element {
-    tag: String,
-    /// What messages call it.
-    key: String,
-    location: Location,
-    attributes: Vec<Attribute>,
-    asked: Vec<&'static str>,
-}
-
-impl Element {
-    fn has(&self, name: &str) -> bool {
-        self.peek(name).is_some()
-    }
-
-    fn peek(&self, name: &str) -> Option<&str> {
-        let attribute = self.attributes.iter().find(|a| a.name == name)?;
-        Some(&attribute.text)
-    }
-
-    fn take(&mut self, name: &'static str) -> Option<Attribute> {
-        self.asked.push(name);
-        let index = self.attributes.iter().position(|a| a.name == name)?;
-        Some(self.attributes.swap_remove(index))
-    }
-
-    fn require(&mut self, name: &'static str) -> Result<Attribute, SceneError> {
-        self.take(name).ok_or_else(|| SceneError::Missing {
-            location: self.location.clone(),
-            owner: format!("<{}>", self.tag),
-            key: name.to_owned(),
-            expected: "an attribute".to_owned(),
-        })
-    }
-
-    fn parse<T>(
-        &mut self,
-        name: &'static str,
-        convert: impl FnOnce(&str) -> Result<T, Mismatch>,
-    ) -> Result<T, SceneError> {
-        let attribute = self.require(name)?;
-        convert(&attribute.text).map_err(|error| SceneError::Value {
-            location: attribute.location,
-            key: match name {
-                "value" => self.key.clone(),
-                _ => format!("{}.{name}", self.key),
-            },
-            expected: error.expected.to_owned(),
-            found: error.found,
-        })
-    }
-
-    /// `value="x y z"`, or some of `x`, `y` and `z`.
-    fn coordinates(
-        &mut self,
-        absent: f64,
-        convert: impl FnOnce(&str) -> Result<[f64; 3], Mismatch>,
-    ) -> Result<[f64; 3], SceneError> {
-        if !["x", "y", "z"].iter().any(|axis| self.has(axis)) {
-            return self.parse("value", convert);
-        }
-        let mut out = [absent; 3];
-        for (slot, axis) in out.iter_mut().zip(["x", "y", "z"]) {
-            if self.has(axis) {
-                *slot = self.parse(axis, value::float)?;
-            }
-        }
-        Ok(out)
-    }
-
-    fn finish(&self) -> Result<(), SceneError> {
-        match self.attributes.first() {
-            None => Ok(()),
-            Some(attribute) => Err(SceneError::Unknown {
-                location: attribute.location.clone(),
-                what: format!("attribute {}", quoted(&attribute.name)),
-                owner: format!("<{}>", self.tag),
-                known: self.asked.iter().map(|&name| name.to_owned()).collect(),
-            }),
-        }
-    }
-
-    fn syntax(&self, expected: &str) -> SceneError {
-        SceneError::Syntax {
-            location: self.location.clone(),
-            expected: expected.to_owned(),
-            found: format!("<{}>", self.tag),
-        }
-    }
-
-    fn value_error(&self, expected: &str, found: &str) -> SceneError {
-        SceneError::Value {
-            location: self.location.clone(),
-            key: self.key.clone(),
-            expected: expected.to_owned(),
-            found: found.to_owned(),
-        }
-    }
-}
-
-/// The child elements. Text between them is an error: nothing in the format is written as text.
-fn elements<'a, 'i: 'a>(
-    parent: xml::Node<'a, 'i>,
-    source: &Source,
-) -> impl Iterator<Item = Result<xml::Node<'a, 'i>, SceneError>> {
-    parent.children().filter_map(move |node| {
-        if node.is_element() {
-            return Some(Ok(node));
-        }
-        let text = node.text().filter(|_| node.is_text())?;
-        let word = text.trim();
-        (!word.is_empty()).then(|| {
-            let indent = text.len() - text.trim_start().len();
-            Err(SceneError::Syntax {
-                location: source.at(node.range().start + indent),
-                expected: "an element".to_owned(),
-                found: format!("the text {}", quoted(word)),
-            })
-        })
-    })
-}
-
-/// The format changed meaning between 0.x and 2.0, silently in places.
-fn check_version(element: &mut Element) -> Result<(), SceneError> {
-    let version = element.require("version")?;
-    let major = version.text.trim().split('.').next();
-    if matches!(major, Some("2" | "3")) {
-        return Ok(());
-    }
-    Err(SceneError::Value {
-        location: version.location,
-        key: "version".to_owned(),
-        expected: "2.x.x or 3.x.x".to_owned(),
-        found: quoted(&version.text),
-    })
 }
 
 /// Some direction across the view, where roll does not matter.
@@ -754,41 +577,20 @@ fn any_perpendicular(origin: [f64; 3], target: [f64; 3]) -> [f64; 3] {
     [0, 1, 2].map(|i| if i == least { 1.0 } else { 0.0 })
 }
 
-fn read(path: &Path) -> Result<String, SceneError> {
-    let bytes = std::fs::read(path).map_err(|source| SceneError::Io {
-        path: path.to_owned(),
-        source,
-    })?;
-    String::from_utf8(bytes).map_err(|error| {
-        let valid = error.utf8_error().valid_up_to();
-        let lines = error.as_bytes()[..valid].iter().filter(|b| **b == b'\n');
-        let line = u32::try_from(1 + lines.count()).unwrap_or(u32::MAX);
-        SceneError::Syntax {
-            location: Location::new(path, line),
-            expected: "text in UTF-8".to_owned(),
-            found: format!("the byte {:#04x}", error.as_bytes()[valid]),
-        }
-    })
-}
-
-/// One name per file, for comparison only.
-fn canonical(path: &Path) -> PathBuf {
-    path.canonicalize().unwrap_or_else(|_| path.to_owned())
-}
-
-fn parse<'t>(text: &'t str, source: &Source) -> Result<xml::Document<'t>, SceneError> {
-    xml::Document::parse(text).map_err(|error| {
-        let line = match error {
-            // These carry no position.
-            xml::Error::UnexpectedEndOfStream
-            | xml::Error::UnclosedRootNode
-            | xml::Error::NoRootNode => source.at(text.len()).line,
-            _ => error.pos().row,
-        };
-        SceneError::Syntax {
-            location: Location::new(source.name.clone(), line),
-            expected: "well-formed XML".to_owned(),
-            found: format!("an error: {error}"),
-        }
-    })
+/// The attributes of `<scene>`: its id, if any. The version must be known because the format
+/// changed meaning between 0.x and 2.0, silently in places.
+fn scene_id(mut element: Element) -> Result<Option<String>, SceneError> {
+    let version = element.require("version")?;
+    let major = version.text.trim().split('.').next();
+    if !matches!(major, Some("2" | "3")) {
+        return Err(SceneError::Value {
+            location: version.location,
+            key: "version".to_owned(),
+            expected: "2.x.x or 3.x.x".to_owned(),
+            found: quoted(&version.text),
+        });
+    }
+    let id = element.take("id").map(|a| a.text);
+    element.finish()?;
+    Ok(id)
 }
