@@ -82,6 +82,9 @@ pub enum Primitive {
 }
 
 /// Where a ray meets a primitive.
+///
+/// `u` and `v` may leave their range by the rounding of the hit point: neighbours overlap that much
+/// so that no ray slips between them.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Hit {
     /// Distance in units of the direction's length, `> 0`.
@@ -178,34 +181,58 @@ impl Accel {
     /// `d` need not be normalised. The caller offsets origins that lie on a surface.
     #[inline]
     pub fn intersect(&self, o: [f32; 3], d: [f32; 3], t_max: f32) -> Option<Hit> {
-        let (ray, scale) = Ray::new(o, d)?;
-        let mut best = Best::new(limit(t_max, scale));
-        match &self.layout {
-            Layout::Linear(packets, curved) => {
-                packets.intersect(&ray, &mut best);
-                for (c, prim) in curved {
-                    if let Some((t, u, v)) = c.intersect(&ray, best.t) {
-                        best.offer(t, u, v, *prim);
-                    }
-                }
-            }
-            Layout::Tree(tree) => tree.intersect(&ray, &mut best),
+        match Ray::new(o, d) {
+            Some(ray) => self.nearest(&ray, t_max).hit(),
+            None => self.intersect_odd(o, d, t_max),
         }
-        best.hit(scale)
     }
 
     /// Whether anything is hit with `0 < t < t_max`.
     #[inline]
     pub fn occluded(&self, o: [f32; 3], d: [f32; 3], t_max: f32) -> bool {
-        let Some((ray, scale)) = Ray::new(o, d) else {
-            return false;
-        };
-        let t_max = limit(t_max, scale);
+        match Ray::new(o, d) {
+            Some(ray) => self.blocked(&ray, t_max),
+            None => self.occluded_odd(o, d, t_max),
+        }
+    }
+
+    #[cold]
+    fn intersect_odd(&self, o: [f32; 3], d: [f32; 3], t_max: f32) -> Option<Hit> {
+        let (ray, scale) = Ray::rescaled(o, d)?;
+        let hit = self.nearest(&ray, t_max * scale).hit()?;
+        Some(Hit { t: hit.t / scale, ..hit })
+    }
+
+    #[cold]
+    fn occluded_odd(&self, o: [f32; 3], d: [f32; 3], t_max: f32) -> bool {
+        Ray::rescaled(o, d).is_some_and(|(ray, scale)| self.blocked(&ray, t_max * scale))
+    }
+
+    #[inline(always)]
+    fn nearest(&self, ray: &Ray, t_max: f32) -> Best {
+        let mut best = Best::new(capped(t_max));
         match &self.layout {
             Layout::Linear(packets, curved) => {
-                packets.occluded(&ray, t_max) || curved.iter().any(|(c, _)| c.occluded(&ray, t_max))
+                packets.intersect(ray, &mut best);
+                for (c, prim) in curved {
+                    if let Some((t, u, v)) = c.intersect(ray, best.t) {
+                        best.offer(t, u, v, *prim);
+                    }
+                }
             }
-            Layout::Tree(tree) => tree.occluded(&ray, t_max),
+            Layout::Tree(tree) => tree.intersect(ray, &mut best),
+        }
+        best
+    }
+
+    #[inline(always)]
+    fn blocked(&self, ray: &Ray, t_max: f32) -> bool {
+        let t_max = capped(t_max);
+        match &self.layout {
+            Layout::Linear(packets, curved) => {
+                packets.occluded(ray, t_max) || curved.iter().any(|(c, _)| c.occluded(ray, t_max))
+            }
+            Layout::Tree(tree) => tree.occluded(ray, t_max),
         }
     }
 
@@ -333,20 +360,18 @@ struct Ray {
 }
 
 impl Ray {
-    /// The ray and the factor that converts the caller's distances to its own.
+    /// `None` unless the direction is about as long as a unit vector and the origin in reach.
     #[inline(always)]
-    fn new(o: [f32; 3], d: [f32; 3]) -> Option<(Ray, f32)> {
+    fn new(o: [f32; 3], d: [f32; 3]) -> Option<Ray> {
         // Sums of magnitudes keep NaN and infinity, which max() would not.
         let size = d[0].abs() + d[1].abs() + d[2].abs();
         let reach = o[0].abs() + o[1].abs() + o[2].abs();
-        if size > 0.25 && size < 4.0 && reach <= 3.0 * MAX_COORDINATE {
-            Some((Ray { o, d, size }, 1.0))
-        } else {
-            Self::rescaled(o, d)
-        }
+        let sane = size > 0.25 && size < 4.0 && reach <= 3.0 * MAX_COORDINATE;
+        sane.then_some(Ray { o, d, size })
     }
 
-    /// Brings the direction to unit size by a power of two, which rounds nothing.
+    /// Brings the direction to unit size by a power of two, which rounds nothing; and the factor
+    /// that converts the caller's distances to the ray's. `None` if that is hopeless.
     #[cold]
     fn rescaled(o: [f32; 3], d: [f32; 3]) -> Option<(Ray, f32)> {
         let largest = d.iter().fold(0.0, |m: f32, x| m.max(x.abs()));
@@ -365,13 +390,12 @@ impl Ray {
     }
 }
 
-/// The caller's limit in the ray's units. Nothing can be farther than the cap, and with it the
-/// flat test stays finite. NaN stays NaN, which no distance is below.
+/// Nothing can be farther than the cap, and with it the flat test stays finite. NaN stays NaN,
+/// which no distance is below.
 #[inline(always)]
-fn limit(t_max: f32, scale: f32) -> f32 {
+fn capped(t_max: f32) -> f32 {
     const CAP: f32 = 1e15;
-    let t = t_max * scale;
-    if t > CAP { CAP } else { t }
+    if t_max > CAP { CAP } else { t_max }
 }
 
 /// Best hit so far.
@@ -411,12 +435,7 @@ impl Best {
     }
 
     #[inline(always)]
-    fn hit(self, scale: f32) -> Option<Hit> {
-        self.found.then_some(Hit {
-            t: self.t / scale,
-            u: self.u,
-            v: self.v,
-            prim: self.prim,
-        })
+    fn hit(self) -> Option<Hit> {
+        self.found.then_some(Hit { t: self.t, u: self.u, v: self.v, prim: self.prim })
     }
 }

@@ -20,6 +20,10 @@ pub(super) trait Lane:
     fn splat(x: f32) -> Self;
     /// `self * a + b`, fused exactly where `wide` fuses.
     fn fma(self, a: Self, b: Self) -> Self;
+    /// `self * a - b`, likewise.
+    fn fms(self, a: Self, b: Self) -> Self;
+    /// `b - self * a`, likewise.
+    fn fnma(self, a: Self, b: Self) -> Self;
     fn lower(self, o: Self) -> Self;
     fn upper(self, o: Self) -> Self;
 }
@@ -39,6 +43,14 @@ impl Lane for f32 {
         } else {
             self * a + b
         }
+    }
+    #[inline(always)]
+    fn fms(self, a: f32, b: f32) -> f32 {
+        if FUSED { self.mul_add(a, -b) } else { self * a - b }
+    }
+    #[inline(always)]
+    fn fnma(self, a: f32, b: f32) -> f32 {
+        if FUSED { (-self).mul_add(a, b) } else { b - self * a }
     }
     #[inline(always)]
     fn lower(self, o: f32) -> f32 {
@@ -62,6 +74,14 @@ impl Lane for f32x8 {
         } else {
             self * a + b
         }
+    }
+    #[inline(always)]
+    fn fms(self, a: f32x8, b: f32x8) -> f32x8 {
+        if FUSED { self.mul_sub(a, b) } else { self * a - b }
+    }
+    #[inline(always)]
+    fn fnma(self, a: f32x8, b: f32x8) -> f32x8 {
+        if FUSED { self.mul_neg_add(a, b) } else { b - self * a }
     }
     #[inline(always)]
     fn lower(self, o: f32x8) -> f32x8 {
@@ -191,17 +211,12 @@ impl<N: Lane> Flat<N> {
         ];
         let t = dot(self.n, to) / dot(self.n, ray.d);
         // The hit relative to v0: small numbers, whatever the distance of the scene from zero.
-        let p = [
-            ray.d[0].fma(t, N::splat(0.0) - to[0]),
-            ray.d[1].fma(t, N::splat(0.0) - to[1]),
-            ray.d[2].fma(t, N::splat(0.0) - to[2]),
-        ];
+        let p = [ray.d[0].fms(t, to[0]), ray.d[1].fms(t, to[1]), ray.d[2].fms(t, to[2])];
         let u = dot(self.du, p);
         let v = dot(self.dv, p);
         let travelled = t.fma(ray.size, self.reach);
-        let (su, sv) = (self.seam_u * travelled, self.seam_v * travelled);
-        let inner = (u + su).lower(v + sv);
-        let (u1, v1) = (u - su, v - sv);
+        let inner = self.seam_u.fma(travelled, u).lower(self.seam_v.fma(travelled, v));
+        let (u1, v1) = (self.seam_u.fnma(travelled, u), self.seam_v.fnma(travelled, v));
         let outer = self.cut.fma(v1, u1).upper(self.cut.fma(u1, v1));
         Candidate {
             t,
@@ -213,20 +228,12 @@ impl<N: Lane> Flat<N> {
     }
 }
 
-/// Moves coordinates that the seam let out back onto the primitive.
-#[inline(always)]
-fn onto(u: f32, v: f32, cut: f32) -> (f32, f32) {
-    let u = u.clamp(0.0, 1.0);
-    (u, v.clamp(0.0, 1.0 - cut * u))
-}
-
 impl Flat<f32> {
     #[inline(always)]
     pub(super) fn intersect(&self, ray: &RayLanes<f32>, prim: u32, best: &mut Best) {
         let c = self.candidate(ray);
         if c.t > 0.0 && c.t <= best.t && c.inner >= 0.0 && c.outer <= 1.0 {
-            let (u, v) = onto(c.u, c.v, self.cut);
-            best.offer(c.t, u, v, prim);
+            best.offer(c.t, c.u, c.v, prim);
         }
     }
 
@@ -241,8 +248,8 @@ impl Flat<f32> {
 #[derive(Clone, Debug)]
 pub(super) struct Packets {
     packets: Vec<Flat<f32x8>>,
-    /// Primitive of every slot, ascending.
-    prims: Vec<[u32; LANES]>,
+    /// Primitive of every slot, ascending; the bits of integers, so that lanes can be selected.
+    prims: Vec<f32x8>,
 }
 
 impl Packets {
@@ -267,9 +274,9 @@ impl Packets {
                 seam_v: lanes(&|g| g.seam_v),
                 reach: lanes(&|g| g.reach),
             });
-            prims.push(std::array::from_fn(|i| {
-                group.get(i).map_or(u32::MAX, |g| g.1)
-            }));
+            prims.push(f32x8::from(std::array::from_fn::<f32, LANES, _>(|i| {
+                f32::from_bits(group.get(i).map_or(u32::MAX, |g| g.1))
+            })));
         }
         Packets { packets, prims }
     }
@@ -278,67 +285,70 @@ impl Packets {
     #[inline(always)]
     pub(super) fn intersect(&self, ray: &Ray, best: &mut Best) {
         let lanes = RayLanes::<f32x8>::new(ray);
-        let (zero, one) = (f32x8::splat(0.0), f32x8::splat(1.0));
+        let zero = f32x8::splat(0.0);
         let start = f32x8::splat(best.t);
-        let (mut t, mut u, mut v) = (start, zero, zero);
-        let mut at = zero;
-        let mut index = zero;
-        for packet in &self.packets {
+        let (mut t, mut u, mut v, mut prim) = (start, zero, zero, zero);
+        for (packet, &prims) in self.packets.iter().zip(&self.prims) {
             let c = packet.candidate(&lanes);
             // Strict, and packets ascend: every lane keeps its lowest primitive among equals.
-            let hit =
-                c.t.simd_gt(zero) & c.t.simd_lt(t) & c.inner.simd_ge(zero) & c.outer.simd_le(one);
+            let hit = c.within(t);
             t = hit.select(c.t, t);
             u = hit.select(c.u, u);
             v = hit.select(c.v, v);
-            at = hit.select(index, at);
-            index += one;
+            prim = hit.select(prims, prim);
         }
-        if !t.simd_lt(start).any() {
-            return;
-        }
-        let ts = t.to_array();
-        let nearest = ts.iter().fold(best.t, |m, &x| m.lower(x));
-        let mut winners = t.simd_eq(f32x8::splat(nearest)).to_bitmask();
-        let (us, vs, ats) = (u.to_array(), v.to_array(), at.to_array());
-        let mut prim = u32::MAX;
-        let mut lane = 0;
-        while winners != 0 {
-            let i = winners.trailing_zeros() as usize % LANES;
-            let candidate = self.prims[ats[i] as usize][i];
-            if candidate < prim {
-                (prim, lane) = (candidate, i);
-            }
+        let nearest = least(t);
+        if nearest < best.t {
+            let mut winners = t.simd_eq(f32x8::splat(nearest)).to_bitmask();
+            let prims = prim.to_array().map(f32::to_bits);
+            let mut lane = winners.trailing_zeros() as usize % LANES;
             winners &= winners - 1;
+            while winners != 0 {
+                let other = winners.trailing_zeros() as usize % LANES;
+                if prims[other] < prims[lane] {
+                    lane = other;
+                }
+                winners &= winners - 1;
+            }
+            *best = Best {
+                t: nearest,
+                u: u.to_array()[lane],
+                v: v.to_array()[lane],
+                prim: prims[lane],
+                found: true,
+            };
         }
-        let cut = self.packets[ats[lane] as usize].cut.to_array()[lane];
-        let (u, v) = onto(us[lane], vs[lane], cut);
-        *best = Best {
-            t: nearest,
-            u,
-            v,
-            prim,
-            found: true,
-        };
     }
 
     #[inline(always)]
     pub(super) fn occluded(&self, ray: &Ray, t_max: f32) -> bool {
         let lanes = RayLanes::<f32x8>::new(ray);
-        let (zero, one) = (f32x8::splat(0.0), f32x8::splat(1.0));
         let t_max = f32x8::splat(t_max);
-        self.packets.iter().any(|packet| {
-            let c = packet.candidate(&lanes);
-            let hit = c.t.simd_gt(zero)
-                & c.t.simd_lt(t_max)
-                & c.inner.simd_ge(zero)
-                & c.outer.simd_le(one);
-            hit.any()
-        })
+        self.packets.iter().any(|packet| packet.candidate(&lanes).within(t_max).any())
     }
 
     pub(super) fn memory_bytes(&self) -> usize {
         self.packets.capacity() * size_of::<Flat<f32x8>>()
-            + self.prims.capacity() * size_of::<[u32; LANES]>()
+            + self.prims.capacity() * size_of::<f32x8>()
     }
+}
+
+impl Candidate<f32x8> {
+    /// Lanes that are hit before `t_max`.
+    #[inline(always)]
+    fn within(&self, t_max: f32x8) -> f32x8 {
+        let (zero, one) = (f32x8::splat(0.0), f32x8::splat(1.0));
+        self.t.simd_gt(zero)
+            & self.t.simd_lt(t_max)
+            & self.inner.simd_ge(zero)
+            & self.outer.simd_le(one)
+    }
+}
+
+/// Smallest lane, pairwise so that the comparisons do not wait for each other.
+#[inline(always)]
+fn least(x: f32x8) -> f32 {
+    let a = x.to_array();
+    let b: [f32; 4] = std::array::from_fn(|i| a[i].lower(a[i + 4]));
+    b[0].lower(b[2]).lower(b[1].lower(b[3]))
 }
