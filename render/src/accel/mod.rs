@@ -179,31 +179,65 @@ impl Accel {
     /// Nearest hit of the ray `o + t d` with `0 < t < t_max`; the lowest primitive among equals.
     ///
     /// `d` need not be normalised. The caller offsets origins that lie on a surface.
-    #[inline]
+    #[inline(always)]
     pub fn intersect(&self, o: [f32; 3], d: [f32; 3], t_max: f32) -> Option<Hit> {
-        match Ray::new(o, d) {
-            Some(ray) => self.nearest(&ray, t_max).hit(),
-            None => self.intersect_odd(o, d, t_max),
-        }
+        // Scalars travel in vector registers; arrays would go through memory and stall.
+        self.intersect_scalars(o[0], o[1], o[2], d[0], d[1], d[2], t_max)
     }
 
     /// Whether anything is hit with `0 < t < t_max`.
-    #[inline]
+    #[inline(always)]
     pub fn occluded(&self, o: [f32; 3], d: [f32; 3], t_max: f32) -> bool {
-        match Ray::new(o, d) {
+        self.occluded_scalars(o[0], o[1], o[2], d[0], d[1], d[2], t_max)
+    }
+
+    #[inline(never)]
+    fn intersect_scalars(
+        &self,
+        ox: f32,
+        oy: f32,
+        oz: f32,
+        dx: f32,
+        dy: f32,
+        dz: f32,
+        t_max: f32,
+    ) -> Option<Hit> {
+        match Ray::new([ox, oy, oz], [dx, dy, dz]) {
+            Some(ray) => self.nearest(&ray, t_max).hit(),
+            None => self.intersect_odd([ox, oy, oz], [dx, dy, dz], t_max),
+        }
+    }
+
+    #[inline(never)]
+    fn occluded_scalars(
+        &self,
+        ox: f32,
+        oy: f32,
+        oz: f32,
+        dx: f32,
+        dy: f32,
+        dz: f32,
+        t_max: f32,
+    ) -> bool {
+        match Ray::new([ox, oy, oz], [dx, dy, dz]) {
             Some(ray) => self.blocked(&ray, t_max),
-            None => self.occluded_odd(o, d, t_max),
+            None => self.occluded_odd([ox, oy, oz], [dx, dy, dz], t_max),
         }
     }
 
     #[cold]
+    #[inline(never)]
     fn intersect_odd(&self, o: [f32; 3], d: [f32; 3], t_max: f32) -> Option<Hit> {
         let (ray, scale) = Ray::rescaled(o, d)?;
         let hit = self.nearest(&ray, t_max * scale).hit()?;
-        Some(Hit { t: hit.t / scale, ..hit })
+        Some(Hit {
+            t: hit.t / scale,
+            ..hit
+        })
     }
 
     #[cold]
+    #[inline(never)]
     fn occluded_odd(&self, o: [f32; 3], d: [f32; 3], t_max: f32) -> bool {
         Ray::rescaled(o, d).is_some_and(|(ray, scale)| self.blocked(&ray, t_max * scale))
     }
@@ -436,6 +470,11 @@ impl Best {
 
     #[inline(always)]
     fn hit(self) -> Option<Hit> {
-        self.found.then_some(Hit { t: self.t, u: self.u, v: self.v, prim: self.prim })
+        self.found.then_some(Hit {
+            t: self.t,
+            u: self.u,
+            v: self.v,
+            prim: self.prim,
+        })
     }
 }

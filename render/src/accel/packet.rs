@@ -46,11 +46,19 @@ impl Lane for f32 {
     }
     #[inline(always)]
     fn fms(self, a: f32, b: f32) -> f32 {
-        if FUSED { self.mul_add(a, -b) } else { self * a - b }
+        if FUSED {
+            self.mul_add(a, -b)
+        } else {
+            self * a - b
+        }
     }
     #[inline(always)]
     fn fnma(self, a: f32, b: f32) -> f32 {
-        if FUSED { (-self).mul_add(a, b) } else { b - self * a }
+        if FUSED {
+            (-self).mul_add(a, b)
+        } else {
+            b - self * a
+        }
     }
     #[inline(always)]
     fn lower(self, o: f32) -> f32 {
@@ -77,11 +85,19 @@ impl Lane for f32x8 {
     }
     #[inline(always)]
     fn fms(self, a: f32x8, b: f32x8) -> f32x8 {
-        if FUSED { self.mul_sub(a, b) } else { self * a - b }
+        if FUSED {
+            self.mul_sub(a, b)
+        } else {
+            self * a - b
+        }
     }
     #[inline(always)]
     fn fnma(self, a: f32x8, b: f32x8) -> f32x8 {
-        if FUSED { self.mul_neg_add(a, b) } else { b - self * a }
+        if FUSED {
+            self.mul_neg_add(a, b)
+        } else {
+            b - self * a
+        }
     }
     #[inline(always)]
     fn lower(self, o: f32x8) -> f32x8 {
@@ -211,12 +227,22 @@ impl<N: Lane> Flat<N> {
         ];
         let t = dot(self.n, to) / dot(self.n, ray.d);
         // The hit relative to v0: small numbers, whatever the distance of the scene from zero.
-        let p = [ray.d[0].fms(t, to[0]), ray.d[1].fms(t, to[1]), ray.d[2].fms(t, to[2])];
+        let p = [
+            ray.d[0].fms(t, to[0]),
+            ray.d[1].fms(t, to[1]),
+            ray.d[2].fms(t, to[2]),
+        ];
         let u = dot(self.du, p);
         let v = dot(self.dv, p);
         let travelled = t.fma(ray.size, self.reach);
-        let inner = self.seam_u.fma(travelled, u).lower(self.seam_v.fma(travelled, v));
-        let (u1, v1) = (self.seam_u.fnma(travelled, u), self.seam_v.fnma(travelled, v));
+        let inner = self
+            .seam_u
+            .fma(travelled, u)
+            .lower(self.seam_v.fma(travelled, v));
+        let (u1, v1) = (
+            self.seam_u.fnma(travelled, u),
+            self.seam_v.fnma(travelled, v),
+        );
         let outer = self.cut.fma(v1, u1).upper(self.cut.fma(u1, v1));
         Candidate {
             t,
@@ -324,7 +350,9 @@ impl Packets {
     pub(super) fn occluded(&self, ray: &Ray, t_max: f32) -> bool {
         let lanes = RayLanes::<f32x8>::new(ray);
         let t_max = f32x8::splat(t_max);
-        self.packets.iter().any(|packet| packet.candidate(&lanes).within(t_max).any())
+        self.packets
+            .iter()
+            .any(|packet| packet.candidate(&lanes).within(t_max).any())
     }
 
     pub(super) fn memory_bytes(&self) -> usize {
