@@ -1,5 +1,8 @@
 //! Shared by the integration tests.
 
+// Each test binary compiles its own copy and uses a part of it.
+#![allow(dead_code)]
+
 use std::path::{Path, PathBuf};
 
 /// Where large scenes and references lie that are not part of the repository: `$RENDER_SHARED`, or
