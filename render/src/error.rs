@@ -216,3 +216,79 @@ impl fmt::Display for List<'_> {
         f.write_str(&self.0.join(", "))
     }
 }
+
+/// What went wrong while rendering or differentiating.
+#[non_exhaustive]
+#[derive(Debug, thiserror::Error)]
+pub enum RenderError {
+    /// No parameter has this name.
+    #[error(
+        "no parameter `{name}`; closest: {}; `--list` prints all",
+        List(closest)
+    )]
+    UnknownParameter {
+        /// The name that was asked for.
+        name: String,
+        /// Names that resemble it.
+        closest: Vec<String>,
+    },
+
+    /// A slice of the wrong length.
+    #[error("{what}: expected {expected} values, found {found}")]
+    WrongLength {
+        /// What the slice holds.
+        what: &'static str,
+        /// Length that was needed.
+        expected: usize,
+        /// Length that was given.
+        found: usize,
+    },
+
+    /// A parameter outside its valid range.
+    #[error("parameter `{name}`[{index}]: expected a value in [{}, {}], found {found}", valid.0, valid.1)]
+    ParameterOutOfRange {
+        /// Its name.
+        name: String,
+        /// Element within the range.
+        index: usize,
+        /// Smallest and largest valid value.
+        valid: (f64, f64),
+        /// The value given.
+        found: f64,
+    },
+
+    /// The sampled direction is a Dirac delta in the parameter.
+    #[error(
+        "parameter `{name}` moves a Dirac delta: detached sampling has no derivative there (it would \
+         silently be zero); use an attached estimator"
+    )]
+    DeltaParameter {
+        /// Its name.
+        name: String,
+    },
+}
+
+impl RenderError {
+    /// [`RenderError::UnknownParameter`] with up to three similar names.
+    pub(crate) fn unknown_parameter<'a>(
+        name: &str,
+        known: impl Iterator<Item = &'a String>,
+    ) -> Self {
+        let shared = |a: &str| {
+            let pairs = |s: &str| {
+                s.as_bytes()
+                    .windows(2)
+                    .map(<[u8]>::to_vec)
+                    .collect::<Vec<_>>()
+            };
+            let b = pairs(name);
+            pairs(a).iter().filter(|p| b.contains(p)).count()
+        };
+        let mut ranked: Vec<(usize, &String)> = known.map(|k| (shared(k), k)).collect();
+        ranked.sort_by(|a, b| b.0.cmp(&a.0).then(a.1.cmp(b.1)));
+        Self::UnknownParameter {
+            name: name.into(),
+            closest: ranked.into_iter().take(3).map(|(_, k)| k.clone()).collect(),
+        }
+    }
+}

@@ -1,6 +1,25 @@
-//! Differentiable light transport.
+//! Light transport over a scalar: render, differentiate, compare estimators.
+//!
+//! The renderer is written once over [`ad_core::Real`]. With `f32` it renders; with `f64` it is its
+//! own reference; with [`ad_core::Dual`] it renders derivative images (forward mode); and over recorded
+//! paths it pulls an adjoint image back to all parameters at once (reverse mode). Where derivatives may
+//! flow is a type: see [`estimator`].
 
 pub mod accel;
+pub mod bsdf;
+pub mod camera;
+pub mod emitter;
 pub mod error;
+pub mod estimator;
+pub mod film;
+pub mod integrator;
 pub mod math;
+pub mod params;
+pub mod sampler;
 pub mod scene;
+pub mod shape;
+pub mod texture;
+
+pub use error::{RenderError, SceneError};
+pub use film::{Film, Image};
+pub use scene::{Scene, Settings};

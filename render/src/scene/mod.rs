@@ -1,3 +1,206 @@
-//! Scenes.
+//! Scenes: everything a light path can meet, and the parameters of it all.
 
+mod builder;
+mod load;
 pub mod xml;
+
+pub use builder::Builder;
+pub use load::LoadOptions;
+pub use xml::Node;
+
+use std::sync::Arc;
+
+use ad_core::{Float, Real};
+
+use crate::accel::Accel;
+use crate::bsdf::{Bsdf, Material};
+use crate::camera::Camera;
+use crate::emitter::{AnyEmitter, Emitter, Lights};
+use crate::error::RenderError;
+use crate::film::Film;
+use crate::math::Ray;
+use crate::params::{ParamRef, Params};
+use crate::shape::{AnyShape, Shape, SurfaceInteraction};
+
+/// How a scene file wants to be rendered.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Settings {
+    /// Largest number of path edges: 1 is emission only, 2 direct light.
+    pub max_depth: u32,
+    /// Number of edges from which Russian roulette is played.
+    pub rr_depth: u32,
+    /// Samples per pixel.
+    pub spp: u32,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self {
+            max_depth: 8,
+            rr_depth: 5,
+            spp: 16,
+        }
+    }
+}
+
+/// What belongs to a shape.
+#[derive(Clone, Debug)]
+pub struct ShapeInfo {
+    /// Its id in the scene file, or a made-up one.
+    pub name: String,
+    /// Index of its material.
+    pub material: u32,
+    /// Index of its emitter, if it emits.
+    pub emitter: Option<u32>,
+    /// How far rays start off its surface.
+    pub offset: f32,
+}
+
+/// A scene. Geometry and topology are fixed; parameters can be changed with [`Scene::set_params`].
+#[derive(Debug)]
+pub struct Scene {
+    params: Params,
+    materials: Vec<Arc<Material>>,
+    shapes: Vec<AnyShape>,
+    infos: Vec<ShapeInfo>,
+    emitters: Vec<AnyEmitter>,
+    infinite: Vec<u32>,
+    /// Shape and local index of every primitive of `accel`.
+    prims: Vec<(u32, u32)>,
+    accel: Accel,
+    /// The camera.
+    pub camera: Camera,
+    /// Resolution, crop and filter.
+    pub film: Film,
+    /// Depths and sample count.
+    pub settings: Settings,
+}
+
+/// A ray's nearest hit.
+#[derive(Clone, Copy, Debug)]
+pub struct Intersection<R> {
+    /// Index of the shape.
+    pub shape: u32,
+    /// Where on it.
+    pub si: SurfaceInteraction<R>,
+}
+
+impl Scene {
+    /// The parameter vector.
+    pub fn params(&self) -> &Params {
+        &self.params
+    }
+
+    /// Replaces the values of all parameters and rebuilds what depends on them.
+    ///
+    /// # Errors
+    /// Wrong length, or a value outside its valid range (named). The scene is unchanged then.
+    pub fn set_params(&mut self, values: &[f32]) -> Result<(), RenderError> {
+        if values.len() != self.params.values().len() {
+            return Err(RenderError::WrongLength {
+                what: "parameter vector",
+                expected: self.params.values().len(),
+                found: values.len(),
+            });
+        }
+        for info in self.params.infos() {
+            for i in info.range() {
+                let (lo, hi) = info.valid;
+                let v = f64::from(values[i]);
+                if !(v.is_finite() && v >= f64::from(lo as f32) && v <= f64::from(hi as f32)) {
+                    return Err(RenderError::ParameterOutOfRange {
+                        name: info.name.clone(),
+                        index: i - info.offset,
+                        valid: info.valid,
+                        found: v,
+                    });
+                }
+            }
+        }
+        self.params.values_mut().copy_from_slice(values);
+        for e in &mut self.emitters {
+            e.update(&self.params);
+        }
+        Ok(())
+    }
+
+    /// Materials, by index.
+    pub fn materials(&self) -> &[Arc<Material>] {
+        &self.materials
+    }
+
+    /// Emitters, by index.
+    pub fn emitters(&self) -> &[AnyEmitter] {
+        &self.emitters
+    }
+
+    /// Emitters that surround the scene, by index.
+    pub fn infinite_emitters(&self) -> &[u32] {
+        &self.infinite
+    }
+
+    /// Shapes, by index.
+    pub fn shapes(&self) -> &[AnyShape] {
+        &self.shapes
+    }
+
+    /// What belongs to a shape.
+    #[inline]
+    pub fn shape_info(&self, shape: u32) -> &ShapeInfo {
+        &self.infos[shape as usize]
+    }
+
+    /// The material of a shape.
+    #[inline]
+    pub fn material(&self, shape: u32) -> &Material {
+        &self.materials[self.infos[shape as usize].material as usize]
+    }
+
+    /// What emitters need to know.
+    #[inline]
+    pub fn lights(&self) -> Lights<'_> {
+        Lights {
+            shapes: &self.shapes,
+        }
+    }
+
+    /// The nearest hit along a ray. The search is primal; the interaction follows the ray's tangents.
+    #[inline]
+    pub fn intersect<R: Real>(&self, ray: &Ray<R>) -> Option<Intersection<R>> {
+        let (o, d) = single(&ray.primal());
+        let hit = self.accel.intersect(o, d, f32::INFINITY)?;
+        let (shape, prim) = self.prims[hit.prim as usize];
+        let si = self.shapes[shape as usize].interaction(prim, ray, &hit);
+        Some(Intersection { shape, si })
+    }
+
+    /// Whether anything lies along a ray before the distance `t_max`.
+    #[inline]
+    pub fn occluded<P: Float>(&self, ray: &Ray<P>, t_max: P) -> bool {
+        let (o, d) = single(ray);
+        self.accel.occluded(o, d, t_max.to_f32())
+    }
+
+    /// For every material, whether it reads a range that satisfies `f`.
+    pub fn materials_with(&self, f: impl Fn(ParamRef) -> bool) -> Vec<bool> {
+        let reads = |m: &Arc<Material>| {
+            let mut any = false;
+            m.visit_params(&mut |p| any |= f(p));
+            any
+        };
+        self.materials.iter().map(reads).collect()
+    }
+
+    /// Bytes held by geometry, acceleration structure and parameters.
+    pub fn memory_bytes(&self) -> usize {
+        self.accel.memory_bytes() + size_of_val(&self.prims[..]) + size_of_val(self.params.values())
+    }
+}
+
+#[inline]
+fn single<P: Float>(ray: &Ray<P>) -> ([f32; 3], [f32; 3]) {
+    (
+        ray.o.map(P::to_f32).to_array(),
+        ray.d.map(P::to_f32).to_array(),
+    )
+}

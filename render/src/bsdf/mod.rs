@@ -1,0 +1,546 @@
+//! Materials: how a surface scatters.
+//!
+//! Directions are in the local shading frame (z = shading normal), unit length, and point away from
+//! the surface: `wo` towards the viewer, `wi` the sampled one. [`Lobe::eval`] is `f_s |cos theta_i|`,
+//! densities are per solid angle.
+//!
+//! Two layers. A [`Lobe`] is a scattering law with its parameters *evaluated at a point*: plain numbers
+//! over a scalar, written once per material. A material holds [`crate::params::ParamRef`] handles; as
+//! a [`Leaf`] it says how to read its lobe, and everything else - sampling, forward derivatives, the
+//! adjoint of every parameter - follows from that one function. Materials made of other
+//! materials ([`TwoSided`], [`Blend`], ..) implement [`Bsdf`] themselves.
+//!
+//! To add a material: one file here, one line in `materials!` below.
+
+mod diffuse;
+
+pub use diffuse::{Diffuse, DiffuseLobe};
+
+use ad_core::{Dual, Float, Real, Vec2, Vec3};
+
+use crate::error::SceneError;
+use crate::math::Rgb;
+use crate::params::{GradSink, ParamRef, Theta};
+use crate::scene::{Builder, Node};
+use crate::texture::{RgbTexture, ScalarTexture};
+
+/// Which quantity is transported. BSDFs are not symmetric: [Veach 1996], errata section 6.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum TransportMode {
+    /// Radiance, along paths from the camera: scaled by `(eta_i / eta_t)^2` at refraction.
+    Radiance,
+    /// Importance (particles), along paths from the light: no such factor.
+    Importance,
+}
+
+/// What a sampled direction belongs to. A density and a probability cannot be confused.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Component {
+    /// A density per solid angle.
+    Continuous,
+    /// A Dirac delta; `route` says which child of nested blends it came from, one bit per level.
+    Delta {
+        /// Which delta.
+        kind: DeltaKind,
+        /// Choices made on the way down.
+        route: u8,
+    },
+}
+
+/// The deltas a material can have.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum DeltaKind {
+    /// Mirror reflection.
+    Reflection,
+    /// Refraction.
+    Transmission,
+    /// Straight through, as if nothing were there (opacity masks).
+    Passthrough,
+}
+
+/// A sampled direction.
+#[derive(Clone, Copy, Debug)]
+pub struct BsdfSample<R: Real> {
+    /// Sampled direction, local frame.
+    pub wi: Vec3<R>,
+    /// Density per solid angle, or probability if `component` is a delta. Equal to what `pdf`
+    /// returns for `wi`, bit by bit.
+    pub pdf: R,
+    /// What the sample belongs to.
+    pub component: Component,
+    /// Index of refraction on the side of `wi` over that on the side of `wo` (1 for reflection).
+    pub eta: R::Primal,
+}
+
+/// A scattering law with evaluated parameters.
+///
+/// # Derivatives
+/// `eval`, `pdf` and `eval_delta` are differentiable in the parameters and both directions; `sample`
+/// in the parameters and `wo` at fixed random numbers (attached sampling). Discrete choices are
+/// primal. Nothing here detaches anything.
+pub trait Lobe<R: Real>: Copy {
+    /// `f_s(wo, wi) |cos theta_i|` without deltas, in sr^-1; zero where the lobe does not scatter.
+    fn eval(&self, wo: Vec3<R>, wi: Vec3<R>, mode: TransportMode) -> Rgb<R>;
+
+    /// Density of sampling `wi` given `wo` with [`Lobe::sample`], per solid angle; deltas excluded.
+    fn pdf(&self, wo: Vec3<R>, wi: Vec3<R>, mode: TransportMode) -> R;
+
+    /// Both at once, where they share work.
+    #[inline]
+    fn eval_pdf(&self, wo: Vec3<R>, wi: Vec3<R>, mode: TransportMode) -> (Rgb<R>, R) {
+        (self.eval(wo, wi, mode), self.pdf(wo, wi, mode))
+    }
+
+    /// Samples a direction. `u[0]` chooses between parts, `u[1..]` within one. `None` means that no
+    /// light is scattered along this choice (below the horizon); it is not an error.
+    fn sample(&self, wo: Vec3<R>, u: [R::Primal; 3], mode: TransportMode) -> Option<BsdfSample<R>>;
+
+    /// Weight of a delta, integrated over it: reflectance or transmittance (times the radiance
+    /// scale in [`TransportMode::Radiance`]), *not* divided by the probability of choosing it.
+    #[inline]
+    fn eval_delta(&self, _wo: Vec3<R>, _kind: DeltaKind, _mode: TransportMode) -> Rgb<R> {
+        Rgb::black()
+    }
+}
+
+/// How a material's parameters are read: at a point, as seeds of local derivatives, or just listed.
+pub trait Reader<R: Real> {
+    /// The colour of `t`.
+    fn rgb(&mut self, t: &RgbTexture) -> Rgb<R>;
+    /// The value of `t`.
+    fn scalar(&mut self, t: &ScalarTexture) -> R;
+}
+
+/// A point on a surface as materials see it.
+#[derive(Clone, Copy, Debug)]
+pub struct Shading<'a, R: Real> {
+    /// All parameters.
+    pub theta: Theta<'a, R>,
+    /// Surface coordinates.
+    pub uv: Vec2<R>,
+}
+
+impl<'a, R: Real> Shading<'a, R> {
+    /// The same point without tangents.
+    #[inline]
+    pub fn primal(&self) -> Shading<'a, R::Primal> {
+        Shading {
+            theta: self.theta.primal(),
+            uv: self.uv.primal(),
+        }
+    }
+}
+
+impl<R: Real> Reader<R> for Shading<'_, R> {
+    #[inline]
+    fn rgb(&mut self, t: &RgbTexture) -> Rgb<R> {
+        t.rgb(&self.theta, self.uv)
+    }
+    #[inline]
+    fn scalar(&mut self, t: &ScalarTexture) -> R {
+        t.scalar(&self.theta, self.uv)
+    }
+}
+
+/// A material without children.
+pub trait Leaf: Send + Sync {
+    /// Its scattering law.
+    type Lobe<R: Real>: Lobe<R>;
+    /// Reads the parameters.
+    fn lobe<R: Real>(&self, read: &mut impl Reader<R>) -> Self::Lobe<R>;
+    /// Whether it scatters along deltas only, so that connecting it to a light is pointless.
+    const DELTA: bool = false;
+}
+
+/// One use of a material at a path vertex whose value had the adjoint `d`.
+#[derive(Clone, Copy, Debug)]
+pub struct Use<P: Float> {
+    /// Sampled or connected direction, local frame.
+    pub wi: Vec3<P>,
+    /// What was evaluated: [`Bsdf::eval`] or [`Bsdf::eval_delta`].
+    pub component: Component,
+    /// Adjoint of that value.
+    pub d: Rgb<P>,
+}
+
+/// A material: scattering laws with parameters that vary over the surface.
+pub trait Bsdf: Send + Sync {
+    /// [`Lobe::eval`] and [`Lobe::pdf`] at a point.
+    fn eval_pdf<R: Real>(
+        &self,
+        at: &Shading<R>,
+        wo: Vec3<R>,
+        wi: Vec3<R>,
+        mode: TransportMode,
+    ) -> (Rgb<R>, R);
+
+    /// [`Lobe::eval`] at a point.
+    fn eval<R: Real>(
+        &self,
+        at: &Shading<R>,
+        wo: Vec3<R>,
+        wi: Vec3<R>,
+        mode: TransportMode,
+    ) -> Rgb<R>;
+
+    /// [`Lobe::sample`] at a point.
+    fn sample<R: Real>(
+        &self,
+        at: &Shading<R>,
+        wo: Vec3<R>,
+        u: [R::Primal; 3],
+        mode: TransportMode,
+    ) -> Option<BsdfSample<R>>;
+
+    /// [`Lobe::eval_delta`] at a point.
+    fn eval_delta<R: Real>(
+        &self,
+        at: &Shading<R>,
+        wo: Vec3<R>,
+        kind: DeltaKind,
+        route: u8,
+        mode: TransportMode,
+    ) -> Rgb<R>;
+
+    /// Adds the adjoints of all active parameters, given those of the values used at this vertex.
+    ///
+    /// # Derivatives
+    /// Detached: directions and densities are constants.
+    fn backward<P: Float>(
+        &self,
+        at: &Shading<P>,
+        wo: Vec3<P>,
+        uses: &[Use<P>],
+        mode: TransportMode,
+        grad: &mut impl GradSink<P>,
+    );
+
+    /// Calls `f` with every parameter range the material reads.
+    fn visit_params(&self, f: &mut dyn FnMut(ParamRef));
+
+    /// Whether it scatters along deltas only.
+    fn is_delta(&self) -> bool;
+
+    /// The value of a sampled direction, whatever it belongs to.
+    #[inline]
+    fn eval_component<R: Real>(
+        &self,
+        at: &Shading<R>,
+        wo: Vec3<R>,
+        wi: Vec3<R>,
+        component: Component,
+        mode: TransportMode,
+    ) -> Rgb<R> {
+        match component {
+            Component::Continuous => self.eval(at, wo, wi, mode),
+            Component::Delta { kind, route } => self.eval_delta(at, wo, kind, route, mode),
+        }
+    }
+}
+
+impl<L: Leaf> Bsdf for L {
+    #[inline]
+    fn eval_pdf<R: Real>(
+        &self,
+        at: &Shading<R>,
+        wo: Vec3<R>,
+        wi: Vec3<R>,
+        mode: TransportMode,
+    ) -> (Rgb<R>, R) {
+        self.lobe(&mut { *at }).eval_pdf(wo, wi, mode)
+    }
+
+    #[inline]
+    fn eval<R: Real>(
+        &self,
+        at: &Shading<R>,
+        wo: Vec3<R>,
+        wi: Vec3<R>,
+        mode: TransportMode,
+    ) -> Rgb<R> {
+        self.lobe(&mut { *at }).eval(wo, wi, mode)
+    }
+
+    #[inline]
+    fn sample<R: Real>(
+        &self,
+        at: &Shading<R>,
+        wo: Vec3<R>,
+        u: [R::Primal; 3],
+        mode: TransportMode,
+    ) -> Option<BsdfSample<R>> {
+        self.lobe(&mut { *at }).sample(wo, u, mode)
+    }
+
+    #[inline]
+    fn eval_delta<R: Real>(
+        &self,
+        at: &Shading<R>,
+        wo: Vec3<R>,
+        kind: DeltaKind,
+        _route: u8,
+        mode: TransportMode,
+    ) -> Rgb<R> {
+        self.lobe(&mut { *at }).eval_delta(wo, kind, mode)
+    }
+
+    fn backward<P: Float>(
+        &self,
+        at: &Shading<P>,
+        wo: Vec3<P>,
+        uses: &[Use<P>],
+        mode: TransportMode,
+        grad: &mut impl GradSink<P>,
+    ) {
+        let mut count = CountActive {
+            at: *at,
+            grad: &*grad,
+            n: 0,
+        };
+        self.lobe::<P>(&mut count);
+        match count.n {
+            0 => {}
+            1 => leaf_backward::<L, P, 1>(self, at, wo, uses, mode, grad),
+            _ => leaf_backward::<L, P, MAX_SLOTS>(self, at, wo, uses, mode, grad),
+        }
+    }
+
+    fn visit_params(&self, f: &mut dyn FnMut(ParamRef)) {
+        self.lobe::<f32>(&mut List(f));
+    }
+
+    #[inline]
+    fn is_delta(&self) -> bool {
+        L::DELTA
+    }
+}
+
+/// Most differentiable textures a leaf may have.
+const MAX_SLOTS: usize = 4;
+
+/// The local vector-Jacobian product: the lobe is evaluated over duals whose `K` tangents are
+/// the active textures' values at this point, and contracted with the adjoints at once. Channels
+/// do not mix, so one tangent per RGB texture is enough (see [`crate::params`]).
+fn leaf_backward<L: Leaf, P: Float, const K: usize>(
+    leaf: &L,
+    at: &Shading<P>,
+    wo: Vec3<P>,
+    uses: &[Use<P>],
+    mode: TransportMode,
+    grad: &mut impl GradSink<P>,
+) {
+    let mut seeds = Seeds::<P, _, K> {
+        at: *at,
+        grad: &*grad,
+        n: 0,
+    };
+    let lobe = leaf.lobe::<Dual<P, K>>(&mut seeds);
+    let wo = Vec3::lift(wo);
+    let mut d_slot = [Rgb::<P>::black(); K];
+    for u in uses {
+        let value = match u.component {
+            Component::Continuous => lobe.eval(wo, Vec3::lift(u.wi), mode),
+            Component::Delta { kind, .. } => lobe.eval_delta(wo, kind, mode),
+        };
+        for (k, d) in d_slot.iter_mut().enumerate() {
+            *d += Rgb::new(value.r.eps[k], value.g.eps[k], value.b.eps[k]) * u.d;
+        }
+    }
+    leaf.lobe::<P>(&mut Scatter {
+        at: *at,
+        grad,
+        d_slot: &d_slot,
+        n: 0,
+    });
+}
+
+/// Reads values and counts the active textures.
+struct CountActive<'a, P: Float, G> {
+    at: Shading<'a, P>,
+    grad: &'a G,
+    n: usize,
+}
+
+impl<P: Float, G: GradSink<P>> Reader<P> for CountActive<'_, P, G> {
+    #[inline]
+    fn rgb(&mut self, t: &RgbTexture) -> Rgb<P> {
+        self.n += usize::from(t.any_param(|p| self.grad.active(p)));
+        t.rgb(&self.at.theta, self.at.uv)
+    }
+    #[inline]
+    fn scalar(&mut self, t: &ScalarTexture) -> P {
+        self.n += usize::from(t.any_param(|p| self.grad.active(p)));
+        t.scalar(&self.at.theta, self.at.uv)
+    }
+}
+
+/// Reads values and gives each active texture the next tangent slot.
+struct Seeds<'a, P: Float, G, const K: usize> {
+    at: Shading<'a, P>,
+    grad: &'a G,
+    n: usize,
+}
+
+impl<P: Float, G: GradSink<P>, const K: usize> Seeds<'_, P, G, K> {
+    #[inline]
+    fn slot(&mut self, active: bool) -> Option<usize> {
+        let slot = self.n;
+        self.n += usize::from(active);
+        active.then_some(slot)
+    }
+}
+
+#[inline]
+fn seed<P: Float, const K: usize>(x: P, slot: Option<usize>) -> Dual<P, K> {
+    match slot {
+        Some(k) => Dual::var(x, k),
+        None => Dual::lift(x),
+    }
+}
+
+impl<P: Float, G: GradSink<P>, const K: usize> Reader<Dual<P, K>> for Seeds<'_, P, G, K> {
+    #[inline]
+    fn rgb(&mut self, t: &RgbTexture) -> Rgb<Dual<P, K>> {
+        let slot = self.slot(t.any_param(|p| self.grad.active(p)));
+        t.rgb(&self.at.theta, self.at.uv).map(|x| seed(x, slot))
+    }
+    #[inline]
+    fn scalar(&mut self, t: &ScalarTexture) -> Dual<P, K> {
+        let slot = self.slot(t.any_param(|p| self.grad.active(p)));
+        seed(t.scalar(&self.at.theta, self.at.uv), slot)
+    }
+}
+
+/// Visits the textures in the same order once more and hands out the slots' adjoints.
+struct Scatter<'a, P: Float, G, const K: usize> {
+    at: Shading<'a, P>,
+    grad: &'a mut G,
+    d_slot: &'a [Rgb<P>; K],
+    n: usize,
+}
+
+impl<P: Float, G: GradSink<P>, const K: usize> Scatter<'_, P, G, K> {
+    #[inline]
+    fn give<const C: usize>(&mut self, t: &crate::texture::Texture<C>) {
+        if t.any_param(|p| self.grad.active(p)) {
+            t.scatter(self.at.uv, self.d_slot[self.n], self.grad);
+            self.n += 1;
+        }
+    }
+}
+
+impl<P: Float, G: GradSink<P>, const K: usize> Reader<P> for Scatter<'_, P, G, K> {
+    #[inline]
+    fn rgb(&mut self, t: &RgbTexture) -> Rgb<P> {
+        self.give(t);
+        t.rgb(&self.at.theta, self.at.uv)
+    }
+    #[inline]
+    fn scalar(&mut self, t: &ScalarTexture) -> P {
+        self.give(t);
+        t.scalar(&self.at.theta, self.at.uv)
+    }
+}
+
+/// Lists parameter ranges; the values are placeholders.
+struct List<'a>(&'a mut dyn FnMut(ParamRef));
+
+impl Reader<f32> for List<'_> {
+    fn rgb(&mut self, t: &RgbTexture) -> Rgb<f32> {
+        t.visit_params(self.0);
+        Rgb::splat(0.5)
+    }
+    fn scalar(&mut self, t: &ScalarTexture) -> f32 {
+        t.visit_params(self.0);
+        0.5
+    }
+}
+
+/// Builds a material from its scene description.
+pub trait FromNode: Sized {
+    /// The plugin's names in scene files.
+    const PLUGINS: &'static [&'static str];
+    /// Reads the description.
+    ///
+    /// # Errors
+    /// With file, line and key, what was expected and what was found.
+    fn from_node(node: &Node, build: &mut Builder) -> Result<Self, SceneError>;
+}
+
+macro_rules! materials {
+    ($($name:ident),* $(,)?) => {
+        /// Any material.
+        #[derive(Clone, Debug)]
+        pub enum Material {
+            $(#[doc = concat!("See [`", stringify!($name), "`].")] $name($name),)*
+        }
+
+        $(impl From<$name> for Material {
+            fn from(m: $name) -> Self {
+                Self::$name(m)
+            }
+        })*
+
+        impl Material {
+            /// Plugin names of all materials.
+            pub const PLUGINS: &'static [&'static [&'static str]] =
+                &[$(<$name as FromNode>::PLUGINS),*];
+
+            /// Builds the material that the node's plugin names.
+            ///
+            /// # Errors
+            /// Unknown plugin, or anything wrong with its description.
+            pub fn from_node(node: &Node, build: &mut Builder) -> Result<Self, SceneError> {
+                let plugin = node.plugin.as_str();
+                $(if <$name as FromNode>::PLUGINS.contains(&plugin) {
+                    return Ok(Self::$name(<$name as FromNode>::from_node(node, build)?));
+                })*
+                Err(node.unknown_plugin(&Self::PLUGINS.concat()))
+            }
+        }
+
+        impl Bsdf for Material {
+            #[inline]
+            fn eval_pdf<R: Real>(
+                &self, at: &Shading<R>, wo: Vec3<R>, wi: Vec3<R>, mode: TransportMode,
+            ) -> (Rgb<R>, R) {
+                match self { $(Self::$name(m) => m.eval_pdf(at, wo, wi, mode),)* }
+            }
+            #[inline]
+            fn eval<R: Real>(
+                &self, at: &Shading<R>, wo: Vec3<R>, wi: Vec3<R>, mode: TransportMode,
+            ) -> Rgb<R> {
+                match self { $(Self::$name(m) => m.eval(at, wo, wi, mode),)* }
+            }
+            #[inline]
+            fn sample<R: Real>(
+                &self, at: &Shading<R>, wo: Vec3<R>, u: [R::Primal; 3], mode: TransportMode,
+            ) -> Option<BsdfSample<R>> {
+                match self { $(Self::$name(m) => m.sample(at, wo, u, mode),)* }
+            }
+            #[inline]
+            fn eval_delta<R: Real>(
+                &self, at: &Shading<R>, wo: Vec3<R>, kind: DeltaKind, route: u8, mode: TransportMode,
+            ) -> Rgb<R> {
+                match self { $(Self::$name(m) => m.eval_delta(at, wo, kind, route, mode),)* }
+            }
+            fn backward<P: Float>(
+                &self, at: &Shading<P>, wo: Vec3<P>, uses: &[Use<P>], mode: TransportMode,
+                grad: &mut impl GradSink<P>,
+            ) {
+                match self { $(Self::$name(m) => m.backward(at, wo, uses, mode, grad),)* }
+            }
+            fn visit_params(&self, f: &mut dyn FnMut(ParamRef)) {
+                match self { $(Self::$name(m) => m.visit_params(f),)* }
+            }
+            #[inline]
+            fn is_delta(&self) -> bool {
+                match self { $(Self::$name(m) => m.is_delta(),)* }
+            }
+        }
+    };
+}
+
+materials! {
+    Diffuse,
+}

@@ -1,0 +1,176 @@
+//! Light sources.
+//!
+//! Every emitter is linear in one RGB texture: what it emits at a point or in a direction is
+//! the texture there times a scalar [`Emission::falloff`]. Evaluation and adjoint share that form.
+//!
+//! To add an emitter: one file here, one line in `emitters!` below.
+
+mod area;
+
+pub use area::Area;
+
+use ad_core::{Float, Real, Vec2, Vec3};
+
+use crate::bsdf::FromNode;
+use crate::error::SceneError;
+use crate::math::Rgb;
+use crate::params::{GradSink, Params, Theta};
+use crate::scene::{Builder, Node};
+use crate::shape::{AnyShape, SurfaceInteraction};
+use crate::texture::RgbTexture;
+
+/// Where an emitter's texture is read, and the factor it is multiplied with.
+#[derive(Clone, Copy, Debug)]
+pub struct Emission<R> {
+    /// Texture coordinates.
+    pub uv: Vec2<R>,
+    /// Everything that is not the texture: directional lobe, inverse square law, scale.
+    pub falloff: R,
+}
+
+/// A direction towards an emitter.
+#[derive(Clone, Copy, Debug)]
+pub struct EmitterSample<P> {
+    /// Unit direction from the reference point to the light, world space.
+    pub d: Vec3<P>,
+    /// Distance to the light; infinite for environments.
+    pub distance: P,
+    /// Density per solid angle; 1 for a delta light.
+    pub pdf: P,
+    /// What arrives.
+    pub emission: Emission<P>,
+}
+
+/// What the scene knows that emitters need.
+#[derive(Clone, Copy, Debug)]
+pub struct Lights<'a> {
+    /// All shapes of the scene.
+    pub shapes: &'a [AnyShape],
+}
+
+/// A light source.
+pub trait Emitter: Send + Sync {
+    /// The parameters that emission is linear in.
+    fn radiance(&self) -> &RgbTexture;
+
+    /// What a ray with unit direction `d` receives that hits the emitter's shape at `si`, or that
+    /// leaves the scene (`si` is `None`). `None` if nothing.
+    fn hit<R: Real>(&self, d: Vec3<R>, si: Option<&SurfaceInteraction<R>>) -> Option<Emission<R>>;
+
+    /// Samples a direction from the point `from` (world space).
+    fn sample<P: Float>(
+        &self,
+        lights: Lights,
+        from: Vec3<P>,
+        u: [P; 2],
+    ) -> Option<EmitterSample<P>>;
+
+    /// Density of [`Emitter::sample`] for the direction `d` that hits it at `si`, per solid angle;
+    /// zero for delta lights.
+    fn pdf<P: Float>(
+        &self,
+        lights: Lights,
+        from: Vec3<P>,
+        d: Vec3<P>,
+        si: Option<&SurfaceInteraction<P>>,
+    ) -> P;
+
+    /// Whether it can be hit only by sampling it.
+    fn is_delta(&self) -> bool {
+        false
+    }
+
+    /// Whether it surrounds the scene.
+    fn is_infinite(&self) -> bool {
+        false
+    }
+
+    /// Rebuilds sampling tables after parameters have changed.
+    fn update(&mut self, _params: &Params) {}
+
+    /// The emitted radiance (intensity over squared distance for points).
+    #[inline]
+    fn eval<R: Real>(&self, theta: &Theta<R>, e: &Emission<R>) -> Rgb<R> {
+        self.radiance().rgb(theta, e.uv) * e.falloff
+    }
+
+    /// Adds the adjoint of the texture, given that of [`Emitter::eval`].
+    #[inline]
+    fn backward<P: Float>(&self, e: &Emission<P>, d: Rgb<P>, grad: &mut impl GradSink<P>) {
+        if self.radiance().any_param(|p| grad.active(p)) {
+            self.radiance().scatter(e.uv, d * e.falloff, grad);
+        }
+    }
+}
+
+macro_rules! emitters {
+    ($($name:ident),* $(,)?) => {
+        /// Any emitter.
+        #[derive(Clone, Debug)]
+        pub enum AnyEmitter {
+            $(#[doc = concat!("See [`", stringify!($name), "`].")] $name($name),)*
+        }
+
+        $(impl From<$name> for AnyEmitter {
+            fn from(e: $name) -> Self {
+                Self::$name(e)
+            }
+        })*
+
+        impl AnyEmitter {
+            /// Plugin names of all emitters.
+            pub const PLUGINS: &'static [&'static [&'static str]] =
+                &[$(<$name as FromNode>::PLUGINS),*];
+
+            /// Builds the emitter that the node's plugin names.
+            ///
+            /// # Errors
+            /// Unknown plugin, or anything wrong with its description.
+            pub fn from_node(node: &Node, build: &mut Builder) -> Result<Self, SceneError> {
+                let plugin = node.plugin.as_str();
+                $(if <$name as FromNode>::PLUGINS.contains(&plugin) {
+                    return Ok(Self::$name(<$name as FromNode>::from_node(node, build)?));
+                })*
+                Err(node.unknown_plugin(&Self::PLUGINS.concat()))
+            }
+        }
+
+        impl Emitter for AnyEmitter {
+            #[inline]
+            fn radiance(&self) -> &RgbTexture {
+                match self { $(Self::$name(e) => e.radiance(),)* }
+            }
+            #[inline]
+            fn hit<R: Real>(
+                &self, d: Vec3<R>, si: Option<&SurfaceInteraction<R>>,
+            ) -> Option<Emission<R>> {
+                match self { $(Self::$name(e) => e.hit(d, si),)* }
+            }
+            #[inline]
+            fn sample<P: Float>(
+                &self, lights: Lights, from: Vec3<P>, u: [P; 2],
+            ) -> Option<EmitterSample<P>> {
+                match self { $(Self::$name(e) => e.sample(lights, from, u),)* }
+            }
+            #[inline]
+            fn pdf<P: Float>(
+                &self, lights: Lights, from: Vec3<P>, d: Vec3<P>, si: Option<&SurfaceInteraction<P>>,
+            ) -> P {
+                match self { $(Self::$name(e) => e.pdf(lights, from, d, si),)* }
+            }
+            fn is_delta(&self) -> bool {
+                match self { $(Self::$name(e) => e.is_delta(),)* }
+            }
+            fn is_infinite(&self) -> bool {
+                match self { $(Self::$name(e) => e.is_infinite(),)* }
+            }
+            fn update(&mut self, params: &Params) {
+                match self { $(Self::$name(e) => e.update(params),)* }
+            }
+        }
+    };
+}
+
+emitters! {
+    Area,
+}

@@ -1,0 +1,327 @@
+//! The path tracer.
+
+use ad_core::{Const, Float, Real, Vec2, Vec3};
+
+use crate::bsdf::{Bsdf, Component, Shading, TransportMode};
+use crate::emitter::{Emission, Emitter, EmitterSample};
+use crate::estimator::{Sampling, Strategy};
+use crate::math::{Ray, Rgb};
+use crate::params::Theta;
+use crate::sampler::{BOUNCE_DIMENSIONS, CAMERA_DIMENSIONS, Sampler};
+use crate::scene::{Intersection, Scene, Settings};
+
+/// Probability of surviving Russian roulette is at most this.
+const MAX_SURVIVAL: f64 = 0.95;
+
+/// When derivatives are wanted, a vertex counts as reflecting at least this much for roulette: at zero
+/// albedo the throughput vanishes, but the derivative behind that vertex does not (F7).
+const LEAST_STEP: f64 = 0.2;
+
+/// Scalar of the geometry of a strategy.
+pub type Geometry<S, R> = <<S as Strategy>::Bsdf as Sampling>::Geometry<R>;
+
+/// Light found by a ray that hit an emitter, or left the scene towards one.
+#[derive(Clone, Copy, Debug)]
+pub struct HitLight<R> {
+    /// Index of the emitter.
+    pub emitter: u32,
+    /// Where on it.
+    pub emission: Emission<R>,
+    /// MIS weight.
+    pub weight: R,
+}
+
+/// A connection to a sampled light.
+#[derive(Clone, Copy, Debug)]
+pub struct SampledLight<R> {
+    /// Index of the emitter.
+    pub emitter: u32,
+    /// Where on it.
+    pub emission: Emission<R>,
+    /// Direction to it, local frame of the vertex.
+    pub wi: Vec3<R>,
+    /// Emitted radiance.
+    pub le: Rgb<R>,
+    /// MIS weight over density.
+    pub weight: R,
+    /// Value of the BSDF.
+    pub f: Rgb<R>,
+}
+
+/// The sampled continuation of a path.
+#[derive(Clone, Copy, Debug)]
+pub struct Bounce<R> {
+    /// Sampled direction, local frame of the vertex.
+    pub wi: Vec3<R>,
+    /// What the direction belongs to.
+    pub component: Component,
+    /// One over density (or probability) and survival probability.
+    pub weight: R,
+    /// Value of the BSDF.
+    pub f: Rgb<R>,
+}
+
+/// Follows a path as it grows. All methods do nothing by default.
+pub trait Observer<R: Real> {
+    /// Whether events are wanted; if not, none is made.
+    const ENABLED: bool = true;
+    /// The path found light at its current end.
+    fn light(&mut self, _depth: u32, _beta: Rgb<R>, _light: HitLight<R>) {}
+    /// A vertex was reached. `depth` is the number of edges so far, `beta` the throughput up to it.
+    fn vertex(
+        &mut self,
+        _depth: u32,
+        _beta: Rgb<R>,
+        _shape: u32,
+        _uv: Vec2<R>,
+        _wo: Vec3<R>,
+        _p: Vec3<R>,
+    ) {
+    }
+    /// A light was sampled at the current vertex, and is visible.
+    fn sampled(&mut self, _depth: u32, _light: SampledLight<R>) {}
+    /// The path goes on from the current vertex.
+    fn bounce(&mut self, _bounce: Bounce<R>) {}
+}
+
+/// Nobody watches.
+impl<R: Real> Observer<R> for () {
+    const ENABLED: bool = false;
+}
+
+/// Radiance arriving along `ray`.
+///
+/// Depth counts edges: a light that is seen has depth 1, direct light 2. Dimensions of the
+/// sampler: [`CAMERA_DIMENSIONS`] for the camera, then [`BOUNCE_DIMENSIONS`] per vertex (light
+/// choice, light position 2, BSDF 3, roulette).
+///
+/// # Derivatives
+/// In theta, as the strategy says. Discrete decisions (light, lobe, roulette) are primal.
+///
+/// # Does not handle
+/// Moving discontinuities.
+///
+/// # Reference
+/// [Zeltner 2021, section 2.5.1]; roulette from `rr_depth` edges with the peer's
+/// probability `min(max(beta) eta^2, 0.95)`.
+pub fn trace<R: Real, S: Strategy, X: Sampler, O: Observer<R>>(
+    scene: &Scene,
+    theta: &Theta<R>,
+    settings: &Settings,
+    mut ray: Ray<Geometry<S, R>>,
+    sampler: &mut X,
+    observer: &mut O,
+) -> Rgb<R> {
+    let mode = TransportMode::Radiance;
+    let mut l = Rgb::<R>::black(); // radiance
+    let mut beta = Rgb::<R>::splat(R::one()); // throughput
+    let mut eta = R::Primal::one(); // relative index along the path
+    let mut pdf_bsdf = R::zero(); // density of the last direction; zero if it was a delta
+    let mut from = Vec3::<R::Primal>::zero(); // the vertex it left
+    let mut survival = R::Primal::one(); // what roulette goes by
+    let mut depth = 1;
+
+    loop {
+        // ---- Intersection ----
+        let hit = scene.intersect(&ray);
+
+        // ---- Emission ----
+        // Whether the light at the end of this edge was in reach of emitter sampling at its start.
+        let sampled_too = S::SAMPLES_EMITTERS && depth > 1 && pdf_bsdf.primal() > R::Primal::zero();
+        let mut add_light = |emitter: u32, si: Option<&Intersection<Geometry<S, R>>>| {
+            if sampled_too && !S::COUNTS_HITS {
+                return;
+            }
+            let e = &scene.emitters()[emitter as usize];
+            let si = si.map(|h| &h.si);
+            let Some(found) = e.hit(ray.d, si) else {
+                return;
+            };
+            let emission = Emission {
+                uv: Vec2::new(S::Bsdf::embed(found.uv.x), S::Bsdf::embed(found.uv.y)),
+                falloff: S::Bsdf::embed(found.falloff),
+            };
+            let weight = if sampled_too {
+                let si = si.map(|si| si.primal());
+                let pdf = e.pdf(scene.lights(), from, ray.d.primal(), si.as_ref());
+                S::weight(
+                    pdf_bsdf,
+                    R::lift(pdf * emitter_probability::<R::Primal>(scene)),
+                )
+            } else {
+                R::one()
+            };
+            l += beta * e.eval(theta, &emission) * weight;
+            if O::ENABLED {
+                observer.light(
+                    depth,
+                    beta,
+                    HitLight {
+                        emitter,
+                        emission,
+                        weight,
+                    },
+                );
+            }
+        };
+        let Some(hit) = hit else {
+            for &e in scene.infinite_emitters() {
+                add_light(e, None);
+            }
+            break;
+        };
+        let info = scene.shape_info(hit.shape);
+        if let Some(e) = info.emitter {
+            add_light(e, Some(&hit));
+        }
+        if depth >= settings.max_depth {
+            break;
+        }
+
+        let si = &hit.si;
+        let material = scene.material(hit.shape);
+        let wo = si.frame.to_local(-ray.d);
+        let uv = Vec2::new(S::Bsdf::embed(si.uv.x), S::Bsdf::embed(si.uv.y));
+        let at = Shading { theta: *theta, uv };
+        let wo_r = S::Bsdf::embed3(wo);
+        if O::ENABLED {
+            observer.vertex(depth, beta, hit.shape, uv, wo_r, S::Bsdf::embed3(si.p));
+        }
+        let dim = CAMERA_DIMENSIONS + (depth - 1) * BOUNCE_DIMENSIONS;
+
+        // ---- Emitter sampling ----
+        if S::SAMPLES_EMITTERS && !material.is_delta() && !scene.emitters().is_empty() {
+            sampler.seek(dim);
+            let p = si.p.primal();
+            if let Some(light) = sample_light(scene, p, sampler) {
+                let sample = light.sample;
+                let wi = si.frame.to_local(Vec3::lift(sample.d));
+                let (f, pdf) = material.eval_pdf(&at, wo_r, S::Bsdf::embed3(wi), mode);
+                // Where the derivative may be non-zero although the value is (zero albedo).
+                let matters = !f.is_black()
+                    || (O::ENABLED && pdf.primal() > R::Primal::zero())
+                    || has_tangent(f);
+                if matters {
+                    let shadow = si.primal().spawn_ray(sample.d, info.offset);
+                    if !scene.occluded(&shadow, sample.distance * R::Primal::of(1.0 - 1e-4)) {
+                        let e = &scene.emitters()[light.emitter as usize];
+                        let emission = Emission {
+                            uv: Vec2::lift(sample.emission.uv),
+                            falloff: R::lift(sample.emission.falloff),
+                        };
+                        let le = e.eval(theta, &emission);
+                        let mis = if S::COUNTS_HITS && !e.is_delta() {
+                            S::weight(R::lift(sample.pdf), pdf)
+                        } else {
+                            R::one()
+                        };
+                        let weight = mis * Const(sample.pdf.recip());
+                        l += beta * f * le * weight;
+                        if O::ENABLED {
+                            let wi = S::Bsdf::embed3(wi);
+                            let emitter = light.emitter;
+                            let light = SampledLight {
+                                emitter,
+                                emission,
+                                wi,
+                                le,
+                                weight,
+                                f,
+                            };
+                            observer.sampled(depth, light);
+                        }
+                    }
+                }
+            }
+        }
+
+        // ---- BSDF sampling ----
+        sampler.seek(dim + 3);
+        let Some(sample) = S::Bsdf::draw(material, &at, wo, sampler.next_3d(), mode) else {
+            break;
+        };
+        let wi = S::Bsdf::embed3(sample.wi);
+        let f = material.eval_component(&at, wo_r, wi, sample.component, mode);
+        let pdf = S::Bsdf::embed(sample.pdf);
+        let mut weight = pdf.recip();
+
+        // ---- Update ----
+        eta = eta * sample.eta;
+        let mut next_beta = beta * f * weight;
+
+        // ---- Roulette ----
+        let differentiates = O::ENABLED || !R::IS_PRIMAL;
+        survival = if differentiates {
+            let step = (f.primal() * weight.primal()).max_component();
+            survival * step.max(R::Primal::of(LEAST_STEP))
+        } else {
+            next_beta.primal().max_component()
+        };
+        if depth >= settings.rr_depth {
+            let q = (survival * eta * eta).min(R::Primal::of(MAX_SURVIVAL));
+            if sampler.next_1d::<R::Primal>() >= q {
+                break;
+            }
+            let inv_q = q.recip();
+            survival = survival * inv_q;
+            weight = weight * Const(inv_q);
+            next_beta = next_beta.scale(inv_q);
+        }
+        if O::ENABLED {
+            observer.bounce(Bounce {
+                wi,
+                component: sample.component,
+                weight,
+                f,
+            });
+        }
+        beta = next_beta;
+        if !O::ENABLED && beta.is_black() && !has_tangent(beta) {
+            break;
+        }
+        pdf_bsdf = match sample.component {
+            Component::Continuous => pdf,
+            Component::Delta { .. } => R::zero(),
+        };
+        from = si.p.primal();
+        ray = si.spawn_ray(si.frame.to_world(sample.wi), info.offset);
+        depth += 1;
+    }
+    l
+}
+
+#[inline]
+fn has_tangent<R: Real>(c: Rgb<R>) -> bool {
+    !R::IS_PRIMAL && (c.r.has_tangent() || c.g.has_tangent() || c.b.has_tangent())
+}
+
+/// Probability of choosing one of the scene's emitters.
+#[inline]
+fn emitter_probability<P: Float>(scene: &Scene) -> P {
+    P::of(1.0 / scene.emitters().len() as f64)
+}
+
+/// A sampled light; the density includes the choice.
+struct LightSample<P> {
+    emitter: u32,
+    sample: EmitterSample<P>,
+}
+
+/// Chooses an emitter uniformly and samples it.
+#[inline]
+fn sample_light<P: Float, X: Sampler>(
+    scene: &Scene,
+    from: Vec3<P>,
+    sampler: &mut X,
+) -> Option<LightSample<P>> {
+    let n = scene.emitters().len();
+    let choice: f64 = sampler.next_1d();
+    let emitter = ((choice * n as f64) as usize).min(n - 1);
+    let mut sample =
+        scene.emitters()[emitter].sample(scene.lights(), from, sampler.next_2d::<P>())?;
+    sample.pdf = sample.pdf * emitter_probability::<P>(scene);
+    (sample.pdf > P::zero()).then_some(LightSample {
+        emitter: emitter as u32,
+        sample,
+    })
+}

@@ -1,0 +1,281 @@
+//! Images: paths over all pixels, in tiles.
+
+use std::ops::Range;
+
+use ad_core::{Dual, Float, Real};
+use rayon::prelude::*;
+
+use super::path::{self, Geometry, Observer};
+use crate::estimator::{Strategy, Unbiased};
+use crate::film::Image;
+use crate::math::{Ray, Rgb};
+use crate::params::Theta;
+use crate::sampler::Sampler;
+use crate::scene::{Scene, Settings};
+
+/// Tiles are squares of this many pixels.
+pub const TILE: u32 = 16;
+
+/// How a long computation reports, and whether it is wanted at all.
+pub trait Progress: Sync {
+    /// `n` more units of work are done.
+    fn advance(&self, _n: u64) {}
+    /// Whether to stop early.
+    fn cancelled(&self) -> bool {
+        false
+    }
+}
+
+impl Progress for () {}
+
+/// Samples that were not finite. They are left out of the sums, counted and reported.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct NonFinite {
+    /// How many.
+    pub count: u64,
+    /// Pixel and sample index of the first one.
+    pub first: Option<(u64, u64)>,
+}
+
+impl NonFinite {
+    pub(super) fn add(&mut self, pixel: u64, sample: u64) {
+        self.count += 1;
+        self.first.get_or_insert((pixel, sample));
+    }
+
+    /// Joins the counts of two disjoint sets of samples; `self` comes first.
+    pub fn merge(&mut self, other: &Self) {
+        self.count += other.count;
+        self.first = self.first.or(other.first);
+    }
+}
+
+/// A scalar as a list of numbers: its value and its tangents.
+pub trait Components: Real {
+    /// How many numbers.
+    const COUNT: usize;
+    /// Number `k`; 0 is the value.
+    fn component(&self, k: usize) -> f64;
+}
+
+macro_rules! single_component {
+    ($($float:ty),*) => {$(
+        impl Components for $float {
+            const COUNT: usize = 1;
+            #[inline]
+            fn component(&self, _k: usize) -> f64 {
+                self.to_f64()
+            }
+        }
+    )*};
+}
+single_component!(f32, f64);
+
+impl<P: Float, const N: usize> Components for Dual<P, N> {
+    const COUNT: usize = N + 1;
+    #[inline]
+    fn component(&self, k: usize) -> f64 {
+        if k == 0 {
+            self.re.to_f64()
+        } else {
+            self.eps[k - 1].to_f64()
+        }
+    }
+}
+
+/// Sums over samples, per pixel.
+#[derive(Clone, Debug)]
+pub struct Rendering {
+    /// Number of columns.
+    pub width: usize,
+    /// Number of rows.
+    pub height: usize,
+    /// Samples per pixel in the sums.
+    pub samples: u64,
+    /// `[component][height][width][3]`: the image, then one derivative image per tangent.
+    pub sums: Vec<Vec<f64>>,
+    /// What went wrong.
+    pub non_finite: NonFinite,
+    /// Whether it was stopped early; the sums are then incomplete.
+    pub cancelled: bool,
+}
+
+impl Rendering {
+    /// Mean over the samples of component `k`: 0 is the image, `k` the derivative along tangent `k - 1`.
+    pub fn image(&self, k: usize) -> Image {
+        let mut image = Image::new(self.width, self.height);
+        let scale = 1.0 / self.samples.max(1) as f64;
+        for (out, sum) in image.data.iter_mut().zip(&self.sums[k]) {
+            *out = (sum * scale) as f32;
+        }
+        image
+    }
+
+    /// Mean over pixels of component `k`, per channel, in full precision.
+    pub fn mean(&self, k: usize) -> [f64; 3] {
+        let n = self.samples.max(1) as f64 * (self.width * self.height).max(1) as f64;
+        let mut sum = [0.0; 3];
+        for p in self.sums[k].chunks_exact(3) {
+            for c in 0..3 {
+                sum[c] += p[c];
+            }
+        }
+        sum.map(|s| s / n)
+    }
+
+    /// Adds further samples of the same image.
+    pub fn merge(&mut self, other: &Self) {
+        self.samples += other.samples;
+        self.non_finite.merge(&other.non_finite);
+        self.cancelled |= other.cancelled;
+        for (a, b) in self.sums.iter_mut().zip(&other.sums) {
+            for (a, b) in a.iter_mut().zip(b) {
+                *a += b;
+            }
+        }
+    }
+}
+
+/// A rectangle of pixels, `[x0, y0, x1, y1)` within the crop window.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Tile {
+    pub x: Range32,
+    pub y: Range32,
+}
+
+/// Half-open range that is `Copy`.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Range32 {
+    pub start: u32,
+    pub end: u32,
+}
+
+/// The tiles of an image, row by row.
+pub(super) fn tiles(width: u32, height: u32) -> Vec<Tile> {
+    let cuts = |n: u32| {
+        (0..n.div_ceil(TILE)).map(move |i| Range32 {
+            start: i * TILE,
+            end: (i * TILE + TILE).min(n),
+        })
+    };
+    cuts(height)
+        .flat_map(|y| cuts(width).map(move |x| Tile { x, y }))
+        .collect()
+}
+
+/// Radiance of sample `index` of the pixel `(x, y)` of the crop window.
+#[inline]
+pub(super) fn sample_pixel<R: Real, S: Strategy, X: Sampler, O: Observer<R>>(
+    scene: &Scene,
+    theta: &Theta<R>,
+    settings: &Settings,
+    seed: u64,
+    [x, y]: [u32; 2],
+    index: u64,
+    observer: &mut O,
+) -> Rgb<R> {
+    let film = &scene.film;
+    // Counted on the full film, so that a crop shows the same samples.
+    let [px, py] = [x + film.crop_offset[0], y + film.crop_offset[1]];
+    let pixel = u64::from(py) * u64::from(film.size[0]) + u64::from(px);
+    let mut sampler = X::new(seed, pixel, index);
+    let [dx, dy] = film.filter.sample(sampler.next_2d::<R::Primal>());
+    let centre = |p: u32| R::Primal::of(f64::from(p) + 0.5);
+    let ray = scene.camera.ray(centre(px) + dx, centre(py) + dy);
+    path::trace::<R, S, X, O>(
+        scene,
+        theta,
+        settings,
+        Ray::<Geometry<S, R>>::lift(ray),
+        &mut sampler,
+        observer,
+    )
+}
+
+/// Renders the samples `samples` of every pixel with seed `seed`.
+///
+/// Over a dual number, the result holds the derivative images of its tangents as well (forward mode).
+/// It depends on the arguments only, not on the number of threads.
+pub fn render<R: Components, S: Unbiased, X: Sampler>(
+    scene: &Scene,
+    theta: &Theta<R>,
+    settings: &Settings,
+    seed: u64,
+    samples: Range<u64>,
+    progress: &impl Progress,
+) -> Rendering {
+    let [width, height] = scene.film.crop_size;
+    let tiles = tiles(width, height);
+    let parts: Vec<_> = tiles
+        .par_iter()
+        .map(|tile| {
+            let pixels = ((tile.x.end - tile.x.start) * (tile.y.end - tile.y.start)) as usize;
+            let mut sums = vec![
+                0.0f64;
+                if progress.cancelled() {
+                    0
+                } else {
+                    R::COUNT * pixels * 3
+                }
+            ];
+            let mut non_finite = NonFinite::default();
+            if sums.is_empty() {
+                return (sums, non_finite);
+            }
+            let mut at = 0;
+            for y in tile.y.start..tile.y.end {
+                for x in tile.x.start..tile.x.end {
+                    for index in samples.clone() {
+                        let l = sample_pixel::<R, S, X, ()>(
+                            scene,
+                            theta,
+                            settings,
+                            seed,
+                            [x, y],
+                            index,
+                            &mut (),
+                        );
+                        if !l.is_finite() {
+                            non_finite.add(u64::from(y * width + x), index);
+                            continue;
+                        }
+                        for k in 0..R::COUNT {
+                            for c in 0..3 {
+                                sums[(k * pixels + at) * 3 + c] += l[c].component(k);
+                            }
+                        }
+                    }
+                    at += 1;
+                }
+            }
+            progress.advance(pixels as u64);
+            (sums, non_finite)
+        })
+        .collect();
+
+    let mut out = Rendering {
+        width: width as usize,
+        height: height as usize,
+        samples: samples.end.saturating_sub(samples.start),
+        sums: vec![vec![0.0; width as usize * height as usize * 3]; R::COUNT],
+        non_finite: NonFinite::default(),
+        cancelled: false,
+    };
+    for (tile, (sums, non_finite)) in tiles.iter().zip(&parts) {
+        if sums.is_empty() {
+            out.cancelled = true;
+            continue;
+        }
+        out.non_finite.merge(non_finite);
+        let row = (tile.x.end - tile.x.start) as usize * 3;
+        let rows = (tile.y.end - tile.y.start) as usize;
+        for k in 0..R::COUNT {
+            for r in 0..rows {
+                let from = (k * rows + r) * row;
+                let to = ((tile.y.start as usize + r) * width as usize + tile.x.start as usize) * 3;
+                out.sums[k][to..to + row].copy_from_slice(&sums[from..from + row]);
+            }
+        }
+    }
+    out
+}

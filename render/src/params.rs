@@ -1,0 +1,270 @@
+//! The parameter vector theta: every number of a scene that could be differentiated, in one flat
+//! array with named ranges.
+//!
+//! Materials and emitters hold [`ParamRef`] handles. What a handle reads depends on the context:
+//! with [`Theta`] over `f32` or `f64` it is the value; over a dual number it also carries the tangent
+//! of the directions asked for; and in reverse mode the adjoint goes back through the same handle
+//! into a [`GradSink`]. A range that nobody asked for costs nothing but its value.
+//!
+//! All models are separable in colour: channel c of a result depends on channel c of an RGB
+//! parameter only. One tangent slot per RGB parameter therefore holds three derivatives.
+
+use std::collections::HashMap;
+
+use ad_core::{Float, Real};
+
+use crate::error::RenderError;
+use crate::math::Rgb;
+
+/// A handle to one named range of theta.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct ParamRef {
+    /// Index of the range in its [`Layout`].
+    pub id: u32,
+    /// First element in the flat vector.
+    pub offset: u32,
+}
+
+/// How a range is arranged.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ParamShape {
+    /// One number.
+    Scalar,
+    /// One linear RGB colour.
+    Rgb,
+    /// `[height][width][channels]`, row-major.
+    Texture {
+        /// Number of rows.
+        height: usize,
+        /// Number of columns.
+        width: usize,
+        /// 1 or 3.
+        channels: usize,
+    },
+}
+
+impl ParamShape {
+    /// Number of values.
+    pub fn len(&self) -> usize {
+        match *self {
+            Self::Scalar => 1,
+            Self::Rgb => 3,
+            Self::Texture {
+                height,
+                width,
+                channels,
+            } => height * width * channels,
+        }
+    }
+
+    /// Whether there are no values.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+}
+
+/// What a derivative with respect to a range needs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Differentiability {
+    /// Every estimator applies.
+    Smooth,
+    /// A sampled direction is a Dirac delta in this parameter (the index of a smooth dielectric):
+    /// detached sampling has no derivative (F2), and is refused.
+    Delta,
+}
+
+/// One named range.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ParamInfo {
+    /// Such as `red.reflectance.value`.
+    pub name: String,
+    /// First element in the flat vector.
+    pub offset: usize,
+    /// Arrangement.
+    pub shape: ParamShape,
+    /// Smallest and largest valid value.
+    pub valid: (f64, f64),
+    /// What a derivative needs.
+    pub differentiability: Differentiability,
+}
+
+impl ParamInfo {
+    /// The elements of this range in the flat vector.
+    pub fn range(&self) -> std::ops::Range<usize> {
+        self.offset..self.offset + self.shape.len()
+    }
+}
+
+/// Names, places and values of all parameters of a scene.
+#[derive(Clone, Debug, Default)]
+pub struct Params {
+    infos: Vec<ParamInfo>,
+    by_name: HashMap<String, u32>,
+    values: Vec<f32>,
+}
+
+impl Params {
+    /// Adds a range. The name is made unique by a suffix `_1`, `_2`, .. when it is taken.
+    pub fn push(
+        &mut self,
+        name: &str,
+        shape: ParamShape,
+        values: &[f32],
+        valid: (f64, f64),
+        differentiability: Differentiability,
+    ) -> ParamRef {
+        debug_assert_eq!(shape.len(), values.len());
+        let mut unique = name.to_owned();
+        let mut n = 0;
+        while self.by_name.contains_key(&unique) {
+            n += 1;
+            unique = format!("{name}_{n}");
+        }
+        let id = self.infos.len() as u32;
+        let offset = self.values.len();
+        self.by_name.insert(unique.clone(), id);
+        self.infos.push(ParamInfo {
+            name: unique,
+            offset,
+            shape,
+            valid,
+            differentiability,
+        });
+        self.values.extend_from_slice(values);
+        ParamRef {
+            id,
+            offset: offset as u32,
+        }
+    }
+
+    /// All ranges, in the order of the flat vector.
+    pub fn infos(&self) -> &[ParamInfo] {
+        &self.infos
+    }
+
+    /// The flat vector.
+    pub fn values(&self) -> &[f32] {
+        &self.values
+    }
+
+    /// The flat vector, to be changed. Scenes keep tables that depend on it: go through
+    /// [`crate::Scene::set_params`].
+    pub(crate) fn values_mut(&mut self) -> &mut [f32] {
+        &mut self.values
+    }
+
+    /// The range called `name`.
+    ///
+    /// # Errors
+    /// [`RenderError::UnknownParameter`], with the closest known names.
+    pub fn find(&self, name: &str) -> Result<&ParamInfo, RenderError> {
+        match self.by_name.get(name) {
+            Some(&id) => Ok(&self.infos[id as usize]),
+            None => Err(RenderError::unknown_parameter(
+                name,
+                self.infos.iter().map(|i| &i.name),
+            )),
+        }
+    }
+
+    /// The handle of a range.
+    pub fn handle(&self, info: &ParamInfo) -> ParamRef {
+        ParamRef {
+            id: self.by_name[&info.name],
+            offset: info.offset as u32,
+        }
+    }
+}
+
+/// The tangent of one range in forward mode: numbers whose primal part is zero.
+#[derive(Clone, Debug)]
+pub enum Tangent<R> {
+    /// The range does not move.
+    None,
+    /// The same tangent for every element ("one number added to all texels").
+    Uniform(R),
+    /// One per element.
+    Dense(Vec<R>),
+}
+
+/// Theta as seen by code over the scalar `R`.
+#[derive(Debug)]
+pub struct Theta<'a, R: Real> {
+    values: &'a [R::Primal],
+    tangents: &'a [Tangent<R>],
+}
+
+impl<R: Real> Clone for Theta<'_, R> {
+    fn clone(&self) -> Self {
+        *self
+    }
+}
+impl<R: Real> Copy for Theta<'_, R> {}
+
+impl<'a, R: Real> Theta<'a, R> {
+    /// Values only.
+    pub fn constant(values: &'a [R::Primal]) -> Self {
+        Self {
+            values,
+            tangents: &[],
+        }
+    }
+
+    /// Values with one [`Tangent`] per range of the layout.
+    pub fn with_tangents(values: &'a [R::Primal], tangents: &'a [Tangent<R>]) -> Self {
+        Self { values, tangents }
+    }
+
+    /// The same parameters without tangents.
+    #[inline]
+    pub fn primal(&self) -> Theta<'a, R::Primal> {
+        Theta {
+            values: self.values,
+            tangents: &[],
+        }
+    }
+
+    /// Whether the range moves.
+    #[inline]
+    pub fn moves(&self, p: ParamRef) -> bool {
+        !R::IS_PRIMAL && !matches!(self.tangents.get(p.id as usize), None | Some(Tangent::None))
+    }
+
+    /// Element `i` of a range.
+    #[inline]
+    pub fn get(&self, p: ParamRef, i: usize) -> R {
+        let value = R::lift(self.values[p.offset as usize + i]);
+        if R::IS_PRIMAL {
+            return value;
+        }
+        match self.tangents.get(p.id as usize) {
+            None | Some(Tangent::None) => value,
+            Some(Tangent::Uniform(t)) => value + *t,
+            Some(Tangent::Dense(t)) => value + t[i],
+        }
+    }
+
+    /// Texel `i` of a range with `C` channels.
+    #[inline]
+    pub fn texel<const C: usize>(&self, p: ParamRef, i: usize) -> [R; C] {
+        std::array::from_fn(|c| self.get(p, i * C + c))
+    }
+}
+
+/// Where adjoints of parameters go.
+pub trait GradSink<P: Float> {
+    /// Whether anybody asked for this range.
+    fn active(&self, p: ParamRef) -> bool;
+    /// Adds `d`, the adjoint of element `i` of the range.
+    fn add(&mut self, p: ParamRef, i: usize, d: P);
+}
+
+/// Adjoint of an RGB value as one number per channel, or of a scalar as their sum.
+#[inline]
+pub fn per_channel<const C: usize, P: Float>(d: Rgb<P>) -> [P; C] {
+    if C == 1 {
+        [d.sum(); C]
+    } else {
+        std::array::from_fn(|c| d[c])
+    }
+}

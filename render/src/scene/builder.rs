@@ -1,0 +1,299 @@
+//! Scenes made by code, and the common part of scenes made from files.
+
+use std::collections::HashMap;
+use std::sync::Arc;
+
+use super::{Node, Scene, Settings, ShapeInfo};
+use crate::accel::Accel;
+use crate::bsdf::Material;
+use crate::camera::Camera;
+use crate::emitter::{AnyEmitter, Emitter};
+use crate::error::SceneError;
+use crate::film::Film;
+use crate::params::{Differentiability, ParamRef, ParamShape, Params};
+use crate::shape::{AnyShape, Shape};
+use crate::texture::{self, RgbTexture, ScalarTexture, Texture};
+
+/// Index of a material in the builder.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct MaterialId(u32);
+
+/// Collects materials, shapes, emitters and parameters, and checks them as they come.
+#[derive(Debug, Default)]
+pub struct Builder {
+    params: Params,
+    materials: Vec<Arc<Material>>,
+    shapes: Vec<AnyShape>,
+    infos: Vec<ShapeInfo>,
+    emitters: Vec<AnyEmitter>,
+    /// Name that the parameters of the plugin being built start with.
+    prefix: String,
+    /// Materials built from nodes that several places refer to.
+    shared: HashMap<*const Node, Arc<Material>>,
+    /// Index that the shape under construction will have, while its emitter is built.
+    open_shape: Option<u32>,
+    /// Substitute mid-grey for missing texture files.
+    pub allow_missing: bool,
+    /// What was ignored or substituted.
+    pub warnings: Vec<String>,
+}
+
+/// Spawn offset relative to the largest coordinate of a surface: 64 roundings of an f32.
+const RELATIVE_OFFSET: f32 = 64.0 * f32::EPSILON / 2.0;
+
+impl Builder {
+    /// An empty scene.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// A constant colour parameter; `valid` bounds each channel.
+    ///
+    /// # Errors
+    /// A channel outside `valid`.
+    pub fn rgb(
+        &mut self,
+        name: &str,
+        value: [f64; 3],
+        valid: (f64, f64),
+    ) -> Result<RgbTexture, SceneError> {
+        self.constant(name, &value, valid, Differentiability::Smooth)
+    }
+
+    /// A constant scalar parameter within `valid`.
+    ///
+    /// # Errors
+    /// A value outside `valid`.
+    pub fn scalar(
+        &mut self,
+        name: &str,
+        value: f64,
+        valid: (f64, f64),
+    ) -> Result<ScalarTexture, SceneError> {
+        self.constant(name, &[value], valid, Differentiability::Smooth)
+    }
+
+    pub(crate) fn constant<const C: usize>(
+        &mut self,
+        name: &str,
+        value: &[f64],
+        valid: (f64, f64),
+        differentiability: Differentiability,
+    ) -> Result<Texture<C>, SceneError> {
+        let shape = if C == 1 {
+            ParamShape::Scalar
+        } else {
+            ParamShape::Rgb
+        };
+        self.push_param(name, shape, value, valid, differentiability)
+            .map(Texture::Constant)
+    }
+
+    /// Adds a range of parameters after checking its values.
+    pub(crate) fn push_param(
+        &mut self,
+        name: &str,
+        shape: ParamShape,
+        values: &[f64],
+        valid: (f64, f64),
+        differentiability: Differentiability,
+    ) -> Result<ParamRef, SceneError> {
+        if let Some(bad) = values
+            .iter()
+            .find(|&&v| !(v.is_finite() && v >= valid.0 && v <= valid.1))
+        {
+            return Err(SceneError::Parameter {
+                key: name.into(),
+                expected: range_text(valid),
+                found: bad.to_string(),
+            });
+        }
+        let values: Vec<f32> = values.iter().map(|&v| v as f32).collect();
+        Ok(self
+            .params
+            .push(name, shape, &values, valid, differentiability))
+    }
+
+    /// A colour of a scene file: a constant, or a texture.
+    ///
+    /// # Errors
+    /// Anything wrong with the value or its file.
+    pub fn rgb_texture(
+        &mut self,
+        node: &Node,
+        key: &str,
+        default: [f64; 3],
+        valid: (f64, f64),
+    ) -> Result<RgbTexture, SceneError> {
+        texture::from_node(self, node, key, &default, valid)
+    }
+
+    /// A number of a scene file: a constant, or a texture.
+    ///
+    /// # Errors
+    /// Anything wrong with the value or its file.
+    pub fn scalar_texture(
+        &mut self,
+        node: &Node,
+        key: &str,
+        default: f64,
+        valid: (f64, f64),
+    ) -> Result<ScalarTexture, SceneError> {
+        texture::from_node(self, node, key, &[default], valid)
+    }
+
+    /// The name of the plugin being built: parameters are called `{prefix}.{key}.value`.
+    pub fn prefix(&self) -> &str {
+        &self.prefix
+    }
+
+    /// Builds the material described by `node`, once however often it is referred to. Its parameters
+    /// start with its id, or with the parent's name and `label`.
+    ///
+    /// # Errors
+    /// Anything wrong with its description.
+    pub fn material_from_node(
+        &mut self,
+        node: &Arc<Node>,
+        label: &str,
+    ) -> Result<Arc<Material>, SceneError> {
+        if let Some(m) = self.shared.get(&Arc::as_ptr(node)) {
+            return Ok(m.clone());
+        }
+        let name = match &node.id {
+            Some(id) => id.clone(),
+            None => format!("{}.{label}", self.prefix),
+        };
+        let outer = std::mem::replace(&mut self.prefix, name);
+        let material = Material::from_node(node, self);
+        self.prefix = outer;
+        let material = Arc::new(material?);
+        node.finish()?;
+        self.shared.insert(Arc::as_ptr(node), material.clone());
+        Ok(material)
+    }
+
+    /// Index of the shape that the emitter being built belongs to.
+    ///
+    /// # Errors
+    /// The emitter stands outside a shape.
+    pub fn current_shape(&self, node: &Node) -> Result<u32, SceneError> {
+        self.open_shape
+            .ok_or_else(|| node.missing("shape", "an area light inside a <shape>"))
+    }
+
+    /// Runs `f` with the parameter prefix `name`, as if inside the shape that comes next.
+    pub(crate) fn within<T>(
+        &mut self,
+        name: &str,
+        in_shape: bool,
+        f: impl FnOnce(&mut Self) -> Result<T, SceneError>,
+    ) -> Result<T, SceneError> {
+        let outer = std::mem::replace(&mut self.prefix, name.to_owned());
+        self.open_shape = in_shape.then_some(self.shapes.len() as u32);
+        let result = f(self);
+        self.open_shape = None;
+        self.prefix = outer;
+        result
+    }
+
+    /// Adds a material.
+    pub fn add_material(&mut self, material: impl Into<Material>) -> MaterialId {
+        self.add_shared_material(Arc::new(material.into()))
+    }
+
+    /// Adds a material that may be part of others as well.
+    pub fn add_shared_material(&mut self, material: Arc<Material>) -> MaterialId {
+        if let Some(i) = self
+            .materials
+            .iter()
+            .position(|m| Arc::ptr_eq(m, &material))
+        {
+            return MaterialId(i as u32);
+        }
+        self.materials.push(material);
+        MaterialId(self.materials.len() as u32 - 1)
+    }
+
+    /// Adds a shape.
+    pub fn add_shape(
+        &mut self,
+        name: &str,
+        shape: impl Into<AnyShape>,
+        material: MaterialId,
+    ) -> u32 {
+        let shape = shape.into();
+        let index = self.shapes.len() as u32;
+        let offset = (shape.extent() * RELATIVE_OFFSET).max(f32::MIN_POSITIVE);
+        self.infos.push(ShapeInfo {
+            name: name.into(),
+            material: material.0,
+            emitter: None,
+            offset,
+        });
+        self.shapes.push(shape);
+        index
+    }
+
+    /// Adds an emitter that is no surface, or is the last shape added if `shape` says so.
+    pub fn add_emitter(&mut self, emitter: impl Into<AnyEmitter>, shape: Option<u32>) {
+        let index = self.emitters.len() as u32;
+        self.emitters.push(emitter.into());
+        if let Some(shape) = shape {
+            self.infos[shape as usize].emitter = Some(index);
+        }
+    }
+
+    /// Checks the whole and builds the acceleration structure.
+    ///
+    /// # Errors
+    /// Geometry that is not finite.
+    pub fn build(
+        self,
+        camera: Camera,
+        film: Film,
+        settings: Settings,
+    ) -> Result<Scene, SceneError> {
+        let mut prims = Vec::new();
+        let mut primitives = Vec::new();
+        for (i, shape) in self.shapes.iter().enumerate() {
+            for (local, primitive) in shape.primitives().into_iter().enumerate() {
+                prims.push((i as u32, local as u32));
+                primitives.push(primitive);
+            }
+        }
+        let accel = Accel::build(&primitives).map_err(|e| SceneError::Parameter {
+            key: "geometry".into(),
+            expected: "finite coordinates".into(),
+            found: e.to_string(),
+        })?;
+        let mut emitters = self.emitters;
+        for e in &mut emitters {
+            e.update(&self.params);
+        }
+        let infinite = (0..emitters.len() as u32)
+            .filter(|&i| emitters[i as usize].is_infinite())
+            .collect();
+        Ok(Scene {
+            params: self.params,
+            materials: self.materials,
+            shapes: self.shapes,
+            infos: self.infos,
+            emitters,
+            infinite,
+            prims,
+            accel,
+            camera,
+            film,
+            settings,
+        })
+    }
+}
+
+fn range_text((lo, hi): (f64, f64)) -> String {
+    match (lo.is_finite(), hi.is_finite()) {
+        (true, true) => format!("a number in [{lo}, {hi}]"),
+        (true, false) => format!("a finite number of at least {lo}"),
+        _ => "a finite number".into(),
+    }
+}

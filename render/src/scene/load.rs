@@ -1,0 +1,260 @@
+//! Scenes from Mitsuba XML files.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use super::builder::{Builder, MaterialId};
+use super::xml::Document;
+use super::{Node, Scene, Settings};
+use crate::bsdf::Diffuse;
+use crate::camera::{Camera, FovAxis};
+use crate::emitter::AnyEmitter;
+use crate::error::SceneError;
+use crate::film::{Film, PixelFilter};
+use crate::shape::AnyShape;
+
+/// How a scene file is loaded.
+#[derive(Clone, Debug, Default)]
+pub struct LoadOptions {
+    /// Values for the file's `$names`, instead of their defaults.
+    pub defines: Vec<(String, String)>,
+    /// Substitute mid-grey for missing texture files, with a warning, instead of failing.
+    pub allow_missing: bool,
+}
+
+/// Integrators whose path family the path tracer covers; their further options are ignored.
+const INTEGRATORS: &[&str] = &[
+    "path",
+    "prb",
+    "direct",
+    "path_filtered_ss",
+    "path_filtered_ms",
+];
+/// Flags of the manifold-sampling scene files: hints to another integrator, without effect on the image.
+const HINTS: &[&str] = &[
+    "caustic_receiver",
+    "caustic_caster_single",
+    "caustic_caster_multi",
+    "caustic_bouncer",
+    "caustic_emitter_single",
+    "caustic_emitter_multi",
+    "glinty",
+];
+
+impl Scene {
+    /// Loads a scene; the second value lists what was ignored or substituted.
+    ///
+    /// # Errors
+    /// Anything wrong with the file or the files it names, with its place.
+    pub fn load(path: &Path, options: &LoadOptions) -> Result<(Self, Vec<String>), SceneError> {
+        let document = Document::load(path, &options.defines)?;
+        let root = document.root();
+        let mut build = Builder::new();
+        build.allow_missing = options.allow_missing;
+        let mut settings = Settings::default();
+        for node in root.children_with_tag("integrator") {
+            integrator(node, &mut settings)?;
+        }
+        let sensor = root
+            .child_with_tag("sensor")?
+            .ok_or_else(|| root.missing("sensor", "a perspective sensor"))?;
+        let (camera, film) = sensor_from_node(root, sensor, &mut settings)?;
+        let mut grey = None;
+        for (i, node) in root.children_with_tag("shape").into_iter().enumerate() {
+            shape(node, i, &mut build, &mut grey)?;
+        }
+        for node in root.children_with_tag("emitter") {
+            // An area light out here is a declaration that shapes refer to.
+            if node.plugin == "area" && node.id.is_some() {
+                continue;
+            }
+            let name = node.id.clone().unwrap_or_else(|| "emitter".into());
+            let emitter = build.within(&name, false, |b| AnyEmitter::from_node(node, b))?;
+            node.ignore(HINTS);
+            node.finish()?;
+            build.add_emitter(emitter, None);
+        }
+        root.children_with_tag("bsdf");
+        root.children_with_tag("texture");
+        root.finish()?;
+        let mut warnings: Vec<String> = document
+            .warnings()
+            .iter()
+            .map(ToString::to_string)
+            .collect();
+        warnings.append(&mut build.warnings);
+        Ok((build.build(camera, film, settings)?, warnings))
+    }
+}
+
+fn integrator(node: &Node, settings: &mut Settings) -> Result<(), SceneError> {
+    if !INTEGRATORS.contains(&node.plugin.as_str()) {
+        return Err(node.unknown_plugin(INTEGRATORS));
+    }
+    let depth = |key: &str, default: i64| -> Result<u32, SceneError> {
+        match node.integer_or(key, default)? {
+            -1 => Ok(u32::MAX),
+            d @ 0..=0xffff_ffff => Ok(d as u32),
+            _ => Err(node.invalid(key, "-1 for no limit, or a non-negative integer")),
+        }
+    };
+    let direct = node.plugin == "direct";
+    settings.max_depth = depth("max_depth", if direct { 2 } else { -1 })?;
+    settings.rr_depth = depth("rr_depth", 5)?;
+    node.ignore(&[
+        "samples_per_pass",
+        "timeout",
+        "block_size",
+        "bounces",
+        "hide_emitters",
+    ]);
+    node.finish()
+}
+
+fn sensor_from_node(
+    root: &Node,
+    node: &Node,
+    settings: &mut Settings,
+) -> Result<(Camera, Film), SceneError> {
+    if node.plugin != "perspective" {
+        return Err(node.unknown_plugin(&["perspective"]));
+    }
+    let film = match (node.child_with_tag("film")?, root.child_with_tag("film")?) {
+        (Some(film), _) | (None, Some(film)) => film_from_node(film)?,
+        (None, None) => Film::new(768, 576),
+    };
+    for sampler in [
+        node.child_with_tag("sampler")?,
+        root.child_with_tag("sampler")?,
+    ]
+    .into_iter()
+    .flatten()
+    {
+        if sampler.plugin != "independent" {
+            sampler.warn("every sampler is replaced by independent samples");
+        }
+        settings.spp = sampler.integer_in("sample_count", 16, 1..=1 << 30)? as u32;
+        sampler.ignore(&["seed"]);
+        sampler.finish()?;
+    }
+    let axis = node.choice(
+        "fov_axis",
+        &[
+            ("x", FovAxis::X),
+            ("y", FovAxis::Y),
+            ("diagonal", FovAxis::Diagonal),
+            ("smaller", FovAxis::Smaller),
+            ("larger", FovAxis::Larger),
+        ],
+    )?;
+    let axis = axis.unwrap_or_default();
+    let fov = node
+        .float("fov")?
+        .ok_or_else(|| node.missing("fov", "an angle in degrees"))?;
+    let to_world = node.transform("to_world")?.unwrap_or_default();
+    let camera = Camera::new(to_world, fov, axis, film.size).map_err(|e| match e {
+        SceneError::Parameter { key, expected, .. } => node.invalid(&key, &expected),
+        other => other,
+    })?;
+    node.ignore(&["near_clip", "far_clip", "focus_distance"]);
+    node.finish()?;
+    Ok((camera, film))
+}
+
+fn film_from_node(node: &Node) -> Result<Film, SceneError> {
+    if node.plugin != "hdrfilm" {
+        return Err(node.unknown_plugin(&["hdrfilm"]));
+    }
+    let size = |key, default| node.integer_in(key, default, 1..=1 << 16).map(|x| x as u32);
+    let (width, height) = (size("width", 768)?, size("height", 576)?);
+    let offset = |key, limit: u32| {
+        node.integer_in(key, 0, 0..=i64::from(limit) - 1)
+            .map(|x| x as u32)
+    };
+    let (x, y) = (
+        offset("crop_offset_x", width)?,
+        offset("crop_offset_y", height)?,
+    );
+    let extent = |key, limit: u32| {
+        node.integer_in(key, i64::from(limit), 1..=i64::from(limit))
+            .map(|x| x as u32)
+    };
+    let crop_size = [
+        extent("crop_width", width - x)?,
+        extent("crop_height", height - y)?,
+    ];
+    let filter = match node.child_with_tag("rfilter")? {
+        None => PixelFilter::Gaussian { stddev: 0.5 },
+        Some(f) => {
+            let filter = match f.plugin.as_str() {
+                "box" => PixelFilter::Box,
+                "gaussian" => {
+                    let stddev = f.float_or("stddev", 0.5)?;
+                    if !(stddev > 0.0 && stddev <= 100.0) {
+                        return Err(f.invalid("stddev", "a number of pixels in (0, 100]"));
+                    }
+                    PixelFilter::Gaussian { stddev }
+                }
+                _ => return Err(f.unknown_plugin(&["box", "gaussian"])),
+            };
+            f.finish()?;
+            filter
+        }
+    };
+    node.ignore(&[
+        "pixel_format",
+        "component_format",
+        "file_format",
+        "banner",
+        "sample_border",
+    ]);
+    node.finish()?;
+    Ok(Film {
+        size: [width, height],
+        crop_offset: [x, y],
+        crop_size,
+        filter,
+    })
+}
+
+fn shape(
+    node: &Arc<Node>,
+    index: usize,
+    build: &mut Builder,
+    grey: &mut Option<MaterialId>,
+) -> Result<(), SceneError> {
+    let name = node.id.clone().unwrap_or_else(|| format!("shape{index}"));
+    let geometry = AnyShape::from_node(node, build)?;
+    let material = match node.child_with_tag("bsdf")? {
+        Some(bsdf) => {
+            let m = build.within(&name, false, |b| b.material_from_node(bsdf, "bsdf"))?;
+            build.add_shared_material(m)
+        }
+        None => match *grey {
+            Some(id) => id,
+            None => {
+                let reflectance =
+                    build.rgb("default_bsdf.reflectance.value", [0.5; 3], (0.0, 1.0))?;
+                *grey.insert(build.add_material(Diffuse { reflectance }))
+            }
+        },
+    };
+    let emitter = match node.child_with_tag("emitter")? {
+        Some(e) => {
+            let emitter = build.within(&format!("{name}.emitter"), true, |b| {
+                AnyEmitter::from_node(e, b)
+            })?;
+            e.ignore(HINTS);
+            e.finish()?;
+            Some(emitter)
+        }
+        None => None,
+    };
+    node.ignore(HINTS);
+    node.finish()?;
+    let shape = build.add_shape(&name, geometry, material);
+    if let Some(e) = emitter {
+        build.add_emitter(e, Some(shape));
+    }
+    Ok(())
+}

@@ -1,0 +1,209 @@
+//! Shapes: what rays hit, and where on it.
+//!
+//! A shape gives the acceleration structure [`Primitive`]s in f32; the hit is then computed again in
+//! the scalar of the caller, from the shape's own parameters ([`Shape::interaction`]). A ray whose
+//! origin or direction carries tangents therefore gets an interaction that moves with it.
+//!
+//! To add a shape: one file here, one line in `shapes!` below.
+
+mod patch;
+
+pub use patch::{Patch, Rectangle};
+
+use ad_core::{Float, Real, Vec2, Vec3};
+
+use crate::accel::{Hit, Primitive};
+use crate::bsdf::FromNode;
+use crate::error::SceneError;
+use crate::math::{Frame, Ray};
+use crate::scene::{Builder, Node};
+
+/// A point on a surface, seen along a ray.
+#[derive(Clone, Copy, Debug)]
+pub struct SurfaceInteraction<R> {
+    /// Position, world space.
+    pub p: Vec3<R>,
+    /// Distance along the ray.
+    pub t: R,
+    /// Unit geometric normal, world space, on the side that the shape calls outside.
+    pub n_geo: Vec3<R>,
+    /// Shading frame; `frame.n` on the same side as `n_geo`.
+    pub frame: Frame<R>,
+    /// Surface coordinates.
+    pub uv: Vec2<R>,
+}
+
+impl<R: Real> SurfaceInteraction<R> {
+    /// The ray that leaves in the unit direction `d`, moved off the surface by `offset`.
+    #[inline]
+    pub fn spawn_ray(&self, d: Vec3<R>, offset: f32) -> Ray<R> {
+        let side = if self.n_geo.primal().dot(d.primal()) < R::Primal::zero() {
+            -1.0
+        } else {
+            1.0
+        };
+        Ray::new(self.p + self.n_geo * R::c(side * f64::from(offset)), d)
+    }
+
+    /// The same point without tangents.
+    #[inline]
+    pub fn primal(&self) -> SurfaceInteraction<R::Primal> {
+        SurfaceInteraction {
+            p: self.p.primal(),
+            t: self.t.primal(),
+            n_geo: self.n_geo.primal(),
+            frame: self.frame.primal(),
+            uv: self.uv.primal(),
+        }
+    }
+}
+
+/// A point sampled on a shape.
+#[derive(Clone, Copy, Debug)]
+pub struct ShapeSample<P> {
+    /// Position, world space.
+    pub p: Vec3<P>,
+    /// Unit normal there, world space.
+    pub n: Vec3<P>,
+    /// Surface coordinates.
+    pub uv: Vec2<P>,
+    /// Density: per area from [`Shape::sample_area`], per solid angle from [`Shape::sample`].
+    pub pdf: P,
+}
+
+/// A surface.
+pub trait Shape: Send + Sync {
+    /// What the acceleration structure intersects; their order defines `prim` below.
+    fn primitives(&self) -> Vec<Primitive>;
+
+    /// The interaction at `hit`, which lies on primitive `prim` of this shape.
+    ///
+    /// # Derivatives
+    /// In the ray. The primitive that was hit is a primal decision.
+    fn interaction<R: Real>(&self, prim: u32, ray: &Ray<R>, hit: &Hit) -> SurfaceInteraction<R>;
+
+    /// Area, world space.
+    fn area(&self) -> f64;
+
+    /// A point distributed uniformly over the area; density per area.
+    fn sample_area<P: Float>(&self, u: [P; 2]) -> ShapeSample<P>;
+
+    /// A point as seen from `from`; density per solid angle there. `None` where nothing is seen.
+    #[inline]
+    fn sample<P: Float>(&self, from: Vec3<P>, u: [P; 2]) -> Option<ShapeSample<P>> {
+        let s = self.sample_area(u);
+        let pdf = area_to_solid_angle(s.pdf, from, s.p, s.n)?;
+        Some(ShapeSample { pdf, ..s })
+    }
+
+    /// Density of [`Shape::sample`] at an interaction, per solid angle.
+    #[inline]
+    fn pdf<P: Float>(&self, from: Vec3<P>, si: &SurfaceInteraction<P>) -> P {
+        let pdf_area = P::of(1.0 / self.area());
+        area_to_solid_angle(pdf_area, from, si.p, si.n_geo).unwrap_or(P::zero())
+    }
+
+    /// Largest absolute coordinate: the scale of rounding errors on the surface.
+    fn extent(&self) -> f32;
+}
+
+/// Converts a density per area at `p` (normal `n`) to one per solid angle at `from`. `None` if
+/// edge-on or at zero distance.
+#[inline]
+pub fn area_to_solid_angle<P: Float>(
+    pdf_area: P,
+    from: Vec3<P>,
+    p: Vec3<P>,
+    n: Vec3<P>,
+) -> Option<P> {
+    let d = p - from;
+    let d2 = d.length_squared();
+    let cos_d = n.dot(d).abs();
+    if cos_d > P::zero() && d2 > P::zero() {
+        let pdf = pdf_area * d2 * d2.sqrt() / cos_d;
+        pdf.is_finite().then_some(pdf)
+    } else {
+        None
+    }
+}
+
+/// Whether the traversal's own `u`, `v` and `t` are as good as a recomputation.
+#[inline]
+pub fn hit_is_exact<R: Real>() -> bool {
+    R::IS_PRIMAL && size_of::<R>() == size_of::<f32>()
+}
+
+/// Lifts an f32 point or vector.
+#[inline]
+pub fn lift3<R: Real>(v: [f32; 3]) -> Vec3<R> {
+    Vec3::lift(Vec3::new(
+        R::Primal::from_f32(v[0]),
+        R::Primal::from_f32(v[1]),
+        R::Primal::from_f32(v[2]),
+    ))
+}
+
+macro_rules! shapes {
+    ($($name:ident),* $(,)?) => {
+        /// Any shape.
+        #[derive(Clone, Debug)]
+        pub enum AnyShape {
+            $(#[doc = concat!("See [`", stringify!($name), "`].")] $name($name),)*
+        }
+
+        $(impl From<$name> for AnyShape {
+            fn from(s: $name) -> Self {
+                Self::$name(s)
+            }
+        })*
+
+        impl AnyShape {
+            /// Plugin names of all shapes.
+            pub const PLUGINS: &'static [&'static [&'static str]] =
+                &[$(<$name as FromNode>::PLUGINS),*];
+
+            /// Builds the shape that the node's plugin names.
+            ///
+            /// # Errors
+            /// Unknown plugin, or anything wrong with its description.
+            pub fn from_node(node: &Node, build: &mut Builder) -> Result<Self, SceneError> {
+                let plugin = node.plugin.as_str();
+                $(if <$name as FromNode>::PLUGINS.contains(&plugin) {
+                    return Ok(Self::$name(<$name as FromNode>::from_node(node, build)?));
+                })*
+                Err(node.unknown_plugin(&Self::PLUGINS.concat()))
+            }
+        }
+
+        impl Shape for AnyShape {
+            fn primitives(&self) -> Vec<Primitive> {
+                match self { $(Self::$name(s) => s.primitives(),)* }
+            }
+            #[inline]
+            fn interaction<R: Real>(&self, prim: u32, ray: &Ray<R>, hit: &Hit) -> SurfaceInteraction<R> {
+                match self { $(Self::$name(s) => s.interaction(prim, ray, hit),)* }
+            }
+            fn area(&self) -> f64 {
+                match self { $(Self::$name(s) => s.area(),)* }
+            }
+            fn sample_area<P: Float>(&self, u: [P; 2]) -> ShapeSample<P> {
+                match self { $(Self::$name(s) => s.sample_area(u),)* }
+            }
+            #[inline]
+            fn sample<P: Float>(&self, from: Vec3<P>, u: [P; 2]) -> Option<ShapeSample<P>> {
+                match self { $(Self::$name(s) => s.sample(from, u),)* }
+            }
+            #[inline]
+            fn pdf<P: Float>(&self, from: Vec3<P>, si: &SurfaceInteraction<P>) -> P {
+                match self { $(Self::$name(s) => s.pdf(from, si),)* }
+            }
+            fn extent(&self) -> f32 {
+                match self { $(Self::$name(s) => s.extent(),)* }
+            }
+        }
+    };
+}
+
+shapes! {
+    Rectangle,
+}

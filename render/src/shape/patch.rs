@@ -1,0 +1,179 @@
+//! Flat parallelograms: the rectangle, and the faces of the cube.
+
+use ad_core::{Float, Real, Vec2, Vec3};
+
+use super::{Shape, ShapeSample, SurfaceInteraction, hit_is_exact, lift3};
+use crate::accel::{Hit, Primitive};
+use crate::bsdf::FromNode;
+use crate::error::SceneError;
+use crate::math::{Frame, Ray};
+use crate::scene::{Builder, Node};
+
+/// A parallelogram `corner + u e1 + v e2`, with surface coordinates `(u, v)` in [0, 1]^2.
+#[derive(Clone, Copy, Debug)]
+pub struct Patch {
+    /// Corner at `uv = (0, 0)`, world space.
+    pub corner: [f32; 3],
+    /// Edge along u.
+    pub e1: [f32; 3],
+    /// Edge along v.
+    pub e2: [f32; 3],
+    frame: Frame<f32>,
+    area: f64,
+}
+
+impl Patch {
+    /// From a corner and two edges, with the unit normal along `e1 x e2`, or against it if `flip`.
+    /// `None` if the area is zero or not finite.
+    pub fn new(corner: [f64; 3], e1: [f64; 3], e2: [f64; 3], flip: bool) -> Option<Self> {
+        let (a, b): (Vec3<f64>, Vec3<f64>) = (e1.into(), e2.into());
+        let n = a.cross(b);
+        let area = n.length();
+        let finite = corner.iter().all(|x| x.is_finite()) && area.is_finite();
+        if !finite || area <= 0.0 {
+            return None;
+        }
+        let n = n.normalize();
+        let f = Frame::from_normal_and_tangent(if flip { -n } else { n }, a);
+        let single = |v: Vec3<f64>| Vec3::new(v.x as f32, v.y as f32, v.z as f32);
+        Some(Self {
+            corner: corner.map(|x| x as f32),
+            e1: e1.map(|x| x as f32),
+            e2: e2.map(|x| x as f32),
+            frame: Frame {
+                s: single(f.s),
+                t: single(f.t),
+                n: single(f.n),
+            },
+            area,
+        })
+    }
+
+    /// What the acceleration structure intersects.
+    pub fn primitive(&self) -> Primitive {
+        Primitive::Parallelogram {
+            v0: self.corner,
+            e1: self.e1,
+            e2: self.e2,
+        }
+    }
+
+    /// Area, world space.
+    pub fn area(&self) -> f64 {
+        self.area
+    }
+
+    /// Largest absolute coordinate.
+    pub fn extent(&self) -> f32 {
+        (0..3).fold(0.0, |m, i| {
+            m.max(self.corner[i].abs() + self.e1[i].abs() + self.e2[i].abs())
+        })
+    }
+
+    /// See [`Shape::interaction`].
+    #[inline]
+    pub fn interaction<R: Real>(&self, ray: &Ray<R>, hit: &Hit) -> SurfaceInteraction<R> {
+        let (v0, e1, e2) = (
+            lift3::<R>(self.corner),
+            lift3::<R>(self.e1),
+            lift3::<R>(self.e2),
+        );
+        let (t, u, v) = if hit_is_exact::<R>() {
+            let exact = |x: f32| R::lift(R::Primal::from_f32(x));
+            (exact(hit.t), exact(hit.u), exact(hit.v))
+        } else {
+            intersect_plane(ray, v0, e1, e2)
+        };
+        let lift = |v: Vec3<f32>| lift3::<R>(v.to_array());
+        let frame = Frame {
+            s: lift(self.frame.s),
+            t: lift(self.frame.t),
+            n: lift(self.frame.n),
+        };
+        SurfaceInteraction {
+            p: v0 + e1 * u + e2 * v,
+            t,
+            n_geo: frame.n,
+            frame,
+            uv: Vec2::new(u, v),
+        }
+    }
+
+    /// A uniform point; density per area of this patch.
+    #[inline]
+    pub fn sample_area<P: Float>(&self, u: [P; 2]) -> ShapeSample<P> {
+        let (v0, e1, e2) = (
+            lift3::<P>(self.corner),
+            lift3::<P>(self.e1),
+            lift3::<P>(self.e2),
+        );
+        ShapeSample {
+            p: v0 + e1 * u[0] + e2 * u[1],
+            n: lift3(self.frame.n.to_array()),
+            uv: Vec2::new(u[0], u[1]),
+            pdf: P::of(1.0 / self.area),
+        }
+    }
+}
+
+/// Distance and coordinates `(t, u, v)` of the intersection of a ray with the plane
+/// `v0 + u e1 + v e2` [Moeller and Trumbore 1997]. The ray must not be parallel to the plane.
+#[inline]
+pub fn intersect_plane<R: Real>(ray: &Ray<R>, v0: Vec3<R>, e1: Vec3<R>, e2: Vec3<R>) -> (R, R, R) {
+    let h = ray.d.cross(e2);
+    let inv_det = e1.dot(h).recip();
+    let s = ray.o - v0;
+    let q = s.cross(e1);
+    (
+        e2.dot(q) * inv_det,
+        s.dot(h) * inv_det,
+        ray.d.dot(q) * inv_det,
+    )
+}
+
+/// The square [-1, 1]^2 in the local xy plane, normal +z, `uv = ((x + 1) / 2, (y + 1) / 2)`.
+#[derive(Clone, Copy, Debug)]
+pub struct Rectangle(pub Patch);
+
+impl Shape for Rectangle {
+    fn primitives(&self) -> Vec<Primitive> {
+        vec![self.0.primitive()]
+    }
+    #[inline]
+    fn interaction<R: Real>(&self, _prim: u32, ray: &Ray<R>, hit: &Hit) -> SurfaceInteraction<R> {
+        self.0.interaction(ray, hit)
+    }
+    fn area(&self) -> f64 {
+        self.0.area()
+    }
+    #[inline]
+    fn sample_area<P: Float>(&self, u: [P; 2]) -> ShapeSample<P> {
+        self.0.sample_area(u)
+    }
+    fn extent(&self) -> f32 {
+        self.0.extent()
+    }
+}
+
+impl FromNode for Rectangle {
+    const PLUGINS: &'static [&'static str] = &["rectangle"];
+
+    fn from_node(node: &Node, _build: &mut Builder) -> Result<Self, SceneError> {
+        let to_world = node.transform("to_world")?.unwrap_or_default();
+        let flip = node.boolean_or("flip_normals", false)?;
+        let corner = to_world.point([-1.0, -1.0, 0.0]);
+        let patch = Patch::new(
+            corner,
+            to_world.vector([2.0, 0.0, 0.0]),
+            to_world.vector([0.0, 2.0, 0.0]),
+            flip ^ (to_world.determinant() < 0.0),
+        );
+        // The normal transforms by the inverse transpose: a mirrored transform turns e1 x e2 around.
+        patch.map(Rectangle).ok_or_else(|| {
+            node.invalid(
+                "to_world",
+                "a transform that leaves a finite, non-zero area",
+            )
+        })
+    }
+}

@@ -1,0 +1,215 @@
+//! Image textures.
+
+use ad_core::{Float, Real, Vec2};
+
+use super::Footprint;
+use crate::params::ParamRef;
+
+/// What happens outside the unit square.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Wrap {
+    /// Periodic.
+    #[default]
+    Repeat,
+    /// The border is continued.
+    Clamp,
+    /// Periodic with every second copy reflected.
+    Mirror,
+}
+
+/// An affine map of surface coordinates.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct UvTransform {
+    /// Rows `[a, b, c]`: `u' = a u + b v + c`.
+    pub rows: [[f32; 3]; 2],
+}
+
+impl UvTransform {
+    /// No change.
+    pub const IDENTITY: Self = Self {
+        rows: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
+    };
+
+    /// Maps `uv`.
+    #[inline]
+    pub fn apply<R: Real>(&self, uv: Vec2<R>) -> Vec2<R> {
+        if *self == Self::IDENTITY {
+            return uv;
+        }
+        let k = |x: f32| ad_core::Const(R::Primal::from_f32(x));
+        let row = |[a, b, c]: [f32; 3]| uv.x * k(a) + uv.y * k(b) + k(c);
+        Vec2::new(row(self.rows[0]), row(self.rows[1]))
+    }
+}
+
+/// A bilinearly interpolated image. Row 0 lies at v = 0, column 0 at u = 0, and the centre of texel
+/// (i, j) at `((i + 1/2) / width, (j + 1/2) / height)`, as in the peer.
+#[derive(Clone, Debug)]
+pub struct Bitmap {
+    /// The texels, `[height][width][channels]`.
+    pub param: ParamRef,
+    /// Number of columns.
+    pub width: u32,
+    /// Number of rows.
+    pub height: u32,
+    /// Behaviour outside the unit square.
+    pub wrap: Wrap,
+    /// No interpolation if set.
+    pub nearest: bool,
+    /// Applied to `uv` first.
+    pub to_uv: UvTransform,
+}
+
+impl Bitmap {
+    /// The texels and weights of a lookup at `uv`.
+    ///
+    /// # Derivatives
+    /// The weights follow `uv`; which texels they belong to is a primal decision. At texel centres
+    /// the derivative is that of the cell towards larger coordinates.
+    #[inline]
+    pub fn footprint<R: Real>(&self, uv: Vec2<R>) -> Footprint<R> {
+        let uv = self.to_uv.apply(uv);
+        if self.nearest {
+            let x = texel_index(uv.x.primal(), self.width, self.wrap);
+            let y = texel_index(uv.y.primal(), self.height, self.wrap);
+            let texel = [y * self.width + x; 4];
+            let mut weight = [R::zero(); 4];
+            weight[0] = R::one();
+            return Footprint {
+                param: self.param,
+                texel,
+                weight,
+            };
+        }
+        let (x0, x1, fx) = cell(uv.x, self.width, self.wrap);
+        let (y0, y1, fy) = cell(uv.y, self.height, self.wrap);
+        let (gx, gy) = (R::one() - fx, R::one() - fy);
+        Footprint {
+            param: self.param,
+            texel: [
+                y0 * self.width + x0,
+                y0 * self.width + x1,
+                y1 * self.width + x0,
+                y1 * self.width + x1,
+            ],
+            weight: [gx * gy, fx * gy, gx * fy, fx * fy],
+        }
+    }
+}
+
+/// Reduces a coordinate to about one period, so that its integer part fits an `i32` whatever the input.
+#[inline]
+fn reduce<P: Float>(x: P, wrap: Wrap) -> P {
+    let x = if x.is_finite() { x } else { P::zero() };
+    match wrap {
+        Wrap::Repeat => x.rem_euclid(P::c(1.0)),
+        Wrap::Mirror => x.rem_euclid(P::c(2.0)),
+        Wrap::Clamp => x.max(P::zero()).min(P::one()),
+    }
+}
+
+#[inline]
+fn wrap_index(i: i32, n: u32, wrap: Wrap) -> u32 {
+    let n = n as i32;
+    let j = match wrap {
+        Wrap::Repeat => i.rem_euclid(n),
+        Wrap::Clamp => i.clamp(0, n - 1),
+        Wrap::Mirror => {
+            let j = i.rem_euclid(2 * n);
+            if j < n { j } else { 2 * n - 1 - j }
+        }
+    };
+    j as u32
+}
+
+#[inline]
+fn texel_index<P: Float>(x: P, n: u32, wrap: Wrap) -> u32 {
+    wrap_index(
+        (reduce(x, wrap).to_f32() * n as f32).floor() as i32,
+        n,
+        wrap,
+    )
+}
+
+/// The two neighbouring texels along one axis and the weight of the second.
+#[inline]
+fn cell<R: Real>(x: R, n: u32, wrap: Wrap) -> (u32, u32, R) {
+    // Adding the primal difference keeps the tangent of x while the value is reduced exactly.
+    let p = x.primal();
+    let reduced = reduce(p, wrap);
+    let x = if reduced == p {
+        x
+    } else {
+        x + ad_core::Const(reduced - p)
+    };
+    let pos = x * R::c(f64::from(n)) - R::c(0.5);
+    let floor = pos.primal().to_f64().floor();
+    let i = floor as i32;
+    (
+        wrap_index(i, n, wrap),
+        wrap_index(i + 1, n, wrap),
+        pos - R::c(floor),
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn bitmap(wrap: Wrap) -> Bitmap {
+        Bitmap {
+            param: ParamRef { id: 0, offset: 0 },
+            width: 4,
+            height: 2,
+            wrap,
+            nearest: false,
+            to_uv: UvTransform::IDENTITY,
+        }
+    }
+
+    #[test]
+    fn texel_centres_are_exact_and_weights_sum_to_one() {
+        for wrap in [Wrap::Repeat, Wrap::Clamp, Wrap::Mirror] {
+            let b = bitmap(wrap);
+            for i in 0..4 {
+                let f = b.footprint(Vec2::new((i as f64 + 0.5) / 4.0, 0.25));
+                let hit: f64 = (0..4)
+                    .filter(|&k| f.texel[k] == i)
+                    .map(|k| f.weight[k])
+                    .sum();
+                assert!((hit - 1.0).abs() < 1e-12);
+            }
+            for k in -40..40 {
+                let uv = Vec2::new(0.173 * f64::from(k), -0.31 * f64::from(k));
+                let f = b.footprint(uv);
+                assert!((f.weight.iter().sum::<f64>() - 1.0).abs() < 1e-12);
+                assert!(f.texel.iter().all(|&t| t < 8));
+            }
+        }
+    }
+
+    #[test]
+    fn extreme_coordinates_stay_in_range() {
+        for wrap in [Wrap::Repeat, Wrap::Clamp, Wrap::Mirror] {
+            for nearest in [false, true] {
+                let b = Bitmap {
+                    nearest,
+                    ..bitmap(wrap)
+                };
+                for x in [
+                    f32::NAN,
+                    f32::INFINITY,
+                    -f32::INFINITY,
+                    1e30,
+                    -1e30,
+                    1.0,
+                    0.0,
+                    -0.0,
+                ] {
+                    let f = b.footprint(Vec2::new(x, x));
+                    assert!(f.texel.iter().all(|&t| t < 8), "{wrap:?} {x}");
+                }
+            }
+        }
+    }
+}

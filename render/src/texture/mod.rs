@@ -1,0 +1,130 @@
+//! Textures: parameters as a function of surface coordinates.
+//!
+//! Every texture is *linear* in its texels. A lookup is a [`Footprint`], a few texels with weights;
+//! evaluation is the weighted sum and the adjoint is scattered through the same weights, so there is
+//! one definition of a texture for both directions.
+
+mod bitmap;
+mod checkerboard;
+mod load;
+
+pub use bitmap::{Bitmap, UvTransform, Wrap};
+pub use checkerboard::Checkerboard;
+pub(crate) use load::from_node;
+
+use ad_core::{Float, Real, Vec2};
+
+use crate::math::Rgb;
+use crate::params::{GradSink, ParamRef, Theta, per_channel};
+
+/// Texels and weights of one lookup; unused entries have weight zero and repeat a valid texel.
+#[derive(Clone, Copy, Debug)]
+pub struct Footprint<R> {
+    /// The range of each texel.
+    pub param: ParamRef,
+    /// Texel index within its range.
+    pub texel: [u32; 4],
+    /// Interpolation weight; sums to one.
+    pub weight: [R; 4],
+}
+
+/// A texture with `C` channels: 1 (roughness, weights, opacity) or 3 (colours).
+#[derive(Clone, Debug)]
+pub enum Texture<const C: usize> {
+    /// The same value everywhere.
+    Constant(ParamRef),
+    /// An image.
+    Bitmap(Bitmap),
+    /// Two colours in alternating squares.
+    Checkerboard(Checkerboard),
+}
+
+/// A colour texture.
+pub type RgbTexture = Texture<3>;
+/// A scalar texture.
+pub type ScalarTexture = Texture<1>;
+
+impl<const C: usize> Texture<C> {
+    /// The value at `uv`, all channels.
+    ///
+    /// # Derivatives
+    /// In theta and in `uv` (through the interpolation weights).
+    #[inline]
+    pub fn eval<R: Real>(&self, theta: &Theta<R>, uv: Vec2<R>) -> [R; C] {
+        match self {
+            Self::Constant(p) => theta.texel(*p, 0),
+            Self::Bitmap(t) => gather(theta, &t.footprint(uv)),
+            Self::Checkerboard(t) => theta.texel(t.select(uv.primal()), 0),
+        }
+    }
+
+    /// Adds the adjoint `d` of the value at `uv` to the texels it was made from. A scalar texture
+    /// takes the sum over the channels.
+    pub fn scatter<P: Float>(&self, uv: Vec2<P>, d: Rgb<P>, grad: &mut impl GradSink<P>) {
+        let d: [P; C] = per_channel(d);
+        let mut put = |p: ParamRef, texel: u32, weight: P| {
+            for (c, &d) in d.iter().enumerate() {
+                grad.add(p, texel as usize * C + c, weight * d);
+            }
+        };
+        match self {
+            Self::Constant(p) => put(*p, 0, P::one()),
+            Self::Bitmap(t) => {
+                let f = t.footprint(uv);
+                for k in 0..4 {
+                    if f.weight[k] != P::zero() {
+                        put(f.param, f.texel[k], f.weight[k]);
+                    }
+                }
+            }
+            Self::Checkerboard(t) => put(t.select(uv), 0, P::one()),
+        }
+    }
+
+    /// Calls `f` with every range the texture reads.
+    pub fn visit_params(&self, f: &mut dyn FnMut(ParamRef)) {
+        match self {
+            Self::Constant(p) => f(*p),
+            Self::Bitmap(t) => f(t.param),
+            Self::Checkerboard(t) => t.colors.iter().for_each(|&p| f(p)),
+        }
+    }
+
+    /// Whether any of its ranges satisfies `f`.
+    #[inline]
+    pub fn any_param(&self, mut f: impl FnMut(ParamRef) -> bool) -> bool {
+        match self {
+            Self::Constant(p) => f(*p),
+            Self::Bitmap(t) => f(t.param),
+            Self::Checkerboard(t) => t.colors.iter().any(|&p| f(p)),
+        }
+    }
+}
+
+impl Texture<3> {
+    /// [`Texture::eval`] as a colour.
+    #[inline]
+    pub fn rgb<R: Real>(&self, theta: &Theta<R>, uv: Vec2<R>) -> Rgb<R> {
+        self.eval(theta, uv).into()
+    }
+}
+
+impl Texture<1> {
+    /// [`Texture::eval`] as a scalar.
+    #[inline]
+    pub fn scalar<R: Real>(&self, theta: &Theta<R>, uv: Vec2<R>) -> R {
+        self.eval(theta, uv)[0]
+    }
+}
+
+#[inline]
+fn gather<R: Real, const C: usize>(theta: &Theta<R>, f: &Footprint<R>) -> [R; C] {
+    let mut value = [R::zero(); C];
+    for k in 0..4 {
+        let texel: [R; C] = theta.texel(f.param, f.texel[k] as usize);
+        for c in 0..C {
+            value[c] += texel[c] * f.weight[k];
+        }
+    }
+    value
+}
