@@ -3,11 +3,12 @@
 //! Every function takes the value at one level of nesting and returns the function's value
 //! together with its derivative(s). Values follow IEEE 754. **A slope is always finite**: where
 //! the derivative does not exist, is infinite, or overflows, it is the number in this table.
-//! Hence zero tangent in gives zero tangent out, and a finite tangent in gives a finite tangent
-//! out, at every point whatsoever.
+//! Hence zero tangent in gives zero tangent out, and a unit tangent in gives a finite tangent out,
+//! at every point whatsoever. The one exception are products, whose slopes are their own factors.
 //!
 //! | function | singular point | value | slope |
 //! |---|---|---|---|
+//! | `a * b`, `square` | non-finite factor | IEEE | that factor (twice, for `square`) |
 //! | `a / b`, `recip`, `div_into` | `b = 0` | IEEE: ±inf or NaN | 0 for `a` and `b` |
 //! | `sqrt` | 0; below 0 | 0; NaN | 0 |
 //! | `cbrt` | 0 | 0 | 0 |
@@ -81,13 +82,13 @@ pub fn div_into<P: Real>(x: P, c: Const<P::Primal>) -> (P, P) {
 #[inline(always)]
 pub fn sqrt<P: Real>(x: P) -> (P, P) {
     let s = x.sqrt();
-    // No further guard: the root of the smallest positive number is far from zero.
     let slope = if s > P::zero() {
         s.div_into(P::c(0.5))
     } else {
         P::zero()
     };
-    (s, slope)
+    // The root of the smallest positive number is far from zero: only nested tangents overflow.
+    (s, if P::IS_PRIMAL { slope } else { finite(slope) })
 }
 
 /// Cube root.
@@ -248,10 +249,8 @@ pub fn abs<P: Real>(x: P) -> (P, P) {
 /// Error function.
 #[inline]
 pub fn erf<P: Real>(x: P) -> (P, P) {
-    (
-        x.erf(),
-        (-x.square()).exp() * P::c(std::f64::consts::FRAC_2_SQRT_PI),
-    )
+    let slope = (-x.square()).exp() * P::c(std::f64::consts::FRAC_2_SQRT_PI);
+    (x.erf(), finite(slope))
 }
 
 /// Whether `min(a, b)` is `a`.
