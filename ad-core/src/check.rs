@@ -50,22 +50,13 @@ impl Report {
         let deviation = (automatic - d.value).abs();
         // The extrapolation's own error estimate is optimistic by a small factor.
         let allowed = tolerance * automatic.abs().max(d.value.abs()) + 8.0 * d.error;
-        let agrees = deviation <= allowed;
-        let excess = match (agrees, deviation / allowed) {
-            (true, x) => {
-                if x.is_finite() {
-                    x
-                } else {
-                    0.0
-                }
-            }
-            (false, x) => {
-                if x.is_nan() {
-                    f64::INFINITY
-                } else {
-                    x
-                }
-            }
+        let finite = automatic.is_finite() && d.error.is_finite();
+        let agrees = finite && deviation <= allowed;
+        // 0 / 0 is agreement: `max` drops the NaN.
+        let excess = if finite {
+            (deviation / allowed).max(0.0)
+        } else {
+            f64::INFINITY
         };
         self.compared += 1;
         self.failed += usize::from(!agrees);

@@ -69,10 +69,18 @@ macro_rules! vector {
             pub fn dot_const(self, o: $V<R::Primal>) -> R {
                 vector!(@sum $(self.$f * Const(o.$f)),*)
             }
-            /// Euclidean length. Zero with zero tangent for the zero vector.
+            /// Euclidean length. Zero, with zero tangent, for the zero vector.
             #[inline(always)]
             pub fn length(self) -> R {
-                self.length_squared().sqrt()
+                let l2 = self.length_squared();
+                if well_scaled(l2) {
+                    return l2.sqrt();
+                }
+                let (v, scale) = self.rescaled();
+                if !scale.is_finite() {
+                    return R::lift(scale);
+                }
+                v.length_squared().sqrt() * Const(scale)
             }
             /// Squared Euclidean length.
             #[inline(always)]
@@ -83,17 +91,28 @@ macro_rules! vector {
             #[inline(always)]
             pub fn normalize(self) -> Self {
                 let l2 = self.length_squared();
-                let tiny = R::Primal::MIN_POSITIVE / R::Primal::EPSILON;
-                let (v, l2) = if l2.primal() > tiny && l2.primal() <= R::Primal::MAX {
+                let (v, l2) = if well_scaled(l2) {
                     (self, l2)
                 } else {
-                    // The square left the range of normal numbers: scale first.
-                    let s = Real::min(self.primal().max_abs().recip(), R::Primal::MAX);
-                    let v = self * Const(s);
+                    let (v, _) = self.rescaled();
                     (v, v.length_squared())
                 };
                 let inv = if l2 > R::zero() { l2.sqrt().recip() } else { R::zero() };
                 v * inv
+            }
+            /// A vector `v` with components of order one, and `scale`, so that `self = v scale`.
+            /// Zero and infinite vectors give zero; vectors so short that the derivative of their
+            /// direction, 1 / length, overflows lose their tangents.
+            #[inline]
+            fn rescaled(self) -> (Self, R::Primal) {
+                let m = self.primal().max_abs();
+                if m >= R::Primal::MIN_POSITIVE * <R::Primal as Real>::of(16.0) && m.is_finite() {
+                    (self * Const(m.recip()), m)
+                } else if m.is_finite() {
+                    (self.detach() * Const(R::Primal::MAX), R::Primal::MAX.recip())
+                } else {
+                    (Self::zero(), m)
+                }
             }
             /// Componentwise linear interpolation, `self` at `t = 0` and `o` at `t = 1`.
             #[inline(always)]
@@ -233,6 +252,12 @@ macro_rules! vector {
     };
     (@sum $a:expr $(, $b:expr)*) => { $a $(+ $b)* };
     (@fold $f:ident $a:expr $(, $b:expr)*) => { $a$(.$f($b))* };
+}
+
+/// Whether a squared length is a normal number with digits to spare.
+#[inline(always)]
+fn well_scaled<R: Real>(l2: R) -> bool {
+    l2.primal() > R::Primal::MIN_POSITIVE / R::Primal::EPSILON && l2.primal() <= R::Primal::MAX
 }
 
 vector!(
