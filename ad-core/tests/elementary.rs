@@ -269,8 +269,9 @@ fn singular_points_are_as_documented() {
             "{name} at {x}, f32"
         );
     }
+    type Case = (Binary<Dual<f64, 2>>, [f64; 2], [f64; 2]);
     let both = |f: Binary<Dual<f64, 2>>, x, y| f(Dual::var(x, 0), Dual::var(y, 1));
-    let cases: [(Binary<Dual<f64, 2>>, [f64; 2], [f64; 2]); 9] = [
+    let cases: [Case; 9] = [
         (|x, y| x / y, [1.0, 0.0], [0.0, 0.0]),
         (|x, y| x / y, [0.0, 0.0], [0.0, 0.0]),
         (Real::atan2, [0.0, 0.0], [0.0, 0.0]),

@@ -144,13 +144,9 @@ fn manifold_walk_and_its_derivative() {
         .constraint::<Dual<f64, 1>>(Dual::lift(x), Dual::lift(y), Dual::var(curvature, 0))
         .map(|c| -c.eps[0]);
     let dx = solve_dense(by_x, by_p).expect("regular");
-    for k in 0..2 {
+    for (k, got) in dx.into_iter().enumerate() {
         let d = check::central_difference(|p| specular_point(p)[k], curvature, 0.02);
-        assert!(
-            (dx[k] - d.value).abs() < 1e-8 + 4.0 * d.error,
-            "{} {d:?}",
-            dx[k]
-        );
+        assert!((got - d.value).abs() < 1e-8 + 4.0 * d.error, "{got} {d:?}");
     }
 }
 

@@ -87,11 +87,11 @@ fn second_order_agrees_with_differences_of_the_gradient() {
         let (hv_y, hv_g, hv) = hvp(&scalar, x, v);
         assert_eq!(hv_y, y);
         assert!(hv_g.iter().zip(g).all(|(a, b)| (a - b).abs() < 1e-14));
-        for i in 0..3 {
-            let want: f64 = (0..3).map(|j| h[i][j] * v[j]).sum();
+        for (i, row) in h.iter().enumerate() {
+            let want: f64 = row.iter().zip(v).map(|(h, v)| h * v).sum();
             assert!((hv[i] - want).abs() < 1e-12, "{} {want}", hv[i]);
-            for j in 0..3 {
-                assert!((h[i][j] - h[j][i]).abs() < 1e-12, "Hessians are symmetric");
+            for (j, h_ij) in row.iter().enumerate() {
+                assert!((h_ij - h[j][i]).abs() < 1e-12, "Hessians are symmetric");
             }
         }
     }
@@ -170,13 +170,8 @@ fn chain_gradient_equals_forward_mode_and_differences() {
             &std::array::from_fn::<_, 9, _>(|i| Dual::<f64, 9>::var(x[i], i)),
             STAGES,
         );
-        for i in 0..9 {
-            assert!(
-                (g[i] - forward.eps[i]).abs() < 1e-12,
-                "{i}: {} {}",
-                g[i],
-                forward.eps[i]
-            );
+        for (i, (got, want)) in g.iter().zip(forward.eps).enumerate() {
+            assert!((got - want).abs() < 1e-12, "{i}: {got} {want}");
         }
         let report = check::gradient_by_differences(|x| whole_chain(x, STAGES), &mut x, &g, 1e-7);
         assert!(report.passed(), "{report}");
