@@ -1,0 +1,284 @@
+//! The combinations of scalar, strategy and sampler that are compiled, as plain functions.
+//!
+//! The renderer is generic; a program that calls [`render::render`] with types of its own compiles the
+//! whole of light transport for them. Tools and figures call these functions instead, and link in a
+//! second. A new combination is one line in the table of [`render_f32`] or a function below it.
+
+use std::ops::Range;
+
+use ad_core::{Dual, Float};
+
+use crate::error::RenderError;
+use crate::estimator::{
+    Balance, BsdfOnly, Detached, DetachedWeights, EmitterOnly, Mis, Power, Strategy, Unbiased,
+};
+use crate::integrator::gradient::{self, Active, Gradient};
+use crate::integrator::render::{self, Components, Progress, Rendering};
+use crate::params::{ParamRef, Params, Tangent, Theta};
+use crate::sampler::Independent;
+use crate::scene::{Scene, Settings};
+
+/// Which techniques estimate direct light; see [`crate::estimator`].
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Technique {
+    /// BSDF and emitter sampling, power heuristic.
+    #[default]
+    MisPower,
+    /// BSDF and emitter sampling, balance heuristic.
+    MisBalance,
+    /// BSDF sampling.
+    BsdfOnly,
+    /// Emitter sampling.
+    EmitterOnly,
+}
+
+/// `dyn` progress for functions that want a sized one.
+struct Dynamic<'a>(&'a dyn Progress);
+
+impl Progress for Dynamic<'_> {
+    fn advance(&self, n: u64) {
+        self.0.advance(n);
+    }
+    fn cancelled(&self) -> bool {
+        self.0.cancelled()
+    }
+}
+
+type MisOf<H> = Mis<Detached, Detached, DetachedWeights, H>;
+
+fn primal<P: Components + Float>(
+    scene: &Scene,
+    theta: &Theta<P>,
+    technique: Technique,
+    settings: &Settings,
+    seed: u64,
+    samples: Range<u64>,
+    progress: &dyn Progress,
+) -> Rendering {
+    fn run<P: Components, S: Strategy + Unbiased>(
+        scene: &Scene,
+        theta: &Theta<P>,
+        settings: &Settings,
+        seed: u64,
+        samples: Range<u64>,
+        progress: &dyn Progress,
+    ) -> Rendering {
+        let progress = Dynamic(progress);
+        render::render::<P, S, Independent>(scene, theta, settings, seed, samples, &progress)
+    }
+    let run = match technique {
+        Technique::MisPower => run::<P, MisOf<Power>>,
+        Technique::MisBalance => run::<P, MisOf<Balance>>,
+        Technique::BsdfOnly => run::<P, BsdfOnly<Detached>>,
+        Technique::EmitterOnly => run::<P, EmitterOnly<Detached>>,
+    };
+    run(scene, theta, settings, seed, samples, progress)
+}
+
+/// The image, in single precision: [`render::render`] with independent samples.
+pub fn render_f32(
+    scene: &Scene,
+    theta: &Theta<f32>,
+    technique: Technique,
+    settings: &Settings,
+    seed: u64,
+    samples: Range<u64>,
+    progress: &dyn Progress,
+) -> Rendering {
+    primal(scene, theta, technique, settings, seed, samples, progress)
+}
+
+/// The image, in double precision: a reference for [`render_f32`] and for differences.
+pub fn render_f64(
+    scene: &Scene,
+    theta: &Theta<f64>,
+    technique: Technique,
+    settings: &Settings,
+    seed: u64,
+    samples: Range<u64>,
+    progress: &dyn Progress,
+) -> Rendering {
+    primal(scene, theta, technique, settings, seed, samples, progress)
+}
+
+/// The gradient of `<adjoint, image>`, in single precision: [`gradient::backward`] with detached MIS and
+/// independent samples.
+///
+/// # Errors
+/// An adjoint image of the wrong size.
+pub fn backward_f32(
+    scene: &Scene,
+    theta: &Theta<f32>,
+    active: &Active,
+    adjoint: &[f32],
+    settings: &Settings,
+    seed: u64,
+    samples: Range<u64>,
+    progress: &dyn Progress,
+) -> Result<Gradient, RenderError> {
+    let progress = Dynamic(progress);
+    gradient::backward::<f32, Independent>(
+        scene, theta, active, adjoint, settings, seed, samples, &progress,
+    )
+}
+
+/// [`backward_f32`] in double precision.
+///
+/// # Errors
+/// An adjoint image of the wrong size.
+pub fn backward_f64(
+    scene: &Scene,
+    theta: &Theta<f64>,
+    active: &Active,
+    adjoint: &[f32],
+    settings: &Settings,
+    seed: u64,
+    samples: Range<u64>,
+    progress: &dyn Progress,
+) -> Result<Gradient, RenderError> {
+    let progress = Dynamic(progress);
+    gradient::backward::<f64, Independent>(
+        scene, theta, active, adjoint, settings, seed, samples, &progress,
+    )
+}
+
+/// A direction in parameter space along which forward mode differentiates.
+///
+/// Colours do not mix, so adding one number to all three channels of an RGB parameter gives, in channel c of
+/// the image, the derivative with respect to channel c.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Direction {
+    /// One number added to every element of a range.
+    Uniform(ParamRef),
+    /// A multiple of this vector, one number per element, added to a range.
+    Dense(ParamRef, Vec<f32>),
+}
+
+impl Direction {
+    /// [`Direction::Uniform`] for the range called `name`.
+    ///
+    /// # Errors
+    /// An unknown name.
+    pub fn uniform(params: &Params, name: &str) -> Result<Self, RenderError> {
+        Ok(Self::Uniform(params.handle(params.find(name)?)))
+    }
+
+    fn param(&self) -> ParamRef {
+        match self {
+            Self::Uniform(p) | Self::Dense(p, _) => *p,
+        }
+    }
+}
+
+/// Derivative images along any number of directions, in single precision (forward mode): component 0 of the
+/// result is the image, component `k` the derivative along `directions[k - 1]`.
+///
+/// Renders `Dual<f32, N>` with N in 8, 4, 2, 1, so eleven directions cost three passes over the same
+/// samples. Detached MIS, independent samples.
+///
+/// # Errors
+/// A dense direction of the wrong length.
+pub fn forward_f32(
+    scene: &Scene,
+    values: &[f32],
+    directions: &[Direction],
+    settings: &Settings,
+    seed: u64,
+    samples: Range<u64>,
+    progress: &dyn Progress,
+) -> Result<Rendering, RenderError> {
+    for d in directions {
+        let expected = scene.params().infos()[d.param().id as usize].shape.len();
+        match d {
+            Direction::Dense(_, v) if v.len() != expected => {
+                return Err(RenderError::WrongLength {
+                    what: "direction",
+                    expected,
+                    found: v.len(),
+                });
+            }
+            _ => {}
+        }
+    }
+    let widest = |n: usize| [8, 4, 2].into_iter().find(|w| *w <= n).unwrap_or(1);
+    let pass = |directions: &[Direction]| {
+        let run = match directions.len() {
+            8 => forward::<8>,
+            4 => forward::<4>,
+            2 => forward::<2>,
+            _ => forward::<1>,
+        };
+        let samples = samples.clone();
+        let mut part = run(scene, values, directions, settings, seed, samples, progress);
+        part.sums.truncate(1 + directions.len());
+        part
+    };
+    let (now, mut rest) = directions.split_at(widest(directions.len()).min(directions.len()));
+    let mut out = pass(now);
+    while !rest.is_empty() {
+        let (now, later) = rest.split_at(widest(rest.len()));
+        let part = pass(now);
+        out.sums.extend(part.sums.into_iter().skip(1));
+        out.cancelled |= part.cancelled;
+        // A sample may fail in the tangents of one pass only.
+        if part.non_finite.count > out.non_finite.count {
+            out.non_finite = part.non_finite;
+        }
+        rest = later;
+    }
+    Ok(out)
+}
+
+fn forward<const N: usize>(
+    scene: &Scene,
+    values: &[f32],
+    directions: &[Direction],
+    settings: &Settings,
+    seed: u64,
+    samples: Range<u64>,
+    progress: &dyn Progress,
+) -> Rendering {
+    let tangents = tangents::<N>(scene.params(), directions);
+    let theta = Theta::<Dual<f32, N>>::with_tangents(values, &tangents);
+    let progress = Dynamic(progress);
+    render::render::<Dual<f32, N>, MisOf<Power>, Independent>(
+        scene, &theta, settings, seed, samples, &progress,
+    )
+}
+
+/// One tangent per range of the layout; direction `k` is component `k` of the dual numbers.
+fn tangents<const N: usize>(
+    params: &Params,
+    directions: &[Direction],
+) -> Vec<Tangent<Dual<f32, N>>> {
+    let zero = Dual::new(0.0, [0.0; N]);
+    let mut out = vec![Tangent::None; params.infos().len()];
+    for (k, direction) in directions.iter().enumerate() {
+        let id = direction.param().id as usize;
+        let len = params.infos()[id].shape.len();
+        let tangent = &mut out[id];
+        match (direction, &mut *tangent) {
+            (Direction::Uniform(_), Tangent::None) => {
+                let mut t = zero;
+                t.eps[k] = 1.0;
+                *tangent = Tangent::Uniform(t);
+            }
+            (Direction::Uniform(_), Tangent::Uniform(t)) => t.eps[k] = 1.0,
+            (Direction::Uniform(_), Tangent::Dense(t)) => {
+                t.iter_mut().for_each(|t| t.eps[k] = 1.0);
+            }
+            (Direction::Dense(_, v), current) => {
+                let mut dense = match std::mem::replace(current, Tangent::None) {
+                    Tangent::None => vec![zero; len],
+                    Tangent::Uniform(t) => vec![t; len],
+                    Tangent::Dense(t) => t,
+                };
+                for (t, v) in dense.iter_mut().zip(v) {
+                    t.eps[k] = *v;
+                }
+                *current = Tangent::Dense(dense);
+            }
+        }
+    }
+    out
+}
