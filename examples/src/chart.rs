@@ -1,0 +1,506 @@
+//! Charts and labelled pictures.
+
+use std::error::Error;
+use std::io::Cursor;
+use std::sync::Once;
+
+use plotters::coord::Shift;
+use plotters::coord::ranged1d::{AsRangedCoord, Ranged, ValueFormatter};
+use plotters::prelude::*;
+use render::Image;
+
+type Result<T> = std::result::Result<T, Box<dyn Error>>;
+
+/// The font that is compiled in.
+const FONT: &str = "chart";
+/// Size of a chart, pixels.
+const SIZE: (u32, u32) = (960, 640);
+/// Colours that stay apart for colour-blind readers [Okabe and Ito 2008].
+const COLOURS: [RGBColor; 7] = [
+    RGBColor(0, 114, 178),
+    RGBColor(213, 94, 0),
+    RGBColor(0, 158, 115),
+    RGBColor(204, 121, 167),
+    RGBColor(230, 159, 0),
+    RGBColor(86, 180, 233),
+    RGBColor(0, 0, 0),
+];
+
+fn register_font() {
+    static ONCE: Once = Once::new();
+    ONCE.call_once(|| {
+        let font = include_bytes!("../assets/roboto-latin-greek.ttf");
+        // Without it, drawing text reports the missing font.
+        let _ = plotters::style::register_font(FONT, FontStyle::Normal, font);
+    });
+}
+
+/// Whether the points of a series are joined, and how.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Style {
+    Line,
+    Dashed,
+    Points,
+    LineAndPoints,
+}
+
+#[derive(Clone, Debug)]
+struct Series {
+    label: String,
+    style: Style,
+    points: Vec<(f64, f64)>,
+}
+
+/// Curves over two axes, each linear or logarithmic. Points that are not finite, or not
+/// positive on a logarithmic axis, are left out.
+#[derive(Clone, Debug)]
+pub struct LineChart {
+    title: String,
+    x: String,
+    y: String,
+    log: (bool, bool),
+    x_range: Option<(f64, f64)>,
+    y_range: Option<(f64, f64)>,
+    series: Vec<Series>,
+}
+
+impl LineChart {
+    /// An empty chart with a title and labels of the axes.
+    pub fn new(title: &str, x: &str, y: &str) -> Self {
+        Self {
+            title: title.into(),
+            x: x.into(),
+            y: y.into(),
+            log: (false, false),
+            x_range: None,
+            y_range: None,
+            series: Vec::new(),
+        }
+    }
+
+    /// With a logarithmic horizontal axis.
+    pub fn log_x(mut self) -> Self {
+        self.log.0 = true;
+        self
+    }
+
+    /// With a logarithmic vertical axis.
+    pub fn log_y(mut self) -> Self {
+        self.log.1 = true;
+        self
+    }
+
+    /// With a fixed horizontal range instead of that of the points.
+    pub fn x_range(mut self, low: f64, high: f64) -> Self {
+        self.x_range = Some((low, high));
+        self
+    }
+
+    /// With a fixed vertical range instead of that of the points.
+    pub fn y_range(mut self, low: f64, high: f64) -> Self {
+        self.y_range = Some((low, high));
+        self
+    }
+
+    fn with(
+        mut self,
+        style: Style,
+        label: &str,
+        points: impl IntoIterator<Item = (f64, f64)>,
+    ) -> Self {
+        self.series.push(Series {
+            label: label.into(),
+            style,
+            points: points.into_iter().collect(),
+        });
+        self
+    }
+
+    /// With a curve.
+    pub fn line(self, label: &str, points: impl IntoIterator<Item = (f64, f64)>) -> Self {
+        self.with(Style::Line, label, points)
+    }
+
+    /// With a dashed curve: references, models.
+    pub fn dashed(self, label: &str, points: impl IntoIterator<Item = (f64, f64)>) -> Self {
+        self.with(Style::Dashed, label, points)
+    }
+
+    /// With points that are not joined.
+    pub fn points(self, label: &str, points: impl IntoIterator<Item = (f64, f64)>) -> Self {
+        self.with(Style::Points, label, points)
+    }
+
+    /// With points that are joined: measurements over a parameter.
+    pub fn measured(self, label: &str, points: impl IntoIterator<Item = (f64, f64)>) -> Self {
+        self.with(Style::LineAndPoints, label, points)
+    }
+
+    /// As a PNG file.
+    ///
+    /// # Errors
+    /// Those of the drawing library.
+    pub fn png(&self) -> Result<Vec<u8>> {
+        let mut pixels = vec![255u8; (SIZE.0 * SIZE.1 * 3) as usize];
+        self.draw(BitMapBackend::with_buffer(&mut pixels, SIZE).into_drawing_area())?;
+        encode_png(&pixels, SIZE)
+    }
+
+    /// As an SVG file.
+    ///
+    /// # Errors
+    /// Those of the drawing library.
+    pub fn svg(&self) -> Result<String> {
+        let mut text = String::new();
+        self.draw(SVGBackend::with_string(&mut text, SIZE).into_drawing_area())?;
+        // The compiled-in font is unknown to viewers.
+        Ok(text.replace(
+            &format!("font-family=\"{FONT}\""),
+            "font-family=\"Roboto, sans-serif\"",
+        ))
+    }
+
+    fn visible(&self, p: &(f64, f64)) -> bool {
+        p.0.is_finite()
+            && p.1.is_finite()
+            && !(self.log.0 && p.0 <= 0.0)
+            && !(self.log.1 && p.1 <= 0.0)
+    }
+
+    fn range(
+        &self,
+        fixed: Option<(f64, f64)>,
+        log: bool,
+        pick: impl Fn(&(f64, f64)) -> f64,
+    ) -> std::ops::Range<f64> {
+        if let Some((low, high)) = fixed {
+            return low..high;
+        }
+        let all = self.series.iter().flat_map(|s| &s.points);
+        let (low, high) = all
+            .filter(|p| self.visible(p))
+            .map(pick)
+            .fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| {
+                (l.min(v), h.max(v))
+            });
+        if low > high {
+            return if log { 0.1..1.0 } else { 0.0..1.0 };
+        }
+        if log {
+            let margin = (high / low).powf(0.05).max(1.2);
+            low / margin..high * margin
+        } else {
+            let margin = (0.05 * (high - low)).max(1e-6 * high.abs()).max(1e-12);
+            low - margin..high + margin
+        }
+    }
+
+    fn draw<DB: DrawingBackend>(&self, area: DrawingArea<DB, Shift>) -> Result<()>
+    where
+        DB::ErrorType: 'static,
+    {
+        register_font();
+        area.fill(&WHITE)?;
+        let x = self.range(self.x_range, self.log.0, |p| p.0);
+        let y = self.range(self.y_range, self.log.1, |p| p.1);
+        match self.log {
+            (false, false) => self.draw_on(&area, x, y)?,
+            (true, false) => self.draw_on(&area, x.log_scale(), y)?,
+            (false, true) => self.draw_on(&area, x, y.log_scale())?,
+            (true, true) => self.draw_on(&area, x.log_scale(), y.log_scale())?,
+        }
+        area.present()?;
+        Ok(())
+    }
+
+    fn draw_on<DB, X, Y>(&self, area: &DrawingArea<DB, Shift>, x: X, y: Y) -> Result<()>
+    where
+        DB: DrawingBackend,
+        DB::ErrorType: 'static,
+        X: AsRangedCoord<Value = f64>,
+        Y: AsRangedCoord<Value = f64>,
+        X::CoordDescType: Ranged<ValueType = f64> + ValueFormatter<f64>,
+        Y::CoordDescType: Ranged<ValueType = f64> + ValueFormatter<f64>,
+    {
+        let mut chart = ChartBuilder::on(area)
+            .caption(&self.title, (FONT, 24))
+            .margin(16)
+            .x_label_area_size(52)
+            .y_label_area_size(84)
+            .build_cartesian_2d(x, y)?;
+        chart
+            .configure_mesh()
+            .x_desc(&self.x)
+            .y_desc(&self.y)
+            .axis_desc_style((FONT, 18))
+            .label_style((FONT, 15))
+            .light_line_style(RGBColor(238, 238, 238))
+            .x_label_formatter(&|v| number(*v))
+            .y_label_formatter(&|v| number(*v))
+            .draw()?;
+        for (i, s) in self.series.iter().enumerate() {
+            let colour = COLOURS[i % COLOURS.len()];
+            let points = || s.points.iter().copied().filter(|p| self.visible(p));
+            let mut handle = None;
+            match s.style {
+                Style::Line | Style::LineAndPoints => {
+                    let line = LineSeries::new(points(), colour.stroke_width(2));
+                    handle = Some(chart.draw_series(line)?);
+                }
+                Style::Dashed => {
+                    let line = DashedLineSeries::new(points(), 8, 6, colour.stroke_width(2));
+                    handle = Some(chart.draw_series(line)?);
+                }
+                Style::Points => {}
+            }
+            if matches!(s.style, Style::Points | Style::LineAndPoints) {
+                let dots = points().map(|p| Circle::new(p, 4, colour.filled()));
+                handle = Some(chart.draw_series(dots)?);
+            }
+            if let (Some(handle), false) = (handle, s.label.is_empty()) {
+                handle.label(&s.label).legend(move |(x, y)| {
+                    Rectangle::new([(x, y - 2), (x + 18, y + 2)], colour.filled())
+                });
+            }
+        }
+        if self.series.iter().any(|s| !s.label.is_empty()) {
+            chart
+                .configure_series_labels()
+                .position(SeriesLabelPosition::UpperRight)
+                .background_style(WHITE.mix(0.85))
+                .border_style(RGBColor(160, 160, 160))
+                .label_font((FONT, 16))
+                .draw()?;
+        }
+        Ok(())
+    }
+}
+
+/// A short decimal: `0.25`, `1e-6`.
+fn number(v: f64) -> String {
+    let a = v.abs();
+    if a == 0.0 {
+        "0".into()
+    } else if (1e-3..1e5).contains(&a) {
+        let text = format!("{v:.4}");
+        text.trim_end_matches('0').trim_end_matches('.').into()
+    } else if a < 1e-14 {
+        "0".into()
+    } else {
+        let text = format!("{v:.2e}");
+        text.replace(".00e", "e").replace("0e", "e")
+    }
+}
+
+/// A labelled 8-bit picture.
+#[derive(Clone, Debug)]
+pub struct Panel {
+    /// Shown above it.
+    pub label: String,
+    width: usize,
+    height: usize,
+    rgb: Vec<u8>,
+}
+
+impl Panel {
+    /// A linear image times `exposure`, in sRGB.
+    pub fn tonemapped(label: &str, image: &Image, exposure: f64) -> Self {
+        let encode = |&v: &f32| srgb(f64::from(v) * exposure);
+        Self {
+            label: label.into(),
+            width: image.width,
+            height: image.height,
+            rgb: image.data.iter().map(encode).collect(),
+        }
+    }
+
+    /// Signed numbers `[height][width]`: white at zero, blue below, red above, full colour at `+-scale`.
+    /// Without `scale`, the 99th percentile of the magnitude. The label tells the scale.
+    pub fn signed(label: &str, width: usize, values: &[f64], scale: Option<f64>) -> Self {
+        let scale = scale.unwrap_or_else(|| percentile(values, 0.99));
+        let rgb = values.iter().flat_map(|&v| {
+            let t = if scale > 0.0 {
+                (v / scale).clamp(-1.0, 1.0)
+            } else {
+                0.0
+            };
+            // Ends: (178, 24, 43) and (33, 102, 172), through white.
+            let end = if t < 0.0 {
+                [33.0, 102.0, 172.0]
+            } else {
+                [178.0, 24.0, 43.0]
+            };
+            let t = t.abs();
+            end.map(|e: f64| (255.0 + t * (e - 255.0)).round() as u8)
+        });
+        Self {
+            label: format!("{label}  [±{}]", number(scale)),
+            width,
+            height: values.len() / width.max(1),
+            rgb: rgb.collect(),
+        }
+    }
+
+    /// Numbers `[height][width]` in false colour from `low` (dark blue) to `high` (yellow). The label
+    /// tells the range.
+    pub fn false_colour(label: &str, width: usize, values: &[f64], low: f64, high: f64) -> Self {
+        let rgb = values
+            .iter()
+            .flat_map(|&v| viridis((v - low) / (high - low)));
+        Self {
+            label: format!("{label}  [{}, {}]", number(low), number(high)),
+            width,
+            height: values.len() / width.max(1),
+            rgb: rgb.collect(),
+        }
+    }
+
+    /// Every pixel becomes `factor` x `factor` pixels.
+    pub fn enlarged(self, factor: usize) -> Self {
+        let (width, height) = (self.width * factor, self.height * factor);
+        let mut rgb = Vec::with_capacity(width * height * 3);
+        for y in 0..height {
+            for x in 0..width {
+                let i = (y / factor * self.width + x / factor) * 3;
+                rgb.extend_from_slice(&self.rgb[i..i + 3]);
+            }
+        }
+        Self {
+            width,
+            height,
+            rgb,
+            ..self
+        }
+    }
+
+    /// Draws a line between two positions in pixels (row 0 at the top), clipped to the picture.
+    pub fn line(&mut self, from: [f64; 2], to: [f64; 2], colour: [u8; 3]) {
+        let length = (to[0] - from[0]).hypot(to[1] - from[1]);
+        if !length.is_finite() || length > 1e5 {
+            return;
+        }
+        let steps = (length * 2.0).ceil().max(1.0) as usize;
+        for i in 0..=steps {
+            let t = i as f64 / steps as f64;
+            let x = (from[0] + t * (to[0] - from[0])).floor();
+            let y = (from[1] + t * (to[1] - from[1])).floor();
+            if x >= 0.0 && y >= 0.0 && x < self.width as f64 && y < self.height as f64 {
+                let at = (y as usize * self.width + x as usize) * 3;
+                self.rgb[at..at + 3].copy_from_slice(&colour);
+            }
+        }
+    }
+
+    /// Draws a filled disc.
+    pub fn dot(&mut self, centre: [f64; 2], radius: f64, colour: [u8; 3]) {
+        for y in 0..self.height {
+            for x in 0..self.width {
+                let d = (x as f64 + 0.5 - centre[0]).hypot(y as f64 + 0.5 - centre[1]);
+                if d <= radius {
+                    let at = (y * self.width + x) * 3;
+                    self.rgb[at..at + 3].copy_from_slice(&colour);
+                }
+            }
+        }
+    }
+}
+
+/// Panels with their labels, `columns` in a row, as a PNG file.
+///
+/// # Errors
+/// Those of the drawing library.
+pub fn grid(columns: usize, panels: &[Panel]) -> Result<Vec<u8>> {
+    register_font();
+    const GAP: usize = 8;
+    const LABEL: usize = 26;
+    let columns = columns.clamp(1, panels.len().max(1));
+    let rows = panels.len().div_ceil(columns);
+    let cell_w = panels.iter().map(|p| p.width).max().unwrap_or(1) + GAP;
+    let cell_h = panels.iter().map(|p| p.height).max().unwrap_or(1) + GAP + LABEL;
+    let (width, height) = (columns * cell_w + GAP, rows * cell_h + GAP);
+    let size = (width as u32, height as u32);
+    let mut pixels = vec![255u8; width * height * 3];
+    let corner = |i: usize| (GAP + i % columns * cell_w, GAP + i / columns * cell_h);
+    {
+        let area = BitMapBackend::with_buffer(&mut pixels, size).into_drawing_area();
+        for (i, p) in panels.iter().enumerate() {
+            let (x, y) = corner(i);
+            // Long labels shrink to the width of their picture.
+            let mut points = 17.0;
+            let wide = |points: f64| -> Result<u32> {
+                Ok(area
+                    .estimate_text_size(&p.label, &(FONT, points).into_text_style(&area))?
+                    .0)
+            };
+            while points > 9.0 && wide(points)? > cell_w as u32 - 2 {
+                points -= 1.0;
+            }
+            let style = (FONT, points).into_text_style(&area);
+            area.draw_text(&p.label, &style, (x as i32, y as i32 + 2))?;
+        }
+        area.present()?;
+    }
+    for (i, p) in panels.iter().enumerate() {
+        let (x, y) = corner(i);
+        for (row, line) in p.rgb.chunks_exact((p.width * 3).max(1)).enumerate() {
+            let at = ((y + LABEL + row) * width + x) * 3;
+            pixels[at..at + line.len()].copy_from_slice(line);
+        }
+    }
+    encode_png(&pixels, size)
+}
+
+fn encode_png(rgb: &[u8], (width, height): (u32, u32)) -> Result<Vec<u8>> {
+    let mut png = Cursor::new(Vec::new());
+    image::write_buffer_with_format(
+        &mut png,
+        rgb,
+        width,
+        height,
+        image::ExtendedColorType::Rgb8,
+        image::ImageFormat::Png,
+    )?;
+    Ok(png.into_inner())
+}
+
+/// The sRGB transfer curve, in 8 bits.
+fn srgb(v: f64) -> u8 {
+    let v = v.clamp(0.0, 1.0);
+    let e = if v <= 0.003_130_8 {
+        12.92 * v
+    } else {
+        1.055 * v.powf(1.0 / 2.4) - 0.055
+    };
+    (e * 255.0).round() as u8
+}
+
+/// The viridis colour map, interpolated between nine of its colours.
+fn viridis(t: f64) -> [u8; 3] {
+    const STOPS: [[f64; 3]; 9] = [
+        [68.0, 1.0, 84.0],
+        [71.0, 44.0, 122.0],
+        [59.0, 81.0, 139.0],
+        [44.0, 113.0, 142.0],
+        [33.0, 144.0, 141.0],
+        [39.0, 173.0, 129.0],
+        [92.0, 200.0, 99.0],
+        [170.0, 220.0, 50.0],
+        [253.0, 231.0, 37.0],
+    ];
+    let t = if t.is_nan() { 0.0 } else { t.clamp(0.0, 1.0) } * 8.0;
+    let i = (t as usize).min(7);
+    let f = t - i as f64;
+    std::array::from_fn(|c| (STOPS[i][c] + f * (STOPS[i + 1][c] - STOPS[i][c])).round() as u8)
+}
+
+/// The value below which the share `q` of the magnitudes lies.
+fn percentile(values: &[f64], q: f64) -> f64 {
+    let mut sorted: Vec<f64> = values
+        .iter()
+        .map(|v| v.abs())
+        .filter(|v| v.is_finite())
+        .collect();
+    sorted.sort_by(f64::total_cmp);
+    let at = (q * sorted.len().saturating_sub(1) as f64).round() as usize;
+    sorted.get(at).copied().unwrap_or(0.0)
+}
