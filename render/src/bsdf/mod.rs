@@ -12,9 +12,17 @@
 //!
 //! To add a material: one file here, one line in `materials!` below.
 
+mod conductor;
+mod dielectric;
 mod diffuse;
+pub mod fresnel;
+pub mod microfacet;
+mod rough_conductor;
 
+pub use conductor::{Conductor, ConductorIndex, ConductorLobe};
+pub use dielectric::{Dielectric, DielectricLobe};
 pub use diffuse::{Diffuse, DiffuseLobe};
+pub use rough_conductor::{RoughConductor, RoughConductorLobe, Roughness};
 
 use ad_core::{Dual, Float, Real, Vec2, Vec3};
 
@@ -543,4 +551,7 @@ macro_rules! materials {
 
 materials! {
     Diffuse,
+    Conductor,
+    Dielectric,
+    RoughConductor,
 }

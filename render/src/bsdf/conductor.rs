@@ -1,0 +1,177 @@
+//! Smooth conductors: mirrors, coloured by their complex index of refraction.
+
+use ad_core::{Real, Vec3};
+
+use super::{
+    BsdfSample, Component, DeltaKind, FromNode, Leaf, Lobe, Reader, TransportMode, fresnel,
+};
+use crate::error::SceneError;
+use crate::math::Rgb;
+use crate::scene::{Builder, Node};
+use crate::texture::RgbTexture;
+
+/// The reflectance of a conducting surface as a function of angle.
+#[derive(Clone, Debug)]
+pub struct Conductor {
+    /// Factor on the reflectance, in [0, 1]; 1 is physical.
+    pub specular_reflectance: RgbTexture,
+    /// Complex index of refraction; without one, everything is reflected.
+    pub index: Option<ConductorIndex>,
+}
+
+/// Complex index of refraction `eta + i k`, relative to the outside.
+#[derive(Clone, Debug)]
+pub struct ConductorIndex {
+    /// Real part, not negative.
+    pub eta: RgbTexture,
+    /// Imaginary part, not negative.
+    pub k: RgbTexture,
+}
+
+/// A mirror; also the reflectance of a microfacet of a rough conductor.
+#[derive(Clone, Copy, Debug)]
+pub struct ConductorLobe<R> {
+    /// Factor on the reflectance.
+    pub specular_reflectance: Rgb<R>,
+    /// Real and imaginary part of the index.
+    pub index: Option<[Rgb<R>; 2]>,
+}
+
+impl<R: Real> ConductorLobe<R> {
+    /// Reflectance under the angle whose cosine is `cos`.
+    #[inline]
+    pub fn reflectance(&self, cos: R) -> Rgb<R> {
+        match self.index {
+            None => self.specular_reflectance,
+            Some([eta, k]) => {
+                let f = |eta, k| fresnel::conductor(cos, eta, k);
+                self.specular_reflectance * Rgb::new(f(eta.r, k.r), f(eta.g, k.g), f(eta.b, k.b))
+            }
+        }
+    }
+}
+
+impl Leaf for Conductor {
+    type Lobe<R: Real> = ConductorLobe<R>;
+    const DELTA: bool = true;
+
+    #[inline]
+    fn lobe<R: Real>(&self, read: &mut impl Reader<R>) -> ConductorLobe<R> {
+        ConductorLobe {
+            specular_reflectance: read.rgb(&self.specular_reflectance),
+            index: self
+                .index
+                .as_ref()
+                .map(|i| [read.rgb(&i.eta), read.rgb(&i.k)]),
+        }
+    }
+}
+
+impl<R: Real> Lobe<R> for ConductorLobe<R> {
+    #[inline]
+    fn eval(&self, _wo: Vec3<R>, _wi: Vec3<R>, _mode: TransportMode) -> Rgb<R> {
+        Rgb::black()
+    }
+
+    #[inline]
+    fn pdf(&self, _wo: Vec3<R>, _wi: Vec3<R>, _mode: TransportMode) -> R {
+        R::zero()
+    }
+
+    #[inline]
+    fn sample(
+        &self,
+        wo: Vec3<R>,
+        _u: [R::Primal; 3],
+        _mode: TransportMode,
+    ) -> Option<BsdfSample<R>> {
+        (wo.z.primal() > R::Primal::zero()).then(|| BsdfSample {
+            wi: Vec3::new(-wo.x, -wo.y, wo.z),
+            pdf: R::one(),
+            component: Component::Delta {
+                kind: DeltaKind::Reflection,
+                route: 0,
+            },
+            eta: R::Primal::one(),
+        })
+    }
+
+    #[inline]
+    fn eval_delta(&self, wo: Vec3<R>, kind: DeltaKind, _mode: TransportMode) -> Rgb<R> {
+        if kind == DeltaKind::Reflection && wo.z.primal() > R::Primal::zero() {
+            self.reflectance(wo.z)
+        } else {
+            Rgb::black()
+        }
+    }
+}
+
+impl FromNode for Conductor {
+    const PLUGINS: &'static [&'static str] = &["conductor"];
+
+    /// `specular_reflectance` (1), and either `material` (a metal's name, or `none`: the default)
+    /// or `eta` (0) and `k` (1).
+    fn from_node(node: &Node, build: &mut Builder) -> Result<Self, SceneError> {
+        let specular_reflectance =
+            build.rgb_texture(node, "specular_reflectance", [1.0; 3], (0.0, 1.0))?;
+        let named = node.choice("material", METALS)?;
+        let explicit = node.has("eta") || node.has("k");
+        if explicit && node.has("material") {
+            return Err(node.invalid("material", "either `material`, or `eta` and `k`"));
+        }
+        let default = match named.flatten() {
+            None if !explicit => {
+                return Ok(Self {
+                    specular_reflectance,
+                    index: None,
+                });
+            }
+            None => [[0.0; 3], [1.0; 3]],
+            Some(index) => index,
+        };
+        let valid = (0.0, f64::INFINITY);
+        Ok(Self {
+            specular_reflectance,
+            index: Some(ConductorIndex {
+                eta: build.rgb_texture(node, "eta", default[0], valid)?,
+                k: build.rgb_texture(node, "k", default[1], valid)?,
+            }),
+        })
+    }
+}
+
+/// A metal's `[eta, k]`, each in linear RGB.
+type Index = [[f64; 3]; 2];
+
+/// Measured indices, weighted with the responses of linear RGB: the values that Tungsten publishes.
+const METALS: &[(&str, Option<Index>)] = &[
+    ("none", None),
+    (
+        "Ag",
+        Some([
+            [0.155_264_6, 0.116_723_3, 0.138_380_7],
+            [4.828_343_3, 3.122_245_9, 2.146_950_4],
+        ]),
+    ),
+    (
+        "Al",
+        Some([
+            [1.657_46, 0.880_369, 0.521_228_7],
+            [9.223_869_2, 6.269_523_2, 4.837_001_2],
+        ]),
+    ),
+    (
+        "Au",
+        Some([
+            [0.143_119, 0.374_957, 1.442_478_6],
+            [3.983_160_4, 2.385_720_7, 1.603_215_3],
+        ]),
+    ),
+    (
+        "Cu",
+        Some([
+            [0.200_437_7, 0.924_033_4, 1.102_212],
+            [3.912_948_5, 2.452_847_7, 2.142_188],
+        ]),
+    ),
+];

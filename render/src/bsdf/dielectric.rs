@@ -1,0 +1,206 @@
+//! Smooth dielectrics: glass and water, reflecting and refracting.
+
+use ad_core::{Const, Real, Vec3};
+
+use super::{
+    BsdfSample, Component, DeltaKind, FromNode, Leaf, Lobe, Reader, TransportMode, fresnel,
+};
+use crate::error::SceneError;
+use crate::math::Rgb;
+use crate::params::Differentiability;
+use crate::scene::{Builder, Node};
+use crate::texture::{RgbTexture, ScalarTexture};
+
+/// A smooth interface between two dielectrics.
+#[derive(Clone, Debug)]
+pub struct Dielectric {
+    /// Index of refraction below the surface over that above.
+    pub eta: ScalarTexture,
+    /// Factor on the reflectance, in [0, 1]; 1 is physical.
+    pub specular_reflectance: RgbTexture,
+    /// Factor on the transmittance, in [0, 1]; 1 is physical.
+    pub specular_transmittance: RgbTexture,
+}
+
+/// Fresnel-weighted mirror reflection and refraction [Zeltner 2021, Eqs. 2.28 to 2.30, corrected].
+#[derive(Clone, Copy, Debug)]
+pub struct DielectricLobe<R> {
+    /// Index below over index above.
+    pub eta: R,
+    /// Factor on the reflectance.
+    pub specular_reflectance: Rgb<R>,
+    /// Factor on the transmittance.
+    pub specular_transmittance: Rgb<R>,
+}
+
+impl Leaf for Dielectric {
+    type Lobe<R: Real> = DielectricLobe<R>;
+    const DELTA: bool = true;
+
+    #[inline]
+    fn lobe<R: Real>(&self, read: &mut impl Reader<R>) -> DielectricLobe<R> {
+        DielectricLobe {
+            eta: read.scalar(&self.eta),
+            specular_reflectance: read.rgb(&self.specular_reflectance),
+            specular_transmittance: read.rgb(&self.specular_transmittance),
+        }
+    }
+}
+
+/// Index on the side that `w` does not point to over that on the side it does.
+#[inline]
+pub(super) fn eta_across<R: Real>(eta: R, w: Vec3<R>) -> R {
+    if w.z.primal() > R::Primal::zero() {
+        eta
+    } else {
+        eta.recip()
+    }
+}
+
+impl<R: Real> Lobe<R> for DielectricLobe<R> {
+    #[inline]
+    fn eval(&self, _wo: Vec3<R>, _wi: Vec3<R>, _mode: TransportMode) -> Rgb<R> {
+        Rgb::black()
+    }
+
+    #[inline]
+    fn pdf(&self, _wo: Vec3<R>, _wi: Vec3<R>, _mode: TransportMode) -> R {
+        R::zero()
+    }
+
+    /// Chooses by the (primal) reflectance of the interface.
+    #[inline]
+    fn sample(
+        &self,
+        wo: Vec3<R>,
+        u: [R::Primal; 3],
+        _mode: TransportMode,
+    ) -> Option<BsdfSample<R>> {
+        if wo.z.primal() == R::Primal::zero() {
+            return None;
+        }
+        let eta = eta_across(self.eta, wo);
+        let f = fresnel::dielectric(wo.z.abs(), eta);
+        let delta = |kind| Component::Delta { kind, route: 0 };
+        if u[0] < f.reflect.primal() {
+            return Some(BsdfSample {
+                wi: Vec3::new(-wo.x, -wo.y, wo.z),
+                pdf: R::lift(f.reflect.primal()),
+                component: delta(DeltaKind::Reflection),
+                eta: R::Primal::one(),
+            });
+        }
+        let inverse = eta.recip();
+        let side = Const(R::Primal::one().copysign(wo.z.primal()));
+        let wi = Vec3::new(-(wo.x * inverse), -(wo.y * inverse), -(f.cos_t * side));
+        let pdf = R::lift(f.transmit.primal());
+        (wi.z.primal() != R::Primal::zero() && pdf.primal() > R::Primal::zero()).then_some(
+            BsdfSample {
+                wi,
+                pdf,
+                component: delta(DeltaKind::Transmission),
+                eta: eta.primal(),
+            },
+        )
+    }
+
+    #[inline]
+    fn eval_delta(&self, wo: Vec3<R>, kind: DeltaKind, mode: TransportMode) -> Rgb<R> {
+        if wo.z.primal() == R::Primal::zero() {
+            return Rgb::black();
+        }
+        let eta = eta_across(self.eta, wo);
+        let f = fresnel::dielectric(wo.z.abs(), eta);
+        match (kind, mode) {
+            (DeltaKind::Reflection, _) => self.specular_reflectance * f.reflect,
+            (DeltaKind::Transmission, TransportMode::Importance) => {
+                self.specular_transmittance * f.transmit
+            }
+            (DeltaKind::Transmission, TransportMode::Radiance) => {
+                self.specular_transmittance * (f.transmit / eta.square())
+            }
+            (DeltaKind::Passthrough, _) => Rgb::black(),
+        }
+    }
+}
+
+impl FromNode for Dielectric {
+    const PLUGINS: &'static [&'static str] = &["dielectric"];
+
+    /// `int_ior` (`bk7`) and `ext_ior` (`air`), numbers or names; `specular_reflectance` (1) and
+    /// `specular_transmittance` (1).
+    fn from_node(node: &Node, build: &mut Builder) -> Result<Self, SceneError> {
+        let eta = relative_index(node, "bk7")?;
+        let name = format!("{}.eta.value", build.prefix());
+        Ok(Self {
+            eta: build.constant(&name, &[eta], INDEX_RANGE, Differentiability::Delta)?,
+            specular_reflectance: build.rgb_texture(
+                node,
+                "specular_reflectance",
+                [1.0; 3],
+                (0.0, 1.0),
+            )?,
+            specular_transmittance: build.rgb_texture(
+                node,
+                "specular_transmittance",
+                [1.0; 3],
+                (0.0, 1.0),
+            )?,
+        })
+    }
+}
+
+/// Valid relative indices of refraction.
+pub(super) const INDEX_RANGE: (f64, f64) = (0.1, 10.0);
+
+/// `int_ior / ext_ior` of a scene file.
+pub(super) fn relative_index(node: &Node, default_inside: &str) -> Result<f64, SceneError> {
+    let index = |key: &str, default: &str| -> Result<f64, SceneError> {
+        // A word, if it is not a number.
+        let value = match node.float(key) {
+            Ok(value) => value,
+            Err(_) => node.choice(key, INDICES)?,
+        };
+        let value = value.or_else(|| INDICES.iter().find(|(n, _)| *n == default).map(|i| i.1));
+        match value {
+            Some(x) if x > 0.0 => Ok(x),
+            _ => Err(node.invalid(key, "a positive index of refraction")),
+        }
+    };
+    let eta = index("int_ior", default_inside)? / index("ext_ior", "air")?;
+    let (lo, hi) = INDEX_RANGE;
+    if (lo..=hi).contains(&eta) {
+        return Ok(eta);
+    }
+    Err(node.invalid(
+        "int_ior",
+        &format!("an index between {lo} and {hi} times that outside"),
+    ))
+}
+
+/// Indices of refraction by name.
+const INDICES: &[(&str, f64)] = &[
+    ("vacuum", 1.0),
+    ("helium", 1.000_036),
+    ("hydrogen", 1.000_132),
+    ("air", 1.000_277),
+    ("carbon dioxide", 1.000_45),
+    ("water", 1.333),
+    ("acetone", 1.36),
+    ("ethanol", 1.361),
+    ("carbon tetrachloride", 1.461),
+    ("glycerol", 1.4729),
+    ("benzene", 1.501),
+    ("silicone oil", 1.520_45),
+    ("bromine", 1.661),
+    ("water ice", 1.31),
+    ("fused quartz", 1.458),
+    ("pyrex", 1.47),
+    ("acrylic glass", 1.49),
+    ("polypropylene", 1.49),
+    ("bk7", 1.5046),
+    ("sodium chloride", 1.544),
+    ("amber", 1.55),
+    ("pet", 1.575),
+    ("diamond", 2.419),
+];

@@ -1,0 +1,105 @@
+//! Fresnel reflectance of smooth interfaces for unpolarised light.
+//!
+//! All forms are free of cancellation and of 0/0: nothing here is made from `1 - F` or from sines
+//! and tangents of the angles (errata Z-2.20).
+
+use ad_core::Real;
+
+/// What a dielectric interface does with light arriving under one angle.
+#[derive(Clone, Copy, Debug)]
+pub struct Dielectric<R> {
+    /// Reflected fraction.
+    pub reflect: R,
+    /// Transmitted fraction; the two sum to one.
+    pub transmit: R,
+    /// Cosine of the angle of refraction, positive; zero at total internal reflection.
+    pub cos_t: R,
+}
+
+/// A dielectric interface seen under `cos_i` (positive), where `eta` is the index on the far side
+/// over that on the near side [Zeltner 2021, Eqs. 2.20 to 2.24].
+///
+/// # Derivatives
+/// In both arguments. At total internal reflection everything is reflected, with zero derivative;
+/// exactly grazing light counts as such.
+#[inline]
+pub fn dielectric<R: Real>(cos_i: R, eta: R) -> Dielectric<R> {
+    // eta cos_t = sqrt(eta^2 - sin^2), in factors that do not cancel.
+    let radicand = (eta - R::c(1.0)) * (eta + R::c(1.0)) + cos_i.square();
+    let zero = R::Primal::zero();
+    if radicand.primal() <= zero || cos_i.primal() <= zero {
+        return Dielectric {
+            reflect: R::one(),
+            transmit: R::zero(),
+            cos_t: R::zero(),
+        };
+    }
+    let q = radicand.sqrt();
+    let (s, p) = (cos_i + q, eta * cos_i + q / eta);
+    let (r_s, r_p) = ((cos_i - q) / s, (eta * cos_i - q / eta) / p);
+    Dielectric {
+        reflect: (r_s.square() + r_p.square()) * R::c(0.5),
+        transmit: cos_i * q * R::c(2.0) * (s.square().recip() + p.square().recip()),
+        cos_t: q / eta,
+    }
+}
+
+/// Reflectance of a conductor with complex index `eta + i k` (or `eta - i k`: no difference), relative
+/// to the near side, under `cos_i`.
+///
+/// # Derivatives
+/// In all arguments; one-sided at `eta = 0`.
+#[inline]
+pub fn conductor<R: Real>(cos_i: R, eta: R, k: R) -> R {
+    let zero = R::Primal::zero();
+    if cos_i.primal() <= zero {
+        return R::one();
+    }
+    let k = k.abs();
+    let c2 = cos_i.square();
+    let eta_k = eta * k;
+    // a + ib = sqrt((eta + ik)^2 - sin^2), the component of the wave vector along the normal.
+    let t = (eta - k) * (eta + k) - R::c(1.0) + c2;
+    let modulus = (t.square() + (eta_k * R::c(2.0)).square()).sqrt();
+    let (a, b) = if t.primal() > zero {
+        let a = ((modulus + t) * R::c(0.5)).sqrt();
+        (a, eta_k / a)
+    } else {
+        let b = ((modulus - t) * R::c(0.5)).sqrt();
+        let a = if b.primal() > zero {
+            eta_k / b
+        } else {
+            R::zero()
+        };
+        (a, b)
+    };
+    let b2 = b.square();
+    let r_s = ((cos_i - a).square() + b2) / ((cos_i + a).square() + b2);
+    // (eta + ik)^2 cos_i
+    let (re, im) = ((eta - k) * (eta + k) * cos_i, eta_k * cos_i * R::c(2.0));
+    let numerator = (re - a).square() + (im - b).square();
+    let denominator = (re + a).square() + (im + b).square();
+    let r_p = if denominator.primal() > zero {
+        numerator / denominator
+    } else {
+        R::one()
+    };
+    (r_s + r_p) * R::c(0.5)
+}
+
+/// Average of [`dielectric`]'s reflectance over cosine-weighted directions on the near side, to
+/// about 1e-7: what a diffuse emitter behind the interface gets back.
+pub fn dielectric_diffuse(eta: f64) -> f64 {
+    // Total internal reflection starts at this cosine: integrate on either side of the kink, where
+    // the substitution `mu = critical + (1 - critical) t^2` removes the square root.
+    let critical = (1.0 - eta * eta).max(0.0).sqrt();
+    let n = 256;
+    let transmitted: f64 = (0..n)
+        .map(|i| {
+            let t = (f64::from(i) + 0.5) / f64::from(n);
+            let mu = critical + (1.0 - critical) * t * t;
+            dielectric(mu, eta).transmit * mu * t
+        })
+        .sum();
+    1.0 - transmitted * 4.0 * (1.0 - critical) / f64::from(n)
+}

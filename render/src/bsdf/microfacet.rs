@@ -1,0 +1,284 @@
+//! Microfacet distributions: how the normals of a rough surface are distributed, how much of each
+//! other they hide, and how to sample them.
+//!
+//! With `D` the density of normals [Zeltner 2021, Eqs. 2.40, 2.41] and `w` a direction, everything is
+//! written in terms of one function besides `D`, the area of the microsurface as seen from `w`,
+//! `sigma(w) = integral of D(m) max(w.m, 0) dm = cos(theta_w) / G1(w)`. Unlike `G1 / cos` and
+//! `tan(theta)` it is finite and smooth at grazing angles, and the cosines cancel for good:
+//!
+//! - masking `G1(w) = cos / sigma` [Eqs. 2.43, 2.44, the exact Smith forms],
+//! - reflection `f cos_i = F D cos_i / (4 sigma_o sigma_i)` with `G = G1(wo) G1(wi)` [Eq. 2.45],
+//! - density of visible normals `D (w.m) / sigma(w)`.
+//!
+//! `1 - cos^2` is never formed; normals are scaled by `1 / alpha` before they are squared. That keeps
+//! single precision accurate to a few roundings for roughness down to 1e-4.
+
+use std::f64::consts::PI;
+
+use ad_core::{Const, Float, Real, Vec3};
+
+/// Valid values of a roughness.
+pub const ALPHA_RANGE: (f64, f64) = (1e-4, 1.0);
+
+/// The shape of a distribution of normals.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Ndf {
+    /// Gaussian slopes with standard deviation `alpha / sqrt(2)` per axis.
+    Beckmann,
+    /// Slopes with a long tail (Trowbridge-Reitz).
+    Ggx,
+}
+
+/// A distribution of microfacet normals, and which of them are sampled.
+#[derive(Clone, Copy, Debug)]
+pub struct Microfacet<R> {
+    /// Its shape.
+    pub kind: Ndf,
+    /// Roughness, in [1e-4, 1].
+    pub alpha: R,
+    /// Sample the normals visible from a direction instead of all of them.
+    pub visible: bool,
+}
+
+impl<R: Real> Microfacet<R> {
+    /// Density of normals `D(m)`, per solid angle and unit of macroscopic area; zero below the
+    /// horizon. Integrates to one over projected solid angle.
+    #[inline]
+    pub fn d(&self, m: Vec3<R>) -> R {
+        if m.z.primal() <= R::Primal::zero() {
+            return R::zero();
+        }
+        let area = self.alpha.square() * R::c(PI);
+        match self.kind {
+            Ndf::Ggx => {
+                let (x, y) = (m.x / self.alpha, m.y / self.alpha);
+                (area * (x.square() + y.square() + m.z.square()).square()).recip()
+            }
+            Ndf::Beckmann => {
+                let az = self.alpha * m.z;
+                let e = (-((m.x / az).square() + (m.y / az).square())).exp();
+                // The far tail: 0 * inf below.
+                if e.primal() < R::Primal::MIN_POSITIVE {
+                    return R::zero();
+                }
+                e / (area * m.z.square().square())
+            }
+        }
+    }
+
+    /// Projected area of the microfacets visible from `w`, on either side; `|cos| / G1`. Positive.
+    #[inline]
+    pub fn sigma(&self, w: Vec3<R>) -> R {
+        let c = w.z.abs();
+        let s2 = w.x.square() + w.y.square();
+        match self.kind {
+            Ndf::Ggx => (c + (c.square() + self.alpha.square() * s2).sqrt()) * R::c(0.5),
+            Ndf::Beckmann => beckmann_sigma(c, self.alpha * s2.sqrt()),
+        }
+    }
+
+    /// Masking: the part of the microfacets facing `w` that is visible from there, in [0, 1]; zero if
+    /// `w` sees the normal `m` and the surface from different sides.
+    #[inline]
+    pub fn g1(&self, w: Vec3<R>, m: Vec3<R>) -> R {
+        let zero = R::Primal::zero();
+        if (w.dot(m).primal() > zero) != (w.z.primal() > zero) {
+            return R::zero();
+        }
+        w.z.abs() / self.sigma(w)
+    }
+
+    /// Samples a normal, for `w` in the upper hemisphere. May face away from `w` unless `visible`.
+    ///
+    /// # Derivatives
+    /// In roughness and `w`, at fixed `u`.
+    #[inline]
+    pub fn sample(&self, w: Vec3<R>, u: [R::Primal; 2]) -> Vec3<R> {
+        if self.visible {
+            self.sample_visible(w, u)
+        } else {
+            self.sample_all(u)
+        }
+    }
+
+    /// Density of [`Microfacet::sample`] per solid angle of the normal.
+    #[inline]
+    pub fn pdf(&self, w: Vec3<R>, m: Vec3<R>) -> R {
+        if self.visible {
+            self.pdf_visible(w, m)
+        } else {
+            self.pdf_all(m)
+        }
+    }
+
+    /// Density of the reflected direction when [`Microfacet::sample`] gave `m`: the density of
+    /// normals over `4 w.m`, which cancels for visible ones.
+    #[inline]
+    pub fn pdf_reflected(&self, w: Vec3<R>, m: Vec3<R>) -> R {
+        if self.visible {
+            self.d(m) / (self.sigma(w) * R::c(4.0))
+        } else {
+            let cos = w.dot(m).abs();
+            if cos.primal() <= R::Primal::zero() {
+                return R::zero();
+            }
+            self.pdf_all(m) / (cos * R::c(4.0))
+        }
+    }
+
+    /// A normal with density `D(m) cos(theta_m)`.
+    #[inline]
+    pub fn sample_all(&self, u: [R::Primal; 2]) -> Vec3<R> {
+        let one = R::Primal::one();
+        // tan(theta) / alpha
+        let t = match self.kind {
+            Ndf::Ggx => (u[0] / (one - u[0])).sqrt(),
+            Ndf::Beckmann => (-(-u[0]).ln_1p()).sqrt(),
+        };
+        let (sin, cos) = (R::Primal::of(2.0 * PI) * u[1]).sin_cos();
+        Vec3::new(
+            self.alpha * Const(t * cos),
+            self.alpha * Const(t * sin),
+            R::one(),
+        )
+        .normalize()
+    }
+
+    /// Density of [`Microfacet::sample_all`].
+    #[inline]
+    pub fn pdf_all(&self, m: Vec3<R>) -> R {
+        self.d(m) * m.z
+    }
+
+    /// A normal with density `D(m) max(w.m, 0) / sigma(w)`, for `w` above the horizon.
+    ///
+    /// A surface of roughness alpha is one of roughness 1 that was compressed vertically, so only
+    /// that one is sampled: GGX as a hemisphere by [Dupuy and Benyoub 2023], Beckmann by inverting
+    /// the exact CDF of the slope along `w` [Heitz and d'Eon 2014] to machine precision.
+    #[inline]
+    pub fn sample_visible(&self, w: Vec3<R>, u: [R::Primal; 2]) -> Vec3<R> {
+        let stretched = Vec3::new(self.alpha * w.x, self.alpha * w.y, w.z).normalize();
+        let m = match self.kind {
+            Ndf::Ggx => ggx_visible(stretched, u),
+            Ndf::Beckmann => beckmann_visible(stretched, u),
+        };
+        Vec3::new(self.alpha * m.x, self.alpha * m.y, m.z).normalize()
+    }
+
+    /// Density of [`Microfacet::sample_visible`].
+    #[inline]
+    pub fn pdf_visible(&self, w: Vec3<R>, m: Vec3<R>) -> R {
+        let cos = w.dot(m);
+        if cos.primal() <= R::Primal::zero() {
+            return R::zero();
+        }
+        self.d(m) * cos / self.sigma(w)
+    }
+}
+
+/// A visible normal of the GGX surface of roughness 1, not normalised: the half-vector of `w` and a
+/// uniform point `c` on the spherical cap `c.z > -w.z`.
+#[inline]
+fn ggx_visible<R: Real>(w: Vec3<R>, u: [R::Primal; 2]) -> Vec3<R> {
+    let above = w.z + R::c(1.0);
+    // 1 - w.z without cancellation.
+    let below = (w.x.square() + w.y.square()) / above;
+    let height = above * Const(R::Primal::one() - u[1]);
+    // sin^2 = (1 - c.z)(1 + c.z) with c.z = height - w.z
+    let sin = (above * Const(u[1]) * (below + height)).sqrt();
+    let (sin_phi, cos_phi) = (R::Primal::of(2.0 * PI) * u[0]).sin_cos();
+    Vec3::new(
+        sin * Const(cos_phi) + w.x,
+        sin * Const(sin_phi) + w.y,
+        height,
+    )
+}
+
+/// A visible normal of the Beckmann surface of roughness 1, not normalised.
+#[inline]
+fn beckmann_visible<R: Real>(w: Vec3<R>, u: [R::Primal; 2]) -> Vec3<R> {
+    let s2 = w.x.square() + w.y.square();
+    let at_pole = s2.primal() <= R::Primal::MIN_POSITIVE / R::Primal::EPSILON;
+    let (s, cos_phi, sin_phi) = if at_pole {
+        (R::zero(), R::one(), R::zero())
+    } else {
+        let s = s2.sqrt();
+        (s, w.x / s, w.y / s)
+    };
+    // Along w the slope must be visible; across it, all are.
+    let along = visible_slope(w.z, s, u[0]);
+    let across = visible_slope_f64(1.0, 0.0, within_cell(u[1]));
+    let across = Const(R::Primal::of(across));
+    Vec3::new(
+        sin_phi * across - cos_phi * along,
+        -(cos_phi * across) - sin_phi * along,
+        R::one(),
+    )
+}
+
+/// `sigma` of a Beckmann surface of roughness 1 for the (not necessarily unit) direction `(s, c)`.
+#[inline]
+fn beckmann_sigma<R: Real>(c: R, s: R) -> R {
+    // Beyond this, masking is less than a rounding error, and below it s is not zero.
+    if c.primal() >= s.primal() * R::Primal::of(6.0) {
+        return c;
+    }
+    slope_cdf(c / s, c, s)
+}
+
+/// Projected area, seen from `(s, c)`, of the facets whose slope along it is below `x`:
+/// `integral of (c - t s) exp(-t^2) / sqrt(pi) dt` up to `x`.
+#[inline]
+fn slope_cdf<R: Real>(x: R, c: R, s: R) -> R {
+    let gauss = (-x.square()).exp() * R::c(1.0 / PI.sqrt());
+    (c * (x.erf() + R::c(1.0)) + s * gauss) * R::c(0.5)
+}
+
+/// The slope below which the fraction `u` of the area visible from the unit vector `(s, c)` lies.
+#[inline]
+fn visible_slope<R: Real>(c: R, s: R, u: R::Primal) -> R {
+    let u = within_cell(u);
+    let root = visible_slope_f64(c.primal().to_f64(), s.primal().to_f64(), u);
+    let mut x = R::lift(R::Primal::of(root));
+    if R::IS_PRIMAL {
+        return x;
+    }
+    // Newton steps that move tangents only (implicit function theorem): each raises the order that
+    // is right by one, and the value stays.
+    let target = beckmann_sigma(c, s) * Const(R::Primal::of(u));
+    for _ in 0..2 {
+        let residual = slope_cdf(x, c, s) - target;
+        let slope = (c - x * s) * (-x.square()).exp() * R::c(1.0 / PI.sqrt());
+        x -= (residual - Const(residual.primal())) / slope;
+    }
+    x
+}
+
+/// [`visible_slope`] for constants. Newton's method from the inflection point of the CDF converges
+/// monotonically: the function is convex on one side of it and concave on the other.
+fn visible_slope_f64(c: f64, s: f64, u: f64) -> f64 {
+    let target = beckmann_sigma(c, s) * u;
+    let mut x = -s / (c + (c * c + 2.0 * s * s).sqrt());
+    let mut direction = 0.0;
+    for _ in 0..100 {
+        let slope = (c - x * s) * (-x * x).exp() / PI.sqrt();
+        let step = (target - slope_cdf(x, c, s)) / slope;
+        // A turn, or the end of the range: rounding has taken over.
+        if !step.is_finite() || step * direction < 0.0 {
+            break;
+        }
+        direction = step;
+        x += step;
+        if step.abs() < 1e-9 {
+            break;
+        }
+    }
+    x
+}
+
+/// A random number stands for the numbers that were rounded to it: for 0, whose quantile is
+/// infinite, the middle of them is taken.
+#[inline]
+fn within_cell<P: Float>(u: P) -> f64 {
+    u.to_f64().max(P::EPSILON.to_f64() * 0.25)
+}

@@ -1,0 +1,153 @@
+//! Rough conductors: a microfacet distribution of mirrors.
+
+use ad_core::{Real, Vec3};
+
+use super::microfacet::{ALPHA_RANGE, Microfacet, Ndf};
+use super::{
+    BsdfSample, Component, Conductor, ConductorLobe, FromNode, Leaf, Lobe, Reader, TransportMode,
+};
+use crate::error::SceneError;
+use crate::math::Rgb;
+use crate::scene::{Builder, Node};
+use crate::texture::ScalarTexture;
+
+/// Roughness and shape of a microsurface.
+#[derive(Clone, Debug)]
+pub struct Roughness {
+    /// Shape of the distribution of normals.
+    pub kind: Ndf,
+    /// Roughness, in [`ALPHA_RANGE`].
+    pub alpha: ScalarTexture,
+    /// Sample visible normals only.
+    pub visible: bool,
+}
+
+impl Roughness {
+    /// The distribution at a point.
+    #[inline]
+    pub fn read<R: Real>(&self, read: &mut impl Reader<R>) -> Microfacet<R> {
+        Microfacet {
+            kind: self.kind,
+            alpha: read.scalar(&self.alpha),
+            visible: self.visible,
+        }
+    }
+
+    /// `distribution` (`beckmann`), `alpha` (0.1) and `sample_visible` (true) of a scene file.
+    ///
+    /// # Errors
+    /// A roughness outside [`ALPHA_RANGE`]: it is not clamped, since that would silently stop its
+    /// derivative.
+    pub fn from_node(node: &Node, build: &mut Builder) -> Result<Self, SceneError> {
+        let kinds = [("beckmann", Ndf::Beckmann), ("ggx", Ndf::Ggx)];
+        Ok(Self {
+            kind: node
+                .choice("distribution", &kinds)?
+                .unwrap_or(Ndf::Beckmann),
+            alpha: build.scalar_texture(node, "alpha", 0.1, ALPHA_RANGE)?,
+            visible: node.boolean_or("sample_visible", true)?,
+        })
+    }
+}
+
+/// A rough, one-sided metal.
+#[derive(Clone, Debug)]
+pub struct RoughConductor {
+    /// Its microsurface.
+    pub roughness: Roughness,
+    /// The reflectance of each facet.
+    pub conductor: Conductor,
+}
+
+/// `f_s = F D G / (4 cos cos)` [Zeltner 2021, Eq. 2.36], with separable masking.
+#[derive(Clone, Copy, Debug)]
+pub struct RoughConductorLobe<R> {
+    /// Distribution of facets.
+    pub microfacet: Microfacet<R>,
+    /// Reflectance of a facet.
+    pub facet: ConductorLobe<R>,
+}
+
+impl Leaf for RoughConductor {
+    type Lobe<R: Real> = RoughConductorLobe<R>;
+
+    #[inline]
+    fn lobe<R: Real>(&self, read: &mut impl Reader<R>) -> RoughConductorLobe<R> {
+        RoughConductorLobe {
+            microfacet: self.roughness.read(read),
+            facet: self.conductor.lobe(read),
+        }
+    }
+}
+
+/// The normal of a facet that reflects `wi` to `wo`, both above the horizon.
+#[inline]
+pub(super) fn half_vector<R: Real>(wo: Vec3<R>, wi: Vec3<R>) -> Option<Vec3<R>> {
+    let zero = R::Primal::zero();
+    (wo.z.primal() > zero && wi.z.primal() > zero).then(|| (wo + wi).normalize())
+}
+
+/// `D G cos_i / (4 cos_i cos_o)`: reflection of a surface whose facets, here those with normal `m`,
+/// reflect everything; cosine included.
+#[inline]
+pub(super) fn reflection<R: Real>(
+    microfacet: &Microfacet<R>,
+    wo: Vec3<R>,
+    wi: Vec3<R>,
+    m: Vec3<R>,
+) -> R {
+    let sigmas = microfacet.sigma(wo) * microfacet.sigma(wi) * R::c(4.0);
+    microfacet.d(m) * (wi.z.abs() / sigmas)
+}
+
+/// Reflects `w` about `m`.
+#[inline]
+pub(super) fn reflect<R: Real>(w: Vec3<R>, m: Vec3<R>) -> Vec3<R> {
+    m * (w.dot(m) * R::c(2.0)) - w
+}
+
+impl<R: Real> Lobe<R> for RoughConductorLobe<R> {
+    #[inline]
+    fn eval(&self, wo: Vec3<R>, wi: Vec3<R>, _mode: TransportMode) -> Rgb<R> {
+        let Some(m) = half_vector(wo, wi) else {
+            return Rgb::black();
+        };
+        self.facet.reflectance(wo.dot(m)) * reflection(&self.microfacet, wo, wi, m)
+    }
+
+    #[inline]
+    fn pdf(&self, wo: Vec3<R>, wi: Vec3<R>, _mode: TransportMode) -> R {
+        match half_vector(wo, wi) {
+            Some(m) => self.microfacet.pdf_reflected(wo, m),
+            None => R::zero(),
+        }
+    }
+
+    #[inline]
+    fn sample(&self, wo: Vec3<R>, u: [R::Primal; 3], mode: TransportMode) -> Option<BsdfSample<R>> {
+        if wo.z.primal() <= R::Primal::zero() {
+            return None;
+        }
+        let m = self.microfacet.sample(wo, [u[1], u[2]]);
+        let wi = reflect(wo, m);
+        let pdf = self.pdf(wo, wi, mode);
+        (pdf.primal() > R::Primal::zero()).then_some(BsdfSample {
+            wi,
+            pdf,
+            component: Component::Continuous,
+            eta: R::Primal::one(),
+        })
+    }
+}
+
+impl FromNode for RoughConductor {
+    const PLUGINS: &'static [&'static str] = &["roughconductor"];
+
+    /// As [`Roughness::from_node`] and [`Conductor::from_node`].
+    fn from_node(node: &Node, build: &mut Builder) -> Result<Self, SceneError> {
+        Ok(Self {
+            roughness: Roughness::from_node(node, build)?,
+            conductor: Conductor::from_node(node, build)?,
+        })
+    }
+}
