@@ -1,5 +1,9 @@
 //! Command-line tools and reproduced figures, and what they share.
 
 pub mod chart;
+pub mod cli;
 pub mod figure;
 pub mod figures;
+pub mod output;
+pub mod progress;
+pub mod tools;

@@ -1,0 +1,7 @@
+//! Renders a scene.
+
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    examples::cli::main(examples::tools::render::run)
+}

@@ -1,0 +1,166 @@
+//! What all tools share: arguments of scenes, errors, exit codes.
+
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::time::Instant;
+
+use clap::{Args, Parser};
+use optim::OptimError;
+use render::integrator::render::NonFinite;
+use render::scene::LoadOptions;
+use render::{RenderError, Scene, SceneError};
+
+use crate::progress::Interrupt;
+
+/// Exit code of a tool that was stopped by Ctrl-C and kept what it had.
+pub const INTERRUPTED: u8 = 130;
+
+/// What a tool can fail with. The message names the thing.
+#[derive(Debug, thiserror::Error)]
+pub enum ToolError {
+    /// The scene.
+    #[error(transparent)]
+    Scene(#[from] SceneError),
+    /// Rendering.
+    #[error(transparent)]
+    Render(#[from] RenderError),
+    /// Optimisation.
+    #[error(transparent)]
+    Optim(#[from] OptimError),
+    /// An output or input file.
+    #[error("{}: {message}", path.display())]
+    File {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        message: String,
+    },
+    /// Arguments that do not fit together or do not fit the scene.
+    #[error("{0}")]
+    Usage(String),
+}
+
+impl ToolError {
+    /// An error about a file.
+    pub fn file(path: &Path, message: impl std::fmt::Display) -> Self {
+        Self::File {
+            path: path.to_owned(),
+            message: message.to_string(),
+        }
+    }
+}
+
+/// How a tool ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Outcome {
+    /// All done.
+    Done,
+    /// Stopped by Ctrl-C; what was there has been written.
+    Interrupted,
+}
+
+/// Parses the arguments, runs the tool and turns its outcome into an exit code: 0, 1 for an error, 2
+/// for wrong arguments, [`INTERRUPTED`] after Ctrl-C.
+pub fn main<A: Parser>(run: fn(&A, &Interrupt) -> Result<Outcome, ToolError>) -> ExitCode {
+    let args = A::parse();
+    match run(&args, &Interrupt::on_signal()) {
+        Ok(Outcome::Done) => ExitCode::SUCCESS,
+        Ok(Outcome::Interrupted) => ExitCode::from(INTERRUPTED),
+        Err(e) => {
+            eprintln!("error: {e}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+/// `-D` and its companions.
+#[derive(Args, Clone, Debug, Default)]
+pub struct LoadArgs {
+    /// Value for a `$name` of the scene file
+    #[arg(short = 'D', long = "define", value_name = "NAME=VALUE", value_parser = define)]
+    pub defines: Vec<(String, String)>,
+    /// Substitute mid-grey for texture files that are missing
+    #[arg(long)]
+    pub allow_missing: bool,
+}
+
+fn define(text: &str) -> Result<(String, String), String> {
+    match text.split_once('=') {
+        Some((name, value)) if !name.is_empty() => Ok((name.into(), value.into())),
+        _ => Err("expected NAME=VALUE".into()),
+    }
+}
+
+impl LoadArgs {
+    /// Loads the scene, prints its warnings, and says how many seconds it took.
+    ///
+    /// # Errors
+    /// Anything wrong with the file.
+    pub fn load(&self, path: &Path) -> Result<(Scene, f64), ToolError> {
+        let start = Instant::now();
+        let options = LoadOptions {
+            defines: self.defines.clone(),
+            allow_missing: self.allow_missing,
+        };
+        let (scene, warnings) = Scene::load(path, &options)?;
+        for w in warnings {
+            eprintln!("warning: {w}");
+        }
+        Ok((scene, start.elapsed().as_secs_f64()))
+    }
+}
+
+/// `--threads`.
+#[derive(Args, Clone, Copy, Debug, Default)]
+pub struct ThreadArgs {
+    /// Number of threads [default: one per processor]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    pub threads: Option<u16>,
+}
+
+impl ThreadArgs {
+    /// Runs `f` on a pool of its own; it is told the number of threads.
+    ///
+    /// # Errors
+    /// Those of `f`, or that threads cannot be started.
+    pub fn run<T: Send>(
+        &self,
+        f: impl FnOnce(usize) -> Result<T, ToolError> + Send,
+    ) -> Result<T, ToolError> {
+        let threads = self.threads.unwrap_or(0).into();
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .map_err(|e| ToolError::Usage(format!("--threads: cannot start {threads}: {e}")))?;
+        pool.install(|| f(rayon::current_num_threads()))
+    }
+}
+
+/// Values of `--spp`.
+pub fn sample_count() -> clap::builder::RangedI64ValueParser<u32> {
+    clap::value_parser!(u32).range(1..=1 << 30)
+}
+
+/// A depth limit: -1 for none, or a number of path edges.
+///
+/// # Errors
+/// Anything else, in words.
+pub fn depth(text: &str) -> Result<u32, String> {
+    match text.parse::<i64>() {
+        Ok(-1) => Ok(u32::MAX),
+        Ok(d) if (0..=i64::from(u32::MAX)).contains(&d) => Ok(d as u32),
+        _ => Err("expected -1 for no limit, or a non-negative number of path edges".into()),
+    }
+}
+
+/// Tells the user about samples that were left out because they were not finite.
+pub fn report_non_finite(bad: &NonFinite, width: usize, seed: u64) {
+    if let Some((pixel, sample)) = bad.first {
+        let (x, y) = (pixel % width as u64, pixel / width as u64);
+        eprintln!(
+            "warning: {} samples were not finite and are left out; the first is sample {sample} of \
+             pixel ({x}, {y}) with seed {seed}",
+            bad.count
+        );
+    }
+}

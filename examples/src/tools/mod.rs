@@ -1,0 +1,3 @@
+//! The command-line tools: arguments and what they do.
+
+pub mod render;

@@ -1,0 +1,246 @@
+//! `render`: a scene to an image.
+
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use clap::{Parser, ValueEnum};
+use render::instances::{Technique, render_f32};
+use render::integrator::render::{Progress, Rendering};
+use render::params::Theta;
+use render::{Scene, Settings};
+use serde::Serialize;
+
+use crate::cli::{
+    LoadArgs, Outcome, ThreadArgs, ToolError, depth, report_non_finite, sample_count,
+};
+use crate::output;
+use crate::progress::{Bar, Interrupt};
+
+const EXAMPLES: &str = "\
+Examples:
+  render scene.xml                               scene.exr and scene.png
+  render scene.xml -o out.exr --spp 256 -D depth=12
+  render scene.xml --strategy bsdf --json out.json
+
+Ctrl-C keeps the samples so far (exit code 130).";
+
+/// Renders a scene to an EXR image and a tone-mapped PNG beside it
+#[derive(Parser, Clone, Debug)]
+#[command(name = "render", after_help = EXAMPLES)]
+pub struct Args {
+    /// Scene file, Mitsuba XML
+    pub scene: PathBuf,
+    /// Image to write [default: the scene's name in the current folder]
+    #[arg(short, long, value_name = "OUT.EXR")]
+    pub output: Option<PathBuf>,
+    /// Scene options
+    #[command(flatten)]
+    pub load: LoadArgs,
+    /// Samples per pixel [default: the scene's]
+    #[arg(long, value_name = "N", value_parser = sample_count())]
+    pub spp: Option<u32>,
+    /// Largest number of path edges: 1 is emission, 2 direct light; -1 for no limit [default: the scene's]
+    #[arg(long, value_name = "N", value_parser = depth, allow_hyphen_values = true)]
+    pub max_depth: Option<u32>,
+    /// Seed of the random numbers
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub seed: u64,
+    /// Threads
+    #[command(flatten)]
+    pub threads: ThreadArgs,
+    /// Techniques for direct light
+    #[arg(long, value_enum, default_value_t)]
+    pub strategy: StrategyArg,
+    /// Weights where techniques are combined
+    #[arg(long, value_enum, default_value_t)]
+    pub heuristic: HeuristicArg,
+    /// Write size, samples and times to this file
+    #[arg(long, value_name = "OUT.JSON")]
+    pub json: Option<PathBuf>,
+}
+
+/// `--strategy`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum StrategyArg {
+    /// BSDF and emitter sampling, combined
+    #[default]
+    Mis,
+    /// BSDF sampling
+    Bsdf,
+    /// Emitter sampling
+    Emitter,
+}
+
+/// `--heuristic`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum HeuristicArg {
+    /// Squared densities
+    #[default]
+    Power,
+    /// Densities
+    Balance,
+}
+
+impl Args {
+    fn technique(&self) -> Technique {
+        match (self.strategy, self.heuristic) {
+            (StrategyArg::Mis, HeuristicArg::Power) => Technique::MisPower,
+            (StrategyArg::Mis, HeuristicArg::Balance) => Technique::MisBalance,
+            (StrategyArg::Bsdf, _) => Technique::BsdfOnly,
+            (StrategyArg::Emitter, _) => Technique::EmitterOnly,
+        }
+    }
+}
+
+/// What `--json` writes.
+#[derive(Debug, Serialize)]
+struct Report {
+    scene: String,
+    width: usize,
+    height: usize,
+    spp: u64,
+    threads: usize,
+    seconds_load: f64,
+    seconds_render: f64,
+}
+
+/// Runs the tool.
+///
+/// # Errors
+/// Anything wrong with the arguments, the scene or the output files; nothing has been written then.
+pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
+    let exr = match &args.output {
+        Some(path) => path.clone(),
+        None => default_output(&args.scene)?,
+    };
+    require_extension(&exr, "exr")?;
+    let (scene, seconds_load) = args.load.load(&args.scene)?;
+    let mut settings = scene.settings;
+    settings.spp = args.spp.unwrap_or(settings.spp);
+    settings.max_depth = args.max_depth.unwrap_or(settings.max_depth);
+    output::create_parent(&exr)?;
+
+    let start = Instant::now();
+    let technique = args.technique();
+    let (rendering, threads) = args.threads.run(|threads| {
+        let pixels = scene.film.pixels() as u64;
+        let bar = Bar::new("render", pixels * passes(&scene, &settings), interrupt);
+        let rendering = in_passes(&scene, technique, &settings, args.seed, &bar);
+        bar.finish();
+        Ok((rendering, threads))
+    })?;
+    let Some(rendering) = rendering else {
+        eprintln!("interrupted before the first pass was complete: nothing was written");
+        return Ok(Outcome::Interrupted);
+    };
+    let seconds_render = start.elapsed().as_secs_f64();
+
+    report_non_finite(&rendering.non_finite, rendering.width, args.seed);
+    let image = rendering.image(0);
+    output::write_exr(&exr, &image)?;
+    output::write_png(&exr.with_extension("png"), &image)?;
+    if let Some(path) = &args.json {
+        output::create_parent(path)?;
+        let report = Report {
+            scene: args.scene.display().to_string(),
+            width: rendering.width,
+            height: rendering.height,
+            spp: rendering.samples,
+            threads,
+            seconds_load,
+            seconds_render,
+        };
+        output::write_json(path, &report)?;
+    }
+    println!(
+        "{}: {} x {}, {} spp in {seconds_render:.2} s",
+        exr.display(),
+        rendering.width,
+        rendering.height,
+        rendering.samples
+    );
+    if rendering.samples < u64::from(settings.spp) {
+        eprintln!(
+            "interrupted: the image holds {} of {} samples per pixel",
+            rendering.samples, settings.spp
+        );
+        return Ok(Outcome::Interrupted);
+    }
+    Ok(Outcome::Done)
+}
+
+/// The scene's name with the extension of an image, in the current folder.
+fn default_output(scene: &Path) -> Result<PathBuf, ToolError> {
+    match scene.file_name() {
+        Some(name) => Ok(output::beside(Path::new(name), "exr")),
+        None => Err(ToolError::file(
+            scene,
+            "expected a scene file, found a folder",
+        )),
+    }
+}
+
+/// An error unless the path ends in `.extension`.
+///
+/// # Errors
+/// Names the path.
+pub fn require_extension(path: &Path, extension: &str) -> Result<(), ToolError> {
+    if path
+        .extension()
+        .is_some_and(|e| e.eq_ignore_ascii_case(extension))
+    {
+        return Ok(());
+    }
+    Err(ToolError::file(
+        path,
+        format!("expected a file name that ends in .{extension}"),
+    ))
+}
+
+/// Samples per pixel of one pass: what is lost at most when the user stops. Depends on the resolution
+/// only, so that the order of summation, hence the last bit, never depends on the machine.
+fn pass_length(scene: &Scene) -> u64 {
+    const SAMPLES: u64 = 1 << 20;
+    (SAMPLES / scene.film.pixels().max(1) as u64).max(1)
+}
+
+/// Number of passes that [`in_passes`] makes.
+pub fn passes(scene: &Scene, settings: &Settings) -> u64 {
+    u64::from(settings.spp).div_ceil(pass_length(scene))
+}
+
+/// The image as the sum of passes, each over some of the samples. When stopped, the passes that
+/// were complete; `None` if there is none.
+pub fn in_passes(
+    scene: &Scene,
+    technique: Technique,
+    settings: &Settings,
+    seed: u64,
+    progress: &dyn Progress,
+) -> Option<Rendering> {
+    let theta = Theta::constant(scene.params().values());
+    let spp = u64::from(settings.spp);
+    let mut sum: Option<Rendering> = None;
+    let mut done = 0;
+    while done < spp {
+        let next = (done + pass_length(scene)).min(spp);
+        let pass = render_f32(
+            scene,
+            &theta,
+            technique,
+            settings,
+            seed,
+            done..next,
+            progress,
+        );
+        if pass.cancelled {
+            break;
+        }
+        match &mut sum {
+            Some(sum) => sum.merge(&pass),
+            None => sum = Some(pass),
+        }
+        done = next;
+    }
+    sum
+}
