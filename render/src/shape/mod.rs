@@ -6,9 +6,19 @@
 //!
 //! To add a shape: one file here, one line in `shapes!` below.
 
+mod cube;
+mod cylinder;
+mod disk;
+mod mesh;
 mod patch;
+mod sphere;
 
+pub use cube::Cube;
+pub use cylinder::Cylinder;
+pub use disk::Disk;
+pub use mesh::{Mesh, MeshData, ObjOptions, smooth_normals};
 pub use patch::{Patch, Rectangle};
+pub use sphere::Sphere;
 
 use ad_core::{Float, Real, Vec2, Vec3};
 
@@ -206,4 +216,9 @@ macro_rules! shapes {
 
 shapes! {
     Rectangle,
+    Cube,
+    Sphere,
+    Disk,
+    Cylinder,
+    Mesh,
 }

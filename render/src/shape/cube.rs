@@ -1,0 +1,96 @@
+//! The cube.
+
+use ad_core::{Float, Real};
+
+use super::{Patch, Shape, ShapeSample, SurfaceInteraction};
+use crate::accel::{Hit, Primitive};
+use crate::bsdf::FromNode;
+use crate::error::SceneError;
+use crate::math::{Ray, Transform};
+use crate::scene::{Builder, Node};
+
+/// `uv = (0, 0)`, `(1, 0)` and `(0, 1)` of the six faces, as the peer numbers them.
+const FACES: [[[f64; 3]; 3]; 6] = [
+    [[-1.0, -1.0, -1.0], [-1.0, -1.0, 1.0], [1.0, -1.0, -1.0]],
+    [[1.0, 1.0, 1.0], [-1.0, 1.0, 1.0], [1.0, 1.0, -1.0]],
+    [[1.0, -1.0, 1.0], [1.0, 1.0, 1.0], [1.0, -1.0, -1.0]],
+    [[-1.0, -1.0, 1.0], [-1.0, 1.0, 1.0], [1.0, -1.0, 1.0]],
+    [[-1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]],
+    [[-1.0, 1.0, -1.0], [-1.0, -1.0, -1.0], [1.0, 1.0, -1.0]],
+];
+
+/// The cube [-1, 1]^3 under an affine transform. Every face has `uv` in [0, 1]^2 and its own flat
+/// normal, outward unless flipped.
+#[derive(Clone, Debug)]
+pub struct Cube {
+    faces: [Patch; 6],
+    area: f64,
+}
+
+impl Cube {
+    /// From the transform of [-1, 1]^3. `None` if a face has no area, or one that is not finite.
+    pub fn new(to_world: &Transform, flip_normals: bool) -> Option<Self> {
+        let mirrored = to_world.determinant() < 0.0;
+        let face = |[corner, along_u, along_v]: [[f64; 3]; 3]| {
+            let edge = |to: [f64; 3]| to_world.vector([0, 1, 2].map(|i| to[i] - corner[i]));
+            // The table lists u and v such that their cross product points inward.
+            let flip = !(flip_normals ^ mirrored);
+            Patch::new(to_world.point(corner), edge(along_u), edge(along_v), flip)
+        };
+        let [a, b, c, d, e, f] = FACES.map(face);
+        let faces = [a?, b?, c?, d?, e?, f?];
+        let area: f64 = faces.iter().map(Patch::area).sum();
+        area.is_finite().then_some(Self { faces, area })
+    }
+}
+
+impl Shape for Cube {
+    fn primitives(&self) -> Vec<Primitive> {
+        self.faces.iter().map(Patch::primitive).collect()
+    }
+
+    #[inline]
+    fn interaction<R: Real>(&self, prim: u32, ray: &Ray<R>, hit: &Hit) -> SurfaceInteraction<R> {
+        self.faces[prim as usize].interaction(ray, hit)
+    }
+
+    fn area(&self) -> f64 {
+        self.area
+    }
+
+    fn sample_area<P: Float>(&self, u: [P; 2]) -> ShapeSample<P> {
+        let mut rest = u[0].to_f64() * self.area;
+        let mut face = &self.faces[0];
+        for f in &self.faces {
+            face = f;
+            if rest < f.area() {
+                break;
+            }
+            rest -= f.area();
+        }
+        let reused = P::of((rest / face.area()).clamp(0.0, 1.0));
+        ShapeSample {
+            pdf: P::of(1.0 / self.area),
+            ..face.sample_area([reused, u[1]])
+        }
+    }
+
+    fn extent(&self) -> f32 {
+        self.faces.iter().fold(0.0, |m, f| m.max(f.extent()))
+    }
+}
+
+impl FromNode for Cube {
+    const PLUGINS: &'static [&'static str] = &["cube"];
+
+    fn from_node(node: &Node, _build: &mut Builder) -> Result<Self, SceneError> {
+        let to_world = node.transform("to_world")?.unwrap_or_default();
+        let flip = node.boolean_or("flip_normals", false)?;
+        Self::new(&to_world, flip).ok_or_else(|| {
+            node.invalid(
+                "to_world",
+                "a transform that leaves finite faces of non-zero area",
+            )
+        })
+    }
+}

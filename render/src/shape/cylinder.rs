@@ -1,0 +1,175 @@
+//! The cylinder.
+
+use std::f64::consts::PI;
+
+use ad_core::{Const, Float, Real, Vec2, Vec3};
+
+use super::sphere::{SIMILARITY_TOLERANCE, root_near, turn};
+use super::{Shape, ShapeSample, SurfaceInteraction, hit_is_exact, lift3};
+use crate::accel::{Hit, MAX_COORDINATE, MIN_THICKNESS, Primitive};
+use crate::bsdf::FromNode;
+use crate::error::SceneError;
+use crate::math::{Frame, Ray, Transform};
+use crate::scene::{Builder, Node};
+
+/// An open tube around the segment from `p0` to `p1`. `uv = (phi / 2 pi, z / length)`; normals
+/// point away from the axis, or towards it if flipped.
+#[derive(Clone, Copy, Debug)]
+pub struct Cylinder {
+    p0: [f32; 3],
+    /// p1 - p0.
+    axis: [f32; 3],
+    radius: f32,
+    /// Unit vectors across the axis, where u = 0 and u = 1/4.
+    across: [[f32; 3]; 2],
+    flip: bool,
+}
+
+impl Cylinder {
+    /// From the ends of the axis and the radius. `None` if radius or length is zero, or something is
+    /// not finite (or out of reach of [`crate::accel`]).
+    pub fn new(p0: [f64; 3], p1: [f64; 3], radius: f64, flip_normals: bool) -> Option<Self> {
+        Self::transformed(p0, p1, radius, &Transform::IDENTITY, flip_normals)
+    }
+
+    /// The image of a cylinder. `None` if the transform does not leave it a circular cylinder, or see
+    /// [`Cylinder::new`].
+    pub fn transformed(
+        p0: [f64; 3],
+        p1: [f64; 3],
+        radius: f64,
+        to_world: &Transform,
+        flip: bool,
+    ) -> Option<Self> {
+        let local = Frame::from_normal((Vec3::from(p1) - Vec3::from(p0)).normalize());
+        let image = |v: Vec3<f64>| Vec3::from(to_world.vector(v.to_array()));
+        let (s, t) = (image(local.s * radius), image(local.t * radius));
+        let axis = image(Vec3::from(p1) - Vec3::from(p0));
+        let (radius, direction) = (s.length(), axis.normalize());
+        let skew = [
+            t.length() / radius - 1.0,
+            s.dot(t) / (radius * radius),
+            s.dot(direction) / radius,
+            t.dot(direction) / radius,
+        ];
+        // Written so that NaN fails.
+        if !skew.iter().all(|x| x.abs() <= SIMILARITY_TOLERANCE) {
+            return None;
+        }
+        let single = |v: [f64; 3]| v.map(|x| x as f32);
+        let (p0, axis) = (single(to_world.point(p0)), single(axis.to_array()));
+        let reachable = p0.iter().chain(&axis).all(|x| x.abs() <= MAX_COORDINATE);
+        let allowed = f64::from(MIN_THICKNESS)..=f64::from(MAX_COORDINATE);
+        let length = lift3::<f64>(axis).length();
+        if !(reachable && allowed.contains(&radius) && allowed.contains(&length)) {
+            return None;
+        }
+        let x = (s - direction * s.dot(direction)).normalize();
+        // Mirrored frames turn the other way round, as the local coordinates do.
+        let y = direction.cross(x);
+        let y = if y.dot(t) < 0.0 { -y } else { y };
+        Some(Self {
+            p0,
+            axis,
+            radius: radius as f32,
+            across: [single(x.to_array()), single(y.to_array())],
+            flip,
+        })
+    }
+
+    #[inline]
+    fn side<R: Real>(&self, outward: Vec3<R>) -> Vec3<R> {
+        if self.flip { -outward } else { outward }
+    }
+}
+
+impl Shape for Cylinder {
+    fn primitives(&self) -> Vec<Primitive> {
+        vec![Primitive::Cylinder {
+            p0: self.p0,
+            axis: self.axis,
+            radius: self.radius,
+        }]
+    }
+
+    #[inline]
+    fn interaction<R: Real>(&self, _prim: u32, ray: &Ray<R>, hit: &Hit) -> SurfaceInteraction<R> {
+        let p0 = lift3::<R>(self.p0);
+        let axis = lift3::<R::Primal>(self.axis);
+        let length = axis.length();
+        let direction = Vec3::<R>::lift(axis.normalize());
+        let radius = Const(R::Primal::from_f32(self.radius));
+        let flat = |v: Vec3<R>| v - direction * direction.dot(v);
+        let near = R::Primal::from_f32(hit.t);
+        let t = if hit_is_exact::<R>() {
+            R::lift(near)
+        } else {
+            root_near(flat(p0 - ray.o), flat(ray.d), R::lift(radius.0), near)
+        };
+        let from_p0 = ray.at(t) - p0;
+        let height = direction.dot(from_p0);
+        let outward = flat(from_p0).normalize();
+        let [x, y] = self.across.map(lift3::<R>);
+        let (cos, sin) = (x.dot(outward), y.dot(outward));
+        let n = self.side(outward);
+        SurfaceInteraction {
+            // Back onto the cylinder, which rounding of t has left.
+            p: p0 + direction * height + outward * radius,
+            t,
+            n_geo: n,
+            frame: Frame::from_normal_and_tangent(n, y * cos - x * sin),
+            uv: Vec2::new(turn(sin, cos), height * Const(length.recip())),
+        }
+    }
+
+    fn area(&self) -> f64 {
+        2.0 * PI * f64::from(self.radius) * lift3::<f64>(self.axis).length()
+    }
+
+    #[inline]
+    fn sample_area<P: Float>(&self, u: [P; 2]) -> ShapeSample<P> {
+        let (sin, cos) = (P::of(2.0 * PI) * u[0]).sin_cos();
+        let [x, y] = self.across.map(lift3::<P>);
+        let outward = x * cos + y * sin;
+        ShapeSample {
+            p: lift3::<P>(self.p0)
+                + lift3::<P>(self.axis) * u[1]
+                + outward * P::from_f32(self.radius),
+            n: self.side(outward),
+            uv: Vec2::new(u[0], u[1]),
+            pdf: P::of(1.0 / self.area()),
+        }
+    }
+
+    fn extent(&self) -> f32 {
+        let along = (0..3).fold(0.0f32, |m, i| {
+            m.max(self.p0[i].abs())
+                .max((self.p0[i] + self.axis[i]).abs())
+        });
+        along + self.radius
+    }
+}
+
+impl FromNode for Cylinder {
+    const PLUGINS: &'static [&'static str] = &["cylinder"];
+
+    fn from_node(node: &Node, _build: &mut Builder) -> Result<Self, SceneError> {
+        let p0 = node.point("p0")?.unwrap_or([0.0; 3]);
+        let p1 = node.point("p1")?.unwrap_or([0.0, 0.0, 1.0]);
+        let radius = node.float_or("radius", 1.0)?;
+        let to_world = node.transform("to_world")?.unwrap_or_default();
+        let flip = node.boolean_or("flip_normals", false)?;
+        if radius <= 0.0 {
+            return Err(node.invalid("radius", "a positive number"));
+        }
+        if p0 == p1 {
+            return Err(node.invalid("p1", "a point other than p0"));
+        }
+        Self::transformed(p0, p1, radius, &to_world, flip).ok_or_else(|| {
+            node.invalid(
+                "to_world",
+                "a transform that leaves a circular cylinder of finite, non-zero size",
+            )
+        })
+    }
+}

@@ -1,0 +1,125 @@
+//! The disk.
+
+use std::f64::consts::PI;
+
+use ad_core::{Float, Real, Vec2, Vec3};
+
+use super::patch::intersect_plane;
+use super::sphere::turn;
+use super::{Shape, ShapeSample, SurfaceInteraction, hit_is_exact, lift3};
+use crate::accel::{Hit, MAX_COORDINATE, Primitive};
+use crate::bsdf::FromNode;
+use crate::error::SceneError;
+use crate::math::{Frame, Ray, Transform, warp};
+use crate::scene::{Builder, Node};
+
+/// The unit disk in the local xy plane, normal +z, under an affine transform (an ellipse in general).
+/// `uv = (r, phi / 2 pi)` in local polar coordinates.
+#[derive(Clone, Copy, Debug)]
+pub struct Disk {
+    center: [f32; 3],
+    e1: [f32; 3],
+    e2: [f32; 3],
+    n: [f32; 3],
+    area: f64,
+}
+
+impl Disk {
+    /// From the transform of the unit disk. `None` if the area is zero or not finite.
+    pub fn new(to_world: &Transform, flip_normals: bool) -> Option<Self> {
+        let single = |v: [f64; 3]| v.map(|x| x as f32);
+        let center = single(to_world.translation);
+        let e1 = single(to_world.vector([1.0, 0.0, 0.0]));
+        let e2 = single(to_world.vector([0.0, 1.0, 0.0]));
+        let n = lift3::<f64>(e1).cross(lift3(e2));
+        let area = PI * n.length();
+        let reachable = [center, e1, e2]
+            .iter()
+            .flatten()
+            .all(|x| x.abs() <= MAX_COORDINATE);
+        if !(reachable && area > 0.0 && area.is_finite()) {
+            return None;
+        }
+        let flip = flip_normals ^ (to_world.determinant() < 0.0);
+        let n = n.normalize() * if flip { -1.0 } else { 1.0 };
+        Some(Self {
+            center,
+            e1,
+            e2,
+            n: single(n.to_array()),
+            area,
+        })
+    }
+}
+
+impl Shape for Disk {
+    fn primitives(&self) -> Vec<Primitive> {
+        vec![Primitive::Disk {
+            center: self.center,
+            e1: self.e1,
+            e2: self.e2,
+        }]
+    }
+
+    #[inline]
+    fn interaction<R: Real>(&self, _prim: u32, ray: &Ray<R>, hit: &Hit) -> SurfaceInteraction<R> {
+        let center = lift3::<R>(self.center);
+        let (e1, e2, n) = (lift3::<R>(self.e1), lift3::<R>(self.e2), lift3::<R>(self.n));
+        let (t, x, y) = if hit_is_exact::<R>() {
+            let exact = |x: f32| R::lift(R::Primal::from_f32(x));
+            (exact(hit.t), exact(hit.u), exact(hit.v))
+        } else {
+            intersect_plane(ray, center, e1, e2)
+        };
+        let r = x.hypot(y);
+        let outward = if r.primal() > R::Primal::zero() {
+            (e1 * x + e2 * y).normalize()
+        } else {
+            e1
+        };
+        SurfaceInteraction {
+            p: center + e1 * x + e2 * y,
+            t,
+            n_geo: n,
+            frame: Frame::from_normal_and_tangent(n, outward),
+            uv: Vec2::new(r, turn(y, x)),
+        }
+    }
+
+    fn area(&self) -> f64 {
+        self.area
+    }
+
+    #[inline]
+    fn sample_area<P: Float>(&self, u: [P; 2]) -> ShapeSample<P> {
+        let Vec2 { x, y } = warp::square_to_disk(u);
+        let (e1, e2): (Vec3<P>, Vec3<P>) = (lift3(self.e1), lift3(self.e2));
+        ShapeSample {
+            p: lift3::<P>(self.center) + e1 * x + e2 * y,
+            n: lift3(self.n),
+            uv: Vec2::new(x.hypot(y), turn(y, x)),
+            pdf: P::of(1.0 / self.area),
+        }
+    }
+
+    fn extent(&self) -> f32 {
+        (0..3).fold(0.0, |m, i| {
+            m.max(self.center[i].abs() + self.e1[i].hypot(self.e2[i]))
+        })
+    }
+}
+
+impl FromNode for Disk {
+    const PLUGINS: &'static [&'static str] = &["disk"];
+
+    fn from_node(node: &Node, _build: &mut Builder) -> Result<Self, SceneError> {
+        let to_world = node.transform("to_world")?.unwrap_or_default();
+        let flip = node.boolean_or("flip_normals", false)?;
+        Self::new(&to_world, flip).ok_or_else(|| {
+            node.invalid(
+                "to_world",
+                "a transform that leaves a finite, non-zero area",
+            )
+        })
+    }
+}

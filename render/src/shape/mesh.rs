@@ -1,0 +1,637 @@
+//! Triangle meshes, and Wavefront OBJ files.
+
+use std::io::{self, BufRead, Read};
+use std::path::Path;
+use std::sync::{Arc, OnceLock};
+
+use ad_core::{Const, Float, Real, Vec2, Vec3};
+
+use super::patch::intersect_plane;
+use super::{Shape, ShapeSample, SurfaceInteraction, area_to_solid_angle, hit_is_exact, lift3};
+use crate::accel::{Hit, MAX_COORDINATE, Primitive};
+use crate::bsdf::FromNode;
+use crate::error::SceneError;
+use crate::math::{Frame, Ray, Transform, warp};
+use crate::scene::{Builder, Node};
+
+/// What a mesh is made of. Arrays with one entry per vertex may be empty.
+#[derive(Clone, Debug, Default)]
+pub struct MeshData {
+    /// World space.
+    pub positions: Vec<[f32; 3]>,
+    /// World space, of any length; zero for "as the triangle". Without them every triangle is flat.
+    pub normals: Vec<[f32; 3]>,
+    /// Surface coordinates. Without them `uv` are the barycentric coordinates of the second and third
+    /// vertex.
+    pub uvs: Vec<[f32; 2]>,
+    /// Vertices of each triangle, counter-clockwise seen from outside.
+    pub triangles: Vec<[u32; 3]>,
+}
+
+/// Triangles with interpolated normals and surface coordinates. Cheap to clone.
+///
+/// Degenerate triangles are kept but never hit or sampled.
+#[derive(Clone, Debug)]
+pub struct Mesh(Arc<Data>);
+
+#[derive(Debug)]
+struct Data {
+    mesh: MeshData,
+    flip: bool,
+    area: f64,
+    extent: f32,
+    /// Running sums of the triangles' areas: only meshes that emit need them.
+    cdf: OnceLock<Vec<f64>>,
+}
+
+impl Mesh {
+    /// From arrays.
+    ///
+    /// # Errors
+    /// [`SceneError::Parameter`]: no triangles, no area, a vertex that is not finite (or out of reach
+    /// of [`crate::accel`]), an index without a vertex, arrays of different lengths.
+    pub fn new(mesh: MeshData, flip_normals: bool) -> Result<Self, SceneError> {
+        let error = |expected: &str, found: String| SceneError::Parameter {
+            key: "mesh".into(),
+            expected: expected.into(),
+            found,
+        };
+        let vertices = mesh.positions.len();
+        if mesh.triangles.is_empty() {
+            return Err(error("at least one triangle", "none".into()));
+        }
+        for (what, n) in [("normals", mesh.normals.len()), ("uvs", mesh.uvs.len())] {
+            if n != 0 && n != vertices {
+                return Err(error(
+                    &format!("no {what}, or one for each of {vertices} vertices"),
+                    n.to_string(),
+                ));
+            }
+        }
+        let bad = |x: &f32| !(x.abs() <= MAX_COORDINATE);
+        if let Some(i) = mesh.positions.iter().position(|p| p.iter().any(bad)) {
+            return Err(error(
+                &format!("finite vertices of magnitude at most {MAX_COORDINATE:e}"),
+                format!("{:?} for vertex {i}", mesh.positions[i]),
+            ));
+        }
+        let infinite = |x: &f32| !x.is_finite();
+        if let Some(i) = mesh.normals.iter().position(|n| n.iter().any(infinite)) {
+            return Err(error("finite normals", format!("{:?}", mesh.normals[i])));
+        }
+        if let Some(i) = mesh.uvs.iter().position(|t| t.iter().any(infinite)) {
+            return Err(error("finite uvs", format!("{:?}", mesh.uvs[i])));
+        }
+        let outside = |t: &&[u32; 3]| t.iter().any(|&i| i as usize >= vertices);
+        if let Some(t) = mesh.triangles.iter().find(outside) {
+            return Err(error(
+                &format!("vertex indices below {vertices}"),
+                format!("{t:?}"),
+            ));
+        }
+        let extent = mesh
+            .positions
+            .as_flattened()
+            .iter()
+            .fold(0.0, |m: f32, x| m.max(x.abs()));
+        let mut data = Data {
+            mesh,
+            flip: flip_normals,
+            area: 0.0,
+            extent,
+            cdf: OnceLock::new(),
+        };
+        data.area = (0..data.mesh.triangles.len())
+            .map(|i| data.double_area(i) * 0.5)
+            .sum();
+        if !(data.area > 0.0) {
+            return Err(error(
+                "at least one triangle with an area",
+                "only degenerate ones".into(),
+            ));
+        }
+        Ok(Self(Arc::new(data)))
+    }
+
+    /// Reads a Wavefront OBJ file: positions, normals, texture coordinates and faces; polygons become
+    /// fans of triangles. Groups, materials, lines and points are ignored. As in the peer, a file
+    /// without any normals gets smooth ones ([`smooth_normals`]), and `flip_v` turns v into 1 - v.
+    ///
+    /// # Errors
+    /// Whatever is wrong, with the line where there is one.
+    pub fn from_obj(path: &Path, options: &ObjOptions) -> Result<Self, SceneError> {
+        let text = std::fs::read(path).map_err(|source| SceneError::Io {
+            path: path.into(),
+            source,
+        })?;
+        Self::from_obj_text(&text, path, options)
+    }
+
+    /// [`Mesh::from_obj`] on a file's content; `path` is for messages.
+    ///
+    /// # Errors
+    /// See there.
+    pub fn from_obj_text(
+        text: &[u8],
+        path: &Path,
+        options: &ObjOptions,
+    ) -> Result<Self, SceneError> {
+        let asset = |line: Option<u32>, expected: &str, found: &str| SceneError::Asset {
+            path: path.into(),
+            line,
+            expected: expected.into(),
+            found: found.into(),
+        };
+        let mut reader = ObjLines::new(text);
+        // Points and lines have no surface; `ObjLines` does not let them through.
+        let load = tobj::LoadOptions {
+            single_index: true,
+            triangulate: true,
+            ..Default::default()
+        };
+        let no_materials = |_: &Path| Err(tobj::LoadError::OpenFileFailed);
+        let models = match tobj::load_obj_buf(&mut reader, &load, no_materials) {
+            Ok((models, _)) => models,
+            Err(e) => {
+                return Err(match reader.complaint {
+                    Some((expected, found)) => asset(Some(reader.line), expected, &found),
+                    None => asset(Some(reader.line), expectation(&e), "something else"),
+                });
+            }
+        };
+        let mut mesh = MeshData::default();
+        for model in models {
+            append(&mut mesh, &model.mesh, options)
+                .map_err(|found| asset(None, "matching arrays in the file", found))?;
+        }
+        if mesh.triangles.is_empty() {
+            return Err(asset(None, "at least one face", "none"));
+        }
+        if options.face_normals {
+            mesh.normals = Vec::new();
+        } else if reader.counts[2] == 0 {
+            mesh.normals = smooth_normals(&mesh.positions, &mesh.triangles);
+        }
+        Self::new(mesh, options.flip_normals).map_err(|e| match e {
+            SceneError::Parameter {
+                expected, found, ..
+            } => asset(None, &expected, &found),
+            other => other,
+        })
+    }
+
+    /// The arrays.
+    pub fn data(&self) -> &MeshData {
+        &self.0.mesh
+    }
+
+    /// Bytes held by the arrays.
+    pub fn memory_bytes(&self) -> usize {
+        let m = &self.0.mesh;
+        size_of_val(&m.positions[..])
+            + size_of_val(&m.normals[..])
+            + size_of_val(&m.uvs[..])
+            + size_of_val(&m.triangles[..])
+            + self.0.cdf.get().map_or(0, |c| size_of_val(&c[..]))
+    }
+
+    /// Shading frame, geometric normal on its side, and surface coordinates at barycentric `(u, v)`.
+    #[inline]
+    fn surface<R: Real>(&self, triangle: usize, u: R, v: R) -> (Frame<R>, Vec3<R>, Vec2<R>) {
+        let data = &*self.0;
+        let m = &data.mesh;
+        let t = m.triangles[triangle].map(|i| i as usize);
+        let [e1, e2] = data.edges(triangle);
+        // In f64, where the product of small edges does not underflow.
+        let flat = e1.cross(e2).normalize();
+        let flat = Vec3::<R>::new(R::of(flat.x), R::of(flat.y), R::of(flat.z));
+        let w = R::one() - u - v;
+        let smooth = if m.normals.is_empty() {
+            Vec3::zero()
+        } else {
+            let [a, b, c] = t.map(|i| lift3::<R>(m.normals[i]));
+            (a * w + b * u + c * v).normalize()
+        };
+        let (mut n, mut n_geo) = (smooth, flat);
+        let side = smooth.primal().dot(flat.primal());
+        if smooth.primal().length_squared() == R::Primal::zero() {
+            n = flat;
+        } else if side < R::Primal::zero() {
+            // Emission and scattering go by the shading normal.
+            n_geo = -flat;
+        }
+        if data.flip {
+            (n, n_geo) = (-n, -n_geo);
+        }
+        if m.uvs.is_empty() {
+            return (Frame::from_normal(n), n_geo, Vec2::new(u, v));
+        }
+        let lift2 = |x: [f32; 2]| -> Vec2<R> {
+            Vec2::new(
+                R::lift(R::Primal::from_f32(x[0])),
+                R::lift(R::Primal::from_f32(x[1])),
+            )
+        };
+        let [a, b, c] = t.map(|i| lift2(m.uvs[i]));
+        let uv = Vec2::new(a.x * w + b.x * u + c.x * v, a.y * w + b.y * u + c.y * v);
+        let dp_du = data.dp_du(triangle);
+        let dp_du = Vec3::new(R::of(dp_du.x), R::of(dp_du.y), R::of(dp_du.z));
+        (Frame::from_normal_and_tangent(n, dp_du), n_geo, uv)
+    }
+
+    /// A uniform point: triangle, and barycentric coordinates of its second and third vertex.
+    fn choose<P: Float>(&self, u: [P; 2]) -> (usize, Vec2<P>) {
+        let data = &*self.0;
+        let cdf = data.cdf.get_or_init(|| {
+            let mut sum = 0.0;
+            let areas = (0..data.mesh.triangles.len()).map(|i| {
+                sum += 0.5 * data.double_area(i);
+                sum
+            });
+            areas.collect()
+        });
+        let total = cdf[cdf.len() - 1];
+        let x = (u[0].to_f64() * total).min(total.next_down());
+        // The first whose sum exceeds x: never one without an area.
+        let i = cdf.partition_point(|&c| c <= x).min(cdf.len() - 1);
+        let before = if i == 0 { 0.0 } else { cdf[i - 1] };
+        let reused = ((x - before) / (cdf[i] - before)).clamp(0.0, 1.0);
+        (i, warp::square_to_triangle([P::of(reused), u[1]]))
+    }
+}
+
+impl Data {
+    /// Edges from the first vertex, rounded as the ray sees them.
+    #[inline]
+    fn single_edges(&self, triangle: usize) -> ([f32; 3], [[f32; 3]; 2]) {
+        let [a, b, c] = self.mesh.triangles[triangle].map(|i| self.mesh.positions[i as usize]);
+        let minus = |x: [f32; 3]| [x[0] - a[0], x[1] - a[1], x[2] - a[2]];
+        (a, [minus(b), minus(c)])
+    }
+
+    #[inline]
+    fn edges(&self, triangle: usize) -> [Vec3<f64>; 2] {
+        self.single_edges(triangle).1.map(lift3::<f64>)
+    }
+
+    #[inline]
+    fn double_area(&self, triangle: usize) -> f64 {
+        let [e1, e2] = self.edges(triangle);
+        e1.cross(e2).length()
+    }
+
+    /// The direction of increasing u, zero where the surface coordinates are degenerate. Its length
+    /// means nothing.
+    #[inline]
+    fn dp_du(&self, triangle: usize) -> Vec3<f64> {
+        let [e1, e2] = self.edges(triangle);
+        let [a, b, c] =
+            self.mesh.triangles[triangle].map(|i| self.mesh.uvs[i as usize].map(f64::from));
+        let (dv1, dv2) = (b[1] - a[1], c[1] - a[1]);
+        let det = (b[0] - a[0]) * dv2 - dv1 * (c[0] - a[0]);
+        if det == 0.0 {
+            return Vec3::zero();
+        }
+        ((e1 * dv2 - e2 * dv1) * det.signum()).normalize()
+    }
+}
+
+impl Shape for Mesh {
+    fn primitives(&self) -> Vec<Primitive> {
+        (0..self.0.mesh.triangles.len())
+            .map(|i| {
+                let (v0, [e1, e2]) = self.0.single_edges(i);
+                Primitive::Triangle { v0, e1, e2 }
+            })
+            .collect()
+    }
+
+    #[inline]
+    fn interaction<R: Real>(&self, prim: u32, ray: &Ray<R>, hit: &Hit) -> SurfaceInteraction<R> {
+        let (v0, [e1, e2]) = self.0.single_edges(prim as usize);
+        let (v0, e1, e2) = (lift3::<R>(v0), lift3::<R>(e1), lift3::<R>(e2));
+        let (t, u, v) = if hit_is_exact::<R>() {
+            let exact = |x: f32| R::lift(R::Primal::from_f32(x));
+            (exact(hit.t), exact(hit.u), exact(hit.v))
+        } else {
+            intersect_plane(ray, v0, e1, e2)
+        };
+        let (frame, n_geo, uv) = self.surface(prim as usize, u, v);
+        SurfaceInteraction {
+            p: v0 + e1 * u + e2 * v,
+            t,
+            n_geo,
+            frame,
+            uv,
+        }
+    }
+
+    fn area(&self) -> f64 {
+        self.0.area
+    }
+
+    /// The normal returned is the shading normal, which emission goes by.
+    fn sample_area<P: Float>(&self, u: [P; 2]) -> ShapeSample<P> {
+        let (triangle, b) = self.choose(u);
+        let (v0, [e1, e2]) = self.0.single_edges(triangle);
+        let (frame, _, uv) = self.surface(triangle, b.x, b.y);
+        ShapeSample {
+            p: lift3::<P>(v0) + lift3::<P>(e1) * b.x + lift3::<P>(e2) * b.y,
+            n: frame.n,
+            uv,
+            pdf: P::of(1.0 / self.0.area),
+        }
+    }
+
+    fn sample<P: Float>(&self, from: Vec3<P>, u: [P; 2]) -> Option<ShapeSample<P>> {
+        let s = self.sample_area(u);
+        let (triangle, _) = self.choose(u);
+        let [e1, e2] = self.0.edges(triangle);
+        let n = e1.cross(e2).normalize();
+        let n_geo = Vec3::new(P::of(n.x), P::of(n.y), P::of(n.z));
+        let pdf = area_to_solid_angle(s.pdf, from, s.p, n_geo)?;
+        Some(ShapeSample { pdf, ..s })
+    }
+
+    fn extent(&self) -> f32 {
+        self.0.extent
+    }
+}
+
+/// Vertex normals as averages over the adjacent triangles, weighted by their angle at the vertex
+/// [Thuermer and Wuethrich 1998], as the peer computes them. Zero where there is no such triangle.
+pub fn smooth_normals(positions: &[[f32; 3]], triangles: &[[u32; 3]]) -> Vec<[f32; 3]> {
+    let mut sums = vec![Vec3::<f64>::zero(); positions.len()];
+    for t in triangles {
+        let corners = t.map(|i| lift3::<f64>(positions[i as usize]));
+        let n = (corners[1] - corners[0])
+            .cross(corners[2] - corners[0])
+            .normalize();
+        for k in 0..3 {
+            let a = corners[(k + 1) % 3] - corners[k];
+            let b = corners[(k + 2) % 3] - corners[k];
+            let angle = a.cross(b).length().atan2(a.dot(b));
+            sums[t[k] as usize] += n * Const(angle);
+        }
+    }
+    let single = |s: Vec3<f64>| s.normalize().to_array().map(|x| x as f32);
+    sums.into_iter().map(single).collect()
+}
+
+/// How an OBJ file is read.
+#[derive(Clone, Copy, Debug)]
+pub struct ObjOptions {
+    /// From the file's space to the world.
+    pub to_world: Transform,
+    /// Ignore normals, and make none.
+    pub face_normals: bool,
+    /// Turn the surface around.
+    pub flip_normals: bool,
+    /// Use 1 - v for v.
+    pub flip_v: bool,
+}
+
+impl Default for ObjOptions {
+    fn default() -> Self {
+        Self {
+            to_world: Transform::IDENTITY,
+            face_normals: false,
+            flip_normals: false,
+            flip_v: true,
+        }
+    }
+}
+
+/// Adds one group of faces to a mesh, in world space.
+fn append(
+    mesh: &mut MeshData,
+    group: &tobj::Mesh,
+    options: &ObjOptions,
+) -> Result<(), &'static str> {
+    let start = mesh.positions.len();
+    let count = group.positions.len() / 3;
+    let first = u32::try_from(start).map_err(|_| "more than 2^32 vertices")?;
+    if start + count > u32::MAX as usize {
+        return Err("more than 2^32 vertices");
+    }
+    let single = |v: [f64; 3]| v.map(|x| x as f32);
+    let double = |v: &[f32; 3]| v.map(f64::from);
+    let positions = group.positions.as_chunks::<3>().0.iter();
+    mesh.positions
+        .extend(positions.map(|p| single(options.to_world.point(double(p)))));
+    if !group.normals.is_empty() {
+        if group.normals.len() != group.positions.len() {
+            return Err("another number of normals than of vertices");
+        }
+        // Cofactors: like the inverse transpose, but reflections keep the side of the winding; undo
+        // that, so that mirrored meshes keep their outside.
+        let sign = options.to_world.determinant().signum();
+        mesh.normals.resize(start, [0.0; 3]);
+        let normals = group.normals.as_chunks::<3>().0.iter();
+        mesh.normals.extend(normals.map(|n| {
+            let n = Vec3::from(options.to_world.normal(double(n))).normalize();
+            single((n * sign).to_array())
+        }));
+    }
+    if !group.texcoords.is_empty() {
+        if group.texcoords.len() / 2 != count {
+            return Err("another number of texture coordinates than of vertices");
+        }
+        mesh.uvs.resize(start, [0.0; 2]);
+        let uvs = group.texcoords.as_chunks::<2>().0.iter();
+        mesh.uvs
+            .extend(uvs.map(|&[u, v]| [u, if options.flip_v { 1.0 - v } else { v }]));
+    }
+    if !mesh.normals.is_empty() {
+        mesh.normals.resize(start + count, [0.0; 3]);
+    }
+    if !mesh.uvs.is_empty() {
+        mesh.uvs.resize(start + count, [0.0; 2]);
+    }
+    let triangles = group.indices.as_chunks::<3>().0.iter();
+    mesh.triangles
+        .extend(triangles.map(|t| t.map(|i| first + i)));
+    Ok(())
+}
+
+/// What the parser wanted in the line it stopped at.
+fn expectation(e: &tobj::LoadError) -> &'static str {
+    match e {
+        tobj::LoadError::ReadError => "text in UTF-8",
+        tobj::LoadError::PositionParseError
+        | tobj::LoadError::ScalingByZeroError
+        | tobj::LoadError::ColorParseError => "`v` with three finite numbers",
+        tobj::LoadError::NormalParseError => "`vn` with three numbers",
+        tobj::LoadError::TexcoordParseError => "`vt` with two or three numbers",
+        _ => "a well-formed face",
+    }
+}
+
+/// The lines of an OBJ file that make up its geometry, counted, with faces checked.
+///
+/// Groups and materials are left out, so that normals are smooth across them. Where faces change
+/// between having texture coordinates or normals and not having them, a new group begins: `tobj`
+/// cannot mix them in one.
+struct ObjLines<'a> {
+    rest: &'a [u8],
+    /// What is left of the current line.
+    current: &'a [u8],
+    /// Number of the current line, from one.
+    line: u32,
+    /// `v`, `vt` and `vn` lines so far.
+    counts: [usize; 3],
+    /// Whether faces have texture coordinates and normals.
+    layout: Option<[bool; 2]>,
+    /// A face waiting behind the start of a new group.
+    pending: Option<&'a [u8]>,
+    /// Why the current line was refused: expected, found.
+    complaint: Option<(&'static str, String)>,
+}
+
+impl<'a> ObjLines<'a> {
+    fn new(text: &'a [u8]) -> Self {
+        Self {
+            rest: text,
+            current: &[],
+            line: 0,
+            counts: [0; 3],
+            layout: None,
+            pending: None,
+            complaint: None,
+        }
+    }
+
+    fn refuse(&mut self, expected: &'static str, found: &[u8]) -> io::Error {
+        let found = String::from_utf8_lossy(&found[..found.len().min(64)]);
+        self.complaint = Some((expected, format!("`{found}`")));
+        io::Error::from(io::ErrorKind::InvalidData)
+    }
+
+    /// Moves to the next line worth parsing.
+    fn advance(&mut self) -> io::Result<()> {
+        if let Some(face) = self.pending.take() {
+            self.current = face;
+            return Ok(());
+        }
+        while !self.rest.is_empty() {
+            let end = self.rest.iter().position(|&b| b == b'\n');
+            let (line, rest) = self.rest.split_at(end.map_or(self.rest.len(), |e| e + 1));
+            self.rest = rest;
+            self.line = self.line.saturating_add(1);
+            let mut words = words(line);
+            let kind = words.next().unwrap_or_default();
+            let counter = match kind {
+                b"f" => {
+                    let layout = self.check_face(words)?;
+                    self.current = line;
+                    if self.layout.replace(layout).is_some_and(|old| old != layout) {
+                        (self.current, self.pending) = (b"g\n", Some(line));
+                    }
+                    return Ok(());
+                }
+                b"v" => 0,
+                b"vt" => 1,
+                b"vn" => 2,
+                _ => continue,
+            };
+            // "nan" and "inf" are numbers to the parser.
+            if let Some(word) =
+                words.find(|w| w.iter().any(u8::is_ascii_alphabetic) && !is_exponential(w))
+            {
+                return Err(self.refuse("a finite number", word));
+            }
+            self.counts[counter] += 1;
+            self.current = line;
+            return Ok(());
+        }
+        Ok(())
+    }
+
+    /// Whether the face has texture coordinates and normals. All its indices are in range.
+    fn check_face(&mut self, words: impl Iterator<Item = &'a [u8]>) -> io::Result<[bool; 2]> {
+        const FORM: &str = "at least three vertices `v`, `v/vt`, `v//vn` or `v/vt/vn`";
+        let mut layout = None;
+        let mut corners = 0;
+        for word in words {
+            let mut present = [false; 3];
+            for (k, index) in word.split(|&b| b == b'/').enumerate() {
+                if k > 2 {
+                    return Err(self.refuse(FORM, word));
+                }
+                if index.is_empty() {
+                    continue;
+                }
+                let number = std::str::from_utf8(index).ok();
+                let Some(i) = number.and_then(|s| s.parse::<i64>().ok()) else {
+                    return Err(self.refuse(FORM, word));
+                };
+                if i == 0 || i.unsigned_abs() > self.counts[k] as u64 {
+                    return Err(self.refuse("the index of an earlier line", word));
+                }
+                present[k] = true;
+            }
+            let own = [present[1], present[2]];
+            if !present[0] || layout.is_some_and(|l| l != own) {
+                return Err(self.refuse("vertices of one form", word));
+            }
+            layout = Some(own);
+            corners += 1;
+        }
+        match layout {
+            Some(layout) if corners >= 3 => Ok(layout),
+            _ => Err(self.refuse(FORM, format!("{corners} vertices").as_bytes())),
+        }
+    }
+}
+
+fn words(line: &[u8]) -> impl Iterator<Item = &[u8]> {
+    line.split(u8::is_ascii_whitespace)
+        .filter(|w| !w.is_empty())
+}
+
+/// Whether the only letter is the `e` of an exponent.
+fn is_exponential(word: &[u8]) -> bool {
+    word.iter()
+        .all(|b| !b.is_ascii_alphabetic() || matches!(b, b'e' | b'E'))
+}
+
+impl Read for ObjLines<'_> {
+    fn read(&mut self, buf: &mut [u8]) -> io::Result<usize> {
+        let available = self.fill_buf()?;
+        let n = available.len().min(buf.len());
+        buf[..n].copy_from_slice(&available[..n]);
+        self.consume(n);
+        Ok(n)
+    }
+}
+
+impl BufRead for ObjLines<'_> {
+    fn fill_buf(&mut self) -> io::Result<&[u8]> {
+        if self.current.is_empty() {
+            self.advance()?;
+        }
+        Ok(self.current)
+    }
+
+    fn consume(&mut self, n: usize) {
+        self.current = &self.current[n.min(self.current.len())..];
+    }
+}
+
+impl FromNode for Mesh {
+    const PLUGINS: &'static [&'static str] = &["obj"];
+
+    fn from_node(node: &Node, _build: &mut Builder) -> Result<Self, SceneError> {
+        let path = node
+            .path("filename")?
+            .ok_or_else(|| node.missing("filename", "an OBJ file"))?;
+        let to_world = node.transform("to_world")?.unwrap_or_default();
+        let options = ObjOptions {
+            to_world,
+            face_normals: node.boolean_or("face_normals", false)?,
+            flip_normals: node.boolean_or("flip_normals", false)?,
+            flip_v: node.boolean_or("flip_tex_coords", true)?,
+        };
+        Self::from_obj(&path, &options)
+    }
+}

@@ -1,0 +1,266 @@
+//! The sphere.
+
+use std::f64::consts::{FRAC_1_PI, PI};
+
+use ad_core::{Const, Float, Real, Vec2, Vec3};
+
+use super::{Shape, ShapeSample, SurfaceInteraction, area_to_solid_angle, hit_is_exact, lift3};
+use crate::accel::{Hit, MAX_COORDINATE, MIN_THICKNESS, Primitive};
+use crate::bsdf::FromNode;
+use crate::error::SceneError;
+use crate::math::{Frame, Ray, Transform, warp};
+use crate::scene::{Builder, Node};
+
+/// Two axes count as equally long and orthogonal up to this relative error, that of a matrix
+/// written with six digits.
+pub(super) const SIMILARITY_TOLERANCE: f64 = 1e-4;
+
+/// A sphere. `uv = (phi / 2 pi, theta / pi)` in the spherical coordinates around its local z axis;
+/// normals point outward unless flipped.
+#[derive(Clone, Copy, Debug)]
+pub struct Sphere {
+    center: [f32; 3],
+    radius: f32,
+    /// Local x, y and z axis, world space.
+    axes: [[f32; 3]; 3],
+    flip: bool,
+}
+
+impl Sphere {
+    /// From centre and radius, with the axes of the world. `None` if the radius is not positive or
+    /// something is not finite (or out of reach of [`crate::accel`]).
+    pub fn new(center: [f64; 3], radius: f64, flip_normals: bool) -> Option<Self> {
+        let axes = Transform::IDENTITY.linear;
+        Self::with_axes(center, radius, axes, flip_normals)
+    }
+
+    /// The image of the unit sphere. `None` if the transform is not a similarity, or see
+    /// [`Sphere::new`].
+    pub fn transformed(to_world: &Transform, flip_normals: bool) -> Option<Self> {
+        let columns =
+            [0, 1, 2].map(|j| Vec3::from([0, 1, 2].map(|i: usize| to_world.linear[i][j])));
+        let radius = columns[2].length();
+        for (i, a) in columns.iter().enumerate() {
+            for (j, b) in columns.iter().enumerate() {
+                let expected = if i == j { 1.0 } else { 0.0 };
+                let cosine = (*a * radius.recip()).dot(*b * radius.recip());
+                // Written so that NaN fails.
+                if !((cosine - expected).abs() <= SIMILARITY_TOLERANCE) {
+                    return None;
+                }
+            }
+        }
+        let axes = columns.map(|c| c.normalize().to_array());
+        Self::with_axes(to_world.translation, radius, axes, flip_normals)
+    }
+
+    fn with_axes(center: [f64; 3], radius: f64, axes: [[f64; 3]; 3], flip: bool) -> Option<Self> {
+        let center = center.map(|x| x as f32);
+        let radius = radius as f32;
+        let reachable = center.iter().all(|x| x.abs() <= MAX_COORDINATE);
+        let valid = (MIN_THICKNESS..=MAX_COORDINATE).contains(&radius);
+        (reachable && valid).then(|| Self {
+            center,
+            radius,
+            axes: axes.map(|a| a.map(|x| x as f32)),
+            flip,
+        })
+    }
+
+    /// Centre, world space.
+    pub fn center(&self) -> [f32; 3] {
+        self.center
+    }
+
+    /// Radius.
+    pub fn radius(&self) -> f32 {
+        self.radius
+    }
+
+    #[inline]
+    fn side<R: Real>(&self, outward: Vec3<R>) -> Vec3<R> {
+        if self.flip { -outward } else { outward }
+    }
+
+    /// Surface coordinates of the point with outward unit normal `n`, and the direction of
+    /// increasing u there (zero at the poles).
+    #[inline]
+    fn uv<R: Real>(&self, n: Vec3<R>) -> (Vec2<R>, Vec3<R>) {
+        let axes = self.axes.map(lift3::<R>);
+        let [x, y, z] = axes.map(|a| a.dot(n));
+        let u = turn(y, x);
+        let v = x.hypot(y).atan2(z) * R::c(FRAC_1_PI);
+        (Vec2::new(u, v), axes[1] * x - axes[0] * y)
+    }
+
+    /// `1 - cos` of half the angle that the sphere subtends at `from`, and the unit direction to its
+    /// centre. `None` inside and on the sphere.
+    #[inline]
+    fn cone<P: Float>(&self, from: Vec3<P>) -> Option<(P, Vec3<P>)> {
+        let to = lift3::<P>(self.center) - from;
+        let r = P::from_f32(self.radius);
+        let d = to.length();
+        let sine = r / d;
+        // The last condition keeps the density finite.
+        if d > r && sine * sine > P::MIN_POSITIVE {
+            let cosine = (((d - r) / d) * ((d + r) / d)).sqrt();
+            Some((sine * sine / (P::one() + cosine), to * d.recip()))
+        } else {
+            None
+        }
+    }
+
+    /// Whether `from` lies inside or on the sphere.
+    #[inline]
+    fn contains<P: Float>(&self, from: Vec3<P>) -> bool {
+        (lift3::<P>(self.center) - from).length() <= P::from_f32(self.radius)
+    }
+}
+
+/// The angle of (x, y) in turns, in [0, 1].
+#[inline]
+pub(super) fn turn<R: Real>(y: R, x: R) -> R {
+    let u = y.atan2(x) * R::c(0.5 * FRAC_1_PI);
+    if u.primal() < R::Primal::zero() {
+        u + R::c(1.0)
+    } else {
+        u
+    }
+}
+
+/// The `t` nearest to `near` with `|t d - to| = r`. On rays that miss by rounding, the closest
+/// approach.
+#[inline]
+pub(super) fn root_near<R: Real>(to: Vec3<R>, d: Vec3<R>, r: R, near: R::Primal) -> R {
+    let dd = d.length_squared();
+    let middle = to.dot(d) / dd;
+    // Distance of the centre from the line; the usual b^2 - a c would lose a small far sphere.
+    let off = to - d * middle;
+    let half = ((r * r - off.length_squared()) / dd).max(R::zero()).sqrt();
+    if near < middle.primal() {
+        middle - half
+    } else {
+        middle + half
+    }
+}
+
+impl Shape for Sphere {
+    fn primitives(&self) -> Vec<Primitive> {
+        vec![Primitive::Sphere {
+            center: self.center,
+            radius: self.radius,
+        }]
+    }
+
+    #[inline]
+    fn interaction<R: Real>(&self, _prim: u32, ray: &Ray<R>, hit: &Hit) -> SurfaceInteraction<R> {
+        let center = lift3::<R>(self.center);
+        let radius = Const(R::Primal::from_f32(self.radius));
+        let near = R::Primal::from_f32(hit.t);
+        let t = if hit_is_exact::<R>() {
+            R::lift(near)
+        } else {
+            root_near(center - ray.o, ray.d, R::lift(radius.0), near)
+        };
+        let outward = (ray.at(t) - center).normalize();
+        let (uv, dp_du) = self.uv(outward);
+        let n = self.side(outward);
+        SurfaceInteraction {
+            // Back onto the sphere, which rounding of t has left.
+            p: center + outward * radius,
+            t,
+            n_geo: n,
+            frame: Frame::from_normal_and_tangent(n, dp_du),
+            uv,
+        }
+    }
+
+    fn area(&self) -> f64 {
+        4.0 * PI * f64::from(self.radius) * f64::from(self.radius)
+    }
+
+    fn sample_area<P: Float>(&self, u: [P; 2]) -> ShapeSample<P> {
+        let outward = warp::square_to_sphere(u);
+        ShapeSample {
+            p: lift3::<P>(self.center) + outward * P::from_f32(self.radius),
+            n: self.side(outward),
+            uv: self.uv(outward).0,
+            pdf: P::of(1.0 / self.area()),
+        }
+    }
+
+    /// Uniform in the cone that the sphere subtends, as the peer does; over the area from inside.
+    #[inline]
+    fn sample<P: Float>(&self, from: Vec3<P>, u: [P; 2]) -> Option<ShapeSample<P>> {
+        let Some((one_minus_cos_max, axis)) = self.cone(from) else {
+            if !self.contains(from) {
+                return None;
+            }
+            let s = self.sample_area(u);
+            let pdf = area_to_solid_angle(s.pdf, from, s.p, s.n)?;
+            return Some(ShapeSample { pdf, ..s });
+        };
+        // A ray at angle theta to the axis meets the sphere at angle beta to the normal, with
+        // sin(beta) = sin(theta) / sin(theta_max); seen from the centre that point lies beta - theta
+        // off the axis. None of it cancels, however far or near the sphere.
+        let h = one_minus_cos_max * u[0];
+        let two = P::of(2.0);
+        let ratio = u[0] * (two - h) / (two - one_minus_cos_max);
+        let (sin_beta, cos_beta) = (ratio.sqrt(), (P::one() - ratio).max(P::zero()).sqrt());
+        let (sin_theta, cos_theta) = ((h * (two - h)).sqrt(), P::one() - h);
+        let cos_alpha = cos_beta * cos_theta + sin_beta * sin_theta;
+        let sin_alpha = (sin_beta * cos_theta - cos_beta * sin_theta).max(P::zero());
+        let (sin_phi, cos_phi) = (P::of(2.0 * PI) * u[1]).sin_cos();
+        let local = Vec3::new(sin_alpha * cos_phi, sin_alpha * sin_phi, cos_alpha);
+        let outward = Frame::from_normal(-axis).to_world(local).normalize();
+        Some(ShapeSample {
+            p: lift3::<P>(self.center) + outward * P::from_f32(self.radius),
+            n: self.side(outward),
+            uv: self.uv(outward).0,
+            pdf: cone_pdf(one_minus_cos_max),
+        })
+    }
+
+    #[inline]
+    fn pdf<P: Float>(&self, from: Vec3<P>, si: &SurfaceInteraction<P>) -> P {
+        match self.cone(from) {
+            Some((one_minus_cos_max, _)) => cone_pdf(one_minus_cos_max),
+            None if self.contains(from) => {
+                let pdf_area = P::of(1.0 / self.area());
+                area_to_solid_angle(pdf_area, from, si.p, si.n_geo).unwrap_or(P::zero())
+            }
+            None => P::zero(),
+        }
+    }
+
+    fn extent(&self) -> f32 {
+        self.center.iter().fold(0.0f32, |m, x| m.max(x.abs())) + self.radius
+    }
+}
+
+#[inline]
+fn cone_pdf<P: Float>(one_minus_cos_max: P) -> P {
+    P::of(0.5 * FRAC_1_PI) / one_minus_cos_max
+}
+
+impl FromNode for Sphere {
+    const PLUGINS: &'static [&'static str] = &["sphere"];
+
+    fn from_node(node: &Node, _build: &mut Builder) -> Result<Self, SceneError> {
+        let center = node.point("center")?.unwrap_or_default();
+        let radius = node.float_or("radius", 1.0)?;
+        let to_world = node.transform("to_world")?.unwrap_or_default();
+        let flip = node.boolean_or("flip_normals", false)?;
+        if radius <= 0.0 {
+            return Err(node.invalid("radius", "a positive number"));
+        }
+        let local =
+            Transform::sequence([Transform::scale([radius; 3]), Transform::translate(center)]);
+        Self::transformed(&local.then(&to_world), flip).ok_or_else(|| {
+            node.invalid(
+                "to_world",
+                "a uniform scale that leaves a sphere of finite, non-zero size",
+            )
+        })
+    }
+}
