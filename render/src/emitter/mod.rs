@@ -6,8 +6,16 @@
 //! To add an emitter: one file here, one line in `emitters!` below.
 
 mod area;
+mod constant;
+mod point;
+mod spot;
+mod vmf;
 
 pub use area::Area;
+pub use constant::Constant;
+pub use point::Point;
+pub use spot::Spot;
+pub use vmf::Vmf;
 
 use ad_core::{Float, Real, Vec2, Vec3};
 
@@ -173,4 +181,8 @@ macro_rules! emitters {
 
 emitters! {
     Area,
+    Point,
+    Spot,
+    Constant,
+    Vmf,
 }

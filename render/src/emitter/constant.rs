@@ -1,0 +1,74 @@
+//! The uniform environment.
+
+use std::f64::consts::PI;
+
+use ad_core::{Float, Real, Vec2, Vec3};
+
+use super::point::constant_colour;
+use super::{Emission, Emitter, EmitterSample, Lights};
+use crate::bsdf::FromNode;
+use crate::error::SceneError;
+use crate::math::warp;
+use crate::scene::{Builder, Node};
+use crate::shape::SurfaceInteraction;
+use crate::texture::RgbTexture;
+
+/// The same radiance from every direction.
+#[derive(Clone, Debug)]
+pub struct Constant {
+    /// Radiance, W m^-2 sr^-1.
+    pub radiance: RgbTexture,
+}
+
+impl Emitter for Constant {
+    #[inline]
+    fn radiance(&self) -> &RgbTexture {
+        &self.radiance
+    }
+
+    #[inline]
+    fn hit<R: Real>(&self, _: Vec3<R>, si: Option<&SurfaceInteraction<R>>) -> Option<Emission<R>> {
+        si.is_none().then(|| Emission {
+            uv: Vec2::zero(),
+            falloff: R::one(),
+        })
+    }
+
+    #[inline]
+    fn sample<P: Float>(&self, _: Lights, _: Vec3<P>, u: [P; 2]) -> Option<EmitterSample<P>> {
+        Some(EmitterSample {
+            d: warp::square_to_sphere(u),
+            distance: P::of(f64::INFINITY),
+            pdf: P::of(0.25 / PI),
+            emission: Emission {
+                uv: Vec2::zero(),
+                falloff: P::one(),
+            },
+        })
+    }
+
+    #[inline]
+    fn pdf<P: Float>(
+        &self,
+        _: Lights,
+        _: Vec3<P>,
+        _: Vec3<P>,
+        si: Option<&SurfaceInteraction<P>>,
+    ) -> P {
+        P::of(if si.is_none() { 0.25 / PI } else { 0.0 })
+    }
+
+    fn is_infinite(&self) -> bool {
+        true
+    }
+}
+
+impl FromNode for Constant {
+    const PLUGINS: &'static [&'static str] = &["constant"];
+
+    fn from_node(node: &Node, build: &mut Builder) -> Result<Self, SceneError> {
+        Ok(Self {
+            radiance: constant_colour(node, build, "radiance")?,
+        })
+    }
+}

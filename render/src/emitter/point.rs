@@ -1,0 +1,105 @@
+//! Point lights.
+
+use ad_core::{Float, Real, Vec2, Vec3};
+
+use super::{Emission, Emitter, EmitterSample, Lights};
+use crate::bsdf::FromNode;
+use crate::error::SceneError;
+use crate::math::Transform;
+use crate::scene::{Builder, Node};
+use crate::shape::{SurfaceInteraction, lift3};
+use crate::texture::RgbTexture;
+
+/// The same intensity in all directions from a point.
+#[derive(Clone, Debug)]
+pub struct Point {
+    /// Radiant intensity, W sr^-1.
+    pub intensity: RgbTexture,
+    /// World space.
+    pub position: [f32; 3],
+}
+
+/// Direction from `from` to `position`, distance, and one over its square. `None` where that is not
+/// finite.
+#[inline]
+pub(super) fn towards<P: Float>(position: [f32; 3], from: Vec3<P>) -> Option<(Vec3<P>, P, P)> {
+    let to = lift3::<P>(position) - from;
+    let distance = to.length();
+    let inverse_square = distance.recip() * distance.recip();
+    let usable = inverse_square.is_finite() && inverse_square > P::zero();
+    usable.then(|| (to.normalize(), distance, inverse_square))
+}
+
+impl Emitter for Point {
+    #[inline]
+    fn radiance(&self) -> &RgbTexture {
+        &self.intensity
+    }
+
+    #[inline]
+    fn hit<R: Real>(&self, _: Vec3<R>, _: Option<&SurfaceInteraction<R>>) -> Option<Emission<R>> {
+        None
+    }
+
+    #[inline]
+    fn sample<P: Float>(&self, _: Lights, from: Vec3<P>, _: [P; 2]) -> Option<EmitterSample<P>> {
+        let (d, distance, falloff) = towards(self.position, from)?;
+        Some(EmitterSample {
+            d,
+            distance,
+            pdf: P::one(),
+            emission: Emission {
+                uv: Vec2::zero(),
+                falloff,
+            },
+        })
+    }
+
+    #[inline]
+    fn pdf<P: Float>(
+        &self,
+        _: Lights,
+        _: Vec3<P>,
+        _: Vec3<P>,
+        _: Option<&SurfaceInteraction<P>>,
+    ) -> P {
+        P::zero()
+    }
+
+    fn is_delta(&self) -> bool {
+        true
+    }
+}
+
+/// The constant colour `key`, a parameter that textures cannot stand in for.
+pub(super) fn constant_colour(
+    node: &Node,
+    build: &mut Builder,
+    key: &str,
+) -> Result<RgbTexture, SceneError> {
+    let value = node.rgb_or(key, [1.0; 3])?;
+    if value.iter().any(|&x| x < 0.0) {
+        return Err(node.invalid(key, "a colour without negative channels"));
+    }
+    let name = format!("{}.{key}.value", build.prefix());
+    build.rgb(&name, value, (0.0, f64::INFINITY))
+}
+
+impl FromNode for Point {
+    const PLUGINS: &'static [&'static str] = &["point"];
+
+    fn from_node(node: &Node, build: &mut Builder) -> Result<Self, SceneError> {
+        let to_world = node.transform("to_world")?;
+        let position = match (node.point("position")?, to_world) {
+            (Some(_), Some(_)) => {
+                return Err(node.invalid("position", "either position or to_world, not both"));
+            }
+            (Some(p), None) => p,
+            (None, t) => t.unwrap_or(Transform::IDENTITY).translation,
+        };
+        Ok(Self {
+            intensity: constant_colour(node, build, "intensity")?,
+            position: position.map(|x| x as f32),
+        })
+    }
+}

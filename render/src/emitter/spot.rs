@@ -1,0 +1,125 @@
+//! Spot lights.
+
+use ad_core::{Float, Real, Vec2, Vec3};
+
+use super::point::{constant_colour, towards};
+use super::{Emission, Emitter, EmitterSample, Lights};
+use crate::bsdf::FromNode;
+use crate::error::SceneError;
+use crate::scene::{Builder, Node};
+use crate::shape::{SurfaceInteraction, lift3};
+use crate::texture::RgbTexture;
+
+/// A point light with a cone: full intensity up to the beam angle from the axis, from there to the
+/// cutoff a linear decrease *in the angle* to zero, as in the peer.
+#[derive(Clone, Debug)]
+pub struct Spot {
+    /// Radiant intensity along the axis, W sr^-1.
+    pub intensity: RgbTexture,
+    position: [f32; 3],
+    axis: [f32; 3],
+    beam: f64,
+    cutoff: f64,
+}
+
+impl Spot {
+    /// A light at `position` that shines along `axis`; angles from the axis in degrees. `None` unless
+    /// `0 <= beam <= cutoff <= 180`, cutoff positive, and the axis has a direction.
+    pub fn new(
+        intensity: RgbTexture,
+        position: [f64; 3],
+        axis: [f64; 3],
+        beam: f64,
+        cutoff: f64,
+    ) -> Option<Self> {
+        let axis = Vec3::from(axis).normalize();
+        let angles = 0.0 <= beam && beam <= cutoff && 0.0 < cutoff && cutoff <= 180.0;
+        let usable = (axis.length() - 1.0).abs() < 0.5 && position.iter().all(|x| x.is_finite());
+        (angles && usable).then(|| Self {
+            intensity,
+            position: position.map(|x| x as f32),
+            axis: axis.to_array().map(|x| x as f32),
+            beam: beam.to_radians(),
+            cutoff: cutoff.to_radians(),
+        })
+    }
+
+    /// Fraction of the intensity in the unit direction `d`.
+    #[inline]
+    fn profile<P: Float>(&self, d: Vec3<P>) -> P {
+        let axis = lift3::<P>(self.axis);
+        // Not the arccosine, which knows small angles to four digits only.
+        let angle = axis.cross(d).length().atan2(axis.dot(d));
+        let (beam, cutoff) = (P::of(self.beam), P::of(self.cutoff));
+        if angle <= beam {
+            P::one()
+        } else if angle < cutoff {
+            (cutoff - angle) / (cutoff - beam)
+        } else {
+            P::zero()
+        }
+    }
+}
+
+impl Emitter for Spot {
+    #[inline]
+    fn radiance(&self) -> &RgbTexture {
+        &self.intensity
+    }
+
+    #[inline]
+    fn hit<R: Real>(&self, _: Vec3<R>, _: Option<&SurfaceInteraction<R>>) -> Option<Emission<R>> {
+        None
+    }
+
+    #[inline]
+    fn sample<P: Float>(&self, _: Lights, from: Vec3<P>, _: [P; 2]) -> Option<EmitterSample<P>> {
+        let (d, distance, inverse_square) = towards(self.position, from)?;
+        let falloff = inverse_square * self.profile(-d);
+        (falloff > P::zero()).then_some(EmitterSample {
+            d,
+            distance,
+            pdf: P::one(),
+            emission: Emission {
+                uv: Vec2::zero(),
+                falloff,
+            },
+        })
+    }
+
+    #[inline]
+    fn pdf<P: Float>(
+        &self,
+        _: Lights,
+        _: Vec3<P>,
+        _: Vec3<P>,
+        _: Option<&SurfaceInteraction<P>>,
+    ) -> P {
+        P::zero()
+    }
+
+    fn is_delta(&self) -> bool {
+        true
+    }
+}
+
+impl FromNode for Spot {
+    const PLUGINS: &'static [&'static str] = &["spot"];
+
+    fn from_node(node: &Node, build: &mut Builder) -> Result<Self, SceneError> {
+        let to_world = node.transform("to_world")?.unwrap_or_default();
+        let cutoff = node.float_or("cutoff_angle", 20.0)?;
+        if !(cutoff > 0.0 && cutoff <= 180.0) {
+            return Err(node.invalid("cutoff_angle", "a number of degrees in (0, 180]"));
+        }
+        let beam = node.float_or("beam_width", 0.75 * cutoff)?;
+        if !(0.0..=cutoff).contains(&beam) {
+            return Err(node.invalid("beam_width", "a number of degrees in [0, cutoff_angle]"));
+        }
+        let intensity = constant_colour(node, build, "intensity")?;
+        let axis = to_world.vector([0.0, 0.0, 1.0]);
+        Self::new(intensity, to_world.translation, axis, beam, cutoff).ok_or_else(|| {
+            node.invalid("to_world", "a transform that leaves the z axis a direction")
+        })
+    }
+}

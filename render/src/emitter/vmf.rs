@@ -1,0 +1,131 @@
+//! Environments with one smooth lobe.
+
+use std::f64::consts::PI;
+
+use ad_core::{Const, Float, Real, Vec2, Vec3};
+
+use super::point::constant_colour;
+use super::{Emission, Emitter, EmitterSample, Lights};
+use crate::bsdf::FromNode;
+use crate::error::SceneError;
+use crate::math::Frame;
+use crate::scene::{Builder, Node};
+use crate::shape::{SurfaceInteraction, lift3};
+use crate::texture::RgbTexture;
+
+/// A distant light with the radiance `radiance exp(kappa (cos theta - 1))` at angle theta from its
+/// direction: an unnormalised von Mises-Fisher density. Several of them add up.
+#[derive(Clone, Debug)]
+pub struct Vmf {
+    /// Radiance in the middle of the lobe, W m^-2 sr^-1.
+    pub radiance: RgbTexture,
+    /// Unit direction towards the middle, world space.
+    direction: [f32; 3],
+    kappa: f64,
+    /// 1 - exp(-2 kappa)
+    mass: f64,
+}
+
+/// Range of concentrations: below, it is a constant; above, f32 directions are too coarse.
+const KAPPA: std::ops::RangeInclusive<f64> = 1e-3..=1e7;
+
+impl Vmf {
+    /// A lobe around `direction` (any length) with concentration `kappa`. `None` without a direction
+    /// or if kappa is not in [1e-3, 1e7].
+    pub fn new(radiance: RgbTexture, direction: [f64; 3], kappa: f64) -> Option<Self> {
+        let direction = Vec3::from(direction).normalize();
+        let usable = (direction.length() - 1.0).abs() < 0.5 && KAPPA.contains(&kappa);
+        usable.then(|| Self {
+            radiance,
+            direction: direction.to_array().map(|x| x as f32),
+            kappa,
+            mass: -(-2.0 * kappa).exp_m1(),
+        })
+    }
+
+    /// exp(kappa (cos theta - 1))
+    #[inline]
+    fn lobe<R: Real>(&self, d: Vec3<R>) -> R {
+        // 1 - cos theta = |d - mean|^2 / 2, without cancellation.
+        let off = d - lift3::<R>(self.direction);
+        (off.length_squared() * R::c(-0.5 * self.kappa)).exp()
+    }
+
+    #[inline]
+    fn normalisation<P: Float>(&self) -> P {
+        P::of(self.kappa / (2.0 * PI * self.mass))
+    }
+}
+
+impl Emitter for Vmf {
+    #[inline]
+    fn radiance(&self) -> &RgbTexture {
+        &self.radiance
+    }
+
+    #[inline]
+    fn hit<R: Real>(&self, d: Vec3<R>, si: Option<&SurfaceInteraction<R>>) -> Option<Emission<R>> {
+        si.is_none().then(|| Emission {
+            uv: Vec2::zero(),
+            falloff: self.lobe(d),
+        })
+    }
+
+    #[inline]
+    fn sample<P: Float>(&self, _: Lights, _: Vec3<P>, u: [P; 2]) -> Option<EmitterSample<P>> {
+        // The inverse of the distribution of 1 - cos theta.
+        let w = -(u[0] * Const(P::of(-self.mass))).ln_1p() / P::of(self.kappa);
+        let w = w.min(P::of(2.0));
+        let r = (w * (P::of(2.0) - w)).sqrt();
+        let (sin, cos) = (P::of(2.0 * PI) * u[1]).sin_cos();
+        let mean = Frame::from_normal(lift3::<P>(self.direction));
+        let d = mean.to_world(Vec3::new(r * cos, r * sin, P::one() - w));
+        let falloff = self.lobe(d);
+        Some(EmitterSample {
+            d,
+            distance: P::of(f64::INFINITY),
+            pdf: falloff * self.normalisation::<P>(),
+            emission: Emission {
+                uv: Vec2::zero(),
+                falloff,
+            },
+        })
+    }
+
+    #[inline]
+    fn pdf<P: Float>(
+        &self,
+        _: Lights,
+        _: Vec3<P>,
+        d: Vec3<P>,
+        si: Option<&SurfaceInteraction<P>>,
+    ) -> P {
+        match si {
+            Some(_) => P::zero(),
+            None => self.lobe(d) * self.normalisation::<P>(),
+        }
+    }
+
+    fn is_infinite(&self) -> bool {
+        true
+    }
+}
+
+impl FromNode for Vmf {
+    const PLUGINS: &'static [&'static str] = &["vmf"];
+
+    fn from_node(node: &Node, build: &mut Builder) -> Result<Self, SceneError> {
+        let direction = node
+            .vector("direction")?
+            .ok_or_else(|| node.missing("direction", "a vector towards the light"))?;
+        let kappa = node
+            .float("kappa")?
+            .ok_or_else(|| node.missing("kappa", "a concentration"))?;
+        if !KAPPA.contains(&kappa) {
+            return Err(node.invalid("kappa", "a number in [1e-3, 1e7]"));
+        }
+        let radiance = constant_colour(node, build, "radiance")?;
+        Self::new(radiance, direction, kappa)
+            .ok_or_else(|| node.invalid("direction", "a non-zero vector"))
+    }
+}
