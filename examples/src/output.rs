@@ -68,6 +68,29 @@ pub fn write_exr(path: &Path, image: &Image) -> Result<(), ToolError> {
     write(path, &bytes)
 }
 
+/// Writes a texture, `[height][width][channels]` with 1 or 3 channels, as OpenEXR; grey three times if
+/// there is one.
+///
+/// # Errors
+/// The operating system's.
+pub fn write_texture(
+    path: &Path,
+    [height, width, channels]: [usize; 3],
+    values: &[f64],
+) -> Result<(), ToolError> {
+    let texel = |p: &[f64]| std::array::from_fn::<f32, 3, _>(|c| p[c.min(p.len() - 1)] as f32);
+    let data = values
+        .chunks_exact(channels.max(1))
+        .flat_map(texel)
+        .collect();
+    let image = Image {
+        width,
+        height,
+        data,
+    };
+    write_exr(path, &image)
+}
+
 /// Reads an OpenEXR image with channels R, G and B.
 ///
 /// # Errors

@@ -1,3 +1,4 @@
 //! The command-line tools: arguments and what they do.
 
+pub mod gradient;
 pub mod render;

@@ -1,0 +1,536 @@
+//! `gradient`: derivatives of an image, or of a loss, with respect to a scene's parameters.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use clap::{Parser, ValueEnum};
+use optim::{Loss, LossKind};
+use render::instances::{Direction, Technique, backward_f32, forward_f32, render_f32};
+use render::integrator::gradient::Active;
+use render::integrator::render::{NonFinite, Progress};
+use render::params::{Differentiability, ParamInfo, ParamShape, Theta};
+use render::{Image, Scene, Settings};
+use serde::Serialize;
+
+use crate::cli::{
+    LoadArgs, Outcome, ThreadArgs, ToolError, depth, report_non_finite, sample_count,
+};
+use crate::output;
+use crate::progress::{Bar, Interrupt};
+
+const EXAMPLES: &str = "\
+Examples:
+  gradient scene.xml --list
+  gradient scene.xml --param red.reflectance.value --repeats 8 --json out.json
+  gradient scene.xml --param a.alpha.value --loss l2 --target photo.exr
+  gradient scene.xml --param a.alpha.value --images folder
+
+The objective is the mean of all pixel values and channels, unless --adjoint or --loss is given. Standard
+errors come from independent repeats. With --loss, the image that the loss sees is rendered with other
+random numbers than the gradient. Gradients of textures are written as EXR beside the JSON.
+Ctrl-C keeps the repeats so far (exit code 130).";
+
+/// Differentiates an image of a scene, in reverse mode
+#[derive(Parser, Clone, Debug)]
+#[command(name = "gradient", after_help = EXAMPLES)]
+pub struct Args {
+    /// Scene file, Mitsuba XML
+    pub scene: PathBuf,
+    /// Parameter to differentiate with respect to; may be given several times
+    #[arg(long = "param", value_name = "KEY", required_unless_present = "list")]
+    pub params: Vec<String>,
+    /// Print the scene's parameters and do nothing else
+    #[arg(long)]
+    pub list: bool,
+    /// Scene options
+    #[command(flatten)]
+    pub load: LoadArgs,
+    /// Where derivatives flow
+    #[arg(long, value_enum, default_value_t)]
+    pub estimator: Estimator,
+    /// Samples per pixel and repeat [default: the scene's]
+    #[arg(long, value_name = "N", value_parser = sample_count())]
+    pub spp: Option<u32>,
+    /// Largest number of path edges; -1 for no limit [default: the scene's]
+    #[arg(long, value_name = "N", value_parser = depth, allow_hyphen_values = true)]
+    pub max_depth: Option<u32>,
+    /// Seed of the first repeat; the others follow
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub seed: u64,
+    /// Independent repeats; two or more give standard errors
+    #[arg(long, value_name = "K", default_value_t = 1,
+          value_parser = clap::value_parser!(u32).range(1..=1 << 20))]
+    pub repeats: u32,
+    /// Derivative of the objective with respect to every pixel, as an image
+    #[arg(long, value_name = "IMG.EXR", conflicts_with_all = ["loss", "target"])]
+    pub adjoint: Option<PathBuf>,
+    /// Loss between image and target: l1, l2 (mse), relative-l1, relative-l2, log-l2
+    #[arg(long, value_name = "NAME", requires = "target")]
+    pub loss: Option<LossKind>,
+    /// Target image of the loss
+    #[arg(long, value_name = "IMG.EXR", requires = "loss")]
+    pub target: Option<PathBuf>,
+    /// Write values, gradients, errors and times to this file
+    #[arg(long, value_name = "OUT.JSON")]
+    pub json: Option<PathBuf>,
+    /// Write the derivative of every pixel with respect to each parameter (forward mode) to this
+    /// folder, as EXR and in false colours
+    #[arg(long, value_name = "DIR")]
+    pub images: Option<PathBuf>,
+    /// Threads
+    #[command(flatten)]
+    pub threads: ThreadArgs,
+}
+
+/// `--estimator`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Estimator {
+    /// Sampled paths are constants; MIS of BSDF and emitter sampling
+    #[default]
+    Detached,
+}
+
+/// Numbers in the report, or the image that holds them.
+#[derive(Debug, Serialize)]
+#[serde(untagged)]
+enum Numbers {
+    Values(Vec<f64>),
+    File(String),
+}
+
+#[derive(Debug, Serialize)]
+struct ParamReport {
+    value: Numbers,
+    gradient: Numbers,
+    /// None with a single repeat.
+    std_error: Option<Numbers>,
+}
+
+/// What `--json` writes.
+#[derive(Debug, Serialize)]
+struct Report {
+    scene: String,
+    estimator: Estimator,
+    spp: u32,
+    repeats: u64,
+    threads: usize,
+    seconds_primal: f64,
+    seconds_gradient: f64,
+    /// Mean over the repeats; only with `--loss`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    loss: Option<f64>,
+    params: BTreeMap<String, ParamReport>,
+}
+
+/// What the gradient is taken of.
+enum Objective {
+    /// The scalar product of the image with this one.
+    Linear(Vec<f32>),
+    /// A loss between the image and this one.
+    Loss(LossKind, Vec<f32>),
+}
+
+/// Runs the tool.
+///
+/// # Errors
+/// Anything wrong with the arguments, the scene or the files.
+pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
+    let (scene, _) = args.load.load(&args.scene)?;
+    if args.list {
+        print!("{}", listing(&scene));
+        return Ok(Outcome::Done);
+    }
+    let active = Active::new(&scene, &args.params)?;
+    let objective = objective(args, &scene)?;
+    let mut settings = scene.settings;
+    settings.spp = args.spp.unwrap_or(settings.spp);
+    settings.max_depth = args.max_depth.unwrap_or(settings.max_depth);
+
+    let (statistics, images, threads) = args.threads.run(|threads| {
+        let statistics = repeat(args, &scene, &settings, &active, &objective, interrupt)?;
+        let images = match &args.images {
+            Some(_) if !interrupt.is_set() => {
+                gradient_images(&scene, &settings, &active, args.seed, interrupt)?
+            }
+            _ => Vec::new(),
+        };
+        Ok((statistics, images, threads))
+    })?;
+    let Some(statistics) = statistics else {
+        eprintln!("interrupted before the first repeat was complete: nothing was written");
+        return Ok(Outcome::Interrupted);
+    };
+    statistics.print(&scene, &active);
+    if let Some(dir) = &args.images {
+        output::create_dir(dir)?;
+        for (info, image) in active.ranges().iter().zip(&images) {
+            let name = output::file_name(&info.name);
+            output::write_exr(&dir.join(format!("{name}.exr")), image)?;
+            let panel = output::signed_panel(&format!("d image / d {}", info.name), image);
+            output::write_panels(&dir.join(format!("{name}.png")), &[panel])?;
+        }
+    }
+    if let Some(path) = &args.json {
+        output::create_parent(path)?;
+        let report = Report {
+            scene: args.scene.display().to_string(),
+            estimator: args.estimator,
+            spp: settings.spp,
+            repeats: statistics.repeats,
+            threads,
+            seconds_primal: median(&statistics.seconds_primal),
+            seconds_gradient: median(&statistics.seconds_gradient),
+            loss: statistics.loss(),
+            params: statistics.params(&scene, &active, path)?,
+        };
+        output::write_json(path, &report)?;
+    }
+    if interrupt.is_set() {
+        eprintln!(
+            "interrupted: {} of {} repeats were complete",
+            statistics.repeats, args.repeats
+        );
+        return Ok(Outcome::Interrupted);
+    }
+    Ok(Outcome::Done)
+}
+
+/// A line per parameter.
+fn listing(scene: &Scene) -> String {
+    let infos = scene.params().infos();
+    let wide = infos.iter().map(|i| i.name.len()).max().unwrap_or(0);
+    let mut text = String::new();
+    for info in infos {
+        let values = &scene.params().values()[info.range()];
+        let shape = match info.shape {
+            ParamShape::Scalar => "scalar".to_owned(),
+            ParamShape::Rgb => "rgb".to_owned(),
+            ParamShape::Texture {
+                height,
+                width,
+                channels,
+            } => format!("{height} x {width} x {channels}"),
+        };
+        let value = if values.len() <= 3 {
+            format!("{values:?}")
+        } else {
+            let sum: f64 = values.iter().map(|&v| f64::from(v)).sum();
+            format!("mean {:.6}", sum / values.len() as f64)
+        };
+        let note = match info.differentiability {
+            Differentiability::Smooth => "",
+            Differentiability::Delta => "  (moves a Dirac delta: no detached derivative)",
+        };
+        let (lo, hi) = info.valid;
+        let line = format!(
+            "{:wide$}  {shape:16}  in [{lo}, {hi}]  {value}{note}\n",
+            info.name
+        );
+        text.push_str(&line);
+    }
+    text
+}
+
+fn objective(args: &Args, scene: &Scene) -> Result<Objective, ToolError> {
+    let [width, height] = scene.film.crop_size.map(|n| n as usize);
+    let read = |path: &Path| -> Result<Vec<f32>, ToolError> {
+        let image = output::read_exr(path)?;
+        if (image.width, image.height) != (width, height) {
+            return Err(ToolError::file(
+                path,
+                format!(
+                    "expected the scene's size of {width} x {height} pixels, found {} x {}",
+                    image.width, image.height
+                ),
+            ));
+        }
+        match image.data.iter().position(|x| !x.is_finite()) {
+            None => Ok(image.data),
+            Some(i) => Err(ToolError::file(
+                path,
+                format!(
+                    "expected finite pixels, found {} at ({}, {})",
+                    image.data[i],
+                    i / 3 % width,
+                    i / 3 / width
+                ),
+            )),
+        }
+    };
+    match (&args.adjoint, &args.loss, &args.target) {
+        (Some(path), _, _) => Ok(Objective::Linear(read(path)?)),
+        (_, Some(loss), Some(path)) => Ok(Objective::Loss(*loss, read(path)?)),
+        _ => {
+            let n = width * height * 3;
+            Ok(Objective::Linear(vec![(1.0 / n as f64) as f32; n]))
+        }
+    }
+}
+
+/// Sums over independent repeats.
+struct Statistics {
+    repeats: u64,
+    /// Mean gradient, per range.
+    mean: Vec<Vec<f64>>,
+    /// Sum of squared deviations from the mean [Welford 1962]; empty until the second repeat.
+    squares: Vec<Vec<f64>>,
+    losses: Vec<f64>,
+    seconds_primal: Vec<f64>,
+    seconds_gradient: Vec<f64>,
+}
+
+impl Statistics {
+    fn add(&mut self, gradient: Vec<Vec<f64>>) {
+        self.repeats += 1;
+        if self.repeats == 1 {
+            self.mean = gradient;
+            return;
+        }
+        if self.squares.is_empty() {
+            self.squares = self.mean.iter().map(|m| vec![0.0; m.len()]).collect();
+        }
+        let n = self.repeats as f64;
+        for ((mean, squares), new) in self.mean.iter_mut().zip(&mut self.squares).zip(gradient) {
+            for ((m, s), x) in mean.iter_mut().zip(squares).zip(new) {
+                let before = x - *m;
+                *m += before / n;
+                *s += before * (x - *m);
+            }
+        }
+    }
+
+    /// Standard error of the mean of range `r`.
+    fn std_error(&self, r: usize) -> Option<Vec<f64>> {
+        let n = self.repeats as f64;
+        let squares = self.squares.get(r)?;
+        Some(squares.iter().map(|s| (s / (n - 1.0) / n).sqrt()).collect())
+    }
+
+    fn loss(&self) -> Option<f64> {
+        let n = self.losses.len();
+        (n > 0).then(|| self.losses.iter().sum::<f64>() / n as f64)
+    }
+
+    fn print(&self, scene: &Scene, active: &Active) {
+        if let Some(loss) = self.loss() {
+            println!("loss {loss:.6e}");
+        }
+        for (r, info) in active.ranges().iter().enumerate() {
+            let values = &scene.params().values()[info.range()];
+            let error = self.std_error(r);
+            if values.len() <= 3 {
+                for (i, (value, gradient)) in values.iter().zip(&self.mean[r]).enumerate() {
+                    let error = match &error {
+                        Some(e) => format!(" +- {:.2e}", e[i]),
+                        None => String::new(),
+                    };
+                    let name = &info.name;
+                    println!("{name}[{i}] = {value}: {gradient:.6e}{error}");
+                }
+            } else {
+                let sum: f64 = self.mean[r].iter().sum();
+                println!("{}: {} values, sum {sum:.6e}", info.name, values.len());
+            }
+        }
+        println!(
+            "{} repeats: {:.3} s primal, {:.3} s gradient each",
+            self.repeats,
+            median(&self.seconds_primal),
+            median(&self.seconds_gradient)
+        );
+    }
+
+    /// The report's parameters; textures are written beside `json`.
+    fn params(
+        &self,
+        scene: &Scene,
+        active: &Active,
+        json: &Path,
+    ) -> Result<BTreeMap<String, ParamReport>, ToolError> {
+        let mut out = BTreeMap::new();
+        for (r, info) in active.ranges().iter().enumerate() {
+            let value = &scene.params().values()[info.range()];
+            let value = value.iter().map(|&v| f64::from(v)).collect();
+            let put = |what: &str, numbers: Vec<f64>| numbers_or_file(info, what, numbers, json);
+            let report = ParamReport {
+                value: put("value", value)?,
+                gradient: put("gradient", self.mean[r].clone())?,
+                std_error: match self.std_error(r) {
+                    Some(e) => Some(put("std_error", e)?),
+                    None => None,
+                },
+            };
+            out.insert(info.name.clone(), report);
+        }
+        Ok(out)
+    }
+}
+
+/// A texture as an image beside `json`, anything else as numbers.
+fn numbers_or_file(
+    info: &ParamInfo,
+    what: &str,
+    numbers: Vec<f64>,
+    json: &Path,
+) -> Result<Numbers, ToolError> {
+    let ParamShape::Texture {
+        height,
+        width,
+        channels,
+    } = info.shape
+    else {
+        return Ok(Numbers::Values(numbers));
+    };
+    let suffix = format!("{}.{what}.exr", output::file_name(&info.name));
+    let path = output::beside(json, &suffix);
+    output::write_texture(&path, [height, width, channels], &numbers)?;
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    Ok(Numbers::File(name.into_owned()))
+}
+
+/// The middle of some numbers; zero if there are none.
+fn median(numbers: &[f64]) -> f64 {
+    let mut sorted = numbers.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    sorted.get(sorted.len() / 2).copied().unwrap_or(0.0)
+}
+
+/// The seed of the image that a loss sees: other random numbers than those of the gradient, since with
+/// common ones even the squared error is biased (errata Z-4.4).
+fn seed_of_loss(seed: u64) -> u64 {
+    !seed
+}
+
+/// Gradients with independent seeds. `None` if interrupted before the first is complete.
+fn repeat(
+    args: &Args,
+    scene: &Scene,
+    settings: &Settings,
+    active: &Active,
+    objective: &Objective,
+    interrupt: &Interrupt,
+) -> Result<Option<Statistics>, ToolError> {
+    /// Primal renders that only serve to be timed.
+    const TIMED: u64 = 3;
+    let theta = Theta::constant(scene.params().values());
+    let spp = u64::from(settings.spp);
+    let pixels = scene.film.pixels() as u64;
+    let repeats = u64::from(args.repeats);
+    let primals = match objective {
+        Objective::Linear(_) => repeats.min(TIMED),
+        Objective::Loss(..) => repeats,
+    };
+    let bar = Bar::new("gradient", pixels * (repeats + primals), interrupt);
+    let mut out = Statistics {
+        repeats: 0,
+        mean: Vec::new(),
+        squares: Vec::new(),
+        losses: Vec::new(),
+        seconds_primal: Vec::new(),
+        seconds_gradient: Vec::new(),
+    };
+    let mut bad = NonFinite::default();
+    for k in 0..repeats {
+        let seed = args.seed.wrapping_add(k);
+        let mut d_image = Vec::new();
+        if k < primals {
+            let seed = match objective {
+                Objective::Linear(_) => seed,
+                Objective::Loss(..) => seed_of_loss(seed),
+            };
+            let start = Instant::now();
+            let technique = Technique::MisPower;
+            let primal = render_f32(scene, &theta, technique, settings, seed, 0..spp, &bar);
+            let seconds = start.elapsed().as_secs_f64();
+            if primal.cancelled {
+                break;
+            }
+            out.seconds_primal.push(seconds);
+            if let Objective::Loss(loss, target) = objective {
+                let image = primal.image(0);
+                d_image = vec![0.0; image.data.len()];
+                loss.gradient(&image.data, target, &mut d_image)?;
+                out.losses.push(loss.value(&image.data, target)?);
+            }
+        }
+        let adjoint = match objective {
+            Objective::Linear(adjoint) => adjoint,
+            Objective::Loss(..) => &d_image,
+        };
+        let start = Instant::now();
+        let gradient = backward_f32(scene, &theta, active, adjoint, settings, seed, 0..spp, &bar)?;
+        let seconds = start.elapsed().as_secs_f64();
+        if gradient.cancelled {
+            out.losses.truncate(k as usize);
+            break;
+        }
+        if bad.count == 0 {
+            let width = scene.film.crop_size[0] as usize;
+            report_non_finite(&gradient.non_finite, width, seed);
+        }
+        bad.merge(&gradient.non_finite);
+        out.seconds_gradient.push(seconds);
+        out.add(gradient.values);
+    }
+    bar.finish();
+    Ok((out.repeats > 0).then_some(out))
+}
+
+/// Derivative images, one per active range: one number added to the whole range. None if interrupted.
+fn gradient_images(
+    scene: &Scene,
+    settings: &Settings,
+    active: &Active,
+    seed: u64,
+    interrupt: &Interrupt,
+) -> Result<Vec<Image>, ToolError> {
+    let directions: Vec<Direction> = active
+        .ranges()
+        .iter()
+        .map(|info| Direction::uniform(scene.params(), &info.name))
+        .collect::<Result<_, _>>()?;
+    let passes = forward_passes(directions.len());
+    let bar = Bar::new("images", scene.film.pixels() as u64 * passes, interrupt);
+    let values = scene.params().values();
+    let spp = u64::from(settings.spp);
+    let rendering = forward_f32(scene, values, &directions, settings, seed, 0..spp, &bar)?;
+    bar.finish();
+    report_non_finite(&rendering.non_finite, rendering.width, seed);
+    if bar.cancelled() {
+        return Ok(Vec::new());
+    }
+    Ok((1..=directions.len()).map(|k| rendering.image(k)).collect())
+}
+
+/// How many passes [`forward_f32`] makes for `n` directions.
+fn forward_passes(n: usize) -> u64 {
+    (n / 8) as u64 + (n % 8).count_ones() as u64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn mean_and_standard_error_by_hand() {
+        let mut s = Statistics {
+            repeats: 0,
+            mean: Vec::new(),
+            squares: Vec::new(),
+            losses: Vec::new(),
+            seconds_primal: Vec::new(),
+            seconds_gradient: vec![3.0, 1.0, 2.0],
+        };
+        s.add(vec![vec![1.0]]);
+        assert!(s.std_error(0).is_none());
+        s.add(vec![vec![2.0]]);
+        s.add(vec![vec![6.0]]);
+        assert_eq!(s.mean, [[3.0]]);
+        // Deviations -2, -1, 3: variance 7, error of the mean sqrt(7 / 3).
+        let error = s.std_error(0).unwrap()[0];
+        assert!((error - (7.0f64 / 3.0).sqrt()).abs() < 1e-15);
+        assert_eq!(median(&s.seconds_gradient), 2.0);
+    }
+}
