@@ -158,11 +158,21 @@ pub fn write_chart(path: &Path, chart: &LineChart) -> Result<(), ToolError> {
     write(&path.with_extension("png"), &chart.png().map_err(drawn)?)
 }
 
+/// Small images are enlarged to at least this width, so that their labels fit.
+const PANEL_WIDTH: usize = 320;
+
+/// A labelled image.
+pub fn panel(label: &str, image: &Image) -> Panel {
+    let factor = PANEL_WIDTH.div_ceil(image.width.max(1));
+    Panel::tonemapped(label, image, 1.0).enlarged(factor)
+}
+
 /// Mean over the channels of every pixel in false colours, white at zero.
 pub fn signed_panel(label: &str, image: &Image) -> Panel {
     let mean = |p: &[f32]| p.iter().map(|&x| f64::from(x)).sum::<f64>() / 3.0;
     let values: Vec<f64> = image.data.chunks_exact(3).map(mean).collect();
-    Panel::signed(label, image.width, &values, None)
+    let factor = PANEL_WIDTH.div_ceil(image.width.max(1));
+    Panel::signed(label, image.width, &values, None).enlarged(factor)
 }
 
 /// A linear value as 8-bit sRGB. Up to 0.7 it is shown as it is; brighter values approach white smoothly
