@@ -1,6 +1,6 @@
 //! The perspective pinhole camera.
 
-use ad_core::{Const, Float, Vec3};
+use ad_core::{Float, Vec3};
 
 use crate::error::SceneError;
 use crate::math::{Ray, Transform};
@@ -25,10 +25,11 @@ pub enum FovAxis {
 /// the right when it looks along -z with y up, and row 0 of the image is the top.
 #[derive(Clone, Debug)]
 pub struct Camera {
-    to_world: Transform,
     origin: [f64; 3],
-    /// Half the width of the image plane at distance 1, and half its height.
-    half: [f64; 2],
+    /// The direction through the point `(x, y)` of the image is `x dx + y dy + corner`, not normalised.
+    dx: [f64; 3],
+    dy: [f64; 3],
+    corner: [f64; 3],
     resolution: [u32; 2],
 }
 
@@ -67,11 +68,13 @@ impl Camera {
             FovAxis::Smaller => tan * w / w.min(h),
             FovAxis::Larger => tan * w / w.max(h),
         };
-        let origin = to_world.point([0.0; 3]);
+        let half_y = half_x * h / w;
+        // The camera's local x axis points left in the image, y up.
         Ok(Self {
-            to_world,
-            origin,
-            half: [half_x, half_x * h / w],
+            origin: to_world.point([0.0; 3]),
+            dx: to_world.vector([-2.0 * half_x / w, 0.0, 0.0]),
+            dy: to_world.vector([0.0, -2.0 * half_y / h, 0.0]),
+            corner: to_world.vector([half_x, half_y, 1.0]),
             resolution,
         })
     }
@@ -79,14 +82,10 @@ impl Camera {
     /// The ray through a point of the image: `x` in [0, width], `y` in [0, height], from the top left.
     #[inline]
     pub fn ray<P: Float>(&self, x: P, y: P) -> Ray<P> {
-        let scale = |i: usize| P::c(2.0 * self.half[i] / f64::from(self.resolution[i]));
-        // The camera's local x axis points left in the image.
-        let lx = P::of(self.half[0]) - x * scale(0);
-        let ly = P::of(self.half[1]) - y * scale(1);
-        let m = self.to_world.matrix();
-        let row = |i: usize| lx * P::c(m[i][0]) + ly * P::c(m[i][1]) + Const(P::of(m[i][2]));
-        let o = self.origin.map(P::of);
-        Ray::new(o.into(), Vec3::new(row(0), row(1), row(2)).normalize())
+        let component =
+            |i: usize| x * P::c(self.dx[i]) + y * P::c(self.dy[i]) + P::c(self.corner[i]);
+        let d = Vec3::new(component(0), component(1), component(2));
+        Ray::new(self.origin.map(P::of).into(), d.normalize())
     }
 
     /// Width and height of the image that the camera was made for.

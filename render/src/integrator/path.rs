@@ -146,7 +146,7 @@ pub fn trace<R: Real, S: Strategy, X: Sampler, O: Observer<R>>(
                 let pdf = e.pdf(scene.lights(), from, ray.d.primal(), si.as_ref());
                 S::weight(
                     pdf_bsdf,
-                    R::lift(pdf * emitter_probability::<R::Primal>(scene)),
+                    R::lift(pdf * scene.emitter_probability::<R::Primal>()),
                 )
             } else {
                 R::one()
@@ -295,12 +295,6 @@ fn has_tangent<R: Real>(c: Rgb<R>) -> bool {
     !R::IS_PRIMAL && (c.r.has_tangent() || c.g.has_tangent() || c.b.has_tangent())
 }
 
-/// Probability of choosing one of the scene's emitters.
-#[inline]
-fn emitter_probability<P: Float>(scene: &Scene) -> P {
-    P::of(1.0 / scene.emitters().len() as f64)
-}
-
 /// A sampled light; the density includes the choice.
 struct LightSample<P> {
     emitter: u32,
@@ -319,7 +313,7 @@ fn sample_light<P: Float, X: Sampler>(
     let emitter = ((choice * n as f64) as usize).min(n - 1);
     let mut sample =
         scene.emitters()[emitter].sample(scene.lights(), from, sampler.next_2d::<P>())?;
-    sample.pdf = sample.pdf * emitter_probability::<P>(scene);
+    sample.pdf = sample.pdf * scene.emitter_probability::<P>();
     (sample.pdf > P::zero()).then_some(LightSample {
         emitter: emitter as u32,
         sample,

@@ -274,6 +274,10 @@ impl Builder {
         let infinite = (0..emitters.len() as u32)
             .filter(|&i| emitters[i as usize].is_infinite())
             .collect();
+        let emitter_probability = match emitters.len() {
+            0 => 0.0,
+            n => 1.0 / n as f64,
+        };
         Ok(Scene {
             params: self.params,
             materials: self.materials,
@@ -281,6 +285,7 @@ impl Builder {
             infos: self.infos,
             emitters,
             infinite,
+            emitter_probability,
             prims,
             accel,
             camera,

@@ -65,6 +65,8 @@ pub struct Scene {
     infos: Vec<ShapeInfo>,
     emitters: Vec<AnyEmitter>,
     infinite: Vec<u32>,
+    /// Probability of choosing one of the emitters.
+    emitter_probability: f64,
     /// Shape and local index of every primitive of `accel`.
     prims: Vec<(u32, u32)>,
     accel: Accel,
@@ -137,6 +139,12 @@ impl Scene {
     /// Emitters that surround the scene, by index.
     pub fn infinite_emitters(&self) -> &[u32] {
         &self.infinite
+    }
+
+    /// Probability of choosing any one of the emitters; zero without emitters.
+    #[inline]
+    pub fn emitter_probability<P: Float>(&self) -> P {
+        P::of(self.emitter_probability)
     }
 
     /// Shapes, by index.

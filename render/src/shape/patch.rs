@@ -20,6 +20,7 @@ pub struct Patch {
     pub e2: [f32; 3],
     frame: Frame<f32>,
     area: f64,
+    inv_area: f64,
 }
 
 impl Patch {
@@ -46,6 +47,7 @@ impl Patch {
                 n: single(f.n),
             },
             area,
+            inv_area: 1.0 / area,
         })
     }
 
@@ -111,7 +113,7 @@ impl Patch {
             p: v0 + e1 * u[0] + e2 * u[1],
             n: lift3(self.frame.n.to_array()),
             uv: Vec2::new(u[0], u[1]),
-            pdf: P::of(1.0 / self.area),
+            pdf: P::of(self.inv_area),
         }
     }
 }
