@@ -55,15 +55,13 @@ impl Emitter for Area {
         u: [P; 2],
     ) -> Option<EmitterSample<P>> {
         let s = lights.shapes[self.shape as usize].sample(from, u)?;
-        let d = s.p - from;
-        let distance = d.length();
-        let d = d.normalize();
-        let falloff = self.lobe(-s.n.dot(d))?;
+        let falloff = self.lobe(-s.n.dot(s.d))?;
+        let emission = Emission { uv: s.uv, falloff };
         Some(EmitterSample {
-            d,
-            distance,
+            d: s.d,
+            distance: s.distance,
             pdf: s.pdf,
-            emission: Emission { uv: s.uv, falloff },
+            emission,
         })
     }
 

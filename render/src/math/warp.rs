@@ -19,7 +19,10 @@ pub fn square_to_disk<P: Float>(u: [P; 2]) -> Vec2<P> {
     let ratio = P::select(long == P::zero(), P::zero(), short / long);
     let (sin, cos) = sin_cos_octant(ratio * P::of(FRAC_PI_4));
     let (along, across) = (long * cos, long * sin);
-    Vec2::new(P::select(wide, along, across), P::select(wide, across, along))
+    Vec2::new(
+        P::select(wide, along, across),
+        P::select(wide, across, along),
+    )
 }
 
 /// Sine and cosine for angles in [-pi/4, pi/4], to rounding: the Taylor series, without a call.
@@ -51,7 +54,9 @@ fn sin_cos_octant<P: Float>(x: P) -> (P, P) {
     let terms = if P::EPSILON > P::of(1e-10) { 5 } else { 9 };
     let x2 = x * x;
     let horner = |c: &[f64; 9]| {
-        (0..terms).rev().fold(P::zero(), |sum, i| sum.mul_add(x2, P::of(c[i])))
+        (0..terms)
+            .rev()
+            .fold(P::zero(), |sum, i| sum.mul_add(x2, P::of(c[i])))
     };
     (horner(&SIN) * x, horner(&COS))
 }
@@ -112,10 +117,16 @@ mod tests {
         for i in -1000..=1000 {
             let x = f64::from(i) * 1e-3 * FRAC_PI_4;
             let (sin, cos) = sin_cos_octant(x);
-            assert!((sin - x.sin()).abs() < 2e-16 && (cos - x.cos()).abs() < 3e-16, "{x}");
+            assert!(
+                (sin - x.sin()).abs() < 2e-16 && (cos - x.cos()).abs() < 3e-16,
+                "{x}"
+            );
             let x = x as f32;
             let (sin, cos) = sin_cos_octant(x);
-            assert!((sin - x.sin()).abs() < 1e-7 && (cos - x.cos()).abs() < 1.2e-7, "{x}");
+            assert!(
+                (sin - x.sin()).abs() < 1e-7 && (cos - x.cos()).abs() < 1.2e-7,
+                "{x}"
+            );
         }
     }
 
@@ -125,7 +136,10 @@ mod tests {
         let mut inside = 0;
         for i in 0..n {
             for j in 0..n {
-                let u = [(f64::from(i) + 0.5) / f64::from(n), (f64::from(j) + 0.5) / f64::from(n)];
+                let u = [
+                    (f64::from(i) + 0.5) / f64::from(n),
+                    (f64::from(j) + 0.5) / f64::from(n),
+                ];
                 let d = square_to_disk(u);
                 let ring = (2.0 * u[0] - 1.0).abs().max((2.0 * u[1] - 1.0).abs());
                 assert!((d.length() - ring).abs() < 1e-12);

@@ -7,7 +7,7 @@ use std::sync::{Arc, OnceLock};
 use ad_core::{Const, Float, Real, Vec2, Vec3};
 
 use super::patch::intersect_plane;
-use super::{Shape, ShapeSample, SurfaceInteraction, area_to_solid_angle, hit_is_exact, lift3};
+use super::{DirectionSample, Shape, ShapeSample, SurfaceInteraction, hit_is_exact, lift3};
 use crate::accel::{Hit, MAX_COORDINATE, Primitive};
 use crate::bsdf::FromNode;
 use crate::error::SceneError;
@@ -343,14 +343,13 @@ impl Shape for Mesh {
         }
     }
 
-    fn sample<P: Float>(&self, from: Vec3<P>, u: [P; 2]) -> Option<ShapeSample<P>> {
+    fn sample<P: Float>(&self, from: Vec3<P>, u: [P; 2]) -> Option<DirectionSample<P>> {
         let s = self.sample_area(u);
         let (triangle, _) = self.choose(u);
         let [e1, e2] = self.0.edges(triangle);
         let n = e1.cross(e2).normalize();
         let n_geo = Vec3::new(P::of(n.x), P::of(n.y), P::of(n.z));
-        let pdf = area_to_solid_angle(s.pdf, from, s.p, n_geo)?;
-        Some(ShapeSample { pdf, ..s })
+        s.seen_from(from, n_geo)
     }
 
     fn extent(&self) -> f32 {

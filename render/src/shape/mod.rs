@@ -77,8 +77,44 @@ pub struct ShapeSample<P> {
     pub n: Vec3<P>,
     /// Surface coordinates.
     pub uv: Vec2<P>,
-    /// Density: per area from [`Shape::sample_area`], per solid angle from [`Shape::sample`].
+    /// Density per area.
     pub pdf: P,
+}
+
+/// A direction sampled towards a shape.
+#[derive(Clone, Copy, Debug)]
+pub struct DirectionSample<P> {
+    /// Unit direction, world space.
+    pub d: Vec3<P>,
+    /// Distance to the point on the shape.
+    pub distance: P,
+    /// Unit shading normal at that point, world space.
+    pub n: Vec3<P>,
+    /// Surface coordinates there.
+    pub uv: Vec2<P>,
+    /// Density per solid angle.
+    pub pdf: P,
+}
+
+impl<P: Float> ShapeSample<P> {
+    /// The sample as a direction from `from`, when the geometric normal is `n_geo`. `None` if edge-on
+    /// or at zero distance.
+    #[inline]
+    pub fn seen_from(&self, from: Vec3<P>, n_geo: Vec3<P>) -> Option<DirectionSample<P>> {
+        let v = self.p - from;
+        let d2 = v.length_squared();
+        let distance = d2.sqrt();
+        let d = v * distance.recip();
+        let pdf = self.pdf * d2 / n_geo.dot(d).abs();
+        // False for zero over zero as well.
+        (pdf > P::zero() && pdf <= P::MAX).then_some(DirectionSample {
+            d,
+            distance,
+            n: self.n,
+            uv: self.uv,
+            pdf,
+        })
+    }
 }
 
 /// A surface.
@@ -98,12 +134,11 @@ pub trait Shape: Send + Sync {
     /// A point distributed uniformly over the area; density per area.
     fn sample_area<P: Float>(&self, u: [P; 2]) -> ShapeSample<P>;
 
-    /// A point as seen from `from`; density per solid angle there. `None` where nothing is seen.
+    /// A direction from `from` towards the shape. `None` where nothing is seen.
     #[inline]
-    fn sample<P: Float>(&self, from: Vec3<P>, u: [P; 2]) -> Option<ShapeSample<P>> {
+    fn sample<P: Float>(&self, from: Vec3<P>, u: [P; 2]) -> Option<DirectionSample<P>> {
         let s = self.sample_area(u);
-        let pdf = area_to_solid_angle(s.pdf, from, s.p, s.n)?;
-        Some(ShapeSample { pdf, ..s })
+        s.seen_from(from, s.n)
     }
 
     /// Density of [`Shape::sample`] at an interaction, per solid angle.
@@ -200,7 +235,7 @@ macro_rules! shapes {
                 match self { $(Self::$name(s) => s.sample_area(u),)* }
             }
             #[inline]
-            fn sample<P: Float>(&self, from: Vec3<P>, u: [P; 2]) -> Option<ShapeSample<P>> {
+            fn sample<P: Float>(&self, from: Vec3<P>, u: [P; 2]) -> Option<DirectionSample<P>> {
                 match self { $(Self::$name(s) => s.sample(from, u),)* }
             }
             #[inline]

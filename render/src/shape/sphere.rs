@@ -4,7 +4,10 @@ use std::f64::consts::{FRAC_1_PI, PI};
 
 use ad_core::{Const, Float, Real, Vec2, Vec3};
 
-use super::{Shape, ShapeSample, SurfaceInteraction, area_to_solid_angle, hit_is_exact, lift3};
+use super::{
+    DirectionSample, Shape, ShapeSample, SurfaceInteraction, area_to_solid_angle, hit_is_exact,
+    lift3,
+};
 use crate::accel::{Hit, MAX_COORDINATE, MIN_THICKNESS, Primitive};
 use crate::bsdf::FromNode;
 use crate::error::SceneError;
@@ -191,14 +194,13 @@ impl Shape for Sphere {
 
     /// Uniform in the cone that the sphere subtends, as the peer does; over the area from inside.
     #[inline]
-    fn sample<P: Float>(&self, from: Vec3<P>, u: [P; 2]) -> Option<ShapeSample<P>> {
+    fn sample<P: Float>(&self, from: Vec3<P>, u: [P; 2]) -> Option<DirectionSample<P>> {
         let Some((one_minus_cos_max, axis)) = self.cone(from) else {
             if !self.contains(from) {
                 return None;
             }
             let s = self.sample_area(u);
-            let pdf = area_to_solid_angle(s.pdf, from, s.p, s.n)?;
-            return Some(ShapeSample { pdf, ..s });
+            return s.seen_from(from, s.n);
         };
         // A ray at angle theta to the axis meets the sphere at angle beta to the normal, with
         // sin(beta) = sin(theta) / sin(theta_max); seen from the centre that point lies beta - theta
@@ -213,8 +215,10 @@ impl Shape for Sphere {
         let (sin_phi, cos_phi) = (P::of(2.0 * PI) * u[1]).sin_cos();
         let local = Vec3::new(sin_alpha * cos_phi, sin_alpha * sin_phi, cos_alpha);
         let outward = Frame::from_normal(-axis).to_world(local).normalize();
-        Some(ShapeSample {
-            p: lift3::<P>(self.center) + outward * P::from_f32(self.radius),
+        let v = lift3::<P>(self.center) + outward * P::from_f32(self.radius) - from;
+        Some(DirectionSample {
+            d: v.normalize(),
+            distance: v.length(),
             n: self.side(outward),
             uv: self.uv(outward).0,
             pdf: cone_pdf(one_minus_cos_max),
