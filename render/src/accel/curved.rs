@@ -156,9 +156,9 @@ fn roots(to: [f64; 3], d: [f64; 3], rr: f64) -> Option<(f64, f64)> {
     let middle = dot(to, d) / dd;
     // Distance of the centre from the line; the usual b^2 - a c would lose a small far sphere.
     let off = less(to, middle, d);
-    let spare = (rr - dot(off, off)) / dd;
+    let spare = rr - dot(off, off);
     (spare >= 0.0).then(|| {
-        let half = spare.sqrt();
+        let half = (spare / dd).sqrt();
         (middle - half, middle + half)
     })
 }
