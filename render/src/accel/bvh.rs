@@ -14,8 +14,12 @@ use obvhs::ploc::PlocBuilder;
 use obvhs::{Boundable, BvhBuildParams, aabb::Aabb};
 use wide::{f32x8, i32x8, u8x16, u16x8};
 
-/// Deepest hierarchy that is traversed; a wide tree over a billion primitives has a dozen levels.
-const MAX_DEPTH: usize = 48;
+/// Levels of ordinary hierarchies: a million primitives need about ten. A larger stack costs more to
+/// set up, seven per cent of a coherent ray at 48.
+const USUAL_DEPTH: usize = 16;
+
+/// Deepest hierarchy that is traversed. Sizes that shrink geometrically lead to long chains.
+const MAX_DEPTH: usize = 256;
 
 /// Widening of the slabs, relative to the farthest point of the scene; must exceed the seam of
 /// the flat test.
@@ -30,6 +34,7 @@ const FLAT: u32 = u32::MAX;
 #[derive(Clone, Debug)]
 pub(super) struct Tree {
     nodes: Vec<CwBvhNode>,
+    depth: usize,
     /// Leaf slots in traversal order.
     flat: Vec<Flat<f32>>,
     prims: Vec<u32>,
@@ -59,11 +64,13 @@ impl Tree {
         );
         ReinsertionOptimizer::default().run(&mut binary, params.reinsertion_batch_ratio, None);
         let wide = bvh2_to_cwbvh(&binary, 3, true, false);
-        if depth(&wide.nodes) > MAX_DEPTH {
+        let depth = depth(&wide.nodes);
+        if depth > MAX_DEPTH {
             return None;
         }
         let mut tree = Tree {
             nodes: wide.nodes,
+            depth,
             flat: Vec::with_capacity(items.len()),
             prims: Vec::with_capacity(items.len()),
             kinds: Vec::new(),
@@ -109,14 +116,32 @@ impl Tree {
 
     #[inline]
     pub(super) fn intersect(&self, ray: &Ray, best: &mut Best) {
+        if self.depth <= USUAL_DEPTH {
+            self.intersect_within::<USUAL_DEPTH>(ray, best);
+        } else {
+            self.intersect_within::<MAX_DEPTH>(ray, best);
+        }
+    }
+
+    #[inline]
+    pub(super) fn occluded(&self, ray: &Ray, t_max: f32) -> bool {
+        if self.depth <= USUAL_DEPTH {
+            self.occluded_within::<USUAL_DEPTH>(ray, t_max)
+        } else {
+            self.occluded_within::<MAX_DEPTH>(ray, t_max)
+        }
+    }
+
+    #[inline]
+    fn intersect_within<const DEPTH: usize>(&self, ray: &Ray, best: &mut Best) {
         let lanes = RayLanes::<f32>::new(ray);
         if self.kinds.is_empty() {
-            self.traverse(ray, best.t, |slot| {
+            self.traverse::<DEPTH>(ray, best.t, |slot| {
                 self.flat[slot].intersect(&lanes, self.prims[slot], best);
                 Some(best.t)
             });
         } else {
-            self.traverse(ray, best.t, |slot| {
+            self.traverse::<DEPTH>(ray, best.t, |slot| {
                 match self.curved.get(self.kinds[slot] as usize) {
                     Some(c) => {
                         if let Some((t, u, v)) = c.intersect(ray, best.t) {
@@ -131,9 +156,9 @@ impl Tree {
     }
 
     #[inline]
-    pub(super) fn occluded(&self, ray: &Ray, t_max: f32) -> bool {
+    fn occluded_within<const DEPTH: usize>(&self, ray: &Ray, t_max: f32) -> bool {
         let lanes = RayLanes::<f32>::new(ray);
-        self.traverse(ray, t_max, |slot| {
+        self.traverse::<DEPTH>(ray, t_max, |slot| {
             let hit = match self
                 .kinds
                 .get(slot)
@@ -149,10 +174,15 @@ impl Tree {
     /// Calls `test` on leaf slots roughly front to back. It returns the new limit, or `None` to
     /// stop; the result tells whether it did.
     #[inline(always)]
-    fn traverse(&self, ray: &Ray, t_max: f32, mut test: impl FnMut(usize) -> Option<f32>) -> bool {
+    fn traverse<const DEPTH: usize>(
+        &self,
+        ray: &Ray,
+        t_max: f32,
+        mut test: impl FnMut(usize) -> Option<f32>,
+    ) -> bool {
         let slabs = Slabs::new(ray, &self.center, &self.half);
         let mut limit = t_max;
-        let mut stack = [(0u32, 0u32); MAX_DEPTH];
+        let mut stack = [(0u32, 0u32); DEPTH];
         let mut top = 0;
         // Child base and, in the high byte, the children still to visit; the low byte is the mask
         // of inner children. The root is the only child of a virtual node.
