@@ -51,8 +51,8 @@ struct Series {
     points: Vec<(f64, f64)>,
 }
 
-/// Curves over two axes, each linear or logarithmic. Points that are not finite, or not
-/// positive on a logarithmic axis, are left out.
+/// Curves over two axes, each linear or logarithmic. Points that are not finite (or beyond 1e100), or
+/// not positive on a logarithmic axis, are left out.
 #[derive(Clone, Debug)]
 pub struct LineChart {
     title: String,
@@ -161,10 +161,9 @@ impl LineChart {
     }
 
     fn visible(&self, p: &(f64, f64)) -> bool {
-        p.0.is_finite()
-            && p.1.is_finite()
-            && !(self.log.0 && p.0 <= 0.0)
-            && !(self.log.1 && p.1 <= 0.0)
+        // The axes of the drawing library do not end for numbers beyond these.
+        let fits = |v: f64, log: bool| v.abs() < 1e100 && if log { v > 1e-100 } else { true };
+        fits(p.0, self.log.0) && fits(p.1, self.log.1)
     }
 
     fn range(
@@ -503,4 +502,49 @@ fn percentile(values: &[f64], q: f64) -> f64 {
     sorted.sort_by(f64::total_cmp);
     let at = (q * sorted.len().saturating_sub(1) as f64).round() as usize;
     sorted.get(at).copied().unwrap_or(0.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn charts_and_grids_are_drawn_whatever_the_numbers() {
+        let bad = [f64::NAN, f64::INFINITY, -1.0, 0.0, 1e-300, 1e300];
+        let points = bad.iter().flat_map(|&x| bad.iter().map(move |&y| (x, y)));
+        for chart in [
+            LineChart::new("empty", "x", "y"),
+            LineChart::new("empty", "x", "y").log_x().log_y(),
+            LineChart::new("one point", "x", "y").measured("a", [(1.0, 1.0)]),
+            LineChart::new("bad", "x", "y")
+                .log_x()
+                .log_y()
+                .line("a", points),
+        ] {
+            assert!(chart.png().is_ok());
+            assert!(chart.svg().is_ok_and(|s| s.starts_with("<svg")));
+        }
+        let panels = [
+            Panel::signed("signed", 2, &[f64::NAN, 1.0, -1.0, 0.0], None),
+            Panel::false_colour("false", 2, &[f64::NAN, 1.0, 5.0, 0.0], 0.0, 0.0),
+            Panel::tonemapped("", &Image::new(3, 1), 1.0).enlarged(20),
+        ];
+        assert!(grid(2, &panels).is_ok());
+        assert!(grid(2, &[]).is_ok());
+    }
+
+    #[test]
+    fn short_numbers() {
+        let cases = [
+            (0.0, "0"),
+            (0.25, "0.25"),
+            (1e-6, "1e-6"),
+            (-3.5, "-3.5"),
+            (1e6, "1e6"),
+        ];
+        for (v, text) in cases {
+            assert_eq!(number(v), text);
+        }
+        assert_eq!(number(1.25e-4), "1.25e-4");
+    }
 }

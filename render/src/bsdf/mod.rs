@@ -12,6 +12,7 @@
 //!
 //! To add a material: one file here, one line in `materials!` below.
 
+mod blinn_phong;
 mod conductor;
 mod dielectric;
 mod diffuse;
@@ -19,6 +20,7 @@ pub mod fresnel;
 pub mod microfacet;
 mod rough_conductor;
 
+pub use blinn_phong::{BlinnPhong, BlinnPhongLobe, BlinnPhongSampling};
 pub use conductor::{Conductor, ConductorIndex, ConductorLobe};
 pub use dielectric::{Dielectric, DielectricLobe};
 pub use diffuse::{Diffuse, DiffuseLobe};
@@ -550,6 +552,7 @@ macro_rules! materials {
 }
 
 materials! {
+    BlinnPhong,
     Diffuse,
     Conductor,
     Dielectric,
