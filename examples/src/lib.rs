@@ -6,4 +6,5 @@ pub mod figure;
 pub mod figures;
 pub mod output;
 pub mod progress;
+pub mod scenes;
 pub mod tools;

@@ -175,6 +175,35 @@ pub fn signed_panel(label: &str, image: &Image) -> Panel {
     Panel::signed(label, image.width, &values, None).enlarged(factor)
 }
 
+/// [`read_exr`] of an image that must be finite and of this size, `[width, height]`.
+///
+/// # Errors
+/// Those of [`read_exr`]; another size; a pixel that is not finite.
+pub fn read_exr_of_size(path: &Path, [width, height]: [usize; 2]) -> Result<Image, ToolError> {
+    let image = read_exr(path)?;
+    if (image.width, image.height) != (width, height) {
+        return Err(ToolError::file(
+            path,
+            format!(
+                "expected the scene's size of {width} x {height} pixels, found {} x {}",
+                image.width, image.height
+            ),
+        ));
+    }
+    match image.data.iter().position(|x| !x.is_finite()) {
+        None => Ok(image),
+        Some(i) => Err(ToolError::file(
+            path,
+            format!(
+                "expected finite pixels, found {} at ({}, {})",
+                image.data[i],
+                i / 3 % width,
+                i / 3 / width
+            ),
+        )),
+    }
+}
+
 /// A linear value as 8-bit sRGB. Up to 0.7 it is shown as it is; brighter values approach white smoothly
 /// instead of being cut.
 pub fn tone_map(x: f32) -> u8 {

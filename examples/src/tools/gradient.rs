@@ -234,36 +234,13 @@ fn listing(scene: &Scene) -> String {
 }
 
 fn objective(args: &Args, scene: &Scene) -> Result<Objective, ToolError> {
-    let [width, height] = scene.film.crop_size.map(|n| n as usize);
-    let read = |path: &Path| -> Result<Vec<f32>, ToolError> {
-        let image = output::read_exr(path)?;
-        if (image.width, image.height) != (width, height) {
-            return Err(ToolError::file(
-                path,
-                format!(
-                    "expected the scene's size of {width} x {height} pixels, found {} x {}",
-                    image.width, image.height
-                ),
-            ));
-        }
-        match image.data.iter().position(|x| !x.is_finite()) {
-            None => Ok(image.data),
-            Some(i) => Err(ToolError::file(
-                path,
-                format!(
-                    "expected finite pixels, found {} at ({}, {})",
-                    image.data[i],
-                    i / 3 % width,
-                    i / 3 / width
-                ),
-            )),
-        }
-    };
+    let size = scene.film.crop_size.map(|n| n as usize);
+    let read = |path: &Path| Ok::<_, ToolError>(output::read_exr_of_size(path, size)?.data);
     match (&args.adjoint, &args.loss, &args.target) {
         (Some(path), _, _) => Ok(Objective::Linear(read(path)?)),
         (_, Some(loss), Some(path)) => Ok(Objective::Loss(*loss, read(path)?)),
         _ => {
-            let n = width * height * 3;
+            let n = scene.film.pixels() * 3;
             Ok(Objective::Linear(vec![(1.0 / n as f64) as f32; n]))
         }
     }

@@ -1,4 +1,5 @@
 //! The command-line tools: arguments and what they do.
 
 pub mod gradient;
+pub mod recover;
 pub mod render;

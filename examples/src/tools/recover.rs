@@ -1,0 +1,812 @@
+//! `recover`: a scene's parameters from images of it, by gradient descent.
+//!
+//! Every iteration renders the image that the loss sees and pulls its adjoint back with other random
+//! numbers: with common ones even the squared error is biased (errata Z-4.4). All of them follow from
+//! the seed and the number of the iteration, so a run that is resumed from its checkpoint
+//! continues bit for bit.
+
+use std::collections::BTreeMap;
+use std::fmt::{Display, Write as _};
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use clap::{Parser, ValueEnum};
+use optim::{
+    AnyOptimizer, Constrained, Groups, Loss, LossKind, Optimizer, Parameterisation, Rates, Schedule,
+};
+use render::instances::{Technique, backward_f32, render_f32};
+use render::integrator::gradient::Active;
+use render::integrator::render::NonFinite;
+use render::params::{ParamInfo, Theta};
+use render::sampler::mix64;
+use render::{Image, Scene, Settings};
+use serde::{Deserialize, Serialize};
+
+use super::render::{in_passes, passes};
+use crate::chart::LineChart;
+use crate::cli::{
+    LoadArgs, Outcome, ThreadArgs, ToolError, depth, report_non_finite, sample_count,
+};
+use crate::output;
+use crate::progress::{Bar, Interrupt};
+use crate::scenes;
+
+const EXAMPLES: &str = "\
+Examples:
+  recover                                        a built-in room: two walls, a roughness and the light
+  recover scene.xml --target photo.exr --param red.reflectance.value --param lamp.emitter.radiance.value
+  recover --out folder --resume                  continues where Ctrl-C or a crash ended it
+
+Starts from the values of the scene file (-D changes them). Several targets are images of the same view
+and are averaged. The folder receives before, after and target as EXR and side by side, values and loss
+of all iterations, charts, and the result as JSON. Ctrl-C keeps everything so far (exit code 130).";
+
+/// Recovers parameters of a scene from images of it
+#[derive(Parser, Clone, Debug)]
+#[command(name = "recover", after_help = EXAMPLES)]
+pub struct Args {
+    /// Scene file, Mitsuba XML [default: a built-in room]
+    pub scene: Option<PathBuf>,
+    /// Image of the scene; may be given several times
+    #[arg(long = "target", value_name = "IMG.EXR", requires = "scene")]
+    pub targets: Vec<PathBuf>,
+    /// Unknown parameter; may be given several times
+    #[arg(long = "param", value_name = "KEY")]
+    pub params: Vec<String>,
+    /// Scene options
+    #[command(flatten)]
+    pub load: LoadArgs,
+    /// Algorithm [default: adam]
+    #[arg(long, value_enum)]
+    pub optimizer: Option<OptimizerArg>,
+    /// Number of steps [default: 300]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1 << 24))]
+    pub iterations: Option<u32>,
+    /// Learning rate at the beginning; it falls along a cosine [default: 0.03 for adam, 1 for sgd]
+    #[arg(long, value_name = "RATE")]
+    pub lr: Option<f64>,
+    /// Samples per pixel of each of the two renders of an iteration [default: 8]
+    #[arg(long, value_name = "N", value_parser = sample_count())]
+    pub spp: Option<u32>,
+    /// Largest number of path edges; -1 for no limit [default: the scene's]
+    #[arg(long, value_name = "N", value_parser = depth, allow_hyphen_values = true)]
+    pub max_depth: Option<u32>,
+    /// l1, l2 (mse), relative-l1, relative-l2 or log-l2 [default: relative-l2]
+    #[arg(long, value_name = "NAME", value_parser = loss_name)]
+    pub loss: Option<String>,
+    /// Seed of the random numbers [default: 0]
+    #[arg(long, value_name = "N")]
+    pub seed: Option<u64>,
+    /// Resolution of the built-in room [default: 96]
+    #[arg(long, value_name = "PIXELS", conflicts_with = "scene",
+          value_parser = clap::value_parser!(u32).range(1..=4096))]
+    pub size: Option<u32>,
+    /// Folder of the results
+    #[arg(long, value_name = "DIR", default_value = "out/recover")]
+    pub out: PathBuf,
+    /// Continue from the folder's checkpoint
+    #[arg(long)]
+    pub resume: bool,
+    /// End after this many iterations of this run, as Ctrl-C does
+    #[arg(long, value_name = "N")]
+    pub stop_after: Option<u32>,
+    /// Threads
+    #[command(flatten)]
+    pub threads: ThreadArgs,
+}
+
+/// `--optimizer`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum OptimizerArg {
+    /// Adam
+    Adam,
+    /// Gradient descent
+    Sgd,
+}
+
+impl OptimizerArg {
+    fn name(self) -> &'static str {
+        match self {
+            Self::Adam => "adam",
+            Self::Sgd => "sgd",
+        }
+    }
+}
+
+fn loss_name(text: &str) -> Result<String, String> {
+    match text.parse::<LossKind>() {
+        Ok(_) => Ok(text.to_owned()),
+        Err(e) => Err(e.to_string()),
+    }
+}
+
+/// Everything that the numbers of a run depend on.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+struct Job {
+    scene: Option<PathBuf>,
+    targets: Vec<PathBuf>,
+    params: Vec<String>,
+    defines: Vec<(String, String)>,
+    allow_missing: bool,
+    optimizer: OptimizerArg,
+    iterations: u32,
+    #[serde(with = "optim::exact::number")]
+    lr: f64,
+    spp: u32,
+    max_depth: Option<u32>,
+    loss: String,
+    seed: u64,
+    size: u32,
+}
+
+impl Job {
+    fn new(args: &Args) -> Result<Self, ToolError> {
+        let optimizer = args.optimizer.unwrap_or(OptimizerArg::Adam);
+        let mut params = args.params.clone();
+        if args.scene.is_none() && params.is_empty() {
+            let unknowns = scenes::cornell_unknowns();
+            params = unknowns.iter().map(|u| u.name.to_owned()).collect();
+        }
+        if args.scene.is_some() && args.targets.is_empty() {
+            return Err(ToolError::Usage(
+                "--target: expected an image of the scene, found none".into(),
+            ));
+        }
+        if params.is_empty() {
+            return Err(ToolError::Usage(
+                "--param: expected the key of an unknown parameter, found none; `gradient SCENE --list` \
+                 prints all"
+                    .into(),
+            ));
+        }
+        Ok(Self {
+            scene: args.scene.clone(),
+            targets: args.targets.clone(),
+            params,
+            defines: args.load.defines.clone(),
+            allow_missing: args.load.allow_missing,
+            optimizer,
+            iterations: args.iterations.unwrap_or(300),
+            lr: args.lr.unwrap_or(match optimizer {
+                OptimizerArg::Adam => 0.03,
+                OptimizerArg::Sgd => 1.0,
+            }),
+            spp: args.spp.unwrap_or(8),
+            max_depth: args.max_depth,
+            loss: args.loss.clone().unwrap_or_else(|| "relative-l2".into()),
+            seed: args.seed.unwrap_or(0),
+            size: args.size.unwrap_or(96),
+        })
+    }
+
+    /// An error if the arguments ask for another job than this one, which is being resumed.
+    fn require_same(&self, args: &Args) -> Result<(), ToolError> {
+        fn same<T: PartialEq>(
+            what: &str,
+            given: Option<T>,
+            job: T,
+            show: impl Fn(&T) -> String,
+        ) -> Result<(), ToolError> {
+            match given {
+                Some(given) if given != job => Err(ToolError::Usage(format!(
+                    "{what}: expected {} as in the checkpoint, found {}; leave it out to resume",
+                    show(&job),
+                    show(&given)
+                ))),
+                _ => Ok(()),
+            }
+        }
+        fn text<T: Display>(x: &T) -> String {
+            x.to_string()
+        }
+        fn debug<T: std::fmt::Debug>(x: &T) -> String {
+            format!("{x:?}")
+        }
+        fn some<T: Clone>(list: &[T]) -> Option<Vec<T>> {
+            (!list.is_empty()).then(|| list.to_vec())
+        }
+        same(
+            "SCENE",
+            args.scene.clone().map(Some),
+            self.scene.clone(),
+            debug,
+        )?;
+        same("--target", some(&args.targets), self.targets.clone(), debug)?;
+        same("--param", some(&args.params), self.params.clone(), debug)?;
+        same("-D", some(&args.load.defines), self.defines.clone(), debug)?;
+        same("--optimizer", args.optimizer, self.optimizer, debug)?;
+        same("--iterations", args.iterations, self.iterations, text)?;
+        same("--lr", args.lr, self.lr, text)?;
+        same("--spp", args.spp, self.spp, text)?;
+        same(
+            "--max-depth",
+            args.max_depth.map(Some),
+            self.max_depth,
+            debug,
+        )?;
+        same("--loss", args.loss.clone(), self.loss.clone(), text)?;
+        same("--seed", args.seed, self.seed, text)?;
+        same("--size", args.size, self.size, text)
+    }
+}
+
+/// Loss and values before a step.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+struct Row {
+    #[serde(with = "optim::exact::number")]
+    loss: f64,
+    /// Up to three values of a parameter, the mean of a texture.
+    #[serde(with = "optim::exact::slice")]
+    values: Vec<f64>,
+}
+
+/// The state of a run; numbers are kept to the last bit.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+struct Checkpoint {
+    job: Job,
+    /// Steps taken.
+    iteration: u32,
+    /// The unknowns, one after another.
+    #[serde(with = "optim::exact::slice")]
+    values: Vec<f32>,
+    #[serde(with = "optim::exact::slice")]
+    start: Vec<f32>,
+    optimizer: Constrained<AnyOptimizer<f32>, f32>,
+    /// Sum of the values over the last quarter of the run, whose noise it removes.
+    #[serde(with = "optim::exact::slice")]
+    tail_sum: Vec<f64>,
+    tail: u32,
+    history: Vec<Row>,
+}
+
+impl Checkpoint {
+    /// The best estimate so far.
+    fn estimate(&self) -> Vec<f32> {
+        if self.tail == 0 {
+            return self.values.clone();
+        }
+        let n = f64::from(self.tail);
+        self.tail_sum.iter().map(|s| (s / n) as f32).collect()
+    }
+}
+
+const CHECKPOINT: &str = "checkpoint.json";
+/// Time between two checkpoints: what a crash costs at most.
+const CHECKPOINT_EVERY: Duration = Duration::from_secs(5);
+/// Samples per pixel of the built-in target.
+const TARGET_SPP: u32 = 1024;
+/// Samples per pixel of the pictures before and after.
+const PICTURE_SPP: u32 = 256;
+
+/// A seed of its own for every purpose.
+fn stream(seed: u64, n: u64) -> u64 {
+    mix64(mix64(seed ^ 0x5eed_0f5e_ed0f_5eed).wrapping_add(n.wrapping_mul(0x9e37_79b9_7f4a_7c15)))
+}
+const TARGET_STREAM: u64 = u64::MAX;
+const PICTURE_STREAM: u64 = u64::MAX - 1;
+
+/// The scene with its unknowns.
+struct Problem {
+    scene: Scene,
+    settings: Settings,
+    active: Active,
+    loss: LossKind,
+    target: Image,
+    /// The true values, for the built-in scene.
+    truth: Option<Vec<f32>>,
+}
+
+/// Runs the tool.
+///
+/// # Errors
+/// Anything wrong with the arguments, the scene, the checkpoint or the files.
+pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
+    args.threads.run(|_| recover(args, interrupt))
+}
+
+fn recover(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
+    let saved = args.out.join(CHECKPOINT);
+    let resumed = match args.resume {
+        true => Some(read_checkpoint(&saved)?),
+        false => None,
+    };
+    let job = match &resumed {
+        Some(c) => {
+            c.job.require_same(args)?;
+            c.job.clone()
+        }
+        None => Job::new(args)?,
+    };
+    let (scene, start, truth) = load(&job)?;
+    let active = Active::new(&scene, &job.params)?;
+    let mut settings = scene.settings;
+    settings.spp = job.spp;
+    settings.max_depth = job.max_depth.unwrap_or(settings.max_depth);
+    let loss: LossKind = job.loss.parse()?;
+    let mut state = match resumed {
+        Some(state) => {
+            if state.values.len() != start.len() {
+                return Err(ToolError::file(
+                    &saved,
+                    format!(
+                        "expected the {} unknown values of the scene, found {}",
+                        start.len(),
+                        state.values.len()
+                    ),
+                ));
+            }
+            state
+        }
+        None => {
+            let values: Vec<f32> = start;
+            Checkpoint {
+                optimizer: optimizer(&job, &active, &values)?,
+                job: job.clone(),
+                iteration: 0,
+                start: values.clone(),
+                tail_sum: vec![0.0; values.len()],
+                tail: 0,
+                values,
+                history: Vec::new(),
+            }
+        }
+    };
+    let target_file = args.out.join("target.exr");
+    let target = if args.resume {
+        read_size(&target_file, &scene)?
+    } else {
+        match target(&job, &scene, &settings, interrupt)? {
+            Some(target) => target,
+            None => {
+                eprintln!("interrupted before the target was complete: nothing was written");
+                return Ok(Outcome::Interrupted);
+            }
+        }
+    };
+    let mut problem = Problem {
+        scene,
+        settings,
+        active,
+        loss,
+        target,
+        truth,
+    };
+    let before_file = args.out.join("before.exr");
+    if !args.resume {
+        output::create_dir(&args.out)?;
+        output::write_exr(&target_file, &problem.target)?;
+        problem.set(&state.values)?;
+        output::write_exr(&before_file, &problem.picture(job.seed))?;
+        output::write_json(&saved, &state)?;
+    }
+    let before = read_size(&before_file, &problem.scene)?;
+
+    let left = job.iterations.saturating_sub(state.iteration);
+    let stop = state.iteration + args.stop_after.unwrap_or(left).min(left);
+    let bar = Bar::new("recover", job.iterations.into(), interrupt);
+    let mut last_save = Instant::now();
+    while state.iteration < stop && !interrupt.is_set() {
+        bar.set(state.iteration.into());
+        // What was there before a failing step is worth keeping, too.
+        match problem.step(&mut state, interrupt) {
+            Ok(true) => {}
+            Ok(false) => break,
+            Err(e) => {
+                output::write_json(&saved, &state)?;
+                return Err(e);
+            }
+        }
+        if let Some(row) = state.history.last() {
+            bar.message(format!("loss {:.3e}", row.loss));
+        }
+        if last_save.elapsed() > CHECKPOINT_EVERY {
+            output::write_json(&saved, &state)?;
+            last_save = Instant::now();
+        }
+    }
+    bar.finish();
+    output::write_json(&saved, &state)?;
+    problem.write_results(&args.out, &state, &before)?;
+    if state.iteration < job.iterations {
+        eprintln!(
+            "stopped after {} of {} iterations; --resume --out {} continues",
+            state.iteration,
+            job.iterations,
+            args.out.display()
+        );
+        return Ok(Outcome::Interrupted);
+    }
+    Ok(Outcome::Done)
+}
+
+/// Scene, start values of the unknowns and, if known, the truth.
+fn load(job: &Job) -> Result<(Scene, Vec<f32>, Option<Vec<f32>>), ToolError> {
+    let Some(path) = &job.scene else {
+        let scene = scenes::cornell(job.size, job.size)?;
+        let unknowns = scenes::cornell_unknowns();
+        let (mut start, mut truth) = (Vec::new(), Vec::new());
+        for info in Active::new(&scene, &job.params)?.ranges() {
+            let values = &scene.params().values()[info.range()];
+            truth.extend_from_slice(values);
+            match unknowns.iter().find(|u| u.name == info.name) {
+                Some(u) => start.extend_from_slice(&u.start),
+                None => start.extend_from_slice(values),
+            }
+        }
+        return Ok((scene, start, Some(truth)));
+    };
+    let load = LoadArgs {
+        defines: job.defines.clone(),
+        allow_missing: job.allow_missing,
+    };
+    let (scene, _) = load.load(path)?;
+    let mut start = Vec::new();
+    for info in Active::new(&scene, &job.params)?.ranges() {
+        start.extend_from_slice(&scene.params().values()[info.range()]);
+    }
+    Ok((scene, start, None))
+}
+
+/// What the unknowns are compared with; `None` if interrupted.
+fn target(
+    job: &Job,
+    scene: &Scene,
+    settings: &Settings,
+    interrupt: &Interrupt,
+) -> Result<Option<Image>, ToolError> {
+    if job.targets.is_empty() {
+        let mut settings = *settings;
+        settings.spp = TARGET_SPP;
+        let total = scene.film.pixels() as u64 * passes(scene, &settings);
+        let bar = Bar::new("target", total, interrupt);
+        let seed = stream(job.seed, TARGET_STREAM);
+        let rendering = in_passes(scene, Technique::MisPower, &settings, seed, &bar);
+        bar.finish();
+        let complete = rendering.filter(|r| r.samples == u64::from(TARGET_SPP));
+        return Ok(complete.map(|r| r.image(0)));
+    }
+    let mut sum = vec![0.0f64; scene.film.pixels() * 3];
+    for path in &job.targets {
+        let image = read_size(path, scene)?;
+        for (s, x) in sum.iter_mut().zip(&image.data) {
+            *s += f64::from(*x);
+        }
+    }
+    let [width, height] = scene.film.crop_size;
+    let mut mean = Image::new(width as usize, height as usize);
+    for (m, s) in mean.data.iter_mut().zip(sum) {
+        *m = (s / job.targets.len() as f64) as f32;
+    }
+    Ok(Some(mean))
+}
+
+fn read_size(path: &Path, scene: &Scene) -> Result<Image, ToolError> {
+    output::read_exr_of_size(path, scene.film.crop_size.map(|n| n as usize))
+}
+
+fn read_checkpoint(path: &Path) -> Result<Checkpoint, ToolError> {
+    let text = std::fs::read_to_string(path)
+        .map_err(|e| ToolError::file(path, format!("cannot read the checkpoint: {e}")))?;
+    serde_json::from_str(&text)
+        .map_err(|e| ToolError::file(path, format!("expected a checkpoint of this tool: {e}")))
+}
+
+/// Positive numbers of unknown magnitude move by factors, everything else by steps within its bounds.
+fn parameterisation(info: &ParamInfo, values: &[f32]) -> Result<Parameterisation, ToolError> {
+    let (lo, hi) = info.valid;
+    let positive = lo >= 0.0 && values.iter().all(|&v| v > 0.0);
+    Ok(if lo > 0.0 {
+        Parameterisation::log_within(lo, hi)?
+    } else if positive && hi.is_infinite() {
+        Parameterisation::log()
+    } else if lo.is_finite() || hi.is_finite() {
+        Parameterisation::bounded(lo, hi)?
+    } else {
+        Parameterisation::Identity
+    })
+}
+
+fn optimizer(
+    job: &Job,
+    active: &Active,
+    values: &[f32],
+) -> Result<Constrained<AnyOptimizer<f32>, f32>, ToolError> {
+    let schedule = Schedule::Cosine {
+        steps: job.iterations.into(),
+        floor: 0.01,
+    };
+    let rates = Rates::new(values.len(), job.lr)?.with_schedule(schedule)?;
+    let mut groups = Groups::new(values.len());
+    let mut at = 0;
+    for info in active.ranges() {
+        let range = at..at + info.shape.len();
+        at = range.end;
+        let map = parameterisation(info, &values[range.clone()])?;
+        groups.add(info.name.clone(), range, map)?;
+    }
+    let inner = AnyOptimizer::new(job.optimizer.name(), rates)?;
+    Ok(Constrained::new(inner, groups)?)
+}
+
+impl Problem {
+    /// Gives the unknowns their values.
+    fn set(&mut self, values: &[f32]) -> Result<(), ToolError> {
+        let mut all = self.scene.params().values().to_vec();
+        let mut at = 0;
+        for info in self.active.ranges() {
+            let range = info.range();
+            let n = range.len();
+            all[range].copy_from_slice(&values[at..at + n]);
+            at += n;
+        }
+        Ok(self.scene.set_params(&all)?)
+    }
+
+    /// One iteration. `false` if interrupted: nothing has changed then.
+    fn step(&mut self, state: &mut Checkpoint, interrupt: &Interrupt) -> Result<bool, ToolError> {
+        self.set(&state.values)?;
+        let scene = &self.scene;
+        let theta = Theta::constant(scene.params().values());
+        let spp = u64::from(self.settings.spp);
+        let i = u64::from(state.iteration);
+        let seeds = [2 * i, 2 * i + 1].map(|n| stream(state.job.seed, n));
+        let technique = Technique::MisPower;
+        let settings = &self.settings;
+        let seen = render_f32(
+            scene,
+            &theta,
+            technique,
+            settings,
+            seeds[0],
+            0..spp,
+            interrupt,
+        );
+        if seen.cancelled {
+            return Ok(false);
+        }
+        let image = seen.image(0);
+        let loss = self.loss.value(&image.data, &self.target.data)?;
+        let mut d_image = vec![0.0; image.data.len()];
+        self.loss
+            .gradient(&image.data, &self.target.data, &mut d_image)?;
+        let gradient = backward_f32(
+            scene,
+            &theta,
+            &self.active,
+            &d_image,
+            settings,
+            seeds[1],
+            0..spp,
+            interrupt,
+        )?;
+        if gradient.cancelled {
+            return Ok(false);
+        }
+        let report = |bad: &NonFinite, seed| report_non_finite(bad, image.width, seed);
+        report(&seen.non_finite, seeds[0]);
+        report(&gradient.non_finite, seeds[1]);
+
+        let gradient: Vec<f32> = gradient
+            .values
+            .iter()
+            .flatten()
+            .map(|&g| g as f32)
+            .collect();
+        let values = self.tracked(&state.values);
+        state.optimizer.step(&mut state.values, &gradient)?;
+        state.history.push(Row { loss, values });
+        state.iteration += 1;
+        if state.iteration > state.job.iterations - state.job.iterations / 4 {
+            state.tail += 1;
+            for (s, v) in state.tail_sum.iter_mut().zip(&state.values) {
+                *s += f64::from(*v);
+            }
+        }
+        Ok(true)
+    }
+
+    /// What is kept of every iteration: up to three values per parameter, the mean of a texture.
+    fn tracked(&self, values: &[f32]) -> Vec<f64> {
+        let mut out = Vec::new();
+        let mut at = 0;
+        for info in self.active.ranges() {
+            let own = &values[at..at + info.shape.len()];
+            at += own.len();
+            if own.len() <= 3 {
+                out.extend(own.iter().map(|&v| f64::from(v)));
+            } else {
+                out.push(own.iter().map(|&v| f64::from(v)).sum::<f64>() / own.len() as f64);
+            }
+        }
+        out
+    }
+
+    /// Names of the tracked numbers.
+    fn tracked_names(&self) -> Vec<String> {
+        let mut out = Vec::new();
+        for info in self.active.ranges() {
+            match info.shape.len() {
+                1 => out.push(info.name.clone()),
+                n @ 2..=3 => out.extend((0..n).map(|i| format!("{}[{i}]", info.name))),
+                _ => out.push(format!("mean of {}", info.name)),
+            }
+        }
+        out
+    }
+
+    /// The scene as it is, with little noise.
+    fn picture(&self, seed: u64) -> Image {
+        let theta = Theta::constant(self.scene.params().values());
+        let technique = Technique::MisPower;
+        let seed = stream(seed, PICTURE_STREAM);
+        let samples = 0..u64::from(PICTURE_SPP);
+        let settings = &self.settings;
+        render_f32(&self.scene, &theta, technique, settings, seed, samples, &()).image(0)
+    }
+
+    fn write_results(
+        &mut self,
+        out: &Path,
+        state: &Checkpoint,
+        before: &Image,
+    ) -> Result<(), ToolError> {
+        let estimate = state.estimate();
+        self.set(&estimate)?;
+        let after = self.picture(state.job.seed);
+        output::write_exr(&out.join("after.exr"), &after)?;
+        let panels = [
+            output::panel("before", before),
+            output::panel("after", &after),
+            output::panel("target", &self.target),
+        ];
+        output::write_panels(&out.join("before-after-target.png"), &panels)?;
+        output::write(&out.join("iterations.csv"), self.csv(state).as_bytes())?;
+        for (name, chart) in self.charts(state) {
+            output::write_chart(&out.join(name), &chart)?;
+        }
+        self.write_textures(out, &estimate)?;
+        self.report(out, state, &estimate)
+    }
+
+    fn csv(&self, state: &Checkpoint) -> String {
+        let mut text = "iteration,loss".to_owned();
+        for name in self.tracked_names() {
+            text.push(',');
+            text.push_str(&name.replace(',', "_"));
+        }
+        text.push('\n');
+        for (i, row) in state.history.iter().enumerate() {
+            // Writing to a string cannot fail.
+            let _ = write!(text, "{i},{:e}", row.loss);
+            for v in &row.values {
+                let _ = write!(text, ",{v}");
+            }
+            text.push('\n');
+        }
+        text
+    }
+
+    /// Loss and errors where the truth is known; loss and values where it is not.
+    fn charts(&self, state: &Checkpoint) -> Vec<(&'static str, LineChart)> {
+        let rows = || state.history.iter().enumerate();
+        let loss = |chart: LineChart| {
+            let name = format!("loss ({})", state.job.loss);
+            chart.line(&name, rows().map(|(i, r)| (i as f64, r.loss)))
+        };
+        let names = self.tracked_names();
+        let Some(truth) = &self.truth else {
+            let chart = LineChart::new("Convergence", "iteration", "loss").log_y();
+            let mut values = LineChart::new("Recovered values", "iteration", "value");
+            for (k, name) in names.iter().enumerate() {
+                values = values.line(name, rows().map(|(i, r)| (i as f64, r.values[k])));
+            }
+            return vec![("convergence", loss(chart)), ("values", values)];
+        };
+        let truth = self.tracked(truth);
+        let label = "loss; largest relative error of each parameter";
+        let mut chart = loss(LineChart::new("Convergence", "iteration", label).log_y());
+        let mut at = 0;
+        for info in self.active.ranges() {
+            let n = if info.shape.len() <= 3 {
+                info.shape.len()
+            } else {
+                1
+            };
+            let range = at..at + n;
+            at += n;
+            let error = |r: &Row| largest_error(&r.values[range.clone()], &truth[range.clone()]);
+            chart = chart.line(&info.name, rows().map(|(i, r)| (i as f64, error(r))));
+        }
+        vec![("convergence", chart)]
+    }
+
+    fn write_textures(&self, out: &Path, estimate: &[f32]) -> Result<(), ToolError> {
+        let mut at = 0;
+        for info in self.active.ranges() {
+            let own = &estimate[at..at + info.shape.len()];
+            at += own.len();
+            if let render::params::ParamShape::Texture {
+                height,
+                width,
+                channels,
+            } = info.shape
+            {
+                let path = out.join(format!("{}.exr", output::file_name(&info.name)));
+                let values: Vec<f64> = own.iter().map(|&v| f64::from(v)).collect();
+                output::write_texture(&path, [height, width, channels], &values)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Prints the recovered values and writes `result.json`.
+    fn report(&self, out: &Path, state: &Checkpoint, estimate: &[f32]) -> Result<(), ToolError> {
+        let names = self.tracked_names();
+        let start = self.tracked(&state.start);
+        let found = self.tracked(estimate);
+        let truth = self.truth.as_ref().map(|t| self.tracked(t));
+        let mut params = BTreeMap::new();
+        for (k, name) in names.iter().enumerate() {
+            let truth = truth.as_ref().map(|t| t[k]);
+            let error = truth.map(|t| largest_error(&[found[k]], &[t]));
+            match (truth, error) {
+                (Some(t), Some(e)) => println!(
+                    "{name}: {:.4} -> {:.4} (truth {t:.4}, error {:.2} %)",
+                    start[k],
+                    found[k],
+                    100.0 * e
+                ),
+                _ => println!("{name}: {:.4} -> {:.4}", start[k], found[k]),
+            }
+            let value = Recovered {
+                start: start[k],
+                value: found[k],
+                truth,
+                relative_error: error,
+            };
+            params.insert(name.clone(), value);
+        }
+        let report = Report {
+            scene: match &state.job.scene {
+                Some(path) => path.display().to_string(),
+                None => "built-in".into(),
+            },
+            optimizer: state.job.optimizer,
+            loss: state.job.loss.clone(),
+            iterations: state.iteration,
+            final_loss: state.history.last().map(|r| r.loss),
+            params,
+        };
+        output::write_json(&out.join("result.json"), &report)?;
+        println!("{}: pictures, charts and values", out.display());
+        Ok(())
+    }
+}
+
+#[derive(Debug, Serialize)]
+struct Recovered {
+    start: f64,
+    value: f64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    truth: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    relative_error: Option<f64>,
+}
+
+/// What `result.json` holds.
+#[derive(Debug, Serialize)]
+struct Report {
+    scene: String,
+    optimizer: OptimizerArg,
+    loss: String,
+    iterations: u32,
+    final_loss: Option<f64>,
+    params: BTreeMap<String, Recovered>,
+}
+
+/// Largest relative error of any value.
+fn largest_error(values: &[f64], truth: &[f64]) -> f64 {
+    let error = |(v, t): (&f64, &f64)| (v - t).abs() / t.abs().max(1e-12);
+    values.iter().zip(truth).map(error).fold(0.0, f64::max)
+}
