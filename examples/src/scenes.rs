@@ -93,7 +93,7 @@ pub fn cornell(width: u32, height: u32) -> Result<Scene, SceneError> {
     let view = Transform::look_at([0.0, 0.0, 3.9], [0.0, 0.0, 0.0], [0.0, 1.0, 0.0]);
     let camera = Camera::new(
         view.unwrap_or_default(),
-        39.3,
+        38.0,
         FovAxis::Smaller,
         [width, height],
     )?;

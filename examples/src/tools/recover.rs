@@ -59,13 +59,13 @@ pub struct Args {
     /// Algorithm [default: adam]
     #[arg(long, value_enum)]
     pub optimizer: Option<OptimizerArg>,
-    /// Number of steps [default: 300]
+    /// Number of steps [default: 400]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1 << 24))]
     pub iterations: Option<u32>,
     /// Learning rate at the beginning; it falls along a cosine [default: 0.03 for adam, 1 for sgd]
     #[arg(long, value_name = "RATE")]
     pub lr: Option<f64>,
-    /// Samples per pixel of each of the two renders of an iteration [default: 8]
+    /// Samples per pixel of each of the two renders of an iteration [default: 12]
     #[arg(long, value_name = "N", value_parser = sample_count())]
     pub spp: Option<u32>,
     /// Largest number of path edges; -1 for no limit [default: the scene's]
@@ -167,12 +167,12 @@ impl Job {
             defines: args.load.defines.clone(),
             allow_missing: args.load.allow_missing,
             optimizer,
-            iterations: args.iterations.unwrap_or(300),
+            iterations: args.iterations.unwrap_or(400),
             lr: args.lr.unwrap_or(match optimizer {
                 OptimizerArg::Adam => 0.03,
                 OptimizerArg::Sgd => 1.0,
             }),
-            spp: args.spp.unwrap_or(8),
+            spp: args.spp.unwrap_or(12),
             max_depth: args.max_depth,
             loss: args.loss.clone().unwrap_or_else(|| "relative-l2".into()),
             seed: args.seed.unwrap_or(0),
@@ -275,7 +275,7 @@ const CHECKPOINT: &str = "checkpoint.json";
 /// Time between two checkpoints: what a crash costs at most.
 const CHECKPOINT_EVERY: Duration = Duration::from_secs(5);
 /// Samples per pixel of the built-in target.
-const TARGET_SPP: u32 = 1024;
+const TARGET_SPP: u32 = 2048;
 /// Samples per pixel of the pictures before and after.
 const PICTURE_SPP: u32 = 256;
 
