@@ -17,9 +17,8 @@ use crate::vjp::{DiffFn, jacobian, transpose_mul};
 ///
 /// let mut chain = Chain::<f64, 2, 1>::new();
 /// chain.start([0.3]);
-/// for a in [0.9, 1.1, 0.8] {
-///     chain.advance(&step, [a]);
-/// }
+/// chain.advance(&step, [0.9]);
+/// chain.advance_all(&step, [[1.1], [0.8]]);
 /// let mut grad = [0.0; 3];
 /// let [d_x0] = chain.pull_back([1.0], |i, [d_a]: [f64; 1]| grad[i] = d_a);
 /// assert!(d_x0 > 0.0 && grad.iter().all(|g| *g > 0.0));
@@ -54,17 +53,32 @@ impl<P: Real, const I: usize, const S: usize> Chain<P, I, S> {
     /// Applies `stage` with local parameters `p` and returns the new state.
     #[inline]
     pub fn advance<F: DiffFn<I, S>, const Q: usize>(&mut self, stage: &F, p: [P; Q]) -> [P; S] {
+        self.advance_all(stage, [p])
+    }
+
+    /// Applies `stage` once for each set of local parameters and returns the new state. Faster than
+    /// a loop over [`advance`](Self::advance): the state stays in registers.
+    #[inline]
+    pub fn advance_all<F: DiffFn<I, S>, const Q: usize>(
+        &mut self,
+        stage: &F,
+        params: impl IntoIterator<Item = [P; Q]>,
+    ) -> [P; S] {
         const {
             assert!(
                 S + Q == I,
                 "a stage reads the state and its local parameters"
             )
         };
-        let x = std::array::from_fn(|k| if k < S { self.state[k] } else { p[k - S] });
-        let (y, jac) = jacobian(stage, x);
-        self.jacobians.push(jac);
-        self.state = y;
-        y
+        let mut state = self.state;
+        self.jacobians.extend(params.into_iter().map(|p| {
+            let x = std::array::from_fn(|k| if k < S { state[k] } else { p[k - S] });
+            let (y, jac) = jacobian(stage, x);
+            state = y;
+            jac
+        }));
+        self.state = state;
+        state
     }
 
     /// The current (last) state.

@@ -69,50 +69,50 @@ macro_rules! vector {
             pub fn dot_const(self, o: $V<R::Primal>) -> R {
                 vector!(@sum $(self.$f * Const(o.$f)),*)
             }
-            /// Euclidean length. Zero, with zero tangent, for the zero vector.
+            /// Euclidean length. Zero, with zero tangent, for the zero vector (and for vectors
+            /// without a component of 16 times the smallest normal number).
             #[inline(always)]
             pub fn length(self) -> R {
                 let l2 = self.length_squared();
                 if well_scaled(l2) {
                     return l2.sqrt();
                 }
-                let (v, scale) = self.rescaled();
-                if !scale.is_finite() {
-                    return R::lift(scale);
+                let m = self.primal().magnitude();
+                if m > R::Primal::zero() && m.is_finite() {
+                    (self * Const(m.recip())).length_squared().sqrt() * Const(m)
+                } else {
+                    R::lift(m)
                 }
-                v.length_squared().sqrt() * Const(scale)
             }
             /// Squared Euclidean length.
             #[inline(always)]
             pub fn length_squared(self) -> R {
                 vector!(@sum $(self.$f.square()),*)
             }
-            /// Unit vector of the same direction; the zero vector maps to zero, with zero tangent.
+            /// Unit vector of the same direction. Vectors of [`length`](Self::length) zero and
+            /// infinite ones map to zero, with zero tangent.
             #[inline(always)]
             pub fn normalize(self) -> Self {
                 let l2 = self.length_squared();
                 let (v, l2) = if well_scaled(l2) {
                     (self, l2)
                 } else {
-                    let (v, _) = self.rescaled();
+                    let m = self.primal().magnitude();
+                    if !(m > R::Primal::zero() && m.is_finite()) {
+                        return Self::zero();
+                    }
+                    let v = self * Const(m.recip());
                     (v, v.length_squared())
                 };
-                let inv = if l2 > R::zero() { l2.sqrt().recip() } else { R::zero() };
-                v * inv
+                v * l2.sqrt().recip()
             }
-            /// A vector `v` with components of order one, and `scale`, so that `self = v scale`.
-            /// Zero and infinite vectors give zero; vectors so short that the derivative of their
-            /// direction, 1 / length, overflows lose their tangents.
-            #[inline]
-            fn rescaled(self) -> (Self, R::Primal) {
-                let m = self.primal().max_abs();
-                if m >= R::Primal::MIN_POSITIVE * <R::Primal as Real>::of(16.0) && m.is_finite() {
-                    (self * Const(m.recip()), m)
-                } else if m.is_finite() {
-                    (self.detach() * Const(R::Primal::MAX), R::Primal::MAX.recip())
-                } else {
-                    (Self::zero(), m)
-                }
+            /// Largest absolute component; zero if so small that the derivative of the direction,
+            /// 1 / length, would overflow.
+            #[cold]
+            fn magnitude(self) -> R {
+                let m = self.max_abs();
+                let least = R::Primal::MIN_POSITIVE * <R::Primal as Real>::of(16.0);
+                R::select(m.primal() >= least, m, R::zero())
             }
             /// Componentwise linear interpolation, `self` at `t = 0` and `o` at `t = 1`.
             #[inline(always)]

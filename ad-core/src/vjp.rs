@@ -20,6 +20,8 @@ pub trait DiffFn<const I: usize, const O: usize> {
 /// Declares a function over any [`Real`](crate::Real) that the drivers of this crate can
 /// differentiate.
 ///
+/// The name becomes a unit struct: within its scope, variables must be called otherwise.
+///
 /// ```
 /// use ad_core::{diff_fn, gradient};
 /// diff_fn! {

@@ -68,16 +68,16 @@ fn block_tridiagonal_equals_dense() {
         let dense = solve_dense(a, b).expect("diagonally dominant");
         let ok = block_tridiagonal_solve(&s.lower, &mut s.diag, &s.upper, &mut s.rhs);
         assert!(ok);
-        for k in 0..SIZE {
+        for (k, x) in dense.into_iter().enumerate() {
             assert!(
-                (s.rhs[k / 2][k % 2] - dense[k]).abs() < 1e-13,
+                (s.rhs[k / 2][k % 2] - x).abs() < 1e-13,
                 "seed {seed}, row {k}"
             );
         }
         // And both solve the system.
-        for r in 0..SIZE {
-            let ax: f64 = (0..SIZE).map(|c| a[r][c] * dense[c]).sum();
-            assert!((ax - b[r]).abs() < 1e-13);
+        for (row, b) in a.iter().zip(b) {
+            let ax: f64 = row.iter().zip(dense).map(|(a, x)| a * x).sum();
+            assert!((ax - b).abs() < 1e-13);
         }
     }
 }
