@@ -34,7 +34,7 @@
 //! | `signum` | everywhere | ±1 | 0 |
 //! | `copysign` | 0 | ±0 | ±1, from the sign bits |
 //! | `rem_euclid` | at the jumps | 0 | 1 |
-//! | `Vec2`/`Vec3` `length`, `normalize` | zero vector | 0, zero vector | 0 |
+//! | `Vec2`/`Vec3` `length`, `normalize` | zero or nearly subnormal vector | 0, zero vector | 0 |
 
 use crate::real::{Const, Float, Real};
 
