@@ -31,11 +31,11 @@
 //! |---|---|
 //! | all derivatives of a small function | [`gradient`], [`jacobian`], [`derivative`] |
 //! | one direction (forward mode) | [`jvp`] |
-//! | adjoint of a small function (reverse mode) | [`vjp`] |
+//! | adjoint of a small function (reverse mode) | [`vjp()`] |
 //! | small core behind many inputs | [`gradient_composed`] |
 //! | gradient of a long chain | [`Chain`] |
 //! | second order | [`hessian`], [`hvp`] |
-//! | roots of a small system | [`newton`] |
+//! | roots of a small system | [`newton()`] |
 //! | trust | [`check`] |
 //!
 //! There is no tape, no heap allocation per evaluation, no global state and no unsafe code.
