@@ -169,7 +169,7 @@ fn elimination_pivots() {
 
 diff_fn! {
     /// The solution of a 3x3 and of a block-tridiagonal system as functions of their entries.
-    fn solutions<R>([a, b, c]: [R; 3]) -> [R; 5] {
+    fn solutions<R>([a, b, c]: [R; 3]) -> [R; 7] {
         let m = Mat3::from_rows([
             [a, b, R::of(0.2)],
             [R::of(-0.3), c, b * a],
@@ -181,7 +181,8 @@ diff_fn! {
         let mut rhs = [Vec2::new(a, b), Vec2::new(c, a), Vec2::new(b, c)];
         let mut diag = [block(a), block(b), block(c)];
         assert!(block_tridiagonal_solve(&off, &mut diag, &off, &mut rhs));
-        [x.x, x.y, x.z, rhs[0].x, rhs[2].y]
+        let dense = solve_dense(m.rows, [c, a, b]).expect("regular");
+        [x.x, x.y, x.z, rhs[0].x, rhs[2].y, dense[0], dense[2]]
     }
 }
 
