@@ -43,6 +43,15 @@ pub enum SceneError {
         source: std::io::Error,
     },
 
+    /// The operating system refused to write a file.
+    #[error("{}: cannot write the file: {source}", path.display())]
+    Write {
+        /// The file.
+        path: PathBuf,
+        /// The reason.
+        source: std::io::Error,
+    },
+
     /// A mesh or image was read, but its content is not what was expected.
     #[error("{}{}: expected {expected}, found {found}", path.display(), Line(*line))]
     Asset {

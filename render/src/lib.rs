@@ -12,6 +12,7 @@ pub mod emitter;
 pub mod error;
 pub mod estimator;
 pub mod film;
+pub mod image_io;
 pub mod instances;
 pub mod integrator;
 pub mod math;

@@ -1,0 +1,481 @@
+//! Image files: reading textures and references, writing results.
+//!
+//! Files are recognised by their content, not their name. Reading never panics and never allocates
+//! more than the limits below, whatever the bytes. Writing is atomic: the file appears complete
+//! under its name, or not at all.
+
+use std::fs::{self, File};
+use std::io::{Cursor, Read, Write};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::Path;
+use std::sync::atomic::{AtomicU32, Ordering};
+
+use exr::prelude as exr;
+use exr::{ReadChannels, ReadLayers, WritableImage};
+
+use crate::error::SceneError;
+use crate::film::Image;
+
+/// Largest number of rows and of columns.
+pub const MAX_SIDE: usize = 1 << 16;
+/// Largest number of samples (pixels times channels) that a file may hold, in all of its layers.
+pub const MAX_SAMPLES: usize = 1 << 28;
+/// Largest size of a file in bytes.
+const MAX_BYTES: u64 = 1 << 31;
+
+/// Pixels as read from or written to a file.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Pixels {
+    /// Number of columns.
+    pub width: usize,
+    /// Number of rows.
+    pub height: usize,
+    /// 1 (grey) or 3 (red, green, blue).
+    pub channels: usize,
+    /// `[height][width][channels]`, row 0 at the top; finite when read.
+    pub data: Vec<f32>,
+}
+
+/// What the samples of 8- and 16-bit files mean. EXR files are linear in any case.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Encoding {
+    /// Colours on the sRGB curve; read as linear values.
+    Srgb,
+    /// Numbers in [0, 1] that are no colours: value over largest value.
+    Raw,
+}
+
+impl Pixels {
+    /// One channel: the values themselves, or the luminance of colours.
+    pub fn into_grey(self) -> Self {
+        if self.channels == 1 {
+            return self;
+        }
+        let luminance = |c: &[f32]| {
+            crate::math::Rgb::new(f64::from(c[0]), f64::from(c[1]), f64::from(c[2])).luminance()
+        };
+        Self {
+            channels: 1,
+            data: (self.data.chunks_exact(3))
+                .map(|c| luminance(c) as f32)
+                .collect(),
+            ..self
+        }
+    }
+
+    /// Three channels: the values themselves, or grey three times.
+    pub fn into_rgb(self) -> Self {
+        if self.channels == 3 {
+            return self;
+        }
+        Self {
+            channels: 3,
+            data: self.data.iter().flat_map(|&x| [x; 3]).collect(),
+            ..self
+        }
+    }
+}
+
+impl From<Pixels> for Image {
+    fn from(pixels: Pixels) -> Self {
+        let pixels = pixels.into_rgb();
+        Self {
+            width: pixels.width,
+            height: pixels.height,
+            data: pixels.data,
+        }
+    }
+}
+
+/// Reads an EXR, PNG, JPEG or BMP file. Alpha is dropped. Of an EXR file, the channels `R`, `G`, `B` of
+/// its first layer that has them, with or without the layer's name in front; or else `Y`.
+///
+/// # Errors
+/// The file cannot be read or is no such image, is cut off or damaged, exceeds [`MAX_SIDE`] or
+/// [`MAX_SAMPLES`], or has a pixel that is not finite.
+pub fn read(path: &Path, encoding: Encoding) -> Result<Pixels, SceneError> {
+    let bytes = read_bytes(path)?;
+    // The decoders promise errors, not panics, but they are large and their input is anybody's. They run
+    // on this thread only, so that a panic can be turned into the error it should have been.
+    let decoded = catch_unwind(AssertUnwindSafe(|| {
+        if bytes.starts_with(&EXR_MAGIC) {
+            decode_exr(&bytes)
+        } else {
+            decode_8_or_16_bit(&bytes, encoding)
+        }
+    }));
+    let pixels = match decoded {
+        Ok(Ok(pixels)) => pixels,
+        Ok(Err(Mismatch { expected, found })) => return Err(asset(path, expected, found)),
+        Err(_) => {
+            let found = "data that the decoder cannot handle";
+            return Err(asset(path, "an undamaged image", found));
+        }
+    };
+    if let Some(i) = pixels.data.iter().position(|x| !x.is_finite()) {
+        let (pixel, channel) = (i / pixels.channels, i % pixels.channels);
+        let (x, y) = (pixel % pixels.width, pixel / pixels.width);
+        let found = format!(
+            "{} at column {x}, row {y}, channel {channel}",
+            pixels.data[i]
+        );
+        return Err(asset(path, "finite pixels", found));
+    }
+    Ok(pixels)
+}
+
+/// [`read`] as a linear RGB image.
+///
+/// # Errors
+/// As [`read`].
+pub fn read_rgb(path: &Path) -> Result<Image, SceneError> {
+    read(path, Encoding::Srgb).map(Image::from)
+}
+
+const EXR_MAGIC: [u8; 4] = [0x76, 0x2f, 0x31, 0x01];
+
+struct Mismatch {
+    expected: String,
+    found: String,
+}
+
+fn mismatch(expected: impl Into<String>, found: impl ToString) -> Mismatch {
+    Mismatch {
+        expected: expected.into(),
+        found: found.to_string(),
+    }
+}
+
+fn asset(path: &Path, expected: impl Into<String>, found: impl Into<String>) -> SceneError {
+    SceneError::Asset {
+        path: path.to_owned(),
+        line: None,
+        expected: expected.into(),
+        found: found.into(),
+    }
+}
+
+fn read_bytes(path: &Path) -> Result<Vec<u8>, SceneError> {
+    let io = |source| SceneError::Io {
+        path: path.to_owned(),
+        source,
+    };
+    // Devices and pipes may never end.
+    let info = fs::metadata(path).map_err(io)?;
+    if info.is_file() && info.len() > MAX_BYTES {
+        let found = format!("{} bytes", info.len());
+        return Err(asset(path, format!("at most {MAX_BYTES} bytes"), found));
+    }
+    if !info.is_file() {
+        return Err(asset(path, "an image file", "something else"));
+    }
+    let mut bytes = Vec::new();
+    let file = File::open(path).map_err(io)?;
+    file.take(MAX_BYTES).read_to_end(&mut bytes).map_err(io)?;
+    Ok(bytes)
+}
+
+fn check_size(width: usize, height: usize) -> Result<(), Mismatch> {
+    let sides = 1..=MAX_SIDE;
+    if sides.contains(&width) && sides.contains(&height) {
+        return Ok(());
+    }
+    let expected = format!("from 1 to {MAX_SIDE} rows and columns");
+    Err(mismatch(expected, format!("{width} x {height}")))
+}
+
+fn check_samples(samples: usize) -> Result<(), Mismatch> {
+    if samples <= MAX_SAMPLES {
+        return Ok(());
+    }
+    let expected = format!("at most {MAX_SAMPLES} samples");
+    Err(mismatch(expected, samples))
+}
+
+fn decode_exr(bytes: &[u8]) -> Result<Pixels, Mismatch> {
+    let bad = |e: exr::Error| mismatch("a complete OpenEXR image", e);
+    let meta = exr::MetaData::read_from_buffered(Cursor::new(bytes), false).map_err(bad)?;
+    let mut samples = 0usize;
+    for header in &meta.headers {
+        let exr::Vec2(width, height) = header.layer_size;
+        check_size(width, height)?;
+        for channel in &header.channels.list {
+            if channel.sampling != exr::Vec2(1, 1) {
+                return Err(mismatch(
+                    "a sample per pixel in every channel",
+                    format!("subsampled channel `{}`", channel.name),
+                ));
+            }
+        }
+        // At most 2^32 times a byte-sized count per header: no overflow.
+        let pixels = (width * height).saturating_mul(header.channels.list.len());
+        samples = samples.saturating_add(pixels);
+    }
+    check_samples(samples)?;
+    let image = exr::read()
+        .no_deep_data()
+        .largest_resolution_level()
+        .all_channels()
+        .all_layers()
+        .all_attributes()
+        // A panic in a pool's thread could not be caught.
+        .non_parallel()
+        .from_buffered(Cursor::new(bytes))
+        .map_err(bad)?;
+    let mut names = Vec::new();
+    for layer in &image.layer_data {
+        let list = &layer.channel_data.list;
+        let find = |name: &str| list.iter().find(|c| c.name.eq(name));
+        let prefixes = list.iter().filter_map(|c| {
+            let name = c.name.to_string();
+            let dot = name.rfind('.')?;
+            Some(name[..=dot].to_owned())
+        });
+        for prefix in std::iter::once(String::new()).chain(prefixes) {
+            let of = |c| find(&format!("{prefix}{c}"));
+            let found = match (of("R"), of("G"), of("B"), of("Y")) {
+                (Some(r), Some(g), Some(b), _) => vec![r, g, b],
+                (_, _, _, Some(y)) => vec![y],
+                _ => continue,
+            };
+            let (width, height) = (layer.size.0, layer.size.1);
+            let channels = found.len();
+            let mut data = vec![0.0; width * height * channels];
+            for (c, channel) in found.iter().enumerate() {
+                let values = channel.sample_data.values_as_f32();
+                for (pixel, value) in data.chunks_exact_mut(channels).zip(values) {
+                    pixel[c] = value;
+                }
+            }
+            return Ok(Pixels {
+                width,
+                height,
+                channels,
+                data,
+            });
+        }
+        names.extend(list.iter().map(|c| format!("`{}`", c.name)));
+    }
+    let found = match names.is_empty() {
+        true => "none".to_owned(),
+        false => names.join(", "),
+    };
+    Err(mismatch("channels `R`, `G` and `B`, or `Y`", found))
+}
+
+fn decode_8_or_16_bit(bytes: &[u8], encoding: Encoding) -> Result<Pixels, Mismatch> {
+    let formats = "an OpenEXR, PNG, JPEG or BMP image";
+    let mut reader = image::ImageReader::new(Cursor::new(bytes))
+        .with_guessed_format()
+        .map_err(|e| mismatch(formats, e))?;
+    let Some(format) = reader.format() else {
+        let start: Vec<_> = bytes.iter().take(4).map(|b| format!("{b:02x}")).collect();
+        let found = match start.is_empty() {
+            true => "an empty file".to_owned(),
+            false => format!("a file that starts with bytes {}", start.join(" ")),
+        };
+        return Err(mismatch(formats, found));
+    };
+    // The decoder fills in what is missing at the end of a JPEG.
+    if format == image::ImageFormat::Jpeg && !jpeg_is_complete(bytes) {
+        return Err(mismatch("a complete JPEG image", "the end cut off"));
+    }
+    let mut limits = image::Limits::default();
+    limits.max_image_width = Some(MAX_SIDE as u32);
+    limits.max_image_height = Some(MAX_SIDE as u32);
+    limits.max_alloc = Some(4 * MAX_SAMPLES as u64);
+    reader.limits(limits);
+    let decoded = reader.decode();
+    let image = decoded.map_err(|e| mismatch(format!("a complete {format:?} image"), e))?;
+    let (width, height) = (image.width() as usize, image.height() as usize);
+    let channels = if image.color().has_color() { 3 } else { 1 };
+    check_size(width, height)?;
+    check_samples(width * height * channels)?;
+    let decode = |x: f64| match encoding {
+        Encoding::Srgb => srgb_to_linear(x) as f32,
+        Encoding::Raw => x as f32,
+    };
+    let bytes_per_channel = image.color().bytes_per_pixel() / image.color().channel_count();
+    let data = match (bytes_per_channel, channels) {
+        (1, _) => {
+            let table: Vec<f32> = (0..256).map(|i| decode(f64::from(i) / 255.0)).collect();
+            let values = match channels {
+                1 => image.into_luma8().into_raw(),
+                _ => image.into_rgb8().into_raw(),
+            };
+            values.iter().map(|&v| table[usize::from(v)]).collect()
+        }
+        _ => {
+            let values = match channels {
+                1 => image.into_luma16().into_raw(),
+                _ => image.into_rgb16().into_raw(),
+            };
+            let unit = |&v: &u16| decode(f64::from(v) / 65535.0);
+            values.iter().map(unit).collect()
+        }
+    };
+    Ok(Pixels {
+        width,
+        height,
+        channels,
+        data,
+    })
+}
+
+/// Whether the last scan has an end: inside a scan the byte ff is always followed by 00 or a restart
+/// marker, so that the end marker cannot occur by chance.
+fn jpeg_is_complete(bytes: &[u8]) -> bool {
+    let last = |marker: u8| bytes.windows(2).rposition(|w| *w == [0xff, marker]);
+    last(0xd9) > last(0xda)
+}
+
+/// The linear value of an sRGB-encoded one (IEC 61966-2-1).
+pub fn srgb_to_linear(x: f64) -> f64 {
+    if x <= 0.04045 {
+        x / 12.92
+    } else {
+        ((x + 0.055) / 1.055).powf(2.4)
+    }
+}
+
+/// The sRGB-encoded value of a linear one (IEC 61966-2-1).
+pub fn linear_to_srgb(x: f64) -> f64 {
+    if x <= 0.003_130_8 {
+        x * 12.92
+    } else {
+        1.055 * x.powf(1.0 / 2.4) - 0.055
+    }
+}
+
+/// Writes a linear RGB image as an OpenEXR file in f32, without loss.
+///
+/// # Errors
+/// The file cannot be written; none is left behind then.
+pub fn write_exr(path: &Path, image: &Image) -> Result<(), SceneError> {
+    encode_exr(path, image.width, image.height, 3, &image.data)
+}
+
+/// Writes one (`Y`) or three (`R`, `G`, `B`) channels as an OpenEXR file in f32, without loss.
+///
+/// # Errors
+/// Another number of channels, or the file cannot be written; none is left behind then.
+pub fn write_exr_pixels(path: &Path, pixels: &Pixels) -> Result<(), SceneError> {
+    let Pixels {
+        width,
+        height,
+        channels,
+        ref data,
+    } = *pixels;
+    encode_exr(path, width, height, channels, data)
+}
+
+fn encode_exr(
+    path: &Path,
+    width: usize,
+    height: usize,
+    channels: usize,
+    data: &[f32],
+) -> Result<(), SceneError> {
+    check_written(path, width, height, channels, data)?;
+    let names: &[&str] = if channels == 1 {
+        &["Y"]
+    } else {
+        &["R", "G", "B"]
+    };
+    let list = names.iter().enumerate().map(|(c, &name)| {
+        let plane = data.iter().skip(c).step_by(channels).copied().collect();
+        exr::AnyChannel::new(name, exr::FlatSamples::F32(plane))
+    });
+    let layer = exr::Layer::new(
+        (width, height),
+        exr::LayerAttributes::default(),
+        exr::Encoding::SMALL_FAST_LOSSLESS,
+        exr::AnyChannels::sort(list.collect()),
+    );
+    let mut bytes = Cursor::new(Vec::new());
+    exr::Image::from_layer(layer)
+        .write()
+        .to_buffered(&mut bytes)
+        .map_err(|e| unwritable(path, std::io::Error::other(e)))?;
+    write_atomically(path, bytes.get_ref())
+}
+
+/// Writes an 8-bit PNG for viewing: `2^stops` times the image, cut to [0, 1], on the sRGB curve.
+/// Values that are not numbers come out black.
+///
+/// # Errors
+/// The file cannot be written; none is left behind then.
+pub fn write_png(path: &Path, image: &Image, stops: f64) -> Result<(), SceneError> {
+    check_written(path, image.width, image.height, 3, &image.data)?;
+    let gain = stops.exp2();
+    let encode = |&x: &f32| (255.0 * linear_to_srgb((f64::from(x) * gain).clamp(0.0, 1.0))).round();
+    let values: Vec<u8> = image.data.iter().map(|x| encode(x) as u8).collect();
+    let mut bytes = Cursor::new(Vec::new());
+    image::write_buffer_with_format(
+        &mut bytes,
+        &values,
+        image.width as u32,
+        image.height as u32,
+        image::ExtendedColorType::Rgb8,
+        image::ImageFormat::Png,
+    )
+    .map_err(|e| unwritable(path, std::io::Error::other(e)))?;
+    write_atomically(path, bytes.get_ref())
+}
+
+fn check_written(
+    path: &Path,
+    width: usize,
+    height: usize,
+    channels: usize,
+    data: &[f32],
+) -> Result<(), SceneError> {
+    let sides = 1..=MAX_SIDE;
+    let fits = sides.contains(&width) && sides.contains(&height) && matches!(channels, 1 | 3);
+    if fits && width * height * channels == data.len() {
+        return Ok(());
+    }
+    let n = data.len();
+    Err(asset(
+        path,
+        format!("1 or 3 channels, from 1 to {MAX_SIDE} rows and columns, all of their values"),
+        format!("{channels} channels, {width} x {height} pixels, {n} values"),
+    ))
+}
+
+fn unwritable(path: &Path, source: std::io::Error) -> SceneError {
+    SceneError::Write {
+        path: path.to_owned(),
+        source,
+    }
+}
+
+/// Writes a file completely or not at all: a reader, or a crash, never meets half of it. What stood under the
+/// name before stays until the new content is on disk.
+///
+/// # Errors
+/// The file cannot be written; nothing is left behind then.
+pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<(), SceneError> {
+    static COUNTER: AtomicU32 = AtomicU32::new(0);
+    let error = |source| unwritable(path, source);
+    let Some(name) = path.file_name() else {
+        return Err(error(std::io::ErrorKind::InvalidFilename.into()));
+    };
+    // Beside the target: a rename is atomic within one file system only.
+    let unique = COUNTER.fetch_add(1, Ordering::Relaxed);
+    let mut temporary = std::ffi::OsString::from(".");
+    temporary.push(name);
+    temporary.push(format!(".{}-{unique}.tmp", std::process::id()));
+    let temporary = path.with_file_name(temporary);
+    let written = File::create_new(&temporary).and_then(|mut file| {
+        file.write_all(bytes)?;
+        file.sync_all()?;
+        drop(file);
+        fs::rename(&temporary, path)
+    });
+    written.map_err(|source| {
+        // Already failing; a left-over that cannot be removed changes nothing about that.
+        let _ = fs::remove_file(&temporary);
+        error(source)
+    })
+}
