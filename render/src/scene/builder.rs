@@ -30,12 +30,23 @@ pub struct Builder {
     prefix: String,
     /// Materials built from nodes that several places refer to.
     shared: HashMap<*const Node, Arc<Material>>,
+    /// Textures built from nodes, by channels and valid range.
+    shared_textures: HashMap<(*const Node, usize, [u64; 2]), RgbTexture>,
     /// Index that the shape under construction will have, while its emitter is built.
     open_shape: Option<u32>,
     /// Substitute mid-grey for missing texture files.
     pub allow_missing: bool,
     /// What was ignored or substituted.
     pub warnings: Vec<String>,
+}
+
+fn texture_key(
+    node: &Arc<Node>,
+    channels: usize,
+    valid: (f64, f64),
+) -> (*const Node, usize, [u64; 2]) {
+    let range = [valid.0.to_bits(), valid.1.to_bits()];
+    (Arc::as_ptr(node), channels, range)
 }
 
 /// Spawn offset relative to the largest coordinate of a surface: 64 roundings of an f32.
@@ -112,6 +123,45 @@ impl Builder {
         Ok(self
             .params
             .push(name, shape, &values, valid, differentiability))
+    }
+
+    /// Adds a range of texels that were checked. `None` if the parameters do not fit their 32-bit index.
+    pub(crate) fn push_texels(
+        &mut self,
+        name: &str,
+        shape: ParamShape,
+        texels: &[f32],
+        valid: (f64, f64),
+        differentiability: Differentiability,
+    ) -> Option<ParamRef> {
+        u32::try_from(self.params.values().len() + texels.len()).ok()?;
+        Some(
+            self.params
+                .push(name, shape, texels, valid, differentiability),
+        )
+    }
+
+    /// The texture built before from `node` for this number of channels and valid range.
+    pub(crate) fn shared_texture(
+        &self,
+        node: &Arc<Node>,
+        channels: usize,
+        valid: (f64, f64),
+    ) -> Option<RgbTexture> {
+        let key = texture_key(node, channels, valid);
+        self.shared_textures.get(&key).cloned()
+    }
+
+    /// Keeps a texture for [`Builder::shared_texture`].
+    pub(crate) fn share_texture(
+        &mut self,
+        node: &Arc<Node>,
+        channels: usize,
+        valid: (f64, f64),
+        texture: RgbTexture,
+    ) {
+        let key = texture_key(node, channels, valid);
+        self.shared_textures.insert(key, texture);
     }
 
     /// A colour of a scene file: a constant, or a texture.

@@ -1,9 +1,31 @@
 //! Textures from scene files.
 
-use super::Texture;
+use std::path::Path;
+use std::sync::Arc;
+
+use super::{Bitmap, Checkerboard, Texture, UvTransform, Wrap};
 use crate::error::SceneError;
-use crate::params::Differentiability;
+use crate::image_io::{self, Encoding};
+use crate::params::{Differentiability, ParamRef, ParamShape};
 use crate::scene::{Builder, Node};
+
+/// Texture plugins of scene files.
+const PLUGINS: &[&str] = &["bitmap", "checkerboard"];
+
+/// What stands in for a missing file.
+const GREY: f64 = 0.5;
+
+/// What a texture is loaded for.
+pub(crate) struct Use<'a> {
+    /// What its parameters' names start with, such as `wall.bsdf.reflectance`.
+    pub name: &'a str,
+    /// Smallest and largest valid value.
+    pub valid: (f64, f64),
+    /// What a derivative needs.
+    pub differentiability: Differentiability,
+    /// The value where a file is missing and may be.
+    pub substitute: &'a [f64],
+}
 
 /// The texture `key` of `node`: a nested texture plugin, a constant, or the default.
 pub(crate) fn from_node<const C: usize>(
@@ -13,12 +35,182 @@ pub(crate) fn from_node<const C: usize>(
     default: &[f64],
     valid: (f64, f64),
 ) -> Result<Texture<C>, SceneError> {
-    let name = format!("{}.{key}.value", build.prefix());
+    let name = format!("{}.{key}", build.prefix());
+    if let Some(texture) = node.child(key) {
+        let usage = Use {
+            name: &name,
+            valid,
+            differentiability: Differentiability::Smooth,
+            substitute: if C == 1 { default } else { &[GREY; 3] },
+        };
+        return from_plugin(build, texture, &usage);
+    }
     let value = if C == 1 {
         node.float(key)?.map(|x| vec![x])
     } else {
         node.rgb(key)?.map(|c| c.to_vec())
     };
     let value = value.unwrap_or_else(|| default.to_vec());
+    let name = format!("{name}.value");
     build.constant(&name, &value, valid, Differentiability::Smooth)
+}
+
+/// The texture that `node` describes; one that several places refer to has its parameters once.
+pub(crate) fn from_plugin<const C: usize>(
+    build: &mut Builder,
+    node: &Arc<Node>,
+    usage: &Use,
+) -> Result<Texture<C>, SceneError> {
+    if let Some(texture) = build.shared_texture(node, C, usage.valid) {
+        return Ok(texture.with_channels());
+    }
+    let texture: Texture<C> = match node.plugin.as_str() {
+        "bitmap" => bitmap(build, node, usage)?,
+        "checkerboard" => checkerboard(build, node, usage)?,
+        _ => return Err(node.unknown_plugin(PLUGINS)),
+    };
+    node.finish()?;
+    let shared = texture.clone().with_channels();
+    build.share_texture(node, C, usage.valid, shared);
+    Ok(texture)
+}
+
+fn bitmap<const C: usize>(
+    build: &mut Builder,
+    node: &Node,
+    usage: &Use,
+) -> Result<Texture<C>, SceneError> {
+    let encoding = match node.boolean_or("raw", false)? {
+        true => Encoding::Raw,
+        false => Encoding::Srgb,
+    };
+    let filters = [("bilinear", false), ("nearest", true)];
+    let nearest = node.choice("filter_type", &filters)?.unwrap_or(false);
+    let wraps = [
+        ("repeat", Wrap::Repeat),
+        ("clamp", Wrap::Clamp),
+        ("mirror", Wrap::Mirror),
+    ];
+    let wrap = node.choice("wrap_mode", &wraps)?.unwrap_or_default();
+    let to_uv = to_uv(node)?;
+    // How the peer stores texels; here they are always f32.
+    node.string("format")?;
+    node.boolean("accel")?;
+    let Some(path) = file(build, node, usage)? else {
+        let (name, value) = (format!("{}.value", usage.name), usage.substitute);
+        return build.constant(&name, value, usage.valid, usage.differentiability);
+    };
+    let (param, [width, height]) = texels::<C>(build, &path, encoding, usage)?;
+    Ok(Texture::Bitmap(Bitmap {
+        param,
+        width,
+        height,
+        wrap,
+        nearest,
+        to_uv,
+    }))
+}
+
+/// The existing file that the attribute `filename` names; `None`, with a warning, if it is missing and
+/// may be.
+pub(crate) fn file(
+    build: &mut Builder,
+    node: &Node,
+    usage: &Use,
+) -> Result<Option<std::path::PathBuf>, SceneError> {
+    match node.path("filename") {
+        Ok(Some(path)) => Ok(Some(path)),
+        Ok(None) => Err(node.missing("filename", "the name of an image file")),
+        Err(error @ SceneError::Value { .. }) if build.allow_missing => {
+            // A <string>, so what is wrong is that the file is missing.
+            if !matches!(node.string("filename"), Ok(Some(_))) {
+                return Err(error);
+            }
+            let value = usage.substitute;
+            let warning = format!("{error}; `{}` is {value:?} instead", usage.name);
+            build.warnings.push(warning);
+            Ok(None)
+        }
+        Err(error) => Err(error),
+    }
+}
+
+/// Reads an image into the parameters `{name}.data`; returns its width and height too.
+pub(crate) fn texels<const C: usize>(
+    build: &mut Builder,
+    path: &Path,
+    encoding: Encoding,
+    usage: &Use,
+) -> Result<(ParamRef, [u32; 2]), SceneError> {
+    let pixels = image_io::read(path, encoding)?;
+    let pixels = match C {
+        1 => pixels.into_grey(),
+        _ => pixels.into_rgb(),
+    };
+    let (lo, hi) = (usage.valid.0 as f32, usage.valid.1 as f32);
+    let asset = |expected: String, found: String| SceneError::Asset {
+        path: path.to_owned(),
+        line: None,
+        expected,
+        found,
+    };
+    if let Some(i) = pixels.data.iter().position(|v| !(lo..=hi).contains(v)) {
+        let (x, y) = (i / C % pixels.width, i / C / pixels.width);
+        return Err(asset(
+            format!("texels from {lo} to {hi} for `{}`", usage.name),
+            format!("{} at column {x}, row {y}", pixels.data[i]),
+        ));
+    }
+    let shape = ParamShape::Texture {
+        height: pixels.height,
+        width: pixels.width,
+        channels: C,
+    };
+    let name = format!("{}.data", usage.name);
+    let param = build
+        .push_texels(
+            &name,
+            shape,
+            &pixels.data,
+            usage.valid,
+            usage.differentiability,
+        )
+        .ok_or_else(|| {
+            let found = "more with this image".to_owned();
+            asset(format!("at most {} parameters", u32::MAX), found)
+        })?;
+    Ok((param, [pixels.width as u32, pixels.height as u32]))
+}
+
+fn checkerboard<const C: usize>(
+    build: &mut Builder,
+    node: &Node,
+    usage: &Use,
+) -> Result<Texture<C>, SceneError> {
+    let mut color = |key: &str, default: f64| -> Result<ParamRef, SceneError> {
+        let value = if C == 1 {
+            vec![node.float_or(key, default)?]
+        } else {
+            node.rgb_or(key, [default; 3])?.to_vec()
+        };
+        let shape = match C {
+            1 => ParamShape::Scalar,
+            _ => ParamShape::Rgb,
+        };
+        let name = format!("{}.{key}.value", usage.name);
+        build.push_param(&name, shape, &value, usage.valid, usage.differentiability)
+    };
+    Ok(Texture::Checkerboard(Checkerboard {
+        colors: [color("color0", 0.4)?, color("color1", 0.2)?],
+        to_uv: to_uv(node)?,
+    }))
+}
+
+/// The attribute `to_uv`: what a transform of space does to its xy plane.
+pub(crate) fn to_uv(node: &Node) -> Result<UvTransform, SceneError> {
+    let t = node.transform("to_uv")?.unwrap_or_default();
+    let row = |i: usize| [t.linear[i][0], t.linear[i][1], t.translation[i]].map(|x| x as f32);
+    Ok(UvTransform {
+        rows: [row(0), row(1)],
+    })
 }

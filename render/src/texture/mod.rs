@@ -10,7 +10,7 @@ mod load;
 
 pub use bitmap::{Bitmap, UvTransform, Wrap};
 pub use checkerboard::Checkerboard;
-pub(crate) use load::from_node;
+pub(crate) use load::{Use, file, from_node, from_plugin, texels};
 
 use ad_core::{Float, Real, Vec2};
 
@@ -78,6 +78,30 @@ impl<const C: usize> Texture<C> {
                 }
             }
             Self::Checkerboard(t) => put(t.select(uv), 0, P::one()),
+        }
+    }
+
+    /// The texels and weights of a lookup at `uv`.
+    #[inline]
+    pub(crate) fn footprint<R: Real>(&self, uv: Vec2<R>) -> Footprint<R> {
+        let single = |param| Footprint {
+            param,
+            texel: [0; 4],
+            weight: [R::one(), R::zero(), R::zero(), R::zero()],
+        };
+        match self {
+            Self::Constant(p) => single(*p),
+            Self::Bitmap(t) => t.footprint(uv),
+            Self::Checkerboard(t) => single(t.select(uv.primal())),
+        }
+    }
+
+    /// The same texture under another number of channels: a handle does not know it.
+    pub(crate) fn with_channels<const D: usize>(self) -> Texture<D> {
+        match self {
+            Self::Constant(p) => Texture::Constant(p),
+            Self::Bitmap(t) => Texture::Bitmap(t),
+            Self::Checkerboard(t) => Texture::Checkerboard(t),
         }
     }
 
