@@ -251,6 +251,14 @@ impl<'a, R: Real> Theta<'a, R> {
     }
 }
 
+impl<'a, P: Float> Theta<'a, P> {
+    /// The same parameters over a scalar with tangents, all of them zero.
+    #[inline]
+    pub fn lift<R: Real<Primal = P>>(&self) -> Theta<'a, R> {
+        Theta::constant(self.values)
+    }
+}
+
 /// Where adjoints of parameters go.
 pub trait GradSink<P: Float> {
     /// Whether anybody asked for this range.

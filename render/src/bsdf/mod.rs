@@ -12,19 +12,28 @@
 //!
 //! To add a material: one file here, one line in `materials!` below.
 
+mod blend;
 mod blinn_phong;
 mod conductor;
 mod dielectric;
 mod diffuse;
 pub mod fresnel;
+mod mask;
 pub mod microfacet;
+pub mod nesting;
+mod normal_map;
 mod rough_conductor;
+mod twosided;
 
+pub use blend::Blend;
 pub use blinn_phong::{BlinnPhong, BlinnPhongLobe, BlinnPhongSampling};
 pub use conductor::{Conductor, ConductorIndex, ConductorLobe};
 pub use dielectric::{Dielectric, DielectricLobe};
 pub use diffuse::{Diffuse, DiffuseLobe};
+pub use mask::Mask;
+pub use normal_map::{Interpolation, NormalMap};
 pub use rough_conductor::{RoughConductor, RoughConductorLobe, Roughness};
+pub use twosided::TwoSided;
 
 use ad_core::{Dual, Float, Real, Vec2, Vec3};
 
@@ -137,6 +146,17 @@ impl<'a, R: Real> Shading<'a, R> {
         Shading {
             theta: self.theta.primal(),
             uv: self.uv.primal(),
+        }
+    }
+}
+
+impl<'a, P: Float> Shading<'a, P> {
+    /// The same point over a scalar with tangents, all of them zero.
+    #[inline]
+    pub fn lift<R: Real<Primal = P>>(&self) -> Shading<'a, R> {
+        Shading {
+            theta: self.theta.lift(),
+            uv: Vec2::lift(self.uv),
         }
     }
 }
@@ -557,4 +577,8 @@ materials! {
     Conductor,
     Dielectric,
     RoughConductor,
+    TwoSided,
+    Blend,
+    Mask,
+    NormalMap,
 }

@@ -1,0 +1,100 @@
+//! What materials made of other materials share.
+
+use std::sync::Arc;
+
+use ad_core::{Float, Real};
+
+use super::{Bsdf, Material};
+use crate::error::SceneError;
+use crate::scene::Node;
+
+/// How many levels materials may nest: one bit each in the `route` of a delta.
+pub const MAX_LEVELS: u32 = 8;
+
+/// Smallest probability of choosing either of two parts. At a weight of exactly 0 or 1 one part is
+/// invisible, but the derivative with respect to the weight still needs it (errata F7).
+pub(super) const LEAST_CHOICE: f64 = 0.05;
+
+/// Probability of choosing the second of two parts that are mixed with the weight `w`: primal, as every
+/// discrete decision.
+#[inline]
+pub(super) fn choice<R: Real>(w: R) -> R::Primal {
+    let w = w.primal().max(R::Primal::zero()).min(R::Primal::one());
+    R::Primal::of(LEAST_CHOICE) + w * R::Primal::of(1.0 - 2.0 * LEAST_CHOICE)
+}
+
+/// Whether `u` chooses the second part, and `u` stretched over [0, 1) again.
+#[inline]
+pub(super) fn choose<P: Float>(u: P, second: P) -> (bool, P) {
+    let first = P::one() - second;
+    let below_one = P::one() - P::EPSILON;
+    if u < first {
+        (false, (u / first).min(below_one))
+    } else {
+        (true, ((u - first) / second).min(below_one))
+    }
+}
+
+/// The materials that `material` is made of.
+fn children(material: &Material) -> &[Arc<Material>] {
+    match material {
+        Material::TwoSided(m) => m.sides(),
+        Material::Blend(m) => m.parts(),
+        Material::Mask(m) => std::slice::from_ref(m.nested()),
+        Material::NormalMap(m) => std::slice::from_ref(m.nested()),
+        _ => &[],
+    }
+}
+
+/// Levels of nesting; a leaf has none.
+pub fn levels(material: &Material) -> u32 {
+    let deepest = children(material).iter().map(|m| levels(m)).max();
+    deepest.map_or(0, |n| n + 1)
+}
+
+/// Whether any part of the material is a delta.
+pub fn has_delta(material: &Material) -> bool {
+    match children(material) {
+        [] => material.is_delta(),
+        parts => parts.iter().any(|m| has_delta(m)),
+    }
+}
+
+/// Checks that one more level around `parts` is allowed.
+pub(super) fn check_levels(parts: &[Arc<Material>]) -> Result<(), SceneError> {
+    let inside = parts.iter().map(|m| levels(m)).max().unwrap_or(0);
+    if inside < MAX_LEVELS {
+        return Ok(());
+    }
+    Err(SceneError::Parameter {
+        key: "bsdf".into(),
+        expected: format!("materials nested at most {MAX_LEVELS} levels deep"),
+        found: format!("{} levels", inside + 1),
+    })
+}
+
+/// The nested materials of `node`, of which there must be from `least` to `most`.
+pub(super) fn nested_nodes(
+    node: &Node,
+    least: usize,
+    most: usize,
+) -> Result<Vec<&Arc<Node>>, SceneError> {
+    let nodes = node.children_with_tag("bsdf");
+    let expected = match (least, most) {
+        (1, 1) => "one nested <bsdf>",
+        (2, 2) => "two nested <bsdf>",
+        _ => "one or two nested <bsdf>",
+    };
+    if nodes.len() < least {
+        return Err(node.missing("bsdf", expected));
+    }
+    match nodes.get(most) {
+        None => Ok(nodes),
+        Some(extra) => Err(SceneError::Value {
+            location: extra.location.clone(),
+            key: node.plugin.clone(),
+            expected: expected.into(),
+            found: format!("{} of them", nodes.len()),
+        }),
+    }
+}

@@ -1,0 +1,350 @@
+//! Materials on a surface whose normal is read from an image.
+
+use std::sync::Arc;
+
+use ad_core::{Dual, Float, Real, Vec3};
+
+use super::nesting::{check_levels, has_delta, nested_nodes};
+use super::{
+    Bsdf, BsdfSample, Component, DeltaKind, FromNode, Material, Shading, TransportMode, Use,
+};
+use crate::error::SceneError;
+use crate::image_io::Encoding;
+use crate::math::{Frame, Rgb};
+use crate::params::{Differentiability, GradSink, ParamRef};
+use crate::scene::{Builder, Node};
+use crate::texture::{self, Bitmap, RgbTexture, UvTransform, Wrap};
+
+/// A material in a frame tilted by a normal map.
+///
+/// A texel `c` encodes the normal `2c - 1` in the shading frame, whose first axis is the projection of
+/// dp/du. Directions that are on one side of the surface and on the other of the tilted one
+/// are not scattered, neither light nor view: the model has no shadowing of its own.
+///
+/// # Derivatives
+/// In the texels, with directions fixed. The nested material moves with the normal, so texels over a
+/// mirror or smooth glass are [`Differentiability::Delta`].
+///
+/// # Does not handle
+/// The horizon that moves with the normal, under attached sampling (F9).
+#[derive(Clone, Debug)]
+pub struct NormalMap {
+    map: RgbTexture,
+    interpolation: Interpolation,
+    nested: Arc<Material>,
+}
+
+/// What is interpolated between texels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Interpolation {
+    /// The encoded normals.
+    Normals,
+    /// Their slopes `(-x/z, -y/z)`: a height field keeps its slopes, as in
+    /// [Zeltner et al. 2020, "Specular manifold sampling"].
+    Slopes,
+}
+
+impl Interpolation {
+    /// The vector that is interpolated; normal to the surface, not normalised.
+    #[inline]
+    fn decode<R: Real>(self, texel: [R; 3]) -> Vec3<R> {
+        let n = Vec3::from(texel.map(|c| c * R::c(2.0) - R::c(1.0)));
+        match self {
+            Self::Normals => n,
+            Self::Slopes => {
+                // Also a texel that points sideways or down gets a slope.
+                let z = n.z.max(R::of(LEAST_Z));
+                Vec3::new(n.x / z, n.y / z, R::one())
+            }
+        }
+    }
+}
+
+/// Smallest z of a normal that is turned into a slope: half a degree above the surface.
+const LEAST_Z: f64 = 0.01;
+
+impl NormalMap {
+    /// `nested` in the frame that `map` describes.
+    ///
+    /// # Errors
+    /// More than [`super::nesting::MAX_LEVELS`] levels of nesting.
+    pub fn new(
+        map: RgbTexture,
+        interpolation: Interpolation,
+        nested: Arc<Material>,
+    ) -> Result<Self, SceneError> {
+        check_levels(std::slice::from_ref(&nested))?;
+        Ok(Self {
+            map,
+            interpolation,
+            nested,
+        })
+    }
+
+    /// The material on the tilted surface.
+    pub fn nested(&self) -> &Arc<Material> {
+        &self.nested
+    }
+
+    /// The interpolated vector at a point.
+    #[inline]
+    fn vector<R: Real>(&self, at: &Shading<R>) -> Vec3<R> {
+        let f = self.map.footprint(at.uv);
+        let mut sum = Vec3::zero();
+        for k in 0..4 {
+            let texel = at.theta.texel(f.param, f.texel[k] as usize);
+            sum = sum + self.interpolation.decode(texel) * f.weight[k];
+        }
+        sum
+    }
+
+    #[inline]
+    fn frame<R: Real>(&self, at: &Shading<R>) -> Frame<R> {
+        tilted(self.vector(at))
+    }
+}
+
+/// The frame whose normal is along `v`, in the coordinates of the shading frame. The zero vector
+/// tilts nothing.
+#[inline]
+fn tilted<R: Real>(v: Vec3<R>) -> Frame<R> {
+    let x = Vec3::new(R::one(), R::zero(), R::zero());
+    let z = Vec3::new(R::zero(), R::zero(), R::one());
+    let degenerate = v.primal().length_squared() <= R::Primal::of(1e-12);
+    let n = if degenerate { z } else { v.normalize() };
+    Frame::from_normal_and_tangent(n, x)
+}
+
+/// Whether a direction is on the same side of both frames.
+#[inline]
+fn same_side<R: Real>(a: Vec3<R>, b: Vec3<R>) -> bool {
+    a.z.primal() * b.z.primal() > R::Primal::zero()
+}
+
+impl Bsdf for NormalMap {
+    #[inline]
+    fn eval_pdf<R: Real>(
+        &self,
+        at: &Shading<R>,
+        wo: Vec3<R>,
+        wi: Vec3<R>,
+        mode: TransportMode,
+    ) -> (Rgb<R>, R) {
+        let frame = self.frame(at);
+        let (o, i) = (frame.to_local(wo), frame.to_local(wi));
+        if !same_side(wo, o) || !same_side(wi, i) {
+            return (Rgb::black(), R::zero());
+        }
+        self.nested.eval_pdf(at, o, i, mode)
+    }
+
+    #[inline]
+    fn eval<R: Real>(
+        &self,
+        at: &Shading<R>,
+        wo: Vec3<R>,
+        wi: Vec3<R>,
+        mode: TransportMode,
+    ) -> Rgb<R> {
+        let frame = self.frame(at);
+        let (o, i) = (frame.to_local(wo), frame.to_local(wi));
+        if !same_side(wo, o) || !same_side(wi, i) {
+            return Rgb::black();
+        }
+        self.nested.eval(at, o, i, mode)
+    }
+
+    #[inline]
+    fn sample<R: Real>(
+        &self,
+        at: &Shading<R>,
+        wo: Vec3<R>,
+        u: [R::Primal; 3],
+        mode: TransportMode,
+    ) -> Option<BsdfSample<R>> {
+        let frame = self.frame(at);
+        let o = frame.to_local(wo);
+        let sample = self.nested.sample(at, o, u, mode)?;
+        if is_passthrough(sample.component) {
+            return Some(BsdfSample { wi: -wo, ..sample });
+        }
+        let wi = frame.to_world(sample.wi);
+        if !same_side(wo, o) || !same_side(wi, sample.wi) {
+            return None;
+        }
+        match sample.component {
+            Component::Delta { .. } => Some(BsdfSample { wi, ..sample }),
+            Component::Continuous => {
+                // There and back again is not exact; the density has to be that of `wi`.
+                let (_, pdf) = self.eval_pdf(at, wo, wi, mode);
+                let valid = pdf.primal() > R::Primal::zero();
+                valid.then_some(BsdfSample { wi, pdf, ..sample })
+            }
+        }
+    }
+
+    #[inline]
+    fn eval_delta<R: Real>(
+        &self,
+        at: &Shading<R>,
+        wo: Vec3<R>,
+        kind: DeltaKind,
+        route: u8,
+        mode: TransportMode,
+    ) -> Rgb<R> {
+        let o = self.frame(at).to_local(wo);
+        if kind != DeltaKind::Passthrough && !same_side(wo, o) {
+            return Rgb::black();
+        }
+        self.nested.eval_delta(at, o, kind, route, mode)
+    }
+
+    fn backward<P: Float>(
+        &self,
+        at: &Shading<P>,
+        wo: Vec3<P>,
+        uses: &[Use<P>],
+        mode: TransportMode,
+        grad: &mut impl GradSink<P>,
+    ) {
+        let vector = self.vector(at);
+        let frame = tilted(vector);
+        let o = frame.to_local(wo);
+        let scatters = |u: &Use<P>| {
+            is_passthrough(u.component)
+                || (same_side(wo, o)
+                    && (u.component != Component::Continuous
+                        || same_side(u.wi, frame.to_local(u.wi))))
+        };
+        for u in uses.iter().filter(|u| scatters(u)) {
+            let wi = frame.to_local(u.wi);
+            self.nested.backward(at, o, &[Use { wi, ..*u }], mode, grad);
+        }
+        if !self.map.any_param(|p| grad.active(p)) {
+            return;
+        }
+        // The adjoint of the interpolated vector first, then of the texels it was made from.
+        let seeds: [Dual<P, 3>; 3] = std::array::from_fn(|i| Dual::var(vector.to_array()[i], i));
+        let frame = tilted(Vec3::from(seeds));
+        let lifted = at.lift::<Dual<P, 3>>();
+        let o = frame.to_local(Vec3::lift(wo));
+        let mut d_vector = [P::zero(); 3];
+        for u in uses.iter().filter(|u| scatters(u)) {
+            let i = frame.to_local(Vec3::lift(u.wi));
+            let value = (self.nested).eval_component(&lifted, o, i, u.component, mode);
+            for (k, d) in d_vector.iter_mut().enumerate() {
+                for c in 0..3 {
+                    *d += value[c].eps[k] * u.d[c];
+                }
+            }
+        }
+        let f = self.map.footprint(at.uv);
+        for k in 0..4 {
+            if f.weight[k] == P::zero() {
+                continue;
+            }
+            let texel: [P; 3] = at.theta.texel(f.param, f.texel[k] as usize);
+            let seeds: [Dual<P, 3>; 3] = std::array::from_fn(|c| Dual::var(texel[c], c));
+            let decoded = self.interpolation.decode(seeds).to_array();
+            for c in 0..3 {
+                let d: P = (0..3).map(|i| d_vector[i] * decoded[i].eps[c]).sum();
+                grad.add(f.param, f.texel[k] as usize * 3 + c, f.weight[k] * d);
+            }
+        }
+    }
+
+    fn visit_params(&self, f: &mut dyn FnMut(ParamRef)) {
+        self.map.visit_params(f);
+        self.nested.visit_params(f);
+    }
+
+    #[inline]
+    fn is_delta(&self) -> bool {
+        self.nested.is_delta()
+    }
+}
+
+#[inline]
+fn is_passthrough(component: Component) -> bool {
+    matches!(
+        component,
+        Component::Delta {
+            kind: DeltaKind::Passthrough,
+            ..
+        }
+    )
+}
+
+impl FromNode for NormalMap {
+    const PLUGINS: &'static [&'static str] = &["normalmap"];
+
+    /// The map is a nested texture `normalmap`, as in Mitsuba 3, or the image `filename`, as in the scenes of
+    /// [Zeltner et al. 2020]: read as raw numbers, repeated `tiles` times, slopes
+    /// interpolated unless `use_slopes` is false.
+    fn from_node(node: &Node, build: &mut Builder) -> Result<Self, SceneError> {
+        let nodes = nested_nodes(node, 1, 1)?;
+        let nested = build.material_from_node(nodes[0], "nested_bsdf")?;
+        let name = format!("{}.normalmap", build.prefix());
+        let usage = texture::Use {
+            name: &name,
+            // Files round a little beyond [0, 1].
+            valid: (-1.0, 2.0),
+            differentiability: match has_delta(&nested) {
+                true => Differentiability::Delta,
+                false => Differentiability::Smooth,
+            },
+            substitute: &[0.5, 0.5, 1.0],
+        };
+        let child = node.child("normalmap").cloned();
+        let slopes = node.boolean_or("use_slopes", child.is_none())?;
+        let map = match child {
+            Some(child) => texture::from_plugin(build, &child, &usage)?,
+            None => map_from_file(node, build, &usage)?,
+        };
+        // Other models of what a tilted surface cannot do.
+        for key in ["flip_invalid_normals", "use_shadowing_function"] {
+            if node.boolean_or(key, false)? {
+                return Err(node.invalid(key, "`false`: there is no such correction"));
+            }
+        }
+        // A prefiltered stand-in for the map, of no use to a path tracer that resolves it.
+        node.ignore(&[
+            "lean_fallback",
+            "lean_fallback_alpha",
+            "lean_fallback_material",
+        ]);
+        let interpolation = match slopes {
+            true => Interpolation::Slopes,
+            false => Interpolation::Normals,
+        };
+        Self::new(map, interpolation, nested)
+    }
+}
+
+fn map_from_file(
+    node: &Node,
+    build: &mut Builder,
+    usage: &texture::Use,
+) -> Result<RgbTexture, SceneError> {
+    let tiles = node.float_or("tiles", 1.0)? as f32;
+    let Some(path) = texture::file(build, node, usage)? else {
+        let name = format!("{}.value", usage.name);
+        return build.constant(
+            &name,
+            usage.substitute,
+            usage.valid,
+            usage.differentiability,
+        );
+    };
+    let (param, [width, height]) = texture::texels::<3>(build, &path, Encoding::Raw, usage)?;
+    Ok(RgbTexture::Bitmap(Bitmap {
+        param,
+        width,
+        height,
+        wrap: Wrap::Repeat,
+        nearest: false,
+        to_uv: UvTransform {
+            rows: [[tiles, 0.0, 0.0], [0.0, tiles, 0.0]],
+        },
+    }))
+}

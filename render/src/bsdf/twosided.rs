@@ -1,0 +1,170 @@
+//! Materials that look the same, or different, from both sides.
+
+use std::sync::Arc;
+
+use ad_core::{Float, Real, Vec3};
+
+use super::nesting::{check_levels, nested_nodes};
+use super::{Bsdf, BsdfSample, DeltaKind, FromNode, Material, Shading, TransportMode, Use};
+use crate::error::SceneError;
+use crate::math::Rgb;
+use crate::params::{GradSink, ParamRef};
+use crate::scene::{Builder, Node};
+
+/// One material in front, the same or another behind. Meant for materials that only reflect.
+#[derive(Clone, Debug)]
+pub struct TwoSided {
+    sides: [Arc<Material>; 2],
+}
+
+impl TwoSided {
+    /// `sides[0]` is seen from where the shading normal points, `sides[1]` from behind.
+    ///
+    /// # Errors
+    /// More than [`super::nesting::MAX_LEVELS`] levels of nesting.
+    pub fn new(sides: [Arc<Material>; 2]) -> Result<Self, SceneError> {
+        check_levels(&sides)?;
+        Ok(Self { sides })
+    }
+
+    /// Front and back.
+    pub fn sides(&self) -> &[Arc<Material>] {
+        &self.sides
+    }
+
+    /// The side that is seen along `wo`, and whether it has to be turned to the front.
+    #[inline]
+    fn side<R: Real>(&self, wo: Vec3<R>) -> (&Material, bool) {
+        let behind = wo.z.primal() < R::Primal::zero();
+        (&self.sides[usize::from(behind)], behind)
+    }
+}
+
+/// Mirrors `v` at the surface if `behind`.
+#[inline]
+fn turn<R: Real>(v: Vec3<R>, behind: bool) -> Vec3<R> {
+    match behind {
+        true => Vec3::new(v.x, v.y, -v.z),
+        false => v,
+    }
+}
+
+impl Bsdf for TwoSided {
+    #[inline]
+    fn eval_pdf<R: Real>(
+        &self,
+        at: &Shading<R>,
+        wo: Vec3<R>,
+        wi: Vec3<R>,
+        mode: TransportMode,
+    ) -> (Rgb<R>, R) {
+        let (side, behind) = self.side(wo);
+        side.eval_pdf(at, turn(wo, behind), turn(wi, behind), mode)
+    }
+
+    #[inline]
+    fn eval<R: Real>(
+        &self,
+        at: &Shading<R>,
+        wo: Vec3<R>,
+        wi: Vec3<R>,
+        mode: TransportMode,
+    ) -> Rgb<R> {
+        let (side, behind) = self.side(wo);
+        side.eval(at, turn(wo, behind), turn(wi, behind), mode)
+    }
+
+    #[inline]
+    fn sample<R: Real>(
+        &self,
+        at: &Shading<R>,
+        wo: Vec3<R>,
+        u: [R::Primal; 3],
+        mode: TransportMode,
+    ) -> Option<BsdfSample<R>> {
+        let (side, behind) = self.side(wo);
+        let sample = side.sample(at, turn(wo, behind), u, mode)?;
+        Some(BsdfSample {
+            wi: turn(sample.wi, behind),
+            ..sample
+        })
+    }
+
+    #[inline]
+    fn eval_delta<R: Real>(
+        &self,
+        at: &Shading<R>,
+        wo: Vec3<R>,
+        kind: DeltaKind,
+        route: u8,
+        mode: TransportMode,
+    ) -> Rgb<R> {
+        let (side, behind) = self.side(wo);
+        side.eval_delta(at, turn(wo, behind), kind, route, mode)
+    }
+
+    fn backward<P: Float>(
+        &self,
+        at: &Shading<P>,
+        wo: Vec3<P>,
+        uses: &[Use<P>],
+        mode: TransportMode,
+        grad: &mut impl GradSink<P>,
+    ) {
+        let (side, behind) = self.side(wo);
+        for uses in uses.chunks(2) {
+            let mut turned = [uses[0]; 2];
+            for (t, u) in turned.iter_mut().zip(uses) {
+                *t = Use {
+                    wi: turn(u.wi, behind),
+                    ..*u
+                };
+            }
+            side.backward(at, turn(wo, behind), &turned[..uses.len()], mode, grad);
+        }
+    }
+
+    fn visit_params(&self, f: &mut dyn FnMut(ParamRef)) {
+        for side in &self.sides {
+            side.visit_params(f);
+        }
+    }
+
+    #[inline]
+    fn is_delta(&self) -> bool {
+        self.sides.iter().all(|m| m.is_delta())
+    }
+}
+
+/// Plugins that let light through.
+const TRANSMITTING: &[&str] = &["dielectric", "thindielectric", "roughdielectric", "mask"];
+
+fn check_opaque(node: &Node) -> Result<(), SceneError> {
+    if TRANSMITTING.contains(&node.plugin.as_str()) {
+        return Err(SceneError::Value {
+            location: node.location.clone(),
+            key: "twosided".into(),
+            expected: "a nested <bsdf> that only reflects".into(),
+            found: node.describe(),
+        });
+    }
+    node.children_with_tag("bsdf")
+        .into_iter()
+        .try_for_each(|child| check_opaque(child))
+}
+
+impl FromNode for TwoSided {
+    const PLUGINS: &'static [&'static str] = &["twosided"];
+
+    fn from_node(node: &Node, build: &mut Builder) -> Result<Self, SceneError> {
+        let nodes = nested_nodes(node, 1, 2)?;
+        let mut sides = Vec::with_capacity(2);
+        for (node, label) in nodes.into_iter().zip(["brdf_0", "brdf_1"]) {
+            check_opaque(node)?;
+            sides.push(build.material_from_node(node, label)?);
+        }
+        let front = sides[0].clone();
+        let back = sides.get(1).unwrap_or(&front).clone();
+        Self::new([front, back])
+    }
+}
