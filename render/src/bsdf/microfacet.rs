@@ -118,8 +118,9 @@ impl<R: Real> Microfacet<R> {
         if self.visible {
             self.d(m) / (self.sigma(w) * R::c(4.0))
         } else {
+            // Closer to grazing, derivatives leave the range of single precision.
             let cos = w.dot(m).abs();
-            if cos.primal() <= R::Primal::zero() {
+            if cos.primal() < R::Primal::of(1e-8) {
                 return R::zero();
             }
             self.pdf_all(m) / (cos * R::c(4.0))

@@ -22,7 +22,10 @@ mod mask;
 pub mod microfacet;
 pub mod nesting;
 mod normal_map;
+mod plastic;
 mod rough_conductor;
+mod rough_dielectric;
+mod rough_plastic;
 mod twosided;
 
 pub use blend::Blend;
@@ -32,7 +35,10 @@ pub use dielectric::{Dielectric, DielectricLobe};
 pub use diffuse::{Diffuse, DiffuseLobe};
 pub use mask::Mask;
 pub use normal_map::{Interpolation, NormalMap};
+pub use plastic::{Coated, CoatedLobe, Plastic, PlasticLobe};
 pub use rough_conductor::{RoughConductor, RoughConductorLobe, Roughness};
+pub use rough_dielectric::{RoughDielectric, RoughDielectricLobe};
+pub use rough_plastic::{Coat, RoughPlastic, RoughPlasticLobe};
 pub use twosided::TwoSided;
 
 use ad_core::{Dual, Float, Real, Vec2, Vec3};
@@ -581,4 +587,7 @@ materials! {
     Blend,
     Mask,
     NormalMap,
+    RoughDielectric,
+    Plastic,
+    RoughPlastic,
 }

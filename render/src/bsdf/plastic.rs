@@ -1,0 +1,235 @@
+//! Smooth plastic: a diffuse base under a smooth dielectric coat.
+
+use std::f64::consts::FRAC_1_PI;
+
+use ad_core::{Const, Real, Vec3};
+
+use super::dielectric::relative_index;
+use super::{
+    BsdfSample, Component, DeltaKind, FromNode, Leaf, Lobe, Reader, TransportMode, fresnel,
+};
+use crate::error::SceneError;
+use crate::math::{Rgb, warp};
+use crate::scene::{Builder, Node};
+use crate::texture::RgbTexture;
+
+/// Colours of a coated diffuse surface.
+#[derive(Clone, Debug)]
+pub struct Coated {
+    /// Albedo of the base, in [0, 1].
+    pub diffuse_reflectance: RgbTexture,
+    /// Factor on the reflection of the coat, in [0, 1]; 1 is physical.
+    pub specular_reflectance: RgbTexture,
+    /// Index of the coat over that above it; not a parameter.
+    pub eta: f64,
+    /// Whether the base's colour is saturated by light that the coat sends back to it.
+    pub nonlinear: bool,
+}
+
+impl Coated {
+    /// `diffuse_reflectance` (0.5), `specular_reflectance` (1), `int_ior` (`polypropylene`), `ext_ior`
+    /// (`air`), `nonlinear` (false).
+    ///
+    /// # Errors
+    /// Anything out of range.
+    pub fn from_node(node: &Node, build: &mut Builder) -> Result<Self, SceneError> {
+        let eta = relative_index(node, "polypropylene")?;
+        if eta < 1.0 {
+            return Err(node.invalid("int_ior", "a coat denser than what is above it"));
+        }
+        Ok(Self {
+            diffuse_reflectance: build.rgb_texture(
+                node,
+                "diffuse_reflectance",
+                [0.5; 3],
+                (0.0, 1.0),
+            )?,
+            specular_reflectance: build.rgb_texture(
+                node,
+                "specular_reflectance",
+                [1.0; 3],
+                (0.0, 1.0),
+            )?,
+            eta,
+            nonlinear: node.boolean_or("nonlinear", false)?,
+        })
+    }
+}
+
+/// [`Coated`] at a point.
+#[derive(Clone, Copy, Debug)]
+pub struct CoatedLobe<R: Real> {
+    /// Albedo of the base.
+    pub diffuse_reflectance: Rgb<R>,
+    /// Factor on the reflection of the coat.
+    pub specular_reflectance: Rgb<R>,
+    /// Index of the coat over that above it.
+    pub eta: R::Primal,
+    /// See [`Coated::nonlinear`].
+    pub nonlinear: bool,
+}
+
+impl<R: Real> CoatedLobe<R> {
+    #[inline]
+    pub(super) fn read(coated: &Coated, read: &mut impl Reader<R>) -> Self {
+        Self {
+            diffuse_reflectance: read.rgb(&coated.diffuse_reflectance),
+            specular_reflectance: read.rgb(&coated.specular_reflectance),
+            eta: R::Primal::of(coated.eta),
+            nonlinear: coated.nonlinear,
+        }
+    }
+
+    /// Light that enters (fraction `t_i`), is scattered by the base, and leaves (`t_o`), cosine
+    /// included; `inside` is what the coat reflects back of diffuse light from below.
+    #[inline]
+    pub(super) fn diffuse(&self, cos_i: R, t_i: R, t_o: R, inside: R) -> Rgb<R> {
+        let inverse = R::Primal::one() / (self.eta * self.eta);
+        let entering = cos_i * t_i * t_o * Const(inverse) * R::c(FRAC_1_PI);
+        self.diffuse_reflectance.map(|albedo| {
+            let again = if self.nonlinear {
+                albedo * inside
+            } else {
+                inside
+            };
+            albedo * entering / (R::one() - again)
+        })
+    }
+
+    /// Probability of sampling the coat where it reflects the fraction `f`. Never quite 0 or 1: a
+    /// black base still has a derivative with respect to its colour.
+    #[inline]
+    pub(super) fn choose_coat(&self, f: R::Primal) -> R::Primal {
+        let (one, floor) = (R::Primal::one(), R::Primal::of(0.05));
+        let coat = f * self.specular_reflectance.primal().mean();
+        let base = (one - f) * self.diffuse_reflectance.primal().mean();
+        let sum = coat + base;
+        if sum > R::Primal::zero() {
+            floor + coat / sum * (one - floor - floor)
+        } else {
+            R::Primal::of(0.5)
+        }
+    }
+}
+
+/// A diffuse surface under a smooth coat.
+#[derive(Clone, Debug)]
+pub struct Plastic {
+    /// Colours and index.
+    pub coated: Coated,
+    /// Reflectance of the coat for diffuse light from below.
+    inside: f64,
+}
+
+/// Mirror reflection by the coat, and what comes back from below it: the model of Mitsuba's
+/// `plastic`.
+#[derive(Clone, Copy, Debug)]
+pub struct PlasticLobe<R: Real> {
+    /// Colours and index.
+    pub coated: CoatedLobe<R>,
+    /// Reflectance of the coat for diffuse light from below.
+    pub inside: R::Primal,
+}
+
+impl Plastic {
+    /// From its colours and index.
+    pub fn new(coated: Coated) -> Self {
+        let inside = fresnel::dielectric_diffuse(1.0 / coated.eta);
+        Self { coated, inside }
+    }
+}
+
+impl Leaf for Plastic {
+    type Lobe<R: Real> = PlasticLobe<R>;
+
+    #[inline]
+    fn lobe<R: Real>(&self, read: &mut impl Reader<R>) -> PlasticLobe<R> {
+        PlasticLobe {
+            coated: CoatedLobe::read(&self.coated, read),
+            inside: R::Primal::of(self.inside),
+        }
+    }
+}
+
+impl<R: Real> PlasticLobe<R> {
+    #[inline]
+    fn coat(&self, w: Vec3<R>) -> fresnel::Dielectric<R> {
+        fresnel::dielectric(w.z, R::lift(self.coated.eta))
+    }
+
+    #[inline]
+    fn choose_coat(&self, wo: Vec3<R>) -> R::Primal {
+        self.coated.choose_coat(self.coat(wo).reflect.primal())
+    }
+}
+
+#[inline]
+fn above<R: Real>(w: Vec3<R>) -> bool {
+    w.z.primal() > R::Primal::zero()
+}
+
+impl<R: Real> Lobe<R> for PlasticLobe<R> {
+    #[inline]
+    fn eval(&self, wo: Vec3<R>, wi: Vec3<R>, _mode: TransportMode) -> Rgb<R> {
+        if !(above(wo) && above(wi)) {
+            return Rgb::black();
+        }
+        let (t_i, t_o) = (self.coat(wi).transmit, self.coat(wo).transmit);
+        self.coated.diffuse(wi.z, t_i, t_o, R::lift(self.inside))
+    }
+
+    #[inline]
+    fn pdf(&self, wo: Vec3<R>, wi: Vec3<R>, _mode: TransportMode) -> R {
+        if !above(wo) {
+            return R::zero();
+        }
+        let base = R::Primal::one() - self.choose_coat(wo);
+        warp::cosine_hemisphere_pdf(wi.z) * Const(base)
+    }
+
+    /// Chooses coat or base by the (primal) light they send on.
+    #[inline]
+    fn sample(&self, wo: Vec3<R>, u: [R::Primal; 3], mode: TransportMode) -> Option<BsdfSample<R>> {
+        if !above(wo) {
+            return None;
+        }
+        let coat = self.choose_coat(wo);
+        if u[0] < coat {
+            return Some(BsdfSample {
+                wi: Vec3::new(-wo.x, -wo.y, wo.z),
+                pdf: R::lift(coat),
+                component: Component::Delta {
+                    kind: DeltaKind::Reflection,
+                    route: 0,
+                },
+                eta: R::Primal::one(),
+            });
+        }
+        let wi = Vec3::lift(warp::square_to_cosine_hemisphere([u[1], u[2]]));
+        let pdf = self.pdf(wo, wi, mode);
+        (pdf.primal() > R::Primal::zero()).then_some(BsdfSample {
+            wi,
+            pdf,
+            component: Component::Continuous,
+            eta: R::Primal::one(),
+        })
+    }
+
+    #[inline]
+    fn eval_delta(&self, wo: Vec3<R>, kind: DeltaKind, _mode: TransportMode) -> Rgb<R> {
+        if kind == DeltaKind::Reflection && above(wo) {
+            self.coated.specular_reflectance * self.coat(wo).reflect
+        } else {
+            Rgb::black()
+        }
+    }
+}
+
+impl FromNode for Plastic {
+    const PLUGINS: &'static [&'static str] = &["plastic"];
+
+    /// As [`Coated::from_node`].
+    fn from_node(node: &Node, build: &mut Builder) -> Result<Self, SceneError> {
+        Coated::from_node(node, build).map(Self::new)
+    }
+}

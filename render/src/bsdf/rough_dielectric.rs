@@ -1,0 +1,249 @@
+//! Rough dielectrics: a microfacet distribution of glass facets.
+
+use ad_core::{Const, Real, Vec3};
+
+use super::dielectric::{eta_across, relative_index};
+use super::fresnel;
+use super::microfacet::Microfacet;
+use super::rough_conductor::{Roughness, reflect, reflection};
+use super::{BsdfSample, Component, FromNode, Leaf, Lobe, Reader, TransportMode};
+use crate::error::SceneError;
+use crate::math::Rgb;
+use crate::params::Differentiability;
+use crate::scene::{Builder, Node};
+use crate::texture::{RgbTexture, ScalarTexture};
+
+/// A rough interface between two dielectrics.
+#[derive(Clone, Debug)]
+pub struct RoughDielectric {
+    /// Its microsurface.
+    pub roughness: Roughness,
+    /// Index of refraction below the surface over that above. Its valid range ends before 1, where
+    /// refraction degenerates to a Dirac delta.
+    pub eta: ScalarTexture,
+    /// Factor on the reflectance, in [0, 1]; 1 is physical.
+    pub specular_reflectance: RgbTexture,
+    /// Factor on the transmittance, in [0, 1]; 1 is physical.
+    pub specular_transmittance: RgbTexture,
+}
+
+/// Reflection [Zeltner 2021, Eq. 2.36] and refraction [Eq. 2.37, corrected: errata Z-2.38, Z-2.42],
+/// with separable masking.
+///
+/// # Derivatives
+/// Seen from the denser side, the reflectance of facets has an infinite slope at the critical angle.
+/// It is integrable, but attached sampling, which moves facets through that angle, has infinite
+/// variance there; detached sampling has not, unless the index itself moves.
+#[derive(Clone, Copy, Debug)]
+pub struct RoughDielectricLobe<R> {
+    /// Distribution of facets.
+    pub microfacet: Microfacet<R>,
+    /// Index below over index above.
+    pub eta: R,
+    /// Factor on the reflectance.
+    pub specular_reflectance: Rgb<R>,
+    /// Factor on the transmittance.
+    pub specular_transmittance: Rgb<R>,
+}
+
+/// The facet that connects two directions.
+struct Facet<R> {
+    /// Its normal, in the upper hemisphere.
+    m: Vec3<R>,
+    /// Cosine between facet and `wo`, positive.
+    cos_o: R,
+    /// Cosine between facet and `wi`, positive.
+    cos_i: R,
+    /// Index on the far side over that on the side of `wo`.
+    eta: R,
+    /// Whether it reflects; else it refracts.
+    reflects: bool,
+    /// What it does with the light.
+    fresnel: fresnel::Dielectric<R>,
+}
+
+impl<R: Real> Facet<R> {
+    /// `None` if no facet does, or if it would be seen from its back.
+    #[inline]
+    fn between(wo: Vec3<R>, wi: Vec3<R>, eta: R) -> Option<Self> {
+        let zero = R::Primal::zero();
+        let positive = |x: R| x.primal() > zero;
+        if wo.z.primal() == zero || wi.z.primal() == zero {
+            return None;
+        }
+        let eta = eta_across(eta, wo);
+        let reflects = positive(wo.z) == positive(wi.z);
+        let sum = if reflects { wo + wi } else { wo + wi * eta };
+        let m = sum.normalize();
+        // Refraction into the denser medium makes it point down.
+        let m = if positive(m.z) { m } else { -m };
+        let (cos_o, cos_i) = (wo.dot(m), wi.dot(m));
+        let faces = |cos: R, z: R| cos.primal() != zero && positive(cos) == positive(z);
+        (faces(cos_o, wo.z) && faces(cos_i, wi.z)).then(|| Self {
+            m,
+            cos_o: cos_o.abs(),
+            cos_i: cos_i.abs(),
+            eta,
+            reflects,
+            fresnel: fresnel::dielectric(cos_o.abs(), eta),
+        })
+    }
+
+    /// `(wo.m + eta wi.m)^2`, for refraction: `eta^2 cos_i` over this is the Jacobian of normals with
+    /// respect to `wi`.
+    #[inline]
+    fn stretch(&self) -> R {
+        (self.eta * self.cos_i - self.cos_o).square()
+    }
+}
+
+impl Leaf for RoughDielectric {
+    type Lobe<R: Real> = RoughDielectricLobe<R>;
+
+    #[inline]
+    fn lobe<R: Real>(&self, read: &mut impl Reader<R>) -> RoughDielectricLobe<R> {
+        RoughDielectricLobe {
+            microfacet: self.roughness.read(read),
+            eta: read.scalar(&self.eta),
+            specular_reflectance: read.rgb(&self.specular_reflectance),
+            specular_transmittance: read.rgb(&self.specular_transmittance),
+        }
+    }
+}
+
+/// Refracts `w` about the normal `m` on its side, given both cosines and the index on the far side
+/// over that on the near side [Zeltner 2021, Eq. 2.23].
+#[inline]
+fn refract<R: Real>(w: Vec3<R>, m: Vec3<R>, cos_i: R, cos_t: R, eta: R) -> Vec3<R> {
+    let inverse = eta.recip();
+    m * (cos_i * inverse - cos_t) - w * inverse
+}
+
+impl<R: Real> Lobe<R> for RoughDielectricLobe<R> {
+    #[inline]
+    fn eval(&self, wo: Vec3<R>, wi: Vec3<R>, mode: TransportMode) -> Rgb<R> {
+        let Some(f) = Facet::between(wo, wi, self.eta) else {
+            return Rgb::black();
+        };
+        if f.reflects {
+            let value = reflection(&self.microfacet, wo, wi, f.m);
+            return self.specular_reflectance * (f.fresnel.reflect * value);
+        }
+        let stretch = f.stretch();
+        if stretch.primal() <= R::Primal::zero() {
+            return Rgb::black();
+        }
+        let sigmas = self.microfacet.sigma(wo) * self.microfacet.sigma(wi);
+        let value = f.fresnel.transmit
+            * self.microfacet.d(f.m)
+            * (wi.z.abs() / sigmas)
+            * (f.cos_o * f.cos_i / stretch);
+        self.specular_transmittance
+            * match mode {
+                TransportMode::Radiance => value,
+                TransportMode::Importance => value * f.eta.square(),
+            }
+    }
+
+    #[inline]
+    fn pdf(&self, wo: Vec3<R>, wi: Vec3<R>, _mode: TransportMode) -> R {
+        let Some(f) = Facet::between(wo, wi, self.eta) else {
+            return R::zero();
+        };
+        let up = upwards(wo);
+        if f.reflects {
+            let chosen = Const(f.fresnel.reflect.primal());
+            return self.microfacet.pdf_reflected(up, f.m) * chosen;
+        }
+        let stretch = f.stretch();
+        if stretch.primal() <= R::Primal::zero() {
+            return R::zero();
+        }
+        let chosen = Const(f.fresnel.transmit.primal());
+        self.microfacet.pdf(up, f.m) * (f.eta.square() * f.cos_i / stretch) * chosen
+    }
+
+    /// Samples a facet, then chooses by its (primal) reflectance.
+    #[inline]
+    fn sample(&self, wo: Vec3<R>, u: [R::Primal; 3], mode: TransportMode) -> Option<BsdfSample<R>> {
+        let zero = R::Primal::zero();
+        if wo.z.primal() == zero {
+            return None;
+        }
+        let up = upwards(wo);
+        let m = self.microfacet.sample(up, [u[1], u[2]]);
+        let cos = up.dot(m);
+        if cos.primal() <= zero {
+            return None;
+        }
+        // The normal on the side of wo.
+        let m = if wo.z.primal() > zero { m } else { -m };
+        let across = eta_across(self.eta, wo);
+        let f = fresnel::dielectric(cos, across);
+        let reflects = u[0] < f.reflect.primal();
+        let (wi, eta) = if reflects {
+            (reflect(wo, m), R::Primal::one())
+        } else {
+            (refract(wo, m, cos, f.cos_t, across), across.primal())
+        };
+        // Reflected below the horizon, or refracted above it: another kind of facet would connect
+        // these directions.
+        if (wi.z.primal() > zero) != ((wo.z.primal() > zero) == reflects) {
+            return None;
+        }
+        let pdf = self.pdf(wo, wi, mode);
+        (pdf.primal() > zero).then_some(BsdfSample {
+            wi,
+            pdf,
+            component: Component::Continuous,
+            eta,
+        })
+    }
+}
+
+/// `w` or its opposite, whichever is in the upper hemisphere: microsurfaces look the same from
+/// below.
+#[inline]
+fn upwards<R: Real>(w: Vec3<R>) -> Vec3<R> {
+    if w.z.primal() > R::Primal::zero() {
+        w
+    } else {
+        -w
+    }
+}
+
+impl FromNode for RoughDielectric {
+    const PLUGINS: &'static [&'static str] = &["roughdielectric"];
+
+    /// As [`Roughness::from_node`]; `int_ior` (`bk7`) and `ext_ior` (`air`), different numbers or
+    /// names; `specular_reflectance` (1) and `specular_transmittance` (1).
+    fn from_node(node: &Node, build: &mut Builder) -> Result<Self, SceneError> {
+        let eta = relative_index(node, "bk7")?;
+        let valid = if eta > 1.0 { DENSER } else { THINNER };
+        if !(valid.0..=valid.1).contains(&eta) {
+            return Err(node.invalid("int_ior", "an index at least 0.1 % from that outside"));
+        }
+        let name = format!("{}.eta.value", build.prefix());
+        Ok(Self {
+            roughness: Roughness::from_node(node, build)?,
+            eta: build.constant(&name, &[eta], valid, Differentiability::Smooth)?,
+            specular_reflectance: build.rgb_texture(
+                node,
+                "specular_reflectance",
+                [1.0; 3],
+                (0.0, 1.0),
+            )?,
+            specular_transmittance: build.rgb_texture(
+                node,
+                "specular_transmittance",
+                [1.0; 3],
+                (0.0, 1.0),
+            )?,
+        })
+    }
+}
+
+/// Valid relative indices of a denser inside.
+const DENSER: (f64, f64) = (1.001, 10.0);
+/// Valid relative indices of a thinner inside.
+const THINNER: (f64, f64) = (0.1, 0.999);
