@@ -118,7 +118,8 @@ impl Tree {
         Some(tree)
     }
 
-    #[inline]
+    // Out of line, so that small scenes do not pay for this frame.
+    #[inline(never)]
     pub(super) fn intersect(&self, ray: &Ray, best: &mut Best) {
         if self.depth <= USUAL_DEPTH {
             self.intersect_within::<USUAL_DEPTH>(ray, best);
@@ -127,7 +128,7 @@ impl Tree {
         }
     }
 
-    #[inline]
+    #[inline(never)]
     pub(super) fn occluded(&self, ray: &Ray, t_max: f32) -> bool {
         if self.depth <= USUAL_DEPTH {
             self.occluded_within::<USUAL_DEPTH>(ray, t_max)
