@@ -253,7 +253,15 @@ impl LineChart {
                 Style::Points => {}
             }
             if matches!(s.style, Style::Points | Style::LineAndPoints) {
-                let dots = points().map(|p| Circle::new(p, 4, colour.filled()));
+                // The drawing library moves what is outside to the edge.
+                let inside = |p: &(f64, f64)| {
+                    let within =
+                        |v: f64, r: Option<(f64, f64)>| r.is_none_or(|(l, h)| v >= l && v <= h);
+                    within(p.0, self.x_range) && within(p.1, self.y_range)
+                };
+                let dots = points()
+                    .filter(inside)
+                    .map(|p| Circle::new(p, 4, colour.filled()));
                 handle = Some(chart.draw_series(dots)?);
             }
             if let (Some(handle), false) = (handle, s.label.is_empty()) {
@@ -441,6 +449,11 @@ pub fn grid(columns: usize, panels: &[Panel]) -> Result<Vec<u8>> {
     }
     for (i, p) in panels.iter().enumerate() {
         let (x, y) = corner(i);
+        // A frame one pixel wide, for pictures that are white.
+        for row in 0..p.height + 2 {
+            let at = ((y + LABEL + row - 1) * width + x - 1) * 3;
+            pixels[at..at + (p.width + 2) * 3].fill(190);
+        }
         for (row, line) in p.rgb.chunks_exact((p.width * 3).max(1)).enumerate() {
             let at = ((y + LABEL + row) * width + x) * 3;
             pixels[at..at + line.len()].copy_from_slice(line);
