@@ -63,7 +63,7 @@ pub struct Args {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1 << 24))]
     pub iterations: Option<u32>,
     /// Learning rate at the beginning; it falls along a cosine [default: 0.03 for adam, 1 for sgd]
-    #[arg(long, value_name = "RATE")]
+    #[arg(long, value_name = "RATE", allow_negative_numbers = true)]
     pub lr: Option<f64>,
     /// Samples per pixel of each of the two renders of an iteration [default: 12]
     #[arg(long, value_name = "N", value_parser = sample_count())]

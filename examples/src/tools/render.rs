@@ -244,3 +244,52 @@ pub fn in_passes(
     }
     sum
 }
+
+#[cfg(test)]
+mod tests {
+    use std::sync::atomic::{AtomicU64, Ordering};
+
+    use super::*;
+    use crate::scenes;
+
+    /// Stops after a number of pixels.
+    struct StopAfter(u64, AtomicU64);
+
+    impl Progress for StopAfter {
+        fn advance(&self, n: u64) {
+            self.1.fetch_add(n, Ordering::Relaxed);
+        }
+        fn cancelled(&self) -> bool {
+            self.1.load(Ordering::Relaxed) >= self.0
+        }
+    }
+
+    #[test]
+    fn an_interrupted_image_holds_the_complete_passes() {
+        let scene = scenes::cornell(256, 256).unwrap();
+        let mut settings = scene.settings;
+        settings.spp = 40;
+        settings.max_depth = 2;
+        let pixels = scene.film.pixels() as u64;
+        let length = pass_length(&scene);
+        assert_eq!((length, passes(&scene, &settings)), (16, 3));
+        let render = |settings: &Settings, limit| {
+            let progress = StopAfter(limit, AtomicU64::new(0));
+            in_passes(&scene, Technique::MisPower, settings, 0, &progress)
+        };
+        assert!(render(&settings, pixels / 2).is_none());
+        let part = render(&settings, pixels + pixels / 2).unwrap();
+        assert_eq!((part.samples, part.cancelled), (16, false));
+        settings.spp = 16;
+        let whole = render(&settings, u64::MAX).unwrap();
+        assert_eq!(part.sums, whole.sums);
+    }
+
+    #[test]
+    fn arguments_are_consistent() {
+        use clap::CommandFactory;
+        Args::command().debug_assert();
+        crate::tools::gradient::Args::command().debug_assert();
+        crate::tools::recover::Args::command().debug_assert();
+    }
+}

@@ -1,0 +1,475 @@
+//! The command-line tools, run as a user runs them.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use examples::output::{read_exr, write_exr};
+use render::Image;
+use serde_json::Value;
+
+/// A lamp over a wall. At most four edges: below the depth of roulette, so that image and gradient see
+/// the same paths.
+const SCENE: &str = r#"<scene version="3.0.0">
+  <default name="red" value="0.7"/>
+  <integrator type="path"><integer name="max_depth" value="4"/></integrator>
+  <sensor type="perspective">
+    <float name="fov" value="60"/>
+    <transform name="to_world"><lookat origin="0,0,4" target="0,0,0" up="0,1,0"/></transform>
+    <film type="hdrfilm">
+      <integer name="width" value="36"/><integer name="height" value="24"/>
+      <rfilter type="box"/>
+    </film>
+    <sampler type="independent"><integer name="sample_count" value="8"/></sampler>
+  </sensor>
+  <bsdf type="diffuse" id="wall"><rgb name="reflectance" value="$red,0.4,0.2"/></bsdf>
+  <shape type="rectangle"><ref id="wall"/></shape>
+  <shape type="rectangle">
+    <transform name="to_world"><rotate y="1" angle="90"/><translate x="-1" z="1"/></transform>
+    <ref id="wall"/>
+  </shape>
+  <shape type="rectangle" id="lamp">
+    <transform name="to_world">
+      <scale value="0.3"/><rotate x="1" angle="180"/><translate x="0.5" z="1.5"/>
+    </transform>
+    <emitter type="area"><rgb name="radiance" value="10,8,6"/></emitter>
+  </shape>
+</scene>"#;
+const WALL: &str = "wall.reflectance.value";
+const LAMP: &str = "lamp.emitter.radiance.value";
+
+/// An empty folder with a scene in it.
+struct Folder(tempfile::TempDir);
+
+impl Folder {
+    fn new() -> Self {
+        let dir = Self(tempfile::tempdir().unwrap());
+        std::fs::write(dir.path("scene.xml"), SCENE).unwrap();
+        dir
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.0.path().join(name)
+    }
+
+    /// Runs a tool in the folder; the arguments are separated by spaces.
+    fn run(&self, tool: &str, args: &str) -> Output {
+        let program = match tool {
+            "render" => env!("CARGO_BIN_EXE_render"),
+            "gradient" => env!("CARGO_BIN_EXE_gradient"),
+            _ => env!("CARGO_BIN_EXE_recover"),
+        };
+        let mut command = Command::new(program);
+        command.args(args.split_whitespace()).current_dir(&self.0);
+        command.output().unwrap()
+    }
+
+    /// [`Folder::run`] that must succeed.
+    fn ok(&self, tool: &str, args: &str) {
+        let out = self.run(tool, args);
+        let stderr = String::from_utf8_lossy(&out.stderr);
+        assert!(out.status.success(), "{tool} {args}: {stderr}");
+        assert!(!stderr.contains("not finite"), "{stderr}");
+    }
+
+    fn names(&self) -> Vec<String> {
+        let mut names: Vec<String> = std::fs::read_dir(&self.0)
+            .unwrap()
+            .map(|e| e.unwrap().file_name().into_string().unwrap())
+            .collect();
+        names.sort();
+        names
+    }
+
+    fn json(&self, name: &str) -> Value {
+        serde_json::from_str(&std::fs::read_to_string(self.path(name)).unwrap()).unwrap()
+    }
+}
+
+fn keys(value: &Value) -> Vec<&str> {
+    value
+        .as_object()
+        .unwrap()
+        .keys()
+        .map(String::as_str)
+        .collect()
+}
+
+fn numbers(value: &Value) -> Vec<f64> {
+    let numbers = value.as_array().unwrap().iter();
+    numbers.map(|x| x.as_f64().unwrap()).collect()
+}
+
+fn bytes(path: impl AsRef<Path>) -> Vec<u8> {
+    std::fs::read(path).unwrap()
+}
+
+#[test]
+fn mistakes_end_with_a_message_and_without_a_file() {
+    let dir = Folder::new();
+    write_exr(&dir.path("small.exr"), &Image::new(3, 2)).unwrap();
+    let mut infinite = Image::new(36, 24);
+    infinite.data[3 * (36 + 5)] = f32::INFINITY;
+    write_exr(&dir.path("infinite.exr"), &infinite).unwrap();
+    std::fs::write(dir.path("text.exr"), "no image").unwrap();
+    std::fs::write(dir.path("broken.xml"), SCENE.replace("diffuse", "difuse")).unwrap();
+    std::fs::create_dir(dir.path("damaged")).unwrap();
+    std::fs::write(dir.path("damaged/checkpoint.json"), "{}").unwrap();
+    let before = dir.names();
+
+    let wall = format!("scene.xml --param {WALL}");
+    let cases = [
+        ("render", "nowhere.xml".into(), 1, "nowhere.xml"),
+        ("render", "broken.xml".into(), 1, "difuse"),
+        ("render", ".".into(), 1, "."),
+        ("render", String::new(), 2, "<SCENE>"),
+        ("render", "scene.xml -o image.tif".into(), 1, "image.tif"),
+        (
+            "render",
+            "scene.xml -o scene.xml/a.exr".into(),
+            1,
+            "scene.xml",
+        ),
+        ("render", "scene.xml --spp 0".into(), 2, "--spp"),
+        ("render", "scene.xml --spp many".into(), 2, "--spp"),
+        ("render", "scene.xml --threads 0".into(), 2, "--threads"),
+        (
+            "render",
+            "scene.xml --max-depth -2".into(),
+            2,
+            "--max-depth",
+        ),
+        ("render", "scene.xml --seed 1.5".into(), 2, "--seed"),
+        ("render", "scene.xml -D red".into(), 2, "NAME=VALUE"),
+        ("render", "scene.xml -D green=1".into(), 1, "green"),
+        ("render", "scene.xml -D red=2".into(), 1, "reflectance"),
+        ("render", "scene.xml --strategy luck".into(), 2, "luck"),
+        ("gradient", "scene.xml".into(), 2, "--param"),
+        (
+            "gradient",
+            "scene.xml --param wall.alpha.value --json a.json".into(),
+            1,
+            "wall.alpha",
+        ),
+        ("gradient", format!("{wall} --estimator luck"), 2, "luck"),
+        ("gradient", format!("{wall} --repeats 0"), 2, "--repeats"),
+        (
+            "gradient",
+            format!("{wall} --loss l3 --target small.exr"),
+            2,
+            "l3",
+        ),
+        ("gradient", format!("{wall} --loss l2"), 2, "--target"),
+        (
+            "gradient",
+            format!("{wall} --loss l2 --target small.exr --json a.json"),
+            1,
+            "small.exr",
+        ),
+        (
+            "gradient",
+            format!("{wall} --loss l2 --target text.exr --json a.json"),
+            1,
+            "text.exr",
+        ),
+        (
+            "gradient",
+            format!("{wall} --adjoint infinite.exr --json a.json"),
+            1,
+            "(5, 1)",
+        ),
+        (
+            "gradient",
+            format!("{wall} --adjoint nowhere.exr --images d"),
+            1,
+            "nowhere.exr",
+        ),
+        ("recover", format!("{wall} --out d"), 1, "--target"),
+        (
+            "recover",
+            "scene.xml --target small.exr --out d".into(),
+            1,
+            "--param",
+        ),
+        (
+            "recover",
+            format!("{wall} --target small.exr --out d"),
+            1,
+            "small.exr",
+        ),
+        ("recover", "--param nothing --out d".into(), 1, "nothing"),
+        ("recover", "--out d --lr -1 --size 8".into(), 1, "rate"),
+        ("recover", "--out d --lr nan --size 8".into(), 1, "rate"),
+        (
+            "recover",
+            "--out d --iterations 0".into(),
+            2,
+            "--iterations",
+        ),
+        ("recover", "--out d --resume".into(), 1, "checkpoint.json"),
+        (
+            "recover",
+            "--out damaged --resume".into(),
+            1,
+            "checkpoint.json",
+        ),
+    ];
+    for (tool, args, code, named) in cases {
+        let out = dir.run(tool, &args);
+        let stderr = String::from_utf8_lossy(&out.stderr);
+        assert_eq!(out.status.code(), Some(code), "{tool} {args}: {stderr}");
+        assert!(stderr.contains(named), "{tool} {args}: {stderr}");
+        assert!(!stderr.contains("panicked"), "{tool} {args}: {stderr}");
+        assert_eq!(dir.names(), before, "{tool} {args} left files");
+    }
+}
+
+#[test]
+fn render_writes_image_picture_and_report() {
+    let dir = Folder::new();
+    dir.ok("render", "scene.xml --json new/report.json");
+    assert_eq!(dir.names(), ["new", "scene.exr", "scene.png", "scene.xml"]);
+    let report = dir.json("new/report.json");
+    assert_eq!(
+        keys(&report),
+        [
+            "height",
+            "scene",
+            "seconds_load",
+            "seconds_render",
+            "spp",
+            "threads",
+            "width"
+        ]
+    );
+    assert_eq!(report["scene"], "scene.xml");
+    assert_eq!((&report["width"], &report["spp"]), (&36.into(), &8.into()));
+    let image = read_exr(&dir.path("scene.exr")).unwrap();
+    assert_eq!((image.width, image.height), (36, 24));
+    assert!(bytes(dir.path("scene.png")).starts_with(b"\x89PNG"));
+    // Options arrive.
+    let mean = |args: &str| {
+        dir.ok("render", &format!("scene.xml -o other.exr {args}"));
+        read_exr(&dir.path("other.exr")).unwrap().mean()
+    };
+    assert_eq!(mean(""), image.mean());
+    assert_ne!(mean("--seed 1"), image.mean());
+    assert!(mean("-D red=0.1")[0] < image.mean()[0]);
+    assert!(mean("--max-depth 1")[1] < mean("--max-depth 2")[1]);
+    assert!(mean("--max-depth 2")[1] < mean("--max-depth -1")[1]);
+}
+
+#[test]
+fn strategies_agree_on_the_mean() {
+    let dir = Folder::new();
+    let mean = |args: &str| {
+        dir.ok("render", &format!("scene.xml -o a.exr --spp 256 {args}"));
+        read_exr(&dir.path("a.exr")).unwrap().mean()[1]
+    };
+    let expected = mean("");
+    for args in [
+        "--heuristic balance",
+        "--strategy emitter",
+        "--strategy bsdf",
+    ] {
+        let relative = mean(args) / expected - 1.0;
+        // 0 is far from all: BSDF sampling, the worst, has a standard error of 0.2 %.
+        assert!(
+            relative.abs() < 0.01 && relative != 0.0,
+            "{args}: {relative}"
+        );
+    }
+}
+
+#[test]
+fn the_number_of_threads_changes_no_bit() {
+    let dir = Folder::new();
+    for threads in [1, 2, 7] {
+        let args = format!("scene.xml --threads {threads}");
+        dir.ok("render", &format!("{args} -o {threads}.exr"));
+        let args = format!("{args} --param {WALL} --param {LAMP}");
+        dir.ok(
+            "gradient",
+            &format!("{args} --json {threads}.json --images {threads}"),
+        );
+        let files = ["exr", "png"].map(|e| bytes(dir.path(&format!("{threads}.{e}"))));
+        assert_eq!(files, ["1.exr", "1.png"].map(|f| bytes(dir.path(f))));
+        let report = dir.json(&format!("{threads}.json"));
+        assert_eq!(report["threads"], threads);
+        assert_eq!(report["params"], dir.json("1.json")["params"]);
+        let image = format!("{WALL}.exr");
+        let (a, b) = (
+            dir.path("1").join(&image),
+            dir.path(&threads.to_string()).join(image),
+        );
+        assert_eq!(bytes(a), bytes(b));
+    }
+}
+
+#[test]
+fn gradient_of_the_mean_is_right_and_reported() {
+    let dir = Folder::new();
+    dir.ok("render", "scene.xml -o a.exr --seed 3");
+    let args = format!("scene.xml --param {WALL} --param {LAMP} --seed 3");
+    dir.ok("gradient", &format!("{args} --json a.json --images d"));
+    let report = dir.json("a.json");
+    assert_eq!(
+        keys(&report),
+        [
+            "estimator",
+            "params",
+            "repeats",
+            "scene",
+            "seconds_gradient",
+            "seconds_primal",
+            "spp",
+            "threads"
+        ]
+    );
+    assert_eq!(report["estimator"], "detached");
+    let lamp = &report["params"][LAMP];
+    assert_eq!(keys(lamp), ["gradient", "std_error", "value"]);
+    assert_eq!(numbers(&lamp["value"]), [10.0, 8.0, 6.0]);
+    assert!(lamp["std_error"].is_null());
+    // The image is linear in the light: with the same samples L dJ/dL is the mean / 3.
+    let mean = read_exr(&dir.path("a.exr")).unwrap().mean();
+    for (c, d) in numbers(&lamp["gradient"]).iter().enumerate() {
+        let value = lamp["value"][c].as_f64().unwrap();
+        assert!(
+            (3.0 * value * d / mean[c] - 1.0).abs() < 1e-5,
+            "channel {c}"
+        );
+    }
+    // Forward mode: the mean of the derivative image.
+    for key in [WALL, LAMP] {
+        let mean = read_exr(&dir.path("d").join(format!("{key}.exr")))
+            .unwrap()
+            .mean();
+        let gradient = numbers(&report["params"][key]["gradient"]);
+        for c in 0..3 {
+            assert!(
+                (3.0 * gradient[c] / mean[c] - 1.0).abs() < 1e-5,
+                "{key}[{c}]"
+            );
+        }
+        assert!(dir.path("d").join(format!("{key}.png")).is_file());
+    }
+    // The default objective, as an explicit adjoint.
+    let mut adjoint = Image::new(36, 24);
+    adjoint.data.fill(1.0 / (36.0 * 24.0 * 3.0));
+    write_exr(&dir.path("adjoint.exr"), &adjoint).unwrap();
+    dir.ok(
+        "gradient",
+        &format!("{args} --adjoint adjoint.exr --json b.json"),
+    );
+    assert_eq!(dir.json("b.json")["params"], report["params"]);
+}
+
+/// At its optimum the gradient of a loss is zero in the mean only if image and gradient have
+/// different random numbers (errata Z-4.4): with common ones it is off by 38 standard errors here.
+/// Three channels, significance 1e-3 in all.
+#[test]
+fn gradient_of_a_loss_is_unbiased() {
+    let dir = Folder::new();
+    dir.ok("render", "scene.xml -o target.exr --spp 4096 --seed 77");
+    let loss = "--loss l2 --target target.exr --spp 2 --repeats 64";
+    dir.ok(
+        "gradient",
+        &format!("scene.xml --param {WALL} {loss} --json a.json"),
+    );
+    let report = dir.json("a.json");
+    assert!(report["loss"].as_f64().unwrap() > 0.0);
+    let wall = &report["params"][WALL];
+    let (gradient, error) = (numbers(&wall["gradient"]), numbers(&wall["std_error"]));
+    for c in 0..3 {
+        let z = gradient[c] / error[c];
+        // The t distribution with 63 degrees of freedom.
+        assert!(z.abs() < 3.8, "channel {c}: {z} standard errors from zero");
+    }
+}
+
+#[test]
+fn parameters_are_listed() {
+    let dir = Folder::new();
+    let out = dir.run("gradient", "scene.xml --list");
+    let text = String::from_utf8(out.stdout).unwrap();
+    assert!(out.status.success());
+    for needed in [WALL, LAMP, "rgb", "[0.7, 0.4, 0.2]", "[0, 1]"] {
+        assert!(text.contains(needed), "{needed} not in:\n{text}");
+    }
+    assert_eq!(dir.names(), ["scene.xml"]);
+}
+
+#[test]
+fn a_resumed_recovery_equals_an_uninterrupted_one_bit_for_bit() {
+    let dir = Folder::new();
+    let job = "--size 20 --spp 2 --iterations 10 --seed 5";
+    dir.ok("recover", &format!("{job} --out whole --threads 2"));
+    let stopped = dir.run(
+        "recover",
+        &format!("{job} --out parts --stop-after 5 --threads 1"),
+    );
+    assert_eq!(stopped.status.code(), Some(130));
+    let half = dir.json("parts/result.json");
+    assert_eq!(half["iterations"], 5);
+    assert_ne!(half["params"], dir.json("whole/result.json")["params"]);
+    // Another job does not continue this one.
+    let other = dir.run("recover", "--out parts --resume --spp 3");
+    assert_eq!(other.status.code(), Some(1));
+    assert!(String::from_utf8_lossy(&other.stderr).contains("--spp"));
+    assert_eq!(dir.json("parts/result.json"), half);
+
+    dir.ok("recover", "--out parts --resume --threads 7");
+    let files = [
+        "checkpoint.json",
+        "result.json",
+        "iterations.csv",
+        "before.exr",
+        "after.exr",
+        "target.exr",
+        "before-after-target.png",
+        "convergence.svg",
+        "convergence.png",
+    ];
+    for file in files {
+        let [whole, parts] = ["whole", "parts"].map(|d| bytes(dir.path(d).join(file)));
+        assert!(!whole.is_empty() && whole == parts, "{file} differs");
+    }
+    // Nothing else: no leftovers of atomic writes.
+    assert_eq!(
+        std::fs::read_dir(dir.path("parts")).unwrap().count(),
+        files.len()
+    );
+    // Complete: resuming changes nothing.
+    dir.ok("recover", "--out parts --resume");
+    let [whole, parts] = ["whole", "parts"].map(|d| bytes(dir.path(d).join("checkpoint.json")));
+    assert!(whole == parts);
+}
+
+#[test]
+fn a_colour_is_recovered_from_a_picture() {
+    let dir = Folder::new();
+    dir.ok(
+        "render",
+        "scene.xml -o photo.exr --spp 512 --seed 9 -D red=0.3",
+    );
+    let unknown = format!("scene.xml --param {WALL} --target photo.exr");
+    let steps = "--iterations 150 --spp 4 --out found";
+    for optimizer in ["--optimizer adam", "--optimizer sgd --lr 2"] {
+        dir.ok(
+            "recover",
+            &format!("{unknown} {steps} {optimizer} -D red=0.6"),
+        );
+        let report = dir.json("found/result.json");
+        for (c, truth) in [0.3, 0.4, 0.2].into_iter().enumerate() {
+            let found = report["params"][format!("{WALL}[{c}]")]["value"]
+                .as_f64()
+                .unwrap();
+            assert!(
+                (found / truth - 1.0).abs() < 0.02,
+                "{optimizer} {c}: {found}"
+            );
+        }
+        assert_eq!(report["scene"], "scene.xml");
+        assert!(dir.path("found/values.svg").is_file());
+    }
+}
