@@ -3,8 +3,8 @@
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-use examples::output::{read_exr, write_exr};
 use render::Image;
+use render::image_io::{read_rgb as read_exr, write_exr};
 use serde_json::Value;
 
 /// A lamp over a wall. At most four edges: below the depth of roulette, so that image and gradient see
@@ -175,7 +175,7 @@ fn mistakes_end_with_a_message_and_without_a_file() {
             "gradient",
             format!("{wall} --adjoint infinite.exr --json a.json"),
             1,
-            "(5, 1)",
+            "column 5, row 1",
         ),
         (
             "gradient",

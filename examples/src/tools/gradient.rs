@@ -10,7 +10,7 @@ use render::instances::{Direction, Technique, backward_f32, forward_f32, render_
 use render::integrator::gradient::Active;
 use render::integrator::render::{NonFinite, Progress};
 use render::params::{Differentiability, ParamInfo, ParamShape, Theta};
-use render::{Image, Scene, Settings};
+use render::{Image, Scene, Settings, image_io};
 use serde::Serialize;
 
 use crate::cli::{
@@ -167,7 +167,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
         output::create_dir(dir)?;
         for (info, image) in active.ranges().iter().zip(&images) {
             let name = output::file_name(&info.name);
-            output::write_exr(&dir.join(format!("{name}.exr")), image)?;
+            image_io::write_exr(&dir.join(format!("{name}.exr")), image)?;
             let panel = output::signed_panel(&format!("d image / d {}", info.name), image);
             output::write_panels(&dir.join(format!("{name}.png")), &[panel])?;
         }
@@ -235,7 +235,7 @@ fn listing(scene: &Scene) -> String {
 
 fn objective(args: &Args, scene: &Scene) -> Result<Objective, ToolError> {
     let size = scene.film.crop_size.map(|n| n as usize);
-    let read = |path: &Path| Ok::<_, ToolError>(output::read_exr_of_size(path, size)?.data);
+    let read = |path: &Path| Ok::<_, ToolError>(output::read_image(path, size)?.data);
     match (&args.adjoint, &args.loss, &args.target) {
         (Some(path), _, _) => Ok(Objective::Linear(read(path)?)),
         (_, Some(loss), Some(path)) => Ok(Objective::Loss(*loss, read(path)?)),

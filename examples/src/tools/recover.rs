@@ -19,7 +19,7 @@ use render::integrator::gradient::Active;
 use render::integrator::render::NonFinite;
 use render::params::{ParamInfo, Theta};
 use render::sampler::mix64;
-use render::{Image, Scene, Settings};
+use render::{Image, Scene, Settings, image_io};
 use serde::{Deserialize, Serialize};
 
 use super::render::{in_passes, passes};
@@ -375,9 +375,9 @@ fn recover(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     let before_file = args.out.join("before.exr");
     if !args.resume {
         output::create_dir(&args.out)?;
-        output::write_exr(&target_file, &problem.target)?;
+        image_io::write_exr(&target_file, &problem.target)?;
         problem.set(&state.values)?;
-        output::write_exr(&before_file, &problem.picture(job.seed))?;
+        image_io::write_exr(&before_file, &problem.picture(job.seed))?;
         output::write_json(&saved, &state)?;
     }
     let before = read_size(&before_file, &problem.scene)?;
@@ -482,7 +482,7 @@ fn target(
 }
 
 fn read_size(path: &Path, scene: &Scene) -> Result<Image, ToolError> {
-    output::read_exr_of_size(path, scene.film.crop_size.map(|n| n as usize))
+    output::read_image(path, scene.film.crop_size.map(|n| n as usize))
 }
 
 fn read_checkpoint(path: &Path) -> Result<Checkpoint, ToolError> {
@@ -654,14 +654,14 @@ impl Problem {
         let estimate = state.estimate();
         self.set(&estimate)?;
         let after = self.picture(state.job.seed);
-        output::write_exr(&out.join("after.exr"), &after)?;
+        image_io::write_exr(&out.join("after.exr"), &after)?;
         let panels = [
             output::panel("before", before),
             output::panel("after", &after),
             output::panel("target", &self.target),
         ];
         output::write_panels(&out.join("before-after-target.png"), &panels)?;
-        output::write(&out.join("iterations.csv"), self.csv(state).as_bytes())?;
+        image_io::write_atomically(&out.join("iterations.csv"), self.csv(state).as_bytes())?;
         for (name, chart) in self.charts(state) {
             output::write_chart(&out.join(name), &chart)?;
         }

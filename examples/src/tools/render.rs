@@ -7,7 +7,7 @@ use clap::{Parser, ValueEnum};
 use render::instances::{Technique, render_f32};
 use render::integrator::render::{Progress, Rendering};
 use render::params::Theta;
-use render::{Scene, Settings};
+use render::{Scene, Settings, image_io};
 use serde::Serialize;
 
 use crate::cli::{
@@ -137,7 +137,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
 
     report_non_finite(&rendering.non_finite, rendering.width, args.seed);
     let image = rendering.image(0);
-    output::write_exr(&exr, &image)?;
+    image_io::write_exr(&exr, &image)?;
     output::write_png(&exr.with_extension("png"), &image)?;
     if let Some(path) = &args.json {
         output::create_parent(path)?;
