@@ -277,7 +277,7 @@ const CHECKPOINT_EVERY: Duration = Duration::from_secs(5);
 /// Samples per pixel of the built-in target.
 const TARGET_SPP: u32 = 2048;
 /// Samples per pixel of the pictures before and after.
-const PICTURE_SPP: u32 = 256;
+const PICTURE_SPP: u32 = 512;
 
 /// A seed of its own for every purpose.
 fn stream(seed: u64, n: u64) -> u64 {
