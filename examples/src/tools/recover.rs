@@ -420,8 +420,10 @@ fn recover(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     Ok(Outcome::Done)
 }
 
-/// Scene, start values of the unknowns and, if known, the truth.
-fn load(job: &Job) -> Result<(Scene, Vec<f32>, Option<Vec<f32>>), ToolError> {
+/// A scene, start values of its unknowns and, if known, the truth.
+type Loaded = (Scene, Vec<f32>, Option<Vec<f32>>);
+
+fn load(job: &Job) -> Result<Loaded, ToolError> {
     let Some(path) = &job.scene else {
         let scene = scenes::cornell(job.size, job.size)?;
         let unknowns = scenes::cornell_unknowns();
