@@ -184,8 +184,8 @@ struct Setup {
 
 fn setup(fig: &mut Figure) -> Setup {
     let s = Setup {
-        size: fig.pick(40, 160),
-        spp: fig.pick(64, 256),
+        size: fig.pick(40, 128),
+        spp: fig.pick(64, 128),
         depth: 5,
         seed: 7,
         factor: fig.pick(6, 2),

@@ -119,7 +119,7 @@ impl<'a, P: Float> Case<'a, P> {
         let at = |sign: f64| -> Result<P> {
             let mut values = self.values.clone();
             for i in self.range(control)? {
-                values[i] = values[i] + P::of(sign * step);
+                values[i] += P::of(sign * step);
             }
             Ok(self.cost(&values) / j0)
         };

@@ -110,7 +110,7 @@ fn wireframe(view: &View, panel: &mut Panel) {
 pub fn figure(fig: &mut Figure) -> Result {
     let size = fig.pick(96, 256);
     let enlarge = 512 / size as usize;
-    let (spp, seed, shown) = (fig.pick(32, 512), 5, 40);
+    let (spp, seed, shown) = (fig.pick(32, 256), 5, 40);
     fig.note("size", size);
     fig.note("spp", spp);
     fig.note("seed", seed);
@@ -199,7 +199,7 @@ pub fn figure(fig: &mut Figure) -> Result {
     let view = View::new(
         Vec3::new(2.2, 1.5, 4.2),
         Vec3::new(0.0, -0.05, 0.0),
-        34.0,
+        41.0,
         512.0,
     );
     let blank = render::Image {
