@@ -107,6 +107,7 @@ fn integrator(node: &Node, settings: &mut Settings) -> Result<(), SceneError> {
         "block_size",
         "bounces",
         "hide_emitters",
+        "disable_reflected_emitters",
     ]);
     node.finish()
 }
