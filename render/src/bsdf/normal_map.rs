@@ -93,7 +93,7 @@ impl NormalMap {
         let mut sum = Vec3::zero();
         for k in 0..4 {
             let texel = at.theta.texel(f.param, f.texel[k] as usize);
-            sum = sum + self.interpolation.decode(texel) * f.weight[k];
+            sum += self.interpolation.decode(texel) * f.weight[k];
         }
         sum
     }
