@@ -30,8 +30,11 @@ fn message(result: Result<Pixels, SceneError>) -> String {
     result.unwrap_err().to_string()
 }
 
-/// An EXR file with these layers: size, channel names and samples.
-fn exr_file(path: &Path, layers: Vec<(usize, usize, Vec<(&str, ex::FlatSamples)>)>) {
+/// Size, channel names and samples.
+type Layer<'a> = (usize, usize, Vec<(&'a str, ex::FlatSamples)>);
+
+/// An EXR file with these layers.
+fn exr_file(path: &Path, layers: Vec<Layer>) {
     let layers = layers.into_iter().enumerate().map(|(i, (w, h, channels))| {
         let list = channels
             .into_iter()
