@@ -602,6 +602,24 @@ fn normals_over_deltas_are_marked() {
         info.differentiability
     };
     assert_eq!(of(&scene), Differentiability::Smooth);
+    let mirror = r#"<bsdf type="conductor"/>"#;
+    let partly = blend(0.5, &format!("{}{mirror}", diffuse(0.5, 0.5, 0.5)));
+    for nested in [mirror.to_owned(), two_sided(mirror), partly] {
+        let scene = load(&normal_map(&nested, "")).unwrap();
+        assert_eq!(of(&scene), Differentiability::Delta, "{nested}");
+    }
+}
+
+#[test]
+fn sideways_normals_still_have_a_slope() {
+    // x = 0.005, z = 0: a slope of 0.005 over the least z.
+    let scene = with_normals(&[[0.5025, 0.5, 0.5]], "");
+    let theta = values(&scene);
+    let at = shading(Theta::constant(&theta), UV[0]);
+    let up = Vec3::new(0.0, 0.0, 1.0);
+    let f = scene.materials()[0].eval(&at, up, up, MODE).r;
+    let cos = 1.0 / f64::hypot(1.0, 0.5);
+    assert!((f - 0.5 * std::f64::consts::FRAC_1_PI * cos).abs() < 1e-4);
 }
 
 proptest! {
