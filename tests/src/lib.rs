@@ -1,1 +1,142 @@
-//! tests
+//! What the cross-crate tests share: small scenes, statistics, common gradients and differences.
+
+pub mod cases;
+pub mod stats;
+
+use std::path::{Path, PathBuf};
+
+use ad_core::{Dual, Float};
+use render::estimator::DetachedMis;
+use render::integrator::gradient::{Active, backward};
+use render::integrator::render::{Rendering, render};
+use render::params::{Differentiability, ParamInfo, Tangent, Theta};
+use render::sampler::Independent;
+use render::scene::LoadOptions;
+use render::{Scene, Settings};
+
+/// The shared scenes and references that are not part of the repository: `$RENDER_SHARED`, or
+/// `shared` beside the workspace; `None` with a message if absent.
+pub fn shared_dir() -> Option<PathBuf> {
+    let default = concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared");
+    let dir = std::env::var_os("RENDER_SHARED").map_or_else(|| default.into(), PathBuf::from);
+    if dir.is_dir() {
+        return Some(dir);
+    }
+    println!(
+        "skipped: no shared scenes at {}; set RENDER_SHARED",
+        dir.display()
+    );
+    None
+}
+
+/// A scene from the elements inside `<scene>`.
+///
+/// # Panics
+/// If the text is not a valid scene: test data is written by hand.
+pub fn scene(body: &str) -> Scene {
+    let text = format!("<scene version=\"3.0.0\">{body}</scene>");
+    match Scene::from_xml(&text, Path::new("."), &LoadOptions::default()) {
+        Ok((scene, _)) => scene,
+        Err(e) => panic!("{e}\n{text}"),
+    }
+}
+
+/// All parameters of a scene that detached sampling can differentiate.
+pub fn smooth_params(scene: &Scene) -> Vec<ParamInfo> {
+    let smooth = |i: &&ParamInfo| i.differentiability == Differentiability::Smooth;
+    scene
+        .params()
+        .infos()
+        .iter()
+        .filter(smooth)
+        .cloned()
+        .collect()
+}
+
+/// The parameter values in the scalar of a test.
+pub fn values<P: Float>(scene: &Scene) -> Vec<P> {
+    scene
+        .params()
+        .values()
+        .iter()
+        .map(|&v| P::from_f32(v))
+        .collect()
+}
+
+/// The image over `P`.
+pub fn image<P>(scene: &Scene, values: &[P], settings: &Settings, seed: u64, spp: u64) -> Rendering
+where
+    P: Float + render::integrator::render::Components,
+{
+    let theta = Theta::constant(values);
+    render::<P, DetachedMis, Independent>(scene, &theta, settings, seed, 0..spp, &())
+}
+
+/// `sum(adjoint x image)`.
+pub fn dot(adjoint: &[f32], r: &Rendering, component: usize) -> f64 {
+    let n = r.samples as f64;
+    adjoint
+        .iter()
+        .zip(&r.sums[component])
+        .map(|(a, s)| f64::from(*a) * s / n)
+        .sum()
+}
+
+/// Derivative of `<adjoint, image>` along `direction` (one number per parameter), forward mode in f64.
+pub fn forward(
+    scene: &Scene,
+    direction: &[f64],
+    adjoint: &[f32],
+    settings: &Settings,
+    seed: u64,
+    spp: u64,
+) -> f64 {
+    let values = values::<f64>(scene);
+    let dual = |d: &f64| Dual::<f64, 1>::new(0.0, [*d]);
+    let tangents: Vec<_> = scene
+        .params()
+        .infos()
+        .iter()
+        .map(|i| Tangent::Dense(direction[i.range()].iter().map(dual).collect()))
+        .collect();
+    let theta = Theta::with_tangents(&values, &tangents);
+    let r = render::<Dual<f64, 1>, DetachedMis, Independent>(
+        scene,
+        &theta,
+        settings,
+        seed,
+        0..spp,
+        &(),
+    );
+    assert_eq!(r.non_finite.count, 0);
+    dot(adjoint, &r, 1)
+}
+
+/// Gradient of `<adjoint, image>` with respect to `params`, reverse mode over `P`.
+///
+/// # Panics
+/// On non-finite samples and unknown names.
+pub fn reverse<P: Float>(
+    scene: &Scene,
+    params: &[ParamInfo],
+    adjoint: &[f32],
+    settings: &Settings,
+    seed: u64,
+    spp: u64,
+) -> Vec<Vec<f64>> {
+    let values = values::<P>(scene);
+    let theta = Theta::constant(&values);
+    let names: Vec<&str> = params.iter().map(|i| i.name.as_str()).collect();
+    let active = Active::new(scene, &names).expect("known names");
+    let g =
+        backward::<P, Independent>(scene, &theta, &active, adjoint, settings, seed, 0..spp, &())
+            .expect("an adjoint of the right size");
+    assert_eq!(g.non_finite.count, 0);
+    g.values
+}
+
+/// The adjoint of the mean over pixels and channels.
+pub fn mean_adjoint(scene: &Scene) -> Vec<f32> {
+    let n = scene.film.pixels() * 3;
+    vec![1.0 / n as f32; n]
+}

@@ -47,7 +47,25 @@ impl Scene {
     /// # Errors
     /// Anything wrong with the file or the files it names, with its place.
     pub fn load(path: &Path, options: &LoadOptions) -> Result<(Self, Vec<String>), SceneError> {
-        let document = Document::load(path, &options.defines)?;
+        Self::from_document(&Document::load(path, &options.defines)?, options)
+    }
+
+    /// [`Scene::load`] from the text of a scene file; file names in it are relative to `base`.
+    ///
+    /// # Errors
+    /// As [`Scene::load`].
+    pub fn from_xml(
+        text: &str,
+        base: &Path,
+        options: &LoadOptions,
+    ) -> Result<(Self, Vec<String>), SceneError> {
+        Self::from_document(&Document::from_str(text, base, &options.defines)?, options)
+    }
+
+    fn from_document(
+        document: &Document,
+        options: &LoadOptions,
+    ) -> Result<(Self, Vec<String>), SceneError> {
         let root = document.root();
         let mut build = Builder::new();
         build.allow_missing = options.allow_missing;

@@ -1,0 +1,108 @@
+//! One small scene per material and emitter: every parameter of it is tested.
+
+/// A named scene body for [`crate::scene`].
+#[derive(Clone, Debug)]
+pub struct Case {
+    /// What is tested.
+    pub name: &'static str,
+    /// Elements inside `<scene>`.
+    pub body: String,
+}
+
+const CAMERA: &str = r#"
+    <sensor type="perspective">
+        <float name="fov" value="40"/>
+        <transform name="to_world"><lookat origin="0, 1.2, 4" target="0, 0.3, 0" up="0, 1, 0"/></transform>
+        <film type="hdrfilm">
+            <integer name="width" value="8"/><integer name="height" value="8"/>
+            <rfilter type="box"/>
+        </film>
+    </sensor>
+    <integrator type="path"><integer name="max_depth" value="4"/><integer name="rr_depth" value="3"/></integrator>"#;
+
+const FLOOR: &str = r#"
+    <shape type="rectangle" id="floor">
+        <transform name="to_world"><scale value="3"/><rotate x="1" angle="-90"/></transform>
+        <bsdf type="diffuse" id="floor_bsdf"><rgb name="reflectance" value="0.6, 0.5, 0.4"/></bsdf>
+    </shape>"#;
+
+const AREA: &str = r#"
+    <shape type="rectangle" id="light">
+        <transform name="to_world"><scale value="0.8"/><rotate x="1" angle="90"/><translate x="0.5" y="3" z="1"/></transform>
+        <bsdf type="diffuse" id="black"><rgb name="reflectance" value="0.1"/></bsdf>
+        <emitter type="area"><rgb name="radiance" value="5, 4, 3"/></emitter>
+    </shape>"#;
+
+const SKY: &str =
+    r#"<emitter type="constant" id="sky"><rgb name="radiance" value="0.4, 0.5, 0.6"/></emitter>"#;
+
+fn ball(bsdf: &str) -> String {
+    format!(
+        r#"<shape type="sphere" id="ball"><point name="center" value="0, 0.6, 0"/><float name="radius" value="0.6"/>{bsdf}</shape>"#
+    )
+}
+
+/// A ball of the material on a diffuse floor, under an area light and a constant sky.
+fn material(name: &'static str, bsdf: &str) -> Case {
+    Case {
+        name,
+        body: format!("{CAMERA}{FLOOR}{AREA}{SKY}{}", ball(bsdf)),
+    }
+}
+
+/// A diffuse ball on a diffuse floor under the emitter.
+fn emitter(name: &'static str, emitter: &str) -> Case {
+    let ball =
+        ball(r#"<bsdf type="diffuse"><rgb name="reflectance" value="0.7, 0.3, 0.2"/></bsdf>"#);
+    Case {
+        name,
+        body: format!("{CAMERA}{FLOOR}{ball}{emitter}"),
+    }
+}
+
+/// Every material and every emitter.
+pub fn all() -> Vec<Case> {
+    vec![
+        material(
+            "diffuse",
+            r#"<bsdf type="diffuse"><rgb name="reflectance" value="0.7, 0.3, 0.2"/></bsdf>"#,
+        ),
+        material(
+            "conductor",
+            r#"<bsdf type="conductor"><rgb name="specular_reflectance" value="0.8, 0.7, 0.6"/><string name="material" value="Au"/></bsdf>"#,
+        ),
+        material(
+            "dielectric",
+            r#"<bsdf type="dielectric"><float name="int_ior" value="1.5"/></bsdf>"#,
+        ),
+        material(
+            "ggx",
+            r#"<bsdf type="roughconductor"><string name="distribution" value="ggx"/><float name="alpha" value="0.25"/><string name="material" value="Cu"/></bsdf>"#,
+        ),
+        material(
+            "beckmann",
+            r#"<bsdf type="roughconductor"><string name="distribution" value="beckmann"/><float name="alpha" value="0.3"/><rgb name="specular_reflectance" value="0.8, 0.7, 0.6"/></bsdf>"#,
+        ),
+        material(
+            "ggx, all normals",
+            r#"<bsdf type="roughconductor"><string name="distribution" value="ggx"/><float name="alpha" value="0.3"/><boolean name="sample_visible" value="false"/></bsdf>"#,
+        ),
+        emitter("area", AREA),
+        emitter(
+            "directional lobe",
+            &AREA.replace(
+                "<emitter type=\"area\">",
+                "<emitter type=\"area\"><float name=\"exponent\" value=\"4\"/>",
+            ),
+        ),
+        emitter("constant", SKY),
+        emitter(
+            "point",
+            r#"<emitter type="point" id="lamp"><point name="position" value="1, 2.5, 1"/><rgb name="intensity" value="9, 8, 7"/></emitter>"#,
+        ),
+        emitter(
+            "spot",
+            r#"<emitter type="spot" id="lamp"><transform name="to_world"><lookat origin="1, 2.5, 1" target="0, 0, 0" up="0, 0, 1"/></transform><float name="cutoff_angle" value="35"/><rgb name="intensity" value="9, 8, 7"/></emitter>"#,
+        ),
+    ]
+}

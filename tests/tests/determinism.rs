@@ -1,0 +1,46 @@
+//! Results are a function of the seed alone: bit-identical for any number of threads.
+
+use rayon::ThreadPoolBuilder;
+use tests::{cases, image, mean_adjoint, reverse, scene, smooth_params, values};
+
+#[test]
+fn images_and_gradients_do_not_depend_on_threads() {
+    for case in cases::all() {
+        // Several tiles, the last ones incomplete.
+        let body = case.body.replace("value=\"8\"", "value=\"40\"");
+        let s = scene(&body);
+        assert_eq!(s.film.crop_size, [40, 40], "{}", case.name);
+        let v = values::<f32>(&s);
+        let params = smooth_params(&s);
+        let adjoint = mean_adjoint(&s);
+        let run = |threads: usize| {
+            let pool = ThreadPoolBuilder::new()
+                .num_threads(threads)
+                .build()
+                .expect("a pool");
+            pool.install(|| {
+                let i = image::<f32>(&s, &v, &s.settings, 5, 4);
+                let g = reverse::<f32>(&s, &params, &adjoint, &s.settings, 6, 4);
+                (i.sums, g)
+            })
+        };
+        let one = run(1);
+        assert!(one.0[0].iter().any(|&x| x > 0.0));
+        for threads in [2, 7] {
+            assert!(
+                run(threads) == one,
+                "{}: {threads} threads differ",
+                case.name
+            );
+        }
+    }
+}
+
+#[test]
+fn another_seed_is_another_image() {
+    let s = scene(&cases::all()[0].body);
+    let v = values::<f32>(&s);
+    let run = |seed| image::<f32>(&s, &v, &s.settings, seed, 4).sums;
+    assert!(run(1) != run(2));
+    assert!(run(1) == run(1));
+}
