@@ -96,7 +96,10 @@ pub fn all() -> Vec<Case> {
             ),
         ),
         emitter("constant", SKY),
-        emitter("sphere light", r#"<shape type="sphere" id="bulb"><point name="center" value="0.5, 2, 0.5"/><float name="radius" value="0.4"/><bsdf type="diffuse"><rgb name="reflectance" value="0"/></bsdf><emitter type="area"><rgb name="radiance" value="9, 8, 7"/></emitter></shape>"#),
+        emitter(
+            "sphere light",
+            r#"<shape type="sphere" id="bulb"><point name="center" value="0.5, 2, 0.5"/><float name="radius" value="0.4"/><bsdf type="diffuse"><rgb name="reflectance" value="0"/></bsdf><emitter type="area"><rgb name="radiance" value="9, 8, 7"/></emitter></shape>"#,
+        ),
         emitter(
             "point",
             r#"<emitter type="point" id="lamp"><point name="position" value="1, 2.5, 1"/><rgb name="intensity" value="9, 8, 7"/></emitter>"#,

@@ -202,8 +202,10 @@ pub fn trace<R: Real, S: Strategy, X: Sampler, O: Observer<R>>(
                     || (O::ENABLED && pdf.primal() > R::Primal::zero())
                     || has_tangent(f);
                 if matters {
-                    let shadow = si.primal().spawn_ray(sample.d, info.offset);
-                    if !scene.occluded(&shadow, sample.distance * R::Primal::of(1.0 - 1e-4)) {
+                    let shadow = si
+                        .primal()
+                        .shadow_ray(sample.d, sample.distance, info.offset);
+                    if !scene.occluded(&shadow.0, shadow.1) {
                         let e = &scene.emitters()[light.emitter as usize];
                         let emission = Emission {
                             uv: Vec2::lift(sample.emission.uv),

@@ -28,6 +28,9 @@ use crate::error::SceneError;
 use crate::math::{Frame, Ray};
 use crate::scene::{Builder, Node};
 
+/// Part of the distance to a light that is not tested for occluders: the light's own surface.
+const SHADOW_EPSILON: f64 = 1e-3;
+
 /// A point on a surface, seen along a ray.
 #[derive(Clone, Copy, Debug)]
 pub struct SurfaceInteraction<R> {
@@ -53,6 +56,23 @@ impl<R: Real> SurfaceInteraction<R> {
             1.0
         };
         Ray::new(self.p + self.n_geo * R::c(side * f64::from(offset)), d)
+    }
+
+    /// The ray that tests whether the point at `distance` in the unit direction `d` is visible, and the
+    /// length to test. The ray leaves off the surface by `offset` and is aimed anew at that point:
+    /// kept parallel, it would meet a ball light too early near its outline, and lose per cents of it.
+    /// The direction is not unit for finite distances.
+    #[inline]
+    pub fn shadow_ray(&self, d: Vec3<R>, distance: R, offset: f32) -> (Ray<R>, R) {
+        let ray = self.spawn_ray(d, offset);
+        if distance.primal() <= R::Primal::MAX {
+            (
+                Ray::new(ray.o, self.p + d * distance - ray.o),
+                R::of(1.0 - SHADOW_EPSILON),
+            )
+        } else {
+            (ray, distance)
+        }
     }
 
     /// The same point without tangents.

@@ -97,7 +97,8 @@ impl Sphere {
     }
 
     /// `1 - cos` of half the angle that the sphere subtends at `from`, and the unit direction to its
-    /// centre. `None` inside and on the sphere.
+    /// centre. `None` inside and on the sphere, also where only rounding puts the point outside: a
+    /// point on the surface sees all of the inside, not the tangent cone.
     #[inline]
     fn cone<P: Float>(&self, from: Vec3<P>) -> Option<(P, Vec3<P>)> {
         let to = lift3::<P>(self.center) - from;
@@ -105,7 +106,7 @@ impl Sphere {
         let d = to.length();
         let sine = r / d;
         // The last condition keeps the density finite.
-        if d > r && sine * sine > P::MIN_POSITIVE {
+        if d > r * P::of(1.0 + ON_SURFACE) && sine * sine > P::MIN_POSITIVE {
             let cosine = (((d - r) / d) * ((d + r) / d)).sqrt();
             Some((sine * sine / (P::one() + cosine), to * d.recip()))
         } else {
@@ -116,9 +117,13 @@ impl Sphere {
     /// Whether `from` lies inside or on the sphere.
     #[inline]
     fn contains<P: Float>(&self, from: Vec3<P>) -> bool {
-        (lift3::<P>(self.center) - from).length() <= P::from_f32(self.radius)
+        (lift3::<P>(self.center) - from).length()
+            <= P::from_f32(self.radius) * P::of(1.0 + ON_SURFACE)
     }
 }
+
+/// Relative distance from the surface up to which a point counts as on it.
+const ON_SURFACE: f64 = 1e-4;
 
 /// The angle of (x, y) in turns, in [0, 1].
 #[inline]
