@@ -179,13 +179,8 @@ fn derivatives() {
         (value(e + h, 0.0) - value(e - h, 0.0)) / (2.0 * h),
         (value(e, h) - value(e, -h)) / (2.0 * h),
     ];
-    for k in 0..2 {
-        assert!(
-            (d.eps[k] / fd[k] - 1.0).abs() < 1e-7,
-            "{k}: {} {}",
-            d.eps[k],
-            fd[k]
-        );
+    for (ad, fd) in d.eps.iter().zip(fd) {
+        assert!((ad / fd - 1.0).abs() < 1e-7, "{ad} {fd}");
     }
     let cos = (wo + wi).normalize().z;
     let specular = 0.6 * lobe(0.2, 0.6, e).microfacet_pdf(wo, wi);

@@ -248,7 +248,7 @@ pub fn trace<R: Real, S: Strategy, X: Sampler, O: Observer<R>>(
         let mut weight = pdf.recip();
 
         // ---- Update ----
-        eta = eta * sample.eta;
+        eta *= sample.eta;
         let mut next_beta = beta * f * weight;
 
         // ---- Roulette ----
@@ -265,7 +265,7 @@ pub fn trace<R: Real, S: Strategy, X: Sampler, O: Observer<R>>(
                 break;
             }
             let inv_q = q.recip();
-            survival = survival * inv_q;
+            survival *= inv_q;
             weight = weight * Const(inv_q);
             next_beta = next_beta.scale(inv_q);
         }
@@ -315,7 +315,7 @@ fn sample_light<P: Float, X: Sampler>(
     let emitter = ((choice * n as f64) as usize).min(n - 1);
     let mut sample =
         scene.emitters()[emitter].sample(scene.lights(), from, sampler.next_2d::<P>())?;
-    sample.pdf = sample.pdf * scene.emitter_probability::<P>();
+    sample.pdf *= scene.emitter_probability::<P>();
     (sample.pdf > P::zero()).then_some(LightSample {
         emitter: emitter as u32,
         sample,

@@ -23,7 +23,7 @@ const FACES: [[[f64; 3]; 3]; 6] = [
 /// normal, outward unless flipped.
 #[derive(Clone, Debug)]
 pub struct Cube {
-    faces: [Patch; 6],
+    faces: Box<[Patch; 6]>,
     area: f64,
 }
 
@@ -38,7 +38,7 @@ impl Cube {
             Patch::new(to_world.point(corner), edge(along_u), edge(along_v), flip)
         };
         let [a, b, c, d, e, f] = FACES.map(face);
-        let faces = [a?, b?, c?, d?, e?, f?];
+        let faces = Box::new([a?, b?, c?, d?, e?, f?]);
         let area: f64 = faces.iter().map(Patch::area).sum();
         area.is_finite().then_some(Self { faces, area })
     }

@@ -68,7 +68,7 @@ impl Mesh {
                 ));
             }
         }
-        let bad = |x: &f32| !(x.abs() <= MAX_COORDINATE);
+        let bad = |x: &f32| x.is_nan() || x.abs() > MAX_COORDINATE;
         if let Some(i) = mesh.positions.iter().position(|p| p.iter().any(bad)) {
             return Err(error(
                 &format!("finite vertices of magnitude at most {MAX_COORDINATE:e}"),
@@ -104,7 +104,7 @@ impl Mesh {
         data.area = (0..data.mesh.triangles.len())
             .map(|i| data.double_area(i) * 0.5)
             .sum();
-        if !(data.area > 0.0) {
+        if data.area.is_nan() || data.area <= 0.0 {
             return Err(error(
                 "at least one triangle with an area",
                 "only degenerate ones".into(),

@@ -48,7 +48,8 @@ impl Sphere {
                 let expected = if i == j { 1.0 } else { 0.0 };
                 let cosine = (*a * radius.recip()).dot(*b * radius.recip());
                 // Written so that NaN fails.
-                if !((cosine - expected).abs() <= SIMILARITY_TOLERANCE) {
+                let error = (cosine - expected).abs();
+                if error.is_nan() || error > SIMILARITY_TOLERANCE {
                     return None;
                 }
             }
