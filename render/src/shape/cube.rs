@@ -61,7 +61,7 @@ impl Shape for Cube {
     fn sample_area<P: Float>(&self, u: [P; 2]) -> ShapeSample<P> {
         let mut rest = u[0].to_f64() * self.area;
         let mut face = &self.faces[0];
-        for f in &self.faces {
+        for f in self.faces.iter() {
             face = f;
             if rest < f.area() {
                 break;
