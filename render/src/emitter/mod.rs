@@ -7,12 +7,14 @@
 
 mod area;
 mod constant;
+mod envmap;
 mod point;
 mod spot;
 mod vmf;
 
 pub use area::Area;
 pub use constant::Constant;
+pub use envmap::Envmap;
 pub use point::Point;
 pub use spot::Spot;
 pub use vmf::Vmf;
@@ -184,5 +186,6 @@ emitters! {
     Point,
     Spot,
     Constant,
+    Envmap,
     Vmf,
 }

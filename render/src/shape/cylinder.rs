@@ -4,8 +4,8 @@ use std::f64::consts::PI;
 
 use ad_core::{Const, Float, Real, Vec2, Vec3};
 
-use super::sphere::{SIMILARITY_TOLERANCE, root_near, turn};
-use super::{Shape, ShapeSample, SurfaceInteraction, hit_is_exact, lift3};
+use super::sphere::{SIMILARITY_TOLERANCE, root_near};
+use super::{Shape, ShapeSample, SurfaceInteraction, hit_is_exact, lift3, turn};
 use crate::accel::{Hit, MAX_COORDINATE, MIN_THICKNESS, Primitive};
 use crate::bsdf::FromNode;
 use crate::error::SceneError;

@@ -5,9 +5,9 @@ use std::f64::consts::PI;
 use ad_core::{Float, Real, Vec2, Vec3};
 
 use super::patch::intersect_plane;
-use super::sphere::turn;
-use super::{Shape, ShapeSample, SurfaceInteraction, hit_is_exact, lift3};
-use crate::accel::{Hit, MAX_COORDINATE, Primitive};
+
+use super::{Shape, ShapeSample, SurfaceInteraction, hit_is_exact, lift3, turn};
+use crate::accel::{Hit, MAX_COORDINATE, MIN_THICKNESS, Primitive};
 use crate::bsdf::FromNode;
 use crate::error::SceneError;
 use crate::math::{Frame, Ray, Transform, warp};
@@ -37,7 +37,10 @@ impl Disk {
             .iter()
             .flatten()
             .all(|x| x.abs() <= MAX_COORDINATE);
-        if !(reachable && area > 0.0 && area.is_finite()) {
+        let (a, b) = (lift3::<f64>(e1).length(), lift3::<f64>(e2).length());
+        // What `accel` would never hit.
+        let thin = n.length() < f64::from(MIN_THICKNESS) * a.max(b) || n.length() < 1e-6 * a * b;
+        if !reachable || thin || area == 0.0 {
             return None;
         }
         let flip = flip_normals ^ (to_world.determinant() < 0.0);

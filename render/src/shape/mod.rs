@@ -19,6 +19,7 @@ pub use disk::Disk;
 pub use mesh::{Mesh, MeshData, ObjOptions, smooth_normals};
 pub use patch::{Patch, Rectangle};
 pub use sphere::Sphere;
+pub(crate) use sphere::turn;
 
 use ad_core::{Float, Real, Vec2, Vec3};
 

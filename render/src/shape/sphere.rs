@@ -128,7 +128,7 @@ const ON_SURFACE: f64 = 1e-4;
 
 /// The angle of (x, y) in turns, in [0, 1].
 #[inline]
-pub(super) fn turn<R: Real>(y: R, x: R) -> R {
+pub(crate) fn turn<R: Real>(y: R, x: R) -> R {
     let u = y.atan2(x) * R::c(0.5 * FRAC_1_PI);
     if u.primal() < R::Primal::zero() {
         u + R::c(1.0)
