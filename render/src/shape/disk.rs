@@ -5,7 +5,6 @@ use std::f64::consts::PI;
 use ad_core::{Float, Real, Vec2, Vec3};
 
 use super::patch::intersect_plane;
-
 use super::{Shape, ShapeSample, SurfaceInteraction, hit_is_exact, lift3, turn};
 use crate::accel::{Hit, MAX_COORDINATE, MIN_THICKNESS, Primitive};
 use crate::bsdf::FromNode;
