@@ -3,7 +3,7 @@
 use ad_core::{Float, Real, Vec2, Vec3};
 
 use super::{Shape, ShapeSample, SurfaceInteraction, hit_is_exact, lift3};
-use crate::accel::{Hit, Primitive};
+use crate::accel::{Hit, MIN_THICKNESS, Primitive};
 use crate::bsdf::FromNode;
 use crate::error::SceneError;
 use crate::math::{Frame, Ray};
@@ -31,7 +31,9 @@ impl Patch {
         let n = a.cross(b);
         let area = n.length();
         let finite = corner.iter().all(|x| x.is_finite()) && area.is_finite();
-        if !finite || area <= 0.0 {
+        // What `accel` would never hit.
+        let thin = f64::from(MIN_THICKNESS) * a.length().max(b.length());
+        if !finite || area <= thin {
             return None;
         }
         let n = n.normalize();
