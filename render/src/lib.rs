@@ -8,6 +8,7 @@
 pub mod accel;
 pub mod bsdf;
 pub mod camera;
+mod dispatch;
 pub mod emitter;
 pub mod error;
 pub mod estimator;

@@ -231,7 +231,7 @@ impl<'a, R: Real> Theta<'a, R> {
     }
 
     /// Element `i` of a range.
-    #[inline]
+    #[inline(always)]
     pub fn get(&self, p: ParamRef, i: usize) -> R {
         let value = R::lift(self.values[p.offset as usize + i]);
         if R::IS_PRIMAL {
@@ -245,7 +245,7 @@ impl<'a, R: Real> Theta<'a, R> {
     }
 
     /// Texel `i` of a range with `C` channels.
-    #[inline]
+    #[inline(always)]
     pub fn texel<const C: usize>(&self, p: ParamRef, i: usize) -> [R; C] {
         std::array::from_fn(|c| self.get(p, i * C + c))
     }

@@ -27,7 +27,7 @@ pub struct DiffuseLobe<R> {
 impl Leaf for Diffuse {
     type Lobe<R: Real> = DiffuseLobe<R>;
 
-    #[inline]
+    #[inline(always)]
     fn lobe<R: Real>(&self, read: &mut impl Reader<R>) -> DiffuseLobe<R> {
         DiffuseLobe {
             reflectance: read.rgb(&self.reflectance),
@@ -36,7 +36,7 @@ impl Leaf for Diffuse {
 }
 
 impl<R: Real> Lobe<R> for DiffuseLobe<R> {
-    #[inline]
+    #[inline(always)]
     fn eval(&self, wo: Vec3<R>, wi: Vec3<R>, _mode: TransportMode) -> Rgb<R> {
         let zero = R::Primal::zero();
         if wo.z.primal() <= zero || wi.z.primal() <= zero {
@@ -45,7 +45,7 @@ impl<R: Real> Lobe<R> for DiffuseLobe<R> {
         self.reflectance * (wi.z * R::c(FRAC_1_PI))
     }
 
-    #[inline]
+    #[inline(always)]
     fn pdf(&self, wo: Vec3<R>, wi: Vec3<R>, _mode: TransportMode) -> R {
         if wo.z.primal() <= R::Primal::zero() {
             return R::zero();
@@ -53,7 +53,7 @@ impl<R: Real> Lobe<R> for DiffuseLobe<R> {
         warp::cosine_hemisphere_pdf(wi.z)
     }
 
-    #[inline]
+    #[inline(always)]
     fn sample(&self, wo: Vec3<R>, u: [R::Primal; 3], mode: TransportMode) -> Option<BsdfSample<R>> {
         if wo.z.primal() <= R::Primal::zero() {
             return None;

@@ -168,11 +168,11 @@ impl<'a, P: Float> Shading<'a, P> {
 }
 
 impl<R: Real> Reader<R> for Shading<'_, R> {
-    #[inline]
+    #[inline(always)]
     fn rgb(&mut self, t: &RgbTexture) -> Rgb<R> {
         t.rgb(&self.theta, self.uv)
     }
-    #[inline]
+    #[inline(always)]
     fn scalar(&mut self, t: &ScalarTexture) -> R {
         t.scalar(&self.theta, self.uv)
     }
@@ -258,7 +258,7 @@ pub trait Bsdf: Send + Sync {
     fn is_delta(&self) -> bool;
 
     /// The value of a sampled direction, whatever it belongs to.
-    #[inline]
+    #[inline(always)]
     fn eval_component<R: Real>(
         &self,
         at: &Shading<R>,
@@ -275,7 +275,7 @@ pub trait Bsdf: Send + Sync {
 }
 
 impl<L: Leaf> Bsdf for L {
-    #[inline]
+    #[inline(always)]
     fn eval_pdf<R: Real>(
         &self,
         at: &Shading<R>,
@@ -286,7 +286,7 @@ impl<L: Leaf> Bsdf for L {
         self.lobe(&mut { *at }).eval_pdf(wo, wi, mode)
     }
 
-    #[inline]
+    #[inline(always)]
     fn eval<R: Real>(
         &self,
         at: &Shading<R>,
@@ -297,7 +297,7 @@ impl<L: Leaf> Bsdf for L {
         self.lobe(&mut { *at }).eval(wo, wi, mode)
     }
 
-    #[inline]
+    #[inline(always)]
     fn sample<R: Real>(
         &self,
         at: &Shading<R>,
@@ -308,7 +308,7 @@ impl<L: Leaf> Bsdf for L {
         self.lobe(&mut { *at }).sample(wo, u, mode)
     }
 
-    #[inline]
+    #[inline(always)]
     fn eval_delta<R: Real>(
         &self,
         at: &Shading<R>,
@@ -504,13 +504,19 @@ pub trait FromNode: Sized {
 }
 
 macro_rules! materials {
-    ($($name:ident),* $(,)?) => {
+    (inline { $($hot:ident),* $(,)? } $($name:ident),* $(,)?) => {
         /// Any material.
         #[derive(Clone, Debug)]
         pub enum Material {
+            $(#[doc = concat!("See [`", stringify!($hot), "`].")] $hot($hot),)*
             $(#[doc = concat!("See [`", stringify!($name), "`].")] $name($name),)*
         }
 
+        $(impl From<$hot> for Material {
+            fn from(m: $hot) -> Self {
+                Self::$hot(m)
+            }
+        })*
         $(impl From<$name> for Material {
             fn from(m: $name) -> Self {
                 Self::$name(m)
@@ -520,7 +526,7 @@ macro_rules! materials {
         impl Material {
             /// Plugin names of all materials.
             pub const PLUGINS: &'static [&'static [&'static str]] =
-                &[$(<$name as FromNode>::PLUGINS),*];
+                &[$(<$hot as FromNode>::PLUGINS,)* $(<$name as FromNode>::PLUGINS),*];
 
             /// Builds the material that the node's plugin names.
             ///
@@ -528,6 +534,9 @@ macro_rules! materials {
             /// Unknown plugin, or anything wrong with its description.
             pub fn from_node(node: &Node, build: &mut Builder) -> Result<Self, SceneError> {
                 let plugin = node.plugin.as_str();
+                $(if <$hot as FromNode>::PLUGINS.contains(&plugin) {
+                    return Ok(Self::$hot(<$hot as FromNode>::from_node(node, build)?));
+                })*
                 $(if <$name as FromNode>::PLUGINS.contains(&plugin) {
                     return Ok(Self::$name(<$name as FromNode>::from_node(node, build)?));
                 })*
@@ -536,50 +545,50 @@ macro_rules! materials {
         }
 
         impl Bsdf for Material {
-            #[inline]
+            #[inline(always)]
             fn eval_pdf<R: Real>(
                 &self, at: &Shading<R>, wo: Vec3<R>, wi: Vec3<R>, mode: TransportMode,
             ) -> (Rgb<R>, R) {
-                match self { $(Self::$name(m) => m.eval_pdf(at, wo, wi, mode),)* }
+                $crate::dispatch::dispatch!(self, [$($hot),*] [$($name),*], m => m.eval_pdf(at, wo, wi, mode))
             }
-            #[inline]
+            #[inline(always)]
             fn eval<R: Real>(
                 &self, at: &Shading<R>, wo: Vec3<R>, wi: Vec3<R>, mode: TransportMode,
             ) -> Rgb<R> {
-                match self { $(Self::$name(m) => m.eval(at, wo, wi, mode),)* }
+                $crate::dispatch::dispatch!(self, [$($hot),*] [$($name),*], m => m.eval(at, wo, wi, mode))
             }
-            #[inline]
+            #[inline(always)]
             fn sample<R: Real>(
                 &self, at: &Shading<R>, wo: Vec3<R>, u: [R::Primal; 3], mode: TransportMode,
             ) -> Option<BsdfSample<R>> {
-                match self { $(Self::$name(m) => m.sample(at, wo, u, mode),)* }
+                $crate::dispatch::dispatch!(self, [$($hot),*] [$($name),*], m => m.sample(at, wo, u, mode))
             }
-            #[inline]
+            #[inline(always)]
             fn eval_delta<R: Real>(
                 &self, at: &Shading<R>, wo: Vec3<R>, kind: DeltaKind, route: u8, mode: TransportMode,
             ) -> Rgb<R> {
-                match self { $(Self::$name(m) => m.eval_delta(at, wo, kind, route, mode),)* }
+                $crate::dispatch::dispatch!(self, [$($hot),*] [$($name),*], m => m.eval_delta(at, wo, kind, route, mode))
             }
             fn backward<P: Float>(
                 &self, at: &Shading<P>, wo: Vec3<P>, uses: &[Use<P>], mode: TransportMode,
                 grad: &mut impl GradSink<P>,
             ) {
-                match self { $(Self::$name(m) => m.backward(at, wo, uses, mode, grad),)* }
+                match self { $(Self::$hot(m) => m.backward(at, wo, uses, mode, grad),)* $(Self::$name(m) => m.backward(at, wo, uses, mode, grad),)* }
             }
             fn visit_params(&self, f: &mut dyn FnMut(ParamRef)) {
-                match self { $(Self::$name(m) => m.visit_params(f),)* }
+                match self { $(Self::$hot(m) => m.visit_params(f),)* $(Self::$name(m) => m.visit_params(f),)* }
             }
             #[inline]
             fn is_delta(&self) -> bool {
-                match self { $(Self::$name(m) => m.is_delta(),)* }
+                match self { $(Self::$hot(m) => m.is_delta(),)* $(Self::$name(m) => m.is_delta(),)* }
             }
         }
     };
 }
 
 materials! {
+    inline { Diffuse }
     BlinnPhong,
-    Diffuse,
     Conductor,
     Dielectric,
     RoughConductor,

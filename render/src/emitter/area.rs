@@ -22,7 +22,7 @@ pub struct Area {
 }
 
 impl Area {
-    #[inline]
+    #[inline(always)]
     fn lobe<R: Real>(&self, cos_theta: R) -> Option<R> {
         if cos_theta.primal() <= R::Primal::zero() {
             None
@@ -35,19 +35,19 @@ impl Area {
 }
 
 impl Emitter for Area {
-    #[inline]
+    #[inline(always)]
     fn radiance(&self) -> &RgbTexture {
         &self.radiance
     }
 
-    #[inline]
+    #[inline(always)]
     fn hit<R: Real>(&self, d: Vec3<R>, si: Option<&SurfaceInteraction<R>>) -> Option<Emission<R>> {
         let si = si?;
         let falloff = self.lobe(-si.frame.n.dot(d))?;
         Some(Emission { uv: si.uv, falloff })
     }
 
-    #[inline]
+    #[inline(always)]
     fn sample<P: Float>(
         &self,
         lights: Lights,
@@ -65,7 +65,7 @@ impl Emitter for Area {
         })
     }
 
-    #[inline]
+    #[inline(always)]
     fn pdf<P: Float>(
         &self,
         lights: Lights,

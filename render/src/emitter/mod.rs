@@ -99,7 +99,7 @@ pub trait Emitter: Send + Sync {
     fn update(&mut self, _params: &Params) {}
 
     /// The emitted radiance (intensity over squared distance for points).
-    #[inline]
+    #[inline(always)]
     fn eval<R: Real>(&self, theta: &Theta<R>, e: &Emission<R>) -> Rgb<R> {
         self.radiance().rgb(theta, e.uv) * e.falloff
     }
@@ -114,13 +114,19 @@ pub trait Emitter: Send + Sync {
 }
 
 macro_rules! emitters {
-    ($($name:ident),* $(,)?) => {
+    (inline { $($hot:ident),* $(,)? } $($name:ident),* $(,)?) => {
         /// Any emitter.
         #[derive(Clone, Debug)]
         pub enum AnyEmitter {
+            $(#[doc = concat!("See [`", stringify!($hot), "`].")] $hot($hot),)*
             $(#[doc = concat!("See [`", stringify!($name), "`].")] $name($name),)*
         }
 
+        $(impl From<$hot> for AnyEmitter {
+            fn from(e: $hot) -> Self {
+                Self::$hot(e)
+            }
+        })*
         $(impl From<$name> for AnyEmitter {
             fn from(e: $name) -> Self {
                 Self::$name(e)
@@ -130,7 +136,7 @@ macro_rules! emitters {
         impl AnyEmitter {
             /// Plugin names of all emitters.
             pub const PLUGINS: &'static [&'static [&'static str]] =
-                &[$(<$name as FromNode>::PLUGINS),*];
+                &[$(<$hot as FromNode>::PLUGINS,)* $(<$name as FromNode>::PLUGINS),*];
 
             /// Builds the emitter that the node's plugin names.
             ///
@@ -138,6 +144,9 @@ macro_rules! emitters {
             /// Unknown plugin, or anything wrong with its description.
             pub fn from_node(node: &Node, build: &mut Builder) -> Result<Self, SceneError> {
                 let plugin = node.plugin.as_str();
+                $(if <$hot as FromNode>::PLUGINS.contains(&plugin) {
+                    return Ok(Self::$hot(<$hot as FromNode>::from_node(node, build)?));
+                })*
                 $(if <$name as FromNode>::PLUGINS.contains(&plugin) {
                     return Ok(Self::$name(<$name as FromNode>::from_node(node, build)?));
                 })*
@@ -148,41 +157,41 @@ macro_rules! emitters {
         impl Emitter for AnyEmitter {
             #[inline]
             fn radiance(&self) -> &RgbTexture {
-                match self { $(Self::$name(e) => e.radiance(),)* }
+                match self { $(Self::$hot(e) => e.radiance(),)* $(Self::$name(e) => e.radiance(),)* }
             }
-            #[inline]
+            #[inline(always)]
             fn hit<R: Real>(
                 &self, d: Vec3<R>, si: Option<&SurfaceInteraction<R>>,
             ) -> Option<Emission<R>> {
-                match self { $(Self::$name(e) => e.hit(d, si),)* }
+                $crate::dispatch::dispatch!(self, [$($hot),*] [$($name),*], e => e.hit(d, si))
             }
-            #[inline]
+            #[inline(always)]
             fn sample<P: Float>(
                 &self, lights: Lights, from: Vec3<P>, u: [P; 2],
             ) -> Option<EmitterSample<P>> {
-                match self { $(Self::$name(e) => e.sample(lights, from, u),)* }
+                $crate::dispatch::dispatch!(self, [$($hot),*] [$($name),*], e => e.sample(lights, from, u))
             }
-            #[inline]
+            #[inline(always)]
             fn pdf<P: Float>(
                 &self, lights: Lights, from: Vec3<P>, d: Vec3<P>, si: Option<&SurfaceInteraction<P>>,
             ) -> P {
-                match self { $(Self::$name(e) => e.pdf(lights, from, d, si),)* }
+                $crate::dispatch::dispatch!(self, [$($hot),*] [$($name),*], e => e.pdf(lights, from, d, si))
             }
             fn is_delta(&self) -> bool {
-                match self { $(Self::$name(e) => e.is_delta(),)* }
+                match self { $(Self::$hot(e) => e.is_delta(),)* $(Self::$name(e) => e.is_delta(),)* }
             }
             fn is_infinite(&self) -> bool {
-                match self { $(Self::$name(e) => e.is_infinite(),)* }
+                match self { $(Self::$hot(e) => e.is_infinite(),)* $(Self::$name(e) => e.is_infinite(),)* }
             }
             fn update(&mut self, params: &Params) {
-                match self { $(Self::$name(e) => e.update(params),)* }
+                match self { $(Self::$hot(e) => e.update(params),)* $(Self::$name(e) => e.update(params),)* }
             }
         }
     };
 }
 
 emitters! {
-    Area,
+    inline { Area }
     Point,
     Spot,
     Constant,

@@ -13,7 +13,7 @@ pub trait Sampling: Send + Sync + 'static {
     fn embed<R: Real>(g: Self::Geometry<R>) -> R;
 
     /// A geometric vector in the scalar of the estimate.
-    #[inline]
+    #[inline(always)]
     fn embed3<R: Real>(v: Vec3<Self::Geometry<R>>) -> Vec3<R> {
         Vec3::new(Self::embed(v.x), Self::embed(v.y), Self::embed(v.z))
     }
@@ -39,12 +39,12 @@ pub struct Detached;
 impl Sampling for Detached {
     type Geometry<R: Real> = R::Primal;
 
-    #[inline]
+    #[inline(always)]
     fn embed<R: Real>(g: R::Primal) -> R {
         R::lift(g)
     }
 
-    #[inline]
+    #[inline(always)]
     fn draw<R: Real>(
         material: &Material,
         at: &Shading<R>,
@@ -66,12 +66,12 @@ pub struct Attached;
 impl Sampling for Attached {
     type Geometry<R: Real> = R;
 
-    #[inline]
+    #[inline(always)]
     fn embed<R: Real>(g: R) -> R {
         g
     }
 
-    #[inline]
+    #[inline(always)]
     fn draw<R: Real>(
         material: &Material,
         at: &Shading<R>,

@@ -9,6 +9,7 @@ use crate::math::{Ray, Rgb};
 use crate::params::Theta;
 use crate::sampler::{BOUNCE_DIMENSIONS, CAMERA_DIMENSIONS, Sampler};
 use crate::scene::{Intersection, Scene, Settings};
+use crate::shape::SurfaceInteraction;
 
 /// Probability of surviving Russian roulette is at most this.
 const MAX_SURVIVAL: f64 = 0.95;
@@ -123,69 +124,46 @@ pub fn trace<R: Real, S: Strategy, X: Sampler, O: Observer<R>>(
 
     loop {
         // ---- Intersection ----
-        let hit = scene.intersect(&ray);
+        let hit = scene.nearest(&ray);
 
         // ---- Emission ----
-        // Whether the light at the end of this edge was in reach of emitter sampling at its start.
-        let sampled_too = S::SAMPLES_EMITTERS && depth > 1 && pdf_bsdf.primal() > R::Primal::zero();
-        let mut add_light = |emitter: u32, si: Option<&Intersection<Geometry<S, R>>>| {
-            if sampled_too && !S::COUNTS_HITS {
-                return;
-            }
-            let e = &scene.emitters()[emitter as usize];
-            let si = si.map(|h| &h.si);
-            let Some(found) = e.hit(ray.d, si) else {
-                return;
-            };
-            let emission = Emission {
-                uv: Vec2::new(S::Bsdf::embed(found.uv.x), S::Bsdf::embed(found.uv.y)),
-                falloff: S::Bsdf::embed(found.falloff),
-            };
-            let weight = if sampled_too {
-                let si = si.map(|si| si.primal());
-                let pdf = e.pdf(scene.lights(), from, ray.d.primal(), si.as_ref());
-                S::weight(
-                    pdf_bsdf,
-                    R::lift(pdf * scene.emitter_probability::<R::Primal>()),
-                )
-            } else {
-                R::one()
-            };
-            l += beta * e.eval(theta, &emission) * weight;
-            if O::ENABLED {
-                observer.light(
-                    depth,
-                    beta,
-                    HitLight {
-                        emitter,
-                        emission,
-                        weight,
-                    },
-                );
-            }
-        };
+        // How the light at the end of this edge could have been sampled at its start.
+        let sampled = (S::SAMPLES_EMITTERS && depth > 1 && pdf_bsdf.primal() > R::Primal::zero())
+            .then_some((pdf_bsdf, from));
         let Some(hit) = hit else {
             for &e in scene.infinite_emitters() {
-                add_light(e, None);
+                if let Some((light, le)) = find_light::<R, S>(scene, theta, e, ray.d, None, sampled)
+                {
+                    l += beta * le * light.weight;
+                    if O::ENABLED {
+                        observer.light(depth, beta, light);
+                    }
+                }
             }
             break;
         };
-        let info = scene.shape_info(hit.shape);
+        let Intersection { shape, si } = scene.interaction(&ray, &hit);
+        let info = scene.shape_info(shape);
         if let Some(e) = info.emitter {
-            add_light(e, Some(&hit));
+            let found = find_light::<R, S>(scene, theta, e, ray.d, Some(si), sampled);
+            if let Some((light, le)) = found {
+                l += beta * le * light.weight;
+                if O::ENABLED {
+                    observer.light(depth, beta, light);
+                }
+            }
         }
         if depth >= settings.max_depth {
             break;
         }
 
-        let si = &hit.si;
-        let material = scene.material(hit.shape);
+        let material = scene.material(shape);
         let wo = si.frame.to_local(-ray.d);
         let uv = Vec2::new(S::Bsdf::embed(si.uv.x), S::Bsdf::embed(si.uv.y));
         let at = Shading { theta: *theta, uv };
         let wo_r = S::Bsdf::embed3(wo);
         if O::ENABLED {
-            observer.vertex(depth, beta, hit.shape, uv, wo_r, S::Bsdf::embed3(si.p));
+            observer.vertex(depth, beta, shape, uv, wo_r, S::Bsdf::embed3(si.p));
         }
         let dim = CAMERA_DIMENSIONS + (depth - 1) * BOUNCE_DIMENSIONS;
 
@@ -292,6 +270,49 @@ pub fn trace<R: Real, S: Strategy, X: Sampler, O: Observer<R>>(
     l
 }
 
+/// What a ray in direction `d` receives from an emitter it hit at `si`, or missed everything towards:
+/// where, with which MIS weight, and the radiance. `sampled` is the density of the direction and the
+/// vertex it left, if that vertex also sampled emitters.
+///
+/// A call of its own, by value: lights are seldom hit, and references to the loop's state would keep
+/// that in memory.
+#[inline(never)]
+fn find_light<R: Real, S: Strategy>(
+    scene: &Scene,
+    theta: &Theta<R>,
+    emitter: u32,
+    d: Vec3<Geometry<S, R>>,
+    si: Option<SurfaceInteraction<Geometry<S, R>>>,
+    sampled: Option<(R, Vec3<R::Primal>)>,
+) -> Option<(HitLight<R>, Rgb<R>)> {
+    if sampled.is_some() && !S::COUNTS_HITS {
+        return None;
+    }
+    let e = &scene.emitters()[emitter as usize];
+    let found = e.hit(d, si.as_ref())?;
+    let emission = Emission {
+        uv: Vec2::new(S::Bsdf::embed(found.uv.x), S::Bsdf::embed(found.uv.y)),
+        falloff: S::Bsdf::embed(found.falloff),
+    };
+    let weight = match sampled {
+        Some((pdf_bsdf, from)) => {
+            let si = si.map(|si| si.primal());
+            let pdf = e.pdf(scene.lights(), from, d.primal(), si.as_ref());
+            S::weight(
+                pdf_bsdf,
+                R::lift(pdf * scene.emitter_probability::<R::Primal>()),
+            )
+        }
+        None => R::one(),
+    };
+    let light = HitLight {
+        emitter,
+        emission,
+        weight,
+    };
+    Some((light, e.eval(theta, &emission)))
+}
+
 #[inline]
 fn has_tangent<R: Real>(c: Rgb<R>) -> bool {
     !R::IS_PRIMAL && (c.r.has_tangent() || c.g.has_tangent() || c.b.has_tangent())
@@ -304,7 +325,7 @@ struct LightSample<P> {
 }
 
 /// Chooses an emitter uniformly and samples it.
-#[inline]
+#[inline(always)]
 fn sample_light<P: Float, X: Sampler>(
     scene: &Scene,
     from: Vec3<P>,

@@ -12,7 +12,7 @@ use std::sync::Arc;
 
 use ad_core::{Float, Real};
 
-use crate::accel::Accel;
+use crate::accel::{Accel, Hit};
 use crate::bsdf::{Bsdf, Material};
 use crate::camera::Camera;
 use crate::emitter::{AnyEmitter, Emitter, Lights};
@@ -159,7 +159,7 @@ impl Scene {
     }
 
     /// The material of a shape.
-    #[inline]
+    #[inline(always)]
     pub fn material(&self, shape: u32) -> &Material {
         &self.materials[self.infos[shape as usize].material as usize]
     }
@@ -172,18 +172,29 @@ impl Scene {
         }
     }
 
-    /// The nearest hit along a ray. The search is primal; the interaction follows the ray's tangents.
+    /// The nearest primitive along a ray: a primal search.
+    #[inline(always)]
+    pub fn nearest<R: Real>(&self, ray: &Ray<R>) -> Option<Hit> {
+        let (o, d) = single(&ray.primal());
+        self.accel.intersect(o, d, f32::INFINITY)
+    }
+
+    /// What lies at a hit of this ray. It follows the ray's tangents.
+    #[inline(always)]
+    pub fn interaction<R: Real>(&self, ray: &Ray<R>, hit: &Hit) -> Intersection<R> {
+        let (shape, prim) = self.prims[hit.prim as usize];
+        let si = self.shapes[shape as usize].interaction(prim, ray, hit);
+        Intersection { shape, si }
+    }
+
+    /// [`Scene::nearest`], and what lies there.
     #[inline]
     pub fn intersect<R: Real>(&self, ray: &Ray<R>) -> Option<Intersection<R>> {
-        let (o, d) = single(&ray.primal());
-        let hit = self.accel.intersect(o, d, f32::INFINITY)?;
-        let (shape, prim) = self.prims[hit.prim as usize];
-        let si = self.shapes[shape as usize].interaction(prim, ray, &hit);
-        Some(Intersection { shape, si })
+        self.nearest(ray).map(|hit| self.interaction(ray, &hit))
     }
 
     /// Whether anything lies along a ray before the distance `t_max`.
-    #[inline]
+    #[inline(always)]
     pub fn occluded<P: Float>(&self, ray: &Ray<P>, t_max: P) -> bool {
         let (o, d) = single(ray);
         self.accel.occluded(o, d, t_max.to_f32())

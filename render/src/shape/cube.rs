@@ -49,7 +49,7 @@ impl Shape for Cube {
         self.faces.iter().map(Patch::primitive).collect()
     }
 
-    #[inline]
+    #[inline(always)]
     fn interaction<R: Real>(&self, prim: u32, ray: &Ray<R>, hit: &Hit) -> SurfaceInteraction<R> {
         self.faces[prim as usize].interaction(ray, hit)
     }

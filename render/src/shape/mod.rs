@@ -49,7 +49,7 @@ pub struct SurfaceInteraction<R> {
 
 impl<R: Real> SurfaceInteraction<R> {
     /// The ray that leaves in the unit direction `d`, moved off the surface by `offset`.
-    #[inline]
+    #[inline(always)]
     pub fn spawn_ray(&self, d: Vec3<R>, offset: f32) -> Ray<R> {
         let side = if self.n_geo.primal().dot(d.primal()) < R::Primal::zero() {
             -1.0
@@ -63,7 +63,7 @@ impl<R: Real> SurfaceInteraction<R> {
     /// length to test. The ray leaves off the surface by `offset` and is aimed anew at that point:
     /// kept parallel, it would meet a ball light too early near its outline, and lose per cents of it.
     /// The direction is not unit for finite distances.
-    #[inline]
+    #[inline(always)]
     pub fn shadow_ray(&self, d: Vec3<R>, distance: R, offset: f32) -> (Ray<R>, R) {
         let ray = self.spawn_ray(d, offset);
         if distance.primal() <= R::Primal::MAX {
@@ -120,7 +120,7 @@ pub struct DirectionSample<P> {
 impl<P: Float> ShapeSample<P> {
     /// The sample as a direction from `from`, when the geometric normal is `n_geo`. `None` if edge-on
     /// or at zero distance.
-    #[inline]
+    #[inline(always)]
     pub fn seen_from(&self, from: Vec3<P>, n_geo: Vec3<P>) -> Option<DirectionSample<P>> {
         let v = self.p - from;
         let d2 = v.length_squared();
@@ -210,13 +210,19 @@ pub fn lift3<R: Real>(v: [f32; 3]) -> Vec3<R> {
 }
 
 macro_rules! shapes {
-    ($($name:ident),* $(,)?) => {
+    (inline { $($hot:ident),* $(,)? } $($name:ident),* $(,)?) => {
         /// Any shape.
         #[derive(Clone, Debug)]
         pub enum AnyShape {
+            $(#[doc = concat!("See [`", stringify!($hot), "`].")] $hot($hot),)*
             $(#[doc = concat!("See [`", stringify!($name), "`].")] $name($name),)*
         }
 
+        $(impl From<$hot> for AnyShape {
+            fn from(s: $hot) -> Self {
+                Self::$hot(s)
+            }
+        })*
         $(impl From<$name> for AnyShape {
             fn from(s: $name) -> Self {
                 Self::$name(s)
@@ -226,7 +232,7 @@ macro_rules! shapes {
         impl AnyShape {
             /// Plugin names of all shapes.
             pub const PLUGINS: &'static [&'static [&'static str]] =
-                &[$(<$name as FromNode>::PLUGINS),*];
+                &[$(<$hot as FromNode>::PLUGINS,)* $(<$name as FromNode>::PLUGINS),*];
 
             /// Builds the shape that the node's plugin names.
             ///
@@ -234,6 +240,9 @@ macro_rules! shapes {
             /// Unknown plugin, or anything wrong with its description.
             pub fn from_node(node: &Node, build: &mut Builder) -> Result<Self, SceneError> {
                 let plugin = node.plugin.as_str();
+                $(if <$hot as FromNode>::PLUGINS.contains(&plugin) {
+                    return Ok(Self::$hot(<$hot as FromNode>::from_node(node, build)?));
+                })*
                 $(if <$name as FromNode>::PLUGINS.contains(&plugin) {
                     return Ok(Self::$name(<$name as FromNode>::from_node(node, build)?));
                 })*
@@ -243,36 +252,35 @@ macro_rules! shapes {
 
         impl Shape for AnyShape {
             fn primitives(&self) -> Vec<Primitive> {
-                match self { $(Self::$name(s) => s.primitives(),)* }
+                match self { $(Self::$hot(s) => s.primitives(),)* $(Self::$name(s) => s.primitives(),)* }
             }
-            #[inline]
+            #[inline(always)]
             fn interaction<R: Real>(&self, prim: u32, ray: &Ray<R>, hit: &Hit) -> SurfaceInteraction<R> {
-                match self { $(Self::$name(s) => s.interaction(prim, ray, hit),)* }
+                $crate::dispatch::dispatch!(self, [$($hot),*] [$($name),*], s => s.interaction(prim, ray, hit))
             }
             fn area(&self) -> f64 {
-                match self { $(Self::$name(s) => s.area(),)* }
+                match self { $(Self::$hot(s) => s.area(),)* $(Self::$name(s) => s.area(),)* }
             }
             fn sample_area<P: Float>(&self, u: [P; 2]) -> ShapeSample<P> {
-                match self { $(Self::$name(s) => s.sample_area(u),)* }
+                match self { $(Self::$hot(s) => s.sample_area(u),)* $(Self::$name(s) => s.sample_area(u),)* }
             }
-            #[inline]
+            #[inline(always)]
             fn sample<P: Float>(&self, from: Vec3<P>, u: [P; 2]) -> Option<DirectionSample<P>> {
-                match self { $(Self::$name(s) => s.sample(from, u),)* }
+                $crate::dispatch::dispatch!(self, [$($hot),*] [$($name),*], s => s.sample(from, u))
             }
-            #[inline]
+            #[inline(always)]
             fn pdf<P: Float>(&self, from: Vec3<P>, si: &SurfaceInteraction<P>) -> P {
-                match self { $(Self::$name(s) => s.pdf(from, si),)* }
+                $crate::dispatch::dispatch!(self, [$($hot),*] [$($name),*], s => s.pdf(from, si))
             }
             fn extent(&self) -> f32 {
-                match self { $(Self::$name(s) => s.extent(),)* }
+                match self { $(Self::$hot(s) => s.extent(),)* $(Self::$name(s) => s.extent(),)* }
             }
         }
     };
 }
 
 shapes! {
-    Rectangle,
-    Cube,
+    inline { Rectangle, Cube }
     Sphere,
     Disk,
     Cylinder,

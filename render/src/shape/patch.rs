@@ -75,7 +75,7 @@ impl Patch {
     }
 
     /// See [`Shape::interaction`].
-    #[inline]
+    #[inline(always)]
     pub fn interaction<R: Real>(&self, ray: &Ray<R>, hit: &Hit) -> SurfaceInteraction<R> {
         let (v0, e1, e2) = (
             lift3::<R>(self.corner),
@@ -104,7 +104,7 @@ impl Patch {
     }
 
     /// A uniform point; density per area of this patch.
-    #[inline]
+    #[inline(always)]
     pub fn sample_area<P: Float>(&self, u: [P; 2]) -> ShapeSample<P> {
         let (v0, e1, e2) = (
             lift3::<P>(self.corner),
@@ -143,14 +143,14 @@ impl Shape for Rectangle {
     fn primitives(&self) -> Vec<Primitive> {
         vec![self.0.primitive()]
     }
-    #[inline]
+    #[inline(always)]
     fn interaction<R: Real>(&self, _prim: u32, ray: &Ray<R>, hit: &Hit) -> SurfaceInteraction<R> {
         self.0.interaction(ray, hit)
     }
     fn area(&self) -> f64 {
         self.0.area()
     }
-    #[inline]
+    #[inline(always)]
     fn sample_area<P: Float>(&self, u: [P; 2]) -> ShapeSample<P> {
         self.0.sample_area(u)
     }

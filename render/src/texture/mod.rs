@@ -14,6 +14,7 @@ pub(crate) use load::{Use, file, from_node, from_plugin, texels};
 
 use ad_core::{Float, Real, Vec2};
 
+use crate::dispatch::outline;
 use crate::math::Rgb;
 use crate::params::{GradSink, ParamRef, Theta, per_channel};
 
@@ -49,11 +50,11 @@ impl<const C: usize> Texture<C> {
     ///
     /// # Derivatives
     /// In theta and in `uv` (through the interpolation weights).
-    #[inline]
+    #[inline(always)]
     pub fn eval<R: Real>(&self, theta: &Theta<R>, uv: Vec2<R>) -> [R; C] {
         match self {
             Self::Constant(p) => theta.texel(*p, 0),
-            Self::Bitmap(t) => gather(theta, &t.footprint(uv)),
+            Self::Bitmap(t) => outline(|| gather(theta, &t.footprint(uv))),
             Self::Checkerboard(t) => theta.texel(t.select(uv.primal()), 0),
         }
     }
@@ -127,7 +128,7 @@ impl<const C: usize> Texture<C> {
 
 impl Texture<3> {
     /// [`Texture::eval`] as a colour.
-    #[inline]
+    #[inline(always)]
     pub fn rgb<R: Real>(&self, theta: &Theta<R>, uv: Vec2<R>) -> Rgb<R> {
         self.eval(theta, uv).into()
     }
@@ -135,7 +136,7 @@ impl Texture<3> {
 
 impl Texture<1> {
     /// [`Texture::eval`] as a scalar.
-    #[inline]
+    #[inline(always)]
     pub fn scalar<R: Real>(&self, theta: &Theta<R>, uv: Vec2<R>) -> R {
         self.eval(theta, uv)[0]
     }
