@@ -87,6 +87,34 @@ pub fn all() -> Vec<Case> {
             "ggx, all normals",
             r#"<bsdf type="roughconductor"><string name="distribution" value="ggx"/><float name="alpha" value="0.3"/><boolean name="sample_visible" value="false"/></bsdf>"#,
         ),
+        material(
+            "rough dielectric",
+            r#"<bsdf type="roughdielectric"><string name="distribution" value="ggx"/><float name="alpha" value="0.3"/><float name="int_ior" value="1.5"/></bsdf>"#,
+        ),
+        material(
+            "plastic",
+            r#"<bsdf type="plastic"><rgb name="diffuse_reflectance" value="0.5, 0.3, 0.2"/></bsdf>"#,
+        ),
+        material(
+            "rough plastic",
+            r#"<bsdf type="roughplastic"><float name="alpha" value="0.2"/><rgb name="diffuse_reflectance" value="0.5, 0.3, 0.2"/></bsdf>"#,
+        ),
+        material(
+            "blinn-phong",
+            r#"<bsdf type="blinnphong"><rgb name="diffuse_reflectance" value="0.3, 0.3, 0.2"/><rgb name="specular_reflectance" value="0.3, 0.4, 0.5"/><float name="exponent" value="12"/></bsdf>"#,
+        ),
+        material(
+            "two-sided blend",
+            r#"<bsdf type="twosided"><bsdf type="blendbsdf"><float name="weight" value="0.3"/><bsdf type="diffuse"><rgb name="reflectance" value="0.7, 0.3, 0.2"/></bsdf><bsdf type="roughconductor"><float name="alpha" value="0.3"/></bsdf></bsdf></bsdf>"#,
+        ),
+        material(
+            "mask",
+            r#"<bsdf type="mask"><float name="opacity" value="0.6"/><bsdf type="diffuse"><rgb name="reflectance" value="0.7, 0.3, 0.2"/></bsdf></bsdf>"#,
+        ),
+        material(
+            "checkerboard",
+            r#"<bsdf type="diffuse"><texture name="reflectance" type="checkerboard"><rgb name="color0" value="0.7, 0.3, 0.2"/><rgb name="color1" value="0.2, 0.4, 0.6"/></texture></bsdf>"#,
+        ),
         emitter("area", AREA),
         emitter(
             "directional lobe",

@@ -105,6 +105,12 @@ fn cornell() {
 
 /// 32 x 16 samples per pixel at 128 x 128.
 #[test]
+fn cornell_texture() {
+    check_image("cornell-texture", 16);
+}
+
+/// 32 x 16 samples per pixel at 128 x 128.
+#[test]
 fn veach_plates() {
     check_image("veach-plates", 16);
 }
