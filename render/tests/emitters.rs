@@ -1,0 +1,746 @@
+//! Light sources: lookups against formulas, samples against densities, and what must not break.
+
+use std::f64::consts::PI;
+use std::path::Path;
+
+use ad_core::{Dual, Float, Vec3};
+use render::bsdf::Diffuse;
+use render::camera::{Camera, FovAxis};
+use render::emitter::{
+    AnyEmitter, Area, Constant, Emitter, EmitterSample, Envmap, Point, Spot, Vmf,
+};
+use render::film::Image;
+use render::image_io;
+use render::math::{Transform, warp};
+use render::params::{GradSink, ParamRef, Theta};
+use render::sampler::{Independent, Sampler};
+use render::scene::xml::Document;
+use render::scene::{Builder, Settings};
+use render::shape::{Shape, Sphere};
+use render::{Film, Scene, SceneError};
+use statrs::distribution::{ChiSquared, ContinuousCDF};
+
+const POSITIVE: (f64, f64) = (0.0, f64::INFINITY);
+
+/// A scene with a sphere, a rectangle, and emitters: `make` gets the index of the sphere.
+fn scene(make: impl FnOnce(&mut Builder, u32) -> Vec<AnyEmitter>) -> Scene {
+    let mut build = Builder::new();
+    let reflectance = build.rgb("grey", [0.5; 3], (0.0, 1.0)).unwrap();
+    let grey = build.add_material(Diffuse { reflectance });
+    let ball = Sphere::new([0.0, 0.0, 3.0], 0.5, false).unwrap();
+    let ball = build.add_shape("ball", ball, grey);
+    for emitter in make(&mut build, ball) {
+        build.add_emitter(emitter, None);
+    }
+    let film = Film::new(1, 1);
+    let camera = Camera::new(Transform::IDENTITY, 40.0, FovAxis::X, film.size).unwrap();
+    build.build(camera, film, Settings::default()).unwrap()
+}
+
+/// An image of `width` x `height` texels with every number in (0, 4).
+fn noise(width: usize, height: usize, seed: u64) -> Image {
+    let mut image = Image::new(width, height);
+    for (i, x) in image.data.iter_mut().enumerate() {
+        *x = 4.0 * Independent::new(seed, 0, i as u64).next_1d::<f32>().powi(3);
+    }
+    image
+}
+
+fn turned() -> Transform {
+    Transform::sequence([
+        Transform::rotate([0.3, 1.0, 0.2], 50.0).unwrap(),
+        Transform::scale([-2.0; 3]),
+    ])
+}
+
+/// Environments under test, with names.
+fn environments() -> (Scene, Vec<&'static str>) {
+    let names = vec![
+        "constant",
+        "map",
+        "turned map",
+        "spiky map",
+        "black map",
+        "one texel",
+        "two texels",
+        "wide vmf",
+        "narrow vmf",
+    ];
+    let scene = scene(|b, _| {
+        let grey = |b: &mut Builder| b.rgb("radiance", [1.0, 2.0, 3.0], POSITIVE).unwrap();
+        let map = |b: &mut Builder, image: &Image, t: Transform| -> AnyEmitter {
+            Envmap::new(b, "env", image, &t, 0.5).unwrap().into()
+        };
+        let mut spiky = Image::new(16, 8);
+        spiky.data[3 * (5 * 16 + 15)..][..3].fill(1e4);
+        let identity = Transform::IDENTITY;
+        vec![
+            Constant { radiance: grey(b) }.into(),
+            map(b, &noise(6, 5, 1), identity),
+            map(b, &noise(7, 4, 2), turned()),
+            map(b, &spiky, identity),
+            map(b, &Image::new(4, 3), identity),
+            map(b, &noise(1, 1, 3), identity),
+            map(b, &noise(2, 1, 4), identity),
+            Vmf::new(grey(b), [1.0, -2.0, 0.5], 0.8).unwrap().into(),
+            Vmf::new(grey(b), [0.0, 0.3, -1.0], 30.0).unwrap().into(),
+        ]
+    });
+    (scene, names)
+}
+
+fn cell_direction(i: f64, rows: f64, j: f64, columns: f64) -> Vec3<f64> {
+    let z = 1.0 - 2.0 * i / rows;
+    let phi = 2.0 * PI * j / columns;
+    let r = (1.0 - z * z).max(0.0).sqrt();
+    Vec3::new(r * phi.cos(), r * phi.sin(), z)
+}
+
+/// Chi-square of sampled directions against the density integrated by quadrature; its integral is one.
+/// Significance 1 % over all environments (Sidak).
+#[test]
+fn environments_are_sampled_by_their_density() {
+    const N: u64 = 60_000;
+    const ROWS: usize = 24;
+    const COLUMNS: usize = 36;
+    const FINE: usize = 40;
+    let (scene, names) = environments();
+    let limit = -((-0.01f64).ln_1p() / names.len() as f64).exp_m1();
+    let origin = Vec3::<f64>::zero();
+    for (k, (emitter, name)) in scene.emitters().iter().zip(names).enumerate() {
+        let mut observed = vec![0.0; ROWS * COLUMNS];
+        for i in 0..N {
+            let u = Independent::new(1, k as u64, i).next_2d();
+            let s = emitter.sample(scene.lights(), origin, u).unwrap();
+            let pdf = emitter.pdf(scene.lights(), origin, s.d, None);
+            assert!(
+                (pdf / s.pdf - 1.0).abs() < 1e-5,
+                "{name}: {pdf} for {}",
+                s.pdf
+            );
+            assert_eq!(s.distance, f64::INFINITY);
+            let row = (0.5 * (1.0 - s.d.z) * ROWS as f64) as usize;
+            let turn = s.d.y.atan2(s.d.x).rem_euclid(2.0 * PI) / (2.0 * PI);
+            let column = ((turn * COLUMNS as f64) as usize).min(COLUMNS - 1);
+            observed[row.min(ROWS - 1) * COLUMNS + column] += 1.0;
+        }
+        let area = 4.0 * PI / (ROWS * COLUMNS * FINE * FINE) as f64;
+        let (mut statistic, mut bins, mut total) = (0.0, 0, 0.0);
+        let (mut rest_o, mut rest_e) = (0.0, 0.0);
+        for (cell, o) in observed.into_iter().enumerate() {
+            let mut e = 0.0;
+            for fine in 0..FINE * FINE {
+                let i = (cell / COLUMNS) as f64 + ((fine / FINE) as f64 + 0.5) / FINE as f64;
+                let j = (cell % COLUMNS) as f64 + ((fine % FINE) as f64 + 0.5) / FINE as f64;
+                let d = cell_direction(i, ROWS as f64, j, COLUMNS as f64);
+                e += area * emitter.pdf(scene.lights(), origin, d, None);
+            }
+            total += e;
+            let e = e * N as f64;
+            if e >= 5.0 {
+                statistic += (o - e) * (o - e) / e;
+                bins += 1;
+            } else {
+                (rest_o, rest_e) = (rest_o + o, rest_e + e);
+            }
+        }
+        assert!(
+            (total - 1.0).abs() < 1e-3,
+            "{name}: density integrates to {total}"
+        );
+        if rest_e >= 5.0 {
+            statistic += (rest_o - rest_e) * (rest_o - rest_e) / rest_e;
+            bins += 1;
+        } else {
+            assert!(rest_o < 30.0, "{name}: {rest_o} for {rest_e}");
+        }
+        let p = ChiSquared::new(f64::from(bins - 1)).unwrap().sf(statistic);
+        assert!(p > limit, "{name}: p = {p}");
+    }
+}
+
+/// Luminance over density hardly varies: an environment is importance sampled.
+#[test]
+fn maps_are_sampled_by_luminance() {
+    let (scene, names) = environments();
+    for (emitter, name) in scene.emitters().iter().zip(names) {
+        if !name.ends_with("map") || name == "black map" {
+            continue;
+        }
+        let values: Vec<f64> = scene.params().values().iter().map(|&x| x.into()).collect();
+        let theta = Theta::<f64>::constant(&values);
+        let (mut sum, mut squares, n) = (0.0, 0.0, 20_000);
+        for i in 0..n {
+            let u = Independent::new(2, 0, i).next_2d();
+            let s = emitter.sample(scene.lights(), Vec3::zero(), u).unwrap();
+            let x: f64 = emitter.eval(&theta, &s.emission).luminance() / s.pdf;
+            sum += x;
+            squares += x * x;
+        }
+        let relative = squares * n as f64 / (sum * sum) - 1.0;
+        // Uniform directions: from 0.5 up to 60 for the spike.
+        assert!(relative < 0.12, "{name}: relative variance {relative}");
+    }
+}
+
+/// The peer's lookup, written down independently: u W - 1/2 periodic, v (H - 1).
+fn lookup(image: &Image, d: Vec3<f64>) -> [f64; 3] {
+    let (w, h) = (image.width as f64, image.height as f64);
+    let x = d.x.atan2(-d.z) / (2.0 * PI) * w - 0.5;
+    let y = d.y.clamp(-1.0, 1.0).acos() / PI * (h - 1.0);
+    let row = (y.floor() as usize).min(image.height.saturating_sub(2));
+    let fy = y - row as f64;
+    let (column, fx) = (x.floor(), x - x.floor());
+    [0, 1, 2].map(|c| {
+        let texel = |i: usize, j: f64| {
+            let j = j.rem_euclid(w) as usize;
+            f64::from(image.pixel(j, i.min(image.height - 1))[c])
+        };
+        let line = |i: usize| texel(i, column) * (1.0 - fx) + texel(i, column + 1.0) * fx;
+        line(row) * (1.0 - fy) + line(row + 1) * fy
+    })
+}
+
+#[test]
+fn maps_are_looked_up_as_by_the_peer() {
+    let image = noise(6, 5, 1);
+    let scene = scene(|b, _| {
+        let t = Transform::IDENTITY;
+        vec![
+            Envmap::new(b, "env", &image, &t, 0.5).unwrap().into(),
+            Envmap::new(b, "turned", &image, &turned(), 0.5)
+                .unwrap()
+                .into(),
+        ]
+    });
+    let values: Vec<f64> = scene.params().values().iter().map(|&x| x.into()).collect();
+    let theta = Theta::<f64>::constant(&values);
+    let eval = |k: usize, d: Vec3<f64>| {
+        let e = &scene.emitters()[k];
+        e.eval(&theta, &e.hit(d, None).unwrap()).to_array()
+    };
+    let back = turned().inverse().unwrap();
+    for i in 0..2000 {
+        let d: Vec3<f64> = warp::square_to_sphere(Independent::new(3, 0, i).next_2d());
+        let expected = lookup(&image, d).map(|x| 0.5 * x);
+        let local = Vec3::from(back.vector(d.to_array())).normalize();
+        let turned = lookup(&image, local).map(|x| 0.5 * x);
+        for c in 0..3 {
+            assert!((eval(0, d)[c] - expected[c]).abs() < 1e-5, "{d:?}");
+            assert!((eval(1, d)[c] - turned[c]).abs() < 1e-5, "{d:?}");
+        }
+    }
+    // By hand: texel (row 2, column 1) of 5 x 6 lies at v = 1/2, u = 1/4, which is +x.
+    let texel = image.pixel(1, 2);
+    assert!((eval(0, Vec3::new(1.0, 0.0, 0.0))[0] - 0.5 * f64::from(texel[0])).abs() < 1e-5);
+    // The poles are the means of two texels of the first and the last row, next to u = 0.
+    for (y, row) in [(1.0, 0), (-1.0, 4)] {
+        let mean = 0.5 * (image.pixel(0, row)[1] + image.pixel(5, row)[1]);
+        let found = eval(0, Vec3::new(0.0, y, -1e-9))[1];
+        assert!(
+            (found - 0.5 * f64::from(mean)).abs() < 1e-5,
+            "{found} {mean}"
+        );
+    }
+}
+
+/// Collects adjoints of all parameters.
+struct Gradient(Vec<f64>, Vec<usize>);
+
+impl GradSink<f64> for Gradient {
+    fn active(&self, _: ParamRef) -> bool {
+        true
+    }
+    fn add(&mut self, p: ParamRef, i: usize, d: f64) {
+        self.0[self.1[p.id as usize] + i] += d;
+    }
+}
+
+/// F7: the derivative with respect to a texel that is zero, of the light on a horizontal plane, is
+/// the integral of the texel's footprint times the cosine; no sampling density may miss it.
+#[test]
+fn dark_texels_can_be_switched_on() {
+    let mut image = Image::new(2, 1);
+    image.data[..3].fill(1.0);
+    let scene = scene(|b, _| {
+        vec![
+            Envmap::new(b, "env", &image, &Transform::IDENTITY, 1.0)
+                .unwrap()
+                .into(),
+        ]
+    });
+    let emitter = &scene.emitters()[0];
+    let offsets: Vec<usize> = scene.params().infos().iter().map(|i| i.offset).collect();
+    let first = scene.params().find("env.data").unwrap().offset;
+    let n = 200_000;
+    let (mut sum, mut squares) = ([0.0; 2], [0.0; 2]);
+    for i in 0..n {
+        let u = Independent::new(4, 0, i).next_2d();
+        let s = emitter
+            .sample(scene.lights(), Vec3::<f64>::zero(), u)
+            .unwrap();
+        let cosine = s.d.z.max(0.0) / s.pdf;
+        let mut gradient = Gradient(vec![0.0; scene.params().values().len()], offsets.clone());
+        let one = render::math::Rgb::splat(cosine);
+        emitter.backward(&s.emission, one, &mut gradient);
+        for k in 0..2 {
+            let x = gradient.0[first + 3 * k];
+            sum[k] += x;
+            squares[k] += x * x;
+        }
+    }
+    // By quadrature: texel 0 has the weight 1 - |4 u - 1| / 2 around u = 1/4.
+    let (mut expected, m) = ([0.0; 2], 2000);
+    for i in 0..m {
+        for j in 0..m / 4 {
+            let (a, b) = (
+                (i as f64 + 0.5) / m as f64,
+                (j as f64 + 0.5) / (m / 4) as f64,
+            );
+            // Polar coordinates around z: cosine-weighted hemisphere.
+            let (r, phi) = (b.sqrt(), 2.0 * PI * a);
+            let d = Vec3::new(r * phi.cos(), r * phi.sin(), (1.0 - b).sqrt());
+            let u = (d.x.atan2(-d.z) / (2.0 * PI)).rem_euclid(1.0);
+            let distance = (u - 0.25).abs().min(1.0 - (u - 0.25).abs());
+            let weight = 1.0 - 2.0 * distance;
+            expected[0] += weight * PI / (m * m / 4) as f64;
+            expected[1] += (1.0 - weight) * PI / (m * m / 4) as f64;
+        }
+    }
+    for k in 0..2 {
+        let mean = sum[k] / n as f64;
+        let error = ((squares[k] / n as f64 - mean * mean) / n as f64).sqrt();
+        let z = (mean - expected[k]) / error;
+        assert!(
+            z.abs() < 4.0,
+            "texel {k}: {mean} +- {error}, expected {}",
+            expected[k]
+        );
+        assert!(error < 0.02, "texel {k}: {error}");
+    }
+}
+
+/// Tables follow the parameters.
+#[test]
+fn maps_are_resampled_when_they_change() {
+    let mut scene = scene(|b, _| {
+        let t = Transform::IDENTITY;
+        vec![
+            Envmap::new(b, "env", &Image::new(8, 5), &t, 1.0)
+                .unwrap()
+                .into(),
+        ]
+    });
+    let range = scene.params().find("env.data").unwrap().range();
+    let mut values = scene.params().values().to_vec();
+    // Row 2, column 1: +x is between columns 1 and 2.
+    values[range.start + 3 * (2 * 8 + 1)..][..3].fill(10.0);
+    let d = Vec3::new(
+        (PI / 2.0 - PI / 8.0).sin(),
+        0.0,
+        -(PI / 2.0 - PI / 8.0).cos(),
+    );
+    let pdf = |scene: &Scene| scene.emitters()[0].pdf::<f64>(scene.lights(), Vec3::zero(), d, None);
+    assert!(
+        (pdf(&scene) * 4.0 * PI - 1.0).abs() < 1e-5,
+        "black is uniform"
+    );
+    scene.set_params(&values).unwrap();
+    assert!(pdf(&scene) * 4.0 * PI > 10.0, "{}", pdf(&scene) * 4.0 * PI);
+}
+
+/// With a ball of radius r, radiance L and distance D that is all above the horizon, the irradiance is
+/// pi L (r / D)^2 cos(theta). Samples from inside the cone all arrive.
+#[test]
+fn ball_lights_irradiate_as_they_should() {
+    let scene = scene(|b, ball| {
+        let radiance = b.rgb("l", [1.0; 3], POSITIVE).unwrap();
+        vec![
+            Area {
+                radiance,
+                exponent: 0.0,
+                shape: ball,
+            }
+            .into(),
+        ]
+    });
+    let light = &scene.emitters()[0];
+    for (from, normal) in [
+        ([0.0, 0.0, 0.0], [0.0, 0.0, 1.0]),
+        ([2.0, 1.0, 1.5], [-0.6, 0.0, 0.8]),
+    ] {
+        let (from, normal) = (Vec3::from(from), Vec3::from(normal));
+        let to = Vec3::new(0.0, 0.0, 3.0) - from;
+        let exact = PI * 0.25 / to.length_squared() * normal.dot(to.normalize());
+        let (mut sum, mut squares, n) = (0.0, 0.0, 20_000);
+        for i in 0..n {
+            let u = Independent::new(5, 0, i).next_2d();
+            let s = light.sample::<f64>(scene.lights(), from, u);
+            let x = s.map_or(0.0, |s| {
+                s.emission.falloff * normal.dot(s.d).max(0.0) / s.pdf
+            });
+            sum += x;
+            squares += x * x;
+        }
+        let mean = sum / n as f64;
+        let error = ((squares / n as f64 - mean * mean).max(0.0) / n as f64).sqrt();
+        assert!(
+            (mean - exact).abs() < 4.0 * error + 1e-6,
+            "{mean} +- {error}, exact {exact}"
+        );
+    }
+}
+
+#[test]
+fn points_and_spots_follow_their_formulas() {
+    let scene = scene(|b, _| {
+        let mut white = |name: &str| b.rgb(name, [1.0; 3], POSITIVE).unwrap();
+        let point = Point {
+            intensity: white("p"),
+            position: [0.0, 0.0, 2.0],
+        };
+        let spot = Spot::new(white("s"), [0.0, 0.0, 2.0], [0.0, 0.0, -3.0], 15.0, 20.0).unwrap();
+        vec![point.into(), spot.into()]
+    });
+    let at = |k: usize, x: f64| -> Option<EmitterSample<f64>> {
+        scene.emitters()[k].sample(scene.lights(), Vec3::new(x, 0.0, 0.0), [0.3, 0.7])
+    };
+    for e in scene.emitters() {
+        assert!(e.is_delta() && !e.is_infinite());
+        assert!(e.hit(Vec3::new(0.0, 0.0, 1.0), None).is_none());
+        assert_eq!(
+            e.pdf::<f64>(scene.lights(), Vec3::zero(), Vec3::new(0.0, 0.0, 1.0), None),
+            0.0
+        );
+    }
+    let s = at(0, 1.5).unwrap();
+    assert!((s.distance - 2.5).abs() < 1e-12 && (s.emission.falloff - 0.16).abs() < 1e-12);
+    assert_eq!(s.pdf, 1.0);
+    for (degrees, profile) in [
+        (0.0, 1.0),
+        (14.9, 1.0),
+        (17.0, 0.6),
+        (19.0, 0.2),
+        (19.999, 0.0002),
+    ] {
+        let x = 2.0 * f64::tan(f64::to_radians(degrees));
+        let s = at(1, x).unwrap();
+        let falloff = s.emission.falloff * (4.0 + x * x);
+        assert!((falloff - profile).abs() < 1e-9, "{degrees}: {falloff}");
+    }
+    assert!(at(1, 2.0 * f64::tan(f64::to_radians(20.1))).is_none());
+    // At the light itself nothing can be said.
+    let here = Vec3::new(0.0, 0.0, 2.0);
+    assert!(
+        scene.emitters()[0]
+            .sample::<f64>(scene.lights(), here, [0.5; 2])
+            .is_none()
+    );
+    assert!(
+        scene.emitters()[1]
+            .sample::<f64>(scene.lights(), here, [0.5; 2])
+            .is_none()
+    );
+}
+
+/// What a sampled direction brings is what a ray in that direction finds.
+#[test]
+fn samples_and_hits_agree() {
+    let (scene, names) = environments();
+    let values: Vec<f64> = scene.params().values().iter().map(|&x| x.into()).collect();
+    let theta = Theta::<f64>::constant(&values);
+    for (emitter, name) in scene.emitters().iter().zip(names) {
+        assert!(emitter.is_infinite() && !emitter.is_delta());
+        for i in 0..2000 {
+            let u = Independent::new(6, 0, i).next_2d();
+            let s = emitter
+                .sample::<f64>(scene.lights(), Vec3::zero(), u)
+                .unwrap();
+            let hit = emitter.hit(s.d, None).unwrap();
+            let (a, b) = (
+                emitter.eval(&theta, &s.emission),
+                emitter.eval(&theta, &hit),
+            );
+            for c in 0..3 {
+                let scale = 1e-4 * (1.0 + a[c].abs()) * if name == "spiky map" { 1e4 } else { 1.0 };
+                assert!((a[c] - b[c]).abs() < scale, "{name}: {a:?} {b:?}");
+            }
+        }
+    }
+}
+
+/// Lobes and maps move with the direction: duals against central differences.
+#[test]
+fn what_arrives_follows_the_direction() {
+    type D = Dual<f64, 3>;
+    let (scene, names) = environments();
+    let values: Vec<f64> = scene.params().values().iter().map(|&x| x.into()).collect();
+    for (emitter, name) in scene.emitters().iter().zip(names) {
+        for i in 0..50 {
+            let d: Vec3<f64> = warp::square_to_sphere(Independent::new(7, 0, i).next_2d());
+            let red = |d: Vec3<f64>| {
+                let theta = Theta::<f64>::constant(&values);
+                emitter.eval(&theta, &emitter.hit(d, None).unwrap()).r
+            };
+            let theta = Theta::<D>::constant(&values);
+            let moving = Vec3::new(D::var(d.x, 0), D::var(d.y, 1), D::var(d.z, 2));
+            let dual = emitter.eval(&theta, &emitter.hit(moving, None).unwrap()).r;
+            for (k, axis) in Transform::IDENTITY.linear.into_iter().enumerate() {
+                let step = Vec3::from(axis) * 1e-6;
+                let expected = (red(d + step) - red(d - step)) / 2e-6;
+                let error = (dual.eps[k] - expected).abs();
+                assert!(
+                    error < 1e-5 * (1.0 + expected.abs()),
+                    "{name} {k}: {} {expected}",
+                    dual.eps[k]
+                );
+            }
+        }
+    }
+}
+
+/// Every emitter, from anywhere, in every scalar: finite, or nothing.
+#[test]
+fn nothing_is_infinite() {
+    fn sweep<P: Float>(scene: &Scene, what: &str) {
+        let last = P::one() - P::EPSILON;
+        let unit = [P::zero(), P::EPSILON, P::of(0.25), P::of(0.5), last];
+        let ball = &scene.shapes()[0];
+        let mut origins = vec![
+            Vec3::<P>::zero(),
+            Vec3::splat(P::of(1e6)),
+            Vec3::new(P::zero(), P::zero(), P::of(3.0)),
+        ];
+        for i in 0..20 {
+            let s = ball.sample_area::<P>(Independent::new(8, 0, i).next_2d());
+            origins.extend([
+                s.p,
+                s.p - s.n * P::of(1e-6),
+                s.p + s.n * P::of(1e-6),
+                s.p - s.n * P::of(0.1),
+            ]);
+        }
+        for e in scene.emitters() {
+            for &from in &origins {
+                for a in unit {
+                    for b in unit {
+                        let Some(s) = e.sample(scene.lights(), from, [a, b]) else {
+                            continue;
+                        };
+                        assert!(
+                            s.d.is_finite() && (s.d.length() - P::one()).abs() < P::of(1e-3),
+                            "{what} {s:?}"
+                        );
+                        assert!(s.pdf.is_finite() && s.pdf >= P::zero(), "{what} {s:?}");
+                        assert!(s.emission.falloff.is_finite(), "{what} {s:?}");
+                        assert!(s.emission.uv.x.is_finite() && s.emission.uv.y.is_finite());
+                        assert!(s.distance > P::zero(), "{what} {s:?}");
+                    }
+                }
+            }
+            for d in [
+                [0.0, 1.0, 0.0],
+                [0.0, -1.0, 0.0],
+                [0.0, 0.0, 1.0],
+                [0.0, 0.0, -1.0],
+                [1.0, 0.0, 0.0],
+            ] {
+                let d = Vec3::from(d.map(P::of));
+                assert!(e.pdf(scene.lights(), Vec3::zero(), d, None).is_finite());
+                if let Some(hit) = e.hit(d, None) {
+                    assert!(
+                        hit.falloff.is_finite() && hit.uv.x.is_finite() && hit.uv.y.is_finite()
+                    );
+                }
+            }
+        }
+    }
+    let (environments, _) = environments();
+    let local = scene(|b, ball| {
+        let mut white = |name: &str| b.rgb(name, [1.0; 3], POSITIVE).unwrap();
+        vec![
+            Area {
+                radiance: white("a"),
+                exponent: 0.0,
+                shape: ball,
+            }
+            .into(),
+            Area {
+                radiance: white("b"),
+                exponent: 30.0,
+                shape: ball,
+            }
+            .into(),
+            Point {
+                intensity: white("p"),
+                position: [0.0; 3],
+            }
+            .into(),
+            Spot::new(white("s"), [0.0; 3], [0.0, 1.0, 0.0], 0.0, 180.0)
+                .unwrap()
+                .into(),
+        ]
+    });
+    sweep::<f32>(&environments, "environment f32");
+    sweep::<f64>(&environments, "environment f64");
+    sweep::<f32>(&local, "local f32");
+    sweep::<f64>(&local, "local f64");
+}
+
+#[test]
+fn the_lobe_has_the_power_it_should() {
+    // 2 pi (1 - exp(-2 kappa)) / kappa
+    let (scene, names) = environments();
+    for (emitter, name) in scene.emitters().iter().zip(names) {
+        let kappa = match name {
+            "wide vmf" => 0.8f64,
+            "narrow vmf" => 30.0,
+            _ => continue,
+        };
+        let exact = 2.0 * PI * (1.0 - (-2.0 * kappa).exp()) / kappa;
+        let s = emitter
+            .sample::<f64>(scene.lights(), Vec3::zero(), [0.4, 0.1])
+            .unwrap();
+        assert!(
+            (s.emission.falloff / s.pdf / exact - 1.0).abs() < 1e-9,
+            "{name}"
+        );
+    }
+}
+
+// ---- Scene files --------------------------------------------------------------------------------
+
+fn from_xml(text: &str, folder: &Path) -> Result<(AnyEmitter, Builder), SceneError> {
+    let text = format!("<scene version=\"3.0.0\">\n{text}\n</scene>");
+    let document = Document::from_str(&text, folder, &[]).unwrap();
+    let node = document.root().children_with_tag("emitter")[0];
+    let mut build = Builder::new();
+    let emitter = AnyEmitter::from_node(node, &mut build)?;
+    node.finish()?;
+    Ok((emitter, build))
+}
+
+#[test]
+fn descriptions_of_bad_emitters_name_their_line() {
+    let squeeze = "<transform name=\"to_world\"><matrix value=\"1 .5 0 0  0 1 0 0  0 0 1 0  0 0 0 1\"/></transform>";
+    let cases = [
+        (
+            "point",
+            "<rgb name=\"intensity\" value=\"-1 0 0\"/>",
+            "intensity",
+        ),
+        (
+            "point",
+            "<point name=\"position\" value=\"0 0 0\"/><transform name=\"to_world\"><translate x=\"1\"/></transform>",
+            "position",
+        ),
+        (
+            "spot",
+            "<float name=\"cutoff_angle\" value=\"0\"/>",
+            "cutoff_angle",
+        ),
+        (
+            "spot",
+            "<float name=\"beam_width\" value=\"30\"/>",
+            "beam_width",
+        ),
+        (
+            "constant",
+            "<rgb name=\"radiance\" value=\"0 -1 0\"/>",
+            "radiance",
+        ),
+        (
+            "constant",
+            "<float name=\"radiant\" value=\"1\"/>",
+            "radiant",
+        ),
+        ("vmf", "<float name=\"kappa\" value=\"3\"/>", "direction"),
+        (
+            "vmf",
+            "<vector name=\"direction\" value=\"0 0 1\"/>",
+            "kappa",
+        ),
+        (
+            "vmf",
+            "<vector name=\"direction\" value=\"0 0 1\"/><float name=\"kappa\" value=\"-3\"/>",
+            "kappa",
+        ),
+        (
+            "vmf",
+            "<vector name=\"direction\" value=\"0 0 0\"/><float name=\"kappa\" value=\"3\"/>",
+            "direction",
+        ),
+        ("envmap", "", "filename"),
+        (
+            "envmap",
+            "<string name=\"filename\" value=\"nowhere.exr\"/>",
+            "nowhere.exr",
+        ),
+        ("envmap", squeeze, "to_world"),
+        ("envmap", "<float name=\"scale\" value=\"-1\"/>", "scale"),
+        ("sun", "", "known"),
+    ];
+    for (plugin, content, mention) in cases {
+        let text = format!("<emitter type=\"{plugin}\">\n{content}</emitter>");
+        let message = match from_xml(&text, Path::new(".")) {
+            Ok(_) => panic!("{text} was accepted"),
+            Err(e) => e.to_string(),
+        };
+        let place = message.contains("<text>:2") || message.contains("<text>:3");
+        assert!(place && message.contains(mention), "{text}: {message}");
+    }
+}
+
+/// An EXR file keeps every bit on its way into the parameters.
+#[test]
+fn maps_come_from_files() {
+    let folder = tempfile::tempdir().unwrap();
+    let image = noise(5, 4, 11);
+    image_io::write_exr(&folder.path().join("env.exr"), &image).unwrap();
+    let text = "<emitter type=\"envmap\" id=\"sky\"><string name=\"filename\" value=\"env.exr\"/><float name=\"scale\" value=\"2\"/></emitter>";
+    let (emitter, mut build) = from_xml(text, folder.path()).unwrap();
+    build.add_emitter(emitter, None);
+    let film = Film::new(1, 1);
+    let camera = Camera::new(Transform::IDENTITY, 40.0, FovAxis::X, film.size).unwrap();
+    let scene = build.build(camera, film, Settings::default()).unwrap();
+    assert_eq!(scene.params().values(), image.data);
+    let values: Vec<f64> = scene.params().values().iter().map(|&x| x.into()).collect();
+    let d = Vec3::new(0.6, 0.48, -0.64);
+    let e = &scene.emitters()[0];
+    let found = e.eval(&Theta::<f64>::constant(&values), &e.hit(d, None).unwrap());
+    assert!((found.g - 2.0 * lookup(&image, d)[1]).abs() < 1e-5);
+    // Cut off in the middle: an error that names the file.
+    let bytes = std::fs::read(folder.path().join("env.exr")).unwrap();
+    std::fs::write(folder.path().join("env.exr"), &bytes[..bytes.len() / 2]).unwrap();
+    let message = from_xml(text, folder.path())
+        .map(drop)
+        .unwrap_err()
+        .to_string();
+    assert!(message.contains("env.exr"), "{message}");
+}
+
+#[test]
+fn images_are_checked() {
+    let refused = |image: Image| {
+        let mut build = Builder::new();
+        Envmap::new(&mut build, "env", &image, &Transform::IDENTITY, 1.0)
+            .map(drop)
+            .unwrap_err()
+            .to_string()
+    };
+    let mut image = noise(4, 3, 1);
+    image.data[7] = f32::NAN;
+    assert!(refused(image.clone()).contains("env.data"));
+    image.data[7] = -1.0;
+    assert!(refused(image.clone()).contains("-1"));
+    image.data[7] = 1.0;
+    image.data.pop();
+    assert!(refused(image).contains("4 x 3"));
+    assert!(refused(Image::new(0, 0)).contains("0 x 0"));
+    let huge = Image {
+        width: usize::MAX,
+        height: 2,
+        data: vec![1.0; 3],
+    };
+    assert!(refused(huge).contains("values"));
+}
