@@ -1,3 +1,5 @@
 //! The figures of the seed documents, one module per document.
 
+pub mod scenes;
+pub mod stage;
 pub mod stam;

@@ -11,10 +11,8 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use clap::{Parser, ValueEnum};
-use optim::{
-    AnyOptimizer, Constrained, Groups, Loss, LossKind, Optimizer, Parameterisation, Rates, Schedule,
-};
-use render::instances::{Technique, backward_f32, render_f32};
+use optim::{AnyOptimizer, Constrained, Groups, LossKind, Parameterisation, Rates, Schedule};
+use render::instances::{Technique, render_f32};
 use render::integrator::gradient::Active;
 use render::integrator::render::NonFinite;
 use render::params::{ParamInfo, Theta};
@@ -27,6 +25,7 @@ use crate::chart::LineChart;
 use crate::cli::{
     LoadArgs, Outcome, ThreadArgs, ToolError, depth, report_non_finite, sample_count,
 };
+use crate::optimise::Problem;
 use crate::output;
 use crate::progress::{Bar, Interrupt};
 use crate::scenes;
@@ -286,14 +285,10 @@ fn stream(seed: u64, n: u64) -> u64 {
 const TARGET_STREAM: u64 = u64::MAX;
 const PICTURE_STREAM: u64 = u64::MAX - 1;
 
-/// The scene with its unknowns.
-struct Problem {
-    scene: Scene,
-    settings: Settings,
-    active: Active,
-    loss: LossKind,
-    target: Image,
-    /// The true values, for the built-in scene.
+/// The problem, and its solution for the built-in scene.
+struct Recovery {
+    problem: Problem,
+    /// The true values.
     truth: Option<Vec<f32>>,
 }
 
@@ -364,23 +359,23 @@ fn recover(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
             }
         }
     };
-    let mut problem = Problem {
+    let problem = Problem {
         scene,
         settings,
         active,
         loss,
         target,
-        truth,
     };
+    let mut recovery = Recovery { problem, truth };
     let before_file = args.out.join("before.exr");
     if !args.resume {
         output::create_dir(&args.out)?;
-        image_io::write_exr(&target_file, &problem.target)?;
-        problem.set(&state.values)?;
-        image_io::write_exr(&before_file, &problem.picture(job.seed))?;
+        image_io::write_exr(&target_file, &recovery.problem.target)?;
+        recovery.problem.set(&state.values)?;
+        image_io::write_exr(&before_file, &recovery.picture(job.seed))?;
         output::write_json(&saved, &state)?;
     }
-    let before = read_size(&before_file, &problem.scene)?;
+    let before = read_size(&before_file, &recovery.problem.scene)?;
 
     let left = job.iterations.saturating_sub(state.iteration);
     let stop = state.iteration + args.stop_after.unwrap_or(left).min(left);
@@ -389,7 +384,7 @@ fn recover(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     while state.iteration < stop && !interrupt.is_set() {
         bar.set(state.iteration.into());
         // What was there before a failing step is worth keeping, too.
-        match problem.step(&mut state, interrupt) {
+        match recovery.step(&mut state, interrupt) {
             Ok(true) => {}
             Ok(false) => break,
             Err(e) => {
@@ -407,7 +402,7 @@ fn recover(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     }
     bar.finish();
     output::write_json(&saved, &state)?;
-    problem.write_results(&args.out, &state, &before)?;
+    recovery.write_results(&args.out, &state, &before)?;
     if state.iteration < job.iterations {
         eprintln!(
             "stopped after {} of {} iterations; --resume --out {} continues",
@@ -531,72 +526,25 @@ fn optimizer(
     Ok(Constrained::new(inner, groups)?)
 }
 
-impl Problem {
-    /// Gives the unknowns their values.
-    fn set(&mut self, values: &[f32]) -> Result<(), ToolError> {
-        let mut all = self.scene.params().values().to_vec();
-        let mut at = 0;
-        for info in self.active.ranges() {
-            let range = info.range();
-            let n = range.len();
-            all[range].copy_from_slice(&values[at..at + n]);
-            at += n;
-        }
-        Ok(self.scene.set_params(&all)?)
-    }
-
+impl Recovery {
     /// One iteration. `false` if interrupted: nothing has changed then.
     fn step(&mut self, state: &mut Checkpoint, interrupt: &Interrupt) -> Result<bool, ToolError> {
-        self.set(&state.values)?;
-        let scene = &self.scene;
-        let theta = Theta::constant(scene.params().values());
-        let spp = u64::from(self.settings.spp);
         let i = u64::from(state.iteration);
         let seeds = [2 * i, 2 * i + 1].map(|n| stream(state.job.seed, n));
-        let technique = Technique::MisPower;
-        let settings = &self.settings;
-        let seen = render_f32(
-            scene,
-            &theta,
-            technique,
-            settings,
-            seeds[0],
-            0..spp,
-            interrupt,
-        );
-        if seen.cancelled {
-            return Ok(false);
-        }
-        let image = seen.image(0);
-        let loss = self.loss.value(&image.data, &self.target.data)?;
-        let mut d_image = vec![0.0; image.data.len()];
-        self.loss
-            .gradient(&image.data, &self.target.data, &mut d_image)?;
-        let gradient = backward_f32(
-            scene,
-            &theta,
-            &self.active,
-            &d_image,
-            settings,
-            seeds[1],
-            0..spp,
-            interrupt,
-        )?;
-        if gradient.cancelled {
-            return Ok(false);
-        }
-        let report = |bad: &NonFinite, seed| report_non_finite(bad, image.width, seed);
-        report(&seen.non_finite, seeds[0]);
-        report(&gradient.non_finite, seeds[1]);
-
-        let gradient: Vec<f32> = gradient
-            .values
-            .iter()
-            .flatten()
-            .map(|&g| g as f32)
-            .collect();
         let values = self.tracked(&state.values);
-        state.optimizer.step(&mut state.values, &gradient)?;
+        let Checkpoint {
+            values: unknowns,
+            optimizer,
+            ..
+        } = state;
+        let step = self.problem.step(unknowns, optimizer, seeds, interrupt)?;
+        let Some(step) = step else {
+            return Ok(false);
+        };
+        let report = |bad: &NonFinite, seed| report_non_finite(bad, step.seen.width, seed);
+        report(&step.seen.non_finite, seeds[0]);
+        report(&step.gradient.non_finite, seeds[1]);
+        let loss = step.loss;
         state.history.push(Row { loss, values });
         state.iteration += 1;
         if state.iteration > state.job.iterations - state.job.iterations / 4 {
@@ -612,7 +560,7 @@ impl Problem {
     fn tracked(&self, values: &[f32]) -> Vec<f64> {
         let mut out = Vec::new();
         let mut at = 0;
-        for info in self.active.ranges() {
+        for info in self.problem.active.ranges() {
             let own = &values[at..at + info.shape.len()];
             at += own.len();
             if own.len() <= 3 {
@@ -627,7 +575,7 @@ impl Problem {
     /// Names of the tracked numbers.
     fn tracked_names(&self) -> Vec<String> {
         let mut out = Vec::new();
-        for info in self.active.ranges() {
+        for info in self.problem.active.ranges() {
             match info.shape.len() {
                 1 => out.push(info.name.clone()),
                 n @ 2..=3 => out.extend((0..n).map(|i| format!("{}[{i}]", info.name))),
@@ -639,12 +587,21 @@ impl Problem {
 
     /// The scene as it is, with little noise.
     fn picture(&self, seed: u64) -> Image {
-        let theta = Theta::constant(self.scene.params().values());
+        let theta = Theta::constant(self.problem.scene.params().values());
         let technique = Technique::MisPower;
         let seed = stream(seed, PICTURE_STREAM);
         let samples = 0..u64::from(PICTURE_SPP);
-        let settings = &self.settings;
-        render_f32(&self.scene, &theta, technique, settings, seed, samples, &()).image(0)
+        let settings = &self.problem.settings;
+        render_f32(
+            &self.problem.scene,
+            &theta,
+            technique,
+            settings,
+            seed,
+            samples,
+            &(),
+        )
+        .image(0)
     }
 
     fn write_results(
@@ -654,13 +611,13 @@ impl Problem {
         before: &Image,
     ) -> Result<(), ToolError> {
         let estimate = state.estimate();
-        self.set(&estimate)?;
+        self.problem.set(&estimate)?;
         let after = self.picture(state.job.seed);
         image_io::write_exr(&out.join("after.exr"), &after)?;
         let panels = [
             output::panel("before", before),
             output::panel("after", &after),
-            output::panel("target", &self.target),
+            output::panel("target", &self.problem.target),
         ];
         output::write_panels(&out.join("before-after-target.png"), &panels)?;
         image_io::write_atomically(&out.join("iterations.csv"), self.csv(state).as_bytes())?;
@@ -709,7 +666,7 @@ impl Problem {
         let label = "loss; largest relative error of each parameter";
         let mut chart = loss(LineChart::new("Convergence", "iteration", label).log_y());
         let mut at = 0;
-        for info in self.active.ranges() {
+        for info in self.problem.active.ranges() {
             let n = if info.shape.len() <= 3 {
                 info.shape.len()
             } else {
@@ -725,7 +682,7 @@ impl Problem {
 
     fn write_textures(&self, out: &Path, estimate: &[f32]) -> Result<(), ToolError> {
         let mut at = 0;
-        for info in self.active.ranges() {
+        for info in self.problem.active.ranges() {
             let own = &estimate[at..at + info.shape.len()];
             at += own.len();
             if let render::params::ParamShape::Texture {

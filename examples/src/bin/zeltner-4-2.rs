@@ -1,0 +1,14 @@
+//! `zeltner-4-2`: the optimisation loop [Zeltner 2021].
+
+use std::process::ExitCode;
+
+use examples::figure::Figure;
+use examples::figures::scenes;
+
+fn main() -> ExitCode {
+    Figure::run(
+        "zeltner-4-2",
+        "the optimisation loop",
+        scenes::recovery::optimisation_loop,
+    )
+}

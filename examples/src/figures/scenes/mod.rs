@@ -1,0 +1,7 @@
+//! Figures of [Zeltner 2021] that show whole scenes: chapters 1 and 2, and the passes of chapter 4.
+//!
+//! The scenes come from [`super::stage`].
+
+pub mod path_length;
+pub mod propagation;
+pub mod recovery;
