@@ -19,7 +19,7 @@ use crate::math::Rgb;
 /// A handle to one named range of theta.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct ParamRef {
-    /// Index of the range in its [`Layout`].
+    /// Index of the range in its [`Params`].
     pub id: u32,
     /// First element in the flat vector.
     pub offset: u32,

@@ -3,8 +3,8 @@
 //! Everything here is primal and f32: the renderer takes the primitive that was hit and computes
 //! the point again in its own scalar, so nothing in this module is ever differentiated.
 //!
-//! Small scenes are tested linearly, eight flat primitives at a time ([`packet`]); large scenes go
-//! through a compressed eight-wide hierarchy ([`bvh`]). Both run the same arithmetic on the same
+//! Small scenes are tested linearly, eight flat primitives at a time (`packet`); large scenes go
+//! through a compressed eight-wide hierarchy (`bvh`). Both run the same arithmetic on the same
 //! numbers and break ties towards the lowest primitive, so they return the same bits.
 
 mod bvh;
