@@ -742,9 +742,9 @@ fn missing_normals_are_made() {
         assert!((p - n).length() < 1e-6 || (p + n).length() < 1e-6);
     }
     // Angles count, not areas or the number of triangles: a right angle split unevenly.
-    let text = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0.1 0 1\nv 0 0 1\nf 1 2 3\nf 1 3 5\n";
+    let text = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0.1 0 1\nv 0 0 1\nf 1 2 3\nf 1 5 4\nf 1 4 2\n";
     let n = obj(text).unwrap().data().normals[0];
-    assert_near(vec3(n.map(f64::from)), [0.5f64.sqrt(), 0.0, 0.5f64.sqrt()]);
+    assert_near(vec3(n.map(f64::from)), [0.0, 0.5f64.sqrt(), 0.5f64.sqrt()]);
 }
 
 #[test]
