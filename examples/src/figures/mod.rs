@@ -3,3 +3,4 @@
 pub mod scenes;
 pub mod stage;
 pub mod stam;
+pub mod zeltner;

@@ -10,6 +10,9 @@ use ad_core::Real;
 pub struct Dielectric<R> {
     /// Reflected fraction.
     pub reflect: R,
+    /// The same of light polarised perpendicular and parallel to the plane of incidence; their mean
+    /// is `reflect`.
+    pub polarised: [R; 2],
     /// Transmitted fraction; the two sum to one.
     pub transmit: R,
     /// Cosine of the angle of refraction, positive; zero at total internal reflection.
@@ -30,6 +33,7 @@ pub fn dielectric<R: Real>(cos_i: R, eta: R) -> Dielectric<R> {
     if radicand.primal() <= zero || cos_i.primal() <= zero {
         return Dielectric {
             reflect: R::one(),
+            polarised: [R::one(); 2],
             transmit: R::zero(),
             cos_t: R::zero(),
         };
@@ -37,8 +41,10 @@ pub fn dielectric<R: Real>(cos_i: R, eta: R) -> Dielectric<R> {
     let q = radicand.sqrt();
     let (s, p) = (cos_i + q, eta * cos_i + q / eta);
     let (r_s, r_p) = ((cos_i - q) / s, (eta * cos_i - q / eta) / p);
+    let polarised = [r_s.square(), r_p.square()];
     Dielectric {
-        reflect: (r_s.square() + r_p.square()) * R::c(0.5),
+        reflect: (polarised[0] + polarised[1]) * R::c(0.5),
+        polarised,
         transmit: cos_i * q * R::c(2.0) * (s.square().recip() + p.square().recip()),
         cos_t: q / eta,
     }
@@ -51,9 +57,16 @@ pub fn dielectric<R: Real>(cos_i: R, eta: R) -> Dielectric<R> {
 /// In all arguments; one-sided at `eta = 0`.
 #[inline]
 pub fn conductor<R: Real>(cos_i: R, eta: R, k: R) -> R {
+    let [r_s, r_p] = conductor_polarised(cos_i, eta, k);
+    (r_s + r_p) * R::c(0.5)
+}
+
+/// [`conductor`] for light polarised perpendicular and parallel to the plane of incidence.
+#[inline]
+pub fn conductor_polarised<R: Real>(cos_i: R, eta: R, k: R) -> [R; 2] {
     let zero = R::Primal::zero();
     if cos_i.primal() <= zero {
-        return R::one();
+        return [R::one(); 2];
     }
     let k = k.abs();
     let c2 = cos_i.square();
@@ -84,7 +97,7 @@ pub fn conductor<R: Real>(cos_i: R, eta: R, k: R) -> R {
     } else {
         R::one()
     };
-    (r_s + r_p) * R::c(0.5)
+    [r_s, r_p]
 }
 
 /// Average of [`dielectric`]'s reflectance over cosine-weighted directions on the near side, to

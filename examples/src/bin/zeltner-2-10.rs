@@ -1,0 +1,14 @@
+//! `zeltner-2-10`: Fresnel reflectance of glass [Zeltner 2021].
+
+use std::process::ExitCode;
+
+use examples::figure::Figure;
+use examples::figures::zeltner;
+
+fn main() -> ExitCode {
+    Figure::run(
+        "zeltner-2-10",
+        "Fresnel reflectance of glass",
+        zeltner::fresnel::dielectrics,
+    )
+}

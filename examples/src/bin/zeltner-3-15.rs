@@ -1,0 +1,14 @@
+//! `zeltner-3-15`: the Newton fractal of z^3 = 1 [Zeltner 2021].
+
+use std::process::ExitCode;
+
+use examples::figure::Figure;
+use examples::figures::zeltner;
+
+fn main() -> ExitCode {
+    Figure::run(
+        "zeltner-3-15",
+        "the Newton fractal of z^3 = 1",
+        zeltner::newton::fractal,
+    )
+}
