@@ -292,7 +292,7 @@ mod tests {
         let range = p.range();
         assert!((integrate(range, 3000, |x| p.pdf(x)) - 1.0).abs() < 1e-9);
         assert!(p.cdf(range[0]).abs() < 1e-12 && (p.cdf(range[1]) - 1.0).abs() < 1e-12);
-        for u in positions([0.0, 1.0], 1000) {
+        for u in positions([0.0, 1.0], 10_000) {
             assert!((p.cdf(p.sample(u)) - u).abs() < 1e-12, "{u}");
         }
     }
@@ -306,10 +306,8 @@ mod tests {
             sd: 0.3,
             range,
         });
-        // Two bumps far apart, where Newton's method alone goes to and fro.
-        let bumps =
-            |x: f64| 0.1 + (-(x / 0.15).powi(2)).exp() + 0.5 * (-((x - 1.2) / 0.3).powi(2)).exp();
-        consistent(&Piecewise::interpolating(range, 50, bumps));
+        // Two bumps apart, where Newton's method alone goes to and fro.
+        consistent(&super::super::transform::target());
         consistent(&Piecewise::interpolating(range, 10, |x| {
             (5.0 * x).sin() + 1.2
         }));
@@ -335,6 +333,20 @@ mod tests {
                 assert!((a - b).abs() < 1e-8, "{a} {b}");
             }
         }
+    }
+
+    #[test]
+    fn moments_of_a_few_numbers() {
+        let numbers = [1.0f64, 2.0, 4.0, 8.0, 16.0, 3.0, -5.0];
+        let mut m = Moments::default();
+        numbers.iter().for_each(|x| m.add(*x));
+        let n = numbers.len() as f64;
+        let mean = numbers.iter().sum::<f64>() / n;
+        let power = |k: i32| numbers.iter().map(|x| (x - mean).powi(k)).sum::<f64>() / n;
+        let variance_error = ((power(4) - power(2).powi(2)) / n).sqrt();
+        assert!((m.mean - mean).abs() < 1e-12);
+        assert!((m.variance() - power(2) * n / (n - 1.0)).abs() < 1e-12);
+        assert!((m.variance_error() - variance_error).abs() < 1e-10);
     }
 
     /// Mean, variance and their errors of uniform numbers: 1/2, 1/12, and a fourth moment of 1/80.
