@@ -62,15 +62,14 @@ impl<R: Real> SurfaceInteraction<R> {
     /// The ray that tests whether the point at `distance` in the unit direction `d` is visible, and the
     /// length to test. The ray leaves off the surface by `offset` and is aimed anew at that point:
     /// kept parallel, it would meet a ball light too early near its outline, and lose per cents of it.
-    /// The direction is not unit for finite distances.
     #[inline(always)]
     pub fn shadow_ray(&self, d: Vec3<R>, distance: R, offset: f32) -> (Ray<R>, R) {
         let ray = self.spawn_ray(d, offset);
         if distance.primal() <= R::Primal::MAX {
-            (
-                Ray::new(ray.o, self.p + d * distance - ray.o),
-                R::of(1.0 - SHADOW_EPSILON),
-            )
+            let to = self.p + d * distance - ray.o;
+            let length = to.length();
+            let ray = Ray::new(ray.o, to * length.recip());
+            (ray, length * R::c(1.0 - SHADOW_EPSILON))
         } else {
             (ray, distance)
         }
