@@ -2,6 +2,8 @@
 //!
 //! The scenes come from [`super::stage`].
 
+pub mod factors;
 pub mod path_length;
 pub mod propagation;
 pub mod recovery;
+pub mod split;
