@@ -1,8 +1,8 @@
 //! Surfaces that emit.
 
-use ad_core::{Float, Real, Vec3};
+use ad_core::{Const, Float, Real, Vec2, Vec3};
 
-use super::{Emission, Emitter, EmitterSample, Lights};
+use super::{Connection, Emission, Emitter, EmitterSample, Lights};
 use crate::bsdf::FromNode;
 use crate::error::SceneError;
 use crate::scene::{Builder, Node};
@@ -60,22 +60,40 @@ impl Emitter for Area {
         Some(EmitterSample {
             d: s.d,
             distance: s.distance,
+            normals: [s.n, s.n_geo],
             pdf: s.pdf,
             emission,
         })
     }
 
     #[inline(always)]
-    fn pdf<P: Float>(
+    fn pdf<R: Real>(
         &self,
         lights: Lights,
-        from: Vec3<P>,
-        _d: Vec3<P>,
-        si: Option<&SurfaceInteraction<P>>,
-    ) -> P {
-        si.map_or(P::zero(), |si| {
+        from: Vec3<R>,
+        _d: Vec3<R>,
+        si: Option<&SurfaceInteraction<R>>,
+    ) -> R {
+        si.map_or(R::zero(), |si| {
             lights.shapes[self.shape as usize].pdf(from, si)
         })
+    }
+
+    fn connect<R: Real>(&self, sample: &EmitterSample<R::Primal>, from: Vec3<R>) -> Connection<R> {
+        let at = from.primal() + sample.d * sample.distance;
+        let to = Vec3::lift(at) - from;
+        let d = to.normalize();
+        let [n, n_geo] = sample.normals.map(Vec3::<R>::lift);
+        // Constant density per area.
+        let per_angle = to.length_squared() / n_geo.dot(d);
+        Connection {
+            d,
+            pdf: per_angle * Const(sample.pdf / per_angle.primal()),
+            emission: Emission {
+                uv: Vec2::lift(sample.emission.uv),
+                falloff: self.lobe(-n.dot(d)).unwrap_or(R::zero()),
+            },
+        }
     }
 }
 

@@ -39,6 +39,7 @@ impl Emitter for Constant {
         Some(EmitterSample {
             d: warp::square_to_sphere(u),
             distance: P::of(f64::INFINITY),
+            normals: [Vec3::zero(); 2],
             pdf: P::of(0.25 / PI),
             emission: Emission {
                 uv: Vec2::zero(),
@@ -48,14 +49,14 @@ impl Emitter for Constant {
     }
 
     #[inline]
-    fn pdf<P: Float>(
+    fn pdf<R: Real>(
         &self,
         _: Lights,
-        _: Vec3<P>,
-        _: Vec3<P>,
-        si: Option<&SurfaceInteraction<P>>,
-    ) -> P {
-        P::of(if si.is_none() { 0.25 / PI } else { 0.0 })
+        _: Vec3<R>,
+        _: Vec3<R>,
+        si: Option<&SurfaceInteraction<R>>,
+    ) -> R {
+        R::of(if si.is_none() { 0.25 / PI } else { 0.0 })
     }
 
     fn is_infinite(&self) -> bool {

@@ -166,32 +166,34 @@ impl Envmap {
         self.corners(band, cell).as_flattened().iter().sum()
     }
 
-    /// Density per solid angle at a local direction.
-    fn density(&self, local: [f64; 3]) -> f64 {
+    /// Density per solid angle at a local direction: bilinear in its cell, so continuous.
+    fn density<R: Real>(&self, local: [R; 3]) -> R {
+        let uniform = R::c(0.25 * FRAC_1_PI);
         if self.table.density.is_empty() {
-            return 0.25 * FRAC_1_PI;
+            return R::lift(uniform.0);
         }
         let [x, y, z] = local;
-        let column = turn(x, -z) * self.width as f64 - 0.5;
-        let left = column.floor();
+        let column = turn(x, -z) * R::c(self.width as f64) - R::c(0.5);
+        let left = column.primal().to_f64().floor();
         let cell = (left as i64).rem_euclid(self.width as i64) as usize;
-        let fx = column - left;
+        let fx = column - R::c(left);
         let sine_squared = x * x + z * z;
-        let theta = sine_squared.sqrt().atan2(y);
+        let theta = sine_squared.primal().sqrt().atan2(y.primal()).to_f64();
         let band = (theta * FRAC_1_PI * self.bands() as f64) as usize;
         let band = band.min(self.bands() - 1);
         // 1 - cos theta without cancellation near the upper pole; near the lower one nothing cancels.
         let r = (sine_squared + y * y).sqrt();
-        let h = if y > 0.0 {
+        let h = if y.primal() > R::Primal::zero() {
             sine_squared / (r * (r + y))
         } else {
-            1.0 - y / r
+            -(y / r) + R::c(1.0)
         };
         let (above, below) = (self.edges[band], self.edges[band + 1]);
-        let fy = ((h - above) / (below - above)).clamp(0.0, 1.0);
+        let fy = ((h - R::c(above)) / R::c(below - above)).clamp(R::zero(), R::one());
         let [[a, b], [c, d]] = self.corners(band, cell);
-        let value = (a + (b - a) * fx) * (1.0 - fy) + (c + (d - c) * fx) * fy;
-        value * 0.25 * FRAC_1_PI
+        let across = |a: f64, b: f64| fx * R::c(b - a) + R::c(a);
+        let (upper, lower) = (across(a, b), across(c, d));
+        (upper + (lower - upper) * fy) * uniform
     }
 }
 
@@ -275,6 +277,7 @@ impl Emitter for Envmap {
         Some(EmitterSample {
             d: d.map(P::of).normalize(),
             distance: P::of(f64::INFINITY),
+            normals: [Vec3::zero(); 2],
             pdf: P::of(pdf),
             emission: Emission {
                 uv: Vec2::new(P::of(u), P::of(sin_theta.atan2(cos_theta) * FRAC_1_PI)),
@@ -284,16 +287,16 @@ impl Emitter for Envmap {
     }
 
     #[inline]
-    fn pdf<P: Float>(
+    fn pdf<R: Real>(
         &self,
         _: Lights,
-        _: Vec3<P>,
-        d: Vec3<P>,
-        si: Option<&SurfaceInteraction<P>>,
-    ) -> P {
+        _: Vec3<R>,
+        d: Vec3<R>,
+        si: Option<&SurfaceInteraction<R>>,
+    ) -> R {
         match si {
-            Some(_) => P::zero(),
-            None => P::of(self.density(self.local(d.map(P::to_f64)))),
+            Some(_) => R::zero(),
+            None => self.density(self.local(d)),
         }
     }
 

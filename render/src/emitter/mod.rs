@@ -45,10 +45,23 @@ pub struct EmitterSample<P> {
     pub d: Vec3<P>,
     /// Distance to the light; infinite for environments.
     pub distance: P,
+    /// Unit shading and geometric normals of the light's surface there; zero without one.
+    pub normals: [Vec3<P>; 2],
     /// Density per solid angle; 1 for a delta light.
     pub pdf: P,
     /// What arrives.
     pub emission: Emission<P>,
+}
+
+/// An [`EmitterSample`] as seen from a moving point.
+#[derive(Clone, Copy, Debug)]
+pub struct Connection<R> {
+    /// Unit direction to the light, world space.
+    pub d: Vec3<R>,
+    /// Density per solid angle; 1 for a delta light.
+    pub pdf: R,
+    /// What arrives.
+    pub emission: Emission<R>,
 }
 
 /// What the scene knows that emitters need.
@@ -77,13 +90,33 @@ pub trait Emitter: Send + Sync {
 
     /// Density of [`Emitter::sample`] for the direction `d` that hits it at `si`, per solid angle;
     /// zero for delta lights.
-    fn pdf<P: Float>(
+    ///
+    /// # Derivatives
+    /// In the direction and what it hits.
+    fn pdf<R: Real>(
         &self,
         lights: Lights,
-        from: Vec3<P>,
-        d: Vec3<P>,
-        si: Option<&SurfaceInteraction<P>>,
-    ) -> P;
+        from: Vec3<R>,
+        d: Vec3<R>,
+        si: Option<&SurfaceInteraction<R>>,
+    ) -> R;
+
+    /// The same sample of the light seen from a reference point that moves: direction, density and
+    /// emission, in area form: the *point* on the light stays where it is (environments keep the
+    /// direction instead).
+    ///
+    /// # Derivatives
+    /// In `from`, whose primal is the point that the sample was drawn for.
+    fn connect<R: Real>(&self, sample: &EmitterSample<R::Primal>, _from: Vec3<R>) -> Connection<R> {
+        Connection {
+            d: Vec3::lift(sample.d),
+            pdf: R::lift(sample.pdf),
+            emission: Emission {
+                uv: Vec2::lift(sample.emission.uv),
+                falloff: R::lift(sample.emission.falloff),
+            },
+        }
+    }
 
     /// Whether it can be hit only by sampling it.
     fn is_delta(&self) -> bool {
@@ -172,10 +205,15 @@ macro_rules! emitters {
                 $crate::dispatch::dispatch!(self, [$($hot),*] [$($name),*], e => e.sample(lights, from, u))
             }
             #[inline(always)]
-            fn pdf<P: Float>(
-                &self, lights: Lights, from: Vec3<P>, d: Vec3<P>, si: Option<&SurfaceInteraction<P>>,
-            ) -> P {
+            fn pdf<R: Real>(
+                &self, lights: Lights, from: Vec3<R>, d: Vec3<R>, si: Option<&SurfaceInteraction<R>>,
+            ) -> R {
                 $crate::dispatch::dispatch!(self, [$($hot),*] [$($name),*], e => e.pdf(lights, from, d, si))
+            }
+            fn connect<R: Real>(
+                &self, sample: &EmitterSample<R::Primal>, from: Vec3<R>,
+            ) -> Connection<R> {
+                match self { $(Self::$hot(e) => e.connect(sample, from),)* $(Self::$name(e) => e.connect(sample, from),)* }
             }
             fn is_delta(&self) -> bool {
                 match self { $(Self::$hot(e) => e.is_delta(),)* $(Self::$name(e) => e.is_delta(),)* }

@@ -2,7 +2,7 @@
 
 use ad_core::{Float, Real, Vec2, Vec3};
 
-use super::{Emission, Emitter, EmitterSample, Lights};
+use super::{Connection, Emission, Emitter, EmitterSample, Lights};
 use crate::bsdf::FromNode;
 use crate::error::SceneError;
 use crate::math::Transform;
@@ -22,12 +22,35 @@ pub struct Point {
 /// Direction from `from` to `position`, distance, and one over its square. `None` where that is not
 /// finite.
 #[inline]
-pub(super) fn towards<P: Float>(position: [f32; 3], from: Vec3<P>) -> Option<(Vec3<P>, P, P)> {
-    let to = lift3::<P>(position) - from;
+pub(super) fn towards<R: Real>(position: [f32; 3], from: Vec3<R>) -> Option<(Vec3<R>, R, R)> {
+    let to = lift3::<R>(position) - from;
     let distance = to.length();
     let inverse_square = distance.recip() * distance.recip();
-    let usable = inverse_square.is_finite() && inverse_square > P::zero();
+    let size = inverse_square.primal();
+    let usable = size.is_finite() && size > R::Primal::zero();
     usable.then(|| (to.normalize(), distance, inverse_square))
+}
+
+/// [`Emitter::connect`] for a light at `position` with a directional `profile`.
+#[inline]
+pub(super) fn moving<R: Real>(
+    position: [f32; 3],
+    sample: &EmitterSample<R::Primal>,
+    from: Vec3<R>,
+    profile: impl Fn(Vec3<R>) -> R,
+) -> Connection<R> {
+    let (d, falloff) = match towards(position, from) {
+        Some((d, _, inverse_square)) => (d, inverse_square * profile(-d)),
+        None => (Vec3::lift(sample.d), R::zero()),
+    };
+    Connection {
+        d,
+        pdf: R::one(),
+        emission: Emission {
+            uv: Vec2::zero(),
+            falloff,
+        },
+    }
 }
 
 impl Emitter for Point {
@@ -47,6 +70,7 @@ impl Emitter for Point {
         Some(EmitterSample {
             d,
             distance,
+            normals: [Vec3::zero(); 2],
             pdf: P::one(),
             emission: Emission {
                 uv: Vec2::zero(),
@@ -56,14 +80,18 @@ impl Emitter for Point {
     }
 
     #[inline]
-    fn pdf<P: Float>(
+    fn pdf<R: Real>(
         &self,
         _: Lights,
-        _: Vec3<P>,
-        _: Vec3<P>,
-        _: Option<&SurfaceInteraction<P>>,
-    ) -> P {
-        P::zero()
+        _: Vec3<R>,
+        _: Vec3<R>,
+        _: Option<&SurfaceInteraction<R>>,
+    ) -> R {
+        R::zero()
+    }
+
+    fn connect<R: Real>(&self, sample: &EmitterSample<R::Primal>, from: Vec3<R>) -> Connection<R> {
+        moving(self.position, sample, from, |_| R::one())
     }
 
     fn is_delta(&self) -> bool {

@@ -2,8 +2,8 @@
 
 use ad_core::{Float, Real, Vec2, Vec3};
 
-use super::point::{constant_colour, towards};
-use super::{Emission, Emitter, EmitterSample, Lights};
+use super::point::{constant_colour, moving, towards};
+use super::{Connection, Emission, Emitter, EmitterSample, Lights};
 use crate::bsdf::FromNode;
 use crate::error::SceneError;
 use crate::scene::{Builder, Node};
@@ -46,17 +46,17 @@ impl Spot {
 
     /// Fraction of the intensity in the unit direction `d`.
     #[inline]
-    fn profile<P: Float>(&self, d: Vec3<P>) -> P {
-        let axis = lift3::<P>(self.axis);
+    fn profile<R: Real>(&self, d: Vec3<R>) -> R {
+        let axis = lift3::<R>(self.axis);
         // Not the arccosine, which knows small angles to four digits only.
         let angle = axis.cross(d).length().atan2(axis.dot(d));
-        let (beam, cutoff) = (P::of(self.beam), P::of(self.cutoff));
-        if angle <= beam {
-            P::one()
-        } else if angle < cutoff {
-            (cutoff - angle) / (cutoff - beam)
+        let at = angle.primal().to_f64();
+        if at <= self.beam {
+            R::one()
+        } else if at < self.cutoff {
+            -(angle - R::c(self.cutoff)) / R::c(self.cutoff - self.beam)
         } else {
-            P::zero()
+            R::zero()
         }
     }
 }
@@ -79,6 +79,7 @@ impl Emitter for Spot {
         (falloff > P::zero()).then_some(EmitterSample {
             d,
             distance,
+            normals: [Vec3::zero(); 2],
             pdf: P::one(),
             emission: Emission {
                 uv: Vec2::zero(),
@@ -88,14 +89,18 @@ impl Emitter for Spot {
     }
 
     #[inline]
-    fn pdf<P: Float>(
+    fn pdf<R: Real>(
         &self,
         _: Lights,
-        _: Vec3<P>,
-        _: Vec3<P>,
-        _: Option<&SurfaceInteraction<P>>,
-    ) -> P {
-        P::zero()
+        _: Vec3<R>,
+        _: Vec3<R>,
+        _: Option<&SurfaceInteraction<R>>,
+    ) -> R {
+        R::zero()
+    }
+
+    fn connect<R: Real>(&self, sample: &EmitterSample<R::Primal>, from: Vec3<R>) -> Connection<R> {
+        moving(self.position, sample, from, |d| self.profile(d))
     }
 
     fn is_delta(&self) -> bool {

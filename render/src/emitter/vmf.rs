@@ -84,6 +84,7 @@ impl Emitter for Vmf {
         Some(EmitterSample {
             d,
             distance: P::of(f64::INFINITY),
+            normals: [Vec3::zero(); 2],
             pdf: falloff * self.normalisation::<P>(),
             emission: Emission {
                 uv: Vec2::zero(),
@@ -93,16 +94,16 @@ impl Emitter for Vmf {
     }
 
     #[inline]
-    fn pdf<P: Float>(
+    fn pdf<R: Real>(
         &self,
         _: Lights,
-        _: Vec3<P>,
-        d: Vec3<P>,
-        si: Option<&SurfaceInteraction<P>>,
-    ) -> P {
+        _: Vec3<R>,
+        d: Vec3<R>,
+        si: Option<&SurfaceInteraction<R>>,
+    ) -> R {
         match si {
-            Some(_) => P::zero(),
-            None => self.lobe(d) * self.normalisation::<P>(),
+            Some(_) => R::zero(),
+            None => self.lobe(d) * R::lift(self.normalisation::<R::Primal>()),
         }
     }
 

@@ -110,6 +110,8 @@ pub struct DirectionSample<P> {
     pub distance: P,
     /// Unit shading normal at that point, world space.
     pub n: Vec3<P>,
+    /// Unit geometric normal there.
+    pub n_geo: Vec3<P>,
     /// Surface coordinates there.
     pub uv: Vec2<P>,
     /// Density per solid angle.
@@ -131,6 +133,7 @@ impl<P: Float> ShapeSample<P> {
             d,
             distance,
             n: self.n,
+            n_geo,
             uv: self.uv,
             pdf,
         })
@@ -163,9 +166,9 @@ pub trait Shape: Send + Sync {
 
     /// Density of [`Shape::sample`] at an interaction, per solid angle.
     #[inline]
-    fn pdf<P: Float>(&self, from: Vec3<P>, si: &SurfaceInteraction<P>) -> P {
-        let pdf_area = P::of(1.0 / self.area());
-        area_to_solid_angle(pdf_area, from, si.p, si.n_geo).unwrap_or(P::zero())
+    fn pdf<R: Real>(&self, from: Vec3<R>, si: &SurfaceInteraction<R>) -> R {
+        let pdf_area = R::of(1.0 / self.area());
+        area_to_solid_angle(pdf_area, from, si.p, si.n_geo).unwrap_or(R::zero())
     }
 
     /// Largest absolute coordinate: the scale of rounding errors on the surface.
@@ -175,16 +178,17 @@ pub trait Shape: Send + Sync {
 /// Converts a density per area at `p` (normal `n`) to one per solid angle at `from`. `None` if
 /// edge-on or at zero distance.
 #[inline]
-pub fn area_to_solid_angle<P: Float>(
-    pdf_area: P,
-    from: Vec3<P>,
-    p: Vec3<P>,
-    n: Vec3<P>,
-) -> Option<P> {
+pub fn area_to_solid_angle<R: Real>(
+    pdf_area: R,
+    from: Vec3<R>,
+    p: Vec3<R>,
+    n: Vec3<R>,
+) -> Option<R> {
     let d = p - from;
     let d2 = d.length_squared();
     let cos_d = n.dot(d).abs();
-    if cos_d > P::zero() && d2 > P::zero() {
+    let zero = R::Primal::zero();
+    if cos_d.primal() > zero && d2.primal() > zero {
         let pdf = pdf_area * d2 * d2.sqrt() / cos_d;
         pdf.is_finite().then_some(pdf)
     } else {
@@ -268,7 +272,7 @@ macro_rules! shapes {
                 $crate::dispatch::dispatch!(self, [$($hot),*] [$($name),*], s => s.sample(from, u))
             }
             #[inline(always)]
-            fn pdf<P: Float>(&self, from: Vec3<P>, si: &SurfaceInteraction<P>) -> P {
+            fn pdf<R: Real>(&self, from: Vec3<R>, si: &SurfaceInteraction<R>) -> R {
                 $crate::dispatch::dispatch!(self, [$($hot),*] [$($name),*], s => s.pdf(from, si))
             }
             fn extent(&self) -> f32 {

@@ -101,15 +101,17 @@ impl Sphere {
     /// centre. `None` inside and on the sphere, also where only rounding puts the point outside: a
     /// point on the surface sees all of the inside, not the tangent cone.
     #[inline]
-    fn cone<P: Float>(&self, from: Vec3<P>) -> Option<(P, Vec3<P>)> {
-        let to = lift3::<P>(self.center) - from;
-        let r = P::from_f32(self.radius);
+    fn cone<R: Real>(&self, from: Vec3<R>) -> Option<(R, Vec3<R>)> {
+        let to = lift3::<R>(self.center) - from;
+        let r = R::Primal::from_f32(self.radius);
         let d = to.length();
-        let sine = r / d;
+        let sine = R::lift(r) / d;
         // The last condition keeps the density finite.
-        if d > r * P::of(1.0 + ON_SURFACE) && sine * sine > P::MIN_POSITIVE {
-            let cosine = (((d - r) / d) * ((d + r) / d)).sqrt();
-            Some((sine * sine / (P::one() + cosine), to * d.recip()))
+        if d.primal() > r * R::Primal::of(1.0 + ON_SURFACE)
+            && sine.primal() * sine.primal() > R::Primal::MIN_POSITIVE
+        {
+            let cosine = (((d - Const(r)) / d) * ((d + Const(r)) / d)).sqrt();
+            Some((sine * sine / (cosine + R::c(1.0)), to * d.recip()))
         } else {
             None
         }
@@ -226,20 +228,21 @@ impl Shape for Sphere {
             d: v.normalize(),
             distance: v.length(),
             n: self.side(outward),
+            n_geo: self.side(outward),
             uv: self.uv(outward).0,
             pdf: cone_pdf(one_minus_cos_max),
         })
     }
 
     #[inline]
-    fn pdf<P: Float>(&self, from: Vec3<P>, si: &SurfaceInteraction<P>) -> P {
+    fn pdf<R: Real>(&self, from: Vec3<R>, si: &SurfaceInteraction<R>) -> R {
         match self.cone(from) {
             Some((one_minus_cos_max, _)) => cone_pdf(one_minus_cos_max),
-            None if self.contains(from) => {
-                let pdf_area = P::of(1.0 / self.area());
-                area_to_solid_angle(pdf_area, from, si.p, si.n_geo).unwrap_or(P::zero())
+            None if self.contains(from.primal()) => {
+                let pdf_area = R::of(1.0 / self.area());
+                area_to_solid_angle(pdf_area, from, si.p, si.n_geo).unwrap_or(R::zero())
             }
-            None => P::zero(),
+            None => R::zero(),
         }
     }
 
@@ -249,8 +252,8 @@ impl Shape for Sphere {
 }
 
 #[inline]
-fn cone_pdf<P: Float>(one_minus_cos_max: P) -> P {
-    P::of(0.5 * FRAC_1_PI) / one_minus_cos_max
+fn cone_pdf<R: Real>(one_minus_cos_max: R) -> R {
+    one_minus_cos_max.recip() * R::c(0.5 * FRAC_1_PI)
 }
 
 impl FromNode for Sphere {
