@@ -2,6 +2,7 @@
 
 use ad_core::{Const, Float, Real, Vec2, Vec3};
 
+use crate::accel::Hit;
 use crate::bsdf::{Bsdf, Component, Shading, TransportMode};
 use crate::emitter::{Emission, Emitter, EmitterSample};
 use crate::estimator::{Sampling, Strategy};
@@ -79,7 +80,8 @@ pub trait Observer<R: Real> {
         _p: Vec3<R>,
     ) {
     }
-    /// A light was sampled at the current vertex, and is visible.
+    /// A light was sampled at the current vertex, and is visible. Known, and called, last: after
+    /// [`Observer::bounce`], before the next edge's events.
     fn sampled(&mut self, _depth: u32, _light: SampledLight<R>) {}
     /// The path goes on from the current vertex.
     fn bounce(&mut self, _bounce: Bounce<R>) {}
@@ -90,7 +92,44 @@ impl<R: Real> Observer<R> for () {
     const ENABLED: bool = false;
 }
 
-/// Radiance arriving along `ray`.
+/// What stays the same from path to path.
+#[derive(Clone, Copy, Debug)]
+pub struct Context<'a, R: Real> {
+    /// The scene.
+    pub scene: &'a Scene,
+    /// Its parameters.
+    pub theta: &'a Theta<'a, R>,
+    /// Depths.
+    pub settings: &'a Settings,
+}
+
+/// Radiance arriving along `ray`: a [`Walk`] to its end.
+pub fn trace<R: Real, S: Strategy, X: Sampler, O: Observer<R>>(
+    scene: &Scene,
+    theta: &Theta<R>,
+    settings: &Settings,
+    ray: Ray<Geometry<S, R>>,
+    sampler: X,
+    observer: &mut O,
+) -> Rgb<R> {
+    let context = Context {
+        scene,
+        theta,
+        settings,
+    };
+    let mut walk = Walk::<R, S, X>::new(ray, sampler);
+    while !walk.ended() {
+        let hit = walk.ray.and_then(|ray| scene.nearest(&ray));
+        let visible = walk
+            .shadow
+            .is_some_and(|(ray, t_max)| !scene.occluded(&ray, t_max));
+        walk.step(&context, hit, visible, observer);
+    }
+    walk.l
+}
+
+/// A path between two vertices. It asks for its rays to be traced and goes on with the answers, so that
+/// the rays of many paths can be traced together.
 ///
 /// Depth counts edges: a light that is seen has depth 1, direct light 2. Dimensions of the
 /// sampler: [`CAMERA_DIMENSIONS`] for the camera, then [`BOUNCE_DIMENSIONS`] per vertex (light
@@ -105,56 +144,117 @@ impl<R: Real> Observer<R> for () {
 /// # Reference
 /// [Zeltner 2021, section 2.5.1]; roulette from `rr_depth` edges with the peer's
 /// probability `min(max(beta) eta^2, 0.95)`.
-pub fn trace<R: Real, S: Strategy, X: Sampler, O: Observer<R>>(
-    scene: &Scene,
-    theta: &Theta<R>,
-    settings: &Settings,
-    mut ray: Ray<Geometry<S, R>>,
-    sampler: &mut X,
-    observer: &mut O,
-) -> Rgb<R> {
-    let mode = TransportMode::Radiance;
-    let mut l = Rgb::<R>::black(); // radiance
-    let mut beta = Rgb::<R>::splat(R::one()); // throughput
-    let mut eta = R::Primal::one(); // relative index along the path
-    let mut pdf_bsdf = R::zero(); // density of the last direction; zero if it was a delta
-    let mut from = Vec3::<R::Primal>::zero(); // the vertex it left
-    let mut survival = R::Primal::one(); // what roulette goes by
-    let mut depth = 1;
+#[derive(Clone, Copy, Debug)]
+pub struct Walk<R: Real, S: Strategy, X: Sampler> {
+    /// The next edge, if there is one.
+    pub ray: Option<Ray<Geometry<S, R>>>,
+    /// Towards the light sampled at the last vertex, and how far it must be free.
+    pub shadow: Option<(Ray<R::Primal>, R::Primal)>,
+    /// Radiance so far.
+    pub l: Rgb<R>,
+    sampler: X,
+    /// Throughput.
+    beta: Rgb<R>,
+    /// Relative index along the path.
+    eta: R::Primal,
+    /// Density of the last direction; zero if it was a delta.
+    pdf_bsdf: R,
+    /// The vertex it left.
+    from: Vec3<R::Primal>,
+    /// What roulette goes by.
+    survival: R::Primal,
+    /// Number of edges with the next one.
+    depth: u32,
+    /// What comes through the shadow ray if it is free, and its record for the observer.
+    direct: Rgb<R>,
+    sampled: Option<SampledLight<R>>,
+}
 
-    loop {
-        // ---- Intersection ----
-        let hit = scene.nearest(&ray);
+impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
+    /// A path that starts with a camera ray. The sampler has given the camera's numbers.
+    #[inline(always)]
+    pub fn new(ray: Ray<Geometry<S, R>>, sampler: X) -> Self {
+        Self {
+            ray: Some(ray),
+            shadow: None,
+            l: Rgb::black(),
+            sampler,
+            beta: Rgb::splat(R::one()),
+            eta: R::Primal::one(),
+            pdf_bsdf: R::zero(),
+            from: Vec3::zero(),
+            survival: R::Primal::one(),
+            depth: 1,
+            direct: Rgb::black(),
+            sampled: None,
+        }
+    }
+
+    /// Whether no ray is asked for.
+    #[inline(always)]
+    pub fn ended(&self) -> bool {
+        self.ray.is_none() && self.shadow.is_none()
+    }
+
+    /// Goes on to the next vertex: `hit` is what [`Walk::ray`] met, `visible` whether
+    /// [`Walk::shadow`] was free.
+    #[inline]
+    pub fn step<O: Observer<R>>(
+        &mut self,
+        &Context {
+            scene,
+            theta,
+            settings,
+        }: &Context<R>,
+        hit: Option<Hit>,
+        visible: bool,
+        observer: &mut O,
+    ) {
+        let mode = TransportMode::Radiance;
+        let depth = self.depth;
+
+        // ---- Light sampled at the last vertex ----
+        if self.shadow.take().is_some() && visible {
+            self.l += self.direct;
+            if let Some(light) = self.sampled.take() {
+                observer.sampled(depth - 1, light);
+            }
+        }
+        let Some(ray) = self.ray.take() else {
+            return;
+        };
+        let beta = self.beta;
 
         // ---- Emission ----
         // How the light at the end of this edge could have been sampled at its start.
-        let sampled = (S::SAMPLES_EMITTERS && depth > 1 && pdf_bsdf.primal() > R::Primal::zero())
-            .then_some((pdf_bsdf, from));
+        let sampled =
+            (S::SAMPLES_EMITTERS && depth > 1 && self.pdf_bsdf.primal() > R::Primal::zero())
+                .then_some((self.pdf_bsdf, self.from));
         let Some(hit) = hit else {
             for &e in scene.infinite_emitters() {
                 if let Some((light, le)) = find_light::<R, S>(scene, theta, e, ray.d, None, sampled)
                 {
-                    l += beta * le * light.weight;
+                    self.l += beta * le * light.weight;
                     if O::ENABLED {
                         observer.light(depth, beta, light);
                     }
                 }
             }
-            break;
+            return;
         };
         let Intersection { shape, si } = scene.interaction(&ray, &hit);
         let info = scene.shape_info(shape);
         if let Some(e) = info.emitter {
             let found = find_light::<R, S>(scene, theta, e, ray.d, Some(si), sampled);
             if let Some((light, le)) = found {
-                l += beta * le * light.weight;
+                self.l += beta * le * light.weight;
                 if O::ENABLED {
                     observer.light(depth, beta, light);
                 }
             }
         }
         if depth >= settings.max_depth {
-            break;
+            return;
         }
 
         let material = scene.material(shape);
@@ -165,6 +265,7 @@ pub fn trace<R: Real, S: Strategy, X: Sampler, O: Observer<R>>(
         if O::ENABLED {
             observer.vertex(depth, beta, shape, uv, wo_r, S::Bsdf::embed3(si.p));
         }
+        let sampler = &mut self.sampler;
         let dim = CAMERA_DIMENSIONS + (depth - 1) * BOUNCE_DIMENSIONS;
 
         // ---- Emitter sampling ----
@@ -183,42 +284,39 @@ pub fn trace<R: Real, S: Strategy, X: Sampler, O: Observer<R>>(
                     let shadow = si
                         .primal()
                         .shadow_ray(sample.d, sample.distance, info.offset);
-                    if !scene.occluded(&shadow.0, shadow.1) {
-                        let e = &scene.emitters()[light.emitter as usize];
-                        let emission = Emission {
-                            uv: Vec2::lift(sample.emission.uv),
-                            falloff: R::lift(sample.emission.falloff),
-                        };
-                        let le = e.eval(theta, &emission);
-                        let mis = if S::COUNTS_HITS && !e.is_delta() {
-                            S::weight(R::lift(sample.pdf), pdf)
-                        } else {
-                            R::one()
-                        };
-                        let weight = mis * Const(sample.pdf.recip());
-                        l += beta * f * le * weight;
-                        if O::ENABLED {
-                            let wi = S::Bsdf::embed3(wi);
-                            let emitter = light.emitter;
-                            let light = SampledLight {
-                                emitter,
-                                emission,
-                                wi,
-                                le,
-                                weight,
-                                f,
-                            };
-                            observer.sampled(depth, light);
-                        }
+                    let e = &scene.emitters()[light.emitter as usize];
+                    let emission = Emission {
+                        uv: Vec2::lift(sample.emission.uv),
+                        falloff: R::lift(sample.emission.falloff),
+                    };
+                    let le = e.eval(theta, &emission);
+                    let mis = if S::COUNTS_HITS && !e.is_delta() {
+                        S::weight(R::lift(sample.pdf), pdf)
+                    } else {
+                        R::one()
+                    };
+                    let weight = mis * Const(sample.pdf.recip());
+                    self.shadow = Some(shadow);
+                    self.direct = beta * f * le * weight;
+                    if O::ENABLED {
+                        self.sampled = Some(SampledLight {
+                            emitter: light.emitter,
+                            emission,
+                            wi: S::Bsdf::embed3(wi),
+                            le,
+                            weight,
+                            f,
+                        });
                     }
                 }
             }
         }
 
         // ---- BSDF sampling ----
+        self.depth = depth + 1;
         sampler.seek(dim + 3);
         let Some(sample) = S::Bsdf::draw(material, &at, wo, sampler.next_3d(), mode) else {
-            break;
+            return;
         };
         let wi = S::Bsdf::embed3(sample.wi);
         let f = material.eval_component(&at, wo_r, wi, sample.component, mode);
@@ -226,24 +324,24 @@ pub fn trace<R: Real, S: Strategy, X: Sampler, O: Observer<R>>(
         let mut weight = pdf.recip();
 
         // ---- Update ----
-        eta *= sample.eta;
+        self.eta *= sample.eta;
         let mut next_beta = beta * f * weight;
 
         // ---- Roulette ----
         let differentiates = O::ENABLED || !R::IS_PRIMAL;
-        survival = if differentiates {
+        self.survival = if differentiates {
             let step = (f.primal() * weight.primal()).max_component();
-            survival * step.max(R::Primal::of(LEAST_STEP))
+            self.survival * step.max(R::Primal::of(LEAST_STEP))
         } else {
             next_beta.primal().max_component()
         };
         if depth >= settings.rr_depth {
-            let q = (survival * eta * eta).min(R::Primal::of(MAX_SURVIVAL));
+            let q = (self.survival * self.eta * self.eta).min(R::Primal::of(MAX_SURVIVAL));
             if sampler.next_1d::<R::Primal>() >= q {
-                break;
+                return;
             }
             let inv_q = q.recip();
-            survival *= inv_q;
+            self.survival *= inv_q;
             weight = weight * Const(inv_q);
             next_beta = next_beta.scale(inv_q);
         }
@@ -255,19 +353,17 @@ pub fn trace<R: Real, S: Strategy, X: Sampler, O: Observer<R>>(
                 f,
             });
         }
-        beta = next_beta;
-        if !O::ENABLED && beta.is_black() && !has_tangent(beta) {
-            break;
+        self.beta = next_beta;
+        if !O::ENABLED && next_beta.is_black() && !has_tangent(next_beta) {
+            return;
         }
-        pdf_bsdf = match sample.component {
+        self.pdf_bsdf = match sample.component {
             Component::Continuous => pdf,
             Component::Delta { .. } => R::zero(),
         };
-        from = si.p.primal();
-        ray = si.spawn_ray(si.frame.to_world(sample.wi), info.offset);
-        depth += 1;
+        self.from = si.p.primal();
+        self.ray = Some(si.spawn_ray(si.frame.to_world(sample.wi), info.offset));
     }
-    l
 }
 
 /// What a ray in direction `d` receives from an emitter it hit at `si`, or missed everything towards:

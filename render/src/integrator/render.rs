@@ -187,7 +187,7 @@ pub(super) fn sample_pixel<R: Real, S: Strategy, X: Sampler, O: Observer<R>>(
         theta,
         settings,
         Ray::<Geometry<S, R>>::lift(ray),
-        &mut sampler,
+        sampler,
         observer,
     )
 }

@@ -98,7 +98,7 @@ pub fn trace<P: Float, O: Observer<P>>(
         theta,
         &scene.settings,
         ray,
-        &mut sampler,
+        sampler,
         observer,
     )
 }
