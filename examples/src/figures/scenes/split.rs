@@ -94,7 +94,7 @@ pub fn radiance(
             &theta,
             settings,
             ray,
-            &mut sampler,
+            sampler,
             &mut watch,
         );
         if !l.is_finite() {
