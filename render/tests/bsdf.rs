@@ -1,23 +1,21 @@
 //! Statistical and numerical tests of every material: one harness, one line per material.
 
 use std::f64::consts::PI;
-use std::path::Path;
 use std::sync::Arc;
 
 use ad_core::check::central_difference;
-use ad_core::{Dual, Float, Real, Vec2, Vec3};
+use ad_core::{Dual, Float, Real, Vec3};
 use render::bsdf::microfacet::{Microfacet, Ndf};
 use render::bsdf::{
     Bsdf, BsdfSample, Coat, Component, ConductorLobe, DeltaKind, Lobe, Material,
-    RoughConductorLobe, Shading, TransportMode, Use, fresnel,
+    RoughConductorLobe, TransportMode, Use, fresnel,
 };
-use render::camera::{Camera, FovAxis};
-use render::math::{Rgb, Transform};
+use render::math::Rgb;
 use render::params::{GradSink, ParamRef, Params, Tangent, Theta};
 use render::sampler::{Independent, Sampler};
-use render::scene::xml::Document;
-use render::scene::{Builder, Settings};
-use render::{Film, SceneError};
+
+mod common;
+use common::materials::{at, build, integrate, p_value, polar, sidak};
 
 /// How a material turns random numbers into a direction.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -157,18 +155,6 @@ struct Case {
     params: Params,
 }
 
-fn build(plugin: &str, content: &str) -> Result<(Arc<Material>, Params), SceneError> {
-    let text =
-        format!(r#"<scene version="3.0.0"><bsdf type="{plugin}" id="m">{content}</bsdf></scene>"#);
-    let document = Document::from_str(&text, Path::new("."), &[])?;
-    let node = document.root().children_with_tag("bsdf")[0];
-    let mut build = Builder::new();
-    let material = build.material_from_node(node, "bsdf")?;
-    let camera = Camera::new(Transform::default(), 45.0, FovAxis::X, [1, 1])?;
-    let scene = build.build(camera, Film::new(1, 1), Settings::default())?;
-    Ok((material, scene.params().clone()))
-}
-
 fn cases() -> impl Iterator<Item = Case> {
     MATERIALS.iter().map(|&(name, plugin, content, sampled)| {
         let (material, params) = build(plugin, content).unwrap_or_else(|e| panic!("{name}: {e}"));
@@ -206,13 +192,6 @@ impl Case {
     }
 }
 
-fn at<R: Real>(theta: Theta<'_, R>) -> Shading<'_, R> {
-    Shading {
-        theta,
-        uv: Vec2::new(R::of(0.3), R::of(0.6)),
-    }
-}
-
 const MODES: [TransportMode; 2] = [TransportMode::Radiance, TransportMode::Importance];
 const DELTAS: [DeltaKind; 3] = [
     DeltaKind::Reflection,
@@ -223,65 +202,6 @@ const DELTAS: [DeltaKind; 3] = [
 /// Five directions: normal incidence, two oblique ones, a grazing one, and one from below.
 fn directions() -> [Vec3<f64>; 5] {
     [(1.0, 0.0), (0.8, 0.4), (0.3, 2.5), (0.02, 4.0), (-0.6, 1.2)].map(|(z, phi)| polar(z, phi))
-}
-
-fn polar(z: f64, phi: f64) -> Vec3<f64> {
-    let s = (1.0 - z * z).sqrt();
-    Vec3::new(s * phi.cos(), s * phi.sin(), z)
-}
-
-/// Significance of each of `n` tests such that all together have significance 1 % (Sidak).
-fn sidak(n: usize) -> f64 {
-    -((-0.01f64).ln_1p() / n as f64).exp_m1()
-}
-
-/// Nodes and weights of the 8-point Gauss-Legendre rule on [-1, 1], positive half.
-const GAUSS: [(f64, f64); 4] = [
-    (0.183_434_642_495_649_8, 0.362_683_783_378_362),
-    (0.525_532_409_916_329, 0.313_706_645_877_887_3),
-    (0.796_666_477_413_626_7, 0.222_381_034_453_374_5),
-    (0.960_289_856_497_536_3, 0.101_228_536_290_376_3),
-];
-
-fn gauss(f: &dyn Fn(f64, f64) -> f64, [x0, x1, y0, y1]: [f64; 4]) -> f64 {
-    let (cx, hx, cy, hy) = (
-        (x0 + x1) / 2.0,
-        (x1 - x0) / 2.0,
-        (y0 + y1) / 2.0,
-        (y1 - y0) / 2.0,
-    );
-    let mut sum = 0.0;
-    for (x, wx) in GAUSS {
-        for (y, wy) in GAUSS {
-            for (sx, sy) in [(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)] {
-                sum += wx * wy * f(cx + sx * x * hx, cy + sy * y * hy);
-            }
-        }
-    }
-    sum * hx * hy
-}
-
-/// Integral over a rectangle, refined where two orders of refinement differ by more than
-/// `tolerance` (absolute).
-fn integrate(f: &dyn Fn(f64, f64) -> f64, b: [f64; 4], tolerance: f64, depth: u32) -> f64 {
-    let [x0, x1, y0, y1] = b;
-    let (xm, ym) = ((x0 + x1) / 2.0, (y0 + y1) / 2.0);
-    let parts = [
-        [x0, xm, y0, ym],
-        [xm, x1, y0, ym],
-        [x0, xm, ym, y1],
-        [xm, x1, ym, y1],
-    ];
-    let coarse = gauss(f, b);
-    let fine: [f64; 4] = parts.map(|p| gauss(f, p));
-    let sum: f64 = fine.iter().sum();
-    if (sum - coarse).abs() < tolerance || depth == 0 {
-        return sum;
-    }
-    parts
-        .iter()
-        .map(|&p| integrate(f, p, tolerance / 2.0, depth - 1))
-        .sum()
 }
 
 // ---- Sampling -----------------------------------------------------------------------------------
@@ -338,28 +258,6 @@ fn chi_square(case: &Case, wo: Vec3<f64>, mode: TransportMode, seed: u64) -> f64
     );
     bins.push((failed, (n - expected).max(0.0)));
     p_value(bins, case.name)
-}
-
-/// Pearson's test; bins with few expected counts are pooled.
-fn p_value(mut bins: Vec<(f64, f64)>, name: &str) -> f64 {
-    use statrs::distribution::{ChiSquared, ContinuousCDF};
-    bins.sort_by(|a, b| a.1.total_cmp(&b.1));
-    let (mut statistic, mut dof) = (0.0, -1.0);
-    let mut pool = (0.0, 0.0);
-    for (count, expected) in bins {
-        pool = (pool.0 + count, pool.1 + expected);
-        if pool.1 >= 5.0 {
-            statistic += (pool.0 - pool.1).powi(2) / pool.1;
-            dof += 1.0;
-            pool = (0.0, 0.0);
-        }
-    }
-    // What is left is the total, if that is small at all.
-    assert!(pool.0 < 30.0, "{name}: samples where none are expected");
-    if dof < 1.0 {
-        return 1.0;
-    }
-    1.0 - ChiSquared::new(dof).unwrap().cdf(statistic)
 }
 
 /// Chi-square test of every material, five directions, both modes; significance 1 % for all of

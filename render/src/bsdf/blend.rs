@@ -6,7 +6,8 @@ use ad_core::{Const, Float, Real, Vec3};
 
 use super::nesting::{check_levels, choice, choose, nested_nodes};
 use super::{
-    Bsdf, BsdfSample, Component, DeltaKind, FromNode, Material, Shading, TransportMode, Use,
+    Bsdf, BsdfSample, Component, DeltaKind, DiffLobe, FromNode, Material, Shading, TransportMode,
+    Use,
 };
 use crate::error::SceneError;
 use crate::math::Rgb;
@@ -41,6 +42,14 @@ impl Blend {
     fn shares<R: Real>(&self, at: &Shading<R>) -> [R; 2] {
         let w = self.weight.scalar(&at.theta, at.uv);
         [R::one() - w, w]
+    }
+
+    /// Probability of the second part among those that can sample their derivative.
+    fn differential_choice<P: Float>(&self, at: &Shading<P>) -> P {
+        match [0, 1].map(|i| self.parts[i].has_differential()) {
+            [true, true] => choice(self.shares(at)[1]),
+            [_, second] => P::of(f64::from(u8::from(second))),
+        }
     }
 }
 
@@ -185,6 +194,36 @@ impl Bsdf for Blend {
     #[inline]
     fn is_delta(&self) -> bool {
         self.parts.iter().all(|m| m.is_delta())
+    }
+
+    fn sample_differential<P: Float>(
+        &self,
+        at: &Shading<P>,
+        wo: Vec3<P>,
+        u: [P; 3],
+        sign: DiffLobe,
+        mode: TransportMode,
+    ) -> Option<BsdfSample<P>> {
+        let (is_second, u0) = choose(u[0], self.differential_choice(at));
+        let part = &self.parts[usize::from(is_second)];
+        let sample = part.sample_differential(at, wo, [u0, u[1], u[2]], sign, mode)?;
+        let pdf = self.pdf_differential(at, wo, sample.wi, sign);
+        Some(BsdfSample { pdf, ..sample })
+    }
+
+    fn pdf_differential<P: Float>(
+        &self,
+        at: &Shading<P>,
+        wo: Vec3<P>,
+        wi: Vec3<P>,
+        sign: DiffLobe,
+    ) -> P {
+        let pdf = [0, 1].map(|i| self.parts[i].pdf_differential(at, wo, wi, sign));
+        mix(self.differential_choice(at), pdf)
+    }
+
+    fn has_differential(&self) -> bool {
+        self.parts.iter().any(|m| m.has_differential())
     }
 }
 

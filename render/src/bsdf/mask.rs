@@ -6,7 +6,8 @@ use ad_core::{Const, Float, Real, Vec3};
 
 use super::nesting::{check_levels, choice, choose, nested_nodes};
 use super::{
-    Bsdf, BsdfSample, Component, DeltaKind, FromNode, Material, Shading, TransportMode, Use,
+    Bsdf, BsdfSample, Component, DeltaKind, DiffLobe, FromNode, Material, Shading, TransportMode,
+    Use,
 };
 use crate::error::SceneError;
 use crate::math::Rgb;
@@ -177,6 +178,32 @@ impl Bsdf for Mask {
     #[inline]
     fn is_delta(&self) -> bool {
         self.nested.is_delta()
+    }
+
+    /// The hole has no roughness, so the material is always chosen.
+    fn sample_differential<P: Float>(
+        &self,
+        at: &Shading<P>,
+        wo: Vec3<P>,
+        u: [P; 3],
+        sign: DiffLobe,
+        mode: TransportMode,
+    ) -> Option<BsdfSample<P>> {
+        self.nested.sample_differential(at, wo, u, sign, mode)
+    }
+
+    fn pdf_differential<P: Float>(
+        &self,
+        at: &Shading<P>,
+        wo: Vec3<P>,
+        wi: Vec3<P>,
+        sign: DiffLobe,
+    ) -> P {
+        self.nested.pdf_differential(at, wo, wi, sign)
+    }
+
+    fn has_differential(&self) -> bool {
+        self.nested.has_differential()
     }
 }
 

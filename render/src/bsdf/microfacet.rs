@@ -41,6 +41,16 @@ pub struct Microfacet<R> {
 }
 
 impl<R: Real> Microfacet<R> {
+    /// The same without tangents.
+    #[inline]
+    pub fn primal(&self) -> Microfacet<R::Primal> {
+        Microfacet {
+            kind: self.kind,
+            alpha: self.alpha.primal(),
+            visible: self.visible,
+        }
+    }
+
     /// Density of normals `D(m)`, per solid angle and unit of macroscopic area; zero below the
     /// horizon. Integrates to one over projected solid angle.
     #[inline]

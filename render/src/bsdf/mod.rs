@@ -16,6 +16,7 @@ mod blend;
 mod blinn_phong;
 mod conductor;
 mod dielectric;
+pub mod differential;
 mod diffuse;
 pub mod fresnel;
 mod mask;
@@ -32,6 +33,7 @@ pub use blend::Blend;
 pub use blinn_phong::{BlinnPhong, BlinnPhongLobe, BlinnPhongSampling};
 pub use conductor::{Conductor, ConductorIndex, ConductorLobe};
 pub use dielectric::{Dielectric, DielectricLobe};
+pub use differential::DiffLobe;
 pub use diffuse::{Diffuse, DiffuseLobe};
 pub use mask::Mask;
 pub use normal_map::{Interpolation, NormalMap};
@@ -126,6 +128,32 @@ pub trait Lobe<R: Real>: Copy {
     fn eval_delta(&self, _wo: Vec3<R>, _kind: DeltaKind, _mode: TransportMode) -> Rgb<R> {
         Rgb::black()
     }
+
+    /// Samples a direction from one part of the derivative of the distribution of normals with respect
+    /// to roughness ([`differential`]); `u` as in [`Lobe::sample`]. The same `u` with both signs gives
+    /// an antithetic pair; each of the two may be `None` on its own. Primal: for detached estimators.
+    #[inline]
+    fn sample_differential(
+        &self,
+        _wo: Vec3<R::Primal>,
+        _u: [R::Primal; 3],
+        _sign: DiffLobe,
+        _mode: TransportMode,
+    ) -> Option<BsdfSample<R::Primal>> {
+        None
+    }
+
+    /// Density of sampling `wi` with [`Lobe::sample_differential`], per solid angle, the choice
+    /// between reflection and transmission included.
+    #[inline]
+    fn pdf_differential(
+        &self,
+        _wo: Vec3<R::Primal>,
+        _wi: Vec3<R::Primal>,
+        _sign: DiffLobe,
+    ) -> R::Primal {
+        R::Primal::zero()
+    }
 }
 
 /// How a material's parameters are read: at a point, as seeds of local derivatives, or just listed.
@@ -186,6 +214,8 @@ pub trait Leaf: Send + Sync {
     fn lobe<R: Real>(&self, read: &mut impl Reader<R>) -> Self::Lobe<R>;
     /// Whether it scatters along deltas only, so that connecting it to a light is pointless.
     const DELTA: bool = false;
+    /// Whether its lobe has [`Lobe::sample_differential`].
+    const DIFFERENTIAL: bool = false;
 }
 
 /// One use of a material at a path vertex whose value had the adjoint `d`.
@@ -256,6 +286,32 @@ pub trait Bsdf: Send + Sync {
 
     /// Whether it scatters along deltas only.
     fn is_delta(&self) -> bool;
+
+    /// [`Lobe::sample_differential`] at a point. Materials made of others choose among those that
+    /// have it.
+    ///
+    /// The two densities of a leaf are nowhere positive both, and the two estimates are summed. Those of
+    /// a blend overlap: weights of multiple importance sampling are right for either.
+    fn sample_differential<P: Float>(
+        &self,
+        at: &Shading<P>,
+        wo: Vec3<P>,
+        u: [P; 3],
+        sign: DiffLobe,
+        mode: TransportMode,
+    ) -> Option<BsdfSample<P>>;
+
+    /// [`Lobe::pdf_differential`] at a point.
+    fn pdf_differential<P: Float>(
+        &self,
+        at: &Shading<P>,
+        wo: Vec3<P>,
+        wi: Vec3<P>,
+        sign: DiffLobe,
+    ) -> P;
+
+    /// Whether [`Bsdf::sample_differential`] gives a direction anywhere.
+    fn has_differential(&self) -> bool;
 
     /// The value of a sampled direction, whatever it belongs to.
     #[inline(always)]
@@ -348,6 +404,42 @@ impl<L: Leaf> Bsdf for L {
     #[inline]
     fn is_delta(&self) -> bool {
         L::DELTA
+    }
+
+    #[inline]
+    fn sample_differential<P: Float>(
+        &self,
+        at: &Shading<P>,
+        wo: Vec3<P>,
+        u: [P; 3],
+        sign: DiffLobe,
+        mode: TransportMode,
+    ) -> Option<BsdfSample<P>> {
+        if !L::DIFFERENTIAL {
+            return None;
+        }
+        let lobe: L::Lobe<P> = self.lobe(&mut { *at });
+        lobe.sample_differential(wo, u, sign, mode)
+    }
+
+    #[inline]
+    fn pdf_differential<P: Float>(
+        &self,
+        at: &Shading<P>,
+        wo: Vec3<P>,
+        wi: Vec3<P>,
+        sign: DiffLobe,
+    ) -> P {
+        if !L::DIFFERENTIAL {
+            return P::zero();
+        }
+        let lobe: L::Lobe<P> = self.lobe(&mut { *at });
+        lobe.pdf_differential(wo, wi, sign)
+    }
+
+    #[inline]
+    fn has_differential(&self) -> bool {
+        L::DIFFERENTIAL
     }
 }
 
@@ -581,6 +673,22 @@ macro_rules! materials {
             #[inline]
             fn is_delta(&self) -> bool {
                 match self { $(Self::$hot(m) => m.is_delta(),)* $(Self::$name(m) => m.is_delta(),)* }
+            }
+            #[inline(always)]
+            fn sample_differential<P: Float>(
+                &self, at: &Shading<P>, wo: Vec3<P>, u: [P; 3], sign: DiffLobe, mode: TransportMode,
+            ) -> Option<BsdfSample<P>> {
+                $crate::dispatch::dispatch!(self, [] [$($hot,)* $($name),*], m => m.sample_differential(at, wo, u, sign, mode))
+            }
+            #[inline(always)]
+            fn pdf_differential<P: Float>(
+                &self, at: &Shading<P>, wo: Vec3<P>, wi: Vec3<P>, sign: DiffLobe,
+            ) -> P {
+                $crate::dispatch::dispatch!(self, [] [$($hot,)* $($name),*], m => m.pdf_differential(at, wo, wi, sign))
+            }
+            #[inline]
+            fn has_differential(&self) -> bool {
+                match self { $(Self::$hot(m) => m.has_differential(),)* $(Self::$name(m) => m.has_differential(),)* }
             }
         }
     };

@@ -6,7 +6,8 @@ use ad_core::{Dual, Float, Real, Vec3};
 
 use super::nesting::{check_levels, has_delta, nested_nodes};
 use super::{
-    Bsdf, BsdfSample, Component, DeltaKind, FromNode, Material, Shading, TransportMode, Use,
+    Bsdf, BsdfSample, Component, DeltaKind, DiffLobe, FromNode, Material, Shading, TransportMode,
+    Use,
 };
 use crate::error::SceneError;
 use crate::image_io::Encoding;
@@ -261,6 +262,42 @@ impl Bsdf for NormalMap {
     #[inline]
     fn is_delta(&self) -> bool {
         self.nested.is_delta()
+    }
+
+    fn sample_differential<P: Float>(
+        &self,
+        at: &Shading<P>,
+        wo: Vec3<P>,
+        u: [P; 3],
+        sign: DiffLobe,
+        mode: TransportMode,
+    ) -> Option<BsdfSample<P>> {
+        let frame = self.frame(at);
+        let o = frame.to_local(wo);
+        let sample = self.nested.sample_differential(at, o, u, sign, mode)?;
+        let wi = frame.to_world(sample.wi);
+        // As in `sample`; also checks the sides.
+        let pdf = self.pdf_differential(at, wo, wi, sign);
+        (pdf > P::zero()).then_some(BsdfSample { wi, pdf, ..sample })
+    }
+
+    fn pdf_differential<P: Float>(
+        &self,
+        at: &Shading<P>,
+        wo: Vec3<P>,
+        wi: Vec3<P>,
+        sign: DiffLobe,
+    ) -> P {
+        let frame = self.frame(at);
+        let (o, i) = (frame.to_local(wo), frame.to_local(wi));
+        if !same_side(wo, o) || !same_side(wi, i) {
+            return P::zero();
+        }
+        self.nested.pdf_differential(at, o, i, sign)
+    }
+
+    fn has_differential(&self) -> bool {
+        self.nested.has_differential()
     }
 }
 

@@ -1,10 +1,11 @@
 //! Rough conductors: a microfacet distribution of mirrors.
 
-use ad_core::{Real, Vec3};
+use ad_core::{Float, Real, Vec3};
 
 use super::microfacet::{ALPHA_RANGE, Microfacet, Ndf};
 use super::{
-    BsdfSample, Component, Conductor, ConductorLobe, FromNode, Leaf, Lobe, Reader, TransportMode,
+    BsdfSample, Component, Conductor, ConductorLobe, DiffLobe, FromNode, Leaf, Lobe, Reader,
+    TransportMode,
 };
 use crate::error::SceneError;
 use crate::math::Rgb;
@@ -70,6 +71,7 @@ pub struct RoughConductorLobe<R> {
 
 impl Leaf for RoughConductor {
     type Lobe<R: Real> = RoughConductorLobe<R>;
+    const DIFFERENTIAL: bool = true;
 
     #[inline]
     fn lobe<R: Real>(&self, read: &mut impl Reader<R>) -> RoughConductorLobe<R> {
@@ -98,6 +100,39 @@ pub(super) fn reflection<R: Real>(
 ) -> R {
     let sigmas = microfacet.sigma(wo) * microfacet.sigma(wi) * R::c(4.0);
     microfacet.d(m) * (wi.z.abs() / sigmas)
+}
+
+/// Density of [`sample_reflected_differential`] at `wi`.
+#[inline]
+pub(super) fn pdf_reflected_differential<P: Float>(
+    microfacet: &Microfacet<P>,
+    wo: Vec3<P>,
+    wi: Vec3<P>,
+    sign: DiffLobe,
+) -> P {
+    match half_vector(wo, wi) {
+        Some(m) => microfacet.pdf_differential_reflected(wo, m, sign),
+        None => P::zero(),
+    }
+}
+
+/// Reflection about a normal from one part of the derivative of the distribution; `None` below the
+/// horizon.
+#[inline]
+pub(super) fn sample_reflected_differential<P: Float>(
+    microfacet: &Microfacet<P>,
+    wo: Vec3<P>,
+    u: [P; 2],
+    sign: DiffLobe,
+) -> Option<BsdfSample<P>> {
+    let wi = reflect(wo, microfacet.sample_differential(u, sign));
+    let pdf = pdf_reflected_differential(microfacet, wo, wi, sign);
+    (pdf > P::zero()).then_some(BsdfSample {
+        wi,
+        pdf,
+        component: Component::Continuous,
+        eta: P::one(),
+    })
 }
 
 /// Reflects `w` about `m`.
@@ -137,6 +172,27 @@ impl<R: Real> Lobe<R> for RoughConductorLobe<R> {
             component: Component::Continuous,
             eta: R::Primal::one(),
         })
+    }
+
+    #[inline]
+    fn sample_differential(
+        &self,
+        wo: Vec3<R::Primal>,
+        u: [R::Primal; 3],
+        sign: DiffLobe,
+        _mode: TransportMode,
+    ) -> Option<BsdfSample<R::Primal>> {
+        sample_reflected_differential(&self.microfacet.primal(), wo, [u[1], u[2]], sign)
+    }
+
+    #[inline]
+    fn pdf_differential(
+        &self,
+        wo: Vec3<R::Primal>,
+        wi: Vec3<R::Primal>,
+        sign: DiffLobe,
+    ) -> R::Primal {
+        pdf_reflected_differential(&self.microfacet.primal(), wo, wi, sign)
     }
 }
 

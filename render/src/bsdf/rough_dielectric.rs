@@ -1,12 +1,12 @@
 //! Rough dielectrics: a microfacet distribution of glass facets.
 
-use ad_core::{Const, Real, Vec3};
+use ad_core::{Const, Float, Real, Vec3};
 
 use super::dielectric::{eta_across, relative_index};
 use super::fresnel;
 use super::microfacet::Microfacet;
 use super::rough_conductor::{Roughness, reflect, reflection};
-use super::{BsdfSample, Component, FromNode, Leaf, Lobe, Reader, TransportMode};
+use super::{BsdfSample, Component, DiffLobe, FromNode, Leaf, Lobe, Reader, TransportMode};
 use crate::error::SceneError;
 use crate::math::Rgb;
 use crate::params::Differentiability;
@@ -99,6 +99,7 @@ impl<R: Real> Facet<R> {
 
 impl Leaf for RoughDielectric {
     type Lobe<R: Real> = RoughDielectricLobe<R>;
+    const DIFFERENTIAL: bool = true;
 
     #[inline]
     fn lobe<R: Real>(&self, read: &mut impl Reader<R>) -> RoughDielectricLobe<R> {
@@ -170,27 +171,8 @@ impl<R: Real> Lobe<R> for RoughDielectricLobe<R> {
         if wo.z.primal() == zero {
             return None;
         }
-        let up = upwards(wo);
-        let m = self.microfacet.sample(up, [u[1], u[2]]);
-        let cos = up.dot(m);
-        if cos.primal() <= zero {
-            return None;
-        }
-        // The normal on the side of wo.
-        let m = if wo.z.primal() > zero { m } else { -m };
-        let across = eta_across(self.eta, wo);
-        let f = fresnel::dielectric(cos, across);
-        let reflects = u[0] < f.reflect.primal();
-        let (wi, eta) = if reflects {
-            (reflect(wo, m), R::Primal::one())
-        } else {
-            (refract(wo, m, cos, f.cos_t, across), across.primal())
-        };
-        // Reflected below the horizon, or refracted above it: another kind of facet would connect
-        // these directions.
-        if (wi.z.primal() > zero) != ((wo.z.primal() > zero) == reflects) {
-            return None;
-        }
+        let m = self.microfacet.sample(upwards(wo), [u[1], u[2]]);
+        let (wi, eta) = scatter(wo, m, self.eta, u[0])?;
         let pdf = self.pdf(wo, wi, mode);
         (pdf.primal() > zero).then_some(BsdfSample {
             wi,
@@ -199,6 +181,84 @@ impl<R: Real> Lobe<R> for RoughDielectricLobe<R> {
             eta,
         })
     }
+
+    #[inline]
+    fn sample_differential(
+        &self,
+        wo: Vec3<R::Primal>,
+        u: [R::Primal; 3],
+        sign: DiffLobe,
+        _mode: TransportMode,
+    ) -> Option<BsdfSample<R::Primal>> {
+        let m = (self.microfacet.primal()).sample_differential([u[1], u[2]], sign);
+        let (wi, eta) = scatter(wo, m, self.eta.primal(), u[0])?;
+        let pdf = self.pdf_differential(wo, wi, sign);
+        (pdf > R::Primal::zero()).then_some(BsdfSample {
+            wi,
+            pdf,
+            component: Component::Continuous,
+            eta,
+        })
+    }
+
+    #[inline]
+    fn pdf_differential(
+        &self,
+        wo: Vec3<R::Primal>,
+        wi: Vec3<R::Primal>,
+        sign: DiffLobe,
+    ) -> R::Primal {
+        pdf_differential(&self.microfacet.primal(), self.eta.primal(), wo, wi, sign)
+    }
+}
+
+/// Reflects or refracts `wo` at a facet with the upper normal `m`, chosen by `u` and the primal
+/// reflectance; also the index of refraction on the new side over that on the old. `None` if `wo`
+/// sees the facet's back, or if the direction ends up on the wrong side of the surface: another kind of
+/// facet would connect the two.
+#[inline]
+fn scatter<R: Real>(wo: Vec3<R>, m: Vec3<R>, eta: R, u: R::Primal) -> Option<(Vec3<R>, R::Primal)> {
+    let zero = R::Primal::zero();
+    let cos = upwards(wo).dot(m);
+    if cos.primal() <= zero {
+        return None;
+    }
+    // The normal on the side of wo.
+    let m = if wo.z.primal() > zero { m } else { -m };
+    let across = eta_across(eta, wo);
+    let f = fresnel::dielectric(cos, across);
+    let reflects = u < f.reflect.primal();
+    let (wi, eta) = if reflects {
+        (reflect(wo, m), R::Primal::one())
+    } else {
+        (refract(wo, m, cos, f.cos_t, across), across.primal())
+    };
+    let right_side = (wi.z.primal() > zero) == ((wo.z.primal() > zero) == reflects);
+    right_side.then_some((wi, eta))
+}
+
+/// Density of facets from one part of the derivative, times the probability of what they do and the
+/// Jacobian of their normals.
+fn pdf_differential<P: Float>(
+    microfacet: &Microfacet<P>,
+    eta: P,
+    wo: Vec3<P>,
+    wi: Vec3<P>,
+    sign: DiffLobe,
+) -> P {
+    let Some(f) = Facet::between(wo, wi, eta) else {
+        return P::zero();
+    };
+    if f.reflects {
+        let reflected = microfacet.pdf_differential_reflected(upwards(wo), f.m, sign);
+        return reflected * f.fresnel.reflect;
+    }
+    let stretch = f.stretch();
+    if stretch <= P::zero() {
+        return P::zero();
+    }
+    let jacobian = f.eta.square() * f.cos_i / stretch;
+    microfacet.pdf_differential(f.m, sign) * jacobian * f.fresnel.transmit
 }
 
 /// `w` or its opposite, whichever is in the upper hemisphere: microsurfaces look the same from

@@ -7,8 +7,13 @@ use rayon::prelude::*;
 
 use super::microfacet::{ALPHA_RANGE, Microfacet, Ndf};
 use super::plastic::{Coated, CoatedLobe};
-use super::rough_conductor::{Roughness, half_vector, reflect, reflection};
-use super::{BsdfSample, Component, FromNode, Leaf, Lobe, Reader, TransportMode, fresnel};
+use super::rough_conductor::{
+    Roughness, half_vector, pdf_reflected_differential, reflect, reflection,
+    sample_reflected_differential,
+};
+use super::{
+    BsdfSample, Component, DiffLobe, FromNode, Leaf, Lobe, Reader, TransportMode, fresnel,
+};
 use crate::error::SceneError;
 use crate::math::{Rgb, warp};
 use crate::scene::{Builder, Node};
@@ -53,6 +58,7 @@ impl RoughPlastic {
 
 impl Leaf for RoughPlastic {
     type Lobe<R: Real> = RoughPlasticLobe<R>;
+    const DIFFERENTIAL: bool = true;
 
     #[inline]
     fn lobe<R: Real>(&self, read: &mut impl Reader<R>) -> RoughPlasticLobe<R> {
@@ -120,6 +126,28 @@ impl<R: Real> Lobe<R> for RoughPlasticLobe<R> {
             component: Component::Continuous,
             eta: R::Primal::one(),
         })
+    }
+
+    /// Of the coat only: the base changes little with roughness.
+    #[inline]
+    fn sample_differential(
+        &self,
+        wo: Vec3<R::Primal>,
+        u: [R::Primal; 3],
+        sign: DiffLobe,
+        _mode: TransportMode,
+    ) -> Option<BsdfSample<R::Primal>> {
+        sample_reflected_differential(&self.microfacet.primal(), wo, [u[1], u[2]], sign)
+    }
+
+    #[inline]
+    fn pdf_differential(
+        &self,
+        wo: Vec3<R::Primal>,
+        wi: Vec3<R::Primal>,
+        sign: DiffLobe,
+    ) -> R::Primal {
+        pdf_reflected_differential(&self.microfacet.primal(), wo, wi, sign)
     }
 }
 

@@ -5,7 +5,9 @@ use std::sync::Arc;
 use ad_core::{Float, Real, Vec3};
 
 use super::nesting::{check_levels, nested_nodes};
-use super::{Bsdf, BsdfSample, DeltaKind, FromNode, Material, Shading, TransportMode, Use};
+use super::{
+    Bsdf, BsdfSample, DeltaKind, DiffLobe, FromNode, Material, Shading, TransportMode, Use,
+};
 use crate::error::SceneError;
 use crate::math::Rgb;
 use crate::params::{GradSink, ParamRef};
@@ -133,6 +135,37 @@ impl Bsdf for TwoSided {
     #[inline]
     fn is_delta(&self) -> bool {
         self.sides.iter().all(|m| m.is_delta())
+    }
+
+    fn sample_differential<P: Float>(
+        &self,
+        at: &Shading<P>,
+        wo: Vec3<P>,
+        u: [P; 3],
+        sign: DiffLobe,
+        mode: TransportMode,
+    ) -> Option<BsdfSample<P>> {
+        let (side, behind) = self.side(wo);
+        let sample = side.sample_differential(at, turn(wo, behind), u, sign, mode)?;
+        Some(BsdfSample {
+            wi: turn(sample.wi, behind),
+            ..sample
+        })
+    }
+
+    fn pdf_differential<P: Float>(
+        &self,
+        at: &Shading<P>,
+        wo: Vec3<P>,
+        wi: Vec3<P>,
+        sign: DiffLobe,
+    ) -> P {
+        let (side, behind) = self.side(wo);
+        side.pdf_differential(at, turn(wo, behind), turn(wi, behind), sign)
+    }
+
+    fn has_differential(&self) -> bool {
+        self.sides.iter().any(|m| m.has_differential())
     }
 }
 

@@ -3,6 +3,8 @@
 // Each test binary compiles its own copy and uses a part of it.
 #![allow(dead_code)]
 
+pub mod materials;
+
 use std::path::{Path, PathBuf};
 
 /// Where large scenes and references lie that are not part of the repository: `$RENDER_SHARED`, or

@@ -1,0 +1,117 @@
+//! Building materials, quadrature over directions, and tests of samplers: shared by the tests of
+//! materials.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use ad_core::{Real, Vec2, Vec3};
+use render::bsdf::{Material, Shading};
+use render::camera::{Camera, FovAxis};
+use render::math::Transform;
+use render::params::{Params, Theta};
+use render::scene::xml::Document;
+use render::scene::{Builder, Settings};
+use render::{Film, SceneError};
+
+/// A material with its own parameter vector.
+pub fn build(plugin: &str, content: &str) -> Result<(Arc<Material>, Params), SceneError> {
+    let text =
+        format!(r#"<scene version="3.0.0"><bsdf type="{plugin}" id="m">{content}</bsdf></scene>"#);
+    let document = Document::from_str(&text, Path::new("."), &[])?;
+    let node = document.root().children_with_tag("bsdf")[0];
+    let mut build = Builder::new();
+    let material = build.material_from_node(node, "bsdf")?;
+    let camera = Camera::new(Transform::default(), 45.0, FovAxis::X, [1, 1])?;
+    let scene = build.build(camera, Film::new(1, 1), Settings::default())?;
+    Ok((material, scene.params().clone()))
+}
+
+/// An arbitrary point.
+pub fn at<R: Real>(theta: Theta<'_, R>) -> Shading<'_, R> {
+    Shading {
+        theta,
+        uv: Vec2::new(R::of(0.3), R::of(0.6)),
+    }
+}
+
+/// A direction by its height and azimuth.
+pub fn polar(z: f64, phi: f64) -> Vec3<f64> {
+    let s = (1.0 - z * z).sqrt();
+    Vec3::new(s * phi.cos(), s * phi.sin(), z)
+}
+
+/// Significance of each of `n` tests such that all together have significance 1 % (Sidak).
+pub fn sidak(n: usize) -> f64 {
+    -((-0.01f64).ln_1p() / n as f64).exp_m1()
+}
+
+/// Nodes and weights of the 8-point Gauss-Legendre rule on [-1, 1], positive half.
+const GAUSS: [(f64, f64); 4] = [
+    (0.183_434_642_495_649_8, 0.362_683_783_378_362),
+    (0.525_532_409_916_329, 0.313_706_645_877_887_3),
+    (0.796_666_477_413_626_7, 0.222_381_034_453_374_5),
+    (0.960_289_856_497_536_3, 0.101_228_536_290_376_3),
+];
+
+fn gauss(f: &dyn Fn(f64, f64) -> f64, [x0, x1, y0, y1]: [f64; 4]) -> f64 {
+    let (cx, hx, cy, hy) = (
+        (x0 + x1) / 2.0,
+        (x1 - x0) / 2.0,
+        (y0 + y1) / 2.0,
+        (y1 - y0) / 2.0,
+    );
+    let mut sum = 0.0;
+    for (x, wx) in GAUSS {
+        for (y, wy) in GAUSS {
+            for (sx, sy) in [(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)] {
+                sum += wx * wy * f(cx + sx * x * hx, cy + sy * y * hy);
+            }
+        }
+    }
+    sum * hx * hy
+}
+
+/// Integral over a rectangle, refined where two orders of refinement differ by more than
+/// `tolerance` (absolute).
+pub fn integrate(f: &dyn Fn(f64, f64) -> f64, b: [f64; 4], tolerance: f64, depth: u32) -> f64 {
+    let [x0, x1, y0, y1] = b;
+    let (xm, ym) = ((x0 + x1) / 2.0, (y0 + y1) / 2.0);
+    let parts = [
+        [x0, xm, y0, ym],
+        [xm, x1, y0, ym],
+        [x0, xm, ym, y1],
+        [xm, x1, ym, y1],
+    ];
+    let coarse = gauss(f, b);
+    let fine: [f64; 4] = parts.map(|p| gauss(f, p));
+    let sum: f64 = fine.iter().sum();
+    if (sum - coarse).abs() < tolerance || depth == 0 {
+        return sum;
+    }
+    parts
+        .iter()
+        .map(|&p| integrate(f, p, tolerance / 2.0, depth - 1))
+        .sum()
+}
+
+/// Pearson's test; bins with few expected counts are pooled.
+pub fn p_value(mut bins: Vec<(f64, f64)>, name: &str) -> f64 {
+    use statrs::distribution::{ChiSquared, ContinuousCDF};
+    bins.sort_by(|a, b| a.1.total_cmp(&b.1));
+    let (mut statistic, mut dof) = (0.0, -1.0);
+    let mut pool = (0.0, 0.0);
+    for (count, expected) in bins {
+        pool = (pool.0 + count, pool.1 + expected);
+        if pool.1 >= 5.0 {
+            statistic += (pool.0 - pool.1).powi(2) / pool.1;
+            dof += 1.0;
+            pool = (0.0, 0.0);
+        }
+    }
+    // What is left is the total, if that is small at all.
+    assert!(pool.0 < 30.0, "{name}: samples where none are expected");
+    if dof < 1.0 {
+        return 1.0;
+    }
+    1.0 - ChiSquared::new(dof).unwrap().cdf(statistic)
+}
