@@ -2,6 +2,53 @@
 //! which costs the same and needs no rearrangement for far-away small ones.
 
 use super::{MIN_THICKNESS, Ray};
+use std::ops::{Add, Div, Mul, Sub};
+use wide::f64x8;
+
+/// Rays per [`f64x8`].
+pub(super) const LANES_F64: usize = 8;
+
+/// The operations of the tests, rounded alike for one ray and for eight.
+pub(super) trait Double:
+    Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> + Div<Output = Self>
+{
+    fn splat(x: f64) -> Self;
+    /// NaN for negative numbers.
+    fn sqrt(self) -> Self;
+    /// `self` where `lo <= x <= hi`, NaN elsewhere.
+    fn where_within(self, x: Self, lo: f64, hi: f64) -> Self;
+}
+
+impl Double for f64 {
+    #[inline(always)]
+    fn splat(x: f64) -> f64 {
+        x
+    }
+    #[inline(always)]
+    fn sqrt(self) -> f64 {
+        self.sqrt()
+    }
+    #[inline(always)]
+    fn where_within(self, x: f64, lo: f64, hi: f64) -> f64 {
+        if x >= lo && x <= hi { self } else { f64::NAN }
+    }
+}
+
+impl Double for f64x8 {
+    #[inline(always)]
+    fn splat(x: f64) -> f64x8 {
+        f64x8::splat(x)
+    }
+    #[inline(always)]
+    fn sqrt(self) -> f64x8 {
+        self.sqrt()
+    }
+    #[inline(always)]
+    fn where_within(self, x: f64x8, lo: f64, hi: f64) -> f64x8 {
+        let inside = x.simd_ge(f64x8::splat(lo)) & x.simd_le(f64x8::splat(hi));
+        inside.select(self, f64x8::splat(f64::NAN))
+    }
+}
 
 /// One curved primitive.
 #[derive(Clone, Copy, Debug)]
@@ -27,18 +74,18 @@ pub(super) enum Curved {
 }
 
 #[inline(always)]
-fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
+fn dot<N: Double>(a: [N; 3], b: [N; 3]) -> N {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
 #[inline(always)]
-fn minus(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+fn minus<N: Double>(a: [N; 3], b: [N; 3]) -> [N; 3] {
     [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
 }
 
 /// `a - s b`
 #[inline(always)]
-fn less(a: [f64; 3], s: f64, b: [f64; 3]) -> [f64; 3] {
+fn less<N: Double>(a: [N; 3], s: N, b: [N; 3]) -> [N; 3] {
     [a[0] - s * b[0], a[1] - s * b[1], a[2] - s * b[2]]
 }
 
@@ -95,16 +142,24 @@ impl Curved {
     /// Nearest `(t, u, v)` with `0 < t <= t_max`.
     #[inline]
     pub(super) fn intersect(&self, ray: &Ray, t_max: f32) -> Option<(f32, f32, f32)> {
-        let (o, d) = (ray.o.map(f64::from), ray.d.map(f64::from));
+        let [near, far, u, v] = self.candidates(ray.o.map(f64::from), ray.d.map(f64::from));
+        within(near, t_max)
+            .or_else(|| within(far, t_max))
+            .map(|t| (t, u as f32, v as f32))
+    }
+
+    /// Where the line meets the surface: two distances, ascending, and surface coordinates. NaN where it does
+    /// not.
+    #[inline(always)]
+    pub(super) fn candidates<N: Double>(&self, o: [N; 3], d: [N; 3]) -> [N; 4] {
+        let none = N::splat(0.0);
         match *self {
             Curved::Sphere {
                 center,
                 squared_radius,
             } => {
-                let (near, far) = roots(minus(center, o), d, squared_radius)?;
-                within(near, t_max)
-                    .or_else(|| within(far, t_max))
-                    .map(|t| (t, 0.0, 0.0))
+                let (near, far) = roots(minus(center.map(N::splat), o), d, squared_radius);
+                [near, far, none, none]
             }
             Curved::Disk {
                 center,
@@ -112,12 +167,13 @@ impl Curved {
                 du,
                 dv,
             } => {
+                let [center, normal, du, dv] = [center, normal, du, dv].map(|x| x.map(N::splat));
                 let to = minus(center, o);
                 let t = dot(normal, to) / dot(normal, d);
-                let t32 = within(t, t_max)?;
                 let p = less(to, t, d);
-                let (u, v) = (-dot(du, p), -dot(dv, p));
-                (u * u + v * v <= 1.0).then_some((t32, u as f32, v as f32))
+                let (u, v) = (none - dot(du, p), none - dot(dv, p));
+                let t = t.where_within(u * u + v * v, 0.0, 1.0);
+                [t, t, u, v]
             }
             Curved::Cylinder {
                 p0,
@@ -125,18 +181,14 @@ impl Curved {
                 length,
                 squared_radius,
             } => {
+                let [p0, axis] = [p0, axis].map(|x| x.map(N::splat));
                 let to = minus(p0, o);
                 let (along_to, along_d) = (dot(to, axis), dot(d, axis));
                 // Seen along the axis the tube is a circle.
                 let flat_d = less(d, along_d, axis);
-                let (near, far) = roots(less(to, along_to, axis), flat_d, squared_radius)?;
-                let on = |t: f64| {
-                    let h = t * along_d - along_to;
-                    (h >= 0.0 && h <= length)
-                        .then(|| within(t, t_max))
-                        .flatten()
-                };
-                on(near).or_else(|| on(far)).map(|t| (t, 0.0, 0.0))
+                let (near, far) = roots(less(to, along_to, axis), flat_d, squared_radius);
+                let on = |t: N| t.where_within(t * along_d - along_to, 0.0, length);
+                [on(near), on(far), none, none]
             }
         }
     }
@@ -149,16 +201,14 @@ impl Curved {
     }
 }
 
-/// Both `t` with `|t d - to|^2 = rr`, ascending.
+/// Both `t` with `|t d - to|^2 = rr`, ascending; NaN if there are none.
 #[inline(always)]
-fn roots(to: [f64; 3], d: [f64; 3], rr: f64) -> Option<(f64, f64)> {
+fn roots<N: Double>(to: [N; 3], d: [N; 3], rr: f64) -> (N, N) {
     let dd = dot(d, d);
     let middle = dot(to, d) / dd;
     // Distance of the centre from the line; the usual b^2 - a c would lose a small far sphere.
     let off = less(to, middle, d);
-    let spare = rr - dot(off, off);
-    (spare >= 0.0).then(|| {
-        let half = (spare / dd).sqrt();
-        (middle - half, middle + half)
-    })
+    let spare = N::splat(rr) - dot(off, off);
+    let half = (spare / dd).sqrt();
+    (middle - half, middle + half)
 }

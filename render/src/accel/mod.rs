@@ -7,6 +7,7 @@
 //! through a compressed eight-wide hierarchy (`bvh`). Both run the same arithmetic on the same
 //! numbers and break ties towards the lowest primitive, so they return the same bits.
 
+mod bundle;
 mod bvh;
 mod curved;
 mod packet;
@@ -14,6 +15,8 @@ mod packet;
 #[cfg(test)]
 mod tests;
 
+use bundle::Few;
+pub use bundle::{BUNDLE, Bundle};
 use bvh::Tree;
 use curved::Curved;
 use packet::{Flat, Packets};
@@ -136,7 +139,7 @@ pub struct Accel {
 
 #[derive(Clone, Debug)]
 enum Layout {
-    Linear(Packets, Vec<(Curved, u32)>),
+    Linear(Packets, Vec<(Curved, u32)>, Few),
     Tree(Box<Tree>),
 }
 
@@ -167,7 +170,11 @@ impl Accel {
             }
         }
         Accel {
-            layout: Layout::Linear(Packets::new(&flat), curved),
+            layout: Layout::Linear(
+                Packets::new(&flat),
+                curved,
+                Few::new(items.iter().map(|i| (i.shape, i.prim))),
+            ),
         }
     }
 
@@ -191,6 +198,34 @@ impl Accel {
     #[inline(always)]
     pub fn occluded(&self, o: [f32; 3], d: [f32; 3], t_max: f32) -> bool {
         self.occluded_scalars(o[0], o[1], o[2], d[0], d[1], d[2], t_max)
+    }
+
+    /// [`Accel::intersect`] for every ray of a bundle, with the same results.
+    pub fn intersect_bundle(&self, bundle: &Bundle) -> [Option<Hit>; BUNDLE] {
+        let mut hits = [None; BUNDLE];
+        if let Layout::Linear(_, _, few) = &self.layout
+            && few.intersect(bundle, &mut hits).is_some()
+        {
+            return hits;
+        }
+        for (i, hit) in hits.iter_mut().enumerate().take(bundle.len()) {
+            let (o, d, t_max) = bundle.ray(i);
+            *hit = self.intersect(o, d, t_max);
+        }
+        hits
+    }
+
+    /// [`Accel::occluded`] for every ray of a bundle: one bit each.
+    pub fn occluded_bundle(&self, bundle: &Bundle) -> u32 {
+        if let Layout::Linear(_, _, few) = &self.layout
+            && let Some(bits) = few.occluded(bundle)
+        {
+            return bits;
+        }
+        (0..bundle.len()).fold(0, |bits, i| {
+            let (o, d, t_max) = bundle.ray(i);
+            bits | u32::from(self.occluded(o, d, t_max)) << i
+        })
     }
 
     #[inline(never)]
@@ -248,7 +283,7 @@ impl Accel {
     fn nearest(&self, ray: &Ray, t_max: f32) -> Best {
         let mut best = Best::new(capped(t_max));
         match &self.layout {
-            Layout::Linear(packets, curved) => {
+            Layout::Linear(packets, curved, _) => {
                 packets.intersect(ray, &mut best);
                 for (c, prim) in curved {
                     if let Some((t, u, v)) = c.intersect(ray, best.t) {
@@ -265,7 +300,7 @@ impl Accel {
     fn blocked(&self, ray: &Ray, t_max: f32) -> bool {
         let t_max = capped(t_max);
         match &self.layout {
-            Layout::Linear(packets, curved) => {
+            Layout::Linear(packets, curved, _) => {
                 packets.occluded(ray, t_max) || curved.iter().any(|(c, _)| c.occluded(ray, t_max))
             }
             Layout::Tree(tree) => tree.occluded(ray, t_max),
@@ -276,8 +311,10 @@ impl Accel {
     pub fn memory_bytes(&self) -> usize {
         size_of::<Self>()
             + match &self.layout {
-                Layout::Linear(packets, curved) => {
-                    packets.memory_bytes() + curved.capacity() * size_of::<(Curved, u32)>()
+                Layout::Linear(packets, curved, few) => {
+                    packets.memory_bytes()
+                        + curved.capacity() * size_of::<(Curved, u32)>()
+                        + few.memory_bytes()
                 }
                 Layout::Tree(tree) => tree.memory_bytes(),
             }

@@ -2,7 +2,7 @@
 
 use super::{Best, MIN_THICKNESS, Ray};
 use std::ops::{Add, Div, Mul, Sub};
-use wide::f32x8;
+use wide::{f32x8, f32x16};
 
 /// Primitives per packet.
 pub(super) const LANES: usize = 8;
@@ -70,44 +70,49 @@ impl Lane for f32 {
     }
 }
 
-impl Lane for f32x8 {
-    #[inline(always)]
-    fn splat(x: f32) -> f32x8 {
-        f32x8::splat(x)
-    }
-    #[inline(always)]
-    fn fma(self, a: f32x8, b: f32x8) -> f32x8 {
-        if FUSED {
-            self.mul_add(a, b)
-        } else {
-            self * a + b
+macro_rules! lanes {
+    ($($lanes:ident),*) => {$(
+        impl Lane for $lanes {
+            #[inline(always)]
+            fn splat(x: f32) -> $lanes {
+                $lanes::splat(x)
+            }
+            #[inline(always)]
+            fn fma(self, a: $lanes, b: $lanes) -> $lanes {
+                if FUSED {
+                    self.mul_add(a, b)
+                } else {
+                    self * a + b
+                }
+            }
+            #[inline(always)]
+            fn fms(self, a: $lanes, b: $lanes) -> $lanes {
+                if FUSED {
+                    self.mul_sub(a, b)
+                } else {
+                    self * a - b
+                }
+            }
+            #[inline(always)]
+            fn fnma(self, a: $lanes, b: $lanes) -> $lanes {
+                if FUSED {
+                    self.mul_neg_add(a, b)
+                } else {
+                    b - self * a
+                }
+            }
+            #[inline(always)]
+            fn lower(self, o: $lanes) -> $lanes {
+                self.fast_min(o)
+            }
+            #[inline(always)]
+            fn upper(self, o: $lanes) -> $lanes {
+                self.fast_max(o)
+            }
         }
-    }
-    #[inline(always)]
-    fn fms(self, a: f32x8, b: f32x8) -> f32x8 {
-        if FUSED {
-            self.mul_sub(a, b)
-        } else {
-            self * a - b
-        }
-    }
-    #[inline(always)]
-    fn fnma(self, a: f32x8, b: f32x8) -> f32x8 {
-        if FUSED {
-            self.mul_neg_add(a, b)
-        } else {
-            b - self * a
-        }
-    }
-    #[inline(always)]
-    fn lower(self, o: f32x8) -> f32x8 {
-        self.fast_min(o)
-    }
-    #[inline(always)]
-    fn upper(self, o: f32x8) -> f32x8 {
-        self.fast_max(o)
-    }
+    )*};
 }
+lanes!(f32x8, f32x16);
 
 /// A triangle or parallelogram as a plane and a dual basis, so that a test needs no cross product.
 #[derive(Clone, Copy, Debug)]
@@ -208,18 +213,27 @@ impl<N: Lane> RayLanes<N> {
     }
 }
 
+impl RayLanes<f32x16> {
+    /// One ray per lane.
+    #[inline(always)]
+    pub(super) fn of(o: [f32x16; 3], d: [f32x16; 3]) -> Self {
+        let size = d[0].abs() + d[1].abs() + d[2].abs();
+        RayLanes { o, d, size }
+    }
+}
+
 /// Candidate: a hit if `0 < t < t_max`, `inner >= 0` and `outer <= 1`. All NaN in empty slots.
-struct Candidate<N> {
-    t: N,
-    u: N,
-    v: N,
-    inner: N,
-    outer: N,
+pub(super) struct Candidate<N> {
+    pub(super) t: N,
+    pub(super) u: N,
+    pub(super) v: N,
+    pub(super) inner: N,
+    pub(super) outer: N,
 }
 
 impl<N: Lane> Flat<N> {
     #[inline(always)]
-    fn candidate(&self, ray: &RayLanes<N>) -> Candidate<N> {
+    pub(super) fn candidate(&self, ray: &RayLanes<N>) -> Candidate<N> {
         let to = [
             self.v0[0] - ray.o[0],
             self.v0[1] - ray.o[1],
@@ -255,6 +269,21 @@ impl<N: Lane> Flat<N> {
 }
 
 impl Flat<f32> {
+    /// The same primitive in every lane.
+    #[inline(always)]
+    pub(super) fn splat<N: Lane>(&self) -> Flat<N> {
+        Flat {
+            v0: self.v0.map(N::splat),
+            n: self.n.map(N::splat),
+            du: self.du.map(N::splat),
+            dv: self.dv.map(N::splat),
+            cut: N::splat(self.cut),
+            seam_u: N::splat(self.seam_u),
+            seam_v: N::splat(self.seam_v),
+            reach: N::splat(self.reach),
+        }
+    }
+
     #[inline(always)]
     pub(super) fn intersect(&self, ray: &RayLanes<f32>, prim: u32, best: &mut Best) {
         let c = self.candidate(ray);

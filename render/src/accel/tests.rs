@@ -213,6 +213,47 @@ fn agrees_with_brute_force_in_f64() {
     }
 }
 
+/// A lane per ray and a lane per primitive are the same test: equal bits, also among coinciding
+/// primitives, with limits, and when a ray of the bundle needs special care.
+#[test]
+fn bundles_agree_with_single_rays() {
+    let mut random = Random(31);
+    let mut prims: Vec<_> = (0..40).map(|_| random.primitive(1.0)).collect();
+    prims.extend_from_within(..20);
+    for accel in both(&prims) {
+        let mut hits = 0;
+        for round in 0..2_000 {
+            let rays: Vec<_> = (0..1 + round % BUNDLE)
+                .map(|i| {
+                    let odd = if round % 7 == 0 && i == 3 { 1e3 } else { 1.0 };
+                    let t_max = match i % 3 {
+                        0 => f32::INFINITY,
+                        1 => random.signed().abs() as f32,
+                        _ => f32::NAN,
+                    };
+                    let d = random.direction().map(|x| x * odd);
+                    (random.vector(1.2), d, t_max)
+                })
+                .collect();
+            let mut bundle = Bundle::default();
+            bundle.push([0.0; 3], [1.0, 0.0, 0.0], 1.0);
+            bundle.clear();
+            rays.iter().for_each(|&(o, d, t)| bundle.push(o, d, t));
+            assert_eq!(bundle.is_full(), rays.len() == BUNDLE);
+            let (found, occluded) = (
+                accel.intersect_bundle(&bundle),
+                accel.occluded_bundle(&bundle),
+            );
+            for (i, &(o, d, t_max)) in rays.iter().enumerate() {
+                assert_eq!(found[i], accel.intersect(o, d, t_max));
+                assert_eq!(occluded >> i & 1 != 0, accel.occluded(o, d, t_max));
+                hits += usize::from(found[i].is_some());
+            }
+        }
+        assert!(hits > 500, "{hits}");
+    }
+}
+
 /// Most rays meet a plane at a moderate angle; there all three numbers are good to a few ulps of
 /// the distance.
 #[test]

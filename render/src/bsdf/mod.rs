@@ -670,9 +670,9 @@ macro_rules! materials {
             fn visit_params(&self, f: &mut dyn FnMut(ParamRef)) {
                 match self { $(Self::$hot(m) => m.visit_params(f),)* $(Self::$name(m) => m.visit_params(f),)* }
             }
-            #[inline]
+            #[inline(always)]
             fn is_delta(&self) -> bool {
-                match self { $(Self::$hot(m) => m.is_delta(),)* $(Self::$name(m) => m.is_delta(),)* }
+                $crate::dispatch::dispatch!(self, [$($hot),*] [$($name),*], m => m.is_delta())
             }
             #[inline(always)]
             fn sample_differential<P: Float>(

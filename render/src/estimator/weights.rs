@@ -33,14 +33,11 @@ pub struct Power;
 impl Heuristic for Power {
     #[inline]
     fn weight<R: Real>(a: R, b: R) -> R {
-        if a.primal() >= b.primal() {
-            let r = b / a;
-            (R::one() + r * r).recip()
-        } else {
-            let r = a / b;
-            let r2 = r * r;
-            r2 / (R::one() + r2)
-        }
+        // The larger one is anybody's guess: nothing to branch on.
+        let wins = a.primal() >= b.primal();
+        let r = R::select(wins, b, a) / R::select(wins, a, b);
+        let r2 = r * r;
+        R::select(wins, R::one(), r2) / (R::one() + r2)
     }
 }
 

@@ -6,8 +6,9 @@ use std::sync::atomic::{AtomicBool, AtomicI64, Ordering};
 use ad_core::Float;
 use rayon::prelude::*;
 
+use super::path::Context;
 use super::record::{Activity, Recorder};
-use super::render::{NonFinite, Progress, sample_pixel, tiles};
+use super::render::{NonFinite, Paths, Progress, tiles};
 use crate::error::RenderError;
 use crate::estimator::DetachedMis;
 use crate::math::Rgb;
@@ -298,41 +299,33 @@ impl<P: Float> Pass<'_, P> {
                     small,
                     large,
                 };
-                let mut recorder = Recorder::<P>::default();
+                let context = Context {
+                    scene: self.scene,
+                    theta: self.theta,
+                    settings: self.settings,
+                };
+                let mut paths = Paths::<P, DetachedMis, X, Recorder<P>>::default();
                 let mut non_finite = NonFinite::default();
                 for tile in tiles.iter().skip(job).step_by(jobs) {
                     if progress.cancelled() {
                         break;
                     }
-                    for y in tile.y.start..tile.y.end {
-                        for x in tile.x.start..tile.x.end {
-                            let pixel = y * width + x;
+                    let done = |at, index, l: Rgb<P>, recorder: &mut Recorder<P>| {
+                        let [x, y] = tile.pixel(at);
+                        let pixel = y * width + x;
+                        if l.is_finite() {
                             let i = pixel as usize * 3;
                             let a: [P; 3] =
                                 std::array::from_fn(|c| P::from_f32(self.adjoint[i + c]));
                             let d = Rgb::from(a) * scale;
-                            for index in self.samples.clone() {
-                                recorder.clear();
-                                let l = sample_pixel::<P, DetachedMis, X, _>(
-                                    self.scene,
-                                    self.theta,
-                                    self.settings,
-                                    self.seed,
-                                    [x, y],
-                                    index,
-                                    &mut recorder,
-                                );
-                                if !l.is_finite() {
-                                    non_finite.add(u64::from(pixel), index);
-                                    continue;
-                                }
-                                recorder.backward(self.scene, self.theta, d, &mut sink);
-                            }
+                            recorder.backward(self.scene, self.theta, d, &mut sink);
+                        } else {
+                            non_finite.add(u64::from(pixel), index);
                         }
-                    }
-                    progress.advance(
-                        u64::from(tile.x.end - tile.x.start) * u64::from(tile.y.end - tile.y.start),
-                    );
+                        recorder.clear();
+                    };
+                    tile.trace(&context, self.seed, &self.samples, &mut paths, done);
+                    progress.advance(tile.pixels() as u64);
                 }
                 (sink.small, non_finite)
             })

@@ -4,6 +4,7 @@
 //! [`record::Recorder`] the vertices are kept, and the adjoint is pulled back through them.
 //! [`render`](render::render) and [`gradient`](gradient::Gradient) drive it over an image.
 
+mod batch;
 pub mod gradient;
 pub mod path;
 pub mod record;

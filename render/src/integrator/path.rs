@@ -420,6 +420,12 @@ struct LightSample<P> {
     sample: EmitterSample<P>,
 }
 
+/// 64 random bits as an index below `n`, at most 2^32.
+#[inline]
+fn index_below(bits: u64, n: usize) -> usize {
+    (((bits >> 32) * n as u64) >> 32) as usize
+}
+
 /// Chooses an emitter uniformly and samples it.
 #[inline(always)]
 fn sample_light<P: Float, X: Sampler>(
@@ -428,8 +434,9 @@ fn sample_light<P: Float, X: Sampler>(
     sampler: &mut X,
 ) -> Option<LightSample<P>> {
     let n = scene.emitters().len();
-    let choice: f64 = sampler.next_1d();
-    let emitter = ((choice * n as f64) as usize).min(n - 1);
+    let choice = sampler.next_bits();
+    // The only light needs no number; the branch is always predicted.
+    let emitter = if n == 1 { 0 } else { index_below(choice, n) };
     let mut sample =
         scene.emitters()[emitter].sample(scene.lights(), from, sampler.next_2d::<P>())?;
     sample.pdf *= scene.emitter_probability::<P>();

@@ -5,7 +5,8 @@ use std::ops::Range;
 use ad_core::{Dual, Float, Real};
 use rayon::prelude::*;
 
-use super::path::{self, Geometry, Observer};
+use super::batch::{self, PATHS};
+use super::path::{Context, Geometry, Observer, Walk};
 use crate::estimator::{Strategy, Unbiased};
 use crate::film::Image;
 use crate::math::{Ray, Rgb};
@@ -163,17 +164,14 @@ pub(super) fn tiles(width: u32, height: u32) -> Vec<Tile> {
         .collect()
 }
 
-/// Radiance of sample `index` of the pixel `(x, y)` of the crop window.
-#[inline]
-pub(super) fn sample_pixel<R: Real, S: Strategy, X: Sampler, O: Observer<R>>(
+/// The start of sample `index` of the pixel `(x, y)` of the crop window.
+#[inline(always)]
+pub(super) fn start<R: Real, S: Strategy, X: Sampler>(
     scene: &Scene,
-    theta: &Theta<R>,
-    settings: &Settings,
     seed: u64,
     [x, y]: [u32; 2],
     index: u64,
-    observer: &mut O,
-) -> Rgb<R> {
+) -> Walk<R, S, X> {
     let film = &scene.film;
     // Counted on the full film, so that a crop shows the same samples.
     let [px, py] = [x + film.crop_offset[0], y + film.crop_offset[1]];
@@ -182,14 +180,68 @@ pub(super) fn sample_pixel<R: Real, S: Strategy, X: Sampler, O: Observer<R>>(
     let [dx, dy] = film.filter.sample(sampler.next_2d::<R::Primal>());
     let centre = |p: u32| R::Primal::of(f64::from(p) + 0.5);
     let ray = scene.camera.ray(centre(px) + dx, centre(py) + dy);
-    path::trace::<R, S, X, O>(
-        scene,
-        theta,
-        settings,
-        Ray::<Geometry<S, R>>::lift(ray),
-        sampler,
-        observer,
-    )
+    Walk::new(Ray::<Geometry<S, R>>::lift(ray), sampler)
+}
+
+impl Tile {
+    /// Number of pixels.
+    pub(super) fn pixels(&self) -> usize {
+        ((self.x.end - self.x.start) * (self.y.end - self.y.start)) as usize
+    }
+
+    /// The pixel with index `i` within the tile, row by row.
+    #[inline]
+    pub(super) fn pixel(&self, i: usize) -> [u32; 2] {
+        let width = self.x.end - self.x.start;
+        let i = i as u32;
+        [self.x.start + i % width, self.y.start + i / width]
+    }
+
+    /// Follows the samples `samples` of all pixels, and calls `done` with the pixel's index within the
+    /// tile, the sample's index, the radiance and the observer of each, in order.
+    pub(super) fn trace<R: Real, S: Strategy, X: Sampler, O: Observer<R>>(
+        &self,
+        context: &Context<R>,
+        seed: u64,
+        samples: &Range<u64>,
+        paths: &mut Paths<R, S, X, O>,
+        mut done: impl FnMut(usize, u64, Rgb<R>, &mut O),
+    ) {
+        let spp = samples.end.saturating_sub(samples.start);
+        let total = self.pixels() as u64 * spp;
+        for first in (0..total).step_by(PATHS) {
+            let which = |k: usize| {
+                let i = first + k as u64;
+                ((i / spp) as usize, samples.start + i % spp)
+            };
+            let n = PATHS.min((total - first) as usize);
+            paths.walks.clear();
+            paths.walks.extend((0..n).map(|k| {
+                let (pixel, index) = which(k);
+                start(context.scene, seed, self.pixel(pixel), index)
+            }));
+            batch::trace(context, &mut paths.walks, &mut paths.observers);
+            for (k, (walk, observer)) in paths.walks.iter().zip(&mut paths.observers).enumerate() {
+                let (pixel, index) = which(k);
+                done(pixel, index, walk.l, observer);
+            }
+        }
+    }
+}
+
+/// Room for the paths of one thread.
+pub(super) struct Paths<R: Real, S: Strategy, X: Sampler, O> {
+    walks: Vec<Walk<R, S, X>>,
+    observers: Vec<O>,
+}
+
+impl<R: Real, S: Strategy, X: Sampler, O: Clone + Default> Default for Paths<R, S, X, O> {
+    fn default() -> Self {
+        Self {
+            walks: Vec::with_capacity(PATHS),
+            observers: vec![O::default(); PATHS],
+        }
+    }
 }
 
 /// Renders the samples `samples` of every pixel with seed `seed`.
@@ -209,7 +261,7 @@ pub fn render<R: Components, S: Unbiased, X: Sampler>(
     let parts: Vec<_> = tiles
         .par_iter()
         .map(|tile| {
-            let pixels = ((tile.x.end - tile.x.start) * (tile.y.end - tile.y.start)) as usize;
+            let pixels = tile.pixels();
             let mut sums = vec![
                 0.0f64;
                 if progress.cancelled() {
@@ -222,32 +274,24 @@ pub fn render<R: Components, S: Unbiased, X: Sampler>(
             if sums.is_empty() {
                 return (sums, non_finite);
             }
-            let mut at = 0;
-            for y in tile.y.start..tile.y.end {
-                for x in tile.x.start..tile.x.end {
-                    for index in samples.clone() {
-                        let l = sample_pixel::<R, S, X, ()>(
-                            scene,
-                            theta,
-                            settings,
-                            seed,
-                            [x, y],
-                            index,
-                            &mut (),
-                        );
-                        if !l.is_finite() {
-                            non_finite.add(u64::from(y * width + x), index);
-                            continue;
-                        }
-                        for k in 0..R::COUNT {
-                            for c in 0..3 {
-                                sums[(k * pixels + at) * 3 + c] += l[c].component(k);
-                            }
-                        }
-                    }
-                    at += 1;
+            let context = Context {
+                scene,
+                theta,
+                settings,
+            };
+            let mut paths = Paths::<R, S, X, ()>::default();
+            tile.trace(&context, seed, &samples, &mut paths, |at, index, l, _| {
+                if !l.is_finite() {
+                    let [x, y] = tile.pixel(at);
+                    non_finite.add(u64::from(y * width + x), index);
+                    return;
                 }
-            }
+                for k in 0..R::COUNT {
+                    for c in 0..3 {
+                        sums[(k * pixels + at) * 3 + c] += l[c].component(k);
+                    }
+                }
+            });
             progress.advance(pixels as u64);
             (sums, non_finite)
         })

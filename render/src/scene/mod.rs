@@ -12,7 +12,7 @@ use std::sync::Arc;
 
 use ad_core::{Float, Real};
 
-use crate::accel::{Accel, Hit};
+use crate::accel::{Accel, BUNDLE, Bundle, Hit};
 use crate::bsdf::{Bsdf, Material};
 use crate::camera::Camera;
 use crate::emitter::{AnyEmitter, Emitter, Lights};
@@ -200,6 +200,18 @@ impl Scene {
         self.accel.occluded(o, d, t_max.to_f32())
     }
 
+    /// [`Scene::nearest`] for a bundle of rays.
+    #[inline]
+    pub fn nearest_bundle(&self, rays: &Bundle) -> [Option<Hit>; BUNDLE] {
+        self.accel.intersect_bundle(rays)
+    }
+
+    /// [`Scene::occluded`] for a bundle of rays: one bit each.
+    #[inline]
+    pub fn occluded_bundle(&self, rays: &Bundle) -> u32 {
+        self.accel.occluded_bundle(rays)
+    }
+
     /// For every material, whether it reads a range that satisfies `f`.
     pub fn materials_with(&self, f: impl Fn(ParamRef) -> bool) -> Vec<bool> {
         let reads = |m: &Arc<Material>| {
@@ -216,8 +228,9 @@ impl Scene {
     }
 }
 
+/// A ray as the acceleration structure takes it.
 #[inline]
-fn single<P: Float>(ray: &Ray<P>) -> ([f32; 3], [f32; 3]) {
+pub(crate) fn single<P: Float>(ray: &Ray<P>) -> ([f32; 3], [f32; 3]) {
     (
         ray.o.map(P::to_f32).to_array(),
         ray.d.map(P::to_f32).to_array(),

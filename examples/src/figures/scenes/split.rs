@@ -90,12 +90,7 @@ pub fn radiance(
         let ray = ray(sampler.next_2d());
         let settings = &settings;
         let l = trace::<f32, Strategy, Independent, Watch>(
-            scene,
-            &theta,
-            settings,
-            ray,
-            sampler,
-            &mut watch,
+            scene, &theta, settings, ray, sampler, &mut watch,
         );
         if !l.is_finite() {
             return Err(format!("sample {index} of stream {stream} is not finite").into());

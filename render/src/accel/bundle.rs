@@ -1,0 +1,246 @@
+//! Many rays against the same primitives: one lane per ray.
+//!
+//! The rays of different paths have nothing in common but that they are ready at the same time. A lane per
+//! ray needs no reduction at the end, no sorting out of ties, and half the instructions of a lane per primitive.
+
+use super::curved::{Curved, LANES_F64};
+use super::packet::{Flat, RayLanes};
+use super::{Hit, Ray};
+use wide::{f32x16, f64x8};
+
+/// Rays traced together.
+pub const BUNDLE: usize = 16;
+
+/// Up to [`BUNDLE`] rays, each with the distance it looks ahead.
+#[derive(Clone, Copy, Debug)]
+pub struct Bundle {
+    o: [[f32; BUNDLE]; 3],
+    d: [[f32; BUNDLE]; 3],
+    t_max: [f32; BUNDLE],
+    len: usize,
+}
+
+impl Default for Bundle {
+    fn default() -> Self {
+        Self {
+            o: [[0.0; BUNDLE]; 3],
+            // Lanes without a ray look nowhere, but count as sane.
+            d: [[1.0; BUNDLE], [0.0; BUNDLE], [0.0; BUNDLE]],
+            t_max: [0.0; BUNDLE],
+            len: 0,
+        }
+    }
+}
+
+impl Bundle {
+    /// Number of rays.
+    #[inline(always)]
+    pub fn len(&self) -> usize {
+        self.len
+    }
+
+    /// Whether there is no ray.
+    #[inline(always)]
+    pub fn is_empty(&self) -> bool {
+        self.len == 0
+    }
+
+    /// Whether there is room for no more.
+    #[inline(always)]
+    pub fn is_full(&self) -> bool {
+        self.len == BUNDLE
+    }
+
+    /// Adds a ray to a bundle that is not full.
+    #[inline(always)]
+    pub fn push(&mut self, o: [f32; 3], d: [f32; 3], t_max: f32) {
+        let i = self.len % BUNDLE;
+        for k in 0..3 {
+            self.o[k][i] = o[k];
+            self.d[k][i] = d[k];
+        }
+        self.t_max[i] = t_max;
+        self.len += 1;
+    }
+
+    /// Forgets all rays.
+    #[inline(always)]
+    pub fn clear(&mut self) {
+        for t in &mut self.t_max[..self.len] {
+            *t = 0.0;
+        }
+        self.len = 0;
+    }
+
+    /// Origin, direction and limit of ray `i`.
+    #[inline(always)]
+    pub(super) fn ray(&self, i: usize) -> ([f32; 3], [f32; 3], f32) {
+        let at = |x: &[[f32; BUNDLE]; 3]| [x[0][i], x[1][i], x[2][i]];
+        (at(&self.o), at(&self.d), self.t_max[i])
+    }
+
+    /// Whether every ray can be traced as it is: see [`Ray::new`].
+    #[inline(always)]
+    fn is_sane(&self) -> bool {
+        (0..BUNDLE).fold(true, |sane, i| {
+            let (o, d, _) = self.ray(i);
+            sane & Ray::new(o, d).is_some()
+        })
+    }
+}
+
+/// The primitives of a small scene, in the order of their indices.
+#[derive(Clone, Debug)]
+pub(super) struct Few {
+    items: Vec<(One, u32)>,
+    curved: bool,
+}
+
+#[derive(Clone, Copy, Debug)]
+enum One {
+    Flat(Flat<f32>),
+    Curved(Curved),
+}
+
+/// The nearest hits so far.
+struct Nearest {
+    t: f32x16,
+    u: f32x16,
+    v: f32x16,
+    /// The bits of integers, so that lanes can be selected.
+    prim: f32x16,
+}
+
+impl Few {
+    /// From primitives with ascending indices.
+    pub(super) fn new(items: impl Iterator<Item = (super::Shape, u32)>) -> Few {
+        let one = |(shape, prim)| match shape {
+            super::Shape::Flat(f) => (One::Flat(f), prim),
+            super::Shape::Curved(c) => (One::Curved(c), prim),
+        };
+        let items: Vec<_> = items.map(one).collect();
+        let curved = items.iter().any(|i| matches!(i.0, One::Curved(_)));
+        Few { items, curved }
+    }
+
+    pub(super) fn memory_bytes(&self) -> usize {
+        self.items.capacity() * size_of::<(One, u32)>()
+    }
+
+    /// The nearest hit of every ray, or `None` if one of them needs special care.
+    #[inline(never)]
+    pub(super) fn intersect(
+        &self,
+        bundle: &Bundle,
+        hits: &mut [Option<Hit>; BUNDLE],
+    ) -> Option<()> {
+        if !bundle.is_sane() {
+            return None;
+        }
+        let lanes = Lanes::new(bundle, self.curved);
+        let zero = f32x16::splat(0.0);
+        let start = f32x16::from(bundle.t_max.map(super::capped));
+        let mut best = Nearest {
+            t: start,
+            u: zero,
+            v: zero,
+            prim: zero,
+        };
+        for (one, prim) in &self.items {
+            // Strict, and primitives ascend: the lowest one among equals stays.
+            let (hit, t, u, v) = lanes.test(one, best.t);
+            best.t = hit.select(t, best.t);
+            best.u = hit.select(u, best.u);
+            best.v = hit.select(v, best.v);
+            best.prim = hit.select(f32x16::splat(f32::from_bits(*prim)), best.prim);
+        }
+        let found = best.t.simd_lt(start).to_bitmask();
+        let (t, u, v) = (best.t.to_array(), best.u.to_array(), best.v.to_array());
+        let prim = best.prim.to_array();
+        for i in 0..bundle.len {
+            hits[i] = (found >> i & 1 != 0).then(|| Hit {
+                t: t[i],
+                u: u[i],
+                v: v[i],
+                prim: prim[i].to_bits(),
+            });
+        }
+        Some(())
+    }
+
+    /// One bit per ray that hits anything, or `None` if a ray needs special care.
+    #[inline(never)]
+    pub(super) fn occluded(&self, bundle: &Bundle) -> Option<u32> {
+        if !bundle.is_sane() {
+            return None;
+        }
+        let lanes = Lanes::new(bundle, self.curved);
+        let t_max = f32x16::from(bundle.t_max.map(super::capped));
+        let mut any = f32x16::splat(0.0);
+        for (one, _) in &self.items {
+            any |= lanes.test(one, t_max).0;
+        }
+        Some(any.to_bitmask())
+    }
+}
+
+/// A bundle in registers.
+struct Lanes {
+    single: RayLanes<f32x16>,
+    double: [[[f64x8; 3]; 2]; 2],
+}
+
+impl Lanes {
+    #[inline(always)]
+    fn new(bundle: &Bundle, double: bool) -> Lanes {
+        let half = |x: &[f32; BUNDLE], h: usize| {
+            f64x8::from(std::array::from_fn::<f64, LANES_F64, _>(|i| {
+                f64::from(x[h * LANES_F64 + i])
+            }))
+        };
+        let both = |h: usize| {
+            let [o, d] = [&bundle.o, &bundle.d];
+            [
+                [half(&o[0], h), half(&o[1], h), half(&o[2], h)],
+                [half(&d[0], h), half(&d[1], h), half(&d[2], h)],
+            ]
+        };
+        let none = [[f64x8::splat(0.0); 3]; 2];
+        Lanes {
+            single: RayLanes::of(bundle.o.map(f32x16::from), bundle.d.map(f32x16::from)),
+            double: if double {
+                [both(0), both(1)]
+            } else {
+                [none; 2]
+            },
+        }
+    }
+
+    /// Which lanes hit the primitive before `t_max`, and where.
+    #[inline(always)]
+    fn test(&self, one: &One, t_max: f32x16) -> (f32x16, f32x16, f32x16, f32x16) {
+        let zero = f32x16::splat(0.0);
+        let ahead = |t: f32x16| t.simd_gt(zero) & t.simd_lt(t_max);
+        match one {
+            One::Flat(flat) => {
+                let c = flat.splat::<f32x16>().candidate(&self.single);
+                let inside = c.inner.simd_ge(zero) & c.outer.simd_le(f32x16::splat(1.0));
+                (ahead(c.t) & inside, c.t, c.u, c.v)
+            }
+            One::Curved(curved) => {
+                let halves = [0, 1].map(|h| {
+                    let [o, d] = self.double[h];
+                    curved.candidates(o, d)
+                });
+                let [near, far, u, v] = [0, 1, 2, 3].map(|k| {
+                    let x: [[f64; LANES_F64]; 2] = [0, 1].map(|h: usize| halves[h][k].to_array());
+                    f32x16::from(std::array::from_fn::<f32, BUNDLE, _>(|i| {
+                        x[i / LANES_F64][i % LANES_F64] as f32
+                    }))
+                });
+                let first = ahead(near);
+                (first | ahead(far), first.select(near, far), u, v)
+            }
+        }
+    }
+}
