@@ -228,7 +228,7 @@ fn bundles_agree_with_single_rays() {
                     let odd = if round % 7 == 0 && i == 3 { 1e3 } else { 1.0 };
                     let t_max = match i % 3 {
                         0 => f32::INFINITY,
-                        1 => random.signed().abs() as f32,
+                        1 => random.signed().abs(),
                         _ => f32::NAN,
                     };
                     let d = random.direction().map(|x| x * odd);
