@@ -5,7 +5,7 @@
 
 use super::curved::{Curved, LANES_F64};
 use super::packet::{Flat, RayLanes};
-use super::{Hit, Ray};
+use super::{Hit, Ray, capped};
 use wide::{f32x16, f64x8};
 
 /// Rays traced together.
@@ -79,13 +79,21 @@ impl Bundle {
         (at(&self.o), at(&self.d), self.t_max[i])
     }
 
-    /// Whether every ray can be traced as it is: see [`Ray::new`].
+    /// Origins and directions.
     #[inline(always)]
-    fn is_sane(&self) -> bool {
-        (0..BUNDLE).fold(true, |sane, i| {
+    pub(super) fn lanes(&self) -> ([f32x16; 3], [f32x16; 3]) {
+        (self.o.map(f32x16::from), self.d.map(f32x16::from))
+    }
+
+    /// The distances that the rays look ahead, or `None` if one of them cannot be traced as it is: see
+    /// [`Ray::new`].
+    #[inline(always)]
+    pub(super) fn limits(&self) -> Option<[f32; BUNDLE]> {
+        let sane = (0..BUNDLE).fold(true, |sane, i| {
             let (o, d, _) = self.ray(i);
             sane & Ray::new(o, d).is_some()
-        })
+        });
+        sane.then(|| self.t_max.map(capped))
     }
 }
 
@@ -134,12 +142,9 @@ impl Few {
         bundle: &Bundle,
         hits: &mut [Option<Hit>; BUNDLE],
     ) -> Option<()> {
-        if !bundle.is_sane() {
-            return None;
-        }
+        let start = f32x16::from(bundle.limits()?);
         let lanes = Lanes::new(bundle, self.curved);
         let zero = f32x16::splat(0.0);
-        let start = f32x16::from(bundle.t_max.map(super::capped));
         let mut best = Nearest {
             t: start,
             u: zero,
@@ -171,11 +176,8 @@ impl Few {
     /// One bit per ray that hits anything, or `None` if a ray needs special care.
     #[inline(never)]
     pub(super) fn occluded(&self, bundle: &Bundle) -> Option<u32> {
-        if !bundle.is_sane() {
-            return None;
-        }
+        let t_max = f32x16::from(bundle.limits()?);
         let lanes = Lanes::new(bundle, self.curved);
-        let t_max = f32x16::from(bundle.t_max.map(super::capped));
         let mut any = f32x16::splat(0.0);
         for (one, _) in &self.items {
             any |= lanes.test(one, t_max).0;
@@ -206,8 +208,9 @@ impl Lanes {
             ]
         };
         let none = [[f64x8::splat(0.0); 3]; 2];
+        let (o, d) = bundle.lanes();
         Lanes {
-            single: RayLanes::of(bundle.o.map(f32x16::from), bundle.d.map(f32x16::from)),
+            single: RayLanes::of(o, d),
             double: if double {
                 [both(0), both(1)]
             } else {
@@ -222,11 +225,7 @@ impl Lanes {
         let zero = f32x16::splat(0.0);
         let ahead = |t: f32x16| t.simd_gt(zero) & t.simd_lt(t_max);
         match one {
-            One::Flat(flat) => {
-                let c = flat.splat::<f32x16>().candidate(&self.single);
-                let inside = c.inner.simd_ge(zero) & c.outer.simd_le(f32x16::splat(1.0));
-                (ahead(c.t) & inside, c.t, c.u, c.v)
-            }
+            One::Flat(flat) => flat.test_lanes(&self.single, t_max),
             One::Curved(curved) => {
                 let halves = [0, 1].map(|h| {
                     let [o, d] = self.double[h];

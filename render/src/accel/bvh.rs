@@ -29,26 +29,26 @@ const MAX_BINARY_DEPTH: usize = 500;
 
 /// Widening of the slabs, relative to the farthest point of the scene; must exceed the seam of
 /// the flat test.
-const SLACK: f32 = 32.0 * f32::EPSILON;
+pub(super) const SLACK: f32 = 32.0 * f32::EPSILON;
 
 /// Smallest direction component in a slab test: keeps reciprocals finite.
-const MIN_COMPONENT: f32 = 1e-20;
+pub(super) const MIN_COMPONENT: f32 = 1e-20;
 
 /// Marks leaf slots that hold a flat primitive.
 const FLAT: u32 = u32::MAX;
 
 #[derive(Clone, Debug)]
 pub(super) struct Tree {
-    nodes: Vec<CwBvhNode>,
+    pub(super) nodes: Vec<CwBvhNode>,
     depth: usize,
     /// Leaf slots in traversal order.
-    flat: Vec<Flat<f32>>,
-    prims: Vec<u32>,
+    pub(super) flat: Vec<Flat<f32>>,
+    pub(super) prims: Vec<u32>,
     /// Per slot an index into `curved` or [`FLAT`]; empty if everything is flat.
     kinds: Vec<u32>,
     curved: Vec<Curved>,
-    center: [f32; 3],
-    half: [f32; 3],
+    pub(super) center: [f32; 3],
+    pub(super) half: [f32; 3],
 }
 
 impl Boundable for Item {
@@ -121,33 +121,52 @@ impl Tree {
     // Out of line, so that small scenes do not pay for this frame.
     #[inline(never)]
     pub(super) fn intersect(&self, ray: &Ray, best: &mut Best) {
-        if self.depth <= USUAL_DEPTH {
-            self.intersect_within::<USUAL_DEPTH>(ray, best);
-        } else {
-            self.intersect_within::<MAX_DEPTH>(ray, best);
-        }
+        self.intersect_from(0, ray, best);
     }
 
     #[inline(never)]
     pub(super) fn occluded(&self, ray: &Ray, t_max: f32) -> bool {
+        self.occluded_from(0, ray, t_max)
+    }
+
+    /// Everything below `node`.
+    #[inline(always)]
+    pub(super) fn intersect_from(&self, node: u32, ray: &Ray, best: &mut Best) {
         if self.depth <= USUAL_DEPTH {
-            self.occluded_within::<USUAL_DEPTH>(ray, t_max)
+            self.intersect_within::<USUAL_DEPTH>(node, ray, best);
         } else {
-            self.occluded_within::<MAX_DEPTH>(ray, t_max)
+            self.intersect_within::<MAX_DEPTH>(node, ray, best);
         }
     }
 
-    #[inline]
-    fn intersect_within<const DEPTH: usize>(&self, ray: &Ray, best: &mut Best) {
+    /// Everything below `node`.
+    #[inline(always)]
+    pub(super) fn occluded_from(&self, node: u32, ray: &Ray, t_max: f32) -> bool {
+        if self.depth <= USUAL_DEPTH {
+            self.occluded_within::<USUAL_DEPTH>(node, ray, t_max)
+        } else {
+            self.occluded_within::<MAX_DEPTH>(node, ray, t_max)
+        }
+    }
+
+    /// The curved primitive in a slot, if it is one.
+    #[inline(always)]
+    pub(super) fn curved_at(&self, slot: usize) -> Option<&Curved> {
+        let kind = *self.kinds.get(slot)?;
+        self.curved.get(kind as usize)
+    }
+
+    #[inline(never)]
+    fn intersect_within<const DEPTH: usize>(&self, node: u32, ray: &Ray, best: &mut Best) {
         let lanes = RayLanes::<f32>::new(ray);
         if self.kinds.is_empty() {
-            self.traverse::<DEPTH>(ray, best.t, |slot| {
+            self.traverse::<DEPTH>(node, ray, best.t, |slot| {
                 self.flat[slot].intersect(&lanes, self.prims[slot], best);
                 Some(best.t)
             });
         } else {
-            self.traverse::<DEPTH>(ray, best.t, |slot| {
-                match self.curved.get(self.kinds[slot] as usize) {
+            self.traverse::<DEPTH>(node, ray, best.t, |slot| {
+                match self.curved_at(slot) {
                     Some(c) => {
                         if let Some((t, u, v)) = c.intersect(ray, best.t) {
                             best.offer(t, u, v, self.prims[slot]);
@@ -160,15 +179,11 @@ impl Tree {
         }
     }
 
-    #[inline]
-    fn occluded_within<const DEPTH: usize>(&self, ray: &Ray, t_max: f32) -> bool {
+    #[inline(never)]
+    fn occluded_within<const DEPTH: usize>(&self, node: u32, ray: &Ray, t_max: f32) -> bool {
         let lanes = RayLanes::<f32>::new(ray);
-        self.traverse::<DEPTH>(ray, t_max, |slot| {
-            let hit = match self
-                .kinds
-                .get(slot)
-                .and_then(|&k| self.curved.get(k as usize))
-            {
+        self.traverse::<DEPTH>(node, ray, t_max, |slot| {
+            let hit = match self.curved_at(slot) {
                 Some(c) => c.occluded(ray, t_max),
                 None => self.flat[slot].occluded(&lanes, t_max),
             };
@@ -176,11 +191,12 @@ impl Tree {
         })
     }
 
-    /// Calls `test` on leaf slots roughly front to back. It returns the new limit, or `None` to
+    /// Calls `test` on leaf slots below `node`, roughly front to back. It returns the new limit, or `None` to
     /// stop; the result tells whether it did.
     #[inline(always)]
     fn traverse<const DEPTH: usize>(
         &self,
+        node: u32,
         ray: &Ray,
         t_max: f32,
         mut test: impl FnMut(usize) -> Option<f32>,
@@ -190,8 +206,8 @@ impl Tree {
         let mut stack = [(0u32, 0u32); DEPTH];
         let mut top = 0;
         // Child base and, in the high byte, the children still to visit; the low byte is the mask
-        // of inner children. The root is the only child of a virtual node.
-        let mut group = (0u32, 0x8000_0000u32);
+        // of inner children. We start with the only child of a virtual node.
+        let mut group = (node, 0x8000_0000u32);
         if self.nodes.is_empty() {
             return false;
         }
@@ -394,7 +410,7 @@ impl Slabs {
 
 /// Eight bytes as eight floats; spelled so that it becomes one widening load.
 #[inline(always)]
-fn widen(q: &[u8; 8]) -> f32x8 {
+pub(super) fn widen(q: &[u8; 8]) -> f32x8 {
     let mut padded = [0; 16];
     padded[..8].copy_from_slice(q);
     f32x8::from_i32x8(i32x8::from_u16x8(u16x8::from_u8x16_low(u8x16::from(

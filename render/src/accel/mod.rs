@@ -9,6 +9,7 @@
 
 mod bundle;
 mod bvh;
+mod convoy;
 mod curved;
 mod packet;
 
@@ -203,9 +204,11 @@ impl Accel {
     /// [`Accel::intersect`] for every ray of a bundle, with the same results.
     pub fn intersect_bundle(&self, bundle: &Bundle) -> [Option<Hit>; BUNDLE] {
         let mut hits = [None; BUNDLE];
-        if let Layout::Linear(_, _, few) = &self.layout
-            && few.intersect(bundle, &mut hits).is_some()
-        {
+        let done = match &self.layout {
+            Layout::Linear(_, _, few) => few.intersect(bundle, &mut hits),
+            Layout::Tree(tree) => tree.intersect_bundle(bundle, &mut hits),
+        };
+        if done.is_some() {
             return hits;
         }
         for (i, hit) in hits.iter_mut().enumerate().take(bundle.len()) {
@@ -217,14 +220,15 @@ impl Accel {
 
     /// [`Accel::occluded`] for every ray of a bundle: one bit each.
     pub fn occluded_bundle(&self, bundle: &Bundle) -> u32 {
-        if let Layout::Linear(_, _, few) = &self.layout
-            && let Some(bits) = few.occluded(bundle)
-        {
-            return bits;
-        }
-        (0..bundle.len()).fold(0, |bits, i| {
-            let (o, d, t_max) = bundle.ray(i);
-            bits | u32::from(self.occluded(o, d, t_max)) << i
+        let done = match &self.layout {
+            Layout::Linear(_, _, few) => few.occluded(bundle),
+            Layout::Tree(tree) => tree.occluded_bundle(bundle),
+        };
+        done.unwrap_or_else(|| {
+            (0..bundle.len()).fold(0, |bits, i| {
+                let (o, d, t_max) = bundle.ray(i);
+                bits | u32::from(self.occluded(o, d, t_max)) << i
+            })
         })
     }
 

@@ -271,7 +271,7 @@ impl<N: Lane> Flat<N> {
 impl Flat<f32> {
     /// The same primitive in every lane.
     #[inline(always)]
-    pub(super) fn splat<N: Lane>(&self) -> Flat<N> {
+    fn splat<N: Lane>(&self) -> Flat<N> {
         Flat {
             v0: self.v0.map(N::splat),
             n: self.n.map(N::splat),
@@ -282,6 +282,20 @@ impl Flat<f32> {
             seam_v: N::splat(self.seam_v),
             reach: N::splat(self.reach),
         }
+    }
+
+    /// Which lanes hit it before `t_max`, and where: distance and coordinates.
+    #[inline(always)]
+    pub(super) fn test_lanes(
+        &self,
+        rays: &RayLanes<f32x16>,
+        t_max: f32x16,
+    ) -> (f32x16, f32x16, f32x16, f32x16) {
+        let (zero, one) = (f32x16::splat(0.0), f32x16::splat(1.0));
+        let c = self.splat::<f32x16>().candidate(rays);
+        let ahead = c.t.simd_gt(zero) & c.t.simd_lt(t_max);
+        let inside = c.inner.simd_ge(zero) & c.outer.simd_le(one);
+        (ahead & inside, c.t, c.u, c.v)
     }
 
     #[inline(always)]
