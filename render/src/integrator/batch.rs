@@ -45,6 +45,7 @@ pub(super) fn trace<R: Real, S: Strategy, X: Sampler, O: Observer<R>>(
     let mut visible = [false; PATHS];
     let (mut nearest, mut shadow) = (Queue::default(), Queue::default());
     let mut open: [usize; PATHS] = std::array::from_fn(|i| i);
+    let mut met = Vec::with_capacity(walks.len());
     let mut n = walks.len();
     while n > 0 {
         let mut find = |queue: &mut Queue| {
@@ -82,11 +83,17 @@ pub(super) fn trace<R: Real, S: Strategy, X: Sampler, O: Observer<R>>(
         if !shadow.rays.is_empty() {
             test(&mut shadow);
         }
+        // A loop of its own, so that it waits for the memory of several surfaces at a time.
+        met.clear();
+        met.extend(open[..n].iter().map(|&path| {
+            let ray = walks[path].ray.as_ref()?;
+            hits[path].take().map(|hit| scene.interaction(ray, &hit))
+        }));
         let mut left = 0;
         for k in 0..n {
             let path = open[k];
             let walk = &mut walks[path];
-            walk.step(context, hits[path], visible[path], &mut observers[path]);
+            walk.step(context, met[k], visible[path], &mut observers[path]);
             open[left] = path;
             left += usize::from(!walk.ended());
         }

@@ -2,7 +2,6 @@
 
 use ad_core::{Const, Float, Real, Vec2, Vec3};
 
-use crate::accel::Hit;
 use crate::bsdf::{Bsdf, Component, Shading, TransportMode};
 use crate::emitter::{Emission, Emitter, EmitterSample};
 use crate::estimator::{Sampling, Strategy};
@@ -119,7 +118,7 @@ pub fn trace<R: Real, S: Strategy, X: Sampler, O: Observer<R>>(
     };
     let mut walk = Walk::<R, S, X>::new(ray, sampler);
     while !walk.ended() {
-        let hit = walk.ray.and_then(|ray| scene.nearest(&ray));
+        let hit = walk.ray.and_then(|ray| scene.intersect(&ray));
         let visible = walk
             .shadow
             .is_some_and(|(ray, t_max)| !scene.occluded(&ray, t_max));
@@ -206,7 +205,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
             theta,
             settings,
         }: &Context<R>,
-        hit: Option<Hit>,
+        hit: Option<Intersection<Geometry<S, R>>>,
         visible: bool,
         observer: &mut O,
     ) {
@@ -230,7 +229,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
         let sampled =
             (S::SAMPLES_EMITTERS && depth > 1 && self.pdf_bsdf.primal() > R::Primal::zero())
                 .then_some((self.pdf_bsdf, self.from));
-        let Some(hit) = hit else {
+        let Some(Intersection { shape, si }) = hit else {
             for &e in scene.infinite_emitters() {
                 if let Some((light, le)) = find_light::<R, S>(scene, theta, e, ray.d, None, sampled)
                 {
@@ -242,7 +241,6 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
             }
             return;
         };
-        let Intersection { shape, si } = scene.interaction(&ray, &hit);
         let info = scene.shape_info(shape);
         if let Some(e) = info.emitter {
             let found = find_light::<R, S>(scene, theta, e, ray.d, Some(si), sampled);
