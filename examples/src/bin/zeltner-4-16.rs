@@ -1,0 +1,14 @@
+//! `zeltner-4-16`: samples of distributions of normals and of their derivatives [Zeltner 2021].
+
+use std::process::ExitCode;
+
+use examples::figure::Figure;
+use examples::figures::zeltner;
+
+fn main() -> ExitCode {
+    Figure::run(
+        "zeltner-4-16",
+        "samples of distributions of normals and of their derivatives",
+        zeltner::differential_normals::clouds,
+    )
+}
