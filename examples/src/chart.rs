@@ -400,8 +400,10 @@ impl Panel {
 
     /// Draws a filled disc.
     pub fn dot(&mut self, centre: [f64; 2], radius: f64, colour: [u8; 3]) {
-        for y in 0..self.height {
-            for x in 0..self.width {
+        // Casts to integers saturate: nothing is drawn beyond the edges.
+        let span = |c: f64, n: usize| (c - radius) as usize..n.min((c + radius + 1.0) as usize);
+        for y in span(centre[1], self.height) {
+            for x in span(centre[0], self.width) {
                 let d = (x as f64 + 0.5 - centre[0]).hypot(y as f64 + 0.5 - centre[1]);
                 if d <= radius {
                     let at = (y * self.width + x) * 3;

@@ -2,7 +2,9 @@
 //!
 //! The scenes come from [`super::stage`].
 
+pub mod direct_light;
 pub mod factors;
+pub mod materials;
 pub mod path_length;
 pub mod propagation;
 pub mod recovery;

@@ -203,6 +203,8 @@ pub fn mixed(fig: &mut Figure) -> Result {
         "mean of the estimate",
     )
     .y_range(-0.41, -0.31)
+    // Space for the legend.
+    .y_range(-0.41, -0.31)
     .points("valid", points("true"))
     .points("biased", points("false"))
     .dashed("true derivative", [(1.0, truth), (9.0, truth)]);
