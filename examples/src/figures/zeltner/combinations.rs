@@ -202,7 +202,6 @@ pub fn mixed(fig: &mut Figure) -> Result {
         "row of the table",
         "mean of the estimate",
     )
-    .y_range(-0.41, -0.31)
     // Space for the legend.
     .y_range(-0.41, -0.31)
     .points("valid", points("true"))
