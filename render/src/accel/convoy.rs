@@ -45,8 +45,8 @@ impl<'a> Convoy<'a> {
     fn new(bundle: &'a Bundle, tree: &Tree) -> Self {
         let (o, d) = bundle.lanes();
         let mut reach = f32x16::splat(0.0);
-        for k in 0..3 {
-            reach += (o[k] - f32x16::splat(tree.center[k])).abs() + f32x16::splat(tree.half[k]);
+        for (o, (center, half)) in o.iter().zip(tree.center.iter().zip(tree.half)) {
+            reach += (*o - f32x16::splat(*center)).abs() + f32x16::splat(half);
         }
         let reach = reach.to_array()[..bundle.len()]
             .iter()
