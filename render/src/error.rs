@@ -275,6 +275,23 @@ pub enum RenderError {
         /// Its name.
         name: String,
     },
+    /// A name that no estimator has.
+    #[error("unknown estimator `{name}`; known: {known}")]
+    UnknownEstimator {
+        /// The name.
+        name: String,
+        /// All names.
+        known: String,
+    },
+    /// An estimator whose samples move by themselves, in a scene with discontinuities.
+    #[error(
+        "attached samples would move across discontinuities ({culprit}): the derivative would be \
+         biased; use a detached or reparameterised estimator, or `AllowBias` to study the bias"
+    )]
+    Discontinuous {
+        /// What makes them.
+        culprit: String,
+    },
 }
 
 impl RenderError {

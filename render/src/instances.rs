@@ -10,11 +10,13 @@ use ad_core::{Dual, Float};
 
 use crate::error::RenderError;
 use crate::estimator::{
-    Balance, BsdfOnly, Detached, DetachedWeights, EmitterOnly, Mis, Power, Strategy, Unbiased,
+    self, AllowBias, Attached, AttachedDirect, AttachedWeights, Balance, BsdfOnly, Detached,
+    DetachedMis, DetachedWeights, Differential, EmitterOnly, FrozenWeights, Mis, MixedWeights,
+    Power, Reparameterised, Unbiased,
 };
 use crate::integrator::gradient::{self, Active, Gradient};
 use crate::integrator::render::{self, Components, Progress, Rendering};
-use crate::params::{ParamRef, Params, Tangent, Theta};
+use crate::params::{ParamInfo, ParamRef, Params, Tangent, Theta};
 use crate::sampler::Independent;
 use crate::scene::{Scene, Settings};
 
@@ -46,6 +48,18 @@ impl Progress for Dynamic<'_> {
 
 type MisOf<H> = Mis<Detached, Detached, DetachedWeights, H>;
 
+fn run<R: Components, S: Unbiased>(
+    scene: &Scene,
+    theta: &Theta<R>,
+    settings: &Settings,
+    seed: u64,
+    samples: Range<u64>,
+    progress: &dyn Progress,
+) -> Rendering {
+    let progress = Dynamic(progress);
+    render::render::<R, S, Independent>(scene, theta, settings, seed, samples, &progress)
+}
+
 fn primal<P: Components + Float>(
     scene: &Scene,
     theta: &Theta<P>,
@@ -55,17 +69,6 @@ fn primal<P: Components + Float>(
     samples: Range<u64>,
     progress: &dyn Progress,
 ) -> Rendering {
-    fn run<P: Components, S: Strategy + Unbiased>(
-        scene: &Scene,
-        theta: &Theta<P>,
-        settings: &Settings,
-        seed: u64,
-        samples: Range<u64>,
-        progress: &dyn Progress,
-    ) -> Rendering {
-        let progress = Dynamic(progress);
-        render::render::<P, S, Independent>(scene, theta, settings, seed, samples, &progress)
-    }
     let run = match technique {
         Technique::MisPower => run::<P, MisOf<Power>>,
         Technique::MisBalance => run::<P, MisOf<Balance>>,
@@ -117,7 +120,7 @@ pub fn backward_f32(
     progress: &dyn Progress,
 ) -> Result<Gradient, RenderError> {
     let progress = Dynamic(progress);
-    gradient::backward::<f32, Independent>(
+    gradient::backward::<f32, DetachedMis, Independent>(
         scene, theta, active, adjoint, settings, seed, samples, &progress,
     )
 }
@@ -137,7 +140,7 @@ pub fn backward_f64(
     progress: &dyn Progress,
 ) -> Result<Gradient, RenderError> {
     let progress = Dynamic(progress);
-    gradient::backward::<f64, Independent>(
+    gradient::backward::<f64, DetachedMis, Independent>(
         scene, theta, active, adjoint, settings, seed, samples, &progress,
     )
 }
@@ -187,19 +190,7 @@ pub fn forward_f32(
     samples: Range<u64>,
     progress: &dyn Progress,
 ) -> Result<Rendering, RenderError> {
-    for d in directions {
-        let expected = scene.params().infos()[d.param().id as usize].shape.len();
-        match d {
-            Direction::Dense(_, v) if v.len() != expected => {
-                return Err(RenderError::WrongLength {
-                    what: "direction",
-                    expected,
-                    found: v.len(),
-                });
-            }
-            _ => {}
-        }
-    }
+    check_directions(scene, directions)?;
     let widest = |n: usize| [8, 4, 2].into_iter().find(|w| *w <= n).unwrap_or(1);
     let pass = |directions: &[Direction]| {
         let run = match directions.len() {
@@ -227,6 +218,23 @@ pub fn forward_f32(
         rest = later;
     }
     Ok(out)
+}
+
+fn check_directions(scene: &Scene, directions: &[Direction]) -> Result<(), RenderError> {
+    for d in directions {
+        let expected = scene.params().infos()[d.param().id as usize].shape.len();
+        match d {
+            Direction::Dense(_, v) if v.len() != expected => {
+                return Err(RenderError::WrongLength {
+                    what: "direction",
+                    expected,
+                    found: v.len(),
+                });
+            }
+            _ => {}
+        }
+    }
+    Ok(())
 }
 
 fn forward<const N: usize>(
@@ -281,4 +289,198 @@ fn tangents<const N: usize>(
         }
     }
     out
+}
+
+/// All estimators that are compiled for comparison: one line each.
+macro_rules! estimators {
+    ($($(#[doc = $doc:literal])* $variant:ident $name:literal $strategy:ty;)*) => {
+        /// An estimator of derivatives, by name; see [`crate::estimator`] for what the parts mean.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+        pub enum Estimator {
+            $($(#[doc = $doc])* $variant,)*
+        }
+
+        impl Estimator {
+            /// All of them.
+            pub const ALL: &'static [Self] = &[$(Self::$variant,)*];
+
+            /// Its name on command lines and in tables.
+            pub fn name(self) -> &'static str {
+                match self {
+                    $(Self::$variant => $name,)*
+                }
+            }
+
+            /// Whether it is right in this scene.
+            ///
+            /// # Errors
+            /// See [`estimator::check`].
+            pub fn check(self, scene: &Scene) -> Result<(), RenderError> {
+                match self {
+                    $(Self::$variant => estimator::check::<$strategy>(scene),)*
+                }
+            }
+
+            /// The named parameters of a scene, as [`Active::seen_by`] this estimator.
+            ///
+            /// # Errors
+            /// An unknown name, or a parameter whose derivative this estimator cannot see.
+            pub fn active<N: AsRef<str>>(
+                self,
+                scene: &Scene,
+                names: &[N],
+            ) -> Result<Active, RenderError> {
+                match self {
+                    $(Self::$variant => Active::seen_by::<$strategy, N>(scene, names),)*
+                }
+            }
+
+            fn check_parameter(self, info: &ParamInfo) -> Result<(), RenderError> {
+                match self {
+                    $(Self::$variant => estimator::check_parameter::<$strategy>(info),)*
+                }
+            }
+
+            fn forward<R: Components>(self) -> Forward<R> {
+                match self {
+                    $(Self::$variant => run::<R, $strategy>,)*
+                }
+            }
+
+            fn reverse(self) -> Reverse {
+                match self {
+                    $(Self::$variant => pull_back::<$strategy>,)*
+                }
+            }
+        }
+    };
+}
+
+type Forward<R> = fn(&Scene, &Theta<R>, &Settings, u64, Range<u64>, &dyn Progress) -> Rendering;
+type Reverse = fn(
+    &Scene,
+    &Theta<f32>,
+    &Active,
+    &[f32],
+    &Settings,
+    u64,
+    Range<u64>,
+    &dyn Progress,
+) -> Result<Gradient, RenderError>;
+
+fn pull_back<S: Unbiased>(
+    scene: &Scene,
+    theta: &Theta<f32>,
+    active: &Active,
+    adjoint: &[f32],
+    settings: &Settings,
+    seed: u64,
+    samples: Range<u64>,
+    progress: &dyn Progress,
+) -> Result<Gradient, RenderError> {
+    let progress = Dynamic(progress);
+    gradient::backward::<f32, S, Independent>(
+        scene, theta, active, adjoint, settings, seed, samples, &progress,
+    )
+}
+
+impl Estimator {
+    /// The estimator called `name`.
+    ///
+    /// # Errors
+    /// An unknown name, with the known ones.
+    pub fn from_name(name: &str) -> Result<Self, RenderError> {
+        let found = Self::ALL.iter().find(|e| e.name() == name);
+        found.copied().ok_or_else(|| RenderError::UnknownEstimator {
+            name: name.into(),
+            known: Self::ALL
+                .iter()
+                .map(|e| e.name())
+                .collect::<Vec<_>>()
+                .join(", "),
+        })
+    }
+
+    /// The image and its derivative along one direction, in single precision (forward mode). Independent
+    /// samples.
+    ///
+    /// # Errors
+    /// A direction of the wrong length; an estimator that is wrong in this scene or for this parameter.
+    pub fn forward_f32(
+        self,
+        scene: &Scene,
+        values: &[f32],
+        direction: &Direction,
+        settings: &Settings,
+        seed: u64,
+        samples: Range<u64>,
+        progress: &dyn Progress,
+    ) -> Result<Rendering, RenderError> {
+        self.check(scene)?;
+        self.check_parameter(&scene.params().infos()[direction.param().id as usize])?;
+        let directions = std::slice::from_ref(direction);
+        check_directions(scene, directions)?;
+        let tangents = tangents::<1>(scene.params(), directions);
+        let theta = Theta::<Dual<f32, 1>>::with_tangents(values, &tangents);
+        Ok(self.forward()(
+            scene, &theta, settings, seed, samples, progress,
+        ))
+    }
+
+    /// The gradient of `<adjoint, image>` (reverse mode), in single precision. Independent samples.
+    ///
+    /// # Errors
+    /// An adjoint image of the wrong size; an estimator that is wrong in this scene.
+    pub fn backward_f32(
+        self,
+        scene: &Scene,
+        theta: &Theta<f32>,
+        active: &Active,
+        adjoint: &[f32],
+        settings: &Settings,
+        seed: u64,
+        samples: Range<u64>,
+        progress: &dyn Progress,
+    ) -> Result<Gradient, RenderError> {
+        self.reverse()(
+            scene, theta, active, adjoint, settings, seed, samples, progress,
+        )
+    }
+}
+
+type ReparameterisedMis = Mis<Reparameterised, Detached, AttachedWeights>;
+
+estimators! {
+    /// Light sampling only.
+    Emitter "emitter" EmitterOnly<Detached>;
+    /// BSDF sampling, samples constant.
+    Detached "detached" BsdfOnly<Detached>;
+    /// BSDF sampling, samples move; for scenes without discontinuities.
+    Attached "attached" BsdfOnly<AttachedDirect>;
+    /// The same where discontinuities bias it, to study that.
+    AttachedNaive "attached-naive" AllowBias<BsdfOnly<AttachedDirect>>;
+    /// Samples and all vertices behind them move; for scenes without discontinuities.
+    AttachedPath "attached-path" BsdfOnly<Attached>;
+    /// BSDF sampling, samples move but slow down at discontinuities.
+    Reparameterised "reparameterised" BsdfOnly<Reparameterised>;
+    /// BSDF sampling, and samples of the derivative of normals.
+    Differential "differential" BsdfOnly<Differential>;
+    /// Detached BSDF and light sampling, constant weights: the default.
+    Mis "mis" DetachedMis;
+    /// The same with differentiated weights.
+    MisAttachedWeights "mis-attached-weights" Mis<Detached, Detached, AttachedWeights>;
+    /// BSDF sampling, samples of the derivative of normals and light sampling.
+    DifferentialMis "differential-mis" Mis<Differential, Detached, DetachedWeights>;
+    /// The same with differentiated weights for values.
+    DifferentialMisAttachedWeights "differential-mis-attached-weights" Mis<Differential, Detached, AttachedWeights>;
+    /// Attached BSDF sampling and light sampling, differentiated weights.
+    AttachedMis "attached-mis" Mis<AttachedDirect, Detached, AttachedWeights>;
+    /// The same with weights that follow the samples only.
+    AttachedMisFrozen "attached-mis-frozen" Mis<AttachedDirect, Detached, FrozenWeights>;
+    /// Reparameterised BSDF sampling and light sampling, differentiated weights.
+    ReparameterisedMis "reparameterised-mis" ReparameterisedMis;
+    /// Reparameterised with constant weights: biased [Zeltner 2021, Eq. 4.38].
+    BiasedWeights "biased-weights" AllowBias<Mis<Reparameterised, Detached, DetachedWeights>>;
+    /// Differentiated weights for one technique only: biased (errata Z-4.13f).
+    BiasedMixed "biased-mixed" AllowBias<Mis<Reparameterised, Detached, MixedWeights>>;
 }

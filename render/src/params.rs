@@ -187,11 +187,38 @@ pub enum Tangent<R> {
     Dense(Vec<R>),
 }
 
+/// The tangent of a few elements, for derivatives at one vertex.
+#[derive(Clone, Copy, Debug)]
+pub struct Seed<R> {
+    /// Index of the range.
+    pub param: u32,
+    /// Which element; `None` for all of them.
+    pub element: Option<u32>,
+    /// Its tangent: a number whose primal part is zero.
+    pub tangent: R,
+}
+
+/// What moves.
+#[derive(Debug)]
+enum Tangents<'a, R> {
+    /// One entry per range; missing ones do not move.
+    Ranges(&'a [Tangent<R>]),
+    /// Only these.
+    Seeds(&'a [Seed<R>]),
+}
+
+impl<R> Clone for Tangents<'_, R> {
+    fn clone(&self) -> Self {
+        *self
+    }
+}
+impl<R> Copy for Tangents<'_, R> {}
+
 /// Theta as seen by code over the scalar `R`.
 #[derive(Debug)]
 pub struct Theta<'a, R: Real> {
     values: &'a [R::Primal],
-    tangents: &'a [Tangent<R>],
+    tangents: Tangents<'a, R>,
 }
 
 impl<R: Real> Clone for Theta<'_, R> {
@@ -206,13 +233,24 @@ impl<'a, R: Real> Theta<'a, R> {
     pub fn constant(values: &'a [R::Primal]) -> Self {
         Self {
             values,
-            tangents: &[],
+            tangents: Tangents::Ranges(&[]),
+        }
+    }
+
+    /// The values of `theta`, of which the `seeds` move.
+    pub fn seeded(theta: &Theta<'a, R::Primal>, seeds: &'a [Seed<R>]) -> Self {
+        Self {
+            values: theta.values,
+            tangents: Tangents::Seeds(seeds),
         }
     }
 
     /// Values with one [`Tangent`] per range of the layout.
     pub fn with_tangents(values: &'a [R::Primal], tangents: &'a [Tangent<R>]) -> Self {
-        Self { values, tangents }
+        Self {
+            values,
+            tangents: Tangents::Ranges(tangents),
+        }
     }
 
     /// The same parameters without tangents.
@@ -220,14 +258,18 @@ impl<'a, R: Real> Theta<'a, R> {
     pub fn primal(&self) -> Theta<'a, R::Primal> {
         Theta {
             values: self.values,
-            tangents: &[],
+            tangents: Tangents::Ranges(&[]),
         }
     }
 
     /// Whether the range moves.
     #[inline]
     pub fn moves(&self, p: ParamRef) -> bool {
-        !R::IS_PRIMAL && !matches!(self.tangents.get(p.id as usize), None | Some(Tangent::None))
+        !R::IS_PRIMAL
+            && match self.tangents {
+                Tangents::Ranges(t) => !matches!(t.get(p.id as usize), None | Some(Tangent::None)),
+                Tangents::Seeds(s) => s.iter().any(|s| s.param == p.id),
+            }
     }
 
     /// Element `i` of a range.
@@ -237,10 +279,16 @@ impl<'a, R: Real> Theta<'a, R> {
         if R::IS_PRIMAL {
             return value;
         }
-        match self.tangents.get(p.id as usize) {
-            None | Some(Tangent::None) => value,
-            Some(Tangent::Uniform(t)) => value + *t,
-            Some(Tangent::Dense(t)) => value + t[i],
+        match self.tangents {
+            Tangents::Ranges(tangents) => match tangents.get(p.id as usize) {
+                None | Some(Tangent::None) => value,
+                Some(Tangent::Uniform(t)) => value + *t,
+                Some(Tangent::Dense(t)) => value + t[i],
+            },
+            Tangents::Seeds(seeds) => seeds
+                .iter()
+                .filter(|s| s.param == p.id && s.element.is_none_or(|e| e as usize == i))
+                .fold(value, |sum, s| sum + s.tangent),
         }
     }
 

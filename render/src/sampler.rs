@@ -9,6 +9,9 @@ pub const CAMERA_DIMENSIONS: u32 = 2;
 /// Dimensions reserved for each bounce of a path: see [`crate::integrator`].
 pub const BOUNCE_DIMENSIONS: u32 = 8;
 
+/// From this dimension on: auxiliary rays of reparameterised estimators, by depth.
+pub const AUXILIARY_DIMENSIONS: u32 = 1 << 20;
+
 /// A stream of numbers in [0, 1) for one sample of one pixel.
 pub trait Sampler {
     /// Starts the stream of sample `index` of pixel `pixel`.

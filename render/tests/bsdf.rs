@@ -721,6 +721,7 @@ fn reverse_is_the_transpose_of_forward() {
                 .map(|component| Use {
                     wi,
                     component,
+                    part: Part::All,
                     d: Rgb::from([s.next_1d(), s.next_1d(), s.next_1d::<f64>() - 0.7]),
                 })
                 .collect();

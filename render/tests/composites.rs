@@ -171,6 +171,7 @@ fn uses(material: &Material, at: &Shading<f64>, wo: Vec3<f64>) -> Vec<Use<f64>> 
     let with_adjoint = |(i, (wi, component))| Use {
         wi,
         component,
+        part: Part::All,
         d: d(i),
     };
     all.into_iter().enumerate().map(with_adjoint).collect()

@@ -128,9 +128,17 @@ pub fn reverse<P: Float>(
     let theta = Theta::constant(&values);
     let names: Vec<&str> = params.iter().map(|i| i.name.as_str()).collect();
     let active = Active::new(scene, &names).expect("known names");
-    let g =
-        backward::<P, Independent>(scene, &theta, &active, adjoint, settings, seed, 0..spp, &())
-            .expect("an adjoint of the right size");
+    let g = backward::<P, DetachedMis, Independent>(
+        scene,
+        &theta,
+        &active,
+        adjoint,
+        settings,
+        seed,
+        0..spp,
+        &(),
+    )
+    .expect("an adjoint of the right size");
     assert_eq!(g.non_finite.count, 0);
     g.values
 }

@@ -4,6 +4,7 @@ use std::alloc::{GlobalAlloc, Layout, System};
 use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
 
 use rayon::ThreadPoolBuilder;
+use render::estimator::DetachedMis;
 use render::image_io;
 use render::integrator::gradient::{Active, backward};
 use render::params::Theta;
@@ -86,7 +87,7 @@ fn peak(scene: &Scene, threads: usize, spp: u64, max_depth: u32) -> usize {
     pool.install(|| {
         let before = NOW.load(Relaxed);
         PEAK.store(before, Relaxed);
-        let g = backward::<f32, Independent>(
+        let g = backward::<f32, DetachedMis, Independent>(
             scene,
             &theta,
             &active,

@@ -6,12 +6,12 @@ use ad_core::{Const, Float, Real, Vec3};
 
 use super::nesting::{check_levels, choice, choose, nested_nodes};
 use super::{
-    Bsdf, BsdfSample, Component, DeltaKind, DiffLobe, FromNode, Material, Shading, TransportMode,
-    Use,
+    Bsdf, BsdfSample, Component, DeltaKind, DiffLobe, FromNode, Material, Part, Shading,
+    TextureRef, TransportMode, Use,
 };
 use crate::error::SceneError;
 use crate::math::Rgb;
-use crate::params::{GradSink, ParamRef};
+use crate::params::GradSink;
 use crate::scene::{Builder, Node};
 use crate::texture::ScalarTexture;
 
@@ -167,7 +167,7 @@ impl Bsdf for Blend {
                         ..*u
                     },
                 };
-                if weight_active {
+                if weight_active && u.part != Part::Normals {
                     let value = part.eval_component(at, wo, inside.wi, inside.component, mode);
                     let d = value * u.d;
                     d_weight += if i == 0 { -d } else { d };
@@ -184,10 +184,10 @@ impl Bsdf for Blend {
         }
     }
 
-    fn visit_params(&self, f: &mut dyn FnMut(ParamRef)) {
-        self.weight.visit_params(f);
+    fn visit_textures(&self, f: &mut dyn FnMut(TextureRef)) {
+        f(TextureRef::Scalar(&self.weight));
         for part in &self.parts {
-            part.visit_params(f);
+            part.visit_textures(f);
         }
     }
 
@@ -209,6 +209,18 @@ impl Bsdf for Blend {
         let sample = part.sample_differential(at, wo, [u0, u[1], u[2]], sign, mode)?;
         let pdf = self.pdf_differential(at, wo, sample.wi, sign);
         Some(BsdfSample { pdf, ..sample })
+    }
+
+    fn eval_normals<R: Real>(
+        &self,
+        at: &Shading<R>,
+        wo: Vec3<R::Primal>,
+        wi: Vec3<R::Primal>,
+        mode: TransportMode,
+    ) -> Rgb<R> {
+        let share = self.shares(at);
+        let [a, b] = [0, 1].map(|i| self.parts[i].eval_normals(at, wo, wi, mode));
+        a * R::lift(share[0].primal()) + b * R::lift(share[1].primal())
     }
 
     fn pdf_differential<P: Float>(

@@ -22,7 +22,7 @@
 
 use std::f64::consts::{E, PI};
 
-use ad_core::{Float, Vec3};
+use ad_core::{Const, Float, Real, Vec3};
 
 use super::microfacet::{Microfacet, Ndf};
 
@@ -38,6 +38,34 @@ pub enum DiffLobe {
 impl DiffLobe {
     /// The antithetic pair.
     pub const BOTH: [Self; 2] = [Self::Plus, Self::Minus];
+}
+
+/// Which derivatives of a value are meant: [`DiffLobe`] samples those through the distribution of normals,
+/// everything else (masking, reflectance, other parameters) is left to ordinary sampling
+/// (errata Z-4.43).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Part {
+    /// All of them.
+    #[default]
+    All,
+    /// Those through `D`, with respect to its roughness.
+    Normals,
+    /// The others.
+    Rest,
+}
+
+impl<R: Real> Microfacet<R> {
+    /// Relative change of `D(m)` with roughness: `D / D_0 - 1`, zero without tangents.
+    #[inline]
+    pub fn change(&self, m: Vec3<R::Primal>) -> R {
+        let d = self.d(Vec3::lift(m));
+        let value = d.primal();
+        if value > R::Primal::zero() {
+            (d - Const(value)) / Const(value)
+        } else {
+            R::zero()
+        }
+    }
 }
 
 impl<P: Float> Microfacet<P> {

@@ -6,12 +6,12 @@ use ad_core::{Const, Float, Real, Vec3};
 
 use super::nesting::{check_levels, choice, choose, nested_nodes};
 use super::{
-    Bsdf, BsdfSample, Component, DeltaKind, DiffLobe, FromNode, Material, Shading, TransportMode,
-    Use,
+    Bsdf, BsdfSample, Component, DeltaKind, DiffLobe, FromNode, Material, Part, Shading,
+    TextureRef, TransportMode, Use,
 };
 use crate::error::SceneError;
 use crate::math::Rgb;
-use crate::params::{GradSink, ParamRef};
+use crate::params::GradSink;
 use crate::scene::{Builder, Node};
 use crate::texture::ScalarTexture;
 
@@ -154,7 +154,7 @@ impl Bsdf for Mask {
                 d_opacity += -u.d;
                 continue;
             };
-            if opacity_active {
+            if opacity_active && u.part != Part::Normals {
                 let value = self.nested.eval_component(at, wo, u.wi, component, mode);
                 d_opacity += value * u.d;
             }
@@ -170,9 +170,9 @@ impl Bsdf for Mask {
         }
     }
 
-    fn visit_params(&self, f: &mut dyn FnMut(ParamRef)) {
-        self.opacity.visit_params(f);
-        self.nested.visit_params(f);
+    fn visit_textures(&self, f: &mut dyn FnMut(TextureRef)) {
+        f(TextureRef::Scalar(&self.opacity));
+        self.nested.visit_textures(f);
     }
 
     #[inline]
@@ -190,6 +190,17 @@ impl Bsdf for Mask {
         mode: TransportMode,
     ) -> Option<BsdfSample<P>> {
         self.nested.sample_differential(at, wo, u, sign, mode)
+    }
+
+    fn eval_normals<R: Real>(
+        &self,
+        at: &Shading<R>,
+        wo: Vec3<R::Primal>,
+        wi: Vec3<R::Primal>,
+        mode: TransportMode,
+    ) -> Rgb<R> {
+        let opacity = R::lift(self.opacity(at).primal());
+        self.nested.eval_normals(at, wo, wi, mode) * opacity
     }
 
     fn pdf_differential<P: Float>(

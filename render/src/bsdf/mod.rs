@@ -33,7 +33,7 @@ pub use blend::Blend;
 pub use blinn_phong::{BlinnPhong, BlinnPhongLobe, BlinnPhongSampling};
 pub use conductor::{Conductor, ConductorIndex, ConductorLobe};
 pub use dielectric::{Dielectric, DielectricLobe};
-pub use differential::DiffLobe;
+pub use differential::{DiffLobe, Part};
 pub use diffuse::{Diffuse, DiffuseLobe};
 pub use mask::Mask;
 pub use normal_map::{Interpolation, NormalMap};
@@ -143,6 +143,18 @@ pub trait Lobe<R: Real>: Copy {
         None
     }
 
+    /// The change of [`Lobe::eval`] through the distribution of normals alone, [`Part::Normals`]:
+    /// tangents with primal part zero.
+    #[inline]
+    fn eval_normals(
+        &self,
+        _wo: Vec3<R::Primal>,
+        _wi: Vec3<R::Primal>,
+        _mode: TransportMode,
+    ) -> Rgb<R> {
+        Rgb::black()
+    }
+
     /// Density of sampling `wi` with [`Lobe::sample_differential`], per solid angle, the choice
     /// between reflection and transmission included.
     #[inline]
@@ -206,6 +218,27 @@ impl<R: Real> Reader<R> for Shading<'_, R> {
     }
 }
 
+/// A texture of a material, and how results depend on it.
+#[derive(Clone, Copy, Debug)]
+pub enum TextureRef<'a> {
+    /// Channel c of a result depends on channel c only.
+    Rgb(&'a RgbTexture),
+    /// One number.
+    Scalar(&'a ScalarTexture),
+    /// A vector: channels mix, and interpolation is not linear in the texels.
+    Vector(&'a RgbTexture),
+}
+
+impl TextureRef<'_> {
+    /// See [`RgbTexture::visit_params`].
+    pub fn visit_params(&self, f: &mut dyn FnMut(ParamRef)) {
+        match self {
+            Self::Rgb(t) | Self::Vector(t) => t.visit_params(f),
+            Self::Scalar(t) => t.visit_params(f),
+        }
+    }
+}
+
 /// A material without children.
 pub trait Leaf: Send + Sync {
     /// Its scattering law.
@@ -225,6 +258,8 @@ pub struct Use<P: Float> {
     pub wi: Vec3<P>,
     /// What was evaluated: [`Bsdf::eval`] or [`Bsdf::eval_delta`].
     pub component: Component,
+    /// Which derivatives of it are wanted.
+    pub part: Part,
     /// Adjoint of that value.
     pub d: Rgb<P>,
 }
@@ -281,8 +316,13 @@ pub trait Bsdf: Send + Sync {
         grad: &mut impl GradSink<P>,
     );
 
+    /// Calls `f` with every texture the material reads.
+    fn visit_textures(&self, f: &mut dyn FnMut(TextureRef));
+
     /// Calls `f` with every parameter range the material reads.
-    fn visit_params(&self, f: &mut dyn FnMut(ParamRef));
+    fn visit_params(&self, f: &mut dyn FnMut(ParamRef)) {
+        self.visit_textures(&mut |t| t.visit_params(f));
+    }
 
     /// Whether it scatters along deltas only.
     fn is_delta(&self) -> bool;
@@ -300,6 +340,15 @@ pub trait Bsdf: Send + Sync {
         sign: DiffLobe,
         mode: TransportMode,
     ) -> Option<BsdfSample<P>>;
+
+    /// [`Lobe::eval_normals`] at a point.
+    fn eval_normals<R: Real>(
+        &self,
+        at: &Shading<R>,
+        wo: Vec3<R::Primal>,
+        wi: Vec3<R::Primal>,
+        mode: TransportMode,
+    ) -> Rgb<R>;
 
     /// [`Lobe::pdf_differential`] at a point.
     fn pdf_differential<P: Float>(
@@ -397,7 +446,7 @@ impl<L: Leaf> Bsdf for L {
         }
     }
 
-    fn visit_params(&self, f: &mut dyn FnMut(ParamRef)) {
+    fn visit_textures(&self, f: &mut dyn FnMut(TextureRef)) {
         self.lobe::<f32>(&mut List(f));
     }
 
@@ -438,6 +487,20 @@ impl<L: Leaf> Bsdf for L {
     }
 
     #[inline]
+    fn eval_normals<R: Real>(
+        &self,
+        at: &Shading<R>,
+        wo: Vec3<R::Primal>,
+        wi: Vec3<R::Primal>,
+        mode: TransportMode,
+    ) -> Rgb<R> {
+        if !L::DIFFERENTIAL {
+            return Rgb::black();
+        }
+        self.lobe(&mut { *at }).eval_normals(wo, wi, mode)
+    }
+
+    #[inline]
     fn has_differential(&self) -> bool {
         L::DIFFERENTIAL
     }
@@ -463,11 +526,20 @@ fn leaf_backward<L: Leaf, P: Float, const K: usize>(
         n: 0,
     };
     let lobe = leaf.lobe::<Dual<P, K>>(&mut seeds);
+    let primal_wo = wo;
     let wo = Vec3::lift(wo);
     let mut d_slot = [Rgb::<P>::black(); K];
     for u in uses {
         let value = match u.component {
-            Component::Continuous => lobe.eval(wo, Vec3::lift(u.wi), mode),
+            Component::Continuous => {
+                let normals = |lobe: &L::Lobe<Dual<P, K>>| lobe.eval_normals(primal_wo, u.wi, mode);
+                let eval = |lobe: &L::Lobe<Dual<P, K>>| lobe.eval(wo, Vec3::lift(u.wi), mode);
+                match u.part {
+                    Part::All => eval(&lobe),
+                    Part::Normals => normals(&lobe),
+                    Part::Rest => eval(&lobe) - normals(&lobe),
+                }
+            }
             Component::Delta { kind, .. } => lobe.eval_delta(wo, kind, mode),
         };
         for (k, d) in d_slot.iter_mut().enumerate() {
@@ -570,16 +642,16 @@ impl<P: Float, G: GradSink<P>, const K: usize> Reader<P> for Scatter<'_, P, G, K
     }
 }
 
-/// Lists parameter ranges; the values are placeholders.
-struct List<'a>(&'a mut dyn FnMut(ParamRef));
+/// Lists textures; the values are placeholders.
+struct List<'a>(&'a mut dyn FnMut(TextureRef));
 
 impl Reader<f32> for List<'_> {
     fn rgb(&mut self, t: &RgbTexture) -> Rgb<f32> {
-        t.visit_params(self.0);
+        (self.0)(TextureRef::Rgb(t));
         Rgb::splat(0.5)
     }
     fn scalar(&mut self, t: &ScalarTexture) -> f32 {
-        t.visit_params(self.0);
+        (self.0)(TextureRef::Scalar(t));
         0.5
     }
 }
@@ -667,8 +739,8 @@ macro_rules! materials {
             ) {
                 match self { $(Self::$hot(m) => m.backward(at, wo, uses, mode, grad),)* $(Self::$name(m) => m.backward(at, wo, uses, mode, grad),)* }
             }
-            fn visit_params(&self, f: &mut dyn FnMut(ParamRef)) {
-                match self { $(Self::$hot(m) => m.visit_params(f),)* $(Self::$name(m) => m.visit_params(f),)* }
+            fn visit_textures(&self, f: &mut dyn FnMut(TextureRef)) {
+                match self { $(Self::$hot(m) => m.visit_textures(f),)* $(Self::$name(m) => m.visit_textures(f),)* }
             }
             #[inline(always)]
             fn is_delta(&self) -> bool {
@@ -685,6 +757,12 @@ macro_rules! materials {
                 &self, at: &Shading<P>, wo: Vec3<P>, wi: Vec3<P>, sign: DiffLobe,
             ) -> P {
                 $crate::dispatch::dispatch!(self, [] [$($hot,)* $($name),*], m => m.pdf_differential(at, wo, wi, sign))
+            }
+            #[inline(always)]
+            fn eval_normals<R: Real>(
+                &self, at: &Shading<R>, wo: Vec3<R::Primal>, wi: Vec3<R::Primal>, mode: TransportMode,
+            ) -> Rgb<R> {
+                $crate::dispatch::dispatch!(self, [] [$($hot,)* $($name),*], m => m.eval_normals(at, wo, wi, mode))
             }
             #[inline]
             fn has_differential(&self) -> bool {

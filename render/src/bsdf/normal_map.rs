@@ -6,13 +6,13 @@ use ad_core::{Dual, Float, Real, Vec3};
 
 use super::nesting::{check_levels, has_delta, nested_nodes};
 use super::{
-    Bsdf, BsdfSample, Component, DeltaKind, DiffLobe, FromNode, Material, Shading, TransportMode,
-    Use,
+    Bsdf, BsdfSample, Component, DeltaKind, DiffLobe, FromNode, Material, Part, Shading,
+    TextureRef, TransportMode, Use,
 };
 use crate::error::SceneError;
 use crate::image_io::Encoding;
 use crate::math::{Frame, Rgb};
-use crate::params::{Differentiability, GradSink, ParamRef};
+use crate::params::{Differentiability, GradSink};
 use crate::scene::{Builder, Node};
 use crate::texture::{self, Bitmap, RgbTexture, UvTransform, Wrap};
 
@@ -230,7 +230,8 @@ impl Bsdf for NormalMap {
         let lifted = at.lift::<Dual<P, 3>>();
         let o = frame.to_local(Vec3::lift(wo));
         let mut d_vector = [P::zero(); 3];
-        for u in uses.iter().filter(|u| scatters(u)) {
+        let tilts = |u: &&Use<P>| scatters(u) && u.part != Part::Normals;
+        for u in uses.iter().filter(tilts) {
             let i = frame.to_local(Vec3::lift(u.wi));
             let value = (self.nested).eval_component(&lifted, o, i, u.component, mode);
             for (k, d) in d_vector.iter_mut().enumerate() {
@@ -254,9 +255,9 @@ impl Bsdf for NormalMap {
         }
     }
 
-    fn visit_params(&self, f: &mut dyn FnMut(ParamRef)) {
-        self.map.visit_params(f);
-        self.nested.visit_params(f);
+    fn visit_textures(&self, f: &mut dyn FnMut(TextureRef)) {
+        f(TextureRef::Vector(&self.map));
+        self.nested.visit_textures(f);
     }
 
     #[inline]
@@ -279,6 +280,21 @@ impl Bsdf for NormalMap {
         // As in `sample`; also checks the sides.
         let pdf = self.pdf_differential(at, wo, wi, sign);
         (pdf > P::zero()).then_some(BsdfSample { wi, pdf, ..sample })
+    }
+
+    fn eval_normals<R: Real>(
+        &self,
+        at: &Shading<R>,
+        wo: Vec3<R::Primal>,
+        wi: Vec3<R::Primal>,
+        mode: TransportMode,
+    ) -> Rgb<R> {
+        let frame = self.frame(&at.primal());
+        let (o, i) = (frame.to_local(wo), frame.to_local(wi));
+        if !same_side(wo, o) || !same_side(wi, i) {
+            return Rgb::black();
+        }
+        self.nested.eval_normals(at, o, i, mode)
     }
 
     fn pdf_differential<P: Float>(

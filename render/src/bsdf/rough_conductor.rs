@@ -175,6 +175,20 @@ impl<R: Real> Lobe<R> for RoughConductorLobe<R> {
     }
 
     #[inline]
+    fn eval_normals(
+        &self,
+        wo: Vec3<R::Primal>,
+        wi: Vec3<R::Primal>,
+        mode: TransportMode,
+    ) -> Rgb<R> {
+        let Some(m) = half_vector(wo, wi) else {
+            return Rgb::black();
+        };
+        let value = self.eval(Vec3::lift(wo), Vec3::lift(wi), mode).primal();
+        Rgb::lift(value) * self.microfacet.change(m)
+    }
+
+    #[inline]
     fn sample_differential(
         &self,
         wo: Vec3<R::Primal>,

@@ -183,6 +183,20 @@ impl<R: Real> Lobe<R> for RoughDielectricLobe<R> {
     }
 
     #[inline]
+    fn eval_normals(
+        &self,
+        wo: Vec3<R::Primal>,
+        wi: Vec3<R::Primal>,
+        mode: TransportMode,
+    ) -> Rgb<R> {
+        let Some(Facet { m, .. }) = Facet::between(wo, wi, self.eta.primal()) else {
+            return Rgb::black();
+        };
+        let value = self.eval(Vec3::lift(wo), Vec3::lift(wi), mode).primal();
+        Rgb::lift(value) * self.microfacet.change(m)
+    }
+
+    #[inline]
     fn sample_differential(
         &self,
         wo: Vec3<R::Primal>,

@@ -130,6 +130,22 @@ impl<R: Real> Lobe<R> for RoughPlasticLobe<R> {
 
     /// Of the coat only: the base changes little with roughness.
     #[inline]
+    fn eval_normals(
+        &self,
+        wo: Vec3<R::Primal>,
+        wi: Vec3<R::Primal>,
+        _mode: TransportMode,
+    ) -> Rgb<R> {
+        let Some(m) = half_vector(wo, wi) else {
+            return Rgb::black();
+        };
+        let f = fresnel::dielectric(wo.dot(m), self.coated.eta).reflect;
+        let coat = f * reflection(&self.microfacet.primal(), wo, wi, m);
+        let value = self.coated.specular_reflectance.primal() * coat;
+        Rgb::lift(value) * self.microfacet.change(m)
+    }
+
+    #[inline]
     fn sample_differential(
         &self,
         wo: Vec3<R::Primal>,

@@ -6,11 +6,12 @@ use ad_core::{Float, Real, Vec3};
 
 use super::nesting::{check_levels, nested_nodes};
 use super::{
-    Bsdf, BsdfSample, DeltaKind, DiffLobe, FromNode, Material, Shading, TransportMode, Use,
+    Bsdf, BsdfSample, DeltaKind, DiffLobe, FromNode, Material, Shading, TextureRef, TransportMode,
+    Use,
 };
 use crate::error::SceneError;
 use crate::math::Rgb;
-use crate::params::{GradSink, ParamRef};
+use crate::params::GradSink;
 use crate::scene::{Builder, Node};
 
 /// One material in front, the same or another behind. Meant for materials that only reflect.
@@ -126,9 +127,9 @@ impl Bsdf for TwoSided {
         }
     }
 
-    fn visit_params(&self, f: &mut dyn FnMut(ParamRef)) {
+    fn visit_textures(&self, f: &mut dyn FnMut(TextureRef)) {
         for side in &self.sides {
-            side.visit_params(f);
+            side.visit_textures(f);
         }
     }
 
@@ -151,6 +152,17 @@ impl Bsdf for TwoSided {
             wi: turn(sample.wi, behind),
             ..sample
         })
+    }
+
+    fn eval_normals<R: Real>(
+        &self,
+        at: &Shading<R>,
+        wo: Vec3<R::Primal>,
+        wi: Vec3<R::Primal>,
+        mode: TransportMode,
+    ) -> Rgb<R> {
+        let (side, behind) = self.side(wo);
+        side.eval_normals(at, turn(wo, behind), turn(wi, behind), mode)
     }
 
     fn pdf_differential<P: Float>(

@@ -38,6 +38,17 @@ pub struct Emission<R> {
     pub falloff: R,
 }
 
+impl<P: Float> Emission<P> {
+    /// The same over a scalar with tangents, all of them zero.
+    #[inline]
+    pub fn lift<R: Real<Primal = P>>(&self) -> Emission<R> {
+        Emission {
+            uv: Vec2::lift(self.uv),
+            falloff: R::lift(self.falloff),
+        }
+    }
+}
+
 /// A direction towards an emitter.
 #[derive(Clone, Copy, Debug)]
 pub struct EmitterSample<P> {
@@ -111,10 +122,7 @@ pub trait Emitter: Send + Sync {
         Connection {
             d: Vec3::lift(sample.d),
             pdf: R::lift(sample.pdf),
-            emission: Emission {
-                uv: Vec2::lift(sample.emission.uv),
-                falloff: R::lift(sample.emission.falloff),
-            },
+            emission: sample.emission.lift(),
         }
     }
 

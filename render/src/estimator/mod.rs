@@ -16,9 +16,46 @@ mod sampling;
 mod strategy;
 mod weights;
 
-pub use sampling::{Attached, Detached, Sampling};
-pub use strategy::{AllowBias, BsdfOnly, EmitterOnly, Mis, Strategy, Unbiased};
-pub use weights::{AttachedWeights, Balance, DetachedWeights, Heuristic, Power, Weights};
+pub use sampling::{
+    Attached, AttachedDirect, Detached, Differential, Direct, Reparameterised, Sampling,
+};
+pub use strategy::{AllowBias, AttachedRoulette, BsdfOnly, EmitterOnly, Mis, Strategy, Unbiased};
+pub use weights::{
+    AttachedWeights, Balance, DetachedWeights, FrozenWeights, Heuristic, MixedWeights, Power,
+    Weights,
+};
+
+use crate::error::RenderError;
+use crate::params::{Differentiability, ParamInfo};
+use crate::scene::Scene;
 
 /// The default: detached sampling of BSDF and emitters, power heuristic.
 pub type DetachedMis = Mis<Detached, Detached, DetachedWeights, Power>;
+
+/// Whether the estimator is right in this scene: samples that move by themselves must not meet
+/// discontinuities.
+///
+/// # Errors
+/// Naive attached sampling in a scene where something may occlude something else.
+pub fn check<S: Strategy>(scene: &Scene) -> Result<(), RenderError> {
+    if S::NEEDS_CONTINUITY
+        && let Some(culprit) = scene.discontinuity()
+    {
+        return Err(RenderError::Discontinuous { culprit });
+    }
+    Ok(())
+}
+
+/// Whether the estimator sees the derivative in a parameter: constant paths do not see one that moves a
+/// Dirac delta, and would give zero (F2).
+///
+/// # Errors
+/// Names the parameter.
+pub fn check_parameter<S: Strategy>(info: &ParamInfo) -> Result<(), RenderError> {
+    if S::Bsdf::DETACHED_PATH && info.differentiability == Differentiability::Delta {
+        return Err(RenderError::DeltaParameter {
+            name: info.name.clone(),
+        });
+    }
+    Ok(())
+}

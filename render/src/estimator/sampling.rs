@@ -1,13 +1,40 @@
 //! How a scattered direction is drawn.
 
-use ad_core::{Real, Vec3};
+use ad_core::{Real, Vec2, Vec3};
 
 use crate::bsdf::{Bsdf, BsdfSample, Material, Shading, TransportMode};
+
+/// How the light at the end of a sampled direction depends on that direction.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Direct {
+    /// As the rest of the path does.
+    AsPath,
+    /// It follows the attached direction, while the path goes on along the detached one.
+    Attached,
+    /// As `Attached`, but samples slow down towards discontinuities.
+    Reparameterised {
+        /// Auxiliary rays that look for discontinuities.
+        rays: usize,
+    },
+}
 
 /// A way of sampling directions.
 pub trait Sampling: Send + Sync + 'static {
     /// The scalar of everything geometric on a path: rays, interactions, directions, densities.
     type Geometry<R: Real>: Real<Primal = R::Primal>;
+
+    /// Whether paths are constants, so that `Geometry` is primal.
+    const DETACHED_PATH: bool;
+
+    /// How the light that a sampled direction finds is differentiated.
+    const DIRECT: Direct = Direct::AsPath;
+
+    /// Whether the derivative of rough materials has samples of its own.
+    const DIFFERENTIAL: bool = false;
+
+    /// Whether samples move across discontinuities without notice, so that the scene must not have
+    /// any: see [`super::check`].
+    const NEEDS_CONTINUITY: bool = false;
 
     /// A geometric quantity in the scalar of the estimate.
     fn embed<R: Real>(g: Self::Geometry<R>) -> R;
@@ -16,6 +43,12 @@ pub trait Sampling: Send + Sync + 'static {
     #[inline(always)]
     fn embed3<R: Real>(v: Vec3<Self::Geometry<R>>) -> Vec3<R> {
         Vec3::new(Self::embed(v.x), Self::embed(v.y), Self::embed(v.z))
+    }
+
+    /// Surface coordinates in the scalar of the estimate.
+    #[inline(always)]
+    fn embed2<R: Real>(v: Vec2<Self::Geometry<R>>) -> Vec2<R> {
+        Vec2::new(Self::embed(v.x), Self::embed(v.y))
     }
 
     /// Draws a direction at a vertex.
@@ -28,6 +61,30 @@ pub trait Sampling: Send + Sync + 'static {
     ) -> Option<BsdfSample<Self::Geometry<R>>>;
 }
 
+/// Samples whose path is a constant: primal geometry.
+macro_rules! detached_path {
+    () => {
+        type Geometry<R: Real> = R::Primal;
+        const DETACHED_PATH: bool = true;
+
+        #[inline(always)]
+        fn embed<R: Real>(g: R::Primal) -> R {
+            R::lift(g)
+        }
+
+        #[inline(always)]
+        fn draw<R: Real>(
+            material: &Material,
+            at: &Shading<R>,
+            wo: Vec3<R::Primal>,
+            u: [R::Primal; 3],
+            mode: TransportMode,
+        ) -> Option<BsdfSample<R::Primal>> {
+            material.sample(&at.primal(), wo, u, mode)
+        }
+    };
+}
+
 /// Samples are constants [Zeltner 2021, section 4.2.1]: only the integrand is differentiated.
 ///
 /// # Does not handle
@@ -37,26 +94,11 @@ pub trait Sampling: Send + Sync + 'static {
 pub struct Detached;
 
 impl Sampling for Detached {
-    type Geometry<R: Real> = R::Primal;
-
-    #[inline(always)]
-    fn embed<R: Real>(g: R::Primal) -> R {
-        R::lift(g)
-    }
-
-    #[inline(always)]
-    fn draw<R: Real>(
-        material: &Material,
-        at: &Shading<R>,
-        wo: Vec3<R::Primal>,
-        u: [R::Primal; 3],
-        mode: TransportMode,
-    ) -> Option<BsdfSample<R::Primal>> {
-        material.sample(&at.primal(), wo, u, mode)
-    }
+    detached_path!();
 }
 
-/// Samples move with the parameters [Zeltner 2021, section 4.2.2].
+/// Samples move with the parameters, and so does the whole path behind them [Zeltner 2021,
+/// section 4.2.2]: vertices slide over surfaces, and directions are followed through every bounce.
 ///
 /// # Does not handle
 /// Discontinuities of the integrand along the motion: visibility, the horizon (F8, F9).
@@ -65,6 +107,8 @@ pub struct Attached;
 
 impl Sampling for Attached {
     type Geometry<R: Real> = R;
+    const DETACHED_PATH: bool = false;
+    const NEEDS_CONTINUITY: bool = true;
 
     #[inline(always)]
     fn embed<R: Real>(g: R) -> R {
@@ -81,4 +125,49 @@ impl Sampling for Attached {
     ) -> Option<BsdfSample<R>> {
         material.sample(at, wo, u, mode)
     }
+}
+
+/// Attached through one bounce: the light that a sampled direction finds follows it, light that is
+/// reflected on is estimated detached [Zeltner 2021, section 4.4.2, without its reparameterisation].
+///
+/// # Does not handle
+/// Discontinuities, as [`Attached`].
+#[derive(Clone, Copy, Debug)]
+pub struct AttachedDirect;
+
+impl Sampling for AttachedDirect {
+    detached_path!();
+    const DIRECT: Direct = Direct::Attached;
+    const NEEDS_CONTINUITY: bool = true;
+}
+
+/// [`AttachedDirect`] whose samples slow down towards discontinuities [Zeltner 2021, section 4.4.2]
+/// by the factor `1 - B` of [`crate::integrator::boundary`], found by `RAYS` auxiliary rays for each
+/// direction that finds light.
+///
+/// The divergence term has the sign of errata Z-4.54.
+///
+/// # Does not handle
+/// Dirac deltas in occluded scenes: a mirror direction is followed as by [`AttachedDirect`]. Outlines
+/// that no auxiliary ray finds.
+#[derive(Clone, Copy, Debug)]
+pub struct Reparameterised<const RAYS: usize = 16>;
+
+impl<const RAYS: usize> Sampling for Reparameterised<RAYS> {
+    detached_path!();
+    const DIRECT: Direct = Direct::Reparameterised { rays: RAYS };
+}
+
+/// Detached, with two more samples for the derivative of the distribution of microfacet normals, an
+/// antithetic pair from its negative and its positive part [Zeltner 2021, section 4.3.1].
+///
+/// They estimate the change of direct light through `D` alone; every other derivative (masking,
+/// reflectance, light reflected on) is left to the ordinary samples, which the pair would serve badly
+/// (errata Z-4.43, F30, F39). Materials without such a distribution cost nothing more.
+#[derive(Clone, Copy, Debug)]
+pub struct Differential;
+
+impl Sampling for Differential {
+    detached_path!();
+    const DIFFERENTIAL: bool = true;
 }

@@ -5,7 +5,8 @@ use std::marker::PhantomData;
 use ad_core::Real;
 
 use super::{
-    Attached, AttachedWeights, Detached, DetachedWeights, Heuristic, Power, Sampling, Weights,
+    AttachedWeights, Detached, DetachedWeights, Differential, FrozenWeights, Heuristic, Power,
+    Sampling, Weights,
 };
 
 /// Which techniques estimate the light arriving at a vertex, and how they are combined.
@@ -16,17 +17,29 @@ pub trait Strategy: Send + Sync + 'static {
     const SAMPLES_EMITTERS: bool;
     /// Whether emitters hit by a scattered direction count.
     const COUNTS_HITS: bool;
-    /// Weight of a sample with density `a` when the other technique has density `b`.
-    fn weight<R: Real>(a: R, b: R) -> R;
+    /// Whether densities in weights are those of constant parameters, see [`FrozenWeights`].
+    const FROZEN_WEIGHTS: bool = false;
+    /// Whether they are differentiated in the parameters.
+    const DIFFERENTIATED_WEIGHTS: bool = false;
+    /// Whether the survival probability of Russian roulette is differentiated: wrong (F5), for study.
+    const ATTACHED_ROULETTE: bool = false;
+    /// Whether the scene must be free of discontinuities, see [`super::check`].
+    const NEEDS_CONTINUITY: bool = Self::Bsdf::NEEDS_CONTINUITY;
+    /// Weight of a scattered direction with density `a` when a sampled light has density `b`.
+    fn weight_hit<R: Real>(a: R, b: R) -> R;
+    /// Weight of a sampled light with density `a` when a scattered direction has density `b`.
+    fn weight_sampled<R: Real>(a: R, b: R) -> R;
 }
 
-/// The estimator's derivative has the right expectation (in scenes without moving discontinuities).
+/// The estimator's derivative has the right expectation.
 ///
-/// Implemented for the valid rows of [Zeltner 2021, table in section 4.5.1], as corrected.
+/// Implemented for the valid rows of [Zeltner 2021, table in section 4.5.1], as corrected. Naive attached
+/// sampling is among them: it is right where nothing can occlude, which [`super::check`] decides when
+/// the scene is known.
 #[diagnostic::on_unimplemented(
     message = "`{Self}` gives a biased derivative",
     label = "not an unbiased combination",
-    note = "attached sampling needs attached MIS weights: use `AttachedWeights`",
+    note = "attached sampling needs `AttachedWeights` or `FrozenWeights`",
     note = "to study the bias on purpose, wrap the combination: `AllowBias<{Self}>`"
 )]
 pub trait Unbiased: Strategy {}
@@ -39,15 +52,22 @@ impl<B: Sampling, W: Weights, H: Heuristic> Strategy for Mis<B, Detached, W, H> 
     type Bsdf = B;
     const SAMPLES_EMITTERS: bool = true;
     const COUNTS_HITS: bool = true;
+    const FROZEN_WEIGHTS: bool = W::FROZEN;
+    const DIFFERENTIATED_WEIGHTS: bool = W::DIFFERENTIATED;
     #[inline]
-    fn weight<R: Real>(a: R, b: R) -> R {
-        W::weight::<H, R>(a, b)
+    fn weight_hit<R: Real>(a: R, b: R) -> R {
+        W::hit::<H, R>(a, b)
+    }
+    #[inline]
+    fn weight_sampled<R: Real>(a: R, b: R) -> R {
+        W::sampled::<H, R>(a, b)
     }
 }
 
 impl<H: Heuristic> Unbiased for Mis<Detached, Detached, DetachedWeights, H> {}
-impl<H: Heuristic> Unbiased for Mis<Detached, Detached, AttachedWeights, H> {}
-impl<H: Heuristic> Unbiased for Mis<Attached, Detached, AttachedWeights, H> {}
+impl<H: Heuristic> Unbiased for Mis<Differential, Detached, DetachedWeights, H> {}
+impl<B: Sampling, H: Heuristic> Unbiased for Mis<B, Detached, AttachedWeights, H> {}
+impl<B: Sampling, H: Heuristic> Unbiased for Mis<B, Detached, FrozenWeights, H> {}
 
 /// Directions are sampled from the BSDF; lights count where they are hit.
 #[derive(Clone, Copy, Debug)]
@@ -58,7 +78,11 @@ impl<B: Sampling> Strategy for BsdfOnly<B> {
     const SAMPLES_EMITTERS: bool = false;
     const COUNTS_HITS: bool = true;
     #[inline]
-    fn weight<R: Real>(_a: R, _b: R) -> R {
+    fn weight_hit<R: Real>(_a: R, _b: R) -> R {
+        R::one()
+    }
+    #[inline]
+    fn weight_sampled<R: Real>(_a: R, _b: R) -> R {
         R::one()
     }
 }
@@ -75,7 +99,11 @@ impl<B: Sampling> Strategy for EmitterOnly<B> {
     const SAMPLES_EMITTERS: bool = true;
     const COUNTS_HITS: bool = false;
     #[inline]
-    fn weight<R: Real>(_a: R, _b: R) -> R {
+    fn weight_hit<R: Real>(_a: R, _b: R) -> R {
+        R::one()
+    }
+    #[inline]
+    fn weight_sampled<R: Real>(_a: R, _b: R) -> R {
         R::one()
     }
 }
@@ -86,14 +114,37 @@ impl<B: Sampling> Unbiased for EmitterOnly<B> {}
 #[derive(Clone, Copy, Debug)]
 pub struct AllowBias<S>(PhantomData<S>);
 
-impl<S: Strategy> Strategy for AllowBias<S> {
-    type Bsdf = S::Bsdf;
-    const SAMPLES_EMITTERS: bool = S::SAMPLES_EMITTERS;
-    const COUNTS_HITS: bool = S::COUNTS_HITS;
-    #[inline]
-    fn weight<R: Real>(a: R, b: R) -> R {
-        S::weight(a, b)
-    }
+/// `S` with a roulette whose survival probability is differentiated (F5). Needs [`AllowBias`].
+#[derive(Clone, Copy, Debug)]
+pub struct AttachedRoulette<S>(PhantomData<S>);
+
+macro_rules! wrapper {
+    ($name:ident { $($item:item)* }) => {
+        impl<S: Strategy> Strategy for $name<S> {
+            type Bsdf = S::Bsdf;
+            const SAMPLES_EMITTERS: bool = S::SAMPLES_EMITTERS;
+            const COUNTS_HITS: bool = S::COUNTS_HITS;
+            const FROZEN_WEIGHTS: bool = S::FROZEN_WEIGHTS;
+            const DIFFERENTIATED_WEIGHTS: bool = S::DIFFERENTIATED_WEIGHTS;
+            $($item)*
+            #[inline]
+            fn weight_hit<R: Real>(a: R, b: R) -> R {
+                S::weight_hit(a, b)
+            }
+            #[inline]
+            fn weight_sampled<R: Real>(a: R, b: R) -> R {
+                S::weight_sampled(a, b)
+            }
+        }
+    };
 }
+
+wrapper!(AllowBias {
+    const ATTACHED_ROULETTE: bool = S::ATTACHED_ROULETTE;
+    const NEEDS_CONTINUITY: bool = false;
+});
+wrapper!(AttachedRoulette {
+    const ATTACHED_ROULETTE: bool = true;
+});
 
 impl<S: Strategy> Unbiased for AllowBias<S> {}

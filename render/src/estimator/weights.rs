@@ -43,8 +43,30 @@ impl Heuristic for Power {
 
 /// Whether weights carry derivatives.
 pub trait Weights: Send + Sync + 'static {
-    /// The weight of a sample with density `a` against `b`; zero if `a` is.
-    fn weight<H: Heuristic, R: Real>(a: R, b: R) -> R;
+    /// Whether the densities in the weights are those of frozen parameters, at samples that move.
+    const FROZEN: bool = false;
+    /// Whether the densities of scattered directions are differentiated in the parameters.
+    const DIFFERENTIATED: bool = false;
+    /// The weight of a direction with density `a` against `b`, found by scattering; zero if `a` is.
+    fn hit<H: Heuristic, R: Real>(a: R, b: R) -> R;
+    /// The weight of a sampled light with density `a` against `b`; zero if `a` is.
+    fn sampled<H: Heuristic, R: Real>(a: R, b: R) -> R {
+        Self::hit::<H, R>(a, b)
+    }
+}
+
+#[inline(always)]
+fn constant<H: Heuristic, R: Real>(a: R, b: R) -> R {
+    R::lift(varying::<H, R::Primal>(a.primal(), b.primal()))
+}
+
+#[inline(always)]
+fn varying<H: Heuristic, R: Real>(a: R, b: R) -> R {
+    if a.primal() > R::Primal::zero() {
+        H::weight(a, b)
+    } else {
+        R::zero()
+    }
 }
 
 /// Weights are constants.
@@ -53,12 +75,8 @@ pub struct DetachedWeights;
 
 impl Weights for DetachedWeights {
     #[inline]
-    fn weight<H: Heuristic, R: Real>(a: R, b: R) -> R {
-        if a.primal() > R::Primal::zero() {
-            R::lift(H::weight(a.primal(), b.primal()))
-        } else {
-            R::zero()
-        }
+    fn hit<H: Heuristic, R: Real>(a: R, b: R) -> R {
+        constant::<H, R>(a, b)
     }
 }
 
@@ -67,13 +85,42 @@ impl Weights for DetachedWeights {
 pub struct AttachedWeights;
 
 impl Weights for AttachedWeights {
+    const DIFFERENTIATED: bool = true;
     #[inline]
-    fn weight<H: Heuristic, R: Real>(a: R, b: R) -> R {
-        if a.primal() > R::Primal::zero() {
-            H::weight(a, b)
-        } else {
-            R::zero()
-        }
+    fn hit<H: Heuristic, R: Real>(a: R, b: R) -> R {
+        varying::<H, R>(a, b)
+    }
+}
+
+/// Weights are functions of the direction, made of the densities at the current parameters, which
+/// are constants: only the motion of attached samples changes them. They sum to one at every direction,
+/// so they are right for attached and detached samples alike.
+#[derive(Clone, Copy, Debug)]
+pub struct FrozenWeights;
+
+impl Weights for FrozenWeights {
+    const FROZEN: bool = true;
+    #[inline]
+    fn hit<H: Heuristic, R: Real>(a: R, b: R) -> R {
+        varying::<H, R>(a, b)
+    }
+}
+
+/// Attached weights for scattered directions, detached ones for sampled lights: derivatives of the
+/// weights no longer cancel. The caption of [Zeltner 2021, figure 4.13] allows it, errata
+/// Z-4.13f does not. For study.
+#[derive(Clone, Copy, Debug)]
+pub struct MixedWeights;
+
+impl Weights for MixedWeights {
+    const DIFFERENTIATED: bool = true;
+    #[inline]
+    fn hit<H: Heuristic, R: Real>(a: R, b: R) -> R {
+        varying::<H, R>(a, b)
+    }
+    #[inline]
+    fn sampled<H: Heuristic, R: Real>(a: R, b: R) -> R {
+        constant::<H, R>(a, b)
     }
 }
 
@@ -90,7 +137,7 @@ mod tests {
                 assert!((sum(Power::weight) - 1.0).abs() < 1e-6, "{a} {b}");
             }
             assert_eq!(Balance::weight(a, 0.0), 1.0);
-            assert_eq!(DetachedWeights::weight::<Power, f32>(0.0, a), 0.0);
+            assert_eq!(DetachedWeights::hit::<Power, f32>(0.0, a), 0.0);
         }
     }
 }

@@ -1,18 +1,20 @@
 //! Reverse mode: the adjoint of an image, pulled back to the parameters.
 
+use std::marker::PhantomData;
 use std::ops::Range;
 use std::sync::atomic::{AtomicBool, AtomicI64, Ordering};
 
-use ad_core::Float;
+use ad_core::{Float, Real};
 use rayon::prelude::*;
 
+use super::local::LocalFn;
 use super::path::Context;
 use super::record::{Activity, Recorder};
-use super::render::{NonFinite, Paths, Progress, tiles};
+use super::render::{NonFinite, Paths, Progress, start, tiles};
 use crate::error::RenderError;
-use crate::estimator::DetachedMis;
+use crate::estimator::{self, DetachedMis, Sampling, Strategy, Unbiased};
 use crate::math::Rgb;
-use crate::params::{Differentiability, GradSink, ParamInfo, ParamRef, Theta};
+use crate::params::{GradSink, ParamInfo, ParamRef, Theta};
 use crate::sampler::Sampler;
 use crate::scene::{Scene, Settings};
 
@@ -49,17 +51,24 @@ impl Active {
     /// # Errors
     /// An unknown name, or a parameter whose derivative detached sampling cannot see.
     pub fn new<N: AsRef<str>>(scene: &Scene, names: &[N]) -> Result<Self, RenderError> {
+        Self::seen_by::<DetachedMis, N>(scene, names)
+    }
+
+    /// The same for another estimator: a path that moves has derivatives in deltas too.
+    ///
+    /// # Errors
+    /// As [`Active::new`], for what this estimator cannot see.
+    pub fn seen_by<S: Strategy, N: AsRef<str>>(
+        scene: &Scene,
+        names: &[N],
+    ) -> Result<Self, RenderError> {
         let params = scene.params();
         let mut slots = vec![Slot::Inactive; params.infos().len()];
         let mut ranges: Vec<ParamInfo> = Vec::new();
         let (mut small_len, mut large_len) = (0, 0);
         for name in names {
             let info = params.find(name.as_ref())?;
-            if info.differentiability == Differentiability::Delta {
-                return Err(RenderError::DeltaParameter {
-                    name: info.name.clone(),
-                });
-            }
+            estimator::check_parameter::<S>(info)?;
             if ranges.iter().any(|r| r.name == info.name) {
                 continue;
             }
@@ -203,12 +212,13 @@ impl Activity for Sink<'_> {
 /// Geometry, and deltas in the parameter: detached sampling.
 ///
 /// # Errors
-/// An adjoint image of the wrong size.
+/// An adjoint image of the wrong size; an estimator that the scene's discontinuities would bias
+/// ([`estimator::check`]).
 ///
 /// # Reference
 /// [Stam 2020, section 5.1] with errata S-5.1 and S-D3 to S-D6; [Zeltner 2021, algorithms 4.1 and 4.2] with
 /// errata Z-4.15.
-pub fn backward<P: Float, X: Sampler>(
+pub fn backward<P: Float, S: Unbiased, X: Sampler>(
     scene: &Scene,
     theta: &Theta<P>,
     active: &Active,
@@ -225,6 +235,7 @@ pub fn backward<P: Float, X: Sampler>(
             found: adjoint.len(),
         });
     }
+    estimator::check::<S>(scene)?;
     let spp = samples.end.saturating_sub(samples.start).max(1);
     let largest = adjoint
         .iter()
@@ -242,7 +253,7 @@ pub fn backward<P: Float, X: Sampler>(
             seed,
             samples: samples.clone(),
         };
-        let (small, non_finite) = pass.run::<X>(&large, progress);
+        let (small, non_finite) = pass.run::<S, X>(&large, progress);
         if large.overflow.load(Ordering::Relaxed) && bits > 0 {
             bits -= 12;
             continue;
@@ -280,7 +291,7 @@ struct Pass<'a, P: Float> {
 
 impl<P: Float> Pass<'_, P> {
     /// Sums of the small ranges.
-    fn run<X: Sampler>(
+    fn run<S: Unbiased, X: Sampler>(
         &self,
         large: &ExactBuffer,
         progress: &impl Progress,
@@ -304,7 +315,7 @@ impl<P: Float> Pass<'_, P> {
                     theta: self.theta,
                     settings: self.settings,
                 };
-                let mut paths = Paths::<P, DetachedMis, X, Recorder<P>>::default();
+                let mut paths = Paths::<P, S, X, Recorder<P>>::default();
                 let mut non_finite = NonFinite::default();
                 for tile in tiles.iter().skip(job).step_by(jobs) {
                     if progress.cancelled() {
@@ -318,7 +329,17 @@ impl<P: Float> Pass<'_, P> {
                             let a: [P; 3] =
                                 std::array::from_fn(|c| P::from_f32(self.adjoint[i + c]));
                             let d = Rgb::from(a) * scale;
-                            recorder.backward(self.scene, self.theta, d, &mut sink);
+                            if S::Bsdf::DETACHED_PATH {
+                                recorder.backward::<S>(self.scene, self.theta, d, &mut sink);
+                            } else {
+                                let again = Again::<P, S, X> {
+                                    pass: self,
+                                    pixel: [x, y],
+                                    index,
+                                    types: PhantomData,
+                                };
+                                recorder.backward_moving(&context, &again, d, &mut sink);
+                            }
                         } else {
                             non_finite.add(u64::from(pixel), index);
                         }
@@ -337,5 +358,30 @@ impl<P: Float> Pass<'_, P> {
             non_finite.merge(bad);
         }
         (small, non_finite)
+    }
+}
+
+/// The radiance of one sample as a function of the parameters: its path once more, moving.
+struct Again<'a, P: Float, S, X> {
+    pass: &'a Pass<'a, P>,
+    pixel: [u32; 2],
+    index: u64,
+    types: PhantomData<fn() -> (S, X)>,
+}
+
+impl<P: Float, S: Strategy, X: Sampler> LocalFn<P> for Again<'_, P, S, X> {
+    fn eval<R: Real<Primal = P>>(&self, theta: &Theta<R>) -> Rgb<R> {
+        let Pass {
+            scene,
+            settings,
+            seed,
+            ..
+        } = *self.pass;
+        let context = Context {
+            scene,
+            theta,
+            settings,
+        };
+        start::<R, S, X>(scene, seed, self.pixel, self.index).finish(&context, &mut ())
     }
 }

@@ -5,7 +5,10 @@
 //! [`render`](render::render) and [`gradient`](gradient::Gradient) drive it over an image.
 
 mod batch;
+pub mod boundary;
+pub mod direct;
 pub mod gradient;
+mod local;
 pub mod path;
 pub mod record;
 pub mod render;

@@ -2,12 +2,14 @@
 
 use ad_core::{Const, Float, Real, Vec2, Vec3};
 
-use crate::bsdf::{Bsdf, Component, Shading, TransportMode};
+use super::boundary::{Freeze, freeze};
+use super::direct::{Departure, FoundLight, direct_light, follows_edges};
+use crate::bsdf::{Bsdf, Component, DiffLobe, Material, Part, Shading, TransportMode};
 use crate::emitter::{Emission, Emitter, EmitterSample};
-use crate::estimator::{Sampling, Strategy};
+use crate::estimator::{Direct, Sampling, Strategy};
 use crate::math::{Ray, Rgb};
 use crate::params::Theta;
-use crate::sampler::{BOUNCE_DIMENSIONS, CAMERA_DIMENSIONS, Sampler};
+use crate::sampler::{AUXILIARY_DIMENSIONS, BOUNCE_DIMENSIONS, CAMERA_DIMENSIONS, Sampler};
 use crate::scene::{Intersection, Scene, Settings};
 use crate::shape::SurfaceInteraction;
 
@@ -34,7 +36,7 @@ pub struct HitLight<R> {
 
 /// A connection to a sampled light.
 #[derive(Clone, Copy, Debug)]
-pub struct SampledLight<R> {
+pub struct SampledLight<R: Real> {
     /// Index of the emitter.
     pub emitter: u32,
     /// Where on it.
@@ -47,6 +49,19 @@ pub struct SampledLight<R> {
     pub weight: R,
     /// Value of the BSDF.
     pub f: Rgb<R>,
+    /// MIS weight over density for the derivative through normals, where that has samples of its own.
+    pub normals_weight: Option<R>,
+    /// Density per solid angle that the MIS weight is made of; zero where there is none.
+    pub mis_pdf: R::Primal,
+}
+
+/// Light found by a sample of the derivative of a distribution of normals.
+#[derive(Clone, Copy, Debug)]
+pub struct NormalsLight<R> {
+    /// Direction to it, local frame of the vertex.
+    pub wi: Vec3<R>,
+    /// Emitted radiance, times MIS weight over density.
+    pub le: Rgb<R>,
 }
 
 /// The sampled continuation of a path.
@@ -60,14 +75,28 @@ pub struct Bounce<R> {
     pub weight: R,
     /// Value of the BSDF.
     pub f: Rgb<R>,
+    /// What of it is differentiated for light that the next edge finds.
+    pub direct_part: Part,
 }
 
 /// Follows a path as it grows. All methods do nothing by default.
 pub trait Observer<R: Real> {
     /// Whether events are wanted; if not, none is made.
     const ENABLED: bool = true;
-    /// The path found light at its current end.
-    fn light(&mut self, _depth: u32, _beta: Rgb<R>, _light: HitLight<R>) {}
+    /// Whether the light found by directions that left `shape` is differentiated.
+    fn follows(&self, _shape: u32) -> bool {
+        true
+    }
+    /// The path found light at its current end. `found` says how, when the strategy differentiates
+    /// that edge by itself ([`Direct`]).
+    fn light(
+        &mut self,
+        _depth: u32,
+        _beta: Rgb<R>,
+        _light: HitLight<R>,
+        _found: Option<FoundLight<R::Primal>>,
+    ) {
+    }
     /// A vertex was reached. `depth` is the number of edges so far, `beta` the throughput up to it.
     fn vertex(
         &mut self,
@@ -82,6 +111,8 @@ pub trait Observer<R: Real> {
     /// A light was sampled at the current vertex, and is visible. Known, and called, last: after
     /// [`Observer::bounce`], before the next edge's events.
     fn sampled(&mut self, _depth: u32, _light: SampledLight<R>) {}
+    /// A sample of the derivative of the current vertex's normals found light.
+    fn normals(&mut self, _light: NormalsLight<R>) {}
     /// The path goes on from the current vertex.
     fn bounce(&mut self, _bounce: Bounce<R>) {}
 }
@@ -116,15 +147,7 @@ pub fn trace<R: Real, S: Strategy, X: Sampler, O: Observer<R>>(
         theta,
         settings,
     };
-    let mut walk = Walk::<R, S, X>::new(ray, sampler);
-    while !walk.ended() {
-        let hit = walk.ray.and_then(|ray| scene.intersect(&ray));
-        let visible = walk
-            .shadow
-            .is_some_and(|(ray, t_max)| !scene.occluded(&ray, t_max));
-        walk.step(&context, hit, visible, observer);
-    }
-    walk.l
+    Walk::<R, S, X>::new(ray, sampler).finish(&context, observer)
 }
 
 /// A path between two vertices. It asks for its rays to be traced and goes on with the answers, so that
@@ -159,7 +182,11 @@ pub struct Walk<R: Real, S: Strategy, X: Sampler> {
     /// Density of the last direction; zero if it was a delta.
     pdf_bsdf: R,
     /// The vertex it left.
-    from: Vec3<R::Primal>,
+    from: Vec3<Geometry<S, R>>,
+    /// The same in full, and the throughput there, for strategies that differentiate the edge by itself.
+    departure: Option<(Departure<R::Primal>, Rgb<R>)>,
+    /// Throughput for the light that the next edge finds, where that is not the path's.
+    direct_beta: Option<Rgb<R>>,
     /// What roulette goes by.
     survival: R::Primal,
     /// Number of edges with the next one.
@@ -182,11 +209,26 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
             eta: R::Primal::one(),
             pdf_bsdf: R::zero(),
             from: Vec3::zero(),
+            departure: None,
+            direct_beta: None,
             survival: R::Primal::one(),
             depth: 1,
             direct: Rgb::black(),
             sampled: None,
         }
+    }
+
+    /// Goes on to the end, tracing ray by ray.
+    pub fn finish<O: Observer<R>>(mut self, context: &Context<R>, observer: &mut O) -> Rgb<R> {
+        let scene = context.scene;
+        while !self.ended() {
+            let hit = self.ray.and_then(|ray| scene.intersect(&ray));
+            let visible = self
+                .shadow
+                .is_some_and(|(ray, t_max)| !scene.occluded(&ray, t_max));
+            self.step(context, hit, visible, observer);
+        }
+        self.l
     }
 
     /// Whether no ray is asked for.
@@ -223,19 +265,30 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
             return;
         };
         let beta = self.beta;
+        let light_beta = if S::Bsdf::DIFFERENTIAL {
+            self.direct_beta.unwrap_or(beta)
+        } else {
+            beta
+        };
 
         // ---- Emission ----
         // How the light at the end of this edge could have been sampled at its start.
         let sampled =
             (S::SAMPLES_EMITTERS && depth > 1 && self.pdf_bsdf.primal() > R::Primal::zero())
                 .then_some((self.pdf_bsdf, self.from));
-        let Some(Intersection { shape, si }) = hit else {
+        let Some(Intersection { shape, si, prim }) = hit else {
             for &e in scene.infinite_emitters() {
                 if let Some((light, le)) = find_light::<R, S>(scene, theta, e, ray.d, None, sampled)
                 {
-                    self.l += beta * le * light.weight;
+                    let found = self.found_light(scene, e, None, ray.d.primal());
+                    self.l += match found {
+                        Some((found, beta)) if !R::IS_PRIMAL => {
+                            beta * direct_light::<R, S>(scene, theta, &found, mode)
+                        }
+                        _ => light_beta * le * light.weight,
+                    };
                     if O::ENABLED {
-                        observer.light(depth, beta, light);
+                        observer.light(depth, beta, light, found.map(|f| f.0));
                     }
                 }
             }
@@ -245,9 +298,15 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
         if let Some(e) = info.emitter {
             let found = find_light::<R, S>(scene, theta, e, ray.d, Some(si), sampled);
             if let Some((light, le)) = found {
-                self.l += beta * le * light.weight;
+                let found = self.found_light(scene, e, Some((prim, si.t.primal())), ray.d.primal());
+                self.l += match found {
+                    Some((found, beta)) if !R::IS_PRIMAL => {
+                        beta * direct_light::<R, S>(scene, theta, &found, mode)
+                    }
+                    _ => light_beta * le * light.weight,
+                };
                 if O::ENABLED {
-                    observer.light(depth, beta, light);
+                    observer.light(depth, beta, light, found.map(|f| f.0));
                 }
             }
         }
@@ -263,6 +322,11 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
         if O::ENABLED {
             observer.vertex(depth, beta, shape, uv, wo_r, S::Bsdf::embed3(si.p));
         }
+        let differentiates = O::ENABLED || !R::IS_PRIMAL;
+        let splits = S::Bsdf::DIFFERENTIAL
+            && differentiates
+            && material.has_differential()
+            && observer.follows(shape);
         let sampler = &mut self.sampler;
         let dim = CAMERA_DIMENSIONS + (depth - 1) * BOUNCE_DIMENSIONS;
 
@@ -272,7 +336,11 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
             let p = si.p.primal();
             if let Some(light) = sample_light(scene, p, sampler) {
                 let sample = light.sample;
-                let wi = si.frame.to_local(Vec3::lift(sample.d));
+                let e = &scene.emitters()[light.emitter as usize];
+                // Where the vertex moves, its direction to the point on the light does.
+                let seen = (!Geometry::<S, R>::IS_PRIMAL).then(|| e.connect(&sample, si.p));
+                let d = seen.map_or(Vec3::lift(sample.d), |s| s.d);
+                let wi = si.frame.to_local(d);
                 let (f, pdf) = material.eval_pdf(&at, wo_r, S::Bsdf::embed3(wi), mode);
                 // Where the derivative may be non-zero although the value is (zero albedo).
                 let matters = !f.is_black()
@@ -282,20 +350,47 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
                     let shadow = si
                         .primal()
                         .shadow_ray(sample.d, sample.distance, info.offset);
-                    let e = &scene.emitters()[light.emitter as usize];
-                    let emission = Emission {
-                        uv: Vec2::lift(sample.emission.uv),
-                        falloff: R::lift(sample.emission.falloff),
+                    let (pdf_light, emission) = match seen {
+                        None => (R::lift(sample.pdf), sample.emission.lift()),
+                        Some(s) => (
+                            S::Bsdf::embed(s.pdf),
+                            Emission {
+                                uv: S::Bsdf::embed2(s.emission.uv),
+                                falloff: S::Bsdf::embed(s.emission.falloff),
+                            },
+                        ),
                     };
                     let le = e.eval(theta, &emission);
                     let mis = if S::COUNTS_HITS && !e.is_delta() {
-                        S::weight(R::lift(sample.pdf), pdf)
+                        let pdf = if S::FROZEN_WEIGHTS && !R::IS_PRIMAL {
+                            frozen_pdf(material, &at, wo_r, S::Bsdf::embed3(wi), mode)
+                        } else {
+                            pdf
+                        };
+                        S::weight_sampled(pdf_light, pdf)
                     } else {
                         R::one()
                     };
-                    let weight = mis * Const(sample.pdf.recip());
+                    let weight = if Geometry::<S, R>::IS_PRIMAL {
+                        mis * Const(sample.pdf.recip())
+                    } else {
+                        mis / pdf_light
+                    };
                     self.shadow = Some(shadow);
                     self.direct = beta * f * le * weight;
+                    let normals_weight = splits.then(|| {
+                        let mis = if S::COUNTS_HITS && !e.is_delta() {
+                            let pair = pair_pdf(material, &at, wo.primal(), wi.primal());
+                            S::weight_sampled(sample.pdf, pair)
+                        } else {
+                            R::Primal::one()
+                        };
+                        R::lift(mis / sample.pdf)
+                    });
+                    if let (Some(w), false) = (normals_weight, R::IS_PRIMAL) {
+                        let change = material.eval_normals(&at, wo.primal(), wi.primal(), mode);
+                        self.direct += beta * change * le * (w - weight);
+                    }
                     if O::ENABLED {
                         self.sampled = Some(SampledLight {
                             emitter: light.emitter,
@@ -304,7 +399,63 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
                             le,
                             weight,
                             f,
+                            normals_weight,
+                            mis_pdf: if S::COUNTS_HITS && !e.is_delta() {
+                                sample.pdf
+                            } else {
+                                R::Primal::zero()
+                            },
                         });
+                    }
+                }
+            }
+        }
+
+        // ---- Samples of the derivative of normals ----
+        if splits {
+            let first = AUXILIARY_DIMENSIONS + depth * BOUNCE_DIMENSIONS;
+            let (at, wo) = (at.primal(), wo.primal());
+            for sign in DiffLobe::BOTH {
+                sampler.seek(first);
+                let u = sampler.next_3d();
+                let Some(sample) = material.sample_differential(&at, wo, u, sign, mode) else {
+                    continue;
+                };
+                let d = si.primal().frame.to_world(sample.wi);
+                let ray = si.primal().spawn_ray(d, info.offset);
+                let pair = pair_pdf(material, &at, wo, sample.wi);
+                let mut found = |e: u32, end: Option<SurfaceInteraction<R::Primal>>| {
+                    let light = &scene.emitters()[e as usize];
+                    let Some(emission) = light.hit(d, end.as_ref()) else {
+                        return;
+                    };
+                    let mis = if S::SAMPLES_EMITTERS {
+                        let pdf = light.pdf(scene.lights(), si.p.primal(), d, end.as_ref());
+                        S::weight_hit(pair, pdf * scene.emitter_probability::<R::Primal>())
+                    } else {
+                        R::Primal::one()
+                    };
+                    let le = light.eval(theta, &emission.lift()) * R::lift(mis / pair);
+                    if !R::IS_PRIMAL {
+                        let at = Shading { theta: *theta, uv };
+                        let change = material.eval_normals(&at, wo, sample.wi, mode);
+                        self.l += beta * change * le;
+                    }
+                    if O::ENABLED {
+                        let wi = Vec3::lift(sample.wi);
+                        observer.normals(NormalsLight { wi, le });
+                    }
+                };
+                match scene.nearest(&ray) {
+                    None => scene
+                        .infinite_emitters()
+                        .iter()
+                        .for_each(|&e| found(e, None)),
+                    Some(hit) => {
+                        let Intersection { shape, si, .. } = scene.interaction(&ray, &hit);
+                        if let Some(e) = scene.shape_info(shape).emitter {
+                            found(e, Some(si));
+                        }
                     }
                 }
             }
@@ -313,7 +464,8 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
         // ---- BSDF sampling ----
         self.depth = depth + 1;
         sampler.seek(dim + 3);
-        let Some(sample) = S::Bsdf::draw(material, &at, wo, sampler.next_3d(), mode) else {
+        let u = sampler.next_3d();
+        let Some(sample) = S::Bsdf::draw(material, &at, wo, u, mode) else {
             return;
         };
         let wi = S::Bsdf::embed3(sample.wi);
@@ -324,9 +476,9 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
         // ---- Update ----
         self.eta *= sample.eta;
         let mut next_beta = beta * f * weight;
+        let mut lives = R::Primal::one(); // one over the probability of that
 
         // ---- Roulette ----
-        let differentiates = O::ENABLED || !R::IS_PRIMAL;
         self.survival = if differentiates {
             let step = (f.primal() * weight.primal()).max_component();
             self.survival * step.max(R::Primal::of(LEAST_STEP))
@@ -340,8 +492,39 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
             }
             let inv_q = q.recip();
             self.survival *= inv_q;
-            weight = weight * Const(inv_q);
-            next_beta = next_beta.scale(inv_q);
+            lives = inv_q;
+            if S::ATTACHED_ROULETTE && !R::IS_PRIMAL {
+                let c = next_beta.primal();
+                let largest = (0..3).fold(0, |m, i| if c[i] > c[m] { i } else { m });
+                let eta2 = Const(self.eta * self.eta);
+                let moving = (next_beta[largest] * eta2).min(R::of(MAX_SURVIVAL));
+                // The value of the detached factor, with the tangent of a moving probability.
+                let factor = moving.recip() * Const(moving.primal() * inv_q);
+                weight *= factor;
+                next_beta = next_beta * factor;
+            } else {
+                weight = weight * Const(inv_q);
+                next_beta = next_beta.scale(inv_q);
+            }
+        }
+        if follows_edges::<S>() {
+            let moves = S::Bsdf::DIRECT != Direct::AsPath;
+            let followed = differentiates
+                && (moves || sample.component == Component::Continuous)
+                && observer.follows(shape);
+            self.departure = followed.then(|| {
+                let fixed = if moves { 0.0 } else { 1.0 };
+                let from = Departure {
+                    shape,
+                    si: si.primal(),
+                    wo: wo.primal(),
+                    u,
+                    survival: lives,
+                    part: if splits { Part::Rest } else { Part::All },
+                    freeze: Freeze::uniform(R::Primal::of(fixed)),
+                };
+                (from, beta)
+            });
         }
         if O::ENABLED {
             observer.bounce(Bounce {
@@ -349,18 +532,56 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
                 component: sample.component,
                 weight,
                 f,
+                direct_part: if splits { Part::Rest } else { Part::All },
             });
         }
         self.beta = next_beta;
+        if S::Bsdf::DIFFERENTIAL {
+            self.direct_beta = (splits && !R::IS_PRIMAL).then(|| {
+                let change = material.eval_normals(&at, wo.primal(), wi.primal(), mode);
+                next_beta - beta * change * weight
+            });
+        }
         if !O::ENABLED && next_beta.is_black() && !has_tangent(next_beta) {
             return;
         }
         self.pdf_bsdf = match sample.component {
+            Component::Continuous if S::FROZEN_WEIGHTS && !R::IS_PRIMAL => {
+                frozen_pdf(material, &at, wo_r, wi, mode)
+            }
             Component::Continuous => pdf,
             Component::Delta { .. } => R::zero(),
         };
-        self.from = si.p.primal();
+        self.from = si.p;
         self.ray = Some(si.spawn_ray(si.frame.to_world(sample.wi), info.offset));
+    }
+}
+
+impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
+    /// The light that the last edge, in direction `d`, found, and the throughput up to its start;
+    /// `None` where that edge is differentiated like the rest of the path.
+    #[inline(always)]
+    fn found_light(
+        &mut self,
+        scene: &Scene,
+        emitter: u32,
+        end: Option<(u32, R::Primal)>,
+        d: Vec3<R::Primal>,
+    ) -> Option<(FoundLight<R::Primal>, Rgb<R>)> {
+        if !follows_edges::<S>() {
+            return None;
+        }
+        let (mut from, beta) = self.departure?;
+        if let Direct::Reparameterised { rays } = S::Bsdf::DIRECT {
+            let dimension = AUXILIARY_DIMENSIONS + self.depth * 2 * rays as u32;
+            self.sampler.seek(dimension);
+            let offset = scene.shape_info(from.shape).offset;
+            let origin = from.si.spawn_ray(d, offset).o;
+            let w = from.si.frame.to_local(d);
+            from.freeze = freeze(scene, origin, &from.si.frame, w, rays, &mut self.sampler);
+        }
+        let found = FoundLight { from, end, emitter };
+        Some((found, beta))
     }
 }
 
@@ -377,7 +598,7 @@ fn find_light<R: Real, S: Strategy>(
     emitter: u32,
     d: Vec3<Geometry<S, R>>,
     si: Option<SurfaceInteraction<Geometry<S, R>>>,
-    sampled: Option<(R, Vec3<R::Primal>)>,
+    sampled: Option<(R, Vec3<Geometry<S, R>>)>,
 ) -> Option<(HitLight<R>, Rgb<R>)> {
     if sampled.is_some() && !S::COUNTS_HITS {
         return None;
@@ -390,12 +611,9 @@ fn find_light<R: Real, S: Strategy>(
     };
     let weight = match sampled {
         Some((pdf_bsdf, from)) => {
-            let si = si.map(|si| si.primal());
-            let pdf = e.pdf(scene.lights(), from, d.primal(), si.as_ref());
-            S::weight(
-                pdf_bsdf,
-                R::lift(pdf * scene.emitter_probability::<R::Primal>()),
-            )
+            let pdf = e.pdf(scene.lights(), from, d, si.as_ref());
+            let chosen = Const(scene.emitter_probability::<R::Primal>());
+            S::weight_hit(pdf_bsdf, S::Bsdf::embed(pdf) * chosen)
         }
         None => R::one(),
     };
@@ -405,6 +623,34 @@ fn find_light<R: Real, S: Strategy>(
         weight,
     };
     Some((light, e.eval(theta, &emission)))
+}
+
+/// Density of both samples of the derivative of normals together.
+#[inline]
+fn pair_pdf<R: Real>(
+    material: &Material,
+    at: &Shading<R>,
+    wo: Vec3<R::Primal>,
+    wi: Vec3<R::Primal>,
+) -> R::Primal {
+    let at = at.primal();
+    material.pdf_differential(&at, wo, wi, DiffLobe::Plus)
+        + material.pdf_differential(&at, wo, wi, DiffLobe::Minus)
+}
+
+/// Density of a scattered direction for constant parameters, see [`crate::estimator::FrozenWeights`].
+#[inline]
+pub(super) fn frozen_pdf<R: Real>(
+    material: &Material,
+    at: &Shading<R>,
+    wo: Vec3<R>,
+    wi: Vec3<R>,
+    mode: TransportMode,
+) -> R {
+    let theta = at.theta.primal().lift();
+    material
+        .eval_pdf(&Shading { theta, uv: at.uv }, wo, wi, mode)
+        .1
 }
 
 #[inline]

@@ -5,18 +5,23 @@
 //! its adjoint: no tape of operations, no second ray tracing, and no subtraction or division of
 //! radiances, so nothing cancels and a zero albedo is no special case.
 
-use ad_core::{Float, Vec2, Vec3};
+use std::marker::PhantomData;
 
-use super::path::{Bounce, HitLight, Observer, SampledLight};
-use crate::bsdf::{Bsdf, Component, Shading, TransportMode, Use};
+use ad_core::{Const, Float, Real, Vec2, Vec3};
+
+use super::direct::{FoundLight, direct_light};
+use super::local::{LocalFn, pull_back, pull_back_texels};
+use super::path::{Bounce, Context, HitLight, NormalsLight, Observer, SampledLight};
+use crate::bsdf::{Bsdf, Component, Material, Part, Shading, TransportMode, Use};
 use crate::emitter::Emitter;
+use crate::estimator::Strategy;
 use crate::math::Rgb;
 use crate::params::{GradSink, Theta};
 use crate::scene::Scene;
 
 /// One vertex of a path, and the light found on the edge that leads to it.
 #[derive(Clone, Copy, Debug)]
-struct Vertex<P> {
+struct Vertex<P: Real> {
     /// Throughput from the camera.
     beta: Rgb<P>,
     /// Index of the shape; none at an end without surface or beyond the last scattering.
@@ -25,6 +30,8 @@ struct Vertex<P> {
     bounce: Option<Bounce<P>>,
     /// Light found here, as a range of `Recorder::lights`.
     lights: (u32, u32),
+    /// Light found by samples of the derivative of normals, as a range of `Recorder::normals`.
+    normals: (u32, u32),
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -36,9 +43,14 @@ struct Surface<P> {
 
 /// Keeps the vertices of one path at a time. Reused from path to path, it stops allocating soon.
 #[derive(Clone, Debug, Default)]
-pub struct Recorder<P> {
+pub struct Recorder<P: Float> {
     vertices: Vec<Vertex<P>>,
     lights: Vec<HitLight<P>>,
+    normals: Vec<NormalsLight<P>>,
+    /// Of the vertex that is pulled back.
+    uses: Vec<Use<P>>,
+    /// How each light was found.
+    found: Vec<Option<FoundLight<P>>>,
     /// Number of entries of `lights` that belong to a vertex already.
     claimed: u32,
 }
@@ -48,32 +60,28 @@ impl<P: Float> Recorder<P> {
     pub fn clear(&mut self) {
         self.vertices.clear();
         self.lights.clear();
+        self.found.clear();
+        self.normals.clear();
         self.claimed = 0;
     }
 
     fn push(&mut self, beta: Rgb<P>, surface: Option<Surface<P>>) {
         let lights = (self.claimed, self.lights.len() as u32);
         self.claimed = lights.1;
+        let normals = self.normals.len() as u32;
         self.vertices.push(Vertex {
             beta,
             surface,
             sampled: None,
             bounce: None,
             lights,
+            normals: (normals, normals),
         });
     }
 
-    /// Adds the derivative of `d_l . L`, where `L` is the radiance of the recorded path and `d_l` its
-    /// adjoint, to the active parameters.
-    pub fn backward(
-        &mut self,
-        scene: &Scene,
-        theta: &Theta<P>,
-        d_l: Rgb<P>,
-        grad: &mut (impl GradSink<P> + Activity),
-    ) {
+    /// Gives the light at the open end of the path, beyond the last vertex, a vertex of its own.
+    fn close(&mut self) {
         if (self.claimed as usize) < self.lights.len() {
-            // The light at the open end of the path, beyond the last vertex.
             let beta = match self.vertices.last() {
                 Some(Vertex {
                     beta,
@@ -84,48 +92,126 @@ impl<P: Float> Recorder<P> {
             };
             self.push(beta, None);
         }
-        let mut l = Rgb::<P>::black(); // radiance leaving the next vertex
+    }
+
+    /// [`Recorder::backward`] for a path that moves with the parameters, whose radiance is `path`: emitters
+    /// as recorded, materials through the whole path.
+    pub(super) fn backward_moving(
+        &mut self,
+        &Context { scene, theta, .. }: &Context<P>,
+        path: &impl LocalFn<P>,
+        d_l: Rgb<P>,
+        grad: &mut (impl GradSink<P> + Activity),
+    ) {
+        self.close();
+        for v in &self.vertices {
+            let d = d_l * v.beta;
+            for hit in &self.lights[v.lights.0 as usize..v.lights.1 as usize] {
+                if grad.emitter_active(hit.emitter) {
+                    let e = &scene.emitters()[hit.emitter as usize];
+                    e.backward(&hit.emission, d * hit.weight, grad);
+                }
+            }
+            if let Some(s) = &v.sampled
+                && grad.emitter_active(s.emitter)
+            {
+                let e = &scene.emitters()[s.emitter as usize];
+                e.backward(&s.emission, d * s.f * s.weight, grad);
+            }
+        }
+        let surfaces = self.vertices.iter().filter_map(|v| v.surface.as_ref());
+        let active = surfaces.filter_map(|s| {
+            let material = scene.shape_info(s.shape).material;
+            let active = grad.material_active(material);
+            active.then(|| (&*scene.materials()[material as usize], s.uv))
+        });
+        let vertices: Vec<(&Material, Vec2<P>)> = active.collect();
+        pull_back_texels(vertices.into_iter(), theta, path, d_l, grad);
+    }
+
+    /// Adds the derivative of `d_l . L`, where `L` is the radiance of the recorded path and `d_l` its
+    /// adjoint, to the active parameters.
+    pub fn backward<S: Strategy>(
+        &mut self,
+        scene: &Scene,
+        theta: &Theta<P>,
+        d_l: Rgb<P>,
+        grad: &mut (impl GradSink<P> + Activity),
+    ) {
+        self.close();
+        // Radiance leaving the next vertex, and light found on the way there: by directions that are
+        // differentiated as the path is, and by those that are not.
+        let mut l = Rgb::<P>::black();
+        let (mut plain, mut followed) = (l, l);
+        let mut next_found: &[Option<FoundLight<P>>] = &[];
+        let mut uses = std::mem::take(&mut self.uses);
         for v in self.vertices.iter().rev() {
             let d = d_l * v.beta;
-            let mut here = Rgb::black();
-            for hit in &self.lights[v.lights.0 as usize..v.lights.1 as usize] {
+            let (mut arrives_plain, mut arrives_followed) = (Rgb::black(), Rgb::black());
+            let lights = v.lights.0 as usize..v.lights.1 as usize;
+            let found = &self.found[lights.clone()];
+            for (hit, found) in self.lights[lights].iter().zip(found) {
                 let e = &scene.emitters()[hit.emitter as usize];
-                here += e.eval(theta, &hit.emission) * hit.weight;
+                let le = e.eval(theta, &hit.emission) * hit.weight;
+                match found {
+                    Some(_) => arrives_followed += le,
+                    None => arrives_plain += le,
+                }
                 if grad.emitter_active(hit.emitter) {
                     e.backward(&hit.emission, d * hit.weight, grad);
                 }
             }
-            let mut uses = [Use {
-                wi: Vec3::zero(),
-                component: Component::Continuous,
-                d: Rgb::black(),
-            }; 2];
-            let mut n = 0;
+            uses.clear();
+            let mut here = Rgb::black();
+            let mut connected = None;
+            let mut use_light = |wi, component, part, d: Rgb<P>| {
+                if !d.is_black() {
+                    uses.push(Use {
+                        wi,
+                        component,
+                        part,
+                        d,
+                    });
+                }
+            };
             if let Some(s) = &v.sampled {
                 here += s.f * s.le * s.weight;
                 if grad.emitter_active(s.emitter) {
                     let e = &scene.emitters()[s.emitter as usize];
                     e.backward(&s.emission, d * s.f * s.weight, grad);
                 }
-                uses[n] = Use {
-                    wi: s.wi,
-                    component: Component::Continuous,
-                    d: d * s.le * s.weight,
-                };
-                n += 1;
-            }
-            if let Some(b) = &v.bounce {
-                here += b.f * l * b.weight;
-                if !l.is_black() {
-                    uses[n] = Use {
-                        wi: b.wi,
-                        component: b.component,
-                        d: d * l * b.weight,
-                    };
-                    n += 1;
+                if S::DIFFERENTIATED_WEIGHTS && s.mis_pdf > P::zero() {
+                    connected = Some(s);
+                }
+                let d = d * s.le;
+                let whole = Component::Continuous;
+                match s.normals_weight {
+                    None if connected.is_none() => {
+                        use_light(s.wi, whole, Part::All, d * s.weight);
+                    }
+                    None => {}
+                    Some(w) => {
+                        if connected.is_none() {
+                            use_light(s.wi, whole, Part::Rest, d * s.weight);
+                        }
+                        use_light(s.wi, whole, Part::Normals, d * w);
+                    }
                 }
             }
-            if let (Some(s), true) = (&v.surface, n > 0) {
+            for n in &self.normals[v.normals.0 as usize..v.normals.1 as usize] {
+                use_light(n.wi, Component::Continuous, Part::Normals, d * n.le);
+            }
+            if let Some(b) = &v.bounce {
+                here += b.f * (l + plain + followed) * b.weight;
+                let d = d * b.weight;
+                if b.direct_part == Part::All {
+                    use_light(b.wi, b.component, Part::All, d * (l + plain));
+                } else {
+                    use_light(b.wi, b.component, Part::All, d * l);
+                    use_light(b.wi, b.component, b.direct_part, d * plain);
+                }
+            }
+            if let (Some(s), false) = (&v.surface, uses.is_empty()) {
                 let material = scene.shape_info(s.shape).material;
                 if grad.material_active(material) {
                     let at = Shading {
@@ -133,11 +219,77 @@ impl<P: Float> Recorder<P> {
                         uv: s.uv,
                     };
                     let material = &scene.materials()[material as usize];
-                    material.backward(&at, s.wo, &uses[..n], TransportMode::Radiance, grad);
+                    material.backward(&at, s.wo, &uses, TransportMode::Radiance, grad);
                 }
             }
+            if let (Some(s), Some(light)) = (&v.surface, connected) {
+                let material = scene.shape_info(s.shape).material;
+                if grad.material_active(material) {
+                    let material = &scene.materials()[material as usize];
+                    let f = Connected::<P, S> {
+                        material,
+                        surface: s,
+                        light,
+                        strategy: PhantomData,
+                    };
+                    pull_back(material, theta, s.uv, &f, d * light.le, grad);
+                }
+            }
+            for found in next_found.iter().flatten() {
+                let material = scene.shape_info(found.from.shape).material;
+                if grad.material_active(material) {
+                    let f = Found::<P, S> {
+                        scene,
+                        found,
+                        strategy: PhantomData,
+                    };
+                    let material = &scene.materials()[material as usize];
+                    pull_back(material, theta, found.from.si.uv, &f, d, grad);
+                }
+            }
+            next_found = found;
             l = here;
+            (plain, followed) = (arrives_plain, arrives_followed);
         }
+        self.uses = uses;
+    }
+}
+
+/// [`direct_light`] as a function of the material it left.
+struct Found<'a, P, S> {
+    scene: &'a Scene,
+    found: &'a FoundLight<P>,
+    strategy: PhantomData<S>,
+}
+
+/// BSDF times MIS weight over density of a sampled light, whose weight is differentiated.
+struct Connected<'a, P: Real, S> {
+    material: &'a Material,
+    surface: &'a Surface<P>,
+    light: &'a SampledLight<P>,
+    strategy: PhantomData<S>,
+}
+
+impl<P: Float, S: Strategy> LocalFn<P> for Connected<'_, P, S> {
+    fn eval<R: Real<Primal = P>>(&self, theta: &Theta<R>) -> Rgb<R> {
+        let mode = TransportMode::Radiance;
+        let (wo, wi) = (self.surface.wo, self.light.wi);
+        let at = Shading {
+            theta: *theta,
+            uv: Vec2::lift(self.surface.uv),
+        };
+        let (mut f, pdf) = (self.material).eval_pdf(&at, Vec3::lift(wo), Vec3::lift(wi), mode);
+        if self.light.normals_weight.is_some() {
+            f = f - self.material.eval_normals(&at, wo, wi, mode);
+        }
+        let weight = S::weight_sampled(R::lift(self.light.mis_pdf), pdf);
+        f * (weight * Const(self.light.mis_pdf.recip()))
+    }
+}
+
+impl<P: Float, S: Strategy> LocalFn<P> for Found<'_, P, S> {
+    fn eval<R: Real<Primal = P>>(&self, theta: &Theta<R>) -> Rgb<R> {
+        direct_light::<R, S>(self.scene, theta, self.found, TransportMode::Radiance)
     }
 }
 
@@ -151,8 +303,15 @@ pub trait Activity {
 
 impl<P: Float> Observer<P> for Recorder<P> {
     #[inline]
-    fn light(&mut self, _depth: u32, _beta: Rgb<P>, light: HitLight<P>) {
+    fn light(
+        &mut self,
+        _depth: u32,
+        _beta: Rgb<P>,
+        light: HitLight<P>,
+        found: Option<FoundLight<P>>,
+    ) {
         self.lights.push(light);
+        self.found.push(found);
     }
 
     #[inline]
@@ -172,6 +331,14 @@ impl<P: Float> Observer<P> for Recorder<P> {
     fn sampled(&mut self, _depth: u32, light: SampledLight<P>) {
         if let Some(v) = self.vertices.last_mut() {
             v.sampled = Some(light);
+        }
+    }
+
+    #[inline]
+    fn normals(&mut self, light: NormalsLight<P>) {
+        self.normals.push(light);
+        if let Some(v) = self.vertices.last_mut() {
+            v.normals.1 += 1;
         }
     }
 

@@ -83,6 +83,8 @@ pub struct Scene {
 pub struct Intersection<R> {
     /// Index of the shape.
     pub shape: u32,
+    /// Index of the primitive in the scene.
+    pub prim: u32,
     /// Where on it.
     pub si: SurfaceInteraction<R>,
 }
@@ -184,7 +186,11 @@ impl Scene {
     pub fn interaction<R: Real>(&self, ray: &Ray<R>, hit: &Hit) -> Intersection<R> {
         let (shape, prim) = self.prims[hit.prim as usize];
         let si = self.shapes[shape as usize].interaction(prim, ray, hit);
-        Intersection { shape, si }
+        Intersection {
+            shape,
+            prim: hit.prim,
+            si,
+        }
     }
 
     /// [`Scene::nearest`], and what lies there.
@@ -220,6 +226,27 @@ impl Scene {
             any
         };
         self.materials.iter().map(reads).collect()
+    }
+
+    /// Something that makes the light arriving at a surface discontinuous in direction: an outline of a
+    /// light, or a shape that may stand in front of another or of itself. `None` for a single
+    /// flat or convex shape, lit by points and environments.
+    pub fn discontinuity(&self) -> Option<String> {
+        if let Some(info) = self.infos.iter().find(|i| i.emitter.is_some()) {
+            return Some(format!("the outline of the light `{}`", info.name));
+        }
+        let convex = |s: &AnyShape| !matches!(s, AnyShape::Mesh(_) | AnyShape::Cylinder(_));
+        match (&self.infos[..], &self.shapes[..]) {
+            ([], _) => None,
+            ([_], [shape]) if convex(shape) => None,
+            ([.., info], _) => Some(format!("occlusion by `{}`", info.name)),
+        }
+    }
+
+    /// Distance of a ray from the outline of the primitive that another ray hit, as [`Shape::border`].
+    pub fn border<R: Real>(&self, ray: &Ray<R>, hit: &Hit) -> R {
+        let (shape, prim) = self.prims[hit.prim as usize];
+        self.shapes[shape as usize].border(prim, ray)
     }
 
     /// Bytes held by geometry, acceleration structure and parameters.

@@ -75,6 +75,10 @@ impl Shape for Cube {
         }
     }
 
+    fn border<R: Real>(&self, prim: u32, ray: &Ray<R>) -> R {
+        self.faces[prim as usize].border(ray)
+    }
+
     fn extent(&self) -> f32 {
         self.faces.iter().fold(0.0, |m, f| m.max(f.extent()))
     }

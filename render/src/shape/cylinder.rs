@@ -122,6 +122,28 @@ impl Shape for Cylinder {
         }
     }
 
+    /// The sides, and the two rims where the line of the ray passes them.
+    fn border<R: Real>(&self, _prim: u32, ray: &Ray<R>) -> R {
+        let p0 = lift3::<R>(self.p0);
+        let axis = lift3::<R>(self.axis);
+        let length = axis.length();
+        let direction = axis / length;
+        let flat = |v: Vec3<R>| v - direction * direction.dot(v);
+        let (to, d) = (flat(p0 - ray.o), flat(ray.d));
+        let radius = R::lift(R::Primal::from_f32(self.radius));
+        let middle = to.dot(d) / d.length_squared();
+        let side = (to - d * middle).length() - radius;
+        let mut nearest = super::flat_border(middle, [side]);
+        for near in [R::Primal::zero(), R::Primal::MAX] {
+            let t = root_near(to, d, radius, near);
+            let height = direction.dot(ray.at(t) - p0);
+            for end in [R::zero(), length] {
+                nearest = nearest.min(super::flat_border(t, [height - end]));
+            }
+        }
+        nearest
+    }
+
     fn area(&self) -> f64 {
         2.0 * PI * f64::from(self.radius) * lift3::<f64>(self.axis).length()
     }

@@ -104,6 +104,13 @@ impl Shape for Disk {
         }
     }
 
+    fn border<R: Real>(&self, _prim: u32, ray: &Ray<R>) -> R {
+        let [center, e1, e2] = [self.center, self.e1, self.e2].map(lift3::<R>);
+        let (t, x, y) = intersect_plane(ray, center, e1, e2);
+        let least = e1.length().min(e2.length());
+        super::flat_border(t, [(x.hypot(y) - R::c(1.0)) * least])
+    }
+
     fn extent(&self) -> f32 {
         (0..3).fold(0.0, |m, i| {
             m.max(self.center[i].abs() + self.e1[i].hypot(self.e2[i]))

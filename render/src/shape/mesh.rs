@@ -326,6 +326,18 @@ impl Shape for Mesh {
         }
     }
 
+    fn border<R: Real>(&self, prim: u32, ray: &Ray<R>) -> R {
+        let (v0, [e1, e2]) = self.0.single_edges(prim as usize);
+        let (v0, e1, e2) = (lift3::<R>(v0), lift3::<R>(e1), lift3::<R>(e2));
+        let (t, u, v) = intersect_plane(ray, v0, e1, e2);
+        // Barycentric coordinate times height over the opposite edge.
+        let twice_area = e1.cross(e2).length();
+        let outside = |b: R, edge: Vec3<R>| -(b * twice_area / edge.length());
+        let w = -(u + v) + R::c(1.0);
+        let distances = [outside(u, e2), outside(v, e1), outside(w, e2 - e1)];
+        super::flat_border(t, distances)
+    }
+
     fn area(&self) -> f64 {
         self.0.area
     }

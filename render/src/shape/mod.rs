@@ -75,6 +75,25 @@ impl<R: Real> SurfaceInteraction<R> {
         }
     }
 
+    /// The same point over a scalar with tangents, all of them zero.
+    #[inline]
+    pub fn lift<Q: Real<Primal = R>>(&self) -> SurfaceInteraction<Q>
+    where
+        R: Float,
+    {
+        SurfaceInteraction {
+            p: Vec3::lift(self.p),
+            t: Q::lift(self.t),
+            n_geo: Vec3::lift(self.n_geo),
+            frame: Frame {
+                s: Vec3::lift(self.frame.s),
+                t: Vec3::lift(self.frame.t),
+                n: Vec3::lift(self.frame.n),
+            },
+            uv: Vec2::lift(self.uv),
+        }
+    }
+
     /// The same point without tangents.
     #[inline]
     pub fn primal(&self) -> SurfaceInteraction<R::Primal> {
@@ -171,8 +190,30 @@ pub trait Shape: Send + Sync {
         area_to_solid_angle(pdf_area, from, si.p, si.n_geo).unwrap_or(R::zero())
     }
 
+    /// How far `ray` passes from the outline of primitive `prim` as seen from its origin: zero on
+    /// the outline, positive on both sides, about an angle in radians close to it; [`FAR`] or more
+    /// where the outline is nowhere near. Whether something hides it is not asked.
+    ///
+    /// # Derivatives
+    /// In the ray.
+    fn border<R: Real>(&self, prim: u32, ray: &Ray<R>) -> R;
+
     /// Largest absolute coordinate: the scale of rounding errors on the surface.
     fn extent(&self) -> f32;
+}
+
+/// A distance from outlines that counts as no outline at all, radians.
+pub const FAR: f64 = 1e3;
+
+/// [`Shape::border`] of a flat primitive whose plane is met at distance `t`, from the signed distances to
+/// its edges there, positive outside.
+#[inline]
+fn flat_border<R: Real>(t: R, outside: impl IntoIterator<Item = R>) -> R {
+    if !(t.primal() > R::Primal::zero() && t.primal() <= R::Primal::MAX) {
+        return R::of(FAR);
+    }
+    let farthest = outside.into_iter().reduce(R::max);
+    farthest.map_or(R::of(FAR), |x| (x / t).abs())
 }
 
 /// Converts a density per area at `p` (normal `n`) to one per solid angle at `from`. `None` if
@@ -274,6 +315,9 @@ macro_rules! shapes {
             #[inline(always)]
             fn pdf<R: Real>(&self, from: Vec3<R>, si: &SurfaceInteraction<R>) -> R {
                 $crate::dispatch::dispatch!(self, [$($hot),*] [$($name),*], s => s.pdf(from, si))
+            }
+            fn border<R: Real>(&self, prim: u32, ray: &Ray<R>) -> R {
+                match self { $(Self::$hot(s) => s.border(prim, ray),)* $(Self::$name(s) => s.border(prim, ray),)* }
             }
             fn extent(&self) -> f32 {
                 match self { $(Self::$hot(s) => s.extent(),)* $(Self::$name(s) => s.extent(),)* }

@@ -1,6 +1,6 @@
 //! Flat parallelograms: the rectangle, and the faces of the cube.
 
-use ad_core::{Float, Real, Vec2, Vec3};
+use ad_core::{Const, Float, Real, Vec2, Vec3};
 
 use super::{Shape, ShapeSample, SurfaceInteraction, hit_is_exact, lift3};
 use crate::accel::{Hit, MIN_THICKNESS, Primitive};
@@ -103,6 +103,16 @@ impl Patch {
         }
     }
 
+    /// See [`Shape::border`].
+    pub fn border<R: Real>(&self, ray: &Ray<R>) -> R {
+        let [v0, e1, e2] = [self.corner, self.e1, self.e2].map(lift3::<R>);
+        let (t, u, v) = intersect_plane(ray, v0, e1, e2);
+        // Height of the parallelogram over each edge.
+        let height = |edge: Vec3<R>| R::Primal::of(self.area) / edge.length().primal();
+        let outside = |x: R, height| (-x).max(x - R::c(1.0)) * Const(height);
+        super::flat_border(t, [outside(u, height(e2)), outside(v, height(e1))])
+    }
+
     /// A uniform point; density per area of this patch.
     #[inline(always)]
     pub fn sample_area<P: Float>(&self, u: [P; 2]) -> ShapeSample<P> {
@@ -153,6 +163,9 @@ impl Shape for Rectangle {
     #[inline(always)]
     fn sample_area<P: Float>(&self, u: [P; 2]) -> ShapeSample<P> {
         self.0.sample_area(u)
+    }
+    fn border<R: Real>(&self, _prim: u32, ray: &Ray<R>) -> R {
+        self.0.border(ray)
     }
     fn extent(&self) -> f32 {
         self.0.extent()

@@ -246,6 +246,17 @@ impl Shape for Sphere {
         }
     }
 
+    fn border<R: Real>(&self, _prim: u32, ray: &Ray<R>) -> R {
+        let to = lift3::<R>(self.center) - ray.o;
+        let along = to.dot(ray.d);
+        let r = R::Primal::from_f32(self.radius);
+        if along.primal() <= R::Primal::zero() || to.length().primal() <= r {
+            return R::of(super::FAR);
+        }
+        let off = (to - ray.d * along).length();
+        ((off - Const(r)) / to.length()).abs()
+    }
+
     fn extent(&self) -> f32 {
         self.center.iter().fold(0.0f32, |m, x| m.max(x.abs())) + self.radius
     }

@@ -1,0 +1,265 @@
+//! Every estimator of derivatives against finite differences and against each other: unbiased ones
+//! agree, biased ones are noticed, forward and reverse mode are the same sum.
+
+use render::estimator::{Detached, EmitterOnly};
+use render::instances::{Direction, Estimator};
+use render::integrator::render::render;
+use render::params::Theta;
+use render::sampler::Independent;
+use render::{Scene, Settings};
+use tests::stats::{Estimate, z_limit};
+use tests::{mean_adjoint, scene, values};
+
+const REPEATS: u64 = 32;
+const ALPHA: f64 = 1e-3;
+
+fn camera(size: u32, depth: u32) -> String {
+    format!(
+        r#"<sensor type="perspective">
+        <float name="fov" value="30"/>
+        <transform name="to_world"><lookat origin="0, 2.2, 3.6" target="0, 0, 0" up="0, 1, 0"/></transform>
+        <film type="hdrfilm">
+            <integer name="width" value="{size}"/><integer name="height" value="{size}"/>
+            <rfilter type="box"/>
+        </film>
+        </sensor>
+        <integrator type="path"><integer name="max_depth" value="{depth}"/></integrator>"#
+    )
+}
+
+fn plate(ndf: &str, alpha: f64) -> String {
+    format!(
+        r#"<shape type="rectangle" id="plate">
+        <transform name="to_world"><rotate x="1" angle="-90"/></transform>
+        <bsdf type="roughconductor" id="metal">
+            <string name="material" value="Cu"/>
+            <string name="distribution" value="{ndf}"/><float name="alpha" value="{alpha}"/>
+            <boolean name="sample_visible" value="false"/>
+        </bsdf></shape>"#
+    )
+}
+
+const BALL_LIGHT: &str = r#"<shape type="sphere" id="light">
+    <point name="center" value="0, 2, -3.2"/><float name="radius" value="0.5"/>
+    <emitter type="area"><rgb name="radiance" value="4, 3, 2"/></emitter></shape>"#;
+
+const LOBES: &str = r#"
+    <emitter type="vmf"><vector name="direction" value="0.1, 0.55, -0.8"/><float name="kappa" value="12"/>
+        <rgb name="radiance" value="3, 2, 1"/></emitter>
+    <emitter type="constant"><rgb name="radiance" value="0.2, 0.3, 0.4"/></emitter>"#;
+
+/// Half of the plate's light is hidden by a ball.
+const BLOCKER: &str = r#"<shape type="sphere"><point name="center" value="0.3, 1, -1.6"/>
+    <float name="radius" value="0.4"/>
+    <bsdf type="diffuse"><rgb name="reflectance" value="0.1"/></bsdf></shape>"#;
+
+struct Case {
+    name: &'static str,
+    scene: Scene,
+    param: &'static str,
+    spp: u64,
+}
+
+fn cases() -> Vec<Case> {
+    let plate_scene = |ndf: &str, alpha: f64, rest: &str, depth: u32| {
+        scene(&format!("{}{}{rest}", camera(6, depth), plate(ndf, alpha)))
+    };
+    let wall = r#"<shape type="rectangle" id="wall">
+        <transform name="to_world"><translate z="-1"/></transform>
+        <bsdf type="roughconductor" id="wall_metal"><string name="material" value="Al"/>
+        <string name="distribution" value="ggx"/><float name="alpha" value="0.3"/></bsdf></shape>"#;
+    vec![
+        Case {
+            name: "plate under a ball light",
+            scene: plate_scene("beckmann", 0.12, BALL_LIGHT, 2),
+            param: "metal.alpha.value",
+            spp: 1500,
+        },
+        Case {
+            name: "plate under smooth lobes",
+            scene: plate_scene("ggx", 0.2, LOBES, 2),
+            param: "metal.alpha.value",
+            spp: 1500,
+        },
+        Case {
+            name: "plate under lobes half hidden",
+            scene: plate_scene("ggx", 0.2, &format!("{LOBES}{BLOCKER}"), 2),
+            param: "metal.alpha.value",
+            spp: 1500,
+        },
+        Case {
+            name: "glossy interreflection",
+            scene: plate_scene("ggx", 0.15, &format!("{BALL_LIGHT}{wall}{LOBES}"), 4),
+            param: "metal.alpha.value",
+            spp: 1500,
+        },
+    ]
+}
+
+fn settings(scene: &Scene) -> Settings {
+    scene.settings
+}
+
+/// Mean over pixels and channels of the derivative image, over independent repeats.
+fn derivative(e: Estimator, case: &Case, seed: u64) -> Estimate {
+    let s = &case.scene;
+    let direction = Direction::uniform(s.params(), case.param).expect("a parameter");
+    let means: Vec<f64> = (0..REPEATS)
+        .map(|r| {
+            let image = e
+                .forward_f32(
+                    s,
+                    s.params().values(),
+                    &direction,
+                    &settings(s),
+                    seed * 1000 + r,
+                    0..case.spp,
+                    &(),
+                )
+                .expect("an estimator that is allowed here");
+            assert_eq!(image.non_finite.count, 0, "{} {}", case.name, e.name());
+            image.mean(1).iter().sum::<f64>() / 3.0
+        })
+        .collect();
+    Estimate::of(&means)
+}
+
+/// Central differences of images made by light sampling alone: smooth in roughness with common random
+/// numbers where light takes one bounce.
+fn differences(case: &Case) -> Estimate {
+    let s = &case.scene;
+    let info = s.params().find(case.param).expect("a parameter");
+    let h = 1e-4;
+    let means: Vec<f64> = (0..REPEATS)
+        .map(|r| {
+            let at = |sign: f64| {
+                let mut v = values::<f64>(s);
+                v[info.offset] += sign * h;
+                let theta = Theta::constant(&v);
+                let image = render::<f64, EmitterOnly<Detached>, Independent>(
+                    s,
+                    &theta,
+                    &settings(s),
+                    77_000 + r,
+                    0..case.spp,
+                    &(),
+                );
+                image.mean(0).iter().sum::<f64>() / 3.0
+            };
+            (at(1.0) - at(-1.0)) / (2.0 * h)
+        })
+        .collect();
+    Estimate::of(&means)
+}
+
+fn biased(e: Estimator) -> bool {
+    matches!(
+        e,
+        Estimator::AttachedNaive | Estimator::BiasedWeights | Estimator::BiasedMixed
+    )
+}
+
+/// 32 x 36 x 1500 = 1.7e6 samples per estimate; Sidak-corrected over all comparisons.
+#[test]
+fn unbiased_estimators_equal_finite_differences() {
+    let cases = cases();
+    let limit = z_limit(cases.len() * Estimator::ALL.len(), ALPHA);
+    let mut failed = Vec::new();
+    for case in &cases {
+        let one_bounce = case.scene.settings.max_depth == 2;
+        let reference = if one_bounce {
+            differences(case)
+        } else {
+            derivative(Estimator::Mis, case, 1)
+        };
+        println!(
+            "{}: reference {:.6} +- {:.6}",
+            case.name, reference.mean, reference.se
+        );
+        for (i, &e) in Estimator::ALL.iter().enumerate() {
+            if biased(e) || e.check(&case.scene).is_err() {
+                continue;
+            }
+            let d = derivative(e, case, 10 + i as u64);
+            let z = d.z(&reference);
+            println!(
+                "  {:<34} {:>10.6} +- {:.6}  z {z:>6.2}",
+                e.name(),
+                d.mean,
+                d.se
+            );
+            if z.abs() > limit {
+                failed.push(format!("{} in {}: z = {z:.2}", e.name(), case.name));
+            }
+        }
+    }
+    assert!(failed.is_empty(), "limit {limit:.2}: {failed:#?}");
+}
+
+/// The same test notices what is biased on purpose.
+#[test]
+fn biased_estimators_are_noticed() {
+    let cases = cases();
+    let noticed = |e: Estimator, case: &Case| {
+        let z = derivative(e, case, 500).z(&differences(case));
+        println!("{} in {}: z {z:.1}", e.name(), case.name);
+        z.abs() > 5.0
+    };
+    assert!(noticed(Estimator::AttachedNaive, &cases[0]));
+    assert!(noticed(Estimator::AttachedNaive, &cases[2]));
+    for e in [Estimator::BiasedWeights, Estimator::BiasedMixed] {
+        assert!(cases[..3].iter().any(|c| noticed(e, c)), "{}", e.name());
+    }
+}
+
+/// Reverse mode is the same estimate as forward mode, sample by sample: equal to rounding of f32.
+#[test]
+fn reverse_mode_equals_forward_mode() {
+    for case in cases() {
+        let s = &case.scene;
+        let direction = Direction::uniform(s.params(), case.param).expect("a parameter");
+        for &e in Estimator::ALL {
+            if e.check(s).is_err() {
+                continue;
+            }
+            let image = e
+                .forward_f32(
+                    s,
+                    s.params().values(),
+                    &direction,
+                    &settings(s),
+                    3,
+                    0..64,
+                    &(),
+                )
+                .expect("allowed");
+            let forward = image.mean(1).iter().sum::<f64>() / 3.0;
+            let active = e.active(s, &[case.param]).expect("a parameter");
+            let theta = Theta::constant(s.params().values());
+            let adjoint = mean_adjoint(s);
+            let gradient = e
+                .backward_f32(s, &theta, &active, &adjoint, &settings(s), 3, 0..64, &())
+                .expect("allowed");
+            let reverse: f64 = gradient.values[0].iter().sum();
+            let close = (forward - reverse).abs() < 2e-4 * forward.abs().max(1e-2);
+            assert!(close, "{} in {}: {forward} {reverse}", e.name(), case.name);
+        }
+    }
+}
+
+/// Naive attached sampling is refused where something may occlude (F8).
+#[test]
+fn naive_attached_sampling_is_refused_where_it_is_biased() {
+    let cases = cases();
+    for e in [
+        Estimator::Attached,
+        Estimator::AttachedPath,
+        Estimator::AttachedMis,
+    ] {
+        assert!(e.check(&cases[0].scene).is_err());
+        assert!(e.check(&cases[1].scene).is_ok());
+        let message = e.check(&cases[2].scene).unwrap_err().to_string();
+        assert!(message.contains("occlusion"), "{message}");
+    }
+    assert!(Estimator::Reparameterised.check(&cases[0].scene).is_ok());
+}
