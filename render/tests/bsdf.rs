@@ -7,7 +7,7 @@ use ad_core::check::central_difference;
 use ad_core::{Dual, Float, Real, Vec3};
 use render::bsdf::microfacet::{Microfacet, Ndf};
 use render::bsdf::{
-    Bsdf, BsdfSample, Coat, Component, ConductorLobe, DeltaKind, Lobe, Material,
+    Bsdf, BsdfSample, Coat, Component, ConductorLobe, DeltaKind, Lobe, Material, Part,
     RoughConductorLobe, TransportMode, Use, fresnel,
 };
 use render::math::Rgb;

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use ad_core::{Dual, Real, Vec2, Vec3};
 use proptest::prelude::*;
-use render::bsdf::{Bsdf, Component, DeltaKind, Material, Shading, TransportMode, Use};
+use render::bsdf::{Bsdf, Component, DeltaKind, Material, Part, Shading, TransportMode, Use};
 use render::image_io::{Pixels, write_exr_pixels};
 use render::math::Rgb;
 use render::params::{Differentiability, GradSink, ParamRef, Tangent, Theta};

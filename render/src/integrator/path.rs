@@ -87,16 +87,10 @@ pub trait Observer<R: Real> {
     fn follows(&self, _shape: u32) -> bool {
         true
     }
-    /// The path found light at its current end. `found` says how, when the strategy differentiates
-    /// that edge by itself ([`Direct`]).
-    fn light(
-        &mut self,
-        _depth: u32,
-        _beta: Rgb<R>,
-        _light: HitLight<R>,
-        _found: Option<FoundLight<R::Primal>>,
-    ) {
-    }
+    /// The path found light at its current end.
+    fn light(&mut self, _depth: u32, _beta: Rgb<R>, _light: HitLight<R>) {}
+    /// Called before that, if the strategy differentiates the last edge by itself ([`Direct`]).
+    fn followed(&mut self, _found: FoundLight<R::Primal>) {}
     /// A vertex was reached. `depth` is the number of edges so far, `beta` the throughput up to it.
     fn vertex(
         &mut self,
@@ -288,7 +282,10 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
                         _ => light_beta * le * light.weight,
                     };
                     if O::ENABLED {
-                        observer.light(depth, beta, light, found.map(|f| f.0));
+                        if let Some((found, _)) = found {
+                            observer.followed(found);
+                        }
+                        observer.light(depth, beta, light);
                     }
                 }
             }
@@ -306,7 +303,10 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
                     _ => light_beta * le * light.weight,
                 };
                 if O::ENABLED {
-                    observer.light(depth, beta, light, found.map(|f| f.0));
+                    if let Some((found, _)) = found {
+                        observer.followed(found);
+                    }
+                    observer.light(depth, beta, light);
                 }
             }
         }

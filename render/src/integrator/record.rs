@@ -49,6 +49,8 @@ pub struct Recorder<P: Float> {
     normals: Vec<NormalsLight<P>>,
     /// Of the vertex that is pulled back.
     uses: Vec<Use<P>>,
+    /// Of the light that comes next.
+    followed: Option<FoundLight<P>>,
     /// How each light was found.
     found: Vec<Option<FoundLight<P>>>,
     /// Number of entries of `lights` that belong to a vertex already.
@@ -81,6 +83,7 @@ impl<P: Float> Recorder<P> {
 
     /// Gives the light at the open end of the path, beyond the last vertex, a vertex of its own.
     fn close(&mut self) {
+        self.found.resize(self.lights.len(), None);
         if (self.claimed as usize) < self.lights.len() {
             let beta = match self.vertices.last() {
                 Some(Vertex {
@@ -303,15 +306,17 @@ pub trait Activity {
 
 impl<P: Float> Observer<P> for Recorder<P> {
     #[inline]
-    fn light(
-        &mut self,
-        _depth: u32,
-        _beta: Rgb<P>,
-        light: HitLight<P>,
-        found: Option<FoundLight<P>>,
-    ) {
+    fn light(&mut self, _depth: u32, _beta: Rgb<P>, light: HitLight<P>) {
+        self.found.resize(self.lights.len(), None);
+        if let Some(found) = self.followed.take() {
+            self.found.push(Some(found));
+        }
         self.lights.push(light);
-        self.found.push(found);
+    }
+
+    #[inline]
+    fn followed(&mut self, found: FoundLight<P>) {
+        self.followed = Some(found);
     }
 
     #[inline]

@@ -4,6 +4,7 @@
 use ad_core::Float;
 use render::Scene;
 use render::bsdf::BlinnPhongSampling;
+use render::estimator::{BsdfOnly, Detached};
 use render::integrator::record::{Activity, Recorder};
 use render::math::Rgb;
 use render::params::{GradSink, ParamRef, Theta};
@@ -99,7 +100,7 @@ impl<'a, P: Float> Case<'a, P> {
         );
         let mut sink = Sink(vec![0.0; self.values.len()]);
         // dJ/dL = L, in the first channel only.
-        recorder.backward(
+        recorder.backward::<BsdfOnly<Detached>>(
             self.scene,
             &theta,
             Rgb::new(l.r, P::zero(), P::zero()),
