@@ -30,6 +30,9 @@ pub struct Camera {
     dx: [f64; 3],
     dy: [f64; 3],
     corner: [f64; 3],
+    /// Inverse of the matrix with the columns dx, dy, corner, by rows, and its determinant's magnitude.
+    inverse: [[f64; 3]; 3],
+    determinant: f64,
     resolution: [u32; 2],
 }
 
@@ -70,13 +73,43 @@ impl Camera {
         };
         let half_y = half_x * h / w;
         // The camera's local x axis points left in the image, y up.
+        let dx = to_world.vector([-2.0 * half_x / w, 0.0, 0.0]);
+        let dy = to_world.vector([0.0, -2.0 * half_y / h, 0.0]);
+        let corner = to_world.vector([half_x, half_y, 1.0]);
+        let [a, b, c] = [dx, dy, corner].map(Vec3::<f64>::from);
+        let volume = a.dot(b.cross(c));
+        let inverse = [b.cross(c), c.cross(a), a.cross(b)].map(|v| (v * volume.recip()).to_array());
         Ok(Self {
             origin: to_world.point([0.0; 3]),
-            dx: to_world.vector([-2.0 * half_x / w, 0.0, 0.0]),
-            dy: to_world.vector([0.0, -2.0 * half_y / h, 0.0]),
-            corner: to_world.vector([half_x, half_y, 1.0]),
+            dx,
+            dy,
+            corner,
+            inverse,
+            determinant: volume.abs(),
             resolution,
         })
+    }
+
+    /// Where the camera sees what lies in the direction `v` (any length, from the pinhole): the point
+    /// `(x, y)` of the image plane as in [`Camera::ray`], also beyond the image's borders, and the area that
+    /// a unit of solid angle covers there, in pixels. `None` behind the camera, or if not finite.
+    ///
+    /// That area is the importance emitted per solid angle by a sensor with the density 1 per pixel.
+    #[inline]
+    pub fn project<P: Float>(&self, v: Vec3<P>) -> Option<([P; 2], P)> {
+        let row = |i: usize| {
+            let [x, y, z] = self.inverse[i];
+            v.x * P::c(x) + v.y * P::c(y) + v.z * P::c(z)
+        };
+        let depth = row(2);
+        if depth <= P::zero() {
+            return None;
+        }
+        let inverse_depth = depth.recip();
+        let to_plane = v.length() * inverse_depth;
+        let area = to_plane * to_plane * to_plane / P::of(self.determinant);
+        let at = [row(0) * inverse_depth, row(1) * inverse_depth];
+        (area.is_finite() && at[0].is_finite() && at[1].is_finite()).then_some((at, area))
     }
 
     /// The ray through a point of the image: `x` in [0, width], `y` in [0, height], from the top left.
@@ -96,5 +129,29 @@ impl Camera {
     /// Position, world space.
     pub fn origin(&self) -> [f64; 3] {
         self.origin
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn projection_inverts_rays_and_knows_their_density() {
+        let to_world = Transform::look_at([1.0, 2.0, 3.0], [0.3, -0.2, 0.1], [0.1, 1.0, 0.0]);
+        let camera = Camera::new(to_world.unwrap(), 50.0, FovAxis::X, [40, 30]).unwrap();
+        let at = |x: f64, y: f64| camera.ray(x, y).d;
+        for [x, y] in [[3.0, 4.5], [20.0, 15.0], [39.9, 0.1], [-2.0, 33.0]] {
+            let ([px, py], area) = camera.project(at(x, y) * 2.7).unwrap();
+            assert!((px - x).abs() < 1e-11 && (py - y).abs() < 1e-11);
+            // Solid angle of a small square, by differences.
+            let h = 1e-4;
+            let du = at(x + h, y) - at(x - h, y);
+            let dv = at(x, y + h) - at(x, y - h);
+            let solid_angle = du.cross(dv).length() / (4.0 * h * h);
+            assert!((area * solid_angle - 1.0).abs() < 1e-6, "{x} {y}");
+            assert!(camera.project(-at(x, y)).is_none());
+        }
+        assert!(camera.project(Vec3::<f64>::zero()).is_none());
     }
 }

@@ -1,6 +1,7 @@
 //! Images, pixel filters and the part of the film that is rendered.
 
 use std::f64::consts::TAU;
+use std::ops::Range;
 
 use ad_core::Float;
 
@@ -75,6 +76,33 @@ impl PixelFilter {
     }
 }
 
+impl PixelFilter {
+    /// Density of [`PixelFilter::sample`] at an offset from the pixel's centre, per square pixel: the
+    /// weight of a splat.
+    #[inline]
+    pub fn density(&self, [x, y]: [f64; 2]) -> f64 {
+        match *self {
+            Self::Box => f64::from((-0.5..0.5).contains(&x) && (-0.5..0.5).contains(&y)),
+            Self::Gaussian { stddev } => {
+                let r2 = (x * x + y * y) / (stddev * stddev);
+                if r2 < 16.0 {
+                    (-0.5 * r2).exp() / (TAU * stddev * stddev * (1.0 - (-8.0f64).exp()))
+                } else {
+                    0.0
+                }
+            }
+        }
+    }
+
+    /// Largest offset along either axis that has a density.
+    pub fn radius(&self) -> f64 {
+        match *self {
+            Self::Box => 0.5,
+            Self::Gaussian { stddev } => 4.0 * stddev,
+        }
+    }
+}
+
 /// Size of the image and the part of it that is rendered.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Film {
@@ -99,8 +127,104 @@ impl Film {
         }
     }
 
+    /// Whether a splat at `(x, y)` of the full film reaches the rendered part.
+    #[inline]
+    pub fn reaches<P: Float>(&self, [x, y]: [P; 2]) -> bool {
+        let margin = self.filter.radius() - 0.5;
+        let within = |x: P, axis: usize| {
+            let low = f64::from(self.crop_offset[axis]);
+            let high = low + f64::from(self.crop_size[axis]);
+            P::of(low - margin) <= x && x <= P::of(high + margin)
+        };
+        within(x, 0) && within(y, 1)
+    }
+
+    /// Calls `f` with the index and the weight of every rendered pixel that a splat at `(x, y)` of
+    /// the full film touches, if its row in the crop window is in `rows`.
+    #[inline]
+    pub fn splat(&self, [x, y]: [f64; 2], rows: Range<u32>, mut f: impl FnMut(usize, f64)) {
+        let (x, y) = (
+            x - f64::from(self.crop_offset[0]),
+            y - f64::from(self.crop_offset[1]),
+        );
+        let r = self.filter.radius();
+        // A cast saturates: what is not finite touches nothing, or weighs nothing.
+        let cut = |x: f64, low: u32, high: u32| {
+            let first = ((x - 0.5 - r).ceil().max(0.0) as u32).max(low);
+            let last = (x - 0.5 + r).floor();
+            let end = if last < 0.0 {
+                0
+            } else {
+                (last as u32).saturating_add(1)
+            };
+            first..end.min(high)
+        };
+        for row in cut(y, rows.start, rows.end.min(self.crop_size[1])) {
+            for column in cut(x, 0, self.crop_size[0]) {
+                let offset = [x - f64::from(column) - 0.5, y - f64::from(row) - 0.5];
+                let weight = self.filter.density(offset);
+                if weight > 0.0 {
+                    f(
+                        row as usize * self.crop_size[0] as usize + column as usize,
+                        weight,
+                    );
+                }
+            }
+        }
+    }
+
     /// Number of rendered pixels.
     pub fn pixels(&self) -> usize {
         self.crop_size[0] as usize * self.crop_size[1] as usize
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The splat of a point integrates to one over its position (midpoint rule), is what samples of the
+    /// filter look like, and misses nothing that `reaches` leaves out.
+    #[test]
+    fn splats_are_the_density_of_the_filter() {
+        for filter in [
+            PixelFilter::Box,
+            PixelFilter::Gaussian { stddev: 0.5 },
+            PixelFilter::Gaussian { stddev: 0.9 },
+        ] {
+            let film = Film {
+                crop_offset: [3, 2],
+                crop_size: [2, 3],
+                filter,
+                ..Film::new(9, 8)
+            };
+            let n = 400;
+            let mut sums = [0.0; 6];
+            for i in 0..n {
+                for j in 0..n {
+                    let at = [i, j].map(|i| (f64::from(i) + 0.5) / f64::from(n) * 14.0 - 3.0);
+                    let mut touched = false;
+                    film.splat(at, 0..3, |k, w| {
+                        sums[k] += w;
+                        touched = true;
+                    });
+                    assert!(film.reaches(at) || !touched, "{at:?}");
+                }
+            }
+            for s in sums {
+                let integral = s * (14.0 / f64::from(n)).powi(2);
+                assert!((integral - 1.0).abs() < 3e-3, "{filter:?}: {integral}");
+            }
+            // The rows one by one are the same splat.
+            let at = [4.1, 3.9];
+            let (mut whole, mut parts) = (Vec::new(), Vec::new());
+            film.splat(at, 0..3, |k, w| whole.push((k, w)));
+            for row in 0..3 {
+                film.splat(at, row..row + 1, |k, w| parts.push((k, w)));
+            }
+            assert_eq!(whole, parts);
+            film.splat([f64::NAN, 1.0], 0..3, |_, _| panic!("touched"));
+            film.splat([f64::INFINITY, 1.0], 0..3, |_, _| panic!("touched"));
+        }
     }
 }

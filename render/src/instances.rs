@@ -8,6 +8,7 @@ use std::ops::Range;
 
 use ad_core::{Dual, Float};
 
+use crate::bsdf::kernel::Rules;
 use crate::error::RenderError;
 use crate::estimator::{
     self, AllowBias, Attached, AttachedDirect, AttachedWeights, Balance, BsdfOnly, Detached,
@@ -15,6 +16,7 @@ use crate::estimator::{
     Power, Reparameterised, Unbiased,
 };
 use crate::integrator::gradient::{self, Active, Gradient};
+use crate::integrator::particle;
 use crate::integrator::render::{self, Components, Progress, Rendering};
 use crate::params::{ParamInfo, ParamRef, Params, Tangent, Theta};
 use crate::sampler::Independent;
@@ -89,6 +91,23 @@ pub fn render_f32(
     progress: &dyn Progress,
 ) -> Rendering {
     primal(scene, theta, technique, settings, seed, samples, progress)
+}
+
+/// The image by particles, in single precision: [`particle::render`] with independent samples.
+pub fn particles_f32(
+    scene: &Scene,
+    theta: &Theta<f32>,
+    rules: Rules,
+    settings: &Settings,
+    seed: u64,
+    samples: Range<u64>,
+    progress: &dyn Progress,
+) -> Rendering {
+    let context = particle::Context {
+        rules,
+        ..particle::Context::new(scene, theta, settings)
+    };
+    particle::render::<f32, Independent>(&context, seed, samples, &Dynamic(progress))
 }
 
 /// The image, in double precision: a reference for [`render_f32`] and for differences.

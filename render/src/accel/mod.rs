@@ -389,7 +389,7 @@ fn prepare(prims: &[Primitive]) -> Result<Vec<Item>, AccelError> {
 }
 
 /// Corners of a box around a primitive, rounded outwards.
-fn bounds(p: &Primitive) -> [[f32; 3]; 2] {
+pub(crate) fn bounds(p: &Primitive) -> [[f32; 3]; 2] {
     let axis = |k: usize| -> (f64, f64) {
         let at = |x: [f32; 3]| f64::from(x[k]);
         match *p {

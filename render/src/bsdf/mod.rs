@@ -19,6 +19,7 @@ mod dielectric;
 pub mod differential;
 mod diffuse;
 pub mod fresnel;
+pub mod kernel;
 mod mask;
 pub mod microfacet;
 pub mod nesting;
@@ -732,6 +733,12 @@ macro_rules! materials {
                 &self, at: &Shading<R>, wo: Vec3<R>, kind: DeltaKind, route: u8, mode: TransportMode,
             ) -> Rgb<R> {
                 $crate::dispatch::dispatch!(self, [$($hot),*] [$($name),*], m => m.eval_delta(at, wo, kind, route, mode))
+            }
+            #[inline(always)]
+            fn eval_component<R: Real>(
+                &self, at: &Shading<R>, wo: Vec3<R>, wi: Vec3<R>, component: Component, mode: TransportMode,
+            ) -> Rgb<R> {
+                $crate::dispatch::dispatch!(self, [$($hot),*] [$($name),*], m => m.eval_component(at, wo, wi, component, mode))
             }
             fn backward<P: Float>(
                 &self, at: &Shading<P>, wo: Vec3<P>, uses: &[Use<P>], mode: TransportMode,

@@ -27,7 +27,8 @@ use crate::texture::{self, Bitmap, RgbTexture, UvTransform, Wrap};
 /// mirror or smooth glass are [`Differentiability::Delta`].
 ///
 /// # Does not handle
-/// The horizon that moves with the normal, under attached sampling (F9).
+/// Smooth glass inside a blend or mask as [`TransportMode::Importance`]: its refraction lacks the weight of
+/// the tilted normal. The horizon that moves with the normal, under attached sampling (F9).
 #[derive(Clone, Debug)]
 pub struct NormalMap {
     map: RgbTexture,
@@ -116,6 +117,22 @@ fn tilted<R: Real>(v: Vec3<R>) -> Frame<R> {
     Frame::from_normal_and_tangent(n, x)
 }
 
+/// A tilted normal makes scattering non-symmetric: the factor that particles need, `|o_z| |wi_z| /
+/// (|i_z| |wo_z|)`, for directions `wo`, `wi` in the shading frame and `o`, `i` in the tilted one
+/// [Veach 1996, Eq. 13]. 1 for radiance.
+#[inline]
+fn adjoint<R: Real>(mode: TransportMode, [wo, wi]: [Vec3<R>; 2], [o, i]: [Vec3<R>; 2]) -> R {
+    if mode == TransportMode::Radiance {
+        return R::one();
+    }
+    let weight = (o.z * wi.z) / (i.z * wo.z);
+    if weight.is_finite() {
+        weight.abs()
+    } else {
+        R::zero()
+    }
+}
+
 /// Whether a direction is on the same side of both frames.
 #[inline]
 fn same_side<R: Real>(a: Vec3<R>, b: Vec3<R>) -> bool {
@@ -136,7 +153,8 @@ impl Bsdf for NormalMap {
         if !same_side(wo, o) || !same_side(wi, i) {
             return (Rgb::black(), R::zero());
         }
-        self.nested.eval_pdf(at, o, i, mode)
+        let (f, pdf) = self.nested.eval_pdf(at, o, i, mode);
+        (f * adjoint(mode, [wo, wi], [o, i]), pdf)
     }
 
     #[inline]
@@ -152,7 +170,7 @@ impl Bsdf for NormalMap {
         if !same_side(wo, o) || !same_side(wi, i) {
             return Rgb::black();
         }
-        self.nested.eval(at, o, i, mode)
+        self.nested.eval(at, o, i, mode) * adjoint(mode, [wo, wi], [o, i])
     }
 
     #[inline]
@@ -193,11 +211,41 @@ impl Bsdf for NormalMap {
         route: u8,
         mode: TransportMode,
     ) -> Rgb<R> {
-        let o = self.frame(at).to_local(wo);
+        let frame = self.frame(at);
+        let o = frame.to_local(wo);
         if kind != DeltaKind::Passthrough && !same_side(wo, o) {
             return Rgb::black();
         }
-        self.nested.eval_delta(at, o, kind, route, mode)
+        let value = self.nested.eval_delta(at, o, kind, route, mode);
+        if kind != DeltaKind::Reflection {
+            return value;
+        }
+        let i = Vec3::new(-o.x, -o.y, o.z);
+        value * adjoint(mode, [wo, frame.to_world(i)], [o, i])
+    }
+
+    #[inline]
+    fn eval_component<R: Real>(
+        &self,
+        at: &Shading<R>,
+        wo: Vec3<R>,
+        wi: Vec3<R>,
+        component: Component,
+        mode: TransportMode,
+    ) -> Rgb<R> {
+        match component {
+            Component::Continuous => self.eval(at, wo, wi, mode),
+            Component::Delta { kind, route } => {
+                let value = self.eval_delta(at, wo, kind, route, mode);
+                if kind != DeltaKind::Transmission {
+                    return value;
+                }
+                // Only the sampled direction tells the index.
+                let frame = self.frame(at);
+                let inside = [wo, wi].map(|w| frame.to_local(w));
+                value * adjoint(mode, [wo, wi], inside)
+            }
+        }
     }
 
     fn backward<P: Float>(
@@ -219,7 +267,12 @@ impl Bsdf for NormalMap {
         };
         for u in uses.iter().filter(|u| scatters(u)) {
             let wi = frame.to_local(u.wi);
-            self.nested.backward(at, o, &[Use { wi, ..*u }], mode, grad);
+            let d = match is_passthrough(u.component) {
+                true => u.d,
+                false => u.d * adjoint(mode, [wo, u.wi], [o, wi]),
+            };
+            let inside = Use { wi, d, ..*u };
+            self.nested.backward(at, o, &[inside], mode, grad);
         }
         if !self.map.any_param(|p| grad.active(p)) {
             return;
@@ -234,6 +287,10 @@ impl Bsdf for NormalMap {
         for u in uses.iter().filter(tilts) {
             let i = frame.to_local(Vec3::lift(u.wi));
             let value = (self.nested).eval_component(&lifted, o, i, u.component, mode);
+            let value = match is_passthrough(u.component) {
+                true => value,
+                false => value * adjoint(mode, [wo, u.wi].map(Vec3::lift), [o, i]),
+            };
             for (k, d) in d_vector.iter_mut().enumerate() {
                 for c in 0..3 {
                     *d += value[c].eps[k] * u.d[c];

@@ -1,11 +1,14 @@
 //! Surfaces that emit.
 
+use std::f64::consts::PI;
+
 use ad_core::{Const, Float, Real, Vec2, Vec3};
 
-use super::{Connection, Emission, Emitter, EmitterSample, Lights};
+use super::{Ball, Connection, Emission, EmittedRay, Emitter, EmitterSample, Lights};
 use crate::bsdf::FromNode;
 use crate::error::SceneError;
-use crate::scene::{Builder, Node};
+use crate::math::{Frame, Ray, warp};
+use crate::scene::{Builder, Intersection, Node};
 use crate::shape::{Shape, SurfaceInteraction};
 use crate::texture::RgbTexture;
 
@@ -63,6 +66,49 @@ impl Emitter for Area {
             normals: [s.n, s.n_geo],
             pdf: s.pdf,
             emission,
+        })
+    }
+
+    /// Uniform over the area; directions in proportion to the lobe times the cosine, both to the
+    /// shading normal.
+    #[inline(always)]
+    fn sample_ray<P: Float>(
+        &self,
+        lights: Lights,
+        _ball: Option<Ball>,
+        [u0, u1, u2, u3]: [P; 4],
+    ) -> Option<EmittedRay<P>> {
+        let (s, n_geo) = lights.shapes[self.shape as usize].sample_surface([u0, u1]);
+        let frame = Frame::from_normal(s.n);
+        let (local, pdf_direction) = if self.exponent == 0.0 {
+            let local = warp::square_to_cosine_hemisphere([u2, u3]);
+            (local, warp::cosine_hemisphere_pdf(local.z))
+        } else {
+            let power = P::of(f64::from(self.exponent) + 2.0);
+            // 1 - u in (0, 1]: the cosine is never zero for lack of digits.
+            let z = (P::one() - u2).powf(power.recip());
+            let r = (P::one() - z * z).max(P::zero()).sqrt();
+            let (sin, cos) = (P::of(2.0 * PI) * u3).sin_cos();
+            let pdf = power * P::of(0.5 / PI) * z.powf(power - P::one());
+            (Vec3::new(r * cos, r * sin, z), pdf)
+        };
+        let d = frame.to_world(local);
+        let falloff = self.lobe(local.z)?;
+        (pdf_direction > P::zero()).then_some(EmittedRay {
+            ray: Ray::new(s.p, d),
+            surface: Some(Intersection {
+                shape: self.shape,
+                si: SurfaceInteraction {
+                    p: s.p,
+                    t: P::zero(),
+                    n_geo,
+                    frame,
+                    uv: s.uv,
+                },
+            }),
+            pdf_position: s.pdf,
+            pdf_direction,
+            emission: Emission { uv: s.uv, falloff },
         })
     }
 

@@ -19,14 +19,16 @@ pub use point::Point;
 pub use spot::Spot;
 pub use vmf::Vmf;
 
+use std::f64::consts::PI;
+
 use ad_core::{Float, Real, Vec2, Vec3};
 
 use crate::bsdf::FromNode;
 use crate::error::SceneError;
-use crate::math::Rgb;
+use crate::math::{Frame, Ray, Rgb, warp};
 use crate::params::{GradSink, Params, Theta};
-use crate::scene::{Builder, Node};
-use crate::shape::{AnyShape, SurfaceInteraction};
+use crate::scene::{Builder, Intersection, Node};
+use crate::shape::{AnyShape, Shape, SurfaceInteraction};
 use crate::texture::RgbTexture;
 
 /// Where an emitter's texture is read, and the factor it is multiplied with.
@@ -75,6 +77,83 @@ pub struct Connection<R> {
     pub emission: Emission<R>,
 }
 
+/// A particle's start.
+#[derive(Clone, Copy, Debug)]
+pub struct EmittedRay<P> {
+    /// Origin and unit direction, world space; environments start outside the scene.
+    pub ray: Ray<P>,
+    /// The point on the light's surface; none without one.
+    pub surface: Option<Intersection<P>>,
+    /// Density of the origin: per area of the surface, per area across the direction for environments,
+    /// 1 for a delta.
+    pub pdf_position: P,
+    /// Density of the direction, per solid angle.
+    pub pdf_direction: P,
+    /// What is emitted: radiance, or intensity for points.
+    pub emission: Emission<P>,
+}
+
+impl<P: Float> EmittedRay<P> {
+    /// What the emitted radiance is multiplied with to give the power of the particle: the cosine to
+    /// the surface over both densities.
+    #[inline]
+    pub fn weight(&self) -> P {
+        let cos = match &self.surface {
+            Some(at) => at.si.n_geo.dot(self.ray.d).abs(),
+            None => P::one(),
+        };
+        cos / (self.pdf_position * self.pdf_direction)
+    }
+}
+
+/// A ball around all surfaces of a scene, for particles from infinitely far away.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Ball {
+    /// Centre, world space.
+    pub centre: [f64; 3],
+    /// Positive.
+    pub radius: f64,
+}
+
+impl Ball {
+    /// The ball around the bounds of all shapes; `None` if there are none.
+    pub fn around(shapes: &[AnyShape]) -> Option<Self> {
+        let mut low = [f64::INFINITY; 3];
+        let mut high = [f64::NEG_INFINITY; 3];
+        for primitive in shapes.iter().flat_map(Shape::primitives) {
+            let [a, b] = crate::accel::bounds(&primitive);
+            for k in 0..3 {
+                low[k] = low[k].min(f64::from(a[k]));
+                high[k] = high[k].max(f64::from(b[k]));
+            }
+        }
+        let half = Vec3::from(std::array::from_fn(|k| 0.5 * (high[k] - low[k])));
+        // A little more than all of it, for rounding.
+        let radius = half.length() * 1.001;
+        (radius > 0.0 && radius.is_finite()).then(|| Self {
+            centre: std::array::from_fn(|k| 0.5 * (low[k] + high[k])),
+            radius,
+        })
+    }
+}
+
+/// A particle from an environment: it arrives from `sample.d`, on a disc that hides the scene. Uses
+/// the density of [`Emitter::sample`], which does not depend on the point of reference.
+fn from_afar<P: Float>(ball: Ball, sample: &EmitterSample<P>, u: [P; 2]) -> EmittedRay<P> {
+    let frame = Frame::from_normal(sample.d);
+    let disc = warp::square_to_disk(u);
+    let radius = P::of(ball.radius);
+    let centre = Vec3::from(ball.centre.map(P::of));
+    let local = Vec3::new(disc.x, disc.y, P::one()) * radius;
+    EmittedRay {
+        ray: Ray::new(centre + frame.to_world(local), -sample.d),
+        surface: None,
+        pdf_position: (P::of(PI) * radius * radius).recip(),
+        pdf_direction: sample.pdf,
+        emission: sample.emission,
+    }
+}
+
 /// What the scene knows that emitters need.
 #[derive(Clone, Copy, Debug)]
 pub struct Lights<'a> {
@@ -98,6 +177,21 @@ pub trait Emitter: Send + Sync {
         from: Vec3<P>,
         u: [P; 2],
     ) -> Option<EmitterSample<P>>;
+
+    /// Samples where a particle starts: its position with `u[0..2]`, its direction with `u[2..4]`.
+    /// `ball` is that of the scene. `None` where nothing is emitted: an environment around an empty scene,
+    /// or a direction with density zero.
+    ///
+    /// The default is that of environments.
+    fn sample_ray<P: Float>(
+        &self,
+        lights: Lights,
+        ball: Option<Ball>,
+        [u0, u1, u2, u3]: [P; 4],
+    ) -> Option<EmittedRay<P>> {
+        let sample = self.sample(lights, Vec3::zero(), [u2, u3])?;
+        (sample.pdf > P::zero()).then_some(from_afar(ball?, &sample, [u0, u1]))
+    }
 
     /// Density of [`Emitter::sample`] for the direction `d` that hits it at `si`, per solid angle;
     /// zero for delta lights.
@@ -217,6 +311,12 @@ macro_rules! emitters {
                 &self, lights: Lights, from: Vec3<R>, d: Vec3<R>, si: Option<&SurfaceInteraction<R>>,
             ) -> R {
                 $crate::dispatch::dispatch!(self, [$($hot),*] [$($name),*], e => e.pdf(lights, from, d, si))
+            }
+            #[inline(always)]
+            fn sample_ray<P: Float>(
+                &self, lights: Lights, ball: Option<Ball>, u: [P; 4],
+            ) -> Option<EmittedRay<P>> {
+                $crate::dispatch::dispatch!(self, [$($hot),*] [$($name),*], e => e.sample_ray(lights, ball, u))
             }
             fn connect<R: Real>(
                 &self, sample: &EmitterSample<R::Primal>, from: Vec3<R>,

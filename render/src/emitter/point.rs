@@ -1,11 +1,13 @@
 //! Point lights.
 
+use std::f64::consts::PI;
+
 use ad_core::{Float, Real, Vec2, Vec3};
 
-use super::{Connection, Emission, Emitter, EmitterSample, Lights};
+use super::{Ball, Connection, Emission, EmittedRay, Emitter, EmitterSample, Lights};
 use crate::bsdf::FromNode;
 use crate::error::SceneError;
-use crate::math::Transform;
+use crate::math::{Ray, Transform, warp};
 use crate::scene::{Builder, Node};
 use crate::shape::{SurfaceInteraction, lift3};
 use crate::texture::RgbTexture;
@@ -75,6 +77,24 @@ impl Emitter for Point {
             emission: Emission {
                 uv: Vec2::zero(),
                 falloff,
+            },
+        })
+    }
+
+    fn sample_ray<P: Float>(
+        &self,
+        _: Lights,
+        _: Option<Ball>,
+        [_, _, u2, u3]: [P; 4],
+    ) -> Option<EmittedRay<P>> {
+        Some(EmittedRay {
+            ray: Ray::new(lift3(self.position), warp::square_to_sphere([u2, u3])),
+            surface: None,
+            pdf_position: P::one(),
+            pdf_direction: P::of(0.25 / PI),
+            emission: Emission {
+                uv: Vec2::zero(),
+                falloff: P::one(),
             },
         })
     }

@@ -1,11 +1,14 @@
 //! Spot lights.
 
+use std::f64::consts::PI;
+
 use ad_core::{Float, Real, Vec2, Vec3};
 
 use super::point::{constant_colour, moving, towards};
-use super::{Connection, Emission, Emitter, EmitterSample, Lights};
+use super::{Ball, Connection, Emission, EmittedRay, Emitter, EmitterSample, Lights};
 use crate::bsdf::FromNode;
 use crate::error::SceneError;
+use crate::math::{Frame, Ray, warp};
 use crate::scene::{Builder, Node};
 use crate::shape::{SurfaceInteraction, lift3};
 use crate::texture::RgbTexture;
@@ -81,6 +84,30 @@ impl Emitter for Spot {
             distance,
             normals: [Vec3::zero(); 2],
             pdf: P::one(),
+            emission: Emission {
+                uv: Vec2::zero(),
+                falloff,
+            },
+        })
+    }
+
+    /// Uniform over the cone.
+    fn sample_ray<P: Float>(
+        &self,
+        _: Lights,
+        _: Option<Ball>,
+        [_, _, u2, u3]: [P; 4],
+    ) -> Option<EmittedRay<P>> {
+        let opening = 2.0 * (0.5 * self.cutoff).sin().powi(2);
+        let local = warp::square_to_cone([u2, u3], P::of(opening));
+        let d = Frame::from_normal(lift3::<P>(self.axis)).to_world(local);
+        let falloff = self.profile(d);
+        let pdf_direction = P::of(0.5 / (PI * opening));
+        (pdf_direction <= P::MAX).then_some(EmittedRay {
+            ray: Ray::new(lift3(self.position), d),
+            surface: None,
+            pdf_position: P::one(),
+            pdf_direction,
             emission: Emission {
                 uv: Vec2::zero(),
                 falloff,

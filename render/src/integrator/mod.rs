@@ -9,6 +9,7 @@ pub mod boundary;
 pub mod direct;
 pub mod gradient;
 mod local;
+pub mod particle;
 pub mod path;
 pub mod record;
 pub mod render;

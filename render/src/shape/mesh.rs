@@ -355,12 +355,16 @@ impl Shape for Mesh {
         }
     }
 
-    fn sample<P: Float>(&self, from: Vec3<P>, u: [P; 2]) -> Option<DirectionSample<P>> {
+    fn sample_surface<P: Float>(&self, u: [P; 2]) -> (ShapeSample<P>, Vec3<P>) {
         let s = self.sample_area(u);
         let (triangle, _) = self.choose(u);
         let [e1, e2] = self.0.edges(triangle);
         let n = e1.cross(e2).normalize();
-        let n_geo = Vec3::new(P::of(n.x), P::of(n.y), P::of(n.z));
+        (s, Vec3::new(P::of(n.x), P::of(n.y), P::of(n.z)))
+    }
+
+    fn sample<P: Float>(&self, from: Vec3<P>, u: [P; 2]) -> Option<DirectionSample<P>> {
+        let (s, n_geo) = self.sample_surface(u);
         s.seen_from(from, n_geo)
     }
 

@@ -176,6 +176,13 @@ pub trait Shape: Send + Sync {
     /// A point distributed uniformly over the area; density per area.
     fn sample_area<P: Float>(&self, u: [P; 2]) -> ShapeSample<P>;
 
+    /// [`Shape::sample_area`], and the unit geometric normal there.
+    #[inline]
+    fn sample_surface<P: Float>(&self, u: [P; 2]) -> (ShapeSample<P>, Vec3<P>) {
+        let s = self.sample_area(u);
+        (s, s.n)
+    }
+
     /// A direction from `from` towards the shape. `None` where nothing is seen.
     #[inline]
     fn sample<P: Float>(&self, from: Vec3<P>, u: [P; 2]) -> Option<DirectionSample<P>> {
@@ -307,6 +314,9 @@ macro_rules! shapes {
             }
             fn sample_area<P: Float>(&self, u: [P; 2]) -> ShapeSample<P> {
                 match self { $(Self::$hot(s) => s.sample_area(u),)* $(Self::$name(s) => s.sample_area(u),)* }
+            }
+            fn sample_surface<P: Float>(&self, u: [P; 2]) -> (ShapeSample<P>, Vec3<P>) {
+                match self { $(Self::$hot(s) => s.sample_surface(u),)* $(Self::$name(s) => s.sample_surface(u),)* }
             }
             #[inline(always)]
             fn sample<P: Float>(&self, from: Vec3<P>, u: [P; 2]) -> Option<DirectionSample<P>> {

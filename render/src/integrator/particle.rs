@@ -1,0 +1,642 @@
+//! The light tracer: particles from the emitters, connected to the pinhole at every vertex.
+
+use std::ops::Range;
+
+use ad_core::{Float, Real, Vec2, Vec3};
+use rayon::prelude::*;
+
+use super::path::Bounce;
+use super::render::{Components, NonFinite, Progress, Rendering};
+use crate::accel::{BUNDLE, Bundle, Hit};
+use crate::bsdf::kernel::{Rules, kernel_weight, local_normal};
+use crate::bsdf::{Bsdf, Component, Shading, TransportMode};
+use crate::emitter::{Ball, Emission, Emitter};
+use crate::math::{Ray, Rgb};
+use crate::params::Theta;
+use crate::sampler::Sampler;
+use crate::scene::{Intersection, Scene, Settings, single};
+
+/// Probability of surviving Russian roulette is at most this.
+const MAX_SURVIVAL: f64 = 0.95;
+/// As in the path tracer: when derivatives are wanted, a vertex counts as reflecting at least this much.
+const LEAST_STEP: f64 = 0.2;
+/// Dimensions of the sampler for the emission: emitter, position 2, direction 2.
+const EMISSION_DIMENSIONS: u32 = 5;
+/// Dimensions per vertex: BSDF 3, roulette.
+const VERTEX_DIMENSIONS: u32 = 4;
+/// So that paths and particles of the same seed are independent.
+const STREAM: u64 = 0x6c69_6768_7421_0001;
+
+/// Particles that are followed at a time.
+const TOGETHER: usize = 64;
+/// Particles of one job.
+const CHUNK: u64 = 1024;
+/// Jobs whose splats are kept until they are added to the image, in order.
+const CHUNKS: u64 = 64;
+
+const MODE: TransportMode = TransportMode::Importance;
+
+/// What stays the same from particle to particle.
+#[derive(Clone, Copy, Debug)]
+pub struct Context<'a, R: Real> {
+    /// The scene.
+    pub scene: &'a Scene,
+    /// Its parameters.
+    pub theta: &'a Theta<'a, R>,
+    /// Depths; edges of the whole path, the one to the camera included.
+    pub settings: &'a Settings,
+    /// How particles scatter.
+    pub rules: Rules,
+    /// Where particles from environments start.
+    pub ball: Option<Ball>,
+}
+
+impl<'a, R: Real> Context<'a, R> {
+    /// With the correct rules.
+    pub fn new(scene: &'a Scene, theta: &'a Theta<'a, R>, settings: &'a Settings) -> Self {
+        let ball = match scene.infinite_emitters() {
+            [] => None,
+            _ => Ball::around(scene.shapes()),
+        };
+        Self {
+            scene,
+            theta,
+            settings,
+            rules: Rules::default(),
+            ball,
+        }
+    }
+}
+
+/// A connection to the pinhole that is free.
+#[derive(Clone, Copy, Debug)]
+pub struct Connected<R: Real> {
+    /// Where on the full film, in pixels.
+    pub at: [R::Primal; 2],
+    /// The scattering kernel towards the camera, or the emission.
+    pub f: Rgb<R>,
+    /// Importance of the camera per solid angle, over squared distance.
+    pub weight: R::Primal,
+}
+
+/// Follows a particle. All methods do nothing by default.
+pub trait Observer<R: Real> {
+    /// Whether events are wanted.
+    const ENABLED: bool = true;
+    /// Whether vertices are connected to the camera.
+    const CONNECTS: bool = true;
+    /// An emitter sent the particle: `weight` is the cosine over all densities.
+    fn emitted(&mut self, _emitter: u32, _emission: Emission<R>, _weight: R::Primal) {}
+    /// The camera sees the light at the start of the particle. Known, and called, after `emitted`.
+    fn seen(&mut self, _emission: Emission<R>, _connected: Connected<R>) {}
+    /// A surface was reached. `depth` is the number of edges so far, `beta` the power, `wo` the
+    /// direction it came from, local frame.
+    fn vertex(
+        &mut self,
+        _depth: u32,
+        _beta: Rgb<R>,
+        _hit: &Intersection<R::Primal>,
+        _wo: Vec3<R::Primal>,
+    ) {
+    }
+    /// The camera sees the current vertex along `wi`, local frame. Called after `bounce`.
+    fn connected(&mut self, _wi: Vec3<R>, _connected: Connected<R>) {}
+    /// The particle goes on; the kernel's weight for shading normals is part of `weight`, not of `f`.
+    fn bounce(&mut self, _bounce: Bounce<R>) {}
+}
+
+/// Nobody watches.
+impl<R: Real> Observer<R> for () {
+    const ENABLED: bool = false;
+}
+
+/// A connection on the way to be tested.
+#[derive(Clone, Copy, Debug)]
+struct Pending<R: Real> {
+    /// Power times kernel times weight: what the film receives.
+    value: Rgb<R>,
+    connected: Connected<R>,
+    wi: Vec3<R>,
+    /// The emission, if this is the start of the particle.
+    emission: Option<Emission<R>>,
+}
+
+/// A particle between two vertices, which asks for its rays to be traced, as a
+/// [`super::path::Walk`] does.
+///
+/// Depth counts the edges of the whole path: a light that the camera sees has depth 1, a particle seen at
+/// its first surface 2.
+///
+/// # Derivatives
+/// In theta, with detached sampling: emission and scattering over `R`, everything geometric over its primal.
+///
+/// # Does not handle
+/// Deltas at the camera's end: what is seen in mirrors, through glass or through masks. A pinhole
+/// receives nothing from there (see [`super::density`]).
+///
+/// # Reference
+/// [Veach 1996, section 3.2 and footnote 20]; [Zeltner 2021, section 2.5.3].
+#[derive(Clone, Copy, Debug)]
+pub struct Particle<R: Real, X: Sampler> {
+    ray: Option<Ray<R::Primal>>,
+    shadow: Option<(Ray<R::Primal>, R::Primal)>,
+    pending: Option<Pending<R>>,
+    sampler: X,
+    beta: Rgb<R>,
+    survival: R::Primal,
+    depth: u32,
+}
+
+/// Direction to the pinhole, distance, film position, importance over squared distance.
+#[inline(always)]
+fn towards_camera<P: Float>(scene: &Scene, p: Vec3<P>) -> Option<(Vec3<P>, P, [P; 2], P)> {
+    let v = p - Vec3::from(scene.camera.origin().map(P::of));
+    let (at, area) = scene.camera.project(v)?;
+    if !scene.film.reaches(at) {
+        return None;
+    }
+    let d2 = v.length_squared();
+    let distance = d2.sqrt();
+    let weight = area / d2;
+    weight
+        .is_finite()
+        .then(|| (-v * distance.recip(), distance, at, weight))
+}
+
+impl<R: Real, X: Sampler> Particle<R, X> {
+    /// Sends a particle from one of the emitters. Without emitters, or where nothing is emitted, it
+    /// has ended already.
+    #[inline]
+    pub fn new<O: Observer<R>>(context: &Context<R>, mut sampler: X, observer: &mut O) -> Self {
+        let scene = context.scene;
+        let choice = sampler.next_bits();
+        let mut this = Self {
+            ray: None,
+            shadow: None,
+            pending: None,
+            sampler,
+            beta: Rgb::black(),
+            survival: R::Primal::one(),
+            depth: 0,
+        };
+        let n = scene.emitters().len();
+        if n == 0 {
+            return this;
+        }
+        let index = if n == 1 {
+            0
+        } else {
+            (((choice >> 32) * n as u64) >> 32) as usize
+        };
+        let sampler = &mut this.sampler;
+        let [a, b] = sampler.next_2d::<R::Primal>();
+        let [c, d] = sampler.next_2d::<R::Primal>();
+        let e = &scene.emitters()[index];
+        let inverse_choice = scene.emitter_probability::<R::Primal>().recip();
+        let lift = |e: Emission<R::Primal>| Emission {
+            uv: Vec2::lift(e.uv),
+            falloff: R::lift(e.falloff),
+        };
+
+        // ---- The light as the camera sees it ----
+        let start = e.sample_ray(scene.lights(), context.ball, [a, b, c, d]);
+        if O::CONNECTS && context.settings.max_depth >= 1 {
+            let surface = start.as_ref().and_then(|s| s.surface);
+            if e.is_infinite() {
+                this.see_environment(context, index, [c, d], inverse_choice);
+            } else if let (Some(Intersection { shape, si }), Some(start)) = (surface, &start)
+                && let Some((wi, distance, at, weight)) = towards_camera(scene, si.p)
+                && let Some(found) = e.hit(-wi, Some(&si))
+            {
+                let cos = si.n_geo.dot(wi).abs();
+                let weight = weight * cos * inverse_choice / start.pdf_position;
+                let emission = lift(found);
+                let f = e.eval(context.theta, &emission);
+                let offset = scene.shape_info(shape).offset;
+                this.shadow = Some(si.shadow_ray(wi, distance, offset));
+                this.pending = Some(Pending {
+                    value: f.scale(weight),
+                    connected: Connected { at, f, weight },
+                    wi: Vec3::lift(wi),
+                    emission: Some(emission),
+                });
+            }
+        }
+
+        // ---- The particle ----
+        let Some(start) = start else {
+            return this;
+        };
+        let weight = start.weight() * inverse_choice;
+        let emission = lift(start.emission);
+        if !weight.is_finite() {
+            return this;
+        }
+        this.beta = e.eval(context.theta, &emission).scale(weight);
+        if O::ENABLED {
+            observer.emitted(index as u32, emission, weight);
+        }
+        let dark = !O::ENABLED && this.beta.is_black() && !has_tangent(this.beta);
+        if context.settings.max_depth >= 2 && !dark {
+            let ray = match &start.surface {
+                Some(at) => {
+                    let offset = scene.shape_info(at.shape).offset;
+                    at.si.spawn_ray(start.ray.d, offset)
+                }
+                None => start.ray,
+            };
+            this.ray = Some(ray);
+        }
+        this
+    }
+
+    /// The environment behind everything: a direction from the pinhole.
+    #[inline(never)]
+    fn see_environment(
+        &mut self,
+        context: &Context<R>,
+        emitter: usize,
+        u: [R::Primal; 2],
+        inverse_choice: R::Primal,
+    ) {
+        let scene = context.scene;
+        let e = &scene.emitters()[emitter];
+        let origin = Vec3::from(scene.camera.origin().map(R::Primal::of));
+        let Some(sample) = e.sample(scene.lights(), origin, u) else {
+            return;
+        };
+        let Some((at, area)) = scene.camera.project(sample.d) else {
+            return;
+        };
+        let weight = area * inverse_choice / sample.pdf;
+        if !scene.film.reaches(at) || !weight.is_finite() {
+            return;
+        }
+        let emission = Emission {
+            uv: Vec2::lift(sample.emission.uv),
+            falloff: R::lift(sample.emission.falloff),
+        };
+        let f = e.eval(context.theta, &emission);
+        self.shadow = Some((Ray::new(origin, sample.d), R::Primal::of(f64::INFINITY)));
+        self.pending = Some(Pending {
+            value: f.scale(weight),
+            connected: Connected { at, f, weight },
+            wi: Vec3::zero(),
+            emission: Some(emission),
+        });
+    }
+
+    /// Whether no ray is asked for.
+    #[inline(always)]
+    pub fn ended(&self) -> bool {
+        self.ray.is_none() && self.shadow.is_none()
+    }
+
+    /// Goes on to the next vertex: `hit` is what the particle met, `visible` whether the camera sees the
+    /// last one. What the film receives goes to `splat`.
+    #[inline]
+    fn step<O: Observer<R>>(
+        &mut self,
+        context: &Context<R>,
+        hit: Option<Intersection<R::Primal>>,
+        visible: bool,
+        observer: &mut O,
+        splat: &mut impl FnMut([R::Primal; 2], Rgb<R>),
+    ) {
+        let scene = context.scene;
+        if self.shadow.take().is_some()
+            && visible
+            && let Some(seen) = self.pending.take()
+        {
+            splat(seen.connected.at, seen.value);
+            if O::ENABLED {
+                match seen.emission {
+                    Some(emission) => observer.seen(emission, seen.connected),
+                    None => observer.connected(seen.wi, seen.connected),
+                }
+            }
+        }
+        self.pending = None;
+        let (Some(ray), Some(hit)) = (self.ray.take(), hit) else {
+            return;
+        };
+        self.depth += 1;
+        let depth = self.depth;
+        let si = &hit.si;
+        let info = scene.shape_info(hit.shape);
+        let material = scene.material(hit.shape);
+        let wo = si.frame.to_local(-ray.d);
+        let n_geo = local_normal(si);
+        let wo_r = Vec3::<R>::lift(wo);
+        let at = Shading {
+            theta: *context.theta,
+            uv: Vec2::lift(si.uv),
+        };
+        let beta = self.beta;
+        if O::ENABLED {
+            observer.vertex(depth, beta, &hit, wo);
+        }
+
+        // ---- Connection to the camera ----
+        if O::CONNECTS
+            && !material.is_delta()
+            && let Some((to_camera, distance, film, weight)) = towards_camera(scene, si.p)
+        {
+            let wi = si.frame.to_local(to_camera);
+            let shading = kernel_weight(n_geo, [wo, wi], MODE, context.rules);
+            let mode = context.rules.mode(MODE, [wo, wi], Component::Continuous);
+            let wi = Vec3::<R>::lift(wi);
+            let (f, matters) = if O::ENABLED {
+                let (f, pdf) = material.eval_pdf(&at, wo_r, wi, mode);
+                (f, pdf.primal() > R::Primal::zero() || !f.is_black())
+            } else {
+                let f = material.eval(&at, wo_r, wi, mode);
+                (f, !f.is_black() || has_tangent(f))
+            };
+            let weight = weight * shading;
+            if matters && weight > R::Primal::zero() {
+                self.shadow = Some(si.shadow_ray(to_camera, distance, info.offset));
+                self.pending = Some(Pending {
+                    value: beta * f.scale(weight),
+                    connected: Connected {
+                        at: film,
+                        f,
+                        weight,
+                    },
+                    wi,
+                    emission: None,
+                });
+            }
+        }
+        if depth + 1 >= context.settings.max_depth {
+            return;
+        }
+
+        // ---- Scattering ----
+        let sampler = &mut self.sampler;
+        sampler.seek(EMISSION_DIMENSIONS + (depth - 1) * VERTEX_DIMENSIONS);
+        let primal = at.primal();
+        let Some(sample) = material.sample(&primal, wo, sampler.next_3d(), MODE) else {
+            return;
+        };
+        let shading = kernel_weight(n_geo, [wo, sample.wi], MODE, context.rules);
+        let mode = (context.rules).mode(MODE, [wo, sample.wi], sample.component);
+        let wi = Vec3::<R>::lift(sample.wi);
+        let f = material.eval_component(&at, wo_r, wi, sample.component, mode);
+        let mut weight = shading / sample.pdf;
+        let step = f.primal().max_component() * weight;
+        let differentiates = O::ENABLED || !R::IS_PRIMAL;
+        self.survival *= match differentiates {
+            true => step.max(R::Primal::of(LEAST_STEP)),
+            false => step,
+        };
+        if depth >= context.settings.rr_depth {
+            let q = self.survival.min(R::Primal::of(MAX_SURVIVAL));
+            if sampler.next_1d::<R::Primal>() >= q {
+                return;
+            }
+            let inv_q = q.recip();
+            self.survival *= inv_q;
+            weight *= inv_q;
+        }
+        // Grazing shading normals, or nothing to go on with.
+        if weight == R::Primal::zero() {
+            return;
+        }
+        if O::ENABLED {
+            observer.bounce(Bounce {
+                wi,
+                component: sample.component,
+                weight: R::lift(weight),
+                f,
+            });
+        }
+        self.beta = beta * f.scale(weight);
+        if !O::ENABLED && self.beta.is_black() && !has_tangent(self.beta) {
+            return;
+        }
+        let d = si.frame.to_world(sample.wi);
+        self.ray = Some(si.spawn_ray(d, info.offset));
+    }
+}
+
+#[inline]
+fn has_tangent<R: Real>(c: Rgb<R>) -> bool {
+    !R::IS_PRIMAL && (c.r.has_tangent() || c.g.has_tangent() || c.b.has_tangent())
+}
+
+/// Follows particles to their ends, tracing their rays in bundles; each has an observer of its own.
+/// `splat` gets the index of the particle, where on the film, and how much.
+fn trace<R: Real, X: Sampler, O: Observer<R>>(
+    context: &Context<R>,
+    particles: &mut [Particle<R, X>],
+    observers: &mut [O],
+    mut splat: impl FnMut(usize, [R::Primal; 2], Rgb<R>),
+) {
+    let scene = context.scene;
+    let mut hits: [Option<Hit>; TOGETHER] = [None; TOGETHER];
+    let mut visible = [false; TOGETHER];
+    let mut open: [usize; TOGETHER] = std::array::from_fn(|i| i);
+    let mut met = Vec::with_capacity(particles.len());
+    let mut n = particles.len();
+    let mut bundle = Bundle::default();
+    let mut who = [0; BUNDLE];
+    while n > 0 {
+        let mut find = |bundle: &mut Bundle, who: &[usize]| {
+            let found = scene.nearest_bundle(bundle);
+            for (&i, hit) in who.iter().zip(found) {
+                hits[i] = hit;
+            }
+            bundle.clear();
+        };
+        for &i in &open[..n] {
+            if let Some(ray) = &particles[i].ray {
+                who[bundle.len()] = i;
+                let (o, d) = single(ray);
+                bundle.push(o, d, f32::INFINITY);
+                if bundle.is_full() {
+                    find(&mut bundle, &who);
+                }
+            }
+        }
+        if !bundle.is_empty() {
+            let rays = bundle.len();
+            find(&mut bundle, &who[..rays]);
+        }
+        let mut test = |bundle: &mut Bundle, who: &[usize]| {
+            let occluded = scene.occluded_bundle(bundle);
+            for (k, &i) in who.iter().enumerate() {
+                visible[i] = occluded >> k & 1 == 0;
+            }
+            bundle.clear();
+        };
+        for &i in &open[..n] {
+            if let Some((ray, t_max)) = &particles[i].shadow {
+                who[bundle.len()] = i;
+                let (o, d) = single(ray);
+                bundle.push(o, d, t_max.to_f32());
+                if bundle.is_full() {
+                    test(&mut bundle, &who);
+                }
+            }
+        }
+        if !bundle.is_empty() {
+            let rays = bundle.len();
+            test(&mut bundle, &who[..rays]);
+        }
+        // A loop of its own, as in the path tracer.
+        met.clear();
+        met.extend(open[..n].iter().map(|&i| {
+            let ray = particles[i].ray.as_ref()?;
+            hits[i].take().map(|hit| scene.interaction(ray, &hit))
+        }));
+        let mut left = 0;
+        for k in 0..n {
+            let i = open[k];
+            let particle = &mut particles[i];
+            let mut to_film = |at, value| splat(i, at, value);
+            particle.step(context, met[k], visible[i], &mut observers[i], &mut to_film);
+            open[left] = i;
+            left += usize::from(!particle.ended());
+        }
+        n = left;
+    }
+}
+
+/// The particles `first .. first + count` of all samples, of which there is one per pixel of the full
+/// film and sample. Calls `done` with each one's index after its end, in order.
+pub(super) fn follow<R: Real, X: Sampler, O: Observer<R> + Default + Clone>(
+    context: &Context<R>,
+    seed: u64,
+    particles: Range<u64>,
+    mut splat: impl FnMut(u64, [R::Primal; 2], Rgb<R>),
+    mut done: impl FnMut(u64, &mut O),
+) {
+    let pixels = per_sample(context.scene);
+    let mut observers = vec![O::default(); TOGETHER];
+    let mut group = Vec::with_capacity(TOGETHER);
+    let mut first = particles.start;
+    while first < particles.end {
+        let n = (particles.end - first).min(TOGETHER as u64);
+        group.clear();
+        for k in 0..n {
+            let i = first + k;
+            let sampler = X::new(seed ^ STREAM, i % pixels, i / pixels);
+            group.push(Particle::new(context, sampler, &mut observers[k as usize]));
+        }
+        let to_film = |k: usize, at, value| splat(first + k as u64, at, value);
+        trace(context, &mut group, &mut observers, to_film);
+        for (k, observer) in observers.iter_mut().enumerate().take(n as usize) {
+            done(first + k as u64, observer);
+        }
+        first += n;
+    }
+}
+
+/// Particles per sample: one for every pixel of the full film, so that a crop shows the same ones.
+pub fn per_sample(scene: &Scene) -> u64 {
+    let [width, height] = scene.film.size;
+    u64::from(width) * u64::from(height)
+}
+
+/// One light that the film received.
+#[derive(Clone, Copy)]
+struct Splat<R: Real> {
+    at: [R::Primal; 2],
+    value: Rgb<R>,
+}
+
+/// Renders by particles: the samples `samples`, each of which sends one particle per pixel of the full
+/// film, with seed `seed`. The expectation is the path tracer's image, without what a pinhole sees through
+/// deltas.
+///
+/// Over a dual number, the result holds the derivative images of its tangents as well (forward mode).
+/// It depends on the arguments only, not on the number of threads: jobs leave lists of splats, which are
+/// added in their order. Memory: the image, and a few megabytes for these lists.
+///
+/// A pinhole within the geometry sees what is there; an emitter that emits nothing sends nothing.
+pub fn render<R: Components, X: Sampler>(
+    context: &Context<R>,
+    seed: u64,
+    samples: Range<u64>,
+    progress: &impl Progress,
+) -> Rendering {
+    let scene = context.scene;
+    let [width, height] = scene.film.crop_size.map(|n| n as usize);
+    let n = per_sample(scene);
+    let total = samples.end.saturating_sub(samples.start) * n;
+    let mut out = Rendering {
+        width,
+        height,
+        samples: samples.end.saturating_sub(samples.start),
+        sums: vec![vec![0.0; width * height * 3]; R::COUNT],
+        non_finite: NonFinite::default(),
+        cancelled: false,
+    };
+    // `[pixel][component][3]` while splats are added.
+    let mut sums = vec![0.0f64; width * height * R::COUNT * 3];
+    let row = width * R::COUNT * 3;
+    let rows_per_band = height.div_ceil(16);
+    let mut reported = 0;
+    let round = CHUNK * (CHUNKS / R::COUNT as u64).max(4);
+    for start in (0..total).step_by(round as usize) {
+        if progress.cancelled() {
+            out.cancelled = true;
+            break;
+        }
+        let end = (start + round).min(total);
+        let jobs: Vec<u64> = (start..end).step_by(CHUNK as usize).collect();
+        let parts: Vec<(Vec<Splat<R>>, NonFinite)> = (jobs.par_iter())
+            .map(|&job| {
+                let mut splats = Vec::new();
+                let mut non_finite = NonFinite::default();
+                let first = samples.start * n;
+                follow::<R, X, ()>(
+                    context,
+                    seed,
+                    first + job..first + (job + CHUNK).min(end),
+                    |i, at, value| match value.is_finite() {
+                        true => splats.push(Splat { at, value }),
+                        false => non_finite.add(i % n, i / n),
+                    },
+                    |_, ()| {},
+                );
+                (splats, non_finite)
+            })
+            .collect();
+        // Every band of rows goes through all splats, in order.
+        (sums.par_chunks_mut(row * rows_per_band).enumerate()).for_each(|(band, sums)| {
+            let first_row = band * rows_per_band;
+            let rows = first_row as u32..(first_row + sums.len() / row) as u32;
+            let base = first_row * width;
+            for splat in parts.iter().flat_map(|(splats, _)| splats) {
+                let at = splat.at.map(|x| x.to_f64());
+                scene.film.splat(at, rows.clone(), |pixel, weight| {
+                    let to = &mut sums[(pixel - base) * R::COUNT * 3..][..R::COUNT * 3];
+                    for k in 0..R::COUNT {
+                        for c in 0..3 {
+                            to[k * 3 + c] += splat.value[c].component(k) * weight;
+                        }
+                    }
+                });
+            }
+        });
+        for (_, non_finite) in &parts {
+            out.non_finite.merge(non_finite);
+        }
+        // In units of pixels, as the path tracer.
+        let pixels = (width * height) as u128;
+        let done = (pixels * u128::from(end) / u128::from(total)) as u64;
+        progress.advance(done - reported);
+        reported = done;
+    }
+    let scale = 1.0 / n as f64;
+    for (pixel, values) in sums.chunks_exact(R::COUNT * 3).enumerate() {
+        for (k, value) in values.chunks_exact(3).enumerate() {
+            for c in 0..3 {
+                out.sums[k][pixel * 3 + c] = value[c] * scale;
+            }
+        }
+    }
+    out
+}
