@@ -8,7 +8,7 @@ use super::{Ball, Connection, Emission, EmittedRay, Emitter, EmitterSample, Ligh
 use crate::bsdf::FromNode;
 use crate::error::SceneError;
 use crate::math::{Frame, Ray, warp};
-use crate::scene::{Builder, Intersection, Node};
+use crate::scene::{Builder, Node};
 use crate::shape::{Shape, SurfaceInteraction};
 use crate::texture::RgbTexture;
 
@@ -94,18 +94,16 @@ impl Emitter for Area {
         };
         let d = frame.to_world(local);
         let falloff = self.lobe(local.z)?;
+        let si = SurfaceInteraction {
+            p: s.p,
+            t: P::zero(),
+            n_geo,
+            frame,
+            uv: s.uv,
+        };
         (pdf_direction > P::zero()).then_some(EmittedRay {
             ray: Ray::new(s.p, d),
-            surface: Some(Intersection {
-                shape: self.shape,
-                si: SurfaceInteraction {
-                    p: s.p,
-                    t: P::zero(),
-                    n_geo,
-                    frame,
-                    uv: s.uv,
-                },
-            }),
+            surface: Some((self.shape, si)),
             pdf_position: s.pdf,
             pdf_direction,
             emission: Emission { uv: s.uv, falloff },

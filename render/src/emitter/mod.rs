@@ -27,7 +27,7 @@ use crate::bsdf::FromNode;
 use crate::error::SceneError;
 use crate::math::{Frame, Ray, Rgb, warp};
 use crate::params::{GradSink, Params, Theta};
-use crate::scene::{Builder, Intersection, Node};
+use crate::scene::{Builder, Node};
 use crate::shape::{AnyShape, Shape, SurfaceInteraction};
 use crate::texture::RgbTexture;
 
@@ -82,8 +82,8 @@ pub struct Connection<R> {
 pub struct EmittedRay<P> {
     /// Origin and unit direction, world space; environments start outside the scene.
     pub ray: Ray<P>,
-    /// The point on the light's surface; none without one.
-    pub surface: Option<Intersection<P>>,
+    /// The light's shape and the point on it; none without one.
+    pub surface: Option<(u32, SurfaceInteraction<P>)>,
     /// Density of the origin: per area of the surface, per area across the direction for environments,
     /// 1 for a delta.
     pub pdf_position: P,
@@ -99,7 +99,7 @@ impl<P: Float> EmittedRay<P> {
     #[inline]
     pub fn weight(&self) -> P {
         let cos = match &self.surface {
-            Some(at) => at.si.n_geo.dot(self.ray.d).abs(),
+            Some((_, si)) => si.n_geo.dot(self.ray.d).abs(),
             None => P::one(),
         };
         cos / (self.pdf_position * self.pdf_direction)

@@ -5,7 +5,6 @@ use std::ops::Range;
 use ad_core::{Float, Real, Vec2, Vec3};
 use rayon::prelude::*;
 
-use super::path::Bounce;
 use super::render::{Components, NonFinite, Progress, Rendering};
 use crate::accel::{BUNDLE, Bundle, Hit};
 use crate::bsdf::kernel::{Rules, kernel_weight, local_normal};
@@ -73,9 +72,25 @@ impl<'a, R: Real> Context<'a, R> {
 pub struct Connected<R: Real> {
     /// Where on the full film, in pixels.
     pub at: [R::Primal; 2],
-    /// The scattering kernel towards the camera, or the emission.
+    /// Value of the BSDF towards the camera, or the emission.
     pub f: Rgb<R>,
-    /// Importance of the camera per solid angle, over squared distance.
+    /// Importance of the camera per solid angle over squared distance, and the kernel's weight for shading
+    /// normals (or the cosine over densities, for emission).
+    pub weight: R::Primal,
+}
+
+/// How a particle goes on.
+#[derive(Clone, Copy, Debug)]
+pub struct Bounce<R: Real> {
+    /// Sampled direction, local frame of the vertex.
+    pub wi: Vec3<R>,
+    /// What the direction belongs to.
+    pub component: Component,
+    /// The mode in which the material was evaluated.
+    pub mode: TransportMode,
+    /// Value of the BSDF.
+    pub f: Rgb<R>,
+    /// The kernel's weight for shading normals, over density (or probability) and survival probability.
     pub weight: R::Primal,
 }
 
@@ -101,7 +116,7 @@ pub trait Observer<R: Real> {
     }
     /// The camera sees the current vertex along `wi`, local frame. Called after `bounce`.
     fn connected(&mut self, _wi: Vec3<R>, _connected: Connected<R>) {}
-    /// The particle goes on; the kernel's weight for shading normals is part of `weight`, not of `f`.
+    /// The particle goes on.
     fn bounce(&mut self, _bounce: Bounce<R>) {}
 }
 
@@ -204,7 +219,7 @@ impl<R: Real, X: Sampler> Particle<R, X> {
             let surface = start.as_ref().and_then(|s| s.surface);
             if e.is_infinite() {
                 this.see_environment(context, index, [c, d], inverse_choice);
-            } else if let (Some(Intersection { shape, si }), Some(start)) = (surface, &start)
+            } else if let (Some((shape, si)), Some(start)) = (surface, &start)
                 && let Some((wi, distance, at, weight)) = towards_camera(scene, si.p)
                 && let Some(found) = e.hit(-wi, Some(&si))
             {
@@ -239,9 +254,9 @@ impl<R: Real, X: Sampler> Particle<R, X> {
         let dark = !O::ENABLED && this.beta.is_black() && !has_tangent(this.beta);
         if context.settings.max_depth >= 2 && !dark {
             let ray = match &start.surface {
-                Some(at) => {
-                    let offset = scene.shape_info(at.shape).offset;
-                    at.si.spawn_ray(start.ray.d, offset)
+                Some((shape, si)) => {
+                    let offset = scene.shape_info(*shape).offset;
+                    si.spawn_ray(start.ray.d, offset)
                 }
                 None => start.ray,
             };
@@ -407,7 +422,8 @@ impl<R: Real, X: Sampler> Particle<R, X> {
             observer.bounce(Bounce {
                 wi,
                 component: sample.component,
-                weight: R::lift(weight),
+                mode,
+                weight,
                 f,
             });
         }
