@@ -6,6 +6,7 @@ use std::time::Instant;
 
 use clap::{Args, Parser};
 use optim::OptimError;
+use render::instances::Estimator;
 use render::integrator::render::NonFinite;
 use render::scene::LoadOptions;
 use render::{RenderError, Scene, SceneError};
@@ -151,6 +152,14 @@ pub fn depth(text: &str) -> Result<u32, String> {
         Ok(d) if (0..=i64::from(u32::MAX)).contains(&d) => Ok(d as u32),
         _ => Err("expected -1 for no limit, or a non-negative number of path edges".into()),
     }
+}
+
+/// The estimator called `text`.
+///
+/// # Errors
+/// An unknown name, with all known ones.
+pub fn estimator(text: &str) -> Result<Estimator, String> {
+    Estimator::from_name(text).map_err(|e| e.to_string())
 }
 
 /// Tells the user about samples that were left out because they were not finite.

@@ -325,7 +325,7 @@ fn gradient_of_the_mean_is_right_and_reported() {
             "threads"
         ]
     );
-    assert_eq!(report["estimator"], "detached");
+    assert_eq!(report["estimator"], "mis");
     let lamp = &report["params"][LAMP];
     assert_eq!(keys(lamp), ["gradient", "std_error", "value"]);
     assert_eq!(numbers(&lamp["value"]), [10.0, 8.0, 6.0]);

@@ -4,9 +4,9 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use clap::{Parser, ValueEnum};
+use clap::Parser;
 use optim::{Loss, LossKind};
-use render::instances::{Direction, Technique, backward_f32, forward_f32, render_f32};
+use render::instances::{Direction, Estimator, Technique, forward_f32, render_f32};
 use render::integrator::gradient::Active;
 use render::integrator::render::{NonFinite, Progress};
 use render::params::{Differentiability, ParamInfo, ParamShape, Theta};
@@ -14,7 +14,7 @@ use render::{Image, Scene, Settings, image_io};
 use serde::Serialize;
 
 use crate::cli::{
-    LoadArgs, Outcome, ThreadArgs, ToolError, depth, report_non_finite, sample_count,
+    self, LoadArgs, Outcome, ThreadArgs, ToolError, depth, report_non_finite, sample_count,
 };
 use crate::output;
 use crate::progress::{Bar, Interrupt};
@@ -46,8 +46,9 @@ pub struct Args {
     /// Scene options
     #[command(flatten)]
     pub load: LoadArgs,
-    /// Where derivatives flow
-    #[arg(long, value_enum, default_value_t)]
+    /// Where derivatives flow: mis (detached sampling of BSDF and lights), emitter, detached, attached,
+    /// reparameterised, differential, and their combinations; a wrong name lists them all
+    #[arg(long, value_name = "NAME", default_value = "mis", value_parser = cli::estimator)]
     pub estimator: Estimator,
     /// Samples per pixel and repeat [default: the scene's]
     #[arg(long, value_name = "N", value_parser = sample_count())]
@@ -83,15 +84,6 @@ pub struct Args {
     pub threads: ThreadArgs,
 }
 
-/// `--estimator`.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum, Serialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Estimator {
-    /// Sampled paths are constants; MIS of BSDF and emitter sampling
-    #[default]
-    Detached,
-}
-
 /// Numbers in the report, or the image that holds them.
 #[derive(Debug, Serialize)]
 #[serde(untagged)]
@@ -112,7 +104,7 @@ struct ParamReport {
 #[derive(Debug, Serialize)]
 struct Report {
     scene: String,
-    estimator: Estimator,
+    estimator: &'static str,
     spp: u32,
     repeats: u64,
     threads: usize,
@@ -142,7 +134,8 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
         print!("{}", listing(&scene));
         return Ok(Outcome::Done);
     }
-    let active = Active::new(&scene, &args.params)?;
+    args.estimator.check(&scene)?;
+    let active = args.estimator.active(&scene, &args.params)?;
     let objective = objective(args, &scene)?;
     let mut settings = scene.settings;
     settings.spp = args.spp.unwrap_or(settings.spp);
@@ -152,7 +145,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
         let statistics = repeat(args, &scene, &settings, &active, &objective, interrupt)?;
         let images = match &args.images {
             Some(_) if !interrupt.is_set() => {
-                gradient_images(&scene, &settings, &active, args.seed, interrupt)?
+                gradient_images(args, &scene, &settings, &active, interrupt)?
             }
             _ => Vec::new(),
         };
@@ -176,7 +169,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
         output::create_parent(path)?;
         let report = Report {
             scene: args.scene.display().to_string(),
-            estimator: args.estimator,
+            estimator: args.estimator.name(),
             spp: settings.spp,
             repeats: statistics.repeats,
             threads,
@@ -437,7 +430,16 @@ fn repeat(
             Objective::Loss(..) => &d_image,
         };
         let start = Instant::now();
-        let gradient = backward_f32(scene, &theta, active, adjoint, settings, seed, 0..spp, &bar)?;
+        let gradient = args.estimator.backward_f32(
+            scene,
+            &theta,
+            active,
+            adjoint,
+            settings,
+            seed,
+            0..spp,
+            &bar,
+        )?;
         let seconds = start.elapsed().as_secs_f64();
         if gradient.cancelled {
             out.losses.truncate(k as usize);
@@ -457,21 +459,40 @@ fn repeat(
 
 /// Derivative images, one per active range: one number added to the whole range. None if interrupted.
 fn gradient_images(
+    args: &Args,
     scene: &Scene,
     settings: &Settings,
     active: &Active,
-    seed: u64,
     interrupt: &Interrupt,
 ) -> Result<Vec<Image>, ToolError> {
+    let seed = args.seed;
     let directions: Vec<Direction> = active
         .ranges()
         .iter()
         .map(|info| Direction::uniform(scene.params(), &info.name))
         .collect::<Result<_, _>>()?;
-    let passes = forward_passes(directions.len());
+    let together = args.estimator == Estimator::Mis;
+    let passes = match together {
+        true => forward_passes(directions.len()),
+        false => directions.len() as u64,
+    };
     let bar = Bar::new("images", scene.film.pixels() as u64 * passes, interrupt);
     let values = scene.params().values();
     let spp = u64::from(settings.spp);
+    if !together {
+        let mut images = Vec::new();
+        for d in &directions {
+            let e = args.estimator;
+            let rendering = e.forward_f32(scene, values, d, settings, seed, 0..spp, &bar)?;
+            report_non_finite(&rendering.non_finite, rendering.width, seed);
+            if bar.cancelled() {
+                return Ok(Vec::new());
+            }
+            images.push(rendering.image(1));
+        }
+        bar.finish();
+        return Ok(images);
+    }
     let rendering = forward_f32(scene, values, &directions, settings, seed, 0..spp, &bar)?;
     bar.finish();
     report_non_finite(&rendering.non_finite, rendering.width, seed);

@@ -1,0 +1,627 @@
+//! `compare`: all estimators of a derivative against each other, speed against accuracy.
+
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use clap::Parser;
+use render::instances::{Direction, Estimator, Technique, render_f64};
+use render::integrator::render::{NonFinite, Progress, Rendering};
+use render::params::Theta;
+use render::{Image, RenderError, Scene, Settings, image_io};
+use serde::Serialize;
+use statrs::distribution::{ContinuousCDF, StudentsT};
+
+use crate::chart::{LineChart, Panel};
+use crate::cli::{
+    LoadArgs, Outcome, ThreadArgs, ToolError, depth, report_non_finite, sample_count,
+};
+use crate::output;
+use crate::progress::{Bar, Interrupt};
+
+const EXAMPLES: &str = "\
+Examples:
+  compare scene.xml --param plate.alpha.value --out folder
+  compare scene.xml --param a.alpha.value --estimators mis,differential-mis --repeats 64
+  compare scene.xml --param a.alpha.value --reference fd
+
+One number is added to all elements of each parameter; its derivative image is estimated by every estimator
+that is right in the scene, and by those that are wrong on purpose. An estimator is called biased if any
+block of the image, out of 4 x 4, differs from the reference beyond chance (significance 1e-3 over all
+blocks and estimators). Efficiency is 1 / (variance x time). The folder receives table.csv,
+ladder.csv, report.json, verdict.txt, a chart and standard-deviation images per parameter. Everything
+but times depends on the seed alone. Ctrl-C keeps the estimators so far (exit code 130).";
+
+/// Compares estimators of derivatives: bias, variance, time
+#[derive(Parser, Clone, Debug)]
+#[command(name = "compare", after_help = EXAMPLES)]
+pub struct Args {
+    /// Scene file, Mitsuba XML
+    pub scene: PathBuf,
+    /// Parameter to differentiate with respect to; may be given several times
+    #[arg(long = "param", value_name = "KEY", required = true)]
+    pub params: Vec<String>,
+    /// Scene options
+    #[command(flatten)]
+    pub load: LoadArgs,
+    /// `all`, or names separated by commas
+    #[arg(
+        long,
+        value_name = "NAMES",
+        default_value = "all",
+        value_delimiter = ','
+    )]
+    pub estimators: Vec<String>,
+    /// An estimator's name, or `fd` for finite differences in double precision
+    #[arg(long, value_name = "NAME", default_value = "mis")]
+    pub reference: String,
+    /// Samples per pixel and repeat [default: the scene's]
+    #[arg(long, value_name = "N", value_parser = sample_count())]
+    pub spp: Option<u32>,
+    /// Largest number of path edges; -1 for no limit [default: the scene's]
+    #[arg(long, value_name = "N", value_parser = depth, allow_hyphen_values = true)]
+    pub max_depth: Option<u32>,
+    /// Independent repeats of each estimator; the reference has four times as many
+    #[arg(long, value_name = "K", default_value_t = 16,
+          value_parser = clap::value_parser!(u32).range(4..=1 << 20))]
+    pub repeats: u32,
+    /// Seed
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub seed: u64,
+    /// Folder for tables, charts and images
+    #[arg(long, value_name = "DIR", default_value = "out/compare")]
+    pub out: PathBuf,
+    /// Write the report to this file as well
+    #[arg(long, value_name = "OUT.JSON")]
+    pub json: Option<PathBuf>,
+    /// Threads
+    #[command(flatten)]
+    pub threads: ThreadArgs,
+}
+
+/// Blocks of the image per side.
+const BLOCKS: usize = 4;
+/// Probability that an unbiased set of estimators is called biased.
+const SIGNIFICANCE: f64 = 1e-3;
+/// Repeats of the reference for one of an estimator.
+const REFERENCE_REPEATS: u64 = 4;
+
+/// What was found about one estimator.
+#[derive(Clone, Debug, Serialize)]
+pub struct Row {
+    /// Key of the parameter.
+    pub param: String,
+    /// Name of the estimator.
+    pub estimator: &'static str,
+    /// Mean over pixels and channels, and its standard error.
+    pub mean: [f64; 2],
+    /// Difference of that to the reference's, in standard errors.
+    pub z: f64,
+    /// Largest such difference of a block.
+    pub z_block: f64,
+    /// Whether that is beyond chance.
+    pub biased: bool,
+    /// Variance of one sample of one pixel, mean over pixels and channels.
+    pub variance: f64,
+    /// Wall time of one sample of one pixel, median over the repeats, seconds.
+    pub seconds_per_sample: f64,
+    /// `1 / (variance x time)`.
+    pub efficiency: f64,
+    /// Samples that were not finite.
+    pub non_finite: u64,
+    /// Error against time: repeats, seconds so far, root mean square difference to the reference.
+    pub ladder: Vec<(u64, f64, f64)>,
+}
+
+/// An estimator that the scene or the parameter rules out.
+#[derive(Clone, Debug, Serialize)]
+struct Refused {
+    param: String,
+    estimator: &'static str,
+    reason: String,
+}
+
+#[derive(Debug, Serialize)]
+struct Report {
+    scene: String,
+    reference: String,
+    spp: u32,
+    repeats: u32,
+    threads: usize,
+    seed: u64,
+    z_limit: f64,
+    rows: Vec<Row>,
+    refused: Vec<Refused>,
+}
+
+/// Sums over repeats of derivative images.
+struct Series {
+    width: usize,
+    n: u64,
+    /// Of every pixel and channel.
+    sum: Vec<f64>,
+    squares: Vec<f64>,
+    /// Of every block, per repeat.
+    blocks: Vec<[f64; BLOCKS * BLOCKS]>,
+    means: Vec<f64>,
+    seconds: Vec<f64>,
+    bad: NonFinite,
+    cumulative: Vec<(u64, f64, Vec<f64>)>,
+}
+
+impl Series {
+    fn new(scene: &Scene) -> Self {
+        let [width, height] = scene.film.crop_size.map(|n| n as usize);
+        Self {
+            width,
+            n: 0,
+            sum: vec![0.0; width * height * 3],
+            squares: vec![0.0; width * height * 3],
+            blocks: Vec::new(),
+            means: Vec::new(),
+            seconds: Vec::new(),
+            bad: NonFinite::default(),
+            cumulative: Vec::new(),
+        }
+    }
+
+    fn add(&mut self, derivative: &[f64], seconds: f64) {
+        let height = derivative.len() / 3 / self.width;
+        let mut blocks = [0.0; BLOCKS * BLOCKS];
+        let mut counts = [0.0f64; BLOCKS * BLOCKS];
+        for (i, &x) in derivative.iter().enumerate() {
+            self.sum[i] += x;
+            self.squares[i] += x * x;
+            let (px, py) = (i / 3 % self.width, i / 3 / self.width);
+            let block = py * BLOCKS / height * BLOCKS + px * BLOCKS / self.width;
+            blocks[block] += x;
+            counts[block] += 1.0;
+        }
+        for (b, n) in blocks.iter_mut().zip(counts) {
+            *b /= n.max(1.0);
+        }
+        self.n += 1;
+        self.blocks.push(blocks);
+        self.means
+            .push(derivative.iter().sum::<f64>() / derivative.len() as f64);
+        self.seconds.push(seconds);
+        if self.n.is_power_of_two() {
+            let time = self.seconds.iter().sum();
+            let n = self.n as f64;
+            let image = self.sum.iter().map(|s| s / n).collect();
+            self.cumulative.push((self.n, time, image));
+        }
+    }
+
+    fn image(&self) -> Vec<f64> {
+        self.sum.iter().map(|s| s / self.n as f64).collect()
+    }
+
+    /// Variance of one repeat, per pixel and channel.
+    fn variance(&self) -> Vec<f64> {
+        let n = self.n as f64;
+        let of = |(s, q): (&f64, &f64)| ((q - s * s / n) / (n - 1.0)).max(0.0);
+        self.sum.iter().zip(&self.squares).map(of).collect()
+    }
+}
+
+fn mean_and_error(values: &[f64]) -> [f64; 2] {
+    let n = values.len() as f64;
+    let mean = values.iter().sum::<f64>() / n;
+    let variance = values.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / (n - 1.0);
+    [mean, (variance / n).sqrt()]
+}
+
+/// Difference of two estimates in standard errors.
+fn z(a: [f64; 2], b: [f64; 2]) -> f64 {
+    let d = a[0] - b[0];
+    if d == 0.0 { 0.0 } else { d / a[1].hypot(b[1]) }
+}
+
+/// Standard deviation image of one sample, mean over channels.
+fn deviation(series: &Series, spp: f64) -> Vec<f64> {
+    let variance = series.variance();
+    let pixel = |v: &[f64]| (v.iter().sum::<f64>() / 3.0 * spp).sqrt();
+    variance.chunks_exact(3).map(pixel).collect()
+}
+
+struct Run<'a> {
+    scene: &'a Scene,
+    settings: Settings,
+    seed: u64,
+    interrupt: &'a Interrupt,
+}
+
+impl Run<'_> {
+    /// `repeats` derivative images made by `make`, which gets a seed. `None` if interrupted.
+    fn series(
+        &self,
+        what: &str,
+        stream: u64,
+        repeats: u64,
+        make: impl Fn(u64, &dyn Progress) -> Result<(Rendering, Vec<f64>), RenderError>,
+    ) -> Result<Option<Series>, ToolError> {
+        let pixels = self.scene.film.pixels() as u64;
+        let bar = Bar::new(what, repeats * pixels, self.interrupt);
+        let mut series = Series::new(self.scene);
+        for k in 0..repeats {
+            let seed = self.seed.wrapping_add((stream << 32) + k);
+            let start = Instant::now();
+            let (rendering, derivative) = make(seed, &bar)?;
+            if rendering.cancelled {
+                bar.finish();
+                return Ok(None);
+            }
+            series.bad.merge(&rendering.non_finite);
+            series.add(&derivative, start.elapsed().as_secs_f64());
+        }
+        bar.finish();
+        report_non_finite(&series.bad, series.width, self.seed);
+        Ok(Some(series))
+    }
+
+    fn estimate(
+        &self,
+        e: Estimator,
+        direction: &Direction,
+        stream: u64,
+        repeats: u64,
+    ) -> Result<Option<Series>, ToolError> {
+        let values = self.scene.params().values();
+        let spp = u64::from(self.settings.spp);
+        self.series(e.name(), stream, repeats, |seed, bar| {
+            let r = e.forward_f32(
+                self.scene,
+                values,
+                direction,
+                &self.settings,
+                seed,
+                0..spp,
+                bar,
+            )?;
+            let n = r.samples as f64;
+            let image = r.sums[1].iter().map(|s| s / n).collect();
+            Ok((r, image))
+        })
+    }
+
+    /// Central differences in f64 with common random numbers. Light sampling is smooth in all parameters
+    /// of materials where light takes one bounce; longer paths jump, and need a wider step.
+    fn differences(&self, param: &str, repeats: u64) -> Result<Option<Series>, ToolError> {
+        let params = self.scene.params();
+        let range = params.find(param)?.range();
+        let (technique, relative) = match self.settings.max_depth {
+            0..=2 => (Technique::EmitterOnly, 1e-4),
+            _ => (Technique::MisPower, 1e-2),
+        };
+        let values: Vec<f64> = params.values().iter().map(|&v| f64::from(v)).collect();
+        let size = range.clone().fold(0.0f64, |m, i| m.max(values[i].abs()));
+        let h = relative * if size > 0.0 { size } else { 1.0 };
+        let spp = u64::from(self.settings.spp);
+        self.series("finite differences", 1, repeats, |seed, bar| {
+            let at = |sign: f64| {
+                let mut moved = values.clone();
+                range.clone().for_each(|i| moved[i] += sign * h);
+                let theta = Theta::constant(&moved);
+                let s = &self.settings;
+                render_f64(self.scene, &theta, technique, s, seed, 0..spp, bar)
+            };
+            let (up, down) = (at(1.0), at(-1.0));
+            let scale = 1.0 / (2.0 * h * up.samples as f64);
+            let pairs = up.sums[0].iter().zip(&down.sums[0]);
+            let image = pairs.map(|(a, b)| (a - b) * scale).collect();
+            Ok((up, image))
+        })
+    }
+}
+
+/// Runs the tool.
+///
+/// # Errors
+/// Anything wrong with the arguments, the scene or the files.
+pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
+    let (scene, _) = args.load.load(&args.scene)?;
+    let mut settings = scene.settings;
+    settings.spp = args.spp.unwrap_or(settings.spp);
+    settings.max_depth = args.max_depth.unwrap_or(settings.max_depth);
+    let estimators = match &args.estimators[..] {
+        [all] if all == "all" => Estimator::ALL.to_vec(),
+        names => {
+            let found: Result<Vec<_>, _> = names.iter().map(|n| Estimator::from_name(n)).collect();
+            found?
+        }
+    };
+    let reference = match args.reference.as_str() {
+        "fd" => None,
+        name => Some(Estimator::from_name(name)?),
+    };
+    // Wrong names are noticed before the first minute of work.
+    let directions: Result<Vec<_>, _> = args
+        .params
+        .iter()
+        .map(|p| Direction::uniform(scene.params(), p))
+        .collect();
+    let directions = directions?;
+    output::create_dir(&args.out)?;
+
+    let run = Run {
+        scene: &scene,
+        settings,
+        seed: args.seed,
+        interrupt,
+    };
+    let repeats = u64::from(args.repeats);
+    let tests = BLOCKS * BLOCKS * estimators.len() * directions.len();
+    let z_limit = t_limit(repeats, tests);
+    args.threads.run(|threads| {
+        let mut report = Report {
+            scene: args.scene.display().to_string(),
+            reference: args.reference.clone(),
+            spp: settings.spp,
+            repeats: args.repeats,
+            threads,
+            seed: args.seed,
+            z_limit,
+            rows: Vec::new(),
+            refused: Vec::new(),
+        };
+        for (param, direction) in args.params.iter().zip(&directions) {
+            let many = REFERENCE_REPEATS * repeats;
+            let truth = match reference {
+                Some(e) => run.estimate(e, direction, 1, many)?,
+                None => run.differences(param, many)?,
+            };
+            let Some(truth) = truth else {
+                break;
+            };
+            let mut panels = Vec::new();
+            for &e in &estimators {
+                let allowed = e.check(&scene).and_then(|()| e.active(&scene, &[param]));
+                if let Err(reason) = allowed {
+                    report.refused.push(Refused {
+                        param: param.clone(),
+                        estimator: e.name(),
+                        reason: reason.to_string(),
+                    });
+                    continue;
+                }
+                // The numbers of an estimator do not depend on which others are asked for.
+                let stream = 2 + Estimator::ALL.iter().position(|x| *x == e).unwrap_or(0) as u64;
+                let Some(series) = run.estimate(e, direction, stream, repeats)? else {
+                    break;
+                };
+                panels.push((e.name(), deviation(&series, f64::from(settings.spp))));
+                let row = row(param, e, &series, &truth, &settings, z_limit);
+                println!("{}", line(&row));
+                report.rows.push(row);
+            }
+            write_images(&args.out, param, &scene, &truth, &panels)?;
+            write_chart(&args.out, param, &report.rows)?;
+            if interrupt.is_set() {
+                break;
+            }
+        }
+        let verdict = verdict(&report);
+        print!("{verdict}");
+        write_report(args, &report, &verdict)?;
+        Ok(())
+    })?;
+    if interrupt.is_set() {
+        eprintln!("interrupted: the estimators so far were written");
+        return Ok(Outcome::Interrupted);
+    }
+    Ok(Outcome::Done)
+}
+
+/// Largest |z| by chance among `tests` blocks, whose errors come from `repeats` repeats (Sidak).
+fn t_limit(repeats: u64, tests: usize) -> f64 {
+    let each = 1.0 - (1.0 - SIGNIFICANCE).powf(1.0 / tests.max(1) as f64);
+    match StudentsT::new(0.0, 1.0, repeats as f64 - 1.0) {
+        Ok(t) => t.inverse_cdf(1.0 - 0.5 * each),
+        Err(_) => f64::INFINITY,
+    }
+}
+
+fn row(
+    param: &str,
+    e: Estimator,
+    series: &Series,
+    truth: &Series,
+    settings: &Settings,
+    z_limit: f64,
+) -> Row {
+    let block = |s: &Series, b: usize| {
+        let values: Vec<f64> = s.blocks.iter().map(|r| r[b]).collect();
+        mean_and_error(&values)
+    };
+    let z_block = (0..BLOCKS * BLOCKS)
+        .map(|b| z(block(series, b), block(truth, b)))
+        .fold(0.0f64, |m, z| if z.abs() > m.abs() { z } else { m });
+    let mean = mean_and_error(&series.means);
+    let variance = series.variance();
+    let variance = variance.iter().sum::<f64>() / variance.len() as f64 * f64::from(settings.spp);
+    let mut seconds = series.seconds.clone();
+    seconds.sort_by(f64::total_cmp);
+    let pixels = series.sum.len() as f64 / 3.0;
+    let seconds_per_sample = seconds[seconds.len() / 2] / pixels / f64::from(settings.spp);
+    let exact = truth.image();
+    let rms = |image: &[f64]| {
+        let squares = image.iter().zip(&exact).map(|(a, b)| (a - b).powi(2));
+        (squares.sum::<f64>() / exact.len() as f64).sqrt()
+    };
+    Row {
+        param: param.into(),
+        estimator: e.name(),
+        mean,
+        z: z(mean, mean_and_error(&truth.means)),
+        z_block,
+        biased: z_block.abs() > z_limit,
+        variance,
+        seconds_per_sample,
+        efficiency: 1.0 / (variance * seconds_per_sample),
+        non_finite: series.bad.count,
+        ladder: (series.cumulative.iter())
+            .map(|(n, t, image)| (*n, *t, rms(image)))
+            .collect(),
+    }
+}
+
+fn line(r: &Row) -> String {
+    format!(
+        "{:<34} {:>12.5e} +- {:.1e}  z {:>6.2} (block {:>6.2})  variance {:.3e}  {:.2} us  efficiency {:.3e}{}",
+        r.estimator,
+        r.mean[0],
+        r.mean[1],
+        r.z,
+        r.z_block,
+        r.variance,
+        r.seconds_per_sample * 1e6,
+        r.efficiency,
+        if r.biased { "  BIASED" } else { "" }
+    )
+}
+
+/// A few sentences.
+fn verdict(report: &Report) -> String {
+    let mut text = String::new();
+    let mut params: Vec<&str> = report.rows.iter().map(|r| r.param.as_str()).collect();
+    params.dedup();
+    for param in params {
+        let rows = || report.rows.iter().filter(|r| r.param == param);
+        text += &format!("{param}:\n");
+        let sound = rows().filter(|r| !r.biased && r.efficiency.is_finite());
+        if let Some(best) = sound.max_by(|a, b| a.efficiency.total_cmp(&b.efficiency)) {
+            text += &format!("  most efficient: {}", best.estimator);
+            if let Some(usual) = rows().find(|r| r.estimator == "mis") {
+                let gain = best.efficiency / usual.efficiency;
+                text += &format!(", {gain:.2} x mis");
+            }
+            text += "\n";
+        }
+        for r in rows().filter(|r| r.biased) {
+            text += &format!(
+                "  biased: {} (|z| {:.1} in a block, limit {:.1})\n",
+                r.estimator,
+                r.z_block.abs(),
+                report.z_limit
+            );
+        }
+        for r in rows().filter(|r| r.non_finite > 0) {
+            let (name, n) = (r.estimator, r.non_finite);
+            text += &format!("  not finite: {n} samples of {name}\n");
+        }
+    }
+    for r in &report.refused {
+        text += &format!("  refused: {} for {}: {}\n", r.estimator, r.param, r.reason);
+    }
+    text
+}
+
+fn write_report(args: &Args, report: &Report, verdict: &str) -> Result<(), ToolError> {
+    let mut table = String::from(
+        "param,estimator,mean,std_error,z,z_block,biased,variance,seconds_per_sample,efficiency,non_finite\n",
+    );
+    let mut ladder = String::from("param,estimator,repeats,seconds,rms_error\n");
+    for r in &report.rows {
+        let [mean, error] = r.mean;
+        table += &format!(
+            "{},{},{mean},{error},{},{},{},{},{},{},{}\n",
+            r.param,
+            r.estimator,
+            r.z,
+            r.z_block,
+            r.biased,
+            r.variance,
+            r.seconds_per_sample,
+            r.efficiency,
+            r.non_finite
+        );
+        for (n, t, error) in &r.ladder {
+            ladder += &format!("{},{},{n},{t},{error}\n", r.param, r.estimator);
+        }
+    }
+    let write = |name: &str, text: &str| {
+        image_io::write_atomically(&args.out.join(name), text.as_bytes()).map_err(ToolError::from)
+    };
+    write("table.csv", &table)?;
+    write("ladder.csv", &ladder)?;
+    write("verdict.txt", verdict)?;
+    output::write_json(&args.out.join("report.json"), report)?;
+    if let Some(path) = &args.json {
+        output::create_parent(path)?;
+        output::write_json(path, report)?;
+    }
+    Ok(())
+}
+
+fn write_chart(out: &Path, param: &str, rows: &[Row]) -> Result<(), ToolError> {
+    let title = format!("derivative in {param}: error against time");
+    let mut chart = LineChart::new(&title, "wall time (s)", "RMS error of the derivative image")
+        .log_x()
+        .log_y();
+    for r in rows.iter().filter(|r| r.param == param) {
+        let label = match r.biased {
+            true => format!("{} (biased)", r.estimator),
+            false => r.estimator.to_owned(),
+        };
+        let points = r.ladder.iter().map(|(_, t, e)| (*t, *e));
+        chart = chart.measured(&label, points);
+    }
+    output::write_chart(
+        &out.join(format!("{}.error", output::file_name(param))),
+        &chart,
+    )
+}
+
+/// The reference's derivative image, and the standard deviation of each estimator on one scale.
+fn write_images(
+    out: &Path,
+    param: &str,
+    scene: &Scene,
+    truth: &Series,
+    deviations: &[(&str, Vec<f64>)],
+) -> Result<(), ToolError> {
+    let [width, height] = scene.film.crop_size.map(|n| n as usize);
+    let name = output::file_name(param);
+    let mut image = Image::new(width, height);
+    for (o, x) in image.data.iter_mut().zip(truth.image()) {
+        *o = x as f32;
+    }
+    image_io::write_exr(&out.join(format!("{name}.reference.exr")), &image)?;
+    let mut panels = vec![output::signed_panel("reference", &image)];
+    let mut all: Vec<f64> = deviations
+        .iter()
+        .flat_map(|d| d.1.iter().copied())
+        .collect();
+    all.sort_by(f64::total_cmp);
+    let scale = all.get(all.len() * 95 / 100).copied().unwrap_or(1.0);
+    for (estimator, values) in deviations {
+        let mut image = Image::new(width, height);
+        for (o, &x) in image.data.chunks_exact_mut(3).zip(values) {
+            o.fill(x as f32);
+        }
+        image_io::write_exr(&out.join(format!("{name}.std.{estimator}.exr")), &image)?;
+        let factor = 320usize.div_ceil(width.max(1));
+        let label = format!("std: {estimator}");
+        panels.push(Panel::signed(&label, width, values, Some(scale)).enlarged(factor));
+    }
+    let columns = panels.len().min(4);
+    let path = out.join(format!("{name}.std.png"));
+    let png = crate::chart::grid(columns, &panels).map_err(|e| ToolError::file(&path, e))?;
+    Ok(image_io::write_atomically(&path, &png)?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn limits_and_errors_by_hand() {
+        // Student's t with 15 degrees of freedom, two-sided 1e-3: 4.073.
+        assert!((t_limit(16, 1) - 4.0728).abs() < 1e-3);
+        assert!(t_limit(16, 100) > t_limit(16, 1));
+        let [mean, error] = mean_and_error(&[1.0, 2.0, 6.0]);
+        assert_eq!(mean, 3.0);
+        assert!((error - (7.0f64 / 3.0).sqrt()).abs() < 1e-15);
+        assert_eq!(z([1.0, 0.0], [1.0, 0.0]), 0.0);
+    }
+}
