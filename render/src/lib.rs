@@ -13,6 +13,7 @@ pub mod emitter;
 pub mod error;
 pub mod estimator;
 pub mod film;
+pub mod finite_element;
 pub mod image_io;
 pub mod instances;
 pub mod integrator;
