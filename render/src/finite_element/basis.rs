@@ -104,12 +104,7 @@ impl Directions {
         let at = |i: usize, j: usize| (j * n + i) as u16;
         Stencil {
             index: [at(i, j), at(i + 1, j), at(i, j + 1), at(i + 1, j + 1)],
-            weight: [
-                (1.0 - a) * (1.0 - b),
-                a * (1.0 - b),
-                (1.0 - a) * b,
-                a * b,
-            ],
+            weight: [(1.0 - a) * (1.0 - b), a * (1.0 - b), (1.0 - a) * b, a * b],
         }
     }
 }

@@ -52,9 +52,16 @@ impl Patches {
     pub fn solve(source: &[f64], operator: impl Fn(&[f64]) -> Vec<f64>) -> Option<Vec<f64>> {
         let mut x = source.to_vec();
         for _ in 0..10_000 {
-            let next: Vec<f64> = operator(&x).iter().zip(source).map(|(t, s)| t + s).collect();
+            let next: Vec<f64> = operator(&x)
+                .iter()
+                .zip(source)
+                .map(|(t, s)| t + s)
+                .collect();
             let largest = next.iter().fold(0.0, |m: f64, v| m.max(v.abs()));
-            let moved = next.iter().zip(&x).fold(0.0, |m: f64, (a, b)| m.max((a - b).abs()));
+            let moved = next
+                .iter()
+                .zip(&x)
+                .fold(0.0, |m: f64, (a, b)| m.max((a - b).abs()));
             x = next;
             if !largest.is_finite() {
                 return None;

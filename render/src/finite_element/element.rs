@@ -167,10 +167,7 @@ pub struct Side {
 }
 
 /// The trees of a scene and the different sides they reflect with.
-pub(super) fn mesh(
-    scene: &Scene,
-    side: usize,
-) -> Result<(Mesh, Vec<Side>), FiniteElementError> {
+pub(super) fn mesh(scene: &Scene, side: usize) -> Result<(Mesh, Vec<Side>), FiniteElementError> {
     let mut roots = Vec::new();
     let mut sides: Vec<Side> = Vec::new();
     for (index, emitter) in scene.emitters().iter().enumerate() {
@@ -194,7 +191,9 @@ pub(super) fn mesh(
         let mut faces = vec![(false, side_is_diffuse(scene.material(shape as u32)))];
         if let Material::TwoSided(m) = scene.material(shape as u32) {
             let sides = m.sides().iter().zip([false, true]);
-            faces = sides.map(|(m, behind)| (behind, side_is_diffuse(m))).collect();
+            faces = sides
+                .map(|(m, behind)| (behind, side_is_diffuse(m)))
+                .collect();
         }
         for (prim, primitive) in geometry.primitives().into_iter().enumerate() {
             let Primitive::Parallelogram { v0, e1, e2 } = primitive else {

@@ -84,14 +84,12 @@ fn visible(
 /// Links two elements.
 pub fn connect(scene: &Scene, mesh: &Mesh, receiver: u32, source: u32) -> Connection {
     let (re, rs) = (mesh.root(receiver), mesh.root(source));
-    let corners = |e: u32| {
-        [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]].map(|[u, v]| mesh.point(e, u, v))
-    };
+    let corners =
+        |e: u32| [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]].map(|[u, v]| mesh.point(e, u, v));
     let (ce, cs) = (corners(receiver), corners(source));
     let scale = re.area.max(rs.area).sqrt() * 1e-9;
-    let before = |n: Vec3<f64>, at: Vec3<f64>, p: &[Vec3<f64>; 4]| {
-        p.iter().any(|p| n.dot(*p - at) > scale)
-    };
+    let before =
+        |n: Vec3<f64>, at: Vec3<f64>, p: &[Vec3<f64>; 4]| p.iter().any(|p| n.dot(*p - at) > scale);
     if !before(re.normal, ce[0], &cs) || !before(rs.normal, cs[0], &ce) {
         return Connection::None;
     }
@@ -125,7 +123,13 @@ pub fn connect(scene: &Scene, mesh: &Mesh, receiver: u32, source: u32) -> Connec
         for b in 0..4 {
             let d = (y[b] - x).normalize();
             fallback += d * g[b];
-            if g[b] == 0.0 || !visible(scene, (x, re.normal, re.offset), (y[b], rs.normal, rs.offset)) {
+            if g[b] == 0.0
+                || !visible(
+                    scene,
+                    (x, re.normal, re.offset),
+                    (y[b], rs.normal, rs.offset),
+                )
+            {
                 continue;
             }
             // The exact integral over the source, spread by the kernel at its points.
@@ -229,7 +233,10 @@ mod tests {
         let wall = [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]];
         let full = wall.map(|[y, z]| Vec3::new(1.0, y, z));
         let half = wall.map(|[y, z]| Vec3::new(1.0, y, z.max(0.0)));
-        let (a, b) = (form_factor(Vec3::zero(), up, &full), form_factor(Vec3::zero(), up, &half));
+        let (a, b) = (
+            form_factor(Vec3::zero(), up, &full),
+            form_factor(Vec3::zero(), up, &half),
+        );
         assert!((a - b).abs() < 1e-14 && a > 0.1);
     }
 }

@@ -213,7 +213,8 @@ impl<'a> FiniteElements<'a> {
         fem.set_params(&theta)?;
         fem.pixels = fem.look();
         let roots = fem.mesh.roots.len() as u32;
-        let receivers = (0..roots).filter(|&r| matches!(fem.mesh.roots[r as usize].kind, Kind::Surface(_)));
+        let receivers =
+            (0..roots).filter(|&r| matches!(fem.mesh.roots[r as usize].kind, Kind::Surface(_)));
         let pairs: Vec<(u32, u32)> = receivers
             .flat_map(|e| (0..roots).filter(move |&s| s != e).map(move |s| (e, s)))
             .collect();
@@ -257,7 +258,11 @@ impl<'a> FiniteElements<'a> {
 
     fn basis(&self, side: &Side) -> Directions {
         Directions {
-            side: if side.diffuse { 1 } else { self.options.directions },
+            side: if side.diffuse {
+                1
+            } else {
+                self.options.directions
+            },
         }
     }
 
@@ -331,9 +336,7 @@ impl<'a> FiniteElements<'a> {
             let surface = (self.mesh.roots.iter())
                 .position(|r| matches!(r.kind, Kind::Surface(_)) && seen(r))?;
             let lamp = self.mesh.roots.iter().find_map(|r| match r.kind {
-                Kind::Lamp(e) if seen(r) => {
-                    Some((e, (-r.normal.dot(ray.d)).powf(r.exponent)))
-                }
+                Kind::Lamp(e) if seen(r) => Some((e, (-r.normal.dot(ray.d)).powf(r.exponent))),
                 _ => None,
             });
             let uv = self.mesh.roots[surface].coordinates(p);
@@ -400,7 +403,8 @@ impl<'a> FiniteElements<'a> {
                 if let Some(parent) = el.parent
                     && self.mesh.start[e] >= old
                 {
-                    let from = self.mesh.start[parent as usize]..self.mesh.start[parent as usize + 1];
+                    let from =
+                        self.mesh.start[parent as usize]..self.mesh.start[parent as usize + 1];
                     field.copy_within(from, self.mesh.start[e]);
                 }
             }
@@ -604,14 +608,20 @@ impl<'a> FiniteElements<'a> {
 
     /// How large the model is.
     pub fn statistics(&self) -> Statistics {
-        let tables: usize = self.tables.iter().map(|t| {
-            size_of_val(&t.values[..]) + size_of_val(&t.distance[..])
-        }).sum();
+        let tables: usize = self
+            .tables
+            .iter()
+            .map(|t| size_of_val(&t.values[..]) + size_of_val(&t.distance[..]))
+            .sum();
         let fields = if self.options.importance { 2 } else { 1 };
         Statistics {
             elements: self.mesh.elements.len(),
             radiance_links: self.links.len(),
-            importance_links: if self.options.importance { self.links.len() } else { 0 },
+            importance_links: if self.options.importance {
+                self.links.len()
+            } else {
+                0
+            },
             values: 3 * self.mesh.values() * fields,
             bytes: tables
                 + size_of_val(&self.mesh.elements[..])
@@ -686,10 +696,23 @@ impl<'a> FiniteElements<'a> {
         })
     }
 
-    /// What pixels see: tree and surface coordinates; `None` where that is nothing, or a lamp.
+    /// The surface that pixels see: tree and surface coordinates. `None` where that is nothing or a lamp, or
+    /// where the pixel or a neighbour may see something else as well.
     pub fn surfaces(&self) -> Vec<Option<(u32, [f64; 2])>> {
-        let surface = |p: &Option<Pixel>| p.filter(|p| p.lamp.is_none()).map(|p| (p.root, p.uv));
-        self.pixels.iter().map(surface).collect()
+        let [w, h] = self.scene.film.crop_size.map(i64::from);
+        let tree = |x: i64, y: i64| {
+            let inside = (0..w).contains(&x) && (0..h).contains(&y);
+            let p = inside.then(|| self.pixels[(y * w + x) as usize]).flatten();
+            p.filter(|p| p.lamp.is_none()).map(|p| p.root)
+        };
+        let pixel = |i: i64| {
+            let (x, y) = (i % w, i / w);
+            let p = self.pixels[i as usize]?;
+            let around = (0..9).map(|k| tree(x + k % 3 - 1, y + k / 3 - 1));
+            let alone = around.into_iter().all(|t| t == Some(p.root));
+            alone.then_some((p.root, p.uv))
+        };
+        (0..w * h).map(pixel).collect()
     }
 
     /// All links.

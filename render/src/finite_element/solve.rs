@@ -107,7 +107,11 @@ impl Operator<'_> {
     /// What arrives over the links at each element and direction, integrated over its area.
     pub fn incident(&self, leaving: &Field, flow: Flow) -> Field {
         let mut field = vec![[0.0; 3]; leaving.len()];
-        let take = |values: &mut [Colour], to: &super::Stencil, from: u32, send: &super::Stencil, g: f64| {
+        let take = |values: &mut [Colour],
+                    to: &super::Stencil,
+                    from: u32,
+                    send: &super::Stencil,
+                    g: f64| {
             let l = send.read(&leaving[self.range(from)]);
             to.add(values, l.map(|l| l * g));
         };
