@@ -230,7 +230,7 @@ mod tests {
         let found = form_factor(Vec3::zero(), up, &square(0.5));
         assert!((found - 4.0 * corner).abs() < 1e-12, "{found}");
         // A wall through the horizon counts with its upper half.
-        let wall = [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]];
+        let wall: [[f64; 2]; 4] = [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]];
         let full = wall.map(|[y, z]| Vec3::new(1.0, y, z));
         let half = wall.map(|[y, z]| Vec3::new(1.0, y, z.max(0.0)));
         let (a, b) = (
