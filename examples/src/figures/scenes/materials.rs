@@ -182,7 +182,7 @@ fn highlight(k: usize, spp: u64) -> Result<(f64, usize)> {
 /// # Errors
 /// None that the built-in scenes can cause.
 pub fn figure(fig: &mut Figure) -> Result {
-    let n = fig.pick(64 * 256, 64 * 8192);
+    let n = fig.pick(64 * 256, 64 * 2048);
     let spp = fig.pick(256, 4096);
     fig.note("roughness", ALPHA);
     fig.note("index", INDEX);

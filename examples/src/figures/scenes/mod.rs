@@ -3,8 +3,10 @@
 //! The scenes come from [`super::stage`].
 
 pub mod direct_light;
+pub mod environment;
 pub mod factors;
 pub mod materials;
+pub mod moved_edges;
 pub mod path_length;
 pub mod propagation;
 pub mod recovery;
