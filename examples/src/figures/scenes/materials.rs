@@ -183,7 +183,7 @@ fn highlight(k: usize, spp: u64) -> Result<(f64, usize)> {
 /// None that the built-in scenes can cause.
 pub fn figure(fig: &mut Figure) -> Result {
     let n = fig.pick(64 * 256, 64 * 2048);
-    let spp = fig.pick(256, 4096);
+    let spp = fig.pick(256, 1024);
     fig.note("roughness", ALPHA);
     fig.note("index", INDEX);
     fig.note("albedo", ALBEDO);
@@ -297,7 +297,7 @@ fn picture(fig: &mut Figure) -> Result {
     let scene = stage.finish(&view, 12)?;
     let theta = Theta::constant(scene.params().values());
     let technique = Technique::MisPower;
-    let spp = fig.pick(48, 512);
+    let spp = fig.pick(48, 128);
     let image = render_f32(
         &scene,
         &theta,
