@@ -426,6 +426,7 @@ impl<L: Leaf> Bsdf for L {
         self.lobe(&mut { *at }).eval_delta(wo, kind, mode)
     }
 
+    #[inline(always)]
     fn backward<P: Float>(
         &self,
         at: &Shading<P>,
@@ -434,11 +435,7 @@ impl<L: Leaf> Bsdf for L {
         mode: TransportMode,
         grad: &mut impl GradSink<P>,
     ) {
-        let mut count = CountActive {
-            at: *at,
-            grad: &*grad,
-            n: 0,
-        };
+        let mut count = CountActive { grad: &*grad, n: 0 };
         self.lobe::<P>(&mut count);
         match count.n {
             0 => {}
@@ -513,6 +510,7 @@ const MAX_SLOTS: usize = 4;
 /// The local vector-Jacobian product: the lobe is evaluated over duals whose `K` tangents are
 /// the active textures' values at this point, and contracted with the adjoints at once. Channels
 /// do not mix, so one tangent per RGB texture is enough (see [`crate::params`]).
+#[inline(always)]
 fn leaf_backward<L: Leaf, P: Float, const K: usize>(
     leaf: &L,
     at: &Shading<P>,
@@ -548,30 +546,32 @@ fn leaf_backward<L: Leaf, P: Float, const K: usize>(
         }
     }
     leaf.lobe::<P>(&mut Scatter {
-        at: *at,
+        uv: at.uv,
         grad,
         d_slot: &d_slot,
         n: 0,
     });
 }
 
-/// Reads values and counts the active textures.
-struct CountActive<'a, P: Float, G> {
-    at: Shading<'a, P>,
+/// What readers that do not look at values return.
+const PLACEHOLDER: f64 = 0.5;
+
+/// Counts the active textures; the values are placeholders.
+struct CountActive<'a, G> {
     grad: &'a G,
     n: usize,
 }
 
-impl<P: Float, G: GradSink<P>> Reader<P> for CountActive<'_, P, G> {
-    #[inline]
+impl<P: Float, G: GradSink<P>> Reader<P> for CountActive<'_, G> {
+    #[inline(always)]
     fn rgb(&mut self, t: &RgbTexture) -> Rgb<P> {
         self.n += usize::from(t.any_param(|p| self.grad.active(p)));
-        t.rgb(&self.at.theta, self.at.uv)
+        Rgb::splat(P::of(PLACEHOLDER))
     }
-    #[inline]
+    #[inline(always)]
     fn scalar(&mut self, t: &ScalarTexture) -> P {
         self.n += usize::from(t.any_param(|p| self.grad.active(p)));
-        t.scalar(&self.at.theta, self.at.uv)
+        P::of(PLACEHOLDER)
     }
 }
 
@@ -583,7 +583,7 @@ struct Seeds<'a, P: Float, G, const K: usize> {
 }
 
 impl<P: Float, G: GradSink<P>, const K: usize> Seeds<'_, P, G, K> {
-    #[inline]
+    #[inline(always)]
     fn slot(&mut self, active: bool) -> Option<usize> {
         let slot = self.n;
         self.n += usize::from(active);
@@ -591,7 +591,7 @@ impl<P: Float, G: GradSink<P>, const K: usize> Seeds<'_, P, G, K> {
     }
 }
 
-#[inline]
+#[inline(always)]
 fn seed<P: Float, const K: usize>(x: P, slot: Option<usize>) -> Dual<P, K> {
     match slot {
         Some(k) => Dual::var(x, k),
@@ -600,46 +600,47 @@ fn seed<P: Float, const K: usize>(x: P, slot: Option<usize>) -> Dual<P, K> {
 }
 
 impl<P: Float, G: GradSink<P>, const K: usize> Reader<Dual<P, K>> for Seeds<'_, P, G, K> {
-    #[inline]
+    #[inline(always)]
     fn rgb(&mut self, t: &RgbTexture) -> Rgb<Dual<P, K>> {
         let slot = self.slot(t.any_param(|p| self.grad.active(p)));
         t.rgb(&self.at.theta, self.at.uv).map(|x| seed(x, slot))
     }
-    #[inline]
+    #[inline(always)]
     fn scalar(&mut self, t: &ScalarTexture) -> Dual<P, K> {
         let slot = self.slot(t.any_param(|p| self.grad.active(p)));
         seed(t.scalar(&self.at.theta, self.at.uv), slot)
     }
 }
 
-/// Visits the textures in the same order once more and hands out the slots' adjoints.
+/// Visits the textures in the same order once more and hands out the slots' adjoints; the values are
+/// placeholders.
 struct Scatter<'a, P: Float, G, const K: usize> {
-    at: Shading<'a, P>,
+    uv: Vec2<P>,
     grad: &'a mut G,
     d_slot: &'a [Rgb<P>; K],
     n: usize,
 }
 
 impl<P: Float, G: GradSink<P>, const K: usize> Scatter<'_, P, G, K> {
-    #[inline]
+    #[inline(always)]
     fn give<const C: usize>(&mut self, t: &crate::texture::Texture<C>) {
         if t.any_param(|p| self.grad.active(p)) {
-            t.scatter(self.at.uv, self.d_slot[self.n], self.grad);
+            t.scatter(self.uv, self.d_slot[self.n], self.grad);
             self.n += 1;
         }
     }
 }
 
 impl<P: Float, G: GradSink<P>, const K: usize> Reader<P> for Scatter<'_, P, G, K> {
-    #[inline]
+    #[inline(always)]
     fn rgb(&mut self, t: &RgbTexture) -> Rgb<P> {
         self.give(t);
-        t.rgb(&self.at.theta, self.at.uv)
+        Rgb::splat(P::of(PLACEHOLDER))
     }
-    #[inline]
+    #[inline(always)]
     fn scalar(&mut self, t: &ScalarTexture) -> P {
         self.give(t);
-        t.scalar(&self.at.theta, self.at.uv)
+        P::of(PLACEHOLDER)
     }
 }
 
@@ -649,11 +650,11 @@ struct List<'a>(&'a mut dyn FnMut(TextureRef));
 impl Reader<f32> for List<'_> {
     fn rgb(&mut self, t: &RgbTexture) -> Rgb<f32> {
         (self.0)(TextureRef::Rgb(t));
-        Rgb::splat(0.5)
+        Rgb::splat(PLACEHOLDER as f32)
     }
     fn scalar(&mut self, t: &ScalarTexture) -> f32 {
         (self.0)(TextureRef::Scalar(t));
-        0.5
+        PLACEHOLDER as f32
     }
 }
 
@@ -740,11 +741,12 @@ macro_rules! materials {
             ) -> Rgb<R> {
                 $crate::dispatch::dispatch!(self, [$($hot),*] [$($name),*], m => m.eval_component(at, wo, wi, component, mode))
             }
+            #[inline(always)]
             fn backward<P: Float>(
                 &self, at: &Shading<P>, wo: Vec3<P>, uses: &[Use<P>], mode: TransportMode,
                 grad: &mut impl GradSink<P>,
             ) {
-                match self { $(Self::$hot(m) => m.backward(at, wo, uses, mode, grad),)* $(Self::$name(m) => m.backward(at, wo, uses, mode, grad),)* }
+                $crate::dispatch::dispatch!(self, [$($hot),*] [$($name),*], m => m.backward(at, wo, uses, mode, grad))
             }
             fn visit_textures(&self, f: &mut dyn FnMut(TextureRef)) {
                 match self { $(Self::$hot(m) => m.visit_textures(f),)* $(Self::$name(m) => m.visit_textures(f),)* }

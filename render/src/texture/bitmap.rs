@@ -100,6 +100,10 @@ impl Bitmap {
 /// Reduces a coordinate to about one period, so that its integer part fits an `i32` whatever the input.
 #[inline]
 fn reduce<P: Float>(x: P, wrap: Wrap) -> P {
+    // Nearly always; a division with remainder costs more than the rest of the lookup.
+    if x >= P::zero() && x < P::one() {
+        return x;
+    }
     let x = if x.is_finite() { x } else { P::zero() };
     match wrap {
         Wrap::Repeat => x.rem_euclid(P::c(1.0)),
@@ -110,6 +114,9 @@ fn reduce<P: Float>(x: P, wrap: Wrap) -> P {
 
 #[inline]
 fn wrap_index(i: i32, n: u32, wrap: Wrap) -> u32 {
+    if (i as u32) < n {
+        return i as u32;
+    }
     let n = n as i32;
     let j = match wrap {
         Wrap::Repeat => i.rem_euclid(n),

@@ -61,24 +61,20 @@ impl<const C: usize> Texture<C> {
 
     /// Adds the adjoint `d` of the value at `uv` to the texels it was made from. A scalar texture
     /// takes the sum over the channels.
+    #[inline(always)]
     pub fn scatter<P: Float>(&self, uv: Vec2<P>, d: Rgb<P>, grad: &mut impl GradSink<P>) {
         let d: [P; C] = per_channel(d);
-        let mut put = |p: ParamRef, texel: u32, weight: P| {
-            for (c, &d) in d.iter().enumerate() {
-                grad.add(p, texel as usize * C + c, weight * d);
-            }
-        };
         match self {
-            Self::Constant(p) => put(*p, 0, P::one()),
-            Self::Bitmap(t) => {
+            Self::Constant(p) => put(grad, *p, 0, P::one(), d),
+            Self::Bitmap(t) => outline(move || {
                 let f = t.footprint(uv);
                 for k in 0..4 {
                     if f.weight[k] != P::zero() {
-                        put(f.param, f.texel[k], f.weight[k]);
+                        put(grad, f.param, f.texel[k], f.weight[k], d);
                     }
                 }
-            }
-            Self::Checkerboard(t) => put(t.select(uv), 0, P::one()),
+            }),
+            Self::Checkerboard(t) => put(grad, t.select(uv), 0, P::one(), d),
         }
     }
 
@@ -139,6 +135,20 @@ impl Texture<1> {
     #[inline(always)]
     pub fn scalar<R: Real>(&self, theta: &Theta<R>, uv: Vec2<R>) -> R {
         self.eval(theta, uv)[0]
+    }
+}
+
+/// Adds `weight d` to a texel.
+#[inline(always)]
+fn put<P: Float, const C: usize>(
+    grad: &mut impl GradSink<P>,
+    p: ParamRef,
+    texel: u32,
+    weight: P,
+    d: [P; C],
+) {
+    for (c, d) in d.into_iter().enumerate() {
+        grad.add(p, texel as usize * C + c, weight * d);
     }
 }
 
