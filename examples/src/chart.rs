@@ -259,9 +259,12 @@ impl LineChart {
                         |v: f64, r: Option<(f64, f64)>| r.is_none_or(|(l, h)| v >= l && v <= h);
                     within(p.0, self.x_range) && within(p.1, self.y_range)
                 };
-                let dots = points()
-                    .filter(inside)
-                    .map(|p| Circle::new(p, 4, colour.filled()));
+                // Colours repeat after a while; rings tell their second users from the first.
+                let style = match i < COLOURS.len() {
+                    true => colour.filled(),
+                    false => colour.stroke_width(2),
+                };
+                let dots = points().filter(inside).map(|p| Circle::new(p, 4, style));
                 handle = Some(chart.draw_series(dots)?);
             }
             if let (Some(handle), false) = (handle, s.label.is_empty()) {

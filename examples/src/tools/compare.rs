@@ -567,7 +567,7 @@ fn write_chart(out: &Path, param: &str, rows: &[Row]) -> Result<(), ToolError> {
         chart = chart.measured(&label, points);
     }
     output::write_chart(
-        &out.join(format!("{}.error", output::file_name(param))),
+        &out.join(format!("{}.error.svg", output::file_name(param))),
         &chart,
     )
 }
@@ -592,8 +592,11 @@ fn write_images(
         .iter()
         .flat_map(|d| d.1.iter().copied())
         .collect();
+    // Most pixels may not depend on the parameter at all.
+    let largest = all.iter().copied().fold(0.0, f64::max);
+    all.retain(|x| *x > 1e-3 * largest);
     all.sort_by(f64::total_cmp);
-    let scale = all.get(all.len() * 95 / 100).copied().unwrap_or(1.0);
+    let scale = all.get(all.len() * 8 / 10).copied().unwrap_or(1.0);
     for (estimator, values) in deviations {
         let mut image = Image::new(width, height);
         for (o, &x) in image.data.chunks_exact_mut(3).zip(values) {
