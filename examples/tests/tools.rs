@@ -56,6 +56,7 @@ impl Folder {
         let program = match tool {
             "render" => env!("CARGO_BIN_EXE_render"),
             "gradient" => env!("CARGO_BIN_EXE_gradient"),
+            "compare" => env!("CARGO_BIN_EXE_compare"),
             _ => env!("CARGO_BIN_EXE_recover"),
         };
         let mut command = Command::new(program);
@@ -522,4 +523,52 @@ fn a_colour_is_recovered_from_a_picture() {
         assert_eq!(report["scene"], "scene.xml");
         assert!(dir.path("found/values.svg").is_file());
     }
+}
+
+#[test]
+fn estimators_are_compared_and_the_numbers_depend_on_the_seed_alone() {
+    let dir = Folder::new();
+    let names = "mis,detached,differential-mis,attached,attached-naive";
+    let args = format!("scene.xml --param {WALL} --estimators {names} --spp 4 --repeats 6");
+    dir.ok("compare", &format!("{args} --out a --threads 1"));
+    dir.ok(
+        "compare",
+        &format!("{args} --out b --threads 3 --json b.json"),
+    );
+    let (a, b) = (dir.json("a/report.json"), dir.json("b/report.json"));
+    assert_eq!(dir.json("b.json"), b);
+    let rows = |v: &Value| v["rows"].as_array().unwrap().clone();
+    assert_eq!(rows(&a).len(), 4);
+    for (a, b) in rows(&a).iter().zip(&rows(&b)) {
+        for key in ["estimator", "mean", "z", "z_block", "variance", "biased"] {
+            assert_eq!(a[key], b[key], "{key}");
+        }
+        assert!(a["efficiency"].as_f64().unwrap() > 0.0);
+    }
+    assert_eq!(rows(&a)[0]["biased"], false);
+    let refused = a["refused"].as_array().unwrap();
+    assert_eq!(refused.len(), 1);
+    assert!(
+        refused[0]["reason"]
+            .as_str()
+            .unwrap()
+            .contains("discontinuities")
+    );
+    for file in ["table.csv", "ladder.csv", "verdict.txt"] {
+        assert!(dir.path("a").join(file).exists(), "{file}");
+    }
+    let chart = format!("{WALL}.error.svg");
+    assert!(dir.path("a").join(chart).exists());
+    assert!(dir.path("a").join(format!("{WALL}.std.mis.exr")).exists());
+
+    let out = dir.run(
+        "compare",
+        &format!("scene.xml --param {WALL} --estimators best"),
+    );
+    assert_eq!(out.status.code(), Some(1));
+    let stderr = String::from_utf8_lossy(&out.stderr);
+    assert!(
+        stderr.contains("best") && stderr.contains("differential-mis"),
+        "{stderr}"
+    );
 }
