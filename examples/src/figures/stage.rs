@@ -65,6 +65,19 @@ impl Stage {
     /// A value out of range.
     pub fn metal(&mut self, name: &str, rgb: [f64; 3], alpha: f64) -> Result<Arc<Material>> {
         let roughness = self.ggx(name, alpha)?;
+        self.metal_of(name, rgb, roughness)
+    }
+
+    /// Metal of constant reflectance with this roughness, on both sides.
+    ///
+    /// # Errors
+    /// A value out of range.
+    pub fn metal_of(
+        &mut self,
+        name: &str,
+        rgb: [f64; 3],
+        roughness: Roughness,
+    ) -> Result<Arc<Material>> {
         let specular_reflectance = self.colour(name, "specular_reflectance", rgb)?;
         let conductor = Conductor {
             specular_reflectance,
@@ -314,6 +327,14 @@ const PLATES: [[f64; 3]; 4] = [
 /// # Errors
 /// None for a size above zero.
 pub fn plates(width: u32) -> Result<Plates> {
+    plates_of(width, PLATE_ALPHAS, Ndf::Ggx, true)
+}
+
+/// The same with other roughnesses, another distribution of normals, or all of them sampled.
+///
+/// # Errors
+/// A roughness out of range.
+pub fn plates_of(width: u32, alphas: [f64; 4], kind: Ndf, visible: bool) -> Result<Plates> {
     let view = View {
         eye: [0.0, 1.0, 16.0],
         target: [0.0, -0.4, 0.0],
@@ -327,7 +348,7 @@ pub fn plates(width: u32) -> Result<Plates> {
     stage.quad("floor", [[-20.0, -5.2, 20.0], x, z], &ground)?;
     stage.quad("wall", [[-20.0, -5.2, -6.0], x, [0.0, 30.0, 0.0]], &ground)?;
     let mut cells = [[[0.0; 2]; 4]; 4];
-    for (i, (center, alpha)) in PLATES.into_iter().zip(PLATE_ALPHAS).enumerate() {
+    for (i, (center, alpha)) in PLATES.into_iter().zip(alphas).enumerate() {
         let middle = [0.0, LAMPS[0][1], LAMPS[0][2]];
         let n = unit(add(
             unit(sub(middle, center)),
@@ -339,7 +360,10 @@ pub fn plates(width: u32) -> Result<Plates> {
         let corner = add(add(center, [-1.0, 0.0, 0.0], 4.4), down, 0.6);
         let across = [8.8, 0.0, 0.0];
         let up = down.map(|c| -1.2 * c);
-        let metal = stage.metal(&format!("plate {i}"), [0.9; 3], alpha)?;
+        let name = format!("plate {i}");
+        let mut roughness = stage.ggx(&name, alpha)?;
+        (roughness.kind, roughness.visible) = (kind, visible);
+        let metal = stage.metal_of(&name, [0.9; 3], roughness)?;
         stage.quad(&format!("plate {i}"), [corner, across, up], &metal)?;
         for (cell, lamp) in cells[i].iter_mut().zip(LAMPS) {
             let height = dot(sub(lamp, center), n);

@@ -649,9 +649,8 @@ pub fn render<R: Components, X: Sampler>(
     let scale = 1.0 / n as f64;
     for (pixel, values) in sums.chunks_exact(R::COUNT * 3).enumerate() {
         for (k, value) in values.chunks_exact(3).enumerate() {
-            for c in 0..3 {
-                out.sums[k][pixel * 3 + c] = value[c] * scale;
-            }
+            let to = &mut out.sums[k][pixel * 3..pixel * 3 + 3];
+            to.iter_mut().zip(value).for_each(|(to, v)| *to = v * scale);
         }
     }
     out

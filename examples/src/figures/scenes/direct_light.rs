@@ -222,7 +222,7 @@ fn window(setup: &Plates, width: u32, i: usize, j: usize) -> Vec<[u32; 2]> {
 }
 
 /// Top left corner and size of the window: 1/32 of the width, half as high.
-fn corner(setup: &Plates, width: u32, i: usize, j: usize) -> ([u32; 2], [u32; 2]) {
+pub(super) fn corner(setup: &Plates, width: u32, i: usize, j: usize) -> ([u32; 2], [u32; 2]) {
     let (w, h) = ((width / 32).max(4), (width / 64).max(2));
     let [x, y] = setup.cells[i][j];
     let low = |c: f64, n: u32| (c - 0.5 * f64::from(n)).round().max(0.0) as u32;

@@ -4,6 +4,7 @@
 
 pub mod direct_light;
 pub mod environment;
+pub mod estimators;
 pub mod factors;
 pub mod materials;
 pub mod moved_edges;

@@ -1,0 +1,363 @@
+//! All estimators of the derivative in roughness, on the plates [Zeltner 2021, figure 4.19].
+
+use std::time::Instant;
+
+use rayon::prelude::*;
+use render::bsdf::microfacet::Ndf;
+use render::instances::{Direction, Estimator, Technique, render_f32, render_f64};
+use render::params::Theta;
+use render::{RenderError, Scene};
+
+use super::direct_light::corner;
+use crate::chart::Panel;
+use crate::figure::{Figure, Result};
+use crate::figures::stage::{LAMP_RADII, Plates, plates_of};
+
+const SEED: u64 = 419;
+/// From top to bottom, as in the thesis.
+const ALPHAS: [f64; 4] = [0.01, 0.02, 0.06, 0.13];
+/// The columns of the figure, naive attached sampling last.
+const COLUMNS: [Estimator; 8] = [
+    Estimator::Emitter,
+    Estimator::Detached,
+    Estimator::Differential,
+    Estimator::Reparameterised,
+    Estimator::Mis,
+    Estimator::DifferentialMis,
+    Estimator::ReparameterisedMis,
+    Estimator::AttachedNaive,
+];
+const NAIVE: usize = 7;
+/// Combination with light sampling, and its two ingredients.
+const COMBINED: [[usize; 3]; 3] = [[4, 0, 1], [5, 0, 2], [6, 0, 3]];
+
+/// Mean over the pixels of a window, its standard error, and the standard deviation of one sample.
+#[derive(Clone, Copy, Debug, Default)]
+struct Cell {
+    mean: f64,
+    error: f64,
+    std: f64,
+}
+
+impl Cell {
+    /// From images of the window, `spp` samples each.
+    fn of(images: &[Vec<f64>], spp: f64) -> Self {
+        let n = images.len() as f64;
+        let pixels = images[0].len();
+        let average = |image: &Vec<f64>| image.iter().sum::<f64>() / pixels as f64;
+        let means: Vec<f64> = images.iter().map(average).collect();
+        let mean = means.iter().sum::<f64>() / n;
+        let spread = means.iter().map(|m| (m - mean).powi(2)).sum::<f64>() / (n - 1.0);
+        let mut variance = 0.0;
+        for p in 0..pixels {
+            let mean = images.iter().map(|im| im[p]).sum::<f64>() / n;
+            let squares = images.iter().map(|im| (im[p] - mean).powi(2));
+            variance += squares.sum::<f64>() / (n - 1.0) / pixels as f64;
+        }
+        Self {
+            mean,
+            error: (spread / n).sqrt(),
+            std: (variance * spp).sqrt(),
+        }
+    }
+}
+
+/// Means over the channels.
+fn grey(sums: &[f64], scale: f64) -> Vec<f64> {
+    let pixel = |p: &[f64]| p.iter().sum::<f64>() / 3.0 * scale;
+    sums.chunks_exact(3).map(pixel).collect()
+}
+
+fn direction(scene: &Scene, plate: usize) -> std::result::Result<Direction, RenderError> {
+    Direction::uniform(scene.params(), &format!("plate {plate}.alpha.value"))
+}
+
+type Grid = [[Cell; 4]; 4];
+
+/// All cells of one estimator.
+fn cells(
+    setup: &mut Plates,
+    width: u32,
+    runs: u64,
+    image: impl Fn(&Scene, usize, u64) -> std::result::Result<Vec<f64>, RenderError> + Sync,
+    spp: u64,
+) -> Result<Grid> {
+    let mut out = Grid::default();
+    for (i, row) in out.iter_mut().enumerate() {
+        for (j, cell) in row.iter_mut().enumerate() {
+            let (offset, size) = corner(setup, width, i, j);
+            setup.scene.film.crop_offset = offset;
+            setup.scene.film.crop_size = size;
+            let scene = &setup.scene;
+            let images: std::result::Result<Vec<_>, _> = (0..runs)
+                .into_par_iter()
+                .map(|run| image(scene, i, run))
+                .collect();
+            *cell = Cell::of(&images?, spp as f64);
+        }
+    }
+    setup.scene.film.crop_offset = [0; 2];
+    setup.scene.film.crop_size = setup.scene.film.size;
+    Ok(out)
+}
+
+/// `zeltner-4-19`.
+///
+/// # Errors
+/// None that the built-in scene can cause.
+pub fn figure(fig: &mut Figure) -> Result {
+    let width: u32 = fig.pick(160, 320);
+    let (runs, spp): (u64, u64) = (fig.pick(32, 64), fig.pick(48, 256));
+    fig.note("width", width);
+    fig.note("runs", runs);
+    fig.note("samples per pixel and run", spp);
+    fig.note("seed", SEED);
+    // All normals are sampled, as in the thesis; every column uses the same samples per pixel.
+    let mut setup = plates_of(width, ALPHAS, Ndf::Beckmann, false)?;
+
+    let reference = cells(
+        &mut setup,
+        width,
+        runs,
+        |scene, plate, run| {
+            let values: Vec<f64> = scene.params().values().iter().map(|&v| v.into()).collect();
+            let info = scene.params().find(&format!("plate {plate}.alpha.value"))?;
+            let h = 1e-4 * values[info.offset];
+            let at = |step: f64| {
+                let mut moved = values.clone();
+                moved[info.offset] += step;
+                let theta = Theta::constant(&moved);
+                // Light sampling does not move with roughness: common random numbers are smooth.
+                let t = Technique::EmitterOnly;
+                let s = &scene.settings;
+                render_f64(scene, &theta, t, s, SEED ^ (run + 1) << 20, 0..4 * spp, &())
+            };
+            let (up, down) = (at(h), at(-h));
+            let difference: Vec<f64> = up.sums[0]
+                .iter()
+                .zip(&down.sums[0])
+                .map(|(a, b)| a - b)
+                .collect();
+            Ok(grey(&difference, 1.0 / (2.0 * h * 4.0 * spp as f64)))
+        },
+        4 * spp,
+    )?;
+    let mut found = Vec::new();
+    for (k, e) in COLUMNS.into_iter().enumerate() {
+        found.push(cells(
+            &mut setup,
+            width,
+            runs,
+            |scene, plate, run| {
+                let values = scene.params().values();
+                let seed = SEED + (k as u64 + 1) * 1000 + run;
+                let along = direction(scene, plate)?;
+                let s = &scene.settings;
+                let r = e.forward_f32(scene, values, &along, s, seed, 0..spp, &())?;
+                Ok(grey(&r.sums[1], 1.0 / spp as f64))
+            },
+            spp,
+        )?);
+    }
+
+    // ---- (a) ----
+    // 7 x 16 comparisons at a joint level of 1e-3 with 31 or 63 degrees of freedom.
+    let limit = fig.pick(5.4, 4.9);
+    let mut largest = (0.0f64, 0, 0, 0);
+    for (k, grid) in found.iter().enumerate().take(NAIVE) {
+        for (i, row) in grid.iter().enumerate() {
+            for (j, c) in row.iter().enumerate() {
+                let r = reference[i][j];
+                let z = (c.mean - r.mean) / c.error.hypot(r.error);
+                if z.abs() > largest.0.abs() {
+                    largest = (z, k, i, j);
+                }
+            }
+        }
+    }
+    let (z, k, i, j) = largest;
+    fig.check(
+        "(a) every unbiased estimator equals finite differences in every cell",
+        z.abs() < limit,
+        format!(
+            "largest |z| of 112: {z:.2} ({}, roughness {}, radius {}), limit {limit}",
+            COLUMNS[k].name(),
+            ALPHAS[i],
+            LAMP_RADII[j]
+        ),
+    );
+
+    // ---- (b), (c) ----
+    let ratio = |a: usize, b: usize, i: usize, j: usize| found[a][i][j].std / found[b][i][j].std;
+    let (smooth, rough) = (ratio(1, 2, 0, 3), ratio(1, 2, 3, 0));
+    fig.check(
+        "(b) large lamp, roughness 0.01: std of detached above 5 times that of differential",
+        smooth > 5.0,
+        format!("{smooth:.1} times, variance {:.0} times", smooth * smooth),
+    );
+    fig.check(
+        "(b) small lamp, roughness 0.13: the ratio falls below 3",
+        rough < 3.0 && rough < 0.5 * smooth,
+        format!("{rough:.2}"),
+    );
+    let rank = |i: usize, j: usize, best: bool| {
+        let stds = (1..4).map(|k| found[k][i][j].std);
+        let own = found[0][i][j].std;
+        if best {
+            (own, stds.fold(f64::INFINITY, f64::min))
+        } else {
+            (own, stds.fold(0.0, f64::max))
+        }
+    };
+    let (own, other) = rank(3, 0, true);
+    fig.check(
+        "(c) emitter sampling is best at the small lamp in the rough plate",
+        own < other,
+        format!("std {own:.4} against {other:.4} of the best other"),
+    );
+    let (own, other) = rank(0, 3, false);
+    fig.check(
+        "(c) emitter sampling is worst at the large lamp in the smooth plate",
+        own > other,
+        format!("std {own:.4} against {other:.4} of the worst other"),
+    );
+
+    // ---- (d) ----
+    let magnitude = |grid: &Grid| {
+        let all = grid.iter().flatten();
+        all.map(|c| c.mean.abs()).sum::<f64>() / 16.0
+    };
+    let naive = magnitude(&found[NAIVE]) / magnitude(&reference);
+    fig.check(
+        "(d) naive attached sampling sees less than a tenth of the derivative",
+        naive < 0.1,
+        format!("{naive:.4} of it"),
+    );
+
+    // ---- (e) ----
+    let over_plate = |k: usize, i: usize| {
+        let squares = found[k][i].iter().map(|c| c.std * c.std);
+        (squares.sum::<f64>() / 4.0).sqrt()
+    };
+    let mut worst = (0.0, 0, 0);
+    for [both, a, b] in COMBINED {
+        for i in 0..4 {
+            let better = over_plate(a, i).min(over_plate(b, i));
+            let r = over_plate(both, i) / better;
+            if r > worst.0 {
+                worst = (r, both, i);
+            }
+        }
+    }
+    fig.check(
+        "(e) combined with light sampling, the std on every plate is at most 1.3 times the better one",
+        worst.0 < 1.3,
+        format!(
+            "at most {:.2} times ({}, roughness {})",
+            worst.0,
+            COLUMNS[worst.1].name(),
+            ALPHAS[worst.2]
+        ),
+    );
+
+    let rows = COLUMNS.iter().zip(&found).flat_map(|(e, grid)| {
+        let reference = &reference;
+        (0..16).map(move |c| {
+            let (i, j) = (c / 4, c % 4);
+            let (cell, r) = (grid[i][j], reference[i][j]);
+            [
+                e.name().to_owned(),
+                ALPHAS[i].to_string(),
+                LAMP_RADII[j].to_string(),
+                cell.mean.to_string(),
+                cell.error.to_string(),
+                cell.std.to_string(),
+                r.mean.to_string(),
+                r.error.to_string(),
+            ]
+        })
+    });
+    let rows: Vec<_> = rows.collect();
+    let header = [
+        "estimator",
+        "alpha",
+        "radius",
+        "mean",
+        "error",
+        "std of a sample",
+        "reference",
+        "its error",
+    ];
+    fig.csv_text("cells", &header, rows);
+    pictures(fig, &setup)
+}
+
+/// The image, and derivative and standard deviation of every estimator; also what they cost.
+fn pictures(fig: &mut Figure, setup: &Plates) -> Result {
+    let scene = &setup.scene;
+    let (spp, runs) = (fig.pick(4u64, 16), 4u64);
+    let width = scene.film.size[0] as usize;
+    let values = scene.params().values();
+    let theta = Theta::constant(values);
+    let s = &scene.settings;
+    let image = render_f32(
+        scene,
+        &theta,
+        Technique::MisPower,
+        s,
+        SEED,
+        0..16 * spp,
+        &(),
+    );
+    let mut panels = vec![Panel::tonemapped("image", &image.image(0), 1.0)];
+    let mut spreads = Vec::new();
+    let mut costs: Vec<(Estimator, f64)> = Vec::new();
+    for e in COLUMNS {
+        let pixels = scene.film.pixels();
+        let (mut sum, mut squares) = (vec![0.0; pixels], vec![0.0; pixels]);
+        let mut seconds = Vec::new();
+        for run in 0..runs {
+            let mut total = vec![0.0; pixels];
+            for plate in 0..4 {
+                let along = direction(scene, plate)?;
+                let start = Instant::now();
+                let r = e.forward_f32(scene, values, &along, s, SEED + run, 0..spp, &())?;
+                seconds.push(start.elapsed().as_secs_f64());
+                let part = grey(&r.sums[1], 1.0 / spp as f64);
+                total.iter_mut().zip(part).for_each(|(t, p)| *t += p);
+            }
+            for (p, t) in total.iter().enumerate() {
+                sum[p] += t;
+                squares[p] += t * t;
+            }
+        }
+        let n = runs as f64;
+        let mean: Vec<f64> = sum.iter().map(|x| x / n).collect();
+        let std = squares.iter().zip(&mean);
+        let std: Vec<f64> = std
+            .map(|(q, m)| ((q / n - m * m).max(0.0) * n / (n - 1.0) * spp as f64).sqrt())
+            .collect();
+        let (label, gain) = match e {
+            Estimator::AttachedNaive => (format!("{} x 50", e.name()), 50.0),
+            _ => (e.name().to_owned(), 1.0),
+        };
+        let shown: Vec<f64> = mean.iter().map(|x| x * gain).collect();
+        panels.push(Panel::signed(&label, width, &shown, Some(40.0)));
+        let label = format!("std: {}", e.name());
+        spreads.push(Panel::signed(&label, width, &std, Some(400.0)));
+        seconds.sort_by(f64::total_cmp);
+        costs.push((e, seconds[seconds.len() / 2]));
+    }
+    fig.images("derivatives", 3, &panels);
+    fig.images("deviations", 3, &spreads);
+    let base = costs[1].1;
+    let rows: Vec<[String; 2]> = costs
+        .iter()
+        .map(|(e, t)| [e.name().to_owned(), (t / base).to_string()])
+        .collect();
+    for [name, cost] in &rows {
+        println!("        {name}: {:.4} x the time of detached", cost);
+    }
+    fig.csv_text("costs", &["estimator", "time over detached"], rows);
+    Ok(())
+}
