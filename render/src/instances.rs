@@ -15,8 +15,10 @@ use crate::estimator::{
     DetachedMis, DetachedWeights, Differential, EmitterOnly, FrozenWeights, Mis, MixedWeights,
     Power, Reparameterised, Unbiased,
 };
+use crate::integrator::density::{Convention, Map};
 use crate::integrator::gradient::{self, Active, Gradient};
 use crate::integrator::particle;
+use crate::integrator::particle_gradient::{self, Measurement};
 use crate::integrator::render::{self, Components, Progress, Rendering};
 use crate::params::{ParamInfo, ParamRef, Params, Tangent, Theta};
 use crate::sampler::Independent;
@@ -108,6 +110,64 @@ pub fn particles_f32(
         ..particle::Context::new(scene, theta, settings)
     };
     particle::render::<f32, Independent>(&context, seed, samples, &Dynamic(progress))
+}
+
+/// The image by particles that land and viewing rays that collect them within `radius`, in single precision:
+/// [`Map`] with independent samples. As many particles are sent per sample as there are pixels. `None` if
+/// the radius is not positive.
+pub fn density_f32(
+    scene: &Scene,
+    theta: &Theta<f32>,
+    rules: Rules,
+    convention: Convention,
+    radius: f64,
+    settings: &Settings,
+    seed: u64,
+    samples: Range<u64>,
+    progress: &dyn Progress,
+) -> Option<Rendering> {
+    let context = particle::Context {
+        rules,
+        ..particle::Context::new(scene, theta, settings)
+    };
+    let progress = Dynamic(progress);
+    let map = Map::new::<Independent>(&context, radius, seed, samples.clone(), &())?;
+    Some(map.render::<Independent>(&context, convention, seed, samples, &progress))
+}
+
+/// The particles of [`density_f32`], to be gathered at chosen points.
+pub fn particle_map_f32(
+    scene: &Scene,
+    theta: &Theta<f32>,
+    radius: f64,
+    settings: &Settings,
+    seed: u64,
+    samples: Range<u64>,
+) -> Option<Map<f32>> {
+    let context = particle::Context::new(scene, theta, settings);
+    Map::new::<Independent>(&context, radius, seed, samples, &())
+}
+
+/// The gradient of `<adjoint, image>` by particles, in single precision: [`particle_gradient::backward`] with
+/// independent samples.
+///
+/// # Errors
+/// An adjoint image of the wrong size.
+pub fn backward_particles_f32(
+    scene: &Scene,
+    theta: &Theta<f32>,
+    active: &Active,
+    adjoint: &[f32],
+    settings: &Settings,
+    seed: u64,
+    samples: Range<u64>,
+    progress: &dyn Progress,
+) -> Result<Measurement, RenderError> {
+    let context = particle::Context::new(scene, theta, settings);
+    let progress = Dynamic(progress);
+    particle_gradient::backward::<f32, Independent>(
+        &context, active, adjoint, seed, samples, &progress,
+    )
 }
 
 /// The image, in double precision: a reference for [`render_f32`] and for differences.

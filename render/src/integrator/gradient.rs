@@ -131,7 +131,7 @@ pub struct Gradient {
 /// A quantum of 2^-36 of the largest adjoint keeps 1e-8 of a contribution of a thousandth of it, and
 /// leaves room for 6e7 of the largest; more than that is noticed, and the pass repeated with a
 /// coarser quantum.
-struct ExactBuffer {
+pub(super) struct ExactBuffer {
     cells: Vec<AtomicI64>,
     scale: f64,
     overflow: AtomicBool,
@@ -166,10 +166,25 @@ impl ExactBuffer {
 }
 
 /// Where one job's adjoints go.
-struct Sink<'a> {
+pub(super) struct Sink<'a> {
     active: &'a Active,
     small: Vec<f64>,
     large: &'a ExactBuffer,
+}
+
+impl<'a> Sink<'a> {
+    pub(super) fn new(active: &'a Active, large: &'a ExactBuffer) -> Self {
+        Self {
+            active,
+            small: vec![0.0; active.small_len],
+            large,
+        }
+    }
+
+    /// Sums of the small ranges.
+    pub(super) fn into_small(self) -> Vec<f64> {
+        self.small
+    }
 }
 
 impl<P: Float> GradSink<P> for Sink<'_> {
@@ -241,19 +256,33 @@ pub fn backward<P: Float, S: Unbiased, X: Sampler>(
         .iter()
         .fold(0.0f64, |m, &a| m.max(f64::from(a.abs())))
         / spp as f64;
+    let pass = Pass {
+        scene,
+        theta,
+        active,
+        adjoint,
+        settings,
+        seed,
+        samples,
+    };
+    Ok(exactly(scene, active, largest, progress, |large| {
+        pass.run::<S, X>(large, progress)
+    }))
+}
+
+/// Repeats `pass`, which gives the sums of the small ranges, until the large ones fit their integers.
+/// `largest` is the magnitude of the largest adjoint of one path.
+pub(super) fn exactly(
+    scene: &Scene,
+    active: &Active,
+    largest: f64,
+    progress: &impl Progress,
+    pass: impl Fn(&ExactBuffer) -> (Vec<f64>, NonFinite),
+) -> Gradient {
     let mut bits = 36;
     loop {
         let large = ExactBuffer::new(active.large_len, largest, bits);
-        let pass = Pass {
-            scene,
-            theta,
-            active,
-            adjoint,
-            settings,
-            seed,
-            samples: samples.clone(),
-        };
-        let (small, non_finite) = pass.run::<S, X>(&large, progress);
+        let (small, non_finite) = pass(&large);
         if large.overflow.load(Ordering::Relaxed) && bits > 0 {
             bits -= 12;
             continue;
@@ -271,11 +300,11 @@ pub fn backward<P: Float, S: Unbiased, X: Sampler>(
                 }
             })
             .collect();
-        return Ok(Gradient {
+        return Gradient {
             values,
             non_finite,
             cancelled: progress.cancelled(),
-        });
+        };
     }
 }
 
@@ -304,12 +333,7 @@ impl<P: Float> Pass<'_, P> {
         let parts: Vec<_> = (0..jobs)
             .into_par_iter()
             .map(|job| {
-                let small = vec![0.0; self.active.small_len];
-                let mut sink = Sink {
-                    active: self.active,
-                    small,
-                    large,
-                };
+                let mut sink = Sink::new(self.active, large);
                 let context = Context {
                     scene: self.scene,
                     theta: self.theta,

@@ -6,10 +6,12 @@
 
 mod batch;
 pub mod boundary;
+pub mod density;
 pub mod direct;
 pub mod gradient;
 mod local;
 pub mod particle;
+pub mod particle_gradient;
 pub mod path;
 pub mod record;
 pub mod render;

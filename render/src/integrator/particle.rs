@@ -103,7 +103,7 @@ pub trait Observer<R: Real> {
     /// An emitter sent the particle: `weight` is the cosine over all densities.
     fn emitted(&mut self, _emitter: u32, _emission: Emission<R>, _weight: R::Primal) {}
     /// The camera sees the light at the start of the particle. Known, and called, after `emitted`.
-    fn seen(&mut self, _emission: Emission<R>, _connected: Connected<R>) {}
+    fn seen(&mut self, _emitter: u32, _emission: Emission<R>, _connected: Connected<R>) {}
     /// A surface was reached. `depth` is the number of edges so far, `beta` the power, `wo` the
     /// direction it came from, local frame.
     fn vertex(
@@ -133,7 +133,7 @@ struct Pending<R: Real> {
     connected: Connected<R>,
     wi: Vec3<R>,
     /// The emission, if this is the start of the particle.
-    emission: Option<Emission<R>>,
+    emission: Option<(u32, Emission<R>)>,
 }
 
 /// A particle between two vertices, which asks for its rays to be traced, as a
@@ -233,7 +233,7 @@ impl<R: Real, X: Sampler> Particle<R, X> {
                     value: f.scale(weight),
                     connected: Connected { at, f, weight },
                     wi: Vec3::lift(wi),
-                    emission: Some(emission),
+                    emission: Some((index as u32, emission)),
                 });
             }
         }
@@ -297,7 +297,7 @@ impl<R: Real, X: Sampler> Particle<R, X> {
             value: f.scale(weight),
             connected: Connected { at, f, weight },
             wi: Vec3::zero(),
-            emission: Some(emission),
+            emission: Some((emitter as u32, emission)),
         });
     }
 
@@ -326,7 +326,7 @@ impl<R: Real, X: Sampler> Particle<R, X> {
             splat(seen.connected.at, seen.value);
             if O::ENABLED {
                 match seen.emission {
-                    Some(emission) => observer.seen(emission, seen.connected),
+                    Some((emitter, emission)) => observer.seen(emitter, emission, seen.connected),
                     None => observer.connected(seen.wi, seen.connected),
                 }
             }

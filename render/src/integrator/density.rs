@@ -1,0 +1,424 @@
+//! Particles seen by density estimation: what a pinhole sees in mirrors and through water.
+//!
+//! Neither paths from the camera (with small or no lights) nor connections of particles to a pinhole find
+//! caustics that are seen through a smooth interface. Here particles are kept where they land, and viewing rays
+//! follow deltas to the first surface that is none, where they collect the particles within a radius. The
+//! estimate is biased: it is the light convolved with a kernel, and the bias shrinks with the square
+//! of the radius while the variance grows with one over it.
+
+use std::f64::consts::PI;
+use std::ops::Range;
+
+use ad_core::{Float, Vec2, Vec3};
+use rayon::prelude::*;
+
+use super::particle::{Context, Observer, follow, per_sample};
+use super::render::{Components, NonFinite, Progress, Rendering, tiles};
+use crate::bsdf::kernel::{Symmetry, eval_kernel, local_normal};
+use crate::bsdf::{Bsdf, Component, DeltaKind, Shading, TransportMode};
+use crate::emitter::Emitter;
+use crate::math::Rgb;
+use crate::sampler::{BOUNCE_DIMENSIONS, CAMERA_DIMENSIONS, Sampler};
+use crate::scene::Intersection;
+
+/// What viewing rays carry.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Convention {
+    /// Radiance, scaled by `(eta_i / eta_t)^2` where it is refracted.
+    #[default]
+    Radiance,
+    /// Basic radiance `L / eta^2`, which scatters like importance, without any factor: it is divided by
+    /// `eta^2` where light and importance meet, and multiplied by that of the sensor's medium
+    /// [Veach 1996, section 3.1.4].
+    Basic,
+}
+
+/// A particle that landed.
+#[derive(Clone, Copy, Debug)]
+struct Landed<P: Float> {
+    p: Vec3<P>,
+    /// Where it came from, unit, world space.
+    wi: Vec3<P>,
+    n_geo: Vec3<P>,
+    power: Rgb<P>,
+    /// Number of edges so far.
+    depth: u32,
+    shape: u32,
+}
+
+/// Keeps where a particle landed.
+#[derive(Clone, Debug)]
+struct Keeper<P: Float>(Vec<Landed<P>>);
+
+impl<P: Float> Default for Keeper<P> {
+    fn default() -> Self {
+        Self(Vec::new())
+    }
+}
+
+impl<P: Float> Observer<P> for Keeper<P> {
+    const CONNECTS: bool = false;
+
+    fn vertex(&mut self, depth: u32, beta: Rgb<P>, hit: &Intersection<P>, wo: Vec3<P>) {
+        self.0.push(Landed {
+            p: hit.si.p,
+            wi: hit.si.frame.to_world(wo),
+            n_geo: hit.si.n_geo,
+            power: beta,
+            depth,
+            shape: hit.shape,
+        });
+    }
+}
+
+/// Particles in a hashed grid whose cells are as large as the radius of the kernel.
+#[derive(Clone, Debug)]
+pub struct Map<P: Float> {
+    radius: P,
+    landed: Vec<Landed<P>>,
+    /// Per bucket of cells: where its particles start; one more at the end.
+    starts: Vec<u32>,
+    /// Particles that were sent.
+    sent: u64,
+    /// Particles whose power was not finite: left out.
+    pub non_finite: NonFinite,
+}
+
+/// Light gathered at a point.
+#[derive(Clone, Copy, Debug)]
+pub struct Density<P: Float> {
+    /// Power per area, weighted by the kernel and what `gather` was asked for.
+    pub value: Rgb<P>,
+    /// Particles within the radius.
+    pub count: u32,
+}
+
+impl<P: Float> Map<P> {
+    /// Sends the particles of the samples `samples` (one per pixel of the full film and sample, as
+    /// [`super::particle::render`]), and keeps those on surfaces that are no deltas. `None` unless `radius`
+    /// is positive and finite, or if more than 2^32 particles land.
+    ///
+    /// Memory: 64 bytes or so per particle that lands. The same for any number of threads.
+    pub fn new<X: Sampler>(
+        context: &Context<P>,
+        radius: f64,
+        seed: u64,
+        samples: Range<u64>,
+        progress: &impl Progress,
+    ) -> Option<Self> {
+        const CHUNK: u64 = 4096;
+        let radius_p = P::of(radius);
+        if !(radius_p > P::zero() && radius_p.recip().is_finite()) {
+            return None;
+        }
+        let scene = context.scene;
+        let n = per_sample(scene);
+        let sent = samples.end.saturating_sub(samples.start) * n;
+        let first = samples.start * n;
+        let parts: Vec<(Vec<Landed<P>>, NonFinite)> = (0..sent.div_ceil(CHUNK))
+            .into_par_iter()
+            .map(|job| {
+                let mut landed = Vec::new();
+                let mut non_finite = NonFinite::default();
+                if progress.cancelled() {
+                    return (landed, non_finite);
+                }
+                let (start, end) = (job * CHUNK, (job * CHUNK + CHUNK).min(sent));
+                follow::<P, X, Keeper<P>>(
+                    context,
+                    seed,
+                    first + start..first + end,
+                    |_, _, _| {},
+                    |i, keeper| {
+                        for l in keeper.0.drain(..) {
+                            if !l.power.is_finite() {
+                                non_finite.add(i % n, i / n);
+                            } else if !l.power.is_black() && !scene.material(l.shape).is_delta() {
+                                landed.push(l);
+                            }
+                        }
+                    },
+                );
+                (landed, non_finite)
+            })
+            .collect();
+        let total: usize = parts.iter().map(|(l, _)| l.len()).sum();
+        u32::try_from(total).ok()?;
+        let mut map = Self {
+            radius: radius_p,
+            landed: Vec::with_capacity(total),
+            starts: vec![0; total.next_power_of_two().max(2) + 1],
+            sent,
+            non_finite: NonFinite::default(),
+        };
+        // Counting sort by bucket; within a bucket particles keep their order.
+        let buckets: Vec<u32> = (parts.iter().flat_map(|(l, _)| l))
+            .map(|l| map.bucket(map.cell(l.p)))
+            .collect();
+        for &b in &buckets {
+            map.starts[b as usize + 1] += 1;
+        }
+        for i in 1..map.starts.len() {
+            map.starts[i] += map.starts[i - 1];
+        }
+        let mut next = map.starts.clone();
+        let mut order = vec![0u32; total];
+        for (i, &b) in buckets.iter().enumerate() {
+            order[next[b as usize] as usize] = i as u32;
+            next[b as usize] += 1;
+        }
+        let flat: Vec<Landed<P>> = parts.iter().flat_map(|(l, _)| l).copied().collect();
+        map.landed = order.iter().map(|&i| flat[i as usize]).collect();
+        for (_, bad) in &parts {
+            map.non_finite.merge(bad);
+        }
+        Some(map)
+    }
+
+    /// Number of particles on surfaces.
+    pub fn len(&self) -> usize {
+        self.landed.len()
+    }
+
+    /// Whether no particle landed.
+    pub fn is_empty(&self) -> bool {
+        self.landed.is_empty()
+    }
+
+    fn cell(&self, p: Vec3<P>) -> [i64; 3] {
+        // Saturates far away, where cells are one.
+        p.to_array()
+            .map(|x| (x / self.radius).to_f64().floor() as i64)
+    }
+
+    fn bucket(&self, cell: [i64; 3]) -> u32 {
+        let mixed = cell
+            .iter()
+            .fold(0u64, |h, &c| crate::sampler::mix64(h ^ c as u64));
+        (mixed & (self.starts.len() as u64 - 2)) as u32
+    }
+
+    /// Calls `f` with the particles within the radius of `p` on surfaces that face the same way as `n_geo`,
+    /// and their kernel: `2 / (pi r^2) (1 - d^2 / r^2)`, per area.
+    fn near(&self, p: Vec3<P>, n_geo: Vec3<P>, mut f: impl FnMut(&Landed<P>, P)) {
+        let r2 = self.radius * self.radius;
+        let norm = P::of(2.0 / PI) / r2;
+        let centre = self.cell(p);
+        let mut visited = [u32::MAX; 27];
+        let mut n = 0;
+        for k in 0..27 {
+            let cell =
+                [0, 1, 2].map(|a| centre[a].saturating_add([k % 3, k / 3 % 3, k / 9][a] - 1));
+            let bucket = self.bucket(cell);
+            // Two cells may share a bucket.
+            if visited[..n].contains(&bucket) {
+                continue;
+            }
+            visited[n] = bucket;
+            n += 1;
+            let range =
+                self.starts[bucket as usize] as usize..self.starts[bucket as usize + 1] as usize;
+            for l in &self.landed[range] {
+                let d2 = (l.p - p).length_squared();
+                if d2 < r2 && l.n_geo.dot(n_geo) > P::of(0.5) {
+                    f(l, norm * (P::one() - d2 / r2));
+                }
+            }
+        }
+    }
+
+    /// Irradiance at a point of a surface: power per area of the particles that arrive from the side of
+    /// `n_geo`.
+    pub fn irradiance(&self, p: Vec3<P>, n_geo: Vec3<P>) -> Density<P> {
+        let mut out = Density {
+            value: Rgb::black(),
+            count: 0,
+        };
+        self.near(p, n_geo, |l, kernel| {
+            if l.wi.dot(n_geo) > P::zero() {
+                out.value += l.power * kernel;
+                out.count += 1;
+            }
+        });
+        out.value = out.value * P::of(1.0 / self.sent.max(1) as f64);
+        out
+    }
+
+    /// The image: viewing rays follow deltas, add the emission on their way, and gather at the first
+    /// surface that is none. `context` must be that of the map; its rules apply to the viewing rays as well: with
+    /// [`Symmetry::Ignored`] radiance is not scaled at refraction, and `convention` makes no difference.
+    pub fn render<X: Sampler>(
+        &self,
+        context: &Context<P>,
+        convention: Convention,
+        seed: u64,
+        samples: Range<u64>,
+        progress: &impl Progress,
+    ) -> Rendering
+    where
+        P: Components,
+    {
+        let film = &context.scene.film;
+        let [width, height] = film.crop_size;
+        let spp = samples.end.saturating_sub(samples.start);
+        let tiles = tiles(width, height);
+        let parts: Vec<_> = tiles
+            .par_iter()
+            .map(|tile| {
+                let mut sums = vec![[0.0f64; 3]; tile.pixels()];
+                let mut non_finite = NonFinite::default();
+                if progress.cancelled() {
+                    return (sums, non_finite);
+                }
+                for (at, sum) in sums.iter_mut().enumerate() {
+                    let [x, y] = tile.pixel(at);
+                    for index in samples.clone() {
+                        let [px, py] = [x + film.crop_offset[0], y + film.crop_offset[1]];
+                        let pixel = u64::from(py) * u64::from(film.size[0]) + u64::from(px);
+                        let l = self.radiance(
+                            context,
+                            convention,
+                            [px, py],
+                            X::new(seed, pixel, index),
+                        );
+                        if l.is_finite() {
+                            for c in 0..3 {
+                                sum[c] += l[c].to_f64();
+                            }
+                        } else {
+                            non_finite.add(u64::from(y * width + x), index);
+                        }
+                    }
+                }
+                progress.advance(tile.pixels() as u64);
+                (sums, non_finite)
+            })
+            .collect();
+        let mut out = Rendering {
+            width: width as usize,
+            height: height as usize,
+            samples: spp,
+            sums: vec![vec![0.0; film.pixels() * 3]],
+            non_finite: self.non_finite,
+            cancelled: progress.cancelled(),
+        };
+        for (tile, (sums, bad)) in tiles.iter().zip(&parts) {
+            out.non_finite.merge(bad);
+            for (at, sum) in sums.iter().enumerate() {
+                let [x, y] = tile.pixel(at);
+                let i = (y as usize * width as usize + x as usize) * 3;
+                out.sums[0][i..i + 3].copy_from_slice(sum);
+            }
+        }
+        out
+    }
+
+    /// What arrives along a viewing ray through a pixel.
+    fn radiance<X: Sampler>(
+        &self,
+        context: &Context<P>,
+        convention: Convention,
+        [px, py]: [u32; 2],
+        mut sampler: X,
+    ) -> Rgb<P> {
+        let Context {
+            scene,
+            theta,
+            settings,
+            rules,
+            ..
+        } = *context;
+        let [dx, dy] = scene.film.filter.sample(sampler.next_2d::<P>());
+        let centre = |p: u32| P::of(f64::from(p) + 0.5);
+        let mut ray = scene.camera.ray(centre(px) + dx, centre(py) + dy);
+        let scaled = convention == Convention::Radiance && rules.symmetry == Symmetry::Respected;
+        let basic = convention == Convention::Basic && rules.symmetry == Symmetry::Respected;
+        let mut l = Rgb::black();
+        let mut beta = Rgb::splat(P::one());
+        // Index of the medium around the ray over that around the camera.
+        let mut eta = P::one();
+        for depth in 1..=settings.max_depth {
+            // Where light and importance meet, L / eta^2 is what is carried; the sensor's own eta is 1.
+            let meet = if basic { (eta * eta).recip() } else { P::one() };
+            let hit = scene.intersect(&ray);
+            let si = hit.as_ref().map(|h| &h.si);
+            let emitters = match &hit {
+                Some(h) => scene.shape_info(h.shape).emitter.into_iter().collect(),
+                None => scene.infinite_emitters().to_vec(),
+            };
+            for e in emitters {
+                let e = &scene.emitters()[e as usize];
+                if let Some(emission) = e.hit(ray.d, si) {
+                    l += beta * e.eval(theta, &emission) * meet;
+                }
+            }
+            let Some(Intersection { shape, si, .. }) = hit else {
+                break;
+            };
+            let material = scene.material(shape);
+            let n_geo = local_normal(&si);
+            let wo = si.frame.to_local(-ray.d);
+            let at = Shading {
+                theta: *theta,
+                uv: Vec2::lift(si.uv),
+            };
+            if !material.is_delta() {
+                let mut sum = Rgb::black();
+                self.near(si.p, si.n_geo, |p, kernel| {
+                    if p.depth + depth > settings.max_depth {
+                        return;
+                    }
+                    let wi = si.frame.to_local(p.wi);
+                    let continuous = Component::Continuous;
+                    let f = eval_kernel(
+                        material,
+                        &at,
+                        n_geo,
+                        [wo, wi],
+                        continuous,
+                        TransportMode::Radiance,
+                        rules,
+                    );
+                    // The cosine of the particles' measure: their power is already per area.
+                    let cos = match rules.symmetry {
+                        Symmetry::Respected => wi.dot(n_geo).abs(),
+                        Symmetry::Ignored => wi.z.abs(),
+                    };
+                    if cos > P::zero() {
+                        sum += f * p.power * (kernel / cos);
+                    }
+                });
+                return l + beta * sum * (meet / P::of(self.sent.max(1) as f64));
+            }
+            sampler.seek(CAMERA_DIMENSIONS + (depth - 1) * BOUNCE_DIMENSIONS);
+            let mode = TransportMode::Radiance;
+            let Some(sample) = material.sample(&at, wo, sampler.next_3d(), mode) else {
+                break;
+            };
+            let f = material.eval_component(&at, wo, sample.wi, sample.component, mode);
+            beta = beta * f * sample.pdf.recip();
+            if matches!(
+                sample.component,
+                Component::Delta {
+                    kind: DeltaKind::Transmission,
+                    ..
+                }
+            ) {
+                eta *= sample.eta;
+                if !scaled {
+                    beta = beta * (sample.eta * sample.eta);
+                }
+            }
+            ray = si.spawn_ray(si.frame.to_world(sample.wi), scene.shape_info(shape).offset);
+            // Total reflection may go on for long; what is left behind is unbiased.
+            if depth >= settings.rr_depth {
+                let q = beta.max_component().min(P::of(0.95));
+                if sampler.next_1d::<P>() >= q {
+                    break;
+                }
+                beta = beta * q.recip();
+            }
+        }
+        l
+    }
+}

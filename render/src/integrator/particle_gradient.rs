@@ -1,0 +1,303 @@
+//! Reverse mode of the light tracer: recorded particles and their adjoint.
+//!
+//! The mirror image of [`super::record`]. There, radiance flows back along a path from the camera and
+//! meets its adjoint; here the importance of the adjoint image flows back along a particle,
+//! `W_k = connected_k + f_k w_k W_(k+1)`, and meets its power. It is the same sum over paths, taken
+//! from the other end: adjoint radiance *is* importance [Stam 2020].
+
+use std::ops::Range;
+
+use ad_core::{Float, Vec2, Vec3};
+use rayon::prelude::*;
+
+use super::gradient::{Active, ExactBuffer, Gradient, Sink, exactly};
+use super::particle::{Bounce, Connected, Context, Observer, follow, per_sample};
+use super::record::Activity;
+use super::render::{NonFinite, Progress};
+use crate::bsdf::differential::Part;
+use crate::bsdf::{Bsdf, Component, Shading, TransportMode, Use};
+use crate::emitter::{Emission, Emitter};
+use crate::error::RenderError;
+use crate::film::Film;
+use crate::math::Rgb;
+use crate::sampler::Sampler;
+use crate::scene::Intersection;
+
+/// Particles are split into this many jobs, whatever the number of threads, and their sums are added in
+/// order.
+const JOBS: u64 = 128;
+
+#[derive(Clone, Copy, Debug)]
+struct Vertex<P: Float> {
+    beta: Rgb<P>,
+    shape: u32,
+    uv: Vec2<P>,
+    wo: Vec3<P>,
+    connected: Option<(Vec3<P>, Connected<P>)>,
+    bounce: Option<Bounce<P>>,
+}
+
+/// Keeps the vertices of one particle at a time.
+#[derive(Clone, Debug)]
+struct Recorder<P: Float> {
+    emitted: Option<(u32, Emission<P>, P)>,
+    seen: Option<(u32, Emission<P>, Connected<P>)>,
+    vertices: Vec<Vertex<P>>,
+}
+
+impl<P: Float> Default for Recorder<P> {
+    fn default() -> Self {
+        Self {
+            emitted: None,
+            seen: None,
+            vertices: Vec::new(),
+        }
+    }
+}
+
+impl<P: Float> Observer<P> for Recorder<P> {
+    fn emitted(&mut self, emitter: u32, emission: Emission<P>, weight: P) {
+        self.emitted = Some((emitter, emission, weight));
+    }
+    fn seen(&mut self, emitter: u32, emission: Emission<P>, connected: Connected<P>) {
+        self.seen = Some((emitter, emission, connected));
+    }
+    #[inline]
+    fn vertex(&mut self, _depth: u32, beta: Rgb<P>, hit: &Intersection<P>, wo: Vec3<P>) {
+        self.vertices.push(Vertex {
+            beta,
+            shape: hit.shape,
+            uv: hit.si.uv,
+            wo,
+            connected: None,
+            bounce: None,
+        });
+    }
+    #[inline]
+    fn connected(&mut self, wi: Vec3<P>, connected: Connected<P>) {
+        if let Some(v) = self.vertices.last_mut() {
+            v.connected = Some((wi, connected));
+        }
+    }
+    #[inline]
+    fn bounce(&mut self, bounce: Bounce<P>) {
+        if let Some(v) = self.vertices.last_mut() {
+            v.bounce = Some(bounce);
+        }
+    }
+}
+
+/// The adjoint image as the camera's emitted importance.
+struct Sensor<'a> {
+    film: &'a Film,
+    adjoint: &'a [f32],
+    /// One over the number of particles.
+    scale: f64,
+}
+
+impl Sensor<'_> {
+    /// What a unit of light at `at` changes.
+    fn importance<P: Float>(&self, at: [P; 2]) -> Rgb<P> {
+        let mut sum = [0.0; 3];
+        let rows = 0..self.film.crop_size[1];
+        (self.film).splat(at.map(|x| x.to_f64()), rows, |pixel, weight| {
+            for c in 0..3 {
+                sum[c] += f64::from(self.adjoint[pixel * 3 + c]) * weight;
+            }
+        });
+        Rgb::of(sum.map(|x| x * self.scale))
+    }
+}
+
+impl<P: Float> Recorder<P> {
+    /// Whether every value that the adjoint is made of is.
+    fn is_finite(&self) -> bool {
+        self.vertices.iter().all(|v| {
+            let connected = v
+                .connected
+                .is_none_or(|(_, c)| (v.beta * c.f * c.weight).is_finite());
+            connected && v.beta.is_finite() && v.bounce.is_none_or(|b| (b.f * b.weight).is_finite())
+        })
+    }
+
+    fn clear(&mut self) {
+        self.emitted = None;
+        self.seen = None;
+        self.vertices.clear();
+    }
+
+    /// Adds the derivative of the recorded particle's part of `<adjoint, image>` and returns that part.
+    fn backward(&self, context: &Context<P>, sensor: &Sensor, grad: &mut Sink) -> f64 {
+        let Context { scene, theta, .. } = *context;
+        let mut w = Rgb::<P>::black(); // importance arriving at the next vertex
+        for v in self.vertices.iter().rev() {
+            let mut here = Rgb::black();
+            let mut uses = [Use {
+                wi: Vec3::zero(),
+                component: Component::Continuous,
+                part: Part::All,
+                d: Rgb::black(),
+            }; 2];
+            let material = scene.shape_info(v.shape).material;
+            let active = grad.material_active(material);
+            let at = Shading {
+                theta: *theta,
+                uv: v.uv,
+            };
+            let mut mode = TransportMode::Importance;
+            if let Some((wi, c)) = &v.connected {
+                let s = sensor.importance(c.at) * c.weight;
+                here += c.f * s;
+                uses[0].wi = *wi;
+                uses[0].d = v.beta * s;
+                mode = context.rules.mode(mode, [v.wo, *wi], Component::Continuous);
+                if active {
+                    let m = &scene.materials()[material as usize];
+                    m.backward(&at, v.wo, &uses[..1], mode, grad);
+                }
+            }
+            if let Some(b) = &v.bounce {
+                here += b.f * w * b.weight;
+                if active && !w.is_black() {
+                    uses[1] = Use {
+                        wi: b.wi,
+                        component: b.component,
+                        part: Part::All,
+                        d: v.beta * w * b.weight,
+                    };
+                    let m = &scene.materials()[material as usize];
+                    m.backward(&at, v.wo, &uses[1..], b.mode, grad);
+                }
+            }
+            w = here;
+        }
+        let mut total = P::zero();
+        if let Some((emitter, emission, weight)) = &self.emitted {
+            let e = &scene.emitters()[*emitter as usize];
+            total += (e.eval(theta, emission) * w * *weight).sum();
+            if grad.emitter_active(*emitter) {
+                e.backward(emission, w * *weight, grad);
+            }
+        }
+        if let Some((emitter, emission, c)) = &self.seen {
+            let s = sensor.importance(c.at) * c.weight;
+            total += (c.f * s).sum();
+            if grad.emitter_active(*emitter) {
+                scene.emitters()[*emitter as usize].backward(emission, s, grad);
+            }
+        }
+        total.to_f64()
+    }
+}
+
+/// A measurement by particles: the inner product of an adjoint image and the image, and its gradient.
+#[derive(Clone, Debug)]
+pub struct Measurement {
+    /// `<adjoint, image>`, summed where the particles start: emission times the importance that arrives
+    /// there, `<W, L_e>`.
+    pub value: f64,
+    /// Its derivative.
+    pub gradient: Gradient,
+}
+
+/// The derivative of `sum over pixels and channels of adjoint x image` by particles, as
+/// [`super::gradient::backward`] gives it by paths: the arguments and the layout of the result are the same.
+///
+/// # Does not handle
+/// Geometry, deltas in the parameter, and what a pinhole sees through deltas.
+///
+/// # Errors
+/// An adjoint image of the wrong size.
+///
+/// # Reference
+/// [Stam 2020, Eqs. 12 to 14]; [Veach 1996, section 2.4].
+pub fn backward<P: Float, X: Sampler>(
+    context: &Context<P>,
+    active: &Active,
+    adjoint: &[f32],
+    seed: u64,
+    samples: Range<u64>,
+    progress: &impl Progress,
+) -> Result<Measurement, RenderError> {
+    let film = &context.scene.film;
+    if adjoint.len() != film.pixels() * 3 {
+        return Err(RenderError::WrongLength {
+            what: "adjoint image",
+            expected: film.pixels() * 3,
+            found: adjoint.len(),
+        });
+    }
+    let n = per_sample(context.scene);
+    let spp = samples.end.saturating_sub(samples.start);
+    let total = spp * n;
+    let largest = adjoint.iter().fold(0.0f32, |m, a| m.max(a.abs()));
+    let sensor = Sensor {
+        film,
+        adjoint,
+        scale: 1.0 / (total.max(1) as f64),
+    };
+    let (first, step) = (samples.start * n, total.div_ceil(JOBS).max(1));
+    let pixels = film.pixels() as u64;
+    let pass = |large: &ExactBuffer| -> (Vec<f64>, NonFinite) {
+        let parts: Vec<_> = (0..JOBS)
+            .into_par_iter()
+            .map(|job| {
+                // The last value is the measurement.
+                let mut sink = Sink::new(active, large);
+                let mut non_finite = NonFinite::default();
+                let mut value = 0.0;
+                let (start, end) = ((job * step).min(total), (job * step + step).min(total));
+                // In parts, to be stopped between them.
+                for start in (start..end).step_by(4096) {
+                    if progress.cancelled() {
+                        break;
+                    }
+                    follow::<P, X, Recorder<P>>(
+                        context,
+                        seed,
+                        first + start..first + end.min(start + 4096),
+                        |_, _, _| {},
+                        |i, recorder| {
+                            if recorder.is_finite() {
+                                value += recorder.backward(context, &sensor, &mut sink);
+                            } else {
+                                non_finite.add(i % n, i / n);
+                            }
+                            recorder.clear();
+                        },
+                    );
+                }
+                let done =
+                    |i: u64| (u128::from(pixels) * u128::from(i) / u128::from(total.max(1))) as u64;
+                progress.advance(done(end) - done(start));
+                let mut sums = sink.into_small();
+                sums.push(value);
+                (sums, non_finite)
+            })
+            .collect();
+        let mut sums: Vec<f64> = Vec::new();
+        let mut non_finite = NonFinite::default();
+        for (part, bad) in &parts {
+            sums.resize(part.len(), 0.0);
+            sums.iter_mut().zip(part).for_each(|(s, p)| *s += p);
+            non_finite.merge(bad);
+        }
+        (sums, non_finite)
+    };
+    let value = std::cell::Cell::new(0.0);
+    let gradient = exactly(
+        context.scene,
+        active,
+        f64::from(largest) / spp.max(1) as f64,
+        progress,
+        |large| {
+            let (mut sums, non_finite) = pass(large);
+            value.set(sums.pop().unwrap_or(0.0));
+            (sums, non_finite)
+        },
+    );
+    Ok(Measurement {
+        value: value.get(),
+        gradient,
+    })
+}
