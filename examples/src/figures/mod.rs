@@ -3,4 +3,5 @@
 pub mod scenes;
 pub mod stage;
 pub mod stam;
+pub mod veach;
 pub mod zeltner;

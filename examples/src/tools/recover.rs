@@ -20,7 +20,7 @@ use render::sampler::mix64;
 use render::{Image, Scene, Settings, image_io};
 use serde::{Deserialize, Serialize};
 
-use super::render::{in_passes, passes};
+use super::render::{Method, in_passes, passes};
 use crate::chart::LineChart;
 use crate::cli::{
     LoadArgs, Outcome, ThreadArgs, ToolError, depth, report_non_finite, sample_count,
@@ -458,7 +458,13 @@ fn target(
         let total = scene.film.pixels() as u64 * passes(scene, &settings);
         let bar = Bar::new("target", total, interrupt);
         let seed = stream(job.seed, TARGET_STREAM);
-        let rendering = in_passes(scene, Technique::MisPower, &settings, seed, &bar);
+        let rendering = in_passes(
+            scene,
+            Method::Paths(Technique::MisPower),
+            &settings,
+            seed,
+            &bar,
+        );
         bar.finish();
         let complete = rendering.filter(|r| r.samples == u64::from(TARGET_SPP));
         return Ok(complete.map(|r| r.image(0)));

@@ -4,7 +4,9 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use clap::{Parser, ValueEnum};
-use render::instances::{Technique, render_f32};
+use render::bsdf::kernel::{Rules, Symmetry};
+use render::instances::{Technique, density_f32, particles_f32, render_f32};
+use render::integrator::density::Convention;
 use render::integrator::render::{Progress, Rendering};
 use render::params::Theta;
 use render::{Scene, Settings, image_io};
@@ -21,6 +23,8 @@ Examples:
   render scene.xml                               scene.exr and scene.png
   render scene.xml -o out.exr --spp 256 -D depth=12
   render scene.xml --strategy bsdf --json out.json
+  render scene.xml --integrator particle         light tracing
+  render pool.xml --integrator density --radius 0.02
 
 Ctrl-C keeps the samples so far (exit code 130).";
 
@@ -48,6 +52,15 @@ pub struct Args {
     /// Threads
     #[command(flatten)]
     pub threads: ThreadArgs,
+    /// Where light is followed from
+    #[arg(long, value_enum, default_value_t)]
+    pub integrator: IntegratorArg,
+    /// Radius within which `--integrator density` collects particles, world space
+    #[arg(long, value_name = "R", value_parser = radius, required_if_eq("integrator", "density"))]
+    pub radius: Option<f64>,
+    /// The mistake, on purpose: particles scatter like viewing rays, and refraction scales neither
+    #[arg(long)]
+    pub ignore_non_symmetry: bool,
     /// Techniques for direct light
     #[arg(long, value_enum, default_value_t)]
     pub strategy: StrategyArg,
@@ -71,6 +84,37 @@ pub enum StrategyArg {
     Emitter,
 }
 
+/// `--integrator`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum IntegratorArg {
+    /// The path tracer: from the camera
+    #[default]
+    Path,
+    /// The light tracer: particles from the lights, connected to the pinhole
+    Particle,
+    /// Particles collected where viewing rays land: caustics seen through water, slightly blurred
+    Density,
+}
+
+/// How the image is made.
+#[derive(Clone, Copy, Debug)]
+pub enum Method {
+    /// By paths from the camera.
+    Paths(Technique),
+    /// By particles that are connected to the camera.
+    Particles(Rules),
+    /// By particles that are collected within a radius.
+    Density(Rules, f64),
+}
+
+/// A radius: a positive number.
+fn radius(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(r) if r > 0.0 && (1e-30..1e30).contains(&r) => Ok(r),
+        _ => Err("expected a positive length".into()),
+    }
+}
+
 /// `--heuristic`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub enum HeuristicArg {
@@ -82,6 +126,33 @@ pub enum HeuristicArg {
 }
 
 impl Args {
+    /// What the arguments ask for.
+    ///
+    /// # Errors
+    /// Arguments that mean nothing together.
+    fn method(&self) -> Result<Method, ToolError> {
+        let symmetry = match self.ignore_non_symmetry {
+            true => Symmetry::Ignored,
+            false => Symmetry::Respected,
+        };
+        let rules = Rules {
+            symmetry,
+            side_tests: false,
+        };
+        match (self.integrator, self.radius) {
+            (IntegratorArg::Path, None) if !self.ignore_non_symmetry => {
+                Ok(Method::Paths(self.technique()))
+            }
+            (IntegratorArg::Particle, None) => Ok(Method::Particles(rules)),
+            (IntegratorArg::Density, Some(radius)) => Ok(Method::Density(rules, radius)),
+            _ => Err(ToolError::Usage(
+                "--radius belongs to --integrator density, --ignore-non-symmetry to particle and \
+                 density"
+                    .into(),
+            )),
+        }
+    }
+
     fn technique(&self) -> Technique {
         match (self.strategy, self.heuristic) {
             (StrategyArg::Mis, HeuristicArg::Power) => Technique::MisPower,
@@ -121,11 +192,11 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     output::create_parent(&exr)?;
 
     let start = Instant::now();
-    let technique = args.technique();
+    let method = args.method()?;
     let (rendering, threads) = args.threads.run(|threads| {
         let pixels = scene.film.pixels() as u64;
         let bar = Bar::new("render", pixels * passes(&scene, &settings), interrupt);
-        let rendering = in_passes(&scene, technique, &settings, args.seed, &bar);
+        let rendering = in_passes(&scene, method, &settings, args.seed, &bar);
         bar.finish();
         Ok((rendering, threads))
     })?;
@@ -213,7 +284,7 @@ pub fn passes(scene: &Scene, settings: &Settings) -> u64 {
 /// were complete; `None` if there is none.
 pub fn in_passes(
     scene: &Scene,
-    technique: Technique,
+    method: Method,
     settings: &Settings,
     seed: u64,
     progress: &dyn Progress,
@@ -224,15 +295,21 @@ pub fn in_passes(
     let mut done = 0;
     while done < spp {
         let next = (done + pass_length(scene)).min(spp);
-        let pass = render_f32(
-            scene,
-            &theta,
-            technique,
-            settings,
-            seed,
-            done..next,
-            progress,
-        );
+        let samples = done..next;
+        let pass = match method {
+            Method::Paths(technique) => {
+                render_f32(scene, &theta, technique, settings, seed, samples, progress)
+            }
+            Method::Particles(rules) => {
+                particles_f32(scene, &theta, rules, settings, seed, samples, progress)
+            }
+            Method::Density(rules, radius) => {
+                let convention = Convention::Radiance;
+                density_f32(
+                    scene, &theta, rules, convention, radius, settings, seed, samples, progress,
+                )?
+            }
+        };
         if pass.cancelled {
             break;
         }
@@ -275,7 +352,13 @@ mod tests {
         assert_eq!((length, passes(&scene, &settings)), (16, 3));
         let render = |settings: &Settings, limit| {
             let progress = StopAfter(limit, AtomicU64::new(0));
-            in_passes(&scene, Technique::MisPower, settings, 0, &progress)
+            in_passes(
+                &scene,
+                Method::Paths(Technique::MisPower),
+                settings,
+                0,
+                &progress,
+            )
         };
         assert!(render(&settings, pixels / 2).is_none());
         let part = render(&settings, pixels + pixels / 2).unwrap();

@@ -108,7 +108,8 @@ impl<P: Float> Map<P> {
     ) -> Option<Self> {
         const CHUNK: u64 = 4096;
         let radius_p = P::of(radius);
-        if !(radius_p > P::zero() && radius_p.recip().is_finite()) {
+        let area = radius_p * radius_p;
+        if !(radius_p > P::zero() && area.is_finite() && area.recip().is_finite()) {
             return None;
         }
         let scene = context.scene;
@@ -173,6 +174,18 @@ impl<P: Float> Map<P> {
             map.non_finite.merge(bad);
         }
         Some(map)
+    }
+
+    /// Power that arrives on a shape after `depth` edges.
+    pub fn power_on(&self, shape: u32, depth: u32) -> [f64; 3] {
+        let there = (self.landed.iter()).filter(|l| l.shape == shape && l.depth == depth);
+        let mut sum = [0.0; 3];
+        for l in there {
+            for c in 0..3 {
+                sum[c] += l.power[c].to_f64();
+            }
+        }
+        sum.map(|x| x / self.sent.max(1) as f64)
     }
 
     /// Number of particles on surfaces.

@@ -1,0 +1,45 @@
+//! Figures of [Veach 1996]: scattering that is not symmetric; and light tracing [Zeltner 2021, section 2.5.3].
+
+pub mod facets;
+pub mod kernel;
+pub mod light_tracing;
+pub mod normals;
+pub mod pool;
+
+use render::bsdf::kernel::{Rules, Symmetry};
+use render::instances::{Technique, particles_f32, render_f32};
+use render::integrator::render::Rendering;
+use render::params::Theta;
+use render::{Scene, Settings};
+
+/// The mistake, on purpose.
+pub const IGNORED: Rules = Rules {
+    symmetry: Symmetry::Ignored,
+    side_tests: false,
+};
+
+/// The image by particles.
+pub fn particles(
+    scene: &Scene,
+    settings: &Settings,
+    rules: Rules,
+    seed: u64,
+    spp: u64,
+) -> Rendering {
+    let theta = Theta::constant(scene.params().values());
+    particles_f32(scene, &theta, rules, settings, seed, 0..spp, &())
+}
+
+/// The image by paths.
+pub fn paths(scene: &Scene, settings: &Settings, seed: u64, spp: u64) -> Rendering {
+    let theta = Theta::constant(scene.params().values());
+    render_f32(
+        scene,
+        &theta,
+        Technique::MisPower,
+        settings,
+        seed,
+        0..spp,
+        &(),
+    )
+}

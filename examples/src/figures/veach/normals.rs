@@ -1,0 +1,230 @@
+//! A bump-mapped pot and a faceted sphere with smooth shading normals, by particles [Veach 1996, plate 1].
+
+use std::collections::HashMap;
+
+use ad_core::Vec3;
+use render::Scene;
+use render::bsdf::kernel::Rules;
+use render::shape::{Mesh, MeshData};
+
+use super::{IGNORED, particles, paths};
+use crate::chart::Panel;
+use crate::figure::{Figure, Result};
+use crate::figures::stage::{Stage, View, lathe};
+
+/// A sphere of triangles: an icosahedron whose triangles are split into four, `level` times. The normals are
+/// those of the sphere.
+fn icosphere(centre: [f64; 3], radius: f64, level: u32) -> MeshData {
+    let g = (1.0 + 5f64.sqrt()) / 2.0;
+    let mut points: Vec<Vec3<f64>> = Vec::new();
+    for (a, b) in [(-1.0, g), (1.0, g), (-1.0, -g), (1.0, -g)] {
+        points.push(Vec3::new(a, b, 0.0).normalize());
+    }
+    for (a, b) in [(-1.0, g), (1.0, g), (-1.0, -g), (1.0, -g)] {
+        points.push(Vec3::new(0.0, a, b).normalize());
+    }
+    for (a, b) in [(-1.0, g), (1.0, g), (-1.0, -g), (1.0, -g)] {
+        points.push(Vec3::new(b, 0.0, a).normalize());
+    }
+    // The twenty triples of neighbours.
+    let near = |a: usize, b: usize| points[a].dot(points[b]) > 0.4;
+    let mut triangles: Vec<[usize; 3]> = Vec::new();
+    for a in 0..12 {
+        for b in a + 1..12 {
+            for c in b + 1..12 {
+                if near(a, b) && near(b, c) && near(a, c) {
+                    let out = (points[b] - points[a]).cross(points[c] - points[a]);
+                    let front = out.dot(points[a]) > 0.0;
+                    triangles.push(if front { [a, b, c] } else { [a, c, b] });
+                }
+            }
+        }
+    }
+    for _ in 0..level {
+        let mut middles = HashMap::new();
+        let mut finer = Vec::new();
+        for [a, b, c] in triangles {
+            let mut middle = |i: usize, j: usize| {
+                *middles.entry([i.min(j), i.max(j)]).or_insert_with(|| {
+                    points.push((points[i] + points[j]).normalize());
+                    points.len() - 1
+                })
+            };
+            let (d, e, f) = (middle(a, b), middle(b, c), middle(c, a));
+            finer.extend([[a, d, f], [d, b, e], [f, e, c], [d, e, f]]);
+        }
+        triangles = finer;
+    }
+    let single = |v: Vec3<f64>| v.to_array().map(|x| x as f32);
+    MeshData {
+        positions: points
+            .iter()
+            .map(|&p| single(Vec3::from(centre) + p * radius))
+            .collect(),
+        normals: points.iter().map(|&p| single(p)).collect(),
+        uvs: Vec::new(),
+        triangles: (triangles.iter()).map(|t| t.map(|i| i as u32)).collect(),
+    }
+}
+
+/// A pot whose shading normals have bumps that its surface has not.
+fn pot(at: [f64; 3]) -> MeshData {
+    let profile: Vec<[f64; 2]> = (0..=60)
+        .map(|i| {
+            let t = f64::from(i) / 60.0;
+            [
+                0.25 + 0.45 * (std::f64::consts::PI * t).sin().max(0.0).sqrt() * (1.0 - 0.35 * t),
+                1.2 * t,
+            ]
+        })
+        .collect();
+    let mut mesh = lathe(&profile, 160, at);
+    let bump = |p: [f32; 3]| {
+        let [x, y, z] = p.map(|c| 22.0 * f64::from(c));
+        Vec3::new(x.cos() * y.sin(), y.cos() * z.sin(), z.cos() * x.sin()) * 0.35
+    };
+    for (n, p) in mesh.normals.iter_mut().zip(&mesh.positions) {
+        let normal = Vec3::from(n.map(f64::from)).normalize();
+        let b = bump(*p);
+        let tilted = (normal + b - normal * normal.dot(b)).normalize();
+        *n = tilted.to_array().map(|x| x as f32);
+    }
+    mesh
+}
+
+/// The scene and the index of the sphere.
+fn still_life(width: u32) -> Result<(Scene, u32, MeshData)> {
+    let mut stage = Stage::default();
+    let ground = stage.matt("ground", [0.5, 0.48, 0.45])?;
+    let clay = stage.matt("clay", [0.7, 0.4, 0.25])?;
+    let chalk = stage.matt("chalk", [0.6, 0.65, 0.75])?;
+    let black = stage.matt("black", [0.0; 3])?;
+    stage.quad(
+        "floor",
+        [[-4.0, 0.0, 4.0], [8.0, 0.0, 0.0], [0.0, 0.0, -8.0]],
+        &ground,
+    )?;
+    stage.shape("pot", Mesh::new(pot([-0.8, 0.0, 0.0]), false)?, &clay);
+    let ball = icosphere([0.85, 0.75, 0.1], 0.75, 2);
+    let sphere = stage.shape("sphere", Mesh::new(ball.clone(), false)?, &chalk);
+    let lamp = stage.quad(
+        "lamp",
+        [[-3.2, 3.0, 0.6], [1.2, 0.0, 0.0], [0.0, 0.6, 1.2]],
+        &black,
+    )?;
+    stage.lamp("lamp", lamp, [16.0, 15.0, 13.0])?;
+    let view = View {
+        eye: [0.3, 1.6, 4.6],
+        target: [0.0, 0.65, 0.0],
+        fov: 30.0,
+        size: [width, width * 3 / 4],
+    };
+    Ok((stage.finish(&view, 4)?, sphere, ball))
+}
+
+/// Root mean square jump of the brightness relative to `reference` between facets of the sphere that share an
+/// edge.
+fn jumps(scene: &Scene, sphere: u32, ball: &MeshData, image: &[f64], reference: &[f64]) -> f64 {
+    let [width, height] = scene.film.size;
+    let mut sums = vec![[0.0f64; 2]; ball.triangles.len()];
+    for y in 0..height {
+        for x in 0..width {
+            let ray = scene.camera.ray(f64::from(x) + 0.5, f64::from(y) + 0.5);
+            if let Some(hit) = scene.intersect(&ray).filter(|h| h.shape == sphere) {
+                let i = (y * width + x) as usize * 3;
+                let s = &mut sums[hit.prim as usize];
+                s[0] += image[i..i + 3].iter().sum::<f64>();
+                s[1] += reference[i..i + 3].iter().sum::<f64>();
+            }
+        }
+    }
+    let most = sums.iter().map(|s| s[1]).fold(0.0, f64::max);
+    let mut edges: HashMap<[u32; 2], Vec<usize>> = HashMap::new();
+    for (i, t) in ball.triangles.iter().enumerate() {
+        for k in 0..3 {
+            let (a, b) = (t[k], t[(k + 1) % 3]);
+            edges.entry([a.min(b), a.max(b)]).or_default().push(i);
+        }
+    }
+    let squares: Vec<f64> = (edges.values())
+        .filter_map(|f| {
+            let ([a, b], [c, d]) = (sums[*f.first()?], sums[*f.get(1)?]);
+            (b > 0.2 * most && d > 0.2 * most).then(|| (a / b - c / d).powi(2))
+        })
+        .collect();
+    (squares.iter().sum::<f64>() / squares.len().max(1) as f64).sqrt()
+}
+
+/// `veach-plate-1`.
+///
+/// # Errors
+/// None that the built-in scene can cause.
+pub fn figure(fig: &mut Figure) -> Result {
+    let width = fig.pick(64, 192);
+    let spp = fig.pick(300, 1200);
+    fig.note("particles per pixel", spp);
+    let (scene, sphere, ball) = still_life(width)?;
+    let settings = scene.settings;
+    let a = particles(&scene, &settings, Rules::default(), 1, spp);
+    let b = particles(&scene, &settings, IGNORED, 1, spp);
+    let reference = paths(&scene, &settings, 2, spp);
+    let mean = |r: &render::integrator::render::Rendering| r.mean(0).iter().sum::<f64>();
+    let (ma, mb, mr) = (mean(&a), mean(&b), mean(&reference));
+    fig.check(
+        "(a) adjoint BSDFs: as bright as the path tracer, to 1 %",
+        (ma / mr - 1.0).abs() < 0.01,
+        format!("mean {:+.3} %", (ma / mr - 1.0) * 100.0),
+    );
+    let jump = |r: &render::integrator::render::Rendering| {
+        jumps(&scene, sphere, &ball, &r.sums[0], &reference.sums[0])
+    };
+    let (ja, jb) = (jump(&a), jump(&b));
+    fig.check(
+        "(b) scattered like viewing rays: jumps across the sphere's edges more than 3 times those of (a)",
+        jb > 3.0 * ja,
+        format!("root mean square {:.2} % against {:.2} % (noise)", jb * 100.0, ja * 100.0),
+    );
+    let difference = |r: &render::integrator::render::Rendering| -> f64 {
+        let pairs = r.sums[0].iter().zip(&reference.sums[0]);
+        pairs.map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt()
+    };
+    let (da, db) = (difference(&a), difference(&b));
+    fig.check(
+        "(b) differs from the path tracer by more than noise",
+        db > 1.5 * da,
+        format!(
+            "{:.2} times the root mean square difference of (a); mean {:+.2} %",
+            db / da,
+            (mb / mr - 1.0) * 100.0
+        ),
+    );
+    fig.csv(
+        "differences",
+        &["mean (a)", "mean (b)", "mean paths", "jump (a)", "jump (b)"],
+        [[ma, mb, mr, ja, jb]],
+    );
+    let enlarge = fig.pick(4, 2);
+    let panel = |label: &str, r: &render::integrator::render::Rendering| {
+        Panel::tonemapped(label, &r.image(0), 1.0).enlarged(enlarge)
+    };
+    let ratio: Vec<f64> = (b.sums[0]
+        .chunks_exact(3)
+        .zip(reference.sums[0].chunks_exact(3)))
+    .map(|(b, r)| {
+        let (b, r) = (b.iter().sum::<f64>(), r.iter().sum::<f64>());
+        if r > 0.0 { b / r - 1.0 } else { 0.0 }
+    })
+    .collect();
+    let ratio = Panel::signed("(b) over paths, minus 1", width as usize, &ratio, Some(0.5));
+    fig.images(
+        "plate",
+        2,
+        &[
+            panel("(a) adjoint BSDFs", &a),
+            panel("(b) like viewing rays", &b),
+            panel("path tracer", &reference),
+            ratio.enlarged(enlarge),
+        ],
+    );
+    Ok(())
+}
