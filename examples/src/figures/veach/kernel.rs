@@ -157,7 +157,8 @@ fn finite(material: &Material, theta: &[f64], rules: Rules) -> FiniteScene {
             // The cosine of the measure belongs to the ray.
             let cos = from.dot(point.n_geo).abs();
             k[i][j] = point.kernel(from, to, false, rules) / cos;
-            adjoint[i][j] = point.kernel(from, to, true, rules) / cos;
+            // Importance arrives from `other`: particles go there.
+            adjoint[i][j] = point.kernel(to, from, true, rules) / cos;
         }
     }
     FiniteScene { rays, k, adjoint }

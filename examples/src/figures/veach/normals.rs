@@ -5,7 +5,7 @@ use std::collections::HashMap;
 use ad_core::Vec3;
 use render::Scene;
 use render::bsdf::kernel::Rules;
-use render::shape::{Mesh, MeshData};
+use render::shape::{Mesh, MeshData, Shape};
 
 use super::{IGNORED, particles, paths};
 use crate::chart::Panel;
@@ -126,13 +126,15 @@ fn still_life(width: u32) -> Result<(Scene, u32, MeshData)> {
 /// edge.
 fn jumps(scene: &Scene, sphere: u32, ball: &MeshData, image: &[f64], reference: &[f64]) -> f64 {
     let [width, height] = scene.film.size;
+    let before = &scene.shapes()[..sphere as usize];
+    let first: usize = before.iter().map(|s| s.primitives().len()).sum();
     let mut sums = vec![[0.0f64; 2]; ball.triangles.len()];
     for y in 0..height {
         for x in 0..width {
             let ray = scene.camera.ray(f64::from(x) + 0.5, f64::from(y) + 0.5);
             if let Some(hit) = scene.intersect(&ray).filter(|h| h.shape == sphere) {
                 let i = (y * width + x) as usize * 3;
-                let s = &mut sums[hit.prim as usize];
+                let s = &mut sums[hit.prim as usize - first];
                 s[0] += image[i..i + 3].iter().sum::<f64>();
                 s[1] += reference[i..i + 3].iter().sum::<f64>();
             }
