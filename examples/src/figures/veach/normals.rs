@@ -163,7 +163,7 @@ fn jumps(scene: &Scene, sphere: u32, ball: &MeshData, image: &[f64], reference: 
 /// None that the built-in scene can cause.
 pub fn figure(fig: &mut Figure) -> Result {
     let width = fig.pick(64, 192);
-    let spp = fig.pick(4000, 2000);
+    let spp = fig.pick(4000, 6000);
     fig.note("particles per pixel", spp);
     let (scene, sphere, ball) = still_life(width)?;
     let settings = scene.settings;
@@ -182,7 +182,7 @@ pub fn figure(fig: &mut Figure) -> Result {
     };
     let (ja, jb) = (jump(&a), jump(&b));
     // Few particles meet a facet of the small picture: there most of the jumps of (a) are noise.
-    let factor = fig.pick(1.5, 3.0);
+    let factor = fig.pick(1.25, 3.0);
     fig.check(
         format!("(b) scattered like viewing rays: jumps across the sphere's edges more than {factor} times those of (a)"),
         jb > factor * ja,
