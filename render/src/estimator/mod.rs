@@ -12,6 +12,7 @@
 //! (errata Z-4.13f). Which combinations give the right derivative is said by [`Unbiased`]; the others
 //! do not compile unless wrapped in [`AllowBias`].
 
+pub mod memory;
 mod sampling;
 mod strategy;
 mod weights;

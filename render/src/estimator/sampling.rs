@@ -2,6 +2,7 @@
 
 use ad_core::{Real, Vec2, Vec3};
 
+use super::memory::{Forget, Keep, Memory};
 use crate::bsdf::{Bsdf, BsdfSample, Material, Shading, TransportMode};
 
 /// How the light at the end of a sampled direction depends on that direction.
@@ -25,6 +26,9 @@ pub trait Sampling: Send + Sync + 'static {
 
     /// Whether paths are constants, so that `Geometry` is primal.
     const DETACHED_PATH: bool;
+
+    /// Whether an edge must be remembered to be differentiated by itself.
+    type Edge: Memory;
 
     /// How the light that a sampled direction finds is differentiated.
     const DIRECT: Direct = Direct::AsPath;
@@ -95,6 +99,7 @@ pub struct Detached;
 
 impl Sampling for Detached {
     detached_path!();
+    type Edge = Forget;
 }
 
 /// Samples move with the parameters, and so does the whole path behind them [Zeltner 2021,
@@ -106,6 +111,7 @@ impl Sampling for Detached {
 pub struct Attached;
 
 impl Sampling for Attached {
+    type Edge = Forget;
     type Geometry<R: Real> = R;
     const DETACHED_PATH: bool = false;
     const NEEDS_CONTINUITY: bool = true;
@@ -137,6 +143,7 @@ pub struct AttachedDirect;
 
 impl Sampling for AttachedDirect {
     detached_path!();
+    type Edge = Keep;
     const DIRECT: Direct = Direct::Attached;
     const NEEDS_CONTINUITY: bool = true;
 }
@@ -155,6 +162,7 @@ pub struct Reparameterised<const RAYS: usize = 16>;
 
 impl<const RAYS: usize> Sampling for Reparameterised<RAYS> {
     detached_path!();
+    type Edge = Keep;
     const DIRECT: Direct = Direct::Reparameterised { rays: RAYS };
 }
 
@@ -169,5 +177,6 @@ pub struct Differential;
 
 impl Sampling for Differential {
     detached_path!();
+    type Edge = Forget;
     const DIFFERENTIAL: bool = true;
 }

@@ -4,6 +4,7 @@ use std::marker::PhantomData;
 
 use ad_core::Real;
 
+use super::memory::Memory;
 use super::{
     AttachedWeights, Detached, DetachedWeights, Differential, FrozenWeights, Heuristic, Power,
     Sampling, Weights,
@@ -13,6 +14,8 @@ use super::{
 pub trait Strategy: Send + Sync + 'static {
     /// How scattered directions are drawn.
     type Bsdf: Sampling;
+    /// Whether paths remember edges, to differentiate them by themselves.
+    type Edge: Memory;
     /// Whether emitters are sampled.
     const SAMPLES_EMITTERS: bool;
     /// Whether emitters hit by a scattered direction count.
@@ -50,6 +53,7 @@ pub struct Mis<B, E, W, H = Power>(PhantomData<(B, E, W, H)>);
 
 impl<B: Sampling, W: Weights, H: Heuristic> Strategy for Mis<B, Detached, W, H> {
     type Bsdf = B;
+    type Edge = <B::Edge as Memory>::Or<W::Edge>;
     const SAMPLES_EMITTERS: bool = true;
     const COUNTS_HITS: bool = true;
     const FROZEN_WEIGHTS: bool = W::FROZEN;
@@ -75,6 +79,7 @@ pub struct BsdfOnly<B>(PhantomData<B>);
 
 impl<B: Sampling> Strategy for BsdfOnly<B> {
     type Bsdf = B;
+    type Edge = B::Edge;
     const SAMPLES_EMITTERS: bool = false;
     const COUNTS_HITS: bool = true;
     #[inline]
@@ -96,6 +101,7 @@ pub struct EmitterOnly<B>(PhantomData<B>);
 
 impl<B: Sampling> Strategy for EmitterOnly<B> {
     type Bsdf = B;
+    type Edge = B::Edge;
     const SAMPLES_EMITTERS: bool = true;
     const COUNTS_HITS: bool = false;
     #[inline]
@@ -122,6 +128,7 @@ macro_rules! wrapper {
     ($name:ident { $($item:item)* }) => {
         impl<S: Strategy> Strategy for $name<S> {
             type Bsdf = S::Bsdf;
+            type Edge = S::Edge;
             const SAMPLES_EMITTERS: bool = S::SAMPLES_EMITTERS;
             const COUNTS_HITS: bool = S::COUNTS_HITS;
             const FROZEN_WEIGHTS: bool = S::FROZEN_WEIGHTS;

@@ -2,6 +2,8 @@
 
 use ad_core::Real;
 
+use super::memory::{Forget, Keep, Memory};
+
 /// A weighting function for two techniques.
 pub trait Heuristic: Send + Sync + 'static {
     /// Weight of a sample with density `a` when the other technique has density `b`. Both finite and
@@ -45,6 +47,8 @@ impl Heuristic for Power {
 pub trait Weights: Send + Sync + 'static {
     /// Whether the densities in the weights are those of frozen parameters, at samples that move.
     const FROZEN: bool = false;
+    /// Whether an edge must be remembered to be differentiated by itself.
+    type Edge: Memory;
     /// Whether the densities of scattered directions are differentiated in the parameters.
     const DIFFERENTIATED: bool = false;
     /// The weight of a direction with density `a` against `b`, found by scattering; zero if `a` is.
@@ -74,6 +78,7 @@ fn varying<H: Heuristic, R: Real>(a: R, b: R) -> R {
 pub struct DetachedWeights;
 
 impl Weights for DetachedWeights {
+    type Edge = Forget;
     #[inline]
     fn hit<H: Heuristic, R: Real>(a: R, b: R) -> R {
         constant::<H, R>(a, b)
@@ -85,6 +90,7 @@ impl Weights for DetachedWeights {
 pub struct AttachedWeights;
 
 impl Weights for AttachedWeights {
+    type Edge = Keep;
     const DIFFERENTIATED: bool = true;
     #[inline]
     fn hit<H: Heuristic, R: Real>(a: R, b: R) -> R {
@@ -99,6 +105,7 @@ impl Weights for AttachedWeights {
 pub struct FrozenWeights;
 
 impl Weights for FrozenWeights {
+    type Edge = Forget;
     const FROZEN: bool = true;
     #[inline]
     fn hit<H: Heuristic, R: Real>(a: R, b: R) -> R {
@@ -113,6 +120,7 @@ impl Weights for FrozenWeights {
 pub struct MixedWeights;
 
 impl Weights for MixedWeights {
+    type Edge = Keep;
     const DIFFERENTIATED: bool = true;
     #[inline]
     fn hit<H: Heuristic, R: Real>(a: R, b: R) -> R {

@@ -181,8 +181,8 @@ impl<P: Float> Map<P> {
         let there = (self.landed.iter()).filter(|l| l.shape == shape && l.depth == depth);
         let mut sum = [0.0; 3];
         for l in there {
-            for c in 0..3 {
-                sum[c] += l.power[c].to_f64();
+            for (c, sum) in sum.iter_mut().enumerate() {
+                *sum += l.power[c].to_f64();
             }
         }
         sum.map(|x| x / self.sent.max(1) as f64)

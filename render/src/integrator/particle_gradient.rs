@@ -101,8 +101,9 @@ impl Sensor<'_> {
         let mut sum = [0.0; 3];
         let rows = 0..self.film.crop_size[1];
         (self.film).splat(at.map(|x| x.to_f64()), rows, |pixel, weight| {
-            for c in 0..3 {
-                sum[c] += f64::from(self.adjoint[pixel * 3 + c]) * weight;
+            let adjoint = &self.adjoint[pixel * 3..pixel * 3 + 3];
+            for (sum, &a) in sum.iter_mut().zip(adjoint) {
+                *sum += f64::from(a) * weight;
             }
         });
         Rgb::of(sum.map(|x| x * self.scale))

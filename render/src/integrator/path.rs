@@ -6,6 +6,7 @@ use super::boundary::{Freeze, freeze};
 use super::direct::{Departure, FoundLight, direct_light, follows_edges};
 use crate::bsdf::{Bsdf, Component, DiffLobe, Material, Part, Shading, TransportMode};
 use crate::emitter::{Emission, Emitter, EmitterSample};
+use crate::estimator::memory::{Memory, Store};
 use crate::estimator::{Direct, Sampling, Strategy};
 use crate::math::{Ray, Rgb};
 use crate::params::Theta;
@@ -22,6 +23,10 @@ const LEAST_STEP: f64 = 0.2;
 
 /// Scalar of the geometry of a strategy.
 pub type Geometry<S, R> = <<S as Strategy>::Bsdf as Sampling>::Geometry<R>;
+
+/// The last departure of a path and the throughput there, if its strategy wants to know.
+type Remembered<S, R> =
+    <<S as Strategy>::Edge as Memory>::Of<(Departure<<R as Real>::Primal>, Rgb<R>)>;
 
 /// Light found by a ray that hit an emitter, or left the scene towards one.
 #[derive(Clone, Copy, Debug)]
@@ -178,7 +183,7 @@ pub struct Walk<R: Real, S: Strategy, X: Sampler> {
     /// The vertex it left.
     from: Vec3<Geometry<S, R>>,
     /// The same in full, and the throughput there, for strategies that differentiate the edge by itself.
-    departure: Option<(Departure<R::Primal>, Rgb<R>)>,
+    departure: Remembered<S, R>,
     /// Throughput for the light that the next edge finds, where that is not the path's.
     direct_beta: Option<Rgb<R>>,
     /// What roulette goes by.
@@ -203,7 +208,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
             eta: R::Primal::one(),
             pdf_bsdf: R::zero(),
             from: Vec3::zero(),
-            departure: None,
+            departure: Default::default(),
             direct_beta: None,
             survival: R::Primal::one(),
             depth: 1,
@@ -512,7 +517,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
             let followed = differentiates
                 && (moves || sample.component == Component::Continuous)
                 && observer.follows(shape);
-            self.departure = followed.then(|| {
+            self.departure.put(followed.then(|| {
                 let fixed = if moves { 0.0 } else { 1.0 };
                 let from = Departure {
                     shape,
@@ -524,7 +529,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
                     freeze: Freeze::uniform(R::Primal::of(fixed)),
                 };
                 (from, beta)
-            });
+            }));
         }
         if O::ENABLED {
             observer.bounce(Bounce {
@@ -571,7 +576,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
         if !follows_edges::<S>() {
             return None;
         }
-        let (mut from, beta) = self.departure?;
+        let (mut from, beta) = self.departure.get()?;
         if let Direct::Reparameterised { rays } = S::Bsdf::DIRECT {
             let dimension = AUXILIARY_DIMENSIONS + self.depth * 2 * rays as u32;
             self.sampler.seek(dimension);

@@ -49,10 +49,8 @@ pub struct Recorder<P: Float> {
     normals: Vec<NormalsLight<P>>,
     /// Of the vertex that is pulled back.
     uses: Vec<Use<P>>,
-    /// Of the light that comes next.
-    followed: Option<FoundLight<P>>,
-    /// How each light was found.
-    found: Vec<Option<FoundLight<P>>>,
+    /// How some lights were found, with their indices, in order.
+    found: Vec<(u32, FoundLight<P>)>,
     /// Number of entries of `lights` that belong to a vertex already.
     claimed: u32,
 }
@@ -83,7 +81,6 @@ impl<P: Float> Recorder<P> {
 
     /// Gives the light at the open end of the path, beyond the last vertex, a vertex of its own.
     fn close(&mut self) {
-        self.found.resize(self.lights.len(), None);
         if (self.claimed as usize) < self.lights.len() {
             let beta = match self.vertices.last() {
                 Some(Vertex {
@@ -146,19 +143,23 @@ impl<P: Float> Recorder<P> {
         // differentiated as the path is, and by those that are not.
         let mut l = Rgb::<P>::black();
         let (mut plain, mut followed) = (l, l);
-        let mut next_found: &[Option<FoundLight<P>>] = &[];
+        let mut next_found: &[(u32, FoundLight<P>)] = &[];
+        let mut rest = &self.found[..];
         let mut uses = std::mem::take(&mut self.uses);
         for v in self.vertices.iter().rev() {
             let d = d_l * v.beta;
             let (mut arrives_plain, mut arrives_followed) = (Rgb::black(), Rgb::black());
             let lights = v.lights.0 as usize..v.lights.1 as usize;
-            let found = &self.found[lights.clone()];
-            for (hit, found) in self.lights[lights].iter().zip(found) {
+            let (before, found) =
+                rest.split_at(rest.partition_point(|(i, _)| (*i as usize) < lights.start));
+            rest = before;
+            for (i, hit) in lights.clone().zip(&self.lights[lights]) {
                 let e = &scene.emitters()[hit.emitter as usize];
                 let le = e.eval(theta, &hit.emission) * hit.weight;
-                match found {
-                    Some(_) => arrives_followed += le,
-                    None => arrives_plain += le,
+                if found.iter().any(|(k, _)| *k as usize == i) {
+                    arrives_followed += le;
+                } else {
+                    arrives_plain += le;
                 }
                 if grad.emitter_active(hit.emitter) {
                     e.backward(&hit.emission, d * hit.weight, grad);
@@ -238,7 +239,7 @@ impl<P: Float> Recorder<P> {
                     pull_back(material, theta, s.uv, &f, d * light.le, grad);
                 }
             }
-            for found in next_found.iter().flatten() {
+            for (_, found) in next_found {
                 let material = scene.shape_info(found.from.shape).material;
                 if grad.material_active(material) {
                     let f = Found::<P, S> {
@@ -307,16 +308,12 @@ pub trait Activity {
 impl<P: Float> Observer<P> for Recorder<P> {
     #[inline]
     fn light(&mut self, _depth: u32, _beta: Rgb<P>, light: HitLight<P>) {
-        self.found.resize(self.lights.len(), None);
-        if let Some(found) = self.followed.take() {
-            self.found.push(Some(found));
-        }
         self.lights.push(light);
     }
 
     #[inline]
     fn followed(&mut self, found: FoundLight<P>) {
-        self.followed = Some(found);
+        self.found.push((self.lights.len() as u32, found));
     }
 
     #[inline]
