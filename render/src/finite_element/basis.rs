@@ -59,6 +59,82 @@ impl Stencil {
     }
 }
 
+/// The directions that an extended element is seen in: nodes and weights that sum to one; none stand for
+/// the only node of an element without directions. With one direction instead, large glossy elements
+/// would reflect everything at the peaks of their lobes, and light would grow from bounce to bounce.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Spread(Box<[(u16, f32)]>);
+
+impl Spread {
+    /// The mean of stencils with these weights.
+    pub fn mean(stencils: &[(Stencil, f64)]) -> Self {
+        let total: f64 = stencils.iter().map(|s| s.1).sum();
+        let mut entries: Vec<(u16, f64)> = Vec::with_capacity(4 * stencils.len());
+        for (s, weight) in stencils {
+            for (i, w) in s.index.iter().zip(s.weight) {
+                if w != 0.0 && *weight != 0.0 {
+                    entries.push((*i, f64::from(w) * weight / total));
+                }
+            }
+        }
+        // Stable: equal nodes are summed in the order given.
+        entries.sort_by_key(|e| e.0);
+        let mut merged: Vec<(u16, f32)> = Vec::new();
+        let mut sum = 0.0;
+        for (k, (i, w)) in entries.iter().enumerate() {
+            sum += w;
+            if entries.get(k + 1).is_none_or(|next| next.0 != *i) {
+                merged.push((*i, sum as f32));
+                sum = 0.0;
+            }
+        }
+        Self(merged.into())
+    }
+
+    /// The mean of a distribution over the directions.
+    #[inline]
+    pub fn read(&self, values: &[[f64; 3]]) -> [f64; 3] {
+        if self.0.is_empty() {
+            return values[0];
+        }
+        let mut sum = [0.0; 3];
+        for &(i, w) in &self.0 {
+            let v = values[usize::from(i)];
+            for c in 0..3 {
+                sum[c] += f64::from(w) * v[c];
+            }
+        }
+        sum
+    }
+
+    /// Adds what arrives from the directions: the transpose of [`Spread::read`].
+    #[inline]
+    pub fn add(&self, values: &mut [[f64; 3]], amount: [f64; 3]) {
+        let one = [(0, 1.0)];
+        let entries = if self.0.is_empty() { &one } else { &self.0[..] };
+        for &(i, w) in entries {
+            let v = &mut values[usize::from(i)];
+            for c in 0..3 {
+                v[c] += f64::from(w) * amount[c];
+            }
+        }
+    }
+
+    /// The node with the largest weight.
+    pub fn nearest(&self) -> usize {
+        let best = self
+            .0
+            .iter()
+            .fold((0, 0.0), |b, e| if e.1 > b.1 { *e } else { b });
+        usize::from(best.0)
+    }
+
+    /// Bytes on the heap.
+    pub fn bytes(&self) -> usize {
+        size_of_val(&self.0[..])
+    }
+}
+
 /// A grid of `side * side` directions; a side of 1 is a constant, for diffuse surfaces and lamps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Directions {

@@ -4,8 +4,8 @@ use std::f64::consts::{PI, TAU};
 
 use ad_core::Vec3;
 
-use super::basis::Stencil;
-use super::element::Mesh;
+use super::basis::{Spread, Stencil};
+use super::element::{Mesh, Root};
 use crate::math::Ray;
 use crate::scene::Scene;
 
@@ -16,7 +16,7 @@ pub const SAMPLES: usize = 16;
 ///
 /// Its coefficient is the integral of `lobe G` over both elements, where the lobe is 1 for surfaces and
 /// the exact emission for lamps: symmetric in its ends, so that the same number serves both ways.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct Link {
     /// Takes radiance.
     pub receiver: u32,
@@ -24,10 +24,10 @@ pub struct Link {
     pub source: u32,
     /// The integral of the kernel over both elements, m^2 sr.
     pub coupling: f64,
-    /// Direction from the receiver to the source, in the receiver's basis.
-    pub receive: Stencil,
-    /// Direction from the source to the receiver, in the source's basis.
-    pub send: Stencil,
+    /// Directions from the receiver to the source, in the receiver's basis.
+    pub receive: Spread,
+    /// Directions from the source to the receiver, in the source's basis.
+    pub send: Spread,
     /// What the coupling would be if the kernel were everywhere as at one pair of points.
     pub kernel: [f32; SAMPLES],
     /// The same where the axis of a lamp's lobe meets the receiver: narrow beams fall between points.
@@ -35,7 +35,7 @@ pub struct Link {
 }
 
 /// What lies between two elements.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub enum Connection {
     /// A link.
     Link(Link),
@@ -96,8 +96,7 @@ pub fn connect(scene: &Scene, mesh: &Mesh, receiver: u32, source: u32) -> Connec
     let area = mesh.elements[receiver as usize].area;
     let mut kernel = [0.0f32; SAMPLES];
     let mut coupling = 0.0;
-    let mut mean = Vec3::zero();
-    let mut fallback = Vec3::zero();
+    let mut directions: Vec<(Vec3<f64>, f64)> = Vec::with_capacity(SAMPLES);
     for a in 0..4 {
         let [[u, v], _] = sample(4 * a);
         let x = mesh.point(receiver, u, v);
@@ -122,7 +121,6 @@ pub fn connect(scene: &Scene, mesh: &Mesh, receiver: u32, source: u32) -> Connec
         }
         for b in 0..4 {
             let d = (y[b] - x).normalize();
-            fallback += d * g[b];
             if g[b] == 0.0
                 || !visible(
                     scene,
@@ -136,20 +134,35 @@ pub fn connect(scene: &Scene, mesh: &Mesh, receiver: u32, source: u32) -> Connec
             let part = 0.25 * area * PI * form * g[b] / sum * lobe(-rs.normal.dot(d), rs.exponent);
             kernel[4 * a + b] = (part * SAMPLES as f64) as f32;
             coupling += part;
-            mean += d * part;
+            directions.push((d, part));
         }
     }
     let peak = peak(scene, mesh, receiver, source);
     if coupling == 0.0 && peak == 0.0 {
         return Connection::Blocked;
     }
-    let d = if mean == Vec3::zero() { fallback } else { mean }.normalize();
+    if directions.is_empty() {
+        let d = mesh.point(source, 0.5, 0.5) - mesh.point(receiver, 0.5, 0.5);
+        directions.push((d.normalize(), 1.0));
+    }
+    // A beam that every sample misses: equal weights.
+    if coupling == 0.0 {
+        directions.iter_mut().for_each(|d| d.1 = 1.0);
+    }
+    let spread = |root: &Root, sign: f64| {
+        if root.directions.side == 1 {
+            return Spread::default();
+        }
+        let stencil = |d: Vec3<f64>| root.directions.stencil(root.frame.to_local(d * sign));
+        let stencils = directions.iter().map(|&(d, w)| (stencil(d), w));
+        Spread::mean(&stencils.collect::<Vec<(Stencil, f64)>>())
+    };
     Connection::Link(Link {
         receiver,
         source,
         coupling,
-        receive: re.directions.stencil(re.frame.to_local(d)),
-        send: rs.directions.stencil(rs.frame.to_local(-d)),
+        receive: spread(re, 1.0),
+        send: spread(rs, -1.0),
         kernel,
         peak,
     })

@@ -30,7 +30,7 @@ pub mod link;
 pub mod solve;
 
 pub use adjoint::ParameterGradient;
-pub use basis::{Directions, Stencil};
+pub use basis::{Directions, Spread, Stencil};
 
 use std::collections::HashMap;
 use std::f64::consts::PI;
@@ -507,14 +507,13 @@ impl<'a> FiniteElements<'a> {
             let best = (0..4).fold(0, |b, k| if s.weight[k] > s.weight[b] { k } else { b });
             usize::from(s.index[best])
         };
-        let centre = nearest(&l.receive);
+        let centre = l.receive.nearest();
         let single = re.directions.side == 1 && rs.directions.side == 1;
         let (mut low, mut high, mut sum): (f64, f64, f64) = (f64::INFINITY, 0.0, 0.0);
         let mut turned: f64 = 0.0;
-        let mut fixed = [Stencil::SINGLE; 2];
-        for k in 0..SAMPLES + 1 {
-            let mut stencils = fixed;
-            if !single && k < SAMPLES {
+        for k in 0..SAMPLES {
+            let mut stencils = [Stencil::SINGLE; 2];
+            if !single {
                 let [a, b] = link::sample(k);
                 let x = mesh.point(l.receiver, a[0], a[1]);
                 let d = (mesh.point(l.source, b[0], b[1]) - x).normalize();
@@ -522,15 +521,8 @@ impl<'a> FiniteElements<'a> {
                     re.directions.stencil(re.frame.to_local(d)),
                     rs.directions.stencil(rs.frame.to_local(-d)),
                 ];
-            } else if !single {
-                stencils = [l.receive, l.send];
             }
-            fixed = stencils;
-            let kernel = if k < SAMPLES { l.kernel[k] } else { l.peak };
-            if k == SAMPLES && kernel == 0.0 {
-                continue;
-            }
-            let kernel = f64::from(kernel);
+            let kernel = f64::from(l.kernel[k]);
             let radiance = stencils[1].read(leaving);
             let weight = if self.options.importance {
                 stencils[0].read(importance)
@@ -542,9 +534,17 @@ impl<'a> FiniteElements<'a> {
             let p = kernel * (0..3).map(|c| radiance[c] * weight[c]).sum::<f64>();
             low = low.min(p);
             high = high.max(p);
-            if k < SAMPLES {
-                sum += p;
-            }
+            sum += p;
+        }
+        if l.peak > 0.0 {
+            let radiance = l.send.read(leaving);
+            let weight = if self.options.importance {
+                l.receive.read(importance)
+            } else {
+                table.albedo
+            };
+            let p = (0..3).map(|c| radiance[c] * weight[c]).sum::<f64>();
+            high = high.max(f64::from(l.peak) * p);
         }
         [high - low + 3.0 * turned, sum / SAMPLES as f64]
     }
@@ -613,6 +613,8 @@ impl<'a> FiniteElements<'a> {
             .iter()
             .map(|t| size_of_val(&t.values[..]) + size_of_val(&t.distance[..]))
             .sum();
+        let spread = |l: &Link| l.receive.bytes() + l.send.bytes();
+        let spreads: usize = self.links.iter().map(spread).sum();
         let fields = if self.options.importance { 2 } else { 1 };
         Statistics {
             elements: self.mesh.elements.len(),
@@ -626,6 +628,7 @@ impl<'a> FiniteElements<'a> {
             bytes: tables
                 + size_of_val(&self.mesh.elements[..])
                 + size_of_val(&self.links[..])
+                + spreads
                 + self.mesh.values() * fields * size_of::<Colour>(),
         }
     }

@@ -7,6 +7,7 @@
 use rayon::prelude::*;
 
 use super::FiniteElementError;
+use super::basis::Spread;
 use super::element::{Kind, Mesh};
 use super::link::Link;
 
@@ -107,11 +108,7 @@ impl Operator<'_> {
     /// What arrives over the links at each element and direction, integrated over its area.
     pub fn incident(&self, leaving: &Field, flow: Flow) -> Field {
         let mut field = vec![[0.0; 3]; leaving.len()];
-        let take = |values: &mut [Colour],
-                    to: &super::Stencil,
-                    from: u32,
-                    send: &super::Stencil,
-                    g: f64| {
+        let take = |values: &mut [Colour], to: &Spread, from: u32, send: &Spread, g: f64| {
             let l = send.read(&leaving[self.range(from)]);
             to.add(values, l.map(|l| l * g));
         };
