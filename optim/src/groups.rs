@@ -115,7 +115,7 @@ impl Groups {
     }
 
     /// Names the group in an error that has an index.
-    fn locate(&self, mut error: OptimError) -> OptimError {
+    pub(crate) fn locate(&self, mut error: OptimError) -> OptimError {
         match &mut error {
             OptimError::NonFiniteGradient { index, group, .. }
             | OptimError::NonFiniteValue { index, group, .. }
@@ -129,7 +129,11 @@ impl Groups {
 
     /// Variables for physical values. A variable that already stands for its value is kept: it may
     /// hold more digits than the value.
-    fn refresh<T: Scalar>(&self, params: &[T], variables: &mut [T]) -> Result<(), OptimError> {
+    pub(crate) fn refresh<T: Scalar>(
+        &self,
+        params: &[T],
+        variables: &mut [T],
+    ) -> Result<(), OptimError> {
         let mut end = 0;
         for group in &self.groups {
             variables[end..group.range.start].copy_from_slice(&params[end..group.range.start]);
@@ -154,7 +158,11 @@ impl Groups {
     }
 
     /// The gradient with respect to the variables: `g * dp/du`.
-    fn pull_back<T: Scalar>(&self, variables: &[T], grad: &[T]) -> Result<Vec<T>, OptimError> {
+    pub(crate) fn pull_back<T: Scalar>(
+        &self,
+        variables: &[T],
+        grad: &[T],
+    ) -> Result<Vec<T>, OptimError> {
         let mut out = grad.to_vec();
         for group in &self.groups {
             for index in group.range.clone() {
@@ -168,6 +176,34 @@ impl Groups {
             }
         }
         Ok(out)
+    }
+
+    /// How an entry depends on its variable.
+    pub(crate) fn map_of(&self, index: usize) -> Parameterisation {
+        self.group_of(index)
+            .map_or(Parameterisation::Identity, |g| g.parameterisation)
+    }
+
+    /// Projects variables that have moved from `old` to `new` and gives the parameters behind them their
+    /// values; the others keep their bits.
+    pub(crate) fn apply<T: Scalar>(&self, old: &[T], new: &mut [T], params: &mut [T]) {
+        let mut end = 0;
+        for group in &self.groups {
+            params[end..group.range.start].copy_from_slice(&new[end..group.range.start]);
+            end = group.range.end;
+            let map = group.parameterisation;
+            for i in group.range.clone() {
+                new[i] = map.project(new[i]);
+                let outside = {
+                    let (lo, hi) = map.range::<T>();
+                    params[i] < lo || params[i] > hi
+                };
+                if new[i] != old[i] || outside {
+                    params[i] = map.forward(new[i]);
+                }
+            }
+        }
+        params[end..].copy_from_slice(&new[end..]);
     }
 }
 
@@ -272,23 +308,7 @@ impl<O: Optimizer<T>, T: Scalar> Optimizer<T> for Constrained<O, T> {
             .step(&mut new, &grad)
             .map_err(|e| groups.locate(e))?;
 
-        let mut end = 0;
-        for group in &groups.groups {
-            params[end..group.range.start].copy_from_slice(&new[end..group.range.start]);
-            end = group.range.end;
-            let map = group.parameterisation;
-            for i in group.range.clone() {
-                new[i] = map.project(new[i]);
-                let outside = {
-                    let (lo, hi) = map.range::<T>();
-                    params[i] < lo || params[i] > hi
-                };
-                if new[i] != old[i] || outside {
-                    params[i] = map.forward(new[i]);
-                }
-            }
-        }
-        params[end..].copy_from_slice(&new[end..]);
+        groups.apply(&old, &mut new, params);
         self.variables = new;
         Ok(())
     }

@@ -1,4 +1,4 @@
-//! First-order optimisers, parameter bounds and image losses over flat slices of f32 or f64.
+//! First-order and Gauss-Newton optimisers, parameter bounds and image losses over flat slices of f32 or f64.
 //!
 //! An optimiser takes a parameter vector and the gradient of an objective and moves the parameters;
 //! where either comes from is not its concern. [`Groups`] names ranges of the vector and gives them
@@ -45,6 +45,7 @@
 //! |---|---|
 //! | `optimizer` | the trait [`Optimizer`] and the list of optimisers, [`AnyOptimizer`] |
 //! | `sgd`, `adam` | one algorithm each |
+//! | `gauss_newton` | [`GaussNewton`]: damped steps for least squares, by conjugate gradients |
 //! | `schedule`, `rates` | learning rates over time and per range |
 //! | `bounds` | changes of variables and projections of single values |
 //! | `groups` | named ranges, and [`Constrained`], which applies all of the above to them |
@@ -55,6 +56,7 @@ mod adam;
 mod bounds;
 mod error;
 pub mod exact;
+mod gauss_newton;
 mod groups;
 pub mod loss;
 mod optimizer;
@@ -68,6 +70,9 @@ mod test_functions;
 pub use adam::{Adam, AdamOptions};
 pub use bounds::{Parameterisation, SIGMOID_LIMIT};
 pub use error::OptimError;
+pub use gauss_newton::{
+    Curvature, Evaluation, GaussNewton, GaussNewtonOptions, NormalMatrix, Outcome,
+};
 pub use groups::{Constrained, Group, Groups};
 pub use loss::{Loss, LossKind, PixelLoss};
 pub use optimizer::{AnyOptimizer, Optimizer};

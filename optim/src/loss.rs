@@ -32,6 +32,14 @@ pub trait Loss<T: Scalar> {
     /// Writes the adjoint image: the derivative of [`value`](Self::value) with respect to every
     /// entry of `image`. `d_image` is overwritten, and left alone if an error is returned.
     fn gradient(&self, image: &[T], target: &[T], d_image: &mut [T]) -> Result<(), OptimError>;
+
+    /// Writes the second derivative of [`value`](Self::value) with respect to every entry of `image` by
+    /// itself; entries do not mix. Like the adjoint it is free of noise for [`L2`] and [`RelativeL2`].
+    fn curvature(&self, image: &[T], target: &[T], dd_image: &mut [T]) -> Result<(), OptimError>;
+
+    /// The standard error of [`value`](Self::value) as a mean over entries. Above that of its noise, as
+    /// entries differ for other reasons too.
+    fn standard_error(&self, image: &[T], target: &[T]) -> Result<f64, OptimError>;
 }
 
 /// A loss that is the mean of a function of single entries; implements [`Loss`] for both scalars.
@@ -41,6 +49,9 @@ pub trait PixelLoss {
 
     /// Its derivative with respect to the image. Zero where the function has a kink.
     fn d_pixel(&self, image: f64, target: f64) -> f64;
+
+    /// Its second derivative with respect to the image. Zero where the function has a kink.
+    fn dd_pixel(&self, image: f64, target: f64) -> f64;
 }
 
 impl<T: Scalar, P: PixelLoss> Loss<T> for P {
@@ -63,21 +74,46 @@ impl<T: Scalar, P: PixelLoss> Loss<T> for P {
     fn gradient(&self, image: &[T], target: &[T], d_image: &mut [T]) -> Result<(), OptimError> {
         check(image, target)?;
         require_len("d_image", image.len(), d_image.len())?;
-        let n = image.len() as f64;
-        let d = |index: usize| {
-            T::from_f64(self.d_pixel(image[index].to_f64(), target[index].to_f64()) / n)
-        };
-        if let Some(index) = (0..image.len()).find(|i| !d(*i).is_finite()) {
-            return Err(OptimError::Overflow {
-                what: "adjoint image",
-                index,
-            });
-        }
-        for (index, d_i) in d_image.iter_mut().enumerate() {
-            *d_i = d(index);
-        }
-        Ok(())
+        let d = |image, target| self.d_pixel(image, target);
+        write_means(d, image, target, d_image, "adjoint image")
     }
+
+    fn curvature(&self, image: &[T], target: &[T], dd_image: &mut [T]) -> Result<(), OptimError> {
+        check(image, target)?;
+        require_len("dd_image", image.len(), dd_image.len())?;
+        let dd = |image, target| self.dd_pixel(image, target);
+        write_means(dd, image, target, dd_image, "curvature image")
+    }
+
+    fn standard_error(&self, image: &[T], target: &[T]) -> Result<f64, OptimError> {
+        let mean = self.value(image, target)?;
+        let n = image.len() as f64;
+        let square = |(i, t): (&T, &T)| {
+            // Divided before they are squared, like the mean.
+            let d = (self.pixel(i.to_f64(), t.to_f64()) - mean) / n;
+            d * d
+        };
+        Ok(image.iter().zip(target).map(square).sum::<f64>().sqrt())
+    }
+}
+
+/// A function of every entry over the number of entries; `out` is left alone on errors.
+fn write_means<T: Scalar>(
+    f: impl Fn(f64, f64) -> f64,
+    image: &[T],
+    target: &[T],
+    out: &mut [T],
+    what: &'static str,
+) -> Result<(), OptimError> {
+    let n = image.len() as f64;
+    let entry = |i: usize| T::from_f64(f(image[i].to_f64(), target[i].to_f64()) / n);
+    if let Some(index) = (0..image.len()).find(|i| !entry(*i).is_finite()) {
+        return Err(OptimError::Overflow { what, index });
+    }
+    for (index, out) in out.iter_mut().enumerate() {
+        *out = entry(index);
+    }
+    Ok(())
 }
 
 fn check<T: Scalar>(image: &[T], target: &[T]) -> Result<(), OptimError> {
@@ -104,6 +140,9 @@ impl PixelLoss for L1 {
     fn d_pixel(&self, image: f64, target: f64) -> f64 {
         sign(image - target)
     }
+    fn dd_pixel(&self, _image: f64, _target: f64) -> f64 {
+        0.0
+    }
 }
 
 /// Mean of `(image - target)^2`. Unbiased with independent gradient samples.
@@ -117,6 +156,9 @@ impl PixelLoss for L2 {
     }
     fn d_pixel(&self, image: f64, target: f64) -> f64 {
         2.0 * (image - target)
+    }
+    fn dd_pixel(&self, _image: f64, _target: f64) -> f64 {
+        2.0
     }
 }
 
@@ -158,6 +200,9 @@ impl PixelLoss for RelativeL1 {
     fn d_pixel(&self, image: f64, target: f64) -> f64 {
         sign(image - target) / (target.abs() + self.epsilon)
     }
+    fn dd_pixel(&self, _image: f64, _target: f64) -> f64 {
+        0.0
+    }
 }
 
 with_epsilon! {
@@ -173,6 +218,9 @@ impl PixelLoss for RelativeL2 {
     }
     fn d_pixel(&self, image: f64, target: f64) -> f64 {
         2.0 * (image - target) / (target * target + self.epsilon)
+    }
+    fn dd_pixel(&self, _image: f64, target: f64) -> f64 {
+        2.0 / (target * target + self.epsilon)
     }
 }
 
@@ -196,6 +244,11 @@ impl PixelLoss for LogL2 {
     }
     fn d_pixel(&self, image: f64, target: f64) -> f64 {
         2.0 * (self.compress(image) - self.compress(target)) / (image.abs() + self.epsilon)
+    }
+    fn dd_pixel(&self, image: f64, target: f64) -> f64 {
+        let d = self.compress(image) - self.compress(target);
+        let slope = (image.abs() + self.epsilon).recip();
+        2.0 * slope * slope * (1.0 - d * 1f64.copysign(image))
     }
 }
 
@@ -268,6 +321,9 @@ impl PixelLoss for LossKind {
     fn d_pixel(&self, image: f64, target: f64) -> f64 {
         self.inner().d_pixel(image, target)
     }
+    fn dd_pixel(&self, image: f64, target: f64) -> f64 {
+        self.inner().dd_pixel(image, target)
+    }
 }
 
 #[cfg(test)]
@@ -332,6 +388,36 @@ mod tests {
                 assert_relative_eq!(f64::from(*s), d, max_relative = 1e-5);
             }
         }
+    }
+
+    #[test]
+    fn curvature_images_equal_differences_of_adjoints() {
+        let target = [0.0, 1e-3, 0.4, 2.0, 30.0, 0.7];
+        let image = [0.02, 5e-3, 0.1, 2.5, 1.0, -0.03];
+        for loss in all() {
+            let mut dd_image = [f64::NAN; 6];
+            loss.curvature(&image, &target, &mut dd_image).unwrap();
+            for i in 0..6 {
+                let shifted = |h: f64| {
+                    let mut image = image;
+                    image[i] += h;
+                    let mut d = [0.0; 6];
+                    loss.gradient(&image, &target, &mut d).unwrap();
+                    d[i]
+                };
+                let h = 1e-5;
+                let difference = (shifted(h) - shifted(-h)) / (2.0 * h);
+                assert_relative_eq!(dd_image[i], difference, max_relative = 1e-4, epsilon = 1e-9);
+            }
+        }
+    }
+
+    #[test]
+    fn standard_error_by_hand() {
+        // Losses 1, 1, 4, 9: variance 10.6875, of the mean of four a fourth.
+        let error = L2.standard_error(&[1.0, -1.0, 2.0, 3.0], &[0.0; 4]);
+        assert_relative_eq!(error.unwrap(), (10.6875f64 / 4.0).sqrt());
+        assert!(L2.standard_error(&[1e200], &[-1e200]).is_err());
     }
 
     #[test]

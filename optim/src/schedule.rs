@@ -42,6 +42,13 @@ pub enum Schedule {
         #[serde(with = "crate::exact::number")]
         floor: f64,
     },
+    /// 1 for the first `hold` steps, then `hold / (step + 1)`. A Newton step this long averages the solutions of
+    /// all noisy steps, with weights that grow as the power `hold - 1` of the step number: the noise
+    /// falls as one over the number of steps, and the start is forgotten.
+    Harmonic {
+        /// Number of whole steps, at least 1.
+        hold: u64,
+    },
     /// `(step + 1) / steps` for the first `steps` steps, then another schedule from its beginning.
     WarmUp {
         /// Length of the ramp, at least 1.
@@ -73,6 +80,7 @@ impl Schedule {
                 let phase = std::f64::consts::PI * step as f64 / *steps as f64;
                 floor + (1.0 - floor) * 0.5 * (1.0 + phase.cos())
             }
+            Self::Harmonic { hold } => (*hold as f64 / (step as f64 + 1.0)).min(1.0),
             Self::WarmUp { steps, then } => {
                 if step < *steps {
                     (step + 1) as f64 / *steps as f64
@@ -99,6 +107,7 @@ impl Schedule {
                 let valid = (0.0..=1.0).contains(floor);
                 require(valid, "schedule floor", "a value in [0, 1]", *floor)
             }
+            Self::Harmonic { hold } => count("schedule hold", *hold),
             Self::WarmUp { steps, then } => {
                 count("warm-up steps", *steps)?;
                 then.validate()
@@ -137,6 +146,10 @@ mod tests {
         ] {
             assert_relative_eq!(wave.factor(step), expected, epsilon = 1e-15);
         }
+        assert_eq!(
+            [0, 2, 3, 5].map(|t| Harmonic { hold: 3 }.factor(t)),
+            [1.0, 1.0, 0.75, 0.5]
+        );
         let ramp = drops.after_warm_up(4);
         assert_eq!(
             [0, 1, 3, 4, 13, 14].map(|t| ramp.factor(t)),
@@ -148,6 +161,8 @@ mod tests {
     fn factors_stay_in_the_unit_interval_for_any_step() {
         for schedule in [
             Exponential { decay: 1e-300 },
+            Harmonic { hold: u64::MAX },
+            Harmonic { hold: 1 },
             Step {
                 every: 1,
                 decay: 0.1,
@@ -192,6 +207,10 @@ mod tests {
                     floor: 1.5,
                 },
                 "schedule floor: expected a value in [0, 1], found 1.5",
+            ),
+            (
+                Harmonic { hold: 0 },
+                "schedule hold: expected at least 1, found 0",
             ),
             (
                 Constant.after_warm_up(0),
