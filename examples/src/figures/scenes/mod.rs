@@ -6,6 +6,7 @@ pub mod direct_light;
 pub mod environment;
 pub mod estimators;
 pub mod factors;
+pub mod freezing;
 pub mod materials;
 pub mod moved_edges;
 pub mod path_length;
