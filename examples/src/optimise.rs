@@ -3,12 +3,18 @@
 
 use std::ops::Range;
 
-use optim::{Loss, LossKind, Optimizer};
-use render::instances::{Technique, backward_f32, render_f32};
+use optim::{
+    AnyOptimizer, Constrained, Evaluation, GaussNewton, Loss, LossKind, NormalMatrix, Optimizer,
+};
+use render::instances::{
+    Technique, backward_f32, gauss_newton_f32, hessian_vector_f32, render_f32, tangent_f32,
+};
 use render::integrator::gradient::{Active, Gradient};
-use render::integrator::render::{Progress, Rendering};
+use render::integrator::render::{NonFinite, Progress, Rendering};
+use render::integrator::second_order;
 use render::params::Theta;
 use render::{Image, RenderError, Scene, Settings};
+use serde::{Deserialize, Serialize};
 
 use crate::cli::ToolError;
 
@@ -38,6 +44,38 @@ pub struct Step {
     pub adjoint: Vec<f32>,
     /// Derivative of the loss by the unknowns.
     pub gradient: Gradient,
+}
+
+/// What moves the unknowns, with all that it remembers.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Algorithm {
+    /// By the gradient.
+    FirstOrder(Constrained<AnyOptimizer<f32>, f32>),
+    /// By the gradient and the Gauss-Newton matrix.
+    GaussNewton(GaussNewton<f32>),
+}
+
+/// What is reported of a step of any [`Algorithm`].
+#[derive(Clone, Copy, Debug)]
+pub struct Report {
+    /// The loss before it.
+    pub loss: f64,
+    /// What went wrong in the image and in the pass of derivatives.
+    pub non_finite: [NonFinite; 2],
+}
+
+/// Gauss-Newton matrix and gradient, and what they were taken of.
+#[derive(Debug)]
+pub struct Curved {
+    /// The loss.
+    pub loss: f64,
+    /// Its standard error, see [`Loss::standard_error`].
+    pub loss_error: f64,
+    /// The image that the loss was taken of.
+    pub seen: Rendering,
+    /// Derivatives of the loss by the unknowns.
+    pub derivatives: second_order::GaussNewton,
 }
 
 impl Problem {
@@ -80,36 +118,21 @@ impl Problem {
         seeds: [u64; 2],
         progress: &dyn Progress,
     ) -> Result<Option<Step>, ToolError> {
-        let scene = &self.scene;
-        let theta = Theta::constant(scene.params().values());
-        let technique = Technique::MisPower;
-        let settings = &self.settings;
-        let samples: Range<u64> = 0..settings.spp.into();
-        let seen = render_f32(
-            scene,
-            &theta,
-            technique,
-            settings,
-            seeds[0],
-            samples.clone(),
-            progress,
-        );
-        if seen.cancelled {
+        let Some((seen, image)) = self.see(seeds[0], progress) else {
             return Ok(None);
-        }
-        let image = seen.image(0);
+        };
         let loss = self.loss.value(&image.data, &self.target.data)?;
         let mut adjoint = vec![0.0; image.data.len()];
         self.loss
             .gradient(&image.data, &self.target.data, &mut adjoint)?;
         let gradient = backward_f32(
-            scene,
-            &theta,
+            &self.scene,
+            &self.theta(),
             &self.active,
             &adjoint,
-            settings,
+            &self.settings,
             seeds[1],
-            samples,
+            self.samples(),
             progress,
         )?;
         Ok((!gradient.cancelled).then_some(Step {
@@ -118,6 +141,156 @@ impl Problem {
             adjoint,
             gradient,
         }))
+    }
+
+    fn theta(&self) -> Theta<'_, f32> {
+        Theta::constant(self.scene.params().values())
+    }
+
+    fn samples(&self) -> Range<u64> {
+        0..self.settings.spp.into()
+    }
+
+    /// The image; `None` if stopped early.
+    fn see(&self, seed: u64, progress: &dyn Progress) -> Option<(Rendering, Image)> {
+        let seen = render_f32(
+            &self.scene,
+            &self.theta(),
+            Technique::MisPower,
+            &self.settings,
+            seed,
+            self.samples(),
+            progress,
+        );
+        let image = seen.image(0);
+        (!seen.cancelled).then_some((seen, image))
+    }
+
+    /// [`Problem::evaluate`] with the Gauss-Newton matrix of the loss, for up to
+    /// [`second_order::MAX_VALUES`] unknowns. Where the loss is concave in a pixel, that pixel is left out.
+    ///
+    /// # Errors
+    /// As [`Problem::evaluate`]; too many unknowns, or less than two samples per pixel.
+    pub fn evaluate_curved(
+        &self,
+        seeds: [u64; 2],
+        progress: &dyn Progress,
+    ) -> Result<Option<Curved>, ToolError> {
+        let Some((seen, image)) = self.see(seeds[0], progress) else {
+            return Ok(None);
+        };
+        let (image, target) = (&image.data, &self.target.data);
+        let loss = self.loss.value(image, target)?;
+        let loss_error = self.loss.standard_error(image, target)?;
+        let mut adjoint = vec![0.0; image.len()];
+        self.loss.gradient(image, target, &mut adjoint)?;
+        let mut weights = vec![0.0; image.len()];
+        self.loss.curvature(image, target, &mut weights)?;
+        weights.iter_mut().for_each(|w| *w = w.max(0.0));
+        let derivatives = gauss_newton_f32(
+            &self.scene,
+            &self.theta(),
+            &self.active,
+            [&adjoint, &weights],
+            &self.settings,
+            seeds[1],
+            self.samples(),
+            progress,
+        )?;
+        Ok((!derivatives.cancelled).then_some(Curved {
+            loss,
+            loss_error,
+            seen,
+            derivatives,
+        }))
+    }
+
+    /// The Hessian of the loss times a direction, with one number per unknown; unbiased for squared errors (see
+    /// [`second_order`]). `None` if stopped early.
+    ///
+    /// # Errors
+    /// As [`Problem::evaluate`]; a direction of the wrong length.
+    pub fn hessian_vector(
+        &self,
+        direction: &[f32],
+        seeds: [u64; 2],
+        progress: &dyn Progress,
+    ) -> Result<Option<Gradient>, ToolError> {
+        let seen = tangent_f32(
+            &self.scene,
+            self.scene.params().values(),
+            &self.active,
+            direction,
+            &self.settings,
+            seeds[0],
+            self.samples(),
+            progress,
+        )?;
+        if seen.cancelled {
+            return Ok(None);
+        }
+        let [image, tangent] = [0, 1].map(|k| seen.image(k).data);
+        let mut adjoint = vec![0.0; image.len()];
+        let mut change = vec![0.0; image.len()];
+        self.loss
+            .gradient(&image, &self.target.data, &mut adjoint)?;
+        self.loss
+            .curvature(&image, &self.target.data, &mut change)?;
+        change.iter_mut().zip(&tangent).for_each(|(c, t)| *c *= t);
+        let product = hessian_vector_f32(
+            &self.scene,
+            &self.theta(),
+            &self.active,
+            direction,
+            [&adjoint, &change],
+            &self.settings,
+            seeds[1],
+            self.samples(),
+            progress,
+        )?;
+        Ok((!product.cancelled).then_some(product))
+    }
+
+    /// Evaluates at `values` and moves them by one step of `algorithm`. `None` if stopped early: nothing has
+    /// moved then.
+    ///
+    /// # Errors
+    /// As [`Problem::step`] and [`Problem::evaluate_curved`].
+    pub fn advance(
+        &mut self,
+        values: &mut [f32],
+        algorithm: &mut Algorithm,
+        seeds: [u64; 2],
+        progress: &dyn Progress,
+    ) -> Result<Option<Report>, ToolError> {
+        match algorithm {
+            Algorithm::FirstOrder(optimizer) => {
+                let step = self.step(values, optimizer, seeds, progress)?;
+                Ok(step.map(|s| Report {
+                    loss: s.loss,
+                    non_finite: [s.seen.non_finite, s.gradient.non_finite],
+                }))
+            }
+            Algorithm::GaussNewton(optimizer) => {
+                self.set(values)?;
+                let Some(curved) = self.evaluate_curved(seeds, progress)? else {
+                    return Ok(None);
+                };
+                let derivatives = curved.derivatives;
+                let gradient: Vec<f32> = derivatives.gradient.iter().map(|&g| g as f32).collect();
+                let here = Evaluation {
+                    loss: curved.loss,
+                    loss_error: curved.loss_error,
+                    gradient: &gradient,
+                };
+                let matrix = NormalMatrix::new(gradient.len(), derivatives.matrix)?;
+                optimizer.step(values, &here, &matrix)?;
+                Ok(Some(Report {
+                    loss: curved.loss,
+                    non_finite: [curved.seen.non_finite, derivatives.non_finite],
+                }))
+            }
+        }
     }
 
     /// Evaluates at `values` and moves them by one step of `optimizer`. `None` if stopped early: nothing

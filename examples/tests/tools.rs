@@ -199,6 +199,18 @@ fn mistakes_end_with_a_message_and_without_a_file() {
         ),
         ("recover", "--param nothing --out d".into(), 1, "nothing"),
         ("recover", "--out d --lr -1 --size 8".into(), 1, "rate"),
+        (
+            "recover",
+            "--out d --optimizer gauss-newton --loss l1".into(),
+            1,
+            "curvature",
+        ),
+        (
+            "recover",
+            "--out d --optimizer gauss-newton --size 8 --spp 1".into(),
+            1,
+            "samples per pixel",
+        ),
         ("recover", "--out d --lr nan --size 8".into(), 1, "rate"),
         (
             "recover",
@@ -452,8 +464,13 @@ fn parameters_are_listed() {
 
 #[test]
 fn a_resumed_recovery_equals_an_uninterrupted_one_bit_for_bit() {
+    resumes("adam");
+    resumes("gauss-newton");
+}
+
+fn resumes(optimizer: &str) {
     let dir = Folder::new();
-    let job = "--size 20 --spp 2 --iterations 10 --seed 5";
+    let job = format!("--size 20 --spp 2 --iterations 10 --seed 5 --optimizer {optimizer}");
     dir.ok("recover", &format!("{job} --out whole --threads 2"));
     let stopped = dir.run(
         "recover",
@@ -505,7 +522,11 @@ fn a_colour_is_recovered_from_a_picture() {
     );
     let unknown = format!("scene.xml --param {WALL} --target photo.exr");
     let steps = "--iterations 150 --spp 4 --out found";
-    for optimizer in ["--optimizer adam", "--optimizer sgd --lr 2"] {
+    for optimizer in [
+        "--optimizer adam",
+        "--optimizer sgd --lr 2",
+        "--optimizer gauss-newton",
+    ] {
         dir.ok(
             "recover",
             &format!("{unknown} {steps} {optimizer} -D red=0.6"),

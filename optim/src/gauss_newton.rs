@@ -136,7 +136,7 @@ const ROUNDING: f64 = 1e-13;
 ///
 /// - *Damping* falls to a third where the loss fell by at least three quarters of what the quadratic model
 ///   said, doubles below one quarter, and a step after which the loss has grown is undone on the next call.
-///   Changes within twice the standard error of the losses count as neither.
+///   Steps that were to change it by less than twice the standard error of the losses are not judged.
 /// - *Bounds* are those of the [`Groups`], whose variables are what moves; the curvature is that of the
 ///   parameters and is carried over by the first derivatives of the change of variables. A
 ///   variable that the step would carry beyond its bound or by more than
@@ -390,10 +390,10 @@ impl<T: Scalar> Last<T> {
         let rounding = ROUNDING * (self.loss.abs() + here.loss.abs());
         let margin = 2.0 * self.loss_error.hypot(here.loss_error) + rounding;
         let fell = self.loss - here.loss;
-        if fell < -margin {
-            Verdict::Worse
-        } else if self.predicted <= margin {
+        if self.predicted <= margin {
             Verdict::Unknown
+        } else if fell < -margin {
+            Verdict::Worse
         } else if fell < 0.25 * self.predicted {
             Verdict::Poor
         } else if fell > 0.75 * self.predicted {

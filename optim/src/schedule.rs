@@ -42,9 +42,8 @@ pub enum Schedule {
         #[serde(with = "crate::exact::number")]
         floor: f64,
     },
-    /// 1 for the first `hold` steps, then `hold / (step + 1)`. A Newton step this long averages the solutions of
-    /// all noisy steps, with weights that grow as the power `hold - 1` of the step number: the noise
-    /// falls as one over the number of steps, and the start is forgotten.
+    /// 1 for the first `hold` steps, then 1/2, 1/3, .. Newton steps this long average the solutions of all
+    /// noisy steps from the last whole one on.
     Harmonic {
         /// Number of whole steps, at least 1.
         hold: u64,
@@ -80,7 +79,10 @@ impl Schedule {
                 let phase = std::f64::consts::PI * step as f64 / *steps as f64;
                 floor + (1.0 - floor) * 0.5 * (1.0 + phase.cos())
             }
-            Self::Harmonic { hold } => (*hold as f64 / (step as f64 + 1.0)).min(1.0),
+            Self::Harmonic { hold } => match step.checked_sub(*hold) {
+                None => 1.0,
+                Some(after) => 1.0 / (after as f64 + 2.0),
+            },
             Self::WarmUp { steps, then } => {
                 if step < *steps {
                     (step + 1) as f64 / *steps as f64
@@ -148,7 +150,7 @@ mod tests {
         }
         assert_eq!(
             [0, 2, 3, 5].map(|t| Harmonic { hold: 3 }.factor(t)),
-            [1.0, 1.0, 0.75, 0.5]
+            [1.0, 1.0, 0.5, 0.25]
         );
         let ramp = drops.after_warm_up(4);
         assert_eq!(

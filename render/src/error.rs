@@ -253,6 +253,17 @@ pub enum RenderError {
         found: usize,
     },
 
+    /// Too many or too few of something.
+    #[error("{what}: expected {expected}, found {found}")]
+    Count {
+        /// What is counted.
+        what: &'static str,
+        /// How many there may be.
+        expected: &'static str,
+        /// How many there are.
+        found: u64,
+    },
+
     /// A parameter outside its valid range.
     #[error("parameter `{name}`[{index}]: expected a value in [{}, {}], found {found}", valid.0, valid.1)]
     ParameterOutOfRange {

@@ -20,6 +20,7 @@ use crate::integrator::gradient::{self, Active, Gradient};
 use crate::integrator::particle;
 use crate::integrator::particle_gradient::{self, Measurement};
 use crate::integrator::render::{self, Components, Progress, Rendering};
+use crate::integrator::second_order::{self, GaussNewton};
 use crate::params::{ParamInfo, ParamRef, Params, Tangent, Theta};
 use crate::sampler::Independent;
 use crate::scene::{Scene, Settings};
@@ -221,6 +222,92 @@ pub fn backward_f64(
     let progress = Dynamic(progress);
     gradient::backward::<f64, DetachedMis, Independent>(
         scene, theta, active, adjoint, settings, seed, samples, &progress,
+    )
+}
+
+/// The image and its derivative when all values of `active` move along `direction`, which has one number per
+/// value, in single precision: components 0 and 1. Detached MIS, independent samples.
+///
+/// # Errors
+/// A direction of the wrong length.
+pub fn tangent_f32(
+    scene: &Scene,
+    values: &[f32],
+    active: &Active,
+    direction: &[f32],
+    settings: &Settings,
+    seed: u64,
+    samples: Range<u64>,
+    progress: &dyn Progress,
+) -> Result<Rendering, RenderError> {
+    if direction.len() != active.len() {
+        return Err(RenderError::WrongLength {
+            what: "direction",
+            expected: active.len(),
+            found: direction.len(),
+        });
+    }
+    let mut tangents = vec![Tangent::None; scene.params().infos().len()];
+    let mut rest = direction;
+    for info in active.ranges() {
+        let (own, later) = rest.split_at(info.shape.len());
+        rest = later;
+        let own = own.iter().map(|&d| Dual::new(0.0, [d])).collect();
+        tangents[scene.params().handle(info).id as usize] = Tangent::Dense(own);
+    }
+    let theta = Theta::<Dual<f32, 1>>::with_tangents(values, &tangents);
+    Ok(run::<Dual<f32, 1>, MisOf<Power>>(
+        scene, &theta, settings, seed, samples, progress,
+    ))
+}
+
+/// The Hessian of an image loss times a direction, in single precision: [`second_order::hessian_vector`] with
+/// independent samples.
+///
+/// # Errors
+/// Images or a direction of the wrong size.
+pub fn hessian_vector_f32(
+    scene: &Scene,
+    theta: &Theta<f32>,
+    active: &Active,
+    direction: &[f32],
+    adjoints: [&[f32]; 2],
+    settings: &Settings,
+    seed: u64,
+    samples: Range<u64>,
+    progress: &dyn Progress,
+) -> Result<Gradient, RenderError> {
+    let progress = Dynamic(progress);
+    second_order::hessian_vector::<f32, Independent>(
+        scene, theta, active, direction, adjoints, settings, seed, samples, &progress,
+    )
+}
+
+/// Gradient and Gauss-Newton matrix of an image loss, in single precision: [`second_order::gauss_newton`]
+/// with independent samples.
+///
+/// # Errors
+/// Images of the wrong size, too many values, or fewer than two samples.
+pub fn gauss_newton_f32(
+    scene: &Scene,
+    theta: &Theta<f32>,
+    active: &Active,
+    derivatives: [&[f32]; 2],
+    settings: &Settings,
+    seed: u64,
+    samples: Range<u64>,
+    progress: &dyn Progress,
+) -> Result<GaussNewton, RenderError> {
+    let progress = Dynamic(progress);
+    second_order::gauss_newton::<f32, Independent>(
+        scene,
+        theta,
+        active,
+        derivatives,
+        settings,
+        seed,
+        samples,
+        &progress,
     )
 }
 

@@ -1,4 +1,4 @@
-//! `recover`: a scene's parameters from images of it, by gradient descent.
+//! `recover`: a scene's parameters from images of it, by gradient descent or Gauss-Newton steps.
 //!
 //! Every iteration renders the image that the loss sees and pulls its adjoint back with other random
 //! numbers: with common ones even the squared error is biased (errata Z-4.4). All of them follow from
@@ -11,10 +11,13 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use clap::{Parser, ValueEnum};
-use optim::{AnyOptimizer, Constrained, Groups, LossKind, Parameterisation, Rates, Schedule};
+use optim::{
+    AnyOptimizer, Constrained, GaussNewton, Groups, LossKind, Parameterisation, PixelLoss, Rates,
+    Schedule,
+};
 use render::instances::{Technique, render_f32};
 use render::integrator::gradient::Active;
-use render::integrator::render::NonFinite;
+use render::integrator::second_order::MAX_VALUES;
 use render::params::{ParamInfo, Theta};
 use render::sampler::mix64;
 use render::{Image, Scene, Settings, image_io};
@@ -25,7 +28,7 @@ use crate::chart::LineChart;
 use crate::cli::{
     LoadArgs, Outcome, ThreadArgs, ToolError, depth, report_non_finite, sample_count,
 };
-use crate::optimise::Problem;
+use crate::optimise::{Algorithm, Problem};
 use crate::output;
 use crate::progress::{Bar, Interrupt};
 use crate::scenes;
@@ -35,6 +38,7 @@ Examples:
   recover                                        a built-in room: two walls, a roughness and the light
   recover scene.xml --target photo.exr --param red.reflectance.value --param lamp.emitter.radiance.value
   recover --out folder --resume                  continues where Ctrl-C or a crash ended it
+  recover --optimizer gauss-newton               the same room in fewer, dearer steps
 
 Starts from the values of the scene file (-D changes them). Several targets are images of the same view
 and are averaged. The folder receives before, after and target as EXR and side by side, values and loss
@@ -58,13 +62,14 @@ pub struct Args {
     /// Algorithm [default: adam]
     #[arg(long, value_enum)]
     pub optimizer: Option<OptimizerArg>,
-    /// Number of steps [default: 400]
+    /// Number of steps [default: 400; 24 for gauss-newton]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1 << 24))]
     pub iterations: Option<u32>,
-    /// Learning rate at the beginning; it falls along a cosine [default: 0.03 for adam, 1 for sgd]
+    /// Learning rate at the beginning; it falls along a cosine [default: 0.03 for adam, 1 for sgd]. For
+    /// gauss-newton the fraction of a step; it falls as one over the number of steps after the first five [default: 1]
     #[arg(long, value_name = "RATE", allow_negative_numbers = true)]
     pub lr: Option<f64>,
-    /// Samples per pixel of each of the two renders of an iteration [default: 12]
+    /// Samples per pixel of each of the two renders of an iteration [default: 12; 48 for gauss-newton]
     #[arg(long, value_name = "N", value_parser = sample_count())]
     pub spp: Option<u32>,
     /// Largest number of path edges; -1 for no limit [default: the scene's]
@@ -102,15 +107,8 @@ pub enum OptimizerArg {
     Adam,
     /// Gradient descent
     Sgd,
-}
-
-impl OptimizerArg {
-    fn name(self) -> &'static str {
-        match self {
-            Self::Adam => "adam",
-            Self::Sgd => "sgd",
-        }
-    }
+    /// Damped Gauss-Newton steps, for up to 1024 unknown values
+    GaussNewton,
 }
 
 fn loss_name(text: &str) -> Result<String, String> {
@@ -159,6 +157,24 @@ impl Job {
                     .into(),
             ));
         }
+        let loss = args.loss.clone().unwrap_or_else(|| "relative-l2".into());
+        let spp = args.spp.unwrap_or(match optimizer {
+            OptimizerArg::Adam | OptimizerArg::Sgd => 12,
+            OptimizerArg::GaussNewton => 48,
+        });
+        if optimizer == OptimizerArg::GaussNewton {
+            if loss.parse::<LossKind>()?.dd_pixel(1.0, 1.0) == 0.0 {
+                return Err(ToolError::Usage(format!(
+                    "--loss: expected l2, relative-l2 or log-l2 for gauss-newton, found {loss}, which has \
+                     no curvature"
+                )));
+            }
+            if spp < 2 {
+                return Err(ToolError::Usage(format!(
+                    "--spp: expected at least 2 samples per pixel for gauss-newton, found {spp}"
+                )));
+            }
+        }
         Ok(Self {
             scene: args.scene.clone(),
             targets: args.targets.clone(),
@@ -166,14 +182,17 @@ impl Job {
             defines: args.load.defines.clone(),
             allow_missing: args.load.allow_missing,
             optimizer,
-            iterations: args.iterations.unwrap_or(400),
+            iterations: args.iterations.unwrap_or(match optimizer {
+                OptimizerArg::Adam | OptimizerArg::Sgd => 400,
+                OptimizerArg::GaussNewton => 24,
+            }),
             lr: args.lr.unwrap_or(match optimizer {
                 OptimizerArg::Adam => 0.03,
-                OptimizerArg::Sgd => 1.0,
+                OptimizerArg::Sgd | OptimizerArg::GaussNewton => 1.0,
             }),
-            spp: args.spp.unwrap_or(12),
+            spp,
             max_depth: args.max_depth,
-            loss: args.loss.clone().unwrap_or_else(|| "relative-l2".into()),
+            loss,
             seed: args.seed.unwrap_or(0),
             size: args.size.unwrap_or(96),
         })
@@ -251,8 +270,9 @@ struct Checkpoint {
     values: Vec<f32>,
     #[serde(with = "optim::exact::slice")]
     start: Vec<f32>,
-    optimizer: Constrained<AnyOptimizer<f32>, f32>,
-    /// Sum of the values over the last quarter of the run, whose noise it removes.
+    optimizer: Algorithm,
+    /// Sum of the values over the last quarter of the run, whose noise it removes. Gauss-Newton steps average
+    /// by themselves.
     #[serde(with = "optim::exact::slice")]
     tail_sum: Vec<f64>,
     tail: u32,
@@ -510,16 +530,11 @@ fn parameterisation(info: &ParamInfo, values: &[f32]) -> Result<Parameterisation
     })
 }
 
-fn optimizer(
-    job: &Job,
-    active: &Active,
-    values: &[f32],
-) -> Result<Constrained<AnyOptimizer<f32>, f32>, ToolError> {
-    let schedule = Schedule::Cosine {
-        steps: job.iterations.into(),
-        floor: 0.01,
-    };
-    let rates = Rates::new(values.len(), job.lr)?.with_schedule(schedule)?;
+/// The unknowns with their bounds, starting from `values`.
+///
+/// # Errors
+/// None that a scene can cause.
+pub(crate) fn groups(active: &Active, values: &[f32]) -> Result<Groups, ToolError> {
     let mut groups = Groups::new(values.len());
     let mut at = 0;
     for info in active.ranges() {
@@ -528,8 +543,42 @@ fn optimizer(
         let map = parameterisation(info, &values[range.clone()])?;
         groups.add(info.name.clone(), range, map)?;
     }
-    let inner = AnyOptimizer::new(job.optimizer.name(), rates)?;
-    Ok(Constrained::new(inner, groups)?)
+    Ok(groups)
+}
+
+/// Whole Gauss-Newton steps; those after them average.
+pub(crate) const WHOLE_STEPS: u64 = 5;
+
+fn optimizer(job: &Job, active: &Active, values: &[f32]) -> Result<Algorithm, ToolError> {
+    let rates = Rates::new(values.len(), job.lr)?;
+    let groups = groups(active, values)?;
+    let first_order = |name, rates: Rates| -> Result<_, ToolError> {
+        let schedule = Schedule::Cosine {
+            steps: job.iterations.into(),
+            floor: 0.01,
+        };
+        let inner = AnyOptimizer::new(name, rates.with_schedule(schedule)?)?;
+        Ok(Algorithm::FirstOrder(Constrained::new(
+            inner,
+            groups.clone(),
+        )?))
+    };
+    match job.optimizer {
+        OptimizerArg::Adam => first_order("adam", rates),
+        OptimizerArg::Sgd => first_order("sgd", rates),
+        OptimizerArg::GaussNewton => {
+            if values.len() > MAX_VALUES {
+                return Err(ToolError::Usage(format!(
+                    "--param: expected at most {MAX_VALUES} unknown values for gauss-newton, found {}",
+                    values.len()
+                )));
+            }
+            let schedule = Schedule::Harmonic { hold: WHOLE_STEPS };
+            let rates = rates.with_schedule(schedule)?;
+            let inner = GaussNewton::new(rates, groups, Default::default())?;
+            Ok(Algorithm::GaussNewton(inner))
+        }
+    }
 }
 
 impl Recovery {
@@ -543,17 +592,21 @@ impl Recovery {
             optimizer,
             ..
         } = state;
-        let step = self.problem.step(unknowns, optimizer, seeds, interrupt)?;
+        let step = self
+            .problem
+            .advance(unknowns, optimizer, seeds, interrupt)?;
         let Some(step) = step else {
             return Ok(false);
         };
-        let report = |bad: &NonFinite, seed| report_non_finite(bad, step.seen.width, seed);
-        report(&step.seen.non_finite, seeds[0]);
-        report(&step.gradient.non_finite, seeds[1]);
+        let width = self.problem.scene.film.crop_size[0] as usize;
+        for (bad, seed) in step.non_finite.iter().zip(seeds) {
+            report_non_finite(bad, width, seed);
+        }
         let loss = step.loss;
         state.history.push(Row { loss, values });
         state.iteration += 1;
-        if state.iteration > state.job.iterations - state.job.iterations / 4 {
+        let averages = state.job.optimizer == OptimizerArg::GaussNewton;
+        if !averages && state.iteration > state.job.iterations - state.job.iterations / 4 {
             state.tail += 1;
             for (s, v) in state.tail_sum.iter_mut().zip(&state.values) {
                 *s += f64::from(*v);

@@ -32,6 +32,8 @@ pub struct Active {
     ranges: Vec<ParamInfo>,
     /// Per range of the layout: where its gradient goes.
     slots: Vec<Slot>,
+    /// Per range of the layout: its place in the values of all ranges, one after another.
+    places: Vec<Option<u32>>,
     materials: Vec<bool>,
     emitters: Vec<bool>,
     small_len: usize,
@@ -65,6 +67,7 @@ impl Active {
         let params = scene.params();
         let mut slots = vec![Slot::Inactive; params.infos().len()];
         let mut ranges: Vec<ParamInfo> = Vec::new();
+        let mut places = vec![None; slots.len()];
         let (mut small_len, mut large_len) = (0, 0);
         for name in names {
             let info = params.find(name.as_ref())?;
@@ -73,7 +76,9 @@ impl Active {
                 continue;
             }
             let len = info.shape.len();
-            slots[params.handle(info).id as usize] = if len <= SMALL {
+            let id = params.handle(info).id as usize;
+            places[id] = Some((small_len + large_len) as u32);
+            slots[id] = if len <= SMALL {
                 small_len += len;
                 Slot::Small((small_len - len) as u32)
             } else {
@@ -92,6 +97,7 @@ impl Active {
         Ok(Self {
             ranges,
             slots,
+            places,
             materials,
             emitters,
             small_len,
@@ -102,6 +108,18 @@ impl Active {
     /// The ranges, in the order asked for.
     pub fn ranges(&self) -> &[ParamInfo] {
         &self.ranges
+    }
+
+    /// Whether the range is one of them.
+    #[inline]
+    pub(super) fn contains(&self, p: ParamRef) -> bool {
+        self.place(p).is_some()
+    }
+
+    /// The first element of a range among the values of all ranges in the order asked for.
+    #[inline]
+    pub(super) fn place(&self, p: ParamRef) -> Option<usize> {
+        self.places[p.id as usize].map(|at| at as usize)
     }
 
     /// Number of values.
@@ -202,14 +220,25 @@ impl<P: Float> GradSink<P> for Sink<'_> {
     }
 }
 
-impl Activity for Sink<'_> {
+impl Activity for Active {
     #[inline]
     fn material_active(&self, material: u32) -> bool {
-        self.active.materials[material as usize]
+        self.materials[material as usize]
     }
     #[inline]
     fn emitter_active(&self, emitter: u32) -> bool {
-        self.active.emitters[emitter as usize]
+        self.emitters[emitter as usize]
+    }
+}
+
+impl Activity for Sink<'_> {
+    #[inline]
+    fn material_active(&self, material: u32) -> bool {
+        self.active.material_active(material)
+    }
+    #[inline]
+    fn emitter_active(&self, emitter: u32) -> bool {
+        self.active.emitter_active(emitter)
     }
 }
 
@@ -243,31 +272,58 @@ pub fn backward<P: Float, S: Unbiased, X: Sampler>(
     samples: Range<u64>,
     progress: &impl Progress,
 ) -> Result<Gradient, RenderError> {
-    if adjoint.len() != scene.film.pixels() * 3 {
-        return Err(RenderError::WrongLength {
-            what: "adjoint image",
-            expected: scene.film.pixels() * 3,
-            found: adjoint.len(),
-        });
-    }
+    check_size("adjoint image", scene, adjoint)?;
     estimator::check::<S>(scene)?;
-    let spp = samples.end.saturating_sub(samples.start).max(1);
-    let largest = adjoint
-        .iter()
-        .fold(0.0f64, |m, &a| m.max(f64::from(a.abs())))
-        / spp as f64;
     let pass = Pass {
         scene,
         theta,
-        active,
-        adjoint,
         settings,
         seed,
         samples,
     };
+    let scale = P::of(pass.scale());
+    let each = |context: &Context<P>, at: Sample, recorder: &mut Recorder<P>, sink: &mut Sink| {
+        let d = at.of_image::<P>(adjoint, scene) * scale;
+        if S::Bsdf::DETACHED_PATH {
+            recorder.backward::<S>(scene, theta, d, sink);
+        } else {
+            let again = Again::<P, S, X> {
+                pass: &pass,
+                at,
+                types: PhantomData,
+            };
+            recorder.backward_moving(context, &again, d, sink);
+        }
+    };
+    let largest = largest_of(adjoint) * pass.scale();
     Ok(exactly(scene, active, largest, progress, |large| {
-        pass.run::<S, X>(large, progress)
+        pass.sums::<S, X>(active, large, progress, each)
     }))
+}
+
+/// Whether an image with three channels has the size of the film.
+///
+/// # Errors
+/// It has not.
+pub(super) fn check_size(
+    what: &'static str,
+    scene: &Scene,
+    image: &[f32],
+) -> Result<(), RenderError> {
+    let (expected, found) = (scene.film.pixels() * 3, image.len());
+    if expected == found {
+        return Ok(());
+    }
+    Err(RenderError::WrongLength {
+        what,
+        expected,
+        found,
+    })
+}
+
+/// The largest magnitude of an entry.
+pub(super) fn largest_of(image: &[f32]) -> f64 {
+    image.iter().fold(0.0, |m, &a| m.max(f64::from(a.abs())))
 }
 
 /// Repeats `pass`, which gives the sums of the small ranges, until the large ones fit their integers.
@@ -308,32 +364,77 @@ pub(super) fn exactly(
     }
 }
 
-struct Pass<'a, P: Float> {
-    scene: &'a Scene,
-    theta: &'a Theta<'a, P>,
-    active: &'a Active,
-    adjoint: &'a [f32],
-    settings: &'a Settings,
-    seed: u64,
-    samples: Range<u64>,
+/// The recorded paths of an image.
+pub(super) struct Pass<'a, P: Float> {
+    pub scene: &'a Scene,
+    pub theta: &'a Theta<'a, P>,
+    pub settings: &'a Settings,
+    pub seed: u64,
+    pub samples: Range<u64>,
+}
+
+/// A sample of a pixel of the crop window.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Sample {
+    pub pixel: [u32; 2],
+    pub index: u64,
+}
+
+impl Sample {
+    /// The number of the pixel, row by row.
+    pub fn place(&self, scene: &Scene) -> usize {
+        (self.pixel[1] * scene.film.crop_size[0] + self.pixel[0]) as usize
+    }
+
+    /// The pixel's entry of an image.
+    #[inline]
+    pub fn of_image<P: Float>(&self, image: &[f32], scene: &Scene) -> Rgb<P> {
+        let i = self.place(scene) * 3;
+        Rgb::from(std::array::from_fn(|c| P::from_f32(image[i + c])))
+    }
 }
 
 impl<P: Float> Pass<'_, P> {
+    /// What a sample counts in the mean of its pixel.
+    pub fn scale(&self) -> f64 {
+        let spp = self.samples.end.saturating_sub(self.samples.start).max(1);
+        1.0 / spp as f64
+    }
+
     /// Sums of the small ranges.
-    fn run<S: Unbiased, X: Sampler>(
+    pub fn sums<S: Unbiased, X: Sampler>(
         &self,
+        active: &Active,
         large: &ExactBuffer,
         progress: &impl Progress,
+        each: impl Fn(&Context<P>, Sample, &mut Recorder<P>, &mut Sink) + Sync,
     ) -> (Vec<f64>, NonFinite) {
+        let new = || Sink::new(active, large);
+        let (parts, non_finite) = self.paths::<S, X, _>(JOBS, progress, new, each);
+        let mut small = vec![0.0; active.small_len];
+        for part in parts {
+            let part = part.into_small();
+            small.iter_mut().zip(part).for_each(|(s, p)| *s += p);
+        }
+        (small, non_finite)
+    }
+
+    /// Records every path and calls `each` with it, pixel by pixel within a tile. The tiles are shared by
+    /// `jobs` states, whatever the number of threads.
+    pub fn paths<S: Unbiased, X: Sampler, J: Send>(
+        &self,
+        jobs: usize,
+        progress: &impl Progress,
+        new: impl Fn() -> J + Sync,
+        each: impl Fn(&Context<P>, Sample, &mut Recorder<P>, &mut J) + Sync,
+    ) -> (Vec<J>, NonFinite) {
         let [width, height] = self.scene.film.crop_size;
         let tiles = tiles(width, height);
-        let jobs = JOBS.min(tiles.len());
-        let spp = self.samples.end.saturating_sub(self.samples.start).max(1);
-        let scale = P::of(1.0 / spp as f64);
+        let jobs = jobs.min(tiles.len());
         let parts: Vec<_> = (0..jobs)
             .into_par_iter()
             .map(|job| {
-                let mut sink = Sink::new(self.active, large);
+                let mut state = new();
                 let context = Context {
                     scene: self.scene,
                     theta: self.theta,
@@ -346,50 +447,34 @@ impl<P: Float> Pass<'_, P> {
                         break;
                     }
                     let done = |at, index, l: Rgb<P>, recorder: &mut Recorder<P>| {
-                        let [x, y] = tile.pixel(at);
-                        let pixel = y * width + x;
+                        let pixel = tile.pixel(at);
+                        let sample = Sample { pixel, index };
                         if l.is_finite() {
-                            let i = pixel as usize * 3;
-                            let a: [P; 3] =
-                                std::array::from_fn(|c| P::from_f32(self.adjoint[i + c]));
-                            let d = Rgb::from(a) * scale;
-                            if S::Bsdf::DETACHED_PATH {
-                                recorder.backward::<S>(self.scene, self.theta, d, &mut sink);
-                            } else {
-                                let again = Again::<P, S, X> {
-                                    pass: self,
-                                    pixel: [x, y],
-                                    index,
-                                    types: PhantomData,
-                                };
-                                recorder.backward_moving(&context, &again, d, &mut sink);
-                            }
+                            each(&context, sample, recorder, &mut state);
                         } else {
-                            non_finite.add(u64::from(pixel), index);
+                            non_finite.add(sample.place(self.scene) as u64, index);
                         }
                         recorder.clear();
                     };
                     tile.trace(&context, self.seed, &self.samples, &mut paths, done);
                     progress.advance(tile.pixels() as u64);
                 }
-                (sink.small, non_finite)
+                (state, non_finite)
             })
             .collect();
-        let mut small = vec![0.0; self.active.small_len];
         let mut non_finite = NonFinite::default();
-        for (part, bad) in &parts {
-            small.iter_mut().zip(part).for_each(|(s, p)| *s += p);
-            non_finite.merge(bad);
-        }
-        (small, non_finite)
+        let join = |(state, bad)| {
+            non_finite.merge(&bad);
+            state
+        };
+        (parts.into_iter().map(join).collect(), non_finite)
     }
 }
 
 /// The radiance of one sample as a function of the parameters: its path once more, moving.
 struct Again<'a, P: Float, S, X> {
     pass: &'a Pass<'a, P>,
-    pixel: [u32; 2],
-    index: u64,
+    at: Sample,
     types: PhantomData<fn() -> (S, X)>,
 }
 
@@ -406,6 +491,6 @@ impl<P: Float, S: Strategy, X: Sampler> LocalFn<P> for Again<'_, P, S, X> {
             theta,
             settings,
         };
-        start::<R, S, X>(scene, seed, self.pixel, self.index).finish(&context, &mut ())
+        start::<R, S, X>(scene, seed, self.at.pixel, self.at.index).finish(&context, &mut ())
     }
 }

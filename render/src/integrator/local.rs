@@ -64,6 +64,75 @@ pub fn pull_back<P: Float>(
     pull_back_slots(theta, f, d, &slots, grad);
 }
 
+/// Texels that a function of the parameters reads, each of them once.
+#[derive(Clone, Debug, Default)]
+pub struct Texels {
+    found: Vec<Texel>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Texel {
+    param: ParamRef,
+    texel: u32,
+    channels: u32,
+    /// Whether its channels mix.
+    mixes: bool,
+}
+
+impl Texels {
+    /// Adds those that are read at `uv`, of the ranges for which `active` holds.
+    pub fn add<P: Float>(
+        &mut self,
+        texture: TextureRef,
+        uv: Vec2<P>,
+        active: impl Fn(ParamRef) -> bool,
+    ) {
+        let (f, channels, mixes) = match texture {
+            TextureRef::Rgb(t) => (t.footprint(uv), 3, false),
+            TextureRef::Scalar(t) => (t.footprint(uv), 1, false),
+            TextureRef::Vector(t) => (t.footprint(uv), 3, true),
+        };
+        texels(&f, |param, texel| {
+            let texel = Texel {
+                param,
+                texel,
+                channels,
+                mixes,
+            };
+            if active(param) && !self.found.contains(&texel) {
+                self.found.push(texel);
+            }
+        });
+    }
+
+    /// All elements.
+    fn elements(&self) -> impl Iterator<Item = (ParamRef, u32)> {
+        let each = |t: &Texel| {
+            let Texel {
+                param,
+                texel,
+                channels,
+                ..
+            } = *t;
+            (0..channels).map(move |c| (param, texel * channels + c))
+        };
+        self.found.iter().flat_map(each)
+    }
+
+    fn slots<P>(&self) -> Vec<Slot<P>> {
+        let mut slots = Vec::new();
+        for t in &self.found {
+            if t.mixes {
+                let element = |c| Slot::Element(t.param, t.texel * t.channels + c);
+                slots.extend((0..t.channels).map(element));
+            } else {
+                slots.push(Slot::Texel(t.param, t.texel, t.channels));
+            }
+        }
+        slots
+    }
+}
+
 /// Adds `d . df/d texels` for all active texels that are read at `vertices` (material, uv), and that `f`
 /// may read at several of them.
 pub fn pull_back_texels<'a, P: Float>(
@@ -73,31 +142,47 @@ pub fn pull_back_texels<'a, P: Float>(
     d: Rgb<P>,
     grad: &mut impl GradSink<P>,
 ) {
-    let mut found: Vec<(ParamRef, u32, u32, bool)> = Vec::new();
+    let mut texels = Texels::default();
     for (material, uv) in vertices {
-        material.visit_textures(&mut |t| {
-            let (f, channels, mixes) = match t {
-                TextureRef::Rgb(t) => (t.footprint(uv), 3, false),
-                TextureRef::Scalar(t) => (t.footprint(uv), 1, false),
-                TextureRef::Vector(t) => (t.footprint(uv), 3, true),
-            };
-            texels(&f, |p, texel| {
-                let texel = (p, texel, channels, mixes);
-                if grad.active(p) && !found.contains(&texel) {
-                    found.push(texel);
-                }
-            });
-        });
+        material.visit_textures(&mut |t| texels.add(t, uv, |p| grad.active(p)));
     }
-    let mut slots = Vec::new();
-    for (p, texel, channels, mixes) in found {
-        if mixes {
-            slots.extend((0..channels).map(|c| Slot::Element(p, texel * channels + c)));
-        } else {
-            slots.push(Slot::Texel(p, texel, channels));
+    pull_back_slots(theta, f, d, &texels.slots(), grad);
+}
+
+/// Adds, for all `texels`, the change of the gradient of `d . f` when the parameters move along a direction and `d`
+/// changes by `change`: `d . d2f/(d texel d direction) + change . df/d texel`. `direction` gives the
+/// components of the direction, and is asked for these texels only.
+pub fn pull_back_second<P: Float>(
+    texels: &Texels,
+    theta: &Theta<P>,
+    direction: impl Fn(ParamRef, u32) -> P,
+    f: &impl LocalFn<P>,
+    [d, change]: [Rgb<P>; 2],
+    grad: &mut impl GradSink<P>,
+) {
+    type Twice<P> = Dual<Dual<P, 1>, WIDTH>;
+    let moving: Vec<Seed<Twice<P>>> = texels
+        .elements()
+        .map(|(p, element)| Seed {
+            param: p.id,
+            element: Some(element),
+            tangent: Dual::constant(Dual::new(P::zero(), [direction(p, element)])),
+        })
+        .filter(|s| s.tangent.re.eps[0] != P::zero())
+        .collect();
+    for slots in texels.slots().chunks(WIDTH) {
+        let mut seeds = moving.clone();
+        let inner = Dual::constant(P::zero());
+        push_seeds(slots, |k| Dual::var(inner, k), &mut seeds);
+        let value = f.eval::<Twice<P>>(&Theta::seeded(theta, &seeds));
+        for (k, slot) in slots.iter().enumerate() {
+            let each = |c: usize| {
+                let Dual { re, eps: [twice] } = value[c].eps[k];
+                d[c] * twice + change[c] * re
+            };
+            slot.give(Rgb::new(each(0), each(1), each(2)), grad);
         }
     }
-    pull_back_slots(theta, f, d, &slots, grad);
 }
 
 /// The different texels of a footprint.
@@ -133,13 +218,22 @@ fn chunk<P: Float, const K: usize>(
     grad: &mut impl GradSink<P>,
 ) {
     let mut seeds = Vec::with_capacity(slots.len());
+    push_seeds(slots, |k| Dual::<P, K>::var(P::zero(), k), &mut seeds);
+    let value = f.eval::<Dual<P, K>>(&Theta::seeded(theta, &seeds));
     for (k, slot) in slots.iter().enumerate() {
-        let tangent = Dual::<P, K>::var(P::zero(), k);
+        let adjoint = Rgb::new(value.r.eps[k], value.g.eps[k], value.b.eps[k]) * d;
+        slot.give(adjoint, grad);
+    }
+}
+
+/// The tangent `tangent(k)` for everything that slot `k` stands for.
+fn push_seeds<P, R>(slots: &[Slot<P>], tangent: impl Fn(usize) -> R, seeds: &mut Vec<Seed<R>>) {
+    for (k, slot) in slots.iter().enumerate() {
         let mut seed = |p: ParamRef, element| {
             seeds.push(Seed {
                 param: p.id,
                 element,
-                tangent,
+                tangent: tangent(k),
             });
         };
         match slot {
@@ -151,17 +245,19 @@ fn chunk<P: Float, const K: usize>(
             Slot::Element(p, element) => seed(*p, Some(*element)),
         }
     }
-    let value = f.eval::<Dual<P, K>>(&Theta::seeded(theta, &seeds));
-    for (k, slot) in slots.iter().enumerate() {
-        let adjoint = Rgb::new(value.r.eps[k], value.g.eps[k], value.b.eps[k]) * d;
-        match slot {
-            Slot::Rgb(t, uv) => t.scatter(*uv, adjoint, grad),
-            Slot::Scalar(t, uv) => t.scatter(*uv, adjoint, grad),
-            Slot::Texel(p, texel, 1) => grad.add(*p, *texel as usize, adjoint.sum()),
-            Slot::Texel(p, texel, _) => {
+}
+
+impl<P: Float> Slot<P> {
+    /// Adds its adjoint, channel by channel.
+    fn give(&self, adjoint: Rgb<P>, grad: &mut impl GradSink<P>) {
+        match self {
+            Self::Rgb(t, uv) => t.scatter(*uv, adjoint, grad),
+            Self::Scalar(t, uv) => t.scatter(*uv, adjoint, grad),
+            Self::Texel(p, texel, 1) => grad.add(*p, *texel as usize, adjoint.sum()),
+            Self::Texel(p, texel, _) => {
                 (0..3).for_each(|c| grad.add(*p, *texel as usize * 3 + c, adjoint[c]));
             }
-            Slot::Element(p, element) => grad.add(*p, *element as usize, adjoint.sum()),
+            Self::Element(p, element) => grad.add(*p, *element as usize, adjoint.sum()),
         }
     }
 }

@@ -2,7 +2,8 @@
 //!
 //! [`path::trace`] follows a path and calls an [`path::Observer`]. With `()` it only renders; with a
 //! [`record::Recorder`] the vertices are kept, and the adjoint is pulled back through them.
-//! [`render`](render::render) and [`gradient`](gradient::Gradient) drive it over an image.
+//! [`render`](render::render) and [`gradient`](gradient::Gradient) drive it over an image;
+//! [`second_order`] has Hessian-vector products and the Gauss-Newton matrix.
 
 mod batch;
 pub mod boundary;
@@ -15,3 +16,4 @@ pub mod particle_gradient;
 pub mod path;
 pub mod record;
 pub mod render;
+pub mod second_order;

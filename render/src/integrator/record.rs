@@ -10,13 +10,14 @@ use std::marker::PhantomData;
 use ad_core::{Const, Float, Real, Vec2, Vec3};
 
 use super::direct::{FoundLight, direct_light};
-use super::local::{LocalFn, pull_back, pull_back_texels};
+use super::gradient::Active;
+use super::local::{LocalFn, Texels, pull_back, pull_back_second, pull_back_texels};
 use super::path::{Bounce, Context, HitLight, NormalsLight, Observer, SampledLight};
-use crate::bsdf::{Bsdf, Component, Material, Part, Shading, TransportMode, Use};
-use crate::emitter::Emitter;
+use crate::bsdf::{Bsdf, Component, Material, Part, Shading, TextureRef, TransportMode, Use};
+use crate::emitter::{Emission, Emitter};
 use crate::estimator::Strategy;
 use crate::math::Rgb;
-use crate::params::{GradSink, Theta};
+use crate::params::{GradSink, ParamRef, Theta};
 use crate::scene::Scene;
 
 /// One vertex of a path, and the light found on the edge that leads to it.
@@ -256,6 +257,98 @@ impl<P: Float> Recorder<P> {
             (plain, followed) = (arrives_plain, arrives_followed);
         }
         self.uses = uses;
+    }
+}
+
+impl<P: Float> Recorder<P> {
+    /// Adds the change of what [`Recorder::backward`] adds, when the parameters move along `direction` and
+    /// `d_l` changes by `change`: nested duals over the recorded vertices, which stay where they are.
+    ///
+    /// # Does not handle
+    /// Anything but detached samples with detached weights.
+    pub(super) fn backward_second(
+        &mut self,
+        context: &Context<P>,
+        active: &Active,
+        direction: impl Fn(ParamRef, u32) -> P,
+        d_l: [Rgb<P>; 2],
+        grad: &mut impl GradSink<P>,
+    ) {
+        self.close();
+        let scene = context.scene;
+        let mut texels = Texels::default();
+        for v in &self.vertices {
+            if let Some(s) = &v.surface {
+                let material = scene.shape_info(s.shape).material;
+                if active.material_active(material) {
+                    let material = &scene.materials()[material as usize];
+                    material.visit_textures(&mut |t| texels.add(t, s.uv, |p| active.contains(p)));
+                }
+            }
+            let lights = &self.lights[v.lights.0 as usize..v.lights.1 as usize];
+            let hits = lights.iter().map(|l| (l.emitter, l.emission.uv));
+            let sampled = v.sampled.iter().map(|s| (s.emitter, s.emission.uv));
+            for (emitter, uv) in hits.chain(sampled) {
+                let radiance = scene.emitters()[emitter as usize].radiance();
+                texels.add(TextureRef::Rgb(radiance), uv, |p| active.contains(p));
+            }
+        }
+        let radiance = Radiance {
+            scene,
+            active,
+            path: self,
+        };
+        pull_back_second(&texels, context.theta, direction, &radiance, d_l, grad);
+    }
+}
+
+/// The radiance of a recorded path as a function of the parameters: its samples, densities and weights are
+/// constants.
+struct Radiance<'a, P: Float> {
+    scene: &'a Scene,
+    active: &'a Active,
+    path: &'a Recorder<P>,
+}
+
+impl<P: Float> LocalFn<P> for Radiance<'_, P> {
+    fn eval<R: Real<Primal = P>>(&self, theta: &Theta<R>) -> Rgb<R> {
+        let mode = TransportMode::Radiance;
+        let emitted = |emitter: u32, emission: &Emission<P>| {
+            self.scene.emitters()[emitter as usize].eval(theta, &emission.lift())
+        };
+        let mut l = Rgb::<R>::black();
+        for (k, v) in self.path.vertices.iter().enumerate().rev() {
+            let ends = k + 1 == self.path.vertices.len();
+            let mut here = Rgb::black();
+            if let Some(s) = &v.surface {
+                let index = self.scene.shape_info(s.shape).material;
+                let material = &self.scene.materials()[index as usize];
+                let moves = self.active.material_active(index);
+                let at = Shading {
+                    theta: *theta,
+                    uv: Vec2::lift(s.uv),
+                };
+                let f = |wi, component, f| {
+                    let (wo, wi) = (Vec3::lift(s.wo), Vec3::lift(wi));
+                    match moves {
+                        true => material.eval_component(&at, wo, wi, component, mode),
+                        false => Rgb::lift(f),
+                    }
+                };
+                if let Some(light) = &v.sampled {
+                    let le = emitted(light.emitter, &light.emission).scale(light.weight);
+                    here += f(light.wi, Component::Continuous, light.f) * le;
+                }
+                if let (Some(b), false) = (&v.bounce, ends) {
+                    here += f(b.wi, b.component, b.f) * l.scale(b.weight);
+                }
+            }
+            for hit in &self.path.lights[v.lights.0 as usize..v.lights.1 as usize] {
+                here += emitted(hit.emitter, &hit.emission).scale(hit.weight);
+            }
+            l = here;
+        }
+        l
     }
 }
 

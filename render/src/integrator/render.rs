@@ -72,14 +72,16 @@ macro_rules! single_component {
 }
 single_component!(f32, f64);
 
-impl<P: Float, const N: usize> Components for Dual<P, N> {
-    const COUNT: usize = N + 1;
+/// The components of the value, then those of each tangent.
+impl<P: Components, const N: usize> Components for Dual<P, N> {
+    const COUNT: usize = P::COUNT * (N + 1);
     #[inline]
     fn component(&self, k: usize) -> f64 {
-        if k == 0 {
-            self.re.to_f64()
+        let (outer, inner) = (k / P::COUNT, k % P::COUNT);
+        if outer == 0 {
+            self.re.component(inner)
         } else {
-            self.eps[k - 1].to_f64()
+            self.eps[outer - 1].component(inner)
         }
     }
 }

@@ -12,4 +12,5 @@ pub mod moved_edges;
 pub mod path_length;
 pub mod propagation;
 pub mod recovery;
+pub mod second_order;
 pub mod split;

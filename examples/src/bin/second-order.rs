@@ -1,0 +1,14 @@
+//! `second-order`: Gauss-Newton steps against Adam.
+
+use std::process::ExitCode;
+
+use examples::figure::Figure;
+use examples::figures::scenes;
+
+fn main() -> ExitCode {
+    Figure::run(
+        "second-order",
+        "Gauss-Newton steps against Adam, and the Hessian of an image loss",
+        scenes::second_order::figure,
+    )
+}

@@ -1,0 +1,343 @@
+//! Second derivatives of image losses: Hessian-vector products and the Gauss-Newton matrix.
+//!
+//! For a loss that is a sum over the entries of an image, `l(theta) = sum_p phi_p(I_p(theta))`,
+//!
+//! ```text
+//! H = J^T diag(phi'') J + sum_p phi'_p  d2 I_p / d theta2
+//! ```
+//!
+//! [`hessian_vector`] is `H v` for adjoint images `phi'` and `phi'' (J v)`; `J v` is a derivative image.
+//! [`gauss_newton`] is the first term, written out, with the gradient.
+//!
+//! # Derivatives
+//! Samples, densities and weights are constants (detached), in the first and the second derivative: the estimate is
+//! the integrand's second derivative over a density that does not move, right for the same reasons. Paths are recorded
+//! with plain numbers and evaluated once more over `Dual<Dual<P, 1>, 4>`: the inner tangent along `v`, the outer
+//! ones in four texels at a time. No ray is traced for it.
+//!
+//! # Noise and bias
+//! A product of two estimates is unbiased if they are independent. So `phi'` and `phi'' (J v)` must come from other random
+//! numbers than the pass (they may share theirs if `phi''` does not depend on the image: squared errors). `J^T diag(phi'') J` of
+//! one set of samples would count their covariance over n on top, which is positive: a pixel's
+//! `(sum_s j_s)(sum_s j_s)^T` is therefore taken without its terms of equal samples, and divided by `n (n - 1)`. It uses all other pairs,
+//! has the right expectation, and may have a negative eigenvalue where noise rules.
+//!
+//! # Does not handle
+//! Geometry, deltas in the parameter, estimators other than detached MIS.
+
+use std::ops::Range;
+
+use ad_core::Float;
+
+use super::gradient::{Active, Gradient, Pass, Sample, Sink, check_size, exactly, largest_of};
+use super::path::Context;
+use super::record::{Activity, Recorder};
+use super::render::{NonFinite, Progress};
+use crate::error::RenderError;
+use crate::estimator::DetachedMis;
+use crate::math::Rgb;
+use crate::params::{GradSink, ParamRef, Theta};
+use crate::sampler::Sampler;
+use crate::scene::{Scene, Settings};
+
+/// Most values that [`gauss_newton`] writes a matrix for.
+pub const MAX_VALUES: usize = 1024;
+
+/// The image is split into this many jobs with a matrix each, whatever the number of threads.
+const JOBS: usize = 16;
+
+/// The derivative of the gradient of `<adjoint, image>` with respect to `active` when the parameters move along
+/// `direction` and the adjoint by `adjoint_tangent`: with `adjoint = phi'` and
+/// `adjoint_tangent = phi'' (J direction)` the Hessian of the loss times the direction.
+///
+/// `direction` has one number per value of `active`, range after range; the images are
+/// `[height][width][3]`. With equal random numbers the product is symmetric to rounding as long as the adjoint does not move.
+///
+/// Memory: as the gradient. The result depends on the arguments only, not on the number of threads.
+///
+/// # Errors
+/// Images or a direction of the wrong size.
+pub fn hessian_vector<P: Float, X: Sampler>(
+    scene: &Scene,
+    theta: &Theta<P>,
+    active: &Active,
+    direction: &[P],
+    [adjoint, adjoint_tangent]: [&[f32]; 2],
+    settings: &Settings,
+    seed: u64,
+    samples: Range<u64>,
+    progress: &impl Progress,
+) -> Result<Gradient, RenderError> {
+    check_size("adjoint image", scene, adjoint)?;
+    check_size("tangent of the adjoint image", scene, adjoint_tangent)?;
+    if direction.len() != active.len() {
+        return Err(RenderError::WrongLength {
+            what: "direction",
+            expected: active.len(),
+            found: direction.len(),
+        });
+    }
+    let pass = Pass {
+        scene,
+        theta,
+        settings,
+        seed,
+        samples,
+    };
+    let scale = P::of(pass.scale());
+    let along = |p: ParamRef, element: u32| {
+        let place = active.place(p).map(|at| at + element as usize);
+        place.map_or(P::zero(), |i| direction[i])
+    };
+    let each = |context: &Context<P>, at: Sample, path: &mut Recorder<P>, sink: &mut Sink| {
+        let d = [adjoint, adjoint_tangent].map(|a| at.of_image::<P>(a, scene) * scale);
+        path.backward_second(context, active, along, d, sink);
+    };
+    let largest = largest_of(adjoint).max(largest_of(adjoint_tangent)) * pass.scale();
+    Ok(exactly(scene, active, largest, progress, |large| {
+        pass.sums::<DetachedMis, X>(active, large, progress, each)
+    }))
+}
+
+/// Gradient and Gauss-Newton matrix of a loss.
+#[derive(Clone, Debug)]
+pub struct GaussNewton {
+    /// The derivative of `<adjoint, image>`, range after range.
+    pub gradient: Vec<f64>,
+    /// `J^T diag(weights) J`, symmetric, row by row.
+    pub matrix: Vec<f64>,
+    /// What went wrong.
+    pub non_finite: NonFinite,
+    /// Whether it was stopped early; the sums are then incomplete.
+    pub cancelled: bool,
+}
+
+impl GaussNewton {
+    /// The Gauss-Newton diagonal.
+    pub fn diagonal(&self) -> Vec<f64> {
+        let stride = self.gradient.len() + 1;
+        self.matrix.iter().step_by(stride).copied().collect()
+    }
+}
+
+/// The gradient of `<adjoint, image>` and `J^T diag(weights) J`, unbiased, where `J` is the derivative of the mean
+/// over the samples with respect to the values of `active`: one pass over recorded paths, in which every
+/// path is pulled back once per channel.
+///
+/// `adjoint` and `weights` are `[height][width][3]`: the first and the second derivative of the loss by the image.
+///
+/// Memory: 16 halves of the matrix, of 8 bytes per entry. The result depends on the arguments only, not on the
+/// number of threads.
+///
+/// # Errors
+/// Images of the wrong size, more than [`MAX_VALUES`] values, or fewer than two samples.
+pub fn gauss_newton<P: Float, X: Sampler>(
+    scene: &Scene,
+    theta: &Theta<P>,
+    active: &Active,
+    [adjoint, weights]: [&[f32]; 2],
+    settings: &Settings,
+    seed: u64,
+    samples: Range<u64>,
+    progress: &impl Progress,
+) -> Result<GaussNewton, RenderError> {
+    check_size("adjoint image", scene, adjoint)?;
+    check_size("weights", scene, weights)?;
+    let n = active.len();
+    if n > MAX_VALUES {
+        return Err(RenderError::Count {
+            what: "unknown values of a Gauss-Newton matrix",
+            expected: "at most 1024",
+            found: n as u64,
+        });
+    }
+    let pass = Pass {
+        scene,
+        theta,
+        settings,
+        seed,
+        samples,
+    };
+    let count = pass.scale().recip();
+    if count < 2.0 {
+        return Err(RenderError::Count {
+            what: "samples per pixel of a Gauss-Newton matrix",
+            expected: "at least 2",
+            found: pass.samples.end.saturating_sub(pass.samples.start),
+        });
+    }
+    let pairs = (count * (count - 1.0)).recip();
+    let at = |image: &[f32], place: usize, c: usize| f64::from(image[place * 3 + c]);
+    let each = |_: &Context<P>, sample: Sample, path: &mut Recorder<P>, sums: &mut Sums| {
+        let place = sample.place(scene);
+        sums.go_to(place, |pixel, c| pairs * at(weights, pixel, c));
+        for c in 0..3 {
+            let mut d = [P::zero(); 3];
+            d[c] = P::one();
+            path.backward::<DetachedMis>(scene, theta, Rgb::from(d), &mut sums.sample);
+            sums.add_sample(
+                c,
+                pass.scale() * at(adjoint, place, c),
+                -pairs * at(weights, place, c),
+            );
+        }
+    };
+    let new = || Sums::new(active);
+    let (parts, non_finite) = pass.paths::<DetachedMis, X, _>(JOBS, progress, new, each);
+    let mut gradient = vec![0.0; n];
+    let mut lower = vec![0.0; n * (n + 1) / 2];
+    for mut part in parts {
+        part.flush(|pixel, c| pairs * at(weights, pixel, c));
+        gradient
+            .iter_mut()
+            .zip(&part.gradient)
+            .for_each(|(g, p)| *g += p);
+        lower.iter_mut().zip(&part.lower).for_each(|(m, p)| *m += p);
+    }
+    let entry = |k: usize| lower[below(k / n, k % n)];
+    Ok(GaussNewton {
+        gradient,
+        matrix: (0..n * n).map(entry).collect(),
+        non_finite,
+        cancelled: progress.cancelled(),
+    })
+}
+
+/// Where an entry of a symmetric matrix is kept.
+#[inline]
+fn below(i: usize, j: usize) -> usize {
+    let (i, j) = (i.max(j), i.min(j));
+    i * (i + 1) / 2 + j
+}
+
+/// A vector that is mostly zero.
+#[derive(Debug)]
+struct Sparse {
+    values: Vec<f64>,
+    /// Which entries may not be zero, and a list of them.
+    is_touched: Vec<bool>,
+    touched: Vec<u32>,
+}
+
+impl Sparse {
+    fn new(len: usize) -> Self {
+        Self {
+            values: vec![0.0; len],
+            is_touched: vec![false; len],
+            touched: Vec::new(),
+        }
+    }
+
+    #[inline]
+    fn add(&mut self, i: usize, x: f64) {
+        if !std::mem::replace(&mut self.is_touched[i], true) {
+            self.touched.push(i as u32);
+        }
+        self.values[i] += x;
+    }
+
+    fn clear(&mut self) {
+        for i in self.touched.drain(..) {
+            self.values[i as usize] = 0.0;
+            self.is_touched[i as usize] = false;
+        }
+    }
+}
+
+/// The derivative of one channel of one sample.
+struct Row<'a> {
+    active: &'a Active,
+    derivative: Sparse,
+}
+
+impl<P: Float> GradSink<P> for Row<'_> {
+    #[inline]
+    fn active(&self, p: ParamRef) -> bool {
+        self.active.contains(p)
+    }
+    #[inline]
+    fn add(&mut self, p: ParamRef, i: usize, d: P) {
+        if let Some(at) = self.active.place(p) {
+            self.derivative.add(at + i, d.to_f64());
+        }
+    }
+}
+
+impl Activity for Row<'_> {
+    #[inline]
+    fn material_active(&self, material: u32) -> bool {
+        self.active.material_active(material)
+    }
+    #[inline]
+    fn emitter_active(&self, emitter: u32) -> bool {
+        self.active.emitter_active(emitter)
+    }
+}
+
+/// The sums of one job.
+struct Sums<'a> {
+    sample: Row<'a>,
+    /// The pixel that samples are being added to, and the sums of their derivatives per channel.
+    pixel: Option<usize>,
+    channels: [Sparse; 3],
+    gradient: Vec<f64>,
+    lower: Vec<f64>,
+}
+
+impl<'a> Sums<'a> {
+    fn new(active: &'a Active) -> Self {
+        let n = active.len();
+        Self {
+            sample: Row {
+                active,
+                derivative: Sparse::new(n),
+            },
+            pixel: None,
+            channels: std::array::from_fn(|_| Sparse::new(n)),
+            gradient: vec![0.0; n],
+            lower: vec![0.0; n * (n + 1) / 2],
+        }
+    }
+
+    /// Samples of `pixel` follow.
+    fn go_to(&mut self, pixel: usize, weight: impl Fn(usize, usize) -> f64) {
+        if self.pixel != Some(pixel) {
+            self.flush(weight);
+            self.pixel = Some(pixel);
+        }
+    }
+
+    /// Adds the pixel's square, all pairs of samples.
+    fn flush(&mut self, weight: impl Fn(usize, usize) -> f64) {
+        let Some(pixel) = self.pixel.take() else {
+            return;
+        };
+        for (c, sum) in self.channels.iter_mut().enumerate() {
+            add_square(&mut self.lower, sum, weight(pixel, c));
+            sum.clear();
+        }
+    }
+
+    /// Adds the derivative of channel `c` of a sample to gradient and pixel, and its square, which is to be
+    /// left out of the pixel's, with a negative weight.
+    fn add_sample(&mut self, c: usize, adjoint: f64, own: f64) {
+        let j = &mut self.sample.derivative;
+        for &i in &j.touched {
+            let x = j.values[i as usize];
+            self.gradient[i as usize] += adjoint * x;
+            self.channels[c].add(i as usize, x);
+        }
+        add_square(&mut self.lower, j, own);
+        j.clear();
+    }
+}
+
+/// Adds `weight v v^T`.
+fn add_square(lower: &mut [f64], v: &Sparse, weight: f64) {
+    for (k, &i) in v.touched.iter().enumerate() {
+        let x = weight * v.values[i as usize];
+        for &j in &v.touched[..=k] {
+            lower[below(i as usize, j as usize)] += x * v.values[j as usize];
+        }
+    }
+}
