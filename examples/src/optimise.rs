@@ -205,8 +205,8 @@ impl Problem {
         }))
     }
 
-    /// The Hessian of the loss times a direction, with one number per unknown; unbiased for squared errors (see
-    /// [`second_order`]). `None` if stopped early.
+    /// The Hessian of the loss times a direction, with one number per unknown; unbiased for squared
+    /// errors (see [`second_order`]). `None` if stopped early.
     ///
     /// # Errors
     /// As [`Problem::evaluate`]; a direction of the wrong length.
@@ -251,8 +251,8 @@ impl Problem {
         Ok((!product.cancelled).then_some(product))
     }
 
-    /// Evaluates at `values` and moves them by one step of `algorithm`. `None` if stopped early: nothing has
-    /// moved then.
+    /// Evaluates at `values` and moves them by one step of `algorithm`. `None` if stopped early:
+    /// nothing has moved then.
     ///
     /// # Errors
     /// As [`Problem::step`] and [`Problem::evaluate_curved`].

@@ -145,12 +145,12 @@ const ROUNDING: f64 = 1e-13;
 ///   [`Schedule::Harmonic`](crate::Schedule::Harmonic), noisy steps average. A product or diagonal
 ///   that noise has made negative does no harm.
 ///
-/// Gradient and curvature must be independent of the image behind the loss, see [`crate::loss`]; they may share their samples
-/// with each other where the residuals vanish at the solution.
+/// Gradient and curvature must be independent of the image behind the loss, see [`crate::loss`]; they may
+/// share their samples with each other where the residuals vanish at the solution.
 ///
 /// ```
 /// use optim::{
-///     Evaluation, GaussNewton, Groups, NormalMatrix, Outcome, Parameterisation, Rates,
+///     Evaluation, GaussNewton, Groups, NormalMatrix, Parameterisation, Rates,
 /// };
 ///
 /// // Residuals 10 (y - x^2) and 1 - x, x at least 0.5.

@@ -225,8 +225,8 @@ pub fn backward_f64(
     )
 }
 
-/// The image and its derivative when all values of `active` move along `direction`, which has one number per
-/// value, in single precision: components 0 and 1. Detached MIS, independent samples.
+/// The image and its derivative when all values of `active` move along `direction`, which has one
+/// number per value, in single precision: components 0 and 1. Detached MIS, independent samples.
 ///
 /// # Errors
 /// A direction of the wrong length.
@@ -261,8 +261,8 @@ pub fn tangent_f32(
     ))
 }
 
-/// The Hessian of an image loss times a direction, in single precision: [`second_order::hessian_vector`] with
-/// independent samples.
+/// The Hessian of an image loss times a direction, in single precision:
+/// [`second_order::hessian_vector`] with independent samples.
 ///
 /// # Errors
 /// Images or a direction of the wrong size.

@@ -102,8 +102,8 @@ impl Case {
         product.values.concat()
     }
 
-    /// Image, its derivatives along `u` and `v`, and the second one: `Dual<Dual<f64, 1>, 1>`, the inner tangent
-    /// along `v`.
+    /// Image, its derivatives along `u` and `v`, and the second one: `Dual<Dual<f64, 1>, 1>`, the
+    /// inner tangent along `v`.
     fn nested(&self, [u, v]: [&[f64]; 2], seed: u64, spp: u64) -> [Vec<f64>; 4] {
         type Twice = Dual<Dual<f64, 1>, 1>;
         let all = values::<f64>(&self.scene);
@@ -295,8 +295,8 @@ fn products_are_symmetric() {
     }
 }
 
-/// The Gauss-Newton matrix is the sum over pixels, channels and pairs of *different* samples of the products of
-/// their derivatives, and its diagonal with it; the gradient is that of reverse mode.
+/// The Gauss-Newton matrix is the sum over pixels, channels and pairs of *different* samples of the
+/// products of their derivatives, and its diagonal with it; the gradient is that of reverse mode.
 #[test]
 fn the_gauss_newton_matrix_equals_an_explicit_jacobian() {
     const SPP: u64 = 4;

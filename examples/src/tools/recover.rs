@@ -65,8 +65,9 @@ pub struct Args {
     /// Number of steps [default: 400; 24 for gauss-newton]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1 << 24))]
     pub iterations: Option<u32>,
-    /// Learning rate at the beginning; it falls along a cosine [default: 0.03 for adam, 1 for sgd]. For
-    /// gauss-newton the fraction of a step; it falls as one over the number of steps after the first five [default: 1]
+    /// Learning rate at the beginning; it falls along a cosine [default: 0.03 for adam, 1 for sgd].
+    /// For gauss-newton the fraction of a step; it falls as one over the number of steps after the
+    /// first five [default: 1]
     #[arg(long, value_name = "RATE", allow_negative_numbers = true)]
     pub lr: Option<f64>,
     /// Samples per pixel of each of the two renders of an iteration [default: 12; 48 for gauss-newton]
@@ -271,8 +272,8 @@ struct Checkpoint {
     #[serde(with = "optim::exact::slice")]
     start: Vec<f32>,
     optimizer: Algorithm,
-    /// Sum of the values over the last quarter of the run, whose noise it removes. Gauss-Newton steps average
-    /// by themselves.
+    /// Sum of the values over the last quarter of the run, whose noise it removes. Gauss-Newton
+    /// steps average by themselves.
     #[serde(with = "optim::exact::slice")]
     tail_sum: Vec<f64>,
     tail: u32,

@@ -149,9 +149,9 @@ pub fn pull_back_texels<'a, P: Float>(
     pull_back_slots(theta, f, d, &texels.slots(), grad);
 }
 
-/// Adds, for all `texels`, the change of the gradient of `d . f` when the parameters move along a direction and `d`
-/// changes by `change`: `d . d2f/(d texel d direction) + change . df/d texel`. `direction` gives the
-/// components of the direction, and is asked for these texels only.
+/// Adds, for all `texels`, the change of the gradient of `d . f` when the parameters move along a
+/// direction and `d` changes by `change`: `d . d2f/(d texel d direction) + change . df/d texel`.
+/// `direction` gives the components of the direction, and is asked for these texels only.
 pub fn pull_back_second<P: Float>(
     texels: &Texels,
     theta: &Theta<P>,

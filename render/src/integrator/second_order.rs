@@ -10,16 +10,18 @@
 //! [`gauss_newton`] is the first term, written out, with the gradient.
 //!
 //! # Derivatives
-//! Samples, densities and weights are constants (detached), in the first and the second derivative: the estimate is
-//! the integrand's second derivative over a density that does not move, right for the same reasons. Paths are recorded
-//! with plain numbers and evaluated once more over `Dual<Dual<P, 1>, 4>`: the inner tangent along `v`, the outer
-//! ones in four texels at a time. No ray is traced for it.
+//! Samples, densities and weights are constants (detached), in the first and the second derivative:
+//! the estimate is the integrand's second derivative over a density that does not move, right for
+//! the same reasons. Paths are recorded with plain numbers and evaluated once more over
+//! `Dual<Dual<P, 1>, 4>`: the inner tangent along `v`, the outer ones in four texels at a time. No
+//! ray is traced for it.
 //!
 //! # Noise and bias
-//! A product of two estimates is unbiased if they are independent. So `phi'` and `phi'' (J v)` must come from other random
-//! numbers than the pass (they may share theirs if `phi''` does not depend on the image: squared errors). `J^T diag(phi'') J` of
-//! one set of samples would count their covariance over n on top, which is positive: a pixel's
-//! `(sum_s j_s)(sum_s j_s)^T` is therefore taken without its terms of equal samples, and divided by `n (n - 1)`. It uses all other pairs,
+//! A product of two estimates is unbiased if they are independent. So `phi'` and `phi'' (J v)` must
+//! come from other random numbers than the pass (they may share theirs if `phi''` does not depend
+//! on the image: squared errors). `J^T diag(phi'') J` of one set of samples would count their
+//! covariance over n on top, which is positive: a pixel's `(sum_s j_s)(sum_s j_s)^T` is therefore
+//! taken without its terms of equal samples, and divided by `n (n - 1)`. It uses all other pairs,
 //! has the right expectation, and may have a negative eigenvalue where noise rules.
 //!
 //! # Does not handle
@@ -46,12 +48,13 @@ pub const MAX_VALUES: usize = 1024;
 /// The image is split into this many jobs with a matrix each, whatever the number of threads.
 const JOBS: usize = 16;
 
-/// The derivative of the gradient of `<adjoint, image>` with respect to `active` when the parameters move along
-/// `direction` and the adjoint by `adjoint_tangent`: with `adjoint = phi'` and
-/// `adjoint_tangent = phi'' (J direction)` the Hessian of the loss times the direction.
+/// The derivative of the gradient of `<adjoint, image>` with respect to `active` when the
+/// parameters move along `direction` and the adjoint by `adjoint_tangent`: with `adjoint = phi'`
+/// and `adjoint_tangent = phi'' (J direction)` the Hessian of the loss times the direction.
 ///
 /// `direction` has one number per value of `active`, range after range; the images are
-/// `[height][width][3]`. With equal random numbers the product is symmetric to rounding as long as the adjoint does not move.
+/// `[height][width][3]`. With equal random numbers the product is symmetric to rounding as long as
+/// the adjoint does not move.
 ///
 /// Memory: as the gradient. The result depends on the arguments only, not on the number of threads.
 ///
@@ -120,14 +123,15 @@ impl GaussNewton {
     }
 }
 
-/// The gradient of `<adjoint, image>` and `J^T diag(weights) J`, unbiased, where `J` is the derivative of the mean
-/// over the samples with respect to the values of `active`: one pass over recorded paths, in which every
-/// path is pulled back once per channel.
+/// The gradient of `<adjoint, image>` and `J^T diag(weights) J`, unbiased, where `J` is the
+/// derivative of the mean over the samples with respect to the values of `active`: one pass over
+/// recorded paths, in which every path is pulled back once per channel.
 ///
-/// `adjoint` and `weights` are `[height][width][3]`: the first and the second derivative of the loss by the image.
+/// `adjoint` and `weights` are `[height][width][3]`: the first and the second derivative of the
+/// loss by the image.
 ///
-/// Memory: 16 halves of the matrix, of 8 bytes per entry. The result depends on the arguments only, not on the
-/// number of threads.
+/// Memory: 16 halves of the matrix, of 8 bytes per entry. The result depends on the arguments only,
+/// not on the number of threads.
 ///
 /// # Errors
 /// Images of the wrong size, more than [`MAX_VALUES`] values, or fewer than two samples.

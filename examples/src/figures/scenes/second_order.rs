@@ -1,5 +1,5 @@
-//! What second derivatives are good for: parameters are recovered with Gauss-Newton steps and with Adam, on the
-//! clock, and the whole Hessian is compared with its Gauss-Newton part.
+//! What second derivatives are good for: parameters are recovered with Gauss-Newton steps and with
+//! Adam, on the clock, and the whole Hessian is compared with its Gauss-Newton part.
 
 use std::time::{Duration, Instant};
 
@@ -34,7 +34,7 @@ fn setup(fig: &Figure) -> Result<Setup> {
     let active = Active::new(&scene, &names)?;
     let settings = scene.settings;
     let theta = Theta::constant(scene.params().values());
-    let (technique, spp) = (Technique::MisPower, fig.pick(1024, 8192));
+    let (technique, spp) = (Technique::MisPower, fig.pick(1024, 4096));
     let target = render_f32(&scene, &theta, technique, &settings, 1, 0..spp, &()).image(0);
     let problem = Problem {
         scene,
@@ -114,7 +114,7 @@ fn runs(fig: &Figure, setup: &Setup) -> Result<Vec<Run>> {
     let whole = Schedule::Harmonic { hold: WHOLE_STEPS };
     let rates = Rates::new(n, 1.0)?.with_schedule(whole)?;
     let newton = GaussNewton::new(rates, groups.clone(), Default::default())?;
-    let size = fig.pick((12, 48), (24, 48));
+    let size = fig.pick((12, 48), (40, 48));
     let newton = Algorithm::GaussNewton(newton);
     let mut runs = vec![Run::new(setup, "Gauss-Newton", size, newton)];
     // The tool's setting, a shorter run with longer steps, and one with less noise.
@@ -212,7 +212,7 @@ fn race(fig: &mut Figure, setup: &mut Setup) -> Result {
 /// (b) At the truth the residuals vanish, and with them all of the Hessian but its Gauss-Newton part.
 fn hessian(fig: &mut Figure, setup: &mut Setup) -> Result {
     let n = setup.truth.len();
-    setup.problem.settings.spp = fig.pick(64, 256);
+    setup.problem.settings.spp = fig.pick(64, 128);
     let mut distances = Vec::new();
     let starts = [setup.truth.clone(), setup.start.clone()];
     for (k, values) in starts.iter().enumerate() {
