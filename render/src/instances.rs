@@ -412,7 +412,7 @@ fn forward<const N: usize>(
     samples: Range<u64>,
     progress: &dyn Progress,
 ) -> Rendering {
-    let tangents = tangents::<N>(scene.params(), directions);
+    let tangents = tangents::<N>(scene.params(), directions.iter().enumerate());
     let theta = Theta::<Dual<f32, N>>::with_tangents(values, &tangents);
     let progress = Dynamic(progress);
     render::render::<Dual<f32, N>, MisOf<Power>, Independent>(
@@ -420,14 +420,15 @@ fn forward<const N: usize>(
     )
 }
 
-/// One tangent per range of the layout; direction `k` is component `k` of the dual numbers.
-fn tangents<const N: usize>(
+/// One tangent per range of the layout; component `k` of the dual numbers is the sum of the directions
+/// that come with `k`.
+fn tangents<'a, const N: usize>(
     params: &Params,
-    directions: &[Direction],
+    directions: impl IntoIterator<Item = (usize, &'a Direction)>,
 ) -> Vec<Tangent<Dual<f32, N>>> {
     let zero = Dual::new(0.0, [0.0; N]);
     let mut out = vec![Tangent::None; params.infos().len()];
-    for (k, direction) in directions.iter().enumerate() {
+    for (k, direction) in directions {
         let id = direction.param().id as usize;
         let len = params.infos()[id].shape.len();
         let tangent = &mut out[id];
@@ -437,9 +438,9 @@ fn tangents<const N: usize>(
                 t.eps[k] = 1.0;
                 *tangent = Tangent::Uniform(t);
             }
-            (Direction::Uniform(_), Tangent::Uniform(t)) => t.eps[k] = 1.0,
+            (Direction::Uniform(_), Tangent::Uniform(t)) => t.eps[k] += 1.0,
             (Direction::Uniform(_), Tangent::Dense(t)) => {
-                t.iter_mut().for_each(|t| t.eps[k] = 1.0);
+                t.iter_mut().for_each(|t| t.eps[k] += 1.0);
             }
             (Direction::Dense(_, v), current) => {
                 let mut dense = match std::mem::replace(current, Tangent::None) {
@@ -448,7 +449,7 @@ fn tangents<const N: usize>(
                     Tangent::Dense(t) => t,
                 };
                 for (t, v) in dense.iter_mut().zip(v) {
-                    t.eps[k] = *v;
+                    t.eps[k] += *v;
                 }
                 *current = Tangent::Dense(dense);
             }
@@ -567,8 +568,8 @@ impl Estimator {
         })
     }
 
-    /// The image and its derivative along one direction, in single precision (forward mode). Independent
-    /// samples.
+    /// The image and its derivative along the sum of `directions`, such as one number added to every
+    /// roughness, in single precision (forward mode). Independent samples.
     ///
     /// # Errors
     /// A direction of the wrong length; an estimator that is wrong in this scene or for this parameter.
@@ -576,17 +577,18 @@ impl Estimator {
         self,
         scene: &Scene,
         values: &[f32],
-        direction: &Direction,
+        directions: &[Direction],
         settings: &Settings,
         seed: u64,
         samples: Range<u64>,
         progress: &dyn Progress,
     ) -> Result<Rendering, RenderError> {
         self.check(scene)?;
-        self.check_parameter(&scene.params().infos()[direction.param().id as usize])?;
-        let directions = std::slice::from_ref(direction);
+        for d in directions {
+            self.check_parameter(&scene.params().infos()[d.param().id as usize])?;
+        }
         check_directions(scene, directions)?;
-        let tangents = tangents::<1>(scene.params(), directions);
+        let tangents = tangents::<1>(scene.params(), directions.iter().map(|d| (0, d)));
         let theta = Theta::<Dual<f32, 1>>::with_tangents(values, &tangents);
         Ok(self.forward()(
             scene, &theta, settings, seed, samples, progress,
@@ -641,12 +643,16 @@ estimators! {
     DifferentialMisAttachedWeights "differential-mis-attached-weights" Mis<Differential, Detached, AttachedWeights>;
     /// Attached BSDF sampling and light sampling, differentiated weights.
     AttachedMis "attached-mis" Mis<AttachedDirect, Detached, AttachedWeights>;
-    /// The same with weights that follow the samples only.
+    /// The same where discontinuities bias it, to study that.
+    AttachedMisNaive "attached-mis-naive" AllowBias<Mis<AttachedDirect, Detached, AttachedWeights>>;
+    /// [`Estimator::AttachedMis`] with weights that follow the samples only.
     AttachedMisFrozen "attached-mis-frozen" Mis<AttachedDirect, Detached, FrozenWeights>;
     /// Reparameterised BSDF sampling and light sampling, differentiated weights.
     ReparameterisedMis "reparameterised-mis" ReparameterisedMis;
     /// Reparameterised with constant weights: biased [Zeltner 2021, Eq. 4.38].
     BiasedWeights "biased-weights" AllowBias<Mis<Reparameterised, Detached, DetachedWeights>>;
+    /// Attached with constant weights: biased for the same reason, whatever the scene.
+    BiasedAttachedWeights "biased-attached-weights" AllowBias<Mis<AttachedDirect, Detached, DetachedWeights>>;
     /// Differentiated weights for one technique only: biased (errata Z-4.13f).
     BiasedMixed "biased-mixed" AllowBias<Mis<Reparameterised, Detached, MixedWeights>>;
 }

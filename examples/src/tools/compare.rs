@@ -272,7 +272,7 @@ impl Run<'_> {
             let r = e.forward_f32(
                 self.scene,
                 values,
-                direction,
+                std::slice::from_ref(direction),
                 &self.settings,
                 seed,
                 0..spp,

@@ -483,7 +483,15 @@ fn gradient_images(
         let mut images = Vec::new();
         for d in &directions {
             let e = args.estimator;
-            let rendering = e.forward_f32(scene, values, d, settings, seed, 0..spp, &bar)?;
+            let rendering = e.forward_f32(
+                scene,
+                values,
+                std::slice::from_ref(d),
+                settings,
+                seed,
+                0..spp,
+                &bar,
+            )?;
             report_non_finite(&rendering.non_finite, rendering.width, seed);
             if bar.cancelled() {
                 return Ok(Vec::new());

@@ -12,7 +12,7 @@ use crate::error::SceneError;
 use crate::film::Film;
 use crate::params::{Differentiability, ParamRef, ParamShape, Params};
 use crate::shape::{AnyShape, Shape};
-use crate::texture::{self, RgbTexture, ScalarTexture, Texture};
+use crate::texture::{self, Bitmap, RgbTexture, ScalarTexture, Texture, UvTransform, Wrap};
 
 /// Index of a material in the builder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -82,6 +82,50 @@ impl Builder {
         valid: (f64, f64),
     ) -> Result<ScalarTexture, SceneError> {
         self.constant(name, &[value], valid, Differentiability::Smooth)
+    }
+
+    /// An image as a texture whose texels, `[height][width][C]`, become the parameter `{name}.data`: repeated,
+    /// bilinear, row 0 at v = 0; `valid` bounds each texel. 1 or 3 channels.
+    ///
+    /// # Errors
+    /// A wrong number of texels, or one outside `valid`.
+    pub fn texels<const C: usize>(
+        &mut self,
+        name: &str,
+        [width, height]: [u32; 2],
+        texels: &[f32],
+        valid: (f64, f64),
+    ) -> Result<Texture<C>, SceneError> {
+        let name = format!("{name}.data");
+        let error = |expected: String, found: String| SceneError::Parameter {
+            key: name.clone(),
+            expected,
+            found,
+        };
+        let shape = ParamShape::Texture {
+            height: height as usize,
+            width: width as usize,
+            channels: C,
+        };
+        if texels.is_empty() || shape.len() != texels.len() {
+            let expected = format!("{width} x {height} x {C} texels");
+            return Err(error(expected, texels.len().to_string()));
+        }
+        let inside = |v: &&f32| (valid.0 as f32..=valid.1 as f32).contains(*v);
+        if let Some(bad) = texels.iter().find(|v| !inside(v)) {
+            return Err(error(range_text(valid), bad.to_string()));
+        }
+        let param = self
+            .push_texels(&name, shape, texels, valid, Differentiability::Smooth)
+            .ok_or_else(|| error("at most 2^32 parameters".into(), "more".into()))?;
+        Ok(Texture::Bitmap(Bitmap {
+            param,
+            width,
+            height,
+            wrap: Wrap::Repeat,
+            nearest: false,
+            to_uv: UvTransform::IDENTITY,
+        }))
     }
 
     pub(crate) fn constant<const C: usize>(

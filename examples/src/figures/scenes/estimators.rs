@@ -153,7 +153,7 @@ pub fn figure(fig: &mut Figure) -> Result {
                 let seed = SEED + (k as u64 + 1) * 1000 + run;
                 let along = direction(scene, plate)?;
                 let s = &scene.settings;
-                let r = e.forward_f32(scene, values, &along, s, seed, 0..spp, &())?;
+                let r = e.forward_f32(scene, values, &[along], s, seed, 0..spp, &())?;
                 Ok(grey(&r.sums[1], 1.0 / spp as f64))
             },
             spp,
@@ -321,7 +321,7 @@ fn pictures(fig: &mut Figure, setup: &Plates) -> Result {
             for plate in 0..4 {
                 let along = direction(scene, plate)?;
                 let start = Instant::now();
-                let r = e.forward_f32(scene, values, &along, s, SEED + run, 0..spp, &())?;
+                let r = e.forward_f32(scene, values, &[along], s, SEED + run, 0..spp, &())?;
                 seconds.push(start.elapsed().as_secs_f64());
                 let part = grey(&r.sums[1], 1.0 / spp as f64);
                 total.iter_mut().zip(part).for_each(|(t, p)| *t += p);
