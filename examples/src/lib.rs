@@ -4,6 +4,7 @@ pub mod chart;
 pub mod cli;
 pub mod figure;
 pub mod figures;
+pub mod memory;
 pub mod optimise;
 pub mod output;
 pub mod progress;

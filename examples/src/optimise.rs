@@ -7,7 +7,7 @@ use optim::{
     AnyOptimizer, Constrained, Evaluation, GaussNewton, Loss, LossKind, NormalMatrix, Optimizer,
 };
 use render::instances::{
-    Technique, backward_f32, gauss_newton_f32, hessian_vector_f32, render_f32, tangent_f32,
+    Estimator, Technique, gauss_newton_f32, hessian_vector_f32, render_f32, tangent_f32,
 };
 use render::integrator::gradient::{Active, Gradient};
 use render::integrator::render::{NonFinite, Progress, Rendering};
@@ -27,6 +27,8 @@ pub struct Problem {
     pub settings: Settings,
     /// The unknowns.
     pub active: Active,
+    /// Where the gradient comes from; [`Estimator::Mis`] unless there is a reason.
+    pub estimator: Estimator,
     /// How images are compared.
     pub loss: LossKind,
     /// What the image is compared with.
@@ -125,7 +127,7 @@ impl Problem {
         let mut adjoint = vec![0.0; image.data.len()];
         self.loss
             .gradient(&image.data, &self.target.data, &mut adjoint)?;
-        let gradient = backward_f32(
+        let gradient = self.estimator.backward_f32(
             &self.scene,
             &self.theta(),
             &self.active,

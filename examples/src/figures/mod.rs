@@ -3,5 +3,6 @@
 pub mod scenes;
 pub mod stage;
 pub mod stam;
+pub mod statistics;
 pub mod veach;
 pub mod zeltner;

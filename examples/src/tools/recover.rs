@@ -15,7 +15,7 @@ use optim::{
     AnyOptimizer, Constrained, GaussNewton, Groups, LossKind, Parameterisation, PixelLoss, Rates,
     Schedule,
 };
-use render::instances::{Technique, render_f32};
+use render::instances::{Estimator, Technique, render_f32};
 use render::integrator::gradient::Active;
 use render::integrator::second_order::MAX_VALUES;
 use render::params::{ParamInfo, Theta};
@@ -384,6 +384,7 @@ fn recover(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
         scene,
         settings,
         active,
+        estimator: Estimator::Mis,
         loss,
         target,
     };

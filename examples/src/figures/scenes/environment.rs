@@ -143,7 +143,7 @@ pub fn figure(fig: &mut Figure) -> Result {
     let material = stage.matt("floor", [0.5; 3])?;
     let sides = [[2.0, 0.0, 0.0], [0.0, 0.0, -2.0]];
     stage.quad("floor", [[-1.0, 0.0, 1.0], sides[0], sides[1]], &material)?;
-    stage.hall()?;
+    stage.hall(1.0)?;
     let view = View {
         eye: [0.0, 1.0, 4.0],
         target: [0.0; 3],

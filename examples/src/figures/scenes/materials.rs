@@ -287,7 +287,7 @@ fn picture(fig: &mut Figure) -> Result {
         let material = material(&mut stage, k)?;
         stage.ball(NAMES[k], [x, 0.0, z], 1.0, &material)?;
     }
-    stage.hall()?;
+    stage.hall(1.0)?;
     let view = View {
         eye: [0.0, 4.2, 12.0],
         target: [0.0, -0.4, 0.0],

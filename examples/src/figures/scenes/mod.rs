@@ -2,6 +2,7 @@
 //!
 //! The scenes come from [`super::stage`].
 
+pub mod backpropagation;
 pub mod direct_light;
 pub mod environment;
 pub mod estimators;
@@ -9,8 +10,11 @@ pub mod factors;
 pub mod freezing;
 pub mod materials;
 pub mod moved_edges;
+pub mod outlines;
 pub mod path_length;
 pub mod propagation;
 pub mod recovery;
+pub mod roughness_texture;
 pub mod second_order;
 pub mod split;
+pub mod table;

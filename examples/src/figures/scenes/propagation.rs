@@ -11,7 +11,7 @@ use render::integrator::gradient::Active;
 use render::integrator::render::{Rendering, render};
 use render::params::{Tangent, Theta};
 use render::sampler::Independent;
-use render::{Image, Scene};
+use render::{Image, Scene, Settings};
 
 use crate::chart::Panel;
 use crate::figure::{Figure, Result};
@@ -77,25 +77,8 @@ fn board(fig: &mut Figure) -> Result<Board> {
 impl Board {
     /// J d in double precision: image and derivative image.
     fn forward(&self, seed: u64) -> Result<Rendering> {
-        type Real = Dual<f64, 1>;
-        type Strategy = Mis<Detached, Detached, DetachedWeights, Power>;
-        let params = self.scene.params();
-        let values: Vec<f64> = params.values().iter().map(|&v| v.into()).collect();
-        let mut tangents = vec![Tangent::None; params.infos().len()];
-        let handle = params.handle(params.find(NAME)?);
-        let dense = CHANGE.map(|d| Real::new(0.0, [d])).to_vec();
-        tangents[handle.id as usize] = Tangent::Dense(dense);
-        let theta = Theta::<Real>::with_tangents(&values, &tangents);
-        let samples = 0..self.spp;
         let settings = &self.scene.settings;
-        Ok(render::<Real, Strategy, Independent>(
-            &self.scene,
-            &theta,
-            settings,
-            seed,
-            samples,
-            &(),
-        ))
+        push_f64(&self.scene, NAME, &CHANGE, settings, seed, self.spp)
     }
 
     /// <adjoint, J d> of sums over samples.
@@ -207,6 +190,35 @@ impl Board {
         );
         Ok(())
     }
+}
+
+/// Image and derivative image in double precision, along `direction` in the parameter `name`: forward mode,
+/// detached MIS.
+pub(super) fn push_f64(
+    scene: &Scene,
+    name: &str,
+    direction: &[f64],
+    settings: &Settings,
+    seed: u64,
+    spp: u64,
+) -> Result<Rendering> {
+    type Real = Dual<f64, 1>;
+    type Strategy = Mis<Detached, Detached, DetachedWeights, Power>;
+    let params = scene.params();
+    let values: Vec<f64> = params.values().iter().map(|&v| v.into()).collect();
+    let mut tangents = vec![Tangent::None; params.infos().len()];
+    let handle = params.handle(params.find(name)?);
+    let dense = direction.iter().map(|d| Real::new(0.0, [*d])).collect();
+    tangents[handle.id as usize] = Tangent::Dense(dense);
+    let theta = Theta::<Real>::with_tangents(&values, &tangents);
+    Ok(render::<Real, Strategy, Independent>(
+        scene,
+        &theta,
+        settings,
+        seed,
+        0..spp,
+        &(),
+    ))
 }
 
 fn along(gradient: &[f64]) -> f64 {

@@ -4,7 +4,7 @@
 use optim::{
     Adam, Constrained, Groups, Loss, LossKind, Optimizer, Parameterisation, Rates, Sgd, SgdOptions,
 };
-use render::instances::{Technique, render_f32};
+use render::instances::{Estimator, Technique, render_f32};
 use render::integrator::gradient::Active;
 use render::params::Theta;
 use render::{Image, Scene};
@@ -39,6 +39,7 @@ fn setup(fig: &Figure) -> Result<Setup> {
         scene,
         settings,
         active,
+        estimator: Estimator::Mis,
         loss: "l2".parse::<LossKind>()?,
         target,
     };

@@ -4,7 +4,7 @@
 use std::time::{Duration, Instant};
 
 use optim::{Adam, AnyOptimizer, Constrained, GaussNewton, LossKind, Rates, Schedule};
-use render::instances::{Technique, render_f32};
+use render::instances::{Estimator, Technique, render_f32};
 use render::integrator::gradient::Active;
 use render::params::Theta;
 use render::sampler::mix64;
@@ -40,6 +40,7 @@ fn setup(fig: &Figure) -> Result<Setup> {
         scene,
         settings,
         active,
+        estimator: Estimator::Mis,
         loss: "relative-l2".parse::<LossKind>()?,
         target,
     };

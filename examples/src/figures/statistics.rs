@@ -1,0 +1,72 @@
+//! Means of repeated estimates, and how far apart they may lie.
+
+use statrs::distribution::{ContinuousCDF, StudentsT};
+
+/// A mean and its standard error.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Estimate {
+    /// Mean.
+    pub mean: f64,
+    /// Standard error of the mean; zero if exact.
+    pub error: f64,
+}
+
+impl Estimate {
+    /// From independent repetitions, at least two.
+    pub fn of(values: impl IntoIterator<Item = f64>) -> Self {
+        let values: Vec<f64> = values.into_iter().collect();
+        let n = values.len() as f64;
+        let mean = values.iter().sum::<f64>() / n;
+        let squares = values.iter().map(|x| (x - mean).powi(2));
+        Self {
+            mean,
+            error: (squares.sum::<f64>() / (n * (n - 1.0))).sqrt(),
+        }
+    }
+
+    /// Difference to another one in standard errors.
+    pub fn z(&self, other: &Self) -> f64 {
+        let d = self.mean - other.mean;
+        match d == 0.0 {
+            true => 0.0,
+            false => d / self.error.hypot(other.error),
+        }
+    }
+}
+
+/// What `tests` values of |z| stay below with probability 1 - `level` if nothing is wrong, for standard errors
+/// from `runs` repetitions (Student's distribution, Sidak's correction).
+pub fn limit(tests: usize, runs: u64, level: f64) -> f64 {
+    let each = -((-level).ln_1p() / tests as f64).exp_m1();
+    match StudentsT::new(0.0, 1.0, runs as f64 - 1.0) {
+        Ok(t) => t.inverse_cdf(1.0 - 0.5 * each),
+        Err(_) => f64::INFINITY,
+    }
+}
+
+/// One estimate per pixel, from independent images.
+pub fn per_pixel(images: &[Vec<f64>]) -> Vec<Estimate> {
+    let pixels = images.first().map_or(0, Vec::len);
+    (0..pixels)
+        .map(|p| Estimate::of(images.iter().map(|i| i[p])))
+        .collect()
+}
+
+/// Means over squares of `side` x `side` pixels; what does not fill one is left out.
+pub fn blocks(image: &[f64], width: usize, side: usize) -> Vec<f64> {
+    let (columns, rows) = (width / side, image.len() / width / side);
+    let block = |x: usize, y: usize| {
+        let rows = (0..side).map(|k| &image[(y * side + k) * width + x * side..][..side]);
+        rows.flatten().sum::<f64>() / (side * side) as f64
+    };
+    (0..rows)
+        .flat_map(|y| (0..columns).map(move |x| (x, y)))
+        .map(|(x, y)| block(x, y))
+        .collect()
+}
+
+/// Mean of the channels of each pixel of sums over samples, times `scale`.
+pub fn grey(sums: &[f64], scale: f64) -> Vec<f64> {
+    let pixel = |p: &[f64]| p.iter().sum::<f64>() / 3.0 * scale;
+    sums.chunks_exact(3).map(pixel).collect()
+}
