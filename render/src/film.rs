@@ -139,28 +139,40 @@ impl Film {
         within(x, 0) && within(y, 1)
     }
 
+    /// Rows of the crop window that a splat at height `y` of the full film may touch.
+    #[inline]
+    pub fn rows(&self, y: f64) -> Range<u32> {
+        self.touched(y, 1)
+    }
+
+    /// Pixels of the crop window, along an axis, that a splat at `x` of the full film may touch.
+    #[inline]
+    fn touched(&self, x: f64, axis: usize) -> Range<u32> {
+        let (x, r) = (
+            x - f64::from(self.crop_offset[axis]) - 0.5,
+            self.filter.radius(),
+        );
+        // A cast saturates: what is not finite touches nothing, or weighs nothing.
+        let last = (x + r).floor();
+        let end = if last < 0.0 {
+            0
+        } else {
+            (last as u32).saturating_add(1).min(self.crop_size[axis])
+        };
+        ((x - r).ceil().max(0.0) as u32).min(end)..end
+    }
+
     /// Calls `f` with the index and the weight of every rendered pixel that a splat at `(x, y)` of
     /// the full film touches, if its row in the crop window is in `rows`.
     #[inline]
     pub fn splat(&self, [x, y]: [f64; 2], rows: Range<u32>, mut f: impl FnMut(usize, f64)) {
+        let (columns, touched) = (self.touched(x, 0), self.touched(y, 1));
         let (x, y) = (
             x - f64::from(self.crop_offset[0]),
             y - f64::from(self.crop_offset[1]),
         );
-        let r = self.filter.radius();
-        // A cast saturates: what is not finite touches nothing, or weighs nothing.
-        let cut = |x: f64, low: u32, high: u32| {
-            let first = ((x - 0.5 - r).ceil().max(0.0) as u32).max(low);
-            let last = (x - 0.5 + r).floor();
-            let end = if last < 0.0 {
-                0
-            } else {
-                (last as u32).saturating_add(1)
-            };
-            first..end.min(high)
-        };
-        for row in cut(y, rows.start, rows.end.min(self.crop_size[1])) {
-            for column in cut(x, 0, self.crop_size[0]) {
+        for row in touched.start.max(rows.start)..touched.end.min(rows.end) {
+            for column in columns.clone() {
                 let offset = [x - f64::from(column) - 0.5, y - f64::from(row) - 0.5];
                 let weight = self.filter.density(offset);
                 if weight > 0.0 {

@@ -295,6 +295,11 @@ impl<'a, R: Real> Theta<'a, R> {
     /// Texel `i` of a range with `C` channels.
     #[inline(always)]
     pub fn texel<const C: usize>(&self, p: ParamRef, i: usize) -> [R; C] {
+        if R::IS_PRIMAL {
+            // One check of the range for all channels.
+            let values = &self.values[p.offset as usize + i * C..][..C];
+            return std::array::from_fn(|c| R::lift(values[c]));
+        }
         std::array::from_fn(|c| self.get(p, i * C + c))
     }
 }

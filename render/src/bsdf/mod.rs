@@ -378,6 +378,22 @@ pub trait Bsdf: Send + Sync {
             Component::Delta { kind, route } => self.eval_delta(at, wo, kind, route, mode),
         }
     }
+
+    /// Samples a direction without tangents, and evaluates there: [`Bsdf::sample`] and
+    /// [`Bsdf::eval_component`] in one visit.
+    #[inline(always)]
+    fn scatter<R: Real>(
+        &self,
+        at: &Shading<R>,
+        wo: Vec3<R::Primal>,
+        u: [R::Primal; 3],
+        mode: TransportMode,
+    ) -> Option<(BsdfSample<R::Primal>, Rgb<R>)> {
+        let sample = self.sample(&at.primal(), wo, u, mode)?;
+        let (wo, wi) = (Vec3::lift(wo), Vec3::lift(sample.wi));
+        let f = self.eval_component(at, wo, wi, sample.component, mode);
+        Some((sample, f))
+    }
 }
 
 impl<L: Leaf> Bsdf for L {
@@ -740,6 +756,12 @@ macro_rules! materials {
                 &self, at: &Shading<R>, wo: Vec3<R>, wi: Vec3<R>, component: Component, mode: TransportMode,
             ) -> Rgb<R> {
                 $crate::dispatch::dispatch!(self, [$($hot),*] [$($name),*], m => m.eval_component(at, wo, wi, component, mode))
+            }
+            #[inline(always)]
+            fn scatter<R: Real>(
+                &self, at: &Shading<R>, wo: Vec3<R::Primal>, u: [R::Primal; 3], mode: TransportMode,
+            ) -> Option<(BsdfSample<R::Primal>, Rgb<R>)> {
+                $crate::dispatch::dispatch!(self, [$($hot),*] [$($name),*], m => m.scatter(at, wo, u, mode))
             }
             #[inline(always)]
             fn backward<P: Float>(

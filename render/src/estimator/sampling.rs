@@ -4,6 +4,7 @@ use ad_core::{Real, Vec2, Vec3};
 
 use super::memory::{Forget, Keep, Memory};
 use crate::bsdf::{Bsdf, BsdfSample, Material, Shading, TransportMode};
+use crate::math::Rgb;
 
 /// How the light at the end of a sampled direction depends on that direction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -55,14 +56,14 @@ pub trait Sampling: Send + Sync + 'static {
         Vec2::new(Self::embed(v.x), Self::embed(v.y))
     }
 
-    /// Draws a direction at a vertex.
-    fn draw<R: Real>(
+    /// Draws a direction at a vertex, and evaluates the material there.
+    fn scatter<R: Real>(
         material: &Material,
         at: &Shading<R>,
         wo: Vec3<Self::Geometry<R>>,
         u: [R::Primal; 3],
         mode: TransportMode,
-    ) -> Option<BsdfSample<Self::Geometry<R>>>;
+    ) -> Option<(BsdfSample<Self::Geometry<R>>, Rgb<R>)>;
 }
 
 /// Samples whose path is a constant: primal geometry.
@@ -77,14 +78,14 @@ macro_rules! detached_path {
         }
 
         #[inline(always)]
-        fn draw<R: Real>(
+        fn scatter<R: Real>(
             material: &Material,
             at: &Shading<R>,
             wo: Vec3<R::Primal>,
             u: [R::Primal; 3],
             mode: TransportMode,
-        ) -> Option<BsdfSample<R::Primal>> {
-            material.sample(&at.primal(), wo, u, mode)
+        ) -> Option<(BsdfSample<R::Primal>, Rgb<R>)> {
+            material.scatter(at, wo, u, mode)
         }
     };
 }
@@ -122,14 +123,16 @@ impl Sampling for Attached {
     }
 
     #[inline(always)]
-    fn draw<R: Real>(
+    fn scatter<R: Real>(
         material: &Material,
         at: &Shading<R>,
         wo: Vec3<R>,
         u: [R::Primal; 3],
         mode: TransportMode,
-    ) -> Option<BsdfSample<R>> {
-        material.sample(at, wo, u, mode)
+    ) -> Option<(BsdfSample<R>, Rgb<R>)> {
+        let sample = material.sample(at, wo, u, mode)?;
+        let f = material.eval_component(at, wo, sample.wi, sample.component, mode);
+        Some((sample, f))
     }
 }
 

@@ -134,7 +134,7 @@ impl<P: Float> Map<P> {
                         for l in keeper.0.drain(..) {
                             if !l.power.is_finite() {
                                 non_finite.add(i % n, i / n);
-                            } else if !l.power.is_black() && !scene.material(l.shape).is_delta() {
+                            } else if !l.power.is_black() && !scene.shape_info(l.shape).delta {
                                 landed.push(l);
                             }
                         }
@@ -375,7 +375,7 @@ impl<P: Float> Map<P> {
                 theta: *theta,
                 uv: Vec2::lift(si.uv),
             };
-            if !material.is_delta() {
+            if !scene.shape_info(shape).delta {
                 let mut sum = Rgb::black();
                 self.near(si.p, si.n_geo, |p, kernel| {
                     if p.depth + depth > settings.max_depth {

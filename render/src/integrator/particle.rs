@@ -32,6 +32,8 @@ const TOGETHER: usize = 64;
 const CHUNK: u64 = 1024;
 /// Jobs whose splats are kept until they are added to the image, in order.
 const CHUNKS: u64 = 64;
+/// The image's rows are split into this many bands, to which splats are added in parallel.
+const BANDS: usize = 16;
 
 const MODE: TransportMode = TransportMode::Importance;
 
@@ -354,7 +356,7 @@ impl<R: Real, X: Sampler> Particle<R, X> {
 
         // ---- Connection to the camera ----
         if O::CONNECTS
-            && !material.is_delta()
+            && !info.delta
             && let Some((to_camera, distance, film, weight)) = towards_camera(scene, si.p)
         {
             let wi = si.frame.to_local(to_camera);
@@ -592,7 +594,7 @@ pub fn render<R: Components, X: Sampler>(
     // `[pixel][component][3]` while splats are added.
     let mut sums = vec![0.0f64; width * height * R::COUNT * 3];
     let row = width * R::COUNT * 3;
-    let rows_per_band = height.div_ceil(16);
+    let rows_per_band = height.div_ceil(BANDS).max(1);
     let mut reported = 0;
     let round = CHUNK * (CHUNKS / R::COUNT as u64).max(4);
     for start in (0..total).step_by(round as usize) {
@@ -602,9 +604,9 @@ pub fn render<R: Components, X: Sampler>(
         }
         let end = (start + round).min(total);
         let jobs: Vec<u64> = (start..end).step_by(CHUNK as usize).collect();
-        let parts: Vec<(Vec<Splat<R>>, NonFinite)> = (jobs.par_iter())
+        let parts: Vec<([Vec<Splat<R>>; BANDS], NonFinite)> = (jobs.par_iter())
             .map(|&job| {
-                let mut splats = Vec::new();
+                let mut splats = [const { Vec::new() }; BANDS];
                 let mut non_finite = NonFinite::default();
                 let first = samples.start * n;
                 follow::<R, X, ()>(
@@ -612,7 +614,14 @@ pub fn render<R: Components, X: Sampler>(
                     seed,
                     first + job..first + (job + CHUNK).min(end),
                     |i, at, value| match value.is_finite() {
-                        true => splats.push(Splat { at, value }),
+                        true => {
+                            // Near a border, to the bands on both sides.
+                            let rows = scene.film.rows(at[1].to_f64());
+                            let (first, end) = (rows.start as usize, rows.end as usize);
+                            for band in first / rows_per_band..end.div_ceil(rows_per_band) {
+                                splats[band].push(Splat { at, value });
+                            }
+                        }
                         false => non_finite.add(i % n, i / n),
                     },
                     |_, ()| {},
@@ -620,12 +629,12 @@ pub fn render<R: Components, X: Sampler>(
                 (splats, non_finite)
             })
             .collect();
-        // Every band of rows goes through all splats, in order.
+        // Every band of rows goes through its splats, in order.
         (sums.par_chunks_mut(row * rows_per_band).enumerate()).for_each(|(band, sums)| {
             let first_row = band * rows_per_band;
             let rows = first_row as u32..(first_row + sums.len() / row) as u32;
             let base = first_row * width;
-            for splat in parts.iter().flat_map(|(splats, _)| splats) {
+            for splat in parts.iter().flat_map(|(splats, _)| &splats[band]) {
                 let at = splat.at.map(|x| x.to_f64());
                 scene.film.splat(at, rows.clone(), |pixel, weight| {
                     let to = &mut sums[(pixel - base) * R::COUNT * 3..][..R::COUNT * 3];

@@ -336,7 +336,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
         let dim = CAMERA_DIMENSIONS + (depth - 1) * BOUNCE_DIMENSIONS;
 
         // ---- Emitter sampling ----
-        if S::SAMPLES_EMITTERS && !material.is_delta() && !scene.emitters().is_empty() {
+        if S::SAMPLES_EMITTERS && !info.delta && !scene.emitters().is_empty() {
             sampler.seek(dim);
             let p = si.p.primal();
             if let Some(light) = sample_light(scene, p, sampler) {
@@ -470,11 +470,10 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
         self.depth = depth + 1;
         sampler.seek(dim + 3);
         let u = sampler.next_3d();
-        let Some(sample) = S::Bsdf::draw(material, &at, wo, u, mode) else {
+        let Some((sample, f)) = S::Bsdf::scatter(material, &at, wo, u, mode) else {
             return;
         };
         let wi = S::Bsdf::embed3(sample.wi);
-        let f = material.eval_component(&at, wo_r, wi, sample.component, mode);
         let pdf = S::Bsdf::embed(sample.pdf);
         let mut weight = pdf.recip();
 

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use super::{Node, Scene, Settings, ShapeInfo};
 use crate::accel::Accel;
-use crate::bsdf::Material;
+use crate::bsdf::{Bsdf, Material};
 use crate::camera::Camera;
 use crate::emitter::{AnyEmitter, Emitter};
 use crate::error::SceneError;
@@ -319,9 +319,11 @@ impl Builder {
         let shape = shape.into();
         let index = self.shapes.len() as u32;
         let offset = (shape.extent() * RELATIVE_OFFSET).max(f32::MIN_POSITIVE);
+        let known = self.materials.get(material.0 as usize);
         self.infos.push(ShapeInfo {
             name: name.into(),
             material: material.0,
+            delta: known.is_some_and(|m| m.is_delta()),
             emitter: None,
             offset,
         });

@@ -50,6 +50,8 @@ pub struct ShapeInfo {
     pub name: String,
     /// Index of its material.
     pub material: u32,
+    /// Whether that scatters along deltas only.
+    pub delta: bool,
     /// Index of its emitter, if it emits.
     pub emitter: Option<u32>,
     /// How far rays start off its surface.
