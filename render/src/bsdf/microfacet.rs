@@ -16,6 +16,7 @@
 use std::f64::consts::PI;
 
 use ad_core::{Const, Float, Real, Vec3};
+use statrs::function::erf::erfc_inv;
 
 /// Valid values of a roughness.
 pub const ALPHA_RANGE: (f64, f64) = (1e-4, 1.0);
@@ -218,8 +219,7 @@ fn beckmann_visible<R: Real>(w: Vec3<R>, u: [R::Primal; 2]) -> Vec3<R> {
     };
     // Along w the slope must be visible; across it, all are.
     let along = visible_slope(w.z, s, u[0]);
-    let across = visible_slope_f64(1.0, 0.0, within_cell(u[1]));
-    let across = Const(R::Primal::of(across));
+    let across = Const(R::Primal::of(gauss_quantile(within_cell(u[1]))));
     Vec3::new(
         sin_phi * across - cos_phi * along,
         -(cos_phi * across) - sin_phi * along,
@@ -265,26 +265,46 @@ fn visible_slope<R: Real>(c: R, s: R, u: R::Primal) -> R {
     x
 }
 
-/// [`visible_slope`] for constants. Newton's method from the inflection point of the CDF converges
-/// monotonically: the function is convex on one side of it and concave on the other.
+/// [`visible_slope`] for constants, to a few roundings: Halley's method between brackets, from the
+/// quantile that is right to first order in `s / c`.
 fn visible_slope_f64(c: f64, s: f64, u: f64) -> f64 {
     let target = beckmann_sigma(c, s) * u;
-    let mut x = -s / (c + (c * c + 2.0 * s * s).sqrt());
-    let mut direction = 0.0;
-    for _ in 0..100 {
-        let slope = (c - x * s) * (-x * x).exp() / PI.sqrt();
-        let step = (target - slope_cdf(x, c, s)) / slope;
-        // A turn, or the end of the range: rounding has taken over.
-        if !step.is_finite() || step * direction < 0.0 {
-            break;
+    // Facets with a larger slope face away. Beyond 10, nothing is left of a Gaussian.
+    let (mut low, mut high) = (-10.0, if c < 10.0 * s { c / s } else { 10.0 });
+    let mut x = gauss_quantile(u);
+    if s > 0.0 {
+        x = (x - 0.5 * s / c).clamp(low, high - 0.1 * (high - low));
+    }
+    // Bisection alone would take 50.
+    for _ in 0..60 {
+        let facing = c - x * s;
+        let slope = facing * (-x * x).exp() / PI.sqrt();
+        let residual = target - slope_cdf(x, c, s);
+        if residual > 0.0 {
+            low = x;
+        } else {
+            high = x;
         }
-        direction = step;
-        x += step;
-        if step.abs() < 1e-9 {
+        let newton = residual / slope;
+        let step = newton / (1.0 - newton * (x + 0.5 * s / facing));
+        let next = x + step;
+        if !(low..=high).contains(&next) {
+            x = 0.5 * (low + high);
+            continue;
+        }
+        x = next;
+        // What is left is of the third order in the step.
+        if step.abs() < 1e-5 {
             break;
         }
     }
     x
+}
+
+/// The `u`-quantile of a Gaussian with standard deviation `1 / sqrt(2)`.
+#[inline]
+fn gauss_quantile(u: f64) -> f64 {
+    -erfc_inv(2.0 * u)
 }
 
 /// A random number stands for the numbers that were rounded to it: for 0, whose quantile is

@@ -100,6 +100,9 @@ pub struct BsdfSample<R: Real> {
     pub eta: R::Primal,
 }
 
+/// A direction sampled over the scalar `G`, and the material's value there over `R`.
+pub type Scattered<G, R> = (BsdfSample<G>, Rgb<R>);
+
 /// A scattering law with evaluated parameters.
 ///
 /// # Derivatives
@@ -231,6 +234,14 @@ pub enum TextureRef<'a> {
 }
 
 impl TextureRef<'_> {
+    /// Whether it has the same value everywhere.
+    pub fn is_constant(&self) -> bool {
+        match self {
+            Self::Rgb(t) | Self::Vector(t) => matches!(t, RgbTexture::Constant(_)),
+            Self::Scalar(t) => matches!(t, ScalarTexture::Constant(_)),
+        }
+    }
+
     /// See [`RgbTexture::visit_params`].
     pub fn visit_params(&self, f: &mut dyn FnMut(ParamRef)) {
         match self {
@@ -388,7 +399,7 @@ pub trait Bsdf: Send + Sync {
         wo: Vec3<R::Primal>,
         u: [R::Primal; 3],
         mode: TransportMode,
-    ) -> Option<(BsdfSample<R::Primal>, Rgb<R>)> {
+    ) -> Option<Scattered<R::Primal, R>> {
         let sample = self.sample(&at.primal(), wo, u, mode)?;
         let (wo, wi) = (Vec3::lift(wo), Vec3::lift(sample.wi));
         let f = self.eval_component(at, wo, wi, sample.component, mode);
@@ -760,7 +771,7 @@ macro_rules! materials {
             #[inline(always)]
             fn scatter<R: Real>(
                 &self, at: &Shading<R>, wo: Vec3<R::Primal>, u: [R::Primal; 3], mode: TransportMode,
-            ) -> Option<(BsdfSample<R::Primal>, Rgb<R>)> {
+            ) -> Option<Scattered<R::Primal, R>> {
                 $crate::dispatch::dispatch!(self, [$($hot),*] [$($name),*], m => m.scatter(at, wo, u, mode))
             }
             #[inline(always)]

@@ -3,8 +3,7 @@
 use ad_core::{Real, Vec2, Vec3};
 
 use super::memory::{Forget, Keep, Memory};
-use crate::bsdf::{Bsdf, BsdfSample, Material, Shading, TransportMode};
-use crate::math::Rgb;
+use crate::bsdf::{Bsdf, Material, Scattered, Shading, TransportMode};
 
 /// How the light at the end of a sampled direction depends on that direction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -63,7 +62,7 @@ pub trait Sampling: Send + Sync + 'static {
         wo: Vec3<Self::Geometry<R>>,
         u: [R::Primal; 3],
         mode: TransportMode,
-    ) -> Option<(BsdfSample<Self::Geometry<R>>, Rgb<R>)>;
+    ) -> Option<Scattered<Self::Geometry<R>, R>>;
 }
 
 /// Samples whose path is a constant: primal geometry.
@@ -84,7 +83,7 @@ macro_rules! detached_path {
             wo: Vec3<R::Primal>,
             u: [R::Primal; 3],
             mode: TransportMode,
-        ) -> Option<(BsdfSample<R::Primal>, Rgb<R>)> {
+        ) -> Option<Scattered<R::Primal, R>> {
             material.scatter(at, wo, u, mode)
         }
     };
@@ -129,7 +128,7 @@ impl Sampling for Attached {
         wo: Vec3<R>,
         u: [R::Primal; 3],
         mode: TransportMode,
-    ) -> Option<(BsdfSample<R>, Rgb<R>)> {
+    ) -> Option<Scattered<R, R>> {
         let sample = material.sample(at, wo, u, mode)?;
         let f = material.eval_component(at, wo, sample.wi, sample.component, mode);
         Some((sample, f))

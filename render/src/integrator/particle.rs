@@ -618,9 +618,9 @@ pub fn render<R: Components, X: Sampler>(
                             // Near a border, to the bands on both sides.
                             let rows = scene.film.rows(at[1].to_f64());
                             let (first, end) = (rows.start as usize, rows.end as usize);
-                            for band in first / rows_per_band..end.div_ceil(rows_per_band) {
-                                splats[band].push(Splat { at, value });
-                            }
+                            let bands = first / rows_per_band..end.div_ceil(rows_per_band);
+                            let splat = Splat { at, value };
+                            splats[bands].iter_mut().for_each(|s| s.push(splat));
                         }
                         false => non_finite.add(i % n, i / n),
                     },

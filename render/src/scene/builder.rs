@@ -319,11 +319,10 @@ impl Builder {
         let shape = shape.into();
         let index = self.shapes.len() as u32;
         let offset = (shape.extent() * RELATIVE_OFFSET).max(f32::MIN_POSITIVE);
-        let known = self.materials.get(material.0 as usize);
         self.infos.push(ShapeInfo {
             name: name.into(),
             material: material.0,
-            delta: known.is_some_and(|m| m.is_delta()),
+            delta: self.materials[material.0 as usize].is_delta(),
             emitter: None,
             offset,
         });
@@ -345,11 +344,22 @@ impl Builder {
     /// # Errors
     /// Geometry that is not finite.
     pub fn build(
-        self,
+        mut self,
         camera: Camera,
         film: Film,
         settings: Settings,
     ) -> Result<Scene, SceneError> {
+        for (shape, info) in self.shapes.iter_mut().zip(&self.infos) {
+            let mut mapped = info.emitter.is_some_and(|e| {
+                let radiance = self.emitters[e as usize].radiance();
+                !matches!(radiance, Texture::Constant(_))
+            });
+            self.materials[info.material as usize]
+                .visit_textures(&mut |t| mapped |= !t.is_constant());
+            if !mapped {
+                shape.skip_uv();
+            }
+        }
         let mut prims = Vec::new();
         let mut primitives = Vec::new();
         for (i, shape) in self.shapes.iter().enumerate() {

@@ -43,7 +43,7 @@ pub struct SurfaceInteraction<R> {
     pub n_geo: Vec3<R>,
     /// Shading frame; `frame.n` on the same side as `n_geo`.
     pub frame: Frame<R>,
-    /// Surface coordinates.
+    /// Surface coordinates; may be zero where nothing looks them up ([`Shape::skip_uv`]).
     pub uv: Vec2<R>,
 }
 
@@ -205,6 +205,9 @@ pub trait Shape: Send + Sync {
     /// In the ray.
     fn border<R: Real>(&self, prim: u32, ray: &Ray<R>) -> R;
 
+    /// Says that nothing looks up a texture on this shape: where `uv` is costly, it may be left at zero.
+    fn skip_uv(&mut self) {}
+
     /// Largest absolute coordinate: the scale of rounding errors on the surface.
     fn extent(&self) -> f32;
 }
@@ -328,6 +331,9 @@ macro_rules! shapes {
             }
             fn border<R: Real>(&self, prim: u32, ray: &Ray<R>) -> R {
                 match self { $(Self::$hot(s) => s.border(prim, ray),)* $(Self::$name(s) => s.border(prim, ray),)* }
+            }
+            fn skip_uv(&mut self) {
+                match self { $(Self::$hot(s) => s.skip_uv(),)* $(Self::$name(s) => s.skip_uv(),)* }
             }
             fn extent(&self) -> f32 {
                 match self { $(Self::$hot(s) => s.extent(),)* $(Self::$name(s) => s.extent(),)* }

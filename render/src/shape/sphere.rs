@@ -27,6 +27,8 @@ pub struct Sphere {
     /// Local x, y and z axis, world space.
     axes: [[f32; 3]; 3],
     flip: bool,
+    /// See [`Shape::skip_uv`].
+    skips_uv: bool,
 }
 
 impl Sphere {
@@ -68,6 +70,7 @@ impl Sphere {
             radius,
             axes: axes.map(|a| a.map(|x| x as f32)),
             flip,
+            skips_uv: false,
         })
     }
 
@@ -92,9 +95,13 @@ impl Sphere {
     fn uv<R: Real>(&self, n: Vec3<R>) -> (Vec2<R>, Vec3<R>) {
         let axes = self.axes.map(lift3::<R>);
         let [x, y, z] = axes.map(|a| a.dot(n));
-        let u = turn(y, x);
-        let v = x.hypot(y).atan2(z) * R::c(FRAC_1_PI);
-        (Vec2::new(u, v), axes[1] * x - axes[0] * y)
+        let uv = if self.skips_uv {
+            Vec2::new(R::zero(), R::zero())
+        } else {
+            let v = x.hypot(y).atan2(z) * R::c(FRAC_1_PI);
+            Vec2::new(turn(y, x), v)
+        };
+        (uv, axes[1] * x - axes[0] * y)
     }
 
     /// `1 - cos` of half the angle that the sphere subtends at `from`, and the unit direction to its
@@ -255,6 +262,10 @@ impl Shape for Sphere {
         }
         let off = (to - ray.d * along).length();
         ((off - Const(r)) / to.length()).abs()
+    }
+
+    fn skip_uv(&mut self) {
+        self.skips_uv = true;
     }
 
     fn extent(&self) -> f32 {
