@@ -1,14 +1,13 @@
-//! Directional distributions: nodes on the projected hemisphere, interpolated bilinearly.
+//! Directional distributions: nodes on the hemisphere, interpolated bilinearly.
 //!
-//! A direction above the surface is a point of the unit disk, its projection, and the disk is mapped
-//! to the square without distortion of area [Shirley and Chiu 1997]. Cells of the square have equal
-//! projected solid angle, the measure in which reflection is symmetric, so the matrix of a reciprocal
-//! material is symmetric without weights. Outgoing radiance and outgoing importance are continuous in
-//! direction [Christensen et al. 1993, section 4]: hat functions on a grid follow a lobe with second
-//! order, where constant bins are of first, and touch four numbers per link where spherical harmonics of
-//! the same sharpness touch all.
+//! The hemisphere is mapped to the unit disk, and that to the square, without distortion of area
+//! [Shirley and Chiu 1997], so cells have equal solid angle. (Equal *projected* solid angle leaves the last 17 degrees
+//! above the horizon to the outermost of 24 rings: at grazing angles it was 13 % off.) Outgoing radiance and
+//! outgoing importance are continuous in direction [Christensen et al. 1993, section 4]: hat functions on a grid follow
+//! a lobe with second order, where constant bins are of first, and touch four numbers per direction where spherical
+//! harmonics of the same sharpness touch all.
 
-use std::f64::consts::FRAC_PI_4;
+use std::f64::consts::{FRAC_PI_4, PI, TAU};
 
 use ad_core::{Vec2, Vec3};
 
@@ -160,8 +159,18 @@ impl Directions {
         }
         let at = |k: usize| (k as f64 + 0.5) / self.side as f64;
         let p = warp::square_to_disk([at(i % self.side), at(i / self.side)]);
-        let z = (1.0 - p.x * p.x - p.y * p.y).max(0.0).sqrt();
-        Vec3::new(p.x, p.y, z)
+        let r2 = p.x * p.x + p.y * p.y;
+        let scale = (2.0 - r2).sqrt();
+        Vec3::new(p.x * scale, p.y * scale, 1.0 - r2)
+    }
+
+    /// Projected solid angle of the cell of a node.
+    pub fn cell(self, i: usize) -> f64 {
+        if self.side == 1 {
+            PI
+        } else {
+            TAU / self.len() as f64 * self.node(i).z
+        }
     }
 
     /// The stencil of a local direction; the sign of its z does not matter.
@@ -170,7 +179,8 @@ impl Directions {
             return Stencil::SINGLE;
         }
         let n = self.side;
-        let q = disk_to_square(Vec2::new(w.x, w.y));
+        let scale = (1.0 + w.z.abs()).sqrt().recip();
+        let q = disk_to_square(Vec2::new(w.x * scale, w.y * scale));
         let split = |t: f64| {
             let t = (t * n as f64 - 0.5).clamp(0.0, n as f64 - 1.0);
             let i = (t as usize).min(n - 2);
@@ -181,6 +191,32 @@ impl Directions {
         Stencil {
             index: [at(i, j), at(i + 1, j), at(i, j + 1), at(i + 1, j + 1)],
             weight: [(1.0 - a) * (1.0 - b), a * (1.0 - b), (1.0 - a) * b, a * b],
+        }
+    }
+}
+
+/// Turns values at pairs of nodes into coefficients of hat functions: less a twelfth of the second differences along
+/// the four axes, so that what is interpolated between nodes has the mean of the function there, instead of less at
+/// its peaks. Symmetric matrices stay symmetric, sums stay as they are.
+pub(super) fn fit(nodes: usize, values: &mut [[f64; 3]]) {
+    let side = nodes.isqrt();
+    if side < 2 {
+        return;
+    }
+    let mut line = vec![[0.0; 3]; side];
+    for stride in [1, side, nodes, nodes * side] {
+        for first in (0..nodes * nodes).filter(|i| i / stride % side == 0) {
+            for (k, l) in line.iter_mut().enumerate() {
+                *l = values[first + k * stride];
+            }
+            for k in 0..side {
+                // Directions beyond the outermost nodes are given those.
+                let (before, after) = (line[k.saturating_sub(1)], line[(k + 1).min(side - 1)]);
+                for c in 0..3 {
+                    values[first + k * stride][c] -=
+                        (before[c] - 2.0 * line[k][c] + after[c]) / 12.0;
+                }
+            }
         }
     }
 }
@@ -204,6 +240,56 @@ fn disk_to_square(p: Vec2<f64>) -> Vec2<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Between nodes a lobe about as wide as the grid loses a fifth of its height, fitted a third of that.
+    #[test]
+    fn fitted_lobes_keep_their_height() {
+        let d = Directions { side: 12 };
+        let lobe = |a: Vec3<f64>, b: Vec3<f64>| (-8.0 * (a - b).length_squared()).exp();
+        let n = d.len();
+        let values = |k: usize| [lobe(d.node(k / n), d.node(k % n)); 3];
+        let plain: Vec<_> = (0..n * n).map(values).collect();
+        let mut fitted = plain.clone();
+        fit(n, &mut fitted);
+        for i in 0..n {
+            for j in 0..i {
+                let (a, b) = (fitted[i * n + j][0], fitted[j * n + i][0]);
+                assert!((a - b).abs() < 1e-12, "{i} {j}: {a} {b}");
+            }
+        }
+        // Mean of the lobe in its middle, over directions that are not nodes.
+        let mean = |table: &[[f64; 3]]| {
+            let (mut sum, mut count) = (0.0, 0.0);
+            for k in 0..400 {
+                let (z, phi) = (0.3 + 0.0015 * k as f64, 2.399_963 * k as f64);
+                let r = (1.0 - z * z).sqrt();
+                let s = d.stencil(Vec3::new(r * phi.cos(), r * phi.sin(), z));
+                let column: Vec<[f64; 3]> =
+                    (0..n).map(|i| s.read(&table[i * n..(i + 1) * n])).collect();
+                sum += s.read(&column)[0];
+                count += 1.0;
+            }
+            sum / count
+        };
+        let (plain, fitted) = (mean(&plain), mean(&fitted));
+        assert!(
+            (fitted - 1.0).abs() < 0.35 * (1.0 - plain),
+            "{plain} {fitted}"
+        );
+    }
+
+    #[test]
+    fn cells_make_up_the_hemisphere() {
+        for side in [1, 8, 16] {
+            let d = Directions { side };
+            let sum: f64 = (0..d.len()).map(|i| d.cell(i)).sum();
+            // Midpoints: second order.
+            assert!(
+                (sum - PI).abs() < 7.0 / (side * side) as f64,
+                "{side}: {sum}"
+            );
+        }
+    }
 
     #[test]
     fn a_node_is_its_own_stencil_and_neighbours_blend() {

@@ -33,7 +33,6 @@ pub use adjoint::ParameterGradient;
 pub use basis::{Directions, Spread, Stencil};
 
 use std::collections::HashMap;
-use std::f64::consts::PI;
 
 use ad_core::{Real, Vec3};
 use rayon::prelude::*;
@@ -300,17 +299,23 @@ impl<'a> FiniteElements<'a> {
                 values[i * nodes + j] = triangle[at(i, j)].to_array();
             }
         }
-        let cell = PI / nodes as f64;
+        basis::fit(nodes, &mut values);
+        let basis = Directions {
+            side: nodes.isqrt(),
+        };
+        let cells: Vec<f64> = (0..nodes).map(|i| basis.cell(i)).collect();
         let mut albedo = [0.0f64; 3];
         for row in values.chunks_exact(nodes.max(1)) {
             for c in 0..3 {
-                albedo[c] = albedo[c].max(cell * row.iter().map(|f| f[c]).sum::<f64>());
+                let reflected = row.iter().zip(&cells).map(|(f, cell)| f[c] * cell);
+                albedo[c] = albedo[c].max(reflected.sum());
             }
         }
         let row = |i: usize| &values[i * nodes..(i + 1) * nodes];
         let distance = (0..nodes * nodes).into_par_iter().map(|k| {
-            let pairs = row(k / nodes).iter().zip(row(k % nodes));
-            (cell * pairs.map(|(a, b)| (mean(*a) - mean(*b)).abs()).sum::<f64>()) as f32
+            let pairs = row(k / nodes).iter().zip(row(k % nodes)).zip(&cells);
+            let moved = pairs.map(|((a, b), cell)| cell * (mean(*a) - mean(*b)).abs());
+            moved.sum::<f64>() as f32
         });
         Table {
             nodes,
