@@ -1,5 +1,6 @@
 //! The figures of the seed documents, one module per document.
 
+pub mod christensen;
 pub mod scenes;
 pub mod stage;
 pub mod stam;

@@ -64,6 +64,16 @@ impl Stage {
     /// # Errors
     /// A value out of range.
     pub fn metal(&mut self, name: &str, rgb: [f64; 3], alpha: f64) -> Result<Arc<Material>> {
+        let side = self.front_metal(name, rgb, alpha)?;
+        let both = TwoSided::new([side.clone(), side])?;
+        Ok(Arc::new(both.into()))
+    }
+
+    /// GGX metal of constant reflectance, black from behind.
+    ///
+    /// # Errors
+    /// A value out of range.
+    pub fn front_metal(&mut self, name: &str, rgb: [f64; 3], alpha: f64) -> Result<Arc<Material>> {
         let roughness = self.ggx(name, alpha)?;
         self.metal_of(name, rgb, roughness)
     }
@@ -87,9 +97,7 @@ impl Stage {
             roughness,
             conductor,
         };
-        let side = Arc::new(Material::from(metal));
-        let both = TwoSided::new([side.clone(), side])?;
-        Ok(Arc::new(both.into()))
+        Ok(Arc::new(Material::from(metal)))
     }
 
     /// A GGX roughness parameter `{name}.alpha.value`.

@@ -1,0 +1,14 @@
+//! `christensen-03`: error against links with and without importance [Christensen et al. 1993].
+
+use std::process::ExitCode;
+
+use examples::figure::Figure;
+use examples::figures::christensen;
+
+fn main() -> ExitCode {
+    Figure::run(
+        "christensen-03",
+        "error against links with and without importance",
+        christensen::links::figure,
+    )
+}

@@ -1,0 +1,10 @@
+//! [Christensen, Salesin and DeRose 1993], a continuous adjoint formulation for radiance transport.
+//!
+//! [`boxes`] has the four scenes, which the paper shows but does not specify, and the refinement loop that
+//! the figures share.
+
+pub mod boxes;
+pub mod duality;
+pub mod flat;
+pub mod links;
+pub mod pictures;
