@@ -497,6 +497,12 @@ pub const TRAY: [(&str, f64); 6] = [
     ("frame", 0.03),
 ];
 
+/// Middle, half side and radiance of the lamps above [`tray`].
+pub const TRAY_LAMPS: [([f64; 3], f64, [f64; 3]); 2] = [
+    ([-1.6, 2.3, 1.2], 0.25, [24.0, 21.0, 16.0]),
+    ([1.5, 2.1, -0.6], 0.15, [40.0, 44.0, 52.0]),
+];
+
 /// Profile of the tray.
 const DISH: [[f64; 2]; 6] = [
     [0.0, 0.0],
@@ -566,11 +572,7 @@ pub fn tray(size: [u32; 2], max_depth: u32) -> Result<Scene> {
     stage.turned("jug", &PITCHER, [1.35, 0.002, -0.5], jug)?;
     let (across, up) = ([1.3, 0.0, 0.3], [0.0, 1.0, -0.3]);
     stage.quad("frame", [[-1.5, 0.002, -0.9], across, up], frame)?;
-    let lamps = [
-        ([-1.6, 2.3, 1.2], 0.25, [24.0, 21.0, 16.0]),
-        ([1.5, 2.1, -0.6], 0.15, [40.0, 44.0, 52.0]),
-    ];
-    for (k, (at, half, radiance)) in lamps.into_iter().enumerate() {
+    for (k, (at, half, radiance)) in TRAY_LAMPS.into_iter().enumerate() {
         let n = unit(sub([0.0, 0.3, 0.0], at));
         let s = unit(cross([0.0, 1.0, 0.0], n));
         let sides = [s, cross(n, s)].map(|v| v.map(|c| 2.0 * half * c));

@@ -18,3 +18,4 @@ pub mod roughness_texture;
 pub mod second_order;
 pub mod split;
 pub mod table;
+pub mod tray;
