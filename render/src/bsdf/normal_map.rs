@@ -28,7 +28,7 @@ use crate::texture::{self, Bitmap, RgbTexture, UvTransform, Wrap};
 ///
 /// # Does not handle
 /// Smooth glass inside a blend or mask as [`TransportMode::Importance`]: its refraction lacks the weight of
-/// the tilted normal. The horizon that moves with the normal, under attached sampling (F9).
+/// the tilted normal. The horizon, which attached samples cross (F9): [`crate::Scene::discontinuity`].
 #[derive(Clone, Debug)]
 pub struct NormalMap {
     map: RgbTexture,

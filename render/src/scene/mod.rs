@@ -13,7 +13,7 @@ use std::sync::Arc;
 use ad_core::{Float, Real};
 
 use crate::accel::{Accel, BUNDLE, Bundle, Hit};
-use crate::bsdf::{Bsdf, Material};
+use crate::bsdf::{Bsdf, Material, TextureRef};
 use crate::camera::Camera;
 use crate::emitter::{AnyEmitter, Emitter, Lights};
 use crate::error::RenderError;
@@ -230,10 +230,21 @@ impl Scene {
         self.materials.iter().map(reads).collect()
     }
 
-    /// Something that makes the light arriving at a surface discontinuous in direction: an outline of a
-    /// light, or a shape that may stand in front of another or of itself. `None` for a single
-    /// flat or convex shape, lit by points and environments.
+    /// Something that makes the integrand at a surface discontinuous in direction: an outline of a
+    /// light, a shape that may stand in front of another or of itself, or the horizon of a rough surface with
+    /// mapped normals, whose lobe does not vanish there (F9). `None` for a single flat or convex shape
+    /// without those, lit by points and environments.
     pub fn discontinuity(&self) -> Option<String> {
+        let mapped = |m: &Material| {
+            let mut any = false;
+            m.visit_textures(&mut |t| any |= matches!(t, TextureRef::Vector(_)));
+            any && !m.is_delta()
+        };
+        let tilted = |i: &&ShapeInfo| mapped(&self.materials[i.material as usize]);
+        if let Some(info) = self.infos.iter().find(tilted) {
+            let name = &info.name;
+            return Some(format!("the horizon of `{name}`, whose normals are mapped"));
+        }
         if let Some(info) = self.infos.iter().find(|i| i.emitter.is_some()) {
             return Some(format!("the outline of the light `{}`", info.name));
         }
