@@ -12,7 +12,7 @@ use render::Image;
 type Result<T> = std::result::Result<T, Box<dyn Error>>;
 
 /// The font that is compiled in.
-const FONT: &str = "chart";
+pub(crate) const FONT: &str = "chart";
 /// Size of a chart, pixels.
 const SIZE: (u32, u32) = (960, 640);
 /// Colours that stay apart for colour-blind readers [Okabe and Ito 2008].
@@ -26,13 +26,19 @@ const COLOURS: [RGBColor; 7] = [
     RGBColor(0, 0, 0),
 ];
 
-fn register_font() {
+pub(crate) fn register_font() {
     static ONCE: Once = Once::new();
     ONCE.call_once(|| {
         let font = include_bytes!("../assets/roboto-latin-greek.ttf");
         // Without it, drawing text reports the missing font.
         let _ = plotters::style::register_font(FONT, FontStyle::Normal, font);
     });
+}
+
+/// An SVG file that names a font that viewers have, not the compiled-in one.
+pub(crate) fn readable_font(svg: &str) -> String {
+    let ours = format!("font-family=\"{FONT}\"");
+    svg.replace(&ours, "font-family=\"Roboto, sans-serif\"")
 }
 
 /// Whether the points of a series are joined, and how.
@@ -153,11 +159,7 @@ impl LineChart {
     pub fn svg(&self) -> Result<String> {
         let mut text = String::new();
         self.draw(SVGBackend::with_string(&mut text, SIZE).into_drawing_area())?;
-        // The compiled-in font is unknown to viewers.
-        Ok(text.replace(
-            &format!("font-family=\"{FONT}\""),
-            "font-family=\"Roboto, sans-serif\"",
-        ))
+        Ok(readable_font(&text))
     }
 
     fn visible(&self, p: &(f64, f64)) -> bool {
@@ -287,7 +289,7 @@ impl LineChart {
 }
 
 /// A short decimal: `0.25`, `1e-6`.
-fn number(v: f64) -> String {
+pub(crate) fn number(v: f64) -> String {
     let a = v.abs();
     if a == 0.0 {
         "0".into()
@@ -467,7 +469,7 @@ pub fn grid(columns: usize, panels: &[Panel]) -> Result<Vec<u8>> {
     encode_png(&pixels, size)
 }
 
-fn encode_png(rgb: &[u8], (width, height): (u32, u32)) -> Result<Vec<u8>> {
+pub(crate) fn encode_png(rgb: &[u8], (width, height): (u32, u32)) -> Result<Vec<u8>> {
     let mut png = Cursor::new(Vec::new());
     image::write_buffer_with_format(
         &mut png,

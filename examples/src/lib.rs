@@ -9,4 +9,5 @@ pub mod optimise;
 pub mod output;
 pub mod progress;
 pub mod scenes;
+pub mod sheet;
 pub mod tools;

@@ -57,6 +57,7 @@ impl Folder {
             "render" => env!("CARGO_BIN_EXE_render"),
             "gradient" => env!("CARGO_BIN_EXE_gradient"),
             "compare" => env!("CARGO_BIN_EXE_compare"),
+            "stability" => env!("CARGO_BIN_EXE_stability"),
             _ => env!("CARGO_BIN_EXE_recover"),
         };
         let mut command = Command::new(program);
@@ -592,4 +593,52 @@ fn estimators_are_compared_and_the_numbers_depend_on_the_seed_alone() {
         stderr.contains("best") && stderr.contains("differential-mis"),
         "{stderr}"
     );
+}
+
+#[test]
+fn failures_of_estimators_are_marked_and_depend_on_the_seed_alone() {
+    let dir = Folder::new();
+    let names = "emitter,detached,attached,attached-naive,differential-mis";
+    let args = format!("--quick --estimators {names}");
+    dir.ok("stability", &format!("{args} --out a --threads 1"));
+    dir.ok(
+        "stability",
+        &format!("{args} --out b --threads 3 --json b.json"),
+    );
+    let (a, b) = (dir.json("a/report.json"), dir.json("b/report.json"));
+    assert_eq!(dir.json("b.json"), b);
+    let rows = |v: &Value| v["rows"].as_array().unwrap().clone();
+    assert_eq!(rows(&a).len(), rows(&b).len());
+    let mut biased = 0;
+    for (a, b) in rows(&a).iter().zip(&rows(&b)) {
+        for key in ["sweep", "x", "estimator", "mean", "z", "std", "finding"] {
+            assert_eq!(a[key], b[key], "{key}");
+        }
+        assert_eq!(a["non_finite"], 0);
+        if a["finding"] == "biased" {
+            assert_eq!(a["estimator"], "attached-naive", "{a}");
+            biased += 1;
+        }
+    }
+    assert!(biased > 0);
+    // The law of roughness: 2 / alpha.
+    let smooth = rows(&a).into_iter().find(|r| {
+        r["sweep"] == "roughness-beckmann" && r["estimator"] == "detached" && r["x"] == 1e-4
+    });
+    let std = smooth.unwrap()["std"].as_f64().unwrap();
+    assert!((std / 2e4 - 1.0).abs() < 0.2, "{std}");
+    for file in [
+        "points.csv",
+        "verdict.txt",
+        "stability.png",
+        "stability.svg",
+    ] {
+        assert!(!bytes(dir.path("a").join(file)).is_empty(), "{file}");
+    }
+    let verdict = String::from_utf8(bytes(dir.path("a").join("verdict.txt"))).unwrap();
+    for mode in ["F1:", "F2:", "F8, F10", "F40:"] {
+        assert!(verdict.contains(mode), "{mode} not in:\n{verdict}");
+    }
+    let out = dir.run("stability", "--estimators best");
+    assert_eq!(out.status.code(), Some(1));
 }

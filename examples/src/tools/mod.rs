@@ -4,3 +4,4 @@ pub mod compare;
 pub mod gradient;
 pub mod recover;
 pub mod render;
+pub mod stability;
