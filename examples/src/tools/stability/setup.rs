@@ -457,7 +457,9 @@ mod tests {
             let truth = smooth.setup().unwrap().truth;
             let [_, detached] = truth.std.unwrap();
             assert!((detached * 1e-3 / law - 1.0).abs() < 2e-3, "{truth:?}");
-            assert!(truth.slope.abs() < 1e-2 && truth.error < 1e-4, "{truth:?}");
+            // In units of 1 / alpha.
+            let error = truth.error * smooth.alpha;
+            assert!(truth.slope.abs() < 1e-2 && error < 1e-4, "{truth:?}");
         }
     }
 
