@@ -8,6 +8,7 @@ use clap::{Args, Parser};
 use optim::OptimError;
 use render::instances::Estimator;
 use render::integrator::render::NonFinite;
+use render::sampler::Points;
 use render::scene::LoadOptions;
 use render::{RenderError, Scene, SceneError};
 
@@ -160,6 +161,18 @@ pub fn depth(text: &str) -> Result<u32, String> {
 /// An unknown name, with all known ones.
 pub fn estimator(text: &str) -> Result<Estimator, String> {
     Estimator::from_name(text).map_err(|e| e.to_string())
+}
+
+/// The points called `text`.
+///
+/// # Errors
+/// An unknown name, with all known ones.
+pub fn points(text: &str) -> Result<Points, String> {
+    let found = Points::NAMES.iter().find(|(name, _)| *name == text);
+    found.map(|(_, points)| *points).ok_or_else(|| {
+        let known = Points::NAMES.map(|(name, _)| name).join(", ");
+        format!("expected one of {known}")
+    })
 }
 
 /// Tells the user about samples that were left out because they were not finite.

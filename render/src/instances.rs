@@ -22,7 +22,7 @@ use crate::integrator::particle_gradient::{self, Measurement};
 use crate::integrator::render::{self, Components, Progress, Rendering};
 use crate::integrator::second_order::{self, GaussNewton};
 use crate::params::{ParamInfo, ParamRef, Params, Tangent, Theta};
-use crate::sampler::Independent;
+use crate::sampler::{Independent, Spread};
 use crate::scene::{Scene, Settings};
 
 /// Which techniques estimate direct light; see [`crate::estimator`].
@@ -62,7 +62,7 @@ fn run<R: Components, S: Unbiased>(
     progress: &dyn Progress,
 ) -> Rendering {
     let progress = Dynamic(progress);
-    render::render::<R, S, Independent>(scene, theta, settings, seed, samples, &progress)
+    render::render::<R, S, Spread>(scene, theta, settings, seed, samples, &progress)
 }
 
 fn primal<P: Components + Float>(
@@ -200,7 +200,7 @@ pub fn backward_f32(
     progress: &dyn Progress,
 ) -> Result<Gradient, RenderError> {
     let progress = Dynamic(progress);
-    gradient::backward::<f32, DetachedMis, Independent>(
+    gradient::backward::<f32, DetachedMis, Spread>(
         scene, theta, active, adjoint, settings, seed, samples, &progress,
     )
 }
@@ -220,7 +220,7 @@ pub fn backward_f64(
     progress: &dyn Progress,
 ) -> Result<Gradient, RenderError> {
     let progress = Dynamic(progress);
-    gradient::backward::<f64, DetachedMis, Independent>(
+    gradient::backward::<f64, DetachedMis, Spread>(
         scene, theta, active, adjoint, settings, seed, samples, &progress,
     )
 }
@@ -415,7 +415,7 @@ fn forward<const N: usize>(
     let tangents = tangents::<N>(scene.params(), directions.iter().enumerate());
     let theta = Theta::<Dual<f32, N>>::with_tangents(values, &tangents);
     let progress = Dynamic(progress);
-    render::render::<Dual<f32, N>, MisOf<Power>, Independent>(
+    render::render::<Dual<f32, N>, MisOf<Power>, Spread>(
         scene, &theta, settings, seed, samples, &progress,
     )
 }
@@ -546,7 +546,7 @@ fn pull_back<S: Unbiased>(
     progress: &dyn Progress,
 ) -> Result<Gradient, RenderError> {
     let progress = Dynamic(progress);
-    gradient::backward::<f32, S, Independent>(
+    gradient::backward::<f32, S, Spread>(
         scene, theta, active, adjoint, settings, seed, samples, &progress,
     )
 }

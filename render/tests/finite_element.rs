@@ -80,6 +80,7 @@ fn room(glossy: bool, power: f64, exponent: f32) -> Scene {
         max_depth: 24,
         rr_depth: 5,
         spp: 1,
+        points: render::sampler::Points::Independent,
     };
     b.build(camera, Film::new(48, 48), settings).unwrap()
 }

@@ -7,13 +7,14 @@ use clap::Parser;
 use render::instances::{Direction, Estimator, Technique, render_f64};
 use render::integrator::render::{NonFinite, Progress, Rendering};
 use render::params::Theta;
+use render::sampler::Points;
 use render::{Image, RenderError, Scene, Settings, image_io};
 use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use crate::chart::{LineChart, Panel};
 use crate::cli::{
-    LoadArgs, Outcome, ThreadArgs, ToolError, depth, report_non_finite, sample_count,
+    self, LoadArgs, Outcome, ThreadArgs, ToolError, depth, report_non_finite, sample_count,
 };
 use crate::output;
 use crate::progress::{Bar, Interrupt};
@@ -57,6 +58,10 @@ pub struct Args {
     /// Samples per pixel and repeat [default: the scene's]
     #[arg(long, value_name = "N", value_parser = sample_count())]
     pub spp: Option<u32>,
+    /// How the samples of a pixel are spread: independent, sobol (Owen-scrambled, best with powers of two)
+    /// or antithetic (pairs) [default: independent]
+    #[arg(long, value_name = "NAME", value_parser = cli::points)]
+    pub sampler: Option<Points>,
     /// Largest number of path edges; -1 for no limit [default: the scene's]
     #[arg(long, value_name = "N", value_parser = depth, allow_hyphen_values = true)]
     pub max_depth: Option<u32>,
@@ -322,6 +327,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     let (scene, _) = args.load.load(&args.scene)?;
     let mut settings = scene.settings;
     settings.spp = args.spp.unwrap_or(settings.spp);
+    settings.points = args.sampler.unwrap_or(settings.points);
     settings.max_depth = args.max_depth.unwrap_or(settings.max_depth);
     let estimators = match &args.estimators[..] {
         [all] if all == "all" => Estimator::ALL.to_vec(),

@@ -10,6 +10,7 @@ use render::instances::{Direction, Estimator, Technique, forward_f32, render_f32
 use render::integrator::gradient::Active;
 use render::integrator::render::{NonFinite, Progress};
 use render::params::{Differentiability, ParamInfo, ParamShape, Theta};
+use render::sampler::Points;
 use render::{Image, Scene, Settings, image_io};
 use serde::Serialize;
 
@@ -53,6 +54,10 @@ pub struct Args {
     /// Samples per pixel and repeat [default: the scene's]
     #[arg(long, value_name = "N", value_parser = sample_count())]
     pub spp: Option<u32>,
+    /// How the samples of a pixel are spread: independent, sobol (Owen-scrambled, best with powers of two)
+    /// or antithetic (pairs) [default: independent]
+    #[arg(long, value_name = "NAME", value_parser = cli::points)]
+    pub sampler: Option<Points>,
     /// Largest number of path edges; -1 for no limit [default: the scene's]
     #[arg(long, value_name = "N", value_parser = depth, allow_hyphen_values = true)]
     pub max_depth: Option<u32>,
@@ -139,6 +144,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     let objective = objective(args, &scene)?;
     let mut settings = scene.settings;
     settings.spp = args.spp.unwrap_or(settings.spp);
+    settings.points = args.sampler.unwrap_or(settings.points);
     settings.max_depth = args.max_depth.unwrap_or(settings.max_depth);
 
     let (statistics, images, threads) = args.threads.run(|threads| {

@@ -9,11 +9,12 @@ use render::instances::{Technique, density_f32, particles_f32, render_f32};
 use render::integrator::density::Convention;
 use render::integrator::render::{Progress, Rendering};
 use render::params::Theta;
+use render::sampler::Points;
 use render::{Scene, Settings, image_io};
 use serde::Serialize;
 
 use crate::cli::{
-    LoadArgs, Outcome, ThreadArgs, ToolError, depth, report_non_finite, sample_count,
+    self, LoadArgs, Outcome, ThreadArgs, ToolError, depth, report_non_finite, sample_count,
 };
 use crate::output;
 use crate::progress::{Bar, Interrupt};
@@ -43,6 +44,10 @@ pub struct Args {
     /// Samples per pixel [default: the scene's]
     #[arg(long, value_name = "N", value_parser = sample_count())]
     pub spp: Option<u32>,
+    /// How the samples of a pixel are spread: independent, sobol (Owen-scrambled, best with powers of two)
+    /// or antithetic (pairs) [default: independent]
+    #[arg(long, value_name = "NAME", value_parser = cli::points)]
+    pub sampler: Option<Points>,
     /// Largest number of path edges: 1 is emission, 2 direct light; -1 for no limit [default: the scene's]
     #[arg(long, value_name = "N", value_parser = depth, allow_hyphen_values = true)]
     pub max_depth: Option<u32>,
@@ -139,6 +144,11 @@ impl Args {
             symmetry,
             side_tests: false,
         };
+        let spread = self.sampler.is_some_and(|p| p != Points::Independent);
+        if spread && self.integrator != IntegratorArg::Path {
+            let message = "--sampler: particles are independent; expected --integrator path";
+            return Err(ToolError::Usage(message.into()));
+        }
         match (self.integrator, self.radius) {
             (IntegratorArg::Path, None) if !self.ignore_non_symmetry => {
                 Ok(Method::Paths(self.technique()))
@@ -188,6 +198,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     let (scene, seconds_load) = args.load.load(&args.scene)?;
     let mut settings = scene.settings;
     settings.spp = args.spp.unwrap_or(settings.spp);
+    settings.points = args.sampler.unwrap_or(settings.points);
     settings.max_depth = args.max_depth.unwrap_or(settings.max_depth);
     output::create_parent(&exr)?;
 

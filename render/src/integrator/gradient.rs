@@ -491,6 +491,7 @@ impl<P: Float, S: Strategy, X: Sampler> LocalFn<P> for Again<'_, P, S, X> {
             theta,
             settings,
         };
-        start::<R, S, X>(scene, seed, self.at.pixel, self.at.index).finish(&context, &mut ())
+        start::<R, S, X>(scene, settings.points, seed, self.at.pixel, self.at.index)
+            .finish(&context, &mut ())
     }
 }

@@ -11,7 +11,7 @@ use crate::estimator::{Strategy, Unbiased};
 use crate::film::Image;
 use crate::math::{Ray, Rgb};
 use crate::params::Theta;
-use crate::sampler::Sampler;
+use crate::sampler::{Points, Sampler};
 use crate::scene::{Scene, Settings};
 
 /// Tiles are squares of this many pixels.
@@ -170,6 +170,7 @@ pub(super) fn tiles(width: u32, height: u32) -> Vec<Tile> {
 #[inline(always)]
 pub(super) fn start<R: Real, S: Strategy, X: Sampler>(
     scene: &Scene,
+    points: Points,
     seed: u64,
     [x, y]: [u32; 2],
     index: u64,
@@ -178,7 +179,7 @@ pub(super) fn start<R: Real, S: Strategy, X: Sampler>(
     // Counted on the full film, so that a crop shows the same samples.
     let [px, py] = [x + film.crop_offset[0], y + film.crop_offset[1]];
     let pixel = u64::from(py) * u64::from(film.size[0]) + u64::from(px);
-    let mut sampler = X::new(seed, pixel, index);
+    let mut sampler = X::spread(points, seed, pixel, index);
     let [dx, dy] = film.filter.sample(sampler.next_2d::<R::Primal>());
     let centre = |p: u32| R::Primal::of(f64::from(p) + 0.5);
     let ray = scene.camera.ray(centre(px) + dx, centre(py) + dy);
@@ -220,7 +221,13 @@ impl Tile {
             paths.walks.clear();
             paths.walks.extend((0..n).map(|k| {
                 let (pixel, index) = which(k);
-                start(context.scene, seed, self.pixel(pixel), index)
+                start(
+                    context.scene,
+                    context.settings.points,
+                    seed,
+                    self.pixel(pixel),
+                    index,
+                )
             }));
             batch::trace(context, &mut paths.walks, &mut paths.observers);
             for (k, (walk, observer)) in paths.walks.iter().zip(&mut paths.observers).enumerate() {

@@ -20,6 +20,7 @@ use crate::error::RenderError;
 use crate::film::Film;
 use crate::math::Ray;
 use crate::params::{ParamRef, Params};
+use crate::sampler::Points;
 use crate::shape::{AnyShape, Shape, SurfaceInteraction};
 
 /// How a scene file wants to be rendered.
@@ -31,6 +32,8 @@ pub struct Settings {
     pub rr_depth: u32,
     /// Samples per pixel.
     pub spp: u32,
+    /// How those are spread.
+    pub points: Points,
 }
 
 impl Default for Settings {
@@ -39,6 +42,7 @@ impl Default for Settings {
             max_depth: 8,
             rr_depth: 5,
             spp: 16,
+            points: Points::default(),
         }
     }
 }

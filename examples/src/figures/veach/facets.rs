@@ -62,6 +62,7 @@ const SETTINGS: Settings = Settings {
     max_depth: 2,
     rr_depth: u32::MAX,
     spp: 1,
+    points: render::sampler::Points::Independent,
 };
 
 /// Two surfaces tilted by 80 degrees, shaded as if they faced the small light above them, in a black shell that
