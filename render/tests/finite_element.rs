@@ -15,6 +15,11 @@ use render::{Film, Scene, Settings};
 
 /// A box seen from the front with a lamp below the ceiling; the back wall is metal if `glossy`.
 fn room(glossy: bool, power: f64, exponent: f32) -> Scene {
+    seen_from([0.0, 0.0, 3.9], glossy, power, exponent)
+}
+
+/// The same box with the eye elsewhere, looking at the middle.
+fn seen_from(eye: [f64; 3], glossy: bool, power: f64, exponent: f32) -> Scene {
     let mut b = Builder::new();
     let unit = (0.0, 1.0);
     let mut matt = |name: &str, rgb| {
@@ -74,7 +79,7 @@ fn room(glossy: bool, power: f64, exponent: f32) -> Scene {
         },
         Some(shape),
     );
-    let view = Transform::look_at([0.0, 0.0, 3.9], [0.0; 3], [0.0, 1.0, 0.0]).unwrap();
+    let view = Transform::look_at(eye, [0.0; 3], [0.0, 1.0, 0.0]).unwrap();
     let camera = Camera::new(view, 30.0, FovAxis::Smaller, [48, 48]).unwrap();
     let settings = Settings {
         max_depth: 24,
@@ -226,6 +231,68 @@ fn a_lamp_without_power_is_dark_and_not_refined() {
     assert!(fem.flat().data.iter().all(|&v| v == 0.0));
     let g = fem.gradient(&["lamp.radiance.value"]).unwrap();
     assert!(g[0].values.iter().all(|v| v.is_finite() && *v > 0.0));
+}
+
+/// In the plane of the floor, in the back wall, on the lamp, behind the wall: numbers, and the same from both ends.
+#[test]
+fn eyes_in_walls_are_no_accident() {
+    for eye in [
+        [0.2, -1.0, 0.5],
+        [0.1, 0.2, -1.0],
+        [0.1, 0.9, 0.1],
+        [0.0, 0.1, -2.0],
+    ] {
+        let scene = seen_from(eye, true, 5.0, 5.0);
+        let fem = solved(&scene, 1e-2);
+        let (a, b) = (fem.cost(), fem.cost_by_importance());
+        assert!(
+            a.is_finite() && (a - b).abs() <= 1e-12 * a.abs(),
+            "{eye:?}: {a} {b}"
+        );
+        let all = [fem.flat(), fem.interpolated()];
+        assert!(
+            all.iter().all(|i| i.data.iter().all(|v| v.is_finite())),
+            "{eye:?}"
+        );
+    }
+}
+
+/// Rectangles without an area are no shapes; a sliver is an element like others.
+#[test]
+fn slivers_have_finite_light() {
+    assert!(Patch::new([0.0; 3], [1.0, 0.0, 0.0], [2.0, 0.0, 0.0], false).is_none());
+    assert!(Patch::new([0.0; 3], [0.0; 3], [0.0, 1.0, 0.0], false).is_none());
+    let mut b = Builder::new();
+    let reflectance = b.rgb("white", [0.5; 3], (0.0, 1.0)).unwrap();
+    let white = b.add_material(Diffuse { reflectance });
+    let mut quad = |name: &str, c, e1, e2| {
+        let patch = Patch::new(c, e1, e2, false).unwrap();
+        b.add_shape(name, Rectangle(patch), white.clone())
+    };
+    quad("wall", [-1.0, -1.0, 0.0], [2.0, 0.0, 0.0], [0.0, 2.0, 0.0]);
+    quad(
+        "sliver",
+        [-1.0, 0.3, 0.5],
+        [2.0, 0.0, 0.0],
+        [0.0, 0.0, 1e-3],
+    );
+    let lamp = quad("lamp", [-0.5, 0.5, 1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]);
+    let radiance = b.rgb("radiance", [3.0; 3], (0.0, 1e9)).unwrap();
+    let exponent = 0.0;
+    let light = Area {
+        radiance,
+        exponent,
+        shape: lamp,
+    };
+    b.add_emitter(light, Some(lamp));
+    let view = Transform::look_at([0.0, -0.5, 3.9], [0.0; 3], [0.0, 1.0, 0.0]).unwrap();
+    let camera = Camera::new(view, 40.0, FovAxis::Smaller, [16, 16]).unwrap();
+    let film = Film::new(16, 16);
+    let scene = b.build(camera, film, Settings::default()).unwrap();
+    let fem = solved(&scene, 1e-3);
+    let (a, b) = (fem.cost(), fem.cost_by_importance());
+    assert!(a > 0.0 && (a - b).abs() < 1e-12 * a, "{a} {b}");
+    assert!(fem.flat().data.iter().all(|v| v.is_finite() && *v >= 0.0));
 }
 
 #[test]

@@ -202,13 +202,13 @@ pub fn options(importance: bool) -> Options {
 /// A scene that is not supported.
 pub fn refine<'a>(
     scene: &'a Scene,
-    importance: bool,
+    options: Options,
     first: f64,
     mut enough: impl FnMut(&[Step]) -> bool,
 ) -> Result<(FiniteElements<'a>, Vec<Step>)> {
     let start = Instant::now();
     let mut idle = 0.0;
-    let mut model = FiniteElements::new(scene, options(importance))?;
+    let mut model = FiniteElements::new(scene, options)?;
     let mut steps: Vec<Step> = Vec::new();
     let mut tolerance = first;
     loop {

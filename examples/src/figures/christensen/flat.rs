@@ -1,6 +1,6 @@
 //! Figure 2: piecewise-constant solutions without importance, and the path tracer.
 
-use render::finite_element::FiniteElements;
+use render::finite_element::{FiniteElements, Options};
 
 use super::boxes::{
     self, Step, Which, average, difference, mask, noiseless_patch_difference, patch_difference,
@@ -32,9 +32,14 @@ pub fn figure(fig: &mut Figure) -> Result {
         // Two quiet steps in a row: coarse models may agree by chance.
         let mut moved = [f64::INFINITY; 2];
         let most = fig.pick(9, 14);
-        let coarse = FiniteElements::new(&scene, boxes::options(false))?;
+        // 16 directions leave 3.3 % in (d).
+        let options = Options {
+            directions: fig.pick(16, 20),
+            ..boxes::options(false)
+        };
+        let coarse = FiniteElements::new(&scene, options)?;
         let inside = mask(&coarse);
-        let (model, steps) = refine(&scene, false, 0.02, |steps: &[Step]| {
+        let (model, steps) = refine(&scene, options, 0.02, |steps: &[Step]| {
             if let [.., a, b] = steps {
                 moved = [moved[1], patch_difference(&coarse, &b.flat, &a.flat, CELLS)];
             }

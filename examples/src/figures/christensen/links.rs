@@ -93,12 +93,12 @@ impl Comparison {
 }
 
 fn compare(scene: &Scene, steps: usize, most: usize) -> Result<Comparison> {
-    let (model, with) = refine(scene, true, 0.04, |s| s.len() >= steps)?;
+    let (model, with) = refine(scene, boxes::options(true), 0.04, |s| s.len() >= steps)?;
     let inside = mask(&model);
     let reference = &with[with.len() - 1].flat;
     let run = rows(&with[..with.len() - 2], reference, &inside);
     let enough = at(&run, ERROR, |r| r.links).map_or(f64::INFINITY, |l| PATIENCE * l);
-    let (_, without) = refine(scene, false, 0.04, |s: &[Step]| {
+    let (_, without) = refine(scene, boxes::options(false), 0.04, |s: &[Step]| {
         s.len() >= most
             || s.last().is_some_and(|s| {
                 s.size.links() as f64 > enough
@@ -245,7 +245,7 @@ pub fn figure(fig: &mut Figure) -> Result {
         "  (d) against a reference without importance, ratio of all links at 20, 15, 10 %: {theirs:.2?}"
     );
     fig.note("ratio-d-reference-without-importance", &theirs[..]);
-    let (model, steps) = refine(&cornell_box, true, 0.04, |s| s.len() >= 14)?;
+    let (model, steps) = refine(&cornell_box, boxes::options(true), 0.04, |s| s.len() >= 14)?;
     let end = &steps[steps.len() - 1];
     let off = |s: &Step| patch_difference(&model, &s.flat, &end.flat, CELLS);
     let last = steps.iter().rposition(|s| off(s) > ERROR).unwrap_or(0);

@@ -39,7 +39,7 @@ pub fn figure(fig: &mut Figure) -> Result {
         let letter = which.letter();
         let scene = boxes::scene(which, size, 0)?;
         let steps = fig.pick(if which == Which::D { 7 } else { 10 }, 12);
-        let (model, found) = refine(&scene, true, 0.02, |s| s.len() >= steps)?;
+        let (model, found) = refine(&scene, boxes::options(true), 0.02, |s| s.len() >= steps)?;
         let Some(end) = found.last() else { continue };
         let [r, s] = &traced(&scene, SEED, spp);
         let rms = noiseless_difference(&end.interpolated, [r, s], &mask(&model));
