@@ -155,12 +155,34 @@ pub fn depth(text: &str) -> Result<u32, String> {
     }
 }
 
-/// The estimator called `text`.
+/// An estimator, or one for the program to choose.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Choice {
+    /// `auto`: [`render::auto`].
+    Auto,
+    /// Any other name.
+    One(Estimator),
+}
+
+impl Choice {
+    /// Its name on command lines and in tables.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Auto => "auto",
+            Self::One(e) => e.name(),
+        }
+    }
+}
+
+/// The estimator called `text`, or `auto`.
 ///
 /// # Errors
 /// An unknown name, with all known ones.
-pub fn estimator(text: &str) -> Result<Estimator, String> {
-    Estimator::from_name(text).map_err(|e| e.to_string())
+pub fn estimator(text: &str) -> Result<Choice, RenderError> {
+    match text {
+        "auto" => Ok(Choice::Auto),
+        name => Estimator::from_name(name).map(Choice::One),
+    }
 }
 
 /// The points called `text`.

@@ -6,6 +6,7 @@
 //! flow is a type: see [`estimator`].
 
 pub mod accel;
+pub mod auto;
 pub mod bsdf;
 pub mod camera;
 mod dispatch;

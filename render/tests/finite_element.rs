@@ -267,7 +267,7 @@ fn slivers_have_finite_light() {
     let white = b.add_material(Diffuse { reflectance });
     let mut quad = |name: &str, c, e1, e2| {
         let patch = Patch::new(c, e1, e2, false).unwrap();
-        b.add_shape(name, Rectangle(patch), white.clone())
+        b.add_shape(name, Rectangle(patch), white)
     };
     quad("wall", [-1.0, -1.0, 0.0], [2.0, 0.0, 0.0], [0.0, 2.0, 0.0]);
     quad(

@@ -4,7 +4,8 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use clap::Parser;
-use render::instances::{Direction, Estimator, Technique, render_f64};
+use render::auto::{self, Mixture};
+use render::instances::{Estimator, Technique, render_f64};
 use render::integrator::render::{NonFinite, Progress, Rendering};
 use render::params::Theta;
 use render::sampler::Points;
@@ -14,7 +15,7 @@ use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use crate::chart::{LineChart, Panel};
 use crate::cli::{
-    self, LoadArgs, Outcome, ThreadArgs, ToolError, depth, report_non_finite, sample_count,
+    self, Choice, LoadArgs, Outcome, ThreadArgs, ToolError, depth, report_non_finite, sample_count,
 };
 use crate::output;
 use crate::progress::{Bar, Interrupt};
@@ -44,7 +45,8 @@ pub struct Args {
     /// Scene options
     #[command(flatten)]
     pub load: LoadArgs,
-    /// `all`, or names separated by commas
+    /// `all`, or names separated by commas, `auto` among them: pilots choose and mix, for the work of as many
+    /// samples of mis; its time includes the pilots
     #[arg(
         long,
         value_name = "NAMES",
@@ -197,6 +199,14 @@ impl Series {
         }
     }
 
+    /// Each repeat took so much longer.
+    fn add_time(&mut self, seconds: f64) {
+        self.seconds.iter_mut().for_each(|s| *s += seconds);
+        for (n, time, _) in &mut self.cumulative {
+            *time += *n as f64 * seconds;
+        }
+    }
+
     fn image(&self) -> Vec<f64> {
         self.sum.iter().map(|s| s / self.n as f64).collect()
     }
@@ -266,27 +276,43 @@ impl Run<'_> {
 
     fn estimate(
         &self,
-        e: Estimator,
-        direction: &Direction,
+        e: Choice,
+        param: &str,
         stream: u64,
         repeats: u64,
     ) -> Result<Option<Series>, ToolError> {
-        let values = self.scene.params().values();
         let spp = u64::from(self.settings.spp);
-        self.series(e.name(), stream, repeats, |seed, bar| {
-            let r = e.forward_f32(
-                self.scene,
-                values,
-                std::slice::from_ref(direction),
-                &self.settings,
-                seed,
-                0..spp,
-                bar,
-            )?;
+        let start = Instant::now();
+        let mixture = match e {
+            Choice::One(e) => Mixture::only(self.scene, e, &[param]),
+            Choice::Auto => {
+                let ones = vec![1.0; self.scene.film.pixels() * 3];
+                let seed = self.seed.wrapping_add(stream << 32);
+                let found = auto::choose(
+                    self.scene,
+                    &[param],
+                    &ones,
+                    &auto::candidates(self.scene),
+                    &self.settings,
+                    seed,
+                    spp * repeats,
+                    self.interrupt,
+                )?;
+                print!("{found}");
+                found
+            }
+        };
+        let pilots = start.elapsed().as_secs_f64() / repeats as f64;
+        let series = self.series(e.name(), stream, repeats, |seed, bar| {
+            let r = mixture.forward_f32(self.scene, param, &self.settings, seed, spp, bar)?;
             let n = r.samples as f64;
             let image = r.sums[1].iter().map(|s| s / n).collect();
             Ok((r, image))
-        })
+        })?;
+        Ok(series.map(|mut series| {
+            series.add_time(pilots);
+            series
+        }))
     }
 
     /// Central differences in f64 with common random numbers. Light sampling is smooth in all parameters
@@ -330,23 +356,22 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     settings.points = args.sampler.unwrap_or(settings.points);
     settings.max_depth = args.max_depth.unwrap_or(settings.max_depth);
     let estimators = match &args.estimators[..] {
-        [all] if all == "all" => Estimator::ALL.to_vec(),
+        [all] if all == "all" => {
+            let all = Estimator::ALL.iter().map(|e| Choice::One(*e));
+            all.chain([Choice::Auto]).collect()
+        }
         names => {
-            let found: Result<Vec<_>, _> = names.iter().map(|n| Estimator::from_name(n)).collect();
+            let found: Result<Vec<_>, _> = names.iter().map(|n| cli::estimator(n)).collect();
             found?
         }
     };
     let reference = match args.reference.as_str() {
         "fd" => None,
-        name => Some(Estimator::from_name(name)?),
+        name => Some(Choice::One(Estimator::from_name(name)?)),
     };
     // Wrong names are noticed before the first minute of work.
-    let directions: Result<Vec<_>, _> = args
-        .params
-        .iter()
-        .map(|p| Direction::uniform(scene.params(), p))
-        .collect();
-    let directions = directions?;
+    let infos: Result<Vec<_>, _> = args.params.iter().map(|p| scene.params().find(p)).collect();
+    let infos = infos?;
     output::create_dir(&args.out)?;
 
     let run = Run {
@@ -356,7 +381,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
         interrupt,
     };
     let repeats = u64::from(args.repeats);
-    let tests = BLOCKS * BLOCKS * estimators.len() * directions.len();
+    let tests = BLOCKS * BLOCKS * estimators.len() * args.params.len();
     let z_limit = t_limit(repeats, tests);
     args.threads.run(|threads| {
         let mut report = Report {
@@ -370,10 +395,10 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
             rows: Vec::new(),
             refused: Vec::new(),
         };
-        for (param, direction) in args.params.iter().zip(&directions) {
+        for (param, &info) in args.params.iter().zip(&infos) {
             let many = REFERENCE_REPEATS * repeats;
             let truth = match reference {
-                Some(e) => run.estimate(e, direction, 1, many)?,
+                Some(e) => run.estimate(e, param, 1, many)?,
                 None => run.differences(param, many)?,
             };
             let Some(truth) = truth else {
@@ -381,7 +406,10 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
             };
             let mut panels = Vec::new();
             for &e in &estimators {
-                let allowed = e.check(&scene).and_then(|()| e.active(&scene, &[param]));
+                let allowed = match &e {
+                    Choice::One(e) => auto::able(&scene, info, &[*e]),
+                    Choice::Auto => auto::able(&scene, info, &auto::candidates(&scene)),
+                };
                 if let Err(reason) = allowed {
                     report.refused.push(Refused {
                         param: param.clone(),
@@ -391,8 +419,9 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
                     continue;
                 }
                 // The numbers of an estimator do not depend on which others are asked for.
-                let stream = 2 + Estimator::ALL.iter().position(|x| *x == e).unwrap_or(0) as u64;
-                let Some(series) = run.estimate(e, direction, stream, repeats)? else {
+                let place = Estimator::ALL.iter().position(|x| Choice::One(*x) == e);
+                let stream = 2 + place.unwrap_or(Estimator::ALL.len()) as u64;
+                let Some(series) = run.estimate(e, param, stream, repeats)? else {
                     break;
                 };
                 panels.push((e.name(), deviation(&series, f64::from(settings.spp))));
@@ -429,7 +458,7 @@ fn t_limit(repeats: u64, tests: usize) -> f64 {
 
 fn row(
     param: &str,
-    e: Estimator,
+    e: Choice,
     series: &Series,
     truth: &Series,
     settings: &Settings,

@@ -6,8 +6,8 @@ use std::time::Instant;
 
 use clap::Parser;
 use optim::{Loss, LossKind};
+use render::auto::{self, Mixture};
 use render::instances::{Direction, Estimator, Technique, forward_f32, render_f32};
-use render::integrator::gradient::Active;
 use render::integrator::render::{NonFinite, Progress};
 use render::params::{Differentiability, ParamInfo, ParamShape, Theta};
 use render::sampler::Points;
@@ -15,7 +15,7 @@ use render::{Image, Scene, Settings, image_io};
 use serde::Serialize;
 
 use crate::cli::{
-    self, LoadArgs, Outcome, ThreadArgs, ToolError, depth, report_non_finite, sample_count,
+    self, Choice, LoadArgs, Outcome, ThreadArgs, ToolError, depth, report_non_finite, sample_count,
 };
 use crate::output;
 use crate::progress::{Bar, Interrupt};
@@ -48,9 +48,10 @@ pub struct Args {
     #[command(flatten)]
     pub load: LoadArgs,
     /// Where derivatives flow: mis (detached sampling of BSDF and lights), emitter, detached, attached,
-    /// reparameterised, differential, and their combinations; a wrong name lists them all
+    /// reparameterised, differential, and their combinations; a wrong name lists them all. Or auto: pilots
+    /// choose and mix, for the work of as many samples of mis
     #[arg(long, value_name = "NAME", default_value = "mis", value_parser = cli::estimator)]
-    pub estimator: Estimator,
+    pub estimator: Choice,
     /// Samples per pixel and repeat [default: the scene's]
     #[arg(long, value_name = "N", value_parser = sample_count())]
     pub spp: Option<u32>,
@@ -110,6 +111,9 @@ struct ParamReport {
 struct Report {
     scene: String,
     estimator: &'static str,
+    /// What `auto` chose, and why.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    mixture: Option<String>,
     spp: u32,
     repeats: u64,
     threads: usize,
@@ -139,8 +143,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
         print!("{}", listing(&scene));
         return Ok(Outcome::Done);
     }
-    args.estimator.check(&scene)?;
-    let active = args.estimator.active(&scene, &args.params)?;
+    let ranges = ranges(args, &scene)?;
     let objective = objective(args, &scene)?;
     let mut settings = scene.settings;
     settings.spp = args.spp.unwrap_or(settings.spp);
@@ -148,23 +151,24 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     settings.max_depth = args.max_depth.unwrap_or(settings.max_depth);
 
     let (statistics, images, threads) = args.threads.run(|threads| {
-        let statistics = repeat(args, &scene, &settings, &active, &objective, interrupt)?;
+        let mixture = mixture(args, &scene, &settings, &objective, interrupt)?;
+        let statistics = repeat(args, &scene, &settings, &mixture, &objective, interrupt)?;
         let images = match &args.images {
             Some(_) if !interrupt.is_set() => {
-                gradient_images(args, &scene, &settings, &active, interrupt)?
+                gradient_images(args, &scene, &settings, &mixture, &ranges, interrupt)?
             }
             _ => Vec::new(),
         };
-        Ok((statistics, images, threads))
+        Ok((statistics.map(|s| (s, mixture)), images, threads))
     })?;
-    let Some(statistics) = statistics else {
+    let Some((statistics, mixture)) = statistics else {
         eprintln!("interrupted before the first repeat was complete: nothing was written");
         return Ok(Outcome::Interrupted);
     };
-    statistics.print(&scene, &active);
+    statistics.print(&scene, &ranges);
     if let Some(dir) = &args.images {
         output::create_dir(dir)?;
-        for (info, image) in active.ranges().iter().zip(&images) {
+        for (info, image) in ranges.iter().zip(&images) {
             let name = output::file_name(&info.name);
             image_io::write_exr(&dir.join(format!("{name}.exr")), image)?;
             let panel = output::signed_panel(&format!("d image / d {}", info.name), image);
@@ -176,13 +180,14 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
         let report = Report {
             scene: args.scene.display().to_string(),
             estimator: args.estimator.name(),
+            mixture: (args.estimator == Choice::Auto).then(|| mixture.to_string()),
             spp: settings.spp,
             repeats: statistics.repeats,
             threads,
             seconds_primal: median(&statistics.seconds_primal),
             seconds_gradient: median(&statistics.seconds_gradient),
             loss: statistics.loss(),
-            params: statistics.params(&scene, &active, path)?,
+            params: statistics.params(&scene, &ranges, path)?,
         };
         output::write_json(path, &report)?;
     }
@@ -194,6 +199,66 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
         return Ok(Outcome::Interrupted);
     }
     Ok(Outcome::Done)
+}
+
+/// The parameters asked for, each once.
+fn ranges(args: &Args, scene: &Scene) -> Result<Vec<ParamInfo>, ToolError> {
+    let mut out: Vec<ParamInfo> = Vec::new();
+    for name in &args.params {
+        let info = scene.params().find(name)?;
+        if !out.contains(info) {
+            out.push(info.clone());
+        }
+    }
+    Ok(out)
+}
+
+/// The estimator asked for, or what pilots choose; says what that is.
+fn mixture(
+    args: &Args,
+    scene: &Scene,
+    settings: &Settings,
+    objective: &Objective,
+    interrupt: &Interrupt,
+) -> Result<Mixture, ToolError> {
+    let names = &args.params;
+    let estimator = match args.estimator {
+        Choice::One(e) => e,
+        Choice::Auto => {
+            let spp = u64::from(settings.spp);
+            let budget = spp * u64::from(args.repeats);
+            let most = auto::PILOTS * budget as f64 * scene.film.pixels() as f64;
+            let bar = Bar::new("pilots", most as u64, interrupt);
+            let adjoint = match objective {
+                Objective::Linear(adjoint) => adjoint.clone(),
+                Objective::Loss(loss, target) => {
+                    let theta = Theta::constant(scene.params().values());
+                    let seed = seed_of_loss(args.seed);
+                    let technique = Technique::MisPower;
+                    let image = render_f32(scene, &theta, technique, settings, seed, 0..spp, &bar);
+                    let mut adjoint = vec![0.0; target.len()];
+                    loss.gradient(&image.image(0).data, target, &mut adjoint)?;
+                    adjoint
+                }
+            };
+            let found = auto::choose(
+                scene,
+                names,
+                &adjoint,
+                &auto::candidates(scene),
+                settings,
+                args.seed,
+                budget,
+                &bar,
+            )?;
+            bar.finish();
+            print!("{found}");
+            return Ok(found);
+        }
+    };
+    estimator.check(scene)?;
+    estimator.active(scene, names)?;
+    Ok(Mixture::only(scene, estimator, names))
 }
 
 /// A line per parameter.
@@ -289,11 +354,11 @@ impl Statistics {
         (n > 0).then(|| self.losses.iter().sum::<f64>() / n as f64)
     }
 
-    fn print(&self, scene: &Scene, active: &Active) {
+    fn print(&self, scene: &Scene, ranges: &[ParamInfo]) {
         if let Some(loss) = self.loss() {
             println!("loss {loss:.6e}");
         }
-        for (r, info) in active.ranges().iter().enumerate() {
+        for (r, info) in ranges.iter().enumerate() {
             let values = &scene.params().values()[info.range()];
             let error = self.std_error(r);
             if values.len() <= 3 {
@@ -322,11 +387,11 @@ impl Statistics {
     fn params(
         &self,
         scene: &Scene,
-        active: &Active,
+        ranges: &[ParamInfo],
         json: &Path,
     ) -> Result<BTreeMap<String, ParamReport>, ToolError> {
         let mut out = BTreeMap::new();
-        for (r, info) in active.ranges().iter().enumerate() {
+        for (r, info) in ranges.iter().enumerate() {
             let value = &scene.params().values()[info.range()];
             let value = value.iter().map(|&v| f64::from(v)).collect();
             let put = |what: &str, numbers: Vec<f64>| numbers_or_file(info, what, numbers, json);
@@ -384,7 +449,7 @@ fn repeat(
     args: &Args,
     scene: &Scene,
     settings: &Settings,
-    active: &Active,
+    mixture: &Mixture,
     objective: &Objective,
     interrupt: &Interrupt,
 ) -> Result<Option<Statistics>, ToolError> {
@@ -398,7 +463,8 @@ fn repeat(
         Objective::Linear(_) => repeats.min(TIMED),
         Objective::Loss(..) => repeats,
     };
-    let bar = Bar::new("gradient", pixels * (repeats + primals), interrupt);
+    let passes = repeats * mixture.passes(spp) as u64 + primals;
+    let bar = Bar::new("gradient", pixels * passes, interrupt);
     let mut out = Statistics {
         repeats: 0,
         mean: Vec::new(),
@@ -436,16 +502,9 @@ fn repeat(
             Objective::Loss(..) => &d_image,
         };
         let start = Instant::now();
-        let gradient = args.estimator.backward_f32(
-            scene,
-            &theta,
-            active,
-            adjoint,
-            settings,
-            seed,
-            0..spp,
-            &bar,
-        )?;
+        let names = &args.params;
+        let gradient =
+            mixture.backward_f32(scene, &theta, names, adjoint, settings, seed, spp, &bar)?;
         let seconds = start.elapsed().as_secs_f64();
         if gradient.cancelled {
             out.losses.truncate(k as usize);
@@ -463,41 +522,24 @@ fn repeat(
     Ok((out.repeats > 0).then_some(out))
 }
 
-/// Derivative images, one per active range: one number added to the whole range. None if interrupted.
+/// Derivative images, one per parameter: one number added to the whole range. None if interrupted.
 fn gradient_images(
     args: &Args,
     scene: &Scene,
     settings: &Settings,
-    active: &Active,
+    mixture: &Mixture,
+    ranges: &[ParamInfo],
     interrupt: &Interrupt,
 ) -> Result<Vec<Image>, ToolError> {
     let seed = args.seed;
-    let directions: Vec<Direction> = active
-        .ranges()
-        .iter()
-        .map(|info| Direction::uniform(scene.params(), &info.name))
-        .collect::<Result<_, _>>()?;
-    let together = args.estimator == Estimator::Mis;
-    let passes = match together {
-        true => forward_passes(directions.len()),
-        false => directions.len() as u64,
-    };
-    let bar = Bar::new("images", scene.film.pixels() as u64 * passes, interrupt);
-    let values = scene.params().values();
     let spp = u64::from(settings.spp);
-    if !together {
+    let pixels = scene.film.pixels() as u64;
+    if args.estimator != Choice::One(Estimator::Mis) {
+        let passes = (ranges.len() * mixture.passes(spp)) as u64;
+        let bar = Bar::new("images", pixels * passes, interrupt);
         let mut images = Vec::new();
-        for d in &directions {
-            let e = args.estimator;
-            let rendering = e.forward_f32(
-                scene,
-                values,
-                std::slice::from_ref(d),
-                settings,
-                seed,
-                0..spp,
-                &bar,
-            )?;
+        for info in ranges {
+            let rendering = mixture.forward_f32(scene, &info.name, settings, seed, spp, &bar)?;
             report_non_finite(&rendering.non_finite, rendering.width, seed);
             if bar.cancelled() {
                 return Ok(Vec::new());
@@ -507,6 +549,16 @@ fn gradient_images(
         bar.finish();
         return Ok(images);
     }
+    let directions: Vec<Direction> = ranges
+        .iter()
+        .map(|info| Direction::uniform(scene.params(), &info.name))
+        .collect::<Result<_, _>>()?;
+    let bar = Bar::new(
+        "images",
+        pixels * forward_passes(directions.len()),
+        interrupt,
+    );
+    let values = scene.params().values();
     let rendering = forward_f32(scene, values, &directions, settings, seed, 0..spp, &bar)?;
     bar.finish();
     report_non_finite(&rendering.non_finite, rendering.width, seed);

@@ -62,6 +62,10 @@ impl Emitter for Constant {
     fn is_infinite(&self) -> bool {
         true
     }
+
+    fn is_wide(&self) -> bool {
+        true
+    }
 }
 
 impl FromNode for Constant {

@@ -230,6 +230,11 @@ pub trait Emitter: Send + Sync {
         false
     }
 
+    /// Whether scattered directions find it without help: nothing in it is small.
+    fn is_wide(&self) -> bool {
+        false
+    }
+
     /// Rebuilds sampling tables after parameters have changed.
     fn update(&mut self, _params: &Params) {}
 
@@ -328,6 +333,9 @@ macro_rules! emitters {
             }
             fn is_infinite(&self) -> bool {
                 match self { $(Self::$hot(e) => e.is_infinite(),)* $(Self::$name(e) => e.is_infinite(),)* }
+            }
+            fn is_wide(&self) -> bool {
+                match self { $(Self::$hot(e) => e.is_wide(),)* $(Self::$name(e) => e.is_wide(),)* }
             }
             fn update(&mut self, params: &Params) {
                 match self { $(Self::$hot(e) => e.update(params),)* $(Self::$name(e) => e.update(params),)* }

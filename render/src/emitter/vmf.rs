@@ -110,6 +110,10 @@ impl Emitter for Vmf {
     fn is_infinite(&self) -> bool {
         true
     }
+
+    fn is_wide(&self) -> bool {
+        self.kappa <= 100.0
+    }
 }
 
 impl FromNode for Vmf {

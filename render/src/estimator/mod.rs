@@ -23,7 +23,7 @@ pub use sampling::{
 pub use strategy::{AllowBias, AttachedRoulette, BsdfOnly, EmitterOnly, Mis, Strategy, Unbiased};
 pub use weights::{
     AttachedWeights, Balance, DetachedWeights, FrozenWeights, Heuristic, MixedWeights, Power,
-    Weights,
+    TrustBsdf, TrustLights, Weights,
 };
 
 use crate::error::RenderError;

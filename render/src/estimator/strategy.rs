@@ -5,6 +5,7 @@ use std::marker::PhantomData;
 use ad_core::Real;
 
 use super::memory::Memory;
+use super::weights::trusted;
 use super::{
     AttachedWeights, Detached, DetachedWeights, Differential, FrozenWeights, Heuristic, Power,
     Sampling, Weights,
@@ -60,11 +61,11 @@ impl<B: Sampling, W: Weights, H: Heuristic> Strategy for Mis<B, Detached, W, H> 
     const DIFFERENTIATED_WEIGHTS: bool = W::DIFFERENTIATED;
     #[inline]
     fn weight_hit<R: Real>(a: R, b: R) -> R {
-        W::hit::<H, R>(a, b)
+        W::hit::<H, R>(a, trusted::<H, R>(b))
     }
     #[inline]
     fn weight_sampled<R: Real>(a: R, b: R) -> R {
-        W::sampled::<H, R>(a, b)
+        W::sampled::<H, R>(trusted::<H, R>(a), b)
     }
 }
 

@@ -1,11 +1,14 @@
 //! Multiple importance sampling weights.
 
-use ad_core::Real;
+use ad_core::{Const, Real};
 
 use super::memory::{Forget, Keep, Memory};
 
 /// A weighting function for two techniques.
 pub trait Heuristic: Send + Sync + 'static {
+    /// What densities of sampled lights are multiplied by first: how much more they are trusted than those of
+    /// scattered directions.
+    const LIGHTS: f64 = 1.0;
     /// Weight of a sample with density `a` when the other technique has density `b`. Both finite and
     /// not negative; `a` positive.
     fn weight<R: Real>(a: R, b: R) -> R;
@@ -40,6 +43,41 @@ impl Heuristic for Power {
         let r = R::select(wins, b, a) / R::select(wins, a, b);
         let r2 = r * r;
         R::select(wins, R::one(), r2) / (R::one() + r2)
+    }
+}
+
+/// [`Power`] that trusts sampled lights eight times as much as their density deserves. Densities of primal
+/// samples say little about the spread of a derivative; a constant that is right for it is found by measuring, see
+/// [`crate::auto`].
+#[derive(Clone, Copy, Debug)]
+pub struct TrustLights;
+
+impl Heuristic for TrustLights {
+    const LIGHTS: f64 = 8.0;
+    #[inline]
+    fn weight<R: Real>(a: R, b: R) -> R {
+        Power::weight(a, b)
+    }
+}
+
+/// [`Power`] that trusts scattered directions eight times as much, as [`TrustLights`].
+#[derive(Clone, Copy, Debug)]
+pub struct TrustBsdf;
+
+impl Heuristic for TrustBsdf {
+    const LIGHTS: f64 = 0.125;
+    #[inline]
+    fn weight<R: Real>(a: R, b: R) -> R {
+        Power::weight(a, b)
+    }
+}
+
+/// The density of a sampled light as heuristic `H` sees it.
+#[inline(always)]
+pub(super) fn trusted<H: Heuristic, R: Real>(pdf: R) -> R {
+    match H::LIGHTS == 1.0 {
+        true => pdf,
+        false => pdf * Const(R::Primal::of(H::LIGHTS)),
     }
 }
 

@@ -305,7 +305,7 @@ pub fn backward<P: Float, S: Unbiased, X: Sampler>(
 ///
 /// # Errors
 /// It has not.
-pub(super) fn check_size(
+pub(crate) fn check_size(
     what: &'static str,
     scene: &Scene,
     image: &[f32],

@@ -22,7 +22,7 @@ use crate::figures::statistics::{Estimate, limit};
 use crate::memory;
 
 const SEED: u64 = 4102;
-const NAMES: [&str; 4] = [
+pub(super) const NAMES: [&str; 4] = [
     "left.reflectance.value",
     "back.specular_reflectance.value",
     "back.alpha.value",

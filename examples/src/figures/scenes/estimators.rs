@@ -15,7 +15,7 @@ use crate::figures::stage::{LAMP_RADII, Plates, plates_of};
 
 const SEED: u64 = 419;
 /// From top to bottom, as in the thesis.
-const ALPHAS: [f64; 4] = [0.01, 0.02, 0.06, 0.13];
+pub(super) const ALPHAS: [f64; 4] = [0.01, 0.02, 0.06, 0.13];
 /// The columns of the figure, naive attached sampling last.
 const COLUMNS: [Estimator; 8] = [
     Estimator::Emitter,

@@ -2,6 +2,7 @@
 //!
 //! The scenes come from [`super::stage`].
 
+pub mod automatic;
 pub mod backpropagation;
 pub mod direct_light;
 pub mod environment;

@@ -35,7 +35,7 @@ const NAIVE: usize = 3;
 
 /// What samples run into.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Edge {
+pub(super) enum Edge {
     /// (a) The outline of a ball before the sky; the parameter is a texture of roughness.
     Ball,
     /// (b) The horizon of the surface; the parameter is a map of normals.
@@ -52,7 +52,7 @@ impl Edge {
         }
     }
 
-    fn name(self) -> &'static str {
+    pub(super) fn name(self) -> &'static str {
         match self {
             Self::Ball => "plate.alpha.data",
             Self::Horizon => "plate.normalmap.data",
@@ -60,7 +60,7 @@ impl Edge {
     }
 
     /// Beckmann: its lobes end, so that there are places which see no edge.
-    fn scene(self, width: u32) -> Result<Scene> {
+    pub(super) fn scene(self, width: u32) -> Result<Scene> {
         let mut stage = Stage::default();
         let size = [width, width * 3 / 4];
         let view = match self {

@@ -18,7 +18,7 @@ use crate::figures::statistics::{Estimate, blocks, limit};
 use crate::optimise::Problem;
 
 const SEED: u64 = 422;
-const NAME: &str = "plate.alpha.data";
+pub(super) const NAME: &str = "plate.alpha.data";
 const STEPS: u64 = 100;
 const ESTIMATORS: [Estimator; 3] = [
     Estimator::Detached,
@@ -30,7 +30,7 @@ const DIFFERENTIAL: usize = 1;
 const ATTACHED: usize = 2;
 /// What a plate is made of and lit by.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Condition {
+pub(super) enum Condition {
     /// Rough GGX below the many lights of a hall.
     RoughInHall,
     /// Smooth Beckmann below three wide lobes of different colour.
@@ -38,9 +38,9 @@ enum Condition {
 }
 
 impl Condition {
-    const BOTH: [Self; 2] = [Self::RoughInHall, Self::SmoothUnderLobes];
+    pub(super) const BOTH: [Self; 2] = [Self::RoughInHall, Self::SmoothUnderLobes];
 
-    fn label(self) -> &'static str {
+    pub(super) fn label(self) -> &'static str {
         match self {
             Self::RoughInHall => "A",
             Self::SmoothUnderLobes => "B",
@@ -55,7 +55,7 @@ impl Condition {
     }
 
     /// Least and largest roughness of the picture to be matched, and of the start.
-    fn range(self) -> [f64; 2] {
+    pub(super) fn range(self) -> [f64; 2] {
         match self {
             Self::RoughInHall => [0.15, 0.5],
             Self::SmoothUnderLobes => [0.02, 0.08],
@@ -71,7 +71,7 @@ impl Condition {
         }
     }
 
-    fn scene(self, pixels: u32, texels: &[f32]) -> Result<Scene> {
+    pub(super) fn scene(self, pixels: u32, texels: &[f32]) -> Result<Scene> {
         let mut stage = Stage::default();
         let side = (texels.len() as f64).sqrt() as u32;
         // All normals are sampled, as in the thesis.
@@ -111,7 +111,7 @@ impl Condition {
 }
 
 /// Rings and a bar: edges and slopes, between 0 and 1.
-fn pattern(side: usize) -> Vec<f64> {
+pub(super) fn pattern(side: usize) -> Vec<f64> {
     let value = |i: usize| {
         let [x, y] = [i % side, i / side].map(|k| 2.0 * (k as f64 + 0.5) / side as f64 - 1.0);
         let rings = 0.5 + 0.5 * (9.0 * x.hypot(y)).sin();
@@ -127,7 +127,7 @@ fn noise(side: usize) -> Vec<f64> {
     (0..side * side).map(unit).collect()
 }
 
-fn within([low, high]: [f64; 2], values: &[f64]) -> Vec<f32> {
+pub(super) fn within([low, high]: [f64; 2], values: &[f64]) -> Vec<f32> {
     let value = |t: &f64| (low + t * (high - low)) as f32;
     values.iter().map(value).collect()
 }

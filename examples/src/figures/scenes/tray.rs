@@ -13,7 +13,7 @@ use crate::figures::stage::{TRAY, TRAY_LAMPS, tray};
 use crate::figures::statistics::{Estimate, blocks, grey, limit, per_pixel};
 
 const SEED: u64 = 420;
-const DEPTH: u32 = 4;
+pub(super) const DEPTH: u32 = 4;
 /// Chance of a false alarm in one check.
 const LEVEL: f64 = 1e-3;
 const ESTIMATORS: [Estimator; 11] = [

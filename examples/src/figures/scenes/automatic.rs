@@ -1,0 +1,385 @@
+//! The estimator that chooses by itself against every single one, on the scenes of the figures; and weights
+//! by measured variance of the derivative against the balance heuristic.
+
+use std::time::Instant;
+
+use rayon::prelude::*;
+use render::auto::{self, Mixture};
+use render::bsdf::microfacet::Ndf;
+use render::instances::Estimator;
+use render::{RenderError, Scene};
+
+use super::backpropagation;
+use super::outlines::Edge;
+use super::roughness_texture::{self, Condition};
+use super::{estimators, tray};
+use crate::chart::{LineChart, Panel};
+use crate::figure::{Figure, Result};
+use crate::figures::stage::{self, TRAY, Walls, plates_of};
+use crate::scenes;
+
+const SEED: u64 = 77;
+/// Samples of `mis` per pixel for which `auto` plans.
+const BUDGET: u64 = 4096;
+/// Different pilots.
+const PILOTS: u64 = 4;
+/// Combinations of light and BSDF samples that pilots weigh by what they measure; and the heuristics.
+const FAMILY: [Estimator; 3] = [
+    Estimator::MisBalance,
+    Estimator::MisTrustLights,
+    Estimator::MisTrustBsdf,
+];
+const HEURISTICS: [Estimator; 2] = [Estimator::MisBalance, Estimator::Mis];
+
+/// A scene and what is differentiated in it.
+struct Subject {
+    name: &'static str,
+    scene: Scene,
+    params: Vec<String>,
+}
+
+fn subjects(quick: bool) -> Result<Vec<Subject>> {
+    let pick = |a: u32, b: u32| if quick { a } else { b };
+    let width = pick(64, 160);
+    let alpha = |names: &[&str]| names.iter().map(|n| format!("{n}.alpha.value")).collect();
+    let mut out = vec![
+        Subject {
+            name: "plates (4.19)",
+            scene: plates_of(width, estimators::ALPHAS, Ndf::Beckmann, false)?.scene,
+            params: alpha(&["plate 0", "plate 1", "plate 2", "plate 3"]),
+        },
+        Subject {
+            name: "tray (4.20)",
+            scene: stage::tray([pick(48, 96), pick(36, 72)], tray::DEPTH)?,
+            params: TRAY
+                .iter()
+                .map(|(n, _)| format!("{n}.alpha.value"))
+                .collect(),
+        },
+        Subject {
+            name: "room (alg. 4.1)",
+            scene: stage::cornell(pick(32, 64), Walls::GlossyBack, 5)?,
+            params: backpropagation::NAMES.map(str::to_owned).to_vec(),
+        },
+        Subject {
+            name: "room of recover",
+            scene: scenes::cornell(pick(32, 64), pick(32, 64))?,
+            params: scenes::cornell_unknowns()
+                .iter()
+                .map(|u| u.name.to_owned())
+                .collect(),
+        },
+        Subject {
+            name: "outline (4.18 a)",
+            scene: Edge::Ball.scene(pick(48, 96))?,
+            params: vec![Edge::Ball.name().to_owned()],
+        },
+    ];
+    for condition in Condition::BOTH {
+        let side = pick(32, 64);
+        let truth = roughness_texture::pattern(side as usize);
+        let truth = roughness_texture::within(condition.range(), &truth);
+        out.push(Subject {
+            name: match condition {
+                Condition::RoughInHall => "texture A (4.22)",
+                Condition::SmoothUnderLobes => "texture B (4.22)",
+            },
+            scene: condition.scene(side, &truth)?,
+            params: vec![roughness_texture::NAME.to_owned()],
+        });
+    }
+    Ok(out)
+}
+
+/// How much is measured.
+#[derive(Clone, Copy, Debug)]
+struct Effort {
+    runs: u64,
+    /// Work per pixel and run, in samples of `mis`.
+    spp: u64,
+}
+
+/// Variance of the derivative image times work, and seconds per pixel and run, for one parameter.
+#[derive(Clone, Copy, Debug)]
+struct Spent {
+    work: f64,
+    seconds: f64,
+}
+
+/// Of a mixture: `plan(run)` has pilots of its own, and says how many samples; all together cost `work`. All use the same random
+/// numbers: where the same is chosen, the same comes out.
+fn measure<'a>(
+    subject: &Subject,
+    param: &str,
+    effort: Effort,
+    plan: impl Fn(u64) -> (&'a Mixture, u64) + Sync,
+    work: f64,
+) -> Result<Spent> {
+    let scene = &subject.scene;
+    let start = Instant::now();
+    let images: std::result::Result<Vec<Vec<f64>>, RenderError> = (0..effort.runs)
+        .into_par_iter()
+        .map(|run| {
+            let (m, spp) = plan(run);
+            let s = &scene.settings;
+            let r = m.forward_f32(scene, param, s, SEED + run, spp, &())?;
+            let n = r.samples as f64;
+            Ok(r.sums[1].iter().map(|x| x / n).collect())
+        })
+        .collect();
+    let images = images?;
+    let seconds = start.elapsed().as_secs_f64() / effort.runs as f64 / scene.film.pixels() as f64;
+    let n = images.len() as f64;
+    let variance: f64 = (0..images[0].len())
+        .map(|p| {
+            let mean = images.iter().map(|i| i[p]).sum::<f64>() / n;
+            images.iter().map(|i| (i[p] - mean).powi(2)).sum::<f64>() / (n - 1.0)
+        })
+        .sum();
+    Ok(Spent {
+        work: variance * work,
+        seconds: variance * seconds,
+    })
+}
+
+/// Everything measured in one scene: per estimator, per parameter.
+struct Trial {
+    singles: Vec<(Estimator, Vec<Spent>)>,
+    auto: Vec<Spent>,
+    /// Trust in lights as measured, and by the heuristics.
+    measured: Option<(Vec<Spent>, [Vec<Spent>; 2])>,
+    chosen: Mixture,
+}
+
+fn single(subject: &Subject, e: Estimator, effort: Effort) -> Result<Vec<Spent>> {
+    let only = Mixture::only(&subject.scene, e, &subject.params);
+    let spp = ((effort.spp as f64 / e.cost()).round() as u64).max(1);
+    let of = |param: &String| {
+        let work = spp as f64 * e.cost();
+        measure(subject, param, effort, |_| (&only, spp), work)
+    };
+    subject.params.iter().map(of).collect()
+}
+
+fn mixed(
+    subject: &Subject,
+    candidates: &[Estimator],
+    effort: Effort,
+) -> Result<(Vec<Spent>, Mixture)> {
+    let scene = &subject.scene;
+    let ones = vec![1.0; scene.film.pixels() * 3];
+    let mut mixtures: Vec<Mixture> = Vec::new();
+    for pilot in 0..PILOTS {
+        let s = &scene.settings;
+        let p = &subject.params;
+        let seed = SEED + pilot;
+        mixtures.push(auto::choose(
+            scene,
+            p,
+            &ones,
+            candidates,
+            s,
+            seed,
+            BUDGET,
+            &(),
+        )?);
+    }
+    let spent = mixtures.iter().map(Mixture::spent).sum::<f64>() / PILOTS as f64;
+    let work = effort.spp as f64 * (1.0 + spent / BUDGET as f64);
+    let of = |param: &String| {
+        // Each pilot's plan in turn, the parameter with its share of the work.
+        let plan = |run: u64| {
+            let m = &mixtures[(run % PILOTS) as usize];
+            (
+                m,
+                (effort.spp as f64 * m.share(param)).round().max(1.0) as u64,
+            )
+        };
+        measure(subject, param, effort, plan, work)
+    };
+    let spent: Result<Vec<Spent>> = subject.params.iter().map(of).collect();
+    Ok((spent?, mixtures.swap_remove(0)))
+}
+
+/// `1 / (variance x work)`: parameters count alike, each in units of the best single estimator for it.
+fn efficiency(of: &[Spent], best: &[f64], pick: impl Fn(&Spent) -> f64) -> f64 {
+    let sum: f64 = of.iter().zip(best).map(|(s, b)| pick(s) / b).sum();
+    of.len() as f64 / sum
+}
+
+fn best(singles: &[(Estimator, Vec<Spent>)], pick: impl Fn(&Spent) -> f64) -> Vec<f64> {
+    let params = singles.first().map_or(0, |s| s.1.len());
+    let least = |g: usize| {
+        let all = singles.iter().map(|(_, spent)| pick(&spent[g]));
+        all.fold(f64::INFINITY, f64::min).max(f64::MIN_POSITIVE)
+    };
+    (0..params).map(least).collect()
+}
+
+/// `auto-estimator`.
+///
+/// # Errors
+/// None that the built-in scenes can cause.
+pub fn figure(fig: &mut Figure) -> Result {
+    let effort = Effort {
+        runs: fig.pick(8, 24),
+        spp: fig.pick(32, 256),
+    };
+    fig.note("runs", effort.runs);
+    fig.note("work per pixel and run", effort.spp);
+    fig.note("budget", BUDGET);
+    fig.note("seed", SEED);
+    let mut rows = Vec::new();
+    let mut series: Vec<(&'static str, Vec<(f64, f64)>)> = Vec::new();
+    let mut panels = Vec::new();
+    let mut weights = Vec::new();
+    for (k, subject) in subjects(fig.quick())?.iter().enumerate() {
+        let trial = trial(subject, effort, k < 2)?;
+        let work = |s: &Spent| s.work;
+        let units = best(&trial.singles, work);
+        let of = |spent: &[Spent]| efficiency(spent, &units, work);
+        let (favourite, most) = trial
+            .singles
+            .iter()
+            .map(|(e, spent)| (*e, of(spent)))
+            .max_by(|a, b| a.1.total_cmp(&b.1))
+            .ok_or("no estimator")?;
+        let mine = of(&trial.auto);
+        let chosen: Vec<String> = (trial.chosen.shares().iter())
+            .map(|(e, share)| format!("{} {:.0} %", e.name(), 100.0 * share))
+            .collect();
+        fig.check(
+            format!(
+                "(a) {}: auto is at least 0.9 times as efficient as the best single one",
+                subject.name
+            ),
+            mine >= 0.9 * most,
+            format!(
+                "{:.2} times {}; chose {}; pilots {:.1} % of the work",
+                mine / most,
+                favourite.name(),
+                chosen.join(" + "),
+                100.0 * trial.chosen.spent() / BUDGET as f64
+            ),
+        );
+        let seconds = |s: &Spent| s.seconds;
+        let clock = best(&trial.singles, seconds);
+        let names = trial.singles.iter().map(|(e, s)| (e.name(), &s[..]));
+        for (name, spent) in names.chain([("auto", &trial.auto[..])]) {
+            let [relative, timed] = [of(spent) / most, efficiency(spent, &clock, seconds)];
+            rows.push([
+                subject.name.to_owned(),
+                name.to_owned(),
+                relative.to_string(),
+                timed.to_string(),
+            ]);
+            match series.iter_mut().find(|s| s.0 == name) {
+                Some((_, points)) => points.push((k as f64 + 1.0, relative)),
+                None => series.push((name, vec![(k as f64 + 1.0, relative)])),
+            }
+        }
+        if let Some((mixed, known)) = &trial.measured {
+            let gains = [&known[0], &known[1]].map(|s| of(mixed) / of(s));
+            let alone = |e: Estimator| {
+                let found = trial.singles.iter().find(|s| s.0 == e);
+                found.map_or(0.0, |s| of(&s.1) / of(&known[0]))
+            };
+            let fixed = [Estimator::MisTrustLights, Estimator::MisTrustBsdf].map(alone);
+            weights.push((subject.name, gains, fixed));
+        }
+        if k < 2 {
+            panels.extend(maps(subject, &trial));
+        }
+    }
+    signed(fig, &weights);
+    fig.csv_text(
+        "efficiency",
+        &[
+            "scene",
+            "estimator",
+            "1 / (variance x work)",
+            "1 / (variance x seconds)",
+        ],
+        rows,
+    );
+    let mut chart = LineChart::new(
+        "Efficiency over that of the best single estimator",
+        "scene: 1 plates, 2 tray, 3 room, 4 room of recover, 5 outline, 6 and 7 textures",
+        "1 / (variance x work)",
+    )
+    .log_y();
+    for (name, points) in series {
+        chart = match name {
+            "auto" => chart.measured(name, points),
+            _ => chart.points(name, points),
+        };
+    }
+    fig.chart("efficiency", &chart);
+    fig.images("weights", 3, &panels);
+    Ok(())
+}
+
+/// Weights by measured variance against the heuristics.
+fn signed(fig: &mut Figure, found: &[(&str, [f64; 2], [f64; 2])]) {
+    let text = |(scene, [balance, power], [more, less]): &(&str, [f64; 2], [f64; 2])| {
+        format!(
+            "{scene}: {balance:.2} and {power:.2} times; lights trusted 8 times more {more:.2}, less {less:.2} \
+             times balance"
+        )
+    };
+    let texts: Vec<String> = found.iter().map(text).collect();
+    let worst = found.iter().map(|f| f.1[0]).fold(f64::INFINITY, f64::min);
+    fig.check(
+        "(b) trust in lights by the measured variance of the derivative: not worse than the balance heuristic \
+         by more than the pilots and 10 %",
+        worst > 0.85,
+        format!(
+            "efficiency over balance and power heuristic: {}",
+            texts.join("; ")
+        ),
+    );
+}
+
+fn trial(subject: &Subject, effort: Effort, heuristics: bool) -> Result<Trial> {
+    let mut singles = Vec::new();
+    let params = subject.scene.params();
+    for &e in Estimator::ALL {
+        if e.name().starts_with("biased") || e.name().ends_with("naive") {
+            continue;
+        }
+        let sees = |name: &String| -> Result<bool> {
+            Ok(auto::able(&subject.scene, params.find(name)?, &[e]).is_ok())
+        };
+        let all: Result<Vec<bool>> = subject.params.iter().map(sees).collect();
+        if all?.iter().all(|b| *b) {
+            singles.push((e, single(subject, e, effort)?));
+        }
+    }
+    let (auto, chosen) = mixed(subject, &auto::candidates(&subject.scene), effort)?;
+    let measured = match heuristics {
+        true => {
+            let own = mixed(subject, &FAMILY, effort)?.0;
+            let [a, b] = HEURISTICS.map(|e| single(subject, e, effort));
+            Some((own, [a?, b?]))
+        }
+        false => None,
+    };
+    Ok(Trial {
+        singles,
+        auto,
+        measured,
+        chosen,
+    })
+}
+
+/// Where which estimator is believed, for the first parameter.
+fn maps(subject: &Subject, trial: &Trial) -> Vec<Panel> {
+    let width = subject.scene.film.crop_size[0] as usize;
+    let enlarge = (256 / width).max(1);
+    let panel = |(e, weight): (Estimator, Vec<f64>)| {
+        let label = format!("{}: weight of {}", subject.name, e.name());
+        Panel::signed(&label, width, &weight, Some(1.0)).enlarged(enlarge)
+    };
+    let all = trial.chosen.weights(&subject.params[0], BUDGET);
+    all.into_iter().map(panel).collect()
+}

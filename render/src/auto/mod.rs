@@ -1,0 +1,147 @@
+//! An estimator that chooses: pilots measure, and samples and pixels go to whichever estimator tells
+//! most there.
+//!
+//! A [`Mixture`] is a weighted sum of the [`Estimator`]s that are compiled. Pixel weights of all passes add up to
+//! one and come from other random numbers than the passes, so a mixture of unbiased estimators is unbiased.
+//! Weights and shares minimise the *measured variance of the derivative* for equal work: multiple
+//! importance sampling for integrands with a sign, where the densities of the primal samples (balance and
+//! power heuristic) say little about the spread of derivatives.
+//!
+//! Work is counted in samples of [`Estimator::Mis`] ([`Estimator::cost`]), not by a clock: the same seed
+//! gives the same mixture.
+//!
+//! ```no_run
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! use render::auto::{self, Mixture};
+//! use render::params::Theta;
+//!
+//! let (scene, _) = render::Scene::load("scene.xml".as_ref(), &Default::default())?;
+//! let adjoint = vec![1.0; scene.film.pixels() * 3];
+//! let names = ["plate.alpha.value"];
+//! let settings = scene.settings;
+//! let candidates = auto::candidates(&scene);
+//! let mixture = auto::choose(&scene, &names, &adjoint, &candidates, &settings, 0, 4096, &())?;
+//! print!("{mixture}"); // what was chosen, and why
+//! let theta = Theta::constant(scene.params().values());
+//! let gradient = mixture.backward_f32(&scene, &theta, &names, &adjoint, &settings, 0, 1024, &())?;
+//! # Ok(())
+//! # }
+//! ```
+
+mod mixture;
+mod pilot;
+mod shares;
+
+use std::fmt;
+
+use crate::emitter::{AnyEmitter, Emitter};
+use crate::error::RenderError;
+use crate::instances::Estimator;
+use crate::integrator::render::Progress;
+use crate::scene::{Scene, Settings};
+
+pub use mixture::Mixture;
+pub use pilot::{Finding, PILOTS, able};
+
+/// What may be chosen in a scene: everything that is unbiased there and that no few pilots could mistake.
+///
+/// A technique that rarely finds what matters looks good until it finds it, and no measurement as short
+/// as a pilot rules that out. So light sampling alone is a candidate only without smooth lobes, and BSDF
+/// sampling alone only below wide lights at infinity. Combinations of both find everything. The first one is
+/// kept where pilots cannot tell.
+pub fn candidates(scene: &Scene) -> Vec<Estimator> {
+    /// Smoothest roughness, and sharpest exponent, for which lights need no help.
+    const ROUGH: (f32, f32) = (0.1, 200.0);
+    let mut out = vec![
+        Estimator::MisBalance,
+        Estimator::Mis,
+        Estimator::DifferentialMisBalance,
+        Estimator::MisAttachedWeights,
+        Estimator::AttachedMis,
+    ];
+    let rough = scene.params().infos().iter().all(|info| {
+        let mut values = scene.params().values()[info.range()].iter();
+        match info.name.split('.').nth(1) {
+            Some("alpha") => values.all(|&v| v >= ROUGH.0),
+            Some("exponent") => values.all(|&v| v <= ROUGH.1),
+            _ => true,
+        }
+    });
+    if rough {
+        out.push(Estimator::Emitter);
+    }
+    if scene.emitters().iter().all(AnyEmitter::is_wide) {
+        out.extend([
+            Estimator::Detached,
+            Estimator::Differential,
+            Estimator::Attached,
+            Estimator::AttachedPath,
+        ]);
+    }
+    out.retain(|e| e.check(scene).is_ok());
+    out
+}
+
+/// Pilots must not share random numbers with the passes that they decide on, whose seed may be the same.
+const PILOT_SEED: u64 = 0x7069_6c6f_7473;
+
+/// Finds a mixture for the derivatives of `<adjoint, image>` in the named parameters, `adjoint` as for
+/// [`crate::integrator::gradient::backward`].
+///
+/// `budget` is the work to come, in samples per pixel of [`Estimator::Mis`]; pilots cost at most [`PILOTS`] of it.
+/// Every parameter is measured by itself if that leaves enough samples, otherwise all those of one
+/// material or emitter together, or all of them. The first candidate that sees the parameters is taken where not
+/// even that fits, and where few samples carry most of its variance: then nothing was measured.
+///
+/// # Errors
+/// An unknown name, an adjoint of the wrong size, a parameter that no candidate sees.
+pub fn choose<N: AsRef<str>>(
+    scene: &Scene,
+    names: &[N],
+    adjoint: &[f32],
+    candidates: &[Estimator],
+    settings: &Settings,
+    seed: u64,
+    budget: u64,
+    progress: &dyn Progress,
+) -> Result<Mixture, RenderError> {
+    crate::integrator::gradient::check_size("adjoint image", scene, adjoint)?;
+    let seed = seed ^ PILOT_SEED;
+    let pilots = pilot::Pilots::new(scene, names, adjoint, candidates, settings, seed)?;
+    let findings = pilots.run(PILOTS * budget as f64, progress)?;
+    Ok(Mixture::of(scene, findings))
+}
+
+impl fmt::Display for Mixture {
+    /// What was chosen for which parameters, and what the pilots saw.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for cluster in &self.clusters {
+            let members: Vec<String> = cluster
+                .members
+                .iter()
+                .map(|m| {
+                    format!(
+                        "{} ({:.0} % of the work)",
+                        m.estimator.name(),
+                        100.0 * m.share
+                    )
+                })
+                .collect();
+            writeln!(f, "{}: {}", cluster.params.join(", "), members.join(" + "))?;
+        }
+        for finding in &self.findings {
+            let seen: Vec<String> = finding
+                .efficiency
+                .iter()
+                .map(|(e, relative)| format!("{} {relative:.2}", e.name()))
+                .collect();
+            let what = finding.params.join(", ");
+            if finding.pairs == 0 {
+                writeln!(f, "  {what}: no pilots, the budget is too small")?;
+            } else {
+                writeln!(f, "  {what}: 1 / (variance x work): {}", seen.join(", "))?;
+            }
+        }
+        writeln!(f, "  pilots: {:.1} samples per pixel", self.spent)
+    }
+}

@@ -1,0 +1,458 @@
+//! Pilots: short runs of the candidates in forward mode, in pairs whose differences are the variance.
+
+use crate::error::RenderError;
+use crate::instances::{Direction, Estimator};
+use crate::integrator::render::{Progress, TILE};
+use crate::params::{ParamInfo, ParamShape};
+use crate::sampler::{Independent, Sampler};
+use crate::scene::{Scene, Settings};
+
+/// Largest part of the budget that pilots cost.
+pub const PILOTS: f64 = 0.03;
+/// More pairs than this tell little more.
+const MOST_PAIRS: u64 = 16;
+/// Variance that fewer samples than this carry, effectively, says little about that of the next ones.
+const EVIDENCE: f64 = 64.0;
+/// Nobody is given up before this many pairs, if the budget allows.
+const FEWEST_PAIRS: u64 = 4;
+/// A candidate this many times worse than the best for all parameters is not tried again.
+const HOPELESS: f64 = 4.0;
+/// Squares of derivatives further apart than this many standard errors disagree.
+const DISAGREEMENT: f64 = 4.0;
+
+/// What pilots found out about parameters that were measured together.
+#[derive(Clone, Debug)]
+pub struct Finding {
+    /// Their names.
+    pub params: Vec<String>,
+    /// Pairs of samples per pixel for the best; 0 if the budget did not suffice for pilots.
+    pub pairs: usize,
+    /// `1 / (variance x work)` of the candidates as far as pilots can tell, over that of the best; zero where
+    /// they cannot. The hopeless were measured less.
+    pub efficiency: Vec<(Estimator, f64)>,
+    /// Per candidate of `efficiency`: variance of a sample times its work in each block, in units of that of
+    /// the best in all blocks.
+    pub(super) variance: Vec<Vec<f64>>,
+}
+
+/// All findings, and what they cost.
+pub(super) struct Findings {
+    pub groups: Vec<Finding>,
+    /// Samples of [`Estimator::Mis`] per pixel.
+    pub spent: f64,
+}
+
+/// Parameters measured together.
+struct Group {
+    params: Vec<ParamInfo>,
+    candidates: Vec<Estimator>,
+}
+
+/// Everything a pilot needs.
+pub(super) struct Pilots<'a> {
+    scene: &'a Scene,
+    adjoint: &'a [f32],
+    settings: &'a Settings,
+    seed: u64,
+    params: Vec<(ParamInfo, Vec<Estimator>)>,
+}
+
+/// What one candidate gave for one group: of each pair, the blocks.
+#[derive(Clone, Default)]
+struct Sums {
+    pairs: Vec<Vec<Block>>,
+}
+
+/// Sums over the pixels of a block, from two independent samples of each.
+#[derive(Clone, Copy, Default, PartialEq)]
+struct Block {
+    /// Variance of a sample.
+    noise: f64,
+    /// The derivative.
+    sum: f64,
+    /// Square of the derivative: the product of both.
+    signal: f64,
+    /// Variance of `signal` as far as it comes from noise.
+    spread: f64,
+}
+
+impl Sums {
+    /// How many samples carry the variance: all if each has the same part of it, one if one has all
+    /// [Kish 1965].
+    fn evidence(&self, chosen: impl Fn(usize) -> bool) -> f64 {
+        let blocks = self.pairs.iter().flat_map(|p| p.iter().enumerate());
+        let (noise, squares) = blocks
+            .filter(|(b, _)| chosen(*b))
+            .fold((0.0, 0.0), |(n, s), (_, b)| (n + b.noise, s + b.spread));
+        if squares > 0.0 {
+            noise * noise / squares
+        } else {
+            0.0
+        }
+    }
+}
+
+/// The candidates that see a parameter.
+///
+/// # Errors
+/// None of them does; with the last one's reason.
+pub fn able(
+    scene: &Scene,
+    info: &ParamInfo,
+    candidates: &[Estimator],
+) -> Result<Vec<Estimator>, RenderError> {
+    let mut able = Vec::new();
+    let mut refused = Ok(());
+    for &e in candidates {
+        match e.check(scene).and_then(|()| e.check_parameter(info)) {
+            Ok(()) => able.push(e),
+            reason => refused = reason,
+        }
+    }
+    if able.is_empty() {
+        refused?;
+    }
+    Ok(able)
+}
+
+impl<'a> Pilots<'a> {
+    pub fn new<N: AsRef<str>>(
+        scene: &'a Scene,
+        names: &[N],
+        adjoint: &'a [f32],
+        candidates: &[Estimator],
+        settings: &'a Settings,
+        seed: u64,
+    ) -> Result<Self, RenderError> {
+        let mut params: Vec<(ParamInfo, Vec<Estimator>)> = Vec::new();
+        for name in names {
+            let info = scene.params().find(name.as_ref())?;
+            if params.iter().any(|(p, _)| p.name == info.name) {
+                continue;
+            }
+            params.push((info.clone(), able(scene, info, candidates)?));
+        }
+        Ok(Self {
+            scene,
+            adjoint,
+            settings,
+            seed,
+            params,
+        })
+    }
+
+    /// By themselves, by material or emitter, all together: the finest of which one pair fits.
+    fn groups(&self, budget: f64) -> Option<Vec<Group>> {
+        let owner = |info: &ParamInfo| info.name.split('.').next().unwrap_or("").to_owned();
+        let keys: [&dyn Fn(&ParamInfo) -> String; 3] =
+            [&|info| info.name.clone(), &owner, &|_| String::new()];
+        keys.into_iter().find_map(|key| {
+            let mut groups: Vec<(String, Group)> = Vec::new();
+            for (info, able) in &self.params {
+                let key = key(info);
+                match groups.iter_mut().find(|(k, _)| *k == key) {
+                    Some((_, group)) => {
+                        group.params.push(info.clone());
+                        group.candidates.retain(|e| able.contains(e));
+                    }
+                    None => groups.push((
+                        key,
+                        Group {
+                            params: vec![info.clone()],
+                            candidates: able.clone(),
+                        },
+                    )),
+                }
+            }
+            let groups: Vec<Group> = groups.into_iter().map(|(_, g)| g).collect();
+            let work: f64 = groups.iter().map(|g| pair_cost(&g.candidates)).sum();
+            let sound = groups.iter().all(|g| !g.candidates.is_empty());
+            (sound && work <= budget).then_some(groups)
+        })
+    }
+
+    /// Measures until `budget` samples of `mis` per pixel are spent or nothing is left to decide.
+    pub fn run(&self, budget: f64, progress: &dyn Progress) -> Result<Findings, RenderError> {
+        let Some(groups) = self.groups(budget) else {
+            return Ok(self.unseen());
+        };
+        let mut sums: Vec<Vec<Sums>> = groups
+            .iter()
+            .map(|g| vec![Sums::default(); g.candidates.len()])
+            .collect();
+        let mut alive: Vec<Vec<usize>> = groups
+            .iter()
+            .map(|g| (0..g.candidates.len()).collect())
+            .collect();
+        let once: f64 = groups.iter().map(|g| pair_cost(&g.candidates)).sum();
+        let fair = ((budget / once) as u64).min(FEWEST_PAIRS);
+        let mut spent = 0.0;
+        for pair in 0..MOST_PAIRS {
+            let work = |g: usize| -> f64 {
+                let of = |&k: &usize| 2.0 * groups[g].candidates[k].cost();
+                alive[g].iter().map(of).sum()
+            };
+            let undecided = |g: &usize| pair == 0 || alive[*g].len() > 1;
+            let open: Vec<usize> = (0..groups.len()).filter(undecided).collect();
+            let next: f64 = open.iter().map(|&g| work(g)).sum();
+            if open.is_empty() || spent + next > budget || progress.cancelled() {
+                break;
+            }
+            spent += next;
+            for g in open {
+                let along = self.directions(&groups[g].params, pair);
+                for &k in &alive[g] {
+                    let e = groups[g].candidates[k];
+                    self.pair(e, &along, pair, &mut sums[g][k], progress)?;
+                }
+                if pair + 1 >= fair {
+                    alive[g] = hopeful(&groups[g].candidates, &sums[g], &alive[g]);
+                }
+            }
+        }
+        if progress.cancelled() {
+            return Ok(self.unseen());
+        }
+        let findings = groups.iter().zip(&sums);
+        Ok(Findings {
+            groups: findings.map(|(g, s)| finding(g, s)).collect(),
+            spent,
+        })
+    }
+
+    /// Without pilots: the first candidate of each parameter.
+    fn unseen(&self) -> Findings {
+        let even = vec![1.0; Blocks::of(self.scene).len()];
+        let groups = self.params.iter().map(|(info, able)| Finding {
+            params: vec![info.name.clone()],
+            pairs: 0,
+            efficiency: able.iter().take(1).map(|&e| (e, 1.0)).collect(),
+            variance: vec![even.clone()],
+        });
+        Findings {
+            groups: groups.collect(),
+            spent: 0.0,
+        }
+    }
+
+    /// One number added to a scalar or a colour. Many values move by random signs: the variance of
+    /// that derivative is the sum of all variances on average [Hutchinson 1989]. Parameters that are measured
+    /// together move in proportion to their size.
+    fn directions(&self, params: &[ParamInfo], pair: u64) -> Vec<Direction> {
+        let all = self.scene.params();
+        let of = |info: &ParamInfo| {
+            let handle = all.handle(info);
+            if params.len() == 1 && !matches!(info.shape, ParamShape::Texture { .. }) {
+                return Direction::Uniform(handle);
+            }
+            let values = &all.values()[info.range()];
+            let squares: f64 = values.iter().map(|&v| f64::from(v).powi(2)).sum();
+            let size = match squares > 0.0 && params.len() > 1 {
+                true => (squares / values.len() as f64).sqrt() as f32,
+                false => 1.0,
+            };
+            let mut random = Independent::new(self.seed, u64::from(handle.id), pair);
+            let signs = values.iter().map(|_| match random.next_1d::<f64>() < 0.5 {
+                true => size,
+                false => -size,
+            });
+            Direction::Dense(handle, signs.collect())
+        };
+        params.iter().map(of).collect()
+    }
+
+    fn pair(
+        &self,
+        e: Estimator,
+        along: &[Direction],
+        pair: u64,
+        sums: &mut Sums,
+        progress: &dyn Progress,
+    ) -> Result<(), RenderError> {
+        let values = self.scene.params().values();
+        let sample = |i: u64| {
+            let i = 2 * pair + i;
+            let s = self.settings;
+            e.forward_f32(self.scene, values, along, s, self.seed, i..i + 1, progress)
+        };
+        let (a, b) = (sample(0)?, sample(1)?);
+        let blocks = Blocks::of(self.scene);
+        let mut found = vec![Block::default(); blocks.len()];
+        let values = a.sums[1].iter().zip(&b.sums[1]).zip(self.adjoint);
+        for (i, ((a, b), &d)) in values.enumerate() {
+            let [a, b] = [a, b].map(|x| f64::from(d) * x);
+            let noise = 0.5 * (a - b) * (a - b);
+            let block = &mut found[blocks.index(i / 3)];
+            block.noise += noise;
+            block.sum += 0.5 * (a + b);
+            block.signal += a * b;
+            block.spread += noise * noise;
+        }
+        sums.pairs.push(found);
+        Ok(())
+    }
+}
+
+/// Work of one pair of each.
+fn pair_cost(candidates: &[Estimator]) -> f64 {
+    candidates.iter().map(|e| 2.0 * e.cost()).sum()
+}
+
+/// Variance of one sample in each block, of each of `chosen`. One that saw less there than another one, in all
+/// or pixel by pixel, has missed something, such as a small light that it finds less than once in as many
+/// samples: what would make up for that counts as well. One that has seen nothing at all where others have is out.
+fn variances(sums: &[Sums], chosen: &[usize]) -> Vec<Vec<f64>> {
+    let blind = |k: usize| {
+        sums[k]
+            .pairs
+            .iter()
+            .flatten()
+            .all(|b| *b == Block::default())
+    };
+    let all_blind = chosen.iter().all(|&k| blind(k));
+    let of = |k: usize, b: usize| {
+        if blind(k) && !all_blind {
+            return f64::INFINITY;
+        }
+        let own = &sums[k].pairs;
+        let missed = |&other: &usize| {
+            let both = own.iter().zip(&sums[other].pairs);
+            let n = both.len() as f64;
+            let [mut apart, mut more, mut signal, mut spread] = [0.0; 4];
+            for (a, o) in both {
+                let (a, o) = (a[b], o[b]);
+                let noise = 0.5 * (a.noise + o.noise);
+                apart += (a.sum - o.sum).powi(2) - DISAGREEMENT.powi(2) * noise;
+                more += o.sum * o.sum - a.sum * a.sum;
+                signal += o.signal - a.signal;
+                spread += a.spread + o.spread;
+            }
+            let in_all = if more > 0.0 { apart } else { 0.0 };
+            let by_pixel = signal - DISAGREEMENT * spread.sqrt();
+            2.0 * in_all.max(by_pixel * f64::from(TILE * TILE)) / n
+        };
+        let missed = chosen.iter().map(missed).fold(0.0, f64::max);
+        let noise: f64 = own.iter().map(|pair| pair[b].noise).sum();
+        noise / own.len() as f64 + missed
+    };
+    let blocks = sums[chosen[0]].pairs[0].len();
+    let rows = chosen.iter();
+    rows.map(|&k| (0..blocks).map(|b| of(k, b)).collect())
+        .collect()
+}
+
+/// Variance times work of each of `chosen`, the first of which stands above the others: it is believed to be as
+/// good, and they as bad, as the samples that carry the variance leave open; without evidence they are out.
+fn works(
+    candidates: &[Estimator],
+    sums: &[Sums],
+    chosen: &[usize],
+    blocks: &[Vec<f64>],
+) -> Vec<f64> {
+    let any = |_| true;
+    let known = sums[chosen[0]].evidence(any) >= EVIDENCE;
+    let work = |(&k, v): (&usize, &Vec<f64>)| {
+        let evidence = sums[k].evidence(any);
+        let doubt = 1.0 + 2.0 / evidence.max(1.0).sqrt();
+        let work = v.iter().sum::<f64>() * candidates[k].cost();
+        match k == chosen[0] {
+            true => work / doubt,
+            false if known && evidence >= EVIDENCE => work * doubt,
+            false => f64::INFINITY,
+        }
+    };
+    chosen.iter().zip(blocks).map(work).collect()
+}
+
+/// Those of `alive` that may still be the best; the first always.
+fn hopeful(candidates: &[Estimator], sums: &[Sums], alive: &[usize]) -> Vec<usize> {
+    let variances = variances(sums, alive);
+    let work = |(&k, v): (&usize, &Vec<f64>)| v.iter().sum::<f64>() * candidates[k].cost();
+    let works: Vec<f64> = alive.iter().zip(&variances).map(work).collect();
+    let least = works.iter().copied().fold(f64::INFINITY, f64::min);
+    let kept = alive.iter().zip(&works);
+    kept.filter(|(k, w)| **k == alive[0] || **w <= HOPELESS * least)
+        .map(|(&k, _)| k)
+        .collect()
+}
+
+/// Variances per block that can be trusted with weights: a block is believed as far as there is evidence, and
+/// otherwise to be like the others.
+fn finding(group: &Group, sums: &[Sums]) -> Finding {
+    let all: Vec<usize> = (0..sums.len()).collect();
+    let variances = variances(sums, &all);
+    let works = works(&group.candidates, sums, &all, &variances);
+    let finite = || works.iter().copied().filter(|w| w.is_finite());
+    let most = finite().fold(0.0, f64::max);
+    // Without any variance all are alike.
+    let floor = if most > 0.0 { 1e-9 * most } else { 1.0 };
+    let works: Vec<f64> = works.iter().map(|w| w.max(floor)).collect();
+    let least = works.iter().copied().fold(f64::INFINITY, f64::min);
+    let blocks = variances[0].len();
+    // Part of an estimator's variance.
+    let part = |k: usize, b: usize| {
+        let all: f64 = variances[k].iter().sum();
+        match works[k].is_finite() && all > 0.0 {
+            true => variances[k][b] / all,
+            false => 0.0,
+        }
+    };
+    let sighted = works.iter().filter(|w| w.is_finite()).count().max(1) as f64;
+    // How much of the variance a block has, as far as the candidates agree.
+    let like: Vec<f64> = (0..blocks)
+        .map(|b| {
+            let mean = all.iter().map(|&k| part(k, b)).sum::<f64>() / sighted;
+            mean.max(1e-6 / blocks as f64)
+        })
+        .collect();
+    let believed = |k: usize, b: usize| {
+        let evidence = sums[k].evidence(|block| block == b);
+        let part = (evidence * part(k, b) + EVIDENCE * like[b]) / (evidence + EVIDENCE);
+        part.max(1e-9 * like[b]) * works[k] / least
+    };
+    let measured = group.candidates.iter().zip(&works);
+    Finding {
+        params: group.params.iter().map(|p| p.name.clone()).collect(),
+        pairs: sums.iter().map(|s| s.pairs.len()).max().unwrap_or(0),
+        efficiency: measured.map(|(&e, w)| (e, least / w)).collect(),
+        variance: (all.iter())
+            .map(|&k| (0..blocks).map(|b| believed(k, b)).collect())
+            .collect(),
+    }
+}
+
+/// Squares of pixels that share a weight.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Blocks {
+    width: usize,
+    height: usize,
+    columns: usize,
+    rows: usize,
+}
+
+impl Blocks {
+    pub fn of(scene: &Scene) -> Self {
+        let [width, height] = scene.film.crop_size.map(|n| n as usize);
+        let side = TILE as usize;
+        Self {
+            width,
+            height,
+            columns: width.div_ceil(side),
+            rows: height.div_ceil(side),
+        }
+    }
+
+    pub fn len(&self) -> usize {
+        self.columns * self.rows
+    }
+
+    pub fn pixels(&self) -> usize {
+        self.width * self.height
+    }
+
+    /// The block of a pixel.
+    pub fn index(&self, pixel: usize) -> usize {
+        let side = TILE as usize;
+        pixel / self.width / side * self.columns + pixel % self.width / side
+    }
+}

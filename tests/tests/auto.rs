@@ -1,0 +1,303 @@
+//! The estimator that chooses: unbiased, deterministic, and not fooled by what sees nothing.
+
+use render::auto::{self, Mixture, candidates};
+use render::instances::Estimator;
+use render::params::Theta;
+use render::sampler::Points;
+use render::{RenderError, Scene};
+use tests::stats::{Estimate, z_limit};
+use tests::{mean_adjoint, scene};
+
+const REPEATS: u64 = 32;
+/// Chance of a false alarm of one test.
+const ALPHA: f64 = 1e-3;
+
+fn camera(size: u32, eye: &str, depth: u32) -> String {
+    format!(
+        r#"<sensor type="perspective"><float name="fov" value="30"/>
+        <transform name="to_world"><lookat origin="{eye}" target="0, 0, 0" up="0, 1, 0"/></transform>
+        <film type="hdrfilm"><integer name="width" value="{size}"/><integer name="height" value="{size}"/>
+        <rfilter type="box"/></film></sensor>
+        <integrator type="path"><integer name="max_depth" value="{depth}"/></integrator>"#
+    )
+}
+
+fn metal(id: &str, alpha: f64) -> String {
+    format!(
+        r#"<bsdf type="roughconductor" id="{id}"><string name="material" value="none"/>
+        <string name="distribution" value="beckmann"/><float name="alpha" value="{alpha}"/>
+        <boolean name="sample_visible" value="false"/></bsdf>"#
+    )
+}
+
+fn ball(id: &str, x: f64, radius: f64, radiance: f64) -> String {
+    format!(
+        r#"<shape type="sphere" id="{id}"><point name="center" value="{x}, 1, -3"/>
+        <float name="radius" value="{radius}"/>
+        <emitter type="area"><rgb name="radiance" value="{radiance}"/></emitter></shape>"#
+    )
+}
+
+fn plate(x: f64, bsdf: &str) -> String {
+    format!(
+        r#"<shape type="rectangle"><transform name="to_world"><scale x="0.95"/><rotate x="1" angle="-90"/>
+        <translate x="{x}"/></transform>{bsdf}</shape>"#
+    )
+}
+
+/// Left a large ball, right a small one.
+fn balls() -> [String; 2] {
+    [
+        ball("large", -0.9, 0.7, 1.0),
+        ball("small", 0.9, 0.02, 1250.0),
+    ]
+}
+
+/// Left a smooth plate below the large ball, right a rough one below the small one.
+fn halves(size: u32) -> Scene {
+    let plates = [
+        camera(size, "0, 1.5, 4", 2),
+        plate(-1.0, &metal("smooth", 0.02)),
+        plate(1.0, &metal("rough", 0.25)),
+    ];
+    scene(&[plates.concat(), balls().concat()].concat())
+}
+
+/// Left smooth metal, right something matt, below one lobe of light: what shows the lobe itself is for BSDF
+/// samples, what it lights from afar for light samples.
+fn lobed(size: u32) -> Scene {
+    let matt = r#"<bsdf type="diffuse" id="matt"><rgb name="reflectance" value="0.9"/></bsdf>"#;
+    let dark = r#"<rgb name="specular_reflectance" value="0.1"/></bsdf>"#;
+    let dull = metal("smooth", 0.03).replace("</bsdf>", dark);
+    let body = [
+        camera(size, "0, 1.5, 4", 2),
+        plate(-1.0, &dull),
+        plate(1.0, matt),
+        r#"<emitter type="vmf" id="lobe"><vector name="direction" value="0, 0.35, -0.94"/>
+        <float name="kappa" value="60"/><rgb name="radiance" value="3, 2, 1"/></emitter>"#
+            .to_owned(),
+    ];
+    scene(&body.concat())
+}
+
+const LOBED: [&str; 3] = [
+    "smooth.alpha.value",
+    "matt.reflectance.value",
+    "lobe.radiance.value",
+];
+const NAMES: [&str; 3] = [
+    "smooth.alpha.value",
+    "rough.alpha.value",
+    "large.emitter.radiance.value",
+];
+
+/// Single techniques: what they cannot do alone they must share.
+const SINGLE: [Estimator; 3] = [
+    Estimator::Emitter,
+    Estimator::Detached,
+    Estimator::Differential,
+];
+
+fn chosen(scene: &Scene, names: &[&str], candidates: &[Estimator], budget: u64) -> Mixture {
+    let adjoint = mean_adjoint(scene);
+    let s = &scene.settings;
+    auto::choose(scene, names, &adjoint, candidates, s, 5, budget, &())
+        .expect("parameters that candidates see")
+}
+
+/// Gradients of the mean of the image, all numbers in a row, with independent seeds.
+fn gradients(
+    scene: &Scene,
+    mixture: &Mixture,
+    names: &[&str],
+    spp: u64,
+    seed: u64,
+) -> Vec<Estimate> {
+    let theta = Theta::constant(scene.params().values());
+    let adjoint = mean_adjoint(scene);
+    let runs: Vec<Vec<f64>> = (0..REPEATS)
+        .map(|r| {
+            let s = &scene.settings;
+            let g = mixture
+                .backward_f32(scene, &theta, names, &adjoint, s, seed + r, spp, &())
+                .expect("an estimator that is right here");
+            assert_eq!((g.non_finite.count, g.cancelled), (0, false));
+            g.values.concat()
+        })
+        .collect();
+    (0..runs[0].len())
+        .map(|k| Estimate::of(&runs.iter().map(|r| r[k]).collect::<Vec<_>>()))
+        .collect()
+}
+
+/// A mixture of several estimators has the expectation of one, where parameters have estimators of their own
+/// and where parts of the image do: ten numbers, 32 repeats of 256 samples of each pixel (Sidak, 1e-3).
+#[test]
+fn mixtures_are_unbiased() {
+    for (scene, names) in [(lobed(32), &LOBED[..]), (lobed(64), &LOBED[2..])] {
+        let mixture = chosen(&scene, names, &SINGLE, 1 << 16);
+        println!("{mixture}");
+        assert!(
+            mixture.shares().len() > 1,
+            "one estimator would prove nothing"
+        );
+        let found = gradients(&scene, &mixture, names, 256, 100);
+        let alone = Mixture::only(&scene, Estimator::Mis, names);
+        let expected = gradients(&scene, &alone, names, 256, 900);
+        let limit = z_limit(10, ALPHA);
+        for (k, (a, b)) in found.iter().zip(&expected).enumerate() {
+            println!(
+                "{k}: {:.5} +- {:.5}, {:.5} +- {:.5}",
+                a.mean, a.se, b.mean, b.se
+            );
+            assert!(a.z(b).abs() < limit, "{k}: {a:?} {b:?}");
+        }
+    }
+}
+
+/// Weights add up to one in every block whatever the numbers of samples: the image of a mixture is that of
+/// its members, exactly where all see the same.
+#[test]
+fn forward_and_reverse_mode_are_the_same_sum() {
+    let scene = lobed(64);
+    let name = [LOBED[2]];
+    let mixture = chosen(&scene, &name, &SINGLE, 1 << 16);
+    let theta = Theta::constant(scene.params().values());
+    let adjoint = mean_adjoint(&scene);
+    for samples in [1, 2, 16, 37] {
+        let s = &scene.settings;
+        let forward = mixture
+            .forward_f32(&scene, name[0], s, 3, samples, &())
+            .expect("an estimator that is right here");
+        let mean: f64 = forward.mean(1).iter().sum::<f64>() / 3.0;
+        let reverse = mixture
+            .backward_f32(&scene, &theta, &name, &adjoint, s, 3, samples, &())
+            .expect("an estimator that is right here");
+        let other: f64 = reverse.values[0].iter().sum();
+        assert!(
+            (mean - other).abs() < 2e-4 * mean.abs(),
+            "{samples}: {mean} {other}"
+        );
+    }
+}
+
+/// What is chosen and what comes out of it: the same bits for 1, 2 and 7 threads, and another draw for another
+/// seed.
+#[test]
+fn the_seed_decides_alone() {
+    let scene = lobed(32);
+    let run = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
+        pool.expect("threads").install(|| {
+            let mixture = chosen(&scene, &LOBED, &SINGLE, 8192);
+            let theta = Theta::constant(scene.params().values());
+            let adjoint = mean_adjoint(&scene);
+            let s = &scene.settings;
+            let g = mixture
+                .backward_f32(&scene, &theta, &LOBED, &adjoint, s, 3, 32, &())
+                .expect("an estimator that is right here");
+            (mixture.to_string(), g.values)
+        })
+    };
+    let one = run(1);
+    assert_eq!(one, run(2));
+    assert_eq!(one, run(7));
+    println!("{}", one.0);
+}
+
+/// A bright speck that BSDF samples hardly ever find: their pilots see no derivative and no variance, and
+/// must not win by that.
+#[test]
+fn what_sees_nothing_is_not_chosen() {
+    let body = [
+        camera(16, "0, 1.5, 4", 2),
+        plate(0.0, &metal("plate", 0.3)),
+        ball("speck", 0.0, 1e-5, 1e9),
+    ];
+    let scene = scene(&body.concat());
+    let mixture = chosen(&scene, &["plate.alpha.value"], &candidates(&scene), 4096);
+    println!("{mixture}");
+    let samples_lights = |e: Estimator| !matches!(e, Estimator::Detached | Estimator::Differential);
+    assert!(mixture.shares().iter().all(|(e, _)| samples_lights(*e)));
+}
+
+/// Pilots cost what they may, parameters are measured together where they must be, and without a
+/// budget nothing is measured.
+#[test]
+fn pilots_keep_to_the_budget() {
+    let scene = halves(16);
+    for budget in [1, 100, 500, 2000, 10_000, 100_000] {
+        let mixture = chosen(&scene, &NAMES, &candidates(&scene), budget);
+        assert!(mixture.spent() <= auto::PILOTS * budget as f64, "{budget}");
+        let shares: f64 = mixture.shares().iter().map(|s| s.1).sum();
+        assert!((shares - 1.0).abs() < 1e-9, "{budget}: {shares}");
+        if budget == 1 {
+            assert_eq!(mixture.spent(), 0.0);
+            assert!(
+                mixture
+                    .shares()
+                    .iter()
+                    .all(|(e, _)| *e == Estimator::MisBalance)
+            );
+        }
+        let groups = mixture.findings().len();
+        let expected = match budget {
+            100_000 => Some(3),
+            500 => Some(1),
+            2000 => Some(3),
+            _ => None,
+        };
+        assert!(
+            expected.is_none_or(|n| n == groups),
+            "{budget}: {groups} groups"
+        );
+    }
+}
+
+#[test]
+fn what_nobody_sees_is_an_error() {
+    let scene = halves(16);
+    let adjoint = mean_adjoint(&scene);
+    let ask = |names: &[&str], adjoint: &[f32], candidates: &[Estimator]| {
+        let s = &scene.settings;
+        auto::choose(&scene, names, adjoint, candidates, s, 0, 4096, &()).map(|_| ())
+    };
+    let unknown = ask(&["rough.alfa.value"], &adjoint, &candidates(&scene));
+    assert!(matches!(unknown, Err(RenderError::UnknownParameter { .. })));
+    let short = ask(&NAMES, &adjoint[1..], &candidates(&scene));
+    assert!(matches!(short, Err(RenderError::WrongLength { .. })));
+    // Attached samples alone: the balls have edges.
+    let refused = ask(&NAMES, &adjoint, &[Estimator::Attached]);
+    assert!(matches!(refused, Err(RenderError::Discontinuous { .. })));
+    let mixture = chosen(&scene, &NAMES[..1], &candidates(&scene), 4096);
+    let other = mixture.forward_f32(&scene, NAMES[1], &scene.settings, 0, 4, &());
+    assert!(matches!(other, Err(RenderError::UnknownParameter { .. })));
+}
+
+/// The other kinds of points pass through: same expectation, for each member.
+#[test]
+fn spread_points_are_unbiased() {
+    let mut scene = halves(16);
+    let names = &NAMES[1..2];
+    let mixture = Mixture::only(&scene, Estimator::DifferentialMis, names);
+    let expected = gradients(&scene, &mixture, names, 256, 1)[0];
+    let limit = z_limit(2, ALPHA);
+    for (k, points) in [Points::Sobol, Points::Antithetic].into_iter().enumerate() {
+        scene.settings.points = points;
+        let found = gradients(&scene, &mixture, names, 256, 1000 * (k as u64 + 1))[0];
+        println!(
+            "{points:?}: {:.6} +- {:.6} against +- {:.6}",
+            found.mean, found.se, expected.se
+        );
+        assert!(
+            found.z(&expected).abs() < limit,
+            "{points:?} {found:?} {expected:?}"
+        );
+        if points == Points::Sobol {
+            assert!(
+                found.se < 0.8 * expected.se,
+                "no better than independent ones"
+            );
+        }
+    }
+}
