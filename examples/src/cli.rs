@@ -160,6 +160,8 @@ pub fn depth(text: &str) -> Result<u32, String> {
 pub enum Choice {
     /// `auto`: [`render::auto`].
     Auto,
+    /// `mis-f64`: [`Estimator::Mis`] in double precision.
+    Double,
     /// Any other name.
     One(Estimator),
 }
@@ -169,18 +171,20 @@ impl Choice {
     pub fn name(self) -> &'static str {
         match self {
             Self::Auto => "auto",
+            Self::Double => "mis-f64",
             Self::One(e) => e.name(),
         }
     }
 }
 
-/// The estimator called `text`, or `auto`.
+/// The estimator called `text`, `auto` or `mis-f64`.
 ///
 /// # Errors
 /// An unknown name, with all known ones.
 pub fn estimator(text: &str) -> Result<Choice, RenderError> {
     match text {
         "auto" => Ok(Choice::Auto),
+        "mis-f64" => Ok(Choice::Double),
         name => Estimator::from_name(name).map(Choice::One),
     }
 }

@@ -420,6 +420,37 @@ fn forward<const N: usize>(
     )
 }
 
+/// The image and its derivative along one direction with [`Estimator::Mis`] in double precision: what single
+/// precision costs in accuracy, and gains in time.
+///
+/// # Errors
+/// A dense direction of the wrong length.
+pub fn forward_f64(
+    scene: &Scene,
+    direction: &Direction,
+    settings: &Settings,
+    seed: u64,
+    samples: Range<u64>,
+    progress: &dyn Progress,
+) -> Result<Rendering, RenderError> {
+    check_directions(scene, std::slice::from_ref(direction))?;
+    let widened = |t: &Dual<f32, 1>| Dual::<f64, 1>::new(0.0, [t.eps[0].into()]);
+    let tangents = tangents::<1>(scene.params(), [(0, direction)]);
+    let tangents: Vec<Tangent<Dual<f64, 1>>> = tangents
+        .iter()
+        .map(|t| match t {
+            Tangent::None => Tangent::None,
+            Tangent::Uniform(t) => Tangent::Uniform(widened(t)),
+            Tangent::Dense(t) => Tangent::Dense(t.iter().map(widened).collect()),
+        })
+        .collect();
+    let values: Vec<f64> = scene.params().values().iter().map(|&v| v.into()).collect();
+    let theta = Theta::<Dual<f64, 1>>::with_tangents(&values, &tangents);
+    Ok(run::<Dual<f64, 1>, DetachedMis>(
+        scene, &theta, settings, seed, samples, progress,
+    ))
+}
+
 /// One tangent per range of the layout; component `k` of the dual numbers is the sum of the directions
 /// that come with `k`.
 fn tangents<'a, const N: usize>(

@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use clap::Parser;
 use render::auto::{self, Mixture};
-use render::instances::{Estimator, Technique, render_f64};
+use render::instances::{Direction, Estimator, Technique, forward_f64, render_f64};
 use render::integrator::render::{NonFinite, Progress, Rendering};
 use render::params::Theta;
 use render::sampler::Points;
@@ -27,11 +27,12 @@ Examples:
   compare scene.xml --param a.alpha.value --reference fd
 
 One number is added to all elements of each parameter; its derivative image is estimated by every estimator
-that is right in the scene, and by those that are wrong on purpose. An estimator is called biased if any
-block of the image, out of 4 x 4, differs from the reference beyond chance (significance 1e-3 over all
-blocks and estimators). Efficiency is 1 / (variance x time). The folder receives table.csv,
-ladder.csv, report.json, verdict.txt, a chart and standard-deviation images per parameter. Everything
-but times depends on the seed alone. Ctrl-C keeps the estimators so far (exit code 130).";
+that is right in the scene, and by those that are wrong on purpose; mis-f64 is mis in double precision, auto
+is chosen by pilots. An estimator is called biased if any block of the image, out of 4 x 4, differs from the
+reference beyond chance (significance 1e-3 over all blocks and estimators). Efficiency is 1 / (variance x
+time). The folder receives table.csv, ladder.csv, report.json, verdict.txt, a chart and standard-deviation
+images per parameter. What auto chooses, and everything else but times, depends on the seed alone. Ctrl-C
+keeps the estimators so far (exit code 130).";
 
 /// Compares estimators of derivatives: bias, variance, time
 #[derive(Parser, Clone, Debug)]
@@ -285,6 +286,7 @@ impl Run<'_> {
         let start = Instant::now();
         let mixture = match e {
             Choice::One(e) => Mixture::only(self.scene, e, &[param]),
+            Choice::Double => return self.double(param, stream, repeats),
             Choice::Auto => {
                 let ones = vec![1.0; self.scene.film.pixels() * 3];
                 let seed = self.seed.wrapping_add(stream << 32);
@@ -313,6 +315,19 @@ impl Run<'_> {
             series.add_time(pilots);
             series
         }))
+    }
+
+    /// What single precision costs: the default estimator in double precision.
+    fn double(&self, param: &str, stream: u64, repeats: u64) -> Result<Option<Series>, ToolError> {
+        let along = Direction::uniform(self.scene.params(), param)?;
+        let spp = u64::from(self.settings.spp);
+        let what = Choice::Double.name();
+        self.series(what, stream, repeats, |seed, bar| {
+            let r = forward_f64(self.scene, &along, &self.settings, seed, 0..spp, bar)?;
+            let n = r.samples as f64;
+            let image = r.sums[1].iter().map(|s| s / n).collect();
+            Ok((r, image))
+        })
     }
 
     /// Central differences in f64 with common random numbers. Light sampling is smooth in all parameters
@@ -358,7 +373,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     let estimators = match &args.estimators[..] {
         [all] if all == "all" => {
             let all = Estimator::ALL.iter().map(|e| Choice::One(*e));
-            all.chain([Choice::Auto]).collect()
+            all.chain([Choice::Double, Choice::Auto]).collect()
         }
         names => {
             let found: Result<Vec<_>, _> = names.iter().map(|n| cli::estimator(n)).collect();
@@ -408,6 +423,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
             for &e in &estimators {
                 let allowed = match &e {
                     Choice::One(e) => auto::able(&scene, info, &[*e]),
+                    Choice::Double => auto::able(&scene, info, &[Estimator::Mis]),
                     Choice::Auto => auto::able(&scene, info, &auto::candidates(&scene)),
                 };
                 if let Err(reason) = allowed {
@@ -419,7 +435,12 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
                     continue;
                 }
                 // The numbers of an estimator do not depend on which others are asked for.
-                let place = Estimator::ALL.iter().position(|x| Choice::One(*x) == e);
+                // Double precision has the random numbers of single precision: rounding is the difference.
+                let twin = match e {
+                    Choice::Double => Choice::One(Estimator::Mis),
+                    _ => e,
+                };
+                let place = Estimator::ALL.iter().position(|x| Choice::One(*x) == twin);
                 let stream = 2 + place.unwrap_or(Estimator::ALL.len()) as u64;
                 let Some(series) = run.estimate(e, param, stream, repeats)? else {
                     break;
@@ -531,6 +552,14 @@ fn verdict(report: &Report) -> String {
                 text += &format!(", {gain:.2} x mis");
             }
             text += "\n";
+        }
+        let mean = |name| rows().find(|r| r.estimator == name).map(|r| r.mean);
+        if let (Some([single, error]), Some([double, _])) = (mean("mis"), mean("mis-f64")) {
+            let off = (single - double).abs();
+            text += &format!(
+                "  single precision: mean off by {off:.1e} with equal random numbers, {:.2} standard errors\n",
+                off / error
+            );
         }
         for r in rows().filter(|r| r.biased) {
             text += &format!(

@@ -224,6 +224,10 @@ fn mixture(
     let names = &args.params;
     let estimator = match args.estimator {
         Choice::One(e) => e,
+        Choice::Double => {
+            let message = "--estimator mis-f64: only `compare` has it; expected another estimator";
+            return Err(ToolError::Usage(message.into()));
+        }
         Choice::Auto => {
             let spp = u64::from(settings.spp);
             let budget = spp * u64::from(args.repeats);

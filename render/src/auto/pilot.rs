@@ -353,7 +353,7 @@ fn works(
     let known = sums[chosen[0]].evidence(any) >= EVIDENCE;
     let work = |(&k, v): (&usize, &Vec<f64>)| {
         let evidence = sums[k].evidence(any);
-        let doubt = 1.0 + 2.0 / evidence.max(1.0).sqrt();
+        let doubt = 1.0 + evidence.max(1.0).sqrt().recip();
         let work = v.iter().sum::<f64>() * candidates[k].cost();
         match k == chosen[0] {
             true => work / doubt,

@@ -32,13 +32,17 @@ const FAMILY: [Estimator; 3] = [
 const HEURISTICS: [Estimator; 2] = [Estimator::MisBalance, Estimator::Mis];
 
 /// A scene and what is differentiated in it.
-struct Subject {
-    name: &'static str,
-    scene: Scene,
-    params: Vec<String>,
+pub(super) struct Subject {
+    pub name: &'static str,
+    pub scene: Scene,
+    pub params: Vec<String>,
 }
 
-fn subjects(quick: bool) -> Result<Vec<Subject>> {
+/// The scenes of the figures, and what is differentiated in them.
+///
+/// # Errors
+/// None for built-in scenes.
+pub(super) fn subjects(quick: bool) -> Result<Vec<Subject>> {
     let pick = |a: u32, b: u32| if quick { a } else { b };
     let width = pick(64, 160);
     let alpha = |names: &[&str]| names.iter().map(|n| format!("{n}.alpha.value")).collect();
@@ -76,7 +80,7 @@ fn subjects(quick: bool) -> Result<Vec<Subject>> {
         },
     ];
     for condition in Condition::BOTH {
-        let side = pick(32, 64);
+        let side = pick(64, 96);
         let truth = roughness_texture::pattern(side as usize);
         let truth = roughness_texture::within(condition.range(), &truth);
         out.push(Subject {

@@ -18,5 +18,6 @@ pub mod recovery;
 pub mod roughness_texture;
 pub mod second_order;
 pub mod split;
+pub mod spread;
 pub mod table;
 pub mod tray;

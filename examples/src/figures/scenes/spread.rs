@@ -1,0 +1,190 @@
+//! Owen-scrambled Sobol points and antithetic pairs against independent samples, for every estimator of
+//! derivatives, on the scenes of the figures.
+
+use std::time::Instant;
+
+use rayon::prelude::*;
+use render::auto;
+use render::instances::{Direction, Estimator};
+use render::sampler::Points;
+use render::{RenderError, Scene, Settings};
+
+use super::automatic::{Subject, subjects};
+use crate::chart::LineChart;
+use crate::figure::{Figure, Result};
+
+const SEED: u64 = 1024;
+const ESTIMATORS: [Estimator; 8] = [
+    Estimator::Emitter,
+    Estimator::Detached,
+    Estimator::Differential,
+    Estimator::Attached,
+    Estimator::Mis,
+    Estimator::MisBalance,
+    Estimator::MisAttachedWeights,
+    Estimator::DifferentialMis,
+];
+
+/// Sum over the pixels of the variance of derivative images, and seconds per image.
+#[derive(Clone, Copy, Debug)]
+struct Noise {
+    variance: f64,
+    seconds: f64,
+}
+
+fn noise(
+    scene: &Scene,
+    e: Estimator,
+    along: &[Direction],
+    points: Points,
+    spp: u64,
+    runs: u64,
+) -> Result<Noise> {
+    let settings = Settings {
+        points,
+        ..scene.settings
+    };
+    let start = Instant::now();
+    let images: std::result::Result<Vec<Vec<f64>>, RenderError> = (0..runs)
+        .into_par_iter()
+        .map(|run| {
+            let values = scene.params().values();
+            let seed = SEED + run;
+            let r = e.forward_f32(scene, values, along, &settings, seed, 0..spp, &())?;
+            Ok(r.sums[1].iter().map(|x| x / spp as f64).collect())
+        })
+        .collect();
+    let images = images?;
+    let n = images.len() as f64;
+    let variance = (0..images[0].len()).map(|p| {
+        let mean = images.iter().map(|i| i[p]).sum::<f64>() / n;
+        images.iter().map(|i| (i[p] - mean).powi(2)).sum::<f64>() / (n - 1.0)
+    });
+    Ok(Noise {
+        variance: variance.sum(),
+        seconds: start.elapsed().as_secs_f64() / n,
+    })
+}
+
+/// What is differentiated: all parameters of a kind at once.
+fn directions(subject: &Subject) -> Result<Vec<Direction>> {
+    let params = subject.scene.params();
+    let first = subject.params[0]
+        .split_once('.')
+        .map_or("", |(_, kind)| kind);
+    let alike = subject.params.iter().filter(|p| p.ends_with(first));
+    let all: std::result::Result<Vec<_>, _> =
+        alike.map(|p| Direction::uniform(params, p)).collect();
+    Ok(all?)
+}
+
+/// `spread-samples`.
+///
+/// # Errors
+/// None that the built-in scenes can cause.
+pub fn figure(fig: &mut Figure) -> Result {
+    let (spp, runs) = (fig.pick(32, 256), fig.pick(6, 24));
+    fig.note("samples per pixel", spp);
+    fig.note("runs", runs);
+    fig.note("seed", SEED);
+    let mut rows = Vec::new();
+    let mut series: Vec<(String, Vec<(f64, f64)>)> = Vec::new();
+    let mut sobol: Vec<(f64, f64, String)> = Vec::new();
+    let mut pairs: Vec<(f64, f64, String)> = Vec::new();
+    let all = subjects(fig.quick())?;
+    for (k, subject) in all.iter().enumerate() {
+        let scene = &subject.scene;
+        let along = directions(subject)?;
+        let info = scene.params().find(&subject.params[0])?;
+        for e in ESTIMATORS {
+            if auto::able(scene, info, &[e]).is_err() {
+                continue;
+            }
+            let of = |points| noise(scene, e, &along, points, spp, runs);
+            let base = of(Points::Independent)?;
+            for (points, gains) in [
+                (Points::Sobol, &mut sobol),
+                (Points::Antithetic, &mut pairs),
+            ] {
+                let found = of(points)?;
+                let gain = base.variance / found.variance;
+                let faster = gain * base.seconds / found.seconds;
+                let label = format!("{} in {}", e.name(), subject.name);
+                gains.push((gain, faster, label));
+                let name = format!("{points:?}").to_lowercase();
+                rows.push([
+                    subject.name.to_owned(),
+                    e.name().to_owned(),
+                    name.clone(),
+                    gain.to_string(),
+                    faster.to_string(),
+                ]);
+                if points == Points::Sobol {
+                    match series.iter_mut().find(|s| s.0 == e.name()) {
+                        Some((_, line)) => line.push((k as f64 + 1.0, gain)),
+                        None => series.push((e.name().to_owned(), vec![(k as f64 + 1.0, gain)])),
+                    }
+                }
+            }
+        }
+    }
+    // The variance of what few samples decide is itself uncertain by some tens of per cent.
+    let least = fig.pick(0.5, 0.75);
+    let judge = |fig: &mut Figure,
+                 what: &str,
+                 gains: &mut Vec<(f64, f64, String)>,
+                 passed: &dyn Fn(f64, f64) -> bool| {
+        gains.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let (Some(worst), Some(best)) = (gains.first(), gains.last()) else {
+            return;
+        };
+        let middle = gains[gains.len() / 2].0;
+        let paid = gains.iter().filter(|g| g.1 > 1.0).count();
+        fig.check(
+            what,
+            passed(worst.0, middle),
+            format!(
+                "from {:.2} ({}) over {middle:.2} (median) to {:.2} ({}); pays on the clock in {paid} of {} cases",
+                worst.0,
+                worst.2,
+                best.0,
+                best.2,
+                gains.len()
+            ),
+        );
+    };
+    judge(
+        fig,
+        "(a) Sobol points: variance of independent samples over theirs, never much below 1, above it as a rule",
+        &mut sobol,
+        &|worst, middle| worst > least && middle > 1.05,
+    );
+    judge(
+        fig,
+        "(b) antithetic pairs: the same, never below a half (each pair could be one sample)",
+        &mut pairs,
+        &|worst, _| worst > 0.8 * 0.5,
+    );
+    let header = [
+        "scene",
+        "estimator",
+        "points",
+        "gain in variance",
+        "gain in efficiency",
+    ];
+    fig.csv_text("gains", &header, rows);
+    let names: Vec<String> = (all.iter().enumerate())
+        .map(|(k, s)| format!("{} {}", k + 1, s.name))
+        .collect();
+    let mut chart = LineChart::new(
+        "Sobol points: variance of independent samples over theirs",
+        &names.join(", "),
+        "gain",
+    )
+    .log_y();
+    for (name, points) in series {
+        chart = chart.points(&name, points);
+    }
+    fig.chart("gains", &chart);
+    Ok(())
+}
