@@ -83,7 +83,7 @@ fn primal<P: Components + Float>(
     run(scene, theta, settings, seed, samples, progress)
 }
 
-/// The image, in single precision: [`render::render`] with independent samples.
+/// The image, in single precision: [`render::render`] with the points that `settings` asks for.
 pub fn render_f32(
     scene: &Scene,
     theta: &Theta<f32>,
@@ -185,7 +185,7 @@ pub fn render_f64(
 }
 
 /// The gradient of `<adjoint, image>`, in single precision: [`gradient::backward`] with detached MIS and
-/// independent samples.
+/// the points that `settings` asks for.
 ///
 /// # Errors
 /// An adjoint image of the wrong size.
@@ -226,7 +226,7 @@ pub fn backward_f64(
 }
 
 /// The image and its derivative when all values of `active` move along `direction`, which has one
-/// number per value, in single precision: components 0 and 1. Detached MIS, independent samples.
+/// number per value, in single precision: components 0 and 1. Detached MIS.
 ///
 /// # Errors
 /// A direction of the wrong length.
@@ -343,7 +343,7 @@ impl Direction {
 /// result is the image, component `k` the derivative along `directions[k - 1]`.
 ///
 /// Renders `Dual<f32, N>` with N in 8, 4, 2, 1, so eleven directions cost three passes over the same
-/// samples. Detached MIS, independent samples.
+/// samples. Detached MIS.
 ///
 /// # Errors
 /// A dense direction of the wrong length.
@@ -609,7 +609,7 @@ impl Estimator {
     }
 
     /// The image and its derivative along the sum of `directions`, such as one number added to every
-    /// roughness, in single precision (forward mode). Independent samples.
+    /// roughness, in single precision (forward mode).
     ///
     /// # Errors
     /// A direction of the wrong length; an estimator that is wrong in this scene or for this parameter.
@@ -635,7 +635,7 @@ impl Estimator {
         ))
     }
 
-    /// The gradient of `<adjoint, image>` (reverse mode), in single precision. Independent samples.
+    /// The gradient of `<adjoint, image>` (reverse mode), in single precision.
     ///
     /// # Errors
     /// An adjoint image of the wrong size; an estimator that is wrong in this scene.

@@ -32,7 +32,7 @@ pub struct Settings {
     pub rr_depth: u32,
     /// Samples per pixel.
     pub spp: u32,
-    /// How those are spread.
+    /// How those of paths are spread; particles and second order take independent ones.
     pub points: Points,
 }
 
