@@ -217,8 +217,18 @@ fn what_sees_nothing_is_not_chosen() {
     let scene = scene(&body.concat());
     let mixture = chosen(&scene, &["plate.alpha.value"], &candidates(&scene), 4096);
     println!("{mixture}");
-    let samples_lights = |e: Estimator| !matches!(e, Estimator::Detached | Estimator::Differential);
-    assert!(mixture.shares().iter().all(|(e, _)| samples_lights(*e)));
+    let finds = |m: &Mixture| {
+        let blind = |e| matches!(e, Estimator::Detached | Estimator::Differential);
+        m.shares().iter().all(|(e, _)| !blind(*e))
+    };
+    assert!(finds(&mixture));
+    // Even if it would be the default.
+    let listed = [Estimator::Detached, Estimator::Emitter];
+    let mixture = chosen(&scene, &["plate.alpha.value"], &listed, 4096);
+    assert!(finds(&mixture), "{mixture}");
+    let weights = mixture.weights("plate.alpha.value", 16);
+    let all = || weights.iter().flat_map(|(_, w)| w);
+    assert!(all().count() > 0 && all().all(|w| w.is_finite()));
 }
 
 /// Pilots cost what they may, parameters are measured together where they must be, and without a
@@ -266,6 +276,8 @@ fn what_nobody_sees_is_an_error() {
     assert!(matches!(unknown, Err(RenderError::UnknownParameter { .. })));
     let short = ask(&NAMES, &adjoint[1..], &candidates(&scene));
     assert!(matches!(short, Err(RenderError::WrongLength { .. })));
+    let none = ask(&NAMES, &adjoint, &[]);
+    assert!(matches!(none, Err(RenderError::Count { .. })));
     // Attached samples alone: the balls have edges.
     let refused = ask(&NAMES, &adjoint, &[Estimator::Attached]);
     assert!(matches!(refused, Err(RenderError::Discontinuous { .. })));

@@ -4,7 +4,7 @@ use crate::error::RenderError;
 use crate::instances::{Direction, Estimator};
 use crate::integrator::render::{Progress, TILE};
 use crate::params::{ParamInfo, ParamShape};
-use crate::sampler::{Independent, Sampler};
+use crate::sampler::{Independent, Points, Sampler};
 use crate::scene::{Scene, Settings};
 
 /// Largest part of the budget that pilots cost.
@@ -52,7 +52,7 @@ struct Group {
 pub(super) struct Pilots<'a> {
     scene: &'a Scene,
     adjoint: &'a [f32],
-    settings: &'a Settings,
+    settings: Settings,
     seed: u64,
     params: Vec<(ParamInfo, Vec<Estimator>)>,
 }
@@ -76,33 +76,41 @@ struct Block {
     spread: f64,
 }
 
+/// How many samples carry the variance: all if each has the same part of it, one if one has all [Kish 1965].
+fn evidence<'a>(blocks: impl Iterator<Item = &'a Block>) -> f64 {
+    let (noise, squares) = blocks.fold((0.0, 0.0), |(n, s), b| (n + b.noise, s + b.spread));
+    if squares > 0.0 {
+        noise * noise / squares
+    } else {
+        0.0
+    }
+}
+
 impl Sums {
-    /// How many samples carry the variance: all if each has the same part of it, one if one has all
-    /// [Kish 1965].
-    fn evidence(&self, chosen: impl Fn(usize) -> bool) -> f64 {
-        let blocks = self.pairs.iter().flat_map(|p| p.iter().enumerate());
-        let (noise, squares) = blocks
-            .filter(|(b, _)| chosen(*b))
-            .fold((0.0, 0.0), |(n, s), (_, b)| (n + b.noise, s + b.spread));
-        if squares > 0.0 {
-            noise * noise / squares
-        } else {
-            0.0
-        }
+    fn evidence(&self) -> f64 {
+        evidence(self.pairs.iter().flatten())
+    }
+
+    fn evidence_in(&self, block: usize) -> f64 {
+        evidence(self.pairs.iter().map(|p| &p[block]))
     }
 }
 
 /// The candidates that see a parameter.
 ///
 /// # Errors
-/// None of them does; with the last one's reason.
+/// None of them does, with the last one's reason; or there are none.
 pub fn able(
     scene: &Scene,
     info: &ParamInfo,
     candidates: &[Estimator],
 ) -> Result<Vec<Estimator>, RenderError> {
     let mut able = Vec::new();
-    let mut refused = Ok(());
+    let mut refused = Err(RenderError::Count {
+        what: "candidates",
+        expected: "at least one",
+        found: 0,
+    });
     for &e in candidates {
         match e.check(scene).and_then(|()| e.check_parameter(info)) {
             Ok(()) => able.push(e),
@@ -121,7 +129,7 @@ impl<'a> Pilots<'a> {
         names: &[N],
         adjoint: &'a [f32],
         candidates: &[Estimator],
-        settings: &'a Settings,
+        settings: &Settings,
         seed: u64,
     ) -> Result<Self, RenderError> {
         let mut params: Vec<(ParamInfo, Vec<Estimator>)> = Vec::new();
@@ -135,7 +143,11 @@ impl<'a> Pilots<'a> {
         Ok(Self {
             scene,
             adjoint,
-            settings,
+            // Pairs of samples must know nothing of each other.
+            settings: Settings {
+                points: Points::Independent,
+                ..*settings
+            },
             seed,
             params,
         })
@@ -272,7 +284,7 @@ impl<'a> Pilots<'a> {
         let values = self.scene.params().values();
         let sample = |i: u64| {
             let i = 2 * pair + i;
-            let s = self.settings;
+            let s = &self.settings;
             e.forward_f32(self.scene, values, along, s, self.seed, i..i + 1, progress)
         };
         let (a, b) = (sample(0)?, sample(1)?);
@@ -311,9 +323,6 @@ fn variances(sums: &[Sums], chosen: &[usize]) -> Vec<Vec<f64>> {
     };
     let all_blind = chosen.iter().all(|&k| blind(k));
     let of = |k: usize, b: usize| {
-        if blind(k) && !all_blind {
-            return f64::INFINITY;
-        }
         let own = &sums[k].pairs;
         let missed = |&other: &usize| {
             let both = own.iter().zip(&sums[other].pairs);
@@ -336,28 +345,32 @@ fn variances(sums: &[Sums], chosen: &[usize]) -> Vec<Vec<f64>> {
         noise / own.len() as f64 + missed
     };
     let blocks = sums[chosen[0]].pairs[0].len();
-    let rows = chosen.iter();
-    rows.map(|&k| (0..blocks).map(|b| of(k, b)).collect())
-        .collect()
+    let row = |&k: &usize| match blind(k) && !all_blind {
+        true => vec![f64::INFINITY; blocks],
+        false => (0..blocks).map(|b| of(k, b)).collect(),
+    };
+    chosen.iter().map(row).collect()
 }
 
-/// Variance times work of each of `chosen`, the first of which stands above the others: it is believed to be as
-/// good, and they as bad, as the samples that carry the variance leave open; without evidence they are out.
+/// Variance times work of each of `chosen`, the first of which stands above the others unless it is blind: it is
+/// believed to be as good, and they as bad, as the samples that carry the variance leave open; without
+/// evidence they are out.
 fn works(
     candidates: &[Estimator],
     sums: &[Sums],
     chosen: &[usize],
     blocks: &[Vec<f64>],
 ) -> Vec<f64> {
-    let any = |_| true;
-    let known = sums[chosen[0]].evidence(any) >= EVIDENCE;
+    let sees = |v: &[f64]| v.iter().all(|v| v.is_finite());
+    let rivals = !sees(&blocks[0]) || sums[chosen[0]].evidence() >= EVIDENCE;
     let work = |(&k, v): (&usize, &Vec<f64>)| {
-        let evidence = sums[k].evidence(any);
+        let evidence = sums[k].evidence();
         let doubt = 1.0 + evidence.max(1.0).sqrt().recip();
         let work = v.iter().sum::<f64>() * candidates[k].cost();
+        let trusted = rivals && (evidence >= EVIDENCE || !sees(&blocks[0]));
         match k == chosen[0] {
             true => work / doubt,
-            false if known && evidence >= EVIDENCE => work * doubt,
+            false if trusted => work * doubt,
             false => f64::INFINITY,
         }
     };
@@ -389,13 +402,11 @@ fn finding(group: &Group, sums: &[Sums]) -> Finding {
     let works: Vec<f64> = works.iter().map(|w| w.max(floor)).collect();
     let least = works.iter().copied().fold(f64::INFINITY, f64::min);
     let blocks = variances[0].len();
+    let totals: Vec<f64> = variances.iter().map(|v| v.iter().sum()).collect();
     // Part of an estimator's variance.
-    let part = |k: usize, b: usize| {
-        let all: f64 = variances[k].iter().sum();
-        match works[k].is_finite() && all > 0.0 {
-            true => variances[k][b] / all,
-            false => 0.0,
-        }
+    let part = |k: usize, b: usize| match works[k].is_finite() && totals[k] > 0.0 {
+        true => variances[k][b] / totals[k],
+        false => 0.0,
     };
     let sighted = works.iter().filter(|w| w.is_finite()).count().max(1) as f64;
     // How much of the variance a block has, as far as the candidates agree.
@@ -406,7 +417,7 @@ fn finding(group: &Group, sums: &[Sums]) -> Finding {
         })
         .collect();
     let believed = |k: usize, b: usize| {
-        let evidence = sums[k].evidence(|block| block == b);
+        let evidence = sums[k].evidence_in(b);
         let part = (evidence * part(k, b) + EVIDENCE * like[b]) / (evidence + EVIDENCE);
         part.max(1e-9 * like[b]) * works[k] / least
     };
