@@ -13,7 +13,7 @@ use super::backpropagation;
 use super::outlines::Edge;
 use super::roughness_texture::{self, Condition};
 use super::{estimators, tray};
-use crate::chart::{LineChart, Panel};
+use crate::chart::LineChart;
 use crate::figure::{Figure, Result};
 use crate::figures::stage::{self, TRAY, Walls, plates_of};
 use crate::scenes;
@@ -28,6 +28,15 @@ const FAMILY: [Estimator; 3] = [
     Estimator::MisBalance,
     Estimator::MisTrustLights,
     Estimator::MisTrustBsdf,
+];
+/// Those that the chart shows; the table has all.
+const CHARTED: [Estimator; 6] = [
+    Estimator::Emitter,
+    Estimator::Detached,
+    Estimator::Differential,
+    Estimator::Attached,
+    Estimator::MisBalance,
+    Estimator::DifferentialMisBalance,
 ];
 const HEURISTICS: [Estimator; 2] = [Estimator::MisBalance, Estimator::Mis];
 
@@ -235,7 +244,6 @@ pub fn figure(fig: &mut Figure) -> Result {
     fig.note("seed", SEED);
     let mut rows = Vec::new();
     let mut series: Vec<(&'static str, Vec<(f64, f64)>)> = Vec::new();
-    let mut panels = Vec::new();
     let mut weights = Vec::new();
     for (k, subject) in subjects(fig.quick())?.iter().enumerate() {
         let trial = trial(subject, effort, k < 2)?;
@@ -291,9 +299,6 @@ pub fn figure(fig: &mut Figure) -> Result {
             let fixed = [Estimator::MisTrustLights, Estimator::MisTrustBsdf].map(alone);
             weights.push((subject.name, gains, fixed));
         }
-        if k < 2 {
-            panels.extend(maps(subject, &trial));
-        }
     }
     signed(fig, &weights);
     fig.csv_text(
@@ -311,15 +316,16 @@ pub fn figure(fig: &mut Figure) -> Result {
         "scene: 1 plates, 2 tray, 3 room, 4 room of recover, 5 outline, 6 and 7 textures",
         "1 / (variance x work)",
     )
+    .x_range(0.5, 11.0)
     .log_y();
     for (name, points) in series {
         chart = match name {
             "auto" => chart.measured(name, points),
-            _ => chart.points(name, points),
+            _ if CHARTED.iter().any(|e| e.name() == name) => chart.points(name, points),
+            _ => chart,
         };
     }
     fig.chart("efficiency", &chart);
-    fig.images("weights", 3, &panels);
     Ok(())
 }
 
@@ -374,16 +380,4 @@ fn trial(subject: &Subject, effort: Effort, heuristics: bool) -> Result<Trial> {
         measured,
         chosen,
     })
-}
-
-/// Where which estimator is believed, for the first parameter.
-fn maps(subject: &Subject, trial: &Trial) -> Vec<Panel> {
-    let width = subject.scene.film.crop_size[0] as usize;
-    let enlarge = (256 / width).max(1);
-    let panel = |(e, weight): (Estimator, Vec<f64>)| {
-        let label = format!("{}: weight of {}", subject.name, e.name());
-        Panel::signed(&label, width, &weight, Some(1.0)).enlarged(enlarge)
-    };
-    let all = trial.chosen.weights(&subject.params[0], BUDGET);
-    all.into_iter().map(panel).collect()
 }

@@ -14,14 +14,13 @@ use crate::chart::LineChart;
 use crate::figure::{Figure, Result};
 
 const SEED: u64 = 1024;
-const ESTIMATORS: [Estimator; 8] = [
+const ESTIMATORS: [Estimator; 7] = [
     Estimator::Emitter,
     Estimator::Detached,
     Estimator::Differential,
     Estimator::Attached,
     Estimator::Mis,
     Estimator::MisBalance,
-    Estimator::MisAttachedWeights,
     Estimator::DifferentialMis,
 ];
 
@@ -181,6 +180,7 @@ pub fn figure(fig: &mut Figure) -> Result {
         &names.join(", "),
         "gain",
     )
+    .x_range(0.5, 10.0)
     .log_y();
     for (name, points) in series {
         chart = chart.points(&name, points);
