@@ -226,15 +226,21 @@ pub fn figure(fig: &mut Figure) -> Result {
         logs.map_or(f64::NAN, |l| (l / 8.0).exp())
     };
     let (few, more) = (mean(d), mean(many));
-    fig.check(
-        "(e) 16 lamps that do not shine at the eye increase the gain",
-        more < few || fig.quick(),
-        format!(
-            "links over links without importance, mean over errors from {:.1} to {:.1} %: {few:.3} with 4 lamps, {more:.3} with 20",
-            100.0 * reached,
-            200.0 * reached
-        ),
+    let found = format!(
+        "links over links without importance, mean over errors from {:.1} to {:.1} %: {few:.3} with 4 lamps, {more:.3} with 20",
+        100.0 * reached,
+        200.0 * reached
     );
+    // Coarse solutions have not found out yet which lamps matter.
+    if fig.quick() {
+        println!("  (e) is judged at full length only; {found}");
+    } else {
+        fig.check(
+            "(e) 16 lamps that do not shine at the eye increase the gain",
+            more < few,
+            found,
+        );
+    }
     let [without, with] = &d.other;
     let links = |r: &Row| r.links;
     let theirs = [0.2, 0.15, 0.1].map(|e| {
