@@ -52,6 +52,12 @@ pub fn per_pixel(images: &[Vec<f64>]) -> Vec<Estimate> {
         .collect()
 }
 
+/// Variance of one of independent images, summed over the pixels.
+pub fn variance(images: &[Vec<f64>]) -> f64 {
+    let squares = per_pixel(images).into_iter().map(|e| e.error * e.error);
+    squares.sum::<f64>() * images.len() as f64
+}
+
 /// Means over squares of `side` x `side` pixels; what does not fill one is left out.
 pub fn blocks(image: &[f64], width: usize, side: usize) -> Vec<f64> {
     let (columns, rows) = (width / side, image.len() / width / side);

@@ -16,6 +16,7 @@ use super::{estimators, tray};
 use crate::chart::LineChart;
 use crate::figure::{Figure, Result};
 use crate::figures::stage::{self, TRAY, Walls, plates_of};
+use crate::figures::statistics::variance;
 use crate::scenes;
 
 const SEED: u64 = 77;
@@ -142,13 +143,7 @@ fn measure<'a>(
         .collect();
     let images = images?;
     let seconds = start.elapsed().as_secs_f64() / effort.runs as f64 / scene.film.pixels() as f64;
-    let n = images.len() as f64;
-    let variance: f64 = (0..images[0].len())
-        .map(|p| {
-            let mean = images.iter().map(|i| i[p]).sum::<f64>() / n;
-            images.iter().map(|i| (i[p] - mean).powi(2)).sum::<f64>() / (n - 1.0)
-        })
-        .sum();
+    let variance = variance(&images);
     Ok(Spent {
         work: variance * work,
         seconds: variance * seconds,

@@ -12,6 +12,7 @@ use render::{RenderError, Scene, Settings};
 use super::automatic::{Subject, subjects};
 use crate::chart::LineChart;
 use crate::figure::{Figure, Result};
+use crate::figures::statistics::variance;
 
 const SEED: u64 = 1024;
 const ESTIMATORS: [Estimator; 7] = [
@@ -54,14 +55,10 @@ fn noise(
         })
         .collect();
     let images = images?;
-    let n = images.len() as f64;
-    let variance = (0..images[0].len()).map(|p| {
-        let mean = images.iter().map(|i| i[p]).sum::<f64>() / n;
-        images.iter().map(|i| (i[p] - mean).powi(2)).sum::<f64>() / (n - 1.0)
-    });
+    let seconds = start.elapsed().as_secs_f64();
     Ok(Noise {
-        variance: variance.sum(),
-        seconds: start.elapsed().as_secs_f64() / n,
+        variance: variance(&images),
+        seconds: seconds / runs as f64,
     })
 }
 
