@@ -9,6 +9,7 @@ use optim::OptimError;
 use render::instances::Estimator;
 use render::integrator::render::NonFinite;
 use render::sampler::Points;
+use render::scene::LightChoice;
 use render::scene::LoadOptions;
 use render::{RenderError, Scene, SceneError};
 
@@ -194,10 +195,23 @@ pub fn estimator(text: &str) -> Result<Choice, RenderError> {
 /// # Errors
 /// An unknown name, with all known ones.
 pub fn points(text: &str) -> Result<Points, String> {
-    let found = Points::NAMES.iter().find(|(name, _)| *name == text);
-    found.map(|(_, points)| *points).ok_or_else(|| {
-        let known = Points::NAMES.map(|(name, _)| name).join(", ");
-        format!("expected one of {known}")
+    named(&Points::NAMES, text)
+}
+
+/// The choice of lights called `text`.
+///
+/// # Errors
+/// An unknown name, with all known ones.
+pub fn lights(text: &str) -> Result<LightChoice, String> {
+    named(&LightChoice::NAMES, text)
+}
+
+/// What `text` stands for in a list of names.
+fn named<T: Copy>(names: &[(&str, T)], text: &str) -> Result<T, String> {
+    let found = names.iter().find(|(name, _)| *name == text);
+    found.map(|(_, value)| *value).ok_or_else(|| {
+        let known: Vec<&str> = names.iter().map(|(name, _)| *name).collect();
+        format!("expected one of {}", known.join(", "))
     })
 }
 

@@ -101,7 +101,7 @@ pub fn cornell(width: u32, height: u32) -> Result<Scene, SceneError> {
         max_depth: 6,
         rr_depth: 5,
         spp: 64,
-        points: render::sampler::Points::Independent,
+        ..Settings::default()
     };
     b.build(camera, Film::new(width, height), settings)
 }

@@ -3,8 +3,8 @@
 //! numbers, antithetic lobes) are a matter of asking for the same counter again.
 
 use ad_core::Float;
-use sobol_burley::NUM_DIMENSIONS;
-use sobol_burley::parts::{owen_scramble_rev, sobol_rev};
+use sobol_burley::NUM_DIMENSION_SETS_4D;
+use sobol_burley::parts::{Int4, owen_scramble_int4_rev, owen_scramble_rev, sobol_int4_rev};
 
 /// Dimensions reserved for the camera: pixel position.
 pub const CAMERA_DIMENSIONS: u32 = 2;
@@ -126,20 +126,34 @@ pub struct Spread {
 }
 
 impl Spread {
-    /// A number of an Owen-scrambled Sobol sequence that is padded: the dimensions drawn since the last
-    /// [`Sampler::seek`] are those of one sequence, whose order is shuffled by the same scrambling.
+    /// Numbers of an Owen-scrambled Sobol sequence that is padded: the dimensions drawn since the last
+    /// [`Sampler::seek`] are those of one sequence, whose order is shuffled by the same scrambling. Made four at a
+    /// time.
     #[inline(never)]
-    fn sobol(&self) -> u64 {
-        let set = mix64(
-            self.key
-                .wrapping_add(u64::from(self.first + 1).wrapping_mul(GOLDEN)),
-        );
-        let k = (self.dim - 1 - self.first) % NUM_DIMENSIONS;
+    fn sobol<const N: usize>(&mut self) -> [u64; N] {
+        let after = |x: u64, n: u32| mix64(x.wrapping_add(u64::from(n + 1).wrapping_mul(GOLDEN)));
+        let set = after(self.key, self.first);
         let shuffled = owen_scramble_rev(self.index.reverse_bits(), set as u32);
-        let scramble = mix64(set.wrapping_add(u64::from(k + 1).wrapping_mul(GOLDEN)));
-        let x = owen_scramble_rev(sobol_rev(shuffled, k), scramble as u32).reverse_bits();
-        // Below the 32 bits of the sequence: noise, so that doubles have all of theirs.
-        u64::from(x) << 32 | scramble >> 32
+        let four = |k: u32| -> [u32; 4] {
+            let [a, b] = [2 * k, 2 * k + 1].map(|n| after(set, n));
+            let scramble = [a, a >> 32, b, b >> 32].map(|bits| bits as u32);
+            let x = sobol_int4_rev(shuffled, k % NUM_DIMENSION_SETS_4D);
+            owen_scramble_int4_rev(x, Int4::from(scramble))
+                .reverse_bits()
+                .into()
+        };
+        let first = self.dim - self.first;
+        self.dim += N as u32;
+        let mut last = four(first / 4);
+        std::array::from_fn(|i| {
+            let k = first + i as u32;
+            if i > 0 && k.is_multiple_of(4) {
+                last = four(k / 4);
+            }
+            let x = last[k as usize % 4];
+            // Below the 32 bits of the sequence: noise, so that doubles have all of theirs.
+            u64::from(x) << 32 | u64::from(x.wrapping_mul(GOLDEN as u32))
+        })
     }
 }
 
@@ -174,6 +188,9 @@ impl Sampler for Spread {
 
     #[inline]
     fn next_bits(&mut self) -> u64 {
+        if self.points == Points::Sobol {
+            return self.sobol::<1>()[0];
+        }
         self.dim += 1;
         let independent = || {
             mix64(
@@ -181,11 +198,25 @@ impl Sampler for Spread {
                     .wrapping_add(u64::from(self.dim).wrapping_mul(GOLDEN)),
             )
         };
+        match self.points == Points::Antithetic && self.index & 1 == 1 {
+            true => !independent(),
+            false => independent(),
+        }
+    }
+
+    #[inline]
+    fn next_2d<P: Float>(&mut self) -> [P; 2] {
         match self.points {
-            Points::Independent => independent(),
-            Points::Sobol => self.sobol(),
-            Points::Antithetic if self.index & 1 == 0 => independent(),
-            Points::Antithetic => !independent(),
+            Points::Sobol => self.sobol::<2>().map(P::from_bits_unit),
+            _ => [self.next_1d(), self.next_1d()],
+        }
+    }
+
+    #[inline]
+    fn next_3d<P: Float>(&mut self) -> [P; 3] {
+        match self.points {
+            Points::Sobol => self.sobol::<3>().map(P::from_bits_unit),
+            _ => [self.next_1d(), self.next_1d(), self.next_1d()],
         }
     }
 }

@@ -240,7 +240,7 @@ impl Stage {
             max_depth,
             rr_depth: u32::MAX,
             spp: 1,
-            points: render::sampler::Points::Independent,
+            ..Settings::default()
         };
         Ok(self
             .build

@@ -9,6 +9,7 @@ use render::instances::{Direction, Estimator, Technique, forward_f64, render_f64
 use render::integrator::render::{NonFinite, Progress, Rendering};
 use render::params::Theta;
 use render::sampler::Points;
+use render::scene::LightChoice;
 use render::{Image, RenderError, Scene, Settings, image_io};
 use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, StudentsT};
@@ -65,6 +66,10 @@ pub struct Args {
     /// or antithetic (pairs) [default: independent]
     #[arg(long, value_name = "NAME", value_parser = cli::points)]
     pub sampler: Option<Points>,
+    /// How a point chooses the light that it samples: any one, or in proportion to what each would bring
+    /// [default: one]
+    #[arg(long, value_name = "one|all", value_parser = cli::lights)]
+    pub lights: Option<LightChoice>,
     /// Largest number of path edges; -1 for no limit [default: the scene's]
     #[arg(long, value_name = "N", value_parser = depth, allow_hyphen_values = true)]
     pub max_depth: Option<u32>,
@@ -369,6 +374,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     let mut settings = scene.settings;
     settings.spp = args.spp.unwrap_or(settings.spp);
     settings.points = args.sampler.unwrap_or(settings.points);
+    settings.lights = args.lights.unwrap_or(settings.lights);
     settings.max_depth = args.max_depth.unwrap_or(settings.max_depth);
     let estimators = match &args.estimators[..] {
         [all] if all == "all" => {

@@ -10,6 +10,7 @@ use render::integrator::density::Convention;
 use render::integrator::render::{Progress, Rendering};
 use render::params::Theta;
 use render::sampler::Points;
+use render::scene::LightChoice;
 use render::{Scene, Settings, image_io};
 use serde::Serialize;
 
@@ -48,6 +49,10 @@ pub struct Args {
     /// or antithetic (pairs) [default: independent]
     #[arg(long, value_name = "NAME", value_parser = cli::points)]
     pub sampler: Option<Points>,
+    /// How a point chooses the light that it samples: any one, or in proportion to what each would bring
+    /// [default: one]
+    #[arg(long, value_name = "one|all", value_parser = cli::lights)]
+    pub lights: Option<LightChoice>,
     /// Largest number of path edges: 1 is emission, 2 direct light; -1 for no limit [default: the scene's]
     #[arg(long, value_name = "N", value_parser = depth, allow_hyphen_values = true)]
     pub max_depth: Option<u32>,
@@ -149,6 +154,11 @@ impl Args {
             let message = "--sampler: particles are independent; expected --integrator path";
             return Err(ToolError::Usage(message.into()));
         }
+        let weighed = self.lights.is_some_and(|l| l != LightChoice::One);
+        if weighed && self.integrator != IntegratorArg::Path {
+            let message = "--lights: particles choose no lights; expected --integrator path";
+            return Err(ToolError::Usage(message.into()));
+        }
         match (self.integrator, self.radius) {
             (IntegratorArg::Path, None) if !self.ignore_non_symmetry => {
                 Ok(Method::Paths(self.technique()))
@@ -199,6 +209,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     let mut settings = scene.settings;
     settings.spp = args.spp.unwrap_or(settings.spp);
     settings.points = args.sampler.unwrap_or(settings.points);
+    settings.lights = args.lights.unwrap_or(settings.lights);
     settings.max_depth = args.max_depth.unwrap_or(settings.max_depth);
     output::create_parent(&exr)?;
 

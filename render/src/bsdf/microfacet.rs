@@ -67,12 +67,12 @@ impl<R: Real> Microfacet<R> {
             }
             Ndf::Beckmann => {
                 let az = self.alpha * m.z;
-                let e = (-((m.x / az).square() + (m.y / az).square())).exp();
-                // The far tail: 0 * inf below.
-                if e.primal() < R::Primal::MIN_POSITIVE {
+                let steepness = (m.x / az).square() + (m.y / az).square();
+                // The far tail, where the exponential is no normal number: 0 * inf below.
+                if steepness.primal() > -R::Primal::MIN_POSITIVE.ln() {
                     return R::zero();
                 }
-                e / (area * m.z.square().square())
+                (-steepness).exp() / (area * m.z.square().square())
             }
         }
     }
@@ -126,15 +126,27 @@ impl<R: Real> Microfacet<R> {
     /// normals over `4 w.m`, which cancels for visible ones.
     #[inline]
     pub fn pdf_reflected(&self, w: Vec3<R>, m: Vec3<R>) -> R {
+        self.pdf_reflected_where(self.d(m), w, m, || self.sigma(w))
+    }
+
+    /// The same where `D(m)` and `sigma(w)` are known.
+    #[inline(always)]
+    pub(super) fn pdf_reflected_where(
+        &self,
+        d: R,
+        w: Vec3<R>,
+        m: Vec3<R>,
+        sigma: impl FnOnce() -> R,
+    ) -> R {
         if self.visible {
-            self.d(m) / (self.sigma(w) * R::c(4.0))
+            d / (sigma() * R::c(4.0))
         } else {
             // Closer to grazing, derivatives leave the range of single precision.
             let cos = w.dot(m).abs();
             if cos.primal() < R::Primal::of(1e-8) {
                 return R::zero();
             }
-            self.pdf_all(m) / (cos * R::c(4.0))
+            d * m.z / (cos * R::c(4.0))
         }
     }
 

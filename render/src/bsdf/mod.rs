@@ -100,6 +100,19 @@ pub struct BsdfSample<R: Real> {
     pub eta: R::Primal,
 }
 
+impl<R: Real> BsdfSample<R> {
+    /// The same without tangents.
+    #[inline]
+    pub fn primal(&self) -> BsdfSample<R::Primal> {
+        BsdfSample {
+            wi: self.wi.primal(),
+            pdf: self.pdf.primal(),
+            component: self.component,
+            eta: self.eta,
+        }
+    }
+}
+
 /// A direction sampled over the scalar `G`, and the material's value there over `R`.
 pub type Scattered<G, R> = (BsdfSample<G>, Rgb<R>);
 
@@ -125,6 +138,22 @@ pub trait Lobe<R: Real>: Copy {
     /// Samples a direction. `u[0]` chooses between parts, `u[1..]` within one. `None` means that no
     /// light is scattered along this choice (below the horizon); it is not an error.
     fn sample(&self, wo: Vec3<R>, u: [R::Primal; 3], mode: TransportMode) -> Option<BsdfSample<R>>;
+
+    /// [`Lobe::sample`], and the value of that direction: all of its component.
+    #[inline]
+    fn sample_eval(
+        &self,
+        wo: Vec3<R>,
+        u: [R::Primal; 3],
+        mode: TransportMode,
+    ) -> Option<Scattered<R, R>> {
+        let sample = self.sample(wo, u, mode)?;
+        let f = match sample.component {
+            Component::Continuous => self.eval(wo, sample.wi, mode),
+            Component::Delta { kind, .. } => self.eval_delta(wo, kind, mode),
+        };
+        Some((sample, f))
+    }
 
     /// Weight of a delta, integrated over it: reflectance or transmittance (times the radiance
     /// scale in [`TransportMode::Radiance`]), *not* divided by the probability of choosing it.
@@ -451,6 +480,26 @@ impl<L: Leaf> Bsdf for L {
         mode: TransportMode,
     ) -> Rgb<R> {
         self.lobe(&mut { *at }).eval_delta(wo, kind, mode)
+    }
+
+    #[inline(always)]
+    fn scatter<R: Real>(
+        &self,
+        at: &Shading<R>,
+        wo: Vec3<R::Primal>,
+        u: [R::Primal; 3],
+        mode: TransportMode,
+    ) -> Option<Scattered<R::Primal, R>> {
+        if R::IS_PRIMAL {
+            // One lobe does both.
+            let lobe = self.lobe(&mut { *at });
+            let (sample, f) = lobe.sample_eval(Vec3::lift(wo), u, mode)?;
+            return Some((sample.primal(), f));
+        }
+        let sample = self.sample(&at.primal(), wo, u, mode)?;
+        let (wo, wi) = (Vec3::lift(wo), Vec3::lift(sample.wi));
+        let f = self.eval_component(at, wo, wi, sample.component, mode);
+        Some((sample, f))
     }
 
     #[inline(always)]

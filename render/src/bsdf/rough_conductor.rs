@@ -5,7 +5,7 @@ use ad_core::{Float, Real, Vec3};
 use super::microfacet::{ALPHA_RANGE, Microfacet, Ndf};
 use super::{
     BsdfSample, Component, Conductor, ConductorLobe, DiffLobe, FromNode, Leaf, Lobe, Reader,
-    TransportMode,
+    Scattered, TransportMode,
 };
 use crate::error::SceneError;
 use crate::math::Rgb;
@@ -141,6 +141,24 @@ pub(super) fn reflect<R: Real>(w: Vec3<R>, m: Vec3<R>) -> Vec3<R> {
     m * (w.dot(m) * R::c(2.0)) - w
 }
 
+impl<R: Real> RoughConductorLobe<R> {
+    #[inline]
+    fn sample_direction(&self, wo: Vec3<R>, u: [R::Primal; 3]) -> Option<Vec3<R>> {
+        let above = wo.z.primal() > R::Primal::zero();
+        above.then(|| reflect(wo, self.microfacet.sample(wo, [u[1], u[2]])))
+    }
+
+    #[inline]
+    fn found(wi: Vec3<R>, pdf: R) -> Option<BsdfSample<R>> {
+        (pdf.primal() > R::Primal::zero()).then_some(BsdfSample {
+            wi,
+            pdf,
+            component: Component::Continuous,
+            eta: R::Primal::one(),
+        })
+    }
+}
+
 impl<R: Real> Lobe<R> for RoughConductorLobe<R> {
     #[inline]
     fn eval(&self, wo: Vec3<R>, wi: Vec3<R>, _mode: TransportMode) -> Rgb<R> {
@@ -159,19 +177,39 @@ impl<R: Real> Lobe<R> for RoughConductorLobe<R> {
     }
 
     #[inline]
-    fn sample(&self, wo: Vec3<R>, u: [R::Primal; 3], mode: TransportMode) -> Option<BsdfSample<R>> {
-        if wo.z.primal() <= R::Primal::zero() {
-            return None;
+    fn eval_pdf(&self, wo: Vec3<R>, wi: Vec3<R>, _mode: TransportMode) -> (Rgb<R>, R) {
+        let dark = (Rgb::black(), R::zero());
+        let Some(m) = half_vector(wo, wi) else {
+            return dark;
+        };
+        let d = self.microfacet.d(m);
+        // Far off a narrow lobe, as most lights are.
+        if d.primal() == R::Primal::zero() {
+            return dark;
         }
-        let m = self.microfacet.sample(wo, [u[1], u[2]]);
-        let wi = reflect(wo, m);
-        let pdf = self.pdf(wo, wi, mode);
-        (pdf.primal() > R::Primal::zero()).then_some(BsdfSample {
-            wi,
-            pdf,
-            component: Component::Continuous,
-            eta: R::Primal::one(),
-        })
+        let sigma = self.microfacet.sigma(wo);
+        let sigmas = sigma * self.microfacet.sigma(wi) * R::c(4.0);
+        let f = self.facet.reflectance(wo.dot(m)) * (d * (wi.z.abs() / sigmas));
+        let pdf = (self.microfacet).pdf_reflected_where(d, wo, m, || sigma);
+        (f, pdf)
+    }
+
+    #[inline]
+    fn sample(&self, wo: Vec3<R>, u: [R::Primal; 3], mode: TransportMode) -> Option<BsdfSample<R>> {
+        let wi = self.sample_direction(wo, u)?;
+        Self::found(wi, self.pdf(wo, wi, mode))
+    }
+
+    #[inline]
+    fn sample_eval(
+        &self,
+        wo: Vec3<R>,
+        u: [R::Primal; 3],
+        mode: TransportMode,
+    ) -> Option<Scattered<R, R>> {
+        let wi = self.sample_direction(wo, u)?;
+        let (f, pdf) = self.eval_pdf(wo, wi, mode);
+        Some((Self::found(wi, pdf)?, f))
     }
 
     #[inline]

@@ -53,6 +53,8 @@ pub struct FoundLight<P> {
     pub end: Option<(u32, P)>,
     /// Index of the emitter.
     pub emitter: u32,
+    /// Its share of the samples of emitters, see [`crate::scene::LightChoice::share`].
+    pub share: P,
 }
 
 /// `f w L_e / p` of that edge: what it adds to the radiance leaving `from`, MIS weight included.
@@ -110,8 +112,7 @@ pub fn direct_light<R: Real, S: Strategy>(
                 material.eval_pdf(&at, wo, wi, mode).1
             };
             let emitter_pdf = e.pdf(scene.lights(), si.p, d, end.as_ref());
-            let chosen = Const(scene.emitter_probability::<R::Primal>());
-            S::weight_hit(pdf, emitter_pdf * chosen)
+            S::weight_hit(pdf, emitter_pdf * Const(found.share))
         }
         _ => R::one(),
     };

@@ -5,13 +5,13 @@ use ad_core::{Const, Float, Real, Vec2, Vec3};
 use super::boundary::{Freeze, freeze};
 use super::direct::{Departure, FoundLight, direct_light, follows_edges};
 use crate::bsdf::{Bsdf, Component, DiffLobe, Material, Part, Shading, TransportMode};
-use crate::emitter::{Emission, Emitter, EmitterSample};
+use crate::emitter::{Emission, Emitter};
 use crate::estimator::memory::{Memory, Store};
 use crate::estimator::{Direct, Sampling, Strategy};
-use crate::math::{Ray, Rgb};
+use crate::math::{Frame, Ray, Rgb};
 use crate::params::Theta;
 use crate::sampler::{AUXILIARY_DIMENSIONS, BOUNCE_DIMENSIONS, CAMERA_DIMENSIONS, Sampler};
-use crate::scene::{Intersection, Scene, Settings};
+use crate::scene::{Intersection, LightChoice, Scene, Settings};
 use crate::shape::SurfaceInteraction;
 
 /// Probability of surviving Russian roulette is at most this.
@@ -20,6 +20,9 @@ const MAX_SURVIVAL: f64 = 0.95;
 /// When derivatives are wanted, a vertex counts as reflecting at least this much for roulette: at zero
 /// albedo the throughput vanishes, but the derivative behind that vertex does not (F7).
 const LEAST_STEP: f64 = 0.2;
+
+/// Probability of keeping any one of the emitters' samples, see [`LightChoice::All`].
+const LEAST_KEPT: f64 = 0.1;
 
 /// Scalar of the geometry of a strategy.
 pub type Geometry<S, R> = <<S as Strategy>::Bsdf as Sampling>::Geometry<R>;
@@ -50,14 +53,16 @@ pub struct SampledLight<R: Real> {
     pub wi: Vec3<R>,
     /// Emitted radiance.
     pub le: Rgb<R>,
-    /// MIS weight over density.
+    /// MIS weight over density and the probability of being kept.
     pub weight: R,
     /// Value of the BSDF.
     pub f: Rgb<R>,
-    /// MIS weight over density for the derivative through normals, where that has samples of its own.
+    /// The same for the derivative through normals, where that has samples of its own.
     pub normals_weight: Option<R>,
     /// Density per solid angle that the MIS weight is made of; zero where there is none.
     pub mis_pdf: R::Primal,
+    /// One over the probability that this emitter's sample was kept, see [`LightChoice::All`].
+    pub kept: R::Primal,
 }
 
 /// Light found by a sample of the derivative of a distribution of normals.
@@ -272,14 +277,15 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
 
         // ---- Emission ----
         // How the light at the end of this edge could have been sampled at its start.
+        let share = settings.lights.share(scene);
         let sampled =
             (S::SAMPLES_EMITTERS && depth > 1 && self.pdf_bsdf.primal() > R::Primal::zero())
-                .then_some((self.pdf_bsdf, self.from));
+                .then_some((self.pdf_bsdf, self.from, share));
         let Some(Intersection { shape, si, prim }) = hit else {
             for &e in scene.infinite_emitters() {
                 if let Some((light, le)) = find_light::<R, S>(scene, theta, e, ray.d, None, sampled)
                 {
-                    let found = self.found_light(scene, e, None, ray.d.primal());
+                    let found = self.found_light(scene, e, None, ray.d.primal(), share);
                     self.l += match found {
                         Some((found, beta)) if !R::IS_PRIMAL => {
                             beta * direct_light::<R, S>(scene, theta, &found, mode)
@@ -300,7 +306,8 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
         if let Some(e) = info.emitter {
             let found = find_light::<R, S>(scene, theta, e, ray.d, Some(si), sampled);
             if let Some((light, le)) = found {
-                let found = self.found_light(scene, e, Some((prim, si.t.primal())), ray.d.primal());
+                let end = Some((prim, si.t.primal()));
+                let found = self.found_light(scene, e, end, ray.d.primal(), share);
                 self.l += match found {
                     Some((found, beta)) if !R::IS_PRIMAL => {
                         beta * direct_light::<R, S>(scene, theta, &found, mode)
@@ -339,9 +346,33 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
         if S::SAMPLES_EMITTERS && !info.delta && !scene.emitters().is_empty() {
             sampler.seek(dim);
             let p = si.p.primal();
-            if let Some(light) = sample_light(scene, p, sampler) {
-                let sample = light.sample;
-                let e = &scene.emitters()[light.emitter as usize];
+            let choice = sampler.next_bits();
+            let u = sampler.next_2d();
+            let (emitter, kept) = match settings.lights {
+                // The only light needs no number; the branch is always predicted.
+                LightChoice::One if scene.emitters().len() == 1 => (0, R::Primal::one()),
+                LightChoice::One => (
+                    index_below(choice, scene.emitters().len()) as u32,
+                    R::Primal::one(),
+                ),
+                LightChoice::All => {
+                    let seen = Seen {
+                        material,
+                        at: at.primal(),
+                        frame: si.primal().frame,
+                        wo: wo.primal(),
+                    };
+                    weigh_lights::<R::Primal, S>(scene, p, &seen, choice, u)
+                }
+            };
+            let e = &scene.emitters()[emitter as usize];
+            let sample = e.sample(scene.lights(), p, u).map(|mut sample| {
+                sample.pdf *= share;
+                sample
+            });
+            if let Some(sample) = sample
+                && sample.pdf > R::Primal::zero()
+            {
                 // Where the vertex moves, its direction to the point on the light does.
                 let seen = (!Geometry::<S, R>::IS_PRIMAL).then(|| e.connect(&sample, si.p));
                 let d = seen.map_or(Vec3::lift(sample.d), |s| s.d);
@@ -377,9 +408,9 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
                         R::one()
                     };
                     let weight = if Geometry::<S, R>::IS_PRIMAL {
-                        mis * Const(sample.pdf.recip())
+                        mis * Const(kept / sample.pdf)
                     } else {
-                        mis / pdf_light
+                        mis / pdf_light * Const(kept)
                     };
                     self.shadow = Some(shadow);
                     self.direct = beta * f * le * weight;
@@ -390,7 +421,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
                         } else {
                             R::Primal::one()
                         };
-                        R::lift(mis / sample.pdf)
+                        R::lift(mis * kept / sample.pdf)
                     });
                     if let (Some(w), false) = (normals_weight, R::IS_PRIMAL) {
                         let change = material.eval_normals(&at, wo.primal(), wi.primal(), mode);
@@ -398,13 +429,14 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
                     }
                     if O::ENABLED {
                         self.sampled = Some(SampledLight {
-                            emitter: light.emitter,
+                            emitter,
                             emission,
                             wi: S::Bsdf::embed3(wi),
                             le,
                             weight,
                             f,
                             normals_weight,
+                            kept,
                             mis_pdf: if S::COUNTS_HITS && !e.is_delta() {
                                 sample.pdf
                             } else {
@@ -436,7 +468,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
                     };
                     let mis = if S::SAMPLES_EMITTERS {
                         let pdf = light.pdf(scene.lights(), si.p.primal(), d, end.as_ref());
-                        S::weight_hit(pair, pdf * scene.emitter_probability::<R::Primal>())
+                        S::weight_hit(pair, pdf * share)
                     } else {
                         R::Primal::one()
                     };
@@ -571,6 +603,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
         emitter: u32,
         end: Option<(u32, R::Primal)>,
         d: Vec3<R::Primal>,
+        share: R::Primal,
     ) -> Option<(FoundLight<R::Primal>, Rgb<R>)> {
         if !follows_edges::<S>() {
             return None;
@@ -584,14 +617,19 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
             let w = from.si.frame.to_local(d);
             from.freeze = freeze(scene, origin, &from.si.frame, w, rays, &mut self.sampler);
         }
-        let found = FoundLight { from, end, emitter };
+        let found = FoundLight {
+            from,
+            end,
+            emitter,
+            share,
+        };
         Some((found, beta))
     }
 }
 
 /// What a ray in direction `d` receives from an emitter it hit at `si`, or missed everything towards:
-/// where, with which MIS weight, and the radiance. `sampled` is the density of the direction and the
-/// vertex it left, if that vertex also sampled emitters.
+/// where, with which MIS weight, and the radiance. `sampled` is the density of the direction, the
+/// vertex it left and the share of this emitter there, if that vertex also sampled emitters.
 ///
 /// A call of its own, by value: lights are seldom hit, and references to the loop's state would keep
 /// that in memory.
@@ -602,7 +640,7 @@ fn find_light<R: Real, S: Strategy>(
     emitter: u32,
     d: Vec3<Geometry<S, R>>,
     si: Option<SurfaceInteraction<Geometry<S, R>>>,
-    sampled: Option<(R, Vec3<Geometry<S, R>>)>,
+    sampled: Option<(R, Vec3<Geometry<S, R>>, R::Primal)>,
 ) -> Option<(HitLight<R>, Rgb<R>)> {
     if sampled.is_some() && !S::COUNTS_HITS {
         return None;
@@ -614,10 +652,9 @@ fn find_light<R: Real, S: Strategy>(
         falloff: S::Bsdf::embed(found.falloff),
     };
     let weight = match sampled {
-        Some((pdf_bsdf, from)) => {
+        Some((pdf_bsdf, from, share)) => {
             let pdf = e.pdf(scene.lights(), from, d, si.as_ref());
-            let chosen = Const(scene.emitter_probability::<R::Primal>());
-            S::weight_hit(pdf_bsdf, S::Bsdf::embed(pdf) * chosen)
+            S::weight_hit(pdf_bsdf, S::Bsdf::embed(pdf) * Const(share))
         }
         None => R::one(),
     };
@@ -662,10 +699,12 @@ fn has_tangent<R: Real>(c: Rgb<R>) -> bool {
     !R::IS_PRIMAL && (c.r.has_tangent() || c.g.has_tangent() || c.b.has_tangent())
 }
 
-/// A sampled light; the density includes the choice.
-struct LightSample<P> {
-    emitter: u32,
-    sample: EmitterSample<P>,
+/// A vertex as lights see it.
+struct Seen<'a, P: Float> {
+    material: &'a Material,
+    at: Shading<'a, P>,
+    frame: Frame<P>,
+    wo: Vec3<P>,
 }
 
 /// 64 random bits as an index below `n`, at most 2^32.
@@ -674,22 +713,68 @@ fn index_below(bits: u64, n: usize) -> usize {
     (((bits >> 32) * n as u64) >> 32) as usize
 }
 
-/// Chooses an emitter uniformly and samples it.
-#[inline(always)]
-fn sample_light<P: Float, X: Sampler>(
+/// Samples every emitter with the same numbers `u`, and keeps one in proportion to the light that its sample would
+/// bring if nothing were in between, or any one with probability [`LEAST_KEPT`]: where the light vanishes its
+/// derivative may not. The index of that emitter, and one over the probability of keeping it.
+///
+/// Only the choice is returned, and in registers; its sample is made once more.
+///
+/// # Reference
+/// [Talbot 2005], with one candidate from each technique.
+#[inline(never)]
+fn weigh_lights<P: Float, S: Strategy>(
     scene: &Scene,
     from: Vec3<P>,
-    sampler: &mut X,
-) -> Option<LightSample<P>> {
-    let n = scene.emitters().len();
-    let choice = sampler.next_bits();
-    // The only light needs no number; the branch is always predicted.
-    let emitter = if n == 1 { 0 } else { index_below(choice, n) };
-    let mut sample =
-        scene.emitters()[emitter].sample(scene.lights(), from, sampler.next_2d::<P>())?;
-    sample.pdf *= scene.emitter_probability::<P>();
-    (sample.pdf > P::zero()).then_some(LightSample {
-        emitter: emitter as u32,
-        sample,
-    })
+    seen: &Seen<P>,
+    choice: u64,
+    u: [P; 2],
+) -> (u32, P) {
+    // One number, used up bit by bit: whether by light, then which.
+    let choice = f64::from_bits_unit(choice);
+    let by_light = choice >= LEAST_KEPT;
+    let mut rest = match by_light {
+        true => (choice - LEAST_KEPT) / (1.0 - LEAST_KEPT),
+        false => choice / LEAST_KEPT,
+    };
+    let mut kept = (0, 0.0);
+    let (mut total, mut found) = (0.0, 0.0);
+    for (i, e) in scene.emitters().iter().enumerate() {
+        let Some(sample) = e.sample(scene.lights(), from, u) else {
+            continue;
+        };
+        let wi = seen.frame.to_local(sample.d);
+        let (f, pdf) = (seen.material).eval_pdf(&seen.at, seen.wo, wi, TransportMode::Radiance);
+        let density = match S::COUNTS_HITS && !e.is_delta() {
+            true => sample.pdf + pdf,
+            false => sample.pdf,
+        };
+        let light = (f * e.eval(&seen.at.theta, &sample.emission)).sum() / density;
+        // Zero over zero, where the sample is worth nothing.
+        let light = Some(light.to_f64())
+            .filter(|l| l.is_finite())
+            .unwrap_or(0.0);
+        total += light;
+        found += 1.0;
+        let p = match by_light && total > 0.0 {
+            true => light / total,
+            false => 1.0 / found,
+        };
+        if rest < p {
+            rest /= p;
+            kept = (i as u32, light);
+        } else {
+            rest = (rest - p) / (1.0 - p);
+        }
+    }
+    if found == 0.0 {
+        return (0, P::one());
+    }
+    let (emitter, light) = kept;
+    let share = if total > 0.0 {
+        light / total
+    } else {
+        1.0 / found
+    };
+    let p = share * (1.0 - LEAST_KEPT) + LEAST_KEPT / found;
+    (emitter, P::of(p.recip()))
 }

@@ -380,7 +380,7 @@ impl<P: Float, S: Strategy> LocalFn<P> for Connected<'_, P, S> {
             f = f - self.material.eval_normals(&at, wo, wi, mode);
         }
         let weight = S::weight_sampled(R::lift(self.light.mis_pdf), pdf);
-        f * (weight * Const(self.light.mis_pdf.recip()))
+        f * (weight * Const(self.light.kept / self.light.mis_pdf))
     }
 }
 

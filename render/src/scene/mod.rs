@@ -34,6 +34,35 @@ pub struct Settings {
     pub spp: u32,
     /// How those of paths are spread; particles and second order take independent ones.
     pub points: Points,
+    /// How paths choose among emitters; particles start at any one with equal probability.
+    pub lights: LightChoice,
+}
+
+/// How a vertex chooses the emitter that it samples.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum LightChoice {
+    /// Any one of them, with equal probability.
+    #[default]
+    One,
+    /// All are sampled, and one sample is kept in proportion to the light that it would bring without occlusion.
+    /// Worth its time where few of a handful of lights matter at a point. Discrete choices are primal, as
+    /// everywhere.
+    All,
+}
+
+impl LightChoice {
+    /// All of them, by name.
+    pub const NAMES: [(&'static str, Self); 2] = [("one", Self::One), ("all", Self::All)];
+
+    /// How many samples of each emitter there are at a vertex, on average: what its density is multiplied by in
+    /// MIS weights.
+    #[inline(always)]
+    pub fn share<P: Float>(self, scene: &Scene) -> P {
+        match self {
+            Self::One => scene.emitter_probability(),
+            Self::All => P::one(),
+        }
+    }
 }
 
 impl Default for Settings {
@@ -43,6 +72,7 @@ impl Default for Settings {
             rr_depth: 5,
             spp: 16,
             points: Points::default(),
+            lights: LightChoice::default(),
         }
     }
 }

@@ -1,5 +1,5 @@
-//! Owen-scrambled Sobol points and antithetic pairs against independent samples, for every estimator of
-//! derivatives, on the scenes of the figures.
+//! Owen-scrambled Sobol points, antithetic pairs and lights weighed before one is chosen, against independent
+//! samples of any light, for every estimator of derivatives, on the scenes of the figures.
 
 use std::time::Instant;
 
@@ -7,6 +7,7 @@ use rayon::prelude::*;
 use render::auto;
 use render::instances::{Direction, Estimator};
 use render::sampler::Points;
+use render::scene::LightChoice;
 use render::{RenderError, Scene, Settings};
 
 use super::automatic::{Subject, subjects};
@@ -25,6 +26,48 @@ const ESTIMATORS: [Estimator; 7] = [
     Estimator::DifferentialMis,
 ];
 
+/// A way of making samples, and where its gains are judged.
+struct Variant {
+    name: &'static str,
+    points: Points,
+    lights: LightChoice,
+    claim: &'static str,
+    /// Of the smallest and the median gain in variance.
+    passed: fn(f64, f64) -> bool,
+}
+
+// The variance of what few samples decide is itself uncertain by some tens of per cent.
+const VARIANTS: [Variant; 4] = [
+    Variant {
+        name: "sobol",
+        points: Points::Sobol,
+        lights: LightChoice::One,
+        claim: "(a) Sobol points: variance of independent samples over theirs, never much below 1, above it as a rule",
+        passed: |worst, middle| worst > 0.5 && middle > 1.05,
+    },
+    Variant {
+        name: "antithetic",
+        points: Points::Antithetic,
+        lights: LightChoice::One,
+        claim: "(b) antithetic pairs: the same, never below a half (each pair could be one sample)",
+        passed: |worst, _| worst > 0.8 * 0.5,
+    },
+    Variant {
+        name: "all lights",
+        points: Points::Independent,
+        lights: LightChoice::All,
+        claim: "(c) all lights weighed, where there are several: never much below 1, above it as a rule",
+        passed: |worst, middle| worst > 0.5 && middle > 1.05,
+    },
+    Variant {
+        name: "sobol, all lights",
+        points: Points::Sobol,
+        lights: LightChoice::All,
+        claim: "(d) both: never much below 1, above it as a rule",
+        passed: |worst, middle| worst > 0.5 && middle > 1.05,
+    },
+];
+
 /// Sum over the pixels of the variance of derivative images, and seconds per image.
 #[derive(Clone, Copy, Debug)]
 struct Noise {
@@ -36,12 +79,13 @@ fn noise(
     scene: &Scene,
     e: Estimator,
     along: &[Direction],
-    points: Points,
+    (points, lights): (Points, LightChoice),
     spp: u64,
     runs: u64,
 ) -> Result<Noise> {
     let settings = Settings {
         points,
+        lights,
         ..scene.settings
     };
     let start = Instant::now();
@@ -85,8 +129,7 @@ pub fn figure(fig: &mut Figure) -> Result {
     fig.note("seed", SEED);
     let mut rows = Vec::new();
     let mut series: Vec<(String, Vec<(f64, f64)>)> = Vec::new();
-    let mut sobol: Vec<(f64, f64, String)> = Vec::new();
-    let mut pairs: Vec<(f64, f64, String)> = Vec::new();
+    let mut gains: [Vec<(f64, f64, String)>; 4] = Default::default();
     let all = subjects(fig.quick())?;
     for (k, subject) in all.iter().enumerate() {
         let scene = &subject.scene;
@@ -96,26 +139,26 @@ pub fn figure(fig: &mut Figure) -> Result {
             if auto::able(scene, info, &[e]).is_err() {
                 continue;
             }
-            let of = |points| noise(scene, e, &along, points, spp, runs);
-            let base = of(Points::Independent)?;
-            for (points, gains) in [
-                (Points::Sobol, &mut sobol),
-                (Points::Antithetic, &mut pairs),
-            ] {
-                let found = of(points)?;
+            let of = |how| noise(scene, e, &along, how, spp, runs);
+            let base = of((Points::Independent, LightChoice::One))?;
+            for (v, gains) in VARIANTS.iter().zip(&mut gains) {
+                let chooses = v.lights == LightChoice::All;
+                // Nothing to choose among, or nothing chosen.
+                if chooses && (scene.emitters().len() < 2 || e == Estimator::Detached) {
+                    continue;
+                }
+                let found = of((v.points, v.lights))?;
                 let gain = base.variance / found.variance;
                 let faster = gain * base.seconds / found.seconds;
-                let label = format!("{} in {}", e.name(), subject.name);
-                gains.push((gain, faster, label));
-                let name = format!("{points:?}").to_lowercase();
+                gains.push((gain, faster, format!("{} in {}", e.name(), subject.name)));
                 rows.push([
                     subject.name.to_owned(),
                     e.name().to_owned(),
-                    name.clone(),
+                    v.name.to_owned(),
                     gain.to_string(),
                     faster.to_string(),
                 ]);
-                if points == Points::Sobol {
+                if v.name == "sobol" {
                     match series.iter_mut().find(|s| s.0 == e.name()) {
                         Some((_, line)) => line.push((k as f64 + 1.0, gain)),
                         None => series.push((e.name().to_owned(), vec![(k as f64 + 1.0, gain)])),
@@ -124,21 +167,16 @@ pub fn figure(fig: &mut Figure) -> Result {
             }
         }
     }
-    // The variance of what few samples decide is itself uncertain by some tens of per cent.
-    let least = fig.pick(0.5, 0.75);
-    let judge = |fig: &mut Figure,
-                 what: &str,
-                 gains: &mut Vec<(f64, f64, String)>,
-                 passed: &dyn Fn(f64, f64) -> bool| {
+    for (v, mut gains) in VARIANTS.iter().zip(gains) {
         gains.sort_by(|a, b| a.0.total_cmp(&b.0));
         let (Some(worst), Some(best)) = (gains.first(), gains.last()) else {
-            return;
+            continue;
         };
         let middle = gains[gains.len() / 2].0;
         let paid = gains.iter().filter(|g| g.1 > 1.0).count();
         fig.check(
-            what,
-            passed(worst.0, middle),
+            v.claim,
+            (v.passed)(worst.0, middle),
             format!(
                 "from {:.2} ({}) over {middle:.2} (median) to {:.2} ({}); pays on the clock in {paid} of {} cases",
                 worst.0,
@@ -148,23 +186,11 @@ pub fn figure(fig: &mut Figure) -> Result {
                 gains.len()
             ),
         );
-    };
-    judge(
-        fig,
-        "(a) Sobol points: variance of independent samples over theirs, never much below 1, above it as a rule",
-        &mut sobol,
-        &|worst, middle| worst > least && middle > 1.05,
-    );
-    judge(
-        fig,
-        "(b) antithetic pairs: the same, never below a half (each pair could be one sample)",
-        &mut pairs,
-        &|worst, _| worst > 0.8 * 0.5,
-    );
+    }
     let header = [
         "scene",
         "estimator",
-        "points",
+        "samples",
         "gain in variance",
         "gain in efficiency",
     ];

@@ -124,7 +124,7 @@ impl Cornell {
             max_depth: self.max_depth,
             rr_depth: u32::MAX,
             spp: 1,
-            points: render::sampler::Points::Independent,
+            ..Settings::default()
         };
         Ok(b.build(camera, Film::new(self.size, self.size), settings)?)
     }

@@ -112,7 +112,7 @@ fn furnace() -> Result<Scene> {
         max_depth: u32::MAX,
         rr_depth: 4,
         spp: 1,
-        points: render::sampler::Points::Independent,
+        ..Settings::default()
     };
     Ok(b.build(camera, Film::new(8, 8), settings)?)
 }

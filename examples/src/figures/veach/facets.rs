@@ -63,6 +63,7 @@ const SETTINGS: Settings = Settings {
     rr_depth: u32::MAX,
     spp: 1,
     points: render::sampler::Points::Independent,
+    lights: render::scene::LightChoice::One,
 };
 
 /// Two surfaces tilted by 80 degrees, shaded as if they faced the small light above them, in a black shell that
