@@ -661,6 +661,9 @@ type ReparameterisedMis = Mis<Reparameterised, Detached, AttachedWeights>;
 estimators! {
     /// Light sampling only.
     Emitter "emitter" 0.95 EmitterOnly<Detached>;
+    /// Light sampling only, and samples of environment maps move with the texels; for scenes without
+    /// discontinuities.
+    EmitterAttached "emitter-attached" 1.1 EmitterOnly<Detached, Attached>;
     /// BSDF sampling, samples constant.
     Detached "detached" 0.65 BsdfOnly<Detached>;
     /// BSDF sampling, samples move; for scenes without discontinuities.
@@ -695,6 +698,8 @@ estimators! {
     AttachedMisNaive "attached-mis-naive" 1.3 AllowBias<Mis<AttachedDirect, Detached, AttachedWeights>>;
     /// [`Estimator::AttachedMis`] with weights that follow the samples only.
     AttachedMisFrozen "attached-mis-frozen" 1.3 Mis<AttachedDirect, Detached, FrozenWeights>;
+    /// [`Estimator::AttachedMis`] whose samples of environment maps move with the texels.
+    AttachedBoth "attached-both" 1.5 Mis<AttachedDirect, Attached, AttachedWeights>;
     /// Reparameterised BSDF sampling and light sampling, differentiated weights.
     ReparameterisedMis "reparameterised-mis" 2.0 ReparameterisedMis;
     /// Reparameterised with constant weights: biased [Zeltner 2021, Eq. 4.38].

@@ -3,9 +3,9 @@
 use ad_core::{Const, Float, Real, Vec2, Vec3};
 
 use super::boundary::{Freeze, freeze};
-use super::direct::{Departure, FoundLight, direct_light, follows_edges};
+use super::direct::{Aimed, Departure, FoundLight, aimed_light, direct_light, follows_edges};
 use crate::bsdf::{Bsdf, Component, DiffLobe, Material, Part, Shading, TransportMode};
-use crate::emitter::{Emission, Emitter, EmitterSample};
+use crate::emitter::{AnyEmitter, Emission, Emitter, EmitterSample, Shift};
 use crate::estimator::memory::{Memory, Store};
 use crate::estimator::{Direct, Sampling, Strategy};
 use crate::math::{Ray, Rgb};
@@ -27,6 +27,9 @@ pub type Geometry<S, R> = <<S as Strategy>::Bsdf as Sampling>::Geometry<R>;
 /// The last departure of a path and the throughput there, if its strategy wants to know.
 type Remembered<S, R> =
     <<S as Strategy>::Edge as Memory>::Of<(Departure<<R as Real>::Primal>, Rgb<R>)>;
+
+/// A sampled emitter as it moves, if its strategy moves those.
+type Aiming<S, R> = <<S as Strategy>::Aim as Memory>::Of<Aimed<<R as Real>::Primal>>;
 
 /// Light found by a ray that hit an emitter, or left the scene towards one.
 #[derive(Clone, Copy, Debug)]
@@ -110,6 +113,8 @@ pub trait Observer<R: Real> {
     /// A light was sampled at the current vertex, and is visible. Known, and called, last: after
     /// [`Observer::bounce`], before the next edge's events.
     fn sampled(&mut self, _depth: u32, _light: SampledLight<R>) {}
+    /// Called after that, if the sample moves.
+    fn aimed(&mut self, _aimed: Aimed<R::Primal>) {}
     /// A sample of the derivative of the current vertex's normals found light.
     fn normals(&mut self, _light: NormalsLight<R>) {}
     /// The path goes on from the current vertex.
@@ -130,6 +135,17 @@ pub struct Context<'a, R: Real> {
     pub theta: &'a Theta<'a, R>,
     /// Depths.
     pub settings: &'a Settings,
+    /// Per emitter, how its samples move: see [`shifts`]. They stand still where there is none.
+    pub shifts: &'a [Option<Shift<R>>],
+}
+
+/// How the samples of all emitters move, for strategies and scalars that want to know: made once per pass.
+pub fn shifts<R: Real, S: Strategy>(scene: &Scene, theta: &Theta<R>) -> Vec<Option<Shift<R>>> {
+    if R::IS_PRIMAL || !S::Aim::KEEPS {
+        return Vec::new();
+    }
+    let each = |e: &AnyEmitter| e.moving().and_then(|map| map.shift(theta));
+    scene.emitters().iter().map(each).collect()
 }
 
 /// Radiance arriving along `ray`: a [`Walk`] to its end.
@@ -145,6 +161,7 @@ pub fn trace<R: Real, S: Strategy, X: Sampler, O: Observer<R>>(
         scene,
         theta,
         settings,
+        shifts: &shifts::<R, S>(scene, theta),
     };
     Walk::<R, S, X>::new(ray, sampler).finish(&context, observer)
 }
@@ -193,6 +210,7 @@ pub struct Walk<R: Real, S: Strategy, X: Sampler> {
     /// What comes through the shadow ray if it is free, and its record for the observer.
     direct: Rgb<R>,
     sampled: Option<SampledLight<R>>,
+    aimed: Aiming<S, R>,
 }
 
 impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
@@ -214,6 +232,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
             depth: 1,
             direct: Rgb::black(),
             sampled: None,
+            aimed: Default::default(),
         }
     }
 
@@ -245,6 +264,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
             scene,
             theta,
             settings,
+            shifts,
         }: &Context<R>,
         hit: Option<Intersection<Geometry<S, R>>>,
         visible: bool,
@@ -258,6 +278,9 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
             self.l += self.direct;
             if let Some(light) = self.sampled.take() {
                 observer.sampled(depth - 1, light);
+                if let Some(aimed) = self.aimed.get() {
+                    observer.aimed(aimed);
+                }
             }
         }
         let Some(ray) = self.ray.take() else {
@@ -383,6 +406,23 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
                     };
                     self.shadow = Some(shadow);
                     self.direct = beta * f * le * weight;
+                    if S::Aim::KEEPS && differentiates {
+                        let frame = si.frame.primal();
+                        let shift = shifts.get(light.emitter as usize).and_then(Option::as_ref);
+                        if let (Some(map), Some(shift)) = (e.moving(), shift)
+                            && let Some(aim) = map.aim(light.u)
+                        {
+                            let moved = map.follow(&aim, theta, shift);
+                            let emitter = light.emitter;
+                            self.direct = beta
+                                * aimed_light::<R, S>(
+                                    scene, material, &at, wo_r, &frame, emitter, &moved, mode,
+                                );
+                        }
+                        let aimed = Aimed { u: light.u, frame };
+                        let moves = O::ENABLED && e.moving().is_some();
+                        self.aimed.put(moves.then_some(aimed));
+                    }
                     let normals_weight = splits.then(|| {
                         let mis = if S::COUNTS_HITS && !e.is_delta() {
                             let pair = pair_pdf(material, &at, wo.primal(), wi.primal());
@@ -665,6 +705,8 @@ fn has_tangent<R: Real>(c: Rgb<R>) -> bool {
 /// A sampled light; the density includes the choice.
 struct LightSample<P> {
     emitter: u32,
+    /// Random numbers that it was made of.
+    u: [P; 2],
     sample: EmitterSample<P>,
 }
 
@@ -685,11 +727,12 @@ fn sample_light<P: Float, X: Sampler>(
     let choice = sampler.next_bits();
     // The only light needs no number; the branch is always predicted.
     let emitter = if n == 1 { 0 } else { index_below(choice, n) };
-    let mut sample =
-        scene.emitters()[emitter].sample(scene.lights(), from, sampler.next_2d::<P>())?;
+    let u = sampler.next_2d::<P>();
+    let mut sample = scene.emitters()[emitter].sample(scene.lights(), from, u)?;
     sample.pdf *= scene.emitter_probability::<P>();
     (sample.pdf > P::zero()).then_some(LightSample {
         emitter: emitter as u32,
+        u,
         sample,
     })
 }
