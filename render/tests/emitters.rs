@@ -3,16 +3,16 @@
 use std::f64::consts::PI;
 use std::path::Path;
 
-use ad_core::{Dual, Float, Vec3};
+use ad_core::{Const, Dual, Float, Real, Vec3};
 use render::bsdf::Diffuse;
 use render::camera::{Camera, FovAxis};
 use render::emitter::{
-    AnyEmitter, Area, Constant, Emitter, EmitterSample, Envmap, Point, Spot, Vmf,
+    AnyEmitter, Area, Constant, Emitter, EmitterSample, Envmap, Moved, Point, Spot, Vmf,
 };
 use render::film::Image;
 use render::image_io;
 use render::math::{Transform, warp};
-use render::params::{GradSink, ParamRef, Theta};
+use render::params::{GradSink, ParamRef, Tangent, Theta};
 use render::sampler::{Independent, Sampler};
 use render::scene::xml::Document;
 use render::scene::{Builder, Settings};
@@ -339,6 +339,227 @@ fn maps_are_resampled_when_they_change() {
     );
     scene.set_params(&values).unwrap();
     assert!(pdf(&scene) * 4.0 * PI > 10.0, "{}", pdf(&scene) * 4.0 * PI);
+}
+
+/// A map under test and its scene.
+fn map(image: &Image) -> Scene {
+    scene(|b, _| vec![Envmap::new(b, "env", image, &turned(), 0.5).unwrap().into()])
+}
+
+/// Attached samples must not jump [Zeltner 2021, section 4.2.2]: along both random numbers the direction is
+/// continuous, across cells, bands and the seam. In steps of 1e-6 a density of at least 5 % of the uniform one
+/// moves it by at most 0.01 (next to the poles), while cells are wider than 0.4.
+#[test]
+fn directions_are_continuous_in_random_numbers() {
+    let (width, height) = (7, 5);
+    let scene = map(&noise(width, height, 21));
+    let sample = |u: [f64; 2]| {
+        let s = scene.emitters()[0].sample(scene.lights(), Vec3::zero(), u);
+        s.unwrap().d
+    };
+    for fixed in [0.1, 0.37, 0.8] {
+        for along in 0..2 {
+            let at = |i: u32| {
+                let mut u = [fixed; 2];
+                u[along] = f64::from(i) * 1e-6;
+                sample(u)
+            };
+            let mut last = at(0);
+            for i in 1..1_000_000 {
+                let next = at(i);
+                let jump = (next - last).length();
+                assert!(jump < 0.01, "{fixed} {along} {i}: {jump}");
+                last = next;
+            }
+        }
+        assert!((sample([0.0, fixed]) - sample([1.0, fixed])).length() < 1e-5);
+    }
+}
+
+/// With the random numbers held, directions, densities and what arrives follow the texels as differences of
+/// [`Emitter::sample`] do, from tables that are rebuilt. Tables hold densities in f32: differences are good to a
+/// thousandth. Kinks between cells spoil a few of them.
+#[test]
+fn samples_of_maps_follow_the_texels() {
+    for (name, mut image) in [
+        ("map", noise(6, 5, 1)),
+        ("one row", noise(5, 1, 2)),
+        ("two rows", noise(3, 2, 3)),
+        ("one column", noise(1, 4, 4)),
+    ] {
+        // Bright enough for the step.
+        image.data.iter_mut().for_each(|x| *x += 0.2);
+        let mut scene = map(&image);
+        let range = scene.params().find("env.data").unwrap().range();
+        let before = scene.params().values().to_vec();
+        let mut direction = vec![0.0; before.len()];
+        for i in range.clone() {
+            direction[i] = 2.0 * Independent::new(22, 1, i as u64).next_1d::<f64>() - 1.0;
+        }
+        let values: Vec<f64> = before.iter().map(|&x| x.into()).collect();
+        let tangents: Vec<Tangent<Dual<f64, 1>>> = (scene.params().infos().iter())
+            .map(|info| {
+                let each = direction[info.range()].iter();
+                Tangent::Dense(each.map(|d| Dual::new(0.0, [*d])).collect())
+            })
+            .collect();
+        let theta = Theta::with_tangents(&values, &tangents);
+        let u = |i: u64| Independent::new(23, 0, i).next_2d::<f64>();
+        let numbers = |s: &EmitterSample<f64>| {
+            let (d, uv) = (s.d, s.emission.uv);
+            let turn = 2.0 * PI * uv.x;
+            [d.x, d.y, d.z, s.pdf, turn.cos(), turn.sin(), uv.y]
+        };
+        const N: u64 = 400;
+        let moved: Vec<[Dual<f64, 1>; 7]> = (0..N)
+            .map(|i| {
+                let e = scene.emitters()[0].moving().unwrap();
+                let aim = e.aim(u(i)).unwrap();
+                let m = e.follow(&aim, &theta, &e.shift(&theta).unwrap());
+                let Moved {
+                    d, pdf, emission, ..
+                } = m;
+                let turn = emission.uv.x * Const(2.0 * PI);
+                [d.x, d.y, d.z, pdf, turn.cos(), turn.sin(), emission.uv.y]
+            })
+            .collect();
+        let h = 4e-3;
+        let mut shifted = |h: f64| -> Vec<[f64; 7]> {
+            let v: Vec<f32> = (before.iter().zip(&direction))
+                .map(|(v, d)| (f64::from(*v) + h * d) as f32)
+                .collect();
+            scene.set_params(&v).unwrap();
+            let e = &scene.emitters()[0];
+            let sample = |i| e.sample(scene.lights(), Vec3::zero(), u(i)).unwrap();
+            (0..N).map(|i| numbers(&sample(i))).collect()
+        };
+        let (plus, minus) = (shifted(h), shifted(-h));
+        let mut off = 0;
+        for (m, (p, q)) in moved.iter().zip(plus.iter().zip(&minus)) {
+            let expected: Vec<f64> = p.iter().zip(q).map(|(p, q)| (p - q) / (2.0 * h)).collect();
+            let size: f64 = expected.iter().map(|x| x.abs()).sum();
+            let near = |(m, e): (&Dual<f64, 1>, &f64)| (m.eps[0] - e).abs() < 2e-3 * (0.1 + size);
+            off += u32::from(!m.iter().zip(&expected).all(near));
+        }
+        assert!(off < 20, "{name}: {off} of {N} differ");
+        let motion: f64 = moved.iter().map(|m| m[0].eps[0].abs()).sum();
+        assert!(motion > 0.0 || name == "one column", "{name} stands still");
+    }
+}
+
+/// A common factor of all texels moves nothing; it only changes what arrives.
+#[test]
+fn samples_stand_still_when_a_map_is_scaled() {
+    type D = Dual<f64, 1>;
+    let image = noise(9, 6, 24);
+    let scene = map(&image);
+    let e = scene.emitters()[0].moving().unwrap();
+    let values: Vec<f64> = scene.params().values().iter().map(|&x| x.into()).collect();
+    let tangents: Vec<Tangent<D>> = (scene.params().infos().iter())
+        .map(|i| {
+            Tangent::Dense(
+                values[i.range()]
+                    .iter()
+                    .map(|v| D::new(0.0, [*v]))
+                    .collect(),
+            )
+        })
+        .collect();
+    let theta = Theta::with_tangents(&values, &tangents);
+    let shift = e.shift(&theta).unwrap();
+    for i in 0..500 {
+        let aim = e.aim::<f64>(Independent::new(25, 0, i).next_2d()).unwrap();
+        let m = e.follow(&aim, &theta, &shift);
+        for x in [m.d.x, m.d.y, m.d.z, m.pdf, m.frozen_pdf] {
+            assert!(x.eps[0].abs() < 1e-6 * (1.0 + x.re.abs()), "{x:?}");
+        }
+    }
+}
+
+/// Motion is finite at the poles, in corners and for every map: dark, bright, with one row or one texel.
+#[test]
+fn motion_is_finite() {
+    fn sweep<P: Float>(scene: &Scene, name: &str) {
+        let values: Vec<P> = (scene.params().values().iter())
+            .map(|&x| P::from_f32(x))
+            .collect();
+        let tangents: Vec<Tangent<Dual<P, 1>>> = (scene.params().infos().iter())
+            .map(|_| Tangent::Uniform(Dual::new(P::zero(), [P::one()])))
+            .collect();
+        let theta = Theta::with_tangents(&values, &tangents);
+        let e = scene.emitters()[0].moving().unwrap();
+        let last = P::one() - P::EPSILON;
+        let unit = [
+            P::zero(),
+            P::MIN_POSITIVE,
+            P::EPSILON,
+            P::of(0.25),
+            P::of(0.5),
+            last,
+        ];
+        for a in unit {
+            for b in unit {
+                let Some(aim) = e.aim([a, b]) else {
+                    assert!(name.starts_with("black"), "{name} stands still");
+                    continue;
+                };
+                let m = e.vary::<P>(&aim);
+                let numbers = [
+                    m.d.x,
+                    m.d.y,
+                    m.d.z,
+                    m.pdf,
+                    m.frozen_pdf,
+                    m.emission.uv.x,
+                    m.emission.uv.y,
+                ];
+                assert!(numbers.iter().all(|x| x.is_finite()), "{name} {m:?}");
+                let m = e.follow(&aim, &theta, &e.shift(&theta).unwrap());
+                let numbers = [
+                    m.d.x,
+                    m.d.y,
+                    m.d.z,
+                    m.pdf,
+                    m.frozen_pdf,
+                    m.emission.uv.x,
+                    m.emission.uv.y,
+                ];
+                assert!(numbers.iter().all(|x| x.is_finite()), "{name} {m:?}");
+                let offsets: Vec<usize> = scene.params().infos().iter().map(|i| i.offset).collect();
+                let mut grad = Gradient(vec![0.0; values.len()], offsets);
+                let mut sums = vec![0.0; e.sums()];
+                e.pull_back(&aim, [1.0; 3], &mut grad, |_, i, d| sums[i] += d);
+                e.fold(
+                    &sums,
+                    &mut grad.0[scene.params().find("env.data").unwrap().range()],
+                );
+                assert!(grad.0.iter().all(|x| x.is_finite()), "{name}");
+            }
+        }
+    }
+    let scaled = |k: f32| {
+        let mut image = noise(6, 5, 26);
+        image.data.iter_mut().for_each(|x| *x *= k);
+        image
+    };
+    let mut spike = Image::new(16, 8);
+    spike.data[3 * (5 * 16 + 15)..][..3].fill(1e4);
+    for (name, image) in [
+        ("map", scaled(1.0)),
+        ("dark", scaled(1e-20)),
+        ("black but for denormals", scaled(1e-41)),
+        ("bright", scaled(1e30)),
+        ("black", Image::new(4, 3)),
+        ("black texel", Image::new(1, 1)),
+        ("one texel", noise(1, 1, 3)),
+        ("one row", noise(5, 1, 4)),
+        ("one column", noise(1, 5, 5)),
+        ("spike", spike),
+    ] {
+        let scene = map(&image);
+        sweep::<f32>(&scene, name);
+        sweep::<f64>(&scene, name);
+    }
 }
 
 /// With a ball of radius r, radiance L and distance D that is all above the horizon, the irradiance is

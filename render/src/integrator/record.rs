@@ -299,8 +299,11 @@ fn pull_back_motion<P: Float, S: Strategy>(
         &map.vary(&aim),
         TransportMode::Radiance,
     );
-    let adjoint = [0, 1, 2].map(|k| (Rgb::new(light.r.eps[k], light.g.eps[k], light.b.eps[k]) * d).sum());
-    map.pull_back(&aim, adjoint, grad, |grad, sum, d| grad.add_sum(emitter, sum, d));
+    let adjoint =
+        [0, 1, 2].map(|k| (Rgb::new(light.r.eps[k], light.g.eps[k], light.b.eps[k]) * d).sum());
+    map.pull_back(&aim, adjoint, grad, |grad, sum, d| {
+        grad.add_sum(emitter, sum, d)
+    });
 }
 
 impl<P: Float> Recorder<P> {

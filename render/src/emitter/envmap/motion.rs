@@ -108,7 +108,8 @@ impl Envmap {
             x
         };
         let l = table.local(band, cell);
-        let [rows, lines] = [(2, l.rows), (4, l.lines)].map(|(k, v)| [var(k, v[0]), var(k + 1, v[1])]);
+        let [rows, lines] =
+            [(2, l.rows), (4, l.lines)].map(|(k, v)| [var(k, v[0]), var(k + 1, v[1])]);
         let local = Local {
             before: var(1, l.before),
             rows,
@@ -183,9 +184,8 @@ impl Envmap {
         let frozen = mix([side(0), side(1)], place[0]);
 
         let [x, y] = [at.x, at.y].map(|x| x - R::lift(x.primal()));
-        let chain = |value: R::Primal, f: Place| {
-            R::lift(value) + x * R::c(f.eps[0]) + y * R::c(f.eps[1])
-        };
+        let chain =
+            |value: R::Primal, f: Place| R::lift(value) + x * R::c(f.eps[0]) + y * R::c(f.eps[1]);
         let of = |f: Place| chain(R::Primal::of(f.re), f);
         let unit: Vec3<R::Primal> = d.map(|x| R::Primal::of(x.re)).normalize();
         let per_angle = R::c(0.25 * FRAC_1_PI);
