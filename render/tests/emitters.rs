@@ -7,16 +7,16 @@ use ad_core::{Const, Dual, Float, Real, Vec3};
 use render::bsdf::Diffuse;
 use render::camera::{Camera, FovAxis};
 use render::emitter::{
-    AnyEmitter, Area, Constant, Emitter, EmitterSample, Envmap, Moved, Point, Spot, Vmf,
+    AnyEmitter, Area, Ball, Constant, Emitter, EmitterSample, Envmap, Moved, Point, Spot, Vmf,
 };
 use render::film::Image;
 use render::image_io;
-use render::math::{Transform, warp};
+use render::math::{Frame, Transform, warp};
 use render::params::{GradSink, ParamRef, Tangent, Theta};
 use render::sampler::{Independent, Sampler};
 use render::scene::xml::Document;
 use render::scene::{Builder, Settings};
-use render::shape::{Shape, Sphere};
+use render::shape::{Patch, Rectangle, Shape, Sphere};
 use render::{Film, Scene, SceneError};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
@@ -96,47 +96,51 @@ fn cell_direction(i: f64, rows: f64, j: f64, columns: f64) -> Vec3<f64> {
     Vec3::new(r * phi.cos(), r * phi.sin(), z)
 }
 
-/// Chi-square of sampled directions against the density integrated by quadrature; its integral is one.
-/// Significance 1 % over all environments (Sidak).
-#[test]
-fn environments_are_sampled_by_their_density() {
-    const N: u64 = 60_000;
+/// Directions counted in bins, to be compared with a density.
+struct Histogram {
+    observed: Vec<f64>,
+    n: f64,
+}
+
+impl Histogram {
     const ROWS: usize = 24;
     const COLUMNS: usize = 36;
-    const FINE: usize = 40;
-    let (scene, names) = environments();
-    let limit = -((-0.01f64).ln_1p() / names.len() as f64).exp_m1();
-    let origin = Vec3::<f64>::zero();
-    for (k, (emitter, name)) in scene.emitters().iter().zip(names).enumerate() {
-        let mut observed = vec![0.0; ROWS * COLUMNS];
-        for i in 0..N {
-            let u = Independent::new(1, k as u64, i).next_2d();
-            let s = emitter.sample(scene.lights(), origin, u).unwrap();
-            let pdf = emitter.pdf(scene.lights(), origin, s.d, None);
-            assert!(
-                (pdf / s.pdf - 1.0).abs() < 1e-5,
-                "{name}: {pdf} for {}",
-                s.pdf
-            );
-            assert_eq!(s.distance, f64::INFINITY);
-            let row = (0.5 * (1.0 - s.d.z) * ROWS as f64) as usize;
-            let turn = s.d.y.atan2(s.d.x).rem_euclid(2.0 * PI) / (2.0 * PI);
-            let column = ((turn * COLUMNS as f64) as usize).min(COLUMNS - 1);
-            observed[row.min(ROWS - 1) * COLUMNS + column] += 1.0;
+
+    fn of(directions: impl Iterator<Item = Vec3<f64>>) -> Self {
+        let (mut observed, mut n) = (vec![0.0; Self::ROWS * Self::COLUMNS], 0.0);
+        for d in directions {
+            let row = (0.5 * (1.0 - d.z) * Self::ROWS as f64) as usize;
+            let turn = d.y.atan2(d.x).rem_euclid(2.0 * PI) / (2.0 * PI);
+            let column = ((turn * Self::COLUMNS as f64) as usize).min(Self::COLUMNS - 1);
+            observed[row.min(Self::ROWS - 1) * Self::COLUMNS + column] += 1.0;
+            n += 1.0;
         }
-        let area = 4.0 * PI / (ROWS * COLUMNS * FINE * FINE) as f64;
+        Self { observed, n }
+    }
+
+    /// Probability of a chi-square statistic as large as that of the counts against `density`, integrated by
+    /// quadrature; its integral is one.
+    fn p_value(self, name: &str, density: impl Fn(Vec3<f64>) -> f64) -> f64 {
+        const FINE: usize = 40;
+        let bins = Self::ROWS * Self::COLUMNS;
+        let area = 4.0 * PI / (bins * FINE * FINE) as f64;
         let (mut statistic, mut bins, mut total) = (0.0, 0, 0.0);
         let (mut rest_o, mut rest_e) = (0.0, 0.0);
-        for (cell, o) in observed.into_iter().enumerate() {
+        for (cell, o) in self.observed.into_iter().enumerate() {
             let mut e = 0.0;
             for fine in 0..FINE * FINE {
-                let i = (cell / COLUMNS) as f64 + ((fine / FINE) as f64 + 0.5) / FINE as f64;
-                let j = (cell % COLUMNS) as f64 + ((fine % FINE) as f64 + 0.5) / FINE as f64;
-                let d = cell_direction(i, ROWS as f64, j, COLUMNS as f64);
-                e += area * emitter.pdf(scene.lights(), origin, d, None);
+                let i = (cell / Self::COLUMNS) as f64 + ((fine / FINE) as f64 + 0.5) / FINE as f64;
+                let j = (cell % Self::COLUMNS) as f64 + ((fine % FINE) as f64 + 0.5) / FINE as f64;
+                e += area
+                    * density(cell_direction(
+                        i,
+                        Self::ROWS as f64,
+                        j,
+                        Self::COLUMNS as f64,
+                    ));
             }
             total += e;
-            let e = e * N as f64;
+            let e = e * self.n;
             if e >= 5.0 {
                 statistic += (o - e) * (o - e) / e;
                 bins += 1;
@@ -154,7 +158,179 @@ fn environments_are_sampled_by_their_density() {
         } else {
             assert!(rest_o < 30.0, "{name}: {rest_o} for {rest_e}");
         }
-        let p = ChiSquared::new(f64::from(bins - 1)).unwrap().sf(statistic);
+        ChiSquared::new(f64::from(bins - 1)).unwrap().sf(statistic)
+    }
+}
+
+/// Smallest probability that `tests` true hypotheses exceed together with probability 99 % (Sidak).
+fn p_limit(tests: usize) -> f64 {
+    -((-0.01f64).ln_1p() / tests as f64).exp_m1()
+}
+
+/// Chi-square of sampled directions against the density; 60 000 samples, significance 1 % over all
+/// environments.
+#[test]
+fn environments_are_sampled_by_their_density() {
+    let (scene, names) = environments();
+    let limit = p_limit(names.len());
+    let origin = Vec3::<f64>::zero();
+    for (k, (emitter, name)) in scene.emitters().iter().zip(names).enumerate() {
+        let directions = (0..60_000).map(|i| {
+            let u = Independent::new(1, k as u64, i).next_2d();
+            let s = emitter.sample(scene.lights(), origin, u).unwrap();
+            let pdf = emitter.pdf(scene.lights(), origin, s.d, None);
+            assert!(
+                (pdf / s.pdf - 1.0).abs() < 1e-5,
+                "{name}: {pdf} for {}",
+                s.pdf
+            );
+            assert_eq!(s.distance, f64::INFINITY);
+            s.d
+        });
+        let density = |d| emitter.pdf(scene.lights(), origin, d, None);
+        let p = Histogram::of(directions).p_value(name, density);
+        assert!(p > limit, "{name}: p = {p}");
+    }
+}
+
+/// Particles start by the densities that they state, in position and direction: chi-square of 60 000 of each
+/// kind, significance 1 % over all. Positions are mapped to a sphere so that equal areas stay equal.
+#[test]
+fn particles_start_by_their_densities() {
+    const N: u64 = 60_000;
+    let (around, names) = environments();
+    let mut tests: Vec<(String, f64)> = Vec::new();
+    let start = |scene: &Scene, k: usize, i: u64| {
+        let mut numbers = Independent::new(31, k as u64, i);
+        let [a, b] = numbers.next_2d::<f64>();
+        let [c, d] = numbers.next_2d::<f64>();
+        let ball = Ball::around(scene.shapes());
+        let e = &scene.emitters()[k];
+        e.sample_ray(scene.lights(), ball, [a, b, c, d]).unwrap()
+    };
+    let uniform = |_| 0.25 / PI;
+    // A place on the unit disc.
+    let disc = |x: f64, y: f64| {
+        let turn = y.atan2(x);
+        let z: f64 = 1.0 - 2.0 * (x * x + y * y);
+        let r = (1.0 - z * z).max(0.0).sqrt();
+        Vec3::new(r * turn.cos(), r * turn.sin(), z)
+    };
+
+    let ball = Ball::around(around.shapes()).unwrap();
+    let (centre, radius) = (Vec3::from(ball.centre), ball.radius);
+    for (k, name) in names.into_iter().enumerate() {
+        let e = &around.emitters()[k];
+        let density = |d| e.pdf(around.lights(), Vec3::zero(), d, None);
+        let directions = (0..N).map(|i| {
+            let s = start(&around, k, i);
+            assert!((s.pdf_direction / density(-s.ray.d) - 1.0).abs() < 1e-5);
+            assert!((s.pdf_position * PI * radius * radius - 1.0).abs() < 1e-9);
+            -s.ray.d
+        });
+        let p = Histogram::of(directions).p_value(name, density);
+        tests.push((format!("{name}, direction"), p));
+        let positions = (0..N).map(|i| {
+            let s = start(&around, k, i);
+            let local = Frame::from_normal(-s.ray.d).to_local(s.ray.o - centre) * radius.recip();
+            assert!((local.z - 1.0).abs() < 1e-6, "{name}: {local:?}");
+            disc(local.x, local.y)
+        });
+        let p = Histogram::of(positions).p_value(name, uniform);
+        tests.push((format!("{name}, position"), p));
+    }
+
+    let at = [0.5, -1.0, 2.0];
+    let axis = Vec3::new(0.6, 0.0, 0.8);
+    let near = scene(|b, sphere| {
+        let mut white = |name: &str| b.rgb(name, [1.0; 3], POSITIVE).unwrap();
+        let mut area = |exponent, shape| {
+            let radiance = white("area");
+            Area {
+                radiance,
+                exponent,
+                shape,
+            }
+        };
+        let lights: Vec<AnyEmitter> = vec![
+            area(0.0, sphere).into(),
+            area(30.0, sphere).into(),
+            area(0.0, sphere + 1).into(),
+            area(3.0, sphere + 1).into(),
+            Point {
+                intensity: white("point"),
+                position: at.map(|x| x as f32),
+            }
+            .into(),
+            Spot::new(white("spot"), at, axis.to_array(), 40.0, 60.0)
+                .unwrap()
+                .into(),
+        ];
+        let grey = b.rgb("board", [0.5; 3], (0.0, 1.0)).unwrap();
+        let sides = [[4.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
+        let board = Patch::new([-2.0, -0.5, 0.0], sides[0], sides[1], false).unwrap();
+        let grey = b.add_material(Diffuse { reflectance: grey });
+        assert_eq!(b.add_shape("board", Rectangle(board), grey), sphere + 1);
+        lights
+    });
+    let lobe =
+        |exponent: f64| move |z: f64| 0.5 * (exponent + 2.0) / PI * z.max(0.0).powf(exponent + 1.0);
+    let cone = |z: f64| if z > 0.5 { 1.0 / PI } else { 0.0 };
+    let densities: [(&str, Box<dyn Fn(f64) -> f64>); 6] = [
+        ("ball light", Box::new(lobe(0.0))),
+        ("ball of lobes", Box::new(lobe(30.0))),
+        ("board", Box::new(lobe(0.0))),
+        ("board of lobes", Box::new(lobe(3.0))),
+        ("point", Box::new(|_| 0.25 / PI)),
+        ("spot", Box::new(cone)),
+    ];
+    for (k, (name, density)) in densities.into_iter().enumerate() {
+        let directions = (0..N).map(|i| {
+            let s = start(&near, k, i);
+            let frame = match &s.surface {
+                Some((_, si)) => si.frame,
+                None => Frame::from_normal(axis),
+            };
+            let d = frame.to_local(s.ray.d);
+            assert!(
+                (s.pdf_direction / density(d.z) - 1.0).abs() < 1e-5,
+                "{name}"
+            );
+            d
+        });
+        let p = Histogram::of(directions).p_value(name, |d| density(d.z));
+        tests.push((format!("{name}, direction"), p));
+        let positions = (0..N).filter_map(|i| {
+            let s = start(&near, k, i);
+            let Some((shape, si)) = &s.surface else {
+                assert_eq!(s.pdf_position, 1.0);
+                assert!((s.ray.o - Vec3::from(at)).length() < 1e-6);
+                return None;
+            };
+            assert_eq!(s.ray.o, si.p);
+            if *shape == 0 {
+                assert!((s.pdf_position * 4.0 * PI * 0.25 - 1.0).abs() < 1e-6);
+                return Some((si.p - Vec3::new(0.0, 0.0, 3.0)) * 2.0);
+            }
+            assert!(
+                (s.pdf_position * 4.0 - 1.0).abs() < 1e-6,
+                "{}",
+                s.pdf_position
+            );
+            let (x, y) = (0.25 * si.p.x + 0.5, si.p.y + 0.5);
+            Some(cell_direction(x, 1.0, y, 1.0))
+        });
+        let positions = Histogram::of(positions);
+        if positions.n > 0.0 {
+            tests.push((
+                format!("{name}, position"),
+                positions.p_value(name, uniform),
+            ));
+        }
+    }
+    assert_eq!(tests.len(), 2 * 9 + 2 * 4 + 2);
+    let limit = p_limit(tests.len());
+    for (name, p) in tests {
         assert!(p > limit, "{name}: p = {p}");
     }
 }

@@ -23,6 +23,9 @@ type Emitter = EmitterOnly<Detached, Attached>;
 type Both = Mis<AttachedDirect, Attached, AttachedWeights>;
 type Frozen = Mis<Detached, Attached, FrozenWeights>;
 
+/// [`reverse`] of some estimator.
+type Reverse = fn(&Scene, &[&str], &[f32], u64, u64) -> Vec<f64>;
+
 const DIFFUSE: &str =
     r#"<bsdf type="diffuse" id="metal"><rgb name="reflectance" value="0.7, 0.5, 0.3"/></bsdf>"#;
 const GLOSSY: &str = r#"<bsdf type="roughconductor" id="metal"><string name="distribution" value="ggx"/>
@@ -234,7 +237,7 @@ fn gradients_equal_central_differences() {
             };
             Estimate::of(&(0..REPEATS).into_par_iter().map(each).collect::<Vec<_>>())
         });
-        let estimators: [(&str, fn(&Scene, &[&str], &[f32], u64, u64) -> Vec<f64>); 3] = [
+        let estimators: [(&str, Reverse); 3] = [
             ("emitter", reverse::<Emitter>),
             ("both", reverse::<Both>),
             ("frozen", reverse::<Frozen>),
