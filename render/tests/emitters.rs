@@ -276,7 +276,8 @@ fn particles_start_by_their_densities() {
     let lobe =
         |exponent: f64| move |z: f64| 0.5 * (exponent + 2.0) / PI * z.max(0.0).powf(exponent + 1.0);
     let cone = |z: f64| if z > 0.5 { 1.0 / PI } else { 0.0 };
-    let densities: [(&str, Box<dyn Fn(f64) -> f64>); 6] = [
+    type Profile = Box<dyn Fn(f64) -> f64>;
+    let densities: [(&str, Profile); 6] = [
         ("ball light", Box::new(lobe(0.0))),
         ("ball of lobes", Box::new(lobe(30.0))),
         ("board", Box::new(lobe(0.0))),

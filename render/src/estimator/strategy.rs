@@ -111,7 +111,7 @@ impl<B: Sampling> Strategy for BsdfOnly<B> {
 impl<B: Sampling> Unbiased for BsdfOnly<B> {}
 
 /// Lights are sampled; a light that is hit counts only where it could not have been sampled (seen
-/// directly or through deltas).
+/// directly or through deltas). `E` says whether their samples move, see [`EmitterSampling`].
 #[derive(Clone, Copy, Debug)]
 pub struct EmitterOnly<B, E = Detached>(PhantomData<(B, E)>);
 

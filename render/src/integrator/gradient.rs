@@ -305,8 +305,9 @@ impl Activity for Sink<'_> {
 /// that is not linear, it must come from an image with another seed (errata Z-4.4).
 ///
 /// Memory: the recorded path of one sample per thread, and twice the size of the large parameters
-/// in f32, whatever the number of samples, the resolution and the depth. The result depends on the arguments
-/// only, not on the number of threads.
+/// in f32 (and 8 bytes per texel of environment maps whose samples move), whatever the number of
+/// samples, the resolution and the depth. The result depends on the arguments only, not on the number of
+/// threads.
 ///
 /// # Does not handle
 /// Geometry, and deltas in the parameter: detached sampling.

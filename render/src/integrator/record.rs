@@ -480,7 +480,8 @@ impl<P: Float> Observer<P> for Recorder<P> {
 
     #[inline]
     fn aimed(&mut self, aimed: Aimed<P>) {
-        self.aimed.push((self.vertices.len() as u32 - 1, aimed));
+        let vertex = self.vertices.len().saturating_sub(1);
+        self.aimed.push((vertex as u32, aimed));
     }
 
     #[inline]
