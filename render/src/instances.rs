@@ -510,7 +510,8 @@ macro_rules! estimators {
             }
 
             /// Work of a sample, in those of [`Estimator::Mis`]: processor time of forward and reverse mode on
-            /// plates under ball lights and on glossy things in a room, from which each differs by up to 40 %. Not a
+            /// plates under ball lights and on glossy things in a room, from which each differs by up to 40 % (on planes
+            /// under environment maps, where samples move with those). Not a
             /// clock, so that what is chosen by it depends on the seed alone.
             pub fn cost(self) -> f64 {
                 match self {
@@ -661,6 +662,9 @@ type ReparameterisedMis = Mis<Reparameterised, Detached, AttachedWeights>;
 estimators! {
     /// Light sampling only.
     Emitter "emitter" 0.95 EmitterOnly<Detached>;
+    /// Light sampling only, and samples of environment maps move with the texels; for scenes without
+    /// discontinuities.
+    EmitterAttached "emitter-attached" 1.3 EmitterOnly<Detached, Attached>;
     /// BSDF sampling, samples constant.
     Detached "detached" 0.65 BsdfOnly<Detached>;
     /// BSDF sampling, samples move; for scenes without discontinuities.
@@ -695,6 +699,8 @@ estimators! {
     AttachedMisNaive "attached-mis-naive" 1.3 AllowBias<Mis<AttachedDirect, Detached, AttachedWeights>>;
     /// [`Estimator::AttachedMis`] with weights that follow the samples only.
     AttachedMisFrozen "attached-mis-frozen" 1.3 Mis<AttachedDirect, Detached, FrozenWeights>;
+    /// [`Estimator::AttachedMis`] whose samples of environment maps move with the texels.
+    AttachedBoth "attached-both" 1.9 Mis<AttachedDirect, Attached, AttachedWeights>;
     /// Reparameterised BSDF sampling and light sampling, differentiated weights.
     ReparameterisedMis "reparameterised-mis" 2.0 ReparameterisedMis;
     /// Reparameterised with constant weights: biased [Zeltner 2021, Eq. 4.38].

@@ -330,6 +330,8 @@ fn naive_attached_sampling_is_refused_where_it_is_biased() {
         Estimator::Attached,
         Estimator::AttachedPath,
         Estimator::AttachedMis,
+        Estimator::AttachedBoth,
+        Estimator::EmitterAttached,
     ] {
         assert!(e.check(&cases[0].scene).is_err());
         assert!(e.check(&cases[1].scene).is_ok());

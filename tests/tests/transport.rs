@@ -183,7 +183,7 @@ fn the_whole_gradient_at_zero_albedo() {
         max_depth: 6,
         rr_depth: u32::MAX,
         spp: 1,
-        points: render::sampler::Points::Independent,
+        ..Settings::default()
     };
     let zero = gradient("0", &off, 1, 256);
     let small = gradient("0.000001", &off, 1, 256);
@@ -255,7 +255,7 @@ fn reflectance_of_a_smooth_conductor() {
         max_depth: 3,
         rr_depth: u32::MAX,
         spp: 1,
-        points: render::sampler::Points::Independent,
+        ..Settings::default()
     };
     let params: Vec<_> = [
         "mirror.specular_reflectance.value",

@@ -14,7 +14,7 @@ mod vmf;
 
 pub use area::Area;
 pub use constant::Constant;
-pub use envmap::Envmap;
+pub use envmap::{Aim, Envmap, Moved, Shift};
 pub use point::Point;
 pub use spot::Spot;
 pub use vmf::Vmf;
@@ -342,6 +342,17 @@ macro_rules! emitters {
             }
         }
     };
+}
+
+impl AnyEmitter {
+    /// The emitter, if its samples move with its parameters. Points on areas, cones and lobes do not: the
+    /// parameters of all other emitters scale what they emit, not where.
+    pub fn moving(&self) -> Option<&Envmap> {
+        match self {
+            Self::Envmap(e) => Some(e),
+            _ => None,
+        }
+    }
 }
 
 emitters! {

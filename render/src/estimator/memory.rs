@@ -4,6 +4,8 @@ use std::fmt::Debug;
 
 /// [`Keep`] or [`Forget`].
 pub trait Memory: Send + Sync + 'static {
+    /// Whether it is [`Keep`].
+    const KEEPS: bool;
     /// Room for a `T`, or none.
     type Of<T: Copy + Debug>: Store<T>;
     /// [`Keep`] if either is.
@@ -27,11 +29,13 @@ pub struct Keep;
 pub struct Forget;
 
 impl Memory for Keep {
+    const KEEPS: bool = true;
     type Of<T: Copy + Debug> = Option<T>;
     type Or<M: Memory> = Self;
 }
 
 impl Memory for Forget {
+    const KEEPS: bool = false;
     type Of<T: Copy + Debug> = ();
     type Or<M: Memory> = M;
 }

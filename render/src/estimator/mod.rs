@@ -18,7 +18,8 @@ mod strategy;
 mod weights;
 
 pub use sampling::{
-    Attached, AttachedDirect, Detached, Differential, Direct, Reparameterised, Sampling,
+    Attached, AttachedDirect, Detached, Differential, Direct, EmitterSampling, Reparameterised,
+    Sampling, Unsplit,
 };
 pub use strategy::{AllowBias, AttachedRoulette, BsdfOnly, EmitterOnly, Mis, Strategy, Unbiased};
 pub use weights::{

@@ -65,6 +65,30 @@ pub trait Sampling: Send + Sync + 'static {
     ) -> Option<Scattered<Self::Geometry<R>, R>>;
 }
 
+/// A way of sampling emitters, beside directions that are scattered as `B` says: [`Detached`] or [`Attached`].
+pub trait EmitterSampling<B: Sampling>: Send + Sync + 'static {
+    /// Whether a sample must be remembered to be moved: samples of emitters follow the parameters.
+    type Aim: Memory;
+}
+
+impl<B: Sampling> EmitterSampling<B> for Detached {
+    type Aim = Forget;
+}
+
+/// The random numbers of an environment map stay, and its direction moves with the texels; samples of other
+/// emitters do not move with any parameter they have, so that they are attached and detached alike.
+impl<B: Unsplit> EmitterSampling<B> for Attached {
+    type Aim = Keep;
+}
+
+/// Constant paths with one estimate of the derivative of a BSDF: light that moves by itself can be
+/// differentiated vertex by vertex.
+pub trait Unsplit: Sampling {}
+
+impl Unsplit for Detached {}
+impl Unsplit for AttachedDirect {}
+impl<const RAYS: usize> Unsplit for Reparameterised<RAYS> {}
+
 /// Samples whose path is a constant: primal geometry.
 macro_rules! detached_path {
     () => {

@@ -4,11 +4,11 @@ use std::marker::PhantomData;
 
 use ad_core::Real;
 
-use super::memory::Memory;
+use super::memory::{Forget, Memory};
 use super::weights::trusted;
 use super::{
-    AttachedWeights, Detached, DetachedWeights, Differential, FrozenWeights, Heuristic, Power,
-    Sampling, Weights,
+    Attached, AttachedWeights, Detached, DetachedWeights, Differential, EmitterSampling,
+    FrozenWeights, Heuristic, Power, Sampling, Unsplit, Weights,
 };
 
 /// Which techniques estimate the light arriving at a vertex, and how they are combined.
@@ -17,6 +17,8 @@ pub trait Strategy: Send + Sync + 'static {
     type Bsdf: Sampling;
     /// Whether paths remember edges, to differentiate them by themselves.
     type Edge: Memory;
+    /// Whether samples of emitters are remembered, and follow the parameters.
+    type Aim: Memory;
     /// Whether emitters are sampled.
     const SAMPLES_EMITTERS: bool;
     /// Whether emitters hit by a scattered direction count.
@@ -28,7 +30,7 @@ pub trait Strategy: Send + Sync + 'static {
     /// Whether the survival probability of Russian roulette is differentiated: wrong (F5), for study.
     const ATTACHED_ROULETTE: bool = false;
     /// Whether the scene must be free of discontinuities, see [`super::check`].
-    const NEEDS_CONTINUITY: bool = Self::Bsdf::NEEDS_CONTINUITY;
+    const NEEDS_CONTINUITY: bool = Self::Bsdf::NEEDS_CONTINUITY || Self::Aim::KEEPS;
     /// Weight of a scattered direction with density `a` when a sampled light has density `b`.
     fn weight_hit<R: Real>(a: R, b: R) -> R;
     /// Weight of a sampled light with density `a` when a scattered direction has density `b`.
@@ -49,12 +51,22 @@ pub trait Strategy: Send + Sync + 'static {
 pub trait Unbiased: Strategy {}
 
 /// Both techniques, combined by multiple importance sampling.
+///
+/// Densities of emitters in weights are functions of the direction, at constant texels: whatever the
+/// parameters do, the weights add up to one at every direction.
 #[derive(Clone, Copy, Debug)]
 pub struct Mis<B, E, W, H = Power>(PhantomData<(B, E, W, H)>);
 
-impl<B: Sampling, W: Weights, H: Heuristic> Strategy for Mis<B, Detached, W, H> {
+impl<B, E, W, H> Strategy for Mis<B, E, W, H>
+where
+    B: Sampling,
+    E: EmitterSampling<B>,
+    W: Weights,
+    H: Heuristic,
+{
     type Bsdf = B;
     type Edge = <B::Edge as Memory>::Or<W::Edge>;
+    type Aim = E::Aim;
     const SAMPLES_EMITTERS: bool = true;
     const COUNTS_HITS: bool = true;
     const FROZEN_WEIGHTS: bool = W::FROZEN;
@@ -73,6 +85,8 @@ impl<H: Heuristic> Unbiased for Mis<Detached, Detached, DetachedWeights, H> {}
 impl<H: Heuristic> Unbiased for Mis<Differential, Detached, DetachedWeights, H> {}
 impl<B: Sampling, H: Heuristic> Unbiased for Mis<B, Detached, AttachedWeights, H> {}
 impl<B: Sampling, H: Heuristic> Unbiased for Mis<B, Detached, FrozenWeights, H> {}
+impl<B: Unsplit, H: Heuristic> Unbiased for Mis<B, Attached, AttachedWeights, H> {}
+impl<B: Unsplit, H: Heuristic> Unbiased for Mis<B, Attached, FrozenWeights, H> {}
 
 /// Directions are sampled from the BSDF; lights count where they are hit.
 #[derive(Clone, Copy, Debug)]
@@ -81,6 +95,7 @@ pub struct BsdfOnly<B>(PhantomData<B>);
 impl<B: Sampling> Strategy for BsdfOnly<B> {
     type Bsdf = B;
     type Edge = B::Edge;
+    type Aim = Forget;
     const SAMPLES_EMITTERS: bool = false;
     const COUNTS_HITS: bool = true;
     #[inline]
@@ -96,13 +111,14 @@ impl<B: Sampling> Strategy for BsdfOnly<B> {
 impl<B: Sampling> Unbiased for BsdfOnly<B> {}
 
 /// Lights are sampled; a light that is hit counts only where it could not have been sampled (seen
-/// directly or through deltas).
+/// directly or through deltas). `E` says whether their samples move, see [`EmitterSampling`].
 #[derive(Clone, Copy, Debug)]
-pub struct EmitterOnly<B>(PhantomData<B>);
+pub struct EmitterOnly<B, E = Detached>(PhantomData<(B, E)>);
 
-impl<B: Sampling> Strategy for EmitterOnly<B> {
+impl<B: Sampling, E: EmitterSampling<B>> Strategy for EmitterOnly<B, E> {
     type Bsdf = B;
     type Edge = B::Edge;
+    type Aim = E::Aim;
     const SAMPLES_EMITTERS: bool = true;
     const COUNTS_HITS: bool = false;
     #[inline]
@@ -115,7 +131,7 @@ impl<B: Sampling> Strategy for EmitterOnly<B> {
     }
 }
 
-impl<B: Sampling> Unbiased for EmitterOnly<B> {}
+impl<B: Sampling, E: EmitterSampling<B>> Unbiased for EmitterOnly<B, E> {}
 
 /// Opts in to a combination whose derivative is biased.
 #[derive(Clone, Copy, Debug)]
@@ -130,6 +146,7 @@ macro_rules! wrapper {
         impl<S: Strategy> Strategy for $name<S> {
             type Bsdf = S::Bsdf;
             type Edge = S::Edge;
+            type Aim = S::Aim;
             const SAMPLES_EMITTERS: bool = S::SAMPLES_EMITTERS;
             const COUNTS_HITS: bool = S::COUNTS_HITS;
             const FROZEN_WEIGHTS: bool = S::FROZEN_WEIGHTS;

@@ -4,17 +4,18 @@
 //! The path is traced with primal numbers. Where it finds light, the last edge is evaluated once more
 //! over the full scalar: the direction is sampled again from the same random numbers, now moving with the
 //! parameters, and followed to the surface that is known to be hit. Forward mode does this as it
-//! goes, reverse mode for the recorded edges; edges that find no light cost nothing.
+//! goes, reverse mode for the recorded edges; edges that find no light cost nothing. Samples of emitters that
+//! move ([`aimed_light`]) are treated alike.
 
 use ad_core::{Const, Float, Real, Vec2, Vec3};
 
 use super::boundary::Freeze;
 use super::path::frozen_pdf;
 use crate::accel::Hit;
-use crate::bsdf::{Bsdf, BsdfSample, Component, Part, Shading, TransportMode};
-use crate::emitter::{Emission, Emitter};
+use crate::bsdf::{Bsdf, BsdfSample, Component, Material, Part, Shading, TransportMode};
+use crate::emitter::{Emission, Emitter, Moved};
 use crate::estimator::{Direct, Sampling, Strategy};
-use crate::math::Rgb;
+use crate::math::{Frame, Rgb};
 use crate::params::Theta;
 use crate::scene::{Intersection, Scene};
 use crate::shape::SurfaceInteraction;
@@ -133,4 +134,53 @@ fn slow_down<R: Real>(sample: &BsdfSample<R>, freeze: &Freeze<R::Primal>) -> (Ve
     let relative = (sample.pdf - pdf) / pdf;
     let jacobian = -(relative * free) - motion.dot(Vec3::lift(freeze.gradient)) + R::c(1.0);
     (wi + motion * free, jacobian / pdf)
+}
+
+/// A sample of an emitter that moves: all that is needed to make it again.
+#[derive(Clone, Copy, Debug)]
+pub struct Aimed<P> {
+    /// Random numbers that the direction was made of.
+    pub u: [P; 2],
+    /// The surface's frame, world space.
+    pub frame: Frame<P>,
+    /// The emitter's share, see [`crate::scene::LightChoice::share`].
+    pub share: P,
+    /// One over the probability that it was kept, see [`crate::scene::LightChoice::All`].
+    pub kept: P,
+}
+
+/// `f w L_e / p` of a sampled emitter whose direction and density move: what it adds to the radiance that
+/// leaves the surface towards `wo`, if it is visible.
+///
+/// # Derivatives
+/// In the parameters of the material and of the emitter, and through the direction. In the weights, those of
+/// the emitter are constants.
+///
+/// # Reference
+/// [Zeltner 2021, section 4.2.2, Eq. 4.31].
+#[inline(never)]
+pub fn aimed_light<R: Real, S: Strategy>(
+    scene: &Scene,
+    material: &Material,
+    at: &Shading<R>,
+    wo: Vec3<R>,
+    aimed: &Aimed<R::Primal>,
+    emitter: u32,
+    light: &Moved<R>,
+    mode: TransportMode,
+) -> Rgb<R> {
+    let wi = Frame::lift(aimed.frame).to_local(light.d);
+    let (f, pdf) = material.eval_pdf(at, wo, wi, mode);
+    let le = scene.emitters()[emitter as usize].eval(&at.theta, &light.emission);
+    let share = Const(aimed.share);
+    let mis = if S::COUNTS_HITS {
+        let pdf = match S::FROZEN_WEIGHTS {
+            true => frozen_pdf(material, at, wo, wi, mode),
+            false => pdf,
+        };
+        S::weight_sampled(light.frozen_pdf * share, pdf)
+    } else {
+        R::one()
+    };
+    f * le * (mis / (light.pdf * share) * Const(aimed.kept))
 }

@@ -11,7 +11,9 @@ use super::local::LocalFn;
 use super::path::Context;
 use super::record::{Activity, Recorder};
 use super::render::{NonFinite, Paths, Progress, start, tiles};
+use crate::emitter::{AnyEmitter, Emitter};
 use crate::error::RenderError;
+use crate::estimator::memory::Memory;
 use crate::estimator::{self, DetachedMis, Sampling, Strategy, Unbiased};
 use crate::math::Rgb;
 use crate::params::{GradSink, ParamInfo, ParamRef, Theta};
@@ -36,6 +38,9 @@ pub struct Active {
     places: Vec<Option<u32>>,
     materials: Vec<bool>,
     emitters: Vec<bool>,
+    /// Per emitter: where the adjoints of the sums go that its samples are made of. Empty unless samples of
+    /// emitters move.
+    sums: Vec<Option<SumSlot>>,
     small_len: usize,
     large_len: usize,
 }
@@ -45,6 +50,15 @@ enum Slot {
     Inactive,
     Small(u32),
     Large(u32),
+}
+
+/// Room for the adjoints of the sums of an emitter.
+#[derive(Clone, Copy, Debug)]
+struct SumSlot {
+    /// All but the last one, which every sample depends on: that is summed in f64.
+    slot: Slot,
+    last: u32,
+    len: usize,
 }
 
 impl Active {
@@ -92,7 +106,7 @@ impl Active {
         let emitters = scene
             .emitters()
             .iter()
-            .map(|e| crate::emitter::Emitter::radiance(e).any_param(on))
+            .map(|e| e.radiance().any_param(on))
             .collect();
         Ok(Self {
             ranges,
@@ -100,9 +114,35 @@ impl Active {
             places,
             materials,
             emitters,
+            sums: Vec::new(),
             small_len,
             large_len,
         })
+    }
+
+    /// The same with room for the sums that moving samples of emitters are made of.
+    fn with_sums(mut self, scene: &Scene) -> Self {
+        let each = |e: &AnyEmitter| {
+            let map = e.moving()?;
+            let len = map.sums();
+            let last = self.small_len as u32;
+            self.small_len += 1;
+            // Added up as the texels are.
+            let slot = match self.slots[map.texels().id as usize] {
+                Slot::Inactive => return None,
+                Slot::Small(_) => {
+                    self.small_len += len - 1;
+                    Slot::Small(last + 1)
+                }
+                Slot::Large(_) => {
+                    self.large_len += len - 1;
+                    Slot::Large((self.large_len - (len - 1)) as u32)
+                }
+            };
+            Some(SumSlot { slot, last, len })
+        };
+        self.sums = scene.emitters().iter().map(each).collect();
+        self
     }
 
     /// The ranges, in the order asked for.
@@ -199,6 +239,15 @@ impl<'a> Sink<'a> {
         }
     }
 
+    #[inline]
+    fn put(&mut self, slot: Slot, i: usize, d: f64) {
+        match slot {
+            Slot::Inactive => {}
+            Slot::Small(at) => self.small[at as usize + i] += d,
+            Slot::Large(at) => self.large.add(at as usize + i, d),
+        }
+    }
+
     /// Sums of the small ranges.
     pub(super) fn into_small(self) -> Vec<f64> {
         self.small
@@ -212,11 +261,7 @@ impl<P: Float> GradSink<P> for Sink<'_> {
     }
     #[inline]
     fn add(&mut self, p: ParamRef, i: usize, d: P) {
-        match self.active.slots[p.id as usize] {
-            Slot::Inactive => {}
-            Slot::Small(at) => self.small[at as usize + i] += d.to_f64(),
-            Slot::Large(at) => self.large.add(at as usize + i, d.to_f64()),
-        }
+        self.put(self.active.slots[p.id as usize], i, d.to_f64());
     }
 }
 
@@ -240,6 +285,17 @@ impl Activity for Sink<'_> {
     fn emitter_active(&self, emitter: u32) -> bool {
         self.active.emitter_active(emitter)
     }
+    #[inline]
+    fn add_sum(&mut self, emitter: u32, sum: usize, d: f64) {
+        let Some(Some(sums)) = self.active.sums.get(emitter as usize) else {
+            return;
+        };
+        if sum + 1 == sums.len {
+            self.small[sums.last as usize] += d;
+        } else {
+            self.put(sums.slot, sum, d);
+        }
+    }
 }
 
 /// The derivative of `sum over pixels and channels of adjoint x image`, where the image is the mean
@@ -249,8 +305,9 @@ impl Activity for Sink<'_> {
 /// that is not linear, it must come from an image with another seed (errata Z-4.4).
 ///
 /// Memory: the recorded path of one sample per thread, and twice the size of the large parameters
-/// in f32, whatever the number of samples, the resolution and the depth. The result depends on the arguments
-/// only, not on the number of threads.
+/// in f32 (and 8 bytes per texel of environment maps whose samples move), whatever the number of
+/// samples, the resolution and the depth. The result depends on the arguments only, not on the number of
+/// threads.
 ///
 /// # Does not handle
 /// Geometry, and deltas in the parameter: detached sampling.
@@ -296,6 +353,8 @@ pub fn backward<P: Float, S: Unbiased, X: Sampler>(
         }
     };
     let largest = largest_of(adjoint) * pass.scale();
+    let moving = S::Aim::KEEPS.then(|| active.clone().with_sums(scene));
+    let active = moving.as_ref().unwrap_or(active);
     Ok(exactly(scene, active, largest, progress, |large| {
         pass.sums::<S, X>(active, large, progress, each)
     }))
@@ -343,19 +402,29 @@ pub(super) fn exactly(
             bits -= 12;
             continue;
         }
-        let values = active
-            .ranges
-            .iter()
+        let read = |slot, len| match slot {
+            Slot::Inactive => Vec::new(),
+            Slot::Small(at) => small[at as usize..at as usize + len].to_vec(),
+            Slot::Large(at) => (0..len).map(|i| large.get(at as usize + i)).collect(),
+        };
+        let mut values: Vec<Vec<f64>> = (active.ranges.iter())
             .map(|r| {
                 let id = scene.params().handle(r).id as usize;
-                let len = r.shape.len();
-                match active.slots[id] {
-                    Slot::Inactive => Vec::new(),
-                    Slot::Small(at) => small[at as usize..at as usize + len].to_vec(),
-                    Slot::Large(at) => (0..len).map(|i| large.get(at as usize + i)).collect(),
-                }
+                read(active.slots[id], r.shape.len())
             })
             .collect();
+        for (e, sums) in scene.emitters().iter().zip(&active.sums) {
+            let (Some(map), Some(s)) = (e.moving(), sums) else {
+                continue;
+            };
+            let mut sums = read(s.slot, s.len - 1);
+            sums.push(small[s.last as usize]);
+            for (r, values) in active.ranges.iter().zip(&mut values) {
+                if scene.params().handle(r) == map.texels() {
+                    map.fold(&sums, values);
+                }
+            }
+        }
         return Gradient {
             values,
             non_finite,
@@ -439,6 +508,7 @@ impl<P: Float> Pass<'_, P> {
                     scene: self.scene,
                     theta: self.theta,
                     settings: self.settings,
+                    shifts: &[],
                 };
                 let mut paths = Paths::<P, S, X, Recorder<P>>::default();
                 let mut non_finite = NonFinite::default();
@@ -490,6 +560,7 @@ impl<P: Float, S: Strategy, X: Sampler> LocalFn<P> for Again<'_, P, S, X> {
             scene,
             theta,
             settings,
+            shifts: &[],
         };
         start::<R, S, X>(scene, settings.points, seed, self.at.pixel, self.at.index)
             .finish(&context, &mut ())

@@ -3,9 +3,9 @@
 use ad_core::{Const, Float, Real, Vec2, Vec3};
 
 use super::boundary::{Freeze, freeze};
-use super::direct::{Departure, FoundLight, direct_light, follows_edges};
+use super::direct::{Aimed, Departure, FoundLight, aimed_light, direct_light, follows_edges};
 use crate::bsdf::{Bsdf, Component, DiffLobe, Material, Part, Shading, TransportMode};
-use crate::emitter::{Emission, Emitter};
+use crate::emitter::{AnyEmitter, Emission, Emitter, Shift};
 use crate::estimator::memory::{Memory, Store};
 use crate::estimator::{Direct, Sampling, Strategy};
 use crate::math::{Frame, Ray, Rgb};
@@ -30,6 +30,9 @@ pub type Geometry<S, R> = <<S as Strategy>::Bsdf as Sampling>::Geometry<R>;
 /// The last departure of a path and the throughput there, if its strategy wants to know.
 type Remembered<S, R> =
     <<S as Strategy>::Edge as Memory>::Of<(Departure<<R as Real>::Primal>, Rgb<R>)>;
+
+/// A sampled emitter as it moves, if its strategy moves those.
+type Aiming<S, R> = <<S as Strategy>::Aim as Memory>::Of<Aimed<<R as Real>::Primal>>;
 
 /// Light found by a ray that hit an emitter, or left the scene towards one.
 #[derive(Clone, Copy, Debug)]
@@ -115,6 +118,8 @@ pub trait Observer<R: Real> {
     /// A light was sampled at the current vertex, and is visible. Known, and called, last: after
     /// [`Observer::bounce`], before the next edge's events.
     fn sampled(&mut self, _depth: u32, _light: SampledLight<R>) {}
+    /// Called after that, if the sample moves.
+    fn aimed(&mut self, _aimed: Aimed<R::Primal>) {}
     /// A sample of the derivative of the current vertex's normals found light.
     fn normals(&mut self, _light: NormalsLight<R>) {}
     /// The path goes on from the current vertex.
@@ -135,6 +140,17 @@ pub struct Context<'a, R: Real> {
     pub theta: &'a Theta<'a, R>,
     /// Depths.
     pub settings: &'a Settings,
+    /// Per emitter, how its samples move: see [`shifts`]. They stand still where there is none.
+    pub shifts: &'a [Option<Shift<R>>],
+}
+
+/// How the samples of all emitters move, for strategies and scalars that want to know: made once per pass.
+pub fn shifts<R: Real, S: Strategy>(scene: &Scene, theta: &Theta<R>) -> Vec<Option<Shift<R>>> {
+    if R::IS_PRIMAL || !S::Aim::KEEPS {
+        return Vec::new();
+    }
+    let each = |e: &AnyEmitter| e.moving().and_then(|map| map.shift(theta));
+    scene.emitters().iter().map(each).collect()
 }
 
 /// Radiance arriving along `ray`: a [`Walk`] to its end.
@@ -150,6 +166,7 @@ pub fn trace<R: Real, S: Strategy, X: Sampler, O: Observer<R>>(
         scene,
         theta,
         settings,
+        shifts: &shifts::<R, S>(scene, theta),
     };
     Walk::<R, S, X>::new(ray, sampler).finish(&context, observer)
 }
@@ -198,6 +215,7 @@ pub struct Walk<R: Real, S: Strategy, X: Sampler> {
     /// What comes through the shadow ray if it is free, and its record for the observer.
     direct: Rgb<R>,
     sampled: Option<SampledLight<R>>,
+    aimed: Aiming<S, R>,
 }
 
 impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
@@ -219,6 +237,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
             depth: 1,
             direct: Rgb::black(),
             sampled: None,
+            aimed: Default::default(),
         }
     }
 
@@ -250,6 +269,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
             scene,
             theta,
             settings,
+            shifts,
         }: &Context<R>,
         hit: Option<Intersection<Geometry<S, R>>>,
         visible: bool,
@@ -263,6 +283,9 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
             self.l += self.direct;
             if let Some(light) = self.sampled.take() {
                 observer.sampled(depth - 1, light);
+                if let Some(aimed) = self.aimed.get() {
+                    observer.aimed(aimed);
+                }
             }
         }
         let Some(ray) = self.ray.take() else {
@@ -414,6 +437,26 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
                     };
                     self.shadow = Some(shadow);
                     self.direct = beta * f * le * weight;
+                    if S::Aim::KEEPS && differentiates {
+                        let aimed = Aimed {
+                            u,
+                            frame: si.frame.primal(),
+                            share,
+                            kept,
+                        };
+                        let shift = shifts.get(emitter as usize).and_then(Option::as_ref);
+                        if let (Some(map), Some(shift)) = (e.moving(), shift)
+                            && let Some(aim) = map.aim(u)
+                        {
+                            let moved = map.follow(&aim, theta, shift);
+                            self.direct = beta
+                                * aimed_light::<R, S>(
+                                    scene, material, &at, wo_r, &aimed, emitter, &moved, mode,
+                                );
+                        }
+                        let moves = O::ENABLED && e.moving().is_some();
+                        self.aimed.put(moves.then_some(aimed));
+                    }
                     let normals_weight = splits.then(|| {
                         let mis = if S::COUNTS_HITS && !e.is_delta() {
                             let pair = pair_pdf(material, &at, wo.primal(), wi.primal());

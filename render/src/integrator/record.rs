@@ -7,9 +7,9 @@
 
 use std::marker::PhantomData;
 
-use ad_core::{Const, Float, Real, Vec2, Vec3};
+use ad_core::{Const, Dual, Float, Real, Vec2, Vec3};
 
-use super::direct::{FoundLight, direct_light};
+use super::direct::{Aimed, FoundLight, aimed_light, direct_light};
 use super::gradient::Active;
 use super::local::{LocalFn, Texels, pull_back, pull_back_second, pull_back_texels};
 use super::path::{Bounce, Context, HitLight, NormalsLight, Observer, SampledLight};
@@ -52,6 +52,8 @@ pub struct Recorder<P: Float> {
     uses: Vec<Use<P>>,
     /// How some lights were found, with their indices, in order.
     found: Vec<(u32, FoundLight<P>)>,
+    /// Sampled lights that move, with the indices of their vertices, in order.
+    aimed: Vec<(u32, Aimed<P>)>,
     /// Number of entries of `lights` that belong to a vertex already.
     claimed: u32,
 }
@@ -62,6 +64,7 @@ impl<P: Float> Recorder<P> {
         self.vertices.clear();
         self.lights.clear();
         self.found.clear();
+        self.aimed.clear();
         self.normals.clear();
         self.claimed = 0;
     }
@@ -146,8 +149,9 @@ impl<P: Float> Recorder<P> {
         let (mut plain, mut followed) = (l, l);
         let mut next_found: &[(u32, FoundLight<P>)] = &[];
         let mut rest = &self.found[..];
+        let mut aimed = self.aimed.iter().rev().peekable();
         let mut uses = std::mem::take(&mut self.uses);
-        for v in self.vertices.iter().rev() {
+        for (index, v) in self.vertices.iter().enumerate().rev() {
             let d = d_l * v.beta;
             let (mut arrives_plain, mut arrives_followed) = (Rgb::black(), Rgb::black());
             let lights = v.lights.0 as usize..v.lights.1 as usize;
@@ -181,9 +185,13 @@ impl<P: Float> Recorder<P> {
             };
             if let Some(s) = &v.sampled {
                 here += s.f * s.le * s.weight;
+                let moves = aimed.next_if(|(i, _)| *i as usize == index);
                 if grad.emitter_active(s.emitter) {
                     let e = &scene.emitters()[s.emitter as usize];
                     e.backward(&s.emission, d * s.f * s.weight, grad);
+                    if let (Some(surface), Some((_, aimed))) = (&v.surface, moves) {
+                        pull_back_motion::<P, S>(scene, theta, surface, s.emitter, aimed, d, grad);
+                    }
                 }
                 if S::DIFFERENTIATED_WEIGHTS && s.mis_pdf > P::zero() {
                     connected = Some(s);
@@ -258,6 +266,44 @@ impl<P: Float> Recorder<P> {
         }
         self.uses = uses;
     }
+}
+
+/// Adds the derivative of `d . f w L_e / p` of a sampled emitter through the motion of its direction, and
+/// the change of its density.
+fn pull_back_motion<P: Float, S: Strategy>(
+    scene: &Scene,
+    theta: &Theta<P>,
+    surface: &Surface<P>,
+    emitter: u32,
+    aimed: &Aimed<P>,
+    d: Rgb<P>,
+    grad: &mut (impl GradSink<P> + Activity),
+) {
+    let Some(map) = scene.emitters()[emitter as usize].moving() else {
+        return;
+    };
+    let Some(aim) = map.aim(aimed.u) else {
+        return;
+    };
+    let at = Shading {
+        theta: theta.lift(),
+        uv: Vec2::lift(surface.uv),
+    };
+    let light = aimed_light::<Dual<P, 3>, S>(
+        scene,
+        scene.material(surface.shape),
+        &at,
+        Vec3::lift(surface.wo),
+        aimed,
+        emitter,
+        &map.vary(&aim),
+        TransportMode::Radiance,
+    );
+    let adjoint =
+        [0, 1, 2].map(|k| (Rgb::new(light.r.eps[k], light.g.eps[k], light.b.eps[k]) * d).sum());
+    map.pull_back(&aim, adjoint, grad, |grad, sum, d| {
+        grad.add_sum(emitter, sum, d)
+    });
 }
 
 impl<P: Float> Recorder<P> {
@@ -396,6 +442,9 @@ pub trait Activity {
     fn material_active(&self, material: u32) -> bool;
     /// Whether an emitter does.
     fn emitter_active(&self, emitter: u32) -> bool;
+    /// Adds `d`, the adjoint of a sum that moving samples of an emitter are made of
+    /// ([`crate::emitter::Envmap::fold`]). Nobody calls it for strategies whose emitters stand still.
+    fn add_sum(&mut self, _emitter: u32, _sum: usize, _d: f64) {}
 }
 
 impl<P: Float> Observer<P> for Recorder<P> {
@@ -427,6 +476,12 @@ impl<P: Float> Observer<P> for Recorder<P> {
         if let Some(v) = self.vertices.last_mut() {
             v.sampled = Some(light);
         }
+    }
+
+    #[inline]
+    fn aimed(&mut self, aimed: Aimed<P>) {
+        let vertex = self.vertices.len().saturating_sub(1);
+        self.aimed.push((vertex as u32, aimed));
     }
 
     #[inline]

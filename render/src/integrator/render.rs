@@ -6,7 +6,7 @@ use ad_core::{Dual, Float, Real};
 use rayon::prelude::*;
 
 use super::batch::{self, PATHS};
-use super::path::{Context, Geometry, Observer, Walk};
+use super::path::{Context, Geometry, Observer, Walk, shifts};
 use crate::estimator::{Strategy, Unbiased};
 use crate::film::Image;
 use crate::math::{Ray, Rgb};
@@ -267,6 +267,7 @@ pub fn render<R: Components, S: Unbiased, X: Sampler>(
 ) -> Rendering {
     let [width, height] = scene.film.crop_size;
     let tiles = tiles(width, height);
+    let shifts = shifts::<R, S>(scene, theta);
     let parts: Vec<_> = tiles
         .par_iter()
         .map(|tile| {
@@ -287,6 +288,7 @@ pub fn render<R: Components, S: Unbiased, X: Sampler>(
                 scene,
                 theta,
                 settings,
+                shifts: &shifts,
             };
             let mut paths = Paths::<R, S, X, ()>::default();
             tile.trace(&context, seed, &samples, &mut paths, |at, index, l, _| {

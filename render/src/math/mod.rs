@@ -9,5 +9,5 @@ pub mod warp;
 pub use ad_core::{Vec2, Vec3};
 pub use frame::Frame;
 pub use ray::Ray;
-pub use rgb::Rgb;
+pub use rgb::{LUMINANCE, Rgb};
 pub use transform::Transform;

@@ -18,6 +18,9 @@ pub struct Rgb<R> {
     pub b: R,
 }
 
+/// What the channels count in relative luminance (Rec. 709).
+pub const LUMINANCE: [f64; 3] = [0.212_671, 0.715_160, 0.072_169];
+
 impl<R: Real> Rgb<R> {
     /// From three channels.
     #[inline]
@@ -87,10 +90,11 @@ impl<R: Real> Rgb<R> {
         self.sum() * R::c(1.0 / 3.0)
     }
 
-    /// Relative luminance (Rec. 709 weights).
+    /// Relative luminance ([`LUMINANCE`]).
     #[inline]
     pub fn luminance(self) -> R {
-        self.r * R::c(0.212_671) + self.g * R::c(0.715_160) + self.b * R::c(0.072_169)
+        let [r, g, b] = LUMINANCE.map(R::c);
+        self.r * r + self.g * g + self.b * b
     }
 
     /// Whether every primal channel is zero.

@@ -1,9 +1,9 @@
-//! Lights are sampled detached: there is no such estimator.
+//! Samples of lights that move need weights that move with them.
 
-use render::estimator::{Attached, AttachedWeights, Detached, Mis, Unbiased};
+use render::estimator::{Attached, Detached, DetachedWeights, Mis, Unbiased};
 
 fn estimate<S: Unbiased>() {}
 
 fn main() {
-    estimate::<Mis<Detached, Attached, AttachedWeights>>();
+    estimate::<Mis<Detached, Attached, DetachedWeights>>();
 }

@@ -1,5 +1,5 @@
 //! A rough mirror under an environment, over directions and over random numbers [Zeltner 2021, section
-//! 4.2.2, unnumbered].
+//! 4.2.2, unnumbered]; and the environment's texels as parameters.
 
 use std::f64::consts::TAU;
 
@@ -12,6 +12,7 @@ use render::{Image, Scene};
 
 use crate::chart::Panel;
 use crate::figure::{Figure, Result};
+use crate::figures::scenes::texels;
 use crate::figures::stage::{Stage, View};
 use crate::figures::zeltner::mc1::Moments;
 
@@ -267,7 +268,7 @@ pub fn figure(fig: &mut Figure) -> Result {
     });
     let header = ["estimate", "exact", "mean", "mean_error", "std"];
     fig.csv("moments", &header, rows);
-    Ok(())
+    texels::measure(fig)
 }
 
 /// The reflected light and its derivative by roughness, over directions in rings about the mirror

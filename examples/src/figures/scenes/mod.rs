@@ -20,4 +20,5 @@ pub mod second_order;
 pub mod split;
 pub mod spread;
 pub mod table;
+pub mod texels;
 pub mod tray;

@@ -393,6 +393,8 @@ fn types(fig: &mut Figure) {
         M<Reparameterised, AttachedWeights>,
         M<AttachedDirect, AttachedWeights>,
         M<Attached, AttachedWeights>,
+        EmitterOnly<Detached, Attached>,
+        Mis<AttachedDirect, Attached, AttachedWeights>,
     ];
     let frozen = admitted![
         M<Detached, FrozenWeights>,
@@ -408,7 +410,9 @@ fn types(fig: &mut Figure) {
         M<Differential, MixedWeights>,
         M<Reparameterised, MixedWeights>,
         M<AttachedDirect, MixedWeights>,
-        Mis<Detached, Attached, AttachedWeights>,
+        Mis<Detached, Attached, DetachedWeights>,
+        Mis<Differential, Attached, AttachedWeights>,
+        EmitterOnly<Attached, Attached>,
         Mis<Reparameterised, Reparameterised, AttachedWeights>,
         Mis<Differential, Differential, DetachedWeights>,
         AttachedRoulette<M<Detached, DetachedWeights>>,

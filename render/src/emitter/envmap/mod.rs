@@ -1,9 +1,15 @@
 //! Environment maps.
 
+mod motion;
+mod table;
+
+pub use motion::{Aim, Moved, Shift};
+
 use std::f64::consts::{FRAC_1_PI, PI};
 
 use ad_core::{Float, Real, Vec2, Vec3};
 
+use self::table::Table;
 use super::{Emission, Emitter, EmitterSample, Lights};
 use crate::bsdf::FromNode;
 use crate::error::SceneError;
@@ -14,10 +20,6 @@ use crate::params::{Differentiability, ParamRef, ParamShape, Params};
 use crate::scene::{Builder, Node};
 use crate::shape::{SurfaceInteraction, lift3, turn};
 use crate::texture::{self, Bitmap, RgbTexture, Texture, UvTransform, Wrap};
-
-/// Fraction of the samples that are uniform over the sphere, so that dark texels can be switched on
-/// (F7).
-const UNIFORM_FRACTION: f64 = 0.05;
 
 /// What every environment's texels satisfy.
 const VALID: (f64, f64) = (0.0, f64::INFINITY);
@@ -35,26 +37,10 @@ const VALID: (f64, f64) = (0.0, f64::INFINITY);
 pub struct Envmap {
     radiance: RgbTexture,
     param: ParamRef,
-    width: usize,
-    height: usize,
     scale: f64,
     /// Local x, y and z axis, world space, orthonormal.
     axes: [[f32; 3]; 3],
-    /// 1 - cos theta between the bands of cells, from pole to pole.
-    edges: Vec<f64>,
     table: Table,
-}
-
-/// Cells between neighbouring texels: `width` of them around each of `rows` bands. Within a cell the
-/// density per solid angle is bilinear in longitude and in the cosine of the angle from the pole.
-#[derive(Clone, Debug, Default)]
-struct Table {
-    /// 4 pi times the density per solid angle, at the texels.
-    density: Vec<f32>,
-    /// Per band: probability of this band and all before it.
-    bands: Vec<f64>,
-    /// Per band and cell: probability of this cell and all before it in the band.
-    cells: Vec<f32>,
 }
 
 impl Envmap {
@@ -126,19 +112,12 @@ impl Envmap {
                 rows: [[1.0, 0.0, 0.0], [0.0, slope as f32, start as f32]],
             },
         };
-        // One band where there is one row only.
-        let bands = (height as usize - 1).max(1);
-        let one_minus_cos =
-            |band: usize| 2.0 * (0.5 * PI * band as f64 / bands as f64).sin().powi(2);
         Self {
             radiance: Texture::Bitmap(bitmap),
             param,
-            width: width as usize,
-            height: height as usize,
             scale,
             axes,
-            edges: (0..=bands).map(one_minus_cos).collect(),
-            table: Table::default(),
+            table: Table::new(width as usize, height as usize),
         }
     }
 
@@ -147,40 +126,22 @@ impl Envmap {
         self.axes.map(|a| lift3::<R>(a).dot(d))
     }
 
-    /// Number of bands of cells.
-    #[inline]
-    fn bands(&self) -> usize {
-        self.edges.len() - 1
-    }
-
-    /// The densities at the corners of a cell: of the upper row, then of the lower one.
-    #[inline]
-    fn corners(&self, band: usize, cell: usize) -> [[f64; 2]; 2] {
-        let next = if cell + 1 == self.width { 0 } else { cell + 1 };
-        [band, (band + 1).min(self.height - 1)]
-            .map(|row| [cell, next].map(|x| f64::from(self.table.density[row * self.width + x])))
-    }
-
-    #[inline]
-    fn corner_sum(&self, band: usize, cell: usize) -> f64 {
-        self.corners(band, cell).as_flattened().iter().sum()
-    }
-
     /// Density per solid angle at a local direction: bilinear in its cell, so continuous.
     fn density<R: Real>(&self, local: [R; 3]) -> R {
         let uniform = R::c(0.25 * FRAC_1_PI);
-        if self.table.density.is_empty() {
+        let table = &self.table;
+        if table.density.is_empty() {
             return R::lift(uniform.0);
         }
         let [x, y, z] = local;
-        let column = turn(x, -z) * R::c(self.width as f64) - R::c(0.5);
+        let column = turn(x, -z) * R::c(table.width as f64) - R::c(0.5);
         let left = column.primal().to_f64().floor();
-        let cell = (left as i64).rem_euclid(self.width as i64) as usize;
+        let cell = (left as i64).rem_euclid(table.width as i64) as usize;
         let fx = column - R::c(left);
         let sine_squared = x * x + z * z;
         let theta = sine_squared.primal().sqrt().atan2(y.primal()).to_f64();
-        let band = (theta * FRAC_1_PI * self.bands() as f64) as usize;
-        let band = band.min(self.bands() - 1);
+        let band = (theta * FRAC_1_PI * table.bands() as f64) as usize;
+        let band = band.min(table.bands() - 1);
         // 1 - cos theta without cancellation near the upper pole; near the lower one nothing cancels.
         let r = (sine_squared + y * y).sqrt();
         let h = if y.primal() > R::Primal::zero() {
@@ -188,12 +149,32 @@ impl Envmap {
         } else {
             -(y / r) + R::c(1.0)
         };
-        let (above, below) = (self.edges[band], self.edges[band + 1]);
+        let (above, below) = (table.edges[band], table.edges[band + 1]);
         let fy = ((h - R::c(above)) / R::c(below - above)).clamp(R::zero(), R::one());
-        let [[a, b], [c, d]] = self.corners(band, cell);
+        let [[a, b], [c, d]] = table.corners(band, cell);
         let across = |a: f64, b: f64| fx * R::c(b - a) + R::c(a);
         let (upper, lower) = (across(a, b), across(c, d));
         (upper + (lower - upper) * fy) * uniform
+    }
+
+    /// The direction to a place in a cell, world space, and the coordinates of the texture there.
+    fn towards<R: Real<Primal = f64>>(
+        &self,
+        band: usize,
+        cell: usize,
+        [x, y]: [R; 2],
+    ) -> (Vec3<R>, [R; 2]) {
+        let [above, below] = [band, band + 1].map(|i| self.table.edges[i]);
+        let h = y * R::c(below - above) + R::c(above);
+        let u = (x + R::c(cell as f64 + 0.5)) * R::c(1.0 / self.table.width as f64);
+        let u = u.rem_euclid(R::c(1.0));
+        let (sin_phi, cos_phi) = (u * R::c(2.0 * PI)).sin_cos();
+        let sin_theta = (h * (R::c(2.0) - h)).max(R::zero()).sqrt();
+        let cos_theta = R::c(1.0) - h;
+        let local = [sin_phi * sin_theta, cos_theta, -cos_phi * sin_theta];
+        let world = self.axes.iter().zip(local);
+        let d = world.fold(Vec3::zero(), |sum, (&a, x)| sum + lift3::<R>(a) * x);
+        (d, [u, sin_theta.atan2(cos_theta) * R::c(FRAC_1_PI)])
     }
 }
 
@@ -210,13 +191,6 @@ fn orthonormal(to_world: &Transform) -> Option<[[f32; 3]; 3]> {
     let right = x.cross(y);
     let z = if right.dot(z) < 0.0 { -right } else { right };
     Some([x, y, z].map(|a| a.to_array().map(|x| x as f32)))
-}
-
-/// Fraction at which a density linear from `a` to `b` (positive) has accumulated the share `u`.
-#[inline]
-fn sample_linear(u: f64, a: f64, b: f64) -> f64 {
-    let x = u * (a + b) / (a + (a * a + u * (b * b - a * a)).sqrt());
-    x.clamp(0.0, 1.0)
 }
 
 impl Emitter for Envmap {
@@ -239,48 +213,19 @@ impl Emitter for Envmap {
     }
 
     fn sample<P: Float>(&self, _: Lights, _: Vec3<P>, u: [P; 2]) -> Option<EmitterSample<P>> {
-        let t = &self.table;
-        if t.density.is_empty() {
+        if self.table.density.is_empty() {
             return None;
         }
         // In f64: a choice among thousands of cells leaves f32 few digits for the place in the cell.
-        let [ux, uy] = u.map(|u| u.to_f64());
-        let band = t.bands.partition_point(|&p| p <= uy).min(self.bands() - 1);
-        let before = if band == 0 { 0.0 } else { t.bands[band - 1] };
-        let uy = ((uy - before) / (t.bands[band] - before)).clamp(0.0, 1.0);
-        let cells = &t.cells[band * self.width..][..self.width];
-        let cell = cells
-            .partition_point(|&p| f64::from(p) <= ux)
-            .min(self.width - 1);
-        let before = if cell == 0 {
-            0.0
-        } else {
-            f64::from(cells[cell - 1])
-        };
-        let ux = ((ux - before) / (f64::from(cells[cell]) - before)).clamp(0.0, 1.0);
-
-        let [[a, b], [c, d]] = self.corners(band, cell);
-        let fy = sample_linear(uy, a + b, c + d);
-        let (left, right) = (a + (c - a) * fy, b + (d - b) * fy);
-        let fx = sample_linear(ux, left, right);
-        let (above, below) = (self.edges[band], self.edges[band + 1]);
-        let h = above + (below - above) * fy;
-        let u = ((cell as f64 + 0.5 + fx) / self.width as f64).rem_euclid(1.0);
-        let (sin_phi, cos_phi) = (2.0 * PI * u).sin_cos();
-        let (sin_theta, cos_theta) = ((h * (2.0 - h)).max(0.0).sqrt(), 1.0 - h);
-        let local = [sin_phi * sin_theta, cos_theta, -cos_phi * sin_theta];
-        let world = self.axes.iter().zip(local);
-        let d = world.fold(Vec3::<f64>::zero(), |sum, (&a, x)| {
-            sum + lift3::<f64>(a) * x
-        });
-        let pdf = (left + (right - left) * fx) * 0.25 * FRAC_1_PI;
+        let (band, cell, draw) = self.table.draw(u.map(P::to_f64));
+        let (d, [u, v]) = self.towards(band, cell, [draw.x, draw.y]);
         Some(EmitterSample {
             d: d.map(P::of).normalize(),
             distance: P::of(f64::INFINITY),
             normals: [Vec3::zero(); 2],
-            pdf: P::of(pdf),
+            pdf: P::of(draw.density * 0.25 * FRAC_1_PI),
             emission: Emission {
-                uv: Vec2::new(P::of(u), P::of(sin_theta.atan2(cos_theta) * FRAC_1_PI)),
+                uv: Vec2::new(P::of(u), P::of(v)),
                 falloff: P::of(self.scale),
             },
         })
@@ -305,46 +250,11 @@ impl Emitter for Envmap {
     }
 
     fn update(&mut self, params: &Params) {
-        let (width, bands) = (self.width, self.bands());
-        let texels = &params.values()[self.param.offset as usize..][..width * self.height * 3];
+        let len = self.table.width * self.table.height * 3;
+        let texels = &params.values()[self.param.offset as usize..][..len];
         let luminance = |t: &[f32]| Rgb::new(t[0], t[1], t[2]).luminance();
-        self.table.density = texels.chunks_exact(3).map(luminance).collect();
-
-        // Fraction of the sphere that one cell of a band covers, and the mass of luminance there.
-        let cover: Vec<f64> = (self.edges.windows(2))
-            .map(|e| 0.5 * (e[1] - e[0]) / width as f64)
-            .collect();
-        let mass = |band: usize| -> f64 {
-            let corners: f64 = (0..width).map(|cell| self.corner_sum(band, cell)).sum();
-            0.25 * corners * cover[band]
-        };
-        let total: f64 = (0..bands).map(mass).sum();
-        // A black map is sampled uniformly.
-        let (factor, floor) = if total > 0.0 && (1.0 / total).is_finite() {
-            ((1.0 - UNIFORM_FRACTION) / total, UNIFORM_FRACTION)
-        } else {
-            (0.0, 1.0)
-        };
-        for x in &mut self.table.density {
-            *x = (f64::from(*x) * factor + floor) as f32;
-        }
-
-        let mut cells = Vec::with_capacity(width * bands);
-        let mut sums = Vec::with_capacity(bands);
-        let mut sum = 0.0;
-        for (band, cover) in cover.iter().enumerate() {
-            let corners: f64 = (0..width).map(|cell| self.corner_sum(band, cell)).sum();
-            let mut share = 0.0;
-            for cell in 0..width {
-                share += self.corner_sum(band, cell);
-                cells.push((share / corners) as f32);
-            }
-            sum += corners * cover;
-            sums.push(sum);
-        }
-        sums.iter_mut().for_each(|s| *s /= sum);
-        self.table.cells = cells;
-        self.table.bands = sums;
+        let luminance: Vec<f32> = texels.chunks_exact(3).map(luminance).collect();
+        self.table.update(&luminance);
     }
 }
 

@@ -1,0 +1,292 @@
+//! Directions in proportion to the luminance of a map, by inverse-transform sampling.
+//!
+//! A cell lies between neighbouring texels: `width` of them around each band between two rows. The latitude
+//! is drawn first, from the means of the rows, then the longitude around the circle of that latitude. So
+//! the direction is a continuous function of both random numbers, and stays one when the texels change:
+//! attached samples must not jump [Zeltner 2021, section 4.2.2]. (A cell drawn first, with a latitude of its
+//! own, jumps at its sides.)
+
+use std::f64::consts::PI;
+
+use ad_core::Real;
+
+/// Fraction of the samples that are uniform over the sphere, so that dark texels can be switched on
+/// (F7).
+pub(super) const UNIFORM_FRACTION: f64 = 0.05;
+
+/// Luminance and its sums.
+#[derive(Clone, Debug)]
+pub(super) struct Table {
+    pub width: usize,
+    pub height: usize,
+    /// 1 - cos theta between the bands, from pole to pole.
+    pub edges: Vec<f64>,
+    /// 4 pi times the density per solid angle, at the texels; empty until it is known.
+    pub density: Vec<f32>,
+    /// [`Table::sums_of`] the density.
+    pub sums: Vec<f64>,
+    /// Change of the density with the luminance; zero for a black map, which is sampled uniformly.
+    pub slope: f64,
+}
+
+/// What a sample is made of: a cell, and what surrounds it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Local<R> {
+    /// Probability of all bands before.
+    pub before: R,
+    /// Sums of the upper and the lower row.
+    pub rows: [R; 2],
+    /// Sums of all cells before, in both rows.
+    pub lines: [R; 2],
+    /// The densities at the corners of the cell: of the upper row, then of the lower one.
+    pub corners: [[R; 2]; 2],
+}
+
+/// A place in a cell, in longitude and in the cosine of the angle from the pole.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Draw<R> {
+    pub x: R,
+    pub y: R,
+    /// 4 pi times the density per solid angle there.
+    pub density: R,
+}
+
+impl Table {
+    pub fn new(width: usize, height: usize) -> Self {
+        // One band where there is one row only.
+        let bands = (height - 1).max(1);
+        let one_minus_cos =
+            |band: usize| 2.0 * (0.5 * PI * band as f64 / bands as f64).sin().powi(2);
+        Self {
+            width,
+            height,
+            edges: (0..=bands).map(one_minus_cos).collect(),
+            density: Vec::new(),
+            sums: Vec::new(),
+            slope: 0.0,
+        }
+    }
+
+    /// Number of bands of cells.
+    #[inline]
+    pub fn bands(&self) -> usize {
+        self.edges.len() - 1
+    }
+
+    /// The rows above and below a band.
+    #[inline]
+    pub fn rows(&self, band: usize) -> [usize; 2] {
+        [band, (band + 1).min(self.height - 1)]
+    }
+
+    /// The texels at the sides of a cell.
+    #[inline]
+    pub fn columns(&self, cell: usize) -> [usize; 2] {
+        [cell, if cell + 1 == self.width { 0 } else { cell + 1 }]
+    }
+
+    /// Fraction of the sphere that a band covers.
+    #[inline]
+    pub fn cover(&self, band: usize) -> f64 {
+        0.5 * (self.edges[band + 1] - self.edges[band])
+    }
+
+    /// Length of [`Table::sums_of`].
+    pub fn len(&self) -> usize {
+        self.width * self.height + self.bands()
+    }
+
+    /// Per row and cell, the sum of the means of its two texels over this cell and all before in the
+    /// row; then per band, the integral of what is interpolated over this band and all before, over 4 pi.
+    /// Linear in the `texels`.
+    ///
+    /// # Derivatives
+    /// In the texels. Rounding does not add up (Kahan), as tangents may be in single precision.
+    pub fn sums_of<R: Real>(&self, texel: impl Fn(usize) -> R) -> Vec<R> {
+        let half = R::c(0.5);
+        let mut out = Vec::with_capacity(self.len());
+        for row in 0..self.height {
+            let mut line = Sum::default();
+            for cell in 0..self.width {
+                let [a, b] = self.columns(cell).map(|x| texel(row * self.width + x));
+                out.push(line.add((a + b) * half));
+            }
+        }
+        let mut total = Sum::default();
+        for band in 0..self.bands() {
+            let [a, b] = self.rows(band).map(|row| out[(row + 1) * self.width - 1]);
+            let share = R::c(0.5 * self.cover(band) / self.width as f64);
+            out.push(total.add((a + b) * share));
+        }
+        out
+    }
+
+    /// The adjoint of [`Table::sums_of`]: that of the texels.
+    pub fn fold(&self, sums: &[f64]) -> Vec<f64> {
+        let mut lines = sums[..self.width * self.height].to_vec();
+        let mut rest = 0.0;
+        for band in (0..self.bands()).rev() {
+            rest += sums[self.width * self.height + band];
+            let share = 0.5 * self.cover(band) / self.width as f64;
+            for row in self.rows(band) {
+                lines[(row + 1) * self.width - 1] += rest * share;
+            }
+        }
+        let mut texels = vec![0.0; lines.len()];
+        for row in 0..self.height {
+            let mut rest = 0.0;
+            for cell in (0..self.width).rev() {
+                rest += lines[row * self.width + cell];
+                for x in self.columns(cell) {
+                    texels[row * self.width + x] += 0.5 * rest;
+                }
+            }
+        }
+        texels
+    }
+
+    /// Takes new luminances.
+    pub fn update(&mut self, luminance: &[f32]) {
+        let mut sums = self.sums_of(|i| f64::from(luminance[i]));
+        let total = sums[sums.len() - 1];
+        let known = total > 0.0 && (1.0 / total).is_finite();
+        let (slope, floor) = match known {
+            true => ((1.0 - UNIFORM_FRACTION) / total, UNIFORM_FRACTION),
+            false => (0.0, 1.0),
+        };
+        for (i, s) in sums.iter_mut().enumerate() {
+            *s = *s * slope + floor * self.uniform_sum(i);
+        }
+        let density = |l: &f32| (f64::from(*l) * slope + floor) as f32;
+        self.density = luminance.iter().map(density).collect();
+        (self.sums, self.slope) = (sums, slope);
+    }
+
+    /// Element `i` of [`Table::sums_of`] ones.
+    #[inline]
+    pub fn uniform_sum(&self, i: usize) -> f64 {
+        match i.checked_sub(self.width * self.height) {
+            None => (i % self.width + 1) as f64,
+            Some(band) => 0.5 * self.edges[band + 1],
+        }
+    }
+
+    /// Where the sums of all bands before this one are, if there are any.
+    #[inline]
+    pub fn before(&self, band: usize) -> Option<usize> {
+        (band > 0).then(|| self.width * self.height + band - 1)
+    }
+
+    /// Where the sum of all cells before this one in a row is, if there are any.
+    #[inline]
+    pub fn line(&self, row: usize, cell: usize) -> Option<usize> {
+        (cell > 0).then(|| row * self.width + cell - 1)
+    }
+
+    /// Where the sum of a row is.
+    #[inline]
+    pub fn row(&self, row: usize) -> usize {
+        (row + 1) * self.width - 1
+    }
+
+    #[inline]
+    pub fn corners(&self, band: usize, cell: usize) -> [[f64; 2]; 2] {
+        let columns = self.columns(cell);
+        self.rows(band)
+            .map(|row| columns.map(|x| f64::from(self.density[row * self.width + x])))
+    }
+
+    #[inline]
+    pub fn local(&self, band: usize, cell: usize) -> Local<f64> {
+        let sum = |at: Option<usize>| at.map_or(0.0, |i| self.sums[i]);
+        let rows = self.rows(band);
+        Local {
+            before: sum(self.before(band)),
+            rows: rows.map(|row| self.sums[self.row(row)]),
+            lines: rows.map(|row| sum(self.line(row, cell))),
+            corners: self.corners(band, cell),
+        }
+    }
+
+    /// The band and the cell that random numbers fall into, and where.
+    pub fn draw(&self, u: [f64; 2]) -> (usize, usize, Draw<f64>) {
+        let (lines, bands) = self.sums.split_at(self.width * self.height);
+        let band = bands.partition_point(|&p| p <= u[1]).min(self.bands() - 1);
+        let start = self.local(band, 0);
+        let y = self.latitude(band, u[1], &start);
+        let [upper, lower] = self.rows(band).map(|row| &lines[row * self.width..]);
+        let target = u[0] * mix(start.rows, y);
+        let (mut cell, mut end) = (0, self.width - 1);
+        while cell < end {
+            let middle = (cell + end) / 2;
+            match mix([upper[middle], lower[middle]], y) <= target {
+                true => cell = middle + 1,
+                false => end = middle,
+            }
+        }
+        (band, cell, self.place(y, u[0], &self.local(band, cell)))
+    }
+
+    /// The same, for the band and the cell that are known.
+    ///
+    /// # Derivatives
+    /// In what surrounds the cell.
+    pub fn draw_from<R: Real<Primal = f64>>(
+        &self,
+        band: usize,
+        u: [f64; 2],
+        local: &Local<R>,
+    ) -> Draw<R> {
+        self.place(self.latitude(band, u[1], local), u[0], local)
+    }
+
+    fn latitude<R: Real<Primal = f64>>(&self, band: usize, u: f64, local: &Local<R>) -> R {
+        let [a, b] = local.rows;
+        let mass = (a + b) * R::c(0.5 * self.cover(band) / self.width as f64);
+        sample_linear((R::of(u) - local.before) / mass, a, b)
+    }
+
+    fn place<R: Real<Primal = f64>>(&self, y: R, u: f64, local: &Local<R>) -> Draw<R> {
+        let [[a, b], [c, d]] = local.corners;
+        let (left, right) = (mix([a, c], y), mix([b, d], y));
+        let target = mix(local.rows, y) * R::c(u) - mix(local.lines, y);
+        let x = sample_linear(target / ((left + right) * R::c(0.5)), left, right);
+        Draw {
+            x,
+            y,
+            density: mix([left, right], x),
+        }
+    }
+}
+
+/// From the first value to the second.
+#[inline]
+pub(super) fn mix<R: Real>([a, b]: [R; 2], x: R) -> R {
+    a + (b - a) * x
+}
+
+/// Fraction at which a density linear from `a` to `b` (positive) has accumulated the share `u`.
+#[inline]
+fn sample_linear<R: Real>(u: R, a: R, b: R) -> R {
+    let u = u.clamp(R::zero(), R::one());
+    let x = u * (a + b) / (a + (a * a + u * (b * b - a * a)).sqrt());
+    x.clamp(R::zero(), R::one())
+}
+
+/// A sum that keeps what rounding takes [Kahan 1965].
+#[derive(Default)]
+struct Sum<R> {
+    value: R,
+    excess: R,
+}
+
+impl<R: Real> Sum<R> {
+    #[inline]
+    fn add(&mut self, x: R) -> R {
+        let x = x - self.excess;
+        let value = self.value + x;
+        self.excess = (value - self.value) - x;
+        self.value = value;
+        value
+    }
+}
