@@ -204,7 +204,7 @@ impl Sampler for Spread {
         }
     }
 
-    #[inline]
+    #[inline(always)]
     fn next_2d<P: Float>(&mut self) -> [P; 2] {
         match self.points {
             Points::Sobol => self.sobol::<2>().map(P::from_bits_unit),
@@ -212,7 +212,7 @@ impl Sampler for Spread {
         }
     }
 
-    #[inline]
+    #[inline(always)]
     fn next_3d<P: Float>(&mut self) -> [P; 3] {
         match self.points {
             Points::Sobol => self.sobol::<3>().map(P::from_bits_unit),

@@ -763,7 +763,7 @@ fn index_below(bits: u64, n: usize) -> usize {
 /// Only the choice is returned, and in registers; its sample is made once more.
 ///
 /// # Reference
-/// [Talbot 2005], with one candidate from each technique.
+/// [Talbot et al. 2005], with one candidate from each technique.
 #[inline(never)]
 fn weigh_lights<P: Float, S: Strategy>(
     scene: &Scene,
