@@ -145,6 +145,19 @@ fn mistakes_end_with_a_message_and_without_a_file() {
         ("render", "scene.xml -D green=1".into(), 1, "green"),
         ("render", "scene.xml -D red=2".into(), 1, "reflectance"),
         ("render", "scene.xml --strategy luck".into(), 2, "luck"),
+        ("render", "scene.xml --lights luck".into(), 2, "one, all"),
+        (
+            "render",
+            "scene.xml --lights all --integrator particle -o a.exr".into(),
+            2,
+            "--lights",
+        ),
+        (
+            "render",
+            "scene.xml --sampler sobol --integrator particle -o a.exr".into(),
+            2,
+            "--sampler",
+        ),
         ("gradient", "scene.xml".into(), 2, "--param"),
         (
             "gradient",

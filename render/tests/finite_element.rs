@@ -85,7 +85,7 @@ fn seen_from(eye: [f64; 3], glossy: bool, power: f64, exponent: f32) -> Scene {
         max_depth: 24,
         rr_depth: 5,
         spp: 1,
-        points: render::sampler::Points::Independent,
+        ..Settings::default()
     };
     b.build(camera, Film::new(48, 48), settings).unwrap()
 }

@@ -303,7 +303,11 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
         let share = settings.lights.share(scene);
         let sampled =
             (S::SAMPLES_EMITTERS && depth > 1 && self.pdf_bsdf.primal() > R::Primal::zero())
-                .then_some((self.pdf_bsdf, self.from, share));
+                .then_some(Rival {
+                    pdf_bsdf: self.pdf_bsdf,
+                    from: self.from,
+                    share,
+                });
         let Some(Intersection { shape, si, prim }) = hit else {
             for &e in scene.infinite_emitters() {
                 if let Some((light, le)) = find_light::<R, S>(scene, theta, e, ray.d, None, sampled)
@@ -671,8 +675,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
 }
 
 /// What a ray in direction `d` receives from an emitter it hit at `si`, or missed everything towards:
-/// where, with which MIS weight, and the radiance. `sampled` is the density of the direction, the
-/// vertex it left and the share of this emitter there, if that vertex also sampled emitters.
+/// where, with which MIS weight, and the radiance. `sampled` if the vertex it left also sampled emitters.
 ///
 /// A call of its own, by value: lights are seldom hit, and references to the loop's state would keep
 /// that in memory.
@@ -683,7 +686,7 @@ fn find_light<R: Real, S: Strategy>(
     emitter: u32,
     d: Vec3<Geometry<S, R>>,
     si: Option<SurfaceInteraction<Geometry<S, R>>>,
-    sampled: Option<(R, Vec3<Geometry<S, R>>, R::Primal)>,
+    sampled: Option<Rival<R, Geometry<S, R>>>,
 ) -> Option<(HitLight<R>, Rgb<R>)> {
     if sampled.is_some() && !S::COUNTS_HITS {
         return None;
@@ -695,9 +698,9 @@ fn find_light<R: Real, S: Strategy>(
         falloff: S::Bsdf::embed(found.falloff),
     };
     let weight = match sampled {
-        Some((pdf_bsdf, from, share)) => {
-            let pdf = e.pdf(scene.lights(), from, d, si.as_ref());
-            S::weight_hit(pdf_bsdf, S::Bsdf::embed(pdf) * Const(share))
+        Some(rival) => {
+            let pdf = e.pdf(scene.lights(), rival.from, d, si.as_ref());
+            S::weight_hit(rival.pdf_bsdf, S::Bsdf::embed(pdf) * Const(rival.share))
         }
         None => R::one(),
     };
@@ -740,6 +743,17 @@ pub(super) fn frozen_pdf<R: Real>(
 #[inline]
 fn has_tangent<R: Real>(c: Rgb<R>) -> bool {
     !R::IS_PRIMAL && (c.r.has_tangent() || c.g.has_tangent() || c.b.has_tangent())
+}
+
+/// What the weight of a light that was hit, but could have been sampled, depends on.
+#[derive(Clone, Copy)]
+struct Rival<R: Real, G> {
+    /// Density of the direction.
+    pdf_bsdf: R,
+    /// The vertex it left.
+    from: Vec3<G>,
+    /// Share of any one emitter there.
+    share: R::Primal,
 }
 
 /// A vertex as lights see it.
