@@ -149,13 +149,13 @@ fn mistakes_end_with_a_message_and_without_a_file() {
         (
             "render",
             "scene.xml --lights all --integrator particle -o a.exr".into(),
-            2,
+            1,
             "--lights",
         ),
         (
             "render",
             "scene.xml --sampler sobol --integrator particle -o a.exr".into(),
-            2,
+            1,
             "--sampler",
         ),
         ("gradient", "scene.xml".into(), 2, "--param"),
