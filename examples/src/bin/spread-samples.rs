@@ -1,4 +1,4 @@
-//! `spread-samples`: what Sobol points and antithetic pairs gain, per estimator.
+//! `spread-samples`: what Sobol points, antithetic pairs and weighed lights gain, per estimator.
 
 use std::process::ExitCode;
 
@@ -8,7 +8,7 @@ use examples::figures::scenes;
 fn main() -> ExitCode {
     Figure::run(
         "spread-samples",
-        "what Sobol points and antithetic pairs gain, per estimator",
+        "what Sobol points, antithetic pairs and weighed lights gain, per estimator",
         scenes::spread::figure,
     )
 }
