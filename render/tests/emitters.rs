@@ -653,6 +653,12 @@ fn samples_stand_still_when_a_map_is_scaled() {
     }
 }
 
+fn all_finite<R: Real>(m: &Moved<R>) -> bool {
+    let uv = m.emission.uv;
+    let numbers = [m.d.x, m.d.y, m.d.z, m.pdf, m.frozen_pdf, uv.x, uv.y];
+    numbers.iter().all(|x| x.is_finite())
+}
+
 /// Motion is finite at the poles, in corners and for every map: dark, bright, with one row or one texel.
 #[test]
 fn motion_is_finite() {
@@ -681,27 +687,9 @@ fn motion_is_finite() {
                     continue;
                 };
                 let m = e.vary::<P>(&aim);
-                let numbers = [
-                    m.d.x,
-                    m.d.y,
-                    m.d.z,
-                    m.pdf,
-                    m.frozen_pdf,
-                    m.emission.uv.x,
-                    m.emission.uv.y,
-                ];
-                assert!(numbers.iter().all(|x| x.is_finite()), "{name} {m:?}");
+                assert!(all_finite(&m), "{name} {m:?}");
                 let m = e.follow(&aim, &theta, &e.shift(&theta).unwrap());
-                let numbers = [
-                    m.d.x,
-                    m.d.y,
-                    m.d.z,
-                    m.pdf,
-                    m.frozen_pdf,
-                    m.emission.uv.x,
-                    m.emission.uv.y,
-                ];
-                assert!(numbers.iter().all(|x| x.is_finite()), "{name} {m:?}");
+                assert!(all_finite(&m), "{name} {m:?}");
                 let offsets: Vec<usize> = scene.params().infos().iter().map(|i| i.offset).collect();
                 let mut grad = Gradient(vec![0.0; values.len()], offsets);
                 let mut sums = vec![0.0; e.sums()];

@@ -429,11 +429,23 @@ pub trait Bsdf: Send + Sync {
         u: [R::Primal; 3],
         mode: TransportMode,
     ) -> Option<Scattered<R::Primal, R>> {
-        let sample = self.sample(&at.primal(), wo, u, mode)?;
-        let (wo, wi) = (Vec3::lift(wo), Vec3::lift(sample.wi));
-        let f = self.eval_component(at, wo, wi, sample.component, mode);
-        Some((sample, f))
+        scatter_apart(self, at, wo, u, mode)
     }
+}
+
+/// [`Bsdf::scatter`] where sample and value share nothing.
+#[inline(always)]
+fn scatter_apart<B: Bsdf + ?Sized, R: Real>(
+    bsdf: &B,
+    at: &Shading<R>,
+    wo: Vec3<R::Primal>,
+    u: [R::Primal; 3],
+    mode: TransportMode,
+) -> Option<Scattered<R::Primal, R>> {
+    let sample = bsdf.sample(&at.primal(), wo, u, mode)?;
+    let (wo, wi) = (Vec3::lift(wo), Vec3::lift(sample.wi));
+    let f = bsdf.eval_component(at, wo, wi, sample.component, mode);
+    Some((sample, f))
 }
 
 impl<L: Leaf> Bsdf for L {
@@ -490,16 +502,13 @@ impl<L: Leaf> Bsdf for L {
         u: [R::Primal; 3],
         mode: TransportMode,
     ) -> Option<Scattered<R::Primal, R>> {
-        if R::IS_PRIMAL {
-            // One lobe does both.
-            let lobe = self.lobe(&mut { *at });
-            let (sample, f) = lobe.sample_eval(Vec3::lift(wo), u, mode)?;
-            return Some((sample.primal(), f));
+        if !R::IS_PRIMAL {
+            return scatter_apart(self, at, wo, u, mode);
         }
-        let sample = self.sample(&at.primal(), wo, u, mode)?;
-        let (wo, wi) = (Vec3::lift(wo), Vec3::lift(sample.wi));
-        let f = self.eval_component(at, wo, wi, sample.component, mode);
-        Some((sample, f))
+        // One lobe does both.
+        let lobe = self.lobe(&mut { *at });
+        let (sample, f) = lobe.sample_eval(Vec3::lift(wo), u, mode)?;
+        Some((sample.primal(), f))
     }
 
     #[inline(always)]
