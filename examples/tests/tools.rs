@@ -34,6 +34,10 @@ const SCENE: &str = r#"<scene version="3.0.0">
     <emitter type="area"><rgb name="radiance" value="10,8,6"/></emitter>
   </shape>
 </scene>"#;
+/// Instead of the wall's material: normals that particles cannot flip.
+const FLIPPED: &str = r#"<bsdf type="normalmap" id="wall">
+    <boolean name="flip_invalid_normals" value="true"/><texture name="normalmap" type="checkerboard"/>
+    <bsdf type="diffuse">"#;
 const WALL: &str = "wall.reflectance.value";
 const LAMP: &str = "lamp.emitter.radiance.value";
 
@@ -114,6 +118,10 @@ fn mistakes_end_with_a_message_and_without_a_file() {
     write_exr(&dir.path("infinite.exr"), &infinite).unwrap();
     std::fs::write(dir.path("text.exr"), "no image").unwrap();
     std::fs::write(dir.path("broken.xml"), SCENE.replace("diffuse", "difuse")).unwrap();
+    let flipped = SCENE
+        .replace(r#"<bsdf type="diffuse" id="wall">"#, FLIPPED)
+        .replacen("</bsdf>", "</bsdf></bsdf>", 1);
+    std::fs::write(dir.path("flipped.xml"), flipped).unwrap();
     std::fs::create_dir(dir.path("damaged")).unwrap();
     std::fs::write(dir.path("damaged/checkpoint.json"), "{}").unwrap();
     let before = dir.names();
@@ -157,6 +165,12 @@ fn mistakes_end_with_a_message_and_without_a_file() {
             "scene.xml --sampler sobol --integrator particle -o a.exr".into(),
             1,
             "--sampler",
+        ),
+        (
+            "render",
+            "flipped.xml --integrator particle -o a.exr".into(),
+            1,
+            "flip_invalid_normals",
         ),
         ("gradient", "scene.xml".into(), 2, "--param"),
         (

@@ -509,7 +509,11 @@ fn outputs<R: Real>(
     let mut out = vec![pdf];
     out.extend(f.to_array());
     for kind in DELTAS {
-        out.extend(case.material.eval_delta(&at, wo, kind, 0, mode).to_array());
+        out.extend(
+            case.material
+                .eval_delta(&at, wo, wi, kind, 0, mode)
+                .to_array(),
+        );
     }
     if let Some(s) = case.material.sample(&at, wo, u, mode) {
         out.extend([s.wi.x, s.wi.y, s.wi.z, s.pdf]);
@@ -807,7 +811,8 @@ fn everything_is_finite_everywhere() {
                         look_at(wi, mode);
                     }
                     for kind in DELTAS {
-                        let f = case.material.eval_delta(&point, dual(wo, 4), kind, 0, mode);
+                        let (wo, wi) = (dual(wo, 4), dual(directions[0], 7));
+                        let f = case.material.eval_delta(&point, wo, wi, kind, 0, mode);
                         assert!(f.is_finite(), "{}, wo {wo:?}: {f:?}", case.name);
                     }
                     for i in 0..64 {
@@ -1183,7 +1188,7 @@ fn refracted_radiance_is_scaled() {
     let wo = Vec3::new(0.0, 0.0, -1.0);
     let weight = |mode| {
         case.material
-            .eval_delta(&at, wo, DeltaKind::Transmission, 0, mode)
+            .eval_delta(&at, wo, -wo, DeltaKind::Transmission, 0, mode)
             .r
     };
     assert!((weight(TransportMode::Radiance) - 2.16).abs() < 1e-6);

@@ -67,6 +67,17 @@ fn normal_map(nested: &str, extra: &str) -> String {
     )
 }
 
+const SLOPES_OFF: &str = r#"<boolean name="use_slopes" value="false"/>"#;
+
+/// More options of a normal map.
+fn correct(flip: bool, shadowing: bool) -> String {
+    format!(
+        r#"<boolean name="flip_invalid_normals" value="{flip}"/><boolean name="use_shadowing_function" value="{shadowing}"/>"#
+    )
+}
+
+const GLASS: &str = r#"<bsdf type="dielectric"/>"#;
+
 const WEIGHTS: &str = r#"<texture name="weight" type="bitmap"><string name="filename" value="weights.exr"/></texture>"#;
 
 /// One of every kind, and kinds within kinds.
@@ -75,7 +86,6 @@ fn zoo() -> Vec<(&'static str, String)> {
     let textured = format!(r#"<bsdf type="blendbsdf">{WEIGHTS}{red}{blue}</bsdf>"#);
     let opacity = WEIGHTS.replace("weight\"", "opacity\"");
     let holes = format!(r#"<bsdf type="mask">{opacity}{red}</bsdf>"#);
-    let slopes_off = r#"<boolean name="use_slopes" value="false"/>"#;
     vec![
         ("two-sided", two_sided(&red)),
         ("two-sided, two colours", two_sided(&format!("{red}{blue}"))),
@@ -89,9 +99,24 @@ fn zoo() -> Vec<(&'static str, String)> {
         ),
         (
             "normal map, normals",
-            normal_map(&two_sided(&red), slopes_off),
+            normal_map(&two_sided(&red), SLOPES_OFF),
         ),
         ("normal map of a mask", normal_map(&holes, "")),
+        (
+            "normal map, flipped",
+            normal_map(&textured, &correct(true, false)),
+        ),
+        (
+            "normal map, shadowed",
+            normal_map(&two_sided(&red), &correct(false, true)),
+        ),
+        (
+            "normal map of glass, corrected",
+            mask(
+                0.8,
+                &normal_map(&blend(0.6, &format!("{GLASS}{red}")), &correct(true, true)),
+            ),
+        ),
         (
             "blend of masks",
             blend(0.7, &format!("{holes}{}", mask(0.2, &blue))),
@@ -463,8 +488,42 @@ fn holes_let_light_straight_through() {
             panic!("{s:?}");
         };
         assert_eq!((kind, s.wi, s.eta), (DeltaKind::Passthrough, -wo, 1.0));
-        let f = material.eval_delta(&at, wo, kind, route, MODE);
+        let f = material.eval_delta(&at, wo, s.wi, kind, route, MODE);
         assert_eq!(f, Rgb::splat(0.75));
+    }
+}
+
+/// What surrounds a tilted piece of glass does not change how much it refracts of particles.
+#[test]
+fn tilted_glass_refracts_the_same_within_others() {
+    let tilted = normal_map(GLASS, "");
+    let dark = diffuse(0.0, 0.0, 0.0);
+    let refracted = |xml: &str| {
+        let scene = load(xml).unwrap();
+        let theta = values(&scene);
+        let at = shading(Theta::constant(&theta), UV[0]);
+        let (material, wo) = (&scene.materials()[0], directions()[1]);
+        let mut next = numbers(5);
+        for _ in 0..1000 {
+            let sample = material.sample(&at, wo, next(), TransportMode::Importance);
+            let Some(s) = sample.filter(|s| s.wi.z < 0.0 && s.wi != -wo) else {
+                continue;
+            };
+            let (wo, wi) = (Vec3::lift(wo), Vec3::lift(s.wi));
+            return material
+                .eval_component(&at, wo, wi, s.component, TransportMode::Importance)
+                .r;
+        }
+        panic!("nothing is refracted by {xml}");
+    };
+    let alone: f64 = refracted(&tilted);
+    for (within, share) in [
+        (mask(0.25, &tilted), 0.25),
+        (blend(0.7, &format!("{dark}{tilted}")), 0.7),
+        (blend(0.3, &format!("{tilted}{dark}")), 0.7),
+    ] {
+        let value = refracted(&within) / share;
+        assert!((value / alone - 1.0).abs() < 1e-6, "{value} {alone}");
     }
 }
 
@@ -492,7 +551,12 @@ fn two_sided_shows_the_right_side() {
 
 /// A scene whose normal map has these texels, in one row.
 fn with_normals(texels: &[[f32; 3]], extra: &str) -> Scene {
-    let mut scene = load(&normal_map(&diffuse(0.5, 0.6, 0.7), extra)).unwrap();
+    with_normals_over(&diffuse(0.5, 0.6, 0.7), texels, extra)
+}
+
+/// [`with_normals`] of another material.
+fn with_normals_over(nested: &str, texels: &[[f32; 3]], extra: &str) -> Scene {
+    let mut scene = load(&normal_map(nested, extra)).unwrap();
     // The map has 3 x 2 texels: the columns are repeated in both rows.
     let info = scene
         .params()
@@ -514,33 +578,117 @@ fn encode(n: [f64; 3]) -> [f32; 3] {
 
 #[test]
 fn normal_maps_agree_with_the_peer() {
-    // Mitsuba 3.9.1, `flip_invalid_normals` and `use_shadowing_function` false; [wi, wo, value].
+    // Mitsuba 3.9.1, `eval` of a diffuse surface with reflectances 0.5, 0.6, 0.7: its wi and wo, and the red
+    // value without corrections, with shadowing, with flipped normals, with both.
+    let wide = [0.5, 0.2, 0.8];
+    let steep = [0.9, 0.3, 0.3];
+    let [up, left, away] = [[0.0, 0.0, 1.0], [-0.6, 0.0, 0.8], [-0.95, 0.0, 0.31]];
+    for (normal, o, i, values) in [
+        (
+            wide,
+            up,
+            [0.3, 0.4, 0.866],
+            [0.152299, 0.151586, 0.152299, 0.151586],
+        ),
+        (wide, up, [-0.9, 0.0, 0.43], [0.0; 4]),
+        (
+            wide,
+            left,
+            [0.9, 0.1, 0.4],
+            [0.131702, 0.123322, 0.131702, 0.123322],
+        ),
+        (
+            wide,
+            away,
+            [0.3, 0.4, 0.866],
+            [0.0, 0.0, 0.076380, 0.076023],
+        ),
+        (
+            wide,
+            away,
+            [-0.7, -0.1, 0.2],
+            [0.0, 0.0, 0.119030, 0.103195],
+        ),
+        (
+            steep,
+            up,
+            [0.3, 0.4, 0.866],
+            [0.103942, 0.096479, 0.103942, 0.096479],
+        ),
+        (steep, left, [0.9, 0.1, 0.4], [0.0; 4]),
+        (
+            steep,
+            away,
+            [-0.7, -0.1, 0.2],
+            [0.0, 0.0, 0.156725, 0.067059],
+        ),
+    ] {
+        let n = Vec3::from(normal).normalize().to_array();
+        let (o, i) = (Vec3::from(o).normalize(), Vec3::from(i).normalize());
+        for (k, value) in values.into_iter().enumerate() {
+            let options = correct(k & 2 != 0, k & 1 != 0);
+            let scene = with_normals(&[encode(n)], &format!("{SLOPES_OFF}{options}"));
+            let theta = self::values(&scene);
+            let at = shading(Theta::constant(&theta), UV[0]);
+            let f = scene.materials()[0].eval(&at, o, i, MODE);
+            for (f, reflectance) in f.to_array().into_iter().zip([0.5, 0.6, 0.7]) {
+                let expected = value * reflectance / 0.5;
+                assert!(
+                    (f - expected).abs() < 2e-6,
+                    "{o:?} {i:?} {options}: {f} {expected}"
+                );
+            }
+        }
+    }
+}
+
+/// Reflectance of a mirror below flipped and shadowed normals, from the same source.
+#[test]
+fn shadowing_darkens_mirrors() {
     let n = Vec3::new(0.5, 0.2, 0.8).normalize().to_array();
-    let scene = with_normals(&[encode(n)], "");
+    let mirror = r#"<bsdf type="conductor"/>"#;
+    let scene = with_normals_over(mirror, &[encode(n)], &correct(true, true));
     let theta = values(&scene);
     let at = shading(Theta::constant(&theta), UV[0]);
     for (o, i, value) in [
+        ([0.0, 0.0, 1.0], [0.860215, 0.344086, 0.376344], 0.926358),
         (
-            [0.0, 0.0, 1.0],
-            [0.3, 0.4, 0.866],
-            [0.152299, 0.182758, 0.213218],
+            [-0.95, 0.0, 0.31],
+            [0.172701, -0.311186, 0.934525],
+            0.997955,
         ),
-        ([0.0, 0.0, 1.0], [-0.9, 0.0, 0.43], [0.0; 3]),
-        (
-            [-0.6, 0.0, 0.8],
-            [0.9, 0.1, 0.4],
-            [0.131702, 0.158043, 0.184383],
-        ),
-        ([-0.95, 0.0, 0.31], [0.3, 0.4, 0.866], [0.0; 3]),
     ] {
-        let (o, i) = (Vec3::from(o).normalize(), Vec3::from(i).normalize());
-        let f = scene.materials()[0].eval(&at, o, i, MODE);
-        for c in 0..3 {
-            assert!(
-                (f[c] - value[c]).abs() < 2e-6,
-                "{o:?} {i:?} {f:?} {value:?}"
-            );
-        }
+        let wo = Vec3::from(o).normalize();
+        let s = scene.materials()[0]
+            .sample(&at, wo, [0.3; 3], MODE)
+            .unwrap();
+        assert!((s.wi - Vec3::from(i)).length() < 2e-6, "{:?}", s.wi);
+        let f = scene.materials()[0].eval_component(&at, wo, s.wi, s.component, MODE);
+        assert!((f.r - value).abs() < 2e-6, "{f:?}");
+    }
+}
+
+/// Everything that scatters is seen by somebody: no viewer above the surface meets the back of a normal.
+#[test]
+fn flipped_normals_face_every_viewer() {
+    let n = Vec3::new(0.9, 0.3, 0.3).normalize().to_array();
+    let scene = with_normals(
+        &[encode(n)],
+        &format!("{SLOPES_OFF}{}", correct(true, false)),
+    );
+    let theta = values(&scene);
+    let at = shading(Theta::constant(&theta), UV[0]);
+    let material = &scene.materials()[0];
+    let mut next = numbers(17);
+    for _ in 0..1000 {
+        let [x, y, z] = next();
+        let wo = Vec3::new(2.0 * x - 1.0, 2.0 * y - 1.0, z + 1e-6).normalize();
+        assert!(
+            (0..100).any(|_| material.sample(&at, wo, next(), MODE).is_some()),
+            "{wo:?}"
+        );
+        let particle = material.sample(&at, wo, next(), TransportMode::Importance);
+        assert!(particle.is_none() || wo.dot(Vec3::from(n)) > 0.0);
     }
 }
 
@@ -548,10 +696,7 @@ fn normal_maps_agree_with_the_peer() {
 fn slopes_or_normals_are_interpolated() {
     // Half way between a slope of 3/4 and none.
     let texels = [encode([0.6, 0.0, 0.8]), encode([0.0, 0.0, 1.0])];
-    for (extra, slope) in [
-        ("", 0.375),
-        (r#"<boolean name="use_slopes" value="false"/>"#, 1.0 / 3.0),
-    ] {
+    for (extra, slope) in [("", 0.375), (SLOPES_OFF, 1.0 / 3.0)] {
         let scene = with_normals(&texels, extra);
         let theta = values(&scene);
         let at = shading(Theta::constant(&theta), [1.0 / 3.0, 0.5]);
@@ -566,7 +711,7 @@ fn slopes_or_normals_are_interpolated() {
 fn faulty_descriptions_are_named() {
     let d = diffuse(0.5, 0.5, 0.5);
     let weightless = format!(r#"<bsdf type="blendbsdf">{d}{d}</bsdf>"#);
-    let flip = r#"<boolean name="flip_invalid_normals" value="true"/>"#;
+    let flip = r#"<string name="flip_invalid_normals" value="often"/>"#;
     for (xml, expected) in [
         (two_sided(""), "one or two nested <bsdf>"),
         (two_sided(&format!("{d}{d}{d}")), "found 3 of them"),
@@ -631,9 +776,10 @@ proptest! {
         other in prop::array::uniform3(prop::sample::select(vec![0.0f32, 0.5, 1.0])),
         u in prop::array::uniform3(0.0f32..1.0),
         v in prop::array::uniform2(-1.0f32..1.0),
-        slopes in any::<bool>(),
+        [slopes, flip, shadowing] in any::<[bool; 3]>(),
     ) {
-        let extra = format!(r#"<boolean name="use_slopes" value="{slopes}"/>"#);
+        let slopes = format!(r#"<boolean name="use_slopes" value="{slopes}"/>"#);
+        let extra = slopes + &correct(flip, shadowing);
         let scene = with_normals(&[texel, other], &extra);
         let material = &scene.materials()[0];
         let theta = scene.params().values();

@@ -235,6 +235,7 @@ fn particles_and_paths_agree_on_normal_mapped_objects() {
     let map = r#"<bsdf type="normalmap"><texture name="normalmap" type="checkerboard">
         <rgb name="color0" value="0.75, 0.5, 0.9"/><rgb name="color1" value="0.4, 0.2, 0.85"/>
         <transform name="to_uv"><scale value="4"/></transform></texture>
+        <boolean name="use_shadowing_function" value="true"/>
         <bsdf type="roughplastic"><float name="alpha" value="0.3"/></bsdf></bsdf>"#;
     let ball = format!(
         r#"<shape type="sphere" id="ball"><point name="center" value="0, 0.6, 0"/><float name="radius" value="0.6"/>{map}</shape>"#
@@ -271,12 +272,13 @@ fn particles_and_paths_agree_on_light_that_leaves_glass() {
 fn importance_scatters_by_the_adjoint_of_what_radiance_does() {
     let map = r#"<bsdf type="normalmap"><texture name="normalmap" type="checkerboard">
         <rgb name="color0" value="0.75, 0.5, 0.9"/><rgb name="color1" value="0.4, 0.2, 0.85"/></texture>
-        <bsdf type="roughdielectric"><float name="alpha" value="0.5"/></bsdf></bsdf>"#;
+        <bsdf type="roughdielectric"><float name="alpha" value="0.5"/></bsdf>EXTRA</bsdf>"#;
+    let shadows = r#"<boolean name="use_shadowing_function" value="true"/>"#;
     let all = cases::all();
     let bodies = all.iter().map(|c| c.body.clone());
-    let mapped = format!("{VIEW}{}", floor(map));
+    let mapped = ["", shadows].map(|e| format!("{VIEW}{}", floor(&map.replace("EXTRA", e))));
     let mut sampler = Independent::new(1, 2, 3);
-    for body in bodies.chain([mapped]) {
+    for body in bodies.chain(mapped) {
         let s = scene(&body);
         let values = tests::values::<f64>(&s);
         let theta = Theta::constant(&values);

@@ -5,6 +5,7 @@ use std::time::Instant;
 
 use clap::{Parser, ValueEnum};
 use render::bsdf::kernel::{Rules, Symmetry};
+use render::bsdf::nesting::flips_normals;
 use render::instances::{Technique, density_f32, particles_f32, render_f32};
 use render::integrator::density::Convention;
 use render::integrator::render::{Progress, Rendering};
@@ -205,7 +206,14 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
         None => default_output(&args.scene)?,
     };
     require_extension(&exr, "exr")?;
+    let method = args.method()?;
     let (scene, seconds_load) = args.load.load(&args.scene)?;
+    let flips = scene.materials().iter().any(|m| flips_normals(m));
+    if flips && !matches!(method, Method::Paths(_)) {
+        let message =
+            "flip_invalid_normals: particles do not know their viewer; expected --integrator path";
+        return Err(ToolError::Usage(message.into()));
+    }
     let mut settings = scene.settings;
     settings.spp = args.spp.unwrap_or(settings.spp);
     settings.points = args.sampler.unwrap_or(settings.points);
@@ -214,7 +222,6 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     output::create_parent(&exr)?;
 
     let start = Instant::now();
-    let method = args.method()?;
     let (rendering, threads) = args.threads.run(|threads| {
         let pixels = scene.film.pixels() as u64;
         let bar = Bar::new("render", pixels * passes(&scene, &settings), interrupt);

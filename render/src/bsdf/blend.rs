@@ -134,12 +134,13 @@ impl Bsdf for Blend {
         &self,
         at: &Shading<R>,
         wo: Vec3<R>,
+        wi: Vec3<R>,
         kind: DeltaKind,
         route: u8,
         mode: TransportMode,
     ) -> Rgb<R> {
         let chosen = usize::from(route & 1);
-        let value = self.parts[chosen].eval_delta(at, wo, kind, route >> 1, mode);
+        let value = self.parts[chosen].eval_delta(at, wo, wi, kind, route >> 1, mode);
         value * self.shares(at)[chosen]
     }
 

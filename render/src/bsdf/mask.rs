@@ -127,6 +127,7 @@ impl Bsdf for Mask {
         &self,
         at: &Shading<R>,
         wo: Vec3<R>,
+        wi: Vec3<R>,
         kind: DeltaKind,
         route: u8,
         mode: TransportMode,
@@ -134,7 +135,7 @@ impl Bsdf for Mask {
         let opacity = self.opacity(at);
         match inside(Component::Delta { kind, route }) {
             None => Rgb::splat(R::one() - opacity),
-            Some(c) => self.nested.eval_component(at, wo, wo, c, mode) * opacity,
+            Some(c) => self.nested.eval_component(at, wo, wi, c, mode) * opacity,
         }
     }
 

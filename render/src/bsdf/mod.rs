@@ -37,7 +37,7 @@ pub use dielectric::{Dielectric, DielectricLobe};
 pub use differential::{DiffLobe, Part};
 pub use diffuse::{Diffuse, DiffuseLobe};
 pub use mask::Mask;
-pub use normal_map::{Interpolation, NormalMap};
+pub use normal_map::{Corrections, Interpolation, NormalMap, shadowing};
 pub use plastic::{Coated, CoatedLobe, Plastic, PlasticLobe};
 pub use rough_conductor::{RoughConductor, RoughConductorLobe, Roughness};
 pub use rough_dielectric::{RoughDielectric, RoughDielectricLobe};
@@ -334,11 +334,12 @@ pub trait Bsdf: Send + Sync {
         mode: TransportMode,
     ) -> Option<BsdfSample<R>>;
 
-    /// [`Lobe::eval_delta`] at a point.
+    /// [`Lobe::eval_delta`] at a point, for a sample that went along `wi`.
     fn eval_delta<R: Real>(
         &self,
         at: &Shading<R>,
         wo: Vec3<R>,
+        wi: Vec3<R>,
         kind: DeltaKind,
         route: u8,
         mode: TransportMode,
@@ -415,7 +416,7 @@ pub trait Bsdf: Send + Sync {
     ) -> Rgb<R> {
         match component {
             Component::Continuous => self.eval(at, wo, wi, mode),
-            Component::Delta { kind, route } => self.eval_delta(at, wo, kind, route, mode),
+            Component::Delta { kind, route } => self.eval_delta(at, wo, wi, kind, route, mode),
         }
     }
 
@@ -487,6 +488,7 @@ impl<L: Leaf> Bsdf for L {
         &self,
         at: &Shading<R>,
         wo: Vec3<R>,
+        _wi: Vec3<R>,
         kind: DeltaKind,
         _route: u8,
         mode: TransportMode,
@@ -816,9 +818,9 @@ macro_rules! materials {
             }
             #[inline(always)]
             fn eval_delta<R: Real>(
-                &self, at: &Shading<R>, wo: Vec3<R>, kind: DeltaKind, route: u8, mode: TransportMode,
+                &self, at: &Shading<R>, wo: Vec3<R>, wi: Vec3<R>, kind: DeltaKind, route: u8, mode: TransportMode,
             ) -> Rgb<R> {
-                $crate::dispatch::dispatch!(self, [$($hot),*] [$($name),*], m => m.eval_delta(at, wo, kind, route, mode))
+                $crate::dispatch::dispatch!(self, [$($hot),*] [$($name),*], m => m.eval_delta(at, wo, wi, kind, route, mode))
             }
             #[inline(always)]
             fn eval_component<R: Real>(

@@ -60,6 +60,13 @@ pub fn has_delta(material: &Material) -> bool {
     }
 }
 
+/// Whether any part flips normals to the viewer, as [`super::Corrections::flip`] says: light tracers
+/// do not, and disagree with path tracers there.
+pub fn flips_normals(material: &Material) -> bool {
+    let own = matches!(material, Material::NormalMap(m) if m.corrections().flip);
+    own || children(material).iter().any(|m| flips_normals(m))
+}
+
 /// Checks that one more level around `parts` is allowed.
 pub(super) fn check_levels(parts: &[Arc<Material>]) -> Result<(), SceneError> {
     let inside = parts.iter().map(|m| levels(m)).max().unwrap_or(0);

@@ -20,20 +20,36 @@ use crate::texture::{self, Bitmap, RgbTexture, UvTransform, Wrap};
 ///
 /// A texel `c` encodes the normal `2c - 1` in the shading frame, whose first axis is the projection of
 /// dp/du. Directions that are on one side of the surface and on the other of the tilted one
-/// are not scattered, neither light nor view: the model has no shadowing of its own.
+/// are not scattered, neither light nor view; [`Corrections`] soften that.
 ///
 /// # Derivatives
 /// In the texels, with directions fixed. The nested material moves with the normal, so texels over a
 /// mirror or smooth glass are [`Differentiability::Delta`].
 ///
 /// # Does not handle
-/// Smooth glass inside a blend or mask as [`TransportMode::Importance`]: its refraction lacks the weight of
-/// the tilted normal. The horizon, which attached samples cross (F9): [`crate::Scene::discontinuity`].
+/// The horizon, which attached samples cross (F9): [`crate::Scene::discontinuity`]. The jump of the value in the
+/// texels where directions get to the other side, or a normal is flipped: no derivative sees it.
 #[derive(Clone, Debug)]
 pub struct NormalMap {
     map: RgbTexture,
     interpolation: Interpolation,
+    corrections: Corrections,
     nested: Arc<Material>,
+}
+
+/// What is done about directions that the surface allows and the tilted one does not. Nothing by default;
+/// Mitsuba 3.9, whose options `flip_invalid_normals` and `use_shadowing_function` these are, does both.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Corrections {
+    /// A normal that faces away from the viewer is mirrored about the shading normal (x and y change
+    /// sign), so that every viewer sees a lit side. The value jumps where that sets in.
+    ///
+    /// A particle does not know its viewer before it is scattered: with [`TransportMode::Importance`] no
+    /// normal is flipped, and particles disagree with paths ([`super::nesting::flips_normals`]).
+    pub flip: bool,
+    /// Reflected and refracted light is multiplied by [`shadowing`], which darkens the edge of shadows
+    /// before the horizon cuts them off. What passes through holes is not.
+    pub shadowing: bool,
 }
 
 /// What is interpolated between texels.
@@ -79,8 +95,23 @@ impl NormalMap {
         Ok(Self {
             map,
             interpolation,
+            corrections: Corrections::default(),
             nested,
         })
+    }
+
+    /// The same with `corrections`.
+    #[must_use]
+    pub fn corrected(self, corrections: Corrections) -> Self {
+        Self {
+            corrections,
+            ..self
+        }
+    }
+
+    /// What is done about impossible directions.
+    pub fn corrections(&self) -> Corrections {
+        self.corrections
     }
 
     /// The material on the tilted surface.
@@ -100,10 +131,72 @@ impl NormalMap {
         sum
     }
 
+    /// The interpolated vector as it is seen along `wo`.
     #[inline]
-    fn frame<R: Real>(&self, at: &Shading<R>) -> Frame<R> {
-        tilted(self.vector(at))
+    fn seen<R: Real>(&self, v: Vec3<R>, wo: Vec3<R>, mode: TransportMode) -> Vec3<R> {
+        if !self.corrections.flip || mode == TransportMode::Importance {
+            return v;
+        }
+        let (w, n) = (wo.primal(), v.primal());
+        match w.z * w.dot(n) <= R::Primal::zero() {
+            true => Vec3::new(-v.x, -v.y, v.z),
+            false => v,
+        }
     }
+
+    #[inline]
+    fn frame<R: Real>(&self, at: &Shading<R>, wo: Vec3<R>, mode: TransportMode) -> Frame<R> {
+        tilted(self.seen(self.vector(at), wo, mode))
+    }
+
+    /// What the value of the nested material is multiplied with, for directions `wo`, `wi` in the shading frame
+    /// and `o`, `i` in the tilted one.
+    #[inline]
+    fn weight<R: Real>(
+        &self,
+        frame: &Frame<R>,
+        mode: TransportMode,
+        [wo, wi]: [Vec3<R>; 2],
+        inside: [Vec3<R>; 2],
+    ) -> R {
+        let adjoint = adjoint(mode, [wo, wi], inside);
+        if !self.corrections.shadowing {
+            return adjoint;
+        }
+        let light = match mode {
+            TransportMode::Radiance => wi,
+            TransportMode::Importance => wo,
+        };
+        adjoint * shadowing(frame.n, light)
+    }
+}
+
+/// The share of light along `w` that reaches a surface whose shading normal is z and whose tilted normal is
+/// `n` (unit vectors): `2 / (1 + sqrt(1 + alpha^2 tan^2 theta_w))` with `alpha^2 = min(tan^2 theta_n / 8,
+/// 1)`, the masking of a GGX surface of which `n` is a typical normal
+/// [ContyEstevezEtAl2019], with the light's angle only.
+///
+/// # Derivatives
+/// In both vectors. One, with derivative zero, where nothing is tilted; `alpha` has none where it is
+/// cut off.
+#[inline]
+pub fn shadowing<R: Real>(n: Vec3<R>, w: Vec3<R>) -> R {
+    let horizontal = |v: Vec3<R>| v.x * v.x + v.y * v.y;
+    let (tilt, upright) = (horizontal(n), n.z * n.z * R::c(8.0));
+    if tilt.primal() == R::Primal::zero() {
+        return R::one();
+    }
+    let alpha2 = match tilt.primal() < upright.primal() {
+        true => tilt / upright,
+        false => R::one(),
+    };
+    // Multiplied by the cosine, so that a grazing `w` is no division by zero.
+    let cos = w.z.abs();
+    let root = w.z * w.z + alpha2 * horizontal(w);
+    if root.primal() <= R::Primal::zero() {
+        return R::one();
+    }
+    cos * R::c(2.0) / (cos + root.sqrt())
 }
 
 /// The frame whose normal is along `v`, in the coordinates of the shading frame. The zero vector
@@ -148,13 +241,13 @@ impl Bsdf for NormalMap {
         wi: Vec3<R>,
         mode: TransportMode,
     ) -> (Rgb<R>, R) {
-        let frame = self.frame(at);
+        let frame = self.frame(at, wo, mode);
         let (o, i) = (frame.to_local(wo), frame.to_local(wi));
         if !same_side(wo, o) || !same_side(wi, i) {
             return (Rgb::black(), R::zero());
         }
         let (f, pdf) = self.nested.eval_pdf(at, o, i, mode);
-        (f * adjoint(mode, [wo, wi], [o, i]), pdf)
+        (f * self.weight(&frame, mode, [wo, wi], [o, i]), pdf)
     }
 
     #[inline]
@@ -165,12 +258,12 @@ impl Bsdf for NormalMap {
         wi: Vec3<R>,
         mode: TransportMode,
     ) -> Rgb<R> {
-        let frame = self.frame(at);
+        let frame = self.frame(at, wo, mode);
         let (o, i) = (frame.to_local(wo), frame.to_local(wi));
         if !same_side(wo, o) || !same_side(wi, i) {
             return Rgb::black();
         }
-        self.nested.eval(at, o, i, mode) * adjoint(mode, [wo, wi], [o, i])
+        self.nested.eval(at, o, i, mode) * self.weight(&frame, mode, [wo, wi], [o, i])
     }
 
     #[inline]
@@ -181,7 +274,7 @@ impl Bsdf for NormalMap {
         u: [R::Primal; 3],
         mode: TransportMode,
     ) -> Option<BsdfSample<R>> {
-        let frame = self.frame(at);
+        let frame = self.frame(at, wo, mode);
         let o = frame.to_local(wo);
         let sample = self.nested.sample(at, o, u, mode)?;
         if is_passthrough(sample.component) {
@@ -207,45 +300,21 @@ impl Bsdf for NormalMap {
         &self,
         at: &Shading<R>,
         wo: Vec3<R>,
+        wi: Vec3<R>,
         kind: DeltaKind,
         route: u8,
         mode: TransportMode,
     ) -> Rgb<R> {
-        let frame = self.frame(at);
-        let o = frame.to_local(wo);
-        if kind != DeltaKind::Passthrough && !same_side(wo, o) {
+        let frame = self.frame(at, wo, mode);
+        let (o, i) = (frame.to_local(wo), frame.to_local(wi));
+        if kind == DeltaKind::Passthrough {
+            return self.nested.eval_delta(at, o, i, kind, route, mode);
+        }
+        if !same_side(wo, o) {
             return Rgb::black();
         }
-        let value = self.nested.eval_delta(at, o, kind, route, mode);
-        if kind != DeltaKind::Reflection {
-            return value;
-        }
-        let i = Vec3::new(-o.x, -o.y, o.z);
-        value * adjoint(mode, [wo, frame.to_world(i)], [o, i])
-    }
-
-    #[inline]
-    fn eval_component<R: Real>(
-        &self,
-        at: &Shading<R>,
-        wo: Vec3<R>,
-        wi: Vec3<R>,
-        component: Component,
-        mode: TransportMode,
-    ) -> Rgb<R> {
-        match component {
-            Component::Continuous => self.eval(at, wo, wi, mode),
-            Component::Delta { kind, route } => {
-                let value = self.eval_delta(at, wo, kind, route, mode);
-                if kind != DeltaKind::Transmission {
-                    return value;
-                }
-                // Only the sampled direction tells the index.
-                let frame = self.frame(at);
-                let inside = [wo, wi].map(|w| frame.to_local(w));
-                value * adjoint(mode, [wo, wi], inside)
-            }
-        }
+        let value = self.nested.eval_delta(at, o, i, kind, route, mode);
+        value * self.weight(&frame, mode, [wo, wi], [o, i])
     }
 
     fn backward<P: Float>(
@@ -257,7 +326,7 @@ impl Bsdf for NormalMap {
         grad: &mut impl GradSink<P>,
     ) {
         let vector = self.vector(at);
-        let frame = tilted(vector);
+        let frame = tilted(self.seen(vector, wo, mode));
         let o = frame.to_local(wo);
         let scatters = |u: &Use<P>| {
             is_passthrough(u.component)
@@ -269,7 +338,7 @@ impl Bsdf for NormalMap {
             let wi = frame.to_local(u.wi);
             let d = match is_passthrough(u.component) {
                 true => u.d,
-                false => u.d * adjoint(mode, [wo, u.wi], [o, wi]),
+                false => u.d * self.weight(&frame, mode, [wo, u.wi], [o, wi]),
             };
             let inside = Use { wi, d, ..*u };
             self.nested.backward(at, o, &[inside], mode, grad);
@@ -279,17 +348,19 @@ impl Bsdf for NormalMap {
         }
         // The adjoint of the interpolated vector first, then of the texels it was made from.
         let seeds: [Dual<P, 3>; 3] = std::array::from_fn(|i| Dual::var(vector.to_array()[i], i));
-        let frame = tilted(Vec3::from(seeds));
+        let lifted_wo = Vec3::lift(wo);
+        let frame = tilted(self.seen(Vec3::from(seeds), lifted_wo, mode));
         let lifted = at.lift::<Dual<P, 3>>();
-        let o = frame.to_local(Vec3::lift(wo));
+        let o = frame.to_local(lifted_wo);
         let mut d_vector = [P::zero(); 3];
         let tilts = |u: &&Use<P>| scatters(u) && u.part != Part::Normals;
         for u in uses.iter().filter(tilts) {
-            let i = frame.to_local(Vec3::lift(u.wi));
+            let wi = Vec3::lift(u.wi);
+            let i = frame.to_local(wi);
             let value = (self.nested).eval_component(&lifted, o, i, u.component, mode);
             let value = match is_passthrough(u.component) {
                 true => value,
-                false => value * adjoint(mode, [wo, u.wi].map(Vec3::lift), [o, i]),
+                false => value * self.weight(&frame, mode, [lifted_wo, wi], [o, i]),
             };
             for (k, d) in d_vector.iter_mut().enumerate() {
                 for c in 0..3 {
@@ -330,7 +401,7 @@ impl Bsdf for NormalMap {
         sign: DiffLobe,
         mode: TransportMode,
     ) -> Option<BsdfSample<P>> {
-        let frame = self.frame(at);
+        let frame = self.frame(at, wo, mode);
         let o = frame.to_local(wo);
         let sample = self.nested.sample_differential(at, o, u, sign, mode)?;
         let wi = frame.to_world(sample.wi);
@@ -346,12 +417,13 @@ impl Bsdf for NormalMap {
         wi: Vec3<R::Primal>,
         mode: TransportMode,
     ) -> Rgb<R> {
-        let frame = self.frame(&at.primal());
+        let frame = self.frame(&at.primal(), wo, mode);
         let (o, i) = (frame.to_local(wo), frame.to_local(wi));
         if !same_side(wo, o) || !same_side(wi, i) {
             return Rgb::black();
         }
-        self.nested.eval_normals(at, o, i, mode)
+        let weight = self.weight(&frame, mode, [wo, wi], [o, i]);
+        self.nested.eval_normals(at, o, i, mode) * R::lift(weight)
     }
 
     fn pdf_differential<P: Float>(
@@ -361,7 +433,8 @@ impl Bsdf for NormalMap {
         wi: Vec3<P>,
         sign: DiffLobe,
     ) -> P {
-        let frame = self.frame(at);
+        // Particles sample no derivatives.
+        let frame = self.frame(at, wo, TransportMode::Radiance);
         let (o, i) = (frame.to_local(wo), frame.to_local(wi));
         if !same_side(wo, o) || !same_side(wi, i) {
             return P::zero();
@@ -390,7 +463,8 @@ impl FromNode for NormalMap {
 
     /// The map is a nested texture `normalmap`, as in Mitsuba 3, or the image `filename`, as in the scenes of
     /// [Zeltner et al. 2020]: read as raw numbers, repeated `tiles` times, slopes
-    /// interpolated unless `use_slopes` is false.
+    /// interpolated unless `use_slopes` is false. `flip_invalid_normals` and `use_shadowing_function` ask for
+    /// [`Corrections`]; without them there are none, unlike in Mitsuba 3.9.
     fn from_node(node: &Node, build: &mut Builder) -> Result<Self, SceneError> {
         let nodes = nested_nodes(node, 1, 1)?;
         let nested = build.material_from_node(nodes[0], "nested_bsdf")?;
@@ -411,12 +485,10 @@ impl FromNode for NormalMap {
             Some(child) => texture::from_plugin(build, &child, &usage)?,
             None => map_from_file(node, build, &usage)?,
         };
-        // Other models of what a tilted surface cannot do.
-        for key in ["flip_invalid_normals", "use_shadowing_function"] {
-            if node.boolean_or(key, false)? {
-                return Err(node.invalid(key, "`false`: there is no such correction"));
-            }
-        }
+        let corrections = Corrections {
+            flip: node.boolean_or("flip_invalid_normals", false)?,
+            shadowing: node.boolean_or("use_shadowing_function", false)?,
+        };
         // A prefiltered stand-in for the map, of no use to a path tracer that resolves it.
         node.ignore(&[
             "lean_fallback",
@@ -427,7 +499,7 @@ impl FromNode for NormalMap {
             true => Interpolation::Slopes,
             false => Interpolation::Normals,
         };
-        Self::new(map, interpolation, nested)
+        Ok(Self::new(map, interpolation, nested)?.corrected(corrections))
     }
 }
 

@@ -98,12 +98,13 @@ impl Bsdf for TwoSided {
         &self,
         at: &Shading<R>,
         wo: Vec3<R>,
+        wi: Vec3<R>,
         kind: DeltaKind,
         route: u8,
         mode: TransportMode,
     ) -> Rgb<R> {
         let (side, behind) = self.side(wo);
-        side.eval_delta(at, turn(wo, behind), kind, route, mode)
+        side.eval_delta(at, turn(wo, behind), turn(wi, behind), kind, route, mode)
     }
 
     fn backward<P: Float>(
