@@ -98,8 +98,13 @@ pub(super) fn reflection<R: Real>(
     wi: Vec3<R>,
     m: Vec3<R>,
 ) -> R {
-    let sigmas = microfacet.sigma(wo) * microfacet.sigma(wi) * R::c(4.0);
-    microfacet.d(m) * (wi.z.abs() / sigmas)
+    reflection_where(microfacet, [microfacet.d(m), microfacet.sigma(wo)], wi)
+}
+
+/// [`reflection`] where the distribution at the normal and the `sigma` of `wo` are known already.
+#[inline]
+fn reflection_where<R: Real>(microfacet: &Microfacet<R>, [d, sigma]: [R; 2], wi: Vec3<R>) -> R {
+    d * (wi.z.abs() / (sigma * microfacet.sigma(wi) * R::c(4.0)))
 }
 
 /// Density of [`sample_reflected_differential`] at `wi`.
@@ -188,8 +193,8 @@ impl<R: Real> Lobe<R> for RoughConductorLobe<R> {
             return dark;
         }
         let sigma = self.microfacet.sigma(wo);
-        let sigmas = sigma * self.microfacet.sigma(wi) * R::c(4.0);
-        let f = self.facet.reflectance(wo.dot(m)) * (d * (wi.z.abs() / sigmas));
+        let reflection = reflection_where(&self.microfacet, [d, sigma], wi);
+        let f = self.facet.reflectance(wo.dot(m)) * reflection;
         let pdf = (self.microfacet).pdf_reflected_where(d, wo, m, || sigma);
         (f, pdf)
     }
