@@ -34,11 +34,13 @@ mod shares;
 
 use std::fmt;
 
+use crate::bsdf::{Bsdf, TextureRef};
 use crate::emitter::{AnyEmitter, Emitter};
 use crate::error::RenderError;
 use crate::instances::Estimator;
 use crate::integrator::render::Progress;
 use crate::scene::{Scene, Settings};
+use crate::texture::ScalarTexture;
 
 pub use mixture::Mixture;
 pub use pilot::{Finding, PILOTS, able};
@@ -59,14 +61,23 @@ pub fn candidates(scene: &Scene) -> Vec<Estimator> {
         Estimator::MisAttachedWeights,
         Estimator::AttachedMis,
     ];
-    let rough = scene.params().infos().iter().all(|info| {
-        let mut values = scene.params().values()[info.range()].iter();
-        match info.name.split('.').nth(1) {
-            Some("alpha") => values.all(|&v| v >= ROUGH.0),
-            Some("exponent") => values.all(|&v| v <= ROUGH.1),
-            _ => true,
-        }
-    });
+    let all = |t: &ScalarTexture, f: fn(f32) -> bool| {
+        let params = scene.params();
+        !t.any_param(|p| {
+            let values = &params.values()[params.infos()[p.id as usize].range()];
+            !values.iter().all(|&v| f(v))
+        })
+    };
+    let mut rough = true;
+    for material in scene.materials() {
+        material.visit_textures(&mut |t| {
+            rough &= match t {
+                TextureRef::Alpha(t) => all(t, |v| v >= ROUGH.0),
+                TextureRef::Exponent(t) => all(t, |v| v <= ROUGH.1),
+                _ => true,
+            }
+        });
+    }
     if rough {
         out.push(Estimator::Emitter);
     }
@@ -143,5 +154,45 @@ impl fmt::Display for Mixture {
             }
         }
         writeln!(f, "  pilots: {:.1} samples per pixel", self.spent)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Wherever a smooth lobe hides, lights alone are no candidate.
+    #[test]
+    fn light_sampling_needs_rough_lobes() {
+        let metal = |alpha: f64| {
+            format!(r#"<bsdf type="roughconductor"><float name="alpha" value="{alpha}"/></bsdf>"#)
+        };
+        let phong = |exponent: f64| {
+            format!(r#"<bsdf type="blinnphong"><float name="exponent" value="{exponent}"/></bsdf>"#)
+        };
+        let within = |m: String| {
+            let holes =
+                format!(r#"<bsdf type="mask"><float name="opacity" value="0.9"/>{m}</bsdf>"#);
+            format!(
+                r#"<bsdf type="blendbsdf"><float name="weight" value="0.01"/>{m}{holes}</bsdf>"#
+            )
+        };
+        for (material, expected) in [
+            (metal(0.3), true),
+            (metal(0.03), false),
+            (phong(30.0), true),
+            (phong(300.0), false),
+            (within(metal(0.3)), true),
+            (within(metal(0.03)), false),
+        ] {
+            let xml = format!(
+                r#"<scene version="3.0.0"><sensor type="perspective"><float name="fov" value="40"/></sensor>
+                <shape type="rectangle">{material}</shape>
+                <emitter type="point"/></scene>"#
+            );
+            let (scene, _) = Scene::from_xml(&xml, "".as_ref(), &Default::default()).unwrap();
+            let found = candidates(&scene).contains(&Estimator::Emitter);
+            assert_eq!(found, expected, "{material}");
+        }
     }
 }

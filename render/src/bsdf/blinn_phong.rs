@@ -148,7 +148,7 @@ impl Leaf for BlinnPhong {
         BlinnPhongLobe::new(
             read.rgb(&self.diffuse),
             read.rgb(&self.specular),
-            read.scalar(&self.exponent),
+            read.exponent(&self.exponent),
             self.sampling,
         )
     }

@@ -207,6 +207,16 @@ pub trait Reader<R: Real> {
     fn rgb(&mut self, t: &RgbTexture) -> Rgb<R>;
     /// The value of `t`.
     fn scalar(&mut self, t: &ScalarTexture) -> R;
+    /// The value of `t`, the roughness of a microsurface.
+    #[inline(always)]
+    fn alpha(&mut self, t: &ScalarTexture) -> R {
+        self.scalar(t)
+    }
+    /// The value of `t`, the exponent of a lobe.
+    #[inline(always)]
+    fn exponent(&mut self, t: &ScalarTexture) -> R {
+        self.scalar(t)
+    }
 }
 
 /// A point on a surface as materials see it.
@@ -258,6 +268,10 @@ pub enum TextureRef<'a> {
     Rgb(&'a RgbTexture),
     /// One number.
     Scalar(&'a ScalarTexture),
+    /// One number: the roughness of a microsurface.
+    Alpha(&'a ScalarTexture),
+    /// One number: the exponent of a lobe.
+    Exponent(&'a ScalarTexture),
     /// A vector: channels mix, and interpolation is not linear in the texels.
     Vector(&'a RgbTexture),
 }
@@ -267,7 +281,9 @@ impl TextureRef<'_> {
     pub fn is_constant(&self) -> bool {
         match self {
             Self::Rgb(t) | Self::Vector(t) => matches!(t, RgbTexture::Constant(_)),
-            Self::Scalar(t) => matches!(t, ScalarTexture::Constant(_)),
+            Self::Scalar(t) | Self::Alpha(t) | Self::Exponent(t) => {
+                matches!(t, ScalarTexture::Constant(_))
+            }
         }
     }
 
@@ -275,7 +291,7 @@ impl TextureRef<'_> {
     pub fn visit_params(&self, f: &mut dyn FnMut(ParamRef)) {
         match self {
             Self::Rgb(t) | Self::Vector(t) => t.visit_params(f),
-            Self::Scalar(t) => t.visit_params(f),
+            Self::Scalar(t) | Self::Alpha(t) | Self::Exponent(t) => t.visit_params(f),
         }
     }
 }
@@ -741,6 +757,14 @@ impl Reader<f32> for List<'_> {
     }
     fn scalar(&mut self, t: &ScalarTexture) -> f32 {
         (self.0)(TextureRef::Scalar(t));
+        PLACEHOLDER as f32
+    }
+    fn alpha(&mut self, t: &ScalarTexture) -> f32 {
+        (self.0)(TextureRef::Alpha(t));
+        PLACEHOLDER as f32
+    }
+    fn exponent(&mut self, t: &ScalarTexture) -> f32 {
+        (self.0)(TextureRef::Exponent(t));
         PLACEHOLDER as f32
     }
 }

@@ -29,7 +29,7 @@ impl Roughness {
     pub fn read<R: Real>(&self, read: &mut impl Reader<R>) -> Microfacet<R> {
         Microfacet {
             kind: self.kind,
-            alpha: read.scalar(&self.alpha),
+            alpha: read.alpha(&self.alpha),
             visible: self.visible,
         }
     }

@@ -55,7 +55,9 @@ pub fn pull_back<P: Float>(
         }
         match t {
             TextureRef::Rgb(t) => slots.push(Slot::Rgb(t.clone(), uv)),
-            TextureRef::Scalar(t) => slots.push(Slot::Scalar(t.clone(), uv)),
+            TextureRef::Scalar(t) | TextureRef::Alpha(t) | TextureRef::Exponent(t) => {
+                slots.push(Slot::Scalar(t.clone(), uv))
+            }
             TextureRef::Vector(map) => texels(&map.footprint(uv), |p, texel| {
                 slots.extend((0..3).map(|c| Slot::Element(p, texel * 3 + c)));
             }),
@@ -89,7 +91,9 @@ impl Texels {
     ) {
         let (f, channels, mixes) = match texture {
             TextureRef::Rgb(t) => (t.footprint(uv), 3, false),
-            TextureRef::Scalar(t) => (t.footprint(uv), 1, false),
+            TextureRef::Scalar(t) | TextureRef::Alpha(t) | TextureRef::Exponent(t) => {
+                (t.footprint(uv), 1, false)
+            }
             TextureRef::Vector(t) => (t.footprint(uv), 3, true),
         };
         texels(&f, |param, texel| {
