@@ -11,7 +11,8 @@ use render::integrator::render::NonFinite;
 use render::sampler::Points;
 use render::scene::LightChoice;
 use render::scene::LoadOptions;
-use render::{RenderError, Scene, SceneError};
+use render::{RenderError, Scene, SceneError, Settings};
+use serde::{Serialize, Serializer};
 
 use crate::progress::Interrupt;
 
@@ -113,6 +114,38 @@ impl LoadArgs {
     }
 }
 
+/// `--sampler` and `--lights`. Reports hold both by name.
+#[derive(Args, Clone, Copy, Debug, Serialize)]
+pub struct SampleArgs {
+    /// How the samples of a pixel are spread: independent, sobol (Owen-scrambled, best with powers of two)
+    /// or antithetic (pairs)
+    #[arg(long, value_name = "NAME", default_value = "independent",
+          value_parser = |text: &str| named(&Points::NAMES, text))]
+    #[serde(serialize_with = "write_points")]
+    pub sampler: Points,
+    /// How a point chooses the light that it samples: any one, or in proportion to what each would bring
+    #[arg(long, value_name = "one|all", default_value = "one",
+          value_parser = |text: &str| named(&LightChoice::NAMES, text))]
+    #[serde(serialize_with = "write_lights")]
+    pub lights: LightChoice,
+}
+
+impl SampleArgs {
+    /// Says so in `settings`.
+    pub fn apply(self, settings: &mut Settings) {
+        settings.points = self.sampler;
+        settings.lights = self.lights;
+    }
+}
+
+fn write_points<S: Serializer>(value: &Points, to: S) -> Result<S::Ok, S::Error> {
+    to.serialize_str(name_in(&Points::NAMES, value))
+}
+
+fn write_lights<S: Serializer>(value: &LightChoice, to: S) -> Result<S::Ok, S::Error> {
+    to.serialize_str(name_in(&LightChoice::NAMES, value))
+}
+
 /// `--threads`.
 #[derive(Args, Clone, Copy, Debug, Default)]
 pub struct ThreadArgs {
@@ -161,8 +194,6 @@ pub fn depth(text: &str) -> Result<u32, String> {
 pub enum Choice {
     /// `auto`: [`render::auto`].
     Auto,
-    /// `mis-f64`: [`Estimator::Mis`] in double precision.
-    Double,
     /// Any other name.
     One(Estimator),
 }
@@ -172,38 +203,20 @@ impl Choice {
     pub fn name(self) -> &'static str {
         match self {
             Self::Auto => "auto",
-            Self::Double => "mis-f64",
             Self::One(e) => e.name(),
         }
     }
 }
 
-/// The estimator called `text`, `auto` or `mis-f64`.
+/// The estimator called `text`, or `auto`.
 ///
 /// # Errors
 /// An unknown name, with all known ones.
 pub fn estimator(text: &str) -> Result<Choice, RenderError> {
     match text {
         "auto" => Ok(Choice::Auto),
-        "mis-f64" => Ok(Choice::Double),
         name => Estimator::from_name(name).map(Choice::One),
     }
-}
-
-/// The points called `text`.
-///
-/// # Errors
-/// An unknown name, with all known ones.
-pub fn points(text: &str) -> Result<Points, String> {
-    named(&Points::NAMES, text)
-}
-
-/// The choice of lights called `text`.
-///
-/// # Errors
-/// An unknown name, with all known ones.
-pub fn lights(text: &str) -> Result<LightChoice, String> {
-    named(&LightChoice::NAMES, text)
 }
 
 /// What `text` stands for in a list of names.
@@ -213,6 +226,12 @@ fn named<T: Copy>(names: &[(&str, T)], text: &str) -> Result<T, String> {
         let known: Vec<&str> = names.iter().map(|(name, _)| *name).collect();
         format!("expected one of {}", known.join(", "))
     })
+}
+
+/// What `value` is called in a list of names of all values.
+fn name_in<T: PartialEq>(names: &[(&'static str, T)], value: &T) -> &'static str {
+    let found = names.iter().find(|(_, v)| v == value);
+    found.map_or("", |(name, _)| name)
 }
 
 /// Tells the user about samples that were left out because they were not finite.

@@ -100,6 +100,11 @@ fn keys(value: &Value) -> Vec<&str> {
         .collect()
 }
 
+/// How a report says its samples were made.
+fn samples(report: &Value) -> [&str; 2] {
+    ["sampler", "lights"].map(|key| report[key].as_str().unwrap())
+}
+
 fn numbers(value: &Value) -> Vec<f64> {
     let numbers = value.as_array().unwrap().iter();
     numbers.map(|x| x.as_f64().unwrap()).collect()
@@ -173,6 +178,12 @@ fn mistakes_end_with_a_message_and_without_a_file() {
             "flip_invalid_normals",
         ),
         ("gradient", "scene.xml".into(), 2, "--param"),
+        (
+            "gradient",
+            format!("{wall} --estimator mis-f64"),
+            2,
+            "differential-mis",
+        ),
         (
             "gradient",
             "scene.xml --param wall.alpha.value --json a.json".into(),
@@ -274,6 +285,8 @@ fn render_writes_image_picture_and_report() {
         keys(&report),
         [
             "height",
+            "lights",
+            "sampler",
             "scene",
             "seconds_load",
             "seconds_render",
@@ -284,9 +297,13 @@ fn render_writes_image_picture_and_report() {
     );
     assert_eq!(report["scene"], "scene.xml");
     assert_eq!((&report["width"], &report["spp"]), (&36.into(), &8.into()));
+    assert_eq!(samples(&report), ["independent", "one"]);
     let image = read_exr(&dir.path("scene.exr")).unwrap();
     assert_eq!((image.width, image.height), (36, 24));
     assert!(bytes(dir.path("scene.png")).starts_with(b"\x89PNG"));
+    let chosen = "--sampler antithetic --lights all";
+    dir.ok("render", &format!("scene.xml {chosen} --json all.json"));
+    assert_eq!(samples(&dir.json("all.json")), ["antithetic", "all"]);
     // Options arrive.
     let mean = |args: &str| {
         dir.ok("render", &format!("scene.xml -o other.exr {args}"));
@@ -357,8 +374,10 @@ fn gradient_of_the_mean_is_right_and_reported() {
         keys(&report),
         [
             "estimator",
+            "lights",
             "params",
             "repeats",
+            "sampler",
             "scene",
             "seconds_gradient",
             "seconds_primal",
@@ -420,9 +439,11 @@ fn gradient_of_a_texture_is_an_image() {
     let scene = scene.replace(r#"<default name="red" value="0.7"/>"#, "");
     std::fs::write(dir.path("scene.xml"), scene).unwrap();
     let key = "wall.reflectance.data";
-    let args = format!("scene.xml --param {key} --repeats 3 --json a.json --images d");
+    let chosen = "--sampler sobol --lights all";
+    let args = format!("scene.xml --param {key} --repeats 3 {chosen} --json a.json --images d");
     dir.ok("gradient", &args);
     let report = dir.json("a.json");
+    assert_eq!(samples(&report), ["sobol", "all"]);
     let names = ["value", "gradient", "std_error"].map(|what| {
         let name = report["params"][key][what].as_str().unwrap();
         assert_eq!(name, format!("a.{key}.{what}.exr"));
@@ -586,6 +607,7 @@ fn estimators_are_compared_and_the_numbers_depend_on_the_seed_alone() {
     );
     let (a, b) = (dir.json("a/report.json"), dir.json("b/report.json"));
     assert_eq!(dir.json("b.json"), b);
+    assert_eq!(samples(&a), ["independent", "one"]);
     let rows = |v: &Value| v["rows"].as_array().unwrap().clone();
     assert_eq!(rows(&a).len(), 4);
     for (a, b) in rows(&a).iter().zip(&rows(&b)) {

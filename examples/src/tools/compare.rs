@@ -8,15 +8,14 @@ use render::auto::{self, Mixture};
 use render::instances::{Direction, Estimator, Technique, forward_f64, render_f64};
 use render::integrator::render::{NonFinite, Progress, Rendering};
 use render::params::Theta;
-use render::sampler::Points;
-use render::scene::LightChoice;
 use render::{Image, RenderError, Scene, Settings, image_io};
 use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use crate::chart::{LineChart, Panel};
 use crate::cli::{
-    self, Choice, LoadArgs, Outcome, ThreadArgs, ToolError, depth, report_non_finite, sample_count,
+    self, Choice, LoadArgs, Outcome, SampleArgs, ThreadArgs, ToolError, depth, report_non_finite,
+    sample_count,
 };
 use crate::output;
 use crate::progress::{Bar, Interrupt};
@@ -62,14 +61,9 @@ pub struct Args {
     /// Samples per pixel and repeat [default: the scene's]
     #[arg(long, value_name = "N", value_parser = sample_count())]
     pub spp: Option<u32>,
-    /// How the samples of a pixel are spread: independent, sobol (Owen-scrambled, best with powers of two)
-    /// or antithetic (pairs) [default: independent]
-    #[arg(long, value_name = "NAME", value_parser = cli::points)]
-    pub sampler: Option<Points>,
-    /// How a point chooses the light that it samples: any one, or in proportion to what each would bring
-    /// [default: one]
-    #[arg(long, value_name = "one|all", value_parser = cli::lights)]
-    pub lights: Option<LightChoice>,
+    /// How samples are made
+    #[command(flatten)]
+    pub samples: SampleArgs,
     /// Largest number of path edges; -1 for no limit [default: the scene's]
     #[arg(long, value_name = "N", value_parser = depth, allow_hyphen_values = true)]
     pub max_depth: Option<u32>,
@@ -97,6 +91,42 @@ const BLOCKS: usize = 4;
 const SIGNIFICANCE: f64 = 1e-3;
 /// Repeats of the reference for one of an estimator.
 const REFERENCE_REPEATS: u64 = 4;
+
+/// What takes part.
+#[derive(Clone, Copy, Debug)]
+struct Contestant {
+    choice: Choice,
+    /// In double precision: only [`Estimator::Mis`] is compiled for that.
+    double: bool,
+}
+
+impl Contestant {
+    const DOUBLE: Self = Self {
+        choice: Choice::One(Estimator::Mis),
+        double: true,
+    };
+
+    fn single(choice: Choice) -> Self {
+        Self {
+            choice,
+            double: false,
+        }
+    }
+
+    fn name(self) -> &'static str {
+        match self.double {
+            true => "mis-f64",
+            false => self.choice.name(),
+        }
+    }
+
+    fn from_name(name: &str) -> Result<Self, RenderError> {
+        match name == Self::DOUBLE.name() {
+            true => Ok(Self::DOUBLE),
+            false => cli::estimator(name).map(Self::single),
+        }
+    }
+}
 
 /// What was found about one estimator.
 #[derive(Clone, Debug, Serialize)]
@@ -138,6 +168,8 @@ struct Report {
     scene: String,
     reference: String,
     spp: u32,
+    #[serde(flatten)]
+    samples: SampleArgs,
     repeats: u32,
     threads: usize,
     seed: u64,
@@ -282,16 +314,18 @@ impl Run<'_> {
 
     fn estimate(
         &self,
-        e: Choice,
+        e: Contestant,
         param: &str,
         stream: u64,
         repeats: u64,
     ) -> Result<Option<Series>, ToolError> {
         let spp = u64::from(self.settings.spp);
         let start = Instant::now();
-        let mixture = match e {
+        if e.double {
+            return self.double(param, stream, repeats);
+        }
+        let mixture = match e.choice {
             Choice::One(e) => Mixture::only(self.scene, e, &[param]),
-            Choice::Double => return self.double(param, stream, repeats),
             Choice::Auto => {
                 let ones = vec![1.0; self.scene.film.pixels() * 3];
                 let seed = self.seed.wrapping_add(stream << 32);
@@ -326,7 +360,7 @@ impl Run<'_> {
     fn double(&self, param: &str, stream: u64, repeats: u64) -> Result<Option<Series>, ToolError> {
         let along = Direction::uniform(self.scene.params(), param)?;
         let spp = u64::from(self.settings.spp);
-        let what = Choice::Double.name();
+        let what = Contestant::DOUBLE.name();
         self.series(what, stream, repeats, |seed, bar| {
             let r = forward_f64(self.scene, &along, &self.settings, seed, 0..spp, bar)?;
             let n = r.samples as f64;
@@ -373,22 +407,24 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     let (scene, _) = args.load.load(&args.scene)?;
     let mut settings = scene.settings;
     settings.spp = args.spp.unwrap_or(settings.spp);
-    settings.points = args.sampler.unwrap_or(settings.points);
-    settings.lights = args.lights.unwrap_or(settings.lights);
+    args.samples.apply(&mut settings);
     settings.max_depth = args.max_depth.unwrap_or(settings.max_depth);
     let estimators = match &args.estimators[..] {
         [all] if all == "all" => {
             let all = Estimator::ALL.iter().map(|e| Choice::One(*e));
-            all.chain([Choice::Double, Choice::Auto]).collect()
+            let auto = Contestant::single(Choice::Auto);
+            all.map(Contestant::single)
+                .chain([Contestant::DOUBLE, auto])
+                .collect()
         }
         names => {
-            let found: Result<Vec<_>, _> = names.iter().map(|n| cli::estimator(n)).collect();
+            let found: Result<Vec<_>, _> = names.iter().map(|n| Contestant::from_name(n)).collect();
             found?
         }
     };
     let reference = match args.reference.as_str() {
         "fd" => None,
-        name => Some(Choice::One(Estimator::from_name(name)?)),
+        name => Some(Contestant::single(Choice::One(Estimator::from_name(name)?))),
     };
     // Wrong names are noticed before the first minute of work.
     let infos: Result<Vec<_>, _> = args.params.iter().map(|p| scene.params().find(p)).collect();
@@ -409,6 +445,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
             scene: args.scene.display().to_string(),
             reference: args.reference.clone(),
             spp: settings.spp,
+            samples: args.samples,
             repeats: args.repeats,
             threads,
             seed: args.seed,
@@ -427,9 +464,8 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
             };
             let mut panels = Vec::new();
             for &e in &estimators {
-                let allowed = match &e {
-                    Choice::One(e) => auto::able(&scene, info, &[*e]),
-                    Choice::Double => auto::able(&scene, info, &[Estimator::Mis]),
+                let allowed = match e.choice {
+                    Choice::One(e) => auto::able(&scene, info, &[e]),
                     Choice::Auto => auto::able(&scene, info, &auto::candidates(&scene)),
                 };
                 if let Err(reason) = allowed {
@@ -442,11 +478,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
                 }
                 // The numbers of an estimator do not depend on which others are asked for.
                 // Double precision has the random numbers of single precision: rounding is the difference.
-                let twin = match e {
-                    Choice::Double => Choice::One(Estimator::Mis),
-                    _ => e,
-                };
-                let place = Estimator::ALL.iter().position(|x| Choice::One(*x) == twin);
+                let place = (Estimator::ALL.iter()).position(|x| Choice::One(*x) == e.choice);
                 let stream = 2 + place.unwrap_or(Estimator::ALL.len()) as u64;
                 let Some(series) = run.estimate(e, param, stream, repeats)? else {
                     break;
@@ -485,7 +517,7 @@ fn t_limit(repeats: u64, tests: usize) -> f64 {
 
 fn row(
     param: &str,
-    e: Choice,
+    e: Contestant,
     series: &Series,
     truth: &Series,
     settings: &Settings,

@@ -10,13 +10,12 @@ use render::auto::{self, Mixture};
 use render::instances::{Direction, Estimator, Technique, forward_f32, render_f32};
 use render::integrator::render::{NonFinite, Progress};
 use render::params::{Differentiability, ParamInfo, ParamShape, Theta};
-use render::sampler::Points;
-use render::scene::LightChoice;
 use render::{Image, Scene, Settings, image_io};
 use serde::Serialize;
 
 use crate::cli::{
-    self, Choice, LoadArgs, Outcome, ThreadArgs, ToolError, depth, report_non_finite, sample_count,
+    self, Choice, LoadArgs, Outcome, SampleArgs, ThreadArgs, ToolError, depth, report_non_finite,
+    sample_count,
 };
 use crate::output;
 use crate::progress::{Bar, Interrupt};
@@ -56,14 +55,9 @@ pub struct Args {
     /// Samples per pixel and repeat [default: the scene's]
     #[arg(long, value_name = "N", value_parser = sample_count())]
     pub spp: Option<u32>,
-    /// How the samples of a pixel are spread: independent, sobol (Owen-scrambled, best with powers of two)
-    /// or antithetic (pairs) [default: independent]
-    #[arg(long, value_name = "NAME", value_parser = cli::points)]
-    pub sampler: Option<Points>,
-    /// How a point chooses the light that it samples: any one, or in proportion to what each would bring
-    /// [default: one]
-    #[arg(long, value_name = "one|all", value_parser = cli::lights)]
-    pub lights: Option<LightChoice>,
+    /// How samples are made
+    #[command(flatten)]
+    pub samples: SampleArgs,
     /// Largest number of path edges; -1 for no limit [default: the scene's]
     #[arg(long, value_name = "N", value_parser = depth, allow_hyphen_values = true)]
     pub max_depth: Option<u32>,
@@ -120,6 +114,8 @@ struct Report {
     #[serde(skip_serializing_if = "Option::is_none")]
     mixture: Option<String>,
     spp: u32,
+    #[serde(flatten)]
+    samples: SampleArgs,
     repeats: u64,
     threads: usize,
     seconds_primal: f64,
@@ -152,8 +148,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     let objective = objective(args, &scene)?;
     let mut settings = scene.settings;
     settings.spp = args.spp.unwrap_or(settings.spp);
-    settings.points = args.sampler.unwrap_or(settings.points);
-    settings.lights = args.lights.unwrap_or(settings.lights);
+    args.samples.apply(&mut settings);
     settings.max_depth = args.max_depth.unwrap_or(settings.max_depth);
 
     let (statistics, images, threads) = args.threads.run(|threads| {
@@ -188,6 +183,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
             estimator: args.estimator.name(),
             mixture: (args.estimator == Choice::Auto).then(|| mixture.to_string()),
             spp: settings.spp,
+            samples: args.samples,
             repeats: statistics.repeats,
             threads,
             seconds_primal: median(&statistics.seconds_primal),
@@ -230,10 +226,6 @@ fn mixture(
     let names = &args.params;
     let estimator = match args.estimator {
         Choice::One(e) => e,
-        Choice::Double => {
-            let message = "--estimator mis-f64: only `compare` has it; expected another estimator";
-            return Err(ToolError::Usage(message.into()));
-        }
         Choice::Auto => {
             let spp = u64::from(settings.spp);
             let budget = spp * u64::from(args.repeats);

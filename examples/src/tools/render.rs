@@ -16,7 +16,7 @@ use render::{Scene, Settings, image_io};
 use serde::Serialize;
 
 use crate::cli::{
-    self, LoadArgs, Outcome, ThreadArgs, ToolError, depth, report_non_finite, sample_count,
+    LoadArgs, Outcome, SampleArgs, ThreadArgs, ToolError, depth, report_non_finite, sample_count,
 };
 use crate::output;
 use crate::progress::{Bar, Interrupt};
@@ -46,14 +46,9 @@ pub struct Args {
     /// Samples per pixel [default: the scene's]
     #[arg(long, value_name = "N", value_parser = sample_count())]
     pub spp: Option<u32>,
-    /// How the samples of a pixel are spread: independent, sobol (Owen-scrambled, best with powers of two)
-    /// or antithetic (pairs) [default: independent]
-    #[arg(long, value_name = "NAME", value_parser = cli::points)]
-    pub sampler: Option<Points>,
-    /// How a point chooses the light that it samples: any one, or in proportion to what each would bring
-    /// [default: one]
-    #[arg(long, value_name = "one|all", value_parser = cli::lights)]
-    pub lights: Option<LightChoice>,
+    /// How samples are made
+    #[command(flatten)]
+    pub samples: SampleArgs,
     /// Largest number of path edges: 1 is emission, 2 direct light; -1 for no limit [default: the scene's]
     #[arg(long, value_name = "N", value_parser = depth, allow_hyphen_values = true)]
     pub max_depth: Option<u32>,
@@ -150,13 +145,11 @@ impl Args {
             symmetry,
             side_tests: false,
         };
-        let spread = self.sampler.is_some_and(|p| p != Points::Independent);
-        if spread && self.integrator != IntegratorArg::Path {
+        if self.samples.sampler != Points::Independent && self.integrator != IntegratorArg::Path {
             let message = "--sampler: particles are independent; expected --integrator path";
             return Err(ToolError::Usage(message.into()));
         }
-        let weighed = self.lights.is_some_and(|l| l != LightChoice::One);
-        if weighed && self.integrator != IntegratorArg::Path {
+        if self.samples.lights != LightChoice::One && self.integrator != IntegratorArg::Path {
             let message = "--lights: particles choose no lights; expected --integrator path";
             return Err(ToolError::Usage(message.into()));
         }
@@ -191,6 +184,8 @@ struct Report {
     width: usize,
     height: usize,
     spp: u64,
+    #[serde(flatten)]
+    samples: SampleArgs,
     threads: usize,
     seconds_load: f64,
     seconds_render: f64,
@@ -216,8 +211,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     }
     let mut settings = scene.settings;
     settings.spp = args.spp.unwrap_or(settings.spp);
-    settings.points = args.sampler.unwrap_or(settings.points);
-    settings.lights = args.lights.unwrap_or(settings.lights);
+    args.samples.apply(&mut settings);
     settings.max_depth = args.max_depth.unwrap_or(settings.max_depth);
     output::create_parent(&exr)?;
 
@@ -246,6 +240,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
             width: rendering.width,
             height: rendering.height,
             spp: rendering.samples,
+            samples: args.samples,
             threads,
             seconds_load,
             seconds_render,
