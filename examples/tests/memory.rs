@@ -1,38 +1,13 @@
 //! Memory of a gradient: bounded by its size and the threads, whatever the number of samples and the depth.
 
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
-
+use examples::memory::{self, Counting};
 use rayon::ThreadPoolBuilder;
-use render::estimator::DetachedMis;
 use render::image_io;
-use render::integrator::gradient::{Active, backward};
+use render::instances::backward_f32;
+use render::integrator::gradient::Active;
 use render::params::Theta;
-use render::sampler::Independent;
 use render::scene::LoadOptions;
 use render::{Image, Scene, Settings};
-use tests::mean_adjoint;
-
-/// Counts bytes in use, and the most so far.
-struct Counting;
-
-static NOW: AtomicUsize = AtomicUsize::new(0);
-static PEAK: AtomicUsize = AtomicUsize::new(0);
-
-// SAFETY: forwards to the system allocator; only counts.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        let now = NOW.fetch_add(layout.size(), Relaxed) + layout.size();
-        PEAK.fetch_max(now, Relaxed);
-        // SAFETY: the caller's promise.
-        unsafe { System.alloc(layout) }
-    }
-    unsafe fn dealloc(&self, p: *mut u8, layout: Layout) {
-        NOW.fetch_sub(layout.size(), Relaxed);
-        // SAFETY: the caller's promise.
-        unsafe { System.dealloc(p, layout) }
-    }
-}
 
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
@@ -83,23 +58,16 @@ fn peak(scene: &Scene, threads: usize, spp: u64, max_depth: u32) -> usize {
     };
     let theta = Theta::constant(scene.params().values());
     let active = Active::new(scene, &["texwall.reflectance.data"]).expect("known");
-    let adjoint = mean_adjoint(scene);
+    let adjoint = vec![1.0; scene.film.pixels() * 3];
     pool.install(|| {
-        let before = NOW.load(Relaxed);
-        PEAK.store(before, Relaxed);
-        let g = backward::<f32, DetachedMis, Independent>(
-            scene,
-            &theta,
-            &active,
-            &adjoint,
-            &settings,
-            1,
-            0..spp,
-            &(),
-        )
-        .expect("an adjoint of the right size");
-        assert!(g.values[0].iter().any(|&x| x > 0.0));
-        PEAK.load(Relaxed) - before
+        let pass = || {
+            let samples = 0..spp;
+            backward_f32(scene, &theta, &active, &adjoint, &settings, 1, samples, &())
+        };
+        let (gradient, bytes) = memory::peak(pass);
+        let gradient = gradient.expect("an adjoint of the right size");
+        assert!(gradient.values[0].iter().any(|&x| x > 0.0));
+        bytes
     })
 }
 
