@@ -28,7 +28,7 @@ const LIMIT: f64 = 4.0;
 /// A kind of parameter: what is added to which elements of which ranges.
 struct Move {
     kind: &'static str,
-    along: Vec<(&'static str, Vec<f32>)>,
+    along: Vec<(String, Vec<f32>)>,
     /// Step of the differences.
     step: f64,
 }
@@ -38,14 +38,15 @@ impl Move {
     fn new(
         scene: &Scene,
         kind: &'static str,
-        names: &[&'static str],
+        names: &[impl AsRef<str>],
         step: f64,
         pattern: impl Fn(usize) -> f64,
     ) -> Self {
-        let along = names.iter().map(|&name| {
+        let along = names.iter().map(|name| {
+            let name = name.as_ref();
             let info = scene.params().find(name).expect("a parameter");
             let pattern = (0..info.shape.len()).map(|i| pattern(i) as f32);
-            (name, pattern.collect())
+            (name.to_owned(), pattern.collect())
         });
         Self {
             kind,
@@ -170,6 +171,20 @@ fn ball(id: &str, center: &str, radius: f64, radiance: &str) -> String {
     )
 }
 
+/// Of two plates and these lights; `step` for roughness and normals, in which sampled paths may jump.
+fn moves(s: &Scene, plates: [&str; 2], lights: &[&str], step: f64) -> Vec<Move> {
+    let of = |key| plates.map(|id| format!("{id}_{key}"));
+    let alphas = of("metal.alpha.value");
+    let reflectances = of("metal.specular_reflectance.value");
+    let normals = of("map.normalmap.data");
+    vec![
+        Move::new(s, "roughness", &alphas, step, |_| 1.0),
+        Move::new(s, "albedo", &reflectances, 1e-3, |_| 1.0),
+        Move::new(s, "normal", &normals, step, tilt),
+        Move::new(s, "emission", lights, 1e-2, |_| 1.0),
+    ]
+}
+
 /// Two plates of different roughness side by side, one per block, that mirror ball lights.
 fn plates(dir: &Path) -> Case {
     let map = normals(dir, "plates.exr");
@@ -192,39 +207,8 @@ fn plates(dir: &Path) -> Case {
         ball("sun", "-0.6, 2, -3.2", 0.6, "4, 3, 2"),
         ball("moon", "1.2, 2.2, -3", 0.3, "6, 7, 8"),
     ));
-    let moves = vec![
-        Move::new(
-            &s,
-            "roughness",
-            &["a_metal.alpha.value", "b_metal.alpha.value"],
-            1e-5,
-            |_| 1.0,
-        ),
-        Move::new(
-            &s,
-            "albedo",
-            &[
-                "a_metal.specular_reflectance.value",
-                "b_metal.specular_reflectance.value",
-            ],
-            1e-3,
-            |_| 1.0,
-        ),
-        Move::new(
-            &s,
-            "normal",
-            &["a_map.normalmap.data", "b_map.normalmap.data"],
-            1e-5,
-            tilt,
-        ),
-        Move::new(
-            &s,
-            "emission",
-            &["sun.emitter.radiance.value", "moon.emitter.radiance.value"],
-            1e-2,
-            |_| 1.0,
-        ),
-    ];
+    let lights = ["sun.emitter.radiance.value", "moon.emitter.radiance.value"];
+    let moves = moves(&s, ["a", "b"], &lights, 1e-5);
     Case {
         name: "plates",
         scene: s,
@@ -259,39 +243,7 @@ fn interreflections(dir: &Path) -> Case {
         ),
         ball("sun", "0.3, 1.6, 0.9", 0.35, "6, 5, 4"),
     ));
-    let moves = vec![
-        Move::new(
-            &s,
-            "roughness",
-            &["floor_metal.alpha.value", "wall_metal.alpha.value"],
-            4e-3,
-            |_| 1.0,
-        ),
-        Move::new(
-            &s,
-            "albedo",
-            &[
-                "floor_metal.specular_reflectance.value",
-                "wall_metal.specular_reflectance.value",
-            ],
-            1e-3,
-            |_| 1.0,
-        ),
-        Move::new(
-            &s,
-            "normal",
-            &["floor_map.normalmap.data", "wall_map.normalmap.data"],
-            4e-3,
-            tilt,
-        ),
-        Move::new(
-            &s,
-            "emission",
-            &["sun.emitter.radiance.value"],
-            1e-2,
-            |_| 1.0,
-        ),
-    ];
+    let moves = moves(&s, ["floor", "wall"], &["sun.emitter.radiance.value"], 4e-3);
     Case {
         name: "interreflections",
         scene: s,
@@ -402,7 +354,7 @@ fn differences(case: &Case, m: &Move, seed: u64) -> Estimate {
 fn estimates(case: &Case, e: Estimator, seed: u64) -> Vec<Estimate> {
     let s = &case.scene;
     let names: Vec<&str> = (case.moves.iter())
-        .flat_map(|m| m.along.iter().map(|(name, _)| *name))
+        .flat_map(|m| m.along.iter().map(|(name, _)| name.as_str()))
         .collect();
     let active = e
         .active(s, &names)
