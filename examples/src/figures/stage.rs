@@ -7,8 +7,11 @@ use std::sync::Arc;
 use render::bsdf::microfacet::Ndf;
 use render::bsdf::{Conductor, Diffuse, Material, RoughConductor, Roughness, TwoSided};
 use render::camera::{Camera, FovAxis};
-use render::emitter::{Area, Constant, Envmap};
+use render::emitter::{Area, Constant, Envmap, Vmf};
+use render::instances::{Technique, render_f32};
+use render::integrator::render::Rendering;
 use render::math::Transform;
+use render::params::Theta;
 use render::scene::Builder;
 use render::shape::{AnyShape, Cube, Mesh, MeshData, Patch, Rectangle, Sphere, smooth_normals};
 use render::texture::RgbTexture;
@@ -110,6 +113,20 @@ impl Stage {
             kind: Ndf::Ggx,
             alpha: self.build.scalar(&name, alpha, (1e-4, 1.0))?,
             visible: true,
+        })
+    }
+
+    /// A square image of roughness `{name}.alpha.data`; all normals are sampled, as in the thesis.
+    ///
+    /// # Errors
+    /// A value outside [1e-4, 1].
+    pub fn rough_texels(&mut self, name: &str, kind: Ndf, texels: &[f32]) -> Result<Roughness> {
+        let side = texels.len().isqrt() as u32;
+        let name = format!("{name}.alpha");
+        Ok(Roughness {
+            kind,
+            alpha: self.build.texels(&name, [side; 2], texels, (1e-4, 1.0))?,
+            visible: false,
         })
     }
 
@@ -216,6 +233,25 @@ impl Stage {
         Ok(())
     }
 
+    /// Light from around a direction, as a von Mises-Fisher lobe of the given concentration with the parameter
+    /// `{name}.radiance.value`.
+    ///
+    /// # Errors
+    /// A negative radiance, no direction, or a concentration outside [1e-3, 1e7].
+    pub fn lobe(
+        &mut self,
+        name: &str,
+        radiance: [f64; 3],
+        direction: [f64; 3],
+        concentration: f64,
+    ) -> Result<()> {
+        let name = format!("{name}.radiance.value");
+        let radiance = self.build.rgb(&name, radiance, POSITIVE)?;
+        let lobe = Vmf::new(radiance, direction, concentration).ok_or("a lobe without axis")?;
+        self.build.add_emitter(lobe, None);
+        Ok(())
+    }
+
     /// The light of [`hall`], times `scale`.
     ///
     /// # Errors
@@ -246,6 +282,13 @@ impl Stage {
             .build
             .build(camera, Film::new(width, height), settings)?)
     }
+}
+
+/// The image of a scene, by detached MIS.
+pub fn picture(scene: &Scene, seed: u64, spp: u64) -> Rendering {
+    let theta = Theta::constant(scene.params().values());
+    let (technique, settings) = (Technique::MisPower, &scene.settings);
+    render_f32(scene, &theta, technique, settings, seed, 0..spp, &())
 }
 
 /// What the walls of [`cornell`] are made of.

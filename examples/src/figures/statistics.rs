@@ -1,5 +1,6 @@
 //! Means of repeated estimates, and how far apart they may lie.
 
+use rayon::prelude::*;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
 /// A mean and its standard error.
@@ -50,6 +51,39 @@ pub fn per_pixel(images: &[Vec<f64>]) -> Vec<Estimate> {
     (0..pixels)
         .map(|p| Estimate::of(images.iter().map(|i| i[p])))
         .collect()
+}
+
+/// Images of independent runs, as they are and in blocks.
+pub struct Series {
+    /// Per pixel.
+    pub pixels: Vec<Estimate>,
+    /// Per block, row by row.
+    pub blocks: Vec<Estimate>,
+}
+
+impl Series {
+    /// From `image(0..runs)`, each `width` pixels wide, in blocks of `side` x `side` pixels.
+    ///
+    /// # Errors
+    /// Those of `image`.
+    pub fn of<E: Send>(
+        runs: u64,
+        [width, side]: [usize; 2],
+        image: impl Fn(u64) -> Result<Vec<f64>, E> + Sync + Send,
+    ) -> Result<Self, E> {
+        let images: Result<Vec<_>, E> = (0..runs).into_par_iter().map(image).collect();
+        let images = images?;
+        let averaged: Vec<_> = images.iter().map(|i| blocks(i, width, side)).collect();
+        Ok(Self {
+            pixels: per_pixel(&images),
+            blocks: per_pixel(&averaged),
+        })
+    }
+
+    /// Means of the pixels.
+    pub fn means(&self) -> Vec<f64> {
+        self.pixels.iter().map(|e| e.mean).collect()
+    }
 }
 
 /// Variance of one of independent images, summed over the pixels.

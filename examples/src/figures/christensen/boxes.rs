@@ -7,12 +7,10 @@ use std::time::Instant;
 use render::bsdf::Material;
 use render::emitter::Area;
 use render::finite_element::{FiniteElements, Options, Statistics};
-use render::instances::{Technique, render_f32};
-use render::params::Theta;
 use render::{Image, Scene};
 
 use crate::figure::Result;
-use crate::figures::stage::{POSITIVE, Stage, View};
+use crate::figures::stage::{POSITIVE, Stage, View, picture};
 
 /// The images of figure 1.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -308,12 +306,7 @@ pub fn noiseless_patch_difference(
 
 /// Two independent path-traced pictures.
 pub fn traced(scene: &Scene, seed: u64, spp: u64) -> [Image; 2] {
-    let theta = Theta::constant(scene.params().values());
-    let settings = scene.settings;
-    [seed, seed + 1000].map(|seed| {
-        let technique = Technique::MisPower;
-        render_f32(scene, &theta, technique, &settings, seed, 0..spp, &()).image(0)
-    })
+    [seed, seed + 1000].map(|seed| picture(scene, seed, spp).image(0))
 }
 
 /// The mean of two pictures.

@@ -17,7 +17,7 @@ use render::{Scene, Settings};
 use super::propagation::push_f64;
 use crate::chart::{LineChart, Panel};
 use crate::figure::{Figure, Result};
-use crate::figures::stage::{Walls, cornell};
+use crate::figures::stage::{Walls, cornell, picture};
 use crate::figures::statistics::{Estimate, limit};
 use crate::memory;
 
@@ -383,10 +383,7 @@ fn report(
     let width = room.scene.film.size[0] as usize;
     let green = room.adjoint.iter().skip(1).step_by(3);
     let green: Vec<f64> = green.map(|&a| f64::from(a)).collect();
-    let theta = Theta::constant(room.scene.params().values());
-    let settings = &room.scene.settings;
-    let technique = Technique::MisPower;
-    let image = render_f32(&room.scene, &theta, technique, settings, 1, 0..128, &()).image(0);
+    let image = picture(&room.scene, 1, 128).image(0);
     let panels = [
         Panel::tonemapped("image", &image, 1.0).enlarged(4),
         Panel::tonemapped("target", &room.target, 1.0).enlarged(4),

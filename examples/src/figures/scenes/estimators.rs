@@ -4,14 +4,15 @@ use std::time::Instant;
 
 use rayon::prelude::*;
 use render::bsdf::microfacet::Ndf;
-use render::instances::{Direction, Estimator, Technique, render_f32, render_f64};
+use render::instances::{Direction, Estimator, Technique, render_f64};
 use render::params::Theta;
 use render::{RenderError, Scene};
 
 use super::direct_light::corner;
 use crate::chart::Panel;
 use crate::figure::{Figure, Result};
-use crate::figures::stage::{LAMP_RADII, Plates, plates_of};
+use crate::figures::stage::{LAMP_RADII, Plates, picture, plates_of};
+use crate::figures::statistics::grey;
 
 const SEED: u64 = 419;
 /// From top to bottom, as in the thesis.
@@ -60,12 +61,6 @@ impl Cell {
             std: (variance * spp).sqrt(),
         }
     }
-}
-
-/// Means over the channels.
-fn grey(sums: &[f64], scale: f64) -> Vec<f64> {
-    let pixel = |p: &[f64]| p.iter().sum::<f64>() / 3.0 * scale;
-    sums.chunks_exact(3).map(pixel).collect()
 }
 
 fn direction(scene: &Scene, plate: usize) -> std::result::Result<Direction, RenderError> {
@@ -298,17 +293,8 @@ fn pictures(fig: &mut Figure, setup: &Plates) -> Result {
     let (spp, runs) = (fig.pick(4u64, 16), 4u64);
     let width = scene.film.size[0] as usize;
     let values = scene.params().values();
-    let theta = Theta::constant(values);
     let s = &scene.settings;
-    let image = render_f32(
-        scene,
-        &theta,
-        Technique::MisPower,
-        s,
-        SEED,
-        0..16 * spp,
-        &(),
-    );
+    let image = picture(scene, SEED, 16 * spp);
     let mut panels = vec![Panel::tonemapped("image", &image.image(0), 1.0)];
     let mut spreads = Vec::new();
     let mut costs: Vec<(Estimator, f64)> = Vec::new();

@@ -3,14 +3,13 @@
 use ad_core::Vec3;
 use rayon::prelude::*;
 use render::bsdf::{Bsdf, Shading, TransportMode};
-use render::instances::{Technique, render_f32};
 use render::params::Theta;
 use render::{Image, Scene};
 
 use super::split::radiance;
 use crate::chart::Panel;
 use crate::figure::{Figure, Result};
-use crate::figures::stage::{Walls, cornell};
+use crate::figures::stage::{Walls, cornell, picture};
 
 const SEED: u64 = 216;
 /// Longest paths.
@@ -44,18 +43,7 @@ pub fn figure(fig: &mut Figure) -> Result {
     fig.note("samples of the pixel value", pixel_samples);
     fig.note("seed", SEED);
     let scene = cornell(size, Walls::GlossyBack, DEPTH)?;
-    let theta = Theta::constant(scene.params().values());
-    let spp = fig.pick(32, 256);
-    let technique = Technique::MisPower;
-    let image = render_f32(
-        &scene,
-        &theta,
-        technique,
-        &scene.settings,
-        SEED,
-        0..spp,
-        &(),
-    );
+    let image = picture(&scene, SEED, fig.pick(32, 256));
     let mut whole = Panel::tonemapped("where", &image.image(0), 1.0).enlarged(fig.pick(4, 2));
     let side = f64::from(size * fig.pick(4, 2));
     let mut rows = Vec::new();

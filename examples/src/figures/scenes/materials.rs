@@ -11,15 +11,12 @@ use render::bsdf::{
     Coated, Conductor, ConductorIndex, Dielectric, Diffuse, Material, Plastic, RoughConductor,
     RoughDielectric, RoughPlastic,
 };
-use render::emitter::Vmf;
-use render::instances::{Technique, render_f32};
 use render::math::Ray;
-use render::params::Theta;
 
 use super::split::radiance;
 use crate::chart::{LineChart, Panel};
 use crate::figure::{Figure, Result};
-use crate::figures::stage::{POSITIVE, Stage, View};
+use crate::figures::stage::{self, POSITIVE, Stage, View};
 
 const SEED: u64 = 26;
 /// Roughness of the rough ones.
@@ -142,27 +139,12 @@ fn furnace(scene: &Scene, [low, high]: [f64; 2], n: u64) -> Result<(f64, f64)> {
 /// Peak of the reflection of a small distant light, and the number of pixels above half of it.
 fn highlight(k: usize, spp: u64) -> Result<(f64, usize)> {
     let mut scene = single(k, 2, |stage| {
-        let radiance = stage
-            .build
-            .rgb("light.radiance.value", [100.0; 3], POSITIVE)?;
-        let light = Vmf::new(radiance, [-0.5, 0.7, 0.8], 300.0).ok_or("no direction")?;
-        stage.build.add_emitter(light, None);
-        Ok(())
+        stage.lobe("light", [100.0; 3], [-0.5, 0.7, 0.8], 300.0)
     })?;
     // Around the normal between camera and light.
     scene.film.crop_offset = [10, 6];
     scene.film.crop_size = [52, 52];
-    let theta = Theta::constant(scene.params().values());
-    let technique = Technique::MisPower;
-    let image = render_f32(
-        &scene,
-        &theta,
-        technique,
-        &scene.settings,
-        SEED,
-        0..spp,
-        &(),
-    );
+    let image = stage::picture(&scene, SEED, spp);
     if image.non_finite.count > 0 {
         return Err(format!("{}: samples that are not finite", NAMES[k]).into());
     }
@@ -295,18 +277,8 @@ fn picture(fig: &mut Figure) -> Result {
         size: fig.pick([160, 80], [640, 320]),
     };
     let scene = stage.finish(&view, 12)?;
-    let theta = Theta::constant(scene.params().values());
-    let technique = Technique::MisPower;
     let spp = fig.pick(48, 128);
-    let image = render_f32(
-        &scene,
-        &theta,
-        technique,
-        &scene.settings,
-        SEED,
-        0..spp,
-        &(),
-    );
+    let image = stage::picture(&scene, SEED, spp);
     fig.check(
         "every sample of the picture is finite",
         image.non_finite.count == 0,

@@ -3,18 +3,15 @@
 
 use std::sync::Arc;
 
-use rayon::prelude::*;
 use render::Scene;
 use render::bsdf::microfacet::Ndf;
-use render::bsdf::{Conductor, Interpolation, Material, NormalMap, RoughConductor, Roughness};
-use render::emitter::Vmf;
-use render::instances::{Direction, Estimator, Technique, render_f32};
-use render::params::Theta;
+use render::bsdf::{Interpolation, Material, NormalMap};
+use render::instances::{Direction, Estimator};
 
 use crate::chart::Panel;
 use crate::figure::{Figure, Result};
-use crate::figures::stage::{POSITIVE, Stage, UNIT, View};
-use crate::figures::statistics::{Estimate, blocks, grey, limit, per_pixel};
+use crate::figures::stage::{Stage, UNIT, View, picture};
+use crate::figures::statistics::{Estimate, Series, blocks, grey, limit};
 
 const SEED: u64 = 418;
 /// Chance of a false alarm in one check.
@@ -90,10 +87,7 @@ impl Edge {
             }
         };
         stage.ambient([0.5, 0.55, 0.6])?;
-        let colour = [1.2, 1.0, 0.7];
-        let radiance = stage.build.rgb("lobe.radiance.value", colour, POSITIVE)?;
-        let lobe = Vmf::new(radiance, [0.2, 0.35, -0.9], 3.0).ok_or("a lobe without axis")?;
-        stage.build.add_emitter(lobe, None);
+        stage.lobe("lobe", [1.2, 1.0, 0.7], [0.2, 0.35, -0.9], 3.0)?;
         stage.finish(&view, 2)
     }
 
@@ -144,27 +138,14 @@ fn rough_texture(stage: &mut Stage) -> Result<Arc<Material>> {
     let texels: Vec<f32> = (0..SIDE * SIDE)
         .map(|i| 0.08 + 0.02 * ((i % SIDE) as f32 * 0.9).sin() * ((i / SIDE) as f32 * 0.7).cos())
         .collect();
-    let roughness = Roughness {
-        kind: Ndf::Beckmann,
-        alpha: stage
-            .build
-            .texels("plate.alpha", [SIDE; 2], &texels, (1e-4, 1.0))?,
-        visible: false,
-    };
+    let roughness = stage.rough_texels("plate", Ndf::Beckmann, &texels)?;
     stage.metal_of("plate", [0.9, 0.8, 0.6], roughness)
 }
 
 fn tilted(stage: &mut Stage) -> Result<Arc<Material>> {
     let mut roughness = stage.ggx("plate", 0.12)?;
     (roughness.kind, roughness.visible) = (Ndf::Beckmann, false);
-    let conductor = Conductor {
-        specular_reflectance: stage.colour("plate", "specular_reflectance", [0.9, 0.8, 0.6])?,
-        index: None,
-    };
-    let metal = RoughConductor {
-        roughness,
-        conductor,
-    };
+    let metal = stage.metal_of("plate", [0.9, 0.8, 0.6], roughness)?;
     let slope = |i: u32, k: f32| 0.5 + 0.03 * (i as f32 * k).sin();
     let texels = (0..SIDE * SIDE).flat_map(|i| {
         let (x, y) = (i % SIDE, i / SIDE);
@@ -174,7 +155,7 @@ fn tilted(stage: &mut Stage) -> Result<Arc<Material>> {
     let map = stage
         .build
         .texels("plate.normalmap", [SIDE; 2], &texels, UNIT)?;
-    let mapped = NormalMap::new(map, Interpolation::Normals, Arc::new(metal.into()))?;
+    let mapped = NormalMap::new(map, Interpolation::Normals, metal)?;
     Ok(Arc::new(mapped.into()))
 }
 
@@ -208,19 +189,11 @@ fn measure(edge: Edge, scene: &Scene, effort: Effort) -> Result<Found> {
             let seed = SEED + (k as u64 + 1) * 1000 + run;
             let s = &scene.settings;
             let r = e.forward_f32(scene, values, &along, s, seed, 0..spp, &())?;
-            Ok(grey(&r.sums[1], 1.0 / spp as f64))
+            Ok::<_, render::RenderError>(grey(&r.sums[1], 1.0 / spp as f64))
         };
-        let images: std::result::Result<Vec<_>, render::RenderError> =
-            (0..effort.runs).into_par_iter().map(image).collect();
-        let images = images?;
-        let width = effort.width as usize;
-        let averaged: Vec<_> = images
-            .iter()
-            .map(|i| blocks(i, width, effort.block))
-            .collect();
-        found.blocks.push(per_pixel(&averaged));
-        let means = per_pixel(&images).into_iter().map(|e| e.mean);
-        found.images.push(means.collect());
+        let series = Series::of(effort.runs, [effort.width as usize, effort.block], image)?;
+        found.images.push(series.means());
+        found.blocks.push(series.blocks);
     }
     Ok(found)
 }
@@ -353,10 +326,7 @@ fn judge(fig: &mut Figure, edge: Edge, places: &[Place], found: &Found, effort: 
 }
 
 fn show(fig: &mut Figure, edge: Edge, scene: &Scene, found: &Found, effort: Effort) {
-    let theta = Theta::constant(scene.params().values());
-    let s = &scene.settings;
-    let technique = Technique::MisPower;
-    let image = render_f32(scene, &theta, technique, s, SEED, 0..256, &()).image(0);
+    let image = picture(scene, SEED, 256).image(0);
     let width = effort.width as usize;
     let enlarge = (384 / width).max(1);
     let mut magnitudes: Vec<f64> = found.images[REFERENCE].iter().map(|x| x.abs()).collect();

@@ -4,14 +4,13 @@
 use optim::{
     Adam, Constrained, Groups, Loss, LossKind, Optimizer, Parameterisation, Rates, Sgd, SgdOptions,
 };
-use render::instances::{Estimator, Technique, render_f32};
+use render::instances::Estimator;
 use render::integrator::gradient::Active;
-use render::params::Theta;
 use render::{Image, Scene};
 
 use crate::chart::{LineChart, Panel};
 use crate::figure::{Figure, Result};
-use crate::figures::stage::{Walls, cornell};
+use crate::figures::stage::{self, Walls, cornell};
 use crate::optimise::Problem;
 
 /// The unknown.
@@ -52,18 +51,7 @@ fn setup(fig: &Figure) -> Result<Setup> {
 }
 
 fn picture(scene: &Scene, spp: u64, seed: u64) -> Image {
-    let theta = Theta::constant(scene.params().values());
-    let settings = &scene.settings;
-    render_f32(
-        scene,
-        &theta,
-        Technique::MisPower,
-        settings,
-        seed,
-        0..spp,
-        &(),
-    )
-    .image(0)
+    stage::picture(scene, seed, spp).image(0)
 }
 
 /// An optimiser that keeps the albedo within its range.

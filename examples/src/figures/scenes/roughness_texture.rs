@@ -3,17 +3,15 @@
 
 use optim::{Constrained, Groups, Loss, LossKind, Parameterisation, Sgd};
 use rayon::prelude::*;
-use render::bsdf::Roughness;
 use render::bsdf::microfacet::Ndf;
-use render::emitter::Vmf;
-use render::instances::{Direction, Estimator, Technique, render_f32};
+use render::instances::{Direction, Estimator};
 use render::params::Theta;
 use render::sampler::mix64;
 use render::{Image, Scene};
 
 use crate::chart::{LineChart, Panel};
 use crate::figure::{Figure, Result};
-use crate::figures::stage::{POSITIVE, Stage, View};
+use crate::figures::stage::{self, Stage, View};
 use crate::figures::statistics::{Estimate, blocks, limit};
 use crate::optimise::Problem;
 
@@ -73,15 +71,7 @@ impl Condition {
 
     pub(super) fn scene(self, pixels: u32, texels: &[f32]) -> Result<Scene> {
         let mut stage = Stage::default();
-        let side = (texels.len() as f64).sqrt() as u32;
-        // All normals are sampled, as in the thesis.
-        let roughness = Roughness {
-            kind: self.ndf(),
-            alpha: stage
-                .build
-                .texels("plate.alpha", [side; 2], texels, (1e-4, 1.0))?,
-            visible: false,
-        };
+        let roughness = stage.rough_texels("plate", self.ndf(), texels)?;
         let metal = stage.metal_of("plate", [0.95; 3], roughness)?;
         let sides = [[2.4, 0.0, 0.0], [0.0, 0.0, -2.8]];
         stage.quad("plate", [[-1.2, 0.0, 1.2], sides[0], sides[1]], &metal)?;
@@ -94,9 +84,7 @@ impl Condition {
                     ([0.0, 0.79, -0.62], [0.3, 1.8, 0.4]),
                 ];
                 for (direction, colour) in lobes {
-                    let radiance = stage.build.rgb("lobe.radiance.value", colour, POSITIVE)?;
-                    let lobe = Vmf::new(radiance, direction, 60.0).ok_or("a lobe without axis")?;
-                    stage.build.add_emitter(lobe, None);
+                    stage.lobe("lobe", colour, direction, 60.0)?;
                 }
             }
         }
@@ -266,10 +254,7 @@ impl Setup {
 }
 
 fn picture(scene: &Scene, spp: u64) -> Image {
-    let theta = Theta::constant(scene.params().values());
-    let technique = Technique::MisPower;
-    let settings = &scene.settings;
-    render_f32(scene, &theta, technique, settings, SEED, 0..spp, &()).image(0)
+    stage::picture(scene, SEED, spp).image(0)
 }
 
 /// `zeltner-4-22`.

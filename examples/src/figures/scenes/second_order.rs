@@ -4,13 +4,13 @@
 use std::time::{Duration, Instant};
 
 use optim::{Adam, AnyOptimizer, Constrained, GaussNewton, LossKind, Rates, Schedule};
-use render::instances::{Estimator, Technique, render_f32};
+use render::instances::Estimator;
 use render::integrator::gradient::Active;
-use render::params::Theta;
 use render::sampler::mix64;
 
 use crate::chart::LineChart;
 use crate::figure::{Figure, Result};
+use crate::figures::stage::picture;
 use crate::optimise::{Algorithm, Problem};
 use crate::scenes;
 use crate::tools::recover::{WHOLE_STEPS, groups};
@@ -33,9 +33,7 @@ fn setup(fig: &Figure) -> Result<Setup> {
     let names: Vec<&str> = unknowns.iter().map(|u| u.name).collect();
     let active = Active::new(&scene, &names)?;
     let settings = scene.settings;
-    let theta = Theta::constant(scene.params().values());
-    let (technique, spp) = (Technique::MisPower, fig.pick(1024, 4096));
-    let target = render_f32(&scene, &theta, technique, &settings, 1, 0..spp, &()).image(0);
+    let target = picture(&scene, 1, fig.pick(1024, 4096)).image(0);
     let problem = Problem {
         scene,
         settings,

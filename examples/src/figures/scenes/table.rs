@@ -5,7 +5,6 @@ use std::marker::PhantomData;
 
 use rayon::prelude::*;
 use render::bsdf::microfacet::Ndf;
-use render::emitter::Vmf;
 use render::estimator::{
     Attached, AttachedDirect, AttachedRoulette, AttachedWeights, BsdfOnly, Detached,
     DetachedWeights, Differential, EmitterOnly, FrozenWeights, Mis, MixedWeights, Reparameterised,
@@ -17,7 +16,7 @@ use render::{Image, Scene};
 
 use crate::chart::Panel;
 use crate::figure::{Figure, Result};
-use crate::figures::stage::{POSITIVE, Stage, View};
+use crate::figures::stage::{Stage, View};
 use crate::figures::statistics::{Estimate, blocks, grey, limit, per_pixel};
 
 const SEED: u64 = 451;
@@ -127,11 +126,7 @@ fn scene(lamps: bool) -> Result<Scene> {
         let dark = stage.matt("ball", [0.1; 3])?;
         stage.ball("ball", [0.4, 1.0, -1.6], 0.3, &dark)?;
     } else {
-        let radiance = stage
-            .build
-            .rgb("lobe.radiance.value", [3.0, 2.0, 1.0], POSITIVE)?;
-        let lobe = Vmf::new(radiance, [0.1, 0.55, -0.8], 12.0).ok_or("a lobe without axis")?;
-        stage.build.add_emitter(lobe, None);
+        stage.lobe("lobe", [3.0, 2.0, 1.0], [0.1, 0.55, -0.8], 12.0)?;
     }
     let view = View {
         eye: [0.0, 2.2, 3.6],

@@ -2,15 +2,14 @@
 //! figures 4.1, 4.20 and 4.21].
 
 use ad_core::Vec3;
-use rayon::prelude::*;
-use render::instances::{Direction, Estimator, Technique, render_f32, render_f64};
+use render::instances::{Direction, Estimator, Technique, render_f64};
 use render::params::Theta;
 use render::{RenderError, Scene};
 
 use crate::chart::Panel;
 use crate::figure::{Figure, Result};
-use crate::figures::stage::{TRAY, TRAY_LAMPS, tray};
-use crate::figures::statistics::{Estimate, blocks, grey, limit, per_pixel};
+use crate::figures::stage::{TRAY, TRAY_LAMPS, picture, tray};
+use crate::figures::statistics::{Series, grey, limit};
 
 const SEED: u64 = 420;
 pub(super) const DEPTH: u32 = 4;
@@ -55,28 +54,12 @@ fn directions(scene: &Scene) -> std::result::Result<Vec<Direction>, RenderError>
     TRAY.iter().map(of).collect()
 }
 
-/// Images of independent runs, as they are and in blocks.
-struct Series {
-    pixels: Vec<Estimate>,
-    blocks: Vec<Estimate>,
-}
-
 fn series(
     effort: Effort,
     image: impl Fn(u64) -> std::result::Result<Vec<f64>, RenderError> + Sync + Send,
 ) -> Result<Series> {
-    let images: std::result::Result<Vec<_>, _> =
-        (0..effort.runs).into_par_iter().map(image).collect();
-    let images = images?;
     let width = effort.size[0] as usize;
-    let averaged: Vec<_> = images
-        .iter()
-        .map(|i| blocks(i, width, effort.block))
-        .collect();
-    Ok(Series {
-        pixels: per_pixel(&images),
-        blocks: per_pixel(&averaged),
-    })
+    Ok(Series::of(effort.runs, [width, effort.block], image)?)
 }
 
 /// Central differences in double precision with common random numbers. Paths jump between things with
@@ -369,15 +352,10 @@ impl Trial {
     }
 
     fn pictures(&self, fig: &mut Figure, scene: &Scene) {
-        let theta = Theta::constant(scene.params().values());
-        let s = &scene.settings;
-        let spp = fig.pick(64, 512);
-        let technique = Technique::MisPower;
-        let image = render_f32(scene, &theta, technique, s, SEED, 0..spp, &()).image(0);
+        let image = picture(scene, SEED, fig.pick(64, 512)).image(0);
         let width = self.effort.size[0] as usize;
         let enlarge = (384 / width).max(1);
-        let means = |s: &Series| s.pixels.iter().map(|e| e.mean).collect::<Vec<f64>>();
-        let reference = means(&self.reference);
+        let reference = self.reference.means();
         let mut magnitudes: Vec<f64> = reference.iter().map(|x| x.abs()).collect();
         magnitudes.sort_by(f64::total_cmp);
         let scale = magnitudes[magnitudes.len() * 95 / 100];
@@ -391,7 +369,7 @@ impl Trial {
         ];
         let mut spreads = Vec::new();
         for (e, s) in ESTIMATORS.iter().zip(&self.found) {
-            panels.push(signed(e.name(), &means(s), scale));
+            panels.push(signed(e.name(), &s.means(), scale));
             let std: Vec<f64> = s.pixels.iter().map(|e| e.error * samples).collect();
             spreads.push(signed(&format!("std: {}", e.name()), &std, 20.0 * scale));
         }

@@ -3,13 +3,13 @@
 
 use ad_core::Vec3;
 use render::bsdf::BlinnPhongSampling;
-use render::instances::{Technique, render_f32};
 use render::params::Theta;
 
 use super::cornell::{self, Cornell, EYE, FOV, LIGHT_HALF, LIGHT_Y, RADIUS};
 use super::fixed_path::FixedPath;
 use crate::chart::Panel;
 use crate::figure::{Figure, Result};
+use crate::figures::stage::picture;
 
 type Point = Vec3<f64>;
 
@@ -226,16 +226,7 @@ pub fn figure(fig: &mut Figure) -> Result {
     }
 
     // ---- Right: the image and a subset of its paths ----
-    let theta32 = Theta::<f32>::constant(scene.params().values());
-    let image = render_f32(
-        &scene,
-        &theta32,
-        Technique::MisPower,
-        &scene.settings,
-        seed,
-        0..spp,
-        &(),
-    );
+    let image = picture(&scene, seed, spp);
     fig.check(
         "no sample of the image is NaN or infinite",
         image.non_finite.count == 0,
