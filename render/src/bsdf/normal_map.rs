@@ -172,9 +172,8 @@ impl NormalMap {
 }
 
 /// The share of light along `w` that reaches a surface whose shading normal is z and whose tilted normal is
-/// `n` (unit vectors): `2 / (1 + sqrt(1 + alpha^2 tan^2 theta_w))` with `alpha^2 = min(tan^2 theta_n / 8,
-/// 1)`, the masking of a GGX surface of which `n` is a typical normal
-/// [ContyEstevezEtAl2019], with the light's angle only.
+/// `n` (unit vectors), in [0, 1]: `2 / (1 + sqrt(1 + alpha^2 tan^2 theta_w))` with `alpha^2 = min(tan^2
+/// theta_n / 8, 1)`, the masking of GGX with that roughness [Conty Estevez et al. 2019].
 ///
 /// # Derivatives
 /// In both vectors. One, with derivative zero, where nothing is tilted; `alpha` has none where it is
