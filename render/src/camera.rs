@@ -30,9 +30,10 @@ pub struct Camera {
     dx: [f64; 3],
     dy: [f64; 3],
     corner: [f64; 3],
-    /// Inverse of the matrix with the columns dx, dy, corner, by rows, and its determinant's magnitude.
+    /// Inverse of the matrix with the columns dx, dy, corner, by rows, and one over the magnitude of the matrix's
+    /// determinant.
     inverse: [[f64; 3]; 3],
-    determinant: f64,
+    inverse_determinant: f64,
     resolution: [u32; 2],
 }
 
@@ -85,7 +86,7 @@ impl Camera {
             dy,
             corner,
             inverse,
-            determinant: volume.abs(),
+            inverse_determinant: volume.abs().recip(),
             resolution,
         })
     }
@@ -95,7 +96,7 @@ impl Camera {
     /// a unit of solid angle covers there, in pixels. `None` behind the camera, or if not finite.
     ///
     /// That area is the importance emitted per solid angle by a sensor with the density 1 per pixel.
-    #[inline]
+    #[inline(always)]
     pub fn project<P: Float>(&self, v: Vec3<P>) -> Option<([P; 2], P)> {
         let row = |i: usize| {
             let [x, y, z] = self.inverse[i];
@@ -107,7 +108,7 @@ impl Camera {
         }
         let inverse_depth = depth.recip();
         let to_plane = v.length() * inverse_depth;
-        let area = to_plane * to_plane * to_plane / P::of(self.determinant);
+        let area = to_plane * to_plane * to_plane * P::of(self.inverse_determinant);
         let at = [row(0) * inverse_depth, row(1) * inverse_depth];
         (area.is_finite() && at[0].is_finite() && at[1].is_finite()).then_some((at, area))
     }

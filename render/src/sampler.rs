@@ -37,7 +37,7 @@ impl Points {
 }
 
 /// A stream of numbers in [0, 1) for one sample of one pixel.
-pub trait Sampler {
+pub trait Sampler: Copy {
     /// Starts the stream of sample `index` of pixel `pixel`.
     fn new(seed: u64, pixel: u64, index: u64) -> Self;
 

@@ -2,6 +2,7 @@
 //! equal central differences.
 
 use render::Settings;
+use render::params::ParamInfo;
 use tests::cases;
 use tests::stats::{Estimate, z_limit};
 use tests::{dot, forward, image, mean_adjoint, reverse, scene, smooth_params, values};
@@ -38,6 +39,23 @@ fn reverse_equals_forward_to_rounding() {
             "{}: forward {j} reverse {jt}",
             case.name
         );
+    }
+}
+
+/// Light that no wanted derivative needs is not looked at: each parameter alone has, to the last bit, the
+/// gradient that it has among all of them.
+#[test]
+fn what_is_left_out_does_not_matter() {
+    for case in cases::all() {
+        let s = scene(&case.body);
+        let params = smooth_params(&s);
+        let adjoint = mean_adjoint(&s);
+        let of = |p: &[ParamInfo]| reverse::<f64>(&s, p, &adjoint, &s.settings, 4, 16);
+        let together = of(&params);
+        for (p, among) in params.iter().zip(&together) {
+            let alone = of(std::slice::from_ref(p)).concat();
+            assert_eq!(&alone, among, "{}: {}", case.name, p.name);
+        }
     }
 }
 

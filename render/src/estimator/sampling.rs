@@ -195,9 +195,10 @@ impl<const RAYS: usize> Sampling for Reparameterised<RAYS> {
 /// Detached, with two more samples for the derivative of the distribution of microfacet normals, an
 /// antithetic pair from its negative and its positive part [Zeltner 2021, section 4.3.1].
 ///
-/// They estimate the change of direct light through `D` alone; every other derivative (masking,
-/// reflectance, light reflected on) is left to the ordinary samples, which the pair would serve badly
-/// (errata Z-4.43, F30, F39). Materials without such a distribution cost nothing more.
+/// They estimate the change through `D` alone, of all light: both go on as ordinary paths made of the same random
+/// numbers, which the thesis leaves to detached sampling [section 4.4.2]. Every other derivative (masking,
+/// reflectance) is left to the ordinary samples, since the pair would serve it badly (errata Z-4.43, F30, F39).
+/// Materials without such a distribution cost nothing more.
 #[derive(Clone, Copy, Debug)]
 pub struct Differential;
 

@@ -38,6 +38,8 @@ pub struct Active {
     places: Vec<Option<u32>>,
     materials: Vec<bool>,
     emitters: Vec<bool>,
+    /// Whether any of them does.
+    emission: bool,
     /// Per emitter: where the adjoints of the sums go that its samples are made of. Empty unless samples of
     /// emitters move.
     sums: Vec<Option<SumSlot>>,
@@ -103,7 +105,7 @@ impl Active {
         }
         let on = |p: ParamRef| !matches!(slots[p.id as usize], Slot::Inactive);
         let materials = scene.materials_with(on);
-        let emitters = scene
+        let emitters: Vec<bool> = scene
             .emitters()
             .iter()
             .map(|e| e.radiance().any_param(on))
@@ -113,6 +115,7 @@ impl Active {
             slots,
             places,
             materials,
+            emission: emitters.contains(&true),
             emitters,
             sums: Vec::new(),
             small_len,
@@ -148,6 +151,12 @@ impl Active {
     /// The ranges, in the order asked for.
     pub fn ranges(&self) -> &[ParamInfo] {
         &self.ranges
+    }
+
+    /// Whether an emitter reads one of them.
+    #[inline]
+    pub(super) fn any_emitter(&self) -> bool {
+        self.emission
     }
 
     /// Whether the range is one of them.
@@ -339,19 +348,20 @@ pub fn backward<P: Float, S: Unbiased, X: Sampler>(
         samples,
     };
     let scale = P::of(pass.scale());
-    let each = |context: &Context<P>, at: Sample, recorder: &mut Recorder<P>, sink: &mut Sink| {
-        let d = at.of_image::<P>(adjoint, scene) * scale;
-        if S::Bsdf::DETACHED_PATH {
-            recorder.backward::<S>(scene, theta, d, sink);
-        } else {
-            let again = Again::<P, S, X> {
-                pass: &pass,
-                at,
-                types: PhantomData,
-            };
-            recorder.backward_moving(context, &again, d, sink);
-        }
-    };
+    let each =
+        |context: &Context<P>, at: Sample, recorder: &mut Recorder<'_, P>, sink: &mut Sink| {
+            let d = at.of_image::<P>(adjoint, scene) * scale;
+            if S::Bsdf::DETACHED_PATH {
+                recorder.backward::<S>(scene, theta, d, sink);
+            } else {
+                let again = Again::<P, S, X> {
+                    pass: &pass,
+                    at,
+                    types: PhantomData,
+                };
+                recorder.backward_moving(context, &again, d, sink);
+            }
+        };
     let largest = largest_of(adjoint) * pass.scale();
     let moving = S::Aim::KEEPS.then(|| active.clone().with_sums(scene));
     let active = moving.as_ref().unwrap_or(active);
@@ -476,10 +486,10 @@ impl<P: Float> Pass<'_, P> {
         active: &Active,
         large: &ExactBuffer,
         progress: &impl Progress,
-        each: impl Fn(&Context<P>, Sample, &mut Recorder<P>, &mut Sink) + Sync,
+        each: impl Fn(&Context<P>, Sample, &mut Recorder<'_, P>, &mut Sink) + Sync,
     ) -> (Vec<f64>, NonFinite) {
         let new = || Sink::new(active, large);
-        let (parts, non_finite) = self.paths::<S, X, _>(JOBS, progress, new, each);
+        let (parts, non_finite) = self.paths::<S, X, _>(active, JOBS, progress, new, each);
         let mut small = vec![0.0; active.small_len];
         for part in parts {
             let part = part.into_small();
@@ -488,14 +498,15 @@ impl<P: Float> Pass<'_, P> {
         (small, non_finite)
     }
 
-    /// Records every path and calls `each` with it, pixel by pixel within a tile. The tiles are shared by
-    /// `jobs` states, whatever the number of threads.
+    /// Records every path, as far as the parameters `active` matter to it, and calls `each` with it, pixel by
+    /// pixel within a tile. The tiles are shared by `jobs` states, whatever the number of threads.
     pub fn paths<S: Unbiased, X: Sampler, J: Send>(
         &self,
+        active: &Active,
         jobs: usize,
         progress: &impl Progress,
         new: impl Fn() -> J + Sync,
-        each: impl Fn(&Context<P>, Sample, &mut Recorder<P>, &mut J) + Sync,
+        each: impl Fn(&Context<P>, Sample, &mut Recorder<'_, P>, &mut J) + Sync,
     ) -> (Vec<J>, NonFinite) {
         let [width, height] = self.scene.film.crop_size;
         let tiles = tiles(width, height);
@@ -510,13 +521,13 @@ impl<P: Float> Pass<'_, P> {
                     settings: self.settings,
                     shifts: &[],
                 };
-                let mut paths = Paths::<P, S, X, Recorder<P>>::default();
+                let mut paths = Paths::<P, S, X, _>::new(Recorder::of(active));
                 let mut non_finite = NonFinite::default();
                 for tile in tiles.iter().skip(job).step_by(jobs) {
                     if progress.cancelled() {
                         break;
                     }
-                    let done = |at, index, l: Rgb<P>, recorder: &mut Recorder<P>| {
+                    let done = |at, index, l: Rgb<P>, recorder: &mut Recorder<'_, P>| {
                         let pixel = tile.pixel(at);
                         let sample = Sample { pixel, index };
                         if l.is_finite() {

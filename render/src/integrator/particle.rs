@@ -392,14 +392,15 @@ impl<R: Real, X: Sampler> Particle<R, X> {
         // ---- Scattering ----
         let sampler = &mut self.sampler;
         sampler.seek(EMISSION_DIMENSIONS + (depth - 1) * VERTEX_DIMENSIONS);
-        let primal = at.primal();
-        let Some(sample) = material.sample(&primal, wo, sampler.next_3d(), MODE) else {
+        let Some((sample, mut f)) = material.scatter(&at, wo, sampler.next_3d(), MODE) else {
             return;
         };
         let shading = kernel_weight(n_geo, [wo, sample.wi], MODE, context.rules);
         let mode = (context.rules).mode(MODE, [wo, sample.wi], sample.component);
         let wi = Vec3::<R>::lift(sample.wi);
-        let f = material.eval_component(&at, wo_r, wi, sample.component, mode);
+        if mode != MODE {
+            f = material.eval_component(&at, wo_r, wi, sample.component, mode);
+        }
         let mut weight = shading / sample.pdf;
         let step = f.primal().max_component() * weight;
         let differentiates = O::ENABLED || !R::IS_PRIMAL;

@@ -68,13 +68,13 @@ pub struct SampledLight<R: Real> {
     pub kept: R::Primal,
 }
 
-/// Light found by a sample of the derivative of a distribution of normals.
+/// Light that arrives along a sample of the derivative of a distribution of normals.
 #[derive(Clone, Copy, Debug)]
 pub struct NormalsLight<R> {
-    /// Direction to it, local frame of the vertex.
+    /// Direction it comes from, local frame of the vertex.
     pub wi: Vec3<R>,
-    /// Emitted radiance, times MIS weight over density.
-    pub le: Rgb<R>,
+    /// Radiance over density, MIS weights included.
+    pub li: Rgb<R>,
 }
 
 /// The sampled continuation of a path.
@@ -88,16 +88,20 @@ pub struct Bounce<R> {
     pub weight: R,
     /// Value of the BSDF.
     pub f: Rgb<R>,
-    /// What of it is differentiated for light that the next edge finds.
-    pub direct_part: Part,
+    /// What of it is differentiated.
+    pub part: Part,
 }
 
 /// Follows a path as it grows. All methods do nothing by default.
 pub trait Observer<R: Real> {
     /// Whether events are wanted; if not, none is made.
     const ENABLED: bool = true;
-    /// Whether the light found by directions that left `shape` is differentiated.
-    fn follows(&self, _shape: u32) -> bool {
+    /// Whether it wants to know the light behind a vertex of this material: because that is differentiated.
+    fn follows(&self, _material: u32) -> bool {
+        true
+    }
+    /// Whether it wants to know all light, since emission is differentiated.
+    fn follows_light(&self) -> bool {
         true
     }
     /// The path found light at its current end.
@@ -120,7 +124,7 @@ pub trait Observer<R: Real> {
     fn sampled(&mut self, _depth: u32, _light: SampledLight<R>) {}
     /// Called after that, if the sample moves.
     fn aimed(&mut self, _aimed: Aimed<R::Primal>) {}
-    /// A sample of the derivative of the current vertex's normals found light.
+    /// A sample of the derivative of the current vertex's normals met light.
     fn normals(&mut self, _light: NormalsLight<R>) {}
     /// The path goes on from the current vertex.
     fn bounce(&mut self, _bounce: Bounce<R>) {}
@@ -206,12 +210,12 @@ pub struct Walk<R: Real, S: Strategy, X: Sampler> {
     from: Vec3<Geometry<S, R>>,
     /// The same in full, and the throughput there, for strategies that differentiate the edge by itself.
     departure: Remembered<S, R>,
-    /// Throughput for the light that the next edge finds, where that is not the path's.
-    direct_beta: Option<Rgb<R>>,
     /// What roulette goes by.
     survival: R::Primal,
     /// Number of edges with the next one.
     depth: u32,
+    /// Whether a vertex so far is one that the observer follows.
+    followed: bool,
     /// What comes through the shadow ray if it is free, and its record for the observer.
     direct: Rgb<R>,
     sampled: Option<SampledLight<R>>,
@@ -232,9 +236,9 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
             pdf_bsdf: R::zero(),
             from: Vec3::zero(),
             departure: Default::default(),
-            direct_beta: None,
             survival: R::Primal::one(),
             depth: 1,
+            followed: false,
             direct: Rgb::black(),
             sampled: None,
             aimed: Default::default(),
@@ -292,11 +296,8 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
             return;
         };
         let beta = self.beta;
-        let light_beta = if S::Bsdf::DIFFERENTIAL {
-            self.direct_beta.unwrap_or(beta)
-        } else {
-            beta
-        };
+        // What no derivative needs is not looked at.
+        let lit = !O::ENABLED || self.followed || observer.follows_light();
 
         // ---- Emission ----
         // How the light at the end of this edge could have been sampled at its start.
@@ -309,7 +310,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
                     share,
                 });
         let Some(Intersection { shape, si, prim }) = hit else {
-            for &e in scene.infinite_emitters() {
+            for &e in scene.infinite_emitters().iter().filter(|_| lit) {
                 if let Some((light, le)) = find_light::<R, S>(scene, theta, e, ray.d, None, sampled)
                 {
                     let found = self.found_light(scene, e, None, ray.d.primal(), share);
@@ -317,7 +318,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
                         Some((found, beta)) if !R::IS_PRIMAL => {
                             beta * direct_light::<R, S>(scene, theta, &found, mode)
                         }
-                        _ => light_beta * le * light.weight,
+                        _ => beta * le * light.weight,
                     };
                     if O::ENABLED {
                         if let Some((found, _)) = found {
@@ -330,7 +331,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
             return;
         };
         let info = scene.shape_info(shape);
-        if let Some(e) = info.emitter {
+        if let Some(e) = info.emitter.filter(|_| lit) {
             let found = find_light::<R, S>(scene, theta, e, ray.d, Some(si), sampled);
             if let Some((light, le)) = found {
                 let end = Some((prim, si.t.primal()));
@@ -339,7 +340,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
                     Some((found, beta)) if !R::IS_PRIMAL => {
                         beta * direct_light::<R, S>(scene, theta, &found, mode)
                     }
-                    _ => light_beta * le * light.weight,
+                    _ => beta * le * light.weight,
                 };
                 if O::ENABLED {
                     if let Some((found, _)) = found {
@@ -362,15 +363,16 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
             observer.vertex(depth, beta, shape, uv, wo_r, S::Bsdf::embed3(si.p));
         }
         let differentiates = O::ENABLED || !R::IS_PRIMAL;
-        let splits = S::Bsdf::DIFFERENTIAL
-            && differentiates
-            && material.has_differential()
-            && observer.follows(shape);
+        let follows = !O::ENABLED || observer.follows(info.material);
+        self.followed |= follows;
+        let lit = lit || follows;
+        let splits =
+            S::Bsdf::DIFFERENTIAL && differentiates && follows && material.has_differential();
         let sampler = &mut self.sampler;
         let dim = CAMERA_DIMENSIONS + (depth - 1) * BOUNCE_DIMENSIONS;
 
         // ---- Emitter sampling ----
-        if S::SAMPLES_EMITTERS && !info.delta && !scene.emitters().is_empty() {
+        if S::SAMPLES_EMITTERS && lit && !info.delta && !scene.emitters().is_empty() {
             sampler.seek(dim);
             let p = si.p.primal();
             let choice = sampler.next_bits();
@@ -499,54 +501,55 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
         if splits {
             let first = AUXILIARY_DIMENSIONS + depth * BOUNCE_DIMENSIONS;
             let (at, wo) = (at.primal(), wo.primal());
+            let context = Context {
+                scene,
+                theta: &theta.primal(),
+                settings,
+                shifts: &[],
+            };
             for sign in DiffLobe::BOTH {
                 sampler.seek(first);
                 let u = sampler.next_3d();
                 let Some(sample) = material.sample_differential(&at, wo, u, sign, mode) else {
                     continue;
                 };
+                // From here on both are ordinary paths, made of the numbers of this one: what they
+                // find is alike, and its noise cancels.
                 let d = si.primal().frame.to_world(sample.wi);
                 let ray = si.primal().spawn_ray(d, info.offset);
                 let pair = pair_pdf(material, &at, wo, sample.wi);
-                let mut found = |e: u32, end: Option<SurfaceInteraction<R::Primal>>| {
-                    let light = &scene.emitters()[e as usize];
-                    let Some(emission) = light.hit(d, end.as_ref()) else {
-                        return;
-                    };
-                    let mis = if S::SAMPLES_EMITTERS {
-                        let pdf = light.pdf(scene.lights(), si.p.primal(), d, end.as_ref());
-                        S::weight_hit(pair, pdf * share)
-                    } else {
-                        R::Primal::one()
-                    };
-                    let le = light.eval(theta, &emission.lift()) * R::lift(mis / pair);
-                    if !R::IS_PRIMAL {
-                        let at = Shading { theta: *theta, uv };
-                        let change = material.eval_normals(&at, wo, sample.wi, mode);
-                        self.l += beta * change * le;
-                    }
-                    if O::ENABLED {
-                        let wi = Vec3::lift(sample.wi);
-                        observer.normals(NormalsLight { wi, le });
-                    }
+                let walk = Walk::<R::Primal, S, X> {
+                    pdf_bsdf: pair,
+                    from: Vec3::lift(si.p.primal()),
+                    depth: depth + 1,
+                    eta: self.eta * sample.eta,
+                    ..Walk::new(Ray::lift(ray), *sampler)
                 };
-                match scene.nearest(&ray) {
-                    None => scene
-                        .infinite_emitters()
-                        .iter()
-                        .for_each(|&e| found(e, None)),
-                    Some(hit) => {
-                        let Intersection { shape, si, .. } = scene.interaction(&ray, &hit);
-                        if let Some(e) = scene.shape_info(shape).emitter {
-                            found(e, Some(si));
-                        }
-                    }
+                let li = walk.finish(&context, &mut ());
+                if li.is_black() {
+                    continue;
+                }
+                let li = li.scale(pair.recip());
+                if !R::IS_PRIMAL {
+                    let at = Shading { theta: *theta, uv };
+                    let change = material.eval_normals(&at, wo, sample.wi, mode);
+                    self.l += beta * change * Rgb::lift(li);
+                }
+                if O::ENABLED {
+                    let wi = Vec3::lift(sample.wi);
+                    observer.normals(NormalsLight {
+                        wi,
+                        li: Rgb::lift(li),
+                    });
                 }
             }
         }
 
         // ---- BSDF sampling ----
         self.depth = depth + 1;
+        if !lit && depth + 1 >= settings.max_depth {
+            return;
+        }
         sampler.seek(dim + 3);
         let u = sampler.next_3d();
         let Some((sample, f)) = S::Bsdf::scatter(material, &at, wo, u, mode) else {
@@ -590,11 +593,15 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
                 next_beta = next_beta.scale(inv_q);
             }
         }
+        // Deltas have no distribution of normals.
+        let part = match sample.component {
+            Component::Continuous if splits => Part::Rest,
+            _ => Part::All,
+        };
         if follows_edges::<S>() {
             let moves = S::Bsdf::DIRECT != Direct::AsPath;
-            let followed = differentiates
-                && (moves || sample.component == Component::Continuous)
-                && observer.follows(shape);
+            let followed =
+                differentiates && (moves || sample.component == Component::Continuous) && follows;
             self.departure.put(followed.then(|| {
                 let fixed = if moves { 0.0 } else { 1.0 };
                 let from = Departure {
@@ -603,7 +610,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
                     wo: wo.primal(),
                     u,
                     survival: lives,
-                    part: if splits { Part::Rest } else { Part::All },
+                    part,
                     freeze: Freeze::uniform(R::Primal::of(fixed)),
                 };
                 (from, beta)
@@ -615,16 +622,16 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
                 component: sample.component,
                 weight,
                 f,
-                direct_part: if splits { Part::Rest } else { Part::All },
+                part,
             });
         }
-        self.beta = next_beta;
-        if S::Bsdf::DIFFERENTIAL {
-            self.direct_beta = (splits && !R::IS_PRIMAL).then(|| {
+        self.beta = match part {
+            Part::Rest if !R::IS_PRIMAL => {
                 let change = material.eval_normals(&at, wo.primal(), wi.primal(), mode);
                 next_beta - beta * change * weight
-            });
-        }
+            }
+            _ => next_beta,
+        };
         if !O::ENABLED && next_beta.is_black() && !has_tangent(next_beta) {
             return;
         }

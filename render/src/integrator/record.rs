@@ -31,7 +31,7 @@ struct Vertex<P: Real> {
     bounce: Option<Bounce<P>>,
     /// Light found here, as a range of `Recorder::lights`.
     lights: (u32, u32),
-    /// Light found by samples of the derivative of normals, as a range of `Recorder::normals`.
+    /// What arrives along samples of the derivative of normals, as a range of `Recorder::normals`.
     normals: (u32, u32),
 }
 
@@ -44,7 +44,9 @@ struct Surface<P> {
 
 /// Keeps the vertices of one path at a time. Reused from path to path, it stops allocating soon.
 #[derive(Clone, Debug, Default)]
-pub struct Recorder<P: Float> {
+pub struct Recorder<'a, P: Float> {
+    /// What is differentiated; everything if there is none.
+    active: Option<&'a Active>,
     vertices: Vec<Vertex<P>>,
     lights: Vec<HitLight<P>>,
     normals: Vec<NormalsLight<P>>,
@@ -58,7 +60,15 @@ pub struct Recorder<P: Float> {
     claimed: u32,
 }
 
-impl<P: Float> Recorder<P> {
+impl<'a, P: Float> Recorder<'a, P> {
+    /// A recorder for derivatives in some parameters: light that they do not change is left out.
+    pub fn of(active: &'a Active) -> Self {
+        Self {
+            active: Some(active),
+            ..Self::default()
+        }
+    }
+
     /// Forgets the path.
     pub fn clear(&mut self) {
         self.vertices.clear();
@@ -212,17 +222,12 @@ impl<P: Float> Recorder<P> {
                 }
             }
             for n in &self.normals[v.normals.0 as usize..v.normals.1 as usize] {
-                use_light(n.wi, Component::Continuous, Part::Normals, d * n.le);
+                use_light(n.wi, Component::Continuous, Part::Normals, d * n.li);
             }
             if let Some(b) = &v.bounce {
                 here += b.f * (l + plain + followed) * b.weight;
                 let d = d * b.weight;
-                if b.direct_part == Part::All {
-                    use_light(b.wi, b.component, Part::All, d * (l + plain));
-                } else {
-                    use_light(b.wi, b.component, Part::All, d * l);
-                    use_light(b.wi, b.component, b.direct_part, d * plain);
-                }
+                use_light(b.wi, b.component, b.part, d * (l + plain));
             }
             if let (Some(s), false) = (&v.surface, uses.is_empty()) {
                 let material = scene.shape_info(s.shape).material;
@@ -306,7 +311,7 @@ fn pull_back_motion<P: Float, S: Strategy>(
     });
 }
 
-impl<P: Float> Recorder<P> {
+impl<P: Float> Recorder<'_, P> {
     /// Adds the change of what [`Recorder::backward`] adds, when the parameters move along `direction` and
     /// `d_l` changes by `change`: nested duals over the recorded vertices, which stay where they are.
     ///
@@ -353,7 +358,7 @@ impl<P: Float> Recorder<P> {
 struct Radiance<'a, P: Float> {
     scene: &'a Scene,
     active: &'a Active,
-    path: &'a Recorder<P>,
+    path: &'a Recorder<'a, P>,
 }
 
 impl<P: Float> LocalFn<P> for Radiance<'_, P> {
@@ -447,7 +452,17 @@ pub trait Activity {
     fn add_sum(&mut self, _emitter: u32, _sum: usize, _d: f64) {}
 }
 
-impl<P: Float> Observer<P> for Recorder<P> {
+impl<P: Float> Observer<P> for Recorder<'_, P> {
+    #[inline]
+    fn follows(&self, material: u32) -> bool {
+        self.active.is_none_or(|a| a.material_active(material))
+    }
+
+    #[inline]
+    fn follows_light(&self) -> bool {
+        self.active.is_none_or(Active::any_emitter)
+    }
+
     #[inline]
     fn light(&mut self, _depth: u32, _beta: Rgb<P>, light: HitLight<P>) {
         self.lights.push(light);

@@ -244,11 +244,12 @@ pub(super) struct Paths<R: Real, S: Strategy, X: Sampler, O> {
     observers: Vec<O>,
 }
 
-impl<R: Real, S: Strategy, X: Sampler, O: Clone + Default> Default for Paths<R, S, X, O> {
-    fn default() -> Self {
+impl<R: Real, S: Strategy, X: Sampler, O: Clone> Paths<R, S, X, O> {
+    /// Each path is watched by an observer like this one.
+    pub(super) fn new(observer: O) -> Self {
         Self {
             walks: Vec::with_capacity(PATHS),
-            observers: vec![O::default(); PATHS],
+            observers: vec![observer; PATHS],
         }
     }
 }
@@ -290,7 +291,7 @@ pub fn render<R: Components, S: Unbiased, X: Sampler>(
                 settings,
                 shifts: &shifts,
             };
-            let mut paths = Paths::<R, S, X, ()>::default();
+            let mut paths = Paths::<R, S, X, _>::new(());
             tile.trace(&context, seed, &samples, &mut paths, |at, index, l, _| {
                 if !l.is_finite() {
                     let [x, y] = tile.pixel(at);

@@ -92,7 +92,7 @@ pub fn hessian_vector<P: Float, X: Sampler>(
         let place = active.place(p).map(|at| at + element as usize);
         place.map_or(P::zero(), |i| direction[i])
     };
-    let each = |context: &Context<P>, at: Sample, path: &mut Recorder<P>, sink: &mut Sink| {
+    let each = |context: &Context<P>, at: Sample, path: &mut Recorder<'_, P>, sink: &mut Sink| {
         let d = [adjoint, adjoint_tangent].map(|a| at.of_image::<P>(a, scene) * scale);
         path.backward_second(context, active, along, d, sink);
     };
@@ -172,7 +172,7 @@ pub fn gauss_newton<P: Float, X: Sampler>(
     }
     let pairs = (count * (count - 1.0)).recip();
     let at = |image: &[f32], place: usize, c: usize| f64::from(image[place * 3 + c]);
-    let each = |_: &Context<P>, sample: Sample, path: &mut Recorder<P>, sums: &mut Sums| {
+    let each = |_: &Context<P>, sample: Sample, path: &mut Recorder<'_, P>, sums: &mut Sums| {
         let place = sample.place(scene);
         sums.go_to(place, |pixel, c| pairs * at(weights, pixel, c));
         for c in 0..3 {
@@ -187,7 +187,7 @@ pub fn gauss_newton<P: Float, X: Sampler>(
         }
     };
     let new = || Sums::new(active);
-    let (parts, non_finite) = pass.paths::<DetachedMis, X, _>(JOBS, progress, new, each);
+    let (parts, non_finite) = pass.paths::<DetachedMis, X, _>(active, JOBS, progress, new, each);
     let mut gradient = vec![0.0; n];
     let mut lower = vec![0.0; n * (n + 1) / 2];
     for mut part in parts {
