@@ -73,7 +73,7 @@ pub struct SampledLight<R: Real> {
 pub struct NormalsLight<R> {
     /// Direction it comes from, local frame of the vertex.
     pub wi: Vec3<R>,
-    /// Radiance over density, MIS weights included.
+    /// Radiance over density, times the throughput up to the vertex, MIS weights included.
     pub li: Rgb<R>,
 }
 
@@ -498,7 +498,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
         }
 
         // ---- Samples of the derivative of normals ----
-        if splits {
+        if splits && !beta.is_black() {
             let first = AUXILIARY_DIMENSIONS + depth * BOUNCE_DIMENSIONS;
             let (at, wo) = (at.primal(), wo.primal());
             let context = Context {
@@ -513,12 +513,13 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
                 let Some(sample) = material.sample_differential(&at, wo, u, sign, mode) else {
                     continue;
                 };
-                // From here on both are ordinary paths, made of the numbers of this one: what they
-                // find is alike, and its noise cancels.
+                // From here on both are ordinary paths of this throughput, made of the same numbers: what
+                // they find is alike, and its noise cancels.
                 let d = si.primal().frame.to_world(sample.wi);
                 let ray = si.primal().spawn_ray(d, info.offset);
                 let pair = pair_pdf(material, &at, wo, sample.wi);
                 let walk = Walk::<R::Primal, S, X> {
+                    beta: beta.primal(),
                     pdf_bsdf: pair,
                     from: Vec3::lift(si.p.primal()),
                     depth: depth + 1,
@@ -529,18 +530,14 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
                 if li.is_black() {
                     continue;
                 }
-                let li = li.scale(pair.recip());
+                let li = Rgb::lift(li.scale(pair.recip()));
                 if !R::IS_PRIMAL {
                     let at = Shading { theta: *theta, uv };
-                    let change = material.eval_normals(&at, wo, sample.wi, mode);
-                    self.l += beta * change * Rgb::lift(li);
+                    self.l += material.eval_normals(&at, wo, sample.wi, mode) * li;
                 }
                 if O::ENABLED {
                     let wi = Vec3::lift(sample.wi);
-                    observer.normals(NormalsLight {
-                        wi,
-                        li: Rgb::lift(li),
-                    });
+                    observer.normals(NormalsLight { wi, li });
                 }
             }
         }

@@ -222,7 +222,7 @@ impl<'a, P: Float> Recorder<'a, P> {
                 }
             }
             for n in &self.normals[v.normals.0 as usize..v.normals.1 as usize] {
-                use_light(n.wi, Component::Continuous, Part::Normals, d * n.li);
+                use_light(n.wi, Component::Continuous, Part::Normals, d_l * n.li);
             }
             if let Some(b) = &v.bounce {
                 here += b.f * (l + plain + followed) * b.weight;
