@@ -513,6 +513,15 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
                 let Some(sample) = material.sample_differential(&at, wo, u, sign, mode) else {
                     continue;
                 };
+                let change = match R::IS_PRIMAL {
+                    true => Rgb::black(),
+                    false => {
+                        material.eval_normals(&Shading { theta: *theta, uv }, wo, sample.wi, mode)
+                    }
+                };
+                if !O::ENABLED && !has_tangent(change) {
+                    continue;
+                }
                 // From here on both are ordinary paths of this throughput, made of the same numbers: what
                 // they find is alike, and its noise cancels.
                 let d = si.primal().frame.to_world(sample.wi);
@@ -532,8 +541,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
                 }
                 let li = Rgb::lift(li.scale(pair.recip()));
                 if !R::IS_PRIMAL {
-                    let at = Shading { theta: *theta, uv };
-                    self.l += material.eval_normals(&at, wo, sample.wi, mode) * li;
+                    self.l += change * li;
                 }
                 if O::ENABLED {
                     let wi = Vec3::lift(sample.wi);
