@@ -287,6 +287,27 @@ fn weighing_all_lights_gives_the_same_picture() {
     }
 }
 
+/// A smooth plate mirrors a lit wall: both samples of the pair find it equally bright, and their sum hardly
+/// varies.
+#[test]
+fn the_pair_sees_light_that_is_reflected_on() {
+    let wall = r#"<shape type="rectangle">
+        <transform name="to_world"><scale value="8"/><translate z="-4"/></transform>
+        <bsdf type="diffuse"><rgb name="reflectance" value="0.8"/></bsdf></shape>
+        <emitter type="point"><point name="position" value="0, 3, 2"/>
+        <rgb name="intensity" value="40"/></emitter>"#;
+    let case = Case {
+        name: "plate before a wall",
+        scene: scene(&format!("{}{}{wall}", camera(6, 3), plate("ggx", 0.03))),
+        param: "metal.alpha.value",
+        spp: 64,
+    };
+    let [mis, pair] = [Estimator::Mis, Estimator::DifferentialMis].map(|e| derivative(e, &case, 5));
+    let ratio = (pair.se / mis.se).powi(2);
+    assert!(ratio < 0.05, "{ratio}: {pair:?} {mis:?}");
+    assert!(mis.z(&pair).abs() < 4.0, "{pair:?} {mis:?}");
+}
+
 /// Reverse mode is the same estimate as forward mode, sample by sample: equal to rounding of f32.
 #[test]
 fn reverse_mode_equals_forward_mode() {
