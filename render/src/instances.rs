@@ -676,7 +676,7 @@ estimators! {
     /// BSDF sampling, samples move but slow down at discontinuities.
     Reparameterised "reparameterised" 1.4 BsdfOnly<Reparameterised>;
     /// BSDF sampling, and samples of the derivative of normals.
-    Differential "differential" 1.45 BsdfOnly<Differential>;
+    Differential "differential" 1.7 BsdfOnly<Differential>;
     /// Detached BSDF and light sampling, constant weights: the default.
     Mis "mis" 1.0 DetachedMis;
     /// The same with the balance heuristic.
@@ -688,11 +688,11 @@ estimators! {
     /// [`Estimator::Mis`] with differentiated weights.
     MisAttachedWeights "mis-attached-weights" 1.25 Mis<Detached, Detached, AttachedWeights>;
     /// BSDF sampling, samples of the derivative of normals and light sampling.
-    DifferentialMis "differential-mis" 2.0 Mis<Differential, Detached, DetachedWeights>;
+    DifferentialMis "differential-mis" 2.3 Mis<Differential, Detached, DetachedWeights>;
     /// The same with the balance heuristic.
-    DifferentialMisBalance "differential-mis-balance" 2.0 Mis<Differential, Detached, DetachedWeights, Balance>;
+    DifferentialMisBalance "differential-mis-balance" 2.3 Mis<Differential, Detached, DetachedWeights, Balance>;
     /// [`Estimator::DifferentialMis`] with differentiated weights for values.
-    DifferentialMisAttachedWeights "differential-mis-attached-weights" 2.2 Mis<Differential, Detached, AttachedWeights>;
+    DifferentialMisAttachedWeights "differential-mis-attached-weights" 2.5 Mis<Differential, Detached, AttachedWeights>;
     /// Attached BSDF sampling and light sampling, differentiated weights.
     AttachedMis "attached-mis" 1.3 Mis<AttachedDirect, Detached, AttachedWeights>;
     /// The same where discontinuities bias it, to study that.
