@@ -552,6 +552,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
 
         // ---- BSDF sampling ----
         self.depth = depth + 1;
+        // The next vertex would be the last, and no light there is wanted.
         if !lit && depth + 1 >= settings.max_depth {
             return;
         }
