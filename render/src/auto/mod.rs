@@ -50,17 +50,11 @@ pub use pilot::{Finding, PILOTS, able};
 /// A technique that rarely finds what matters looks good until it finds it, and no measurement as short
 /// as a pilot rules that out. So light sampling alone is a candidate only without smooth lobes, and BSDF
 /// sampling alone only below wide lights at infinity. Combinations of both find everything. The first one is
-/// kept where pilots cannot tell.
+/// kept where pilots cannot tell: the balance heuristic, or the differential pair where smooth things mirror what
+/// is lit, since few samples carry the variance of detached sampling there.
 pub fn candidates(scene: &Scene) -> Vec<Estimator> {
     /// Smoothest roughness, and sharpest exponent, for which lights need no help.
     const ROUGH: (f32, f32) = (0.1, 200.0);
-    let mut out = vec![
-        Estimator::MisBalance,
-        Estimator::Mis,
-        Estimator::DifferentialMisBalance,
-        Estimator::MisAttachedWeights,
-        Estimator::AttachedMis,
-    ];
     let all = |t: &ScalarTexture, f: fn(f32) -> bool| {
         let params = scene.params();
         !t.any_param(|p| {
@@ -68,16 +62,29 @@ pub fn candidates(scene: &Scene) -> Vec<Estimator> {
             !values.iter().all(|&v| f(v))
         })
     };
-    let mut rough = true;
+    let (mut rough, mut smooth_normals) = (true, false);
     for material in scene.materials() {
         material.visit_textures(&mut |t| {
             rough &= match t {
-                TextureRef::Alpha(t) => all(t, |v| v >= ROUGH.0),
+                TextureRef::Alpha(t) => {
+                    let rough = all(t, |v| v >= ROUGH.0);
+                    smooth_normals |= !rough;
+                    rough
+                }
                 TextureRef::Exponent(t) => all(t, |v| v <= ROUGH.1),
                 _ => true,
             }
         });
     }
+    let mut out = match smooth_normals && scene.settings.max_depth > 2 {
+        true => vec![Estimator::DifferentialMis, Estimator::MisBalance],
+        false => vec![Estimator::MisBalance, Estimator::DifferentialMisBalance],
+    };
+    out.extend([
+        Estimator::Mis,
+        Estimator::MisAttachedWeights,
+        Estimator::AttachedMis,
+    ]);
     if rough {
         out.push(Estimator::Emitter);
     }
