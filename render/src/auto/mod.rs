@@ -202,4 +202,22 @@ mod tests {
             assert_eq!(found, expected, "{material}");
         }
     }
+
+    /// What is kept where pilots cannot tell.
+    #[test]
+    fn smooth_things_that_mirror_what_is_lit_keep_the_pair() {
+        let first = |alpha: f64, depth: u32| {
+            let xml = format!(
+                r#"<scene version="3.0.0"><sensor type="perspective"><float name="fov" value="40"/></sensor>
+                <integrator type="path"><integer name="max_depth" value="{depth}"/></integrator>
+                <shape type="rectangle"><bsdf type="roughconductor"><float name="alpha" value="{alpha}"/></bsdf></shape>
+                <emitter type="point"/></scene>"#
+            );
+            let (scene, _) = Scene::from_xml(&xml, "".as_ref(), &Default::default()).unwrap();
+            candidates(&scene)[0]
+        };
+        assert_eq!(first(0.03, 3), Estimator::DifferentialMis);
+        assert_eq!(first(0.03, 2), Estimator::MisBalance);
+        assert_eq!(first(0.3, 3), Estimator::MisBalance);
+    }
 }
