@@ -510,7 +510,7 @@ macro_rules! estimators {
             }
 
             /// Work of a sample, in those of [`Estimator::Mis`]: processor time of forward and reverse mode on
-            /// plates under ball lights and on glossy things in a room, from which each differs by up to 40 % (on planes
+            /// plates under ball lights and on glossy things in a room, from which each differs by up to 45 % (on planes
             /// under environment maps, where samples move with those). Not a
             /// clock, so that what is chosen by it depends on the seed alone.
             pub fn cost(self) -> f64 {

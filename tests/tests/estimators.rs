@@ -312,6 +312,27 @@ fn the_pair_sees_light_that_is_reflected_on() {
     assert!(mis.z(&pair).abs() < 4.0, "{pair:?} {mis:?}");
 }
 
+/// Only roughness has a pair, and no other derivative changes with it: the reflectance alone has the gradient, to
+/// the last bit, that it has beside roughness.
+#[test]
+fn the_pair_serves_roughness_alone() {
+    let names = ["metal.specular_reflectance.value", "metal.alpha.value"];
+    for case in cases() {
+        let s = &case.scene;
+        let theta = Theta::constant(s.params().values());
+        let adjoint = mean_adjoint(s);
+        let of = |names: &[&str]| {
+            let e = Estimator::DifferentialMis;
+            let active = e.active(s, names).expect("parameters");
+            let g = e.backward_f32(s, &theta, &active, &adjoint, &settings(s), 9, 0..64, &());
+            g.expect("allowed").values.swap_remove(0)
+        };
+        let alone = of(&names[..1]);
+        assert!(alone.iter().any(|&g| g != 0.0), "{}", case.name);
+        assert_eq!(alone, of(&names), "{}", case.name);
+    }
+}
+
 /// Reverse mode is the same estimate as forward mode, sample by sample: equal to rounding of f32.
 #[test]
 fn reverse_mode_equals_forward_mode() {

@@ -2,6 +2,7 @@
 
 use std::marker::PhantomData;
 use std::ops::Range;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicI64, Ordering};
 
 use ad_core::{Float, Real};
@@ -11,6 +12,7 @@ use super::local::LocalFn;
 use super::path::Context;
 use super::record::{Activity, Recorder};
 use super::render::{NonFinite, Paths, Progress, start, tiles};
+use crate::bsdf::{Bsdf, Material, TextureRef};
 use crate::emitter::{AnyEmitter, Emitter};
 use crate::error::RenderError;
 use crate::estimator::memory::Memory;
@@ -37,8 +39,10 @@ pub struct Active {
     /// Per range of the layout: its place in the values of all ranges, one after another.
     places: Vec<Option<u32>>,
     materials: Vec<bool>,
+    /// Per material: whether its roughness reads one.
+    roughness: Vec<bool>,
     emitters: Vec<bool>,
-    /// Whether any of them does.
+    /// Whether any emitter does.
     emission: bool,
     /// Per emitter: where the adjoints of the sums go that its samples are made of. Empty unless samples of
     /// emitters move.
@@ -105,6 +109,12 @@ impl Active {
         }
         let on = |p: ParamRef| !matches!(slots[p.id as usize], Slot::Inactive);
         let materials = scene.materials_with(on);
+        let rough = |m: &Arc<Material>| {
+            let mut any = false;
+            m.visit_textures(&mut |t| any |= matches!(t, TextureRef::Alpha(t) if t.any_param(on)));
+            any
+        };
+        let roughness = scene.materials().iter().map(rough).collect();
         let emitters: Vec<bool> = scene
             .emitters()
             .iter()
@@ -115,6 +125,7 @@ impl Active {
             slots,
             places,
             materials,
+            roughness,
             emission: emitters.contains(&true),
             emitters,
             sums: Vec::new(),
@@ -151,6 +162,12 @@ impl Active {
     /// The ranges, in the order asked for.
     pub fn ranges(&self) -> &[ParamInfo] {
         &self.ranges
+    }
+
+    /// Whether the roughness of a material reads one of them.
+    #[inline]
+    pub(super) fn roughness_active(&self, material: u32) -> bool {
+        self.roughness[material as usize]
     }
 
     /// Whether an emitter reads one of them.

@@ -100,6 +100,10 @@ pub trait Observer<R: Real> {
     fn follows(&self, _material: u32) -> bool {
         true
     }
+    /// Whether the roughness of this material is: only then its normals have samples of their own.
+    fn follows_normals(&self, _material: u32) -> bool {
+        true
+    }
     /// Whether it wants to know all light, since emission is differentiated.
     fn follows_light(&self) -> bool {
         true
@@ -366,8 +370,10 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
         let follows = !O::ENABLED || observer.follows(info.material);
         self.followed |= follows;
         let lit = lit || follows;
-        let splits =
-            S::Bsdf::DIFFERENTIAL && differentiates && follows && material.has_differential();
+        let splits = S::Bsdf::DIFFERENTIAL
+            && differentiates
+            && (!O::ENABLED || observer.follows_normals(info.material))
+            && material.has_differential();
         let sampler = &mut self.sampler;
         let dim = CAMERA_DIMENSIONS + (depth - 1) * BOUNCE_DIMENSIONS;
 

@@ -459,6 +459,11 @@ impl<P: Float> Observer<P> for Recorder<'_, P> {
     }
 
     #[inline]
+    fn follows_normals(&self, material: u32) -> bool {
+        self.active.is_none_or(|a| a.roughness_active(material))
+    }
+
+    #[inline]
     fn follows_light(&self) -> bool {
         self.active.is_none_or(Active::any_emitter)
     }
