@@ -9,8 +9,8 @@ use optim::OptimError;
 use render::instances::Estimator;
 use render::integrator::render::NonFinite;
 use render::sampler::Points;
-use render::scene::LightChoice;
 use render::scene::LoadOptions;
+use render::scene::{Caustics, LightChoice};
 use render::{RenderError, Scene, SceneError, Settings};
 use serde::{Serialize, Serializer};
 
@@ -128,6 +128,12 @@ pub struct SampleArgs {
           value_parser = |text: &str| named(&LightChoice::NAMES, text))]
     #[serde(serialize_with = "write_lights")]
     pub lights: LightChoice,
+    /// Who finds the light that glossy things throw on diffuse ones: paths from the camera, or particles
+    /// from the lights
+    #[arg(long, value_name = "paths|particles", default_value = "paths",
+          value_parser = |text: &str| named(&Caustics::NAMES, text))]
+    #[serde(serialize_with = "write_caustics")]
+    pub caustics: Caustics,
 }
 
 impl SampleArgs {
@@ -135,6 +141,7 @@ impl SampleArgs {
     pub fn apply(self, settings: &mut Settings) {
         settings.points = self.sampler;
         settings.lights = self.lights;
+        settings.caustics = self.caustics;
     }
 }
 
@@ -144,6 +151,10 @@ fn write_points<S: Serializer>(value: &Points, to: S) -> Result<S::Ok, S::Error>
 
 fn write_lights<S: Serializer>(value: &LightChoice, to: S) -> Result<S::Ok, S::Error> {
     to.serialize_str(name_in(&LightChoice::NAMES, value))
+}
+
+fn write_caustics<S: Serializer>(value: &Caustics, to: S) -> Result<S::Ok, S::Error> {
+    to.serialize_str(name_in(&Caustics::NAMES, value))
 }
 
 /// `--threads`.

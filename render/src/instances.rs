@@ -96,7 +96,8 @@ pub fn render_f32(
     primal(scene, theta, technique, settings, seed, samples, progress)
 }
 
-/// The image by particles, in single precision: [`particle::render`] with independent samples.
+/// The image by particles, in single precision: [`particle::render`] with the points that
+/// `settings` asks for.
 pub fn particles_f32(
     scene: &Scene,
     theta: &Theta<f32>,
@@ -110,11 +111,11 @@ pub fn particles_f32(
         rules,
         ..particle::Context::new(scene, theta, settings)
     };
-    particle::render::<f32, Independent>(&context, seed, samples, &Dynamic(progress))
+    particle::render::<f32, Spread>(&context, seed, samples, &Dynamic(progress))
 }
 
 /// The image by particles that land and viewing rays that collect them within `radius`, in single precision:
-/// [`Map`] with independent samples. As many particles are sent per sample as there are pixels. `None` if
+/// [`Map`] with the points that `settings` asks for. As many particles are sent per sample as there are pixels. `None` if
 /// the radius is not positive.
 pub fn density_f32(
     scene: &Scene,
@@ -132,8 +133,8 @@ pub fn density_f32(
         ..particle::Context::new(scene, theta, settings)
     };
     let progress = Dynamic(progress);
-    let map = Map::new::<Independent>(&context, radius, seed, samples.clone(), &())?;
-    Some(map.render::<Independent>(&context, convention, seed, samples, &progress))
+    let map = Map::new::<Spread>(&context, radius, seed, samples.clone(), &())?;
+    Some(map.render::<Spread>(&context, convention, seed, samples, &progress))
 }
 
 /// The particles of [`density_f32`], to be gathered at chosen points.
@@ -146,11 +147,11 @@ pub fn particle_map_f32(
     samples: Range<u64>,
 ) -> Option<Map<f32>> {
     let context = particle::Context::new(scene, theta, settings);
-    Map::new::<Independent>(&context, radius, seed, samples, &())
+    Map::new::<Spread>(&context, radius, seed, samples, &())
 }
 
 /// The gradient of `<adjoint, image>` by particles, in single precision: [`particle_gradient::backward`] with
-/// independent samples.
+/// the points that `settings` asks for.
 ///
 /// # Errors
 /// An adjoint image of the wrong size.
@@ -166,9 +167,7 @@ pub fn backward_particles_f32(
 ) -> Result<Measurement, RenderError> {
     let context = particle::Context::new(scene, theta, settings);
     let progress = Dynamic(progress);
-    particle_gradient::backward::<f32, Independent>(
-        &context, active, adjoint, seed, samples, &progress,
-    )
+    particle_gradient::backward::<f32, Spread>(&context, active, adjoint, seed, samples, &progress)
 }
 
 /// The image, in double precision: a reference for [`render_f32`] and for differences.

@@ -10,8 +10,7 @@ use render::instances::{Technique, density_f32, particles_f32, render_f32};
 use render::integrator::density::Convention;
 use render::integrator::render::{Progress, Rendering};
 use render::params::Theta;
-use render::sampler::Points;
-use render::scene::LightChoice;
+use render::scene::{Caustics, LightChoice};
 use render::{Scene, Settings, image_io};
 use serde::Serialize;
 
@@ -145,12 +144,12 @@ impl Args {
             symmetry,
             side_tests: false,
         };
-        if self.samples.sampler != Points::Independent && self.integrator != IntegratorArg::Path {
-            let message = "--sampler: particles are independent; expected --integrator path";
-            return Err(ToolError::Usage(message.into()));
-        }
         if self.samples.lights != LightChoice::One && self.integrator != IntegratorArg::Path {
             let message = "--lights: particles choose no lights; expected --integrator path";
+            return Err(ToolError::Usage(message.into()));
+        }
+        if self.samples.caustics != Caustics::Paths && self.integrator != IntegratorArg::Path {
+            let message = "--caustics: all light is particles' here; expected --integrator path";
             return Err(ToolError::Usage(message.into()));
         }
         match (self.integrator, self.radius) {

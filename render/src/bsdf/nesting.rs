@@ -60,6 +60,16 @@ pub fn has_delta(material: &Material) -> bool {
     }
 }
 
+/// Whether it reflects or transmits more in some directions than in others: anything but diffuse reflection.
+/// Such surfaces throw caustics.
+pub fn is_glossy(material: &Material) -> bool {
+    match (material, children(material)) {
+        (Material::Mask(_), _) => true,
+        (_, []) => !matches!(material, Material::Diffuse(_)),
+        (_, parts) => parts.iter().any(|m| is_glossy(m)),
+    }
+}
+
 /// Whether any part flips normals to the viewer, as [`super::Corrections::flip`] says: light tracers
 /// do not, and disagree with path tracers there.
 pub fn flips_normals(material: &Material) -> bool {

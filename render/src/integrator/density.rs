@@ -292,7 +292,7 @@ impl<P: Float> Map<P> {
                             context,
                             convention,
                             [px, py],
-                            X::new(seed, pixel, index),
+                            X::spread(context.settings.points, seed, pixel, index),
                         );
                         if l.is_finite() {
                             for c in 0..3 {

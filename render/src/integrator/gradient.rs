@@ -11,7 +11,8 @@ use rayon::prelude::*;
 use super::local::LocalFn;
 use super::path::Context;
 use super::record::{Activity, Recorder};
-use super::render::{NonFinite, Paths, Progress, start, tiles};
+use super::render::{NonFinite, Paths, Progress, Quiet, start, tiles};
+use super::{particle, particle_gradient};
 use crate::bsdf::{Bsdf, Material, TextureRef};
 use crate::emitter::{AnyEmitter, Emitter};
 use crate::error::RenderError;
@@ -20,7 +21,7 @@ use crate::estimator::{self, DetachedMis, Sampling, Strategy, Unbiased};
 use crate::math::Rgb;
 use crate::params::{GradSink, ParamInfo, ParamRef, Theta};
 use crate::sampler::Sampler;
-use crate::scene::{Scene, Settings};
+use crate::scene::{Caustics, Scene, Settings};
 
 /// Ranges of up to this many values are summed in f64 per job; larger ones share one exact buffer.
 const SMALL: usize = 256;
@@ -361,6 +362,7 @@ pub fn backward<P: Float, S: Unbiased, X: Sampler>(
         scene,
         theta,
         settings,
+        caustics: settings.caustics_of::<S>(scene),
         seed,
         samples,
     };
@@ -383,7 +385,16 @@ pub fn backward<P: Float, S: Unbiased, X: Sampler>(
     let moving = S::Aim::KEEPS.then(|| active.clone().with_sums(scene));
     let active = moving.as_ref().unwrap_or(active);
     Ok(exactly(scene, active, largest, progress, |large| {
-        pass.sums::<S, X>(active, large, progress, each)
+        let (mut small, mut non_finite) = pass.sums::<S, X>(active, large, progress, each);
+        if pass.caustics == Caustics::Particles && !progress.cancelled() {
+            let context = particle::Context::caustics(scene, theta, settings);
+            let samples = pass.samples.clone();
+            let particles = particle_gradient::Pass::new(&context, adjoint, seed, samples);
+            let part = particles.sums::<X>(active, large, &Quiet(progress));
+            small.iter_mut().zip(part.small).for_each(|(s, p)| *s += p);
+            non_finite.merge(&part.non_finite);
+        }
+        (small, non_finite)
     }))
 }
 
@@ -465,6 +476,7 @@ pub(super) struct Pass<'a, P: Float> {
     pub scene: &'a Scene,
     pub theta: &'a Theta<'a, P>,
     pub settings: &'a Settings,
+    pub caustics: Caustics,
     pub seed: u64,
     pub samples: Range<u64>,
 }
@@ -537,6 +549,7 @@ impl<P: Float> Pass<'_, P> {
                     theta: self.theta,
                     settings: self.settings,
                     shifts: &[],
+                    caustics: self.caustics,
                 };
                 let mut paths = Paths::<P, S, X, _>::new(Recorder::of(active));
                 let mut non_finite = NonFinite::default();
@@ -589,6 +602,7 @@ impl<P: Float, S: Strategy, X: Sampler> LocalFn<P> for Again<'_, P, S, X> {
             theta,
             settings,
             shifts: &[],
+            caustics: Caustics::Paths,
         };
         start::<R, S, X>(scene, settings.points, seed, self.at.pixel, self.at.index)
             .finish(&context, &mut ())

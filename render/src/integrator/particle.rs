@@ -50,6 +50,8 @@ pub struct Context<'a, R: Real> {
     pub rules: Rules,
     /// Where particles from environments start.
     pub ball: Option<Ball>,
+    /// Whether only [`crate::scene::Caustics`] count.
+    pub caustics_only: bool,
 }
 
 impl<'a, R: Real> Context<'a, R> {
@@ -65,6 +67,19 @@ impl<'a, R: Real> Context<'a, R> {
             settings,
             rules: Rules::default(),
             ball,
+            caustics_only: false,
+        }
+    }
+
+    /// For the light that paths leave to particles.
+    pub(super) fn caustics(
+        scene: &'a Scene,
+        theta: &'a Theta<'a, R>,
+        settings: &'a Settings,
+    ) -> Self {
+        Self {
+            caustics_only: true,
+            ..Self::new(scene, theta, settings)
         }
     }
 }
@@ -217,7 +232,7 @@ impl<R: Real, X: Sampler> Particle<R, X> {
 
         // ---- The light as the camera sees it ----
         let start = e.sample_ray(scene.lights(), context.ball, [a, b, c, d]);
-        if O::CONNECTS && context.settings.max_depth >= 1 {
+        if O::CONNECTS && !context.caustics_only && context.settings.max_depth >= 1 {
             let surface = start.as_ref().and_then(|s| s.surface);
             if e.is_infinite() {
                 this.see_environment(context, index, [c, d], inverse_choice);
@@ -341,6 +356,9 @@ impl<R: Real, X: Sampler> Particle<R, X> {
         let depth = self.depth;
         let si = &hit.si;
         let info = scene.shape_info(hit.shape);
+        if context.caustics_only && depth == 1 && !info.glossy {
+            return;
+        }
         let material = scene.material(hit.shape);
         let wo = si.frame.to_local(-ray.d);
         let n_geo = local_normal(si);
@@ -357,6 +375,7 @@ impl<R: Real, X: Sampler> Particle<R, X> {
         // ---- Connection to the camera ----
         if O::CONNECTS
             && !info.delta
+            && !(context.caustics_only && info.glossy)
             && let Some((to_camera, distance, film, weight)) = towards_camera(scene, si.p)
         {
             let wi = si.frame.to_local(to_camera);
@@ -531,7 +550,6 @@ pub(super) fn follow<R: Real, X: Sampler, O: Observer<R> + Default + Clone>(
     mut splat: impl FnMut(u64, [R::Primal; 2], Rgb<R>),
     mut done: impl FnMut(u64, &mut O),
 ) {
-    let pixels = per_sample(context.scene);
     let mut observers = vec![O::default(); TOGETHER];
     let mut group = Vec::with_capacity(TOGETHER);
     let mut first = particles.start;
@@ -540,7 +558,8 @@ pub(super) fn follow<R: Real, X: Sampler, O: Observer<R> + Default + Clone>(
         group.clear();
         for k in 0..n {
             let i = first + k;
-            let sampler = X::new(seed ^ STREAM, i % pixels, i / pixels);
+            // One sequence, so that spread points are spread over the light of all emitters.
+            let sampler = X::spread(context.settings.points, seed ^ STREAM, 0, i);
             group.push(Particle::new(context, sampler, &mut observers[k as usize]));
         }
         let to_film = |k: usize, at, value| splat(first + k as u64, at, value);

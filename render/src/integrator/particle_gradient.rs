@@ -5,12 +5,13 @@
 //! `W_k = connected_k + f_k w_k W_(k+1)`, and meets its power. It is the same sum over paths, taken
 //! from the other end: adjoint radiance *is* importance [Stam 2020].
 
+use std::cell::Cell;
 use std::ops::Range;
 
 use ad_core::{Float, Vec2, Vec3};
 use rayon::prelude::*;
 
-use super::gradient::{Active, ExactBuffer, Gradient, Sink, exactly};
+use super::gradient::{Active, ExactBuffer, Gradient, Sink, check_size, exactly, largest_of};
 use super::particle::{Bounce, Connected, Context, Observer, follow, per_sample};
 use super::record::Activity;
 use super::render::{NonFinite, Progress};
@@ -220,30 +221,80 @@ pub fn backward<P: Float, X: Sampler>(
     samples: Range<u64>,
     progress: &impl Progress,
 ) -> Result<Measurement, RenderError> {
-    let film = &context.scene.film;
-    if adjoint.len() != film.pixels() * 3 {
-        return Err(RenderError::WrongLength {
-            what: "adjoint image",
-            expected: film.pixels() * 3,
-            found: adjoint.len(),
-        });
+    check_size("adjoint image", context.scene, adjoint)?;
+    let pass = Pass::new(context, adjoint, seed, samples);
+    let value = Cell::new(0.0);
+    let gradient = exactly(context.scene, active, pass.largest(), progress, |large| {
+        let sums = pass.sums::<X>(active, large, progress);
+        value.set(sums.value);
+        (sums.small, sums.non_finite)
+    });
+    Ok(Measurement {
+        value: value.get(),
+        gradient,
+    })
+}
+
+/// The recorded particles of an image.
+pub(super) struct Pass<'a, P: Float> {
+    context: &'a Context<'a, P>,
+    sensor: Sensor<'a>,
+    seed: u64,
+    samples: Range<u64>,
+}
+
+/// What a [`Pass`] adds up.
+pub(super) struct Sums {
+    /// Derivatives with respect to the small ranges.
+    pub small: Vec<f64>,
+    /// The measurement itself.
+    pub value: f64,
+    /// What went wrong.
+    pub non_finite: NonFinite,
+}
+
+impl<'a, P: Float> Pass<'a, P> {
+    /// As the arguments of [`backward`].
+    pub(super) fn new(
+        context: &'a Context<'a, P>,
+        adjoint: &'a [f32],
+        seed: u64,
+        samples: Range<u64>,
+    ) -> Self {
+        let particles = samples.end.saturating_sub(samples.start) * per_sample(context.scene);
+        let sensor = Sensor {
+            film: &context.scene.film,
+            adjoint,
+            scale: 1.0 / (particles.max(1) as f64),
+        };
+        Self {
+            context,
+            sensor,
+            seed,
+            samples,
+        }
     }
-    let n = per_sample(context.scene);
-    let spp = samples.end.saturating_sub(samples.start);
-    let total = spp * n;
-    let largest = adjoint.iter().fold(0.0f32, |m, a| m.max(a.abs()));
-    let sensor = Sensor {
-        film,
-        adjoint,
-        scale: 1.0 / (total.max(1) as f64),
-    };
-    let (first, step) = (samples.start * n, total.div_ceil(JOBS).max(1));
-    let pixels = film.pixels() as u64;
-    let pass = |large: &ExactBuffer| -> (Vec<f64>, NonFinite) {
-        let parts: Vec<_> = (0..JOBS)
+
+    /// The largest adjoint of one particle.
+    fn largest(&self) -> f64 {
+        let spp = self.samples.end.saturating_sub(self.samples.start);
+        largest_of(self.sensor.adjoint) / spp.max(1) as f64
+    }
+
+    /// Follows all particles. The large ranges are added to `large`.
+    pub(super) fn sums<X: Sampler>(
+        &self,
+        active: &Active,
+        large: &ExactBuffer,
+        progress: &impl Progress,
+    ) -> Sums {
+        let n = per_sample(self.context.scene);
+        let total = self.samples.end.saturating_sub(self.samples.start) * n;
+        let (first, step) = (self.samples.start * n, total.div_ceil(JOBS).max(1));
+        let pixels = self.sensor.film.pixels() as u64;
+        let parts: Vec<Sums> = (0..JOBS)
             .into_par_iter()
             .map(|job| {
-                // The last value is the measurement.
                 let mut sink = Sink::new(active, large);
                 let mut non_finite = NonFinite::default();
                 let mut value = 0.0;
@@ -254,13 +305,13 @@ pub fn backward<P: Float, X: Sampler>(
                         break;
                     }
                     follow::<P, X, Recorder<P>>(
-                        context,
-                        seed,
+                        self.context,
+                        self.seed,
                         first + start..first + end.min(start + 4096),
                         |_, _, _| {},
                         |i, recorder| {
                             if recorder.is_finite() {
-                                value += recorder.backward(context, &sensor, &mut sink);
+                                value += recorder.backward(self.context, &self.sensor, &mut sink);
                             } else {
                                 non_finite.add(i % n, i / n);
                             }
@@ -271,34 +322,25 @@ pub fn backward<P: Float, X: Sampler>(
                 let done =
                     |i: u64| (u128::from(pixels) * u128::from(i) / u128::from(total.max(1))) as u64;
                 progress.advance(done(end) - done(start));
-                let mut sums = sink.into_small();
-                sums.push(value);
-                (sums, non_finite)
+                Sums {
+                    small: sink.into_small(),
+                    value,
+                    non_finite,
+                }
             })
             .collect();
-        let mut sums: Vec<f64> = Vec::new();
-        let mut non_finite = NonFinite::default();
-        for (part, bad) in &parts {
-            sums.resize(part.len(), 0.0);
-            sums.iter_mut().zip(part).for_each(|(s, p)| *s += p);
-            non_finite.merge(bad);
+        let mut sums = Sums {
+            small: Vec::new(),
+            value: 0.0,
+            non_finite: NonFinite::default(),
+        };
+        for part in &parts {
+            sums.small.resize(part.small.len(), 0.0);
+            let small = sums.small.iter_mut().zip(&part.small);
+            small.for_each(|(s, p)| *s += p);
+            sums.value += part.value;
+            sums.non_finite.merge(&part.non_finite);
         }
-        (sums, non_finite)
-    };
-    let value = std::cell::Cell::new(0.0);
-    let gradient = exactly(
-        context.scene,
-        active,
-        f64::from(largest) / spp.max(1) as f64,
-        progress,
-        |large| {
-            let (mut sums, non_finite) = pass(large);
-            value.set(sums.pop().unwrap_or(0.0));
-            (sums, non_finite)
-        },
-    );
-    Ok(Measurement {
-        value: value.get(),
-        gradient,
-    })
+        sums
+    }
 }

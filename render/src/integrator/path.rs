@@ -11,7 +11,7 @@ use crate::estimator::{Direct, Sampling, Strategy};
 use crate::math::{Frame, Ray, Rgb};
 use crate::params::Theta;
 use crate::sampler::{AUXILIARY_DIMENSIONS, BOUNCE_DIMENSIONS, CAMERA_DIMENSIONS, Sampler};
-use crate::scene::{Intersection, LightChoice, Scene, Settings};
+use crate::scene::{Caustics, Intersection, LightChoice, Scene, Settings};
 use crate::shape::SurfaceInteraction;
 
 /// Probability of surviving Russian roulette is at most this.
@@ -150,6 +150,8 @@ pub struct Context<'a, R: Real> {
     pub settings: &'a Settings,
     /// Per emitter, how its samples move: see [`shifts`]. They stand still where there is none.
     pub shifts: &'a [Option<Shift<R>>],
+    /// Who finds caustics: paths leave them out where particles do.
+    pub caustics: Caustics,
 }
 
 /// How the samples of all emitters move, for strategies and scalars that want to know: made once per pass.
@@ -175,6 +177,7 @@ pub fn trace<R: Real, S: Strategy, X: Sampler, O: Observer<R>>(
         theta,
         settings,
         shifts: &shifts::<R, S>(scene, theta),
+        caustics: Caustics::Paths,
     };
     Walk::<R, S, X>::new(ray, sampler).finish(&context, observer)
 }
@@ -220,6 +223,8 @@ pub struct Walk<R: Real, S: Strategy, X: Sampler> {
     depth: u32,
     /// Whether a vertex so far is one that the observer follows.
     followed: bool,
+    /// Whether others find caustics on the first vertex, and whether light on this edge would be one.
+    left_out: (bool, bool),
     /// What comes through the shadow ray if it is free, and its record for the observer.
     direct: Rgb<R>,
     sampled: Option<SampledLight<R>>,
@@ -243,6 +248,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
             survival: R::Primal::one(),
             depth: 1,
             followed: false,
+            left_out: (false, false),
             direct: Rgb::black(),
             sampled: None,
             aimed: Default::default(),
@@ -278,6 +284,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
             theta,
             settings,
             shifts,
+            caustics,
         }: &Context<R>,
         hit: Option<Intersection<Geometry<S, R>>>,
         visible: bool,
@@ -301,7 +308,8 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
         };
         let beta = self.beta;
         // What no derivative needs is not looked at.
-        let lit = !O::ENABLED || self.followed || observer.follows_light();
+        let wanted = !O::ENABLED || self.followed || observer.follows_light();
+        let lit = wanted && !self.left_out.1;
 
         // ---- Emission ----
         // How the light at the end of this edge could have been sampled at its start.
@@ -369,9 +377,16 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
         let differentiates = O::ENABLED || !R::IS_PRIMAL;
         let follows = !O::ENABLED || observer.follows(info.material);
         self.followed |= follows;
-        let lit = lit || follows;
+        if depth == 1 {
+            self.left_out.0 = caustics == Caustics::Particles && !info.glossy;
+        }
+        self.left_out.1 = self.left_out.0 && info.glossy;
+        let lit = (wanted || follows) && !self.left_out.1;
+        // With one edge more there may be light, or vertices to find it from.
+        let goes_on = lit || depth + 1 < settings.max_depth;
         let splits = S::Bsdf::DIFFERENTIAL
             && differentiates
+            && goes_on
             && (!O::ENABLED || observer.follows_normals(info.material))
             && material.has_differential();
         let sampler = &mut self.sampler;
@@ -512,6 +527,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
                 theta: &theta.primal(),
                 settings,
                 shifts: &[],
+                caustics,
             };
             for sign in DiffLobe::BOTH {
                 sampler.seek(first);
@@ -539,6 +555,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
                     from: Vec3::lift(si.p.primal()),
                     depth: depth + 1,
                     eta: self.eta * sample.eta,
+                    left_out: self.left_out,
                     ..Walk::new(Ray::lift(ray), *sampler)
                 };
                 let li = walk.finish(&context, &mut ());
@@ -558,8 +575,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
 
         // ---- BSDF sampling ----
         self.depth = depth + 1;
-        // The next vertex would be the last, and no light there is wanted.
-        if !lit && depth + 1 >= settings.max_depth {
+        if !goes_on {
             return;
         }
         sampler.seek(dim + 3);

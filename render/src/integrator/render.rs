@@ -6,13 +6,14 @@ use ad_core::{Dual, Float, Real};
 use rayon::prelude::*;
 
 use super::batch::{self, PATHS};
+use super::particle;
 use super::path::{Context, Geometry, Observer, Walk, shifts};
 use crate::estimator::{Strategy, Unbiased};
 use crate::film::Image;
 use crate::math::{Ray, Rgb};
 use crate::params::Theta;
 use crate::sampler::{Points, Sampler};
-use crate::scene::{Scene, Settings};
+use crate::scene::{Caustics, Scene, Settings};
 
 /// Tiles are squares of this many pixels.
 pub const TILE: u32 = 16;
@@ -28,6 +29,15 @@ pub trait Progress: Sync {
 }
 
 impl Progress for () {}
+
+/// For a part of the work that is not counted, but can be stopped as well.
+pub(super) struct Quiet<'a, P>(pub &'a P);
+
+impl<P: Progress> Progress for Quiet<'_, P> {
+    fn cancelled(&self) -> bool {
+        self.0.cancelled()
+    }
+}
 
 /// Samples that were not finite. They are left out of the sums, counted and reported.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -129,6 +139,11 @@ impl Rendering {
     /// Adds further samples of the same image.
     pub fn merge(&mut self, other: &Self) {
         self.samples += other.samples;
+        self.add(other);
+    }
+
+    /// Adds another part of the light, of as many samples.
+    fn add(&mut self, other: &Self) {
         self.non_finite.merge(&other.non_finite);
         self.cancelled |= other.cancelled;
         for (a, b) in self.sums.iter_mut().zip(&other.sums) {
@@ -269,6 +284,7 @@ pub fn render<R: Components, S: Unbiased, X: Sampler>(
     let [width, height] = scene.film.crop_size;
     let tiles = tiles(width, height);
     let shifts = shifts::<R, S>(scene, theta);
+    let caustics = settings.caustics_of::<S>(scene);
     let parts: Vec<_> = tiles
         .par_iter()
         .map(|tile| {
@@ -290,6 +306,7 @@ pub fn render<R: Components, S: Unbiased, X: Sampler>(
                 theta,
                 settings,
                 shifts: &shifts,
+                caustics,
             };
             let mut paths = Paths::<R, S, X, _>::new(());
             tile.trace(&context, seed, &samples, &mut paths, |at, index, l, _| {
@@ -332,6 +349,12 @@ pub fn render<R: Components, S: Unbiased, X: Sampler>(
                 out.sums[k][to..to + row].copy_from_slice(&sums[from..from + row]);
             }
         }
+    }
+    if caustics == Caustics::Particles && !out.cancelled {
+        let particles = particle::Context::caustics(scene, theta, settings);
+        let quiet = Quiet(progress);
+        let part = particle::render::<R, X>(&particles, seed, samples, &quiet);
+        out.add(&part);
     }
     out
 }

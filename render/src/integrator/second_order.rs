@@ -40,7 +40,7 @@ use crate::estimator::DetachedMis;
 use crate::math::Rgb;
 use crate::params::{GradSink, ParamRef, Theta};
 use crate::sampler::Sampler;
-use crate::scene::{Scene, Settings};
+use crate::scene::{Caustics, Scene, Settings};
 
 /// Most values that [`gauss_newton`] writes a matrix for.
 pub const MAX_VALUES: usize = 1024;
@@ -84,6 +84,7 @@ pub fn hessian_vector<P: Float, X: Sampler>(
         scene,
         theta,
         settings,
+        caustics: Caustics::Paths,
         seed,
         samples,
     };
@@ -159,6 +160,7 @@ pub fn gauss_newton<P: Float, X: Sampler>(
         scene,
         theta,
         settings,
+        caustics: Caustics::Paths,
         seed,
         samples,
     };

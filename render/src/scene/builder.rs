@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use super::{Node, Scene, Settings, ShapeInfo};
 use crate::accel::Accel;
+use crate::bsdf::nesting::{flips_normals, is_glossy};
 use crate::bsdf::{Bsdf, Material};
 use crate::camera::Camera;
 use crate::emitter::{AnyEmitter, Emitter};
@@ -323,6 +324,7 @@ impl Builder {
             name: name.into(),
             material: material.0,
             delta: self.materials[material.0 as usize].is_delta(),
+            glossy: is_glossy(&self.materials[material.0 as usize]),
             emitter: None,
             offset,
         });
@@ -384,6 +386,10 @@ impl Builder {
             0 => 0.0,
             n => 1.0 / n as f64,
         };
+        let glossy = self.infos.iter().any(|i| i.glossy);
+        let diffuse = self.infos.iter().any(|i| !i.glossy);
+        let flips = self.materials.iter().any(|m| flips_normals(m));
+        let throws_caustics = glossy && diffuse && !flips && !emitters.is_empty();
         Ok(Scene {
             params: self.params,
             materials: self.materials,
@@ -392,6 +398,7 @@ impl Builder {
             emitters,
             infinite,
             emitter_probability,
+            throws_caustics,
             prims,
             accel,
             camera,

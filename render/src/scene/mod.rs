@@ -17,6 +17,7 @@ use crate::bsdf::{Bsdf, Material, TextureRef};
 use crate::camera::Camera;
 use crate::emitter::{AnyEmitter, Emitter, Lights};
 use crate::error::RenderError;
+use crate::estimator::{Sampling, Strategy};
 use crate::film::Film;
 use crate::math::Ray;
 use crate::params::{ParamRef, Params};
@@ -32,10 +33,33 @@ pub struct Settings {
     pub rr_depth: u32,
     /// Samples per pixel.
     pub spp: u32,
-    /// How those of paths are spread; particles and second order take independent ones.
+    /// How those of paths and particles are spread; second order takes independent ones.
     pub points: Points,
     /// How paths choose among emitters; particles start at any one with equal probability.
     pub lights: LightChoice,
+    /// Who finds caustics.
+    pub caustics: Caustics,
+}
+
+/// Who finds the light that something glossy throws on a diffuse surface which the camera sees, be it there or
+/// by further reflections: paths whose first vertex is diffuse and whose last one is not.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Caustics {
+    /// Paths from the camera, as all light.
+    #[default]
+    Paths,
+    /// Particles from the emitters, one per pixel and sample, connected to the pinhole where they meet a diffuse
+    /// surface; paths leave this light out. The expectation is the same, with what paths cannot find besides:
+    /// caustics of point and spot lights in mirrors and smooth glass. Particles sample as detached BSDF sampling
+    /// does, whatever the estimator. Where the whole path is attached, or normals are flipped to the viewer, paths
+    /// find everything all the same.
+    Particles,
+}
+
+impl Caustics {
+    /// All of them, by name.
+    pub const NAMES: [(&'static str, Self); 2] =
+        [("paths", Self::Paths), ("particles", Self::Particles)];
 }
 
 /// How a vertex chooses the emitter that it samples.
@@ -65,6 +89,17 @@ impl LightChoice {
     }
 }
 
+impl Settings {
+    /// Who finds caustics if these are made so: particles only where there is something for them to find.
+    pub(crate) fn caustics_of<S: Strategy>(&self, scene: &Scene) -> Caustics {
+        if scene.throws_caustics && self.max_depth > 2 && S::Bsdf::DETACHED_PATH {
+            self.caustics
+        } else {
+            Caustics::Paths
+        }
+    }
+}
+
 impl Default for Settings {
     fn default() -> Self {
         Self {
@@ -73,6 +108,7 @@ impl Default for Settings {
             spp: 16,
             points: Points::default(),
             lights: LightChoice::default(),
+            caustics: Caustics::default(),
         }
     }
 }
@@ -86,6 +122,8 @@ pub struct ShapeInfo {
     pub material: u32,
     /// Whether that scatters along deltas only.
     pub delta: bool,
+    /// Whether it is anything but diffuse.
+    pub glossy: bool,
     /// Index of its emitter, if it emits.
     pub emitter: Option<u32>,
     /// How far rays start off its surface.
@@ -103,6 +141,8 @@ pub struct Scene {
     infinite: Vec<u32>,
     /// Probability of choosing one of the emitters.
     emitter_probability: f64,
+    /// Whether there are glossy and diffuse surfaces, and light, that particles see as paths do.
+    throws_caustics: bool,
     /// Shape and local index of every primitive of `accel`.
     prims: Vec<(u32, u32)>,
     accel: Accel,

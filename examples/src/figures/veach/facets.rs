@@ -64,6 +64,7 @@ const SETTINGS: Settings = Settings {
     spp: 1,
     points: render::sampler::Points::Independent,
     lights: render::scene::LightChoice::One,
+    caustics: render::scene::Caustics::Paths,
 };
 
 /// Two surfaces tilted by 80 degrees, shaded as if they faced the small light above them, in a black shell that

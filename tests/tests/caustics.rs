@@ -1,0 +1,319 @@
+//! Caustics by particles: the same light and the same derivatives as by paths alone.
+
+use rayon::ThreadPoolBuilder;
+use render::instances::{Direction, Estimator, Technique, render_f32};
+use render::params::Theta;
+use render::sampler::Points;
+use render::scene::Caustics;
+use render::{Scene, Settings};
+use tests::stats::{Estimate, z_limit};
+use tests::{cases, forward, image, mean_adjoint, reverse, scene, smooth_params, values};
+
+const ALPHA: f64 = 1e-3;
+
+const CAMERA: &str = r#"
+    <integrator type="path"><integer name="max_depth" value="5"/><integer name="rr_depth" value="4"/></integrator>
+    <sensor type="perspective"><float name="fov" value="40"/>
+        <transform name="to_world"><lookat origin="0, 2, 5" target="0, 0.6, 0" up="0, 1, 0"/></transform>
+        <film type="hdrfilm"><integer name="width" value="8"/><integer name="height" value="8"/>
+        <rfilter type="gaussian"/></film></sensor>"#;
+
+/// A floor and a bumpy wall under a lamp and a sky, with a metal plate, a lacquered one and a ball of rough
+/// glass. The camera sees all of them.
+const ROOM: &str = r#"
+    <shape type="rectangle">
+        <transform name="to_world"><scale value="3"/><rotate x="1" angle="-90"/></transform>
+        <bsdf type="diffuse" id="floor"><rgb name="reflectance" value="0.6, 0.5, 0.4"/></bsdf></shape>
+    <shape type="rectangle">
+        <transform name="to_world"><scale value="3"/><translate z="-1.5"/></transform>
+        <bsdf type="normalmap">
+            <texture name="normalmap" type="checkerboard"><rgb name="color0" value="0.6, 0.45, 0.95"/>
+            <rgb name="color1" value="0.45, 0.6, 0.95"/></texture>
+            <bsdf type="diffuse" id="wall"><rgb name="reflectance" value="0.7, 0.2, 0"/></bsdf></bsdf></shape>
+    <shape type="rectangle">
+        <transform name="to_world"><rotate y="1" angle="60"/><translate x="-1.4" y="0.9"/></transform>
+        <bsdf type="twosided"><bsdf type="roughconductor" id="metal"><string name="distribution" value="ggx"/>
+            <boolean name="sample_visible" value="false"/>
+            <float name="alpha" value="0.2"/><rgb name="specular_reflectance" value="0.9, 0.8, 0.7"/></bsdf></bsdf></shape>
+    <shape type="rectangle">
+        <transform name="to_world"><rotate y="1" angle="-60"/><translate x="1.6" y="0.9"/></transform>
+        <bsdf type="roughplastic" id="lacquer"><float name="alpha" value="0.15"/></bsdf></shape>
+    <shape type="sphere"><point name="center" value="0.2, 0.6, 0.3"/><float name="radius" value="0.5"/>
+        <bsdf type="roughdielectric" id="glass"><string name="distribution" value="ggx"/>
+            <float name="alpha" value="0.25"/></bsdf></shape>
+    <shape type="rectangle">
+        <transform name="to_world"><scale value="0.4"/><rotate x="1" angle="90"/><translate y="2.6"/></transform>
+        <emitter type="area"><rgb name="radiance" value="9, 8, 7"/></emitter></shape>
+    <emitter type="constant"><rgb name="radiance" value="0.1, 0.2, 0.3"/></emitter>"#;
+
+fn room() -> Scene {
+    scene(&format!("{CAMERA}{ROOM}"))
+}
+
+/// A wall that a small lamp lights by way of a metal plate, which is seen nowhere else.
+fn wall() -> Scene {
+    let near = CAMERA
+        .replace("0, 2, 5", "0, 1.2, 2")
+        .replace("0, 0.6, 0", "0, 1.2, -1.5");
+    let rest = r#"<shape type="rectangle">
+        <transform name="to_world"><scale value="3"/><translate z="-1.5"/></transform>
+        <bsdf type="diffuse"><rgb name="reflectance" value="0.7, 0.2, 0.1"/></bsdf></shape>
+    <shape type="rectangle">
+        <transform name="to_world"><rotate x="1" angle="-90"/></transform>
+        <bsdf type="roughconductor" id="metal"><string name="distribution" value="ggx"/>
+            <boolean name="sample_visible" value="false"/><float name="alpha" value="0.2"/></bsdf></shape>
+    <shape type="rectangle">
+        <transform name="to_world"><scale value="0.2"/><rotate x="1" angle="90"/><translate y="2" z="1.5"/></transform>
+        <emitter type="area"><rgb name="radiance" value="90, 80, 70"/></emitter></shape>"#;
+    scene(&format!("{near}{rest}"))
+}
+
+/// All glossy cases, and the room.
+fn glossy() -> Vec<(String, Scene)> {
+    let all = cases::all();
+    let mut scenes: Vec<_> = all
+        .into_iter()
+        .map(|c| (c.name.to_owned(), c.body))
+        .collect();
+    scenes.push(("room".into(), format!("{CAMERA}{ROOM}")));
+    let scenes = scenes.into_iter().map(|(name, body)| (name, scene(&body)));
+    let glossy = |s: &Scene| (0..s.shapes().len()).any(|i| s.shape_info(i as u32).glossy);
+    scenes.filter(|(_, s)| glossy(s)).collect()
+}
+
+fn with(s: &Scene, caustics: Caustics) -> Settings {
+    Settings {
+        caustics,
+        ..s.settings
+    }
+}
+
+/// One estimate per pixel and channel, from `runs` seeds.
+fn picture(s: &Scene, settings: &Settings, seed: u64, runs: u64, spp: u64) -> Vec<Estimate> {
+    let theta = Theta::constant(s.params().values());
+    let images: Vec<_> = (0..runs)
+        .map(|r| {
+            let technique = Technique::MisPower;
+            let r = render_f32(s, &theta, technique, settings, seed + r, 0..spp, &());
+            assert_eq!(r.non_finite.count, 0);
+            r.image(0).data
+        })
+        .collect();
+    let of = |i| {
+        images
+            .iter()
+            .map(|image| f64::from(image[i]))
+            .collect::<Vec<_>>()
+    };
+    (0..images[0].len()).map(|i| Estimate::of(&of(i))).collect()
+}
+
+/// Pixel by pixel, for all glossy materials, deltas included: 256 runs of 64 samples, spread or not; significance
+/// 1e-3 over all comparisons, a quarter more for the tails of Student's t.
+#[test]
+fn particles_find_the_light_that_paths_leave_out() {
+    let scenes = glossy();
+    assert!(scenes.len() > 10);
+    let pixels = scenes[0].1.film.pixels() * 3;
+    let limit = 1.25 * z_limit(scenes.len() * 2 * pixels, ALPHA);
+    for (name, s) in &scenes {
+        let paths = picture(s, &with(s, Caustics::Paths), 1000, 256, 64);
+        for points in [Points::Independent, Points::Sobol] {
+            let settings = Settings {
+                points,
+                ..with(s, Caustics::Particles)
+            };
+            let particles = picture(s, &settings, 2000, 256, 64);
+            let z = particles.iter().zip(&paths).map(|(a, b)| a.z(b).abs());
+            let worst = z.fold(0.0, f64::max);
+            println!("{name}, {points:?}: |z| up to {worst:.2} of {limit:.2}");
+            assert!(worst < limit, "{name}: |z| = {worst}");
+        }
+    }
+}
+
+/// In the roughness of a plate, which only its caustics show, over 24 x 64 x 200 = 3e5 samples each: every estimator
+/// with particles against paths alone, so that no light is counted twice or left out by any of them; significance
+/// 1e-3 over all.
+#[test]
+fn derivatives_are_the_same_whatever_the_estimator() {
+    let s = wall();
+    let direction = Direction::uniform(s.params(), "metal.alpha.value").expect("a parameter");
+    let derivative = |e: Estimator, caustics, seed: u64| {
+        let means: Vec<f64> = (0..24)
+            .map(|r| {
+                let image = e.forward_f32(
+                    &s,
+                    s.params().values(),
+                    std::slice::from_ref(&direction),
+                    &with(&s, caustics),
+                    seed + r,
+                    0..200,
+                    &(),
+                );
+                let image = image.expect("an estimator that is allowed here");
+                assert_eq!(image.non_finite.count, 0, "{}", e.name());
+                image.mean(1).iter().sum::<f64>() / 3.0
+            })
+            .collect();
+        Estimate::of(&means)
+    };
+    let reference = derivative(Estimator::DifferentialMis, Caustics::Paths, 1);
+    println!("reference {:.6} +- {:.6}", reference.mean, reference.se);
+    assert!(reference.mean.abs() > 10.0 * reference.se);
+    let unbiased = |e: &&Estimator| e.check(&s).is_ok() && !e.name().starts_with("biased");
+    let limit = 1.25 * z_limit(Estimator::ALL.len(), ALPHA);
+    for (i, &e) in Estimator::ALL.iter().filter(unbiased).enumerate() {
+        if [Estimator::AttachedNaive, Estimator::AttachedMisNaive].contains(&e) {
+            continue;
+        }
+        let d = derivative(e, Caustics::Particles, 1000 + 100 * i as u64);
+        let z = d.z(&reference);
+        println!("{:<34} {:.6} +- {:.6}, z {z:.2}", e.name(), d.mean, d.se);
+        assert!(z.abs() < limit, "{}: z = {z:.2} of {limit:.2}", e.name());
+    }
+}
+
+/// To rounding, in f64, for all parameters of all glossy materials.
+#[test]
+fn reverse_mode_equals_forward_mode() {
+    for (name, s) in glossy() {
+        let settings = with(&s, Caustics::Particles);
+        let params = smooth_params(&s);
+        let adjoint: Vec<f32> = (0..s.film.pixels() * 3)
+            .map(|i| (i % 7) as f32 - 2.0)
+            .collect();
+        let gradient = reverse::<f64>(&s, &params, &adjoint, &settings, 5, 16);
+        for (p, gradient) in params.iter().zip(&gradient) {
+            for (i, &reverse) in gradient.iter().enumerate() {
+                let mut direction = vec![0.0; s.params().values().len()];
+                direction[p.offset + i] = 1.0;
+                let forward = forward(&s, &direction, &adjoint, &settings, 5, 16);
+                let close =
+                    (reverse - forward).abs() <= 1e-9 * (reverse.abs() + forward.abs()) + 1e-12;
+                assert!(close, "{name}, {}[{i}]: {reverse} {forward}", p.name);
+            }
+        }
+    }
+}
+
+#[test]
+fn nothing_depends_on_threads() {
+    let s = scene(&format!("{CAMERA}{ROOM}").replace("value=\"8\"", "value=\"40\""));
+    assert_eq!(s.film.crop_size, [40, 40]);
+    let settings = with(&s, Caustics::Particles);
+    let params = smooth_params(&s);
+    let adjoint = mean_adjoint(&s);
+    let run = |threads: usize| {
+        let pool = ThreadPoolBuilder::new().num_threads(threads).build();
+        pool.expect("a pool").install(|| {
+            let i = image::<f32>(&s, &values(&s), &settings, 5, 4);
+            let g = reverse::<f32>(&s, &params, &adjoint, &settings, 6, 4);
+            (i.sums, g)
+        })
+    };
+    let one = run(1);
+    assert!(one.0[0].iter().any(|&x| x > 0.0));
+    for threads in [2, 7] {
+        assert!(run(threads) == one, "{threads} threads differ");
+    }
+}
+
+/// A point light, and the same one behind a mirror: no path finds it there. Its image lights the floor as a
+/// point light would that stands behind the plane of the mirror, seen through the mirror's outline. 1e6 particles.
+#[test]
+fn a_mirror_throws_the_light_of_a_point() {
+    let body = r#"<integrator type="path"><integer name="max_depth" value="3"/></integrator>
+    <sensor type="perspective"><float name="fov" value="2"/>
+        <transform name="to_world"><lookat origin="0, 6, 0" target="0, 0, 0" up="0, 0, 1"/></transform>
+        <film type="hdrfilm"><integer name="width" value="4"/><integer name="height" value="4"/>
+        <rfilter type="box"/></film></sensor>
+    <shape type="rectangle">
+        <transform name="to_world"><scale value="3"/><rotate x="1" angle="-90"/></transform>
+        <bsdf type="diffuse"><rgb name="reflectance" value="0.5"/></bsdf></shape>
+    <shape type="rectangle">
+        <transform name="to_world"><scale value="2"/><rotate y="1" angle="90"/><translate x="-2" y="1"/></transform>
+        <bsdf type="conductor" id="mirror"><rgb name="specular_reflectance" value="0.8"/></bsdf></shape>
+    <emitter type="point"><point name="position" value="-1, 1, 0"/><rgb name="intensity" value="3"/></emitter>"#;
+    let s = scene(body);
+    let mean = |caustics| {
+        let runs = picture(&s, &with(&s, caustics), 1, 64, 1000);
+        let mean = runs.iter().map(|e| e.mean).sum::<f64>() / runs.len() as f64;
+        let se = runs.iter().map(|e| e.se * e.se).sum::<f64>().sqrt() / runs.len() as f64;
+        (mean, se)
+    };
+    // The mirror is the plane x = -2, hence the image at (-3, 1, 0).
+    let light = |x: f64| {
+        let d2 = x * x + 1.0;
+        0.5 / std::f64::consts::PI * 3.0 / (d2 * d2.sqrt())
+    };
+    let direct = mean(Caustics::Paths).0;
+    assert!(
+        (direct / light(1.0) - 1.0).abs() < 2e-3,
+        "{direct} {}",
+        light(1.0)
+    );
+    let (both, se) = mean(Caustics::Particles);
+    let expected = light(1.0) + 0.8 * light(3.0);
+    println!("{both} +- {se}, expected {expected}");
+    assert!(se < 5e-3 * expected && (both - expected).abs() < 4.0 * se + 1e-3 * expected);
+}
+
+/// Where particles would miss something, the setting changes nothing: whole paths that move, normals that are
+/// flipped to the viewer, scenes without caustics.
+#[test]
+fn paths_keep_what_particles_would_miss() {
+    let same = |s: &Scene, e: Estimator, name: &str| {
+        let direction = Direction::uniform(s.params(), name).expect("a parameter");
+        let [a, b] = [Caustics::Paths, Caustics::Particles].map(|caustics| {
+            let directions = std::slice::from_ref(&direction);
+            let settings = with(s, caustics);
+            e.forward_f32(s, s.params().values(), directions, &settings, 3, 0..8, &())
+                .expect("an estimator that is allowed here")
+                .sums
+        });
+        a == b
+    };
+    let ball = r#"<shape type="sphere"><bsdf type="dielectric" id="glass"/></shape>
+        <emitter type="constant"><rgb name="radiance" value="1"/></emitter>"#;
+    let glass = scene(&format!("{CAMERA}{ball}"));
+    assert!(same(&glass, Estimator::AttachedPath, "glass.eta.value"));
+    let mis = Estimator::Mis;
+    assert!(!same(&room(), mis, "metal.alpha.value"));
+    let flips = r#"<bsdf type="normalmap"><boolean name="flip_invalid_normals" value="true"/>"#;
+    let flipping = format!("{CAMERA}{ROOM}").replace("<bsdf type=\"normalmap\">", flips);
+    assert!(same(&scene(&flipping), mis, "metal.alpha.value"));
+    let short = format!("{CAMERA}{ROOM}").replace("value=\"5\"", "value=\"2\"");
+    assert!(same(&scene(&short), mis, "metal.alpha.value"));
+}
+
+/// What it is for: the wall and its derivatives in roughness and emission, at equal samples, with a smoother plate.
+#[test]
+fn particles_make_less_noise() {
+    let mut s = wall();
+    let mut parameters = s.params().values().to_vec();
+    let alpha = s.params().find("metal.alpha.value").expect("a parameter");
+    parameters[alpha.offset] = 0.05;
+    s.set_params(&parameters).expect("a roughness");
+    let params: Vec<_> = (smooth_params(&s).into_iter())
+        .filter(|p| p.name.contains("alpha") || p.name.contains("radiance"))
+        .collect();
+    let adjoint = mean_adjoint(&s);
+    let variances = |caustics| {
+        let settings = with(&s, caustics);
+        let runs: Vec<[f64; 2]> = (0..64)
+            .map(|seed| {
+                let g = reverse::<f32>(&s, &params, &adjoint, &settings, seed, 64);
+                [g[0][0], g[1][0]]
+            })
+            .collect();
+        let of = |i: usize| runs.iter().map(|r| r[i]).collect::<Vec<_>>();
+        [of(0), of(1)].map(|runs| Estimate::of(&runs).se.powi(2))
+    };
+    let (paths, particles) = (variances(Caustics::Paths), variances(Caustics::Particles));
+    for (p, (paths, particles)) in params.iter().zip(paths.iter().zip(particles)) {
+        let gain = paths / particles;
+        println!("{}: variance falls {gain:.1} times", p.name);
+        assert!(gain > 2.0);
+    }
+}
