@@ -206,7 +206,15 @@ fn particles_start_by_their_densities() {
         let [c, d] = numbers.next_2d::<f64>();
         let ball = Ball::around(scene.shapes());
         let e = &scene.emitters()[k];
-        e.sample_ray(scene.lights(), ball, [a, b, c, d]).unwrap()
+        let start = e.sample_ray(scene.lights(), ball, [a, b, c, d]).unwrap();
+        if !e.is_infinite() {
+            let si = start.surface.as_ref().map(|(_, si)| si);
+            let (emission, pdf) = e.leaves(start.ray.d, si).unwrap();
+            assert!((pdf / start.pdf_direction - 1.0).abs() < 1e-9);
+            assert!((emission.falloff - start.emission.falloff).abs() < 1e-9);
+            assert_eq!(emission.uv, start.emission.uv);
+        }
+        start
     };
     let uniform = |_| 0.25 / PI;
     // A place on the unit disc.

@@ -68,15 +68,34 @@ fn wall() -> Scene {
     scene(&format!("{near}{rest}"))
 }
 
-/// All glossy cases, and the room.
+/// All glossy cases, all emitters with a metal ball, the room, and more things than are aimed at one by one.
 fn glossy() -> Vec<(String, Scene)> {
-    let all = cases::all();
-    let mut scenes: Vec<_> = all
-        .into_iter()
-        .map(|c| (c.name.to_owned(), c.body))
+    let matt = r#"<bsdf type="diffuse"><rgb name="reflectance" value="0.7, 0.3, 0.2"/></bsdf>"#;
+    let metal = r#"<bsdf type="roughconductor" id="metal"><string name="material" value="Cu"/>
+        <float name="alpha" value="0.3"/></bsdf>"#;
+    let mut bodies: Vec<_> = (cases::all().into_iter())
+        .map(|c| (c.name.to_owned(), c.body.replace(matt, metal)))
         .collect();
-    scenes.push(("room".into(), format!("{CAMERA}{ROOM}")));
-    let scenes = scenes.into_iter().map(|(name, body)| (name, scene(&body)));
+    bodies.push(("room".into(), format!("{CAMERA}{ROOM}")));
+    let ball = |i: u32| {
+        format!(
+            r#"<shape type="sphere"><point name="center" value="{}, 0.2, {}"/><float name="radius" value="0.2"/>
+            <bsdf type="roughconductor"><float name="alpha" value="0.3"/></bsdf></shape>"#,
+            f64::from(i % 5) * 0.6 - 1.2,
+            f64::from(i / 5) * 0.6 - 1.0
+        )
+    };
+    let (floor, lamp) = (
+        ROOM.find("<shape").expect("a floor"),
+        ROOM.rfind("<shape").expect("a lamp"),
+    );
+    let wall = ROOM[floor + 1..].find("<shape").expect("a wall") + floor + 1;
+    let balls: String = (0..20).map(ball).collect();
+    bodies.push((
+        "balls".into(),
+        format!("{CAMERA}{}{balls}{}", &ROOM[..wall], &ROOM[lamp..]),
+    ));
+    let scenes = bodies.into_iter().map(|(name, body)| (name, scene(&body)));
     let glossy = |s: &Scene| (0..s.shapes().len()).any(|i| s.shape_info(i as u32).glossy);
     scenes.filter(|(_, s)| glossy(s)).collect()
 }
@@ -113,7 +132,7 @@ fn picture(s: &Scene, settings: &Settings, seed: u64, runs: u64, spp: u64) -> Ve
 #[test]
 fn particles_find_the_light_that_paths_leave_out() {
     let scenes = glossy();
-    assert!(scenes.len() > 10);
+    assert!(scenes.len() >= 20);
     let pixels = scenes[0].1.film.pixels() * 3;
     let limit = 1.25 * z_limit(scenes.len() * 2 * pixels, ALPHA);
     for (name, s) in &scenes {

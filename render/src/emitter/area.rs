@@ -37,6 +37,24 @@ impl Area {
     }
 }
 
+impl Area {
+    /// Of the cosine in the density of directions, plus one.
+    #[inline(always)]
+    fn power<P: Float>(&self) -> P {
+        P::of(f64::from(self.exponent) + 2.0)
+    }
+
+    /// Density of directions of particles: in proportion to the lobe times the cosine.
+    #[inline(always)]
+    fn pdf_direction<P: Float>(&self, cos: P) -> P {
+        if self.exponent == 0.0 {
+            return warp::cosine_hemisphere_pdf(cos);
+        }
+        let power = self.power::<P>();
+        power * P::of(0.5 / PI) * cos.powf(power - P::one())
+    }
+}
+
 impl Emitter for Area {
     #[inline(always)]
     fn radiance(&self) -> &RgbTexture {
@@ -80,18 +98,16 @@ impl Emitter for Area {
     ) -> Option<EmittedRay<P>> {
         let (s, n_geo) = lights.shapes[self.shape as usize].sample_surface([u0, u1]);
         let frame = Frame::from_normal(s.n);
-        let (local, pdf_direction) = if self.exponent == 0.0 {
-            let local = warp::square_to_cosine_hemisphere([u2, u3]);
-            (local, warp::cosine_hemisphere_pdf(local.z))
+        let local = if self.exponent == 0.0 {
+            warp::square_to_cosine_hemisphere([u2, u3])
         } else {
-            let power = P::of(f64::from(self.exponent) + 2.0);
             // 1 - u in (0, 1]: the cosine is never zero for lack of digits.
-            let z = (P::one() - u2).powf(power.recip());
+            let z = (P::one() - u2).powf(self.power::<P>().recip());
             let r = (P::one() - z * z).max(P::zero()).sqrt();
             let (sin, cos) = (P::of(2.0 * PI) * u3).sin_cos();
-            let pdf = power * P::of(0.5 / PI) * z.powf(power - P::one());
-            (Vec3::new(r * cos, r * sin, z), pdf)
+            Vec3::new(r * cos, r * sin, z)
         };
+        let pdf_direction = self.pdf_direction(local.z);
         let d = frame.to_world(local);
         let falloff = self.lobe(local.z)?;
         let si = SurfaceInteraction {
@@ -108,6 +124,17 @@ impl Emitter for Area {
             pdf_direction,
             emission: Emission { uv: s.uv, falloff },
         })
+    }
+
+    fn leaves<P: Float>(
+        &self,
+        d: Vec3<P>,
+        si: Option<&SurfaceInteraction<P>>,
+    ) -> Option<(Emission<P>, P)> {
+        let si = si?;
+        let cos = si.frame.n.dot(d);
+        let falloff = self.lobe(cos)?;
+        Some((Emission { uv: si.uv, falloff }, self.pdf_direction(cos)))
     }
 
     #[inline(always)]

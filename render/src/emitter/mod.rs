@@ -116,11 +116,11 @@ pub struct Ball {
 }
 
 impl Ball {
-    /// The ball around the bounds of all shapes; `None` if there are none.
-    pub fn around(shapes: &[AnyShape]) -> Option<Self> {
+    /// The ball around the bounds of these shapes; `None` if there are none.
+    pub fn around<'a>(shapes: impl IntoIterator<Item = &'a AnyShape>) -> Option<Self> {
         let mut low = [f64::INFINITY; 3];
         let mut high = [f64::NEG_INFINITY; 3];
-        for primitive in shapes.iter().flat_map(Shape::primitives) {
+        for primitive in shapes.into_iter().flat_map(Shape::primitives) {
             let [a, b] = crate::accel::bounds(&primitive);
             for k in 0..3 {
                 low[k] = low[k].min(f64::from(a[k]));
@@ -191,6 +191,18 @@ pub trait Emitter: Send + Sync {
     ) -> Option<EmittedRay<P>> {
         let sample = self.sample(lights, Vec3::zero(), [u2, u3])?;
         (sample.pdf > P::zero()).then_some(from_afar(ball?, &sample, [u0, u1]))
+    }
+
+    /// What leaves the surface point `si`, or the emitter if that is a point, in the unit direction `d`, and the
+    /// density of such a direction in [`Emitter::sample_ray`], per solid angle. `None` if nothing does.
+    ///
+    /// The default is that of environments: what they emit comes from everywhere.
+    fn leaves<P: Float>(
+        &self,
+        _d: Vec3<P>,
+        _si: Option<&SurfaceInteraction<P>>,
+    ) -> Option<(Emission<P>, P)> {
+        None
     }
 
     /// Density of [`Emitter::sample`] for the direction `d` that hits it at `si`, per solid angle;
@@ -322,6 +334,11 @@ macro_rules! emitters {
                 &self, lights: Lights, ball: Option<Ball>, u: [P; 4],
             ) -> Option<EmittedRay<P>> {
                 $crate::dispatch::dispatch!(self, [$($hot),*] [$($name),*], e => e.sample_ray(lights, ball, u))
+            }
+            fn leaves<P: Float>(
+                &self, d: Vec3<P>, si: Option<&SurfaceInteraction<P>>,
+            ) -> Option<(Emission<P>, P)> {
+                match self { $(Self::$hot(e) => e.leaves(d, si),)* $(Self::$name(e) => e.leaves(d, si),)* }
             }
             fn connect<R: Real>(
                 &self, sample: &EmitterSample<R::Primal>, from: Vec3<R>,

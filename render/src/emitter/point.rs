@@ -99,6 +99,18 @@ impl Emitter for Point {
         })
     }
 
+    fn leaves<P: Float>(
+        &self,
+        _: Vec3<P>,
+        _: Option<&SurfaceInteraction<P>>,
+    ) -> Option<(Emission<P>, P)> {
+        let emission = Emission {
+            uv: Vec2::zero(),
+            falloff: P::one(),
+        };
+        Some((emission, P::of(0.25 / PI)))
+    }
+
     #[inline]
     fn pdf<R: Real>(
         &self,

@@ -26,6 +26,11 @@ pub struct Spot {
 }
 
 impl Spot {
+    /// One minus the cosine of the cutoff angle.
+    fn opening(&self) -> f64 {
+        2.0 * (0.5 * self.cutoff).sin().powi(2)
+    }
+
     /// A light at `position` that shines along `axis`; angles from the axis in degrees. `None` unless
     /// `0 <= beam <= cutoff <= 180`, cutoff positive, and the axis has a direction.
     pub fn new(
@@ -98,7 +103,7 @@ impl Emitter for Spot {
         _: Option<Ball>,
         [_, _, u2, u3]: [P; 4],
     ) -> Option<EmittedRay<P>> {
-        let opening = 2.0 * (0.5 * self.cutoff).sin().powi(2);
+        let opening = self.opening();
         let local = warp::square_to_cone([u2, u3], P::of(opening));
         let d = Frame::from_normal(lift3::<P>(self.axis)).to_world(local);
         let falloff = self.profile(d);
@@ -113,6 +118,19 @@ impl Emitter for Spot {
                 falloff,
             },
         })
+    }
+
+    fn leaves<P: Float>(
+        &self,
+        d: Vec3<P>,
+        _: Option<&SurfaceInteraction<P>>,
+    ) -> Option<(Emission<P>, P)> {
+        let falloff = self.profile(d);
+        let emission = Emission {
+            uv: Vec2::zero(),
+            falloff,
+        };
+        (falloff > P::zero()).then_some((emission, P::of(0.5 / (PI * self.opening()))))
     }
 
     #[inline]

@@ -5,6 +5,7 @@
 //! [`render`](render::render) and [`gradient`](gradient::Gradient) drive it over an image;
 //! [`second_order`] has Hessian-vector products and the Gauss-Newton matrix.
 
+mod aim;
 mod batch;
 pub mod boundary;
 pub mod density;

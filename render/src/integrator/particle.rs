@@ -5,6 +5,7 @@ use std::ops::Range;
 use ad_core::{Float, Real, Vec2, Vec3};
 use rayon::prelude::*;
 
+use super::aim::aim;
 use super::render::{Components, NonFinite, Progress, Rendering};
 use crate::accel::{BUNDLE, Bundle, Hit};
 use crate::bsdf::kernel::{Rules, kernel_weight, local_normal};
@@ -215,11 +216,16 @@ impl<R: Real, X: Sampler> Particle<R, X> {
         if n == 0 {
             return this;
         }
-        let index = if n == 1 {
-            0
-        } else {
-            (((choice >> 32) * n as u64) >> 32) as usize
+        // What to aim at, if at anything, is chosen with the emitter, from one number.
+        let aims = match context.caustics_only {
+            true => scene.casters().len().max(1),
+            false => 1,
         };
+        let index = match n * aims {
+            1 => 0,
+            all => (((choice >> 32) * all as u64) >> 32) as usize,
+        };
+        let (index, target) = (index / aims, index % aims);
         let sampler = &mut this.sampler;
         let [a, b] = sampler.next_2d::<R::Primal>();
         let [c, d] = sampler.next_2d::<R::Primal>();
@@ -231,7 +237,11 @@ impl<R: Real, X: Sampler> Particle<R, X> {
         };
 
         // ---- The light as the camera sees it ----
-        let start = e.sample_ray(scene.lights(), context.ball, [a, b, c, d]);
+        let mut start = e.sample_ray(scene.lights(), context.ball, [a, b, c, d]);
+        if context.caustics_only && !scene.casters().is_empty() {
+            let u = if e.is_infinite() { [a, b] } else { [c, d] };
+            start = start.and_then(|s| aim(e, context.ball, scene.casters(), target, s, u));
+        }
         if O::CONNECTS && !context.caustics_only && context.settings.max_depth >= 1 {
             let surface = start.as_ref().and_then(|s| s.surface);
             if e.is_infinite() {

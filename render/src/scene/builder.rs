@@ -8,7 +8,7 @@ use crate::accel::Accel;
 use crate::bsdf::nesting::{flips_normals, is_glossy};
 use crate::bsdf::{Bsdf, Material};
 use crate::camera::Camera;
-use crate::emitter::{AnyEmitter, Emitter};
+use crate::emitter::{AnyEmitter, Ball, Emitter};
 use crate::error::SceneError;
 use crate::film::Film;
 use crate::params::{Differentiability, ParamRef, ParamShape, Params};
@@ -49,6 +49,9 @@ fn texture_key(
     let range = [valid.0.to_bits(), valid.1.to_bits()];
     (Arc::as_ptr(node), channels, range)
 }
+
+/// Particles are aimed at this many things by themselves, at most.
+const MOST_CASTERS: usize = 16;
 
 /// Spawn offset relative to the largest coordinate of a surface: 64 roundings of an f32.
 const RELATIVE_OFFSET: f32 = 64.0 * f32::EPSILON / 2.0;
@@ -386,10 +389,12 @@ impl Builder {
             0 => 0.0,
             n => 1.0 / n as f64,
         };
-        let glossy = self.infos.iter().any(|i| i.glossy);
-        let diffuse = self.infos.iter().any(|i| !i.glossy);
         let flips = self.materials.iter().any(|m| flips_normals(m));
-        let throws_caustics = glossy && diffuse && !flips && !emitters.is_empty();
+        let lit_things = self.infos.iter().any(|i| !i.glossy) && !emitters.is_empty();
+        let casters = match lit_things && !flips {
+            true => casters(&self.shapes, &self.infos),
+            false => Vec::new(),
+        };
         Ok(Scene {
             params: self.params,
             materials: self.materials,
@@ -398,13 +403,22 @@ impl Builder {
             emitters,
             infinite,
             emitter_probability,
-            throws_caustics,
+            casters,
             prims,
             accel,
             camera,
             film,
             settings,
         })
+    }
+}
+
+/// Balls around the glossy shapes, or one around all of them if there are many.
+fn casters(shapes: &[AnyShape], infos: &[ShapeInfo]) -> Vec<Ball> {
+    let glossy = || (shapes.iter().zip(infos)).filter_map(|(s, i)| i.glossy.then_some(s));
+    match glossy().count() {
+        0..=MOST_CASTERS => glossy().filter_map(|s| Ball::around([s])).collect(),
+        _ => Ball::around(glossy()).into_iter().collect(),
     }
 }
 

@@ -15,7 +15,7 @@ use ad_core::{Float, Real};
 use crate::accel::{Accel, BUNDLE, Bundle, Hit};
 use crate::bsdf::{Bsdf, Material, TextureRef};
 use crate::camera::Camera;
-use crate::emitter::{AnyEmitter, Emitter, Lights};
+use crate::emitter::{AnyEmitter, Ball, Emitter, Lights};
 use crate::error::RenderError;
 use crate::estimator::{Sampling, Strategy};
 use crate::film::Film;
@@ -92,10 +92,9 @@ impl LightChoice {
 impl Settings {
     /// Who finds caustics if these are made so: particles only where there is something for them to find.
     pub(crate) fn caustics_of<S: Strategy>(&self, scene: &Scene) -> Caustics {
-        if scene.throws_caustics && self.max_depth > 2 && S::Bsdf::DETACHED_PATH {
-            self.caustics
-        } else {
-            Caustics::Paths
+        match scene.casters.is_empty() || self.max_depth < 3 || !S::Bsdf::DETACHED_PATH {
+            true => Caustics::Paths,
+            false => self.caustics,
         }
     }
 }
@@ -141,8 +140,9 @@ pub struct Scene {
     infinite: Vec<u32>,
     /// Probability of choosing one of the emitters.
     emitter_probability: f64,
-    /// Whether there are glossy and diffuse surfaces, and light, that particles see as paths do.
-    throws_caustics: bool,
+    /// Balls around what throws caustics; none where there is nothing to throw them on, no light, or something
+    /// that particles see otherwise than paths do.
+    casters: Vec<Ball>,
     /// Shape and local index of every primitive of `accel`.
     prims: Vec<(u32, u32)>,
     accel: Accel,
@@ -223,6 +223,11 @@ impl Scene {
     #[inline]
     pub fn emitter_probability<P: Float>(&self) -> P {
         P::of(self.emitter_probability)
+    }
+
+    /// See [`Scene::casters`].
+    pub(crate) fn casters(&self) -> &[Ball] {
+        &self.casters
     }
 
     /// Shapes, by index.

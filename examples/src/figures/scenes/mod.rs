@@ -4,6 +4,7 @@
 
 pub mod automatic;
 pub mod backpropagation;
+pub mod caustics;
 pub mod direct_light;
 pub mod environment;
 pub mod estimators;

@@ -1,0 +1,14 @@
+//! `caustics`: caustics by paths and by particles: the same derivatives, and where which has less noise.
+
+use std::process::ExitCode;
+
+use examples::figure::Figure;
+use examples::figures::scenes;
+
+fn main() -> ExitCode {
+    Figure::run(
+        "caustics",
+        "caustics by paths and by particles: the same derivatives, and where which has less noise",
+        scenes::caustics::figure,
+    )
+}
