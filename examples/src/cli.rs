@@ -6,6 +6,7 @@ use std::time::Instant;
 
 use clap::{Args, Parser};
 use optim::OptimError;
+use render::bsdf::nesting::flips_normals;
 use render::instances::Estimator;
 use render::integrator::render::NonFinite;
 use render::sampler::Points;
@@ -114,7 +115,20 @@ impl LoadArgs {
     }
 }
 
-/// `--sampler` and `--lights`. Reports hold both by name.
+/// Particles cannot flip normals to a viewer whom they do not know: an error that names what to use `instead`.
+///
+/// # Errors
+/// A scene that asks for it.
+pub fn refuse_flips(scene: &Scene, instead: &str) -> Result<(), ToolError> {
+    match scene.materials().iter().any(|m| flips_normals(m)) {
+        false => Ok(()),
+        true => Err(ToolError::Usage(format!(
+            "flip_invalid_normals: particles do not know their viewer; expected {instead}"
+        ))),
+    }
+}
+
+/// `--sampler`, `--lights` and `--caustics`. Reports hold them by name.
 #[derive(Args, Clone, Copy, Debug, Serialize)]
 pub struct SampleArgs {
     /// How the samples of a pixel are spread: independent, sobol (Owen-scrambled, best with powers of two)
@@ -138,10 +152,17 @@ pub struct SampleArgs {
 
 impl SampleArgs {
     /// Says so in `settings`.
-    pub fn apply(self, settings: &mut Settings) {
+    ///
+    /// # Errors
+    /// Particles in a scene that they see otherwise than paths do.
+    pub fn apply(self, scene: &Scene, settings: &mut Settings) -> Result<(), ToolError> {
+        if self.caustics == Caustics::Particles {
+            refuse_flips(scene, "--caustics paths")?;
+        }
         settings.points = self.sampler;
         settings.lights = self.lights;
         settings.caustics = self.caustics;
+        Ok(())
     }
 }
 

@@ -101,8 +101,8 @@ fn keys(value: &Value) -> Vec<&str> {
 }
 
 /// How a report says its samples were made.
-fn samples(report: &Value) -> [&str; 2] {
-    ["sampler", "lights"].map(|key| report[key].as_str().unwrap())
+fn samples(report: &Value) -> [&str; 3] {
+    ["sampler", "lights", "caustics"].map(|key| report[key].as_str().unwrap())
 }
 
 fn numbers(value: &Value) -> Vec<f64> {
@@ -167,9 +167,15 @@ fn mistakes_end_with_a_message_and_without_a_file() {
         ),
         (
             "render",
-            "scene.xml --sampler sobol --integrator particle -o a.exr".into(),
+            "scene.xml --caustics particles --integrator particle -o a.exr".into(),
             1,
-            "--sampler",
+            "--caustics",
+        ),
+        (
+            "gradient",
+            "flipped.xml --param lamp.emitter.radiance.value --caustics particles".into(),
+            1,
+            "flip_invalid_normals",
         ),
         (
             "render",
@@ -284,6 +290,7 @@ fn render_writes_image_picture_and_report() {
     assert_eq!(
         keys(&report),
         [
+            "caustics",
             "height",
             "lights",
             "sampler",
@@ -297,13 +304,16 @@ fn render_writes_image_picture_and_report() {
     );
     assert_eq!(report["scene"], "scene.xml");
     assert_eq!((&report["width"], &report["spp"]), (&36.into(), &8.into()));
-    assert_eq!(samples(&report), ["independent", "one"]);
+    assert_eq!(samples(&report), ["independent", "one", "paths"]);
     let image = read_exr(&dir.path("scene.exr")).unwrap();
     assert_eq!((image.width, image.height), (36, 24));
     assert!(bytes(dir.path("scene.png")).starts_with(b"\x89PNG"));
-    let chosen = "--sampler antithetic --lights all";
+    let chosen = "--sampler antithetic --lights all --caustics particles";
     dir.ok("render", &format!("scene.xml {chosen} --json all.json"));
-    assert_eq!(samples(&dir.json("all.json")), ["antithetic", "all"]);
+    assert_eq!(
+        samples(&dir.json("all.json")),
+        ["antithetic", "all", "particles"]
+    );
     // Options arrive.
     let mean = |args: &str| {
         dir.ok("render", &format!("scene.xml -o other.exr {args}"));
@@ -373,6 +383,7 @@ fn gradient_of_the_mean_is_right_and_reported() {
     assert_eq!(
         keys(&report),
         [
+            "caustics",
             "estimator",
             "lights",
             "params",
@@ -443,7 +454,7 @@ fn gradient_of_a_texture_is_an_image() {
     let args = format!("scene.xml --param {key} --repeats 3 {chosen} --json a.json --images d");
     dir.ok("gradient", &args);
     let report = dir.json("a.json");
-    assert_eq!(samples(&report), ["sobol", "all"]);
+    assert_eq!(samples(&report), ["sobol", "all", "paths"]);
     let names = ["value", "gradient", "std_error"].map(|what| {
         let name = report["params"][key][what].as_str().unwrap();
         assert_eq!(name, format!("a.{key}.{what}.exr"));
@@ -607,7 +618,7 @@ fn estimators_are_compared_and_the_numbers_depend_on_the_seed_alone() {
     );
     let (a, b) = (dir.json("a/report.json"), dir.json("b/report.json"));
     assert_eq!(dir.json("b.json"), b);
-    assert_eq!(samples(&a), ["independent", "one"]);
+    assert_eq!(samples(&a), ["independent", "one", "paths"]);
     let rows = |v: &Value| v["rows"].as_array().unwrap().clone();
     assert_eq!(rows(&a).len(), 4);
     for (a, b) in rows(&a).iter().zip(&rows(&b)) {

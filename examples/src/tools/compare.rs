@@ -407,7 +407,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     let (scene, _) = args.load.load(&args.scene)?;
     let mut settings = scene.settings;
     settings.spp = args.spp.unwrap_or(settings.spp);
-    args.samples.apply(&mut settings);
+    args.samples.apply(&scene, &mut settings)?;
     settings.max_depth = args.max_depth.unwrap_or(settings.max_depth);
     let estimators = match &args.estimators[..] {
         [all] if all == "all" => {

@@ -148,7 +148,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     let objective = objective(args, &scene)?;
     let mut settings = scene.settings;
     settings.spp = args.spp.unwrap_or(settings.spp);
-    args.samples.apply(&mut settings);
+    args.samples.apply(&scene, &mut settings)?;
     settings.max_depth = args.max_depth.unwrap_or(settings.max_depth);
 
     let (statistics, images, threads) = args.threads.run(|threads| {

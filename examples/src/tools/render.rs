@@ -5,7 +5,6 @@ use std::time::Instant;
 
 use clap::{Parser, ValueEnum};
 use render::bsdf::kernel::{Rules, Symmetry};
-use render::bsdf::nesting::flips_normals;
 use render::instances::{Technique, density_f32, particles_f32, render_f32};
 use render::integrator::density::Convention;
 use render::integrator::render::{Progress, Rendering};
@@ -15,7 +14,8 @@ use render::{Scene, Settings, image_io};
 use serde::Serialize;
 
 use crate::cli::{
-    LoadArgs, Outcome, SampleArgs, ThreadArgs, ToolError, depth, report_non_finite, sample_count,
+    LoadArgs, Outcome, SampleArgs, ThreadArgs, ToolError, depth, refuse_flips, report_non_finite,
+    sample_count,
 };
 use crate::output;
 use crate::progress::{Bar, Interrupt};
@@ -202,15 +202,12 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     require_extension(&exr, "exr")?;
     let method = args.method()?;
     let (scene, seconds_load) = args.load.load(&args.scene)?;
-    let flips = scene.materials().iter().any(|m| flips_normals(m));
-    if flips && !matches!(method, Method::Paths(_)) {
-        let message =
-            "flip_invalid_normals: particles do not know their viewer; expected --integrator path";
-        return Err(ToolError::Usage(message.into()));
+    if !matches!(method, Method::Paths(_)) {
+        refuse_flips(&scene, "--integrator path")?;
     }
     let mut settings = scene.settings;
     settings.spp = args.spp.unwrap_or(settings.spp);
-    args.samples.apply(&mut settings);
+    args.samples.apply(&scene, &mut settings)?;
     settings.max_depth = args.max_depth.unwrap_or(settings.max_depth);
     output::create_parent(&exr)?;
 
