@@ -1,9 +1,11 @@
 //! Caustics by particles: the same light and the same derivatives as by paths alone.
 
 use rayon::ThreadPoolBuilder;
+use render::estimator::{AllowBias, Attached, BsdfOnly};
 use render::instances::{Direction, Estimator, Technique, render_f32};
+use render::integrator::render::render;
 use render::params::Theta;
-use render::sampler::Points;
+use render::sampler::{Independent, Points};
 use render::scene::Caustics;
 use render::{Scene, Settings};
 use tests::stats::{Estimate, z_limit};
@@ -297,10 +299,14 @@ fn paths_keep_what_particles_would_miss() {
         });
         a == b
     };
-    let ball = r#"<shape type="sphere"><bsdf type="dielectric" id="glass"/></shape>
-        <emitter type="constant"><rgb name="radiance" value="1"/></emitter>"#;
-    let glass = scene(&format!("{CAMERA}{ball}"));
-    assert!(same(&glass, Estimator::AttachedPath, "glass.eta.value"));
+    let room_moving = |caustics| {
+        let (s, theta) = (room(), room().params().values().to_vec());
+        let theta = Theta::constant(&theta);
+        type Moving = AllowBias<BsdfOnly<Attached>>;
+        let settings = with(&s, caustics);
+        render::<f32, Moving, Independent>(&s, &theta, &settings, 3, 0..8, &()).sums
+    };
+    assert!(room_moving(Caustics::Paths) == room_moving(Caustics::Particles));
     let mis = Estimator::Mis;
     assert!(!same(&room(), mis, "metal.alpha.value"));
     let flips = r#"<bsdf type="normalmap"><boolean name="flip_invalid_normals" value="true"/>"#;
