@@ -137,7 +137,7 @@ fn images(
     Ok([0, 1].map(|k| grey(&r.sums[k], 1.0 / spp as f64)))
 }
 
-/// `caustics`.
+/// `caustic-ring`.
 ///
 /// # Errors
 /// None that the built-in scene can cause.

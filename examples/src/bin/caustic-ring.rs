@@ -1,4 +1,4 @@
-//! `caustics`: caustics by paths and by particles: the same derivatives, and where which has less noise.
+//! `caustic-ring`: caustics by paths and by particles: the same derivatives, and where which has less noise.
 
 use std::process::ExitCode;
 
@@ -7,7 +7,7 @@ use examples::figures::scenes;
 
 fn main() -> ExitCode {
     Figure::run(
-        "caustics",
+        "caustic-ring",
         "caustics by paths and by particles: the same derivatives, and where which has less noise",
         scenes::caustics::figure,
     )
