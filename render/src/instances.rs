@@ -96,8 +96,8 @@ pub fn render_f32(
     primal(scene, theta, technique, settings, seed, samples, progress)
 }
 
-/// The image by particles, in single precision: [`particle::render`] with the points that
-/// `settings` asks for.
+/// The image by particles, in single precision: [`particle::render`] with the points that `settings` asks
+/// for.
 pub fn particles_f32(
     scene: &Scene,
     theta: &Theta<f32>,
@@ -115,8 +115,8 @@ pub fn particles_f32(
 }
 
 /// The image by particles that land and viewing rays that collect them within `radius`, in single precision:
-/// [`Map`] with the points that `settings` asks for. As many particles are sent per sample as there are pixels. `None` if
-/// the radius is not positive.
+/// [`Map`] with the points that `settings` asks for. As many particles are sent per sample as there are pixels.
+/// `None` if the radius is not positive.
 pub fn density_f32(
     scene: &Scene,
     theta: &Theta<f32>,

@@ -1,9 +1,12 @@
 //! Caustics by particles: the same light and the same derivatives as by paths alone.
 
+use std::sync::atomic::{AtomicU64, Ordering};
+
 use rayon::ThreadPoolBuilder;
 use render::estimator::{AllowBias, Attached, BsdfOnly};
-use render::instances::{Direction, Estimator, Technique, render_f32};
-use render::integrator::render::render;
+use render::instances::{Direction, Estimator, Technique, backward_f32, render_f32};
+use render::integrator::gradient::Active;
+use render::integrator::render::{Progress, render};
 use render::params::Theta;
 use render::sampler::{Independent, Points};
 use render::scene::Caustics;
@@ -241,6 +244,32 @@ fn nothing_depends_on_threads() {
     assert!(one.0[0].iter().any(|&x| x > 0.0));
     for threads in [2, 7] {
         assert!(run(threads) == one, "{threads} threads differ");
+    }
+}
+
+/// Both parts of the work together count every pixel once.
+#[test]
+fn progress_counts_every_pixel_once() {
+    struct Count(AtomicU64);
+    impl Progress for Count {
+        fn advance(&self, n: u64) {
+            self.0.fetch_add(n, Ordering::Relaxed);
+        }
+    }
+    let s = room();
+    let pixels = s.film.pixels() as u64;
+    let values = s.params().values();
+    let theta = Theta::constant(values);
+    for caustics in [Caustics::Paths, Caustics::Particles] {
+        let (settings, count) = (with(&s, caustics), Count(AtomicU64::new(0)));
+        let technique = Technique::MisPower;
+        render_f32(&s, &theta, technique, &settings, 1, 0..2, &count);
+        assert_eq!(count.0.load(Ordering::Relaxed), pixels);
+        let active = Active::new(&s, &["metal.alpha.value"]).expect("a parameter");
+        let adjoint = mean_adjoint(&s);
+        backward_f32(&s, &theta, &active, &adjoint, &settings, 1, 0..2, &count)
+            .expect("an adjoint of the right size");
+        assert_eq!(count.0.load(Ordering::Relaxed), 2 * pixels);
     }
 }
 

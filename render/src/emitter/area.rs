@@ -35,9 +35,7 @@ impl Area {
             Some(cos_theta.powf(R::of(f64::from(self.exponent))))
         }
     }
-}
 
-impl Area {
     /// Of the cosine in the density of directions, plus one.
     #[inline(always)]
     fn power<P: Float>(&self) -> P {

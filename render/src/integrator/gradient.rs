@@ -11,7 +11,7 @@ use rayon::prelude::*;
 use super::local::LocalFn;
 use super::path::Context;
 use super::record::{Activity, Recorder};
-use super::render::{NonFinite, Paths, Progress, Quiet, start, tiles};
+use super::render::{InParts, NonFinite, Paths, Progress, start, tiles};
 use super::{particle, particle_gradient};
 use crate::bsdf::{Bsdf, Material, TextureRef};
 use crate::emitter::{AnyEmitter, Emitter};
@@ -385,12 +385,13 @@ pub fn backward<P: Float, S: Unbiased, X: Sampler>(
     let moving = S::Aim::KEEPS.then(|| active.clone().with_sums(scene));
     let active = moving.as_ref().unwrap_or(active);
     Ok(exactly(scene, active, largest, progress, |large| {
-        let (mut small, mut non_finite) = pass.sums::<S, X>(active, large, progress, each);
+        let progress = InParts::new(progress, pass.caustics);
+        let (mut small, mut non_finite) = pass.sums::<S, X>(active, large, &progress, each);
         if pass.caustics == Caustics::Particles && !progress.cancelled() {
             let context = particle::Context::caustics(scene, theta, settings);
             let samples = pass.samples.clone();
             let particles = particle_gradient::Pass::new(&context, adjoint, seed, samples);
-            let part = particles.sums::<X>(active, large, &Quiet(progress));
+            let part = particles.sums::<X>(active, large, &progress);
             small.iter_mut().zip(part.small).for_each(|(s, p)| *s += p);
             non_finite.merge(&part.non_finite);
         }

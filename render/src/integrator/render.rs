@@ -1,6 +1,7 @@
 //! Images: paths over all pixels, in tiles.
 
 use std::ops::Range;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use ad_core::{Dual, Float, Real};
 use rayon::prelude::*;
@@ -30,12 +31,35 @@ pub trait Progress: Sync {
 
 impl Progress for () {}
 
-/// For a part of the work that is not counted, but can be stopped as well.
-pub(super) struct Quiet<'a, P>(pub &'a P);
+/// The progress of work in one part or two, each of which counts all of its units.
+pub(super) struct InParts<'a, P> {
+    progress: &'a P,
+    parts: u64,
+    done: AtomicU64,
+}
 
-impl<P: Progress> Progress for Quiet<'_, P> {
+impl<'a, P: Progress> InParts<'a, P> {
+    /// Two parts where particles find caustics.
+    pub(super) fn new(progress: &'a P, caustics: Caustics) -> Self {
+        let parts = match caustics {
+            Caustics::Paths => 1,
+            Caustics::Particles => 2,
+        };
+        Self {
+            progress,
+            parts,
+            done: AtomicU64::new(0),
+        }
+    }
+}
+
+impl<P: Progress> Progress for InParts<'_, P> {
+    fn advance(&self, n: u64) {
+        let before = self.done.fetch_add(n, Ordering::Relaxed);
+        (self.progress).advance((before + n) / self.parts - before / self.parts);
+    }
     fn cancelled(&self) -> bool {
-        self.0.cancelled()
+        self.progress.cancelled()
     }
 }
 
@@ -285,6 +309,7 @@ pub fn render<R: Components, S: Unbiased, X: Sampler>(
     let tiles = tiles(width, height);
     let shifts = shifts::<R, S>(scene, theta);
     let caustics = settings.caustics_of::<S>(scene);
+    let progress = InParts::new(progress, caustics);
     let parts: Vec<_> = tiles
         .par_iter()
         .map(|tile| {
@@ -352,8 +377,7 @@ pub fn render<R: Components, S: Unbiased, X: Sampler>(
     }
     if caustics == Caustics::Particles && !out.cancelled {
         let particles = particle::Context::caustics(scene, theta, settings);
-        let quiet = Quiet(progress);
-        let part = particle::render::<R, X>(&particles, seed, samples, &quiet);
+        let part = particle::render::<R, X>(&particles, seed, samples, &progress);
         out.add(&part);
     }
     out
