@@ -18,6 +18,12 @@ fn cone<P: Float>(ball: &Ball, from: Vec3<P>) -> Option<(Vec3<P>, P)> {
     })
 }
 
+/// Of a mixture in which every ball has the same share.
+fn mean<P: Float>(balls: &[Ball], density: impl Fn(usize, &Ball) -> P) -> P {
+    let each = balls.iter().enumerate().map(|(i, ball)| density(i, ball));
+    each.fold(P::zero(), |a, b| a + b) * P::of((balls.len() as f64).recip())
+}
+
 /// Turns a particle towards the ball number `which`: `start` is as the emitter would send it, `u` are fresh numbers.
 /// Its density is that of a mixture over all balls, and positive wherever a particle could meet one first.
 /// `None` where nothing is emitted.
@@ -35,14 +41,13 @@ pub(super) fn aim<P: Float>(
     start: EmittedRay<P>,
     u: [P; 2],
 ) -> Option<EmittedRay<P>> {
-    let share = P::of((balls.len() as f64).recip());
     if emitter.is_infinite() {
         let d = start.ray.d;
         let centre = |ball: &Ball| Vec3::from(ball.centre.map(P::of));
         let disc = warp::square_to_disk(u) * P::of(balls[which].radius);
         let frame = Frame::from_normal(d);
         let p = centre(&balls[which]) + frame.to_world(Vec3::new(disc.x, disc.y, P::zero()));
-        let density = |(i, ball): (usize, &Ball)| {
+        let density = |i: usize, ball: &Ball| {
             let (across, r2) = (
                 frame.to_local(centre(ball) - p),
                 P::of(ball.radius * ball.radius),
@@ -53,14 +58,9 @@ pub(super) fn aim<P: Float>(
                 false => P::zero(),
             }
         };
-        let sum = balls
-            .iter()
-            .enumerate()
-            .map(density)
-            .fold(P::zero(), |a, b| a + b);
         return Some(EmittedRay {
             ray: Ray::new(p - d * P::of(3.0 * around?.radius), d),
-            pdf_position: sum * share,
+            pdf_position: mean(balls, density),
             ..start
         });
     }
@@ -72,7 +72,7 @@ pub(super) fn aim<P: Float>(
         None => start.ray.d,
     };
     let (emission, own) = emitter.leaves(d, start.surface.as_ref().map(|(_, si)| si))?;
-    let density = |(i, ball): (usize, &Ball)| match cone(ball, from) {
+    let density = |i: usize, ball: &Ball| match cone(ball, from) {
         None => own,
         // One minus the cosine, without cancellation.
         Some((axis, opening)) => {
@@ -83,14 +83,9 @@ pub(super) fn aim<P: Float>(
             }
         }
     };
-    let sum = balls
-        .iter()
-        .enumerate()
-        .map(density)
-        .fold(P::zero(), |a, b| a + b);
     Some(EmittedRay {
         ray: Ray::new(from, d),
-        pdf_direction: sum * share,
+        pdf_direction: mean(balls, density),
         emission,
         ..start
     })
