@@ -137,8 +137,9 @@ fn picture(s: &Scene, settings: &Settings, seed: u64, runs: u64, spp: u64) -> Ve
         .collect()
 }
 
-/// In blocks of pixels (a single one may see what matters too rarely), for all glossy materials, deltas included: 256 runs of 64 samples, spread or not; significance
-/// 1e-3 over all comparisons, a quarter more for the tails of Student's t.
+/// In blocks of pixels (a single one may see what matters too rarely), for all glossy materials, deltas included:
+/// 256 runs of 64 samples, spread or not; significance 1e-3 over all comparisons, a quarter more for the tails of
+/// Student's t.
 #[test]
 fn particles_find_the_light_that_paths_leave_out() {
     let scenes = glossy();

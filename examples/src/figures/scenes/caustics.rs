@@ -5,6 +5,7 @@ use std::time::Instant;
 use rayon::prelude::*;
 use render::instances::{Direction, Estimator};
 use render::integrator::gradient::Active;
+use render::integrator::render::Rendering;
 use render::params::Theta;
 use render::sampler::Points;
 use render::scene::Caustics;
@@ -55,26 +56,10 @@ fn ring(size: u32, alpha: f64, fov: f64) -> Result<Scene> {
     stage.finish(&view, 6)
 }
 
-/// A way to make the samples.
-#[derive(Clone, Copy, Debug)]
-struct Way {
-    points: Points,
-    caustics: Caustics,
-}
-
-const PATHS: Way = Way {
-    points: Points::Sobol,
-    caustics: Caustics::Paths,
-};
-const PARTICLES: Way = Way {
-    points: Points::Sobol,
-    caustics: Caustics::Particles,
-};
-
-fn settings(scene: &Scene, way: Way) -> Settings {
+fn settings(scene: &Scene, caustics: Caustics) -> Settings {
     Settings {
-        points: way.points,
-        caustics: way.caustics,
+        points: Points::Sobol,
+        caustics,
         ..scene.settings
     }
 }
@@ -84,14 +69,14 @@ fn settings(scene: &Scene, way: Way) -> Settings {
 fn gradients(
     scene: &Scene,
     e: Estimator,
-    way: Way,
+    caustics: Caustics,
     spp: u64,
     runs: u64,
 ) -> Result<([Estimate; 3], f64)> {
     let active = Active::new(scene, &PARAMS.map(|(name, _)| name))?;
     let theta = Theta::constant(scene.params().values());
     let adjoint = vec![1.0 / (scene.film.pixels() * 3) as f32; scene.film.pixels() * 3];
-    let settings = settings(scene, way);
+    let settings = settings(scene, caustics);
     let start = Instant::now();
     let each: std::result::Result<Vec<Vec<f64>>, RenderError> = (0..runs)
         .into_par_iter()
@@ -115,26 +100,17 @@ fn gradients(
     Ok(([of(0), of(1), of(2)], seconds))
 }
 
-/// The image and its derivative in the ring's roughness.
+/// The image and its derivative in the ring's roughness, by the differential pair.
 fn images(
     scene: &Scene,
-    e: Estimator,
-    way: Way,
+    caustics: Caustics,
     seed: u64,
     spp: u64,
-) -> std::result::Result<[Vec<f64>; 2], RenderError> {
+) -> std::result::Result<Rendering, RenderError> {
     let along = [Direction::uniform(scene.params(), PARAMS[0].0)?];
-    let values = scene.params().values();
-    let r = e.forward_f32(
-        scene,
-        values,
-        &along,
-        &settings(scene, way),
-        seed,
-        0..spp,
-        &(),
-    )?;
-    Ok([0, 1].map(|k| grey(&r.sums[k], 1.0 / spp as f64)))
+    let settings = settings(scene, caustics);
+    let (e, values) = (Estimator::DifferentialMis, scene.params().values());
+    e.forward_f32(scene, values, &along, &settings, seed, 0..spp, &())
 }
 
 /// `caustic-ring`.
@@ -154,13 +130,14 @@ fn same(fig: &mut Figure) -> Result {
     let (size, runs, spp) = (32, 64, fig.pick(64, 128));
     let scene = ring(size, 0.1, FOV)?;
     // Image above derivative.
-    let series = |way, seed: u64| {
+    let series = |caustics, seed: u64| {
         Series::of(runs, [size as usize, 8], |run| {
-            let both = images(&scene, Estimator::DifferentialMis, way, seed + run, spp);
-            both.map(|both| both.concat())
+            let r = images(&scene, caustics, seed + run, spp)?;
+            Ok::<_, RenderError>([0, 1].map(|k| grey(&r.sums[k], 1.0 / spp as f64)).concat())
         })
     };
-    let (paths, particles) = (series(PATHS, SEED)?, series(PARTICLES, 10 * SEED)?);
+    let paths = series(Caustics::Paths, SEED)?;
+    let particles = series(Caustics::Particles, 10 * SEED)?;
     let pairs = paths.blocks.iter().zip(&particles.blocks);
     let z: Vec<f64> = pairs.map(|(a, b)| a.z(b).abs()).collect();
     let (image, change) = z.split_at(z.len() / 2);
@@ -188,19 +165,8 @@ fn pictures(fig: &mut Figure) -> Result {
     let scene = ring(size, ALPHA, FOV)?;
     let mut panels = Vec::new();
     let mut scale = None;
-    for (name, way) in [("particles", PARTICLES), ("paths", PATHS)] {
-        let along = [Direction::uniform(scene.params(), PARAMS[0].0)?];
-        let values = scene.params().values();
-        let e = Estimator::DifferentialMis;
-        let r = e.forward_f32(
-            &scene,
-            values,
-            &along,
-            &settings(&scene, way),
-            SEED,
-            0..spp,
-            &(),
-        )?;
+    for (name, caustics) in Caustics::NAMES.into_iter().rev() {
+        let r = images(&scene, caustics, SEED, spp)?;
         let change = grey(&r.sums[1], 1.0 / spp as f64);
         let most = *scale.get_or_insert_with(|| {
             let mut sizes: Vec<f64> = change.iter().map(|x| x.abs()).collect();
@@ -241,10 +207,10 @@ fn clock(fig: &mut Figure) -> Result {
         .collect();
     let mut rows = Vec::new();
     for (name, e) in contestants {
-        for (who, way) in [("paths", PATHS), ("particles", PARTICLES)] {
+        for (who, caustics) in Caustics::NAMES {
             let mut lines: [Vec<(f64, f64)>; 3] = Default::default();
             for &spp in &ladder {
-                let (found, seconds) = gradients(&scene, e, way, spp, runs)?;
+                let (found, seconds) = gradients(&scene, e, caustics, spp, runs)?;
                 for ((line, g), (_, what)) in lines.iter_mut().zip(&found).zip(PARAMS) {
                     let deviation = g.error * (runs as f64).sqrt();
                     line.push((seconds, deviation));
@@ -259,11 +225,9 @@ fn clock(fig: &mut Figure) -> Result {
                     ]);
                 }
             }
-            for (chart, line) in charts.iter_mut().zip(lines) {
-                let label = format!("{name}, caustics by {who}");
-                *chart =
-                    std::mem::replace(chart, LineChart::new("", "", "")).measured(&label, line);
-            }
+            charts = (charts.into_iter().zip(lines))
+                .map(|(chart, line)| chart.measured(&format!("{name}, caustics by {who}"), line))
+                .collect();
         }
     }
     let header = [
@@ -294,8 +258,8 @@ fn sweeps(fig: &mut Figure) -> Result {
     let mut gains = |alpha: f64, fov: f64| -> Result<[f64; 3]> {
         let scene = ring(size, alpha, fov)?;
         let e = Estimator::DifferentialMis;
-        let (paths, before) = gradients(&scene, e, PATHS, spp, runs)?;
-        let (particles, after) = gradients(&scene, e, PARTICLES, spp, runs)?;
+        let (paths, before) = gradients(&scene, e, Caustics::Paths, spp, runs)?;
+        let (particles, after) = gradients(&scene, e, Caustics::Particles, spp, runs)?;
         let gain = |k: usize| (paths[k].error / particles[k].error).powi(2);
         let gains = [gain(0), gain(1), gain(2)];
         rows.push([alpha, fov, gains[0], gains[1], gains[2], after / before]);
