@@ -3,6 +3,7 @@
 use ad_core::{Float, Vec3};
 
 use crate::error::SceneError;
+use crate::film::Film;
 use crate::math::{Ray, Transform};
 
 /// What the angle of view refers to.
@@ -91,26 +92,14 @@ impl Camera {
         })
     }
 
-    /// Where the camera sees what lies in the direction `v` (any length, from the pinhole): the point
-    /// `(x, y)` of the image plane as in [`Camera::ray`], also beyond the image's borders, and the area that
-    /// a unit of solid angle covers there, in pixels. `None` behind the camera, or if not finite.
-    ///
-    /// That area is the importance emitted per solid angle by a sensor with the density 1 per pixel.
-    #[inline(always)]
-    pub fn project<P: Float>(&self, v: Vec3<P>) -> Option<([P; 2], P)> {
-        let row = |i: usize| {
-            let [x, y, z] = self.inverse[i];
-            v.x * P::c(x) + v.y * P::c(y) + v.z * P::c(z)
-        };
-        let depth = row(2);
-        if depth <= P::zero() {
-            return None;
+    /// The camera and its film for particles.
+    pub fn pinhole<P: Float>(&self, film: &Film) -> Pinhole<P> {
+        Pinhole {
+            origin: self.origin.map(P::of).into(),
+            rows: self.inverse.map(|row| row.map(P::of).into()),
+            inverse_determinant: P::of(self.inverse_determinant),
+            reach: film.reach().map(|axis| axis.map(P::of)),
         }
-        let inverse_depth = depth.recip();
-        let to_plane = v.length() * inverse_depth;
-        let area = to_plane * to_plane * to_plane * P::of(self.inverse_determinant);
-        let at = [row(0) * inverse_depth, row(1) * inverse_depth];
-        (area.is_finite() && at[0].is_finite() && at[1].is_finite()).then_some((at, area))
     }
 
     /// The ray through a point of the image: `x` in [0, width], `y` in [0, height], from the top left.
@@ -133,17 +122,62 @@ impl Camera {
     }
 }
 
+/// A camera as particles meet it, in their scalar.
+#[derive(Clone, Copy, Debug)]
+pub struct Pinhole<P> {
+    /// Position, world space.
+    pub origin: Vec3<P>,
+    rows: [Vec3<P>; 3],
+    inverse_determinant: P,
+    /// Least and largest x, then y, of what reaches the film.
+    reach: [[P; 2]; 2],
+}
+
+impl<P: Float> Pinhole<P> {
+    /// Where the camera sees what lies in the direction `v` (any length, from the pinhole): the point
+    /// `(x, y)` of the image plane as in [`Camera::ray`], and the area that a unit of solid angle covers there,
+    /// in pixels. `None` behind the camera, beyond the film, or if not finite.
+    ///
+    /// That area is the importance emitted per solid angle by a sensor with the density 1 per pixel.
+    #[inline]
+    pub fn project(&self, v: Vec3<P>) -> Option<([P; 2], P)> {
+        let (at, area) = self.project_point(v)?;
+        let area = area * v.length_squared();
+        area.is_finite().then_some((at, area))
+    }
+
+    /// [`Pinhole::project`] of the point at `v` from the pinhole, with the area that a unit of area across `v`
+    /// covers: the importance over the squared distance.
+    #[inline(always)]
+    pub fn project_point(&self, v: Vec3<P>) -> Option<([P; 2], P)> {
+        let [x, y, depth] = self.rows.map(|row| row.dot(v));
+        if depth <= P::zero() {
+            return None;
+        }
+        let inverse_depth = depth.recip();
+        let area = v.length() * (inverse_depth * inverse_depth) * inverse_depth;
+        let area = area * self.inverse_determinant;
+        let at = [x * inverse_depth, y * inverse_depth];
+        let within = |k: usize| self.reach[k][0] <= at[k] && at[k] <= self.reach[k][1];
+        (within(0) && within(1) && area.is_finite()).then_some((at, area))
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::film::PixelFilter;
 
     #[test]
     fn projection_inverts_rays_and_knows_their_density() {
         let to_world = Transform::look_at([1.0, 2.0, 3.0], [0.3, -0.2, 0.1], [0.1, 1.0, 0.0]);
         let camera = Camera::new(to_world.unwrap(), 50.0, FovAxis::X, [40, 30]).unwrap();
+        let mut film = Film::new(40, 30);
+        film.filter = PixelFilter::Gaussian { stddev: 1.0 };
+        let pinhole = camera.pinhole(&film);
         let at = |x: f64, y: f64| camera.ray(x, y).d;
         for [x, y] in [[3.0, 4.5], [20.0, 15.0], [39.9, 0.1], [-2.0, 33.0]] {
-            let ([px, py], area) = camera.project(at(x, y) * 2.7).unwrap();
+            let ([px, py], area) = pinhole.project(at(x, y) * 2.7).unwrap();
             assert!((px - x).abs() < 1e-11 && (py - y).abs() < 1e-11);
             // Solid angle of a small square, by differences.
             let h = 1e-4;
@@ -151,8 +185,9 @@ mod tests {
             let dv = at(x, y + h) - at(x, y - h);
             let solid_angle = du.cross(dv).length() / (4.0 * h * h);
             assert!((area * solid_angle - 1.0).abs() < 1e-6, "{x} {y}");
-            assert!(camera.project(-at(x, y)).is_none());
+            assert!(pinhole.project(-at(x, y)).is_none());
         }
-        assert!(camera.project(Vec3::<f64>::zero()).is_none());
+        assert!(pinhole.project(Vec3::<f64>::zero()).is_none());
+        assert!(pinhole.project(at(-3.6, 20.0)).is_none());
     }
 }

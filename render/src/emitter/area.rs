@@ -108,6 +108,9 @@ impl Emitter for Area {
         let pdf_direction = self.pdf_direction(local.z);
         let d = frame.to_world(local);
         let falloff = self.lobe(local.z)?;
+        if pdf_direction <= P::zero() {
+            return None;
+        }
         let si = SurfaceInteraction {
             p: s.p,
             t: P::zero(),
@@ -115,7 +118,7 @@ impl Emitter for Area {
             frame,
             uv: s.uv,
         };
-        (pdf_direction > P::zero()).then_some(EmittedRay {
+        Some(EmittedRay {
             ray: Ray::new(s.p, d),
             surface: Some((self.shape, si)),
             pdf_position: s.pdf,

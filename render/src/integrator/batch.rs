@@ -2,12 +2,12 @@
 
 use ad_core::{Float, Real};
 
-use super::path::{Context, Observer, Walk};
+use super::path::{Geometry, Walk};
 use crate::accel::{BUNDLE, Bundle, Hit};
 use crate::estimator::Strategy;
 use crate::math::Ray;
 use crate::sampler::Sampler;
-use crate::scene::single;
+use crate::scene::{Intersection, Scene, single};
 
 /// Paths that are followed at a time. More fill the bundles better, fewer stay in the cache.
 pub(super) const PATHS: usize = 64;
@@ -34,19 +34,47 @@ impl Queue {
     }
 }
 
-/// Follows up to [`PATHS`] paths to their ends; each has an observer of its own.
-pub(super) fn trace<R: Real, S: Strategy, X: Sampler, O: Observer<R>>(
-    context: &Context<R>,
-    walks: &mut [Walk<R, S, X>],
-    observers: &mut [O],
+/// What asks for rays: one to its next vertex, one to what may be seen from the last.
+pub(super) trait Traveller {
+    /// Scalar of the geometry.
+    type Geometry: Real;
+    /// To the next vertex.
+    fn ray(&self) -> Option<&Ray<Self::Geometry>>;
+    /// Whether nothing is in the way, up to a distance.
+    #[allow(clippy::type_complexity)]
+    fn shadow(
+        &self,
+    ) -> Option<&(
+        Ray<<Self::Geometry as Real>::Primal>,
+        <Self::Geometry as Real>::Primal,
+    )>;
+}
+
+impl<R: Real, S: Strategy, X: Sampler> Traveller for Walk<R, S, X> {
+    type Geometry = Geometry<S, R>;
+    #[inline(always)]
+    fn ray(&self) -> Option<&Ray<Self::Geometry>> {
+        self.ray.as_ref()
+    }
+    #[inline(always)]
+    fn shadow(&self) -> Option<&(Ray<R::Primal>, R::Primal)> {
+        self.shadow.as_ref()
+    }
+}
+
+/// Follows up to [`PATHS`] paths to their ends. `step` takes one on, given its index, what its ray met and
+/// whether its shadow ray was free.
+pub(super) fn trace<T: Traveller>(
+    scene: &Scene,
+    travellers: &mut [T],
+    mut step: impl FnMut(usize, &mut T, Option<Intersection<T::Geometry>>, bool),
 ) {
-    let scene = context.scene;
     let mut hits: [Option<Hit>; PATHS] = [None; PATHS];
     let mut visible = [false; PATHS];
     let (mut nearest, mut shadow) = (Queue::default(), Queue::default());
     let mut open: [usize; PATHS] = std::array::from_fn(|i| i);
-    let mut met = Vec::with_capacity(walks.len());
-    let mut n = walks.len();
+    let mut met = Vec::with_capacity(travellers.len());
+    let mut n = travellers.len();
     while n > 0 {
         let mut find = |queue: &mut Queue| {
             let found = scene.nearest_bundle(&queue.rays);
@@ -63,14 +91,14 @@ pub(super) fn trace<R: Real, S: Strategy, X: Sampler, O: Observer<R>>(
             queue.rays.clear();
         };
         for &path in &open[..n] {
-            let walk = &walks[path];
-            if let Some(ray) = &walk.ray {
+            let traveller = &travellers[path];
+            if let Some(ray) = traveller.ray() {
                 nearest.push(&ray.primal(), f32::INFINITY, path);
                 if nearest.rays.is_full() {
                     find(&mut nearest);
                 }
             }
-            if let Some((ray, t_max)) = &walk.shadow {
+            if let Some((ray, t_max)) = traveller.shadow() {
                 shadow.push(ray, t_max.to_f32(), path);
                 if shadow.rays.is_full() {
                     test(&mut shadow);
@@ -86,16 +114,17 @@ pub(super) fn trace<R: Real, S: Strategy, X: Sampler, O: Observer<R>>(
         // A loop of its own, so that it waits for the memory of several surfaces at a time.
         met.clear();
         met.extend(open[..n].iter().map(|&path| {
-            let ray = walks[path].ray.as_ref()?;
+            let ray = travellers[path].ray()?;
             hits[path].take().map(|hit| scene.interaction(ray, &hit))
         }));
         let mut left = 0;
         for k in 0..n {
             let path = open[k];
-            let walk = &mut walks[path];
-            walk.step(context, met[k], visible[path], &mut observers[path]);
+            let traveller = &mut travellers[path];
+            step(path, traveller, met[k], visible[path]);
             open[left] = path;
-            left += usize::from(!walk.ended());
+            let ended = traveller.ray().is_none() && traveller.shadow().is_none();
+            left += usize::from(!ended);
         }
         n = left;
     }

@@ -6,15 +6,16 @@ use ad_core::{Float, Real, Vec2, Vec3};
 use rayon::prelude::*;
 
 use super::aim::aim;
+use super::batch::{self, PATHS, Traveller};
 use super::render::{Components, NonFinite, Progress, Rendering};
-use crate::accel::{BUNDLE, Bundle, Hit};
 use crate::bsdf::kernel::{Rules, kernel_weight, local_normal};
 use crate::bsdf::{Bsdf, Component, Shading, TransportMode};
+use crate::camera::Pinhole;
 use crate::emitter::{Ball, Emission, Emitter};
 use crate::math::{Ray, Rgb};
 use crate::params::Theta;
 use crate::sampler::Sampler;
-use crate::scene::{Intersection, Scene, Settings, single};
+use crate::scene::{Intersection, Scene, Settings};
 
 /// Probability of surviving Russian roulette is at most this.
 const MAX_SURVIVAL: f64 = 0.95;
@@ -27,13 +28,11 @@ const VERTEX_DIMENSIONS: u32 = 4;
 /// So that paths and particles of the same seed are independent.
 const STREAM: u64 = 0x6c69_6768_7421_0001;
 
-/// Particles that are followed at a time.
-const TOGETHER: usize = 64;
 /// Particles of one job.
 const CHUNK: u64 = 1024;
 /// Jobs whose splats are kept until they are added to the image, in order.
 const CHUNKS: u64 = 64;
-/// The image's rows are split into this many bands, to which splats are added in parallel.
+/// The image's rows are split into at most this many bands, to which splats are added in parallel.
 const BANDS: usize = 16;
 
 const MODE: TransportMode = TransportMode::Importance;
@@ -49,6 +48,8 @@ pub struct Context<'a, R: Real> {
     pub settings: &'a Settings,
     /// How particles scatter.
     pub rules: Rules,
+    /// What they are seen through.
+    pub pinhole: Pinhole<R::Primal>,
     /// Where particles from environments start.
     pub ball: Option<Ball>,
     /// Whether only [`crate::scene::Caustics`] count.
@@ -67,6 +68,7 @@ impl<'a, R: Real> Context<'a, R> {
             theta,
             settings,
             rules: Rules::default(),
+            pinhole: scene.camera.pinhole(&scene.film),
             ball,
             caustics_only: false,
         }
@@ -143,11 +145,9 @@ impl<R: Real> Observer<R> for () {
     const ENABLED: bool = false;
 }
 
-/// A connection on the way to be tested.
+/// The record of a connection on the way to be tested.
 #[derive(Clone, Copy, Debug)]
 struct Pending<R: Real> {
-    /// Power times kernel times weight: what the film receives.
-    value: Rgb<R>,
     connected: Connected<R>,
     wi: Vec3<R>,
     /// The emission, if this is the start of the particle.
@@ -173,6 +173,9 @@ struct Pending<R: Real> {
 pub struct Particle<R: Real, X: Sampler> {
     ray: Option<Ray<R::Primal>>,
     shadow: Option<(Ray<R::Primal>, R::Primal)>,
+    /// What the film receives if the shadow ray is free, where, and its record for the observer.
+    value: Rgb<R>,
+    film: [R::Primal; 2],
     pending: Option<Pending<R>>,
     sampler: X,
     beta: Rgb<R>,
@@ -182,18 +185,11 @@ pub struct Particle<R: Real, X: Sampler> {
 
 /// Direction to the pinhole, distance, film position, importance over squared distance.
 #[inline(always)]
-fn towards_camera<P: Float>(scene: &Scene, p: Vec3<P>) -> Option<(Vec3<P>, P, [P; 2], P)> {
-    let v = p - Vec3::from(scene.camera.origin().map(P::of));
-    let (at, area) = scene.camera.project(v)?;
-    if !scene.film.reaches(at) {
-        return None;
-    }
-    let d2 = v.length_squared();
-    let distance = d2.sqrt();
-    let weight = area / d2;
-    weight
-        .is_finite()
-        .then(|| (-v * distance.recip(), distance, at, weight))
+fn towards_camera<P: Float>(pinhole: &Pinhole<P>, p: Vec3<P>) -> Option<(Vec3<P>, P, [P; 2], P)> {
+    let v = p - pinhole.origin;
+    let (at, weight) = pinhole.project_point(v)?;
+    let distance = v.length();
+    Some((-v * distance.recip(), distance, at, weight))
 }
 
 impl<R: Real, X: Sampler> Particle<R, X> {
@@ -206,6 +202,8 @@ impl<R: Real, X: Sampler> Particle<R, X> {
         let mut this = Self {
             ray: None,
             shadow: None,
+            value: Rgb::black(),
+            film: [R::Primal::zero(); 2],
             pending: None,
             sampler,
             beta: Rgb::black(),
@@ -237,27 +235,35 @@ impl<R: Real, X: Sampler> Particle<R, X> {
         };
 
         // ---- The light as the camera sees it ----
-        let mut start = e.sample_ray(scene.lights(), context.ball, [a, b, c, d]);
+        let connects = O::CONNECTS && !context.caustics_only && context.settings.max_depth >= 1;
+        if connects && e.is_infinite() {
+            this.see_environment::<O>(context, index, [c, d], inverse_choice);
+        }
+        let Some(mut start) = e.sample_ray(scene.lights(), context.ball, [a, b, c, d]) else {
+            return this;
+        };
         if context.caustics_only && !scene.casters().is_empty() {
             let u = if e.is_infinite() { [a, b] } else { [c, d] };
-            start = start.and_then(|s| aim(e, context.ball, scene.casters(), target, s, u));
+            match aim(e, context.ball, scene.casters(), target, start, u) {
+                Some(aimed) => start = aimed,
+                None => return this,
+            }
         }
-        if O::CONNECTS && !context.caustics_only && context.settings.max_depth >= 1 {
-            let surface = start.as_ref().and_then(|s| s.surface);
-            if e.is_infinite() {
-                this.see_environment(context, index, [c, d], inverse_choice);
-            } else if let (Some((shape, si)), Some(start)) = (surface, &start)
-                && let Some((wi, distance, at, weight)) = towards_camera(scene, si.p)
-                && let Some(found) = e.hit(-wi, Some(&si))
-            {
-                let cos = si.n_geo.dot(wi).abs();
-                let weight = weight * cos * inverse_choice / start.pdf_position;
-                let emission = lift(found);
-                let f = e.eval(context.theta, &emission);
-                let offset = scene.shape_info(shape).offset;
-                this.shadow = Some(si.shadow_ray(wi, distance, offset));
+        if connects
+            && let Some((shape, si)) = &start.surface
+            && let Some((wi, distance, at, weight)) = towards_camera(&context.pinhole, si.p)
+            && let Some(found) = e.hit(-wi, Some(si))
+        {
+            let cos = si.n_geo.dot(wi).abs();
+            let weight = weight * cos * inverse_choice / start.pdf_position;
+            let emission = lift(found);
+            let f = e.eval(context.theta, &emission);
+            let offset = scene.shape_info(*shape).offset;
+            this.shadow = Some(si.shadow_ray(wi, distance, offset));
+            this.value = f.scale(weight);
+            this.film = at;
+            if O::ENABLED {
                 this.pending = Some(Pending {
-                    value: f.scale(weight),
                     connected: Connected { at, f, weight },
                     wi: Vec3::lift(wi),
                     emission: Some((index as u32, emission)),
@@ -266,9 +272,6 @@ impl<R: Real, X: Sampler> Particle<R, X> {
         }
 
         // ---- The particle ----
-        let Some(start) = start else {
-            return this;
-        };
         let weight = start.weight() * inverse_choice;
         let emission = lift(start.emission);
         if !weight.is_finite() {
@@ -294,7 +297,7 @@ impl<R: Real, X: Sampler> Particle<R, X> {
 
     /// The environment behind everything: a direction from the pinhole.
     #[inline(never)]
-    fn see_environment(
+    fn see_environment<O: Observer<R>>(
         &mut self,
         context: &Context<R>,
         emitter: usize,
@@ -303,15 +306,15 @@ impl<R: Real, X: Sampler> Particle<R, X> {
     ) {
         let scene = context.scene;
         let e = &scene.emitters()[emitter];
-        let origin = Vec3::from(scene.camera.origin().map(R::Primal::of));
+        let origin = context.pinhole.origin;
         let Some(sample) = e.sample(scene.lights(), origin, u) else {
             return;
         };
-        let Some((at, area)) = scene.camera.project(sample.d) else {
+        let Some((at, area)) = context.pinhole.project(sample.d) else {
             return;
         };
         let weight = area * inverse_choice / sample.pdf;
-        if !scene.film.reaches(at) || !weight.is_finite() {
+        if !weight.is_finite() {
             return;
         }
         let emission = Emission {
@@ -320,18 +323,15 @@ impl<R: Real, X: Sampler> Particle<R, X> {
         };
         let f = e.eval(context.theta, &emission);
         self.shadow = Some((Ray::new(origin, sample.d), R::Primal::of(f64::INFINITY)));
-        self.pending = Some(Pending {
-            value: f.scale(weight),
-            connected: Connected { at, f, weight },
-            wi: Vec3::zero(),
-            emission: Some((emitter as u32, emission)),
-        });
-    }
-
-    /// Whether no ray is asked for.
-    #[inline(always)]
-    pub fn ended(&self) -> bool {
-        self.ray.is_none() && self.shadow.is_none()
+        self.value = f.scale(weight);
+        self.film = at;
+        if O::ENABLED {
+            self.pending = Some(Pending {
+                connected: Connected { at, f, weight },
+                wi: Vec3::zero(),
+                emission: Some((emitter as u32, emission)),
+            });
+        }
     }
 
     /// Goes on to the next vertex: `hit` is what the particle met, `visible` whether the camera sees the
@@ -346,19 +346,15 @@ impl<R: Real, X: Sampler> Particle<R, X> {
         splat: &mut impl FnMut([R::Primal; 2], Rgb<R>),
     ) {
         let scene = context.scene;
-        if self.shadow.take().is_some()
-            && visible
-            && let Some(seen) = self.pending.take()
-        {
-            splat(seen.connected.at, seen.value);
-            if O::ENABLED {
+        if self.shadow.take().is_some() && visible {
+            splat(self.film, self.value);
+            if let Some(seen) = self.pending.take() {
                 match seen.emission {
                     Some((emitter, emission)) => observer.seen(emitter, emission, seen.connected),
                     None => observer.connected(seen.wi, seen.connected),
                 }
             }
         }
-        self.pending = None;
         let (Some(ray), Some(hit)) = (self.ray.take(), hit) else {
             return;
         };
@@ -386,7 +382,8 @@ impl<R: Real, X: Sampler> Particle<R, X> {
         if O::CONNECTS
             && !info.delta
             && !(context.caustics_only && info.glossy)
-            && let Some((to_camera, distance, film, weight)) = towards_camera(scene, si.p)
+            && let Some((to_camera, distance, film, weight)) =
+                towards_camera(&context.pinhole, si.p)
         {
             let wi = si.frame.to_local(to_camera);
             let shading = kernel_weight(n_geo, [wo, wi], MODE, context.rules);
@@ -402,16 +399,19 @@ impl<R: Real, X: Sampler> Particle<R, X> {
             let weight = weight * shading;
             if matters && weight > R::Primal::zero() {
                 self.shadow = Some(si.shadow_ray(to_camera, distance, info.offset));
-                self.pending = Some(Pending {
-                    value: beta * f.scale(weight),
-                    connected: Connected {
-                        at: film,
-                        f,
-                        weight,
-                    },
-                    wi,
-                    emission: None,
-                });
+                self.value = beta * f.scale(weight);
+                self.film = film;
+                if O::ENABLED {
+                    self.pending = Some(Pending {
+                        connected: Connected {
+                            at: film,
+                            f,
+                            weight,
+                        },
+                        wi,
+                        emission: None,
+                    });
+                }
             }
         }
         if depth + 1 >= context.settings.max_depth {
@@ -473,81 +473,15 @@ fn has_tangent<R: Real>(c: Rgb<R>) -> bool {
     !R::IS_PRIMAL && (c.r.has_tangent() || c.g.has_tangent() || c.b.has_tangent())
 }
 
-/// Follows particles to their ends, tracing their rays in bundles; each has an observer of its own.
-/// `splat` gets the index of the particle, where on the film, and how much.
-fn trace<R: Real, X: Sampler, O: Observer<R>>(
-    context: &Context<R>,
-    particles: &mut [Particle<R, X>],
-    observers: &mut [O],
-    mut splat: impl FnMut(usize, [R::Primal; 2], Rgb<R>),
-) {
-    let scene = context.scene;
-    let mut hits: [Option<Hit>; TOGETHER] = [None; TOGETHER];
-    let mut visible = [false; TOGETHER];
-    let mut open: [usize; TOGETHER] = std::array::from_fn(|i| i);
-    let mut met = Vec::with_capacity(particles.len());
-    let mut n = particles.len();
-    let mut bundle = Bundle::default();
-    let mut who = [0; BUNDLE];
-    while n > 0 {
-        let mut find = |bundle: &mut Bundle, who: &[usize]| {
-            let found = scene.nearest_bundle(bundle);
-            for (&i, hit) in who.iter().zip(found) {
-                hits[i] = hit;
-            }
-            bundle.clear();
-        };
-        for &i in &open[..n] {
-            if let Some(ray) = &particles[i].ray {
-                who[bundle.len()] = i;
-                let (o, d) = single(ray);
-                bundle.push(o, d, f32::INFINITY);
-                if bundle.is_full() {
-                    find(&mut bundle, &who);
-                }
-            }
-        }
-        if !bundle.is_empty() {
-            let rays = bundle.len();
-            find(&mut bundle, &who[..rays]);
-        }
-        let mut test = |bundle: &mut Bundle, who: &[usize]| {
-            let occluded = scene.occluded_bundle(bundle);
-            for (k, &i) in who.iter().enumerate() {
-                visible[i] = occluded >> k & 1 == 0;
-            }
-            bundle.clear();
-        };
-        for &i in &open[..n] {
-            if let Some((ray, t_max)) = &particles[i].shadow {
-                who[bundle.len()] = i;
-                let (o, d) = single(ray);
-                bundle.push(o, d, t_max.to_f32());
-                if bundle.is_full() {
-                    test(&mut bundle, &who);
-                }
-            }
-        }
-        if !bundle.is_empty() {
-            let rays = bundle.len();
-            test(&mut bundle, &who[..rays]);
-        }
-        // A loop of its own, as in the path tracer.
-        met.clear();
-        met.extend(open[..n].iter().map(|&i| {
-            let ray = particles[i].ray.as_ref()?;
-            hits[i].take().map(|hit| scene.interaction(ray, &hit))
-        }));
-        let mut left = 0;
-        for k in 0..n {
-            let i = open[k];
-            let particle = &mut particles[i];
-            let mut to_film = |at, value| splat(i, at, value);
-            particle.step(context, met[k], visible[i], &mut observers[i], &mut to_film);
-            open[left] = i;
-            left += usize::from(!particle.ended());
-        }
-        n = left;
+impl<R: Real, X: Sampler> Traveller for Particle<R, X> {
+    type Geometry = R::Primal;
+    #[inline(always)]
+    fn ray(&self) -> Option<&Ray<R::Primal>> {
+        self.ray.as_ref()
+    }
+    #[inline(always)]
+    fn shadow(&self) -> Option<&(Ray<R::Primal>, R::Primal)> {
+        self.shadow.as_ref()
     }
 }
 
@@ -560,11 +494,11 @@ pub(super) fn follow<R: Real, X: Sampler, O: Observer<R> + Default + Clone>(
     mut splat: impl FnMut(u64, [R::Primal; 2], Rgb<R>),
     mut done: impl FnMut(u64, &mut O),
 ) {
-    let mut observers = vec![O::default(); TOGETHER];
-    let mut group = Vec::with_capacity(TOGETHER);
+    let mut observers = vec![O::default(); PATHS];
+    let mut group = Vec::with_capacity(PATHS);
     let mut first = particles.start;
     while first < particles.end {
-        let n = (particles.end - first).min(TOGETHER as u64);
+        let n = (particles.end - first).min(PATHS as u64);
         group.clear();
         for k in 0..n {
             let i = first + k;
@@ -572,8 +506,10 @@ pub(super) fn follow<R: Real, X: Sampler, O: Observer<R> + Default + Clone>(
             let sampler = X::spread(context.settings.points, seed ^ STREAM, 0, i);
             group.push(Particle::new(context, sampler, &mut observers[k as usize]));
         }
-        let to_film = |k: usize, at, value| splat(first + k as u64, at, value);
-        trace(context, &mut group, &mut observers, to_film);
+        batch::trace(context.scene, &mut group, |k, particle, hit, visible| {
+            let mut to_film = |at, value| splat(first + k as u64, at, value);
+            particle.step(context, hit, visible, &mut observers[k], &mut to_film);
+        });
         for (k, observer) in observers.iter_mut().enumerate().take(n as usize) {
             done(first + k as u64, observer);
         }
@@ -624,7 +560,8 @@ pub fn render<R: Components, X: Sampler>(
     // `[pixel][component][3]` while splats are added.
     let mut sums = vec![0.0f64; width * height * R::COUNT * 3];
     let row = width * R::COUNT * 3;
-    let rows_per_band = height.div_ceil(BANDS).max(1);
+    let rows_per_band = height.div_ceil(BANDS).next_power_of_two();
+    let band_of = rows_per_band.trailing_zeros();
     let mut reported = 0;
     let round = CHUNK * (CHUNKS / R::COUNT as u64).max(4);
     for start in (0..total).step_by(round as usize) {
@@ -648,7 +585,7 @@ pub fn render<R: Components, X: Sampler>(
                             // Near a border, to the bands on both sides.
                             let rows = scene.film.rows(at[1].to_f64());
                             let (first, end) = (rows.start as usize, rows.end as usize);
-                            let bands = first / rows_per_band..end.div_ceil(rows_per_band);
+                            let bands = first >> band_of..(end + rows_per_band - 1) >> band_of;
                             let splat = Splat { at, value };
                             splats[bands].iter_mut().for_each(|s| s.push(splat));
                         }

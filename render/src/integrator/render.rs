@@ -268,7 +268,10 @@ impl Tile {
                     index,
                 )
             }));
-            batch::trace(context, &mut paths.walks, &mut paths.observers);
+            let observers = &mut paths.observers;
+            batch::trace(context.scene, &mut paths.walks, |i, walk, hit, visible| {
+                walk.step(context, hit, visible, &mut observers[i]);
+            });
             for (k, (walk, observer)) in paths.walks.iter().zip(&mut paths.observers).enumerate() {
                 let (pixel, index) = which(k);
                 done(pixel, index, walk.l, observer);

@@ -204,14 +204,14 @@ pub fn figure_b(fig: &mut Figure) -> Result {
     // The edge is the middle column or row of the picture: A is where the light is.
     let ratio = |image: &render::Image| {
         let mut sums = [0.0f64; 2];
-        let origin = Vec3::from(eye);
+        let (pinhole, origin) = (scene.camera.pinhole(&scene.film), Vec3::from(eye));
         for (k, sign) in [-1.0, 1.0].into_iter().enumerate() {
             for v in -20..=20 {
                 for u in 2..=14 {
                     let (sin, cos) = FACET.to_radians().sin_cos();
                     let along = f64::from(u) * 0.04;
                     let p = Vec3::new(sign * along * cos, -along * sin, f64::from(v) * 0.03);
-                    if let Some(([x, y], _)) = scene.camera.project(p - origin) {
+                    if let Some(([x, y], _)) = pinhole.project(p - origin) {
                         let (x, y) = (x as usize, y as usize);
                         sums[k] += f64::from(
                             image.pixel(x.min(size as usize - 1), y.min(size as usize - 1))[0],
