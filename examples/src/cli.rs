@@ -13,7 +13,8 @@ use render::sampler::Points;
 use render::scene::LoadOptions;
 use render::scene::{Caustics, LightChoice};
 use render::{RenderError, Scene, SceneError, Settings};
-use serde::{Serialize, Serializer};
+use serde::de::Error as _;
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use crate::progress::Interrupt;
 
@@ -129,25 +130,24 @@ pub fn refuse_flips(scene: &Scene, instead: &str) -> Result<(), ToolError> {
 }
 
 /// `--sampler`, `--lights` and `--caustics`. Reports hold them by name.
-#[derive(Args, Clone, Copy, Debug, Serialize)]
+#[derive(Args, Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SampleArgs {
     /// How the samples of a pixel are spread: independent, sobol (Owen-scrambled, best with powers of two)
-    /// or antithetic (pairs)
-    #[arg(long, value_name = "NAME", default_value = "independent",
-          value_parser = |text: &str| named(&Points::NAMES, text))]
-    #[serde(serialize_with = "write_points")]
-    pub sampler: Points,
+    /// or antithetic (pairs) [default: independent]
+    #[arg(long, value_name = "NAME", value_parser = |text: &str| named(&Points::NAMES, text))]
+    #[serde(serialize_with = "write_points", deserialize_with = "read_points")]
+    pub sampler: Option<Points>,
     /// How a point chooses the light that it samples: any one, or in proportion to what each would bring
-    #[arg(long, value_name = "one|all", default_value = "one",
-          value_parser = |text: &str| named(&LightChoice::NAMES, text))]
-    #[serde(serialize_with = "write_lights")]
-    pub lights: LightChoice,
+    /// [default: one]
+    #[arg(long, value_name = "one|all", value_parser = |text: &str| named(&LightChoice::NAMES, text))]
+    #[serde(serialize_with = "write_lights", deserialize_with = "read_lights")]
+    pub lights: Option<LightChoice>,
     /// Who finds the light that glossy things throw on diffuse ones: paths from the camera, or particles
-    /// from the lights
-    #[arg(long, value_name = "paths|particles", default_value = "paths",
+    /// from the lights [default: paths]
+    #[arg(long, value_name = "paths|particles",
           value_parser = |text: &str| named(&Caustics::NAMES, text))]
-    #[serde(serialize_with = "write_caustics")]
-    pub caustics: Caustics,
+    #[serde(serialize_with = "write_caustics", deserialize_with = "read_caustics")]
+    pub caustics: Option<Caustics>,
 }
 
 impl SampleArgs {
@@ -156,26 +156,55 @@ impl SampleArgs {
     /// # Errors
     /// Particles in a scene that they see otherwise than paths do.
     pub fn apply(self, scene: &Scene, settings: &mut Settings) -> Result<(), ToolError> {
-        if self.caustics == Caustics::Particles {
+        settings.points = self.sampler.unwrap_or_default();
+        settings.lights = self.lights.unwrap_or_default();
+        settings.caustics = self.caustics.unwrap_or_default();
+        if settings.caustics == Caustics::Particles {
             refuse_flips(scene, "--caustics paths")?;
         }
-        settings.points = self.sampler;
-        settings.lights = self.lights;
-        settings.caustics = self.caustics;
         Ok(())
+    }
+
+    /// With the defaults said.
+    pub fn filled(self) -> Self {
+        Self {
+            sampler: Some(self.sampler.unwrap_or_default()),
+            lights: Some(self.lights.unwrap_or_default()),
+            caustics: Some(self.caustics.unwrap_or_default()),
+        }
     }
 }
 
-fn write_points<S: Serializer>(value: &Points, to: S) -> Result<S::Ok, S::Error> {
-    to.serialize_str(name_in(&Points::NAMES, value))
+fn write_points<S: Serializer>(value: &Option<Points>, to: S) -> Result<S::Ok, S::Error> {
+    to.serialize_str(name_in(&Points::NAMES, &value.unwrap_or_default()))
 }
 
-fn write_lights<S: Serializer>(value: &LightChoice, to: S) -> Result<S::Ok, S::Error> {
-    to.serialize_str(name_in(&LightChoice::NAMES, value))
+fn read_points<'de, D: Deserializer<'de>>(from: D) -> Result<Option<Points>, D::Error> {
+    read_name(&Points::NAMES, from)
 }
 
-fn write_caustics<S: Serializer>(value: &Caustics, to: S) -> Result<S::Ok, S::Error> {
-    to.serialize_str(name_in(&Caustics::NAMES, value))
+fn write_lights<S: Serializer>(value: &Option<LightChoice>, to: S) -> Result<S::Ok, S::Error> {
+    to.serialize_str(name_in(&LightChoice::NAMES, &value.unwrap_or_default()))
+}
+
+fn read_lights<'de, D: Deserializer<'de>>(from: D) -> Result<Option<LightChoice>, D::Error> {
+    read_name(&LightChoice::NAMES, from)
+}
+
+fn write_caustics<S: Serializer>(value: &Option<Caustics>, to: S) -> Result<S::Ok, S::Error> {
+    to.serialize_str(name_in(&Caustics::NAMES, &value.unwrap_or_default()))
+}
+
+fn read_caustics<'de, D: Deserializer<'de>>(from: D) -> Result<Option<Caustics>, D::Error> {
+    read_name(&Caustics::NAMES, from)
+}
+
+fn read_name<'de, T: Copy, D: Deserializer<'de>>(
+    names: &[(&str, T)],
+    from: D,
+) -> Result<Option<T>, D::Error> {
+    let text = String::deserialize(from)?;
+    named(names, &text).map(Some).map_err(D::Error::custom)
 }
 
 /// `--threads`.

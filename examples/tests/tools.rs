@@ -524,7 +524,7 @@ fn parameters_are_listed() {
 
 #[test]
 fn a_resumed_recovery_equals_an_uninterrupted_one_bit_for_bit() {
-    resumes("adam");
+    resumes("adam --sampler sobol --lights all --caustics particles");
     resumes("gauss-newton");
 }
 
@@ -541,10 +541,12 @@ fn resumes(optimizer: &str) {
     assert_eq!(half["iterations"], 5);
     assert_ne!(half["params"], dir.json("whole/result.json")["params"]);
     // Another job does not continue this one.
-    let other = dir.run("recover", "--out parts --resume --spp 3");
-    assert_eq!(other.status.code(), Some(1));
-    assert!(String::from_utf8_lossy(&other.stderr).contains("--spp"));
-    assert_eq!(dir.json("parts/result.json"), half);
+    for (key, value) in [("--spp", "3"), ("--sampler", "antithetic")] {
+        let other = dir.run("recover", &format!("--out parts --resume {key} {value}"));
+        assert_eq!(other.status.code(), Some(1));
+        assert!(String::from_utf8_lossy(&other.stderr).contains(key));
+        assert_eq!(dir.json("parts/result.json"), half);
+    }
 
     dir.ok("recover", "--out parts --resume --threads 7");
     let files = [

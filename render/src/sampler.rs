@@ -2,6 +2,8 @@
 //! dimension), so results do not depend on threads or tile order, and paired passes (common random
 //! numbers, antithetic lobes) are a matter of asking for the same counter again.
 
+use std::sync::LazyLock;
+
 use ad_core::Float;
 use sobol_burley::NUM_DIMENSION_SETS_4D;
 use sobol_burley::parts::{Int4, owen_scramble_int4_rev, owen_scramble_rev, sobol_int4_rev};
@@ -75,6 +77,12 @@ pub trait Sampler: Copy {
     }
 }
 
+/// 64 random bits as an index below `n`, at most 2^32.
+#[inline]
+pub(crate) fn index_below(bits: u64, n: usize) -> usize {
+    (((bits >> 32) * n as u64) >> 32) as usize
+}
+
 const GOLDEN: u64 = 0x9e37_79b9_7f4a_7c15;
 
 /// The finaliser of SplitMix64 [Steele et al. 2014]: a bijection whose output bits all depend on all
@@ -123,7 +131,15 @@ pub struct Spread {
     /// Sample index, of Sobol points.
     index: u32,
     points: Points,
+    /// The four Sobol dimensions that the next number is one of, once the first of them is drawn.
+    drawn: [u32; 4],
 }
+
+/// Points of the first four dimensions of the Sobol sequence, bits reversed, for the upper and for the lower
+/// eight bits of a reversed index. The sequence is linear over bits: the point is the exclusive or of the two.
+static FIRST_FOUR: LazyLock<[[[u32; 4]; 256]; 2]> = LazyLock::new(|| {
+    [24, 16].map(|shift| std::array::from_fn(|i| sobol_int4_rev((i as u32) << shift, 0).into()))
+});
 
 impl Spread {
     /// Numbers of an Owen-scrambled Sobol sequence that is padded: the dimensions drawn since the last
@@ -131,29 +147,38 @@ impl Spread {
     /// time.
     #[inline(never)]
     fn sobol<const N: usize>(&mut self) -> [u64; N] {
-        let after = |x: u64, n: u32| mix64(x.wrapping_add(u64::from(n + 1).wrapping_mul(GOLDEN)));
-        let set = after(self.key, self.first);
-        let shuffled = owen_scramble_rev(self.index.reverse_bits(), set as u32);
-        let four = |k: u32| -> [u32; 4] {
-            let [a, b] = [2 * k, 2 * k + 1].map(|n| after(set, n));
-            let scramble = [a, a >> 32, b, b >> 32].map(|bits| bits as u32);
-            let x = sobol_int4_rev(shuffled, k % NUM_DIMENSION_SETS_4D);
-            owen_scramble_int4_rev(x, Int4::from(scramble))
-                .reverse_bits()
-                .into()
-        };
-        let first = self.dim - self.first;
-        self.dim += N as u32;
-        let mut last = four(first / 4);
-        std::array::from_fn(|i| {
-            let k = first + i as u32;
-            if i > 0 && k.is_multiple_of(4) {
-                last = four(k / 4);
+        std::array::from_fn(|_| {
+            let k = self.dim - self.first;
+            self.dim += 1;
+            if k.is_multiple_of(4) {
+                self.drawn = self.four(k / 4);
             }
-            let x = last[k as usize % 4];
+            let x = self.drawn[k as usize % 4];
             // Below the 32 bits of the sequence: noise, so that doubles have all of theirs.
             u64::from(x) << 32 | u64::from(x.wrapping_mul(GOLDEN as u32))
         })
+    }
+
+    /// The `k`-th four dimensions since the last [`Sampler::seek`].
+    #[inline]
+    fn four(&self, k: u32) -> [u32; 4] {
+        let after = |x: u64, n: u32| mix64(x.wrapping_add(u64::from(n + 1).wrapping_mul(GOLDEN)));
+        let set = after(self.key, self.first);
+        let shuffled = owen_scramble_rev(self.index.reverse_bits(), set as u32);
+        let [a, b] = [2 * k, 2 * k + 1].map(|n| after(set, n));
+        let scramble = [a, a >> 32, b, b >> 32].map(|bits| bits as u32);
+        let x: Int4 = if k == 0 {
+            let [upper, lower] = &*FIRST_FOUR;
+            let bytes = shuffled.to_be_bytes();
+            let mut x = Int4::from(upper[usize::from(bytes[0])]);
+            x ^= Int4::from(lower[usize::from(bytes[1])]);
+            x
+        } else {
+            sobol_int4_rev(shuffled, k % NUM_DIMENSION_SETS_4D)
+        };
+        owen_scramble_int4_rev(x, Int4::from(scramble))
+            .reverse_bits()
+            .into()
     }
 }
 
@@ -177,6 +202,7 @@ impl Sampler for Spread {
             first: 0,
             index: index as u32 & 0xffff,
             points,
+            drawn: [0; 4],
         }
     }
 
@@ -224,6 +250,19 @@ impl Sampler for Spread {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// The table holds the sequence: the exclusive or of its halves is what the crate says.
+    #[test]
+    fn first_four_dimensions_are_the_sequence() {
+        for i in 0..2000u32 {
+            let index = (mix64(u64::from(i)) as u32) & 0xffff_0000;
+            let [upper, lower] = &*FIRST_FOUR;
+            let [a, b, ..] = index.to_be_bytes().map(usize::from);
+            let expected: [u32; 4] = sobol_int4_rev(index, 0).into();
+            let found: [u32; 4] = std::array::from_fn(|k| upper[a][k] ^ lower[b][k]);
+            assert_eq!(found, expected);
+        }
+    }
 
     /// In the first 256 samples, every elementary interval of area 1/256 has exactly one point: of the
     /// first two dimensions after each `seek`, in each pixel.

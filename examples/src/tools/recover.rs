@@ -26,7 +26,7 @@ use serde::{Deserialize, Serialize};
 use super::render::{Method, in_passes, passes};
 use crate::chart::LineChart;
 use crate::cli::{
-    LoadArgs, Outcome, ThreadArgs, ToolError, depth, report_non_finite, sample_count,
+    LoadArgs, Outcome, SampleArgs, ThreadArgs, ToolError, depth, report_non_finite, sample_count,
 };
 use crate::optimise::{Algorithm, Problem};
 use crate::output;
@@ -76,6 +76,9 @@ pub struct Args {
     /// Largest number of path edges; -1 for no limit [default: the scene's]
     #[arg(long, value_name = "N", value_parser = depth, allow_hyphen_values = true)]
     pub max_depth: Option<u32>,
+    /// How samples are made
+    #[command(flatten)]
+    pub samples: SampleArgs,
     /// l1, l2 (mse), relative-l1, relative-l2 or log-l2 [default: relative-l2]
     #[arg(long, value_name = "NAME", value_parser = loss_name)]
     pub loss: Option<String>,
@@ -133,6 +136,7 @@ struct Job {
     lr: f64,
     spp: u32,
     max_depth: Option<u32>,
+    samples: SampleArgs,
     loss: String,
     seed: u64,
     size: u32,
@@ -193,6 +197,7 @@ impl Job {
             }),
             spp,
             max_depth: args.max_depth,
+            samples: args.samples.filled(),
             loss,
             seed: args.seed.unwrap_or(0),
             size: args.size.unwrap_or(96),
@@ -244,6 +249,10 @@ impl Job {
             self.max_depth,
             debug,
         )?;
+        let (given, job) = (args.samples, self.samples);
+        same("--sampler", given.sampler.map(Some), job.sampler, debug)?;
+        same("--lights", given.lights.map(Some), job.lights, debug)?;
+        same("--caustics", given.caustics.map(Some), job.caustics, debug)?;
         same("--loss", args.loss.clone(), self.loss.clone(), text)?;
         same("--seed", args.seed, self.seed, text)?;
         same("--size", args.size, self.size, text)
@@ -339,6 +348,7 @@ fn recover(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     let mut settings = scene.settings;
     settings.spp = job.spp;
     settings.max_depth = job.max_depth.unwrap_or(settings.max_depth);
+    job.samples.apply(&scene, &mut settings)?;
     let loss: LossKind = job.loss.parse()?;
     let mut state = match resumed {
         Some(state) => {

@@ -144,11 +144,15 @@ impl Args {
             symmetry,
             side_tests: false,
         };
-        if self.samples.lights != LightChoice::One && self.integrator != IntegratorArg::Path {
+        if self.samples.lights.unwrap_or_default() != LightChoice::One
+            && self.integrator != IntegratorArg::Path
+        {
             let message = "--lights: particles choose no lights; expected --integrator path";
             return Err(ToolError::Usage(message.into()));
         }
-        if self.samples.caustics != Caustics::Paths && self.integrator != IntegratorArg::Path {
+        if self.samples.caustics.unwrap_or_default() != Caustics::Paths
+            && self.integrator != IntegratorArg::Path
+        {
             let message = "--caustics: all light is particles' here; expected --integrator path";
             return Err(ToolError::Usage(message.into()));
         }

@@ -261,7 +261,8 @@ fn slope_cdf<R: Real>(x: R, c: R, s: R) -> R {
 #[inline]
 fn visible_slope<R: Real>(c: R, s: R, u: R::Primal) -> R {
     let u = within_cell(u);
-    let root = visible_slope_f64(c.primal().to_f64(), s.primal().to_f64(), u);
+    let last = 0.2 * R::Primal::EPSILON.to_f64().cbrt();
+    let root = visible_slope_f64(c.primal().to_f64(), s.primal().to_f64(), u, last);
     let mut x = R::lift(R::Primal::of(root));
     if R::IS_PRIMAL {
         return x;
@@ -277,9 +278,9 @@ fn visible_slope<R: Real>(c: R, s: R, u: R::Primal) -> R {
     x
 }
 
-/// [`visible_slope`] for constants, to a few roundings: Halley's method between brackets, from the
-/// quantile that is right to first order in `s / c`.
-fn visible_slope_f64(c: f64, s: f64, u: f64) -> f64 {
+/// [`visible_slope`] for constants: Halley's method between brackets, from the quantile that is right to
+/// first order in `s / c`, until a step is smaller than `last`. What is left is of its third order.
+fn visible_slope_f64(c: f64, s: f64, u: f64, last: f64) -> f64 {
     let target = beckmann_sigma(c, s) * u;
     // Facets with a larger slope face away. Beyond 10, nothing is left of a Gaussian.
     let (mut low, mut high) = (-10.0, if c < 10.0 * s { c / s } else { 10.0 });
@@ -305,8 +306,7 @@ fn visible_slope_f64(c: f64, s: f64, u: f64) -> f64 {
             continue;
         }
         x = next;
-        // What is left is of the third order in the step.
-        if step.abs() < 1e-5 {
+        if step.abs() < last {
             break;
         }
     }

@@ -14,14 +14,14 @@ use crate::camera::Pinhole;
 use crate::emitter::{Ball, Emission, Emitter};
 use crate::math::{Ray, Rgb};
 use crate::params::Theta;
-use crate::sampler::Sampler;
+use crate::sampler::{Sampler, index_below};
 use crate::scene::{Intersection, Scene, Settings};
 
 /// Probability of surviving Russian roulette is at most this.
 const MAX_SURVIVAL: f64 = 0.95;
 /// As in the path tracer: when derivatives are wanted, a vertex counts as reflecting at least this much.
 const LEAST_STEP: f64 = 0.2;
-/// Dimensions of the sampler for the emission: emitter, position 2, direction 2.
+/// Dimensions of the sampler for the emission: emitter if there is a choice, position 2, direction 2.
 const EMISSION_DIMENSIONS: u32 = 5;
 /// Dimensions per vertex: BSDF 3, roulette.
 const VERTEX_DIMENSIONS: u32 = 4;
@@ -196,9 +196,8 @@ impl<R: Real, X: Sampler> Particle<R, X> {
     /// Sends a particle from one of the emitters. Without emitters, or where nothing is emitted, it
     /// has ended already.
     #[inline]
-    pub fn new<O: Observer<R>>(context: &Context<R>, mut sampler: X, observer: &mut O) -> Self {
+    pub fn new<O: Observer<R>>(context: &Context<R>, sampler: X, observer: &mut O) -> Self {
         let scene = context.scene;
-        let choice = sampler.next_bits();
         let mut this = Self {
             ray: None,
             shadow: None,
@@ -219,12 +218,12 @@ impl<R: Real, X: Sampler> Particle<R, X> {
             true => scene.casters().len().max(1),
             false => 1,
         };
+        let sampler = &mut this.sampler;
         let index = match n * aims {
             1 => 0,
-            all => (((choice >> 32) * all as u64) >> 32) as usize,
+            all => index_below(sampler.next_bits(), all),
         };
         let (index, target) = (index / aims, index % aims);
-        let sampler = &mut this.sampler;
         let [a, b] = sampler.next_2d::<R::Primal>();
         let [c, d] = sampler.next_2d::<R::Primal>();
         let e = &scene.emitters()[index];

@@ -10,7 +10,9 @@ use crate::estimator::memory::{Memory, Store};
 use crate::estimator::{Direct, Sampling, Strategy};
 use crate::math::{Frame, Ray, Rgb};
 use crate::params::Theta;
-use crate::sampler::{AUXILIARY_DIMENSIONS, BOUNCE_DIMENSIONS, CAMERA_DIMENSIONS, Sampler};
+use crate::sampler::{
+    AUXILIARY_DIMENSIONS, BOUNCE_DIMENSIONS, CAMERA_DIMENSIONS, Sampler, index_below,
+};
 use crate::scene::{Caustics, Intersection, LightChoice, Scene, Settings};
 use crate::shape::SurfaceInteraction;
 
@@ -797,12 +799,6 @@ struct Seen<'a, P: Float> {
     at: Shading<'a, P>,
     frame: Frame<P>,
     wo: Vec3<P>,
-}
-
-/// 64 random bits as an index below `n`, at most 2^32.
-#[inline]
-fn index_below(bits: u64, n: usize) -> usize {
-    (((bits >> 32) * n as u64) >> 32) as usize
 }
 
 /// Samples every emitter with the same numbers `u`, and keeps one in proportion to the light that its sample would
