@@ -112,13 +112,14 @@ impl Sphere {
         let to = lift3::<R>(self.center) - from;
         let r = R::Primal::from_f32(self.radius);
         let d = to.length();
-        let sine = R::lift(r) / d;
+        let inv_d = d.recip();
+        let sine = inv_d * Const(r);
         // The last condition keeps the density finite.
         if d.primal() > r * R::Primal::of(1.0 + ON_SURFACE)
             && sine.primal() * sine.primal() > R::Primal::MIN_POSITIVE
         {
-            let cosine = (((d - Const(r)) / d) * ((d + Const(r)) / d)).sqrt();
-            Some((sine * sine / (cosine + R::c(1.0)), to * d.recip()))
+            let cosine = ((d - Const(r)) * inv_d * ((d + Const(r)) * inv_d)).sqrt();
+            Some((sine * sine / (cosine + R::c(1.0)), to * inv_d))
         } else {
             None
         }
@@ -229,7 +230,7 @@ impl Shape for Sphere {
         let sin_alpha = (sin_beta * cos_theta - cos_beta * sin_theta).max(P::zero());
         let (sin_phi, cos_phi) = (P::of(2.0 * PI) * u[1]).sin_cos();
         let local = Vec3::new(sin_alpha * cos_phi, sin_alpha * sin_phi, cos_alpha);
-        let outward = Frame::from_normal(-axis).to_world(local).normalize();
+        let outward = Frame::from_normal(-axis).to_world(local);
         let v = lift3::<P>(self.center) + outward * P::from_f32(self.radius) - from;
         Some(DirectionSample {
             d: v.normalize(),
