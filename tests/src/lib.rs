@@ -6,7 +6,7 @@ pub mod stats;
 use std::path::{Path, PathBuf};
 
 use ad_core::{Dual, Float};
-use render::estimator::DetachedMis;
+use render::estimator::{DetachedMis, Unbiased};
 use render::integrator::gradient::{Active, backward};
 use render::integrator::render::{Rendering, render};
 use render::params::{Differentiability, ParamInfo, Tangent, Theta};
@@ -91,6 +91,18 @@ pub fn forward(
     seed: u64,
     spp: u64,
 ) -> f64 {
+    forward_by::<DetachedMis>(scene, direction, adjoint, settings, seed, spp)
+}
+
+/// [`forward`] with another estimator.
+pub fn forward_by<S: Unbiased>(
+    scene: &Scene,
+    direction: &[f64],
+    adjoint: &[f32],
+    settings: &Settings,
+    seed: u64,
+    spp: u64,
+) -> f64 {
     let values = values::<f64>(scene);
     let dual = |d: &f64| Dual::<f64, 1>::new(0.0, [*d]);
     let tangents: Vec<_> = scene
@@ -100,14 +112,7 @@ pub fn forward(
         .map(|i| Tangent::Dense(direction[i.range()].iter().map(dual).collect()))
         .collect();
     let theta = Theta::with_tangents(&values, &tangents);
-    let r = render::<Dual<f64, 1>, DetachedMis, Independent>(
-        scene,
-        &theta,
-        settings,
-        seed,
-        0..spp,
-        &(),
-    );
+    let r = render::<Dual<f64, 1>, S, Independent>(scene, &theta, settings, seed, 0..spp, &());
     assert_eq!(r.non_finite.count, 0);
     dot(adjoint, &r, 1)
 }
@@ -124,21 +129,28 @@ pub fn reverse<P: Float>(
     seed: u64,
     spp: u64,
 ) -> Vec<Vec<f64>> {
+    reverse_by::<P, DetachedMis>(scene, params, adjoint, settings, seed, spp)
+}
+
+/// [`reverse`] with another estimator.
+///
+/// # Panics
+/// As that.
+pub fn reverse_by<P: Float, S: Unbiased>(
+    scene: &Scene,
+    params: &[ParamInfo],
+    adjoint: &[f32],
+    settings: &Settings,
+    seed: u64,
+    spp: u64,
+) -> Vec<Vec<f64>> {
     let values = values::<P>(scene);
     let theta = Theta::constant(&values);
     let names: Vec<&str> = params.iter().map(|i| i.name.as_str()).collect();
     let active = Active::new(scene, &names).expect("known names");
-    let g = backward::<P, DetachedMis, Independent>(
-        scene,
-        &theta,
-        &active,
-        adjoint,
-        settings,
-        seed,
-        0..spp,
-        &(),
-    )
-    .expect("an adjoint of the right size");
+    let g =
+        backward::<P, S, Independent>(scene, &theta, &active, adjoint, settings, seed, 0..spp, &())
+            .expect("an adjoint of the right size");
     assert_eq!(g.non_finite.count, 0);
     g.values
 }

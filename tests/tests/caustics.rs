@@ -3,7 +3,10 @@
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use rayon::ThreadPoolBuilder;
-use render::estimator::{AllowBias, Attached, BsdfOnly};
+use render::estimator::{
+    AllowBias, Attached, BsdfOnly, Detached, DetachedMis, DetachedWeights, Differential, Mis,
+    Unbiased,
+};
 use render::instances::{Direction, Estimator, Technique, backward_f32, render_f32};
 use render::integrator::gradient::Active;
 use render::integrator::render::{Progress, render};
@@ -12,7 +15,9 @@ use render::sampler::{Independent, Points};
 use render::scene::Caustics;
 use render::{Scene, Settings};
 use tests::stats::{Estimate, z_limit};
-use tests::{cases, forward, image, mean_adjoint, reverse, scene, smooth_params, values};
+use tests::{
+    cases, forward_by, image, mean_adjoint, reverse, reverse_by, scene, smooth_params, values,
+};
 
 const ALPHA: f64 = 1e-3;
 
@@ -206,18 +211,28 @@ fn derivatives_are_the_same_whatever_the_estimator() {
 /// To rounding, in f64, for all parameters of all glossy materials.
 #[test]
 fn reverse_mode_equals_forward_mode() {
+    reverse_equals_forward::<DetachedMis>();
+}
+
+/// The same where the change of normals has samples of its own, of particles too.
+#[test]
+fn reverse_mode_equals_forward_mode_with_pairs() {
+    reverse_equals_forward::<Mis<Differential, Detached, DetachedWeights>>();
+}
+
+fn reverse_equals_forward<S: Unbiased>() {
     for (name, s) in glossy() {
         let settings = with(&s, Caustics::Particles);
         let params = smooth_params(&s);
         let adjoint: Vec<f32> = (0..s.film.pixels() * 3)
             .map(|i| (i % 7) as f32 - 2.0)
             .collect();
-        let gradient = reverse::<f64>(&s, &params, &adjoint, &settings, 5, 16);
+        let gradient = reverse_by::<f64, S>(&s, &params, &adjoint, &settings, 5, 16);
         for (p, gradient) in params.iter().zip(&gradient) {
             for (i, &reverse) in gradient.iter().enumerate() {
                 let mut direction = vec![0.0; s.params().values().len()];
                 direction[p.offset + i] = 1.0;
-                let forward = forward(&s, &direction, &adjoint, &settings, 5, 16);
+                let forward = forward_by::<S>(&s, &direction, &adjoint, &settings, 5, 16);
                 let close =
                     (reverse - forward).abs() <= 1e-9 * (reverse.abs() + forward.abs()) + 1e-12;
                 assert!(close, "{name}, {}[{i}]: {reverse} {forward}", p.name);
@@ -344,6 +359,30 @@ fn paths_keep_what_particles_would_miss() {
     assert!(same(&scene(&flipping), mis, "metal.alpha.value"));
     let short = format!("{CAMERA}{ROOM}").replace("value=\"5\"", "value=\"2\"");
     assert!(same(&scene(&short), mis, "metal.alpha.value"));
+}
+
+/// A pair of particles knows the change of normals of something smooth better than particles that carry it along.
+#[test]
+fn pairs_of_particles_make_less_noise() {
+    let mut s = wall();
+    let mut parameters = s.params().values().to_vec();
+    let alpha = s.params().find("metal.alpha.value").expect("a parameter");
+    let params = [alpha.clone()];
+    parameters[alpha.offset] = 0.05;
+    s.set_params(&parameters).expect("a roughness");
+    let (adjoint, settings) = (mean_adjoint(&s), with(&s, Caustics::Particles));
+    let variance = |gradient: &dyn Fn(u64) -> Vec<Vec<f64>>| {
+        let runs: Vec<f64> = (0..64).map(|seed| gradient(seed)[0][0]).collect();
+        Estimate::of(&runs).se.powi(2)
+    };
+    let without = variance(&|seed| reverse::<f32>(&s, &params, &adjoint, &settings, seed, 64));
+    let with = variance(&|seed| {
+        type Pair = Mis<Differential, Detached, DetachedWeights>;
+        reverse_by::<f32, Pair>(&s, &params, &adjoint, &settings, seed, 64)
+    });
+    let gain = without / with;
+    println!("variance falls {gain:.1} times");
+    assert!(gain > 2.0);
 }
 
 /// What it is for: the wall and its derivatives in roughness and emission, at equal samples, with a smoother plate.

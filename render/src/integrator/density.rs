@@ -50,12 +50,6 @@ struct Landed<P: Float> {
 #[derive(Clone, Debug)]
 struct Keeper<P: Float>(Vec<Landed<P>>);
 
-impl<P: Float> Default for Keeper<P> {
-    fn default() -> Self {
-        Self(Vec::new())
-    }
-}
-
 impl<P: Float> Observer<P> for Keeper<P> {
     const CONNECTS: bool = false;
 
@@ -127,6 +121,7 @@ impl<P: Float> Map<P> {
                 let (start, end) = (job * CHUNK, (job * CHUNK + CHUNK).min(sent));
                 follow::<P, X, Keeper<P>>(
                     context,
+                    &Keeper(Vec::new()),
                     seed,
                     first + start..first + end,
                     |_, _, _| {},

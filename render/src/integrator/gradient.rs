@@ -388,7 +388,7 @@ pub fn backward<P: Float, S: Unbiased, X: Sampler>(
         let progress = InParts::new(progress, pass.caustics);
         let (mut small, mut non_finite) = pass.sums::<S, X>(active, large, &progress, each);
         if pass.caustics == Caustics::Particles && !progress.cancelled() {
-            let context = particle::Context::caustics(scene, theta, settings);
+            let context = particle::Context::caustics::<S>(scene, theta, settings);
             let samples = pass.samples.clone();
             let particles = particle_gradient::Pass::new(&context, adjoint, seed, samples);
             let part = particles.sums::<X>(active, large, &progress);

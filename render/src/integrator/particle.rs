@@ -7,14 +7,17 @@ use rayon::prelude::*;
 
 use super::aim::aim;
 use super::batch::{self, PATHS, Traveller};
+use super::path::pair_pdf;
 use super::render::{Components, NonFinite, Progress, Rendering};
+use crate::bsdf::differential::{DiffLobe, Part};
 use crate::bsdf::kernel::{Rules, kernel_weight, local_normal};
 use crate::bsdf::{Bsdf, Component, Shading, TransportMode};
 use crate::camera::Pinhole;
 use crate::emitter::{Ball, Emission, Emitter};
+use crate::estimator::{Sampling, Strategy};
 use crate::math::{Ray, Rgb};
 use crate::params::Theta;
-use crate::sampler::{Sampler, index_below};
+use crate::sampler::{AUXILIARY_DIMENSIONS, Sampler, index_below};
 use crate::scene::{Intersection, Scene, Settings};
 
 /// Probability of surviving Russian roulette is at most this.
@@ -54,6 +57,9 @@ pub struct Context<'a, R: Real> {
     pub ball: Option<Ball>,
     /// Whether only [`crate::scene::Caustics`] count.
     pub caustics_only: bool,
+    /// Whether derivatives through the distribution of normals have samples of their own where particles
+    /// scatter, as [`crate::estimator::Differential`] has.
+    pub differential: bool,
 }
 
 impl<'a, R: Real> Context<'a, R> {
@@ -71,17 +77,19 @@ impl<'a, R: Real> Context<'a, R> {
             pinhole: scene.camera.pinhole(&scene.film),
             ball,
             caustics_only: false,
+            differential: false,
         }
     }
 
-    /// For the light that paths leave to particles.
-    pub(super) fn caustics(
+    /// For the light that paths of the strategy `S` leave to particles.
+    pub(super) fn caustics<S: Strategy>(
         scene: &'a Scene,
         theta: &'a Theta<'a, R>,
         settings: &'a Settings,
     ) -> Self {
         Self {
             caustics_only: true,
+            differential: S::Bsdf::DIFFERENTIAL,
             ..Self::new(scene, theta, settings)
         }
     }
@@ -112,6 +120,8 @@ pub struct Bounce<R: Real> {
     pub f: Rgb<R>,
     /// The kernel's weight for shading normals, over density (or probability) and survival probability.
     pub weight: R::Primal,
+    /// Which derivatives of `f` count.
+    pub part: Part,
 }
 
 /// Follows a particle. All methods do nothing by default.
@@ -120,6 +130,17 @@ pub trait Observer<R: Real> {
     const ENABLED: bool = true;
     /// Whether vertices are connected to the camera.
     const CONNECTS: bool = true;
+    /// Whether derivatives through the distribution of normals of a material are wanted.
+    fn follows_normals(&self, _material: u32) -> bool {
+        true
+    }
+    /// What light at a point of the full film is worth.
+    fn importance(&self, _at: [R::Primal; 2]) -> Rgb<R::Primal> {
+        Rgb::black()
+    }
+    /// A sample of the change of normals at the current vertex: its direction, local frame, and what light
+    /// along it is worth, over the density of the pair.
+    fn normals(&mut self, _wi: Vec3<R>, _w: Rgb<R::Primal>) {}
     /// An emitter sent the particle: `weight` is the cosine over all densities.
     fn emitted(&mut self, _emitter: u32, _emission: Emission<R>, _weight: R::Primal) {}
     /// The camera sees the light at the start of the particle. Known, and called, after `emitted`.
@@ -342,7 +363,7 @@ impl<R: Real, X: Sampler> Particle<R, X> {
         hit: Option<Intersection<R::Primal>>,
         visible: bool,
         observer: &mut O,
-        splat: &mut impl FnMut([R::Primal; 2], Rgb<R>),
+        splat: &mut (impl FnMut([R::Primal; 2], Rgb<R>) + ?Sized),
     ) {
         let scene = context.scene;
         if self.shadow.take().is_some() && visible {
@@ -417,6 +438,16 @@ impl<R: Real, X: Sampler> Particle<R, X> {
             return;
         }
 
+        // ---- Samples of the derivative of normals ----
+        let differentiates = O::ENABLED || !R::IS_PRIMAL;
+        let splits = context.differential
+            && differentiates
+            && (!O::ENABLED || observer.follows_normals(info.material))
+            && material.has_differential();
+        if splits && !beta.is_black() {
+            self.split(context, &hit, wo, observer, splat);
+        }
+
         // ---- Scattering ----
         let sampler = &mut self.sampler;
         sampler.seek(EMISSION_DIMENSIONS + (depth - 1) * VERTEX_DIMENSIONS);
@@ -431,7 +462,6 @@ impl<R: Real, X: Sampler> Particle<R, X> {
         }
         let mut weight = shading / sample.pdf;
         let step = f.primal().max_component() * weight;
-        let differentiates = O::ENABLED || !R::IS_PRIMAL;
         self.survival *= match differentiates {
             true => step.max(R::Primal::of(LEAST_STEP)),
             false => step,
@@ -449,6 +479,10 @@ impl<R: Real, X: Sampler> Particle<R, X> {
         if weight == R::Primal::zero() {
             return;
         }
+        let part = match sample.component {
+            Component::Continuous if splits => Part::Rest,
+            _ => Part::All,
+        };
         if O::ENABLED {
             observer.bounce(Bounce {
                 wi,
@@ -456,7 +490,11 @@ impl<R: Real, X: Sampler> Particle<R, X> {
                 mode,
                 weight,
                 f,
+                part,
             });
+        }
+        if part == Part::Rest && !R::IS_PRIMAL {
+            f = f - material.eval_normals(&at, wo, sample.wi, mode);
         }
         self.beta = beta * f.scale(weight);
         if !O::ENABLED && self.beta.is_black() && !has_tangent(self.beta) {
@@ -470,6 +508,100 @@ impl<R: Real, X: Sampler> Particle<R, X> {
 #[inline]
 fn has_tangent<R: Real>(c: Rgb<R>) -> bool {
     !R::IS_PRIMAL && (c.r.has_tangent() || c.g.has_tangent() || c.b.has_tangent())
+}
+
+impl<R: Real, X: Sampler> Particle<R, X> {
+    /// Samples the change of normals at the vertex `hit`. Both samples go on as particles made of the same
+    /// numbers: what they bring is alike, and its noise cancels.
+    #[inline(never)]
+    fn split<O: Observer<R>>(
+        &self,
+        context: &Context<R>,
+        hit: &Intersection<R::Primal>,
+        wo: Vec3<R::Primal>,
+        observer: &mut O,
+        splat: &mut (impl FnMut([R::Primal; 2], Rgb<R>) + ?Sized),
+    ) {
+        let scene = context.scene;
+        let theta = context.theta.primal();
+        let still = Context {
+            scene,
+            theta: &theta,
+            settings: context.settings,
+            rules: context.rules,
+            pinhole: context.pinhole,
+            ball: context.ball,
+            caustics_only: context.caustics_only,
+            differential: false,
+        };
+        let si = &hit.si;
+        let n_geo = local_normal(si);
+        let material = scene.material(hit.shape);
+        let at = Shading { theta, uv: si.uv };
+        for sign in DiffLobe::BOTH {
+            let mut sampler = self.sampler;
+            sampler.seek(AUXILIARY_DIMENSIONS + self.depth * VERTEX_DIMENSIONS);
+            let u = sampler.next_3d();
+            let Some(sample) = material.sample_differential(&at, wo, u, sign, MODE) else {
+                continue;
+            };
+            let shading = kernel_weight(n_geo, [wo, sample.wi], MODE, context.rules);
+            let weight = shading / pair_pdf(material, &at, wo, sample.wi);
+            if weight == R::Primal::zero() || !weight.is_finite() {
+                continue;
+            }
+            let mut change = Rgb::black();
+            if !R::IS_PRIMAL {
+                let at = Shading {
+                    theta: *context.theta,
+                    uv: Vec2::lift(si.uv),
+                };
+                change = self.beta
+                    * material
+                        .eval_normals(&at, wo, sample.wi, MODE)
+                        .scale(weight);
+            }
+            if !O::ENABLED && !has_tangent(change) {
+                continue;
+            }
+            let d = si.frame.to_world(sample.wi);
+            let particle = Particle::<R::Primal, X> {
+                ray: Some(si.spawn_ray(d, scene.shape_info(hit.shape).offset)),
+                shadow: None,
+                value: Rgb::black(),
+                film: self.film,
+                pending: None,
+                sampler,
+                beta: Rgb::splat(R::Primal::one()),
+                survival: self.survival,
+                depth: self.depth,
+            };
+            let mut w = Rgb::black();
+            particle.finish(&still, &mut |at, value| {
+                if O::ENABLED {
+                    w += observer.importance(at) * value;
+                }
+                if !R::IS_PRIMAL {
+                    splat(at, change * Rgb::lift(value));
+                }
+            });
+            if O::ENABLED {
+                observer.normals(Vec3::lift(sample.wi), w.scale(weight));
+            }
+        }
+    }
+
+    /// Goes on to the end, tracing ray by ray.
+    fn finish(mut self, context: &Context<R>, splat: &mut dyn FnMut([R::Primal; 2], Rgb<R>)) {
+        let scene = context.scene;
+        while self.ray.is_some() || self.shadow.is_some() {
+            let hit = self.ray.and_then(|ray| scene.intersect(&ray));
+            let visible = self
+                .shadow
+                .is_some_and(|(ray, t_max)| !scene.occluded(&ray, t_max));
+            self.step(context, hit, visible, &mut (), splat);
+        }
+    }
 }
 
 impl<R: Real, X: Sampler> Traveller for Particle<R, X> {
@@ -486,14 +618,15 @@ impl<R: Real, X: Sampler> Traveller for Particle<R, X> {
 
 /// The particles `first .. first + count` of all samples, of which there is one per pixel of the full
 /// film and sample. Calls `done` with each one's index after its end, in order.
-pub(super) fn follow<R: Real, X: Sampler, O: Observer<R> + Default + Clone>(
+pub(super) fn follow<R: Real, X: Sampler, O: Observer<R> + Clone>(
     context: &Context<R>,
+    observer: &O,
     seed: u64,
     particles: Range<u64>,
     mut splat: impl FnMut(u64, [R::Primal; 2], Rgb<R>),
     mut done: impl FnMut(u64, &mut O),
 ) {
-    let mut observers = vec![O::default(); PATHS];
+    let mut observers = vec![observer.clone(); PATHS];
     let mut group = Vec::with_capacity(PATHS);
     let mut first = particles.start;
     while first < particles.end {
@@ -577,6 +710,7 @@ pub fn render<R: Components, X: Sampler>(
                 let first = samples.start * n;
                 follow::<R, X, ()>(
                     context,
+                    &(),
                     seed,
                     first + job..first + (job + CHUNK).min(end),
                     |i, at, value| match value.is_finite() {

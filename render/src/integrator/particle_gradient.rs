@@ -36,27 +36,35 @@ struct Vertex<P: Float> {
     wo: Vec3<P>,
     connected: Option<(Vec3<P>, Connected<P>)>,
     bounce: Option<Bounce<P>>,
+    /// Samples of the change of normals, in the recorder's list: the first, and how many.
+    normals: (u32, u32),
 }
 
 /// Keeps the vertices of one particle at a time.
 #[derive(Clone, Debug)]
-struct Recorder<P: Float> {
+struct Recorder<'a, P: Float> {
+    sensor: &'a Sensor<'a>,
+    active: &'a Active,
     emitted: Option<(u32, Emission<P>, P)>,
     seen: Option<(u32, Emission<P>, Connected<P>)>,
     vertices: Vec<Vertex<P>>,
+    normals: Vec<(Vec3<P>, Rgb<P>)>,
 }
 
-impl<P: Float> Default for Recorder<P> {
-    fn default() -> Self {
-        Self {
-            emitted: None,
-            seen: None,
-            vertices: Vec::new(),
+impl<P: Float> Observer<P> for Recorder<'_, P> {
+    #[inline]
+    fn follows_normals(&self, material: u32) -> bool {
+        self.active.roughness_active(material)
+    }
+    fn importance(&self, at: [P; 2]) -> Rgb<P> {
+        self.sensor.importance(at)
+    }
+    fn normals(&mut self, wi: Vec3<P>, w: Rgb<P>) {
+        self.normals.push((wi, w));
+        if let Some(v) = self.vertices.last_mut() {
+            v.normals.1 += 1;
         }
     }
-}
-
-impl<P: Float> Observer<P> for Recorder<P> {
     fn emitted(&mut self, emitter: u32, emission: Emission<P>, weight: P) {
         self.emitted = Some((emitter, emission, weight));
     }
@@ -72,6 +80,7 @@ impl<P: Float> Observer<P> for Recorder<P> {
             wo,
             connected: None,
             bounce: None,
+            normals: (self.normals.len() as u32, 0),
         });
     }
     #[inline]
@@ -89,6 +98,7 @@ impl<P: Float> Observer<P> for Recorder<P> {
 }
 
 /// The adjoint image as the camera's emitted importance.
+#[derive(Debug)]
 struct Sensor<'a> {
     film: &'a Film,
     adjoint: &'a [f32],
@@ -111,26 +121,40 @@ impl Sensor<'_> {
     }
 }
 
-impl<P: Float> Recorder<P> {
+impl<'a, P: Float> Recorder<'a, P> {
+    fn new(sensor: &'a Sensor, active: &'a Active) -> Self {
+        Self {
+            sensor,
+            active,
+            emitted: None,
+            seen: None,
+            vertices: Vec::new(),
+            normals: Vec::new(),
+        }
+    }
+
     /// Whether every value that the adjoint is made of is.
     fn is_finite(&self) -> bool {
-        self.vertices.iter().all(|v| {
+        let vertices = self.vertices.iter().all(|v| {
             let connected = v
                 .connected
                 .is_none_or(|(_, c)| (v.beta * c.f * c.weight).is_finite());
             connected && v.beta.is_finite() && v.bounce.is_none_or(|b| (b.f * b.weight).is_finite())
-        })
+        });
+        vertices && self.normals.iter().all(|(_, w)| w.is_finite())
     }
 
     fn clear(&mut self) {
         self.emitted = None;
         self.seen = None;
         self.vertices.clear();
+        self.normals.clear();
     }
 
     /// Adds the derivative of the recorded particle's part of `<adjoint, image>` and returns that part.
-    fn backward(&self, context: &Context<P>, sensor: &Sensor, grad: &mut Sink) -> f64 {
+    fn backward(&self, context: &Context<P>, grad: &mut Sink) -> f64 {
         let Context { scene, theta, .. } = *context;
+        let sensor = self.sensor;
         let mut w = Rgb::<P>::black(); // importance arriving at the next vertex
         for v in self.vertices.iter().rev() {
             let mut here = Rgb::black();
@@ -158,13 +182,24 @@ impl<P: Float> Recorder<P> {
                     m.backward(&at, v.wo, &uses[..1], mode, grad);
                 }
             }
+            let (first, count) = (v.normals.0 as usize, v.normals.1 as usize);
+            for (wi, w) in &self.normals[first..first + count] {
+                let change = Use {
+                    wi: *wi,
+                    component: Component::Continuous,
+                    part: Part::Normals,
+                    d: v.beta * *w,
+                };
+                let m = &scene.materials()[material as usize];
+                m.backward(&at, v.wo, &[change], TransportMode::Importance, grad);
+            }
             if let Some(b) = &v.bounce {
                 here += b.f * w * b.weight;
                 if active && !w.is_black() {
                     uses[1] = Use {
                         wi: b.wi,
                         component: b.component,
-                        part: Part::All,
+                        part: b.part,
                         d: v.beta * w * b.weight,
                     };
                     let m = &scene.materials()[material as usize];
@@ -306,12 +341,13 @@ impl<'a, P: Float> Pass<'a, P> {
                     }
                     follow::<P, X, Recorder<P>>(
                         self.context,
+                        &Recorder::new(&self.sensor, active),
                         self.seed,
                         first + start..first + end.min(start + 4096),
                         |_, _, _| {},
                         |i, recorder| {
                             if recorder.is_finite() {
-                                value += recorder.backward(self.context, &self.sensor, &mut sink);
+                                value += recorder.backward(self.context, &mut sink);
                             } else {
                                 non_finite.add(i % n, i / n);
                             }

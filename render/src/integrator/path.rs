@@ -751,7 +751,7 @@ fn find_light<R: Real, S: Strategy>(
 
 /// Density of both samples of the derivative of normals together.
 #[inline]
-fn pair_pdf<R: Real>(
+pub(super) fn pair_pdf<R: Real>(
     material: &Material,
     at: &Shading<R>,
     wo: Vec3<R::Primal>,

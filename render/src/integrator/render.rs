@@ -379,7 +379,7 @@ pub fn render<R: Components, S: Unbiased, X: Sampler>(
         }
     }
     if caustics == Caustics::Particles && !out.cancelled {
-        let particles = particle::Context::caustics(scene, theta, settings);
+        let particles = particle::Context::caustics::<S>(scene, theta, settings);
         let part = particle::render::<R, X>(&particles, seed, samples, &progress);
         out.add(&part);
     }

@@ -50,8 +50,8 @@ pub enum Caustics {
     Paths,
     /// Particles from the emitters, one per pixel and sample, connected to the pinhole where they meet a diffuse
     /// surface; paths leave this light out. The expectation is the same, with what paths cannot find besides:
-    /// caustics of point and spot lights in mirrors and smooth glass. Particles sample as detached BSDF sampling
-    /// does, whatever the estimator. Where the whole path is attached, or normals are flipped to the viewer, paths
+    /// caustics of point and spot lights in mirrors and smooth glass. Particles scatter as detached BSDF sampling
+    /// does, with a pair for the change of normals where the estimator has one. Where the whole path is attached, or normals are flipped to the viewer, paths
     /// find everything all the same.
     Particles,
 }
