@@ -235,10 +235,11 @@ impl<R: Real, X: Sampler> Particle<R, X> {
             return this;
         }
         // What to aim at, if at anything, is chosen with the emitter, from one number.
-        let aims = match context.caustics_only {
-            true => scene.casters().len().max(1),
-            false => 1,
+        let targets = match context.caustics_only {
+            true => scene.casters(),
+            false => &[],
         };
+        let aims = targets.len().max(1);
         let sampler = &mut this.sampler;
         let index = match n * aims {
             1 => 0,
@@ -262,9 +263,9 @@ impl<R: Real, X: Sampler> Particle<R, X> {
         let Some(mut start) = e.sample_ray(scene.lights(), context.ball, [a, b, c, d]) else {
             return this;
         };
-        if context.caustics_only && !scene.casters().is_empty() {
+        if !targets.is_empty() {
             let u = if e.is_infinite() { [a, b] } else { [c, d] };
-            match aim(e, context.ball, scene.casters(), target, start, u) {
+            match aim(e, context.ball, targets, target, start, u) {
                 Some(aimed) => start = aimed,
                 None => return this,
             }
