@@ -172,17 +172,20 @@ pub fn figure(fig: &mut Figure) -> Result {
         |r: &[Rendering; 2]| [0, 1].map(|k| on_facets(&scene, sphere, ball.triangles.len(), &r[k]));
     let lit = facets(&reference);
     let both = |i: usize| lit[0][i] + lit[1][i];
-    let most = (0..ball.triangles.len()).map(both).fold(0.0, f64::max);
-    let mut edges = neighbours(&ball);
-    edges.retain(|pair| pair.iter().all(|&i| both(i) > 0.2 * most));
-    // Mean square of the jump from facet to facet, relative to the path tracer.
+    // Mean square of the jump from facet to facet, relative to the path tracer; the fainter of the two facets
+    // says how well it is known.
+    let mut edges: Vec<_> = (neighbours(&ball).into_iter())
+        .map(|[i, j]| ([i, j], both(i).min(both(j)).powi(2)))
+        .collect();
+    edges.retain(|([i, j], _)| [i, j].iter().all(|&&i| lit.iter().all(|l| l[i] > 0.0)));
+    let total: f64 = edges.iter().map(|(_, weight)| weight).sum();
     let jump = |r: &[Rendering; 2]| {
         let facets = facets(r);
-        let squares = edges.iter().map(|&[i, j]| -> f64 {
+        let squares = edges.iter().map(|&([i, j], weight)| -> f64 {
             let jump = |k: usize| facets[k][i] / lit[k][i] - facets[k][j] / lit[k][j];
-            jump(0) * jump(1)
+            weight * jump(0) * jump(1)
         });
-        squares.sum::<f64>() / edges.len().max(1) as f64
+        squares.sum::<f64>() / total
     };
     let (ja, jb) = (jump(&a), jump(&b));
     let sum = |[mut x, y]: [Rendering; 2]| {
