@@ -34,6 +34,9 @@ impl Queue {
     }
 }
 
+/// A ray and how far it must be free.
+pub(super) type Shadow<P> = (Ray<P>, P);
+
 /// What asks for rays: one to its next vertex, one to what may be seen from the last.
 pub(super) trait Traveller {
     /// Scalar of the geometry.
@@ -41,13 +44,12 @@ pub(super) trait Traveller {
     /// To the next vertex.
     fn ray(&self) -> Option<&Ray<Self::Geometry>>;
     /// Whether nothing is in the way, up to a distance.
-    #[allow(clippy::type_complexity)]
-    fn shadow(
-        &self,
-    ) -> Option<&(
-        Ray<<Self::Geometry as Real>::Primal>,
-        <Self::Geometry as Real>::Primal,
-    )>;
+    fn shadow(&self) -> Option<&Shadow<<Self::Geometry as Real>::Primal>>;
+    /// Whether no ray is asked for.
+    #[inline(always)]
+    fn ended(&self) -> bool {
+        self.ray().is_none() && self.shadow().is_none()
+    }
 }
 
 impl<R: Real, S: Strategy, X: Sampler> Traveller for Walk<R, S, X> {
@@ -57,8 +59,22 @@ impl<R: Real, S: Strategy, X: Sampler> Traveller for Walk<R, S, X> {
         self.ray.as_ref()
     }
     #[inline(always)]
-    fn shadow(&self) -> Option<&(Ray<R::Primal>, R::Primal)> {
+    fn shadow(&self) -> Option<&Shadow<R::Primal>> {
         self.shadow.as_ref()
+    }
+}
+
+/// Follows one path to its end, ray by ray; `step` as in [`trace`].
+pub(super) fn trace_alone<T: Traveller>(
+    scene: &Scene,
+    traveller: &mut T,
+    mut step: impl FnMut(&mut T, Option<Intersection<T::Geometry>>, bool),
+) {
+    while !traveller.ended() {
+        let hit = traveller.ray().and_then(|ray| scene.intersect(ray));
+        let free = |&(ray, t_max): &Shadow<_>| !scene.occluded(&ray, t_max);
+        let visible = traveller.shadow().is_some_and(free);
+        step(traveller, hit, visible);
     }
 }
 
@@ -123,8 +139,7 @@ pub(super) fn trace<T: Traveller>(
             let traveller = &mut travellers[path];
             step(path, traveller, met[k], visible[path]);
             open[left] = path;
-            let ended = traveller.ray().is_none() && traveller.shadow().is_none();
-            left += usize::from(!ended);
+            left += usize::from(!traveller.ended());
         }
         n = left;
     }

@@ -6,7 +6,7 @@ use ad_core::{Float, Real, Vec2, Vec3};
 use rayon::prelude::*;
 
 use super::aim::aim;
-use super::batch::{self, PATHS, Traveller};
+use super::batch::{self, PATHS, Shadow, Traveller};
 use super::path::pair_pdf;
 use super::render::{Components, NonFinite, Progress, Rendering};
 use crate::bsdf::differential::{DiffLobe, Part};
@@ -594,14 +594,9 @@ impl<R: Real, X: Sampler> Particle<R, X> {
 
     /// Goes on to the end, tracing ray by ray.
     fn finish(mut self, context: &Context<R>, splat: &mut dyn FnMut([R::Primal; 2], Rgb<R>)) {
-        let scene = context.scene;
-        while self.ray.is_some() || self.shadow.is_some() {
-            let hit = self.ray.and_then(|ray| scene.intersect(&ray));
-            let visible = self
-                .shadow
-                .is_some_and(|(ray, t_max)| !scene.occluded(&ray, t_max));
-            self.step(context, hit, visible, &mut (), splat);
-        }
+        batch::trace_alone(context.scene, &mut self, |particle, hit, visible| {
+            particle.step(context, hit, visible, &mut (), splat);
+        });
     }
 }
 
@@ -612,7 +607,7 @@ impl<R: Real, X: Sampler> Traveller for Particle<R, X> {
         self.ray.as_ref()
     }
     #[inline(always)]
-    fn shadow(&self) -> Option<&(Ray<R::Primal>, R::Primal)> {
+    fn shadow(&self) -> Option<&Shadow<R::Primal>> {
         self.shadow.as_ref()
     }
 }

@@ -2,6 +2,7 @@
 
 use ad_core::{Const, Float, Real, Vec2, Vec3};
 
+use super::batch;
 use super::boundary::{Freeze, freeze};
 use super::direct::{Aimed, Departure, FoundLight, aimed_light, direct_light, follows_edges};
 use crate::bsdf::{Bsdf, Component, DiffLobe, Material, Part, Shading, TransportMode};
@@ -259,21 +260,10 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
 
     /// Goes on to the end, tracing ray by ray.
     pub fn finish<O: Observer<R>>(mut self, context: &Context<R>, observer: &mut O) -> Rgb<R> {
-        let scene = context.scene;
-        while !self.ended() {
-            let hit = self.ray.and_then(|ray| scene.intersect(&ray));
-            let visible = self
-                .shadow
-                .is_some_and(|(ray, t_max)| !scene.occluded(&ray, t_max));
-            self.step(context, hit, visible, observer);
-        }
+        batch::trace_alone(context.scene, &mut self, |walk, hit, visible| {
+            walk.step(context, hit, visible, observer);
+        });
         self.l
-    }
-
-    /// Whether no ray is asked for.
-    #[inline(always)]
-    pub fn ended(&self) -> bool {
-        self.ray.is_none() && self.shadow.is_none()
     }
 
     /// Goes on to the next vertex: `hit` is what [`Walk::ray`] met, `visible` whether
