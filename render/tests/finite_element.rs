@@ -202,6 +202,45 @@ fn the_picture_is_that_of_the_path_tracer() {
     }
 }
 
+/// A basis whose steps are wider than the lobe of the metal: the last reflection does not go through it.
+#[test]
+fn lobes_that_are_seen_are_sharper_than_the_basis() {
+    let scene = room(true, 5.0, 0.0);
+    let picture = |directions| {
+        let mut fem = FiniteElements::new(
+            &scene,
+            Options {
+                directions,
+                ..options(false)
+            },
+        )
+        .unwrap();
+        for _ in 0..6 {
+            fem.solve().unwrap();
+            fem.refine(1e-3);
+        }
+        fem.solve().unwrap();
+        let seen = fem.surfaces();
+        let metal = |i: &usize| {
+            seen[*i].is_some_and(|(root, _)| fem.mesh().roots[root as usize].directions.side > 1)
+        };
+        let image = fem.flat();
+        (0..seen.len())
+            .filter(metal)
+            .map(|i| f64::from(image.data[3 * i]))
+            .collect::<Vec<_>>()
+    };
+    let (coarse, fine) = (picture(6), picture(20));
+    let square = |v: &mut dyn Iterator<Item = f64>| v.map(|x| x * x).sum::<f64>();
+    let off = square(&mut coarse.iter().zip(&fine).map(|(a, b)| a - b));
+    let rms = (off / square(&mut fine.iter().copied())).sqrt();
+    assert!(
+        coarse.len() > 100 && rms < 0.02,
+        "{rms} over {}",
+        coarse.len()
+    );
+}
+
 #[test]
 fn the_result_does_not_depend_on_threads() {
     let scene = room(true, 5.0, 0.0);

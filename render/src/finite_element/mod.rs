@@ -15,7 +15,9 @@
 //! With `G` the links, `R` reflection and `P` the sum over levels, `S = P R` is symmetric and
 //! `L = P E + S G L`, `Gamma = Gamma_0 + S G^T Gamma` are solved; `<Gamma_0, G L> = <Gamma, G P E>` holds to
 //! rounding, and one importance solution gives the derivative of the cost in *all* parameters
-//! ([`FiniteElements::gradient`], [Stam, Eq. 12-14]).
+//! ([`FiniteElements::gradient`], [Stam, Eq. 12-14]). Pictures ([`FiniteElements::flat`],
+//! [`FiniteElements::interpolated`]) take the last reflection, to the eye, by the BRDF itself instead of through
+//! the basis; the cost and its derivatives do not.
 //!
 //! # Does not handle
 //! Shapes other than rectangles and cubes, lights other than area lights, textures, and materials
@@ -34,7 +36,7 @@ pub use basis::{Directions, Spread, Stencil};
 
 use std::collections::HashMap;
 
-use ad_core::{Real, Vec3};
+use ad_core::{Real, Vec2, Vec3};
 use rayon::prelude::*;
 use thiserror::Error;
 
@@ -181,6 +183,14 @@ fn mean(c: Colour) -> f64 {
     (c[0] + c[1] + c[2]) / 3.0
 }
 
+/// Where materials are evaluated: they are constant over a surface.
+fn middle<'a, R: Real<Primal = f64>>(theta: &Theta<'a, R>) -> Shading<'a, R> {
+    Shading {
+        theta: *theta,
+        uv: Vec2::lift(Vec2::new(0.5, 0.5)),
+    }
+}
+
 impl<'a> FiniteElements<'a> {
     /// The coarsest model of a scene: whole surfaces, all linked. Parameters are those of the scene.
     ///
@@ -269,10 +279,7 @@ impl<'a> FiniteElements<'a> {
     fn reflection<R: Real<Primal = f64>>(&self, theta: &Theta<R>, side: &Side) -> Vec<Rgb<R>> {
         let basis = self.basis(side);
         let material = &self.scene.materials()[side.material as usize];
-        let at = Shading {
-            theta: *theta,
-            uv: ad_core::Vec2::lift(ad_core::Vec2::new(0.5, 0.5)),
-        };
+        let at = middle(theta);
         let up = if side.behind { -1.0 } else { 1.0 };
         let node = |i| {
             let w = basis.node(i);
@@ -429,7 +436,7 @@ impl<'a> FiniteElements<'a> {
     fn emission(&self, emitter: u32) -> Colour {
         let texture = self.scene.emitters()[emitter as usize].radiance();
         let theta = Theta::<f64>::constant(&self.theta);
-        texture.rgb(&theta, ad_core::Vec2::new(0.5, 0.5)).to_array()
+        texture.rgb(&theta, Vec2::new(0.5, 0.5)).to_array()
     }
 
     /// What lamps emit, before levels are combined.
@@ -591,7 +598,7 @@ impl<'a> FiniteElements<'a> {
         refined
     }
 
-    /// The mean over pixels and channels of the image, as measured from radiance.
+    /// The mean over pixels and channels of the image, as measured from radiance through the directional basis.
     pub fn cost(&self) -> f64 {
         solve::dot(&self.measured(), &self.radiance) + self.seen_directly()
     }
@@ -638,9 +645,61 @@ impl<'a> FiniteElements<'a> {
         }
     }
 
+    /// The radiance of an element towards the eye. The last reflection is by the BRDF itself, in the
+    /// directions that links come from, so that lobes which the eye sees keep their shape however coarse the
+    /// basis is.
     fn seen(&self, e: u32) -> Colour {
-        let range = self.mesh.start[e as usize]..self.mesh.start[e as usize + 1];
-        self.eye(e).read(&self.radiance[range])
+        let mesh = &self.mesh;
+        let root = mesh.root(e);
+        let Kind::Surface(table) = root.kind else {
+            return [0.0; 3];
+        };
+        let radiance = |e: u32| &self.radiance[mesh.start[e as usize]..mesh.start[e as usize + 1]];
+        if root.directions.side == 1 {
+            return radiance(e)[0];
+        }
+        let d = Vec3::from(self.scene.camera.origin()) - mesh.point(e, 0.5, 0.5);
+        if root.normal.dot(d) <= 0.0 {
+            return [0.0; 3];
+        }
+        let wo = root.frame.to_local(d.normalize());
+        let theta = Theta::constant(&self.theta);
+        let at = middle(&theta);
+        let material = &self.scene.materials()[self.sides[table].material as usize];
+        let mut sum = [0.0; 3];
+        // Links end at the element or at one that it is a part of.
+        for a in std::iter::successors(Some(e), |&a| mesh.elements[a as usize].parent) {
+            let scale = 1.0 / (SAMPLES as f64 * mesh.elements[a as usize].area);
+            for l in &self.links[self.order.received(a)] {
+                let arriving = l.send.read(radiance(l.source));
+                if arriving == [0.0; 3] {
+                    continue;
+                }
+                let mut reflected = [0.0; 3];
+                for (k, kernel) in l.kernel.iter().enumerate().filter(|(_, g)| **g > 0.0) {
+                    let [x, y] = link::sample(k);
+                    let d = mesh.point(l.source, y[0], y[1]) - mesh.point(a, x[0], x[1]);
+                    let wi = root.frame.to_local(d.normalize());
+                    let f = material
+                        .eval(&at, wo, wi, TransportMode::Radiance)
+                        .to_array();
+                    let weight = scale * f64::from(*kernel) / wi.z.abs();
+                    (0..3).for_each(|c| reflected[c] += weight * f[c]);
+                }
+                (0..3).for_each(|c| sum[c] += reflected[c] * arriving[c]);
+            }
+        }
+        sum
+    }
+
+    /// [`FiniteElements::seen`] of all elements that are not divided, black for the others.
+    fn leaves(&self) -> Vec<Colour> {
+        let elements = self.mesh.elements.par_iter().enumerate();
+        let leaf = |(e, el): (usize, &element::Element)| match el.children {
+            None => self.seen(e as u32),
+            Some(_) => [0.0; 3],
+        };
+        elements.map(leaf).collect()
     }
 
     fn image(&self, value: impl Fn(&Pixel) -> Colour) -> Image {
@@ -664,7 +723,8 @@ impl<'a> FiniteElements<'a> {
 
     /// The picture with one radiance per element.
     pub fn flat(&self) -> Image {
-        self.image(|p| self.seen(self.leaf(p)))
+        let leaves = self.leaves();
+        self.image(|p| leaves[self.leaf(p) as usize])
     }
 
     /// The picture with radiance interpolated between the corners of elements.
@@ -674,11 +734,10 @@ impl<'a> FiniteElements<'a> {
         let key = |root: u32, u: f64, v: f64| (root, (u * UNIT) as u64, (v * UNIT) as u64);
         let corners = [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]];
         let mut sums: HashMap<(u32, u64, u64), (Colour, f64)> = HashMap::new();
-        for (e, el) in self.mesh.elements.iter().enumerate() {
+        for (el, l) in self.mesh.elements.iter().zip(self.leaves()) {
             if el.children.is_some() {
                 continue;
             }
-            let l = self.seen(e as u32);
             for [i, j] in corners {
                 let k = key(el.root, el.at[0] + i * el.size, el.at[1] + j * el.size);
                 let sum = sums.entry(k).or_default();

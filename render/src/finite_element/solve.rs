@@ -4,6 +4,8 @@
 //! it into what arrives ([`Operator::incident`], forwards for radiance, over the same links backwards for
 //! importance), and reflection ([`Operator::reflect`], symmetric) turns that into what leaves.
 
+use std::ops::Range;
+
 use rayon::prelude::*;
 
 use super::FiniteElementError;
@@ -87,6 +89,11 @@ impl Order {
             source_links,
         }
     }
+
+    /// The links that end at an element.
+    pub fn received(&self, e: u32) -> Range<usize> {
+        self.by_receiver[e as usize] as usize..self.by_receiver[e as usize + 1] as usize
+    }
 }
 
 /// The values of every element as a slice of its own.
@@ -101,7 +108,7 @@ fn split<'a>(mesh: &Mesh, mut values: &'a mut [Colour]) -> Vec<&'a mut [Colour]>
 }
 
 impl Operator<'_> {
-    fn range(&self, e: u32) -> std::ops::Range<usize> {
+    fn range(&self, e: u32) -> Range<usize> {
         self.mesh.start[e as usize]..self.mesh.start[e as usize + 1]
     }
 
@@ -113,22 +120,23 @@ impl Operator<'_> {
             to.add(values, l.map(|l| l * g));
         };
         let parts = split(self.mesh, &mut field);
-        parts.into_par_iter().enumerate().for_each(|(e, values)| {
-            let within = |s: &[u32]| s[e] as usize..s[e + 1] as usize;
-            match flow {
+        parts
+            .into_par_iter()
+            .enumerate()
+            .for_each(|(e, values)| match flow {
                 Flow::Radiance => {
-                    for l in &self.links[within(&self.order.by_receiver)] {
+                    for l in &self.links[self.order.received(e as u32)] {
                         take(values, &l.receive, l.source, &l.send, l.coupling);
                     }
                 }
                 Flow::Importance => {
-                    for &i in &self.order.source_links[within(&self.order.by_source)] {
+                    let sent = &self.order.by_source;
+                    for &i in &self.order.source_links[sent[e] as usize..sent[e + 1] as usize] {
                         let l = &self.links[i as usize];
                         take(values, &l.send, l.receiver, &l.receive, l.coupling);
                     }
                 }
-            }
-        });
+            });
         field
     }
 

@@ -1,6 +1,7 @@
 //! The four boxes of figure 1, and a model of them that is refined step by step.
 
 use std::collections::BTreeMap;
+use std::fmt;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -248,7 +249,11 @@ pub fn mask(model: &FiniteElements) -> Vec<bool> {
 
 /// Means of pictures over `cells * cells` patches of every surface: pixels that see one surface and no lamp.
 /// Slivers at the edge of the mask are no patches.
-pub fn patches(model: &FiniteElements, pictures: &[&Image], cells: f64) -> Vec<Image> {
+pub fn patches<const N: usize>(
+    model: &FiniteElements,
+    pictures: [&Image; N],
+    cells: f64,
+) -> [Image; N] {
     let mut found = BTreeMap::<(u32, u64, u64), Vec<usize>>::new();
     for (i, seen) in model.surfaces().iter().enumerate() {
         if let Some((root, [u, v])) = seen {
@@ -257,7 +262,7 @@ pub fn patches(model: &FiniteElements, pictures: &[&Image], cells: f64) -> Vec<I
         }
     }
     found.retain(|_, pixels| pixels.len() >= 8);
-    let means = |picture: &&Image| {
+    let means = |picture: &Image| {
         let mut means = Image::new(found.len(), 1);
         for (pixels, mean) in found.values().zip(means.data.chunks_exact_mut(3)) {
             for (c, mean) in mean.iter_mut().enumerate() {
@@ -267,27 +272,54 @@ pub fn patches(model: &FiniteElements, pictures: &[&Image], cells: f64) -> Vec<I
         }
         means
     };
-    pictures.iter().map(means).collect()
+    pictures.map(means)
 }
 
 /// Patches of a picture, and [`difference`] of their means from those of a reference.
 pub fn patch_difference(model: &FiniteElements, a: &Image, reference: &Image, cells: f64) -> f64 {
-    let [a, reference] = &patches(model, &[a, reference], cells)[..] else {
-        return f64::NAN;
-    };
-    difference(a, reference, &vec![true; a.width])
+    let [a, reference] = patches(model, [a, reference], cells);
+    difference(&a, &reference, &vec![true; a.width])
+}
+
+/// How far a picture is off, relative to the reference, root mean square.
+#[derive(Clone, Copy, Debug)]
+pub struct Off {
+    /// The estimate; zero if noise hides it.
+    pub rms: f64,
+    /// Two standard errors above, from the spread over pixels.
+    pub most: f64,
+}
+
+impl fmt::Display for Off {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let [rms, most] = [self.rms, self.most].map(|x| 100.0 * x);
+        write!(f, "{rms:.2} % (at most {most:.2} %)")
+    }
 }
 
 /// [`difference`] from what two independent noisy references have in common: their noise drops out,
 /// `E[(a - r_1)(a - r_2)] = (a - r)^2`.
-pub fn noiseless_difference(a: &Image, references: [&Image; 2], mask: &[bool]) -> f64 {
-    let (mut sum, mut square) = (0.0, 0.0);
-    for (i, a) in a.data.iter().enumerate().filter(|(i, _)| mask[i / 3]) {
-        let [r, s] = references.map(|r| f64::from(r.data[i]));
-        sum += (f64::from(*a) - r) * (f64::from(*a) - s);
-        square += r * s;
+pub fn noiseless_difference(a: &Image, references: [&Image; 2], mask: &[bool]) -> Off {
+    let [r, s] = references.map(|image| image.data.chunks_exact(3));
+    let mut square = 0.0;
+    let mut pixels = Vec::new();
+    for (((a, r), s), _) in (a.data.chunks_exact(3).zip(r).zip(s).zip(mask)).filter(|(_, m)| **m) {
+        let mut product = 0.0;
+        for c in 0..3 {
+            let [a, r, s] = [a, r, s].map(|v| f64::from(v[c]));
+            product += (a - r) * (a - s);
+            square += r * s;
+        }
+        pixels.push(product);
     }
-    (sum.max(0.0) / square).sqrt()
+    let n = pixels.len() as f64;
+    let mean = pixels.iter().sum::<f64>() / n;
+    let variance = pixels.iter().map(|p| (p - mean).powi(2)).sum::<f64>() / (n - 1.0);
+    let relative = |mean: f64| (mean.max(0.0) * n / square).sqrt();
+    Off {
+        rms: relative(mean),
+        most: relative(mean + 2.0 * (variance / n).sqrt()),
+    }
 }
 
 /// [`noiseless_difference`] over patches, and their number.
@@ -296,12 +328,11 @@ pub fn noiseless_patch_difference(
     a: &Image,
     references: [&Image; 2],
     cells: f64,
-) -> (f64, usize) {
-    let [a, r, s] = &patches(model, &[a, references[0], references[1]], cells)[..] else {
-        return (f64::NAN, 0);
-    };
+) -> (Off, usize) {
+    let [r, s] = references;
+    let [a, r, s] = patches(model, [a, r, s], cells);
     let all = vec![true; a.width];
-    (noiseless_difference(a, [r, s], &all), a.width)
+    (noiseless_difference(&a, [&r, &s], &all), a.width)
 }
 
 /// Two independent path-traced pictures.
