@@ -2,6 +2,7 @@
 
 use std::error::Error;
 use std::io::Cursor;
+use std::ops::Range;
 use std::sync::Once;
 
 use plotters::coord::Shift;
@@ -173,9 +174,13 @@ impl LineChart {
         fixed: Option<(f64, f64)>,
         log: bool,
         pick: impl Fn(&(f64, f64)) -> f64,
-    ) -> std::ops::Range<f64> {
+    ) -> Range<f64> {
         if let Some((low, high)) = fixed {
-            return low..high;
+            return if log {
+                with_power_of_ten(low..high)
+            } else {
+                low..high
+            };
         }
         let all = self.series.iter().flat_map(|s| &s.points);
         let (low, high) = all
@@ -189,7 +194,7 @@ impl LineChart {
         }
         if log {
             let margin = (high / low).powf(0.05).max(1.2);
-            low / margin..high * margin
+            with_power_of_ten(low / margin..high * margin)
         } else {
             let margin = (0.05 * (high - low)).max(1e-6 * high.abs()).max(1e-12);
             low - margin..high + margin
@@ -285,6 +290,19 @@ impl LineChart {
                 .draw()?;
         }
         Ok(())
+    }
+}
+
+/// The range, widened to the nearest power of ten if it holds none: the drawing library numbers a
+/// logarithmic axis at those.
+fn with_power_of_ten(range: Range<f64>) -> Range<f64> {
+    let (low, high) = (range.start.log10(), range.end.log10());
+    if low.ceil() <= high {
+        range
+    } else if low - low.floor() < high.ceil() - high {
+        10f64.powf(low.floor())..range.end
+    } else {
+        range.start..10f64.powf(high.ceil())
     }
 }
 
@@ -551,6 +569,22 @@ mod tests {
         ];
         assert!(grid(2, &panels).is_ok());
         assert!(grid(2, &[]).is_ok());
+    }
+
+    /// The drawing library numbers powers of ten only, here none of x and one of y.
+    #[test]
+    fn logarithmic_axes_have_numbers() {
+        let chart = LineChart::new("", "", "").log_x().log_y();
+        let svg = chart
+            .measured("", [(0.02, 0.9), (0.08, 1.1)])
+            .svg()
+            .unwrap();
+        let text = |line: &str| line.trim().parse::<f64>().ok();
+        let numbers: Vec<f64> = svg.lines().filter_map(text).collect();
+        for power in [0.1, 1.0] {
+            let found = numbers.iter().filter(|n| **n == power).count();
+            assert!(found > 0, "{power} among {numbers:?}");
+        }
     }
 
     #[test]
