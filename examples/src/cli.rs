@@ -274,10 +274,29 @@ impl Choice {
 /// # Errors
 /// An unknown name, with all known ones.
 pub fn estimator(text: &str) -> Result<Choice, RenderError> {
-    match text {
-        "auto" => Ok(Choice::Auto),
-        name => Estimator::from_name(name).map(Choice::One),
+    estimator_or(text, &[("auto", Choice::Auto)], Choice::One)
+}
+
+/// What `text` stands for in `others`, or `of` the estimator called that.
+///
+/// # Errors
+/// An unknown name, with all known ones.
+pub fn estimator_or<T: Copy>(
+    text: &str,
+    others: &[(&str, T)],
+    of: impl Fn(Estimator) -> T,
+) -> Result<T, RenderError> {
+    if let Some((_, other)) = others.iter().find(|(name, _)| *name == text) {
+        return Ok(*other);
     }
+    Estimator::from_name(text).map(of).map_err(|e| match e {
+        RenderError::UnknownEstimator { name, known } => {
+            let others: Vec<&str> = others.iter().map(|(name, _)| *name).collect();
+            let known = format!("{}, {known}", others.join(", "));
+            RenderError::UnknownEstimator { name, known }
+        }
+        other => other,
+    })
 }
 
 /// What `text` stands for in a list of names.

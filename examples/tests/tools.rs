@@ -652,7 +652,7 @@ fn estimators_are_compared_and_the_numbers_depend_on_the_seed_alone() {
     assert_eq!(out.status.code(), Some(1));
     let stderr = String::from_utf8_lossy(&out.stderr);
     assert!(
-        stderr.contains("best") && stderr.contains("differential-mis"),
+        stderr.contains("`best`; known: auto, mis-f64, ") && stderr.contains("differential-mis"),
         "{stderr}"
     );
 }

@@ -121,10 +121,8 @@ impl Contestant {
     }
 
     fn from_name(name: &str) -> Result<Self, RenderError> {
-        match name == Self::DOUBLE.name() {
-            true => Ok(Self::DOUBLE),
-            false => cli::estimator(name).map(Self::single),
-        }
+        let others = [Self::single(Choice::Auto), Self::DOUBLE].map(|c| (c.name(), c));
+        cli::estimator_or(name, &others, |e| Self::single(Choice::One(e)))
     }
 }
 
