@@ -4,7 +4,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use super::builder::{Builder, MaterialId};
-use super::xml::Document;
+use super::xml::{Document, check_limit};
 use super::{Node, Scene, Settings};
 use crate::bsdf::Diffuse;
 use crate::camera::{Camera, FovAxis};
@@ -21,6 +21,9 @@ pub struct LoadOptions {
     /// Substitute mid-grey for missing texture files, with a warning, instead of failing.
     pub allow_missing: bool,
 }
+
+/// Sums of so many pixels take three gigabytes.
+const MAX_PIXELS: usize = 1 << 27;
 
 /// Integrators whose path family the path tracer covers; their further options are ignored.
 const INTEGRATORS: &[&str] = &[
@@ -202,6 +205,8 @@ fn film_from_node(node: &Node) -> Result<Film, SceneError> {
         extent("crop_width", width - x)?,
         extent("crop_height", height - y)?,
     ];
+    let [w, h] = crop_size.map(|n| n as usize);
+    check_limit(w * h, MAX_PIXELS, "pixels", &node.location)?;
     let filter = match node.child_with_tag("rfilter")? {
         None => PixelFilter::Gaussian { stddev: 0.5 },
         Some(f) => {

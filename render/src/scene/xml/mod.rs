@@ -161,7 +161,7 @@ impl fmt::Display for Directories {
     }
 }
 
-fn check_limit(
+pub(super) fn check_limit(
     value: usize,
     limit: usize,
     what: &'static str,
