@@ -3,7 +3,7 @@
 //! The rays of different paths have nothing in common but that they are ready at the same time. A lane per
 //! ray needs no reduction at the end, no sorting out of ties, and half the instructions of a lane per primitive.
 
-use super::curved::{Curved, LANES_F64};
+use super::curved::{Curved, LANES_F64, Line};
 use super::packet::{Flat, RayLanes};
 use super::{Hit, Ray, capped};
 use wide::{f32x16, f64x8};
@@ -189,33 +189,27 @@ impl Few {
 /// A bundle in registers.
 struct Lanes {
     single: RayLanes<f32x16>,
-    double: [[[f64x8; 3]; 2]; 2],
+    /// Halves of it, if there is anything curved.
+    double: Option<[Line<f64x8>; 2]>,
 }
 
 impl Lanes {
     #[inline(always)]
     fn new(bundle: &Bundle, double: bool) -> Lanes {
-        let half = |x: &[f32; BUNDLE], h: usize| {
-            f64x8::from(std::array::from_fn::<f64, LANES_F64, _>(|i| {
-                f64::from(x[h * LANES_F64 + i])
-            }))
+        let wide = |x: &[[f32; BUNDLE]; 3], first: usize| {
+            let mut lanes = [[0.0; LANES_F64]; 3];
+            for k in 0..3 {
+                for i in 0..LANES_F64 {
+                    lanes[k][i] = f64::from(x[k][first + i]);
+                }
+            }
+            [lanes[0].into(), lanes[1].into(), lanes[2].into()]
         };
-        let both = |h: usize| {
-            let [o, d] = [&bundle.o, &bundle.d];
-            [
-                [half(&o[0], h), half(&o[1], h), half(&o[2], h)],
-                [half(&d[0], h), half(&d[1], h), half(&d[2], h)],
-            ]
-        };
-        let none = [[f64x8::splat(0.0); 3]; 2];
+        let half = |first| Line::new(wide(&bundle.o, first), wide(&bundle.d, first));
         let (o, d) = bundle.lanes();
         Lanes {
             single: RayLanes::of(o, d),
-            double: if double {
-                [both(0), both(1)]
-            } else {
-                [none; 2]
-            },
+            double: double.then(|| [half(0), half(LANES_F64)]),
         }
     }
 
@@ -224,22 +218,36 @@ impl Lanes {
     fn test(&self, one: &One, t_max: f32x16) -> (f32x16, f32x16, f32x16, f32x16) {
         let zero = f32x16::splat(0.0);
         let ahead = |t: f32x16| t.simd_gt(zero) & t.simd_lt(t_max);
+        let miss = (zero, zero, zero, zero);
         match one {
             One::Flat(flat) => flat.test_lanes(&self.single, t_max),
             One::Curved(curved) => {
-                let halves = [0, 1].map(|h| {
-                    let [o, d] = self.double[h];
-                    curved.candidates(o, d)
-                });
-                let [near, far, u, v] = [0, 1, 2, 3].map(|k| {
-                    let x: [[f64; LANES_F64]; 2] = [0, 1].map(|h: usize| halves[h][k].to_array());
-                    f32x16::from(std::array::from_fn::<f32, BUNDLE, _>(|i| {
-                        x[i / LANES_F64][i % LANES_F64] as f32
-                    }))
-                });
+                let Some([a, b]) = &self.double else {
+                    return miss;
+                };
+                let (a, b) = (curved.candidates(a), curved.candidates(b));
+                if a.is_none() && b.is_none() {
+                    return miss;
+                }
+                let nowhere = [f64x8::splat(f64::NAN); 4];
+                let (a, b) = (a.unwrap_or(nowhere), b.unwrap_or(nowhere));
+                let (near, far) = (narrow(a[0], b[0]), narrow(a[1], b[1]));
                 let first = ahead(near);
+                let (u, v) = (narrow(a[2], b[2]), narrow(a[3], b[3]));
                 (first | ahead(far), first.select(near, far), u, v)
             }
         }
     }
+}
+
+/// Two halves side by side, in single precision.
+#[inline(always)]
+fn narrow(a: f64x8, b: f64x8) -> f32x16 {
+    let (a, b) = (a.to_array(), b.to_array());
+    let mut lanes = [0.0; BUNDLE];
+    for i in 0..LANES_F64 {
+        lanes[i] = a[i] as f32;
+        lanes[LANES_F64 + i] = b[i] as f32;
+    }
+    lanes.into()
 }

@@ -15,6 +15,8 @@ pub(super) trait Double:
     fn splat(x: f64) -> Self;
     /// NaN for negative numbers.
     fn sqrt(self) -> Self;
+    /// Whether any is zero or more.
+    fn reaches_zero(self) -> bool;
     /// `self` where `lo <= x <= hi`, NaN elsewhere.
     fn where_within(self, x: Self, lo: f64, hi: f64) -> Self;
 }
@@ -27,6 +29,10 @@ impl Double for f64 {
     #[inline(always)]
     fn sqrt(self) -> f64 {
         self.sqrt()
+    }
+    #[inline(always)]
+    fn reaches_zero(self) -> bool {
+        self >= 0.0
     }
     #[inline(always)]
     fn where_within(self, x: f64, lo: f64, hi: f64) -> f64 {
@@ -42,6 +48,10 @@ impl Double for f64x8 {
     #[inline(always)]
     fn sqrt(self) -> f64x8 {
         self.sqrt()
+    }
+    #[inline(always)]
+    fn reaches_zero(self) -> bool {
+        self.simd_ge(f64x8::splat(0.0)).to_bitmask() != 0
     }
     #[inline(always)]
     fn where_within(self, x: f64x8, lo: f64, hi: f64) -> f64x8 {
@@ -71,6 +81,23 @@ pub(super) enum Curved {
         length: f64,
         squared_radius: f64,
     },
+}
+
+/// A line, or eight, and what all spheres need of it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Line<N> {
+    o: [N; 3],
+    d: [N; 3],
+    /// `1 / |d|^2`
+    inverse: N,
+}
+
+impl<N: Double> Line<N> {
+    #[inline(always)]
+    pub(super) fn new(o: [N; 3], d: [N; 3]) -> Self {
+        let inverse = N::splat(1.0) / dot(d, d);
+        Self { o, d, inverse }
+    }
 }
 
 #[inline(always)]
@@ -142,24 +169,29 @@ impl Curved {
     /// Nearest `(t, u, v)` with `0 < t <= t_max`.
     #[inline]
     pub(super) fn intersect(&self, ray: &Ray, t_max: f32) -> Option<(f32, f32, f32)> {
-        let [near, far, u, v] = self.candidates(ray.o.map(f64::from), ray.d.map(f64::from));
+        let line = Line::new(ray.o.map(f64::from), ray.d.map(f64::from));
+        let [near, far, u, v] = self.candidates(&line)?;
         within(near, t_max)
             .or_else(|| within(far, t_max))
             .map(|t| (t, u as f32, v as f32))
     }
 
     /// Where the line meets the surface: two distances, ascending, and surface coordinates. NaN where it does
-    /// not.
+    /// not; `None` if that is everywhere and was noticed early.
     #[inline(always)]
-    pub(super) fn candidates<N: Double>(&self, o: [N; 3], d: [N; 3]) -> [N; 4] {
+    pub(super) fn candidates<N: Double>(
+        &self,
+        &Line { o, d, inverse }: &Line<N>,
+    ) -> Option<[N; 4]> {
         let none = N::splat(0.0);
         match *self {
             Curved::Sphere {
                 center,
                 squared_radius,
             } => {
-                let (near, far) = roots(minus(center.map(N::splat), o), d, squared_radius);
-                [near, far, none, none]
+                let to = minus(center.map(N::splat), o);
+                let (near, far) = roots(to, d, inverse, squared_radius)?;
+                Some([near, far, none, none])
             }
             Curved::Disk {
                 center,
@@ -173,7 +205,7 @@ impl Curved {
                 let p = less(to, t, d);
                 let (u, v) = (none - dot(du, p), none - dot(dv, p));
                 let t = t.where_within(u * u + v * v, 0.0, 1.0);
-                [t, t, u, v]
+                Some([t, t, u, v])
             }
             Curved::Cylinder {
                 p0,
@@ -186,9 +218,11 @@ impl Curved {
                 let (along_to, along_d) = (dot(to, axis), dot(d, axis));
                 // Seen along the axis the tube is a circle.
                 let flat_d = less(d, along_d, axis);
-                let (near, far) = roots(less(to, along_to, axis), flat_d, squared_radius);
+                let inverse = N::splat(1.0) / dot(flat_d, flat_d);
+                let flat_to = less(to, along_to, axis);
+                let (near, far) = roots(flat_to, flat_d, inverse, squared_radius)?;
                 let on = |t: N| t.where_within(t * along_d - along_to, 0.0, length);
-                [on(near), on(far), none, none]
+                Some([on(near), on(far), none, none])
             }
         }
     }
@@ -201,14 +235,16 @@ impl Curved {
     }
 }
 
-/// Both `t` with `|t d - to|^2 = rr`, ascending; NaN if there are none.
+/// Both `t` with `|t d - to|^2 = rr`, ascending, given `1 / |d|^2`; NaN where there are none, `None` if that is
+/// everywhere.
 #[inline(always)]
-fn roots<N: Double>(to: [N; 3], d: [N; 3], rr: f64) -> (N, N) {
-    let dd = dot(d, d);
-    let middle = dot(to, d) / dd;
+fn roots<N: Double>(to: [N; 3], d: [N; 3], inverse: N, rr: f64) -> Option<(N, N)> {
+    let middle = dot(to, d) * inverse;
     // Distance of the centre from the line; the usual b^2 - a c would lose a small far sphere.
     let off = less(to, middle, d);
     let spare = N::splat(rr) - dot(off, off);
-    let half = (spare / dd).sqrt();
-    (middle - half, middle + half)
+    spare.reaches_zero().then(|| {
+        let half = (spare * inverse).sqrt();
+        (middle - half, middle + half)
+    })
 }
