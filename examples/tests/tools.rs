@@ -624,12 +624,12 @@ fn estimators_are_compared_and_the_numbers_depend_on_the_seed_alone() {
     let rows = |v: &Value| v["rows"].as_array().unwrap().clone();
     assert_eq!(rows(&a).len(), 4);
     for (a, b) in rows(&a).iter().zip(&rows(&b)) {
-        for key in ["estimator", "mean", "z", "z_block", "variance", "biased"] {
+        for key in ["estimator", "mean", "z", "z_block", "variance", "finding"] {
             assert_eq!(a[key], b[key], "{key}");
         }
         assert!(a["efficiency"].as_f64().unwrap() > 0.0);
     }
-    assert_eq!(rows(&a)[0]["biased"], false);
+    assert_eq!(rows(&a)[0]["finding"], "right");
     let refused = a["refused"].as_array().unwrap();
     assert_eq!(refused.len(), 1);
     assert!(
@@ -654,6 +654,25 @@ fn estimators_are_compared_and_the_numbers_depend_on_the_seed_alone() {
     assert!(
         stderr.contains("`best`; known: auto, mis-f64, ") && stderr.contains("differential-mis"),
         "{stderr}"
+    );
+}
+
+#[test]
+fn estimators_that_never_meet_the_light_are_not_called_biased() {
+    let dir = Folder::new();
+    let tiny = SCENE.replace(r#"<scale value="0.3"/>"#, r#"<scale value="2e-4"/>"#);
+    let tiny = tiny.replace("10,8,6", "1e7,8e6,6e6");
+    std::fs::write(dir.path("tiny.xml"), tiny).unwrap();
+    let args = format!("--param {LAMP} --estimators mis,detached --spp 4 --repeats 6 --out a");
+    dir.ok("compare", &format!("tiny.xml {args}"));
+    let report = dir.json("a/report.json");
+    let rows = report["rows"].as_array().unwrap().iter();
+    let findings: Vec<_> = rows.map(|r| r["finding"].as_str().unwrap()).collect();
+    assert_eq!(findings, ["right", "unresolved"]);
+    let verdict = String::from_utf8(bytes(dir.path("a").join("verdict.txt"))).unwrap();
+    assert!(
+        verdict.contains("unresolved: detached") && !verdict.contains("biased:"),
+        "{verdict}"
     );
 }
 

@@ -13,7 +13,7 @@ use crate::error::RenderError;
 use crate::estimator::{
     self, AllowBias, Attached, AttachedDirect, AttachedWeights, Balance, BsdfOnly, Detached,
     DetachedMis, DetachedWeights, Differential, EmitterOnly, FrozenWeights, Mis, MixedWeights,
-    Power, Reparameterised, TrustBsdf, TrustLights, Unbiased,
+    Power, Reparameterised, Strategy, TrustBsdf, TrustLights, Unbiased,
 };
 use crate::integrator::density::{Convention, Map};
 use crate::integrator::gradient::{self, Active, Gradient};
@@ -515,6 +515,13 @@ macro_rules! estimators {
             pub fn cost(self) -> f64 {
                 match self {
                     $(Self::$variant => $cost,)*
+                }
+            }
+
+            /// Whether it is one of those that are wrong on purpose: wrapped in [`AllowBias`].
+            pub fn allows_bias(self) -> bool {
+                match self {
+                    $(Self::$variant => <$strategy as Strategy>::ALLOWS_BIAS,)*
                 }
             }
 

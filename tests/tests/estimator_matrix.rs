@@ -397,10 +397,6 @@ fn estimates(case: &Case, e: Estimator, seed: u64) -> Vec<Estimate> {
         .collect()
 }
 
-fn biased(e: Estimator) -> bool {
-    e.name().starts_with("biased") || e.name().ends_with("naive")
-}
-
 #[test]
 fn all_estimators_and_kinds_of_parameters() {
     let dir = tempfile::tempdir().expect("a folder");
@@ -428,7 +424,8 @@ fn all_estimators_and_kinds_of_parameters() {
             for (i, &e) in Estimator::ALL.iter().enumerate() {
                 // Those that mapped normals rule out are compared on the flat plane, the others on the mapped one.
                 let name = e.name();
-                let moves = name.contains("attached") && !name.ends_with("weights") && !biased(e);
+                let moves =
+                    name.contains("attached") && !name.ends_with("weights") && !e.allows_bias();
                 assert_eq!(
                     e.check(&case.scene).is_err(),
                     moves && case.name != "flat plane"
@@ -443,7 +440,7 @@ fn all_estimators_and_kinds_of_parameters() {
                 for (m, (f, r)) in case.moves.iter().zip(found.iter().zip(&references)) {
                     let z = f.z(r);
                     let _ = write!(line, " {} {z:>6.2} ({:.4})", m.kind, f.mean / r.mean);
-                    if biased(e) {
+                    if e.allows_bias() {
                         noticed[i] = noticed[i].max(z.abs());
                         continue;
                     }
@@ -458,7 +455,7 @@ fn all_estimators_and_kinds_of_parameters() {
         }
     }
     for (&e, z) in Estimator::ALL.iter().zip(&noticed) {
-        if biased(e) {
+        if e.allows_bias() {
             println!("{} is noticed: |z| up to {z:.1}", e.name());
             if *z < LIMIT {
                 let _ = writeln!(failed, "{} is not noticed: |z| {z:.2}", e.name());

@@ -28,9 +28,9 @@ Examples:
 
 One number is added to all elements of each parameter; its derivative image is estimated by every estimator
 that is right in the scene, and by those that are wrong on purpose; mis-f64 is mis in double precision, auto
-is chosen by pilots. An estimator is called biased if any block of the image, out of 4 x 4, differs from the
-reference beyond chance (significance 1e-3 over all blocks and estimators). Efficiency is 1 / (variance x
-time). The folder receives table.csv, ladder.csv, report.json, verdict.txt, a chart and standard-deviation
+is chosen by pilots. One that differs from the reference beyond chance in any block of the image, out of
+4 x 4 (significance 1e-3 over all blocks and estimators), is called biased if it is wrong on purpose, and
+unresolved if not: it hardly ever samples what matters there. Efficiency is 1 / (variance x time). The folder receives table.csv, ladder.csv, report.json, verdict.txt, a chart and standard-deviation
 images per parameter. What auto chooses, and everything else but times, depends on the seed alone. Ctrl-C
 keeps the estimators so far (exit code 130).";
 
@@ -87,7 +87,7 @@ pub struct Args {
 
 /// Blocks of the image per side.
 const BLOCKS: usize = 4;
-/// Probability that an unbiased set of estimators is called biased.
+/// Probability that a set of unbiased estimators has one that differs.
 const SIGNIFICANCE: f64 = 1e-3;
 /// Repeats of the reference for one of an estimator.
 const REFERENCE_REPEATS: u64 = 4;
@@ -126,6 +126,30 @@ impl Contestant {
     }
 }
 
+/// Whether an estimator agrees with the reference.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Finding {
+    /// As far as chance allows.
+    Right,
+    /// No, and it is one of those that are wrong on purpose.
+    Biased,
+    /// No, though it is unbiased in theory: what it hardly ever samples here is in neither its mean nor its
+    /// variance.
+    Unresolved,
+}
+
+impl Finding {
+    /// As it is written in tables.
+    fn name(self) -> &'static str {
+        match self {
+            Self::Right => "right",
+            Self::Biased => "biased",
+            Self::Unresolved => "unresolved",
+        }
+    }
+}
+
 /// What was found about one estimator.
 #[derive(Clone, Debug, Serialize)]
 pub struct Row {
@@ -139,8 +163,8 @@ pub struct Row {
     pub z: f64,
     /// Largest such difference of a block.
     pub z_block: f64,
-    /// Whether that is beyond chance.
-    pub biased: bool,
+    /// What that says.
+    pub finding: Finding,
     /// Variance of one sample of one pixel, mean over pixels and channels.
     pub variance: f64,
     /// Wall time of one sample of one pixel, median over the repeats, seconds.
@@ -546,7 +570,11 @@ fn row(
         mean,
         z: z(mean, mean_and_error(&truth.means)),
         z_block,
-        biased: z_block.abs() > z_limit,
+        finding: match (z_block.abs() > z_limit, e.choice) {
+            (false, _) => Finding::Right,
+            (true, Choice::One(e)) if e.allows_bias() => Finding::Biased,
+            (true, _) => Finding::Unresolved,
+        },
         variance,
         seconds_per_sample,
         efficiency: 1.0 / (variance * seconds_per_sample),
@@ -568,7 +596,11 @@ fn line(r: &Row) -> String {
         r.variance,
         r.seconds_per_sample * 1e6,
         r.efficiency,
-        if r.biased { "  BIASED" } else { "" }
+        match r.finding {
+            Finding::Right => "",
+            Finding::Biased => "  BIASED",
+            Finding::Unresolved => "  UNRESOLVED",
+        }
     )
 }
 
@@ -580,7 +612,8 @@ fn verdict(report: &Report) -> String {
     for param in params {
         let rows = || report.rows.iter().filter(|r| r.param == param);
         text += &format!("{param}:\n");
-        let sound = rows().filter(|r| !r.biased && r.efficiency.is_finite());
+        let right = |r: &&Row| r.finding == Finding::Right && r.efficiency.is_finite();
+        let sound = rows().filter(right);
         if let Some(best) = sound.max_by(|a, b| a.efficiency.total_cmp(&b.efficiency)) {
             text += &format!("  most efficient: {}", best.estimator);
             if let Some(usual) = rows().find(|r| r.estimator == "mis") {
@@ -597,9 +630,16 @@ fn verdict(report: &Report) -> String {
                 off / error
             );
         }
-        for r in rows().filter(|r| r.biased) {
+        for r in rows().filter(|r| r.finding != Finding::Right) {
+            let why = match r.finding {
+                Finding::Unresolved => {
+                    ": unbiased in theory, it hardly ever samples what matters there, and its variance says nothing"
+                }
+                _ => "",
+            };
             text += &format!(
-                "  biased: {} (|z| {:.1} in a block, limit {:.1})\n",
+                "  {}: {} (|z| {:.1} in a block, limit {:.1}){why}\n",
+                r.finding.name(),
                 r.estimator,
                 r.z_block.abs(),
                 report.z_limit
@@ -618,7 +658,7 @@ fn verdict(report: &Report) -> String {
 
 fn write_report(args: &Args, report: &Report, verdict: &str) -> Result<(), ToolError> {
     let mut table = String::from(
-        "param,estimator,mean,std_error,z,z_block,biased,variance,seconds_per_sample,efficiency,non_finite\n",
+        "param,estimator,mean,std_error,z,z_block,finding,variance,seconds_per_sample,efficiency,non_finite\n",
     );
     let mut ladder = String::from("param,estimator,repeats,seconds,rms_error\n");
     for r in &report.rows {
@@ -629,7 +669,7 @@ fn write_report(args: &Args, report: &Report, verdict: &str) -> Result<(), ToolE
             r.estimator,
             r.z,
             r.z_block,
-            r.biased,
+            r.finding.name(),
             r.variance,
             r.seconds_per_sample,
             r.efficiency,
@@ -659,9 +699,9 @@ fn write_chart(out: &Path, param: &str, rows: &[Row]) -> Result<(), ToolError> {
         .log_x()
         .log_y();
     for r in rows.iter().filter(|r| r.param == param) {
-        let label = match r.biased {
-            true => format!("{} (biased)", r.estimator),
-            false => r.estimator.to_owned(),
+        let label = match r.finding {
+            Finding::Right => r.estimator.to_owned(),
+            other => format!("{} ({})", r.estimator, other.name()),
         };
         let points = r.ladder.iter().map(|(_, t, e)| (*t, *e));
         chart = chart.measured(&label, points);

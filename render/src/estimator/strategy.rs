@@ -29,6 +29,8 @@ pub trait Strategy: Send + Sync + 'static {
     const DIFFERENTIATED_WEIGHTS: bool = false;
     /// Whether the survival probability of Russian roulette is differentiated: wrong (F5), for study.
     const ATTACHED_ROULETTE: bool = false;
+    /// Whether nothing says that the derivative has the right expectation: [`AllowBias`].
+    const ALLOWS_BIAS: bool = false;
     /// Whether the scene must be free of discontinuities, see [`super::check`].
     const NEEDS_CONTINUITY: bool = Self::Bsdf::NEEDS_CONTINUITY || Self::Aim::KEEPS;
     /// Weight of a scattered direction with density `a` when a sampled light has density `b`.
@@ -165,10 +167,12 @@ macro_rules! wrapper {
 }
 
 wrapper!(AllowBias {
+    const ALLOWS_BIAS: bool = true;
     const ATTACHED_ROULETTE: bool = S::ATTACHED_ROULETTE;
     const NEEDS_CONTINUITY: bool = false;
 });
 wrapper!(AttachedRoulette {
+    const ALLOWS_BIAS: bool = S::ALLOWS_BIAS;
     const ATTACHED_ROULETTE: bool = true;
 });
 

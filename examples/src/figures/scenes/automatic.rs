@@ -349,7 +349,7 @@ fn trial(subject: &Subject, effort: Effort, heuristics: bool) -> Result<Trial> {
     let mut singles = Vec::new();
     let params = subject.scene.params();
     for &e in Estimator::ALL {
-        if e.name().starts_with("biased") || e.name().ends_with("naive") {
+        if e.allows_bias() {
             continue;
         }
         let sees = |name: &String| -> Result<bool> {
