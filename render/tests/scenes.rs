@@ -1,4 +1,4 @@
-//! Real scene files of others, where they are at hand.
+//! Whole scenes: real ones of others where they are at hand, and sizes that no memory holds.
 
 mod common;
 
@@ -109,4 +109,22 @@ fn missing_textures_are_errors_unless_allowed() {
     let params = scene.params();
     let range = params.find(&name).unwrap().range();
     assert_eq!(params.values()[range], [0.5; 3]);
+}
+
+/// Of a huge film, a small window can be rendered.
+#[test]
+fn films_that_no_memory_holds_are_errors() {
+    let film = |crop: &str| {
+        let text = format!(
+            r#"<scene version="3.0.0"><sensor type="perspective"><float name="fov" value="40"/>
+            <film type="hdrfilm"><integer name="width" value="60000"/>
+            <integer name="height" value="60000"/>{crop}</film></sensor></scene>"#
+        );
+        Scene::from_xml(&text, Path::new("."), &LoadOptions::default())
+    };
+    let error = film("").unwrap_err().to_string();
+    let expected = "<text>:2: expected at most 134217728 pixels, found more";
+    assert_eq!(error, expected);
+    let crop = ["width", "height"].map(|n| format!(r#"<integer name="crop_{n}" value="8"/>"#));
+    assert_eq!(film(&crop.concat()).unwrap().0.film.pixels(), 64);
 }
