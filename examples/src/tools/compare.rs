@@ -19,6 +19,7 @@ use crate::cli::{
 };
 use crate::output;
 use crate::progress::{Bar, Interrupt};
+use crate::tools::stability::Finding;
 
 const EXAMPLES: &str = "\
 Examples:
@@ -30,9 +31,10 @@ One number is added to all elements of each parameter; its derivative image is e
 that is right in the scene, and by those that are wrong on purpose; mis-f64 is mis in double precision, auto
 is chosen by pilots. One that differs from the reference beyond chance in any block of the image, out of
 4 x 4 (significance 1e-3 over all blocks and estimators), is called biased if it is wrong on purpose, and
-unresolved if not: it hardly ever samples what matters there. Efficiency is 1 / (variance x time). The folder receives table.csv, ladder.csv, report.json, verdict.txt, a chart and standard-deviation
-images per parameter. What auto chooses, and everything else but times, depends on the seed alone. Ctrl-C
-keeps the estimators so far (exit code 130).";
+unresolved if not: it hardly ever samples what matters there. Efficiency is 1 / (variance x time). The
+folder receives table.csv, ladder.csv, report.json, verdict.txt, a chart and standard-deviation images per
+parameter. What auto chooses, and everything else but times, depends on the seed alone. Ctrl-C keeps the
+estimators so far (exit code 130).";
 
 /// Compares estimators of derivatives: bias, variance, time
 #[derive(Parser, Clone, Debug)]
@@ -123,30 +125,6 @@ impl Contestant {
     fn from_name(name: &str) -> Result<Self, RenderError> {
         let others = [Self::single(Choice::Auto), Self::DOUBLE].map(|c| (c.name(), c));
         cli::estimator_or(name, &others, |e| Self::single(Choice::One(e)))
-    }
-}
-
-/// Whether an estimator agrees with the reference.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Finding {
-    /// As far as chance allows.
-    Right,
-    /// No, and it is one of those that are wrong on purpose.
-    Biased,
-    /// No, though it is unbiased in theory: what it hardly ever samples here is in neither its mean nor its
-    /// variance.
-    Unresolved,
-}
-
-impl Finding {
-    /// As it is written in tables.
-    fn name(self) -> &'static str {
-        match self {
-            Self::Right => "right",
-            Self::Biased => "biased",
-            Self::Unresolved => "unresolved",
-        }
     }
 }
 
@@ -597,9 +575,8 @@ fn line(r: &Row) -> String {
         r.seconds_per_sample * 1e6,
         r.efficiency,
         match r.finding {
-            Finding::Right => "",
-            Finding::Biased => "  BIASED",
-            Finding::Unresolved => "  UNRESOLVED",
+            Finding::Right => String::new(),
+            other => format!("  {}", other.name().to_uppercase()),
         }
     )
 }

@@ -75,7 +75,7 @@ const SEEN: f64 = 0.3;
 /// Nor have so few pixels that differ from zero.
 const PIXELS: usize = 48;
 
-/// What a point of a curve says.
+/// What the samples of an estimator say.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Finding {
@@ -83,10 +83,22 @@ pub enum Finding {
     Right,
     /// Differs from the truth beyond chance.
     Biased,
-    /// So few samples met the lobe that mean and error say nothing.
+    /// So few samples met what matters that mean and error say nothing.
     Unresolved,
     /// Some samples were not finite.
     NonFinite,
+}
+
+impl Finding {
+    /// As it is written in tables.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Right => "right",
+            Self::Biased => "biased",
+            Self::Unresolved => "unresolved",
+            Self::NonFinite => "non-finite",
+        }
+    }
 }
 
 /// One estimator at one point.
