@@ -253,6 +253,15 @@ pub enum RenderError {
         found: usize,
     },
 
+    /// A weight with which nothing could be sampled.
+    #[error("sampling weight of emitter {emitter}: expected a positive number, found {found}")]
+    SamplingWeight {
+        /// Index of the emitter.
+        emitter: usize,
+        /// Its weight.
+        found: f64,
+    },
+
     /// Too many or too few of something.
     #[error("{what}: expected {expected}, found {found}")]
     Count {

@@ -128,3 +128,28 @@ fn films_that_no_memory_holds_are_errors() {
     let crop = ["width", "height"].map(|n| format!(r#"<integer name="crop_{n}" value="8"/>"#));
     assert_eq!(film(&crop.concat()).unwrap().0.film.pixels(), 64);
 }
+
+/// An emitter that is never sampled would lose its light.
+#[test]
+fn sampling_weights_are_positive_numbers() {
+    let lamp = |weight: &str| {
+        let text = format!(
+            r#"<scene version="3.0.0"><sensor type="perspective"><float name="fov" value="40"/></sensor>
+            <shape type="sphere"><emitter type="area">
+            <float name="sampling_weight" value="{weight}"/></emitter></shape>
+            <emitter type="point">
+            <float name="sampling_weight" value="{weight}"/></emitter></scene>"#
+        );
+        Scene::from_xml(&text, Path::new("."), &LoadOptions::default())
+    };
+    let (scene, warnings) = lamp("0.5").unwrap();
+    assert_eq!((scene.emitters().len(), warnings.len()), (2, 0));
+    for weight in ["0", "-1", "1e400"] {
+        let error = lamp(weight).unwrap_err().to_string();
+        assert!(error.starts_with("<text>:"), "{error}");
+        assert!(
+            error.contains("sampling_weight") || error.contains("1e400"),
+            "{error}"
+        );
+    }
+}

@@ -28,7 +28,7 @@ const CAMERA: &str = r#"
         <film type="hdrfilm"><integer name="width" value="8"/><integer name="height" value="8"/>
         <rfilter type="gaussian"/></film></sensor>"#;
 
-/// A floor and a bumpy wall under a lamp and a sky, with a metal plate, a lacquered one and a ball of rough
+/// A floor and a bumpy wall under a lamp and a sky that is sampled less, with a metal plate, a lacquered one and a ball of rough
 /// glass. The camera sees all of them.
 const ROOM: &str = r#"
     <shape type="rectangle">
@@ -53,7 +53,8 @@ const ROOM: &str = r#"
             <float name="alpha" value="0.25"/></bsdf></shape>
     <shape type="rectangle">
         <transform name="to_world"><scale value="0.4"/><rotate x="1" angle="90"/><translate y="2.6"/></transform>
-        <emitter type="area"><rgb name="radiance" value="9, 8, 7"/></emitter></shape>
+        <emitter type="area"><float name="sampling_weight" value="3"/>
+            <rgb name="radiance" value="9, 8, 7"/></emitter></shape>
     <emitter type="constant"><rgb name="radiance" value="0.1, 0.2, 0.3"/></emitter>"#;
 
 fn room() -> Scene {

@@ -87,8 +87,8 @@ fn cases() -> Vec<Case> {
             spp: 1500,
         },
         Case {
-            name: "plate under lobes half hidden",
-            scene: plate_scene("ggx", 0.2, &format!("{LOBES}{BLOCKER}"), 2),
+            name: "plate under lobes half hidden, sampled unevenly",
+            scene: unevenly(plate_scene("ggx", 0.2, &format!("{LOBES}{BLOCKER}"), 2)),
             param: "metal.alpha.value",
             spp: 1500,
         },
@@ -120,6 +120,16 @@ fn settings(scene: &Scene) -> Settings {
 /// With all lights weighed at every point.
 fn weighed(mut scene: Scene) -> Scene {
     scene.settings.lights = LightChoice::All;
+    scene
+}
+
+/// With lights of different sampling weights.
+fn unevenly(mut scene: Scene) -> Scene {
+    let weights: Vec<f64> = (0..scene.emitters().len())
+        .map(|i| 0.5 + 2.0 * i as f64)
+        .collect();
+    assert!(weights.len() > 1);
+    scene.set_sampling_weights(&weights).expect("positive");
     scene
 }
 
@@ -251,38 +261,44 @@ fn biased_estimators_are_noticed() {
 /// The picture does not depend on how lights are chosen: 64 pixels by 3 channels, 2e5 samples each, with and without
 /// scattered directions that find lights, in f32. A light that is off keeps its share.
 #[test]
-fn weighing_all_lights_gives_the_same_picture() {
-    let mut scene = scene(&format!(
+fn however_lights_are_chosen_the_picture_is_the_same() {
+    let xml = format!(
         "{}{}{BALL_LIGHT}{LOBES}{BLOCKER}{OFF}",
         camera(8, 4),
         plate("ggx", 0.2)
-    ));
-    let limit = z_limit(2 * 64 * 3, ALPHA);
+    );
+    let unevenly = unevenly(scene(&xml));
+    let scene = scene(&xml);
+    let limit = z_limit(2 * 2 * 64 * 3, ALPHA);
     for technique in [Technique::MisPower, Technique::EmitterOnly] {
-        let mut pictures = |lights, seed: u64| -> Vec<Vec<f64>> {
-            scene.settings.lights = lights;
+        let pictures = |scene: &Scene, lights, seed: u64| -> Vec<Vec<f64>> {
+            let settings = Settings {
+                lights,
+                ..scene.settings
+            };
             let theta = Theta::constant(scene.params().values());
             (0..20)
                 .map(|r| {
                     let seed = seed + r;
-                    let settings = &scene.settings;
                     let image =
-                        render_f32(&scene, &theta, technique, settings, seed, 0..10_000, &());
+                        render_f32(scene, &theta, technique, &settings, seed, 0..10_000, &());
                     assert_eq!(image.non_finite.count, 0);
                     image.sums[0].clone()
                 })
                 .collect()
         };
-        let one = pictures(LightChoice::One, 100);
-        let all = pictures(LightChoice::All, 200);
-        for i in 0..64 * 3 {
-            let at = |p: &[Vec<f64>]| Estimate::of(&p.iter().map(|p| p[i]).collect::<Vec<_>>());
-            let (one, all) = (at(&one), at(&all));
-            let z = all.z(&one);
-            assert!(
-                z.abs() < limit,
-                "{technique:?}, {i}: z = {z:.2} of {limit:.2}"
-            );
+        let one = pictures(&scene, LightChoice::One, 100);
+        let all = pictures(&scene, LightChoice::All, 200);
+        let uneven = pictures(&unevenly, LightChoice::One, 300);
+        for (how, other) in [("all", all), ("uneven", uneven)] {
+            for i in 0..64 * 3 {
+                let at = |p: &[Vec<f64>]| Estimate::of(&p.iter().map(|p| p[i]).collect::<Vec<_>>());
+                let z = at(&other).z(&at(&one));
+                assert!(
+                    z.abs() < limit,
+                    "{technique:?}, {how}, {i}: z = {z:.2} of {limit:.2}"
+                );
+            }
         }
     }
 }

@@ -560,7 +560,8 @@ fn particles_and_paths_agree_under_environments() {
     image.data[(2 * 16 + 5) * 3..(2 * 16 + 7) * 3].fill(20.0);
     render::image_io::write_exr(&path, &image).expect("a file");
     let map = format!(
-        r#"<emitter type="envmap" id="sky"><string name="filename" value="{}"/></emitter>"#,
+        r#"<emitter type="envmap" id="sky"><float name="sampling_weight" value="2.5"/>
+            <string name="filename" value="{}"/></emitter>"#,
         path.display()
     );
     let lobe = r#"<emitter type="vmf" id="sun"><vector name="direction" x="0.4" y="1" z="0.3"/>

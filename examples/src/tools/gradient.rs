@@ -58,6 +58,9 @@ pub struct Args {
     /// How samples are made
     #[command(flatten)]
     pub samples: SampleArgs,
+    /// Pilots choose how often each light is sampled, for these parameters [default: as the scene says]
+    #[arg(long)]
+    pub measure_lights: bool,
     /// Largest number of path edges; -1 for no limit [default: the scene's]
     #[arg(long, value_name = "N", value_parser = depth, allow_hyphen_values = true)]
     pub max_depth: Option<u32>,
@@ -116,6 +119,9 @@ struct Report {
     spp: u32,
     #[serde(flatten)]
     samples: SampleArgs,
+    /// What `--measure-lights` found, per emitter.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    sampling_weights: Option<Vec<f64>>,
     repeats: u64,
     threads: usize,
     seconds_primal: f64,
@@ -134,12 +140,36 @@ enum Objective {
     Loss(LossKind, Vec<f32>),
 }
 
+impl Objective {
+    /// What pilots measure: the derivative with respect to the image.
+    fn adjoint(
+        &self,
+        args: &Args,
+        scene: &Scene,
+        settings: &Settings,
+        progress: &dyn Progress,
+    ) -> Result<Vec<f32>, ToolError> {
+        match self {
+            Self::Linear(adjoint) => Ok(adjoint.clone()),
+            Self::Loss(loss, target) => {
+                let theta = Theta::constant(scene.params().values());
+                let (seed, samples) = (seed_of_loss(args.seed), 0..u64::from(settings.spp));
+                let technique = Technique::MisPower;
+                let image = render_f32(scene, &theta, technique, settings, seed, samples, progress);
+                let mut adjoint = vec![0.0; target.len()];
+                loss.gradient(&image.image(0).data, target, &mut adjoint)?;
+                Ok(adjoint)
+            }
+        }
+    }
+}
+
 /// Runs the tool.
 ///
 /// # Errors
 /// Anything wrong with the arguments, the scene or the files.
 pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
-    let (scene, _) = args.load.load(&args.scene)?;
+    let (mut scene, _) = args.load.load(&args.scene)?;
     if args.list {
         print!("{}", listing(&scene));
         return Ok(Outcome::Done);
@@ -151,7 +181,13 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     args.samples.apply(&scene, &mut settings)?;
     settings.max_depth = args.max_depth.unwrap_or(settings.max_depth);
 
+    let mut weights = None;
     let (statistics, images, threads) = args.threads.run(|threads| {
+        if args.measure_lights {
+            let found = measure_lights(args, &scene, &settings, &objective, interrupt)?;
+            scene.set_sampling_weights(&found)?;
+            weights = Some(found);
+        }
         let mixture = mixture(args, &scene, &settings, &objective, interrupt)?;
         let statistics = repeat(args, &scene, &settings, &mixture, &objective, interrupt)?;
         let images = match &args.images {
@@ -184,6 +220,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
             mixture: (args.estimator == Choice::Auto).then(|| mixture.to_string()),
             spp: settings.spp,
             samples: args.samples,
+            sampling_weights: weights,
             repeats: statistics.repeats,
             threads,
             seconds_primal: median(&statistics.seconds_primal),
@@ -215,6 +252,32 @@ fn ranges(args: &Args, scene: &Scene) -> Result<Vec<ParamInfo>, ToolError> {
     Ok(out)
 }
 
+/// How often to sample each light, as pilots tell; says so.
+fn measure_lights(
+    args: &Args,
+    scene: &Scene,
+    settings: &Settings,
+    objective: &Objective,
+    interrupt: &Interrupt,
+) -> Result<Vec<f64>, ToolError> {
+    let estimator = match args.estimator {
+        Choice::One(e) => e,
+        Choice::Auto => Estimator::MisBalance,
+    };
+    let names = &args.params;
+    let adjoint = objective.adjoint(args, scene, settings, interrupt)?;
+    let seed = args.seed;
+    let weights =
+        auto::sampling_weights(scene, names, &adjoint, estimator, settings, seed, interrupt)?;
+    let total: f64 = weights.iter().sum();
+    let parts = weights
+        .iter()
+        .map(|w| format!("{:.0} %", 100.0 * w / total));
+    let parts: Vec<String> = parts.collect();
+    println!("samples of lights: {}", parts.join(", "));
+    Ok(weights)
+}
+
 /// The estimator asked for, or what pilots choose; says what that is.
 fn mixture(
     args: &Args,
@@ -231,18 +294,7 @@ fn mixture(
             let budget = spp * u64::from(args.repeats);
             let most = auto::PILOTS * budget as f64 * scene.film.pixels() as f64;
             let bar = Bar::new("pilots", most as u64, interrupt);
-            let adjoint = match objective {
-                Objective::Linear(adjoint) => adjoint.clone(),
-                Objective::Loss(loss, target) => {
-                    let theta = Theta::constant(scene.params().values());
-                    let seed = seed_of_loss(args.seed);
-                    let technique = Technique::MisPower;
-                    let image = render_f32(scene, &theta, technique, settings, seed, 0..spp, &bar);
-                    let mut adjoint = vec![0.0; target.len()];
-                    loss.gradient(&image.image(0).data, target, &mut adjoint)?;
-                    adjoint
-                }
-            };
+            let adjoint = objective.adjoint(args, scene, settings, &bar)?;
             let found = auto::choose(
                 scene,
                 names,

@@ -28,6 +28,7 @@
 //! # }
 //! ```
 
+mod lights;
 mod mixture;
 mod pilot;
 mod shares;
@@ -42,6 +43,7 @@ use crate::integrator::render::Progress;
 use crate::scene::{Scene, Settings};
 use crate::texture::ScalarTexture;
 
+pub use lights::sampling_weights;
 pub use mixture::Mixture;
 pub use pilot::{Finding, PILOTS, able};
 

@@ -3,7 +3,7 @@
 use crate::error::RenderError;
 use crate::instances::{Direction, Estimator};
 use crate::integrator::render::{Progress, TILE};
-use crate::params::{ParamInfo, ParamShape};
+use crate::params::{ParamInfo, ParamShape, Params};
 use crate::sampler::{Independent, Points, Sampler};
 use crate::scene::{Scene, Settings};
 
@@ -212,7 +212,7 @@ impl<'a> Pilots<'a> {
             }
             spent += next;
             for g in open {
-                let along = self.directions(&groups[g].params, pair);
+                let along = directions(self.scene.params(), &groups[g].params, self.seed, pair);
                 for &k in &alive[g] {
                     let e = groups[g].candidates[k];
                     self.pair(e, &along, pair, &mut sums[g][k], progress)?;
@@ -247,32 +247,6 @@ impl<'a> Pilots<'a> {
         }
     }
 
-    /// One number added to a scalar or a colour. Many values move by random signs: the variance of
-    /// that derivative is the sum of all variances on average [Hutchinson 1989]. Parameters that are measured
-    /// together move in proportion to their size.
-    fn directions(&self, params: &[ParamInfo], pair: u64) -> Vec<Direction> {
-        let all = self.scene.params();
-        let of = |info: &ParamInfo| {
-            let handle = all.handle(info);
-            if params.len() == 1 && !matches!(info.shape, ParamShape::Texture { .. }) {
-                return Direction::Uniform(handle);
-            }
-            let values = &all.values()[info.range()];
-            let squares: f64 = values.iter().map(|&v| f64::from(v).powi(2)).sum();
-            let size = match squares > 0.0 && params.len() > 1 {
-                true => (squares / values.len() as f64).sqrt() as f32,
-                false => 1.0,
-            };
-            let mut random = Independent::new(self.seed, u64::from(handle.id), pair);
-            let signs = values.iter().map(|_| match random.next_1d::<f64>() < 0.5 {
-                true => size,
-                false => -size,
-            });
-            Direction::Dense(handle, signs.collect())
-        };
-        params.iter().map(of).collect()
-    }
-
     fn pair(
         &self,
         e: Estimator,
@@ -293,7 +267,7 @@ impl<'a> Pilots<'a> {
         let values = a.sums[1].iter().zip(&b.sums[1]).zip(self.adjoint);
         for (i, ((a, b), &d)) in values.enumerate() {
             let [a, b] = [a, b].map(|x| f64::from(d) * x);
-            let noise = 0.5 * (a - b) * (a - b);
+            let noise = noise([a, b]);
             let block = &mut found[blocks.index(i / 3)];
             block.noise += noise;
             block.sum += 0.5 * (a + b);
@@ -303,6 +277,42 @@ impl<'a> Pilots<'a> {
         sums.pairs.push(found);
         Ok(())
     }
+}
+
+/// One number added to a scalar or a colour. Many values move by random signs: the variance of
+/// that derivative is the sum of all variances on average [Hutchinson 1989]. Parameters that are measured
+/// together move in proportion to their size.
+pub(super) fn directions(
+    all: &Params,
+    params: &[ParamInfo],
+    seed: u64,
+    pair: u64,
+) -> Vec<Direction> {
+    let of = |info: &ParamInfo| {
+        let handle = all.handle(info);
+        if params.len() == 1 && !matches!(info.shape, ParamShape::Texture { .. }) {
+            return Direction::Uniform(handle);
+        }
+        let values = &all.values()[info.range()];
+        let squares: f64 = values.iter().map(|&v| f64::from(v).powi(2)).sum();
+        let size = match squares > 0.0 && params.len() > 1 {
+            true => (squares / values.len() as f64).sqrt() as f32,
+            false => 1.0,
+        };
+        let mut random = Independent::new(seed, u64::from(handle.id), pair);
+        let signs = values.iter().map(|_| match random.next_1d::<f64>() < 0.5 {
+            true => size,
+            false => -size,
+        });
+        Direction::Dense(handle, signs.collect())
+    };
+    params.iter().map(of).collect()
+}
+
+/// Variance of a sample, from two.
+#[inline]
+pub(super) fn noise([a, b]: [f64; 2]) -> f64 {
+    0.5 * (a - b) * (a - b)
 }
 
 /// Work of one pair of each.

@@ -261,7 +261,12 @@ fn slope_cdf<R: Real>(x: R, c: R, s: R) -> R {
 #[inline]
 fn visible_slope<R: Real>(c: R, s: R, u: R::Primal) -> R {
     let u = within_cell(u);
-    let last = 0.2 * R::Primal::EPSILON.to_f64().cbrt();
+    // A fifth of the third root of a rounding.
+    let last = if R::Primal::EPSILON > R::Primal::of(1e-10) {
+        9.8e-4
+    } else {
+        1.2e-6
+    };
     let root = visible_slope_f64(c.primal().to_f64(), s.primal().to_f64(), u, last);
     let mut x = R::lift(R::Primal::of(root));
     if R::IS_PRIMAL {

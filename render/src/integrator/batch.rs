@@ -78,6 +78,37 @@ pub(super) fn trace_alone<T: Traveller>(
     }
 }
 
+/// Signs of a direction.
+#[inline(always)]
+fn octant<P: Float>(ray: &Ray<P>) -> usize {
+    let bit = |x: P, k: usize| usize::from(x < P::zero()) << k;
+    bit(ray.d.x, 0) | bit(ray.d.y, 1) | bit(ray.d.z, 2)
+}
+
+/// Paths in the order of their keys, up to 8.
+#[inline(always)]
+fn sorted<'a>(
+    paths: &[usize],
+    key: impl Fn(usize) -> usize,
+    order: &'a mut [usize; PATHS],
+) -> &'a [usize] {
+    let mut ends = [0; 9];
+    let mut keys = [0; PATHS];
+    for (&path, k) in paths.iter().zip(&mut keys) {
+        *k = key(path) % 9;
+        ends[*k] += 1;
+    }
+    let mut first = 0;
+    for end in &mut ends {
+        first += std::mem::replace(end, first);
+    }
+    for (&path, k) in paths.iter().zip(&keys) {
+        order[ends[*k] % PATHS] = path;
+        ends[*k] += 1;
+    }
+    &order[..paths.len()]
+}
+
 /// Follows up to [`PATHS`] paths to their ends. `step` takes one on, given its index, what its ray met and
 /// whether its shadow ray was free.
 pub(super) fn trace<T: Traveller>(
@@ -89,6 +120,7 @@ pub(super) fn trace<T: Traveller>(
     let mut visible = [false; PATHS];
     let (mut nearest, mut shadow) = (Queue::default(), Queue::default());
     let mut open: [usize; PATHS] = std::array::from_fn(|i| i);
+    let mut order = [0; PATHS];
     let mut met = Vec::with_capacity(travellers.len());
     let mut n = travellers.len();
     while n > 0 {
@@ -106,15 +138,17 @@ pub(super) fn trace<T: Traveller>(
             }
             queue.rays.clear();
         };
-        for &path in &open[..n] {
-            let traveller = &travellers[path];
-            if let Some(ray) = traveller.ray() {
+        let key = |path: usize| travellers[path].ray().map_or(8, |r| octant(&r.primal()));
+        for &path in sorted(&open[..n], key, &mut order) {
+            if let Some(ray) = travellers[path].ray() {
                 nearest.push(&ray.primal(), f32::INFINITY, path);
                 if nearest.rays.is_full() {
                     find(&mut nearest);
                 }
             }
-            if let Some((ray, t_max)) = traveller.shadow() {
+        }
+        for &path in &open[..n] {
+            if let Some((ray, t_max)) = travellers[path].shadow() {
                 shadow.push(ray, t_max.to_f32(), path);
                 if shadow.rays.is_full() {
                     test(&mut shadow);

@@ -17,7 +17,7 @@ use crate::emitter::{Ball, Emission, Emitter};
 use crate::estimator::{Sampling, Strategy};
 use crate::math::{Ray, Rgb};
 use crate::params::Theta;
-use crate::sampler::{AUXILIARY_DIMENSIONS, Sampler, index_below};
+use crate::sampler::{AUXILIARY_DIMENSIONS, Sampler};
 use crate::scene::{Intersection, Scene, Settings};
 
 /// Probability of surviving Russian roulette is at most this.
@@ -241,15 +241,14 @@ impl<R: Real, X: Sampler> Particle<R, X> {
         };
         let aims = targets.len().max(1);
         let sampler = &mut this.sampler;
-        let index = match n * aims {
-            1 => 0,
-            all => index_below(sampler.next_bits(), all),
+        let (index, target) = match n * aims {
+            1 => (0, 0),
+            _ => scene.shares().choose(sampler.next_bits(), aims),
         };
-        let (index, target) = (index / aims, index % aims);
         let [a, b] = sampler.next_2d::<R::Primal>();
         let [c, d] = sampler.next_2d::<R::Primal>();
         let e = &scene.emitters()[index];
-        let inverse_choice = scene.emitter_probability::<R::Primal>().recip();
+        let inverse_choice = R::Primal::of(scene.shares().of(index)).recip();
         let lift = |e: Emission<R::Primal>| Emission {
             uv: Vec2::lift(e.uv),
             falloff: R::lift(e.falloff),

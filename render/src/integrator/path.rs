@@ -11,9 +11,7 @@ use crate::estimator::memory::{Memory, Store};
 use crate::estimator::{Direct, Sampling, Strategy};
 use crate::math::{Frame, Ray, Rgb};
 use crate::params::Theta;
-use crate::sampler::{
-    AUXILIARY_DIMENSIONS, BOUNCE_DIMENSIONS, CAMERA_DIMENSIONS, Sampler, index_below,
-};
+use crate::sampler::{AUXILIARY_DIMENSIONS, BOUNCE_DIMENSIONS, CAMERA_DIMENSIONS, Sampler};
 use crate::scene::{Caustics, Intersection, LightChoice, Scene, Settings};
 use crate::shape::SurfaceInteraction;
 
@@ -305,18 +303,21 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
 
         // ---- Emission ----
         // How the light at the end of this edge could have been sampled at its start.
-        let share = settings.lights.share(scene);
-        let sampled =
-            (S::SAMPLES_EMITTERS && depth > 1 && self.pdf_bsdf.primal() > R::Primal::zero())
-                .then_some(Rival {
-                    pdf_bsdf: self.pdf_bsdf,
-                    from: self.from,
-                    share,
-                });
+        let (pdf_bsdf, from) = (self.pdf_bsdf, self.from);
+        let sampled = S::SAMPLES_EMITTERS && depth > 1 && pdf_bsdf.primal() > R::Primal::zero();
+        let rival = |e| {
+            let share = settings.lights.share(scene, e);
+            let rival = Rival {
+                pdf_bsdf,
+                from,
+                share,
+            };
+            (share, sampled.then_some(rival))
+        };
         let Some(Intersection { shape, si, prim }) = hit else {
             for &e in scene.infinite_emitters().iter().filter(|_| lit) {
-                if let Some((light, le)) = find_light::<R, S>(scene, theta, e, ray.d, None, sampled)
-                {
+                let (share, rival) = rival(e);
+                if let Some((light, le)) = find_light::<R, S>(scene, theta, e, ray.d, None, rival) {
                     let found = self.found_light(scene, e, None, ray.d.primal(), share);
                     self.l += match found {
                         Some((found, beta)) if !R::IS_PRIMAL => {
@@ -336,7 +337,8 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
         };
         let info = scene.shape_info(shape);
         if let Some(e) = info.emitter.filter(|_| lit) {
-            let found = find_light::<R, S>(scene, theta, e, ray.d, Some(si), sampled);
+            let (share, rival) = rival(e);
+            let found = find_light::<R, S>(scene, theta, e, ray.d, Some(si), rival);
             if let Some((light, le)) = found {
                 let end = Some((prim, si.t.primal()));
                 let found = self.found_light(scene, e, end, ray.d.primal(), share);
@@ -393,10 +395,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
             let (emitter, kept) = match settings.lights {
                 // The only light needs no number; the branch is always predicted.
                 LightChoice::One if scene.emitters().len() == 1 => (0, R::Primal::one()),
-                LightChoice::One => (
-                    index_below(choice, scene.emitters().len()) as u32,
-                    R::Primal::one(),
-                ),
+                LightChoice::One => (scene.shares().choose(choice, 1).0 as u32, R::Primal::one()),
                 LightChoice::All => {
                     let seen = Seen {
                         material,
@@ -408,6 +407,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
                 }
             };
             let e = &scene.emitters()[emitter as usize];
+            let share = settings.lights.share(scene, emitter);
             let sample = e.sample(scene.lights(), p, u).map(|mut sample| {
                 sample.pdf *= share;
                 sample
@@ -779,7 +779,7 @@ struct Rival<R: Real, G> {
     pdf_bsdf: R,
     /// The vertex it left.
     from: Vec3<G>,
-    /// Share of any one emitter there.
+    /// The emitter's share there.
     share: R::Primal,
 }
 

@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use std::sync::Arc;
 
-use super::{Node, Scene, Settings, ShapeInfo};
+use super::{Node, Scene, Settings, ShapeInfo, Shares};
 use crate::accel::Accel;
 use crate::bsdf::nesting::{flips_normals, is_glossy};
 use crate::bsdf::{Bsdf, Material};
@@ -27,6 +27,8 @@ pub struct Builder {
     shapes: Vec<AnyShape>,
     infos: Vec<ShapeInfo>,
     emitters: Vec<AnyEmitter>,
+    /// How often each is sampled, relative to the others.
+    weights: Vec<f64>,
     /// Name that the parameters of the plugin being built start with.
     prefix: String,
     /// Materials built from nodes that several places refer to.
@@ -337,8 +339,19 @@ impl Builder {
 
     /// Adds an emitter that is no surface, or is the last shape added if `shape` says so.
     pub fn add_emitter(&mut self, emitter: impl Into<AnyEmitter>, shape: Option<u32>) {
+        self.add_weighted_emitter(emitter.into(), shape, 1.0);
+    }
+
+    /// [`Builder::add_emitter`] with its sampling weight, a positive number.
+    pub(super) fn add_weighted_emitter(
+        &mut self,
+        emitter: AnyEmitter,
+        shape: Option<u32>,
+        weight: f64,
+    ) {
         let index = self.emitters.len() as u32;
-        self.emitters.push(emitter.into());
+        self.emitters.push(emitter);
+        self.weights.push(weight);
         if let Some(shape) = shape {
             self.infos[shape as usize].emitter = Some(index);
         }
@@ -385,10 +398,6 @@ impl Builder {
         let infinite = (0..emitters.len() as u32)
             .filter(|&i| emitters[i as usize].is_infinite())
             .collect();
-        let emitter_probability = match emitters.len() {
-            0 => 0.0,
-            n => 1.0 / n as f64,
-        };
         let flips = self.materials.iter().any(|m| flips_normals(m));
         let lit_things = self.infos.iter().any(|i| !i.glossy) && !emitters.is_empty();
         let casters = match lit_things && !flips {
@@ -402,7 +411,7 @@ impl Builder {
             infos: self.infos,
             emitters,
             infinite,
-            emitter_probability,
+            shares: Shares::new(&self.weights),
             casters,
             prims,
             accel,

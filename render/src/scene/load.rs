@@ -91,9 +91,10 @@ impl Scene {
             }
             let name = node.id.clone().unwrap_or_else(|| "emitter".into());
             let emitter = build.within(&name, false, |b| AnyEmitter::from_node(node, b))?;
+            let weight = sampling_weight(node)?;
             node.ignore(HINTS);
             node.finish()?;
-            build.add_emitter(emitter, None);
+            build.add_weighted_emitter(emitter, None, weight);
         }
         root.children_with_tag("bsdf");
         root.children_with_tag("texture");
@@ -241,6 +242,14 @@ fn film_from_node(node: &Node) -> Result<Film, SceneError> {
     })
 }
 
+/// How often an emitter is sampled, relative to the others.
+fn sampling_weight(node: &Node) -> Result<f64, SceneError> {
+    match node.float_or("sampling_weight", 1.0)? {
+        weight if weight > 0.0 && weight.is_finite() => Ok(weight),
+        _ => Err(node.invalid("sampling_weight", "a positive number")),
+    }
+}
+
 fn shape(
     node: &Arc<Node>,
     index: usize,
@@ -268,17 +277,18 @@ fn shape(
             let emitter = build.within(&format!("{name}.emitter"), true, |b| {
                 AnyEmitter::from_node(e, b)
             })?;
+            let weight = sampling_weight(e)?;
             e.ignore(HINTS);
             e.finish()?;
-            Some(emitter)
+            Some((emitter, weight))
         }
         None => None,
     };
     node.ignore(HINTS);
     node.finish()?;
     let shape = build.add_shape(&name, geometry, material);
-    if let Some(e) = emitter {
-        build.add_emitter(e, Some(shape));
+    if let Some((e, weight)) = emitter {
+        build.add_weighted_emitter(e, Some(shape), weight);
     }
     Ok(())
 }

@@ -2,6 +2,7 @@
 
 mod builder;
 mod load;
+mod shares;
 pub mod xml;
 
 pub use builder::Builder;
@@ -24,6 +25,8 @@ use crate::params::{ParamRef, Params};
 use crate::sampler::Points;
 use crate::shape::{AnyShape, Shape, SurfaceInteraction};
 
+pub(crate) use shares::Shares;
+
 /// How a scene file wants to be rendered.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Settings {
@@ -35,7 +38,7 @@ pub struct Settings {
     pub spp: u32,
     /// How those of paths and particles are spread; second order takes independent ones.
     pub points: Points,
-    /// How paths choose among emitters; particles start at any one with equal probability.
+    /// How paths choose among emitters; particles start at any one in proportion to its sampling weight.
     pub lights: LightChoice,
     /// Who finds caustics.
     pub caustics: Caustics,
@@ -65,7 +68,7 @@ impl Caustics {
 /// How a vertex chooses the emitter that it samples.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum LightChoice {
-    /// Any one of them, with equal probability.
+    /// Any one of them, in proportion to their sampling weights ([`Scene::set_sampling_weights`]).
     #[default]
     One,
     /// All are sampled, and one sample is kept in proportion to the light that it would bring without occlusion.
@@ -78,12 +81,12 @@ impl LightChoice {
     /// All of them, by name.
     pub const NAMES: [(&'static str, Self); 2] = [("one", Self::One), ("all", Self::All)];
 
-    /// How many samples of each emitter there are at a vertex, on average: what its density is multiplied by in
+    /// How many samples of an emitter there are at a vertex, on average: what its density is multiplied by in
     /// MIS weights.
     #[inline(always)]
-    pub fn share<P: Float>(self, scene: &Scene) -> P {
+    pub fn share<P: Float>(self, scene: &Scene, emitter: u32) -> P {
         match self {
-            Self::One => scene.emitter_probability(),
+            Self::One => P::of(scene.shares.of(emitter as usize)),
             Self::All => P::one(),
         }
     }
@@ -138,8 +141,8 @@ pub struct Scene {
     infos: Vec<ShapeInfo>,
     emitters: Vec<AnyEmitter>,
     infinite: Vec<u32>,
-    /// Probability of choosing one of the emitters.
-    emitter_probability: f64,
+    /// How often each emitter is sampled.
+    shares: Shares,
     /// Balls around what throws caustics; none where there is nothing to throw them on, no light, or something
     /// that particles see otherwise than paths do.
     casters: Vec<Ball>,
@@ -219,10 +222,34 @@ impl Scene {
         &self.infinite
     }
 
-    /// Probability of choosing any one of the emitters; zero without emitters.
-    #[inline]
-    pub fn emitter_probability<P: Float>(&self) -> P {
-        P::of(self.emitter_probability)
+    /// How often each emitter is sampled.
+    #[inline(always)]
+    pub(crate) fn shares(&self) -> &Shares {
+        &self.shares
+    }
+
+    /// Makes emitters be sampled in proportion to these weights, one each. They are equal unless the scene file
+    /// says otherwise (`sampling_weight`); `auto::sampling_weights` measures which are best. No expectation
+    /// changes, only variances do.
+    ///
+    /// # Errors
+    /// Wrong length, or a weight that is not a positive number.
+    pub fn set_sampling_weights(&mut self, weights: &[f64]) -> Result<(), RenderError> {
+        if weights.len() != self.emitters.len() {
+            return Err(RenderError::WrongLength {
+                what: "sampling weights",
+                expected: self.emitters.len(),
+                found: weights.len(),
+            });
+        }
+        if let Some(emitter) = weights.iter().position(|w| !(*w > 0.0 && w.is_finite())) {
+            return Err(RenderError::SamplingWeight {
+                emitter,
+                found: weights[emitter],
+            });
+        }
+        self.shares = Shares::new(weights);
+        Ok(())
     }
 
     /// See [`Scene::casters`].
