@@ -200,6 +200,12 @@ fn mistakes_end_with_a_message_and_without_a_file() {
         ("gradient", format!("{wall} --repeats 0"), 2, "--repeats"),
         (
             "gradient",
+            format!("{wall} --lights all --measure-lights --json a.json"),
+            1,
+            "--measure-lights",
+        ),
+        (
+            "gradient",
             format!("{wall} --loss l3 --target small.exr"),
             2,
             "l3",
@@ -433,6 +439,14 @@ fn gradient_of_the_mean_is_right_and_reported() {
         &format!("{args} --adjoint adjoint.exr --json b.json"),
     );
     assert_eq!(dir.json("b.json")["params"], report["params"]);
+    // The only light is always sampled.
+    dir.ok(
+        "gradient",
+        &format!("{args} --measure-lights --json c.json"),
+    );
+    let measured = dir.json("c.json");
+    assert_eq!(measured["params"], report["params"]);
+    assert_eq!(numbers(&measured["sampling_weights"]), [1.0]);
 }
 
 #[test]

@@ -10,6 +10,7 @@ use render::auto::{self, Mixture};
 use render::instances::{Direction, Estimator, Technique, forward_f32, render_f32};
 use render::integrator::render::{NonFinite, Progress};
 use render::params::{Differentiability, ParamInfo, ParamShape, Theta};
+use render::scene::LightChoice;
 use render::{Image, Scene, Settings, image_io};
 use serde::Serialize;
 
@@ -26,6 +27,7 @@ Examples:
   gradient scene.xml --param red.reflectance.value --repeats 8 --json out.json
   gradient scene.xml --param a.alpha.value --loss l2 --target photo.exr
   gradient scene.xml --param a.alpha.value --images folder
+  gradient scene.xml --param lamp.emitter.radiance.value --measure-lights
 
 The objective is the mean of all pixel values and channels, unless --adjoint or --loss is given. Standard
 errors come from independent repeats. With --loss, the image that the loss sees is rendered with other
@@ -173,6 +175,10 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     if args.list {
         print!("{}", listing(&scene));
         return Ok(Outcome::Done);
+    }
+    if args.measure_lights && args.samples.lights == Some(LightChoice::All) {
+        let message = "--measure-lights: all lights are sampled alike; expected --lights one";
+        return Err(ToolError::Usage(message.into()));
     }
     let ranges = ranges(args, &scene)?;
     let objective = objective(args, &scene)?;

@@ -85,7 +85,7 @@ fn octant<P: Float>(ray: &Ray<P>) -> usize {
     bit(ray.d.x, 0) | bit(ray.d.y, 1) | bit(ray.d.z, 2)
 }
 
-/// Paths in the order of their keys, up to 8.
+/// Paths in the order of their keys, at most 8.
 #[inline(always)]
 fn sorted<'a>(
     paths: &[usize],
@@ -138,6 +138,7 @@ pub(super) fn trace<T: Traveller>(
             }
             queue.rays.clear();
         };
+        // Together with their like: few nodes of a hierarchy, in an order that suits them all.
         let key = |path: usize| travellers[path].ray().map_or(8, |r| octant(&r.primal()));
         for &path in sorted(&open[..n], key, &mut order) {
             if let Some(ray) = travellers[path].ray() {
