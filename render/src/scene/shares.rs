@@ -10,8 +10,8 @@ const LEAST: f64 = 1e-30;
 /// The parts that emitters have of all samples of emitters: positive, and one in all.
 #[derive(Clone, Debug)]
 pub(crate) enum Shares {
-    /// The same for each of so many.
-    Even(usize),
+    /// The same for each of so many, and how much that is.
+    Even(usize, f64),
     /// Of each, and the sum of those up to it.
     Weighted(Vec<(f64, f64)>),
 }
@@ -20,7 +20,8 @@ impl Shares {
     /// In proportion to weights, which are positive and finite.
     pub fn new(weights: &[f64]) -> Self {
         if weights.windows(2).all(|w| w[0] == w[1]) {
-            return Self::Even(weights.len());
+            let n = weights.len();
+            return Self::Even(n, if n > 0 { 1.0 / n as f64 } else { 0.0 });
         }
         // Of numbers of any size, the sum is finite.
         let largest = weights.iter().copied().fold(0.0, f64::max);
@@ -39,8 +40,7 @@ impl Shares {
     #[inline(always)]
     pub fn of(&self, i: usize) -> f64 {
         match self {
-            Self::Even(0) => 0.0,
-            Self::Even(n) => 1.0 / *n as f64,
+            Self::Even(_, share) => *share,
             Self::Weighted(each) => each[i].0,
         }
     }
@@ -50,7 +50,7 @@ impl Shares {
     #[inline(always)]
     pub fn choose(&self, bits: u64, others: usize) -> (usize, usize) {
         match self {
-            Self::Even(n) => {
+            Self::Even(n, _) => {
                 let both = index_below(bits, n * others);
                 (both / others, both % others)
             }
