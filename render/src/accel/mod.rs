@@ -311,6 +311,12 @@ impl Accel {
         }
     }
 
+    /// Whether it is a hierarchy, not a list.
+    #[inline]
+    pub fn has_hierarchy(&self) -> bool {
+        matches!(self.layout, Layout::Tree(_))
+    }
+
     /// Heap and inline memory held, in bytes.
     pub fn memory_bytes(&self) -> usize {
         size_of::<Self>()

@@ -140,7 +140,11 @@ pub(super) fn trace<T: Traveller>(
         };
         // Together with their like: few nodes of a hierarchy, in an order that suits them all.
         let key = |path: usize| travellers[path].ray().map_or(8, |r| octant(&r.primal()));
-        for &path in sorted(&open[..n], key, &mut order) {
+        let like = match scene.has_hierarchy() {
+            true => sorted(&open[..n], key, &mut order),
+            false => &open[..n],
+        };
+        for &path in like {
             if let Some(ray) = travellers[path].ray() {
                 nearest.push(&ray.primal(), f32::INFINITY, path);
                 if nearest.rays.is_full() {

@@ -314,6 +314,12 @@ impl Scene {
         self.accel.occluded(o, d, t_max.to_f32())
     }
 
+    /// Whether rays go through a hierarchy.
+    #[inline]
+    pub(crate) fn has_hierarchy(&self) -> bool {
+        self.accel.has_hierarchy()
+    }
+
     /// [`Scene::nearest`] for a bundle of rays.
     #[inline]
     pub fn nearest_bundle(&self, rays: &Bundle) -> [Option<Hit>; BUNDLE] {
