@@ -72,7 +72,7 @@ mod tests {
     use super::*;
     use crate::sampler::mix64;
 
-    /// Frequencies within 4 standard errors, and never an emitter with no part (significance 6e-5 each).
+    /// Frequencies within 4 standard errors (9 emitters, significance 6e-5 each).
     #[test]
     fn emitters_are_chosen_as_often_as_their_weights_say() {
         for weights in [vec![1.0; 3], vec![5.0, 1.0, 0.25, 20.0], vec![1e300, 3e300]] {
