@@ -19,6 +19,7 @@ pub mod image_io;
 pub mod instances;
 pub mod integrator;
 pub mod math;
+mod parallel;
 pub mod params;
 pub mod sampler;
 pub mod scene;

@@ -10,7 +10,6 @@ use std::f64::consts::PI;
 use std::ops::Range;
 
 use ad_core::{Float, Vec2, Vec3};
-use rayon::prelude::*;
 
 use super::particle::{Context, Observer, follow, per_sample};
 use super::render::{Components, NonFinite, Progress, Rendering, tiles};
@@ -18,6 +17,7 @@ use crate::bsdf::kernel::{Symmetry, eval_kernel, local_normal};
 use crate::bsdf::{Bsdf, Component, DeltaKind, Shading, TransportMode};
 use crate::emitter::Emitter;
 use crate::math::Rgb;
+use crate::parallel;
 use crate::sampler::{BOUNCE_DIMENSIONS, CAMERA_DIMENSIONS, Sampler};
 use crate::scene::Intersection;
 
@@ -110,34 +110,33 @@ impl<P: Float> Map<P> {
         let n = per_sample(scene);
         let sent = samples.end.saturating_sub(samples.start) * n;
         let first = samples.start * n;
-        let parts: Vec<(Vec<Landed<P>>, NonFinite)> = (0..sent.div_ceil(CHUNK))
-            .into_par_iter()
-            .map(|job| {
-                let mut landed = Vec::new();
-                let mut non_finite = NonFinite::default();
-                if progress.cancelled() {
-                    return (landed, non_finite);
-                }
-                let (start, end) = (job * CHUNK, (job * CHUNK + CHUNK).min(sent));
-                follow::<P, X, Keeper<P>>(
-                    context,
-                    &Keeper(Vec::new()),
-                    seed,
-                    first + start..first + end,
-                    |_, _, _| {},
-                    |i, keeper| {
-                        for l in keeper.0.drain(..) {
-                            if !l.power.is_finite() {
-                                non_finite.add(i % n, i / n);
-                            } else if !l.power.is_black() && !scene.shape_info(l.shape).delta {
-                                landed.push(l);
-                            }
+        let jobs = sent.div_ceil(CHUNK) as usize;
+        let parts = parallel::map(jobs, |job| {
+            let job = job as u64;
+            let mut landed = Vec::<Landed<P>>::new();
+            let mut non_finite = NonFinite::default();
+            if progress.cancelled() {
+                return (landed, non_finite);
+            }
+            let (start, end) = (job * CHUNK, (job * CHUNK + CHUNK).min(sent));
+            follow::<P, X, Keeper<P>>(
+                context,
+                &Keeper(Vec::new()),
+                seed,
+                first + start..first + end,
+                |_, _, _| {},
+                |i, keeper| {
+                    for l in keeper.0.drain(..) {
+                        if !l.power.is_finite() {
+                            non_finite.add(i % n, i / n);
+                        } else if !l.power.is_black() && !scene.shape_info(l.shape).delta {
+                            landed.push(l);
                         }
-                    },
-                );
-                (landed, non_finite)
-            })
-            .collect();
+                    }
+                },
+            );
+            (landed, non_finite)
+        });
         let total: usize = parts.iter().map(|(l, _)| l.len()).sum();
         u32::try_from(total).ok()?;
         let mut map = Self {
@@ -270,38 +269,36 @@ impl<P: Float> Map<P> {
         let [width, height] = film.crop_size;
         let spp = samples.end.saturating_sub(samples.start);
         let tiles = tiles(width, height);
-        let parts: Vec<_> = tiles
-            .par_iter()
-            .map(|tile| {
-                let mut sums = vec![[0.0f64; 3]; tile.pixels()];
-                let mut non_finite = NonFinite::default();
-                if progress.cancelled() {
-                    return (sums, non_finite);
-                }
-                for (at, sum) in sums.iter_mut().enumerate() {
-                    let [x, y] = tile.pixel(at);
-                    for index in samples.clone() {
-                        let [px, py] = [x + film.crop_offset[0], y + film.crop_offset[1]];
-                        let pixel = u64::from(py) * u64::from(film.size[0]) + u64::from(px);
-                        let l = self.radiance(
-                            context,
-                            convention,
-                            [px, py],
-                            X::spread(context.settings.points, seed, pixel, index),
-                        );
-                        if l.is_finite() {
-                            for c in 0..3 {
-                                sum[c] += l[c].to_f64();
-                            }
-                        } else {
-                            non_finite.add(u64::from(y * width + x), index);
+        let parts = parallel::map(tiles.len(), |i| {
+            let tile = &tiles[i];
+            let mut sums = vec![[0.0f64; 3]; tile.pixels()];
+            let mut non_finite = NonFinite::default();
+            if progress.cancelled() {
+                return (sums, non_finite);
+            }
+            for (at, sum) in sums.iter_mut().enumerate() {
+                let [x, y] = tile.pixel(at);
+                for index in samples.clone() {
+                    let [px, py] = [x + film.crop_offset[0], y + film.crop_offset[1]];
+                    let pixel = u64::from(py) * u64::from(film.size[0]) + u64::from(px);
+                    let l = self.radiance(
+                        context,
+                        convention,
+                        [px, py],
+                        X::spread(context.settings.points, seed, pixel, index),
+                    );
+                    if l.is_finite() {
+                        for c in 0..3 {
+                            sum[c] += l[c].to_f64();
                         }
+                    } else {
+                        non_finite.add(u64::from(y * width + x), index);
                     }
                 }
-                progress.advance(tile.pixels() as u64);
-                (sums, non_finite)
-            })
-            .collect();
+            }
+            progress.advance(tile.pixels() as u64);
+            (sums, non_finite)
+        });
         let mut out = Rendering {
             width: width as usize,
             height: height as usize,

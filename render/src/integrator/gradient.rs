@@ -6,7 +6,6 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicI64, Ordering};
 
 use ad_core::{Float, Real};
-use rayon::prelude::*;
 
 use super::local::LocalFn;
 use super::path::Context;
@@ -19,6 +18,7 @@ use crate::error::RenderError;
 use crate::estimator::memory::Memory;
 use crate::estimator::{self, DetachedMis, Sampling, Strategy, Unbiased};
 use crate::math::Rgb;
+use crate::parallel;
 use crate::params::{GradSink, ParamInfo, ParamRef, Theta};
 use crate::sampler::Sampler;
 use crate::scene::{Caustics, Scene, Settings};
@@ -541,39 +541,36 @@ impl<P: Float> Pass<'_, P> {
         let [width, height] = self.scene.film.crop_size;
         let tiles = tiles(width, height);
         let jobs = jobs.min(tiles.len());
-        let parts: Vec<_> = (0..jobs)
-            .into_par_iter()
-            .map(|job| {
-                let mut state = new();
-                let context = Context {
-                    scene: self.scene,
-                    theta: self.theta,
-                    settings: self.settings,
-                    shifts: &[],
-                    caustics: self.caustics,
-                };
-                let mut paths = Paths::<P, S, X, _>::new(Recorder::of(active));
-                let mut non_finite = NonFinite::default();
-                for tile in tiles.iter().skip(job).step_by(jobs) {
-                    if progress.cancelled() {
-                        break;
-                    }
-                    let done = |at, index, l: Rgb<P>, recorder: &mut Recorder<'_, P>| {
-                        let pixel = tile.pixel(at);
-                        let sample = Sample { pixel, index };
-                        if l.is_finite() {
-                            each(&context, sample, recorder, &mut state);
-                        } else {
-                            non_finite.add(sample.place(self.scene) as u64, index);
-                        }
-                        recorder.clear();
-                    };
-                    tile.trace(&context, self.seed, &self.samples, &mut paths, done);
-                    progress.advance(tile.pixels() as u64);
+        let parts = parallel::map(jobs, |job| {
+            let mut state = new();
+            let context = Context {
+                scene: self.scene,
+                theta: self.theta,
+                settings: self.settings,
+                shifts: &[],
+                caustics: self.caustics,
+            };
+            let mut paths = Paths::<P, S, X, _>::new(Recorder::of(active));
+            let mut non_finite = NonFinite::default();
+            for tile in tiles.iter().skip(job).step_by(jobs) {
+                if progress.cancelled() {
+                    break;
                 }
-                (state, non_finite)
-            })
-            .collect();
+                let done = |at, index, l: Rgb<P>, recorder: &mut Recorder<'_, P>| {
+                    let pixel = tile.pixel(at);
+                    let sample = Sample { pixel, index };
+                    if l.is_finite() {
+                        each(&context, sample, recorder, &mut state);
+                    } else {
+                        non_finite.add(sample.place(self.scene) as u64, index);
+                    }
+                    recorder.clear();
+                };
+                tile.trace(&context, self.seed, &self.samples, &mut paths, done);
+                progress.advance(tile.pixels() as u64);
+            }
+            (state, non_finite)
+        });
         let mut non_finite = NonFinite::default();
         let join = |(state, bad)| {
             non_finite.merge(&bad);

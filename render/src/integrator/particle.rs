@@ -3,7 +3,6 @@
 use std::ops::Range;
 
 use ad_core::{Float, Real, Vec2, Vec3};
-use rayon::prelude::*;
 
 use super::aim::aim;
 use super::batch::{self, PATHS, Shadow, Traveller};
@@ -16,6 +15,7 @@ use crate::camera::Pinhole;
 use crate::emitter::{Ball, Emission, Emitter};
 use crate::estimator::{Sampling, Strategy};
 use crate::math::{Ray, Rgb};
+use crate::parallel;
 use crate::params::Theta;
 use crate::sampler::{AUXILIARY_DIMENSIONS, Sampler};
 use crate::scene::{Intersection, Scene, Settings};
@@ -697,35 +697,34 @@ pub fn render<R: Components, X: Sampler>(
             break;
         }
         let end = (start + round).min(total);
-        let jobs: Vec<u64> = (start..end).step_by(CHUNK as usize).collect();
-        let parts: Vec<([Vec<Splat<R>>; BANDS], NonFinite)> = (jobs.par_iter())
-            .map(|&job| {
-                let mut splats = [const { Vec::new() }; BANDS];
-                let mut non_finite = NonFinite::default();
-                let first = samples.start * n;
-                follow::<R, X, ()>(
-                    context,
-                    &(),
-                    seed,
-                    first + job..first + (job + CHUNK).min(end),
-                    |i, at, value| match value.is_finite() {
-                        true => {
-                            // Near a border, to the bands on both sides.
-                            let rows = scene.film.rows(at[1].to_f64());
-                            let (first, end) = (rows.start as usize, rows.end as usize);
-                            let bands = first >> band_of..(end + rows_per_band - 1) >> band_of;
-                            let splat = Splat { at, value };
-                            splats[bands].iter_mut().for_each(|s| s.push(splat));
-                        }
-                        false => non_finite.add(i % n, i / n),
-                    },
-                    |_, ()| {},
-                );
-                (splats, non_finite)
-            })
-            .collect();
+        let jobs = (end - start).div_ceil(CHUNK) as usize;
+        let parts = parallel::map(jobs, |job| {
+            let job = start + job as u64 * CHUNK;
+            let mut splats = [const { Vec::<Splat<R>>::new() }; BANDS];
+            let mut non_finite = NonFinite::default();
+            let first = samples.start * n;
+            follow::<R, X, ()>(
+                context,
+                &(),
+                seed,
+                first + job..first + (job + CHUNK).min(end),
+                |i, at, value| match value.is_finite() {
+                    true => {
+                        // Near a border, to the bands on both sides.
+                        let rows = scene.film.rows(at[1].to_f64());
+                        let (first, end) = (rows.start as usize, rows.end as usize);
+                        let bands = first >> band_of..(end + rows_per_band - 1) >> band_of;
+                        let splat = Splat { at, value };
+                        splats[bands].iter_mut().for_each(|s| s.push(splat));
+                    }
+                    false => non_finite.add(i % n, i / n),
+                },
+                |_, ()| {},
+            );
+            (splats, non_finite)
+        });
         // Every band of rows goes through its splats, in order.
-        (sums.par_chunks_mut(row * rows_per_band).enumerate()).for_each(|(band, sums)| {
+        parallel::over(sums.chunks_mut(row * rows_per_band), |band, sums| {
             let first_row = band * rows_per_band;
             let rows = first_row as u32..(first_row + sums.len() / row) as u32;
             let base = first_row * width;

@@ -9,7 +9,6 @@ use std::cell::Cell;
 use std::ops::Range;
 
 use ad_core::{Float, Vec2, Vec3};
-use rayon::prelude::*;
 
 use super::gradient::{Active, ExactBuffer, Gradient, Sink, check_size, exactly, largest_of};
 use super::particle::{Bounce, Connected, Context, Observer, follow, per_sample};
@@ -21,12 +20,13 @@ use crate::emitter::{Emission, Emitter};
 use crate::error::RenderError;
 use crate::film::Film;
 use crate::math::Rgb;
+use crate::parallel;
 use crate::sampler::Sampler;
 use crate::scene::Intersection;
 
 /// Particles are split into this many jobs, whatever the number of threads, and their sums are added in
 /// order.
-const JOBS: u64 = 128;
+const JOBS: usize = 128;
 
 #[derive(Clone, Copy, Debug)]
 struct Vertex<P: Float> {
@@ -325,46 +325,44 @@ impl<'a, P: Float> Pass<'a, P> {
     ) -> Sums {
         let n = per_sample(self.context.scene);
         let total = self.samples.end.saturating_sub(self.samples.start) * n;
-        let (first, step) = (self.samples.start * n, total.div_ceil(JOBS).max(1));
+        let (first, step) = (self.samples.start * n, total.div_ceil(JOBS as u64).max(1));
         let pixels = self.sensor.film.pixels() as u64;
-        let parts: Vec<Sums> = (0..JOBS)
-            .into_par_iter()
-            .map(|job| {
-                let mut sink = Sink::new(active, large);
-                let mut non_finite = NonFinite::default();
-                let mut value = 0.0;
-                let (start, end) = ((job * step).min(total), (job * step + step).min(total));
-                // In parts, to be stopped between them.
-                for start in (start..end).step_by(4096) {
-                    if progress.cancelled() {
-                        break;
-                    }
-                    follow::<P, X, Recorder<P>>(
-                        self.context,
-                        &Recorder::new(&self.sensor, active),
-                        self.seed,
-                        first + start..first + end.min(start + 4096),
-                        |_, _, _| {},
-                        |i, recorder| {
-                            if recorder.is_finite() {
-                                value += recorder.backward(self.context, &mut sink);
-                            } else {
-                                non_finite.add(i % n, i / n);
-                            }
-                            recorder.clear();
-                        },
-                    );
+        let parts = parallel::map(JOBS, |job| {
+            let job = job as u64;
+            let mut sink = Sink::new(active, large);
+            let mut non_finite = NonFinite::default();
+            let mut value = 0.0;
+            let (start, end) = ((job * step).min(total), (job * step + step).min(total));
+            // In parts, to be stopped between them.
+            for start in (start..end).step_by(4096) {
+                if progress.cancelled() {
+                    break;
                 }
-                let done =
-                    |i: u64| (u128::from(pixels) * u128::from(i) / u128::from(total.max(1))) as u64;
-                progress.advance(done(end) - done(start));
-                Sums {
-                    small: sink.into_small(),
-                    value,
-                    non_finite,
-                }
-            })
-            .collect();
+                follow::<P, X, Recorder<P>>(
+                    self.context,
+                    &Recorder::new(&self.sensor, active),
+                    self.seed,
+                    first + start..first + end.min(start + 4096),
+                    |_, _, _| {},
+                    |i, recorder| {
+                        if recorder.is_finite() {
+                            value += recorder.backward(self.context, &mut sink);
+                        } else {
+                            non_finite.add(i % n, i / n);
+                        }
+                        recorder.clear();
+                    },
+                );
+            }
+            let done =
+                |i: u64| (u128::from(pixels) * u128::from(i) / u128::from(total.max(1))) as u64;
+            progress.advance(done(end) - done(start));
+            Sums {
+                small: sink.into_small(),
+                value,
+                non_finite,
+            }
+        });
         let mut sums = Sums {
             small: Vec::new(),
             value: 0.0,

@@ -403,7 +403,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
                         frame: si.primal().frame,
                         wo: wo.primal(),
                     };
-                    weigh_lights::<R::Primal, S>(scene, p, &seen, choice, u)
+                    weigh_lights(scene, p, &seen, S::COUNTS_HITS, choice, u)
                 }
             };
             let e = &scene.emitters()[emitter as usize];
@@ -511,7 +511,8 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
         }
 
         // ---- Samples of the derivative of normals ----
-        if splits && !beta.is_black() {
+        // The constant again: where nothing splits, the path of a sample is not even compiled.
+        if S::Bsdf::DIFFERENTIAL && splits && !beta.is_black() {
             let first = AUXILIARY_DIMENSIONS + depth * BOUNCE_DIMENSIONS;
             let (at, wo) = (at.primal(), wo.primal());
             let context = Context {
@@ -795,15 +796,17 @@ struct Seen<'a, P: Float> {
 /// bring if nothing were in between, or any one with probability [`LEAST_KEPT`]: where the light vanishes its
 /// derivative may not. The index of that emitter, and one over the probability of keeping it.
 ///
-/// Only the choice is returned, and in registers; its sample is made once more.
+/// Only the choice is returned, and in registers; its sample is made once more. `counts_hits`: whether lights
+/// that are hit count, too.
 ///
 /// # Reference
 /// [Talbot et al. 2005], with one candidate from each technique.
 #[inline(never)]
-fn weigh_lights<P: Float, S: Strategy>(
+fn weigh_lights<P: Float>(
     scene: &Scene,
     from: Vec3<P>,
     seen: &Seen<P>,
+    counts_hits: bool,
     choice: u64,
     u: [P; 2],
 ) -> (u32, P) {
@@ -822,7 +825,7 @@ fn weigh_lights<P: Float, S: Strategy>(
         };
         let wi = seen.frame.to_local(sample.d);
         let (f, pdf) = (seen.material).eval_pdf(&seen.at, seen.wo, wi, TransportMode::Radiance);
-        let density = match S::COUNTS_HITS && !e.is_delta() {
+        let density = match counts_hits && !e.is_delta() {
             true => sample.pdf + pdf,
             false => sample.pdf,
         };

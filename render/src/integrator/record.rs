@@ -9,13 +9,14 @@ use std::marker::PhantomData;
 
 use ad_core::{Const, Dual, Float, Real, Vec2, Vec3};
 
-use super::direct::{Aimed, FoundLight, aimed_light, direct_light};
+use super::direct::{Aimed, FoundLight, aimed_light, direct_light, follows_edges};
 use super::gradient::Active;
 use super::local::{LocalFn, Texels, pull_back, pull_back_second, pull_back_texels};
 use super::path::{Bounce, Context, HitLight, NormalsLight, Observer, SampledLight};
 use crate::bsdf::{Bsdf, Component, Material, Part, Shading, TextureRef, TransportMode, Use};
 use crate::emitter::{Emission, Emitter};
 use crate::estimator::Strategy;
+use crate::estimator::memory::Memory;
 use crate::math::Rgb;
 use crate::params::{GradSink, ParamRef, Theta};
 use crate::scene::Scene;
@@ -199,7 +200,9 @@ impl<'a, P: Float> Recorder<'a, P> {
                 if grad.emitter_active(s.emitter) {
                     let e = &scene.emitters()[s.emitter as usize];
                     e.backward(&s.emission, d * s.f * s.weight, grad);
-                    if let (Some(surface), Some((_, aimed))) = (&v.surface, moves) {
+                    if S::Aim::KEEPS
+                        && let (Some(surface), Some((_, aimed))) = (&v.surface, moves)
+                    {
                         pull_back_motion::<P, S>(scene, theta, surface, s.emitter, aimed, d, grad);
                     }
                 }
@@ -240,7 +243,9 @@ impl<'a, P: Float> Recorder<'a, P> {
                     material.backward(&at, s.wo, &uses, TransportMode::Radiance, grad);
                 }
             }
-            if let (Some(s), Some(light)) = (&v.surface, connected) {
+            if S::DIFFERENTIATED_WEIGHTS
+                && let (Some(s), Some(light)) = (&v.surface, connected)
+            {
                 let material = scene.shape_info(s.shape).material;
                 if grad.material_active(material) {
                     let material = &scene.materials()[material as usize];
@@ -253,16 +258,19 @@ impl<'a, P: Float> Recorder<'a, P> {
                     pull_back(material, theta, s.uv, &f, d * light.le, grad);
                 }
             }
-            for (_, found) in next_found {
-                let material = scene.shape_info(found.from.shape).material;
-                if grad.material_active(material) {
-                    let f = Found::<P, S> {
-                        scene,
-                        found,
-                        strategy: PhantomData,
-                    };
-                    let material = &scene.materials()[material as usize];
-                    pull_back(material, theta, found.from.si.uv, &f, d, grad);
+            // A constant: nothing of this is compiled where it never happens.
+            if const { follows_edges::<S>() } {
+                for (_, found) in next_found {
+                    let material = scene.shape_info(found.from.shape).material;
+                    if grad.material_active(material) {
+                        let f = Found::<P, S> {
+                            scene,
+                            found,
+                            strategy: PhantomData,
+                        };
+                        let material = &scene.materials()[material as usize];
+                        pull_back(material, theta, found.from.si.uv, &f, d, grad);
+                    }
                 }
             }
             next_found = found;

@@ -4,7 +4,6 @@ use std::ops::Range;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use ad_core::{Dual, Float, Real};
-use rayon::prelude::*;
 
 use super::batch::{self, PATHS};
 use super::particle;
@@ -12,6 +11,7 @@ use super::path::{Context, Geometry, Observer, Walk, shifts};
 use crate::estimator::{Strategy, Unbiased};
 use crate::film::Image;
 use crate::math::{Ray, Rgb};
+use crate::parallel;
 use crate::params::Theta;
 use crate::sampler::{Points, Sampler};
 use crate::scene::{Caustics, Scene, Settings};
@@ -313,46 +313,44 @@ pub fn render<R: Components, S: Unbiased, X: Sampler>(
     let shifts = shifts::<R, S>(scene, theta);
     let caustics = settings.caustics_of::<S>(scene);
     let progress = InParts::new(progress, caustics);
-    let parts: Vec<_> = tiles
-        .par_iter()
-        .map(|tile| {
-            let pixels = tile.pixels();
-            let mut sums = vec![
-                0.0f64;
-                if progress.cancelled() {
-                    0
-                } else {
-                    R::COUNT * pixels * 3
-                }
-            ];
-            let mut non_finite = NonFinite::default();
-            if sums.is_empty() {
-                return (sums, non_finite);
+    let parts = parallel::map(tiles.len(), |i| {
+        let tile = &tiles[i];
+        let pixels = tile.pixels();
+        let mut sums = vec![
+            0.0f64;
+            if progress.cancelled() {
+                0
+            } else {
+                R::COUNT * pixels * 3
             }
-            let context = Context {
-                scene,
-                theta,
-                settings,
-                shifts: &shifts,
-                caustics,
-            };
-            let mut paths = Paths::<R, S, X, _>::new(());
-            tile.trace(&context, seed, &samples, &mut paths, |at, index, l, _| {
-                if !l.is_finite() {
-                    let [x, y] = tile.pixel(at);
-                    non_finite.add(u64::from(y * width + x), index);
-                    return;
+        ];
+        let mut non_finite = NonFinite::default();
+        if sums.is_empty() {
+            return (sums, non_finite);
+        }
+        let context = Context {
+            scene,
+            theta,
+            settings,
+            shifts: &shifts,
+            caustics,
+        };
+        let mut paths = Paths::<R, S, X, _>::new(());
+        tile.trace(&context, seed, &samples, &mut paths, |at, index, l, _| {
+            if !l.is_finite() {
+                let [x, y] = tile.pixel(at);
+                non_finite.add(u64::from(y * width + x), index);
+                return;
+            }
+            for k in 0..R::COUNT {
+                for c in 0..3 {
+                    sums[(k * pixels + at) * 3 + c] += l[c].component(k);
                 }
-                for k in 0..R::COUNT {
-                    for c in 0..3 {
-                        sums[(k * pixels + at) * 3 + c] += l[c].component(k);
-                    }
-                }
-            });
-            progress.advance(pixels as u64);
-            (sums, non_finite)
-        })
-        .collect();
+            }
+        });
+        progress.advance(pixels as u64);
+        (sums, non_finite)
+    });
 
     let mut out = Rendering {
         width: width as usize,

@@ -1,0 +1,62 @@
+//! Parallel loops whose machinery is compiled once, and not for every closure: rayon's was an eighth of this
+//! crate's machine code.
+
+use std::sync::{Mutex, PoisonError};
+
+use rayon::prelude::*;
+
+/// `f(0)` to `f(n - 1)` on all threads, in order.
+pub(crate) fn map<T: Send>(n: usize, f: impl Fn(usize) -> T + Sync) -> Vec<T> {
+    let places: Vec<Mutex<Option<T>>> = (0..n).map(|_| Mutex::new(None)).collect();
+    each(n, &|i| {
+        let value = f(i);
+        *places[i].lock().unwrap_or_else(PoisonError::into_inner) = Some(value);
+    });
+    let value = |place: Mutex<Option<T>>| {
+        let value = place.into_inner();
+        value.unwrap_or_else(PoisonError::into_inner)
+    };
+    places.into_iter().filter_map(value).collect()
+}
+
+/// `f` of every item and its number, on all threads.
+pub(crate) fn over<T: Send>(items: impl Iterator<Item = T>, f: impl Fn(usize, T) + Sync) {
+    let items: Vec<_> = items.map(|item| Mutex::new(Some(item))).collect();
+    each(items.len(), &|i| {
+        let item = items[i]
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .take();
+        if let Some(item) = item {
+            f(i, item);
+        }
+    });
+}
+
+fn each(n: usize, f: &(dyn Fn(usize) + Sync)) {
+    (0..n).into_par_iter().for_each(f);
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn values_are_in_order() {
+        assert_eq!(
+            super::map(1000, |i| 3 * i),
+            (0..1000).map(|i| 3 * i).collect::<Vec<_>>()
+        );
+        assert!(super::map(0, |_| ()).is_empty());
+    }
+
+    #[test]
+    fn every_item_is_met() {
+        let mut values = vec![1; 100];
+        super::over(values.chunks_mut(30), |i, part| {
+            part.iter_mut().for_each(|v| *v += i)
+        });
+        assert_eq!(
+            [values[0], values[29], values[30], values[99]],
+            [1, 1, 2, 4]
+        );
+    }
+}
