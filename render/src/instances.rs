@@ -39,18 +39,6 @@ pub enum Technique {
     EmitterOnly,
 }
 
-/// `dyn` progress for functions that want a sized one.
-struct Dynamic<'a>(&'a dyn Progress);
-
-impl Progress for Dynamic<'_> {
-    fn advance(&self, n: u64) {
-        self.0.advance(n);
-    }
-    fn cancelled(&self) -> bool {
-        self.0.cancelled()
-    }
-}
-
 type MisOf<H> = Mis<Detached, Detached, DetachedWeights, H>;
 
 fn run<R: Components, S: Unbiased>(
@@ -61,8 +49,7 @@ fn run<R: Components, S: Unbiased>(
     samples: Range<u64>,
     progress: &dyn Progress,
 ) -> Rendering {
-    let progress = Dynamic(progress);
-    render::render::<R, S, Spread>(scene, theta, settings, seed, samples, &progress)
+    render::render::<R, S, Spread>(scene, theta, settings, seed, samples, progress)
 }
 
 fn primal<P: Components + Float>(
@@ -111,7 +98,7 @@ pub fn particles_f32(
         rules,
         ..particle::Context::new(scene, theta, settings)
     };
-    particle::render::<f32, Spread>(&context, seed, samples, &Dynamic(progress))
+    particle::render::<f32, Spread>(&context, seed, samples, progress)
 }
 
 /// The image by particles that land and viewing rays that collect them within `radius`, in single precision:
@@ -132,9 +119,8 @@ pub fn density_f32(
         rules,
         ..particle::Context::new(scene, theta, settings)
     };
-    let progress = Dynamic(progress);
     let map = Map::new::<Spread>(&context, radius, seed, samples.clone(), &())?;
-    Some(map.render::<Spread>(&context, convention, seed, samples, &progress))
+    Some(map.render::<Spread>(&context, convention, seed, samples, progress))
 }
 
 /// The particles of [`density_f32`], to be gathered at chosen points.
@@ -166,8 +152,7 @@ pub fn backward_particles_f32(
     progress: &dyn Progress,
 ) -> Result<Measurement, RenderError> {
     let context = particle::Context::new(scene, theta, settings);
-    let progress = Dynamic(progress);
-    particle_gradient::backward::<f32, Spread>(&context, active, adjoint, seed, samples, &progress)
+    particle_gradient::backward::<f32, Spread>(&context, active, adjoint, seed, samples, progress)
 }
 
 /// The image, in double precision: a reference for [`render_f32`] and for differences.
@@ -198,9 +183,8 @@ pub fn backward_f32(
     samples: Range<u64>,
     progress: &dyn Progress,
 ) -> Result<Gradient, RenderError> {
-    let progress = Dynamic(progress);
     gradient::backward::<f32, DetachedMis, Spread>(
-        scene, theta, active, adjoint, settings, seed, samples, &progress,
+        scene, theta, active, adjoint, settings, seed, samples, progress,
     )
 }
 
@@ -218,9 +202,8 @@ pub fn backward_f64(
     samples: Range<u64>,
     progress: &dyn Progress,
 ) -> Result<Gradient, RenderError> {
-    let progress = Dynamic(progress);
     gradient::backward::<f64, DetachedMis, Spread>(
-        scene, theta, active, adjoint, settings, seed, samples, &progress,
+        scene, theta, active, adjoint, settings, seed, samples, progress,
     )
 }
 
@@ -276,9 +259,8 @@ pub fn hessian_vector_f32(
     samples: Range<u64>,
     progress: &dyn Progress,
 ) -> Result<Gradient, RenderError> {
-    let progress = Dynamic(progress);
     second_order::hessian_vector::<f32, Independent>(
-        scene, theta, active, direction, adjoints, settings, seed, samples, &progress,
+        scene, theta, active, direction, adjoints, settings, seed, samples, progress,
     )
 }
 
@@ -297,7 +279,6 @@ pub fn gauss_newton_f32(
     samples: Range<u64>,
     progress: &dyn Progress,
 ) -> Result<GaussNewton, RenderError> {
-    let progress = Dynamic(progress);
     second_order::gauss_newton::<f32, Independent>(
         scene,
         theta,
@@ -306,7 +287,7 @@ pub fn gauss_newton_f32(
         settings,
         seed,
         samples,
-        &progress,
+        progress,
     )
 }
 
@@ -413,9 +394,8 @@ fn forward<const N: usize>(
 ) -> Rendering {
     let tangents = tangents::<N>(scene.params(), directions.iter().enumerate());
     let theta = Theta::<Dual<f32, N>>::with_tangents(values, &tangents);
-    let progress = Dynamic(progress);
     render::render::<Dual<f32, N>, MisOf<Power>, Spread>(
-        scene, &theta, settings, seed, samples, &progress,
+        scene, &theta, settings, seed, samples, progress,
     )
 }
 
@@ -592,9 +572,8 @@ fn pull_back<S: Unbiased>(
     samples: Range<u64>,
     progress: &dyn Progress,
 ) -> Result<Gradient, RenderError> {
-    let progress = Dynamic(progress);
     gradient::backward::<f32, S, Spread>(
-        scene, theta, active, adjoint, settings, seed, samples, &progress,
+        scene, theta, active, adjoint, settings, seed, samples, progress,
     )
 }
 

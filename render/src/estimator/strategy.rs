@@ -13,6 +13,8 @@ use super::{
 
 /// Which techniques estimate the light arriving at a vertex, and how they are combined.
 pub trait Strategy: Send + Sync + 'static {
+    /// What is compiled for it: itself, or what it wraps, if that differs only in where it is allowed.
+    type Runs: Strategy;
     /// How scattered directions are drawn.
     type Bsdf: Sampling;
     /// Whether paths remember edges, to differentiate them by themselves.
@@ -66,6 +68,7 @@ where
     W: Weights,
     H: Heuristic,
 {
+    type Runs = Self;
     type Bsdf = B;
     type Edge = <B::Edge as Memory>::Or<W::Edge>;
     type Aim = E::Aim;
@@ -95,6 +98,7 @@ impl<B: Unsplit, H: Heuristic> Unbiased for Mis<B, Attached, FrozenWeights, H> {
 pub struct BsdfOnly<B>(PhantomData<B>);
 
 impl<B: Sampling> Strategy for BsdfOnly<B> {
+    type Runs = Self;
     type Bsdf = B;
     type Edge = B::Edge;
     type Aim = Forget;
@@ -118,6 +122,7 @@ impl<B: Sampling> Unbiased for BsdfOnly<B> {}
 pub struct EmitterOnly<B, E = Detached>(PhantomData<(B, E)>);
 
 impl<B: Sampling, E: EmitterSampling<B>> Strategy for EmitterOnly<B, E> {
+    type Runs = Self;
     type Bsdf = B;
     type Edge = B::Edge;
     type Aim = E::Aim;
@@ -167,11 +172,13 @@ macro_rules! wrapper {
 }
 
 wrapper!(AllowBias {
+    type Runs = S::Runs;
     const ALLOWS_BIAS: bool = true;
     const ATTACHED_ROULETTE: bool = S::ATTACHED_ROULETTE;
     const NEEDS_CONTINUITY: bool = false;
 });
 wrapper!(AttachedRoulette {
+    type Runs = Self;
     const ALLOWS_BIAS: bool = S::ALLOWS_BIAS;
     const ATTACHED_ROULETTE: bool = true;
 });

@@ -98,7 +98,7 @@ impl<P: Float> Map<P> {
         radius: f64,
         seed: u64,
         samples: Range<u64>,
-        progress: &impl Progress,
+        progress: &dyn Progress,
     ) -> Option<Self> {
         const CHUNK: u64 = 4096;
         let radius_p = P::of(radius);
@@ -260,7 +260,7 @@ impl<P: Float> Map<P> {
         convention: Convention,
         seed: u64,
         samples: Range<u64>,
-        progress: &impl Progress,
+        progress: &dyn Progress,
     ) -> Rendering
     where
         P: Components,

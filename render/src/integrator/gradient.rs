@@ -354,10 +354,26 @@ pub fn backward<P: Float, S: Unbiased, X: Sampler>(
     settings: &Settings,
     seed: u64,
     samples: Range<u64>,
-    progress: &impl Progress,
+    progress: &dyn Progress,
+) -> Result<Gradient, RenderError> {
+    estimator::check::<S>(scene)?;
+    let run = run::<P, S::Runs, X>;
+    run(
+        scene, theta, active, adjoint, settings, seed, samples, progress,
+    )
+}
+
+fn run<P: Float, S: Strategy, X: Sampler>(
+    scene: &Scene,
+    theta: &Theta<P>,
+    active: &Active,
+    adjoint: &[f32],
+    settings: &Settings,
+    seed: u64,
+    samples: Range<u64>,
+    progress: &dyn Progress,
 ) -> Result<Gradient, RenderError> {
     check_size("adjoint image", scene, adjoint)?;
-    estimator::check::<S>(scene)?;
     let pass = Pass {
         scene,
         theta,
@@ -384,11 +400,12 @@ pub fn backward<P: Float, S: Unbiased, X: Sampler>(
     let largest = largest_of(adjoint) * pass.scale();
     let moving = S::Aim::KEEPS.then(|| active.clone().with_sums(scene));
     let active = moving.as_ref().unwrap_or(active);
-    Ok(exactly(scene, active, largest, progress, |large| {
+    Ok(exactly(scene, active, largest, progress, &|large| {
         let progress = InParts::new(progress, pass.caustics);
         let (mut small, mut non_finite) = pass.sums::<S, X>(active, large, &progress, each);
         if pass.caustics == Caustics::Particles && !progress.cancelled() {
-            let context = particle::Context::caustics::<S>(scene, theta, settings);
+            let differential = S::Bsdf::DIFFERENTIAL;
+            let context = particle::Context::caustics(scene, theta, settings, differential);
             let samples = pass.samples.clone();
             let particles = particle_gradient::Pass::new(&context, adjoint, seed, samples);
             let part = particles.sums::<X>(active, large, &progress);
@@ -430,8 +447,8 @@ pub(super) fn exactly(
     scene: &Scene,
     active: &Active,
     largest: f64,
-    progress: &impl Progress,
-    pass: impl Fn(&ExactBuffer) -> (Vec<f64>, NonFinite),
+    progress: &dyn Progress,
+    pass: &dyn Fn(&ExactBuffer) -> (Vec<f64>, NonFinite),
 ) -> Gradient {
     let mut bits = 36;
     loop {
@@ -511,11 +528,11 @@ impl<P: Float> Pass<'_, P> {
     }
 
     /// Sums of the small ranges.
-    pub fn sums<S: Unbiased, X: Sampler>(
+    pub fn sums<S: Strategy, X: Sampler>(
         &self,
         active: &Active,
         large: &ExactBuffer,
-        progress: &impl Progress,
+        progress: &dyn Progress,
         each: impl Fn(&Context<P>, Sample, &mut Recorder<'_, P>, &mut Sink) + Sync,
     ) -> (Vec<f64>, NonFinite) {
         let new = || Sink::new(active, large);
@@ -530,11 +547,11 @@ impl<P: Float> Pass<'_, P> {
 
     /// Records every path, as far as the parameters `active` matter to it, and calls `each` with it, pixel by
     /// pixel within a tile. The tiles are shared by `jobs` states, whatever the number of threads.
-    pub fn paths<S: Unbiased, X: Sampler, J: Send>(
+    pub fn paths<S: Strategy, X: Sampler, J: Send>(
         &self,
         active: &Active,
         jobs: usize,
-        progress: &impl Progress,
+        progress: &dyn Progress,
         new: impl Fn() -> J + Sync,
         each: impl Fn(&Context<P>, Sample, &mut Recorder<'_, P>, &mut J) + Sync,
     ) -> (Vec<J>, NonFinite) {

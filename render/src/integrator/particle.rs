@@ -13,7 +13,6 @@ use crate::bsdf::kernel::{Rules, kernel_weight, local_normal};
 use crate::bsdf::{Bsdf, Component, Shading, TransportMode};
 use crate::camera::Pinhole;
 use crate::emitter::{Ball, Emission, Emitter};
-use crate::estimator::{Sampling, Strategy};
 use crate::math::{Ray, Rgb};
 use crate::parallel;
 use crate::params::Theta;
@@ -81,15 +80,16 @@ impl<'a, R: Real> Context<'a, R> {
         }
     }
 
-    /// For the light that paths of the strategy `S` leave to particles.
-    pub(super) fn caustics<S: Strategy>(
+    /// For the light that paths leave to particles, with [`Context::differential`].
+    pub(super) fn caustics(
         scene: &'a Scene,
         theta: &'a Theta<'a, R>,
         settings: &'a Settings,
+        differential: bool,
     ) -> Self {
         Self {
             caustics_only: true,
-            differential: S::Bsdf::DIFFERENTIAL,
+            differential,
             ..Self::new(scene, theta, settings)
         }
     }
@@ -670,7 +670,7 @@ pub fn render<R: Components, X: Sampler>(
     context: &Context<R>,
     seed: u64,
     samples: Range<u64>,
-    progress: &impl Progress,
+    progress: &dyn Progress,
 ) -> Rendering {
     let scene = context.scene;
     let [width, height] = scene.film.crop_size.map(|n| n as usize);

@@ -254,12 +254,12 @@ pub fn backward<P: Float, X: Sampler>(
     adjoint: &[f32],
     seed: u64,
     samples: Range<u64>,
-    progress: &impl Progress,
+    progress: &dyn Progress,
 ) -> Result<Measurement, RenderError> {
     check_size("adjoint image", context.scene, adjoint)?;
     let pass = Pass::new(context, adjoint, seed, samples);
     let value = Cell::new(0.0);
-    let gradient = exactly(context.scene, active, pass.largest(), progress, |large| {
+    let gradient = exactly(context.scene, active, pass.largest(), progress, &|large| {
         let sums = pass.sums::<X>(active, large, progress);
         value.set(sums.value);
         (sums.small, sums.non_finite)
@@ -321,7 +321,7 @@ impl<'a, P: Float> Pass<'a, P> {
         &self,
         active: &Active,
         large: &ExactBuffer,
-        progress: &impl Progress,
+        progress: &dyn Progress,
     ) -> Sums {
         let n = per_sample(self.context.scene);
         let total = self.samples.end.saturating_sub(self.samples.start) * n;

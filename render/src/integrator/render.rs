@@ -8,8 +8,8 @@ use ad_core::{Dual, Float, Real};
 use super::batch::{self, PATHS};
 use super::particle;
 use super::path::{Context, Geometry, Observer, Walk, shifts};
-use crate::estimator::{Strategy, Unbiased};
-use crate::film::Image;
+use crate::estimator::{Sampling, Strategy, Unbiased};
+use crate::film::{Film, Image};
 use crate::math::{Ray, Rgb};
 use crate::parallel;
 use crate::params::Theta;
@@ -32,15 +32,15 @@ pub trait Progress: Sync {
 impl Progress for () {}
 
 /// The progress of work in one part or two, each of which counts all of its units.
-pub(super) struct InParts<'a, P> {
-    progress: &'a P,
+pub(super) struct InParts<'a> {
+    progress: &'a dyn Progress,
     parts: u64,
     done: AtomicU64,
 }
 
-impl<'a, P: Progress> InParts<'a, P> {
+impl<'a> InParts<'a> {
     /// Two parts where particles find caustics.
-    pub(super) fn new(progress: &'a P, caustics: Caustics) -> Self {
+    pub(super) fn new(progress: &'a dyn Progress, caustics: Caustics) -> Self {
         let parts = match caustics {
             Caustics::Paths => 1,
             Caustics::Particles => 2,
@@ -53,7 +53,7 @@ impl<'a, P: Progress> InParts<'a, P> {
     }
 }
 
-impl<P: Progress> Progress for InParts<'_, P> {
+impl Progress for InParts<'_> {
     fn advance(&self, n: u64) {
         let before = self.done.fetch_add(n, Ordering::Relaxed);
         (self.progress).advance((before + n) / self.parts - before / self.parts);
@@ -306,14 +306,39 @@ pub fn render<R: Components, S: Unbiased, X: Sampler>(
     settings: &Settings,
     seed: u64,
     samples: Range<u64>,
-    progress: &impl Progress,
+    progress: &dyn Progress,
 ) -> Rendering {
+    let caustics = settings.caustics_of::<S>(scene);
+    let progress = InParts::new(progress, caustics);
+    let of_paths = of_paths::<R, S::Runs, X>;
+    let tiles = of_paths(scene, theta, settings, caustics, seed, &samples, &progress);
+    let mut out = assemble(&scene.film, R::COUNT, &samples, &tiles);
+    if caustics == Caustics::Particles && !out.cancelled {
+        let differential = S::Bsdf::DIFFERENTIAL;
+        let particles = particle::Context::caustics(scene, theta, settings, differential);
+        let part = particle::render::<R, X>(&particles, seed, samples, &progress);
+        out.add(&part);
+    }
+    out
+}
+
+/// `[component][height][width][3]` of a tile, added up, and what went wrong there; empty if there was no time.
+type TileSums = (Vec<f64>, NonFinite);
+
+/// All tiles, row by row.
+fn of_paths<R: Components, S: Strategy, X: Sampler>(
+    scene: &Scene,
+    theta: &Theta<R>,
+    settings: &Settings,
+    caustics: Caustics,
+    seed: u64,
+    samples: &Range<u64>,
+    progress: &dyn Progress,
+) -> Vec<TileSums> {
     let [width, height] = scene.film.crop_size;
     let tiles = tiles(width, height);
     let shifts = shifts::<R, S>(scene, theta);
-    let caustics = settings.caustics_of::<S>(scene);
-    let progress = InParts::new(progress, caustics);
-    let parts = parallel::map(tiles.len(), |i| {
+    parallel::map(tiles.len(), |i| {
         let tile = &tiles[i];
         let pixels = tile.pixels();
         let mut sums = vec![
@@ -336,7 +361,7 @@ pub fn render<R: Components, S: Unbiased, X: Sampler>(
             caustics,
         };
         let mut paths = Paths::<R, S, X, _>::new(());
-        tile.trace(&context, seed, &samples, &mut paths, |at, index, l, _| {
+        tile.trace(&context, seed, samples, &mut paths, |at, index, l, _| {
             if !l.is_finite() {
                 let [x, y] = tile.pixel(at);
                 non_finite.add(u64::from(y * width + x), index);
@@ -350,17 +375,22 @@ pub fn render<R: Components, S: Unbiased, X: Sampler>(
         });
         progress.advance(pixels as u64);
         (sums, non_finite)
-    });
+    })
+}
 
+/// The image made of its tiles.
+fn assemble(film: &Film, count: usize, samples: &Range<u64>, parts: &[TileSums]) -> Rendering {
+    let [width, height] = film.crop_size;
+    let tiles = tiles(width, height);
     let mut out = Rendering {
         width: width as usize,
         height: height as usize,
         samples: samples.end.saturating_sub(samples.start),
-        sums: vec![vec![0.0; width as usize * height as usize * 3]; R::COUNT],
+        sums: vec![vec![0.0; width as usize * height as usize * 3]; count],
         non_finite: NonFinite::default(),
         cancelled: false,
     };
-    for (tile, (sums, non_finite)) in tiles.iter().zip(&parts) {
+    for (tile, (sums, non_finite)) in tiles.iter().zip(parts) {
         if sums.is_empty() {
             out.cancelled = true;
             continue;
@@ -368,18 +398,13 @@ pub fn render<R: Components, S: Unbiased, X: Sampler>(
         out.non_finite.merge(non_finite);
         let row = (tile.x.end - tile.x.start) as usize * 3;
         let rows = (tile.y.end - tile.y.start) as usize;
-        for k in 0..R::COUNT {
+        for k in 0..count {
             for r in 0..rows {
                 let from = (k * rows + r) * row;
                 let to = ((tile.y.start as usize + r) * width as usize + tile.x.start as usize) * 3;
                 out.sums[k][to..to + row].copy_from_slice(&sums[from..from + row]);
             }
         }
-    }
-    if caustics == Caustics::Particles && !out.cancelled {
-        let particles = particle::Context::caustics::<S>(scene, theta, settings);
-        let part = particle::render::<R, X>(&particles, seed, samples, &progress);
-        out.add(&part);
     }
     out
 }

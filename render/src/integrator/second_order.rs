@@ -69,7 +69,7 @@ pub fn hessian_vector<P: Float, X: Sampler>(
     settings: &Settings,
     seed: u64,
     samples: Range<u64>,
-    progress: &impl Progress,
+    progress: &dyn Progress,
 ) -> Result<Gradient, RenderError> {
     check_size("adjoint image", scene, adjoint)?;
     check_size("tangent of the adjoint image", scene, adjoint_tangent)?;
@@ -98,7 +98,7 @@ pub fn hessian_vector<P: Float, X: Sampler>(
         path.backward_second(context, active, along, d, sink);
     };
     let largest = largest_of(adjoint).max(largest_of(adjoint_tangent)) * pass.scale();
-    Ok(exactly(scene, active, largest, progress, |large| {
+    Ok(exactly(scene, active, largest, progress, &|large| {
         pass.sums::<DetachedMis, X>(active, large, progress, each)
     }))
 }
@@ -144,7 +144,7 @@ pub fn gauss_newton<P: Float, X: Sampler>(
     settings: &Settings,
     seed: u64,
     samples: Range<u64>,
-    progress: &impl Progress,
+    progress: &dyn Progress,
 ) -> Result<GaussNewton, RenderError> {
     check_size("adjoint image", scene, adjoint)?;
     check_size("weights", scene, weights)?;
