@@ -129,7 +129,7 @@ pub fn refuse_flips(scene: &Scene, instead: &str) -> Result<(), ToolError> {
     }
 }
 
-/// `--sampler`, `--lights` and `--caustics`. Reports hold them by name.
+/// `--sampler`, `--lights`, `--caustics` and `--pixels-per-particle`. Reports hold them by name.
 #[derive(Args, Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SampleArgs {
     /// How the samples of a pixel are spread: independent, sobol (Owen-scrambled, best with powers of two)
@@ -148,6 +148,11 @@ pub struct SampleArgs {
           value_parser = |text: &str| named(&Caustics::NAMES, text))]
     #[serde(serialize_with = "write_caustics", deserialize_with = "read_caustics")]
     pub caustics: Option<Caustics>,
+    /// How many pixels share one of those particles, per sample: fewer where caustics are what matters
+    /// [default: 4]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub pixels_per_particle: Option<u32>,
 }
 
 impl SampleArgs {
@@ -161,7 +166,12 @@ impl SampleArgs {
         settings.caustics = self.caustics.unwrap_or_default();
         if settings.caustics == Caustics::Particles {
             refuse_flips(scene, "--caustics paths")?;
+        } else if self.pixels_per_particle.is_some() {
+            let message = "--pixels-per-particle: without effect; expected --caustics particles";
+            return Err(ToolError::Usage(message.into()));
         }
+        let default = settings.pixels_per_particle;
+        settings.pixels_per_particle = self.pixels_per_particle.unwrap_or(default);
         Ok(())
     }
 
@@ -171,6 +181,10 @@ impl SampleArgs {
             sampler: Some(self.sampler.unwrap_or_default()),
             lights: Some(self.lights.unwrap_or_default()),
             caustics: Some(self.caustics.unwrap_or_default()),
+            pixels_per_particle: (self.caustics == Some(Caustics::Particles)).then(|| {
+                let default = Settings::default().pixels_per_particle;
+                self.pixels_per_particle.unwrap_or(default)
+            }),
         }
     }
 }

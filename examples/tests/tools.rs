@@ -172,6 +172,12 @@ fn mistakes_end_with_a_message_and_without_a_file() {
             "--caustics",
         ),
         (
+            "render",
+            "scene.xml --pixels-per-particle 2 -o a.exr".into(),
+            1,
+            "expected --caustics particles",
+        ),
+        (
             "gradient",
             "flipped.xml --param lamp.emitter.radiance.value --caustics particles".into(),
             1,
@@ -320,6 +326,8 @@ fn render_writes_image_picture_and_report() {
         samples(&dir.json("all.json")),
         ["antithetic", "all", "particles"]
     );
+    assert_eq!(dir.json("all.json")["pixels_per_particle"], 4);
+    assert!(report.get("pixels_per_particle").is_none());
     // Options arrive.
     let mean = |args: &str| {
         dir.ok("render", &format!("scene.xml -o other.exr {args}"));
@@ -538,7 +546,7 @@ fn parameters_are_listed() {
 
 #[test]
 fn a_resumed_recovery_equals_an_uninterrupted_one_bit_for_bit() {
-    resumes("adam --sampler sobol --lights all --caustics particles");
+    resumes("adam --sampler sobol --lights all --caustics particles --pixels-per-particle 2");
     resumes("gauss-newton");
 }
 

@@ -1,10 +1,11 @@
 //! The estimator that chooses: unbiased, deterministic, and not fooled by what sees nothing.
 
 use render::auto::{self, Mixture, candidates};
+use render::image_io::write_exr;
 use render::instances::Estimator;
 use render::params::Theta;
 use render::sampler::Points;
-use render::{RenderError, Scene};
+use render::{Image, RenderError, Scene};
 use tests::stats::{Estimate, z_limit};
 use tests::{mean_adjoint, scene};
 
@@ -312,6 +313,49 @@ fn spread_points_are_unbiased() {
             );
         }
     }
+}
+
+/// Pilots see emission that is an image, on a surface or around the scene, as they see numbers.
+#[test]
+fn images_that_emit_are_weighed_too() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let file = |name: &str, scale: f32| {
+        let mut image = Image::new(8, 4);
+        let texels = image.data.iter_mut().enumerate();
+        texels.for_each(|(i, x)| *x = scale * (1.0 + 0.5 * (i as f32).sin()));
+        let path = dir.path().join(name);
+        write_exr(&path, &image).expect("a folder to write to");
+        format!(r#"<string name="filename" value="{}"/>"#, path.display())
+    };
+    let s = scene(&format!(
+        r#"{}{}<emitter type="envmap" id="sky">{}</emitter>
+        <shape type="rectangle" id="lamp">
+        <transform name="to_world"><rotate x="1" angle="90"/><translate y="1"/></transform><emitter type="area">
+        <texture type="bitmap" name="radiance">{}<boolean name="raw" value="true"/></texture></emitter></shape>"#,
+        camera(16, "0, 1.5, 4", 2),
+        plate(0.0, r#"<bsdf type="diffuse"/>"#),
+        file("sky.exr", 0.01),
+        file("lamp.exr", 10.0),
+    ));
+    let ones = mean_adjoint(&s);
+    let measure = |names: &[&str]| {
+        let e = Estimator::MisBalance;
+        auto::sampling_weights(&s, names, &ones, e, &s.settings, 1, &()).expect("weights")
+    };
+    let sky = measure(&["sky.data"]);
+    let lamp = measure(&["lamp.emitter.radiance.data"]);
+    // The smallest share goes to what says nothing about the other's texels.
+    let least = |w: &[f64]| w.iter().position(|w| (w - 0.05).abs() < 1e-12);
+    assert_eq!((sky.len(), lamp.len()), (2, 2));
+    let (of_sky, of_lamp) = (least(&lamp), least(&sky));
+    assert!(of_sky.is_some() && of_lamp.is_some() && of_sky != of_lamp);
+    let image = measure(&[]);
+    let share = |k: Option<usize>| k.map_or(0.0, |k| image[k]);
+    assert!(
+        share(of_lamp) > 0.9,
+        "a thousand times as bright: {image:?}"
+    );
+    assert!(share(of_sky) > 0.05, "{image:?}");
 }
 
 /// Sampling weights from pilots: what emits, and nothing else, counts for its own derivative; the rest is spread

@@ -386,6 +386,42 @@ fn pairs_of_particles_make_less_noise() {
     assert!(gain > 2.0);
 }
 
+/// Fewer particles bring the same light and the same derivatives, with more noise; none at all is not possible.
+#[test]
+fn the_number_of_particles_does_not_matter() {
+    let s = wall();
+    let params = smooth_params(&s);
+    let adjoint = mean_adjoint(&s);
+    let of = |pixels_per_particle, seed: u64, spp| {
+        let settings = Settings {
+            pixels_per_particle,
+            ..with(&s, Caustics::Particles)
+        };
+        reverse::<f32>(&s, &params, &adjoint, &settings, seed, spp)
+    };
+    assert_eq!(of(0, 1, 4), of(1, 1, 4));
+    // 64 pixels share one particle.
+    assert_eq!(of(u32::MAX, 1, 4), of(64, 1, 4));
+    let runs = |shared, seed| -> Vec<Vec<f64>> {
+        let run = |r| of(shared, seed + r, 64).concat();
+        (0..64).map(run).collect()
+    };
+    let (many, few) = (runs(1, 100), runs(7, 1100));
+    let n = many[0].len();
+    let limit = z_limit(n, ALPHA) * 1.25;
+    let mut louder = 0.0f64;
+    for i in 0..n {
+        let [many, few] =
+            [&many, &few].map(|runs| Estimate::of(&runs.iter().map(|r| r[i]).collect::<Vec<_>>()));
+        assert!(few.z(&many).abs() < limit, "{i}: {few:?} {many:?}");
+        if many.se > 0.0 {
+            louder = louder.max(few.se / many.se);
+        }
+    }
+    println!("{n} derivatives; noise grows up to {louder:.2} times");
+    assert!(louder > 1.5);
+}
+
 /// What it is for: the wall and its derivatives in roughness and emission, at equal samples, with a smoother plate.
 #[test]
 fn particles_make_less_noise() {

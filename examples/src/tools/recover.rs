@@ -253,6 +253,8 @@ impl Job {
         same("--sampler", given.sampler.map(Some), job.sampler, debug)?;
         same("--lights", given.lights.map(Some), job.lights, debug)?;
         same("--caustics", given.caustics.map(Some), job.caustics, debug)?;
+        let (shared, by) = (given.pixels_per_particle, job.pixels_per_particle);
+        same("--pixels-per-particle", shared.map(Some), by, debug)?;
         same("--loss", args.loss.clone(), self.loss.clone(), text)?;
         same("--seed", args.seed, self.seed, text)?;
         same("--size", args.size, self.size, text)

@@ -54,13 +54,14 @@ pub fn sampling_weights<N: AsRef<str>>(
     let pairs = (SAMPLES / 2).div_ceil(scene.film.pixels().max(1)) as u64;
     let seed = seed ^ PILOT_SEED;
     let mut deviations = Vec::with_capacity(scene.emitters().len());
+    let emission: Vec<ParamRef> = scene.emitters().iter().flat_map(emission_of).collect();
     for (k, emitter) in scene.emitters().iter().enumerate() {
-        let (own, values) = alone(scene, emitter);
-        let others = |info: &ParamInfo| {
-            let p = scene.params().handle(info);
-            !own.contains(&p) && emission(scene).contains(&p)
-        };
-        let seen: Vec<ParamInfo> = params.iter().filter(|i| !others(i)).cloned().collect();
+        let own = emission_of(emitter);
+        let mut others = emission.clone();
+        others.retain(|p| !own.contains(p));
+        let values = without(scene, &others);
+        let mut seen = params.clone();
+        seen.retain(|info| !others.contains(&scene.params().handle(info)));
         let mut variance = 0.0;
         for pair in 0..pairs {
             let along = match params.is_empty() {
@@ -92,27 +93,21 @@ pub fn sampling_weights<N: AsRef<str>>(
     Ok(deviations.into_iter().map(weight).collect())
 }
 
-/// What all emitters emit.
-fn emission(scene: &Scene) -> Vec<ParamRef> {
-    let each = scene.emitters().iter().flat_map(emission_of);
-    each.collect()
-}
-
+/// What an emitter emits.
 fn emission_of(emitter: &AnyEmitter) -> Vec<ParamRef> {
     let mut out = Vec::new();
     emitter.radiance().visit_params(&mut |p| out.push(p));
     out
 }
 
-/// What an emitter emits, and all values where the others are dark.
-fn alone(scene: &Scene, emitter: &AnyEmitter) -> (Vec<ParamRef>, Vec<f32>) {
+/// All values where these are dark.
+fn without(scene: &Scene, dark: &[ParamRef]) -> Vec<f32> {
     let params = scene.params();
-    let own = emission_of(emitter);
     let mut values = params.values().to_vec();
-    for p in emission(scene).iter().filter(|p| !own.contains(p)) {
+    for p in dark {
         values[params.infos()[p.id as usize].range()].fill(0.0);
     }
-    (own, values)
+    values
 }
 
 /// The direction of all of an emitter's light.

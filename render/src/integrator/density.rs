@@ -11,7 +11,7 @@ use std::ops::Range;
 
 use ad_core::{Float, Vec2, Vec3};
 
-use super::particle::{Context, Observer, follow, per_sample};
+use super::particle::{Context, Observer, follow};
 use super::render::{Components, NonFinite, Progress, Rendering, tiles};
 use crate::bsdf::kernel::{Symmetry, eval_kernel, local_normal};
 use crate::bsdf::{Bsdf, Component, DeltaKind, Shading, TransportMode};
@@ -107,7 +107,7 @@ impl<P: Float> Map<P> {
             return None;
         }
         let scene = context.scene;
-        let n = per_sample(scene);
+        let n = context.per_sample;
         let sent = samples.end.saturating_sub(samples.start) * n;
         let first = samples.start * n;
         let jobs = sent.div_ceil(CHUNK) as usize;

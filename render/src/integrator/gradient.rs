@@ -85,14 +85,22 @@ impl Active {
         scene: &Scene,
         names: &[N],
     ) -> Result<Self, RenderError> {
+        let found = names.iter().map(|name| {
+            let info = scene.params().find(name.as_ref())?;
+            estimator::check_parameter::<S>(info)?;
+            Ok(info)
+        });
+        Ok(Self::of(scene, &found.collect::<Result<Vec<_>, _>>()?))
+    }
+
+    /// These parameters, each once.
+    fn of(scene: &Scene, infos: &[&ParamInfo]) -> Self {
         let params = scene.params();
         let mut slots = vec![Slot::Inactive; params.infos().len()];
         let mut ranges: Vec<ParamInfo> = Vec::new();
         let mut places = vec![None; slots.len()];
         let (mut small_len, mut large_len) = (0, 0);
-        for name in names {
-            let info = params.find(name.as_ref())?;
-            estimator::check_parameter::<S>(info)?;
+        for &info in infos {
             if ranges.iter().any(|r| r.name == info.name) {
                 continue;
             }
@@ -121,7 +129,7 @@ impl Active {
             .iter()
             .map(|e| e.radiance().any_param(on))
             .collect();
-        Ok(Self {
+        Self {
             ranges,
             slots,
             places,
@@ -132,7 +140,7 @@ impl Active {
             sums: Vec::new(),
             small_len,
             large_len,
-        })
+        }
     }
 
     /// The same with room for the sums that moving samples of emitters are made of.

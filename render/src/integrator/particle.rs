@@ -59,6 +59,8 @@ pub struct Context<'a, R: Real> {
     /// Whether derivatives through the distribution of normals have samples of their own where particles
     /// scatter, as [`crate::estimator::Differential`] has.
     pub differential: bool,
+    /// Particles per sample.
+    pub per_sample: u64,
 }
 
 impl<'a, R: Real> Context<'a, R> {
@@ -77,6 +79,7 @@ impl<'a, R: Real> Context<'a, R> {
             ball,
             caustics_only: false,
             differential: false,
+            per_sample: pixels(scene),
         }
     }
 
@@ -90,6 +93,7 @@ impl<'a, R: Real> Context<'a, R> {
         Self {
             caustics_only: true,
             differential,
+            per_sample: pixels(scene).div_ceil(settings.pixels_per_particle.max(1).into()),
             ..Self::new(scene, theta, settings)
         }
     }
@@ -533,6 +537,7 @@ impl<R: Real, X: Sampler> Particle<R, X> {
             ball: context.ball,
             caustics_only: context.caustics_only,
             differential: false,
+            per_sample: context.per_sample,
         };
         let si = &hit.si;
         let n_geo = local_normal(si);
@@ -644,8 +649,8 @@ pub(super) fn follow<R: Real, X: Sampler, O: Observer<R> + Clone>(
     }
 }
 
-/// Particles per sample: one for every pixel of the full film, so that a crop shows the same ones.
-pub fn per_sample(scene: &Scene) -> u64 {
+/// Pixels of the full film: a crop shows the same particles.
+pub(super) fn pixels(scene: &Scene) -> u64 {
     let [width, height] = scene.film.size;
     u64::from(width) * u64::from(height)
 }
@@ -657,8 +662,7 @@ struct Splat<R: Real> {
     value: Rgb<R>,
 }
 
-/// Renders by particles: the samples `samples`, each of which sends one particle per pixel of the full
-/// film, with seed `seed`. The expectation is the path tracer's image, without what a pinhole sees through
+/// Renders by particles: the samples `samples`, each of which sends [`Context::per_sample`], with seed `seed`. The expectation is the path tracer's image, without what a pinhole sees through
 /// deltas.
 ///
 /// Over a dual number, the result holds the derivative images of its tangents as well (forward mode).
@@ -674,7 +678,7 @@ pub fn render<R: Components, X: Sampler>(
 ) -> Rendering {
     let scene = context.scene;
     let [width, height] = scene.film.crop_size.map(|n| n as usize);
-    let n = per_sample(scene);
+    let n = context.per_sample;
     let total = samples.end.saturating_sub(samples.start) * n;
     let mut out = Rendering {
         width,

@@ -11,7 +11,7 @@ use std::ops::Range;
 use ad_core::{Float, Vec2, Vec3};
 
 use super::gradient::{Active, ExactBuffer, Gradient, Sink, check_size, exactly, largest_of};
-use super::particle::{Bounce, Connected, Context, Observer, follow, per_sample};
+use super::particle::{Bounce, Connected, Context, Observer, follow, pixels};
 use super::record::Activity;
 use super::render::{NonFinite, Progress};
 use crate::bsdf::differential::Part;
@@ -296,7 +296,7 @@ impl<'a, P: Float> Pass<'a, P> {
         seed: u64,
         samples: Range<u64>,
     ) -> Self {
-        let particles = samples.end.saturating_sub(samples.start) * per_sample(context.scene);
+        let particles = samples.end.saturating_sub(samples.start) * context.per_sample;
         let sensor = Sensor {
             film: &context.scene.film,
             adjoint,
@@ -313,7 +313,8 @@ impl<'a, P: Float> Pass<'a, P> {
     /// The largest adjoint of one particle.
     fn largest(&self) -> f64 {
         let spp = self.samples.end.saturating_sub(self.samples.start);
-        largest_of(self.sensor.adjoint) / spp.max(1) as f64
+        let shared = pixels(self.context.scene) as f64 / self.context.per_sample as f64;
+        largest_of(self.sensor.adjoint) * shared / spp.max(1) as f64
     }
 
     /// Follows all particles. The large ranges are added to `large`.
@@ -323,7 +324,7 @@ impl<'a, P: Float> Pass<'a, P> {
         large: &ExactBuffer,
         progress: &dyn Progress,
     ) -> Sums {
-        let n = per_sample(self.context.scene);
+        let n = self.context.per_sample;
         let total = self.samples.end.saturating_sub(self.samples.start) * n;
         let (first, step) = (self.samples.start * n, total.div_ceil(JOBS as u64).max(1));
         let pixels = self.sensor.film.pixels() as u64;

@@ -42,6 +42,8 @@ pub struct Settings {
     pub lights: LightChoice,
     /// Who finds caustics.
     pub caustics: Caustics,
+    /// How many pixels share one of the particles that find caustics, per sample: at least 1.
+    pub pixels_per_particle: u32,
 }
 
 /// Who finds the light that something glossy throws on a diffuse surface which the camera sees, be it there or
@@ -51,7 +53,7 @@ pub enum Caustics {
     /// Paths from the camera, as all light.
     #[default]
     Paths,
-    /// Particles from the emitters, one per pixel and sample, connected to the pinhole where they meet a diffuse
+    /// Particles from the emitters ([`Settings::pixels_per_particle`]), connected to the pinhole where they meet a diffuse
     /// surface; paths leave this light out. The expectation is the same, with what paths cannot find besides:
     /// caustics of point and spot lights in mirrors and smooth glass. Particles scatter as detached BSDF sampling
     /// does, with a pair for the change of normals where the estimator has one. Where the whole path is attached, or normals are flipped to the viewer, paths
@@ -111,6 +113,7 @@ impl Default for Settings {
             points: Points::default(),
             lights: LightChoice::default(),
             caustics: Caustics::default(),
+            pixels_per_particle: 4,
         }
     }
 }

@@ -65,6 +65,7 @@ const SETTINGS: Settings = Settings {
     points: render::sampler::Points::Independent,
     lights: render::scene::LightChoice::One,
     caustics: render::scene::Caustics::Paths,
+    pixels_per_particle: 1,
 };
 
 /// Two surfaces tilted by 80 degrees, shaded as if they faced the small light above them, in a black shell that
