@@ -402,7 +402,7 @@ fn the_number_of_particles_does_not_matter() {
     assert_eq!(of(0, 1, 4), of(1, 1, 4));
     // 64 pixels share one particle.
     assert_eq!(of(u32::MAX, 1, 4), of(64, 1, 4));
-    let runs = |shared, seed| -> Vec<Vec<f64>> {
+    let runs = |shared, seed: u64| -> Vec<Vec<f64>> {
         let run = |r| of(shared, seed + r, 64).concat();
         (0..64).map(run).collect()
     };
