@@ -59,7 +59,7 @@ pub struct Context<'a, R: Real> {
     /// Whether derivatives through the distribution of normals have samples of their own where particles
     /// scatter, as [`crate::estimator::Differential`] has.
     pub differential: bool,
-    /// Particles per sample.
+    /// Particles per sample: one per pixel of the full film, or fewer where they find caustics only.
     pub per_sample: u64,
 }
 
@@ -662,8 +662,8 @@ struct Splat<R: Real> {
     value: Rgb<R>,
 }
 
-/// Renders by particles: the samples `samples`, each of which sends [`Context::per_sample`], with seed `seed`. The expectation is the path tracer's image, without what a pinhole sees through
-/// deltas.
+/// Renders by particles: the samples `samples`, each of which sends [`Context::per_sample`], with seed `seed`.
+/// The expectation is the path tracer's image, without what a pinhole sees through deltas.
 ///
 /// Over a dual number, the result holds the derivative images of its tangents as well (forward mode).
 /// It depends on the arguments only, not on the number of threads: jobs leave lists of splats, which are

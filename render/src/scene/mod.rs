@@ -42,7 +42,8 @@ pub struct Settings {
     pub lights: LightChoice,
     /// Who finds caustics.
     pub caustics: Caustics,
-    /// How many pixels share one of the particles that find caustics, per sample: at least 1.
+    /// How many pixels share one of the particles that find caustics, per sample; 0 counts as 1. Particles say so
+    /// much more than paths that few will do, except where caustics are what is looked at.
     pub pixels_per_particle: u32,
 }
 
@@ -53,11 +54,11 @@ pub enum Caustics {
     /// Paths from the camera, as all light.
     #[default]
     Paths,
-    /// Particles from the emitters ([`Settings::pixels_per_particle`]), connected to the pinhole where they meet a diffuse
-    /// surface; paths leave this light out. The expectation is the same, with what paths cannot find besides:
-    /// caustics of point and spot lights in mirrors and smooth glass. Particles scatter as detached BSDF sampling
-    /// does, with a pair for the change of normals where the estimator has one. Where the whole path is attached, or normals are flipped to the viewer, paths
-    /// find everything all the same.
+    /// Particles from the emitters ([`Settings::pixels_per_particle`]), connected to the pinhole where they meet a
+    /// diffuse surface; paths leave this light out. The expectation is the same, with what paths cannot find
+    /// besides: caustics of point and spot lights in mirrors and smooth glass. Particles scatter as detached BSDF
+    /// sampling does, with a pair for the change of normals where the estimator has one. Where the whole path is
+    /// attached, or normals are flipped to the viewer, paths find everything all the same.
     Particles,
 }
 
