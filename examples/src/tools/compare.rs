@@ -445,7 +445,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
             scene: args.scene.display().to_string(),
             reference: args.reference.clone(),
             spp: settings.spp,
-            samples: args.samples,
+            samples: args.samples.filled(),
             repeats: args.repeats,
             threads,
             seed: args.seed,

@@ -225,7 +225,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
             estimator: args.estimator.name(),
             mixture: (args.estimator == Choice::Auto).then(|| mixture.to_string()),
             spp: settings.spp,
-            samples: args.samples,
+            samples: args.samples.filled(),
             sampling_weights: weights,
             repeats: statistics.repeats,
             threads,

@@ -240,7 +240,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
             width: rendering.width,
             height: rendering.height,
             spp: rendering.samples,
-            samples: args.samples,
+            samples: args.samples.filled(),
             threads,
             seconds_load,
             seconds_render,
