@@ -308,7 +308,11 @@ fn a_mirror_throws_the_light_of_a_point() {
     <emitter type="point"><point name="position" value="-1, 1, 0"/><rgb name="intensity" value="3"/></emitter>"#;
     let s = scene(body);
     let mean = |caustics| {
-        let runs = picture(&s, &with(&s, caustics), 1, 64, 1000);
+        let settings = Settings {
+            pixels_per_particle: 1,
+            ..with(&s, caustics)
+        };
+        let runs = picture(&s, &settings, 1, 64, 1000);
         let mean = runs.iter().map(|e| e.mean).sum::<f64>() / runs.len() as f64;
         let se = runs.iter().map(|e| e.se * e.se).sum::<f64>().sqrt() / runs.len() as f64;
         (mean, se)
