@@ -364,24 +364,8 @@ pub fn backward<P: Float, S: Unbiased, X: Sampler>(
     samples: Range<u64>,
     progress: &dyn Progress,
 ) -> Result<Gradient, RenderError> {
-    estimator::check::<S>(scene)?;
-    let run = run::<P, S::Runs, X>;
-    run(
-        scene, theta, active, adjoint, settings, seed, samples, progress,
-    )
-}
-
-fn run<P: Float, S: Strategy, X: Sampler>(
-    scene: &Scene,
-    theta: &Theta<P>,
-    active: &Active,
-    adjoint: &[f32],
-    settings: &Settings,
-    seed: u64,
-    samples: Range<u64>,
-    progress: &dyn Progress,
-) -> Result<Gradient, RenderError> {
     check_size("adjoint image", scene, adjoint)?;
+    estimator::check::<S>(scene)?;
     let pass = Pass {
         scene,
         theta,
@@ -390,38 +374,7 @@ fn run<P: Float, S: Strategy, X: Sampler>(
         seed,
         samples,
     };
-    let scale = P::of(pass.scale());
-    let each =
-        |context: &Context<P>, at: Sample, recorder: &mut Recorder<'_, P>, sink: &mut Sink| {
-            let d = at.of_image::<P>(adjoint, scene) * scale;
-            if S::Bsdf::DETACHED_PATH {
-                recorder.backward::<S>(scene, theta, d, sink);
-            } else {
-                let again = Again::<P, S, X> {
-                    pass: &pass,
-                    at,
-                    types: PhantomData,
-                };
-                recorder.backward_moving(context, &again, d, sink);
-            }
-        };
-    let largest = largest_of(adjoint) * pass.scale();
-    let moving = S::Aim::KEEPS.then(|| active.clone().with_sums(scene));
-    let active = moving.as_ref().unwrap_or(active);
-    Ok(exactly(scene, active, largest, progress, &|large| {
-        let progress = InParts::new(progress, pass.caustics);
-        let (mut small, mut non_finite) = pass.sums::<S, X>(active, large, &progress, each);
-        if pass.caustics == Caustics::Particles && !progress.cancelled() {
-            let differential = S::Bsdf::DIFFERENTIAL;
-            let context = particle::Context::caustics(scene, theta, settings, differential);
-            let samples = pass.samples.clone();
-            let particles = particle_gradient::Pass::new(&context, adjoint, seed, samples);
-            let part = particles.sums::<X>(active, large, &progress);
-            small.iter_mut().zip(part.small).for_each(|(s, p)| *s += p);
-            non_finite.merge(&part.non_finite);
-        }
-        (small, non_finite)
-    }))
+    Ok(pass.gradient::<S::Runs, X>(active, adjoint, progress))
 }
 
 /// Whether an image with three channels has the size of the film.
@@ -533,6 +486,49 @@ impl<P: Float> Pass<'_, P> {
     pub fn scale(&self) -> f64 {
         let spp = self.samples.end.saturating_sub(self.samples.start).max(1);
         1.0 / spp as f64
+    }
+
+    /// The derivative of `<adjoint, image>`, once everything has been checked; see [`backward`].
+    fn gradient<S: Strategy, X: Sampler>(
+        &self,
+        active: &Active,
+        adjoint: &[f32],
+        progress: &dyn Progress,
+    ) -> Gradient {
+        let (scene, theta) = (self.scene, self.theta);
+        let scale = P::of(self.scale());
+        let each =
+            |context: &Context<P>, at: Sample, recorder: &mut Recorder<'_, P>, sink: &mut Sink| {
+                let d = at.of_image::<P>(adjoint, scene) * scale;
+                if S::Bsdf::DETACHED_PATH {
+                    recorder.backward::<S>(scene, theta, d, sink);
+                } else {
+                    let again = Again::<P, S, X> {
+                        pass: self,
+                        at,
+                        types: PhantomData,
+                    };
+                    recorder.backward_moving(context, &again, d, sink);
+                }
+            };
+        let largest = largest_of(adjoint) * self.scale();
+        let moving = S::Aim::KEEPS.then(|| active.clone().with_sums(scene));
+        let active = moving.as_ref().unwrap_or(active);
+        exactly(scene, active, largest, progress, &|large| {
+            let progress = InParts::new(progress, self.caustics);
+            let (mut small, mut non_finite) = self.sums::<S, X>(active, large, &progress, each);
+            if self.caustics == Caustics::Particles && !progress.cancelled() {
+                let differential = S::Bsdf::DIFFERENTIAL;
+                let context =
+                    particle::Context::caustics(scene, theta, self.settings, differential);
+                let samples = self.samples.clone();
+                let particles = particle_gradient::Pass::new(&context, adjoint, self.seed, samples);
+                let part = particles.sums::<X>(active, large, &progress);
+                small.iter_mut().zip(part.small).for_each(|(s, p)| *s += p);
+                non_finite.merge(&part.non_finite);
+            }
+            (small, non_finite)
+        })
     }
 
     /// Sums of the small ranges.
