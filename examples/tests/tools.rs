@@ -455,6 +455,17 @@ fn gradient_of_the_mean_is_right_and_reported() {
     let measured = dir.json("c.json");
     assert_eq!(measured["params"], report["params"]);
     assert_eq!(numbers(&measured["sampling_weights"]), [1.0]);
+    // Pixels are measured, and samples go elsewhere; the image of that is beside the report.
+    dir.ok(
+        "gradient",
+        &format!("{args} --measure-pixels --json d.json"),
+    );
+    let measured = dir.json("d.json");
+    assert_ne!(measured["params"], report["params"]);
+    assert_eq!(measured["pixel_weights"], "d.pixel_weights.exr");
+    let weights = read_exr(&dir.path("d.pixel_weights.exr")).unwrap();
+    assert_eq!((weights.width, weights.height), (36, 24));
+    assert!(weights.data.iter().any(|w| *w != weights.data[0]));
 }
 
 #[test]

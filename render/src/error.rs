@@ -262,6 +262,15 @@ pub enum RenderError {
         found: f64,
     },
 
+    /// A weight of a pixel that is negative or not finite.
+    #[error("weight of pixel {pixel}: expected a number not below zero, found {found}")]
+    PixelWeight {
+        /// Its number, row by row.
+        pixel: usize,
+        /// Its weight.
+        found: f32,
+    },
+
     /// Too many or too few of something.
     #[error("{what}: expected {expected}, found {found}")]
     Count {

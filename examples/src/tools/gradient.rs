@@ -28,6 +28,7 @@ Examples:
   gradient scene.xml --param a.alpha.value --loss l2 --target photo.exr
   gradient scene.xml --param a.alpha.value --images folder
   gradient scene.xml --param lamp.emitter.radiance.value --measure-lights
+  gradient scene.xml --param a.alpha.value --estimator differential-mis --measure-pixels
 
 The objective is the mean of all pixel values and channels, unless --adjoint or --loss is given. Standard
 errors come from independent repeats. With --loss, the image that the loss sees is rendered with other
@@ -63,6 +64,9 @@ pub struct Args {
     /// Pilots choose how often each light is sampled, for these parameters [default: as the scene says]
     #[arg(long)]
     pub measure_lights: bool,
+    /// A short pass before decides how often each pixel is sampled, for these parameters [default: as often]
+    #[arg(long)]
+    pub measure_pixels: bool,
     /// Largest number of path edges; -1 for no limit [default: the scene's]
     #[arg(long, value_name = "N", value_parser = depth, allow_hyphen_values = true)]
     pub max_depth: Option<u32>,
@@ -124,8 +128,13 @@ struct Report {
     /// What `--measure-lights` found, per emitter.
     #[serde(skip_serializing_if = "Option::is_none")]
     sampling_weights: Option<Vec<f64>>,
+    /// Image of the weights that `--measure-pixels` found, beside this file.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pixel_weights: Option<String>,
     repeats: u64,
     threads: usize,
+    /// What `--measure-lights`, `--measure-pixels` and the pilots of `auto` took, once.
+    seconds_pilots: f64,
     seconds_primal: f64,
     seconds_gradient: f64,
     /// Mean over the repeats; only with `--loss`.
@@ -187,14 +196,22 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     args.samples.apply(&scene, &mut settings)?;
     settings.max_depth = args.max_depth.unwrap_or(settings.max_depth);
 
-    let mut weights = None;
+    let (mut weights, mut pixels) = (None, None);
+    let mut seconds_pilots = 0.0;
     let (statistics, images, threads) = args.threads.run(|threads| {
+        let start = Instant::now();
         if args.measure_lights {
             let found = measure_lights(args, &scene, &settings, &objective, interrupt)?;
             scene.set_sampling_weights(&found)?;
             weights = Some(found);
         }
+        if args.measure_pixels {
+            let found = measure_pixels(args, &scene, &settings, &objective, interrupt)?;
+            scene.set_pixel_weights(&found)?;
+            pixels = Some(found);
+        }
         let mixture = mixture(args, &scene, &settings, &objective, interrupt)?;
+        seconds_pilots = start.elapsed().as_secs_f64();
         let statistics = repeat(args, &scene, &settings, &mixture, &objective, interrupt)?;
         let images = match &args.images {
             Some(_) if !interrupt.is_set() => {
@@ -227,8 +244,10 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
             spp: settings.spp,
             samples: args.samples.filled(),
             sampling_weights: weights,
+            pixel_weights: pixels.map(|p| pixel_image(&scene, &p, path)).transpose()?,
             repeats: statistics.repeats,
             threads,
+            seconds_pilots,
             seconds_primal: median(&statistics.seconds_primal),
             seconds_gradient: median(&statistics.seconds_gradient),
             loss: statistics.loss(),
@@ -258,6 +277,54 @@ fn ranges(args: &Args, scene: &Scene) -> Result<Vec<ParamInfo>, ToolError> {
     Ok(out)
 }
 
+/// The estimator that lights and pixels are measured with.
+fn measuring(args: &Args) -> Estimator {
+    match args.estimator {
+        Choice::One(e) => e,
+        Choice::Auto => Estimator::MisBalance,
+    }
+}
+
+/// How often to sample each pixel, as a short pass tells; says how much they differ.
+fn measure_pixels(
+    args: &Args,
+    scene: &Scene,
+    settings: &Settings,
+    objective: &Objective,
+    interrupt: &Interrupt,
+) -> Result<Vec<f32>, ToolError> {
+    let (names, estimator) = (&args.params, measuring(args));
+    let adjoint = objective.adjoint(args, scene, settings, interrupt)?;
+    let seed = args.seed;
+    let weights =
+        auto::pixel_weights(scene, names, &adjoint, estimator, settings, seed, interrupt)?;
+    let total: f64 = weights.iter().map(|&w| f64::from(w)).sum();
+    let mut sorted = weights.clone();
+    sorted.sort_by(|a, b| b.total_cmp(a));
+    let mut sum = 0.0;
+    let half = sorted.iter().take_while(|&&w| {
+        sum += f64::from(w);
+        sum < 0.5 * total
+    });
+    let part = 100.0 * half.count() as f64 / weights.len().max(1) as f64;
+    println!("half of the samples: in {part:.0} % of the pixels");
+    Ok(weights)
+}
+
+/// Weights of pixels as an image beside `json`.
+fn pixel_image(scene: &Scene, weights: &[f32], json: &Path) -> Result<String, ToolError> {
+    let [width, height] = scene.film.crop_size.map(|n| n as usize);
+    let mut image = Image::new(width, height);
+    image.data = weights.iter().flat_map(|&w| [w; 3]).collect();
+    let path = output::beside(json, "pixel_weights.exr");
+    image_io::write_exr(&path, &image)?;
+    Ok(path
+        .file_name()
+        .unwrap_or_default()
+        .to_string_lossy()
+        .into_owned())
+}
+
 /// How often to sample each light, as pilots tell; says so.
 fn measure_lights(
     args: &Args,
@@ -266,10 +333,7 @@ fn measure_lights(
     objective: &Objective,
     interrupt: &Interrupt,
 ) -> Result<Vec<f64>, ToolError> {
-    let estimator = match args.estimator {
-        Choice::One(e) => e,
-        Choice::Auto => Estimator::MisBalance,
-    };
+    let estimator = measuring(args);
     let names = &args.params;
     let adjoint = objective.adjoint(args, scene, settings, interrupt)?;
     let seed = args.seed;

@@ -31,6 +31,7 @@
 mod lights;
 mod mixture;
 mod pilot;
+mod pixels;
 mod shares;
 
 use std::fmt;
@@ -46,6 +47,7 @@ use crate::texture::ScalarTexture;
 pub use lights::sampling_weights;
 pub use mixture::Mixture;
 pub use pilot::{Finding, PILOTS, able};
+pub use pixels::{pixel_weights, pixel_weights_of};
 
 /// What may be chosen in a scene: everything that is unbiased there and that no few pilots could mistake.
 ///

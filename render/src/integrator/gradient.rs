@@ -8,9 +8,10 @@ use std::sync::atomic::{AtomicBool, AtomicI64, Ordering};
 use ad_core::{Float, Real};
 
 use super::local::LocalFn;
+use super::noise::{PixelNoise, Watch};
 use super::path::Context;
 use super::record::{Activity, Recorder};
-use super::render::{InParts, NonFinite, Paths, Progress, start, tiles};
+use super::render::{InParts, NonFinite, Paths, Progress, Sample, place, start, tiles};
 use super::{particle, particle_gradient};
 use crate::bsdf::{Bsdf, Material, TextureRef};
 use crate::emitter::{AnyEmitter, Emitter};
@@ -48,6 +49,8 @@ pub struct Active {
     /// Per emitter: where the adjoints of the sums go that its samples are made of. Empty unless samples of
     /// emitters move.
     sums: Vec<Option<SumSlot>>,
+    /// Per range of the layout: the size of its values. Empty unless the noise of pixels is asked for.
+    sizes: Vec<f64>,
     small_len: usize,
     large_len: usize,
 }
@@ -138,9 +141,27 @@ impl Active {
             emission: emitters.contains(&true),
             emitters,
             sums: Vec::new(),
+            sizes: Vec::new(),
             small_len,
             large_len,
         }
+    }
+
+    /// The same, and gradient passes tell the noise of each pixel ([`Gradient::noise`]): derivatives count in
+    /// proportion to the root mean square of the values they belong to, if that is not zero.
+    #[must_use]
+    pub fn with_noise(mut self, scene: &Scene) -> Self {
+        let params = scene.params();
+        let size = |info: &ParamInfo| {
+            let values = &params.values()[info.range()];
+            let squares: f64 = values.iter().map(|&v| f64::from(v).powi(2)).sum();
+            match squares > 0.0 {
+                true => (squares / values.len() as f64).sqrt(),
+                false => 1.0,
+            }
+        };
+        self.sizes = params.infos().iter().map(size).collect();
+        self
     }
 
     /// The same with room for the sums that moving samples of emitters are made of.
@@ -215,6 +236,9 @@ pub struct Gradient {
     pub values: Vec<Vec<f64>>,
     /// What went wrong.
     pub non_finite: NonFinite,
+    /// What the samples of each pixel tell about their noise, row by row; empty unless it was asked for
+    /// ([`Active::with_noise`]).
+    pub noise: Vec<PixelNoise>,
     /// Whether it was stopped early; the sums are then incomplete.
     pub cancelled: bool,
 }
@@ -263,6 +287,8 @@ pub(super) struct Sink<'a> {
     active: &'a Active,
     small: Vec<f64>,
     large: &'a ExactBuffer,
+    /// Where somebody wants to know the noise of pixels.
+    watch: Option<Watch>,
 }
 
 impl<'a> Sink<'a> {
@@ -271,6 +297,24 @@ impl<'a> Sink<'a> {
             active,
             small: vec![0.0; active.small_len],
             large,
+            watch: None,
+        }
+    }
+
+    /// The same for samples whose ends [`Sink::finish`] is told.
+    fn of_samples(active: &'a Active, large: &'a ExactBuffer) -> Self {
+        let watch = (!active.sizes.is_empty()).then(|| Watch::new(active.small_len));
+        Self {
+            watch,
+            ..Self::new(active, large)
+        }
+    }
+
+    /// What was added last belongs to this sample.
+    #[inline]
+    fn finish(&mut self, scene: &Scene, at: Sample, work: u32) {
+        if let Some(watch) = &mut self.watch {
+            watch.finish(place(scene, at.pixel), at.count, work);
         }
     }
 
@@ -296,7 +340,17 @@ impl<P: Float> GradSink<P> for Sink<'_> {
     }
     #[inline]
     fn add(&mut self, p: ParamRef, i: usize, d: P) {
-        self.put(self.active.slots[p.id as usize], i, d.to_f64());
+        let (id, d) = (p.id as usize, d.to_f64());
+        let slot = self.active.slots[id];
+        self.put(slot, i, d);
+        if let Some(watch) = &mut self.watch {
+            let d = d * self.active.sizes[id];
+            match slot {
+                Slot::Inactive => {}
+                Slot::Small(at) => watch.add(at as usize + i, d),
+                Slot::Large(_) => watch.add_alone(d),
+            }
+        }
     }
 }
 
@@ -402,19 +456,32 @@ pub(super) fn largest_of(image: &[f32]) -> f64 {
     image.iter().fold(0.0, |m, &a| m.max(f64::from(a.abs())))
 }
 
-/// Repeats `pass`, which gives the sums of the small ranges, until the large ones fit their integers.
+/// What a pass adds up, besides the large ranges.
+pub(super) struct Sums {
+    /// Derivatives in the small ranges.
+    pub small: Vec<f64>,
+    pub non_finite: NonFinite,
+    /// As [`Gradient::noise`].
+    pub noise: Vec<PixelNoise>,
+}
+
+/// Repeats `pass` until the large ranges fit their integers.
 /// `largest` is the magnitude of the largest adjoint of one path.
 pub(super) fn exactly(
     scene: &Scene,
     active: &Active,
     largest: f64,
     progress: &dyn Progress,
-    pass: &dyn Fn(&ExactBuffer) -> (Vec<f64>, NonFinite),
+    pass: &dyn Fn(&ExactBuffer) -> Sums,
 ) -> Gradient {
     let mut bits = 36;
     loop {
         let large = ExactBuffer::new(active.large_len, largest, bits);
-        let (small, non_finite) = pass(&large);
+        let Sums {
+            small,
+            non_finite,
+            noise,
+        } = pass(&large);
         if large.overflow.load(Ordering::Relaxed) && bits > 0 {
             bits -= 12;
             continue;
@@ -445,9 +512,15 @@ pub(super) fn exactly(
         return Gradient {
             values,
             non_finite,
+            noise,
             cancelled: progress.cancelled(),
         };
     }
+}
+
+/// Adds a part to sums.
+fn add(sums: &mut [f64], part: &[f64]) {
+    sums.iter_mut().zip(part).for_each(|(s, p)| *s += p);
 }
 
 /// The recorded paths of an image.
@@ -460,32 +533,18 @@ pub(super) struct Pass<'a, P: Float> {
     pub samples: Range<u64>,
 }
 
-/// A sample of a pixel of the crop window.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Sample {
-    pub pixel: [u32; 2],
-    pub index: u64,
-}
-
-impl Sample {
-    /// The number of the pixel, row by row.
-    pub fn place(&self, scene: &Scene) -> usize {
-        (self.pixel[1] * scene.film.crop_size[0] + self.pixel[0]) as usize
-    }
-
-    /// The pixel's entry of an image.
-    #[inline]
-    pub fn of_image<P: Float>(&self, image: &[f32], scene: &Scene) -> Rgb<P> {
-        let i = self.place(scene) * 3;
-        Rgb::from(std::array::from_fn(|c| P::from_f32(image[i + c])))
-    }
-}
-
 impl<P: Float> Pass<'_, P> {
-    /// What a sample counts in the mean of its pixel.
-    pub fn scale(&self) -> f64 {
-        let spp = self.samples.end.saturating_sub(self.samples.start).max(1);
-        1.0 / spp as f64
+    /// How many samples a pixel has.
+    pub fn count(&self, pixel: usize) -> u64 {
+        let samples = self.scene.pixel_shares().samples(pixel, &self.samples);
+        samples.end - samples.start
+    }
+
+    /// The magnitude of the largest adjoint of one path.
+    pub fn largest(&self, adjoint: &[f32]) -> f64 {
+        let pixels = adjoint.chunks_exact(3).enumerate();
+        let each = pixels.map(|(i, adjoint)| largest_of(adjoint) / self.count(i).max(1) as f64);
+        each.fold(0.0, f64::max)
     }
 
     /// The derivative of `<adjoint, image>`, once everything has been checked; see [`backward`].
@@ -496,10 +555,9 @@ impl<P: Float> Pass<'_, P> {
         progress: &dyn Progress,
     ) -> Gradient {
         let (scene, theta) = (self.scene, self.theta);
-        let scale = P::of(self.scale());
         let each =
             |context: &Context<P>, at: Sample, recorder: &mut Recorder<'_, P>, sink: &mut Sink| {
-                let d = at.of_image::<P>(adjoint, scene) * scale;
+                let d = at.of_image::<P>(adjoint, scene) * P::of(at.scale());
                 if S::Bsdf::DETACHED_PATH {
                     recorder.backward::<S>(scene, theta, d, sink);
                 } else {
@@ -510,13 +568,14 @@ impl<P: Float> Pass<'_, P> {
                     };
                     recorder.backward_moving(context, &again, d, sink);
                 }
+                sink.finish(scene, at, recorder.work());
             };
-        let largest = largest_of(adjoint) * self.scale();
+        let largest = self.largest(adjoint);
         let moving = S::Aim::KEEPS.then(|| active.clone().with_sums(scene));
         let active = moving.as_ref().unwrap_or(active);
         exactly(scene, active, largest, progress, &|large| {
             let progress = InParts::new(progress, self.caustics);
-            let (mut small, mut non_finite) = self.sums::<S, X>(active, large, &progress, each);
+            let mut sums = self.sums::<S, X>(active, large, &progress, each);
             if self.caustics == Caustics::Particles && !progress.cancelled() {
                 let differential = S::Bsdf::DIFFERENTIAL;
                 let context =
@@ -524,29 +583,40 @@ impl<P: Float> Pass<'_, P> {
                 let samples = self.samples.clone();
                 let particles = particle_gradient::Pass::new(&context, adjoint, self.seed, samples);
                 let part = particles.sums::<X>(active, large, &progress);
-                small.iter_mut().zip(part.small).for_each(|(s, p)| *s += p);
-                non_finite.merge(&part.non_finite);
+                add(&mut sums.small, &part.small);
+                sums.non_finite.merge(&part.non_finite);
             }
-            (small, non_finite)
+            sums
         })
     }
 
-    /// Sums of the small ranges.
+    /// All paths. The large ranges are added to `large`.
     pub fn sums<S: Strategy, X: Sampler>(
         &self,
         active: &Active,
         large: &ExactBuffer,
         progress: &dyn Progress,
         each: impl Fn(&Context<P>, Sample, &mut Recorder<'_, P>, &mut Sink) + Sync,
-    ) -> (Vec<f64>, NonFinite) {
-        let new = || Sink::new(active, large);
+    ) -> Sums {
+        let new = || Sink::of_samples(active, large);
         let (parts, non_finite) = self.paths::<S, X, _>(active, JOBS, progress, new, each);
         let mut small = vec![0.0; active.small_len];
+        let pixels = match active.sizes.is_empty() {
+            true => 0,
+            false => self.scene.film.pixels(),
+        };
+        let mut noise = vec![PixelNoise::default(); pixels];
         for part in parts {
-            let part = part.into_small();
-            small.iter_mut().zip(part).for_each(|(s, p)| *s += p);
+            add(&mut small, &part.small);
+            for (pixel, found) in part.watch.into_iter().flat_map(Watch::into_pixels) {
+                noise[pixel] = found;
+            }
         }
-        (small, non_finite)
+        Sums {
+            small,
+            non_finite,
+            noise,
+        }
     }
 
     /// Records every path, as far as the parameters `active` matter to it, and calls `each` with it, pixel by
@@ -577,13 +647,11 @@ impl<P: Float> Pass<'_, P> {
                 if progress.cancelled() {
                     break;
                 }
-                let done = |at, index, l: Rgb<P>, recorder: &mut Recorder<'_, P>| {
-                    let pixel = tile.pixel(at);
-                    let sample = Sample { pixel, index };
+                let done = |_, sample: Sample, l: Rgb<P>, recorder: &mut Recorder<'_, P>| {
                     if l.is_finite() {
                         each(&context, sample, recorder, &mut state);
                     } else {
-                        non_finite.add(sample.place(self.scene) as u64, index);
+                        non_finite.add(place(self.scene, sample.pixel) as u64, sample.index);
                     }
                     recorder.clear();
                 };

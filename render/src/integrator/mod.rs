@@ -12,6 +12,7 @@ pub mod density;
 pub mod direct;
 pub mod gradient;
 mod local;
+pub mod noise;
 pub mod particle;
 pub mod particle_gradient;
 pub mod path;

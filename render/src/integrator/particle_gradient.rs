@@ -10,7 +10,7 @@ use std::ops::Range;
 
 use ad_core::{Float, Vec2, Vec3};
 
-use super::gradient::{Active, ExactBuffer, Gradient, Sink, check_size, exactly, largest_of};
+use super::gradient::{self, Active, ExactBuffer, Gradient, Sink, check_size, exactly, largest_of};
 use super::particle::{Bounce, Connected, Context, Observer, follow, pixels};
 use super::record::Activity;
 use super::render::{NonFinite, Progress};
@@ -262,7 +262,11 @@ pub fn backward<P: Float, X: Sampler>(
     let gradient = exactly(context.scene, active, pass.largest(), progress, &|large| {
         let sums = pass.sums::<X>(active, large, progress);
         value.set(sums.value);
-        (sums.small, sums.non_finite)
+        gradient::Sums {
+            small: sums.small,
+            non_finite: sums.non_finite,
+            noise: Vec::new(),
+        }
     });
     Ok(Measurement {
         value: value.get(),

@@ -131,6 +131,8 @@ pub trait Observer<R: Real> {
     fn aimed(&mut self, _aimed: Aimed<R::Primal>) {}
     /// A sample of the derivative of the current vertex's normals met light.
     fn normals(&mut self, _light: NormalsLight<R>) {}
+    /// Called before that with the number of edges that the sample took, whatever it met.
+    fn walked(&mut self, _edges: u32) {}
     /// The path goes on from the current vertex.
     fn bounce(&mut self, _bounce: Bounce<R>) {}
 }
@@ -258,10 +260,15 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
 
     /// Goes on to the end, tracing ray by ray.
     pub fn finish<O: Observer<R>>(mut self, context: &Context<R>, observer: &mut O) -> Rgb<R> {
-        batch::trace_alone(context.scene, &mut self, |walk, hit, visible| {
+        self.go(context, observer);
+        self.l
+    }
+
+    /// [`Walk::finish`] for one that is still of interest.
+    fn go<O: Observer<R>>(&mut self, context: &Context<R>, observer: &mut O) {
+        batch::trace_alone(context.scene, self, |walk, hit, visible| {
             walk.step(context, hit, visible, observer);
         });
-        self.l
     }
 
     /// Goes on to the next vertex: `hit` is what [`Walk::ray`] met, `visible` whether
@@ -542,7 +549,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
                 let d = si.primal().frame.to_world(sample.wi);
                 let ray = si.primal().spawn_ray(d, info.offset);
                 let pair = pair_pdf(material, &at, wo, sample.wi);
-                let walk = Walk::<R::Primal, S, X> {
+                let mut walk = Walk::<R::Primal, S, X> {
                     beta: beta.primal(),
                     pdf_bsdf: pair,
                     from: Vec3::lift(si.p.primal()),
@@ -551,11 +558,14 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
                     left_out: self.left_out,
                     ..Walk::new(Ray::lift(ray), *sampler)
                 };
-                let li = walk.finish(&context, &mut ());
-                if li.is_black() {
+                walk.go(&context, &mut ());
+                if O::ENABLED {
+                    observer.walked(walk.depth - depth);
+                }
+                if walk.l.is_black() {
                     continue;
                 }
-                let li = Rgb::lift(li.scale(pair.recip()));
+                let li = Rgb::lift(walk.l.scale(pair.recip()));
                 if !R::IS_PRIMAL {
                     self.l += change * li;
                 }

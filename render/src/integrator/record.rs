@@ -59,6 +59,8 @@ pub struct Recorder<'a, P: Float> {
     aimed: Vec<(u32, Aimed<P>)>,
     /// Number of entries of `lights` that belong to a vertex already.
     claimed: u32,
+    /// Edges of samples of the derivative of normals.
+    walked: u32,
 }
 
 impl<'a, P: Float> Recorder<'a, P> {
@@ -78,6 +80,12 @@ impl<'a, P: Float> Recorder<'a, P> {
         self.aimed.clear();
         self.normals.clear();
         self.claimed = 0;
+        self.walked = 0;
+    }
+
+    /// What the path cost, in edges.
+    pub(super) fn work(&self) -> u32 {
+        1 + self.vertices.len() as u32 + self.walked
     }
 
     fn push(&mut self, beta: Rgb<P>, surface: Option<Surface<P>>) {
@@ -518,6 +526,11 @@ impl<P: Float> Observer<P> for Recorder<'_, P> {
         if let Some(v) = self.vertices.last_mut() {
             v.normals.1 += 1;
         }
+    }
+
+    #[inline]
+    fn walked(&mut self, edges: u32) {
+        self.walked += edges;
     }
 
     #[inline]

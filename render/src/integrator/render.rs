@@ -127,7 +127,7 @@ pub struct Rendering {
     pub width: usize,
     /// Number of rows.
     pub height: usize,
-    /// Samples per pixel in the sums.
+    /// Samples per pixel in the sums: where pixels have more or fewer, they weigh as much as these.
     pub samples: u64,
     /// `[component][height][width][3]`: the image, then one derivative image per tangent.
     pub sums: Vec<Vec<f64>>,
@@ -205,6 +205,36 @@ pub(super) fn tiles(width: u32, height: u32) -> Vec<Tile> {
         .collect()
 }
 
+/// The number of a pixel of the crop window, row by row.
+#[inline]
+pub(super) fn place(scene: &Scene, [x, y]: [u32; 2]) -> usize {
+    y as usize * scene.film.crop_size[0] as usize + x as usize
+}
+
+/// A sample of a pixel of the crop window.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Sample {
+    pub pixel: [u32; 2],
+    pub index: u64,
+    /// How many the pixel has.
+    pub count: u64,
+}
+
+impl Sample {
+    /// What it counts in the mean of its pixel.
+    #[inline]
+    pub fn scale(&self) -> f64 {
+        1.0 / self.count as f64
+    }
+
+    /// The pixel's entry of an image.
+    #[inline]
+    pub fn of_image<P: Float>(&self, image: &[f32], scene: &Scene) -> Rgb<P> {
+        let i = place(scene, self.pixel) * 3;
+        Rgb::from(std::array::from_fn(|c| P::from_f32(image[i + c])))
+    }
+}
+
 /// The start of sample `index` of the pixel `(x, y)` of the crop window.
 #[inline(always)]
 pub(super) fn start<R: Real, S: Strategy, X: Sampler>(
@@ -239,42 +269,49 @@ impl Tile {
         [self.x.start + i % width, self.y.start + i / width]
     }
 
-    /// Follows the samples `samples` of all pixels, and calls `done` with the pixel's index within the
-    /// tile, the sample's index, the radiance and the observer of each, in order.
+    /// Follows the samples `samples` of all pixels, as the scene shares them, and calls `done` with the pixel's
+    /// index within the tile, the sample, the radiance and the observer of each, in order.
     pub(super) fn trace<R: Real, S: Strategy, X: Sampler, O: Observer<R>>(
         &self,
         context: &Context<R>,
         seed: u64,
         samples: &Range<u64>,
         paths: &mut Paths<R, S, X, O>,
-        mut done: impl FnMut(usize, u64, Rgb<R>, &mut O),
+        mut done: impl FnMut(usize, Sample, Rgb<R>, &mut O),
     ) {
-        let spp = samples.end.saturating_sub(samples.start);
-        let total = self.pixels() as u64 * spp;
-        for first in (0..total).step_by(PATHS) {
-            let which = |k: usize| {
-                let i = first + k as u64;
-                ((i / spp) as usize, samples.start + i % spp)
-            };
-            let n = PATHS.min((total - first) as usize);
-            paths.walks.clear();
-            paths.walks.extend((0..n).map(|k| {
-                let (pixel, index) = which(k);
-                start(
-                    context.scene,
-                    context.settings.points,
-                    seed,
-                    self.pixel(pixel),
+        let scene = context.scene;
+        let mut all = (0..self.pixels()).flat_map(|at| {
+            let pixel = self.pixel(at);
+            let samples = scene.pixel_shares().samples(place(scene, pixel), samples);
+            let count = samples.end - samples.start;
+            samples.map(move |index| {
+                let sample = Sample {
+                    pixel,
                     index,
-                )
-            }));
+                    count,
+                };
+                (at, sample)
+            })
+        });
+        loop {
+            paths.which.clear();
+            paths.which.extend(all.by_ref().take(PATHS));
+            if paths.which.is_empty() {
+                break;
+            }
+            let points = context.settings.points;
+            paths.walks.clear();
+            paths.walks.extend(
+                (paths.which.iter())
+                    .map(|(_, sample)| start(scene, points, seed, sample.pixel, sample.index)),
+            );
             let observers = &mut paths.observers;
-            batch::trace(context.scene, &mut paths.walks, |i, walk, hit, visible| {
+            batch::trace(scene, &mut paths.walks, |i, walk, hit, visible| {
                 walk.step(context, hit, visible, &mut observers[i]);
             });
-            for (k, (walk, observer)) in paths.walks.iter().zip(&mut paths.observers).enumerate() {
-                let (pixel, index) = which(k);
-                done(pixel, index, walk.l, observer);
+            let found = paths.walks.iter().zip(&mut paths.observers);
+            for (&(at, sample), (walk, observer)) in paths.which.iter().zip(found) {
+                done(at, sample, walk.l, observer);
             }
         }
     }
@@ -282,6 +319,8 @@ impl Tile {
 
 /// Room for the paths of one thread.
 pub(super) struct Paths<R: Real, S: Strategy, X: Sampler, O> {
+    /// Index within the tile of each one's pixel, and its sample.
+    which: Vec<(usize, Sample)>,
     walks: Vec<Walk<R, S, X>>,
     observers: Vec<O>,
 }
@@ -290,6 +329,7 @@ impl<R: Real, S: Strategy, X: Sampler, O: Clone> Paths<R, S, X, O> {
     /// Each path is watched by an observer like this one.
     pub(super) fn new(observer: O) -> Self {
         Self {
+            which: Vec::with_capacity(PATHS),
             walks: Vec::with_capacity(PATHS),
             observers: vec![observer; PATHS],
         }
@@ -338,6 +378,7 @@ fn of_paths<R: Components, S: Strategy, X: Sampler>(
     let [width, height] = scene.film.crop_size;
     let tiles = tiles(width, height);
     let shifts = shifts::<R, S>(scene, theta);
+    let spp = samples.end.saturating_sub(samples.start) as f64;
     parallel::map(tiles.len(), |i| {
         let tile = &tiles[i];
         let pixels = tile.pixels();
@@ -361,15 +402,16 @@ fn of_paths<R: Components, S: Strategy, X: Sampler>(
             caustics,
         };
         let mut paths = Paths::<R, S, X, _>::new(());
-        tile.trace(&context, seed, samples, &mut paths, |at, index, l, _| {
+        tile.trace(&context, seed, samples, &mut paths, |at, sample, l, _| {
             if !l.is_finite() {
-                let [x, y] = tile.pixel(at);
-                non_finite.add(u64::from(y * width + x), index);
+                non_finite.add(place(scene, sample.pixel) as u64, sample.index);
                 return;
             }
+            // Sums as if there were as many samples of each pixel.
+            let weight = spp * sample.scale();
             for k in 0..R::COUNT {
                 for c in 0..3 {
-                    sums[(k * pixels + at) * 3 + c] += l[c].component(k);
+                    sums[(k * pixels + at) * 3 + c] += weight * l[c].component(k);
                 }
             }
         });

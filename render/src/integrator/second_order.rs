@@ -31,10 +31,10 @@ use std::ops::Range;
 
 use ad_core::Float;
 
-use super::gradient::{Active, Gradient, Pass, Sample, Sink, check_size, exactly, largest_of};
+use super::gradient::{Active, Gradient, Pass, Sink, check_size, exactly};
 use super::path::Context;
 use super::record::{Activity, Recorder};
-use super::render::{NonFinite, Progress};
+use super::render::{NonFinite, Progress, Sample, place};
 use crate::error::RenderError;
 use crate::estimator::DetachedMis;
 use crate::math::Rgb;
@@ -88,16 +88,16 @@ pub fn hessian_vector<P: Float, X: Sampler>(
         seed,
         samples,
     };
-    let scale = P::of(pass.scale());
     let along = |p: ParamRef, element: u32| {
         let place = active.place(p).map(|at| at + element as usize);
         place.map_or(P::zero(), |i| direction[i])
     };
     let each = |context: &Context<P>, at: Sample, path: &mut Recorder<'_, P>, sink: &mut Sink| {
+        let scale = P::of(at.scale());
         let d = [adjoint, adjoint_tangent].map(|a| at.of_image::<P>(a, scene) * scale);
         path.backward_second(context, active, along, d, sink);
     };
-    let largest = largest_of(adjoint).max(largest_of(adjoint_tangent)) * pass.scale();
+    let largest = pass.largest(adjoint).max(pass.largest(adjoint_tangent));
     Ok(exactly(scene, active, largest, progress, &|large| {
         pass.sums::<DetachedMis, X>(active, large, progress, each)
     }))
@@ -164,28 +164,28 @@ pub fn gauss_newton<P: Float, X: Sampler>(
         seed,
         samples,
     };
-    let count = pass.scale().recip();
-    if count < 2.0 {
+    let spp = pass.samples.end.saturating_sub(pass.samples.start);
+    if spp < 2 {
         return Err(RenderError::Count {
             what: "samples per pixel of a Gauss-Newton matrix",
             expected: "at least 2",
-            found: pass.samples.end.saturating_sub(pass.samples.start),
+            found: spp,
         });
     }
-    let pairs = (count * (count - 1.0)).recip();
-    let at = |image: &[f32], place: usize, c: usize| f64::from(image[place * 3 + c]);
+    let at = |image: &[f32], pixel: usize, c: usize| f64::from(image[pixel * 3 + c]);
+    // What a pair of samples counts.
+    let pairs = |pixel: usize, c: usize| {
+        let count = pass.count(pixel) as f64;
+        at(weights, pixel, c) / (count * (count - 1.0))
+    };
     let each = |_: &Context<P>, sample: Sample, path: &mut Recorder<'_, P>, sums: &mut Sums| {
-        let place = sample.place(scene);
-        sums.go_to(place, |pixel, c| pairs * at(weights, pixel, c));
+        let pixel = place(scene, sample.pixel);
+        sums.go_to(pixel, pairs);
         for c in 0..3 {
             let mut d = [P::zero(); 3];
             d[c] = P::one();
             path.backward::<DetachedMis>(scene, theta, Rgb::from(d), &mut sums.sample);
-            sums.add_sample(
-                c,
-                pass.scale() * at(adjoint, place, c),
-                -pairs * at(weights, place, c),
-            );
+            sums.add_sample(c, sample.scale() * at(adjoint, pixel, c), -pairs(pixel, c));
         }
     };
     let new = || Sums::new(active);
@@ -193,7 +193,7 @@ pub fn gauss_newton<P: Float, X: Sampler>(
     let mut gradient = vec![0.0; n];
     let mut lower = vec![0.0; n * (n + 1) / 2];
     for mut part in parts {
-        part.flush(|pixel, c| pairs * at(weights, pixel, c));
+        part.flush(pairs);
         gradient
             .iter_mut()
             .zip(&part.gradient)
@@ -218,7 +218,7 @@ fn below(i: usize, j: usize) -> usize {
 
 /// A vector that is mostly zero.
 #[derive(Debug)]
-struct Sparse {
+pub(super) struct Sparse {
     values: Vec<f64>,
     /// Which entries may not be zero, and a list of them.
     is_touched: Vec<bool>,
@@ -226,7 +226,7 @@ struct Sparse {
 }
 
 impl Sparse {
-    fn new(len: usize) -> Self {
+    pub fn new(len: usize) -> Self {
         Self {
             values: vec![0.0; len],
             is_touched: vec![false; len],
@@ -235,18 +235,24 @@ impl Sparse {
     }
 
     #[inline]
-    fn add(&mut self, i: usize, x: f64) {
+    pub fn add(&mut self, i: usize, x: f64) {
         if !std::mem::replace(&mut self.is_touched[i], true) {
             self.touched.push(i as u32);
         }
         self.values[i] += x;
     }
 
+    /// Its entries that may not be zero. It is zero afterwards.
+    pub fn drain(&mut self) -> impl Iterator<Item = (usize, f64)> {
+        self.touched.drain(..).map(|i| {
+            let i = i as usize;
+            self.is_touched[i] = false;
+            (i, std::mem::take(&mut self.values[i]))
+        })
+    }
+
     fn clear(&mut self) {
-        for i in self.touched.drain(..) {
-            self.values[i as usize] = 0.0;
-            self.is_touched[i as usize] = false;
-        }
+        self.drain().for_each(drop);
     }
 }
 

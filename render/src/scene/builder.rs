@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use std::sync::Arc;
 
-use super::{Node, Scene, Settings, ShapeInfo, Shares};
+use super::{Node, PixelShares, Scene, Settings, ShapeInfo, Shares};
 use crate::accel::Accel;
 use crate::bsdf::nesting::{flips_normals, is_glossy};
 use crate::bsdf::{Bsdf, Material};
@@ -412,6 +412,7 @@ impl Builder {
             emitters,
             infinite,
             shares: Shares::new(&self.weights),
+            pixels: PixelShares::default(),
             casters,
             prims,
             accel,

@@ -2,6 +2,7 @@
 
 mod builder;
 mod load;
+mod pixels;
 mod shares;
 pub mod xml;
 
@@ -25,6 +26,7 @@ use crate::params::{ParamRef, Params};
 use crate::sampler::Points;
 use crate::shape::{AnyShape, Shape, SurfaceInteraction};
 
+pub(crate) use pixels::PixelShares;
 pub(crate) use shares::Shares;
 
 /// How a scene file wants to be rendered.
@@ -147,6 +149,8 @@ pub struct Scene {
     infinite: Vec<u32>,
     /// How often each emitter is sampled.
     shares: Shares,
+    /// How often each pixel is.
+    pixels: PixelShares,
     /// Balls around what throws caustics; none where there is nothing to throw them on, no light, or something
     /// that particles see otherwise than paths do.
     casters: Vec<Ball>,
@@ -253,6 +257,38 @@ impl Scene {
             });
         }
         self.shares = Shares::new(weights);
+        Ok(())
+    }
+
+    /// How often each pixel is sampled.
+    #[inline]
+    pub(crate) fn pixel_shares(&self) -> &PixelShares {
+        &self.pixels
+    }
+
+    /// Makes the pixels of the crop window, row by row, be sampled in proportion to these weights: a quarter to
+    /// 64 times the samples per pixel asked for, by powers of two. They are equal at first, and as many samples are
+    /// taken in all; `auto::pixel_weights` measures which are best. No expectation changes, only variances do.
+    /// Particles are not concerned.
+    ///
+    /// # Errors
+    /// Wrong length, or a weight that is negative or not finite.
+    pub fn set_pixel_weights(&mut self, weights: &[f32]) -> Result<(), RenderError> {
+        let (expected, found) = (self.film.pixels(), weights.len());
+        if expected != found {
+            return Err(RenderError::WrongLength {
+                what: "pixel weights",
+                expected,
+                found,
+            });
+        }
+        if let Some(pixel) = weights.iter().position(|w| !(*w >= 0.0 && w.is_finite())) {
+            return Err(RenderError::PixelWeight {
+                pixel,
+                found: weights[pixel],
+            });
+        }
+        self.pixels = PixelShares::new(weights);
         Ok(())
     }
 

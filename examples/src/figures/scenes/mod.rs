@@ -11,6 +11,7 @@ pub mod estimators;
 pub mod factors;
 pub mod freezing;
 pub mod materials;
+pub mod measured;
 pub mod moved_edges;
 pub mod outlines;
 pub mod path_length;
