@@ -24,7 +24,7 @@ struct Level {
 impl Level {
     /// Squares twice as wide.
     fn joined(&self) -> Self {
-        let height = self.squares.len().div_ceil(self.width.max(1));
+        let height = self.squares.len().div_ceil(self.width);
         let width = self.width.div_ceil(2);
         let mut squares = vec![PixelNoise::default(); width * height.div_ceil(2)];
         for (i, s) in self.squares.iter().enumerate() {
@@ -85,7 +85,7 @@ pub fn pixel_weights<N: AsRef<str>>(
 /// where there is no noise at all.
 pub fn pixel_weights_of(noise: &[PixelNoise], width: usize) -> Vec<f32> {
     let mut levels = vec![Level {
-        width,
+        width: width.max(1),
         squares: noise.to_vec(),
     }];
     while let Some(last) = levels.last()
@@ -182,6 +182,7 @@ mod tests {
     #[test]
     fn without_noise_all_are_equal() {
         assert!(pixel_weights_of(&[], 0).is_empty());
+        assert_eq!(pixel_weights_of(&[PixelNoise::default(); 3], 0), [1.0; 3]);
         assert_eq!(pixel_weights_of(&[PixelNoise::default(); 6], 3), [1.0; 6]);
         let mut silent = [pixel(4, 1.0, 1); 4];
         silent[0].squares = f64::MAX;

@@ -148,7 +148,8 @@ impl Active {
     }
 
     /// The same, and gradient passes tell the noise of each pixel ([`Gradient::noise`]): derivatives count in
-    /// proportion to the root mean square of the values they belong to, if that is not zero.
+    /// proportion to the root mean square of the values they belong to, if that is not zero. What comes through
+    /// samples of environment maps that move is not counted, nor are particles.
     #[must_use]
     pub fn with_noise(mut self, scene: &Scene) -> Self {
         let params = scene.params();
