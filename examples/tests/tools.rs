@@ -405,6 +405,7 @@ fn gradient_of_the_mean_is_right_and_reported() {
             "sampler",
             "scene",
             "seconds_gradient",
+            "seconds_pilots",
             "seconds_primal",
             "spp",
             "threads"
