@@ -10,6 +10,7 @@ use crate::scene::{Scene, Settings};
 
 /// Samples that are taken in all, as far as [`LEAST`] per pixel are not more.
 const SAMPLES: usize = 1 << 17;
+/// Samples per pixel, at least.
 const LEAST: usize = 8;
 /// A square of pixels is believed to be like the square around it as much as so many samples of its own say, if all
 /// had the same part of the variance.
@@ -48,7 +49,7 @@ impl Level {
 /// ([`Active::with_noise`](crate::integrator::gradient::Active::with_noise)), which costs next to nothing.
 ///
 /// Light that is hardly ever found, such as caustics by paths, is missed by a short pass as well. No pixel has less than
-/// a quarter of its even share: that is how far its variance may rise.
+/// a quarter of its even share, so its variance rises to four times at most.
 ///
 /// # Errors
 /// An unknown name, an adjoint of the wrong size, a parameter or scene that is not for this estimator.

@@ -466,8 +466,8 @@ pub(super) struct Sums {
     pub noise: Vec<PixelNoise>,
 }
 
-/// Repeats `pass` until the large ranges fit their integers.
-/// `largest` is the magnitude of the largest adjoint of one path.
+/// Repeats `pass` until the large ranges fit their integers. `largest` is the magnitude of the largest adjoint of one
+/// path.
 pub(super) fn exactly(
     scene: &Scene,
     active: &Active,
