@@ -167,6 +167,16 @@ impl Params {
         }
     }
 
+    /// How large a range's values are: their root mean square; one where all are zero.
+    pub fn size(&self, info: &ParamInfo) -> f64 {
+        let values = &self.values()[info.range()];
+        let squares: f64 = values.iter().map(|&v| f64::from(v).powi(2)).sum();
+        match squares > 0.0 {
+            true => (squares / values.len() as f64).sqrt(),
+            false => 1.0,
+        }
+    }
+
     /// The handle of a range.
     pub fn handle(&self, info: &ParamInfo) -> ParamRef {
         ParamRef {

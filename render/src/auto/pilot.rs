@@ -294,9 +294,8 @@ pub(super) fn directions(
             return Direction::Uniform(handle);
         }
         let values = &all.values()[info.range()];
-        let squares: f64 = values.iter().map(|&v| f64::from(v).powi(2)).sum();
-        let size = match squares > 0.0 && params.len() > 1 {
-            true => (squares / values.len() as f64).sqrt() as f32,
+        let size = match params.len() > 1 {
+            true => all.size(info) as f32,
             false => 1.0,
         };
         let mut random = Independent::new(seed, u64::from(handle.id), pair);

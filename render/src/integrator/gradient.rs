@@ -148,20 +148,12 @@ impl Active {
     }
 
     /// The same, and gradient passes tell the noise of each pixel ([`Gradient::noise`]): derivatives count in
-    /// proportion to the root mean square of the values they belong to, if that is not zero. What comes through
+    /// proportion to the sizes of the parameters they belong to ([`Params::size`](crate::params::Params::size)). What comes through
     /// samples of environment maps that move is not counted, nor are particles.
     #[must_use]
     pub fn with_noise(mut self, scene: &Scene) -> Self {
         let params = scene.params();
-        let size = |info: &ParamInfo| {
-            let values = &params.values()[info.range()];
-            let squares: f64 = values.iter().map(|&v| f64::from(v).powi(2)).sum();
-            match squares > 0.0 {
-                true => (squares / values.len() as f64).sqrt(),
-                false => 1.0,
-            }
-        };
-        self.sizes = params.infos().iter().map(size).collect();
+        self.sizes = params.infos().iter().map(|i| params.size(i)).collect();
         self
     }
 

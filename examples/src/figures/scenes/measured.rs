@@ -34,11 +34,7 @@ impl Passes {
         let theta = Theta::constant(scene.params().values());
         let active = e.active(scene, &subject.params)?;
         let sizes: Vec<f64> = (active.ranges().iter())
-            .flat_map(|info| {
-                let values = &scene.params().values()[info.range()];
-                let squares: f64 = values.iter().map(|&v| f64::from(v).powi(2)).sum();
-                vec![(squares / values.len() as f64).sqrt(); values.len()]
-            })
+            .flat_map(|info| vec![scene.params().size(info); info.shape.len()])
             .collect();
         let mut scaled = Vec::new();
         let mut seconds = Vec::new();
