@@ -268,6 +268,24 @@ fn mistakes_end_with_a_message_and_without_a_file() {
             1,
             "samples per pixel",
         ),
+        (
+            "recover",
+            "--out d --optimizer gauss-newton --estimator detached".into(),
+            1,
+            "--estimator",
+        ),
+        (
+            "recover",
+            "--out d --estimator nope".into(),
+            2,
+            "mis-balance",
+        ),
+        (
+            "recover",
+            "--out d --estimator attached --size 8".into(),
+            1,
+            "discontinuities",
+        ),
         ("recover", "--out d --lr nan --size 8".into(), 1, "rate"),
         (
             "recover",
@@ -559,6 +577,7 @@ fn parameters_are_listed() {
 #[test]
 fn a_resumed_recovery_equals_an_uninterrupted_one_bit_for_bit() {
     resumes("adam --sampler sobol --lights all --caustics particles --pixels-per-particle 2");
+    resumes("adam --estimator differential-mis");
     resumes("gauss-newton");
 }
 
@@ -575,7 +594,12 @@ fn resumes(optimizer: &str) {
     assert_eq!(half["iterations"], 5);
     assert_ne!(half["params"], dir.json("whole/result.json")["params"]);
     // Another job does not continue this one.
-    for (key, value) in [("--spp", "3"), ("--sampler", "antithetic")] {
+    let others = [
+        ("--spp", "3"),
+        ("--sampler", "antithetic"),
+        ("--estimator", "detached"),
+    ];
+    for (key, value) in others {
         let other = dir.run("recover", &format!("--out parts --resume {key} {value}"));
         assert_eq!(other.status.code(), Some(1));
         assert!(String::from_utf8_lossy(&other.stderr).contains(key));

@@ -79,6 +79,9 @@ pub struct Args {
     /// How samples are made
     #[command(flatten)]
     pub samples: SampleArgs,
+    /// Where derivatives flow, as in `gradient`; mis for gauss-newton [default: mis]
+    #[arg(long, value_name = "NAME", value_parser = Estimator::from_name)]
+    pub estimator: Option<Estimator>,
     /// l1, l2 (mse), relative-l1, relative-l2 or log-l2 [default: relative-l2]
     #[arg(long, value_name = "NAME", value_parser = loss_name)]
     pub loss: Option<String>,
@@ -137,6 +140,7 @@ struct Job {
     spp: u32,
     max_depth: Option<u32>,
     samples: SampleArgs,
+    estimator: String,
     loss: String,
     seed: u64,
     size: u32,
@@ -163,11 +167,19 @@ impl Job {
             ));
         }
         let loss = args.loss.clone().unwrap_or_else(|| "relative-l2".into());
+        let estimator = args.estimator.unwrap_or(Estimator::Mis);
         let spp = args.spp.unwrap_or(match optimizer {
             OptimizerArg::Adam | OptimizerArg::Sgd => 12,
             OptimizerArg::GaussNewton => 48,
         });
         if optimizer == OptimizerArg::GaussNewton {
+            if estimator != Estimator::Mis {
+                return Err(ToolError::Usage(format!(
+                    "--estimator: expected {} for gauss-newton, which has no other, found {}",
+                    Estimator::Mis.name(),
+                    estimator.name()
+                )));
+            }
             if loss.parse::<LossKind>()?.dd_pixel(1.0, 1.0) == 0.0 {
                 return Err(ToolError::Usage(format!(
                     "--loss: expected l2, relative-l2 or log-l2 for gauss-newton, found {loss}, which has \
@@ -198,6 +210,7 @@ impl Job {
             spp,
             max_depth: args.max_depth,
             samples: args.samples.filled(),
+            estimator: estimator.name().to_owned(),
             loss,
             seed: args.seed.unwrap_or(0),
             size: args.size.unwrap_or(96),
@@ -255,6 +268,8 @@ impl Job {
         same("--caustics", given.caustics.map(Some), job.caustics, debug)?;
         let (shared, by) = (given.pixels_per_particle, job.pixels_per_particle);
         same("--pixels-per-particle", shared.map(Some), by, debug)?;
+        let given = args.estimator.map(|e| e.name().to_owned());
+        same("--estimator", given, self.estimator.clone(), text)?;
         same("--loss", args.loss.clone(), self.loss.clone(), text)?;
         same("--seed", args.seed, self.seed, text)?;
         same("--size", args.size, self.size, text)
@@ -346,7 +361,9 @@ fn recover(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
         None => Job::new(args)?,
     };
     let (scene, start, truth) = load(&job)?;
-    let active = Active::new(&scene, &job.params)?;
+    let estimator = Estimator::from_name(&job.estimator)?;
+    estimator.check(&scene)?;
+    let active = estimator.active(&scene, &job.params)?;
     let mut settings = scene.settings;
     settings.spp = job.spp;
     settings.max_depth = job.max_depth.unwrap_or(settings.max_depth);
@@ -396,7 +413,7 @@ fn recover(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
         scene,
         settings,
         active,
-        estimator: Estimator::Mis,
+        estimator,
         loss,
         target,
     };
@@ -805,6 +822,7 @@ impl Recovery {
                 None => "built-in".into(),
             },
             optimizer: state.job.optimizer,
+            estimator: state.job.estimator.clone(),
             loss: state.job.loss.clone(),
             iterations: state.iteration,
             final_loss: state.history.last().map(|r| r.loss),
@@ -831,6 +849,7 @@ struct Recovered {
 struct Report {
     scene: String,
     optimizer: OptimizerArg,
+    estimator: String,
     loss: String,
     iterations: u32,
     final_loss: Option<f64>,
