@@ -79,7 +79,7 @@ pub struct Args {
     /// How samples are made
     #[command(flatten)]
     pub samples: SampleArgs,
-    /// Where derivatives flow, as in `gradient`; mis for gauss-newton [default: mis]
+    /// Where derivatives flow: as in `gradient`, but not auto; mis for gauss-newton [default: mis]
     #[arg(long, value_name = "NAME", value_parser = Estimator::from_name)]
     pub estimator: Option<Estimator>,
     /// l1, l2 (mse), relative-l1, relative-l2 or log-l2 [default: relative-l2]
