@@ -135,6 +135,18 @@ impl Ball {
             radius,
         })
     }
+
+    /// Whether a ray may meet anything within: false only where it certainly does not, whatever its rounding.
+    #[inline]
+    pub(crate) fn may_be_met<P: Float>(&self, ray: &Ray<P>) -> bool {
+        let to = Vec3::from(self.centre.map(P::of)) - ray.o;
+        let radius2 = P::of(1.01 * self.radius * self.radius);
+        let distance2 = to.length_squared();
+        // A few roundings of the distance.
+        let reach2 = radius2 + P::of(1e-10) * distance2;
+        let passes = to.cross(ray.d).length_squared() <= reach2;
+        distance2 <= reach2 || (passes && to.dot(ray.d) > P::zero())
+    }
 }
 
 /// A particle from an environment: it arrives from `sample.d`, on a disc that hides the scene. Uses
@@ -379,4 +391,42 @@ emitters! {
     Constant,
     Envmap,
     Vmf,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sampler::{Independent, Sampler};
+
+    /// A ray at a point in the ball, from any distance up to a million radii, in single precision, may meet it; one
+    /// that passes well beside it does not, nor one that leaves.
+    #[test]
+    fn a_ray_at_a_point_in_a_ball_may_meet_it() {
+        for i in 0..10_000 {
+            let mut s = Independent::new(3, 0, i);
+            let mut unit = || warp::square_to_sphere(s.next_2d::<f64>());
+            let (centre, out, across) = (unit() * 50.0, unit(), unit());
+            let radius = 10f64.powf(5.0 * s.next_1d::<f64>() - 2.0);
+            let away = 10f64.powf(6.0 * s.next_1d::<f64>());
+            let ball = Ball {
+                centre: centre.to_array(),
+                radius,
+            };
+            let o = centre + out * (radius * (1.0 + away));
+            let single = |v: Vec3<f64>| Vec3::new(v.x as f32, v.y as f32, v.z as f32);
+            let at = |p: Vec3<f64>| {
+                let (o, p) = (single(o), single(p));
+                Ray::new(o, (p - o).normalize())
+            };
+            let inside = centre + across * (radius * s.next_1d::<f64>());
+            assert!(ball.may_be_met(&at(inside)), "{i}");
+            let back = at(inside);
+            assert!(!ball.may_be_met(&Ray::new(back.o, -back.d)), "{i}");
+            if away < 1e3 {
+                let side = Frame::from_normal(out).s;
+                let tangent = centre + side * (radius * 1.2 * (1.0 + away) / away);
+                assert!(!ball.may_be_met(&at(tangent)), "{i}");
+            }
+        }
+    }
 }

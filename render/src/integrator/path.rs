@@ -674,7 +674,14 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
             Component::Delta { .. } => R::zero(),
         };
         self.from = si.p;
-        self.ray = Some(si.spawn_ray(si.frame.to_world(sample.wi), info.offset));
+        let ray = si.spawn_ray(si.frame.to_world(sample.wi), info.offset);
+        // The last edge only looks for light, and only where light that is hit counts.
+        let last = self.depth >= settings.max_depth;
+        let delta = self.pdf_bsdf.primal() == R::Primal::zero();
+        let counts = S::COUNTS_HITS || !S::SAMPLES_EMITTERS || delta;
+        if !last || (counts && scene.may_meet_light(&ray.primal())) {
+            self.ray = Some(ray);
+        }
     }
 }
 

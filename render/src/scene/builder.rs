@@ -52,8 +52,8 @@ fn texture_key(
     (Arc::as_ptr(node), channels, range)
 }
 
-/// Particles are aimed at this many things by themselves, at most.
-const MOST_CASTERS: usize = 16;
+/// This many lamps, or things that throw caustics, have a ball of their own, at most.
+const MOST_BALLS: usize = 16;
 
 /// Spawn offset relative to the largest coordinate of a surface: 64 roundings of an f32.
 const RELATIVE_OFFSET: f32 = 64.0 * f32::EPSILON / 2.0;
@@ -395,13 +395,17 @@ impl Builder {
         for e in &mut emitters {
             e.update(&self.params);
         }
-        let infinite = (0..emitters.len() as u32)
+        let infinite: Vec<u32> = (0..emitters.len() as u32)
             .filter(|&i| emitters[i as usize].is_infinite())
             .collect();
+        let lamps = match infinite.is_empty() {
+            true => balls(&self.shapes, &self.infos, |i| i.emitter.is_some()),
+            false => None,
+        };
         let flips = self.materials.iter().any(|m| flips_normals(m));
         let lit_things = self.infos.iter().any(|i| !i.glossy) && !emitters.is_empty();
         let casters = match lit_things && !flips {
-            true => casters(&self.shapes, &self.infos),
+            true => balls(&self.shapes, &self.infos, |i| i.glossy).unwrap_or_default(),
             false => Vec::new(),
         };
         Ok(Scene {
@@ -414,6 +418,7 @@ impl Builder {
             shares: Shares::new(&self.weights),
             pixels: PixelShares::default(),
             casters,
+            lamps,
             prims,
             accel,
             camera,
@@ -423,12 +428,17 @@ impl Builder {
     }
 }
 
-/// Balls around the glossy shapes, or one around all of them if there are many.
-fn casters(shapes: &[AnyShape], infos: &[ShapeInfo]) -> Vec<Ball> {
-    let glossy = || (shapes.iter().zip(infos)).filter_map(|(s, i)| i.glossy.then_some(s));
-    match glossy().count() {
-        0..=MOST_CASTERS => glossy().filter_map(|s| Ball::around([s])).collect(),
-        _ => Ball::around(glossy()).into_iter().collect(),
+/// Balls around these shapes, or one around all of them if there are many. `None` if one has no extent in the digits
+/// of its coordinates.
+fn balls(
+    shapes: &[AnyShape],
+    infos: &[ShapeInfo],
+    these: impl Fn(&ShapeInfo) -> bool,
+) -> Option<Vec<Ball>> {
+    let found = || (shapes.iter().zip(infos)).filter_map(|(s, i)| these(i).then_some(s));
+    match found().count() {
+        0..=MOST_BALLS => found().map(|s| Ball::around([s])).collect(),
+        _ => Ball::around(found()).map(|b| vec![b]),
     }
 }
 

@@ -154,6 +154,8 @@ pub struct Scene {
     /// Balls around what throws caustics; none where there is nothing to throw them on, no light, or something
     /// that particles see otherwise than paths do.
     casters: Vec<Ball>,
+    /// Balls around everything that emits; `None` if that is everywhere.
+    lamps: Option<Vec<Ball>>,
     /// Shape and local index of every primitive of `accel`.
     prims: Vec<(u32, u32)>,
     accel: Accel,
@@ -295,6 +297,12 @@ impl Scene {
     /// See [`Scene::casters`].
     pub(crate) fn casters(&self) -> &[Ball] {
         &self.casters
+    }
+
+    /// Whether a ray may meet something that emits, or leave towards it: false only where it certainly does not.
+    #[inline]
+    pub(crate) fn may_meet_light<P: Float>(&self, ray: &Ray<P>) -> bool {
+        (self.lamps.as_ref()).is_none_or(|lamps| lamps.iter().any(|ball| ball.may_be_met(ray)))
     }
 
     /// Shapes, by index.
