@@ -202,10 +202,32 @@ pub enum Tangent<R> {
 pub struct Seed<R> {
     /// Index of the range.
     pub param: u32,
-    /// Which element; `None` for all of them.
-    pub element: Option<u32>,
+    /// What of the range moves.
+    pub which: Which,
     /// Its tangent: a number whose primal part is zero.
     pub tangent: R,
+}
+
+/// Elements of a range.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Which {
+    /// All of them.
+    All,
+    /// One of three channels of all texels.
+    Channel(u32),
+    /// One element.
+    One(u32),
+}
+
+impl Which {
+    #[inline(always)]
+    fn has(self, i: usize) -> bool {
+        match self {
+            Self::All => true,
+            Self::Channel(c) => i % 3 == c as usize,
+            Self::One(element) => i == element as usize,
+        }
+    }
 }
 
 /// What moves.
@@ -297,7 +319,7 @@ impl<'a, R: Real> Theta<'a, R> {
             },
             Tangents::Seeds(seeds) => seeds
                 .iter()
-                .filter(|s| s.param == p.id && s.element.is_none_or(|e| e as usize == i))
+                .filter(|s| s.param == p.id && s.which.has(i))
                 .fold(value, |sum, s| sum + s.tangent),
         }
     }

@@ -200,13 +200,15 @@ fn biased(e: Estimator) -> bool {
     )
 }
 
-/// 32 x 36 x 1500 = 1.7e6 samples per estimate, a third where lights are weighed; Sidak-corrected over all comparisons.
+/// What `estimator_matrix` has not: smooth lobes, lights of different shares, all of them weighed. 32 x 36 x 1500 = 1.7e6
+/// samples per estimate, a third where lights are weighed; Sidak-corrected over all comparisons.
 #[test]
 fn unbiased_estimators_equal_finite_differences() {
     let cases = cases();
-    let limit = z_limit(cases.len() * Estimator::ALL.len(), ALPHA);
+    let compared = [1, 2, 4, 5];
+    let limit = z_limit(compared.len() * Estimator::ALL.len(), ALPHA);
     let mut failed = Vec::new();
-    for case in &cases {
+    for case in compared.map(|i| &cases[i]) {
         let one_bounce = case.scene.settings.max_depth == 2;
         let reference = if one_bounce {
             differences(case)

@@ -272,15 +272,17 @@ pub enum TextureRef<'a> {
     Alpha(&'a ScalarTexture),
     /// One number: the exponent of a lobe.
     Exponent(&'a ScalarTexture),
-    /// A vector: channels mix, and interpolation is not linear in the texels.
+    /// A vector: channels mix.
     Vector(&'a RgbTexture),
+    /// A vector that is not linear in the texels.
+    Encoded(&'a RgbTexture),
 }
 
 impl TextureRef<'_> {
     /// Whether it has the same value everywhere.
     pub fn is_constant(&self) -> bool {
         match self {
-            Self::Rgb(t) | Self::Vector(t) => matches!(t, RgbTexture::Constant(_)),
+            Self::Rgb(t) | Self::Vector(t) | Self::Encoded(t) => matches!(t, RgbTexture::Constant(_)),
             Self::Scalar(t) | Self::Alpha(t) | Self::Exponent(t) => {
                 matches!(t, ScalarTexture::Constant(_))
             }
@@ -290,7 +292,7 @@ impl TextureRef<'_> {
     /// See [`RgbTexture::visit_params`].
     pub fn visit_params(&self, f: &mut dyn FnMut(ParamRef)) {
         match self {
-            Self::Rgb(t) | Self::Vector(t) => t.visit_params(f),
+            Self::Rgb(t) | Self::Vector(t) | Self::Encoded(t) => t.visit_params(f),
             Self::Scalar(t) | Self::Alpha(t) | Self::Exponent(t) => t.visit_params(f),
         }
     }

@@ -383,7 +383,10 @@ impl Bsdf for NormalMap {
     }
 
     fn visit_textures(&self, f: &mut dyn FnMut(TextureRef)) {
-        f(TextureRef::Vector(&self.map));
+        f(match self.interpolation {
+            Interpolation::Normals => TextureRef::Vector(&self.map),
+            Interpolation::Slopes => TextureRef::Encoded(&self.map),
+        });
         self.nested.visit_textures(f);
     }
 

@@ -7,11 +7,11 @@ use ad_core::{Dual, Float, Real, Vec2};
 
 use crate::bsdf::{Bsdf, Material, TextureRef};
 use crate::math::Rgb;
-use crate::params::{GradSink, ParamRef, Seed, Theta};
+use crate::params::{GradSink, ParamRef, Seed, Theta, Which};
 use crate::texture::{Footprint, RgbTexture, ScalarTexture};
 
 /// Tangents per evaluation; a vertex with more active textures is evaluated several times.
-const WIDTH: usize = 4;
+const WIDTH: usize = 8;
 
 /// A colour that depends on the parameters of one material.
 pub trait LocalFn<P: Float> {
@@ -25,6 +25,8 @@ enum Slot<P> {
     Rgb(RgbTexture, Vec2<P>),
     /// The same with one channel.
     Scalar(ScalarTexture, Vec2<P>),
+    /// One channel of a texture whose channels mix.
+    Channel(Footprint<P>, u32),
     /// A texel of a range with 1 or 3 channels, which stay apart.
     Texel(ParamRef, u32, u32),
     /// One element of a range.
@@ -58,7 +60,11 @@ pub fn pull_back<P: Float>(
             TextureRef::Scalar(t) | TextureRef::Alpha(t) | TextureRef::Exponent(t) => {
                 slots.push(Slot::Scalar(t.clone(), uv))
             }
-            TextureRef::Vector(map) => texels(&map.footprint(uv), |p, texel| {
+            TextureRef::Vector(map) => {
+                let f = map.footprint(uv);
+                slots.extend((0..3).map(|c| Slot::Channel(f, c)));
+            }
+            TextureRef::Encoded(map) => texels(&map.footprint(uv), |p, texel| {
                 slots.extend((0..3).map(|c| Slot::Element(p, texel * 3 + c)));
             }),
         }
@@ -94,7 +100,7 @@ impl Texels {
             TextureRef::Scalar(t) | TextureRef::Alpha(t) | TextureRef::Exponent(t) => {
                 (t.footprint(uv), 1, false)
             }
-            TextureRef::Vector(t) => (t.footprint(uv), 3, true),
+            TextureRef::Vector(t) | TextureRef::Encoded(t) => (t.footprint(uv), 3, true),
         };
         texels(&f, |param, texel| {
             let texel = Texel {
@@ -169,7 +175,7 @@ pub fn pull_back_second<P: Float>(
         .elements()
         .map(|(p, element)| Seed {
             param: p.id,
-            element: Some(element),
+            which: Which::One(element),
             tangent: Dual::constant(Dual::new(P::zero(), [direction(p, element)])),
         })
         .filter(|s| s.tangent.re.eps[0] != P::zero())
@@ -233,20 +239,21 @@ fn chunk<P: Float, const K: usize>(
 /// The tangent `tangent(k)` for everything that slot `k` stands for.
 fn push_seeds<P, R>(slots: &[Slot<P>], tangent: impl Fn(usize) -> R, seeds: &mut Vec<Seed<R>>) {
     for (k, slot) in slots.iter().enumerate() {
-        let mut seed = |p: ParamRef, element| {
+        let mut seed = |p: ParamRef, which| {
             seeds.push(Seed {
                 param: p.id,
-                element,
+                which,
                 tangent: tangent(k),
             });
         };
         match slot {
-            Slot::Rgb(t, _) => t.visit_params(&mut |p| seed(p, None)),
-            Slot::Scalar(t, _) => t.visit_params(&mut |p| seed(p, None)),
+            Slot::Rgb(t, _) => t.visit_params(&mut |p| seed(p, Which::All)),
+            Slot::Scalar(t, _) => t.visit_params(&mut |p| seed(p, Which::All)),
+            Slot::Channel(f, c) => seed(f.param, Which::Channel(*c)),
             Slot::Texel(p, texel, channels) => {
-                (0..*channels).for_each(|c| seed(*p, Some(texel * channels + c)));
+                (0..*channels).for_each(|c| seed(*p, Which::One(texel * channels + c)));
             }
-            Slot::Element(p, element) => seed(*p, Some(*element)),
+            Slot::Element(p, element) => seed(*p, Which::One(*element)),
         }
     }
 }
@@ -257,6 +264,7 @@ impl<P: Float> Slot<P> {
         match self {
             Self::Rgb(t, uv) => t.scatter(*uv, adjoint, grad),
             Self::Scalar(t, uv) => t.scatter(*uv, adjoint, grad),
+            Self::Channel(f, c) => f.scatter_channel(*c, adjoint.sum(), grad),
             Self::Texel(p, texel, 1) => grad.add(*p, *texel as usize, adjoint.sum()),
             Self::Texel(p, texel, _) => {
                 (0..3).for_each(|c| grad.add(*p, *texel as usize * 3 + c, adjoint[c]));

@@ -29,6 +29,17 @@ pub struct Footprint<R> {
     pub weight: [R; 4],
 }
 
+impl<P: Float> Footprint<P> {
+    /// Adds `d`, the adjoint of one of three channels of the lookup, to its texels.
+    pub(crate) fn scatter_channel(&self, channel: u32, d: P, grad: &mut impl GradSink<P>) {
+        for (texel, weight) in self.texel.into_iter().zip(self.weight) {
+            if weight != P::zero() {
+                grad.add(self.param, (texel * 3 + channel) as usize, weight * d);
+            }
+        }
+    }
+}
+
 /// A texture with `C` channels: 1 (roughness, weights, opacity) or 3 (colours).
 #[derive(Clone, Debug)]
 pub enum Texture<const C: usize> {
