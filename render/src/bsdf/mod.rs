@@ -282,7 +282,9 @@ impl TextureRef<'_> {
     /// Whether it has the same value everywhere.
     pub fn is_constant(&self) -> bool {
         match self {
-            Self::Rgb(t) | Self::Vector(t) | Self::Encoded(t) => matches!(t, RgbTexture::Constant(_)),
+            Self::Rgb(t) | Self::Vector(t) | Self::Encoded(t) => {
+                matches!(t, RgbTexture::Constant(_))
+            }
             Self::Scalar(t) | Self::Alpha(t) | Self::Exponent(t) => {
                 matches!(t, ScalarTexture::Constant(_))
             }

@@ -122,13 +122,8 @@ impl NormalMap {
     /// The interpolated vector at a point.
     #[inline]
     fn vector<R: Real>(&self, at: &Shading<R>) -> Vec3<R> {
-        let f = self.map.footprint(at.uv);
-        let mut sum = Vec3::zero();
-        for k in 0..4 {
-            let texel = at.theta.texel(f.param, f.texel[k] as usize);
-            sum += self.interpolation.decode(texel) * f.weight[k];
-        }
-        sum
+        let decode = |texel| self.interpolation.decode(texel).to_array();
+        self.map.eval_decoded(&at.theta, at.uv, decode).into()
     }
 
     /// The interpolated vector as it is seen along `wo`.

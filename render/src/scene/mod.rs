@@ -397,7 +397,9 @@ impl Scene {
     pub fn discontinuity(&self) -> Option<String> {
         let mapped = |m: &Material| {
             let mut any = false;
-            m.visit_textures(&mut |t| any |= matches!(t, TextureRef::Vector(_) | TextureRef::Encoded(_)));
+            m.visit_textures(&mut |t| {
+                any |= matches!(t, TextureRef::Vector(_) | TextureRef::Encoded(_))
+            });
             any && !m.is_delta()
         };
         let tilted = |i: &&ShapeInfo| mapped(&self.materials[i.material as usize]);

@@ -12,7 +12,9 @@ pub use bitmap::{Bitmap, UvTransform, Wrap};
 pub use checkerboard::Checkerboard;
 pub(crate) use load::{Use, file, from_node, from_plugin, texels};
 
-use ad_core::{Float, Real, Vec2};
+use std::ops::Mul;
+
+use ad_core::{Const, Float, Real, Vec2};
 
 use crate::dispatch::outline;
 use crate::math::Rgb;
@@ -63,10 +65,25 @@ impl<const C: usize> Texture<C> {
     /// In theta and in `uv` (through the interpolation weights).
     #[inline(always)]
     pub fn eval<R: Real>(&self, theta: &Theta<R>, uv: Vec2<R>) -> [R; C] {
+        self.eval_decoded(theta, uv, |texel| texel)
+    }
+
+    /// [`Texture::eval`] of what `decode` makes of each texel.
+    #[inline(always)]
+    pub(crate) fn eval_decoded<R: Real>(
+        &self,
+        theta: &Theta<R>,
+        uv: Vec2<R>,
+        decode: impl Fn([R; C]) -> [R; C],
+    ) -> [R; C] {
         match self {
-            Self::Constant(p) => theta.texel(*p, 0),
-            Self::Bitmap(t) => outline(|| gather(theta, &t.footprint(uv))),
-            Self::Checkerboard(t) => theta.texel(t.select(uv.primal()), 0),
+            Self::Constant(p) => decode(theta.texel(*p, 0)),
+            Self::Bitmap(t) => outline(|| match uv.x.has_tangent() || uv.y.has_tangent() {
+                true => gather(theta, &t.footprint(uv), decode, |w| w),
+                // On paths that stand still only texels move.
+                false => gather(theta, &t.footprint(uv.primal()), decode, Const),
+            }),
+            Self::Checkerboard(t) => decode(theta.texel(t.select(uv.primal()), 0)),
         }
     }
 
@@ -164,12 +181,17 @@ fn put<P: Float, const C: usize>(
 }
 
 #[inline]
-fn gather<R: Real, const C: usize>(theta: &Theta<R>, f: &Footprint<R>) -> [R; C] {
+fn gather<R: Real + Mul<F, Output = R>, W: Copy, F, const C: usize>(
+    theta: &Theta<R>,
+    f: &Footprint<W>,
+    decode: impl Fn([R; C]) -> [R; C],
+    factor: impl Fn(W) -> F,
+) -> [R; C] {
     let mut value = [R::zero(); C];
-    for k in 0..4 {
-        let texel: [R; C] = theta.texel(f.param, f.texel[k] as usize);
+    for (texel, weight) in f.texel.into_iter().zip(f.weight) {
+        let texel = decode(theta.texel(f.param, texel as usize));
         for c in 0..C {
-            value[c] += texel[c] * f.weight[k];
+            value[c] += texel[c] * factor(weight);
         }
     }
     value
