@@ -49,7 +49,8 @@ impl Level {
 /// ([`Active::with_noise`](crate::integrator::gradient::Active::with_noise)), which costs next to nothing.
 ///
 /// Light that is hardly ever found, such as caustics by paths, is missed by a short pass as well. No pixel has less than
-/// a quarter of its even share, so its variance rises to four times at most.
+/// a quarter of its even share, so its variance rises to four times at most, if its samples are independent. The variance
+/// of Sobol points, which the pass does not know, can rise by more where light is smooth.
 ///
 /// # Errors
 /// An unknown name, an adjoint of the wrong size, a parameter or scene that is not for this estimator.
