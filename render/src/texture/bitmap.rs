@@ -198,6 +198,31 @@ mod tests {
         }
     }
 
+    /// Beyond the image, the texels of a lookup are those that whole numbers say.
+    #[test]
+    fn texels_repeat_end_or_turn_back_beyond_the_image() {
+        let texel = |wrap, i: i64, n: i64| match wrap {
+            Wrap::Repeat => i.rem_euclid(n),
+            Wrap::Clamp => i.clamp(0, n - 1),
+            Wrap::Mirror => {
+                let j = i.rem_euclid(2 * n);
+                j.min(2 * n - 1 - j)
+            }
+        };
+        for wrap in [Wrap::Repeat, Wrap::Clamp, Wrap::Mirror] {
+            for k in -40..40 {
+                let uv = Vec2::new(0.173 * f64::from(k), -0.313 * f64::from(k));
+                let f = bitmap(wrap).footprint(uv);
+                let first = [uv.x * 4.0, uv.y * 2.0].map(|x| (x - 0.5).floor() as i64);
+                for (corner, [dx, dy]) in [[0, 0], [1, 0], [0, 1], [1, 1]].into_iter().enumerate() {
+                    let [x, y] = [(first[0] + dx, 4), (first[1] + dy, 2)];
+                    let expected = texel(wrap, y.0, y.1) * 4 + texel(wrap, x.0, x.1);
+                    assert_eq!(i64::from(f.texel[corner]), expected, "{wrap:?} {k}");
+                }
+            }
+        }
+    }
+
     #[test]
     fn extreme_coordinates_stay_in_range() {
         for wrap in [Wrap::Repeat, Wrap::Clamp, Wrap::Mirror] {
