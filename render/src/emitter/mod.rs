@@ -106,7 +106,8 @@ impl<P: Float> EmittedRay<P> {
     }
 }
 
-/// A ball around all surfaces of a scene, for particles from infinitely far away.
+/// A ball around surfaces: all of a scene, for particles from infinitely far away, or what particles are aimed at, or
+/// lamps.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ball {
     /// Centre, world space.
@@ -139,11 +140,12 @@ impl Ball {
     /// Whether a ray may meet anything within: false only where it certainly does not, whatever its rounding.
     #[inline]
     pub(crate) fn may_be_met<P: Float>(&self, ray: &Ray<P>) -> bool {
-        let to = Vec3::from(self.centre.map(P::of)) - ray.o;
+        let centre = Vec3::from(self.centre.map(P::of));
+        let to = centre - ray.o;
         let radius2 = P::of(1.01 * self.radius * self.radius);
         let distance2 = to.length_squared();
-        // A few roundings of the distance.
-        let reach2 = radius2 + P::of(1e-10) * distance2;
+        // A few roundings of the distance and of the coordinates.
+        let reach2 = radius2 + P::of(1e-10) * (distance2 + centre.length_squared());
         let passes = to.cross(ray.d).length_squared() <= reach2;
         distance2 <= reach2 || (passes && to.dot(ray.d) > P::zero())
     }
@@ -422,6 +424,15 @@ mod tests {
             assert!(ball.may_be_met(&at(inside)), "{i}");
             let back = at(inside);
             assert!(!ball.may_be_met(&Ray::new(back.o, -back.d)), "{i}");
+            // So far out that the ball is hardly more than a rounding of its place.
+            let out_there = Ball {
+                centre: (centre * (1e5 * radius)).to_array(),
+                radius,
+            };
+            let shift = centre * (1e5 * radius - 1.0);
+            let (o, p) = (single(o + shift), single(inside + shift));
+            let ray = Ray::new(o, (p - o).normalize());
+            assert!(out_there.may_be_met(&ray), "{i}");
             if away < 1e3 {
                 let side = Frame::from_normal(out).s;
                 let tangent = centre + side * (radius * 1.2 * (1.0 + away) / away);
