@@ -18,8 +18,12 @@ const NAMES: [&str; 3] = [
 
 /// A small shiny plate on a large matt one, below a ball.
 fn small_plate() -> Scene {
-    scene(
-        r#"<sensor type="perspective"><float name="fov" value="40"/>
+    below_ball(9.0)
+}
+
+/// The same below a ball of this radiance.
+fn below_ball(radiance: f64) -> Scene {
+    let text = r#"<sensor type="perspective"><float name="fov" value="40"/>
         <transform name="to_world"><lookat origin="0, 2, 4" target="0, 0, 0" up="0, 1, 0"/></transform>
         <film type="hdrfilm"><integer name="width" value="21"/><integer name="height" value="18"/>
         <rfilter type="box"/></film></sensor>
@@ -32,8 +36,8 @@ fn small_plate() -> Scene {
         <shape type="rectangle"><transform name="to_world"><scale value="0.3"/><rotate x="1" angle="-70"/>
         <translate x="0.5" y="0.5"/></transform><ref id="shiny"/></shape>
         <shape type="sphere" id="ball"><point name="center" value="-0.5, 2, -2"/>
-        <float name="radius" value="0.3"/><emitter type="area"><rgb name="radiance" value="9"/></emitter></shape>"#,
-    )
+        <float name="radius" value="0.3"/><emitter type="area"><rgb name="radiance" value="RADIANCE"/></emitter></shape>"#;
+    scene(&text.replace("RADIANCE", &radiance.to_string()))
 }
 
 /// From a quarter to sixty-four times as many samples.
@@ -154,45 +158,49 @@ fn gauss_newton_knows_the_counts() {
     }
 }
 
-/// What a pass says of its noise is the variance between passes: of the sum of the derivatives times the sizes of their
-/// parameters, over 512 passes (whose variance is good to 6 %), with and without weights.
+/// What a pass says of its noise is the variance between passes, of each parameter times its scale and of all together,
+/// over 512 passes (whose variance is good to 6 %), with and without weights.
 #[test]
 fn noise_is_the_variance_between_passes() {
+    const PASSES: u64 = 512;
+    let scales = [7.0, 0.3];
     for s in [small_plate(), weighed(small_plate())] {
         let e = Estimator::MisBalance;
         let theta = Theta::constant(s.params().values());
-        let active = e.active(&s, &NAMES).expect("parameters").with_noise(&s);
+        let active = e.active(&s, &NAMES).expect("parameters");
+        let active = active.with_noise(&s, &scales);
         let d = adjoint(&s);
-        let sizes: Vec<f64> = NAMES
-            .iter()
-            .flat_map(|n| {
-                let info = s.params().find(n).expect("a parameter");
-                let v = &s.params().values()[info.range()];
-                let mean = v.iter().map(|&v| f64::from(v).powi(2)).sum::<f64>() / v.len() as f64;
-                vec![mean.sqrt(); v.len()]
-            })
-            .collect();
-        let mut said = 0.0;
-        let runs: Vec<Vec<f64>> = (0..512)
+        let (mut said, mut of_pixels) = ([0.0; 3], 0.0);
+        let runs: Vec<Vec<Vec<f64>>> = (0..PASSES)
             .map(|seed| {
                 let g = e.backward_f32(&s, &theta, &active, &d, &s.settings, seed, 0..8, &());
                 let g = g.expect("a gradient");
-                assert_eq!(g.noise.len(), s.film.pixels());
-                for p in &g.noise {
+                let noise = g.noise.expect("noise");
+                assert_eq!(noise.pixels.len(), s.film.pixels());
+                for p in &noise.pixels {
                     let n = p.samples as f64;
                     assert!(p.samples >= 2 && p.work >= p.samples);
-                    said += p.squares / (n - 1.0) / n / 512.0;
+                    of_pixels += p.squares / (n - 1.0) / n / PASSES as f64;
                 }
-                g.values.concat()
+                for (said, v) in said.iter_mut().zip(&noise.variances) {
+                    *said += v / PASSES as f64;
+                }
+                g.values
             })
             .collect();
-        let seen: f64 = (0..7)
-            .map(|i| {
-                let of: Vec<f64> = runs.iter().map(|r| r[i] * sizes[i]).collect();
-                Estimate::of(&of).se.powi(2) * 512.0
-            })
-            .sum();
-        assert!((said / seen - 1.0).abs() < 0.3, "{said} {seen}");
+        let seen: [f64; 3] = std::array::from_fn(|k| {
+            let of = |i: usize| Estimate::of(&runs.iter().map(|r| r[k][i]).collect::<Vec<f64>>());
+            let scale = scales.get(k).copied().unwrap_or(1.0);
+            (0..runs[0][k].len())
+                .map(|i| (of(i).se * scale).powi(2) * PASSES as f64)
+                .sum()
+        });
+        for k in 0..3 {
+            let ratio = said[k] / seen[k];
+            assert!((ratio - 1.0).abs() < 0.3, "{}: {said:?} {seen:?}", NAMES[k]);
+        }
+        let all: f64 = said.iter().sum();
+        assert!((of_pixels / all - 1.0).abs() < 1e-9, "{of_pixels} {all}");
     }
 }
 
@@ -226,6 +234,44 @@ fn measured_weights_make_less_noise() {
     s.set_pixel_weights(&weights).expect("weights");
     let ratio = even / variance(&s);
     assert!(ratio > 1.5, "{ratio}");
+}
+
+/// No parameter pays for another whose derivatives are larger, here a thousand times in variance: each has less noise
+/// than with even samples, and the one that few pixels see far less (64 repeats each, whose ratio is good to a quarter;
+/// 2.0 for both if derivatives count by the size of their parameters).
+#[test]
+fn parameters_count_alike_whatever_their_units() {
+    let mut s = below_ball(0.09);
+    s.settings.max_depth = 2;
+    let (e, names) = (
+        Estimator::MisBalance,
+        ["shiny.alpha.value", "ball.emitter.radiance.value"],
+    );
+    let ones = mean_adjoint(&s);
+    let variances = |s: &Scene| -> [f64; 2] {
+        let theta = Theta::constant(s.params().values());
+        let active = e.active(s, &names).expect("parameters");
+        let runs: Vec<_> = (0..REPEATS)
+            .map(|seed| {
+                let g = e.backward_f32(s, &theta, &active, &ones, &s.settings, seed, 0..16, &());
+                g.expect("a gradient").values
+            })
+            .collect();
+        std::array::from_fn(|k| {
+            let of: Vec<f64> = runs.iter().map(|r| r[k].iter().sum()).collect();
+            Estimate::of(&of).se.powi(2)
+        })
+    };
+    let even = variances(&s);
+    let weights = auto::pixel_weights(&s, &names, &ones, e, &s.settings, 1, &()).expect("weights");
+    s.set_pixel_weights(&weights).expect("weights");
+    let found = variances(&s);
+    let ratio: [f64; 2] = std::array::from_fn(|k| even[k] / found[k]);
+    assert!(
+        even[0] / even[1] > 1e3 || even[1] / even[0] > 1e3,
+        "{even:?}"
+    );
+    assert!(ratio[0] > 4.0 && ratio[1] > 1.0, "{ratio:?}");
 }
 
 #[test]

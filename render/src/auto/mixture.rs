@@ -276,7 +276,7 @@ impl Mixture {
         let mut out = Gradient {
             values: vec![Vec::new(); names.len()],
             non_finite: NonFinite::default(),
-            noise: Vec::new(),
+            noise: None,
             cancelled: false,
         };
         let mut stream = 0;

@@ -1,9 +1,11 @@
 //! How often to sample each pixel.
 
+use std::ops::Range;
+
 use super::PILOT_SEED;
 use crate::error::RenderError;
 use crate::instances::Estimator;
-use crate::integrator::noise::PixelNoise;
+use crate::integrator::noise::{Noise, PixelNoise};
 use crate::integrator::render::Progress;
 use crate::params::Theta;
 use crate::scene::{Scene, Settings};
@@ -12,6 +14,8 @@ use crate::scene::{Scene, Settings};
 const SAMPLES: usize = 1 << 17;
 /// Samples per pixel, at least.
 const LEAST: usize = 8;
+/// How many times fewer tell how noisy each of several parameters is.
+const FEWER: u64 = 4;
 /// A square of pixels is believed to be like the square around it as much as so many samples of its own say, if all
 /// had the same part of the variance.
 const PRIOR: f64 = 4.0;
@@ -44,9 +48,10 @@ impl Level {
 /// derivatives of `<adjoint, image>` in the named parameters, as far as a short pass before can tell.
 ///
 /// Pixels are not alike: few see what a parameter changes, and fewer see it with noise. The pass measures the variance
-/// and the work of a sample of each, all parameters together, each in proportion to its size; what to do
-/// with it is said at [`pixel_weights_of`]. In an optimisation every pass can measure on its way
-/// ([`Active::with_noise`](crate::integrator::gradient::Active::with_noise)), which costs next to nothing.
+/// and the work of a sample of each; what to do with it is said at [`pixel_weights_of`]. Several parameters count
+/// alike, whatever their units: the variance of each is divided by what it is in all pixels together, which a quarter
+/// as many samples tell before. So none pays much for another that is noisier. In an optimisation every pass can measure
+/// on its way ([`Active::with_noise`](crate::integrator::gradient::Active::with_noise)), which costs next to nothing.
 ///
 /// Light that is hardly ever found, such as caustics by paths, is missed by a short pass as well. No pixel has less than
 /// a quarter of its even share, so its variance rises to four times at most, if its samples are independent. The variance
@@ -63,22 +68,41 @@ pub fn pixel_weights<N: AsRef<str>>(
     seed: u64,
     progress: &dyn Progress,
 ) -> Result<Vec<f32>, RenderError> {
-    let active = estimator.active(scene, names)?.with_noise(scene);
+    let active = estimator.active(scene, names)?;
     let theta = Theta::constant(scene.params().values());
     let samples = SAMPLES.div_ceil(scene.film.pixels().max(1)).max(LEAST) as u64;
-    let seed = seed ^ PILOT_SEED;
-    let found = estimator.backward_f32(
-        scene,
-        &theta,
-        &active,
-        adjoint,
-        settings,
-        seed,
-        0..samples,
-        progress,
-    )?;
+    let first = samples / FEWER;
+    let noise = |scales: &[f64], samples: Range<u64>| {
+        let found = estimator.backward_f32(
+            scene,
+            &theta,
+            &active.clone().with_noise(scene, scales),
+            adjoint,
+            settings,
+            seed ^ PILOT_SEED,
+            samples,
+            progress,
+        )?;
+        Ok::<Noise, RenderError>(found.noise.unwrap_or_default())
+    };
+    let scales = match active.ranges().len() {
+        0 | 1 => Vec::new(),
+        _ => alike(&noise(&[], 0..first)?.variances),
+    };
+    let found = noise(&scales, first..first + samples)?;
     let width = scene.film.crop_size[0] as usize;
-    Ok(pixel_weights_of(&found.noise, width))
+    Ok(pixel_weights_of(&found.pixels, width))
+}
+
+/// Scales that make variances equal. Where no variance was met there is nothing to compare, and the scale is that of the
+/// noisiest.
+fn alike(variances: &[f64]) -> Vec<f64> {
+    let largest = variances.iter().copied().fold(0.0, f64::max);
+    let scale = |&v: &f64| 1.0 / if v > 0.0 { v } else { largest }.sqrt();
+    match largest > 0.0 {
+        true => variances.iter().map(scale).collect(),
+        false => vec![1.0; variances.len()],
+    }
 }
 
 /// Weights of pixels, `width` in a row, with which the measured variance becomes least for the same work: the root
@@ -179,6 +203,17 @@ mod tests {
         };
         assert!(weight(1) > 1.2 && weight(1) < 8.0, "{}", weight(1));
         assert!(weight(100_000) > 18.0, "{}", weight(100_000));
+    }
+
+    /// A parameter that was not seen is left what it is beside the noisiest.
+    #[test]
+    fn variances_become_equal() {
+        for (variances, expected) in [
+            (&[4.0, 0.0, 1e-8][..], &[0.5, 0.5, 1e4][..]),
+            (&[0.0, 0.0], &[1.0, 1.0]),
+        ] {
+            assert_eq!(alike(variances), expected);
+        }
     }
 
     #[test]

@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicBool, AtomicI64, Ordering};
 use ad_core::{Float, Real};
 
 use super::local::LocalFn;
-use super::noise::{PixelNoise, Watch};
+use super::noise::{Noise, PixelNoise, Watch};
 use super::path::Context;
 use super::record::{Activity, Recorder};
 use super::render::{InParts, NonFinite, Paths, Progress, Sample, place, start, tiles};
@@ -49,8 +49,8 @@ pub struct Active {
     /// Per emitter: where the adjoints of the sums go that its samples are made of. Empty unless samples of
     /// emitters move.
     sums: Vec<Option<SumSlot>>,
-    /// Per range of the layout: the size of its values. Empty unless the noise of pixels is asked for.
-    sizes: Vec<f64>,
+    /// Per range of the layout: its number among those asked for, and its scale. Empty unless the noise is asked for.
+    scales: Vec<(usize, f64)>,
     small_len: usize,
     large_len: usize,
 }
@@ -141,20 +141,37 @@ impl Active {
             emission: emitters.contains(&true),
             emitters,
             sums: Vec::new(),
-            sizes: Vec::new(),
+            scales: Vec::new(),
             small_len,
             large_len,
         }
     }
 
-    /// The same, and gradient passes tell the noise of each pixel ([`Gradient::noise`]): derivatives count in
-    /// proportion to the sizes of the parameters they belong to ([`Params::size`](crate::params::Params::size)). What comes through
-    /// samples of environment maps that move is not counted, nor are particles.
+    /// The same, and gradient passes tell their noise ([`Gradient::noise`]): derivatives in range `i` of
+    /// [`Active::ranges`] are multiplied by `scales[i]`, and by one beyond its end.
     #[must_use]
-    pub fn with_noise(mut self, scene: &Scene) -> Self {
-        let params = scene.params();
-        self.sizes = params.infos().iter().map(|i| params.size(i)).collect();
+    pub fn with_noise(mut self, scene: &Scene, scales: &[f64]) -> Self {
+        self.scales = vec![(0, 0.0); self.slots.len()];
+        for (i, r) in self.ranges.iter().enumerate() {
+            let id = scene.params().handle(r).id as usize;
+            self.scales[id] = (i, scales.get(i).copied().unwrap_or(1.0));
+        }
         self
+    }
+
+    /// Who watches the noise of these, if somebody wants to know.
+    fn watch(&self) -> Option<Watch> {
+        if self.scales.is_empty() {
+            return None;
+        }
+        let mut range = vec![0; self.small_len];
+        for (slot, &(i, _)) in self.slots.iter().zip(&self.scales) {
+            if let Slot::Small(at) = *slot {
+                let len = self.ranges[i].shape.len();
+                range[at as usize..][..len].fill(i as u32);
+            }
+        }
+        Some(Watch::new(self.ranges.len(), range))
     }
 
     /// The same with room for the sums that moving samples of emitters are made of.
@@ -229,9 +246,8 @@ pub struct Gradient {
     pub values: Vec<Vec<f64>>,
     /// What went wrong.
     pub non_finite: NonFinite,
-    /// What the samples of each pixel tell about their noise, row by row; empty unless it was asked for
-    /// ([`Active::with_noise`]).
-    pub noise: Vec<PixelNoise>,
+    /// How noisy the derivatives are, if somebody wants to know ([`Active::with_noise`]).
+    pub noise: Option<Noise>,
     /// Whether it was stopped early; the sums are then incomplete.
     pub cancelled: bool,
 }
@@ -296,9 +312,8 @@ impl<'a> Sink<'a> {
 
     /// The same for samples whose ends [`Sink::finish`] is told.
     fn of_samples(active: &'a Active, large: &'a ExactBuffer) -> Self {
-        let watch = (!active.sizes.is_empty()).then(|| Watch::new(active.small_len));
         Self {
-            watch,
+            watch: active.watch(),
             ..Self::new(active, large)
         }
     }
@@ -337,11 +352,12 @@ impl<P: Float> GradSink<P> for Sink<'_> {
         let slot = self.active.slots[id];
         self.put(slot, i, d);
         if let Some(watch) = &mut self.watch {
-            let d = d * self.active.sizes[id];
+            let (range, scale) = self.active.scales[id];
+            let d = d * scale;
             match slot {
                 Slot::Inactive => {}
                 Slot::Small(at) => watch.add(at as usize + i, d),
-                Slot::Large(_) => watch.add_alone(d),
+                Slot::Large(_) => watch.add_alone(range, d),
             }
         }
     }
@@ -455,7 +471,7 @@ pub(super) struct Sums {
     pub small: Vec<f64>,
     pub non_finite: NonFinite,
     /// As [`Gradient::noise`].
-    pub noise: Vec<PixelNoise>,
+    pub noise: Option<Noise>,
 }
 
 /// Repeats `pass` until the large ranges fit their integers. `largest` is the magnitude of the largest adjoint of one
@@ -594,15 +610,18 @@ impl<P: Float> Pass<'_, P> {
         let new = || Sink::of_samples(active, large);
         let (parts, non_finite) = self.paths::<S, X, _>(active, JOBS, progress, new, each);
         let mut small = vec![0.0; active.small_len];
-        let pixels = match active.sizes.is_empty() {
-            true => 0,
-            false => self.scene.film.pixels(),
-        };
-        let mut noise = vec![PixelNoise::default(); pixels];
+        let mut noise = (!active.scales.is_empty()).then(|| Noise {
+            pixels: vec![PixelNoise::default(); self.scene.film.pixels()],
+            variances: vec![0.0; active.ranges.len()],
+        });
         for part in parts {
             add(&mut small, &part.small);
-            for (pixel, found) in part.watch.into_iter().flat_map(Watch::into_pixels) {
-                noise[pixel] = found;
+            if let (Some(noise), Some(watch)) = (&mut noise, part.watch) {
+                let (pixels, variances) = watch.finished();
+                add(&mut noise.variances, &variances);
+                for (pixel, found) in pixels {
+                    noise.pixels[pixel] = found;
+                }
             }
         }
         Sums {

@@ -265,7 +265,7 @@ pub fn backward<P: Float, X: Sampler>(
         gradient::Sums {
             small: sums.small,
             non_finite: sums.non_finite,
-            noise: Vec::new(),
+            noise: None,
         }
     });
     Ok(Measurement {

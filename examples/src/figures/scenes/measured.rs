@@ -10,7 +10,7 @@ use render::params::Theta;
 use super::automatic::{Subject, subjects};
 use crate::chart::{LineChart, Panel};
 use crate::figure::{Figure, Result};
-use crate::figures::statistics::{Estimate, limit};
+use crate::figures::statistics::{Estimate, limit, per_pixel};
 
 const SEED: u64 = 2048;
 const ESTIMATORS: [Estimator; 2] = [Estimator::MisBalance, Estimator::DifferentialMis];
@@ -19,6 +19,8 @@ const ESTIMATORS: [Estimator; 2] = [Estimator::MisBalance, Estimator::Differenti
 struct Passes {
     /// Of each: every derivative times the size of its parameter.
     scaled: Vec<Vec<f64>>,
+    /// How many values each parameter has.
+    lengths: Vec<usize>,
     /// Of one, the median.
     seconds: f64,
 }
@@ -33,6 +35,7 @@ impl Passes {
         let scene = &subject.scene;
         let theta = Theta::constant(scene.params().values());
         let active = e.active(scene, &subject.params)?;
+        let lengths: Vec<usize> = active.ranges().iter().map(|r| r.shape.len()).collect();
         let sizes: Vec<f64> = (active.ranges().iter())
             .flat_map(|info| vec![scene.params().size(info); info.shape.len()])
             .collect();
@@ -49,13 +52,27 @@ impl Passes {
         seconds.sort_by(f64::total_cmp);
         Ok(Self {
             scaled,
+            lengths,
             seconds: seconds[seconds.len() / 2],
         })
     }
 
-    /// Summed over the derivatives.
-    fn variance(&self) -> f64 {
-        crate::figures::statistics::variance(&self.scaled)
+    /// Of each parameter, summed over its values.
+    fn variances(&self) -> Vec<f64> {
+        let values = per_pixel(&self.scaled);
+        let mut rest = values.iter().map(|e| e.error * e.error);
+        let of = |&n: &usize| rest.by_ref().take(n).sum();
+        self.lengths.iter().map(of).collect()
+    }
+
+    /// Variance over that of others: the geometric mean over the parameters, and the least.
+    fn gain(&self, others: &Self) -> [f64; 2] {
+        let both = self.variances().into_iter().zip(others.variances());
+        let ratios = both.filter(|(a, _)| *a > 0.0).map(|(a, b)| a / b);
+        let (n, logs, least) = ratios.fold((0.0, 0.0, f64::INFINITY), |(n, logs, least), r| {
+            (n + 1.0, logs + r.ln(), least.min(r))
+        });
+        [(logs / f64::max(n, 1.0)).exp(), least]
     }
 
     /// The derivative along all parameters at once.
@@ -112,7 +129,7 @@ pub fn figure(fig: &mut Figure) -> Result {
             subject.scene.set_pixel_weights(&vec![1.0; n / 3])?;
             let z = even.sum().z(&shared.sum());
             worst_z = worst_z.max(z.abs());
-            let gain = even.variance() / shared.variance();
+            let [gain, least] = even.gain(&shared);
             let faster = gain * even.seconds / shared.seconds;
             gains.push((gain, faster, format!("{} in {}", e.name(), subject.name)));
             points.push((k as f64 + 1.0, gain));
@@ -120,6 +137,7 @@ pub fn figure(fig: &mut Figure) -> Result {
                 subject.name.to_owned(),
                 e.name().to_owned(),
                 gain.to_string(),
+                least.to_string(),
                 faster.to_string(),
                 (pilot / shared.seconds).to_string(),
                 z.to_string(),
@@ -151,6 +169,7 @@ pub fn figure(fig: &mut Figure) -> Result {
         "scene",
         "estimator",
         "gain in variance",
+        "least of a parameter",
         "gain in efficiency",
         "measuring over a pass",
         "z",
