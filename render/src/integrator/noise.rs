@@ -37,6 +37,9 @@ impl PixelNoise {
     }
 }
 
+/// Part of the squares of derivatives in single precision that may be rounding: less of it is no variance.
+const ROUNDING: f64 = 1e-10;
+
 /// Adds up derivatives sample by sample and pixel by pixel.
 pub(super) struct Watch {
     /// Of the sample.
@@ -46,7 +49,9 @@ pub(super) struct Watch {
     /// Sum over the samples of the pixel.
     sum: Sparse,
     /// Per range: sum over the samples of the pixel of their squared lengths.
-    squares: Sparse,
+    squares: Vec<f64>,
+    /// Per range: squared length of the sum over the samples of the pixel.
+    means: Vec<f64>,
     /// The range of each element that is kept.
     range: Vec<u32>,
     pixel: Option<usize>,
@@ -64,7 +69,8 @@ impl Watch {
             derivative: Sparse::new(range.len()),
             rest: Sparse::new(ranges),
             sum: Sparse::new(range.len()),
-            squares: Sparse::new(ranges),
+            squares: vec![0.0; ranges],
+            means: vec![0.0; ranges],
             range,
             pixel: None,
             found: PixelNoise::default(),
@@ -95,13 +101,13 @@ impl Watch {
         let mut square = 0.0;
         for (range, rest) in self.rest.drain() {
             let rest = rest * scale * scale;
-            self.squares.add(range, rest);
+            self.squares[range] += rest;
             square += rest;
         }
         for (i, d) in self.derivative.drain() {
             let d = d * scale;
             self.sum.add(i, d);
-            self.squares.add(self.range[i] as usize, d * d);
+            self.squares[self.range[i] as usize] += d * d;
             square += d * d;
         }
         self.found.samples += 1;
@@ -113,12 +119,16 @@ impl Watch {
         let mut found = std::mem::take(&mut self.found);
         let n = found.samples.max(1) as f64;
         for (i, d) in self.sum.drain() {
-            self.squares.add(self.range[i] as usize, -d * d / n);
+            self.means[self.range[i] as usize] += d * d;
         }
-        for (range, squares) in self.squares.drain() {
-            let squares = squares.max(0.0);
-            found.squares += squares;
-            self.variances[range] += squares / (n * (n - 1.0).max(1.0));
+        let each = self.squares.iter_mut().zip(&mut self.means);
+        for ((squares, mean), variance) in each.zip(&mut self.variances) {
+            let all = std::mem::take(squares);
+            let around_mean = all - std::mem::take(mean) / n;
+            if around_mean > ROUNDING * all {
+                found.squares += around_mean;
+                *variance += around_mean / (n * (n - 1.0).max(1.0));
+            }
         }
         self.done.extend(self.pixel.take().map(|p| (p, found)));
     }
@@ -127,5 +137,39 @@ impl Watch {
     pub fn finished(mut self) -> (Vec<(usize, PixelNoise)>, Vec<f64>) {
         self.flush();
         (self.done, self.variances)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Two ranges, the second of two elements: equal derivatives have no variance, rounded as they are, and others
+    /// theirs, pixel by pixel.
+    #[test]
+    fn equal_derivatives_are_no_noise() {
+        let mut watch = Watch::new(3, vec![0, 1, 1]);
+        let samples = [[1.0, 0.0], [3.0, 4.0], [2.0, -1.0]];
+        for pixel in [5, 8] {
+            for (k, [a, b]) in samples.into_iter().enumerate() {
+                watch.add(0, 0.1 * (1.0 + k as f64 * 1e-7));
+                watch.add(1, a / 3.0);
+                watch.add(2, b / 3.0);
+                watch.add_alone(2, 2.0 / 3.0);
+                watch.finish(pixel, 3, 7);
+            }
+        }
+        let (pixels, variances) = watch.finished();
+        // Around the means 2 and 1, and around nothing.
+        let (squares, alone) = (2.0 + 14.0, 12.0);
+        assert_eq!(pixels.iter().map(|p| p.0).collect::<Vec<_>>(), [5, 8]);
+        for (_, p) in pixels {
+            assert_eq!((p.samples, p.work), (3, 21));
+            assert!((p.squares - squares - alone).abs() < 1e-12, "{p:?}");
+        }
+        let expected = [0.0, 2.0 * squares / 6.0, 2.0 * alone / 6.0];
+        for (v, e) in variances.iter().zip(expected) {
+            assert!((v - e).abs() < 1e-12, "{variances:?}");
+        }
     }
 }
