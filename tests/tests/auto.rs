@@ -333,7 +333,7 @@ fn images_that_emit_are_weighed_too() {
         <transform name="to_world"><rotate x="1" angle="90"/><translate y="1"/></transform><emitter type="area">
         <texture type="bitmap" name="radiance">{}<boolean name="raw" value="true"/></texture></emitter></shape>"#,
         camera(16, "0, 1.5, 4", 2),
-        plate(0.0, r#"<bsdf type="diffuse"/>"#),
+        plate(0.0, r#"<bsdf type="diffuse" id="matt"/>"#),
         file("sky.exr", 0.01),
         file("lamp.exr", 10.0),
     ));
@@ -356,6 +356,10 @@ fn images_that_emit_are_weighed_too() {
         "a thousand times as bright: {image:?}"
     );
     assert!(share(of_sky) > 0.05, "{image:?}");
+    // Each image is dark while the other is measured.
+    let matt = measure(&["matt.reflectance.value"]);
+    let of_lamp = of_lamp.map(|k| matt[k]);
+    assert!(of_lamp.is_some_and(|w| w > 0.9), "{matt:?}");
 }
 
 /// Sampling weights from pilots: what emits, and nothing else, counts for its own derivative; the rest is spread
