@@ -1,0 +1,210 @@
+#!/usr/bin/env python3
+"""Compares `gradient` with Mitsuba 3: the same scene file, the same machine, in turn.
+
+  pip install mitsuba numpy                     (and an LLVM library, which `llvm_ad_rgb` needs)
+  cargo build --release
+  examples/peer/against_mitsuba.py examples/scenes/cornell.xml --param red.reflectance.value \\
+      --ours "--estimator mis" --ours "--estimator mis --sampler sobol"
+
+The objective is the mean of all pixels and channels. Both sides render the same number of samples with
+independent seeds, in rounds that alternate, so that a slow phase of the machine meets both. Printed per
+`--ours`, as the peer's number over ours, so that more is better:
+
+  variance    of one pass: sum over all derivatives, and the geometric mean of each one's ratio
+  time        wall clock of one pass: median over the rounds of the ratio within a round
+  efficiency  1 / (variance x time), with the sum of variances; the second with the time that pilots
+              (--measure-lights, --measure-pixels, auto) take added to every single pass
+  |z|         largest difference of the two means in standard errors, over all derivatives
+
+A variance of n passes is known to sqrt(2 / (n - 1)): 30 % for 24, if passes are nearly normal.
+"""
+import argparse
+import json
+import math
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from xml.etree import ElementTree
+
+
+def parse():
+    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    p.add_argument("scene", help="scene file that both read")
+    p.add_argument("--param", action="append", required=True, metavar="KEY", help="its name is the same in both")
+    p.add_argument("--ours", action="append", metavar="ARGS", help="arguments of `gradient` [default: none]")
+    p.add_argument("-D", "--define", action="append", default=[], metavar="NAME=VALUE")
+    p.add_argument("--spp", type=int, default=64, help="samples per pixel and pass [default: 64]")
+    p.add_argument("--repeats", type=int, default=24, help="passes of each [default: 24]")
+    p.add_argument("--rounds", type=int, default=6, help="in so many turns [default: 6]")
+    p.add_argument("--binary", default="target/release/gradient", help="[default: target/release/gradient]")
+    p.add_argument("--variant", default="llvm_ad_rgb", help="of the peer [default: llvm_ad_rgb]")
+    p.add_argument("--integrator", default="prb", help="of the peer's gradients [default: prb]")
+    p.add_argument("--json", metavar="OUT", help="write the numbers to this file")
+    args = p.parse_args()
+    if args.rounds < 1 or args.repeats < 2 * args.rounds:
+        p.error("--repeats: expected at least two for each of --rounds")
+    for define in args.define:
+        if "=" not in define:
+            p.error(f"--define: expected NAME=VALUE, found {define!r}")
+    return args
+
+
+def depths(args):
+    """Largest depth and depth of roulette, which the peer's integrator does not tell: from the scene file."""
+    root = ElementTree.parse(args.scene).getroot()
+    values = {d.get("name"): d.get("value") for d in root.iter("default")}
+    values.update(d.split("=", 1) for d in args.define)
+    found = {}
+    for node in root.find("integrator").iter("integer"):
+        text = node.get("value")
+        found[node.get("name")] = int(values[text[1:]] if text.startswith("$") else text)
+    return {k: v for k, v in found.items() if k in ("max_depth", "rr_depth")}
+
+
+class Peer:
+    """Mitsuba: gradients and images, timed until they are known."""
+
+    def __init__(self, args):
+        import drjit
+        import mitsuba
+        import numpy
+
+        mitsuba.set_variant(args.variant)
+        mitsuba.set_log_level(mitsuba.LogLevel.Error)
+        self.mi, self.dr, self.np = mitsuba, drjit, numpy
+        self.spp, self.keys = args.spp, args.param
+        self.scene = mitsuba.load_file(args.scene, **dict(d.split("=", 1) for d in args.define))
+        self.primal = self.scene.integrator()
+        self.prb = mitsuba.load_dict({"type": args.integrator, **depths(args)})
+        self.params = mitsuba.traverse(self.scene)
+        unknown = [k for k in self.keys if k not in self.params]
+        if unknown:
+            sys.exit(f"{args.scene}: the peer knows no parameter {unknown[0]!r}, but {sorted(self.params.keys())}")
+        for key in self.keys:
+            drjit.enable_grad(self.params[key])
+        self.params.update()
+
+    def image(self, seed):
+        start = time.perf_counter()
+        image = self.mi.render(self.scene, integrator=self.primal, spp=self.spp, seed=seed)
+        self.dr.eval(image)
+        self.dr.sync_thread()
+        return time.perf_counter() - start, image.shape
+
+    def gradient(self, seed, shape):
+        for key in self.keys:
+            self.dr.set_grad(self.params[key], 0)
+        adjoint = self.dr.full(self.mi.TensorXf, 1 / math.prod(shape), shape)
+        start = time.perf_counter()
+        self.prb.render_backward(self.scene, self.params, adjoint, seed=seed, spp=self.spp)
+        gradients = [self.dr.grad(self.params[key]) for key in self.keys]
+        self.dr.eval(gradients)
+        self.dr.sync_thread()
+        seconds = time.perf_counter() - start
+        flat = [self.np.array(g, dtype=self.np.float64).ravel() for g in gradients]
+        return seconds, self.np.concatenate(flat)
+
+
+def ours(args, options, repeats, seed):
+    """Means, variances of one pass, and seconds of our `gradient`."""
+    with tempfile.TemporaryDirectory() as folder:
+        out = os.path.join(folder, "out.json")
+        command = [args.binary, args.scene, "--json", out, "--spp", str(args.spp)]
+        command += ["--repeats", str(repeats), "--seed", str(seed)]
+        for name, values in (("--param", args.param), ("-D", args.define)):
+            for value in values:
+                command += [name, value]
+        done = subprocess.run(command + options.split(), capture_output=True, text=True)
+        if done.returncode != 0:
+            sys.exit(f"{' '.join(command)} {options}\n{done.stderr}")
+        with open(out) as file:
+            report = json.load(file)
+    mean, variance = [], []
+    for key in args.param:
+        values = report["params"][key]
+        if isinstance(values["gradient"], str):
+            sys.exit(f"{key}: textures are written as images, which this script does not read")
+        mean += values["gradient"]
+        variance += [error * error * repeats for error in values["std_error"]]
+    seconds = {k: report[f"seconds_{k}"] for k in ("primal", "gradient", "pilots")}
+    return mean, variance, seconds
+
+
+def median(values):
+    values = sorted(values)
+    half = len(values) // 2
+    return values[half] if len(values) % 2 else 0.5 * (values[half - 1] + values[half])
+
+
+def pooled(rounds):
+    """Mean and variance of one pass, over rounds of equally many; each round holds (means, variances)."""
+    n = len(rounds)
+    columns = list(zip(*(zip(mean, variance) for mean, variance in rounds)))
+    return [(sum(m for m, _ in c) / n, sum(v for _, v in c) / n) for c in columns]
+
+
+def main():
+    args = parse()
+    options = args.ours or [""]
+    peer = Peer(args)
+    each = args.repeats // args.rounds
+    repeats = each * args.rounds
+    _, shape = peer.image(0)
+    peer.gradient(0, shape)  # compiles
+    theirs, mine, times = [], [[] for _ in options], []
+    for r in range(args.rounds):
+        print(f"round {r + 1} of {args.rounds}", file=sys.stderr)
+        seeds = range(1 + r * each, 1 + (r + 1) * each)
+        passes = [peer.gradient(seed, shape) for seed in seeds]
+        images = [peer.image(seed)[0] for seed in seeds[:3]]
+        values = peer.np.array([g for _, g in passes])
+        theirs.append((values.mean(0).tolist(), values.var(0, ddof=1).tolist()))
+        row = {"gradient": median([s for s, _ in passes]), "primal": median(images), "ours": []}
+        for i, option in enumerate(options):
+            mean, variance, seconds = ours(args, option, each, 1_000_000 + r * each)
+            mine[i].append((mean, variance))
+            row["ours"].append(seconds)
+        times.append(row)
+
+    their = pooled(theirs)
+    report = {"scene": args.scene, "params": args.param, "spp": args.spp, "passes": repeats, "ours": []}
+    print(f"{'':44} {'variance':>9} {'(geo.)':>8} {'time':>6} {'efficiency':>10} {'(pilots)':>9} {'|z|':>5}")
+    for i, option in enumerate(options):
+        my = pooled(mine[i])
+        total = sum(v for _, v in their) / sum(v for _, v in my)
+        logs = [math.log(a[1] / b[1]) for a, b in zip(their, my) if a[1] > 0 and b[1] > 0]
+        geometric = math.exp(sum(logs) / len(logs)) if logs else math.nan
+        speed = median([t["gradient"] / t["ours"][i]["gradient"] for t in times])
+        paid = median([t["gradient"] / (t["ours"][i]["gradient"] + t["ours"][i]["pilots"]) for t in times])
+        errors = [math.sqrt((a[1] + b[1]) / repeats) for a, b in zip(their, my)]
+        z = max((abs(a[0] - b[0]) / e for a, b, e in zip(their, my, errors) if e > 0), default=0.0)
+        found = {
+            "arguments": option,
+            "variance": total,
+            "variance_geometric": geometric,
+            "time": speed,
+            "efficiency": total * speed,
+            "efficiency_with_pilots": total * paid,
+            "largest_z": z,
+            "our_gradient_over_our_primal": median([t["ours"][i]["gradient"] / t["ours"][i]["primal"] for t in times]),
+            "our_primal_over_peers": median([t["ours"][i]["primal"] / t["primal"] for t in times]),
+        }
+        report["ours"].append(found)
+        print(
+            f"{option or '(defaults)':44} {total:9.2f} {geometric:8.2f} {speed:6.2f} {total * speed:10.2f} "
+            f"{total * paid:9.2f} {z:5.1f}"
+        )
+    for found in report["ours"]:
+        print(
+            f"{found['arguments'] or '(defaults)'}: our gradient takes {found['our_gradient_over_our_primal']:.2f} "
+            f"of our primal, which takes {found['our_primal_over_peers']:.2f} of the peer's"
+        )
+    if args.json:
+        with open(args.json, "w") as file:
+            json.dump(report, file, indent=2)
+
+
+if __name__ == "__main__":
+    main()
