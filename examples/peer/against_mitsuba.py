@@ -45,6 +45,9 @@ def parse():
     args = p.parse_args()
     if args.rounds < 1 or args.repeats < 2 * args.rounds:
         p.error("--repeats: expected at least two for each of --rounds")
+    for path in (args.scene, args.binary):
+        if not os.path.exists(path):
+            p.error(f"{path}: expected a file, found none")
     for define in args.define:
         if "=" not in define:
             p.error(f"--define: expected NAME=VALUE, found {define!r}")
@@ -57,9 +60,12 @@ def depths(args):
     values = {d.get("name"): d.get("value") for d in root.iter("default")}
     values.update(d.split("=", 1) for d in args.define)
     found = {}
-    for node in root.find("integrator").iter("integer"):
+    for node in root.findall("integrator/integer"):
         text = node.get("value")
-        found[node.get("name")] = int(values[text[1:]] if text.startswith("$") else text)
+        value = values.get(text[1:]) if text.startswith("$") else text
+        if value is None:
+            sys.exit(f"{args.scene}: no value for {text}; expected a <default>, or --define {text[1:]}=VALUE")
+        found[node.get("name")] = int(value)
     return {k: v for k, v in found.items() if k in ("max_depth", "rr_depth")}
 
 
@@ -67,10 +73,12 @@ class Peer:
     """Mitsuba: gradients and images, timed until they are known."""
 
     def __init__(self, args):
-        import drjit
-        import mitsuba
-        import numpy
-
+        try:
+            import drjit
+            import mitsuba
+            import numpy
+        except ImportError as error:
+            sys.exit(f"{error}; expected: pip install mitsuba numpy")
         mitsuba.set_variant(args.variant)
         mitsuba.set_log_level(mitsuba.LogLevel.Error)
         self.mi, self.dr, self.np = mitsuba, drjit, numpy
