@@ -58,6 +58,29 @@ pub struct FoundLight<P> {
     pub share: P,
 }
 
+/// How a strategy weighs its techniques, as values: what is called seldom is then compiled once per scalar
+/// instead of once per strategy.
+#[derive(Clone, Copy, Debug)]
+pub struct Weighing<R> {
+    /// [`Strategy::weight_hit`]; `None` where nothing else finds that light.
+    hit: Option<fn(R, R) -> R>,
+    /// [`Strategy::weight_sampled`]; likewise.
+    sampled: Option<fn(R, R) -> R>,
+    /// [`Strategy::FROZEN_WEIGHTS`].
+    frozen: bool,
+}
+
+impl<R: Real> Weighing<R> {
+    /// That of `S`.
+    pub fn of<S: Strategy>() -> Self {
+        Self {
+            hit: S::SAMPLES_EMITTERS.then_some(S::weight_hit),
+            sampled: S::COUNTS_HITS.then_some(S::weight_sampled),
+            frozen: S::FROZEN_WEIGHTS,
+        }
+    }
+}
+
 /// `f w L_e / p` of that edge: what it adds to the radiance leaving `from`, MIS weight included.
 ///
 /// # Derivatives
@@ -67,10 +90,11 @@ pub struct FoundLight<P> {
 /// [Zeltner 2021, Eqs. 4.31, 4.53, 4.54], with the sign of errata Z-4.54:
 /// `d|J| = -(1 - B) d ln p - grad B . d omega`.
 #[inline(never)]
-pub fn direct_light<R: Real, S: Strategy>(
+pub fn direct_light<R: Real>(
     scene: &Scene,
     theta: &Theta<R>,
     found: &FoundLight<R::Primal>,
+    weighing: &Weighing<R>,
     mode: TransportMode,
 ) -> Rgb<R> {
     let from = &found.from;
@@ -105,15 +129,14 @@ pub fn direct_light<R: Real, S: Strategy>(
     };
     let emission: Emission<R> = emission;
     let le = e.eval(theta, &emission);
-    let mis = match sample.component {
-        Component::Continuous if S::SAMPLES_EMITTERS => {
-            let pdf = if S::FROZEN_WEIGHTS {
-                frozen_pdf(material, &at, wo, wi, mode)
-            } else {
-                material.eval_pdf(&at, wo, wi, mode).1
+    let mis = match (sample.component, weighing.hit) {
+        (Component::Continuous, Some(weight)) => {
+            let pdf = match weighing.frozen {
+                true => frozen_pdf(material, &at, wo, wi, mode),
+                false => material.eval_pdf(&at, wo, wi, mode).1,
             };
             let emitter_pdf = e.pdf(scene.lights(), si.p, d, end.as_ref());
-            S::weight_hit(pdf, emitter_pdf * Const(found.share))
+            weight(pdf, emitter_pdf * Const(found.share))
         }
         _ => R::one(),
     };
@@ -159,7 +182,7 @@ pub struct Aimed<P> {
 /// # Reference
 /// [Zeltner 2021, section 4.2.2, Eq. 4.31].
 #[inline(never)]
-pub fn aimed_light<R: Real, S: Strategy>(
+pub fn aimed_light<R: Real>(
     scene: &Scene,
     material: &Material,
     at: &Shading<R>,
@@ -167,20 +190,19 @@ pub fn aimed_light<R: Real, S: Strategy>(
     aimed: &Aimed<R::Primal>,
     emitter: u32,
     light: &Moved<R>,
+    weighing: &Weighing<R>,
     mode: TransportMode,
 ) -> Rgb<R> {
     let wi = Frame::lift(aimed.frame).to_local(light.d);
     let (f, pdf) = material.eval_pdf(at, wo, wi, mode);
     let le = scene.emitters()[emitter as usize].eval(&at.theta, &light.emission);
     let share = Const(aimed.share);
-    let mis = if S::COUNTS_HITS {
-        let pdf = match S::FROZEN_WEIGHTS {
+    let mis = weighing.sampled.map_or(R::one(), |weight| {
+        let pdf = match weighing.frozen {
             true => frozen_pdf(material, at, wo, wi, mode),
             false => pdf,
         };
-        S::weight_sampled(light.frozen_pdf * share, pdf)
-    } else {
-        R::one()
-    };
+        weight(light.frozen_pdf * share, pdf)
+    });
     f * le * (mis / (light.pdf * share) * Const(aimed.kept))
 }

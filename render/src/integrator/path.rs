@@ -4,7 +4,9 @@ use ad_core::{Const, Float, Real, Vec2, Vec3};
 
 use super::batch;
 use super::boundary::{Freeze, freeze};
-use super::direct::{Aimed, Departure, FoundLight, aimed_light, direct_light, follows_edges};
+use super::direct::{
+    Aimed, Departure, FoundLight, Weighing, aimed_light, direct_light, follows_edges,
+};
 use crate::bsdf::{Bsdf, Component, DiffLobe, Material, Part, Shading, TransportMode};
 use crate::emitter::{AnyEmitter, Emission, Emitter, Shift};
 use crate::estimator::memory::{Memory, Store};
@@ -328,7 +330,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
                     let found = self.found_light(scene, e, None, ray.d.primal(), share);
                     self.l += match found {
                         Some((found, beta)) if !R::IS_PRIMAL => {
-                            beta * direct_light::<R, S>(scene, theta, &found, mode)
+                            beta * direct_light(scene, theta, &found, &Weighing::of::<S>(), mode)
                         }
                         _ => beta * le * light.weight,
                     };
@@ -351,7 +353,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
                 let found = self.found_light(scene, e, end, ray.d.primal(), share);
                 self.l += match found {
                     Some((found, beta)) if !R::IS_PRIMAL => {
-                        beta * direct_light::<R, S>(scene, theta, &found, mode)
+                        beta * direct_light(scene, theta, &found, &Weighing::of::<S>(), mode)
                     }
                     _ => beta * le * light.weight,
                 };
@@ -476,8 +478,16 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
                         {
                             let moved = map.follow(&aim, theta, shift);
                             self.direct = beta
-                                * aimed_light::<R, S>(
-                                    scene, material, &at, wo_r, &aimed, emitter, &moved, mode,
+                                * aimed_light(
+                                    scene,
+                                    material,
+                                    &at,
+                                    wo_r,
+                                    &aimed,
+                                    emitter,
+                                    &moved,
+                                    &Weighing::of::<S>(),
+                                    mode,
                                 );
                         }
                         let moves = O::ENABLED && e.moving().is_some();

@@ -9,7 +9,7 @@ use std::marker::PhantomData;
 
 use ad_core::{Const, Dual, Float, Real, Vec2, Vec3};
 
-use super::direct::{Aimed, FoundLight, aimed_light, direct_light, follows_edges};
+use super::direct::{Aimed, FoundLight, Weighing, aimed_light, direct_light, follows_edges};
 use super::gradient::Active;
 use super::local::{LocalFn, Texels, pull_back, pull_back_second, pull_back_texels};
 use super::path::{Bounce, Context, HitLight, NormalsLight, Observer, SampledLight};
@@ -310,7 +310,7 @@ fn pull_back_motion<P: Float, S: Strategy>(
         theta: theta.lift(),
         uv: Vec2::lift(surface.uv),
     };
-    let light = aimed_light::<Dual<P, 3>, S>(
+    let light: Rgb<Dual<P, 3>> = aimed_light(
         scene,
         scene.material(surface.shape),
         &at,
@@ -318,6 +318,7 @@ fn pull_back_motion<P: Float, S: Strategy>(
         aimed,
         emitter,
         &map.vary(&aim),
+        &Weighing::of::<S>(),
         TransportMode::Radiance,
     );
     let adjoint =
@@ -453,7 +454,14 @@ impl<P: Float, S: Strategy> LocalFn<P> for Connected<'_, P, S> {
 
 impl<P: Float, S: Strategy> LocalFn<P> for Found<'_, P, S> {
     fn eval<R: Real<Primal = P>>(&self, theta: &Theta<R>) -> Rgb<R> {
-        direct_light::<R, S>(self.scene, theta, self.found, TransportMode::Radiance)
+        let weighing = Weighing::of::<S>();
+        direct_light(
+            self.scene,
+            theta,
+            self.found,
+            &weighing,
+            TransportMode::Radiance,
+        )
     }
 }
 
