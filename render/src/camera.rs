@@ -4,7 +4,7 @@ use ad_core::{Float, Vec3};
 
 use crate::error::SceneError;
 use crate::film::Film;
-use crate::math::{Ray, Transform};
+use crate::math::{Ray, Transform, each};
 
 /// What the angle of view refers to.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -108,7 +108,7 @@ impl Camera {
         let component =
             |i: usize| x * P::c(self.dx[i]) + y * P::c(self.dy[i]) + P::c(self.corner[i]);
         let d = Vec3::new(component(0), component(1), component(2));
-        Ray::new(self.origin.map(P::of).into(), d.normalize())
+        Ray::new(each(self.origin, P::of).into(), d.normalize())
     }
 
     /// Width and height of the image that the camera was made for.

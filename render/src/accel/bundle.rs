@@ -6,6 +6,7 @@
 use super::curved::{Curved, LANES_F64, Line};
 use super::packet::{Flat, RayLanes};
 use super::{Hit, Ray, capped};
+use crate::math::each;
 use wide::{f32x16, f64x8};
 
 /// Rays traced together.
@@ -82,7 +83,7 @@ impl Bundle {
     /// Origins and directions.
     #[inline(always)]
     pub(super) fn lanes(&self) -> ([f32x16; 3], [f32x16; 3]) {
-        (self.o.map(f32x16::from), self.d.map(f32x16::from))
+        (each(self.o, f32x16::from), each(self.d, f32x16::from))
     }
 
     /// The distances that the rays look ahead, or `None` if one of them cannot be traced as it is: see
@@ -93,7 +94,11 @@ impl Bundle {
             let (o, d, _) = self.ray(i);
             sane & Ray::new(o, d).is_some()
         });
-        sane.then(|| self.t_max.map(capped))
+        let mut limits = self.t_max;
+        for t in &mut limits {
+            *t = capped(*t);
+        }
+        sane.then_some(limits)
     }
 }
 

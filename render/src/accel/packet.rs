@@ -1,6 +1,7 @@
 //! Flat primitives, one at a time or eight at a time with the same arithmetic.
 
 use super::{Best, MIN_THICKNESS, Ray};
+use crate::math::each;
 use std::ops::{Add, Div, Mul, Sub};
 use wide::{f32x8, f32x16};
 
@@ -273,10 +274,10 @@ impl Flat<f32> {
     #[inline(always)]
     fn splat<N: Lane>(&self) -> Flat<N> {
         Flat {
-            v0: self.v0.map(N::splat),
-            n: self.n.map(N::splat),
-            du: self.du.map(N::splat),
-            dv: self.dv.map(N::splat),
+            v0: each(self.v0, N::splat),
+            n: each(self.n, N::splat),
+            du: each(self.du, N::splat),
+            dv: each(self.dv, N::splat),
             cut: N::splat(self.cut),
             seam_u: N::splat(self.seam_u),
             seam_v: N::splat(self.seam_v),

@@ -6,6 +6,13 @@ mod rgb;
 mod transform;
 pub mod warp;
 
+/// `f` of each of three. Unlike `map` of arrays it is inlined wherever it is called: that is not marked so, and a
+/// call per component would be made between parts of the crate that are compiled apart.
+#[inline(always)]
+pub(crate) fn each<T, U>([x, y, z]: [T; 3], f: impl Fn(T) -> U) -> [U; 3] {
+    [f(x), f(y), f(z)]
+}
+
 pub use ad_core::{Vec2, Vec3};
 pub use frame::Frame;
 pub use ray::Ray;
