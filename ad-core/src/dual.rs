@@ -113,7 +113,7 @@ impl<P: Real, const N: usize> Neg for Dual<P, N> {
     fn neg(self) -> Self {
         Self {
             re: -self.re,
-            eps: self.eps.map(|e| -e),
+            eps: lanes(|k| -self.eps[k]),
         }
     }
 }
@@ -231,30 +231,41 @@ macro_rules! chain_rule {
     )*};
 }
 
+/// One number per direction. `std::array::from_fn` is not marked for inlining: between parts of a crate that are
+/// compiled apart it would be a call per number.
+#[inline(always)]
+fn lanes<P: Real, const N: usize>(f: impl Fn(usize) -> P) -> [P; N] {
+    let mut all = [P::zero(); N];
+    for (k, x) in all.iter_mut().enumerate() {
+        *x = f(k);
+    }
+    all
+}
+
 impl<P: Real, const M: usize> Lanes for Dual<P, M> {
     #[inline(always)]
     fn add<const N: usize>(a: [Self; N], b: [Self; N]) -> [Self; N] {
-        std::array::from_fn(|k| a[k] + b[k])
+        lanes(|k| a[k] + b[k])
     }
     #[inline(always)]
     fn sub<const N: usize>(a: [Self; N], b: [Self; N]) -> [Self; N] {
-        std::array::from_fn(|k| a[k] - b[k])
+        lanes(|k| a[k] - b[k])
     }
     #[inline(always)]
     fn scale<const N: usize>(a: [Self; N], s: Self) -> [Self; N] {
-        a.map(|x| x * s)
+        lanes(|k| a[k] * s)
     }
     #[inline(always)]
     fn scale_const<const N: usize>(a: [Self; N], c: Const<<Self as Real>::Primal>) -> [Self; N] {
-        a.map(|x| x * c)
+        lanes(|k| a[k] * c)
     }
     #[inline(always)]
     fn combine<const N: usize>(a: [Self; N], s: Self, b: [Self; N], t: Self) -> [Self; N] {
-        std::array::from_fn(|k| a[k] * s + b[k] * t)
+        lanes(|k| a[k] * s + b[k] * t)
     }
     #[inline(always)]
     fn combine_add<const N: usize>(a: [Self; N], s: Self, b: [Self; N]) -> [Self; N] {
-        std::array::from_fn(|k| a[k] * s + b[k])
+        lanes(|k| a[k] * s + b[k])
     }
 }
 
@@ -363,8 +374,7 @@ impl<P: Real, const N: usize> Real for Dual<P, N> {
     }
     #[inline(always)]
     fn mul_add(self, a: Self, b: Self) -> Self {
-        let eps =
-            std::array::from_fn(|k| self.eps[k].mul_add(a.re, a.eps[k].mul_add(self.re, b.eps[k])));
+        let eps = lanes(|k| self.eps[k].mul_add(a.re, a.eps[k].mul_add(self.re, b.eps[k])));
         Self {
             re: self.re.mul_add(a.re, b.re),
             eps,

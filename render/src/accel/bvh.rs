@@ -7,6 +7,7 @@
 use super::curved::Curved;
 use super::packet::{Flat, RayLanes};
 use super::{Best, Item, Ray, Shape};
+use crate::math::each;
 use obvhs::bvh2::node::Bvh2Node;
 use obvhs::bvh2::{Bvh2, reinsertion::ReinsertionOptimizer};
 use obvhs::cwbvh::bvh2_to_cwbvh::bvh2_to_cwbvh;
@@ -365,12 +366,12 @@ impl Slabs {
         for k in 0..3 {
             reach += (ray.o[k] - center[k]).abs() + half[k];
         }
-        let inverse = ray.d.map(|x| 1.0 / x.abs().max(MIN_COMPONENT).copysign(x));
+        let inverse = each(ray.d, |x| 1.0 / x.abs().max(MIN_COMPONENT).copysign(x));
         let negative = |k: usize| u32::from(inverse[k] < 0.0);
         Slabs {
             o: ray.o,
             inverse,
-            slack: inverse.map(|x| x.abs() * (SLACK * reach)),
+            slack: each(inverse, |x| x.abs() * (SLACK * reach)),
             octant: 7 ^ (negative(0) << 2 | negative(1) << 1 | negative(2)),
         }
     }

@@ -7,6 +7,7 @@ use super::bundle::{BUNDLE, Bundle};
 use super::bvh::{MIN_COMPONENT, SLACK, Tree, widen};
 use super::packet::RayLanes;
 use super::{Best, Hit, Ray};
+use crate::math::each;
 use obvhs::cwbvh::node::CwBvhNode;
 use wide::{f32x8, f32x16};
 
@@ -51,11 +52,12 @@ impl<'a> Convoy<'a> {
         let reach = reach.to_array()[..bundle.len()]
             .iter()
             .fold(0.0, |m: f32, x| m.max(*x));
-        let inverse = d.map(|d| {
-            f32x16::from(
-                d.to_array()
-                    .map(|x| 1.0 / x.abs().max(MIN_COMPONENT).copysign(x)),
-            )
+        let inverse = each(d, |d| {
+            let mut d = d.to_array();
+            for x in &mut d {
+                *x = 1.0 / x.abs().max(MIN_COMPONENT).copysign(*x);
+            }
+            f32x16::from(d)
         });
         let negative = |k: usize| u32::from(bundle.ray(0).1[k] < 0.0);
         Self {
@@ -218,7 +220,11 @@ impl Tree {
             for lane in lanes(hit) {
                 nearest.best[lane].offer(t[lane], u[lane], v[lane], prim);
             }
-            nearest.t = f32x16::from(std::array::from_fn::<f32, BUNDLE, _>(|i| nearest.best[i].t));
+            let mut t = [0.0; BUNDLE];
+            for (t, best) in t.iter_mut().zip(&nearest.best) {
+                *t = best.t;
+            }
+            nearest.t = f32x16::from(t);
         }
     }
 

@@ -2,6 +2,7 @@
 //! which costs the same and needs no rearrangement for far-away small ones.
 
 use super::{MIN_THICKNESS, Ray};
+use crate::math::each;
 use std::ops::{Add, Div, Mul, Sub};
 use wide::f64x8;
 
@@ -199,7 +200,9 @@ impl Curved {
                 du,
                 dv,
             } => {
-                let [center, normal, du, dv] = [center, normal, du, dv].map(|x| x.map(N::splat));
+                let splat = |x| each(x, N::splat);
+                let (center, normal) = (splat(center), splat(normal));
+                let (du, dv) = (splat(du), splat(dv));
                 let to = minus(center, o);
                 let t = dot(normal, to) / dot(normal, d);
                 let p = less(to, t, d);
@@ -213,7 +216,7 @@ impl Curved {
                 length,
                 squared_radius,
             } => {
-                let [p0, axis] = [p0, axis].map(|x| x.map(N::splat));
+                let (p0, axis) = (each(p0, N::splat), each(axis, N::splat));
                 let to = minus(p0, o);
                 let (along_to, along_d) = (dot(to, axis), dot(d, axis));
                 // Seen along the axis the tube is a circle.

@@ -16,6 +16,7 @@ mod packet;
 #[cfg(test)]
 mod tests;
 
+use crate::math::each;
 use bundle::Few;
 pub use bundle::{BUNDLE, Bundle};
 use bvh::Tree;
@@ -467,7 +468,7 @@ impl Ray {
         let exponent = (largest.to_bits() >> 23) as i32 - 127;
         let down = f32::from_bits(((127 - exponent) as u32) << 23);
         let up = f32::from_bits(((127 + exponent) as u32) << 23);
-        let d = d.map(|x| x * down);
+        let d = each(d, |x| x * down);
         let size = d[0].abs() + d[1].abs() + d[2].abs();
         Some((Ray { o, d, size }, up))
     }

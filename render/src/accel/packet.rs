@@ -421,6 +421,6 @@ impl Candidate<f32x8> {
 #[inline(always)]
 fn least(x: f32x8) -> f32 {
     let a = x.to_array();
-    let b: [f32; 4] = std::array::from_fn(|i| a[i].lower(a[i + 4]));
-    b[0].lower(b[2]).lower(b[1].lower(b[3]))
+    let pair = |i: usize| a[i].lower(a[i + 4]);
+    pair(0).lower(pair(2)).lower(pair(1).lower(pair(3)))
 }

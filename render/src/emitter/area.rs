@@ -155,7 +155,8 @@ impl Emitter for Area {
         let at = from.primal() + sample.d * sample.distance;
         let to = Vec3::lift(at) - from;
         let d = to.normalize();
-        let [n, n_geo] = sample.normals.map(Vec3::<R>::lift);
+        let [n, n_geo] = sample.normals;
+        let (n, n_geo) = (Vec3::<R>::lift(n), Vec3::lift(n_geo));
         // Constant density per area.
         let per_angle = to.length_squared() / n_geo.dot(d);
         Connection {

@@ -25,7 +25,7 @@ use ad_core::{Float, Real, Vec2, Vec3};
 
 use crate::bsdf::FromNode;
 use crate::error::SceneError;
-use crate::math::{Frame, Ray, Rgb, warp};
+use crate::math::{Frame, Ray, Rgb, each, warp};
 use crate::params::{GradSink, Params, Theta};
 use crate::scene::{Builder, Node};
 use crate::shape::{AnyShape, Shape, SurfaceInteraction};
@@ -140,7 +140,7 @@ impl Ball {
     /// Whether a ray may meet anything within: false only where it certainly does not, whatever its rounding.
     #[inline]
     pub(crate) fn may_be_met<P: Float>(&self, ray: &Ray<P>) -> bool {
-        let centre = Vec3::from(self.centre.map(P::of));
+        let centre = Vec3::from(each(self.centre, P::of));
         let to = centre - ray.o;
         let radius2 = P::of(1.01 * self.radius * self.radius);
         let distance2 = to.length_squared();
@@ -157,7 +157,7 @@ fn from_afar<P: Float>(ball: Ball, sample: &EmitterSample<P>, u: [P; 2]) -> Emit
     let frame = Frame::from_normal(sample.d);
     let disc = warp::square_to_disk(u);
     let radius = P::of(ball.radius);
-    let centre = Vec3::from(ball.centre.map(P::of));
+    let centre = Vec3::from(each(ball.centre, P::of));
     let local = Vec3::new(disc.x, disc.y, P::one()) * radius;
     EmittedRay {
         ray: Ray::new(centre + frame.to_world(local), -sample.d),

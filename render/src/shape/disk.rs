@@ -9,7 +9,7 @@ use super::{Shape, ShapeSample, SurfaceInteraction, hit_is_exact, lift3, turn};
 use crate::accel::{Hit, MAX_COORDINATE, MIN_THICKNESS, Primitive};
 use crate::bsdf::FromNode;
 use crate::error::SceneError;
-use crate::math::{Frame, Ray, Transform, warp};
+use crate::math::{Frame, Ray, Transform, each, warp};
 use crate::scene::{Builder, Node};
 
 /// The unit disk in the local xy plane, normal +z, under an affine transform (an ellipse in general).
@@ -105,7 +105,7 @@ impl Shape for Disk {
     }
 
     fn border<R: Real>(&self, _prim: u32, ray: &Ray<R>) -> R {
-        let [center, e1, e2] = [self.center, self.e1, self.e2].map(lift3::<R>);
+        let [center, e1, e2] = each([self.center, self.e1, self.e2], lift3::<R>);
         let (t, x, y) = intersect_plane(ray, center, e1, e2);
         let least = e1.length().min(e2.length());
         super::flat_border(t, [(x.hypot(y) - R::c(1.0)) * least])

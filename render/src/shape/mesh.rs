@@ -11,7 +11,7 @@ use super::{DirectionSample, Shape, ShapeSample, SurfaceInteraction, hit_is_exac
 use crate::accel::{Hit, MAX_COORDINATE, Primitive};
 use crate::bsdf::FromNode;
 use crate::error::SceneError;
-use crate::math::{Frame, Ray, Transform, warp};
+use crate::math::{Frame, Ray, Transform, each, warp};
 use crate::scene::{Builder, Node};
 
 /// What a mesh is made of. Arrays with one entry per vertex may be empty.
@@ -200,7 +200,7 @@ impl Mesh {
     fn surface<R: Real>(&self, triangle: usize, u: R, v: R) -> (Frame<R>, Vec3<R>, Vec2<R>) {
         let data = &*self.0;
         let m = &data.mesh;
-        let t = m.triangles[triangle].map(|i| i as usize);
+        let t = each(m.triangles[triangle], |i| i as usize);
         let [e1, e2] = data.edges(triangle);
         // In f64, where the product of small edges does not underflow.
         let flat = e1.cross(e2).normalize();
@@ -209,7 +209,7 @@ impl Mesh {
         let smooth = if m.normals.is_empty() {
             Vec3::zero()
         } else {
-            let [a, b, c] = t.map(|i| lift3::<R>(m.normals[i]));
+            let [a, b, c] = each(t, |i| lift3::<R>(m.normals[i]));
             (a * w + b * u + c * v).normalize()
         };
         let (mut n, mut n_geo) = (smooth, flat);
@@ -232,7 +232,7 @@ impl Mesh {
                 R::lift(R::Primal::from_f32(x[1])),
             )
         };
-        let [a, b, c] = t.map(|i| lift2(m.uvs[i]));
+        let [a, b, c] = each(t, |i| lift2(m.uvs[i]));
         let uv = Vec2::new(a.x * w + b.x * u + c.x * v, a.y * w + b.y * u + c.y * v);
         let dp_du = data.dp_du(triangle);
         let dp_du = Vec3::new(R::of(dp_du.x), R::of(dp_du.y), R::of(dp_du.z));

@@ -11,7 +11,7 @@ use super::{
 use crate::accel::{Hit, MAX_COORDINATE, MIN_THICKNESS, Primitive};
 use crate::bsdf::FromNode;
 use crate::error::SceneError;
-use crate::math::{Frame, Ray, Transform, warp};
+use crate::math::{Frame, Ray, Transform, each, warp};
 use crate::scene::{Builder, Node};
 
 /// Two axes count as equally long and orthogonal up to this relative error, that of a matrix
@@ -93,8 +93,8 @@ impl Sphere {
     /// increasing u there (zero at the poles).
     #[inline]
     fn uv<R: Real>(&self, n: Vec3<R>) -> (Vec2<R>, Vec3<R>) {
-        let axes = self.axes.map(lift3::<R>);
-        let [x, y, z] = axes.map(|a| a.dot(n));
+        let axes = each(self.axes, lift3::<R>);
+        let [x, y, z] = each(axes, |a| a.dot(n));
         let uv = if self.skips_uv {
             Vec2::new(R::zero(), R::zero())
         } else {

@@ -15,7 +15,7 @@ use crate::bsdf::FromNode;
 use crate::error::SceneError;
 use crate::film::Image;
 use crate::image_io::Encoding;
-use crate::math::{Rgb, Transform};
+use crate::math::{Rgb, Transform, each};
 use crate::params::{Differentiability, ParamRef, ParamShape, Params};
 use crate::scene::{Builder, Node};
 use crate::shape::{SurfaceInteraction, lift3, turn};
@@ -123,7 +123,7 @@ impl Envmap {
 
     #[inline]
     fn local<R: Real>(&self, d: Vec3<R>) -> [R; 3] {
-        self.axes.map(|a| lift3::<R>(a).dot(d))
+        each(self.axes, |a| lift3::<R>(a).dot(d))
     }
 
     /// Density per solid angle at a local direction: bilinear in its cell, so continuous.
