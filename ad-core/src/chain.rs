@@ -5,7 +5,7 @@
 //! `adj_x <- (ds/dx)^T adj`, `adj_p = (ds/dp)^T adj`. Memory is `S x I` numbers per stage, whatever
 //! happens inside the stages, and it is reused from chain to chain.
 
-use crate::real::Real;
+use crate::real::{Real, array};
 use crate::vjp::{DiffFn, jacobian, transpose_mul};
 
 /// Recorder of a chain: states of `S` numbers, stages of `I` inputs (the state first, then
@@ -72,7 +72,7 @@ impl<P: Real, const I: usize, const S: usize> Chain<P, I, S> {
         };
         let mut state = self.state;
         self.jacobians.extend(params.into_iter().map(|p| {
-            let x = std::array::from_fn(|k| if k < S { state[k] } else { p[k - S] });
+            let x = array(|k| if k < S { state[k] } else { p[k - S] });
             let (y, jac) = jacobian(stage, x);
             state = y;
             jac
@@ -116,8 +116,8 @@ impl<P: Real, const I: usize, const S: usize> Chain<P, I, S> {
         let mut adjoint = adjoint;
         for (i, jac) in self.jacobians.iter().enumerate().rev() {
             let all = transpose_mul(jac, adjoint);
-            each(i, std::array::from_fn(|k| all[S + k]));
-            adjoint = std::array::from_fn(|k| all[k]);
+            each(i, array(|k| all[S + k]));
+            adjoint = array(|k| all[k]);
         }
         adjoint
     }
@@ -140,9 +140,9 @@ impl<P: Real, const I: usize, const S: usize> Chain<P, I, S> {
         let mut adjoint = [P::zero(); S];
         for (i, jac) in self.jacobians.iter().enumerate().rev() {
             let direct = source(i);
-            let all = transpose_mul(jac, std::array::from_fn(|k| adjoint[k] + direct[k]));
-            each(i, std::array::from_fn(|k| all[S + k]));
-            adjoint = std::array::from_fn(|k| all[k]);
+            let all = transpose_mul(jac, array(|k| adjoint[k] + direct[k]));
+            each(i, array(|k| all[S + k]));
+            adjoint = array(|k| all[k]);
         }
         adjoint
     }

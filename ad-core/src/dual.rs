@@ -6,7 +6,7 @@ use std::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAssi
 
 use crate::elementary;
 use crate::lanes::Lanes;
-use crate::real::{Const, Real};
+use crate::real::{Const, Real, array};
 
 /// A value and its derivatives along `N` directions: `re + sum_i eps[i] e_i` with `e_i e_j = 0`.
 ///
@@ -49,7 +49,7 @@ impl<P: Real, const N: usize> Dual<P, N> {
     pub fn var(re: P, i: usize) -> Self {
         Self {
             re,
-            eps: std::array::from_fn(|k| if k == i { P::one() } else { P::zero() }),
+            eps: array(|k| if k == i { P::one() } else { P::zero() }),
         }
     }
 
@@ -113,7 +113,7 @@ impl<P: Real, const N: usize> Neg for Dual<P, N> {
     fn neg(self) -> Self {
         Self {
             re: -self.re,
-            eps: lanes(|k| -self.eps[k]),
+            eps: array(|k| -self.eps[k]),
         }
     }
 }
@@ -231,41 +231,30 @@ macro_rules! chain_rule {
     )*};
 }
 
-/// One number per direction. `std::array::from_fn` is not marked for inlining: between parts of a crate that are
-/// compiled apart it would be a call per number.
-#[inline(always)]
-fn lanes<P: Real, const N: usize>(f: impl Fn(usize) -> P) -> [P; N] {
-    let mut all = [P::zero(); N];
-    for (k, x) in all.iter_mut().enumerate() {
-        *x = f(k);
-    }
-    all
-}
-
 impl<P: Real, const M: usize> Lanes for Dual<P, M> {
     #[inline(always)]
     fn add<const N: usize>(a: [Self; N], b: [Self; N]) -> [Self; N] {
-        lanes(|k| a[k] + b[k])
+        array(|k| a[k] + b[k])
     }
     #[inline(always)]
     fn sub<const N: usize>(a: [Self; N], b: [Self; N]) -> [Self; N] {
-        lanes(|k| a[k] - b[k])
+        array(|k| a[k] - b[k])
     }
     #[inline(always)]
     fn scale<const N: usize>(a: [Self; N], s: Self) -> [Self; N] {
-        lanes(|k| a[k] * s)
+        array(|k| a[k] * s)
     }
     #[inline(always)]
     fn scale_const<const N: usize>(a: [Self; N], c: Const<<Self as Real>::Primal>) -> [Self; N] {
-        lanes(|k| a[k] * c)
+        array(|k| a[k] * c)
     }
     #[inline(always)]
     fn combine<const N: usize>(a: [Self; N], s: Self, b: [Self; N], t: Self) -> [Self; N] {
-        lanes(|k| a[k] * s + b[k] * t)
+        array(|k| a[k] * s + b[k] * t)
     }
     #[inline(always)]
     fn combine_add<const N: usize>(a: [Self; N], s: Self, b: [Self; N]) -> [Self; N] {
-        lanes(|k| a[k] * s + b[k])
+        array(|k| a[k] * s + b[k])
     }
 }
 
@@ -374,7 +363,7 @@ impl<P: Real, const N: usize> Real for Dual<P, N> {
     }
     #[inline(always)]
     fn mul_add(self, a: Self, b: Self) -> Self {
-        let eps = lanes(|k| self.eps[k].mul_add(a.re, a.eps[k].mul_add(self.re, b.eps[k])));
+        let eps = array(|k| self.eps[k].mul_add(a.re, a.eps[k].mul_add(self.re, b.eps[k])));
         Self {
             re: self.re.mul_add(a.re, b.re),
             eps,

@@ -3,7 +3,7 @@
 //! Left to itself the compiler splits an array of tangents into scalars and then re-packs some of
 //! them with shuffles; explicit vector types halve the cost of a gradient.
 
-use crate::real::{Const, Real};
+use crate::real::{Const, Real, array};
 
 use wide::{f32x4, f32x8, f64x2, f64x4};
 
@@ -31,14 +31,14 @@ macro_rules! map_lanes {
         let mut out = [0.0; $N];
         let mut k = 0;
         while k + $W <= $N {
-            $(let $a = $w::new(std::array::from_fn(|j| $a[k + j]));)*
+            $(let $a = $w::new(array(|j| $a[k + j]));)*
             $(let $s = $w::splat($s);)*
             let r: $w = $e;
             out[k..k + $W].copy_from_slice(&r.to_array());
             k += $W;
         }
         if k + $H <= $N {
-            $(let $a = $h::new(std::array::from_fn(|j| $a[k + j]));)*
+            $(let $a = $h::new(array(|j| $a[k + j]));)*
             $(let $s = $h::splat($s);)*
             let r: $h = $e;
             out[k..k + $H].copy_from_slice(&r.to_array());

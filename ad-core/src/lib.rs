@@ -59,7 +59,7 @@ pub use chain::Chain;
 pub use dual::Dual;
 pub use mat::{Mat2, Mat3, block_tridiagonal_solve, solve_dense};
 pub use newton::{NewtonOptions, NewtonResult, NewtonStatus, newton};
-pub use real::{Const, Float, Real};
+pub use real::{Const, Float, Real, array};
 pub use vec::{Vec2, Vec3};
 pub use vjp::{
     DiffFn, derivative, gradient, gradient_composed, hessian, hvp, jacobian, jvp, transpose_mul,

@@ -2,7 +2,7 @@
 
 use std::ops::{Add, Mul, Sub};
 
-use crate::real::{Float, Real};
+use crate::real::{Float, Real, array};
 use crate::vec::{Vec2, Vec3};
 
 /// A 2x2 matrix, stored by rows.
@@ -36,7 +36,7 @@ macro_rules! matrix {
             /// A matrix from its columns.
             #[inline]
             pub fn from_cols(cols: [$V<R>; $n]) -> Self {
-                Self { rows: std::array::from_fn(|i| std::array::from_fn(|j| cols[j][i])) }
+                Self { rows: [$(array(|j| cols[j][$i])),*] }
             }
             /// The identity.
             #[inline]
@@ -47,9 +47,7 @@ macro_rules! matrix {
             #[inline]
             pub fn diagonal(d: $V<R>) -> Self {
                 Self {
-                    rows: std::array::from_fn(|i| {
-                        std::array::from_fn(|j| if i == j { d[i] } else { R::zero() })
-                    }),
+                    rows: [$(array(|j| if j == $i { d[j] } else { R::zero() })),*],
                 }
             }
             /// Row `i`.
@@ -65,7 +63,7 @@ macro_rules! matrix {
             /// The transpose.
             #[inline]
             pub fn transpose(self) -> Self {
-                Self { rows: std::array::from_fn(|i| std::array::from_fn(|j| self.rows[j][i])) }
+                Self { rows: [$(array(|j| self.rows[j][$i])),*] }
             }
             /// The inverse, or `None` if the matrix is singular or not finite.
             #[inline]
@@ -73,7 +71,7 @@ macro_rules! matrix {
                 let det = self.determinant();
                 invertible(det).then(|| {
                     let r = det.recip();
-                    Self { rows: self.adjugate().rows.map(|row| row.map(|x| x * r)) }
+                    self.adjugate() * r
                 })
             }
             /// Solves `self x = b`; `None` if the matrix is singular or not finite.
@@ -101,9 +99,7 @@ macro_rules! matrix {
             #[inline]
             fn mul(self, o: Self) -> Self {
                 Self {
-                    rows: std::array::from_fn(|i| {
-                        std::array::from_fn(|j| self.row(i).dot(o.col(j)))
-                    }),
+                    rows: [$(array(|j| self.row($i).dot(o.col(j)))),*],
                 }
             }
         }
@@ -111,7 +107,7 @@ macro_rules! matrix {
             type Output = Self;
             #[inline]
             fn mul(self, s: R) -> Self {
-                Self { rows: self.rows.map(|row| row.map(|x| x * s)) }
+                Self { rows: [$(array(|j| self.rows[$i][j] * s)),*] }
             }
         }
         impl<R: Real> Add for $M<R> {
@@ -119,9 +115,7 @@ macro_rules! matrix {
             #[inline]
             fn add(self, o: Self) -> Self {
                 Self {
-                    rows: std::array::from_fn(|i| {
-                        std::array::from_fn(|j| self.rows[i][j] + o.rows[i][j])
-                    }),
+                    rows: [$(array(|j| self.rows[$i][j] + o.rows[$i][j])),*],
                 }
             }
         }
@@ -130,9 +124,7 @@ macro_rules! matrix {
             #[inline]
             fn sub(self, o: Self) -> Self {
                 Self {
-                    rows: std::array::from_fn(|i| {
-                        std::array::from_fn(|j| self.rows[i][j] - o.rows[i][j])
-                    }),
+                    rows: [$(array(|j| self.rows[$i][j] - o.rows[$i][j])),*],
                 }
             }
         }

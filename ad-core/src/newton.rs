@@ -1,7 +1,7 @@
 //! Newton's method on small systems, with the Jacobian from dual numbers.
 
 use crate::mat::solve_dense;
-use crate::real::{Float, Real};
+use crate::real::{Float, Real, array};
 use crate::vjp::{DiffFn, jacobian};
 
 /// When to stop.
@@ -89,7 +89,7 @@ pub fn newton<P: Float, F: DiffFn<N, N>, const N: usize>(
         let Some(step) = solve_dense(jac, y) else {
             break NewtonStatus::Singular;
         };
-        x = std::array::from_fn(|i| x[i] - step[i]);
+        x = array(|i| x[i] - step[i]);
         iterations += 1;
     };
     NewtonResult {

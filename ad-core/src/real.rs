@@ -383,3 +383,15 @@ impl<R: Real> Div<R> for Const<R::Primal> {
         x.div_into(self)
     }
 }
+
+/// The array of `f(0)`, `f(1)`, and so on. Unlike `std::array::from_fn` and `map` of arrays it is inlined wherever
+/// it is called: they are not marked so, and between parts of a crate that are compiled apart they would be a call
+/// per number.
+#[inline(always)]
+pub fn array<R: Real, const N: usize>(mut f: impl FnMut(usize) -> R) -> [R; N] {
+    let mut all = [R::zero(); N];
+    for (k, x) in all.iter_mut().enumerate() {
+        *x = f(k);
+    }
+    all
+}

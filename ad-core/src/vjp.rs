@@ -6,7 +6,7 @@
 //! [`chain`](crate::chain). There is no tape, no allocation and no global state.
 
 use crate::dual::Dual;
-use crate::real::Real;
+use crate::real::{Real, array};
 
 /// A function of `I` inputs and `O` outputs that can be evaluated with any scalar.
 ///
@@ -49,7 +49,7 @@ macro_rules! diff_fn {
 /// The independent variables `x`, one direction each.
 #[inline(always)]
 pub fn variables<P: Real, const I: usize>(x: [P; I]) -> [Dual<P, I>; I] {
-    std::array::from_fn(|i| Dual::var(x[i], i))
+    array(|i| Dual::var(x[i], i))
 }
 
 /// Value and derivative of a function of one variable.
@@ -79,7 +79,11 @@ pub fn jacobian<P: Real, F: DiffFn<I, O>, const I: usize, const O: usize>(
     x: [P; I],
 ) -> ([P; O], [[P; I]; O]) {
     let y = f.eval(variables(x));
-    (y.map(|d| d.re), y.map(|d| d.eps))
+    let mut rows = [[P::zero(); I]; O];
+    for (row, y) in rows.iter_mut().zip(&y) {
+        *row = y.eps;
+    }
+    (array(|o| y[o].re), rows)
 }
 
 /// Value and derivative along `dx` (forward mode, `J dx`).
@@ -89,8 +93,8 @@ pub fn jvp<P: Real, F: DiffFn<I, O>, const I: usize, const O: usize>(
     x: [P; I],
     dx: [P; I],
 ) -> ([P; O], [P; O]) {
-    let y = f.eval(std::array::from_fn(|i| Dual::new(x[i], [dx[i]])));
-    (y.map(|d| d.re), y.map(|d| d.eps[0]))
+    let y = f.eval(array(|i| Dual::new(x[i], [dx[i]])));
+    (array(|o| y[o].re), array(|o| y[o].eps[0]))
 }
 
 /// Value and adjoint of the inputs for the adjoint `w` of the outputs (reverse mode, `J^T w`).
@@ -137,8 +141,8 @@ pub fn hvp<P: Real, F: DiffFn<I, 1>, const I: usize>(
     x: [P; I],
     v: [P; I],
 ) -> (P, [P; I], [P; I]) {
-    let (y, g) = gradient(f, std::array::from_fn(|i| Dual::new(x[i], [v[i]])));
-    (y.re, g.map(|d| d.re), g.map(|d| d.eps[0]))
+    let (y, g) = gradient(f, array(|i| Dual::new(x[i], [v[i]])));
+    (y.re, array(|i| g[i].re), array(|i| g[i].eps[0]))
 }
 
 /// Value and gradient of a composition `outer(inner(x))` by local Jacobians.

@@ -150,7 +150,7 @@ impl<P: Float> Pinhole<P> {
     /// covers: the importance over the squared distance.
     #[inline(always)]
     pub fn project_point(&self, v: Vec3<P>) -> Option<([P; 2], P)> {
-        let [x, y, depth] = self.rows.map(|row| row.dot(v));
+        let [x, y, depth] = each(self.rows, |row| row.dot(v));
         if depth <= P::zero() {
             return None;
         }

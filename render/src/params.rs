@@ -11,7 +11,7 @@
 
 use std::collections::HashMap;
 
-use ad_core::{Float, Real};
+use ad_core::{Float, Real, array};
 
 use crate::error::RenderError;
 use crate::math::Rgb;
@@ -330,9 +330,9 @@ impl<'a, R: Real> Theta<'a, R> {
         if R::IS_PRIMAL {
             // One check of the range for all channels.
             let values = &self.values[p.offset as usize + i * C..][..C];
-            return std::array::from_fn(|c| R::lift(values[c]));
+            return array(|c| R::lift(values[c]));
         }
-        std::array::from_fn(|c| self.get(p, i * C + c))
+        array(|c| self.get(p, i * C + c))
     }
 }
 
@@ -358,6 +358,6 @@ pub fn per_channel<const C: usize, P: Float>(d: Rgb<P>) -> [P; C] {
     if C == 1 {
         [d.sum(); C]
     } else {
-        std::array::from_fn(|c| d[c])
+        array(|c| d[c])
     }
 }

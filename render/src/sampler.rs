@@ -8,6 +8,8 @@ use ad_core::Float;
 use sobol_burley::NUM_DIMENSION_SETS_4D;
 use sobol_burley::parts::{Int4, owen_scramble_int4_rev, owen_scramble_rev, sobol_int4_rev};
 
+use crate::math::each;
+
 /// Dimensions reserved for the camera: pixel position.
 pub const CAMERA_DIMENSIONS: u32 = 2;
 /// Dimensions reserved for each bounce of a path: see [`crate::integrator`].
@@ -165,8 +167,8 @@ impl Spread {
         let after = |x: u64, n: u32| mix64(x.wrapping_add(u64::from(n + 1).wrapping_mul(GOLDEN)));
         let set = after(self.key, self.first);
         let shuffled = owen_scramble_rev(self.index.reverse_bits(), set as u32);
-        let [a, b] = [2 * k, 2 * k + 1].map(|n| after(set, n));
-        let scramble = [a, a >> 32, b, b >> 32].map(|bits| bits as u32);
+        let [a, b] = [after(set, 2 * k), after(set, 2 * k + 1)];
+        let scramble = [a as u32, (a >> 32) as u32, b as u32, (b >> 32) as u32];
         let x: Int4 = if k == 0 {
             let [upper, lower] = &*FIRST_FOUR;
             let bytes = shuffled.to_be_bytes();
@@ -212,7 +214,7 @@ impl Sampler for Spread {
         self.first = dim;
     }
 
-    #[inline]
+    #[inline(always)]
     fn next_bits(&mut self) -> u64 {
         if self.points == Points::Sobol {
             return self.sobol::<1>()[0];
@@ -233,7 +235,10 @@ impl Sampler for Spread {
     #[inline(always)]
     fn next_2d<P: Float>(&mut self) -> [P; 2] {
         match self.points {
-            Points::Sobol => self.sobol::<2>().map(P::from_bits_unit),
+            Points::Sobol => {
+                let [x, y] = self.sobol();
+                [P::from_bits_unit(x), P::from_bits_unit(y)]
+            }
             _ => [self.next_1d(), self.next_1d()],
         }
     }
@@ -241,7 +246,7 @@ impl Sampler for Spread {
     #[inline(always)]
     fn next_3d<P: Float>(&mut self) -> [P; 3] {
         match self.points {
-            Points::Sobol => self.sobol::<3>().map(P::from_bits_unit),
+            Points::Sobol => each(self.sobol(), P::from_bits_unit),
             _ => [self.next_1d(), self.next_1d(), self.next_1d()],
         }
     }

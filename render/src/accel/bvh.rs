@@ -412,9 +412,7 @@ impl Slabs {
 /// Eight bytes as eight floats; spelled so that it becomes one widening load.
 #[inline(always)]
 pub(super) fn widen(q: &[u8; 8]) -> f32x8 {
-    let mut padded = [0; 16];
-    padded[..8].copy_from_slice(q);
-    f32x8::from_i32x8(i32x8::from_u16x8(u16x8::from_u8x16_low(u8x16::from(
-        padded,
-    ))))
+    let padded = u128::from(u64::from_le_bytes(*q)).to_le_bytes();
+    let bytes = u16x8::from_u8x16_low(u8x16::from(padded));
+    f32x8::from_i32x8(i32x8::from_u16x8(bytes))
 }

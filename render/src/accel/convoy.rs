@@ -141,8 +141,11 @@ impl Tree {
         let start = bundle.limits()?;
         let mut nearest = Nearest {
             t: f32x16::from(start),
-            best: start.map(Best::new),
+            best: [Best::new(0.0); BUNDLE],
         };
+        for (best, t) in nearest.best.iter_mut().zip(&start) {
+            *best = Best::new(*t);
+        }
         let convoy = Convoy::new(bundle, self);
         self.follow(
             &convoy,
@@ -156,7 +159,7 @@ impl Tree {
                 nearest.t = f32x16::from(t);
             },
         );
-        for (hit, best) in hits.iter_mut().zip(nearest.best).take(bundle.len()) {
+        for (hit, best) in hits.iter_mut().zip(&nearest.best).take(bundle.len()) {
             *hit = best.hit();
         }
         Some(())

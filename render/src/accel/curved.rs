@@ -190,7 +190,7 @@ impl Curved {
                 center,
                 squared_radius,
             } => {
-                let to = minus(center.map(N::splat), o);
+                let to = minus(each(center, N::splat), o);
                 let (near, far) = roots(to, d, inverse, squared_radius)?;
                 Some([near, far, none, none])
             }

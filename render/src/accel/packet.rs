@@ -207,8 +207,8 @@ impl<N: Lane> RayLanes<N> {
     #[inline(always)]
     pub(super) fn new(ray: &Ray) -> Self {
         RayLanes {
-            o: ray.o.map(N::splat),
-            d: ray.d.map(N::splat),
+            o: each(ray.o, N::splat),
+            d: each(ray.d, N::splat),
             size: N::splat(ray.size),
         }
     }
@@ -370,12 +370,13 @@ impl Packets {
         let nearest = least(t);
         if nearest < best.t {
             let mut winners = t.simd_eq(f32x8::splat(nearest)).to_bitmask();
-            let prims = prim.to_array().map(f32::to_bits);
+            let prims = prim.to_array();
+            let prim_of = |lane: usize| prims[lane].to_bits();
             let mut lane = winners.trailing_zeros() as usize % LANES;
             winners &= winners - 1;
             while winners != 0 {
                 let other = winners.trailing_zeros() as usize % LANES;
-                if prims[other] < prims[lane] {
+                if prim_of(other) < prim_of(lane) {
                     lane = other;
                 }
                 winners &= winners - 1;
@@ -384,7 +385,7 @@ impl Packets {
                 t: nearest,
                 u: u.to_array()[lane],
                 v: v.to_array()[lane],
-                prim: prims[lane],
+                prim: prim_of(lane),
                 found: true,
             };
         }

@@ -83,8 +83,8 @@ impl Bsdf for Blend {
         mode: TransportMode,
     ) -> Rgb<R> {
         let share = self.shares(at);
-        let [a, b] = [0, 1].map(|i| self.parts[i].eval(at, wo, wi, mode));
-        a * share[0] + b * share[1]
+        let eval = |i: usize| self.parts[i].eval(at, wo, wi, mode);
+        eval(0) * share[0] + eval(1) * share[1]
     }
 
     /// The part is chosen by a primal probability that keeps a little away from 0 and 1, so that it is
@@ -220,8 +220,8 @@ impl Bsdf for Blend {
         mode: TransportMode,
     ) -> Rgb<R> {
         let share = self.shares(at);
-        let [a, b] = [0, 1].map(|i| self.parts[i].eval_normals(at, wo, wi, mode));
-        a * R::lift(share[0].primal()) + b * R::lift(share[1].primal())
+        let eval = |i: usize| self.parts[i].eval_normals(at, wo, wi, mode);
+        eval(0) * R::lift(share[0].primal()) + eval(1) * R::lift(share[1].primal())
     }
 
     fn pdf_differential<P: Float>(
@@ -231,8 +231,8 @@ impl Bsdf for Blend {
         wi: Vec3<P>,
         sign: DiffLobe,
     ) -> P {
-        let pdf = [0, 1].map(|i| self.parts[i].pdf_differential(at, wo, wi, sign));
-        mix(self.differential_choice(at), pdf)
+        let pdf = |i: usize| self.parts[i].pdf_differential(at, wo, wi, sign);
+        mix(self.differential_choice(at), [pdf(0), pdf(1)])
     }
 
     fn has_differential(&self) -> bool {

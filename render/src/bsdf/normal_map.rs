@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use ad_core::{Dual, Float, Real, Vec3};
+use ad_core::{Dual, Float, Real, Vec3, array};
 
 use super::nesting::{check_levels, has_delta, nested_nodes};
 use super::{
@@ -11,7 +11,7 @@ use super::{
 };
 use crate::error::SceneError;
 use crate::image_io::Encoding;
-use crate::math::{Frame, Rgb};
+use crate::math::{Frame, Rgb, each};
 use crate::params::{Differentiability, GradSink};
 use crate::scene::{Builder, Node};
 use crate::texture::{self, Bitmap, RgbTexture, UvTransform, Wrap};
@@ -66,7 +66,7 @@ impl Interpolation {
     /// The vector that is interpolated; normal to the surface, not normalised.
     #[inline]
     fn decode<R: Real>(self, texel: [R; 3]) -> Vec3<R> {
-        let n = Vec3::from(texel.map(|c| c * R::c(2.0) - R::c(1.0)));
+        let n = Vec3::from(each(texel, |c| c * R::c(2.0) - R::c(1.0)));
         match self {
             Self::Normals => n,
             Self::Slopes => {
@@ -341,7 +341,7 @@ impl Bsdf for NormalMap {
             return;
         }
         // The adjoint of the interpolated vector first, then of the texels it was made from.
-        let seeds: [Dual<P, 3>; 3] = std::array::from_fn(|i| Dual::var(vector.to_array()[i], i));
+        let seeds: [Dual<P, 3>; 3] = array(|i| Dual::var(vector.to_array()[i], i));
         let lifted_wo = Vec3::lift(wo);
         let frame = tilted(self.seen(Vec3::from(seeds), lifted_wo, mode));
         let lifted = at.lift::<Dual<P, 3>>();
@@ -368,7 +368,7 @@ impl Bsdf for NormalMap {
                 continue;
             }
             let texel: [P; 3] = at.theta.texel(f.param, f.texel[k] as usize);
-            let seeds: [Dual<P, 3>; 3] = std::array::from_fn(|c| Dual::var(texel[c], c));
+            let seeds: [Dual<P, 3>; 3] = array(|c| Dual::var(texel[c], c));
             let decoded = self.interpolation.decode(seeds).to_array();
             for c in 0..3 {
                 let d: P = (0..3).map(|i| d_vector[i] * decoded[i].eps[c]).sum();

@@ -92,6 +92,7 @@ pub trait Weights: Send + Sync + 'static {
     /// The weight of a direction with density `a` against `b`, found by scattering; zero if `a` is.
     fn hit<H: Heuristic, R: Real>(a: R, b: R) -> R;
     /// The weight of a sampled light with density `a` against `b`; zero if `a` is.
+    #[inline]
     fn sampled<H: Heuristic, R: Real>(a: R, b: R) -> R {
         Self::hit::<H, R>(a, b)
     }

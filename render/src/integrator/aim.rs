@@ -5,11 +5,11 @@ use std::f64::consts::PI;
 use ad_core::{Float, Vec3};
 
 use crate::emitter::{AnyEmitter, Ball, EmittedRay, Emitter};
-use crate::math::{Frame, Ray, warp};
+use crate::math::{Frame, Ray, each, warp};
 
 /// The cone that a ball fills: its axis, and one minus the cosine of its half angle. `None` from within.
 fn cone<P: Float>(ball: &Ball, from: Vec3<P>) -> Option<(Vec3<P>, P)> {
-    let to = Vec3::from(ball.centre.map(P::of)) - from;
+    let to = Vec3::from(each(ball.centre, P::of)) - from;
     let (d2, r) = (to.length_squared(), P::of(ball.radius));
     let sin2 = r * r / d2;
     (sin2 < P::one()).then(|| {
@@ -43,7 +43,7 @@ pub(super) fn aim<P: Float>(
 ) -> Option<EmittedRay<P>> {
     if emitter.is_infinite() {
         let d = start.ray.d;
-        let centre = |ball: &Ball| Vec3::from(ball.centre.map(P::of));
+        let centre = |ball: &Ball| Vec3::from(each(ball.centre, P::of));
         let disc = warp::square_to_disk(u) * P::of(balls[which].radius);
         let frame = Frame::from_normal(d);
         let p = centre(&balls[which]) + frame.to_world(Vec3::new(disc.x, disc.y, P::zero()));

@@ -16,7 +16,7 @@
 use ad_core::{Dual, Float, Real, Vec3};
 
 use crate::accel::Hit;
-use crate::math::{Frame, Ray};
+use crate::math::{Frame, Ray, each};
 use crate::sampler::Sampler;
 use crate::scene::Scene;
 
@@ -91,7 +91,7 @@ pub fn freeze<P: Float, X: Sampler>(
         let (sin, cos) = angle.sin_cos();
         let (y, x) = (2.0 * std::f64::consts::PI * v).sin_cos();
         for side in [sin, -sin] {
-            let around = [side * x, side * y, cos].map(P::of);
+            let around = each([side * x, side * y, cos], P::of);
             look(tangents.to_world(around.into()));
         }
     }
@@ -101,7 +101,7 @@ pub fn freeze<P: Float, X: Sampler>(
         + Vec3::lift(tangents.s) * Dual::var(P::zero(), 0)
         + Vec3::lift(tangents.t) * Dual::var(P::zero(), 1);
     let to_world = |v: Vec3<Dual<P, 2>>| {
-        let [s, t, n] = [frame.s, frame.t, frame.n].map(Vec3::lift);
+        let [s, t, n] = each([frame.s, frame.t, frame.n], Vec3::lift);
         s * v.x + t * v.y + n * v.z
     };
     let ray = Ray::new(Vec3::lift(origin), to_world(moving));

@@ -17,7 +17,7 @@ use crate::bsdf::{Bsdf, Component, Material, Part, Shading, TextureRef, Transpor
 use crate::emitter::{Emission, Emitter};
 use crate::estimator::Strategy;
 use crate::estimator::memory::Memory;
-use crate::math::Rgb;
+use crate::math::{Rgb, each};
 use crate::params::{GradSink, ParamRef, Theta};
 use crate::scene::Scene;
 
@@ -88,6 +88,7 @@ impl<'a, P: Float> Recorder<'a, P> {
         1 + self.vertices.len() as u32 + self.walked
     }
 
+    #[inline]
     fn push(&mut self, beta: Rgb<P>, surface: Option<Surface<P>>) {
         let lights = (self.claimed, self.lights.len() as u32);
         self.claimed = lights.1;
@@ -177,7 +178,8 @@ impl<'a, P: Float> Recorder<'a, P> {
             let (before, found) =
                 rest.split_at(rest.partition_point(|(i, _)| (*i as usize) < lights.start));
             rest = before;
-            for (i, hit) in lights.clone().zip(&self.lights[lights]) {
+            for i in lights {
+                let hit = &self.lights[i];
                 let e = &scene.emitters()[hit.emitter as usize];
                 let le = e.eval(theta, &hit.emission) * hit.weight;
                 if found.iter().any(|(k, _)| *k as usize == i) {
@@ -321,8 +323,9 @@ fn pull_back_motion<P: Float, S: Strategy>(
         &Weighing::of::<S>(),
         TransportMode::Radiance,
     );
-    let adjoint =
-        [0, 1, 2].map(|k| (Rgb::new(light.r.eps[k], light.g.eps[k], light.b.eps[k]) * d).sum());
+    let adjoint = each([0, 1, 2], |k: usize| {
+        (Rgb::new(light.r.eps[k], light.g.eps[k], light.b.eps[k]) * d).sum()
+    });
     map.pull_back(&aim, adjoint, grad, |grad, sum, d| {
         grad.add_sum(emitter, sum, d)
     });

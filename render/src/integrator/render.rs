@@ -3,7 +3,7 @@
 use std::ops::Range;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use ad_core::{Dual, Float, Real};
+use ad_core::{Dual, Float, Real, array};
 
 use super::batch::{self, PATHS};
 use super::particle;
@@ -231,7 +231,7 @@ impl Sample {
     #[inline]
     pub fn of_image<P: Float>(&self, image: &[f32], scene: &Scene) -> Rgb<P> {
         let i = place(scene, self.pixel) * 3;
-        Rgb::from(std::array::from_fn(|c| P::from_f32(image[i + c])))
+        Rgb::from(array(|c| P::from_f32(image[i + c])))
     }
 }
 

@@ -109,7 +109,7 @@ impl Shape for Cylinder {
         let from_p0 = ray.at(t) - p0;
         let height = direction.dot(from_p0);
         let outward = flat(from_p0).normalize();
-        let [x, y] = self.across.map(lift3::<R>);
+        let (x, y) = (lift3::<R>(self.across[0]), lift3::<R>(self.across[1]));
         let (cos, sin) = (x.dot(outward), y.dot(outward));
         let n = self.side(outward);
         SurfaceInteraction {
@@ -151,7 +151,7 @@ impl Shape for Cylinder {
     #[inline]
     fn sample_area<P: Float>(&self, u: [P; 2]) -> ShapeSample<P> {
         let (sin, cos) = (P::of(2.0 * PI) * u[0]).sin_cos();
-        let [x, y] = self.across.map(lift3::<P>);
+        let (x, y) = (lift3::<P>(self.across[0]), lift3::<P>(self.across[1]));
         let outward = x * cos + y * sin;
         ShapeSample {
             p: lift3::<P>(self.p0)

@@ -264,14 +264,17 @@ impl Data {
     /// Edges from the first vertex, rounded as the ray sees them.
     #[inline]
     fn single_edges(&self, triangle: usize) -> ([f32; 3], [[f32; 3]; 2]) {
-        let [a, b, c] = self.mesh.triangles[triangle].map(|i| self.mesh.positions[i as usize]);
+        let [a, b, c] = each(self.mesh.triangles[triangle], |i| {
+            self.mesh.positions[i as usize]
+        });
         let minus = |x: [f32; 3]| [x[0] - a[0], x[1] - a[1], x[2] - a[2]];
         (a, [minus(b), minus(c)])
     }
 
     #[inline]
     fn edges(&self, triangle: usize) -> [Vec3<f64>; 2] {
-        self.single_edges(triangle).1.map(lift3::<f64>)
+        let (_, [e1, e2]) = self.single_edges(triangle);
+        [lift3(e1), lift3(e2)]
     }
 
     #[inline]
@@ -285,10 +288,10 @@ impl Data {
     #[inline]
     fn dp_du(&self, triangle: usize) -> Vec3<f64> {
         let [e1, e2] = self.edges(triangle);
-        let [a, b, c] =
-            self.mesh.triangles[triangle].map(|i| self.mesh.uvs[i as usize].map(f64::from));
-        let (dv1, dv2) = (b[1] - a[1], c[1] - a[1]);
-        let det = (b[0] - a[0]) * dv2 - dv1 * (c[0] - a[0]);
+        let [a, b, c] = each(self.mesh.triangles[triangle], |i| self.mesh.uvs[i as usize]);
+        let minus = |x: f32, y: f32| f64::from(x) - f64::from(y);
+        let (dv1, dv2) = (minus(b[1], a[1]), minus(c[1], a[1]));
+        let det = minus(b[0], a[0]) * dv2 - dv1 * minus(c[0], a[0]);
         if det == 0.0 {
             return Vec3::zero();
         }

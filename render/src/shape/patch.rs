@@ -6,7 +6,7 @@ use super::{Shape, ShapeSample, SurfaceInteraction, hit_is_exact, lift3};
 use crate::accel::{Hit, MIN_THICKNESS, Primitive};
 use crate::bsdf::FromNode;
 use crate::error::SceneError;
-use crate::math::{Frame, Ray};
+use crate::math::{Frame, Ray, each};
 use crate::scene::{Builder, Node};
 
 /// A parallelogram `corner + u e1 + v e2`, with surface coordinates `(u, v)` in [0, 1]^2.
@@ -105,7 +105,7 @@ impl Patch {
 
     /// See [`Shape::border`].
     pub fn border<R: Real>(&self, ray: &Ray<R>) -> R {
-        let [v0, e1, e2] = [self.corner, self.e1, self.e2].map(lift3::<R>);
+        let [v0, e1, e2] = each([self.corner, self.e1, self.e2], lift3::<R>);
         let (t, u, v) = intersect_plane(ray, v0, e1, e2);
         // Height of the parallelogram over each edge.
         let height = |edge: Vec3<R>| R::Primal::of(self.area) / edge.length().primal();
