@@ -429,8 +429,8 @@ pub(crate) fn bounds(p: &Primitive) -> [[f32; 3]; 2] {
     };
     let sides = [axis(0), axis(1), axis(2)];
     [
-        sides.map(|s| (s.0 as f32).next_down()),
-        sides.map(|s| (s.1 as f32).next_up()),
+        each(sides, |s| (s.0 as f32).next_down()),
+        each(sides, |s| (s.1 as f32).next_up()),
     ]
 }
 

@@ -167,7 +167,7 @@ impl Flat<f32> {
 
     /// `None` if it has no area.
     pub(super) fn new(v0: [f32; 3], e1: [f32; 3], e2: [f32; 3], triangle: bool) -> Option<Self> {
-        let (a, b) = (e1.map(f64::from), e2.map(f64::from));
+        let (a, b) = (each(e1, f64::from), each(e2, f64::from));
         let normal = cross(a, b);
         let area = length(normal);
         let (la, lb) = (length(a), length(b));
@@ -177,11 +177,11 @@ impl Flat<f32> {
         if !(thickness >= f64::from(MIN_THICKNESS) && area > noise) {
             return None;
         }
-        let n = normal.map(|x| x / area);
-        let du = cross(b, n).map(|x| x / area);
-        let dv = cross(n, a).map(|x| x / area);
+        let n = each(normal, |x| x / area);
+        let du = each(cross(b, n), |x| x / area);
+        let dv = each(cross(n, a), |x| x / area);
         let extent = v0.iter().fold(0.0, |m: f32, x| m.max(x.abs())) + (la + lb) as f32;
-        let narrow = |x: [f64; 3]| x.map(|x| x as f32);
+        let narrow = |x: [f64; 3]| each(x, |x| x as f32);
         Some(Flat {
             v0,
             n: narrow(n),

@@ -1,6 +1,8 @@
 //! Affine transforms in f64, as scene files state them. Geometry converts them to its own precision
 //! once, at load.
 
+use super::each;
+
 /// An affine map of space, x -> L x + t, acting on column vectors.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Transform {
@@ -141,12 +143,12 @@ impl Transform {
     /// L p + t.
     pub fn point(&self, p: [f64; 3]) -> [f64; 3] {
         let v = self.vector(p);
-        [0, 1, 2].map(|i| v[i] + self.translation[i])
+        each([0, 1, 2], |i: usize| v[i] + self.translation[i])
     }
 
     /// L v: a displacement, so the translation does not act.
     pub fn vector(&self, v: [f64; 3]) -> [f64; 3] {
-        self.linear.map(|row| dot(row, v))
+        each(self.linear, |row| dot(row, v))
     }
 
     /// A surface normal: the cofactor matrix of L times `n`, not normalised. It equals det(L) L^-T
@@ -155,7 +157,7 @@ impl Transform {
     pub fn normal(&self, n: [f64; 3]) -> [f64; 3] {
         let [a, b, c] = self.linear;
         let cofactors = [cross(b, c), cross(c, a), cross(a, b)];
-        cofactors.map(|row| dot(row, n))
+        each(cofactors, |row| dot(row, n))
     }
 
     /// Whether all entries are finite.

@@ -381,7 +381,7 @@ impl Shape for Mesh {
 pub fn smooth_normals(positions: &[[f32; 3]], triangles: &[[u32; 3]]) -> Vec<[f32; 3]> {
     let mut sums = vec![Vec3::<f64>::zero(); positions.len()];
     for t in triangles {
-        let corners = t.map(|i| lift3::<f64>(positions[i as usize]));
+        let corners = each(*t, |i| lift3::<f64>(positions[i as usize]));
         let n = (corners[1] - corners[0])
             .cross(corners[2] - corners[0])
             .normalize();
@@ -392,7 +392,7 @@ pub fn smooth_normals(positions: &[[f32; 3]], triangles: &[[u32; 3]]) -> Vec<[f3
             sums[t[k] as usize] += n * Const(angle);
         }
     }
-    let single = |s: Vec3<f64>| s.normalize().to_array().map(|x| x as f32);
+    let single = |s: Vec3<f64>| each(s.normalize().to_array(), |x| x as f32);
     sums.into_iter().map(single).collect()
 }
 
@@ -432,8 +432,8 @@ fn append(
     if start + count > u32::MAX as usize {
         return Err("more than 2^32 vertices");
     }
-    let single = |v: [f64; 3]| v.map(|x| x as f32);
-    let double = |v: &[f32; 3]| v.map(f64::from);
+    let single = |v: [f64; 3]| each(v, |x| x as f32);
+    let double = |v: &[f32; 3]| each(*v, f64::from);
     let positions = group.positions.as_chunks::<3>().0.iter();
     mesh.positions
         .extend(positions.map(|p| single(options.to_world.point(double(p)))));
@@ -468,7 +468,7 @@ fn append(
     }
     let triangles = group.indices.as_chunks::<3>().0.iter();
     mesh.triangles
-        .extend(triangles.map(|t| t.map(|i| first + i)));
+        .extend(triangles.map(|t| each(*t, |i| first + i)));
     Ok(())
 }
 
