@@ -164,7 +164,7 @@ impl Envmap {
         cell: usize,
         [x, y]: [R; 2],
     ) -> (Vec3<R>, [R; 2]) {
-        let [above, below] = [band, band + 1].map(|i| self.table.edges[i]);
+        let (above, below) = (self.table.edges[band], self.table.edges[band + 1]);
         let h = y * R::c(below - above) + R::c(above);
         let u = (x + R::c(cell as f64 + 0.5)) * R::c(1.0 / self.table.width as f64);
         let u = u.rem_euclid(R::c(1.0));
@@ -217,7 +217,7 @@ impl Emitter for Envmap {
             return None;
         }
         // In f64: a choice among thousands of cells leaves f32 few digits for the place in the cell.
-        let (band, cell, draw) = self.table.draw(u.map(P::to_f64));
+        let (band, cell, draw) = self.table.draw([u[0].to_f64(), u[1].to_f64()]);
         let (d, [u, v]) = self.towards(band, cell, [draw.x, draw.y]);
         Some(EmitterSample {
             d: d.map(P::of).normalize(),

@@ -78,7 +78,7 @@ impl Envmap {
         if !(slope > 0.0 && slope < STEEPEST) {
             return None;
         }
-        let u = u.map(P::to_f64);
+        let u = [u[0].to_f64(), u[1].to_f64()];
         let (band, cell, at) = table.draw(u);
         let (rows, columns) = (table.rows(band), table.columns(cell));
         let mut numbers = [Number::Sum(table.len() - 1); LOCALS];

@@ -108,15 +108,16 @@ impl Table {
         for row in 0..self.height {
             let mut line = Sum::default();
             for cell in 0..self.width {
-                let [a, b] = self.columns(cell).map(|x| texel(row * self.width + x));
-                out.push(line.add((a + b) * half));
+                let [a, b] = self.columns(cell);
+                let texel = |x: usize| texel(row * self.width + x);
+                out.push(line.add((texel(a) + texel(b)) * half));
             }
         }
         let mut total = Sum::default();
         for band in 0..self.bands() {
-            let [a, b] = self.rows(band).map(|row| out[(row + 1) * self.width - 1]);
+            let [a, b] = self.rows(band);
             let share = R::c(0.5 * self.cover(band) / self.width as f64);
-            out.push(total.add((a + b) * share));
+            out.push(total.add((out[self.row(a)] + out[self.row(b)]) * share));
         }
         out
     }
@@ -191,19 +192,23 @@ impl Table {
 
     #[inline]
     pub fn corners(&self, band: usize, cell: usize) -> [[f64; 2]; 2] {
-        let columns = self.columns(cell);
-        self.rows(band)
-            .map(|row| columns.map(|x| f64::from(self.density[row * self.width + x])))
+        let [left, right] = self.columns(cell);
+        let [a, b] = self.rows(band);
+        let density = |row: usize, x: usize| f64::from(self.density[row * self.width + x]);
+        [
+            [density(a, left), density(a, right)],
+            [density(b, left), density(b, right)],
+        ]
     }
 
     #[inline]
     pub fn local(&self, band: usize, cell: usize) -> Local<f64> {
         let sum = |at: Option<usize>| at.map_or(0.0, |i| self.sums[i]);
-        let rows = self.rows(band);
+        let [a, b] = self.rows(band);
         Local {
             before: sum(self.before(band)),
-            rows: rows.map(|row| self.sums[self.row(row)]),
-            lines: rows.map(|row| sum(self.line(row, cell))),
+            rows: [self.sums[self.row(a)], self.sums[self.row(b)]],
+            lines: [sum(self.line(a, cell)), sum(self.line(b, cell))],
             corners: self.corners(band, cell),
         }
     }
@@ -214,7 +219,8 @@ impl Table {
         let band = bands.partition_point(|&p| p <= u[1]).min(self.bands() - 1);
         let start = self.local(band, 0);
         let y = self.latitude(band, u[1], &start);
-        let [upper, lower] = self.rows(band).map(|row| &lines[row * self.width..]);
+        let [a, b] = self.rows(band);
+        let (upper, lower) = (&lines[a * self.width..], &lines[b * self.width..]);
         let target = u[0] * mix(start.rows, y);
         let (mut cell, mut end) = (0, self.width - 1);
         while cell < end {
