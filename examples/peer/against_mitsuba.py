@@ -1,22 +1,27 @@
 #!/usr/bin/env python3
-"""Compares `gradient` with Mitsuba 3: the same scene file, the same machine, in turn.
+"""Compares `gradient` and `render` with Mitsuba 3: the same scene file, the same machine, in turn.
 
   pip install mitsuba numpy                     (and an LLVM library, which `llvm_ad_rgb` needs)
   cargo build --release
   examples/peer/against_mitsuba.py examples/scenes/cornell.xml --param red.reflectance.value \\
       --ours "--estimator mis" --ours "--estimator mis --sampler sobol"
+  examples/peer/against_mitsuba.py examples/scenes/cornell.xml --ours "" --ours "--sampler sobol"
 
-The objective is the mean of all pixels and channels. Both sides render the same number of samples with
-independent seeds, in rounds that alternate, so that a slow phase of the machine meets both. Printed per
-`--ours`, as the peer's number over ours, so that more is better:
+With `--param`, derivatives of the mean of all pixels and channels are compared; without, images. Both sides
+render the same number of samples (unless `--ours` gives another) with independent seeds, in rounds that
+alternate, so that a slow phase of the machine meets both. Printed per `--ours`, as the peer's number over
+ours, so that more is better:
 
-  variance    of one pass: sum over all derivatives, and the geometric mean of each one's ratio
+  variance    of one pass: sum over all derivatives, and the geometric mean of each one's ratio; of an image
+              the mean over its values of variance / (mean^2 + 0.01)
   time        wall clock of one pass: median over the rounds of the ratio within a round
   efficiency  1 / (variance x time), with the sum of variances; the second with the time that pilots
               (--measure-lights, --measure-pixels, auto) take added to every single pass
-  |z|         largest difference of the two means in standard errors, over all derivatives
+  |z|         largest difference of the two means in standard errors, over all derivatives, or the three colours
+              of the image's mean
 
-A variance of n passes is known to sqrt(2 / (n - 1)): 30 % for 24, if passes are nearly normal.
+A variance of n passes is known to sqrt(2 / (n - 1)): 30 % for 24, if passes are nearly normal. Over the pixels of
+an image that averages out, except where rare samples carry it.
 """
 import argparse
 import json
@@ -32,19 +37,20 @@ from xml.etree import ElementTree
 def parse():
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("scene", help="scene file that both read")
-    p.add_argument("--param", action="append", required=True, metavar="KEY", help="its name is the same in both")
-    p.add_argument("--ours", action="append", metavar="ARGS", help="arguments of `gradient` [default: none]")
+    p.add_argument("--param", action="append", default=[], metavar="KEY", help="its name is the same in both")
+    p.add_argument("--ours", action="append", metavar="ARGS", help="arguments of `gradient` or `render` [default: none]")
     p.add_argument("-D", "--define", action="append", default=[], metavar="NAME=VALUE")
     p.add_argument("--spp", type=int, default=64, help="samples per pixel and pass [default: 64]")
     p.add_argument("--repeats", type=int, default=24, help="passes of each [default: 24]")
     p.add_argument("--rounds", type=int, default=6, help="in so many turns [default: 6]")
-    p.add_argument("--binary", default="target/release/gradient", help="[default: target/release/gradient]")
+    p.add_argument("--binaries", default="target/release", help="folder of both tools [default: target/release]")
     p.add_argument("--variant", default="llvm_ad_rgb", help="of the peer [default: llvm_ad_rgb]")
     p.add_argument("--integrator", default="prb", help="of the peer's gradients [default: prb]")
     p.add_argument("--json", metavar="OUT", help="write the numbers to this file")
     args = p.parse_args()
     if args.rounds < 1 or args.repeats < 2 * args.rounds:
         p.error("--repeats: expected at least two for each of --rounds")
+    args.binary = os.path.join(args.binaries, "gradient" if args.param else "render")
     for path in (args.scene, args.binary):
         if not os.path.exists(path):
             p.error(f"{path}: expected a file, found none")
@@ -99,7 +105,11 @@ class Peer:
         image = self.mi.render(self.scene, integrator=self.primal, spp=self.spp, seed=seed)
         self.dr.eval(image)
         self.dr.sync_thread()
-        return time.perf_counter() - start, image.shape
+        return time.perf_counter() - start, self.np.array(image, dtype=self.np.float64)
+
+    def read(self, path):
+        bitmap = self.mi.Bitmap(path).convert(self.mi.Bitmap.PixelFormat.RGB, self.mi.Struct.Type.Float32)
+        return self.np.array(bitmap, dtype=self.np.float64)
 
     def gradient(self, seed, shape):
         for key in self.keys:
@@ -115,18 +125,31 @@ class Peer:
         return seconds, self.np.concatenate(flat)
 
 
-def ours(args, options, repeats, seed):
+def run(command, options):
+    done = subprocess.run(command + options.split(), capture_output=True, text=True)
+    if done.returncode != 0:
+        sys.exit(f"{' '.join(command)} {options}\n{done.stderr}")
+
+
+def common(args, options, folder, seed):
+    """What both our tools are called with, and the report that they write."""
+    report = os.path.join(folder, "out.json")
+    command = [args.binary, args.scene, "--json", report, "--seed", str(seed)]
+    if "--spp" not in options.split():
+        command += ["--spp", str(args.spp)]
+    for define in args.define:
+        command += ["-D", define]
+    return command, report
+
+
+def our_gradient(args, options, repeats, seed):
     """Means, variances of one pass, and seconds of our `gradient`."""
     with tempfile.TemporaryDirectory() as folder:
-        out = os.path.join(folder, "out.json")
-        command = [args.binary, args.scene, "--json", out, "--spp", str(args.spp)]
-        command += ["--repeats", str(repeats), "--seed", str(seed)]
-        for name, values in (("--param", args.param), ("-D", args.define)):
-            for value in values:
-                command += [name, value]
-        done = subprocess.run(command + options.split(), capture_output=True, text=True)
-        if done.returncode != 0:
-            sys.exit(f"{' '.join(command)} {options}\n{done.stderr}")
+        command, out = common(args, options, folder, seed)
+        command += ["--repeats", str(repeats)]
+        for key in args.param:
+            command += ["--param", key]
+        run(command, options)
         with open(out) as file:
             report = json.load(file)
     mean, variance = [], []
@@ -138,6 +161,37 @@ def ours(args, options, repeats, seed):
         variance += [error * error * repeats for error in values["std_error"]]
     seconds = {k: report[f"seconds_{k}"] for k in ("primal", "gradient", "pilots")}
     return mean, variance, seconds
+
+
+def our_image(args, options, peer, seed):
+    """Seconds and image of our `render`."""
+    with tempfile.TemporaryDirectory() as folder:
+        command, out = common(args, options, folder, seed)
+        image = os.path.join(folder, "out.exr")
+        run(command + ["-o", image], options)
+        with open(out) as file:
+            return json.load(file)["seconds_render"], peer.read(image)
+
+
+class Images:
+    """Sums over images of one kind."""
+
+    def __init__(self):
+        self.n, self.sum, self.squares, self.means = 0, 0.0, 0.0, []
+
+    def add(self, image):
+        self.n += 1
+        self.sum = self.sum + image
+        self.squares = self.squares + image * image
+        self.means.append(image.mean((0, 1)))
+
+    def variance(self):
+        return (self.squares - self.sum * self.sum / self.n) / (self.n - 1)
+
+    def largest_z(self, other, np):
+        a, b = np.array(self.means), np.array(other.means)
+        error = np.sqrt(a.var(0, ddof=1) / len(a) + b.var(0, ddof=1) / len(b))
+        return float((abs(a.mean(0) - b.mean(0)) / error).max())
 
 
 def median(values):
@@ -153,13 +207,41 @@ def pooled(rounds):
     return [(sum(m for m, _ in c) / n, sum(v for _, v in c) / n) for c in columns]
 
 
-def main():
-    args = parse()
-    options = args.ours or [""]
-    peer = Peer(args)
-    each = args.repeats // args.rounds
+def compare_images(args, options, peer, each):
+    peer.image(0)  # compiles
+    theirs, mine, times = Images(), [Images() for _ in options], []
+    for r in range(args.rounds):
+        print(f"round {r + 1} of {args.rounds}", file=sys.stderr)
+        seconds = [[] for _ in range(1 + len(options))]
+        for seed in range(1 + r * each, 1 + (r + 1) * each):
+            taken, image = peer.image(seed)
+            theirs.add(image)
+            seconds[0].append(taken)
+            for i, option in enumerate(options):
+                taken, image = our_image(args, option, peer, 1_000_000 + seed)
+                mine[i].add(image)
+                seconds[1 + i].append(taken)
+        times.append([median(s) for s in seconds])
+    scale = ((theirs.sum + sum(m.sum for m in mine)) / (theirs.n * (1 + len(mine)))) ** 2 + 0.01
+    print(f"{'':44} {'variance':>9} {'time':>6} {'efficiency':>10} {'|z|':>5}")
+    for i, option in enumerate(options):
+        found = {
+            "arguments": option,
+            "variance": float((theirs.variance() / scale).mean() / (mine[i].variance() / scale).mean()),
+            "time": median([t[0] / t[1 + i] for t in times]),
+            "largest_z": mine[i].largest_z(theirs, peer.np),
+        }
+        found["efficiency"] = found["variance"] * found["time"]
+        print(
+            f"{option or '(defaults)':44} {found['variance']:9.2f} {found['time']:6.2f} {found['efficiency']:10.2f} "
+            f"{found['largest_z']:5.1f}"
+        )
+        yield found
+
+
+def compare_gradients(args, options, peer, each):
     repeats = each * args.rounds
-    _, shape = peer.image(0)
+    shape = peer.image(0)[1].shape
     peer.gradient(0, shape)  # compiles
     theirs, mine, times = [], [[] for _ in options], []
     for r in range(args.rounds):
@@ -171,13 +253,12 @@ def main():
         theirs.append((values.mean(0).tolist(), values.var(0, ddof=1).tolist()))
         row = {"gradient": median([s for s, _ in passes]), "primal": median(images), "ours": []}
         for i, option in enumerate(options):
-            mean, variance, seconds = ours(args, option, each, 1_000_000 + r * each)
+            mean, variance, seconds = our_gradient(args, option, each, 1_000_000 + r * each)
             mine[i].append((mean, variance))
             row["ours"].append(seconds)
         times.append(row)
 
     their = pooled(theirs)
-    report = {"scene": args.scene, "params": args.param, "spp": args.spp, "passes": repeats, "ours": []}
     print(f"{'':44} {'variance':>9} {'(geo.)':>8} {'time':>6} {'efficiency':>10} {'(pilots)':>9} {'|z|':>5}")
     for i, option in enumerate(options):
         my = pooled(mine[i])
@@ -199,16 +280,25 @@ def main():
             "our_gradient_over_our_primal": median([t["ours"][i]["gradient"] / t["ours"][i]["primal"] for t in times]),
             "our_primal_over_peers": median([t["ours"][i]["primal"] / t["primal"] for t in times]),
         }
-        report["ours"].append(found)
         print(
             f"{option or '(defaults)':44} {total:9.2f} {geometric:8.2f} {speed:6.2f} {total * speed:10.2f} "
             f"{total * paid:9.2f} {z:5.1f}"
         )
-    for found in report["ours"]:
         print(
-            f"{found['arguments'] or '(defaults)'}: our gradient takes {found['our_gradient_over_our_primal']:.2f} "
-            f"of our primal, which takes {found['our_primal_over_peers']:.2f} of the peer's"
+            f"  our gradient takes {found['our_gradient_over_our_primal']:.2f} of our primal, which takes "
+            f"{found['our_primal_over_peers']:.2f} of the peer's"
         )
+        yield found
+
+
+def main():
+    args = parse()
+    options = args.ours or [""]
+    peer = Peer(args)
+    each = args.repeats // args.rounds
+    compare = compare_gradients if args.param else compare_images
+    found = list(compare(args, options, peer, each))
+    report = {"scene": args.scene, "params": args.param, "spp": args.spp, "passes": each * args.rounds, "ours": found}
     if args.json:
         with open(args.json, "w") as file:
             json.dump(report, file, indent=2)

@@ -15,6 +15,7 @@ pub mod error;
 pub mod estimator;
 pub mod film;
 pub mod finite_element;
+pub mod guide;
 pub mod image_io;
 pub mod instances;
 pub mod integrator;

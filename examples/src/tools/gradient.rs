@@ -64,6 +64,9 @@ pub struct Args {
     /// Pilots choose how often each light is sampled, for these parameters [default: as the scene says]
     #[arg(long)]
     pub measure_lights: bool,
+    /// Paths before learn where light comes from at diffuse surfaces; half of the later ones go there
+    #[arg(long)]
+    pub guide: bool,
     /// A short pass before decides how often each pixel is sampled, for these parameters [default: as often]
     #[arg(long)]
     pub measure_pixels: bool,
@@ -200,6 +203,9 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     let mut seconds_pilots = 0.0;
     let (statistics, images, threads) = args.threads.run(|threads| {
         let start = Instant::now();
+        if args.guide {
+            auto::guide(&mut scene, &settings, args.seed, interrupt);
+        }
         if args.measure_lights {
             let found = measure_lights(args, &scene, &settings, &objective, interrupt)?;
             scene.set_sampling_weights(&found)?;

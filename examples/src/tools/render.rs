@@ -72,6 +72,9 @@ pub struct Args {
     /// Weights where techniques are combined
     #[arg(long, value_enum, default_value_t)]
     pub heuristic: HeuristicArg,
+    /// Paths before learn where light comes from at diffuse surfaces; half of the later ones go there
+    #[arg(long)]
+    pub guide: bool,
     /// Write size, samples and times to this file
     #[arg(long, value_name = "OUT.JSON")]
     pub json: Option<PathBuf>,
@@ -205,7 +208,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     };
     require_extension(&exr, "exr")?;
     let method = args.method()?;
-    let (scene, seconds_load) = args.load.load(&args.scene)?;
+    let (mut scene, seconds_load) = args.load.load(&args.scene)?;
     if !matches!(method, Method::Paths(_)) {
         refuse_flips(&scene, "--integrator path")?;
     }
@@ -218,6 +221,11 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     let start = Instant::now();
     let (rendering, threads) = args.threads.run(|threads| {
         let pixels = scene.film.pixels() as u64;
+        if args.guide {
+            let s = Instant::now();
+            render::auto::guide(&mut scene, &settings, args.seed, interrupt);
+            eprintln!("guide {:.3}", s.elapsed().as_secs_f64());
+        }
         let bar = Bar::new("render", pixels * passes(&scene, &settings), interrupt);
         let rendering = in_passes(&scene, method, &settings, args.seed, &bar);
         bar.finish();

@@ -28,6 +28,7 @@
 //! # }
 //! ```
 
+mod guide;
 mod lights;
 mod mixture;
 mod pilot;
@@ -44,6 +45,7 @@ use crate::integrator::render::Progress;
 use crate::scene::{Scene, Settings};
 use crate::texture::ScalarTexture;
 
+pub use guide::guide;
 pub use lights::sampling_weights;
 pub use mixture::Mixture;
 pub use pilot::{Finding, PILOTS, able};

@@ -18,4 +18,5 @@ pub mod particle_gradient;
 pub mod path;
 pub mod record;
 pub mod render;
+pub(crate) mod scout;
 pub mod second_order;

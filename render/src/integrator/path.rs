@@ -7,10 +7,13 @@ use super::boundary::{Freeze, freeze};
 use super::direct::{
     Aimed, Departure, FoundLight, Weighing, aimed_light, direct_light, follows_edges,
 };
-use crate::bsdf::{Bsdf, Component, DiffLobe, Material, Part, Shading, TransportMode};
+use crate::bsdf::{
+    Bsdf, BsdfSample, Component, DiffLobe, Material, Part, Scattered, Shading, TransportMode,
+};
 use crate::emitter::{AnyEmitter, Emission, Emitter, Shift};
 use crate::estimator::memory::{Memory, Store};
 use crate::estimator::{Direct, Sampling, Strategy};
+use crate::guide::{Directions, PART_GUIDED};
 use crate::math::{Frame, Ray, Rgb};
 use crate::params::Theta;
 use crate::sampler::{AUXILIARY_DIMENSIONS, BOUNCE_DIMENSIONS, CAMERA_DIMENSIONS, Sampler};
@@ -137,6 +140,8 @@ pub trait Observer<R: Real> {
     fn walked(&mut self, _edges: u32) {}
     /// The path goes on from the current vertex.
     fn bounce(&mut self, _bounce: Bounce<R>) {}
+    /// In this direction, world space.
+    fn departs(&mut self, _d: Vec3<R::Primal>) {}
 }
 
 /// Nobody watches.
@@ -394,6 +399,10 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
             && material.has_differential();
         let sampler = &mut self.sampler;
         let dim = CAMERA_DIMENSIONS + (depth - 1) * BOUNCE_DIMENSIONS;
+        let guide = match const { is_guided::<S>() } && !info.glossy {
+            true => scene.guide().map(|guide| guide.at(si.p.primal())),
+            false => None,
+        };
 
         // ---- Emitter sampling ----
         if S::SAMPLES_EMITTERS && lit && !info.delta && !scene.emitters().is_empty() {
@@ -428,7 +437,10 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
                 let seen = (!Geometry::<S, R>::IS_PRIMAL).then(|| e.connect(&sample, si.p));
                 let d = seen.map_or(Vec3::lift(sample.d), |s| s.d);
                 let wi = si.frame.to_local(d);
-                let (f, pdf) = material.eval_pdf(&at, wo_r, S::Bsdf::embed3(wi), mode);
+                let (f, mut pdf) = material.eval_pdf(&at, wo_r, S::Bsdf::embed3(wi), mode);
+                if let Some(guide) = guide {
+                    pdf = mixed(pdf, guide.pdf(sample.d));
+                }
                 // Where the derivative may be non-zero although the value is (zero albedo).
                 let matters = !f.is_black()
                     || (O::ENABLED && pdf.primal() > R::Primal::zero())
@@ -593,7 +605,14 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
         }
         sampler.seek(dim + 3);
         let u = sampler.next_3d();
-        let Some((sample, f)) = S::Bsdf::scatter(material, &at, wo, u, mode) else {
+        let scattered = match guide {
+            None => S::Bsdf::scatter(material, &at, wo, u, mode),
+            Some(guide) => {
+                let frame = si.frame.primal();
+                guided::<R, S>(guide, material, &at, &frame, wo, u, mode)
+            }
+        };
+        let Some((sample, f)) = scattered else {
             return;
         };
         let wi = S::Bsdf::embed3(sample.wi);
@@ -684,7 +703,11 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
             Component::Delta { .. } => R::zero(),
         };
         self.from = si.p;
-        let ray = si.spawn_ray(si.frame.to_world(sample.wi), info.offset);
+        let d = si.frame.to_world(sample.wi);
+        if O::ENABLED {
+            observer.departs(d.primal());
+        }
+        let ray = si.spawn_ray(d, info.offset);
         // The last edge only looks for light, and only where light that is hit counts.
         let last = self.depth >= settings.max_depth;
         let delta = self.pdf_bsdf.primal() == R::Primal::zero();
@@ -765,6 +788,58 @@ fn find_light<R: Real, S: Strategy>(
         weight,
     };
     Some((light, e.eval(theta, &emission)))
+}
+
+/// Whether a [`Guide`](crate::guide::Guide) may lead scattered directions: only if neither they nor weights move.
+const fn is_guided<S: Strategy>() -> bool {
+    S::Bsdf::DETACHED_PATH && !S::FROZEN_WEIGHTS && !follows_edges::<S>()
+}
+
+/// Density of a direction of which the guide draws its part and the material the rest.
+#[inline(always)]
+fn mixed<R: Real>(material: R, guide: R::Primal) -> R {
+    let part = R::Primal::of(PART_GUIDED);
+    material * Const(R::Primal::one() - part) + Const(guide * part)
+}
+
+/// A direction scattered by the material or drawn from the guide. The first random number decides.
+#[inline(never)]
+fn guided<R: Real, S: Strategy>(
+    guide: &Directions,
+    material: &Material,
+    at: &Shading<R>,
+    frame: &Frame<R::Primal>,
+    wo: Vec3<Geometry<S, R>>,
+    [choice, u, v]: [R::Primal; 3],
+    mode: TransportMode,
+) -> Option<Scattered<Geometry<S, R>, R>> {
+    let part = R::Primal::of(PART_GUIDED);
+    let rest = R::Primal::one() - part;
+    if choice >= part {
+        let u = [(choice - part) / rest, u, v];
+        let (mut sample, f) = S::Bsdf::scatter(material, at, wo, u, mode)?;
+        sample.pdf = match sample.component {
+            Component::Continuous => {
+                mixed(sample.pdf, guide.pdf(frame.to_world(sample.wi.primal())))
+            }
+            Component::Delta { .. } => sample.pdf * Const(rest),
+        };
+        return Some((sample, f));
+    }
+    let d = guide.sample([u, v]);
+    let wi = Vec3::lift(frame.to_local(d));
+    let (f, pdf) = material.eval_pdf(at, S::Bsdf::embed3(wo), S::Bsdf::embed3(wi), mode);
+    // Below the surface.
+    if pdf.primal() <= R::Primal::zero() {
+        return None;
+    }
+    let sample = BsdfSample {
+        wi,
+        pdf: mixed(Real::lift(pdf.primal()), guide.pdf(d)),
+        component: Component::Continuous,
+        eta: R::Primal::one(),
+    };
+    Some((sample, f))
 }
 
 /// Density of both samples of the derivative of normals together.

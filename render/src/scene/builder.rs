@@ -417,6 +417,7 @@ impl Builder {
             infinite,
             shares: Shares::new(&self.weights),
             pixels: PixelShares::default(),
+            guide: None,
             casters,
             lamps,
             prims,

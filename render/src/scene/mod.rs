@@ -21,6 +21,7 @@ use crate::emitter::{AnyEmitter, Ball, Emitter, Lights};
 use crate::error::RenderError;
 use crate::estimator::{Sampling, Strategy};
 use crate::film::Film;
+use crate::guide::Guide;
 use crate::math::Ray;
 use crate::params::{ParamRef, Params};
 use crate::sampler::Points;
@@ -151,6 +152,8 @@ pub struct Scene {
     shares: Shares,
     /// How often each pixel is.
     pixels: PixelShares,
+    /// Where light comes from, if that was learned.
+    guide: Option<Guide>,
     /// Balls around what throws caustics; none where there is nothing to throw them on, no light, or something
     /// that particles see otherwise than paths do.
     casters: Vec<Ball>,
@@ -292,6 +295,19 @@ impl Scene {
         }
         self.pixels = PixelShares::new(weights);
         Ok(())
+    }
+
+    /// Where light comes from.
+    #[inline(always)]
+    pub(crate) fn guide(&self) -> Option<&Guide> {
+        self.guide.as_ref()
+    }
+
+    /// Makes half of the directions that paths scatter from diffuse surfaces go where light comes from, as
+    /// `auto::guide` has learned. No expectation changes, only variances do. Estimators whose samples or weights
+    /// move with the parameters, particles and finite elements are not concerned.
+    pub fn set_guide(&mut self, guide: Option<Guide>) {
+        self.guide = guide;
     }
 
     /// See [`Scene::casters`].

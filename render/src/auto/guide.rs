@@ -1,0 +1,41 @@
+//! Where light comes from.
+
+use super::PILOT_SEED;
+use crate::estimator::DetachedMis;
+use crate::guide::Guide;
+use crate::integrator::render::Progress;
+use crate::integrator::scout;
+use crate::sampler::{Points, Spread};
+use crate::scene::{Scene, Settings};
+
+/// Paths of the last round, as far as one per pixel is not more.
+const SAMPLES: usize = 1 << 18;
+/// Rounds; each follows twice as many paths as the one before.
+const ROUNDS: u32 = 3;
+
+/// Learns where light comes from at diffuse surfaces, for [`Scene::set_guide`]: paths report what they met, and those of
+/// each round are guided by what the round before has learned. Worth its time where light arrives through water or by
+/// mirrors, or by a small part of the scene that is lit. `None` if no light was met, or it was stopped.
+pub fn guide(
+    scene: &mut Scene,
+    settings: &Settings,
+    seed: u64,
+    progress: &dyn Progress,
+) {
+    let settings = Settings {
+        points: Points::Independent,
+        ..*settings
+    };
+    let last = SAMPLES.div_ceil(scene.film.pixels().max(1)) as u64;
+    let mut done = 0;
+    for round in 1..=ROUNDS {
+        let samples = done..done + last.div_ceil(1 << (ROUNDS - round));
+        done = samples.end;
+        let mut arrivals =
+            scout::arrivals::<DetachedMis, Spread>(scene, &settings, seed ^ PILOT_SEED, samples, progress);
+        if progress.cancelled() || arrivals.is_empty() {
+            return;
+        }
+        scene.set_guide(Some(Guide::new(&mut arrivals)));
+    }
+}
