@@ -6,9 +6,10 @@ use std::time::Instant;
 
 use clap::{Args, Parser};
 use optim::OptimError;
+use render::auto;
 use render::bsdf::nesting::flips_normals;
 use render::instances::Estimator;
-use render::integrator::render::NonFinite;
+use render::integrator::render::{NonFinite, Progress};
 use render::sampler::Points;
 use render::scene::LoadOptions;
 use render::scene::{Caustics, LightChoice};
@@ -129,7 +130,7 @@ pub fn refuse_flips(scene: &Scene, instead: &str) -> Result<(), ToolError> {
     }
 }
 
-/// `--sampler`, `--lights`, `--caustics` and `--pixels-per-particle`. Reports hold them by name.
+/// `--sampler`, `--lights`, `--caustics`, `--pixels-per-particle` and `--guide`. Reports hold them by name.
 #[derive(Args, Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SampleArgs {
     /// How the samples of a pixel are spread: independent, sobol (Owen-scrambled, best with powers of two)
@@ -153,9 +154,38 @@ pub struct SampleArgs {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pixels_per_particle: Option<u32>,
+    /// Paths before learn where light comes from, and half of what diffuse surfaces scatter goes there: for
+    /// light that arrives through water or by mirrors
+    #[arg(long)]
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub guide: bool,
 }
 
 impl SampleArgs {
+    /// Learns where light comes from, if asked to; says so if there is none.
+    pub fn learn(self, scene: &mut Scene, settings: &Settings, seed: u64, progress: &dyn Progress) {
+        if self.guide && !auto::guide(scene, settings, seed, progress) && !progress.cancelled() {
+            eprintln!("warning: --guide: no light meets anything diffuse; paths are not guided");
+        }
+    }
+
+    /// What is guided at all.
+    ///
+    /// # Errors
+    /// An estimator that is not, with `--guide`.
+    pub fn check_guided(self, estimator: Estimator) -> Result<(), ToolError> {
+        if !self.guide || estimator.is_guided() {
+            return Ok(());
+        }
+        let guided = Estimator::ALL.iter().filter(|e| e.is_guided());
+        let names: Vec<&str> = guided.map(|e| e.name()).collect();
+        Err(ToolError::Usage(format!(
+            "--guide: samples or weights of {} move with the parameters; expected one of {}",
+            estimator.name(),
+            names.join(", ")
+        )))
+    }
+
     /// Says so in `settings`.
     ///
     /// # Errors
@@ -185,6 +215,7 @@ impl SampleArgs {
                 let default = Settings::default().pixels_per_particle;
                 self.pixels_per_particle.unwrap_or(default)
             }),
+            guide: self.guide,
         }
     }
 }

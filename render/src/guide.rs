@@ -7,19 +7,21 @@
 //!
 //! # Reference
 //! [Müller et al. 2017], with a target of least variance like that of [Rath et al. 2020]: the density of a cell goes by
-//! the root of the second moment of its light, not by the mean. Unlike there, space is cut at medians of what arrived,
-//! not at midpoints, and cosines belong to the light.
+//! the root of the second moment of its light, not by the mean. Unlike there, space is cut at the mean of what
+//! arrived, not at midpoints, and cosines belong to the light.
 
-use std::f64::consts::{PI, TAU};
+use std::f64::consts::{FRAC_PI_4, TAU};
 
 use ad_core::{Float, Vec3};
 
-/// Arrivals from which a part of space has directions of its own.
-const PART: usize = 2048;
+/// Arrivals that a part of space has at least, if it is not all of it,
+const LEAST_PART: usize = 256;
+/// and how many parts there are about, at most: more would not stay in the cache.
+const MOST_PARTS: usize = 512;
 /// Part of the energy from which a cell of directions is cut,
-const ENERGY: f64 = 0.01;
-/// and arrivals: fewer may be one odd sample.
-const ARRIVALS: usize = 8;
+const ENERGY: f64 = 0.05;
+/// and arrivals: fewer may be odd samples.
+const ARRIVALS: usize = 16;
 /// How often at most. Cells are then less than a degree wide.
 const CUTS: u32 = 8;
 /// Probability of drawing a direction from the guide, not from the material.
@@ -51,35 +53,24 @@ enum Part {
 }
 
 impl Guide {
-    /// A guide to these arrivals, at least one of which has energy; all numbers are finite. Their order is lost.
+    /// A guide to these arrivals. Their order is lost.
     pub(crate) fn new(arrivals: &mut [Arrival]) -> Self {
         let mut guide = Self { parts: Vec::new() };
-        guide.grow(arrivals);
+        let part = LEAST_PART.max(arrivals.len() / MOST_PARTS);
+        guide.grow(arrivals, part);
         guide
     }
 
-    fn grow(&mut self, arrivals: &mut [Arrival]) -> u32 {
+    /// Adds the part of space of these arrivals; returns its index.
+    fn grow(&mut self, arrivals: &mut [Arrival], part: usize) -> u32 {
         let index = self.parts.len();
         self.parts.push(Part::Directions(Directions::default()));
-        let bounds = |k: usize| {
-            let along = arrivals.iter().map(|a| a.p[k]);
-            along.fold((f32::INFINITY, f32::NEG_INFINITY), |(lo, hi), x| {
-                (lo.min(x), hi.max(x))
-            })
-        };
-        let extent = |&k: &usize| {
-            let (lo, hi) = bounds(k);
-            hi - lo
-        };
-        let widest = (0..3).max_by(|a, b| extent(a).total_cmp(&extent(b)));
-        self.parts[index] = match widest {
-            Some(k) if arrivals.len() >= 2 * PART && extent(&k) > 0.0 => {
-                let half = arrivals.len() / 2;
-                let (_, median, _) =
-                    arrivals.select_nth_unstable_by(half, |a, b| a.p[k].total_cmp(&b.p[k]));
-                let at = median.p[k];
-                let (below, above) = arrivals.split_at_mut(half);
-                Part::Cut(k, at, [self.grow(below), self.grow(above)])
+        self.parts[index] = match cut(arrivals) {
+            Some((axis, at)) if arrivals.len() >= 2 * part => {
+                arrivals.sort_by_key(|a| a.p[axis] >= at);
+                let below = arrivals.partition_point(|a| a.p[axis] < at);
+                let (below, above) = arrivals.split_at_mut(below);
+                Part::Cut(axis, at, [self.grow(below, part), self.grow(above, part)])
             }
             _ => Part::Directions(Directions::new(arrivals)),
         };
@@ -89,7 +80,7 @@ impl Guide {
     /// The densities at a point.
     #[inline(never)]
     pub(crate) fn at<P: Float>(&self, p: Vec3<P>) -> &Directions {
-        let p = p.to_array().map(|x| x.to_f32());
+        let p = [p.x.to_f32(), p.y.to_f32(), p.z.to_f32()];
         let mut index = 0;
         loop {
             match &self.parts[index] {
@@ -100,6 +91,22 @@ impl Guide {
             }
         }
     }
+}
+
+/// Across which axis to cut what lies at these places, and where, so that there is something on both sides.
+fn cut(arrivals: &[Arrival]) -> Option<(usize, f32)> {
+    let n = arrivals.len() as f64;
+    let along = |k: usize| arrivals.iter().map(move |a| f64::from(a.p[k]));
+    let spread = |k: usize| {
+        let mean = along(k).sum::<f64>() / n;
+        (along(k).map(|x| (x - mean).powi(2)).sum::<f64>(), mean)
+    };
+    let widest = (0..3).map(|k| (k, spread(k)));
+    let (axis, (_, mean)) = widest.max_by(|a, b| a.1.0.total_cmp(&b.1.0))?;
+    // Rounding may leave the mean beyond all of them.
+    let at = mean as f32;
+    let below = arrivals.iter().filter(|a| a.p[axis] < at).count();
+    (below > 0 && below < arrivals.len()).then_some((axis, at))
 }
 
 /// A density over the sphere: constant in each cell of a tree that cuts the square of [`square`] in four.
@@ -187,13 +194,14 @@ impl Directions {
             u = zoom(u);
             cell = c.quarters[k].map(|i| &self.cells[i.get() as usize]);
         }
-        P::from_f32(density) * P::of(0.5 / TAU)
+        per_solid_angle(density)
     }
 
-    /// A direction with that density.
+    /// A direction with that density, and the density.
     #[inline(never)]
-    pub fn sample<P: Float>(&self, [mut u, mut v]: [P; 2]) -> Vec3<P> {
+    pub fn sample<P: Float>(&self, [mut u, mut v]: [P; 2]) -> (Vec3<P>, P) {
         let (mut corner, mut size) = ([P::zero(); 2], P::one());
+        let mut density = 1.0;
         // The half that `x` lies in, if the first has this probability, and where in it.
         let half = |x: P, first: P| match x < first {
             true => (0, x / first),
@@ -212,19 +220,242 @@ impl Directions {
             corner[0] += size * P::of(column as f64);
             corner[1] += size * P::of(row as f64);
             let k = column + 2 * row;
+            density *= 4.0 * c.share[k];
             cell = c.quarters[k].map(|i| &self.cells[i.get() as usize]);
         }
-        let z = P::of(2.0) * (corner[1] + size * v) - P::one();
-        let r = (P::one() - z * z).max(P::zero()).sqrt();
-        let (sin, cos) = (P::of(TAU) * (corner[0] + size * u) - P::of(PI)).sin_cos();
-        Vec3::new(r * cos, r * sin, z)
+        let place = [corner[0] + size * u, corner[1] + size * v];
+        (direction(place), per_solid_angle(density))
     }
 }
 
-/// Directions as points of the unit square, areas in proportion: longitude and height.
+/// A density over the unit square as one over directions.
+#[inline(always)]
+fn per_solid_angle<P: Float>(density: f32) -> P {
+    P::from_f32(density) * P::of(0.5 / TAU)
+}
+
+/// Directions as points of the unit square, areas in proportion [Clarberg 2008]: the upper half is the square on its
+/// corner in the middle, the lower half its corners folded back.
+#[inline]
 pub(crate) fn square<P: Float>(d: Vec3<P>) -> [f32; 2] {
-    let longitude = d.y.to_f64().atan2(d.x.to_f64()) / TAU + 0.5;
-    let height = 0.5 * (d.z.to_f64() + 1.0);
-    let below_one = |x: f64| (x as f32).clamp(0.0, 1.0 - f32::EPSILON / 2.0);
-    [below_one(longitude), below_one(height)]
+    let (x, y, z) = (d.x.to_f32(), d.y.to_f32(), d.z.to_f32());
+    let r = (1.0 - z.abs()).max(0.0).sqrt();
+    let v = r * y.abs().atan2(x.abs()) * std::f32::consts::FRAC_2_PI;
+    let u = r - v;
+    let (u, v) = if z < 0.0 { (1.0 - v, 1.0 - u) } else { (u, v) };
+    let place =
+        |a: f32, sign: f32| (0.5 * (1.0 + a.copysign(sign))).clamp(0.0, 1.0 - f32::EPSILON / 2.0);
+    [place(u, x), place(v, y)]
+}
+
+/// The direction of a point of the square.
+#[inline]
+fn direction<P: Float>(at: [P; 2]) -> Vec3<P> {
+    let (zero, one, two) = (P::zero(), P::one(), P::of(2.0));
+    let (u, v) = (two * at[0] - one, two * at[1] - one);
+    // Positive above.
+    let up = one - (u.abs() + v.abs());
+    let r = one - up.abs();
+    let octant = P::select(r > zero, (v.abs() - u.abs()) / r, zero);
+    let (sin, cos) = ((octant + one) * P::of(FRAC_PI_4)).sin_cos();
+    let along = r * (two - r * r).max(zero).sqrt();
+    let flip = |x: P, sign: P| P::select(sign < zero, -x, x);
+    Vec3::new(
+        flip(along * cos, u),
+        flip(along * sin, v),
+        flip(one - r * r, up),
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use statrs::distribution::{ChiSquared, ContinuousCDF};
+
+    use super::*;
+    use crate::sampler::{Independent, Sampler};
+
+    /// Light from around `d`, in a sphere of this radius before it is normalised.
+    fn lamp(at: [f32; 3], d: [f64; 3], radius: f64, n: u64, seed: u64) -> Vec<Arrival> {
+        let arrival = |i: u64| {
+            let mut s = Independent::new(seed, i, 0);
+            let mut near = |x: f64| x + radius * (2.0 * s.next_1d::<f64>() - 1.0);
+            let d = Vec3::new(near(d[0]), near(d[1]), near(d[2])).normalize();
+            Arrival {
+                p: at,
+                from: square(d),
+                energy: 0.5 + s.next_1d::<f64>(),
+            }
+        };
+        (0..n).map(arrival).collect()
+    }
+
+    fn learned() -> Directions {
+        let mut arrivals = lamp([0.0; 3], [0.3, 0.8, 0.2], 0.05, 2000, 1);
+        arrivals.extend(lamp([0.0; 3], [0.0, 0.0, 1.0], 0.05, 2000, 2));
+        arrivals.extend(lamp([0.0; 3], [-1.0, 0.0, 0.0], 0.1, 500, 3));
+        Directions::new(&mut arrivals)
+    }
+
+    /// 4e5 samples in 32 x 32 cells against the integral of the density, which is constant in finer ones;
+    /// significance 1e-3.
+    #[test]
+    fn samples_have_their_density() {
+        let (directions, n, cells) = (learned(), 400_000u64, 32);
+        assert!(directions.cells.len() > 10);
+        let mut counts = vec![0.0; cells * cells];
+        for i in 0..n {
+            let (d, pdf): (Vec3<f64>, f64) = directions.sample(Independent::new(9, i, 0).next_2d());
+            assert!((d.length() - 1.0).abs() < 1e-12);
+            let again = directions.pdf(d);
+            // Single precision may have moved it to the next cell.
+            assert!(
+                i % 100 != 0 || (pdf / again - 1.0).abs() < 1e-6,
+                "{pdf} {again}"
+            );
+            let [u, v] = square(d).map(|x| (x * cells as f32) as usize);
+            counts[v * cells + u] += 1.0;
+        }
+        let fine = 1 << CUTS;
+        let mut expected = vec![0.0; cells * cells];
+        for i in 0..fine * fine {
+            let place = [i % fine, i / fine].map(|k| (k as f64 + 0.5) / fine as f64);
+            let pdf = directions.pdf(direction(place));
+            let cell = place.map(|x| (x * cells as f64) as usize);
+            expected[cell[1] * cells + cell[0]] += pdf * 2.0 * TAU / (fine * fine) as f64;
+        }
+        let total: f64 = expected.iter().sum();
+        assert!((total - 1.0).abs() < 1e-5, "{total}");
+        // Cells in which few are expected count together.
+        let (mut x2, mut bins, mut rest) = (0.0, 0.0, (0.0, 0.0));
+        let mut count = |found: f64, expected: f64| {
+            x2 += (found - expected).powi(2) / expected;
+            bins += 1.0;
+        };
+        for (found, expected) in counts.iter().zip(&expected) {
+            match expected * n as f64 {
+                e if e >= 10.0 => count(*found, e),
+                e => rest = (rest.0 + found, rest.1 + e),
+            }
+        }
+        if rest.1 >= 10.0 {
+            count(rest.0, rest.1);
+        } else {
+            assert_eq!(rest.0, 0.0);
+        }
+        let p = ChiSquared::new(bins - 1.0).expect("bins").sf(x2);
+        println!("chi-square {x2:.1} of {bins} bins, p = {p:.3}");
+        assert!(p > 1e-3, "p = {p}");
+    }
+
+    /// There and back, in every octant and on its edges; areas in proportion, by the mean of the solid angle's moments:
+    /// over the square that of `d` is 0, and of `d_i d_k` a third of unity.
+    #[test]
+    fn directions_are_points_of_the_square() {
+        let n = 512;
+        let mut moments = [0.0; 9];
+        for i in 0..n * n {
+            let at = [i % n, i / n].map(|k| (k as f64 + 0.5) / n as f64);
+            let d = direction(at);
+            assert!((d.length() - 1.0).abs() < 1e-12);
+            let back = square(d);
+            for k in 0..2 {
+                assert!((f64::from(back[k]) - at[k]).abs() < 1e-6, "{at:?} {back:?}");
+            }
+            let sums = [d.x, d.y, d.z, d.x * d.y, d.y * d.z, d.z * d.x];
+            let squares = [d.x * d.x, d.y * d.y, d.z * d.z].map(|x| x - 1.0 / 3.0);
+            for (m, x) in moments.iter_mut().zip(sums.iter().chain(&squares)) {
+                *m += x / (n * n) as f64;
+            }
+        }
+        assert!(moments.iter().all(|m| m.abs() < 1e-5), "{moments:?}");
+        for d in [-1.0, -0.0, 0.0, 1.0f32] {
+            for axis in 0..3 {
+                let mut v = [0.0, -0.0, 0.0];
+                v[axis] = d;
+                let [u, v] = square(Vec3::from(v));
+                assert!((0.0..1.0).contains(&u) && (0.0..1.0).contains(&v));
+            }
+        }
+        for at in [[0.0, 0.0], [0.5, 0.5], [1.0, 1.0], [0.0, 0.5], [0.25, 0.75]] {
+            assert!((direction::<f32>(at).length() - 1.0).abs() < 1e-6);
+        }
+    }
+
+    /// Where light comes from is where samples go: each lamp has the root of its energy times its size.
+    #[test]
+    fn densities_go_where_the_light_is() {
+        let directions = learned();
+        let pdf = |d: [f64; 3]| directions.pdf(Vec3::from(d).normalize());
+        println!(
+            "{} {} {} cells {}",
+            pdf([0.3, 0.8, 0.2]),
+            pdf([0.01, 0.01, 1.0]),
+            pdf([0.0, -1.0, -0.5]),
+            directions.cells.len()
+        );
+        assert!(pdf([0.3, 0.8, 0.2]) > 1.0);
+        assert!(pdf([0.01, 0.01, 1.0]) > 1.0);
+        assert!(pdf([0.0, -1.0, -0.5]) < 0.1);
+    }
+
+    /// Two halves of space with light from two sides.
+    #[test]
+    fn parts_of_space_have_their_own_light() {
+        let mut arrivals = Vec::new();
+        for i in 0..1000u64 {
+            let x = i as f32 / 1000.0;
+            arrivals.extend(lamp([x, 5.0, 0.0], [1.0, 0.1, 0.1], 0.05, 1, i));
+            arrivals.extend(lamp([x + 3.0, 5.0, 0.0], [-1.0, 0.1, 0.1], 0.05, 1, i));
+        }
+        let guide = Guide::new(&mut arrivals);
+        let pdf = |x: f64, d: [f64; 3]| {
+            let directions = guide.at(Vec3::new(x, 5.0, 0.0));
+            directions.pdf(Vec3::from(d).normalize())
+        };
+        for (x, d) in [(0.5, 1.0), (3.5, -1.0), (-1e30, 1.0), (1e30, -1.0)] {
+            assert!(pdf(x, [d, 0.1, 0.1]) > 1.0);
+            assert!(pdf(x, [-d, 0.1, 0.1]) < 0.01);
+        }
+    }
+
+    /// All at one place and from one direction, energies of any size, coordinates that rounding cannot tell apart,
+    /// directions at the ends of the square, nothing at all.
+    #[test]
+    fn odd_light_gives_finite_densities() {
+        let one = |p: [f32; 3], d: [f32; 3], energy: f64| Arrival {
+            p,
+            from: square(Vec3::from(d)),
+            energy,
+        };
+        let poles = [
+            [0.0, 0.0, 1.0],
+            [0.0, 0.0, -1.0],
+            [-1.0, -0.0, 0.0],
+            [-1.0, 0.0, 0.0],
+        ];
+        let same = vec![one([1.0, 2.0, 3.0], poles[0], 1.0); 3000];
+        let wild = (0..3000).map(|i| {
+            let energy = [f64::MIN_POSITIVE, 1e-30, 1.0, 1e300][i % 4];
+            one([1e30, i as f32 * 1e-30, -1e30], poles[i / 4 % 4], energy)
+        });
+        let near = (0..3000).map(|i| one([f32::from_bits(0x3f80_0000 + i % 2); 3], poles[1], 1.0));
+        for mut arrivals in [same, wild.collect(), near.collect(), Vec::new()] {
+            let guide = Guide::new(&mut arrivals);
+            for i in 0..1000 {
+                let mut s = Independent::new(4, i, 0);
+                let directions = guide.at(Vec3::from(s.next_3d::<f32>()));
+                let u = match i {
+                    0 => [0.0, 0.0],
+                    1 => [1.0 - f32::EPSILON / 2.0; 2],
+                    _ => s.next_2d::<f32>(),
+                };
+                let (d, pdf) = directions.sample(u);
+                assert!((d.length() - 1.0).abs() < 1e-5, "{d:?}");
+                assert!(pdf > 0.0 && pdf.is_finite(), "{pdf}");
+                let [u, v] = square(d);
+                assert!((0.0..1.0).contains(&u) && (0.0..1.0).contains(&v));
+                assert!(directions.pdf(d).is_finite());
+            }
+        }
+    }
 }

@@ -19,6 +19,7 @@ use crate::integrator::density::{Convention, Map};
 use crate::integrator::gradient::{self, Active, Gradient};
 use crate::integrator::particle;
 use crate::integrator::particle_gradient::{self, Measurement};
+use crate::integrator::path::is_guided;
 use crate::integrator::render::{self, Components, Progress, Rendering};
 use crate::integrator::second_order::{self, GaussNewton};
 use crate::params::{ParamInfo, ParamRef, Params, Tangent, Theta};
@@ -495,6 +496,14 @@ macro_rules! estimators {
             pub fn cost(self) -> f64 {
                 match self {
                     $(Self::$variant => $cost,)*
+                }
+            }
+
+            /// Whether a [`Guide`](crate::guide::Guide) leads its paths: not where samples or weights move with the
+            /// parameters.
+            pub fn is_guided(self) -> bool {
+                match self {
+                    $(Self::$variant => is_guided::<$strategy>(),)*
                 }
             }
 

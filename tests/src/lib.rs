@@ -7,12 +7,15 @@ use std::path::{Path, PathBuf};
 
 use ad_core::{Dual, Float};
 use render::estimator::{DetachedMis, Unbiased};
+use render::instances::{Technique, render_f32};
 use render::integrator::gradient::{Active, backward};
 use render::integrator::render::{Rendering, render};
 use render::params::{Differentiability, ParamInfo, Tangent, Theta};
 use render::sampler::Independent;
 use render::scene::LoadOptions;
 use render::{Scene, Settings};
+
+use stats::Estimate;
 
 /// The shared scenes and references that are not part of the repository: `$RENDER_SHARED`, or
 /// `shared` beside the workspace; `None` with a message if absent.
@@ -70,6 +73,34 @@ where
 {
     let theta = Theta::constant(values);
     render::<P, DetachedMis, Independent>(scene, &theta, settings, seed, 0..spp, &())
+}
+
+/// One estimate per block of 4 x 4 pixels and channel, from `runs` seeds.
+///
+/// # Panics
+/// If a sample is not finite.
+pub fn picture(s: &Scene, settings: &Settings, seed: u64, runs: u64, spp: u64) -> Vec<Estimate> {
+    let theta = Theta::constant(s.params().values());
+    let images: Vec<_> = (0..runs)
+        .map(|r| {
+            let technique = Technique::MisPower;
+            let r = render_f32(s, &theta, technique, settings, seed + r, 0..spp, &());
+            assert_eq!(r.non_finite.count, 0);
+            r.image(0).data
+        })
+        .collect();
+    let size = s.film.crop_size[0] as usize;
+    let block = |image: &[f32], x: usize, y: usize, c: usize| {
+        let pixels = (0..16).map(|k| (y * 4 + k / 4) * size + x * 4 + k % 4);
+        pixels.map(|p| f64::from(image[p * 3 + c])).sum::<f64>() / 16.0
+    };
+    let n = size / 4;
+    (0..n * n * 3)
+        .map(|i| {
+            let of = |image: &Vec<f32>| block(image, i / 3 % n, i / 3 / n, i % 3);
+            Estimate::of(&images.iter().map(of).collect::<Vec<_>>())
+        })
+        .collect()
 }
 
 /// `sum(adjoint x image)`.

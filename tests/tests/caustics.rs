@@ -16,7 +16,8 @@ use render::scene::Caustics;
 use render::{Scene, Settings};
 use tests::stats::{Estimate, z_limit};
 use tests::{
-    cases, forward_by, image, mean_adjoint, reverse, reverse_by, scene, smooth_params, values,
+    cases, forward_by, image, mean_adjoint, picture, reverse, reverse_by, scene, smooth_params,
+    values,
 };
 
 const ALPHA: f64 = 1e-3;
@@ -116,31 +117,6 @@ fn with(s: &Scene, caustics: Caustics) -> Settings {
         caustics,
         ..s.settings
     }
-}
-
-/// One estimate per block of 4 x 4 pixels and channel, from `runs` seeds.
-fn picture(s: &Scene, settings: &Settings, seed: u64, runs: u64, spp: u64) -> Vec<Estimate> {
-    let theta = Theta::constant(s.params().values());
-    let images: Vec<_> = (0..runs)
-        .map(|r| {
-            let technique = Technique::MisPower;
-            let r = render_f32(s, &theta, technique, settings, seed + r, 0..spp, &());
-            assert_eq!(r.non_finite.count, 0);
-            r.image(0).data
-        })
-        .collect();
-    let size = s.film.crop_size[0] as usize;
-    let block = |image: &[f32], x: usize, y: usize, c: usize| {
-        let pixels = (0..16).map(|k| (y * 4 + k / 4) * size + x * 4 + k % 4);
-        pixels.map(|p| f64::from(image[p * 3 + c])).sum::<f64>() / 16.0
-    };
-    let n = size / 4;
-    (0..n * n * 3)
-        .map(|i| {
-            let of = |image: &Vec<f32>| block(image, i / 3 % n, i / 3 / n, i % 3);
-            Estimate::of(&images.iter().map(of).collect::<Vec<_>>())
-        })
-        .collect()
 }
 
 /// In blocks of pixels (a single one may see what matters too rarely), for all glossy materials, deltas included:

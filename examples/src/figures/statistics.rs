@@ -1,6 +1,12 @@
 //! Means of repeated estimates, and how far apart they may lie.
 
+use std::time::Instant;
+
 use rayon::prelude::*;
+use render::instances::Estimator;
+use render::integrator::gradient::Active;
+use render::params::Theta;
+use render::{RenderError, Scene, Settings};
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
 /// A mean and its standard error.
@@ -84,6 +90,46 @@ impl Series {
     pub fn means(&self) -> Vec<f64> {
         self.pixels.iter().map(|e| e.mean).collect()
     }
+}
+
+/// Derivatives of the mean of the image in the named parameters, each summed over its values, from the runs with seeds
+/// from `seed` on, and seconds per run.
+///
+/// # Errors
+/// Those of [`Estimator::backward_f32`], and unknown names.
+pub fn gradients(
+    scene: &Scene,
+    e: Estimator,
+    settings: &Settings,
+    names: &[&str],
+    seed: u64,
+    spp: u64,
+    runs: u64,
+) -> Result<(Vec<Estimate>, f64), RenderError> {
+    let active = Active::new(scene, names)?;
+    let theta = Theta::constant(scene.params().values());
+    let values = scene.film.pixels() * 3;
+    let adjoint = vec![1.0 / values as f32; values];
+    let start = Instant::now();
+    let run = |run: u64| {
+        let seed = seed + run;
+        let g = e.backward_f32(
+            scene,
+            &theta,
+            &active,
+            &adjoint,
+            settings,
+            seed,
+            0..spp,
+            &(),
+        )?;
+        Ok(g.values.iter().map(|v| v.iter().sum()).collect())
+    };
+    let each: Result<Vec<Vec<f64>>, RenderError> = (0..runs).into_par_iter().map(run).collect();
+    let each = each?;
+    let seconds = start.elapsed().as_secs_f64() / runs as f64;
+    let of = |k: usize| Estimate::of(each.iter().map(|g| g[k]));
+    Ok(((0..names.len()).map(of).collect(), seconds))
 }
 
 /// Variance of one of independent images, summed over the pixels.

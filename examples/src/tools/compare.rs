@@ -404,7 +404,7 @@ impl Run<'_> {
 /// # Errors
 /// Anything wrong with the arguments, the scene or the files.
 pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
-    let (scene, _) = args.load.load(&args.scene)?;
+    let (mut scene, _) = args.load.load(&args.scene)?;
     let mut settings = scene.settings;
     settings.spp = args.spp.unwrap_or(settings.spp);
     args.samples.apply(&scene, &mut settings)?;
@@ -427,20 +427,21 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
         name => Some(Contestant::single(Choice::One(Estimator::from_name(name)?))),
     };
     // Wrong names are noticed before the first minute of work.
-    let infos: Result<Vec<_>, _> = args.params.iter().map(|p| scene.params().find(p)).collect();
-    let infos = infos?;
+    let infos = args.params.iter().map(|p| scene.params().find(p).cloned());
+    let infos = infos.collect::<Result<Vec<_>, _>>()?;
     output::create_dir(&args.out)?;
 
-    let run = Run {
-        scene: &scene,
-        settings,
-        seed: args.seed,
-        interrupt,
-    };
     let repeats = u64::from(args.repeats);
     let tests = BLOCKS * BLOCKS * estimators.len() * args.params.len();
     let z_limit = t_limit(repeats, tests);
     args.threads.run(|threads| {
+        (args.samples).learn(&mut scene, &settings, args.seed, interrupt);
+        let run = Run {
+            scene: &scene,
+            settings,
+            seed: args.seed,
+            interrupt,
+        };
         let mut report = Report {
             scene: args.scene.display().to_string(),
             reference: args.reference.clone(),
@@ -453,7 +454,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
             rows: Vec::new(),
             refused: Vec::new(),
         };
-        for (param, &info) in args.params.iter().zip(&infos) {
+        for (param, info) in args.params.iter().zip(&infos) {
             let many = REFERENCE_REPEATS * repeats;
             let truth = match reference {
                 Some(e) => run.estimate(e, param, 1, many)?,

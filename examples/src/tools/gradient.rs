@@ -64,9 +64,6 @@ pub struct Args {
     /// Pilots choose how often each light is sampled, for these parameters [default: as the scene says]
     #[arg(long)]
     pub measure_lights: bool,
-    /// Paths before learn where light comes from at diffuse surfaces; half of the later ones go there
-    #[arg(long)]
-    pub guide: bool,
     /// A short pass before decides how often each pixel is sampled, for these parameters [default: as often]
     #[arg(long)]
     pub measure_pixels: bool,
@@ -136,7 +133,7 @@ struct Report {
     pixel_weights: Option<String>,
     repeats: u64,
     threads: usize,
-    /// What `--measure-lights`, `--measure-pixels` and the pilots of `auto` took, once.
+    /// What `--guide`, `--measure-lights`, `--measure-pixels` and the pilots of `auto` took, once.
     seconds_pilots: f64,
     seconds_primal: f64,
     seconds_gradient: f64,
@@ -192,6 +189,9 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
         let message = "--measure-lights: all lights are sampled alike; expected --lights one";
         return Err(ToolError::Usage(message.into()));
     }
+    if let Choice::One(e) = args.estimator {
+        args.samples.check_guided(e)?;
+    }
     let ranges = ranges(args, &scene)?;
     let objective = objective(args, &scene)?;
     let mut settings = scene.settings;
@@ -203,9 +203,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     let mut seconds_pilots = 0.0;
     let (statistics, images, threads) = args.threads.run(|threads| {
         let start = Instant::now();
-        if args.guide {
-            auto::guide(&mut scene, &settings, args.seed, interrupt);
-        }
+        (args.samples).learn(&mut scene, &settings, args.seed, interrupt);
         if args.measure_lights {
             let found = measure_lights(args, &scene, &settings, &objective, interrupt)?;
             scene.set_sampling_weights(&found)?;

@@ -268,6 +268,7 @@ impl Job {
         same("--caustics", given.caustics.map(Some), job.caustics, debug)?;
         let (shared, by) = (given.pixels_per_particle, job.pixels_per_particle);
         same("--pixels-per-particle", shared.map(Some), by, debug)?;
+        same("--guide", given.guide.then_some(true), job.guide, text)?;
         let given = args.estimator.map(|e| e.name().to_owned());
         same("--estimator", given, self.estimator.clone(), text)?;
         same("--loss", args.loss.clone(), self.loss.clone(), text)?;
@@ -331,6 +332,7 @@ fn stream(seed: u64, n: u64) -> u64 {
 }
 const TARGET_STREAM: u64 = u64::MAX;
 const PICTURE_STREAM: u64 = u64::MAX - 1;
+const GUIDE_STREAM: u64 = u64::MAX - 2;
 
 /// The problem, and its solution for the built-in scene.
 struct Recovery {
@@ -363,6 +365,7 @@ fn recover(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     let (scene, start, truth) = load(&job)?;
     let estimator = Estimator::from_name(&job.estimator)?;
     estimator.check(&scene)?;
+    job.samples.check_guided(estimator)?;
     let active = estimator.active(&scene, &job.params)?;
     let mut settings = scene.settings;
     settings.spp = job.spp;
@@ -418,6 +421,10 @@ fn recover(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
         target,
     };
     let mut recovery = Recovery { problem, truth };
+    // As every run and every continuation of it starts.
+    recovery.problem.set(&state.start)?;
+    let seed = stream(job.seed, GUIDE_STREAM);
+    (job.samples).learn(&mut recovery.problem.scene, &settings, seed, interrupt);
     let before_file = args.out.join("before.exr");
     if !args.resume {
         output::create_dir(&args.out)?;

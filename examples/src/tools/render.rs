@@ -72,9 +72,6 @@ pub struct Args {
     /// Weights where techniques are combined
     #[arg(long, value_enum, default_value_t)]
     pub heuristic: HeuristicArg,
-    /// Paths before learn where light comes from at diffuse surfaces; half of the later ones go there
-    #[arg(long)]
-    pub guide: bool,
     /// Write size, samples and times to this file
     #[arg(long, value_name = "OUT.JSON")]
     pub json: Option<PathBuf>,
@@ -159,6 +156,10 @@ impl Args {
             let message = "--caustics: all light is particles' here; expected --integrator path";
             return Err(ToolError::Usage(message.into()));
         }
+        if self.samples.guide && self.integrator != IntegratorArg::Path {
+            let message = "--guide: particles are not guided; expected --integrator path";
+            return Err(ToolError::Usage(message.into()));
+        }
         match (self.integrator, self.radius) {
             (IntegratorArg::Path, None) if !self.ignore_non_symmetry => {
                 Ok(Method::Paths(self.technique()))
@@ -221,11 +222,8 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     let start = Instant::now();
     let (rendering, threads) = args.threads.run(|threads| {
         let pixels = scene.film.pixels() as u64;
-        if args.guide {
-            let s = Instant::now();
-            render::auto::guide(&mut scene, &settings, args.seed, interrupt);
-            eprintln!("guide {:.3}", s.elapsed().as_secs_f64());
-        }
+        args.samples
+            .learn(&mut scene, &settings, args.seed, interrupt);
         let bar = Bar::new("render", pixels * passes(&scene, &settings), interrupt);
         let rendering = in_passes(&scene, method, &settings, args.seed, &bar);
         bar.finish();

@@ -13,15 +13,12 @@ const SAMPLES: usize = 1 << 18;
 /// Rounds; each follows twice as many paths as the one before.
 const ROUNDS: u32 = 3;
 
-/// Learns where light comes from at diffuse surfaces, for [`Scene::set_guide`]: paths report what they met, and those of
-/// each round are guided by what the round before has learned. Worth its time where light arrives through water or by
-/// mirrors, or by a small part of the scene that is lit. `None` if no light was met, or it was stopped.
-pub fn guide(
-    scene: &mut Scene,
-    settings: &Settings,
-    seed: u64,
-    progress: &dyn Progress,
-) {
+/// Learns where light comes from at diffuse surfaces, and sets it ([`Scene::set_guide`]): paths report what they met,
+/// and those of each round are guided by what the round before has learned. Worth its time where light arrives
+/// through water or by mirrors; not where all is lit by lamps in sight. It takes at least a sample per
+/// pixel, and half a million paths. False, and the scene has what was known before, if a round met nothing or was
+/// stopped.
+pub fn guide(scene: &mut Scene, settings: &Settings, seed: u64, progress: &dyn Progress) -> bool {
     let settings = Settings {
         points: Points::Independent,
         ..*settings
@@ -31,11 +28,17 @@ pub fn guide(
     for round in 1..=ROUNDS {
         let samples = done..done + last.div_ceil(1 << (ROUNDS - round));
         done = samples.end;
-        let mut arrivals =
-            scout::arrivals::<DetachedMis, Spread>(scene, &settings, seed ^ PILOT_SEED, samples, progress);
+        let mut arrivals = scout::arrivals::<DetachedMis, Spread>(
+            scene,
+            &settings,
+            seed ^ PILOT_SEED,
+            samples,
+            progress,
+        );
         if progress.cancelled() || arrivals.is_empty() {
-            return;
+            return false;
         }
         scene.set_guide(Some(Guide::new(&mut arrivals)));
     }
+    true
 }

@@ -791,7 +791,7 @@ fn find_light<R: Real, S: Strategy>(
 }
 
 /// Whether a [`Guide`](crate::guide::Guide) may lead scattered directions: only if neither they nor weights move.
-const fn is_guided<S: Strategy>() -> bool {
+pub(crate) const fn is_guided<S: Strategy>() -> bool {
     S::Bsdf::DETACHED_PATH && !S::FROZEN_WEIGHTS && !follows_edges::<S>()
 }
 
@@ -826,7 +826,7 @@ fn guided<R: Real, S: Strategy>(
         };
         return Some((sample, f));
     }
-    let d = guide.sample([u, v]);
+    let (d, density) = guide.sample([u, v]);
     let wi = Vec3::lift(frame.to_local(d));
     let (f, pdf) = material.eval_pdf(at, S::Bsdf::embed3(wo), S::Bsdf::embed3(wi), mode);
     // Below the surface.
@@ -835,7 +835,7 @@ fn guided<R: Real, S: Strategy>(
     }
     let sample = BsdfSample {
         wi,
-        pdf: mixed(Real::lift(pdf.primal()), guide.pdf(d)),
+        pdf: mixed(Real::lift(pdf.primal()), density),
         component: Component::Continuous,
         eta: R::Primal::one(),
     };

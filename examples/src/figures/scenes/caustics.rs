@@ -1,12 +1,7 @@
 //! Caustics by paths and by particles: the same light, the same derivatives, less noise.
 
-use std::time::Instant;
-
-use rayon::prelude::*;
 use render::instances::{Direction, Estimator};
-use render::integrator::gradient::Active;
 use render::integrator::render::Rendering;
-use render::params::Theta;
 use render::sampler::Points;
 use render::scene::Caustics;
 use render::shape::Cylinder;
@@ -15,7 +10,7 @@ use render::{RenderError, Scene, Settings};
 use crate::chart::{LineChart, Panel};
 use crate::figure::{Figure, Result};
 use crate::figures::stage::{Stage, View};
-use crate::figures::statistics::{Estimate, Series, grey, limit};
+use crate::figures::statistics::{Estimate, Series, gradients, grey, limit};
 
 const SEED: u64 = 96;
 /// Chance of a false alarm in one check.
@@ -66,38 +61,17 @@ fn settings(scene: &Scene, caustics: Caustics) -> Settings {
 
 /// Derivatives of the mean of the image in all [`PARAMS`], summed over channels, from `runs` runs, and
 /// seconds per run.
-fn gradients(
+fn derivatives(
     scene: &Scene,
     e: Estimator,
     caustics: Caustics,
     spp: u64,
     runs: u64,
 ) -> Result<([Estimate; 3], f64)> {
-    let active = Active::new(scene, &PARAMS.map(|(name, _)| name))?;
-    let theta = Theta::constant(scene.params().values());
-    let adjoint = vec![1.0 / (scene.film.pixels() * 3) as f32; scene.film.pixels() * 3];
+    let names = PARAMS.map(|(name, _)| name);
     let settings = settings(scene, caustics);
-    let start = Instant::now();
-    let each: std::result::Result<Vec<Vec<f64>>, RenderError> = (0..runs)
-        .into_par_iter()
-        .map(|run| {
-            let g = e.backward_f32(
-                scene,
-                &theta,
-                &active,
-                &adjoint,
-                &settings,
-                SEED + run,
-                0..spp,
-                &(),
-            )?;
-            Ok(g.values.iter().map(|v| v.iter().sum()).collect())
-        })
-        .collect();
-    let each = each?;
-    let seconds = start.elapsed().as_secs_f64() / runs as f64;
-    let of = |k: usize| Estimate::of(each.iter().map(|g| g[k]));
-    Ok(([of(0), of(1), of(2)], seconds))
+    let (each, seconds) = gradients(scene, e, &settings, &names, SEED, spp, runs)?;
+    Ok(([each[0], each[1], each[2]], seconds))
 }
 
 /// The image and its derivative in the ring's roughness, by the differential pair.
@@ -210,7 +184,7 @@ fn clock(fig: &mut Figure) -> Result {
         for (who, caustics) in Caustics::NAMES {
             let mut lines: [Vec<(f64, f64)>; 3] = Default::default();
             for &spp in &ladder {
-                let (found, seconds) = gradients(&scene, e, caustics, spp, runs)?;
+                let (found, seconds) = derivatives(&scene, e, caustics, spp, runs)?;
                 for ((line, g), (_, what)) in lines.iter_mut().zip(&found).zip(PARAMS) {
                     let deviation = g.error * (runs as f64).sqrt();
                     line.push((seconds, deviation));
@@ -258,8 +232,8 @@ fn sweeps(fig: &mut Figure) -> Result {
     let mut gains = |alpha: f64, fov: f64| -> Result<[f64; 3]> {
         let scene = ring(size, alpha, fov)?;
         let e = Estimator::DifferentialMis;
-        let (paths, before) = gradients(&scene, e, Caustics::Paths, spp, runs)?;
-        let (particles, after) = gradients(&scene, e, Caustics::Particles, spp, runs)?;
+        let (paths, before) = derivatives(&scene, e, Caustics::Paths, spp, runs)?;
+        let (particles, after) = derivatives(&scene, e, Caustics::Particles, spp, runs)?;
         let gain = |k: usize| (paths[k].error / particles[k].error).powi(2);
         let gains = [gain(0), gain(1), gain(2)];
         rows.push([alpha, fov, gains[0], gains[1], gains[2], after / before]);

@@ -10,6 +10,7 @@ pub mod environment;
 pub mod estimators;
 pub mod factors;
 pub mod freezing;
+pub mod guided;
 pub mod materials;
 pub mod measured;
 pub mod moved_edges;

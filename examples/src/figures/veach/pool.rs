@@ -35,7 +35,7 @@ pub fn water(stage: &mut Stage, reflects: f64) -> Result<Arc<Material>> {
 }
 
 /// The surface of [-1, 1]^2 with small waves, interpolated normals.
-fn waves(n: u32, height: f64) -> MeshData {
+pub fn waves(n: u32, height: f64) -> MeshData {
     let at = |i: u32| 2.0 * f64::from(i) / f64::from(n) - 1.0;
     let level = |x: f64, z: f64| {
         let wave = |kx: f64, kz: f64, phase: f64| (TAU * (kx * x + kz * z) / 2.0 + phase).sin();
