@@ -212,6 +212,18 @@ fn mistakes_end_with_a_message_and_without_a_file() {
         ),
         (
             "gradient",
+            format!("{wall} --guide --estimator mis-attached-weights --json a.json"),
+            1,
+            "weights of mis-attached-weights move",
+        ),
+        (
+            "render",
+            "scene.xml --guide --integrator particle -o a.exr".into(),
+            1,
+            "--guide: particles are not guided",
+        ),
+        (
+            "gradient",
             format!("{wall} --loss l3 --target small.exr"),
             2,
             "l3",
@@ -474,6 +486,14 @@ fn gradient_of_the_mean_is_right_and_reported() {
     let measured = dir.json("c.json");
     assert_eq!(measured["params"], report["params"]);
     assert_eq!(numbers(&measured["sampling_weights"]), [1.0]);
+    // Directions go elsewhere, and the report says so.
+    dir.ok("gradient", &format!("{args} --guide --json e.json"));
+    let guided = dir.json("e.json");
+    assert_ne!(guided["params"], report["params"]);
+    assert_eq!(
+        (&guided["guide"], report.get("guide")),
+        (&true.into(), None)
+    );
     // Pixels are measured, and samples go elsewhere; the image of that is beside the report.
     dir.ok(
         "gradient",
@@ -576,7 +596,9 @@ fn parameters_are_listed() {
 
 #[test]
 fn a_resumed_recovery_equals_an_uninterrupted_one_bit_for_bit() {
-    resumes("adam --sampler sobol --lights all --caustics particles --pixels-per-particle 2");
+    resumes(
+        "adam --sampler sobol --lights all --caustics particles --pixels-per-particle 2 --guide",
+    );
     resumes("adam --estimator differential-mis");
     resumes("gauss-newton");
 }

@@ -45,12 +45,12 @@ fn basin(size: u32) -> Result<Scene> {
     stage.shape("water", Mesh::new(waves(128, 0.016), false)?, &water);
     // Its front is below.
     let edges = [[0.4, 0.0, 0.0], [0.0, 0.0, 0.4]];
-    let lamp = stage.quad("lamp", [[0.3, 2.6, -0.6], edges[0], edges[1]], &black)?;
-    stage.lamp("lamp", lamp, [70.0, 64.0, 56.0])?;
+    let lamp = stage.quad("lamp", [[2.0, 2.6, -0.6], edges[0], edges[1]], &black)?;
+    stage.lamp("lamp", lamp, [140.0, 128.0, 112.0])?;
     let view = View {
-        eye: [0.0, 2.9, 2.2],
-        target: [0.0, -0.6, 0.1],
-        fov: 36.0,
+        eye: [0.0, 3.4, 1.0],
+        target: [0.0, -0.7, -0.08],
+        fov: 30.0,
         size: [size; 2],
     };
     let mut scene = stage.finish(&view, 6)?;
@@ -163,7 +163,7 @@ fn pictures(fig: &mut Figure) -> Result {
 /// Error of the derivatives against time, learning included, at growing numbers of samples.
 fn clock(fig: &mut Figure) -> Result {
     let (size, runs) = fig.pick((64, 16), (128, 24));
-    let ladder: Vec<u64> = (fig.pick(3, 4)..fig.pick(6, 9)).map(|k| 1 << k).collect();
+    let ladder: Vec<u64> = (fig.pick(3, 4)..fig.pick(6, 8)).map(|k| 1 << k).collect();
     let names = PARAMS.map(|(name, _)| name);
     let mut lines = vec![[Vec::new(), Vec::new()]; PARAMS.len()];
     let mut rows = Vec::new();
@@ -233,7 +233,7 @@ fn clock(fig: &mut Figure) -> Result {
 fn room(fig: &mut Figure) -> Result {
     let (size, spp, runs) = fig.pick((32, 16, 32), (64, 64, 64));
     let mut scene = scenes::cornell(size, size)?;
-    let names = ["red.reflectance.value"];
+    let names = ["left.reflectance.value"];
     let (plain, before) = gradients(&scene, E, &settings(&scene), &names, SEED, spp, runs)?;
     learn(&mut scene)?;
     let (guided, after) = gradients(&scene, E, &settings(&scene), &names, SEED, spp, runs)?;
