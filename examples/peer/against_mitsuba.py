@@ -5,7 +5,7 @@
   cargo build --release
   examples/peer/against_mitsuba.py examples/scenes/cornell.xml --param red.reflectance.value \\
       --ours "--estimator mis" --ours "--estimator mis --sampler sobol"
-  examples/peer/against_mitsuba.py examples/scenes/cornell.xml --ours "" --ours "--sampler sobol"
+  examples/peer/against_mitsuba.py examples/scenes/cornell.xml --ours "" --ours "--sampler sobol" --ours=--guide
 
 With `--param`, derivatives of the mean of all pixels and channels are compared; without, images. Both sides
 render the same number of samples (unless `--ours` gives another) with independent seeds, in rounds that

@@ -11,12 +11,13 @@
 //! arrived, not at midpoints, and cosines belong to the light.
 
 use std::f64::consts::{FRAC_PI_4, TAU};
+use std::num::NonZeroU32;
 
 use ad_core::{Float, Vec3};
 
-/// Arrivals that a part of space has at least, if it is not all of it,
+/// A part of space with twice as many arrivals is cut in two,
 const LEAST_PART: usize = 256;
-/// and how many parts there are about, at most: more would not stay in the cache.
+/// unless there would be more than about so many parts: they would not stay in the cache.
 const MOST_PARTS: usize = 512;
 /// Part of the energy from which a cell of directions is cut,
 const ENERGY: f64 = 0.05;
@@ -119,8 +120,8 @@ pub(crate) struct Directions {
 struct Cell {
     /// Probability of each quarter, given the cell.
     share: [f32; 4],
-    /// Each one's cells, if it is cut.
-    quarters: [Option<std::num::NonZeroU32>; 4],
+    /// Index of each one's cell, if it is cut; never that of the whole square.
+    quarters: [Option<NonZeroU32>; 4],
 }
 
 /// Quarter of the unit square: lower bit across, upper bit along the second axis.
@@ -166,7 +167,7 @@ impl Directions {
                     a.from = zoom(a.from);
                 }
                 let (cell, mass) = self.grow(here, total, cuts + 1);
-                quarters[k] = std::num::NonZeroU32::new(cell);
+                quarters[k] = NonZeroU32::new(cell);
                 masses[k] = mass;
             } else {
                 // The best density of a cell is the root of its mean energy.

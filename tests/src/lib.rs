@@ -191,3 +191,19 @@ pub fn mean_adjoint(scene: &Scene) -> Vec<f32> {
     let n = scene.film.pixels() * 3;
     vec![1.0 / n as f32; n]
 }
+
+/// Asserts that a result is the same on 1, 2 and 7 threads, and returns it.
+///
+/// # Panics
+/// If it is not.
+pub fn on_any_threads<T: PartialEq + Send>(result: impl Fn() -> T + Sync) -> T {
+    let run = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
+        pool.expect("a pool").install(&result)
+    };
+    let one = run(1);
+    for threads in [2, 7] {
+        assert!(run(threads) == one, "{threads} threads differ");
+    }
+    one
+}

@@ -1,7 +1,6 @@
 //! Results are a function of the seed alone: bit-identical for any number of threads.
 
-use rayon::ThreadPoolBuilder;
-use tests::{cases, image, mean_adjoint, reverse, scene, smooth_params, values};
+use tests::{cases, image, mean_adjoint, on_any_threads, reverse, scene, smooth_params, values};
 
 #[test]
 fn images_and_gradients_do_not_depend_on_threads() {
@@ -18,26 +17,13 @@ fn images_and_gradients_do_not_depend_on_threads() {
         let v = values::<f32>(&s);
         let params = smooth_params(&s);
         let adjoint = mean_adjoint(&s);
-        let run = |threads: usize| {
-            let pool = ThreadPoolBuilder::new()
-                .num_threads(threads)
-                .build()
-                .expect("a pool");
-            pool.install(|| {
-                let i = image::<f32>(&s, &v, &s.settings, 5, 4);
-                let g = reverse::<f32>(&s, &params, &adjoint, &s.settings, 6, 4);
-                (i.sums, g)
-            })
-        };
-        let one = run(1);
-        assert!(one.0[0].iter().any(|&x| x > 0.0));
-        for threads in [2, 7] {
-            assert!(
-                run(threads) == one,
-                "{}: {threads} threads differ",
-                case.name
-            );
-        }
+        println!("{}", case.name);
+        let (sums, _) = on_any_threads(|| {
+            let i = image::<f32>(&s, &v, &s.settings, 5, 4);
+            let g = reverse::<f32>(&s, &params, &adjoint, &s.settings, 6, 4);
+            (i.sums, g)
+        });
+        assert!(sums[0].iter().any(|&x| x > 0.0));
     }
 }
 

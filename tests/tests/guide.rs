@@ -1,7 +1,6 @@
 //! Guided paths: the same light and the same derivatives as by the material alone, with less noise where lamps are
 //! not in sight.
 
-use rayon::ThreadPoolBuilder;
 use render::auto;
 use render::estimator::{Detached, DetachedMis, DetachedWeights, Differential, Mis, Unbiased};
 use render::instances::{Direction, Estimator};
@@ -9,8 +8,8 @@ use render::sampler::Points;
 use render::{Scene, Settings};
 use tests::stats::{Estimate, z_limit};
 use tests::{
-    cases, forward_by, image, mean_adjoint, picture, reverse, reverse_by, scene, smooth_params,
-    values,
+    cases, forward_by, image, mean_adjoint, on_any_threads, picture, reverse, reverse_by, scene,
+    smooth_params, values,
 };
 
 const ALPHA: f64 = 1e-3;
@@ -155,22 +154,15 @@ fn reverse_equals_forward<S: Unbiased>() {
 #[test]
 fn nothing_depends_on_threads() {
     let body = TANK.replace("value=\"8\"", "value=\"40\"");
-    let run = |threads: usize| {
-        let pool = ThreadPoolBuilder::new().num_threads(threads).build();
-        pool.expect("a pool").install(|| {
-            let s = guided(&body);
-            assert_eq!(s.film.crop_size, [40, 40]);
-            let i = image::<f32>(&s, &values(&s), &s.settings, 5, 4);
-            let params = smooth_params(&s);
-            let g = reverse::<f32>(&s, &params, &mean_adjoint(&s), &s.settings, 6, 4);
-            (i.sums, g)
-        })
-    };
-    let one = run(1);
-    assert!(one.0[0].iter().any(|&x| x > 0.0));
-    for threads in [2, 7] {
-        assert!(run(threads) == one, "{threads} threads differ");
-    }
+    let (sums, _) = on_any_threads(|| {
+        let s = guided(&body);
+        assert_eq!(s.film.crop_size, [40, 40]);
+        let i = image::<f32>(&s, &values(&s), &s.settings, 5, 4);
+        let params = smooth_params(&s);
+        let g = reverse::<f32>(&s, &params, &mean_adjoint(&s), &s.settings, 6, 4);
+        (i.sums, g)
+    });
+    assert!(sums[0].iter().any(|&x| x > 0.0));
 }
 
 /// Through water by far: the variance of blocks of the image, at equal samples, without the plate of metal, whose own

@@ -7,6 +7,8 @@ use render::instances::Estimator;
 use render::integrator::gradient::Active;
 use render::params::Theta;
 use render::{RenderError, Scene, Settings};
+
+use crate::figure::Figure;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
 /// A mean and its standard error.
@@ -89,6 +91,33 @@ impl Series {
     /// Means of the pixels.
     pub fn means(&self) -> Vec<f64> {
         self.pixels.iter().map(|e| e.mean).collect()
+    }
+}
+
+/// Checks that two series have the same expectation in all blocks, of which there are as many for each statement, one
+/// statement after another.
+pub fn check_same(
+    fig: &mut Figure,
+    statements: &[&str],
+    [a, b]: [&Series; 2],
+    runs: u64,
+    level: f64,
+) {
+    let z: Vec<f64> = (a.blocks.iter().zip(&b.blocks))
+        .map(|(a, b)| a.z(b).abs())
+        .collect();
+    let each = z.len() / statements.len().max(1);
+    for (statement, z) in statements.iter().zip(z.chunks(each.max(1))) {
+        let worst = z.iter().copied().fold(0.0, f64::max);
+        let limit = limit(z.len(), runs, level);
+        fig.check(
+            *statement,
+            worst < limit,
+            format!(
+                "largest |z| of {} blocks: {worst:.2}, limit {limit:.2}",
+                z.len()
+            ),
+        );
     }
 }
 

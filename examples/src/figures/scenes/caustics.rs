@@ -10,7 +10,7 @@ use render::{RenderError, Scene, Settings};
 use crate::chart::{LineChart, Panel};
 use crate::figure::{Figure, Result};
 use crate::figures::stage::{Stage, View};
-use crate::figures::statistics::{Estimate, Series, gradients, grey, limit};
+use crate::figures::statistics::{Estimate, Series, check_same, gradients, grey, limit};
 
 const SEED: u64 = 96;
 /// Chance of a false alarm in one check.
@@ -112,24 +112,11 @@ fn same(fig: &mut Figure) -> Result {
     };
     let paths = series(Caustics::Paths, SEED)?;
     let particles = series(Caustics::Particles, 10 * SEED)?;
-    let pairs = paths.blocks.iter().zip(&particles.blocks);
-    let z: Vec<f64> = pairs.map(|(a, b)| a.z(b).abs()).collect();
-    let (image, change) = z.split_at(z.len() / 2);
-    for (what, z) in [
-        ("(a) the same picture", image),
-        ("(b) the same derivative in roughness", change),
-    ] {
-        let worst = z.iter().copied().fold(0.0, f64::max);
-        let limit = limit(z.len(), runs, LEVEL);
-        fig.check(
-            format!("{what}, whoever finds caustics"),
-            worst < limit,
-            format!(
-                "largest |z| of {} blocks: {worst:.2}, limit {limit:.2}",
-                z.len()
-            ),
-        );
-    }
+    let statements = [
+        "(a) the same picture, whoever finds caustics",
+        "(b) the same derivative in roughness, whoever finds caustics",
+    ];
+    check_same(fig, &statements, [&paths, &particles], runs, LEVEL);
     Ok(())
 }
 

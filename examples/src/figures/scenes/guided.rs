@@ -12,7 +12,7 @@ use render::{RenderError, Scene, Settings};
 use crate::chart::{LineChart, Panel};
 use crate::figure::{Figure, Result};
 use crate::figures::stage::{Stage, View};
-use crate::figures::statistics::{Series, gradients, grey, limit};
+use crate::figures::statistics::{Series, check_same, gradients, grey, limit};
 use crate::figures::veach::pool::{water, waves};
 use crate::scenes;
 
@@ -114,24 +114,11 @@ fn same(fig: &mut Figure) -> Result {
     let plain = series(&scene, SEED)?;
     learn(&mut scene)?;
     let guided = series(&scene, 10 * SEED)?;
-    let pairs = plain.blocks.iter().zip(&guided.blocks);
-    let z: Vec<f64> = pairs.map(|(a, b)| a.z(b).abs()).collect();
-    let (image, change) = z.split_at(z.len() / 2);
-    for (what, z) in [
-        ("(a) the same picture", image),
-        ("(b) the same derivative in the floor's albedo", change),
-    ] {
-        let worst = z.iter().copied().fold(0.0, f64::max);
-        let limit = limit(z.len(), runs, LEVEL);
-        fig.check(
-            format!("{what}, guided or not"),
-            worst < limit,
-            format!(
-                "largest |z| of {} blocks: {worst:.2}, limit {limit:.2}",
-                z.len()
-            ),
-        );
-    }
+    let statements = [
+        "(a) the same picture, guided or not",
+        "(b) the same derivative in the floor's albedo, guided or not",
+    ];
+    check_same(fig, &statements, [&plain, &guided], runs, LEVEL);
     Ok(())
 }
 
