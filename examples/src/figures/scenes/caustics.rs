@@ -10,7 +10,7 @@ use render::{RenderError, Scene, Settings};
 use crate::chart::{LineChart, Panel};
 use crate::figure::{Figure, Result};
 use crate::figures::stage::{Stage, View};
-use crate::figures::statistics::{Estimate, Series, check_same, gradients, grey, limit};
+use crate::figures::statistics::{Estimate, Series, check_same, gradients, grey};
 
 const SEED: u64 = 96;
 /// Chance of a false alarm in one check.
