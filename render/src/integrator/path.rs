@@ -802,7 +802,8 @@ fn mixed<R: Real>(material: R, guide: R::Primal) -> R {
     material * Const(R::Primal::one() - part) + Const(guide * part)
 }
 
-/// A direction scattered by the material or drawn from the guide. The first random number decides.
+/// A direction scattered by the material, which is diffuse and so without deltas, or drawn from the guide. The first
+/// random number decides.
 #[inline(never)]
 fn guided<R: Real, S: Strategy>(
     guide: &Directions,
@@ -818,12 +819,8 @@ fn guided<R: Real, S: Strategy>(
     if choice >= part {
         let u = [(choice - part) / rest, u, v];
         let (mut sample, f) = S::Bsdf::scatter(material, at, wo, u, mode)?;
-        sample.pdf = match sample.component {
-            Component::Continuous => {
-                mixed(sample.pdf, guide.pdf(frame.to_world(sample.wi.primal())))
-            }
-            Component::Delta { .. } => sample.pdf * Const(rest),
-        };
+        let d = frame.to_world(sample.wi.primal());
+        sample.pdf = mixed(sample.pdf, guide.pdf(d));
         return Some((sample, f));
     }
     let (d, density) = guide.sample([u, v]);
