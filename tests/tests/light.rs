@@ -1,7 +1,6 @@
 //! The light tracer against the path tracer.
 
 use ad_core::{Dual, Vec2};
-use rayon::ThreadPoolBuilder;
 use render::bsdf::kernel::{Rules, Symmetry};
 use render::bsdf::{Bsdf, Shading, TransportMode};
 use render::instances::{
@@ -16,7 +15,7 @@ use render::params::{Tangent, Theta};
 use render::sampler::{Independent, Sampler};
 use render::{Scene, Settings};
 use tests::stats::{Estimate, z_limit};
-use tests::{cases, scene};
+use tests::{cases, on_any_threads, scene};
 
 /// Channels of square blocks of pixels: one estimate from each of `runs` seeds.
 fn blocks(data: &[f32], size: usize, block: usize) -> Vec<f64> {
@@ -104,16 +103,8 @@ fn particles_do_not_depend_on_threads_and_crops_are_parts() {
     for filter in ["box", "gaussian"] {
         let body = body.replace("type=\"box\"", &format!("type=\"{filter}\""));
         let s = scene(&body);
-        let run = |threads: usize| {
-            let pool = ThreadPoolBuilder::new().num_threads(threads).build();
-            let render = || by_particles(&s, &s.settings, Rules::default(), 5, 50);
-            pool.expect("a pool").install(render)
-        };
-        let one = run(1);
+        let one = on_any_threads(|| by_particles(&s, &s.settings, Rules::default(), 5, 50));
         assert!(one.iter().any(|&x| x > 0.0));
-        for threads in [2, 7] {
-            assert!(run(threads) == one, "{filter}: {threads} threads differ");
-        }
         let crop = r#"<integer name="crop_offset_x" value="7"/><integer name="crop_offset_y" value="11"/>
             <integer name="crop_width" value="20"/><integer name="crop_height" value="9"/><rfilter"#;
         let part = scene(&body.replacen("<rfilter", crop, 1));
@@ -408,18 +399,11 @@ fn gradients_by_particles_do_not_depend_on_threads() {
     let active = Active::new(&s, &names).expect("known names");
     let adjoint = tests::mean_adjoint(&s);
     let theta = Theta::constant(s.params().values());
-    let run = |threads: usize| {
-        let pool = ThreadPoolBuilder::new().num_threads(threads).build();
-        let backward =
-            || backward_particles_f32(&s, &theta, &active, &adjoint, &s.settings, 1, 0..300, &());
-        let m = pool
-            .expect("a pool")
-            .install(backward)
+    on_any_threads(|| {
+        let m = backward_particles_f32(&s, &theta, &active, &adjoint, &s.settings, 1, 0..300, &())
             .expect("an adjoint of the right size");
         (m.value, m.gradient.values)
-    };
-    let one = run(1);
-    assert!(run(2) == one && run(7) == one);
+    });
     let short = &adjoint[1..];
     assert!(backward_particles_f32(&s, &theta, &active, short, &s.settings, 1, 0..1, &()).is_err());
 }

@@ -13,7 +13,7 @@ use render::params::{ParamInfo, Tangent, Theta};
 use render::sampler::Independent;
 use render::{Scene, Settings};
 use tests::stats::{Estimate, z_limit};
-use tests::{cases, image, mean_adjoint, scene, smooth_params, values};
+use tests::{cases, image, mean_adjoint, on_any_threads, scene, smooth_params, values};
 
 /// A cheap, fixed sequence in [-1, 1).
 fn noise(i: usize) -> f64 {
@@ -382,29 +382,25 @@ fn results_do_not_depend_on_the_threads() {
     let case = Case::new("ggx", |_| true);
     let s = &case.scene;
     let images = [0, 900].map(|k| noise_image(s, k));
-    let run = |threads| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
-        pool.unwrap().install(|| {
-            let theta = Theta::constant(s.params().values());
-            let v: Vec<f32> = case.direction(1).iter().map(|x| *x as f32).collect();
-            let images = [&images[0][..], &images[1][..]];
-            let h = hessian_vector_f32(
-                s,
-                &theta,
-                &case.active,
-                &v,
-                images,
-                &s.settings,
-                1,
-                0..8,
-                &(),
-            );
-            let g = gauss_newton_f32(s, &theta, &case.active, images, &s.settings, 1, 0..8, &());
-            let g = g.unwrap();
-            (h.unwrap().values, g.matrix, g.gradient)
-        })
-    };
-    assert_eq!(run(1), run(3));
+    on_any_threads(|| {
+        let theta = Theta::constant(s.params().values());
+        let v: Vec<f32> = case.direction(1).iter().map(|x| *x as f32).collect();
+        let images = [&images[0][..], &images[1][..]];
+        let h = hessian_vector_f32(
+            s,
+            &theta,
+            &case.active,
+            &v,
+            images,
+            &s.settings,
+            1,
+            0..8,
+            &(),
+        );
+        let g = gauss_newton_f32(s, &theta, &case.active, images, &s.settings, 1, 0..8, &());
+        let g = g.unwrap();
+        (h.unwrap().values, g.matrix, g.gradient)
+    });
 }
 
 #[test]

@@ -10,9 +10,9 @@
 use ad_core::{Const, Float, Real, Vec2, Vec3};
 
 use super::boundary::Freeze;
-use super::path::frozen_pdf;
+use super::path::{MODE, frozen_pdf};
 use crate::accel::Hit;
-use crate::bsdf::{Bsdf, BsdfSample, Component, Material, Part, Shading, TransportMode};
+use crate::bsdf::{Bsdf, BsdfSample, Component, Material, Part, Shading};
 use crate::emitter::{Emission, Emitter, Moved};
 use crate::estimator::{Direct, Sampling, Strategy};
 use crate::math::{Frame, Rgb};
@@ -95,7 +95,6 @@ pub fn direct_light<R: Real>(
     theta: &Theta<R>,
     found: &FoundLight<R::Primal>,
     weighing: &Weighing<R>,
-    mode: TransportMode,
 ) -> Rgb<R> {
     let from = &found.from;
     let info = scene.shape_info(from.shape);
@@ -105,13 +104,13 @@ pub fn direct_light<R: Real>(
         uv: Vec2::lift(from.si.uv),
     };
     let wo = Vec3::lift(from.wo);
-    let Some(sample) = material.sample::<R>(&at, wo, from.u, mode) else {
+    let Some(sample) = material.sample::<R>(&at, wo, from.u, MODE) else {
         return Rgb::black();
     };
     let (wi, weight) = slow_down(&sample, &from.freeze);
-    let mut f = material.eval_component(&at, wo, wi, sample.component, mode);
+    let mut f = material.eval_component(&at, wo, wi, sample.component, MODE);
     if from.part == Part::Rest {
-        f = f - material.eval_normals(&at, from.wo, wi.primal(), mode);
+        f = f - material.eval_normals(&at, from.wo, wi.primal(), MODE);
     }
 
     let si: SurfaceInteraction<R> = from.si.lift();
@@ -132,8 +131,8 @@ pub fn direct_light<R: Real>(
     let mis = match (sample.component, weighing.hit) {
         (Component::Continuous, Some(weight)) => {
             let pdf = match weighing.frozen {
-                true => frozen_pdf(material, &at, wo, wi, mode),
-                false => material.eval_pdf(&at, wo, wi, mode).1,
+                true => frozen_pdf(material, &at, wo, wi),
+                false => material.eval_pdf(&at, wo, wi, MODE).1,
             };
             let emitter_pdf = e.pdf(scene.lights(), si.p, d, end.as_ref());
             weight(pdf, emitter_pdf * Const(found.share))
@@ -191,15 +190,14 @@ pub fn aimed_light<R: Real>(
     emitter: u32,
     light: &Moved<R>,
     weighing: &Weighing<R>,
-    mode: TransportMode,
 ) -> Rgb<R> {
     let wi = Frame::lift(aimed.frame).to_local(light.d);
-    let (f, pdf) = material.eval_pdf(at, wo, wi, mode);
+    let (f, pdf) = material.eval_pdf(at, wo, wi, MODE);
     let le = scene.emitters()[emitter as usize].eval(&at.theta, &light.emission);
     let share = Const(aimed.share);
     let mis = weighing.sampled.map_or(R::one(), |weight| {
         let pdf = match weighing.frozen {
-            true => frozen_pdf(material, at, wo, wi, mode),
+            true => frozen_pdf(material, at, wo, wi),
             false => pdf,
         };
         weight(light.frozen_pdf * share, pdf)

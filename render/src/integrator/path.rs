@@ -20,6 +20,9 @@ use crate::sampler::{AUXILIARY_DIMENSIONS, BOUNCE_DIMENSIONS, CAMERA_DIMENSIONS,
 use crate::scene::{Caustics, Intersection, LightChoice, Scene, Settings};
 use crate::shape::SurfaceInteraction;
 
+/// What paths carry.
+pub(super) const MODE: TransportMode = TransportMode::Radiance;
+
 /// Probability of surviving Russian roulette is at most this.
 const MAX_SURVIVAL: f64 = 0.95;
 
@@ -294,7 +297,6 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
         visible: bool,
         observer: &mut O,
     ) {
-        let mode = TransportMode::Radiance;
         let depth = self.depth;
 
         // ---- Light sampled at the last vertex ----
@@ -335,7 +337,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
                     let found = self.found_light(scene, e, None, ray.d.primal(), share);
                     self.l += match found {
                         Some((found, beta)) if !R::IS_PRIMAL => {
-                            beta * direct_light(scene, theta, &found, &Weighing::of::<S>(), mode)
+                            beta * direct_light(scene, theta, &found, &Weighing::of::<S>())
                         }
                         _ => beta * le * light.weight,
                     };
@@ -358,7 +360,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
                 let found = self.found_light(scene, e, end, ray.d.primal(), share);
                 self.l += match found {
                     Some((found, beta)) if !R::IS_PRIMAL => {
-                        beta * direct_light(scene, theta, &found, &Weighing::of::<S>(), mode)
+                        beta * direct_light(scene, theta, &found, &Weighing::of::<S>())
                     }
                     _ => beta * le * light.weight,
                 };
@@ -412,7 +414,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
             let u = sampler.next_2d();
             let (emitter, kept) = match settings.lights {
                 // The only light needs no number; the branch is always predicted.
-                LightChoice::One if scene.emitters().len() == 1 => (0, R::Primal::one()),
+                _ if scene.emitters().len() == 1 => (0, R::Primal::one()),
                 LightChoice::One => (scene.shares().choose(choice, 1).0 as u32, R::Primal::one()),
                 LightChoice::All => {
                     let seen = Seen {
@@ -437,7 +439,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
                 let seen = (!Geometry::<S, R>::IS_PRIMAL).then(|| e.connect(&sample, si.p));
                 let d = seen.map_or(Vec3::lift(sample.d), |s| s.d);
                 let wi = si.frame.to_local(d);
-                let (f, mut pdf) = material.eval_pdf(&at, wo_r, S::Bsdf::embed3(wi), mode);
+                let (f, mut pdf) = material.eval_pdf(&at, wo_r, S::Bsdf::embed3(wi), MODE);
                 if let Some(guide) = guide {
                     pdf = mixed(pdf, guide.pdf(sample.d));
                 }
@@ -462,7 +464,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
                     let le = e.eval(theta, &emission);
                     let mis = if S::COUNTS_HITS && !e.is_delta() {
                         let pdf = if S::FROZEN_WEIGHTS && !R::IS_PRIMAL {
-                            frozen_pdf(material, &at, wo_r, S::Bsdf::embed3(wi), mode)
+                            frozen_pdf(material, &at, wo_r, S::Bsdf::embed3(wi))
                         } else {
                             pdf
                         };
@@ -499,7 +501,6 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
                                     emitter,
                                     &moved,
                                     &Weighing::of::<S>(),
-                                    mode,
                                 );
                         }
                         let moves = O::ENABLED && e.moving().is_some();
@@ -515,7 +516,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
                         R::lift(mis * kept / sample.pdf)
                     });
                     if let (Some(w), false) = (normals_weight, R::IS_PRIMAL) {
-                        let change = material.eval_normals(&at, wo.primal(), wi.primal(), mode);
+                        let change = material.eval_normals(&at, wo.primal(), wi.primal(), MODE);
                         self.direct += beta * change * le * (w - weight);
                     }
                     if O::ENABLED {
@@ -554,13 +555,13 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
             for sign in DiffLobe::BOTH {
                 sampler.seek(first);
                 let u = sampler.next_3d();
-                let Some(sample) = material.sample_differential(&at, wo, u, sign, mode) else {
+                let Some(sample) = material.sample_differential(&at, wo, u, sign, MODE) else {
                     continue;
                 };
                 let change = match R::IS_PRIMAL {
                     true => Rgb::black(),
                     false => {
-                        material.eval_normals(&Shading { theta: *theta, uv }, wo, sample.wi, mode)
+                        material.eval_normals(&Shading { theta: *theta, uv }, wo, sample.wi, MODE)
                     }
                 };
                 if !O::ENABLED && !has_tangent(change) {
@@ -606,10 +607,10 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
         sampler.seek(dim + 3);
         let u = sampler.next_3d();
         let scattered = match guide {
-            None => S::Bsdf::scatter(material, &at, wo, u, mode),
+            None => S::Bsdf::scatter(material, &at, wo, u, MODE),
             Some(guide) => {
                 let frame = si.frame.primal();
-                guided::<R, S>(guide, material, &at, &frame, wo, u, mode)
+                guided::<R, S>(guide, material, &at, &frame, wo, u)
             }
         };
         let Some((sample, f)) = scattered else {
@@ -687,7 +688,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
         }
         self.beta = match part {
             Part::Rest if !R::IS_PRIMAL => {
-                let change = material.eval_normals(&at, wo.primal(), wi.primal(), mode);
+                let change = material.eval_normals(&at, wo.primal(), wi.primal(), MODE);
                 next_beta - beta * change * weight
             }
             _ => next_beta,
@@ -697,7 +698,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
         }
         self.pdf_bsdf = match sample.component {
             Component::Continuous if S::FROZEN_WEIGHTS && !R::IS_PRIMAL => {
-                frozen_pdf(material, &at, wo_r, wi, mode)
+                frozen_pdf(material, &at, wo_r, wi)
             }
             Component::Continuous => pdf,
             Component::Delta { .. } => R::zero(),
@@ -812,20 +813,19 @@ fn guided<R: Real, S: Strategy>(
     frame: &Frame<R::Primal>,
     wo: Vec3<Geometry<S, R>>,
     [choice, u, v]: [R::Primal; 3],
-    mode: TransportMode,
 ) -> Option<Scattered<Geometry<S, R>, R>> {
     let part = R::Primal::of(PART_GUIDED);
     let rest = R::Primal::one() - part;
     if choice >= part {
         let u = [(choice - part) / rest, u, v];
-        let (mut sample, f) = S::Bsdf::scatter(material, at, wo, u, mode)?;
+        let (mut sample, f) = S::Bsdf::scatter(material, at, wo, u, MODE)?;
         let d = frame.to_world(sample.wi.primal());
         sample.pdf = mixed(sample.pdf, guide.pdf(d));
         return Some((sample, f));
     }
     let (d, density) = guide.sample([u, v]);
     let wi = Vec3::lift(frame.to_local(d));
-    let (f, pdf) = material.eval_pdf(at, S::Bsdf::embed3(wo), S::Bsdf::embed3(wi), mode);
+    let (f, pdf) = material.eval_pdf(at, S::Bsdf::embed3(wo), S::Bsdf::embed3(wi), MODE);
     // Below the surface.
     if pdf.primal() <= R::Primal::zero() {
         return None;
@@ -859,11 +859,10 @@ pub(super) fn frozen_pdf<R: Real>(
     at: &Shading<R>,
     wo: Vec3<R>,
     wi: Vec3<R>,
-    mode: TransportMode,
 ) -> R {
     let theta = at.theta.primal().lift();
     material
-        .eval_pdf(&Shading { theta, uv: at.uv }, wo, wi, mode)
+        .eval_pdf(&Shading { theta, uv: at.uv }, wo, wi, MODE)
         .1
 }
 
@@ -923,7 +922,7 @@ fn weigh_lights<P: Float>(
             continue;
         };
         let wi = seen.frame.to_local(sample.d);
-        let (f, pdf) = (seen.material).eval_pdf(&seen.at, seen.wo, wi, TransportMode::Radiance);
+        let (f, pdf) = (seen.material).eval_pdf(&seen.at, seen.wo, wi, MODE);
         let density = match counts_hits && !e.is_delta() {
             true => sample.pdf + pdf,
             false => sample.pdf,

@@ -12,8 +12,8 @@ use ad_core::{Const, Dual, Float, Real, Vec2, Vec3};
 use super::direct::{Aimed, FoundLight, Weighing, aimed_light, direct_light, follows_edges};
 use super::gradient::Active;
 use super::local::{LocalFn, Texels, pull_back, pull_back_second, pull_back_texels};
-use super::path::{Bounce, Context, HitLight, NormalsLight, Observer, SampledLight};
-use crate::bsdf::{Bsdf, Component, Material, Part, Shading, TextureRef, TransportMode, Use};
+use super::path::{Bounce, Context, HitLight, MODE, NormalsLight, Observer, SampledLight};
+use crate::bsdf::{Bsdf, Component, Material, Part, Shading, TextureRef, Use};
 use crate::emitter::{Emission, Emitter};
 use crate::estimator::Strategy;
 use crate::estimator::memory::Memory;
@@ -250,7 +250,7 @@ impl<'a, P: Float> Recorder<'a, P> {
                         uv: s.uv,
                     };
                     let material = &scene.materials()[material as usize];
-                    material.backward(&at, s.wo, &uses, TransportMode::Radiance, grad);
+                    material.backward(&at, s.wo, &uses, MODE, grad);
                 }
             }
             if S::DIFFERENTIATED_WEIGHTS
@@ -321,7 +321,6 @@ fn pull_back_motion<P: Float, S: Strategy>(
         emitter,
         &map.vary(&aim),
         &Weighing::of::<S>(),
-        TransportMode::Radiance,
     );
     let adjoint = each([0, 1, 2], |k: usize| {
         (Rgb::new(light.r.eps[k], light.g.eps[k], light.b.eps[k]) * d).sum()
@@ -383,7 +382,6 @@ struct Radiance<'a, P: Float> {
 
 impl<P: Float> LocalFn<P> for Radiance<'_, P> {
     fn eval<R: Real<Primal = P>>(&self, theta: &Theta<R>) -> Rgb<R> {
-        let mode = TransportMode::Radiance;
         let emitted = |emitter: u32, emission: &Emission<P>| {
             self.scene.emitters()[emitter as usize].eval(theta, &emission.lift())
         };
@@ -402,7 +400,7 @@ impl<P: Float> LocalFn<P> for Radiance<'_, P> {
                 let f = |wi, component, f| {
                     let (wo, wi) = (Vec3::lift(s.wo), Vec3::lift(wi));
                     match moves {
-                        true => material.eval_component(&at, wo, wi, component, mode),
+                        true => material.eval_component(&at, wo, wi, component, MODE),
                         false => Rgb::lift(f),
                     }
                 };
@@ -440,15 +438,14 @@ struct Connected<'a, P: Real, S> {
 
 impl<P: Float, S: Strategy> LocalFn<P> for Connected<'_, P, S> {
     fn eval<R: Real<Primal = P>>(&self, theta: &Theta<R>) -> Rgb<R> {
-        let mode = TransportMode::Radiance;
         let (wo, wi) = (self.surface.wo, self.light.wi);
         let at = Shading {
             theta: *theta,
             uv: Vec2::lift(self.surface.uv),
         };
-        let (mut f, pdf) = (self.material).eval_pdf(&at, Vec3::lift(wo), Vec3::lift(wi), mode);
+        let (mut f, pdf) = (self.material).eval_pdf(&at, Vec3::lift(wo), Vec3::lift(wi), MODE);
         if self.light.normals_weight.is_some() {
-            f = f - self.material.eval_normals(&at, wo, wi, mode);
+            f = f - self.material.eval_normals(&at, wo, wi, MODE);
         }
         let weight = S::weight_sampled(R::lift(self.light.mis_pdf), pdf);
         f * (weight * Const(self.light.kept / self.light.mis_pdf))
@@ -458,13 +455,7 @@ impl<P: Float, S: Strategy> LocalFn<P> for Connected<'_, P, S> {
 impl<P: Float, S: Strategy> LocalFn<P> for Found<'_, P, S> {
     fn eval<R: Real<Primal = P>>(&self, theta: &Theta<R>) -> Rgb<R> {
         let weighing = Weighing::of::<S>();
-        direct_light(
-            self.scene,
-            theta,
-            self.found,
-            &weighing,
-            TransportMode::Radiance,
-        )
+        direct_light(self.scene, theta, self.found, &weighing)
     }
 }
 
