@@ -38,6 +38,15 @@ pub struct ConductorLobe<R> {
 }
 
 impl<R: Real> ConductorLobe<R> {
+    /// Without tangents.
+    #[inline]
+    pub fn primal(&self) -> ConductorLobe<R::Primal> {
+        ConductorLobe {
+            specular_reflectance: self.specular_reflectance.primal(),
+            index: self.index.map(|[eta, k]| [eta.primal(), k.primal()]),
+        }
+    }
+
     /// Reflectance under the angle whose cosine is `cos`.
     #[inline]
     pub fn reflectance(&self, cos: R) -> Rgb<R> {

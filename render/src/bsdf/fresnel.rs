@@ -3,7 +3,7 @@
 //! All forms are free of cancellation and of 0/0: nothing here is made from `1 - F` or from sines
 //! and tangents of the angles (errata Z-2.20).
 
-use ad_core::Real;
+use ad_core::{Float, Real};
 
 /// What a dielectric interface does with light arriving under one angle.
 #[derive(Clone, Copy, Debug)]
@@ -19,14 +19,31 @@ pub struct Dielectric<R> {
     pub cos_t: R,
 }
 
+impl<P: Float> Dielectric<P> {
+    /// Without tangents.
+    #[inline]
+    fn lift<R: Real<Primal = P>>(&self) -> Dielectric<R> {
+        Dielectric {
+            reflect: R::lift(self.reflect),
+            polarised: [R::lift(self.polarised[0]), R::lift(self.polarised[1])],
+            transmit: R::lift(self.transmit),
+            cos_t: R::lift(self.cos_t),
+        }
+    }
+}
+
 /// A dielectric interface seen under `cos_i` (positive), where `eta` is the index on the far side
 /// over that on the near side [Zeltner 2021, Eqs. 2.20 to 2.24].
 ///
 /// # Derivatives
 /// In both arguments. At total internal reflection everything is reflected, with zero derivative;
-/// exactly grazing light counts as such.
+/// exactly grazing light counts as such. Constant arguments, as directions are to detached estimators, cost
+/// primal work only.
 #[inline]
 pub fn dielectric<R: Real>(cos_i: R, eta: R) -> Dielectric<R> {
+    if !R::IS_PRIMAL && !cos_i.has_tangent() && !eta.has_tangent() {
+        return dielectric(cos_i.primal(), eta.primal()).lift();
+    }
     // eta cos_t = sqrt(eta^2 - sin^2), in factors that do not cancel.
     let radicand = (eta - R::c(1.0)) * (eta + R::c(1.0)) + cos_i.square();
     let zero = R::Primal::zero();
@@ -54,9 +71,12 @@ pub fn dielectric<R: Real>(cos_i: R, eta: R) -> Dielectric<R> {
 /// to the near side, under `cos_i`.
 ///
 /// # Derivatives
-/// In all arguments; one-sided at `eta = 0`.
+/// In all arguments; one-sided at `eta = 0`. Constant arguments cost primal work only.
 #[inline]
 pub fn conductor<R: Real>(cos_i: R, eta: R, k: R) -> R {
+    if !R::IS_PRIMAL && !cos_i.has_tangent() && !eta.has_tangent() && !k.has_tangent() {
+        return R::lift(conductor(cos_i.primal(), eta.primal(), k.primal()));
+    }
     let [r_s, r_p] = conductor_polarised(cos_i, eta, k);
     (r_s + r_p) * R::c(0.5)
 }

@@ -148,6 +148,14 @@ pub(super) fn reflect<R: Real>(w: Vec3<R>, m: Vec3<R>) -> Vec3<R> {
 
 impl<R: Real> RoughConductorLobe<R> {
     #[inline]
+    fn primal(&self) -> RoughConductorLobe<R::Primal> {
+        RoughConductorLobe {
+            microfacet: self.microfacet.primal(),
+            facet: self.facet.primal(),
+        }
+    }
+
+    #[inline]
     fn sample_direction(&self, wo: Vec3<R>, u: [R::Primal; 3]) -> Option<Vec3<R>> {
         let above = wo.z.primal() > R::Primal::zero();
         above.then(|| reflect(wo, self.microfacet.sample(wo, [u[1], u[2]])))
@@ -227,7 +235,7 @@ impl<R: Real> Lobe<R> for RoughConductorLobe<R> {
         let Some(m) = half_vector(wo, wi) else {
             return Rgb::black();
         };
-        let value = self.eval(Vec3::lift(wo), Vec3::lift(wi), mode).primal();
+        let value = self.primal().eval(wo, wi, mode);
         Rgb::lift(value) * self.microfacet.change(m)
     }
 

@@ -120,6 +120,18 @@ fn refract<R: Real>(w: Vec3<R>, m: Vec3<R>, cos_i: R, cos_t: R, eta: R) -> Vec3<
     m * (cos_i * inverse - cos_t) - w * inverse
 }
 
+impl<R: Real> RoughDielectricLobe<R> {
+    #[inline]
+    fn primal(&self) -> RoughDielectricLobe<R::Primal> {
+        RoughDielectricLobe {
+            microfacet: self.microfacet.primal(),
+            eta: self.eta.primal(),
+            specular_reflectance: self.specular_reflectance.primal(),
+            specular_transmittance: self.specular_transmittance.primal(),
+        }
+    }
+}
+
 impl<R: Real> Lobe<R> for RoughDielectricLobe<R> {
     #[inline]
     fn eval(&self, wo: Vec3<R>, wi: Vec3<R>, mode: TransportMode) -> Rgb<R> {
@@ -192,7 +204,7 @@ impl<R: Real> Lobe<R> for RoughDielectricLobe<R> {
         let Some(Facet { m, .. }) = Facet::between(wo, wi, self.eta.primal()) else {
             return Rgb::black();
         };
-        let value = self.eval(Vec3::lift(wo), Vec3::lift(wi), mode).primal();
+        let value = self.primal().eval(wo, wi, mode);
         Rgb::lift(value) * self.microfacet.change(m)
     }
 
