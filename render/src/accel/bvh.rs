@@ -4,7 +4,7 @@
 //! its slabs inwards; ours widens them by more than the rounding of any primitive test, so that a
 //! hit never depends on the shape of the tree.
 
-use super::curved::Curved;
+use super::curved::{Curved, Line};
 use super::packet::{Flat, RayLanes};
 use super::{Best, Item, Ray, Shape};
 use crate::math::each;
@@ -166,10 +166,11 @@ impl Tree {
                 Some(best.t)
             });
         } else {
+            let line = Line::of(ray);
             self.traverse::<DEPTH>(node, ray, best.t, |slot| {
                 match self.curved_at(slot) {
                     Some(c) => {
-                        if let Some((t, u, v)) = c.intersect(ray, best.t) {
+                        if let Some((t, u, v)) = c.intersect(&line, best.t) {
                             best.offer(t, u, v, self.prims[slot]);
                         }
                     }
@@ -185,7 +186,7 @@ impl Tree {
         let lanes = RayLanes::<f32>::new(ray);
         self.traverse::<DEPTH>(node, ray, t_max, |slot| {
             let hit = match self.curved_at(slot) {
-                Some(c) => c.occluded(ray, t_max),
+                Some(c) => c.occluded(&Line::of(ray), t_max),
                 None => self.flat[slot].occluded(&lanes, t_max),
             };
             (!hit).then_some(t_max)

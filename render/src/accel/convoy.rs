@@ -5,6 +5,7 @@
 
 use super::bundle::{BUNDLE, Bundle};
 use super::bvh::{MIN_COMPONENT, SLACK, Tree, widen};
+use super::curved::Line;
 use super::packet::RayLanes;
 use super::{Best, Hit, Ray};
 use crate::math::each;
@@ -181,7 +182,7 @@ impl Tree {
                     for lane in lanes(rays) {
                         let hit = convoy
                             .ray(lane)
-                            .is_some_and(|r| c.occluded(&r, limits[lane]));
+                            .is_some_and(|r| c.occluded(&Line::of(&r), limits[lane]));
                         *occluded |= u32::from(hit) << lane;
                     }
                 }
@@ -205,7 +206,9 @@ impl Tree {
             let mut t = nearest.t.to_array();
             for lane in lanes(rays) {
                 let best = &mut nearest.best[lane];
-                let hit = convoy.ray(lane).and_then(|r| c.intersect(&r, best.t));
+                let hit = convoy
+                    .ray(lane)
+                    .and_then(|r| c.intersect(&Line::of(&r), best.t));
                 if let Some((t, u, v)) = hit {
                     best.offer(t, u, v, prim);
                 }

@@ -101,6 +101,13 @@ impl<N: Double> Line<N> {
     }
 }
 
+impl Line<f64> {
+    #[inline(always)]
+    pub(super) fn of(ray: &Ray) -> Self {
+        Self::new(each(ray.o, f64::from), each(ray.d, f64::from))
+    }
+}
+
 #[inline(always)]
 fn dot<N: Double>(a: [N; 3], b: [N; 3]) -> N {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
@@ -169,9 +176,8 @@ impl Curved {
 
     /// Nearest `(t, u, v)` with `0 < t <= t_max`.
     #[inline]
-    pub(super) fn intersect(&self, ray: &Ray, t_max: f32) -> Option<(f32, f32, f32)> {
-        let line = Line::new(ray.o.map(f64::from), ray.d.map(f64::from));
-        let [near, far, u, v] = self.candidates(&line)?;
+    pub(super) fn intersect(&self, line: &Line<f64>, t_max: f32) -> Option<(f32, f32, f32)> {
+        let [near, far, u, v] = self.candidates(line)?;
         within(near, t_max)
             .or_else(|| within(far, t_max))
             .map(|t| (t, u as f32, v as f32))
@@ -232,8 +238,8 @@ impl Curved {
 
     /// Whether there is a hit with `0 < t < t_max`.
     #[inline]
-    pub(super) fn occluded(&self, ray: &Ray, t_max: f32) -> bool {
-        self.intersect(ray, t_max)
+    pub(super) fn occluded(&self, line: &Line<f64>, t_max: f32) -> bool {
+        self.intersect(line, t_max)
             .is_some_and(|(t, _, _)| t < t_max)
     }
 }

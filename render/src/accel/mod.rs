@@ -20,7 +20,7 @@ use crate::math::each;
 use bundle::Few;
 pub use bundle::{BUNDLE, Bundle};
 use bvh::Tree;
-use curved::Curved;
+use curved::{Curved, Line};
 use packet::{Flat, Packets};
 use thiserror::Error;
 
@@ -290,9 +290,12 @@ impl Accel {
         match &self.layout {
             Layout::Linear(packets, curved, _) => {
                 packets.intersect(ray, &mut best);
-                for (c, prim) in curved {
-                    if let Some((t, u, v)) = c.intersect(ray, best.t) {
-                        best.offer(t, u, v, *prim);
+                if !curved.is_empty() {
+                    let line = Line::of(ray);
+                    for (c, prim) in curved {
+                        if let Some((t, u, v)) = c.intersect(&line, best.t) {
+                            best.offer(t, u, v, *prim);
+                        }
                     }
                 }
             }
@@ -306,7 +309,11 @@ impl Accel {
         let t_max = capped(t_max);
         match &self.layout {
             Layout::Linear(packets, curved, _) => {
-                packets.occluded(ray, t_max) || curved.iter().any(|(c, _)| c.occluded(ray, t_max))
+                packets.occluded(ray, t_max)
+                    || (!curved.is_empty() && {
+                        let line = Line::of(ray);
+                        curved.iter().any(|(c, _)| c.occluded(&line, t_max))
+                    })
             }
             Layout::Tree(tree) => tree.occluded(ray, t_max),
         }

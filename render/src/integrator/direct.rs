@@ -108,7 +108,14 @@ pub fn direct_light<R: Real>(
         return Rgb::black();
     };
     let (wi, weight) = slow_down(&sample, &from.freeze);
-    let mut f = material.eval_component(&at, wo, wi, sample.component, MODE);
+    // The density is for the weight, and shares most of its work with the value.
+    let (mut f, pdf) = match (sample.component, weighing.hit) {
+        (Component::Continuous, Some(_)) => material.eval_pdf(&at, wo, wi, MODE),
+        (component, _) => {
+            let f = material.eval_component(&at, wo, wi, component, MODE);
+            (f, R::zero())
+        }
+    };
     if from.part == Part::Rest {
         f = f - material.eval_normals(&at, from.wo, wi.primal(), MODE);
     }
@@ -132,7 +139,7 @@ pub fn direct_light<R: Real>(
         (Component::Continuous, Some(weight)) => {
             let pdf = match weighing.frozen {
                 true => frozen_pdf(material, &at, wo, wi),
-                false => material.eval_pdf(&at, wo, wi, MODE).1,
+                false => pdf,
             };
             let emitter_pdf = e.pdf(scene.lights(), si.p, d, end.as_ref());
             weight(pdf, emitter_pdf * Const(found.share))

@@ -11,7 +11,7 @@ use crate::params::{GradSink, ParamRef, Seed, Theta, Which};
 use crate::texture::{Footprint, RgbTexture, ScalarTexture};
 
 /// Tangents per evaluation; a vertex with more active textures is evaluated several times.
-const WIDTH: usize = 8;
+const WIDTH: usize = 4;
 
 /// A colour that depends on the parameters of one material.
 pub trait LocalFn<P: Float> {
@@ -211,11 +211,10 @@ fn pull_back_slots<P: Float>(
     slots: &[Slot<P>],
     grad: &mut impl GradSink<P>,
 ) {
-    if slots.len() == 1 {
-        chunk::<P, 1>(theta, f, d, slots, grad);
-    } else {
-        for slots in slots.chunks(WIDTH) {
-            chunk::<P, WIDTH>(theta, f, d, slots, grad);
+    for slots in slots.chunks(WIDTH) {
+        match slots.len() {
+            1 => chunk::<P, 1>(theta, f, d, slots, grad),
+            _ => chunk::<P, WIDTH>(theta, f, d, slots, grad),
         }
     }
 }

@@ -33,9 +33,6 @@ impl UvTransform {
     /// Maps `uv`.
     #[inline]
     pub fn apply<R: Real>(&self, uv: Vec2<R>) -> Vec2<R> {
-        if *self == Self::IDENTITY {
-            return uv;
-        }
         let k = |x: f32| ad_core::Const(R::Primal::from_f32(x));
         let row = |[a, b, c]: [f32; 3]| uv.x * k(a) + uv.y * k(b) + k(c);
         Vec2::new(row(self.rows[0]), row(self.rows[1]))
@@ -66,7 +63,7 @@ impl Bitmap {
     /// # Derivatives
     /// The weights follow `uv`; which texels they belong to is a primal decision. At texel centres
     /// the derivative is that of the cell towards larger coordinates.
-    #[inline]
+    #[inline(always)]
     pub fn footprint<R: Real>(&self, uv: Vec2<R>) -> Footprint<R> {
         let uv = self.to_uv.apply(uv);
         if self.nearest {
@@ -142,7 +139,9 @@ fn texel_index<P: Float>(x: P, n: u32, wrap: Wrap) -> u32 {
 }
 
 /// The two neighbouring texels along one axis and the weight of the second.
-#[inline]
+///
+/// In line: written one by one and read as a whole, the texels would wait for each other.
+#[inline(always)]
 fn cell<R: Real>(x: R, n: u32, wrap: Wrap) -> (u32, u32, R) {
     // Adding the primal difference keeps the tangent of x while the value is reduced exactly.
     let p = x.primal();
