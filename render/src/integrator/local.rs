@@ -10,8 +10,11 @@ use crate::math::Rgb;
 use crate::params::{GradSink, ParamRef, Seed, Theta, Which};
 use crate::texture::{Footprint, RgbTexture, ScalarTexture};
 
-/// Tangents per evaluation; a vertex with more active textures is evaluated several times.
-const WIDTH: usize = 4;
+/// Tangents per evaluation at one vertex, of the values that its textures have there: few materials have more, and
+/// those are evaluated several times.
+const FEW: usize = 4;
+/// The same for the texels that whole paths read, which are many.
+const WIDTH: usize = 8;
 
 /// A colour that depends on the parameters of one material.
 pub trait LocalFn<P: Float> {
@@ -69,7 +72,7 @@ pub fn pull_back<P: Float>(
             }),
         }
     });
-    pull_back_slots(theta, f, d, &slots, grad);
+    pull_back_slots::<P, FEW>(theta, f, d, &slots, grad);
 }
 
 /// Texels that a function of the parameters reads, each of them once.
@@ -156,7 +159,7 @@ pub fn pull_back_texels<'a, P: Float>(
     for (material, uv) in vertices {
         material.visit_textures(&mut |t| texels.add(t, uv, |p| grad.active(p)));
     }
-    pull_back_slots(theta, f, d, &texels.slots(), grad);
+    pull_back_slots::<P, WIDTH>(theta, f, d, &texels.slots(), grad);
 }
 
 /// Adds, for all `texels`, the change of the gradient of `d . f` when the parameters move along a
@@ -204,17 +207,17 @@ fn texels<P: Float>(f: &Footprint<P>, mut each: impl FnMut(ParamRef, u32)) {
     }
 }
 
-fn pull_back_slots<P: Float>(
+fn pull_back_slots<P: Float, const K: usize>(
     theta: &Theta<P>,
     f: &impl LocalFn<P>,
     d: Rgb<P>,
     slots: &[Slot<P>],
     grad: &mut impl GradSink<P>,
 ) {
-    for slots in slots.chunks(WIDTH) {
+    for slots in slots.chunks(K) {
         match slots.len() {
             1 => chunk::<P, 1>(theta, f, d, slots, grad),
-            _ => chunk::<P, WIDTH>(theta, f, d, slots, grad),
+            _ => chunk::<P, K>(theta, f, d, slots, grad),
         }
     }
 }
