@@ -7,8 +7,8 @@ use std::time::Instant;
 use clap::{Args, Parser};
 use optim::OptimError;
 use render::auto;
-use render::bsdf::nesting::flips_normals;
 use render::instances::Estimator;
+use render::integrator::particle;
 use render::integrator::render::{NonFinite, Progress};
 use render::sampler::Points;
 use render::scene::LoadOptions;
@@ -117,19 +117,6 @@ impl LoadArgs {
     }
 }
 
-/// Particles cannot flip normals to a viewer whom they do not know: an error that names what to use `instead`.
-///
-/// # Errors
-/// A scene that asks for it.
-pub fn refuse_flips(scene: &Scene, instead: &str) -> Result<(), ToolError> {
-    match scene.materials().iter().any(|m| flips_normals(m)) {
-        false => Ok(()),
-        true => Err(ToolError::Usage(format!(
-            "flip_invalid_normals: particles do not know their viewer; expected {instead}"
-        ))),
-    }
-}
-
 /// `--sampler`, `--lights`, `--caustics`, `--pixels-per-particle` and `--guide`. Reports hold them by name.
 #[derive(Args, Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SampleArgs {
@@ -195,7 +182,7 @@ impl SampleArgs {
         settings.lights = self.lights.unwrap_or_default();
         settings.caustics = self.caustics.unwrap_or_default();
         if settings.caustics == Caustics::Particles {
-            refuse_flips(scene, "--caustics paths")?;
+            particle::check(scene)?;
         } else if self.pixels_per_particle.is_some() {
             let message = "--pixels-per-particle: without effect; expected --caustics particles";
             return Err(ToolError::Usage(message.into()));

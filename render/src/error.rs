@@ -321,6 +321,18 @@ pub enum RenderError {
         /// What makes them.
         culprit: String,
     },
+    /// Normals flipped to a viewer, whom particles do not know.
+    #[error(
+        "flip_invalid_normals: particles do not know their viewer; expected `--integrator path` and \
+         `--caustics paths`"
+    )]
+    FlippedNormals,
+    /// A radius within which nothing could be gathered.
+    #[error("radius: expected a positive number, neither tiny nor huge, found {found}")]
+    Radius {
+        /// The radius.
+        found: f64,
+    },
 }
 
 impl RenderError {

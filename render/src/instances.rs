@@ -86,6 +86,9 @@ pub fn render_f32(
 
 /// The image by particles, in single precision: [`particle::render`] with the points that `settings` asks
 /// for.
+///
+/// # Errors
+/// A scene that particles see otherwise than paths do.
 pub fn particles_f32(
     scene: &Scene,
     theta: &Theta<f32>,
@@ -94,17 +97,20 @@ pub fn particles_f32(
     seed: u64,
     samples: Range<u64>,
     progress: &dyn Progress,
-) -> Rendering {
+) -> Result<Rendering, RenderError> {
     let context = particle::Context {
         rules,
-        ..particle::Context::new(scene, theta, settings)
+        ..particle::Context::new(scene, theta, settings)?
     };
-    particle::render::<f32, Spread>(&context, seed, samples, progress)
+    let r = particle::render::<f32, Spread>(&context, seed, samples, progress);
+    Ok(r)
 }
 
 /// The image by particles that land and viewing rays that collect them within `radius`, in single precision:
 /// [`Map`] with the points that `settings` asks for. As many particles are sent per sample as there are pixels.
-/// `None` if the radius is not positive.
+///
+/// # Errors
+/// A scene that particles see otherwise than paths do; a radius that is not positive; too many particles.
 pub fn density_f32(
     scene: &Scene,
     theta: &Theta<f32>,
@@ -115,16 +121,19 @@ pub fn density_f32(
     seed: u64,
     samples: Range<u64>,
     progress: &dyn Progress,
-) -> Option<Rendering> {
+) -> Result<Rendering, RenderError> {
     let context = particle::Context {
         rules,
-        ..particle::Context::new(scene, theta, settings)
+        ..particle::Context::new(scene, theta, settings)?
     };
     let map = Map::new::<Spread>(&context, radius, seed, samples.clone(), &())?;
-    Some(map.render::<Spread>(&context, convention, seed, samples, progress))
+    Ok(map.render::<Spread>(&context, convention, seed, samples, progress))
 }
 
 /// The particles of [`density_f32`], to be gathered at chosen points.
+///
+/// # Errors
+/// As those of [`density_f32`].
 pub fn particle_map_f32(
     scene: &Scene,
     theta: &Theta<f32>,
@@ -132,8 +141,8 @@ pub fn particle_map_f32(
     settings: &Settings,
     seed: u64,
     samples: Range<u64>,
-) -> Option<Map<f32>> {
-    let context = particle::Context::new(scene, theta, settings);
+) -> Result<Map<f32>, RenderError> {
+    let context = particle::Context::new(scene, theta, settings)?;
     Map::new::<Spread>(&context, radius, seed, samples, &())
 }
 
@@ -141,7 +150,7 @@ pub fn particle_map_f32(
 /// the points that `settings` asks for.
 ///
 /// # Errors
-/// An adjoint image of the wrong size.
+/// An adjoint image of the wrong size; a scene that particles see otherwise than paths do.
 pub fn backward_particles_f32(
     scene: &Scene,
     theta: &Theta<f32>,
@@ -152,7 +161,7 @@ pub fn backward_particles_f32(
     samples: Range<u64>,
     progress: &dyn Progress,
 ) -> Result<Measurement, RenderError> {
-    let context = particle::Context::new(scene, theta, settings);
+    let context = particle::Context::new(scene, theta, settings)?;
     particle_gradient::backward::<f32, Spread>(&context, active, adjoint, seed, samples, progress)
 }
 

@@ -4,7 +4,7 @@ use ad_core::{Dual, Vec2};
 use render::bsdf::kernel::{Rules, Symmetry};
 use render::bsdf::{Bsdf, Shading, TransportMode};
 use render::instances::{
-    Technique, backward_particles_f32, density_f32, particles_f32, render_f32,
+    Technique, backward_particles_f32, density_f32, particle_map_f32, particles_f32, render_f32,
 };
 use render::integrator::density::Convention;
 use render::integrator::gradient::Active;
@@ -13,7 +13,7 @@ use render::integrator::particle_gradient;
 use render::math::warp;
 use render::params::{Tangent, Theta};
 use render::sampler::{Independent, Sampler};
-use render::{Scene, Settings};
+use render::{RenderError, Scene, Settings};
 use tests::stats::{Estimate, z_limit};
 use tests::{cases, on_any_threads, scene};
 
@@ -41,6 +41,7 @@ fn estimates(runs: &[Vec<f64>]) -> Vec<Estimate> {
 fn by_particles(scene: &Scene, settings: &Settings, rules: Rules, seed: u64, spp: u64) -> Vec<f32> {
     let theta = Theta::constant(scene.params().values());
     let r = particles_f32(scene, &theta, rules, settings, seed, 0..spp, &());
+    let r = r.expect("no flipped normals");
     assert_eq!(r.non_finite.count, 0);
     r.image(0).data
 }
@@ -296,7 +297,7 @@ fn importance_scatters_by_the_adjoint_of_what_radiance_does() {
 }
 
 fn context<'a, R: ad_core::Real>(s: &'a Scene, theta: &'a Theta<'a, R>) -> Context<'a, R> {
-    Context::new(s, theta, &s.settings)
+    Context::new(s, theta, &s.settings).expect("no flipped normals")
 }
 
 /// The gradient by recorded particles is the derivative of what the same particles measure (forward mode,
@@ -408,6 +409,39 @@ fn gradients_by_particles_do_not_depend_on_threads() {
     assert!(backward_particles_f32(&s, &theta, &active, short, &s.settings, 1, 0..1, &()).is_err());
 }
 
+/// Normals flipped to a viewer: an error, in place of an image of another scene.
+#[test]
+fn particles_refuse_flipped_normals() {
+    let map = r#"<bsdf type="normalmap"><boolean name="flip_invalid_normals" value="true"/>
+        <texture name="normalmap" type="checkerboard"/>"#;
+    let flipping = floor(&format!("{map}{}</bsdf>", matt("0.5, 0.5, 0.5")));
+    let s = scene(&format!("{VIEW}{flipping}{}", lamp()));
+    let theta = Theta::constant(s.params().values());
+    let active = Active::new(&s, &["lamp.emitter.radiance.value"]).expect("a known name");
+    let adjoint = tests::mean_adjoint(&s);
+    let (rules, settings) = (Rules::default(), &s.settings);
+    let errors = [
+        particles_f32(&s, &theta, rules, settings, 1, 0..1, &()).err(),
+        density_f32(
+            &s,
+            &theta,
+            rules,
+            Convention::Radiance,
+            0.1,
+            settings,
+            1,
+            0..1,
+            &(),
+        )
+        .err(),
+        particle_map_f32(&s, &theta, 0.1, settings, 1, 0..1).err(),
+        backward_particles_f32(&s, &theta, &active, &adjoint, settings, 1, 0..1, &()).err(),
+    ];
+    for e in errors {
+        assert!(matches!(e, Some(RenderError::FlippedNormals)), "{e:?}");
+    }
+}
+
 /// Nothing to send, nowhere to send it, a camera within things: images without NaN, or black ones.
 #[test]
 fn particles_survive_scenes_that_make_no_sense() {
@@ -478,7 +512,7 @@ fn particles_survive_scenes_that_make_no_sense() {
                 0..1,
                 &(),
             );
-            assert!(r.is_none());
+            assert!(matches!(r, Err(RenderError::Radius { .. })));
         }
     }
 }

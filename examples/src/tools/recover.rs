@@ -522,7 +522,7 @@ fn target(
             &settings,
             seed,
             &bar,
-        );
+        )?;
         bar.finish();
         let complete = rendering.filter(|r| r.samples == u64::from(TARGET_SPP));
         return Ok(complete.map(|r| r.image(0)));

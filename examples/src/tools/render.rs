@@ -7,15 +7,15 @@ use clap::{Parser, ValueEnum};
 use render::bsdf::kernel::{Rules, Symmetry};
 use render::instances::{Technique, density_f32, particles_f32, render_f32};
 use render::integrator::density::Convention;
+use render::integrator::particle;
 use render::integrator::render::{Progress, Rendering};
 use render::params::Theta;
 use render::scene::{Caustics, LightChoice};
-use render::{Scene, Settings, image_io};
+use render::{RenderError, Scene, Settings, image_io};
 use serde::Serialize;
 
 use crate::cli::{
-    LoadArgs, Outcome, SampleArgs, ThreadArgs, ToolError, depth, refuse_flips, report_non_finite,
-    sample_count,
+    LoadArgs, Outcome, SampleArgs, ThreadArgs, ToolError, depth, report_non_finite, sample_count,
 };
 use crate::output;
 use crate::progress::{Bar, Interrupt};
@@ -211,7 +211,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     let method = args.method()?;
     let (mut scene, seconds_load) = args.load.load(&args.scene)?;
     if !matches!(method, Method::Paths(_)) {
-        refuse_flips(&scene, "--integrator path")?;
+        particle::check(&scene)?;
     }
     let mut settings = scene.settings;
     settings.spp = args.spp.unwrap_or(settings.spp);
@@ -225,7 +225,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
         args.samples
             .learn(&mut scene, &settings, args.seed, interrupt);
         let bar = Bar::new("render", pixels * passes(&scene, &settings), interrupt);
-        let rendering = in_passes(&scene, method, &settings, args.seed, &bar);
+        let rendering = in_passes(&scene, method, &settings, args.seed, &bar)?;
         bar.finish();
         Ok((rendering, threads))
     })?;
@@ -312,13 +312,16 @@ pub fn passes(scene: &Scene, settings: &Settings) -> u64 {
 
 /// The image as the sum of passes, each over some of the samples. When stopped, the passes that
 /// were complete; `None` if there is none.
+///
+/// # Errors
+/// As those of [`particles_f32`] and [`density_f32`].
 pub fn in_passes(
     scene: &Scene,
     method: Method,
     settings: &Settings,
     seed: u64,
     progress: &dyn Progress,
-) -> Option<Rendering> {
+) -> Result<Option<Rendering>, RenderError> {
     let theta = Theta::constant(scene.params().values());
     let spp = u64::from(settings.spp);
     let mut sum: Option<Rendering> = None;
@@ -331,7 +334,7 @@ pub fn in_passes(
                 render_f32(scene, &theta, technique, settings, seed, samples, progress)
             }
             Method::Particles(rules) => {
-                particles_f32(scene, &theta, rules, settings, seed, samples, progress)
+                particles_f32(scene, &theta, rules, settings, seed, samples, progress)?
             }
             Method::Density(rules, radius) => {
                 let convention = Convention::Radiance;
@@ -349,7 +352,7 @@ pub fn in_passes(
         }
         done = next;
     }
-    sum
+    Ok(sum)
 }
 
 #[cfg(test)]
@@ -389,6 +392,7 @@ mod tests {
                 0,
                 &progress,
             )
+            .unwrap()
         };
         assert!(render(&settings, pixels / 2).is_none());
         let part = render(&settings, pixels + pixels / 2).unwrap();

@@ -16,6 +16,7 @@ use super::render::{Components, NonFinite, Progress, Rendering, tiles};
 use crate::bsdf::kernel::{Symmetry, eval_kernel, local_normal};
 use crate::bsdf::{Bsdf, Component, DeltaKind, Shading, TransportMode};
 use crate::emitter::Emitter;
+use crate::error::RenderError;
 use crate::math::Rgb;
 use crate::parallel;
 use crate::sampler::{BOUNCE_DIMENSIONS, CAMERA_DIMENSIONS, Sampler};
@@ -89,22 +90,23 @@ pub struct Density<P: Float> {
 
 impl<P: Float> Map<P> {
     /// Sends the particles of the samples `samples` (one per pixel of the full film and sample, as
-    /// [`super::particle::render`]), and keeps those on surfaces that are no deltas. `None` unless `radius`
-    /// is positive and finite, or if more than 2^32 particles land.
+    /// [`super::particle::render`]), and keeps those on surfaces that are no deltas.     /// Memory: 64 bytes or so per particle that lands. The same for any number of threads.
     ///
-    /// Memory: 64 bytes or so per particle that lands. The same for any number of threads.
+    /// # Errors
+    /// A `radius` that is not positive, or so large or small that its square is not; more than 2^32 particles
+    /// that land.
     pub fn new<X: Sampler>(
         context: &Context<P>,
         radius: f64,
         seed: u64,
         samples: Range<u64>,
         progress: &dyn Progress,
-    ) -> Option<Self> {
+    ) -> Result<Self, RenderError> {
         const CHUNK: u64 = 4096;
         let radius_p = P::of(radius);
         let area = radius_p * radius_p;
         if !(radius_p > P::zero() && area.is_finite() && area.recip().is_finite()) {
-            return None;
+            return Err(RenderError::Radius { found: radius });
         }
         let scene = context.scene;
         let n = context.per_sample;
@@ -138,7 +140,13 @@ impl<P: Float> Map<P> {
             (landed, non_finite)
         });
         let total: usize = parts.iter().map(|(l, _)| l.len()).sum();
-        u32::try_from(total).ok()?;
+        if u32::try_from(total).is_err() {
+            return Err(RenderError::Count {
+                what: "particles that land",
+                expected: "at most 2^32",
+                found: total as u64,
+            });
+        }
         let mut map = Self {
             radius: radius_p,
             landed: Vec::with_capacity(total),
@@ -167,7 +175,7 @@ impl<P: Float> Map<P> {
         for (_, bad) in &parts {
             map.non_finite.merge(bad);
         }
-        Some(map)
+        Ok(map)
     }
 
     /// Power that arrives on a shape after `depth` edges.

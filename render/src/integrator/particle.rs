@@ -10,9 +10,11 @@ use super::path::pair_pdf;
 use super::render::{Components, NonFinite, Progress, Rendering};
 use crate::bsdf::differential::{DiffLobe, Part};
 use crate::bsdf::kernel::{Rules, kernel_weight, local_normal};
+use crate::bsdf::nesting::flips_normals;
 use crate::bsdf::{Bsdf, Component, Shading, TransportMode};
 use crate::camera::Pinhole;
 use crate::emitter::{Ball, Emission, Emitter};
+use crate::error::RenderError;
 use crate::math::{Ray, Rgb};
 use crate::parallel;
 use crate::params::Theta;
@@ -65,7 +67,19 @@ pub struct Context<'a, R: Real> {
 
 impl<'a, R: Real> Context<'a, R> {
     /// With the correct rules.
-    pub fn new(scene: &'a Scene, theta: &'a Theta<'a, R>, settings: &'a Settings) -> Self {
+    ///
+    /// # Errors
+    /// A scene that particles see otherwise than paths do ([`check`]).
+    pub fn new(
+        scene: &'a Scene,
+        theta: &'a Theta<'a, R>,
+        settings: &'a Settings,
+    ) -> Result<Self, RenderError> {
+        check(scene)?;
+        Ok(Self::unchecked(scene, theta, settings))
+    }
+
+    fn unchecked(scene: &'a Scene, theta: &'a Theta<'a, R>, settings: &'a Settings) -> Self {
         let ball = match scene.infinite_emitters() {
             [] => None,
             _ => Ball::around(scene.shapes()),
@@ -83,7 +97,8 @@ impl<'a, R: Real> Context<'a, R> {
         }
     }
 
-    /// For the light that paths leave to particles, with [`Context::differential`].
+    /// For the light that paths leave to particles, with [`Context::differential`]: they leave none where
+    /// normals are flipped.
     pub(super) fn caustics(
         scene: &'a Scene,
         theta: &'a Theta<'a, R>,
@@ -94,8 +109,19 @@ impl<'a, R: Real> Context<'a, R> {
             caustics_only: true,
             differential,
             per_sample: pixels(scene).div_ceil(settings.pixels_per_particle.max(1).into()),
-            ..Self::new(scene, theta, settings)
+            ..Self::unchecked(scene, theta, settings)
         }
+    }
+}
+
+/// Whether particles see the scene as paths do.
+///
+/// # Errors
+/// Normals that are flipped to the viewer, whom particles do not know.
+pub fn check(scene: &Scene) -> Result<(), RenderError> {
+    match scene.materials().iter().any(|m| flips_normals(m)) {
+        true => Err(RenderError::FlippedNormals),
+        false => Ok(()),
     }
 }
 

@@ -117,8 +117,7 @@ pub fn figure_a(fig: &mut Figure) -> Result {
     let theta = Theta::constant(scene.params().values());
     let spp = fig.pick(100, 1000);
     fig.note("particles", spp * scene.film.pixels() as u64);
-    let map = particle_map_f32(&scene, &theta, 0.1, &scene.settings, 1, 0..spp)
-        .ok_or("too many particles")?;
+    let map = particle_map_f32(&scene, &theta, 0.1, &scene.settings, 1, 0..spp)?;
     let received = map.power_on(roof, 1)[0];
     let reflected = map.power_on(shell, 2)[0] + map.power_on(roof, 2)[0];
     fig.check(
@@ -223,8 +222,8 @@ pub fn figure_b(fig: &mut Figure) -> Result {
         }
         sums[0] / sums[1]
     };
-    let right = particles(&scene, &SETTINGS, Rules::default(), 1, spp).image(0);
-    let wrong = particles(&scene, &SETTINGS, IGNORED, 1, spp).image(0);
+    let right = particles(&scene, &SETTINGS, Rules::default(), 1, spp)?.image(0);
+    let wrong = particles(&scene, &SETTINGS, IGNORED, 1, spp)?.image(0);
     let reference = paths(&scene, &SETTINGS, 1, 64).image(0);
     let (r, w, p) = (ratio(&right), ratio(&wrong), ratio(&reference));
     fig.check(

@@ -286,7 +286,7 @@ pub fn figure(fig: &mut Figure) -> Result {
     for seed in 0..runs {
         found[0].push(mean(paths(&scene, &settings, 100 + seed, spp).mean(0)));
         found[1].push(mean(
-            particles(&scene, &settings, Rules::default(), seed, spp).mean(0),
+            particles(&scene, &settings, Rules::default(), seed, spp)?.mean(0),
         ));
         let m = backward_particles_f32(
             &scene,

@@ -85,8 +85,8 @@ pub fn figure(fig: &mut Figure) -> Result {
     };
     let by_light = estimates(
         (0..runs)
-            .map(|s| blocks(&particles(&scene, &settings, Rules::default(), s, spp)))
-            .collect(),
+            .map(|s| particles(&scene, &settings, Rules::default(), s, spp).map(|r| blocks(&r)))
+            .collect::<Result<_>>()?,
     );
     let by_path = estimates(
         (0..runs)
@@ -137,7 +137,7 @@ pub fn figure(fig: &mut Figure) -> Result {
         Rules::default(),
         1,
         fig.pick(64, 256),
-    );
+    )?;
     let by_path = paths(&with_mirror, &with_mirror.settings, 1, fig.pick(64, 256));
     let width = view.size[0];
     let mut seen = [0.0f64; 2];
@@ -165,7 +165,7 @@ pub fn figure(fig: &mut Figure) -> Result {
     let pool = still_pool(fig.pick(32, 96))?;
     let spp = fig.pick(32, 128);
     let p = paths(&pool, &pool.settings, 1, spp).mean(0)[0];
-    let l = particles(&pool, &pool.settings, Rules::default(), 1, spp).mean(0)[0];
+    let l = particles(&pool, &pool.settings, Rules::default(), 1, spp)?.mean(0)[0];
     let theta = Theta::constant(pool.params().values());
     let gathered = density_f32(
         &pool,
@@ -177,8 +177,7 @@ pub fn figure(fig: &mut Figure) -> Result {
         1,
         0..spp,
         &(),
-    );
-    let gathered = gathered.ok_or("a map of particles")?;
+    )?;
     let d = gathered.mean(0)[0];
     fig.check(
         "a point light seen through water: 0 for the path tracer and for the light tracer, density estimation finds it",
@@ -201,8 +200,7 @@ pub fn figure(fig: &mut Figure) -> Result {
     for r in radii {
         let mut values = Vec::new();
         for seed in 0..runs {
-            let map = particle_map_f32(&pool, &theta, r, &settings, 1000 + seed, 0..samples);
-            let map = map.ok_or("a map of particles")?;
+            let map = particle_map_f32(&pool, &theta, r, &settings, 1000 + seed, 0..samples)?;
             values.push(f64::from(map.irradiance(at, up).value.r));
         }
         let mean = values.iter().sum::<f64>() / runs as f64;

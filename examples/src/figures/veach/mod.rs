@@ -12,6 +12,8 @@ use render::integrator::render::Rendering;
 use render::params::Theta;
 use render::{Scene, Settings};
 
+use crate::figure::Result;
+
 /// The mistake, on purpose.
 pub const IGNORED: Rules = Rules {
     symmetry: Symmetry::Ignored,
@@ -19,15 +21,19 @@ pub const IGNORED: Rules = Rules {
 };
 
 /// The image by particles.
+///
+/// # Errors
+/// Normals that are flipped to the viewer.
 pub fn particles(
     scene: &Scene,
     settings: &Settings,
     rules: Rules,
     seed: u64,
     spp: u64,
-) -> Rendering {
+) -> Result<Rendering> {
     let theta = Theta::constant(scene.params().values());
-    particles_f32(scene, &theta, rules, settings, seed, 0..spp, &())
+    let r = particles_f32(scene, &theta, rules, settings, seed, 0..spp, &())?;
+    Ok(r)
 }
 
 /// The image by paths.

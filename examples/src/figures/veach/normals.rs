@@ -165,8 +165,9 @@ pub fn figure(fig: &mut Figure) -> Result {
     let (scene, sphere, ball) = still_life(width)?;
     let settings = scene.settings;
     // Everything twice: the noise of two runs is independent, and cancels in the products of their jumps.
-    let twice = |rules| [1, 2].map(|seed| particles(&scene, &settings, rules, seed, spp / 2));
-    let (a, b) = (twice(Rules::default()), twice(IGNORED));
+    let half = |rules, seed| particles(&scene, &settings, rules, seed, spp / 2);
+    let twice = |rules| -> Result<_> { Ok([half(rules, 1)?, half(rules, 2)?]) };
+    let (a, b) = (twice(Rules::default())?, twice(IGNORED)?);
     let reference = [3, 4].map(|seed| paths(&scene, &settings, seed, spp / 2));
     let facets =
         |r: &[Rendering; 2]| [0, 1].map(|k| on_facets(&scene, sphere, ball.triangles.len(), &r[k]));

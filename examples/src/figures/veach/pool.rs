@@ -113,7 +113,7 @@ fn gather(scene: &Scene, rules: Rules, convention: Convention, spp: u64) -> Resu
         rr_depth: 100,
         ..scene.settings
     };
-    let r = density_f32(
+    Ok(density_f32(
         scene,
         &theta,
         rules,
@@ -123,8 +123,7 @@ fn gather(scene: &Scene, rules: Rules, convention: Convention, spp: u64) -> Resu
         5,
         0..spp,
         &(),
-    );
-    r.ok_or_else(|| "a map of particles".into())
+    )?)
 }
 
 /// Whether a pixel sees the surface of the water, at its centre and all corners.
