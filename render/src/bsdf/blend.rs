@@ -208,7 +208,7 @@ impl Bsdf for Blend {
         let (is_second, u0) = choose(u[0], self.differential_choice(at));
         let part = &self.parts[usize::from(is_second)];
         let sample = part.sample_differential(at, wo, [u0, u[1], u[2]], sign, mode)?;
-        let pdf = self.pdf_differential(at, wo, sample.wi, sign);
+        let pdf = self.pdf_differential(at, wo, sample.wi);
         Some(BsdfSample { pdf, ..sample })
     }
 
@@ -224,14 +224,8 @@ impl Bsdf for Blend {
         eval(0) * R::lift(share[0].primal()) + eval(1) * R::lift(share[1].primal())
     }
 
-    fn pdf_differential<P: Float>(
-        &self,
-        at: &Shading<P>,
-        wo: Vec3<P>,
-        wi: Vec3<P>,
-        sign: DiffLobe,
-    ) -> P {
-        let pdf = |i: usize| self.parts[i].pdf_differential(at, wo, wi, sign);
+    fn pdf_differential<P: Float>(&self, at: &Shading<P>, wo: Vec3<P>, wi: Vec3<P>) -> P {
+        let pdf = |i: usize| self.parts[i].pdf_differential(at, wo, wi);
         mix(self.differential_choice(at), [pdf(0), pdf(1)])
     }
 

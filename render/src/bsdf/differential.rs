@@ -83,40 +83,49 @@ impl<P: Float> Microfacet<P> {
         Vec3::new(r * cos, r * sin, P::one()).normalize()
     }
 
-    /// Density of [`Microfacet::sample_differential`] per solid angle of the normal; zero on the other
-    /// part.
+    /// `cos^2` and `sin^2 / alpha^2` of a normal: `s` is the second over the first.
     #[inline]
-    pub fn pdf_differential(&self, m: Vec3<P>, sign: DiffLobe) -> P {
+    fn squares(&self, m: Vec3<P>) -> [P; 2] {
+        let outwards = (m.x / self.alpha).square() + (m.y / self.alpha).square();
+        [m.z.square(), outwards]
+    }
+
+    /// The part that a normal belongs to.
+    #[inline]
+    pub fn part_of(&self, m: Vec3<P>) -> DiffLobe {
+        let [a, b] = self.squares(m);
+        match b > a {
+            true => DiffLobe::Plus,
+            false => DiffLobe::Minus,
+        }
+    }
+
+    /// Density of [`Microfacet::sample_differential`] for the part that the normal belongs to, per solid
+    /// angle of the normal: that of both parts together, since only one of them ever gives it.
+    #[inline]
+    pub fn pdf_differential(&self, m: Vec3<P>) -> P {
         let d = self.d(m);
         if d <= P::zero() {
             return P::zero();
         }
-        // cos^2 and sin^2 / alpha^2: s = b / a.
-        let a = m.z.square();
-        let b = (m.x / self.alpha).square() + (m.y / self.alpha).square();
-        let above = match sign {
-            DiffLobe::Plus => b - a,
-            DiffLobe::Minus => a - b,
-        };
-        if above <= P::zero() {
-            return P::zero();
-        }
+        let [a, b] = self.squares(m);
+        let off = (b - a).abs();
         d * m.z
             * match self.kind {
-                Ndf::Ggx => P::of(4.0) * above / (a + b),
-                Ndf::Beckmann => P::of(E) * (above / a),
+                Ndf::Ggx => P::of(4.0) * off / (a + b),
+                Ndf::Beckmann => P::of(E) * (off / a),
             }
     }
 
     /// Density of the reflected direction when [`Microfacet::sample_differential`] gave `m`.
     #[inline]
-    pub fn pdf_differential_reflected(&self, w: Vec3<P>, m: Vec3<P>, sign: DiffLobe) -> P {
+    pub fn pdf_differential_reflected(&self, w: Vec3<P>, m: Vec3<P>) -> P {
         let cos = w.dot(m).abs();
         // As in `pdf_reflected`.
         if cos < P::of(1e-8) {
             return P::zero();
         }
-        self.pdf_differential(m, sign) / (P::of(4.0) * cos)
+        self.pdf_differential(m) / (P::of(4.0) * cos)
     }
 }
 

@@ -204,14 +204,8 @@ impl Bsdf for Mask {
         self.nested.eval_normals(at, wo, wi, mode) * opacity
     }
 
-    fn pdf_differential<P: Float>(
-        &self,
-        at: &Shading<P>,
-        wo: Vec3<P>,
-        wi: Vec3<P>,
-        sign: DiffLobe,
-    ) -> P {
-        self.nested.pdf_differential(at, wo, wi, sign)
+    fn pdf_differential<P: Float>(&self, at: &Shading<P>, wo: Vec3<P>, wi: Vec3<P>) -> P {
+        self.nested.pdf_differential(at, wo, wi)
     }
 
     fn has_differential(&self) -> bool {

@@ -165,6 +165,7 @@ pub trait Lobe<R: Real>: Copy {
     /// Samples a direction from one part of the derivative of the distribution of normals with respect
     /// to roughness ([`differential`]); `u` as in [`Lobe::sample`]. The same `u` with both signs gives
     /// an antithetic pair; each of the two may be `None` on its own. Primal: for detached estimators.
+    /// Its density is [`Lobe::pdf_differential`].
     #[inline]
     fn sample_differential(
         &self,
@@ -188,15 +189,10 @@ pub trait Lobe<R: Real>: Copy {
         Rgb::black()
     }
 
-    /// Density of sampling `wi` with [`Lobe::sample_differential`], per solid angle, the choice
-    /// between reflection and transmission included.
+    /// Density of sampling `wi` with [`Lobe::sample_differential`], both samples of a pair together, per
+    /// solid angle; the choice between reflection and transmission included.
     #[inline]
-    fn pdf_differential(
-        &self,
-        _wo: Vec3<R::Primal>,
-        _wi: Vec3<R::Primal>,
-        _sign: DiffLobe,
-    ) -> R::Primal {
+    fn pdf_differential(&self, _wo: Vec3<R::Primal>, _wi: Vec3<R::Primal>) -> R::Primal {
         R::Primal::zero()
     }
 }
@@ -392,8 +388,8 @@ pub trait Bsdf: Send + Sync {
     /// [`Lobe::sample_differential`] at a point. Materials made of others choose among those that
     /// have it.
     ///
-    /// The two densities of a leaf are nowhere positive both, and the two estimates are summed. Those of
-    /// a blend overlap: weights of multiple importance sampling are right for either.
+    /// The two estimates are summed, each over the density of both together: only one part of a leaf
+    /// reaches a direction, but the parts of a blend overlap.
     fn sample_differential<P: Float>(
         &self,
         at: &Shading<P>,
@@ -413,13 +409,7 @@ pub trait Bsdf: Send + Sync {
     ) -> Rgb<R>;
 
     /// [`Lobe::pdf_differential`] at a point.
-    fn pdf_differential<P: Float>(
-        &self,
-        at: &Shading<P>,
-        wo: Vec3<P>,
-        wi: Vec3<P>,
-        sign: DiffLobe,
-    ) -> P;
+    fn pdf_differential<P: Float>(&self, at: &Shading<P>, wo: Vec3<P>, wi: Vec3<P>) -> P;
 
     /// Whether [`Bsdf::sample_differential`] gives a direction anywhere.
     fn has_differential(&self) -> bool;
@@ -577,18 +567,12 @@ impl<L: Leaf> Bsdf for L {
     }
 
     #[inline]
-    fn pdf_differential<P: Float>(
-        &self,
-        at: &Shading<P>,
-        wo: Vec3<P>,
-        wi: Vec3<P>,
-        sign: DiffLobe,
-    ) -> P {
+    fn pdf_differential<P: Float>(&self, at: &Shading<P>, wo: Vec3<P>, wi: Vec3<P>) -> P {
         if !L::DIFFERENTIAL {
             return P::zero();
         }
         let lobe: L::Lobe<P> = self.lobe(&mut { *at });
-        lobe.pdf_differential(wo, wi, sign)
+        lobe.pdf_differential(wo, wi)
     }
 
     #[inline]
@@ -884,9 +868,9 @@ macro_rules! materials {
             }
             #[inline(always)]
             fn pdf_differential<P: Float>(
-                &self, at: &Shading<P>, wo: Vec3<P>, wi: Vec3<P>, sign: DiffLobe,
+                &self, at: &Shading<P>, wo: Vec3<P>, wi: Vec3<P>,
             ) -> P {
-                $crate::dispatch::dispatch!(self, [] [$($hot,)* $($name),*], m => m.pdf_differential(at, wo, wi, sign))
+                $crate::dispatch::dispatch!(self, [] [$($hot,)* $($name),*], m => m.pdf_differential(at, wo, wi))
             }
             #[inline(always)]
             fn eval_normals<R: Real>(

@@ -403,7 +403,7 @@ impl Bsdf for NormalMap {
         let sample = self.nested.sample_differential(at, o, u, sign, mode)?;
         let wi = frame.to_world(sample.wi);
         // As in `sample`; also checks the sides.
-        let pdf = self.pdf_differential(at, wo, wi, sign);
+        let pdf = self.pdf_differential(at, wo, wi);
         (pdf > P::zero()).then_some(BsdfSample { wi, pdf, ..sample })
     }
 
@@ -423,20 +423,14 @@ impl Bsdf for NormalMap {
         self.nested.eval_normals(at, o, i, mode) * R::lift(weight)
     }
 
-    fn pdf_differential<P: Float>(
-        &self,
-        at: &Shading<P>,
-        wo: Vec3<P>,
-        wi: Vec3<P>,
-        sign: DiffLobe,
-    ) -> P {
+    fn pdf_differential<P: Float>(&self, at: &Shading<P>, wo: Vec3<P>, wi: Vec3<P>) -> P {
         // Particles sample no derivatives.
         let frame = self.frame(at, wo, TransportMode::Radiance);
         let (o, i) = (frame.to_local(wo), frame.to_local(wi));
         if !same_side(wo, o) || !same_side(wi, i) {
             return P::zero();
         }
-        self.nested.pdf_differential(at, o, i, sign)
+        self.nested.pdf_differential(at, o, i)
     }
 
     fn has_differential(&self) -> bool {

@@ -113,10 +113,9 @@ pub(super) fn pdf_reflected_differential<P: Float>(
     microfacet: &Microfacet<P>,
     wo: Vec3<P>,
     wi: Vec3<P>,
-    sign: DiffLobe,
 ) -> P {
     match half_vector(wo, wi) {
-        Some(m) => microfacet.pdf_differential_reflected(wo, m, sign),
+        Some(m) => microfacet.pdf_differential_reflected(wo, m),
         None => P::zero(),
     }
 }
@@ -131,7 +130,7 @@ pub(super) fn sample_reflected_differential<P: Float>(
     sign: DiffLobe,
 ) -> Option<BsdfSample<P>> {
     let wi = reflect(wo, microfacet.sample_differential(u, sign));
-    let pdf = pdf_reflected_differential(microfacet, wo, wi, sign);
+    let pdf = pdf_reflected_differential(microfacet, wo, wi);
     (pdf > P::zero()).then_some(BsdfSample {
         wi,
         pdf,
@@ -251,13 +250,8 @@ impl<R: Real> Lobe<R> for RoughConductorLobe<R> {
     }
 
     #[inline]
-    fn pdf_differential(
-        &self,
-        wo: Vec3<R::Primal>,
-        wi: Vec3<R::Primal>,
-        sign: DiffLobe,
-    ) -> R::Primal {
-        pdf_reflected_differential(&self.microfacet.primal(), wo, wi, sign)
+    fn pdf_differential(&self, wo: Vec3<R::Primal>, wi: Vec3<R::Primal>) -> R::Primal {
+        pdf_reflected_differential(&self.microfacet.primal(), wo, wi)
     }
 }
 

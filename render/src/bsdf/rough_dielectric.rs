@@ -218,7 +218,7 @@ impl<R: Real> Lobe<R> for RoughDielectricLobe<R> {
     ) -> Option<BsdfSample<R::Primal>> {
         let m = (self.microfacet.primal()).sample_differential([u[1], u[2]], sign);
         let (wi, eta) = scatter(wo, m, self.eta.primal(), u[0])?;
-        let pdf = self.pdf_differential(wo, wi, sign);
+        let pdf = self.pdf_differential(wo, wi);
         (pdf > R::Primal::zero()).then_some(BsdfSample {
             wi,
             pdf,
@@ -228,13 +228,8 @@ impl<R: Real> Lobe<R> for RoughDielectricLobe<R> {
     }
 
     #[inline]
-    fn pdf_differential(
-        &self,
-        wo: Vec3<R::Primal>,
-        wi: Vec3<R::Primal>,
-        sign: DiffLobe,
-    ) -> R::Primal {
-        pdf_differential(&self.microfacet.primal(), self.eta.primal(), wo, wi, sign)
+    fn pdf_differential(&self, wo: Vec3<R::Primal>, wi: Vec3<R::Primal>) -> R::Primal {
+        pdf_differential(&self.microfacet.primal(), self.eta.primal(), wo, wi)
     }
 }
 
@@ -265,18 +260,12 @@ fn scatter<R: Real>(wo: Vec3<R>, m: Vec3<R>, eta: R, u: R::Primal) -> Option<(Ve
 
 /// Density of facets from one part of the derivative, times the probability of what they do and the
 /// Jacobian of their normals.
-fn pdf_differential<P: Float>(
-    microfacet: &Microfacet<P>,
-    eta: P,
-    wo: Vec3<P>,
-    wi: Vec3<P>,
-    sign: DiffLobe,
-) -> P {
+fn pdf_differential<P: Float>(microfacet: &Microfacet<P>, eta: P, wo: Vec3<P>, wi: Vec3<P>) -> P {
     let Some(f) = Facet::between(wo, wi, eta) else {
         return P::zero();
     };
     if f.reflects {
-        let reflected = microfacet.pdf_differential_reflected(upwards(wo), f.m, sign);
+        let reflected = microfacet.pdf_differential_reflected(upwards(wo), f.m);
         return reflected * f.fresnel.reflect;
     }
     let stretch = f.stretch();
@@ -284,7 +273,7 @@ fn pdf_differential<P: Float>(
         return P::zero();
     }
     let jacobian = f.eta.square() * f.cos_i / stretch;
-    microfacet.pdf_differential(f.m, sign) * jacobian * f.fresnel.transmit
+    microfacet.pdf_differential(f.m) * jacobian * f.fresnel.transmit
 }
 
 /// `w` or its opposite, whichever is in the upper hemisphere: microsurfaces look the same from

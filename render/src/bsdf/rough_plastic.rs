@@ -157,13 +157,8 @@ impl<R: Real> Lobe<R> for RoughPlasticLobe<R> {
     }
 
     #[inline]
-    fn pdf_differential(
-        &self,
-        wo: Vec3<R::Primal>,
-        wi: Vec3<R::Primal>,
-        sign: DiffLobe,
-    ) -> R::Primal {
-        pdf_reflected_differential(&self.microfacet.primal(), wo, wi, sign)
+    fn pdf_differential(&self, wo: Vec3<R::Primal>, wi: Vec3<R::Primal>) -> R::Primal {
+        pdf_reflected_differential(&self.microfacet.primal(), wo, wi)
     }
 }
 

@@ -166,15 +166,9 @@ impl Bsdf for TwoSided {
         side.eval_normals(at, turn(wo, behind), turn(wi, behind), mode)
     }
 
-    fn pdf_differential<P: Float>(
-        &self,
-        at: &Shading<P>,
-        wo: Vec3<P>,
-        wi: Vec3<P>,
-        sign: DiffLobe,
-    ) -> P {
+    fn pdf_differential<P: Float>(&self, at: &Shading<P>, wo: Vec3<P>, wi: Vec3<P>) -> P {
         let (side, behind) = self.side(wo);
-        side.pdf_differential(at, turn(wo, behind), turn(wi, behind), sign)
+        side.pdf_differential(at, turn(wo, behind), turn(wi, behind))
     }
 
     fn has_differential(&self) -> bool {

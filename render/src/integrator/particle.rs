@@ -6,7 +6,6 @@ use ad_core::{Float, Real, Vec2, Vec3};
 
 use super::aim::aim;
 use super::batch::{self, PATHS, Shadow, Traveller};
-use super::path::pair_pdf;
 use super::render::{Components, NonFinite, Progress, Rendering};
 use crate::bsdf::differential::{DiffLobe, Part};
 use crate::bsdf::kernel::{Rules, kernel_weight, local_normal};
@@ -577,7 +576,7 @@ impl<R: Real, X: Sampler> Particle<R, X> {
                 continue;
             };
             let shading = kernel_weight(n_geo, [wo, sample.wi], MODE, context.rules);
-            let weight = shading / pair_pdf(material, &at, wo, sample.wi);
+            let weight = shading / sample.pdf;
             if weight == R::Primal::zero() || !weight.is_finite() {
                 continue;
             }

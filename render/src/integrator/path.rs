@@ -508,7 +508,8 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
                     }
                     let normals_weight = splits.then(|| {
                         let mis = if S::COUNTS_HITS && !e.is_delta() {
-                            let pair = pair_pdf(material, &at, wo.primal(), wi.primal());
+                            let (at, wo, wi) = (at.primal(), wo.primal(), wi.primal());
+                            let pair = material.pdf_differential(&at, wo, wi);
                             S::weight_sampled(sample.pdf, pair)
                         } else {
                             R::Primal::one()
@@ -571,10 +572,9 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
                 // they find is alike, and its noise cancels.
                 let d = si.primal().frame.to_world(sample.wi);
                 let ray = si.primal().spawn_ray(d, info.offset);
-                let pair = pair_pdf(material, &at, wo, sample.wi);
                 let mut walk = Walk::<R::Primal, S, X> {
                     beta: beta.primal(),
-                    pdf_bsdf: pair,
+                    pdf_bsdf: sample.pdf,
                     from: Vec3::lift(si.p.primal()),
                     depth: depth + 1,
                     eta: self.eta * sample.eta,
@@ -588,7 +588,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
                 if walk.l.is_black() {
                     continue;
                 }
-                let li = Rgb::lift(walk.l.scale(pair.recip()));
+                let li = Rgb::lift(walk.l.scale(sample.pdf.recip()));
                 if !R::IS_PRIMAL {
                     self.l += change * li;
                 }
@@ -837,19 +837,6 @@ fn guided<R: Real, S: Strategy>(
         eta: R::Primal::one(),
     };
     Some((sample, f))
-}
-
-/// Density of both samples of the derivative of normals together.
-#[inline]
-pub(super) fn pair_pdf<R: Real>(
-    material: &Material,
-    at: &Shading<R>,
-    wo: Vec3<R::Primal>,
-    wi: Vec3<R::Primal>,
-) -> R::Primal {
-    let at = at.primal();
-    material.pdf_differential(&at, wo, wi, DiffLobe::Plus)
-        + material.pdf_differential(&at, wo, wi, DiffLobe::Minus)
 }
 
 /// Density of a scattered direction for constant parameters, see [`crate::estimator::FrozenWeights`].

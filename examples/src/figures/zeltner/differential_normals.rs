@@ -41,8 +41,11 @@ fn derivative(kind: Ndf, theta: f64) -> Dual<f64, 1> {
 }
 
 fn part(kind: Ndf, theta: f64, sign: DiffLobe) -> f64 {
-    let density = surface(kind, ALPHA).pdf_differential(direction(theta), sign);
-    angle(theta, density)
+    let (surface, m) = (surface(kind, ALPHA), direction(theta));
+    match surface.part_of(m) == sign {
+        true => angle(theta, surface.pdf_differential(m)),
+        false => 0.0,
+    }
 }
 
 /// `zeltner-4-15`.
