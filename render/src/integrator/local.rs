@@ -4,6 +4,7 @@
 //! textures' values at this point, and contracted with the adjoint at once.
 
 use ad_core::{Dual, Float, Real, Vec2};
+use smallvec::SmallVec;
 
 use crate::bsdf::{Bsdf, Material, TextureRef};
 use crate::math::Rgb;
@@ -15,6 +16,9 @@ use crate::texture::{Footprint, RgbTexture, ScalarTexture};
 const FEW: usize = 4;
 /// The same for the texels that whole paths read, which are many.
 const WIDTH: usize = 8;
+
+/// What most materials read at a vertex fits without a trip to the heap.
+type Short<T> = SmallVec<[T; 8]>;
 
 /// A colour that depends on the parameters of one material.
 pub trait LocalFn<P: Float> {
@@ -45,8 +49,8 @@ pub fn pull_back<P: Float>(
     d: Rgb<P>,
     grad: &mut impl GradSink<P>,
 ) {
-    let mut slots = Vec::new();
-    let mut seen = Vec::new();
+    let mut slots = Short::new();
+    let mut seen = Short::new();
     material.visit_textures(&mut |t| {
         // Both sides of a surface may share a material.
         let (mut any, mut again) = (false, false);
@@ -174,7 +178,7 @@ pub fn pull_back_second<P: Float>(
     grad: &mut impl GradSink<P>,
 ) {
     type Twice<P> = Dual<Dual<P, 1>, WIDTH>;
-    let moving: Vec<Seed<Twice<P>>> = texels
+    let moving: Short<Seed<Twice<P>>> = texels
         .elements()
         .map(|(p, element)| Seed {
             param: p.id,
@@ -229,7 +233,7 @@ fn chunk<P: Float, const K: usize>(
     slots: &[Slot<P>],
     grad: &mut impl GradSink<P>,
 ) {
-    let mut seeds = Vec::with_capacity(slots.len());
+    let mut seeds = Short::new();
     push_seeds(slots, |k| Dual::<P, K>::var(P::zero(), k), &mut seeds);
     let value = f.eval::<Dual<P, K>>(&Theta::seeded(theta, &seeds));
     for (k, slot) in slots.iter().enumerate() {
@@ -239,7 +243,7 @@ fn chunk<P: Float, const K: usize>(
 }
 
 /// The tangent `tangent(k)` for everything that slot `k` stands for.
-fn push_seeds<P, R>(slots: &[Slot<P>], tangent: impl Fn(usize) -> R, seeds: &mut Vec<Seed<R>>) {
+fn push_seeds<P, R>(slots: &[Slot<P>], tangent: impl Fn(usize) -> R, seeds: &mut Short<Seed<R>>) {
     for (k, slot) in slots.iter().enumerate() {
         let mut seed = |p: ParamRef, which| {
             seeds.push(Seed {

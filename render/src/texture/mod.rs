@@ -12,8 +12,6 @@ pub use bitmap::{Bitmap, UvTransform, Wrap};
 pub use checkerboard::Checkerboard;
 pub(crate) use load::{Use, file, from_node, from_plugin, texels};
 
-use std::ops::Mul;
-
 use ad_core::{Const, Float, Real, Vec2};
 
 use crate::dispatch::outline;
@@ -78,10 +76,17 @@ impl<const C: usize> Texture<C> {
     ) -> [R; C] {
         match self {
             Self::Constant(p) => decode(theta.texel(*p, 0)),
-            Self::Bitmap(t) => outline(|| match uv.x.has_tangent() || uv.y.has_tangent() {
-                true => gather(theta, &t.footprint(uv), decode, |w| w),
-                // On paths that stand still only texels move.
-                false => gather(theta, &t.footprint(uv.primal()), decode, Const),
+            Self::Bitmap(t) => outline(|| {
+                if !(uv.x.has_tangent() || uv.y.has_tangent()) {
+                    // On paths that stand still only texels move.
+                    let f = t.footprint(uv.primal());
+                    return gather(theta, &f, decode, |texel, w| texel * Const(w));
+                }
+                let f = t.footprint(uv);
+                match theta.moves(t.param) {
+                    true => gather(theta, &f, decode, |texel, w| texel * w),
+                    false => gather(theta, &f, decode, |texel, w| w * Const(texel.primal())),
+                }
             }),
             Self::Checkerboard(t) => decode(theta.texel(t.select(uv.primal()), 0)),
         }
@@ -181,17 +186,17 @@ fn put<P: Float, const C: usize>(
 }
 
 #[inline]
-fn gather<R: Real + Mul<F, Output = R>, W: Copy, F, const C: usize>(
+fn gather<R: Real, W: Copy, const C: usize>(
     theta: &Theta<R>,
     f: &Footprint<W>,
     decode: impl Fn([R; C]) -> [R; C],
-    factor: impl Fn(W) -> F,
+    weighted: impl Fn(R, W) -> R,
 ) -> [R; C] {
     let mut value = [R::zero(); C];
     for (texel, weight) in f.texel.into_iter().zip(f.weight) {
         let texel = decode(theta.texel(f.param, texel as usize));
         for c in 0..C {
-            value[c] += texel[c] * factor(weight);
+            value[c] += weighted(texel[c], weight);
         }
     }
     value
