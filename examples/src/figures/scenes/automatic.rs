@@ -54,7 +54,7 @@ pub(super) struct Subject {
 /// None for built-in scenes.
 pub(super) fn subjects(quick: bool) -> Result<Vec<Subject>> {
     let pick = |a: u32, b: u32| if quick { a } else { b };
-    let width = pick(64, 160);
+    let width = pick(64, 96);
     let alpha = |names: &[&str]| names.iter().map(|n| format!("{n}.alpha.value")).collect();
     let mut out = vec![
         Subject {
@@ -64,7 +64,7 @@ pub(super) fn subjects(quick: bool) -> Result<Vec<Subject>> {
         },
         Subject {
             name: "tray (4.20)",
-            scene: stage::tray([pick(48, 96), pick(36, 72)], tray::DEPTH)?,
+            scene: stage::tray([pick(48, 64), pick(36, 48)], tray::DEPTH)?,
             params: TRAY
                 .iter()
                 .map(|(n, _)| format!("{n}.alpha.value"))
@@ -72,12 +72,12 @@ pub(super) fn subjects(quick: bool) -> Result<Vec<Subject>> {
         },
         Subject {
             name: "room (alg. 4.1)",
-            scene: stage::cornell(pick(32, 64), Walls::GlossyBack, 5)?,
+            scene: stage::cornell(pick(32, 48), Walls::GlossyBack, 5)?,
             params: backpropagation::NAMES.map(str::to_owned).to_vec(),
         },
         Subject {
             name: "room of recover",
-            scene: scenes::cornell(pick(32, 64), pick(32, 64))?,
+            scene: scenes::cornell(pick(32, 48), pick(32, 48))?,
             params: scenes::cornell_unknowns()
                 .iter()
                 .map(|u| u.name.to_owned())
@@ -85,12 +85,12 @@ pub(super) fn subjects(quick: bool) -> Result<Vec<Subject>> {
         },
         Subject {
             name: "outline (4.18 a)",
-            scene: Edge::Ball.scene(pick(48, 96))?,
+            scene: Edge::Ball.scene(pick(48, 64))?,
             params: vec![Edge::Ball.name().to_owned()],
         },
     ];
     for condition in Condition::BOTH {
-        let side = pick(64, 96);
+        let side = pick(64, 80);
         let truth = roughness_texture::pattern(side as usize);
         let truth = roughness_texture::within(condition.range(), &truth);
         out.push(Subject {
@@ -230,8 +230,8 @@ fn best(singles: &[(Estimator, Vec<Spent>)], pick: impl Fn(&Spent) -> f64) -> Ve
 /// None that the built-in scenes can cause.
 pub fn figure(fig: &mut Figure) -> Result {
     let effort = Effort {
-        runs: fig.pick(8, 24),
-        spp: fig.pick(32, 256),
+        runs: fig.pick(8, 16),
+        spp: fig.pick(32, 64),
     };
     fig.note("runs", effort.runs);
     fig.note("work per pixel and run", effort.spp);

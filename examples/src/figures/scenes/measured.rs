@@ -103,7 +103,7 @@ fn panels(subject: &Subject, weights: &[f32], spp: u64) -> [Panel; 2] {
 /// # Errors
 /// None that the built-in scenes can cause.
 pub fn figure(fig: &mut Figure) -> Result {
-    let (spp, runs) = (fig.pick(16, 64), fig.pick(16, 48));
+    let (spp, runs) = (fig.pick(16, 32), fig.pick(16, 32));
     fig.note("samples per pixel", spp);
     fig.note("runs", runs);
     fig.note("seed", SEED);
