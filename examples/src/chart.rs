@@ -241,8 +241,8 @@ impl LineChart {
             .axis_desc_style((FONT, 18))
             .label_style((FONT, 15))
             .light_line_style(RGBColor(238, 238, 238))
-            .x_label_formatter(&|v| number(*v))
-            .y_label_formatter(&|v| number(*v))
+            .x_label_formatter(&|v| tick(*v, self.log.0))
+            .y_label_formatter(&|v| tick(*v, self.log.1))
             .draw()?;
         for (i, s) in self.series.iter().enumerate() {
             let colour = COLOURS[i % COLOURS.len()];
@@ -304,6 +304,19 @@ fn with_power_of_ten(range: Range<f64>) -> Range<f64> {
     } else {
         range.start..10f64.powf(high.ceil())
     }
+}
+
+/// What stands at a line of the grid. On logarithmic axes only at 1, 2 and 5 of a decade: the others would overlap.
+fn tick(v: f64, log: bool) -> String {
+    let leading = v / 10f64.powf(v.log10().floor());
+    if log
+        && ![1.0, 2.0, 5.0, 10.0]
+            .iter()
+            .any(|d| (leading - d).abs() < 1e-6)
+    {
+        return String::new();
+    }
+    number(v)
 }
 
 /// A short decimal: `0.25`, `1e-6`.
