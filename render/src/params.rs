@@ -350,6 +350,17 @@ pub trait GradSink<P: Float> {
     fn active(&self, p: ParamRef) -> bool;
     /// Adds `d`, the adjoint of element `i` of the range.
     fn add(&mut self, p: ParamRef, i: usize, d: P);
+    /// The same for `C` elements from the `i`-th on.
+    #[inline]
+    fn add_all<const C: usize>(&mut self, p: ParamRef, i: usize, d: [P; C]) {
+        for (c, d) in d.into_iter().enumerate() {
+            self.add(p, i + c, d);
+        }
+    }
+    /// Says that something will soon be added to element `i`: many at a time need not wait for their memory one by
+    /// one.
+    #[inline]
+    fn expect(&mut self, _p: ParamRef, _i: usize) {}
 }
 
 /// Adjoint of an RGB value as one number per channel, or of a scalar as their sum.

@@ -53,6 +53,9 @@ pub trait Sampler: Copy {
         Self::new(seed, pixel, index)
     }
 
+    /// What [`independent_bits`] makes its numbers of, if it does.
+    fn key(&self) -> Option<u64>;
+
     /// Moves to a dimension: the next number drawn is that of dimension `dim`. What is drawn between
     /// two calls belongs together.
     fn seek(&mut self, dim: u32);
@@ -96,11 +99,17 @@ pub fn mix64(mut z: u64) -> u64 {
     z ^ (z >> 31)
 }
 
+/// The bits of dimension `dim`, counted from one, of a stream of independent numbers.
+#[inline(always)]
+pub(crate) fn independent_bits(key: u64, dim: u32) -> u64 {
+    mix64(key.wrapping_add(u64::from(dim).wrapping_mul(GOLDEN)))
+}
+
 /// Independent uniform numbers.
 #[derive(Clone, Copy, Debug)]
 pub struct Independent {
     key: u64,
-    dim: u64,
+    dim: u32,
 }
 
 impl Sampler for Independent {
@@ -112,14 +121,19 @@ impl Sampler for Independent {
     }
 
     #[inline]
+    fn key(&self) -> Option<u64> {
+        Some(self.key)
+    }
+
+    #[inline]
     fn seek(&mut self, dim: u32) {
-        self.dim = u64::from(dim);
+        self.dim = dim;
     }
 
     #[inline]
     fn next_bits(&mut self) -> u64 {
         self.dim += 1;
-        mix64(self.key.wrapping_add(self.dim.wrapping_mul(GOLDEN)))
+        independent_bits(self.key, self.dim)
     }
 }
 
@@ -209,6 +223,11 @@ impl Sampler for Spread {
     }
 
     #[inline]
+    fn key(&self) -> Option<u64> {
+        (self.points == Points::Independent).then_some(self.key)
+    }
+
+    #[inline]
     fn seek(&mut self, dim: u32) {
         self.dim = dim;
         self.first = dim;
@@ -220,15 +239,10 @@ impl Sampler for Spread {
             return self.sobol::<1>()[0];
         }
         self.dim += 1;
-        let independent = || {
-            mix64(
-                self.key
-                    .wrapping_add(u64::from(self.dim).wrapping_mul(GOLDEN)),
-            )
-        };
+        let bits = independent_bits(self.key, self.dim);
         match self.points == Points::Antithetic && self.index & 1 == 1 {
-            true => !independent(),
-            false => independent(),
+            true => !bits,
+            false => bits,
         }
     }
 

@@ -64,6 +64,16 @@ impl Bundle {
         self.len += 1;
     }
 
+    /// Replaces all rays by the first `n` of these, at most [`BUNDLE`].
+    #[inline(always)]
+    pub fn fill(&mut self, n: usize, ray: impl Fn(usize) -> ([f32; 3], [f32; 3], f32)) {
+        *self = Self::default();
+        for i in 0..n.min(BUNDLE) {
+            let (o, d, t_max) = ray(i);
+            self.push(o, d, t_max);
+        }
+    }
+
     /// Forgets all rays.
     #[inline(always)]
     pub fn clear(&mut self) {

@@ -9,7 +9,7 @@ use crate::bsdf::FromNode;
 use crate::error::SceneError;
 use crate::math::{Frame, Ray, warp};
 use crate::scene::{Builder, Node};
-use crate::shape::{Shape, SurfaceInteraction};
+use crate::shape::{DirectionSample, Shape, SurfaceInteraction};
 use crate::texture::RgbTexture;
 
 /// One-sided emission `radiance(uv) cos^exponent(theta)` from the outside of a shape. Exponent 0 is
@@ -24,16 +24,39 @@ pub struct Area {
     pub shape: u32,
 }
 
+/// `cos^exponent`, on the side that emits.
+#[inline(always)]
+fn lobe<R: Real>(exponent: f32, cos_theta: R) -> Option<R> {
+    if cos_theta.primal() <= R::Primal::zero() {
+        None
+    } else if exponent == 0.0 {
+        Some(R::one())
+    } else {
+        Some(cos_theta.powf(R::of(f64::from(exponent))))
+    }
+}
+
 impl Area {
     #[inline(always)]
     fn lobe<R: Real>(&self, cos_theta: R) -> Option<R> {
-        if cos_theta.primal() <= R::Primal::zero() {
-            None
-        } else if self.exponent == 0.0 {
-            Some(R::one())
-        } else {
-            Some(cos_theta.powf(R::of(f64::from(self.exponent))))
-        }
+        lobe(self.exponent, cos_theta)
+    }
+
+    /// What a light with a lobe of sharpness `exponent` sends along a direction that was sampled on its shape.
+    #[inline(always)]
+    pub(crate) fn facing<P: Float>(
+        exponent: f32,
+        s: DirectionSample<P>,
+    ) -> Option<EmitterSample<P>> {
+        let falloff = lobe(exponent, -s.n.dot(s.d))?;
+        let emission = Emission { uv: s.uv, falloff };
+        Some(EmitterSample {
+            d: s.d,
+            distance: s.distance,
+            normals: [s.n, s.n_geo],
+            pdf: s.pdf,
+            emission,
+        })
     }
 
     /// Of the cosine in the density of directions, plus one.
@@ -74,15 +97,7 @@ impl Emitter for Area {
         u: [P; 2],
     ) -> Option<EmitterSample<P>> {
         let s = lights.shapes[self.shape as usize].sample(from, u)?;
-        let falloff = self.lobe(-s.n.dot(s.d))?;
-        let emission = Emission { uv: s.uv, falloff };
-        Some(EmitterSample {
-            d: s.d,
-            distance: s.distance,
-            normals: [s.n, s.n_geo],
-            pdf: s.pdf,
-            emission,
-        })
+        Self::facing(self.exponent, s)
     }
 
     /// Uniform over the area; directions in proportion to the lobe times the cosine, both to the

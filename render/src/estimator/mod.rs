@@ -21,6 +21,7 @@ pub use sampling::{
     Attached, AttachedDirect, Detached, Differential, Direct, EmitterSampling, Reparameterised,
     Sampling, Unsplit,
 };
+pub(crate) use strategy::Still;
 pub use strategy::{AllowBias, AttachedRoulette, BsdfOnly, EmitterOnly, Mis, Strategy, Unbiased};
 pub use weights::{
     AttachedWeights, Balance, DetachedWeights, FrozenWeights, Heuristic, MixedWeights, Power,

@@ -183,4 +183,25 @@ wrapper!(AttachedRoulette {
     const ATTACHED_ROULETTE: bool = true;
 });
 
+/// `S` where nothing has tangents, so that nothing moves.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Still<S>(PhantomData<S>);
+
+impl<S: Strategy> Strategy for Still<S> {
+    type Runs = Self;
+    type Bsdf = Detached;
+    type Edge = Forget;
+    type Aim = Forget;
+    const SAMPLES_EMITTERS: bool = S::SAMPLES_EMITTERS;
+    const COUNTS_HITS: bool = S::COUNTS_HITS;
+    #[inline]
+    fn weight_hit<R: Real>(a: R, b: R) -> R {
+        S::weight_hit(a, b)
+    }
+    #[inline]
+    fn weight_sampled<R: Real>(a: R, b: R) -> R {
+        S::weight_sampled(a, b)
+    }
+}
+
 impl<S: Strategy> Unbiased for AllowBias<S> {}

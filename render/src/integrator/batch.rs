@@ -1,6 +1,6 @@
 //! Many paths at once: their rays are traced together.
 
-use ad_core::{Float, Real};
+use ad_core::{Float, Real, Vec3};
 
 use super::path::{Geometry, Walk};
 use crate::accel::{BUNDLE, Bundle, Hit};
@@ -80,14 +80,14 @@ pub(super) fn trace_alone<T: Traveller>(
 
 /// Signs of a direction.
 #[inline(always)]
-fn octant<P: Float>(ray: &Ray<P>) -> usize {
+pub(super) fn octant<P: Float>(d: Vec3<P>) -> usize {
     let bit = |x: P, k: usize| usize::from(x < P::zero()) << k;
-    bit(ray.d.x, 0) | bit(ray.d.y, 1) | bit(ray.d.z, 2)
+    bit(d.x, 0) | bit(d.y, 1) | bit(d.z, 2)
 }
 
 /// Paths in the order of their keys, at most 8.
 #[inline(always)]
-fn sorted<'a>(
+pub(super) fn sorted<'a>(
     paths: &[usize],
     key: impl Fn(usize) -> usize,
     order: &'a mut [usize; PATHS],
@@ -139,7 +139,7 @@ pub(super) fn trace<T: Traveller>(
             queue.rays.clear();
         };
         // Together with their like: few nodes of a hierarchy, in an order that suits them all.
-        let key = |path: usize| travellers[path].ray().map_or(8, |r| octant(&r.primal()));
+        let key = |path: usize| travellers[path].ray().map_or(8, |r| octant(r.primal().d));
         let like = match scene.has_hierarchy() {
             true => sorted(&open[..n], key, &mut order),
             false => &open[..n],

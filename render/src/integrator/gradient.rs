@@ -11,7 +11,8 @@ use super::local::LocalFn;
 use super::noise::{Noise, PixelNoise, Watch};
 use super::path::Context;
 use super::record::{Activity, Recorder};
-use super::render::{InParts, NonFinite, Paths, Progress, Sample, place, start, tiles};
+use super::render::{InParts, NonFinite, Paths, Progress, Sample, Tile, place, start, tiles};
+use super::wave::{self, Record, Wave};
 use super::{particle, particle_gradient};
 use crate::bsdf::{Bsdf, Material, TextureRef};
 use crate::emitter::{AnyEmitter, Emitter};
@@ -286,6 +287,12 @@ impl ExactBuffer {
         self.overflow.store(true, Ordering::Relaxed);
     }
 
+    /// Brings a cell near. Additions wait for their memory one after another, reads do not.
+    #[inline(always)]
+    fn fetch(&self, i: usize) {
+        std::hint::black_box(self.cells[i].load(Ordering::Relaxed));
+    }
+
     fn get(&self, i: usize) -> f64 {
         self.cells[i].load(Ordering::Relaxed) as f64 / self.scale
     }
@@ -348,17 +355,30 @@ impl<P: Float> GradSink<P> for Sink<'_> {
     }
     #[inline]
     fn add(&mut self, p: ParamRef, i: usize, d: P) {
-        let (id, d) = (p.id as usize, d.to_f64());
-        let slot = self.active.slots[id];
-        self.put(slot, i, d);
+        self.add_all(p, i, [d]);
+    }
+    #[inline(always)]
+    fn add_all<const C: usize>(&mut self, p: ParamRef, i: usize, d: [P; C]) {
+        let slot = self.active.slots[p.id as usize];
+        for (c, d) in d.iter().enumerate() {
+            self.put(slot, i + c, d.to_f64());
+        }
         if let Some(watch) = &mut self.watch {
-            let (range, scale) = self.active.scales[id];
-            let d = d * scale;
-            match slot {
-                Slot::Inactive => {}
-                Slot::Small(at) => watch.add(at as usize + i, d),
-                Slot::Large(_) => watch.add_alone(range, d),
+            let (range, scale) = self.active.scales[p.id as usize];
+            for (c, d) in d.iter().enumerate() {
+                let d = d.to_f64() * scale;
+                match slot {
+                    Slot::Inactive => {}
+                    Slot::Small(at) => watch.add(at as usize + i + c, d),
+                    Slot::Large(_) => watch.add_alone(range, d),
+                }
             }
+        }
+    }
+    #[inline(always)]
+    fn expect(&mut self, p: ParamRef, i: usize) {
+        if let Slot::Large(at) = self.active.slots[p.id as usize] {
+            self.large.fetch(at as usize + i);
         }
     }
 }
@@ -584,7 +604,14 @@ impl<P: Float> Pass<'_, P> {
         let active = moving.as_ref().unwrap_or(active);
         exactly(scene, active, largest, progress, &|large| {
             let progress = InParts::new(progress, self.caustics);
-            let mut sums = self.sums::<S, X>(active, large, &progress, each);
+            // In double precision, single paths check on waves.
+            let waves = const { wave::fits::<S>() && size_of::<P>() == size_of::<f32>() }
+                && wave::takes(&self.context())
+                && active.scales.is_empty();
+            let mut sums = match waves {
+                true => self.sums_of_waves::<S, X>(active, adjoint, large, &progress),
+                false => self.sums::<S, X>(active, large, &progress, each),
+            };
             if self.caustics == Caustics::Particles && !progress.cancelled() {
                 let differential = S::Bsdf::DIFFERENTIAL;
                 let context =
@@ -631,6 +658,78 @@ impl<P: Float> Pass<'_, P> {
         }
     }
 
+    /// [`Pass::sums`] of the derivative of `<adjoint, image>`, by waves.
+    fn sums_of_waves<S: Strategy, X: Sampler>(
+        &self,
+        active: &Active,
+        adjoint: &[f32],
+        large: &ExactBuffer,
+        progress: &dyn Progress,
+    ) -> Sums {
+        let (scene, context) = (self.scene, self.context());
+        let tiles = self.tiles();
+        let jobs = JOBS.min(tiles.len());
+        let parts = parallel::map(jobs, |job| {
+            let mut sink = Sink::new(active, large);
+            let mut non_finite = NonFinite::default();
+            let mut wave = Wave::<P, X>::new();
+            let mut record = Record::of(active);
+            for tile in tiles.iter().skip(job).step_by(jobs) {
+                if progress.cancelled() {
+                    break;
+                }
+                let begin = |record: &mut Record<'_, P>, which: &[(usize, Sample)]| {
+                    let adjoint = |(_, at): &(usize, Sample)| {
+                        at.of_image::<P>(adjoint, scene) * P::of(at.scale())
+                    };
+                    record.start(which.iter().map(adjoint));
+                };
+                let done = |record: &mut Record<'_, P>, which: &[(usize, Sample)], l: &[Rgb<P>]| {
+                    for ((_, at), _) in which.iter().zip(l).filter(|(_, l)| !l.is_finite()) {
+                        non_finite.add(place(scene, at.pixel) as u64, at.index);
+                    }
+                    record.backward(scene, self.theta, |i| l[i].is_finite(), &mut sink);
+                };
+                tile.trace_waves::<P, S, X, _>(
+                    &context,
+                    self.seed,
+                    &self.samples,
+                    &mut wave,
+                    &mut record,
+                    begin,
+                    done,
+                );
+                progress.advance(tile.pixels() as u64);
+            }
+            (sink.into_small(), non_finite)
+        });
+        let mut sums = Sums {
+            small: vec![0.0; active.small_len],
+            non_finite: NonFinite::default(),
+            noise: None,
+        };
+        for (small, non_finite) in parts {
+            add(&mut sums.small, &small);
+            sums.non_finite.merge(&non_finite);
+        }
+        sums
+    }
+
+    fn context(&self) -> Context<'_, P> {
+        Context {
+            scene: self.scene,
+            theta: self.theta,
+            settings: self.settings,
+            shifts: &[],
+            caustics: self.caustics,
+        }
+    }
+
+    fn tiles(&self) -> Vec<Tile> {
+        let [width, height] = self.scene.film.crop_size;
+        tiles(width, height)
+    }
+
     /// Records every path, as far as the parameters `active` matter to it, and calls `each` with it, pixel by
     /// pixel within a tile. The tiles are shared by `jobs` states, whatever the number of threads.
     pub fn paths<S: Strategy, X: Sampler, J: Send>(
@@ -641,18 +740,10 @@ impl<P: Float> Pass<'_, P> {
         new: impl Fn() -> J + Sync,
         each: impl Fn(&Context<P>, Sample, &mut Recorder<'_, P>, &mut J) + Sync,
     ) -> (Vec<J>, NonFinite) {
-        let [width, height] = self.scene.film.crop_size;
-        let tiles = tiles(width, height);
+        let (context, tiles) = (self.context(), self.tiles());
         let jobs = jobs.min(tiles.len());
         let parts = parallel::map(jobs, |job| {
             let mut state = new();
-            let context = Context {
-                scene: self.scene,
-                theta: self.theta,
-                settings: self.settings,
-                shifts: &[],
-                caustics: self.caustics,
-            };
             let mut paths = Paths::<P, S, X, _>::new(Recorder::of(active));
             let mut non_finite = NonFinite::default();
             for tile in tiles.iter().skip(job).step_by(jobs) {

@@ -20,3 +20,4 @@ pub mod record;
 pub mod render;
 pub(crate) mod scout;
 pub mod second_order;
+mod wave;

@@ -24,11 +24,11 @@ use crate::shape::SurfaceInteraction;
 pub(super) const MODE: TransportMode = TransportMode::Radiance;
 
 /// Probability of surviving Russian roulette is at most this.
-const MAX_SURVIVAL: f64 = 0.95;
+pub(super) const MAX_SURVIVAL: f64 = 0.95;
 
 /// When derivatives are wanted, a vertex counts as reflecting at least this much for roulette: at zero
 /// albedo the throughput vanishes, but the derivative behind that vertex does not (F7).
-const LEAST_STEP: f64 = 0.2;
+pub(super) const LEAST_STEP: f64 = 0.2;
 
 /// Probability of keeping any one of the emitters' samples, see [`LightChoice::All`].
 const LEAST_KEPT: f64 = 0.1;
@@ -759,7 +759,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
 /// A call of its own, by value: lights are seldom hit, and references to the loop's state would keep
 /// that in memory.
 #[inline(never)]
-fn find_light<R: Real, S: Strategy>(
+pub(super) fn find_light<R: Real, S: Strategy>(
     scene: &Scene,
     theta: &Theta<R>,
     emitter: u32,
@@ -860,13 +860,13 @@ fn has_tangent<R: Real>(c: Rgb<R>) -> bool {
 
 /// What the weight of a light that was hit, but could have been sampled, depends on.
 #[derive(Clone, Copy)]
-struct Rival<R: Real, G> {
+pub(super) struct Rival<R: Real, G> {
     /// Density of the direction.
-    pdf_bsdf: R,
+    pub pdf_bsdf: R,
     /// The vertex it left.
-    from: Vec3<G>,
+    pub from: Vec3<G>,
     /// The emitter's share there.
-    share: R::Primal,
+    pub share: R::Primal,
 }
 
 /// A vertex as lights see it.

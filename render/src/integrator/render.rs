@@ -8,6 +8,7 @@ use ad_core::{Dual, Float, Real, array};
 use super::batch::{self, PATHS};
 use super::particle;
 use super::path::{Context, Geometry, Observer, Walk, shifts};
+use super::wave::{self, Log, WIDTH, Wave};
 use crate::estimator::{Sampling, Strategy, Unbiased};
 use crate::film::{Film, Image};
 use crate::math::{Ray, Rgb};
@@ -241,18 +242,30 @@ pub(super) fn start<R: Real, S: Strategy, X: Sampler>(
     scene: &Scene,
     points: Points,
     seed: u64,
-    [x, y]: [u32; 2],
+    pixel: [u32; 2],
     index: u64,
 ) -> Walk<R, S, X> {
+    let (ray, sampler) = camera_ray(scene, points, seed, pixel, index);
+    Walk::new(Ray::<Geometry<S, R>>::lift(ray), sampler)
+}
+
+/// The camera ray of sample `index` of the pixel `(x, y)` of the crop window, and the numbers of the path to come.
+#[inline(always)]
+fn camera_ray<P: Float, X: Sampler>(
+    scene: &Scene,
+    points: Points,
+    seed: u64,
+    [x, y]: [u32; 2],
+    index: u64,
+) -> (Ray<P>, X) {
     let film = &scene.film;
     // Counted on the full film, so that a crop shows the same samples.
     let [px, py] = [x + film.crop_offset[0], y + film.crop_offset[1]];
     let pixel = u64::from(py) * u64::from(film.size[0]) + u64::from(px);
     let mut sampler = X::spread(points, seed, pixel, index);
-    let [dx, dy] = film.filter.sample(sampler.next_2d::<R::Primal>());
-    let centre = |p: u32| R::Primal::of(f64::from(p) + 0.5);
-    let ray = scene.camera.ray(centre(px) + dx, centre(py) + dy);
-    Walk::new(Ray::<Geometry<S, R>>::lift(ray), sampler)
+    let [dx, dy] = film.filter.sample(sampler.next_2d::<P>());
+    let centre = |p: u32| P::of(f64::from(p) + 0.5);
+    (scene.camera.ray(centre(px) + dx, centre(py) + dy), sampler)
 }
 
 impl Tile {
@@ -269,18 +282,13 @@ impl Tile {
         [self.x.start + i % width, self.y.start + i / width]
     }
 
-    /// Follows the samples `samples` of all pixels, as the scene shares them, and calls `done` with the pixel's
-    /// index within the tile, the sample, the radiance and the observer of each, in order.
-    pub(super) fn trace<R: Real, S: Strategy, X: Sampler, O: Observer<R>>(
-        &self,
-        context: &Context<R>,
-        seed: u64,
-        samples: &Range<u64>,
-        paths: &mut Paths<R, S, X, O>,
-        mut done: impl FnMut(usize, Sample, Rgb<R>, &mut O),
-    ) {
-        let scene = context.scene;
-        let mut all = (0..self.pixels()).flat_map(|at| {
+    /// The samples `samples` of all pixels, as the scene shares them, with the index of their pixel within the tile.
+    fn samples<'a>(
+        &'a self,
+        scene: &'a Scene,
+        samples: &'a Range<u64>,
+    ) -> impl Iterator<Item = (usize, Sample)> + 'a {
+        (0..self.pixels()).flat_map(move |at| {
             let pixel = self.pixel(at);
             let samples = scene.pixel_shares().samples(place(scene, pixel), samples);
             let count = samples.end - samples.start;
@@ -292,7 +300,21 @@ impl Tile {
                 };
                 (at, sample)
             })
-        });
+        })
+    }
+
+    /// Follows the samples `samples` of all pixels, as the scene shares them, and calls `done` with the pixel's
+    /// index within the tile, the sample, the radiance and the observer of each, in order.
+    pub(super) fn trace<R: Real, S: Strategy, X: Sampler, O: Observer<R>>(
+        &self,
+        context: &Context<R>,
+        seed: u64,
+        samples: &Range<u64>,
+        paths: &mut Paths<R, S, X, O>,
+        mut done: impl FnMut(usize, Sample, Rgb<R>, &mut O),
+    ) {
+        let scene = context.scene;
+        let mut all = self.samples(scene, samples);
         loop {
             paths.which.clear();
             paths.which.extend(all.by_ref().take(PATHS));
@@ -313,6 +335,37 @@ impl Tile {
             for (&(at, sample), (walk, observer)) in paths.which.iter().zip(found) {
                 done(at, sample, walk.l, observer);
             }
+        }
+    }
+
+    /// The same by waves, for strategies and contexts that these take. `begin` is called before each wave with its
+    /// samples, `done` after it with the radiance of each.
+    pub(super) fn trace_waves<P: Float, S: Strategy, X: Sampler, L: Log<P>>(
+        &self,
+        context: &Context<P>,
+        seed: u64,
+        samples: &Range<u64>,
+        wave: &mut Wave<P, X>,
+        log: &mut L,
+        mut begin: impl FnMut(&mut L, &[(usize, Sample)]),
+        mut done: impl FnMut(&mut L, &[(usize, Sample)], &[Rgb<P>]),
+    ) {
+        let (scene, points) = (context.scene, context.settings.points);
+        let mut all = self.samples(scene, samples);
+        let mut which = Vec::with_capacity(WIDTH);
+        loop {
+            which.clear();
+            which.extend(all.by_ref().take(WIDTH));
+            if which.is_empty() {
+                break;
+            }
+            begin(log, &which);
+            let ray = |i: usize| {
+                let (_, sample) = &which[i];
+                camera_ray::<P, X>(scene, points, seed, sample.pixel, sample.index)
+            };
+            wave.trace::<S, L>(context, which.len(), ray, log);
+            done(log, &which, &wave.l[..which.len()]);
         }
     }
 }
@@ -401,8 +454,7 @@ fn of_paths<R: Components, S: Strategy, X: Sampler>(
             shifts: &shifts,
             caustics,
         };
-        let mut paths = Paths::<R, S, X, _>::new(());
-        tile.trace(&context, seed, samples, &mut paths, |at, sample, l, _| {
+        let mut add = |at: usize, sample: Sample, l: Rgb<R>| {
             if !l.is_finite() {
                 non_finite.add(place(scene, sample.pixel) as u64, sample.index);
                 return;
@@ -414,7 +466,38 @@ fn of_paths<R: Components, S: Strategy, X: Sampler>(
                     sums[(k * pixels + at) * 3 + c] += weight * l[c].component(k);
                 }
             }
-        });
+        };
+        // In double precision, single paths check on waves.
+        if const { R::IS_PRIMAL && size_of::<R>() == size_of::<f32>() } && wave::takes(&context) {
+            let context = Context {
+                scene,
+                theta: &theta.primal(),
+                settings,
+                shifts: &[],
+                caustics,
+            };
+            let mut wave = Wave::<R::Primal, X>::new();
+            let done = |_: &mut (), which: &[(usize, Sample)], l: &[Rgb<R::Primal>]| {
+                for (&(at, sample), &l) in which.iter().zip(l) {
+                    add(at, sample, Rgb::lift(l));
+                }
+            };
+            let begin = |_: &mut (), _: &[(usize, Sample)]| ();
+            tile.trace_waves::<_, S, X, ()>(
+                &context,
+                seed,
+                samples,
+                &mut wave,
+                &mut (),
+                begin,
+                done,
+            );
+        } else {
+            let mut paths = Paths::<R, S, X, _>::new(());
+            tile.trace(&context, seed, samples, &mut paths, |at, sample, l, _| {
+                add(at, sample, l);
+            });
+        }
         progress.advance(pixels as u64);
         (sums, non_finite)
     })

@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use std::sync::Arc;
 
-use super::{Node, PixelShares, Scene, Settings, ShapeInfo, Shares};
+use super::{Node, PixelShares, Prim, Scene, Settings, ShapeInfo, Shares};
 use crate::accel::Accel;
 use crate::bsdf::nesting::{flips_normals, is_glossy};
 use crate::bsdf::{Bsdf, Material};
@@ -378,11 +378,17 @@ impl Builder {
                 shape.skip_uv();
             }
         }
-        let mut prims = Vec::new();
+        let (mut prims, mut patches) = (Vec::new(), Vec::new());
         let mut primitives = Vec::new();
         for (i, shape) in self.shapes.iter().enumerate() {
             for (local, primitive) in shape.primitives().into_iter().enumerate() {
-                prims.push((i as u32, local as u32));
+                let patch = shape.patch(local as u32);
+                prims.push(Prim {
+                    shape: i as u32,
+                    local: local as u32,
+                    patch: patch.map_or(u32::MAX, |_| patches.len() as u32),
+                });
+                patches.extend(patch.copied());
                 primitives.push(primitive);
             }
         }
@@ -421,6 +427,7 @@ impl Builder {
             casters,
             lamps,
             prims,
+            patches,
             accel,
             camera,
             film,

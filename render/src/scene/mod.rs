@@ -25,7 +25,7 @@ use crate::guide::Guide;
 use crate::math::Ray;
 use crate::params::{ParamRef, Params};
 use crate::sampler::Points;
-use crate::shape::{AnyShape, Shape, SurfaceInteraction};
+use crate::shape::{AnyShape, Patch, Shape, SurfaceInteraction};
 
 pub(crate) use pixels::PixelShares;
 pub(crate) use shares::Shares;
@@ -159,8 +159,10 @@ pub struct Scene {
     casters: Vec<Ball>,
     /// Balls around everything that emits; `None` if that is everywhere.
     lamps: Option<Vec<Ball>>,
-    /// Shape and local index of every primitive of `accel`.
-    prims: Vec<(u32, u32)>,
+    /// Every primitive of `accel`.
+    prims: Vec<Prim>,
+    /// Those that are parallelograms, once more: paths through rooms of boxes need not ask what they hit.
+    patches: Vec<Patch>,
     accel: Accel,
     /// The camera.
     pub camera: Camera,
@@ -168,6 +170,16 @@ pub struct Scene {
     pub film: Film,
     /// Depths and sample count.
     pub settings: Settings,
+}
+
+/// What a primitive belongs to.
+#[derive(Clone, Copy, Debug)]
+struct Prim {
+    shape: u32,
+    /// Index within the shape.
+    local: u32,
+    /// Index among the parallelograms; none if beyond.
+    patch: u32,
 }
 
 /// A ray's nearest hit.
@@ -356,13 +368,20 @@ impl Scene {
     /// What lies at a hit of this ray. It follows the ray's tangents.
     #[inline(always)]
     pub fn interaction<R: Real>(&self, ray: &Ray<R>, hit: &Hit) -> Intersection<R> {
-        let (shape, prim) = self.prims[hit.prim as usize];
-        let si = self.shapes[shape as usize].interaction(prim, ray, hit);
+        let Prim { shape, local, .. } = self.prims[hit.prim as usize];
+        let si = self.shapes[shape as usize].interaction(local, ray, hit);
         Intersection {
             shape,
             prim: hit.prim,
             si,
         }
+    }
+
+    /// The shape that was hit, and the parallelogram, if it was one.
+    #[inline(always)]
+    pub(crate) fn patch(&self, hit: &Hit) -> (u32, Option<&Patch>) {
+        let Prim { shape, patch, .. } = self.prims[hit.prim as usize];
+        (shape, self.patches.get(patch as usize))
     }
 
     /// [`Scene::nearest`], and what lies there.
@@ -436,8 +455,8 @@ impl Scene {
 
     /// Distance of a ray from the outline of the primitive that another ray hit, as [`Shape::border`].
     pub fn border<R: Real>(&self, ray: &Ray<R>, hit: &Hit) -> R {
-        let (shape, prim) = self.prims[hit.prim as usize];
-        self.shapes[shape as usize].border(prim, ray)
+        let Prim { shape, local, .. } = self.prims[hit.prim as usize];
+        self.shapes[shape as usize].border(local, ray)
     }
 
     /// Bytes held by geometry, acceleration structure and parameters.

@@ -54,6 +54,10 @@ impl Shape for Cube {
         self.faces[prim as usize].interaction(ray, hit)
     }
 
+    fn patch(&self, prim: u32) -> Option<&Patch> {
+        self.faces.get(prim as usize)
+    }
+
     fn area(&self) -> f64 {
         self.area
     }

@@ -21,7 +21,7 @@ pub use patch::{Patch, Rectangle};
 pub use sphere::Sphere;
 pub(crate) use sphere::turn;
 
-use ad_core::{Float, Real, Vec2, Vec3};
+use ad_core::{Const, Float, Real, Vec2, Vec3};
 
 use crate::accel::{Hit, Primitive};
 use crate::bsdf::FromNode;
@@ -51,12 +51,10 @@ impl<R: Real> SurfaceInteraction<R> {
     /// The ray that leaves in the unit direction `d`, moved off the surface by `offset`.
     #[inline(always)]
     pub fn spawn_ray(&self, d: Vec3<R>, offset: f32) -> Ray<R> {
-        let side = if self.n_geo.primal().dot(d.primal()) < R::Primal::zero() {
-            -1.0
-        } else {
-            1.0
-        };
-        Ray::new(self.p + self.n_geo * R::c(side * f64::from(offset)), d)
+        let offset = R::Primal::from_f32(offset);
+        let behind = self.n_geo.primal().dot(d.primal()) < R::Primal::zero();
+        let offset = R::Primal::select(behind, -offset, offset);
+        Ray::new(self.p + self.n_geo * Const(offset), d)
     }
 
     /// The ray that tests whether the point at `distance` in the unit direction `d` is visible, and the
@@ -64,15 +62,19 @@ impl<R: Real> SurfaceInteraction<R> {
     /// kept parallel, it would meet a ball light too early near its outline, and lose per cents of it.
     #[inline(always)]
     pub fn shadow_ray(&self, d: Vec3<R>, distance: R, offset: f32) -> (Ray<R>, R) {
-        let ray = self.spawn_ray(d, offset);
-        if distance.primal() <= R::Primal::MAX {
-            let to = self.p + d * distance - ray.o;
-            let length = to.length();
-            let ray = Ray::new(ray.o, to * length.recip());
-            (ray, length * R::c(1.0 - SHADOW_EPSILON))
-        } else {
-            (ray, distance)
-        }
+        let Ray { o, d } = self.spawn_ray(d, offset);
+        let to = self.p + d * distance - o;
+        let length = to.length_squared().sqrt();
+        let aimed = to * length.recip();
+        // Without a branch: waves of paths do this in vectors.
+        let finite = distance.primal() <= R::Primal::MAX;
+        let d = Vec3::new(
+            R::select(finite, aimed.x, d.x),
+            R::select(finite, aimed.y, d.y),
+            R::select(finite, aimed.z, d.z),
+        );
+        let length = length * R::c(1.0 - SHADOW_EPSILON);
+        (Ray::new(o, d), R::select(finite, length, distance))
     }
 
     /// The same point over a scalar with tangents, all of them zero.
@@ -169,6 +171,11 @@ pub trait Shape: Send + Sync {
     /// # Derivatives
     /// In the ray. The primitive that was hit is a primal decision.
     fn interaction<R: Real>(&self, prim: u32, ray: &Ray<R>, hit: &Hit) -> SurfaceInteraction<R>;
+
+    /// The parallelogram that primitive `prim` is, if it is one.
+    fn patch(&self, _prim: u32) -> Option<&Patch> {
+        None
+    }
 
     /// Area, world space.
     fn area(&self) -> f64;
@@ -311,6 +318,9 @@ macro_rules! shapes {
             #[inline(always)]
             fn interaction<R: Real>(&self, prim: u32, ray: &Ray<R>, hit: &Hit) -> SurfaceInteraction<R> {
                 $crate::dispatch::dispatch!(self, [$($hot),*] [$($name),*], s => s.interaction(prim, ray, hit))
+            }
+            fn patch(&self, prim: u32) -> Option<&Patch> {
+                match self { $(Self::$hot(s) => s.patch(prim),)* $(Self::$name(s) => s.patch(prim),)* }
             }
             fn area(&self) -> f64 {
                 match self { $(Self::$hot(s) => s.area(),)* $(Self::$name(s) => s.area(),)* }

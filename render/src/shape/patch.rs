@@ -157,6 +157,9 @@ impl Shape for Rectangle {
     fn interaction<R: Real>(&self, _prim: u32, ray: &Ray<R>, hit: &Hit) -> SurfaceInteraction<R> {
         self.0.interaction(ray, hit)
     }
+    fn patch(&self, _prim: u32) -> Option<&Patch> {
+        Some(&self.0)
+    }
     fn area(&self) -> f64 {
         self.0.area()
     }

@@ -12,7 +12,7 @@ pub use bitmap::{Bitmap, UvTransform, Wrap};
 pub use checkerboard::Checkerboard;
 pub(crate) use load::{Use, file, from_node, from_plugin, texels};
 
-use ad_core::{Const, Float, Real, Vec2};
+use ad_core::{Const, Float, Real, Vec2, array};
 
 use crate::dispatch::outline;
 use crate::math::Rgb;
@@ -111,6 +111,18 @@ impl<const C: usize> Texture<C> {
         }
     }
 
+    /// Says that [`Texture::scatter`] will soon be called with the same `uv`.
+    #[inline(always)]
+    pub(crate) fn expect<P: Float>(&self, uv: Vec2<P>, grad: &mut impl GradSink<P>) {
+        if let Self::Bitmap(t) = self {
+            let f = t.footprint(uv);
+            // Neighbours in a row are mostly in one line of the cache.
+            for texel in [f.texel[0], f.texel[2]] {
+                grad.expect(f.param, texel as usize * C);
+            }
+        }
+    }
+
     /// The texels and weights of a lookup at `uv`.
     #[inline]
     pub(crate) fn footprint<R: Real>(&self, uv: Vec2<R>) -> Footprint<R> {
@@ -180,9 +192,7 @@ fn put<P: Float, const C: usize>(
     weight: P,
     d: [P; C],
 ) {
-    for (c, d) in d.into_iter().enumerate() {
-        grad.add(p, texel as usize * C + c, weight * d);
-    }
+    grad.add_all::<C>(p, texel as usize * C, array(|c| weight * d[c]));
 }
 
 #[inline]

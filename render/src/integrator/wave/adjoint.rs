@@ -1,0 +1,304 @@
+//! What a wave of paths keeps, and its adjoint: [`super::super::record`], field by field.
+
+use ad_core::{Float, Vec2, Vec3};
+use smallvec::SmallVec;
+
+use super::lanes::{Field, Lane, Lanes, WIDTH, whole};
+use super::{Log, Paths, Wave};
+use crate::bsdf::{Bsdf, Component, Material, Part, Shading, Use};
+use crate::emitter::{Emission, Emitter};
+use crate::integrator::gradient::Active;
+use crate::integrator::path::{HitLight, MODE};
+use crate::integrator::record::Activity;
+use crate::math::Rgb;
+use crate::params::{GradSink, Theta};
+use crate::scene::Scene;
+
+/// The vertices of all paths that have so many edges. At a plain one, the radiance that leaves is its albedo times
+/// what arrives: `albedo (direct + bounce L)`.
+#[derive(Clone, Debug)]
+struct Layer<P> {
+    n: usize,
+    /// Number of each path.
+    id: Lane<u32>,
+    /// Its place in the layer before.
+    parent: Lane<u32>,
+    material: Lane<u32>,
+    /// Whether there is a vertex that is not in `others`.
+    plain: Lane<u32>,
+    u: Lane<P>,
+    v: Lane<P>,
+    /// Throughput from the camera times the adjoint of the path's radiance.
+    d: Lanes<P>,
+    albedo: Lanes<P>,
+    /// Of sampled light.
+    direct: Lanes<P>,
+    /// One over the density of the scattered direction times the value of a white surface; zero where a path ends.
+    bounce: Lane<P>,
+    /// Vertices that are not plain, by their places.
+    others: Vec<(usize, Other<P>)>,
+    /// Light that was hit at the end of the edges from here, by the places that they left.
+    hits: Vec<(u32, Rgb<P>)>,
+}
+
+/// A vertex of any material.
+#[derive(Clone, Copy, Debug)]
+struct Other<P> {
+    wo: Vec3<P>,
+    /// Direction of sampled light, value of the BSDF, and radiance times weight.
+    light: Option<(Vec3<P>, Rgb<P>, Rgb<P>)>,
+    /// Scattered direction, value of the BSDF, and one over density and probability of surviving.
+    bounce: Option<(Vec3<P>, Component, Rgb<P>, P)>,
+}
+
+/// Light of an emitter that is differentiated.
+#[derive(Clone, Copy, Debug)]
+struct Emitted<P> {
+    id: u32,
+    emitter: u32,
+    emission: Emission<P>,
+    /// Adjoint of the radiance.
+    d: Rgb<P>,
+}
+
+/// Keeps a wave of paths, and pulls the adjoints of their radiance back to the parameters.
+pub struct Record<'a, P: Float> {
+    active: &'a Active,
+    /// Adjoints of the radiance of the paths.
+    d: Lanes<P>,
+    /// By number of edges; the first is that of the camera, where nothing happens but hits.
+    layers: Vec<Box<Layer<P>>>,
+    used: usize,
+    emitted: Vec<Emitted<P>>,
+}
+
+impl<P: Float> Layer<P> {
+    fn new() -> Box<Self> {
+        Box::new(Self {
+            n: 0,
+            id: Lane::zero(),
+            parent: Lane::zero(),
+            material: Lane::zero(),
+            plain: Lane::zero(),
+            u: Lane::zero(),
+            v: Lane::zero(),
+            d: Lanes::zero(),
+            albedo: Lanes::zero(),
+            direct: Lanes::zero(),
+            bounce: Lane::zero(),
+            others: Vec::new(),
+            hits: Vec::new(),
+        })
+    }
+}
+
+impl<'a, P: Float> Record<'a, P> {
+    /// For derivatives in some parameters.
+    pub fn of(active: &'a Active) -> Self {
+        Self {
+            active,
+            d: Lanes::zero(),
+            layers: vec![Layer::new()],
+            used: 1,
+            emitted: Vec::new(),
+        }
+    }
+
+    /// Forgets all paths. `adjoints` are those of the radiance of the next.
+    pub fn start(&mut self, adjoints: impl Iterator<Item = Rgb<P>>) {
+        for (i, d) in adjoints.take(WIDTH).enumerate() {
+            self.d.put_rgb(i, d);
+        }
+        self.used = 1;
+        self.layers[0].hits.clear();
+        self.emitted.clear();
+    }
+
+    /// Adds the derivative of the radiances times their adjoints to the active parameters, for the paths of which
+    /// `counts` holds.
+    pub fn backward(
+        &mut self,
+        scene: &Scene,
+        theta: &Theta<P>,
+        counts: impl Fn(usize) -> bool,
+        grad: &mut (impl GradSink<P> + Activity),
+    ) {
+        for e in &self.emitted {
+            if counts(e.id as usize) {
+                let emitter = &scene.emitters()[e.emitter as usize];
+                emitter.backward(&e.emission, e.d, grad);
+            }
+        }
+        // Radiance that arrives along the edges from a layer, and that leaves it.
+        let mut arrives = Lanes::zero();
+        let mut leaves = Lanes::zero();
+        for layer in self.layers[1..self.used].iter().rev() {
+            for (at, light) in &layer.hits {
+                arrives.add_rgb(*at as usize % WIDTH, *light);
+            }
+            // The adjoint of the albedo.
+            let mut d = Lanes::zero();
+            for i in 0..whole(layer.n) {
+                let all = layer.direct.rgb(i) + arrives.rgb(i) * layer.bounce[i];
+                leaves.put_rgb(i, layer.albedo.rgb(i) * all);
+                d.put_rgb(i, layer.d.rgb(i) * all);
+            }
+            for &(i, ref other) in &layer.others {
+                let index = layer.material[i];
+                let d = layer.d.rgb(i);
+                let mut l = Rgb::black();
+                let mut uses = SmallVec::<[Use<P>; 2]>::new();
+                let mut use_light = |wi, component, f: Rgb<P>, light: Rgb<P>| {
+                    l += f * light;
+                    let (part, d) = (Part::All, d * light);
+                    if !d.is_black() {
+                        uses.push(Use {
+                            wi,
+                            component,
+                            part,
+                            d,
+                        });
+                    }
+                };
+                if let Some((wi, f, light)) = other.light {
+                    use_light(wi, Component::Continuous, f, light);
+                }
+                if let Some((wi, component, f, weight)) = other.bounce {
+                    use_light(wi, component, f, arrives.rgb(i) * weight);
+                }
+                leaves.put_rgb(i, l);
+                let wanted = grad.material_active(index) && counts(layer.id[i] as usize);
+                if wanted && !uses.is_empty() {
+                    let at = Shading {
+                        theta: *theta,
+                        uv: layer.uv(i),
+                    };
+                    let material = &scene.materials()[index as usize];
+                    material.backward(&at, other.wo, &uses, MODE, grad);
+                }
+            }
+            let plain = |i: usize, grad: &_| {
+                let index = layer.material[i];
+                let wanted = layer.plain[i] != 0 && Activity::material_active(grad, index);
+                match &*scene.materials()[index as usize] {
+                    Material::Diffuse(m) if wanted => Some(&m.reflectance),
+                    _ => None,
+                }
+            };
+            for i in 0..layer.n {
+                if let Some(albedo) = plain(i, grad) {
+                    albedo.expect(layer.uv(i), grad);
+                }
+            }
+            for i in 0..layer.n {
+                if let Some(albedo) = plain(i, grad)
+                    && counts(layer.id[i] as usize)
+                {
+                    albedo.scatter(layer.uv(i), d.rgb(i), grad);
+                }
+            }
+            arrives = Lanes::zero();
+            for i in 0..layer.n {
+                arrives.add_rgb(layer.parent[i] as usize % WIDTH, leaves.rgb(i));
+            }
+        }
+    }
+}
+
+impl<P: Float> Layer<P> {
+    #[inline(always)]
+    fn uv(&self, i: usize) -> Vec2<P> {
+        Vec2::new(self.u[i], self.v[i])
+    }
+}
+
+impl<P: Float> Log<P> for Record<'_, P> {
+    const ENABLED: bool = true;
+
+    #[inline(always)]
+    fn follows(&self, material: u32) -> bool {
+        self.active.material_active(material)
+    }
+
+    #[inline(always)]
+    fn follows_light(&self) -> bool {
+        self.active.any_emitter()
+    }
+
+    fn hit(&mut self, paths: &Paths<P>, i: usize, light: &HitLight<P>, le: Rgb<P>) {
+        let hit = (paths.slot[i], le * light.weight);
+        self.layers[self.used - 1].hits.push(hit);
+        if self.active.emitter_active(light.emitter) {
+            let id = paths.id[i];
+            let d = self.d.rgb(id as usize % WIDTH) * paths.beta.rgb(i) * light.weight;
+            self.emitted.push(Emitted {
+                id,
+                emitter: light.emitter,
+                emission: light.emission,
+                d,
+            });
+        }
+    }
+
+    #[inline(never)]
+    fn layer<X>(&mut self, wave: &mut Wave<P, X>) {
+        if self.used == self.layers.len() {
+            self.layers.push(Layer::new());
+        }
+        let layer = &mut *self.layers[self.used];
+        self.used += 1;
+        let n = wave.n;
+        let (paths, at, lights, bounces) = (&mut wave.paths, &wave.at, &wave.lights, &wave.bounces);
+        layer.n = n;
+        layer.others.clear();
+        layer.hits.clear();
+        for i in 0..whole(n) {
+            layer.id[i] = paths.id[i];
+            layer.parent[i] = paths.slot[i];
+            paths.slot[i] = i as u32;
+            layer.material[i] = at.material[i];
+            layer.plain[i] = at.plain[i] & at.there[i];
+            layer.u[i] = at.u[i];
+            layer.v[i] = at.v[i];
+            layer.albedo.put_rgb(i, at.albedo.rgb(i));
+            let seen = lights.shadow_t[i] > P::zero();
+            let direct = lights.le.rgb(i) * (lights.weight[i] * lights.white[i]);
+            let direct = direct.map(|c| P::select(seen, c, P::zero()));
+            layer.direct.put_rgb(i, direct);
+            let bounce = bounces.white[i] * bounces.weight[i] * bounces.survival[i];
+            layer.bounce[i] = P::select(bounces.lives[i] != 0, bounce, P::zero());
+        }
+        for i in 0..n {
+            let d = self.d.rgb(paths.id[i] as usize % WIDTH) * paths.beta.rgb(i);
+            layer.d.put_rgb(i, d);
+        }
+        for i in 0..n {
+            if at.plain[i] == 0 {
+                let light = (lights.shadow_t[i] > P::zero()).then(|| {
+                    let light = lights.le.rgb(i) * lights.weight[i];
+                    (lights.wi.vec(i), lights.f.rgb(i), light)
+                });
+                let bounce = (bounces.lives[i] != 0).then(|| {
+                    let weight = bounces.weight[i] * bounces.survival[i];
+                    let wi = bounces.wi.vec(i);
+                    (wi, wave.components[i], bounces.f.rgb(i), weight)
+                });
+                let wo = wave.wo.vec(i);
+                layer.others.push((i, Other { wo, light, bounce }));
+            }
+        }
+        if self.active.any_emitter() {
+            for i in 0..n {
+                let emitter = lights.emitter[i];
+                if lights.shadow_t[i] > P::zero() && self.active.emitter_active(emitter) {
+                    self.emitted.push(Emitted {
+                        id: paths.id[i],
+                        emitter,
+                        emission: lights.emission(i),
+                        d: layer.d.rgb(i) * lights.f.rgb(i) * lights.weight[i],
+                    });
+                }
+            }
+        }
+    }
+}

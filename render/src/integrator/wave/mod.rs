@@ -1,0 +1,813 @@
+//! Still paths, many at a time and field by field.
+//!
+//! This is the path tracer of [`super::path`], number by number, for what is rendered most: scalars without
+//! tangents, where no sample or weight moves. The vertices of a wave of paths do the same things at the same time, in
+//! loops over arrays that call what the path tracer calls for one vertex. Nothing in such a loop is decided by a
+//! branch, so the compiler makes vector instructions of it. Materials other than diffuse ones, and what emitters do
+//! beside being sampled as a single rectangle, are called vertex by vertex in between.
+
+// Each loop is over many arrays at a time.
+#![allow(clippy::needless_range_loop)]
+
+mod adjoint;
+mod lanes;
+
+use ad_core::{Const, Float, Vec2, Vec3};
+
+pub(super) use adjoint::Record;
+pub(super) use lanes::WIDTH;
+use lanes::{Field, Lane, Lanes, lanes, whole};
+
+use super::batch;
+use super::direct::follows_edges;
+use super::path::{Context, HitLight, LEAST_STEP, MAX_SURVIVAL, MODE, Rival, find_light};
+use crate::accel::{BUNDLE, Bundle, Hit};
+use crate::bsdf::{Bsdf, Component, DiffuseLobe, Lobe, Material, Shading};
+use crate::emitter::{AnyEmitter, Area, Emission, Emitter, EmitterSample};
+use crate::estimator::memory::Memory;
+use crate::estimator::{Detached, Sampling, Still, Strategy};
+use crate::math::{Frame, Ray, Rgb};
+use crate::sampler::{BOUNCE_DIMENSIONS, CAMERA_DIMENSIONS, Sampler, independent_bits};
+use crate::scene::{Caustics, LightChoice, Scene};
+use crate::shape::{AnyShape, Shape, SurfaceInteraction};
+use crate::texture::Texture;
+
+/// Whether waves estimate derivatives as strategy `S` does: nothing moves, and nothing has samples of its own.
+pub(super) const fn fits<S: Strategy>() -> bool {
+    S::Bsdf::DETACHED_PATH && !S::Bsdf::DIFFERENTIAL && !S::Aim::KEEPS && !follows_edges::<S>()
+}
+
+/// Whether waves do what is asked for: those who learn where light comes from, weigh all lights or leave caustics
+/// to others take single paths.
+pub(super) fn takes<R: ad_core::Real>(context: &Context<R>) -> bool {
+    let scene = context.scene;
+    let one = context.settings.lights == LightChoice::One || scene.emitters().len() < 2;
+    one && scene.guide().is_none() && context.caustics == Caustics::Paths
+}
+
+/// Keeps what happens to the paths of a wave.
+pub(super) trait Log<P: Float> {
+    /// Whether anything is kept; if not, nothing that only derivatives need is done.
+    const ENABLED: bool;
+    /// See [`super::path::Observer::follows`].
+    fn follows(&self, material: u32) -> bool;
+    /// See [`super::path::Observer::follows_light`].
+    fn follows_light(&self) -> bool;
+    /// Path `i` found light at the end of an edge.
+    fn hit(&mut self, paths: &Paths<P>, i: usize, light: &HitLight<P>, le: Rgb<P>);
+    /// All that happened at the vertices, before throughputs change. Gives them their new places.
+    fn layer<X>(&mut self, wave: &mut Wave<P, X>);
+}
+
+/// Nothing is kept.
+impl<P: Float> Log<P> for () {
+    const ENABLED: bool = false;
+    fn follows(&self, _material: u32) -> bool {
+        true
+    }
+    fn follows_light(&self) -> bool {
+        true
+    }
+    fn hit(&mut self, _paths: &Paths<P>, _i: usize, _light: &HitLight<P>, _le: Rgb<P>) {}
+    fn layer<X>(&mut self, _wave: &mut Wave<P, X>) {}
+}
+
+lanes! {
+    /// What paths take along. The names are those of [`super::path::Walk`].
+    Paths {
+        /// Number within the wave, in the order of their start.
+        id: Lane<u32>,
+        /// Place among the vertices before.
+        slot: Lane<u32>,
+        /// Of their random numbers, if these are independent.
+        key: Lane<u64>,
+        /// Origin of the next edge.
+        o: Lanes<P>,
+        /// Its direction.
+        d: Lanes<P>,
+        /// Throughput.
+        beta: Lanes<P>,
+        /// Radiance so far.
+        l: Lanes<P>,
+        /// The vertex before.
+        from: Lanes<P>,
+        /// Relative index along the path.
+        eta: Lane<P>,
+        /// What roulette goes by.
+        survival: Lane<P>,
+        /// Density of the last direction; zero if it was a delta.
+        pdf: Lane<P>,
+        /// Whether a vertex so far is one that the log follows.
+        followed: Lane<u32>,
+    }
+}
+
+lanes! {
+    /// Where paths are.
+    Vertices {
+        /// Whether they are anywhere.
+        there: Lane<u32>,
+        /// Index of the material.
+        material: Lane<u32>,
+        /// Whether that is diffuse and one-sided.
+        plain: Lane<u32>,
+        /// Whether it scatters along deltas only.
+        delta: Lane<u32>,
+        /// Whether light is looked for.
+        lit: Lane<u32>,
+        /// How far rays start off the surface.
+        offset: Lane<f32>,
+        /// Albedo of what is plain.
+        albedo: Lanes<P>,
+        /// Position.
+        p: Lanes<P>,
+        /// Geometric normal.
+        n_geo: Lanes<P>,
+        /// Shading frame.
+        s: Lanes<P>,
+        /// Shading frame.
+        t: Lanes<P>,
+        /// Shading frame.
+        n: Lanes<P>,
+        /// Surface coordinate.
+        u: Lane<P>,
+        /// Surface coordinate.
+        v: Lane<P>,
+    }
+}
+
+impl<P: Float> Vertices<P> {
+    #[inline(always)]
+    fn frame(&self, i: usize) -> Frame<P> {
+        Frame {
+            s: self.s.vec(i),
+            t: self.t.vec(i),
+            n: self.n.vec(i),
+        }
+    }
+
+    #[inline(always)]
+    fn uv(&self, i: usize) -> Vec2<P> {
+        Vec2::new(self.u[i], self.v[i])
+    }
+
+    #[inline(always)]
+    fn interaction(&self, i: usize) -> SurfaceInteraction<P> {
+        SurfaceInteraction {
+            p: self.p.vec(i),
+            t: P::zero(),
+            n_geo: self.n_geo.vec(i),
+            frame: self.frame(i),
+            uv: self.uv(i),
+        }
+    }
+
+    #[inline(always)]
+    fn put(&mut self, i: usize, si: &SurfaceInteraction<P>) {
+        self.p.put_vec(i, si.p);
+        self.n_geo.put_vec(i, si.n_geo);
+        self.s.put_vec(i, si.frame.s);
+        self.t.put_vec(i, si.frame.t);
+        self.n.put_vec(i, si.frame.n);
+        (self.u[i], self.v[i]) = (si.uv.x, si.uv.y);
+    }
+}
+
+lanes! {
+    /// Samples of emitters.
+    Lights {
+        /// Index of the emitter.
+        emitter: Lane<u32>,
+        /// Direction to it, world space.
+        d: Lanes<P>,
+        /// How far away it is.
+        distance: Lane<P>,
+        /// Density; zero if there is no sample.
+        pdf: Lane<P>,
+        /// Of the emission.
+        falloff: Lane<P>,
+        /// Where it is emitted.
+        u: Lane<P>,
+        /// Where it is emitted.
+        v: Lane<P>,
+        /// Direction to it, local frame.
+        wi: Lanes<P>,
+        /// Value of the BSDF.
+        f: Lanes<P>,
+        /// Its density.
+        pdf_bsdf: Lane<P>,
+        /// Value of the BSDF of what is plain, if it were white.
+        white: Lane<P>,
+        /// Emitted radiance.
+        le: Lanes<P>,
+        /// MIS weight over density.
+        weight: Lane<P>,
+        /// What arrives at the start of the path, if nothing is in between.
+        direct: Lanes<P>,
+        /// Origin of the shadow ray.
+        shadow_o: Lanes<P>,
+        /// Its direction.
+        shadow_d: Lanes<P>,
+        /// Its length; zero if there is none, or if it was not free.
+        shadow_t: Lane<P>,
+    }
+}
+
+impl<P: Float> Lights<P> {
+    #[inline(always)]
+    fn put(&mut self, i: usize, emitter: u32, share: P, sample: Option<EmitterSample<P>>) {
+        let none = (Vec3::zero(), P::zero(), P::zero(), P::zero(), Vec2::zero());
+        let (d, distance, pdf, falloff, uv) = sample.map_or(none, |s| {
+            let e = s.emission;
+            (s.d, s.distance, s.pdf * share, e.falloff, e.uv)
+        });
+        self.emitter[i] = emitter;
+        self.d.put_vec(i, d);
+        self.distance[i] = distance;
+        self.pdf[i] = pdf;
+        self.falloff[i] = falloff;
+        (self.u[i], self.v[i]) = (uv.x, uv.y);
+    }
+
+    #[inline(always)]
+    fn emission(&self, i: usize) -> Emission<P> {
+        Emission {
+            uv: Vec2::new(self.u[i], self.v[i]),
+            falloff: self.falloff[i],
+        }
+    }
+}
+
+lanes! {
+    /// Scattered directions.
+    Bounces {
+        /// Local frame.
+        wi: Lanes<P>,
+        /// Value of the BSDF.
+        f: Lanes<P>,
+        /// That of what is plain, if it were white.
+        white: Lane<P>,
+        /// One over density.
+        weight: Lane<P>,
+        /// One over the probability of surviving.
+        survival: Lane<P>,
+        /// Whether the path goes on.
+        lives: Lane<u32>,
+    }
+}
+
+/// Up to [`WIDTH`] paths with equally many edges.
+pub(super) struct Wave<P, X> {
+    /// How many are on their way.
+    n: usize,
+    /// Whether their numbers are independent.
+    independent: bool,
+    samplers: Vec<X>,
+    paths: Paths<P>,
+    hits: [Option<Hit>; WIDTH],
+    at: Vertices<P>,
+    /// Direction the paths came from, local frame.
+    wo: Lanes<P>,
+    /// Random bits that choose an emitter.
+    choice: Lane<u64>,
+    /// Random numbers: two for the emitter, three for the BSDF, one for roulette.
+    numbers: [Lane<P>; 6],
+    lights: Lights<P>,
+    bounces: Bounces<P>,
+    /// What the scattered directions belong to.
+    components: [Component; WIDTH],
+    /// Radiance of each path in the order of their start, once it has ended.
+    pub l: Vec<Rgb<P>>,
+}
+
+impl<P: Float, X: Sampler> Wave<P, X> {
+    /// Without paths.
+    pub fn new() -> Box<Self> {
+        Box::new(Self {
+            n: 0,
+            independent: true,
+            samplers: Vec::with_capacity(WIDTH),
+            paths: Paths::zero(),
+            hits: [None; WIDTH],
+            at: Vertices::zero(),
+            wo: Lanes::zero(),
+            choice: Lane::zero(),
+            numbers: [Lane::zero(); 6],
+            lights: Lights::zero(),
+            bounces: Bounces::zero(),
+            components: [Component::Continuous; WIDTH],
+            l: vec![Rgb::black(); WIDTH],
+        })
+    }
+
+    /// Follows the paths of `n` camera rays to their ends, at most [`WIDTH`].
+    pub fn trace<S: Strategy, L: Log<P>>(
+        &mut self,
+        context: &Context<P>,
+        n: usize,
+        ray: impl Fn(usize) -> (Ray<P>, X),
+        log: &mut L,
+    ) {
+        self.start(n, ray);
+        for depth in 1.. {
+            if self.n == 0 {
+                break;
+            }
+            self.edge::<Still<S>, L>(context, depth, log);
+        }
+    }
+
+    #[inline(always)]
+    fn start(&mut self, n: usize, ray: impl Fn(usize) -> (Ray<P>, X)) {
+        self.samplers.clear();
+        self.independent = true;
+        let paths = &mut self.paths;
+        for i in 0..n.min(WIDTH) {
+            let (ray, sampler) = ray(i);
+            (paths.id[i], paths.slot[i]) = (i as u32, i as u32);
+            match sampler.key() {
+                Some(key) => paths.key[i] = key,
+                None => self.independent = false,
+            }
+            self.samplers.push(sampler);
+            paths.o.put_vec(i, ray.o);
+            paths.d.put_vec(i, ray.d);
+            paths.beta.put_rgb(i, Rgb::splat(P::one()));
+            paths.l.put_rgb(i, Rgb::black());
+            (paths.eta[i], paths.survival[i]) = (P::one(), P::one());
+            paths.pdf[i] = P::zero();
+            paths.followed[i] = 0;
+        }
+        self.n = self.samplers.len();
+    }
+
+    fn edge<S: Strategy<Bsdf = Detached>, L: Log<P>>(
+        &mut self,
+        context: &Context<P>,
+        depth: u32,
+        log: &mut L,
+    ) {
+        let &Context {
+            scene, settings, ..
+        } = context;
+        self.find_surfaces(scene);
+        if !self.arrive::<S, L>(context, depth, log) {
+            self.bounces.lives = Lane::zero();
+            self.leave();
+            return;
+        }
+        self.draw(CAMERA_DIMENSIONS + (depth - 1) * BOUNCE_DIMENSIONS);
+        self.look_back();
+        if S::SAMPLES_EMITTERS && !scene.emitters().is_empty() {
+            self.sample_lights(context);
+            self.face_lights::<L>(context);
+            self.connect::<S>(context);
+            self.find_shadows(scene);
+        } else {
+            self.lights.shadow_t = Lane::zero();
+        }
+        let more = depth + 1 < settings.max_depth;
+        self.scatter(context, more);
+        self.choose::<L>(more, depth >= settings.rr_depth);
+        log.layer(self);
+        self.go_on::<L>();
+        if !more {
+            self.keep_last::<S>(scene);
+        }
+        self.leave();
+    }
+
+    /// Ends the paths that do not live. Others from the end take their places.
+    #[inline(never)]
+    fn leave(&mut self) {
+        // Lists of both, made without branches.
+        let (mut ended, mut going) = ([0; WIDTH], [0; WIDTH]);
+        let (mut n_ended, mut n_going) = (0, 0);
+        for i in 0..self.n {
+            (ended[n_ended % WIDTH], going[n_going % WIDTH]) = (i, i);
+            n_going += (self.bounces.lives[i] & 1) as usize;
+            n_ended = i + 1 - n_going;
+        }
+        for &i in &ended[..n_ended] {
+            self.l[self.paths.id[i] as usize % WIDTH] = self.paths.l.rgb(i);
+        }
+        self.n = n_going;
+        let holes = ended[..n_ended].iter().take_while(|&&i| i < n_going);
+        for (&to, &from) in holes.zip(going[..n_going].iter().rev()) {
+            self.paths.relocate(to, from);
+        }
+    }
+
+    #[inline(never)]
+    fn find_surfaces(&mut self, scene: &Scene) {
+        let (n, paths) = (self.n, &self.paths);
+        let single = |v: Vec3<P>| v.map(P::to_f32).to_array();
+        let ray = |i: usize| {
+            let (o, d) = (paths.o.vec(i), paths.d.vec(i));
+            (single(o), single(d), f32::INFINITY)
+        };
+        let mut rays = Bundle::default();
+        if !scene.has_hierarchy() {
+            for (k, hits) in self.hits[..n].chunks_mut(BUNDLE).enumerate() {
+                rays.fill(hits.len(), |i| ray((k * BUNDLE + i) % WIDTH));
+                for (hit, found) in hits.iter_mut().zip(scene.nearest_bundle(&rays)) {
+                    *hit = found;
+                }
+            }
+            return;
+        }
+        let mut all = [0; WIDTH];
+        for (i, path) in all.iter_mut().enumerate() {
+            *path = i;
+        }
+        let mut order = [0; WIDTH];
+        let octant = |i: usize| batch::octant(paths.d.vec(i));
+        for like in batch::sorted(&all[..n], octant, &mut order).chunks(BUNDLE) {
+            rays.fill(like.len(), |k| ray(like[k % like.len()]));
+            for (&i, found) in like.iter().zip(scene.nearest_bundle(&rays)) {
+                self.hits[i] = found;
+            }
+        }
+    }
+
+    /// Adds the light that the edges end at, and looks at the surfaces there. Whether there are any that paths may go
+    /// on from.
+    #[inline(never)]
+    fn arrive<S: Strategy<Bsdf = Detached>, L: Log<P>>(
+        &mut self,
+        &Context {
+            scene,
+            theta,
+            settings,
+            ..
+        }: &Context<P>,
+        depth: u32,
+        log: &mut L,
+    ) -> bool {
+        let paths = &mut self.paths;
+        let mut any = false;
+        for i in 0..self.n {
+            let ray = Ray::new(paths.o.vec(i), paths.d.vec(i));
+            let wanted = !L::ENABLED || paths.followed[i] != 0 || log.follows_light();
+            let sampled = S::SAMPLES_EMITTERS && depth > 1 && paths.pdf[i] > P::zero();
+            let mut find = |paths: &mut Paths<P>, emitter, si| {
+                let rival = Rival {
+                    pdf_bsdf: paths.pdf[i],
+                    from: paths.from.vec(i),
+                    share: settings.lights.share(scene, emitter),
+                };
+                let rival = sampled.then_some(rival);
+                let found = find_light::<P, S>(scene, theta, emitter, ray.d, si, rival);
+                if let Some((light, le)) = found {
+                    (paths.l).add_rgb(i, paths.beta.rgb(i) * le * light.weight);
+                    log.hit(paths, i, &light, le);
+                }
+            };
+            // Where there is no surface, or nothing happens: like one that is plain, but without light.
+            (self.at.there[i], self.at.lit[i], self.at.plain[i]) = (0, 0, 1);
+            let Some(hit) = &self.hits[i] else {
+                for &e in scene.infinite_emitters().iter().filter(|_| wanted) {
+                    find(paths, e, None);
+                }
+                continue;
+            };
+            // Apart, so that the common case stays in registers.
+            let (shape, patch) = scene.patch(hit);
+            match patch {
+                Some(patch) => self.at.put(i, &patch.interaction(&ray, hit)),
+                None => self.at.put(i, &scene.interaction(&ray, hit).si),
+            }
+            let info = scene.shape_info(shape);
+            if let Some(e) = info.emitter.filter(|_| wanted) {
+                let t = P::from_f32(hit.t);
+                find(
+                    paths,
+                    e,
+                    Some(SurfaceInteraction {
+                        t,
+                        ..self.at.interaction(i)
+                    }),
+                );
+            }
+            if depth >= settings.max_depth {
+                continue;
+            }
+            let follows = !L::ENABLED || log.follows(info.material);
+            paths.followed[i] |= u32::from(follows);
+            let lit = wanted || follows;
+            any = true;
+            self.at.there[i] = 1;
+            self.at.material[i] = info.material;
+            self.at.delta[i] = u32::from(info.delta);
+            self.at.lit[i] = u32::from(lit);
+            self.at.offset[i] = info.offset;
+            let plain = match scene.material(shape) {
+                Material::Diffuse(m) => {
+                    (self.at.albedo).put_rgb(i, m.reflectance.rgb(theta, self.at.uv(i)));
+                    1
+                }
+                _ => 0,
+            };
+            self.at.plain[i] = plain;
+        }
+        any
+    }
+
+    /// All random numbers of the vertices, whose first dimension is `dim`.
+    #[inline(never)]
+    fn draw(&mut self, dim: u32) {
+        if self.independent {
+            let n = whole(self.n);
+            for i in 0..n {
+                self.choice[i] = independent_bits(self.paths.key[i], dim + 1);
+            }
+            for (lane, dim) in self.numbers.iter_mut().zip(dim + 2..) {
+                for i in 0..n {
+                    lane[i] = P::from_bits_unit(independent_bits(self.paths.key[i], dim));
+                }
+            }
+            return;
+        }
+        for i in 0..self.n {
+            let mut sampler = self.samplers[self.paths.id[i] as usize % WIDTH];
+            sampler.seek(dim);
+            self.choice[i] = sampler.next_bits();
+            let [a, b] = sampler.next_2d();
+            sampler.seek(dim + 3);
+            let [c, d, e] = sampler.next_3d();
+            let all = [a, b, c, d, e, sampler.next_1d()];
+            for (lane, u) in self.numbers.iter_mut().zip(all) {
+                lane[i] = u;
+            }
+        }
+    }
+
+    /// Where the paths came from.
+    #[inline(never)]
+    fn look_back(&mut self) {
+        for i in 0..whole(self.n) {
+            let wo = self.at.frame(i).to_local(-self.paths.d.vec(i));
+            self.wo.put_vec(i, wo);
+        }
+    }
+
+    #[inline(never)]
+    fn sample_lights(
+        &mut self,
+        &Context {
+            scene, settings, ..
+        }: &Context<P>,
+    ) {
+        let (at, lights) = (&self.at, &mut self.lights);
+        let [a, b, ..] = &self.numbers;
+        let emitters = scene.emitters();
+        if let [AnyEmitter::Area(area)] = emitters
+            && let AnyShape::Rectangle(rectangle) = &scene.shapes()[area.shape as usize]
+            && area.exponent == 0.0
+        {
+            // A copy, which no store of the loop can change.
+            let rectangle = *rectangle;
+            let share = settings.lights.share(scene, 0);
+            for i in 0..whole(self.n) {
+                let seen = rectangle.sample(at.p.vec(i), [a[i], b[i]]);
+                lights.put(i, 0, share, seen.and_then(|s| Area::facing(0.0, s)));
+            }
+            return;
+        }
+        for i in 0..self.n {
+            let emitter = match emitters.len() {
+                1 => 0,
+                _ => scene.shares().choose(self.choice[i], 1).0,
+            };
+            let sample = match at.lit[i] != 0 && at.delta[i] == 0 {
+                true => emitters[emitter].sample(scene.lights(), at.p.vec(i), [a[i], b[i]]),
+                false => None,
+            };
+            let share = settings.lights.share(scene, emitter as u32);
+            lights.put(i, emitter as u32, share, sample);
+        }
+    }
+
+    /// What the materials make of light from there.
+    #[inline(never)]
+    fn face_lights<L: Log<P>>(&mut self, &Context { scene, theta, .. }: &Context<P>) {
+        let (at, lights) = (&self.at, &mut self.lights);
+        for i in 0..whole(self.n) {
+            let wo = self.wo.vec(i);
+            let wi = at.frame(i).to_local(lights.d.vec(i));
+            let white = white();
+            let f = white.eval(wo, wi, MODE).r;
+            lights.wi.put_vec(i, wi);
+            lights.white[i] = f;
+            lights.f.put_rgb(i, at.albedo.rgb(i) * f);
+            lights.pdf_bsdf[i] = white.pdf(wo, wi, MODE);
+        }
+        for i in 0..self.n {
+            if at.plain[i] == 0 && lights.pdf[i] > P::zero() {
+                let shading = Shading {
+                    theta: *theta,
+                    uv: at.uv(i),
+                };
+                let material = &scene.materials()[at.material[i] as usize];
+                let (f, pdf) = material.eval_pdf(&shading, self.wo.vec(i), lights.wi.vec(i), MODE);
+                lights.f.put_rgb(i, f);
+                lights.pdf_bsdf[i] = pdf;
+            }
+        }
+        // No ray where nothing depends on it.
+        for i in 0..whole(self.n) {
+            let matters =
+                !lights.f.rgb(i).is_black() | (L::ENABLED & (lights.pdf_bsdf[i] > P::zero()));
+            let matters = matters & (at.lit[i] != 0) & (at.delta[i] == 0);
+            lights.pdf[i] = P::select(matters, lights.pdf[i], P::zero());
+        }
+    }
+
+    #[inline(never)]
+    fn connect<S: Strategy>(&mut self, &Context { scene, theta, .. }: &Context<P>) {
+        let (at, lights) = (&self.at, &mut self.lights);
+        let emitters = scene.emitters();
+        let mut delta = emitters[0].is_delta();
+        match emitters {
+            [e] if matches!(e.radiance(), Texture::Constant(_)) => {
+                let radiance: Rgb<P> = e.radiance().rgb(theta, Vec2::zero());
+                for i in 0..whole(self.n) {
+                    lights.le.put_rgb(i, radiance * lights.falloff[i]);
+                }
+            }
+            _ => {
+                for i in 0..self.n {
+                    let e = &emitters[lights.emitter[i] as usize];
+                    lights.le.put_rgb(i, e.eval(theta, &lights.emission(i)));
+                }
+            }
+        }
+        if emitters.len() > 1 && S::COUNTS_HITS {
+            // Deltas are never hit: as if scattering had no density.
+            for i in 0..self.n {
+                if emitters[lights.emitter[i] as usize].is_delta() {
+                    lights.pdf_bsdf[i] = P::zero();
+                }
+            }
+            delta = false;
+        }
+        let weighs = S::COUNTS_HITS && !delta;
+        for i in 0..whole(self.n) {
+            let mis = P::select(
+                weighs,
+                S::weight_sampled(lights.pdf[i], lights.pdf_bsdf[i]),
+                P::one(),
+            );
+            let weight = mis * Const(P::one() / lights.pdf[i]);
+            let f = lights.f.rgb(i);
+            let direct = self.paths.beta.rgb(i) * f * lights.le.rgb(i) * weight;
+            let (d, distance) = (lights.d.vec(i), lights.distance[i]);
+            let (ray, t) = (at.interaction(i)).shadow_ray(d, distance, at.offset[i]);
+            lights.weight[i] = weight;
+            lights.direct.put_rgb(i, direct);
+            lights.shadow_o.put_vec(i, ray.o);
+            lights.shadow_d.put_vec(i, ray.d);
+            lights.shadow_t[i] = P::select(lights.pdf[i] > P::zero(), t, P::zero());
+        }
+    }
+
+    /// Adds the light that nothing hides.
+    #[inline(never)]
+    fn find_shadows(&mut self, scene: &Scene) {
+        let (paths, lights) = (&mut self.paths, &mut self.lights);
+        let mut asked = [0; WIDTH];
+        let mut n = 0;
+        for i in 0..self.n {
+            asked[n] = i;
+            n += usize::from(lights.shadow_t[i] > P::zero());
+        }
+        let mut rays = Bundle::default();
+        for asked in asked[..n].chunks(BUNDLE) {
+            let single = |v: Vec3<P>| v.map(P::to_f32).to_array();
+            rays.fill(asked.len(), |k| {
+                let i = asked[k % asked.len()];
+                let (o, d) = (lights.shadow_o.vec(i), lights.shadow_d.vec(i));
+                (single(o), single(d), lights.shadow_t[i].to_f32())
+            });
+            let occluded = scene.occluded_bundle(&rays);
+            for (k, &i) in asked.iter().enumerate() {
+                // No branch: hardly anything is as hard to predict.
+                let hidden = occluded >> k & 1 != 0;
+                let light = lights.direct.rgb(i);
+                let light = light.map(|c| P::select(hidden, P::zero(), c));
+                paths.l.add_rgb(i, light);
+                lights.shadow_t[i] = P::select(hidden, P::zero(), lights.shadow_t[i]);
+            }
+        }
+    }
+
+    /// `more`: whether there may be vertices beyond the next one.
+    #[inline(never)]
+    fn scatter(&mut self, &Context { scene, theta, .. }: &Context<P>, more: bool) {
+        let (at, paths, bounces) = (&self.at, &mut self.paths, &mut self.bounces);
+        let [.., a, b, c, _] = &self.numbers;
+        for i in 0..whole(self.n) {
+            let (lobe, wo) = (white(), self.wo.vec(i));
+            let sample = lobe.sample(wo, [a[i], b[i], c[i]], MODE);
+            let none = (Vec3::zero(), P::zero());
+            let (wi, pdf) = sample.map_or(none, |s| (s.wi, s.pdf));
+            let f = lobe.eval(wo, wi, MODE).r;
+            bounces.wi.put_vec(i, wi);
+            bounces.white[i] = f;
+            bounces.f.put_rgb(i, at.albedo.rgb(i) * f);
+            bounces.weight[i] = pdf.recip();
+            bounces.lives[i] = u32::from(pdf > P::zero()) & at.there[i];
+            paths.pdf[i] = pdf;
+        }
+        for i in 0..self.n {
+            if at.plain[i] != 0 {
+                self.components[i] = Component::Continuous;
+                continue;
+            }
+            if at.lit[i] == 0 && !more {
+                bounces.lives[i] = 0;
+                continue;
+            }
+            let shading = Shading {
+                theta: *theta,
+                uv: at.uv(i),
+            };
+            let material = &scene.materials()[at.material[i] as usize];
+            let u = [a[i], b[i], c[i]];
+            let scattered = material.scatter(&shading, self.wo.vec(i), u, MODE);
+            bounces.lives[i] = u32::from(scattered.is_some());
+            if let Some((sample, f)) = scattered {
+                bounces.wi.put_vec(i, sample.wi);
+                bounces.f.put_rgb(i, f);
+                bounces.weight[i] = sample.pdf.recip();
+                self.components[i] = sample.component;
+                paths.eta[i] *= sample.eta;
+                paths.pdf[i] = match sample.component {
+                    Component::Continuous => sample.pdf,
+                    Component::Delta { .. } => P::zero(),
+                };
+            }
+        }
+    }
+
+    /// Decides which paths go on, `more`: if there may be vertices beyond the next one. Roulette, if it is played.
+    #[inline(never)]
+    fn choose<L: Log<P>>(&mut self, more: bool, plays: bool) {
+        let (paths, bounces) = (&mut self.paths, &mut self.bounces);
+        let [.., u] = &self.numbers;
+        for i in 0..whole(self.n) {
+            let (f, weight) = (bounces.f.rgb(i), bounces.weight[i]);
+            let survival = match L::ENABLED {
+                true => {
+                    let step = (f * weight).max_component();
+                    paths.survival[i] * step.max(P::of(LEAST_STEP))
+                }
+                false => (paths.beta.rgb(i) * f * weight).max_component(),
+            };
+            let eta = paths.eta[i];
+            let q = (survival * eta * eta).min(P::of(MAX_SURVIVAL));
+            let inv_q = P::select(plays, q.recip(), P::one());
+            let lives = (!plays | (u[i] < q)) & (more | (self.at.lit[i] != 0));
+            paths.survival[i] = survival * inv_q;
+            bounces.survival[i] = inv_q;
+            bounces.lives[i] &= u32::from(lives);
+        }
+    }
+
+    /// The next edges.
+    #[inline(never)]
+    fn go_on<L: Log<P>>(&mut self) {
+        let (at, paths, bounces) = (&self.at, &mut self.paths, &mut self.bounces);
+        for i in 0..whole(self.n) {
+            let beta = paths.beta.rgb(i) * bounces.f.rgb(i) * bounces.weight[i];
+            let beta = beta.scale(bounces.survival[i]);
+            bounces.lives[i] &= u32::from(L::ENABLED | !beta.is_black());
+            paths.beta.put_rgb(i, beta);
+            let d = at.frame(i).to_world(bounces.wi.vec(i));
+            let ray = at.interaction(i).spawn_ray(d, at.offset[i]);
+            paths.o.put_vec(i, ray.o);
+            paths.d.put_vec(i, ray.d);
+            paths.from.put_vec(i, at.p.vec(i));
+        }
+    }
+
+    /// The last edge only looks for light, and only where light that is hit counts.
+    #[inline(never)]
+    fn keep_last<S: Strategy>(&mut self, scene: &Scene) {
+        let paths = &self.paths;
+        for i in 0..self.n {
+            let counts = S::COUNTS_HITS || !S::SAMPLES_EMITTERS || paths.pdf[i] == P::zero();
+            let ray = Ray::new(paths.o.vec(i), paths.d.vec(i));
+            let meets = counts && self.bounces.lives[i] != 0 && scene.may_meet_light(&ray);
+            self.bounces.lives[i] = u32::from(meets);
+        }
+    }
+}
+
+/// Every plain material is this one times its albedo.
+#[inline(always)]
+fn white<P: Float>() -> DiffuseLobe<P> {
+    DiffuseLobe {
+        reflectance: Rgb::splat(P::one()),
+    }
+}

@@ -1,0 +1,152 @@
+//! Waves of paths do what single paths do: the same radiance bit by bit, the same derivatives to rounding.
+
+use render::Scene;
+use render::estimator::{BsdfOnly, Detached, DetachedMis, EmitterOnly, Strategy};
+use render::instances::{Technique, backward_f32, render_f32};
+use render::integrator::gradient::Active;
+use render::integrator::path;
+use render::params::Theta;
+use render::sampler::{Points, Sampler, Spread};
+use render::scene::Settings;
+use tests::cases::{self, Case};
+use tests::{mean_adjoint, scene, smooth_params};
+
+/// The sums over the samples of all pixels, path by path.
+fn single<S: Strategy<Bsdf = Detached>>(
+    s: &Scene,
+    settings: &Settings,
+    seed: u64,
+    spp: u64,
+) -> Vec<f64> {
+    let theta = Theta::constant(s.params().values());
+    let [width, height] = s.film.crop_size;
+    let mut sums = Vec::new();
+    for (y, x) in (0..height).flat_map(|y| (0..width).map(move |x| (y, x))) {
+        let mut sum = [0.0; 3];
+        for index in 0..spp {
+            let pixel = u64::from(y) * u64::from(width) + u64::from(x);
+            let mut sampler = Spread::spread(settings.points, seed, pixel, index);
+            let [dx, dy] = s.film.filter.sample(sampler.next_2d::<f32>());
+            let ray = s.camera.ray(x as f32 + 0.5 + dx, y as f32 + 0.5 + dy);
+            let l = path::trace::<f32, S, Spread, ()>(s, &theta, settings, ray, sampler, &mut ());
+            for (sum, l) in sum.iter_mut().zip(l.to_array()) {
+                *sum += f64::from(l);
+            }
+        }
+        sums.extend(sum);
+    }
+    sums
+}
+
+/// More than one material, emitter and kind of both in a room that light does not leave soon; 40 x 40 pixels, so that
+/// waves are full for some edges and not for others.
+fn room() -> Case {
+    let wall = |id: &str, at: &str| {
+        format!(
+            r#"<shape type="rectangle"><transform name="to_world"><scale value="2"/>{at}</transform><ref id="{id}"/></shape>"#
+        )
+    };
+    let diffuse = |id: &str, rgb: &str| {
+        format!(r#"<bsdf type="diffuse" id="{id}"><rgb name="reflectance" value="{rgb}"/></bsdf>"#)
+    };
+    let body = [
+        r#"<sensor type="perspective"><float name="fov" value="50"/>
+           <transform name="to_world"><lookat origin="0, 0, 5" target="0, 0, 0" up="0, 1, 0"/></transform>
+           <film type="hdrfilm"><integer name="width" value="40"/><integer name="height" value="40"/></film></sensor>
+           <integrator type="path"><integer name="max_depth" value="9"/><integer name="rr_depth" value="3"/></integrator>"#.to_string(),
+        diffuse("white", "0.8, 0.8, 0.7"),
+        diffuse("red", "0.7, 0, 0.1"),
+        diffuse("black", "0"),
+        wall("white", r#"<translate z="-2"/>"#),
+        wall("white", r#"<rotate x="1" angle="-90"/><translate y="-2"/>"#),
+        wall("black", r#"<rotate x="1" angle="90"/><translate y="2"/>"#),
+        wall("red", r#"<rotate y="1" angle="90"/><translate x="-2"/>"#),
+        wall("red", r#"<rotate y="1" angle="-90"/><translate x="2"/>"#),
+        r#"<shape type="cube"><transform name="to_world"><scale value="0.5"/><rotate y="1" angle="30"/><translate x="-0.7" y="-1.5"/></transform>
+           <bsdf type="twosided"><bsdf type="roughconductor" id="metal"><float name="alpha" value="0.3"/></bsdf></bsdf></shape>
+           <shape type="sphere"><point name="center" value="0.8, -1.3, 0.3"/><float name="radius" value="0.7"/><bsdf type="dielectric"/></shape>
+           <shape type="rectangle"><transform name="to_world"><scale value="0.5"/><rotate x="1" angle="90"/><translate y="1.9"/></transform>
+           <ref id="black"/><emitter type="area" id="lamp"><rgb name="radiance" value="9, 8, 7"/></emitter></shape>
+           <emitter type="point" id="bulb"><point name="position" value="0.5, 1, 1"/><rgb name="intensity" value="1, 2, 3"/></emitter>"#.to_string(),
+    ];
+    Case {
+        name: "room",
+        body: body.concat(),
+    }
+}
+
+fn all() -> impl Iterator<Item = (Case, Scene)> {
+    let cases = cases::all().into_iter().chain([room()]);
+    cases.map(|case| {
+        let scene = scene(&case.body);
+        (case, scene)
+    })
+}
+
+#[test]
+fn images_are_those_of_single_paths_bit_by_bit() {
+    for (case, s) in all() {
+        for (_, points) in Points::NAMES {
+            let settings = Settings {
+                points,
+                ..s.settings
+            };
+            let (seed, spp) = (3, 8);
+            let theta = Theta::constant(s.params().values());
+            let equal = |technique, singly: &dyn Fn() -> Vec<f64>| {
+                let r = render_f32(&s, &theta, technique, &settings, seed, 0..spp, &());
+                assert_eq!(r.non_finite.count, 0);
+                let singly = singly();
+                assert!(singly.iter().any(|x| *x > 0.0) || technique != Technique::MisPower);
+                assert!(
+                    r.sums[0] == singly,
+                    "{} {points:?} {technique:?}",
+                    case.name
+                );
+            };
+            equal(Technique::MisPower, &|| {
+                single::<DetachedMis>(&s, &settings, seed, spp)
+            });
+            if points == Points::Independent {
+                equal(Technique::BsdfOnly, &|| {
+                    single::<BsdfOnly<Detached>>(&s, &settings, seed, spp)
+                });
+                equal(Technique::EmitterOnly, &|| {
+                    single::<EmitterOnly<Detached>>(&s, &settings, seed, spp)
+                });
+            }
+        }
+    }
+}
+
+/// Where the noise of pixels is asked for, single paths find it.
+#[test]
+fn gradients_are_those_of_single_paths() {
+    for (case, s) in all() {
+        let theta = Theta::constant(s.params().values());
+        let adjoint: Vec<f32> = (mean_adjoint(&s).iter().zip(0..))
+            .map(|(a, i)| a * (1.0 + (i % 5) as f32))
+            .collect();
+        let gradient = |active: &Active| {
+            let g = backward_f32(&s, &theta, active, &adjoint, &s.settings, 4, 0..16, &());
+            let g = g.expect("a gradient");
+            assert_eq!(g.non_finite.count, 0);
+            g.values
+        };
+        // All together, and each alone: what no derivative needs is left out.
+        let names: Vec<String> = smooth_params(&s).into_iter().map(|p| p.name).collect();
+        let sets = [names.clone()].into_iter();
+        for names in sets.chain(names.into_iter().map(|n| vec![n])) {
+            let active = Active::new(&s, &names).expect("known names");
+            let waves = gradient(&active);
+            let single = gradient(&active.clone().with_noise(&s, &[]));
+            for ((name, a), b) in names.iter().zip(&waves).zip(&single) {
+                let largest = b.iter().fold(0.0, |m: f64, x| m.max(x.abs()));
+                for (a, b) in a.iter().zip(b) {
+                    let error = (a - b).abs();
+                    assert!(error <= 1e-5 * largest, "{} {name}: {a} {b}", case.name);
+                }
+            }
+        }
+    }
+}
