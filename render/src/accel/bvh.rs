@@ -1,31 +1,25 @@
-//! Compressed eight-wide hierarchy: built by `obvhs`, traversed here.
+//! Eight-wide hierarchy: built by `obvhs` as a binary one, widened and traversed here.
 //!
-//! The node test is our own because the library's clamps distances at an absolute 1e-4 and rounds
-//! its slabs inwards; ours widens them by more than the rounding of any primitive test, so that a
-//! hit never depends on the shape of the tree.
+//! Its planes are single precision numbers, not compressed ones: unpacking took a third of a node's test. A leaf is a
+//! packet of up to eight flat primitives, tested in the time of one, or a curved one. The slabs are wider than
+//! the rounding of any primitive test, so that a hit never depends on the shape of the tree.
 
 use super::curved::{Curved, Line};
-use super::packet::{Flat, RayLanes};
+use super::packet::{Flat, LANES, RayLanes};
 use super::{Best, Item, Ray, Shape};
 use crate::math::each;
 use obvhs::bvh2::node::Bvh2Node;
 use obvhs::bvh2::{Bvh2, reinsertion::ReinsertionOptimizer};
-use obvhs::cwbvh::bvh2_to_cwbvh::bvh2_to_cwbvh;
-use obvhs::cwbvh::node::CwBvhNode;
 use obvhs::ploc::PlocBuilder;
 use obvhs::{Boundable, BvhBuildParams, aabb::Aabb};
+use smallvec::SmallVec;
 use std::collections::HashMap;
-use wide::{f32x8, i32x8, u8x16, u16x8};
+use wide::f32x8;
 
-/// Levels of ordinary hierarchies: a million primitives need about ten. A larger stack costs more to
-/// set up, seven per cent of a coherent ray at 48.
-const USUAL_DEPTH: usize = 16;
+/// Children of a node.
+pub(super) const WIDTH: usize = 8;
 
-/// Deepest hierarchy that is traversed. Sizes that shrink geometrically lead to long chains.
-const MAX_DEPTH: usize = 256;
-
-/// Clustering can chain coinciding primitives into a list, on which the conversion would recurse out
-/// of its stack; such hierarchies are built again, balanced.
+/// Clustering can chain coinciding primitives into a list; such hierarchies are built again, balanced.
 const MAX_BINARY_DEPTH: usize = 500;
 
 /// Widening of the slabs, relative to the farthest point of the scene; must exceed the seam of
@@ -35,21 +29,88 @@ pub(super) const SLACK: f32 = 32.0 * f32::EPSILON;
 /// Smallest direction component in a slab test: keeps reciprocals finite.
 pub(super) const MIN_COMPONENT: f32 = 1e-20;
 
-/// Marks leaf slots that hold a flat primitive.
-const FLAT: u32 = u32::MAX;
+/// What a child is, and its index.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Child(u32);
+
+/// A [`Child`], read.
+pub(super) enum Kind {
+    /// A node.
+    Inner(usize),
+    /// A packet, and how many primitives it has.
+    Packet(usize, usize),
+    /// A curved primitive.
+    Curved(usize),
+    /// Nothing, which no ray enters.
+    Nothing,
+}
+
+impl Child {
+    const NOTHING: Self = Self(u32::MAX);
+    const LEAF: u32 = 1 << 31;
+    const CURVED: u32 = 1 << 30;
+    /// Indices are below.
+    const COUNT_SHIFT: u32 = 27;
+    const INDEX: u32 = (1 << Self::COUNT_SHIFT) - 1;
+
+    /// The root.
+    pub const ROOT: Self = Self(0);
+
+    fn leaf(tag: u32, index: usize) -> Option<Self> {
+        let index = u32::try_from(index).ok()?;
+        // One less than there are: the last one with all tags is nothing.
+        (index < Self::INDEX).then_some(Self(Self::LEAF | tag | index))
+    }
+
+    /// Whether it is nothing: so are those after it.
+    #[inline(always)]
+    pub fn is_nothing(self) -> bool {
+        self == Self::NOTHING
+    }
+
+    #[inline(always)]
+    pub fn kind(self) -> Kind {
+        let Self(code) = self;
+        let index = (code & Self::INDEX) as usize;
+        if code & Self::LEAF == 0 {
+            Kind::Inner(code as usize)
+        } else if self == Self::NOTHING {
+            Kind::Nothing
+        } else if code & Self::CURVED != 0 {
+            Kind::Curved(index)
+        } else {
+            let count = (code >> Self::COUNT_SHIFT & 7) as usize + 1;
+            Kind::Packet(index, count)
+        }
+    }
+}
+
+/// Boxes of eight children, relative to the centre of the tree.
+#[derive(Clone, Debug)]
+#[repr(C, align(64))]
+pub(super) struct Node {
+    /// Per axis: lower planes, upper planes.
+    pub planes: [[[f32; WIDTH]; 2]; 3],
+    pub children: [Child; WIDTH],
+}
+
+impl Node {
+    const EMPTY: Self = Self {
+        // Entered by no ray from either side.
+        planes: [[[f32::INFINITY; WIDTH], [f32::NEG_INFINITY; WIDTH]]; 3],
+        children: [Child::NOTHING; WIDTH],
+    };
+}
 
 #[derive(Clone, Debug)]
 pub(super) struct Tree {
-    pub(super) nodes: Vec<CwBvhNode>,
-    depth: usize,
-    /// Leaf slots in traversal order.
-    pub(super) flat: Vec<Flat<f32>>,
-    pub(super) prims: Vec<u32>,
-    /// Per slot an index into `curved` or [`FLAT`]; empty if everything is flat.
-    kinds: Vec<u32>,
-    curved: Vec<Curved>,
-    pub(super) center: [f32; 3],
-    pub(super) half: [f32; 3],
+    pub nodes: Vec<Node>,
+    pub packets: Vec<Flat<[f32; LANES]>>,
+    /// The primitives of each packet.
+    pub prims: Vec<[u32; LANES]>,
+    pub curved: Vec<(Curved, u32)>,
+    pub center: [f32; 3],
+    pub half: [f32; 3],
 }
 
 impl Boundable for Item {
@@ -59,7 +120,7 @@ impl Boundable for Item {
 }
 
 impl Tree {
-    /// `None` if the hierarchy is too deep for the stack.
+    /// `None` if there are too many leaves.
     pub(super) fn new(items: &[Item]) -> Option<Tree> {
         let boxes: Vec<Aabb> = items.iter().map(Item::aabb).collect();
         let clustered = if crowded(&boxes) {
@@ -68,192 +129,275 @@ impl Tree {
             clustered(&boxes)
         };
         let binary = clustered.unwrap_or_else(|| balanced(&boxes));
-        let wide = bvh2_to_cwbvh(&binary, 3, true, false);
-        let depth = depth(&wide.nodes);
-        if depth > MAX_DEPTH {
-            return None;
-        }
+        let all = boxes.iter().fold(Aabb::empty(), |sum, b| sum.union(b));
         let mut tree = Tree {
-            nodes: wide.nodes,
-            depth,
-            flat: Vec::with_capacity(items.len()),
-            prims: Vec::with_capacity(items.len()),
-            kinds: Vec::new(),
+            nodes: Vec::new(),
+            packets: Vec::new(),
+            prims: Vec::new(),
             curved: Vec::new(),
             center: [0.0; 3],
             half: [0.0; 3],
         };
-        let mut kinds = Vec::with_capacity(items.len());
-        for &i in &wide.primitive_indices {
-            let item = &items[i as usize];
-            tree.prims.push(item.prim);
-            match item.shape {
-                Shape::Flat(f) => {
-                    tree.flat.push(f);
-                    kinds.push(FLAT);
-                }
-                Shape::Curved(c) => {
-                    tree.flat.push(Flat::EMPTY);
-                    kinds.push(tree.curved.len() as u32);
-                    tree.curved.push(c);
-                }
+        if !items.is_empty() {
+            let (low, high) = (all.min.to_array(), all.max.to_array());
+            for k in 0..3 {
+                tree.center[k] = 0.5 * (low[k] + high[k]);
+                tree.half[k] = 0.5 * (high[k] - low[k]);
             }
-        }
-        if !tree.curved.is_empty() {
-            tree.kinds = kinds;
-        }
-        for k in 0..3 {
-            let lo = items
-                .iter()
-                .map(|i| i.bounds[0][k])
-                .fold(f32::INFINITY, f32::min);
-            let hi = items
-                .iter()
-                .map(|i| i.bounds[1][k])
-                .fold(f32::NEG_INFINITY, f32::max);
-            if lo <= hi {
-                tree.center[k] = 0.5 * (lo + hi);
-                tree.half[k] = 0.5 * (hi - lo);
-            }
+            tree.widen(&Binary::new(&binary, items))?;
         }
         Some(tree)
+    }
+
+    /// Makes nodes of eight children from nodes of two.
+    fn widen(&mut self, binary: &Binary) -> Option<()> {
+        self.nodes.push(Node::EMPTY);
+        // Nodes to fill, and the binary ones that they stand for.
+        let mut open = vec![(0, 0)];
+        while let Some((at, from)) = open.pop() {
+            // The largest that can be opened is, as long as there is room.
+            let mut children = SmallVec::<[usize; WIDTH]>::new();
+            match binary.is_leaf(from) {
+                true => children.push(from),
+                false => children.extend(binary.children(from)),
+            }
+            while children.len() < WIDTH {
+                let area = |&(_, &c): &(usize, &usize)| binary.area(c);
+                let inner = children.iter().enumerate();
+                let largest = inner
+                    .filter(|(_, c)| !binary.is_leaf(**c))
+                    .max_by(|a, b| area(a).total_cmp(&area(b)));
+                let Some((k, &largest)) = largest else {
+                    break;
+                };
+                let [first, second] = binary.children(largest);
+                children[k] = first;
+                children.push(second);
+            }
+            for (k, &child) in children.iter().enumerate() {
+                let bounds = binary.node(child).aabb();
+                let (low, high) = (bounds.min.to_array(), bounds.max.to_array());
+                for axis in 0..3 {
+                    let [lower, upper] = &mut self.nodes[at].planes[axis];
+                    lower[k] = (low[axis] - self.center[axis]).next_down();
+                    upper[k] = (high[axis] - self.center[axis]).next_up();
+                }
+                self.nodes[at].children[k] = if binary.is_leaf(child) {
+                    self.leaf(&binary.primitives(child))?
+                } else {
+                    let index = u32::try_from(self.nodes.len()).ok()?;
+                    if index >= Child::LEAF {
+                        return None;
+                    }
+                    open.push((index as usize, child));
+                    self.nodes.push(Node::EMPTY);
+                    Child(index)
+                };
+            }
+        }
+        Some(())
+    }
+
+    fn leaf(&mut self, items: &[&Item]) -> Option<Child> {
+        if let [
+            Item {
+                shape: Shape::Curved(c),
+                prim,
+                ..
+            },
+        ] = items
+        {
+            self.curved.push((*c, *prim));
+            return Child::leaf(Child::CURVED, self.curved.len() - 1);
+        }
+        let mut packet = Flat::EMPTY.splat_array();
+        let mut prims = [u32::MAX; LANES];
+        for (k, item) in items.iter().enumerate() {
+            if let Shape::Flat(flat) = &item.shape {
+                packet.set(k, flat);
+                prims[k] = item.prim;
+            }
+        }
+        self.packets.push(packet);
+        self.prims.push(prims);
+        let count = (items.len() as u32 - 1) << Child::COUNT_SHIFT;
+        Child::leaf(count, self.packets.len() - 1)
+    }
+
+    /// The first node, if there is any.
+    #[inline(always)]
+    pub(super) fn root(&self) -> Option<Child> {
+        (!self.nodes.is_empty()).then_some(Child::ROOT)
+    }
+
+    /// Offers what a leaf holds.
+    #[inline(always)]
+    pub(super) fn offer(&self, leaf: Child, ray: &Ray, lanes: &RayLanes<f32x8>, best: &mut Best) {
+        match leaf.kind() {
+            Kind::Packet(k, _) => self.packets[k].load().offer(lanes, &self.prims[k], best),
+            Kind::Curved(k) => {
+                let (curved, prim) = &self.curved[k];
+                if let Some((t, u, v)) = curved.intersect(&Line::of(ray), best.t) {
+                    best.offer(t, u, v, *prim);
+                }
+            }
+            Kind::Inner(_) | Kind::Nothing => {}
+        }
+    }
+
+    /// Whether a leaf is hit before `t_max`.
+    #[inline(always)]
+    pub(super) fn blocks(
+        &self,
+        leaf: Child,
+        ray: &Ray,
+        lanes: &RayLanes<f32x8>,
+        t_max: f32,
+    ) -> bool {
+        match leaf.kind() {
+            Kind::Packet(k, _) => {
+                let c = self.packets[k].load().candidate(lanes);
+                c.within(f32x8::splat(t_max)).to_bitmask() != 0
+            }
+            Kind::Curved(k) => self.curved[k].0.occluded(&Line::of(ray), t_max),
+            Kind::Inner(_) | Kind::Nothing => false,
+        }
     }
 
     // Out of line, so that small scenes do not pay for this frame.
     #[inline(never)]
     pub(super) fn intersect(&self, ray: &Ray, best: &mut Best) {
-        self.intersect_from(0, ray, best);
+        let lanes = RayLanes::<f32x8>::new(ray);
+        let mut search = Search::new(self, self.root(), ray);
+        while let Some(child) = search.next(best.t) {
+            match child.kind() {
+                Kind::Inner(index) => search.enter(&self.nodes[index], best.t),
+                _ => self.offer(child, ray, &lanes, best),
+            }
+        }
     }
 
     #[inline(never)]
     pub(super) fn occluded(&self, ray: &Ray, t_max: f32) -> bool {
-        self.occluded_from(0, ray, t_max)
-    }
-
-    /// Everything below `node`.
-    #[inline(always)]
-    pub(super) fn intersect_from(&self, node: u32, ray: &Ray, best: &mut Best) {
-        if self.depth <= USUAL_DEPTH {
-            self.intersect_within::<USUAL_DEPTH>(node, ray, best);
-        } else {
-            self.intersect_within::<MAX_DEPTH>(node, ray, best);
-        }
-    }
-
-    /// Everything below `node`.
-    #[inline(always)]
-    pub(super) fn occluded_from(&self, node: u32, ray: &Ray, t_max: f32) -> bool {
-        if self.depth <= USUAL_DEPTH {
-            self.occluded_within::<USUAL_DEPTH>(node, ray, t_max)
-        } else {
-            self.occluded_within::<MAX_DEPTH>(node, ray, t_max)
-        }
-    }
-
-    /// The curved primitive in a slot, if it is one.
-    #[inline(always)]
-    pub(super) fn curved_at(&self, slot: usize) -> Option<&Curved> {
-        let kind = *self.kinds.get(slot)?;
-        self.curved.get(kind as usize)
-    }
-
-    #[inline(never)]
-    fn intersect_within<const DEPTH: usize>(&self, node: u32, ray: &Ray, best: &mut Best) {
-        let lanes = RayLanes::<f32>::new(ray);
-        if self.kinds.is_empty() {
-            self.traverse::<DEPTH>(node, ray, best.t, |slot| {
-                self.flat[slot].intersect(&lanes, self.prims[slot], best);
-                Some(best.t)
-            });
-        } else {
-            let line = Line::of(ray);
-            self.traverse::<DEPTH>(node, ray, best.t, |slot| {
-                match self.curved_at(slot) {
-                    Some(c) => {
-                        if let Some((t, u, v)) = c.intersect(&line, best.t) {
-                            best.offer(t, u, v, self.prims[slot]);
-                        }
+        let lanes = RayLanes::<f32x8>::new(ray);
+        let mut search = Search::new(self, self.root(), ray);
+        while let Some(child) = search.next(t_max) {
+            match child.kind() {
+                Kind::Inner(index) => search.enter(&self.nodes[index], t_max),
+                _ => {
+                    if self.blocks(child, ray, &lanes, t_max) {
+                        return true;
                     }
-                    None => self.flat[slot].intersect(&lanes, self.prims[slot], best),
                 }
-                Some(best.t)
-            });
+            }
         }
+        false
     }
 
-    #[inline(never)]
-    fn occluded_within<const DEPTH: usize>(&self, node: u32, ray: &Ray, t_max: f32) -> bool {
-        let lanes = RayLanes::<f32>::new(ray);
-        self.traverse::<DEPTH>(node, ray, t_max, |slot| {
-            let hit = match self.curved_at(slot) {
-                Some(c) => c.occluded(&Line::of(ray), t_max),
-                None => self.flat[slot].occluded(&lanes, t_max),
-            };
-            (!hit).then_some(t_max)
-        })
-    }
-
-    /// Calls `test` on leaf slots below `node`, roughly front to back. It returns the new limit, or `None` to
-    /// stop; the result tells whether it did.
+    /// Brings what a child is made of near. Who searches for many rays in turns need not wait for each.
     #[inline(always)]
-    fn traverse<const DEPTH: usize>(
-        &self,
-        node: u32,
-        ray: &Ray,
-        t_max: f32,
-        mut test: impl FnMut(usize) -> Option<f32>,
-    ) -> bool {
-        let slabs = Slabs::new(ray, &self.center, &self.half);
-        let mut limit = t_max;
-        let mut stack = [(0u32, 0u32); DEPTH];
-        let mut top = 0;
-        // Child base and, in the high byte, the children still to visit; the low byte is the mask
-        // of inner children. We start with the only child of a virtual node.
-        let mut group = (node, 0x8000_0000u32);
-        if self.nodes.is_empty() {
-            return false;
-        }
-        loop {
-            let bit = 31 - group.1.leading_zeros();
-            let slot = (bit - 24) ^ slabs.octant;
-            let relative = (group.1 & !(u32::MAX << slot)).count_ones();
-            let child = group.0 + relative;
-            group.1 &= !(1 << bit);
-            if group.1 & 0xff00_0000 != 0 {
-                stack[top] = group;
-                top += 1;
+    pub(super) fn fetch(&self, child: Child) {
+        let touch = |x: &f32| {
+            std::hint::black_box(*x);
+        };
+        // One number of each line of the cache.
+        match child.kind() {
+            Kind::Inner(index) => {
+                let node = &self.nodes[index];
+                node.planes.iter().for_each(|axis| touch(&axis[0][0]));
+                std::hint::black_box(node.children[0]);
             }
-            let node = &self.nodes[child as usize];
-            let hits = slabs.test(node, limit);
-            let mut leaves = hits & 0x00ff_ffff;
-            while leaves != 0 {
-                let slot = node.primitive_base_idx + leaves.trailing_zeros();
-                leaves &= leaves - 1;
-                match test(slot as usize) {
-                    Some(t) => limit = t,
-                    None => return true,
-                }
-            }
-            group = (
-                node.child_base_idx,
-                (hits & 0xff00_0000) | u32::from(node.imask),
-            );
-            if hits & 0xff00_0000 == 0 {
-                if top == 0 {
-                    return false;
-                }
-                top -= 1;
-                group = stack[top];
-            }
+            Kind::Packet(index, _) => self.packets[index].fetch(),
+            Kind::Curved(_) | Kind::Nothing => {}
         }
     }
 
     pub(super) fn memory_bytes(&self) -> usize {
         size_of::<Self>()
-            + self.nodes.capacity() * size_of::<CwBvhNode>()
-            + self.flat.capacity() * size_of::<Flat<f32>>()
-            + (self.prims.capacity() + self.kinds.capacity()) * size_of::<u32>()
-            + self.curved.capacity() * size_of::<Curved>()
+            + self.nodes.capacity() * size_of::<Node>()
+            + self.packets.capacity() * size_of::<Flat<[f32; LANES]>>()
+            + self.prims.capacity() * size_of::<[u32; LANES]>()
+            + self.curved.capacity() * size_of::<(Curved, u32)>()
+    }
+}
+
+/// A binary hierarchy, and what is below its nodes.
+struct Binary<'a> {
+    tree: &'a Bvh2,
+    items: &'a [Item],
+    /// Per node: how many primitives there are below, or more than fit a leaf.
+    counts: Vec<u32>,
+}
+
+/// More primitives than fit a leaf.
+const MANY: u32 = LANES as u32 + 1;
+
+impl<'a> Binary<'a> {
+    fn new(tree: &'a Bvh2, items: &'a [Item]) -> Self {
+        let mut binary = Self {
+            tree,
+            items,
+            counts: vec![0; tree.nodes.len()],
+        };
+        // Parents before children.
+        let mut order = vec![0];
+        let mut next = 0;
+        while let Some(&at) = order.get(next) {
+            next += 1;
+            if !tree.nodes[at].is_leaf() {
+                order.extend(binary.children(at));
+            }
+        }
+        for &at in order.iter().rev() {
+            binary.counts[at] = if tree.nodes[at].is_leaf() {
+                let flat = |i: &&Item| matches!(i.shape, Shape::Flat(_));
+                match binary.primitives(at).iter().all(flat) {
+                    true => tree.nodes[at].prim_count,
+                    // Joined with nothing.
+                    false => MANY,
+                }
+            } else {
+                let below = binary.children(at).map(|c| binary.counts[c]);
+                (below[0] + below[1]).min(MANY)
+            };
+        }
+        binary
+    }
+
+    fn node(&self, at: usize) -> &'a Bvh2Node {
+        &self.tree.nodes[at]
+    }
+
+    fn children(&self, at: usize) -> [usize; 2] {
+        let first = self.node(at).first_index as usize;
+        [first, first + 1]
+    }
+
+    /// Whether all below becomes one leaf.
+    fn is_leaf(&self, at: usize) -> bool {
+        self.counts[at] < MANY || self.node(at).is_leaf()
+    }
+
+    fn area(&self, at: usize) -> f32 {
+        self.node(at).aabb().half_area()
+    }
+
+    /// All below, which becomes one leaf.
+    fn primitives(&self, at: usize) -> SmallVec<[&'a Item; LANES]> {
+        let mut found = SmallVec::new();
+        let mut open = SmallVec::<[usize; 2 * LANES]>::new();
+        open.push(at);
+        while let Some(at) = open.pop() {
+            let node = self.node(at);
+            if node.is_leaf() {
+                let first = node.first_index as usize;
+                let all = &self.tree.primitive_indices[first..first + node.prim_count as usize];
+                found.extend(all.iter().map(|&i| &self.items[i as usize]));
+            } else {
+                open.extend(self.children(at));
+            }
+        }
+        found
     }
 }
 
@@ -338,82 +482,77 @@ fn balanced(boxes: &[Aabb]) -> Bvh2 {
     }
 }
 
-/// Number of levels. Children always come after their parent.
-fn depth(nodes: &[CwBvhNode]) -> usize {
-    let mut level = vec![1; nodes.len()];
-    for (i, n) in nodes.iter().enumerate() {
-        let first = n.child_base_idx as usize;
-        for child in first..first + n.imask.count_ones() as usize {
-            level[child] = level[i] + 1;
-        }
-    }
-    level.into_iter().max().unwrap_or(0)
-}
-
-/// A ray prepared for node tests.
-struct Slabs {
-    o: [f32; 3],
+/// What a ray has still to visit.
+#[derive(Clone)]
+pub(super) struct Search {
     inverse: [f32; 3],
-    /// Widening of each slab in units of `t`.
-    slack: [f32; 3],
-    /// Order in which children are visited.
-    octant: u32,
+    /// Where the lower of the near planes would be met, and the upper of the far ones, if all were at zero.
+    base: [[f32; 2]; 3],
+    /// Per axis: which planes are met first.
+    first: [usize; 3],
+    /// Children, and where the ray enters them; the nearest comes last.
+    open: SmallVec<[(f32, Child); 24]>,
 }
 
-impl Slabs {
+impl Search {
+    /// For everything below a child.
     #[inline(always)]
-    fn new(ray: &Ray, center: &[f32; 3], half: &[f32; 3]) -> Slabs {
-        let mut reach = 0.0;
-        for k in 0..3 {
-            reach += (ray.o[k] - center[k]).abs() + half[k];
-        }
+    pub fn new(tree: &Tree, child: Option<Child>, ray: &Ray) -> Self {
+        let o: [f32; 3] = each([0, 1, 2], |k: usize| ray.o[k] - tree.center[k]);
+        let far = each([0, 1, 2], |k: usize| o[k].abs() + tree.half[k]);
+        let reach = far[0] + far[1] + far[2];
         let inverse = each(ray.d, |x| 1.0 / x.abs().max(MIN_COMPONENT).copysign(x));
-        let negative = |k: usize| u32::from(inverse[k] < 0.0);
-        Slabs {
-            o: ray.o,
+        let base = |k: usize| {
+            let slack = inverse[k].abs() * (SLACK * reach);
+            let base = -o[k] * inverse[k];
+            [base - slack, base + slack]
+        };
+        let mut open = SmallVec::new();
+        open.extend(child.map(|child| (0.0, child)));
+        Self {
+            base: [base(0), base(1), base(2)],
+            first: each(inverse, |x| usize::from(x < 0.0)),
             inverse,
-            slack: each(inverse, |x| x.abs() * (SLACK * reach)),
-            octant: 7 ^ (negative(0) << 2 | negative(1) << 1 | negative(2)),
+            open,
         }
     }
 
-    /// One bit per hit leaf slot (low 24) and per hit inner child (high 8, in visiting order).
+    /// The next child that is entered before `limit`.
     #[inline(always)]
-    fn test(&self, node: &CwBvhNode, limit: f32) -> u32 {
+    pub fn next(&mut self, limit: f32) -> Option<Child> {
+        loop {
+            let (near, child) = self.open.pop()?;
+            if near <= limit {
+                return Some(child);
+            }
+        }
+    }
+
+    /// Adds the children of a node that are entered before `limit`.
+    #[inline(always)]
+    pub fn enter(&mut self, node: &Node, limit: f32) {
         let mut near = f32x8::splat(0.0);
         let mut far = f32x8::splat(limit);
-        let p = node.p.to_array();
-        let mut axis = |k: usize, lo: &[u8; 8], hi: &[u8; 8]| {
-            let scale = f32::from_bits(u32::from(node.e[k]) << 23) * self.inverse[k];
-            let base = (p[k] - self.o[k]) * self.inverse[k];
-            let (first, last) = if self.inverse[k] < 0.0 {
-                (hi, lo)
-            } else {
-                (lo, hi)
-            };
-            let scale = f32x8::splat(scale);
-            near = near.fast_max(widen(first).mul_add(scale, f32x8::splat(base - self.slack[k])));
-            far = far.fast_min(widen(last).mul_add(scale, f32x8::splat(base + self.slack[k])));
-        };
-        axis(0, &node.child_min_x, &node.child_max_x);
-        axis(1, &node.child_min_y, &node.child_max_y);
-        axis(2, &node.child_min_z, &node.child_max_z);
-        let mut overlap = near.simd_le(far).to_bitmask();
-        let (bits, index) = node.get_child_and_index_bits(self.octant * 0x0101_0101);
-        let mut hits = 0;
-        while overlap != 0 {
-            let shift = overlap.trailing_zeros() * 8;
-            hits |= ((bits >> shift) as u32 & 0xff) << ((index >> shift) as u32 & 0x1f);
-            overlap &= overlap - 1;
+        for k in 0..3 {
+            let [first, last] = [self.first[k], 1 - self.first[k]];
+            let first = f32x8::from(node.planes[k][first & 1]);
+            let last = f32x8::from(node.planes[k][last & 1]);
+            let inverse = f32x8::splat(self.inverse[k]);
+            near = near.fast_max(first.mul_add(inverse, f32x8::splat(self.base[k][0])));
+            far = far.fast_min(last.mul_add(inverse, f32x8::splat(self.base[k][1])));
         }
-        hits
+        let mut entered = near.simd_le(far).to_bitmask();
+        let near = near.to_array();
+        let first = self.open.len();
+        while entered != 0 {
+            let k = entered.trailing_zeros() as usize % WIDTH;
+            entered &= entered - 1;
+            let mut at = self.open.len();
+            self.open.push((near[k], node.children[k]));
+            while at > first && self.open[at - 1].0 < self.open[at].0 {
+                self.open.swap(at - 1, at);
+                at -= 1;
+            }
+        }
     }
-}
-
-/// Eight bytes as eight floats; spelled so that it becomes one widening load.
-#[inline(always)]
-pub(super) fn widen(q: &[u8; 8]) -> f32x8 {
-    let padded = u128::from(u64::from_le_bytes(*q)).to_le_bytes();
-    let bytes = u16x8::from_u8x16_low(u8x16::from(padded));
-    f32x8::from_i32x8(i32x8::from_u16x8(bytes))
 }

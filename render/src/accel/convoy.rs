@@ -1,23 +1,24 @@
 //! Bundles of rays through the hierarchy.
 //!
-//! Paths of one pixel stay close for a vertex or two: their rays visit the same nodes, which are then unpacked
-//! once and tested with a lane per ray. Where only a few rays of a bundle are left, these go on alone.
+//! Paths of one pixel stay close for a vertex or two: their rays visit the same nodes, which are then tested with a
+//! lane per ray. Where only a few rays of a bundle are left, these go on alone, but in turns: what each visits next is
+//! fetched before the first of them needs it, because most of the time of such a ray is waiting for memory.
 
 use super::bundle::{BUNDLE, Bundle};
-use super::bvh::{MIN_COMPONENT, SLACK, Tree, widen};
+use super::bvh::{Child, Kind, MIN_COMPONENT, Node, SLACK, Search, Tree, WIDTH};
 use super::curved::Line;
 use super::packet::RayLanes;
 use super::{Best, Hit, Ray};
 use crate::math::each;
-use obvhs::cwbvh::node::CwBvhNode;
-use wide::{f32x8, f32x16};
+use smallvec::SmallVec;
+use wide::f32x16;
 
 /// Up to this number of rays are faster one by one. Measured.
-const FEW: u32 = 2;
+const FEW: u32 = 6;
 
-/// A node that some rays of a bundle still have to visit.
+/// A child that some rays of a bundle still have to visit.
 struct Visit {
-    node: u32,
+    node: Child,
     /// One bit per ray.
     rays: u32,
     /// Where each ray enters it.
@@ -28,27 +29,22 @@ struct Visit {
 struct Convoy<'a> {
     bundle: &'a Bundle,
     lanes: RayLanes<f32x16>,
-    o: [f32x16; 3],
     inverse: [f32x16; 3],
+    /// Where planes at zero are met.
+    base: [f32x16; 3],
     /// Widening of every box.
     slack: f32,
-    /// Order in which children are visited: that of the first ray.
-    octant: u32,
-}
-
-/// The children of a node that rays enter.
-struct Entered {
-    rays: [u32; 8],
-    near: [f32x16; 8],
 }
 
 impl<'a> Convoy<'a> {
     #[inline(always)]
     fn new(bundle: &'a Bundle, tree: &Tree) -> Self {
         let (o, d) = bundle.lanes();
+        let mut from = o;
         let mut reach = f32x16::splat(0.0);
-        for (o, (center, half)) in o.iter().zip(tree.center.iter().zip(tree.half)) {
-            reach += (*o - f32x16::splat(*center)).abs() + f32x16::splat(half);
+        for (o, (center, half)) in from.iter_mut().zip(tree.center.iter().zip(tree.half)) {
+            *o -= f32x16::splat(*center);
+            reach += o.abs() + f32x16::splat(half);
         }
         let reach = reach.to_array()[..bundle.len()]
             .iter()
@@ -60,52 +56,29 @@ impl<'a> Convoy<'a> {
             }
             f32x16::from(d)
         });
-        let negative = |k: usize| u32::from(bundle.ray(0).1[k] < 0.0);
+        let base = |k: usize| -from[k] * inverse[k];
         Self {
             bundle,
             lanes: RayLanes::of(o, d),
-            o,
             inverse,
+            base: [base(0), base(1), base(2)],
             slack: SLACK * reach,
-            octant: 7 ^ (negative(0) << 2 | negative(1) << 1 | negative(2)),
         }
     }
 
-    /// Which of `rays` enter which children before their `limit`.
+    /// Which of `rays` enter child `k` before their `limit`, and where.
     #[inline(always)]
-    fn test(&self, node: &CwBvhNode, rays: u32, limit: f32x16) -> Entered {
-        let p = node.p.to_array();
-        let slack = f32x8::splat(self.slack);
-        let plane = |k: usize, lo: &[u8; 8], hi: &[u8; 8]| {
-            let scale = f32x8::splat(f32::from_bits(u32::from(node.e[k]) << 23));
-            let lo = (widen(lo) * scale - slack).to_array();
-            let hi = (widen(hi) * scale + slack).to_array();
-            let base = (f32x16::splat(p[k]) - self.o[k]) * self.inverse[k];
-            (lo, hi, base)
-        };
-        let planes = [
-            plane(0, &node.child_min_x, &node.child_max_x),
-            plane(1, &node.child_min_y, &node.child_max_y),
-            plane(2, &node.child_min_z, &node.child_max_z),
-        ];
-        let mut entered = Entered {
-            rays: [0; 8],
-            near: [f32x16::splat(0.0); 8],
-        };
-        for child in 0..8 {
-            let mut near = f32x16::splat(0.0);
-            let mut far = limit;
-            for (k, (lo, hi, base)) in planes.iter().enumerate() {
-                let a = f32x16::splat(lo[child]).mul_add(self.inverse[k], *base);
-                let b = f32x16::splat(hi[child]).mul_add(self.inverse[k], *base);
-                near = near.fast_max(a.fast_min(b));
-                far = far.fast_min(a.fast_max(b));
-            }
-            let present = if node.child_meta[child] == 0 { 0 } else { rays };
-            entered.rays[child] = near.simd_le(far).to_bitmask() & present;
-            entered.near[child] = near;
+    fn test(&self, node: &Node, k: usize, rays: u32, limit: f32x16) -> (u32, f32x16) {
+        let mut near = f32x16::splat(0.0);
+        let mut far = limit;
+        for axis in 0..3 {
+            let [lower, upper] = &node.planes[axis];
+            let plane = |x: f32| f32x16::splat(x).mul_add(self.inverse[axis], self.base[axis]);
+            let (a, b) = (plane(lower[k] - self.slack), plane(upper[k] + self.slack));
+            near = near.fast_max(a.fast_min(b));
+            far = far.fast_min(a.fast_max(b));
         }
-        entered
+        (near.simd_le(far).to_bitmask() & rays, near)
     }
 
     #[inline(always)]
@@ -123,6 +96,30 @@ fn lanes(mut mask: u32) -> impl Iterator<Item = usize> {
         mask &= mask.wrapping_sub(1);
         (lane < BUNDLE).then_some(lane)
     })
+}
+
+/// A ray that goes on alone.
+struct Single {
+    lane: usize,
+    ray: Ray,
+    /// What it visits next.
+    child: Child,
+    /// And after that.
+    search: Search,
+}
+
+type Alone = SmallVec<[Single; BUNDLE]>;
+
+impl Single {
+    #[inline(always)]
+    fn new(tree: &Tree, child: Child, lane: usize, ray: Ray) -> Self {
+        Self {
+            lane,
+            search: Search::new(tree, None, &ray),
+            child,
+            ray,
+        }
+    }
 }
 
 /// The nearest hits so far.
@@ -148,19 +145,27 @@ impl Tree {
             *best = Best::new(*t);
         }
         let convoy = Convoy::new(bundle, self);
+        let mut alone = Alone::new();
         self.follow(
             &convoy,
             &mut nearest,
+            &mut alone,
             |nearest| (nearest.t, u32::MAX),
-            |nearest, slot, rays| self.offer_lanes(&convoy, slot, rays, nearest),
-            |nearest, node, lane, ray| {
-                self.intersect_from(node, ray, &mut nearest.best[lane]);
-                let mut t = nearest.t.to_array();
-                t[lane] = nearest.best[lane].t;
-                nearest.t = f32x16::from(t);
-            },
+            |nearest, leaf, rays| self.offer_lanes(&convoy, leaf, rays, nearest),
         );
-        for (hit, best) in hits.iter_mut().zip(&nearest.best).take(bundle.len()) {
+        let mut best = nearest.best;
+        self.in_turns(&mut alone, |single| {
+            let best = &mut best[single.lane];
+            match single.child.kind() {
+                Kind::Inner(index) => single.search.enter(&self.nodes[index], best.t),
+                _ => {
+                    let lanes = RayLanes::new(&single.ray);
+                    self.offer(single.child, &single.ray, &lanes, best);
+                }
+            }
+            single.search.next(best.t)
+        });
+        for (hit, best) in hits.iter_mut().zip(&best).take(bundle.len()) {
             *hit = best.hit();
         }
         Some(())
@@ -173,123 +178,180 @@ impl Tree {
         let t_max = f32x16::from(limits);
         let convoy = Convoy::new(bundle, self);
         let mut occluded = 0;
+        let mut alone = Alone::new();
         self.follow(
             &convoy,
             &mut occluded,
+            &mut alone,
             |occluded| (t_max, !*occluded),
-            |occluded, slot, rays| match self.curved_at(slot) {
-                Some(c) => {
+            |occluded, leaf, rays| match leaf.kind() {
+                Kind::Curved(k) => {
                     for lane in lanes(rays) {
+                        let curved = &self.curved[k].0;
                         let hit = convoy
                             .ray(lane)
-                            .is_some_and(|r| c.occluded(&Line::of(&r), limits[lane]));
+                            .is_some_and(|r| curved.occluded(&Line::of(&r), limits[lane]));
                         *occluded |= u32::from(hit) << lane;
                     }
                 }
-                None => {
-                    let (hit, ..) = self.flat[slot].test_lanes(&convoy.lanes, t_max);
-                    *occluded |= hit.to_bitmask() & rays;
+                Kind::Packet(index, count) => {
+                    for k in 0..count {
+                        let one = self.packets[index].splat::<f32x16>(k);
+                        let (hit, ..) = one.test(&convoy.lanes, t_max);
+                        *occluded |= hit.to_bitmask() & rays;
+                    }
                 }
-            },
-            |occluded, node, lane, ray| {
-                *occluded |= u32::from(self.occluded_from(node, ray, limits[lane])) << lane;
+                Kind::Inner(_) | Kind::Nothing => {}
             },
         );
+        self.in_turns(&mut alone, |single| {
+            let limit = limits[single.lane];
+            match single.child.kind() {
+                Kind::Inner(index) => single.search.enter(&self.nodes[index], limit),
+                _ => {
+                    let lanes = RayLanes::new(&single.ray);
+                    let blocked = self.blocks(single.child, &single.ray, &lanes, limit);
+                    occluded |= u32::from(blocked) << single.lane;
+                }
+            }
+            let looking = occluded >> single.lane & 1 == 0;
+            single.search.next(limit).filter(|_| looking)
+        });
         Some(occluded)
     }
 
-    /// Offers the primitive of a slot to some rays.
+    /// Offers the primitives of a leaf to some rays.
     #[inline(always)]
-    fn offer_lanes(&self, convoy: &Convoy, slot: usize, rays: u32, nearest: &mut Nearest) {
-        let prim = self.prims[slot];
-        if let Some(c) = self.curved_at(slot) {
-            let mut t = nearest.t.to_array();
-            for lane in lanes(rays) {
-                let best = &mut nearest.best[lane];
-                let hit = convoy
-                    .ray(lane)
-                    .and_then(|r| c.intersect(&Line::of(&r), best.t));
-                if let Some((t, u, v)) = hit {
-                    best.offer(t, u, v, prim);
+    fn offer_lanes(&self, convoy: &Convoy, leaf: Child, rays: u32, nearest: &mut Nearest) {
+        match leaf.kind() {
+            Kind::Curved(k) => {
+                let (curved, prim) = &self.curved[k];
+                let mut t = nearest.t.to_array();
+                for lane in lanes(rays) {
+                    let best = &mut nearest.best[lane];
+                    let hit = convoy
+                        .ray(lane)
+                        .and_then(|r| curved.intersect(&Line::of(&r), best.t));
+                    if let Some((t, u, v)) = hit {
+                        best.offer(t, u, v, *prim);
+                    }
+                    t[lane] = best.t;
                 }
-                t[lane] = best.t;
+                nearest.t = f32x16::from(t);
             }
-            nearest.t = f32x16::from(t);
-            return;
-        }
-        // One rounding more, so that equal distances pass; the offer decides.
-        let reach = nearest.t * f32x16::splat(1.0 + f32::EPSILON);
-        let (hit, t, u, v) = self.flat[slot].test_lanes(&convoy.lanes, reach);
-        let hit = hit.to_bitmask() & rays;
-        if hit != 0 {
-            let (t, u, v) = (t.to_array(), u.to_array(), v.to_array());
-            for lane in lanes(hit) {
-                nearest.best[lane].offer(t[lane], u[lane], v[lane], prim);
+            Kind::Packet(index, count) => {
+                for k in 0..count {
+                    // One rounding more, so that equal distances pass; the offer decides.
+                    let reach = nearest.t * f32x16::splat(1.0 + f32::EPSILON);
+                    let one = self.packets[index].splat::<f32x16>(k);
+                    let (hit, t, u, v) = one.test(&convoy.lanes, reach);
+                    let hit = hit.to_bitmask() & rays;
+                    if hit == 0 {
+                        continue;
+                    }
+                    let (t, u, v) = (t.to_array(), u.to_array(), v.to_array());
+                    for lane in lanes(hit) {
+                        nearest.best[lane].offer(t[lane], u[lane], v[lane], self.prims[index][k]);
+                    }
+                    let mut t = [0.0; BUNDLE];
+                    for (t, best) in t.iter_mut().zip(&nearest.best) {
+                        *t = best.t;
+                    }
+                    nearest.t = f32x16::from(t);
+                }
             }
-            let mut t = [0.0; BUNDLE];
-            for (t, best) in t.iter_mut().zip(&nearest.best) {
-                *t = best.t;
-            }
-            nearest.t = f32x16::from(t);
+            Kind::Inner(_) | Kind::Nothing => {}
         }
     }
 
-    /// Visits the nodes that rays of a bundle enter, roughly front to back. `limit` tells the distances up to
-    /// which the rays look and which of them still do, `leaf` tests a leaf slot for some rays, and `alone`
-    /// everything below a node for one.
+    /// Follows rays that are alone, step by step in turns. `step` visits a ray's child and tells its next.
+    #[inline(always)]
+    fn in_turns(&self, alone: &mut Alone, mut step: impl FnMut(&mut Single) -> Option<Child>) {
+        let mut left: SmallVec<[usize; 2 * BUNDLE]> = (0..alone.len()).collect();
+        while !left.is_empty() {
+            for &k in &left {
+                self.fetch(alone[k].child);
+            }
+            left.retain(|k| {
+                let single = &mut alone[*k];
+                match step(single) {
+                    Some(child) => {
+                        single.child = child;
+                        true
+                    }
+                    None => false,
+                }
+            });
+        }
+    }
+
+    /// Visits the nodes that rays of a bundle enter, roughly front to back; rays that are left with a part of the tree
+    /// go to `alone`. `limit` tells the distances up to which the rays look and which of them still do, `leaf` tests a
+    /// leaf for some rays.
     #[inline(always)]
     fn follow<T>(
         &self,
         convoy: &Convoy,
         state: &mut T,
+        alone: &mut Alone,
         limit: impl Fn(&T) -> (f32x16, u32),
-        mut leaf: impl FnMut(&mut T, usize, u32),
-        mut alone: impl FnMut(&mut T, u32, usize, &Ray),
+        mut leaf: impl FnMut(&mut T, Child, u32),
     ) {
         if self.nodes.is_empty() {
             return;
         }
-        let mut open = Vec::with_capacity(64);
+        let mut open = SmallVec::<[Visit; 32]>::new();
         open.push(Visit {
-            node: 0,
+            node: Child::ROOT,
             rays: (1 << convoy.bundle.len()) - 1,
             near: f32x16::splat(0.0),
         });
         while let Some(visit) = open.pop() {
             let (far, looking) = limit(state);
             let rays = visit.rays & looking & visit.near.simd_le(far).to_bitmask();
+            let Kind::Inner(index) = visit.node.kind() else {
+                if rays != 0 {
+                    leaf(state, visit.node, rays);
+                }
+                continue;
+            };
             if rays.count_ones() <= FEW {
                 for lane in lanes(rays) {
                     if let Some(ray) = convoy.ray(lane) {
-                        alone(state, visit.node, lane, &ray);
+                        alone.push(Single::new(self, visit.node, lane, ray));
                     }
                 }
                 continue;
             }
-            let node = &self.nodes[visit.node as usize];
-            let entered = convoy.test(node, rays, far);
-            for child in 0..8 {
-                let rays = entered.rays[child];
-                if rays == 0 || node.imask >> child & 1 != 0 {
-                    continue;
+            let node = &self.nodes[index];
+            // In the order in which the first ray of each enters them, the nearest last.
+            let mut entered = [(0, f32x16::splat(0.0)); WIDTH];
+            let mut order = [(0.0, 0); WIDTH];
+            let mut n = 0;
+            for (k, &child) in node.children.iter().enumerate() {
+                if child.is_nothing() {
+                    break;
                 }
-                let meta = node.child_meta[child];
-                let first = (node.primitive_base_idx + u32::from(meta & 31)) as usize;
-                for slot in first..first + (meta >> 5).count_ones() as usize {
-                    leaf(state, slot, rays);
+                entered[k] = convoy.test(node, k, rays, far);
+                let (rays, near) = &entered[k];
+                if *rays != 0 {
+                    let distance = near.to_array()[rays.trailing_zeros() as usize % BUNDLE];
+                    let mut at = n;
+                    while at > 0 && order[at - 1].0 < distance {
+                        order[at] = order[at - 1];
+                        at -= 1;
+                    }
+                    order[at] = (distance, k);
+                    n += 1;
                 }
             }
-            for k in 0..8 {
-                let child = k ^ convoy.octant;
-                let rays = entered.rays[child as usize];
-                if rays != 0 && node.imask >> child & 1 != 0 {
-                    let before = u32::from(node.imask) & !(u32::MAX << child);
-                    open.push(Visit {
-                        node: node.child_base_idx + before.count_ones(),
-                        rays,
-                        near: entered.near[child as usize],
-                    });
-                }
+            for &(_, k) in &order[..n] {
+                let (rays, near) = entered[k];
+                open.push(Visit {
+                    node: node.children[k],
+                    rays,
+                    near,
+                });
             }
         }
     }

@@ -180,7 +180,7 @@ impl Accel {
         }
     }
 
-    /// `None` if the hierarchy came out too deep for the traversal stack.
+    /// `None` if there are too many leaves.
     fn tree(items: &[Item]) -> Option<Accel> {
         Tree::new(items).map(|t| Accel {
             layout: Layout::Tree(Box::new(t)),

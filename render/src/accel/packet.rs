@@ -152,7 +152,106 @@ fn dot<N: Lane>(a: [N; 3], b: [N; 3]) -> N {
     a[2].fma(b[2], a[1].fma(b[1], a[0] * b[0]))
 }
 
+impl Flat<[f32; LANES]> {
+    /// Replaces primitive `k`.
+    pub(super) fn set(&mut self, k: usize, one: &Flat<f32>) {
+        for axis in 0..3 {
+            self.v0[axis][k] = one.v0[axis];
+            self.n[axis][k] = one.n[axis];
+            self.du[axis][k] = one.du[axis];
+            self.dv[axis][k] = one.dv[axis];
+        }
+        self.cut[k] = one.cut;
+        self.seam_u[k] = one.seam_u;
+        self.seam_v[k] = one.seam_v;
+        self.reach[k] = one.reach;
+    }
+
+    /// Primitive `k` in every lane.
+    #[inline(always)]
+    pub(super) fn splat<N: Lane>(&self, k: usize) -> Flat<N> {
+        let one = |x: &[f32; LANES]| N::splat(x[k]);
+        let three = |x: &[[f32; LANES]; 3]| [one(&x[0]), one(&x[1]), one(&x[2])];
+        Flat {
+            v0: three(&self.v0),
+            n: three(&self.n),
+            du: three(&self.du),
+            dv: three(&self.dv),
+            cut: one(&self.cut),
+            seam_u: one(&self.seam_u),
+            seam_v: one(&self.seam_v),
+            reach: one(&self.reach),
+        }
+    }
+
+    /// Reads one number of each line of the cache, and does nothing with it.
+    #[inline(always)]
+    pub(super) fn fetch(&self) {
+        let Self {
+            v0,
+            n,
+            du,
+            dv,
+            cut,
+            seam_v,
+            ..
+        } = self;
+        for x in [&v0[0], &v0[2], &n[1], &du[0], &du[2], &dv[1], cut, seam_v] {
+            std::hint::black_box(x[0]);
+        }
+    }
+
+    /// All of them, a lane each.
+    #[inline(always)]
+    pub(super) fn load(&self) -> Flat<f32x8> {
+        Flat {
+            v0: each(self.v0, f32x8::from),
+            n: each(self.n, f32x8::from),
+            du: each(self.du, f32x8::from),
+            dv: each(self.dv, f32x8::from),
+            cut: self.cut.into(),
+            seam_u: self.seam_u.into(),
+            seam_v: self.seam_v.into(),
+            reach: self.reach.into(),
+        }
+    }
+}
+
+impl Flat<f32x8> {
+    /// Offers the hits of one ray.
+    #[inline(always)]
+    pub(super) fn offer(&self, ray: &RayLanes<f32x8>, prims: &[u32; LANES], best: &mut Best) {
+        // One rounding more, so that equal distances pass; the offer decides.
+        let reach = f32x8::splat(best.t * (1.0 + f32::EPSILON));
+        let c = self.candidate(ray);
+        let mut hits = c.within(reach).to_bitmask();
+        if hits != 0 {
+            let (t, u, v) = (c.t.to_array(), c.u.to_array(), c.v.to_array());
+            while hits != 0 {
+                let k = hits.trailing_zeros() as usize % LANES;
+                hits &= hits - 1;
+                best.offer(t[k], u[k], v[k], prims[k]);
+            }
+        }
+    }
+}
+
 impl Flat<f32> {
+    /// The same primitive in every place.
+    pub(super) fn splat_array(&self) -> Flat<[f32; LANES]> {
+        let all = |x: f32| [x; LANES];
+        Flat {
+            v0: each(self.v0, all),
+            n: each(self.n, all),
+            du: each(self.du, all),
+            dv: each(self.dv, all),
+            cut: all(self.cut),
+            seam_u: all(self.seam_u),
+            seam_v: all(self.seam_v),
+            reach: all(self.reach),
+        }
+    }
+
     /// Cannot be hit; fills packets up and marks slots of other kinds.
     pub(super) const EMPTY: Flat<f32> = Flat {
         v0: [0.0; 3],
@@ -285,32 +384,30 @@ impl Flat<f32> {
         }
     }
 
-    /// Which lanes hit it before `t_max`, and where: distance and coordinates.
+    /// [`Flat::test`] of the same primitive in every lane.
     #[inline(always)]
     pub(super) fn test_lanes(
         &self,
         rays: &RayLanes<f32x16>,
         t_max: f32x16,
     ) -> (f32x16, f32x16, f32x16, f32x16) {
+        self.splat::<f32x16>().test(rays, t_max)
+    }
+}
+
+impl Flat<f32x16> {
+    /// Which rays hit their lane's primitive before `t_max`, and where: distance and coordinates.
+    #[inline(always)]
+    pub(super) fn test(
+        &self,
+        rays: &RayLanes<f32x16>,
+        t_max: f32x16,
+    ) -> (f32x16, f32x16, f32x16, f32x16) {
         let (zero, one) = (f32x16::splat(0.0), f32x16::splat(1.0));
-        let c = self.splat::<f32x16>().candidate(rays);
+        let c = self.candidate(rays);
         let ahead = c.t.simd_gt(zero) & c.t.simd_lt(t_max);
         let inside = c.inner.simd_ge(zero) & c.outer.simd_le(one);
         (ahead & inside, c.t, c.u, c.v)
-    }
-
-    #[inline(always)]
-    pub(super) fn intersect(&self, ray: &RayLanes<f32>, prim: u32, best: &mut Best) {
-        let c = self.candidate(ray);
-        if c.t > 0.0 && c.t <= best.t && c.inner >= 0.0 && c.outer <= 1.0 {
-            best.offer(c.t, c.u, c.v, prim);
-        }
-    }
-
-    #[inline(always)]
-    pub(super) fn occluded(&self, ray: &RayLanes<f32>, t_max: f32) -> bool {
-        let c = self.candidate(ray);
-        c.t > 0.0 && c.t < t_max && c.inner >= 0.0 && c.outer <= 1.0
     }
 }
 
@@ -409,7 +506,7 @@ impl Packets {
 impl Candidate<f32x8> {
     /// Lanes that are hit before `t_max`.
     #[inline(always)]
-    fn within(&self, t_max: f32x8) -> f32x8 {
+    pub(super) fn within(&self, t_max: f32x8) -> f32x8 {
         let (zero, one) = (f32x8::splat(0.0), f32x8::splat(1.0));
         self.t.simd_gt(zero)
             & self.t.simd_lt(t_max)

@@ -384,6 +384,13 @@ impl Scene {
         (shape, self.patches.get(patch as usize))
     }
 
+    /// Brings what [`Scene::interaction`] looks up near.
+    #[inline]
+    pub(crate) fn fetch(&self, hit: &Hit) {
+        let Prim { shape, local, .. } = self.prims[hit.prim as usize];
+        self.shapes[shape as usize].fetch(local);
+    }
+
     /// [`Scene::nearest`], and what lies there.
     #[inline]
     pub fn intersect<R: Real>(&self, ray: &Ray<R>) -> Option<Intersection<R>> {

@@ -329,6 +329,15 @@ impl Shape for Mesh {
         }
     }
 
+    #[inline]
+    fn fetch(&self, prim: u32) {
+        let mesh = &self.0.mesh;
+        for i in mesh.triangles[prim as usize] {
+            std::hint::black_box(mesh.positions[i as usize][0]);
+            std::hint::black_box(mesh.normals.get(i as usize).map(|n| n[0]));
+        }
+    }
+
     fn border<R: Real>(&self, prim: u32, ray: &Ray<R>) -> R {
         let (v0, [e1, e2]) = self.0.single_edges(prim as usize);
         let (v0, e1, e2) = (lift3::<R>(v0), lift3::<R>(e1), lift3::<R>(e2));

@@ -177,6 +177,10 @@ pub trait Shape: Send + Sync {
         None
     }
 
+    /// Brings what [`Shape::interaction`] looks up near: who needs that of many primitives need not wait for each.
+    #[inline]
+    fn fetch(&self, _prim: u32) {}
+
     /// Area, world space.
     fn area(&self) -> f64;
 
@@ -321,6 +325,10 @@ macro_rules! shapes {
             }
             fn patch(&self, prim: u32) -> Option<&Patch> {
                 match self { $(Self::$hot(s) => s.patch(prim),)* $(Self::$name(s) => s.patch(prim),)* }
+            }
+            #[inline]
+            fn fetch(&self, prim: u32) {
+                match self { $(Self::$hot(s) => s.fetch(prim),)* $(Self::$name(s) => s.fetch(prim),)* }
             }
             fn area(&self) -> f64 {
                 match self { $(Self::$hot(s) => s.area(),)* $(Self::$name(s) => s.area(),)* }

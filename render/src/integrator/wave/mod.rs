@@ -428,6 +428,9 @@ impl<P: Float, X: Sampler> Wave<P, X> {
                 self.hits[i] = found;
             }
         }
+        for hit in self.hits[..n].iter().flatten() {
+            scene.fetch(hit);
+        }
     }
 
     /// Adds the light that the edges end at, and looks at the surfaces there. Whether there are any that paths may go
