@@ -11,8 +11,12 @@ use crate::integrator::gradient::Active;
 use crate::integrator::path::{HitLight, MODE};
 use crate::integrator::record::Activity;
 use crate::math::Rgb;
-use crate::params::{GradSink, Theta};
+use crate::params::{GradSink, ParamRef, Theta};
 use crate::scene::Scene;
+use crate::texture::Texture;
+
+/// Beyond so many, vertices are faster one by one than materials.
+const MOST_CONSTANTS: usize = 8;
 
 /// The vertices of all paths that have so many edges. At a plain one, the radiance that leaves is its albedo times
 /// what arrives: `albedo (direct + bounce L)`.
@@ -24,6 +28,8 @@ struct Layer<P> {
     /// Its place in the layer before.
     parent: Lane<u32>,
     material: Lane<u32>,
+    /// Whether that is differentiated.
+    follows: Lane<u32>,
     /// Whether there is a vertex that is not in `others`.
     plain: Lane<u32>,
     u: Lane<P>,
@@ -70,6 +76,10 @@ pub struct Record<'a, P: Float> {
     layers: Vec<Box<Layer<P>>>,
     used: usize,
     emitted: Vec<Emitted<P>>,
+    /// Plain materials that are differentiated and the same everywhere, and their albedos: sums over whole layers.
+    constants: SmallVec<[(u32, ParamRef); MOST_CONSTANTS]>,
+    /// Whether there are no other plain materials that are differentiated.
+    only_constants: bool,
 }
 
 impl<P: Float> Layer<P> {
@@ -79,6 +89,7 @@ impl<P: Float> Layer<P> {
             id: Lane::zero(),
             parent: Lane::zero(),
             material: Lane::zero(),
+            follows: Lane::zero(),
             plain: Lane::zero(),
             u: Lane::zero(),
             v: Lane::zero(),
@@ -94,8 +105,23 @@ impl<P: Float> Layer<P> {
 
 impl<'a, P: Float> Record<'a, P> {
     /// For derivatives in some parameters.
-    pub fn of(active: &'a Active) -> Self {
+    pub fn of(active: &'a Active, scene: &Scene) -> Self {
+        let mut constants = SmallVec::new();
+        let mut only_constants = true;
+        for (material, index) in scene.materials().iter().zip(0..) {
+            match &**material {
+                Material::Diffuse(m) if active.material_active(index) => match m.reflectance {
+                    Texture::Constant(albedo) if constants.len() < MOST_CONSTANTS => {
+                        constants.push((index, albedo));
+                    }
+                    _ => only_constants = false,
+                },
+                _ => {}
+            }
+        }
         Self {
+            constants,
+            only_constants,
             active,
             d: Lanes::zero(),
             layers: vec![Layer::new()],
@@ -114,17 +140,21 @@ impl<'a, P: Float> Record<'a, P> {
         self.emitted.clear();
     }
 
-    /// Adds the derivative of the radiances times their adjoints to the active parameters, for the paths of which
-    /// `counts` holds.
+    /// Adds the derivative of the radiances `l` times their adjoints to the active parameters, for the paths whose
+    /// radiance is finite.
     pub fn backward(
         &mut self,
         scene: &Scene,
         theta: &Theta<P>,
-        counts: impl Fn(usize) -> bool,
-        grad: &mut (impl GradSink<P> + Activity),
+        l: &[Rgb<P>],
+        grad: &mut impl GradSink<P>,
     ) {
+        let mut counts = Lane::<u32>::zero();
+        for (counts, l) in counts.iter_mut().zip(l) {
+            *counts = u32::from(l.is_finite());
+        }
         for e in &self.emitted {
-            if counts(e.id as usize) {
+            if counts[e.id as usize % WIDTH] != 0 {
                 let emitter = &scene.emitters()[e.emitter as usize];
                 emitter.backward(&e.emission, e.d, grad);
             }
@@ -167,7 +197,7 @@ impl<'a, P: Float> Record<'a, P> {
                     use_light(wi, component, f, arrives.rgb(i) * weight);
                 }
                 leaves.put_rgb(i, l);
-                let wanted = grad.material_active(index) && counts(layer.id[i] as usize);
+                let wanted = layer.follows[i] != 0 && counts[layer.id[i] as usize % WIDTH] != 0;
                 if wanted && !uses.is_empty() {
                     let at = Shading {
                         theta: *theta,
@@ -177,23 +207,34 @@ impl<'a, P: Float> Record<'a, P> {
                     material.backward(&at, other.wo, &uses, MODE, grad);
                 }
             }
-            let plain = |i: usize, grad: &_| {
-                let index = layer.material[i];
-                let wanted = layer.plain[i] != 0 && Activity::material_active(grad, index);
-                match &*scene.materials()[index as usize] {
-                    Material::Diffuse(m) if wanted => Some(&m.reflectance),
-                    _ => None,
-                }
+            let plain = |i: usize| match &*scene.materials()[layer.material[i] as usize] {
+                Material::Diffuse(m) => Some(&m.reflectance),
+                _ => None,
             };
-            for i in 0..layer.n {
-                if let Some(albedo) = plain(i, grad) {
+            let mut wanted = Lane::<u32>::zero();
+            for i in 0..whole(layer.n) {
+                wanted[i] =
+                    layer.plain[i] & layer.follows[i] & counts[layer.id[i] as usize % WIDTH];
+            }
+            for &(material, albedo) in &self.constants {
+                let of_this = |i: usize| (layer.material[i] == material) & (wanted[i] != 0);
+                let d = d.sum_where(layer.n, of_this);
+                grad.add_all(albedo, 0, d.to_array());
+            }
+            if !self.only_constants {
+                let textured = |i: &usize| {
+                    let material = layer.material[*i];
+                    wanted[*i] != 0 && self.constants.iter().all(|(m, _)| *m != material)
+                };
+                let textured = || {
+                    (0..layer.n)
+                        .filter(textured)
+                        .filter_map(|i| Some((i, plain(i)?)))
+                };
+                for (i, albedo) in textured() {
                     albedo.expect(layer.uv(i), grad);
                 }
-            }
-            for i in 0..layer.n {
-                if let Some(albedo) = plain(i, grad)
-                    && counts(layer.id[i] as usize)
-                {
+                for (i, albedo) in textured() {
                     albedo.scatter(layer.uv(i), d.rgb(i), grad);
                 }
             }
@@ -257,6 +298,7 @@ impl<P: Float> Log<P> for Record<'_, P> {
             layer.parent[i] = paths.slot[i];
             paths.slot[i] = i as u32;
             layer.material[i] = at.material[i];
+            layer.follows[i] = at.follows[i];
             layer.plain[i] = at.plain[i] & at.there[i];
             layer.u[i] = at.u[i];
             layer.v[i] = at.v[i];

@@ -2,7 +2,7 @@
 
 use ad_core::{Float, Vec3};
 
-use crate::math::Rgb;
+use crate::math::{Rgb, each};
 
 /// Paths that are followed at a time: enough to fill vectors when most have ended, few enough for the cache.
 pub const WIDTH: usize = 64;
@@ -50,6 +50,28 @@ impl<P: Float> Lanes<P> {
     pub fn put_rgb(&mut self, i: usize, c: Rgb<P>) {
         let [r, g, b] = &mut self.0;
         (r[i], g[i], b[i]) = (c.r, c.g, c.b);
+    }
+
+    /// The sum of the colours of the first `n` paths for which `counts` holds.
+    #[inline(always)]
+    pub fn sum_where(&self, n: usize, counts: impl Fn(usize) -> bool) -> Rgb<P> {
+        let mut counted = Self::zero();
+        for i in 0..whole(n) {
+            let counts = (i < n) & counts(i);
+            let c = self.rgb(i).map(|c| P::select(counts, c, P::zero()));
+            counted.put_rgb(i, c);
+        }
+        // As many sums as there are numbers in a vector: the order of additions is not the compiler's to change.
+        let [r, g, b] = each(counted.0, |lane: Lane<P>| {
+            let mut sums = [P::zero(); STRIDE];
+            for k in 0..STRIDE {
+                for j in (0..WIDTH).step_by(STRIDE) {
+                    sums[k] += lane[k + j];
+                }
+            }
+            sums.iter().fold(P::zero(), |all, &sum| all + sum)
+        });
+        Rgb::new(r, g, b)
     }
 
     /// Adds to the colour of path `i`.

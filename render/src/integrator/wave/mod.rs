@@ -113,6 +113,8 @@ lanes! {
         plain: Lane<u32>,
         /// Whether it scatters along deltas only.
         delta: Lane<u32>,
+        /// Whether the log follows that.
+        follows: Lane<u32>,
         /// Whether light is looked for.
         lit: Lane<u32>,
         /// How far rays start off the surface.
@@ -502,6 +504,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             self.at.there[i] = 1;
             self.at.material[i] = info.material;
             self.at.delta[i] = u32::from(info.delta);
+            self.at.follows[i] = u32::from(follows);
             self.at.lit[i] = u32::from(lit);
             self.at.offset[i] = info.offset;
             let plain = match scene.material(shape) {
