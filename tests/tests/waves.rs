@@ -2,7 +2,7 @@
 
 use render::Scene;
 use render::estimator::{BsdfOnly, Detached, DetachedMis, EmitterOnly, Strategy};
-use render::instances::{Technique, backward_f32, render_f32};
+use render::instances::{Estimator, Technique, render_f32};
 use render::integrator::gradient::Active;
 use render::integrator::path;
 use render::params::Theta;
@@ -122,13 +122,27 @@ fn images_are_those_of_single_paths_bit_by_bit() {
 /// Where the noise of pixels is asked for, single paths find it.
 #[test]
 fn gradients_are_those_of_single_paths() {
+    for name in [
+        "mis",
+        "detached",
+        "emitter",
+        "differential-mis",
+        "differential",
+    ] {
+        let estimator = Estimator::from_name(name).expect("a known name");
+        gradients_of(estimator);
+    }
+}
+
+fn gradients_of(estimator: Estimator) {
     for (case, s) in all() {
         let theta = Theta::constant(s.params().values());
         let adjoint: Vec<f32> = (mean_adjoint(&s).iter().zip(0..))
             .map(|(a, i)| a * (1.0 + (i % 5) as f32))
             .collect();
         let gradient = |active: &Active| {
-            let g = backward_f32(&s, &theta, active, &adjoint, &s.settings, 4, 0..16, &());
+            let settings = &s.settings;
+            let g = estimator.backward_f32(&s, &theta, active, &adjoint, settings, 4, 0..16, &());
             let g = g.expect("a gradient");
             assert_eq!(g.non_finite.count, 0);
             g.values
@@ -144,7 +158,8 @@ fn gradients_are_those_of_single_paths() {
                 let largest = b.iter().fold(0.0, |m: f64, x| m.max(x.abs()));
                 for (a, b) in a.iter().zip(b) {
                     let error = (a - b).abs();
-                    assert!(error <= 1e-5 * largest, "{} {name}: {a} {b}", case.name);
+                    let what = (estimator.name(), case.name, name);
+                    assert!(error <= 1e-5 * largest, "{what:?}: {a} {b}");
                 }
             }
         }

@@ -43,6 +43,8 @@ struct Layer<P> {
     bounce: Lane<P>,
     /// Vertices that are not plain, by their places.
     others: Vec<(usize, Other<P>)>,
+    /// Directions of samples of the change of normals, and the radiance from there over density times throughput.
+    normals: Vec<(Vec3<P>, Rgb<P>)>,
     /// Light that was hit at the end of the edges from here, by the places that they left.
     hits: Vec<(u32, Rgb<P>)>,
 }
@@ -55,6 +57,12 @@ struct Other<P> {
     light: Option<(Vec3<P>, Rgb<P>, Rgb<P>)>,
     /// Scattered direction, value of the BSDF, and one over density and probability of surviving.
     bounce: Option<(Vec3<P>, Component, Rgb<P>, P)>,
+    /// Whether the change of normals has samples of its own.
+    splits: bool,
+    /// Light for that: radiance times weight of the sampled light.
+    for_normals: Rgb<P>,
+    /// Its samples, as a range of [`Layer::normals`].
+    normals: (u32, u32),
 }
 
 /// Light of an emitter that is differentiated.
@@ -98,6 +106,7 @@ impl<P: Float> Layer<P> {
             direct: Lanes::zero(),
             bounce: Lane::zero(),
             others: Vec::new(),
+            normals: Vec::new(),
             hits: Vec::new(),
         })
     }
@@ -177,10 +186,8 @@ impl<'a, P: Float> Record<'a, P> {
                 let index = layer.material[i];
                 let d = layer.d.rgb(i);
                 let mut l = Rgb::black();
-                let mut uses = SmallVec::<[Use<P>; 2]>::new();
-                let mut use_light = |wi, component, f: Rgb<P>, light: Rgb<P>| {
-                    l += f * light;
-                    let (part, d) = (Part::All, d * light);
+                let mut uses = SmallVec::<[Use<P>; 5]>::new();
+                let mut pull = |wi, component, part, d: Rgb<P>| {
                     if !d.is_black() {
                         uses.push(Use {
                             wi,
@@ -190,11 +197,27 @@ impl<'a, P: Float> Record<'a, P> {
                         });
                     }
                 };
+                let part = |component| match component {
+                    Component::Continuous if other.splits => Part::Rest,
+                    _ => Part::All,
+                };
                 if let Some((wi, f, light)) = other.light {
-                    use_light(wi, Component::Continuous, f, light);
+                    let component = Component::Continuous;
+                    l += f * light;
+                    pull(wi, component, part(component), d * light);
+                    if other.splits {
+                        pull(wi, component, Part::Normals, d * other.for_normals);
+                    }
+                }
+                let (first, end) = other.normals;
+                for &(wi, li) in &layer.normals[first as usize..end as usize] {
+                    let d = self.d.rgb(layer.id[i] as usize % WIDTH) * li;
+                    pull(wi, Component::Continuous, Part::Normals, d);
                 }
                 if let Some((wi, component, f, weight)) = other.bounce {
-                    use_light(wi, component, f, arrives.rgb(i) * weight);
+                    let light = arrives.rgb(i) * weight;
+                    l += f * light;
+                    pull(wi, component, part(component), d * light);
                 }
                 leaves.put_rgb(i, l);
                 let wanted = layer.follows[i] != 0 && counts[layer.id[i] as usize % WIDTH] != 0;
@@ -262,6 +285,11 @@ impl<P: Float> Log<P> for Record<'_, P> {
     }
 
     #[inline(always)]
+    fn follows_normals(&self, material: u32) -> bool {
+        self.active.roughness_active(material)
+    }
+
+    #[inline(always)]
     fn follows_light(&self) -> bool {
         self.active.any_emitter()
     }
@@ -292,6 +320,7 @@ impl<P: Float> Log<P> for Record<'_, P> {
         let (paths, at, lights, bounces) = (&mut wave.paths, &wave.at, &wave.lights, &wave.bounces);
         layer.n = n;
         layer.others.clear();
+        layer.normals.clear();
         layer.hits.clear();
         for i in 0..whole(n) {
             layer.id[i] = paths.id[i];
@@ -314,6 +343,11 @@ impl<P: Float> Log<P> for Record<'_, P> {
             let d = self.d.rgb(paths.id[i] as usize % WIDTH) * paths.beta.rgb(i);
             layer.d.put_rgb(i, d);
         }
+        let mut branches = match wave.splits {
+            true => wave.branches.iter(),
+            false => [].iter(),
+        }
+        .peekable();
         for i in 0..n {
             if at.plain[i] == 0 {
                 let light = (lights.shadow_t[i] > P::zero()).then(|| {
@@ -325,8 +359,20 @@ impl<P: Float> Log<P> for Record<'_, P> {
                     let wi = bounces.wi.vec(i);
                     (wi, wave.components[i], bounces.f.rgb(i), weight)
                 });
-                let wo = wave.wo.vec(i);
-                layer.others.push((i, Other { wo, light, bounce }));
+                let splits = wave.splits && at.splits[i] != 0;
+                let first = layer.normals.len() as u32;
+                while let Some(b) = branches.next_if(|b| b.at == i) {
+                    layer.normals.push((b.wi, b.li));
+                }
+                let other = Other {
+                    wo: wave.wo.vec(i),
+                    light,
+                    bounce,
+                    splits,
+                    for_normals: lights.le.rgb(i) * lights.normals_weight[i],
+                    normals: (first, layer.normals.len() as u32),
+                };
+                layer.others.push((i, other));
             }
         }
         if self.active.any_emitter() {

@@ -22,19 +22,21 @@ use super::batch;
 use super::direct::follows_edges;
 use super::path::{Context, HitLight, LEAST_STEP, MAX_SURVIVAL, MODE, Rival, find_light};
 use crate::accel::{BUNDLE, Bundle, Hit};
-use crate::bsdf::{Bsdf, Component, DiffuseLobe, Lobe, Material, Shading};
+use crate::bsdf::{Bsdf, Component, DiffLobe, DiffuseLobe, Lobe, Material, Shading};
 use crate::emitter::{AnyEmitter, Area, Emission, Emitter, EmitterSample};
 use crate::estimator::memory::Memory;
 use crate::estimator::{Detached, Sampling, Still, Strategy};
 use crate::math::{Frame, Ray, Rgb};
-use crate::sampler::{BOUNCE_DIMENSIONS, CAMERA_DIMENSIONS, Sampler, independent_bits};
+use crate::sampler::{
+    AUXILIARY_DIMENSIONS, BOUNCE_DIMENSIONS, CAMERA_DIMENSIONS, Sampler, independent_bits,
+};
 use crate::scene::{Caustics, LightChoice, Scene};
 use crate::shape::{AnyShape, Shape, SurfaceInteraction};
 use crate::texture::Texture;
 
-/// Whether waves estimate derivatives as strategy `S` does: nothing moves, and nothing has samples of its own.
+/// Whether waves estimate derivatives as strategy `S` does: nothing moves.
 pub(super) const fn fits<S: Strategy>() -> bool {
-    S::Bsdf::DETACHED_PATH && !S::Bsdf::DIFFERENTIAL && !S::Aim::KEEPS && !follows_edges::<S>()
+    S::Bsdf::DETACHED_PATH && !S::Aim::KEEPS && !follows_edges::<S>()
 }
 
 /// Whether waves do what is asked for: those who learn where light comes from, weigh all lights or leave caustics
@@ -51,6 +53,10 @@ pub(super) trait Log<P: Float> {
     const ENABLED: bool;
     /// See [`super::path::Observer::follows`].
     fn follows(&self, material: u32) -> bool;
+    /// See [`super::path::Observer::follows_normals`].
+    fn follows_normals(&self, _material: u32) -> bool {
+        false
+    }
     /// See [`super::path::Observer::follows_light`].
     fn follows_light(&self) -> bool;
     /// Path `i` found light at the end of an edge.
@@ -115,6 +121,8 @@ lanes! {
         delta: Lane<u32>,
         /// Whether the log follows that.
         follows: Lane<u32>,
+        /// Whether the change of its normals has samples of its own.
+        splits: Lane<u32>,
         /// Whether light is looked for.
         lit: Lane<u32>,
         /// How far rays start off the surface.
@@ -204,6 +212,8 @@ lanes! {
         le: Lanes<P>,
         /// MIS weight over density.
         weight: Lane<P>,
+        /// The same for the change of normals, where that has samples of its own.
+        normals_weight: Lane<P>,
         /// What arrives at the start of the path, if nothing is in between.
         direct: Lanes<P>,
         /// Origin of the shadow ray.
@@ -258,6 +268,21 @@ lanes! {
     }
 }
 
+/// A path that starts with a sample of the change of normals.
+#[derive(Clone, Copy, Debug)]
+struct Branch<P> {
+    /// The path it leaves.
+    at: usize,
+    /// Local frame.
+    wi: Vec3<P>,
+    pdf: P,
+    ray: Ray<P>,
+    /// Relative index along the path.
+    eta: P,
+    /// What it has found, over its density: the throughput up to the vertex included.
+    li: Rgb<P>,
+}
+
 /// Up to [`WIDTH`] paths with equally many edges.
 pub(super) struct Wave<P, X> {
     /// How many are on their way.
@@ -278,6 +303,12 @@ pub(super) struct Wave<P, X> {
     bounces: Bounces<P>,
     /// What the scattered directions belong to.
     components: [Component; WIDTH],
+    /// Whether the change of normals has samples of its own anywhere.
+    splits: bool,
+    /// The paths of these, in the order of those that they leave.
+    branches: Vec<Branch<P>>,
+    /// Where they are followed.
+    aside: Option<Box<Self>>,
     /// Radiance of each path in the order of their start, once it has ended.
     pub l: Vec<Rgb<P>>,
 }
@@ -298,6 +329,9 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             lights: Lights::zero(),
             bounces: Bounces::zero(),
             components: [Component::Continuous; WIDTH],
+            splits: false,
+            branches: Vec::new(),
+            aside: None,
             l: vec![Rgb::black(); WIDTH],
         })
     }
@@ -310,40 +344,42 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         ray: impl Fn(usize) -> (Ray<P>, X),
         log: &mut L,
     ) {
-        self.start(n, ray);
+        self.samplers.clear();
+        self.independent = true;
+        for i in 0..n.min(WIDTH) {
+            let (ray, sampler) = ray(i);
+            self.start(i, ray, sampler);
+        }
+        self.n = self.samplers.len();
         for depth in 1.. {
             if self.n == 0 {
                 break;
             }
-            self.edge::<Still<S>, L>(context, depth, log);
+            self.edge::<S, Still<S>, L>(context, depth, log);
         }
     }
 
+    /// Path `i` starts with a camera ray.
     #[inline(always)]
-    fn start(&mut self, n: usize, ray: impl Fn(usize) -> (Ray<P>, X)) {
-        self.samplers.clear();
-        self.independent = true;
+    fn start(&mut self, i: usize, ray: Ray<P>, sampler: X) {
         let paths = &mut self.paths;
-        for i in 0..n.min(WIDTH) {
-            let (ray, sampler) = ray(i);
-            (paths.id[i], paths.slot[i]) = (i as u32, i as u32);
-            match sampler.key() {
-                Some(key) => paths.key[i] = key,
-                None => self.independent = false,
-            }
-            self.samplers.push(sampler);
-            paths.o.put_vec(i, ray.o);
-            paths.d.put_vec(i, ray.d);
-            paths.beta.put_rgb(i, Rgb::splat(P::one()));
-            paths.l.put_rgb(i, Rgb::black());
-            (paths.eta[i], paths.survival[i]) = (P::one(), P::one());
-            paths.pdf[i] = P::zero();
-            paths.followed[i] = 0;
+        (paths.id[i], paths.slot[i]) = (i as u32, i as u32);
+        match sampler.key() {
+            Some(key) => paths.key[i] = key,
+            None => self.independent = false,
         }
-        self.n = self.samplers.len();
+        self.samplers.push(sampler);
+        paths.o.put_vec(i, ray.o);
+        paths.d.put_vec(i, ray.d);
+        paths.beta.put_rgb(i, Rgb::splat(P::one()));
+        paths.l.put_rgb(i, Rgb::black());
+        (paths.eta[i], paths.survival[i]) = (P::one(), P::one());
+        paths.pdf[i] = P::zero();
+        paths.followed[i] = 0;
     }
 
-    fn edge<S: Strategy<Bsdf = Detached>, L: Log<P>>(
+    /// `S` is `Of` where nothing moves.
+    fn edge<Of: Strategy, S: Strategy<Bsdf = Detached>, L: Log<P>>(
         &mut self,
         context: &Context<P>,
         depth: u32,
@@ -369,6 +405,11 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             self.lights.shadow_t = Lane::zero();
         }
         let more = depth + 1 < settings.max_depth;
+        // The constant again: where nothing splits, this is not even compiled.
+        self.splits = const { Of::Bsdf::DIFFERENTIAL && L::ENABLED };
+        if const { Of::Bsdf::DIFFERENTIAL && L::ENABLED } {
+            self.split::<S, L>(context, depth, log);
+        }
         self.scatter(context, more);
         self.choose::<L>(more, depth >= settings.rr_depth);
         log.layer(self);
@@ -705,6 +746,105 @@ impl<P: Float, X: Sampler> Wave<P, X> {
                 lights.shadow_t[i] = P::select(hidden, P::zero(), lights.shadow_t[i]);
             }
         }
+    }
+
+    /// Samples of the change of normals, where log and materials know one, and the paths that start with them.
+    #[inline(never)]
+    fn split<S: Strategy<Bsdf = Detached>, L: Log<P>>(
+        &mut self,
+        context: &Context<P>,
+        depth: u32,
+        log: &L,
+    ) {
+        let &Context {
+            scene,
+            theta,
+            settings,
+            ..
+        } = context;
+        let more = depth + 1 < settings.max_depth;
+        let first = AUXILIARY_DIMENSIONS + depth * BOUNCE_DIMENSIONS;
+        let (at, paths, lights) = (&mut self.at, &self.paths, &mut self.lights);
+        self.branches.clear();
+        for i in 0..self.n {
+            let index = at.material[i];
+            let material = &scene.materials()[index as usize];
+            at.splits[i] = u32::from(
+                at.there[i] != 0
+                    && (more || at.lit[i] != 0)
+                    && log.follows_normals(index)
+                    && material.has_differential(),
+            );
+            if at.splits[i] == 0 {
+                continue;
+            }
+            let shading = Shading {
+                theta: *theta,
+                uv: at.uv(i),
+            };
+            let wo = self.wo.vec(i);
+            if lights.shadow_t[i] > P::zero() {
+                let pdf = lights.pdf[i];
+                let delta = scene.emitters()[lights.emitter[i] as usize].is_delta();
+                let mis = match S::COUNTS_HITS && !delta {
+                    true => {
+                        let pair = material.pdf_differential(&shading, wo, lights.wi.vec(i));
+                        S::weight_sampled(pdf, pair)
+                    }
+                    false => P::one(),
+                };
+                lights.normals_weight[i] = mis / pdf;
+            }
+            if paths.beta.rgb(i).is_black() {
+                continue;
+            }
+            for sign in DiffLobe::BOTH {
+                let mut sampler = self.samplers[paths.id[i] as usize % WIDTH];
+                sampler.seek(first);
+                let u = sampler.next_3d();
+                let sample = material.sample_differential(&shading, wo, u, sign, MODE);
+                if let Some(sample) = sample {
+                    let d = at.frame(i).to_world(sample.wi);
+                    self.branches.push(Branch {
+                        at: i,
+                        wi: sample.wi,
+                        pdf: sample.pdf,
+                        ray: at.interaction(i).spawn_ray(d, at.offset[i]),
+                        eta: paths.eta[i] * sample.eta,
+                        li: Rgb::black(),
+                    });
+                }
+            }
+        }
+        // Both samples of a pair go on as ordinary paths of this throughput, made of the same numbers: what they find
+        // is alike, and its noise cancels.
+        let mut branches = std::mem::take(&mut self.branches);
+        let mut wave = self.aside.take().unwrap_or_else(Self::new);
+        for branches in branches.chunks_mut(WIDTH) {
+            wave.samplers.clear();
+            wave.independent = self.independent;
+            for (k, branch) in branches.iter().enumerate() {
+                let i = branch.at;
+                let sampler = self.samplers[self.paths.id[i] as usize % WIDTH];
+                wave.start(k, branch.ray, sampler);
+                wave.paths.beta.put_rgb(k, self.paths.beta.rgb(i));
+                wave.paths.from.put_vec(k, self.at.p.vec(i));
+                wave.paths.pdf[k] = branch.pdf;
+                wave.paths.eta[k] = branch.eta;
+            }
+            wave.n = branches.len();
+            for depth in depth + 1.. {
+                if wave.n == 0 {
+                    break;
+                }
+                wave.edge::<S, S, ()>(context, depth, &mut ());
+            }
+            for (branch, l) in branches.iter_mut().zip(&wave.l) {
+                branch.li = l.scale(branch.pdf.recip());
+            }
+        }
+        self.aside = Some(wave);
+        self.branches = branches;
     }
 
     /// `more`: whether there may be vertices beyond the next one.
