@@ -78,19 +78,30 @@ impl Guide {
         index as u32
     }
 
-    /// The densities at a point.
+    /// The index of the densities at a point.
     #[inline(never)]
-    pub(crate) fn at<P: Float>(&self, p: Vec3<P>) -> &Directions {
+    pub(crate) fn part_at<P: Float>(&self, p: Vec3<P>) -> u32 {
         let p = [p.x.to_f32(), p.y.to_f32(), p.z.to_f32()];
         let mut index = 0;
-        loop {
-            match &self.parts[index] {
-                Part::Cut(axis, at, sides) => {
-                    index = sides[usize::from(p[*axis] >= *at)] as usize;
-                }
-                Part::Directions(directions) => return directions,
-            }
+        while let Part::Cut(axis, at, sides) = &self.parts[index as usize] {
+            index = sides[usize::from(p[*axis] >= *at)];
         }
+        index
+    }
+
+    /// These densities; none where space is cut once more.
+    #[inline(always)]
+    pub(crate) fn directions(&self, part: u32) -> Option<&Directions> {
+        match &self.parts[part as usize] {
+            Part::Cut(..) => None,
+            Part::Directions(directions) => Some(directions),
+        }
+    }
+
+    /// The densities at a point.
+    #[inline(always)]
+    pub(crate) fn at<P: Float>(&self, p: Vec3<P>) -> Option<&Directions> {
+        self.directions(self.part_at(p))
     }
 }
 

@@ -1,13 +1,13 @@
 //! Waves of paths do what single paths do: the same radiance bit by bit, the same derivatives to rounding.
 
-use render::Scene;
 use render::estimator::{BsdfOnly, Detached, DetachedMis, EmitterOnly, Strategy};
 use render::instances::{Estimator, Technique, render_f32};
 use render::integrator::gradient::Active;
 use render::integrator::path;
 use render::params::Theta;
 use render::sampler::{Points, Sampler, Spread};
-use render::scene::Settings;
+use render::scene::{Caustics, LightChoice, Settings};
+use render::{Scene, auto};
 use tests::cases::{self, Case};
 use tests::{mean_adjoint, scene, smooth_params};
 
@@ -83,84 +83,97 @@ fn all() -> impl Iterator<Item = (Case, Scene)> {
     })
 }
 
+/// Asserts that waves find what single paths do, bit by bit.
+fn assert_same(what: &str, s: &Scene, settings: &Settings, techniques: &[Technique]) {
+    let theta = Theta::constant(s.params().values());
+    let (seed, spp) = (3, 8);
+    for &technique in techniques {
+        let single = match technique {
+            Technique::BsdfOnly => single::<BsdfOnly<Detached>>,
+            Technique::EmitterOnly => single::<EmitterOnly<Detached>>,
+            _ => single::<DetachedMis>,
+        };
+        let expected = single(s, settings, seed, spp);
+        assert!(expected.iter().any(|x| *x > 0.0) || technique != Technique::MisPower);
+        let r = render_f32(s, &theta, technique, settings, seed, 0..spp, &());
+        assert_eq!(r.non_finite.count, 0);
+        assert!(r.sums[0] == expected, "{what} {technique:?} {settings:?}");
+    }
+}
+
 #[test]
 fn images_are_those_of_single_paths_bit_by_bit() {
-    for (case, s) in all() {
-        for (_, points) in Points::NAMES {
-            let settings = Settings {
-                points,
-                ..s.settings
-            };
-            let (seed, spp) = (3, 8);
-            let theta = Theta::constant(s.params().values());
-            let equal = |technique, singly: &dyn Fn() -> Vec<f64>| {
-                let r = render_f32(&s, &theta, technique, &settings, seed, 0..spp, &());
-                assert_eq!(r.non_finite.count, 0);
-                let singly = singly();
-                assert!(singly.iter().any(|x| *x > 0.0) || technique != Technique::MisPower);
-                assert!(
-                    r.sums[0] == singly,
-                    "{} {points:?} {technique:?}",
-                    case.name
-                );
-            };
-            equal(Technique::MisPower, &|| {
-                single::<DetachedMis>(&s, &settings, seed, spp)
-            });
-            if points == Points::Independent {
-                equal(Technique::BsdfOnly, &|| {
-                    single::<BsdfOnly<Detached>>(&s, &settings, seed, spp)
-                });
-                equal(Technique::EmitterOnly, &|| {
-                    single::<EmitterOnly<Detached>>(&s, &settings, seed, spp)
-                });
-            }
+    use Technique::{BsdfOnly, EmitterOnly, MisPower};
+    for (case, mut s) in all() {
+        let plain = s.settings;
+        assert_same(case.name, &s, &plain, &[MisPower, BsdfOnly, EmitterOnly]);
+        for points in [Points::Sobol, Points::Antithetic] {
+            let settings = Settings { points, ..plain };
+            assert_same(case.name, &s, &settings, &[MisPower]);
         }
+        let lights = LightChoice::All;
+        let all = Settings { lights, ..plain };
+        assert_same(case.name, &s, &all, &[MisPower, EmitterOnly]);
+        assert!(auto::guide(&mut s, &plain, 1, &()), "{}", case.name);
+        assert_same(case.name, &s, &plain, &[MisPower, BsdfOnly]);
     }
 }
 
 /// Where the noise of pixels is asked for, single paths find it.
 #[test]
 fn gradients_are_those_of_single_paths() {
-    for name in [
-        "mis",
-        "detached",
-        "emitter",
-        "differential-mis",
-        "differential",
-    ] {
-        let estimator = Estimator::from_name(name).expect("a known name");
-        gradients_of(estimator);
+    for (case, mut s) in all() {
+        let plain = s.settings;
+        let names = [
+            "mis",
+            "detached",
+            "emitter",
+            "differential-mis",
+            "differential",
+        ];
+        for name in names {
+            assert_same_gradients(case.name, &s, &plain, name);
+        }
+        let all = Settings {
+            lights: LightChoice::All,
+            ..plain
+        };
+        let particles = Settings {
+            caustics: Caustics::Particles,
+            ..plain
+        };
+        for settings in [all, particles] {
+            assert_same_gradients(case.name, &s, &settings, "differential-mis");
+        }
+        assert!(auto::guide(&mut s, &plain, 1, &()), "{}", case.name);
+        assert_same_gradients(case.name, &s, &plain, "differential-mis");
     }
 }
 
-fn gradients_of(estimator: Estimator) {
-    for (case, s) in all() {
-        let theta = Theta::constant(s.params().values());
-        let adjoint: Vec<f32> = (mean_adjoint(&s).iter().zip(0..))
-            .map(|(a, i)| a * (1.0 + (i % 5) as f32))
-            .collect();
-        let gradient = |active: &Active| {
-            let settings = &s.settings;
-            let g = estimator.backward_f32(&s, &theta, active, &adjoint, settings, 4, 0..16, &());
-            let g = g.expect("a gradient");
-            assert_eq!(g.non_finite.count, 0);
-            g.values
-        };
-        // All together, and each alone: what no derivative needs is left out.
-        let names: Vec<String> = smooth_params(&s).into_iter().map(|p| p.name).collect();
-        let sets = [names.clone()].into_iter();
-        for names in sets.chain(names.into_iter().map(|n| vec![n])) {
-            let active = Active::new(&s, &names).expect("known names");
-            let waves = gradient(&active);
-            let single = gradient(&active.clone().with_noise(&s, &[]));
-            for ((name, a), b) in names.iter().zip(&waves).zip(&single) {
-                let largest = b.iter().fold(0.0, |m: f64, x| m.max(x.abs()));
-                for (a, b) in a.iter().zip(b) {
-                    let error = (a - b).abs();
-                    let what = (estimator.name(), case.name, name);
-                    assert!(error <= 1e-5 * largest, "{what:?}: {a} {b}");
-                }
+fn assert_same_gradients(what: &str, s: &Scene, settings: &Settings, name: &str) {
+    let estimator = Estimator::from_name(name).expect("a known name");
+    let theta = Theta::constant(s.params().values());
+    let adjoint: Vec<f32> = (mean_adjoint(s).iter().zip(0..))
+        .map(|(a, i)| a * (1.0 + (i % 5) as f32))
+        .collect();
+    let gradient = |active: &Active| {
+        let g = estimator.backward_f32(s, &theta, active, &adjoint, settings, 4, 0..16, &());
+        let g = g.expect("a gradient");
+        assert_eq!(g.non_finite.count, 0);
+        g.values
+    };
+    // All together, and each alone: what no derivative needs is left out.
+    let names: Vec<String> = smooth_params(s).into_iter().map(|p| p.name).collect();
+    let sets = [names.clone()].into_iter();
+    for names in sets.chain(names.into_iter().map(|n| vec![n])) {
+        let active = Active::new(s, &names).expect("known names");
+        let waves = gradient(&active);
+        let single = gradient(&active.clone().with_noise(s, &[]));
+        for ((param, a), b) in names.iter().zip(&waves).zip(&single) {
+            let largest = b.iter().fold(0.0, |m: f64, x| m.max(x.abs()));
+            for (a, b) in a.iter().zip(b) {
+                let same = (a - b).abs() <= 1e-5 * largest;
+                assert!(same, "{what} {name} {param} {settings:?}: {a} {b}");
             }
         }
     }

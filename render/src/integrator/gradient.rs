@@ -606,7 +606,6 @@ impl<P: Float> Pass<'_, P> {
             let progress = InParts::new(progress, self.caustics);
             // In double precision, single paths check on waves.
             let waves = const { wave::fits::<S>() && size_of::<P>() == size_of::<f32>() }
-                && wave::takes(&self.context())
                 && active.scales.is_empty();
             let mut sums = match waves {
                 true => self.sums_of_waves::<S, X>(active, adjoint, large, &progress),

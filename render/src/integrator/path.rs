@@ -402,7 +402,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
         let sampler = &mut self.sampler;
         let dim = CAMERA_DIMENSIONS + (depth - 1) * BOUNCE_DIMENSIONS;
         let guide = match const { is_guided::<S>() } && !info.glossy {
-            true => scene.guide().map(|guide| guide.at(si.p.primal())),
+            true => (scene.guide()).and_then(|guide| guide.at(si.p.primal())),
             false => None,
         };
 
@@ -798,7 +798,7 @@ pub(crate) const fn is_guided<S: Strategy>() -> bool {
 
 /// Density of a direction of which the guide draws its part and the material the rest.
 #[inline(always)]
-fn mixed<R: Real>(material: R, guide: R::Primal) -> R {
+pub(super) fn mixed<R: Real>(material: R, guide: R::Primal) -> R {
     let part = R::Primal::of(PART_GUIDED);
     material * Const(R::Primal::one() - part) + Const(guide * part)
 }
@@ -806,7 +806,7 @@ fn mixed<R: Real>(material: R, guide: R::Primal) -> R {
 /// A direction scattered by the material, which is diffuse and so without deltas, or drawn from the guide. The first
 /// random number decides.
 #[inline(never)]
-fn guided<R: Real, S: Strategy>(
+pub(super) fn guided<R: Real, S: Strategy>(
     guide: &Directions,
     material: &Material,
     at: &Shading<R>,
@@ -870,11 +870,11 @@ pub(super) struct Rival<R: Real, G> {
 }
 
 /// A vertex as lights see it.
-struct Seen<'a, P: Float> {
-    material: &'a Material,
-    at: Shading<'a, P>,
-    frame: Frame<P>,
-    wo: Vec3<P>,
+pub(super) struct Seen<'a, P: Float> {
+    pub material: &'a Material,
+    pub at: Shading<'a, P>,
+    pub frame: Frame<P>,
+    pub wo: Vec3<P>,
 }
 
 /// Samples every emitter with the same numbers `u`, and keeps one in proportion to the light that its sample would
@@ -887,7 +887,7 @@ struct Seen<'a, P: Float> {
 /// # Reference
 /// [Talbot et al. 2005], with one candidate from each technique.
 #[inline(never)]
-fn weigh_lights<P: Float>(
+pub(super) fn weigh_lights<P: Float>(
     scene: &Scene,
     from: Vec3<P>,
     seen: &Seen<P>,

@@ -8,7 +8,7 @@ use ad_core::{Dual, Float, Real, array};
 use super::batch::{self, PATHS};
 use super::particle;
 use super::path::{Context, Geometry, Observer, Walk, shifts};
-use super::wave::{self, Log, WIDTH, Wave};
+use super::wave::{Log, WIDTH, Wave};
 use crate::estimator::{Sampling, Strategy, Unbiased};
 use crate::film::{Film, Image};
 use crate::math::{Ray, Rgb};
@@ -468,7 +468,7 @@ fn of_paths<R: Components, S: Strategy, X: Sampler>(
             }
         };
         // In double precision, single paths check on waves.
-        if const { R::IS_PRIMAL && size_of::<R>() == size_of::<f32>() } && wave::takes(&context) {
+        if const { R::IS_PRIMAL && size_of::<R>() == size_of::<f32>() } {
             let context = Context {
                 scene,
                 theta: &theta.primal(),

@@ -20,12 +20,16 @@ use lanes::{Field, Lane, Lanes, lanes, whole};
 
 use super::batch;
 use super::direct::follows_edges;
-use super::path::{Context, HitLight, LEAST_STEP, MAX_SURVIVAL, MODE, Rival, find_light};
+use super::path::{
+    Context, HitLight, LEAST_STEP, MAX_SURVIVAL, MODE, Rival, Seen, find_light, guided, is_guided,
+    mixed, weigh_lights,
+};
 use crate::accel::{BUNDLE, Bundle, Hit};
 use crate::bsdf::{Bsdf, Component, DiffLobe, DiffuseLobe, Lobe, Material, Shading};
 use crate::emitter::{AnyEmitter, Area, Emission, Emitter, EmitterSample};
 use crate::estimator::memory::Memory;
 use crate::estimator::{Detached, Sampling, Still, Strategy};
+use crate::guide::{Directions, Guide};
 use crate::math::{Frame, Ray, Rgb};
 use crate::sampler::{
     AUXILIARY_DIMENSIONS, BOUNCE_DIMENSIONS, CAMERA_DIMENSIONS, Sampler, independent_bits,
@@ -37,14 +41,6 @@ use crate::texture::Texture;
 /// Whether waves estimate derivatives as strategy `S` does: nothing moves.
 pub(super) const fn fits<S: Strategy>() -> bool {
     S::Bsdf::DETACHED_PATH && !S::Aim::KEEPS && !follows_edges::<S>()
-}
-
-/// Whether waves do what is asked for: those who learn where light comes from, weigh all lights or leave caustics
-/// to others take single paths.
-pub(super) fn takes<R: ad_core::Real>(context: &Context<R>) -> bool {
-    let scene = context.scene;
-    let one = context.settings.lights == LightChoice::One || scene.emitters().len() < 2;
-    one && scene.guide().is_none() && context.caustics == Caustics::Paths
 }
 
 /// Keeps what happens to the paths of a wave.
@@ -105,6 +101,10 @@ lanes! {
         pdf: Lane<P>,
         /// Whether a vertex so far is one that the log follows.
         followed: Lane<u32>,
+        /// Whether others find caustics on the first vertex.
+        left_out: Lane<u32>,
+        /// Whether light on this edge would be one.
+        caustic: Lane<u32>,
     }
 }
 
@@ -125,6 +125,8 @@ lanes! {
         splits: Lane<u32>,
         /// Whether light is looked for.
         lit: Lane<u32>,
+        /// One more than the index of the densities that lead scattered directions; zero if none do.
+        guide: Lane<u32>,
         /// How far rays start off the surface.
         offset: Lane<f32>,
         /// Albedo of what is plain.
@@ -194,6 +196,8 @@ lanes! {
         distance: Lane<P>,
         /// Density; zero if there is no sample.
         pdf: Lane<P>,
+        /// One over the probability that it was kept.
+        kept: Lane<P>,
         /// Of the emission.
         falloff: Lane<P>,
         /// Where it is emitted.
@@ -227,13 +231,20 @@ lanes! {
 
 impl<P: Float> Lights<P> {
     #[inline(always)]
-    fn put(&mut self, i: usize, emitter: u32, share: P, sample: Option<EmitterSample<P>>) {
+    fn put(
+        &mut self,
+        i: usize,
+        (emitter, kept): (u32, P),
+        share: P,
+        sample: Option<EmitterSample<P>>,
+    ) {
         let none = (Vec3::zero(), P::zero(), P::zero(), P::zero(), Vec2::zero());
         let (d, distance, pdf, falloff, uv) = sample.map_or(none, |s| {
             let e = s.emission;
             (s.d, s.distance, s.pdf * share, e.falloff, e.uv)
         });
         self.emitter[i] = emitter;
+        self.kept[i] = kept;
         self.d.put_vec(i, d);
         self.distance[i] = distance;
         self.pdf[i] = pdf;
@@ -375,7 +386,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         paths.l.put_rgb(i, Rgb::black());
         (paths.eta[i], paths.survival[i]) = (P::one(), P::one());
         paths.pdf[i] = P::zero();
-        paths.followed[i] = 0;
+        (paths.followed[i], paths.left_out[i], paths.caustic[i]) = (0, 0, 0);
     }
 
     /// `S` is `Of` where nothing moves.
@@ -389,7 +400,8 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             scene, settings, ..
         } = context;
         self.find_surfaces(scene);
-        if !self.arrive::<S, L>(context, depth, log) {
+        let guide = scene.guide().filter(|_| const { is_guided::<Of>() });
+        if !self.arrive::<S, L>(context, guide, depth, log) {
             self.bounces.lives = Lane::zero();
             self.leave();
             return;
@@ -397,8 +409,8 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         self.draw(CAMERA_DIMENSIONS + (depth - 1) * BOUNCE_DIMENSIONS);
         self.look_back();
         if S::SAMPLES_EMITTERS && !scene.emitters().is_empty() {
-            self.sample_lights(context);
-            self.face_lights::<L>(context);
+            self.sample_lights(context, S::COUNTS_HITS);
+            self.face_lights::<L>(context, guide);
             self.connect::<S>(context);
             self.find_shadows(scene);
         } else {
@@ -410,7 +422,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         if const { Of::Bsdf::DIFFERENTIAL && L::ENABLED } {
             self.split::<S, L>(context, depth, log);
         }
-        self.scatter(context, more);
+        self.scatter::<S>(context, guide, more);
         self.choose::<L>(more, depth >= settings.rr_depth);
         log.layer(self);
         self.go_on::<L>();
@@ -485,8 +497,10 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             scene,
             theta,
             settings,
+            caustics,
             ..
         }: &Context<P>,
+        guide: Option<&Guide>,
         depth: u32,
         log: &mut L,
     ) -> bool {
@@ -495,6 +509,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         for i in 0..self.n {
             let ray = Ray::new(paths.o.vec(i), paths.d.vec(i));
             let wanted = !L::ENABLED || paths.followed[i] != 0 || log.follows_light();
+            let lit = wanted && paths.caustic[i] == 0;
             let sampled = S::SAMPLES_EMITTERS && depth > 1 && paths.pdf[i] > P::zero();
             let mut find = |paths: &mut Paths<P>, emitter, si| {
                 let rival = Rival {
@@ -511,8 +526,9 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             };
             // Where there is no surface, or nothing happens: like one that is plain, but without light.
             (self.at.there[i], self.at.lit[i], self.at.plain[i]) = (0, 0, 1);
+            self.at.guide[i] = 0;
             let Some(hit) = &self.hits[i] else {
-                for &e in scene.infinite_emitters().iter().filter(|_| wanted) {
+                for &e in scene.infinite_emitters().iter().filter(|_| lit) {
                     find(paths, e, None);
                 }
                 continue;
@@ -524,7 +540,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
                 None => self.at.put(i, &scene.interaction(&ray, hit).si),
             }
             let info = scene.shape_info(shape);
-            if let Some(e) = info.emitter.filter(|_| wanted) {
+            if let Some(e) = info.emitter.filter(|_| lit) {
                 let t = P::from_f32(hit.t);
                 find(
                     paths,
@@ -540,13 +556,22 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             }
             let follows = !L::ENABLED || log.follows(info.material);
             paths.followed[i] |= u32::from(follows);
-            let lit = wanted || follows;
+            if depth == 1 {
+                let particles = caustics == Caustics::Particles;
+                paths.left_out[i] = u32::from(particles && !info.glossy);
+            }
+            paths.caustic[i] = paths.left_out[i] & u32::from(info.glossy);
+            let lit = (wanted || follows) && paths.caustic[i] == 0;
             any = true;
             self.at.there[i] = 1;
             self.at.material[i] = info.material;
             self.at.delta[i] = u32::from(info.delta);
             self.at.follows[i] = u32::from(follows);
             self.at.lit[i] = u32::from(lit);
+            self.at.guide[i] = match guide {
+                Some(guide) if !info.glossy => guide.part_at(self.at.p.vec(i)) + 1,
+                _ => 0,
+            };
             self.at.offset[i] = info.offset;
             let plain = match scene.material(shape) {
                 Material::Diffuse(m) => {
@@ -598,12 +623,17 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         }
     }
 
+    /// `counts_hits`: whether lights that are hit count, too.
     #[inline(never)]
     fn sample_lights(
         &mut self,
         &Context {
-            scene, settings, ..
+            scene,
+            theta,
+            settings,
+            ..
         }: &Context<P>,
+        counts_hits: bool,
     ) {
         let (at, lights) = (&self.at, &mut self.lights);
         let [a, b, ..] = &self.numbers;
@@ -617,27 +647,49 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             let share = settings.lights.share(scene, 0);
             for i in 0..whole(self.n) {
                 let seen = rectangle.sample(at.p.vec(i), [a[i], b[i]]);
-                lights.put(i, 0, share, seen.and_then(|s| Area::facing(0.0, s)));
+                let sample = seen.and_then(|s| Area::facing(0.0, s));
+                lights.put(i, (0, P::one()), share, sample);
             }
             return;
         }
         for i in 0..self.n {
-            let emitter = match emitters.len() {
-                1 => 0,
-                _ => scene.shares().choose(self.choice[i], 1).0,
+            let (p, u) = (at.p.vec(i), [a[i], b[i]]);
+            if at.lit[i] == 0 || at.delta[i] != 0 {
+                lights.pdf[i] = P::zero();
+                continue;
+            }
+            let chosen = match settings.lights {
+                _ if emitters.len() == 1 => (0, P::one()),
+                LightChoice::One => {
+                    let (emitter, _) = scene.shares().choose(self.choice[i], 1);
+                    (emitter as u32, P::one())
+                }
+                LightChoice::All => {
+                    let seen = Seen {
+                        material: &scene.materials()[at.material[i] as usize],
+                        at: Shading {
+                            theta: *theta,
+                            uv: at.uv(i),
+                        },
+                        frame: at.frame(i),
+                        wo: self.wo.vec(i),
+                    };
+                    weigh_lights(scene, p, &seen, counts_hits, self.choice[i], u)
+                }
             };
-            let sample = match at.lit[i] != 0 && at.delta[i] == 0 {
-                true => emitters[emitter].sample(scene.lights(), at.p.vec(i), [a[i], b[i]]),
-                false => None,
-            };
-            let share = settings.lights.share(scene, emitter as u32);
-            lights.put(i, emitter as u32, share, sample);
+            let share = settings.lights.share(scene, chosen.0);
+            let sample = emitters[chosen.0 as usize].sample(scene.lights(), p, u);
+            lights.put(i, chosen, share, sample);
         }
     }
 
     /// What the materials make of light from there.
     #[inline(never)]
-    fn face_lights<L: Log<P>>(&mut self, &Context { scene, theta, .. }: &Context<P>) {
+    fn face_lights<L: Log<P>>(
+        &mut self,
+        &Context { scene, theta, .. }: &Context<P>,
+        guide: Option<&Guide>,
+    ) {
         let (at, lights) = (&self.at, &mut self.lights);
         for i in 0..whole(self.n) {
             let wo = self.wo.vec(i);
@@ -659,6 +711,12 @@ impl<P: Float, X: Sampler> Wave<P, X> {
                 let (f, pdf) = material.eval_pdf(&shading, self.wo.vec(i), lights.wi.vec(i), MODE);
                 lights.f.put_rgb(i, f);
                 lights.pdf_bsdf[i] = pdf;
+            }
+        }
+        for i in 0..self.n {
+            if let Some(directions) = directions(guide, at.guide[i]) {
+                let pdf = directions.pdf(lights.d.vec(i));
+                lights.pdf_bsdf[i] = mixed(lights.pdf_bsdf[i], pdf);
             }
         }
         // No ray where nothing depends on it.
@@ -705,7 +763,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
                 S::weight_sampled(lights.pdf[i], lights.pdf_bsdf[i]),
                 P::one(),
             );
-            let weight = mis * Const(P::one() / lights.pdf[i]);
+            let weight = mis * Const(lights.kept[i] / lights.pdf[i]);
             let f = lights.f.rgb(i);
             let direct = self.paths.beta.rgb(i) * f * lights.le.rgb(i) * weight;
             let (d, distance) = (lights.d.vec(i), lights.distance[i]);
@@ -793,7 +851,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
                     }
                     false => P::one(),
                 };
-                lights.normals_weight[i] = mis / pdf;
+                lights.normals_weight[i] = mis * lights.kept[i] / pdf;
             }
             if paths.beta.rgb(i).is_black() {
                 continue;
@@ -831,6 +889,8 @@ impl<P: Float, X: Sampler> Wave<P, X> {
                 wave.paths.from.put_vec(k, self.at.p.vec(i));
                 wave.paths.pdf[k] = branch.pdf;
                 wave.paths.eta[k] = branch.eta;
+                wave.paths.left_out[k] = self.paths.left_out[i];
+                wave.paths.caustic[k] = self.paths.caustic[i];
             }
             wave.n = branches.len();
             for depth in depth + 1.. {
@@ -849,7 +909,12 @@ impl<P: Float, X: Sampler> Wave<P, X> {
 
     /// `more`: whether there may be vertices beyond the next one.
     #[inline(never)]
-    fn scatter(&mut self, &Context { scene, theta, .. }: &Context<P>, more: bool) {
+    fn scatter<S: Strategy<Bsdf = Detached>>(
+        &mut self,
+        &Context { scene, theta, .. }: &Context<P>,
+        guide: Option<&Guide>,
+        more: bool,
+    ) {
         let (at, paths, bounces) = (&self.at, &mut self.paths, &mut self.bounces);
         let [.., a, b, c, _] = &self.numbers;
         for i in 0..whole(self.n) {
@@ -866,7 +931,8 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             paths.pdf[i] = pdf;
         }
         for i in 0..self.n {
-            if at.plain[i] != 0 {
+            let directions = directions(guide, at.guide[i]);
+            if at.plain[i] != 0 && directions.is_none() {
                 self.components[i] = Component::Continuous;
                 continue;
             }
@@ -879,12 +945,18 @@ impl<P: Float, X: Sampler> Wave<P, X> {
                 uv: at.uv(i),
             };
             let material = &scene.materials()[at.material[i] as usize];
-            let u = [a[i], b[i], c[i]];
-            let scattered = material.scatter(&shading, self.wo.vec(i), u, MODE);
+            let (wo, u) = (self.wo.vec(i), [a[i], b[i], c[i]]);
+            let scattered = match directions {
+                None => material.scatter(&shading, wo, u, MODE),
+                Some(directions) => {
+                    guided::<P, S>(directions, material, &shading, &at.frame(i), wo, u)
+                }
+            };
             bounces.lives[i] = u32::from(scattered.is_some());
             if let Some((sample, f)) = scattered {
                 bounces.wi.put_vec(i, sample.wi);
                 bounces.f.put_rgb(i, f);
+                bounces.white[i] = white().eval(wo, sample.wi, MODE).r;
                 bounces.weight[i] = sample.pdf.recip();
                 self.components[i] = sample.component;
                 paths.eta[i] *= sample.eta;
@@ -948,6 +1020,12 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             self.bounces.lives[i] = u32::from(meets);
         }
     }
+}
+
+/// The densities that lead directions, if there are any.
+#[inline(always)]
+fn directions(guide: Option<&Guide>, one_more: u32) -> Option<&Directions> {
+    guide?.directions(one_more.checked_sub(1)?)
 }
 
 /// Every plain material is this one times its albedo.
