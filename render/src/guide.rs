@@ -421,7 +421,7 @@ mod tests {
         }
         let guide = Guide::new(&mut arrivals);
         let pdf = |x: f64, d: [f64; 3]| {
-            let directions = guide.at(Vec3::new(x, 5.0, 0.0));
+            let directions = guide.at(Vec3::new(x, 5.0, 0.0)).expect("densities");
             directions.pdf(Vec3::from(d).normalize())
         };
         for (x, d) in [(0.5, 1.0), (3.5, -1.0), (-1e30, 1.0), (1e30, -1.0)] {
@@ -455,7 +455,8 @@ mod tests {
             let guide = Guide::new(&mut arrivals);
             for i in 0..1000 {
                 let mut s = Independent::new(4, i, 0);
-                let directions = guide.at(Vec3::from(s.next_3d::<f32>()));
+                let p = Vec3::from(s.next_3d::<f32>());
+                let directions = guide.at(p).expect("densities");
                 let u = match i {
                     0 => [0.0, 0.0],
                     1 => [1.0 - f32::EPSILON / 2.0; 2],

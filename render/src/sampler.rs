@@ -6,7 +6,7 @@ use std::sync::LazyLock;
 
 use ad_core::Float;
 use sobol_burley::NUM_DIMENSION_SETS_4D;
-use sobol_burley::parts::{Int4, owen_scramble_int4_rev, owen_scramble_rev, sobol_int4_rev};
+use sobol_burley::parts::{owen_scramble_rev, sobol_int4_rev};
 
 use crate::math::each;
 
@@ -40,6 +40,17 @@ impl Points {
     ];
 }
 
+/// What the numbers of a sample are made of: many samples' numbers can be made in a loop.
+#[derive(Clone, Copy, Debug)]
+pub struct Stream {
+    /// How.
+    pub points: Points,
+    /// What tells it from others.
+    pub key: u64,
+    /// Number of the sample among those with the same key.
+    pub index: u32,
+}
+
 /// A stream of numbers in [0, 1) for one sample of one pixel.
 pub trait Sampler: Copy {
     /// Starts the stream of sample `index` of pixel `pixel`.
@@ -53,8 +64,8 @@ pub trait Sampler: Copy {
         Self::new(seed, pixel, index)
     }
 
-    /// What [`independent_bits`] makes its numbers of, if it does.
-    fn key(&self) -> Option<u64>;
+    /// What its numbers are made of.
+    fn stream(&self) -> Stream;
 
     /// Moves to a dimension: the next number drawn is that of dimension `dim`. What is drawn between
     /// two calls belongs together.
@@ -121,8 +132,12 @@ impl Sampler for Independent {
     }
 
     #[inline]
-    fn key(&self) -> Option<u64> {
-        Some(self.key)
+    fn stream(&self) -> Stream {
+        Stream {
+            points: Points::Independent,
+            key: self.key,
+            index: 0,
+        }
     }
 
     #[inline]
@@ -153,9 +168,50 @@ pub struct Spread {
 
 /// Points of the first four dimensions of the Sobol sequence, bits reversed, for the upper and for the lower
 /// eight bits of a reversed index. The sequence is linear over bits: the point is the exclusive or of the two.
-static FIRST_FOUR: LazyLock<[[[u32; 4]; 256]; 2]> = LazyLock::new(|| {
-    [24, 16].map(|shift| std::array::from_fn(|i| sobol_int4_rev((i as u32) << shift, 0).into()))
-});
+pub(crate) type FirstFour = [[[u32; 4]; 256]; 2];
+
+/// The table itself.
+pub(crate) fn first_four() -> &'static FirstFour {
+    static TABLE: LazyLock<FirstFour> = LazyLock::new(|| {
+        [24, 16].map(|shift| std::array::from_fn(|i| sobol_int4_rev((i as u32) << shift, 0).into()))
+    });
+    &TABLE
+}
+
+#[inline(always)]
+fn after(x: u64, n: u32) -> u64 {
+    mix64(x.wrapping_add(u64::from(n.wrapping_add(1)).wrapping_mul(GOLDEN)))
+}
+
+/// The Owen-scrambled points of the `k`-th four dimensions, given those of the sequence at the shuffled index.
+#[inline(always)]
+fn scrambled(set: u64, k: u32, points: [u32; 4]) -> [u32; 4] {
+    let [a, b] = [after(set, 2 * k), after(set, 2 * k + 1)];
+    let [x, y, z, w] = points;
+    let point = |x: u32, scramble: u64| owen_scramble_rev(x, scramble as u32).reverse_bits();
+    [
+        point(x, a),
+        point(y, a >> 32),
+        point(z, b),
+        point(w, b >> 32),
+    ]
+}
+
+/// The first four dimensions from `dim` on of Sobol points.
+#[inline(always)]
+pub(crate) fn sobol_four(key: u64, index: u32, dim: u32, [upper, lower]: &FirstFour) -> [u32; 4] {
+    let set = after(key, dim);
+    let shuffled = owen_scramble_rev(index.reverse_bits(), set as u32);
+    let a = upper[(shuffled >> 24) as usize];
+    let b = lower[(shuffled >> 16 & 0xff) as usize];
+    scrambled(set, 0, [a[0] ^ b[0], a[1] ^ b[1], a[2] ^ b[2], a[3] ^ b[3]])
+}
+
+/// The bits of a Sobol point, and noise below its 32, so that doubles have all of theirs.
+#[inline(always)]
+pub(crate) fn sobol_bits(x: u32) -> u64 {
+    u64::from(x) << 32 | u64::from(x.wrapping_mul(GOLDEN as u32))
+}
 
 impl Spread {
     /// Numbers of an Owen-scrambled Sobol sequence that is padded: the dimensions drawn since the last
@@ -169,32 +225,20 @@ impl Spread {
             if k.is_multiple_of(4) {
                 self.drawn = self.four(k / 4);
             }
-            let x = self.drawn[k as usize % 4];
-            // Below the 32 bits of the sequence: noise, so that doubles have all of theirs.
-            u64::from(x) << 32 | u64::from(x.wrapping_mul(GOLDEN as u32))
+            sobol_bits(self.drawn[k as usize % 4])
         })
     }
 
     /// The `k`-th four dimensions since the last [`Sampler::seek`].
     #[inline]
     fn four(&self, k: u32) -> [u32; 4] {
-        let after = |x: u64, n: u32| mix64(x.wrapping_add(u64::from(n + 1).wrapping_mul(GOLDEN)));
+        if k == 0 {
+            return sobol_four(self.key, self.index, self.first, first_four());
+        }
         let set = after(self.key, self.first);
         let shuffled = owen_scramble_rev(self.index.reverse_bits(), set as u32);
-        let [a, b] = [after(set, 2 * k), after(set, 2 * k + 1)];
-        let scramble = [a as u32, (a >> 32) as u32, b as u32, (b >> 32) as u32];
-        let x: Int4 = if k == 0 {
-            let [upper, lower] = &*FIRST_FOUR;
-            let bytes = shuffled.to_be_bytes();
-            let mut x = Int4::from(upper[usize::from(bytes[0])]);
-            x ^= Int4::from(lower[usize::from(bytes[1])]);
-            x
-        } else {
-            sobol_int4_rev(shuffled, k % NUM_DIMENSION_SETS_4D)
-        };
-        owen_scramble_int4_rev(x, Int4::from(scramble))
-            .reverse_bits()
-            .into()
+        let points = sobol_int4_rev(shuffled, k % NUM_DIMENSION_SETS_4D);
+        scrambled(set, k, points.into())
     }
 }
 
@@ -223,8 +267,12 @@ impl Sampler for Spread {
     }
 
     #[inline]
-    fn key(&self) -> Option<u64> {
-        (self.points == Points::Independent).then_some(self.key)
+    fn stream(&self) -> Stream {
+        Stream {
+            points: self.points,
+            key: self.key,
+            index: self.index,
+        }
     }
 
     #[inline]
@@ -275,7 +323,7 @@ mod tests {
     fn first_four_dimensions_are_the_sequence() {
         for i in 0..2000u32 {
             let index = (mix64(u64::from(i)) as u32) & 0xffff_0000;
-            let [upper, lower] = &*FIRST_FOUR;
+            let [upper, lower] = first_four();
             let [a, b, ..] = index.to_be_bytes().map(usize::from);
             let expected: [u32; 4] = sobol_int4_rev(index, 0).into();
             let found: [u32; 4] = std::array::from_fn(|k| upper[a][k] ^ lower[b][k]);

@@ -32,7 +32,8 @@ use crate::estimator::{Detached, Sampling, Still, Strategy};
 use crate::guide::{Directions, Guide};
 use crate::math::{Frame, Ray, Rgb};
 use crate::sampler::{
-    AUXILIARY_DIMENSIONS, BOUNCE_DIMENSIONS, CAMERA_DIMENSIONS, Sampler, independent_bits,
+    AUXILIARY_DIMENSIONS, BOUNCE_DIMENSIONS, CAMERA_DIMENSIONS, Points, Sampler, Stream,
+    first_four, independent_bits, sobol_bits, sobol_four,
 };
 use crate::scene::{Caustics, LightChoice, Scene};
 use crate::shape::{AnyShape, Shape, SurfaceInteraction};
@@ -81,8 +82,10 @@ lanes! {
         id: Lane<u32>,
         /// Place among the vertices before.
         slot: Lane<u32>,
-        /// Of their random numbers, if these are independent.
+        /// Of their random numbers, see [`Stream`].
         key: Lane<u64>,
+        /// Likewise.
+        index: Lane<u32>,
         /// Origin of the next edge.
         o: Lanes<P>,
         /// Its direction.
@@ -298,8 +301,8 @@ struct Branch<P> {
 pub(super) struct Wave<P, X> {
     /// How many are on their way.
     n: usize,
-    /// Whether their numbers are independent.
-    independent: bool,
+    /// How their numbers are spread.
+    points: Points,
     samplers: Vec<X>,
     paths: Paths<P>,
     hits: [Option<Hit>; WIDTH],
@@ -329,7 +332,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
     pub fn new() -> Box<Self> {
         Box::new(Self {
             n: 0,
-            independent: true,
+            points: Points::Independent,
             samplers: Vec::with_capacity(WIDTH),
             paths: Paths::zero(),
             hits: [None; WIDTH],
@@ -356,7 +359,6 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         log: &mut L,
     ) {
         self.samplers.clear();
-        self.independent = true;
         for i in 0..n.min(WIDTH) {
             let (ray, sampler) = ray(i);
             self.start(i, ray, sampler);
@@ -375,10 +377,9 @@ impl<P: Float, X: Sampler> Wave<P, X> {
     fn start(&mut self, i: usize, ray: Ray<P>, sampler: X) {
         let paths = &mut self.paths;
         (paths.id[i], paths.slot[i]) = (i as u32, i as u32);
-        match sampler.key() {
-            Some(key) => paths.key[i] = key,
-            None => self.independent = false,
-        }
+        let Stream { points, key, index } = sampler.stream();
+        self.points = points;
+        (paths.key[i], paths.index[i]) = (key, index);
         self.samplers.push(sampler);
         paths.o.put_vec(i, ray.o);
         paths.d.put_vec(i, ray.d);
@@ -588,28 +589,37 @@ impl<P: Float, X: Sampler> Wave<P, X> {
     /// All random numbers of the vertices, whose first dimension is `dim`.
     #[inline(never)]
     fn draw(&mut self, dim: u32) {
-        if self.independent {
-            let n = whole(self.n);
+        let (n, paths) = (whole(self.n), &self.paths);
+        let [a, b, c, d, e, f] = &mut self.numbers;
+        if self.points == Points::Sobol {
+            let table = first_four();
             for i in 0..n {
-                self.choice[i] = independent_bits(self.paths.key[i], dim + 1);
+                let [x, y, z, _] = sobol_four(paths.key[i], paths.index[i], dim, table);
+                self.choice[i] = sobol_bits(x);
+                a[i] = P::from_bits_unit(sobol_bits(y));
+                b[i] = P::from_bits_unit(sobol_bits(z));
             }
-            for (lane, dim) in self.numbers.iter_mut().zip(dim + 2..) {
-                for i in 0..n {
-                    lane[i] = P::from_bits_unit(independent_bits(self.paths.key[i], dim));
-                }
+            for i in 0..n {
+                let [x, y, z, w] = sobol_four(paths.key[i], paths.index[i], dim + 3, table);
+                c[i] = P::from_bits_unit(sobol_bits(x));
+                d[i] = P::from_bits_unit(sobol_bits(y));
+                e[i] = P::from_bits_unit(sobol_bits(z));
+                f[i] = P::from_bits_unit(sobol_bits(w));
             }
             return;
         }
-        for i in 0..self.n {
-            let mut sampler = self.samplers[self.paths.id[i] as usize % WIDTH];
-            sampler.seek(dim);
-            self.choice[i] = sampler.next_bits();
-            let [a, b] = sampler.next_2d();
-            sampler.seek(dim + 3);
-            let [c, d, e] = sampler.next_3d();
-            let all = [a, b, c, d, e, sampler.next_1d()];
-            for (lane, u) in self.numbers.iter_mut().zip(all) {
-                lane[i] = u;
+        // The odd one of an antithetic pair has all bits turned.
+        let pairs = u32::from(self.points == Points::Antithetic);
+        let bits = |i: usize, dim: u32| {
+            let turned = u64::from(paths.index[i] & pairs).wrapping_neg();
+            independent_bits(paths.key[i], dim) ^ turned
+        };
+        for i in 0..n {
+            self.choice[i] = bits(i, dim + 1);
+        }
+        for (lane, dim) in [a, b, c, d, e, f].into_iter().zip(dim + 2..) {
+            for i in 0..n {
+                lane[i] = P::from_bits_unit(bits(i, dim));
             }
         }
     }
@@ -880,7 +890,6 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         let mut wave = self.aside.take().unwrap_or_else(Self::new);
         for branches in branches.chunks_mut(WIDTH) {
             wave.samplers.clear();
-            wave.independent = self.independent;
             for (k, branch) in branches.iter().enumerate() {
                 let i = branch.at;
                 let sampler = self.samplers[self.paths.id[i] as usize % WIDTH];
