@@ -185,7 +185,7 @@ fn after(x: u64, n: u32) -> u64 {
 
 /// The Owen-scrambled points of the `k`-th four dimensions, given those of the sequence at the shuffled index.
 #[inline(always)]
-fn scrambled(set: u64, k: u32, points: [u32; 4]) -> [u32; 4] {
+pub(crate) fn scrambled(set: u64, k: u32, points: [u32; 4]) -> [u32; 4] {
     let [a, b] = [after(set, 2 * k), after(set, 2 * k + 1)];
     let [x, y, z, w] = points;
     let point = |x: u32, scramble: u64| owen_scramble_rev(x, scramble as u32).reverse_bits();
@@ -197,14 +197,19 @@ fn scrambled(set: u64, k: u32, points: [u32; 4]) -> [u32; 4] {
     ]
 }
 
-/// The first four dimensions from `dim` on of Sobol points.
+/// What the Sobol points from dimension `dim` on are scrambled by, and their shuffled index, bits reversed.
 #[inline(always)]
-pub(crate) fn sobol_four(key: u64, index: u32, dim: u32, [upper, lower]: &FirstFour) -> [u32; 4] {
+pub(crate) fn sobol_set(key: u64, index: u32, dim: u32) -> (u64, u32) {
     let set = after(key, dim);
-    let shuffled = owen_scramble_rev(index.reverse_bits(), set as u32);
-    let a = upper[(shuffled >> 24) as usize];
-    let b = lower[(shuffled >> 16 & 0xff) as usize];
-    scrambled(set, 0, [a[0] ^ b[0], a[1] ^ b[1], a[2] ^ b[2], a[3] ^ b[3]])
+    (set, owen_scramble_rev(index.reverse_bits(), set as u32))
+}
+
+/// The first four dimensions of the sequence at a reversed index.
+#[inline(always)]
+pub(crate) fn sobol_points([upper, lower]: &FirstFour, reversed: u32) -> [u32; 4] {
+    let a = upper[(reversed >> 24) as usize];
+    let b = lower[(reversed >> 16 & 0xff) as usize];
+    [a[0] ^ b[0], a[1] ^ b[1], a[2] ^ b[2], a[3] ^ b[3]]
 }
 
 /// The bits of a Sobol point, and noise below its 32, so that doubles have all of theirs.
@@ -232,13 +237,12 @@ impl Spread {
     /// The `k`-th four dimensions since the last [`Sampler::seek`].
     #[inline]
     fn four(&self, k: u32) -> [u32; 4] {
-        if k == 0 {
-            return sobol_four(self.key, self.index, self.first, first_four());
-        }
-        let set = after(self.key, self.first);
-        let shuffled = owen_scramble_rev(self.index.reverse_bits(), set as u32);
-        let points = sobol_int4_rev(shuffled, k % NUM_DIMENSION_SETS_4D);
-        scrambled(set, k, points.into())
+        let (set, shuffled) = sobol_set(self.key, self.index, self.first);
+        let points = match k {
+            0 => sobol_points(first_four(), shuffled),
+            _ => sobol_int4_rev(shuffled, k % NUM_DIMENSION_SETS_4D).into(),
+        };
+        scrambled(set, k, points)
     }
 }
 

@@ -33,7 +33,7 @@ use crate::guide::{Directions, Guide};
 use crate::math::{Frame, Ray, Rgb};
 use crate::sampler::{
     AUXILIARY_DIMENSIONS, BOUNCE_DIMENSIONS, CAMERA_DIMENSIONS, Points, Sampler, Stream,
-    first_four, independent_bits, sobol_bits, sobol_four,
+    first_four, independent_bits, scrambled, sobol_bits, sobol_points, sobol_set,
 };
 use crate::scene::{Caustics, LightChoice, Scene};
 use crate::shape::{AnyShape, Shape, SurfaceInteraction};
@@ -592,19 +592,20 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         let (n, paths) = (whole(self.n), &self.paths);
         let [a, b, c, d, e, f] = &mut self.numbers;
         if self.points == Points::Sobol {
-            let table = first_four();
+            let [x, y, z, _] = sobol(n, paths, dim);
             for i in 0..n {
-                let [x, y, z, _] = sobol_four(paths.key[i], paths.index[i], dim, table);
-                self.choice[i] = sobol_bits(x);
-                a[i] = P::from_bits_unit(sobol_bits(y));
-                b[i] = P::from_bits_unit(sobol_bits(z));
+                self.choice[i] = sobol_bits(x[i]);
             }
-            for i in 0..n {
-                let [x, y, z, w] = sobol_four(paths.key[i], paths.index[i], dim + 3, table);
-                c[i] = P::from_bits_unit(sobol_bits(x));
-                d[i] = P::from_bits_unit(sobol_bits(y));
-                e[i] = P::from_bits_unit(sobol_bits(z));
-                f[i] = P::from_bits_unit(sobol_bits(w));
+            for (lane, x) in [(a, &y), (b, &z)] {
+                for i in 0..n {
+                    lane[i] = P::from_bits_unit(sobol_bits(x[i]));
+                }
+            }
+            let [x, y, z, w] = sobol(n, paths, dim + 3);
+            for (lane, x) in [(c, &x), (d, &y), (e, &z), (f, &w)] {
+                for i in 0..n {
+                    lane[i] = P::from_bits_unit(sobol_bits(x[i]));
+                }
             }
             return;
         }
@@ -1029,6 +1030,25 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             self.bounces.lives[i] = u32::from(meets);
         }
     }
+}
+
+/// The first four dimensions from `dim` on of Sobol points.
+#[inline(always)]
+fn sobol<P: Float>(n: usize, paths: &Paths<P>, dim: u32) -> [Lane<u32>; 4] {
+    let (mut sets, mut shuffled) = (Lane::<u64>::zero(), Lane::<u32>::zero());
+    for i in 0..n {
+        (sets[i], shuffled[i]) = sobol_set(paths.key[i], paths.index[i], dim);
+    }
+    // Looked up one by one, between what is done in vectors.
+    let table = first_four();
+    let [mut x, mut y, mut z, mut w] = [Lane::<u32>::zero(); 4];
+    for i in 0..n {
+        [x[i], y[i], z[i], w[i]] = sobol_points(table, shuffled[i]);
+    }
+    for i in 0..n {
+        [x[i], y[i], z[i], w[i]] = scrambled(sets[i], 0, [x[i], y[i], z[i], w[i]]);
+    }
+    [x, y, z, w]
 }
 
 /// The densities that lead directions, if there are any.
