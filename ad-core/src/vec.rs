@@ -93,18 +93,22 @@ macro_rules! vector {
             /// infinite ones map to zero, with zero tangent.
             #[inline(always)]
             pub fn normalize(self) -> Self {
+                let (unit, right) = self.unit();
+                if right {
+                    return unit;
+                }
+                let m = self.primal().magnitude();
+                if !(m > R::Primal::zero() && m.is_finite()) {
+                    return Self::zero();
+                }
+                (self * Const(m.recip())).unit().0
+            }
+            /// [`normalize`](Self::normalize), and whether that is right: for vectors whose squared length is a
+            /// normal number. Without branches, for loops over many vectors.
+            #[inline(always)]
+            pub fn unit(self) -> (Self, bool) {
                 let l2 = self.length_squared();
-                let (v, l2) = if well_scaled(l2) {
-                    (self, l2)
-                } else {
-                    let m = self.primal().magnitude();
-                    if !(m > R::Primal::zero() && m.is_finite()) {
-                        return Self::zero();
-                    }
-                    let v = self * Const(m.recip());
-                    (v, v.length_squared())
-                };
-                v * l2.sqrt().recip()
+                (self * l2.sqrt().recip(), well_scaled(l2))
             }
             /// Largest absolute component; zero if so small that the derivative of the direction,
             /// 1 / length, would overflow.
@@ -257,7 +261,7 @@ macro_rules! vector {
 /// Whether a squared length is a normal number with digits to spare.
 #[inline(always)]
 fn well_scaled<R: Real>(l2: R) -> bool {
-    l2.primal() > R::Primal::MIN_POSITIVE / R::Primal::EPSILON && l2.primal() <= R::Primal::MAX
+    (l2.primal() > R::Primal::MIN_POSITIVE / R::Primal::EPSILON) & (l2.primal() <= R::Primal::MAX)
 }
 
 vector!(

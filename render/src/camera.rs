@@ -105,10 +105,18 @@ impl Camera {
     /// The ray through a point of the image: `x` in [0, width], `y` in [0, height], from the top left.
     #[inline]
     pub fn ray<P: Float>(&self, x: P, y: P) -> Ray<P> {
+        Ray::new(
+            each(self.origin, P::of).into(),
+            self.direction(x, y).normalize(),
+        )
+    }
+
+    /// Its direction, not normalised.
+    #[inline(always)]
+    pub(crate) fn direction<P: Float>(&self, x: P, y: P) -> Vec3<P> {
         let component =
             |i: usize| x * P::c(self.dx[i]) + y * P::c(self.dy[i]) + P::c(self.corner[i]);
-        let d = Vec3::new(component(0), component(1), component(2));
-        Ray::new(each(self.origin, P::of).into(), d.normalize())
+        Vec3::new(component(0), component(1), component(2))
     }
 
     /// Width and height of the image that the camera was made for.

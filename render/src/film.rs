@@ -5,6 +5,8 @@ use std::ops::Range;
 
 use ad_core::Float;
 
+use crate::math::warp;
+
 /// A linear RGB image, row-major, row 0 at the top.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Image {
@@ -69,7 +71,7 @@ impl PixelFilter {
                 // Box-Muller with the radius cut at 4 sigma: u is scaled into the inside of the disc.
                 let inside = 1.0 - (-8.0f64).exp();
                 let r = P::of(stddev) * (-P::of(2.0) * (-(u[0] * P::of(inside))).ln_1p()).sqrt();
-                let (sin, cos) = (u[1] * P::of(TAU)).sin_cos();
+                let (sin, cos) = warp::sin_cos_of_turns(u[1]);
                 [r * cos, r * sin]
             }
         }

@@ -75,8 +75,38 @@ fn room() -> Case {
     }
 }
 
+/// Ball lamps: in sight, around everything, turned inside out, and with an image.
+fn lamps() -> Case {
+    let ball = |x: f64, radius: f64, more: &str, emitter: &str| {
+        format!(
+            r#"<shape type="sphere"><point name="center" value="{x}, 0.4, 0.3"/><float name="radius" value="{radius}"/>{more}
+               <bsdf type="diffuse"><rgb name="reflectance" value="0.1"/></bsdf><emitter type="area">{emitter}</emitter></shape>"#
+        )
+    };
+    let glow = |rgb: &str| format!(r#"<rgb name="radiance" value="{rgb}"/>"#);
+    let flipped = r#"<boolean name="flip_normals" value="true"/>"#;
+    let squares = r#"<texture type="checkerboard" name="radiance"><rgb name="color0" value="3"/><rgb name="color1" value="1"/></texture>"#;
+    let body = [
+        r#"<sensor type="perspective"><float name="fov" value="50"/>
+           <transform name="to_world"><lookat origin="0, 1, 5" target="0, 0, 0" up="0, 1, 0"/></transform>
+           <film type="hdrfilm"><integer name="width" value="40"/><integer name="height" value="40"/></film></sensor>
+           <integrator type="path"><integer name="max_depth" value="5"/></integrator>
+           <bsdf type="diffuse" id="white"><rgb name="reflectance" value="0.6"/></bsdf>
+           <shape type="rectangle"><transform name="to_world"><scale value="2"/><rotate x="1" angle="-90"/><translate y="-0.5"/></transform><ref id="white"/></shape>"#.to_string(),
+        ball(-1.2, 0.3, "", &glow("4, 3, 2")),
+        ball(-0.4, 0.02, "", &glow("900")),
+        ball(0.4, 0.3, flipped, &glow("2")),
+        ball(1.2, 0.3, "", squares),
+        ball(0.0, 9.0, flipped, &glow("0.3")),
+    ];
+    Case {
+        name: "lamps",
+        body: body.concat(),
+    }
+}
+
 fn all() -> impl Iterator<Item = (Case, Scene)> {
-    let cases = cases::all().into_iter().chain([room()]);
+    let cases = cases::all().into_iter().chain([room(), lamps()]);
     cases.map(|case| {
         let scene = scene(&case.body);
         (case, scene)

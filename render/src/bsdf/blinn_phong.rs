@@ -112,7 +112,7 @@ impl<R: Real> BlinnPhongLobe<R> {
             (self.exponent + R::of(2.0)).recip() * Const(R::Primal::of(2.0) * (-u[0]).ln_1p());
         let cos = (ln_cos2 * R::c(0.5)).exp();
         let sin = (-ln_cos2.exp_m1()).sqrt();
-        let (sin_phi, cos_phi) = (R::Primal::of(2.0 * PI) * u[1]).sin_cos();
+        let (sin_phi, cos_phi) = warp::sin_cos_of_turns(u[1]);
         Vec3::new(sin * Const(cos_phi), sin * Const(sin_phi), cos)
     }
 

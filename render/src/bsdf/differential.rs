@@ -20,11 +20,12 @@
 //! not. Alone, the pair has infinite variance there (errata Z-4.43): it is meant to be combined
 //! with ordinary sampling by multiple importance sampling.
 
-use std::f64::consts::{E, PI};
+use std::f64::consts::E;
 
 use ad_core::{Const, Float, Real, Vec3};
 
 use super::microfacet::{Microfacet, Ndf};
+use crate::math::warp;
 
 /// A part of the derivative of a distribution of normals with respect to roughness.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -78,7 +79,7 @@ impl<P: Float> Microfacet<P> {
             Ndf::Ggx => ggx_tangent(u[0], sign),
             Ndf::Beckmann => beckmann_square(u[0], sign).sqrt(),
         };
-        let (sin, cos) = (P::of(2.0 * PI) * u[1]).sin_cos();
+        let (sin, cos) = warp::sin_cos_of_turns(u[1]);
         let r = self.alpha * t;
         Vec3::new(r * cos, r * sin, P::one()).normalize()
     }

@@ -18,6 +18,8 @@ use std::f64::consts::PI;
 use ad_core::{Const, Float, Real, Vec3};
 use statrs::function::erf::erfc_inv;
 
+use crate::math::warp;
+
 /// Valid values of a roughness.
 pub const ALPHA_RANGE: (f64, f64) = (1e-4, 1.0);
 
@@ -159,7 +161,7 @@ impl<R: Real> Microfacet<R> {
             Ndf::Ggx => (u[0] / (one - u[0])).sqrt(),
             Ndf::Beckmann => (-(-u[0]).ln_1p()).sqrt(),
         };
-        let (sin, cos) = (R::Primal::of(2.0 * PI) * u[1]).sin_cos();
+        let (sin, cos) = warp::sin_cos_of_turns(u[1]);
         Vec3::new(
             self.alpha * Const(t * cos),
             self.alpha * Const(t * sin),
@@ -210,7 +212,7 @@ fn ggx_visible<R: Real>(w: Vec3<R>, u: [R::Primal; 2]) -> Vec3<R> {
     let height = above * Const(R::Primal::one() - u[1]);
     // sin^2 = (1 - c.z)(1 + c.z) with c.z = height - w.z
     let sin = (above * Const(u[1]) * (below + height)).sqrt();
-    let (sin_phi, cos_phi) = (R::Primal::of(2.0 * PI) * u[0]).sin_cos();
+    let (sin_phi, cos_phi) = warp::sin_cos_of_turns(u[0]);
     Vec3::new(
         sin * Const(cos_phi) + w.x,
         sin * Const(sin_phi) + w.y,

@@ -117,7 +117,7 @@ impl Emitter for Area {
             // 1 - u in (0, 1]: the cosine is never zero for lack of digits.
             let z = (P::one() - u2).powf(self.power::<P>().recip());
             let r = (P::one() - z * z).max(P::zero()).sqrt();
-            let (sin, cos) = (P::of(2.0 * PI) * u3).sin_cos();
+            let (sin, cos) = warp::sin_cos_of_turns(u3);
             Vec3::new(r * cos, r * sin, z)
         };
         let pdf_direction = self.pdf_direction(local.z);

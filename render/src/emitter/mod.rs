@@ -147,7 +147,8 @@ impl Ball {
         // A few roundings of the distance and of the coordinates.
         let reach2 = radius2 + P::of(1e-10) * (distance2 + centre.length_squared());
         let passes = to.cross(ray.d).length_squared() <= reach2;
-        distance2 <= reach2 || (passes && to.dot(ray.d) > P::zero())
+        // Without branches, for loops over many rays.
+        (distance2 <= reach2) | (passes & (to.dot(ray.d) > P::zero()))
     }
 }
 

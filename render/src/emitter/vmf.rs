@@ -8,7 +8,7 @@ use super::point::constant_colour;
 use super::{Emission, Emitter, EmitterSample, Lights};
 use crate::bsdf::FromNode;
 use crate::error::SceneError;
-use crate::math::Frame;
+use crate::math::{Frame, warp};
 use crate::scene::{Builder, Node};
 use crate::shape::{SurfaceInteraction, lift3};
 use crate::texture::RgbTexture;
@@ -77,7 +77,7 @@ impl Emitter for Vmf {
         let w = -(u[0] * Const(P::of(-self.mass))).ln_1p() / P::of(self.kappa);
         let w = w.min(P::of(2.0));
         let r = (w * (P::of(2.0) - w)).sqrt();
-        let (sin, cos) = (P::of(2.0 * PI) * u[1]).sin_cos();
+        let (sin, cos) = warp::sin_cos_of_turns(u[1]);
         let mean = Frame::from_normal(lift3::<P>(self.direction));
         let d = mean.to_world(Vec3::new(r * cos, r * sin, P::one() - w));
         let falloff = self.lobe(d);

@@ -245,19 +245,20 @@ pub(super) fn start<R: Real, S: Strategy, X: Sampler>(
     pixel: [u32; 2],
     index: u64,
 ) -> Walk<R, S, X> {
-    let (ray, sampler) = camera_ray(scene, points, seed, pixel, index);
-    Walk::new(Ray::<Geometry<S, R>>::lift(ray), sampler)
+    let ([x, y], sampler) = spot(scene, points, seed, pixel, index);
+    Walk::new(Ray::<Geometry<S, R>>::lift(scene.camera.ray(x, y)), sampler)
 }
 
-/// The camera ray of sample `index` of the pixel `(x, y)` of the crop window, and the numbers of the path to come.
+/// The point of the image that sample `index` of the pixel `(x, y)` of the crop window sees, and the numbers of the
+/// path to come.
 #[inline(always)]
-fn camera_ray<P: Float, X: Sampler>(
+fn spot<P: Float, X: Sampler>(
     scene: &Scene,
     points: Points,
     seed: u64,
     [x, y]: [u32; 2],
     index: u64,
-) -> (Ray<P>, X) {
+) -> ([P; 2], X) {
     let film = &scene.film;
     // Counted on the full film, so that a crop shows the same samples.
     let [px, py] = [x + film.crop_offset[0], y + film.crop_offset[1]];
@@ -265,7 +266,7 @@ fn camera_ray<P: Float, X: Sampler>(
     let mut sampler = X::spread(points, seed, pixel, index);
     let [dx, dy] = film.filter.sample(sampler.next_2d::<P>());
     let centre = |p: u32| P::of(f64::from(p) + 0.5);
-    (scene.camera.ray(centre(px) + dx, centre(py) + dy), sampler)
+    ([centre(px) + dx, centre(py) + dy], sampler)
 }
 
 impl Tile {
@@ -360,11 +361,11 @@ impl Tile {
                 break;
             }
             begin(log, &which);
-            let ray = |i: usize| {
+            let spot = |i: usize| {
                 let (_, sample) = &which[i];
-                camera_ray::<P, X>(scene, points, seed, sample.pixel, sample.index)
+                spot::<P, X>(scene, points, seed, sample.pixel, sample.index)
             };
-            wave.trace::<S, L>(context, which.len(), ray, log);
+            wave.trace::<S, L>(context, which.len(), spot, log);
             done(log, &which, &wave.l[..which.len()]);
         }
     }

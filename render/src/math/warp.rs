@@ -61,6 +61,21 @@ fn sin_cos_octant<P: Float>(x: P) -> (P, P) {
     (horner(&SIN) * x, horner(&COS))
 }
 
+/// Sine and cosine of `u` turns, `u` in [0, 1]: to rounding, without a call or a branch.
+#[inline(always)]
+pub fn sin_cos_of_turns<P: Float>(u: P) -> (P, P) {
+    // Whole quarters are exact, and so is what is left.
+    let quarter = (P::of(4.0) * u + P::of(0.5)).floor();
+    let (sin, cos) = sin_cos_octant((u - P::of(0.25) * quarter) * P::of(2.0 * PI));
+    let is = |q: f64| quarter == P::of(q);
+    let across = is(1.0) | is(3.0);
+    let (y, x) = (P::select(across, cos, sin), P::select(across, sin, cos));
+    (
+        P::select(is(2.0) | is(3.0), -y, y),
+        P::select(is(1.0) | is(2.0), -x, x),
+    )
+}
+
 /// Cosine-weighted direction around +z; density `cos(theta) / pi` per solid angle.
 #[inline]
 pub fn square_to_cosine_hemisphere<P: Float>(u: [P; 2]) -> Vec3<P> {
@@ -86,7 +101,7 @@ pub fn square_to_sphere<P: Float>(u: [P; 2]) -> Vec3<P> {
     let r = (P::of(4.0) * u[0] * (P::one() - u[0]))
         .max(P::zero())
         .sqrt();
-    let (sin, cos) = (P::of(2.0 * PI) * u[1]).sin_cos();
+    let (sin, cos) = sin_cos_of_turns(u[1]);
     Vec3::new(r * cos, r * sin, z)
 }
 
@@ -104,13 +119,29 @@ pub fn square_to_cone<R: Real>(u: [R::Primal; 2], one_minus_cos_max: R) -> Vec3<
     let h = one_minus_cos_max * ad_core::Const(u[0]);
     let z = R::one() - h;
     let r = (h * (R::of(2.0) - h)).max(R::zero()).sqrt();
-    let (sin, cos) = (R::Primal::of(2.0 * PI) * u[1]).sin_cos();
+    let (sin, cos) = sin_cos_of_turns(u[1]);
     Vec3::new(r * ad_core::Const(cos), r * ad_core::Const(sin), z)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn sine_and_cosine_of_turns_to_rounding() {
+        for i in 0..=4000 {
+            let u = f64::from(i) / 4000.0;
+            let (sin, cos) = sin_cos_of_turns(u);
+            let (expected_sin, expected_cos) = (2.0 * PI * u).sin_cos();
+            assert!((sin - expected_sin).abs() < 1e-15, "{u}");
+            assert!((cos - expected_cos).abs() < 1e-15, "{u}");
+        }
+        for i in 0..=4 {
+            let (sin, cos) = sin_cos_of_turns(0.25 * f64::from(i));
+            let expected = [(0.0, 1.0), (1.0, 0.0), (0.0, -1.0), (-1.0, 0.0), (0.0, 1.0)];
+            assert_eq!((sin, cos), expected[i as usize], "{i} quarters are exact");
+        }
+    }
 
     #[test]
     fn sine_and_cosine_of_an_octant_to_rounding() {

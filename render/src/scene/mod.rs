@@ -327,6 +327,11 @@ impl Scene {
         &self.casters
     }
 
+    /// Balls around all that emits; `None` if that is everywhere.
+    pub(crate) fn lamps(&self) -> Option<&[Ball]> {
+        self.lamps.as_deref()
+    }
+
     /// Whether a ray may meet something that emits, or leave towards it: false only where it certainly does not.
     #[inline]
     pub(crate) fn may_meet_light<P: Float>(&self, ray: &Ray<P>) -> bool {

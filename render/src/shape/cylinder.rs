@@ -9,7 +9,7 @@ use super::{Shape, ShapeSample, SurfaceInteraction, hit_is_exact, lift3, turn};
 use crate::accel::{Hit, MAX_COORDINATE, MIN_THICKNESS, Primitive};
 use crate::bsdf::FromNode;
 use crate::error::SceneError;
-use crate::math::{Frame, Ray, Transform};
+use crate::math::{Frame, Ray, Transform, warp};
 use crate::scene::{Builder, Node};
 
 /// An open tube around the segment from `p0` to `p1`. `uv = (phi / 2 pi, z / length)`; normals
@@ -150,7 +150,7 @@ impl Shape for Cylinder {
 
     #[inline]
     fn sample_area<P: Float>(&self, u: [P; 2]) -> ShapeSample<P> {
-        let (sin, cos) = (P::of(2.0 * PI) * u[0]).sin_cos();
+        let (sin, cos) = warp::sin_cos_of_turns(u[0]);
         let (x, y) = (lift3::<P>(self.across[0]), lift3::<P>(self.across[1]));
         let outward = x * cos + y * sin;
         ShapeSample {

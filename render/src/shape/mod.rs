@@ -19,7 +19,7 @@ pub use disk::Disk;
 pub use mesh::{Mesh, MeshData, ObjOptions, smooth_normals};
 pub use patch::{Patch, Rectangle};
 pub use sphere::Sphere;
-pub(crate) use sphere::turn;
+pub(crate) use sphere::{sample_cone, turn};
 
 use ad_core::{Const, Float, Real, Vec2, Vec3};
 

@@ -74,6 +74,12 @@ impl Sphere {
         })
     }
 
+    /// Whether normals point outward, and nothing needs surface coordinates: [`sample_cone`] is all of
+    /// [`Shape::sample`] from outside.
+    pub(crate) fn is_plain(&self) -> bool {
+        !self.flip && self.skips_uv
+    }
+
     /// Centre, world space.
     pub fn center(&self) -> [f32; 3] {
         self.center
@@ -104,25 +110,10 @@ impl Sphere {
         (uv, axes[1] * x - axes[0] * y)
     }
 
-    /// `1 - cos` of half the angle that the sphere subtends at `from`, and the unit direction to its
-    /// centre. `None` inside and on the sphere, also where only rounding puts the point outside: a
-    /// point on the surface sees all of the inside, not the tangent cone.
+    /// See [`cone`].
     #[inline]
     fn cone<R: Real>(&self, from: Vec3<R>) -> Option<(R, Vec3<R>)> {
-        let to = lift3::<R>(self.center) - from;
-        let r = R::Primal::from_f32(self.radius);
-        let d = to.length();
-        let inv_d = d.recip();
-        let sine = inv_d * Const(r);
-        // The last condition keeps the density finite.
-        if d.primal() > r * R::Primal::of(1.0 + ON_SURFACE)
-            && sine.primal() * sine.primal() > R::Primal::MIN_POSITIVE
-        {
-            let cosine = ((d - Const(r)) * inv_d * ((d + Const(r)) * inv_d)).sqrt();
-            Some((sine * sine / (cosine + R::c(1.0)), to * inv_d))
-        } else {
-            None
-        }
+        cone(self.center, self.radius, from)
     }
 
     /// Whether `from` lies inside or on the sphere.
@@ -131,6 +122,59 @@ impl Sphere {
         (lift3::<P>(self.center) - from).length()
             <= P::from_f32(self.radius) * P::of(1.0 + ON_SURFACE)
     }
+}
+
+/// `1 - cos` of half the angle that a sphere subtends at `from`, and the unit direction to its centre. `None` inside
+/// and on the sphere, also where only rounding puts the point outside: a point on the surface sees all of the inside,
+/// not the tangent cone.
+#[inline(always)]
+fn cone<R: Real>(center: [f32; 3], radius: f32, from: Vec3<R>) -> Option<(R, Vec3<R>)> {
+    let to = lift3::<R>(center) - from;
+    let r = R::Primal::from_f32(radius);
+    // As large as radii are, its square is normal.
+    let d = to.length_squared().sqrt();
+    let inv_d = d.recip();
+    let sine = inv_d * Const(r);
+    let cosine = ((d - Const(r)) * inv_d * ((d + Const(r)) * inv_d)).sqrt();
+    let outside = d.primal() > r * R::Primal::of(1.0 + ON_SURFACE);
+    // The last condition keeps the density finite.
+    let seen = outside & (sine.primal() * sine.primal() > R::Primal::MIN_POSITIVE);
+    seen.then_some((sine * sine / (cosine + R::c(1.0)), to * inv_d))
+}
+
+/// A direction towards a sphere from outside, uniform in its cone, and outward normals; without surface coordinates.
+/// `None` where there is no [`cone`]. A function of numbers alone, for loops over many spheres.
+#[inline(always)]
+pub(crate) fn sample_cone<P: Float>(
+    center: [f32; 3],
+    radius: f32,
+    from: Vec3<P>,
+    u: [P; 2],
+) -> Option<DirectionSample<P>> {
+    let (one_minus_cos_max, axis) = cone(center, radius, from)?;
+    // A ray at angle theta to the axis meets the sphere at angle beta to the normal, with
+    // sin(beta) = sin(theta) / sin(theta_max); seen from the centre that point lies beta - theta
+    // off the axis. None of it cancels, however far or near the sphere.
+    let h = one_minus_cos_max * u[0];
+    let two = P::of(2.0);
+    let ratio = u[0] * (two - h) / (two - one_minus_cos_max);
+    let (sin_beta, cos_beta) = (ratio.sqrt(), (P::one() - ratio).max(P::zero()).sqrt());
+    let (sin_theta, cos_theta) = ((h * (two - h)).sqrt(), P::one() - h);
+    let cos_alpha = cos_beta * cos_theta + sin_beta * sin_theta;
+    let sin_alpha = (sin_beta * cos_theta - cos_beta * sin_theta).max(P::zero());
+    let (sin_phi, cos_phi) = warp::sin_cos_of_turns(u[1]);
+    let local = Vec3::new(sin_alpha * cos_phi, sin_alpha * sin_phi, cos_alpha);
+    let outward = Frame::from_normal(-axis).to_world(local);
+    let v = lift3::<P>(center) + outward * P::from_f32(radius) - from;
+    let distance = v.length_squared().sqrt();
+    (distance > P::zero()).then_some(DirectionSample {
+        d: v * distance.recip(),
+        distance,
+        n: outward,
+        n_geo: outward,
+        uv: Vec2::zero(),
+        pdf: cone_pdf(one_minus_cos_max),
+    })
 }
 
 /// Relative distance from the surface up to which a point counts as on it.
@@ -211,34 +255,19 @@ impl Shape for Sphere {
     /// Uniform in the cone that the sphere subtends, as the peer does; over the area from inside.
     #[inline]
     fn sample<P: Float>(&self, from: Vec3<P>, u: [P; 2]) -> Option<DirectionSample<P>> {
-        let Some((one_minus_cos_max, axis)) = self.cone(from) else {
+        let Some(s) = sample_cone(self.center, self.radius, from, u) else {
             if !self.contains(from) {
                 return None;
             }
             let s = self.sample_area(u);
             return s.seen_from(from, s.n);
         };
-        // A ray at angle theta to the axis meets the sphere at angle beta to the normal, with
-        // sin(beta) = sin(theta) / sin(theta_max); seen from the centre that point lies beta - theta
-        // off the axis. None of it cancels, however far or near the sphere.
-        let h = one_minus_cos_max * u[0];
-        let two = P::of(2.0);
-        let ratio = u[0] * (two - h) / (two - one_minus_cos_max);
-        let (sin_beta, cos_beta) = (ratio.sqrt(), (P::one() - ratio).max(P::zero()).sqrt());
-        let (sin_theta, cos_theta) = ((h * (two - h)).sqrt(), P::one() - h);
-        let cos_alpha = cos_beta * cos_theta + sin_beta * sin_theta;
-        let sin_alpha = (sin_beta * cos_theta - cos_beta * sin_theta).max(P::zero());
-        let (sin_phi, cos_phi) = (P::of(2.0 * PI) * u[1]).sin_cos();
-        let local = Vec3::new(sin_alpha * cos_phi, sin_alpha * sin_phi, cos_alpha);
-        let outward = Frame::from_normal(-axis).to_world(local);
-        let v = lift3::<P>(self.center) + outward * P::from_f32(self.radius) - from;
+        let n = self.side(s.n);
         Some(DirectionSample {
-            d: v.normalize(),
-            distance: v.length(),
-            n: self.side(outward),
-            n_geo: self.side(outward),
-            uv: self.uv(outward).0,
-            pdf: cone_pdf(one_minus_cos_max),
+            n,
+            n_geo: n,
+            uv: self.uv(s.n).0,
+            ..s
         })
     }
 

@@ -26,6 +26,7 @@ use super::path::{
 };
 use crate::accel::{BUNDLE, Bundle, Hit};
 use crate::bsdf::{Bsdf, Component, DiffLobe, DiffuseLobe, Lobe, Material, Shading};
+use crate::camera::Camera;
 use crate::emitter::{AnyEmitter, Area, Emission, Emitter, EmitterSample};
 use crate::estimator::memory::Memory;
 use crate::estimator::{Detached, Sampling, Still, Strategy};
@@ -36,7 +37,7 @@ use crate::sampler::{
     first_four, independent_bits, scrambled, sobol_bits, sobol_points, sobol_set,
 };
 use crate::scene::{Caustics, LightChoice, Scene};
-use crate::shape::{AnyShape, Shape, SurfaceInteraction};
+use crate::shape::{AnyShape, Shape, SurfaceInteraction, sample_cone};
 use crate::texture::Texture;
 
 /// Whether waves estimate derivatives as strategy `S` does: nothing moves.
@@ -350,20 +351,23 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         })
     }
 
-    /// Follows the paths of `n` camera rays to their ends, at most [`WIDTH`].
+    /// Follows the paths of the camera rays through `n` spots of the image to their ends, at most [`WIDTH`].
     pub fn trace<S: Strategy, L: Log<P>>(
         &mut self,
         context: &Context<P>,
         n: usize,
-        ray: impl Fn(usize) -> (Ray<P>, X),
+        spot: impl Fn(usize) -> ([P; 2], X),
         log: &mut L,
     ) {
         self.samplers.clear();
+        let (mut x, mut y) = (Lane::zero(), Lane::zero());
         for i in 0..n.min(WIDTH) {
-            let (ray, sampler) = ray(i);
-            self.start(i, ray, sampler);
+            let sampler;
+            ([x[i], y[i]], sampler) = spot(i);
+            self.start(i, sampler);
         }
         self.n = self.samplers.len();
+        self.look(&context.scene.camera, &x, &y);
         for depth in 1.. {
             if self.n == 0 {
                 break;
@@ -372,17 +376,34 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         }
     }
 
-    /// Path `i` starts with a camera ray.
+    /// Camera rays through these spots of the image.
+    #[inline(never)]
+    fn look(&mut self, camera: &Camera, x: &Lane<P>, y: &Lane<P>) {
+        let paths = &mut self.paths;
+        let origin = camera.origin().map(P::of).into();
+        let mut right = Lane::<u32>::zero();
+        for i in 0..whole(self.n) {
+            let (d, is_right) = camera.direction(x[i], y[i]).unit();
+            paths.o.put_vec(i, origin);
+            paths.d.put_vec(i, d);
+            right[i] = u32::from(is_right);
+        }
+        for i in 0..self.n {
+            if right[i] == 0 {
+                paths.d.put_vec(i, camera.ray(x[i], y[i]).d);
+            }
+        }
+    }
+
+    /// Path `i` starts somewhere.
     #[inline(always)]
-    fn start(&mut self, i: usize, ray: Ray<P>, sampler: X) {
+    fn start(&mut self, i: usize, sampler: X) {
         let paths = &mut self.paths;
         (paths.id[i], paths.slot[i]) = (i as u32, i as u32);
         let Stream { points, key, index } = sampler.stream();
         self.points = points;
         (paths.key[i], paths.index[i]) = (key, index);
         self.samplers.push(sampler);
-        paths.o.put_vec(i, ray.o);
-        paths.d.put_vec(i, ray.d);
         paths.beta.put_rgb(i, Rgb::splat(P::one()));
         paths.l.put_rgb(i, Rgb::black());
         (paths.eta[i], paths.survival[i]) = (P::one(), P::one());
@@ -663,13 +684,16 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             }
             return;
         }
+        // A radius of zero is no sphere.
+        let mut spheres = ([Lane::<f32>::zero(); 3], Lane::<f32>::zero());
+        let mut shares = Lane::<P>::zero();
+        let mut any = false;
         for i in 0..self.n {
-            let (p, u) = (at.p.vec(i), [a[i], b[i]]);
             if at.lit[i] == 0 || at.delta[i] != 0 {
-                lights.pdf[i] = P::zero();
                 continue;
             }
-            let chosen = match settings.lights {
+            let (p, u) = (at.p.vec(i), [a[i], b[i]]);
+            (lights.emitter[i], lights.kept[i]) = match settings.lights {
                 _ if emitters.len() == 1 => (0, P::one()),
                 LightChoice::One => {
                     let (emitter, _) = scene.shares().choose(self.choice[i], 1);
@@ -688,9 +712,37 @@ impl<P: Float, X: Sampler> Wave<P, X> {
                     weigh_lights(scene, p, &seen, counts_hits, self.choice[i], u)
                 }
             };
-            let share = settings.lights.share(scene, chosen.0);
-            let sample = emitters[chosen.0 as usize].sample(scene.lights(), p, u);
-            lights.put(i, chosen, share, sample);
+            let emitter = lights.emitter[i];
+            shares[i] = settings.lights.share(scene, emitter);
+            if let AnyEmitter::Area(area) = &emitters[emitter as usize]
+                && let AnyShape::Sphere(sphere) = &scene.shapes()[area.shape as usize]
+                && area.exponent == 0.0
+                && sphere.is_plain()
+            {
+                let ([x, y, z], radius) = &mut spheres;
+                [x[i], y[i], z[i]] = sphere.center();
+                radius[i] = sphere.radius();
+                any = true;
+            }
+        }
+        let ([x, y, z], radius) = &spheres;
+        if any {
+            for i in 0..whole(self.n) {
+                let seen = sample_cone([x[i], y[i], z[i]], radius[i], at.p.vec(i), [a[i], b[i]]);
+                let sample = seen.and_then(|s| Area::facing(0.0, s));
+                lights.put(i, (lights.emitter[i], lights.kept[i]), shares[i], sample);
+            }
+        } else {
+            lights.pdf = Lane::zero();
+        }
+        // All others, and spheres from within.
+        for i in 0..self.n {
+            if shares[i] > P::zero() && lights.pdf[i] == P::zero() {
+                let (emitter, kept) = (lights.emitter[i], lights.kept[i]);
+                let (p, u) = (at.p.vec(i), [a[i], b[i]]);
+                let sample = emitters[emitter as usize].sample(scene.lights(), p, u);
+                lights.put(i, (emitter, kept), shares[i], sample);
+            }
         }
     }
 
@@ -894,7 +946,9 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             for (k, branch) in branches.iter().enumerate() {
                 let i = branch.at;
                 let sampler = self.samplers[self.paths.id[i] as usize % WIDTH];
-                wave.start(k, branch.ray, sampler);
+                wave.start(k, sampler);
+                wave.paths.o.put_vec(k, branch.ray.o);
+                wave.paths.d.put_vec(k, branch.ray.d);
                 wave.paths.beta.put_rgb(k, self.paths.beta.rgb(i));
                 wave.paths.from.put_vec(k, self.at.p.vec(i));
                 wave.paths.pdf[k] = branch.pdf;
@@ -1023,11 +1077,21 @@ impl<P: Float, X: Sampler> Wave<P, X> {
     #[inline(never)]
     fn keep_last<S: Strategy>(&mut self, scene: &Scene) {
         let paths = &self.paths;
-        for i in 0..self.n {
-            let counts = S::COUNTS_HITS || !S::SAMPLES_EMITTERS || paths.pdf[i] == P::zero();
-            let ray = Ray::new(paths.o.vec(i), paths.d.vec(i));
-            let meets = counts && self.bounces.lives[i] != 0 && scene.may_meet_light(&ray);
-            self.bounces.lives[i] = u32::from(meets);
+        let mut meets = Lane::<u32>::zero();
+        match scene.lamps() {
+            None => meets.fill(1),
+            Some(lamps) => {
+                for ball in lamps {
+                    for i in 0..whole(self.n) {
+                        let ray = Ray::new(paths.o.vec(i), paths.d.vec(i));
+                        meets[i] |= u32::from(ball.may_be_met(&ray));
+                    }
+                }
+            }
+        }
+        for i in 0..whole(self.n) {
+            let counts = S::COUNTS_HITS | !S::SAMPLES_EMITTERS | (paths.pdf[i] == P::zero());
+            self.bounces.lives[i] &= u32::from(counts) & meets[i];
         }
     }
 }
