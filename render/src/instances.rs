@@ -674,13 +674,13 @@ estimators! {
     /// BSDF sampling, samples move; for scenes without discontinuities.
     Attached "attached" 1.0 BsdfOnly<AttachedDirect>;
     /// The same where discontinuities bias it, to study that.
-    AttachedNaive "attached-naive" 0.75 AllowBias<BsdfOnly<AttachedDirect>>;
+    AttachedNaive "attached-naive" 0.9 AllowBias<BsdfOnly<AttachedDirect>>;
     /// Samples and all vertices behind them move; for scenes without discontinuities.
     AttachedPath "attached-path" 1.4 BsdfOnly<Attached>;
     /// BSDF sampling, samples move but slow down at discontinuities.
-    Reparameterised "reparameterised" 0.95 BsdfOnly<Reparameterised>;
+    Reparameterised "reparameterised" 1.0 BsdfOnly<Reparameterised>;
     /// BSDF sampling, and samples of the derivative of normals.
-    Differential "differential" 1.3 BsdfOnly<Differential>;
+    Differential "differential" 1.4 BsdfOnly<Differential>;
     /// Detached BSDF and light sampling, constant weights: the default.
     Mis "mis" 1.0 DetachedMis;
     /// The same with the balance heuristic.
@@ -690,27 +690,27 @@ estimators! {
     /// The same with BSDF samples trusted more.
     MisTrustBsdf "mis-trust-bsdf" 1.0 Mis<Detached, Detached, DetachedWeights, TrustBsdf>;
     /// [`Estimator::Mis`] with differentiated weights.
-    MisAttachedWeights "mis-attached-weights" 1.1 Mis<Detached, Detached, AttachedWeights>;
+    MisAttachedWeights "mis-attached-weights" 1.3 Mis<Detached, Detached, AttachedWeights>;
     /// BSDF sampling, samples of the derivative of normals and light sampling.
-    DifferentialMis "differential-mis" 1.8 Mis<Differential, Detached, DetachedWeights>;
+    DifferentialMis "differential-mis" 2.0 Mis<Differential, Detached, DetachedWeights>;
     /// The same with the balance heuristic.
-    DifferentialMisBalance "differential-mis-balance" 1.8 Mis<Differential, Detached, DetachedWeights, Balance>;
+    DifferentialMisBalance "differential-mis-balance" 2.0 Mis<Differential, Detached, DetachedWeights, Balance>;
     /// [`Estimator::DifferentialMis`] with differentiated weights for values.
-    DifferentialMisAttachedWeights "differential-mis-attached-weights" 2.0 Mis<Differential, Detached, AttachedWeights>;
+    DifferentialMisAttachedWeights "differential-mis-attached-weights" 2.4 Mis<Differential, Detached, AttachedWeights>;
     /// Attached BSDF sampling and light sampling, differentiated weights.
     AttachedMis "attached-mis" 1.5 Mis<AttachedDirect, Detached, AttachedWeights>;
     /// The same where discontinuities bias it, to study that.
-    AttachedMisNaive "attached-mis-naive" 1.1 AllowBias<Mis<AttachedDirect, Detached, AttachedWeights>>;
+    AttachedMisNaive "attached-mis-naive" 1.25 AllowBias<Mis<AttachedDirect, Detached, AttachedWeights>>;
     /// [`Estimator::AttachedMis`] with weights that follow the samples only.
     AttachedMisFrozen "attached-mis-frozen" 1.6 Mis<AttachedDirect, Detached, FrozenWeights>;
     /// [`Estimator::AttachedMis`] whose samples of environment maps move with the texels.
     AttachedBoth "attached-both" 2.1 Mis<AttachedDirect, Attached, AttachedWeights>;
     /// Reparameterised BSDF sampling and light sampling, differentiated weights.
-    ReparameterisedMis "reparameterised-mis" 1.3 ReparameterisedMis;
+    ReparameterisedMis "reparameterised-mis" 1.5 ReparameterisedMis;
     /// Reparameterised with constant weights: biased [Zeltner 2021, Eq. 4.38].
-    BiasedWeights "biased-weights" 1.2 AllowBias<Mis<Reparameterised, Detached, DetachedWeights>>;
+    BiasedWeights "biased-weights" 1.4 AllowBias<Mis<Reparameterised, Detached, DetachedWeights>>;
     /// Attached with constant weights: biased for the same reason, whatever the scene.
-    BiasedAttachedWeights "biased-attached-weights" 1.05 AllowBias<Mis<AttachedDirect, Detached, DetachedWeights>>;
+    BiasedAttachedWeights "biased-attached-weights" 1.25 AllowBias<Mis<AttachedDirect, Detached, DetachedWeights>>;
     /// Differentiated weights for one technique only: biased (errata Z-4.13f).
-    BiasedMixed "biased-mixed" 1.2 AllowBias<Mis<Reparameterised, Detached, MixedWeights>>;
+    BiasedMixed "biased-mixed" 1.45 AllowBias<Mis<Reparameterised, Detached, MixedWeights>>;
 }

@@ -35,6 +35,9 @@ fn folder() -> TempDir {
     };
     exr("grey.exr", 1, vec![0.1, 0.2, 0.3, 0.4]);
     exr("bright.exr", 1, vec![0.1, 0.2, 1.5, 0.4]);
+    exr("ringing.exr", 1, vec![9.0, -0.1, 5.0, -0.0]);
+    exr("negative.exr", 1, vec![9.0, -0.4, 5.0, 0.0]);
+    exr("infinite.exr", 1, vec![9.0, f32::INFINITY, -5.0, 0.0]);
     exr("nan.exr", 1, vec![0.1, f32::NAN, 0.5, 0.4]);
     std::fs::write(dir.path().join("cut.exr"), b"\x76\x2f\x31\x01").unwrap();
     dir
@@ -203,6 +206,40 @@ fn missing_files_are_errors_or_grey() {
     // What is there but damaged is not missing.
     let shapes = wall(&bitmap("reflectance", "cut.exr", ""));
     assert!(load_in(dir.path(), &shapes, true).is_err());
+}
+
+/// Environment maps are negative beside the sun, once they have been resampled.
+#[test]
+fn slightly_negative_emission_is_zero_and_said() {
+    let dir = folder();
+    let sky = |file: &str| {
+        format!(
+            r#"<emitter type="envmap" id="sky"><string name="filename" value="{file}"/></emitter>"#
+        )
+    };
+    let (scene, warnings) = load_in(dir.path(), &sky("ringing.exr"), false).unwrap();
+    assert_eq!(scene.params().values()[..6], [9.0, 9.0, 9.0, 0.0, 0.0, 0.0]);
+    let expected =
+        "ringing.exr: 3 of 12 numbers for `sky` are slightly negative; they are zero instead";
+    assert!(
+        matches!(&warnings[..], [w] if w.contains(expected)),
+        "{warnings:?}"
+    );
+    let error = load_in(dir.path(), &sky("negative.exr"), false)
+        .unwrap_err()
+        .to_string();
+    assert!(
+        error.contains("texels from 0 to inf for `sky`, found -0.4 at column 1, row 0"),
+        "{error}"
+    );
+    let error = load_in(dir.path(), &sky("infinite.exr"), false).unwrap_err();
+    assert!(
+        error.to_string().contains("found inf at column 1, row 0"),
+        "{error}"
+    );
+    // Nothing else may be negative.
+    let error = load(&wall(&bitmap("reflectance", "ringing.exr", ""))).unwrap_err();
+    assert!(error.to_string().contains("texels from 0 to 1"), "{error}");
 }
 
 #[test]

@@ -135,6 +135,10 @@ pub(crate) fn file(
     }
 }
 
+/// Emission may be negative by this much of its mean in image files: what filters that sharpen leave at the borders of
+/// bright things when an image is resampled. Such numbers become zero, with a warning.
+const RINGING: f64 = 0.1;
+
 /// Reads an image into the parameters `{name}.data`; returns its width and height too.
 pub(crate) fn texels<const C: usize>(
     build: &mut Builder,
@@ -143,10 +147,28 @@ pub(crate) fn texels<const C: usize>(
     usage: &Use,
 ) -> Result<(ParamRef, [u32; 2]), SceneError> {
     let pixels = image_io::read(path, encoding)?;
-    let pixels = match C {
+    let mut pixels = match C {
         1 => pixels.into_grey(),
         _ => pixels.into_rgb(),
     };
+    if usage.valid == (0.0, f64::INFINITY) {
+        let sum: f64 = pixels.data.iter().map(|&v| f64::from(v)).sum();
+        let least = -RINGING * sum / pixels.data.len() as f64;
+        let ringing = |v: f32| v < 0.0 && f64::from(v) >= least;
+        let count = pixels.data.iter().filter(|v| ringing(**v)).count();
+        if count > 0 {
+            let all = pixels.data.len();
+            let what = format!("{count} of {all} numbers for `{}`", usage.name);
+            let warning = format!(
+                "{}: {what} are slightly negative; they are zero instead",
+                path.display()
+            );
+            build.warnings.push(warning);
+            for v in pixels.data.iter_mut().filter(|v| ringing(**v)) {
+                *v = 0.0;
+            }
+        }
+    }
     let (lo, hi) = (usage.valid.0 as f32, usage.valid.1 as f32);
     let asset = |expected: String, found: String| SceneError::Asset {
         path: path.to_owned(),
@@ -154,7 +176,8 @@ pub(crate) fn texels<const C: usize>(
         expected,
         found,
     };
-    if let Some(i) = pixels.data.iter().position(|v| !(lo..=hi).contains(v)) {
+    let valid = |v: &f32| v.is_finite() && (lo..=hi).contains(v);
+    if let Some(i) = pixels.data.iter().position(|v| !valid(v)) {
         let (x, y) = (i / C % pixels.width, i / C / pixels.width);
         return Err(asset(
             format!("texels from {lo} to {hi} for `{}`", usage.name),
