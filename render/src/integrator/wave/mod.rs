@@ -4,7 +4,7 @@
 //! tangents, where no sample or weight moves. The vertices of a wave of paths do the same things at the same time, in
 //! loops over arrays that call what the path tracer calls for one vertex. Nothing in such a loop is decided by a
 //! branch, so the compiler makes vector instructions of it. Materials other than diffuse ones, and what emitters do
-//! beside being sampled as a single rectangle, are called vertex by vertex in between.
+//! beside being sampled as a single rectangle or as balls, are called vertex by vertex in between.
 
 // Each loop is over many arrays at a time.
 #![allow(clippy::needless_range_loop)]
