@@ -110,12 +110,6 @@ impl Sphere {
         (uv, axes[1] * x - axes[0] * y)
     }
 
-    /// See [`cone`].
-    #[inline]
-    fn cone<R: Real>(&self, from: Vec3<R>) -> Option<(R, Vec3<R>)> {
-        cone(self.center, self.radius, from)
-    }
-
     /// Whether `from` lies inside or on the sphere.
     #[inline]
     fn contains<P: Float>(&self, from: Vec3<P>) -> bool {
@@ -273,7 +267,7 @@ impl Shape for Sphere {
 
     #[inline]
     fn pdf<R: Real>(&self, from: Vec3<R>, si: &SurfaceInteraction<R>) -> R {
-        match self.cone(from) {
+        match cone(self.center, self.radius, from) {
             Some((one_minus_cos_max, _)) => cone_pdf(one_minus_cos_max),
             None if self.contains(from.primal()) => {
                 let pdf_area = R::of(1.0 / self.area());
