@@ -49,7 +49,7 @@ fn run<R: Components, S: Unbiased>(
     seed: u64,
     samples: Range<u64>,
     progress: &dyn Progress,
-) -> Rendering {
+) -> Result<Rendering, RenderError> {
     render::render::<R, S, Spread>(scene, theta, settings, seed, samples, progress)
 }
 
@@ -63,10 +63,10 @@ fn primal<P: Components + Float>(
     progress: &dyn Progress,
 ) -> Rendering {
     let run = match technique {
-        Technique::MisPower => run::<P, MisOf<Power>>,
-        Technique::MisBalance => run::<P, MisOf<Balance>>,
-        Technique::BsdfOnly => run::<P, BsdfOnly<Detached>>,
-        Technique::EmitterOnly => run::<P, EmitterOnly<Detached>>,
+        Technique::MisPower => render::unchecked::<P, MisOf<Power>, Spread>,
+        Technique::MisBalance => render::unchecked::<P, MisOf<Balance>, Spread>,
+        Technique::BsdfOnly => render::unchecked::<P, BsdfOnly<Detached>, Spread>,
+        Technique::EmitterOnly => render::unchecked::<P, EmitterOnly<Detached>, Spread>,
     };
     run(scene, theta, settings, seed, samples, progress)
 }
@@ -221,7 +221,7 @@ pub fn backward_f64(
 /// number per value, in single precision: components 0 and 1. Detached MIS.
 ///
 /// # Errors
-/// A direction of the wrong length.
+/// A direction of the wrong length; a parameter that moves a Dirac delta.
 pub fn tangent_f32(
     scene: &Scene,
     values: &[f32],
@@ -248,9 +248,7 @@ pub fn tangent_f32(
         tangents[scene.params().handle(info).id as usize] = Tangent::Dense(own);
     }
     let theta = Theta::<Dual<f32, 1>>::with_tangents(values, &tangents);
-    Ok(run::<Dual<f32, 1>, MisOf<Power>>(
-        scene, &theta, settings, seed, samples, progress,
-    ))
+    run::<Dual<f32, 1>, DetachedMis>(scene, &theta, settings, seed, samples, progress)
 }
 
 /// The Hessian of an image loss times a direction, in single precision:
@@ -336,7 +334,7 @@ impl Direction {
 /// samples. Detached MIS.
 ///
 /// # Errors
-/// A dense direction of the wrong length.
+/// A dense direction of the wrong length; a parameter that moves a Dirac delta.
 pub fn forward_f32(
     scene: &Scene,
     values: &[f32],
@@ -348,7 +346,7 @@ pub fn forward_f32(
 ) -> Result<Rendering, RenderError> {
     check_directions(scene, directions)?;
     let widest = |n: usize| [8, 4, 2].into_iter().find(|w| *w <= n).unwrap_or(1);
-    let pass = |directions: &[Direction]| {
+    let pass = |directions: &[Direction]| -> Result<Rendering, RenderError> {
         let run = match directions.len() {
             8 => forward::<8>,
             4 => forward::<4>,
@@ -356,15 +354,15 @@ pub fn forward_f32(
             _ => forward::<1>,
         };
         let samples = samples.clone();
-        let mut part = run(scene, values, directions, settings, seed, samples, progress);
+        let mut part = run(scene, values, directions, settings, seed, samples, progress)?;
         part.sums.truncate(1 + directions.len());
-        part
+        Ok(part)
     };
     let (now, mut rest) = directions.split_at(widest(directions.len()).min(directions.len()));
-    let mut out = pass(now);
+    let mut out = pass(now)?;
     while !rest.is_empty() {
         let (now, later) = rest.split_at(widest(rest.len()));
-        let part = pass(now);
+        let part = pass(now)?;
         out.sums.extend(part.sums.into_iter().skip(1));
         out.cancelled |= part.cancelled;
         // A sample may fail in the tangents of one pass only.
@@ -401,19 +399,17 @@ fn forward<const N: usize>(
     seed: u64,
     samples: Range<u64>,
     progress: &dyn Progress,
-) -> Rendering {
+) -> Result<Rendering, RenderError> {
     let tangents = tangents::<N>(scene.params(), directions.iter().enumerate());
     let theta = Theta::<Dual<f32, N>>::with_tangents(values, &tangents);
-    render::render::<Dual<f32, N>, MisOf<Power>, Spread>(
-        scene, &theta, settings, seed, samples, progress,
-    )
+    run::<Dual<f32, N>, DetachedMis>(scene, &theta, settings, seed, samples, progress)
 }
 
 /// The image and its derivative along one direction with [`Estimator::Mis`] in double precision: what single
 /// precision costs in accuracy, and gains in time.
 ///
 /// # Errors
-/// A dense direction of the wrong length.
+/// A dense direction of the wrong length; a parameter that moves a Dirac delta.
 pub fn forward_f64(
     scene: &Scene,
     direction: &Direction,
@@ -435,9 +431,7 @@ pub fn forward_f64(
         .collect();
     let values: Vec<f64> = scene.params().values().iter().map(|&v| v.into()).collect();
     let theta = Theta::<Dual<f64, 1>>::with_tangents(&values, &tangents);
-    Ok(run::<Dual<f64, 1>, DetachedMis>(
-        scene, &theta, settings, seed, samples, progress,
-    ))
+    run::<Dual<f64, 1>, DetachedMis>(scene, &theta, settings, seed, samples, progress)
 }
 
 /// One tangent per range of the layout; component `k` of the dual numbers is the sum of the directions
@@ -569,7 +563,14 @@ macro_rules! estimators {
     };
 }
 
-type Forward<R> = fn(&Scene, &Theta<R>, &Settings, u64, Range<u64>, &dyn Progress) -> Rendering;
+type Forward<R> = fn(
+    &Scene,
+    &Theta<R>,
+    &Settings,
+    u64,
+    Range<u64>,
+    &dyn Progress,
+) -> Result<Rendering, RenderError>;
 type Reverse = fn(
     &Scene,
     &Theta<f32>,
@@ -628,16 +629,10 @@ impl Estimator {
         samples: Range<u64>,
         progress: &dyn Progress,
     ) -> Result<Rendering, RenderError> {
-        self.check(scene)?;
-        for d in directions {
-            self.check_parameter(&scene.params().infos()[d.param().id as usize])?;
-        }
         check_directions(scene, directions)?;
         let tangents = tangents::<1>(scene.params(), directions.iter().map(|d| (0, d)));
         let theta = Theta::<Dual<f32, 1>>::with_tangents(values, &tangents);
-        Ok(self.forward()(
-            scene, &theta, settings, seed, samples, progress,
-        ))
+        self.forward()(scene, &theta, settings, seed, samples, progress)
     }
 
     /// The gradient of `<adjoint, image>` (reverse mode), in single precision.

@@ -104,14 +104,14 @@ pub struct Params {
 }
 
 impl Params {
-    /// Adds a range. The name is made unique by a suffix `_1`, `_2`, .. when it is taken.
+    /// Adds a range, [`Differentiability::Smooth`] unless [`Params::mark_delta`] says otherwise. The name is made
+    /// unique by a suffix `_1`, `_2`, .. when it is taken.
     pub fn push(
         &mut self,
         name: &str,
         shape: ParamShape,
         values: &[f32],
         valid: (f64, f64),
-        differentiability: Differentiability,
     ) -> ParamRef {
         debug_assert_eq!(shape.len(), values.len());
         let mut unique = name.to_owned();
@@ -128,13 +128,18 @@ impl Params {
             offset,
             shape,
             valid,
-            differentiability,
+            differentiability: Differentiability::Smooth,
         });
         self.values.extend_from_slice(values);
         ParamRef {
             id,
             offset: offset as u32,
         }
+    }
+
+    /// Says that a sampled direction is a Dirac delta in this range: [`Differentiability::Delta`].
+    pub(crate) fn mark_delta(&mut self, p: ParamRef) {
+        self.infos[p.id as usize].differentiability = Differentiability::Delta;
     }
 
     /// All ranges, in the order of the flat vector.

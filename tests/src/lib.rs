@@ -73,6 +73,7 @@ where
 {
     let theta = Theta::constant(values);
     render::<P, DetachedMis, Independent>(scene, &theta, settings, seed, 0..spp, &())
+        .expect("nothing moves")
 }
 
 /// One estimate per block of 4 x 4 pixels and channel, from `runs` seeds.
@@ -126,6 +127,9 @@ pub fn forward(
 }
 
 /// [`forward`] with another estimator.
+///
+/// # Panics
+/// If it is refused there.
 pub fn forward_by<S: Unbiased>(
     scene: &Scene,
     direction: &[f64],
@@ -136,14 +140,18 @@ pub fn forward_by<S: Unbiased>(
 ) -> f64 {
     let values = values::<f64>(scene);
     let dual = |d: &f64| Dual::<f64, 1>::new(0.0, [*d]);
-    let tangents: Vec<_> = scene
-        .params()
-        .infos()
+    let tangent = |d: &[f64]| match d.iter().all(|d| *d == 0.0) {
+        true => Tangent::None,
+        false => Tangent::Dense(d.iter().map(dual).collect()),
+    };
+    let infos = scene.params().infos();
+    let tangents: Vec<_> = infos
         .iter()
-        .map(|i| Tangent::Dense(direction[i.range()].iter().map(dual).collect()))
+        .map(|i| tangent(&direction[i.range()]))
         .collect();
     let theta = Theta::with_tangents(&values, &tangents);
-    let r = render::<Dual<f64, 1>, S, Independent>(scene, &theta, settings, seed, 0..spp, &());
+    let r = render::<Dual<f64, 1>, S, Independent>(scene, &theta, settings, seed, 0..spp, &())
+        .expect("an estimator for this scene and these parameters");
     assert_eq!(r.non_finite.count, 0);
     dot(adjoint, &r, 1)
 }

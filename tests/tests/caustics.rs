@@ -322,7 +322,9 @@ fn paths_keep_what_particles_would_miss() {
         let theta = Theta::constant(&theta);
         type Moving = AllowBias<BsdfOnly<Attached>>;
         let settings = with(&s, caustics);
-        render::<f32, Moving, Independent>(&s, &theta, &settings, 3, 0..8, &()).sums
+        render::<f32, Moving, Independent>(&s, &theta, &settings, 3, 0..8, &())
+            .expect("nothing moves")
+            .sums
     };
     assert!(room_moving(Caustics::Paths) == room_moving(Caustics::Particles));
     let mis = Estimator::Mis;

@@ -1,15 +1,19 @@
 //! Every estimator of derivatives against finite differences and against each other: unbiased ones
 //! agree, biased ones are noticed, forward and reverse mode are the same sum.
 
-use render::estimator::{BsdfOnly, Detached, EmitterOnly};
-use render::instances::{Direction, Estimator, Technique, render_f32};
+use std::sync::Arc;
+
+use ad_core::Dual;
+use render::bsdf::{Conductor, Interpolation, NormalMap};
+use render::estimator::{Attached, BsdfOnly, Detached, EmitterOnly};
+use render::instances::{Direction, Estimator, Technique, forward_f32, forward_f64, render_f32};
 use render::integrator::render::render;
-use render::params::Theta;
+use render::params::{Tangent, Theta};
 use render::sampler::Independent;
-use render::scene::LightChoice;
-use render::{Scene, Settings};
+use render::scene::{Builder, LightChoice};
+use render::{RenderError, Scene, Settings};
 use tests::stats::{Estimate, z_limit};
-use tests::{mean_adjoint, scene, values};
+use tests::{dot, forward_by, image, mean_adjoint, scene, values};
 
 const REPEATS: u64 = 32;
 const ALPHA: f64 = 1e-3;
@@ -180,7 +184,8 @@ fn differences(case: &Case) -> Estimate {
                     77_000 + r,
                     0..case.spp,
                     &(),
-                );
+                )
+                .expect("nothing moves");
                 image.mean(0).iter().sum::<f64>() / 3.0
             };
             (at(1.0) - at(-1.0)) / (2.0 * h)
@@ -405,6 +410,121 @@ fn naive_attached_sampling_is_refused_where_it_is_biased() {
     assert!(Estimator::Reparameterised.check(&cases[0].scene).is_ok());
 }
 
+/// Whole paths slide over what is behind a vertex: edges and textures that jump there bias them, and only them (F8).
+#[test]
+fn paths_do_not_slide_over_edges_and_jumps() {
+    let lit = |shape: &str, tint: &str| {
+        let glass = format!(r#"<bsdf type="dielectric">{tint}</bsdf>"#);
+        let shape = format!(r#"<shape type="{shape}" id="thing">{glass}</shape>"#);
+        scene(&format!("{}{shape}{LOBES}", camera(6, 5)))
+    };
+    let checks = r#"<texture name="specular_transmittance" type="checkerboard"/>"#;
+    let cases = [
+        (lit("sphere", ""), None),
+        (lit("cube", ""), Some("edges of `thing`")),
+        (lit("sphere", checks), Some("texture of `thing` that jumps")),
+        (lit("rectangle", checks), None),
+    ];
+    for (s, culprit) in &cases {
+        assert!(Estimator::Attached.check(s).is_ok());
+        match (Estimator::AttachedPath.check(s), culprit) {
+            (Ok(()), None) => {}
+            (Err(e), Some(culprit)) => assert!(e.to_string().contains(culprit), "{e}"),
+            (found, _) => panic!("expected {culprit:?}, found {found:?}"),
+        }
+    }
+}
+
+/// The library's own forward mode refuses what tools refuse, instead of giving zero: a scene made by code, and one from a
+/// file (F2, F8).
+#[test]
+fn forward_mode_refuses_deltas_and_discontinuities() {
+    let s = glass().scene;
+    let eta = Direction::uniform(s.params(), "glass.eta.value").expect("a parameter");
+    let (values, direction) = (s.params().values(), std::slice::from_ref(&eta));
+    let single = forward_f32(&s, values, direction, &s.settings, 1, 0..1, &());
+    let double = forward_f64(&s, &eta, &s.settings, 1, 0..1, &());
+    for found in [single, double] {
+        assert!(matches!(found, Err(RenderError::DeltaParameter { .. })));
+    }
+
+    let mut build = Builder::new();
+    let texels = [0.5, 0.5, 1.0, 0.6, 0.5, 0.9];
+    let map = build
+        .texels("map", [2, 1], &texels, (0.0, 1.0))
+        .expect("two texels");
+    let mirror = Conductor {
+        index: None,
+        specular_reflectance: build.rgb("mirror", [1.0; 3], (0.0, 1.0)).expect("white"),
+    };
+    let mapped = NormalMap::new(map, Interpolation::Normals, Arc::new(mirror.into()));
+    build.add_material(mapped.expect("one level"));
+    let (camera, film) = (s.camera.clone(), s.film.clone());
+    let made = build.build(camera, film, s.settings).expect("a scene");
+    assert!(Estimator::Mis.active(&made, &["map.data"]).is_err());
+    assert!(Estimator::AttachedPath.active(&made, &["map.data"]).is_ok());
+
+    let hidden = &cases()[2].scene;
+    let moving = values_with_tangent(hidden);
+    let theta = Theta::with_tangents(hidden.params().values(), &moving);
+    let found = render::<Dual<f32, 1>, BsdfOnly<Attached>, Independent>(
+        hidden,
+        &theta,
+        &hidden.settings,
+        1,
+        0..1,
+        &(),
+    );
+    assert!(matches!(found, Err(RenderError::Discontinuous { .. })));
+}
+
+/// One number is added to everything.
+fn values_with_tangent(s: &Scene) -> Vec<Tangent<Dual<f32, 1>>> {
+    vec![Tangent::Uniform(Dual::new(0.0, [1.0])); s.params().infos().len()]
+}
+
+/// A mirror whose normals are turned, in a gradient environment: the derivative that constant directions cannot see (F2)
+/// equals differences of the same samples to 1e-4, in both modes.
+#[test]
+fn normals_of_a_mirror_have_a_derivative() {
+    let plate = r#"<shape type="rectangle" id="plate">
+        <transform name="to_world"><rotate x="1" angle="-90"/></transform>
+        <bsdf type="normalmap" id="map">
+            <texture name="normalmap" type="checkerboard"><rgb name="color0" value="0.6, 0.45, 0.95"/>
+                <rgb name="color1" value="0.48, 0.55, 0.98"/></texture>
+            <bsdf type="conductor"><string name="material" value="Cu"/></bsdf></bsdf></shape>"#;
+    let s = &scene(&format!("{}{plate}{LOBES}", camera(8, 3)));
+    let name = "map.normalmap.color0.value";
+    let (info, spp) = (s.params().find(name).expect("a parameter"), 16);
+    let adjoint = mean_adjoint(s);
+    for channel in 0..3 {
+        let mut direction = vec![0.0; s.params().values().len()];
+        direction[info.offset + channel] = 1.0;
+        let forward =
+            forward_by::<BsdfOnly<Attached>>(s, &direction, &adjoint, &s.settings, 5, spp);
+        let at = |h: f64| {
+            let mut v = values::<f64>(s);
+            v[info.offset + channel] += h;
+            dot(&adjoint, &image(s, &v, &s.settings, 5, spp), 0)
+        };
+        let difference = (at(1e-5) - at(-1e-5)) / 2e-5;
+        let close = (forward - difference).abs() < 1e-4 * difference.abs();
+        assert!(close && difference.abs() > 0.01, "{forward} {difference}");
+
+        let moving = Estimator::AttachedPath;
+        let active = moving.active(s, &[name]).expect("a moving path");
+        let theta = Theta::constant(s.params().values());
+        let gradient = moving
+            .backward_f32(s, &theta, &active, &adjoint, &s.settings, 5, 0..spp, &())
+            .expect("allowed");
+        let reverse = gradient.values[0][channel];
+        assert!(
+            (reverse - forward).abs() < 1e-3 * forward.abs(),
+            "{reverse} {forward}"
+        );
+    }
+}
+
 /// A glass ball under smooth lobes: nothing occludes anything but itself.
 fn glass() -> Case {
     let ball = r#"<shape type="sphere" id="ball"><float name="radius" value="0.9"/>
@@ -455,7 +575,8 @@ fn the_index_of_smooth_glass_has_a_derivative() {
                     31_000 + r,
                     0..case.spp,
                     &(),
-                );
+                )
+                .expect("nothing moves");
                 image.mean(0).iter().sum::<f64>() / 3.0
             };
             (at(1.0) - at(-1.0)) / (2.0 * h)

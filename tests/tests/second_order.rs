@@ -127,7 +127,8 @@ impl Case {
             seed,
             0..spp,
             &(),
-        );
+        )
+        .expect("detached sampling of smooth parameters");
         assert_eq!(r.non_finite.count, 0);
         let mean = |k: usize| r.sums[k].iter().map(|s| s / spp as f64).collect();
         [mean(0), mean(2), mean(1), mean(3)]

@@ -76,7 +76,8 @@ fn depth_limit_sums_the_first_terms() {
             ..s.settings
         };
         let theta = Theta::constant(&v[..]);
-        let r = render::<f64, BsdfOnly<Detached>, Independent>(&s, &theta, &settings, 1, 0..1, &());
+        let r = render::<f64, BsdfOnly<Detached>, Independent>(&s, &theta, &settings, 1, 0..1, &())
+            .expect("nothing moves");
         let exact: f64 = (0..depth).map(|k| 0.5f64.powi(k as i32)).sum();
         assert!(
             (r.mean(0)[0] - exact).abs() < 1e-6,
@@ -89,7 +90,9 @@ fn depth_limit_sums_the_first_terms() {
 fn strategy<S: render::estimator::Unbiased>(s: &render::Scene, seed: u64, spp: u64) -> [f64; 3] {
     let v = values::<f32>(s);
     let theta = Theta::constant(&v[..]);
-    render::<f32, S, Independent>(s, &theta, &s.settings, seed, 0..spp, &()).mean(0)
+    render::<f32, S, Independent>(s, &theta, &s.settings, seed, 0..spp, &())
+        .expect("nothing moves")
+        .mean(0)
 }
 
 /// BSDF sampling, emitter sampling and their combination have the same mean: every case whose emitters
@@ -317,7 +320,8 @@ fn forward_mode_renders_the_same_image() {
         3,
         0..8,
         &(),
-    );
+    )
+    .expect("nothing moves");
     assert_eq!(<ad_core::Dual<f64, 1> as Components>::COUNT, 2);
     for (a, b) in plain.sums[0].iter().zip(&dual.sums[0]) {
         assert!((a - b).abs() <= 1e-12 * a.abs(), "{a} {b}");

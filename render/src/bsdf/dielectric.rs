@@ -7,7 +7,6 @@ use super::{
 };
 use crate::error::SceneError;
 use crate::math::Rgb;
-use crate::params::Differentiability;
 use crate::scene::{Builder, Node};
 use crate::texture::{RgbTexture, ScalarTexture};
 
@@ -133,7 +132,7 @@ impl FromNode for Dielectric {
         let eta = relative_index(node, "bk7")?;
         let name = format!("{}.eta.value", build.prefix());
         Ok(Self {
-            eta: build.constant(&name, &[eta], INDEX_RANGE, Differentiability::Delta)?,
+            eta: build.scalar(&name, eta, INDEX_RANGE)?,
             specular_reflectance: build.rgb_texture(
                 node,
                 "specular_reflectance",

@@ -287,6 +287,14 @@ impl TextureRef<'_> {
         }
     }
 
+    /// See [`RgbTexture::closes`].
+    pub(crate) fn closes(&self) -> bool {
+        match self {
+            Self::Rgb(t) | Self::Vector(t) | Self::Encoded(t) => t.closes(),
+            Self::Scalar(t) | Self::Alpha(t) | Self::Exponent(t) => t.closes(),
+        }
+    }
+
     /// See [`RgbTexture::visit_params`].
     pub fn visit_params(&self, f: &mut dyn FnMut(ParamRef)) {
         match self {

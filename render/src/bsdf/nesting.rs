@@ -6,6 +6,7 @@ use ad_core::{Float, Real};
 
 use super::{Bsdf, Material};
 use crate::error::SceneError;
+use crate::params::ParamRef;
 use crate::scene::Node;
 
 /// How many levels materials may nest: one bit each in the `route` of a delta.
@@ -57,6 +58,19 @@ pub fn has_delta(material: &Material) -> bool {
     match children(material) {
         [] => material.is_delta(),
         parts => parts.iter().any(|m| has_delta(m)),
+    }
+}
+
+/// Calls `f` with every range that a sampled direction is a Dirac delta in: the index of smooth glass, and normals that
+/// tilt anything smooth.
+pub fn visit_deltas(material: &Material, f: &mut dyn FnMut(ParamRef)) {
+    match material {
+        Material::Dielectric(m) => m.eta.visit_params(f),
+        Material::NormalMap(m) if has_delta(material) => m.map().visit_params(f),
+        _ => {}
+    }
+    for m in children(material) {
+        visit_deltas(m, f);
     }
 }
 

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use ad_core::{Dual, Float, Real, Vec3, array};
 
-use super::nesting::{check_levels, has_delta, nested_nodes};
+use super::nesting::{check_levels, nested_nodes};
 use super::{
     Bsdf, BsdfSample, Component, DeltaKind, DiffLobe, FromNode, Material, Part, Shading,
     TextureRef, TransportMode, Use,
@@ -12,7 +12,7 @@ use super::{
 use crate::error::SceneError;
 use crate::image_io::Encoding;
 use crate::math::{Frame, Rgb, each};
-use crate::params::{Differentiability, GradSink};
+use crate::params::GradSink;
 use crate::scene::{Builder, Node};
 use crate::texture::{self, Bitmap, RgbTexture, UvTransform, Wrap};
 
@@ -24,7 +24,7 @@ use crate::texture::{self, Bitmap, RgbTexture, UvTransform, Wrap};
 ///
 /// # Derivatives
 /// In the texels, with directions fixed. The nested material moves with the normal, so texels over a
-/// mirror or smooth glass are [`Differentiability::Delta`].
+/// mirror or smooth glass are [`crate::params::Differentiability::Delta`].
 ///
 /// # Does not handle
 /// The horizon, which attached samples cross (F9): [`crate::Scene::discontinuity`]. The jump of the value in the
@@ -112,6 +112,11 @@ impl NormalMap {
     /// What is done about impossible directions.
     pub fn corrections(&self) -> Corrections {
         self.corrections
+    }
+
+    /// The texture of encoded normals.
+    pub fn map(&self) -> &RgbTexture {
+        &self.map
     }
 
     /// The material on the tilted surface.
@@ -464,10 +469,6 @@ impl FromNode for NormalMap {
             name: &name,
             // Files round a little beyond [0, 1].
             valid: (-1.0, 2.0),
-            differentiability: match has_delta(&nested) {
-                true => Differentiability::Delta,
-                false => Differentiability::Smooth,
-            },
             substitute: &[0.5, 0.5, 1.0],
         };
         let child = node.child("normalmap").cloned();
@@ -502,12 +503,7 @@ fn map_from_file(
     let tiles = node.float_or("tiles", 1.0)? as f32;
     let Some(path) = texture::file(build, node, usage)? else {
         let name = format!("{}.value", usage.name);
-        return build.constant(
-            &name,
-            usage.substitute,
-            usage.valid,
-            usage.differentiability,
-        );
+        return build.constant(&name, usage.substitute, usage.valid);
     };
     let (param, [width, height]) = texture::texels::<3>(build, &path, Encoding::Raw, usage)?;
     Ok(RgbTexture::Bitmap(Bitmap {

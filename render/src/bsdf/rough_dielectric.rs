@@ -9,7 +9,6 @@ use super::rough_conductor::{Roughness, reflect, reflection};
 use super::{BsdfSample, Component, DiffLobe, FromNode, Leaf, Lobe, Reader, TransportMode};
 use crate::error::SceneError;
 use crate::math::Rgb;
-use crate::params::Differentiability;
 use crate::scene::{Builder, Node};
 use crate::texture::{RgbTexture, ScalarTexture};
 
@@ -301,7 +300,7 @@ impl FromNode for RoughDielectric {
         let name = format!("{}.eta.value", build.prefix());
         Ok(Self {
             roughness: Roughness::from_node(node, build)?,
-            eta: build.constant(&name, &[eta], valid, Differentiability::Smooth)?,
+            eta: build.scalar(&name, eta, valid)?,
             specular_reflectance: build.rgb_texture(
                 node,
                 "specular_reflectance",

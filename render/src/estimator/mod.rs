@@ -39,10 +39,11 @@ pub type DetachedMis = Mis<Detached, Detached, DetachedWeights, Power>;
 /// discontinuities.
 ///
 /// # Errors
-/// Naive attached sampling in a scene where something may occlude something else.
+/// Naive attached sampling in a scene where something may occlude something else, or where whole paths slide over edges
+/// or textures that jump: [`Scene::discontinuity`].
 pub fn check<S: Strategy>(scene: &Scene) -> Result<(), RenderError> {
     if S::NEEDS_CONTINUITY
-        && let Some(culprit) = scene.discontinuity()
+        && let Some(culprit) = scene.discontinuity(!S::Bsdf::DETACHED_PATH)
     {
         return Err(RenderError::Discontinuous { culprit });
     }

@@ -66,6 +66,10 @@ pub trait Sampling: Send + Sync + 'static {
 }
 
 /// A way of sampling emitters, beside directions that are scattered as `B` says: [`Detached`] or [`Attached`].
+#[diagnostic::on_unimplemented(
+    message = "emitters cannot be sampled as `{Self}` says beside directions scattered as `{B}` says",
+    note = "it is `Detached` or `Attached`, the latter beside `Detached`, `AttachedDirect` or `Reparameterised` scattering"
+)]
 pub trait EmitterSampling<B: Sampling>: Send + Sync + 'static {
     /// Whether a sample must be remembered to be moved: samples of emitters follow the parameters.
     type Aim: Memory;
@@ -83,6 +87,11 @@ impl<B: Unsplit> EmitterSampling<B> for Attached {
 
 /// Constant paths with one estimate of the derivative of a BSDF: light that moves by itself can be
 /// differentiated vertex by vertex.
+#[diagnostic::on_unimplemented(
+    message = "light samples that move with an environment map need paths of constants with one estimate per vertex, \
+               which `{Self}` has not",
+    note = "`Attached` emitter sampling goes with `Detached`, `AttachedDirect` or `Reparameterised` scattering"
+)]
 pub trait Unsplit: Sampling {}
 
 impl Unsplit for Detached {}

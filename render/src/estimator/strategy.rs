@@ -49,7 +49,8 @@ pub trait Strategy: Send + Sync + 'static {
 #[diagnostic::on_unimplemented(
     message = "`{Self}` gives a biased derivative",
     label = "not an unbiased combination",
-    note = "attached sampling needs `AttachedWeights` or `FrozenWeights`",
+    note = "attached sampling needs `AttachedWeights` or `FrozenWeights`; weights must be alike for all techniques, and \
+            roulette must take constant probabilities",
     note = "to study the bias on purpose, wrap the combination: `AllowBias<{Self}>`"
 )]
 pub trait Unbiased: Strategy {}

@@ -9,7 +9,8 @@ use super::batch::{self, PATHS};
 use super::particle;
 use super::path::{Context, Geometry, Observer, Walk, shifts};
 use super::wave::{Log, WIDTH, Wave};
-use crate::estimator::{Sampling, Strategy, Unbiased};
+use crate::error::RenderError;
+use crate::estimator::{self, Sampling, Strategy, Unbiased};
 use crate::film::{Film, Image};
 use crate::math::{Ray, Rgb};
 use crate::parallel;
@@ -394,7 +395,33 @@ impl<R: Real, S: Strategy, X: Sampler, O: Clone> Paths<R, S, X, O> {
 ///
 /// Over a dual number, the result holds the derivative images of its tangents as well (forward mode).
 /// It depends on the arguments only, not on the number of threads.
+///
+/// # Errors
+/// A strategy that is wrong in this scene ([`estimator::check`]) or for a parameter that moves
+/// ([`estimator::check_parameter`]); none without tangents.
 pub fn render<R: Components, S: Unbiased, X: Sampler>(
+    scene: &Scene,
+    theta: &Theta<R>,
+    settings: &Settings,
+    seed: u64,
+    samples: Range<u64>,
+    progress: &dyn Progress,
+) -> Result<Rendering, RenderError> {
+    if !R::IS_PRIMAL {
+        estimator::check::<S>(scene)?;
+        for info in scene.params().infos() {
+            if theta.moves(scene.params().handle(info)) {
+                estimator::check_parameter::<S>(info)?;
+            }
+        }
+    }
+    Ok(unchecked::<R, S, X>(
+        scene, theta, settings, seed, samples, progress,
+    ))
+}
+
+/// [`render`] of what has been checked, or has no tangents.
+pub(crate) fn unchecked<R: Components, S: Unbiased, X: Sampler>(
     scene: &Scene,
     theta: &Theta<R>,
     settings: &Settings,

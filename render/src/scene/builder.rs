@@ -5,13 +5,13 @@ use std::sync::Arc;
 
 use super::{Node, PixelShares, Prim, Scene, Settings, ShapeInfo, Shares};
 use crate::accel::Accel;
-use crate::bsdf::nesting::{flips_normals, is_glossy};
+use crate::bsdf::nesting::{flips_normals, is_glossy, visit_deltas};
 use crate::bsdf::{Bsdf, Material};
 use crate::camera::Camera;
 use crate::emitter::{AnyEmitter, Ball, Emitter};
 use crate::error::SceneError;
 use crate::film::Film;
-use crate::params::{Differentiability, ParamRef, ParamShape, Params};
+use crate::params::{ParamRef, ParamShape, Params};
 use crate::shape::{AnyShape, Shape};
 use crate::texture::{self, Bitmap, RgbTexture, ScalarTexture, Texture, UvTransform, Wrap};
 
@@ -74,7 +74,7 @@ impl Builder {
         value: [f64; 3],
         valid: (f64, f64),
     ) -> Result<RgbTexture, SceneError> {
-        self.constant(name, &value, valid, Differentiability::Smooth)
+        self.constant(name, &value, valid)
     }
 
     /// A constant scalar parameter within `valid`.
@@ -87,7 +87,7 @@ impl Builder {
         value: f64,
         valid: (f64, f64),
     ) -> Result<ScalarTexture, SceneError> {
-        self.constant(name, &[value], valid, Differentiability::Smooth)
+        self.constant(name, &[value], valid)
     }
 
     /// An image as a texture whose texels, `[height][width][C]`, become the parameter `{name}.data`: repeated,
@@ -122,7 +122,7 @@ impl Builder {
             return Err(error(range_text(valid), bad.to_string()));
         }
         let param = self
-            .push_texels(&name, shape, texels, valid, Differentiability::Smooth)
+            .push_texels(&name, shape, texels, valid)
             .ok_or_else(|| error("at most 2^32 parameters".into(), "more".into()))?;
         Ok(Texture::Bitmap(Bitmap {
             param,
@@ -139,14 +139,13 @@ impl Builder {
         name: &str,
         value: &[f64],
         valid: (f64, f64),
-        differentiability: Differentiability,
     ) -> Result<Texture<C>, SceneError> {
         let shape = if C == 1 {
             ParamShape::Scalar
         } else {
             ParamShape::Rgb
         };
-        self.push_param(name, shape, value, valid, differentiability)
+        self.push_param(name, shape, value, valid)
             .map(Texture::Constant)
     }
 
@@ -157,7 +156,6 @@ impl Builder {
         shape: ParamShape,
         values: &[f64],
         valid: (f64, f64),
-        differentiability: Differentiability,
     ) -> Result<ParamRef, SceneError> {
         if let Some(bad) = values
             .iter()
@@ -170,9 +168,7 @@ impl Builder {
             });
         }
         let values: Vec<f32> = values.iter().map(|&v| v as f32).collect();
-        Ok(self
-            .params
-            .push(name, shape, &values, valid, differentiability))
+        Ok(self.params.push(name, shape, &values, valid))
     }
 
     /// Adds a range of texels that were checked. `None` if the parameters do not fit their 32-bit index.
@@ -182,13 +178,9 @@ impl Builder {
         shape: ParamShape,
         texels: &[f32],
         valid: (f64, f64),
-        differentiability: Differentiability,
     ) -> Option<ParamRef> {
         u32::try_from(self.params.values().len() + texels.len()).ok()?;
-        Some(
-            self.params
-                .push(name, shape, texels, valid, differentiability),
-        )
+        Some(self.params.push(name, shape, texels, valid))
     }
 
     /// The texture built before from `node` for this number of channels and valid range.
@@ -377,6 +369,9 @@ impl Builder {
             if !mapped {
                 shape.skip_uv();
             }
+        }
+        for m in &self.materials {
+            visit_deltas(m, &mut |p| self.params.mark_delta(p));
         }
         let (mut prims, mut patches) = (Vec::new(), Vec::new());
         let mut primitives = Vec::new();

@@ -441,7 +441,10 @@ impl Scene {
     /// light, a shape that may stand in front of another or of itself, or the horizon of a rough surface with
     /// mapped normals, whose lobe does not vanish there (F9). `None` for a single flat or convex shape
     /// without those, lit by points and environments.
-    pub fn discontinuity(&self) -> Option<String> {
+    ///
+    /// If `paths_move`, vertices slide over what is behind them, too: over the edges of a cube, and over textures of a
+    /// sphere that jump somewhere. What flat shapes scatter never meets them again.
+    pub fn discontinuity(&self, paths_move: bool) -> Option<String> {
         let mapped = |m: &Material| {
             let mut any = false;
             m.visit_textures(&mut |t| {
@@ -460,6 +463,21 @@ impl Scene {
         let convex = |s: &AnyShape| !matches!(s, AnyShape::Mesh(_) | AnyShape::Cylinder(_));
         match (&self.infos[..], &self.shapes[..]) {
             ([], _) => None,
+            ([info], [AnyShape::Cube(_)]) if paths_move => Some(format!(
+                "the edges of `{}`, over which paths move",
+                info.name
+            )),
+            ([info], [AnyShape::Sphere(_)]) if paths_move => {
+                let mut jumps = false;
+                self.materials[info.material as usize]
+                    .visit_textures(&mut |t| jumps |= !t.closes());
+                jumps.then(|| {
+                    format!(
+                        "a texture of `{}` that jumps where paths move over it",
+                        info.name
+                    )
+                })
+            }
             ([_], [shape]) if convex(shape) => None,
             ([.., info], _) => Some(format!("occlusion by `{}`", info.name)),
         }

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use super::{Bitmap, Checkerboard, Texture, UvTransform, Wrap};
 use crate::error::SceneError;
 use crate::image_io::{self, Encoding};
-use crate::params::{Differentiability, ParamRef, ParamShape};
+use crate::params::{ParamRef, ParamShape};
 use crate::scene::{Builder, Node};
 
 /// Texture plugins of scene files.
@@ -21,8 +21,6 @@ pub(crate) struct Use<'a> {
     pub name: &'a str,
     /// Smallest and largest valid value.
     pub valid: (f64, f64),
-    /// What a derivative needs.
-    pub differentiability: Differentiability,
     /// The value where a file is missing and may be.
     pub substitute: &'a [f64],
 }
@@ -40,7 +38,6 @@ pub(crate) fn from_node<const C: usize>(
         let usage = Use {
             name: &name,
             valid,
-            differentiability: Differentiability::Smooth,
             substitute: if C == 1 { default } else { &[GREY; 3] },
         };
         return from_plugin(build, texture, &usage);
@@ -52,7 +49,7 @@ pub(crate) fn from_node<const C: usize>(
     };
     let value = value.unwrap_or_else(|| default.to_vec());
     let name = format!("{name}.value");
-    build.constant(&name, &value, valid, Differentiability::Smooth)
+    build.constant(&name, &value, valid)
 }
 
 /// The texture that `node` describes; one that several places refer to has its parameters once.
@@ -98,7 +95,7 @@ fn bitmap<const C: usize>(
     node.boolean("accel")?;
     let Some(path) = file(build, node, usage)? else {
         let (name, value) = (format!("{}.value", usage.name), usage.substitute);
-        return build.constant(&name, value, usage.valid, usage.differentiability);
+        return build.constant(&name, value, usage.valid);
     };
     let (param, [width, height]) = texels::<C>(build, &path, encoding, usage)?;
     Ok(Texture::Bitmap(Bitmap {
@@ -191,13 +188,7 @@ pub(crate) fn texels<const C: usize>(
     };
     let name = format!("{}.data", usage.name);
     let param = build
-        .push_texels(
-            &name,
-            shape,
-            &pixels.data,
-            usage.valid,
-            usage.differentiability,
-        )
+        .push_texels(&name, shape, &pixels.data, usage.valid)
         .ok_or_else(|| {
             let found = "more with this image".to_owned();
             asset(format!("at most {} parameters", u32::MAX), found)
@@ -221,7 +212,7 @@ fn checkerboard<const C: usize>(
             _ => ParamShape::Rgb,
         };
         let name = format!("{}.{key}.value", usage.name);
-        build.push_param(&name, shape, &value, usage.valid, usage.differentiability)
+        build.push_param(&name, shape, &value, usage.valid)
     };
     Ok(Texture::Checkerboard(Checkerboard {
         colors: [color("color0", 0.4)?, color("color1", 0.2)?],

@@ -156,6 +156,18 @@ impl<const C: usize> Texture<C> {
         }
     }
 
+    /// Whether its values are continuous on a surface around which u runs from 0 to 1.
+    pub(crate) fn closes(&self) -> bool {
+        match self {
+            Self::Constant(_) => true,
+            Self::Bitmap(t) => {
+                let [[a, ..], [d, ..]] = t.to_uv.rows;
+                !t.nearest && t.wrap == Wrap::Repeat && a.fract() == 0.0 && d.fract() == 0.0
+            }
+            Self::Checkerboard(_) => false,
+        }
+    }
+
     /// Whether any of its ranges satisfies `f`.
     #[inline]
     pub fn any_param(&self, mut f: impl FnMut(ParamRef) -> bool) -> bool {

@@ -211,14 +211,8 @@ pub(super) fn push_f64(
     let dense = direction.iter().map(|d| Real::new(0.0, [*d])).collect();
     tangents[handle.id as usize] = Tangent::Dense(dense);
     let theta = Theta::<Real>::with_tangents(&values, &tangents);
-    Ok(render::<Real, Strategy, Independent>(
-        scene,
-        &theta,
-        settings,
-        seed,
-        0..spp,
-        &(),
-    ))
+    render::<Real, Strategy, Independent>(scene, &theta, settings, seed, 0..spp, &())
+        .map_err(Into::into)
 }
 
 fn along(gradient: &[f64]) -> f64 {

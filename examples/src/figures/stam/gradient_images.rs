@@ -59,14 +59,15 @@ fn forward<S: Sampling>(
         tangents[id] = Tangent::Uniform(direction);
     }
     let theta = Theta::with_tangents(&values, &tangents);
-    Ok(render::<Dual<f64, CONTROLS>, BsdfOnly<S>, Independent>(
+    render::<Dual<f64, CONTROLS>, BsdfOnly<S>, Independent>(
         scene,
         &theta,
         &scene.settings,
         seed,
         samples,
         &(),
-    ))
+    )
+    .map_err(Into::into)
 }
 
 /// Per component and pixel: mean and its standard error, from independent batches.

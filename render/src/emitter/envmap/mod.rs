@@ -16,7 +16,7 @@ use crate::error::SceneError;
 use crate::film::Image;
 use crate::image_io::Encoding;
 use crate::math::{Rgb, Transform, each};
-use crate::params::{Differentiability, ParamRef, ParamShape, Params};
+use crate::params::{ParamRef, ParamShape, Params};
 use crate::scene::{Builder, Node};
 use crate::shape::{SurfaceInteraction, lift3, turn};
 use crate::texture::{self, Bitmap, RgbTexture, Texture, UvTransform, Wrap};
@@ -79,9 +79,8 @@ impl Envmap {
             channels: 3,
         };
         let name = format!("{name}.data");
-        let smooth = Differentiability::Smooth;
         let param = build
-            .push_texels(&name, shape, &image.data, VALID, smooth)
+            .push_texels(&name, shape, &image.data, VALID)
             .ok_or_else(|| error("at most 2^32 parameters", "more".into()))?;
         let axes = orthonormal(to_world)
             .ok_or_else(|| error("a to_world with orthogonal axes", "others".into()))?;
@@ -275,7 +274,6 @@ impl FromNode for Envmap {
         let usage = texture::Use {
             name: &name,
             valid: VALID,
-            differentiability: Differentiability::Smooth,
             substitute: &[0.5; 3],
         };
         let Some(path) = texture::file(build, node, &usage)? else {
