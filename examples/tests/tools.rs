@@ -756,6 +756,52 @@ fn estimators_that_never_meet_the_light_are_not_called_biased() {
     );
 }
 
+/// Against a reference that is wrong, a right estimator differs and differs again; finite differences are not wrong
+/// by their step.
+#[test]
+fn differences_are_looked_at_twice_and_steps_are_no_bias() {
+    let dir = Folder::new();
+    let metal =
+        r#"<bsdf type="roughconductor" id="metal"><float name="alpha" value="0.3"/></bsdf>"#;
+    let shiny = SCENE.replace(
+        r#"<shape type="rectangle"><ref id="wall"/></shape>"#,
+        &format!(r#"<shape type="rectangle">{metal}</shape>"#),
+    );
+    std::fs::write(dir.path("shiny.xml"), shiny).unwrap();
+    let args =
+        "--param metal.alpha.value --estimators mis,attached-naive --reference attached-naive";
+    dir.ok("compare", &format!("shiny.xml {args} --spp 64 --out a"));
+    let rows = dir.json("a/report.json")["rows"].clone();
+    assert_eq!(rows[0]["finding"], "biased", "{rows}");
+    assert_eq!(rows[1]["finding"], "right", "{rows}");
+    let verdict = String::from_utf8(bytes(dir.path("a").join("verdict.txt"))).unwrap();
+    assert!(verdict.contains("again so with four times"), "{verdict}");
+
+    // A mirror: differences of a hundredth of the normal are off by three.
+    let mirror = r#"<bsdf type="normalmap" id="wall"><texture name="normalmap" type="checkerboard">
+            <rgb name="color0" value="0.6, 0.45, 0.95"/><rgb name="color1" value="0.48, 0.55, 0.98"/></texture>
+        <bsdf type="conductor"/></bsdf>
+        <emitter type="vmf"><vector name="direction" value="0.1, -0.2, 1"/><float name="kappa" value="12"/></emitter>"#;
+    let start = SCENE.split("<bsdf").next().unwrap();
+    let wall = r#"<shape type="rectangle"><ref id="wall"/></shape></scene>"#;
+    std::fs::write(dir.path("mirror.xml"), format!("{start}{mirror}{wall}")).unwrap();
+    let args =
+        "--param wall.normalmap.color0.value --estimators attached-path --reference fd --out b";
+    dir.ok("compare", &format!("mirror.xml {args}"));
+    let report = dir.json("b/report.json");
+    assert_eq!(report["rows"][0]["finding"], "right", "{report}");
+    assert!(report["rows"][0]["mean"][0].as_f64().unwrap().abs() > 0.01);
+
+    // Nobody left is a mistake.
+    let refused = dir.run(
+        "compare",
+        &args
+            .replace("attached-path", "mis,detached")
+            .replace("--param", "mirror.xml --param"),
+    );
+    assert_eq!(refused.status.code(), Some(1));
+}
+
 #[test]
 fn failures_of_estimators_are_marked_and_depend_on_the_seed_alone() {
     let dir = Folder::new();

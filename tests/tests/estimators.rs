@@ -459,7 +459,7 @@ fn forward_mode_refuses_deltas_and_discontinuities() {
     };
     let mapped = NormalMap::new(map, Interpolation::Normals, Arc::new(mirror.into()));
     build.add_material(mapped.expect("one level"));
-    let (camera, film) = (s.camera.clone(), s.film.clone());
+    let (camera, film) = (s.camera.clone(), s.film);
     let made = build.build(camera, film, s.settings).expect("a scene");
     assert!(Estimator::Mis.active(&made, &["map.data"]).is_err());
     assert!(Estimator::AttachedPath.active(&made, &["map.data"]).is_ok());
