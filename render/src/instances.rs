@@ -511,6 +511,13 @@ macro_rules! estimators {
                 }
             }
 
+            /// Whether it samples lights.
+            pub fn samples_emitters(self) -> bool {
+                match self {
+                    $(Self::$variant => <$strategy as Strategy>::SAMPLES_EMITTERS,)*
+                }
+            }
+
             /// Whether it is one of those that are wrong on purpose: wrapped in [`AllowBias`].
             pub fn allows_bias(self) -> bool {
                 match self {

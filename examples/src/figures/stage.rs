@@ -387,6 +387,34 @@ pub fn plates(width: u32) -> Result<Plates> {
 /// # Errors
 /// A roughness out of range.
 pub fn plates_of(width: u32, alphas: [f64; 4], kind: Ndf, visible: bool) -> Result<Plates> {
+    plates_with(width, |stage, name, i| {
+        let roughness = stage.ggx(name, alphas[i])?;
+        Ok(Roughness {
+            kind,
+            visible,
+            ..roughness
+        })
+    })
+}
+
+/// The same with images of roughness around these means, all normals of a Beckmann distribution sampled.
+///
+/// # Errors
+/// A roughness out of range.
+pub fn textured_plates(width: u32, alphas: [f64; 4]) -> Result<Plates> {
+    const SIDE: usize = 32;
+    plates_with(width, |stage, name, i| {
+        let wave = |k: usize, n: usize| (TAU * (n * k) as f64 / SIDE as f64).sin();
+        let texel = |k: usize| alphas[i] * (1.0 + 0.4 * wave(k % SIDE, 6) * wave(k / SIDE, 1));
+        let texels: Vec<f32> = (0..SIDE * SIDE).map(|k| texel(k) as f32).collect();
+        stage.rough_texels(name, Ndf::Beckmann, &texels)
+    })
+}
+
+fn plates_with(
+    width: u32,
+    finish: impl Fn(&mut Stage, &str, usize) -> Result<Roughness>,
+) -> Result<Plates> {
     let view = View {
         eye: [0.0, 1.0, 16.0],
         target: [0.0, -0.4, 0.0],
@@ -400,7 +428,7 @@ pub fn plates_of(width: u32, alphas: [f64; 4], kind: Ndf, visible: bool) -> Resu
     stage.quad("floor", [[-20.0, -5.2, 20.0], x, z], &ground)?;
     stage.quad("wall", [[-20.0, -5.2, -6.0], x, [0.0, 30.0, 0.0]], &ground)?;
     let mut cells = [[[0.0; 2]; 4]; 4];
-    for (i, (center, alpha)) in PLATES.into_iter().zip(alphas).enumerate() {
+    for (i, center) in PLATES.into_iter().enumerate() {
         let middle = [0.0, LAMPS[0][1], LAMPS[0][2]];
         let n = unit(add(
             unit(sub(middle, center)),
@@ -413,8 +441,7 @@ pub fn plates_of(width: u32, alphas: [f64; 4], kind: Ndf, visible: bool) -> Resu
         let across = [8.8, 0.0, 0.0];
         let up = down.map(|c| -1.2 * c);
         let name = format!("plate {i}");
-        let mut roughness = stage.ggx(&name, alpha)?;
-        (roughness.kind, roughness.visible) = (kind, visible);
+        let roughness = finish(&mut stage, &name, i)?;
         let metal = stage.metal_of(&name, [0.9; 3], roughness)?;
         stage.quad(&format!("plate {i}"), [corner, across, up], &metal)?;
         for (cell, lamp) in cells[i].iter_mut().zip(LAMPS) {

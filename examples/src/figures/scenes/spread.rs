@@ -1,5 +1,5 @@
 //! Owen-scrambled Sobol points, antithetic pairs and lights weighed before one is chosen, against independent
-//! samples of any light, for every estimator of derivatives, on the scenes of the figures.
+//! samples of any light, for every unbiased estimator of derivatives, on the scenes of the figures.
 
 use std::time::Instant;
 
@@ -16,12 +16,13 @@ use crate::figure::{Figure, Result};
 use crate::figures::statistics::variance;
 
 const SEED: u64 = 1024;
-const ESTIMATORS: [Estimator; 7] = [
+/// Those of `--quick`: one of each kind of sampling.
+const QUICK: [Estimator; 7] = [
     Estimator::Emitter,
     Estimator::Detached,
     Estimator::Differential,
     Estimator::Attached,
-    Estimator::Mis,
+    Estimator::Reparameterised,
     Estimator::MisBalance,
     Estimator::DifferentialMis,
 ];
@@ -132,12 +133,13 @@ pub fn figure(fig: &mut Figure) -> Result {
     let mut series: Vec<(String, Vec<(f64, f64)>)> = Vec::new();
     let mut gains: [Vec<(f64, f64, String)>; 4] = Default::default();
     let all = subjects(fig.quick())?;
+    let estimators = fig.pick(&QUICK[..], Estimator::ALL);
     for (k, subject) in all.iter().enumerate() {
         let scene = &subject.scene;
         let along = directions(subject)?;
         let info = scene.params().find(&subject.params[0])?;
-        for e in ESTIMATORS {
-            if auto::able(scene, info, &[e]).is_err() {
+        for &e in estimators {
+            if e.allows_bias() || auto::able(scene, info, &[e]).is_err() {
                 continue;
             }
             let of = |how| noise(scene, e, &along, how, spp, runs);
@@ -145,7 +147,7 @@ pub fn figure(fig: &mut Figure) -> Result {
             for (v, gains) in VARIANTS.iter().zip(&mut gains) {
                 let chooses = v.lights == LightChoice::All;
                 // Nothing to choose among, or nothing chosen.
-                if chooses && (scene.emitters().len() < 2 || e == Estimator::Detached) {
+                if chooses && (scene.emitters().len() < 2 || !e.samples_emitters()) {
                     continue;
                 }
                 let found = of((v.points, v.lights))?;
