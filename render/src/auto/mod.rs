@@ -101,6 +101,10 @@ pub fn candidates(scene: &Scene) -> Vec<Estimator> {
             Estimator::Attached,
             Estimator::AttachedPath,
         ]);
+        // Outlines may be missed, a horizon is not.
+        if scene.outline(false).is_none() && scene.horizon().is_some() {
+            out.push(Estimator::Reparameterised);
+        }
     }
     out.retain(|e| e.check(scene).is_ok());
     out

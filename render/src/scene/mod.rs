@@ -437,14 +437,15 @@ impl Scene {
         self.materials.iter().map(reads).collect()
     }
 
-    /// Something that makes the integrand at a surface discontinuous in direction: an outline of a
-    /// light, a shape that may stand in front of another or of itself, or the horizon of a rough surface with
-    /// mapped normals, whose lobe does not vanish there (F9). `None` for a single flat or convex shape
-    /// without those, lit by points and environments.
-    ///
-    /// If `paths_move`, vertices slide over what is behind them, too: over the edges of a cube, and over textures of a
-    /// sphere that jump somewhere. What flat shapes scatter never meets them again.
+    /// Something that makes the integrand at a surface discontinuous in direction: an [`Scene::outline`] or a
+    /// [`Scene::horizon`]. `None` for a single flat or convex shape without mapped normals, lit by points and
+    /// environments.
     pub fn discontinuity(&self, paths_move: bool) -> Option<String> {
+        self.outline(paths_move).or_else(|| self.horizon())
+    }
+
+    /// The horizon of a rough surface with mapped normals, whose lobe does not vanish there (F9).
+    pub fn horizon(&self) -> Option<String> {
         let mapped = |m: &Material| {
             let mut any = false;
             m.visit_textures(&mut |t| {
@@ -453,10 +454,16 @@ impl Scene {
             any && !m.is_delta()
         };
         let tilted = |i: &&ShapeInfo| mapped(&self.materials[i.material as usize]);
-        if let Some(info) = self.infos.iter().find(tilted) {
-            let name = &info.name;
-            return Some(format!("the horizon of `{name}`, whose normals are mapped"));
-        }
+        let info = self.infos.iter().find(tilted)?;
+        let name = &info.name;
+        Some(format!("the horizon of `{name}`, whose normals are mapped"))
+    }
+
+    /// An outline of a light, or a shape that may stand in front of another or of itself.
+    ///
+    /// If `paths_move`, vertices slide over what is behind them, too: over the edges of a cube, and over textures of a
+    /// sphere that jump somewhere. What flat shapes scatter never meets them again.
+    pub fn outline(&self, paths_move: bool) -> Option<String> {
         if let Some(info) = self.infos.iter().find(|i| i.emitter.is_some()) {
             return Some(format!("the outline of the light `{}`", info.name));
         }

@@ -83,12 +83,17 @@ pub(super) fn subjects(quick: bool) -> Result<Vec<Subject>> {
                 .map(|u| u.name.to_owned())
                 .collect(),
         },
-        Subject {
-            name: "outline (4.18 a)",
-            scene: Edge::Ball.scene(pick(48, 64))?,
-            params: vec![Edge::Ball.name().to_owned()],
-        },
     ];
+    for edge in [Edge::Ball, Edge::Horizon] {
+        out.push(Subject {
+            name: match edge {
+                Edge::Ball => "outline (4.18 a)",
+                Edge::Horizon => "horizon (4.18 b)",
+            },
+            scene: edge.scene(pick(48, 64))?,
+            params: vec![edge.name().to_owned()],
+        });
+    }
     for condition in Condition::BOTH {
         let side = pick(64, 80);
         let truth = roughness_texture::pattern(side as usize);
@@ -113,7 +118,7 @@ struct Effort {
     spp: u64,
 }
 
-/// Variance of the derivative image times work, and seconds per pixel and run, for one parameter.
+/// Variance of the derivative image times work, and times seconds per pixel and run, for one parameter.
 #[derive(Clone, Copy, Debug)]
 struct Spent {
     work: f64,
@@ -177,6 +182,7 @@ fn mixed(
     let scene = &subject.scene;
     let ones = vec![1.0; scene.film.pixels() * 3];
     let mut mixtures: Vec<Mixture> = Vec::new();
+    let start = Instant::now();
     for pilot in 0..PILOTS {
         let s = &scene.settings;
         let p = &subject.params;
@@ -192,8 +198,11 @@ fn mixed(
             &(),
         )?);
     }
+    // What is measured stands for a part of the budget, and bears that part of the pilots.
+    let part = effort.spp as f64 / BUDGET as f64;
+    let seconds = start.elapsed().as_secs_f64() / PILOTS as f64 / scene.film.pixels() as f64;
     let spent = mixtures.iter().map(Mixture::spent).sum::<f64>() / PILOTS as f64;
-    let work = effort.spp as f64 * (1.0 + spent / BUDGET as f64);
+    let work = effort.spp as f64 + spent * part;
     let of = |param: &String| {
         // Each pilot's plan in turn, the parameter with its share of the work.
         let plan = |run: u64| {
@@ -203,7 +212,14 @@ fn mixed(
                 (effort.spp as f64 * m.share(param)).round().max(1.0) as u64,
             )
         };
-        measure(subject, param, effort, plan, work)
+        let found = measure(subject, param, effort, plan, work)?;
+        // All parameters together take as much longer as this one's share is smaller.
+        let share = mixtures.iter().map(|m| m.share(param)).sum::<f64>() / PILOTS as f64;
+        let variance = found.work / work;
+        Ok(Spent {
+            seconds: found.seconds / share + variance * seconds * part,
+            ..found
+        })
     };
     let spent: Result<Vec<Spent>> = subject.params.iter().map(of).collect();
     Ok((spent?, mixtures.swap_remove(0)))
@@ -252,28 +268,31 @@ pub fn figure(fig: &mut Figure) -> Result {
             .max_by(|a, b| a.1.total_cmp(&b.1))
             .ok_or("no estimator")?;
         let mine = of(&trial.auto);
+        let seconds = |s: &Spent| s.seconds;
+        let clock = best(&trial.singles, seconds);
+        let by_clock = |spent: &[Spent]| efficiency(spent, &clock, seconds);
+        let fastest = (trial.singles.iter()).fold(0.0f64, |m, (_, spent)| m.max(by_clock(spent)));
+        let timed = by_clock(&trial.auto) / fastest;
         let chosen: Vec<String> = (trial.chosen.shares().iter())
             .map(|(e, share)| format!("{} {:.0} %", e.name(), 100.0 * share))
             .collect();
         fig.check(
             format!(
-                "(a) {}: auto is at least 0.9 times as efficient as the best single one",
+                "(a) {}: auto is at least 0.9 times as efficient as the best single one, by work",
                 subject.name
             ),
             mine >= 0.9 * most,
             format!(
-                "{:.2} times {}; chose {}; pilots {:.1} % of the work",
+                "by work {:.2} times {}, by the clock {timed:.2} times the best; chose {}; pilots {:.1} % of the work",
                 mine / most,
                 favourite.name(),
                 chosen.join(" + "),
                 100.0 * trial.chosen.spent() / BUDGET as f64
             ),
         );
-        let seconds = |s: &Spent| s.seconds;
-        let clock = best(&trial.singles, seconds);
         let names = trial.singles.iter().map(|(e, s)| (e.name(), &s[..]));
         for (name, spent) in names.chain([("auto", &trial.auto[..])]) {
-            let [relative, timed] = [of(spent) / most, efficiency(spent, &clock, seconds)];
+            let [relative, timed] = [of(spent) / most, by_clock(spent) / fastest];
             rows.push([
                 subject.name.to_owned(),
                 name.to_owned(),
@@ -308,10 +327,10 @@ pub fn figure(fig: &mut Figure) -> Result {
     );
     let mut chart = LineChart::new(
         "Efficiency over that of the best single estimator",
-        "scene: 1 plates, 2 tray, 3 room, 4 room of recover, 5 outline, 6 and 7 textures",
+        "scene: 1 plates, 2 tray, 3 room, 4 room of recover, 5 outline, 6 horizon, 7 and 8 textures",
         "1 / (variance x work)",
     )
-    .x_range(0.5, 11.0)
+    .x_range(0.5, 12.0)
     .log_y();
     for (name, points) in series {
         chart = match name {
