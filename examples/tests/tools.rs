@@ -38,6 +38,24 @@ const SCENE: &str = r#"<scene version="3.0.0">
 const FLIPPED: &str = r#"<bsdf type="normalmap" id="wall">
     <boolean name="flip_invalid_normals" value="true"/><texture name="normalmap" type="checkerboard"/>
     <bsdf type="diffuse">"#;
+/// A ball of tinted glass under a constant light.
+const GLASS: &str = r#"<scene version="3.0.0">
+  <default name="eta" value="1.5"/>
+  <integrator type="path"><integer name="max_depth" value="6"/></integrator>
+  <sensor type="perspective">
+    <float name="fov" value="40"/>
+    <transform name="to_world"><lookat origin="0,0,4" target="0,0,0" up="0,1,0"/></transform>
+    <film type="hdrfilm">
+      <integer name="width" value="16"/><integer name="height" value="16"/>
+      <rfilter type="box"/>
+    </film>
+  </sensor>
+  <bsdf type="dielectric" id="m">
+    <float name="int_ior" value="$eta"/><rgb name="specular_transmittance" value="0.5"/>
+  </bsdf>
+  <shape type="sphere"><ref id="m"/></shape>
+  <emitter type="constant"><rgb name="radiance" value="1"/></emitter>
+</scene>"#;
 const WALL: &str = "wall.reflectance.value";
 const LAMP: &str = "lamp.emitter.radiance.value";
 
@@ -686,6 +704,28 @@ fn a_colour_is_recovered_from_a_picture() {
         assert_eq!(report["scene"], "scene.xml");
         assert!(dir.path("found/values.svg").is_file());
     }
+}
+
+/// The index of smooth glass moves a Dirac delta: for whole paths that move and for nothing else.
+#[test]
+fn the_index_of_smooth_glass_is_recovered() {
+    let dir = Folder::new();
+    std::fs::write(dir.path("glass.xml"), GLASS).unwrap();
+    dir.ok("render", "glass.xml -o photo.exr --spp 512");
+    let unknown = "glass.xml --param m.eta.value --target photo.exr -D eta=1.3 --out found";
+    let detached = dir.run("recover", unknown);
+    assert_eq!(detached.status.code(), Some(1));
+    assert!(String::from_utf8_lossy(&detached.stderr).contains("m.eta.value"));
+    assert!(!dir.path("found").exists());
+
+    let steps = "--iterations 100 --spp 16 --loss l2";
+    dir.ok(
+        "recover",
+        &format!("{unknown} {steps} --estimator attached-path"),
+    );
+    let report = dir.json("found/result.json");
+    let found = report["params"]["m.eta.value"]["value"].as_f64().unwrap();
+    assert!((found / 1.5 - 1.0).abs() < 0.02, "{found}");
 }
 
 #[test]

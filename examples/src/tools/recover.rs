@@ -362,11 +362,10 @@ fn recover(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
         }
         None => Job::new(args)?,
     };
-    let (scene, start, truth) = load(&job)?;
     let estimator = Estimator::from_name(&job.estimator)?;
+    let (scene, active, start, truth) = load(&job, estimator)?;
     estimator.check(&scene)?;
     job.samples.check_guided(estimator)?;
-    let active = estimator.active(&scene, &job.params)?;
     let mut settings = scene.settings;
     settings.spp = job.spp;
     settings.max_depth = job.max_depth.unwrap_or(settings.max_depth);
@@ -473,15 +472,16 @@ fn recover(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     Ok(Outcome::Done)
 }
 
-/// A scene, start values of its unknowns and, if known, the truth.
-type Loaded = (Scene, Vec<f32>, Option<Vec<f32>>);
+/// A scene, its unknowns, their start values and, if known, the truth.
+type Loaded = (Scene, Active, Vec<f32>, Option<Vec<f32>>);
 
-fn load(job: &Job) -> Result<Loaded, ToolError> {
+fn load(job: &Job, estimator: Estimator) -> Result<Loaded, ToolError> {
     let Some(path) = &job.scene else {
         let scene = scenes::cornell(job.size, job.size)?;
         let unknowns = scenes::cornell_unknowns();
+        let active = estimator.active(&scene, &job.params)?;
         let (mut start, mut truth) = (Vec::new(), Vec::new());
-        for info in Active::new(&scene, &job.params)?.ranges() {
+        for info in active.ranges() {
             let values = &scene.params().values()[info.range()];
             truth.extend_from_slice(values);
             match unknowns.iter().find(|u| u.name == info.name) {
@@ -489,18 +489,19 @@ fn load(job: &Job) -> Result<Loaded, ToolError> {
                 None => start.extend_from_slice(values),
             }
         }
-        return Ok((scene, start, Some(truth)));
+        return Ok((scene, active, start, Some(truth)));
     };
     let load = LoadArgs {
         defines: job.defines.clone(),
         allow_missing: job.allow_missing,
     };
     let (scene, _) = load.load(path)?;
+    let active = estimator.active(&scene, &job.params)?;
     let mut start = Vec::new();
-    for info in Active::new(&scene, &job.params)?.ranges() {
+    for info in active.ranges() {
         start.extend_from_slice(&scene.params().values()[info.range()]);
     }
-    Ok((scene, start, None))
+    Ok((scene, active, start, None))
 }
 
 /// What the unknowns are compared with; `None` if interrupted.
