@@ -84,10 +84,11 @@ pub fn main<A: Parser>(run: fn(&A, &Interrupt) -> Result<Outcome, ToolError>) ->
 #[derive(Args, Clone, Debug, Default)]
 pub struct LoadArgs {
     /// Value for a `$name` of the scene file
-    #[arg(short = 'D', long = "define", value_name = "NAME=VALUE", value_parser = define)]
+    #[arg(short = 'D', long = "define", value_name = "NAME=VALUE", value_parser = define,
+          requires = "scene")]
     pub defines: Vec<(String, String)>,
     /// Substitute mid-grey for texture files that are missing
-    #[arg(long)]
+    #[arg(long, requires = "scene")]
     pub allow_missing: bool,
 }
 

@@ -316,6 +316,21 @@ fn mistakes_end_with_a_message_and_without_a_file() {
             1,
             "discontinuities",
         ),
+        ("recover", "--out d -D foo=1".into(), 2, "SCENE"),
+        ("recover", "--out d --allow-missing".into(), 2, "SCENE"),
+        ("recover", "--out d -D foo=1 --size 8".into(), 2, "--define"),
+        (
+            "recover",
+            "--out d --allow-missing --size 8".into(),
+            2,
+            "--allow-missing",
+        ),
+        (
+            "recover",
+            "--out d --target small.exr --size 8".into(),
+            2,
+            "--target",
+        ),
         ("recover", "--out d --lr nan --size 8".into(), 1, "rate"),
         (
             "recover",

@@ -89,7 +89,9 @@ pub struct Args {
     #[arg(long, value_name = "N")]
     pub seed: Option<u64>,
     /// Resolution of the built-in room [default: 96]
-    #[arg(long, value_name = "PIXELS", conflicts_with = "scene",
+    // To clap a missing scene is no mistake where it would conflict, hence those that require it.
+    #[arg(long, value_name = "PIXELS",
+          conflicts_with_all = ["scene", "targets", "defines", "allow_missing"],
           value_parser = clap::value_parser!(u32).range(1..=4096))]
     pub size: Option<u32>,
     /// Folder of the results
