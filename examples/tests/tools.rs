@@ -3,6 +3,10 @@
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
+use clap::Parser;
+use examples::cli::Outcome;
+use examples::progress::Interrupt;
+use examples::tools::recover;
 use render::Image;
 use render::image_io::{read_rgb as read_exr, write_exr};
 use serde_json::Value;
@@ -686,6 +690,69 @@ fn resumes(optimizer: &str) {
     dir.ok("recover", "--out parts --resume");
     let [whole, parts] = ["whole", "parts"].map(|d| bytes(dir.path(d).join("checkpoint.json")));
     assert!(whole == parts);
+}
+
+/// Ctrl-C while the pictures are made, or just before, costs pictures and nothing else.
+#[test]
+fn an_interrupted_recovery_lacks_pictures_that_resuming_makes() {
+    let dir = Folder::new();
+    dir.ok("render", "scene.xml -o photo.exr --spp 16");
+    let run = |out: &str, more: &str, interrupt: &Interrupt| {
+        let [scene, photo, out] = ["scene.xml", "photo.exr", out].map(|n| dir.path(n));
+        let mut args = vec!["recover".into(), scene.into_os_string()];
+        args.extend(["--target".into(), photo.into_os_string()]);
+        args.extend(["--out".into(), out.into_os_string()]);
+        args.extend(["--param", WALL].map(Into::into));
+        args.extend(more.split_whitespace().map(Into::into));
+        recover::run(&recover::Args::try_parse_from(args).unwrap(), interrupt).unwrap()
+    };
+    let (quiet, pressed) = (Interrupt::default(), Interrupt::default());
+    pressed.set();
+    let exists = |name: &str| dir.path(name).exists();
+    let pictures = ["before.exr", "after.exr", "before-after-target.png"];
+
+    let job = "--iterations 3 --spp 2";
+    assert_eq!(run("whole", job, &quiet), Outcome::Done);
+    // A folder that another job has used.
+    std::fs::create_dir(dir.path("parts")).unwrap();
+    for name in pictures {
+        std::fs::write(dir.path("parts").join(name), "of another job").unwrap();
+    }
+    assert_eq!(run("parts", job, &pressed), Outcome::Interrupted);
+    assert_eq!(dir.json("parts/result.json")["iterations"], 0);
+    assert!(exists("parts/target.exr") && exists("parts/iterations.csv"));
+    assert!(!pictures.iter().any(|p| exists(&format!("parts/{p}"))));
+    assert_eq!(run("parts", "--resume", &quiet), Outcome::Done);
+    let same = || {
+        for file in pictures.iter().chain(&["checkpoint.json", "result.json"]) {
+            let [whole, parts] = ["whole", "parts"].map(|d| bytes(dir.path(d).join(file)));
+            assert!(whole == parts, "{file}");
+        }
+    };
+    same();
+    // Nothing has moved: the pictures still show the values.
+    assert_eq!(run("parts", "--resume", &pressed), Outcome::Interrupted);
+    same();
+
+    let long = "--iterations 1000000 --spp 1";
+    run("long", &format!("{long} --stop-after 1"), &quiet);
+    assert!(pictures.iter().all(|p| exists(&format!("long/{p}"))));
+    let mut wait = std::time::Duration::from_millis(50);
+    while dir.json("long/checkpoint.json")["iteration"] == 1 {
+        wait *= 2;
+        let late = Interrupt::default();
+        std::thread::scope(|s| {
+            s.spawn(|| {
+                std::thread::sleep(wait);
+                late.set();
+            });
+            assert_eq!(run("long", "--resume", &late), Outcome::Interrupted);
+        });
+    }
+    assert_eq!(
+        pictures.map(|p| exists(&format!("long/{p}"))),
+        [true, false, false]
+    );
 }
 
 #[test]

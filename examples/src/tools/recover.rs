@@ -15,12 +15,13 @@ use optim::{
     AnyOptimizer, Constrained, GaussNewton, Groups, LossKind, Parameterisation, PixelLoss, Rates,
     Schedule,
 };
-use render::instances::{Estimator, Technique, render_f32};
+use render::instances::{Estimator, Technique};
 use render::integrator::gradient::Active;
+use render::integrator::render::Rendering;
 use render::integrator::second_order::MAX_VALUES;
-use render::params::{ParamInfo, Theta};
+use render::params::ParamInfo;
 use render::sampler::mix64;
-use render::{Image, Scene, Settings, image_io};
+use render::{Image, RenderError, Scene, Settings, image_io};
 use serde::{Deserialize, Serialize};
 
 use super::render::{Method, in_passes, passes};
@@ -42,7 +43,8 @@ Examples:
 
 Starts from the values of the scene file (-D changes them). Several targets are images of the same view
 and are averaged. The folder receives before, after and target as EXR and side by side, values and loss
-of all iterations, charts, and the result as JSON. Ctrl-C keeps everything so far (exit code 130).";
+of all iterations, charts, and the result as JSON. Ctrl-C keeps everything so far (exit code 130); the
+pictures are then left for --resume to complete.";
 
 /// Recovers parameters of a scene from images of it
 #[derive(Parser, Clone, Debug)]
@@ -321,12 +323,16 @@ impl Checkpoint {
 }
 
 const CHECKPOINT: &str = "checkpoint.json";
+const TARGET: &str = "target.exr";
+const BEFORE: &str = "before.exr";
+const AFTER: &str = "after.exr";
+const PANELS: &str = "before-after-target.png";
 /// Time between two checkpoints: what a crash costs at most.
 const CHECKPOINT_EVERY: Duration = Duration::from_secs(5);
 /// Samples per pixel of the built-in target.
 const TARGET_SPP: u32 = 2048;
 /// Samples per pixel of the pictures before and after.
-const PICTURE_SPP: u32 = 512;
+const PICTURE_SPP: u64 = 512;
 
 /// A seed of its own for every purpose.
 fn stream(seed: u64, n: u64) -> u64 {
@@ -401,7 +407,8 @@ fn recover(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
             }
         }
     };
-    let target_file = args.out.join("target.exr");
+    let [target_file, before_file, after_file, panels_file] =
+        [TARGET, BEFORE, AFTER, PANELS].map(|name| args.out.join(name));
     let target = if args.resume {
         read_size(&target_file, &scene)?
     } else {
@@ -426,16 +433,28 @@ fn recover(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     recovery.problem.set(&state.start)?;
     let seed = stream(job.seed, GUIDE_STREAM);
     (job.samples).learn(&mut recovery.problem.scene, &settings, seed, interrupt);
-    let before_file = args.out.join("before.exr");
     if !args.resume {
         output::create_dir(&args.out)?;
+        // Those of another job.
+        for file in [&saved, &before_file, &after_file, &panels_file] {
+            output::remove(file)?;
+        }
         image_io::write_exr(&target_file, &recovery.problem.target)?;
-        recovery.problem.set(&state.values)?;
-        image_io::write_exr(&before_file, &recovery.picture(job.seed))?;
         output::write_json(&saved, &state)?;
     }
-    let before = read_size(&before_file, &recovery.problem.scene)?;
+    if !before_file.exists() {
+        // Complete or not at all: a run that is resumed makes one that is missing.
+        let picture = recovery.picture("before", job.seed, interrupt)?;
+        if let Some(picture) = picture.filter(is_complete) {
+            image_io::write_exr(&before_file, &picture.image(0))?;
+        }
+    }
+    let before = match before_file.exists() {
+        true => Some(read_size(&before_file, &recovery.problem.scene)?),
+        false => None,
+    };
 
+    let first = state.iteration;
     let left = job.iterations.saturating_sub(state.iteration);
     let stop = state.iteration + args.stop_after.unwrap_or(left).min(left);
     let bar = Bar::new("recover", job.iterations.into(), interrupt);
@@ -461,17 +480,26 @@ fn recover(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     }
     bar.finish();
     output::write_json(&saved, &state)?;
-    recovery.write_results(&args.out, &state, &before)?;
-    if state.iteration < job.iterations {
-        eprintln!(
-            "stopped after {} of {} iterations; --resume --out {} continues",
-            state.iteration,
-            job.iterations,
-            args.out.display()
-        );
-        return Ok(Outcome::Interrupted);
+    if state.iteration != first {
+        // They show other values.
+        output::remove(&after_file)?;
+        output::remove(&panels_file)?;
     }
-    Ok(Outcome::Done)
+    let samples = recovery.write_results(&args.out, &state, before.as_ref(), interrupt)?;
+    if state.iteration == job.iterations && samples == PICTURE_SPP {
+        return Ok(Outcome::Done);
+    }
+    let picture = match samples {
+        n if n == PICTURE_SPP => String::new(),
+        n => format!(", with {n} of {PICTURE_SPP} samples per pixel of the picture after"),
+    };
+    eprintln!(
+        "stopped after {} of {} iterations{picture}; --resume --out {} continues",
+        state.iteration,
+        job.iterations,
+        args.out.display()
+    );
+    Ok(Outcome::Interrupted)
 }
 
 /// A scene, its unknowns, their start values and, if known, the truth.
@@ -504,6 +532,11 @@ fn load(job: &Job, estimator: Estimator) -> Result<Loaded, ToolError> {
         start.extend_from_slice(&scene.params().values()[info.range()]);
     }
     Ok((scene, active, start, None))
+}
+
+/// Whether a picture has all of its samples.
+fn is_complete(picture: &Rendering) -> bool {
+    picture.samples == PICTURE_SPP
 }
 
 /// What the unknowns are compared with; `None` if interrupted.
@@ -685,47 +718,60 @@ impl Recovery {
         out
     }
 
-    /// The scene as it is, with little noise.
-    fn picture(&self, seed: u64) -> Image {
-        let theta = Theta::constant(self.problem.scene.params().values());
-        let technique = Technique::MisPower;
+    /// The scene as it is, with little noise. When stopped, the passes that were complete; `None` if there
+    /// is none.
+    fn picture(
+        &self,
+        what: &str,
+        seed: u64,
+        interrupt: &Interrupt,
+    ) -> Result<Option<Rendering>, RenderError> {
+        let scene = &self.problem.scene;
+        let settings = Settings {
+            spp: PICTURE_SPP as u32,
+            ..self.problem.settings
+        };
+        let total = scene.film.pixels() as u64 * passes(scene, &settings);
+        let bar = Bar::new(what, total, interrupt);
+        let method = Method::Paths(Technique::MisPower);
         let seed = stream(seed, PICTURE_STREAM);
-        let samples = 0..u64::from(PICTURE_SPP);
-        let settings = &self.problem.settings;
-        render_f32(
-            &self.problem.scene,
-            &theta,
-            technique,
-            settings,
-            seed,
-            samples,
-            &(),
-        )
-        .image(0)
+        let picture = in_passes(scene, method, &settings, seed, &bar)?;
+        bar.finish();
+        Ok(picture)
     }
 
+    /// Everything but the checkpoint. Says how many samples per pixel the picture after has; without any it
+    /// is left out, and a complete one is not replaced by less.
     fn write_results(
         &mut self,
         out: &Path,
         state: &Checkpoint,
-        before: &Image,
-    ) -> Result<(), ToolError> {
+        before: Option<&Image>,
+        interrupt: &Interrupt,
+    ) -> Result<u64, ToolError> {
         let estimate = state.estimate();
         self.problem.set(&estimate)?;
-        let after = self.picture(state.job.seed);
-        image_io::write_exr(&out.join("after.exr"), &after)?;
-        let panels = [
-            output::panel("before", before),
-            output::panel("after", &after),
-            output::panel("target", &self.problem.target),
-        ];
-        output::write_panels(&out.join("before-after-target.png"), &panels)?;
+        let after = self.picture("after", state.job.seed, interrupt)?;
+        let file = out.join(AFTER);
+        if let Some(after) = after.as_ref().filter(|r| is_complete(r) || !file.exists()) {
+            let after = after.image(0);
+            image_io::write_exr(&file, &after)?;
+            if let Some(before) = before {
+                let panels = [
+                    output::panel("before", before),
+                    output::panel("after", &after),
+                    output::panel("target", &self.problem.target),
+                ];
+                output::write_panels(&out.join(PANELS), &panels)?;
+            }
+        }
         image_io::write_atomically(&out.join("iterations.csv"), self.csv(state).as_bytes())?;
         for (name, chart) in self.charts(state) {
             output::write_chart(&out.join(name), &chart)?;
         }
         self.write_textures(out, &estimate)?;
-        self.report(out, state, &estimate)
+        self.report(out, state, &estimate)?;
+        Ok(after.map_or(0, |r| r.samples))
     }
 
     fn csv(&self, state: &Checkpoint) -> String {
