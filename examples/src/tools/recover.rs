@@ -10,7 +10,8 @@ use std::fmt::{Display, Write as _};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use clap::{Parser, ValueEnum};
+use clap::Parser;
+use clap::builder::{PossibleValuesParser, TypedValueParser};
 use optim::{
     AnyOptimizer, Constrained, GaussNewton, Groups, LossKind, Parameterisation, PixelLoss, Rates,
     Schedule,
@@ -22,7 +23,8 @@ use render::integrator::second_order::MAX_VALUES;
 use render::params::ParamInfo;
 use render::sampler::mix64;
 use render::{Image, RenderError, Scene, Settings, image_io};
-use serde::{Deserialize, Serialize};
+use serde::de::Error as _;
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use super::render::{Method, in_passes, passes};
 use crate::chart::LineChart;
@@ -62,14 +64,14 @@ pub struct Args {
     #[command(flatten)]
     pub load: LoadArgs,
     /// Algorithm [default: adam]
-    #[arg(long, value_enum)]
+    #[arg(long, value_name = "NAME", value_parser = optimizer_name())]
     pub optimizer: Option<OptimizerArg>,
     /// Number of steps [default: 400; 24 for gauss-newton]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1 << 24))]
     pub iterations: Option<u32>,
-    /// Learning rate at the beginning; it falls along a cosine [default: 0.03 for adam, 1 for sgd].
-    /// For gauss-newton the fraction of a step; it falls as one over the number of steps after the
-    /// first five [default: 1]
+    /// Learning rate at the beginning; it falls along a cosine [default: the optimizer's, such as 0.03 for
+    /// adam and 1 for sgd]. For gauss-newton the fraction of a step; it falls as one over the number of
+    /// steps after the first five [default: 1]
     #[arg(long, value_name = "RATE", allow_negative_numbers = true)]
     pub lr: Option<f64>,
     /// Samples per pixel of each of the two renders of an iteration [default: 12; 48 for gauss-newton]
@@ -110,16 +112,64 @@ pub struct Args {
     pub threads: ThreadArgs,
 }
 
-/// `--optimizer`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
+/// `--optimizer`, in files by name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum OptimizerArg {
-    /// Adam
-    Adam,
-    /// Gradient descent
-    Sgd,
-    /// Damped Gauss-Newton steps, for up to 1024 unknown values
+    /// One of [`AnyOptimizer`], by name.
+    FirstOrder(&'static str),
+    /// Damped Gauss-Newton steps, for up to 1024 unknown values.
     GaussNewton,
+}
+
+impl OptimizerArg {
+    const ADAM: Self = Self::FirstOrder("adam");
+
+    fn all() -> impl Iterator<Item = Self> {
+        let first_order = AnyOptimizer::<f32>::NAMES.map(Self::FirstOrder);
+        first_order.into_iter().chain([Self::GaussNewton])
+    }
+
+    fn name(self) -> &'static str {
+        match self {
+            Self::FirstOrder(name) => name,
+            Self::GaussNewton => "gauss-newton",
+        }
+    }
+
+    fn usual_rate(self) -> f64 {
+        match self {
+            Self::FirstOrder(name) => AnyOptimizer::<f32>::usual_rate(name).unwrap_or(1.0),
+            Self::GaussNewton => 1.0,
+        }
+    }
+}
+
+impl TryFrom<String> for OptimizerArg {
+    type Error = String;
+    fn try_from(text: String) -> Result<Self, String> {
+        Self::all().find(|o| o.name() == text).ok_or_else(|| {
+            let known: Vec<_> = Self::all().map(Self::name).collect();
+            format!("expected one of {}, found {text}", known.join(", "))
+        })
+    }
+}
+
+impl Serialize for OptimizerArg {
+    fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
+        to.serialize_str(self.name())
+    }
+}
+
+impl<'de> Deserialize<'de> for OptimizerArg {
+    fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
+        Self::try_from(String::deserialize(from)?).map_err(D::Error::custom)
+    }
+}
+
+/// Shown by `--help` with all names.
+fn optimizer_name() -> impl TypedValueParser<Value = OptimizerArg> {
+    let names = OptimizerArg::all().map(OptimizerArg::name);
+    PossibleValuesParser::new(names).try_map(OptimizerArg::try_from)
 }
 
 fn loss_name(text: &str) -> Result<String, String> {
@@ -152,7 +202,7 @@ struct Job {
 
 impl Job {
     fn new(args: &Args) -> Result<Self, ToolError> {
-        let optimizer = args.optimizer.unwrap_or(OptimizerArg::Adam);
+        let optimizer = args.optimizer.unwrap_or(OptimizerArg::ADAM);
         let mut params = args.params.clone();
         if args.scene.is_none() && params.is_empty() {
             let unknowns = scenes::cornell_unknowns();
@@ -173,7 +223,7 @@ impl Job {
         let loss = args.loss.clone().unwrap_or_else(|| "relative-l2".into());
         let estimator = args.estimator.unwrap_or(Estimator::Mis);
         let spp = args.spp.unwrap_or(match optimizer {
-            OptimizerArg::Adam | OptimizerArg::Sgd => 12,
+            OptimizerArg::FirstOrder(_) => 12,
             OptimizerArg::GaussNewton => 48,
         });
         if optimizer == OptimizerArg::GaussNewton {
@@ -204,13 +254,10 @@ impl Job {
             allow_missing: args.load.allow_missing,
             optimizer,
             iterations: args.iterations.unwrap_or(match optimizer {
-                OptimizerArg::Adam | OptimizerArg::Sgd => 400,
+                OptimizerArg::FirstOrder(_) => 400,
                 OptimizerArg::GaussNewton => 24,
             }),
-            lr: args.lr.unwrap_or(match optimizer {
-                OptimizerArg::Adam => 0.03,
-                OptimizerArg::Sgd | OptimizerArg::GaussNewton => 1.0,
-            }),
+            lr: args.lr.unwrap_or(optimizer.usual_rate()),
             spp,
             max_depth: args.max_depth,
             samples: args.samples.filled(),
@@ -256,7 +303,9 @@ impl Job {
         same("--target", some(&args.targets), self.targets.clone(), debug)?;
         same("--param", some(&args.params), self.params.clone(), debug)?;
         same("-D", some(&args.load.defines), self.defines.clone(), debug)?;
-        same("--optimizer", args.optimizer, self.optimizer, debug)?;
+        same("--optimizer", args.optimizer, self.optimizer, |o| {
+            o.name().to_owned()
+        })?;
         same("--iterations", args.iterations, self.iterations, text)?;
         same("--lr", args.lr, self.lr, text)?;
         same("--spp", args.spp, self.spp, text)?;
@@ -626,20 +675,15 @@ pub(crate) const WHOLE_STEPS: u64 = 5;
 fn optimizer(job: &Job, active: &Active, values: &[f32]) -> Result<Algorithm, ToolError> {
     let rates = Rates::new(values.len(), job.lr)?;
     let groups = groups(active, values)?;
-    let first_order = |name, rates: Rates| -> Result<_, ToolError> {
-        let schedule = Schedule::Cosine {
-            steps: job.iterations.into(),
-            floor: 0.01,
-        };
-        let inner = AnyOptimizer::new(name, rates.with_schedule(schedule)?)?;
-        Ok(Algorithm::FirstOrder(Constrained::new(
-            inner,
-            groups.clone(),
-        )?))
-    };
     match job.optimizer {
-        OptimizerArg::Adam => first_order("adam", rates),
-        OptimizerArg::Sgd => first_order("sgd", rates),
+        OptimizerArg::FirstOrder(name) => {
+            let schedule = Schedule::Cosine {
+                steps: job.iterations.into(),
+                floor: 0.01,
+            };
+            let inner = AnyOptimizer::new(name, rates.with_schedule(schedule)?)?;
+            Ok(Algorithm::FirstOrder(Constrained::new(inner, groups)?))
+        }
         OptimizerArg::GaussNewton => {
             if values.len() > MAX_VALUES {
                 return Err(ToolError::Usage(format!(
