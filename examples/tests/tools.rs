@@ -692,6 +692,229 @@ fn resumes(optimizer: &str) {
     assert!(whole == parts);
 }
 
+#[test]
+fn damaged_checkpoints_are_errors_that_name_the_key() {
+    let dir = Folder::new();
+    let of = |job: &str| {
+        let stopped = dir.run(
+            "recover",
+            &format!("--size 8 --spp 2 --iterations 8 --stop-after 7 --out d {job}"),
+        );
+        assert_eq!(stopped.status.code(), Some(130));
+        dir.json("d/checkpoint.json")
+    };
+    let refused = |whole: &Value, at: &str, to: Value, named: &str| {
+        let mut damaged = whole.clone();
+        *damaged.pointer_mut(at).unwrap() = to;
+        assert_ne!(damaged, *whole, "{at}");
+        let text = damaged.to_string();
+        std::fs::write(dir.path("d/checkpoint.json"), &text).unwrap();
+        let result = bytes(dir.path("d/result.json"));
+        let out = dir.run("recover", "--out d --resume");
+        let stderr = String::from_utf8_lossy(&out.stderr);
+        assert_eq!(out.status.code(), Some(1), "{at}: {stderr}");
+        assert!(!stderr.contains("panicked"), "{at}: {stderr}");
+        let named = format!("checkpoint.json: {named}");
+        assert!(stderr.contains(&named), "{named}: {stderr}");
+        assert_eq!(bytes(dir.path("d/checkpoint.json")), text.as_bytes());
+        assert!(bytes(dir.path("d/result.json")) == result);
+    };
+
+    let whole = of("");
+    assert_eq!(whole["tail"], 1);
+    let text = |at: &str| whole.pointer(at).unwrap().as_str().unwrap().to_owned();
+    let shorter = |at: &str, digits| Value::from(text(at)[digits..].to_owned());
+    let ending = |at: &str, digits: &str| {
+        let text = text(at);
+        Value::from(format!("{}{digits}", &text[..text.len() - digits.len()]))
+    };
+    let (nan, nan32) = ("7ff8000000000000", "7fc00000");
+    let without = |at: &str| {
+        let mut rows = whole.pointer(at).unwrap().as_array().unwrap().clone();
+        rows.pop();
+        Value::from(rows)
+    };
+    let (row, algorithm) = ("/history/0/values", "/optimizer/first-order");
+    let group = format!("{algorithm}/groups/groups/0");
+    let adam = format!("{algorithm}/inner/adam");
+    let rate = format!("{adam}/rates/segments/0/rate");
+    let cases: Vec<(&str, Value, &str)> = vec![
+        (
+            row,
+            shorter(row, 16),
+            "history[0].values: expected 10 values, found 9",
+        ),
+        (
+            row,
+            ending(row, nan),
+            "history[0].values: expected finite values, found NaN",
+        ),
+        (
+            "/history/3/loss",
+            "inf".into(),
+            "history[3].loss: expected a finite number, found inf",
+        ),
+        (
+            "/history",
+            without("/history"),
+            "history: expected a row for each of 7 iterations, found 6",
+        ),
+        (
+            "/iteration",
+            6.into(),
+            "history: expected a row for each of 6 iterations, found 7",
+        ),
+        (
+            "/iteration",
+            4000000000u32.into(),
+            "iteration: expected at most the 8 of job.iterations",
+        ),
+        (
+            "/job/iterations",
+            5.into(),
+            "iteration: expected at most the 5 of job.iterations, found 7",
+        ),
+        (
+            "/job/iterations",
+            0.into(),
+            "job.iterations: expected a number from 1 to 16777216, found 0",
+        ),
+        (
+            "/job/iterations",
+            (1 << 25).into(),
+            "job.iterations: expected",
+        ),
+        (
+            "/tail",
+            0.into(),
+            "tail: expected 1 after 7 of 8 iterations, found 0",
+        ),
+        (
+            "/tail",
+            u32::MAX.into(),
+            "tail: expected 1 after 7 of 8 iterations, found 4294967295",
+        ),
+        (
+            "/tail_sum",
+            shorter("/tail_sum", 16),
+            "tail_sum: expected 10 values as in the scene, found 9",
+        ),
+        ("/tail_sum", ending("/tail_sum", nan), "tail_sum: "),
+        (
+            "/start",
+            shorter("/start", 8),
+            "start: expected 10 values as in the scene, found 9",
+        ),
+        (
+            "/start",
+            ending("/start", nan32),
+            "start[9]: expected 4 as in the scene, found NaN",
+        ),
+        (
+            "/values",
+            shorter("/values", 8),
+            "values: expected 10 values as in the scene, found 9",
+        ),
+        (
+            "/values",
+            ending("/values", nan32),
+            "values: parameter `light.emitter.radiance.value`",
+        ),
+        (
+            "/job/spp",
+            0.into(),
+            "job.spp: expected a number from 1 to 1073741824, found 0",
+        ),
+        (
+            "/job/size",
+            0.into(),
+            "job.size: expected a number from 1 to 4096, found 0",
+        ),
+        (
+            "/job/size",
+            4097.into(),
+            "job.size: expected a number from 1 to 4096, found 4097",
+        ),
+        (
+            "/job/lr",
+            "NaN".into(),
+            "job.lr: expected a positive finite rate, found NaN",
+        ),
+        (
+            "/job/params",
+            without("/job/params"),
+            "start: expected 7 values as in the scene, found 10",
+        ),
+        ("/job/params", Value::Array(vec![]), "job.params: expected"),
+        ("/job/estimator", "luck".into(), "job.estimator: "),
+        ("/job/loss", "luck".into(), "job.loss: "),
+        (
+            "/job/scene",
+            "scene.xml".into(),
+            "job.targets: expected an image",
+        ),
+        (
+            "/job/optimizer",
+            "luck".into(),
+            "expected a checkpoint of this tool: expected one of adam",
+        ),
+        (
+            "/job/optimizer",
+            "sgd".into(),
+            "optimizer: expected sgd, found adam",
+        ),
+        (
+            &group,
+            {
+                let mut moved = whole.pointer(&group).unwrap().clone();
+                moved["name"] = "other".into();
+                moved
+            },
+            "optimizer.groups: expected those of the scene",
+        ),
+        (
+            &rate,
+            "0.5".into(),
+            "optimizer.rates: expected those of the job",
+        ),
+    ];
+    for (at, to, named) in cases {
+        refused(&whole, at, to, named);
+    }
+    let steps = format!("{adam}/steps");
+    refused(
+        &whole,
+        &steps,
+        6.into(),
+        "optimizer.steps: expected 7 to 7 steps, found 6",
+    );
+
+    let newton = of("--optimizer gauss-newton");
+    refused(
+        &newton,
+        "/job/spp",
+        1.into(),
+        "job.spp: expected at least 2",
+    );
+    refused(&newton, "/job/loss", "l1".into(), "job.loss: expected l2");
+    refused(
+        &newton,
+        "/job/estimator",
+        "detached".into(),
+        "job.estimator: expected mis",
+    );
+    refused(&newton, "/tail", 1.into(), "tail: expected 0");
+    let sum = "3ff0000000000000".repeat(10);
+    refused(&newton, "/tail_sum", sum.into(), "tail_sum: expected zeros");
+    let steps = "/optimizer/gauss-newton/steps";
+    refused(
+        &newton,
+        steps,
+        8.into(),
+        "optimizer.steps: expected 0 to 7 steps, found 8",
+    );
+}
+
 /// Ctrl-C while the pictures are made, or just before, costs pictures and nothing else.
 #[test]
 fn an_interrupted_recovery_lacks_pictures_that_resuming_makes() {

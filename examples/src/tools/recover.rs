@@ -7,14 +7,15 @@
 
 use std::collections::BTreeMap;
 use std::fmt::{Display, Write as _};
+use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use clap::Parser;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use optim::{
-    AnyOptimizer, Constrained, GaussNewton, Groups, LossKind, Parameterisation, PixelLoss, Rates,
-    Schedule,
+    AnyOptimizer, Constrained, GaussNewton, Groups, LossKind, Optimizer, Parameterisation,
+    PixelLoss, Rates, Schedule,
 };
 use render::instances::{Estimator, Technique};
 use render::integrator::gradient::Active;
@@ -29,12 +30,18 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use super::render::{Method, in_passes, passes};
 use crate::chart::LineChart;
 use crate::cli::{
-    LoadArgs, Outcome, SampleArgs, ThreadArgs, ToolError, depth, report_non_finite, sample_count,
+    LoadArgs, Outcome, SAMPLE_COUNTS, SampleArgs, ThreadArgs, ToolError, depth, report_non_finite,
+    sample_count,
 };
 use crate::optimise::{Algorithm, Problem};
 use crate::output;
 use crate::progress::{Bar, Interrupt};
 use crate::scenes;
+
+/// Values of `--iterations`.
+const ITERATIONS: RangeInclusive<i64> = 1..=1 << 24;
+/// Values of `--size`.
+const SIZES: RangeInclusive<i64> = 1..=4096;
 
 const EXAMPLES: &str = "\
 Examples:
@@ -67,7 +74,7 @@ pub struct Args {
     #[arg(long, value_name = "NAME", value_parser = optimizer_name())]
     pub optimizer: Option<OptimizerArg>,
     /// Number of steps [default: 400; 24 for gauss-newton]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1 << 24))]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(ITERATIONS))]
     pub iterations: Option<u32>,
     /// Learning rate at the beginning; it falls along a cosine [default: the optimizer's, such as 0.03 for
     /// adam and 1 for sgd]. For gauss-newton the fraction of a step; it falls as one over the number of
@@ -96,7 +103,7 @@ pub struct Args {
     // To clap a missing scene is no mistake where it would conflict, hence those that require it.
     #[arg(long, value_name = "PIXELS",
           conflicts_with_all = ["scene", "targets", "defines", "allow_missing"],
-          value_parser = clap::value_parser!(u32).range(1..=4096))]
+          value_parser = clap::value_parser!(u32).range(SIZES))]
     pub size: Option<u32>,
     /// Folder of the results
     #[arg(long, value_name = "DIR", default_value = "out/recover")]
@@ -208,45 +215,13 @@ impl Job {
             let unknowns = scenes::cornell_unknowns();
             params = unknowns.iter().map(|u| u.name.to_owned()).collect();
         }
-        if args.scene.is_some() && args.targets.is_empty() {
-            return Err(ToolError::Usage(
-                "--target: expected an image of the scene, found none".into(),
-            ));
-        }
-        if params.is_empty() {
-            return Err(ToolError::Usage(
-                "--param: expected the key of an unknown parameter, found none; `gradient SCENE --list` \
-                 prints all"
-                    .into(),
-            ));
-        }
         let loss = args.loss.clone().unwrap_or_else(|| "relative-l2".into());
         let estimator = args.estimator.unwrap_or(Estimator::Mis);
         let spp = args.spp.unwrap_or(match optimizer {
             OptimizerArg::FirstOrder(_) => 12,
             OptimizerArg::GaussNewton => 48,
         });
-        if optimizer == OptimizerArg::GaussNewton {
-            if estimator != Estimator::Mis {
-                return Err(ToolError::Usage(format!(
-                    "--estimator: expected {} for gauss-newton, which has no other, found {}",
-                    Estimator::Mis.name(),
-                    estimator.name()
-                )));
-            }
-            if loss.parse::<LossKind>()?.dd_pixel(1.0, 1.0) == 0.0 {
-                return Err(ToolError::Usage(format!(
-                    "--loss: expected l2, relative-l2 or log-l2 for gauss-newton, found {loss}, which has \
-                     no curvature"
-                )));
-            }
-            if spp < 2 {
-                return Err(ToolError::Usage(format!(
-                    "--spp: expected at least 2 samples per pixel for gauss-newton, found {spp}"
-                )));
-            }
-        }
-        Ok(Self {
+        let job = Self {
             scene: args.scene.clone(),
             targets: args.targets.clone(),
             params,
@@ -265,7 +240,100 @@ impl Job {
             loss,
             seed: args.seed.unwrap_or(0),
             size: args.size.unwrap_or(96),
-        })
+        };
+        job.check()
+            .map_err(|wrong| ToolError::Usage(format!("{}: {}", wrong.option, wrong.message)))?;
+        Ok(job)
+    }
+
+    /// Whether it could come from a command line.
+    fn check(&self) -> Result<(), Wrong> {
+        let wrong = |option, key, message: String| {
+            Err(Wrong {
+                option,
+                key,
+                message,
+            })
+        };
+        let within = |option, key, range: &RangeInclusive<i64>, found: u32| {
+            if range.contains(&found.into()) {
+                return Ok(());
+            }
+            let (lo, hi) = (range.start(), range.end());
+            wrong(
+                option,
+                key,
+                format!("expected a number from {lo} to {hi}, found {found}"),
+            )
+        };
+        if self.scene.is_some() && self.targets.is_empty() {
+            let message = "expected an image of the scene, found none";
+            return wrong("--target", "targets", message.into());
+        }
+        if self.params.is_empty() {
+            let message = "expected the key of an unknown parameter, found none; `gradient SCENE --list` \
+                           prints all";
+            return wrong("--param", "params", message.into());
+        }
+        within("--iterations", "iterations", &ITERATIONS, self.iterations)?;
+        within("--spp", "spp", &SAMPLE_COUNTS, self.spp)?;
+        within("--size", "size", &SIZES, self.size)?;
+        if !(self.lr > 0.0 && self.lr.is_finite()) {
+            let message = format!("expected a positive finite rate, found {}", self.lr);
+            return wrong("--lr", "lr", message);
+        }
+        if self.samples.pixels_per_particle == Some(0) {
+            let message = "expected at least 1, found 0";
+            return wrong(
+                "--pixels-per-particle",
+                "samples.pixels_per_particle",
+                message.into(),
+            );
+        }
+        if let Err(e) = Estimator::from_name(&self.estimator) {
+            return wrong("--estimator", "estimator", e.to_string());
+        }
+        let loss = match self.loss.parse::<LossKind>() {
+            Ok(loss) => loss,
+            Err(e) => return wrong("--loss", "loss", e.to_string()),
+        };
+        if self.optimizer != OptimizerArg::GaussNewton {
+            return Ok(());
+        }
+        let mis = Estimator::Mis.name();
+        if self.estimator != mis {
+            let message = format!(
+                "expected {mis} for gauss-newton, which has no other, found {}",
+                self.estimator
+            );
+            return wrong("--estimator", "estimator", message);
+        }
+        if loss.dd_pixel(1.0, 1.0) == 0.0 {
+            let message = format!(
+                "expected l2, relative-l2 or log-l2 for gauss-newton, found {}, which has no curvature",
+                self.loss
+            );
+            return wrong("--loss", "loss", message);
+        }
+        if self.spp < 2 {
+            let message = format!(
+                "expected at least 2 samples per pixel for gauss-newton, found {}",
+                self.spp
+            );
+            return wrong("--spp", "spp", message);
+        }
+        Ok(())
+    }
+
+    /// How many of the first `iteration` steps end in the last quarter of the run, whose values are averaged.
+    /// Gauss-Newton steps average by themselves.
+    fn tail(&self, iteration: u32) -> u32 {
+        match self.optimizer {
+            OptimizerArg::FirstOrder(_) => {
+                iteration.saturating_sub(self.iterations - self.iterations / 4)
+            }
+            OptimizerArg::GaussNewton => 0,
+        }
     }
 
     /// An error if the arguments ask for another job than this one, which is being resumed.
@@ -330,6 +398,13 @@ impl Job {
     }
 }
 
+/// What is wrong with a [`Job`]: the option, the key in a checkpoint, what was expected and what was found.
+struct Wrong {
+    option: &'static str,
+    key: &'static str,
+    message: String,
+}
+
 /// Loss and values before a step.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 struct Row {
@@ -352,8 +427,7 @@ struct Checkpoint {
     #[serde(with = "optim::exact::slice")]
     start: Vec<f32>,
     optimizer: Algorithm,
-    /// Sum of the values over the last quarter of the run, whose noise it removes. Gauss-Newton
-    /// steps average by themselves.
+    /// Sum of the values after the steps that [`Job::tail`] counts, whose noise it removes.
     #[serde(with = "optim::exact::slice")]
     tail_sum: Vec<f64>,
     tail: u32,
@@ -429,21 +503,9 @@ fn recover(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     job.samples.apply(&scene, &mut settings)?;
     let loss: LossKind = job.loss.parse()?;
     let mut state = match resumed {
-        Some(state) => {
-            if state.values.len() != start.len() {
-                return Err(ToolError::file(
-                    &saved,
-                    format!(
-                        "expected the {} unknown values of the scene, found {}",
-                        start.len(),
-                        state.values.len()
-                    ),
-                ));
-            }
-            state
-        }
+        Some(state) => state,
         None => {
-            let values: Vec<f32> = start;
+            let values = start.clone();
             Checkpoint {
                 optimizer: optimizer(&job, &active, &values)?,
                 job: job.clone(),
@@ -478,6 +540,9 @@ fn recover(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
         target,
     };
     let mut recovery = Recovery { problem, truth };
+    if args.resume {
+        recovery.check(&state, &start, &saved)?;
+    }
     // As every run and every continuation of it starts.
     recovery.problem.set(&state.start)?;
     let seed = stream(job.seed, GUIDE_STREAM);
@@ -634,8 +699,24 @@ fn read_size(path: &Path, scene: &Scene) -> Result<Image, ToolError> {
 fn read_checkpoint(path: &Path) -> Result<Checkpoint, ToolError> {
     let text = std::fs::read_to_string(path)
         .map_err(|e| ToolError::file(path, format!("cannot read the checkpoint: {e}")))?;
-    serde_json::from_str(&text)
-        .map_err(|e| ToolError::file(path, format!("expected a checkpoint of this tool: {e}")))
+    let checkpoint: Checkpoint = serde_json::from_str(&text)
+        .map_err(|e| ToolError::file(path, format!("expected a checkpoint of this tool: {e}")))?;
+    (checkpoint.job.check())
+        .map_err(|wrong| ToolError::file(path, format!("job.{}: {}", wrong.key, wrong.message)))?;
+    Ok(checkpoint)
+}
+
+/// Name, number of steps, groups and rates of an algorithm: what follows from the job.
+fn plan(algorithm: &Algorithm) -> (&'static str, u64, &Groups, &Rates) {
+    match algorithm {
+        Algorithm::FirstOrder(o) => (o.inner().name(), o.steps(), o.groups(), o.rates()),
+        Algorithm::GaussNewton(o) => (
+            OptimizerArg::GaussNewton.name(),
+            o.steps(),
+            o.groups(),
+            o.rates(),
+        ),
+    }
 }
 
 /// Positive numbers of unknown magnitude move by factors, everything else by steps within its bounds.
@@ -700,6 +781,79 @@ fn optimizer(job: &Job, active: &Active, values: &[f32]) -> Result<Algorithm, To
 }
 
 impl Recovery {
+    /// Whether a run of this job can have left this state, as far as a look at it tells. `start` is where the
+    /// scene starts.
+    fn check(&mut self, state: &Checkpoint, start: &[f32], path: &Path) -> Result<(), ToolError> {
+        let job = &state.job;
+        let require =
+            |holds: bool, key: &str, expected: &dyn Display, found: &dyn Display| match holds {
+                true => Ok(()),
+                false => Err(ToolError::file(
+                    path,
+                    format!("{key}: expected {expected}, found {found}"),
+                )),
+            };
+        let lengths = [
+            ("start", state.start.len()),
+            ("values", state.values.len()),
+            ("tail_sum", state.tail_sum.len()),
+        ];
+        for (key, n) in lengths {
+            let expected = format!("{} values as in the scene", start.len());
+            require(n == start.len(), key, &expected, &n)?;
+        }
+        for (i, (found, value)) in state.start.iter().zip(start).enumerate() {
+            let expected = format!("{value} as in the scene");
+            let same = found.to_bits() == value.to_bits();
+            require(same, &format!("start[{i}]"), &expected, found)?;
+        }
+
+        let (n, last) = (state.iteration, job.iterations);
+        let expected = format!("at most the {last} of job.iterations");
+        require(n <= last, "iteration", &expected, &n)?;
+        let rows = state.history.len();
+        let expected = format!("a row for each of {n} iterations");
+        require(rows == n as usize, "history", &expected, &rows)?;
+        let names = self.tracked_names().len();
+        for (i, row) in state.history.iter().enumerate() {
+            let key = format!("history[{i}].loss");
+            require(row.loss.is_finite(), &key, &"a finite number", &row.loss)?;
+            let (key, found) = (format!("history[{i}].values"), row.values.len());
+            require(found == names, &key, &format!("{names} values"), &found)?;
+            for v in &row.values {
+                require(v.is_finite(), &key, &"finite values", v)?;
+            }
+        }
+        let tail = job.tail(n);
+        let expected = format!("{tail} after {n} of {last} iterations");
+        require(state.tail == tail, "tail", &expected, &state.tail)?;
+        for &sum in &state.tail_sum {
+            let holds = tail > 0 || sum == 0.0;
+            require(holds, "tail_sum", &"zeros without a tail", &sum)?;
+        }
+
+        let fresh = optimizer(job, &self.problem.active, start)?;
+        let (expected, found) = (plan(&fresh), plan(&state.optimizer));
+        require(found.0 == expected.0, "optimizer", &expected.0, &found.0)?;
+        // A Gauss-Newton step may have been taken back.
+        let steps = match state.optimizer {
+            Algorithm::FirstOrder(_) => u64::from(n)..=n.into(),
+            Algorithm::GaussNewton(_) => 0..=n.into(),
+        };
+        let what = format!("{} to {} steps", steps.start(), steps.end());
+        require(steps.contains(&found.1), "optimizer.steps", &what, &found.1)?;
+        let groups = expected.2 == found.2;
+        require(groups, "optimizer.groups", &"those of the scene", &"others")?;
+        let rates = expected.3 == found.3;
+        require(rates, "optimizer.rates", &"those of the job", &"others")?;
+
+        // Finite and within the bounds of the scene.
+        for (key, values) in [("tail_sum", &state.estimate()), ("values", &state.values)] {
+            (self.problem.set(values)).map_err(|e| ToolError::file(path, format!("{key}: {e}")))?;
+        }
+        Ok(())
+    }
+
     /// One iteration. `false` if interrupted: nothing has changed then.
     fn step(&mut self, state: &mut Checkpoint, interrupt: &Interrupt) -> Result<bool, ToolError> {
         let i = u64::from(state.iteration);
@@ -723,9 +877,9 @@ impl Recovery {
         let loss = step.loss;
         state.history.push(Row { loss, values });
         state.iteration += 1;
-        let averages = state.job.optimizer == OptimizerArg::GaussNewton;
-        if !averages && state.iteration > state.job.iterations - state.job.iterations / 4 {
-            state.tail += 1;
+        let tail = state.job.tail(state.iteration);
+        if tail > 0 {
+            state.tail = tail;
             for (s, v) in state.tail_sum.iter_mut().zip(&state.values) {
                 *s += f64::from(*v);
             }
