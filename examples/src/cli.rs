@@ -1,5 +1,6 @@
 //! What all tools share: arguments of scenes, errors, exit codes.
 
+use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Instant;
@@ -84,10 +85,11 @@ pub fn main<A: Parser>(run: fn(&A, &Interrupt) -> Result<Outcome, ToolError>) ->
 #[derive(Args, Clone, Debug, Default)]
 pub struct LoadArgs {
     /// Value for a `$name` of the scene file
-    #[arg(short = 'D', long = "define", value_name = "NAME=VALUE", value_parser = define)]
+    #[arg(short = 'D', long = "define", value_name = "NAME=VALUE", value_parser = define,
+          requires = "scene")]
     pub defines: Vec<(String, String)>,
     /// Substitute mid-grey for texture files that are missing
-    #[arg(long)]
+    #[arg(long, requires = "scene")]
     pub allow_missing: bool,
 }
 
@@ -266,8 +268,11 @@ impl ThreadArgs {
 }
 
 /// Values of `--spp`.
+pub const SAMPLE_COUNTS: RangeInclusive<i64> = 1..=1 << 30;
+
+/// The parser of [`SAMPLE_COUNTS`].
 pub fn sample_count() -> clap::builder::RangedI64ValueParser<u32> {
-    clap::value_parser!(u32).range(1..=1 << 30)
+    clap::value_parser!(u32).range(SAMPLE_COUNTS)
 }
 
 /// A depth limit: -1 for none, or a number of path edges.

@@ -29,6 +29,19 @@ pub fn create_dir(dir: &Path) -> Result<(), ToolError> {
         .map_err(|e| ToolError::file(dir, format!("cannot create the folder: {e}")))
 }
 
+/// Removes a file, if it is there.
+///
+/// # Errors
+/// The operating system's.
+pub fn remove(path: &Path) -> Result<(), ToolError> {
+    match std::fs::remove_file(path) {
+        Err(e) if e.kind() != std::io::ErrorKind::NotFound => {
+            Err(ToolError::file(path, format!("cannot remove it: {e}")))
+        }
+        _ => Ok(()),
+    }
+}
+
 /// Writes a value as indented JSON.
 ///
 /// # Errors

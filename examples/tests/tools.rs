@@ -3,6 +3,10 @@
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
+use clap::Parser;
+use examples::cli::Outcome;
+use examples::progress::Interrupt;
+use examples::tools::recover;
 use render::Image;
 use render::image_io::{read_rgb as read_exr, write_exr};
 use serde_json::Value;
@@ -38,6 +42,24 @@ const SCENE: &str = r#"<scene version="3.0.0">
 const FLIPPED: &str = r#"<bsdf type="normalmap" id="wall">
     <boolean name="flip_invalid_normals" value="true"/><texture name="normalmap" type="checkerboard"/>
     <bsdf type="diffuse">"#;
+/// A ball of tinted glass under a constant light.
+const GLASS: &str = r#"<scene version="3.0.0">
+  <default name="eta" value="1.5"/>
+  <integrator type="path"><integer name="max_depth" value="6"/></integrator>
+  <sensor type="perspective">
+    <float name="fov" value="40"/>
+    <transform name="to_world"><lookat origin="0,0,4" target="0,0,0" up="0,1,0"/></transform>
+    <film type="hdrfilm">
+      <integer name="width" value="16"/><integer name="height" value="16"/>
+      <rfilter type="box"/>
+    </film>
+  </sensor>
+  <bsdf type="dielectric" id="m">
+    <float name="int_ior" value="$eta"/><rgb name="specular_transmittance" value="0.5"/>
+  </bsdf>
+  <shape type="sphere"><ref id="m"/></shape>
+  <emitter type="constant"><rgb name="radiance" value="1"/></emitter>
+</scene>"#;
 const WALL: &str = "wall.reflectance.value";
 const LAMP: &str = "lamp.emitter.radiance.value";
 
@@ -297,6 +319,21 @@ fn mistakes_end_with_a_message_and_without_a_file() {
             "--out d --estimator attached --size 8".into(),
             1,
             "discontinuities",
+        ),
+        ("recover", "--out d -D foo=1".into(), 2, "SCENE"),
+        ("recover", "--out d --allow-missing".into(), 2, "SCENE"),
+        ("recover", "--out d -D foo=1 --size 8".into(), 2, "--define"),
+        (
+            "recover",
+            "--out d --allow-missing --size 8".into(),
+            2,
+            "--allow-missing",
+        ),
+        (
+            "recover",
+            "--out d --target small.exr --size 8".into(),
+            2,
+            "--target",
         ),
         ("recover", "--out d --lr nan --size 8".into(), 1, "rate"),
         (
@@ -656,6 +693,292 @@ fn resumes(optimizer: &str) {
 }
 
 #[test]
+fn damaged_checkpoints_are_errors_that_name_the_key() {
+    let dir = Folder::new();
+    let of = |job: &str| {
+        let stopped = dir.run(
+            "recover",
+            &format!("--size 8 --spp 2 --iterations 8 --stop-after 7 --out d {job}"),
+        );
+        assert_eq!(stopped.status.code(), Some(130));
+        dir.json("d/checkpoint.json")
+    };
+    let refused = |whole: &Value, at: &str, to: Value, named: &str| {
+        let mut damaged = whole.clone();
+        *damaged.pointer_mut(at).unwrap() = to;
+        assert_ne!(damaged, *whole, "{at}");
+        let text = damaged.to_string();
+        std::fs::write(dir.path("d/checkpoint.json"), &text).unwrap();
+        let result = bytes(dir.path("d/result.json"));
+        let out = dir.run("recover", "--out d --resume");
+        let stderr = String::from_utf8_lossy(&out.stderr);
+        assert_eq!(out.status.code(), Some(1), "{at}: {stderr}");
+        assert!(!stderr.contains("panicked"), "{at}: {stderr}");
+        let named = format!("checkpoint.json: {named}");
+        assert!(stderr.contains(&named), "{named}: {stderr}");
+        assert_eq!(bytes(dir.path("d/checkpoint.json")), text.as_bytes());
+        assert!(bytes(dir.path("d/result.json")) == result);
+    };
+
+    let whole = of("");
+    assert_eq!(whole["tail"], 1);
+    let text = |at: &str| whole.pointer(at).unwrap().as_str().unwrap().to_owned();
+    let shorter = |at: &str, digits| Value::from(text(at)[digits..].to_owned());
+    let ending = |at: &str, digits: &str| {
+        let text = text(at);
+        Value::from(format!("{}{digits}", &text[..text.len() - digits.len()]))
+    };
+    let (nan, nan32) = ("7ff8000000000000", "7fc00000");
+    let without = |at: &str| {
+        let mut rows = whole.pointer(at).unwrap().as_array().unwrap().clone();
+        rows.pop();
+        Value::from(rows)
+    };
+    let (row, algorithm) = ("/history/0/values", "/optimizer/first-order");
+    let group = format!("{algorithm}/groups/groups/0");
+    let adam = format!("{algorithm}/inner/adam");
+    let rate = format!("{adam}/rates/segments/0/rate");
+    let cases: Vec<(&str, Value, &str)> = vec![
+        (
+            row,
+            shorter(row, 16),
+            "history[0].values: expected 10 values, found 9",
+        ),
+        (
+            row,
+            ending(row, nan),
+            "history[0].values: expected finite values, found NaN",
+        ),
+        (
+            "/history/3/loss",
+            "inf".into(),
+            "history[3].loss: expected a finite number, found inf",
+        ),
+        (
+            "/history",
+            without("/history"),
+            "history: expected a row for each of 7 iterations, found 6",
+        ),
+        (
+            "/iteration",
+            6.into(),
+            "history: expected a row for each of 6 iterations, found 7",
+        ),
+        (
+            "/iteration",
+            4000000000u32.into(),
+            "iteration: expected at most the 8 of job.iterations",
+        ),
+        (
+            "/job/iterations",
+            5.into(),
+            "iteration: expected at most the 5 of job.iterations, found 7",
+        ),
+        (
+            "/job/iterations",
+            0.into(),
+            "job.iterations: expected a number from 1 to 16777216, found 0",
+        ),
+        (
+            "/job/iterations",
+            (1 << 25).into(),
+            "job.iterations: expected",
+        ),
+        (
+            "/tail",
+            0.into(),
+            "tail: expected 1 after 7 of 8 iterations, found 0",
+        ),
+        (
+            "/tail",
+            u32::MAX.into(),
+            "tail: expected 1 after 7 of 8 iterations, found 4294967295",
+        ),
+        (
+            "/tail_sum",
+            shorter("/tail_sum", 16),
+            "tail_sum: expected 10 values as in the scene, found 9",
+        ),
+        ("/tail_sum", ending("/tail_sum", nan), "tail_sum: "),
+        (
+            "/start",
+            shorter("/start", 8),
+            "start: expected 10 values as in the scene, found 9",
+        ),
+        (
+            "/start",
+            ending("/start", nan32),
+            "start[9]: expected 4 as in the scene, found NaN",
+        ),
+        (
+            "/values",
+            shorter("/values", 8),
+            "values: expected 10 values as in the scene, found 9",
+        ),
+        (
+            "/values",
+            ending("/values", nan32),
+            "values: parameter `light.emitter.radiance.value`",
+        ),
+        (
+            "/job/spp",
+            0.into(),
+            "job.spp: expected a number from 1 to 1073741824, found 0",
+        ),
+        (
+            "/job/size",
+            0.into(),
+            "job.size: expected a number from 1 to 4096, found 0",
+        ),
+        (
+            "/job/size",
+            4097.into(),
+            "job.size: expected a number from 1 to 4096, found 4097",
+        ),
+        (
+            "/job/lr",
+            "NaN".into(),
+            "job.lr: expected a positive finite rate, found NaN",
+        ),
+        (
+            "/job/params",
+            without("/job/params"),
+            "start: expected 7 values as in the scene, found 10",
+        ),
+        ("/job/params", Value::Array(vec![]), "job.params: expected"),
+        ("/job/estimator", "luck".into(), "job.estimator: "),
+        ("/job/loss", "luck".into(), "job.loss: "),
+        (
+            "/job/scene",
+            "scene.xml".into(),
+            "job.targets: expected an image",
+        ),
+        (
+            "/job/optimizer",
+            "luck".into(),
+            "expected a checkpoint of this tool: expected one of adam",
+        ),
+        (
+            "/job/optimizer",
+            "sgd".into(),
+            "optimizer: expected sgd, found adam",
+        ),
+        (
+            &group,
+            {
+                let mut moved = whole.pointer(&group).unwrap().clone();
+                moved["name"] = "other".into();
+                moved
+            },
+            "optimizer.groups: expected those of the scene",
+        ),
+        (
+            &rate,
+            "0.5".into(),
+            "optimizer.rates: expected those of the job",
+        ),
+    ];
+    for (at, to, named) in cases {
+        refused(&whole, at, to, named);
+    }
+    let steps = format!("{adam}/steps");
+    refused(
+        &whole,
+        &steps,
+        6.into(),
+        "optimizer.steps: expected 7 to 7 steps, found 6",
+    );
+
+    let newton = of("--optimizer gauss-newton");
+    refused(
+        &newton,
+        "/job/spp",
+        1.into(),
+        "job.spp: expected at least 2",
+    );
+    refused(&newton, "/job/loss", "l1".into(), "job.loss: expected l2");
+    refused(
+        &newton,
+        "/job/estimator",
+        "detached".into(),
+        "job.estimator: expected mis",
+    );
+    refused(&newton, "/tail", 1.into(), "tail: expected 0");
+    let sum = "3ff0000000000000".repeat(10);
+    refused(&newton, "/tail_sum", sum.into(), "tail_sum: expected zeros");
+    let steps = "/optimizer/gauss-newton/steps";
+    refused(
+        &newton,
+        steps,
+        8.into(),
+        "optimizer.steps: expected 0 to 7 steps, found 8",
+    );
+}
+
+/// Ctrl-C while the pictures are made, or just before, costs pictures and nothing else.
+#[test]
+fn an_interrupted_recovery_lacks_pictures_that_resuming_makes() {
+    let dir = Folder::new();
+    dir.ok("render", "scene.xml -o photo.exr --spp 16");
+    let run = |out: &str, more: &str, interrupt: &Interrupt| {
+        let [scene, photo, out] = ["scene.xml", "photo.exr", out].map(|n| dir.path(n));
+        let mut args = vec!["recover".into(), scene.into_os_string()];
+        args.extend(["--target".into(), photo.into_os_string()]);
+        args.extend(["--out".into(), out.into_os_string()]);
+        args.extend(["--param", WALL].map(Into::into));
+        args.extend(more.split_whitespace().map(Into::into));
+        recover::run(&recover::Args::try_parse_from(args).unwrap(), interrupt).unwrap()
+    };
+    let (quiet, pressed) = (Interrupt::default(), Interrupt::default());
+    pressed.set();
+    let exists = |name: &str| dir.path(name).exists();
+    let pictures = ["before.exr", "after.exr", "before-after-target.png"];
+
+    let job = "--iterations 3 --spp 2";
+    assert_eq!(run("whole", job, &quiet), Outcome::Done);
+    // A folder that another job has used.
+    std::fs::create_dir(dir.path("parts")).unwrap();
+    for name in pictures {
+        std::fs::write(dir.path("parts").join(name), "of another job").unwrap();
+    }
+    assert_eq!(run("parts", job, &pressed), Outcome::Interrupted);
+    assert_eq!(dir.json("parts/result.json")["iterations"], 0);
+    assert!(exists("parts/target.exr") && exists("parts/iterations.csv"));
+    assert!(!pictures.iter().any(|p| exists(&format!("parts/{p}"))));
+    assert_eq!(run("parts", "--resume", &quiet), Outcome::Done);
+    let same = || {
+        for file in pictures.iter().chain(&["checkpoint.json", "result.json"]) {
+            let [whole, parts] = ["whole", "parts"].map(|d| bytes(dir.path(d).join(file)));
+            assert!(whole == parts, "{file}");
+        }
+    };
+    same();
+    // Nothing has moved: the pictures still show the values.
+    assert_eq!(run("parts", "--resume", &pressed), Outcome::Interrupted);
+    same();
+
+    let long = "--iterations 1000000 --spp 1";
+    run("long", &format!("{long} --stop-after 1"), &quiet);
+    assert!(pictures.iter().all(|p| exists(&format!("long/{p}"))));
+    let mut wait = std::time::Duration::from_millis(50);
+    while dir.json("long/checkpoint.json")["iteration"] == 1 {
+        wait *= 2;
+        let late = Interrupt::default();
+        std::thread::scope(|s| {
+            s.spawn(|| {
+                std::thread::sleep(wait);
+                late.set();
+            });
+            assert_eq!(run("long", "--resume", &late), Outcome::Interrupted);
+        });
+    }
+    assert_eq!(
+        pictures.map(|p| exists(&format!("long/{p}"))),
+        [true, false, false]
+    );
+}
+
+#[test]
 fn a_colour_is_recovered_from_a_picture() {
     let dir = Folder::new();
     dir.ok(
@@ -686,6 +1009,28 @@ fn a_colour_is_recovered_from_a_picture() {
         assert_eq!(report["scene"], "scene.xml");
         assert!(dir.path("found/values.svg").is_file());
     }
+}
+
+/// The index of smooth glass moves a Dirac delta: for whole paths that move and for nothing else.
+#[test]
+fn the_index_of_smooth_glass_is_recovered() {
+    let dir = Folder::new();
+    std::fs::write(dir.path("glass.xml"), GLASS).unwrap();
+    dir.ok("render", "glass.xml -o photo.exr --spp 512");
+    let unknown = "glass.xml --param m.eta.value --target photo.exr -D eta=1.3 --out found";
+    let detached = dir.run("recover", unknown);
+    assert_eq!(detached.status.code(), Some(1));
+    assert!(String::from_utf8_lossy(&detached.stderr).contains("m.eta.value"));
+    assert!(!dir.path("found").exists());
+
+    let steps = "--iterations 100 --spp 16 --loss l2";
+    dir.ok(
+        "recover",
+        &format!("{unknown} {steps} --estimator attached-path"),
+    );
+    let report = dir.json("found/result.json");
+    let found = report["params"]["m.eta.value"]["value"].as_f64().unwrap();
+    assert!((found / 1.5 - 1.0).abs() < 0.02, "{found}");
 }
 
 #[test]

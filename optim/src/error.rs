@@ -60,7 +60,7 @@ pub enum OptimError {
         found: f64,
     },
     /// A named or numbered range does not fit into the parameter vector.
-    #[error("range {}..{}: expected a range within 0..{len}", .range.start, .range.end)]
+    #[error("range {}..{}: expected a non-empty range within 0..{len}", .range.start, .range.end)]
     Range {
         /// The range.
         range: Range<usize>,

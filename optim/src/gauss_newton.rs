@@ -284,6 +284,11 @@ impl<T: Scalar> GaussNewton<T> {
         self.steps
     }
 
+    /// The fractions of a step and their schedule.
+    pub fn rates(&self) -> &Rates {
+        &self.rates
+    }
+
     /// The groups.
     pub fn groups(&self) -> &Groups {
         &self.groups

@@ -53,14 +53,15 @@ impl Groups {
         }
     }
 
-    /// Adds a group; its name and its entries must be new.
+    /// Adds a group of at least one entry; its name and its entries must be new.
     pub fn add(
         &mut self,
         name: impl Into<String>,
         range: Range<usize>,
         parameterisation: Parameterisation,
     ) -> Result<(), OptimError> {
-        if range.start > range.end || range.end > self.len {
+        // An empty range has no place among the others: it may share its start with the next.
+        if range.is_empty() || range.end > self.len {
             return Err(OptimError::Range {
                 range,
                 len: self.len,
@@ -76,7 +77,7 @@ impl Groups {
             .partition_point(|g| g.range.start < group.range.start);
         let clash = self.groups.iter().find(|g| {
             let overlap = g.range.start < group.range.end && group.range.start < g.range.end;
-            g.name == group.name || overlap && !g.range.is_empty() && !group.range.is_empty()
+            g.name == group.name || overlap
         });
         if let Some(first) = clash {
             let first = first.name.clone();
@@ -586,16 +587,22 @@ mod tests {
                 6..7,
                 "group `a`: expected names and ranges that differ from those of `a`",
             ),
-            ("c", 9..11, "range 9..11: expected a range within 0..10"),
+            (
+                "c",
+                9..11,
+                "range 9..11: expected a non-empty range within 0..10",
+            ),
+            (
+                "empty",
+                7..7,
+                "range 7..7: expected a non-empty range within 0..10",
+            ),
         ] {
             let error = groups
                 .add(name, range, Parameterisation::Identity)
                 .unwrap_err();
             assert_eq!(error.to_string(), message);
         }
-        groups
-            .add("empty", 3..3, Parameterisation::Identity)
-            .unwrap();
         groups.add("d", 5..10, Parameterisation::Identity).unwrap();
         assert_eq!(groups.group_of(7).unwrap().name, "d");
         assert_eq!(groups.group_of(0), None);
@@ -698,6 +705,7 @@ mod tests {
             (r#""end":2"#, r#""end":3"#),
             (r#""rate":"0.25""#, r#""rate":"NaN""#),
             (r#""start":0,"end":1"#, r#""start":0,"end":7"#),
+            (r#""start":0,"end":1"#, r#""start":1,"end":1"#),
         ] {
             assert!(text.contains(from), "{text}");
             let damaged = text.replace(from, to);

@@ -30,46 +30,69 @@ pub trait Optimizer<T: Scalar> {
     fn rates_mut(&mut self) -> &mut Rates;
 }
 
-/// An optimiser that was chosen at run time.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case", bound = "")]
-pub enum AnyOptimizer<T: Scalar> {
-    /// [`Sgd`].
-    Sgd(Sgd<T>),
-    /// [`Adam`].
-    Adam(Adam<T>),
+macro_rules! optimizers {
+    ($($variant:ident $name:literal $rate:literal;)*) => {
+        /// An optimiser that was chosen at run time.
+        #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+        #[serde(bound = "")]
+        pub enum AnyOptimizer<T: Scalar> {
+            $(
+                #[doc = concat!("See [`", stringify!($variant), "`].")]
+                #[serde(rename = $name)]
+                $variant($variant<T>),
+            )*
+        }
+
+        impl<T: Scalar> AnyOptimizer<T> {
+            /// The names that [`new`](Self::new) knows.
+            pub const NAMES: [&'static str; [$($name),*].len()] = [$($name),*];
+
+            /// The optimiser of the given name with its default options.
+            pub fn new(name: &str, rates: Rates) -> Result<Self, OptimError> {
+                match name {
+                    $($name => Ok(Self::$variant($variant::with_options(rates, Default::default())?)),)*
+                    _ => Err(OptimError::UnknownName {
+                        what: "optimizer",
+                        expected: Self::NAMES.join(", "),
+                        found: name.to_owned(),
+                    }),
+                }
+            }
+
+            /// A learning rate to begin with under that name, for variables of the order of 1.
+            pub fn usual_rate(name: &str) -> Option<f64> {
+                match name {
+                    $($name => Some($rate),)*
+                    _ => None,
+                }
+            }
+
+            /// Its name among [`NAMES`](Self::NAMES).
+            pub fn name(&self) -> &'static str {
+                match self {
+                    $(Self::$variant(_) => $name,)*
+                }
+            }
+
+            fn inner(&self) -> &dyn Optimizer<T> {
+                match self {
+                    $(Self::$variant(o) => o,)*
+                }
+            }
+
+            fn inner_mut(&mut self) -> &mut dyn Optimizer<T> {
+                match self {
+                    $(Self::$variant(o) => o,)*
+                }
+            }
+        }
+    };
 }
 
-impl<T: Scalar> AnyOptimizer<T> {
-    /// The names that [`new`](Self::new) knows.
-    pub const NAMES: [&'static str; 2] = ["adam", "sgd"];
-
-    /// The optimiser of the given name with its default options.
-    pub fn new(name: &str, rates: Rates) -> Result<Self, OptimError> {
-        match name {
-            "adam" => Ok(Self::Adam(Adam::with_options(rates, Default::default())?)),
-            "sgd" => Ok(Self::Sgd(Sgd::with_options(rates, Default::default())?)),
-            _ => Err(OptimError::UnknownName {
-                what: "optimizer",
-                expected: Self::NAMES.join(", "),
-                found: name.to_owned(),
-            }),
-        }
-    }
-
-    fn inner(&self) -> &dyn Optimizer<T> {
-        match self {
-            Self::Sgd(o) => o,
-            Self::Adam(o) => o,
-        }
-    }
-
-    fn inner_mut(&mut self) -> &mut dyn Optimizer<T> {
-        match self {
-            Self::Sgd(o) => o,
-            Self::Adam(o) => o,
-        }
-    }
+// Type, name here and in files, usual rate.
+optimizers! {
+    Adam "adam" 0.03;
+    Sgd "sgd" 1.0;
 }
 
 impl<T: Scalar> Optimizer<T> for AnyOptimizer<T> {
@@ -122,5 +145,31 @@ pub(crate) fn require_finite<T: Scalar>(
                 group: None,
             })
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn all_are_known_by_one_name() {
+        for name in AnyOptimizer::<f32>::NAMES {
+            let rate = AnyOptimizer::<f32>::usual_rate(name).unwrap();
+            let made = AnyOptimizer::<f32>::new(name, Rates::new(2, rate).unwrap()).unwrap();
+            assert_eq!(made.name(), name);
+            let text = serde_json::to_string(&made).unwrap();
+            assert!(text.starts_with(&format!(r#"{{"{name}":{{"#)), "{text}");
+            assert_eq!(
+                serde_json::from_str::<AnyOptimizer<f32>>(&text).unwrap(),
+                made
+            );
+        }
+        let error = AnyOptimizer::<f32>::new("lbfgs", Rates::new(2, 1.0).unwrap()).unwrap_err();
+        assert_eq!(
+            error.to_string(),
+            "optimizer: expected one of adam, sgd, found `lbfgs`"
+        );
+        assert_eq!(AnyOptimizer::<f32>::usual_rate("lbfgs"), None);
     }
 }

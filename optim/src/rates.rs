@@ -190,7 +190,7 @@ mod tests {
         let error = rates.set_rate(2..4, 1.0).unwrap_err();
         assert_eq!(
             error.to_string(),
-            "range 2..4: expected a range within 0..3"
+            "range 2..4: expected a non-empty range within 0..3"
         );
         #[allow(clippy::reversed_empty_ranges)]
         let reversed = 2..1;

@@ -7,31 +7,41 @@
 
 use std::collections::BTreeMap;
 use std::fmt::{Display, Write as _};
+use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use clap::{Parser, ValueEnum};
+use clap::Parser;
+use clap::builder::{PossibleValuesParser, TypedValueParser};
 use optim::{
-    AnyOptimizer, Constrained, GaussNewton, Groups, LossKind, Parameterisation, PixelLoss, Rates,
-    Schedule,
+    AnyOptimizer, Constrained, GaussNewton, Groups, LossKind, Optimizer, Parameterisation,
+    PixelLoss, Rates, Schedule,
 };
-use render::instances::{Estimator, Technique, render_f32};
+use render::instances::{Estimator, Technique};
 use render::integrator::gradient::Active;
+use render::integrator::render::Rendering;
 use render::integrator::second_order::MAX_VALUES;
-use render::params::{ParamInfo, Theta};
+use render::params::ParamInfo;
 use render::sampler::mix64;
-use render::{Image, Scene, Settings, image_io};
-use serde::{Deserialize, Serialize};
+use render::{Image, RenderError, Scene, Settings, image_io};
+use serde::de::Error as _;
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use super::render::{Method, in_passes, passes};
 use crate::chart::LineChart;
 use crate::cli::{
-    LoadArgs, Outcome, SampleArgs, ThreadArgs, ToolError, depth, report_non_finite, sample_count,
+    LoadArgs, Outcome, SAMPLE_COUNTS, SampleArgs, ThreadArgs, ToolError, depth, report_non_finite,
+    sample_count,
 };
 use crate::optimise::{Algorithm, Problem};
 use crate::output;
 use crate::progress::{Bar, Interrupt};
 use crate::scenes;
+
+/// Values of `--iterations`.
+const ITERATIONS: RangeInclusive<i64> = 1..=1 << 24;
+/// Values of `--size`.
+const SIZES: RangeInclusive<i64> = 1..=4096;
 
 const EXAMPLES: &str = "\
 Examples:
@@ -42,7 +52,8 @@ Examples:
 
 Starts from the values of the scene file (-D changes them). Several targets are images of the same view
 and are averaged. The folder receives before, after and target as EXR and side by side, values and loss
-of all iterations, charts, and the result as JSON. Ctrl-C keeps everything so far (exit code 130).";
+of all iterations, charts, and the result as JSON. Ctrl-C keeps everything so far (exit code 130); the
+pictures are then left for --resume to complete.";
 
 /// Recovers parameters of a scene from images of it
 #[derive(Parser, Clone, Debug)]
@@ -60,14 +71,14 @@ pub struct Args {
     #[command(flatten)]
     pub load: LoadArgs,
     /// Algorithm [default: adam]
-    #[arg(long, value_enum)]
+    #[arg(long, value_name = "NAME", value_parser = optimizer_name())]
     pub optimizer: Option<OptimizerArg>,
     /// Number of steps [default: 400; 24 for gauss-newton]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1 << 24))]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(ITERATIONS))]
     pub iterations: Option<u32>,
-    /// Learning rate at the beginning; it falls along a cosine [default: 0.03 for adam, 1 for sgd].
-    /// For gauss-newton the fraction of a step; it falls as one over the number of steps after the
-    /// first five [default: 1]
+    /// Learning rate at the beginning; it falls along a cosine [default: the optimizer's, such as 0.03 for
+    /// adam and 1 for sgd]. For gauss-newton the fraction of a step; it falls as one over the number of
+    /// steps after the first five [default: 1]
     #[arg(long, value_name = "RATE", allow_negative_numbers = true)]
     pub lr: Option<f64>,
     /// Samples per pixel of each of the two renders of an iteration [default: 12; 48 for gauss-newton]
@@ -89,8 +100,10 @@ pub struct Args {
     #[arg(long, value_name = "N")]
     pub seed: Option<u64>,
     /// Resolution of the built-in room [default: 96]
-    #[arg(long, value_name = "PIXELS", conflicts_with = "scene",
-          value_parser = clap::value_parser!(u32).range(1..=4096))]
+    // To clap a missing scene is no mistake where it would conflict, hence those that require it.
+    #[arg(long, value_name = "PIXELS",
+          conflicts_with_all = ["scene", "targets", "defines", "allow_missing"],
+          value_parser = clap::value_parser!(u32).range(SIZES))]
     pub size: Option<u32>,
     /// Folder of the results
     #[arg(long, value_name = "DIR", default_value = "out/recover")]
@@ -106,16 +119,64 @@ pub struct Args {
     pub threads: ThreadArgs,
 }
 
-/// `--optimizer`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
+/// `--optimizer`, in files by name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum OptimizerArg {
-    /// Adam
-    Adam,
-    /// Gradient descent
-    Sgd,
-    /// Damped Gauss-Newton steps, for up to 1024 unknown values
+    /// One of [`AnyOptimizer`], by name.
+    FirstOrder(&'static str),
+    /// Damped Gauss-Newton steps, for up to 1024 unknown values.
     GaussNewton,
+}
+
+impl OptimizerArg {
+    const ADAM: Self = Self::FirstOrder("adam");
+
+    fn all() -> impl Iterator<Item = Self> {
+        let first_order = AnyOptimizer::<f32>::NAMES.map(Self::FirstOrder);
+        first_order.into_iter().chain([Self::GaussNewton])
+    }
+
+    fn name(self) -> &'static str {
+        match self {
+            Self::FirstOrder(name) => name,
+            Self::GaussNewton => "gauss-newton",
+        }
+    }
+
+    fn usual_rate(self) -> f64 {
+        match self {
+            Self::FirstOrder(name) => AnyOptimizer::<f32>::usual_rate(name).unwrap_or(1.0),
+            Self::GaussNewton => 1.0,
+        }
+    }
+}
+
+impl TryFrom<String> for OptimizerArg {
+    type Error = String;
+    fn try_from(text: String) -> Result<Self, String> {
+        Self::all().find(|o| o.name() == text).ok_or_else(|| {
+            let known: Vec<_> = Self::all().map(Self::name).collect();
+            format!("expected one of {}, found {text}", known.join(", "))
+        })
+    }
+}
+
+impl Serialize for OptimizerArg {
+    fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
+        to.serialize_str(self.name())
+    }
+}
+
+impl<'de> Deserialize<'de> for OptimizerArg {
+    fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
+        Self::try_from(String::deserialize(from)?).map_err(D::Error::custom)
+    }
+}
+
+/// Shown by `--help` with all names.
+fn optimizer_name() -> impl TypedValueParser<Value = OptimizerArg> {
+    let names = OptimizerArg::all().map(OptimizerArg::name);
+    PossibleValuesParser::new(names).try_map(OptimizerArg::try_from)
 }
 
 fn loss_name(text: &str) -> Result<String, String> {
@@ -148,51 +209,19 @@ struct Job {
 
 impl Job {
     fn new(args: &Args) -> Result<Self, ToolError> {
-        let optimizer = args.optimizer.unwrap_or(OptimizerArg::Adam);
+        let optimizer = args.optimizer.unwrap_or(OptimizerArg::ADAM);
         let mut params = args.params.clone();
         if args.scene.is_none() && params.is_empty() {
             let unknowns = scenes::cornell_unknowns();
             params = unknowns.iter().map(|u| u.name.to_owned()).collect();
         }
-        if args.scene.is_some() && args.targets.is_empty() {
-            return Err(ToolError::Usage(
-                "--target: expected an image of the scene, found none".into(),
-            ));
-        }
-        if params.is_empty() {
-            return Err(ToolError::Usage(
-                "--param: expected the key of an unknown parameter, found none; `gradient SCENE --list` \
-                 prints all"
-                    .into(),
-            ));
-        }
         let loss = args.loss.clone().unwrap_or_else(|| "relative-l2".into());
         let estimator = args.estimator.unwrap_or(Estimator::Mis);
         let spp = args.spp.unwrap_or(match optimizer {
-            OptimizerArg::Adam | OptimizerArg::Sgd => 12,
+            OptimizerArg::FirstOrder(_) => 12,
             OptimizerArg::GaussNewton => 48,
         });
-        if optimizer == OptimizerArg::GaussNewton {
-            if estimator != Estimator::Mis {
-                return Err(ToolError::Usage(format!(
-                    "--estimator: expected {} for gauss-newton, which has no other, found {}",
-                    Estimator::Mis.name(),
-                    estimator.name()
-                )));
-            }
-            if loss.parse::<LossKind>()?.dd_pixel(1.0, 1.0) == 0.0 {
-                return Err(ToolError::Usage(format!(
-                    "--loss: expected l2, relative-l2 or log-l2 for gauss-newton, found {loss}, which has \
-                     no curvature"
-                )));
-            }
-            if spp < 2 {
-                return Err(ToolError::Usage(format!(
-                    "--spp: expected at least 2 samples per pixel for gauss-newton, found {spp}"
-                )));
-            }
-        }
-        Ok(Self {
+        let job = Self {
             scene: args.scene.clone(),
             targets: args.targets.clone(),
             params,
@@ -200,13 +229,10 @@ impl Job {
             allow_missing: args.load.allow_missing,
             optimizer,
             iterations: args.iterations.unwrap_or(match optimizer {
-                OptimizerArg::Adam | OptimizerArg::Sgd => 400,
+                OptimizerArg::FirstOrder(_) => 400,
                 OptimizerArg::GaussNewton => 24,
             }),
-            lr: args.lr.unwrap_or(match optimizer {
-                OptimizerArg::Adam => 0.03,
-                OptimizerArg::Sgd | OptimizerArg::GaussNewton => 1.0,
-            }),
+            lr: args.lr.unwrap_or(optimizer.usual_rate()),
             spp,
             max_depth: args.max_depth,
             samples: args.samples.filled(),
@@ -214,7 +240,100 @@ impl Job {
             loss,
             seed: args.seed.unwrap_or(0),
             size: args.size.unwrap_or(96),
-        })
+        };
+        job.check()
+            .map_err(|wrong| ToolError::Usage(format!("{}: {}", wrong.option, wrong.message)))?;
+        Ok(job)
+    }
+
+    /// Whether it could come from a command line.
+    fn check(&self) -> Result<(), Wrong> {
+        let wrong = |option, key, message: String| {
+            Err(Wrong {
+                option,
+                key,
+                message,
+            })
+        };
+        let within = |option, key, range: &RangeInclusive<i64>, found: u32| {
+            if range.contains(&found.into()) {
+                return Ok(());
+            }
+            let (lo, hi) = (range.start(), range.end());
+            wrong(
+                option,
+                key,
+                format!("expected a number from {lo} to {hi}, found {found}"),
+            )
+        };
+        if self.scene.is_some() && self.targets.is_empty() {
+            let message = "expected an image of the scene, found none";
+            return wrong("--target", "targets", message.into());
+        }
+        if self.params.is_empty() {
+            let message = "expected the key of an unknown parameter, found none; `gradient SCENE --list` \
+                           prints all";
+            return wrong("--param", "params", message.into());
+        }
+        within("--iterations", "iterations", &ITERATIONS, self.iterations)?;
+        within("--spp", "spp", &SAMPLE_COUNTS, self.spp)?;
+        within("--size", "size", &SIZES, self.size)?;
+        if !(self.lr > 0.0 && self.lr.is_finite()) {
+            let message = format!("expected a positive finite rate, found {}", self.lr);
+            return wrong("--lr", "lr", message);
+        }
+        if self.samples.pixels_per_particle == Some(0) {
+            let message = "expected at least 1, found 0";
+            return wrong(
+                "--pixels-per-particle",
+                "samples.pixels_per_particle",
+                message.into(),
+            );
+        }
+        if let Err(e) = Estimator::from_name(&self.estimator) {
+            return wrong("--estimator", "estimator", e.to_string());
+        }
+        let loss = match self.loss.parse::<LossKind>() {
+            Ok(loss) => loss,
+            Err(e) => return wrong("--loss", "loss", e.to_string()),
+        };
+        if self.optimizer != OptimizerArg::GaussNewton {
+            return Ok(());
+        }
+        let mis = Estimator::Mis.name();
+        if self.estimator != mis {
+            let message = format!(
+                "expected {mis} for gauss-newton, which has no other, found {}",
+                self.estimator
+            );
+            return wrong("--estimator", "estimator", message);
+        }
+        if loss.dd_pixel(1.0, 1.0) == 0.0 {
+            let message = format!(
+                "expected l2, relative-l2 or log-l2 for gauss-newton, found {}, which has no curvature",
+                self.loss
+            );
+            return wrong("--loss", "loss", message);
+        }
+        if self.spp < 2 {
+            let message = format!(
+                "expected at least 2 samples per pixel for gauss-newton, found {}",
+                self.spp
+            );
+            return wrong("--spp", "spp", message);
+        }
+        Ok(())
+    }
+
+    /// How many of the first `iteration` steps end in the last quarter of the run, whose values are averaged.
+    /// Gauss-Newton steps average by themselves.
+    fn tail(&self, iteration: u32) -> u32 {
+        match self.optimizer {
+            OptimizerArg::FirstOrder(_) => {
+                iteration.saturating_sub(self.iterations - self.iterations / 4)
+            }
+            OptimizerArg::GaussNewton => 0,
+        }
     }
 
     /// An error if the arguments ask for another job than this one, which is being resumed.
@@ -252,7 +371,9 @@ impl Job {
         same("--target", some(&args.targets), self.targets.clone(), debug)?;
         same("--param", some(&args.params), self.params.clone(), debug)?;
         same("-D", some(&args.load.defines), self.defines.clone(), debug)?;
-        same("--optimizer", args.optimizer, self.optimizer, debug)?;
+        same("--optimizer", args.optimizer, self.optimizer, |o| {
+            o.name().to_owned()
+        })?;
         same("--iterations", args.iterations, self.iterations, text)?;
         same("--lr", args.lr, self.lr, text)?;
         same("--spp", args.spp, self.spp, text)?;
@@ -277,6 +398,13 @@ impl Job {
     }
 }
 
+/// What is wrong with a [`Job`]: the option, the key in a checkpoint, what was expected and what was found.
+struct Wrong {
+    option: &'static str,
+    key: &'static str,
+    message: String,
+}
+
 /// Loss and values before a step.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 struct Row {
@@ -299,8 +427,7 @@ struct Checkpoint {
     #[serde(with = "optim::exact::slice")]
     start: Vec<f32>,
     optimizer: Algorithm,
-    /// Sum of the values over the last quarter of the run, whose noise it removes. Gauss-Newton
-    /// steps average by themselves.
+    /// Sum of the values after the steps that [`Job::tail`] counts, whose noise it removes.
     #[serde(with = "optim::exact::slice")]
     tail_sum: Vec<f64>,
     tail: u32,
@@ -319,12 +446,16 @@ impl Checkpoint {
 }
 
 const CHECKPOINT: &str = "checkpoint.json";
+const TARGET: &str = "target.exr";
+const BEFORE: &str = "before.exr";
+const AFTER: &str = "after.exr";
+const PANELS: &str = "before-after-target.png";
 /// Time between two checkpoints: what a crash costs at most.
 const CHECKPOINT_EVERY: Duration = Duration::from_secs(5);
 /// Samples per pixel of the built-in target.
 const TARGET_SPP: u32 = 2048;
 /// Samples per pixel of the pictures before and after.
-const PICTURE_SPP: u32 = 512;
+const PICTURE_SPP: u64 = 512;
 
 /// A seed of its own for every purpose.
 fn stream(seed: u64, n: u64) -> u64 {
@@ -362,32 +493,19 @@ fn recover(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
         }
         None => Job::new(args)?,
     };
-    let (scene, start, truth) = load(&job)?;
     let estimator = Estimator::from_name(&job.estimator)?;
+    let (scene, active, start, truth) = load(&job, estimator)?;
     estimator.check(&scene)?;
     job.samples.check_guided(estimator)?;
-    let active = estimator.active(&scene, &job.params)?;
     let mut settings = scene.settings;
     settings.spp = job.spp;
     settings.max_depth = job.max_depth.unwrap_or(settings.max_depth);
     job.samples.apply(&scene, &mut settings)?;
     let loss: LossKind = job.loss.parse()?;
     let mut state = match resumed {
-        Some(state) => {
-            if state.values.len() != start.len() {
-                return Err(ToolError::file(
-                    &saved,
-                    format!(
-                        "expected the {} unknown values of the scene, found {}",
-                        start.len(),
-                        state.values.len()
-                    ),
-                ));
-            }
-            state
-        }
+        Some(state) => state,
         None => {
-            let values: Vec<f32> = start;
+            let values = start.clone();
             Checkpoint {
                 optimizer: optimizer(&job, &active, &values)?,
                 job: job.clone(),
@@ -400,7 +518,8 @@ fn recover(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
             }
         }
     };
-    let target_file = args.out.join("target.exr");
+    let [target_file, before_file, after_file, panels_file] =
+        [TARGET, BEFORE, AFTER, PANELS].map(|name| args.out.join(name));
     let target = if args.resume {
         read_size(&target_file, &scene)?
     } else {
@@ -421,20 +540,35 @@ fn recover(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
         target,
     };
     let mut recovery = Recovery { problem, truth };
+    if args.resume {
+        recovery.check(&state, &start, &saved)?;
+    }
     // As every run and every continuation of it starts.
     recovery.problem.set(&state.start)?;
     let seed = stream(job.seed, GUIDE_STREAM);
     (job.samples).learn(&mut recovery.problem.scene, &settings, seed, interrupt);
-    let before_file = args.out.join("before.exr");
     if !args.resume {
         output::create_dir(&args.out)?;
+        // Those of another job.
+        for file in [&saved, &before_file, &after_file, &panels_file] {
+            output::remove(file)?;
+        }
         image_io::write_exr(&target_file, &recovery.problem.target)?;
-        recovery.problem.set(&state.values)?;
-        image_io::write_exr(&before_file, &recovery.picture(job.seed))?;
         output::write_json(&saved, &state)?;
     }
-    let before = read_size(&before_file, &recovery.problem.scene)?;
+    if !before_file.exists() {
+        // Complete or not at all: a run that is resumed makes one that is missing.
+        let picture = recovery.picture("before", job.seed, interrupt)?;
+        if let Some(picture) = picture.filter(is_complete) {
+            image_io::write_exr(&before_file, &picture.image(0))?;
+        }
+    }
+    let before = match before_file.exists() {
+        true => Some(read_size(&before_file, &recovery.problem.scene)?),
+        false => None,
+    };
 
+    let first = state.iteration;
     let left = job.iterations.saturating_sub(state.iteration);
     let stop = state.iteration + args.stop_after.unwrap_or(left).min(left);
     let bar = Bar::new("recover", job.iterations.into(), interrupt);
@@ -460,28 +594,38 @@ fn recover(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     }
     bar.finish();
     output::write_json(&saved, &state)?;
-    recovery.write_results(&args.out, &state, &before)?;
-    if state.iteration < job.iterations {
-        eprintln!(
-            "stopped after {} of {} iterations; --resume --out {} continues",
-            state.iteration,
-            job.iterations,
-            args.out.display()
-        );
-        return Ok(Outcome::Interrupted);
+    if state.iteration != first {
+        // They show other values.
+        output::remove(&after_file)?;
+        output::remove(&panels_file)?;
     }
-    Ok(Outcome::Done)
+    let samples = recovery.write_results(&args.out, &state, before.as_ref(), interrupt)?;
+    if state.iteration == job.iterations && samples == PICTURE_SPP {
+        return Ok(Outcome::Done);
+    }
+    let picture = match samples {
+        n if n == PICTURE_SPP => String::new(),
+        n => format!(", with {n} of {PICTURE_SPP} samples per pixel of the picture after"),
+    };
+    eprintln!(
+        "stopped after {} of {} iterations{picture}; --resume --out {} continues",
+        state.iteration,
+        job.iterations,
+        args.out.display()
+    );
+    Ok(Outcome::Interrupted)
 }
 
-/// A scene, start values of its unknowns and, if known, the truth.
-type Loaded = (Scene, Vec<f32>, Option<Vec<f32>>);
+/// A scene, its unknowns, their start values and, if known, the truth.
+type Loaded = (Scene, Active, Vec<f32>, Option<Vec<f32>>);
 
-fn load(job: &Job) -> Result<Loaded, ToolError> {
+fn load(job: &Job, estimator: Estimator) -> Result<Loaded, ToolError> {
     let Some(path) = &job.scene else {
         let scene = scenes::cornell(job.size, job.size)?;
         let unknowns = scenes::cornell_unknowns();
+        let active = estimator.active(&scene, &job.params)?;
         let (mut start, mut truth) = (Vec::new(), Vec::new());
-        for info in Active::new(&scene, &job.params)?.ranges() {
+        for info in active.ranges() {
             let values = &scene.params().values()[info.range()];
             truth.extend_from_slice(values);
             match unknowns.iter().find(|u| u.name == info.name) {
@@ -489,18 +633,24 @@ fn load(job: &Job) -> Result<Loaded, ToolError> {
                 None => start.extend_from_slice(values),
             }
         }
-        return Ok((scene, start, Some(truth)));
+        return Ok((scene, active, start, Some(truth)));
     };
     let load = LoadArgs {
         defines: job.defines.clone(),
         allow_missing: job.allow_missing,
     };
     let (scene, _) = load.load(path)?;
+    let active = estimator.active(&scene, &job.params)?;
     let mut start = Vec::new();
-    for info in Active::new(&scene, &job.params)?.ranges() {
+    for info in active.ranges() {
         start.extend_from_slice(&scene.params().values()[info.range()]);
     }
-    Ok((scene, start, None))
+    Ok((scene, active, start, None))
+}
+
+/// Whether a picture has all of its samples.
+fn is_complete(picture: &Rendering) -> bool {
+    picture.samples == PICTURE_SPP
 }
 
 /// What the unknowns are compared with; `None` if interrupted.
@@ -549,8 +699,24 @@ fn read_size(path: &Path, scene: &Scene) -> Result<Image, ToolError> {
 fn read_checkpoint(path: &Path) -> Result<Checkpoint, ToolError> {
     let text = std::fs::read_to_string(path)
         .map_err(|e| ToolError::file(path, format!("cannot read the checkpoint: {e}")))?;
-    serde_json::from_str(&text)
-        .map_err(|e| ToolError::file(path, format!("expected a checkpoint of this tool: {e}")))
+    let checkpoint: Checkpoint = serde_json::from_str(&text)
+        .map_err(|e| ToolError::file(path, format!("expected a checkpoint of this tool: {e}")))?;
+    (checkpoint.job.check())
+        .map_err(|wrong| ToolError::file(path, format!("job.{}: {}", wrong.key, wrong.message)))?;
+    Ok(checkpoint)
+}
+
+/// Name, number of steps, groups and rates of an algorithm: what follows from the job.
+fn plan(algorithm: &Algorithm) -> (&'static str, u64, &Groups, &Rates) {
+    match algorithm {
+        Algorithm::FirstOrder(o) => (o.inner().name(), o.steps(), o.groups(), o.rates()),
+        Algorithm::GaussNewton(o) => (
+            OptimizerArg::GaussNewton.name(),
+            o.steps(),
+            o.groups(),
+            o.rates(),
+        ),
+    }
 }
 
 /// Positive numbers of unknown magnitude move by factors, everything else by steps within its bounds.
@@ -590,20 +756,15 @@ pub(crate) const WHOLE_STEPS: u64 = 5;
 fn optimizer(job: &Job, active: &Active, values: &[f32]) -> Result<Algorithm, ToolError> {
     let rates = Rates::new(values.len(), job.lr)?;
     let groups = groups(active, values)?;
-    let first_order = |name, rates: Rates| -> Result<_, ToolError> {
-        let schedule = Schedule::Cosine {
-            steps: job.iterations.into(),
-            floor: 0.01,
-        };
-        let inner = AnyOptimizer::new(name, rates.with_schedule(schedule)?)?;
-        Ok(Algorithm::FirstOrder(Constrained::new(
-            inner,
-            groups.clone(),
-        )?))
-    };
     match job.optimizer {
-        OptimizerArg::Adam => first_order("adam", rates),
-        OptimizerArg::Sgd => first_order("sgd", rates),
+        OptimizerArg::FirstOrder(name) => {
+            let schedule = Schedule::Cosine {
+                steps: job.iterations.into(),
+                floor: 0.01,
+            };
+            let inner = AnyOptimizer::new(name, rates.with_schedule(schedule)?)?;
+            Ok(Algorithm::FirstOrder(Constrained::new(inner, groups)?))
+        }
         OptimizerArg::GaussNewton => {
             if values.len() > MAX_VALUES {
                 return Err(ToolError::Usage(format!(
@@ -620,6 +781,79 @@ fn optimizer(job: &Job, active: &Active, values: &[f32]) -> Result<Algorithm, To
 }
 
 impl Recovery {
+    /// Whether a run of this job can have left this state, as far as a look at it tells. `start` is where the
+    /// scene starts.
+    fn check(&mut self, state: &Checkpoint, start: &[f32], path: &Path) -> Result<(), ToolError> {
+        let job = &state.job;
+        let require =
+            |holds: bool, key: &str, expected: &dyn Display, found: &dyn Display| match holds {
+                true => Ok(()),
+                false => Err(ToolError::file(
+                    path,
+                    format!("{key}: expected {expected}, found {found}"),
+                )),
+            };
+        let lengths = [
+            ("start", state.start.len()),
+            ("values", state.values.len()),
+            ("tail_sum", state.tail_sum.len()),
+        ];
+        for (key, n) in lengths {
+            let expected = format!("{} values as in the scene", start.len());
+            require(n == start.len(), key, &expected, &n)?;
+        }
+        for (i, (found, value)) in state.start.iter().zip(start).enumerate() {
+            let expected = format!("{value} as in the scene");
+            let same = found.to_bits() == value.to_bits();
+            require(same, &format!("start[{i}]"), &expected, found)?;
+        }
+
+        let (n, last) = (state.iteration, job.iterations);
+        let expected = format!("at most the {last} of job.iterations");
+        require(n <= last, "iteration", &expected, &n)?;
+        let rows = state.history.len();
+        let expected = format!("a row for each of {n} iterations");
+        require(rows == n as usize, "history", &expected, &rows)?;
+        let names = self.tracked_names().len();
+        for (i, row) in state.history.iter().enumerate() {
+            let key = format!("history[{i}].loss");
+            require(row.loss.is_finite(), &key, &"a finite number", &row.loss)?;
+            let (key, found) = (format!("history[{i}].values"), row.values.len());
+            require(found == names, &key, &format!("{names} values"), &found)?;
+            for v in &row.values {
+                require(v.is_finite(), &key, &"finite values", v)?;
+            }
+        }
+        let tail = job.tail(n);
+        let expected = format!("{tail} after {n} of {last} iterations");
+        require(state.tail == tail, "tail", &expected, &state.tail)?;
+        for &sum in &state.tail_sum {
+            let holds = tail > 0 || sum == 0.0;
+            require(holds, "tail_sum", &"zeros without a tail", &sum)?;
+        }
+
+        let fresh = optimizer(job, &self.problem.active, start)?;
+        let (expected, found) = (plan(&fresh), plan(&state.optimizer));
+        require(found.0 == expected.0, "optimizer", &expected.0, &found.0)?;
+        // A Gauss-Newton step may have been taken back.
+        let steps = match state.optimizer {
+            Algorithm::FirstOrder(_) => u64::from(n)..=n.into(),
+            Algorithm::GaussNewton(_) => 0..=n.into(),
+        };
+        let what = format!("{} to {} steps", steps.start(), steps.end());
+        require(steps.contains(&found.1), "optimizer.steps", &what, &found.1)?;
+        let groups = expected.2 == found.2;
+        require(groups, "optimizer.groups", &"those of the scene", &"others")?;
+        let rates = expected.3 == found.3;
+        require(rates, "optimizer.rates", &"those of the job", &"others")?;
+
+        // Finite and within the bounds of the scene.
+        for (key, values) in [("tail_sum", &state.estimate()), ("values", &state.values)] {
+            (self.problem.set(values)).map_err(|e| ToolError::file(path, format!("{key}: {e}")))?;
+        }
+        Ok(())
+    }
+
     /// One iteration. `false` if interrupted: nothing has changed then.
     fn step(&mut self, state: &mut Checkpoint, interrupt: &Interrupt) -> Result<bool, ToolError> {
         let i = u64::from(state.iteration);
@@ -643,9 +877,9 @@ impl Recovery {
         let loss = step.loss;
         state.history.push(Row { loss, values });
         state.iteration += 1;
-        let averages = state.job.optimizer == OptimizerArg::GaussNewton;
-        if !averages && state.iteration > state.job.iterations - state.job.iterations / 4 {
-            state.tail += 1;
+        let tail = state.job.tail(state.iteration);
+        if tail > 0 {
+            state.tail = tail;
             for (s, v) in state.tail_sum.iter_mut().zip(&state.values) {
                 *s += f64::from(*v);
             }
@@ -682,47 +916,60 @@ impl Recovery {
         out
     }
 
-    /// The scene as it is, with little noise.
-    fn picture(&self, seed: u64) -> Image {
-        let theta = Theta::constant(self.problem.scene.params().values());
-        let technique = Technique::MisPower;
+    /// The scene as it is, with little noise. When stopped, the passes that were complete; `None` if there
+    /// is none.
+    fn picture(
+        &self,
+        what: &str,
+        seed: u64,
+        interrupt: &Interrupt,
+    ) -> Result<Option<Rendering>, RenderError> {
+        let scene = &self.problem.scene;
+        let settings = Settings {
+            spp: PICTURE_SPP as u32,
+            ..self.problem.settings
+        };
+        let total = scene.film.pixels() as u64 * passes(scene, &settings);
+        let bar = Bar::new(what, total, interrupt);
+        let method = Method::Paths(Technique::MisPower);
         let seed = stream(seed, PICTURE_STREAM);
-        let samples = 0..u64::from(PICTURE_SPP);
-        let settings = &self.problem.settings;
-        render_f32(
-            &self.problem.scene,
-            &theta,
-            technique,
-            settings,
-            seed,
-            samples,
-            &(),
-        )
-        .image(0)
+        let picture = in_passes(scene, method, &settings, seed, &bar)?;
+        bar.finish();
+        Ok(picture)
     }
 
+    /// Everything but the checkpoint. Says how many samples per pixel the picture after has; without any it
+    /// is left out, and a complete one is not replaced by less.
     fn write_results(
         &mut self,
         out: &Path,
         state: &Checkpoint,
-        before: &Image,
-    ) -> Result<(), ToolError> {
+        before: Option<&Image>,
+        interrupt: &Interrupt,
+    ) -> Result<u64, ToolError> {
         let estimate = state.estimate();
         self.problem.set(&estimate)?;
-        let after = self.picture(state.job.seed);
-        image_io::write_exr(&out.join("after.exr"), &after)?;
-        let panels = [
-            output::panel("before", before),
-            output::panel("after", &after),
-            output::panel("target", &self.problem.target),
-        ];
-        output::write_panels(&out.join("before-after-target.png"), &panels)?;
+        let after = self.picture("after", state.job.seed, interrupt)?;
+        let file = out.join(AFTER);
+        if let Some(after) = after.as_ref().filter(|r| is_complete(r) || !file.exists()) {
+            let after = after.image(0);
+            image_io::write_exr(&file, &after)?;
+            if let Some(before) = before {
+                let panels = [
+                    output::panel("before", before),
+                    output::panel("after", &after),
+                    output::panel("target", &self.problem.target),
+                ];
+                output::write_panels(&out.join(PANELS), &panels)?;
+            }
+        }
         image_io::write_atomically(&out.join("iterations.csv"), self.csv(state).as_bytes())?;
         for (name, chart) in self.charts(state) {
             output::write_chart(&out.join(name), &chart)?;
         }
         self.write_textures(out, &estimate)?;
-        self.report(out, state, &estimate)
+        self.report(out, state, &estimate)?;
+        Ok(after.map_or(0, |r| r.samples))
     }
 
     fn csv(&self, state: &Checkpoint) -> String {
