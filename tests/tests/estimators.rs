@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use ad_core::Dual;
 use render::bsdf::{Conductor, Interpolation, NormalMap};
-use render::estimator::{Attached, BsdfOnly, Detached, EmitterOnly};
+use render::estimator::{AllowBias, Attached, AttachedRoulette, BsdfOnly, Detached, EmitterOnly};
 use render::instances::{Direction, Estimator, Technique, forward_f32, forward_f64, render_f32};
 use render::integrator::render::render;
 use render::params::{Tangent, Theta};
@@ -201,6 +201,7 @@ fn biased(e: Estimator) -> bool {
             | Estimator::AttachedMisNaive
             | Estimator::BiasedWeights
             | Estimator::BiasedAttachedWeights
+            | Estimator::BiasedRoulette
             | Estimator::BiasedMixed
     )
 }
@@ -523,6 +524,72 @@ fn normals_of_a_mirror_have_a_derivative() {
             "{reverse} {forward}"
         );
     }
+}
+
+/// A grey plate of albedo rho under a constant sky, roulette from the first bounce: survival has the probability rho, so
+/// that a weight 1 / rho that is differentiated hides the derivative, which is the light that arrives (F5). In a room
+/// where everything counts, forward and reverse mode have the same wrong derivative, and it is noticed.
+#[test]
+fn roulette_that_is_differentiated_is_wrong_and_noticed() {
+    type Wrong = AllowBias<AttachedRoulette<BsdfOnly<Detached>>>;
+    let sky = r#"<emitter type="constant"><rgb name="radiance" value="0.6"/></emitter>"#;
+    let plate = r#"<shape type="rectangle"><transform name="to_world"><scale value="9"/><rotate x="1" angle="-90"/>
+        </transform><bsdf type="diffuse" id="wall"><rgb name="reflectance" value="0.5"/></bsdf></shape>"#;
+    let roulette = |mut s: Scene, max_depth: u32| {
+        (s.settings.rr_depth, s.settings.max_depth) = (1, max_depth);
+        s
+    };
+    let open = roulette(scene(&format!("{}{plate}{sky}", camera(6, 2))), 2);
+    let mut along = vec![0.0; open.params().values().len()];
+    let range = open
+        .params()
+        .find("wall.reflectance.value")
+        .expect("a parameter")
+        .range();
+    along[range].fill(1.0);
+    let adjoint = mean_adjoint(&open);
+    let right = forward_by::<BsdfOnly<Detached>>(&open, &along, &adjoint, &open.settings, 3, 4000);
+    let wrong = forward_by::<Wrong>(&open, &along, &adjoint, &open.settings, 3, 4000);
+    assert!((right - 0.6).abs() < 0.01, "{right}");
+    assert!(wrong.abs() < 1e-12, "{wrong}");
+
+    let wall = r#"<shape type="rectangle"><transform name="to_world"><scale value="9"/><translate z="-4"/></transform>
+        <bsdf type="diffuse"><rgb name="reflectance" value="0.7, 0.2, 0.5"/></bsdf></shape>"#;
+    let case = Case {
+        name: "room",
+        scene: roulette(scene(&format!("{}{plate}{wall}{LOBES}", camera(6, 6))), 6),
+        param: "wall.reflectance.value",
+        spp: 500,
+    };
+    let [wrong, right] =
+        [Estimator::BiasedRoulette, Estimator::Mis].map(|e| derivative(e, &case, 7));
+    assert!(wrong.z(&right).abs() > 5.0, "{wrong:?} {right:?}");
+    let s = &case.scene;
+    let e = Estimator::BiasedRoulette;
+    let direction = Direction::uniform(s.params(), case.param).expect("a parameter");
+    let forward = e
+        .forward_f32(
+            s,
+            s.params().values(),
+            &[direction],
+            &s.settings,
+            5,
+            0..64,
+            &(),
+        )
+        .expect("allowed");
+    let forward = forward.mean(1).iter().sum::<f64>() / 3.0;
+    let active = e.active(s, &[case.param]).expect("a parameter");
+    let theta = Theta::constant(s.params().values());
+    let adjoint = mean_adjoint(s);
+    let gradient = e
+        .backward_f32(s, &theta, &active, &adjoint, &s.settings, 5, 0..64, &())
+        .expect("allowed");
+    let reverse: f64 = gradient.values[0].iter().sum();
+    assert!(
+        (forward - reverse).abs() < 1e-4 * forward.abs(),
+        "{forward} {reverse}"
+    );
 }
 
 /// A glass ball under smooth lobes: nothing occludes anything but itself.

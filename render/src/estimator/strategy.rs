@@ -146,6 +146,10 @@ impl<B: Sampling, E: EmitterSampling<B>> Unbiased for EmitterOnly<B, E> {}
 pub struct AllowBias<S>(PhantomData<S>);
 
 /// `S` with a roulette whose survival probability is differentiated (F5). Needs [`AllowBias`].
+///
+/// There is no such type for the choice between lobes (F6): lobes without deltas are weighed by the density of their
+/// mixture, whichever was chosen, and the probability of a delta is a primal number, whose derivative no type can ask
+/// for.
 #[derive(Clone, Copy, Debug)]
 pub struct AttachedRoulette<S>(PhantomData<S>);
 

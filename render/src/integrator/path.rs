@@ -141,6 +141,9 @@ pub trait Observer<R: Real> {
     fn normals(&mut self, _light: NormalsLight<R>) {}
     /// Called before that with the number of edges that the sample took, whatever it met.
     fn walked(&mut self, _edges: u32) {}
+    /// The path is about to go on, since a roulette that is differentiated let it: with a probability in proportion to
+    /// this channel of its throughput.
+    fn survives(&mut self, _channel: usize) {}
     /// The path goes on from the current vertex.
     fn bounce(&mut self, _bounce: Bounce<R>) {}
     /// In this direction, world space.
@@ -640,18 +643,21 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
             let inv_q = q.recip();
             self.survival *= inv_q;
             lives = inv_q;
-            if S::ATTACHED_ROULETTE && !R::IS_PRIMAL {
+            weight = weight * Const(inv_q);
+            next_beta = next_beta.scale(inv_q);
+            if S::ATTACHED_ROULETTE {
                 let c = next_beta.primal();
                 let largest = (0..3).fold(0, |m, i| if c[i] > c[m] { i } else { m });
-                let eta2 = Const(self.eta * self.eta);
-                let moving = (next_beta[largest] * eta2).min(R::of(MAX_SURVIVAL));
-                // The value of the detached factor, with the tangent of a moving probability.
-                let factor = moving.recip() * Const(moving.primal() * inv_q);
-                weight *= factor;
-                next_beta = next_beta * factor;
-            } else {
-                weight = weight * Const(inv_q);
-                next_beta = next_beta.scale(inv_q);
+                let p = c[largest] * q * self.eta * self.eta;
+                if p > R::Primal::zero() && p < R::Primal::of(MAX_SURVIVAL) {
+                    // One, with the tangent of one over a moving probability.
+                    if !R::IS_PRIMAL {
+                        let factor = next_beta[largest].recip() * Const(c[largest]);
+                        weight *= factor;
+                        next_beta = next_beta * factor;
+                    }
+                    observer.survives(largest);
+                }
             }
         }
         // Deltas have no distribution of normals.

@@ -7,7 +7,7 @@
 
 use std::marker::PhantomData;
 
-use ad_core::{Const, Dual, Float, Real, Vec2, Vec3};
+use ad_core::{Const, Dual, Float, Real, Vec2, Vec3, array};
 
 use super::direct::{Aimed, FoundLight, Weighing, aimed_light, direct_light, follows_edges};
 use super::gradient::Active;
@@ -57,6 +57,8 @@ pub struct Recorder<'a, P: Float> {
     found: Vec<(u32, FoundLight<P>)>,
     /// Sampled lights that move, with the indices of their vertices, in order.
     aimed: Vec<(u32, Aimed<P>)>,
+    /// Channels that a differentiated roulette went by, with the indices of their vertices, in order.
+    survived: Vec<(u32, usize)>,
     /// Number of entries of `lights` that belong to a vertex already.
     claimed: u32,
     /// Edges of samples of the derivative of normals.
@@ -78,6 +80,7 @@ impl<'a, P: Float> Recorder<'a, P> {
         self.lights.clear();
         self.found.clear();
         self.aimed.clear();
+        self.survived.clear();
         self.normals.clear();
         self.claimed = 0;
         self.walked = 0;
@@ -170,6 +173,9 @@ impl<'a, P: Float> Recorder<'a, P> {
         let mut next_found: &[(u32, FoundLight<P>)] = &[];
         let mut rest = &self.found[..];
         let mut aimed = self.aimed.iter().rev().peekable();
+        let mut survived = self.survived.iter().rev().peekable();
+        // Adjoints of the logarithms of survival weights beyond, together, and of throughputs that decided on them.
+        let (mut decided, mut deciding) = (P::zero(), [P::zero(); 3]);
         let mut uses = std::mem::take(&mut self.uses);
         for (index, v) in self.vertices.iter().enumerate().rev() {
             let d = d_l * v.beta;
@@ -240,7 +246,20 @@ impl<'a, P: Float> Recorder<'a, P> {
             if let Some(b) = &v.bounce {
                 here += b.f * (l + plain + followed) * b.weight;
                 let d = d * b.weight;
-                use_light(b.wi, b.component, b.part, d * (l + plain));
+                let mut d_f = d * (l + plain);
+                if S::ATTACHED_ROULETTE {
+                    if let Some((_, channel)) = survived.next_if(|(i, _)| *i as usize == index) {
+                        let own = (d * b.f * (l + plain + followed)).sum() - decided;
+                        decided += own;
+                        deciding[*channel] -= own;
+                    }
+                    d_f += array(|c| match b.f[c] == P::zero() {
+                        true => P::zero(),
+                        false => deciding[c] / b.f[c],
+                    })
+                    .into();
+                }
+                use_light(b.wi, b.component, b.part, d_f);
             }
             if let (Some(s), false) = (&v.surface, uses.is_empty()) {
                 let material = scene.shape_info(s.shape).material;
@@ -533,6 +552,12 @@ impl<P: Float> Observer<P> for Recorder<'_, P> {
     #[inline]
     fn walked(&mut self, edges: u32) {
         self.walked += edges;
+    }
+
+    #[inline]
+    fn survives(&mut self, channel: usize) {
+        let vertex = self.vertices.len().saturating_sub(1);
+        self.survived.push((vertex as u32, channel));
     }
 
     #[inline]

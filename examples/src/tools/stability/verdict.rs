@@ -435,10 +435,8 @@ pub fn text(report: &Report) -> String {
         .map(|(name, c)| format!("{name}: z {:.1}", c.z()))
         .collect();
     out.say("F5, F6", match attached.is_empty() {
-        true => "roulette and the choice of lobes take constant probabilities here; differentiating them \
-                 does not compile without `AllowBias`."
-            .into(),
-        false => format!("differentiated roulette is biased ({}).", attached.join(", ")),
+        true => "roulette and the choice of lobes take constant probabilities here (`biased-roulette` does not).".into(),
+        false => format!("differentiated roulette is biased ({}); the choice of lobes is constant by construction.", attached.join(", ")),
     });
     if let Some((worst, c)) = extreme(&p.dark) {
         out.say("F7", format!(
@@ -647,7 +645,7 @@ fn found(r: &Row) -> String {
 
 /// Whether an estimator is wrong on purpose.
 pub fn on_purpose(estimator: &str) -> bool {
-    estimator.starts_with("biased") || estimator == "attached-naive"
+    Estimator::from_name(estimator).is_ok_and(Estimator::allows_bias)
 }
 
 /// How often each estimator is right.

@@ -40,9 +40,9 @@ use crate::scene::{Caustics, LightChoice, Scene};
 use crate::shape::{AnyShape, Shape, SurfaceInteraction, sample_cone};
 use crate::texture::Texture;
 
-/// Whether waves estimate derivatives as strategy `S` does: nothing moves.
+/// Whether waves estimate derivatives as strategy `S` does: nothing moves, and decisions are constants.
 pub(super) const fn fits<S: Strategy>() -> bool {
-    S::Bsdf::DETACHED_PATH && !S::Aim::KEEPS && !follows_edges::<S>()
+    S::Bsdf::DETACHED_PATH && !S::Aim::KEEPS && !follows_edges::<S>() && !S::ATTACHED_ROULETTE
 }
 
 /// Keeps what happens to the paths of a wave.
