@@ -217,7 +217,10 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     settings.spp = args.spp.unwrap_or(settings.spp);
     args.samples.apply(&scene, &mut settings)?;
     settings.max_depth = args.max_depth.unwrap_or(settings.max_depth);
-    output::create_parent(&exr)?;
+    let png = exr.with_extension("png");
+    let mut files = vec![exr.clone(), png.clone()];
+    files.extend(args.json.clone());
+    output::prepare(&files, &[&args.scene])?;
 
     let start = Instant::now();
     let (rendering, threads) = args.threads.run(|threads| {
@@ -238,9 +241,8 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     report_non_finite(&rendering.non_finite, rendering.width, args.seed);
     let image = rendering.image(0);
     image_io::write_exr(&exr, &image)?;
-    output::write_png(&exr.with_extension("png"), &image)?;
+    output::write_png(&png, &image)?;
     if let Some(path) = &args.json {
-        output::create_parent(path)?;
         let report = Report {
             scene: args.scene.display().to_string(),
             width: rendering.width,
