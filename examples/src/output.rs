@@ -191,10 +191,13 @@ pub fn beside(path: &Path, suffix: &str) -> PathBuf {
     path.with_file_name(name)
 }
 
-/// A parameter's key as part of a file name.
+/// A parameter's key as part of a file name: different for different keys, and the same in an address.
 pub fn file_name(key: &str) -> String {
-    let keep = |c: char| c.is_ascii_alphanumeric() || "._-".contains(c);
-    key.chars().map(|c| if keep(c) { c } else { '_' }).collect()
+    let name = |b: u8| match b.is_ascii_alphanumeric() || b"._-".contains(&b) {
+        true => char::from(b).to_string(),
+        false => format!("~{b:02X}"),
+    };
+    key.bytes().map(name).collect()
 }
 
 #[cfg(test)]
