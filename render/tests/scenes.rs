@@ -153,3 +153,97 @@ fn sampling_weights_are_positive_numbers() {
         );
     }
 }
+
+/// A unit ball five units ahead of a camera with these attributes, and an integrator with those.
+fn ball_ahead(sensor: &str, integrator: &str) -> Result<Vec<String>, String> {
+    let text = format!(
+        r#"<scene version="3.0.0">
+        <integrator type="path">{integrator}</integrator>
+        <sensor type="perspective"><float name="fov" value="40"/>{sensor}
+            <film type="hdrfilm"><integer name="width" value="8"/><integer name="height" value="8"/></film>
+        </sensor>
+        <shape type="sphere"><point name="center" value="0, 0, 5"/></shape>
+        <emitter type="constant"/></scene>"#
+    );
+    match Scene::from_xml(&text, Path::new("."), &LoadOptions::default()) {
+        Ok((_, warnings)) => Ok(warnings),
+        Err(e) => Err(e.to_string()),
+    }
+}
+
+/// Files may ask for clipping where it shows no difference, and hear where it may.
+#[test]
+fn what_would_be_clipped_is_no_secret() {
+    let clip = |near: f64, far: f64| {
+        let attributes = format!(
+            r#"<float name="near_clip" value="{near}"/><float name="far_clip" value="{far}"/>"#
+        );
+        ball_ahead(&attributes, "")
+    };
+    assert_eq!(clip(3.9, 6.1), Ok(Vec::new()));
+    // The back is hidden by the front.
+    let warnings = clip(1.0, 5.9).unwrap();
+    let expected =
+        "<text>:3: sensor `perspective`: `far_clip` is not applied: something may be as far as 6";
+    assert!(warnings[0].starts_with(expected), "{warnings:?}");
+    // The front comes this near between the rays that are tried only.
+    let warnings = clip(4.0001, 7.0).unwrap();
+    let expected = "<text>:3: sensor `perspective`: `near_clip` is not applied: something may be nearer than 4.0001";
+    assert!(warnings[0].starts_with(expected), "{warnings:?}");
+    for (near, far, expected) in [
+        (4.5, 9.0, "`near_clip`: expected at most 4.0"),
+        (0.1, 3.0, "`far_clip`: expected at least 4."),
+        (0.0, 9.0, "`near_clip`: expected a positive number"),
+        (0.1, -1.0, "`far_clip`: expected a positive number"),
+        (
+            7.0,
+            6.0,
+            "`far_clip`: expected a number above `near_clip`, 7",
+        ),
+    ] {
+        let error = clip(near, far).unwrap_err();
+        let place = format!("<text>:3: {expected}");
+        assert!(error.starts_with(&place), "{error}");
+    }
+    // Not in sight: behind the camera, or beside what it sees.
+    for turn in ["180", "90"] {
+        let turned = format!(
+            r#"<transform name="to_world"><rotate y="1" angle="{turn}"/></transform>
+            <float name="near_clip" value="1"/>"#
+        );
+        assert_eq!(ball_ahead(&turned, ""), Ok(Vec::new()));
+    }
+}
+
+/// What would change the image is an error; what cannot is of its type.
+#[test]
+fn attributes_without_effect_have_none() {
+    let attribute = |tag: &str, name: &str, value: &str| {
+        let attribute = format!(r#"<{tag} name="{name}" value="{value}"/>"#);
+        ball_ahead("", &attribute)
+    };
+    assert_eq!(attribute("boolean", "hide_emitters", "false"), Ok(vec![]));
+    let warnings = attribute("float", "timeout", "-1").unwrap();
+    assert_eq!(
+        warnings,
+        ["<text>:2: integrator `path`: `timeout` has no effect"]
+    );
+    for (tag, name, value, expected) in [
+        ("boolean", "hide_emitters", "true", "expected false"),
+        (
+            "string",
+            "hide_emitters",
+            "banana",
+            "expected true or false",
+        ),
+        ("string", "timeout", "banana", "expected a number"),
+        ("float", "block_size", "1.5", "expected an integer"),
+        ("integer", "bounces", "2", "unknown attribute `bounces`"),
+    ] {
+        let error = attribute(tag, name, value).unwrap_err();
+        assert!(error.starts_with("<text>:2: "), "{error}");
+        assert!(error.contains(expected), "{name}: {error}");
+    }
+    let error = ball_ahead(r#"<string name="focus_distance" value="far"/>"#, "").unwrap_err();
+    assert!(error.contains("expected a number"), "{error}");
+}

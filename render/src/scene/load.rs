@@ -4,6 +4,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use super::builder::{Builder, MaterialId};
+use super::clip::Clip;
 use super::xml::{Document, check_limit};
 use super::{Node, Scene, Settings};
 use crate::bsdf::Diffuse;
@@ -25,7 +26,7 @@ pub struct LoadOptions {
 /// Sums of so many pixels take three gigabytes.
 const MAX_PIXELS: usize = 1 << 27;
 
-/// Integrators whose path family the path tracer covers; their further options are ignored.
+/// Integrators whose paths the path tracer covers.
 const INTEGRATORS: &[&str] = &[
     "path",
     "prb",
@@ -33,6 +34,8 @@ const INTEGRATORS: &[&str] = &[
     "path_filtered_ss",
     "path_filtered_ms",
 ];
+/// Those of them that leave out some paths.
+const FILTERED: &[&str] = &["path_filtered_ss", "path_filtered_ms"];
 /// Flags of the manifold-sampling scene files: hints to another integrator, without effect on the image.
 const HINTS: &[&str] = &[
     "caustic_receiver",
@@ -79,6 +82,7 @@ impl Scene {
         let sensor = root
             .child_with_tag("sensor")?
             .ok_or_else(|| root.missing("sensor", "a perspective sensor"))?;
+        let clip = Clip::from_node(sensor)?;
         let (camera, film) = sensor_from_node(root, sensor, &mut settings)?;
         let mut grey = None;
         for (i, node) in root.children_with_tag("shape").into_iter().enumerate() {
@@ -92,20 +96,23 @@ impl Scene {
             let name = node.id.clone().unwrap_or_else(|| "emitter".into());
             let emitter = build.within(&name, false, |b| AnyEmitter::from_node(node, b))?;
             let weight = sampling_weight(node)?;
-            node.ignore(HINTS);
+            node.ignore(HINTS, Node::boolean)?;
             node.finish()?;
             build.add_weighted_emitter(emitter, None, weight);
         }
         root.children_with_tag("bsdf");
         root.children_with_tag("texture");
         root.finish()?;
+        let mut of_builder = std::mem::take(&mut build.warnings);
+        let scene = build.build(camera, film, settings)?;
+        clip.check(sensor, &scene)?;
         let mut warnings: Vec<String> = document
             .warnings()
             .iter()
             .map(ToString::to_string)
             .collect();
-        warnings.append(&mut build.warnings);
-        Ok((build.build(camera, film, settings)?, warnings))
+        warnings.append(&mut of_builder);
+        Ok((scene, warnings))
     }
 }
 
@@ -123,14 +130,16 @@ fn integrator(node: &Node, settings: &mut Settings) -> Result<(), SceneError> {
     let direct = node.plugin == "direct";
     settings.max_depth = depth("max_depth", if direct { 2 } else { -1 })?;
     settings.rr_depth = depth("rr_depth", 5)?;
-    node.ignore(&[
-        "samples_per_pass",
-        "timeout",
-        "block_size",
-        "bounces",
-        "hide_emitters",
-        "disable_reflected_emitters",
-    ]);
+    if node.boolean_or("hide_emitters", false)? {
+        return Err(node.invalid("hide_emitters", "false: lamps are always seen"));
+    }
+    if FILTERED.contains(&node.plugin.as_str()) {
+        node.warn("traced like `path` instead: all paths, not only some");
+        node.integer("bounces")?;
+        node.boolean("disable_reflected_emitters")?;
+    }
+    node.ignore(&["samples_per_pass", "block_size"], Node::integer)?;
+    node.ignore(&["timeout"], Node::float)?;
     node.finish()
 }
 
@@ -157,7 +166,7 @@ fn sensor_from_node(
             sampler.warn("every sampler is replaced by independent samples");
         }
         settings.spp = sampler.integer_in("sample_count", 16, 1..=1 << 30)? as u32;
-        sampler.ignore(&["seed"]);
+        sampler.ignore(&["seed"], Node::integer)?;
         sampler.finish()?;
     }
     let axis = node.choice(
@@ -179,7 +188,7 @@ fn sensor_from_node(
         SceneError::Parameter { key, expected, .. } => node.invalid(&key, &expected),
         other => other,
     })?;
-    node.ignore(&["near_clip", "far_clip", "focus_distance"]);
+    node.ignore(&["focus_distance"], Node::float)?;
     node.finish()?;
     Ok((camera, film))
 }
@@ -226,13 +235,10 @@ fn film_from_node(node: &Node) -> Result<Film, SceneError> {
             filter
         }
     };
-    node.ignore(&[
-        "pixel_format",
-        "component_format",
-        "file_format",
-        "banner",
-        "sample_border",
-    ]);
+    // Images hold three colours.
+    node.choice("pixel_format", &[("rgb", ()), ("rgba", ())])?;
+    node.ignore(&["component_format", "file_format"], Node::string)?;
+    node.ignore(&["banner", "sample_border"], Node::boolean)?;
     node.finish()?;
     Ok(Film {
         size: [width, height],
@@ -278,13 +284,13 @@ fn shape(
                 AnyEmitter::from_node(e, b)
             })?;
             let weight = sampling_weight(e)?;
-            e.ignore(HINTS);
+            e.ignore(HINTS, Node::boolean)?;
             e.finish()?;
             Some((emitter, weight))
         }
         None => None,
     };
-    node.ignore(HINTS);
+    node.ignore(HINTS, Node::boolean)?;
     node.finish()?;
     let shape = build.add_shape(&name, geometry, material);
     if let Some((e, weight)) = emitter {
