@@ -247,3 +247,81 @@ fn attributes_without_effect_have_none() {
     let error = ball_ahead(r#"<string name="focus_distance" value="far"/>"#, "").unwrap_err();
     assert!(error.contains("expected a number"), "{error}");
 }
+
+/// Nothing in a file is silently without effect: twice where once is meant, nameless, unknown or unused.
+#[test]
+fn elements_that_nothing_can_use_are_errors() {
+    let with = |sensor: &str, body: &str| {
+        let text = format!(
+            r#"<scene version="3.0.0">
+            <sensor type="perspective"><float name="fov" value="40"/>{sensor}</sensor>
+            <shape type="sphere"><emitter type="area"/></shape>
+            {body}</scene>"#
+        );
+        match Scene::from_xml(&text, Path::new("."), &LoadOptions::default()) {
+            Ok((scene, warnings)) => Ok((scene.settings.spp, warnings)),
+            Err(e) => Err(e.to_string()),
+        }
+    };
+    for (body, expected) in [
+        (
+            r#"<integrator type="path"/><integrator type="direct"/>"#,
+            "<integrator> of the scene is given twice",
+        ),
+        (
+            r#"<sampler type="independent"/>"#,
+            "sampler `independent` has no `id`",
+        ),
+        (r#"<film type="hdrfilm"/>"#, "film `hdrfilm` has no `id`"),
+        (r#"<bsdf type="diffuse"/>"#, "bsdf `diffuse` has no `id`"),
+        (
+            r#"<texture type="bitmap"/>"#,
+            "texture `bitmap` has no `id`",
+        ),
+        (r#"<bsdf type="fooo" id="zz"/>"#, "unknown bsdf `fooo`"),
+        (
+            r#"<texture type="fooo" id="zz"/>"#,
+            "unknown texture `fooo`",
+        ),
+        (r#"<film type="fooo" id="zz"/>"#, "unknown film `fooo`"),
+        (
+            r#"<rfilter type="fooo" id="zz"/>"#,
+            "unknown rfilter `fooo`",
+        ),
+        (
+            r#"<emitter type="fooo" id="zz"/>"#,
+            "unknown emitter `fooo`",
+        ),
+        (
+            r#"<bsdf type="twosided" id="zz"><bsdf type="fooo"/></bsdf>"#,
+            "unknown bsdf `fooo`",
+        ),
+    ] {
+        let error = with("", body).unwrap_err();
+        let place = format!("<text>:4: {expected}");
+        assert!(error.starts_with(&place), "{body}: {error}");
+    }
+    for (body, what) in [
+        (
+            r#"<bsdf type="diffuse" id="zz"><float name="zork" value="1"/></bsdf>"#,
+            "bsdf",
+        ),
+        (r#"<emitter type="area" id="zz"/>"#, "emitter"),
+        (r#"<sampler type="any" id="zz"/>"#, "sampler"),
+    ] {
+        let expected = format!("<text>:4: {what} `zz` is not referenced by anything");
+        assert_eq!(with("", body).unwrap().1, [expected]);
+    }
+    // One that the sensor does not refer to is no second sampler.
+    let count = |n: u32| format!(r#"<integer name="sample_count" value="{n}"/>"#);
+    let body = format!(
+        r#"<sampler type="independent" id="zz">{}</sampler>"#,
+        count(3)
+    );
+    assert_eq!(with(r#"<ref id="zz"/>"#, &body), Ok((3, Vec::new())));
+    let own = format!(r#"<sampler type="independent">{}</sampler>"#, count(5));
+    let (spp, warnings) = with(&own, &body).unwrap();
+    assert_eq!((spp, warnings.len()), (5, 1));
+    let error = with(&format!(r#"<ref id="zz"/>{own}"#), &body).unwrap_err();
+    assert!(error.contains("is given twice"), "{error}");
+}

@@ -7,12 +7,13 @@ use super::builder::{Builder, MaterialId};
 use super::clip::Clip;
 use super::xml::{Document, check_limit};
 use super::{Node, Scene, Settings};
-use crate::bsdf::Diffuse;
+use crate::bsdf::{Diffuse, Material};
 use crate::camera::{Camera, FovAxis};
 use crate::emitter::AnyEmitter;
 use crate::error::SceneError;
 use crate::film::{Film, PixelFilter};
 use crate::shape::AnyShape;
+use crate::texture;
 
 /// How a scene file is loaded.
 #[derive(Clone, Debug, Default)]
@@ -36,6 +37,10 @@ const INTEGRATORS: &[&str] = &[
 ];
 /// Those of them that leave out some paths.
 const FILTERED: &[&str] = &["path_filtered_ss", "path_filtered_ms"];
+const FILMS: &[&str] = &["hdrfilm"];
+const FILTERS: &[&str] = &["box", "gaussian"];
+/// What does nothing at the root unless something refers to it.
+const DECLARED: &[&str] = &["bsdf", "texture", "film", "sampler", "rfilter"];
 /// Flags of the manifold-sampling scene files: hints to another integrator, without effect on the image.
 const HINTS: &[&str] = &[
     "caustic_receiver",
@@ -76,14 +81,14 @@ impl Scene {
         let mut build = Builder::new();
         build.allow_missing = options.allow_missing;
         let mut settings = Settings::default();
-        for node in root.children_with_tag("integrator") {
+        if let Some(node) = root.child_with_tag("integrator")? {
             integrator(node, &mut settings)?;
         }
         let sensor = root
             .child_with_tag("sensor")?
             .ok_or_else(|| root.missing("sensor", "a perspective sensor"))?;
         let clip = Clip::from_node(sensor)?;
-        let (camera, film) = sensor_from_node(root, sensor, &mut settings)?;
+        let (camera, film) = sensor_from_node(sensor, &mut settings)?;
         let mut grey = None;
         for (i, node) in root.children_with_tag("shape").into_iter().enumerate() {
             shape(node, i, &mut build, &mut grey)?;
@@ -100,8 +105,11 @@ impl Scene {
             node.finish()?;
             build.add_weighted_emitter(emitter, None, weight);
         }
-        root.children_with_tag("bsdf");
-        root.children_with_tag("texture");
+        for tag in DECLARED {
+            for node in root.children_with_tag(tag) {
+                declaration(node)?;
+            }
+        }
         root.finish()?;
         let mut of_builder = std::mem::take(&mut build.warnings);
         let scene = build.build(camera, film, settings)?;
@@ -114,6 +122,31 @@ impl Scene {
         warnings.append(&mut of_builder);
         Ok((scene, warnings))
     }
+}
+
+/// Checks what may never be built, for want of a reference to it.
+fn declaration(node: &Node) -> Result<(), SceneError> {
+    if node.id.is_none() {
+        return Err(node.missing("id", "a name for others to refer to"));
+    }
+    known_plugins(node)
+}
+
+/// An error for the first plugin in a declaration that does not exist.
+fn known_plugins(node: &Node) -> Result<(), SceneError> {
+    let known = match node.tag.as_str() {
+        "bsdf" => Material::PLUGINS.concat(),
+        "texture" => texture::PLUGINS.to_vec(),
+        "film" => FILMS.to_vec(),
+        "rfilter" => FILTERS.to_vec(),
+        // Any sampler will do.
+        _ => return Ok(()),
+    };
+    if !known.contains(&node.plugin.as_str()) {
+        return Err(node.unknown_plugin(&known));
+    }
+    node.children()
+        .try_for_each(|(_, child)| known_plugins(child))
 }
 
 fn integrator(node: &Node, settings: &mut Settings) -> Result<(), SceneError> {
@@ -143,25 +176,15 @@ fn integrator(node: &Node, settings: &mut Settings) -> Result<(), SceneError> {
     node.finish()
 }
 
-fn sensor_from_node(
-    root: &Node,
-    node: &Node,
-    settings: &mut Settings,
-) -> Result<(Camera, Film), SceneError> {
+fn sensor_from_node(node: &Node, settings: &mut Settings) -> Result<(Camera, Film), SceneError> {
     if node.plugin != "perspective" {
         return Err(node.unknown_plugin(&["perspective"]));
     }
-    let film = match (node.child_with_tag("film")?, root.child_with_tag("film")?) {
-        (Some(film), _) | (None, Some(film)) => film_from_node(film)?,
-        (None, None) => Film::new(768, 576),
+    let film = match node.child_with_tag("film")? {
+        Some(film) => film_from_node(film)?,
+        None => Film::new(768, 576),
     };
-    for sampler in [
-        node.child_with_tag("sampler")?,
-        root.child_with_tag("sampler")?,
-    ]
-    .into_iter()
-    .flatten()
-    {
+    if let Some(sampler) = node.child_with_tag("sampler")? {
         if sampler.plugin != "independent" {
             sampler.warn("every sampler is replaced by independent samples");
         }
@@ -194,8 +217,8 @@ fn sensor_from_node(
 }
 
 fn film_from_node(node: &Node) -> Result<Film, SceneError> {
-    if node.plugin != "hdrfilm" {
-        return Err(node.unknown_plugin(&["hdrfilm"]));
+    if !FILMS.contains(&node.plugin.as_str()) {
+        return Err(node.unknown_plugin(FILMS));
     }
     let size = |key, default| node.integer_in(key, default, 1..=1 << 16).map(|x| x as u32);
     let (width, height) = (size("width", 768)?, size("height", 576)?);
@@ -229,7 +252,7 @@ fn film_from_node(node: &Node) -> Result<Film, SceneError> {
                     }
                     PixelFilter::Gaussian { stddev }
                 }
-                _ => return Err(f.unknown_plugin(&["box", "gaussian"])),
+                _ => return Err(f.unknown_plugin(FILTERS)),
             };
             f.finish()?;
             filter
