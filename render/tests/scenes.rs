@@ -5,9 +5,14 @@ mod common;
 use std::path::Path;
 
 use common::{files_below, shared_dir};
-use render::Scene;
+use render::bsdf::Diffuse;
+use render::camera::{Camera, FovAxis};
 use render::emitter::AnyEmitter;
-use render::scene::LoadOptions;
+use render::film::Film;
+use render::math::Transform;
+use render::scene::{Builder, LoadOptions};
+use render::shape::{Patch, Rectangle};
+use render::{Scene, Settings};
 
 fn options() -> LoadOptions {
     LoadOptions {
@@ -324,4 +329,104 @@ fn elements_that_nothing_can_use_are_errors() {
     assert_eq!((spp, warnings.len()), (5, 1));
     let error = with(&format!(r#"<ref id="zz"/>{own}"#), &body).unwrap_err();
     assert!(error.contains("is given twice"), "{error}");
+}
+
+/// Sizes that no ray reaches are errors that name the line and the attribute, or the shape.
+#[test]
+fn shapes_out_of_reach_are_errors() {
+    let shape = |plugin: &str, content: &str| {
+        let text = format!(
+            "<scene version=\"3.0.0\"><sensor type=\"perspective\"><float name=\"fov\" value=\"40\"/></sensor>
+            <shape type=\"{plugin}\">
+            {content}</shape></scene>"
+        );
+        let scene = Scene::from_xml(&text, Path::new("."), &LoadOptions::default());
+        scene.map(|_| ()).map_err(|e| e.to_string())
+    };
+    let float = |name: &str, value: f64| format!(r#"<float name="{name}" value="{value}"/>"#);
+    let point = |name: &str, x: f64| format!(r#"<point name="{name}" x="{x}"/>"#);
+    let scaled =
+        |by: f64| format!(r#"<transform name="to_world"><scale value="{by}"/></transform>"#);
+    let stretched = r#"<transform name="to_world"><scale x="9e11" y="1" z="1"/></transform>"#;
+    for (plugin, content, expected) in [
+        (
+            "sphere",
+            float("radius", 1e30),
+            "<text>:3: `radius`: expected a length",
+        ),
+        (
+            "sphere",
+            float("radius", 1e-30),
+            "<text>:3: `radius`: expected a length",
+        ),
+        (
+            "sphere",
+            point("center", 1e30),
+            "<text>:3: `center`: expected coordinates",
+        ),
+        (
+            "sphere",
+            scaled(1e30),
+            "<text>:3: `to_world`: expected a uniform scale",
+        ),
+        (
+            "cylinder",
+            float("radius", 1e30),
+            "<text>:3: `radius`: expected a length",
+        ),
+        (
+            "cylinder",
+            point("p1", 1e30),
+            "<text>:3: `p1`: expected points in reach",
+        ),
+        (
+            "cylinder",
+            scaled(1e30),
+            "<text>:3: `to_world`: expected a transform",
+        ),
+        (
+            "rectangle",
+            scaled(1e30),
+            "<text>:2: `rectangle`: expected finite coordinates of magnitude at most 1e12, found -1e30",
+        ),
+        (
+            "cube",
+            scaled(1e30),
+            "<text>:2: `cube`: expected finite coordinates",
+        ),
+        (
+            "disk",
+            scaled(1e30),
+            "<text>:3: `to_world`: expected a transform",
+        ),
+        // Its sides are longer than its corners are far.
+        (
+            "rectangle",
+            stretched.into(),
+            "<text>:2: `rectangle`: expected finite coordinates of magnitude at most 1e12, found 1.8e12",
+        ),
+    ] {
+        let error = shape(plugin, &content).unwrap_err();
+        assert!(error.starts_with(expected), "{plugin} {content}: {error}");
+    }
+    // What matters is the size in the world.
+    let back = format!("{}{}", float("radius", 1e30), scaled(1e-30));
+    assert_eq!(shape("sphere", &back), Ok(()));
+    // One that still is in reach, as far as its corners go.
+    let wide = r#"<transform name="to_world"><scale x="4.9e11" y="1" z="1"/></transform>"#;
+    assert_eq!(shape("rectangle", wide), Ok(()));
+    // In code there are names instead of lines.
+    let mut build = Builder::new();
+    let reflectance = build.rgb("grey", [0.5; 3], (0.0, 1.0)).unwrap();
+    let grey = build.add_material(Diffuse { reflectance });
+    for (name, side) in [("small", 1.0), ("big", 1e30)] {
+        let patch = Patch::new([0.0; 3], [side, 0.0, 0.0], [0.0, side, 0.0], false).unwrap();
+        build.add_shape(name, Rectangle(patch), grey);
+    }
+    let camera = Camera::new(Transform::IDENTITY, 40.0, FovAxis::X, [8, 8]).unwrap();
+    let scene = build.build(camera, Film::new(8, 8), Settings::default());
+    let error = scene.map(|_| ()).unwrap_err().to_string();
+    let expected =
+        "parameter `big`: expected finite coordinates of magnitude at most 1e12, found 1e30";
+    assert_eq!(error, expected);
 }

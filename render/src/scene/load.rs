@@ -3,16 +3,17 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use super::builder::{Builder, MaterialId};
+use super::builder::{Builder, MaterialId, out_of_reach};
 use super::clip::Clip;
 use super::xml::{Document, check_limit};
 use super::{Node, Scene, Settings};
+use crate::accel::{Accel, MAX_COORDINATE};
 use crate::bsdf::{Diffuse, Material};
 use crate::camera::{Camera, FovAxis};
 use crate::emitter::AnyEmitter;
 use crate::error::SceneError;
 use crate::film::{Film, PixelFilter};
-use crate::shape::AnyShape;
+use crate::shape::{AnyShape, Shape};
 use crate::texture;
 
 /// How a scene file is loaded.
@@ -287,6 +288,11 @@ fn shape(
 ) -> Result<(), SceneError> {
     let name = node.id.clone().unwrap_or_else(|| format!("shape{index}"));
     let geometry = AnyShape::from_node(node, build)?;
+    // The builder would complain too, but knows no line.
+    if geometry.extent() > MAX_COORDINATE {
+        Accel::build(&geometry.primitives())
+            .map_err(|e| out_of_reach(&node.plugin, &e).at(&node.location))?;
+    }
     let material = match node.child_with_tag("bsdf")? {
         Some(bsdf) => {
             let m = build.within(&name, false, |b| b.material_from_node(bsdf, "bsdf"))?;
