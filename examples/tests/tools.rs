@@ -127,6 +127,14 @@ fn mistakes_end_with_a_message_and_without_a_file() {
         .replace(r#"<bsdf type="diffuse" id="wall">"#, FLIPPED)
         .replacen("</bsdf>", "</bsdf></bsdf>", 1);
     std::fs::write(dir.path("flipped.xml"), flipped).unwrap();
+    let bright = SCENE.replace(
+        "</scene>",
+        r#"<emitter type="constant" id="sky"><rgb name="radiance" value="3.4e38"/></emitter></scene>"#,
+    );
+    std::fs::write(dir.path("bright.xml"), bright).unwrap();
+    let mut large = Image::new(36, 24);
+    large.data.fill(3e38);
+    write_exr(&dir.path("large.exr"), &large).unwrap();
     std::fs::create_dir(dir.path("damaged")).unwrap();
     std::fs::write(dir.path("damaged/checkpoint.json"), "{}").unwrap();
     let before = dir.names();
@@ -227,6 +235,20 @@ fn mistakes_end_with_a_message_and_without_a_file() {
             "wall.alpha",
         ),
         ("gradient", format!("{wall} --estimator luck"), 2, "luck"),
+        (
+            "gradient",
+            format!("{wall} --adjoint large.exr --json a.json"),
+            1,
+            "gradient: expected a finite value",
+        ),
+        (
+            "gradient",
+            format!(
+                "bright.xml --param {WALL} --estimator differential-mis --repeats 2 --json a.json"
+            ),
+            1,
+            "(in `wall.reflectance.value`)",
+        ),
         ("gradient", format!("{wall} --repeats 0"), 2, "--repeats"),
         (
             "gradient",

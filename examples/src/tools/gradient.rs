@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use clap::Parser;
-use optim::{Loss, LossKind};
+use optim::{Loss, LossKind, OptimError};
 use render::auto::{self, Mixture};
 use render::instances::{Direction, Estimator, Technique, forward_f32, render_f32};
 use render::integrator::render::{NonFinite, Progress};
@@ -238,6 +238,11 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
         eprintln!("interrupted before the first repeat was complete: nothing was written");
         return Ok(Outcome::Interrupted);
     };
+    statistics.check(&ranges)?;
+    for (info, image) in ranges.iter().zip(&images) {
+        let pixels = image.data.iter().map(|&x| f64::from(x));
+        require_finite("derivative image", info, pixels)?;
+    }
     statistics.print(&scene, &ranges);
     if let Some(dir) = &args.images {
         for (info, image) in ranges.iter().zip(&images) {
@@ -521,6 +526,23 @@ impl Statistics {
         Some(squares.iter().map(|s| (s / (n - 1.0) / n).sqrt()).collect())
     }
 
+    /// Means and standard errors are numbers: lights and adjoints near the end of single precision overflow.
+    fn check(&self, ranges: &[ParamInfo]) -> Result<(), ToolError> {
+        for (r, info) in ranges.iter().enumerate() {
+            // As they are written.
+            let written = |x: f64| match info.shape {
+                ParamShape::Texture { .. } => f64::from(x as f32),
+                _ => x,
+            };
+            let mean = self.mean[r].iter().copied();
+            require_finite("gradient", info, mean.map(written))?;
+            if let Some(error) = self.std_error(r) {
+                require_finite("standard error", info, error.into_iter().map(written))?;
+            }
+        }
+        Ok(())
+    }
+
     fn loss(&self) -> Option<f64> {
         let n = self.losses.len();
         (n > 0).then(|| self.losses.iter().sum::<f64>() / n as f64)
@@ -578,6 +600,27 @@ impl Statistics {
             out.insert(info.name.clone(), report);
         }
         Ok(out)
+    }
+}
+
+/// An error for the first number of a parameter that is not finite.
+fn require_finite(
+    what: &'static str,
+    info: &ParamInfo,
+    numbers: impl IntoIterator<Item = f64>,
+) -> Result<(), ToolError> {
+    match numbers
+        .into_iter()
+        .enumerate()
+        .find(|(_, x)| !x.is_finite())
+    {
+        None => Ok(()),
+        Some((index, value)) => Err(ToolError::Optim(OptimError::NonFiniteValue {
+            what,
+            index,
+            value,
+            group: Some(info.name.clone()),
+        })),
     }
 }
 
