@@ -205,6 +205,30 @@ fn mistakes_end_with_a_message_and_without_a_file() {
         ),
         (
             "render",
+            "scene.xml --strategy bsdf --lights all -o a.exr".into(),
+            1,
+            "--lights: BSDF sampling chooses no lights",
+        ),
+        (
+            "render",
+            "scene.xml --strategy emitter --heuristic balance -o a.exr".into(),
+            1,
+            "--heuristic: a single technique has no weights",
+        ),
+        (
+            "render",
+            "scene.xml --integrator particle --strategy bsdf -o a.exr".into(),
+            1,
+            "--strategy: particles",
+        ),
+        (
+            "render",
+            "scene.xml --integrator particle --heuristic balance -o a.exr".into(),
+            1,
+            "--heuristic: particles",
+        ),
+        (
+            "render",
             "scene.xml --pixels-per-particle 2 -o a.exr".into(),
             1,
             "expected --caustics particles",

@@ -144,21 +144,45 @@ impl Args {
             symmetry,
             side_tests: false,
         };
-        if self.samples.lights.unwrap_or_default() != LightChoice::One
-            && self.integrator != IntegratorArg::Path
-        {
-            let message = "--lights: particles choose no lights; expected --integrator path";
-            return Err(ToolError::Usage(message.into()));
-        }
-        if self.samples.caustics.unwrap_or_default() != Caustics::Paths
-            && self.integrator != IntegratorArg::Path
-        {
-            let message = "--caustics: all light is particles' here; expected --integrator path";
-            return Err(ToolError::Usage(message.into()));
-        }
-        if self.samples.guide && self.integrator != IntegratorArg::Path {
-            let message = "--guide: particles are not guided; expected --integrator path";
-            return Err(ToolError::Usage(message.into()));
+        let paths = self.integrator == IntegratorArg::Path;
+        let lights = self.samples.lights.unwrap_or_default() != LightChoice::One;
+        let caustics = self.samples.caustics.unwrap_or_default() != Caustics::Paths;
+        let strategy = self.strategy != StrategyArg::Mis;
+        let heuristic = self.heuristic != HeuristicArg::Power;
+        // What would have no effect.
+        for (idle, message) in [
+            (
+                lights && !paths,
+                "--lights: particles choose no lights; expected --integrator path",
+            ),
+            (
+                lights && self.strategy == StrategyArg::Bsdf,
+                "--lights: BSDF sampling chooses no lights; expected --strategy mis or emitter",
+            ),
+            (
+                caustics && !paths,
+                "--caustics: all light is particles' here; expected --integrator path",
+            ),
+            (
+                self.samples.guide && !paths,
+                "--guide: particles are not guided; expected --integrator path",
+            ),
+            (
+                strategy && !paths,
+                "--strategy: particles find the camera in one way only; expected --integrator path",
+            ),
+            (
+                heuristic && !paths,
+                "--heuristic: particles combine no techniques; expected --integrator path",
+            ),
+            (
+                heuristic && strategy,
+                "--heuristic: a single technique has no weights; expected --strategy mis",
+            ),
+        ] {
+            if idle {
+                return Err(ToolError::Usage(message.into()));
+            }
         }
         match (self.integrator, self.radius) {
             (IntegratorArg::Path, None) if !self.ignore_non_symmetry => {
