@@ -1,5 +1,7 @@
 //! Files that tools write and read. Every file appears complete or not at all.
 
+use std::collections::HashMap;
+use std::fs;
 use std::path::{Path, PathBuf};
 
 use render::Image;
@@ -8,6 +10,52 @@ use serde::Serialize;
 
 use crate::chart::{self, LineChart, Panel};
 use crate::cli::ToolError;
+
+/// Makes sure, before the work, that all these files can be written in the end: creates their folders, and
+/// tries each of them. They must differ from each other, and from what is read: the last one written would
+/// replace it.
+///
+/// # Errors
+/// The operating system's, or two paths to the same file.
+pub fn prepare(written: &[PathBuf], read: &[&Path]) -> Result<(), ToolError> {
+    let mut uses: HashMap<PathBuf, &str> = HashMap::new();
+    for path in read {
+        // One that cannot be found has been complained about, or will be.
+        if let Ok(place) = place(path) {
+            uses.insert(place, "is read");
+        }
+    }
+    for path in written {
+        create_parent(path)?;
+        let unwritable = |e| ToolError::file(path, format!("cannot write the file: {e}"));
+        let place = place(path).map_err(unwritable)?;
+        if place.exists() && !place.is_file() {
+            let message = "expected a file, found a folder or a device";
+            return Err(ToolError::file(path, message));
+        }
+        // As when it is written: under another name beside it.
+        let mut name = std::ffi::OsString::from(".");
+        name.push(place.file_name().unwrap_or_default());
+        name.push(format!(".{}.trial", std::process::id()));
+        let trial = place.with_file_name(name);
+        (fs::File::create_new(&trial).and_then(|_| fs::remove_file(&trial))).map_err(unwritable)?;
+        if let Some(first) = uses.insert(place, "would be written twice") {
+            let message = format!("expected a file of its own, found one that {first}");
+            return Err(ToolError::file(path, message));
+        }
+    }
+    Ok(())
+}
+
+/// Which file a path leads to, whether it exists or not; its folder does.
+fn place(path: &Path) -> std::io::Result<PathBuf> {
+    let name = (path.file_name()).ok_or(std::io::ErrorKind::InvalidFilename)?;
+    let folder = match path.parent() {
+        Some(dir) if !dir.as_os_str().is_empty() => dir,
+        _ => Path::new("."),
+    };
+    Ok(folder.canonicalize()?.join(name))
+}
 
 /// Creates the folder that `path` lies in.
 ///
@@ -156,10 +204,13 @@ pub fn beside(path: &Path, suffix: &str) -> PathBuf {
     path.with_file_name(name)
 }
 
-/// A parameter's key as part of a file name.
+/// A parameter's key as part of a file name: different for different keys, and the same in an address.
 pub fn file_name(key: &str) -> String {
-    let keep = |c: char| c.is_ascii_alphanumeric() || "._-".contains(c);
-    key.chars().map(|c| if keep(c) { c } else { '_' }).collect()
+    let name = |b: u8| match b.is_ascii_alphanumeric() || b"._-".contains(&b) {
+        true => char::from(b).to_string(),
+        false => format!("~{b:02X}"),
+    };
+    key.bytes().map(name).collect()
 }
 
 #[cfg(test)]
@@ -178,12 +229,57 @@ mod tests {
     }
 
     #[test]
+    fn what_cannot_be_written_is_known_before() {
+        let dir = tempfile::tempdir().unwrap();
+        let at = |name: &str| dir.path().join(name);
+        let input = at("in.xml");
+        fs::write(&input, "in").unwrap();
+        fs::create_dir(at("folder")).unwrap();
+        let refused = |names: &[&str]| {
+            let files: Vec<PathBuf> = names.iter().map(|n| at(n)).collect();
+            prepare(&files, &[&input]).unwrap_err().to_string()
+        };
+        for (names, named) in [
+            (
+                &["a.exr", "folder/../a.exr"][..],
+                "folder/../a.exr: expected a file of its own, found one that would be written twice",
+            ),
+            (
+                &["a.exr", "in.xml"],
+                "in.xml: expected a file of its own, found one that is read",
+            ),
+            (&["folder"], "folder: expected a file, found a folder"),
+            (&["in.xml/a.exr"], "in.xml: cannot create the folder"),
+            (&["a/.."], "a/..: cannot write the file"),
+        ] {
+            let error = refused(names);
+            assert!(error.contains(named), "{names:?}: {error}");
+        }
+        // Folders are made; nothing else is left, and a file that is there stays.
+        prepare(&[at("new/a.exr"), at("b.json")], &[&input]).unwrap();
+        assert_eq!(fs::read(&input).unwrap(), b"in");
+        assert_eq!(fs::read_dir(at("new")).unwrap().count(), 0);
+        let names = fs::read_dir(dir.path()).unwrap();
+        assert_eq!(
+            names
+                .filter(|e| e.as_ref().unwrap().path().is_file())
+                .count(),
+            1
+        );
+    }
+
+    #[test]
     fn names_of_files() {
         let path = Path::new("a/b.c.json");
         assert_eq!(beside(path, "x.exr"), Path::new("a/b.c.x.exr"));
-        assert_eq!(
-            file_name("wall/2.reflectance value"),
-            "wall_2.reflectance_value"
-        );
+        let key = "wall/2.reflectance value";
+        assert_eq!(file_name(key), "wall~2F2.reflectance~20value");
+        let keys = ["a b", "a_b", "a~20b", "\u{e4} b", "\u{e5} b"];
+        for (i, key) in keys.iter().enumerate() {
+            let name = file_name(key);
+            let safe = |c: char| c.is_ascii_alphanumeric() || "._-~".contains(c);
+            assert!(name.chars().all(safe), "{name}");
+            assert!(keys[..i].iter().all(|k| file_name(k) != name), "{name}");
+        }
     }
 }

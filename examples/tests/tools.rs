@@ -149,6 +149,14 @@ fn mistakes_end_with_a_message_and_without_a_file() {
         .replace(r#"<bsdf type="diffuse" id="wall">"#, FLIPPED)
         .replacen("</bsdf>", "</bsdf></bsdf>", 1);
     std::fs::write(dir.path("flipped.xml"), flipped).unwrap();
+    let bright = SCENE.replace(
+        "</scene>",
+        r#"<emitter type="constant" id="sky"><rgb name="radiance" value="3.4e38"/></emitter></scene>"#,
+    );
+    std::fs::write(dir.path("bright.xml"), bright).unwrap();
+    let mut large = Image::new(36, 24);
+    large.data.fill(3e38);
+    write_exr(&dir.path("large.exr"), &large).unwrap();
     std::fs::create_dir(dir.path("damaged")).unwrap();
     std::fs::write(dir.path("damaged/checkpoint.json"), "{}").unwrap();
     let before = dir.names();
@@ -165,6 +173,30 @@ fn mistakes_end_with_a_message_and_without_a_file() {
             "scene.xml -o scene.xml/a.exr".into(),
             1,
             "scene.xml",
+        ),
+        (
+            "render",
+            "scene.xml -o a.exr --json scene.xml/a.json".into(),
+            1,
+            "scene.xml: cannot create the folder",
+        ),
+        (
+            "render",
+            "scene.xml -o a.exr --json damaged".into(),
+            1,
+            "damaged: expected a file, found a folder",
+        ),
+        (
+            "render",
+            "scene.xml -o a.exr --json damaged/../a.png".into(),
+            1,
+            "a.png: expected a file of its own, found one that would be written twice",
+        ),
+        (
+            "render",
+            "scene.xml -o a.exr --json scene.xml".into(),
+            1,
+            "scene.xml: expected a file of its own, found one that is read",
         ),
         ("render", "scene.xml --spp 0".into(), 2, "--spp"),
         ("render", "scene.xml --spp many".into(), 2, "--spp"),
@@ -192,6 +224,30 @@ fn mistakes_end_with_a_message_and_without_a_file() {
             "scene.xml --caustics particles --integrator particle -o a.exr".into(),
             1,
             "--caustics",
+        ),
+        (
+            "render",
+            "scene.xml --strategy bsdf --lights all -o a.exr".into(),
+            1,
+            "--lights: BSDF sampling chooses no lights",
+        ),
+        (
+            "render",
+            "scene.xml --strategy emitter --heuristic balance -o a.exr".into(),
+            1,
+            "--heuristic: a single technique has no weights",
+        ),
+        (
+            "render",
+            "scene.xml --integrator particle --strategy bsdf -o a.exr".into(),
+            1,
+            "--strategy: particles",
+        ),
+        (
+            "render",
+            "scene.xml --integrator particle --heuristic balance -o a.exr".into(),
+            1,
+            "--heuristic: particles",
         ),
         (
             "render",
@@ -225,6 +281,20 @@ fn mistakes_end_with_a_message_and_without_a_file() {
             "wall.alpha",
         ),
         ("gradient", format!("{wall} --estimator luck"), 2, "luck"),
+        (
+            "gradient",
+            format!("{wall} --adjoint large.exr --json a.json"),
+            1,
+            "gradient: expected a finite value",
+        ),
+        (
+            "gradient",
+            format!(
+                "bright.xml --param {WALL} --estimator differential-mis --repeats 2 --json a.json"
+            ),
+            1,
+            "(in `wall.reflectance.value`)",
+        ),
         ("gradient", format!("{wall} --repeats 0"), 2, "--repeats"),
         (
             "gradient",
@@ -274,6 +344,24 @@ fn mistakes_end_with_a_message_and_without_a_file() {
             format!("{wall} --adjoint nowhere.exr --images d"),
             1,
             "nowhere.exr",
+        ),
+        (
+            "gradient",
+            format!("{wall} --json scene.xml/a.json --images ."),
+            1,
+            "scene.xml: cannot create the folder",
+        ),
+        (
+            "gradient",
+            format!("{wall} --images . --json {WALL}.exr"),
+            1,
+            "would be written twice",
+        ),
+        (
+            "gradient",
+            format!("{wall} --estimator attached --images d"),
+            1,
+            "discontinuities",
         ),
         ("recover", format!("{wall} --out d"), 1, "--target"),
         (

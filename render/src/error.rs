@@ -205,6 +205,25 @@ pub enum SceneError {
     },
 }
 
+impl SceneError {
+    /// A parameter given in code, where the code follows this line of a file.
+    pub(crate) fn at(self, location: &Location) -> Self {
+        match self {
+            Self::Parameter {
+                key,
+                expected,
+                found,
+            } => Self::Value {
+                location: location.clone(),
+                key,
+                expected,
+                found,
+            },
+            other => other,
+        }
+    }
+}
+
 /// `:12`, or nothing.
 struct Line(Option<u32>);
 
@@ -315,7 +334,8 @@ pub enum RenderError {
     /// An estimator whose samples move by themselves, in a scene with discontinuities.
     #[error(
         "attached samples would move across discontinuities ({culprit}): the derivative would be \
-         biased; use a detached or reparameterised estimator, or `AllowBias` to study the bias"
+         biased; use a detached or reparameterised estimator, or one that allows the bias to study it: \
+         `attached-naive`, in code `AllowBias`"
     )]
     Discontinuous {
         /// What makes them.

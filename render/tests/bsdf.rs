@@ -945,6 +945,27 @@ fn fresnel_of_metals() {
     }
 }
 
+/// Metals stay bright up to the largest index that single precision holds, and have derivatives. Against double
+/// precision, whose range is far from its end.
+#[test]
+fn fresnel_of_extreme_metals() {
+    for large in [9e5f32, 1.1e6, 4e9, 1e19, 3e38] {
+        for (eta, k) in [(large, 0.0), (0.0, large), (large, large), (1.5, large)] {
+            for cos in [1e-3f32, 0.3, 1.0] {
+                let exact = fresnel::conductor(f64::from(cos), eta.into(), k.into());
+                let f = fresnel::conductor(
+                    Dual::<f32, 3>::var(cos, 0),
+                    Dual::var(eta, 1),
+                    Dual::var(k, 2),
+                );
+                let off = (f64::from(f.re) - exact).abs();
+                assert!(off < 1e-5 && exact > 0.99, "{eta} {k} {cos}: {f:?} {exact}");
+                assert!(f.eps.iter().all(|x| x.is_finite()), "{eta} {k}: {f:?}");
+            }
+        }
+    }
+}
+
 #[test]
 fn published_values_of_the_distributions() {
     let near = |a: f64, b: f64, tolerance: f64| {

@@ -471,7 +471,9 @@ fn deltas_are_found_again_through_eight_levels() {
     assert_mean(primal, expected);
     let error = load(&mask(0.5, &xml)).unwrap_err().to_string();
     assert!(
-        error.contains("nested at most 8 levels deep, found 9"),
+        error.contains(
+            "scene.xml:2: `bsdf`: expected materials nested at most 8 levels deep, found 9"
+        ),
         "{error}"
     );
 }

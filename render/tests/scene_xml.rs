@@ -192,7 +192,7 @@ fn leftovers_are_errors() {
         bsdf.finish().unwrap_err().to_string(),
         "<text>:4: unknown attribute `foo` of bsdf `test`; known: alpha, distribution"
     );
-    bsdf.ignore(&["foo", "bar"]);
+    bsdf.ignore(&["foo", "bar"], Node::float).unwrap();
     assert_eq!(
         bsdf.finish().unwrap_err().to_string(),
         "<text>:5: unknown child texture `bitmap` named `map` of bsdf `test`; \
@@ -208,7 +208,7 @@ fn leftovers_are_errors() {
     bsdf.finish().unwrap();
     assert_eq!(bsdf.children().count(), 2);
 
-    bsdf.ignore(&["foo"]);
+    bsdf.ignore(&["foo"], Node::float).unwrap();
     bsdf.warn("is odd");
     let warnings: Vec<_> = document.warnings().iter().map(|w| w.to_string()).collect();
     let expected = [

@@ -5,9 +5,14 @@ mod common;
 use std::path::Path;
 
 use common::{files_below, shared_dir};
-use render::Scene;
+use render::bsdf::Diffuse;
+use render::camera::{Camera, FovAxis};
 use render::emitter::AnyEmitter;
-use render::scene::LoadOptions;
+use render::film::Film;
+use render::math::Transform;
+use render::scene::{Builder, LoadOptions};
+use render::shape::{Patch, Rectangle};
+use render::{Scene, Settings};
 
 fn options() -> LoadOptions {
     LoadOptions {
@@ -152,4 +157,276 @@ fn sampling_weights_are_positive_numbers() {
             "{error}"
         );
     }
+}
+
+/// A unit ball five units ahead of a camera with these attributes, and an integrator with those.
+fn ball_ahead(sensor: &str, integrator: &str) -> Result<Vec<String>, String> {
+    let text = format!(
+        r#"<scene version="3.0.0">
+        <integrator type="path">{integrator}</integrator>
+        <sensor type="perspective"><float name="fov" value="40"/>{sensor}
+            <film type="hdrfilm"><integer name="width" value="8"/><integer name="height" value="8"/></film>
+        </sensor>
+        <shape type="sphere"><point name="center" value="0, 0, 5"/></shape>
+        <emitter type="constant"/></scene>"#
+    );
+    match Scene::from_xml(&text, Path::new("."), &LoadOptions::default()) {
+        Ok((_, warnings)) => Ok(warnings),
+        Err(e) => Err(e.to_string()),
+    }
+}
+
+/// Files may ask for clipping where it shows no difference, and hear where it may.
+#[test]
+fn what_would_be_clipped_is_no_secret() {
+    let clip = |near: f64, far: f64| {
+        let attributes = format!(
+            r#"<float name="near_clip" value="{near}"/><float name="far_clip" value="{far}"/>"#
+        );
+        ball_ahead(&attributes, "")
+    };
+    assert_eq!(clip(3.9, 6.1), Ok(Vec::new()));
+    // The back is hidden by the front.
+    let warnings = clip(1.0, 5.9).unwrap();
+    let expected =
+        "<text>:3: sensor `perspective`: `far_clip` is not applied: something may be as far as 6";
+    assert!(warnings[0].starts_with(expected), "{warnings:?}");
+    // The front comes this near between the rays that are tried only.
+    let warnings = clip(4.0001, 7.0).unwrap();
+    let expected = "<text>:3: sensor `perspective`: `near_clip` is not applied: something may be nearer than 4.0001";
+    assert!(warnings[0].starts_with(expected), "{warnings:?}");
+    for (near, far, expected) in [
+        (4.5, 9.0, "`near_clip`: expected at most 4.0"),
+        (0.1, 3.0, "`far_clip`: expected at least 4."),
+        (0.0, 9.0, "`near_clip`: expected a positive number"),
+        (0.1, -1.0, "`far_clip`: expected a positive number"),
+        (
+            7.0,
+            6.0,
+            "`far_clip`: expected a number above `near_clip`, 7",
+        ),
+    ] {
+        let error = clip(near, far).unwrap_err();
+        let place = format!("<text>:3: {expected}");
+        assert!(error.starts_with(&place), "{error}");
+    }
+    // Not in sight: behind the camera, or beside what it sees.
+    for turn in ["180", "90"] {
+        let turned = format!(
+            r#"<transform name="to_world"><rotate y="1" angle="{turn}"/></transform>
+            <float name="near_clip" value="1"/>"#
+        );
+        assert_eq!(ball_ahead(&turned, ""), Ok(Vec::new()));
+    }
+}
+
+/// What would change the image is an error; what cannot is of its type.
+#[test]
+fn attributes_without_effect_have_none() {
+    let attribute = |tag: &str, name: &str, value: &str| {
+        let attribute = format!(r#"<{tag} name="{name}" value="{value}"/>"#);
+        ball_ahead("", &attribute)
+    };
+    assert_eq!(attribute("boolean", "hide_emitters", "false"), Ok(vec![]));
+    let warnings = attribute("float", "timeout", "-1").unwrap();
+    assert_eq!(
+        warnings,
+        ["<text>:2: integrator `path`: `timeout` has no effect"]
+    );
+    for (tag, name, value, expected) in [
+        ("boolean", "hide_emitters", "true", "expected false"),
+        (
+            "string",
+            "hide_emitters",
+            "banana",
+            "expected true or false",
+        ),
+        ("string", "timeout", "banana", "expected a number"),
+        ("float", "block_size", "1.5", "expected an integer"),
+        ("integer", "bounces", "2", "unknown attribute `bounces`"),
+    ] {
+        let error = attribute(tag, name, value).unwrap_err();
+        assert!(error.starts_with("<text>:2: "), "{error}");
+        assert!(error.contains(expected), "{name}: {error}");
+    }
+    let error = ball_ahead(r#"<string name="focus_distance" value="far"/>"#, "").unwrap_err();
+    assert!(error.contains("expected a number"), "{error}");
+}
+
+/// Nothing in a file is silently without effect: twice where once is meant, nameless, unknown or unused.
+#[test]
+fn elements_that_nothing_can_use_are_errors() {
+    let with = |sensor: &str, body: &str| {
+        let text = format!(
+            r#"<scene version="3.0.0">
+            <sensor type="perspective"><float name="fov" value="40"/>{sensor}</sensor>
+            <shape type="sphere"><emitter type="area"/></shape>
+            {body}</scene>"#
+        );
+        match Scene::from_xml(&text, Path::new("."), &LoadOptions::default()) {
+            Ok((scene, warnings)) => Ok((scene.settings.spp, warnings)),
+            Err(e) => Err(e.to_string()),
+        }
+    };
+    for (body, expected) in [
+        (
+            r#"<integrator type="path"/><integrator type="direct"/>"#,
+            "<integrator> of the scene is given twice",
+        ),
+        (
+            r#"<sampler type="independent"/>"#,
+            "sampler `independent` has no `id`",
+        ),
+        (r#"<film type="hdrfilm"/>"#, "film `hdrfilm` has no `id`"),
+        (r#"<bsdf type="diffuse"/>"#, "bsdf `diffuse` has no `id`"),
+        (
+            r#"<texture type="bitmap"/>"#,
+            "texture `bitmap` has no `id`",
+        ),
+        (r#"<bsdf type="fooo" id="zz"/>"#, "unknown bsdf `fooo`"),
+        (
+            r#"<texture type="fooo" id="zz"/>"#,
+            "unknown texture `fooo`",
+        ),
+        (r#"<film type="fooo" id="zz"/>"#, "unknown film `fooo`"),
+        (
+            r#"<rfilter type="fooo" id="zz"/>"#,
+            "unknown rfilter `fooo`",
+        ),
+        (
+            r#"<emitter type="fooo" id="zz"/>"#,
+            "unknown emitter `fooo`",
+        ),
+        (
+            r#"<bsdf type="twosided" id="zz"><bsdf type="fooo"/></bsdf>"#,
+            "unknown bsdf `fooo`",
+        ),
+    ] {
+        let error = with("", body).unwrap_err();
+        let place = format!("<text>:4: {expected}");
+        assert!(error.starts_with(&place), "{body}: {error}");
+    }
+    for (body, what) in [
+        (
+            r#"<bsdf type="diffuse" id="zz"><float name="zork" value="1"/></bsdf>"#,
+            "bsdf",
+        ),
+        (r#"<emitter type="area" id="zz"/>"#, "emitter"),
+        (r#"<sampler type="any" id="zz"/>"#, "sampler"),
+    ] {
+        let expected = format!("<text>:4: {what} `zz` is not referenced by anything");
+        assert_eq!(with("", body).unwrap().1, [expected]);
+    }
+    // One that the sensor does not refer to is no second sampler.
+    let count = |n: u32| format!(r#"<integer name="sample_count" value="{n}"/>"#);
+    let body = format!(
+        r#"<sampler type="independent" id="zz">{}</sampler>"#,
+        count(3)
+    );
+    assert_eq!(with(r#"<ref id="zz"/>"#, &body), Ok((3, Vec::new())));
+    let own = format!(r#"<sampler type="independent">{}</sampler>"#, count(5));
+    let (spp, warnings) = with(&own, &body).unwrap();
+    assert_eq!((spp, warnings.len()), (5, 1));
+    let error = with(&format!(r#"<ref id="zz"/>{own}"#), &body).unwrap_err();
+    assert!(error.contains("is given twice"), "{error}");
+}
+
+/// Sizes that no ray reaches are errors that name the line and the attribute, or the shape.
+#[test]
+fn shapes_out_of_reach_are_errors() {
+    let shape = |plugin: &str, content: &str| {
+        let text = format!(
+            "<scene version=\"3.0.0\"><sensor type=\"perspective\"><float name=\"fov\" value=\"40\"/></sensor>
+            <shape type=\"{plugin}\">
+            {content}</shape></scene>"
+        );
+        let scene = Scene::from_xml(&text, Path::new("."), &LoadOptions::default());
+        scene.map(|_| ()).map_err(|e| e.to_string())
+    };
+    let float = |name: &str, value: f64| format!(r#"<float name="{name}" value="{value}"/>"#);
+    let point = |name: &str, x: f64| format!(r#"<point name="{name}" x="{x}"/>"#);
+    let scaled =
+        |by: f64| format!(r#"<transform name="to_world"><scale value="{by}"/></transform>"#);
+    let stretched = r#"<transform name="to_world"><scale x="9e11" y="1" z="1"/></transform>"#;
+    for (plugin, content, expected) in [
+        (
+            "sphere",
+            float("radius", 1e30),
+            "<text>:3: `radius`: expected a length",
+        ),
+        (
+            "sphere",
+            float("radius", 1e-30),
+            "<text>:3: `radius`: expected a length",
+        ),
+        (
+            "sphere",
+            point("center", 1e30),
+            "<text>:3: `center`: expected coordinates",
+        ),
+        (
+            "sphere",
+            scaled(1e30),
+            "<text>:3: `to_world`: expected a uniform scale",
+        ),
+        (
+            "cylinder",
+            float("radius", 1e30),
+            "<text>:3: `radius`: expected a length",
+        ),
+        (
+            "cylinder",
+            point("p1", 1e30),
+            "<text>:3: `p1`: expected points in reach",
+        ),
+        (
+            "cylinder",
+            scaled(1e30),
+            "<text>:3: `to_world`: expected a transform",
+        ),
+        (
+            "rectangle",
+            scaled(1e30),
+            "<text>:2: `rectangle`: expected finite coordinates of magnitude at most 1e12, found -1e30",
+        ),
+        (
+            "cube",
+            scaled(1e30),
+            "<text>:2: `cube`: expected finite coordinates",
+        ),
+        (
+            "disk",
+            scaled(1e30),
+            "<text>:3: `to_world`: expected a transform",
+        ),
+        // Its sides are longer than its corners are far.
+        (
+            "rectangle",
+            stretched.into(),
+            "<text>:2: `rectangle`: expected finite coordinates of magnitude at most 1e12, found 1.8e12",
+        ),
+    ] {
+        let error = shape(plugin, &content).unwrap_err();
+        assert!(error.starts_with(expected), "{plugin} {content}: {error}");
+    }
+    // What matters is the size in the world.
+    let back = format!("{}{}", float("radius", 1e30), scaled(1e-30));
+    assert_eq!(shape("sphere", &back), Ok(()));
+    // One that still is in reach, as far as its corners go.
+    let wide = r#"<transform name="to_world"><scale x="4.9e11" y="1" z="1"/></transform>"#;
+    assert_eq!(shape("rectangle", wide), Ok(()));
+    // In code there are names instead of lines.
+    let mut build = Builder::new();
+    let reflectance = build.rgb("grey", [0.5; 3], (0.0, 1.0)).unwrap();
+    let grey = build.add_material(Diffuse { reflectance });
+    for (name, side) in [("small", 1.0), ("big", 1e30)] {
+        let patch = Patch::new([0.0; 3], [side, 0.0, 0.0], [0.0, side, 0.0], false).unwrap();
+        build.add_shape(name, Rectangle(patch), grey);
+    }
+    let camera = Camera::new(Transform::IDENTITY, 40.0, FovAxis::X, [8, 8]).unwrap();
+    let scene = build.build(camera, Film::new(8, 8), Settings::default());
+    let error = scene.map(|_| ()).unwrap_err().to_string();
+    let expected =
+        "parameter `big`: expected finite coordinates of magnitude at most 1e12, found 1e30";
+    assert_eq!(error, expected);
 }

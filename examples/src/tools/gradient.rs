@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use clap::Parser;
-use optim::{Loss, LossKind};
+use optim::{Loss, LossKind, OptimError};
 use render::auto::{self, Mixture};
 use render::instances::{Direction, Estimator, Technique, forward_f32, render_f32};
 use render::integrator::render::{NonFinite, Progress};
@@ -191,6 +191,8 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     }
     if let Choice::One(e) = args.estimator {
         args.samples.check_guided(e)?;
+        e.check(&scene)?;
+        e.active(&scene, &args.params)?;
     }
     let ranges = ranges(args, &scene)?;
     let objective = objective(args, &scene)?;
@@ -198,6 +200,13 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     settings.spp = args.spp.unwrap_or(settings.spp);
     args.samples.apply(&scene, &mut settings)?;
     settings.max_depth = args.max_depth.unwrap_or(settings.max_depth);
+    let read = [
+        Some(&args.scene),
+        args.adjoint.as_ref(),
+        args.target.as_ref(),
+    ];
+    let read: Vec<&Path> = read.into_iter().flatten().map(PathBuf::as_path).collect();
+    output::prepare(&files(args, &ranges), &read)?;
 
     let (mut weights, mut pixels) = (None, None);
     let mut seconds_pilots = 0.0;
@@ -229,18 +238,21 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
         eprintln!("interrupted before the first repeat was complete: nothing was written");
         return Ok(Outcome::Interrupted);
     };
+    statistics.check(&ranges)?;
+    for (info, image) in ranges.iter().zip(&images) {
+        let pixels = image.data.iter().map(|&x| f64::from(x));
+        require_finite("derivative image", info, pixels)?;
+    }
     statistics.print(&scene, &ranges);
     if let Some(dir) = &args.images {
-        output::create_dir(dir)?;
         for (info, image) in ranges.iter().zip(&images) {
-            let name = output::file_name(&info.name);
-            image_io::write_exr(&dir.join(format!("{name}.exr")), image)?;
+            let [exr, png] = image_files(dir, info);
+            image_io::write_exr(&exr, image)?;
             let panel = output::signed_panel(&format!("d image / d {}", info.name), image);
-            output::write_panels(&dir.join(format!("{name}.png")), &[panel])?;
+            output::write_panels(&png, &[panel])?;
         }
     }
     if let Some(path) = &args.json {
-        output::create_parent(path)?;
         let report = Report {
             scene: args.scene.display().to_string(),
             estimator: args.estimator.name(),
@@ -279,6 +291,45 @@ fn ranges(args: &Args, scene: &Scene) -> Result<Vec<ParamInfo>, ToolError> {
         }
     }
     Ok(out)
+}
+
+/// All files that the arguments ask for.
+fn files(args: &Args, ranges: &[ParamInfo]) -> Vec<PathBuf> {
+    let mut out = Vec::new();
+    if let Some(dir) = &args.images {
+        out.extend(ranges.iter().flat_map(|info| image_files(dir, info)));
+    }
+    if let Some(json) = &args.json {
+        out.push(json.clone());
+        if args.measure_pixels {
+            out.push(pixel_file(json));
+        }
+        let textures = (ranges.iter()).filter(|i| matches!(i.shape, ParamShape::Texture { .. }));
+        for info in textures {
+            out.extend(["value", "gradient"].map(|what| texture_file(info, what, json)));
+            if args.repeats > 1 {
+                out.push(texture_file(info, "std_error", json));
+            }
+        }
+    }
+    out
+}
+
+/// The derivative image of a parameter, as numbers and in false colours.
+fn image_files(dir: &Path, info: &ParamInfo) -> [PathBuf; 2] {
+    let name = output::file_name(&info.name);
+    ["exr", "png"].map(|extension| dir.join(format!("{name}.{extension}")))
+}
+
+/// The image of what `--measure-pixels` found, beside `json`.
+fn pixel_file(json: &Path) -> PathBuf {
+    output::beside(json, "pixel_weights.exr")
+}
+
+/// The image of a texture's numbers, beside `json`.
+fn texture_file(info: &ParamInfo, what: &str, json: &Path) -> PathBuf {
+    let suffix = format!("{}.{what}.exr", output::file_name(&info.name));
+    output::beside(json, &suffix)
 }
 
 /// The estimator that lights and pixels are measured with.
@@ -320,7 +371,7 @@ fn pixel_image(scene: &Scene, weights: &[f32], json: &Path) -> Result<String, To
     let [width, height] = scene.film.crop_size.map(|n| n as usize);
     let mut image = Image::new(width, height);
     image.data = weights.iter().flat_map(|&w| [w; 3]).collect();
-    let path = output::beside(json, "pixel_weights.exr");
+    let path = pixel_file(json);
     image_io::write_exr(&path, &image)?;
     Ok(path
         .file_name()
@@ -384,8 +435,6 @@ fn mixture(
             return Ok(found);
         }
     };
-    estimator.check(scene)?;
-    estimator.active(scene, names)?;
     Ok(Mixture::only(scene, estimator, names))
 }
 
@@ -477,6 +526,23 @@ impl Statistics {
         Some(squares.iter().map(|s| (s / (n - 1.0) / n).sqrt()).collect())
     }
 
+    /// Means and standard errors are numbers: lights and adjoints near the end of single precision overflow.
+    fn check(&self, ranges: &[ParamInfo]) -> Result<(), ToolError> {
+        for (r, info) in ranges.iter().enumerate() {
+            // As they are written.
+            let written = |x: f64| match info.shape {
+                ParamShape::Texture { .. } => f64::from(x as f32),
+                _ => x,
+            };
+            let mean = self.mean[r].iter().copied();
+            require_finite("gradient", info, mean.map(written))?;
+            if let Some(error) = self.std_error(r) {
+                require_finite("standard error", info, error.into_iter().map(written))?;
+            }
+        }
+        Ok(())
+    }
+
     fn loss(&self) -> Option<f64> {
         let n = self.losses.len();
         (n > 0).then(|| self.losses.iter().sum::<f64>() / n as f64)
@@ -537,6 +603,27 @@ impl Statistics {
     }
 }
 
+/// An error for the first number of a parameter that is not finite.
+fn require_finite(
+    what: &'static str,
+    info: &ParamInfo,
+    numbers: impl IntoIterator<Item = f64>,
+) -> Result<(), ToolError> {
+    match numbers
+        .into_iter()
+        .enumerate()
+        .find(|(_, x)| !x.is_finite())
+    {
+        None => Ok(()),
+        Some((index, value)) => Err(ToolError::Optim(OptimError::NonFiniteValue {
+            what,
+            index,
+            value,
+            group: Some(info.name.clone()),
+        })),
+    }
+}
+
 /// A texture as an image beside `json`, anything else as numbers.
 fn numbers_or_file(
     info: &ParamInfo,
@@ -552,8 +639,7 @@ fn numbers_or_file(
     else {
         return Ok(Numbers::Values(numbers));
     };
-    let suffix = format!("{}.{what}.exr", output::file_name(&info.name));
-    let path = output::beside(json, &suffix);
+    let path = texture_file(info, what, json);
     output::write_texture(&path, [height, width, channels], &numbers)?;
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     Ok(Numbers::File(name.into_owned()))

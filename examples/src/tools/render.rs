@@ -144,21 +144,45 @@ impl Args {
             symmetry,
             side_tests: false,
         };
-        if self.samples.lights.unwrap_or_default() != LightChoice::One
-            && self.integrator != IntegratorArg::Path
-        {
-            let message = "--lights: particles choose no lights; expected --integrator path";
-            return Err(ToolError::Usage(message.into()));
-        }
-        if self.samples.caustics.unwrap_or_default() != Caustics::Paths
-            && self.integrator != IntegratorArg::Path
-        {
-            let message = "--caustics: all light is particles' here; expected --integrator path";
-            return Err(ToolError::Usage(message.into()));
-        }
-        if self.samples.guide && self.integrator != IntegratorArg::Path {
-            let message = "--guide: particles are not guided; expected --integrator path";
-            return Err(ToolError::Usage(message.into()));
+        let paths = self.integrator == IntegratorArg::Path;
+        let lights = self.samples.lights.unwrap_or_default() != LightChoice::One;
+        let caustics = self.samples.caustics.unwrap_or_default() != Caustics::Paths;
+        let strategy = self.strategy != StrategyArg::Mis;
+        let heuristic = self.heuristic != HeuristicArg::Power;
+        // What would have no effect.
+        for (idle, message) in [
+            (
+                lights && !paths,
+                "--lights: particles choose no lights; expected --integrator path",
+            ),
+            (
+                lights && self.strategy == StrategyArg::Bsdf,
+                "--lights: BSDF sampling chooses no lights; expected --strategy mis or emitter",
+            ),
+            (
+                caustics && !paths,
+                "--caustics: all light is particles' here; expected --integrator path",
+            ),
+            (
+                self.samples.guide && !paths,
+                "--guide: particles are not guided; expected --integrator path",
+            ),
+            (
+                strategy && !paths,
+                "--strategy: particles find the camera in one way only; expected --integrator path",
+            ),
+            (
+                heuristic && !paths,
+                "--heuristic: particles combine no techniques; expected --integrator path",
+            ),
+            (
+                heuristic && strategy,
+                "--heuristic: a single technique has no weights; expected --strategy mis",
+            ),
+        ] {
+            if idle {
+                return Err(ToolError::Usage(message.into()));
+            }
         }
         match (self.integrator, self.radius) {
             (IntegratorArg::Path, None) if !self.ignore_non_symmetry => {
@@ -217,7 +241,10 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     settings.spp = args.spp.unwrap_or(settings.spp);
     args.samples.apply(&scene, &mut settings)?;
     settings.max_depth = args.max_depth.unwrap_or(settings.max_depth);
-    output::create_parent(&exr)?;
+    let png = exr.with_extension("png");
+    let mut files = vec![exr.clone(), png.clone()];
+    files.extend(args.json.clone());
+    output::prepare(&files, &[&args.scene])?;
 
     let start = Instant::now();
     let (rendering, threads) = args.threads.run(|threads| {
@@ -238,9 +265,8 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     report_non_finite(&rendering.non_finite, rendering.width, args.seed);
     let image = rendering.image(0);
     image_io::write_exr(&exr, &image)?;
-    output::write_png(&exr.with_extension("png"), &image)?;
+    output::write_png(&png, &image)?;
     if let Some(path) = &args.json {
-        output::create_parent(path)?;
         let report = Report {
             scene: args.scene.display().to_string(),
             width: rendering.width,

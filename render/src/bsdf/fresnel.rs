@@ -3,7 +3,10 @@
 //! All forms are free of cancellation and of 0/0: nothing here is made from `1 - F` or from sines
 //! and tangents of the angles (errata Z-2.20).
 
-use ad_core::{Float, Real};
+use ad_core::{Const, Float, Real};
+
+/// Up to here, an index of refraction is used as it is.
+const LARGE_INDEX: f64 = 1e6;
 
 /// What a dielectric interface does with light arriving under one angle.
 #[derive(Clone, Copy, Debug)]
@@ -88,11 +91,18 @@ pub fn conductor_polarised<R: Real>(cos_i: R, eta: R, k: R) -> [R; 2] {
     if cos_i.primal() <= zero {
         return [R::one(); 2];
     }
-    let k = k.abs();
+    // The fourth powers of a larger index leave single precision: there, all is measured in units of it.
+    let largest = eta.primal().abs().max(k.primal().abs());
+    let unit = if largest > R::Primal::of(LARGE_INDEX) {
+        largest.recip()
+    } else {
+        R::Primal::one()
+    };
+    let (eta, k) = (eta * Const(unit), k.abs() * Const(unit));
     let c2 = cos_i.square();
     let eta_k = eta * k;
     // a + ib = sqrt((eta + ik)^2 - sin^2), the component of the wave vector along the normal.
-    let t = (eta - k) * (eta + k) - R::c(1.0) + c2;
+    let t = (eta - k) * (eta + k) - Const(unit * unit) + c2 * Const(unit * unit);
     let modulus = (t.square() + (eta_k * R::c(2.0)).square()).sqrt();
     let (a, b) = if t.primal() > zero {
         let a = ((modulus + t) * R::c(0.5)).sqrt();
@@ -106,10 +116,11 @@ pub fn conductor_polarised<R: Real>(cos_i: R, eta: R, k: R) -> [R; 2] {
         };
         (a, b)
     };
-    let b2 = b.square();
-    let r_s = ((cos_i - a).square() + b2) / ((cos_i + a).square() + b2);
+    let (b2, c) = (b.square(), cos_i * Const(unit));
+    let r_s = ((c - a).square() + b2) / ((c + a).square() + b2);
     // (eta + ik)^2 cos_i
     let (re, im) = ((eta - k) * (eta + k) * cos_i, eta_k * cos_i * R::c(2.0));
+    let (a, b) = (a * Const(unit), b * Const(unit));
     let numerator = (re - a).square() + (im - b).square();
     let denominator = (re + a).square() + (im + b).square();
     let r_p = if denominator.primal() > zero {

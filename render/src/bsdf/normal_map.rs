@@ -482,11 +482,9 @@ impl FromNode for NormalMap {
             shadowing: node.boolean_or("use_shadowing_function", false)?,
         };
         // A prefiltered stand-in for the map, of no use to a path tracer that resolves it.
-        node.ignore(&[
-            "lean_fallback",
-            "lean_fallback_alpha",
-            "lean_fallback_material",
-        ]);
+        node.ignore(&["lean_fallback"], Node::boolean)?;
+        node.ignore(&["lean_fallback_alpha"], Node::float)?;
+        node.ignore(&["lean_fallback_material"], Node::string)?;
         let interpolation = match slopes {
             true => Interpolation::Slopes,
             false => Interpolation::Normals,

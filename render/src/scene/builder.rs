@@ -4,7 +4,7 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 use super::{Node, PixelShares, Prim, Scene, Settings, ShapeInfo, Shares};
-use crate::accel::Accel;
+use crate::accel::{Accel, AccelError, MAX_COORDINATE};
 use crate::bsdf::nesting::{flips_normals, is_glossy, visit_deltas};
 use crate::bsdf::{Bsdf, Material};
 use crate::camera::Camera;
@@ -259,7 +259,7 @@ impl Builder {
         let outer = std::mem::replace(&mut self.prefix, name);
         let material = Material::from_node(node, self);
         self.prefix = outer;
-        let material = Arc::new(material?);
+        let material = Arc::new(material.map_err(|e| e.at(&node.location))?);
         node.finish()?;
         self.shared.insert(Arc::as_ptr(node), material.clone());
         Ok(material)
@@ -387,10 +387,12 @@ impl Builder {
                 primitives.push(primitive);
             }
         }
-        let accel = Accel::build(&primitives).map_err(|e| SceneError::Parameter {
-            key: "geometry".into(),
-            expected: "finite coordinates".into(),
-            found: e.to_string(),
+        let accel = Accel::build(&primitives).map_err(|e| match e {
+            AccelError::Coordinate { primitive, .. } => {
+                let shape = prims[primitive].shape as usize;
+                out_of_reach(&self.infos[shape].name, &e)
+            }
+            AccelError::TooMany { .. } => out_of_reach("geometry", &e),
         })?;
         let mut emitters = self.emitters;
         for e in &mut emitters {
@@ -442,6 +444,22 @@ fn balls(
     match found().count() {
         0..=MOST_BALLS => found().map(|s| Ball::around([s])).collect(),
         _ => Ball::around(found()).map(|b| vec![b]),
+    }
+}
+
+/// Why rays cannot be traced to what is called so.
+pub(super) fn out_of_reach(name: &str, e: &AccelError) -> SceneError {
+    let (expected, found) = match e {
+        AccelError::Coordinate { found, .. } => (
+            format!("finite coordinates of magnitude at most {MAX_COORDINATE:e}"),
+            format!("{found:e}"),
+        ),
+        AccelError::TooMany { .. } => ("fewer primitives".to_owned(), e.to_string()),
+    };
+    SceneError::Parameter {
+        key: name.to_owned(),
+        expected,
+        found,
     }
 }
 

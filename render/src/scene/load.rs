@@ -3,15 +3,18 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use super::builder::{Builder, MaterialId};
+use super::builder::{Builder, MaterialId, out_of_reach};
+use super::clip::Clip;
 use super::xml::{Document, check_limit};
 use super::{Node, Scene, Settings};
-use crate::bsdf::Diffuse;
+use crate::accel::{Accel, MAX_COORDINATE};
+use crate::bsdf::{Diffuse, Material};
 use crate::camera::{Camera, FovAxis};
 use crate::emitter::AnyEmitter;
 use crate::error::SceneError;
 use crate::film::{Film, PixelFilter};
-use crate::shape::AnyShape;
+use crate::shape::{AnyShape, Shape};
+use crate::texture;
 
 /// How a scene file is loaded.
 #[derive(Clone, Debug, Default)]
@@ -25,7 +28,7 @@ pub struct LoadOptions {
 /// Sums of so many pixels take three gigabytes.
 const MAX_PIXELS: usize = 1 << 27;
 
-/// Integrators whose path family the path tracer covers; their further options are ignored.
+/// Integrators whose paths the path tracer covers.
 const INTEGRATORS: &[&str] = &[
     "path",
     "prb",
@@ -33,6 +36,12 @@ const INTEGRATORS: &[&str] = &[
     "path_filtered_ss",
     "path_filtered_ms",
 ];
+/// Those of them that leave out some paths.
+const FILTERED: &[&str] = &["path_filtered_ss", "path_filtered_ms"];
+const FILMS: &[&str] = &["hdrfilm"];
+const FILTERS: &[&str] = &["box", "gaussian"];
+/// What does nothing at the root unless something refers to it.
+const DECLARED: &[&str] = &["bsdf", "texture", "film", "sampler", "rfilter"];
 /// Flags of the manifold-sampling scene files: hints to another integrator, without effect on the image.
 const HINTS: &[&str] = &[
     "caustic_receiver",
@@ -73,13 +82,14 @@ impl Scene {
         let mut build = Builder::new();
         build.allow_missing = options.allow_missing;
         let mut settings = Settings::default();
-        for node in root.children_with_tag("integrator") {
+        if let Some(node) = root.child_with_tag("integrator")? {
             integrator(node, &mut settings)?;
         }
         let sensor = root
             .child_with_tag("sensor")?
             .ok_or_else(|| root.missing("sensor", "a perspective sensor"))?;
-        let (camera, film) = sensor_from_node(root, sensor, &mut settings)?;
+        let clip = Clip::from_node(sensor)?;
+        let (camera, film) = sensor_from_node(sensor, &mut settings)?;
         let mut grey = None;
         for (i, node) in root.children_with_tag("shape").into_iter().enumerate() {
             shape(node, i, &mut build, &mut grey)?;
@@ -92,21 +102,52 @@ impl Scene {
             let name = node.id.clone().unwrap_or_else(|| "emitter".into());
             let emitter = build.within(&name, false, |b| AnyEmitter::from_node(node, b))?;
             let weight = sampling_weight(node)?;
-            node.ignore(HINTS);
+            node.ignore(HINTS, Node::boolean)?;
             node.finish()?;
             build.add_weighted_emitter(emitter, None, weight);
         }
-        root.children_with_tag("bsdf");
-        root.children_with_tag("texture");
+        for tag in DECLARED {
+            for node in root.children_with_tag(tag) {
+                declaration(node)?;
+            }
+        }
         root.finish()?;
+        let mut of_builder = std::mem::take(&mut build.warnings);
+        let scene = build.build(camera, film, settings)?;
+        clip.check(sensor, &scene)?;
         let mut warnings: Vec<String> = document
             .warnings()
             .iter()
             .map(ToString::to_string)
             .collect();
-        warnings.append(&mut build.warnings);
-        Ok((build.build(camera, film, settings)?, warnings))
+        warnings.append(&mut of_builder);
+        Ok((scene, warnings))
     }
+}
+
+/// Checks what may never be built, for want of a reference to it.
+fn declaration(node: &Node) -> Result<(), SceneError> {
+    if node.id.is_none() {
+        return Err(node.missing("id", "a name for others to refer to"));
+    }
+    known_plugins(node)
+}
+
+/// An error for the first plugin in a declaration that does not exist.
+fn known_plugins(node: &Node) -> Result<(), SceneError> {
+    let known = match node.tag.as_str() {
+        "bsdf" => Material::PLUGINS.concat(),
+        "texture" => texture::PLUGINS.to_vec(),
+        "film" => FILMS.to_vec(),
+        "rfilter" => FILTERS.to_vec(),
+        // Any sampler will do.
+        _ => return Ok(()),
+    };
+    if !known.contains(&node.plugin.as_str()) {
+        return Err(node.unknown_plugin(&known));
+    }
+    node.children()
+        .try_for_each(|(_, child)| known_plugins(child))
 }
 
 fn integrator(node: &Node, settings: &mut Settings) -> Result<(), SceneError> {
@@ -123,41 +164,33 @@ fn integrator(node: &Node, settings: &mut Settings) -> Result<(), SceneError> {
     let direct = node.plugin == "direct";
     settings.max_depth = depth("max_depth", if direct { 2 } else { -1 })?;
     settings.rr_depth = depth("rr_depth", 5)?;
-    node.ignore(&[
-        "samples_per_pass",
-        "timeout",
-        "block_size",
-        "bounces",
-        "hide_emitters",
-        "disable_reflected_emitters",
-    ]);
+    if node.boolean_or("hide_emitters", false)? {
+        return Err(node.invalid("hide_emitters", "false: lamps are always seen"));
+    }
+    if FILTERED.contains(&node.plugin.as_str()) {
+        node.warn("traced like `path` instead: all paths, not only some");
+        node.integer("bounces")?;
+        node.boolean("disable_reflected_emitters")?;
+    }
+    node.ignore(&["samples_per_pass", "block_size"], Node::integer)?;
+    node.ignore(&["timeout"], Node::float)?;
     node.finish()
 }
 
-fn sensor_from_node(
-    root: &Node,
-    node: &Node,
-    settings: &mut Settings,
-) -> Result<(Camera, Film), SceneError> {
+fn sensor_from_node(node: &Node, settings: &mut Settings) -> Result<(Camera, Film), SceneError> {
     if node.plugin != "perspective" {
         return Err(node.unknown_plugin(&["perspective"]));
     }
-    let film = match (node.child_with_tag("film")?, root.child_with_tag("film")?) {
-        (Some(film), _) | (None, Some(film)) => film_from_node(film)?,
-        (None, None) => Film::new(768, 576),
+    let film = match node.child_with_tag("film")? {
+        Some(film) => film_from_node(film)?,
+        None => Film::new(768, 576),
     };
-    for sampler in [
-        node.child_with_tag("sampler")?,
-        root.child_with_tag("sampler")?,
-    ]
-    .into_iter()
-    .flatten()
-    {
+    if let Some(sampler) = node.child_with_tag("sampler")? {
         if sampler.plugin != "independent" {
             sampler.warn("every sampler is replaced by independent samples");
         }
         settings.spp = sampler.integer_in("sample_count", 16, 1..=1 << 30)? as u32;
-        sampler.ignore(&["seed"]);
+        sampler.ignore(&["seed"], Node::integer)?;
         sampler.finish()?;
     }
     let axis = node.choice(
@@ -179,14 +212,14 @@ fn sensor_from_node(
         SceneError::Parameter { key, expected, .. } => node.invalid(&key, &expected),
         other => other,
     })?;
-    node.ignore(&["near_clip", "far_clip", "focus_distance"]);
+    node.ignore(&["focus_distance"], Node::float)?;
     node.finish()?;
     Ok((camera, film))
 }
 
 fn film_from_node(node: &Node) -> Result<Film, SceneError> {
-    if node.plugin != "hdrfilm" {
-        return Err(node.unknown_plugin(&["hdrfilm"]));
+    if !FILMS.contains(&node.plugin.as_str()) {
+        return Err(node.unknown_plugin(FILMS));
     }
     let size = |key, default| node.integer_in(key, default, 1..=1 << 16).map(|x| x as u32);
     let (width, height) = (size("width", 768)?, size("height", 576)?);
@@ -220,19 +253,16 @@ fn film_from_node(node: &Node) -> Result<Film, SceneError> {
                     }
                     PixelFilter::Gaussian { stddev }
                 }
-                _ => return Err(f.unknown_plugin(&["box", "gaussian"])),
+                _ => return Err(f.unknown_plugin(FILTERS)),
             };
             f.finish()?;
             filter
         }
     };
-    node.ignore(&[
-        "pixel_format",
-        "component_format",
-        "file_format",
-        "banner",
-        "sample_border",
-    ]);
+    // Images hold three colours.
+    node.choice("pixel_format", &[("rgb", ()), ("rgba", ())])?;
+    node.ignore(&["component_format", "file_format"], Node::string)?;
+    node.ignore(&["banner", "sample_border"], Node::boolean)?;
     node.finish()?;
     Ok(Film {
         size: [width, height],
@@ -258,6 +288,11 @@ fn shape(
 ) -> Result<(), SceneError> {
     let name = node.id.clone().unwrap_or_else(|| format!("shape{index}"));
     let geometry = AnyShape::from_node(node, build)?;
+    // The builder would complain too, but knows no line.
+    if geometry.extent() > MAX_COORDINATE {
+        Accel::build(&geometry.primitives())
+            .map_err(|e| out_of_reach(&node.plugin, &e).at(&node.location))?;
+    }
     let material = match node.child_with_tag("bsdf")? {
         Some(bsdf) => {
             let m = build.within(&name, false, |b| b.material_from_node(bsdf, "bsdf"))?;
@@ -278,13 +313,13 @@ fn shape(
                 AnyEmitter::from_node(e, b)
             })?;
             let weight = sampling_weight(e)?;
-            e.ignore(HINTS);
+            e.ignore(HINTS, Node::boolean)?;
             e.finish()?;
             Some((emitter, weight))
         }
         None => None,
     };
-    node.ignore(HINTS);
+    node.ignore(HINTS, Node::boolean)?;
     node.finish()?;
     let shape = build.add_shape(&name, geometry, material);
     if let Some((e, weight)) = emitter {

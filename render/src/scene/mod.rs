@@ -1,6 +1,7 @@
 //! Scenes: everything a light path can meet, and the parameters of it all.
 
 mod builder;
+mod clip;
 mod load;
 mod pixels;
 mod shares;

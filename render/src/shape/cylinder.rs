@@ -188,6 +188,15 @@ impl FromNode for Cylinder {
             return Err(node.invalid("p1", "a point other than p0"));
         }
         Self::transformed(p0, p1, radius, &to_world, flip).ok_or_else(|| {
+            let thin = format!("a length from {MIN_THICKNESS:e} to {MAX_COORDINATE:e}");
+            let own = |p0, p1, radius| Self::new(p0, p1, radius, flip);
+            if own([0.0; 3], [0.0, 0.0, 1.0], radius).is_none() {
+                return node.invalid("radius", &thin);
+            }
+            if own(p0, p1, radius).is_none() {
+                let expected = format!("points in reach, {thin} apart");
+                return node.invalid("p1", &expected);
+            }
             node.invalid(
                 "to_world",
                 "a transform that leaves a circular cylinder of finite, non-zero size",

@@ -316,6 +316,14 @@ impl FromNode for Sphere {
         let local =
             Transform::sequence([Transform::scale([radius; 3]), Transform::translate(center)]);
         Self::transformed(&local.then(&to_world), flip).ok_or_else(|| {
+            if Self::new([0.0; 3], radius, flip).is_none() {
+                let expected = format!("a length from {MIN_THICKNESS:e} to {MAX_COORDINATE:e}");
+                return node.invalid("radius", &expected);
+            }
+            if Self::new(center, radius, flip).is_none() {
+                let expected = format!("coordinates of magnitude at most {MAX_COORDINATE:e}");
+                return node.invalid("center", &expected);
+            }
             node.invalid(
                 "to_world",
                 "a uniform scale that leaves a sphere of finite, non-zero size",

@@ -10,7 +10,7 @@ use crate::params::{ParamRef, ParamShape};
 use crate::scene::{Builder, Node};
 
 /// Texture plugins of scene files.
-const PLUGINS: &[&str] = &["bitmap", "checkerboard"];
+pub(crate) const PLUGINS: &[&str] = &["bitmap", "checkerboard"];
 
 /// What stands in for a missing file.
 const GREY: f64 = 0.5;

@@ -269,7 +269,7 @@ impl FromNode for Envmap {
         if scale < 0.0 {
             return Err(node.invalid("scale", "a number of at least 0"));
         }
-        node.ignore(&["mis_compensation"]);
+        node.ignore(&["mis_compensation"], Node::boolean)?;
         let name = build.prefix().to_owned();
         let usage = texture::Use {
             name: &name,

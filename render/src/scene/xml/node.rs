@@ -275,22 +275,21 @@ impl Node {
         self.properties.contains_key(name) || self.child_quietly(name).is_some()
     }
 
-    /// Accepts attributes and children that cannot change the image, with a warning for each that
-    /// is present.
-    pub fn ignore(&self, names: &[&str]) {
+    /// Accepts attributes that cannot change the image, with a warning for each that is present. They are
+    /// of the type that `read` reads.
+    pub fn ignore<'a, T>(
+        &'a self,
+        names: &[&str],
+        read: impl Fn(&'a Self, &str) -> Result<Option<T>, SceneError>,
+    ) -> Result<(), SceneError> {
         for &name in names {
-            self.note(name.to_owned());
-            let location = if let Some(property) = self.properties.get(name) {
-                property.used.store(true, Ordering::Relaxed);
-                &property.location
-            } else if let Some(child) = self.child_quietly(name) {
-                child.take();
-                &child.location
-            } else {
-                continue;
-            };
-            self.warn_at(location, format!("`{name}` has no effect"));
+            if read(self, name)?.is_some()
+                && let Some(property) = self.properties.get(name)
+            {
+                self.warn_at(&property.location, format!("`{name}` has no effect"));
+            }
         }
+        Ok(())
     }
 
     /// An error for the first attribute or child that nobody asked for.

@@ -105,14 +105,14 @@ impl Resolver<'_> {
         }
     }
 
-    /// A material at the top level does nothing unless something refers to it. Shapes, emitters and
-    /// the rest do.
+    /// A material or an area light at the top level does nothing unless something refers to it. Shapes, other
+    /// emitters and the rest do.
     fn warn_about_unreferenced(&self) {
         for (index, raw) in self.parser.nodes.iter().enumerate() {
             let passive = matches!(
                 raw.tag.as_str(),
                 "bsdf" | "texture" | "film" | "sampler" | "rfilter"
-            );
+            ) || raw.tag == "emitter" && raw.plugin == "area";
             if let (Some(id), true) = (&raw.id, raw.at_root && passive)
                 && !self.referenced.contains(&index)
             {
