@@ -537,7 +537,10 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
             first?;
         }
     }
-    output::create_dir(&args.out)?;
+    let reports = [args.out.join("report.json")]
+        .into_iter()
+        .chain(args.json.clone());
+    output::prepare(&reports.collect::<Vec<_>>(), &[&args.scene])?;
 
     let repeats = u64::from(args.repeats);
     let tests = BLOCKS * BLOCKS * estimators.len() * args.params.len();
@@ -774,7 +777,6 @@ fn write_report(args: &Args, report: &Report, verdict: &str) -> Result<(), ToolE
     write("verdict.txt", verdict)?;
     output::write_json(&args.out.join("report.json"), report)?;
     if let Some(path) = &args.json {
-        output::create_parent(path)?;
         output::write_json(path, report)?;
     }
     Ok(())

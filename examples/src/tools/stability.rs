@@ -254,7 +254,10 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
             found?
         }
     };
-    output::create_dir(&args.out)?;
+    let reports = [args.out.join("report.json")]
+        .into_iter()
+        .chain(args.json.clone());
+    output::prepare(&reports.collect::<Vec<_>>(), &[])?;
     let spp = args.spp.unwrap_or(if args.quick { 16 } else { 128 });
     let sweeps = sweeps::all(args.quick);
     let points: usize = sweeps.iter().map(|s| s.points.len()).sum();
@@ -373,7 +376,6 @@ fn write(args: &Args, sweeps: &[Sweep], report: &Report) -> Result<(), ToolError
     file("verdict.txt", text.as_bytes())?;
     output::write_json(&args.out.join("report.json"), report)?;
     if let Some(path) = &args.json {
-        output::create_parent(path)?;
         output::write_json(path, report)?;
     }
     let sheet = picture::sheet(sweeps, report);
