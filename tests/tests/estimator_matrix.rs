@@ -361,6 +361,10 @@ fn estimates(case: &Case, e: Estimator, seed: u64) -> Vec<Estimate> {
         .expect("parameters of metals and lights");
     let theta = Theta::constant(s.params().values());
     let adjoint = mean_adjoint(s);
+    let mut settings = s.settings;
+    if e == Estimator::BiasedRoulette {
+        settings.rr_depth = 1; // without roulette it is `mis`
+    }
     let repeats: Vec<Vec<f64>> = (0..REPEATS)
         .into_par_iter()
         .map(|r| {
@@ -370,7 +374,7 @@ fn estimates(case: &Case, e: Estimator, seed: u64) -> Vec<Estimate> {
                     &theta,
                     &active,
                     &adjoint,
-                    &s.settings,
+                    &settings,
                     seed + r,
                     0..case.spp(),
                     &(),

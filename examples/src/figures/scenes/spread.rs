@@ -125,7 +125,7 @@ fn directions(subject: &Subject) -> Result<Vec<Direction>> {
 /// # Errors
 /// None that the built-in scenes can cause.
 pub fn figure(fig: &mut Figure) -> Result {
-    let (spp, runs) = (fig.pick(32, 64), fig.pick(6, 24));
+    let (spp, runs) = (fig.pick(32, 64), fig.pick(6, 10));
     fig.note("samples per pixel", spp);
     fig.note("runs", runs);
     fig.note("seed", SEED);
