@@ -31,15 +31,20 @@ const FAMILY: [Estimator; 3] = [
     Estimator::MisTrustBsdf,
 ];
 /// Those that the chart shows; the table has all.
-const CHARTED: [Estimator; 6] = [
+const CHARTED: [Estimator; 7] = [
     Estimator::Emitter,
     Estimator::Detached,
     Estimator::Differential,
     Estimator::Attached,
+    Estimator::Reparameterised,
     Estimator::MisBalance,
     Estimator::DifferentialMisBalance,
 ];
 const HEURISTICS: [Estimator; 2] = [Estimator::MisBalance, Estimator::Mis];
+
+/// The scenes of [`subjects`] as charts number them.
+pub(super) const SCENES: &str =
+    "scene: 1 plates, 2 tray, 3 room, 4 room of recover, 5 outline, 6 horizon, 7 and 8 textures";
 
 /// A scene and what is differentiated in it.
 pub(super) struct Subject {
@@ -327,7 +332,7 @@ pub fn figure(fig: &mut Figure) -> Result {
     );
     let mut chart = LineChart::new(
         "Efficiency over that of the best single estimator",
-        "scene: 1 plates, 2 tray, 3 room, 4 room of recover, 5 outline, 6 horizon, 7 and 8 textures",
+        SCENES,
         "1 / (variance x work)",
     )
     .x_range(0.5, 12.0)

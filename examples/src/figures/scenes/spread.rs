@@ -10,7 +10,7 @@ use render::sampler::Points;
 use render::scene::LightChoice;
 use render::{RenderError, Scene, Settings};
 
-use super::automatic::{Subject, subjects};
+use super::automatic::{SCENES, Subject, subjects};
 use crate::chart::LineChart;
 use crate::figure::{Figure, Result};
 use crate::figures::statistics::variance;
@@ -197,12 +197,9 @@ pub fn figure(fig: &mut Figure) -> Result {
         "gain in efficiency",
     ];
     fig.csv_text("gains", &header, rows);
-    let names: Vec<String> = (all.iter().enumerate())
-        .map(|(k, s)| format!("{} {}", k + 1, s.name))
-        .collect();
     let mut chart = LineChart::new(
         "Sobol points: variance of independent samples over theirs",
-        &names.join(", "),
+        SCENES,
         "gain",
     )
     .x_range(0.5, 10.0)
