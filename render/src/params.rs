@@ -104,8 +104,8 @@ pub struct Params {
 }
 
 impl Params {
-    /// Adds a range, [`Differentiability::Smooth`] unless [`Params::mark_delta`] says otherwise. The name is made
-    /// unique by a suffix `_1`, `_2`, .. when it is taken.
+    /// Adds a range, [`Differentiability::Smooth`] until a scene is built of materials that say otherwise. The name is
+    /// made unique by a suffix `_1`, `_2`, .. when it is taken.
     pub fn push(
         &mut self,
         name: &str,
