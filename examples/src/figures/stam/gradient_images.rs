@@ -6,7 +6,7 @@ use std::f64::consts::PI;
 use ad_core::Dual;
 use render::Scene;
 use render::bsdf::{BlinnPhongLobe, BlinnPhongSampling};
-use render::estimator::{Attached, BsdfOnly, Detached, Sampling};
+use render::estimator::{AllowBias, Attached, BsdfOnly, Detached, Unbiased};
 use render::instances::{Direction, Technique, backward_f32, forward_f32, render_f64};
 use render::integrator::gradient::Active;
 use render::integrator::render::{Rendering, render};
@@ -44,9 +44,9 @@ fn scene(
     .build()
 }
 
-/// Image and seven derivative images in double precision with BSDF sampling alone, as in the paper. The first
+/// Image and seven derivative images in double precision. The paper samples the BSDF alone. The first
 /// channel of [`Rendering`] is meant: all colours are grey.
-fn forward<S: Sampling>(
+fn forward<S: Unbiased>(
     scene: &Scene,
     seed: u64,
     samples: std::ops::Range<u64>,
@@ -59,7 +59,7 @@ fn forward<S: Sampling>(
         tangents[id] = Tangent::Uniform(direction);
     }
     let theta = Theta::with_tangents(&values, &tangents);
-    render::<Dual<f64, CONTROLS>, BsdfOnly<S>, Independent>(
+    render::<Dual<f64, CONTROLS>, S, Independent>(
         scene,
         &theta,
         &scene.settings,
@@ -119,7 +119,7 @@ fn grey(r: &Rendering) -> Vec<Vec<f64>> {
         .collect()
 }
 
-fn forward_batched<S: Sampling>(scene: &Scene, seed: u64, spp: u64) -> Result<Batched> {
+fn forward_batched<S: Unbiased>(scene: &Scene, seed: u64, spp: u64) -> Result<Batched> {
     let mut bad = 0;
     let mut out = batched(spp, |samples| {
         let r = forward::<S>(scene, seed, samples)?;
@@ -203,7 +203,7 @@ fn setup(fig: &mut Figure) -> Setup {
 pub fn cosine(fig: &mut Figure) -> Result {
     let s = setup(fig);
     let scene7 = scene(THETA, BlinnPhongSampling::Cosine, s.size, s.depth)?;
-    let b = forward_batched::<Detached>(&scene7, s.seed, s.spp)?;
+    let b = forward_batched::<BsdfOnly<Detached>>(&scene7, s.seed, s.spp)?;
     fig.check("no sample is NaN or infinite", b.bad == 0, b.bad);
 
     // ---- (a) Differences with common random numbers ----
@@ -452,8 +452,8 @@ pub fn importance(fig: &mut Figure) -> Result {
     let s = setup(fig);
     let scene8 = scene(THETA, BlinnPhongSampling::Importance, s.size, s.depth)?;
     let scene7 = scene(THETA, BlinnPhongSampling::Cosine, s.size, s.depth)?;
-    let b = forward_batched::<Detached>(&scene8, s.seed, s.spp)?;
-    let b7 = forward_batched::<Detached>(&scene7, s.seed + 1, s.spp)?;
+    let b = forward_batched::<BsdfOnly<Detached>>(&scene8, s.seed, s.spp)?;
+    let b7 = forward_batched::<BsdfOnly<Detached>>(&scene7, s.seed + 1, s.spp)?;
     fig.check(
         "no sample is NaN or infinite",
         b.bad + b7.bad == 0,
@@ -559,7 +559,7 @@ pub fn importance(fig: &mut Figure) -> Result {
     for (statement, passed, found) in brdf::attached_outcomes(fig.pick(100_000, 1_000_000)) {
         fig.check(format!("(b) variant iii, {statement}"), passed, found);
     }
-    let attached = forward_batched::<Attached>(&scene8, s.seed, s.spp)?;
+    let attached = forward_batched::<AllowBias<BsdfOnly<Attached>>>(&scene8, s.seed, s.spp)?;
     let (found, error) = total(&attached, EXPONENT + 1);
     let (truth, fd_error) = total(&reference[3], 0);
     fig.check(
