@@ -22,6 +22,7 @@ pub mod integrator;
 pub mod math;
 mod parallel;
 pub mod params;
+mod prefetch;
 pub mod sampler;
 pub mod scene;
 pub mod shape;

@@ -15,6 +15,7 @@ use ad_core::{Float, Real, array};
 
 use crate::error::RenderError;
 use crate::math::Rgb;
+use crate::prefetch::prefetch;
 
 /// A handle to one named range of theta.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -342,6 +343,15 @@ impl<'a, R: Real> Theta<'a, R> {
 }
 
 impl<'a, P: Float> Theta<'a, P> {
+    /// Says that element `i` of the range will soon be read: many at a time need not wait one by one.
+    #[inline(always)]
+    pub(crate) fn expect(&self, p: ParamRef, i: usize) {
+        self.values
+            .get(p.offset as usize + i)
+            .into_iter()
+            .for_each(prefetch);
+    }
+
     /// The same parameters over a scalar with tangents, all of them zero.
     #[inline]
     pub fn lift<R: Real<Primal = P>>(&self) -> Theta<'a, R> {

@@ -8,6 +8,7 @@ use super::curved::{Curved, Line};
 use super::packet::{Flat, LANES, RayLanes};
 use super::{Best, Item, Ray, Shape};
 use crate::math::each;
+use crate::prefetch::prefetch;
 use obvhs::bvh2::node::Bvh2Node;
 use obvhs::bvh2::{Bvh2, reinsertion::ReinsertionOptimizer};
 use obvhs::ploc::PlocBuilder;
@@ -297,15 +298,12 @@ impl Tree {
     /// Brings what a child is made of near. Who searches for many rays in turns need not wait for each.
     #[inline(always)]
     pub(super) fn fetch(&self, child: Child) {
-        let touch = |x: &f32| {
-            std::hint::black_box(*x);
-        };
         // One number of each line of the cache.
         match child.kind() {
             Kind::Inner(index) => {
                 let node = &self.nodes[index];
-                node.planes.iter().for_each(|axis| touch(&axis[0][0]));
-                std::hint::black_box(node.children[0]);
+                node.planes.iter().for_each(prefetch);
+                prefetch(&node.children);
             }
             Kind::Packet(index, _) => self.packets[index].fetch(),
             Kind::Curved(_) | Kind::Nothing => {}

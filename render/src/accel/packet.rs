@@ -2,6 +2,7 @@
 
 use super::{Best, MIN_THICKNESS, Ray};
 use crate::math::each;
+use crate::prefetch::prefetch;
 use std::ops::{Add, Div, Mul, Sub};
 use wide::{f32x8, f32x16};
 
@@ -184,7 +185,7 @@ impl Flat<[f32; LANES]> {
         }
     }
 
-    /// Reads one number of each line of the cache, and does nothing with it.
+    /// Brings all lines of the cache near.
     #[inline(always)]
     pub(super) fn fetch(&self) {
         let Self {
@@ -197,7 +198,7 @@ impl Flat<[f32; LANES]> {
             ..
         } = self;
         for x in [&v0[0], &v0[2], &n[1], &du[0], &du[2], &dv[1], cut, seam_v] {
-            std::hint::black_box(x[0]);
+            prefetch(x);
         }
     }
 

@@ -22,6 +22,7 @@ use crate::estimator::{self, DetachedMis, Sampling, Strategy, Unbiased};
 use crate::math::Rgb;
 use crate::parallel;
 use crate::params::{GradSink, ParamInfo, ParamRef, Theta};
+use crate::prefetch::prefetch;
 use crate::sampler::Sampler;
 use crate::scene::{Caustics, Scene, Settings};
 
@@ -287,10 +288,10 @@ impl ExactBuffer {
         self.overflow.store(true, Ordering::Relaxed);
     }
 
-    /// Brings a cell near. Additions wait for their memory one after another, reads do not.
+    /// Brings a cell near. Additions wait for their memory one after another.
     #[inline(always)]
     fn fetch(&self, i: usize) {
-        std::hint::black_box(self.cells[i].load(Ordering::Relaxed));
+        prefetch(&self.cells[i]);
     }
 
     fn get(&self, i: usize) -> f64 {

@@ -12,6 +12,7 @@ use crate::accel::{Hit, MAX_COORDINATE, Primitive};
 use crate::bsdf::FromNode;
 use crate::error::SceneError;
 use crate::math::{Frame, Ray, Transform, each, warp};
+use crate::prefetch::prefetch;
 use crate::scene::{Builder, Node};
 
 /// What a mesh is made of. Arrays with one entry per vertex may be empty.
@@ -333,8 +334,8 @@ impl Shape for Mesh {
     fn fetch(&self, prim: u32) {
         let mesh = &self.0.mesh;
         for i in mesh.triangles[prim as usize] {
-            std::hint::black_box(mesh.positions[i as usize][0]);
-            std::hint::black_box(mesh.normals.get(i as usize).map(|n| n[0]));
+            prefetch(&mesh.positions[i as usize]);
+            mesh.normals.get(i as usize).into_iter().for_each(prefetch);
         }
     }
 

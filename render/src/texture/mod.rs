@@ -111,14 +111,25 @@ impl<const C: usize> Texture<C> {
         }
     }
 
+    /// Says that [`Texture::eval`] will soon be called with the same `uv`.
+    #[inline(always)]
+    pub(crate) fn expect<P: Float>(&self, theta: &Theta<P>, uv: Vec2<P>) {
+        self.rows(uv, |param, i| theta.expect(param, i));
+    }
+
     /// Says that [`Texture::scatter`] will soon be called with the same `uv`.
     #[inline(always)]
-    pub(crate) fn expect<P: Float>(&self, uv: Vec2<P>, grad: &mut impl GradSink<P>) {
+    pub(crate) fn expect_scatter<P: Float>(&self, uv: Vec2<P>, grad: &mut impl GradSink<P>) {
+        self.rows(uv, |param, i| grad.expect(param, i));
+    }
+
+    /// Calls `f` with the first values of the rows of a footprint: neighbours are mostly in one line of the cache.
+    #[inline(always)]
+    fn rows<P: Float>(&self, uv: Vec2<P>, mut f: impl FnMut(ParamRef, usize)) {
         if let Self::Bitmap(t) = self {
-            let f = t.footprint(uv);
-            // Neighbours in a row are mostly in one line of the cache.
-            for texel in [f.texel[0], f.texel[2]] {
-                grad.expect(f.param, texel as usize * C);
+            let footprint = t.footprint(uv);
+            for texel in [footprint.texel[0], footprint.texel[2]] {
+                f(t.param, texel as usize * C);
             }
         }
     }

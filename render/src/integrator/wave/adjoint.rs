@@ -255,7 +255,7 @@ impl<'a, P: Float> Record<'a, P> {
                         .filter_map(|i| Some((i, plain(i)?)))
                 };
                 for (i, albedo) in textured() {
-                    albedo.expect(layer.uv(i), grad);
+                    albedo.expect_scatter(layer.uv(i), grad);
                 }
                 for (i, albedo) in textured() {
                     albedo.scatter(layer.uv(i), d.rgb(i), grad);

@@ -13,7 +13,6 @@ mod adjoint;
 mod lanes;
 
 use ad_core::{Const, Float, Vec2, Vec3};
-
 pub(super) use adjoint::Record;
 pub(super) use lanes::WIDTH;
 use lanes::{Field, Lane, Lanes, lanes, whole};
@@ -32,6 +31,7 @@ use crate::estimator::memory::Memory;
 use crate::estimator::{Detached, Sampling, Still, Strategy};
 use crate::guide::{Directions, Guide};
 use crate::math::{Frame, Ray, Rgb};
+use crate::params::Theta;
 use crate::sampler::{
     AUXILIARY_DIMENSIONS, BOUNCE_DIMENSIONS, CAMERA_DIMENSIONS, Points, Sampler, Stream,
     first_four, independent_bits, scrambled, sobol_bits, sobol_points, sobol_set,
@@ -308,6 +308,8 @@ pub(super) struct Wave<P, X> {
     paths: Paths<P>,
     hits: [Option<Hit>; WIDTH],
     at: Vertices<P>,
+    /// Plain vertices whose albedo has to be looked up.
+    textured: Vec<usize>,
     /// Direction the paths came from, local frame.
     wo: Lanes<P>,
     /// Random bits that choose an emitter.
@@ -338,6 +340,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             paths: Paths::zero(),
             hits: [None; WIDTH],
             at: Vertices::zero(),
+            textured: Vec::with_capacity(WIDTH),
             wo: Lanes::zero(),
             choice: Lane::zero(),
             numbers: [Lane::zero(); 6],
@@ -528,6 +531,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
     ) -> bool {
         let paths = &mut self.paths;
         let mut any = false;
+        self.textured.clear();
         for i in 0..self.n {
             let ray = Ray::new(paths.o.vec(i), paths.d.vec(i));
             let wanted = !L::ENABLED || paths.followed[i] != 0 || log.follows_light();
@@ -597,14 +601,40 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             self.at.offset[i] = info.offset;
             let plain = match scene.material(shape) {
                 Material::Diffuse(m) => {
-                    (self.at.albedo).put_rgb(i, m.reflectance.rgb(theta, self.at.uv(i)));
+                    match m.reflectance {
+                        Texture::Constant(albedo) => {
+                            (self.at.albedo).put_rgb(i, theta.texel(albedo, 0).into());
+                        }
+                        _ => self.textured.push(i),
+                    }
                     1
                 }
                 _ => 0,
             };
             self.at.plain[i] = plain;
         }
+        if !self.textured.is_empty() {
+            self.find_albedos(scene, theta);
+        }
         any
+    }
+
+    /// Looks up the albedos that are not the same everywhere.
+    #[inline(never)]
+    fn find_albedos(&mut self, scene: &Scene, theta: &Theta<P>) {
+        let at = &mut self.at;
+        let textured = self.textured.iter().filter_map(|&i| {
+            match &*scene.materials()[at.material[i] as usize] {
+                Material::Diffuse(m) => Some((i, &m.reflectance)),
+                _ => None,
+            }
+        });
+        for (i, albedo) in textured.clone() {
+            albedo.expect(theta, at.uv(i));
+        }
+        for (i, albedo) in textured {
+            at.albedo.put_rgb(i, albedo.rgb(theta, at.uv(i)));
+        }
     }
 
     /// All random numbers of the vertices, whose first dimension is `dim`.
