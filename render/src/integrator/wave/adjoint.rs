@@ -3,7 +3,7 @@
 use ad_core::{Float, Vec2, Vec3};
 use smallvec::SmallVec;
 
-use super::lanes::{Field, Lane, Lanes, WIDTH, whole};
+use super::lanes::{Field, Lane, Lanes, Sums, WIDTH, whole};
 use super::{Log, Paths, Wave};
 use crate::bsdf::{Bsdf, Component, Material, Part, Shading, Use};
 use crate::emitter::{Emission, Emitter};
@@ -168,6 +168,7 @@ impl<'a, P: Float> Record<'a, P> {
                 emitter.backward(&e.emission, e.d, grad);
             }
         }
+        let mut sums = [Sums::zero(); MOST_CONSTANTS];
         // Radiance that arrives along the edges from a layer, and that leaves it.
         let mut arrives = Lanes::zero();
         let mut leaves = Lanes::zero();
@@ -236,13 +237,14 @@ impl<'a, P: Float> Record<'a, P> {
             };
             let mut wanted = Lane::<u32>::zero();
             for i in 0..whole(layer.n) {
-                wanted[i] =
-                    layer.plain[i] & layer.follows[i] & counts[layer.id[i] as usize % WIDTH];
+                wanted[i] = u32::from(i < layer.n)
+                    & layer.plain[i]
+                    & layer.follows[i]
+                    & counts[layer.id[i] as usize % WIDTH];
             }
-            for &(material, albedo) in &self.constants {
-                let of_this = |i: usize| (layer.material[i] == material) & (wanted[i] != 0);
-                let d = d.sum_where(layer.n, of_this);
-                grad.add_all(albedo, 0, d.to_array());
+            for ((material, _), sums) in self.constants.iter().zip(&mut sums) {
+                let of_this = |i: usize| (layer.material[i] == *material) & (wanted[i] != 0);
+                sums.add_where(&d, layer.n, of_this);
             }
             if !self.only_constants {
                 let textured = |i: &usize| {
@@ -265,6 +267,9 @@ impl<'a, P: Float> Record<'a, P> {
             for i in 0..layer.n {
                 arrives.add_rgb(layer.parent[i] as usize % WIDTH, leaves.rgb(i));
             }
+        }
+        for (&(_, albedo), sums) in self.constants.iter().zip(&sums) {
+            grad.add_all(albedo, 0, sums.total());
         }
     }
 }

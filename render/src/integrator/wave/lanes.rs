@@ -52,32 +52,50 @@ impl<P: Float> Lanes<P> {
         (r[i], g[i], b[i]) = (c.r, c.g, c.b);
     }
 
-    /// The sum of the colours of the first `n` paths for which `counts` holds.
-    #[inline(always)]
-    pub fn sum_where(&self, n: usize, counts: impl Fn(usize) -> bool) -> Rgb<P> {
-        let mut counted = Self::zero();
-        for i in 0..whole(n) {
-            let counts = (i < n) & counts(i);
-            let c = self.rgb(i).map(|c| P::select(counts, c, P::zero()));
-            counted.put_rgb(i, c);
-        }
-        // As many sums as there are numbers in a vector: the order of additions is not the compiler's to change.
-        let [r, g, b] = each(counted.0, |lane: Lane<P>| {
-            let mut sums = [P::zero(); STRIDE];
-            for k in 0..STRIDE {
-                for j in (0..WIDTH).step_by(STRIDE) {
-                    sums[k] += lane[k + j];
-                }
-            }
-            sums.iter().fold(P::zero(), |all, &sum| all + sum)
-        });
-        Rgb::new(r, g, b)
-    }
-
     /// Adds to the colour of path `i`.
     #[inline(always)]
     pub fn add_rgb(&mut self, i: usize, c: Rgb<P>) {
         self.put_rgb(i, self.rgb(i) + c);
+    }
+}
+
+/// Sums of colours of many paths: as many as there are numbers in a vector, because the order of additions is not the
+/// compiler's to change.
+#[derive(Clone, Copy, Debug)]
+pub struct Sums<P>([[P; STRIDE]; 3]);
+
+impl<P: Float> Sums<P> {
+    /// Of nothing.
+    pub fn zero() -> Self {
+        Self([[P::zero(); STRIDE]; 3])
+    }
+
+    /// Adds the colours of the first [`whole`]`(n)` paths for which `counts` holds.
+    #[inline(always)]
+    pub fn add_where(&mut self, colours: &Lanes<P>, n: usize, counts: impl Fn(usize) -> bool) {
+        // In two loops, and the sums in a variable: otherwise, these are no vector instructions.
+        let mut counted = Lanes::zero();
+        for i in 0..whole(n) {
+            let counts = counts(i);
+            let c = colours.rgb(i).map(|c| P::select(counts, c, P::zero()));
+            counted.put_rgb(i, c);
+        }
+        for (sums, lane) in self.0.iter_mut().zip(&counted.0) {
+            let mut all = *sums;
+            for part in lane.as_chunks::<STRIDE>().0 {
+                for k in 0..STRIDE {
+                    all[k] += part[k];
+                }
+            }
+            *sums = all;
+        }
+    }
+
+    /// All together.
+    pub fn total(&self) -> [P; 3] {
+        each(self.0, |sums: [P; STRIDE]| {
+            sums.iter().fold(P::zero(), |all, &sum| all + sum)
+        })
     }
 }
 
