@@ -193,6 +193,28 @@ impl<R: Real> Lobe<R> for RoughDielectricLobe<R> {
         })
     }
 
+    /// The facet is drawn before its reflectance chooses, so that it does not move with the index.
+    #[inline]
+    fn choice_pdf(
+        &self,
+        wo: Vec3<R>,
+        wi: Vec3<R>,
+        _component: Component,
+        _mode: TransportMode,
+    ) -> R {
+        let (microfacet, eta) = (self.microfacet.primal(), self.eta.primal());
+        let Some(f) = Facet::between(wo.primal(), wi.primal(), eta) else {
+            return R::zero();
+        };
+        let up = upwards(wo.primal());
+        let chosen = fresnel::dielectric(R::lift(f.cos_o), eta_across(self.eta, wo));
+        if f.reflects {
+            return chosen.reflect * R::lift(microfacet.pdf_reflected(up, f.m));
+        }
+        let jacobian = f.eta.square() * f.cos_i / f.stretch();
+        chosen.transmit * R::lift(microfacet.pdf(up, f.m) * jacobian)
+    }
+
     #[inline]
     fn eval_normals(
         &self,
