@@ -6,7 +6,9 @@ use super::dielectric::{eta_across, relative_index};
 use super::fresnel;
 use super::microfacet::Microfacet;
 use super::rough_conductor::{Roughness, reflect, reflection};
-use super::{BsdfSample, Component, DiffLobe, FromNode, Leaf, Lobe, Reader, TransportMode};
+use super::{
+    BsdfSample, Component, DiffLobe, FromNode, Leaf, Lobe, Reader, TransportMode, constant,
+};
 use crate::error::SceneError;
 use crate::math::Rgb;
 use crate::scene::{Builder, Node};
@@ -193,7 +195,6 @@ impl<R: Real> Lobe<R> for RoughDielectricLobe<R> {
         })
     }
 
-    /// The facet is drawn before its reflectance chooses, so that it does not move with the index.
     #[inline]
     fn choice_pdf(
         &self,
@@ -202,17 +203,15 @@ impl<R: Real> Lobe<R> for RoughDielectricLobe<R> {
         _component: Component,
         _mode: TransportMode,
     ) -> R {
-        let (microfacet, eta) = (self.microfacet.primal(), self.eta.primal());
-        let Some(f) = Facet::between(wo.primal(), wi.primal(), eta) else {
+        let Some(f) = Facet::between(wo, wi, self.eta) else {
             return R::zero();
         };
-        let up = upwards(wo.primal());
-        let chosen = fresnel::dielectric(R::lift(f.cos_o), eta_across(self.eta, wo));
+        let up = upwards(wo);
         if f.reflects {
-            return chosen.reflect * R::lift(microfacet.pdf_reflected(up, f.m));
+            return constant(self.microfacet.pdf_reflected(up, f.m)) * f.fresnel.reflect;
         }
         let jacobian = f.eta.square() * f.cos_i / f.stretch();
-        chosen.transmit * R::lift(microfacet.pdf(up, f.m) * jacobian)
+        constant(self.microfacet.pdf(up, f.m) * jacobian) * f.fresnel.transmit
     }
 
     #[inline]
