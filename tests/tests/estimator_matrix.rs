@@ -257,13 +257,14 @@ fn interreflections(dir: &Path) -> Case {
     }
 }
 
-/// Paint that wears off metal, under a ball light: a choice of lobes.
+/// Paint that wears off metal, under a wide sky, which scattered directions find, and a ball light: a choice of lobes.
 fn worn(_: &Path) -> Case {
+    let sky = r#"<emitter type="constant"><rgb name="radiance" value="0.6, 0.5, 0.4"/></emitter>"#;
     let s = scene(&format!(
         r#"{}<shape type="rectangle"><transform name="to_world"><rotate x="1" angle="-90"/></transform>
         <bsdf type="blendbsdf" id="worn"><float name="weight" value="0.4"/>
         <bsdf type="diffuse"><rgb name="reflectance" value="0.3, 0.5, 0.2"/></bsdf>
-        <bsdf type="roughconductor"><float name="alpha" value="0.3"/></bsdf></bsdf></shape>{}"#,
+        <bsdf type="roughconductor"><float name="alpha" value="0.3"/></bsdf></bsdf></shape>{}{sky}"#,
         camera("0, 2.2, 3.6", 22.0, 2),
         ball("sun", "-0.6, 2, -3.2", 0.6, "4, 3, 2"),
     ));
