@@ -716,9 +716,9 @@ estimators! {
     BiasedAttachedWeights "biased-attached-weights" 1.25 AllowBias<Mis<AttachedDirect, Detached, DetachedWeights>>;
     /// [`Estimator::Mis`] whose roulette takes a differentiated probability: biased where it is played (F5).
     BiasedRoulette "biased-roulette" 1.0 AllowBias<AttachedRoulette<DetachedMis>>;
+    /// Differentiated weights for one technique only: biased (errata Z-4.13f).
+    BiasedMixed "biased-mixed" 1.45 AllowBias<Mis<Reparameterised, Detached, MixedWeights>>;
     /// [`Estimator::Mis`] that divides by differentiated probabilities of lobes: biased where they depend on the
     /// parameter (F6).
     BiasedChoice "biased-choice" 1.0 AllowBias<AttachedChoice<DetachedMis>>;
-    /// Differentiated weights for one technique only: biased (errata Z-4.13f).
-    BiasedMixed "biased-mixed" 1.45 AllowBias<Mis<Reparameterised, Detached, MixedWeights>>;
 }
