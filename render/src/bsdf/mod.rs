@@ -121,7 +121,7 @@ pub type Scattered<G, R> = (BsdfSample<G>, Rgb<R>);
 /// # Derivatives
 /// `eval`, `pdf` and `eval_delta` are differentiable in the parameters and both directions; `sample`
 /// in the parameters and `wo` at fixed random numbers (attached sampling). Discrete choices are
-/// primal. Nothing here detaches anything.
+/// primal. Nothing here detaches anything, but `choice_pdf`, which is for a wrong derivative.
 pub trait Lobe<R: Real>: Copy {
     /// `f_s(wo, wi) |cos theta_i|` without deltas, in sr^-1; zero where the lobe does not scatter.
     fn eval(&self, wo: Vec3<R>, wi: Vec3<R>, mode: TransportMode) -> Rgb<R>;

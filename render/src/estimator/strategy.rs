@@ -159,7 +159,7 @@ pub struct AttachedRoulette<S>(PhantomData<S>);
 /// mean of `f L / p` times the derivative of `ln p` through all `P_i` ([`crate::bsdf::Lobe::choice_pdf`]). Lobes without
 /// deltas are weighed by the density of their mixture, whichever was chosen: nothing is missing where they are alike.
 ///
-/// Only that weight is differentiated: MIS weights are those of `S`, and directions are constants.
+/// Nothing else changes: `S` scatters constant directions and has MIS weights that are not differentiated.
 #[derive(Clone, Copy, Debug)]
 pub struct AttachedChoice<S>(PhantomData<S>);
 
