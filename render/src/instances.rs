@@ -11,9 +11,10 @@ use ad_core::{Dual, Float};
 use crate::bsdf::kernel::Rules;
 use crate::error::RenderError;
 use crate::estimator::{
-    self, AllowBias, Attached, AttachedDirect, AttachedRoulette, AttachedWeights, Balance,
-    BsdfOnly, Detached, DetachedMis, DetachedWeights, Differential, EmitterOnly, FrozenWeights,
-    Mis, MixedWeights, Power, Reparameterised, Strategy, TrustBsdf, TrustLights, Unbiased,
+    self, AllowBias, Attached, AttachedChoice, AttachedDirect, AttachedRoulette, AttachedWeights,
+    Balance, BsdfOnly, Detached, DetachedMis, DetachedWeights, Differential, EmitterOnly,
+    FrozenWeights, Mis, MixedWeights, Power, Reparameterised, Strategy, TrustBsdf, TrustLights,
+    Unbiased,
 };
 use crate::integrator::density::{Convention, Map};
 use crate::integrator::gradient::{self, Active, Gradient};
@@ -717,4 +718,7 @@ estimators! {
     BiasedRoulette "biased-roulette" 1.0 AllowBias<AttachedRoulette<DetachedMis>>;
     /// Differentiated weights for one technique only: biased (errata Z-4.13f).
     BiasedMixed "biased-mixed" 1.45 AllowBias<Mis<Reparameterised, Detached, MixedWeights>>;
+    /// [`Estimator::Mis`] that divides by differentiated probabilities of lobes: biased where they depend on the
+    /// parameter (F6).
+    BiasedChoice "biased-choice" 1.0 AllowBias<AttachedChoice<DetachedMis>>;
 }

@@ -345,7 +345,7 @@ fn density_is_the_inverse_jacobian() {
     assert!(compared > 1000, "{compared}");
 }
 
-/// `sample` and `pdf` agree to the last bit, in both precisions, whatever the roughness and however
+/// `sample`, `pdf` and `choice_pdf` agree to the last bit, in both precisions, whatever the roughness and however
 /// grazing (the peer disagrees with itself by a factor of 15 at alpha 1e-4).
 #[test]
 fn sampled_and_evaluated_densities_are_identical() {
@@ -361,6 +361,10 @@ fn sampled_and_evaluated_densities_are_identical() {
                     let Some(s) = case.material.sample(&at, wo, u, MODES[0]) else {
                         continue;
                     };
+                    let (wo_d, wi_d) = (Vec3::lift(wo), Vec3::lift(s.wi));
+                    let chosen: Dual<P, 1> =
+                        (case.material).choice_pdf(&at.lift(), wo_d, wi_d, s.component, MODES[0]);
+                    assert!(s.pdf == chosen.re, "{} {alpha} {z}", case.name);
                     if s.component == Component::Continuous {
                         let (f, pdf) = case.material.eval_pdf(&at, wo, s.wi, MODES[0]);
                         assert!(s.pdf == pdf, "{} {alpha} {z}: {} {pdf}", case.name, s.pdf);
@@ -617,6 +621,70 @@ fn derivatives_agree_with_differences() {
         }
     }
     assert!(compared > 20_000 && nonzero > 5_000, "{compared} {nonzero}");
+}
+
+/// What `choice_pdf` leaves constant is all that `pdf` differentiates: with every parameter, their derivatives add up to
+/// that of the density, and that of a delta's probability is all in the former. Central differences (f64, relative 1e-6
+/// plus their own error).
+#[test]
+fn densities_change_through_choices_and_through_parts() {
+    type D = Dual<f64, 1>;
+    let (mut deltas, mut mixtures) = (0, 0);
+    for case in cases() {
+        let values = case.values::<f64>();
+        for (wo, wi, u, mode) in configurations(&case, 24) {
+            let density = |values: &[f64], component| {
+                let at = at(Theta::constant(values));
+                match component {
+                    Component::Continuous => case.material.eval_pdf(&at, wo, wi, mode).1,
+                    Component::Delta { .. } => {
+                        let s = case.material.sample(&at, wo, u, mode);
+                        s.filter(|s| s.component == component)
+                            .map_or(f64::NAN, |s| s.pdf)
+                    }
+                }
+            };
+            let drawn = (case.material).sample(&at(Theta::constant(&values)), wo, u, mode);
+            let delta = drawn.map(|s| s.component);
+            let delta = delta.filter(|c| *c != Component::Continuous);
+            for component in [Some(Component::Continuous), delta].into_iter().flatten() {
+                for k in 0..values.len() {
+                    let seed = |i| D::new(0.0, [f64::from(u8::from(i == k))]);
+                    let tangents: Vec<Tangent<D>> = (case.params.infos().iter())
+                        .map(|info| Tangent::Dense(info.range().map(seed).collect()))
+                        .collect();
+                    let at = at(Theta::with_tangents(&values, &tangents));
+                    let (wo, wi) = (Vec3::lift(wo), Vec3::lift(wi));
+                    let choices = case.material.choice_pdf(&at, wo, wi, component, mode).eps[0];
+                    let parts = match component {
+                        Component::Continuous => case.material.eval_pdf(&at, wo, wi, mode).1.eps[0],
+                        Component::Delta { .. } => 0.0,
+                    };
+                    let fd = central_difference(
+                        |x| {
+                            let mut values = values.clone();
+                            values[k] = x;
+                            density(&values, component)
+                        },
+                        values[k],
+                        1e-3 * values[k].abs().max(0.02),
+                    );
+                    let allowed = 1e-6 * fd.value.abs() + 10.0 * fd.error + 1e-9;
+                    assert!(
+                        (choices + parts - fd.value).abs() <= allowed,
+                        "{}, parameter {k}, {component:?}: {choices:e} + {parts:e}, {:e}",
+                        case.name,
+                        fd.value
+                    );
+                    match component {
+                        Component::Continuous => mixtures += u32::from(choices != 0.0),
+                        Component::Delta { .. } => deltas += u32::from(choices != 0.0),
+                    }
+                }
+            }
+        }
+    }
+    assert!(deltas > 20 && mixtures > 200, "{deltas} {mixtures}");
 }
 
 /// Attached sampling, where directions and densities move with the parameters, gives the same

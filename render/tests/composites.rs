@@ -269,6 +269,59 @@ fn reverse_equals_forward_equals_differences() {
     }
 }
 
+/// The derivative of a density is that through choices and that through parts, of a delta's probability that through
+/// choices: of blends, masks and what they hold, under normals that tilt, with all parameters, whichever way is chosen.
+#[test]
+fn densities_change_through_choices_and_through_parts() {
+    type D = Dual<f64, 1>;
+    let mut changes = 0;
+    for (name, xml) in zoo() {
+        let scene = load(&xml).unwrap();
+        let material = &scene.materials()[0];
+        let theta = values(&scene);
+        let mut next = numbers(19);
+        for wo in directions() {
+            let Some(s) =
+                material.sample(&shading(Theta::constant(&theta), UV[0]), wo, next(), MODE)
+            else {
+                continue;
+            };
+            for k in 0..theta.len() {
+                let seed = |i| D::new(0.0, [f64::from(u8::from(i == k))]);
+                let tangents: Vec<Tangent<D>> = (scene.params().infos().iter())
+                    .map(|info| Tangent::Dense(info.range().map(seed).collect()))
+                    .collect();
+                let at = shading(Theta::with_tangents(&theta, &tangents), UV[0]);
+                let (o, i) = (Vec3::lift(wo), Vec3::lift(s.wi));
+                let choices = material.choice_pdf(&at, o, i, s.component, MODE).eps[0];
+                let continuous = s.component == Component::Continuous;
+                let parts = match continuous {
+                    true => material.eval_pdf(&at, o, i, MODE).1.eps[0],
+                    false => 0.0,
+                };
+                let density = |h: f64| {
+                    let mut theta = theta.clone();
+                    theta[k] += h;
+                    let at = shading(Theta::constant(&theta), UV[0]);
+                    match continuous {
+                        true => material.eval_pdf(&at, wo, s.wi, MODE).1,
+                        false => material.choice_pdf(&at, wo, s.wi, s.component, MODE),
+                    }
+                };
+                let h = 1e-5;
+                let central = (density(h) - density(-h)) / (2.0 * h);
+                let difference = (choices + parts - central).abs();
+                assert!(
+                    difference < 1e-6 * (1.0 + central.abs()),
+                    "{name} {k}: {choices} + {parts}, {central}"
+                );
+                changes += u32::from(choices != 0.0);
+            }
+        }
+    }
+    assert!(changes > 20, "{changes}");
+}
+
 #[test]
 fn inactive_parameters_get_nothing() {
     struct Only(ParamRef, Vec<f64>);
@@ -327,7 +380,12 @@ fn samples_follow_their_density() {
             let mut next = numbers(11 + k as u64);
             let mut counts = [0.0; ROWS * COLUMNS + 1];
             for _ in 0..SAMPLES {
-                match material.sample(&at, wo, next(), MODE) {
+                let sample = material.sample(&at, wo, next(), MODE);
+                if let Some(s) = &sample {
+                    let chosen = material.choice_pdf(&at, wo, s.wi, s.component, MODE);
+                    assert_eq!(chosen.to_bits(), s.pdf.to_bits(), "{name}");
+                }
+                match sample {
                     Some(s) if s.component == Component::Continuous => {
                         assert!((s.wi.length() - 1.0).abs() < 1e-9);
                         let (_, pdf) = material.eval_pdf(&at, wo, s.wi, MODE);

@@ -202,6 +202,7 @@ fn biased(e: Estimator) -> bool {
             | Estimator::BiasedWeights
             | Estimator::BiasedAttachedWeights
             | Estimator::BiasedRoulette
+            | Estimator::BiasedChoice
             | Estimator::BiasedMixed
     )
 }

@@ -2,10 +2,13 @@
 //! equal central differences.
 
 use render::Settings;
+use render::estimator::{AllowBias, AttachedChoice, AttachedRoulette, DetachedMis, Unbiased};
 use render::params::ParamInfo;
 use tests::cases;
 use tests::stats::{Estimate, z_limit};
-use tests::{dot, forward, image, mean_adjoint, reverse, scene, smooth_params, values};
+use tests::{
+    dot, forward_by, image, mean_adjoint, reverse, reverse_by, scene, smooth_params, values,
+};
 
 /// A cheap, fixed sequence in [-1, 1).
 fn noise(i: usize) -> f64 {
@@ -16,6 +19,19 @@ fn noise(i: usize) -> f64 {
 /// over all parameters at once, same seed: to 1e-9 in f64.
 #[test]
 fn reverse_equals_forward_to_rounding() {
+    modes_agree::<DetachedMis>();
+}
+
+/// The same with probabilities that are differentiated: of lobes, and of lobes and roulette, which decides by a
+/// throughput that was divided by the former.
+#[test]
+fn reverse_equals_forward_through_probabilities() {
+    type Choice = AttachedChoice<DetachedMis>;
+    modes_agree::<AllowBias<Choice>>();
+    modes_agree::<AllowBias<AttachedRoulette<Choice>>>();
+}
+
+fn modes_agree<S: Unbiased>() {
     for case in cases::all() {
         let s = scene(&case.body);
         let params = smooth_params(&s);
@@ -26,8 +42,8 @@ fn reverse_equals_forward_to_rounding() {
                 direction[i] = noise(i + 7919);
             }
         }
-        let j = forward(&s, &direction, &adjoint, &s.settings, 5, 16);
-        let g = reverse::<f64>(&s, &params, &adjoint, &s.settings, 5, 16);
+        let j = forward_by::<S>(&s, &direction, &adjoint, &s.settings, 5, 16);
+        let g = reverse_by::<f64, S>(&s, &params, &adjoint, &s.settings, 5, 16);
         let terms = || {
             let pairs = params.iter().zip(&g).flat_map(|(p, g)| p.range().zip(g));
             pairs.map(|(i, g)| direction[i] * g)

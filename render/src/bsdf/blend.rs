@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use ad_core::{Const, Float, Real, Vec3};
 
-use super::nesting::{check_levels, choice, choose, nested_nodes};
+use super::nesting::{attached_choice, check_levels, choice, choose, nested_nodes};
 use super::{
     Bsdf, BsdfSample, Component, DeltaKind, DiffLobe, FromNode, Material, Part, Shading,
     TextureRef, TransportMode, Use,
@@ -142,6 +142,27 @@ impl Bsdf for Blend {
         let chosen = usize::from(route & 1);
         let value = self.parts[chosen].eval_delta(at, wo, wi, kind, route >> 1, mode);
         value * self.shares(at)[chosen]
+    }
+
+    fn choice_pdf<R: Real>(
+        &self,
+        at: &Shading<R>,
+        wo: Vec3<R>,
+        wi: Vec3<R>,
+        component: Component,
+        mode: TransportMode,
+    ) -> R {
+        let second = attached_choice(self.shares(at)[1]);
+        let p = [R::one() - second, second];
+        let inside = |i: usize, component| self.parts[i].choice_pdf(at, wo, wi, component, mode);
+        match component {
+            Component::Continuous => inside(0, component) * p[0] + inside(1, component) * p[1],
+            Component::Delta { kind, route } => {
+                let chosen = usize::from(route & 1);
+                let route = route >> 1;
+                inside(chosen, Component::Delta { kind, route }) * p[chosen]
+            }
+        }
     }
 
     fn backward<P: Float>(

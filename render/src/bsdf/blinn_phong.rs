@@ -4,7 +4,7 @@ use std::f64::consts::PI;
 
 use ad_core::{Const, Float, Real, Vec3};
 
-use super::{BsdfSample, Component, FromNode, Leaf, Lobe, Reader, TransportMode};
+use super::{BsdfSample, Component, FromNode, Leaf, Lobe, Reader, TransportMode, constant};
 use crate::error::SceneError;
 use crate::math::{Rgb, warp};
 use crate::scene::{Builder, Node};
@@ -58,6 +58,18 @@ pub struct BlinnPhongLobe<R: Real> {
     share: R::Primal,
 }
 
+/// Probability of sampling the microfacets, in proportion to the albedos.
+#[inline]
+fn choice<R: Real>(diffuse: Rgb<R>, specular: Rgb<R>) -> R {
+    let (d, s) = (diffuse.mean(), specular.mean());
+    if (d + s).primal() > R::Primal::zero() {
+        let least = R::of(LEAST_SHARE);
+        (s / (d + s)).clamp(least, R::one() - least)
+    } else {
+        R::of(0.5)
+    }
+}
+
 impl<R: Real> BlinnPhongLobe<R> {
     /// From evaluated parameters.
     #[inline]
@@ -67,14 +79,9 @@ impl<R: Real> BlinnPhongLobe<R> {
         exponent: R,
         sampling: BlinnPhongSampling,
     ) -> Self {
-        let (d, s) = (diffuse.primal().mean(), specular.primal().mean());
         let share = match sampling {
             BlinnPhongSampling::Cosine => R::Primal::zero(),
-            BlinnPhongSampling::Importance if d + s > R::Primal::zero() => {
-                let least = R::Primal::of(LEAST_SHARE);
-                (s / (d + s)).clamp(least, R::Primal::one() - least)
-            }
-            BlinnPhongSampling::Importance => R::Primal::of(0.5),
+            BlinnPhongSampling::Importance => choice(diffuse.primal(), specular.primal()),
         };
         Self {
             diffuse,
@@ -207,6 +214,26 @@ impl<R: Real> Lobe<R> for BlinnPhongLobe<R> {
             component: Component::Continuous,
             eta: R::Primal::one(),
         })
+    }
+
+    #[inline]
+    fn choice_pdf(
+        &self,
+        wo: Vec3<R>,
+        wi: Vec3<R>,
+        _component: Component,
+        mode: TransportMode,
+    ) -> R {
+        // Importance sampling never leaves the microfacets out.
+        if self.share == R::Primal::zero() {
+            return constant(self.pdf(wo, wi, mode));
+        }
+        if !Self::above(wo) || !Self::above(wi) {
+            return R::zero();
+        }
+        let share = choice(self.diffuse, self.specular);
+        constant(warp::cosine_hemisphere_pdf(wi.z)) * (R::one() - share)
+            + constant(self.microfacet_pdf(wo, wi)) * share
     }
 }
 

@@ -121,6 +121,25 @@ impl<R: Real> Lobe<R> for DielectricLobe<R> {
             (DeltaKind::Passthrough, _) => Rgb::black(),
         }
     }
+
+    #[inline]
+    fn choice_pdf(
+        &self,
+        wo: Vec3<R>,
+        _wi: Vec3<R>,
+        component: Component,
+        _mode: TransportMode,
+    ) -> R {
+        let f = fresnel::dielectric(wo.z.abs(), eta_across(self.eta, wo));
+        match component {
+            Component::Delta {
+                kind: DeltaKind::Reflection,
+                ..
+            } => f.reflect,
+            Component::Delta { .. } => f.transmit,
+            Component::Continuous => R::zero(),
+        }
+    }
 }
 
 impl FromNode for Dielectric {

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use ad_core::{Const, Float, Real, Vec3};
 
-use super::nesting::{check_levels, choice, choose, nested_nodes};
+use super::nesting::{attached_choice, check_levels, choice, choose, nested_nodes};
 use super::{
     Bsdf, BsdfSample, Component, DeltaKind, DiffLobe, FromNode, Material, Part, Shading,
     TextureRef, TransportMode, Use,
@@ -136,6 +136,21 @@ impl Bsdf for Mask {
         match inside(Component::Delta { kind, route }) {
             None => Rgb::splat(R::one() - opacity),
             Some(c) => self.nested.eval_component(at, wo, wi, c, mode) * opacity,
+        }
+    }
+
+    fn choice_pdf<R: Real>(
+        &self,
+        at: &Shading<R>,
+        wo: Vec3<R>,
+        wi: Vec3<R>,
+        component: Component,
+        mode: TransportMode,
+    ) -> R {
+        let material = attached_choice(self.opacity(at));
+        match inside(component) {
+            None => R::one() - material,
+            Some(c) => self.nested.choice_pdf(at, wo, wi, c, mode) * material,
         }
     }
 

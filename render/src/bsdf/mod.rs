@@ -121,7 +121,7 @@ pub type Scattered<G, R> = (BsdfSample<G>, Rgb<R>);
 /// # Derivatives
 /// `eval`, `pdf` and `eval_delta` are differentiable in the parameters and both directions; `sample`
 /// in the parameters and `wo` at fixed random numbers (attached sampling). Discrete choices are
-/// primal. Nothing here detaches anything.
+/// primal. Nothing here detaches anything, but `choice_pdf`, which is for a wrong derivative.
 pub trait Lobe<R: Real>: Copy {
     /// `f_s(wo, wi) |cos theta_i|` without deltas, in sr^-1; zero where the lobe does not scatter.
     fn eval(&self, wo: Vec3<R>, wi: Vec3<R>, mode: TransportMode) -> Rgb<R>;
@@ -162,6 +162,19 @@ pub trait Lobe<R: Real>: Copy {
         Rgb::black()
     }
 
+    /// Density per solid angle, or probability of a delta, of a direction that [`Lobe::sample`] gave: its `pdf`, bit by
+    /// bit, when directions stay and the densities of parts are constants.
+    ///
+    /// # Derivatives
+    /// In the parameters that the probabilities of choosing between parts depend on, through those alone (F6).
+    #[inline]
+    fn choice_pdf(&self, wo: Vec3<R>, wi: Vec3<R>, component: Component, mode: TransportMode) -> R {
+        match component {
+            Component::Continuous => constant(self.pdf(wo, wi, mode)),
+            Component::Delta { .. } => R::one(),
+        }
+    }
+
     /// Samples a direction from one part of the derivative of the distribution of normals with respect
     /// to roughness ([`differential`]); `u` as in [`Lobe::sample`]. The same `u` with both signs gives
     /// an antithetic pair; each of the two may be `None` on its own. Primal: for detached estimators.
@@ -195,6 +208,12 @@ pub trait Lobe<R: Real>: Copy {
     fn pdf_differential(&self, _wo: Vec3<R::Primal>, _wi: Vec3<R::Primal>) -> R::Primal {
         R::Primal::zero()
     }
+}
+
+/// The same number without tangents.
+#[inline]
+fn constant<R: Real>(x: R) -> R {
+    R::lift(x.primal())
 }
 
 /// How a material's parameters are read: at a point, as seeds of local derivatives, or just listed.
@@ -369,6 +388,16 @@ pub trait Bsdf: Send + Sync {
         mode: TransportMode,
     ) -> Rgb<R>;
 
+    /// [`Lobe::choice_pdf`] at a point.
+    fn choice_pdf<R: Real>(
+        &self,
+        at: &Shading<R>,
+        wo: Vec3<R>,
+        wi: Vec3<R>,
+        component: Component,
+        mode: TransportMode,
+    ) -> R;
+
     /// Adds the adjoints of all active parameters, given those of the values used at this vertex.
     ///
     /// # Derivatives
@@ -512,6 +541,18 @@ impl<L: Leaf> Bsdf for L {
         mode: TransportMode,
     ) -> Rgb<R> {
         self.lobe(&mut { *at }).eval_delta(wo, kind, mode)
+    }
+
+    #[inline]
+    fn choice_pdf<R: Real>(
+        &self,
+        at: &Shading<R>,
+        wo: Vec3<R>,
+        wi: Vec3<R>,
+        component: Component,
+        mode: TransportMode,
+    ) -> R {
+        self.lobe(&mut { *at }).choice_pdf(wo, wi, component, mode)
     }
 
     #[inline(always)]
@@ -841,6 +882,12 @@ macro_rules! materials {
                 &self, at: &Shading<R>, wo: Vec3<R>, wi: Vec3<R>, kind: DeltaKind, route: u8, mode: TransportMode,
             ) -> Rgb<R> {
                 $crate::dispatch::dispatch!(self, [$($hot),*] [$($name),*], m => m.eval_delta(at, wo, wi, kind, route, mode))
+            }
+            #[inline]
+            fn choice_pdf<R: Real>(
+                &self, at: &Shading<R>, wo: Vec3<R>, wi: Vec3<R>, component: Component, mode: TransportMode,
+            ) -> R {
+                $crate::dispatch::dispatch!(self, [] [$($hot,)* $($name),*], m => m.choice_pdf(at, wo, wi, component, mode))
             }
             #[inline(always)]
             fn eval_component<R: Real>(

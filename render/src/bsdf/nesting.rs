@@ -20,8 +20,14 @@ pub(super) const LEAST_CHOICE: f64 = 0.05;
 /// discrete decision.
 #[inline]
 pub(super) fn choice<R: Real>(w: R) -> R::Primal {
-    let w = w.primal().max(R::Primal::zero()).min(R::Primal::one());
-    R::Primal::of(LEAST_CHOICE) + w * R::Primal::of(1.0 - 2.0 * LEAST_CHOICE)
+    attached_choice(w.primal())
+}
+
+/// [`choice`] with the tangents of the weight, for [`Bsdf::choice_pdf`].
+#[inline]
+pub(super) fn attached_choice<R: Real>(w: R) -> R {
+    let w = w.max(R::zero()).min(R::one());
+    R::of(LEAST_CHOICE) + w * R::c(1.0 - 2.0 * LEAST_CHOICE)
 }
 
 /// Whether `u` chooses the second part, and `u` stretched over [0, 1) again.

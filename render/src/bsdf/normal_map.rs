@@ -316,6 +316,19 @@ impl Bsdf for NormalMap {
         value * self.weight(&frame, mode, [wo, wi], [o, i])
     }
 
+    fn choice_pdf<R: Real>(
+        &self,
+        at: &Shading<R>,
+        wo: Vec3<R>,
+        wi: Vec3<R>,
+        component: Component,
+        mode: TransportMode,
+    ) -> R {
+        let frame = self.frame(at, wo, mode);
+        let (o, i) = (frame.to_local(wo), frame.to_local(wi));
+        self.nested.choice_pdf(at, o, i, component, mode)
+    }
+
     fn backward<P: Float>(
         &self,
         at: &Shading<P>,

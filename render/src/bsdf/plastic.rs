@@ -6,7 +6,8 @@ use ad_core::{Const, Real, Vec3};
 
 use super::dielectric::relative_index;
 use super::{
-    BsdfSample, Component, DeltaKind, FromNode, Leaf, Lobe, Reader, TransportMode, fresnel,
+    BsdfSample, Component, DeltaKind, FromNode, Leaf, Lobe, Reader, TransportMode, constant,
+    fresnel,
 };
 use crate::error::SceneError;
 use crate::math::{Rgb, warp};
@@ -100,15 +101,27 @@ impl<R: Real> CoatedLobe<R> {
     /// black base still has a derivative with respect to its colour.
     #[inline]
     pub(super) fn choose_coat(&self, f: R::Primal) -> R::Primal {
-        let (one, floor) = (R::Primal::one(), R::Primal::of(0.05));
-        let coat = f * self.specular_reflectance.primal().mean();
-        let base = (one - f) * self.diffuse_reflectance.primal().mean();
-        let sum = coat + base;
-        if sum > R::Primal::zero() {
-            floor + coat / sum * (one - floor - floor)
-        } else {
-            R::Primal::of(0.5)
-        }
+        let colours = [self.specular_reflectance, self.diffuse_reflectance];
+        choice(f, colours.map(|c| c.primal()))
+    }
+
+    /// [`CoatedLobe::choose_coat`] with the tangents of the colours and of `f`, for [`Lobe::choice_pdf`].
+    #[inline]
+    pub(super) fn attached_choice(&self, f: R) -> R {
+        choice(f, [self.specular_reflectance, self.diffuse_reflectance])
+    }
+}
+
+#[inline]
+fn choice<R: Real>(f: R, [specular, diffuse]: [Rgb<R>; 2]) -> R {
+    let (one, floor) = (R::one(), R::of(0.05));
+    let coat = f * specular.mean();
+    let base = (one - f) * diffuse.mean();
+    let sum = coat + base;
+    if sum.primal() > R::Primal::zero() {
+        floor + coat / sum * (one - floor - floor)
+    } else {
+        R::of(0.5)
     }
 }
 
@@ -221,6 +234,23 @@ impl<R: Real> Lobe<R> for PlasticLobe<R> {
             self.coated.specular_reflectance * self.coat(wo).reflect
         } else {
             Rgb::black()
+        }
+    }
+
+    #[inline]
+    fn choice_pdf(
+        &self,
+        wo: Vec3<R>,
+        wi: Vec3<R>,
+        component: Component,
+        _mode: TransportMode,
+    ) -> R {
+        let coat = self.coated.attached_choice(self.coat(wo).reflect);
+        match component {
+            Component::Continuous => {
+                constant(warp::cosine_hemisphere_pdf(wi.z)) * (R::one() - coat)
+            }
+            Component::Delta { .. } => coat,
         }
     }
 }

@@ -6,7 +6,9 @@ use super::dielectric::{eta_across, relative_index};
 use super::fresnel;
 use super::microfacet::Microfacet;
 use super::rough_conductor::{Roughness, reflect, reflection};
-use super::{BsdfSample, Component, DiffLobe, FromNode, Leaf, Lobe, Reader, TransportMode};
+use super::{
+    BsdfSample, Component, DiffLobe, FromNode, Leaf, Lobe, Reader, TransportMode, constant,
+};
 use crate::error::SceneError;
 use crate::math::Rgb;
 use crate::scene::{Builder, Node};
@@ -191,6 +193,25 @@ impl<R: Real> Lobe<R> for RoughDielectricLobe<R> {
             component: Component::Continuous,
             eta,
         })
+    }
+
+    #[inline]
+    fn choice_pdf(
+        &self,
+        wo: Vec3<R>,
+        wi: Vec3<R>,
+        _component: Component,
+        _mode: TransportMode,
+    ) -> R {
+        let Some(f) = Facet::between(wo, wi, self.eta) else {
+            return R::zero();
+        };
+        let up = upwards(wo);
+        if f.reflects {
+            return constant(self.microfacet.pdf_reflected(up, f.m)) * f.fresnel.reflect;
+        }
+        let jacobian = f.eta.square() * f.cos_i / f.stretch();
+        constant(self.microfacet.pdf(up, f.m) * jacobian) * f.fresnel.transmit
     }
 
     #[inline]

@@ -12,7 +12,7 @@ use super::rough_conductor::{
     sample_reflected_differential,
 };
 use super::{
-    BsdfSample, Component, DiffLobe, FromNode, Leaf, Lobe, Reader, TransportMode, fresnel,
+    BsdfSample, Component, DiffLobe, FromNode, Leaf, Lobe, Reader, TransportMode, constant, fresnel,
 };
 use crate::error::SceneError;
 use crate::math::{Rgb, warp};
@@ -126,6 +126,23 @@ impl<R: Real> Lobe<R> for RoughPlasticLobe<R> {
             component: Component::Continuous,
             eta: R::Primal::one(),
         })
+    }
+
+    #[inline]
+    fn choice_pdf(
+        &self,
+        wo: Vec3<R>,
+        wi: Vec3<R>,
+        _component: Component,
+        _mode: TransportMode,
+    ) -> R {
+        let Some(m) = half_vector(wo, wi) else {
+            return R::zero();
+        };
+        let passes = self.table.transmit(wo.z, self.microfacet.alpha);
+        let coat = self.coated.attached_choice(R::one() - passes);
+        constant(self.microfacet.pdf_reflected(wo, m)) * coat
+            + constant(warp::cosine_hemisphere_pdf(wi.z)) * (R::one() - coat)
     }
 
     /// Of the coat only: the base changes little with roughness.

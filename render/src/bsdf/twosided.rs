@@ -6,8 +6,8 @@ use ad_core::{Float, Real, Vec3};
 
 use super::nesting::{check_levels, nested_nodes};
 use super::{
-    Bsdf, BsdfSample, DeltaKind, DiffLobe, FromNode, Material, Shading, TextureRef, TransportMode,
-    Use,
+    Bsdf, BsdfSample, Component, DeltaKind, DiffLobe, FromNode, Material, Shading, TextureRef,
+    TransportMode, Use,
 };
 use crate::error::SceneError;
 use crate::math::Rgb;
@@ -105,6 +105,18 @@ impl Bsdf for TwoSided {
     ) -> Rgb<R> {
         let (side, behind) = self.side(wo);
         side.eval_delta(at, turn(wo, behind), turn(wi, behind), kind, route, mode)
+    }
+
+    fn choice_pdf<R: Real>(
+        &self,
+        at: &Shading<R>,
+        wo: Vec3<R>,
+        wi: Vec3<R>,
+        component: Component,
+        mode: TransportMode,
+    ) -> R {
+        let (side, behind) = self.side(wo);
+        side.choice_pdf(at, turn(wo, behind), turn(wi, behind), component, mode)
     }
 
     fn backward<P: Float>(

@@ -22,7 +22,9 @@ pub use sampling::{
     Sampling, Unsplit,
 };
 pub(crate) use strategy::Still;
-pub use strategy::{AllowBias, AttachedRoulette, BsdfOnly, EmitterOnly, Mis, Strategy, Unbiased};
+pub use strategy::{
+    AllowBias, AttachedChoice, AttachedRoulette, BsdfOnly, EmitterOnly, Mis, Strategy, Unbiased,
+};
 pub use weights::{
     AttachedWeights, Balance, DetachedWeights, FrozenWeights, Heuristic, MixedWeights, Power,
     TrustBsdf, TrustLights, Weights,

@@ -31,6 +31,8 @@ pub trait Strategy: Send + Sync + 'static {
     const DIFFERENTIATED_WEIGHTS: bool = false;
     /// Whether the survival probability of Russian roulette is differentiated: wrong (F5), for study.
     const ATTACHED_ROULETTE: bool = false;
+    /// Whether the probabilities of choosing between lobes are: wrong (F6), for study.
+    const ATTACHED_CHOICE: bool = false;
     /// Whether nothing says that the derivative has the right expectation: [`AllowBias`].
     const ALLOWS_BIAS: bool = false;
     /// Whether the scene must be free of discontinuities, see [`super::check`].
@@ -50,7 +52,7 @@ pub trait Strategy: Send + Sync + 'static {
     message = "`{Self}` gives a biased derivative",
     label = "not an unbiased combination",
     note = "attached sampling needs `AttachedWeights` or `FrozenWeights`; weights must be alike for all techniques, and \
-            roulette must take constant probabilities",
+            roulette and the choice of lobes must take constant probabilities",
     note = "to study the bias on purpose, wrap the combination: `AllowBias<{Self}>`"
 )]
 pub trait Unbiased: Strategy {}
@@ -146,16 +148,24 @@ impl<B: Sampling, E: EmitterSampling<B>> Unbiased for EmitterOnly<B, E> {}
 pub struct AllowBias<S>(PhantomData<S>);
 
 /// `S` with a roulette whose survival probability is differentiated (F5). Needs [`AllowBias`].
-///
-/// There is no such type for the choice between lobes (F6): lobes without deltas are weighed by the density of their
-/// mixture, whichever was chosen, and the probability of a delta is a primal number, whose derivative no type can ask
-/// for.
 #[derive(Clone, Copy, Debug)]
 pub struct AttachedRoulette<S>(PhantomData<S>);
 
+/// `S` whose scattered directions are weighed by one over a density in which the probabilities of choosing between
+/// lobes are differentiated, although the choices do not move (F6) [Zeltner 2021, section 4.2.2]. Needs [`AllowBias`].
+///
+/// `I = pi A + (1 - pi) B` with `pi` as the probability of `A` has the derivative `A - B`, and zero here. In general,
+/// with the density `p = sum_i P_i p_i` of a direction (the probability of a delta is `P_i p_i`), what is missing is the
+/// mean of `f L / p` times the derivative of `ln p` through all `P_i` ([`crate::bsdf::Lobe::choice_pdf`]). Lobes without
+/// deltas are weighed by the density of their mixture, whichever was chosen: nothing is missing where they are alike.
+///
+/// Nothing else changes: `S` scatters constant directions and has MIS weights that are not differentiated.
+#[derive(Clone, Copy, Debug)]
+pub struct AttachedChoice<S>(PhantomData<S>);
+
 macro_rules! wrapper {
-    ($name:ident { $($item:item)* }) => {
-        impl<S: Strategy> Strategy for $name<S> {
+    ($name:ident <$inner:path> { $($item:item)* }) => {
+        impl<S: $inner> Strategy for $name<S> {
             type Bsdf = S::Bsdf;
             type Edge = S::Edge;
             type Aim = S::Aim;
@@ -176,16 +186,24 @@ macro_rules! wrapper {
     };
 }
 
-wrapper!(AllowBias {
+wrapper!(AllowBias<Strategy> {
     type Runs = S::Runs;
     const ALLOWS_BIAS: bool = true;
     const ATTACHED_ROULETTE: bool = S::ATTACHED_ROULETTE;
+    const ATTACHED_CHOICE: bool = S::ATTACHED_CHOICE;
     const NEEDS_CONTINUITY: bool = false;
 });
-wrapper!(AttachedRoulette {
+wrapper!(AttachedRoulette<Strategy> {
     type Runs = Self;
     const ALLOWS_BIAS: bool = S::ALLOWS_BIAS;
     const ATTACHED_ROULETTE: bool = true;
+    const ATTACHED_CHOICE: bool = S::ATTACHED_CHOICE;
+});
+wrapper!(AttachedChoice<Strategy<Bsdf = Detached, Edge = Forget>> {
+    type Runs = Self;
+    const ALLOWS_BIAS: bool = S::ALLOWS_BIAS;
+    const ATTACHED_ROULETTE: bool = S::ATTACHED_ROULETTE;
+    const ATTACHED_CHOICE: bool = true;
 });
 
 /// `S` where nothing has tangents, so that nothing moves.

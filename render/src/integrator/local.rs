@@ -22,6 +22,8 @@ type Short<T> = SmallVec<[T; 8]>;
 
 /// A colour that depends on the parameters of one material.
 pub trait LocalFn<P: Float> {
+    /// Whether its channels depend on other channels of textures.
+    const MIXES: bool = false;
     /// Its value over any scalar.
     fn eval<R: Real<Primal = P>>(&self, theta: &Theta<R>) -> Rgb<R>;
 }
@@ -41,11 +43,11 @@ enum Slot<P> {
 }
 
 /// Adds `d . df/d texels` for the active textures of `material` at `uv`, which `f` reads nowhere else.
-pub fn pull_back<P: Float>(
+pub fn pull_back<P: Float, F: LocalFn<P>>(
     material: &Material,
     theta: &Theta<P>,
     uv: Vec2<P>,
-    f: &impl LocalFn<P>,
+    f: &F,
     d: Rgb<P>,
     grad: &mut impl GradSink<P>,
 ) {
@@ -63,11 +65,11 @@ pub fn pull_back<P: Float>(
             return;
         }
         match t {
-            TextureRef::Rgb(t) => slots.push(Slot::Rgb(t.clone(), uv)),
+            TextureRef::Rgb(t) if !F::MIXES => slots.push(Slot::Rgb(t.clone(), uv)),
             TextureRef::Scalar(t) | TextureRef::Alpha(t) | TextureRef::Exponent(t) => {
                 slots.push(Slot::Scalar(t.clone(), uv))
             }
-            TextureRef::Vector(map) => {
+            TextureRef::Rgb(map) | TextureRef::Vector(map) => {
                 let f = map.footprint(uv);
                 slots.extend((0..3).map(|c| Slot::Channel(f, c)));
             }

@@ -206,7 +206,8 @@ pub fn trace<R: Real, S: Strategy, X: Sampler, O: Observer<R>>(
 /// choice, light position 2, BSDF 3, roulette).
 ///
 /// # Derivatives
-/// In theta, as the strategy says. Discrete decisions (light, lobe, roulette) are primal.
+/// In theta, as the strategy says. Discrete decisions (light, lobe, roulette) are primal, and so are their
+/// probabilities unless it asks for others.
 ///
 /// # Does not handle
 /// Moving discontinuities.
@@ -621,7 +622,10 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
         };
         let wi = S::Bsdf::embed3(sample.wi);
         let pdf = S::Bsdf::embed(sample.pdf);
-        let mut weight = pdf.recip();
+        let mut weight = match const { S::ATTACHED_CHOICE } && !R::IS_PRIMAL {
+            true => (material.choice_pdf(&at, wo_r, wi, sample.component, MODE)).recip(),
+            false => pdf.recip(),
+        };
 
         // ---- Update ----
         self.eta *= sample.eta;
@@ -797,9 +801,10 @@ pub(super) fn find_light<R: Real, S: Strategy>(
     Some((light, e.eval(theta, &emission)))
 }
 
-/// Whether a [`Guide`](crate::guide::Guide) may lead scattered directions: only if neither they nor weights move.
+/// Whether a [`Guide`](crate::guide::Guide) may lead scattered directions: only if neither they nor weights move, nor
+/// what they are divided by.
 pub(crate) const fn is_guided<S: Strategy>() -> bool {
-    S::Bsdf::DETACHED_PATH && !S::FROZEN_WEIGHTS && !follows_edges::<S>()
+    S::Bsdf::DETACHED_PATH && !S::FROZEN_WEIGHTS && !follows_edges::<S>() && !S::ATTACHED_CHOICE
 }
 
 /// Density of a direction of which the guide draws its part and the material the rest.

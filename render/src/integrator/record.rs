@@ -247,12 +247,14 @@ impl<'a, P: Float> Recorder<'a, P> {
                 here += b.f * (l + plain + followed) * b.weight;
                 let d = d * b.weight;
                 let mut d_f = d * (l + plain);
+                let mut chosen = d * b.f * (l + plain + followed);
                 if S::ATTACHED_ROULETTE {
                     if let Some((_, channel)) = survived.next_if(|(i, _)| *i as usize == index) {
-                        let own = (d * b.f * (l + plain + followed)).sum() - decided;
+                        let own = chosen.sum() - decided;
                         decided += own;
                         deciding[*channel] -= own;
                     }
+                    chosen += deciding.into();
                     d_f += array(|c| match b.f[c] == P::zero() {
                         true => P::zero(),
                         false => deciding[c] / b.f[c],
@@ -260,6 +262,20 @@ impl<'a, P: Float> Recorder<'a, P> {
                     .into();
                 }
                 use_light(b.wi, b.component, b.part, d_f);
+                if const { S::ATTACHED_CHOICE }
+                    && let Some(surface) = &v.surface
+                {
+                    let index = scene.shape_info(surface.shape).material;
+                    if grad.material_active(index) {
+                        let material = &scene.materials()[index as usize];
+                        let f = Chosen {
+                            material,
+                            surface,
+                            bounce: b,
+                        };
+                        pull_back(material, theta, surface.uv, &f, chosen, grad);
+                    }
+                }
             }
             if let (Some(s), false) = (&v.surface, uses.is_empty()) {
                 let material = scene.shape_info(s.shape).material;
@@ -453,6 +469,27 @@ struct Connected<'a, P: Real, S> {
     surface: &'a Surface<P>,
     light: &'a SampledLight<P>,
     strategy: PhantomData<S>,
+}
+
+/// Logarithm of one over [`Bsdf::choice_pdf`] of a bounce.
+struct Chosen<'a, P: Real> {
+    material: &'a Material,
+    surface: &'a Surface<P>,
+    bounce: &'a Bounce<P>,
+}
+
+impl<P: Float> LocalFn<P> for Chosen<'_, P> {
+    const MIXES: bool = true;
+
+    fn eval<R: Real<Primal = P>>(&self, theta: &Theta<R>) -> Rgb<R> {
+        let at = Shading {
+            theta: *theta,
+            uv: Vec2::lift(self.surface.uv),
+        };
+        let (wo, wi) = (Vec3::lift(self.surface.wo), Vec3::lift(self.bounce.wi));
+        let component = self.bounce.component;
+        Rgb::splat(-self.material.choice_pdf(&at, wo, wi, component, MODE).ln())
+    }
 }
 
 impl<P: Float, S: Strategy> LocalFn<P> for Connected<'_, P, S> {

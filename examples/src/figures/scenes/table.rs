@@ -6,9 +6,9 @@ use std::marker::PhantomData;
 use rayon::prelude::*;
 use render::bsdf::microfacet::Ndf;
 use render::estimator::{
-    Attached, AttachedDirect, AttachedRoulette, AttachedWeights, BsdfOnly, Detached,
-    DetachedWeights, Differential, EmitterOnly, FrozenWeights, Mis, MixedWeights, Reparameterised,
-    Unbiased,
+    Attached, AttachedChoice, AttachedDirect, AttachedRoulette, AttachedWeights, BsdfOnly,
+    Detached, DetachedWeights, Differential, EmitterOnly, FrozenWeights, Mis, MixedWeights,
+    Reparameterised, Unbiased,
 };
 use render::instances::{Direction, Estimator, Technique, render_f64};
 use render::params::Theta;
@@ -412,6 +412,8 @@ fn types(fig: &mut Figure) {
         Mis<Differential, Differential, DetachedWeights>,
         AttachedRoulette<M<Detached, DetachedWeights>>,
         AttachedRoulette<BsdfOnly<Detached>>,
+        AttachedChoice<M<Detached, DetachedWeights>>,
+        AttachedChoice<BsdfOnly<Detached>>,
     ];
     let count = |all: &[bool]| all.iter().filter(|a| **a).count();
     let mis = count(&detached) + count(&attached[..1]);

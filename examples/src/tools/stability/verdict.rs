@@ -435,8 +435,8 @@ pub fn text(report: &Report) -> String {
         .map(|(name, c)| format!("{name}: z {:.1}", c.z()))
         .collect();
     out.say("F5, F6", match attached.is_empty() {
-        true => "roulette and the choice of lobes take constant probabilities here (`biased-roulette` does not).".into(),
-        false => format!("differentiated roulette is biased ({}); the choice of lobes is constant by construction.", attached.join(", ")),
+        true => "roulette and the choice of lobes take constant probabilities here (`biased-roulette` and `biased-choice` do not).".into(),
+        false => format!("differentiated roulette is biased ({}); rough metal has no lobes to choose between.", attached.join(", ")),
     });
     if let Some((worst, c)) = extreme(&p.dark) {
         out.say("F7", format!(

@@ -42,7 +42,11 @@ use crate::texture::Texture;
 
 /// Whether waves estimate derivatives as strategy `S` does: nothing moves, and decisions are constants.
 pub(super) const fn fits<S: Strategy>() -> bool {
-    S::Bsdf::DETACHED_PATH && !S::Aim::KEEPS && !follows_edges::<S>() && !S::ATTACHED_ROULETTE
+    S::Bsdf::DETACHED_PATH
+        && !S::Aim::KEEPS
+        && !follows_edges::<S>()
+        && !S::ATTACHED_ROULETTE
+        && !S::ATTACHED_CHOICE
 }
 
 /// Keeps what happens to the paths of a wave.
