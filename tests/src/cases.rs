@@ -60,10 +60,28 @@ fn emitter(name: &'static str, emitter: &str) -> Case {
     }
 }
 
-/// Every material and every emitter, except two. Environment maps need files, which `attached_emitters.rs`,
-/// `auto.rs`, `estimator_matrix.rs` and `render/tests/emitters.rs` write. Normal maps turn parts of a ball away from the
-/// viewer, which no derivative without edges sees; `estimators.rs`, `estimator_matrix.rs` and
-/// `render/tests/composites.rs` tilt planes.
+/// A plate of the material that no light or eye sees at a grazing angle, under an area light and a constant sky. On a ball
+/// normals turn from the viewer along an edge that no derivative sees (`tests/normal_maps.rs`).
+fn plate(name: &'static str, bsdf: &str) -> Case {
+    Case {
+        name,
+        body: format!(
+            r#"{CAMERA}{AREA}{SKY}<shape type="rectangle" id="plate">
+            <transform name="to_world"><rotate x="1" angle="-45"/><translate y="0.3"/></transform>{bsdf}</shape>"#
+        ),
+    }
+}
+
+/// The material below normals up to fifteen degrees off.
+fn tilted(nested: &str) -> String {
+    format!(
+        r#"<bsdf type="normalmap"><texture name="normalmap" type="checkerboard">
+        <rgb name="color0" value="0.6, 0.45, 0.95"/><rgb name="color1" value="0.42, 0.55, 0.9"/></texture>{nested}</bsdf>"#
+    )
+}
+
+/// Every material and every emitter, except environment maps: those need files, which `attached_emitters.rs`,
+/// `auto.rs`, `estimator_matrix.rs` and `render/tests/emitters.rs` write.
 pub fn all() -> Vec<Case> {
     vec![
         material(
@@ -117,6 +135,16 @@ pub fn all() -> Vec<Case> {
         material(
             "checkerboard",
             r#"<bsdf type="diffuse"><texture name="reflectance" type="checkerboard"><rgb name="color0" value="0.7, 0.3, 0.2"/><rgb name="color1" value="0.2, 0.4, 0.6"/></texture></bsdf>"#,
+        ),
+        plate(
+            "normal map",
+            &tilted(
+                r#"<bsdf type="diffuse"><rgb name="reflectance" value="0.7, 0.3, 0.2"/></bsdf>"#,
+            ),
+        ),
+        plate(
+            "normal map of metal",
+            &tilted(r#"<bsdf type="roughconductor"><float name="alpha" value="0.3"/></bsdf>"#),
         ),
         emitter("area", AREA),
         emitter(

@@ -28,7 +28,9 @@ use crate::texture::{self, Bitmap, RgbTexture, UvTransform, Wrap};
 ///
 /// # Does not handle
 /// The horizon, which attached samples cross (F9): [`crate::Scene::discontinuity`]. The jump of the value in the
-/// texels where directions get to the other side, or a normal is flipped: no derivative sees it.
+/// texels where a normal turns from its viewer (along an edge on a ball; on a plane only at grazing angles) or is
+/// flipped, and where a mirror turns light into the surface: no derivative sees it. Where light gets behind a
+/// tilted horizon, values of rough and diffuse materials end in zero, and nothing is missed.
 #[derive(Clone, Debug)]
 pub struct NormalMap {
     map: RgbTexture,
