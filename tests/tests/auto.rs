@@ -2,7 +2,7 @@
 
 use render::auto::{self, Mixture, candidates};
 use render::image_io::write_exr;
-use render::instances::Estimator;
+use render::instances::{Estimator, Mode};
 use render::params::Theta;
 use render::sampler::Points;
 use render::{Image, RenderError, Scene};
@@ -102,8 +102,18 @@ const SINGLE: [Estimator; 3] = [
 fn chosen(scene: &Scene, names: &[&str], candidates: &[Estimator], budget: u64) -> Mixture {
     let adjoint = mean_adjoint(scene);
     let s = &scene.settings;
-    auto::choose(scene, names, &adjoint, candidates, s, 5, budget, &())
-        .expect("parameters that candidates see")
+    auto::choose(
+        scene,
+        names,
+        &adjoint,
+        candidates,
+        Mode::Reverse,
+        s,
+        5,
+        budget,
+        &(),
+    )
+    .expect("parameters that candidates see")
 }
 
 /// Gradients of the mean of the image, all numbers in a row, with independent seeds.
@@ -265,7 +275,18 @@ fn what_nobody_sees_is_an_error() {
     let adjoint = mean_adjoint(&scene);
     let ask = |names: &[&str], adjoint: &[f32], candidates: &[Estimator]| {
         let s = &scene.settings;
-        auto::choose(&scene, names, adjoint, candidates, s, 0, 4096, &()).map(|_| ())
+        auto::choose(
+            &scene,
+            names,
+            adjoint,
+            candidates,
+            Mode::Reverse,
+            s,
+            0,
+            4096,
+            &(),
+        )
+        .map(|_| ())
     };
     let unknown = ask(&["rough.alfa.value"], &adjoint, &candidates(&scene));
     assert!(matches!(unknown, Err(RenderError::UnknownParameter { .. })));

@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use clap::Parser;
 use render::auto::{self, Mixture};
-use render::instances::{Direction, Estimator, Technique, forward_f64, render_f64};
+use render::instances::{Direction, Estimator, Mode, Technique, forward_f64, render_f64};
 use render::integrator::render::{NonFinite, Progress, Rendering};
 use render::params::{ParamInfo, Theta};
 use render::{Image, RenderError, Scene, Settings, image_io};
@@ -385,6 +385,7 @@ impl Run<'_> {
                     &[param],
                     &ones,
                     &auto::candidates(self.scene),
+                    Mode::Forward,
                     &self.settings,
                     seed,
                     spp * repeats,

@@ -7,7 +7,7 @@ use std::time::Instant;
 use clap::Parser;
 use optim::{Loss, LossKind, OptimError};
 use render::auto::{self, Mixture};
-use render::instances::{Direction, Estimator, Technique, forward_f32, render_f32};
+use render::instances::{Direction, Estimator, Mode, Technique, forward_f32, render_f32};
 use render::integrator::render::{NonFinite, Progress};
 use render::params::{Differentiability, ParamInfo, ParamShape, Theta};
 use render::scene::LightChoice;
@@ -425,6 +425,7 @@ fn mixture(
                 names,
                 &adjoint,
                 &auto::candidates(scene),
+                Mode::Reverse,
                 settings,
                 args.seed,
                 budget,

@@ -3,7 +3,7 @@
 use super::pilot::{Blocks, Finding, Findings};
 use super::shares;
 use crate::error::RenderError;
-use crate::instances::{Direction, Estimator};
+use crate::instances::{Direction, Estimator, Mode};
 use crate::integrator::gradient::Gradient;
 use crate::integrator::render::{NonFinite, Progress, Rendering};
 use crate::params::Theta;
@@ -15,6 +15,8 @@ pub struct Mixture {
     pub(super) clusters: Vec<Cluster>,
     pub(super) findings: Vec<Finding>,
     pub(super) spent: f64,
+    /// Of the passes that work is shared among.
+    mode: Mode,
     blocks: Blocks,
 }
 
@@ -99,9 +101,10 @@ impl Mixture {
     /// One estimator for everything: samples are samples, whatever they cost.
     pub fn only<N: AsRef<str>>(scene: &Scene, estimator: Estimator, names: &[N]) -> Self {
         let blocks = Blocks::of(scene);
+        let mode = Mode::default();
         let member = Member {
             estimator,
-            share: estimator.cost(),
+            share: estimator.cost(mode),
             variance: vec![1.0; blocks.len()],
         };
         let cluster = Cluster {
@@ -112,12 +115,13 @@ impl Mixture {
             clusters: vec![cluster],
             findings: Vec::new(),
             spent: 0.0,
+            mode,
             blocks,
         }
     }
 
     /// Starts from passes for each group of parameters, and lets those share passes that gain by it.
-    pub(super) fn of(scene: &Scene, found: Findings) -> Self {
+    pub(super) fn of(scene: &Scene, found: Findings, mode: Mode) -> Self {
         let findings = found.groups;
         let mut plans: Vec<Plan> = (0..findings.len())
             .filter_map(|g| Plan::of(&findings, vec![g]))
@@ -160,6 +164,7 @@ impl Mixture {
             clusters: clusters.collect(),
             findings,
             spent: found.spent,
+            mode,
             blocks: Blocks::of(scene),
         }
     }
@@ -169,7 +174,7 @@ impl Mixture {
         &self.findings
     }
 
-    /// What the pilots cost, in samples of [`Estimator::Mis`] per pixel.
+    /// What the pilots cost, in samples of [`Estimator::Mis`] per pixel in forward mode.
     pub fn spent(&self) -> f64 {
         self.spent
     }
@@ -222,7 +227,7 @@ impl Mixture {
 
     /// Whole numbers of samples, and the best weights for these.
     fn pass<'a>(&self, cluster: &'a Cluster, samples: u64, all: f64) -> Vec<Pass<'a>> {
-        let wanted = |m: &Member| m.share / all * samples as f64 / m.estimator.cost();
+        let wanted = |m: &Member| m.share / all * samples as f64 / m.estimator.cost(self.mode);
         let mut passes: Vec<Pass> = cluster
             .members
             .iter()
@@ -241,7 +246,7 @@ impl Mixture {
         passes.retain(|p| p.samples > 0);
         // Variance of the mean of the samples.
         let precision = |p: &Pass, b: usize| {
-            p.samples as f64 * p.member.estimator.cost() / p.member.variance[b]
+            p.samples as f64 * p.member.estimator.cost(self.mode) / p.member.variance[b]
         };
         let sums: Vec<f64> = (0..self.blocks.len())
             .map(|b| passes.iter().map(|p| precision(p, b)).sum())

@@ -8,11 +8,13 @@
 //! power heuristic) say little about the spread of derivatives.
 //!
 //! Work is counted in samples of [`Estimator::Mis`] ([`Estimator::cost`]), not by a clock: the same seed
-//! gives the same mixture.
+//! gives the same mixture. Pilots run in forward mode; what they find is for passes in the mode that is asked for,
+//! in which other estimators may be cheap.
 //!
 //! ```no_run
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
 //! use render::auto::{self, Mixture};
+//! use render::instances::Mode;
 //! use render::params::Theta;
 //!
 //! let (scene, _) = render::Scene::load("scene.xml".as_ref(), &Default::default())?;
@@ -20,7 +22,8 @@
 //! let names = ["plate.alpha.value"];
 //! let settings = scene.settings;
 //! let candidates = auto::candidates(&scene);
-//! let mixture = auto::choose(&scene, &names, &adjoint, &candidates, &settings, 0, 4096, &())?;
+//! let mode = Mode::Reverse;
+//! let mixture = auto::choose(&scene, &names, &adjoint, &candidates, mode, &settings, 0, 4096, &())?;
 //! print!("{mixture}"); // what was chosen, and why
 //! let theta = Theta::constant(scene.params().values());
 //! let gradient = mixture.backward_f32(&scene, &theta, &names, &adjoint, &settings, 0, 1024, &())?;
@@ -40,7 +43,7 @@ use std::fmt;
 use crate::bsdf::{Bsdf, TextureRef};
 use crate::emitter::{AnyEmitter, Emitter};
 use crate::error::RenderError;
-use crate::instances::Estimator;
+use crate::instances::{Estimator, Mode};
 use crate::integrator::render::Progress;
 use crate::scene::{Scene, Settings};
 use crate::texture::ScalarTexture;
@@ -116,7 +119,8 @@ const PILOT_SEED: u64 = 0x7069_6c6f_7473;
 /// Finds a mixture for the derivatives of `<adjoint, image>` in the named parameters, `adjoint` as for
 /// [`crate::integrator::gradient::backward`].
 ///
-/// `budget` is the work to come, in samples per pixel of [`Estimator::Mis`]; pilots cost at most [`PILOTS`] of it.
+/// `budget` is the work to come in `mode`, in samples per pixel of [`Estimator::Mis`]; pilots cost at most [`PILOTS`] of
+/// it.
 /// Every parameter is measured by itself if that leaves enough samples, otherwise all those of one
 /// material or emitter together, or all of them. The first candidate that sees the parameters is taken where not
 /// even that fits, and where few samples carry most of its variance: then nothing was measured.
@@ -128,6 +132,7 @@ pub fn choose<N: AsRef<str>>(
     names: &[N],
     adjoint: &[f32],
     candidates: &[Estimator],
+    mode: Mode,
     settings: &Settings,
     seed: u64,
     budget: u64,
@@ -135,9 +140,9 @@ pub fn choose<N: AsRef<str>>(
 ) -> Result<Mixture, RenderError> {
     crate::integrator::gradient::check_size("adjoint image", scene, adjoint)?;
     let seed = seed ^ PILOT_SEED;
-    let pilots = pilot::Pilots::new(scene, names, adjoint, candidates, settings, seed)?;
+    let pilots = pilot::Pilots::new(scene, names, adjoint, candidates, settings, seed, mode)?;
     let findings = pilots.run(PILOTS * budget as f64, progress)?;
-    Ok(Mixture::of(scene, findings))
+    Ok(Mixture::of(scene, findings, mode))
 }
 
 impl fmt::Display for Mixture {

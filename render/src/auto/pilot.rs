@@ -1,7 +1,7 @@
 //! Pilots: short runs of the candidates in forward mode, in pairs whose differences are the variance.
 
 use crate::error::RenderError;
-use crate::instances::{Direction, Estimator};
+use crate::instances::{Direction, Estimator, Mode};
 use crate::integrator::render::{Progress, TILE};
 use crate::params::{ParamInfo, ParamShape, Params};
 use crate::sampler::{Independent, Points, Sampler};
@@ -55,6 +55,8 @@ pub(super) struct Pilots<'a> {
     settings: Settings,
     seed: u64,
     params: Vec<(ParamInfo, Vec<Estimator>)>,
+    /// What the estimators are measured for: the pilots themselves are forward mode.
+    mode: Mode,
 }
 
 /// What one candidate gave for one group: of each pair, the blocks.
@@ -131,6 +133,7 @@ impl<'a> Pilots<'a> {
         candidates: &[Estimator],
         settings: &Settings,
         seed: u64,
+        mode: Mode,
     ) -> Result<Self, RenderError> {
         let mut params: Vec<(ParamInfo, Vec<Estimator>)> = Vec::new();
         for name in names {
@@ -150,6 +153,7 @@ impl<'a> Pilots<'a> {
             },
             seed,
             params,
+            mode,
         })
     }
 
@@ -201,7 +205,7 @@ impl<'a> Pilots<'a> {
         let mut spent = 0.0;
         for pair in 0..MOST_PAIRS {
             let work = |g: usize| -> f64 {
-                let of = |&k: &usize| 2.0 * groups[g].candidates[k].cost();
+                let of = |&k: &usize| 2.0 * groups[g].candidates[k].cost(Mode::Forward);
                 alive[g].iter().map(of).sum()
             };
             let undecided = |g: &usize| pair == 0 || alive[*g].len() > 1;
@@ -218,7 +222,7 @@ impl<'a> Pilots<'a> {
                     self.pair(e, &along, pair, &mut sums[g][k], progress)?;
                 }
                 if pair + 1 >= fair {
-                    alive[g] = hopeful(&groups[g].candidates, &sums[g], &alive[g]);
+                    alive[g] = hopeful(&groups[g].candidates, &sums[g], &alive[g], self.mode);
                 }
             }
         }
@@ -227,7 +231,7 @@ impl<'a> Pilots<'a> {
         }
         let findings = groups.iter().zip(&sums);
         Ok(Findings {
-            groups: findings.map(|(g, s)| finding(g, s)).collect(),
+            groups: findings.map(|(g, s)| finding(g, s, self.mode)).collect(),
             spent,
         })
     }
@@ -316,7 +320,7 @@ pub(super) fn noise([a, b]: [f64; 2]) -> f64 {
 
 /// Work of one pair of each.
 fn pair_cost(candidates: &[Estimator]) -> f64 {
-    candidates.iter().map(|e| 2.0 * e.cost()).sum()
+    candidates.iter().map(|e| 2.0 * e.cost(Mode::Forward)).sum()
 }
 
 /// Variance of one sample in each block, of each of `chosen`. One that saw less there than another one, in all
@@ -369,13 +373,14 @@ fn works(
     sums: &[Sums],
     chosen: &[usize],
     blocks: &[Vec<f64>],
+    mode: Mode,
 ) -> Vec<f64> {
     let sees = |v: &[f64]| v.iter().all(|v| v.is_finite());
     let rivals = !sees(&blocks[0]) || sums[chosen[0]].evidence() >= EVIDENCE;
     let work = |(&k, v): (&usize, &Vec<f64>)| {
         let evidence = sums[k].evidence();
         let doubt = 1.0 + evidence.max(1.0).sqrt().recip();
-        let work = v.iter().sum::<f64>() * candidates[k].cost();
+        let work = v.iter().sum::<f64>() * candidates[k].cost(mode);
         let trusted = rivals && (evidence >= EVIDENCE || !sees(&blocks[0]));
         match k == chosen[0] {
             true => work / doubt,
@@ -387,9 +392,9 @@ fn works(
 }
 
 /// Those of `alive` that may still be the best; the first always.
-fn hopeful(candidates: &[Estimator], sums: &[Sums], alive: &[usize]) -> Vec<usize> {
+fn hopeful(candidates: &[Estimator], sums: &[Sums], alive: &[usize], mode: Mode) -> Vec<usize> {
     let variances = variances(sums, alive);
-    let work = |(&k, v): (&usize, &Vec<f64>)| v.iter().sum::<f64>() * candidates[k].cost();
+    let work = |(&k, v): (&usize, &Vec<f64>)| v.iter().sum::<f64>() * candidates[k].cost(mode);
     let works: Vec<f64> = alive.iter().zip(&variances).map(work).collect();
     let least = works.iter().copied().fold(f64::INFINITY, f64::min);
     let kept = alive.iter().zip(&works);
@@ -400,10 +405,10 @@ fn hopeful(candidates: &[Estimator], sums: &[Sums], alive: &[usize]) -> Vec<usiz
 
 /// Variances per block that can be trusted with weights: a block is believed as far as there is evidence, and
 /// otherwise to be like the others.
-fn finding(group: &Group, sums: &[Sums]) -> Finding {
+fn finding(group: &Group, sums: &[Sums], mode: Mode) -> Finding {
     let all: Vec<usize> = (0..sums.len()).collect();
     let variances = variances(sums, &all);
-    let works = works(&group.candidates, sums, &all, &variances);
+    let works = works(&group.candidates, sums, &all, &variances, mode);
     let finite = || works.iter().copied().filter(|w| w.is_finite());
     let most = finite().fold(0.0, f64::max);
     // Without any variance all are alike.

@@ -6,7 +6,7 @@ use std::time::Instant;
 use rayon::prelude::*;
 use render::auto::{self, Mixture};
 use render::bsdf::microfacet::Ndf;
-use render::instances::Estimator;
+use render::instances::{Estimator, Mode};
 use render::{RenderError, Scene};
 
 use super::backpropagation;
@@ -171,9 +171,9 @@ struct Trial {
 
 fn single(subject: &Subject, e: Estimator, effort: Effort) -> Result<Vec<Spent>> {
     let only = Mixture::only(&subject.scene, e, &subject.params);
-    let spp = ((effort.spp as f64 / e.cost()).round() as u64).max(1);
+    let spp = ((effort.spp as f64 / e.cost(Mode::Forward)).round() as u64).max(1);
     let of = |param: &String| {
-        let work = spp as f64 * e.cost();
+        let work = spp as f64 * e.cost(Mode::Forward);
         measure(subject, param, effort, |_| (&only, spp), work)
     };
     subject.params.iter().map(of).collect()
@@ -197,6 +197,7 @@ fn mixed(
             p,
             &ones,
             candidates,
+            Mode::Forward,
             s,
             seed,
             BUDGET,
