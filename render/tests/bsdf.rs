@@ -644,6 +644,13 @@ fn densities_change_through_choices_and_through_parts() {
                     }
                 }
             };
+            // Of a direction that another part of a blend has drawn, too.
+            for wo in [wo, -wo] {
+                let at = at(Theta::constant(&values));
+                let pdf = case.material.eval_pdf(&at, wo, wi, mode).1;
+                let chosen = (case.material).choice_pdf(&at, wo, wi, Component::Continuous, mode);
+                assert!(pdf == chosen, "{} {wo:?} {wi:?}: {pdf} {chosen}", case.name);
+            }
             let drawn = (case.material).sample(&at(Theta::constant(&values)), wo, u, mode);
             let delta = drawn.map(|s| s.component);
             let delta = delta.filter(|c| *c != Component::Continuous);

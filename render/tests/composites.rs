@@ -406,6 +406,11 @@ fn samples_follow_their_density() {
                     let wi = Vec3::new(r * phi.cos(), r * phi.sin(), z);
                     let (_, pdf) = material.eval_pdf(&at, wo, wi, MODE);
                     assert!(pdf >= 0.0);
+                    // Of a direction that another part of a blend has drawn, too.
+                    if j % 16 == 0 {
+                        let chosen = material.choice_pdf(&at, wo, wi, Component::Continuous, MODE);
+                        assert_eq!(chosen.to_bits(), pdf.to_bits(), "{name}");
+                    }
                     expected[cell(wi)] += pdf * area * SAMPLES as f64;
                 }
             }

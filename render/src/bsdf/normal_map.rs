@@ -328,6 +328,10 @@ impl Bsdf for NormalMap {
     ) -> R {
         let frame = self.frame(at, wo, mode);
         let (o, i) = (frame.to_local(wo), frame.to_local(wi));
+        // As in `eval_pdf`.
+        if component == Component::Continuous && !(same_side(wo, o) && same_side(wi, i)) {
+            return R::zero();
+        }
         self.nested.choice_pdf(at, o, i, component, mode)
     }
 

@@ -245,6 +245,9 @@ impl<R: Real> Lobe<R> for PlasticLobe<R> {
         component: Component,
         _mode: TransportMode,
     ) -> R {
+        if !above(wo) {
+            return R::zero();
+        }
         let coat = self.coated.attached_choice(self.coat(wo).reflect);
         match component {
             Component::Continuous => {
