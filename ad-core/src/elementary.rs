@@ -167,10 +167,16 @@ pub fn atan<P: Real>(x: P) -> (P, P) {
 /// `atan2(y, x)`; slopes with respect to `y` and `x`.
 #[inline]
 pub fn atan2<P: Real>(y: P, x: P) -> (P, P, P) {
-    let r = y.hypot(x);
-    // Dividing twice keeps r^2 from overflowing or vanishing.
-    let (dy, dx) = if r > P::zero() {
-        (x / r / r, -y / r / r)
+    // Of the smaller over the larger, so that no square overflows or vanishes.
+    let slope = |larger: P, q: P| (larger * (q.square() + P::c(1.0))).recip();
+    let (dy, dx) = if y.abs() > x.abs() {
+        let q = x / y;
+        let s = slope(y, q);
+        (q * s, -s)
+    } else if x != P::zero() {
+        let q = y / x;
+        let s = slope(x, q);
+        (s, -q * s)
     } else {
         (P::zero(), P::zero())
     };

@@ -333,7 +333,7 @@ impl<'a, R: Real> Theta<'a, R> {
     /// Texel `i` of a range with `C` channels.
     #[inline(always)]
     pub fn texel<const C: usize>(&self, p: ParamRef, i: usize) -> [R; C] {
-        if R::IS_PRIMAL {
+        if !self.moves(p) {
             // One check of the range for all channels.
             let values = &self.values[p.offset as usize + i * C..][..C];
             return array(|c| R::lift(values[c]));

@@ -113,20 +113,27 @@ fn reduce<P: Float>(x: P, wrap: Wrap) -> P {
 /// on small images, without branches that nobody can predict.
 #[inline]
 fn wrap_index(i: i32, n: u32, wrap: Wrap) -> u32 {
-    let n = n as i32;
-    let once = |i: i32, period: i32| {
-        let i = if i < 0 { i + period } else { i };
-        if i >= period { i - period } else { i }
+    // As unsigned numbers, negative ones are the largest.
+    let once = |i: i32, period: u32| {
+        let i = i as u32;
+        (if i == period { 0 } else { i }).min(period - 1)
     };
-    let j = match wrap {
+    match wrap {
         Wrap::Repeat => once(i, n),
-        Wrap::Clamp => i.clamp(0, n - 1),
+        Wrap::Clamp => i.clamp(0, n as i32 - 1) as u32,
         Wrap::Mirror => {
             let j = once(i, 2 * n);
-            if j < n { j } else { 2 * n - 1 - j }
+            j.min(2 * n - 1 - j)
         }
-    };
-    j as u32
+    }
+}
+
+/// A whole number below 2^31 as an integer: `as` would also look after all others.
+#[inline]
+fn whole(x: f64) -> i32 {
+    // Its lowest digits become those of the sum's bits.
+    const SHIFT: f64 = (3u64 << 51) as f64;
+    (x + SHIFT).to_bits() as i32
 }
 
 #[inline]
@@ -153,7 +160,7 @@ fn cell<R: Real>(x: R, n: u32, wrap: Wrap) -> (u32, u32, R) {
     };
     let pos = x * R::c(f64::from(n)) - R::c(0.5);
     let floor = pos.primal().to_f64().floor();
-    let i = floor as i32;
+    let i = whole(floor);
     (
         wrap_index(i, n, wrap),
         wrap_index(i + 1, n, wrap),

@@ -85,7 +85,10 @@ impl<const C: usize> Texture<C> {
                 let f = t.footprint(uv);
                 match theta.moves(t.param) {
                     true => gather(theta, &f, decode, |texel, w| texel * w),
-                    false => gather(theta, &f, decode, |texel, w| w * Const(texel.primal())),
+                    false => {
+                        let fixed = theta.primal().lift();
+                        gather(&fixed, &f, decode, |texel, w| w * Const(texel.primal()))
+                    }
                 }
             }),
             Self::Checkerboard(t) => decode(theta.texel(t.select(uv.primal()), 0)),
