@@ -198,14 +198,15 @@ fn beckmann_square<P: Float>(u: P, sign: DiffLobe) -> P {
             (l, if far { start } else { near })
         }
     };
-    // Two steps suffice for single precision, three for double; rounding ends the rest.
+    // One or two steps suffice for single precision, two or three for double.
     for _ in 0..4 {
-        let h = s - one - s.ln() - l;
-        let d = one - s.recip();
-        let newton = h / d;
-        let step = newton / (one - newton * P::of(0.5) / (s.square() * d));
+        let off = s - one;
+        let h = off - s.ln() - l;
+        let squared = off.square();
+        let step = h * s * off / (squared - h * P::of(0.5));
         s -= step;
-        if step.abs() <= P::EPSILON * s {
+        // What is left is about (step / s)^3 s / (4 (s - 1)^2).
+        if step.abs() * step.square() <= P::EPSILON * P::of(0.1) * squared * (s * s * s) {
             break;
         }
     }

@@ -255,8 +255,19 @@ fn beckmann_sigma<R: Real>(c: R, s: R) -> R {
 /// `integral of (c - t s) exp(-t^2) / sqrt(pi) dt` up to `x`.
 #[inline]
 fn slope_cdf<R: Real>(x: R, c: R, s: R) -> R {
-    let gauss = (-x.square()).exp() * R::c(1.0 / PI.sqrt());
+    slope_cdf_where(x, c, s, gauss(x))
+}
+
+/// The same where the density of slopes at `x` is known.
+#[inline]
+fn slope_cdf_where<R: Real>(x: R, c: R, s: R, gauss: R) -> R {
     (c * (x.erf() + R::c(1.0)) + s * gauss) * R::c(0.5)
+}
+
+/// Density of slopes of a Beckmann surface of roughness 1.
+#[inline]
+fn gauss<R: Real>(x: R) -> R {
+    (-x.square()).exp() * R::c(1.0 / PI.sqrt())
 }
 
 /// The slope below which the fraction `u` of the area visible from the unit vector `(s, c)` lies.
@@ -278,8 +289,9 @@ fn visible_slope<R: Real>(c: R, s: R, u: R::Primal) -> R {
     // is right by one, and the value stays.
     let target = beckmann_sigma(c, s) * Const(R::Primal::of(u));
     for _ in 0..2 {
-        let residual = slope_cdf(x, c, s) - target;
-        let slope = (c - x * s) * (-x.square()).exp() * R::c(1.0 / PI.sqrt());
+        let gauss = gauss(x);
+        let residual = slope_cdf_where(x, c, s, gauss) - target;
+        let slope = (c - x * s) * gauss;
         x -= (residual - Const(residual.primal())) / slope;
     }
     x
@@ -298,8 +310,9 @@ fn visible_slope_f64(c: f64, s: f64, u: f64, last: f64) -> f64 {
     // Bisection alone would take 50.
     for _ in 0..60 {
         let facing = c - x * s;
-        let slope = facing * (-x * x).exp() / PI.sqrt();
-        let residual = target - slope_cdf(x, c, s);
+        let gauss = gauss(x);
+        let slope = facing * gauss;
+        let residual = target - slope_cdf_where(x, c, s, gauss);
         if residual > 0.0 {
             low = x;
         } else {
