@@ -160,6 +160,12 @@ fn gradients_are_those_of_single_paths() {
             "emitter",
             "differential-mis",
             "differential",
+            "attached-naive",
+            "attached-mis-naive",
+            "reparameterised",
+            "reparameterised-mis",
+            "mis-attached-weights",
+            "differential-mis-attached-weights",
         ];
         for name in names {
             assert_same_gradients(case.name, &s, &plain, name);
@@ -173,7 +179,9 @@ fn gradients_are_those_of_single_paths() {
             ..plain
         };
         for settings in [all, particles] {
-            assert_same_gradients(case.name, &s, &settings, "differential-mis");
+            for name in ["differential-mis", "attached-mis-naive"] {
+                assert_same_gradients(case.name, &s, &settings, name);
+            }
         }
         assert!(auto::guide(&mut s, &plain, 1, &()), "{}", case.name);
         assert_same_gradients(case.name, &s, &plain, "differential-mis");

@@ -314,6 +314,15 @@ impl TextureRef<'_> {
         }
     }
 
+    /// See [`RgbTexture::any_param`].
+    #[inline]
+    pub fn any_param(&self, f: impl FnMut(ParamRef) -> bool) -> bool {
+        match self {
+            Self::Rgb(t) | Self::Vector(t) | Self::Encoded(t) => t.any_param(f),
+            Self::Scalar(t) | Self::Alpha(t) | Self::Exponent(t) => t.any_param(f),
+        }
+    }
+
     /// See [`RgbTexture::visit_params`].
     pub fn visit_params(&self, f: &mut dyn FnMut(ParamRef)) {
         match self {
@@ -467,8 +476,21 @@ pub trait Bsdf: Send + Sync {
         }
     }
 
-    /// Samples a direction without tangents, and evaluates there: [`Bsdf::sample`] and
-    /// [`Bsdf::eval_component`] in one visit.
+    /// [`Lobe::sample_eval`] at a point: [`Bsdf::sample`] and [`Bsdf::eval_component`] there in one visit.
+    #[inline(always)]
+    fn sample_eval<R: Real>(
+        &self,
+        at: &Shading<R>,
+        wo: Vec3<R>,
+        u: [R::Primal; 3],
+        mode: TransportMode,
+    ) -> Option<Scattered<R, R>> {
+        let sample = self.sample(at, wo, u, mode)?;
+        let f = self.eval_component(at, wo, sample.wi, sample.component, mode);
+        Some((sample, f))
+    }
+
+    /// The same for a direction without tangents.
     #[inline(always)]
     fn scatter<R: Real>(
         &self,
@@ -477,23 +499,15 @@ pub trait Bsdf: Send + Sync {
         u: [R::Primal; 3],
         mode: TransportMode,
     ) -> Option<Scattered<R::Primal, R>> {
-        scatter_apart(self, at, wo, u, mode)
+        if R::IS_PRIMAL {
+            let (sample, f) = self.sample_eval(at, Vec3::lift(wo), u, mode)?;
+            return Some((sample.primal(), f));
+        }
+        let sample = self.sample(&at.primal(), wo, u, mode)?;
+        let (wo, wi) = (Vec3::lift(wo), Vec3::lift(sample.wi));
+        let f = self.eval_component(at, wo, wi, sample.component, mode);
+        Some((sample, f))
     }
-}
-
-/// [`Bsdf::scatter`] where sample and value share nothing.
-#[inline(always)]
-fn scatter_apart<B: Bsdf + ?Sized, R: Real>(
-    bsdf: &B,
-    at: &Shading<R>,
-    wo: Vec3<R::Primal>,
-    u: [R::Primal; 3],
-    mode: TransportMode,
-) -> Option<Scattered<R::Primal, R>> {
-    let sample = bsdf.sample(&at.primal(), wo, u, mode)?;
-    let (wo, wi) = (Vec3::lift(wo), Vec3::lift(sample.wi));
-    let f = bsdf.eval_component(at, wo, wi, sample.component, mode);
-    Some((sample, f))
 }
 
 impl<L: Leaf> Bsdf for L {
@@ -556,20 +570,14 @@ impl<L: Leaf> Bsdf for L {
     }
 
     #[inline(always)]
-    fn scatter<R: Real>(
+    fn sample_eval<R: Real>(
         &self,
         at: &Shading<R>,
-        wo: Vec3<R::Primal>,
+        wo: Vec3<R>,
         u: [R::Primal; 3],
         mode: TransportMode,
-    ) -> Option<Scattered<R::Primal, R>> {
-        if !R::IS_PRIMAL {
-            return scatter_apart(self, at, wo, u, mode);
-        }
-        // One lobe does both.
-        let lobe = self.lobe(&mut { *at });
-        let (sample, f) = lobe.sample_eval(Vec3::lift(wo), u, mode)?;
-        Some((sample.primal(), f))
+    ) -> Option<Scattered<R, R>> {
+        self.lobe(&mut { *at }).sample_eval(wo, u, mode)
     }
 
     #[inline(always)]
@@ -894,6 +902,12 @@ macro_rules! materials {
                 &self, at: &Shading<R>, wo: Vec3<R>, wi: Vec3<R>, component: Component, mode: TransportMode,
             ) -> Rgb<R> {
                 $crate::dispatch::dispatch!(self, [$($hot),*] [$($name),*], m => m.eval_component(at, wo, wi, component, mode))
+            }
+            #[inline(always)]
+            fn sample_eval<R: Real>(
+                &self, at: &Shading<R>, wo: Vec3<R>, u: [R::Primal; 3], mode: TransportMode,
+            ) -> Option<Scattered<R, R>> {
+                $crate::dispatch::dispatch!(self, [$($hot),*] [$($name),*], m => m.sample_eval(at, wo, u, mode))
             }
             #[inline(always)]
             fn scatter<R: Real>(

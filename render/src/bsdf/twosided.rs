@@ -6,8 +6,8 @@ use ad_core::{Float, Real, Vec3};
 
 use super::nesting::{check_levels, nested_nodes};
 use super::{
-    Bsdf, BsdfSample, Component, DeltaKind, DiffLobe, FromNode, Material, Shading, TextureRef,
-    TransportMode, Use,
+    Bsdf, BsdfSample, Component, DeltaKind, DiffLobe, FromNode, Material, Scattered, Shading,
+    TextureRef, TransportMode, Use,
 };
 use crate::error::SceneError;
 use crate::math::Rgb;
@@ -91,6 +91,20 @@ impl Bsdf for TwoSided {
             wi: turn(sample.wi, behind),
             ..sample
         })
+    }
+
+    #[inline]
+    fn sample_eval<R: Real>(
+        &self,
+        at: &Shading<R>,
+        wo: Vec3<R>,
+        u: [R::Primal; 3],
+        mode: TransportMode,
+    ) -> Option<Scattered<R, R>> {
+        let (side, behind) = self.side(wo);
+        let (sample, f) = side.sample_eval(at, turn(wo, behind), u, mode)?;
+        let wi = turn(sample.wi, behind);
+        Some((BsdfSample { wi, ..sample }, f))
     }
 
     #[inline]

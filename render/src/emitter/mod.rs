@@ -40,6 +40,17 @@ pub struct Emission<R> {
     pub falloff: R,
 }
 
+impl<R: Real> Emission<R> {
+    /// The same without tangents.
+    #[inline]
+    pub fn primal(&self) -> Emission<R::Primal> {
+        Emission {
+            uv: self.uv.primal(),
+            falloff: self.falloff.primal(),
+        }
+    }
+}
+
 impl<P: Float> Emission<P> {
     /// The same over a scalar with tangents, all of them zero.
     #[inline]
@@ -184,6 +195,19 @@ pub trait Emitter: Send + Sync {
     /// What a ray with unit direction `d` receives that hits the emitter's shape at `si`, or that
     /// leaves the scene (`si` is `None`). `None` if nothing.
     fn hit<R: Real>(&self, d: Vec3<R>, si: Option<&SurfaceInteraction<R>>) -> Option<Emission<R>>;
+
+    /// The same where it is known but for tangents: `at`.
+    ///
+    /// # Derivatives
+    /// Of first order, those of [`Emitter::hit`].
+    fn hit_again<R: Real>(
+        &self,
+        d: Vec3<R>,
+        si: Option<&SurfaceInteraction<R>>,
+        _at: &Emission<R::Primal>,
+    ) -> Option<Emission<R>> {
+        self.hit(d, si)
+    }
 
     /// Samples a direction from the point `from` (world space).
     fn sample<P: Float>(
@@ -331,6 +355,12 @@ macro_rules! emitters {
                 &self, d: Vec3<R>, si: Option<&SurfaceInteraction<R>>,
             ) -> Option<Emission<R>> {
                 $crate::dispatch::dispatch!(self, [$($hot),*] [$($name),*], e => e.hit(d, si))
+            }
+            #[inline(always)]
+            fn hit_again<R: Real>(
+                &self, d: Vec3<R>, si: Option<&SurfaceInteraction<R>>, at: &Emission<R::Primal>,
+            ) -> Option<Emission<R>> {
+                $crate::dispatch::dispatch!(self, [$($hot),*] [$($name),*], e => e.hit_again(d, si, at))
             }
             #[inline(always)]
             fn sample<P: Float>(

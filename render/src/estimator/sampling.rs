@@ -162,9 +162,7 @@ impl Sampling for Attached {
         u: [R::Primal; 3],
         mode: TransportMode,
     ) -> Option<Scattered<R, R>> {
-        let sample = material.sample(at, wo, u, mode)?;
-        let f = material.eval_component(at, wo, sample.wi, sample.component, mode);
-        Some((sample, f))
+        material.sample_eval(at, wo, u, mode)
     }
 }
 

@@ -7,24 +7,41 @@
 //! goes, reverse mode for the recorded edges; edges that find no light cost nothing. Samples of emitters that
 //! move ([`aimed_light`]) are treated alike.
 
+use std::marker::PhantomData;
+
 use ad_core::{Const, Float, Real, Vec2, Vec3};
 
-use super::boundary::Freeze;
+use super::boundary::{Freeze, freeze};
+use super::local::{LocalFn, pull_back};
 use super::path::{MODE, frozen_pdf};
 use crate::accel::Hit;
 use crate::bsdf::{Bsdf, BsdfSample, Component, Material, Part, Shading};
 use crate::emitter::{Emission, Emitter, Moved};
 use crate::estimator::{Direct, Sampling, Strategy};
 use crate::math::{Frame, Rgb};
-use crate::params::Theta;
+use crate::params::{GradSink, Theta};
+use crate::sampler::{AUXILIARY_DIMENSIONS, Sampler};
 use crate::scene::{Intersection, Scene};
 use crate::shape::SurfaceInteraction;
+
+/// How a sampled direction moves with the parameters that it was made of.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Motion<P> {
+    /// Not at all: only the MIS weight of the light does.
+    Still,
+    /// As samples do.
+    Free,
+    /// Slower, near discontinuities.
+    Slowed(Freeze<P>),
+}
 
 /// A vertex that a scattered direction left: all that is needed to sample it again.
 #[derive(Clone, Copy, Debug)]
 pub struct Departure<P> {
-    /// Index of the shape.
-    pub shape: u32,
+    /// Index of the material.
+    pub material: u32,
+    /// How far rays start off the surface.
+    pub offset: f32,
     /// Where on it.
     pub si: SurfaceInteraction<P>,
     /// Direction the path came from, local frame.
@@ -35,25 +52,79 @@ pub struct Departure<P> {
     pub survival: P,
     /// What of the BSDF is differentiated.
     pub part: Part,
-    /// How much slower it moves.
-    pub freeze: Freeze<P>,
+}
+
+/// Which edges a strategy differentiates by themselves, where they find light.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Edges {
+    /// None: they are constants, or move as the whole path does.
+    None,
+    /// Those along deltas are constants: only weights are differentiated, which they have not.
+    Weighed,
+    /// All of them move.
+    All,
+}
+
+impl Edges {
+    /// Those of `S`.
+    pub const fn of<S: Strategy>() -> Self {
+        match S::Bsdf::DIRECT {
+            Direct::AsPath if S::Bsdf::DETACHED_PATH && S::DIFFERENTIATED_WEIGHTS => Self::Weighed,
+            Direct::AsPath => Self::None,
+            Direct::Attached | Direct::Reparameterised { .. } => Self::All,
+        }
+    }
+
+    /// Whether one along a direction that was sampled from `component` is among them.
+    #[inline(always)]
+    pub fn contain(self, component: Component) -> bool {
+        match self {
+            Self::None => false,
+            Self::Weighed => component == Component::Continuous,
+            Self::All => true,
+        }
+    }
 }
 
 /// Whether a strategy differentiates the light that an edge finds by itself.
 pub const fn follows_edges<S: Strategy>() -> bool {
-    let moves = !matches!(S::Bsdf::DIRECT, Direct::AsPath);
-    moves || (S::Bsdf::DETACHED_PATH && S::DIFFERENTIATED_WEIGHTS)
+    !matches!(Edges::of::<S>(), Edges::None)
 }
 
-/// Light found at the end of an edge that left `from`.
+impl<P: Float> Departure<P> {
+    /// How strategy `S` moves a direction that found light, `d`. `depth` is the number of edges so far.
+    #[inline(always)]
+    pub fn motion<S: Strategy, X: Sampler>(
+        &self,
+        scene: &Scene,
+        d: Vec3<P>,
+        depth: u32,
+        sampler: &mut X,
+    ) -> Motion<P> {
+        match S::Bsdf::DIRECT {
+            Direct::AsPath => Motion::Still,
+            Direct::Attached => Motion::Free,
+            Direct::Reparameterised { rays } => {
+                sampler.seek(AUXILIARY_DIMENSIONS + depth * 2 * rays as u32);
+                let origin = self.si.spawn_ray(d, self.offset).o;
+                let w = self.si.frame.to_local(d);
+                Motion::Slowed(freeze(scene, origin, &self.si.frame, w, rays, sampler))
+            }
+        }
+    }
+}
+
+/// Light found at the end of an edge.
 #[derive(Clone, Copy, Debug)]
 pub struct FoundLight<P> {
-    /// The vertex it left.
-    pub from: Departure<P>,
+    /// How its direction moves.
+    pub motion: Motion<P>,
     /// Index of the primitive it hit, and how far away; `None` for an infinite emitter.
     pub end: Option<(u32, P)>,
     /// Index of the emitter.
     pub emitter: u32,
+    /// Where on it.
+    pub emission: Emission<P>,
     /// Its share of the samples of emitters, see [`crate::scene::LightChoice::share`].
     pub share: P,
 }
@@ -81,7 +152,7 @@ impl<R: Real> Weighing<R> {
     }
 }
 
-/// `f w L_e / p` of that edge: what it adds to the radiance leaving `from`, MIS weight included.
+/// `f w L_e / p` of the edge that left `from` and found that light: what it adds to the radiance leaving `from`, MIS weight included.
 ///
 /// # Derivatives
 /// First derivatives in all parameters, through the sampled direction.
@@ -93,29 +164,27 @@ impl<R: Real> Weighing<R> {
 pub fn direct_light<R: Real>(
     scene: &Scene,
     theta: &Theta<R>,
+    from: &Departure<R::Primal>,
     found: &FoundLight<R::Primal>,
     weighing: &Weighing<R>,
 ) -> Rgb<R> {
-    let from = &found.from;
-    let info = scene.shape_info(from.shape);
-    let material = scene.material(from.shape);
+    let material = &scene.materials()[from.material as usize];
     let at = Shading {
         theta: *theta,
         uv: Vec2::lift(from.si.uv),
     };
-    let wo = Vec3::lift(from.wo);
-    let Some(sample) = material.sample::<R>(&at, wo, from.u, MODE) else {
+    let weighed = weighing.hit.is_some();
+    let Some(scattered) = scattered_again(material, &at, from, &found.motion, weighed) else {
         return Rgb::black();
     };
-    let (wi, weight) = slow_down(&sample, &from.freeze);
-    // The density is for the weight, and shares most of its work with the value.
-    let (mut f, pdf) = match (sample.component, weighing.hit) {
-        (Component::Continuous, Some(_)) => material.eval_pdf(&at, wo, wi, MODE),
-        (component, _) => {
-            let f = material.eval_component(&at, wo, wi, component, MODE);
-            (f, R::zero())
-        }
-    };
+    let Moving {
+        wi,
+        weight,
+        component,
+        mut f,
+        pdf,
+    } = scattered;
+    let wo = Vec3::lift(from.wo);
     if from.part == Part::Rest {
         f = f - material.eval_normals(&at, from.wo, wi.primal(), MODE);
     }
@@ -126,16 +195,16 @@ pub fn direct_light<R: Real>(
         // Over a scalar with tangents, the place on the primitive is computed anew.
         let (t, u, v) = (t.to_f32(), 0.0, 0.0);
         let hit = Hit { t, u, v, prim };
-        let Intersection { si, .. } = scene.interaction(&si.spawn_ray(d, info.offset), &hit);
+        let Intersection { si, .. } = scene.interaction(&si.spawn_ray(d, from.offset), &hit);
         si
     });
     let e = &scene.emitters()[found.emitter as usize];
-    let Some(emission) = e.hit(d, end.as_ref()) else {
+    let Some(emission) = e.hit_again(d, end.as_ref(), &found.emission) else {
         return Rgb::black();
     };
     let emission: Emission<R> = emission;
     let le = e.eval(theta, &emission);
-    let mis = match (sample.component, weighing.hit) {
+    let mis = match (component, weighing.hit) {
         (Component::Continuous, Some(weight)) => {
             let pdf = match weighing.frozen {
                 true => frozen_pdf(material, &at, wo, wi),
@@ -147,6 +216,71 @@ pub fn direct_light<R: Real>(
         _ => R::one(),
     };
     f * le * (weight * mis * Const(from.survival))
+}
+
+/// A sampled direction as it moves.
+struct Moving<R> {
+    /// Local frame.
+    wi: Vec3<R>,
+    /// One over its density, as it changes with the motion.
+    weight: R,
+    component: Component,
+    /// Value of the BSDF there.
+    f: Rgb<R>,
+    /// Density there for constant directions, if it is weighed.
+    pdf: R,
+}
+
+/// The direction that left a vertex. `weighed`: whether its density is asked for, too.
+#[inline]
+fn scattered_again<R: Real>(
+    material: &Material,
+    at: &Shading<R>,
+    from: &Departure<R::Primal>,
+    motion: &Motion<R::Primal>,
+    weighed: bool,
+) -> Option<Moving<R>> {
+    let wo = Vec3::lift(from.wo);
+    let (wi, weight, component) = match motion {
+        Motion::Free => {
+            let (sample, f) = material.sample_eval::<R>(at, wo, from.u, MODE)?;
+            return Some(Moving {
+                wi: sample.wi,
+                weight: sample.pdf.recip(),
+                component: sample.component,
+                f,
+                pdf: sample.pdf,
+            });
+        }
+        Motion::Slowed(freeze) => {
+            let sample = material.sample::<R>(at, wo, from.u, MODE)?;
+            let (wi, weight) = slow_down(&sample, freeze);
+            (wi, weight, sample.component)
+        }
+        Motion::Still => {
+            let sample = material.sample(&at.primal(), from.wo, from.u, MODE)?;
+            (
+                Vec3::lift(sample.wi),
+                R::lift(sample.pdf.recip()),
+                sample.component,
+            )
+        }
+    };
+    // The density shares most of its work with the value.
+    let (f, pdf) = match component {
+        Component::Continuous if weighed => material.eval_pdf(at, wo, wi, MODE),
+        _ => (
+            material.eval_component(at, wo, wi, component, MODE),
+            R::zero(),
+        ),
+    };
+    Some(Moving {
+        wi,
+        weight,
+        component,
+        f,
+        pdf,
+    })
 }
 
 /// The direction that moves with `1 - B` of the velocity of `sample`, and one over its density with the
@@ -163,6 +297,86 @@ fn slow_down<R: Real>(sample: &BsdfSample<R>, freeze: &Freeze<R::Primal>) -> (Ve
     let relative = (sample.pdf - pdf) / pdf;
     let jacobian = -(relative * free) - motion.dot(Vec3::lift(freeze.gradient)) + R::c(1.0);
     (wi + motion * free, jacobian / pdf)
+}
+
+/// A sampled light whose MIS weight is differentiated.
+#[derive(Clone, Copy, Debug)]
+pub struct Connected<P> {
+    /// Direction to it, local frame of the vertex.
+    pub wi: Vec3<P>,
+    /// Emitted radiance.
+    pub le: Rgb<P>,
+    /// As [`super::path::SampledLight::mis_pdf`].
+    pub mis_pdf: P,
+    /// As [`super::path::SampledLight::kept`].
+    pub kept: P,
+    /// Whether the change of normals has samples of its own.
+    pub splits: bool,
+}
+
+/// The light at a vertex that is differentiated by itself: a function of the material there.
+struct Followed<'a, P, S, I> {
+    scene: &'a Scene,
+    material: &'a Material,
+    uv: Vec2<P>,
+    wo: Vec3<P>,
+    connected: Option<Connected<P>>,
+    found: I,
+    strategy: PhantomData<S>,
+}
+
+impl<'a, P, S, I> LocalFn<P> for Followed<'_, P, S, I>
+where
+    P: Float,
+    S: Strategy,
+    I: Iterator<Item = (&'a Departure<P>, &'a FoundLight<P>)> + Clone,
+{
+    fn eval<R: Real<Primal = P>>(&self, theta: &Theta<R>) -> Rgb<R> {
+        let connected = self.connected.map(|light| {
+            let (wo, wi) = (self.wo, light.wi);
+            let at = Shading {
+                theta: *theta,
+                uv: Vec2::lift(self.uv),
+            };
+            let (mut f, pdf) = self
+                .material
+                .eval_pdf(&at, Vec3::lift(wo), Vec3::lift(wi), MODE);
+            if light.splits {
+                f = f - self.material.eval_normals(&at, wo, wi, MODE);
+            }
+            let weight = S::weight_sampled(R::lift(light.mis_pdf), pdf);
+            f * Rgb::lift(light.le) * (weight * Const(light.kept / light.mis_pdf))
+        });
+        let weighing = Weighing::of::<S>();
+        let found = self.found.clone();
+        found.fold(connected.unwrap_or(Rgb::black()), |sum, (from, found)| {
+            sum + direct_light(self.scene, theta, from, found, &weighing)
+        })
+    }
+}
+
+/// Adds the derivative of `d` times the light at a vertex that strategy `S` differentiates by itself: of the light that
+/// was sampled there, and of what was found at the end of edges from there.
+pub fn pull_back_followed<'a, P: Float, S: Strategy>(
+    scene: &Scene,
+    theta: &Theta<P>,
+    (material, uv, wo): (u32, Vec2<P>, Vec3<P>),
+    connected: Option<Connected<P>>,
+    found: impl Iterator<Item = (&'a Departure<P>, &'a FoundLight<P>)> + Clone,
+    d: Rgb<P>,
+    grad: &mut impl GradSink<P>,
+) {
+    let material = &scene.materials()[material as usize];
+    let f = Followed::<P, S, _> {
+        scene,
+        material,
+        uv,
+        wo,
+        connected,
+        found,
+        strategy: PhantomData,
+    };
+    pull_back(material, theta, uv, &f, d, grad);
 }
 
 /// A sample of an emitter that moves: all that is needed to make it again.

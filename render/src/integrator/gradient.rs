@@ -673,7 +673,7 @@ impl<P: Float> Pass<'_, P> {
             let mut sink = Sink::new(active, large);
             let mut non_finite = NonFinite::default();
             let mut wave = Wave::<P, X>::new();
-            let mut record = Record::of(active, scene);
+            let mut record = Record::of::<S>(active, scene);
             for tile in tiles.iter().skip(job).step_by(jobs) {
                 if progress.cancelled() {
                     break;
@@ -688,7 +688,7 @@ impl<P: Float> Pass<'_, P> {
                     for ((_, at), _) in which.iter().zip(l).filter(|(_, l)| !l.is_finite()) {
                         non_finite.add(place(scene, at.pixel) as u64, at.index);
                     }
-                    record.backward(scene, self.theta, l, &mut sink);
+                    record.backward::<S>(self.theta, l, &mut sink);
                 };
                 tile.trace_waves::<P, S, X, _>(
                     &context,

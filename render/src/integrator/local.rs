@@ -54,14 +54,16 @@ pub fn pull_back<P: Float, F: LocalFn<P>>(
     let mut slots = Short::new();
     let mut seen = Short::new();
     material.visit_textures(&mut |t| {
+        if !t.any_param(|p| grad.active(p)) {
+            return;
+        }
         // Both sides of a surface may share a material.
-        let (mut any, mut again) = (false, false);
+        let mut again = false;
         t.visit_params(&mut |p| {
-            any |= grad.active(p);
             again |= seen.contains(&p.id);
             seen.push(p.id);
         });
-        if !any || again {
+        if again {
             return;
         }
         match t {

@@ -3,16 +3,15 @@
 use ad_core::{Const, Float, Real, Vec2, Vec3};
 
 use super::batch;
-use super::boundary::{Freeze, freeze};
 use super::direct::{
-    Aimed, Departure, FoundLight, Weighing, aimed_light, direct_light, follows_edges,
+    Aimed, Departure, Edges, FoundLight, Weighing, aimed_light, direct_light, follows_edges,
 };
 use crate::bsdf::{
     Bsdf, BsdfSample, Component, DiffLobe, Material, Part, Scattered, Shading, TransportMode,
 };
 use crate::emitter::{AnyEmitter, Emission, Emitter, Shift};
 use crate::estimator::memory::{Memory, Store};
-use crate::estimator::{Direct, Sampling, Strategy};
+use crate::estimator::{Sampling, Strategy};
 use crate::guide::{Directions, PART_GUIDED};
 use crate::math::{Frame, Ray, Rgb};
 use crate::params::Theta;
@@ -39,6 +38,13 @@ pub type Geometry<S, R> = <<S as Strategy>::Bsdf as Sampling>::Geometry<R>;
 /// The last departure of a path and the throughput there, if its strategy wants to know.
 type Remembered<S, R> =
     <<S as Strategy>::Edge as Memory>::Of<(Departure<<R as Real>::Primal>, Rgb<R>)>;
+
+/// A vertex that an edge left, the light that it found, and the throughput up to its start.
+type FoundFrom<R> = (
+    Departure<<R as Real>::Primal>,
+    FoundLight<<R as Real>::Primal>,
+    Rgb<R>,
+);
 
 /// A sampled emitter as it moves, if its strategy moves those.
 type Aiming<S, R> = <<S as Strategy>::Aim as Memory>::Of<Aimed<<R as Real>::Primal>>;
@@ -119,8 +125,8 @@ pub trait Observer<R: Real> {
     }
     /// The path found light at its current end.
     fn light(&mut self, _depth: u32, _beta: Rgb<R>, _light: HitLight<R>) {}
-    /// Called before that, if the strategy differentiates the last edge by itself ([`Direct`]).
-    fn followed(&mut self, _found: FoundLight<R::Primal>) {}
+    /// Called before that, if the strategy differentiates the last edge by itself ([`Edges`]).
+    fn followed(&mut self, _from: Departure<R::Primal>, _found: FoundLight<R::Primal>) {}
     /// A vertex was reached. `depth` is the number of edges so far, `beta` the throughput up to it.
     fn vertex(
         &mut self,
@@ -338,16 +344,16 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
             for &e in scene.infinite_emitters().iter().filter(|_| lit) {
                 let (share, rival) = rival(e);
                 if let Some((light, le)) = find_light::<R, S>(scene, theta, e, ray.d, None, rival) {
-                    let found = self.found_light(scene, e, None, ray.d.primal(), share);
+                    let found = self.found_light(scene, &light, None, ray.d.primal(), share);
                     self.l += match found {
-                        Some((found, beta)) if !R::IS_PRIMAL => {
-                            beta * direct_light(scene, theta, &found, &Weighing::of::<S>())
+                        Some((from, found, beta)) if !R::IS_PRIMAL => {
+                            beta * direct_light(scene, theta, &from, &found, &Weighing::of::<S>())
                         }
                         _ => beta * le * light.weight,
                     };
                     if O::ENABLED {
-                        if let Some((found, _)) = found {
-                            observer.followed(found);
+                        if let Some((from, found, _)) = found {
+                            observer.followed(from, found);
                         }
                         observer.light(depth, beta, light);
                     }
@@ -361,16 +367,16 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
             let found = find_light::<R, S>(scene, theta, e, ray.d, Some(si), rival);
             if let Some((light, le)) = found {
                 let end = Some((prim, si.t.primal()));
-                let found = self.found_light(scene, e, end, ray.d.primal(), share);
+                let found = self.found_light(scene, &light, end, ray.d.primal(), share);
                 self.l += match found {
-                    Some((found, beta)) if !R::IS_PRIMAL => {
-                        beta * direct_light(scene, theta, &found, &Weighing::of::<S>())
+                    Some((from, found, beta)) if !R::IS_PRIMAL => {
+                        beta * direct_light(scene, theta, &from, &found, &Weighing::of::<S>())
                     }
                     _ => beta * le * light.weight,
                 };
                 if O::ENABLED {
-                    if let Some((found, _)) = found {
-                        observer.followed(found);
+                    if let Some((from, found, _)) = found {
+                        observer.followed(from, found);
                     }
                     observer.light(depth, beta, light);
                 }
@@ -670,19 +676,16 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
             _ => Part::All,
         };
         if follows_edges::<S>() {
-            let moves = S::Bsdf::DIRECT != Direct::AsPath;
-            let followed =
-                differentiates && (moves || sample.component == Component::Continuous) && follows;
+            let followed = differentiates && follows && Edges::of::<S>().contain(sample.component);
             self.departure.put(followed.then(|| {
-                let fixed = if moves { 0.0 } else { 1.0 };
                 let from = Departure {
-                    shape,
+                    material: info.material,
+                    offset: info.offset,
                     si: si.primal(),
                     wo: wo.primal(),
                     u,
                     survival: lives,
                     part,
-                    freeze: Freeze::uniform(R::Primal::of(fixed)),
                 };
                 (from, beta)
             }));
@@ -730,36 +733,28 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
 }
 
 impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
-    /// The light that the last edge, in direction `d`, found, and the throughput up to its start;
-    /// `None` where that edge is differentiated like the rest of the path.
+    /// What the last edge, in direction `d`, found; `None` where that edge is differentiated like the rest of the path.
     #[inline(always)]
     fn found_light(
         &mut self,
         scene: &Scene,
-        emitter: u32,
+        light: &HitLight<R>,
         end: Option<(u32, R::Primal)>,
         d: Vec3<R::Primal>,
         share: R::Primal,
-    ) -> Option<(FoundLight<R::Primal>, Rgb<R>)> {
+    ) -> Option<FoundFrom<R>> {
         if !follows_edges::<S>() {
             return None;
         }
-        let (mut from, beta) = self.departure.get()?;
-        if let Direct::Reparameterised { rays } = S::Bsdf::DIRECT {
-            let dimension = AUXILIARY_DIMENSIONS + self.depth * 2 * rays as u32;
-            self.sampler.seek(dimension);
-            let offset = scene.shape_info(from.shape).offset;
-            let origin = from.si.spawn_ray(d, offset).o;
-            let w = from.si.frame.to_local(d);
-            from.freeze = freeze(scene, origin, &from.si.frame, w, rays, &mut self.sampler);
-        }
+        let (from, beta) = self.departure.get()?;
         let found = FoundLight {
-            from,
+            motion: from.motion::<S, X>(scene, d, self.depth, &mut self.sampler),
             end,
-            emitter,
+            emitter: light.emitter,
+            emission: light.emission.primal(),
             share,
         };
-        Some((found, beta))
+        Some((from, found, beta))
     }
 }
 

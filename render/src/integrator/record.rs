@@ -5,11 +5,12 @@
 //! its adjoint: no tape of operations, no second ray tracing, and no subtraction or division of
 //! radiances, so nothing cancels and a zero albedo is no special case.
 
-use std::marker::PhantomData;
+use ad_core::{Dual, Float, Real, Vec2, Vec3, array};
 
-use ad_core::{Const, Dual, Float, Real, Vec2, Vec3, array};
-
-use super::direct::{Aimed, FoundLight, Weighing, aimed_light, direct_light, follows_edges};
+use super::direct::{
+    Aimed, Connected, Departure, FoundLight, Weighing, aimed_light, follows_edges,
+    pull_back_followed,
+};
 use super::gradient::Active;
 use super::local::{LocalFn, Texels, pull_back, pull_back_second, pull_back_texels};
 use super::path::{Bounce, Context, HitLight, MODE, NormalsLight, Observer, SampledLight};
@@ -54,7 +55,7 @@ pub struct Recorder<'a, P: Float> {
     /// Of the vertex that is pulled back.
     uses: Vec<Use<P>>,
     /// How some lights were found, with their indices, in order.
-    found: Vec<(u32, FoundLight<P>)>,
+    found: Vec<(u32, Departure<P>, FoundLight<P>)>,
     /// Sampled lights that move, with the indices of their vertices, in order.
     aimed: Vec<(u32, Aimed<P>)>,
     /// Channels that a differentiated roulette went by, with the indices of their vertices, in order.
@@ -170,7 +171,7 @@ impl<'a, P: Float> Recorder<'a, P> {
         // differentiated as the path is, and by those that are not.
         let mut l = Rgb::<P>::black();
         let (mut plain, mut followed) = (l, l);
-        let mut next_found: &[(u32, FoundLight<P>)] = &[];
+        let mut next_found: &[(u32, Departure<P>, FoundLight<P>)] = &[];
         let mut rest = &self.found[..];
         let mut aimed = self.aimed.iter().rev().peekable();
         let mut survived = self.survived.iter().rev().peekable();
@@ -182,13 +183,13 @@ impl<'a, P: Float> Recorder<'a, P> {
             let (mut arrives_plain, mut arrives_followed) = (Rgb::black(), Rgb::black());
             let lights = v.lights.0 as usize..v.lights.1 as usize;
             let (before, found) =
-                rest.split_at(rest.partition_point(|(i, _)| (*i as usize) < lights.start));
+                rest.split_at(rest.partition_point(|(i, ..)| (*i as usize) < lights.start));
             rest = before;
             for i in lights {
                 let hit = &self.lights[i];
                 let e = &scene.emitters()[hit.emitter as usize];
                 let le = e.eval(theta, &hit.emission) * hit.weight;
-                if found.iter().any(|(k, _)| *k as usize == i) {
+                if found.iter().any(|(k, ..)| *k as usize == i) {
                     arrives_followed += le;
                 } else {
                     arrives_plain += le;
@@ -223,7 +224,13 @@ impl<'a, P: Float> Recorder<'a, P> {
                     }
                 }
                 if S::DIFFERENTIATED_WEIGHTS && s.mis_pdf > P::zero() {
-                    connected = Some(s);
+                    connected = Some(Connected {
+                        wi: s.wi,
+                        le: s.le,
+                        mis_pdf: s.mis_pdf,
+                        kept: s.kept,
+                        splits: s.normals_weight.is_some(),
+                    });
                 }
                 let d = d * s.le;
                 let whole = Component::Continuous;
@@ -288,34 +295,16 @@ impl<'a, P: Float> Recorder<'a, P> {
                     material.backward(&at, s.wo, &uses, MODE, grad);
                 }
             }
-            if S::DIFFERENTIATED_WEIGHTS
-                && let (Some(s), Some(light)) = (&v.surface, connected)
+            // A constant: nothing of this is compiled where it never happens.
+            if const { follows_edges::<S>() }
+                && let Some(s) = &v.surface
+                && (connected.is_some() || !next_found.is_empty())
             {
                 let material = scene.shape_info(s.shape).material;
                 if grad.material_active(material) {
-                    let material = &scene.materials()[material as usize];
-                    let f = Connected::<P, S> {
-                        material,
-                        surface: s,
-                        light,
-                        strategy: PhantomData,
-                    };
-                    pull_back(material, theta, s.uv, &f, d * light.le, grad);
-                }
-            }
-            // A constant: nothing of this is compiled where it never happens.
-            if const { follows_edges::<S>() } {
-                for (_, found) in next_found {
-                    let material = scene.shape_info(found.from.shape).material;
-                    if grad.material_active(material) {
-                        let f = Found::<P, S> {
-                            scene,
-                            found,
-                            strategy: PhantomData,
-                        };
-                        let material = &scene.materials()[material as usize];
-                        pull_back(material, theta, found.from.si.uv, &f, d, grad);
-                    }
+                    let vertex = (material, s.uv, s.wo);
+                    let found = next_found.iter().map(|(_, from, found)| (from, found));
+                    pull_back_followed::<P, S>(scene, theta, vertex, connected, found, d, grad);
                 }
             }
             next_found = found;
@@ -456,21 +445,6 @@ impl<P: Float> LocalFn<P> for Radiance<'_, P> {
     }
 }
 
-/// [`direct_light`] as a function of the material it left.
-struct Found<'a, P, S> {
-    scene: &'a Scene,
-    found: &'a FoundLight<P>,
-    strategy: PhantomData<S>,
-}
-
-/// BSDF times MIS weight over density of a sampled light, whose weight is differentiated.
-struct Connected<'a, P: Real, S> {
-    material: &'a Material,
-    surface: &'a Surface<P>,
-    light: &'a SampledLight<P>,
-    strategy: PhantomData<S>,
-}
-
 /// Logarithm of one over [`Bsdf::choice_pdf`] of a bounce.
 struct Chosen<'a, P: Real> {
     material: &'a Material,
@@ -489,29 +463,6 @@ impl<P: Float> LocalFn<P> for Chosen<'_, P> {
         let (wo, wi) = (Vec3::lift(self.surface.wo), Vec3::lift(self.bounce.wi));
         let component = self.bounce.component;
         Rgb::splat(-self.material.choice_pdf(&at, wo, wi, component, MODE).ln())
-    }
-}
-
-impl<P: Float, S: Strategy> LocalFn<P> for Connected<'_, P, S> {
-    fn eval<R: Real<Primal = P>>(&self, theta: &Theta<R>) -> Rgb<R> {
-        let (wo, wi) = (self.surface.wo, self.light.wi);
-        let at = Shading {
-            theta: *theta,
-            uv: Vec2::lift(self.surface.uv),
-        };
-        let (mut f, pdf) = (self.material).eval_pdf(&at, Vec3::lift(wo), Vec3::lift(wi), MODE);
-        if self.light.normals_weight.is_some() {
-            f = f - self.material.eval_normals(&at, wo, wi, MODE);
-        }
-        let weight = S::weight_sampled(R::lift(self.light.mis_pdf), pdf);
-        f * (weight * Const(self.light.kept / self.light.mis_pdf))
-    }
-}
-
-impl<P: Float, S: Strategy> LocalFn<P> for Found<'_, P, S> {
-    fn eval<R: Real<Primal = P>>(&self, theta: &Theta<R>) -> Rgb<R> {
-        let weighing = Weighing::of::<S>();
-        direct_light(self.scene, theta, self.found, &weighing)
     }
 }
 
@@ -548,8 +499,8 @@ impl<P: Float> Observer<P> for Recorder<'_, P> {
     }
 
     #[inline]
-    fn followed(&mut self, found: FoundLight<P>) {
-        self.found.push((self.lights.len() as u32, found));
+    fn followed(&mut self, from: Departure<P>, found: FoundLight<P>) {
+        self.found.push((self.lights.len() as u32, from, found));
     }
 
     #[inline]

@@ -7,7 +7,7 @@ pub use motion::{Aim, Moved, Shift};
 
 use std::f64::consts::{FRAC_1_PI, PI};
 
-use ad_core::{Float, Real, Vec2, Vec3};
+use ad_core::{Const, Float, Real, Vec2, Vec3};
 
 use self::table::Table;
 use super::{Emission, Emitter, EmitterSample, Lights};
@@ -177,6 +177,19 @@ impl Envmap {
     }
 }
 
+/// What the angle of `(x, y)` is more than it is without tangents: zero, and its change. `atan2` would find the angle,
+/// too, which takes most of its time.
+#[inline]
+fn angle_again<R: Real>(y: R, x: R) -> R {
+    let (x0, y0) = (x.primal(), y.primal());
+    let squared = x0 * x0 + y0 * y0;
+    if squared <= R::Primal::MIN_POSITIVE {
+        return R::zero();
+    }
+    let across = y * Const(x0) - x * Const(y0);
+    (across - Const(across.primal())) * Const(squared.recip())
+}
+
 /// Directions of the images of the axes, exactly orthonormal; `None` unless they nearly are.
 fn orthonormal(to_world: &Transform) -> Option<[[f32; 3]; 3]> {
     let column = |j: usize| Vec3::from([0, 1, 2].map(|i: usize| to_world.linear[i][j])).normalize();
@@ -208,6 +221,25 @@ impl Emitter for Envmap {
         Some(Emission {
             uv: Vec2::new(turn(x, -z), v),
             falloff: R::of(self.scale),
+        })
+    }
+
+    #[inline]
+    fn hit_again<R: Real>(
+        &self,
+        d: Vec3<R>,
+        si: Option<&SurfaceInteraction<R>>,
+        at: &Emission<R::Primal>,
+    ) -> Option<Emission<R>> {
+        if si.is_some() {
+            return None;
+        }
+        let [x, y, z] = self.local(d);
+        let u = angle_again(x, -z) * R::c(0.5 * FRAC_1_PI);
+        let v = angle_again(x.hypot(z), y) * R::c(FRAC_1_PI);
+        Some(Emission {
+            uv: Vec2::new(u + Const(at.uv.x), v + Const(at.uv.y)),
+            falloff: R::lift(at.falloff),
         })
     }
 
@@ -286,5 +318,36 @@ impl FromNode for Envmap {
         };
         let (param, size) = texture::texels::<3>(build, &path, Encoding::Srgb, &usage)?;
         Ok(Self::over(param, size, axes, scale))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ad_core::Dual;
+
+    /// All around, at both poles, and across the seam.
+    #[test]
+    fn a_known_place_moves_as_one_that_is_found() {
+        let param = ParamRef { id: 0, offset: 0 };
+        let axes = [[0.0, 0.6, 0.8], [1.0, 0.0, 0.0], [0.0, 0.8, -0.6]];
+        let map = Envmap::over(param, [8, 4], axes, 2.5);
+        for k in 0..400 {
+            let (theta, phi) = (0.157 * f64::from(k / 20), 0.3142 * f64::from(k % 20));
+            let (sin, cos) = theta.sin_cos();
+            let d = Vec3::new(cos, sin * phi.cos(), sin * phi.sin());
+            let vary = |x: f64, i: usize| Dual::<f64, 3>::var(x, i);
+            let moving = Vec3::new(vary(d.x, 0), vary(d.y, 1), vary(d.z, 2));
+            let known = map.hit(d, None).unwrap();
+            let found = map.hit(moving, None).unwrap();
+            let again = map.hit_again(moving, None, &known).unwrap();
+            for (a, b) in [(again.uv.x, found.uv.x), (again.uv.y, found.uv.y)] {
+                assert_eq!(a.re, b.re);
+                for (a, b) in a.eps.iter().zip(b.eps) {
+                    assert!((a - b).abs() <= 1e-12 * b.abs().max(1.0), "{d:?}: {a} {b}");
+                }
+            }
+            assert_eq!(again.falloff.re, found.falloff.re);
+        }
     }
 }

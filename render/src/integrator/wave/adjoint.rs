@@ -7,6 +7,10 @@ use super::lanes::{Field, Lane, Lanes, Sums, WIDTH, whole};
 use super::{Log, Paths, Wave};
 use crate::bsdf::{Bsdf, Component, Material, Part, Shading, Use};
 use crate::emitter::{Emission, Emitter};
+use crate::estimator::Strategy;
+use crate::integrator::direct::{
+    Connected, Departure, Edges, FoundLight, follows_edges, pull_back_followed,
+};
 use crate::integrator::gradient::Active;
 use crate::integrator::path::{HitLight, MODE};
 use crate::integrator::record::Activity;
@@ -43,10 +47,25 @@ struct Layer<P> {
     bounce: Lane<P>,
     /// Vertices that are not plain, by their places.
     others: Vec<(usize, Other<P>)>,
-    /// Directions of samples of the change of normals, and the radiance from there over density times throughput.
-    normals: Vec<(Vec3<P>, Rgb<P>)>,
     /// Light that was hit at the end of the edges from here, by the places that they left.
     hits: Vec<(u32, Rgb<P>)>,
+    /// Vertices whose light is differentiated by itself, in the order of their places.
+    followed: Vec<Followed<P>>,
+    /// The light that was found at the end of edges from those, by the places.
+    found: Vec<(u32, FoundLight<P>)>,
+    /// The same as `hits`.
+    found_light: Vec<(u32, Rgb<P>)>,
+}
+
+/// A vertex whose light is differentiated by itself: see [`super::super::direct`].
+#[derive(Clone, Copy, Debug)]
+struct Followed<P> {
+    place: u32,
+    wo: Vec3<P>,
+    /// That of the scattered direction, if it is one to follow.
+    departure: Option<Departure<P>>,
+    /// The sampled light, if its weight is differentiated.
+    connected: Option<Connected<P>>,
 }
 
 /// A vertex of any material.
@@ -61,7 +80,7 @@ struct Other<P> {
     splits: bool,
     /// Light for that: radiance times weight of the sampled light.
     for_normals: Rgb<P>,
-    /// Its samples, as a range of [`Layer::normals`].
+    /// Its samples, as a range of [`Record::normals`].
     normals: (u32, u32),
 }
 
@@ -77,13 +96,20 @@ struct Emitted<P> {
 
 /// Keeps a wave of paths, and pulls the adjoints of their radiance back to the parameters.
 pub struct Record<'a, P: Float> {
+    scene: &'a Scene,
     active: &'a Active,
+    /// What light on edges is differentiated by itself.
+    edges: Edges,
+    /// Whether the weights of sampled lights are differentiated.
+    weighs: bool,
     /// Adjoints of the radiance of the paths.
     d: Lanes<P>,
     /// By number of edges; the first is that of the camera, where nothing happens but hits.
     layers: Vec<Box<Layer<P>>>,
     used: usize,
     emitted: Vec<Emitted<P>>,
+    /// Samples of the change of normals: see [`Log::normals`].
+    normals: Vec<(Vec3<P>, Rgb<P>)>,
     /// Plain materials that are differentiated and the same everywhere, and their albedos: sums over whole layers.
     constants: SmallVec<[(u32, ParamRef); MOST_CONSTANTS]>,
     /// Whether there are no other plain materials that are differentiated.
@@ -106,15 +132,17 @@ impl<P: Float> Layer<P> {
             direct: Lanes::zero(),
             bounce: Lane::zero(),
             others: Vec::new(),
-            normals: Vec::new(),
             hits: Vec::new(),
+            followed: Vec::new(),
+            found: Vec::new(),
+            found_light: Vec::new(),
         })
     }
 }
 
 impl<'a, P: Float> Record<'a, P> {
-    /// For derivatives in some parameters.
-    pub fn of(active: &'a Active, scene: &Scene) -> Self {
+    /// For derivatives in some parameters, as strategy `S` estimates them.
+    pub fn of<S: Strategy>(active: &'a Active, scene: &'a Scene) -> Self {
         let mut constants = SmallVec::new();
         let mut only_constants = true;
         for (material, index) in scene.materials().iter().zip(0..) {
@@ -129,13 +157,17 @@ impl<'a, P: Float> Record<'a, P> {
             }
         }
         Self {
+            scene,
+            active,
+            edges: Edges::of::<S>(),
+            weighs: S::DIFFERENTIATED_WEIGHTS && S::COUNTS_HITS,
             constants,
             only_constants,
-            active,
             d: Lanes::zero(),
             layers: vec![Layer::new()],
             used: 1,
             emitted: Vec::new(),
+            normals: Vec::new(),
         }
     }
 
@@ -150,10 +182,9 @@ impl<'a, P: Float> Record<'a, P> {
     }
 
     /// Adds the derivative of the radiances `l` times their adjoints to the active parameters, for the paths whose
-    /// radiance is finite.
-    pub fn backward(
+    /// radiance is finite. The strategy is that of [`Record::of`].
+    pub fn backward<S: Strategy>(
         &mut self,
-        scene: &Scene,
         theta: &Theta<P>,
         l: &[Rgb<P>],
         grad: &mut impl GradSink<P>,
@@ -162,6 +193,57 @@ impl<'a, P: Float> Record<'a, P> {
         for (counts, l) in counts.iter_mut().zip(l) {
             *counts = u32::from(l.is_finite());
         }
+        self.pull_back(theta, &counts, grad);
+        if const { follows_edges::<S>() } {
+            self.pull_back_followed::<S>(theta, &counts, grad);
+        }
+    }
+
+    /// [`Record::backward`] of light that strategy `S` differentiates by itself, of the paths that count.
+    #[inline(never)]
+    fn pull_back_followed<S: Strategy>(
+        &mut self,
+        theta: &Theta<P>,
+        counts: &Lane<u32>,
+        grad: &mut impl GradSink<P>,
+    ) {
+        let scene = self.scene;
+        for layer in &mut self.layers[1..self.used] {
+            let Layer {
+                id,
+                material,
+                u,
+                v,
+                d,
+                followed,
+                found,
+                ..
+            } = &mut **layer;
+            let mut pull = |at: &Followed<P>, connected, found: Option<&FoundLight<P>>| {
+                let i = at.place as usize % WIDTH;
+                if counts[id[i] as usize % WIDTH] != 0 {
+                    let vertex = (material[i], Vec2::new(u[i], v[i]), at.wo);
+                    let d = d.rgb(i);
+                    let found = at.departure.iter().zip(found);
+                    pull_back_followed::<P, S>(scene, theta, vertex, connected, found, d, grad);
+                }
+            };
+            // Light that was sampled with light that was found, so that both read the material once.
+            for (place, found) in found.iter() {
+                if let Ok(k) = followed.binary_search_by_key(place, |f| f.place) {
+                    let connected = followed[k].connected.take();
+                    pull(&followed[k], connected, Some(found));
+                }
+            }
+            for at in followed.iter().filter(|f| f.connected.is_some()) {
+                pull(at, at.connected, None);
+            }
+        }
+    }
+
+    /// [`Record::backward`] of everything else.
+    fn pull_back(&mut self, theta: &Theta<P>, counts: &Lane<u32>, grad: &mut impl GradSink<P>) {
+        let scene = self.scene;
         for e in &self.emitted {
             if counts[e.id as usize % WIDTH] != 0 {
                 let emitter = &scene.emitters()[e.emitter as usize];
@@ -183,7 +265,14 @@ impl<'a, P: Float> Record<'a, P> {
                 leaves.put_rgb(i, layer.albedo.rgb(i) * all);
                 d.put_rgb(i, layer.d.rgb(i) * all);
             }
+            let mut by_themselves = Lanes::zero();
+            for (at, light) in &layer.found_light {
+                by_themselves.add_rgb(*at as usize % WIDTH, *light);
+            }
+            let mut followed = layer.followed.iter().peekable();
             for &(i, ref other) in &layer.others {
+                let followed = followed.next_if(|f| f.place as usize == i);
+                let weighed = followed.is_some_and(|f| f.connected.is_some());
                 let index = layer.material[i];
                 let d = layer.d.rgb(i);
                 let mut l = Rgb::black();
@@ -205,19 +294,21 @@ impl<'a, P: Float> Record<'a, P> {
                 if let Some((wi, f, light)) = other.light {
                     let component = Component::Continuous;
                     l += f * light;
-                    pull(wi, component, part(component), d * light);
+                    if !weighed {
+                        pull(wi, component, part(component), d * light);
+                    }
                     if other.splits {
                         pull(wi, component, Part::Normals, d * other.for_normals);
                     }
                 }
                 let (first, end) = other.normals;
-                for &(wi, li) in &layer.normals[first as usize..end as usize] {
+                for &(wi, li) in &self.normals[first as usize..end as usize] {
                     let d = self.d.rgb(layer.id[i] as usize % WIDTH) * li;
                     pull(wi, Component::Continuous, Part::Normals, d);
                 }
                 if let Some((wi, component, f, weight)) = other.bounce {
                     let light = arrives.rgb(i) * weight;
-                    l += f * light;
+                    l += f * (light + by_themselves.rgb(i) * weight);
                     pull(wi, component, part(component), d * light);
                 }
                 leaves.put_rgb(i, l);
@@ -299,9 +390,29 @@ impl<P: Float> Log<P> for Record<'_, P> {
         self.active.any_emitter()
     }
 
-    fn hit(&mut self, paths: &Paths<P>, i: usize, light: &HitLight<P>, le: Rgb<P>) {
+    fn departure(&self, paths: &Paths<P>, i: usize) -> Option<&Departure<P>> {
+        let followed = &self.layers[self.used - 1].followed;
+        let k = followed.binary_search_by_key(&paths.slot[i], |f| f.place);
+        followed[k.ok()?].departure.as_ref()
+    }
+
+    fn hit(
+        &mut self,
+        paths: &Paths<P>,
+        i: usize,
+        light: &HitLight<P>,
+        le: Rgb<P>,
+        found: Option<FoundLight<P>>,
+    ) {
+        let layer = &mut self.layers[self.used - 1];
         let hit = (paths.slot[i], le * light.weight);
-        self.layers[self.used - 1].hits.push(hit);
+        match found {
+            None => layer.hits.push(hit),
+            Some(found) => {
+                layer.found_light.push(hit);
+                layer.found.push((hit.0, found));
+            }
+        }
         if self.active.emitter_active(light.emitter) {
             let id = paths.id[i];
             let d = self.d.rgb(id as usize % WIDTH) * paths.beta.rgb(i) * light.weight;
@@ -312,6 +423,11 @@ impl<P: Float> Log<P> for Record<'_, P> {
                 d,
             });
         }
+    }
+
+    fn normals(&mut self, samples: impl Iterator<Item = (Vec3<P>, Rgb<P>)>) {
+        self.normals.clear();
+        self.normals.extend(samples);
     }
 
     #[inline(never)]
@@ -325,8 +441,10 @@ impl<P: Float> Log<P> for Record<'_, P> {
         let (paths, at, lights, bounces) = (&mut wave.paths, &wave.at, &wave.lights, &wave.bounces);
         layer.n = n;
         layer.others.clear();
-        layer.normals.clear();
         layer.hits.clear();
+        layer.followed.clear();
+        layer.found.clear();
+        layer.found_light.clear();
         for i in 0..whole(n) {
             layer.id[i] = paths.id[i];
             layer.parent[i] = paths.slot[i];
@@ -348,11 +466,7 @@ impl<P: Float> Log<P> for Record<'_, P> {
             let d = self.d.rgb(paths.id[i] as usize % WIDTH) * paths.beta.rgb(i);
             layer.d.put_rgb(i, d);
         }
-        let mut branches = match wave.splits {
-            true => wave.branches.iter(),
-            false => [].iter(),
-        }
-        .peekable();
+        let mut first = wave.before;
         for i in 0..n {
             if at.plain[i] == 0 {
                 let light = (lights.shadow_t[i] > P::zero()).then(|| {
@@ -365,18 +479,55 @@ impl<P: Float> Log<P> for Record<'_, P> {
                     (wi, wave.components[i], bounces.f.rgb(i), weight)
                 });
                 let splits = wave.splits && at.splits[i] != 0;
-                let first = layer.normals.len() as u32;
-                while let Some(b) = branches.next_if(|b| b.at == i) {
-                    layer.normals.push((b.wi, b.li));
+                let branches = match splits {
+                    true => &wave.branches[first..],
+                    false => &[],
+                };
+                let end = first + branches.iter().take_while(|b| b.at == i).count();
+                let wo = wave.wo.vec(i);
+                if self.edges != Edges::None && at.follows[i] != 0 {
+                    let delta = || self.scene.emitters()[lights.emitter[i] as usize].is_delta();
+                    let weighs = self.weighs && light.is_some() && !delta();
+                    let connected = weighs.then(|| Connected {
+                        wi: lights.wi.vec(i),
+                        le: lights.le.rgb(i),
+                        mis_pdf: lights.pdf[i],
+                        kept: lights.kept[i],
+                        splits,
+                    });
+                    let component = wave.components[i];
+                    let goes_on = bounce.is_some() && self.edges.contain(component);
+                    let [.., a, b, c, _] = &wave.numbers;
+                    let departure = goes_on.then(|| Departure {
+                        material: at.material[i],
+                        offset: at.offset[i],
+                        si: at.interaction(i),
+                        wo,
+                        u: [a[i], b[i], c[i]],
+                        survival: bounces.survival[i],
+                        part: match component {
+                            Component::Continuous if splits => Part::Rest,
+                            _ => Part::All,
+                        },
+                    });
+                    if connected.is_some() || departure.is_some() {
+                        layer.followed.push(Followed {
+                            place: i as u32,
+                            wo,
+                            departure,
+                            connected,
+                        });
+                    }
                 }
                 let other = Other {
-                    wo: wave.wo.vec(i),
+                    wo,
                     light,
                     bounce,
                     splits,
                     for_normals: lights.le.rgb(i) * lights.normals_weight[i],
-                    normals: (first, layer.normals.len() as u32),
+                    normals: (first as u32, end as u32),
                 };
+                first = end;
                 layer.others.push((i, other));
             }
         }

@@ -18,7 +18,7 @@ pub(super) use lanes::WIDTH;
 use lanes::{Field, Lane, Lanes, lanes, whole};
 
 use super::batch;
-use super::direct::follows_edges;
+use super::direct::{Departure, FoundLight, follows_edges};
 use super::path::{
     Context, HitLight, LEAST_STEP, MAX_SURVIVAL, MODE, Rival, Seen, find_light, guided, is_guided,
     mixed, weigh_lights,
@@ -40,13 +40,10 @@ use crate::scene::{Caustics, LightChoice, Scene};
 use crate::shape::{AnyShape, Shape, SurfaceInteraction, sample_cone};
 use crate::texture::Texture;
 
-/// Whether waves estimate derivatives as strategy `S` does: nothing moves, and decisions are constants.
+/// Whether waves estimate derivatives as strategy `S` does: paths and samples of emitters stand still, and decisions are
+/// constants.
 pub(super) const fn fits<S: Strategy>() -> bool {
-    S::Bsdf::DETACHED_PATH
-        && !S::Aim::KEEPS
-        && !follows_edges::<S>()
-        && !S::ATTACHED_ROULETTE
-        && !S::ATTACHED_CHOICE
+    S::Bsdf::DETACHED_PATH && !S::Aim::KEEPS && !S::ATTACHED_ROULETTE && !S::ATTACHED_CHOICE
 }
 
 /// Keeps what happens to the paths of a wave.
@@ -61,10 +58,24 @@ pub(super) trait Log<P: Float> {
     }
     /// See [`super::path::Observer::follows_light`].
     fn follows_light(&self) -> bool;
-    /// Path `i` found light at the end of an edge.
-    fn hit(&mut self, paths: &Paths<P>, i: usize, light: &HitLight<P>, le: Rgb<P>);
+    /// The vertex that the edge of path `i` left, if light on that edge is differentiated by itself.
+    fn departure(&self, _paths: &Paths<P>, _i: usize) -> Option<&Departure<P>> {
+        None
+    }
+    /// Path `i` found light at the end of an edge, which `found` describes if it is differentiated by itself.
+    fn hit(
+        &mut self,
+        paths: &Paths<P>,
+        i: usize,
+        light: &HitLight<P>,
+        le: Rgb<P>,
+        found: Option<FoundLight<P>>,
+    );
     /// All that happened at the vertices, before throughputs change. Gives them their new places.
     fn layer<X>(&mut self, wave: &mut Wave<P, X>);
+    /// Directions of all samples of the change of normals (local frame of the vertex), in their order, and the light
+    /// from there: over density, times the throughput up to the vertex. Called once the paths have ended.
+    fn normals(&mut self, _samples: impl Iterator<Item = (Vec3<P>, Rgb<P>)>) {}
 }
 
 /// Nothing is kept.
@@ -76,7 +87,15 @@ impl<P: Float> Log<P> for () {
     fn follows_light(&self) -> bool {
         true
     }
-    fn hit(&mut self, _paths: &Paths<P>, _i: usize, _light: &HitLight<P>, _le: Rgb<P>) {}
+    fn hit(
+        &mut self,
+        _paths: &Paths<P>,
+        _i: usize,
+        _light: &HitLight<P>,
+        _le: Rgb<P>,
+        _found: Option<FoundLight<P>>,
+    ) {
+    }
     fn layer<X>(&mut self, _wave: &mut Wave<P, X>) {}
 }
 
@@ -295,11 +314,6 @@ struct Branch<P> {
     /// Local frame.
     wi: Vec3<P>,
     pdf: P,
-    ray: Ray<P>,
-    /// Relative index along the path.
-    eta: P,
-    /// What it has found, over its density: the throughput up to the vertex included.
-    li: Rgb<P>,
 }
 
 /// Up to [`WIDTH`] paths with equally many edges.
@@ -326,10 +340,14 @@ pub(super) struct Wave<P, X> {
     components: [Component; WIDTH],
     /// Whether the change of normals has samples of its own anywhere.
     splits: bool,
-    /// The paths of these, in the order of those that they leave.
+    /// The paths of these: those of the first vertices first, then in the order of those that they leave.
     branches: Vec<Branch<P>>,
-    /// Where they are followed.
+    /// How many of them started at vertices before.
+    before: usize,
+    /// Where they are followed, with as many edges as those that they left.
     aside: Option<Box<Self>>,
+    /// Number of edges with the next one, for paths that are followed aside.
+    next: u32,
     /// Radiance of each path in the order of their start, once it has ended.
     pub l: Vec<Rgb<P>>,
 }
@@ -353,7 +371,9 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             components: [Component::Continuous; WIDTH],
             splits: false,
             branches: Vec::new(),
+            before: 0,
             aside: None,
+            next: 1,
             l: vec![Rgb::black(); WIDTH],
         })
     }
@@ -367,11 +387,13 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         log: &mut L,
     ) {
         self.samplers.clear();
+        self.branches.clear();
         let (mut x, mut y) = (Lane::zero(), Lane::zero());
         for i in 0..n.min(WIDTH) {
             let sampler;
             ([x[i], y[i]], sampler) = spot(i);
-            self.start(i, sampler);
+            self.start(i, i, &sampler);
+            self.samplers.push(sampler);
         }
         self.n = self.samplers.len();
         self.look(&context.scene.camera, &x, &y);
@@ -380,6 +402,21 @@ impl<P: Float, X: Sampler> Wave<P, X> {
                 break;
             }
             self.edge::<S, Still<S>, L>(context, depth, log);
+        }
+        if const { S::Bsdf::DIFFERENTIAL && L::ENABLED }
+            && let Some(aside) = &mut self.aside
+        {
+            aside.follow::<Still<S>>(context, u32::MAX);
+            let samples = self.branches.iter().zip(&aside.l);
+            log.normals(samples.map(|(b, l)| (b.wi, l.scale(b.pdf.recip()))));
+        }
+    }
+
+    /// Follows the paths until their next edge is the `end`-th. Nobody wants to know what happens to them.
+    fn follow<S: Strategy<Bsdf = Detached>>(&mut self, context: &Context<P>, end: u32) {
+        while self.n > 0 && self.next < end {
+            self.edge::<S, S, ()>(context, self.next, &mut ());
+            self.next += 1;
         }
     }
 
@@ -402,15 +439,14 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         }
     }
 
-    /// Path `i` starts somewhere.
+    /// Path number `id` starts somewhere, as the `i`-th.
     #[inline(always)]
-    fn start(&mut self, i: usize, sampler: X) {
+    fn start(&mut self, i: usize, id: usize, sampler: &X) {
         let paths = &mut self.paths;
-        (paths.id[i], paths.slot[i]) = (i as u32, i as u32);
+        (paths.id[i], paths.slot[i]) = (id as u32, i as u32);
         let Stream { points, key, index } = sampler.stream();
         self.points = points;
         (paths.key[i], paths.index[i]) = (key, index);
-        self.samplers.push(sampler);
         paths.beta.put_rgb(i, Rgb::splat(P::one()));
         paths.l.put_rgb(i, Rgb::black());
         (paths.eta[i], paths.survival[i]) = (P::one(), P::one());
@@ -430,7 +466,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         } = context;
         self.find_surfaces(scene);
         let guide = scene.guide().filter(|_| const { is_guided::<Of>() });
-        if !self.arrive::<S, L>(context, guide, depth, log) {
+        if !self.arrive::<Of, S, L>(context, guide, depth, log) {
             self.bounces.lives = Lane::zero();
             self.leave();
             return;
@@ -473,7 +509,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             n_ended = i + 1 - n_going;
         }
         for &i in &ended[..n_ended] {
-            self.l[self.paths.id[i] as usize % WIDTH] = self.paths.l.rgb(i);
+            self.l[self.paths.id[i] as usize] = self.paths.l.rgb(i);
         }
         self.n = n_going;
         let holes = ended[..n_ended].iter().take_while(|&&i| i < n_going);
@@ -520,7 +556,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
     /// Adds the light that the edges end at, and looks at the surfaces there. Whether there are any that paths may go
     /// on from.
     #[inline(never)]
-    fn arrive<S: Strategy<Bsdf = Detached>, L: Log<P>>(
+    fn arrive<Of: Strategy, S: Strategy<Bsdf = Detached>, L: Log<P>>(
         &mut self,
         &Context {
             scene,
@@ -541,17 +577,34 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             let wanted = !L::ENABLED || paths.followed[i] != 0 || log.follows_light();
             let lit = wanted && paths.caustic[i] == 0;
             let sampled = S::SAMPLES_EMITTERS && depth > 1 && paths.pdf[i] > P::zero();
-            let mut find = |paths: &mut Paths<P>, emitter, si| {
+            let samplers = &mut self.samplers;
+            let mut find = |paths: &mut Paths<P>, emitter, si, end| {
+                let share = settings.lights.share(scene, emitter);
                 let rival = Rival {
                     pdf_bsdf: paths.pdf[i],
                     from: paths.from.vec(i),
-                    share: settings.lights.share(scene, emitter),
+                    share,
                 };
                 let rival = sampled.then_some(rival);
                 let found = find_light::<P, S>(scene, theta, emitter, ray.d, si, rival);
                 if let Some((light, le)) = found {
                     (paths.l).add_rgb(i, paths.beta.rgb(i) * le * light.weight);
-                    log.hit(paths, i, &light, le);
+                    // The constant again: where nothing is followed, this is not even compiled.
+                    let from = match const { L::ENABLED && follows_edges::<Of>() } {
+                        true => log.departure(paths, i),
+                        false => None,
+                    };
+                    let found = from.map(|from| {
+                        let sampler = &mut samplers[paths.id[i] as usize % WIDTH];
+                        FoundLight {
+                            motion: from.motion::<Of, X>(scene, ray.d, depth, sampler),
+                            end,
+                            emitter,
+                            emission: light.emission,
+                            share,
+                        }
+                    });
+                    log.hit(paths, i, &light, le, found);
                 }
             };
             // Where there is no surface, or nothing happens: like one that is plain, but without light.
@@ -559,7 +612,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             self.at.guide[i] = 0;
             let Some(hit) = &self.hits[i] else {
                 for &e in scene.infinite_emitters().iter().filter(|_| lit) {
-                    find(paths, e, None);
+                    find(paths, e, None, None);
                 }
                 continue;
             };
@@ -572,14 +625,11 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             let info = scene.shape_info(shape);
             if let Some(e) = info.emitter.filter(|_| lit) {
                 let t = P::from_f32(hit.t);
-                find(
-                    paths,
-                    e,
-                    Some(SurfaceInteraction {
-                        t,
-                        ..self.at.interaction(i)
-                    }),
-                );
+                let si = SurfaceInteraction {
+                    t,
+                    ..self.at.interaction(i)
+                };
+                find(paths, e, Some(si), Some((hit.prim, t)));
             }
             if depth >= settings.max_depth {
                 continue;
@@ -919,8 +969,15 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         } = context;
         let more = depth + 1 < settings.max_depth;
         let first = AUXILIARY_DIMENSIONS + depth * BOUNCE_DIMENSIONS;
+        let mut aside = self.aside.take().unwrap_or_else(Self::new);
+        if self.branches.is_empty() {
+            aside.l.clear();
+        }
+        self.before = self.branches.len();
+        // Those of vertices before are as far as the new ones now: all are followed together.
+        aside.follow::<S>(context, depth + 1);
+        aside.next = depth + 1;
         let (at, paths, lights) = (&mut self.at, &self.paths, &mut self.lights);
-        self.branches.clear();
         for i in 0..self.n {
             let index = at.material[i];
             let material = &scene.materials()[index as usize];
@@ -953,56 +1010,42 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             if paths.beta.rgb(i).is_black() {
                 continue;
             }
+            // Both samples of a pair go on as ordinary paths of this throughput, made of the same numbers: what they
+            // find is alike, and its noise cancels.
             for sign in DiffLobe::BOTH {
                 let mut sampler = self.samplers[paths.id[i] as usize % WIDTH];
                 sampler.seek(first);
                 let u = sampler.next_3d();
                 let sample = material.sample_differential(&shading, wo, u, sign, MODE);
-                if let Some(sample) = sample {
-                    let d = at.frame(i).to_world(sample.wi);
-                    self.branches.push(Branch {
-                        at: i,
-                        wi: sample.wi,
-                        pdf: sample.pdf,
-                        ray: at.interaction(i).spawn_ray(d, at.offset[i]),
-                        eta: paths.eta[i] * sample.eta,
-                        li: Rgb::black(),
-                    });
+                let Some(sample) = sample else {
+                    continue;
+                };
+                if aside.n == WIDTH {
+                    aside.follow::<S>(context, u32::MAX);
+                    aside.next = depth + 1;
                 }
+                let k = aside.n;
+                aside.n += 1;
+                aside.start(k, self.branches.len(), &sampler);
+                aside.l.push(Rgb::black());
+                let d = at.frame(i).to_world(sample.wi);
+                let ray = at.interaction(i).spawn_ray(d, at.offset[i]);
+                aside.paths.o.put_vec(k, ray.o);
+                aside.paths.d.put_vec(k, ray.d);
+                aside.paths.beta.put_rgb(k, paths.beta.rgb(i));
+                aside.paths.from.put_vec(k, at.p.vec(i));
+                aside.paths.pdf[k] = sample.pdf;
+                aside.paths.eta[k] = paths.eta[i] * sample.eta;
+                aside.paths.left_out[k] = paths.left_out[i];
+                aside.paths.caustic[k] = paths.caustic[i];
+                self.branches.push(Branch {
+                    at: i,
+                    wi: sample.wi,
+                    pdf: sample.pdf,
+                });
             }
         }
-        // Both samples of a pair go on as ordinary paths of this throughput, made of the same numbers: what they find
-        // is alike, and its noise cancels.
-        let mut branches = std::mem::take(&mut self.branches);
-        let mut wave = self.aside.take().unwrap_or_else(Self::new);
-        for branches in branches.chunks_mut(WIDTH) {
-            wave.samplers.clear();
-            for (k, branch) in branches.iter().enumerate() {
-                let i = branch.at;
-                let sampler = self.samplers[self.paths.id[i] as usize % WIDTH];
-                wave.start(k, sampler);
-                wave.paths.o.put_vec(k, branch.ray.o);
-                wave.paths.d.put_vec(k, branch.ray.d);
-                wave.paths.beta.put_rgb(k, self.paths.beta.rgb(i));
-                wave.paths.from.put_vec(k, self.at.p.vec(i));
-                wave.paths.pdf[k] = branch.pdf;
-                wave.paths.eta[k] = branch.eta;
-                wave.paths.left_out[k] = self.paths.left_out[i];
-                wave.paths.caustic[k] = self.paths.caustic[i];
-            }
-            wave.n = branches.len();
-            for depth in depth + 1.. {
-                if wave.n == 0 {
-                    break;
-                }
-                wave.edge::<S, S, ()>(context, depth, &mut ());
-            }
-            for (branch, l) in branches.iter_mut().zip(&wave.l) {
-                branch.li = l.scale(branch.pdf.recip());
-            }
-        }
-        self.aside = Some(wave);
-        self.branches = branches;
+        self.aside = Some(aside);
     }
 
     /// `more`: whether there may be vertices beyond the next one.
