@@ -114,19 +114,35 @@ impl<P: Float> Departure<P> {
     }
 }
 
-/// Light found at the end of an edge.
+/// An edge that found light.
 #[derive(Clone, Copy, Debug)]
-pub struct FoundLight<P> {
+pub struct FoundEdge<P> {
     /// How its direction moves.
     pub motion: Motion<P>,
-    /// Index of the primitive it hit, and how far away; `None` for an infinite emitter.
+    /// Index of the primitive it hit, and how far away; `None` if it left the scene.
     pub end: Option<(u32, P)>,
+}
+
+/// Light at the end of an edge.
+#[derive(Clone, Copy, Debug)]
+pub struct FoundLight<P> {
     /// Index of the emitter.
     pub emitter: u32,
     /// Where on it.
     pub emission: Emission<P>,
     /// Its share of the samples of emitters, see [`crate::scene::LightChoice::share`].
     pub share: P,
+}
+
+/// What an edge found.
+#[derive(Clone, Copy, Debug)]
+pub struct Found<'a, P> {
+    /// The vertex it left.
+    pub from: &'a Departure<P>,
+    /// The edge.
+    pub edge: &'a FoundEdge<P>,
+    /// Light at its end: several infinite emitters, perhaps.
+    pub lights: &'a [FoundLight<P>],
 }
 
 /// How a strategy weighs its techniques, as values: what is called seldom is then compiled once per scalar
@@ -152,7 +168,7 @@ impl<R: Real> Weighing<R> {
     }
 }
 
-/// `f w L_e / p` of the edge that left `from` and found that light: what it adds to the radiance leaving `from`, MIS weight included.
+/// `f w L_e / p` of the edge that left `from` and found light: what it adds to the radiance leaving `from`, MIS weight included.
 ///
 /// # Derivatives
 /// First derivatives in all parameters, through the sampled direction.
@@ -164,8 +180,7 @@ impl<R: Real> Weighing<R> {
 pub fn direct_light<R: Real>(
     scene: &Scene,
     theta: &Theta<R>,
-    from: &Departure<R::Primal>,
-    found: &FoundLight<R::Primal>,
+    &Found { from, edge, lights }: &Found<R::Primal>,
     weighing: &Weighing<R>,
 ) -> Rgb<R> {
     let material = &scene.materials()[from.material as usize];
@@ -174,7 +189,7 @@ pub fn direct_light<R: Real>(
         uv: Vec2::lift(from.si.uv),
     };
     let weighed = weighing.hit.is_some();
-    let Some(scattered) = scattered_again(material, &at, from, &found.motion, weighed) else {
+    let Some(scattered) = scattered_again(material, &at, from, &edge.motion, weighed) else {
         return Rgb::black();
     };
     let Moving {
@@ -191,31 +206,34 @@ pub fn direct_light<R: Real>(
 
     let si: SurfaceInteraction<R> = from.si.lift();
     let d = si.frame.to_world(wi);
-    let end = found.end.map(|(prim, t)| {
+    let end = edge.end.map(|(prim, t)| {
         // Over a scalar with tangents, the place on the primitive is computed anew.
         let (t, u, v) = (t.to_f32(), 0.0, 0.0);
         let hit = Hit { t, u, v, prim };
         let Intersection { si, .. } = scene.interaction(&si.spawn_ray(d, from.offset), &hit);
         si
     });
-    let e = &scene.emitters()[found.emitter as usize];
-    let Some(emission) = e.hit_again(d, end.as_ref(), &found.emission) else {
-        return Rgb::black();
+    let pdf = match weighing.frozen && weighed && component == Component::Continuous {
+        true => frozen_pdf(material, &at, wo, wi),
+        false => pdf,
     };
-    let emission: Emission<R> = emission;
-    let le = e.eval(theta, &emission);
-    let mis = match (component, weighing.hit) {
-        (Component::Continuous, Some(weight)) => {
-            let pdf = match weighing.frozen {
-                true => frozen_pdf(material, &at, wo, wi),
-                false => pdf,
-            };
-            let emitter_pdf = e.pdf(scene.lights(), si.p, d, end.as_ref());
-            weight(pdf, emitter_pdf * Const(found.share))
-        }
-        _ => R::one(),
-    };
-    f * le * (weight * mis * Const(from.survival))
+    let mut light = Rgb::black();
+    for found in lights {
+        let e = &scene.emitters()[found.emitter as usize];
+        let Some(emission) = e.hit_again(d, end.as_ref(), &found.emission) else {
+            continue;
+        };
+        let emission: Emission<R> = emission;
+        let le = e.eval(theta, &emission);
+        light += match (component, weighing.hit) {
+            (Component::Continuous, Some(weight)) => {
+                let emitter_pdf = e.pdf(scene.lights(), si.p, d, end.as_ref());
+                le * weight(pdf, emitter_pdf * Const(found.share))
+            }
+            _ => le,
+        };
+    }
+    f * light * (weight * Const(from.survival))
 }
 
 /// A sampled direction as it moves.
@@ -315,22 +333,17 @@ pub struct Connected<P> {
 }
 
 /// The light at a vertex that is differentiated by itself: a function of the material there.
-struct Followed<'a, P, S, I> {
+struct Followed<'a, P, S> {
     scene: &'a Scene,
     material: &'a Material,
     uv: Vec2<P>,
     wo: Vec3<P>,
     connected: Option<Connected<P>>,
-    found: I,
+    found: Option<Found<'a, P>>,
     strategy: PhantomData<S>,
 }
 
-impl<'a, P, S, I> LocalFn<P> for Followed<'_, P, S, I>
-where
-    P: Float,
-    S: Strategy,
-    I: Iterator<Item = (&'a Departure<P>, &'a FoundLight<P>)> + Clone,
-{
+impl<P: Float, S: Strategy> LocalFn<P> for Followed<'_, P, S> {
     fn eval<R: Real<Primal = P>>(&self, theta: &Theta<R>) -> Rgb<R> {
         let connected = self.connected.map(|light| {
             let (wo, wi) = (self.wo, light.wi);
@@ -347,27 +360,25 @@ where
             let weight = S::weight_sampled(R::lift(light.mis_pdf), pdf);
             f * Rgb::lift(light.le) * (weight * Const(light.kept / light.mis_pdf))
         });
-        let weighing = Weighing::of::<S>();
-        let found = self.found.clone();
-        found.fold(connected.unwrap_or(Rgb::black()), |sum, (from, found)| {
-            sum + direct_light(self.scene, theta, from, found, &weighing)
-        })
+        let found = (self.found.as_ref())
+            .map(|found| direct_light(self.scene, theta, found, &Weighing::of::<S>()));
+        connected.unwrap_or(Rgb::black()) + found.unwrap_or(Rgb::black())
     }
 }
 
 /// Adds the derivative of `d` times the light at a vertex that strategy `S` differentiates by itself: of the light that
-/// was sampled there, and of what was found at the end of edges from there.
-pub fn pull_back_followed<'a, P: Float, S: Strategy>(
+/// was sampled there, and of what was found at the end of the edge from there.
+pub fn pull_back_followed<P: Float, S: Strategy>(
     scene: &Scene,
     theta: &Theta<P>,
     (material, uv, wo): (u32, Vec2<P>, Vec3<P>),
     connected: Option<Connected<P>>,
-    found: impl Iterator<Item = (&'a Departure<P>, &'a FoundLight<P>)> + Clone,
+    found: Option<Found<P>>,
     d: Rgb<P>,
     grad: &mut impl GradSink<P>,
 ) {
     let material = &scene.materials()[material as usize];
-    let f = Followed::<P, S, _> {
+    let f = Followed::<P, S> {
         scene,
         material,
         uv,

@@ -1,10 +1,12 @@
 //! The path tracer.
 
 use ad_core::{Const, Float, Real, Vec2, Vec3};
+use smallvec::SmallVec;
 
 use super::batch;
 use super::direct::{
-    Aimed, Departure, Edges, FoundLight, Weighing, aimed_light, direct_light, follows_edges,
+    Aimed, Departure, Edges, Found, FoundEdge, FoundLight, Weighing, aimed_light, direct_light,
+    follows_edges,
 };
 use crate::bsdf::{
     Bsdf, BsdfSample, Component, DiffLobe, Material, Part, Scattered, Shading, TransportMode,
@@ -38,13 +40,6 @@ pub type Geometry<S, R> = <<S as Strategy>::Bsdf as Sampling>::Geometry<R>;
 /// The last departure of a path and the throughput there, if its strategy wants to know.
 type Remembered<S, R> =
     <<S as Strategy>::Edge as Memory>::Of<(Departure<<R as Real>::Primal>, Rgb<R>)>;
-
-/// A vertex that an edge left, the light that it found, and the throughput up to its start.
-type FoundFrom<R> = (
-    Departure<<R as Real>::Primal>,
-    FoundLight<<R as Real>::Primal>,
-    Rgb<R>,
-);
 
 /// A sampled emitter as it moves, if its strategy moves those.
 type Aiming<S, R> = <<S as Strategy>::Aim as Memory>::Of<Aimed<<R as Real>::Primal>>;
@@ -125,8 +120,9 @@ pub trait Observer<R: Real> {
     }
     /// The path found light at its current end.
     fn light(&mut self, _depth: u32, _beta: Rgb<R>, _light: HitLight<R>) {}
-    /// Called before that, if the strategy differentiates the last edge by itself ([`Edges`]).
-    fn followed(&mut self, _from: Departure<R::Primal>, _found: FoundLight<R::Primal>) {}
+    /// Called after that, once for all light at this end, if the strategy differentiates the last edge by itself
+    /// ([`Edges`]).
+    fn followed(&mut self, _found: Found<R::Primal>) {}
     /// A vertex was reached. `depth` is the number of edges so far, `beta` the throughput up to it.
     fn vertex(
         &mut self,
@@ -296,17 +292,18 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
     #[inline]
     pub fn step<O: Observer<R>>(
         &mut self,
-        &Context {
+        context: &Context<R>,
+        hit: Option<Intersection<Geometry<S, R>>>,
+        visible: bool,
+        observer: &mut O,
+    ) {
+        let &Context {
             scene,
             theta,
             settings,
             shifts,
             caustics,
-        }: &Context<R>,
-        hit: Option<Intersection<Geometry<S, R>>>,
-        visible: bool,
-        observer: &mut O,
-    ) {
+        } = context;
         let depth = self.depth;
 
         // ---- Light sampled at the last vertex ----
@@ -328,59 +325,20 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
         let lit = wanted && !self.left_out.1;
 
         // ---- Emission ----
-        // How the light at the end of this edge could have been sampled at its start.
-        let (pdf_bsdf, from) = (self.pdf_bsdf, self.from);
-        let sampled = S::SAMPLES_EMITTERS && depth > 1 && pdf_bsdf.primal() > R::Primal::zero();
-        let rival = |e| {
-            let share = settings.lights.share(scene, e);
-            let rival = Rival {
-                pdf_bsdf,
-                from,
-                share,
-            };
-            (share, sampled.then_some(rival))
-        };
         let Some(Intersection { shape, si, prim }) = hit else {
-            for &e in scene.infinite_emitters().iter().filter(|_| lit) {
-                let (share, rival) = rival(e);
-                if let Some((light, le)) = find_light::<R, S>(scene, theta, e, ray.d, None, rival) {
-                    let found = self.found_light(scene, &light, None, ray.d.primal(), share);
-                    self.l += match found {
-                        Some((from, found, beta)) if !R::IS_PRIMAL => {
-                            beta * direct_light(scene, theta, &from, &found, &Weighing::of::<S>())
-                        }
-                        _ => beta * le * light.weight,
-                    };
-                    if O::ENABLED {
-                        if let Some((from, found, _)) = found {
-                            observer.followed(from, found);
-                        }
-                        observer.light(depth, beta, light);
-                    }
-                }
-            }
+            let emitters = scene.infinite_emitters().iter().filter(|_| lit);
+            self.find_lights(context, emitters.copied(), ray.d, None, observer);
             return;
         };
         let info = scene.shape_info(shape);
         if let Some(e) = info.emitter.filter(|_| lit) {
-            let (share, rival) = rival(e);
-            let found = find_light::<R, S>(scene, theta, e, ray.d, Some(si), rival);
-            if let Some((light, le)) = found {
-                let end = Some((prim, si.t.primal()));
-                let found = self.found_light(scene, &light, end, ray.d.primal(), share);
-                self.l += match found {
-                    Some((from, found, beta)) if !R::IS_PRIMAL => {
-                        beta * direct_light(scene, theta, &from, &found, &Weighing::of::<S>())
-                    }
-                    _ => beta * le * light.weight,
-                };
-                if O::ENABLED {
-                    if let Some((from, found, _)) = found {
-                        observer.followed(from, found);
-                    }
-                    observer.light(depth, beta, light);
-                }
-            }
+            self.find_lights(
+                context,
+                std::iter::once(e),
+                ray.d,
+                Some((prim, si)),
+                observer,
+            );
         }
         if depth >= settings.max_depth {
             return;
@@ -733,28 +691,74 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
 }
 
 impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
-    /// What the last edge, in direction `d`, found; `None` where that edge is differentiated like the rest of the path.
+    /// Adds the light that the last edge finds, in direction `d` and from those of the `emitters` that are there, where it
+    /// met a primitive or left the scene.
     #[inline(always)]
-    fn found_light(
+    fn find_lights<O: Observer<R>>(
         &mut self,
-        scene: &Scene,
-        light: &HitLight<R>,
-        end: Option<(u32, R::Primal)>,
-        d: Vec3<R::Primal>,
-        share: R::Primal,
-    ) -> Option<FoundFrom<R>> {
-        if !follows_edges::<S>() {
-            return None;
+        &Context {
+            scene,
+            theta,
+            settings,
+            ..
+        }: &Context<R>,
+        emitters: impl Iterator<Item = u32>,
+        d: Vec3<Geometry<S, R>>,
+        end: Option<(u32, SurfaceInteraction<Geometry<S, R>>)>,
+        observer: &mut O,
+    ) {
+        let (depth, beta) = (self.depth, self.beta);
+        // How light here could have been sampled at the start of the edge.
+        let (pdf_bsdf, from) = (self.pdf_bsdf, self.from);
+        let sampled = S::SAMPLES_EMITTERS && depth > 1 && pdf_bsdf.primal() > R::Primal::zero();
+        // Whether the edge is not differentiated like the rest of the path.
+        let follows = const { follows_edges::<S>() } && self.departure.get().is_some();
+        let mut lights = SmallVec::<[FoundLight<R::Primal>; 1]>::new();
+        for emitter in emitters {
+            let share = settings.lights.share(scene, emitter);
+            let rival = Rival {
+                pdf_bsdf,
+                from,
+                share,
+            };
+            let (si, rival) = (end.map(|(_, si)| si), sampled.then_some(rival));
+            let found = find_light::<R, S>(scene, theta, emitter, d, si, rival);
+            let Some((light, le)) = found else {
+                continue;
+            };
+            if follows {
+                lights.push(FoundLight {
+                    emitter,
+                    emission: light.emission.primal(),
+                    share,
+                });
+            }
+            if !follows || R::IS_PRIMAL {
+                self.l += beta * le * light.weight;
+            }
+            if O::ENABLED {
+                observer.light(depth, beta, light);
+            }
         }
-        let (from, beta) = self.departure.get()?;
-        let found = FoundLight {
-            motion: from.motion::<S, X>(scene, d, self.depth, &mut self.sampler),
-            end,
-            emitter: light.emitter,
-            emission: light.emission.primal(),
-            share,
-        };
-        Some((from, found, beta))
+        if !lights.is_empty()
+            && let Some((from, beta)) = self.departure.get()
+        {
+            let edge = FoundEdge {
+                motion: from.motion::<S, X>(scene, d.primal(), depth, &mut self.sampler),
+                end: end.map(|(prim, si)| (prim, si.t.primal())),
+            };
+            let found = Found {
+                from: &from,
+                edge: &edge,
+                lights: &lights,
+            };
+            if !R::IS_PRIMAL {
+                self.l += beta * direct_light(scene, theta, &found, &Weighing::of::<S>());
+            }
+            if O::ENABLED {
+                observer.followed(found);
+            }
+        }
     }
 }
 

@@ -8,8 +8,8 @@
 use ad_core::{Dual, Float, Real, Vec2, Vec3, array};
 
 use super::direct::{
-    Aimed, Connected, Departure, FoundLight, Weighing, aimed_light, follows_edges,
-    pull_back_followed,
+    Aimed, Connected, Departure, Found, FoundEdge, FoundLight, Weighing, aimed_light,
+    follows_edges, pull_back_followed,
 };
 use super::gradient::Active;
 use super::local::{LocalFn, Texels, pull_back, pull_back_second, pull_back_texels};
@@ -54,8 +54,10 @@ pub struct Recorder<'a, P: Float> {
     normals: Vec<NormalsLight<P>>,
     /// Of the vertex that is pulled back.
     uses: Vec<Use<P>>,
-    /// How some lights were found, with their indices, in order.
-    found: Vec<(u32, Departure<P>, FoundLight<P>)>,
+    /// Edges that are differentiated by themselves where they found light, with the index of the first, in order.
+    found: Vec<(u32, Departure<P>, FoundEdge<P>)>,
+    /// That light.
+    found_lights: Vec<FoundLight<P>>,
     /// Sampled lights that move, with the indices of their vertices, in order.
     aimed: Vec<(u32, Aimed<P>)>,
     /// Channels that a differentiated roulette went by, with the indices of their vertices, in order.
@@ -80,6 +82,7 @@ impl<'a, P: Float> Recorder<'a, P> {
         self.vertices.clear();
         self.lights.clear();
         self.found.clear();
+        self.found_lights.clear();
         self.aimed.clear();
         self.survived.clear();
         self.normals.clear();
@@ -171,8 +174,9 @@ impl<'a, P: Float> Recorder<'a, P> {
         // differentiated as the path is, and by those that are not.
         let mut l = Rgb::<P>::black();
         let (mut plain, mut followed) = (l, l);
-        let mut next_found: &[(u32, Departure<P>, FoundLight<P>)] = &[];
-        let mut rest = &self.found[..];
+        let mut next_found = None;
+        let mut found = self.found.iter().rev().peekable();
+        let mut found_lights = &self.found_lights[..];
         let mut aimed = self.aimed.iter().rev().peekable();
         let mut survived = self.survived.iter().rev().peekable();
         // Adjoints of the logarithms of survival weights beyond, together, and of throughputs that decided on them.
@@ -180,20 +184,10 @@ impl<'a, P: Float> Recorder<'a, P> {
         let mut uses = std::mem::take(&mut self.uses);
         for (index, v) in self.vertices.iter().enumerate().rev() {
             let d = d_l * v.beta;
-            let (mut arrives_plain, mut arrives_followed) = (Rgb::black(), Rgb::black());
-            let lights = v.lights.0 as usize..v.lights.1 as usize;
-            let (before, found) =
-                rest.split_at(rest.partition_point(|(i, ..)| (*i as usize) < lights.start));
-            rest = before;
-            for i in lights {
-                let hit = &self.lights[i];
+            let mut arrives = Rgb::black();
+            for hit in &self.lights[v.lights.0 as usize..v.lights.1 as usize] {
                 let e = &scene.emitters()[hit.emitter as usize];
-                let le = e.eval(theta, &hit.emission) * hit.weight;
-                if found.iter().any(|(k, ..)| *k as usize == i) {
-                    arrives_followed += le;
-                } else {
-                    arrives_plain += le;
-                }
+                arrives += e.eval(theta, &hit.emission) * hit.weight;
                 if grad.emitter_active(hit.emitter) {
                     e.backward(&hit.emission, d * hit.weight, grad);
                 }
@@ -298,18 +292,29 @@ impl<'a, P: Float> Recorder<'a, P> {
             // A constant: nothing of this is compiled where it never happens.
             if const { follows_edges::<S>() }
                 && let Some(s) = &v.surface
-                && (connected.is_some() || !next_found.is_empty())
+                && (connected.is_some() || next_found.is_some())
             {
                 let material = scene.shape_info(s.shape).material;
                 if grad.material_active(material) {
                     let vertex = (material, s.uv, s.wo);
-                    let found = next_found.iter().map(|(_, from, found)| (from, found));
-                    pull_back_followed::<P, S>(scene, theta, vertex, connected, found, d, grad);
+                    pull_back_followed::<P, S>(
+                        scene, theta, vertex, connected, next_found, d, grad,
+                    );
                 }
             }
-            next_found = found;
+            let edge = found.next_if(|(first, ..)| *first >= v.lights.0);
+            next_found = edge.map(|(_, from, edge)| {
+                // All light at the end of an edge is followed, or none.
+                let here = found_lights.len() - (v.lights.1 - v.lights.0) as usize;
+                let (rest, lights) = found_lights.split_at(here);
+                found_lights = rest;
+                Found { from, edge, lights }
+            });
             l = here;
-            (plain, followed) = (arrives_plain, arrives_followed);
+            (plain, followed) = match next_found {
+                None => (arrives, Rgb::black()),
+                Some(_) => (Rgb::black(), arrives),
+            };
         }
         self.uses = uses;
     }
@@ -499,8 +504,10 @@ impl<P: Float> Observer<P> for Recorder<'_, P> {
     }
 
     #[inline]
-    fn followed(&mut self, from: Departure<P>, found: FoundLight<P>) {
-        self.found.push((self.lights.len() as u32, from, found));
+    fn followed(&mut self, found: Found<P>) {
+        let first = self.lights.len() - found.lights.len();
+        self.found.push((first as u32, *found.from, *found.edge));
+        self.found_lights.extend_from_slice(found.lights);
     }
 
     #[inline]

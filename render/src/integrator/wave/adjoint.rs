@@ -9,7 +9,7 @@ use crate::bsdf::{Bsdf, Component, Material, Part, Shading, Use};
 use crate::emitter::{Emission, Emitter};
 use crate::estimator::Strategy;
 use crate::integrator::direct::{
-    Connected, Departure, Edges, FoundLight, follows_edges, pull_back_followed,
+    Connected, Departure, Edges, Found, FoundEdge, FoundLight, follows_edges, pull_back_followed,
 };
 use crate::integrator::gradient::Active;
 use crate::integrator::path::{HitLight, MODE};
@@ -51,10 +51,14 @@ struct Layer<P> {
     hits: Vec<(u32, Rgb<P>)>,
     /// Vertices whose light is differentiated by itself, in the order of their places.
     followed: Vec<Followed<P>>,
-    /// The light that was found at the end of edges from those, by the places.
-    found: Vec<(u32, FoundLight<P>)>,
-    /// The same as `hits`.
+    /// One more than their index there; zero where there is none. All zero where no light is.
+    entry: Lane<u32>,
+    /// Edges from those that found light, by the places.
+    found: Vec<FoundFrom<P>>,
+    /// That light, as in `hits`.
     found_light: Vec<(u32, Rgb<P>)>,
+    /// Where it comes from, in the same order.
+    lights: Vec<FoundLight<P>>,
 }
 
 /// A vertex whose light is differentiated by itself: see [`super::super::direct`].
@@ -66,6 +70,16 @@ struct Followed<P> {
     departure: Option<Departure<P>>,
     /// The sampled light, if its weight is differentiated.
     connected: Option<Connected<P>>,
+}
+
+/// An edge that found light.
+#[derive(Clone, Copy, Debug)]
+struct FoundFrom<P> {
+    /// The place that it left.
+    place: u32,
+    edge: FoundEdge<P>,
+    /// How many lights all edges up to this one found.
+    lights: u32,
 }
 
 /// A vertex of any material.
@@ -134,8 +148,10 @@ impl<P: Float> Layer<P> {
             others: Vec::new(),
             hits: Vec::new(),
             followed: Vec::new(),
+            entry: Lane::zero(),
             found: Vec::new(),
             found_light: Vec::new(),
+            lights: Vec::new(),
         })
     }
 }
@@ -216,23 +232,29 @@ impl<'a, P: Float> Record<'a, P> {
                 v,
                 d,
                 followed,
+                entry,
                 found,
+                lights,
                 ..
             } = &mut **layer;
-            let mut pull = |at: &Followed<P>, connected, found: Option<&FoundLight<P>>| {
+            let mut pull = |at: &Followed<P>, connected, found: Option<Found<P>>| {
                 let i = at.place as usize % WIDTH;
                 if counts[id[i] as usize % WIDTH] != 0 {
                     let vertex = (material[i], Vec2::new(u[i], v[i]), at.wo);
                     let d = d.rgb(i);
-                    let found = at.departure.iter().zip(found);
                     pull_back_followed::<P, S>(scene, theta, vertex, connected, found, d, grad);
                 }
             };
             // Light that was sampled with light that was found, so that both read the material once.
-            for (place, found) in found.iter() {
-                if let Ok(k) = followed.binary_search_by_key(place, |f| f.place) {
-                    let connected = followed[k].connected.take();
-                    pull(&followed[k], connected, Some(found));
+            let mut first = 0;
+            for found in found.iter() {
+                let lights = &lights[first..found.lights as usize];
+                first += lights.len();
+                if let Some(k) = entry[found.place as usize % WIDTH].checked_sub(1) {
+                    let connected = followed[k as usize].connected.take();
+                    let (at, edge) = (&followed[k as usize], &found.edge);
+                    let from = at.departure.as_ref();
+                    pull(at, connected, from.map(|from| Found { from, edge, lights }));
                 }
             }
             for at in followed.iter().filter(|f| f.connected.is_some()) {
@@ -391,9 +413,9 @@ impl<P: Float> Log<P> for Record<'_, P> {
     }
 
     fn departure(&self, paths: &Paths<P>, i: usize) -> Option<&Departure<P>> {
-        let followed = &self.layers[self.used - 1].followed;
-        let k = followed.binary_search_by_key(&paths.slot[i], |f| f.place);
-        followed[k.ok()?].departure.as_ref()
+        let layer = &self.layers[self.used - 1];
+        let entry = layer.entry[paths.slot[i] as usize % WIDTH] as usize;
+        layer.followed[entry.checked_sub(1)?].departure.as_ref()
     }
 
     fn hit(
@@ -402,15 +424,19 @@ impl<P: Float> Log<P> for Record<'_, P> {
         i: usize,
         light: &HitLight<P>,
         le: Rgb<P>,
-        found: Option<FoundLight<P>>,
+        follows: Option<P>,
     ) {
         let layer = &mut self.layers[self.used - 1];
         let hit = (paths.slot[i], le * light.weight);
-        match found {
+        match follows {
             None => layer.hits.push(hit),
-            Some(found) => {
+            Some(share) => {
                 layer.found_light.push(hit);
-                layer.found.push((hit.0, found));
+                layer.lights.push(FoundLight {
+                    emitter: light.emitter,
+                    emission: light.emission,
+                    share,
+                });
             }
         }
         if self.active.emitter_active(light.emitter) {
@@ -423,6 +449,15 @@ impl<P: Float> Log<P> for Record<'_, P> {
                 d,
             });
         }
+    }
+
+    fn found(&mut self, paths: &Paths<P>, i: usize, edge: FoundEdge<P>) {
+        let layer = &mut self.layers[self.used - 1];
+        layer.found.push(FoundFrom {
+            place: paths.slot[i],
+            edge,
+            lights: layer.lights.len() as u32,
+        });
     }
 
     fn normals(&mut self, samples: impl Iterator<Item = (Vec3<P>, Rgb<P>)>) {
@@ -443,8 +478,12 @@ impl<P: Float> Log<P> for Record<'_, P> {
         layer.others.clear();
         layer.hits.clear();
         layer.followed.clear();
+        if self.edges != Edges::None {
+            layer.entry = Lane::zero();
+        }
         layer.found.clear();
         layer.found_light.clear();
+        layer.lights.clear();
         for i in 0..whole(n) {
             layer.id[i] = paths.id[i];
             layer.parent[i] = paths.slot[i];
@@ -511,6 +550,7 @@ impl<P: Float> Log<P> for Record<'_, P> {
                         },
                     });
                     if connected.is_some() || departure.is_some() {
+                        layer.entry[i] = layer.followed.len() as u32 + 1;
                         layer.followed.push(Followed {
                             place: i as u32,
                             wo,

@@ -18,7 +18,7 @@ pub(super) use lanes::WIDTH;
 use lanes::{Field, Lane, Lanes, lanes, whole};
 
 use super::batch;
-use super::direct::{Departure, FoundLight, follows_edges};
+use super::direct::{Departure, FoundEdge, follows_edges};
 use super::path::{
     Context, HitLight, LEAST_STEP, MAX_SURVIVAL, MODE, Rival, Seen, find_light, guided, is_guided,
     mixed, weigh_lights,
@@ -62,15 +62,17 @@ pub(super) trait Log<P: Float> {
     fn departure(&self, _paths: &Paths<P>, _i: usize) -> Option<&Departure<P>> {
         None
     }
-    /// Path `i` found light at the end of an edge, which `found` describes if it is differentiated by itself.
+    /// Path `i` found light at the end of an edge; `follows`: the emitter's share, if it is differentiated by itself.
     fn hit(
         &mut self,
         paths: &Paths<P>,
         i: usize,
         light: &HitLight<P>,
         le: Rgb<P>,
-        found: Option<FoundLight<P>>,
+        follows: Option<P>,
     );
+    /// The edge of all light that it found there, in that case: called after that.
+    fn found(&mut self, _paths: &Paths<P>, _i: usize, _edge: FoundEdge<P>) {}
     /// All that happened at the vertices, before throughputs change. Gives them their new places.
     fn layer<X>(&mut self, wave: &mut Wave<P, X>);
     /// Directions of all samples of the change of normals (local frame of the vertex), in their order, and the light
@@ -93,7 +95,7 @@ impl<P: Float> Log<P> for () {
         _i: usize,
         _light: &HitLight<P>,
         _le: Rgb<P>,
-        _found: Option<FoundLight<P>>,
+        _follows: Option<P>,
     ) {
     }
     fn layer<X>(&mut self, _wave: &mut Wave<P, X>) {}
@@ -578,41 +580,47 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             let lit = wanted && paths.caustic[i] == 0;
             let sampled = S::SAMPLES_EMITTERS && depth > 1 && paths.pdf[i] > P::zero();
             let samplers = &mut self.samplers;
-            let mut find = |paths: &mut Paths<P>, emitter, si, end| {
-                let share = settings.lights.share(scene, emitter);
-                let rival = Rival {
-                    pdf_bsdf: paths.pdf[i],
-                    from: paths.from.vec(i),
-                    share,
-                };
-                let rival = sampled.then_some(rival);
-                let found = find_light::<P, S>(scene, theta, emitter, ray.d, si, rival);
-                if let Some((light, le)) = found {
-                    (paths.l).add_rgb(i, paths.beta.rgb(i) * le * light.weight);
-                    // The constant again: where nothing is followed, this is not even compiled.
-                    let from = match const { L::ENABLED && follows_edges::<Of>() } {
-                        true => log.departure(paths, i),
-                        false => None,
+            let mut find = |paths: &mut Paths<P>,
+                            emitters: &[u32],
+                            end: Option<(u32, SurfaceInteraction<P>)>| {
+                // The constant again: where nothing is followed, this is not even compiled.
+                let follows = const { L::ENABLED && follows_edges::<Of>() }
+                    && log.departure(paths, i).is_some();
+                let mut any = false;
+                for &emitter in emitters {
+                    let share = settings.lights.share(scene, emitter);
+                    let rival = Rival {
+                        pdf_bsdf: paths.pdf[i],
+                        from: paths.from.vec(i),
+                        share,
                     };
-                    let found = from.map(|from| {
-                        let sampler = &mut samplers[paths.id[i] as usize % WIDTH];
-                        FoundLight {
-                            motion: from.motion::<Of, X>(scene, ray.d, depth, sampler),
-                            end,
-                            emitter,
-                            emission: light.emission,
-                            share,
-                        }
-                    });
-                    log.hit(paths, i, &light, le, found);
+                    let (si, rival) = (end.map(|(_, si)| si), sampled.then_some(rival));
+                    let found = find_light::<P, S>(scene, theta, emitter, ray.d, si, rival);
+                    let Some((light, le)) = found else {
+                        continue;
+                    };
+                    (paths.l).add_rgb(i, paths.beta.rgb(i) * le * light.weight);
+                    log.hit(paths, i, &light, le, follows.then_some(share));
+                    any = true;
+                }
+                if follows
+                    && any
+                    && let Some(from) = log.departure(paths, i)
+                {
+                    let sampler = &mut samplers[paths.id[i] as usize % WIDTH];
+                    let edge = FoundEdge {
+                        motion: from.motion::<Of, X>(scene, ray.d, depth, sampler),
+                        end: end.map(|(prim, si)| (prim, si.t)),
+                    };
+                    log.found(paths, i, edge);
                 }
             };
             // Where there is no surface, or nothing happens: like one that is plain, but without light.
             (self.at.there[i], self.at.lit[i], self.at.plain[i]) = (0, 0, 1);
             self.at.guide[i] = 0;
             let Some(hit) = &self.hits[i] else {
-                for &e in scene.infinite_emitters().iter().filter(|_| lit) {
-                    find(paths, e, None, None);
+                if lit {
+                    find(paths, scene.infinite_emitters(), None);
                 }
                 continue;
             };
@@ -629,7 +637,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
                     t,
                     ..self.at.interaction(i)
                 };
-                find(paths, e, Some(si), Some((hit.prim, t)));
+                find(paths, &[e], Some((hit.prim, si)));
             }
             if depth >= settings.max_depth {
                 continue;
