@@ -37,16 +37,6 @@ pub struct Freeze<P> {
     pub gradient: Vec3<P>,
 }
 
-impl<P: Float> Freeze<P> {
-    /// `B = b` everywhere: with 0 samples move freely, with 1 they are constant.
-    pub fn uniform(b: P) -> Self {
-        Self {
-            b,
-            gradient: Vec3::zero(),
-        }
-    }
-}
-
 /// One at an outline, zero from [`WIDTH`] on, with a continuous derivative.
 #[inline]
 fn bump<R: Real>(distance: R) -> R {

@@ -326,7 +326,7 @@ mod tests {
     use super::*;
     use ad_core::Dual;
 
-    /// All around, at both poles, and across the seam.
+    /// All around, at a pole, and across the seam.
     #[test]
     fn a_known_place_moves_as_one_that_is_found() {
         let param = ParamRef { id: 0, offset: 0 };
