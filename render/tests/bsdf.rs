@@ -623,6 +623,49 @@ fn derivatives_agree_with_differences() {
     assert!(compared > 20_000 && nonzero > 5_000, "{compared} {nonzero}");
 }
 
+/// Values over densities with all that is shared cancelled, against their quotient: derivatives with respect to every
+/// parameter and `wo` (f64, relative 1e-9). `None` exactly together.
+#[test]
+fn weights_are_values_over_densities() {
+    type D = Dual<f64, 16>;
+    let mut compared = 0;
+    for case in cases() {
+        let values = case.values::<f64>();
+        assert!(values.len() + 3 <= 16);
+        let tangents: Vec<Tangent<D>> = (case.params.infos().iter())
+            .map(|info| Tangent::Dense(info.range().map(|i| D::var(0.0, i)).collect()))
+            .collect();
+        let at = at(Theta::with_tangents(&values, &tangents));
+        for (wo, _, u, mode) in configurations(&case, 200) {
+            let wo = Vec3::new(
+                D::var(wo.x, values.len()),
+                D::var(wo.y, values.len() + 1),
+                D::var(wo.z, values.len() + 2),
+            );
+            let weight = case.material.sample_weight(&at, wo, u, mode);
+            let sample = case.material.sample_eval(&at, wo, u, mode);
+            assert_eq!(weight.is_some(), sample.is_some(), "{} {wo:?}", case.name);
+            let (Some((wi, weight)), Some((sample, f))) = (weight, sample) else {
+                continue;
+            };
+            let expected = f * sample.pdf.recip();
+            for (x, y) in (wi.to_array().into_iter().chain(weight.to_array()))
+                .zip(sample.wi.to_array().into_iter().chain(expected.to_array()))
+            {
+                let scale = y.eps.iter().fold(1.0, |m: f64, e| m.max(e.abs()));
+                let close = |a: f64, b: f64| (a - b).abs() <= 1e-9 * scale;
+                assert!(
+                    close(x.re, y.re) && x.eps.iter().zip(y.eps).all(|(&a, b)| close(a, b)),
+                    "{}, wo {wo:?}, u {u:?}: {x:?} against {y:?}",
+                    case.name
+                );
+            }
+            compared += 1;
+        }
+    }
+    assert!(compared > 2_000, "{compared}");
+}
+
 /// What `choice_pdf` leaves constant is all that `pdf` differentiates: with every parameter, their derivatives add up to
 /// that of the density, and that of a delta's probability is all in the former. Central differences (f64, relative 1e-6
 /// plus their own error).
@@ -902,6 +945,9 @@ fn everything_is_finite_everywhere() {
                             case.name
                         );
                         look_at(s.wi.primal(), mode);
+                        let weight = case.material.sample_weight(&point, dual(wo, 4), u, mode);
+                        let (_, weight) = weight.expect("what is sampled has a weight");
+                        assert!(weight.is_finite(), "{}, wo {wo:?}: {weight:?}", case.name);
                     }
                 }
             }

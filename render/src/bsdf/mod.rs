@@ -155,6 +155,21 @@ pub trait Lobe<R: Real>: Copy {
         Some((sample, f))
     }
 
+    /// The direction of [`Lobe::sample`], and its value over its density: the attached estimator of reflected light.
+    ///
+    /// # Derivatives
+    /// Of both at fixed `u`: factors that value and density share cancel, and so do their derivatives.
+    #[inline]
+    fn sample_weight(
+        &self,
+        wo: Vec3<R>,
+        u: [R::Primal; 3],
+        mode: TransportMode,
+    ) -> Option<(Vec3<R>, Rgb<R>)> {
+        let (sample, f) = self.sample_eval(wo, u, mode)?;
+        Some((sample.wi, f * sample.pdf.recip()))
+    }
+
     /// Weight of a delta, integrated over it: reflectance or transmittance (times the radiance
     /// scale in [`TransportMode::Radiance`]), *not* divided by the probability of choosing it.
     #[inline]
@@ -490,7 +505,20 @@ pub trait Bsdf: Send + Sync {
         Some((sample, f))
     }
 
-    /// The same for a direction without tangents.
+    /// [`Lobe::sample_weight`] at a point.
+    #[inline(always)]
+    fn sample_weight<R: Real>(
+        &self,
+        at: &Shading<R>,
+        wo: Vec3<R>,
+        u: [R::Primal; 3],
+        mode: TransportMode,
+    ) -> Option<(Vec3<R>, Rgb<R>)> {
+        let (sample, f) = self.sample_eval(at, wo, u, mode)?;
+        Some((sample.wi, f * sample.pdf.recip()))
+    }
+
+    /// [`Bsdf::sample_eval`] for a direction without tangents.
     #[inline(always)]
     fn scatter<R: Real>(
         &self,
@@ -578,6 +606,17 @@ impl<L: Leaf> Bsdf for L {
         mode: TransportMode,
     ) -> Option<Scattered<R, R>> {
         self.lobe(&mut { *at }).sample_eval(wo, u, mode)
+    }
+
+    #[inline(always)]
+    fn sample_weight<R: Real>(
+        &self,
+        at: &Shading<R>,
+        wo: Vec3<R>,
+        u: [R::Primal; 3],
+        mode: TransportMode,
+    ) -> Option<(Vec3<R>, Rgb<R>)> {
+        self.lobe(&mut { *at }).sample_weight(wo, u, mode)
     }
 
     #[inline(always)]
@@ -908,6 +947,12 @@ macro_rules! materials {
                 &self, at: &Shading<R>, wo: Vec3<R>, u: [R::Primal; 3], mode: TransportMode,
             ) -> Option<Scattered<R, R>> {
                 $crate::dispatch::dispatch!(self, [$($hot),*] [$($name),*], m => m.sample_eval(at, wo, u, mode))
+            }
+            #[inline(always)]
+            fn sample_weight<R: Real>(
+                &self, at: &Shading<R>, wo: Vec3<R>, u: [R::Primal; 3], mode: TransportMode,
+            ) -> Option<(Vec3<R>, Rgb<R>)> {
+                $crate::dispatch::dispatch!(self, [$($hot),*] [$($name),*], m => m.sample_weight(at, wo, u, mode))
             }
             #[inline(always)]
             fn scatter<R: Real>(

@@ -224,6 +224,31 @@ impl<R: Real> Lobe<R> for RoughConductorLobe<R> {
         Some((Self::found(wi, pdf)?, f))
     }
 
+    /// Of visible normals, `F G1(wi)` is left [Heitz and d'Eon 2014, Eq. 19, with separable masking].
+    #[inline]
+    fn sample_weight(
+        &self,
+        wo: Vec3<R>,
+        u: [R::Primal; 3],
+        mode: TransportMode,
+    ) -> Option<(Vec3<R>, Rgb<R>)> {
+        if !self.microfacet.visible {
+            let (sample, f) = self.sample_eval(wo, u, mode)?;
+            return Some((sample.wi, f * sample.pdf.recip()));
+        }
+        let above = |w: Vec3<R>| w.z.primal() > R::Primal::zero();
+        if !above(wo) {
+            return None;
+        }
+        let m = self.microfacet.sample(wo, [u[1], u[2]]);
+        let cos = wo.dot(m);
+        let wi = m * (cos * R::c(2.0)) - wo;
+        above(wi).then(|| {
+            let masking = wi.z / self.microfacet.sigma(wi);
+            (wi, self.facet.reflectance(cos) * masking)
+        })
+    }
+
     #[inline]
     fn eval_normals(
         &self,

@@ -108,6 +108,19 @@ impl Bsdf for TwoSided {
     }
 
     #[inline]
+    fn sample_weight<R: Real>(
+        &self,
+        at: &Shading<R>,
+        wo: Vec3<R>,
+        u: [R::Primal; 3],
+        mode: TransportMode,
+    ) -> Option<(Vec3<R>, Rgb<R>)> {
+        let (side, behind) = self.side(wo);
+        let (wi, weight) = side.sample_weight(at, turn(wo, behind), u, mode)?;
+        Some((turn(wi, behind), weight))
+    }
+
+    #[inline]
     fn eval_delta<R: Real>(
         &self,
         at: &Shading<R>,

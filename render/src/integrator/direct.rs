@@ -188,21 +188,11 @@ pub fn direct_light<R: Real>(
         theta: *theta,
         uv: Vec2::lift(from.si.uv),
     };
-    let weighed = weighing.hit.is_some();
-    let Some(scattered) = scattered_again(material, &at, from, &edge.motion, weighed) else {
+    let Some(Moving { wi, weight, pdf }) =
+        scattered_again(material, &at, from, &edge.motion, weighing)
+    else {
         return Rgb::black();
     };
-    let Moving {
-        wi,
-        weight,
-        component,
-        mut f,
-        pdf,
-    } = scattered;
-    let wo = Vec3::lift(from.wo);
-    if from.part == Part::Rest {
-        f = f - material.eval_normals(&at, from.wo, wi.primal(), MODE);
-    }
 
     let si: SurfaceInteraction<R> = from.si.lift();
     let d = si.frame.to_world(wi);
@@ -213,10 +203,6 @@ pub fn direct_light<R: Real>(
         let Intersection { si, .. } = scene.interaction(&si.spawn_ray(d, from.offset), &hit);
         si
     });
-    let pdf = match weighing.frozen && weighed && component == Component::Continuous {
-        true => frozen_pdf(material, &at, wo, wi),
-        false => pdf,
-    };
     let mut light = Rgb::black();
     for found in lights {
         let e = &scene.emitters()[found.emitter as usize];
@@ -225,78 +211,82 @@ pub fn direct_light<R: Real>(
         };
         let emission: Emission<R> = emission;
         let le = e.eval(theta, &emission);
-        light += match (component, weighing.hit) {
-            (Component::Continuous, Some(weight)) => {
+        light += match (pdf, weighing.hit) {
+            (Some(pdf), Some(weight)) => {
                 let emitter_pdf = e.pdf(scene.lights(), si.p, d, end.as_ref());
                 le * weight(pdf, emitter_pdf * Const(found.share))
             }
             _ => le,
         };
     }
-    f * light * (weight * Const(from.survival))
+    weight * light.map(|x| x * Const(from.survival))
 }
 
 /// A sampled direction as it moves.
 struct Moving<R> {
     /// Local frame.
     wi: Vec3<R>,
-    /// One over its density, as it changes with the motion.
-    weight: R,
-    component: Component,
-    /// Value of the BSDF there.
-    f: Rgb<R>,
-    /// Density there for constant directions, if it is weighed.
-    pdf: R,
+    /// Value of the BSDF over the density, as both change with the motion.
+    weight: Rgb<R>,
+    /// The density that MIS weights are made of; `None` along deltas, and where nothing is weighed.
+    pdf: Option<R>,
 }
 
-/// The direction that left a vertex. `weighed`: whether its density is asked for, too.
+/// The direction that left a vertex.
 #[inline]
 fn scattered_again<R: Real>(
     material: &Material,
     at: &Shading<R>,
     from: &Departure<R::Primal>,
     motion: &Motion<R::Primal>,
-    weighed: bool,
+    weighing: &Weighing<R>,
 ) -> Option<Moving<R>> {
     let wo = Vec3::lift(from.wo);
-    let (wi, weight, component) = match motion {
+    let weighed = weighing.hit.is_some();
+    if *motion == Motion::Free && from.part == Part::All && !weighed {
+        let (wi, weight) = material.sample_weight(at, wo, from.u, MODE)?;
+        return Some(Moving {
+            wi,
+            weight,
+            pdf: None,
+        });
+    }
+    let (wi, per_density, component, known) = match motion {
         Motion::Free => {
             let (sample, f) = material.sample_eval::<R>(at, wo, from.u, MODE)?;
-            return Some(Moving {
-                wi: sample.wi,
-                weight: sample.pdf.recip(),
-                component: sample.component,
-                f,
-                pdf: sample.pdf,
-            });
+            let known = Some((f, sample.pdf));
+            (sample.wi, sample.pdf.recip(), sample.component, known)
         }
         Motion::Slowed(freeze) => {
             let sample = material.sample::<R>(at, wo, from.u, MODE)?;
-            let (wi, weight) = slow_down(&sample, freeze);
-            (wi, weight, sample.component)
+            let (wi, per_density) = slow_down(&sample, freeze);
+            (wi, per_density, sample.component, None)
         }
         Motion::Still => {
             let sample = material.sample(&at.primal(), from.wo, from.u, MODE)?;
-            (
-                Vec3::lift(sample.wi),
-                R::lift(sample.pdf.recip()),
-                sample.component,
-            )
+            let per_density = R::lift(sample.pdf.recip());
+            (Vec3::lift(sample.wi), per_density, sample.component, None)
         }
     };
+    let weighed = weighed && component == Component::Continuous;
     // The density shares most of its work with the value.
-    let (f, pdf) = match component {
-        Component::Continuous if weighed => material.eval_pdf(at, wo, wi, MODE),
-        _ => (
+    let (mut f, pdf) = known.unwrap_or_else(|| match weighed {
+        true => material.eval_pdf(at, wo, wi, MODE),
+        false => (
             material.eval_component(at, wo, wi, component, MODE),
             R::zero(),
         ),
-    };
+    });
+    if from.part == Part::Rest {
+        f = f - material.eval_normals(at, from.wo, wi.primal(), MODE);
+    }
+    let pdf = weighed.then(|| match weighing.frozen {
+        true => frozen_pdf(material, at, wo, wi),
+        false => pdf,
+    });
     Some(Moving {
         wi,
-        weight,
-        component,
-        f,
+        weight: f * per_density,
         pdf,
     })
 }
