@@ -79,11 +79,11 @@ where
     const COUNTS_HITS: bool = true;
     const FROZEN_WEIGHTS: bool = W::FROZEN;
     const DIFFERENTIATED_WEIGHTS: bool = W::DIFFERENTIATED;
-    #[inline]
+    #[inline(always)]
     fn weight_hit<R: Real>(a: R, b: R) -> R {
         W::hit::<H, R>(a, trusted::<H, R>(b))
     }
-    #[inline]
+    #[inline(always)]
     fn weight_sampled<R: Real>(a: R, b: R) -> R {
         W::sampled::<H, R>(trusted::<H, R>(a), b)
     }
@@ -107,11 +107,11 @@ impl<B: Sampling> Strategy for BsdfOnly<B> {
     type Aim = Forget;
     const SAMPLES_EMITTERS: bool = false;
     const COUNTS_HITS: bool = true;
-    #[inline]
+    #[inline(always)]
     fn weight_hit<R: Real>(_a: R, _b: R) -> R {
         R::one()
     }
-    #[inline]
+    #[inline(always)]
     fn weight_sampled<R: Real>(_a: R, _b: R) -> R {
         R::one()
     }
@@ -131,11 +131,11 @@ impl<B: Sampling, E: EmitterSampling<B>> Strategy for EmitterOnly<B, E> {
     type Aim = E::Aim;
     const SAMPLES_EMITTERS: bool = true;
     const COUNTS_HITS: bool = false;
-    #[inline]
+    #[inline(always)]
     fn weight_hit<R: Real>(_a: R, _b: R) -> R {
         R::one()
     }
-    #[inline]
+    #[inline(always)]
     fn weight_sampled<R: Real>(_a: R, _b: R) -> R {
         R::one()
     }
@@ -217,11 +217,11 @@ impl<S: Strategy> Strategy for Still<S> {
     type Aim = Forget;
     const SAMPLES_EMITTERS: bool = S::SAMPLES_EMITTERS;
     const COUNTS_HITS: bool = S::COUNTS_HITS;
-    #[inline]
+    #[inline(always)]
     fn weight_hit<R: Real>(a: R, b: R) -> R {
         S::weight_hit(a, b)
     }
-    #[inline]
+    #[inline(always)]
     fn weight_sampled<R: Real>(a: R, b: R) -> R {
         S::weight_sampled(a, b)
     }

@@ -325,21 +325,18 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
         let lit = wanted && !self.left_out.1;
 
         // ---- Emission ----
-        let Some(Intersection { shape, si, prim }) = hit else {
-            let emitters = scene.infinite_emitters().iter().filter(|_| lit);
-            self.find_lights(context, emitters.copied(), ray.d, None, observer);
+        let emitters = match &hit {
+            Some(hit) => scene.shape_info(hit.shape).emitter.as_slice(),
+            None => scene.infinite_emitters(),
+        };
+        if lit && !emitters.is_empty() {
+            let end = hit.map(|hit| (hit.prim, hit.si));
+            self.find_lights(context, emitters, ray.d, end, observer);
+        }
+        let Some(Intersection { shape, si, .. }) = hit else {
             return;
         };
         let info = scene.shape_info(shape);
-        if let Some(e) = info.emitter.filter(|_| lit) {
-            self.find_lights(
-                context,
-                std::iter::once(e),
-                ray.d,
-                Some((prim, si)),
-                observer,
-            );
-        }
         if depth >= settings.max_depth {
             return;
         }
@@ -702,7 +699,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
             settings,
             ..
         }: &Context<R>,
-        emitters: impl Iterator<Item = u32>,
+        emitters: &[u32],
         d: Vec3<Geometry<S, R>>,
         end: Option<(u32, SurfaceInteraction<Geometry<S, R>>)>,
         observer: &mut O,
@@ -714,7 +711,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
         // Whether the edge is not differentiated like the rest of the path.
         let follows = const { follows_edges::<S>() } && self.departure.get().is_some();
         let mut lights = SmallVec::<[FoundLight<R::Primal>; 1]>::new();
-        for emitter in emitters {
+        for &emitter in emitters {
             let share = settings.lights.share(scene, emitter);
             let rival = Rival {
                 pdf_bsdf,

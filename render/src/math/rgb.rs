@@ -63,7 +63,7 @@ impl<R: Real> Rgb<R> {
     }
 
     /// Applies `f` to every channel.
-    #[inline]
+    #[inline(always)]
     pub fn map<S>(self, mut f: impl FnMut(R) -> S) -> Rgb<S> {
         Rgb {
             r: f(self.r),
@@ -153,7 +153,7 @@ macro_rules! channelwise {
     ($trait:ident, $method:ident, $op:tt) => {
         impl<R: Real> $trait for Rgb<R> {
             type Output = Self;
-            #[inline]
+            #[inline(always)]
             fn $method(self, o: Self) -> Self {
                 Self::new(self.r $op o.r, self.g $op o.g, self.b $op o.b)
             }
@@ -167,7 +167,7 @@ channelwise!(Div, div, /);
 
 impl<R: Real> Mul<R> for Rgb<R> {
     type Output = Self;
-    #[inline]
+    #[inline(always)]
     fn mul(self, s: R) -> Self {
         self.map(|c| c * s)
     }
@@ -175,14 +175,14 @@ impl<R: Real> Mul<R> for Rgb<R> {
 
 impl<R: Real> Neg for Rgb<R> {
     type Output = Self;
-    #[inline]
+    #[inline(always)]
     fn neg(self) -> Self {
         self.map(|c| -c)
     }
 }
 
 impl<R: Real> AddAssign for Rgb<R> {
-    #[inline]
+    #[inline(always)]
     fn add_assign(&mut self, o: Self) {
         *self = *self + o;
     }

@@ -9,7 +9,7 @@ use std::f64::consts::{FRAC_1_PI, FRAC_PI_4, PI};
 use ad_core::{Float, Real, Vec2, Vec3};
 
 /// Concentric map to the unit disc [Shirley and Chiu 1997]; density 1/pi per area.
-#[inline]
+#[inline(always)]
 pub fn square_to_disk<P: Float>(u: [P; 2]) -> Vec2<P> {
     let two = P::of(2.0);
     let (x, y) = (two * u[0] - P::one(), two * u[1] - P::one());
@@ -26,7 +26,7 @@ pub fn square_to_disk<P: Float>(u: [P; 2]) -> Vec2<P> {
 }
 
 /// Sine and cosine for angles in [-pi/4, pi/4], to rounding: the Taylor series, without a call.
-#[inline]
+#[inline(always)]
 fn sin_cos_octant<P: Float>(x: P) -> (P, P) {
     const SIN: [f64; 9] = [
         1.0,
@@ -77,7 +77,7 @@ pub fn sin_cos_of_turns<P: Float>(u: P) -> (P, P) {
 }
 
 /// Cosine-weighted direction around +z; density `cos(theta) / pi` per solid angle.
-#[inline]
+#[inline(always)]
 pub fn square_to_cosine_hemisphere<P: Float>(u: [P; 2]) -> Vec3<P> {
     let d = square_to_disk(u);
     let z = (P::one() - d.x * d.x - d.y * d.y).max(P::zero()).sqrt();
