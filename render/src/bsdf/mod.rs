@@ -217,6 +217,27 @@ pub trait Lobe<R: Real>: Copy {
         Rgb::black()
     }
 
+    /// [`Lobe::eval`] of constant directions.
+    ///
+    /// # Derivatives
+    /// In the parameters, those that `part` says.
+    #[inline]
+    fn eval_still(
+        &self,
+        wo: Vec3<R::Primal>,
+        wi: Vec3<R::Primal>,
+        part: Part,
+        mode: TransportMode,
+    ) -> Rgb<R> {
+        let all = || self.eval(Vec3::lift(wo), Vec3::lift(wi), mode);
+        let normals = || self.eval_normals(wo, wi, mode);
+        match part {
+            Part::All => all(),
+            Part::Normals => normals(),
+            Part::Rest => all() - normals(),
+        }
+    }
+
     /// Density of sampling `wi` with [`Lobe::sample_differential`], both samples of a pair together, per
     /// solid angle; the choice between reflection and transmission included.
     #[inline]
@@ -712,21 +733,11 @@ fn leaf_backward<L: Leaf, P: Float, const K: usize>(
         n: 0,
     };
     let lobe = leaf.lobe::<Dual<P, K>>(&mut seeds);
-    let primal_wo = wo;
-    let wo = Vec3::lift(wo);
     let mut d_slot = [Rgb::<P>::black(); K];
     for u in uses {
         let value = match u.component {
-            Component::Continuous => {
-                let normals = |lobe: &L::Lobe<Dual<P, K>>| lobe.eval_normals(primal_wo, u.wi, mode);
-                let eval = |lobe: &L::Lobe<Dual<P, K>>| lobe.eval(wo, Vec3::lift(u.wi), mode);
-                match u.part {
-                    Part::All => eval(&lobe),
-                    Part::Normals => normals(&lobe),
-                    Part::Rest => eval(&lobe) - normals(&lobe),
-                }
-            }
-            Component::Delta { kind, .. } => lobe.eval_delta(wo, kind, mode),
+            Component::Continuous => lobe.eval_still(wo, u.wi, u.part, mode),
+            Component::Delta { kind, .. } => lobe.eval_delta(Vec3::lift(wo), kind, mode),
         };
         for (k, d) in d_slot.iter_mut().enumerate() {
             *d += Rgb::new(value.r.eps[k], value.g.eps[k], value.b.eps[k]) * u.d;

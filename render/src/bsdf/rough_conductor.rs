@@ -4,7 +4,7 @@ use ad_core::{Float, Real, Vec3};
 
 use super::microfacet::{ALPHA_RANGE, Microfacet, Ndf};
 use super::{
-    BsdfSample, Component, Conductor, ConductorLobe, DiffLobe, FromNode, Leaf, Lobe, Reader,
+    BsdfSample, Component, Conductor, ConductorLobe, DiffLobe, FromNode, Leaf, Lobe, Part, Reader,
     Scattered, TransportMode,
 };
 use crate::error::SceneError;
@@ -261,6 +261,30 @@ impl<R: Real> Lobe<R> for RoughConductorLobe<R> {
         };
         let value = self.primal().eval(wo, wi, mode);
         Rgb::lift(value) * self.microfacet.change(m)
+    }
+
+    /// The normal is a constant, too.
+    #[inline]
+    fn eval_still(
+        &self,
+        wo: Vec3<R::Primal>,
+        wi: Vec3<R::Primal>,
+        part: Part,
+        mode: TransportMode,
+    ) -> Rgb<R> {
+        if part == Part::Normals {
+            return self.eval_normals(wo, wi, mode);
+        }
+        let Some(m) = half_vector(wo, wi) else {
+            return Rgb::black();
+        };
+        let d = match part {
+            Part::Rest => R::lift(self.microfacet.primal().d(m)),
+            _ => self.microfacet.d(Vec3::lift(m)),
+        };
+        let sigma = self.microfacet.sigma(Vec3::lift(wo));
+        self.facet.reflectance(R::lift(wo.dot(m)))
+            * reflection_where(&self.microfacet, [d, sigma], Vec3::lift(wi))
     }
 
     #[inline]

@@ -177,6 +177,12 @@ impl Envmap {
     }
 }
 
+/// Sine of the angle to the y axis. Of a unit vector, it needs no care against overflow.
+#[inline(always)]
+fn sine<R: Real>(x: R, z: R) -> R {
+    (x.square() + z.square()).sqrt()
+}
+
 /// What the angle of `(x, y)` is more than it is without tangents: zero, and its change. `atan2` would find the angle,
 /// too, which takes most of its time.
 #[inline]
@@ -217,7 +223,7 @@ impl Emitter for Envmap {
             return None;
         }
         let [x, y, z] = self.local(d);
-        let v = x.hypot(z).atan2(y) * R::c(FRAC_1_PI);
+        let v = sine(x, z).atan2(y) * R::c(FRAC_1_PI);
         Some(Emission {
             uv: Vec2::new(turn(x, -z), v),
             falloff: R::of(self.scale),
@@ -236,7 +242,7 @@ impl Emitter for Envmap {
         }
         let [x, y, z] = self.local(d);
         let u = angle_again(x, -z) * R::c(0.5 * FRAC_1_PI);
-        let v = angle_again(x.hypot(z), y) * R::c(FRAC_1_PI);
+        let v = angle_again(sine(x, z), y) * R::c(FRAC_1_PI);
         Some(Emission {
             uv: Vec2::new(u + Const(at.uv.x), v + Const(at.uv.y)),
             falloff: R::lift(at.falloff),
