@@ -12,6 +12,7 @@ use std::marker::PhantomData;
 use ad_core::{Const, Float, Real, Vec2, Vec3};
 
 use super::boundary::{Freeze, freeze};
+use super::gradient::Active;
 use super::local::{LocalFn, pull_back};
 use super::path::{MODE, frozen_pdf};
 use crate::accel::Hit;
@@ -360,6 +361,7 @@ impl<P: Float, S: Strategy> LocalFn<P> for Followed<'_, P, S> {
 /// was sampled there, and of what was found at the end of the edge from there.
 pub fn pull_back_followed<P: Float, S: Strategy>(
     scene: &Scene,
+    active: &Active,
     theta: &Theta<P>,
     (material, uv, wo): (u32, Vec2<P>, Vec3<P>),
     connected: Option<Connected<P>>,
@@ -367,17 +369,17 @@ pub fn pull_back_followed<P: Float, S: Strategy>(
     d: Rgb<P>,
     grad: &mut impl GradSink<P>,
 ) {
-    let material = &scene.materials()[material as usize];
+    let textures = active.textures(material);
     let f = Followed::<P, S> {
         scene,
-        material,
+        material: &scene.materials()[material as usize],
         uv,
         wo,
         connected,
         found,
         strategy: PhantomData,
     };
-    pull_back(material, theta, uv, &f, d, grad);
+    pull_back(textures, theta, uv, &f, d, grad);
 }
 
 /// A sample of an emitter that moves: all that is needed to make it again.

@@ -7,10 +7,10 @@ use std::sync::atomic::{AtomicBool, AtomicI64, Ordering};
 
 use ad_core::{Float, Real};
 
-use super::local::LocalFn;
+use super::local::{ActiveTexture, LocalFn};
 use super::noise::{Noise, PixelNoise, Watch};
 use super::path::Context;
-use super::record::{Activity, Recorder};
+use super::record::{Recorder, SumSink};
 use super::render::{InParts, NonFinite, Paths, Progress, Sample, Tile, place, start, tiles};
 use super::wave::{self, Record, Wave};
 use super::{particle, particle_gradient};
@@ -42,7 +42,8 @@ pub struct Active {
     slots: Vec<Slot>,
     /// Per range of the layout: its place in the values of all ranges, one after another.
     places: Vec<Option<u32>>,
-    materials: Vec<bool>,
+    /// Per material: what of it reads one.
+    textures: Vec<Vec<ActiveTexture>>,
     /// Per material: whether its roughness reads one.
     roughness: Vec<bool>,
     emitters: Vec<bool>,
@@ -122,7 +123,8 @@ impl Active {
             ranges.push(info.clone());
         }
         let on = |p: ParamRef| !matches!(slots[p.id as usize], Slot::Inactive);
-        let materials = scene.materials_with(on);
+        let textures = (scene.materials().iter()).map(|m| ActiveTexture::of(m, on));
+        let textures = textures.collect();
         let rough = |m: &Arc<Material>| {
             let mut any = false;
             m.visit_textures(&mut |t| any |= matches!(t, TextureRef::Alpha(t) if t.any_param(on)));
@@ -138,7 +140,7 @@ impl Active {
             ranges,
             slots,
             places,
-            materials,
+            textures,
             roughness,
             emission: emitters.contains(&true),
             emitters,
@@ -206,13 +208,31 @@ impl Active {
         &self.ranges
     }
 
-    /// Whether the roughness of a material reads one of them.
+    /// What of a material reads one of them: a vertex where nothing does takes primal work only.
+    #[inline]
+    pub(super) fn textures(&self, material: u32) -> &[ActiveTexture] {
+        &self.textures[material as usize]
+    }
+
+    /// Whether anything of a material does.
+    #[inline]
+    pub(super) fn material_active(&self, material: u32) -> bool {
+        !self.textures(material).is_empty()
+    }
+
+    /// Whether its roughness does.
     #[inline]
     pub(super) fn roughness_active(&self, material: u32) -> bool {
         self.roughness[material as usize]
     }
 
-    /// Whether an emitter reads one of them.
+    /// Whether an emitter does.
+    #[inline]
+    pub(super) fn emitter_active(&self, emitter: u32) -> bool {
+        self.emitters[emitter as usize]
+    }
+
+    /// Whether any emitter does.
     #[inline]
     pub(super) fn any_emitter(&self) -> bool {
         self.emission
@@ -384,26 +404,7 @@ impl<P: Float> GradSink<P> for Sink<'_> {
     }
 }
 
-impl Activity for Active {
-    #[inline]
-    fn material_active(&self, material: u32) -> bool {
-        self.materials[material as usize]
-    }
-    #[inline]
-    fn emitter_active(&self, emitter: u32) -> bool {
-        self.emitters[emitter as usize]
-    }
-}
-
-impl Activity for Sink<'_> {
-    #[inline]
-    fn material_active(&self, material: u32) -> bool {
-        self.active.material_active(material)
-    }
-    #[inline]
-    fn emitter_active(&self, emitter: u32) -> bool {
-        self.active.emitter_active(emitter)
-    }
+impl SumSink for Sink<'_> {
     #[inline]
     fn add_sum(&mut self, emitter: u32, sum: usize, d: f64) {
         let Some(Some(sums)) = self.active.sums.get(emitter as usize) else {

@@ -28,12 +28,54 @@ pub trait LocalFn<P: Float> {
     fn eval<R: Real<Primal = P>>(&self, theta: &Theta<R>) -> Rgb<R>;
 }
 
+/// A texture of a material that is differentiated, by how results depend on it: see [`TextureRef`].
+#[derive(Clone, Debug)]
+pub enum ActiveTexture {
+    Rgb(RgbTexture),
+    Scalar(ScalarTexture),
+    Vector(RgbTexture),
+    Encoded(RgbTexture),
+}
+
+impl ActiveTexture {
+    /// Those of `material` that read a range for which `active` holds, each of them once: both sides of a surface may
+    /// share a material.
+    pub fn of(material: &Material, active: impl Fn(ParamRef) -> bool) -> Vec<Self> {
+        let mut found = Vec::new();
+        let mut seen = Vec::new();
+        material.visit_textures(&mut |t| {
+            if !t.any_param(&active) || t.any_param(|p| seen.contains(&p.id)) {
+                return;
+            }
+            t.visit_params(&mut |p| seen.push(p.id));
+            found.push(match t {
+                TextureRef::Rgb(t) => Self::Rgb(t.clone()),
+                TextureRef::Scalar(t) | TextureRef::Alpha(t) | TextureRef::Exponent(t) => {
+                    Self::Scalar(t.clone())
+                }
+                TextureRef::Vector(t) => Self::Vector(t.clone()),
+                TextureRef::Encoded(t) => Self::Encoded(t.clone()),
+            });
+        });
+        found
+    }
+
+    fn as_ref(&self) -> TextureRef<'_> {
+        match self {
+            Self::Rgb(t) => TextureRef::Rgb(t),
+            Self::Scalar(t) => TextureRef::Scalar(t),
+            Self::Vector(t) => TextureRef::Vector(t),
+            Self::Encoded(t) => TextureRef::Encoded(t),
+        }
+    }
+}
+
 /// Where the adjoint of one tangent goes.
-enum Slot<P> {
+enum Slot<'a, P> {
     /// A texture: channels stay apart, and its texels share by their weights.
-    Rgb(RgbTexture, Vec2<P>),
+    Rgb(&'a RgbTexture, Vec2<P>),
     /// The same with one channel.
-    Scalar(ScalarTexture, Vec2<P>),
+    Scalar(&'a ScalarTexture, Vec2<P>),
     /// One channel of a texture whose channels mix.
     Channel(Footprint<P>, u32),
     /// A texel of a range with 1 or 3 channels, which stay apart.
@@ -42,9 +84,9 @@ enum Slot<P> {
     Element(ParamRef, u32),
 }
 
-/// Adds `d . df/d texels` for the active textures of `material` at `uv`, which `f` reads nowhere else.
+/// Adds `d . df/d texels` for the `textures` of a material at `uv`, which `f` reads nowhere else.
 pub fn pull_back<P: Float, F: LocalFn<P>>(
-    material: &Material,
+    textures: &[ActiveTexture],
     theta: &Theta<P>,
     uv: Vec2<P>,
     f: &F,
@@ -52,34 +94,19 @@ pub fn pull_back<P: Float, F: LocalFn<P>>(
     grad: &mut impl GradSink<P>,
 ) {
     let mut slots = Short::new();
-    let mut seen = Short::new();
-    material.visit_textures(&mut |t| {
-        if !t.any_param(|p| grad.active(p)) {
-            return;
-        }
-        // Both sides of a surface may share a material.
-        let mut again = false;
-        t.visit_params(&mut |p| {
-            again |= seen.contains(&p.id);
-            seen.push(p.id);
-        });
-        if again {
-            return;
-        }
+    for t in textures {
         match t {
-            TextureRef::Rgb(t) if !F::MIXES => slots.push(Slot::Rgb(t.clone(), uv)),
-            TextureRef::Scalar(t) | TextureRef::Alpha(t) | TextureRef::Exponent(t) => {
-                slots.push(Slot::Scalar(t.clone(), uv))
-            }
-            TextureRef::Rgb(map) | TextureRef::Vector(map) => {
+            ActiveTexture::Rgb(t) if !F::MIXES => slots.push(Slot::Rgb(t, uv)),
+            ActiveTexture::Scalar(t) => slots.push(Slot::Scalar(t, uv)),
+            ActiveTexture::Rgb(map) | ActiveTexture::Vector(map) => {
                 let f = map.footprint(uv);
                 slots.extend((0..3).map(|c| Slot::Channel(f, c)));
             }
-            TextureRef::Encoded(map) => texels(&map.footprint(uv), |p, texel| {
+            ActiveTexture::Encoded(map) => texels(&map.footprint(uv), |p, texel| {
                 slots.extend((0..3).map(|c| Slot::Element(p, texel * 3 + c)));
             }),
         }
-    });
+    }
     pull_back_slots::<P, FEW>(theta, f, d, &slots, grad);
 }
 
@@ -99,7 +126,19 @@ struct Texel {
 }
 
 impl Texels {
-    /// Adds those that are read at `uv`, of the ranges for which `active` holds.
+    /// Adds those of the `textures` of a material at `uv`, of the ranges for which `active` holds.
+    pub fn add_all<P: Float>(
+        &mut self,
+        textures: &[ActiveTexture],
+        uv: Vec2<P>,
+        active: impl Fn(ParamRef) -> bool,
+    ) {
+        for t in textures {
+            self.add(t.as_ref(), uv, &active);
+        }
+    }
+
+    /// The same of one texture.
     pub fn add<P: Float>(
         &mut self,
         texture: TextureRef,
@@ -140,7 +179,7 @@ impl Texels {
         self.found.iter().flat_map(each)
     }
 
-    fn slots<P>(&self) -> Vec<Slot<P>> {
+    fn slots<P>(&self) -> Vec<Slot<'_, P>> {
         let mut slots = Vec::new();
         for t in &self.found {
             if t.mixes {
@@ -154,18 +193,18 @@ impl Texels {
     }
 }
 
-/// Adds `d . df/d texels` for all active texels that are read at `vertices` (material, uv), and that `f`
-/// may read at several of them.
+/// Adds `d . df/d texels` for all active texels that are read at `vertices` (textures of the material, uv), and that
+/// `f` may read at several of them.
 pub fn pull_back_texels<'a, P: Float>(
-    vertices: impl Iterator<Item = (&'a Material, Vec2<P>)>,
+    vertices: impl Iterator<Item = (&'a [ActiveTexture], Vec2<P>)>,
     theta: &Theta<P>,
     f: &impl LocalFn<P>,
     d: Rgb<P>,
     grad: &mut impl GradSink<P>,
 ) {
     let mut texels = Texels::default();
-    for (material, uv) in vertices {
-        material.visit_textures(&mut |t| texels.add(t, uv, |p| grad.active(p)));
+    for (textures, uv) in vertices {
+        texels.add_all(textures, uv, |p| grad.active(p));
     }
     pull_back_slots::<P, WIDTH>(theta, f, d, &texels.slots(), grad);
 }
@@ -268,7 +307,7 @@ fn push_seeds<P, R>(slots: &[Slot<P>], tangent: impl Fn(usize) -> R, seeds: &mut
     }
 }
 
-impl<P: Float> Slot<P> {
+impl<P: Float> Slot<'_, P> {
     /// Adds its adjoint, channel by channel.
     fn give(&self, adjoint: Rgb<P>, grad: &mut impl GradSink<P>) {
         match self {

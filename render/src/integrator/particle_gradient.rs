@@ -12,7 +12,6 @@ use ad_core::{Float, Vec2, Vec3};
 
 use super::gradient::{self, Active, ExactBuffer, Gradient, Sink, check_size, exactly, largest_of};
 use super::particle::{Bounce, Connected, Context, Observer, follow, pixels};
-use super::record::Activity;
 use super::render::{NonFinite, Progress};
 use crate::bsdf::differential::Part;
 use crate::bsdf::{Bsdf, Component, Shading, TransportMode, Use};
@@ -165,7 +164,7 @@ impl<'a, P: Float> Recorder<'a, P> {
                 d: Rgb::black(),
             }; 2];
             let material = scene.shape_info(v.shape).material;
-            let active = grad.material_active(material);
+            let active = self.active.material_active(material);
             let at = Shading {
                 theta: *theta,
                 uv: v.uv,
@@ -212,14 +211,14 @@ impl<'a, P: Float> Recorder<'a, P> {
         if let Some((emitter, emission, weight)) = &self.emitted {
             let e = &scene.emitters()[*emitter as usize];
             total += (e.eval(theta, emission) * w * *weight).sum();
-            if grad.emitter_active(*emitter) {
+            if self.active.emitter_active(*emitter) {
                 e.backward(emission, w * *weight, grad);
             }
         }
         if let Some((emitter, emission, c)) = &self.seen {
             let s = sensor.importance(c.at) * c.weight;
             total += (c.f * s).sum();
-            if grad.emitter_active(*emitter) {
+            if self.active.emitter_active(*emitter) {
                 scene.emitters()[*emitter as usize].backward(emission, s, grad);
             }
         }

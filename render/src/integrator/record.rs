@@ -45,10 +45,10 @@ struct Surface<P> {
 }
 
 /// Keeps the vertices of one path at a time. Reused from path to path, it stops allocating soon.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub struct Recorder<'a, P: Float> {
-    /// What is differentiated; everything if there is none.
-    active: Option<&'a Active>,
+    /// What is differentiated.
+    active: &'a Active,
     vertices: Vec<Vertex<P>>,
     lights: Vec<HitLight<P>>,
     normals: Vec<NormalsLight<P>>,
@@ -72,8 +72,17 @@ impl<'a, P: Float> Recorder<'a, P> {
     /// A recorder for derivatives in some parameters: light that they do not change is left out.
     pub fn of(active: &'a Active) -> Self {
         Self {
-            active: Some(active),
-            ..Self::default()
+            active,
+            vertices: Vec::new(),
+            lights: Vec::new(),
+            normals: Vec::new(),
+            uses: Vec::new(),
+            found: Vec::new(),
+            found_lights: Vec::new(),
+            aimed: Vec::new(),
+            survived: Vec::new(),
+            claimed: 0,
+            walked: 0,
         }
     }
 
@@ -132,32 +141,30 @@ impl<'a, P: Float> Recorder<'a, P> {
         &Context { scene, theta, .. }: &Context<P>,
         path: &impl LocalFn<P>,
         d_l: Rgb<P>,
-        grad: &mut (impl GradSink<P> + Activity),
+        grad: &mut (impl GradSink<P> + SumSink),
     ) {
         self.close();
         for v in &self.vertices {
             let d = d_l * v.beta;
             for hit in &self.lights[v.lights.0 as usize..v.lights.1 as usize] {
-                if grad.emitter_active(hit.emitter) {
+                if self.active.emitter_active(hit.emitter) {
                     let e = &scene.emitters()[hit.emitter as usize];
                     e.backward(&hit.emission, d * hit.weight, grad);
                 }
             }
             if let Some(s) = &v.sampled
-                && grad.emitter_active(s.emitter)
+                && self.active.emitter_active(s.emitter)
             {
                 let e = &scene.emitters()[s.emitter as usize];
                 e.backward(&s.emission, d * s.f * s.weight, grad);
             }
         }
         let surfaces = self.vertices.iter().filter_map(|v| v.surface.as_ref());
-        let active = surfaces.filter_map(|s| {
+        let vertices = surfaces.map(|s| {
             let material = scene.shape_info(s.shape).material;
-            let active = grad.material_active(material);
-            active.then(|| (&*scene.materials()[material as usize], s.uv))
+            (self.active.textures(material), s.uv)
         });
-        let vertices: Vec<(&Material, Vec2<P>)> = active.collect();
-        pull_back_texels(vertices.into_iter(), theta, path, d_l, grad);
+        pull_back_texels(vertices, theta, path, d_l, grad);
     }
 
     /// Adds the derivative of `d_l . L`, where `L` is the radiance of the recorded path and `d_l` its
@@ -167,7 +174,7 @@ impl<'a, P: Float> Recorder<'a, P> {
         scene: &Scene,
         theta: &Theta<P>,
         d_l: Rgb<P>,
-        grad: &mut (impl GradSink<P> + Activity),
+        grad: &mut (impl GradSink<P> + SumSink),
     ) {
         self.close();
         // Radiance leaving the next vertex, and light found on the way there: by directions that are
@@ -188,7 +195,7 @@ impl<'a, P: Float> Recorder<'a, P> {
             for hit in &self.lights[v.lights.0 as usize..v.lights.1 as usize] {
                 let e = &scene.emitters()[hit.emitter as usize];
                 arrives += e.eval(theta, &hit.emission) * hit.weight;
-                if grad.emitter_active(hit.emitter) {
+                if self.active.emitter_active(hit.emitter) {
                     e.backward(&hit.emission, d * hit.weight, grad);
                 }
             }
@@ -208,7 +215,7 @@ impl<'a, P: Float> Recorder<'a, P> {
             if let Some(s) = &v.sampled {
                 here += s.f * s.le * s.weight;
                 let moves = aimed.next_if(|(i, _)| *i as usize == index);
-                if grad.emitter_active(s.emitter) {
+                if self.active.emitter_active(s.emitter) {
                     let e = &scene.emitters()[s.emitter as usize];
                     e.backward(&s.emission, d * s.f * s.weight, grad);
                     if S::Aim::KEEPS
@@ -267,20 +274,21 @@ impl<'a, P: Float> Recorder<'a, P> {
                     && let Some(surface) = &v.surface
                 {
                     let index = scene.shape_info(surface.shape).material;
-                    if grad.material_active(index) {
+                    if self.active.material_active(index) {
                         let material = &scene.materials()[index as usize];
                         let f = Chosen {
                             material,
                             surface,
                             bounce: b,
                         };
-                        pull_back(material, theta, surface.uv, &f, chosen, grad);
+                        let textures = self.active.textures(index);
+                        pull_back(textures, theta, surface.uv, &f, chosen, grad);
                     }
                 }
             }
             if let (Some(s), false) = (&v.surface, uses.is_empty()) {
                 let material = scene.shape_info(s.shape).material;
-                if grad.material_active(material) {
+                if self.active.material_active(material) {
                     let at = Shading {
                         theta: *theta,
                         uv: s.uv,
@@ -295,10 +303,17 @@ impl<'a, P: Float> Recorder<'a, P> {
                 && (connected.is_some() || next_found.is_some())
             {
                 let material = scene.shape_info(s.shape).material;
-                if grad.material_active(material) {
+                if self.active.material_active(material) {
                     let vertex = (material, s.uv, s.wo);
                     pull_back_followed::<P, S>(
-                        scene, theta, vertex, connected, next_found, d, grad,
+                        scene,
+                        self.active,
+                        theta,
+                        vertex,
+                        connected,
+                        next_found,
+                        d,
+                        grad,
                     );
                 }
             }
@@ -329,7 +344,7 @@ fn pull_back_motion<P: Float, S: Strategy>(
     emitter: u32,
     aimed: &Aimed<P>,
     d: Rgb<P>,
-    grad: &mut (impl GradSink<P> + Activity),
+    grad: &mut (impl GradSink<P> + SumSink),
 ) {
     let Some(map) = scene.emitters()[emitter as usize].moving() else {
         return;
@@ -368,21 +383,17 @@ impl<P: Float> Recorder<'_, P> {
     pub(super) fn backward_second(
         &mut self,
         context: &Context<P>,
-        active: &Active,
         direction: impl Fn(ParamRef, u32) -> P,
         d_l: [Rgb<P>; 2],
         grad: &mut impl GradSink<P>,
     ) {
         self.close();
-        let scene = context.scene;
+        let (scene, active) = (context.scene, self.active);
         let mut texels = Texels::default();
         for v in &self.vertices {
             if let Some(s) = &v.surface {
                 let material = scene.shape_info(s.shape).material;
-                if active.material_active(material) {
-                    let material = &scene.materials()[material as usize];
-                    material.visit_textures(&mut |t| texels.add(t, s.uv, |p| active.contains(p)));
-                }
+                texels.add_all(active.textures(material), s.uv, |p| active.contains(p));
             }
             let lights = &self.lights[v.lights.0 as usize..v.lights.1 as usize];
             let hits = lights.iter().map(|l| (l.emitter, l.emission.uv));
@@ -471,31 +482,27 @@ impl<P: Float> LocalFn<P> for Chosen<'_, P> {
     }
 }
 
-/// What takes part in a derivative, by index: a vertex of an inactive material does primal work only.
-pub trait Activity {
-    /// Whether a material reads an active parameter.
-    fn material_active(&self, material: u32) -> bool;
-    /// Whether an emitter does.
-    fn emitter_active(&self, emitter: u32) -> bool;
-    /// Adds `d`, the adjoint of a sum that moving samples of an emitter are made of
-    /// ([`crate::emitter::Envmap::fold`]). Nobody calls it for strategies whose emitters stand still.
+/// Where the adjoints of sums go that moving samples of an emitter are made of
+/// ([`crate::emitter::Envmap::fold`]).
+pub trait SumSink {
+    /// Adds `d`. Nobody calls it for strategies whose emitters stand still.
     fn add_sum(&mut self, _emitter: u32, _sum: usize, _d: f64) {}
 }
 
 impl<P: Float> Observer<P> for Recorder<'_, P> {
     #[inline]
     fn follows(&self, material: u32) -> bool {
-        self.active.is_none_or(|a| a.material_active(material))
+        self.active.material_active(material)
     }
 
     #[inline]
     fn follows_normals(&self, material: u32) -> bool {
-        self.active.is_none_or(|a| a.roughness_active(material))
+        self.active.roughness_active(material)
     }
 
     #[inline]
     fn follows_light(&self) -> bool {
-        self.active.is_none_or(Active::any_emitter)
+        self.active.any_emitter()
     }
 
     #[inline]

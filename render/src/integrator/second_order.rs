@@ -33,7 +33,7 @@ use ad_core::Float;
 
 use super::gradient::{Active, Gradient, Pass, Sink, check_size, exactly};
 use super::path::Context;
-use super::record::{Activity, Recorder};
+use super::record::{Recorder, SumSink};
 use super::render::{NonFinite, Progress, Sample, place};
 use crate::error::RenderError;
 use crate::estimator::DetachedMis;
@@ -95,7 +95,7 @@ pub fn hessian_vector<P: Float, X: Sampler>(
     let each = |context: &Context<P>, at: Sample, path: &mut Recorder<'_, P>, sink: &mut Sink| {
         let scale = P::of(at.scale());
         let d = [adjoint, adjoint_tangent].map(|a| at.of_image::<P>(a, scene) * scale);
-        path.backward_second(context, active, along, d, sink);
+        path.backward_second(context, along, d, sink);
     };
     let largest = pass.largest(adjoint).max(pass.largest(adjoint_tangent));
     Ok(exactly(scene, active, largest, progress, &|large| {
@@ -275,16 +275,7 @@ impl<P: Float> GradSink<P> for Row<'_> {
     }
 }
 
-impl Activity for Row<'_> {
-    #[inline]
-    fn material_active(&self, material: u32) -> bool {
-        self.active.material_active(material)
-    }
-    #[inline]
-    fn emitter_active(&self, emitter: u32) -> bool {
-        self.active.emitter_active(emitter)
-    }
-}
+impl SumSink for Row<'_> {}
 
 /// The sums of one job.
 struct Sums<'a> {

@@ -24,7 +24,7 @@ use crate::estimator::{Sampling, Strategy};
 use crate::film::Film;
 use crate::guide::Guide;
 use crate::math::Ray;
-use crate::params::{ParamRef, Params};
+use crate::params::Params;
 use crate::sampler::Points;
 use crate::shape::{AnyShape, Patch, Shape, SurfaceInteraction};
 
@@ -426,16 +426,6 @@ impl Scene {
     #[inline]
     pub fn occluded_bundle(&self, rays: &Bundle) -> u32 {
         self.accel.occluded_bundle(rays)
-    }
-
-    /// For every material, whether it reads a range that satisfies `f`.
-    pub fn materials_with(&self, f: impl Fn(ParamRef) -> bool) -> Vec<bool> {
-        let reads = |m: &Arc<Material>| {
-            let mut any = false;
-            m.visit_params(&mut |p| any |= f(p));
-            any
-        };
-        self.materials.iter().map(reads).collect()
     }
 
     /// Something that makes the integrand at a surface discontinuous in direction: an [`Scene::outline`] or a

@@ -5,7 +5,8 @@ use ad_core::Float;
 use render::Scene;
 use render::bsdf::BlinnPhongSampling;
 use render::estimator::{BsdfOnly, Detached};
-use render::integrator::record::{Activity, Recorder};
+use render::integrator::gradient::Active;
+use render::integrator::record::{Recorder, SumSink};
 use render::math::Rgb;
 use render::params::{GradSink, ParamRef, Theta};
 
@@ -35,14 +36,7 @@ impl<P: Float> GradSink<P> for Sink {
     }
 }
 
-impl Activity for Sink {
-    fn material_active(&self, _material: u32) -> bool {
-        true
-    }
-    fn emitter_active(&self, _emitter: u32) -> bool {
-        true
-    }
-}
+impl SumSink for Sink {}
 
 /// One path with its scene, in precision `P`. All colours are grey; the first channel is looked at.
 struct Case<'a, P> {
@@ -89,7 +83,8 @@ impl<'a, P: Float> Case<'a, P> {
     /// `dJ/d theta / J` by the renderer's recorded path and its adjoint.
     fn adjoint(&self) -> Result<[f64; CONTROLS]> {
         let theta = Theta::<P>::constant(&self.values);
-        let mut recorder = Recorder::default();
+        let active = Active::new(self.scene, &NAMES)?;
+        let mut recorder = Recorder::of(&active);
         let l = trace(
             self.scene,
             &theta,

@@ -13,7 +13,6 @@ use crate::integrator::direct::{
 };
 use crate::integrator::gradient::Active;
 use crate::integrator::path::{HitLight, MODE};
-use crate::integrator::record::Activity;
 use crate::math::Rgb;
 use crate::params::{GradSink, ParamRef, Theta};
 use crate::scene::Scene;
@@ -223,7 +222,7 @@ impl<'a, P: Float> Record<'a, P> {
         counts: &Lane<u32>,
         grad: &mut impl GradSink<P>,
     ) {
-        let scene = self.scene;
+        let (scene, active) = (self.scene, self.active);
         for layer in &mut self.layers[1..self.used] {
             let Layer {
                 id,
@@ -242,7 +241,9 @@ impl<'a, P: Float> Record<'a, P> {
                 if counts[id[i] as usize % WIDTH] != 0 {
                     let vertex = (material[i], Vec2::new(u[i], v[i]), at.wo);
                     let d = d.rgb(i);
-                    pull_back_followed::<P, S>(scene, theta, vertex, connected, found, d, grad);
+                    pull_back_followed::<P, S>(
+                        scene, active, theta, vertex, connected, found, d, grad,
+                    );
                 }
             };
             // Light that was sampled with light that was found, so that both read the material once.
