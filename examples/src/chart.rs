@@ -259,25 +259,30 @@ impl LineChart {
                 }
                 Style::Points => {}
             }
-            if matches!(s.style, Style::Points | Style::LineAndPoints) {
+            let dotted = matches!(s.style, Style::Points | Style::LineAndPoints);
+            // Colours repeat after a while; rings tell their second users from the first.
+            let dot = match i < COLOURS.len() {
+                true => colour.filled(),
+                false => colour.stroke_width(2),
+            };
+            if dotted {
                 // The drawing library moves what is outside to the edge.
                 let inside = |p: &(f64, f64)| {
                     let within =
                         |v: f64, r: Option<(f64, f64)>| r.is_none_or(|(l, h)| v >= l && v <= h);
                     within(p.0, self.x_range) && within(p.1, self.y_range)
                 };
-                // Colours repeat after a while; rings tell their second users from the first.
-                let style = match i < COLOURS.len() {
-                    true => colour.filled(),
-                    false => colour.stroke_width(2),
-                };
-                let dots = points().filter(inside).map(|p| Circle::new(p, 4, style));
+                let dots = points().filter(inside).map(|p| Circle::new(p, 4, dot));
                 handle = Some(chart.draw_series(dots)?);
             }
             if let (Some(handle), false) = (handle, s.label.is_empty()) {
-                handle.label(&s.label).legend(move |(x, y)| {
-                    Rectangle::new([(x, y - 2), (x + 18, y + 2)], colour.filled())
-                });
+                let handle = handle.label(&s.label);
+                match dotted {
+                    true => handle.legend(move |(x, y)| Circle::new((x + 9, y), 4, dot)),
+                    false => handle.legend(move |(x, y)| {
+                        Rectangle::new([(x, y - 2), (x + 18, y + 2)], colour.filled())
+                    }),
+                };
             }
         }
         if self.series.iter().any(|s| !s.label.is_empty()) {

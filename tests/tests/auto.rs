@@ -236,6 +236,36 @@ fn what_sees_nothing_is_not_chosen() {
     assert!(all().count() > 0 && all().all(|w| w.is_finite()));
 }
 
+/// Two estimators that do the same where there is one bounce, one of them cheap in forward mode and dear in reverse
+/// mode: the work that counts is that of the mode to come.
+#[test]
+fn work_is_that_of_the_mode_to_come() {
+    let lobe = r#"<emitter type="vmf"><vector name="direction" value="0, 0.35, -0.94"/>
+        <float name="kappa" value="20"/><rgb name="radiance" value="1, 1, 1"/></emitter>"#;
+    let body = [
+        camera(16, "0, 1.5, 4", 2),
+        plate(0.0, &metal("plate", 0.2)),
+        lobe.into(),
+    ];
+    let scene = scene(&body.concat());
+    let (path, edge) = (Estimator::AttachedPath, Estimator::Attached);
+    let names = ["plate.alpha.value"];
+    for (mode, expected) in [(Mode::Forward, path), (Mode::Reverse, edge)] {
+        let adjoint = mean_adjoint(&scene);
+        let s = &scene.settings;
+        let listed = [path, edge];
+        let mixture = auto::choose(&scene, &names, &adjoint, &listed, mode, s, 5, 4096, &())
+            .expect("both see the roughness");
+        println!("{mixture}");
+        let most = mixture
+            .shares()
+            .into_iter()
+            .max_by(|a, b| a.1.total_cmp(&b.1));
+        let (chosen, share) = most.expect("somebody works");
+        assert!(chosen == expected && share > 0.9, "{mode:?}: {mixture}");
+    }
+}
+
 /// Pilots cost what they may, parameters are measured together where they must be, and without a
 /// budget nothing is measured.
 #[test]
