@@ -59,8 +59,9 @@ pub use pixels::{pixel_weights, pixel_weights_of};
 /// A technique that rarely finds what matters looks good until it finds it, and no measurement as short
 /// as a pilot rules that out. So light sampling alone is a candidate only without smooth lobes, and BSDF
 /// sampling alone only below wide lights at infinity. Combinations of both find everything. The first one is
-/// kept where pilots cannot tell: the balance heuristic, or the differential pair where smooth things mirror what
-/// is lit, since few samples carry the variance of detached sampling there.
+/// kept where pilots cannot tell: the balance heuristic; the power heuristic between rough things, where light samples
+/// find what there is and should keep their weight; or the differential pair where smooth things mirror what is lit,
+/// since few samples carry the variance of detached sampling there.
 pub fn candidates(scene: &Scene) -> Vec<Estimator> {
     /// Smoothest roughness, and sharpest exponent, for which lights need no help.
     const ROUGH: (f32, f32) = (0.1, 200.0);
@@ -85,15 +86,25 @@ pub fn candidates(scene: &Scene) -> Vec<Estimator> {
             }
         });
     }
-    let mut out = match smooth_normals && scene.settings.max_depth > 2 {
-        true => vec![Estimator::DifferentialMis, Estimator::MisBalance],
-        false => vec![Estimator::MisBalance, Estimator::DifferentialMisBalance],
+    let deep = scene.settings.max_depth > 2;
+    let mut out = match (deep && smooth_normals, deep && rough) {
+        (true, _) => vec![
+            Estimator::DifferentialMis,
+            Estimator::MisBalance,
+            Estimator::Mis,
+        ],
+        (false, true) => vec![
+            Estimator::Mis,
+            Estimator::DifferentialMisBalance,
+            Estimator::MisBalance,
+        ],
+        (false, false) => vec![
+            Estimator::MisBalance,
+            Estimator::DifferentialMisBalance,
+            Estimator::Mis,
+        ],
     };
-    out.extend([
-        Estimator::Mis,
-        Estimator::MisAttachedWeights,
-        Estimator::AttachedMis,
-    ]);
+    out.extend([Estimator::MisAttachedWeights, Estimator::AttachedMis]);
     if rough {
         out.push(Estimator::Emitter);
     }
@@ -220,7 +231,7 @@ mod tests {
 
     /// What is kept where pilots cannot tell.
     #[test]
-    fn smooth_things_that_mirror_what_is_lit_keep_the_pair() {
+    fn the_first_follows_from_depth_and_roughness() {
         let first = |alpha: f64, depth: u32| {
             let xml = format!(
                 r#"<scene version="3.0.0"><sensor type="perspective"><float name="fov" value="40"/></sensor>
@@ -233,6 +244,6 @@ mod tests {
         };
         assert_eq!(first(0.03, 3), Estimator::DifferentialMis);
         assert_eq!(first(0.03, 2), Estimator::MisBalance);
-        assert_eq!(first(0.3, 3), Estimator::MisBalance);
+        assert_eq!(first(0.3, 3), Estimator::Mis);
     }
 }

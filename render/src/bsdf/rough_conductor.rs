@@ -154,10 +154,14 @@ impl<R: Real> RoughConductorLobe<R> {
         }
     }
 
+    /// A facet's normal, and the direction it reflects `wo` to.
     #[inline]
-    fn sample_direction(&self, wo: Vec3<R>, u: [R::Primal; 3]) -> Option<Vec3<R>> {
+    fn sample_facet(&self, wo: Vec3<R>, u: [R::Primal; 3]) -> Option<(Vec3<R>, Vec3<R>)> {
         let above = wo.z.primal() > R::Primal::zero();
-        above.then(|| reflect(wo, self.microfacet.sample(wo, [u[1], u[2]])))
+        above.then(|| {
+            let m = self.microfacet.sample(wo, [u[1], u[2]]);
+            (m, reflect(wo, m))
+        })
     }
 
     #[inline]
@@ -208,7 +212,7 @@ impl<R: Real> Lobe<R> for RoughConductorLobe<R> {
 
     #[inline]
     fn sample(&self, wo: Vec3<R>, u: [R::Primal; 3], mode: TransportMode) -> Option<BsdfSample<R>> {
-        let wi = self.sample_direction(wo, u)?;
+        let (_, wi) = self.sample_facet(wo, u)?;
         Self::found(wi, self.pdf(wo, wi, mode))
     }
 
@@ -219,34 +223,38 @@ impl<R: Real> Lobe<R> for RoughConductorLobe<R> {
         u: [R::Primal; 3],
         mode: TransportMode,
     ) -> Option<Scattered<R, R>> {
-        let wi = self.sample_direction(wo, u)?;
+        let (_, wi) = self.sample_facet(wo, u)?;
         let (f, pdf) = self.eval_pdf(wo, wi, mode);
         Some((Self::found(wi, pdf)?, f))
     }
 
-    /// Of visible normals, `F G1(wi)` is left [Heitz and d'Eon 2014, Eq. 19, with separable masking].
+    /// `D` cancels, and so does the masking of `wo` if visible normals are sampled: `F G1(wi)`
+    /// [Heitz and d'Eon 2014, Eq. 19, with separable masking].
     #[inline]
     fn sample_weight(
         &self,
         wo: Vec3<R>,
         u: [R::Primal; 3],
-        mode: TransportMode,
+        _mode: TransportMode,
     ) -> Option<(Vec3<R>, Rgb<R>)> {
-        if !self.microfacet.visible {
-            let (sample, f) = self.sample_eval(wo, u, mode)?;
-            return Some((sample.wi, f * sample.pdf.recip()));
-        }
-        let above = |w: Vec3<R>| w.z.primal() > R::Primal::zero();
-        if !above(wo) {
+        let (m, wi) = self.sample_facet(wo, u)?;
+        let cos = wo.dot(m);
+        let surface = &self.microfacet;
+        // As in `pdf_reflected`.
+        let least = match surface.visible {
+            true => R::Primal::zero(),
+            false => R::Primal::of(1e-8),
+        };
+        if wi.z.primal() <= R::Primal::zero() || cos.primal() < least {
             return None;
         }
-        let m = self.microfacet.sample(wo, [u[1], u[2]]);
-        let cos = wo.dot(m);
-        let wi = m * (cos * R::c(2.0)) - wo;
-        above(wi).then(|| {
-            let masking = wi.z / self.microfacet.sigma(wi);
-            (wi, self.facet.reflectance(cos) * masking)
-        })
+        let masking = wi.z / surface.sigma(wi);
+        let all = || cos / (surface.sigma(wo) * m.z);
+        let weight = match surface.visible {
+            true => masking,
+            false => masking * all(),
+        };
+        Some((wi, self.facet.reflectance(cos) * weight))
     }
 
     #[inline]

@@ -38,12 +38,11 @@ pub enum ActiveTexture {
 }
 
 impl ActiveTexture {
-    /// Those of `material` that read a range for which `active` holds, each of them once: both sides of a surface may
-    /// share a material.
+    /// Those of `material` that read a range for which `active` holds, each of them once: its parts may share one.
     pub fn of(material: &Material, active: impl Fn(ParamRef) -> bool) -> Vec<Self> {
         let mut found = Vec::new();
         let mut seen = Vec::new();
-        material.visit_textures(&mut |t| {
+        let mut list = |t: TextureRef| {
             if !t.any_param(&active) || t.any_param(|p| seen.contains(&p.id)) {
                 return;
             }
@@ -56,7 +55,15 @@ impl ActiveTexture {
                 TextureRef::Vector(t) => Self::Vector(t.clone()),
                 TextureRef::Encoded(t) => Self::Encoded(t.clone()),
             });
-        });
+        };
+        // What is right for values that are not linear in the texels is right for those that are.
+        for encoded in [true, false] {
+            material.visit_textures(&mut |t| {
+                if matches!(t, TextureRef::Encoded(_)) == encoded {
+                    list(t);
+                }
+            });
+        }
         found
     }
 
