@@ -238,22 +238,18 @@ impl<R: Real> Lobe<R> for RoughConductorLobe<R> {
         _mode: TransportMode,
     ) -> Option<(Vec3<R>, Rgb<R>)> {
         let (m, wi) = self.sample_facet(wo, u)?;
-        let cos = wo.dot(m);
-        let surface = &self.microfacet;
-        // As in `pdf_reflected`.
-        let least = match surface.visible {
-            true => R::Primal::zero(),
-            false => R::Primal::of(1e-8),
-        };
-        if wi.z.primal() <= R::Primal::zero() || cos.primal() < least {
+        if wi.z.primal() <= R::Primal::zero() {
             return None;
         }
-        let masking = wi.z / surface.sigma(wi);
-        let all = || cos / (surface.sigma(wo) * m.z);
-        let weight = match surface.visible {
-            true => masking,
-            false => masking * all(),
-        };
+        let (cos, surface) = (wo.dot(m), &self.microfacet);
+        let mut weight = wi.z / surface.sigma(wi);
+        if !surface.visible {
+            // As in `pdf_reflected`.
+            if cos.primal() < R::Primal::of(1e-8) {
+                return None;
+            }
+            weight *= cos / (surface.sigma(wo) * m.z);
+        }
         Some((wi, self.facet.reflectance(cos) * weight))
     }
 
