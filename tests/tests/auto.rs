@@ -271,7 +271,7 @@ fn work_is_that_of_the_mode_to_come() {
 #[test]
 fn pilots_keep_to_the_budget() {
     let scene = halves(16);
-    for budget in [1, 100, 750, 3000, 10_000, 100_000] {
+    for budget in [1, 100, 500, 2000, 10_000, 100_000] {
         let mixture = chosen(&scene, &NAMES, &candidates(&scene), budget);
         assert!(mixture.spent() <= auto::PILOTS * budget as f64, "{budget}");
         let shares: f64 = mixture.shares().iter().map(|s| s.1).sum();
@@ -288,8 +288,8 @@ fn pilots_keep_to_the_budget() {
         let groups = mixture.findings().len();
         let expected = match budget {
             100_000 => Some(3),
-            750 => Some(1),
-            3000 => Some(3),
+            500 => Some(1),
+            2000 => Some(3),
             _ => None,
         };
         assert!(

@@ -8,7 +8,7 @@ use crate::sampler::{Independent, Points, Sampler};
 use crate::scene::{Scene, Settings};
 
 /// Largest part of the budget that pilots cost.
-pub const PILOTS: f64 = 0.02;
+pub const PILOTS: f64 = 0.03;
 /// More pairs than this tell little more.
 const MOST_PAIRS: u64 = 16;
 /// Variance that fewer samples than this carry, effectively, says little about that of the next ones.

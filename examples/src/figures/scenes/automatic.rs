@@ -6,7 +6,7 @@ use std::time::Instant;
 use rayon::prelude::*;
 use render::auto::{self, Mixture};
 use render::bsdf::microfacet::Ndf;
-use render::instances::{Estimator, Mode};
+use render::instances::{Direction, Estimator, Mode};
 use render::{RenderError, Scene};
 
 use super::backpropagation;
@@ -24,6 +24,8 @@ const SEED: u64 = 77;
 const BUDGET: u64 = 4096;
 /// Different pilots.
 const PILOTS: u64 = 4;
+/// Passes that time is the median of.
+const TURNS: u64 = 5;
 /// Combinations of light and BSDF samples that pilots weigh by what they measure; and the heuristics.
 const FAMILY: [Estimator; 3] = [
     Estimator::MisBalance,
@@ -123,41 +125,68 @@ struct Effort {
     spp: u64,
 }
 
-/// Variance of the derivative image times work, and times seconds per pixel and run, for one parameter.
+/// Variance of the derivative image times work, and times seconds, for one parameter.
 #[derive(Clone, Copy, Debug)]
 struct Spent {
     work: f64,
     seconds: f64,
 }
 
-/// Of a mixture: `plan(run)` has pilots of its own, and says how many samples; all together cost `work`. All use the same random
-/// numbers: where the same is chosen, the same comes out.
-fn measure<'a>(
+/// Variance of the derivative image, summed, of a mixture: `plan(run)` has pilots of its own, and says how many samples.
+/// All use the same random numbers: where the same is chosen, the same comes out.
+fn spread<'a>(
     subject: &Subject,
     param: &str,
     effort: Effort,
     plan: impl Fn(u64) -> (&'a Mixture, u64) + Sync,
-    work: f64,
-) -> Result<Spent> {
-    let scene = &subject.scene;
-    let start = Instant::now();
+) -> Result<f64> {
     let images: std::result::Result<Vec<Vec<f64>>, RenderError> = (0..effort.runs)
         .into_par_iter()
         .map(|run| {
             let (m, spp) = plan(run);
-            let s = &scene.settings;
-            let r = m.forward_f32(scene, param, s, SEED + run, spp, &())?;
+            let s = &subject.scene.settings;
+            let r = m.forward_f32(&subject.scene, param, s, SEED + run, spp, &())?;
             let n = r.samples as f64;
             Ok(r.sums[1].iter().map(|x| x / n).collect())
         })
         .collect();
-    let images = images?;
-    let seconds = start.elapsed().as_secs_f64() / effort.runs as f64 / scene.film.pixels() as f64;
-    let variance = variance(&images);
-    Ok(Spent {
-        work: variance * work,
-        seconds: variance * seconds,
-    })
+    Ok(variance(&images?))
+}
+
+/// Seconds that a sample of each estimator takes: medians of passes in turns.
+struct Clock(Vec<(Estimator, f64)>);
+
+impl Clock {
+    fn of(subject: &Subject, estimators: &[Estimator], effort: Effort) -> Result<Self> {
+        let (scene, s) = (&subject.scene, &subject.scene.settings);
+        let name = subject.params.first().ok_or("no parameter")?;
+        let along = [Direction::uniform(scene.params(), name)?];
+        let values = scene.params().values();
+        let mut seconds = vec![Vec::new(); estimators.len()];
+        for round in 0..TURNS {
+            for (e, seconds) in estimators.iter().zip(&mut seconds) {
+                let start = Instant::now();
+                e.forward_f32(scene, values, &along, s, round, 0..effort.spp, &())?;
+                seconds.push(start.elapsed().as_secs_f64() / effort.spp as f64);
+            }
+        }
+        let median = |(&e, mut of): (&Estimator, Vec<f64>)| {
+            of.sort_by(f64::total_cmp);
+            (e, of[of.len() / 2])
+        };
+        Ok(Self(estimators.iter().zip(seconds).map(median).collect()))
+    }
+
+    fn sample(&self, e: Estimator) -> f64 {
+        let found = self.0.iter().find(|(known, _)| *known == e);
+        found.map_or(f64::INFINITY, |(_, seconds)| *seconds)
+    }
+
+    /// What the work of one sample of `mis` takes as a mixture spends it.
+    fn work(&self, m: &Mixture) -> f64 {
+        let of = |(e, share): &(Estimator, f64)| share * self.sample(*e) / e.cost(Mode::Forward);
+        m.shares().iter().map(of).sum()
+    }
 }
 
 /// Everything measured in one scene: per estimator, per parameter.
@@ -169,12 +198,15 @@ struct Trial {
     chosen: Mixture,
 }
 
-fn single(subject: &Subject, e: Estimator, effort: Effort) -> Result<Vec<Spent>> {
+fn single(subject: &Subject, e: Estimator, effort: Effort, clock: &Clock) -> Result<Vec<Spent>> {
     let only = Mixture::only(&subject.scene, e, &subject.params);
     let spp = ((effort.spp as f64 / e.cost(Mode::Forward)).round() as u64).max(1);
     let of = |param: &String| {
-        let work = spp as f64 * e.cost(Mode::Forward);
-        measure(subject, param, effort, |_| (&only, spp), work)
+        let total = spread(subject, param, effort, |_| (&only, spp))? * spp as f64;
+        Ok(Spent {
+            work: total * e.cost(Mode::Forward),
+            seconds: total * clock.sample(e),
+        })
     };
     subject.params.iter().map(of).collect()
 }
@@ -183,6 +215,7 @@ fn mixed(
     subject: &Subject,
     candidates: &[Estimator],
     effort: Effort,
+    clock: &Clock,
 ) -> Result<(Vec<Spent>, Mixture)> {
     let scene = &subject.scene;
     let ones = vec![1.0; scene.film.pixels() * 3];
@@ -206,9 +239,11 @@ fn mixed(
     }
     // What is measured stands for a part of the budget, and bears that part of the pilots.
     let part = effort.spp as f64 / BUDGET as f64;
-    let seconds = start.elapsed().as_secs_f64() / PILOTS as f64 / scene.film.pixels() as f64;
+    let pilots = start.elapsed().as_secs_f64() / PILOTS as f64;
     let spent = mixtures.iter().map(Mixture::spent).sum::<f64>() / PILOTS as f64;
     let work = effort.spp as f64 + spent * part;
+    let unit = mixtures.iter().map(|m| clock.work(m)).sum::<f64>() / PILOTS as f64;
+    let seconds = effort.spp as f64 * unit + pilots * part;
     let of = |param: &String| {
         // Each pilot's plan in turn, the parameter with its share of the work.
         let plan = |run: u64| {
@@ -218,13 +253,10 @@ fn mixed(
                 (effort.spp as f64 * m.share(param)).round().max(1.0) as u64,
             )
         };
-        let found = measure(subject, param, effort, plan, work)?;
-        // All parameters together take as much longer as this one's share is smaller.
-        let share = mixtures.iter().map(|m| m.share(param)).sum::<f64>() / PILOTS as f64;
-        let variance = found.work / work;
+        let variance = spread(subject, param, effort, plan)?;
         Ok(Spent {
-            seconds: found.seconds / share + variance * seconds * part,
-            ..found
+            work: variance * work,
+            seconds: variance * seconds,
         })
     };
     let spent: Result<Vec<Spent>> = subject.params.iter().map(of).collect();
@@ -371,8 +403,8 @@ fn signed(fig: &mut Figure, found: &[(&str, [f64; 2], [f64; 2])]) {
 }
 
 fn trial(subject: &Subject, effort: Effort, heuristics: bool) -> Result<Trial> {
-    let mut singles = Vec::new();
     let params = subject.scene.params();
+    let mut estimators = Vec::new();
     for &e in Estimator::ALL {
         if e.allows_bias() {
             continue;
@@ -382,14 +414,18 @@ fn trial(subject: &Subject, effort: Effort, heuristics: bool) -> Result<Trial> {
         };
         let all: Result<Vec<bool>> = subject.params.iter().map(sees).collect();
         if all?.iter().all(|b| *b) {
-            singles.push((e, single(subject, e, effort)?));
+            estimators.push(e);
         }
     }
-    let (auto, chosen) = mixed(subject, &auto::candidates(&subject.scene), effort)?;
+    let clock = Clock::of(subject, &estimators, effort)?;
+    let singles = (estimators.iter()).map(|&e| Ok((e, single(subject, e, effort, &clock)?)));
+    let singles = singles.collect::<Result<_>>()?;
+    let candidates = auto::candidates(&subject.scene);
+    let (auto, chosen) = mixed(subject, &candidates, effort, &clock)?;
     let measured = match heuristics {
         true => {
-            let own = mixed(subject, &FAMILY, effort)?.0;
-            let [a, b] = HEURISTICS.map(|e| single(subject, e, effort));
+            let own = mixed(subject, &FAMILY, effort, &clock)?.0;
+            let [a, b] = HEURISTICS.map(|e| single(subject, e, effort, &clock));
             Some((own, [a?, b?]))
         }
         false => None,
