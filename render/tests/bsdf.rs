@@ -822,8 +822,8 @@ impl GradSink<f64> for Sink {
     }
 }
 
-/// The adjoint of every parameter, pulled back through evaluations and deltas at once, is the
-/// transpose of the forward derivative.
+/// The adjoint of every parameter, pulled back through evaluations, each part of their derivatives, and deltas at
+/// once, is the transpose of the forward derivative.
 #[test]
 fn reverse_is_the_transpose_of_forward() {
     type D = Dual<f64, 1>;
@@ -832,18 +832,16 @@ fn reverse_is_the_transpose_of_forward() {
         let (mut pulled, mut pushed) = (0.0f64, 0);
         for (i, (wo, wi, _, mode)) in configurations(&case, 40).into_iter().enumerate() {
             let mut s = Independent::new(31, 0, i as u64);
-            let mut uses = vec![Component::Continuous];
-            uses.extend(
-                DELTAS[..2]
-                    .iter()
-                    .map(|&kind| Component::Delta { kind, route: 0 }),
-            );
+            let parts = [Part::All, Part::Normals, Part::Rest];
+            let mut uses = parts.map(|part| (Component::Continuous, part)).to_vec();
+            let delta = |&kind| (Component::Delta { kind, route: 0 }, Part::All);
+            uses.extend(DELTAS[..2].iter().map(delta));
             let uses: Vec<Use<f64>> = uses
                 .into_iter()
-                .map(|component| Use {
+                .map(|(component, part)| Use {
                     wi,
                     component,
-                    part: Part::All,
+                    part,
                     d: Rgb::from([s.next_1d(), s.next_1d(), s.next_1d::<f64>() - 0.7]),
                 })
                 .collect();
@@ -862,8 +860,17 @@ fn reverse_is_the_transpose_of_forward() {
                     let forward: f64 = uses
                         .iter()
                         .map(|u| {
-                            let (wo, wi) = (Vec3::lift(wo), Vec3::lift(u.wi));
-                            let f = case.material.eval_component(&at, wo, wi, u.component, mode);
+                            let (moving_wo, wi) = (Vec3::lift(wo), Vec3::lift(u.wi));
+                            let all = || {
+                                let m = &case.material;
+                                m.eval_component(&at, moving_wo, wi, u.component, mode)
+                            };
+                            let normals = || case.material.eval_normals(&at, wo, u.wi, mode);
+                            let f = match u.part {
+                                Part::All => all(),
+                                Part::Normals => normals(),
+                                Part::Rest => all() - normals(),
+                            };
                             f.r.eps[0] * u.d.r + f.g.eps[0] * u.d.g + f.b.eps[0] * u.d.b
                         })
                         .sum();

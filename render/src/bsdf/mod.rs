@@ -166,8 +166,7 @@ pub trait Lobe<R: Real>: Copy {
         u: [R::Primal; 3],
         mode: TransportMode,
     ) -> Option<(Vec3<R>, Rgb<R>)> {
-        let (sample, f) = self.sample_eval(wo, u, mode)?;
-        Some((sample.wi, f * sample.pdf.recip()))
+        self.sample_eval(wo, u, mode).map(over_density)
     }
 
     /// Weight of a delta, integrated over it: reflectance or transmittance (times the radiance
@@ -244,6 +243,12 @@ pub trait Lobe<R: Real>: Copy {
     fn pdf_differential(&self, _wo: Vec3<R::Primal>, _wi: Vec3<R::Primal>) -> R::Primal {
         R::Primal::zero()
     }
+}
+
+/// A sampled direction, and its value over its density.
+#[inline(always)]
+fn over_density<R: Real>((sample, f): Scattered<R, R>) -> (Vec3<R>, Rgb<R>) {
+    (sample.wi, f * sample.pdf.recip())
 }
 
 /// The same number without tangents.
@@ -535,8 +540,7 @@ pub trait Bsdf: Send + Sync {
         u: [R::Primal; 3],
         mode: TransportMode,
     ) -> Option<(Vec3<R>, Rgb<R>)> {
-        let (sample, f) = self.sample_eval(at, wo, u, mode)?;
-        Some((sample.wi, f * sample.pdf.recip()))
+        self.sample_eval(at, wo, u, mode).map(over_density)
     }
 
     /// [`Bsdf::sample_eval`] for a direction without tangents.
