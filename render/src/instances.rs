@@ -23,6 +23,7 @@ use crate::integrator::particle_gradient::{self, Measurement};
 use crate::integrator::path::is_guided;
 use crate::integrator::render::{self, Components, Progress, Rendering};
 use crate::integrator::second_order::{self, GaussNewton};
+use crate::integrator::tally::tally;
 use crate::params::{ParamInfo, ParamRef, Params, Tangent, Theta};
 use crate::sampler::{Independent, Spread};
 use crate::scene::{Scene, Settings};
@@ -483,10 +484,9 @@ pub enum Mode {
     Reverse,
 }
 
-/// All estimators that are compiled for comparison, one line each: name, work of a sample in forward and in reverse
-/// mode, type.
+/// All estimators that are compiled for comparison, one line each: name, type.
 macro_rules! estimators {
-    ($($(#[doc = $doc:literal])* $variant:ident $name:literal [$forward:literal, $reverse:literal] $strategy:ty;)*) => {
+    ($($(#[doc = $doc:literal])* $variant:ident $name:literal $strategy:ty;)*) => {
         /// An estimator of derivatives, by name; see [`crate::estimator`] for what the parts mean.
         #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
         pub enum Estimator {
@@ -501,22 +501,6 @@ macro_rules! estimators {
             pub fn name(self) -> &'static str {
                 match self {
                     $(Self::$variant => $name,)*
-                }
-            }
-
-            /// Work of a sample, in those of [`Estimator::Mis`] in the same mode: time on plates under ball lights, on
-            /// metal boxes in a room and on a textured plane under an environment map (medians of alternating runs,
-            /// then their geometric mean); of those that allow no discontinuities, on the textured plane and on a smooth
-            /// one under lobes. Single scenes differ by up to a factor of 2.5 (the differential pair costs nothing where
-            /// little is rough), reparameterised samples by 3.5. Not a clock, so that what is chosen by it depends on the
-            /// seed alone.
-            pub fn cost(self, mode: Mode) -> f64 {
-                let [forward, reverse] = match self {
-                    $(Self::$variant => [$forward, $reverse],)*
-                };
-                match mode {
-                    Mode::Forward => forward,
-                    Mode::Reverse => reverse,
                 }
             }
 
@@ -570,6 +554,22 @@ macro_rules! estimators {
                 match self {
                     $(Self::$variant => estimator::check_parameter::<$strategy>(info),)*
                 }
+            }
+
+            /// Work of a sample of derivatives in these parameters, in edges: see [`tally`].
+            pub(crate) fn work(
+                self,
+                scene: &Scene,
+                active: &Active,
+                settings: &Settings,
+                mode: Mode,
+                seed: u64,
+                paths: u64,
+            ) -> f64 {
+                let tally = match self {
+                    $(Self::$variant => tally::<$strategy, Spread>,)*
+                };
+                tally(scene, active, settings, mode, seed, paths).work(mode)
             }
 
             fn forward<R: Components>(self) -> Forward<R> {
@@ -684,57 +684,57 @@ type ReparameterisedMis = Mis<Reparameterised, Detached, AttachedWeights>;
 
 estimators! {
     /// Light sampling only.
-    Emitter "emitter" [0.9, 0.9] EmitterOnly<Detached>;
+    Emitter "emitter" EmitterOnly<Detached>;
     /// Light sampling only, and samples of environment maps move with the texels; for scenes without
     /// discontinuities.
-    EmitterAttached "emitter-attached" [0.9, 0.95] EmitterOnly<Detached, Attached>;
+    EmitterAttached "emitter-attached" EmitterOnly<Detached, Attached>;
     /// BSDF sampling, samples constant.
-    Detached "detached" [0.65, 0.7] BsdfOnly<Detached>;
+    Detached "detached" BsdfOnly<Detached>;
     /// BSDF sampling, samples move; for scenes without discontinuities.
-    Attached "attached" [1.05, 0.95] BsdfOnly<AttachedDirect>;
+    Attached "attached" BsdfOnly<AttachedDirect>;
     /// The same where discontinuities bias it, to study that.
-    AttachedNaive "attached-naive" [0.7, 0.75] AllowBias<BsdfOnly<AttachedDirect>>;
+    AttachedNaive "attached-naive" AllowBias<BsdfOnly<AttachedDirect>>;
     /// Samples and all vertices behind them move; for scenes without discontinuities.
-    AttachedPath "attached-path" [0.75, 3.0] BsdfOnly<Attached>;
+    AttachedPath "attached-path" BsdfOnly<Attached>;
     /// BSDF sampling, samples move but slow down at discontinuities.
-    Reparameterised "reparameterised" [1.1, 1.1] BsdfOnly<Reparameterised>;
+    Reparameterised "reparameterised" BsdfOnly<Reparameterised>;
     /// BSDF sampling, and samples of the derivative of normals.
-    Differential "differential" [1.65, 1.45] BsdfOnly<Differential>;
+    Differential "differential" BsdfOnly<Differential>;
     /// Detached BSDF and light sampling, constant weights: the default.
-    Mis "mis" [1.0, 1.0] DetachedMis;
+    Mis "mis" DetachedMis;
     /// The same with the balance heuristic.
-    MisBalance "mis-balance" [1.0, 1.0] Mis<Detached, Detached, DetachedWeights, Balance>;
+    MisBalance "mis-balance" Mis<Detached, Detached, DetachedWeights, Balance>;
     /// The same with lights trusted more, see [`TrustLights`].
-    MisTrustLights "mis-trust-lights" [1.0, 1.0] Mis<Detached, Detached, DetachedWeights, TrustLights>;
+    MisTrustLights "mis-trust-lights" Mis<Detached, Detached, DetachedWeights, TrustLights>;
     /// The same with BSDF samples trusted more.
-    MisTrustBsdf "mis-trust-bsdf" [1.0, 1.0] Mis<Detached, Detached, DetachedWeights, TrustBsdf>;
+    MisTrustBsdf "mis-trust-bsdf" Mis<Detached, Detached, DetachedWeights, TrustBsdf>;
     /// [`Estimator::Mis`] with differentiated weights.
-    MisAttachedWeights "mis-attached-weights" [1.25, 1.25] Mis<Detached, Detached, AttachedWeights>;
+    MisAttachedWeights "mis-attached-weights" Mis<Detached, Detached, AttachedWeights>;
     /// BSDF sampling, samples of the derivative of normals and light sampling.
-    DifferentialMis "differential-mis" [2.3, 2.0] Mis<Differential, Detached, DetachedWeights>;
+    DifferentialMis "differential-mis" Mis<Differential, Detached, DetachedWeights>;
     /// The same with the balance heuristic.
-    DifferentialMisBalance "differential-mis-balance" [2.3, 2.0] Mis<Differential, Detached, DetachedWeights, Balance>;
+    DifferentialMisBalance "differential-mis-balance" Mis<Differential, Detached, DetachedWeights, Balance>;
     /// [`Estimator::DifferentialMis`] with differentiated weights for values.
-    DifferentialMisAttachedWeights "differential-mis-attached-weights" [2.7, 2.3] Mis<Differential, Detached, AttachedWeights>;
+    DifferentialMisAttachedWeights "differential-mis-attached-weights" Mis<Differential, Detached, AttachedWeights>;
     /// Attached BSDF sampling and light sampling, differentiated weights.
-    AttachedMis "attached-mis" [1.75, 1.6] Mis<AttachedDirect, Detached, AttachedWeights>;
+    AttachedMis "attached-mis" Mis<AttachedDirect, Detached, AttachedWeights>;
     /// The same where discontinuities bias it, to study that.
-    AttachedMisNaive "attached-mis-naive" [1.2, 1.2] AllowBias<Mis<AttachedDirect, Detached, AttachedWeights>>;
+    AttachedMisNaive "attached-mis-naive" AllowBias<Mis<AttachedDirect, Detached, AttachedWeights>>;
     /// [`Estimator::AttachedMis`] with weights that follow the samples only.
-    AttachedMisFrozen "attached-mis-frozen" [2.1, 1.7] Mis<AttachedDirect, Detached, FrozenWeights>;
+    AttachedMisFrozen "attached-mis-frozen" Mis<AttachedDirect, Detached, FrozenWeights>;
     /// [`Estimator::AttachedMis`] whose samples of environment maps move with the texels.
-    AttachedBoth "attached-both" [1.75, 1.75] Mis<AttachedDirect, Attached, AttachedWeights>;
+    AttachedBoth "attached-both" Mis<AttachedDirect, Attached, AttachedWeights>;
     /// Reparameterised BSDF sampling and light sampling, differentiated weights.
-    ReparameterisedMis "reparameterised-mis" [1.5, 1.45] ReparameterisedMis;
+    ReparameterisedMis "reparameterised-mis" ReparameterisedMis;
     /// Reparameterised with constant weights: biased [Zeltner 2021, Eq. 4.38].
-    BiasedWeights "biased-weights" [1.5, 1.5] AllowBias<Mis<Reparameterised, Detached, DetachedWeights>>;
+    BiasedWeights "biased-weights" AllowBias<Mis<Reparameterised, Detached, DetachedWeights>>;
     /// Attached with constant weights: biased for the same reason, whatever the scene.
-    BiasedAttachedWeights "biased-attached-weights" [1.15, 1.1] AllowBias<Mis<AttachedDirect, Detached, DetachedWeights>>;
+    BiasedAttachedWeights "biased-attached-weights" AllowBias<Mis<AttachedDirect, Detached, DetachedWeights>>;
     /// [`Estimator::Mis`] whose roulette takes a differentiated probability: biased where it is played (F5).
-    BiasedRoulette "biased-roulette" [1.0, 1.25] AllowBias<AttachedRoulette<DetachedMis>>;
+    BiasedRoulette "biased-roulette" AllowBias<AttachedRoulette<DetachedMis>>;
     /// Differentiated weights for one technique only: biased (errata Z-4.13f).
-    BiasedMixed "biased-mixed" [1.5, 1.5] AllowBias<Mis<Reparameterised, Detached, MixedWeights>>;
+    BiasedMixed "biased-mixed" AllowBias<Mis<Reparameterised, Detached, MixedWeights>>;
     /// [`Estimator::Mis`] that divides by differentiated probabilities of lobes: biased where they depend on the
     /// parameter (F6).
-    BiasedChoice "biased-choice" [1.15, 1.45] AllowBias<AttachedChoice<DetachedMis>>;
+    BiasedChoice "biased-choice" AllowBias<AttachedChoice<DetachedMis>>;
 }

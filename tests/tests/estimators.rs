@@ -338,7 +338,7 @@ fn the_pair_sees_light_that_is_reflected_on() {
 }
 
 /// Only roughness has a pair, and no other derivative changes with it: the reflectance alone has the gradient, to
-/// the last bit, that it has beside roughness.
+/// the last bit, that it has beside roughness, and the derivative image that it has without a pair.
 #[test]
 fn the_pair_serves_roughness_alone() {
     let names = ["metal.specular_reflectance.value", "metal.alpha.value"];
@@ -355,6 +355,22 @@ fn the_pair_serves_roughness_alone() {
         let alone = of(&names[..1]);
         assert!(alone.iter().any(|&g| g != 0.0), "{}", case.name);
         assert_eq!(alone, of(&names), "{}", case.name);
+        // In forward mode it is not even drawn.
+        let direction = [Direction::uniform(s.params(), names[0]).expect("a parameter")];
+        let image = |e: Estimator| {
+            let image = e.forward_f32(
+                s,
+                s.params().values(),
+                &direction,
+                &settings(s),
+                9,
+                0..64,
+                &(),
+            );
+            image.expect("allowed").sums
+        };
+        let [mis, pair] = [Estimator::Mis, Estimator::DifferentialMis].map(image);
+        assert_eq!(mis, pair, "{}", case.name);
     }
 }
 

@@ -3,7 +3,7 @@
 use super::pilot::{Blocks, Finding, Findings};
 use super::shares;
 use crate::error::RenderError;
-use crate::instances::{Direction, Estimator, Mode};
+use crate::instances::{Direction, Estimator};
 use crate::integrator::gradient::Gradient;
 use crate::integrator::render::{NonFinite, Progress, Rendering};
 use crate::params::Theta;
@@ -15,8 +15,6 @@ pub struct Mixture {
     pub(super) clusters: Vec<Cluster>,
     pub(super) findings: Vec<Finding>,
     pub(super) spent: f64,
-    /// Of the passes that work is shared among.
-    mode: Mode,
     blocks: Blocks,
 }
 
@@ -33,6 +31,8 @@ pub(super) struct Member {
     pub estimator: Estimator,
     /// Share of all work.
     pub share: f64,
+    /// Work of a sample, in those of `mis`.
+    cost: f64,
     /// Variance of the work of one sample of `mis`, in each block, up to a common factor.
     variance: Vec<f64>,
 }
@@ -48,7 +48,8 @@ struct Pass<'a> {
 /// Groups that share passes, with what that costs.
 struct Plan {
     groups: Vec<usize>,
-    estimators: Vec<Estimator>,
+    /// With the work of a sample, the mean over the groups.
+    estimators: Vec<(Estimator, f64)>,
     variance: Vec<Vec<f64>>,
     shares: Vec<f64>,
     /// Variance per unit of work, each group in units of its best single estimator.
@@ -63,6 +64,7 @@ impl Plan {
         let mut variance = Vec::new();
         for (i, (e, _)) in findings[first].efficiency.iter().enumerate() {
             let mut sum = findings[first].variance[i].clone();
+            let mut cost = findings[first].costs[i];
             let everywhere = rest.iter().all(|&g| {
                 let other = &findings[g];
                 let Some(k) = other.efficiency.iter().position(|(o, _)| o == e) else {
@@ -71,10 +73,11 @@ impl Plan {
                 sum.iter_mut()
                     .zip(&other.variance[k])
                     .for_each(|(s, v)| *s += v);
+                cost += other.costs[k];
                 true
             });
             if everywhere {
-                estimators.push(*e);
+                estimators.push((*e, cost / (rest.len() + 1) as f64));
                 variance.push(sum);
             }
         }
@@ -101,10 +104,10 @@ impl Mixture {
     /// One estimator for everything: samples are samples, whatever they cost.
     pub fn only<N: AsRef<str>>(scene: &Scene, estimator: Estimator, names: &[N]) -> Self {
         let blocks = Blocks::of(scene);
-        let mode = Mode::default();
         let member = Member {
             estimator,
-            share: estimator.cost(mode),
+            share: 1.0,
+            cost: 1.0,
             variance: vec![1.0; blocks.len()],
         };
         let cluster = Cluster {
@@ -115,13 +118,12 @@ impl Mixture {
             clusters: vec![cluster],
             findings: Vec::new(),
             spent: 0.0,
-            mode,
             blocks,
         }
     }
 
     /// Starts from passes for each group of parameters, and lets those share passes that gain by it.
-    pub(super) fn of(scene: &Scene, found: Findings, mode: Mode) -> Self {
+    pub(super) fn of(scene: &Scene, found: Findings) -> Self {
         let findings = found.groups;
         let mut plans: Vec<Plan> = (0..findings.len())
             .filter_map(|g| Plan::of(&findings, vec![g]))
@@ -149,9 +151,10 @@ impl Mixture {
             let part = plan.root() / sum;
             let all = plan.estimators.iter().zip(plan.variance).zip(&plan.shares);
             let members = all.filter(|(_, share)| **share > 0.0);
-            let member = |((estimator, variance), share): ((&Estimator, Vec<f64>), &f64)| Member {
-                estimator: *estimator,
+            let member = |((e, variance), share): ((&(Estimator, f64), Vec<f64>), &f64)| Member {
+                estimator: e.0,
                 share: share * part,
+                cost: e.1,
                 variance,
             };
             let names = plan.groups.iter().flat_map(|&g| findings[g].params.clone());
@@ -164,7 +167,6 @@ impl Mixture {
             clusters: clusters.collect(),
             findings,
             spent: found.spent,
-            mode,
             blocks: Blocks::of(scene),
         }
     }
@@ -205,6 +207,13 @@ impl Mixture {
         passes.into_iter().map(of).collect()
     }
 
+    /// How many samples of each estimator that is.
+    pub fn samples(&self, name: &str, samples: u64) -> Vec<(Estimator, u64)> {
+        let passes = (self.cluster(name)).map(|c| self.pass(c, samples, self.alone(c)));
+        let of = |p: &Pass| (p.member.estimator, p.samples);
+        passes.iter().flatten().map(of).collect()
+    }
+
     fn cluster(&self, name: &str) -> Option<&Cluster> {
         let mine = |c: &&Cluster| c.params.iter().any(|p| p == name);
         self.clusters.iter().find(mine)
@@ -227,7 +236,7 @@ impl Mixture {
 
     /// Whole numbers of samples, and the best weights for these.
     fn pass<'a>(&self, cluster: &'a Cluster, samples: u64, all: f64) -> Vec<Pass<'a>> {
-        let wanted = |m: &Member| m.share / all * samples as f64 / m.estimator.cost(self.mode);
+        let wanted = |m: &Member| m.share / all * samples as f64 / m.cost;
         let mut passes: Vec<Pass> = cluster
             .members
             .iter()
@@ -245,9 +254,8 @@ impl Mixture {
         }
         passes.retain(|p| p.samples > 0);
         // Variance of the mean of the samples.
-        let precision = |p: &Pass, b: usize| {
-            p.samples as f64 * p.member.estimator.cost(self.mode) / p.member.variance[b]
-        };
+        let precision =
+            |p: &Pass, b: usize| p.samples as f64 * p.member.cost / p.member.variance[b];
         let sums: Vec<f64> = (0..self.blocks.len())
             .map(|b| passes.iter().map(|p| precision(p, b)).sum())
             .collect();

@@ -7,7 +7,7 @@
 //! importance sampling for integrands with a sign, where the densities of the primal samples (balance and
 //! power heuristic) say little about the spread of derivatives.
 //!
-//! Work is counted in samples of [`Estimator::Mis`] ([`Estimator::cost`]), not by a clock: the same seed
+//! Work is counted in samples of [`Estimator::Mis`] ([`costs`]), not by a clock: the same seed
 //! gives the same mixture. Pilots run in forward mode; what they find is for passes in the mode that is asked for,
 //! in which other estimators may be cheap.
 //!
@@ -31,6 +31,7 @@
 //! # }
 //! ```
 
+mod costs;
 mod guide;
 mod lights;
 mod mixture;
@@ -48,6 +49,7 @@ use crate::integrator::render::Progress;
 use crate::scene::{Scene, Settings};
 use crate::texture::ScalarTexture;
 
+pub use costs::costs;
 pub use guide::guide;
 pub use lights::sampling_weights;
 pub use mixture::Mixture;
@@ -59,7 +61,8 @@ pub use pixels::{pixel_weights, pixel_weights_of};
 /// A technique that rarely finds what matters looks good until it finds it, and no measurement as short
 /// as a pilot rules that out. So light sampling alone is a candidate only without smooth lobes, and BSDF
 /// sampling alone only below wide lights at infinity. Combinations of both find everything. The first one is
-/// kept where pilots cannot tell: the balance heuristic; the power heuristic between rough things, where light samples
+/// kept where pilots cannot tell: the balance heuristic (with the differential pair where that costs hardly more, as for
+/// one of many things in forward mode); the power heuristic between rough things, where light samples
 /// find what there is and should keep their weight; or the differential pair where smooth things mirror what is lit,
 /// since few samples carry the variance of detached sampling there.
 pub fn candidates(scene: &Scene) -> Vec<Estimator> {
@@ -134,7 +137,8 @@ const PILOT_SEED: u64 = 0x7069_6c6f_7473;
 /// it.
 /// Every parameter is measured by itself if that leaves enough samples, otherwise all those of one
 /// material or emitter together, or all of them. The first candidate that sees the parameters is taken where not
-/// even that fits, and where few samples carry most of its variance: then nothing was measured.
+/// even that fits, and where few samples carry most of its variance: then nothing was measured. With a budget that does
+/// not even suffice for [`costs`], its samples count as those of `mis`.
 ///
 /// # Errors
 /// An unknown name, an adjoint of the wrong size, a parameter that no candidate sees.
@@ -151,9 +155,12 @@ pub fn choose<N: AsRef<str>>(
 ) -> Result<Mixture, RenderError> {
     crate::integrator::gradient::check_size("adjoint image", scene, adjoint)?;
     let seed = seed ^ PILOT_SEED;
-    let pilots = pilot::Pilots::new(scene, names, adjoint, candidates, settings, seed, mode)?;
-    let findings = pilots.run(PILOTS * budget as f64, progress)?;
-    Ok(Mixture::of(scene, findings, mode))
+    let most = PILOTS * budget as f64;
+    let pilots = pilot::Pilots::new(
+        scene, names, adjoint, candidates, settings, seed, mode, most,
+    )?;
+    let findings = pilots.run(progress)?;
+    Ok(Mixture::of(scene, findings))
 }
 
 impl fmt::Display for Mixture {

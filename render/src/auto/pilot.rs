@@ -1,7 +1,9 @@
 //! Pilots: short runs of the candidates in forward mode, in pairs whose differences are the variance.
 
+use super::costs::{self, PATHS};
 use crate::error::RenderError;
 use crate::instances::{Direction, Estimator, Mode};
+use crate::integrator::gradient::Active;
 use crate::integrator::render::{Progress, TILE};
 use crate::params::{ParamInfo, ParamShape, Params};
 use crate::sampler::{Independent, Points, Sampler};
@@ -9,6 +11,10 @@ use crate::scene::{Scene, Settings};
 
 /// Largest part of the budget that pilots cost.
 pub const PILOTS: f64 = 0.03;
+/// Part of that which counting what samples cost may take, and fewest paths of each candidate that it is worth
+/// starting with.
+const COUNTING: f64 = 0.1;
+const FEWEST_PATHS: u64 = 16;
 /// More pairs than this tell little more.
 const MOST_PAIRS: u64 = 16;
 /// Variance that fewer samples than this carry, effectively, says little about that of the next ones.
@@ -17,6 +23,9 @@ const EVIDENCE: f64 = 64.0;
 const FEWEST_PAIRS: u64 = 4;
 /// A candidate this many times worse than the best for all parameters is not tried again.
 const HOPELESS: f64 = 4.0;
+/// The differential pair is preferred to `mis-balance`, as long as nothing else is known, if it costs this many times as
+/// much or less.
+const AFFORDABLE: f64 = 1.4;
 /// Squares of derivatives further apart than this many standard errors disagree.
 const DISAGREEMENT: f64 = 4.0;
 
@@ -33,6 +42,8 @@ pub struct Finding {
     /// Per candidate of `efficiency`: variance of a sample times its work in each block, in units of that of
     /// the best in all blocks.
     pub(super) variance: Vec<Vec<f64>>,
+    /// Per candidate of `efficiency`: work of a sample, in those of [`Estimator::Mis`].
+    pub(super) costs: Vec<f64>,
 }
 
 /// All findings, and what they cost.
@@ -42,10 +53,18 @@ pub(super) struct Findings {
     pub spent: f64,
 }
 
+/// An estimator, and the work of its samples in those of [`Estimator::Mis`]: of a pilot, and of a pass to come.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Candidate {
+    estimator: Estimator,
+    pilot: f64,
+    pass: f64,
+}
+
 /// Parameters measured together.
 struct Group {
     params: Vec<ParamInfo>,
-    candidates: Vec<Estimator>,
+    candidates: Vec<Candidate>,
 }
 
 /// Everything a pilot needs.
@@ -54,9 +73,13 @@ pub(super) struct Pilots<'a> {
     adjoint: &'a [f32],
     settings: Settings,
     seed: u64,
-    params: Vec<(ParamInfo, Vec<Estimator>)>,
-    /// What the estimators are measured for: the pilots themselves are forward mode.
-    mode: Mode,
+    params: Vec<(ParamInfo, Vec<Candidate>)>,
+    /// The candidates for all of these together.
+    joint: Vec<Candidate>,
+    /// Samples of [`Estimator::Mis`] per pixel that may be spent.
+    budget: f64,
+    /// What was spent on counting; `None` if not even that was worth it.
+    counted: Option<f64>,
 }
 
 /// What one candidate gave for one group: of each pair, the blocks.
@@ -134,26 +157,61 @@ impl<'a> Pilots<'a> {
         settings: &Settings,
         seed: u64,
         mode: Mode,
+        budget: f64,
     ) -> Result<Self, RenderError> {
-        let mut params: Vec<(ParamInfo, Vec<Estimator>)> = Vec::new();
+        // Pairs of samples must know nothing of each other.
+        let settings = Settings {
+            points: Points::Independent,
+            ..*settings
+        };
+        let mut infos: Vec<(&ParamInfo, Vec<Estimator>)> = Vec::new();
         for name in names {
             let info = scene.params().find(name.as_ref())?;
-            if params.iter().any(|(p, _)| p.name == info.name) {
-                continue;
+            if infos.iter().all(|(p, _)| p.name != info.name) {
+                infos.push((info, able(scene, info, candidates)?));
             }
-            params.push((info.clone(), able(scene, info, candidates)?));
         }
+        let pixels = scene.film.pixels().max(1) as f64;
+        let counts = ((candidates.len() + 1) * (infos.len() + 2)) as f64;
+        let paths = ((COUNTING * budget * pixels / counts) as u64).min(PATHS);
+        let measured = paths >= FEWEST_PATHS;
+        let costs = |infos: &[&ParamInfo], mode| match measured {
+            true => {
+                let active = Active::of(scene, infos);
+                costs::count(scene, &active, candidates, mode, &settings, seed, paths)
+            }
+            false => vec![1.0; candidates.len()],
+        };
+        let together: Vec<&ParamInfo> = infos.iter().map(|(info, _)| *info).collect();
+        let reverse = costs(&together, Mode::Reverse);
+        // In forward mode each parameter has passes of its own.
+        let known = |infos: &[&ParamInfo]| {
+            let forward = costs(infos, Mode::Forward);
+            let candidate = |(k, &estimator): (usize, &Estimator)| Candidate {
+                estimator,
+                pilot: forward[k],
+                pass: match mode {
+                    Mode::Forward => forward[k],
+                    Mode::Reverse => reverse[k],
+                },
+            };
+            let all = candidates.iter().enumerate().map(candidate);
+            all.collect::<Vec<Candidate>>()
+        };
+        let params = infos.iter().map(|(info, able)| {
+            let mut known = known(&[*info]);
+            known.retain(|c| able.contains(&c.estimator));
+            ((*info).clone(), known)
+        });
         Ok(Self {
             scene,
             adjoint,
-            // Pairs of samples must know nothing of each other.
-            settings: Settings {
-                points: Points::Independent,
-                ..*settings
-            },
+            params: params.collect(),
+            joint: known(&together),
+            settings,
             seed,
-            params,
-            mode,
+            budget,
+            counted: measured.then_some(paths as f64 * counts / pixels),
         })
     }
 
@@ -169,7 +227,12 @@ impl<'a> Pilots<'a> {
                 match groups.iter_mut().find(|(k, _)| *k == key) {
                     Some((_, group)) => {
                         group.params.push(info.clone());
-                        group.candidates.retain(|e| able.contains(e));
+                        let both = |a: &Candidate| able.iter().any(|b| b.estimator == a.estimator);
+                        group.candidates.retain(both);
+                        for c in &mut group.candidates {
+                            let joint = self.joint.iter().find(|j| j.estimator == c.estimator);
+                            *c = *joint.unwrap_or(c);
+                        }
                     }
                     None => groups.push((
                         key,
@@ -180,15 +243,24 @@ impl<'a> Pilots<'a> {
                     )),
                 }
             }
-            let groups: Vec<Group> = groups.into_iter().map(|(_, g)| g).collect();
+            let mut groups: Vec<Group> = groups.into_iter().map(|(_, g)| g).collect();
+            for g in &mut groups {
+                if let Some(kept) = kept(&g.candidates) {
+                    g.candidates.swap(0, kept);
+                }
+            }
             let work: f64 = groups.iter().map(|g| pair_cost(&g.candidates)).sum();
             let sound = groups.iter().all(|g| !g.candidates.is_empty());
             (sound && work <= budget).then_some(groups)
         })
     }
 
-    /// Measures until `budget` samples of `mis` per pixel are spent or nothing is left to decide.
-    pub fn run(&self, budget: f64, progress: &dyn Progress) -> Result<Findings, RenderError> {
+    /// Measures until the budget is spent or nothing is left to decide.
+    pub fn run(&self, progress: &dyn Progress) -> Result<Findings, RenderError> {
+        let Some(counted) = self.counted else {
+            return Ok(self.unseen());
+        };
+        let budget = self.budget - counted;
         let Some(groups) = self.groups(budget) else {
             return Ok(self.unseen());
         };
@@ -205,7 +277,7 @@ impl<'a> Pilots<'a> {
         let mut spent = 0.0;
         for pair in 0..MOST_PAIRS {
             let work = |g: usize| -> f64 {
-                let of = |&k: &usize| 2.0 * groups[g].candidates[k].cost(Mode::Forward);
+                let of = |&k: &usize| 2.0 * groups[g].candidates[k].pilot;
                 alive[g].iter().map(of).sum()
             };
             let undecided = |g: &usize| pair == 0 || alive[*g].len() > 1;
@@ -218,11 +290,11 @@ impl<'a> Pilots<'a> {
             for g in open {
                 let along = directions(self.scene.params(), &groups[g].params, self.seed, pair);
                 for &k in &alive[g] {
-                    let e = groups[g].candidates[k];
+                    let e = groups[g].candidates[k].estimator;
                     self.pair(e, &along, pair, &mut sums[g][k], progress)?;
                 }
                 if pair + 1 >= fair {
-                    alive[g] = hopeful(&groups[g].candidates, &sums[g], &alive[g], self.mode);
+                    alive[g] = hopeful(&groups[g].candidates, &sums[g], &alive[g]);
                 }
             }
         }
@@ -231,8 +303,8 @@ impl<'a> Pilots<'a> {
         }
         let findings = groups.iter().zip(&sums);
         Ok(Findings {
-            groups: findings.map(|(g, s)| finding(g, s, self.mode)).collect(),
-            spent,
+            groups: findings.map(|(g, s)| finding(g, s)).collect(),
+            spent: spent + counted,
         })
     }
 
@@ -242,12 +314,13 @@ impl<'a> Pilots<'a> {
         let groups = self.params.iter().map(|(info, able)| Finding {
             params: vec![info.name.clone()],
             pairs: 0,
-            efficiency: able.iter().take(1).map(|&e| (e, 1.0)).collect(),
+            efficiency: able.iter().take(1).map(|c| (c.estimator, 1.0)).collect(),
             variance: vec![even.clone()],
+            costs: able.iter().take(1).map(|c| c.pass).collect(),
         });
         Findings {
             groups: groups.collect(),
-            spent: 0.0,
+            spent: self.counted.unwrap_or(0.0),
         }
     }
 
@@ -318,9 +391,20 @@ pub(super) fn noise([a, b]: [f64; 2]) -> f64 {
     0.5 * (a - b) * (a - b)
 }
 
+/// Who should be in the first place, and is kept where pilots cannot tell, if that is another one: instead of
+/// `mis-balance` the differential pair, which suffers less from rare samples, where it costs hardly more.
+fn kept(candidates: &[Candidate]) -> Option<usize> {
+    let first = candidates.first()?;
+    let affordable = |c: &Candidate| {
+        c.estimator == Estimator::DifferentialMisBalance && c.pass <= AFFORDABLE * first.pass
+    };
+    let pair = candidates.iter().position(affordable);
+    pair.filter(|_| first.estimator == Estimator::MisBalance)
+}
+
 /// Work of one pair of each.
-fn pair_cost(candidates: &[Estimator]) -> f64 {
-    candidates.iter().map(|e| 2.0 * e.cost(Mode::Forward)).sum()
+fn pair_cost(candidates: &[Candidate]) -> f64 {
+    candidates.iter().map(|c| 2.0 * c.pilot).sum()
 }
 
 /// Variance of one sample in each block, of each of `chosen`. One that saw less there than another one, in all
@@ -369,18 +453,17 @@ fn variances(sums: &[Sums], chosen: &[usize]) -> Vec<Vec<f64>> {
 /// believed to be as good, and they as bad, as the samples that carry the variance leave open; without
 /// evidence they are out.
 fn works(
-    candidates: &[Estimator],
+    candidates: &[Candidate],
     sums: &[Sums],
     chosen: &[usize],
     blocks: &[Vec<f64>],
-    mode: Mode,
 ) -> Vec<f64> {
     let sees = |v: &[f64]| v.iter().all(|v| v.is_finite());
     let rivals = !sees(&blocks[0]) || sums[chosen[0]].evidence() >= EVIDENCE;
     let work = |(&k, v): (&usize, &Vec<f64>)| {
         let evidence = sums[k].evidence();
         let doubt = 1.0 + evidence.max(1.0).sqrt().recip();
-        let work = v.iter().sum::<f64>() * candidates[k].cost(mode);
+        let work = v.iter().sum::<f64>() * candidates[k].pass;
         let trusted = rivals && (evidence >= EVIDENCE || !sees(&blocks[0]));
         match k == chosen[0] {
             true => work / doubt,
@@ -392,9 +475,9 @@ fn works(
 }
 
 /// Those of `alive` that may still be the best; the first always.
-fn hopeful(candidates: &[Estimator], sums: &[Sums], alive: &[usize], mode: Mode) -> Vec<usize> {
+fn hopeful(candidates: &[Candidate], sums: &[Sums], alive: &[usize]) -> Vec<usize> {
     let variances = variances(sums, alive);
-    let work = |(&k, v): (&usize, &Vec<f64>)| v.iter().sum::<f64>() * candidates[k].cost(mode);
+    let work = |(&k, v): (&usize, &Vec<f64>)| v.iter().sum::<f64>() * candidates[k].pass;
     let works: Vec<f64> = alive.iter().zip(&variances).map(work).collect();
     let least = works.iter().copied().fold(f64::INFINITY, f64::min);
     let kept = alive.iter().zip(&works);
@@ -405,10 +488,10 @@ fn hopeful(candidates: &[Estimator], sums: &[Sums], alive: &[usize], mode: Mode)
 
 /// Variances per block that can be trusted with weights: a block is believed as far as there is evidence, and
 /// otherwise to be like the others.
-fn finding(group: &Group, sums: &[Sums], mode: Mode) -> Finding {
+fn finding(group: &Group, sums: &[Sums]) -> Finding {
     let all: Vec<usize> = (0..sums.len()).collect();
     let variances = variances(sums, &all);
-    let works = works(&group.candidates, sums, &all, &variances, mode);
+    let works = works(&group.candidates, sums, &all, &variances);
     let finite = || works.iter().copied().filter(|w| w.is_finite());
     let most = finite().fold(0.0, f64::max);
     // Without any variance all are alike.
@@ -439,10 +522,11 @@ fn finding(group: &Group, sums: &[Sums], mode: Mode) -> Finding {
     Finding {
         params: group.params.iter().map(|p| p.name.clone()).collect(),
         pairs: sums.iter().map(|s| s.pairs.len()).max().unwrap_or(0),
-        efficiency: measured.map(|(&e, w)| (e, least / w)).collect(),
+        efficiency: measured.map(|(c, w)| (c.estimator, least / w)).collect(),
         variance: (all.iter())
             .map(|&k| (0..blocks).map(|b| believed(k, b)).collect())
             .collect(),
+        costs: group.candidates.iter().map(|c| c.pass).collect(),
     }
 }
 

@@ -100,7 +100,7 @@ impl Active {
     }
 
     /// These parameters, each once.
-    fn of(scene: &Scene, infos: &[&ParamInfo]) -> Self {
+    pub(crate) fn of(scene: &Scene, infos: &[&ParamInfo]) -> Self {
         let params = scene.params();
         let mut slots = vec![Slot::Inactive; params.infos().len()];
         let mut ranges: Vec<ParamInfo> = Vec::new();

@@ -20,4 +20,5 @@ pub mod record;
 pub mod render;
 pub(crate) mod scout;
 pub mod second_order;
+pub(crate) mod tally;
 mod wave;

@@ -9,7 +9,8 @@ use super::direct::{
     follows_edges,
 };
 use crate::bsdf::{
-    Bsdf, BsdfSample, Component, DiffLobe, Material, Part, Scattered, Shading, TransportMode,
+    Bsdf, BsdfSample, Component, DiffLobe, Material, Part, Scattered, Shading, TextureRef,
+    TransportMode,
 };
 use crate::emitter::{AnyEmitter, Emission, Emitter, Shift};
 use crate::estimator::memory::{Memory, Store};
@@ -363,7 +364,8 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
             && differentiates
             && goes_on
             && (!O::ENABLED || observer.follows_normals(info.material))
-            && material.has_differential();
+            && material.has_differential()
+            && (R::IS_PRIMAL || roughness_moves(material, theta));
         let sampler = &mut self.sampler;
         let dim = CAMERA_DIMENSIONS + (depth - 1) * BOUNCE_DIMENSIONS;
         let guide = match const { is_guided::<S>() } && !info.glossy {
@@ -858,6 +860,16 @@ pub(super) fn frozen_pdf<R: Real>(
     material
         .eval_pdf(&Shading { theta, uv: at.uv }, wo, wi, MODE)
         .1
+}
+
+/// Whether the roughness of a material does with the parameters.
+#[inline(never)]
+fn roughness_moves<R: Real>(material: &Material, theta: &Theta<R>) -> bool {
+    let mut moves = false;
+    material.visit_textures(&mut |t| {
+        moves |= matches!(t, TextureRef::Alpha(t) if t.any_param(|p| theta.moves(p)));
+    });
+    moves
 }
 
 #[inline]

@@ -153,39 +153,61 @@ fn spread<'a>(
     Ok(variance(&images?))
 }
 
-/// Seconds that a sample of each estimator takes: medians of passes in turns.
-struct Clock(Vec<(Estimator, f64)>);
+/// What a sample of each estimator takes, for each parameter.
+struct Clock(Vec<(Estimator, Vec<Sample>)>);
+
+/// Seconds, the median of passes in turns, and counted work.
+#[derive(Clone, Copy, Debug)]
+struct Sample {
+    seconds: f64,
+    work: f64,
+}
 
 impl Clock {
     fn of(subject: &Subject, estimators: &[Estimator], effort: Effort) -> Result<Self> {
         let (scene, s) = (&subject.scene, &subject.scene.settings);
-        let name = subject.params.first().ok_or("no parameter")?;
-        let along = [Direction::uniform(scene.params(), name)?];
         let values = scene.params().values();
-        let mut seconds = vec![Vec::new(); estimators.len()];
-        for round in 0..TURNS {
-            for (e, seconds) in estimators.iter().zip(&mut seconds) {
-                let start = Instant::now();
-                e.forward_f32(scene, values, &along, s, round, 0..effort.spp, &())?;
-                seconds.push(start.elapsed().as_secs_f64() / effort.spp as f64);
+        let spp = (effort.spp / TURNS).max(1);
+        let mut out: Vec<_> = estimators.iter().map(|&e| (e, Vec::new())).collect();
+        for name in &subject.params {
+            let along = [Direction::uniform(scene.params(), name)?];
+            let works = auto::costs(scene, &[name], estimators, Mode::Forward, s, SEED)?;
+            let mut seconds = vec![Vec::new(); estimators.len()];
+            for round in 0..TURNS {
+                for (e, seconds) in estimators.iter().zip(&mut seconds) {
+                    let start = Instant::now();
+                    e.forward_f32(scene, values, &along, s, round, 0..spp, &())?;
+                    seconds.push(start.elapsed().as_secs_f64() / spp as f64);
+                }
+            }
+            for ((_, samples), (mut of, work)) in out.iter_mut().zip(seconds.into_iter().zip(works))
+            {
+                of.sort_by(f64::total_cmp);
+                let seconds = of[of.len() / 2];
+                samples.push(Sample { seconds, work });
             }
         }
-        let median = |(&e, mut of): (&Estimator, Vec<f64>)| {
-            of.sort_by(f64::total_cmp);
-            (e, of[of.len() / 2])
-        };
-        Ok(Self(estimators.iter().zip(seconds).map(median).collect()))
+        Ok(Self(out))
     }
 
-    fn sample(&self, e: Estimator) -> f64 {
+    /// Of the parameter with this index.
+    fn sample(&self, e: Estimator, param: usize) -> Result<Sample> {
         let found = self.0.iter().find(|(known, _)| *known == e);
-        found.map_or(f64::INFINITY, |(_, seconds)| *seconds)
+        Ok(found.ok_or("an estimator that was not timed")?.1[param])
     }
 
-    /// What the work of one sample of `mis` takes as a mixture spends it.
-    fn work(&self, m: &Mixture) -> f64 {
-        let of = |(e, share): &(Estimator, f64)| share * self.sample(*e) / e.cost(Mode::Forward);
-        m.shares().iter().map(of).sum()
+    /// What a mixture takes that has all the work for a parameter.
+    fn all(&self, m: &Mixture, subject: &Subject, param: usize, work: u64) -> Result<Sample> {
+        let mut sum = Sample {
+            seconds: 0.0,
+            work: 0.0,
+        };
+        for (e, samples) in m.samples(&subject.params[param], work) {
+            let one = self.sample(e, param)?;
+            sum.seconds += samples as f64 * one.seconds;
+            sum.work += samples as f64 * one.work;
+        }
+        Ok(sum)
     }
 }
 
@@ -200,15 +222,16 @@ struct Trial {
 
 fn single(subject: &Subject, e: Estimator, effort: Effort, clock: &Clock) -> Result<Vec<Spent>> {
     let only = Mixture::only(&subject.scene, e, &subject.params);
-    let spp = ((effort.spp as f64 / e.cost(Mode::Forward)).round() as u64).max(1);
-    let of = |param: &String| {
+    let of = |(k, param): (usize, &String)| {
+        let sample = clock.sample(e, k)?;
+        let spp = ((effort.spp as f64 / sample.work).round() as u64).max(1);
         let total = spread(subject, param, effort, |_| (&only, spp))? * spp as f64;
         Ok(Spent {
-            work: total * e.cost(Mode::Forward),
-            seconds: total * clock.sample(e),
+            work: total * sample.work,
+            seconds: total * sample.seconds,
         })
     };
-    subject.params.iter().map(of).collect()
+    subject.params.iter().enumerate().map(of).collect()
 }
 
 fn mixed(
@@ -241,25 +264,26 @@ fn mixed(
     let part = effort.spp as f64 / BUDGET as f64;
     let pilots = start.elapsed().as_secs_f64() / PILOTS as f64;
     let spent = mixtures.iter().map(Mixture::spent).sum::<f64>() / PILOTS as f64;
-    let work = effort.spp as f64 + spent * part;
-    let unit = mixtures.iter().map(|m| clock.work(m)).sum::<f64>() / PILOTS as f64;
-    let seconds = effort.spp as f64 * unit + pilots * part;
-    let of = |param: &String| {
+    let of = |(k, param): (usize, &String)| {
         // Each pilot's plan in turn, the parameter with its share of the work.
         let plan = |run: u64| {
             let m = &mixtures[(run % PILOTS) as usize];
-            (
-                m,
-                (effort.spp as f64 * m.share(param)).round().max(1.0) as u64,
-            )
+            let share = effort.spp as f64 * m.share(param);
+            (m, share.round().max(1.0) as u64)
         };
         let variance = spread(subject, param, effort, plan)?;
+        let (mut work, mut seconds) = (spent * part, pilots * part);
+        for m in &mixtures {
+            let all = clock.all(m, subject, k, effort.spp)?;
+            work += all.work / PILOTS as f64;
+            seconds += all.seconds / PILOTS as f64;
+        }
         Ok(Spent {
             work: variance * work,
             seconds: variance * seconds,
         })
     };
-    let spent: Result<Vec<Spent>> = subject.params.iter().map(of).collect();
+    let spent: Result<Vec<Spent>> = subject.params.iter().enumerate().map(of).collect();
     Ok((spent?, mixtures.swap_remove(0)))
 }
 

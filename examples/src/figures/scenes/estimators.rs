@@ -1,6 +1,6 @@
 //! All estimators of the derivative in roughness, on the plates [Zeltner 2021, figure 4.19].
 //!
-//! Columns get the same time: samples in proportion to the inverse of [`Estimator::cost`] in forward mode, so that results
+//! Columns get the same time: samples in proportion to the inverse of [`auto::costs`] in forward mode, so that results
 //! depend on the seed alone. `costs.csv` has their number and the time that was measured. Standard deviations
 //! are those of the work of one sample of `mis`, in outcomes (b) and (c) and in pictures; outcome (e) is about
 //! samples, whose weights it judges, and tells what becomes of it at equal time.
@@ -8,6 +8,7 @@
 use std::time::Instant;
 
 use rayon::prelude::*;
+use render::auto;
 use render::instances::{Direction, Estimator, Mode, Technique, render_f64};
 use render::params::Theta;
 use render::{RenderError, Scene};
@@ -68,18 +69,29 @@ impl Cell {
     }
 }
 
-/// Samples of a column in the time of `spp` samples of `mis`.
-fn samples(e: Estimator, spp: u64) -> u64 {
-    ((spp as f64 / e.cost(Mode::Forward)).round() as u64).max(1)
+/// Samples of a column in the time of `spp` samples of `mis`, if one of its own costs so many of those.
+fn samples(cost: f64, spp: u64) -> u64 {
+    ((spp as f64 / cost).round() as u64).max(1)
 }
 
-/// Work of so many samples.
-fn work(e: Estimator, samples: u64) -> f64 {
-    samples as f64 * e.cost(Mode::Forward)
+/// What a sample of each column costs along the roughness of one plate, on average.
+fn costs(scene: &Scene) -> std::result::Result<[f64; COLUMNS.len()], RenderError> {
+    let mut out = [0.0; COLUMNS.len()];
+    for plate in 0..ALPHAS.len() {
+        let s = &scene.settings;
+        let found = auto::costs(scene, &[name(plate)], &COLUMNS, Mode::Forward, s, SEED)?;
+        let part = found.iter().map(|c| c / ALPHAS.len() as f64);
+        out.iter_mut().zip(part).for_each(|(sum, c)| *sum += c);
+    }
+    Ok(out)
+}
+
+fn name(plate: usize) -> String {
+    format!("plate {plate}.alpha.data")
 }
 
 fn direction(scene: &Scene, plate: usize) -> std::result::Result<Direction, RenderError> {
-    Direction::uniform(scene.params(), &format!("plate {plate}.alpha.data"))
+    Direction::uniform(scene.params(), &name(plate))
 }
 
 type Grid = [[Cell; 4]; 4];
@@ -130,7 +142,7 @@ pub fn figure(fig: &mut Figure) -> Result {
         runs,
         |scene, plate, run| {
             let values: Vec<f64> = scene.params().values().iter().map(|&v| v.into()).collect();
-            let info = scene.params().find(&format!("plate {plate}.alpha.data"))?;
+            let info = scene.params().find(&name(plate))?;
             let h = 1e-4 * ALPHAS[plate];
             let at = |step: f64| {
                 let mut moved = values.clone();
@@ -151,9 +163,10 @@ pub fn figure(fig: &mut Figure) -> Result {
         },
         (4 * spp) as f64,
     )?;
+    let costs = costs(&setup.scene)?;
     let mut found = Vec::new();
-    for (k, e) in COLUMNS.into_iter().enumerate() {
-        let n = samples(e, spp);
+    for (k, (e, cost)) in COLUMNS.into_iter().zip(costs).enumerate() {
+        let n = samples(cost, spp);
         found.push(cells(
             &mut setup,
             width,
@@ -166,7 +179,7 @@ pub fn figure(fig: &mut Figure) -> Result {
                 let r = e.forward_f32(scene, values, &[along], s, seed, 0..n, &())?;
                 Ok(grey(&r.sums[1], 1.0 / n as f64))
             },
-            work(e, n),
+            n as f64 * cost,
         )?);
     }
 
@@ -245,7 +258,7 @@ pub fn figure(fig: &mut Figure) -> Result {
     );
 
     // ---- (e) ----
-    let per_sample = |k: usize| COLUMNS[k].cost(Mode::Forward).sqrt().recip();
+    let per_sample = |k: usize| costs[k].sqrt().recip();
     let over_plate = |k: usize, i: usize| {
         let squares = found[k][i].iter().map(|c| c.std * c.std);
         (squares.sum::<f64>() / 4.0).sqrt()
@@ -278,24 +291,28 @@ pub fn figure(fig: &mut Figure) -> Result {
         format!("at most {}, at equal time {}", text(by_samples), text(by_time)),
     );
 
-    let rows = COLUMNS.iter().zip(&found).flat_map(|(e, grid)| {
-        let reference = &reference;
-        (0..16).map(move |c| {
-            let (i, j) = (c / 4, c % 4);
-            let (cell, r) = (grid[i][j], reference[i][j]);
-            [
-                e.name().to_owned(),
-                ALPHAS[i].to_string(),
-                LAMP_RADII[j].to_string(),
-                cell.mean.to_string(),
-                cell.error.to_string(),
-                cell.std.to_string(),
-                (cell.std / e.cost(Mode::Forward).sqrt()).to_string(),
-                r.mean.to_string(),
-                r.error.to_string(),
-            ]
-        })
-    });
+    let rows = COLUMNS
+        .iter()
+        .zip(costs)
+        .zip(&found)
+        .flat_map(|((e, cost), grid)| {
+            let reference = &reference;
+            (0..16).map(move |c| {
+                let (i, j) = (c / 4, c % 4);
+                let (cell, r) = (grid[i][j], reference[i][j]);
+                [
+                    e.name().to_owned(),
+                    ALPHAS[i].to_string(),
+                    LAMP_RADII[j].to_string(),
+                    cell.mean.to_string(),
+                    cell.error.to_string(),
+                    cell.std.to_string(),
+                    (cell.std / cost.sqrt()).to_string(),
+                    r.mean.to_string(),
+                    r.error.to_string(),
+                ]
+            })
+        });
     let rows: Vec<_> = rows.collect();
     let header = [
         "estimator",
@@ -309,11 +326,11 @@ pub fn figure(fig: &mut Figure) -> Result {
         "its error",
     ];
     fig.csv_text("cells", &header, rows);
-    pictures(fig, &setup)
+    pictures(fig, &setup, costs)
 }
 
 /// The image, and derivative and standard deviation of every estimator; also what they cost.
-fn pictures(fig: &mut Figure, setup: &Plates) -> Result {
+fn pictures(fig: &mut Figure, setup: &Plates, costs: [f64; COLUMNS.len()]) -> Result {
     let scene = &setup.scene;
     let (spp, runs) = (fig.pick(8u64, 16), 4u64);
     let width = scene.film.size[0] as usize;
@@ -322,9 +339,9 @@ fn pictures(fig: &mut Figure, setup: &Plates) -> Result {
     let image = picture(scene, SEED, fig.pick(64, 256));
     let mut panels = vec![Panel::tonemapped("image", &image.image(0), 1.0)];
     let mut spreads = Vec::new();
-    let mut costs: Vec<(Estimator, u64, f64)> = Vec::new();
-    for e in COLUMNS {
-        let count = samples(e, spp);
+    let mut times: Vec<(Estimator, u64, f64)> = Vec::new();
+    for (e, cost) in COLUMNS.into_iter().zip(costs) {
+        let count = samples(cost, spp);
         let pixels = scene.film.pixels();
         let (mut sum, mut squares) = (vec![0.0; pixels], vec![0.0; pixels]);
         let mut seconds = Vec::new();
@@ -347,7 +364,7 @@ fn pictures(fig: &mut Figure, setup: &Plates) -> Result {
         let mean: Vec<f64> = sum.iter().map(|x| x / n).collect();
         let std = squares.iter().zip(&mean);
         let std: Vec<f64> = std
-            .map(|(q, m)| ((q / n - m * m).max(0.0) * n / (n - 1.0) * work(e, count)).sqrt())
+            .map(|(q, m)| ((q / n - m * m).max(0.0) * n / (n - 1.0) * count as f64 * cost).sqrt())
             .collect();
         let (label, gain) = match e {
             Estimator::AttachedNaive => (format!("{} x 50", e.name()), 50.0),
@@ -358,12 +375,12 @@ fn pictures(fig: &mut Figure, setup: &Plates) -> Result {
         let label = format!("std: {}", e.name());
         spreads.push(Panel::signed(&label, width, &std, Some(400.0)));
         seconds.sort_by(f64::total_cmp);
-        costs.push((e, count, seconds[seconds.len() / 2]));
+        times.push((e, count, seconds[seconds.len() / 2]));
     }
     fig.images("derivatives", 3, &panels);
     fig.images("deviations", 3, &spreads);
-    let base = costs[MIS].2;
-    let rows: Vec<[String; 4]> = costs
+    let base = times[MIS].2;
+    let rows: Vec<[String; 4]> = times
         .iter()
         .map(|(e, n, t)| {
             println!(
