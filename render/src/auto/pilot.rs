@@ -14,7 +14,7 @@ pub const PILOTS: f64 = 0.03;
 /// Part of that which counting what samples cost may take, and fewest paths of each candidate that it is worth
 /// starting with.
 const COUNTING: f64 = 0.1;
-const FEWEST_PATHS: u64 = 16;
+const FEWEST_PATHS: u64 = 8;
 /// More pairs than this tell little more.
 const MOST_PAIRS: u64 = 16;
 /// Variance that fewer samples than this carry, effectively, says little about that of the next ones.
