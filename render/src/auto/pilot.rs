@@ -183,17 +183,14 @@ impl<'a> Pilots<'a> {
             false => vec![1.0; candidates.len()],
         };
         let together: Vec<&ParamInfo> = infos.iter().map(|(info, _)| *info).collect();
-        let reverse = costs(&together, Mode::Reverse);
         // In forward mode each parameter has passes of its own.
+        let reverse = (mode == Mode::Reverse).then(|| costs(&together, Mode::Reverse));
         let known = |infos: &[&ParamInfo]| {
             let forward = costs(infos, Mode::Forward);
             let candidate = |(k, &estimator): (usize, &Estimator)| Candidate {
                 estimator,
                 pilot: forward[k],
-                pass: match mode {
-                    Mode::Forward => forward[k],
-                    Mode::Reverse => reverse[k],
-                },
+                pass: reverse.as_ref().unwrap_or(&forward)[k],
             };
             let all = candidates.iter().enumerate().map(candidate);
             all.collect::<Vec<Candidate>>()
