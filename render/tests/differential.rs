@@ -125,9 +125,8 @@ fn densities_are_the_two_parts_of_the_derivative() {
             let dual = microfacet(kind, Dual::<f64, 1>::var(alpha, 0));
             for i in 0..20_000 {
                 let u: [f64; 3] = Independent::new(1, 0, i).next_3d();
-                let sign = DiffLobe::BOTH[i as usize % 2];
                 let m = match u[2] < 0.5 {
-                    true => plain.sample_differential([u[0], u[1]], sign),
+                    true => plain.sample_differential([u[0], u[1]])[i as usize % 2],
                     false => plain.sample_all([u[0], u[1]]),
                 };
                 let density = plain.pdf_differential(m);
@@ -180,7 +179,7 @@ fn normals_follow_their_density() {
                 let mut observed = vec![0.0; (edges.len() - 1) * AZIMUTHS];
                 for i in 0..N {
                     let u: [f64; 2] = Independent::new(2 + k as u64, 0, i).next_2d();
-                    let m = d.sample_differential(u, sign);
+                    let m = d.sample_differential(u)[k];
                     let t = m.x.hypot(m.y) / m.z / alpha;
                     let row = edges.partition_point(|&e| e <= t) - 1;
                     let phi = m.y.atan2(m.x).rem_euclid(2.0 * PI) / (2.0 * PI);
@@ -232,9 +231,9 @@ fn directions_follow_their_density() {
         for wo in views {
             let mut observed = vec![0.0; ROWS * COLUMNS];
             let mut failed = 0.0;
-            for (i, sign) in (0..N).flat_map(|i| DiffLobe::BOTH.map(|sign| (i, sign))) {
-                let u = Independent::new(4, 0, 2 * i + u64::from(sign == DiffLobe::Plus)).next_3d();
-                match material.sample_differential(&at, wo, u, sign, MODE) {
+            for i in 0..2 * N {
+                let u = Independent::new(4, 0, i).next_3d();
+                match material.sample_differential(&at, wo, u, MODE)[i as usize % 2] {
                     None => failed += 1.0,
                     Some(s) => {
                         let row = ((s.wi.z + 1.0) / 2.0 * ROWS as f64) as usize;
@@ -312,10 +311,7 @@ fn both_lobes_sum_to_the_derivative() {
         let primal = |wi: Vec3<f64>| lobe.pdf(Vec3::lift(wo), Vec3::lift(wi), MODE).re;
         let (pair, error) = mean(1_000_000, |s| {
             let u = s.next_3d();
-            let samples = DiffLobe::BOTH
-                .map(|sign| lobe.sample_differential(wo, u, sign, MODE))
-                .into_iter()
-                .flatten();
+            let samples = (lobe.sample_differential(wo, u, MODE).into_iter()).flatten();
             samples.map(|s| integrand(s.wi) / s.pdf).sum()
         });
         let z = (pair - expected) / error;
@@ -324,8 +320,8 @@ fn both_lobes_sum_to_the_derivative() {
         let (mixed, mixed_error) = mean(1_000_000, |s| {
             let u = s.next_3d();
             let v = s.next_3d();
-            let samples = DiffLobe::BOTH
-                .map(|sign| lobe.sample_differential(wo, u, sign, MODE).map(|s| s.wi))
+            let samples = (lobe.sample_differential(wo, u, MODE))
+                .map(|sample| sample.map(|s| s.wi))
                 .into_iter()
                 .chain([lobe
                     .sample(Vec3::lift(wo), v, MODE)
@@ -385,8 +381,7 @@ fn estimates_agree_with_differences_of_integrals() {
             let (estimate, error) = mean(100_000, |s| {
                 let u = s.next_3d();
                 let v = s.next_3d();
-                let pair = DiffLobe::BOTH
-                    .map(|sign| material.sample_differential(&fixed, wo, u, sign, MODE));
+                let pair = material.sample_differential(&fixed, wo, u, MODE);
                 let primal = material
                     .sample(&fixed, wo, v, MODE)
                     .filter(|s| s.component == render::bsdf::Component::Continuous);
@@ -437,15 +432,13 @@ fn finite_and_consistent_everywhere() {
                         _ => random[k],
                     })
                     .map(P::of);
-                    for sign in DiffLobe::BOTH {
-                        let Some(s) = material.sample_differential(&at, wo, u, sign, MODE) else {
-                            continue;
-                        };
+                    let pair = material.sample_differential(&at, wo, u, MODE);
+                    for s in pair.into_iter().flatten() {
                         let pdf = material.pdf_differential(&at, wo, s.wi);
-                        assert!(s.wi.is_finite(), "{name} {alpha} {z} {u:?} {sign:?}");
+                        assert!(s.wi.is_finite(), "{name} {alpha} {z} {u:?}");
                         assert!(
                             pdf == s.pdf && pdf > P::zero() && pdf.is_finite(),
-                            "{name} {alpha} {z} {u:?} {sign:?}: {pdf} {}",
+                            "{name} {alpha} {z} {u:?}: {pdf} {}",
                             s.pdf
                         );
                         *n += 1;
@@ -489,10 +482,11 @@ fn single_precision_is_enough() {
             let single = microfacet(kind, alpha);
             let double = microfacet(kind, f64::from(alpha));
             let wo = Vec3::new(0.5f32, -0.3, 0.8).normalize();
-            for (i, sign) in (0..20_000).flat_map(|i| DiffLobe::BOTH.map(|s| (i, s))) {
+            for (i, k) in (0..20_000).flat_map(|i| [0, 1].map(|k: usize| (i, k))) {
+                let sign = DiffLobe::BOTH[k];
                 let u: [f32; 2] = Independent::new(7, 0, i).next_2d();
-                let m = single.sample_differential(u, sign);
-                let exact = double.sample_differential(u.map(f64::from), sign);
+                let m = single.sample_differential(u)[k];
+                let exact = double.sample_differential(u.map(f64::from))[k];
                 let slope = f64::from(m.x.hypot(m.y) / m.z);
                 let exact_slope = exact.x.hypot(exact.y) / exact.z;
                 let gap = (slope - exact_slope).abs();
@@ -517,7 +511,7 @@ fn single_precision_is_enough() {
                     },
                 };
                 let v = [0.0, u[0], u[1]];
-                if let Some(s) = lobe.sample_differential(wo, v, sign, MODE) {
+                if let Some(s) = lobe.sample_differential(wo, v, MODE)[k] {
                     let (o, i) = (wo.map(f64::from), s.wi.map(f64::from));
                     let h = (o + i).normalize();
                     let exact = double.pdf_differential_reflected(o, h);
@@ -545,9 +539,8 @@ fn others_have_none() {
         let at = at(Theta::constant(&values));
         let (wo, wi) = (polar(0.8, 0.0), polar(0.8, PI));
         assert!(!material.has_differential());
-        for sign in DiffLobe::BOTH {
-            let s = material.sample_differential(&at, wo, [0.5; 3], sign, MODE);
-            assert!(s.is_none() && material.pdf_differential(&at, wo, wi) == 0.0);
-        }
+        let pair = material.sample_differential(&at, wo, [0.5; 3], MODE);
+        assert!(pair.iter().all(Option::is_none));
+        assert_eq!(material.pdf_differential(&at, wo, wi), 0.0);
     }
 }

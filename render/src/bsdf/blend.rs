@@ -6,11 +6,11 @@ use ad_core::{Const, Float, Real, Vec3};
 
 use super::nesting::{attached_choice, check_levels, choice, choose, nested_nodes};
 use super::{
-    Bsdf, BsdfSample, Component, DeltaKind, DiffLobe, FromNode, Material, Part, Shading,
-    TextureRef, TransportMode, Use,
+    Bsdf, BsdfSample, Component, DeltaKind, FromNode, Material, Part, Shading, TextureRef,
+    TransportMode, Use,
 };
 use crate::error::SceneError;
-use crate::math::Rgb;
+use crate::math::{Rgb, both};
 use crate::params::GradSink;
 use crate::scene::{Builder, Node};
 use crate::texture::ScalarTexture;
@@ -223,14 +223,16 @@ impl Bsdf for Blend {
         at: &Shading<P>,
         wo: Vec3<P>,
         u: [P; 3],
-        sign: DiffLobe,
         mode: TransportMode,
-    ) -> Option<BsdfSample<P>> {
+    ) -> [Option<BsdfSample<P>>; 2] {
         let (is_second, u0) = choose(u[0], self.differential_choice(at));
         let part = &self.parts[usize::from(is_second)];
-        let sample = part.sample_differential(at, wo, [u0, u[1], u[2]], sign, mode)?;
-        let pdf = self.pdf_differential(at, wo, sample.wi);
-        Some(BsdfSample { pdf, ..sample })
+        let pair = part.sample_differential(at, wo, [u0, u[1], u[2]], mode);
+        let of_both = |sample: BsdfSample<P>| BsdfSample {
+            pdf: self.pdf_differential(at, wo, sample.wi),
+            ..sample
+        };
+        both(pair, |sample| sample.map(of_both))
     }
 
     fn eval_normals<R: Real>(

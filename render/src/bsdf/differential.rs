@@ -25,7 +25,7 @@ use std::f64::consts::E;
 use ad_core::{Const, Float, Real, Vec3};
 
 use super::microfacet::{Microfacet, Ndf};
-use crate::math::warp;
+use crate::math::{both, warp};
 
 /// A part of the derivative of a distribution of normals with respect to roughness.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -70,18 +70,20 @@ impl<R: Real> Microfacet<R> {
 }
 
 impl<P: Float> Microfacet<P> {
-    /// A normal from one part of the derivative of `D cos(theta)`; towards both parts,
-    /// the same `u` gives the same azimuth.
+    /// A normal from each part of the derivative of `D cos(theta)`, in the order of [`DiffLobe::BOTH`]; both have the
+    /// same azimuth.
     #[inline]
-    pub fn sample_differential(&self, u: [P; 2], sign: DiffLobe) -> Vec3<P> {
-        // tan(theta) / alpha
-        let t = match self.kind {
-            Ndf::Ggx => ggx_tangent(u[0], sign),
-            Ndf::Beckmann => beckmann_square(u[0], sign).sqrt(),
-        };
+    pub fn sample_differential(&self, u: [P; 2]) -> [Vec3<P>; 2] {
         let (sin, cos) = warp::sin_cos_of_turns(u[1]);
-        let r = self.alpha * t;
-        Vec3::new(r * cos, r * sin, P::one()).normalize()
+        both(DiffLobe::BOTH, |sign| {
+            // tan(theta) / alpha
+            let t = match self.kind {
+                Ndf::Ggx => ggx_tangent(u[0], sign),
+                Ndf::Beckmann => beckmann_square(u[0], sign).sqrt(),
+            };
+            let r = self.alpha * t;
+            Vec3::new(r * cos, r * sin, P::one()).normalize()
+        })
     }
 
     /// `cos^2` and `sin^2 / alpha^2` of a normal: `s` is the second over the first.
@@ -147,21 +149,72 @@ fn rest<P: Float>(u: P) -> P {
     (P::one() - u).max(P::EPSILON * P::of(0.5))
 }
 
-/// `s` with `s e^(1 - s) = u` below 1 (minus) or `= 1 - u` above 1 (plus). By Halley's method on
-/// `s - 1 - ln s`, not by Lambert's W [Eqs. B.13, B.14], whose argument rounds to its branch point.
+/// `s / u` as a function of `sqrt(2 (1 - u))`, where `s e^(1 - s) = u` and `s < 1`: best relative approximation, to 1.2e-7.
+const MINUS: [f64; 10] = [
+    0.999999885,
+    -0.99998414,
+    0.832962772,
+    -0.649323543,
+    0.479387895,
+    -0.321118054,
+    0.178426968,
+    -0.0729273864,
+    0.0187035243,
+    -0.0022060438,
+];
+
+/// `s` as a function of `sqrt(2 (s - 1 - ln s))`, where `s > 1`: best relative approximation, to 7e-8 up to the largest
+/// random number of single precision.
+const PLUS: [f64; 10] = [
+    0.999999933,
+    1.0000036,
+    0.333303521,
+    0.0278697217,
+    -0.00384439451,
+    0.000354474175,
+    -7.4161524e-6,
+    -3.03291549e-6,
+    3.94443675e-7,
+    -1.637144e-8,
+];
+
+/// `s` with `s e^(1 - s) = u` below 1 (minus) or `= 1 - u` above 1 (plus): by polynomials, not by Lambert's W [Eqs. B.13,
+/// B.14], whose argument rounds to its branch point.
 #[inline]
 fn beckmann_square<P: Float>(u: P, sign: DiffLobe) -> P {
+    let (two, rest) = (P::of(2.0), rest(u));
+    let is_single = P::EPSILON > P::of(1e-10);
+    match sign {
+        DiffLobe::Minus => {
+            let p = (rest * two).sqrt();
+            let s = u * polynomial(p, &MINUS);
+            // Zero has no logarithm, and what is next to it needs none.
+            match is_single || u < P::EPSILON {
+                true => s,
+                false => refine(s, -u.ln(), -p),
+            }
+        }
+        DiffLobe::Plus => {
+            // -ln(1 - u); the quotient takes back what rounding did to 1 - u.
+            let off = P::one() - rest;
+            let l = P::select(off > P::zero(), -rest.ln() * (u / off), u);
+            let s = polynomial((l * two).sqrt(), &PLUS);
+            match is_single {
+                true => s,
+                false => refine(s, l, (u * two).sqrt()),
+            }
+        }
+    }
+}
+
+/// The solution of `s - 1 - ln s = l` near `s` in double precision, by Halley's method. `p` is its distance from 1 to
+/// first order.
+fn refine<P: Float>(mut s: P, l: P, p: P) -> P {
     let one = P::one();
-    let rest = rest(u);
-    // Half the square of the distance from s = 1 to first order, and the side.
-    let (v, side) = match sign {
-        DiffLobe::Minus => (rest, -one),
-        DiffLobe::Plus => (u, one),
-    };
-    let p = (v * P::of(2.0)).sqrt() * side;
-    let near = polynomial(
-        p,
-        &[
+    let p2 = p.square();
+    // The next term is 0.016 p^7.
+    if p2 * p2 * p2 * p.abs() < P::EPSILON * P::of(64.0) {
+        let terms = [
             1.0,
             1.0,
             1.0 / 3.0,
@@ -169,36 +222,10 @@ fn beckmann_square<P: Float>(u: P, sign: DiffLobe) -> P {
             43.0 / 540.0,
             769.0 / 17280.0,
             221.0 / 8505.0,
-        ],
-    );
-    // The next term is 0.016 p^7.
-    let p2 = p.square();
-    if p2 * p2 * p2 * p.abs() < P::EPSILON * P::of(64.0) {
-        return near;
+        ];
+        return polynomial(p, &terms);
     }
-    let (l, mut s) = match sign {
-        DiffLobe::Minus => {
-            let x = u * P::of(1.0 / E);
-            let far = u < P::of(0.3);
-            let start = polynomial(x, &[0.0, 1.0, 1.0, 1.5, 8.0 / 3.0]);
-            // s is x to working precision, and its logarithm may not exist.
-            if x < P::EPSILON {
-                return x;
-            }
-            (-u.ln(), if far { start } else { near })
-        }
-        DiffLobe::Plus => {
-            let l = if u < P::of(0.5) {
-                -(-u).ln_1p()
-            } else {
-                -rest.ln()
-            };
-            let far = u >= P::of(0.5);
-            let start = one + l + (one + l + (one + l).ln()).ln();
-            (l, if far { start } else { near })
-        }
-    };
-    // One or two steps suffice for single precision, two or three for double.
+    // One step, or two for the largest numbers.
     for _ in 0..4 {
         let off = s - one;
         let h = off - s.ln() - l;

@@ -6,8 +6,8 @@ use ad_core::{Const, Float, Real, Vec3};
 
 use super::nesting::{attached_choice, check_levels, choice, choose, nested_nodes};
 use super::{
-    Bsdf, BsdfSample, Component, DeltaKind, DiffLobe, FromNode, Material, Part, Shading,
-    TextureRef, TransportMode, Use,
+    Bsdf, BsdfSample, Component, DeltaKind, FromNode, Material, Part, Shading, TextureRef,
+    TransportMode, Use,
 };
 use crate::error::SceneError;
 use crate::math::Rgb;
@@ -202,10 +202,9 @@ impl Bsdf for Mask {
         at: &Shading<P>,
         wo: Vec3<P>,
         u: [P; 3],
-        sign: DiffLobe,
         mode: TransportMode,
-    ) -> Option<BsdfSample<P>> {
-        self.nested.sample_differential(at, wo, u, sign, mode)
+    ) -> [Option<BsdfSample<P>>; 2] {
+        self.nested.sample_differential(at, wo, u, mode)
     }
 
     fn eval_normals<R: Real>(

@@ -189,19 +189,18 @@ pub trait Lobe<R: Real>: Copy {
         }
     }
 
-    /// Samples a direction from one part of the derivative of the distribution of normals with respect
-    /// to roughness ([`differential`]); `u` as in [`Lobe::sample`]. The same `u` with both signs gives
-    /// an antithetic pair; each of the two may be `None` on its own. Primal: for detached estimators.
+    /// Samples a direction from each part of the derivative of the distribution of normals with respect
+    /// to roughness ([`differential`]), in the order of [`DiffLobe::BOTH`]; `u` as in [`Lobe::sample`]. It is an
+    /// antithetic pair; each of the two may be `None` on its own. Primal: for detached estimators.
     /// Its density is [`Lobe::pdf_differential`].
     #[inline]
     fn sample_differential(
         &self,
         _wo: Vec3<R::Primal>,
         _u: [R::Primal; 3],
-        _sign: DiffLobe,
         _mode: TransportMode,
-    ) -> Option<BsdfSample<R::Primal>> {
-        None
+    ) -> [Option<BsdfSample<R::Primal>>; 2] {
+        [None; 2]
     }
 
     /// The change of [`Lobe::eval`] through the distribution of normals alone, [`Part::Normals`]:
@@ -482,9 +481,8 @@ pub trait Bsdf: Send + Sync {
         at: &Shading<P>,
         wo: Vec3<P>,
         u: [P; 3],
-        sign: DiffLobe,
         mode: TransportMode,
-    ) -> Option<BsdfSample<P>>;
+    ) -> [Option<BsdfSample<P>>; 2];
 
     /// [`Lobe::eval_normals`] at a point.
     fn eval_normals<R: Real>(
@@ -677,14 +675,13 @@ impl<L: Leaf> Bsdf for L {
         at: &Shading<P>,
         wo: Vec3<P>,
         u: [P; 3],
-        sign: DiffLobe,
         mode: TransportMode,
-    ) -> Option<BsdfSample<P>> {
+    ) -> [Option<BsdfSample<P>>; 2] {
         if !L::DIFFERENTIAL {
-            return None;
+            return [None; 2];
         }
         let lobe: L::Lobe<P> = self.lobe(&mut { *at });
-        lobe.sample_differential(wo, u, sign, mode)
+        lobe.sample_differential(wo, u, mode)
     }
 
     #[inline]
@@ -991,9 +988,9 @@ macro_rules! materials {
             }
             #[inline(always)]
             fn sample_differential<P: Float>(
-                &self, at: &Shading<P>, wo: Vec3<P>, u: [P; 3], sign: DiffLobe, mode: TransportMode,
-            ) -> Option<BsdfSample<P>> {
-                $crate::dispatch::dispatch!(self, [] [$($hot,)* $($name),*], m => m.sample_differential(at, wo, u, sign, mode))
+                &self, at: &Shading<P>, wo: Vec3<P>, u: [P; 3], mode: TransportMode,
+            ) -> [Option<BsdfSample<P>>; 2] {
+                $crate::dispatch::dispatch!(self, [] [$($hot,)* $($name),*], m => m.sample_differential(at, wo, u, mode))
             }
             #[inline(always)]
             fn pdf_differential<P: Float>(

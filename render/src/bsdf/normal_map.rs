@@ -6,12 +6,12 @@ use ad_core::{Dual, Float, Real, Vec3, array};
 
 use super::nesting::{check_levels, nested_nodes};
 use super::{
-    Bsdf, BsdfSample, Component, DeltaKind, DiffLobe, FromNode, Material, Part, Shading,
-    TextureRef, TransportMode, Use,
+    Bsdf, BsdfSample, Component, DeltaKind, FromNode, Material, Part, Shading, TextureRef,
+    TransportMode, Use,
 };
 use crate::error::SceneError;
 use crate::image_io::Encoding;
-use crate::math::{Frame, Rgb, each};
+use crate::math::{Frame, Rgb, both, each};
 use crate::params::GradSink;
 use crate::scene::{Builder, Node};
 use crate::texture::{self, Bitmap, RgbTexture, UvTransform, Wrap};
@@ -419,16 +419,18 @@ impl Bsdf for NormalMap {
         at: &Shading<P>,
         wo: Vec3<P>,
         u: [P; 3],
-        sign: DiffLobe,
         mode: TransportMode,
-    ) -> Option<BsdfSample<P>> {
+    ) -> [Option<BsdfSample<P>>; 2] {
         let frame = self.frame(at, wo, mode);
         let o = frame.to_local(wo);
-        let sample = self.nested.sample_differential(at, o, u, sign, mode)?;
-        let wi = frame.to_world(sample.wi);
-        // As in `sample`; also checks the sides.
-        let pdf = self.pdf_differential(at, wo, wi);
-        (pdf > P::zero()).then_some(BsdfSample { wi, pdf, ..sample })
+        let pair = self.nested.sample_differential(at, o, u, mode);
+        let mapped = |sample: BsdfSample<P>| {
+            let wi = frame.to_world(sample.wi);
+            // As in `sample`; also checks the sides.
+            let pdf = self.pdf_differential(at, wo, wi);
+            (pdf > P::zero()).then_some(BsdfSample { wi, pdf, ..sample })
+        };
+        both(pair, |sample| sample.and_then(mapped))
     }
 
     fn eval_normals<R: Real>(

@@ -1,14 +1,14 @@
 //! Rough conductors: a microfacet distribution of mirrors.
 
-use ad_core::{Float, Real, Vec3};
+use ad_core::{Const, Float, Real, Vec3};
 
 use super::microfacet::{ALPHA_RANGE, Microfacet, Ndf};
 use super::{
-    BsdfSample, Component, Conductor, ConductorLobe, DiffLobe, FromNode, Leaf, Lobe, Part, Reader,
-    Scattered, TransportMode,
+    BsdfSample, Component, Conductor, ConductorLobe, FromNode, Leaf, Lobe, Part, Reader, Scattered,
+    TransportMode,
 };
 use crate::error::SceneError;
-use crate::math::Rgb;
+use crate::math::{Rgb, both};
 use crate::scene::{Builder, Node};
 use crate::texture::ScalarTexture;
 
@@ -120,22 +120,23 @@ pub(super) fn pdf_reflected_differential<P: Float>(
     }
 }
 
-/// Reflection about a normal from one part of the derivative of the distribution; `None` below the
+/// Reflection about a normal from each part of the derivative of the distribution; `None` below the
 /// horizon.
 #[inline]
 pub(super) fn sample_reflected_differential<P: Float>(
     microfacet: &Microfacet<P>,
     wo: Vec3<P>,
     u: [P; 2],
-    sign: DiffLobe,
-) -> Option<BsdfSample<P>> {
-    let wi = reflect(wo, microfacet.sample_differential(u, sign));
-    let pdf = pdf_reflected_differential(microfacet, wo, wi);
-    (pdf > P::zero()).then_some(BsdfSample {
-        wi,
-        pdf,
-        component: Component::Continuous,
-        eta: P::one(),
+) -> [Option<BsdfSample<P>>; 2] {
+    both(microfacet.sample_differential(u), |m| {
+        let wi = reflect(wo, m);
+        let pdf = pdf_reflected_differential(microfacet, wo, wi);
+        (pdf > P::zero()).then_some(BsdfSample {
+            wi,
+            pdf,
+            component: Component::Continuous,
+            eta: P::one(),
+        })
     })
 }
 
@@ -258,13 +259,17 @@ impl<R: Real> Lobe<R> for RoughConductorLobe<R> {
         &self,
         wo: Vec3<R::Primal>,
         wi: Vec3<R::Primal>,
-        mode: TransportMode,
+        _mode: TransportMode,
     ) -> Rgb<R> {
         let Some(m) = half_vector(wo, wi) else {
             return Rgb::black();
         };
-        let value = self.primal().eval(wo, wi, mode);
-        Rgb::lift(value) * self.microfacet.change(m)
+        let d = self.microfacet.d(Vec3::lift(m));
+        let still = self.primal();
+        let sigma = still.microfacet.sigma(wo);
+        let rest = reflection_where(&still.microfacet, [R::Primal::one(), sigma], wi);
+        let rest = still.facet.reflectance(wo.dot(m)) * rest;
+        Rgb::lift(rest) * (d - Const(d.primal()))
     }
 
     /// The normal is a constant, too.
@@ -296,10 +301,9 @@ impl<R: Real> Lobe<R> for RoughConductorLobe<R> {
         &self,
         wo: Vec3<R::Primal>,
         u: [R::Primal; 3],
-        sign: DiffLobe,
         _mode: TransportMode,
-    ) -> Option<BsdfSample<R::Primal>> {
-        sample_reflected_differential(&self.microfacet.primal(), wo, [u[1], u[2]], sign)
+    ) -> [Option<BsdfSample<R::Primal>>; 2] {
+        sample_reflected_differential(&self.microfacet.primal(), wo, [u[1], u[2]])
     }
 
     #[inline]

@@ -6,11 +6,9 @@ use super::dielectric::{eta_across, relative_index};
 use super::fresnel;
 use super::microfacet::Microfacet;
 use super::rough_conductor::{Roughness, reflect, reflection};
-use super::{
-    BsdfSample, Component, DiffLobe, FromNode, Leaf, Lobe, Reader, TransportMode, constant,
-};
+use super::{BsdfSample, Component, FromNode, Leaf, Lobe, Reader, TransportMode, constant};
 use crate::error::SceneError;
-use crate::math::Rgb;
+use crate::math::{Rgb, both};
 use crate::scene::{Builder, Node};
 use crate::texture::{RgbTexture, ScalarTexture};
 
@@ -233,17 +231,18 @@ impl<R: Real> Lobe<R> for RoughDielectricLobe<R> {
         &self,
         wo: Vec3<R::Primal>,
         u: [R::Primal; 3],
-        sign: DiffLobe,
         _mode: TransportMode,
-    ) -> Option<BsdfSample<R::Primal>> {
-        let m = (self.microfacet.primal()).sample_differential([u[1], u[2]], sign);
-        let (wi, eta) = scatter(wo, m, self.eta.primal(), u[0])?;
-        let pdf = self.pdf_differential(wo, wi);
-        (pdf > R::Primal::zero()).then_some(BsdfSample {
-            wi,
-            pdf,
-            component: Component::Continuous,
-            eta,
+    ) -> [Option<BsdfSample<R::Primal>>; 2] {
+        let normals = (self.microfacet.primal()).sample_differential([u[1], u[2]]);
+        both(normals, |m| {
+            let (wi, eta) = scatter(wo, m, self.eta.primal(), u[0])?;
+            let pdf = self.pdf_differential(wo, wi);
+            (pdf > R::Primal::zero()).then_some(BsdfSample {
+                wi,
+                pdf,
+                component: Component::Continuous,
+                eta,
+            })
         })
     }
 

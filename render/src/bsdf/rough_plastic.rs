@@ -12,7 +12,7 @@ use super::rough_conductor::{
     sample_reflected_differential,
 };
 use super::{
-    BsdfSample, Component, DiffLobe, FromNode, Leaf, Lobe, Reader, TransportMode, constant, fresnel,
+    BsdfSample, Component, FromNode, Leaf, Lobe, Reader, TransportMode, constant, fresnel,
 };
 use crate::error::SceneError;
 use crate::math::{Rgb, warp};
@@ -167,10 +167,9 @@ impl<R: Real> Lobe<R> for RoughPlasticLobe<R> {
         &self,
         wo: Vec3<R::Primal>,
         u: [R::Primal; 3],
-        sign: DiffLobe,
         _mode: TransportMode,
-    ) -> Option<BsdfSample<R::Primal>> {
-        sample_reflected_differential(&self.microfacet.primal(), wo, [u[1], u[2]], sign)
+    ) -> [Option<BsdfSample<R::Primal>>; 2] {
+        sample_reflected_differential(&self.microfacet.primal(), wo, [u[1], u[2]])
     }
 
     #[inline]

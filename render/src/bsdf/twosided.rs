@@ -6,11 +6,11 @@ use ad_core::{Float, Real, Vec3};
 
 use super::nesting::{check_levels, nested_nodes};
 use super::{
-    Bsdf, BsdfSample, Component, DeltaKind, DiffLobe, FromNode, Material, Scattered, Shading,
-    TextureRef, TransportMode, Use,
+    Bsdf, BsdfSample, Component, DeltaKind, FromNode, Material, Scattered, Shading, TextureRef,
+    TransportMode, Use,
 };
 use crate::error::SceneError;
-use crate::math::Rgb;
+use crate::math::{Rgb, both};
 use crate::params::GradSink;
 use crate::scene::{Builder, Node};
 
@@ -183,15 +183,15 @@ impl Bsdf for TwoSided {
         at: &Shading<P>,
         wo: Vec3<P>,
         u: [P; 3],
-        sign: DiffLobe,
         mode: TransportMode,
-    ) -> Option<BsdfSample<P>> {
+    ) -> [Option<BsdfSample<P>>; 2] {
         let (side, behind) = self.side(wo);
-        let sample = side.sample_differential(at, turn(wo, behind), u, sign, mode)?;
-        Some(BsdfSample {
+        let pair = side.sample_differential(at, turn(wo, behind), u, mode);
+        let turned = |sample: BsdfSample<P>| BsdfSample {
             wi: turn(sample.wi, behind),
             ..sample
-        })
+        };
+        both(pair, |sample| sample.map(turned))
     }
 
     fn eval_normals<R: Real>(

@@ -7,7 +7,7 @@ use ad_core::{Float, Real, Vec2, Vec3};
 use super::aim::aim;
 use super::batch::{self, PATHS, Shadow, Traveller};
 use super::render::{Components, NonFinite, Progress, Rendering};
-use crate::bsdf::differential::{DiffLobe, Part};
+use crate::bsdf::differential::Part;
 use crate::bsdf::kernel::{Rules, kernel_weight, local_normal};
 use crate::bsdf::nesting::flips_normals;
 use crate::bsdf::{Bsdf, Component, Shading, TransportMode};
@@ -568,13 +568,10 @@ impl<R: Real, X: Sampler> Particle<R, X> {
         let n_geo = local_normal(si);
         let material = scene.material(hit.shape);
         let at = Shading { theta, uv: si.uv };
-        for sign in DiffLobe::BOTH {
-            let mut sampler = self.sampler;
-            sampler.seek(AUXILIARY_DIMENSIONS + self.depth * VERTEX_DIMENSIONS);
-            let u = sampler.next_3d();
-            let Some(sample) = material.sample_differential(&at, wo, u, sign, MODE) else {
-                continue;
-            };
+        let mut sampler = self.sampler;
+        sampler.seek(AUXILIARY_DIMENSIONS + self.depth * VERTEX_DIMENSIONS);
+        let pair = material.sample_differential(&at, wo, sampler.next_3d(), MODE);
+        for sample in pair.into_iter().flatten() {
             let shading = kernel_weight(n_geo, [wo, sample.wi], MODE, context.rules);
             let weight = shading / sample.pdf;
             if weight == R::Primal::zero() || !weight.is_finite() {

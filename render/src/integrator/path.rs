@@ -9,8 +9,7 @@ use super::direct::{
     follows_edges,
 };
 use crate::bsdf::{
-    Bsdf, BsdfSample, Component, DiffLobe, Material, Part, Scattered, Shading, TextureRef,
-    TransportMode,
+    Bsdf, BsdfSample, Component, Material, Part, Scattered, Shading, TextureRef, TransportMode,
 };
 use crate::emitter::{AnyEmitter, Emission, Emitter, Shift};
 use crate::estimator::memory::{Memory, Store};
@@ -520,12 +519,10 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
                 shifts: &[],
                 caustics,
             };
-            for sign in DiffLobe::BOTH {
-                sampler.seek(first);
-                let u = sampler.next_3d();
-                let Some(sample) = material.sample_differential(&at, wo, u, sign, MODE) else {
-                    continue;
-                };
+            sampler.seek(first);
+            let u = sampler.next_3d();
+            let pair = material.sample_differential(&at, wo, u, MODE);
+            for sample in pair.into_iter().flatten() {
                 let change = match R::IS_PRIMAL {
                     true => Rgb::black(),
                     false => {

@@ -13,6 +13,12 @@ pub(crate) fn each<T, U>([x, y, z]: [T; 3], f: impl Fn(T) -> U) -> [U; 3] {
     [f(x), f(y), f(z)]
 }
 
+/// The same of two.
+#[inline(always)]
+pub(crate) fn both<T, U>([a, b]: [T; 2], f: impl Fn(T) -> U) -> [U; 2] {
+    [f(a), f(b)]
+}
+
 pub use ad_core::{Vec2, Vec3};
 pub use frame::Frame;
 pub use ray::Ray;

@@ -196,7 +196,7 @@ pub fn clouds(fig: &mut Figure) -> Result {
     for (name, kind) in KINDS {
         let d = surface(kind, ALPHA);
         let primal = draw(&|u| d.sample_all(u));
-        let parts = DiffLobe::BOTH.map(|sign| draw(&|u| d.sample_differential(u, sign)));
+        let parts = [0, 1].map(|k: usize| draw(&|u| d.sample_differential(u)[k]));
         let tests = [
             (
                 name.to_owned(),

@@ -24,7 +24,7 @@ use super::path::{
     mixed, weigh_lights,
 };
 use crate::accel::{BUNDLE, Bundle, Hit};
-use crate::bsdf::{Bsdf, Component, DiffLobe, DiffuseLobe, Lobe, Material, Shading};
+use crate::bsdf::{Bsdf, Component, DiffuseLobe, Lobe, Material, Shading};
 use crate::camera::Camera;
 use crate::emitter::{AnyEmitter, Area, Emission, Emitter, EmitterSample};
 use crate::estimator::memory::Memory;
@@ -1020,14 +1020,10 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             }
             // Both samples of a pair go on as ordinary paths of this throughput, made of the same numbers: what they
             // find is alike, and its noise cancels.
-            for sign in DiffLobe::BOTH {
-                let mut sampler = self.samplers[paths.id[i] as usize % WIDTH];
-                sampler.seek(first);
-                let u = sampler.next_3d();
-                let sample = material.sample_differential(&shading, wo, u, sign, MODE);
-                let Some(sample) = sample else {
-                    continue;
-                };
+            let mut sampler = self.samplers[paths.id[i] as usize % WIDTH];
+            sampler.seek(first);
+            let pair = material.sample_differential(&shading, wo, sampler.next_3d(), MODE);
+            for sample in pair.into_iter().flatten() {
                 if aside.n == WIDTH {
                     aside.follow::<S>(context, u32::MAX);
                     aside.next = depth + 1;
