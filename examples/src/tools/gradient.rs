@@ -678,7 +678,7 @@ fn repeat(
         Objective::Linear(_) => repeats.min(TIMED),
         Objective::Loss(..) => repeats,
     };
-    let passes = repeats * mixture.passes(spp) as u64 + primals;
+    let passes = repeats * mixture.passes(spp).len() as u64 + primals;
     let bar = Bar::new("gradient", pixels * passes, interrupt);
     let mut out = Statistics {
         repeats: 0,
@@ -750,7 +750,7 @@ fn gradient_images(
     let spp = u64::from(settings.spp);
     let pixels = scene.film.pixels() as u64;
     if args.estimator != Choice::One(Estimator::Mis) {
-        let passes = (ranges.len() * mixture.passes(spp)) as u64;
+        let passes = (ranges.len() * mixture.passes(spp).len()) as u64;
         let bar = Bar::new("images", pixels * passes, interrupt);
         let mut images = Vec::new();
         for info in ranges {

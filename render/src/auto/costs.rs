@@ -30,14 +30,16 @@ pub fn costs<N: AsRef<str>>(
     let infos = names.iter().map(|n| scene.params().find(n.as_ref()));
     let infos: Vec<&ParamInfo> = infos.collect::<Result<_, _>>()?;
     let active = Active::of(scene, &infos);
-    let seed = seed ^ PILOT_SEED;
-    Ok(count(
-        scene, &active, estimators, mode, settings, seed, PATHS,
-    ))
+    let works = |estimators: &[Estimator]| {
+        let seed = seed ^ PILOT_SEED;
+        works(scene, &active, estimators, mode, settings, seed, PATHS)
+    };
+    let unit = works(&[Estimator::Mis])[0];
+    Ok(works(estimators).iter().map(|w| w / unit).collect())
 }
 
-/// The same by so many paths.
-pub(super) fn count(
+/// Work of a sample of each estimator by so many paths, in edges, which are the same in both modes.
+pub(super) fn works(
     scene: &Scene,
     active: &Active,
     estimators: &[Estimator],
@@ -46,7 +48,6 @@ pub(super) fn count(
     seed: u64,
     paths: u64,
 ) -> Vec<f64> {
-    let work = |e: Estimator| e.work(scene, active, settings, mode, seed, paths);
-    let unit = work(Estimator::Mis);
-    estimators.iter().map(|&e| work(e) / unit).collect()
+    let work = |&e: &Estimator| e.work(scene, active, settings, mode, seed, paths);
+    estimators.iter().map(work).collect()
 }

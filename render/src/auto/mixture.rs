@@ -176,7 +176,7 @@ impl Mixture {
         &self.findings
     }
 
-    /// What the pilots cost, in samples of [`Estimator::Mis`] per pixel in forward mode.
+    /// What the pilots cost, in samples of [`Estimator::Mis`] per pixel in the mode that they were for.
     pub fn spent(&self) -> f64 {
         self.spent
     }
@@ -228,10 +228,14 @@ impl Mixture {
         }
     }
 
-    /// Passes over the image that [`Mixture::backward_f32`] makes.
-    pub fn passes(&self, samples: u64) -> usize {
-        let of = |c: &Cluster| self.pass(c, samples, 1.0).len();
-        self.clusters.iter().map(of).sum()
+    /// Passes over the image that [`Mixture::backward_f32`] makes, with their numbers of samples.
+    pub fn passes(&self, samples: u64) -> Vec<(Estimator, u64)> {
+        let of = |p: Pass| (p.member.estimator, p.samples);
+        let passes = self
+            .clusters
+            .iter()
+            .flat_map(|c| self.pass(c, samples, 1.0));
+        passes.map(of).collect()
     }
 
     /// Whole numbers of samples, and the best weights for these.

@@ -49,11 +49,12 @@ pub struct Finding {
 /// All findings, and what they cost.
 pub(super) struct Findings {
     pub groups: Vec<Finding>,
-    /// Samples of [`Estimator::Mis`] per pixel.
+    /// Samples of [`Estimator::Mis`] per pixel in passes to come.
     pub spent: f64,
 }
 
-/// An estimator, and the work of its samples in those of [`Estimator::Mis`]: of a pilot, and of a pass to come.
+/// An estimator, and the work of its samples in those of [`Estimator::Mis`] in passes to come: of a pilot, and of such a
+/// pass.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Candidate {
     estimator: Estimator,
@@ -175,22 +176,27 @@ impl<'a> Pilots<'a> {
         let counts = ((candidates.len() + 1) * (infos.len() + 2)) as f64;
         let paths = ((COUNTING * budget * pixels / counts) as u64).min(PATHS);
         let measured = paths >= FEWEST_PATHS;
-        let costs = |infos: &[&ParamInfo], mode| match measured {
+        // Of the candidates, and of the unit.
+        let works = |infos: &[&ParamInfo], mode| match measured {
             true => {
                 let active = Active::of(scene, infos);
-                costs::count(scene, &active, candidates, mode, &settings, seed, paths)
+                let works = |estimators: &[Estimator]| {
+                    costs::works(scene, &active, estimators, mode, &settings, seed, paths)
+                };
+                (works(candidates), works(&[Estimator::Mis])[0])
             }
-            false => vec![1.0; candidates.len()],
+            false => (vec![1.0; candidates.len()], 1.0),
         };
         let together: Vec<&ParamInfo> = infos.iter().map(|(info, _)| *info).collect();
         // In forward mode each parameter has passes of its own.
-        let reverse = (mode == Mode::Reverse).then(|| costs(&together, Mode::Reverse));
+        let reverse = (mode == Mode::Reverse).then(|| works(&together, Mode::Reverse));
         let known = |infos: &[&ParamInfo]| {
-            let forward = costs(infos, Mode::Forward);
+            let forward = works(infos, Mode::Forward);
+            let (passes, unit) = reverse.as_ref().unwrap_or(&forward);
             let candidate = |(k, &estimator): (usize, &Estimator)| Candidate {
                 estimator,
-                pilot: forward[k],
-                pass: reverse.as_ref().unwrap_or(&forward)[k],
+                pilot: forward.0[k] / unit,
+                pass: passes[k] / unit,
             };
             let all = candidates.iter().enumerate().map(candidate);
             all.collect::<Vec<Candidate>>()

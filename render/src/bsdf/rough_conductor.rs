@@ -107,6 +107,20 @@ fn reflection_where<R: Real>(microfacet: &Microfacet<R>, [d, sigma]: [R; 2], wi:
     d * (wi.z.abs() / (sigma * microfacet.sigma(wi) * R::c(4.0)))
 }
 
+/// The change of [`reflection`] through the distribution of normals alone: tangents with primal part zero.
+#[inline]
+pub(super) fn reflection_of_normals<R: Real>(
+    microfacet: &Microfacet<R>,
+    wo: Vec3<R::Primal>,
+    wi: Vec3<R::Primal>,
+    m: Vec3<R::Primal>,
+) -> R {
+    let d = microfacet.d(Vec3::lift(m));
+    let still = microfacet.primal();
+    let per_normal = reflection_where(&still, [R::Primal::one(), still.sigma(wo)], wi);
+    (d - Const(d.primal())) * Const(per_normal)
+}
+
 /// Density of [`sample_reflected_differential`] at `wi`.
 #[inline]
 pub(super) fn pdf_reflected_differential<P: Float>(
@@ -147,14 +161,6 @@ pub(super) fn reflect<R: Real>(w: Vec3<R>, m: Vec3<R>) -> Vec3<R> {
 }
 
 impl<R: Real> RoughConductorLobe<R> {
-    #[inline]
-    fn primal(&self) -> RoughConductorLobe<R::Primal> {
-        RoughConductorLobe {
-            microfacet: self.microfacet.primal(),
-            facet: self.facet.primal(),
-        }
-    }
-
     /// A facet's normal, and the direction it reflects `wo` to.
     #[inline]
     fn sample_facet(&self, wo: Vec3<R>, u: [R::Primal; 3]) -> Option<(Vec3<R>, Vec3<R>)> {
@@ -264,12 +270,8 @@ impl<R: Real> Lobe<R> for RoughConductorLobe<R> {
         let Some(m) = half_vector(wo, wi) else {
             return Rgb::black();
         };
-        let d = self.microfacet.d(Vec3::lift(m));
-        let still = self.primal();
-        let sigma = still.microfacet.sigma(wo);
-        let rest = reflection_where(&still.microfacet, [R::Primal::one(), sigma], wi);
-        let rest = still.facet.reflectance(wo.dot(m)) * rest;
-        Rgb::lift(rest) * (d - Const(d.primal()))
+        let facet = self.facet.primal().reflectance(wo.dot(m));
+        Rgb::lift(facet) * reflection_of_normals(&self.microfacet, wo, wi, m)
     }
 
     /// The normal is a constant, too.

@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use super::microfacet::{ALPHA_RANGE, Microfacet, Ndf};
 use super::plastic::{Coated, CoatedLobe};
 use super::rough_conductor::{
-    Roughness, half_vector, pdf_reflected_differential, reflect, reflection,
+    Roughness, half_vector, pdf_reflected_differential, reflect, reflection, reflection_of_normals,
     sample_reflected_differential,
 };
 use super::{
@@ -157,9 +157,8 @@ impl<R: Real> Lobe<R> for RoughPlasticLobe<R> {
             return Rgb::black();
         };
         let f = fresnel::dielectric(wo.dot(m), self.coated.eta).reflect;
-        let coat = f * reflection(&self.microfacet.primal(), wo, wi, m);
-        let value = self.coated.specular_reflectance.primal() * coat;
-        Rgb::lift(value) * self.microfacet.change(m)
+        let coat = self.coated.specular_reflectance.primal() * f;
+        Rgb::lift(coat) * reflection_of_normals(&self.microfacet, wo, wi, m)
     }
 
     #[inline]

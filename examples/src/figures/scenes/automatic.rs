@@ -7,6 +7,7 @@ use rayon::prelude::*;
 use render::auto::{self, Mixture};
 use render::bsdf::microfacet::Ndf;
 use render::instances::{Direction, Estimator, Mode};
+use render::params::Theta;
 use render::{RenderError, Scene};
 
 use super::backpropagation;
@@ -153,8 +154,11 @@ fn spread<'a>(
     Ok(variance(&images?))
 }
 
-/// What a sample of each estimator takes, for each parameter.
-struct Clock(Vec<(Estimator, Vec<Sample>)>);
+/// What a sample of each estimator takes: for each parameter in forward mode, for all together in reverse mode.
+struct Clock {
+    mode: Mode,
+    samples: Vec<(Estimator, Vec<Sample>)>,
+}
 
 /// Seconds, the median of passes in turns, and counted work.
 #[derive(Clone, Copy, Debug)]
@@ -164,45 +168,68 @@ struct Sample {
 }
 
 impl Clock {
-    fn of(subject: &Subject, estimators: &[Estimator], effort: Effort) -> Result<Self> {
+    fn of(subject: &Subject, estimators: &[Estimator], effort: Effort, mode: Mode) -> Result<Self> {
         let (scene, s) = (&subject.scene, &subject.scene.settings);
-        let values = scene.params().values();
+        let theta = Theta::constant(scene.params().values());
+        let ones = vec![1.0; scene.film.pixels() * 3];
         let spp = (effort.spp / TURNS).max(1);
-        let mut out: Vec<_> = estimators.iter().map(|&e| (e, Vec::new())).collect();
-        for name in &subject.params {
-            let along = [Direction::uniform(scene.params(), name)?];
-            let works = auto::costs(scene, &[name], estimators, Mode::Forward, s, SEED)?;
+        let mut samples: Vec<_> = estimators.iter().map(|&e| (e, Vec::new())).collect();
+        let passes = match mode {
+            Mode::Forward => subject.params.chunks(1),
+            Mode::Reverse => subject.params.chunks(subject.params.len()),
+        };
+        for names in passes {
+            let along = [Direction::uniform(scene.params(), &names[0])?];
+            let works = auto::costs(scene, names, estimators, mode, s, SEED)?;
             let mut seconds = vec![Vec::new(); estimators.len()];
             for round in 0..TURNS {
                 for (e, seconds) in estimators.iter().zip(&mut seconds) {
+                    let active = e.active(scene, names);
                     let start = Instant::now();
-                    e.forward_f32(scene, values, &along, s, round, 0..spp, &())?;
+                    match mode {
+                        Mode::Forward => {
+                            let values = scene.params().values();
+                            e.forward_f32(scene, values, &along, s, round, 0..spp, &())?;
+                        }
+                        Mode::Reverse => {
+                            e.backward_f32(scene, &theta, &active?, &ones, s, round, 0..spp, &())?;
+                        }
+                    }
                     seconds.push(start.elapsed().as_secs_f64() / spp as f64);
                 }
             }
-            for ((_, samples), (mut of, work)) in out.iter_mut().zip(seconds.into_iter().zip(works))
+            for ((_, of), (mut seconds, work)) in
+                samples.iter_mut().zip(seconds.into_iter().zip(works))
             {
-                of.sort_by(f64::total_cmp);
-                let seconds = of[of.len() / 2];
-                samples.push(Sample { seconds, work });
+                seconds.sort_by(f64::total_cmp);
+                let seconds = seconds[seconds.len() / 2];
+                of.push(Sample { seconds, work });
             }
         }
-        Ok(Self(out))
+        Ok(Self { mode, samples })
     }
 
     /// Of the parameter with this index.
     fn sample(&self, e: Estimator, param: usize) -> Result<Sample> {
-        let found = self.0.iter().find(|(known, _)| *known == e);
-        Ok(found.ok_or("an estimator that was not timed")?.1[param])
+        let found = self.samples.iter().find(|(known, _)| *known == e);
+        let of = &found.ok_or("an estimator that was not timed")?.1;
+        Ok(match self.mode {
+            Mode::Forward => of[param],
+            Mode::Reverse => of[0],
+        })
     }
 
-    /// What a mixture takes that has all the work for a parameter.
+    /// What a mixture takes that has all the work: for a parameter in forward mode.
     fn all(&self, m: &Mixture, subject: &Subject, param: usize, work: u64) -> Result<Sample> {
+        let passes = match self.mode {
+            Mode::Forward => m.samples(&subject.params[param], work),
+            Mode::Reverse => m.passes(work),
+        };
         let mut sum = Sample {
             seconds: 0.0,
             work: 0.0,
         };
-        for (e, samples) in m.samples(&subject.params[param], work) {
+        for (e, samples) in passes {
             let one = self.sample(e, param)?;
             sum.seconds += samples as f64 * one.seconds;
             sum.work += samples as f64 * one.work;
@@ -211,27 +238,36 @@ impl Clock {
     }
 }
 
-/// Everything measured in one scene: per estimator, per parameter.
+/// Variance of a sample, for each parameter.
+type Variances = Vec<f64>;
+
+/// Everything measured in one scene and mode: per estimator, per parameter.
 struct Trial {
     singles: Vec<(Estimator, Vec<Spent>)>,
     auto: Vec<Spent>,
-    /// Trust in lights as measured, and by the heuristics.
-    measured: Option<(Vec<Spent>, [Vec<Spent>; 2])>,
     chosen: Mixture,
 }
 
-fn single(subject: &Subject, e: Estimator, effort: Effort, clock: &Clock) -> Result<Vec<Spent>> {
+/// By as many samples as the work is worth in forward mode.
+fn single(subject: &Subject, e: Estimator, effort: Effort, forward: &Clock) -> Result<Variances> {
     let only = Mixture::only(&subject.scene, e, &subject.params);
     let of = |(k, param): (usize, &String)| {
-        let sample = clock.sample(e, k)?;
-        let spp = ((effort.spp as f64 / sample.work).round() as u64).max(1);
-        let total = spread(subject, param, effort, |_| (&only, spp))? * spp as f64;
-        Ok(Spent {
-            work: total * sample.work,
-            seconds: total * sample.seconds,
-        })
+        let work = forward.sample(e, k)?.work;
+        let spp = ((effort.spp as f64 / work).round() as u64).max(1);
+        Ok(spread(subject, param, effort, |_| (&only, spp))? * spp as f64)
     };
     subject.params.iter().enumerate().map(of).collect()
+}
+
+fn spent(e: Estimator, variances: &Variances, clock: &Clock) -> Result<Vec<Spent>> {
+    let of = |(k, variance): (usize, &f64)| {
+        let Sample { work, seconds } = clock.sample(e, k)?;
+        Ok(Spent {
+            work: variance * work,
+            seconds: variance * seconds,
+        })
+    };
+    variances.iter().enumerate().map(of).collect()
 }
 
 fn mixed(
@@ -253,7 +289,7 @@ fn mixed(
             p,
             &ones,
             candidates,
-            Mode::Forward,
+            clock.mode,
             s,
             seed,
             BUDGET,
@@ -302,6 +338,38 @@ fn best(singles: &[(Estimator, Vec<Spent>)], pick: impl Fn(&Spent) -> f64) -> Ve
     (0..params).map(least).collect()
 }
 
+/// Efficiencies in one mode, over that of the best single estimator.
+struct Standing {
+    /// By work and by the clock.
+    singles: Vec<(Estimator, [f64; 2])>,
+    auto: [f64; 2],
+    favourite: Estimator,
+}
+
+impl Standing {
+    fn of(trial: &Trial) -> Result<Self> {
+        let picks: [fn(&Spent) -> f64; 2] = [|s| s.work, |s| s.seconds];
+        let units = picks.map(|pick| best(&trial.singles, pick));
+        let of = |spent: &[Spent]| [0, 1].map(|i| efficiency(spent, &units[i], picks[i]));
+        let singles: Vec<_> = (trial.singles.iter())
+            .map(|(e, spent)| (*e, of(spent)))
+            .collect();
+        let most = |i: usize| singles.iter().max_by(|a, b| a.1[i].total_cmp(&b.1[i]));
+        let (Some(by_work), Some(by_clock)) = (most(0), most(1)) else {
+            return Err("no estimator".into());
+        };
+        let relative = |[work, clock]: [f64; 2]| [work / by_work.1[0], clock / by_clock.1[1]];
+        Ok(Self {
+            favourite: by_work.0,
+            auto: relative(of(&trial.auto)),
+            singles: singles
+                .iter()
+                .map(|(e, found)| (*e, relative(*found)))
+                .collect(),
+        })
+    }
+}
+
 /// `auto-estimator`.
 ///
 /// # Errors
@@ -319,61 +387,51 @@ pub fn figure(fig: &mut Figure) -> Result {
     let mut series: Vec<(&'static str, Vec<(f64, f64)>)> = Vec::new();
     let mut weights = Vec::new();
     for (k, subject) in subjects(fig.quick())?.iter().enumerate() {
-        let trial = trial(subject, effort, k < 2)?;
-        let work = |s: &Spent| s.work;
-        let units = best(&trial.singles, work);
-        let of = |spent: &[Spent]| efficiency(spent, &units, work);
-        let (favourite, most) = trial
-            .singles
-            .iter()
-            .map(|(e, spent)| (*e, of(spent)))
-            .max_by(|a, b| a.1.total_cmp(&b.1))
-            .ok_or("no estimator")?;
-        let mine = of(&trial.auto);
-        let seconds = |s: &Spent| s.seconds;
-        let clock = best(&trial.singles, seconds);
-        let by_clock = |spent: &[Spent]| efficiency(spent, &clock, seconds);
-        let fastest = (trial.singles.iter()).fold(0.0f64, |m, (_, spent)| m.max(by_clock(spent)));
-        let timed = by_clock(&trial.auto) / fastest;
-        let chosen: Vec<String> = (trial.chosen.shares().iter())
-            .map(|(e, share)| format!("{} {:.0} %", e.name(), 100.0 * share))
-            .collect();
-        fig.check(
-            format!(
-                "(a) {}: auto is at least 0.9 times as efficient as the best single one, by work",
-                subject.name
-            ),
-            mine >= 0.9 * most,
-            format!(
-                "by work {:.2} times {}, by the clock {timed:.2} times the best; chose {}; pilots {:.1} % of the work",
-                mine / most,
-                favourite.name(),
-                chosen.join(" + "),
-                100.0 * trial.chosen.spent() / BUDGET as f64
-            ),
-        );
-        let names = trial.singles.iter().map(|(e, s)| (e.name(), &s[..]));
-        for (name, spent) in names.chain([("auto", &trial.auto[..])]) {
-            let [relative, timed] = [of(spent) / most, by_clock(spent) / fastest];
-            rows.push([
-                subject.name.to_owned(),
-                name.to_owned(),
-                relative.to_string(),
-                timed.to_string(),
-            ]);
-            match series.iter_mut().find(|s| s.0 == name) {
-                Some((_, points)) => points.push((k as f64 + 1.0, relative)),
-                None => series.push((name, vec![(k as f64 + 1.0, relative)])),
+        let (trials, measured) = trial(subject, effort, k < 2)?;
+        for (mode, auto, trial) in [
+            ("forward", "auto", &trials[0]),
+            ("reverse", "auto, reverse mode", &trials[1]),
+        ] {
+            let standing = Standing::of(trial)?;
+            let chosen: Vec<String> = (trial.chosen.shares().iter())
+                .map(|(e, share)| format!("{} {:.0} %", e.name(), 100.0 * share))
+                .collect();
+            let [work, clock] = standing.auto;
+            fig.check(
+                format!(
+                    "(a) {}, {mode} mode: auto is at least 0.9 times as efficient as the best single one, by work",
+                    subject.name
+                ),
+                work >= 0.9,
+                format!(
+                    "by work {work:.2} times {}, by the clock {clock:.2} times the best; chose {}; pilots {:.1} % of the work",
+                    standing.favourite.name(),
+                    chosen.join(" + "),
+                    100.0 * trial.chosen.spent() / BUDGET as f64
+                ),
+            );
+            let singles = standing.singles.iter().map(|(e, found)| (e.name(), *found));
+            for (name, [work, clock]) in singles.chain([("auto", standing.auto)]) {
+                rows.push([
+                    subject.name.to_owned(),
+                    mode.to_owned(),
+                    name.to_owned(),
+                    work.to_string(),
+                    clock.to_string(),
+                ]);
+                let shown = match (name, mode) {
+                    ("auto", _) => auto,
+                    (_, "forward") => name,
+                    _ => continue,
+                };
+                match series.iter_mut().find(|s| s.0 == shown) {
+                    Some((_, points)) => points.push((k as f64 + 1.0, work)),
+                    None => series.push((shown, vec![(k as f64 + 1.0, work)])),
+                }
             }
         }
-        if let Some((mixed, known)) = &trial.measured {
-            let gains = [&known[0], &known[1]].map(|s| of(mixed) / of(s));
-            let alone = |e: Estimator| {
-                let found = trial.singles.iter().find(|s| s.0 == e);
-                found.map_or(0.0, |s| of(&s.1) / of(&known[0]))
-            };
-            let fixed = [Estimator::MisTrustLights, Estimator::MisTrustBsdf].map(alone);
-            weights.push((subject.name, gains, fixed));
+        if let Some(measured) = measured {
+            weights.push((subject.name, measured));
         }
     }
     signed(fig, &weights);
@@ -381,6 +439,7 @@ pub fn figure(fig: &mut Figure) -> Result {
         "efficiency",
         &[
             "scene",
+            "mode",
             "estimator",
             "1 / (variance x work)",
             "1 / (variance x seconds)",
@@ -397,6 +456,7 @@ pub fn figure(fig: &mut Figure) -> Result {
     for (name, points) in series {
         chart = match name {
             "auto" => chart.measured(name, points),
+            "auto, reverse mode" => chart.points(name, points),
             _ if CHARTED.iter().any(|e| e.name() == name) => chart.points(name, points),
             _ => chart,
         };
@@ -405,16 +465,24 @@ pub fn figure(fig: &mut Figure) -> Result {
     Ok(())
 }
 
+/// Efficiency of weights by measured variance over balance and power heuristic, and of lights trusted eight times more and
+/// less over balance.
+struct Measured {
+    gains: [f64; 2],
+    fixed: [f64; 2],
+}
+
 /// Weights by measured variance against the heuristics.
-fn signed(fig: &mut Figure, found: &[(&str, [f64; 2], [f64; 2])]) {
-    let text = |(scene, [balance, power], [more, less]): &(&str, [f64; 2], [f64; 2])| {
+fn signed(fig: &mut Figure, found: &[(&str, Measured)]) {
+    let text = |(scene, found): &(&str, Measured)| {
+        let ([balance, power], [more, less]) = (found.gains, found.fixed);
         format!(
             "{scene}: {balance:.2} and {power:.2} times; lights trusted 8 times more {more:.2}, less {less:.2} \
              times balance"
         )
     };
     let texts: Vec<String> = found.iter().map(text).collect();
-    let worst = found.iter().map(|f| f.1[0]).fold(f64::INFINITY, f64::min);
+    let worst = (found.iter().map(|(_, f)| f.gains[0])).fold(f64::INFINITY, f64::min);
     fig.check(
         "(b) trust in lights by the measured variance of the derivative: not worse than the balance heuristic \
          by more than the pilots and 10 %",
@@ -426,7 +494,12 @@ fn signed(fig: &mut Figure, found: &[(&str, [f64; 2], [f64; 2])]) {
     );
 }
 
-fn trial(subject: &Subject, effort: Effort, heuristics: bool) -> Result<Trial> {
+/// Forward and reverse mode, and in the former weights by measured variance if `heuristics`.
+fn trial(
+    subject: &Subject,
+    effort: Effort,
+    heuristics: bool,
+) -> Result<([Trial; 2], Option<Measured>)> {
     let params = subject.scene.params();
     let mut estimators = Vec::new();
     for &e in Estimator::ALL {
@@ -441,23 +514,38 @@ fn trial(subject: &Subject, effort: Effort, heuristics: bool) -> Result<Trial> {
             estimators.push(e);
         }
     }
-    let clock = Clock::of(subject, &estimators, effort)?;
-    let singles = (estimators.iter()).map(|&e| Ok((e, single(subject, e, effort, &clock)?)));
-    let singles = singles.collect::<Result<_>>()?;
+    let forward = Clock::of(subject, &estimators, effort, Mode::Forward)?;
+    let reverse = Clock::of(subject, &estimators, effort, Mode::Reverse)?;
+    let variances = (estimators.iter()).map(|&e| Ok((e, single(subject, e, effort, &forward)?)));
+    let variances: Vec<(Estimator, Variances)> = variances.collect::<Result<_>>()?;
     let candidates = auto::candidates(&subject.scene);
-    let (auto, chosen) = mixed(subject, &candidates, effort, &clock)?;
+    let of = |clock: &Clock| -> Result<Trial> {
+        let singles = (variances.iter()).map(|(e, found)| Ok((*e, spent(*e, found, clock)?)));
+        let (auto, chosen) = mixed(subject, &candidates, effort, clock)?;
+        Ok(Trial {
+            singles: singles.collect::<Result<_>>()?,
+            auto,
+            chosen,
+        })
+    };
+    let (first, second) = (of(&forward)?, of(&reverse)?);
     let measured = match heuristics {
         true => {
-            let own = mixed(subject, &FAMILY, effort, &clock)?.0;
-            let [a, b] = HEURISTICS.map(|e| single(subject, e, effort, &clock));
-            Some((own, [a?, b?]))
+            let units = best(&first.singles, |s| s.work);
+            let of = |spent: &[Spent]| efficiency(spent, &units, |s| s.work);
+            let alone = |e: Estimator| {
+                let found = first.singles.iter().find(|s| s.0 == e);
+                found.map_or(0.0, |s| of(&s.1))
+            };
+            let own = of(&mixed(subject, &FAMILY, effort, &forward)?.0);
+            let [balance, power] = HEURISTICS.map(alone);
+            let fixed = [Estimator::MisTrustLights, Estimator::MisTrustBsdf];
+            Some(Measured {
+                gains: [own / balance, own / power],
+                fixed: fixed.map(|e| alone(e) / balance),
+            })
         }
         false => None,
     };
-    Ok(Trial {
-        singles,
-        auto,
-        measured,
-        chosen,
-    })
+    Ok(([first, second], measured))
 }
