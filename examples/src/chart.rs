@@ -6,6 +6,7 @@ use std::ops::Range;
 use std::sync::Once;
 
 use plotters::coord::Shift;
+use plotters::coord::combinators::WithKeyPoints;
 use plotters::coord::ranged1d::{AsRangedCoord, Ranged, ValueFormatter};
 use plotters::prelude::*;
 use render::Image;
@@ -211,9 +212,9 @@ impl LineChart {
         let y = self.range(self.y_range, self.log.1, |p| p.1);
         match self.log {
             (false, false) => self.draw_on(&area, x, y)?,
-            (true, false) => self.draw_on(&area, x.log_scale(), y)?,
-            (false, true) => self.draw_on(&area, x, y.log_scale())?,
-            (true, true) => self.draw_on(&area, x.log_scale(), y.log_scale())?,
+            (true, false) => self.draw_on(&area, logarithmic(x), y)?,
+            (false, true) => self.draw_on(&area, x, logarithmic(y))?,
+            (true, true) => self.draw_on(&area, logarithmic(x), logarithmic(y))?,
         }
         area.present()?;
         Ok(())
@@ -241,8 +242,8 @@ impl LineChart {
             .axis_desc_style((FONT, 18))
             .label_style((FONT, 15))
             .light_line_style(RGBColor(238, 238, 238))
-            .x_label_formatter(&|v| tick(*v, self.log.0))
-            .y_label_formatter(&|v| tick(*v, self.log.1))
+            .x_label_formatter(&|v| number(*v))
+            .y_label_formatter(&|v| number(*v))
             .draw()?;
         for (i, s) in self.series.iter().enumerate() {
             let colour = COLOURS[i % COLOURS.len()];
@@ -298,8 +299,7 @@ impl LineChart {
     }
 }
 
-/// The range, widened to the nearest power of ten if it holds none: the drawing library numbers a
-/// logarithmic axis at those.
+/// The range, widened to the nearest power of ten if it holds none, so that it has a number.
 fn with_power_of_ten(range: Range<f64>) -> Range<f64> {
     let (low, high) = (range.start.log10(), range.end.log10());
     if low.ceil() <= high {
@@ -311,17 +311,31 @@ fn with_power_of_ten(range: Range<f64>) -> Range<f64> {
     }
 }
 
-/// What stands at a line of the grid. On logarithmic axes only at 1, 2 and 5 of a decade: the others would overlap.
-fn tick(v: f64, log: bool) -> String {
-    let leading = v / 10f64.powf(v.log10().floor());
-    if log
-        && ![1.0, 2.0, 5.0, 10.0]
-            .iter()
-            .any(|d| (leading - d).abs() < 1e-6)
-    {
-        return String::new();
+/// A logarithmic axis, with numbers at [`ticks`].
+fn logarithmic(range: Range<f64>) -> WithKeyPoints<LogCoord<f64>> {
+    let ticks = ticks(&range);
+    range.log_scale().with_key_points(ticks)
+}
+
+/// Numbers on a logarithmic axis: at 1, 2 and 5 of each decade, or at as many powers of ten as do not overlap. The drawing
+/// library itself knows none below the first power of ten.
+fn ticks(range: &Range<f64>) -> Vec<f64> {
+    const MOST: usize = 12;
+    let decades = range.start.log10().floor() as i32..=range.end.log10().ceil() as i32;
+    let of = |leading: &[f64], every: usize| -> Vec<f64> {
+        let decades = decades.clone().filter(|d| d.rem_euclid(every as i32) == 0);
+        let all = decades.flat_map(|d| leading.iter().map(move |l| l * 10f64.powi(d)));
+        all.filter(|v| range.contains(v) || *v == range.end)
+            .collect()
+    };
+    let mut found = of(&[1.0, 2.0, 5.0], 1);
+    for every in 1.. {
+        if found.len() <= MOST {
+            break;
+        }
+        found = of(&[1.0], every);
     }
-    number(v)
+    found
 }
 
 /// A short decimal: `0.25`, `1e-6`.
@@ -589,9 +603,13 @@ mod tests {
         assert!(grid(2, &[]).is_ok());
     }
 
-    /// The drawing library numbers powers of ten only, here none of x and one of y.
+    /// Numbers below the first power of ten as well, and not too many.
     #[test]
     fn logarithmic_axes_have_numbers() {
+        assert_eq!(ticks(&(0.012..0.4)), [0.02, 0.05, 0.1, 0.2]);
+        assert_eq!(ticks(&(0.9..1.1)), [1.0]);
+        assert_eq!(ticks(&(1e-7..2.0)).len(), 8);
+        assert!(ticks(&(1e-100..1e100)).len() > 6);
         let chart = LineChart::new("", "", "").log_x().log_y();
         let svg = chart
             .measured("", [(0.02, 0.9), (0.08, 1.1)])
@@ -599,9 +617,8 @@ mod tests {
             .unwrap();
         let text = |line: &str| line.trim().parse::<f64>().ok();
         let numbers: Vec<f64> = svg.lines().filter_map(text).collect();
-        for power in [0.1, 1.0] {
-            let found = numbers.iter().filter(|n| **n == power).count();
-            assert!(found > 0, "{power} among {numbers:?}");
+        for number in [0.02, 0.05, 0.1, 1.0] {
+            assert!(numbers.contains(&number), "{number} among {numbers:?}");
         }
     }
 
