@@ -299,6 +299,22 @@ fn pilots_keep_to_the_budget() {
     }
 }
 
+/// Passes take the work that is asked for, as costs in the mode of the passes count it.
+#[test]
+fn passes_take_the_work_asked_for() {
+    let scene = halves(16);
+    let names = &NAMES[..1];
+    let mixture = chosen(&scene, names, &candidates(&scene), 100_000);
+    let (estimators, samples): (Vec<_>, Vec<_>) = mixture.passes(1000).into_iter().unzip();
+    let s = &scene.settings;
+    let costs = auto::costs(&scene, names, &estimators, Mode::Reverse, s, 5).expect("a name");
+    let work: f64 = costs.iter().zip(&samples).map(|(c, &n)| c * n as f64).sum();
+    assert!(
+        (work / 1000.0 - 1.0).abs() < 0.1,
+        "{work}: {estimators:?} {samples:?} {costs:?}"
+    );
+}
+
 #[test]
 fn what_nobody_sees_is_an_error() {
     let scene = halves(16);
