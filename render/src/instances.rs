@@ -569,7 +569,7 @@ macro_rules! estimators {
                 let tally = match self {
                     $(Self::$variant => tally::<$strategy, Spread>,)*
                 };
-                tally(scene, active, settings, mode, seed, paths).work(mode)
+                tally(scene, active, settings, mode, seed, paths).work()
             }
 
             fn forward<R: Components>(self) -> Forward<R> {

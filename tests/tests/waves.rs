@@ -1,39 +1,48 @@
 //! Waves of paths do what single paths do: the same radiance bit by bit, the same derivatives to rounding.
 
-use render::estimator::{BsdfOnly, Detached, DetachedMis, EmitterOnly, Strategy};
-use render::instances::{Estimator, Technique, render_f32};
+use ad_core::Dual;
+use render::estimator::{
+    AttachedDirect, AttachedWeights, BsdfOnly, Detached, DetachedMis, DetachedWeights,
+    Differential, EmitterOnly, Mis, Reparameterised, Sampling, Strategy,
+};
+use render::instances::{Direction, Estimator, Technique, render_f32};
 use render::integrator::gradient::Active;
 use render::integrator::path;
-use render::params::Theta;
+use render::integrator::render::Components;
+use render::params::{Tangent, Theta};
 use render::sampler::{Points, Sampler, Spread};
 use render::scene::{Caustics, LightChoice, Settings};
 use render::{Scene, auto};
 use tests::cases::{self, Case};
 use tests::{mean_adjoint, scene, smooth_params};
 
-/// The sums over the samples of all pixels, path by path.
-fn single<S: Strategy<Bsdf = Detached>>(
+/// The sums over the samples of all pixels, path by path: as [`Rendering::sums`](render::Rendering).
+fn single<R: Components<Primal = f32>, S: Strategy<Bsdf: Sampling<Geometry<R> = f32>>>(
     s: &Scene,
+    theta: &Theta<R>,
     settings: &Settings,
     seed: u64,
     spp: u64,
-) -> Vec<f64> {
-    let theta = Theta::constant(s.params().values());
+) -> Vec<Vec<f64>> {
     let [width, height] = s.film.crop_size;
-    let mut sums = Vec::new();
+    let mut sums = vec![Vec::new(); R::COUNT];
     for (y, x) in (0..height).flat_map(|y| (0..width).map(move |x| (y, x))) {
-        let mut sum = [0.0; 3];
+        let mut sum = vec![[0.0; 3]; R::COUNT];
         for index in 0..spp {
             let pixel = u64::from(y) * u64::from(width) + u64::from(x);
             let mut sampler = Spread::spread(settings.points, seed, pixel, index);
             let [dx, dy] = s.film.filter.sample(sampler.next_2d::<f32>());
             let ray = s.camera.ray(x as f32 + 0.5 + dx, y as f32 + 0.5 + dy);
-            let l = path::trace::<f32, S, Spread, ()>(s, &theta, settings, ray, sampler, &mut ());
-            for (sum, l) in sum.iter_mut().zip(l.to_array()) {
-                *sum += f64::from(l);
+            let l = path::trace::<R, S, Spread, ()>(s, theta, settings, ray, sampler, &mut ());
+            for (k, sum) in sum.iter_mut().enumerate() {
+                for (sum, l) in sum.iter_mut().zip(l.to_array()) {
+                    *sum += l.component(k);
+                }
             }
         }
-        sums.extend(sum);
+        for (sums, sum) in sums.iter_mut().zip(sum) {
+            sums.extend(sum);
+        }
     }
     sums
 }
@@ -119,11 +128,11 @@ fn assert_same(what: &str, s: &Scene, settings: &Settings, techniques: &[Techniq
     let (seed, spp) = (3, 8);
     for &technique in techniques {
         let single = match technique {
-            Technique::BsdfOnly => single::<BsdfOnly<Detached>>,
-            Technique::EmitterOnly => single::<EmitterOnly<Detached>>,
-            _ => single::<DetachedMis>,
+            Technique::BsdfOnly => single::<f32, BsdfOnly<Detached>>,
+            Technique::EmitterOnly => single::<f32, EmitterOnly<Detached>>,
+            _ => single::<f32, DetachedMis>,
         };
-        let expected = single(s, settings, seed, spp);
+        let expected = single(s, &theta, settings, seed, spp).swap_remove(0);
         assert!(expected.iter().any(|x| *x > 0.0) || technique != Technique::MisPower);
         let r = render_f32(s, &theta, technique, settings, seed, 0..spp, &());
         assert_eq!(r.non_finite.count, 0);
@@ -212,6 +221,76 @@ fn assert_same_gradients(what: &str, s: &Scene, settings: &Settings, name: &str)
             for (a, b) in a.iter().zip(b) {
                 let same = (a - b).abs() <= 1e-5 * largest;
                 assert!(same, "{what} {name} {param} {settings:?}: {a} {b}");
+            }
+        }
+    }
+}
+
+/// In forward mode, images are made of what waves keep.
+#[test]
+fn derivative_images_are_those_of_single_paths() {
+    for (case, mut s) in all() {
+        let plain = s.settings;
+        let lights = LightChoice::All;
+        for settings in [plain, Settings { lights, ..plain }] {
+            assert_same_tangents(case.name, &s, &settings);
+        }
+        assert!(auto::guide(&mut s, &plain, 1, &()), "{}", case.name);
+        assert_same_tangents(case.name, &s, &plain);
+    }
+}
+
+fn assert_same_tangents(what: &str, s: &Scene, settings: &Settings) {
+    type Pair = Mis<Differential, Detached, DetachedWeights>;
+    type Weighed = Mis<Detached, Detached, AttachedWeights>;
+    type PairWeighed = Mis<Differential, Detached, AttachedWeights>;
+    type Slowed = Mis<Reparameterised, Detached, AttachedWeights>;
+    type Moved = Mis<AttachedDirect, Detached, AttachedWeights>;
+    type Single = fn(&Scene, &Theta<Dual<f32, 1>>, &Settings, u64, u64) -> Vec<Vec<f64>>;
+    let estimators: [(&str, Single); 9] = [
+        ("mis", single::<_, DetachedMis>),
+        ("detached", single::<_, BsdfOnly<Detached>>),
+        ("emitter", single::<_, EmitterOnly<Detached>>),
+        ("differential", single::<_, BsdfOnly<Differential>>),
+        ("differential-mis", single::<_, Pair>),
+        ("mis-attached-weights", single::<_, Weighed>),
+        (
+            "differential-mis-attached-weights",
+            single::<_, PairWeighed>,
+        ),
+        ("reparameterised-mis", single::<_, Slowed>),
+        ("attached-mis-naive", single::<_, Moved>),
+    ];
+    let (seed, spp) = (5, 2);
+    let params = s.params();
+    // All together, and each alone: where nothing moves, nothing is differentiated.
+    let names: Vec<String> = smooth_params(s).into_iter().map(|p| p.name).collect();
+    let sets = [names.clone()].into_iter();
+    for names in sets.chain(names.into_iter().map(|n| vec![n])) {
+        let along: Vec<_> = names
+            .iter()
+            .map(|n| Direction::uniform(params, n))
+            .collect();
+        let along: Vec<_> = along.into_iter().map(|d| d.expect("a name")).collect();
+        let mut tangents = vec![Tangent::None; params.infos().len()];
+        for name in &names {
+            let param = params.handle(params.find(name).expect("a name"));
+            tangents[param.id as usize] = Tangent::Uniform(Dual::new(0.0, [1.0]));
+        }
+        let theta = Theta::with_tangents(params.values(), &tangents);
+        for (name, single) in estimators {
+            let estimator = Estimator::from_name(name).expect("a known name");
+            let values = params.values();
+            let found = estimator.forward_f32(s, values, &along, settings, seed, 0..spp, &());
+            let found = found.expect("an image");
+            assert_eq!(found.non_finite.count, 0);
+            let expected = single(s, &theta, settings, seed, spp);
+            for (k, (found, expected)) in found.sums.iter().zip(&expected).enumerate() {
+                let largest = expected.iter().fold(0.0, |m: f64, x| m.max(x.abs()));
+                for (a, b) in found.iter().zip(expected) {
+                    let same = (a - b).abs() <= 1e-4 * largest;
+                    assert!(same, "{what} {name} {names:?} {k} {settings:?}: {a} {b}");
+                }
             }
         }
     }

@@ -460,6 +460,33 @@ pub trait Bsdf: Send + Sync {
         grad: &mut impl GradSink<P>,
     );
 
+    /// The values used at this vertex, each times its adjoint, added up.
+    ///
+    /// # Derivatives
+    /// Those of [`Bsdf::backward`]: in the parameters, forward, of each channel by itself.
+    #[inline]
+    fn forward<R: Real>(
+        &self,
+        at: &Shading<R>,
+        wo: Vec3<R::Primal>,
+        uses: &[Use<R::Primal>],
+        mode: TransportMode,
+    ) -> Rgb<R> {
+        uses.iter().fold(Rgb::black(), |sum, u| {
+            let all = || {
+                let (wo, wi) = (Vec3::lift(wo), Vec3::lift(u.wi));
+                self.eval_component(at, wo, wi, u.component, mode)
+            };
+            let normals = || self.eval_normals(at, wo, u.wi, mode);
+            let value = match u.part {
+                Part::All => all(),
+                Part::Normals => normals(),
+                Part::Rest => all() - normals(),
+            };
+            sum + value * Rgb::lift(u.d)
+        })
+    }
+
     /// Calls `f` with every texture the material reads.
     fn visit_textures(&self, f: &mut dyn FnMut(TextureRef));
 
@@ -660,6 +687,20 @@ impl<L: Leaf> Bsdf for L {
         }
     }
 
+    #[inline(always)]
+    fn forward<R: Real>(
+        &self,
+        at: &Shading<R>,
+        wo: Vec3<R::Primal>,
+        uses: &[Use<R::Primal>],
+        mode: TransportMode,
+    ) -> Rgb<R> {
+        let lobe: L::Lobe<R> = self.lobe(&mut { *at });
+        uses.iter().fold(Rgb::black(), |sum, u| {
+            sum + still(&lobe, wo, u, mode) * Rgb::lift(u.d)
+        })
+    }
+
     fn visit_textures(&self, f: &mut dyn FnMut(TextureRef)) {
         self.lobe::<f32>(&mut List(f));
     }
@@ -716,6 +757,20 @@ impl<L: Leaf> Bsdf for L {
 /// Most differentiable textures a leaf may have.
 const MAX_SLOTS: usize = 4;
 
+/// The value of a lobe that was used.
+#[inline(always)]
+fn still<R: Real>(
+    lobe: &impl Lobe<R>,
+    wo: Vec3<R::Primal>,
+    u: &Use<R::Primal>,
+    mode: TransportMode,
+) -> Rgb<R> {
+    match u.component {
+        Component::Continuous => lobe.eval_still(wo, u.wi, u.part, mode),
+        Component::Delta { kind, .. } => lobe.eval_delta(Vec3::lift(wo), kind, mode),
+    }
+}
+
 /// The local vector-Jacobian product: the lobe is evaluated over duals whose `K` tangents are
 /// the active textures' values at this point, and contracted with the adjoints at once. Channels
 /// do not mix, so one tangent per RGB texture is enough (see [`crate::params`]).
@@ -736,10 +791,7 @@ fn leaf_backward<L: Leaf, P: Float, const K: usize>(
     let lobe = leaf.lobe::<Dual<P, K>>(&mut seeds);
     let mut d_slot = [Rgb::<P>::black(); K];
     for u in uses {
-        let value = match u.component {
-            Component::Continuous => lobe.eval_still(wo, u.wi, u.part, mode),
-            Component::Delta { kind, .. } => lobe.eval_delta(Vec3::lift(wo), kind, mode),
-        };
+        let value = still(&lobe, wo, u, mode);
         for (k, d) in d_slot.iter_mut().enumerate() {
             *d += Rgb::new(value.r.eps[k], value.g.eps[k], value.b.eps[k]) * u.d;
         }
@@ -978,6 +1030,12 @@ macro_rules! materials {
                 grad: &mut impl GradSink<P>,
             ) {
                 $crate::dispatch::dispatch!(self, [$($hot),*] [$($name),*], m => m.backward(at, wo, uses, mode, grad))
+            }
+            #[inline(always)]
+            fn forward<R: Real>(
+                &self, at: &Shading<R>, wo: Vec3<R::Primal>, uses: &[Use<R::Primal>], mode: TransportMode,
+            ) -> Rgb<R> {
+                $crate::dispatch::dispatch!(self, [$($hot),*] [$($name),*], m => m.forward(at, wo, uses, mode))
             }
             fn visit_textures(&self, f: &mut dyn FnMut(TextureRef)) {
                 match self { $(Self::$hot(m) => m.visit_textures(f),)* $(Self::$name(m) => m.visit_textures(f),)* }

@@ -52,6 +52,21 @@ fn turn<R: Real>(v: Vec3<R>, behind: bool) -> Vec3<R> {
     }
 }
 
+/// Calls `side` with the uses of one side, a few at a time.
+#[inline(always)]
+fn turned<P: Float>(uses: &[Use<P>], behind: bool, mut side: impl FnMut(&[Use<P>])) {
+    for uses in uses.chunks(2) {
+        let mut turned = [uses[0]; 2];
+        for (t, u) in turned.iter_mut().zip(uses) {
+            *t = Use {
+                wi: turn(u.wi, behind),
+                ..*u
+            };
+        }
+        side(&turned[..uses.len()]);
+    }
+}
+
 impl Bsdf for TwoSided {
     #[inline]
     fn eval_pdf<R: Real>(
@@ -155,16 +170,24 @@ impl Bsdf for TwoSided {
         grad: &mut impl GradSink<P>,
     ) {
         let (side, behind) = self.side(wo);
-        for uses in uses.chunks(2) {
-            let mut turned = [uses[0]; 2];
-            for (t, u) in turned.iter_mut().zip(uses) {
-                *t = Use {
-                    wi: turn(u.wi, behind),
-                    ..*u
-                };
-            }
-            side.backward(at, turn(wo, behind), &turned[..uses.len()], mode, grad);
-        }
+        turned(uses, behind, |uses| {
+            side.backward(at, turn(wo, behind), uses, mode, grad);
+        });
+    }
+
+    fn forward<R: Real>(
+        &self,
+        at: &Shading<R>,
+        wo: Vec3<R::Primal>,
+        uses: &[Use<R::Primal>],
+        mode: TransportMode,
+    ) -> Rgb<R> {
+        let (side, behind) = self.side(wo);
+        let mut sum = Rgb::black();
+        turned(uses, behind, |uses| {
+            sum += side.forward(at, turn(wo, behind), uses, mode);
+        });
+        sum
     }
 
     fn visit_textures(&self, f: &mut dyn FnMut(TextureRef)) {

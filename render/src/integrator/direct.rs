@@ -12,15 +12,14 @@ use std::marker::PhantomData;
 use ad_core::{Const, Float, Real, Vec2, Vec3};
 
 use super::boundary::{Freeze, freeze};
-use super::gradient::Active;
-use super::local::{LocalFn, pull_back};
+use super::local::LocalFn;
 use super::path::{MODE, frozen_pdf};
 use crate::accel::Hit;
 use crate::bsdf::{Bsdf, BsdfSample, Component, Material, Part, Shading};
 use crate::emitter::{Emission, Emitter, Moved};
 use crate::estimator::{Direct, Sampling, Strategy};
 use crate::math::{Frame, Rgb};
-use crate::params::{GradSink, Theta};
+use crate::params::Theta;
 use crate::sampler::{AUXILIARY_DIMENSIONS, Sampler};
 use crate::scene::{Intersection, Scene};
 use crate::shape::SurfaceInteraction;
@@ -172,7 +171,8 @@ impl<R: Real> Weighing<R> {
 /// `f w L_e / p` of the edge that left `from` and found light: what it adds to the radiance leaving `from`, MIS weight included.
 ///
 /// # Derivatives
-/// First derivatives in all parameters, through the sampled direction.
+/// First derivatives in the parameters `theta` of the material, through the sampled direction, and in those that
+/// emitters read, `emission`.
 ///
 /// # Reference
 /// [Zeltner 2021, Eqs. 4.31, 4.53, 4.54], with the sign of errata Z-4.54:
@@ -181,6 +181,7 @@ impl<R: Real> Weighing<R> {
 pub fn direct_light<R: Real>(
     scene: &Scene,
     theta: &Theta<R>,
+    emission: &Theta<R>,
     &Found { from, edge, lights }: &Found<R::Primal>,
     weighing: &Weighing<R>,
 ) -> Rgb<R> {
@@ -207,11 +208,10 @@ pub fn direct_light<R: Real>(
     let mut light = Rgb::black();
     for found in lights {
         let e = &scene.emitters()[found.emitter as usize];
-        let Some(emission) = e.hit_again(d, end.as_ref(), &found.emission) else {
+        let Some(place) = e.hit_again(d, end.as_ref(), &found.emission) else {
             continue;
         };
-        let emission: Emission<R> = emission;
-        let le = e.eval(theta, &emission);
+        let le = e.eval(emission, &place);
         light += match (pdf, weighing.hit) {
             (Some(pdf), Some(weight)) => {
                 let emitter_pdf = e.pdf(scene.lights(), si.p, d, end.as_ref());
@@ -323,8 +323,8 @@ pub struct Connected<P> {
     pub splits: bool,
 }
 
-/// The light at a vertex that is differentiated by itself: a function of the material there.
-struct Followed<'a, P, S> {
+/// The light at a vertex that strategy `S` differentiates by itself: a function of the material there.
+pub struct Followed<'a, P, S> {
     scene: &'a Scene,
     material: &'a Material,
     uv: Vec2<P>,
@@ -332,6 +332,26 @@ struct Followed<'a, P, S> {
     connected: Option<Connected<P>>,
     found: Option<Found<'a, P>>,
     strategy: PhantomData<S>,
+}
+
+impl<'a, P: Float, S: Strategy> Followed<'a, P, S> {
+    /// Of the light that was sampled at a vertex, and of what was found at the end of the edge from there.
+    pub fn at(
+        scene: &'a Scene,
+        (material, uv, wo): (u32, Vec2<P>, Vec3<P>),
+        connected: Option<Connected<P>>,
+        found: Option<Found<'a, P>>,
+    ) -> Self {
+        Self {
+            scene,
+            material: &scene.materials()[material as usize],
+            uv,
+            wo,
+            connected,
+            found,
+            strategy: PhantomData,
+        }
+    }
 }
 
 impl<P: Float, S: Strategy> LocalFn<P> for Followed<'_, P, S> {
@@ -351,35 +371,12 @@ impl<P: Float, S: Strategy> LocalFn<P> for Followed<'_, P, S> {
             let weight = S::weight_sampled(R::lift(light.mis_pdf), pdf);
             f * Rgb::lift(light.le) * (weight * Const(light.kept / light.mis_pdf))
         });
-        let found = (self.found.as_ref())
-            .map(|found| direct_light(self.scene, theta, found, &Weighing::of::<S>()));
+        let found = self.found.as_ref().map(|found| {
+            let emission = theta.primal().lift();
+            direct_light(self.scene, theta, &emission, found, &Weighing::of::<S>())
+        });
         connected.unwrap_or(Rgb::black()) + found.unwrap_or(Rgb::black())
     }
-}
-
-/// Adds the derivative of `d` times the light at a vertex that strategy `S` differentiates by itself: of the light that
-/// was sampled there, and of what was found at the end of the edge from there.
-pub fn pull_back_followed<P: Float, S: Strategy>(
-    scene: &Scene,
-    active: &Active,
-    theta: &Theta<P>,
-    (material, uv, wo): (u32, Vec2<P>, Vec3<P>),
-    connected: Option<Connected<P>>,
-    found: Option<Found<P>>,
-    d: Rgb<P>,
-    grad: &mut impl GradSink<P>,
-) {
-    let textures = active.textures(material);
-    let f = Followed::<P, S> {
-        scene,
-        material: &scene.materials()[material as usize],
-        uv,
-        wo,
-        connected,
-        found,
-        strategy: PhantomData,
-    };
-    pull_back(textures, theta, uv, &f, d, grad);
 }
 
 /// A sample of an emitter that moves: all that is needed to make it again.

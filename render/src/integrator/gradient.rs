@@ -11,8 +11,10 @@ use super::local::{ActiveTexture, LocalFn};
 use super::noise::{Noise, PixelNoise, Watch};
 use super::path::Context;
 use super::record::{Recorder, SumSink};
-use super::render::{InParts, NonFinite, Paths, Progress, Sample, Tile, place, start, tiles};
-use super::wave::{self, Record, Wave};
+use super::render::{
+    InParts, NonFinite, Paths, Progress, Sample, Tile, is_single, place, start, tiles,
+};
+use super::wave::{self, Adjoints, Record, Wave};
 use super::{particle, particle_gradient};
 use crate::bsdf::{Bsdf, Material, TextureRef};
 use crate::emitter::{AnyEmitter, Emitter};
@@ -607,8 +609,7 @@ impl<P: Float> Pass<'_, P> {
         exactly(scene, active, largest, progress, &|large| {
             let progress = InParts::new(progress, self.caustics);
             // In double precision, single paths check on waves.
-            let waves = const { wave::fits::<S>() && size_of::<P>() == size_of::<f32>() }
-                && active.scales.is_empty();
+            let waves = const { wave::fits::<S>() && is_single::<P>() } && active.scales.is_empty();
             let mut sums = match waves {
                 true => self.sums_of_waves::<S, X>(active, adjoint, large, &progress),
                 false => self.sums::<S, X>(active, large, &progress, each),
@@ -674,7 +675,8 @@ impl<P: Float> Pass<'_, P> {
             let mut sink = Sink::new(active, large);
             let mut non_finite = NonFinite::default();
             let mut wave = Wave::<P, X>::new();
-            let mut record = Record::of::<S>(active, scene);
+            let mut record = Record::of::<S>(active, scene, false);
+            let mut adjoints = Adjoints::of(scene, active, self.theta, &mut sink);
             for tile in tiles.iter().skip(job).step_by(jobs) {
                 if progress.cancelled() {
                     break;
@@ -689,7 +691,7 @@ impl<P: Float> Pass<'_, P> {
                     for ((_, at), _) in which.iter().zip(l).filter(|(_, l)| !l.is_finite()) {
                         non_finite.add(place(scene, at.pixel) as u64, at.index);
                     }
-                    record.backward::<S>(self.theta, l, &mut sink);
+                    record.differentiate::<S>(l, &mut adjoints);
                 };
                 tile.trace_waves::<P, S, X, _>(
                     &context,

@@ -749,7 +749,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
                 lights: &lights,
             };
             if !R::IS_PRIMAL {
-                self.l += beta * direct_light(scene, theta, &found, &Weighing::of::<S>());
+                self.l += beta * direct_light(scene, theta, theta, &found, &Weighing::of::<S>());
             }
             if O::ENABLED {
                 observer.followed(found);

@@ -8,8 +8,8 @@
 use ad_core::{Dual, Float, Real, Vec2, Vec3, array};
 
 use super::direct::{
-    Aimed, Connected, Departure, Found, FoundEdge, FoundLight, Weighing, aimed_light,
-    follows_edges, pull_back_followed,
+    Aimed, Connected, Departure, Followed, Found, FoundEdge, FoundLight, Weighing, aimed_light,
+    follows_edges,
 };
 use super::gradient::Active;
 use super::local::{LocalFn, Texels, pull_back, pull_back_second, pull_back_texels};
@@ -305,16 +305,9 @@ impl<'a, P: Float> Recorder<'a, P> {
                 let material = scene.shape_info(s.shape).material;
                 if self.active.material_active(material) {
                     let vertex = (material, s.uv, s.wo);
-                    pull_back_followed::<P, S>(
-                        scene,
-                        self.active,
-                        theta,
-                        vertex,
-                        connected,
-                        next_found,
-                        d,
-                        grad,
-                    );
+                    let light = Followed::<P, S>::at(scene, vertex, connected, next_found);
+                    let textures = self.active.textures(material);
+                    pull_back(textures, theta, s.uv, &light, d, grad);
                 }
             }
             let edge = found.next_if(|(first, ..)| *first >= v.lights.0);

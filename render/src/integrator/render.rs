@@ -6,9 +6,10 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use ad_core::{Dual, Float, Real, array};
 
 use super::batch::{self, PATHS};
+use super::gradient::Active;
 use super::particle;
 use super::path::{Context, Geometry, Observer, Walk, shifts};
-use super::wave::{Log, WIDTH, Wave};
+use super::wave::{self, Log, Record, Tangents, WIDTH, Wave};
 use crate::error::RenderError;
 use crate::estimator::{self, Sampling, Strategy, Unbiased};
 use crate::film::{Film, Image};
@@ -91,6 +92,8 @@ impl NonFinite {
 pub trait Components: Real {
     /// How many numbers.
     const COUNT: usize;
+    /// How often tangents have tangents: zero without any.
+    const ORDER: u32;
     /// Number `k`; 0 is the value.
     fn component(&self, k: usize) -> f64;
 }
@@ -99,6 +102,7 @@ macro_rules! single_component {
     ($($float:ty),*) => {$(
         impl Components for $float {
             const COUNT: usize = 1;
+            const ORDER: u32 = 0;
             #[inline]
             fn component(&self, _k: usize) -> f64 {
                 self.to_f64()
@@ -111,6 +115,7 @@ single_component!(f32, f64);
 /// The components of the value, then those of each tangent.
 impl<P: Components, const N: usize> Components for Dual<P, N> {
     const COUNT: usize = P::COUNT * (N + 1);
+    const ORDER: u32 = P::ORDER + 1;
     #[inline]
     fn component(&self, k: usize) -> f64 {
         let (outer, inner) = (k / P::COUNT, k % P::COUNT);
@@ -446,6 +451,11 @@ pub(crate) fn unchecked<R: Components, S: Unbiased, X: Sampler>(
 /// `[component][height][width][3]` of a tile, added up, and what went wrong there; empty if there was no time.
 type TileSums = (Vec<f64>, NonFinite);
 
+/// Whether a number has single precision.
+pub(super) const fn is_single<P: Float>() -> bool {
+    size_of::<P>() == size_of::<f32>()
+}
+
 /// All tiles, row by row.
 fn of_paths<R: Components, S: Strategy, X: Sampler>(
     scene: &Scene,
@@ -459,6 +469,18 @@ fn of_paths<R: Components, S: Strategy, X: Sampler>(
     let [width, height] = scene.film.crop_size;
     let tiles = tiles(width, height);
     let shifts = shifts::<R, S>(scene, theta);
+    let still = Context {
+        scene,
+        theta: &theta.primal(),
+        settings,
+        shifts: &[],
+        caustics,
+    };
+    let infos = scene.params().infos().iter();
+    let moving: Vec<_> = infos
+        .filter(|info| theta.moves(scene.params().handle(info)))
+        .collect();
+    let active = Active::of(scene, &moving);
     let spp = samples.end.saturating_sub(samples.start) as f64;
     parallel::map(tiles.len(), |i| {
         let tile = &tiles[i];
@@ -475,13 +497,6 @@ fn of_paths<R: Components, S: Strategy, X: Sampler>(
         if sums.is_empty() {
             return (sums, non_finite);
         }
-        let context = Context {
-            scene,
-            theta,
-            settings,
-            shifts: &shifts,
-            caustics,
-        };
         let mut add = |at: usize, sample: Sample, l: Rgb<R>| {
             if !l.is_finite() {
                 non_finite.add(place(scene, sample.pixel) as u64, sample.index);
@@ -496,31 +511,46 @@ fn of_paths<R: Components, S: Strategy, X: Sampler>(
             }
         };
         // In double precision, single paths check on waves.
-        if const { R::IS_PRIMAL && size_of::<R>() == size_of::<f32>() } {
-            let context = Context {
-                scene,
-                theta: &theta.primal(),
-                settings,
-                shifts: &[],
-                caustics,
-            };
+        if const { R::IS_PRIMAL && is_single::<R::Primal>() } {
             let mut wave = Wave::<R::Primal, X>::new();
+            let begin = |_: &mut (), _: &[(usize, Sample)]| ();
             let done = |_: &mut (), which: &[(usize, Sample)], l: &[Rgb<R::Primal>]| {
                 for (&(at, sample), &l) in which.iter().zip(l) {
                     add(at, sample, Rgb::lift(l));
                 }
             };
-            let begin = |_: &mut (), _: &[(usize, Sample)]| ();
-            tile.trace_waves::<_, S, X, ()>(
-                &context,
-                seed,
-                samples,
-                &mut wave,
-                &mut (),
-                begin,
-                done,
-            );
+            let log = &mut ();
+            tile.trace_waves::<_, S, X, _>(&still, seed, samples, &mut wave, log, begin, done);
+        } else if const { R::ORDER == 1 && is_single::<R::Primal>() && wave::fits::<S>() } {
+            let mut wave = Wave::<R::Primal, X>::new();
+            let mut record = Record::of::<S>(&active, scene, true);
+            let mut lifted = Vec::with_capacity(WIDTH);
+            let begin = |record: &mut Record<'_, _>, which: &[(usize, Sample)]| {
+                record.start(which.iter().map(|_| Rgb::splat(R::Primal::one())));
+            };
+            let done =
+                |record: &mut Record<'_, _>, which: &[(usize, Sample)], l: &[Rgb<R::Primal>]| {
+                    lifted.clear();
+                    lifted.extend(l.iter().map(|&l| Rgb::<R>::lift(l)));
+                    let mut tangents = Tangents {
+                        theta,
+                        l: &mut lifted,
+                    };
+                    record.differentiate::<S>(l, &mut tangents);
+                    for (&(at, sample), &l) in which.iter().zip(&lifted) {
+                        add(at, sample, l);
+                    }
+                };
+            let log = &mut record;
+            tile.trace_waves::<_, S, X, _>(&still, seed, samples, &mut wave, log, begin, done);
         } else {
+            let context = Context {
+                scene,
+                theta,
+                settings,
+                shifts: &shifts,
+                caustics,
+            };
             let mut paths = Paths::<R, S, X, _>::new(());
             tile.trace(&context, seed, samples, &mut paths, |at, sample, l, _| {
                 add(at, sample, l);

@@ -7,6 +7,7 @@ use super::direct::Found;
 use super::gradient::Active;
 use super::path::{Context, Observer, SampledLight};
 use super::render::start;
+use super::wave;
 use crate::emitter::AnyEmitter;
 use crate::estimator::{Direct, Sampling, Strategy};
 use crate::instances::Mode;
@@ -19,44 +20,44 @@ use crate::scene::{Scene, Settings};
 /// Paths are counted in so many shares, whatever the number of threads.
 const JOBS: usize = 64;
 
-/// The parts of samples, one line each: what it takes in forward and in reverse mode, in edges of a recorded path.
+/// The parts of samples, one line each: what it takes, in edges of a recorded path.
 macro_rules! parts {
-    ($($(#[doc = $doc:literal])* $part:ident [$forward:literal, $reverse:literal];)*) => {
+    ($($(#[doc = $doc:literal])* $part:ident [$price:literal];)*) => {
         #[derive(Clone, Copy, Debug)]
         enum Part {
             $($(#[doc = $doc])* $part,)*
         }
 
-        const PRICES: &[[f64; 2]] = &[$([$forward, $reverse],)*];
+        const PRICES: &[f64] = &[$($price,)*];
     };
 }
 
-// Least squares of the logarithms of times, up to a factor per scene, of all estimators in the scenes of `auto-estimator`,
-// in a room with metal boxes or a ball, on plates, and on a plane under an environment map. Over those of `mis` within
-// 15 per cent for four fifths of them.
+// Least squares of the logarithms of times in both modes, up to a factor per scene and mode, of all estimators in the
+// scenes of `auto-estimator`, in a room with and without metal boxes, on plates, and on a plane under an environment map.
+// Over those of `mis` within 15 per cent for five sixths of them.
 parts! {
     /// An edge of the path.
-    Edge [0.7, 1.0];
+    Edge [1.0];
     /// A sampled light.
-    Light [1.2, 1.0];
+    Light [0.9];
     /// An environment map in sight among them.
-    Map [2.2, 1.6];
+    Map [2.1];
     /// Any light in sight, where weights are differentiated.
-    WeighedLight [0.6, 0.3];
+    WeighedLight [0.2];
     /// A vertex where a derivative is taken.
-    Vertex [0.8, 0.4];
+    Vertex [0.8];
     /// A sample of the derivative of normals that has lights for rivals.
-    Rival [1.0, 0.5];
+    Rival [1.0];
     /// An edge of its path, or of that of one without rivals.
-    Walked [1.7, 1.1];
+    Walked [1.1];
     /// An edge to light that is differentiated by itself, with weights.
-    WeighedEdge [2.1, 3.1];
+    WeighedEdge [2.7];
     /// One without.
-    MovedEdge [1.6, 0.9];
+    MovedEdge [0.7];
     /// An auxiliary ray around one.
-    Ray [0.4, 0.4];
-    /// An edge of a path that moves as a whole.
-    Moving [0.1, 4.1];
+    Ray [0.4];
+    /// An edge of a path that moves as a whole, in reverse mode.
+    Moving [4.1];
 }
 
 /// How often the parts occur in some paths.
@@ -80,22 +81,21 @@ impl Tally {
         self
     }
 
-    /// Work of a sample, in edges of a path in reverse mode, whatever the mode.
-    pub fn work(&self, mode: Mode) -> f64 {
-        let price = |p: &[f64; 2]| match mode {
-            Mode::Forward => p[0],
-            Mode::Reverse => p[1],
-        };
+    /// Work of a sample, in edges of a recorded path, whatever the mode.
+    pub fn work(&self) -> f64 {
         let parts = self.parts.iter().zip(PRICES);
-        parts.map(|(&n, p)| n as f64 * price(p)).sum::<f64>() / self.paths.max(1) as f64
+        parts.map(|(&n, p)| n as f64 * p).sum::<f64>() / self.paths.max(1) as f64
     }
 }
 
-/// Watches paths that are differentiated: everywhere in forward mode, at what is active in reverse mode.
+/// Watches paths that are differentiated.
 struct Counter<'a> {
     scene: &'a Scene,
     active: &'a Active,
-    mode: Mode,
+    /// Whether light is looked for that no derivative needs: images have it.
+    image: bool,
+    /// Whether vertices are differentiated where nothing is active.
+    everywhere: bool,
     /// Whether lights are sampled.
     rivals: bool,
     /// Whether weights are differentiated.
@@ -110,7 +110,8 @@ impl<'a> Counter<'a> {
         Self {
             scene,
             active,
-            mode,
+            image: mode == Mode::Forward,
+            everywhere: mode == Mode::Forward && !wave::fits::<S>(),
             rivals: S::SAMPLES_EMITTERS,
             weighs: S::DIFFERENTIATED_WEIGHTS || S::FROZEN_WEIGHTS,
             rays: match S::Bsdf::DIRECT {
@@ -124,7 +125,7 @@ impl<'a> Counter<'a> {
 
 impl Observer<f32> for Counter<'_> {
     fn follows(&self, material: u32) -> bool {
-        self.mode == Mode::Forward || self.active.material_active(material)
+        self.everywhere || self.active.material_active(material)
     }
 
     fn follows_normals(&self, material: u32) -> bool {
@@ -132,7 +133,7 @@ impl Observer<f32> for Counter<'_> {
     }
 
     fn follows_light(&self) -> bool {
-        self.mode == Mode::Forward || self.active.any_emitter()
+        self.image || self.active.any_emitter()
     }
 
     fn vertex(
@@ -203,7 +204,7 @@ pub fn tally<S: Strategy, X: Sampler>(
                 let edge = u64::from(walk.ray.is_some());
                 tally.add(Part::Edge, edge);
                 tally.add(Part::Light, walk.shadow.is_some().into());
-                if !S::Bsdf::DETACHED_PATH {
+                if mode == Mode::Reverse && !S::Bsdf::DETACHED_PATH {
                     tally.add(Part::Moving, edge);
                 }
                 walk.step(&context, hit, visible, &mut counter);
@@ -267,9 +268,9 @@ mod tests {
             let alone = parts(&[(Edge, 1), (Vertex, 1)]);
             assert_eq!(counted::<BsdfOnly<Detached>>(&point, alpha, mode), alone);
         }
-        // Emission alone: the plate is a constant in reverse mode, and has no samples of normals.
-        for (mode, vertices) in [(Mode::Forward, 1), (Mode::Reverse, 0)] {
-            let direct = parts(&[(Edge, 1), (Light, 1), (Vertex, vertices)]);
+        // Emission alone: the plate is a constant, and has no samples of normals.
+        for mode in [Mode::Forward, Mode::Reverse] {
+            let direct = parts(&[(Edge, 1), (Light, 1)]);
             assert_eq!(counted::<Pair>(&point, power, mode), direct);
         }
         // A pair of one edge each, as far as they do not leave below the horizon.

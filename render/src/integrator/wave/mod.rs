@@ -1,7 +1,8 @@
 //! Still paths, many at a time and field by field.
 //!
 //! This is the path tracer of [`super::path`], number by number, for what is rendered most: scalars without
-//! tangents, where no sample or weight moves. The vertices of a wave of paths do the same things at the same time, in
+//! tangents, where no sample or weight moves. Derivatives of both modes are made of what a wave keeps ([`record`]), where
+//! it is known which values change ([`ends`]). The vertices of a wave of paths do the same things at the same time, in
 //! loops over arrays that call what the path tracer calls for one vertex. Nothing in such a loop is decided by a
 //! branch, so the compiler makes vector instructions of it. Materials other than diffuse ones, and what emitters do
 //! beside being sampled as a single rectangle or as balls, are called vertex by vertex in between.
@@ -9,13 +10,15 @@
 // Each loop is over many arrays at a time.
 #![allow(clippy::needless_range_loop)]
 
-mod adjoint;
+mod ends;
 mod lanes;
+mod record;
 
 use ad_core::{Const, Float, Vec2, Vec3};
-pub(super) use adjoint::Record;
+pub(super) use ends::{Adjoints, Tangents};
 pub(super) use lanes::WIDTH;
 use lanes::{Field, Lane, Lanes, lanes, whole};
+pub(super) use record::Record;
 
 use super::batch;
 use super::direct::{Departure, FoundEdge, follows_edges};
@@ -408,16 +411,20 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         if const { S::Bsdf::DIFFERENTIAL && L::ENABLED }
             && let Some(aside) = &mut self.aside
         {
-            aside.follow::<Still<S>>(context, u32::MAX);
+            aside.follow::<S, Still<S>>(context, u32::MAX);
             let samples = self.branches.iter().zip(&aside.l);
             log.normals(samples.map(|(b, l)| (b.wi, l.scale(b.pdf.recip()))));
         }
     }
 
     /// Follows the paths until their next edge is the `end`-th. Nobody wants to know what happens to them.
-    fn follow<S: Strategy<Bsdf = Detached>>(&mut self, context: &Context<P>, end: u32) {
+    fn follow<Of: Strategy, S: Strategy<Bsdf = Detached>>(
+        &mut self,
+        context: &Context<P>,
+        end: u32,
+    ) {
         while self.n > 0 && self.next < end {
-            self.edge::<S, S, ()>(context, self.next, &mut ());
+            self.edge::<Of, S, ()>(context, self.next, &mut ());
             self.next += 1;
         }
     }
@@ -487,7 +494,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         // The constant again: where nothing splits, this is not even compiled.
         self.splits = const { Of::Bsdf::DIFFERENTIAL && L::ENABLED };
         if const { Of::Bsdf::DIFFERENTIAL && L::ENABLED } {
-            self.split::<S, L>(context, depth, log);
+            self.split::<Of, S, L>(context, depth, log);
         }
         self.scatter::<S>(context, guide, more);
         self.choose::<L>(more, depth >= settings.rr_depth);
@@ -963,7 +970,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
 
     /// Samples of the change of normals, where log and materials know one, and the paths that start with them.
     #[inline(never)]
-    fn split<S: Strategy<Bsdf = Detached>, L: Log<P>>(
+    fn split<Of: Strategy, S: Strategy<Bsdf = Detached>, L: Log<P>>(
         &mut self,
         context: &Context<P>,
         depth: u32,
@@ -983,7 +990,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         }
         self.before = self.branches.len();
         // Those of vertices before are as far as the new ones now: all are followed together.
-        aside.follow::<S>(context, depth + 1);
+        aside.follow::<Of, S>(context, depth + 1);
         aside.next = depth + 1;
         let (at, paths, lights) = (&mut self.at, &self.paths, &mut self.lights);
         for i in 0..self.n {
@@ -1025,7 +1032,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             let pair = material.sample_differential(&shading, wo, sampler.next_3d(), MODE);
             for sample in pair.into_iter().flatten() {
                 if aside.n == WIDTH {
-                    aside.follow::<S>(context, u32::MAX);
+                    aside.follow::<Of, S>(context, u32::MAX);
                     aside.next = depth + 1;
                 }
                 let k = aside.n;

@@ -1,36 +1,32 @@
-//! What a wave of paths keeps, and its adjoint: [`super::super::record`], field by field.
+//! What a wave of paths keeps, and its derivatives: [`super::super::record`], field by field.
 
 use ad_core::{Float, Vec2, Vec3};
 use smallvec::SmallVec;
 
-use super::lanes::{Field, Lane, Lanes, Sums, WIDTH, whole};
+use super::ends::Ends;
+use super::lanes::{Field, Lane, Lanes, WIDTH, whole};
 use super::{Log, Paths, Wave};
-use crate::bsdf::{Bsdf, Component, Material, Part, Shading, Use};
+use crate::bsdf::{Component, Part, Use};
 use crate::emitter::{Emission, Emitter};
 use crate::estimator::Strategy;
 use crate::integrator::direct::{
-    Connected, Departure, Edges, Found, FoundEdge, FoundLight, follows_edges, pull_back_followed,
+    Connected, Departure, Edges, Followed, Found, FoundEdge, FoundLight, follows_edges,
 };
 use crate::integrator::gradient::Active;
-use crate::integrator::path::{HitLight, MODE};
+use crate::integrator::path::HitLight;
 use crate::math::Rgb;
-use crate::params::{GradSink, ParamRef, Theta};
 use crate::scene::Scene;
-use crate::texture::Texture;
-
-/// Beyond so many, vertices are faster one by one than materials.
-const MOST_CONSTANTS: usize = 8;
 
 /// The vertices of all paths that have so many edges. At a plain one, the radiance that leaves is its albedo times
 /// what arrives: `albedo (direct + bounce L)`.
 #[derive(Clone, Debug)]
-struct Layer<P> {
-    n: usize,
+pub struct Layer<P> {
+    pub n: usize,
     /// Number of each path.
-    id: Lane<u32>,
+    pub id: Lane<u32>,
     /// Its place in the layer before.
     parent: Lane<u32>,
-    material: Lane<u32>,
+    pub material: Lane<u32>,
     /// Whether that is differentiated.
     follows: Lane<u32>,
     /// Whether there is a vertex that is not in `others`.
@@ -49,7 +45,7 @@ struct Layer<P> {
     /// Light that was hit at the end of the edges from here, by the places that they left.
     hits: Vec<(u32, Rgb<P>)>,
     /// Vertices whose light is differentiated by itself, in the order of their places.
-    followed: Vec<Followed<P>>,
+    followed: Vec<FollowedAt<P>>,
     /// One more than their index there; zero where there is none. All zero where no light is.
     entry: Lane<u32>,
     /// Edges from those that found light, by the places.
@@ -62,7 +58,7 @@ struct Layer<P> {
 
 /// A vertex whose light is differentiated by itself: see [`super::super::direct`].
 #[derive(Clone, Copy, Debug)]
-struct Followed<P> {
+struct FollowedAt<P> {
     place: u32,
     wo: Vec3<P>,
     /// That of the scattered direction, if it is one to follow.
@@ -107,10 +103,12 @@ struct Emitted<P> {
     d: Rgb<P>,
 }
 
-/// Keeps a wave of paths, and pulls the adjoints of their radiance back to the parameters.
+/// Keeps a wave of paths, and differentiates their radiance.
 pub struct Record<'a, P: Float> {
     scene: &'a Scene,
     active: &'a Active,
+    /// Whether light is looked for that no derivative needs.
+    image: bool,
     /// What light on edges is differentiated by itself.
     edges: Edges,
     /// Whether the weights of sampled lights are differentiated.
@@ -123,10 +121,6 @@ pub struct Record<'a, P: Float> {
     emitted: Vec<Emitted<P>>,
     /// Samples of the change of normals: see [`Log::normals`].
     normals: Vec<(Vec3<P>, Rgb<P>)>,
-    /// Plain materials that are differentiated and the same everywhere, and their albedos: sums over whole layers.
-    constants: SmallVec<[(u32, ParamRef); MOST_CONSTANTS]>,
-    /// Whether there are no other plain materials that are differentiated.
-    only_constants: bool,
 }
 
 impl<P: Float> Layer<P> {
@@ -156,28 +150,15 @@ impl<P: Float> Layer<P> {
 }
 
 impl<'a, P: Float> Record<'a, P> {
-    /// For derivatives in some parameters, as strategy `S` estimates them.
-    pub fn of<S: Strategy>(active: &'a Active, scene: &'a Scene) -> Self {
-        let mut constants = SmallVec::new();
-        let mut only_constants = true;
-        for (material, index) in scene.materials().iter().zip(0..) {
-            match &**material {
-                Material::Diffuse(m) if active.material_active(index) => match m.reflectance {
-                    Texture::Constant(albedo) if constants.len() < MOST_CONSTANTS => {
-                        constants.push((index, albedo));
-                    }
-                    _ => only_constants = false,
-                },
-                _ => {}
-            }
-        }
+    /// For derivatives in some parameters, as strategy `S` estimates them. `image`: whether all radiance is wanted,
+    /// and not only what they change.
+    pub fn of<S: Strategy>(active: &'a Active, scene: &'a Scene, image: bool) -> Self {
         Self {
             scene,
             active,
+            image,
             edges: Edges::of::<S>(),
             weighs: S::DIFFERENTIATED_WEIGHTS && S::COUNTS_HITS,
-            constants,
-            only_constants,
             d: Lanes::zero(),
             layers: vec![Layer::new()],
             used: 1,
@@ -196,32 +177,22 @@ impl<'a, P: Float> Record<'a, P> {
         self.emitted.clear();
     }
 
-    /// Adds the derivative of the radiances `l` times their adjoints to the active parameters, for the paths whose
-    /// radiance is finite. The strategy is that of [`Record::of`].
-    pub fn backward<S: Strategy>(
-        &mut self,
-        theta: &Theta<P>,
-        l: &[Rgb<P>],
-        grad: &mut impl GradSink<P>,
-    ) {
+    /// Hands `ends` the derivatives of the radiances `l` times their adjoints, for the paths whose radiance is finite. The
+    /// strategy is that of [`Record::of`].
+    pub fn differentiate<S: Strategy>(&mut self, l: &[Rgb<P>], ends: &mut impl Ends<P>) {
         let mut counts = Lane::<u32>::zero();
         for (counts, l) in counts.iter_mut().zip(l) {
             *counts = u32::from(l.is_finite());
         }
-        self.pull_back(theta, &counts, grad);
+        self.differentiate_vertices(&counts, ends);
         if const { follows_edges::<S>() } {
-            self.pull_back_followed::<S>(theta, &counts, grad);
+            self.differentiate_followed::<S>(&counts, ends);
         }
     }
 
-    /// [`Record::backward`] of light that strategy `S` differentiates by itself, of the paths that count.
+    /// [`Record::differentiate`] of light that strategy `S` differentiates by itself, of the paths that count.
     #[inline(never)]
-    fn pull_back_followed<S: Strategy>(
-        &mut self,
-        theta: &Theta<P>,
-        counts: &Lane<u32>,
-        grad: &mut impl GradSink<P>,
-    ) {
+    fn differentiate_followed<S: Strategy>(&mut self, counts: &Lane<u32>, ends: &mut impl Ends<P>) {
         let (scene, active) = (self.scene, self.active);
         for layer in &mut self.layers[1..self.used] {
             let Layer {
@@ -236,14 +207,13 @@ impl<'a, P: Float> Record<'a, P> {
                 lights,
                 ..
             } = &mut **layer;
-            let mut pull = |at: &Followed<P>, connected, found: Option<Found<P>>| {
+            let mut pull = |at: &FollowedAt<P>, connected, found: Option<Found<P>>| {
                 let i = at.place as usize % WIDTH;
-                if counts[id[i] as usize % WIDTH] != 0 {
+                let id = id[i] as usize % WIDTH;
+                if counts[id] != 0 {
                     let vertex = (material[i], Vec2::new(u[i], v[i]), at.wo);
-                    let d = d.rgb(i);
-                    pull_back_followed::<P, S>(
-                        scene, active, theta, vertex, connected, found, d, grad,
-                    );
+                    let light = Followed::<P, S>::at(scene, vertex, connected, found);
+                    ends.light(id, active.textures(material[i]), vertex.1, &light, d.rgb(i));
                 }
             };
             // Light that was sampled with light that was found, so that both read the material once.
@@ -264,16 +234,16 @@ impl<'a, P: Float> Record<'a, P> {
         }
     }
 
-    /// [`Record::backward`] of everything else.
-    fn pull_back(&mut self, theta: &Theta<P>, counts: &Lane<u32>, grad: &mut impl GradSink<P>) {
+    /// [`Record::differentiate`] of everything else.
+    fn differentiate_vertices(&mut self, counts: &Lane<u32>, ends: &mut impl Ends<P>) {
         let scene = self.scene;
         for e in &self.emitted {
-            if counts[e.id as usize % WIDTH] != 0 {
+            let id = e.id as usize % WIDTH;
+            if counts[id] != 0 {
                 let emitter = &scene.emitters()[e.emitter as usize];
-                emitter.backward(&e.emission, e.d, grad);
+                ends.emission(id, emitter, &e.emission, e.d);
             }
         }
-        let mut sums = [Sums::zero(); MOST_CONSTANTS];
         // Radiance that arrives along the edges from a layer, and that leaves it.
         let mut arrives = Lanes::zero();
         let mut leaves = Lanes::zero();
@@ -335,20 +305,12 @@ impl<'a, P: Float> Record<'a, P> {
                     pull(wi, component, part(component), d * light);
                 }
                 leaves.put_rgb(i, l);
-                let wanted = layer.follows[i] != 0 && counts[layer.id[i] as usize % WIDTH] != 0;
-                if wanted && !uses.is_empty() {
-                    let at = Shading {
-                        theta: *theta,
-                        uv: layer.uv(i),
-                    };
+                let id = layer.id[i] as usize % WIDTH;
+                if layer.follows[i] != 0 && counts[id] != 0 && !uses.is_empty() {
                     let material = &scene.materials()[index as usize];
-                    material.backward(&at, other.wo, &uses, MODE, grad);
+                    ends.vertex(id, material, layer.uv(i), other.wo, &uses);
                 }
             }
-            let plain = |i: usize| match &*scene.materials()[layer.material[i] as usize] {
-                Material::Diffuse(m) => Some(&m.reflectance),
-                _ => None,
-            };
             let mut wanted = Lane::<u32>::zero();
             for i in 0..whole(layer.n) {
                 wanted[i] = u32::from(i < layer.n)
@@ -356,41 +318,19 @@ impl<'a, P: Float> Record<'a, P> {
                     & layer.follows[i]
                     & counts[layer.id[i] as usize % WIDTH];
             }
-            for ((material, _), sums) in self.constants.iter().zip(&mut sums) {
-                let of_this = |i: usize| (layer.material[i] == *material) & (wanted[i] != 0);
-                sums.add_where(&d, layer.n, of_this);
-            }
-            if !self.only_constants {
-                let textured = |i: &usize| {
-                    let material = layer.material[*i];
-                    wanted[*i] != 0 && self.constants.iter().all(|(m, _)| *m != material)
-                };
-                let textured = || {
-                    (0..layer.n)
-                        .filter(textured)
-                        .filter_map(|i| Some((i, plain(i)?)))
-                };
-                for (i, albedo) in textured() {
-                    albedo.expect_scatter(layer.uv(i), grad);
-                }
-                for (i, albedo) in textured() {
-                    albedo.scatter(layer.uv(i), d.rgb(i), grad);
-                }
-            }
+            ends.albedos(scene, layer, &wanted, &d);
             arrives = Lanes::zero();
             for i in 0..layer.n {
                 arrives.add_rgb(layer.parent[i] as usize % WIDTH, leaves.rgb(i));
             }
         }
-        for (&(_, albedo), sums) in self.constants.iter().zip(&sums) {
-            grad.add_all(albedo, 0, sums.total());
-        }
+        ends.finish();
     }
 }
 
 impl<P: Float> Layer<P> {
     #[inline(always)]
-    fn uv(&self, i: usize) -> Vec2<P> {
+    pub fn uv(&self, i: usize) -> Vec2<P> {
         Vec2::new(self.u[i], self.v[i])
     }
 }
@@ -410,7 +350,7 @@ impl<P: Float> Log<P> for Record<'_, P> {
 
     #[inline(always)]
     fn follows_light(&self) -> bool {
-        self.active.any_emitter()
+        self.image || self.active.any_emitter()
     }
 
     fn departure(&self, paths: &Paths<P>, i: usize) -> Option<&Departure<P>> {
@@ -552,7 +492,7 @@ impl<P: Float> Log<P> for Record<'_, P> {
                     });
                     if connected.is_some() || departure.is_some() {
                         layer.entry[i] = layer.followed.len() as u32 + 1;
-                        layer.followed.push(Followed {
+                        layer.followed.push(FollowedAt {
                             place: i as u32,
                             wo,
                             departure,
