@@ -188,6 +188,7 @@ impl<'a, P: Float> Record<'a, P> {
         if const { follows_edges::<S>() } {
             self.differentiate_followed::<S>(&counts, ends);
         }
+        ends.finish();
     }
 
     /// [`Record::differentiate`] of light that strategy `S` differentiates by itself, of the paths that count.
@@ -324,7 +325,6 @@ impl<'a, P: Float> Record<'a, P> {
                 arrives.add_rgb(layer.parent[i] as usize % WIDTH, leaves.rgb(i));
             }
         }
-        ends.finish();
     }
 }
 
