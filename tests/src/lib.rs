@@ -138,6 +138,21 @@ pub fn forward_by<S: Unbiased>(
     seed: u64,
     spp: u64,
 ) -> f64 {
+    let r = derivative_image::<S>(scene, direction, settings, seed, spp);
+    dot(adjoint, &r, 1)
+}
+
+/// The image and its derivative along `direction`, forward mode over `f64`.
+///
+/// # Panics
+/// As [`forward_by`], and on non-finite samples.
+pub fn derivative_image<S: Unbiased>(
+    scene: &Scene,
+    direction: &[f64],
+    settings: &Settings,
+    seed: u64,
+    spp: u64,
+) -> Rendering {
     let values = values::<f64>(scene);
     let dual = |d: &f64| Dual::<f64, 1>::new(0.0, [*d]);
     let tangent = |d: &[f64]| match d.iter().all(|d| *d == 0.0) {
@@ -153,7 +168,7 @@ pub fn forward_by<S: Unbiased>(
     let r = render::<Dual<f64, 1>, S, Independent>(scene, &theta, settings, seed, 0..spp, &())
         .expect("an estimator for this scene and these parameters");
     assert_eq!(r.non_finite.count, 0);
-    dot(adjoint, &r, 1)
+    r
 }
 
 /// Gradient of `<adjoint, image>` with respect to `params`, reverse mode over `P`.

@@ -4,11 +4,13 @@ use ad_core::Vec3;
 use render::Scene;
 use render::bsdf::{Bsdf, Material, Shading, TransportMode};
 use render::estimator::{AllowBias, AttachedChoice, BsdfOnly, Detached, DetachedMis, Unbiased};
-use render::instances::{Direction, Estimator};
+use render::instances::Estimator;
 use render::params::Theta;
 use render::sampler::mix64;
 use tests::stats::{Estimate, z_limit};
-use tests::{cases, forward_by, mean_adjoint, reverse_by, scene, smooth_params, values};
+use tests::{
+    cases, derivative_image, forward_by, mean_adjoint, reverse_by, scene, smooth_params, values,
+};
 
 type Paths = BsdfOnly<Detached>;
 type Wrong<S> = AllowBias<AttachedChoice<S>>;
@@ -167,13 +169,12 @@ fn nothing_changes_but_derivatives_in_what_choices_depend_on() {
     for case in cases::all() {
         let s = scene(&case.body);
         for p in smooth_params(&s) {
-            let direction = Direction::uniform(s.params(), &p.name).expect("a parameter");
-            let [a, b] = [Estimator::Mis, Estimator::BiasedChoice].map(|e| {
-                let directions = std::slice::from_ref(&direction);
-                let values = s.params().values();
-                e.forward_f32(&s, values, directions, &s.settings, 3, 0..16, &())
-                    .expect("constant paths")
-            });
+            let mut along = vec![0.0; values::<f64>(&s).len()];
+            along[p.range()].fill(1.0);
+            let [a, b] = [
+                derivative_image::<DetachedMis>(&s, &along, &s.settings, 3, 16),
+                derivative_image::<Wrong<DetachedMis>>(&s, &along, &s.settings, 3, 16),
+            ];
             assert_eq!(a.sums[0], b.sums[0], "{}: {}", case.name, p.name);
             if a.sums[1] != b.sums[1] {
                 changed.push(format!("{}: {}", case.name, p.name));
