@@ -3,9 +3,9 @@
 //!
 //! The path is traced with primal numbers. Where it finds light, the last edge is evaluated once more
 //! over the full scalar: the direction is sampled again from the same random numbers, now moving with the
-//! parameters, and followed to the surface that is known to be hit. Forward mode does this as it
-//! goes, reverse mode for the recorded edges; edges that find no light cost nothing. Samples of emitters that
-//! move ([`aimed_light`]) are treated alike.
+//! parameters, and followed to the surface that is known to be hit. Single paths in forward mode do this as
+//! they go, waves and reverse mode for the recorded edges; edges that find no light cost nothing. Samples of
+//! emitters that move ([`aimed_light`]) are treated alike.
 
 use std::marker::PhantomData;
 
