@@ -4,6 +4,8 @@ use ad_core::{Real, Vec2, Vec3};
 
 use super::memory::{Forget, Keep, Memory};
 use crate::bsdf::{Bsdf, Material, Scattered, Shading, TransportMode};
+use crate::math::Frame;
+use crate::shape::SurfaceInteraction;
 
 /// How the light at the end of a sampled direction depends on that direction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -47,6 +49,24 @@ pub trait Sampling: Send + Sync + 'static {
     #[inline(always)]
     fn embed3<R: Real>(v: Vec3<Self::Geometry<R>>) -> Vec3<R> {
         Vec3::new(Self::embed(v.x), Self::embed(v.y), Self::embed(v.z))
+    }
+
+    /// A surface point in the scalar of the estimate.
+    #[inline(always)]
+    fn embed_interaction<R: Real>(
+        si: &SurfaceInteraction<Self::Geometry<R>>,
+    ) -> SurfaceInteraction<R> {
+        SurfaceInteraction {
+            p: Self::embed3(si.p),
+            t: Self::embed(si.t),
+            n_geo: Self::embed3(si.n_geo),
+            frame: Frame {
+                s: Self::embed3(si.frame.s),
+                t: Self::embed3(si.frame.t),
+                n: Self::embed3(si.frame.n),
+            },
+            uv: Self::embed2(si.uv),
+        }
     }
 
     /// Surface coordinates in the scalar of the estimate.

@@ -11,7 +11,8 @@ use std::ops::Range;
 
 use ad_core::{Float, Vec2, Vec3};
 
-use super::particle::{Context, Observer, follow};
+use super::particle::{Context, ParticleObserver, follow};
+use super::record::{Observer, Place};
 use super::render::{Components, NonFinite, Progress, Rendering, tiles};
 use crate::bsdf::kernel::{Symmetry, eval_kernel, local_normal};
 use crate::bsdf::{Bsdf, Component, DeltaKind, Shading, TransportMode};
@@ -49,21 +50,26 @@ struct Landed<P: Float> {
 
 /// Keeps where a particle landed.
 #[derive(Clone, Debug)]
-struct Keeper<P: Float>(Vec<Landed<P>>);
+struct Keeper<P: Float> {
+    landed: Vec<Landed<P>>,
+}
 
 impl<P: Float> Observer<P> for Keeper<P> {
-    const CONNECTS: bool = false;
-
-    fn vertex(&mut self, depth: u32, beta: Rgb<P>, hit: &Intersection<P>, wo: Vec3<P>) {
-        self.0.push(Landed {
-            p: hit.si.p,
-            wi: hit.si.frame.to_world(wo),
-            n_geo: hit.si.n_geo,
+    fn vertex(&mut self, beta: Rgb<P>, place: &Place<P>) {
+        let si = &place.si;
+        self.landed.push(Landed {
+            p: si.p,
+            wi: si.frame.to_world(place.wo),
+            n_geo: si.n_geo,
             power: beta,
-            depth,
-            shape: hit.shape,
+            depth: self.landed.len() as u32 + 1,
+            shape: place.shape,
         });
     }
+}
+
+impl<P: Float> ParticleObserver<P> for Keeper<P> {
+    const CONNECTS: bool = false;
 }
 
 /// Particles in a hashed grid whose cells are as large as the radius of the kernel.
@@ -123,12 +129,12 @@ impl<P: Float> Map<P> {
             let (start, end) = (job * CHUNK, (job * CHUNK + CHUNK).min(sent));
             follow::<P, X, Keeper<P>>(
                 context,
-                &Keeper(Vec::new()),
+                &Keeper { landed: Vec::new() },
                 seed,
                 first + start..first + end,
                 |_, _, _| {},
                 |i, keeper| {
-                    for l in keeper.0.drain(..) {
+                    for l in keeper.landed.drain(..) {
                         if !l.power.is_finite() {
                             non_finite.add(i % n, i / n);
                         } else if !l.power.is_black() && !scene.shape_info(l.shape).delta {

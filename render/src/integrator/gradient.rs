@@ -14,7 +14,7 @@ use super::record::{Recorder, SumSink};
 use super::render::{
     InParts, NonFinite, Paths, Progress, Sample, Tile, is_single, place, start, tiles,
 };
-use super::wave::{self, Adjoints, Record, Wave};
+use super::wave::{self, LayerAdjoints, Record, Wave};
 use super::{particle, particle_gradient};
 use crate::bsdf::{Bsdf, Material, TextureRef};
 use crate::emitter::{AnyEmitter, Emitter};
@@ -676,7 +676,7 @@ impl<P: Float> Pass<'_, P> {
             let mut non_finite = NonFinite::default();
             let mut wave = Wave::<P, X>::new();
             let mut record = Record::of::<S>(active, scene, false);
-            let mut adjoints = Adjoints::of(scene, active, self.theta, &mut sink);
+            let mut adjoints = LayerAdjoints::of(scene, active, self.theta, &mut sink);
             for tile in tiles.iter().skip(job).step_by(jobs) {
                 if progress.cancelled() {
                     break;

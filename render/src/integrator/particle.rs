@@ -6,6 +6,9 @@ use ad_core::{Float, Real, Vec2, Vec3};
 
 use super::aim::aim;
 use super::batch::{self, PATHS, Shadow, Traveller};
+use super::record::{
+    Bounce, Contribution, EmittedLight, NormalsLight, Observer, Place, SeenVertex,
+};
 use super::render::{Components, NonFinite, Progress, Rendering};
 use crate::bsdf::differential::Part;
 use crate::bsdf::kernel::{Rules, kernel_weight, local_normal};
@@ -124,84 +127,25 @@ pub fn check(scene: &Scene) -> Result<(), RenderError> {
     }
 }
 
-/// A connection to the pinhole that is free.
-#[derive(Clone, Copy, Debug)]
-pub struct Connected<R: Real> {
-    /// Where on the full film, in pixels.
-    pub at: [R::Primal; 2],
-    /// Value of the BSDF towards the camera, or the emission.
-    pub f: Rgb<R>,
-    /// Importance of the camera per solid angle over squared distance, and the kernel's weight for shading
-    /// normals (or the cosine over densities, for emission).
-    pub weight: R::Primal,
-}
-
-/// How a particle goes on.
-#[derive(Clone, Copy, Debug)]
-pub struct Bounce<R: Real> {
-    /// Sampled direction, local frame of the vertex.
-    pub wi: Vec3<R>,
-    /// What the direction belongs to.
-    pub component: Component,
-    /// The mode in which the material was evaluated.
-    pub mode: TransportMode,
-    /// Value of the BSDF.
-    pub f: Rgb<R>,
-    /// The kernel's weight for shading normals, over density (or probability) and survival probability.
-    pub weight: R::Primal,
-    /// Which derivatives of `f` count.
-    pub part: Part,
-}
-
-/// Follows a particle. All methods do nothing by default.
-pub trait Observer<R: Real> {
-    /// Whether events are wanted.
-    const ENABLED: bool = true;
+/// Follows a particle.
+pub trait ParticleObserver<R: Real>: Observer<R> {
     /// Whether vertices are connected to the camera.
     const CONNECTS: bool = true;
-    /// Whether derivatives through the distribution of normals of a material are wanted.
-    fn follows_normals(&self, _material: u32) -> bool {
-        true
-    }
     /// What light at a point of the full film is worth.
     fn importance(&self, _at: [R::Primal; 2]) -> Rgb<R::Primal> {
         Rgb::black()
     }
-    /// A sample of the change of normals at the current vertex: its direction, local frame, and what light
-    /// along it is worth, over the density of the pair.
-    fn normals(&mut self, _wi: Vec3<R>, _w: Rgb<R::Primal>) {}
-    /// An emitter sent the particle: `weight` is the cosine over all densities.
-    fn emitted(&mut self, _emitter: u32, _emission: Emission<R>, _weight: R::Primal) {}
-    /// The camera sees the light at the start of the particle. Known, and called, after `emitted`.
-    fn seen(&mut self, _emitter: u32, _emission: Emission<R>, _connected: Connected<R>) {}
-    /// A surface was reached. `depth` is the number of edges so far, `beta` the power, `wo` the
-    /// direction it came from, local frame.
-    fn vertex(
-        &mut self,
-        _depth: u32,
-        _beta: Rgb<R>,
-        _hit: &Intersection<R::Primal>,
-        _wo: Vec3<R::Primal>,
-    ) {
-    }
-    /// The camera sees the current vertex along `wi`, local frame. Called after `bounce`.
-    fn connected(&mut self, _wi: Vec3<R>, _connected: Connected<R>) {}
-    /// The particle goes on.
-    fn bounce(&mut self, _bounce: Bounce<R>) {}
 }
 
-/// Nobody watches.
-impl<R: Real> Observer<R> for () {
-    const ENABLED: bool = false;
-}
+impl<R: Real> ParticleObserver<R> for () {}
 
-/// The record of a connection on the way to be tested.
+/// The record of a connection to the camera on the way to be tested.
 #[derive(Clone, Copy, Debug)]
-struct Pending<R: Real> {
-    connected: Connected<R>,
-    wi: Vec3<R>,
-    /// The emission, if this is the start of the particle.
-    emission: Option<(u32, Emission<R>)>,
+enum Pending<R: Real> {
+    /// Of the emitter that the particle starts at: its index, where on it, and what a unit of its light is worth there.
+    Emitter(u32, Emission<R>, R::Primal),
+    /// Of the current vertex; the importance is that of a unit of light on the film.
+    Vertex(SeenVertex<R>),
 }
 
 /// A particle between two vertices, which asks for its rays to be traced, as a
@@ -246,7 +190,7 @@ impl<R: Real, X: Sampler> Particle<R, X> {
     /// Sends a particle from one of the emitters. Without emitters, or where nothing is emitted, it
     /// has ended already.
     #[inline]
-    pub fn new<O: Observer<R>>(context: &Context<R>, sampler: X, observer: &mut O) -> Self {
+    pub fn new<O: ParticleObserver<R>>(context: &Context<R>, sampler: X, observer: &mut O) -> Self {
         let scene = context.scene;
         let mut this = Self {
             ray: None,
@@ -312,11 +256,7 @@ impl<R: Real, X: Sampler> Particle<R, X> {
             this.value = f.scale(weight);
             this.film = at;
             if O::ENABLED {
-                this.pending = Some(Pending {
-                    connected: Connected { at, f, weight },
-                    wi: Vec3::lift(wi),
-                    emission: Some((index as u32, emission)),
-                });
+                this.pending = Some(Pending::Emitter(index as u32, emission, weight));
             }
         }
 
@@ -328,7 +268,11 @@ impl<R: Real, X: Sampler> Particle<R, X> {
         }
         this.beta = e.eval(context.theta, &emission).scale(weight);
         if O::ENABLED {
-            observer.emitted(index as u32, emission, weight);
+            observer.contribution(Contribution::Emitted(EmittedLight {
+                emitter: index as u32,
+                emission,
+                weight,
+            }));
         }
         let dark = !O::ENABLED && this.beta.is_black() && !has_tangent(this.beta);
         if context.settings.max_depth >= 2 && !dark {
@@ -346,7 +290,7 @@ impl<R: Real, X: Sampler> Particle<R, X> {
 
     /// The environment behind everything: a direction from the pinhole.
     #[inline(never)]
-    fn see_environment<O: Observer<R>>(
+    fn see_environment<O: ParticleObserver<R>>(
         &mut self,
         context: &Context<R>,
         emitter: usize,
@@ -375,18 +319,14 @@ impl<R: Real, X: Sampler> Particle<R, X> {
         self.value = f.scale(weight);
         self.film = at;
         if O::ENABLED {
-            self.pending = Some(Pending {
-                connected: Connected { at, f, weight },
-                wi: Vec3::zero(),
-                emission: Some((emitter as u32, emission)),
-            });
+            self.pending = Some(Pending::Emitter(emitter as u32, emission, weight));
         }
     }
 
     /// Goes on to the next vertex: `hit` is what the particle met, `visible` whether the camera sees the
     /// last one. What the film receives goes to `splat`.
     #[inline]
-    fn step<O: Observer<R>>(
+    fn step<O: ParticleObserver<R>>(
         &mut self,
         context: &Context<R>,
         hit: Option<Intersection<R::Primal>>,
@@ -397,11 +337,17 @@ impl<R: Real, X: Sampler> Particle<R, X> {
         let scene = context.scene;
         if self.shadow.take().is_some() && visible {
             splat(self.film, self.value);
-            if let Some(seen) = self.pending.take() {
-                match seen.emission {
-                    Some((emitter, emission)) => observer.seen(emitter, emission, seen.connected),
-                    None => observer.connected(seen.wi, seen.connected),
-                }
+            if let Some(pending) = self.pending.take() {
+                let importance = observer.importance(self.film);
+                observer.contribution(match pending {
+                    Pending::Emitter(emitter, emission, weight) => {
+                        Contribution::SeenEmitter(emitter, emission, importance * weight)
+                    }
+                    Pending::Vertex(seen) => Contribution::Seen(SeenVertex {
+                        importance: importance * seen.importance,
+                        ..seen
+                    }),
+                });
             }
         }
         let (Some(ray), Some(hit)) = (self.ray.take(), hit) else {
@@ -424,7 +370,13 @@ impl<R: Real, X: Sampler> Particle<R, X> {
         };
         let beta = self.beta;
         if O::ENABLED {
-            observer.vertex(depth, beta, &hit, wo);
+            let place = Place {
+                shape: hit.shape,
+                prim: hit.prim,
+                si: si.lift(),
+                wo: wo_r,
+            };
+            observer.vertex(beta, &place);
         }
 
         // ---- Connection to the camera ----
@@ -451,15 +403,12 @@ impl<R: Real, X: Sampler> Particle<R, X> {
                 self.value = beta * f.scale(weight);
                 self.film = film;
                 if O::ENABLED {
-                    self.pending = Some(Pending {
-                        connected: Connected {
-                            at: film,
-                            f,
-                            weight,
-                        },
+                    self.pending = Some(Pending::Vertex(SeenVertex {
                         wi,
-                        emission: None,
-                    });
+                        mode,
+                        f,
+                        importance: Rgb::splat(weight),
+                    }));
                 }
             }
         }
@@ -513,14 +462,15 @@ impl<R: Real, X: Sampler> Particle<R, X> {
             _ => Part::All,
         };
         if O::ENABLED {
-            observer.bounce(Bounce {
+            observer.contribution(Contribution::Scattered(Bounce {
                 wi,
                 component: sample.component,
                 mode,
-                weight,
+                weight: R::lift(weight),
                 f,
                 part,
-            });
+                deciding: None,
+            }));
         }
         if part == Part::Rest && !R::IS_PRIMAL {
             f = f - material.eval_normals(&at, wo, sample.wi, mode);
@@ -543,7 +493,7 @@ impl<R: Real, X: Sampler> Particle<R, X> {
     /// Samples the change of normals at the vertex `hit`. Both samples go on as particles made of the same
     /// numbers: what they bring is alike, and its noise cancels.
     #[inline(never)]
-    fn split<O: Observer<R>>(
+    fn split<O: ParticleObserver<R>>(
         &self,
         context: &Context<R>,
         hit: &Intersection<R::Primal>,
@@ -613,7 +563,11 @@ impl<R: Real, X: Sampler> Particle<R, X> {
                 }
             });
             if O::ENABLED {
-                observer.normals(Vec3::lift(sample.wi), w.scale(weight));
+                observer.contribution(Contribution::Normals(NormalsLight {
+                    wi: Vec3::lift(sample.wi),
+                    mode: MODE,
+                    li: self.beta * Rgb::lift(w.scale(weight)),
+                }));
             }
         }
     }
@@ -640,7 +594,7 @@ impl<R: Real, X: Sampler> Traveller for Particle<R, X> {
 
 /// The particles `first .. first + count` of all samples, of which there is one per pixel of the full
 /// film and sample. Calls `done` with each one's index after its end, in order.
-pub(super) fn follow<R: Real, X: Sampler, O: Observer<R> + Clone>(
+pub(super) fn follow<R: Real, X: Sampler, O: ParticleObserver<R> + Clone>(
     context: &Context<R>,
     observer: &O,
     seed: u64,

@@ -1,98 +1,54 @@
 //! Reverse mode of the light tracer: recorded particles and their adjoint.
 //!
-//! The mirror image of [`super::record`]. There, radiance flows back along a path from the camera and
-//! meets its adjoint; here the importance of the adjoint image flows back along a particle,
-//! `W_k = connected_k + f_k w_k W_(k+1)`, and meets its power. It is the same sum over paths, taken
-//! from the other end: adjoint radiance *is* importance [Stam 2020].
+//! [`super::record`] serves paths from both ends. Along a path from the camera, radiance flows back and meets its adjoint;
+//! along a particle the importance of the adjoint image flows back, `W_k = seen_k + f_k w_k W_(k+1)`, and meets its power. It
+//! is the same sum over paths, taken from the other end: adjoint radiance *is* importance [Stam 2020].
 
 use std::cell::Cell;
 use std::ops::Range;
 
-use ad_core::{Float, Vec2, Vec3};
+use ad_core::Float;
 
 use super::gradient::{self, Active, ExactBuffer, Gradient, Sink, check_size, exactly, largest_of};
-use super::particle::{Bounce, Connected, Context, Observer, follow, pixels};
+use super::particle::{Context, ParticleObserver, follow, pixels};
+use super::record::{Contribution, Observer, PathRecord, Place, Recorder};
 use super::render::{NonFinite, Progress};
-use crate::bsdf::differential::Part;
-use crate::bsdf::{Bsdf, Component, Shading, TransportMode, Use};
-use crate::emitter::{Emission, Emitter};
 use crate::error::RenderError;
+use crate::estimator::DetachedMis;
 use crate::film::Film;
 use crate::math::Rgb;
 use crate::parallel;
 use crate::sampler::Sampler;
-use crate::scene::Intersection;
 
 /// Particles are split into this many jobs, whatever the number of threads, and their sums are added in
 /// order.
 const JOBS: usize = 128;
 
-#[derive(Clone, Copy, Debug)]
-struct Vertex<P: Float> {
-    beta: Rgb<P>,
-    shape: u32,
-    uv: Vec2<P>,
-    wo: Vec3<P>,
-    connected: Option<(Vec3<P>, Connected<P>)>,
-    bounce: Option<Bounce<P>>,
-    /// Samples of the change of normals, in the recorder's list: the first, and how many.
-    normals: (u32, u32),
-}
-
-/// Keeps the vertices of one particle at a time.
+/// Keeps one particle at a time, and what the adjoint image makes of it.
 #[derive(Clone, Debug)]
-struct Recorder<'a, P: Float> {
+struct ParticleRecorder<'a, P: Float> {
     sensor: &'a Sensor<'a>,
-    active: &'a Active,
-    emitted: Option<(u32, Emission<P>, P)>,
-    seen: Option<(u32, Emission<P>, Connected<P>)>,
-    vertices: Vec<Vertex<P>>,
-    normals: Vec<(Vec3<P>, Rgb<P>)>,
+    recorder: Recorder<'a, P>,
 }
 
-impl<P: Float> Observer<P> for Recorder<'_, P> {
+impl<P: Float> Observer<P> for ParticleRecorder<'_, P> {
     #[inline]
     fn follows_normals(&self, material: u32) -> bool {
-        self.active.roughness_active(material)
+        self.recorder.follows_normals(material)
     }
+    #[inline]
+    fn vertex(&mut self, beta: Rgb<P>, place: &Place<P>) {
+        self.recorder.vertex(beta, place);
+    }
+    #[inline]
+    fn contribution(&mut self, contribution: Contribution<P>) {
+        self.recorder.contribution(contribution);
+    }
+}
+
+impl<P: Float> ParticleObserver<P> for ParticleRecorder<'_, P> {
     fn importance(&self, at: [P; 2]) -> Rgb<P> {
         self.sensor.importance(at)
-    }
-    fn normals(&mut self, wi: Vec3<P>, w: Rgb<P>) {
-        self.normals.push((wi, w));
-        if let Some(v) = self.vertices.last_mut() {
-            v.normals.1 += 1;
-        }
-    }
-    fn emitted(&mut self, emitter: u32, emission: Emission<P>, weight: P) {
-        self.emitted = Some((emitter, emission, weight));
-    }
-    fn seen(&mut self, emitter: u32, emission: Emission<P>, connected: Connected<P>) {
-        self.seen = Some((emitter, emission, connected));
-    }
-    #[inline]
-    fn vertex(&mut self, _depth: u32, beta: Rgb<P>, hit: &Intersection<P>, wo: Vec3<P>) {
-        self.vertices.push(Vertex {
-            beta,
-            shape: hit.shape,
-            uv: hit.si.uv,
-            wo,
-            connected: None,
-            bounce: None,
-            normals: (self.normals.len() as u32, 0),
-        });
-    }
-    #[inline]
-    fn connected(&mut self, wi: Vec3<P>, connected: Connected<P>) {
-        if let Some(v) = self.vertices.last_mut() {
-            v.connected = Some((wi, connected));
-        }
-    }
-    #[inline]
-    fn bounce(&mut self, bounce: Bounce<P>) {
-        if let Some(v) = self.vertices.last_mut() {
-            v.bounce = Some(bounce);
-        }
     }
 }
 
@@ -120,110 +76,18 @@ impl Sensor<'_> {
     }
 }
 
-impl<'a, P: Float> Recorder<'a, P> {
-    fn new(sensor: &'a Sensor, active: &'a Active) -> Self {
-        Self {
-            sensor,
-            active,
-            emitted: None,
-            seen: None,
-            vertices: Vec::new(),
-            normals: Vec::new(),
-        }
-    }
-
-    /// Whether every value that the adjoint is made of is.
-    fn is_finite(&self) -> bool {
-        let vertices = self.vertices.iter().all(|v| {
-            let connected = v
-                .connected
-                .is_none_or(|(_, c)| (v.beta * c.f * c.weight).is_finite());
-            connected && v.beta.is_finite() && v.bounce.is_none_or(|b| (b.f * b.weight).is_finite())
-        });
-        vertices && self.normals.iter().all(|(_, w)| w.is_finite())
-    }
-
-    fn clear(&mut self) {
-        self.emitted = None;
-        self.seen = None;
-        self.vertices.clear();
-        self.normals.clear();
-    }
-
-    /// Adds the derivative of the recorded particle's part of `<adjoint, image>` and returns that part.
-    fn backward(&self, context: &Context<P>, grad: &mut Sink) -> f64 {
-        let Context { scene, theta, .. } = *context;
-        let sensor = self.sensor;
-        let mut w = Rgb::<P>::black(); // importance arriving at the next vertex
-        for v in self.vertices.iter().rev() {
-            let mut here = Rgb::black();
-            let mut uses = [Use {
-                wi: Vec3::zero(),
-                component: Component::Continuous,
-                part: Part::All,
-                d: Rgb::black(),
-            }; 2];
-            let material = scene.shape_info(v.shape).material;
-            let active = self.active.material_active(material);
-            let at = Shading {
-                theta: *theta,
-                uv: v.uv,
-            };
-            let mut mode = TransportMode::Importance;
-            if let Some((wi, c)) = &v.connected {
-                let s = sensor.importance(c.at) * c.weight;
-                here += c.f * s;
-                uses[0].wi = *wi;
-                uses[0].d = v.beta * s;
-                mode = context.rules.mode(mode, [v.wo, *wi], Component::Continuous);
-                if active {
-                    let m = &scene.materials()[material as usize];
-                    m.backward(&at, v.wo, &uses[..1], mode, grad);
-                }
-            }
-            let (first, count) = (v.normals.0 as usize, v.normals.1 as usize);
-            for (wi, w) in &self.normals[first..first + count] {
-                let change = Use {
-                    wi: *wi,
-                    component: Component::Continuous,
-                    part: Part::Normals,
-                    d: v.beta * *w,
-                };
-                let m = &scene.materials()[material as usize];
-                m.backward(&at, v.wo, &[change], TransportMode::Importance, grad);
-            }
-            if let Some(b) = &v.bounce {
-                here += b.f * w * b.weight;
-                if active && !w.is_black() {
-                    uses[1] = Use {
-                        wi: b.wi,
-                        component: b.component,
-                        part: b.part,
-                        d: v.beta * w * b.weight,
-                    };
-                    let m = &scene.materials()[material as usize];
-                    m.backward(&at, v.wo, &uses[1..], b.mode, grad);
-                }
-            }
-            w = here;
-        }
-        let mut total = P::zero();
-        if let Some((emitter, emission, weight)) = &self.emitted {
-            let e = &scene.emitters()[*emitter as usize];
-            total += (e.eval(theta, emission) * w * *weight).sum();
-            if self.active.emitter_active(*emitter) {
-                e.backward(emission, w * *weight, grad);
-            }
-        }
-        if let Some((emitter, emission, c)) = &self.seen {
-            let s = sensor.importance(c.at) * c.weight;
-            total += (c.f * s).sum();
-            if self.active.emitter_active(*emitter) {
-                scene.emitters()[*emitter as usize].backward(emission, s, grad);
-            }
-        }
-        total.to_f64()
-    }
+/// Whether every value that the adjoint of a particle is made of is finite.
+fn is_finite<P: Float>(path: &PathRecord<P>) -> bool {
+    let vertices = path.vertices().iter().enumerate();
+    vertices.into_iter().all(|(k, vertex)| {
+        let finite = |contribution: &Contribution<P>| match contribution {
+            Contribution::Seen(s) => (vertex.beta * s.f * s.importance).is_finite(),
+            Contribution::Scattered(b) => (b.f * b.weight).is_finite(),
+            Contribution::Normals(n) => n.li.is_finite(),
+            _ => true,
+        };
+        vertex.beta.is_finite() && path.contributions(k).iter().all(finite)
+    })
 }
 
 /// A measurement by particles: the inner product of an adjoint image and the image, and its gradient.
@@ -342,15 +206,23 @@ impl<'a, P: Float> Pass<'a, P> {
                 if progress.cancelled() {
                     break;
                 }
-                follow::<P, X, Recorder<P>>(
+                let observer = ParticleRecorder {
+                    sensor: &self.sensor,
+                    recorder: Recorder::of(active),
+                };
+                follow::<P, X, ParticleRecorder<P>>(
                     self.context,
-                    &Recorder::new(&self.sensor, active),
+                    &observer,
                     self.seed,
                     first + start..first + end.min(start + 4096),
                     |_, _, _| {},
-                    |i, recorder| {
-                        if recorder.is_finite() {
-                            value += recorder.backward(self.context, &mut sink);
+                    |i, ParticleRecorder { recorder, .. }| {
+                        if is_finite(&recorder.path) {
+                            let (scene, theta) = (self.context.scene, self.context.theta);
+                            let one = Rgb::splat(P::one());
+                            let carried =
+                                recorder.backward::<DetachedMis>(scene, theta, one, &mut sink);
+                            value += carried.sum().to_f64();
                         } else {
                             non_finite.add(i % n, i / n);
                         }

@@ -8,6 +8,7 @@ use super::direct::{
     Aimed, Departure, Edges, Found, FoundEdge, FoundLight, Weighing, aimed_light, direct_light,
     follows_edges,
 };
+use super::record::{Bounce, Contribution, MetLight, NormalsLight, Observer, Place, SampledLight};
 use crate::bsdf::{
     Bsdf, BsdfSample, Component, Material, Part, Scattered, Shading, TextureRef, TransportMode,
 };
@@ -43,119 +44,6 @@ type Remembered<S, R> =
 
 /// A sampled emitter as it moves, if its strategy moves those.
 type Aiming<S, R> = <<S as Strategy>::Aim as Memory>::Of<Aimed<<R as Real>::Primal>>;
-
-/// Light found by a ray that hit an emitter, or left the scene towards one.
-#[derive(Clone, Copy, Debug)]
-pub struct HitLight<R> {
-    /// Index of the emitter.
-    pub emitter: u32,
-    /// Where on it.
-    pub emission: Emission<R>,
-    /// MIS weight.
-    pub weight: R,
-}
-
-/// A connection to a sampled light.
-#[derive(Clone, Copy, Debug)]
-pub struct SampledLight<R: Real> {
-    /// Index of the emitter.
-    pub emitter: u32,
-    /// Where on it.
-    pub emission: Emission<R>,
-    /// Direction to it, local frame of the vertex.
-    pub wi: Vec3<R>,
-    /// Emitted radiance.
-    pub le: Rgb<R>,
-    /// MIS weight over density and the probability of being kept.
-    pub weight: R,
-    /// Value of the BSDF.
-    pub f: Rgb<R>,
-    /// The same for the derivative through normals, where that has samples of its own.
-    pub normals_weight: Option<R>,
-    /// Density per solid angle that the MIS weight is made of; zero where there is none.
-    pub mis_pdf: R::Primal,
-    /// One over the probability that this emitter's sample was kept, see [`LightChoice::All`].
-    pub kept: R::Primal,
-}
-
-/// Light that arrives along a sample of the derivative of a distribution of normals.
-#[derive(Clone, Copy, Debug)]
-pub struct NormalsLight<R> {
-    /// Direction it comes from, local frame of the vertex.
-    pub wi: Vec3<R>,
-    /// Radiance over density, times the throughput up to the vertex, MIS weights included.
-    pub li: Rgb<R>,
-}
-
-/// The sampled continuation of a path.
-#[derive(Clone, Copy, Debug)]
-pub struct Bounce<R> {
-    /// Sampled direction, local frame of the vertex.
-    pub wi: Vec3<R>,
-    /// What the direction belongs to.
-    pub component: Component,
-    /// One over density (or probability) and survival probability.
-    pub weight: R,
-    /// Value of the BSDF.
-    pub f: Rgb<R>,
-    /// What of it is differentiated.
-    pub part: Part,
-}
-
-/// Follows a path as it grows. All methods do nothing by default.
-pub trait Observer<R: Real> {
-    /// Whether events are wanted; if not, none is made.
-    const ENABLED: bool = true;
-    /// Whether it wants to know the light behind a vertex of this material: because that is differentiated.
-    fn follows(&self, _material: u32) -> bool {
-        true
-    }
-    /// Whether the roughness of this material is: only then its normals have samples of their own.
-    fn follows_normals(&self, _material: u32) -> bool {
-        true
-    }
-    /// Whether it wants to know all light, since emission is differentiated.
-    fn follows_light(&self) -> bool {
-        true
-    }
-    /// The path found light at its current end.
-    fn light(&mut self, _depth: u32, _beta: Rgb<R>, _light: HitLight<R>) {}
-    /// Called after that, once for all light at this end, if the strategy differentiates the last edge by itself
-    /// ([`Edges`]).
-    fn followed(&mut self, _found: Found<R::Primal>) {}
-    /// A vertex was reached. `depth` is the number of edges so far, `beta` the throughput up to it.
-    fn vertex(
-        &mut self,
-        _depth: u32,
-        _beta: Rgb<R>,
-        _shape: u32,
-        _uv: Vec2<R>,
-        _wo: Vec3<R>,
-        _p: Vec3<R>,
-    ) {
-    }
-    /// A light was sampled at the current vertex, and is visible. Known, and called, last: after
-    /// [`Observer::bounce`], before the next edge's events.
-    fn sampled(&mut self, _depth: u32, _light: SampledLight<R>) {}
-    /// Called after that, if the sample moves.
-    fn aimed(&mut self, _aimed: Aimed<R::Primal>) {}
-    /// A sample of the derivative of the current vertex's normals met light.
-    fn normals(&mut self, _light: NormalsLight<R>) {}
-    /// Called before that with the number of edges that the sample took, whatever it met.
-    fn walked(&mut self, _edges: u32) {}
-    /// The path is about to go on, since a roulette that is differentiated let it: with a probability in proportion to
-    /// this channel of its throughput.
-    fn survives(&mut self, _channel: usize) {}
-    /// The path goes on from the current vertex.
-    fn bounce(&mut self, _bounce: Bounce<R>) {}
-    /// In this direction, world space.
-    fn departs(&mut self, _d: Vec3<R::Primal>) {}
-}
-
-/// Nobody watches.
-impl<R: Real> Observer<R> for () {
-    const ENABLED: bool = false;
-}
 
 /// What stays the same from path to path.
 #[derive(Clone, Copy, Debug)]
@@ -309,11 +197,9 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
         // ---- Light sampled at the last vertex ----
         if self.shadow.take().is_some() && visible {
             self.l += self.direct;
-            if let Some(light) = self.sampled.take() {
-                observer.sampled(depth - 1, light);
-                if let Some(aimed) = self.aimed.get() {
-                    observer.aimed(aimed);
-                }
+            if let Some(mut light) = self.sampled.take() {
+                light.aimed = self.aimed.get();
+                observer.contribution(Contribution::Sampled(light));
             }
         }
         let Some(ray) = self.ray.take() else {
@@ -333,7 +219,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
             let end = hit.map(|hit| (hit.prim, hit.si));
             self.find_lights(context, emitters, ray.d, end, observer);
         }
-        let Some(Intersection { shape, si, .. }) = hit else {
+        let Some(Intersection { shape, prim, si }) = hit else {
             return;
         };
         let info = scene.shape_info(shape);
@@ -347,7 +233,13 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
         let at = Shading { theta: *theta, uv };
         let wo_r = S::Bsdf::embed3(wo);
         if O::ENABLED {
-            observer.vertex(depth, beta, shape, uv, wo_r, S::Bsdf::embed3(si.p));
+            let place = Place {
+                shape,
+                prim,
+                si: S::Bsdf::embed_interaction(&si),
+                wo: wo_r,
+            };
+            observer.vertex(beta, &place);
         }
         let differentiates = O::ENABLED || !R::IS_PRIMAL;
         let follows = !O::ENABLED || observer.follows(info.material);
@@ -501,6 +393,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
                             } else {
                                 R::Primal::zero()
                             },
+                            aimed: None,
                         });
                     }
                 }
@@ -547,7 +440,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
                 };
                 walk.go(&context, &mut ());
                 if O::ENABLED {
-                    observer.walked(walk.depth - depth);
+                    observer.branch(walk.depth - depth);
                 }
                 if walk.l.is_black() {
                     continue;
@@ -558,7 +451,8 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
                 }
                 if O::ENABLED {
                     let wi = Vec3::lift(sample.wi);
-                    observer.normals(NormalsLight { wi, li });
+                    let light = NormalsLight { wi, mode: MODE, li };
+                    observer.contribution(Contribution::Normals(light));
                 }
             }
         }
@@ -591,6 +485,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
         self.eta *= sample.eta;
         let mut next_beta = beta * f * weight;
         let mut lives = R::Primal::one(); // one over the probability of that
+        let mut deciding = None;
 
         // ---- Roulette ----
         self.survival = if differentiates {
@@ -620,7 +515,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
                         weight *= factor;
                         next_beta = next_beta * factor;
                     }
-                    observer.survives(largest);
+                    deciding = Some(largest);
                 }
             }
         }
@@ -645,13 +540,15 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
             }));
         }
         if O::ENABLED {
-            observer.bounce(Bounce {
+            observer.contribution(Contribution::Scattered(Bounce {
                 wi,
                 component: sample.component,
+                mode: MODE,
                 weight,
                 f,
                 part,
-            });
+                deciding,
+            }));
         }
         self.beta = match part {
             Part::Rest if !R::IS_PRIMAL => {
@@ -672,9 +569,6 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
         };
         self.from = si.p;
         let d = si.frame.to_world(sample.wi);
-        if O::ENABLED {
-            observer.departs(d.primal());
-        }
         let ray = si.spawn_ray(d, info.offset);
         // The last edge only looks for light, and only where light that is hit counts.
         let last = self.depth >= settings.max_depth;
@@ -733,7 +627,13 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
                 self.l += beta * le * light.weight;
             }
             if O::ENABLED {
-                observer.light(depth, beta, light);
+                observer.contribution(Contribution::Met(MetLight {
+                    emitter,
+                    emission: light.emission,
+                    weight: light.weight,
+                    beta,
+                    share,
+                }));
             }
         }
         if !lights.is_empty()
@@ -752,10 +652,17 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
                 self.l += beta * direct_light(scene, theta, theta, &found, &Weighing::of::<S>());
             }
             if O::ENABLED {
-                observer.followed(found);
+                observer.contribution(Contribution::Edge(from, edge));
             }
         }
     }
+}
+
+/// Where an emitter was met, and the MIS weight of that.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Met<R> {
+    pub emission: Emission<R>,
+    pub weight: R,
 }
 
 /// What a ray in direction `d` receives from an emitter it hit at `si`, or missed everything towards:
@@ -771,7 +678,7 @@ pub(super) fn find_light<R: Real, S: Strategy>(
     d: Vec3<Geometry<S, R>>,
     si: Option<SurfaceInteraction<Geometry<S, R>>>,
     sampled: Option<Rival<R, Geometry<S, R>>>,
-) -> Option<(HitLight<R>, Rgb<R>)> {
+) -> Option<(Met<R>, Rgb<R>)> {
     if sampled.is_some() && !S::COUNTS_HITS {
         return None;
     }
@@ -788,12 +695,7 @@ pub(super) fn find_light<R: Real, S: Strategy>(
         }
         None => R::one(),
     };
-    let light = HitLight {
-        emitter,
-        emission,
-        weight,
-    };
-    Some((light, e.eval(theta, &emission)))
+    Some((Met { emission, weight }, e.eval(theta, &emission)))
 }
 
 /// Whether a [`Guide`](crate::guide::Guide) may lead scattered directions: only if neither they nor weights move, nor

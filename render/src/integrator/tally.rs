@@ -1,11 +1,9 @@
 //! The work of samples, by counting what they are made of.
 
-use ad_core::{Vec2, Vec3};
-
 use super::batch;
-use super::direct::Found;
 use super::gradient::Active;
-use super::path::{Context, Observer, SampledLight};
+use super::path::Context;
+use super::record::{Contribution, Observer, Place};
 use super::render::start;
 use super::wave;
 use crate::emitter::AnyEmitter;
@@ -136,36 +134,32 @@ impl Observer<f32> for Counter<'_> {
         self.image || self.active.any_emitter()
     }
 
-    fn vertex(
-        &mut self,
-        _depth: u32,
-        _beta: Rgb<f32>,
-        shape: u32,
-        _uv: Vec2<f32>,
-        _wo: Vec3<f32>,
-        _p: Vec3<f32>,
-    ) {
-        let followed = self.follows(self.scene.shape_info(shape).material);
+    fn vertex(&mut self, _beta: Rgb<f32>, place: &Place<f32>) {
+        let followed = self.follows(self.scene.shape_info(place.shape).material);
         self.tally.add(Part::Vertex, followed.into());
     }
 
-    fn sampled(&mut self, _depth: u32, light: SampledLight<f32>) {
-        let emitter = &self.scene.emitters()[light.emitter as usize];
-        let map = matches!(emitter, AnyEmitter::Envmap(_));
-        self.tally.add(Part::Map, map.into());
-        self.tally.add(Part::WeighedLight, self.weighs.into());
+    fn contribution(&mut self, contribution: Contribution<f32>) {
+        match contribution {
+            Contribution::Sampled(light) => {
+                let emitter = &self.scene.emitters()[light.emitter as usize];
+                let map = matches!(emitter, AnyEmitter::Envmap(_));
+                self.tally.add(Part::Map, map.into());
+                self.tally.add(Part::WeighedLight, self.weighs.into());
+            }
+            Contribution::Edge(..) => {
+                let part = match self.weighs {
+                    true => Part::WeighedEdge,
+                    false => Part::MovedEdge,
+                };
+                self.tally.add(part, 1);
+                self.tally.add(Part::Ray, self.rays);
+            }
+            _ => {}
+        }
     }
 
-    fn followed(&mut self, _found: Found<f32>) {
-        let part = match self.weighs {
-            true => Part::WeighedEdge,
-            false => Part::MovedEdge,
-        };
-        self.tally.add(part, 1);
-        self.tally.add(Part::Ray, self.rays);
-    }
-
-    fn walked(&mut self, edges: u32) {
+    fn branch(&mut self, edges: u32) {
         self.tally.add(Part::Rival, self.rivals.into());
         self.tally.add(Part::Walked, edges.into());
     }

@@ -2,11 +2,11 @@
 
 use std::ops::Range;
 
-use ad_core::{Vec2, Vec3};
 use render::Scene;
 use render::emitter::Emitter;
 use render::estimator::{Detached, DetachedWeights, Mis, Power};
-use render::integrator::path::{HitLight, Observer, SampledLight, trace};
+use render::integrator::path::trace;
+use render::integrator::record::{Contribution, Observer, Place};
 use render::math::{Ray, Rgb};
 use render::params::Theta;
 use render::sampler::{Independent, Sampler};
@@ -35,28 +35,35 @@ struct Watch<'a> {
     scene: &'a Scene,
     theta: &'a Theta<'a, f32>,
     split: Split,
+    /// Throughput up to the vertex reached last.
     beta: Rgb<f32>,
+    /// Surfaces reached so far.
+    vertices: usize,
 }
 
 impl Observer<f32> for Watch<'_> {
-    fn light(&mut self, depth: u32, beta: Rgb<f32>, light: HitLight<f32>) {
-        let emitter = &self.scene.emitters()[light.emitter as usize];
-        let found = beta * emitter.eval(self.theta, &light.emission) * light.weight;
-        match depth {
-            1 => add(&mut self.split.emitted, found),
-            2 => add(&mut self.split.bsdf, found),
-            _ => {}
-        }
-    }
-
-    fn vertex(&mut self, _: u32, beta: Rgb<f32>, _: u32, _: Vec2<f32>, _: Vec3<f32>, _: Vec3<f32>) {
+    fn vertex(&mut self, beta: Rgb<f32>, _place: &Place<f32>) {
         self.beta = beta;
+        self.vertices += 1;
     }
 
-    fn sampled(&mut self, depth: u32, light: SampledLight<f32>) {
-        if depth == 1 {
-            let found = self.beta * light.f * light.le * light.weight;
-            add(&mut self.split.emitter, found);
+    fn contribution(&mut self, contribution: Contribution<f32>) {
+        match contribution {
+            Contribution::Met(light) => {
+                let emitter = &self.scene.emitters()[light.emitter as usize];
+                let le = emitter.eval(self.theta, &light.emission);
+                let found = light.beta * le * light.weight;
+                match self.vertices {
+                    0 => add(&mut self.split.emitted, found),
+                    1 => add(&mut self.split.bsdf, found),
+                    _ => {}
+                }
+            }
+            Contribution::Sampled(light) if self.vertices == 1 => {
+                let found = self.beta * light.f * light.le * light.weight;
+                add(&mut self.split.emitter, found);
+            }
+            _ => {}
         }
     }
 }
@@ -83,12 +90,14 @@ pub fn radiance(
         theta: &theta,
         split: Split::default(),
         beta: Rgb::splat(1.0),
+        vertices: 0,
     };
     let n = samples.end.saturating_sub(samples.start).max(1) as f64;
     for index in samples {
         let mut sampler = Independent::new(seed, stream, index);
         let ray = ray(sampler.next_2d());
         let settings = &settings;
+        watch.vertices = 0;
         let l = trace::<f32, Strategy, Independent, Watch>(
             scene, &theta, settings, ray, sampler, &mut watch,
         );

@@ -7,7 +7,8 @@ use render::Scene;
 use render::bsdf::{Bsdf, Component, Shading, TransportMode};
 use render::emitter::{Emission, Emitter};
 use render::estimator::{BsdfOnly, Detached};
-use render::integrator::path::{self, Bounce, HitLight, Observer};
+use render::integrator::path;
+use render::integrator::record::{Contribution, Observer, Place};
 use render::math::Rgb;
 use render::params::Theta;
 use render::sampler::{Independent, Sampler};
@@ -43,38 +44,32 @@ pub struct FixedPath<P> {
 }
 
 impl<P: Float> Observer<P> for FixedPath<P> {
-    fn light(&mut self, _depth: u32, _beta: Rgb<P>, light: HitLight<P>) {
-        if self.light.is_none() {
-            self.light = Some((light.emitter, light.emission));
-        }
-    }
-
-    fn vertex(
-        &mut self,
-        _depth: u32,
-        _beta: Rgb<P>,
-        shape: u32,
-        uv: Vec2<P>,
-        wo: Vec3<P>,
-        p: Vec3<P>,
-    ) {
+    fn vertex(&mut self, _beta: Rgb<P>, place: &Place<P>) {
         if !self.closed {
-            self.positions.push(p);
-            self.open = Some((shape, uv, wo));
+            self.positions.push(place.si.p);
+            self.open = Some((place.shape, place.si.uv, place.wo));
             self.closed = self.light.is_some();
         }
     }
 
-    fn bounce(&mut self, b: Bounce<P>) {
-        if let (false, Some((shape, uv, wo))) = (self.closed, self.open.take()) {
-            self.vertices.push(Vertex {
-                shape,
-                uv,
-                wo,
-                wi: b.wi,
-                component: b.component,
-                weight: b.weight,
-            });
+    fn contribution(&mut self, contribution: Contribution<P>) {
+        match contribution {
+            Contribution::Met(met) if self.light.is_none() => {
+                self.light = Some((met.emitter, met.emission));
+            }
+            Contribution::Scattered(b) => {
+                if let (false, Some((shape, uv, wo))) = (self.closed, self.open.take()) {
+                    self.vertices.push(Vertex {
+                        shape,
+                        uv,
+                        wo,
+                        wi: b.wi,
+                        component: b.component,
+                        weight: b.weight,
+                    });
+                }
+            }
+            _ => {}
         }
     }
 }

@@ -1,38 +1,25 @@
-//! Where derivatives of what waves keep go: to the parameters, or to the radiance of the paths.
+//! Where derivatives of what waves keep go: [`super::super::record::ends`], and what many plain vertices have together.
 
-use ad_core::{Const, Float, Real, Vec2, Vec3};
+use ad_core::{Float, Real, Vec2, Vec3};
 use smallvec::SmallVec;
 
 use super::lanes::{Lane, Lanes, Sums, WIDTH};
 use super::record::Layer;
-use crate::bsdf::{Bsdf, Material, Shading, Use};
-use crate::emitter::{AnyEmitter, Emission, Emitter};
+use crate::bsdf::{Material, TransportMode, Use};
+use crate::emitter::{AnyEmitter, Emission};
 use crate::integrator::gradient::Active;
-use crate::integrator::local::{ActiveTexture, LocalFn, pull_back};
-use crate::integrator::path::MODE;
+use crate::integrator::local::{ActiveTexture, LocalFn};
+use crate::integrator::record::SumSink;
+use crate::integrator::record::ends::{Adjoints, Ends, Tangents};
 use crate::math::Rgb;
 use crate::params::{GradSink, ParamRef, Theta};
 use crate::scene::Scene;
 use crate::texture::{RgbTexture, Texture};
 
-/// Takes the values that parameters have a part in, each with the adjoint `d` of the radiance of path `id` with respect
-/// to it.
-pub trait Ends<P: Float> {
-    /// Light of an emitter.
-    fn emission(&mut self, id: usize, emitter: &AnyEmitter, emission: &Emission<P>, d: Rgb<P>);
-    /// Values of a material.
-    fn vertex(&mut self, id: usize, material: &Material, uv: Vec2<P>, wo: Vec3<P>, uses: &[Use<P>]);
+/// [`Ends`] that take the albedos of many plain vertices at once.
+pub trait LayerEnds<P: Float>: Ends<P> {
     /// Albedos of the plain vertices of a layer, where `wanted` is not zero.
     fn albedos(&mut self, scene: &Scene, layer: &Layer<P>, wanted: &Lane<u32>, d: &Lanes<P>);
-    /// Light that is a function of the `textures` of a material.
-    fn light(
-        &mut self,
-        id: usize,
-        textures: &[ActiveTexture],
-        uv: Vec2<P>,
-        light: &impl LocalFn<P>,
-        d: Rgb<P>,
-    );
     /// Nothing follows.
     fn finish(&mut self) {}
 }
@@ -49,10 +36,9 @@ fn albedo(scene: &Scene, material: u32) -> Option<&RgbTexture> {
 /// Beyond so many, vertices are faster one by one than materials.
 const MOST_CONSTANTS: usize = 8;
 
-/// Reverse mode: adjoints of the parameters.
-pub struct Adjoints<'a, P: Float, G> {
-    theta: &'a Theta<'a, P>,
-    grad: &'a mut G,
+/// Reverse mode: [`Adjoints`], and sums over whole layers.
+pub struct LayerAdjoints<'a, P: Float, G> {
+    adjoints: Adjoints<'a, P, G>,
     /// Plain materials that are differentiated and the same everywhere, and their albedos: sums over whole layers.
     constants: SmallVec<[(u32, ParamRef); MOST_CONSTANTS]>,
     /// In the same order.
@@ -61,7 +47,7 @@ pub struct Adjoints<'a, P: Float, G> {
     only_constants: bool,
 }
 
-impl<'a, P: Float, G: GradSink<P>> Adjoints<'a, P, G> {
+impl<'a, P: Float, G: GradSink<P> + SumSink> LayerAdjoints<'a, P, G> {
     /// Those of the parameters in `active`, added to `grad`.
     pub fn of(scene: &Scene, active: &Active, theta: &'a Theta<'a, P>, grad: &'a mut G) -> Self {
         let mut constants = SmallVec::new();
@@ -78,8 +64,7 @@ impl<'a, P: Float, G: GradSink<P>> Adjoints<'a, P, G> {
             }
         }
         Self {
-            theta,
-            grad,
+            adjoints: Adjoints { theta, grad },
             constants,
             sums: [Sums::zero(); MOST_CONSTANTS],
             only_constants,
@@ -87,23 +72,36 @@ impl<'a, P: Float, G: GradSink<P>> Adjoints<'a, P, G> {
     }
 }
 
-impl<P: Float, G: GradSink<P>> Ends<P> for Adjoints<'_, P, G> {
-    fn emission(&mut self, _id: usize, emitter: &AnyEmitter, emission: &Emission<P>, d: Rgb<P>) {
-        emitter.backward(emission, d, self.grad);
+impl<P: Float, G: GradSink<P> + SumSink> Ends<P> for LayerAdjoints<'_, P, G> {
+    fn emission(&mut self, id: usize, emitter: &AnyEmitter, emission: &Emission<P>, d: Rgb<P>) {
+        self.adjoints.emission(id, emitter, emission, d);
     }
 
     fn vertex(
         &mut self,
-        _id: usize,
+        id: usize,
         material: &Material,
         uv: Vec2<P>,
         wo: Vec3<P>,
         uses: &[Use<P>],
+        mode: TransportMode,
     ) {
-        let theta = *self.theta;
-        material.backward(&Shading { theta, uv }, wo, uses, MODE, self.grad);
+        self.adjoints.vertex(id, material, uv, wo, uses, mode);
     }
 
+    fn light(
+        &mut self,
+        id: usize,
+        textures: &[ActiveTexture],
+        uv: Vec2<P>,
+        light: &impl LocalFn<P>,
+        d: Rgb<P>,
+    ) {
+        self.adjoints.light(id, textures, uv, light, d);
+    }
+}
+
+impl<P: Float, G: GradSink<P> + SumSink> LayerEnds<P> for LayerAdjoints<'_, P, G> {
     fn albedos(&mut self, scene: &Scene, layer: &Layer<P>, wanted: &Lane<u32>, d: &Lanes<P>) {
         for ((material, _), sums) in self.constants.iter().zip(&mut self.sums) {
             let of_this = |i: usize| (layer.material[i] == *material) & (wanted[i] != 0);
@@ -121,80 +119,24 @@ impl<P: Float, G: GradSink<P>> Ends<P> for Adjoints<'_, P, G> {
                 .filter(textured)
                 .filter_map(|i| Some((i, albedo(scene, layer.material[i])?)))
         };
+        let grad = &mut *self.adjoints.grad;
         for (i, albedo) in textured() {
-            albedo.expect_scatter(layer.uv(i), self.grad);
+            albedo.expect_scatter(layer.uv(i), grad);
         }
         for (i, albedo) in textured() {
-            albedo.scatter(layer.uv(i), d.rgb(i), self.grad);
+            albedo.scatter(layer.uv(i), d.rgb(i), grad);
         }
-    }
-
-    fn light(
-        &mut self,
-        _id: usize,
-        textures: &[ActiveTexture],
-        uv: Vec2<P>,
-        light: &impl LocalFn<P>,
-        d: Rgb<P>,
-    ) {
-        pull_back(textures, self.theta, uv, light, d, self.grad);
     }
 
     fn finish(&mut self) {
         for (&(_, albedo), sums) in self.constants.iter().zip(&mut self.sums) {
-            self.grad.add_all(albedo, 0, sums.total());
+            self.adjoints.grad.add_all(albedo, 0, sums.total());
             *sums = Sums::zero();
         }
     }
 }
 
-/// Forward mode: tangents of the radiance of each path, where each has the adjoint one.
-pub struct Tangents<'a, R: Real> {
-    /// The parameters as they move.
-    pub theta: &'a Theta<'a, R>,
-    /// Radiance of the paths.
-    pub l: &'a mut [Rgb<R>],
-}
-
-impl<R: Real> Tangents<'_, R> {
-    /// The adjoint is part of `values`.
-    #[inline(always)]
-    fn add(&mut self, id: usize, values: Rgb<R>) {
-        if let Some(l) = self.l.get_mut(id) {
-            *l += values.map(|x| x - Const(x.primal()));
-        }
-    }
-}
-
-impl<R: Real> Ends<R::Primal> for Tangents<'_, R> {
-    fn emission(
-        &mut self,
-        id: usize,
-        emitter: &AnyEmitter,
-        emission: &Emission<R::Primal>,
-        d: Rgb<R::Primal>,
-    ) {
-        self.add(
-            id,
-            emitter.eval(self.theta, &emission.lift()) * Rgb::lift(d),
-        );
-    }
-
-    fn vertex(
-        &mut self,
-        id: usize,
-        material: &Material,
-        uv: Vec2<R::Primal>,
-        wo: Vec3<R::Primal>,
-        uses: &[Use<R::Primal>],
-    ) {
-        let at = Shading {
-            theta: *self.theta,
-            uv: Vec2::lift(uv),
-        };
-        self.add(id, material.forward(&at, wo, uses, MODE));
-    }
-
+impl<R: Real> LayerEnds<R::Primal> for Tangents<'_, R> {
     fn albedos(
         &mut self,
         scene: &Scene,
@@ -208,16 +150,5 @@ impl<R: Real> Ends<R::Primal> for Tangents<'_, R> {
                 self.add(layer.id[i] as usize % WIDTH, albedo * Rgb::lift(d.rgb(i)));
             }
         }
-    }
-
-    fn light(
-        &mut self,
-        id: usize,
-        _textures: &[ActiveTexture],
-        _uv: Vec2<R::Primal>,
-        light: &impl LocalFn<R::Primal>,
-        d: Rgb<R::Primal>,
-    ) {
-        self.add(id, light.eval(self.theta) * Rgb::lift(d));
     }
 }

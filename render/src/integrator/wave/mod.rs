@@ -15,7 +15,7 @@ mod lanes;
 mod record;
 
 use ad_core::{Const, Float, Vec2, Vec3};
-pub(super) use ends::{Adjoints, Tangents};
+pub(super) use ends::LayerAdjoints;
 pub(super) use lanes::WIDTH;
 use lanes::{Field, Lane, Lanes, lanes, whole};
 pub(super) use record::Record;
@@ -23,7 +23,7 @@ pub(super) use record::Record;
 use super::batch;
 use super::direct::{Departure, FoundEdge, follows_edges};
 use super::path::{
-    Context, HitLight, LEAST_STEP, MAX_SURVIVAL, MODE, Rival, Seen, find_light, guided, is_guided,
+    Context, LEAST_STEP, MAX_SURVIVAL, MODE, Met, Rival, Seen, find_light, guided, is_guided,
     mixed, weigh_lights,
 };
 use crate::accel::{BUNDLE, Bundle, Hit};
@@ -53,13 +53,13 @@ pub(super) const fn fits<S: Strategy>() -> bool {
 pub(super) trait Log<P: Float> {
     /// Whether anything is kept; if not, nothing that only derivatives need is done.
     const ENABLED: bool;
-    /// See [`super::path::Observer::follows`].
+    /// See [`super::record::Observer::follows`].
     fn follows(&self, material: u32) -> bool;
-    /// See [`super::path::Observer::follows_normals`].
+    /// See [`super::record::Observer::follows_normals`].
     fn follows_normals(&self, _material: u32) -> bool {
         false
     }
-    /// See [`super::path::Observer::follows_light`].
+    /// See [`super::record::Observer::follows_light`].
     fn follows_light(&self) -> bool;
     /// The vertex that the edge of path `i` left, if light on that edge is differentiated by itself.
     fn departure(&self, _paths: &Paths<P>, _i: usize) -> Option<&Departure<P>> {
@@ -70,7 +70,8 @@ pub(super) trait Log<P: Float> {
         &mut self,
         paths: &Paths<P>,
         i: usize,
-        light: &HitLight<P>,
+        emitter: u32,
+        light: &Met<P>,
         le: Rgb<P>,
         follows: Option<P>,
     );
@@ -96,7 +97,8 @@ impl<P: Float> Log<P> for () {
         &mut self,
         _paths: &Paths<P>,
         _i: usize,
-        _light: &HitLight<P>,
+        _emitter: u32,
+        _light: &Met<P>,
         _le: Rgb<P>,
         _follows: Option<P>,
     ) {
@@ -607,7 +609,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
                         continue;
                     };
                     (paths.l).add_rgb(i, paths.beta.rgb(i) * le * light.weight);
-                    log.hit(paths, i, &light, le, follows.then_some(share));
+                    log.hit(paths, i, emitter, &light, le, follows.then_some(share));
                     any = true;
                 }
                 if follows

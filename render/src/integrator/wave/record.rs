@@ -1,19 +1,19 @@
 //! What a wave of paths keeps, and its derivatives: [`super::super::record`], field by field.
 
 use ad_core::{Float, Vec2, Vec3};
-use smallvec::SmallVec;
 
-use super::ends::Ends;
+use super::ends::LayerEnds;
 use super::lanes::{Field, Lane, Lanes, WIDTH, whole};
 use super::{Log, Paths, Wave};
-use crate::bsdf::{Component, Part, Use};
+use crate::bsdf::{Component, Part};
 use crate::emitter::{Emission, Emitter};
 use crate::estimator::Strategy;
 use crate::integrator::direct::{
     Connected, Departure, Edges, Followed, Found, FoundEdge, FoundLight, follows_edges,
 };
 use crate::integrator::gradient::Active;
-use crate::integrator::path::HitLight;
+use crate::integrator::path::{MODE, Met};
+use crate::integrator::record::sweep::Uses;
 use crate::math::Rgb;
 use crate::scene::Scene;
 
@@ -179,7 +179,7 @@ impl<'a, P: Float> Record<'a, P> {
 
     /// Hands `ends` the derivatives of the radiances `l` times their adjoints, for the paths whose radiance is finite. The
     /// strategy is that of [`Record::of`].
-    pub fn differentiate<S: Strategy>(&mut self, l: &[Rgb<P>], ends: &mut impl Ends<P>) {
+    pub fn differentiate<S: Strategy>(&mut self, l: &[Rgb<P>], ends: &mut impl LayerEnds<P>) {
         let mut counts = Lane::<u32>::zero();
         for (counts, l) in counts.iter_mut().zip(l) {
             *counts = u32::from(l.is_finite());
@@ -193,7 +193,11 @@ impl<'a, P: Float> Record<'a, P> {
 
     /// [`Record::differentiate`] of light that strategy `S` differentiates by itself, of the paths that count.
     #[inline(never)]
-    fn differentiate_followed<S: Strategy>(&mut self, counts: &Lane<u32>, ends: &mut impl Ends<P>) {
+    fn differentiate_followed<S: Strategy>(
+        &mut self,
+        counts: &Lane<u32>,
+        ends: &mut impl LayerEnds<P>,
+    ) {
         let (scene, active) = (self.scene, self.active);
         for layer in &mut self.layers[1..self.used] {
             let Layer {
@@ -236,7 +240,7 @@ impl<'a, P: Float> Record<'a, P> {
     }
 
     /// [`Record::differentiate`] of everything else.
-    fn differentiate_vertices(&mut self, counts: &Lane<u32>, ends: &mut impl Ends<P>) {
+    fn differentiate_vertices(&mut self, counts: &Lane<u32>, ends: &mut impl LayerEnds<P>) {
         let scene = self.scene;
         for e in &self.emitted {
             let id = e.id as usize % WIDTH;
@@ -270,46 +274,31 @@ impl<'a, P: Float> Record<'a, P> {
                 let index = layer.material[i];
                 let d = layer.d.rgb(i);
                 let mut l = Rgb::black();
-                let mut uses = SmallVec::<[Use<P>; 5]>::new();
-                let mut pull = |wi, component, part, d: Rgb<P>| {
-                    if !d.is_black() {
-                        uses.push(Use {
-                            wi,
-                            component,
-                            part,
-                            d,
-                        });
-                    }
-                };
-                let part = |component| match component {
-                    Component::Continuous if other.splits => Part::Rest,
-                    _ => Part::All,
-                };
+                let mut uses = Uses::new();
                 if let Some((wi, f, light)) = other.light {
-                    let component = Component::Continuous;
                     l += f * light;
-                    if !weighed {
-                        pull(wi, component, part(component), d * light);
-                    }
-                    if other.splits {
-                        pull(wi, component, Part::Normals, d * other.for_normals);
-                    }
+                    let normals = other.splits.then_some(other.for_normals);
+                    uses.sampled(wi, light, normals, weighed, d);
                 }
                 let (first, end) = other.normals;
                 for &(wi, li) in &self.normals[first as usize..end as usize] {
                     let d = self.d.rgb(layer.id[i] as usize % WIDTH) * li;
-                    pull(wi, Component::Continuous, Part::Normals, d);
+                    uses.push(wi, Component::Continuous, Part::Normals, d);
                 }
                 if let Some((wi, component, f, weight)) = other.bounce {
                     let light = arrives.rgb(i) * weight;
                     l += f * (light + by_themselves.rgb(i) * weight);
-                    pull(wi, component, part(component), d * light);
+                    let part = match component {
+                        Component::Continuous if other.splits => Part::Rest,
+                        _ => Part::All,
+                    };
+                    uses.push(wi, component, part, d * light);
                 }
                 leaves.put_rgb(i, l);
                 let id = layer.id[i] as usize % WIDTH;
-                if layer.follows[i] != 0 && counts[id] != 0 && !uses.is_empty() {
+                if layer.follows[i] != 0 && counts[id] != 0 && !uses.0.is_empty() {
                     let material = &scene.materials()[index as usize];
-                    ends.vertex(id, material, layer.uv(i), other.wo, &uses);
+                    ends.vertex(id, material, layer.uv(i), other.wo, &uses.0, MODE);
                 }
             }
             let mut wanted = Lane::<u32>::zero();
@@ -363,7 +352,8 @@ impl<P: Float> Log<P> for Record<'_, P> {
         &mut self,
         paths: &Paths<P>,
         i: usize,
-        light: &HitLight<P>,
+        emitter: u32,
+        light: &Met<P>,
         le: Rgb<P>,
         follows: Option<P>,
     ) {
@@ -374,18 +364,18 @@ impl<P: Float> Log<P> for Record<'_, P> {
             Some(share) => {
                 layer.found_light.push(hit);
                 layer.lights.push(FoundLight {
-                    emitter: light.emitter,
+                    emitter,
                     emission: light.emission,
                     share,
                 });
             }
         }
-        if self.active.emitter_active(light.emitter) {
+        if self.active.emitter_active(emitter) {
             let id = paths.id[i];
             let d = self.d.rgb(id as usize % WIDTH) * paths.beta.rgb(i) * light.weight;
             self.emitted.push(Emitted {
                 id,
-                emitter: light.emitter,
+                emitter,
                 emission: light.emission,
                 d,
             });
