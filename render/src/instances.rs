@@ -18,9 +18,9 @@ use crate::estimator::{
 };
 use crate::integrator::density::{Convention, Map};
 use crate::integrator::gradient::{self, Active, Gradient};
+use crate::integrator::is_guided;
 use crate::integrator::particle;
 use crate::integrator::particle_gradient::{self, Measurement};
-use crate::integrator::path::is_guided;
 use crate::integrator::render::{self, Components, Progress, Rendering};
 use crate::integrator::second_order::{self, GaussNewton};
 use crate::integrator::tally::tally;

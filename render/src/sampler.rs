@@ -10,13 +10,60 @@ use sobol_burley::parts::{owen_scramble_rev, sobol_int4_rev};
 
 use crate::math::each;
 
-/// Dimensions reserved for the camera: pixel position.
-pub const CAMERA_DIMENSIONS: u32 = 2;
-/// Dimensions reserved for each bounce of a path: see [`crate::integrator`].
-pub const BOUNCE_DIMENSIONS: u32 = 8;
+/// What numbers are drawn for: every decision of a path or a particle has dimensions of its own.
+///
+/// The dimensions of paths and of particles are those of different streams. No two purposes of one stream share any up to
+/// a depth of 131 000 edges, beyond which numbers repeat and estimates stay unbiased one by one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Purpose {
+    /// Where in its pixel a path starts, 2; the depth is 1.
+    Pixel,
+    /// Which light is sampled, and where on it, 2.
+    Light,
+    /// A scattered direction, 3, and roulette.
+    Scattering,
+    /// A direction that a viewing ray goes on in, 3, which samples no lights: they have those of [`Purpose::Light`].
+    Viewing,
+    /// The pair of samples of the derivative of the distribution of normals, 3.
+    NormalsPair,
+    /// So many auxiliary rays around an edge, 2 each.
+    AuxiliaryRays(u32),
+    /// The start of a particle: its emitter if there is a choice, position 2, direction 2; the depth is 1.
+    Emission,
+    /// A direction that a particle is scattered in, 3, and roulette.
+    ParticleScattering,
+    /// The pair of samples of the derivative of the distribution of normals where particles scatter, 3.
+    ParticleNormalsPair,
+}
 
-/// From this dimension on: auxiliary rays of reparameterised estimators, by depth.
-pub const AUXILIARY_DIMENSIONS: u32 = 1 << 20;
+impl Purpose {
+    /// The first dimension, at the vertex (or along the edge) number `depth`, counted from one.
+    #[inline(always)]
+    pub const fn at(self, depth: u32) -> u32 {
+        const AUXILIARY: u32 = 1 << 20;
+        const RAYS: u32 = 1 << 24;
+        match self {
+            Self::Pixel | Self::Emission => 0,
+            Self::Light | Self::Viewing => 2 + (depth - 1) * 8,
+            Self::Scattering => 5 + (depth - 1) * 8,
+            Self::NormalsPair => AUXILIARY + depth * 8,
+            Self::AuxiliaryRays(rays) => RAYS + depth * 2 * rays,
+            Self::ParticleScattering => 5 + (depth - 1) * 4,
+            Self::ParticleNormalsPair => AUXILIARY + depth * 4,
+        }
+    }
+
+    /// How many it takes.
+    pub const fn count(self) -> u32 {
+        match self {
+            Self::Pixel => 2,
+            Self::Light | Self::Viewing | Self::NormalsPair | Self::ParticleNormalsPair => 3,
+            Self::Scattering | Self::ParticleScattering => 4,
+            Self::AuxiliaryRays(rays) => 2 * rays,
+            Self::Emission => 5,
+        }
+    }
+}
 
 /// How the samples of a pixel are spread.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -321,6 +368,26 @@ impl Sampler for Spread {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// No two decisions of a path, or of a particle, share a dimension.
+    #[test]
+    fn purposes_do_not_overlap() {
+        let path = [
+            Purpose::Light,
+            Purpose::Scattering,
+            Purpose::NormalsPair,
+            Purpose::AuxiliaryRays(16),
+        ];
+        let particle = [Purpose::ParticleScattering, Purpose::ParticleNormalsPair];
+        for (start, purposes) in [(Purpose::Pixel, &path[..]), (Purpose::Emission, &particle)] {
+            let mut taken = vec![(start.at(1), start.count())];
+            for depth in (1..2000).chain(130_000..131_000) {
+                taken.extend(purposes.iter().map(|p| (p.at(depth), p.count())));
+            }
+            taken.sort_unstable();
+            assert!(taken.windows(2).all(|w| w[0].0 + w[0].1 <= w[1].0));
+        }
+    }
 
     /// The table holds the sequence: the exclusive or of its halves is what the crate says.
     #[test]

@@ -12,7 +12,7 @@ use std::ops::Range;
 use ad_core::{Float, Vec2, Vec3};
 
 use super::particle::{Context, ParticleObserver, follow};
-use super::record::{Observer, Place};
+use super::record::{Observer, Place, Wishes};
 use super::render::{Components, NonFinite, Progress, Rendering, tiles};
 use crate::bsdf::kernel::{Symmetry, eval_kernel, local_normal};
 use crate::bsdf::{Bsdf, Component, DeltaKind, Shading, TransportMode};
@@ -20,7 +20,7 @@ use crate::emitter::Emitter;
 use crate::error::RenderError;
 use crate::math::Rgb;
 use crate::parallel;
-use crate::sampler::{BOUNCE_DIMENSIONS, CAMERA_DIMENSIONS, Sampler};
+use crate::sampler::{Purpose, Sampler};
 use crate::scene::Intersection;
 
 /// What viewing rays carry.
@@ -53,6 +53,8 @@ struct Landed<P: Float> {
 struct Keeper<P: Float> {
     landed: Vec<Landed<P>>,
 }
+
+impl<P: Float> Wishes for Keeper<P> {}
 
 impl<P: Float> Observer<P> for Keeper<P> {
     fn vertex(&mut self, beta: Rgb<P>, place: &Place<P>) {
@@ -409,7 +411,7 @@ impl<P: Float> Map<P> {
                 });
                 return l + beta * sum * (meet / P::of(self.sent.max(1) as f64));
             }
-            sampler.seek(CAMERA_DIMENSIONS + (depth - 1) * BOUNCE_DIMENSIONS);
+            sampler.seek(Purpose::Viewing.at(depth));
             let mode = TransportMode::Radiance;
             let Some(sample) = material.sample(&at, wo, sampler.next_3d(), mode) else {
                 break;

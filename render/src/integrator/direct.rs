@@ -13,14 +13,15 @@ use ad_core::{Const, Float, Real, Vec2, Vec3};
 
 use super::boundary::{Freeze, freeze};
 use super::local::LocalFn;
-use super::path::{MODE, frozen_pdf};
+use super::path::MODE;
+use super::vertex::light::frozen_pdf;
 use crate::accel::Hit;
 use crate::bsdf::{Bsdf, BsdfSample, Component, Material, Part, Shading};
 use crate::emitter::{Emission, Emitter, Moved};
 use crate::estimator::{Direct, Sampling, Strategy};
 use crate::math::{Frame, Rgb};
 use crate::params::Theta;
-use crate::sampler::{AUXILIARY_DIMENSIONS, Sampler};
+use crate::sampler::{Purpose, Sampler};
 use crate::scene::{Intersection, Scene};
 use crate::shape::SurfaceInteraction;
 
@@ -105,7 +106,7 @@ impl<P: Float> Departure<P> {
             Direct::AsPath => Motion::Still,
             Direct::Attached => Motion::Free,
             Direct::Reparameterised { rays } => {
-                sampler.seek(AUXILIARY_DIMENSIONS + depth * 2 * rays as u32);
+                sampler.seek(Purpose::AuxiliaryRays(rays as u32).at(depth));
                 let origin = self.si.spawn_ray(d, self.offset).o;
                 let w = self.si.frame.to_local(d);
                 Motion::Slowed(freeze(scene, origin, &self.si.frame, w, rays, sampler))

@@ -218,13 +218,13 @@ impl Active {
 
     /// Whether anything of a material does.
     #[inline]
-    pub(super) fn material_active(&self, material: u32) -> bool {
+    pub(super) fn follows(&self, material: u32) -> bool {
         !self.textures(material).is_empty()
     }
 
     /// Whether its roughness does.
     #[inline]
-    pub(super) fn roughness_active(&self, material: u32) -> bool {
+    pub(super) fn follows_normals(&self, material: u32) -> bool {
         self.roughness[material as usize]
     }
 
@@ -236,7 +236,7 @@ impl Active {
 
     /// Whether any emitter does.
     #[inline]
-    pub(super) fn any_emitter(&self) -> bool {
+    pub(super) fn follows_light(&self) -> bool {
         self.emission
     }
 

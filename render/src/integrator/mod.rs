@@ -21,4 +21,7 @@ pub mod render;
 pub(crate) mod scout;
 pub mod second_order;
 pub(crate) mod tally;
+pub mod vertex;
 mod wave;
+
+pub(crate) use vertex::light::is_guided;

@@ -10,6 +10,9 @@ use super::record::{
     Bounce, Contribution, EmittedLight, NormalsLight, Observer, Place, SeenVertex,
 };
 use super::render::{Components, NonFinite, Progress, Rendering};
+use super::vertex::light::has_tangent;
+use super::vertex::part_of;
+use super::vertex::roulette::{play, probability, survival};
 use crate::bsdf::differential::Part;
 use crate::bsdf::kernel::{Rules, kernel_weight, local_normal};
 use crate::bsdf::nesting::flips_normals;
@@ -20,17 +23,9 @@ use crate::error::RenderError;
 use crate::math::{Ray, Rgb};
 use crate::parallel;
 use crate::params::Theta;
-use crate::sampler::{AUXILIARY_DIMENSIONS, Sampler};
+use crate::sampler::{Purpose, Sampler};
 use crate::scene::{Intersection, Scene, Settings};
 
-/// Probability of surviving Russian roulette is at most this.
-const MAX_SURVIVAL: f64 = 0.95;
-/// As in the path tracer: when derivatives are wanted, a vertex counts as reflecting at least this much.
-const LEAST_STEP: f64 = 0.2;
-/// Dimensions of the sampler for the emission: emitter if there is a choice, position 2, direction 2.
-const EMISSION_DIMENSIONS: u32 = 5;
-/// Dimensions per vertex: BSDF 3, roulette.
-const VERTEX_DIMENSIONS: u32 = 4;
 /// So that paths and particles of the same seed are independent.
 const STREAM: u64 = 0x6c69_6768_7421_0001;
 
@@ -428,7 +423,7 @@ impl<R: Real, X: Sampler> Particle<R, X> {
 
         // ---- Scattering ----
         let sampler = &mut self.sampler;
-        sampler.seek(EMISSION_DIMENSIONS + (depth - 1) * VERTEX_DIMENSIONS);
+        sampler.seek(Purpose::ParticleScattering.at(depth));
         let Some((sample, mut f)) = material.scatter(&at, wo, sampler.next_3d(), MODE) else {
             return;
         };
@@ -439,17 +434,19 @@ impl<R: Real, X: Sampler> Particle<R, X> {
             f = material.eval_component(&at, wo_r, wi, sample.component, mode);
         }
         let mut weight = shading / sample.pdf;
-        let step = f.primal().max_component() * weight;
-        self.survival *= match differentiates {
-            true => step.max(R::Primal::of(LEAST_STEP)),
-            false => step,
-        };
+        let step = f.primal().scale(weight);
+        self.survival = survival(
+            differentiates,
+            self.survival,
+            step,
+            step.scale(self.survival),
+        );
         if depth >= context.settings.rr_depth {
-            let q = self.survival.min(R::Primal::of(MAX_SURVIVAL));
-            if sampler.next_1d::<R::Primal>() >= q {
+            let q = probability(self.survival, R::Primal::one());
+            let (lives, inv_q) = play(true, q, sampler.next_1d());
+            if !lives {
                 return;
             }
-            let inv_q = q.recip();
             self.survival *= inv_q;
             weight *= inv_q;
         }
@@ -457,10 +454,7 @@ impl<R: Real, X: Sampler> Particle<R, X> {
         if weight == R::Primal::zero() {
             return;
         }
-        let part = match sample.component {
-            Component::Continuous if splits => Part::Rest,
-            _ => Part::All,
-        };
+        let part = part_of(sample.component, splits);
         if O::ENABLED {
             observer.contribution(Contribution::Scattered(Bounce {
                 wi,
@@ -482,11 +476,6 @@ impl<R: Real, X: Sampler> Particle<R, X> {
         let d = si.frame.to_world(sample.wi);
         self.ray = Some(si.spawn_ray(d, info.offset));
     }
-}
-
-#[inline]
-fn has_tangent<R: Real>(c: Rgb<R>) -> bool {
-    !R::IS_PRIMAL && (c.r.has_tangent() || c.g.has_tangent() || c.b.has_tangent())
 }
 
 impl<R: Real, X: Sampler> Particle<R, X> {
@@ -519,7 +508,7 @@ impl<R: Real, X: Sampler> Particle<R, X> {
         let material = scene.material(hit.shape);
         let at = Shading { theta, uv: si.uv };
         let mut sampler = self.sampler;
-        sampler.seek(AUXILIARY_DIMENSIONS + self.depth * VERTEX_DIMENSIONS);
+        sampler.seek(Purpose::ParticleNormalsPair.at(self.depth));
         let pair = material.sample_differential(&at, wo, sampler.next_3d(), MODE);
         for sample in pair.into_iter().flatten() {
             let shading = kernel_weight(n_geo, [wo, sample.wi], MODE, context.rules);

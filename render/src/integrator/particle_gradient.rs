@@ -11,7 +11,7 @@ use ad_core::Float;
 
 use super::gradient::{self, Active, ExactBuffer, Gradient, Sink, check_size, exactly, largest_of};
 use super::particle::{Context, ParticleObserver, follow, pixels};
-use super::record::{Contribution, Observer, PathRecord, Place, Recorder};
+use super::record::{Contribution, Observer, PathRecord, Place, Recorder, Wishes};
 use super::render::{NonFinite, Progress};
 use crate::error::RenderError;
 use crate::estimator::DetachedMis;
@@ -31,11 +31,14 @@ struct ParticleRecorder<'a, P: Float> {
     recorder: Recorder<'a, P>,
 }
 
-impl<P: Float> Observer<P> for ParticleRecorder<'_, P> {
+impl<P: Float> Wishes for ParticleRecorder<'_, P> {
     #[inline]
     fn follows_normals(&self, material: u32) -> bool {
         self.recorder.follows_normals(material)
     }
+}
+
+impl<P: Float> Observer<P> for ParticleRecorder<'_, P> {
     #[inline]
     fn vertex(&mut self, beta: Rgb<P>, place: &Place<P>) {
         self.recorder.vertex(beta, place);

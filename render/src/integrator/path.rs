@@ -1,6 +1,6 @@
 //! The path tracer.
 
-use ad_core::{Const, Float, Real, Vec2, Vec3};
+use ad_core::{Const, Real, Vec2, Vec3};
 use smallvec::SmallVec;
 
 use super::batch;
@@ -9,31 +9,26 @@ use super::direct::{
     follows_edges,
 };
 use super::record::{Bounce, Contribution, MetLight, NormalsLight, Observer, Place, SampledLight};
-use crate::bsdf::{
-    Bsdf, BsdfSample, Component, Material, Part, Scattered, Shading, TextureRef, TransportMode,
+use super::vertex::light::{
+    Rival, Seen, choose, counts_hits, find_light, frozen_pdf, guided, has_rival, has_tangent,
+    is_guided, matters, mis_weight, mixed,
 };
+use super::vertex::part_of;
+use super::vertex::regard::{Regard, splits};
+use super::vertex::roulette::{MAX_SURVIVAL, play, probability, survival};
+use crate::bsdf::{Bsdf, Component, Material, Part, Shading, TextureRef, TransportMode};
 use crate::emitter::{AnyEmitter, Emission, Emitter, Shift};
 use crate::estimator::memory::{Memory, Store};
 use crate::estimator::{Sampling, Strategy};
-use crate::guide::{Directions, PART_GUIDED};
-use crate::math::{Frame, Ray, Rgb};
+use crate::guide::Directions;
+use crate::math::{Ray, Rgb};
 use crate::params::Theta;
-use crate::sampler::{AUXILIARY_DIMENSIONS, BOUNCE_DIMENSIONS, CAMERA_DIMENSIONS, Sampler};
-use crate::scene::{Caustics, Intersection, LightChoice, Scene, Settings};
+use crate::sampler::{Purpose, Sampler};
+use crate::scene::{Caustics, Intersection, Scene, Settings, ShapeInfo};
 use crate::shape::SurfaceInteraction;
 
 /// What paths carry.
 pub(super) const MODE: TransportMode = TransportMode::Radiance;
-
-/// Probability of surviving Russian roulette is at most this.
-pub(super) const MAX_SURVIVAL: f64 = 0.95;
-
-/// When derivatives are wanted, a vertex counts as reflecting at least this much for roulette: at zero
-/// albedo the throughput vanishes, but the derivative behind that vertex does not (F7).
-pub(super) const LEAST_STEP: f64 = 0.2;
-
-/// Probability of keeping any one of the emitters' samples, see [`LightChoice::All`].
-const LEAST_KEPT: f64 = 0.1;
 
 /// Scalar of the geometry of a strategy.
 pub type Geometry<S, R> = <<S as Strategy>::Bsdf as Sampling>::Geometry<R>;
@@ -58,6 +53,22 @@ pub struct Context<'a, R: Real> {
     pub shifts: &'a [Option<Shift<R>>],
     /// Who finds caustics: paths leave them out where particles do.
     pub caustics: Caustics,
+}
+
+impl<'a, R: Real> Context<'a, R> {
+    /// The same where nothing moves: with the values of the parameters, `theta`.
+    fn still<'b>(&self, theta: &'b Theta<'b, R::Primal>) -> Context<'b, R::Primal>
+    where
+        'a: 'b,
+    {
+        Context {
+            scene: self.scene,
+            theta,
+            settings: self.settings,
+            shifts: &[],
+            caustics: self.caustics,
+        }
+    }
 }
 
 /// How the samples of all emitters move, for strategies and scalars that want to know: made once per pass.
@@ -92,8 +103,7 @@ pub fn trace<R: Real, S: Strategy, X: Sampler, O: Observer<R>>(
 /// the rays of many paths can be traced together.
 ///
 /// Depth counts edges: a light that is seen has depth 1, direct light 2. Dimensions of the
-/// sampler: [`CAMERA_DIMENSIONS`] for the camera, then [`BOUNCE_DIMENSIONS`] per vertex (light
-/// choice, light position 2, BSDF 3, roulette).
+/// sampler: see [`Purpose`].
 ///
 /// # Derivatives
 /// In theta, as the strategy says. Discrete decisions (light, lobe, roulette) are primal, and so are their
@@ -128,14 +138,28 @@ pub struct Walk<R: Real, S: Strategy, X: Sampler> {
     survival: R::Primal,
     /// Number of edges with the next one.
     depth: u32,
-    /// Whether a vertex so far is one that the observer follows.
-    followed: bool,
-    /// Whether others find caustics on the first vertex, and whether light on this edge would be one.
-    left_out: (bool, bool),
+    /// Whether light on this edge counts.
+    regard: Regard,
     /// What comes through the shadow ray if it is free, and its record for the observer.
     direct: Rgb<R>,
     sampled: Option<SampledLight<R>>,
     aimed: Aiming<S, R>,
+}
+
+/// A vertex that a path has reached.
+struct Here<'a, R: Real, S: Strategy> {
+    info: &'a ShapeInfo,
+    material: &'a Material,
+    si: SurfaceInteraction<Geometry<S, R>>,
+    at: Shading<'a, R>,
+    /// Direction the path came from, local frame.
+    wo: Vec3<Geometry<S, R>>,
+    /// The same in the scalar of the estimate.
+    wo_r: Vec3<R>,
+    /// What leads scattered directions, if anything does.
+    guide: Option<&'a Directions>,
+    /// Whether the change of normals has samples of its own.
+    splits: bool,
 }
 
 impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
@@ -154,8 +178,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
             departure: Default::default(),
             survival: R::Primal::one(),
             depth: 1,
-            followed: false,
-            left_out: (false, false),
+            regard: Regard::default(),
             direct: Rgb::black(),
             sampled: None,
             aimed: Default::default(),
@@ -185,15 +208,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
         visible: bool,
         observer: &mut O,
     ) {
-        let &Context {
-            scene,
-            theta,
-            settings,
-            shifts,
-            caustics,
-        } = context;
-        let depth = self.depth;
-
+        let scene = context.scene;
         // ---- Light sampled at the last vertex ----
         if self.shadow.take().is_some() && visible {
             self.l += self.direct;
@@ -205,327 +220,337 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
         let Some(ray) = self.ray.take() else {
             return;
         };
-        let beta = self.beta;
-        // What no derivative needs is not looked at.
-        let wanted = !O::ENABLED || self.followed || observer.follows_light();
-        let lit = wanted && !self.left_out.1;
 
-        // ---- Emission ----
+        // ---- Light at the end of the edge ----
         let emitters = match &hit {
             Some(hit) => scene.shape_info(hit.shape).emitter.as_slice(),
             None => scene.infinite_emitters(),
         };
-        if lit && !emitters.is_empty() {
+        if !emitters.is_empty() && self.regard.lit(observer) {
             let end = hit.map(|hit| (hit.prim, hit.si));
             self.find_lights(context, emitters, ray.d, end, observer);
         }
         let Some(Intersection { shape, prim, si }) = hit else {
             return;
         };
-        let info = scene.shape_info(shape);
-        if depth >= settings.max_depth {
+        if self.depth >= context.settings.max_depth {
             return;
         }
 
-        let material = scene.material(shape);
-        let wo = si.frame.to_local(-ray.d);
+        // ---- The vertex ----
+        let info = scene.shape_info(shape);
         let uv = Vec2::new(S::Bsdf::embed(si.uv.x), S::Bsdf::embed(si.uv.y));
-        let at = Shading { theta: *theta, uv };
-        let wo_r = S::Bsdf::embed3(wo);
+        let wo = si.frame.to_local(-ray.d);
+        let mut here = Here {
+            info,
+            material: scene.material(shape),
+            si,
+            at: Shading {
+                theta: *context.theta,
+                uv,
+            },
+            wo,
+            wo_r: S::Bsdf::embed3(wo),
+            guide: None,
+            splits: false,
+        };
         if O::ENABLED {
             let place = Place {
                 shape,
                 prim,
                 si: S::Bsdf::embed_interaction(&si),
-                wo: wo_r,
+                wo: here.wo_r,
             };
-            observer.vertex(beta, &place);
+            observer.vertex(self.beta, &place);
         }
-        let differentiates = O::ENABLED || !R::IS_PRIMAL;
-        let follows = !O::ENABLED || observer.follows(info.material);
-        self.followed |= follows;
-        if depth == 1 {
-            self.left_out.0 = caustics == Caustics::Particles && !info.glossy;
-        }
-        self.left_out.1 = self.left_out.0 && info.glossy;
-        let lit = (wanted || follows) && !self.left_out.1;
+        (self.regard).arrive(observer, context.caustics, self.depth, info);
+        let lit = self.regard.lit(observer);
         // With one edge more there may be light, or vertices to find it from.
-        let goes_on = lit || depth + 1 < settings.max_depth;
-        let splits = S::Bsdf::DIFFERENTIAL
-            && differentiates
-            && goes_on
-            && (!O::ENABLED || observer.follows_normals(info.material))
-            && material.has_differential()
-            && (R::IS_PRIMAL || roughness_moves(material, theta));
-        let sampler = &mut self.sampler;
-        let dim = CAMERA_DIMENSIONS + (depth - 1) * BOUNCE_DIMENSIONS;
-        let guide = match const { is_guided::<S>() } && !info.glossy {
-            true => (scene.guide()).and_then(|guide| guide.at(si.p.primal())),
-            false => None,
-        };
+        let goes_on = lit || self.depth + 1 < context.settings.max_depth;
+        let differentiates = const { O::ENABLED || !R::IS_PRIMAL };
+        here.splits = differentiates
+            && splits::<S, O>(observer, goes_on, info.material, here.material)
+            && (R::IS_PRIMAL || roughness_moves(here.material, context.theta));
+        if const { is_guided::<S>() } && !info.glossy {
+            here.guide = (scene.guide()).and_then(|guide| guide.at(si.p.primal()));
+        }
 
-        // ---- Emitter sampling ----
         if S::SAMPLES_EMITTERS && lit && !info.delta && !scene.emitters().is_empty() {
-            sampler.seek(dim);
-            let p = si.p.primal();
-            let choice = sampler.next_bits();
-            let u = sampler.next_2d();
-            let (emitter, kept) = match settings.lights {
-                // The only light needs no number; the branch is always predicted.
-                _ if scene.emitters().len() == 1 => (0, R::Primal::one()),
-                LightChoice::One => (scene.shares().choose(choice, 1).0 as u32, R::Primal::one()),
-                LightChoice::All => {
-                    let seen = Seen {
-                        material,
-                        at: at.primal(),
-                        frame: si.primal().frame,
-                        wo: wo.primal(),
-                    };
-                    weigh_lights(scene, p, &seen, S::COUNTS_HITS, choice, u)
-                }
-            };
-            let e = &scene.emitters()[emitter as usize];
-            let share = settings.lights.share(scene, emitter);
-            let sample = e.sample(scene.lights(), p, u).map(|mut sample| {
-                sample.pdf *= share;
-                sample
-            });
-            if let Some(sample) = sample
-                && sample.pdf > R::Primal::zero()
-            {
-                // Where the vertex moves, its direction to the point on the light does.
-                let seen = (!Geometry::<S, R>::IS_PRIMAL).then(|| e.connect(&sample, si.p));
-                let d = seen.map_or(Vec3::lift(sample.d), |s| s.d);
-                let wi = si.frame.to_local(d);
-                let (f, mut pdf) = material.eval_pdf(&at, wo_r, S::Bsdf::embed3(wi), MODE);
-                if let Some(guide) = guide {
-                    pdf = mixed(pdf, guide.pdf(sample.d));
-                }
-                // Where the derivative may be non-zero although the value is (zero albedo).
-                let matters = !f.is_black()
-                    || (O::ENABLED && pdf.primal() > R::Primal::zero())
-                    || has_tangent(f);
-                if matters {
-                    let shadow = si
-                        .primal()
-                        .shadow_ray(sample.d, sample.distance, info.offset);
-                    let (pdf_light, emission) = match seen {
-                        None => (R::lift(sample.pdf), sample.emission.lift()),
-                        Some(s) => (
-                            S::Bsdf::embed(s.pdf),
-                            Emission {
-                                uv: S::Bsdf::embed2(s.emission.uv),
-                                falloff: S::Bsdf::embed(s.emission.falloff),
-                            },
-                        ),
-                    };
-                    let le = e.eval(theta, &emission);
-                    let mis = if S::COUNTS_HITS && !e.is_delta() {
-                        let pdf = if S::FROZEN_WEIGHTS && !R::IS_PRIMAL {
-                            frozen_pdf(material, &at, wo_r, S::Bsdf::embed3(wi))
-                        } else {
-                            pdf
-                        };
-                        S::weight_sampled(pdf_light, pdf)
-                    } else {
-                        R::one()
-                    };
-                    let weight = if Geometry::<S, R>::IS_PRIMAL {
-                        mis * Const(kept / sample.pdf)
-                    } else {
-                        mis / pdf_light * Const(kept)
-                    };
-                    self.shadow = Some(shadow);
-                    self.direct = beta * f * le * weight;
-                    if S::Aim::KEEPS && differentiates {
-                        let aimed = Aimed {
-                            u,
-                            frame: si.frame.primal(),
-                            share,
-                            kept,
-                        };
-                        let shift = shifts.get(emitter as usize).and_then(Option::as_ref);
-                        if let (Some(map), Some(shift)) = (e.moving(), shift)
-                            && let Some(aim) = map.aim(u)
-                        {
-                            let moved = map.follow(&aim, theta, shift);
-                            self.direct = beta
-                                * aimed_light(
-                                    scene,
-                                    material,
-                                    &at,
-                                    wo_r,
-                                    &aimed,
-                                    emitter,
-                                    &moved,
-                                    &Weighing::of::<S>(),
-                                );
-                        }
-                        let moves = O::ENABLED && e.moving().is_some();
-                        self.aimed.put(moves.then_some(aimed));
-                    }
-                    let normals_weight = splits.then(|| {
-                        let mis = if S::COUNTS_HITS && !e.is_delta() {
-                            let (at, wo, wi) = (at.primal(), wo.primal(), wi.primal());
-                            let pair = material.pdf_differential(&at, wo, wi);
-                            S::weight_sampled(sample.pdf, pair)
-                        } else {
-                            R::Primal::one()
-                        };
-                        R::lift(mis * kept / sample.pdf)
-                    });
-                    if let (Some(w), false) = (normals_weight, R::IS_PRIMAL) {
-                        let change = material.eval_normals(&at, wo.primal(), wi.primal(), MODE);
-                        self.direct += beta * change * le * (w - weight);
-                    }
-                    if O::ENABLED {
-                        self.sampled = Some(SampledLight {
-                            emitter,
-                            emission,
-                            wi: S::Bsdf::embed3(wi),
-                            le,
-                            weight,
-                            f,
-                            normals_weight,
-                            kept,
-                            mis_pdf: if S::COUNTS_HITS && !e.is_delta() {
-                                sample.pdf
-                            } else {
-                                R::Primal::zero()
-                            },
-                            aimed: None,
-                        });
-                    }
-                }
-            }
+            self.sample_light::<O>(context, &here);
         }
-
-        // ---- Samples of the derivative of normals ----
         // The constant again: where nothing splits, the path of a sample is not even compiled.
-        if S::Bsdf::DIFFERENTIAL && splits && !beta.is_black() {
-            let first = AUXILIARY_DIMENSIONS + depth * BOUNCE_DIMENSIONS;
-            let (at, wo) = (at.primal(), wo.primal());
-            let context = Context {
-                scene,
-                theta: &theta.primal(),
-                settings,
-                shifts: &[],
-                caustics,
-            };
-            sampler.seek(first);
-            let u = sampler.next_3d();
-            let pair = material.sample_differential(&at, wo, u, MODE);
-            for sample in pair.into_iter().flatten() {
-                let change = match R::IS_PRIMAL {
-                    true => Rgb::black(),
-                    false => {
-                        material.eval_normals(&Shading { theta: *theta, uv }, wo, sample.wi, MODE)
-                    }
-                };
-                if !O::ENABLED && !has_tangent(change) {
-                    continue;
-                }
-                // From here on both are ordinary paths of this throughput, made of the same numbers: what
-                // they find is alike, and its noise cancels.
-                let d = si.primal().frame.to_world(sample.wi);
-                let ray = si.primal().spawn_ray(d, info.offset);
-                let mut walk = Walk::<R::Primal, S, X> {
-                    beta: beta.primal(),
-                    pdf_bsdf: sample.pdf,
-                    from: Vec3::lift(si.p.primal()),
-                    depth: depth + 1,
-                    eta: self.eta * sample.eta,
-                    left_out: self.left_out,
-                    ..Walk::new(Ray::lift(ray), *sampler)
-                };
-                walk.go(&context, &mut ());
-                if O::ENABLED {
-                    observer.branch(walk.depth - depth);
-                }
-                if walk.l.is_black() {
-                    continue;
-                }
-                let li = Rgb::lift(walk.l.scale(sample.pdf.recip()));
-                if !R::IS_PRIMAL {
-                    self.l += change * li;
-                }
-                if O::ENABLED {
-                    let wi = Vec3::lift(sample.wi);
-                    let light = NormalsLight { wi, mode: MODE, li };
-                    observer.contribution(Contribution::Normals(light));
-                }
-            }
+        if S::Bsdf::DIFFERENTIAL && here.splits && !self.beta.is_black() {
+            self.branch(context, &here, observer);
         }
+        self.depth += 1;
+        if goes_on {
+            self.scatter(context, &here, observer);
+        }
+    }
 
-        // ---- BSDF sampling ----
-        self.depth = depth + 1;
-        if !goes_on {
+    /// Samples a light, to be seen if the shadow ray is free.
+    #[inline(always)]
+    fn sample_light<O: Observer<R>>(&mut self, context: &Context<R>, here: &Here<R, S>) {
+        let &Context {
+            scene,
+            theta,
+            settings,
+            ..
+        } = context;
+        let &Here {
+            info,
+            material,
+            ref si,
+            ref at,
+            wo,
+            wo_r,
+            ..
+        } = here;
+        let (sampler, beta) = (&mut self.sampler, self.beta);
+        sampler.seek(Purpose::Light.at(self.depth));
+        let bits = sampler.next_bits();
+        let u = sampler.next_2d();
+        let p = si.p.primal();
+        let seen = || Seen {
+            material,
+            at: at.primal(),
+            frame: si.primal().frame,
+            wo: wo.primal(),
+        };
+        let (emitter, kept) = choose(scene, settings.lights, S::COUNTS_HITS, bits, u, p, seen);
+        let e = &scene.emitters()[emitter as usize];
+        let share = settings.lights.share(scene, emitter);
+        let sample = e.sample(scene.lights(), p, u).map(|mut sample| {
+            sample.pdf *= share;
+            sample
+        });
+        let Some(sample) = sample.filter(|s| s.pdf > R::Primal::zero()) else {
+            return;
+        };
+        // Where the vertex moves, its direction to the point on the light does.
+        let moved = (!Geometry::<S, R>::IS_PRIMAL).then(|| e.connect(&sample, si.p));
+        let d = moved.map_or(Vec3::lift(sample.d), |s| s.d);
+        let wi = si.frame.to_local(d);
+        let (f, mut pdf) = material.eval_pdf(at, wo_r, S::Bsdf::embed3(wi), MODE);
+        if let Some(guide) = here.guide {
+            pdf = mixed(pdf, guide.pdf(sample.d));
+        }
+        if !matters(O::ENABLED, f, pdf) {
             return;
         }
-        sampler.seek(dim + 3);
-        let u = sampler.next_3d();
-        let scattered = match guide {
-            None => S::Bsdf::scatter(material, &at, wo, u, MODE),
-            Some(guide) => {
-                let frame = si.frame.primal();
-                guided::<R, S>(guide, material, &at, &frame, wo, u)
+        let shadow = si
+            .primal()
+            .shadow_ray(sample.d, sample.distance, info.offset);
+        let (pdf_light, emission) = match moved {
+            None => (R::lift(sample.pdf), sample.emission.lift()),
+            Some(s) => (
+                S::Bsdf::embed(s.pdf),
+                Emission {
+                    uv: S::Bsdf::embed2(s.emission.uv),
+                    falloff: S::Bsdf::embed(s.emission.falloff),
+                },
+            ),
+        };
+        let le = e.eval(theta, &emission);
+        let weighs = S::COUNTS_HITS && !e.is_delta();
+        if weighs && S::FROZEN_WEIGHTS && !R::IS_PRIMAL {
+            pdf = frozen_pdf(material, at, wo_r, S::Bsdf::embed3(wi));
+        }
+        let mis = mis_weight::<S, R>(weighs, pdf_light, pdf);
+        let weight = if Geometry::<S, R>::IS_PRIMAL {
+            mis * Const(kept / sample.pdf)
+        } else {
+            mis / pdf_light * Const(kept)
+        };
+        self.shadow = Some(shadow);
+        self.direct = beta * f * le * weight;
+        if S::Aim::KEEPS && const { O::ENABLED || !R::IS_PRIMAL } {
+            let aimed = Aimed {
+                u,
+                frame: si.frame.primal(),
+                share,
+                kept,
+            };
+            let shift = context
+                .shifts
+                .get(emitter as usize)
+                .and_then(Option::as_ref);
+            if let (Some(map), Some(shift)) = (e.moving(), shift)
+                && let Some(aim) = map.aim(u)
+            {
+                let moved = map.follow(&aim, theta, shift);
+                let weighing = Weighing::of::<S>();
+                self.direct = beta
+                    * aimed_light(
+                        scene, material, at, wo_r, &aimed, emitter, &moved, &weighing,
+                    );
             }
+            let moves = O::ENABLED && e.moving().is_some();
+            self.aimed.put(moves.then_some(aimed));
+        }
+        let normals_weight = here.splits.then(|| {
+            let pair = if weighs {
+                material.pdf_differential(&at.primal(), wo.primal(), wi.primal())
+            } else {
+                R::Primal::zero()
+            };
+            let mis = mis_weight::<S, R::Primal>(weighs, sample.pdf, pair);
+            R::lift(mis * kept / sample.pdf)
+        });
+        if let (Some(w), false) = (normals_weight, R::IS_PRIMAL) {
+            let change = material.eval_normals(at, wo.primal(), wi.primal(), MODE);
+            self.direct += beta * change * le * (w - weight);
+        }
+        if O::ENABLED {
+            self.sampled = Some(SampledLight {
+                emitter,
+                emission,
+                wi: S::Bsdf::embed3(wi),
+                le,
+                weight,
+                f,
+                normals_weight,
+                kept,
+                mis_pdf: if weighs {
+                    sample.pdf
+                } else {
+                    R::Primal::zero()
+                },
+                aimed: None,
+            });
+        }
+    }
+
+    /// Follows samples of the derivative of the distribution of normals to their ends.
+    #[inline(always)]
+    fn branch<O: Observer<R>>(
+        &mut self,
+        context: &Context<R>,
+        here: &Here<R, S>,
+        observer: &mut O,
+    ) {
+        let (si, material) = (here.si.primal(), here.material);
+        let (at, wo) = (here.at.primal(), here.wo.primal());
+        let theta = context.theta.primal();
+        let still = context.still(&theta);
+        let sampler = &mut self.sampler;
+        sampler.seek(Purpose::NormalsPair.at(self.depth));
+        let pair = material.sample_differential(&at, wo, sampler.next_3d(), MODE);
+        for sample in pair.into_iter().flatten() {
+            let change = if R::IS_PRIMAL {
+                Rgb::black()
+            } else {
+                material.eval_normals(&here.at, wo, sample.wi, MODE)
+            };
+            if !O::ENABLED && !has_tangent(change) {
+                continue;
+            }
+            // From here on both are ordinary paths of this throughput, made of the same numbers: what
+            // they find is alike, and its noise cancels.
+            let d = si.frame.to_world(sample.wi);
+            let ray = si.spawn_ray(d, here.info.offset);
+            let mut walk = Walk::<R::Primal, S, X> {
+                beta: self.beta.primal(),
+                pdf_bsdf: sample.pdf,
+                from: Vec3::lift(si.p),
+                depth: self.depth + 1,
+                eta: self.eta * sample.eta,
+                regard: Regard {
+                    followed: false,
+                    ..self.regard
+                },
+                ..Walk::new(Ray::lift(ray), *sampler)
+            };
+            walk.go(&still, &mut ());
+            if O::ENABLED {
+                observer.branch(walk.depth - self.depth);
+            }
+            if walk.l.is_black() {
+                continue;
+            }
+            let li = Rgb::lift(walk.l.scale(sample.pdf.recip()));
+            if !R::IS_PRIMAL {
+                self.l += change * li;
+            }
+            if O::ENABLED {
+                observer.contribution(Contribution::Normals(NormalsLight {
+                    wi: Vec3::lift(sample.wi),
+                    mode: MODE,
+                    li,
+                }));
+            }
+        }
+    }
+
+    /// Samples the next edge, which has been counted.
+    #[inline(always)]
+    fn scatter<O: Observer<R>>(
+        &mut self,
+        context: &Context<R>,
+        here: &Here<R, S>,
+        observer: &mut O,
+    ) {
+        let &Context {
+            scene, settings, ..
+        } = context;
+        let &Here {
+            info,
+            material,
+            ref si,
+            ref at,
+            wo,
+            wo_r,
+            splits,
+            ..
+        } = here;
+        let depth = self.depth - 1;
+        self.sampler.seek(Purpose::Scattering.at(depth));
+        let u = self.sampler.next_3d();
+        let scattered = match here.guide {
+            None => S::Bsdf::scatter(material, at, wo, u, MODE),
+            Some(guide) => guided::<R, S>(guide, material, at, &si.frame.primal(), wo, u),
         };
         let Some((sample, f)) = scattered else {
             return;
         };
         let wi = S::Bsdf::embed3(sample.wi);
         let pdf = S::Bsdf::embed(sample.pdf);
-        let mut weight = match const { S::ATTACHED_CHOICE } && !R::IS_PRIMAL {
-            true => (material.choice_pdf(&at, wo_r, wi, sample.component, MODE)).recip(),
-            false => pdf.recip(),
+        let mut weight = if const { S::ATTACHED_CHOICE } && !R::IS_PRIMAL {
+            (material.choice_pdf(at, wo_r, wi, sample.component, MODE)).recip()
+        } else {
+            pdf.recip()
         };
-
-        // ---- Update ----
         self.eta *= sample.eta;
+        let beta = self.beta;
         let mut next_beta = beta * f * weight;
-        let mut lives = R::Primal::one(); // one over the probability of that
-        let mut deciding = None;
 
         // ---- Roulette ----
-        self.survival = if differentiates {
-            let step = (f.primal() * weight.primal()).max_component();
-            self.survival * step.max(R::Primal::of(LEAST_STEP))
-        } else {
-            next_beta.primal().max_component()
-        };
+        let differentiates = const { O::ENABLED || !R::IS_PRIMAL };
+        let step = f.primal() * weight.primal();
+        self.survival = survival(differentiates, self.survival, step, next_beta.primal());
+        let mut inv_q = R::Primal::one();
+        let mut deciding = None;
         if depth >= settings.rr_depth {
-            let q = (self.survival * self.eta * self.eta).min(R::Primal::of(MAX_SURVIVAL));
-            if sampler.next_1d::<R::Primal>() >= q {
+            let q = probability(self.survival, self.eta);
+            let lives;
+            (lives, inv_q) = play(true, q, self.sampler.next_1d());
+            if !lives {
                 return;
             }
-            let inv_q = q.recip();
             self.survival *= inv_q;
-            lives = inv_q;
             weight = weight * Const(inv_q);
             next_beta = next_beta.scale(inv_q);
             if S::ATTACHED_ROULETTE {
-                let c = next_beta.primal();
-                let largest = (0..3).fold(0, |m, i| if c[i] > c[m] { i } else { m });
-                let p = c[largest] * q * self.eta * self.eta;
-                if p > R::Primal::zero() && p < R::Primal::of(MAX_SURVIVAL) {
-                    // One, with the tangent of one over a moving probability.
-                    if !R::IS_PRIMAL {
-                        let factor = next_beta[largest].recip() * Const(c[largest]);
-                        weight *= factor;
-                        next_beta = next_beta * factor;
-                    }
-                    deciding = Some(largest);
-                }
+                deciding = self.decide(&mut weight, &mut next_beta, q);
             }
         }
-        // Deltas have no distribution of normals.
-        let part = match sample.component {
-            Component::Continuous if splits => Part::Rest,
-            _ => Part::All,
-        };
+
+        // ---- Records ----
+        let part = part_of(sample.component, splits);
         if follows_edges::<S>() {
-            let followed = differentiates && follows && Edges::of::<S>().contain(sample.component);
+            let followed = differentiates
+                && (!O::ENABLED || observer.follows(info.material))
+                && Edges::of::<S>().contain(sample.component);
             self.departure.put(followed.then(|| {
                 let from = Departure {
                     material: info.material,
@@ -533,7 +558,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
                     si: si.primal(),
                     wo: wo.primal(),
                     u,
-                    survival: lives,
+                    survival: inv_q,
                     part,
                 };
                 (from, beta)
@@ -550,9 +575,11 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
                 deciding,
             }));
         }
+
+        // ---- The next edge ----
         self.beta = match part {
             Part::Rest if !R::IS_PRIMAL => {
-                let change = material.eval_normals(&at, wo.primal(), wi.primal(), MODE);
+                let change = material.eval_normals(at, wo.primal(), wi.primal(), MODE);
                 next_beta - beta * change * weight
             }
             _ => next_beta,
@@ -562,21 +589,37 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
         }
         self.pdf_bsdf = match sample.component {
             Component::Continuous if S::FROZEN_WEIGHTS && !R::IS_PRIMAL => {
-                frozen_pdf(material, &at, wo_r, wi)
+                frozen_pdf(material, at, wo_r, wi)
             }
             Component::Continuous => pdf,
             Component::Delta { .. } => R::zero(),
         };
         self.from = si.p;
-        let d = si.frame.to_world(sample.wi);
-        let ray = si.spawn_ray(d, info.offset);
+        let ray = si.spawn_ray(si.frame.to_world(sample.wi), info.offset);
         // The last edge only looks for light, and only where light that is hit counts.
         let last = self.depth >= settings.max_depth;
-        let delta = self.pdf_bsdf.primal() == R::Primal::zero();
-        let counts = S::COUNTS_HITS || !S::SAMPLES_EMITTERS || delta;
+        let counts = counts_hits::<S, R::Primal>(self.pdf_bsdf.primal());
         if !last || (counts && scene.may_meet_light(&ray.primal())) {
             self.ray = Some(ray);
         }
+    }
+
+    /// Differentiates the survival probability `q` (F5): the channel of the throughput that it is in proportion to, if any.
+    #[inline(always)]
+    fn decide(&self, weight: &mut R, beta: &mut Rgb<R>, q: R::Primal) -> Option<usize> {
+        let c = beta.primal();
+        let largest = (0..3).fold(0, |m, i| if c[i] > c[m] { i } else { m });
+        let p = c[largest] * q * self.eta * self.eta;
+        if !(p > R::Primal::zero() && p < R::Primal::of(MAX_SURVIVAL)) {
+            return None;
+        }
+        // One, with the tangent of one over a moving probability.
+        if !R::IS_PRIMAL {
+            let factor = beta[largest].recip() * Const(c[largest]);
+            *weight *= factor;
+            *beta = *beta * factor;
+        }
+        Some(largest)
     }
 }
 
@@ -600,7 +643,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
         let (depth, beta) = (self.depth, self.beta);
         // How light here could have been sampled at the start of the edge.
         let (pdf_bsdf, from) = (self.pdf_bsdf, self.from);
-        let sampled = S::SAMPLES_EMITTERS && depth > 1 && pdf_bsdf.primal() > R::Primal::zero();
+        let sampled = has_rival::<S, R::Primal>(depth, pdf_bsdf.primal());
         // Whether the edge is not differentiated like the rest of the path.
         let follows = const { follows_edges::<S>() } && self.departure.get().is_some();
         let mut lights = SmallVec::<[FoundLight<R::Primal>; 1]>::new();
@@ -658,109 +701,6 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
     }
 }
 
-/// Where an emitter was met, and the MIS weight of that.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Met<R> {
-    pub emission: Emission<R>,
-    pub weight: R,
-}
-
-/// What a ray in direction `d` receives from an emitter it hit at `si`, or missed everything towards:
-/// where, with which MIS weight, and the radiance. `sampled` if the vertex it left also sampled emitters.
-///
-/// A call of its own, by value: lights are seldom hit, and references to the loop's state would keep
-/// that in memory.
-#[inline(never)]
-pub(super) fn find_light<R: Real, S: Strategy>(
-    scene: &Scene,
-    theta: &Theta<R>,
-    emitter: u32,
-    d: Vec3<Geometry<S, R>>,
-    si: Option<SurfaceInteraction<Geometry<S, R>>>,
-    sampled: Option<Rival<R, Geometry<S, R>>>,
-) -> Option<(Met<R>, Rgb<R>)> {
-    if sampled.is_some() && !S::COUNTS_HITS {
-        return None;
-    }
-    let e = &scene.emitters()[emitter as usize];
-    let found = e.hit(d, si.as_ref())?;
-    let emission = Emission {
-        uv: Vec2::new(S::Bsdf::embed(found.uv.x), S::Bsdf::embed(found.uv.y)),
-        falloff: S::Bsdf::embed(found.falloff),
-    };
-    let weight = match sampled {
-        Some(rival) => {
-            let pdf = e.pdf(scene.lights(), rival.from, d, si.as_ref());
-            S::weight_hit(rival.pdf_bsdf, S::Bsdf::embed(pdf) * Const(rival.share))
-        }
-        None => R::one(),
-    };
-    Some((Met { emission, weight }, e.eval(theta, &emission)))
-}
-
-/// Whether a [`Guide`](crate::guide::Guide) may lead scattered directions: only if neither they nor weights move, nor
-/// what they are divided by.
-pub(crate) const fn is_guided<S: Strategy>() -> bool {
-    S::Bsdf::DETACHED_PATH && !S::FROZEN_WEIGHTS && !follows_edges::<S>() && !S::ATTACHED_CHOICE
-}
-
-/// Density of a direction of which the guide draws its part and the material the rest.
-#[inline(always)]
-pub(super) fn mixed<R: Real>(material: R, guide: R::Primal) -> R {
-    let part = R::Primal::of(PART_GUIDED);
-    material * Const(R::Primal::one() - part) + Const(guide * part)
-}
-
-/// A direction scattered by the material, which is diffuse and so without deltas, or drawn from the guide. The first
-/// random number decides.
-#[inline(never)]
-pub(super) fn guided<R: Real, S: Strategy>(
-    guide: &Directions,
-    material: &Material,
-    at: &Shading<R>,
-    frame: &Frame<R::Primal>,
-    wo: Vec3<Geometry<S, R>>,
-    [choice, u, v]: [R::Primal; 3],
-) -> Option<Scattered<Geometry<S, R>, R>> {
-    let part = R::Primal::of(PART_GUIDED);
-    let rest = R::Primal::one() - part;
-    if choice >= part {
-        let u = [(choice - part) / rest, u, v];
-        let (mut sample, f) = S::Bsdf::scatter(material, at, wo, u, MODE)?;
-        let d = frame.to_world(sample.wi.primal());
-        sample.pdf = mixed(sample.pdf, guide.pdf(d));
-        return Some((sample, f));
-    }
-    let (d, density) = guide.sample([u, v]);
-    let wi = Vec3::lift(frame.to_local(d));
-    let (f, pdf) = material.eval_pdf(at, S::Bsdf::embed3(wo), S::Bsdf::embed3(wi), MODE);
-    // Below the surface.
-    if pdf.primal() <= R::Primal::zero() {
-        return None;
-    }
-    let sample = BsdfSample {
-        wi,
-        pdf: mixed(Real::lift(pdf.primal()), density),
-        component: Component::Continuous,
-        eta: R::Primal::one(),
-    };
-    Some((sample, f))
-}
-
-/// Density of a scattered direction for constant parameters, see [`crate::estimator::FrozenWeights`].
-#[inline]
-pub(super) fn frozen_pdf<R: Real>(
-    material: &Material,
-    at: &Shading<R>,
-    wo: Vec3<R>,
-    wi: Vec3<R>,
-) -> R {
-    let theta = at.theta.primal().lift();
-    material
-        .eval_pdf(&Shading { theta, uv: at.uv }, wo, wi, MODE)
-        .1
-}
-
 /// Whether the roughness of a material does with the parameters.
 #[inline(never)]
 fn roughness_moves<R: Real>(material: &Material, theta: &Theta<R>) -> bool {
@@ -769,96 +709,4 @@ fn roughness_moves<R: Real>(material: &Material, theta: &Theta<R>) -> bool {
         moves |= matches!(t, TextureRef::Alpha(t) if t.any_param(|p| theta.moves(p)));
     });
     moves
-}
-
-#[inline]
-fn has_tangent<R: Real>(c: Rgb<R>) -> bool {
-    !R::IS_PRIMAL && (c.r.has_tangent() || c.g.has_tangent() || c.b.has_tangent())
-}
-
-/// What the weight of a light that was hit, but could have been sampled, depends on.
-#[derive(Clone, Copy)]
-pub(super) struct Rival<R: Real, G> {
-    /// Density of the direction.
-    pub pdf_bsdf: R,
-    /// The vertex it left.
-    pub from: Vec3<G>,
-    /// The emitter's share there.
-    pub share: R::Primal,
-}
-
-/// A vertex as lights see it.
-pub(super) struct Seen<'a, P: Float> {
-    pub material: &'a Material,
-    pub at: Shading<'a, P>,
-    pub frame: Frame<P>,
-    pub wo: Vec3<P>,
-}
-
-/// Samples every emitter with the same numbers `u`, and keeps one in proportion to the light that its sample would
-/// bring if nothing were in between, or any one with probability [`LEAST_KEPT`]: where the light vanishes its
-/// derivative may not. The index of that emitter, and one over the probability of keeping it.
-///
-/// Only the choice is returned, and in registers; its sample is made once more. `counts_hits`: whether lights
-/// that are hit count, too.
-///
-/// # Reference
-/// [Talbot et al. 2005], with one candidate from each technique.
-#[inline(never)]
-pub(super) fn weigh_lights<P: Float>(
-    scene: &Scene,
-    from: Vec3<P>,
-    seen: &Seen<P>,
-    counts_hits: bool,
-    choice: u64,
-    u: [P; 2],
-) -> (u32, P) {
-    // One number, used up bit by bit: whether by light, then which.
-    let choice = f64::from_bits_unit(choice);
-    let by_light = choice >= LEAST_KEPT;
-    let mut rest = match by_light {
-        true => (choice - LEAST_KEPT) / (1.0 - LEAST_KEPT),
-        false => choice / LEAST_KEPT,
-    };
-    let mut kept = (0, 0.0);
-    let (mut total, mut found) = (0.0, 0.0);
-    for (i, e) in scene.emitters().iter().enumerate() {
-        let Some(sample) = e.sample(scene.lights(), from, u) else {
-            continue;
-        };
-        let wi = seen.frame.to_local(sample.d);
-        let (f, pdf) = (seen.material).eval_pdf(&seen.at, seen.wo, wi, MODE);
-        let density = match counts_hits && !e.is_delta() {
-            true => sample.pdf + pdf,
-            false => sample.pdf,
-        };
-        let light = (f * e.eval(&seen.at.theta, &sample.emission)).sum() / density;
-        // Zero over zero, where the sample is worth nothing.
-        let light = Some(light.to_f64())
-            .filter(|l| l.is_finite())
-            .unwrap_or(0.0);
-        total += light;
-        found += 1.0;
-        let p = match by_light && total > 0.0 {
-            true => light / total,
-            false => 1.0 / found,
-        };
-        if rest < p {
-            rest /= p;
-            kept = (i as u32, light);
-        } else {
-            rest = (rest - p) / (1.0 - p);
-        }
-    }
-    if found == 0.0 {
-        return (0, P::one());
-    }
-    let (emitter, light) = kept;
-    let share = if total > 0.0 {
-        light / total
-    } else {
-        1.0 / found
-    };
-    let p = share * (1.0 - LEAST_KEPT) + LEAST_KEPT / found;
-    (emitter, P::of(p.recip()))
 }

@@ -3,7 +3,7 @@
 use super::batch;
 use super::gradient::Active;
 use super::path::Context;
-use super::record::{Contribution, Observer, Place};
+use super::record::{Contribution, Observer, Place, Wishes};
 use super::render::start;
 use super::wave;
 use crate::emitter::AnyEmitter;
@@ -121,19 +121,21 @@ impl<'a> Counter<'a> {
     }
 }
 
-impl Observer<f32> for Counter<'_> {
+impl Wishes for Counter<'_> {
     fn follows(&self, material: u32) -> bool {
-        self.everywhere || self.active.material_active(material)
+        self.everywhere || self.active.follows(material)
     }
 
     fn follows_normals(&self, material: u32) -> bool {
-        self.active.roughness_active(material)
+        self.active.follows_normals(material)
     }
 
     fn follows_light(&self) -> bool {
-        self.image || self.active.any_emitter()
+        self.image || self.active.follows_light()
     }
+}
 
+impl Observer<f32> for Counter<'_> {
     fn vertex(&mut self, _beta: Rgb<f32>, place: &Place<f32>) {
         let followed = self.follows(self.scene.shape_info(place.shape).material);
         self.tally.add(Part::Vertex, followed.into());

@@ -6,7 +6,7 @@ use render::Scene;
 use render::emitter::Emitter;
 use render::estimator::{Detached, DetachedWeights, Mis, Power};
 use render::integrator::path::trace;
-use render::integrator::record::{Contribution, Observer, Place};
+use render::integrator::record::{Contribution, Observer, Place, Wishes};
 use render::math::{Ray, Rgb};
 use render::params::Theta;
 use render::sampler::{Independent, Sampler};
@@ -40,6 +40,8 @@ struct Watch<'a> {
     /// Surfaces reached so far.
     vertices: usize,
 }
+
+impl Wishes for Watch<'_> {}
 
 impl Observer<f32> for Watch<'_> {
     fn vertex(&mut self, beta: Rgb<f32>, _place: &Place<f32>) {

@@ -8,7 +8,7 @@ use render::bsdf::{Bsdf, Component, Shading, TransportMode};
 use render::emitter::{Emission, Emitter};
 use render::estimator::{BsdfOnly, Detached};
 use render::integrator::path;
-use render::integrator::record::{Contribution, Observer, Place};
+use render::integrator::record::{Contribution, Observer, Place, Wishes};
 use render::math::Rgb;
 use render::params::Theta;
 use render::sampler::{Independent, Sampler};
@@ -42,6 +42,9 @@ pub struct FixedPath<P> {
     open: Option<(u32, Vec2<P>, Vec3<P>)>,
     closed: bool,
 }
+
+/// All of the path is wanted.
+impl<P: Float> Wishes for FixedPath<P> {}
 
 impl<P: Float> Observer<P> for FixedPath<P> {
     fn vertex(&mut self, _beta: Rgb<P>, place: &Place<P>) {

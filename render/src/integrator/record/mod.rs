@@ -15,6 +15,7 @@ use ad_core::{Real, Vec3};
 pub use recorder::{Recorder, SumSink};
 
 use super::direct::{Aimed, Departure, FoundEdge};
+pub use super::vertex::regard::Wishes;
 use crate::bsdf::{Component, Part, TransportMode};
 use crate::emitter::Emission;
 use crate::math::Rgb;
@@ -161,21 +162,7 @@ pub struct SeenVertex<R: Real> {
 }
 
 /// Follows a path as it grows. All methods do nothing by default.
-pub trait Observer<R: Real> {
-    /// Whether events are wanted; if not, none is made.
-    const ENABLED: bool = true;
-    /// Whether it wants to know the light behind a vertex of this material: because that is differentiated.
-    fn follows(&self, _material: u32) -> bool {
-        true
-    }
-    /// Whether the roughness of this material is: only then its normals have samples of their own.
-    fn follows_normals(&self, _material: u32) -> bool {
-        true
-    }
-    /// Whether it wants to know all light, since emission is differentiated.
-    fn follows_light(&self) -> bool {
-        true
-    }
+pub trait Observer<R: Real>: Wishes {
     /// A surface was reached, with this throughput.
     fn vertex(&mut self, _beta: Rgb<R>, _place: &Place<R>) {}
     /// Something happened at the vertex reached last, or at the start, or on the edge from there.
@@ -185,9 +172,7 @@ pub trait Observer<R: Real> {
 }
 
 /// An observer that keeps nothing.
-impl<R: Real> Observer<R> for () {
-    const ENABLED: bool = false;
-}
+impl<R: Real> Observer<R> for () {}
 
 /// The vertices of one path and their contributions. Reused from path to path, it stops allocating soon.
 #[derive(Clone, Debug)]
@@ -249,6 +234,9 @@ impl<R: Real> PathRecord<R> {
         (self.vertices.len() + usize::from(beyond)) as u32 + self.branch_edges
     }
 }
+
+/// Everything is wanted.
+impl<R: Real> Wishes for PathRecord<R> {}
 
 impl<R: Real> Observer<R> for PathRecord<R> {
     #[inline]

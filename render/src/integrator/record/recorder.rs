@@ -7,7 +7,7 @@ use super::second::pull_back_path;
 use super::sweep::{Arriving, Uses, Visitor, sweep};
 use super::{
     Bounce, Contribution, NormalsLight, Observer, PathRecord, Place, SampledLight, SeenVertex,
-    Vertex,
+    Vertex, Wishes,
 };
 use crate::bsdf::{Bsdf, Component, Material, Part, Shading, TransportMode};
 use crate::emitter::{Emission, Emitter};
@@ -158,7 +158,7 @@ impl<'a, P: Float, S: Strategy, E: Ends<P>> Backward<'a, P, S, E> {
     #[inline(always)]
     fn material(&self, place: &Place<P>) -> Option<(u32, &'a Material)> {
         let index = self.scene.shape_info(place.shape).material;
-        let active = self.active.material_active(index);
+        let active = self.active.follows(index);
         active.then(|| (index, &*self.scene.materials()[index as usize]))
     }
 
@@ -376,22 +376,24 @@ pub trait SumSink {
     fn add_sum(&mut self, _emitter: u32, _sum: usize, _d: f64) {}
 }
 
-impl<P: Float> Observer<P> for Recorder<'_, P> {
+impl<P: Float> Wishes for Recorder<'_, P> {
     #[inline]
     fn follows(&self, material: u32) -> bool {
-        self.active.material_active(material)
+        self.active.follows(material)
     }
 
     #[inline]
     fn follows_normals(&self, material: u32) -> bool {
-        self.active.roughness_active(material)
+        self.active.follows_normals(material)
     }
 
     #[inline]
     fn follows_light(&self) -> bool {
-        self.active.any_emitter()
+        self.active.follows_light()
     }
+}
 
+impl<P: Float> Observer<P> for Recorder<'_, P> {
     #[inline]
     fn vertex(&mut self, beta: Rgb<P>, place: &Place<P>) {
         self.path.vertex(beta, place);

@@ -54,7 +54,7 @@ impl<'a, P: Float, G: GradSink<P> + SumSink> LayerAdjoints<'a, P, G> {
         let mut only_constants = true;
         for (index, _) in (0..).zip(scene.materials()) {
             match albedo(scene, index) {
-                Some(reflectance) if active.material_active(index) => match reflectance {
+                Some(reflectance) if active.follows(index) => match reflectance {
                     Texture::Constant(albedo) if constants.len() < MOST_CONSTANTS => {
                         constants.push((index, *albedo));
                     }

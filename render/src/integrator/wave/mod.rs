@@ -22,10 +22,13 @@ pub(super) use record::Record;
 
 use super::batch;
 use super::direct::{Departure, FoundEdge, follows_edges};
-use super::path::{
-    Context, LEAST_STEP, MAX_SURVIVAL, MODE, Met, Rival, Seen, find_light, guided, is_guided,
-    mixed, weigh_lights,
+use super::path::{Context, MODE};
+use super::vertex::light::{
+    Met, Rival, Seen, choose, counts_hits, find_light, guided, has_rival, is_guided, matters,
+    mis_weight, mixed,
 };
+use super::vertex::regard::{Regard, Wishes, splits};
+use super::vertex::roulette::{play, probability, survival};
 use crate::accel::{BUNDLE, Bundle, Hit};
 use crate::bsdf::{Bsdf, Component, DiffuseLobe, Lobe, Material, Shading};
 use crate::camera::Camera;
@@ -36,10 +39,10 @@ use crate::guide::{Directions, Guide};
 use crate::math::{Frame, Ray, Rgb};
 use crate::params::Theta;
 use crate::sampler::{
-    AUXILIARY_DIMENSIONS, BOUNCE_DIMENSIONS, CAMERA_DIMENSIONS, Points, Sampler, Stream,
-    first_four, independent_bits, scrambled, sobol_bits, sobol_points, sobol_set,
+    Points, Purpose, Sampler, Stream, first_four, independent_bits, scrambled, sobol_bits,
+    sobol_points, sobol_set,
 };
-use crate::scene::{Caustics, LightChoice, Scene};
+use crate::scene::Scene;
 use crate::shape::{AnyShape, Shape, SurfaceInteraction, sample_cone};
 use crate::texture::Texture;
 
@@ -50,17 +53,7 @@ pub(super) const fn fits<S: Strategy>() -> bool {
 }
 
 /// Keeps what happens to the paths of a wave.
-pub(super) trait Log<P: Float> {
-    /// Whether anything is kept; if not, nothing that only derivatives need is done.
-    const ENABLED: bool;
-    /// See [`super::record::Observer::follows`].
-    fn follows(&self, material: u32) -> bool;
-    /// See [`super::record::Observer::follows_normals`].
-    fn follows_normals(&self, _material: u32) -> bool {
-        false
-    }
-    /// See [`super::record::Observer::follows_light`].
-    fn follows_light(&self) -> bool;
+pub(super) trait Log<P: Float>: Wishes {
     /// The vertex that the edge of path `i` left, if light on that edge is differentiated by itself.
     fn departure(&self, _paths: &Paths<P>, _i: usize) -> Option<&Departure<P>> {
         None
@@ -86,13 +79,6 @@ pub(super) trait Log<P: Float> {
 
 /// Nothing is kept.
 impl<P: Float> Log<P> for () {
-    const ENABLED: bool = false;
-    fn follows(&self, _material: u32) -> bool {
-        true
-    }
-    fn follows_light(&self) -> bool {
-        true
-    }
     fn hit(
         &mut self,
         _paths: &Paths<P>,
@@ -179,6 +165,24 @@ lanes! {
         u: Lane<P>,
         /// Surface coordinate.
         v: Lane<P>,
+    }
+}
+
+impl<P: Float> Paths<P> {
+    #[inline(always)]
+    fn regard(&self, i: usize) -> Regard {
+        Regard {
+            followed: self.followed[i] != 0,
+            left_out: self.left_out[i] != 0,
+            caustic: self.caustic[i] != 0,
+        }
+    }
+
+    #[inline(always)]
+    fn put_regard(&mut self, i: usize, regard: Regard) {
+        self.followed[i] = u32::from(regard.followed);
+        self.left_out[i] = u32::from(regard.left_out);
+        self.caustic[i] = u32::from(regard.caustic);
     }
 }
 
@@ -482,7 +486,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             self.leave();
             return;
         }
-        self.draw(CAMERA_DIMENSIONS + (depth - 1) * BOUNCE_DIMENSIONS);
+        self.draw(depth);
         self.look_back();
         if S::SAMPLES_EMITTERS && !scene.emitters().is_empty() {
             self.sample_lights(context, S::COUNTS_HITS);
@@ -585,9 +589,9 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         self.textured.clear();
         for i in 0..self.n {
             let ray = Ray::new(paths.o.vec(i), paths.d.vec(i));
-            let wanted = !L::ENABLED || paths.followed[i] != 0 || log.follows_light();
-            let lit = wanted && paths.caustic[i] == 0;
-            let sampled = S::SAMPLES_EMITTERS && depth > 1 && paths.pdf[i] > P::zero();
+            let mut regard = paths.regard(i);
+            let lit = regard.lit(log);
+            let sampled = has_rival::<S, P>(depth, paths.pdf[i]);
             let samplers = &mut self.samplers;
             let mut find = |paths: &mut Paths<P>,
                             emitters: &[u32],
@@ -651,20 +655,15 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             if depth >= settings.max_depth {
                 continue;
             }
+            regard.arrive(log, caustics, depth, info);
+            paths.put_regard(i, regard);
             let follows = !L::ENABLED || log.follows(info.material);
-            paths.followed[i] |= u32::from(follows);
-            if depth == 1 {
-                let particles = caustics == Caustics::Particles;
-                paths.left_out[i] = u32::from(particles && !info.glossy);
-            }
-            paths.caustic[i] = paths.left_out[i] & u32::from(info.glossy);
-            let lit = (wanted || follows) && paths.caustic[i] == 0;
             any = true;
             self.at.there[i] = 1;
             self.at.material[i] = info.material;
             self.at.delta[i] = u32::from(info.delta);
             self.at.follows[i] = u32::from(follows);
-            self.at.lit[i] = u32::from(lit);
+            self.at.lit[i] = u32::from(regard.lit(log));
             self.at.guide[i] = match guide {
                 Some(guide) if !info.glossy => guide.part_at(self.at.p.vec(i)) + 1,
                 _ => 0,
@@ -708,13 +707,14 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         }
     }
 
-    /// All random numbers of the vertices, whose first dimension is `dim`.
+    /// All random numbers of the vertices at the end of the `depth`-th edge.
     #[inline(never)]
-    fn draw(&mut self, dim: u32) {
+    fn draw(&mut self, depth: u32) {
+        let (light, scattering) = (Purpose::Light.at(depth), Purpose::Scattering.at(depth));
         let (n, paths) = (whole(self.n), &self.paths);
         let [a, b, c, d, e, f] = &mut self.numbers;
         if self.points == Points::Sobol {
-            let [x, y, z, _] = sobol(n, paths, dim);
+            let [x, y, z, _] = sobol(n, paths, light);
             for i in 0..n {
                 self.choice[i] = sobol_bits(x[i]);
             }
@@ -723,7 +723,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
                     lane[i] = P::from_bits_unit(sobol_bits(x[i]));
                 }
             }
-            let [x, y, z, w] = sobol(n, paths, dim + 3);
+            let [x, y, z, w] = sobol(n, paths, scattering);
             for (lane, x) in [(c, &x), (d, &y), (e, &z), (f, &w)] {
                 for i in 0..n {
                     lane[i] = P::from_bits_unit(sobol_bits(x[i]));
@@ -737,10 +737,16 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             let turned = u64::from(paths.index[i] & pairs).wrapping_neg();
             independent_bits(paths.key[i], dim) ^ turned
         };
+        // Counted from one.
         for i in 0..n {
-            self.choice[i] = bits(i, dim + 1);
+            self.choice[i] = bits(i, light + 1);
         }
-        for (lane, dim) in [a, b, c, d, e, f].into_iter().zip(dim + 2..) {
+        for (lane, dim) in [a, b].into_iter().zip(light + 2..) {
+            for i in 0..n {
+                lane[i] = P::from_bits_unit(bits(i, dim));
+            }
+        }
+        for (lane, dim) in [c, d, e, f].into_iter().zip(scattering + 1..) {
             for i in 0..n {
                 lane[i] = P::from_bits_unit(bits(i, dim));
             }
@@ -794,25 +800,24 @@ impl<P: Float, X: Sampler> Wave<P, X> {
                 continue;
             }
             let (p, u) = (at.p.vec(i), [a[i], b[i]]);
-            (lights.emitter[i], lights.kept[i]) = match settings.lights {
-                _ if emitters.len() == 1 => (0, P::one()),
-                LightChoice::One => {
-                    let (emitter, _) = scene.shares().choose(self.choice[i], 1);
-                    (emitter as u32, P::one())
-                }
-                LightChoice::All => {
-                    let seen = Seen {
-                        material: &scene.materials()[at.material[i] as usize],
-                        at: Shading {
-                            theta: *theta,
-                            uv: at.uv(i),
-                        },
-                        frame: at.frame(i),
-                        wo: self.wo.vec(i),
-                    };
-                    weigh_lights(scene, p, &seen, counts_hits, self.choice[i], u)
-                }
+            let seen = || Seen {
+                material: &scene.materials()[at.material[i] as usize],
+                at: Shading {
+                    theta: *theta,
+                    uv: at.uv(i),
+                },
+                frame: at.frame(i),
+                wo: self.wo.vec(i),
             };
+            (lights.emitter[i], lights.kept[i]) = choose(
+                scene,
+                settings.lights,
+                counts_hits,
+                self.choice[i],
+                u,
+                p,
+                seen,
+            );
             let emitter = lights.emitter[i];
             shares[i] = settings.lights.share(scene, emitter);
             if let AnyEmitter::Area(area) = &emitters[emitter as usize]
@@ -885,8 +890,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         }
         // No ray where nothing depends on it.
         for i in 0..whole(self.n) {
-            let matters =
-                !lights.f.rgb(i).is_black() | (L::ENABLED & (lights.pdf_bsdf[i] > P::zero()));
+            let matters = matters(L::ENABLED, lights.f.rgb(i), lights.pdf_bsdf[i]);
             let matters = matters & (at.lit[i] != 0) & (at.delta[i] == 0);
             lights.pdf[i] = P::select(matters, lights.pdf[i], P::zero());
         }
@@ -922,11 +926,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         }
         let weighs = S::COUNTS_HITS && !delta;
         for i in 0..whole(self.n) {
-            let mis = P::select(
-                weighs,
-                S::weight_sampled(lights.pdf[i], lights.pdf_bsdf[i]),
-                P::one(),
-            );
+            let mis = mis_weight::<S, P>(weighs, lights.pdf[i], lights.pdf_bsdf[i]);
             let weight = mis * Const(lights.kept[i] / lights.pdf[i]);
             let f = lights.f.rgb(i);
             let direct = self.paths.beta.rgb(i) * f * lights.le.rgb(i) * weight;
@@ -985,7 +985,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             ..
         } = context;
         let more = depth + 1 < settings.max_depth;
-        let first = AUXILIARY_DIMENSIONS + depth * BOUNCE_DIMENSIONS;
+        let first = Purpose::NormalsPair.at(depth);
         let mut aside = self.aside.take().unwrap_or_else(Self::new);
         if self.branches.is_empty() {
             aside.l.clear();
@@ -998,12 +998,8 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         for i in 0..self.n {
             let index = at.material[i];
             let material = &scene.materials()[index as usize];
-            at.splits[i] = u32::from(
-                at.there[i] != 0
-                    && (more || at.lit[i] != 0)
-                    && log.follows_normals(index)
-                    && material.has_differential(),
-            );
+            let goes_on = at.there[i] != 0 && (more || at.lit[i] != 0);
+            at.splits[i] = u32::from(splits::<Of, L>(log, goes_on, index, material));
             if at.splits[i] == 0 {
                 continue;
             }
@@ -1015,13 +1011,13 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             if lights.shadow_t[i] > P::zero() {
                 let pdf = lights.pdf[i];
                 let delta = scene.emitters()[lights.emitter[i] as usize].is_delta();
-                let mis = match S::COUNTS_HITS && !delta {
-                    true => {
-                        let pair = material.pdf_differential(&shading, wo, lights.wi.vec(i));
-                        S::weight_sampled(pdf, pair)
-                    }
-                    false => P::one(),
+                let weighs = S::COUNTS_HITS && !delta;
+                let pair = if weighs {
+                    material.pdf_differential(&shading, wo, lights.wi.vec(i))
+                } else {
+                    P::zero()
                 };
+                let mis = mis_weight::<S, P>(weighs, pdf, pair);
                 lights.normals_weight[i] = mis * lights.kept[i] / pdf;
             }
             if paths.beta.rgb(i).is_black() {
@@ -1129,17 +1125,11 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         let [.., u] = &self.numbers;
         for i in 0..whole(self.n) {
             let (f, weight) = (bounces.f.rgb(i), bounces.weight[i]);
-            let survival = match L::ENABLED {
-                true => {
-                    let step = (f * weight).max_component();
-                    paths.survival[i] * step.max(P::of(LEAST_STEP))
-                }
-                false => (paths.beta.rgb(i) * f * weight).max_component(),
-            };
-            let eta = paths.eta[i];
-            let q = (survival * eta * eta).min(P::of(MAX_SURVIVAL));
-            let inv_q = P::select(plays, q.recip(), P::one());
-            let lives = (!plays | (u[i] < q)) & (more | (self.at.lit[i] != 0));
+            let beta = paths.beta.rgb(i) * f * weight;
+            let survival = survival(L::ENABLED, paths.survival[i], f * weight, beta);
+            let q = probability(survival, paths.eta[i]);
+            let (lives, inv_q) = play(plays, q, u[i]);
+            let lives = lives & (more | (self.at.lit[i] != 0));
             paths.survival[i] = survival * inv_q;
             bounces.survival[i] = inv_q;
             bounces.lives[i] &= u32::from(lives);
@@ -1180,7 +1170,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             }
         }
         for i in 0..whole(self.n) {
-            let counts = S::COUNTS_HITS | !S::SAMPLES_EMITTERS | (paths.pdf[i] == P::zero());
+            let counts = counts_hits::<S, P>(paths.pdf[i]);
             self.bounces.lives[i] &= u32::from(counts) & meets[i];
         }
     }

@@ -12,8 +12,11 @@ use crate::integrator::direct::{
     Connected, Departure, Edges, Followed, Found, FoundEdge, FoundLight, follows_edges,
 };
 use crate::integrator::gradient::Active;
-use crate::integrator::path::{MODE, Met};
+use crate::integrator::path::MODE;
 use crate::integrator::record::sweep::Uses;
+use crate::integrator::vertex::light::Met;
+use crate::integrator::vertex::part_of;
+use crate::integrator::vertex::regard::Wishes;
 use crate::math::Rgb;
 use crate::scene::Scene;
 
@@ -288,10 +291,7 @@ impl<'a, P: Float> Record<'a, P> {
                 if let Some((wi, component, f, weight)) = other.bounce {
                     let light = arrives.rgb(i) * weight;
                     l += f * (light + by_themselves.rgb(i) * weight);
-                    let part = match component {
-                        Component::Continuous if other.splits => Part::Rest,
-                        _ => Part::All,
-                    };
+                    let part = part_of(component, other.splits);
                     uses.push(wi, component, part, d * light);
                 }
                 leaves.put_rgb(i, l);
@@ -324,24 +324,24 @@ impl<P: Float> Layer<P> {
     }
 }
 
-impl<P: Float> Log<P> for Record<'_, P> {
-    const ENABLED: bool = true;
-
+impl<P: Float> Wishes for Record<'_, P> {
     #[inline(always)]
     fn follows(&self, material: u32) -> bool {
-        self.active.material_active(material)
+        self.active.follows(material)
     }
 
     #[inline(always)]
     fn follows_normals(&self, material: u32) -> bool {
-        self.active.roughness_active(material)
+        self.active.follows_normals(material)
     }
 
     #[inline(always)]
     fn follows_light(&self) -> bool {
-        self.image || self.active.any_emitter()
+        self.image || self.active.follows_light()
     }
+}
 
+impl<P: Float> Log<P> for Record<'_, P> {
     fn departure(&self, paths: &Paths<P>, i: usize) -> Option<&Departure<P>> {
         let layer = &self.layers[self.used - 1];
         let entry = layer.entry[paths.slot[i] as usize % WIDTH] as usize;
@@ -475,10 +475,7 @@ impl<P: Float> Log<P> for Record<'_, P> {
                         wo,
                         u: [a[i], b[i], c[i]],
                         survival: bounces.survival[i],
-                        part: match component {
-                            Component::Continuous if splits => Part::Rest,
-                            _ => Part::All,
-                        },
+                        part: part_of(component, splits),
                     });
                     if connected.is_some() || departure.is_some() {
                         layer.entry[i] = layer.followed.len() as u32 + 1;
@@ -502,7 +499,7 @@ impl<P: Float> Log<P> for Record<'_, P> {
                 layer.others.push((i, other));
             }
         }
-        if self.active.any_emitter() {
+        if self.active.follows_light() {
             for i in 0..n {
                 let emitter = lights.emitter[i];
                 if lights.shadow_t[i] > P::zero() && self.active.emitter_active(emitter) {

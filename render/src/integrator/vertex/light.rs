@@ -1,0 +1,264 @@
+//! Light at a vertex: met by an edge, or sampled.
+
+use ad_core::{Const, Float, Real, Vec2, Vec3};
+
+use crate::bsdf::{Bsdf, BsdfSample, Component, Material, Scattered, Shading};
+use crate::emitter::{Emission, Emitter};
+use crate::estimator::{Sampling, Strategy};
+use crate::guide::{Directions, PART_GUIDED};
+use crate::integrator::direct::follows_edges;
+use crate::integrator::path::{Geometry, MODE};
+use crate::math::{Frame, Rgb};
+use crate::params::Theta;
+use crate::scene::{LightChoice, Scene};
+use crate::shape::SurfaceInteraction;
+
+/// Probability of keeping any one of the emitters' samples, see [`LightChoice::All`].
+const LEAST_KEPT: f64 = 0.1;
+
+/// What the weight of a light that was hit, but could have been sampled, depends on.
+#[derive(Clone, Copy)]
+pub struct Rival<R: Real, G> {
+    /// Density of the direction.
+    pub pdf_bsdf: R,
+    /// The vertex it left.
+    pub from: Vec3<G>,
+    /// The emitter's share there.
+    pub share: R::Primal,
+}
+
+/// Where an emitter was met, and the MIS weight of that.
+#[derive(Clone, Copy, Debug)]
+pub struct Met<R> {
+    /// Where on it.
+    pub emission: Emission<R>,
+    /// MIS weight.
+    pub weight: R,
+}
+
+/// Whether light at the end of the `depth`-th edge could have been sampled at its start; `pdf` is the density of its
+/// direction, zero along deltas.
+#[inline(always)]
+pub fn has_rival<S: Strategy, P: Float>(depth: u32, pdf: P) -> bool {
+    S::SAMPLES_EMITTERS && depth > 1 && pdf > P::zero()
+}
+
+/// Whether light that an edge with this density meets counts.
+#[inline(always)]
+pub fn counts_hits<S: Strategy, P: Float>(pdf: P) -> bool {
+    S::COUNTS_HITS | !S::SAMPLES_EMITTERS | (pdf == P::zero())
+}
+
+/// What a ray in direction `d` receives from an emitter it hit at `si`, or missed everything towards:
+/// where, with which MIS weight, and the radiance. `sampled` if the vertex it left also sampled emitters.
+///
+/// A call of its own, by value: lights are seldom hit, and references to the loop's state would keep
+/// that in memory.
+#[inline(never)]
+pub fn find_light<R: Real, S: Strategy>(
+    scene: &Scene,
+    theta: &Theta<R>,
+    emitter: u32,
+    d: Vec3<Geometry<S, R>>,
+    si: Option<SurfaceInteraction<Geometry<S, R>>>,
+    sampled: Option<Rival<R, Geometry<S, R>>>,
+) -> Option<(Met<R>, Rgb<R>)> {
+    if sampled.is_some() && !S::COUNTS_HITS {
+        return None;
+    }
+    let e = &scene.emitters()[emitter as usize];
+    let found = e.hit(d, si.as_ref())?;
+    let emission = Emission {
+        uv: Vec2::new(S::Bsdf::embed(found.uv.x), S::Bsdf::embed(found.uv.y)),
+        falloff: S::Bsdf::embed(found.falloff),
+    };
+    let weight = match sampled {
+        Some(rival) => {
+            let pdf = e.pdf(scene.lights(), rival.from, d, si.as_ref());
+            S::weight_hit(rival.pdf_bsdf, S::Bsdf::embed(pdf) * Const(rival.share))
+        }
+        None => R::one(),
+    };
+    Some((Met { emission, weight }, e.eval(theta, &emission)))
+}
+
+/// A vertex as lights see it.
+pub struct Seen<'a, P: Float> {
+    /// The material there.
+    pub material: &'a Material,
+    /// Its parameters, and where.
+    pub at: Shading<'a, P>,
+    /// Shading frame.
+    pub frame: Frame<P>,
+    /// Direction that the path came from, local frame.
+    pub wo: Vec3<P>,
+}
+
+/// The emitter to sample, and one over the probability that its sample is kept. `bits` decide; `u` are the numbers of the
+/// samples.
+#[inline(always)]
+pub fn choose<'a, P: Float>(
+    scene: &Scene,
+    lights: LightChoice,
+    counts_hits: bool,
+    bits: u64,
+    u: [P; 2],
+    p: Vec3<P>,
+    seen: impl FnOnce() -> Seen<'a, P>,
+) -> (u32, P) {
+    match lights {
+        // The only light needs no number; the branch is always predicted.
+        _ if scene.emitters().len() == 1 => (0, P::one()),
+        LightChoice::One => (scene.shares().choose(bits, 1).0 as u32, P::one()),
+        LightChoice::All => weigh_lights(scene, p, &seen(), counts_hits, bits, u),
+    }
+}
+
+/// Samples every emitter with the same numbers `u`, and keeps one in proportion to the light that its sample would
+/// bring if nothing were in between, or any one with probability [`LEAST_KEPT`]: where the light vanishes its
+/// derivative may not. The index of that emitter, and one over the probability of keeping it.
+///
+/// Only the choice is returned, and in registers; its sample is made once more. `counts_hits`: whether lights
+/// that are hit count, too.
+///
+/// # Reference
+/// [Talbot et al. 2005], with one candidate from each technique.
+#[inline(never)]
+fn weigh_lights<P: Float>(
+    scene: &Scene,
+    from: Vec3<P>,
+    seen: &Seen<P>,
+    counts_hits: bool,
+    choice: u64,
+    u: [P; 2],
+) -> (u32, P) {
+    // One number, used up bit by bit: whether by light, then which.
+    let choice = f64::from_bits_unit(choice);
+    let by_light = choice >= LEAST_KEPT;
+    let mut rest = if by_light {
+        (choice - LEAST_KEPT) / (1.0 - LEAST_KEPT)
+    } else {
+        choice / LEAST_KEPT
+    };
+    let mut kept = (0, 0.0);
+    let (mut total, mut found) = (0.0, 0.0);
+    for (i, e) in scene.emitters().iter().enumerate() {
+        let Some(sample) = e.sample(scene.lights(), from, u) else {
+            continue;
+        };
+        let wi = seen.frame.to_local(sample.d);
+        let (f, pdf) = (seen.material).eval_pdf(&seen.at, seen.wo, wi, MODE);
+        let density = if counts_hits && !e.is_delta() {
+            sample.pdf + pdf
+        } else {
+            sample.pdf
+        };
+        let light = (f * e.eval(&seen.at.theta, &sample.emission)).sum() / density;
+        // Zero over zero, where the sample is worth nothing.
+        let light = Some(light.to_f64())
+            .filter(|l| l.is_finite())
+            .unwrap_or(0.0);
+        total += light;
+        found += 1.0;
+        let p = if by_light && total > 0.0 {
+            light / total
+        } else {
+            1.0 / found
+        };
+        if rest < p {
+            rest /= p;
+            kept = (i as u32, light);
+        } else {
+            rest = (rest - p) / (1.0 - p);
+        }
+    }
+    if found == 0.0 {
+        return (0, P::one());
+    }
+    let (emitter, light) = kept;
+    let share = if total > 0.0 {
+        light / total
+    } else {
+        1.0 / found
+    };
+    let p = share * (1.0 - LEAST_KEPT) + LEAST_KEPT / found;
+    (emitter, P::of(p.recip()))
+}
+
+/// Whether a connection with this value and density is tested for visibility: also where the derivative may not vanish
+/// although the value does (zero albedo), if anybody wants derivatives.
+#[inline(always)]
+pub fn matters<R: Real>(differentiates: bool, f: Rgb<R>, pdf: R) -> bool {
+    !f.is_black() | (differentiates & (pdf.primal() > R::Primal::zero())) | has_tangent(f)
+}
+
+/// MIS weight of a sampled light with density `pdf` where scattered directions have the density `pdf_bsdf`. `weighs`:
+/// whether they could hit it; nothing hits a delta.
+#[inline(always)]
+pub fn mis_weight<S: Strategy, R: Real>(weighs: bool, pdf: R, pdf_bsdf: R) -> R {
+    R::select(weighs, S::weight_sampled(pdf, pdf_bsdf), R::one())
+}
+
+/// Whether a colour moves.
+#[inline(always)]
+pub fn has_tangent<R: Real>(c: Rgb<R>) -> bool {
+    !R::IS_PRIMAL && (c.r.has_tangent() || c.g.has_tangent() || c.b.has_tangent())
+}
+
+/// Whether a [`Guide`](crate::guide::Guide) may lead scattered directions: only if neither they nor weights move, nor
+/// what they are divided by.
+pub const fn is_guided<S: Strategy>() -> bool {
+    S::Bsdf::DETACHED_PATH && !S::FROZEN_WEIGHTS && !follows_edges::<S>() && !S::ATTACHED_CHOICE
+}
+
+/// Density of a direction of which the guide draws its part and the material the rest.
+#[inline(always)]
+pub fn mixed<R: Real>(material: R, guide: R::Primal) -> R {
+    let part = R::Primal::of(PART_GUIDED);
+    material * Const(R::Primal::one() - part) + Const(guide * part)
+}
+
+/// A direction scattered by the material, which is diffuse and so without deltas, or drawn from the guide. The first
+/// random number decides.
+#[inline(never)]
+pub fn guided<R: Real, S: Strategy>(
+    guide: &Directions,
+    material: &Material,
+    at: &Shading<R>,
+    frame: &Frame<R::Primal>,
+    wo: Vec3<Geometry<S, R>>,
+    [choice, u, v]: [R::Primal; 3],
+) -> Option<Scattered<Geometry<S, R>, R>> {
+    let part = R::Primal::of(PART_GUIDED);
+    let rest = R::Primal::one() - part;
+    if choice >= part {
+        let u = [(choice - part) / rest, u, v];
+        let (mut sample, f) = S::Bsdf::scatter(material, at, wo, u, MODE)?;
+        let d = frame.to_world(sample.wi.primal());
+        sample.pdf = mixed(sample.pdf, guide.pdf(d));
+        return Some((sample, f));
+    }
+    let (d, density) = guide.sample([u, v]);
+    let wi = Vec3::lift(frame.to_local(d));
+    let (f, pdf) = material.eval_pdf(at, S::Bsdf::embed3(wo), S::Bsdf::embed3(wi), MODE);
+    // Below the surface.
+    if pdf.primal() <= R::Primal::zero() {
+        return None;
+    }
+    let sample = BsdfSample {
+        wi,
+        pdf: mixed(Real::lift(pdf.primal()), density),
+        component: Component::Continuous,
+        eta: R::Primal::one(),
+    };
+    Some((sample, f))
+}
+
+/// Density of a scattered direction for constant parameters, see [`crate::estimator::FrozenWeights`].
+#[inline]
+pub fn frozen_pdf<R: Real>(material: &Material, at: &Shading<R>, wo: Vec3<R>, wi: Vec3<R>) -> R {
+    let theta = at.theta.primal().lift();
+    material
+        .eval_pdf(&Shading { theta, uv: at.uv }, wo, wi, MODE)
+        .1
+}
