@@ -15,7 +15,7 @@ use crate::emitter::{AnyEmitter, Emission, Emitter, Shift};
 use crate::estimator::memory::{Memory, Store};
 use crate::estimator::{Sampling, Strategy};
 use crate::guide::{Directions, PART_GUIDED};
-use crate::math::{Frame, Ray, Rgb};
+use crate::math::{Frame, Ray, Rgb, Segment};
 use crate::params::Theta;
 use crate::sampler::{AUXILIARY_DIMENSIONS, BOUNCE_DIMENSIONS, CAMERA_DIMENSIONS, Sampler};
 use crate::scene::{Caustics, Intersection, LightChoice, Scene, Settings};
@@ -221,8 +221,8 @@ pub fn trace<R: Real, S: Strategy, X: Sampler, O: Observer<R>>(
 pub struct Walk<R: Real, S: Strategy, X: Sampler> {
     /// The next edge, if there is one.
     pub ray: Option<Ray<Geometry<S, R>>>,
-    /// Towards the light sampled at the last vertex, and how far it must be free.
-    pub shadow: Option<(Ray<R::Primal>, R::Primal)>,
+    /// Towards the light sampled at the last vertex.
+    pub shadow: Option<Segment<R::Primal>>,
     /// Radiance so far.
     pub l: Rgb<R>,
     sampler: X,
@@ -333,10 +333,10 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
             let end = hit.map(|hit| (hit.prim, hit.si));
             self.find_lights(context, emitters, ray.d, end, observer);
         }
-        let Some(Intersection { shape, si, .. }) = hit else {
+        let Some(Intersection { shape, prim, si }) = hit else {
             return;
         };
-        let info = scene.shape_info(shape);
+        let (info, exit) = (scene.shape_info(shape), scene.exit(prim));
         if depth >= settings.max_depth {
             return;
         }
@@ -414,9 +414,8 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
                     || (O::ENABLED && pdf.primal() > R::Primal::zero())
                     || has_tangent(f);
                 if matters {
-                    let shadow = si
-                        .primal()
-                        .shadow_ray(sample.d, sample.distance, info.offset);
+                    let from = si.primal();
+                    let shadow = from.shadow_ray(sample.d, sample.distance, exit, sample.surface);
                     let (pdf_light, emission) = match seen {
                         None => (R::lift(sample.pdf), sample.emission.lift()),
                         Some(s) => (
@@ -535,7 +534,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
                 // From here on both are ordinary paths of this throughput, made of the same numbers: what
                 // they find is alike, and its noise cancels.
                 let d = si.primal().frame.to_world(sample.wi);
-                let ray = si.primal().spawn_ray(d, info.offset);
+                let ray = si.primal().spawn_ray(d, exit);
                 let mut walk = Walk::<R::Primal, S, X> {
                     beta: beta.primal(),
                     pdf_bsdf: sample.pdf,
@@ -634,7 +633,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
             self.departure.put(followed.then(|| {
                 let from = Departure {
                     material: info.material,
-                    offset: info.offset,
+                    exit,
                     si: si.primal(),
                     wo: wo.primal(),
                     u,
@@ -675,7 +674,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
         if O::ENABLED {
             observer.departs(d.primal());
         }
-        let ray = si.spawn_ray(d, info.offset);
+        let ray = si.spawn_ray(d, exit);
         // The last edge only looks for light, and only where light that is hit counts.
         let last = self.depth >= settings.max_depth;
         let delta = self.pdf_bsdf.primal() == R::Primal::zero();
