@@ -5,6 +5,7 @@
 
 use criterion::{BenchmarkGroup, Criterion, Throughput, measurement::WallTime};
 use render::accel::{Accel, Primitive};
+use render::math::NOWHERE;
 use std::hint::black_box;
 use std::time::Duration;
 
@@ -143,7 +144,7 @@ fn scatter(
     random: &mut Random,
 ) -> Option<Segment> {
     let (o, d, t_max) = ray;
-    let hit = accel.intersect(o, d, t_max)?;
+    let hit = accel.intersect(o, d, t_max, NOWHERE)?;
     let (Primitive::Triangle { e1, e2, .. } | Primitive::Parallelogram { e1, e2, .. }) =
         prims[hit.prim as usize]
     else {
@@ -200,7 +201,7 @@ fn run(criterion: &mut Criterion, name: &str, prims: &[Primitive]) {
             b.iter(|| {
                 let mut sum = 0.0;
                 for &(o, d, t) in set {
-                    if let Some(h) = accel.intersect(o, d, t) {
+                    if let Some(h) = accel.intersect(o, d, t, NOWHERE) {
                         sum += h.t + h.u + h.v + h.prim as f32;
                     }
                 }
@@ -214,7 +215,7 @@ fn run(criterion: &mut Criterion, name: &str, prims: &[Primitive]) {
             let blocked = rays
                 .shadow
                 .iter()
-                .filter(|&&(o, d, t)| accel.occluded(o, d, t));
+                .filter(|&&(o, d, t)| accel.occluded(o, d, t, [NOWHERE; 2]));
             black_box(blocked.count())
         });
     });

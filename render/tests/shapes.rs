@@ -7,7 +7,7 @@ use ad_core::{Dual, Float, Real, Vec3};
 use proptest::prelude::*;
 use render::SceneError;
 use render::accel::{Accel, Hit};
-use render::math::{Ray, Transform};
+use render::math::{NOWHERE, Ray, Transform};
 use render::sampler::{Independent, Sampler};
 use render::scene::Builder;
 use render::scene::xml::Document;
@@ -101,7 +101,7 @@ impl<'a> Tracer<'a> {
     fn hit<P: Float>(&self, ray: &Ray<P>) -> Option<Hit> {
         let single = |v: Vec3<P>| v.map(P::to_f32).to_array();
         self.accel
-            .intersect(single(ray.o), single(ray.d), f32::INFINITY)
+            .intersect(single(ray.o), single(ray.d), f32::INFINITY, NOWHERE)
     }
 
     fn first<P: Float>(&self, ray: &Ray<P>) -> Option<SurfaceInteraction<P>> {

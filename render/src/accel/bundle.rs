@@ -4,20 +4,21 @@
 //! ray needs no reduction at the end, no sorting out of ties, and half the instructions of a lane per primitive.
 
 use super::curved::{Curved, LANES_F64, Line};
-use super::packet::{Flat, RayLanes};
-use super::{Hit, Ray, capped};
-use crate::math::each;
+use super::packet::{Flat, RayLanes, mark};
+use super::{Hit, Ray, Tag, capped};
+use crate::math::{NOWHERE, each};
 use wide::{f32x16, f64x8};
 
 /// Rays traced together.
 pub const BUNDLE: usize = 16;
 
-/// Up to [`BUNDLE`] rays, each with the distance it looks ahead.
+/// Up to [`BUNDLE`] rays, each with the distance it looks ahead and the surfaces that it does not meet.
 #[derive(Clone, Copy, Debug)]
 pub struct Bundle {
     o: [[f32; BUNDLE]; 3],
     d: [[f32; BUNDLE]; 3],
     t_max: [f32; BUNDLE],
+    skip: [[u32; BUNDLE]; 2],
     len: usize,
 }
 
@@ -28,6 +29,7 @@ impl Default for Bundle {
             // Lanes without a ray look nowhere, but count as sane.
             d: [[1.0; BUNDLE], [0.0; BUNDLE], [0.0; BUNDLE]],
             t_max: [0.0; BUNDLE],
+            skip: [[NOWHERE; BUNDLE]; 2],
             len: 0,
         }
     }
@@ -52,25 +54,31 @@ impl Bundle {
         self.len == BUNDLE
     }
 
-    /// Adds a ray to a bundle that is not full.
+    /// Adds a ray to a bundle that is not full. It leaves the first surface in `skip`; whether anything hides its end is
+    /// asked as if the second were not there.
     #[inline(always)]
-    pub fn push(&mut self, o: [f32; 3], d: [f32; 3], t_max: f32) {
+    pub fn push(&mut self, o: [f32; 3], d: [f32; 3], t_max: f32, skip: [u32; 2]) {
         let i = self.len % BUNDLE;
         for k in 0..3 {
             self.o[k][i] = o[k];
             self.d[k][i] = d[k];
         }
         self.t_max[i] = t_max;
+        (self.skip[0][i], self.skip[1][i]) = (skip[0], skip[1]);
         self.len += 1;
     }
 
     /// Replaces all rays by the first `n` of these, at most [`BUNDLE`].
     #[inline(always)]
-    pub fn fill(&mut self, n: usize, ray: impl Fn(usize) -> ([f32; 3], [f32; 3], f32)) {
+    pub fn fill(
+        &mut self,
+        n: usize,
+        ray: impl Fn(usize) -> ([f32; 3], [f32; 3], f32, [u32; 2]),
+    ) {
         *self = Self::default();
         for i in 0..n.min(BUNDLE) {
-            let (o, d, t_max) = ray(i);
-            self.push(o, d, t_max);
+            let (o, d, t_max, skip) = ray(i);
+            self.push(o, d, t_max, skip);
         }
     }
 
@@ -83,11 +91,22 @@ impl Bundle {
         self.len = 0;
     }
 
-    /// Origin, direction and limit of ray `i`.
+    /// Origin, direction, limit and surfaces of ray `i`.
     #[inline(always)]
-    pub(super) fn ray(&self, i: usize) -> ([f32; 3], [f32; 3], f32) {
+    pub(super) fn ray(&self, i: usize) -> ([f32; 3], [f32; 3], f32, [u32; 2]) {
         let at = |x: &[[f32; BUNDLE]; 3]| [x[0][i], x[1][i], x[2][i]];
-        (at(&self.o), at(&self.d), self.t_max[i])
+        (
+            at(&self.o),
+            at(&self.d),
+            self.t_max[i],
+            [self.skip[0][i], self.skip[1][i]],
+        )
+    }
+
+    /// The surfaces that rays leave, or those that they go to, as [`mark`]s.
+    #[inline(always)]
+    fn marks(&self, end: usize) -> f32x16 {
+        f32x16::from(self.skip[end % 2].map(mark))
     }
 
     /// Origins and directions.
@@ -101,8 +120,8 @@ impl Bundle {
     #[inline(always)]
     pub(super) fn limits(&self) -> Option<[f32; BUNDLE]> {
         let sane = (0..BUNDLE).fold(true, |sane, i| {
-            let (o, d, _) = self.ray(i);
-            sane & Ray::new(o, d).is_some()
+            let (o, d, _, skip) = self.ray(i);
+            sane & Ray::new(o, d, skip).is_some()
         });
         let mut limits = self.t_max;
         for t in &mut limits {
@@ -115,7 +134,7 @@ impl Bundle {
 /// The primitives of a small scene, in the order of their indices.
 #[derive(Clone, Debug)]
 pub(super) struct Few {
-    items: Vec<(One, u32)>,
+    items: Vec<(One, Tag)>,
     curved: bool,
 }
 
@@ -136,10 +155,10 @@ struct Nearest {
 
 impl Few {
     /// From primitives with ascending indices.
-    pub(super) fn new(items: impl Iterator<Item = (super::Shape, u32)>) -> Few {
-        let one = |(shape, prim)| match shape {
-            super::Shape::Flat(f) => (One::Flat(f), prim),
-            super::Shape::Curved(c) => (One::Curved(c), prim),
+    pub(super) fn new(items: impl Iterator<Item = (super::Shape, Tag)>) -> Few {
+        let one = |(shape, tag)| match shape {
+            super::Shape::Flat(f) => (One::Flat(f), tag),
+            super::Shape::Curved(c) => (One::Curved(c), tag),
         };
         let items: Vec<_> = items.map(one).collect();
         let curved = items.iter().any(|i| matches!(i.0, One::Curved(_)));
@@ -147,7 +166,7 @@ impl Few {
     }
 
     pub(super) fn memory_bytes(&self) -> usize {
-        self.items.capacity() * size_of::<(One, u32)>()
+        self.items.capacity() * size_of::<(One, Tag)>()
     }
 
     /// The nearest hit of every ray, or `None` if one of them needs special care.
@@ -166,9 +185,11 @@ impl Few {
             v: zero,
             prim: zero,
         };
-        for (one, prim) in &self.items {
+        let from = bundle.marks(0);
+        for (one, Tag { prim, surface }) in &self.items {
             // Strict, and primitives ascend: the lowest one among equals stays.
             let (hit, t, u, v) = lanes.test(one, best.t);
+            let hit = hit & f32x16::splat(mark(*surface)).simd_ne(from);
             best.t = hit.select(t, best.t);
             best.u = hit.select(u, best.u);
             best.v = hit.select(v, best.v);
@@ -194,8 +215,10 @@ impl Few {
         let t_max = f32x16::from(bundle.limits()?);
         let lanes = Lanes::new(bundle, self.curved);
         let mut any = f32x16::splat(0.0);
-        for (one, _) in &self.items {
-            any |= lanes.test(one, t_max).0;
+        let (from, to) = (bundle.marks(0), bundle.marks(1));
+        for (one, tag) in &self.items {
+            let surface = f32x16::splat(mark(tag.surface));
+            any |= lanes.test(one, t_max).0 & surface.simd_ne(from) & surface.simd_ne(to);
         }
         Some(any.to_bitmask())
     }

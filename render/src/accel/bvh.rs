@@ -6,7 +6,7 @@
 
 use super::curved::{Curved, Line};
 use super::packet::{Flat, LANES, RayLanes};
-use super::{Best, Item, Ray, Shape};
+use super::{Best, Item, Ray, Shape, Tag};
 use crate::math::each;
 use crate::prefetch::prefetch;
 use obvhs::bvh2::node::Bvh2Node;
@@ -108,8 +108,8 @@ pub(super) struct Tree {
     pub nodes: Vec<Node>,
     pub packets: Vec<Flat<[f32; LANES]>>,
     /// The primitives of each packet.
-    pub prims: Vec<[u32; LANES]>,
-    pub curved: Vec<(Curved, u32)>,
+    pub tags: Vec<[Tag; LANES]>,
+    pub curved: Vec<(Curved, Tag)>,
     pub center: [f32; 3],
     pub half: [f32; 3],
 }
@@ -134,7 +134,7 @@ impl Tree {
         let mut tree = Tree {
             nodes: Vec::new(),
             packets: Vec::new(),
-            prims: Vec::new(),
+            tags: Vec::new(),
             curved: Vec::new(),
             center: [0.0; 3],
             half: [0.0; 3],
@@ -203,24 +203,28 @@ impl Tree {
         if let [
             Item {
                 shape: Shape::Curved(c),
-                prim,
+                tag,
                 ..
             },
         ] = items
         {
-            self.curved.push((*c, *prim));
+            self.curved.push((*c, *tag));
             return Child::leaf(Child::CURVED, self.curved.len() - 1);
         }
         let mut packet = Flat::EMPTY.splat_array();
-        let mut prims = [u32::MAX; LANES];
+        let none = Tag {
+            prim: u32::MAX,
+            surface: u32::MAX,
+        };
+        let mut tags = [none; LANES];
         for (k, item) in items.iter().enumerate() {
             if let Shape::Flat(flat) = &item.shape {
                 packet.set(k, flat);
-                prims[k] = item.prim;
+                tags[k] = item.tag;
             }
         }
         self.packets.push(packet);
-        self.prims.push(prims);
+        self.tags.push(tags);
         let count = (items.len() as u32 - 1) << Child::COUNT_SHIFT;
         Child::leaf(count, self.packets.len() - 1)
     }
@@ -235,11 +239,11 @@ impl Tree {
     #[inline(always)]
     pub(super) fn offer(&self, leaf: Child, ray: &Ray, lanes: &RayLanes<f32x8>, best: &mut Best) {
         match leaf.kind() {
-            Kind::Packet(k, _) => self.packets[k].load().offer(lanes, &self.prims[k], best),
+            Kind::Packet(k, _) => self.packets[k].load().offer(ray.skip[0], lanes, &self.tags[k], best),
             Kind::Curved(k) => {
-                let (curved, prim) = &self.curved[k];
+                let (curved, tag) = &self.curved[k];
                 if let Some((t, u, v)) = curved.intersect(&Line::of(ray), best.t) {
-                    best.offer(t, u, v, *prim);
+                    best.offer(t, u, v, *tag, ray.skip[0]);
                 }
             }
             Kind::Inner(_) | Kind::Nothing => {}
@@ -258,9 +262,20 @@ impl Tree {
         match leaf.kind() {
             Kind::Packet(k, _) => {
                 let c = self.packets[k].load().candidate(lanes);
-                c.within(f32x8::splat(t_max)).to_bitmask() != 0
+                let mut hits = c.within(f32x8::splat(t_max)).to_bitmask();
+                while hits != 0 {
+                    let lane = hits.trailing_zeros() as usize % LANES;
+                    if !ray.skips(self.tags[k][lane].surface) {
+                        return true;
+                    }
+                    hits &= hits - 1;
+                }
+                false
             }
-            Kind::Curved(k) => self.curved[k].0.occluded(&Line::of(ray), t_max),
+            Kind::Curved(k) => {
+                let (curved, tag) = &self.curved[k];
+                !ray.skips(tag.surface) && curved.occluded(&Line::of(ray), t_max)
+            }
             Kind::Inner(_) | Kind::Nothing => false,
         }
     }
@@ -314,8 +329,8 @@ impl Tree {
         size_of::<Self>()
             + self.nodes.capacity() * size_of::<Node>()
             + self.packets.capacity() * size_of::<Flat<[f32; LANES]>>()
-            + self.prims.capacity() * size_of::<[u32; LANES]>()
-            + self.curved.capacity() * size_of::<(Curved, u32)>()
+            + self.tags.capacity() * size_of::<[Tag; LANES]>()
+            + self.curved.capacity() * size_of::<(Curved, Tag)>()
     }
 }
 

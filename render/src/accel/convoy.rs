@@ -83,8 +83,8 @@ impl<'a> Convoy<'a> {
 
     #[inline(always)]
     fn ray(&self, lane: usize) -> Option<Ray> {
-        let (o, d, _) = self.bundle.ray(lane);
-        Ray::new(o, d)
+        let (o, d, _, skip) = self.bundle.ray(lane);
+        Ray::new(o, d, skip)
     }
 }
 
@@ -187,10 +187,10 @@ impl Tree {
             |occluded, leaf, rays| match leaf.kind() {
                 Kind::Curved(k) => {
                     for lane in lanes(rays) {
-                        let curved = &self.curved[k].0;
-                        let hit = convoy
-                            .ray(lane)
-                            .is_some_and(|r| curved.occluded(&Line::of(&r), limits[lane]));
+                        let (curved, tag) = &self.curved[k];
+                        let hit = convoy.ray(lane).is_some_and(|r| {
+                            !r.skips(tag.surface) && curved.occluded(&Line::of(&r), limits[lane])
+                        });
                         *occluded |= u32::from(hit) << lane;
                     }
                 }
@@ -198,7 +198,12 @@ impl Tree {
                     for k in 0..count {
                         let one = self.packets[index].splat::<f32x16>(k);
                         let (hit, ..) = one.test(&convoy.lanes, t_max);
-                        *occluded |= hit.to_bitmask() & rays;
+                        let hit = hit.to_bitmask() & rays & !*occluded;
+                        let surface = self.tags[index][k].surface;
+                        for lane in lanes(hit) {
+                            let (.., skip) = convoy.bundle.ray(lane);
+                            *occluded |= u32::from(!skip.contains(&surface)) << lane;
+                        }
                     }
                 }
                 Kind::Inner(_) | Kind::Nothing => {}
@@ -225,15 +230,14 @@ impl Tree {
     fn offer_lanes(&self, convoy: &Convoy, leaf: Child, rays: u32, nearest: &mut Nearest) {
         match leaf.kind() {
             Kind::Curved(k) => {
-                let (curved, prim) = &self.curved[k];
+                let (curved, tag) = &self.curved[k];
                 let mut t = nearest.t.to_array();
                 for lane in lanes(rays) {
                     let best = &mut nearest.best[lane];
-                    let hit = convoy
-                        .ray(lane)
-                        .and_then(|r| curved.intersect(&Line::of(&r), best.t));
-                    if let Some((t, u, v)) = hit {
-                        best.offer(t, u, v, *prim);
+                    if let Some(ray) = convoy.ray(lane)
+                        && let Some((t, u, v)) = curved.intersect(&Line::of(&ray), best.t)
+                    {
+                        best.offer(t, u, v, *tag, ray.skip[0]);
                     }
                     t[lane] = best.t;
                 }
@@ -251,7 +255,9 @@ impl Tree {
                     }
                     let (t, u, v) = (t.to_array(), u.to_array(), v.to_array());
                     for lane in lanes(hit) {
-                        nearest.best[lane].offer(t[lane], u[lane], v[lane], self.prims[index][k]);
+                        let (.., [from, _]) = convoy.bundle.ray(lane);
+                        let tag = self.tags[index][k];
+                        nearest.best[lane].offer(t[lane], u[lane], v[lane], tag, from);
                     }
                     let mut t = [0.0; BUNDLE];
                     for (t, best) in t.iter_mut().zip(&nearest.best) {

@@ -12,16 +12,19 @@ mod bvh;
 mod convoy;
 mod curved;
 mod packet;
+mod plane;
 
 #[cfg(test)]
 mod tests;
 
-use crate::math::each;
+use crate::math::{NOWHERE, each};
 use bundle::Few;
 pub use bundle::{BUNDLE, Bundle};
 use bvh::Tree;
 use curved::{Curved, Line};
 use packet::{Flat, Packets};
+pub use plane::surfaces;
+pub(crate) use plane::{Plane, scale};
 use thiserror::Error;
 
 /// Largest coordinate magnitude: squares and cubes of it, divided by [`MIN_THICKNESS`], stay finite.
@@ -141,14 +144,25 @@ pub struct Accel {
 
 #[derive(Clone, Debug)]
 enum Layout {
-    Linear(Packets, Vec<(Curved, u32)>, Few),
+    Linear(Packets, Vec<(Curved, Tag)>, Few),
     Tree(Box<Tree>),
 }
 
 impl Accel {
     /// Prepares `prims` for queries. An empty set is valid and never hit.
+    ///
+    /// # Errors
+    /// Coordinates out of reach, or too many primitives.
     pub fn build(prims: &[Primitive]) -> Result<Accel, AccelError> {
-        let items = prepare(prims)?;
+        Self::with_surfaces(prims, &surfaces(prims, |_| false))
+    }
+
+    /// The same, where it is known which surface each primitive lies on, see [`surfaces`].
+    ///
+    /// # Errors
+    /// As [`Accel::build`].
+    pub fn with_surfaces(prims: &[Primitive], surfaces: &[u32]) -> Result<Accel, AccelError> {
+        let items = prepare(prims, surfaces)?;
         let curved = items
             .iter()
             .filter(|s| matches!(s.shape, Shape::Curved(_)))
@@ -165,17 +179,17 @@ impl Accel {
     fn linear(items: &[Item]) -> Accel {
         let mut flat = Vec::new();
         let mut curved = Vec::new();
-        for &Item { shape, prim, .. } in items {
+        for &Item { shape, tag, .. } in items {
             match shape {
-                Shape::Flat(f) => flat.push((f, prim)),
-                Shape::Curved(c) => curved.push((c, prim)),
+                Shape::Flat(f) => flat.push((f, tag)),
+                Shape::Curved(c) => curved.push((c, tag)),
             }
         }
         Accel {
             layout: Layout::Linear(
                 Packets::new(&flat),
                 curved,
-                Few::new(items.iter().map(|i| (i.shape, i.prim))),
+                Few::new(items.iter().map(|i| (i.shape, i.tag))),
             ),
         }
     }
@@ -187,19 +201,21 @@ impl Accel {
         })
     }
 
-    /// Nearest hit of the ray `o + t d` with `0 < t < t_max`; the lowest primitive among equals.
+    /// Nearest hit of the ray `o + t d` with `0 < t < t_max`; the lowest primitive among equals. What lies on the
+    /// surface `from` is not hit.
     ///
-    /// `d` need not be normalised. The caller offsets origins that lie on a surface.
+    /// `d` need not be normalised. The caller offsets origins that lie on another surface.
     #[inline(always)]
-    pub fn intersect(&self, o: [f32; 3], d: [f32; 3], t_max: f32) -> Option<Hit> {
+    pub fn intersect(&self, o: [f32; 3], d: [f32; 3], t_max: f32, from: u32) -> Option<Hit> {
         // Scalars travel in vector registers; arrays would go through memory and stall.
-        self.intersect_scalars(o[0], o[1], o[2], d[0], d[1], d[2], t_max)
+        self.intersect_scalars(o[0], o[1], o[2], d[0], d[1], d[2], t_max, from)
     }
 
-    /// Whether anything is hit with `0 < t < t_max`.
+    /// Whether anything is hit with `0 < t < t_max` that lies on neither of the surfaces in `skip`.
     #[inline(always)]
-    pub fn occluded(&self, o: [f32; 3], d: [f32; 3], t_max: f32) -> bool {
-        self.occluded_scalars(o[0], o[1], o[2], d[0], d[1], d[2], t_max)
+    pub fn occluded(&self, o: [f32; 3], d: [f32; 3], t_max: f32, skip: [u32; 2]) -> bool {
+        let [from, to] = skip;
+        self.occluded_scalars(o[0], o[1], o[2], d[0], d[1], d[2], t_max, from, to)
     }
 
     /// [`Accel::intersect`] for every ray of a bundle, with the same results.
@@ -213,8 +229,8 @@ impl Accel {
             return hits;
         }
         for (i, hit) in hits.iter_mut().enumerate().take(bundle.len()) {
-            let (o, d, t_max) = bundle.ray(i);
-            *hit = self.intersect(o, d, t_max);
+            let (o, d, t_max, [from, _]) = bundle.ray(i);
+            *hit = self.intersect(o, d, t_max, from);
         }
         hits
     }
@@ -227,8 +243,8 @@ impl Accel {
         };
         done.unwrap_or_else(|| {
             (0..bundle.len()).fold(0, |bits, i| {
-                let (o, d, t_max) = bundle.ray(i);
-                bits | u32::from(self.occluded(o, d, t_max)) << i
+                let (o, d, t_max, skip) = bundle.ray(i);
+                bits | u32::from(self.occluded(o, d, t_max, skip)) << i
             })
         })
     }
@@ -243,10 +259,12 @@ impl Accel {
         dy: f32,
         dz: f32,
         t_max: f32,
+        from: u32,
     ) -> Option<Hit> {
-        match Ray::new([ox, oy, oz], [dx, dy, dz]) {
+        let skip = [from, NOWHERE];
+        match Ray::new([ox, oy, oz], [dx, dy, dz], skip) {
             Some(ray) => self.nearest(&ray, t_max).hit(),
-            None => self.intersect_odd([ox, oy, oz], [dx, dy, dz], t_max),
+            None => self.intersect_odd([ox, oy, oz], [dx, dy, dz], t_max, skip),
         }
     }
 
@@ -260,17 +278,26 @@ impl Accel {
         dy: f32,
         dz: f32,
         t_max: f32,
+        from: u32,
+        to: u32,
     ) -> bool {
-        match Ray::new([ox, oy, oz], [dx, dy, dz]) {
+        let skip = [from, to];
+        match Ray::new([ox, oy, oz], [dx, dy, dz], skip) {
             Some(ray) => self.blocked(&ray, t_max),
-            None => self.occluded_odd([ox, oy, oz], [dx, dy, dz], t_max),
+            None => self.occluded_odd([ox, oy, oz], [dx, dy, dz], t_max, skip),
         }
     }
 
     #[cold]
     #[inline(never)]
-    fn intersect_odd(&self, o: [f32; 3], d: [f32; 3], t_max: f32) -> Option<Hit> {
-        let (ray, scale) = Ray::rescaled(o, d)?;
+    fn intersect_odd(
+        &self,
+        o: [f32; 3],
+        d: [f32; 3],
+        t_max: f32,
+        skip: [u32; 2],
+    ) -> Option<Hit> {
+        let (ray, scale) = Ray::rescaled(o, d, skip)?;
         let hit = self.nearest(&ray, t_max * scale).hit()?;
         Some(Hit {
             t: hit.t / scale,
@@ -280,8 +307,8 @@ impl Accel {
 
     #[cold]
     #[inline(never)]
-    fn occluded_odd(&self, o: [f32; 3], d: [f32; 3], t_max: f32) -> bool {
-        Ray::rescaled(o, d).is_some_and(|(ray, scale)| self.blocked(&ray, t_max * scale))
+    fn occluded_odd(&self, o: [f32; 3], d: [f32; 3], t_max: f32, skip: [u32; 2]) -> bool {
+        Ray::rescaled(o, d, skip).is_some_and(|(ray, scale)| self.blocked(&ray, t_max * scale))
     }
 
     #[inline(always)]
@@ -292,9 +319,9 @@ impl Accel {
                 packets.intersect(ray, &mut best);
                 if !curved.is_empty() {
                     let line = Line::of(ray);
-                    for (c, prim) in curved {
+                    for (c, tag) in curved {
                         if let Some((t, u, v)) = c.intersect(&line, best.t) {
-                            best.offer(t, u, v, *prim);
+                            best.offer(t, u, v, *tag, ray.skip[0]);
                         }
                     }
                 }
@@ -312,7 +339,8 @@ impl Accel {
                 packets.occluded(ray, t_max)
                     || (!curved.is_empty() && {
                         let line = Line::of(ray);
-                        curved.iter().any(|(c, _)| c.occluded(&line, t_max))
+                        (curved.iter())
+                            .any(|(c, tag)| !ray.skips(tag.surface) && c.occluded(&line, t_max))
                     })
             }
             Layout::Tree(tree) => tree.occluded(ray, t_max),
@@ -331,7 +359,7 @@ impl Accel {
             + match &self.layout {
                 Layout::Linear(packets, curved, few) => {
                     packets.memory_bytes()
-                        + curved.capacity() * size_of::<(Curved, u32)>()
+                        + curved.capacity() * size_of::<(Curved, Tag)>()
                         + few.memory_bytes()
                 }
                 Layout::Tree(tree) => tree.memory_bytes(),
@@ -346,17 +374,24 @@ enum Shape {
     Curved(Curved),
 }
 
+/// Which primitive it is, and on which surface.
+#[derive(Clone, Copy, Debug)]
+struct Tag {
+    prim: u32,
+    surface: u32,
+}
+
 /// A primitive that can be hit.
 #[derive(Clone, Copy, Debug)]
 struct Item {
     shape: Shape,
-    prim: u32,
+    tag: Tag,
     /// Corners of a box around it.
     bounds: [[f32; 3]; 2],
 }
 
 /// Checks the input, drops what can never be hit and precomputes the rest.
-fn prepare(prims: &[Primitive]) -> Result<Vec<Item>, AccelError> {
+fn prepare(prims: &[Primitive], surfaces: &[u32]) -> Result<Vec<Item>, AccelError> {
     if prims.len() > MAX_PRIMITIVES {
         return Err(AccelError::TooMany { found: prims.len() });
     }
@@ -395,7 +430,10 @@ fn prepare(prims: &[Primitive]) -> Result<Vec<Item>, AccelError> {
         };
         items.extend(shape.map(|shape| Item {
             shape,
-            prim: i as u32,
+            tag: Tag {
+                prim: i as u32,
+                surface: surfaces[i],
+            },
             bounds: bounds(p),
         }));
     }
@@ -448,23 +486,30 @@ struct Ray {
     d: [f32; 3],
     /// Sum of the absolute components of `d`: bounds its length.
     size: f32,
+    /// Surfaces that it does not meet.
+    skip: [u32; 2],
 }
 
 impl Ray {
     /// `None` unless the direction is about as long as a unit vector and the origin in reach.
     #[inline(always)]
-    fn new(o: [f32; 3], d: [f32; 3]) -> Option<Ray> {
+    fn new(o: [f32; 3], d: [f32; 3], skip: [u32; 2]) -> Option<Ray> {
         // Sums of magnitudes keep NaN and infinity, which max() would not.
         let size = d[0].abs() + d[1].abs() + d[2].abs();
         let reach = o[0].abs() + o[1].abs() + o[2].abs();
         let sane = size > 0.25 && size < 4.0 && reach <= 3.0 * MAX_COORDINATE;
-        sane.then_some(Ray { o, d, size })
+        sane.then_some(Ray { o, d, size, skip })
+    }
+
+    #[inline(always)]
+    fn skips(&self, surface: u32) -> bool {
+        self.skip[0] == surface || self.skip[1] == surface
     }
 
     /// Brings the direction to unit size by a power of two, which rounds nothing; and the factor
     /// that converts the caller's distances to the ray's. `None` if that is hopeless.
     #[cold]
-    fn rescaled(o: [f32; 3], d: [f32; 3]) -> Option<(Ray, f32)> {
+    fn rescaled(o: [f32; 3], d: [f32; 3], skip: [u32; 2]) -> Option<(Ray, f32)> {
         let largest = d.iter().fold(0.0, |m: f32, x| m.max(x.abs()));
         let sum: f32 = o.iter().chain(&d).map(|x| x.abs()).sum();
         let reach = o.iter().fold(0.0, |m: f32, x| m.max(x.abs()));
@@ -477,7 +522,7 @@ impl Ray {
         let up = f32::from_bits(((127 + exponent) as u32) << 23);
         let d = each(d, |x| x * down);
         let size = d[0].abs() + d[1].abs() + d[2].abs();
-        Some((Ray { o, d, size }, up))
+        Some((Ray { o, d, size, skip }, up))
     }
 }
 
@@ -513,8 +558,9 @@ impl Best {
     }
 
     #[inline(always)]
-    fn offer(&mut self, t: f32, u: f32, v: f32, prim: u32) {
-        if t < self.t || (t == self.t && prim < self.prim) {
+    fn offer(&mut self, t: f32, u: f32, v: f32, tag: Tag, from: u32) {
+        let Tag { prim, surface } = tag;
+        if (t < self.t || (t == self.t && prim < self.prim)) && surface != from {
             *self = Best {
                 t,
                 u,

@@ -1,6 +1,6 @@
 //! Flat primitives, one at a time or eight at a time with the same arithmetic.
 
-use super::{Best, MIN_THICKNESS, Ray};
+use super::{Best, MIN_THICKNESS, Ray, Tag};
 use crate::math::each;
 use crate::prefetch::prefetch;
 use std::ops::{Add, Div, Mul, Sub};
@@ -221,17 +221,23 @@ impl Flat<[f32; LANES]> {
 impl Flat<f32x8> {
     /// Offers the hits of one ray.
     #[inline(always)]
-    pub(super) fn offer(&self, ray: &RayLanes<f32x8>, prims: &[u32; LANES], best: &mut Best) {
+    pub(super) fn offer(
+        &self,
+        from: u32,
+        lanes: &RayLanes<f32x8>,
+        tags: &[Tag; LANES],
+        best: &mut Best,
+    ) {
         // One rounding more, so that equal distances pass; the offer decides.
         let reach = f32x8::splat(best.t * (1.0 + f32::EPSILON));
-        let c = self.candidate(ray);
+        let c = self.candidate(lanes);
         let mut hits = c.within(reach).to_bitmask();
         if hits != 0 {
             let (t, u, v) = (c.t.to_array(), c.u.to_array(), c.v.to_array());
             while hits != 0 {
                 let k = hits.trailing_zeros() as usize % LANES;
                 hits &= hits - 1;
-                best.offer(t[k], u[k], v[k], prims[k]);
+                best.offer(t[k], u[k], v[k], tags[k], from);
             }
         }
     }
@@ -418,12 +424,21 @@ pub(super) struct Packets {
     packets: Vec<Flat<f32x8>>,
     /// Primitive of every slot, ascending; the bits of integers, so that lanes can be selected.
     prims: Vec<f32x8>,
+    /// Surface of every slot, as a [`mark`].
+    surfaces: Vec<f32x8>,
+}
+
+/// A surface as a number that lanes can be compared with: all of these are normal, and different for the first two
+/// billion surfaces and [`crate::math::NOWHERE`].
+#[inline(always)]
+pub(super) fn mark(surface: u32) -> f32 {
+    f32::from_bits(surface.wrapping_add(f32::MIN_POSITIVE.to_bits() + 1))
 }
 
 impl Packets {
-    pub(super) fn new(flat: &[(Flat<f32>, u32)]) -> Packets {
+    pub(super) fn new(flat: &[(Flat<f32>, Tag)]) -> Packets {
         let mut packets = Vec::new();
-        let mut prims = Vec::new();
+        let (mut prims, mut surfaces) = (Vec::new(), Vec::new());
         for group in flat.chunks(LANES) {
             let slot = |i: usize| group.get(i).map_or(Flat::EMPTY, |g| g.0);
             let lanes = |f: &dyn Fn(&Flat<f32>) -> f32| {
@@ -443,10 +458,17 @@ impl Packets {
                 reach: lanes(&|g| g.reach),
             });
             prims.push(f32x8::from(std::array::from_fn::<f32, LANES, _>(|i| {
-                f32::from_bits(group.get(i).map_or(u32::MAX, |g| g.1))
+                f32::from_bits(group.get(i).map_or(u32::MAX, |g| g.1.prim))
+            })));
+            surfaces.push(f32x8::from(std::array::from_fn::<f32, LANES, _>(|i| {
+                mark(group.get(i).map_or(u32::MAX, |g| g.1.surface))
             })));
         }
-        Packets { packets, prims }
+        Packets {
+            packets,
+            prims,
+            surfaces,
+        }
     }
 
     /// `best` must be fresh: only its distance is looked at.
@@ -456,10 +478,12 @@ impl Packets {
         let zero = f32x8::splat(0.0);
         let start = f32x8::splat(best.t);
         let (mut t, mut u, mut v, mut prim) = (start, zero, zero, zero);
-        for (packet, &prims) in self.packets.iter().zip(&self.prims) {
+        let from = f32x8::splat(mark(ray.skip[0]));
+        let tags = self.prims.iter().zip(&self.surfaces);
+        for (packet, (&prims, &surfaces)) in self.packets.iter().zip(tags) {
             let c = packet.candidate(&lanes);
             // Strict, and packets ascend: every lane keeps its lowest primitive among equals.
-            let hit = c.within(t);
+            let hit = c.within(t) & surfaces.simd_ne(from);
             t = hit.select(c.t, t);
             u = hit.select(c.u, u);
             v = hit.select(c.v, v);
@@ -493,14 +517,16 @@ impl Packets {
     pub(super) fn occluded(&self, ray: &Ray, t_max: f32) -> bool {
         let lanes = RayLanes::<f32x8>::new(ray);
         let t_max = f32x8::splat(t_max);
-        self.packets
-            .iter()
-            .any(|packet| packet.candidate(&lanes).within(t_max).any())
+        let [from, to] = ray.skip.map(|surface| f32x8::splat(mark(surface)));
+        (self.packets.iter().zip(&self.surfaces)).any(|(packet, surfaces)| {
+            let counts = surfaces.simd_ne(from) & surfaces.simd_ne(to);
+            (packet.candidate(&lanes).within(t_max) & counts).any()
+        })
     }
 
     pub(super) fn memory_bytes(&self) -> usize {
         self.packets.capacity() * size_of::<Flat<f32x8>>()
-            + self.prims.capacity() * size_of::<f32x8>()
+            + (self.prims.capacity() + self.surfaces.capacity()) * size_of::<f32x8>()
     }
 }
 

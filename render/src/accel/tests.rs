@@ -1,4 +1,5 @@
 use super::*;
+use crate::math::NOWHERE;
 
 /// Small deterministic generator; tests need nothing better.
 struct Random(u64);
@@ -169,7 +170,7 @@ fn nearest(prims: &[Primitive], o: [f32; 3], d: [f32; 3]) -> Option<Option<(f64,
 }
 
 fn both(prims: &[Primitive]) -> [Accel; 2] {
-    let items = prepare(prims).unwrap();
+    let items = prepare(prims, &surfaces(prims, |_| false)).unwrap();
     [Accel::linear(&items), Accel::tree(&items).unwrap()]
 }
 
@@ -182,8 +183,8 @@ fn agrees_with_brute_force_in_f64() {
         let mut hits = 0;
         for _ in 0..40_000 {
             let (o, d) = (random.vector(1.2 * scale), random.direction());
-            let found = linear.intersect(o, d, f32::INFINITY);
-            assert_eq!(found, tree.intersect(o, d, f32::INFINITY));
+            let found = linear.intersect(o, d, f32::INFINITY, NOWHERE);
+            assert_eq!(found, tree.intersect(o, d, f32::INFINITY, NOWHERE));
             let Some(expected) = nearest(&prims, o, d) else {
                 continue;
             };
@@ -203,10 +204,10 @@ fn agrees_with_brute_force_in_f64() {
                 h.t
             );
             for accel in [&linear, &tree] {
-                assert!(accel.occluded(o, d, f32::INFINITY));
-                assert!(accel.occluded(o, d, h.t * 1.001));
-                assert!(!accel.occluded(o, d, h.t * 0.999));
-                assert_eq!(accel.intersect(o, d, h.t), None);
+                assert!(accel.occluded(o, d, f32::INFINITY, [NOWHERE; 2]));
+                assert!(accel.occluded(o, d, h.t * 1.001, [NOWHERE; 2]));
+                assert!(!accel.occluded(o, d, h.t * 0.999, [NOWHERE; 2]));
+                assert_eq!(accel.intersect(o, d, h.t, NOWHERE), None);
             }
         }
         assert!(hits > 8_000, "{hits}");
@@ -236,17 +237,17 @@ fn bundles_agree_with_single_rays() {
                 })
                 .collect();
             let mut bundle = Bundle::default();
-            bundle.push([0.0; 3], [1.0, 0.0, 0.0], 1.0);
+            bundle.push([0.0; 3], [1.0, 0.0, 0.0], 1.0, [NOWHERE; 2]);
             bundle.clear();
-            rays.iter().for_each(|&(o, d, t)| bundle.push(o, d, t));
+            rays.iter().for_each(|&(o, d, t)| bundle.push(o, d, t, [NOWHERE; 2]));
             assert_eq!(bundle.is_full(), rays.len() == BUNDLE);
             let (found, occluded) = (
                 accel.intersect_bundle(&bundle),
                 accel.occluded_bundle(&bundle),
             );
             for (i, &(o, d, t_max)) in rays.iter().enumerate() {
-                assert_eq!(found[i], accel.intersect(o, d, t_max));
-                assert_eq!(occluded >> i & 1 != 0, accel.occluded(o, d, t_max));
+                assert_eq!(found[i], accel.intersect(o, d, t_max, NOWHERE));
+                assert_eq!(occluded >> i & 1 != 0, accel.occluded(o, d, t_max, [NOWHERE; 2]));
                 hits += usize::from(found[i].is_some());
             }
         }
@@ -263,7 +264,7 @@ fn distances_and_coordinates_are_precise() {
         let p = random.primitive(1.0);
         let accel = Accel::build(&[p]).unwrap();
         let (o, d) = (random.vector(3.0), random.direction());
-        let Some(h) = accel.intersect(o, d, f32::INFINITY) else {
+        let Some(h) = accel.intersect(o, d, f32::INFINITY, NOWHERE) else {
             continue;
         };
         let (v0, e1, e2) = match p {
@@ -307,7 +308,7 @@ fn far_small_spheres_are_hit_where_they_are() {
         };
         let accel = Accel::build(&[p]).unwrap();
         let o = random.vector(0.02);
-        let found = accel.intersect(o, d, f32::INFINITY);
+        let found = accel.intersect(o, d, f32::INFINITY, NOWHERE);
         if let Some(Some((t, _))) = nearest(&[p], o, d) {
             assert!((f64::from(found.unwrap().t) / t - 1.0).abs() < 1e-7);
         }
@@ -363,8 +364,8 @@ fn closed_mesh_does_not_leak() {
         for _ in 0..500_000 {
             let o = random.vector(0.3).map(|x| x + offset);
             let d = random.direction();
-            leaks += usize::from(accel.intersect(o, d, f32::INFINITY).is_none());
-            leaks += usize::from(!accel.occluded(o, d, f32::INFINITY));
+            leaks += usize::from(accel.intersect(o, d, f32::INFINITY, NOWHERE).is_none());
+            leaks += usize::from(!accel.occluded(o, d, f32::INFINITY, [NOWHERE; 2]));
         }
         assert_eq!(leaks, 0);
     }
@@ -393,9 +394,9 @@ fn edges_and_vertices_do_not_leak() {
             };
             let o = random.vector(0.3);
             let d = std::array::from_fn(|i| v0[i] + e[i] - o[i]);
-            let found = linear.intersect(o, d, f32::INFINITY);
+            let found = linear.intersect(o, d, f32::INFINITY, NOWHERE);
             assert!(found.is_some(), "{o:?} {d:?}");
-            assert_eq!(found, tree.intersect(o, d, f32::INFINITY));
+            assert_eq!(found, tree.intersect(o, d, f32::INFINITY, NOWHERE));
         }
     }
 }
@@ -430,9 +431,9 @@ fn axis_aligned_rays_hit_boxes() {
                             o.rotate_right(axis);
                             let mut d = [-0.0, 0.0, sign];
                             d.rotate_right(axis);
-                            let h = accel.intersect(o, d, f32::INFINITY).unwrap();
+                            let h = accel.intersect(o, d, f32::INFINITY, NOWHERE).unwrap();
                             assert_eq!(h.t, 1.0 - sign * z, "{o:?} {d:?}");
-                            assert!(accel.occluded(o, d, f32::INFINITY));
+                            assert!(accel.occluded(o, d, f32::INFINITY, [NOWHERE; 2]));
                         }
                     }
                 }
@@ -456,11 +457,11 @@ fn rays_from_a_surface_do_not_hit_it_again() {
             d[2] = d[2].abs();
             let o = [0.2 * random.signed(), 0.2 * random.signed(), -1.0];
             assert_ne!(
-                accel.intersect(o, d, f32::INFINITY).map(|h| h.prim),
+                accel.intersect(o, d, f32::INFINITY, NOWHERE).map(|h| h.prim),
                 Some(4)
             );
             let h = accel
-                .intersect([o[0], o[1], 0.0], d, f32::INFINITY)
+                .intersect([o[0], o[1], 0.0], d, f32::INFINITY, NOWHERE)
                 .unwrap();
             assert_ne!(h.prim, 6);
         }
@@ -488,7 +489,7 @@ fn lowest_primitive_wins_ties() {
     for accel in both(&prims) {
         for _ in 0..1000 {
             let o = [1.5 * random.signed(), 1.5 * random.signed(), -1.0];
-            let prim = accel.intersect(o, [0.0, 0.0, 1.0], 5.0).map(|h| h.prim);
+            let prim = accel.intersect(o, [0.0, 0.0, 1.0], 5.0, NOWHERE).map(|h| h.prim);
             let inside = o[0].abs() < 1.0 && o[1].abs() < 1.0;
             let round = o[0] * o[0] + o[1] * o[1] < 1.0;
             assert_eq!(prim, inside.then_some(if round { 1 } else { 2 }));
@@ -548,8 +549,8 @@ fn degenerate_primitives_are_never_hit() {
             } else {
                 random.direction()
             };
-            assert_eq!(accel.intersect(o, d, f32::INFINITY), None);
-            assert!(!accel.occluded(o, d, f32::INFINITY));
+            assert_eq!(accel.intersect(o, d, f32::INFINITY, NOWHERE), None);
+            assert!(!accel.occluded(o, d, f32::INFINITY, [NOWHERE; 2]));
         }
     }
 }
@@ -558,10 +559,10 @@ fn degenerate_primitives_are_never_hit() {
 fn empty_set_is_never_hit() {
     for accel in both(&[]).into_iter().chain([Accel::build(&[]).unwrap()]) {
         assert_eq!(
-            accel.intersect([0.0; 3], [0.0, 0.0, 1.0], f32::INFINITY),
+            accel.intersect([0.0; 3], [0.0, 0.0, 1.0], f32::INFINITY, NOWHERE),
             None
         );
-        assert!(!accel.occluded([0.0; 3], [0.0, 0.0, 1.0], f32::INFINITY));
+        assert!(!accel.occluded([0.0; 3], [0.0, 0.0, 1.0], f32::INFINITY, [NOWHERE; 2]));
     }
 }
 
@@ -622,14 +623,14 @@ fn strange_rays_miss_or_give_finite_hits() {
         let o = [pick(), pick(), pick()];
         let d = [pick(), pick(), pick()];
         let t_max = pick();
-        let found = accels[0].intersect(o, d, t_max);
+        let found = accels[0].intersect(o, d, t_max, NOWHERE);
         assert_eq!(
             found,
-            accels[1].intersect(o, d, t_max),
+            accels[1].intersect(o, d, t_max, NOWHERE),
             "{o:?} {d:?} {t_max}"
         );
-        let blocked = accels[0].occluded(o, d, t_max);
-        assert_eq!(blocked, accels[1].occluded(o, d, t_max));
+        let blocked = accels[0].occluded(o, d, t_max, [NOWHERE; 2]);
+        assert_eq!(blocked, accels[1].occluded(o, d, t_max, [NOWHERE; 2]));
         assert_eq!(blocked, found.is_some());
         if let Some(h) = found {
             assert!(h.t > 0.0 && h.t < t_max && h.u.is_finite() && h.v.is_finite());
@@ -645,10 +646,10 @@ fn direction_length_only_scales_the_distance() {
     for accel in both(&prims) {
         for _ in 0..2000 {
             let (o, d) = (random.vector(1.0), random.direction());
-            let one = accel.intersect(o, d, f32::INFINITY);
+            let one = accel.intersect(o, d, f32::INFINITY, NOWHERE);
             for exponent in [-50, -20, -3, 2, 20, 50] {
                 let s = 2f32.powi(exponent);
-                let other = accel.intersect(o, d.map(|x| x * s), f32::INFINITY);
+                let other = accel.intersect(o, d.map(|x| x * s), f32::INFINITY, NOWHERE);
                 assert_eq!(one.map(|h| Hit { t: h.t / s, ..h }), other);
             }
         }
@@ -670,9 +671,9 @@ fn lopsided_scenes_build() {
         })
         .collect();
     for prims in [same, shrinking] {
-        let accel = Accel::tree(&prepare(&prims).unwrap()).expect("shallow enough");
+        let accel = Accel::tree(&prepare(&prims, &surfaces(&prims, |_| false)).unwrap()).expect("shallow enough");
         let h = accel
-            .intersect([-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], f32::INFINITY)
+            .intersect([-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], f32::INFINITY, NOWHERE)
             .unwrap();
         assert!(h.t > 0.9 && h.t < 2.1);
     }

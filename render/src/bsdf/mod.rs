@@ -754,8 +754,8 @@ impl<L: Leaf> Bsdf for L {
     }
 }
 
-/// Most differentiable textures a leaf may have.
-const MAX_SLOTS: usize = 4;
+/// Most textures a leaf may have: scenes with more are refused when they are built.
+pub const MAX_SLOTS: usize = 4;
 
 /// The value of a lobe that was used.
 #[inline(always)]

@@ -67,6 +67,21 @@ pub fn has_delta(material: &Material) -> bool {
     }
 }
 
+/// Most textures that any leaf of the material reads.
+pub fn most_textures(material: &Material) -> usize {
+    match children(material) {
+        [] => textures(material),
+        parts => parts.iter().map(|m| most_textures(m)).max().unwrap_or(0),
+    }
+}
+
+/// How many textures a leaf reads.
+fn textures(leaf: &impl Bsdf) -> usize {
+    let mut n = 0;
+    leaf.visit_textures(&mut |_| n += 1);
+    n
+}
+
 /// Calls `f` with every range that a sampled direction is a Dirac delta in: the index of smooth glass, and normals that
 /// tilt anything smooth.
 pub fn visit_deltas(material: &Material, f: &mut dyn FnMut(ParamRef)) {

@@ -42,10 +42,12 @@ impl Area {
         lobe(self.exponent, cos_theta)
     }
 
-    /// What a light with a lobe of sharpness `exponent` sends along a direction that was sampled on its shape.
+    /// What a light with a lobe of sharpness `exponent` sends along a direction that was sampled on its shape, and
+    /// there on `surface`.
     #[inline(always)]
     pub(crate) fn facing<P: Float>(
         exponent: f32,
+        surface: u32,
         s: DirectionSample<P>,
     ) -> Option<EmitterSample<P>> {
         let falloff = lobe(exponent, -s.n.dot(s.d))?;
@@ -54,6 +56,7 @@ impl Area {
             d: s.d,
             distance: s.distance,
             normals: [s.n, s.n_geo],
+            surface,
             pdf: s.pdf,
             emission,
         })
@@ -97,7 +100,7 @@ impl Emitter for Area {
         u: [P; 2],
     ) -> Option<EmitterSample<P>> {
         let s = lights.shapes[self.shape as usize].sample(from, u)?;
-        Self::facing(self.exponent, s)
+        Self::facing(self.exponent, lights.surface(self.shape, s.prim), s)
     }
 
     /// Uniform over the area; directions in proportion to the lobe times the cosine, both to the
@@ -136,6 +139,7 @@ impl Emitter for Area {
         Some(EmittedRay {
             ray: Ray::new(s.p, d),
             surface: Some((self.shape, si)),
+            exit: lights.prim(self.shape, s.prim).exit,
             pdf_position: s.pdf,
             pdf_direction,
             emission: Emission { uv: s.uv, falloff },

@@ -8,7 +8,7 @@ use super::point::constant_colour;
 use super::{Emission, Emitter, EmitterSample, Lights};
 use crate::bsdf::FromNode;
 use crate::error::SceneError;
-use crate::math::warp;
+use crate::math::{NOWHERE, warp};
 use crate::scene::{Builder, Node};
 use crate::shape::SurfaceInteraction;
 use crate::texture::RgbTexture;
@@ -40,6 +40,7 @@ impl Emitter for Constant {
             d: warp::square_to_sphere(u),
             distance: P::of(f64::INFINITY),
             normals: [Vec3::zero(); 2],
+            surface: NOWHERE,
             pdf: P::of(0.25 / PI),
             emission: Emission {
                 uv: Vec2::zero(),

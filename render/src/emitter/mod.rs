@@ -27,8 +27,8 @@ use crate::bsdf::FromNode;
 use crate::error::SceneError;
 use crate::math::{Frame, Ray, Rgb, each, warp};
 use crate::params::{GradSink, Params, Theta};
-use crate::scene::{Builder, Node};
-use crate::shape::{AnyShape, Shape, SurfaceInteraction};
+use crate::scene::{Builder, Node, Prim};
+use crate::shape::{AnyShape, Exit, Shape, SurfaceInteraction};
 use crate::texture::RgbTexture;
 
 /// Where an emitter's texture is read, and the factor it is multiplied with.
@@ -71,6 +71,8 @@ pub struct EmitterSample<P> {
     pub distance: P,
     /// Unit shading and geometric normals of the light's surface there; zero without one.
     pub normals: [Vec3<P>; 2],
+    /// The surface that the point on the light belongs to, see [`crate::math::Segment::to`].
+    pub surface: u32,
     /// Density per solid angle; 1 for a delta light.
     pub pdf: P,
     /// What arrives.
@@ -95,6 +97,8 @@ pub struct EmittedRay<P> {
     pub ray: Ray<P>,
     /// The light's shape and the point on it; none without one.
     pub surface: Option<(u32, SurfaceInteraction<P>)>,
+    /// How it leaves that.
+    pub exit: Exit,
     /// Density of the origin: per area of the surface, per area across the direction for environments,
     /// 1 for a delta.
     pub pdf_position: P,
@@ -174,6 +178,7 @@ fn from_afar<P: Float>(ball: Ball, sample: &EmitterSample<P>, u: [P; 2]) -> Emit
     EmittedRay {
         ray: Ray::new(centre + frame.to_world(local), -sample.d),
         surface: None,
+        exit: Exit::default(),
         pdf_position: (P::of(PI) * radius * radius).recip(),
         pdf_direction: sample.pdf,
         emission: sample.emission,
@@ -185,6 +190,23 @@ fn from_afar<P: Float>(ball: Ball, sample: &EmitterSample<P>, u: [P; 2]) -> Emit
 pub struct Lights<'a> {
     /// All shapes of the scene.
     pub shapes: &'a [AnyShape],
+    /// Their primitives.
+    pub(crate) prims: &'a [Prim],
+    /// The first primitive of each.
+    pub(crate) firsts: &'a [u32],
+}
+
+impl Lights<'_> {
+    #[inline(always)]
+    fn prim(&self, shape: u32, local: u32) -> &Prim {
+        &self.prims[(self.firsts[shape as usize] + local) as usize]
+    }
+
+    /// The surface that primitive `local` of a shape lies on.
+    #[inline(always)]
+    pub(crate) fn surface(&self, shape: u32, local: u32) -> u32 {
+        self.prim(shape, local).surface
+    }
 }
 
 /// A light source.

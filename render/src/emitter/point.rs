@@ -7,9 +7,9 @@ use ad_core::{Float, Real, Vec2, Vec3};
 use super::{Ball, Connection, Emission, EmittedRay, Emitter, EmitterSample, Lights};
 use crate::bsdf::FromNode;
 use crate::error::SceneError;
-use crate::math::{Ray, Transform, warp};
+use crate::math::{NOWHERE, Ray, Transform, warp};
 use crate::scene::{Builder, Node};
-use crate::shape::{SurfaceInteraction, lift3};
+use crate::shape::{Exit, SurfaceInteraction, lift3};
 use crate::texture::RgbTexture;
 
 /// The same intensity in all directions from a point.
@@ -73,6 +73,7 @@ impl Emitter for Point {
             d,
             distance,
             normals: [Vec3::zero(); 2],
+            surface: NOWHERE,
             pdf: P::one(),
             emission: Emission {
                 uv: Vec2::zero(),
@@ -90,6 +91,7 @@ impl Emitter for Point {
         Some(EmittedRay {
             ray: Ray::new(lift3(self.position), warp::square_to_sphere([u2, u3])),
             surface: None,
+            exit: Exit::default(),
             pdf_position: P::one(),
             pdf_direction: P::of(0.25 / PI),
             emission: Emission {

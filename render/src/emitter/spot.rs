@@ -8,9 +8,9 @@ use super::point::{constant_colour, moving, towards};
 use super::{Ball, Connection, Emission, EmittedRay, Emitter, EmitterSample, Lights};
 use crate::bsdf::FromNode;
 use crate::error::SceneError;
-use crate::math::{Frame, Ray, warp};
+use crate::math::{NOWHERE, Frame, Ray, warp};
 use crate::scene::{Builder, Node};
-use crate::shape::{SurfaceInteraction, lift3};
+use crate::shape::{Exit, SurfaceInteraction, lift3};
 use crate::texture::RgbTexture;
 
 /// A point light with a cone: full intensity up to the beam angle from the axis, from there to the
@@ -88,6 +88,7 @@ impl Emitter for Spot {
             d,
             distance,
             normals: [Vec3::zero(); 2],
+            surface: NOWHERE,
             pdf: P::one(),
             emission: Emission {
                 uv: Vec2::zero(),
@@ -111,6 +112,7 @@ impl Emitter for Spot {
         (pdf_direction <= P::MAX).then_some(EmittedRay {
             ray: Ray::new(lift3(self.position), d),
             surface: None,
+            exit: Exit::default(),
             pdf_position: P::one(),
             pdf_direction,
             emission: Emission {

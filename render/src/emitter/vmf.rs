@@ -8,7 +8,7 @@ use super::point::constant_colour;
 use super::{Emission, Emitter, EmitterSample, Lights};
 use crate::bsdf::FromNode;
 use crate::error::SceneError;
-use crate::math::{Frame, warp};
+use crate::math::{NOWHERE, Frame, warp};
 use crate::scene::{Builder, Node};
 use crate::shape::{SurfaceInteraction, lift3};
 use crate::texture::RgbTexture;
@@ -85,6 +85,7 @@ impl Emitter for Vmf {
             d,
             distance: P::of(f64::INFINITY),
             normals: [Vec3::zero(); 2],
+            surface: NOWHERE,
             pdf: falloff * self.normalisation::<P>(),
             emission: Emission {
                 uv: Vec2::zero(),

@@ -37,8 +37,8 @@ pub struct Root {
     pub frame: Frame<f64>,
     /// Area, world space.
     pub area: f64,
-    /// How far rays start off.
-    pub offset: f64,
+    /// Index of the primitive in the scene.
+    pub prim: u32,
     /// What it does with light.
     pub kind: Kind,
     /// Directional basis.
@@ -213,7 +213,7 @@ pub(super) fn mesh(scene: &Scene, side: usize) -> Result<(Mesh, Vec<Side>), Fini
                 normal: frame.n,
                 frame,
                 area,
-                offset: f64::from(info.offset),
+                prim: scene.primitive(shape as u32, prim as u32),
                 kind: Kind::Surface(0),
                 directions: Directions { side: 1 },
                 exponent: 0.0,

@@ -67,18 +67,12 @@ fn lobe(cos: f64, exponent: f64) -> f64 {
     }
 }
 
-/// Whether `a` and `b`, points on elements with these normals, see each other.
-fn visible(
-    scene: &Scene,
-    (a, na, offset_a): (Vec3<f64>, Vec3<f64>, f64),
-    (b, nb, offset_b): (Vec3<f64>, Vec3<f64>, f64),
-) -> bool {
-    let (from, to) = (a + na * offset_a, b + nb * offset_b);
-    let d = to - from;
-    let length = d.length();
-    // Up to the other element's own surface.
-    let free = length * (1.0 - 1e-5);
-    !scene.occluded(&Ray::new(from, d * length.recip()), free)
+/// Whether `b`, a point on the surface `to`, is what is seen from `a` in that direction.
+fn visible(scene: &Scene, (a, from): (Vec3<f64>, &Root), (b, to): (Vec3<f64>, &Root)) -> bool {
+    let exit = scene.exit(from.prim);
+    let o = a + from.normal * f64::from(exit.offset);
+    let ray = Ray::new(o, (b - o).normalize()).leaving(exit.surface);
+    (scene.nearest(&ray)).is_some_and(|hit| hit.prim == to.prim)
 }
 
 /// Links two elements.
@@ -122,11 +116,7 @@ pub fn connect(scene: &Scene, mesh: &Mesh, receiver: u32, source: u32) -> Connec
         for b in 0..4 {
             let d = (y[b] - x).normalize();
             if g[b] == 0.0
-                || !visible(
-                    scene,
-                    (x, re.normal, re.offset),
-                    (y[b], rs.normal, rs.offset),
-                )
+                || !visible(scene, (x, re), (y[b], rs))
             {
                 continue;
             }
@@ -187,7 +177,7 @@ fn peak(scene: &Scene, mesh: &Mesh, receiver: u32, source: u32) -> f32 {
     if !inside(q.x, e.at[0]) || !inside(q.y, e.at[1]) {
         return 0.0;
     }
-    if !visible(scene, (x, re.normal, re.offset), (y, rs.normal, rs.offset)) {
+    if !visible(scene, (x, re), (y, rs)) {
         return 0.0;
     }
     // Bounded as the form factor is, however near.

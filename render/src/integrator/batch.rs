@@ -5,7 +5,7 @@ use ad_core::{Float, Real, Vec3};
 use super::path::{Geometry, Walk};
 use crate::accel::{BUNDLE, Bundle, Hit};
 use crate::estimator::Strategy;
-use crate::math::Ray;
+use crate::math::{NOWHERE, Ray, Segment};
 use crate::sampler::Sampler;
 use crate::scene::{Intersection, Scene, single};
 
@@ -21,10 +21,10 @@ struct Queue {
 
 impl Queue {
     #[inline(always)]
-    fn push<P: Float>(&mut self, ray: &Ray<P>, t_max: f32, path: usize) {
+    fn push<P: Float>(&mut self, ray: &Ray<P>, t_max: f32, to: u32, path: usize) {
         self.paths[self.rays.len() % BUNDLE] = path;
         let (o, d) = single(ray);
-        self.rays.push(o, d, t_max);
+        self.rays.push(o, d, t_max, [ray.from, to]);
     }
 
     /// The paths, in the order of the rays.
@@ -34,17 +34,14 @@ impl Queue {
     }
 }
 
-/// A ray and how far it must be free.
-pub(super) type Shadow<P> = (Ray<P>, P);
-
 /// What asks for rays: one to its next vertex, one to what may be seen from the last.
 pub(super) trait Traveller {
     /// Scalar of the geometry.
     type Geometry: Real;
     /// To the next vertex.
     fn ray(&self) -> Option<&Ray<Self::Geometry>>;
-    /// Whether nothing is in the way, up to a distance.
-    fn shadow(&self) -> Option<&Shadow<<Self::Geometry as Real>::Primal>>;
+    /// Whether nothing is in the way.
+    fn shadow(&self) -> Option<&Segment<<Self::Geometry as Real>::Primal>>;
     /// Whether no ray is asked for.
     #[inline(always)]
     fn ended(&self) -> bool {
@@ -59,7 +56,7 @@ impl<R: Real, S: Strategy, X: Sampler> Traveller for Walk<R, S, X> {
         self.ray.as_ref()
     }
     #[inline(always)]
-    fn shadow(&self) -> Option<&Shadow<R::Primal>> {
+    fn shadow(&self) -> Option<&Segment<R::Primal>> {
         self.shadow.as_ref()
     }
 }
@@ -72,8 +69,7 @@ pub(super) fn trace_alone<T: Traveller>(
 ) {
     while !traveller.ended() {
         let hit = traveller.ray().and_then(|ray| scene.intersect(ray));
-        let free = |&(ray, t_max): &Shadow<_>| !scene.occluded(&ray, t_max);
-        let visible = traveller.shadow().is_some_and(free);
+        let visible = traveller.shadow().is_some_and(|s| !scene.occluded(s));
         step(traveller, hit, visible);
     }
 }
@@ -146,15 +142,15 @@ pub(super) fn trace<T: Traveller>(
         };
         for &path in like {
             if let Some(ray) = travellers[path].ray() {
-                nearest.push(&ray.primal(), f32::INFINITY, path);
+                nearest.push(&ray.primal(), f32::INFINITY, NOWHERE, path);
                 if nearest.rays.is_full() {
                     find(&mut nearest);
                 }
             }
         }
         for &path in &open[..n] {
-            if let Some((ray, t_max)) = travellers[path].shadow() {
-                shadow.push(ray, t_max.to_f32(), path);
+            if let Some(Segment { ray, length, to }) = travellers[path].shadow() {
+                shadow.push(ray, length.to_f32(), *to, path);
                 if shadow.rays.is_full() {
                     test(&mut shadow);
                 }

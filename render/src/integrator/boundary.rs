@@ -47,7 +47,7 @@ fn bump<R: Real>(distance: R) -> R {
     (-s.square() + R::c(1.0)).square()
 }
 
-/// `B` at the unit direction `w` (local to `frame`) seen from `origin`: outlines are those of the
+/// `B` at the unit direction `w` (local to `frame`) seen from where the ray `start` does: outlines are those of the
 /// primitives met by the direction itself and by `rays` auxiliary rays around it (rounded up to pairs),
 /// and the horizon of `frame`. Takes one number of the sampler per ray.
 ///
@@ -56,16 +56,17 @@ fn bump<R: Real>(distance: R) -> R {
 /// objects much smaller than [`WIDTH`]: there, some of the bias of naive attached sampling is left.
 pub fn freeze<P: Float, X: Sampler>(
     scene: &Scene,
-    origin: Vec3<P>,
+    start: &Ray<P>,
     frame: &Frame<P>,
     w: Vec3<P>,
     rays: usize,
     sampler: &mut X,
 ) -> Freeze<P> {
+    let (origin, from) = (start.o, start.from);
     let tangents = Frame::from_normal(w);
     let mut found: Vec<Hit> = Vec::with_capacity(rays + 2);
     let mut look = |w: Vec3<P>| {
-        if let Some(hit) = scene.nearest(&Ray::new(origin, frame.to_world(w)))
+        if let Some(hit) = scene.nearest(&Ray::new(origin, frame.to_world(w)).leaving(from))
             && found.iter().all(|h| h.prim != hit.prim)
         {
             found.push(hit);

@@ -373,7 +373,7 @@ impl<P: Float> Map<P> {
                     l += beta * e.eval(theta, &emission) * meet;
                 }
             }
-            let Some(Intersection { shape, si, .. }) = hit else {
+            let Some(Intersection { shape, prim, si }) = hit else {
                 break;
             };
             let material = scene.material(shape);
@@ -430,7 +430,7 @@ impl<P: Float> Map<P> {
                     beta = beta * (sample.eta * sample.eta);
                 }
             }
-            ray = si.spawn_ray(si.frame.to_world(sample.wi), scene.shape_info(shape).offset);
+            ray = si.spawn_ray(si.frame.to_world(sample.wi), scene.exit(prim));
             // Total reflection may go on for long; what is left behind is unbiased.
             if depth >= settings.rr_depth {
                 let q = beta.max_component().min(P::of(0.95));

@@ -23,7 +23,7 @@ use crate::math::{Frame, Rgb};
 use crate::params::Theta;
 use crate::sampler::{Purpose, Sampler};
 use crate::scene::{Intersection, Scene};
-use crate::shape::SurfaceInteraction;
+use crate::shape::{Exit, SurfaceInteraction};
 
 /// How a sampled direction moves with the parameters that it was made of.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -41,8 +41,8 @@ pub enum Motion<P> {
 pub struct Departure<P> {
     /// Index of the material.
     pub material: u32,
-    /// How far rays start off the surface.
-    pub offset: f32,
+    /// How rays leave the surface.
+    pub exit: Exit,
     /// Where on it.
     pub si: SurfaceInteraction<P>,
     /// Direction the path came from, local frame.
@@ -107,9 +107,9 @@ impl<P: Float> Departure<P> {
             Direct::Attached => Motion::Free,
             Direct::Reparameterised { rays } => {
                 sampler.seek(Purpose::AuxiliaryRays(rays as u32).at(depth));
-                let origin = self.si.spawn_ray(d, self.offset).o;
+                let start = self.si.spawn_ray(d, self.exit);
                 let w = self.si.frame.to_local(d);
-                Motion::Slowed(freeze(scene, origin, &self.si.frame, w, rays, sampler))
+                Motion::Slowed(freeze(scene, &start, &self.si.frame, w, rays, sampler))
             }
         }
     }
@@ -203,7 +203,7 @@ pub fn direct_light<R: Real>(
         // Over a scalar with tangents, the place on the primitive is computed anew.
         let (t, u, v) = (t.to_f32(), 0.0, 0.0);
         let hit = Hit { t, u, v, prim };
-        let Intersection { si, .. } = scene.interaction(&si.spawn_ray(d, from.offset), &hit);
+        let Intersection { si, .. } = scene.interaction(&si.spawn_ray(d, from.exit), &hit);
         si
     });
     let mut light = Rgb::black();

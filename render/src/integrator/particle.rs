@@ -5,7 +5,7 @@ use std::ops::Range;
 use ad_core::{Float, Real, Vec2, Vec3};
 
 use super::aim::aim;
-use super::batch::{self, PATHS, Shadow, Traveller};
+use super::batch::{self, PATHS, Traveller};
 use super::record::{
     Bounce, Contribution, EmittedLight, NormalsLight, Observer, Place, SeenVertex,
 };
@@ -20,7 +20,7 @@ use crate::bsdf::{Bsdf, Component, Shading, TransportMode};
 use crate::camera::Pinhole;
 use crate::emitter::{Ball, Emission, Emitter};
 use crate::error::RenderError;
-use crate::math::{Ray, Rgb};
+use crate::math::{NOWHERE, Ray, Rgb, Segment};
 use crate::parallel;
 use crate::params::Theta;
 use crate::sampler::{Purpose, Sampler};
@@ -161,7 +161,7 @@ enum Pending<R: Real> {
 #[derive(Clone, Copy, Debug)]
 pub struct Particle<R: Real, X: Sampler> {
     ray: Option<Ray<R::Primal>>,
-    shadow: Option<(Ray<R::Primal>, R::Primal)>,
+    shadow: Option<Segment<R::Primal>>,
     /// What the film receives if the shadow ray is free, where, and its record for the observer.
     value: Rgb<R>,
     film: [R::Primal; 2],
@@ -238,7 +238,7 @@ impl<R: Real, X: Sampler> Particle<R, X> {
             }
         }
         if connects
-            && let Some((shape, si)) = &start.surface
+            && let Some((_, si)) = &start.surface
             && let Some((wi, distance, at, weight)) = towards_camera(&context.pinhole, si.p)
             && let Some(found) = e.hit(-wi, Some(si))
         {
@@ -246,8 +246,7 @@ impl<R: Real, X: Sampler> Particle<R, X> {
             let weight = weight * cos * inverse_choice / start.pdf_position;
             let emission = lift(found);
             let f = e.eval(context.theta, &emission);
-            let offset = scene.shape_info(*shape).offset;
-            this.shadow = Some(si.shadow_ray(wi, distance, offset));
+            this.shadow = Some(si.shadow_ray(wi, distance, start.exit, NOWHERE));
             this.value = f.scale(weight);
             this.film = at;
             if O::ENABLED {
@@ -272,10 +271,7 @@ impl<R: Real, X: Sampler> Particle<R, X> {
         let dark = !O::ENABLED && this.beta.is_black() && !has_tangent(this.beta);
         if context.settings.max_depth >= 2 && !dark {
             let ray = match &start.surface {
-                Some((shape, si)) => {
-                    let offset = scene.shape_info(*shape).offset;
-                    si.spawn_ray(start.ray.d, offset)
-                }
+                Some((_, si)) => si.spawn_ray(start.ray.d, start.exit),
                 None => start.ray,
             };
             this.ray = Some(ray);
@@ -310,7 +306,11 @@ impl<R: Real, X: Sampler> Particle<R, X> {
             falloff: R::lift(sample.emission.falloff),
         };
         let f = e.eval(context.theta, &emission);
-        self.shadow = Some((Ray::new(origin, sample.d), R::Primal::of(f64::INFINITY)));
+        self.shadow = Some(Segment {
+            ray: Ray::new(origin, sample.d),
+            length: R::Primal::of(f64::INFINITY),
+            to: NOWHERE,
+        });
         self.value = f.scale(weight);
         self.film = at;
         if O::ENABLED {
@@ -351,7 +351,7 @@ impl<R: Real, X: Sampler> Particle<R, X> {
         self.depth += 1;
         let depth = self.depth;
         let si = &hit.si;
-        let info = scene.shape_info(hit.shape);
+        let (info, exit) = (scene.shape_info(hit.shape), scene.exit(hit.prim));
         if context.caustics_only && depth == 1 && !info.glossy {
             return;
         }
@@ -394,7 +394,7 @@ impl<R: Real, X: Sampler> Particle<R, X> {
             };
             let weight = weight * shading;
             if matters && weight > R::Primal::zero() {
-                self.shadow = Some(si.shadow_ray(to_camera, distance, info.offset));
+                self.shadow = Some(si.shadow_ray(to_camera, distance, exit, NOWHERE));
                 self.value = beta * f.scale(weight);
                 self.film = film;
                 if O::ENABLED {
@@ -474,7 +474,7 @@ impl<R: Real, X: Sampler> Particle<R, X> {
             return;
         }
         let d = si.frame.to_world(sample.wi);
-        self.ray = Some(si.spawn_ray(d, info.offset));
+        self.ray = Some(si.spawn_ray(d, exit));
     }
 }
 
@@ -532,7 +532,7 @@ impl<R: Real, X: Sampler> Particle<R, X> {
             }
             let d = si.frame.to_world(sample.wi);
             let particle = Particle::<R::Primal, X> {
-                ray: Some(si.spawn_ray(d, scene.shape_info(hit.shape).offset)),
+                ray: Some(si.spawn_ray(d, scene.exit(hit.prim))),
                 shadow: None,
                 value: Rgb::black(),
                 film: self.film,
@@ -576,7 +576,7 @@ impl<R: Real, X: Sampler> Traveller for Particle<R, X> {
         self.ray.as_ref()
     }
     #[inline(always)]
-    fn shadow(&self) -> Option<&Shadow<R::Primal>> {
+    fn shadow(&self) -> Option<&Segment<R::Primal>> {
         self.shadow.as_ref()
     }
 }

@@ -21,11 +21,11 @@ use crate::emitter::{AnyEmitter, Emission, Emitter, Shift};
 use crate::estimator::memory::{Memory, Store};
 use crate::estimator::{Sampling, Strategy};
 use crate::guide::Directions;
-use crate::math::{Ray, Rgb};
+use crate::math::{Ray, Rgb, Segment};
 use crate::params::Theta;
 use crate::sampler::{Purpose, Sampler};
 use crate::scene::{Caustics, Intersection, Scene, Settings, ShapeInfo};
-use crate::shape::SurfaceInteraction;
+use crate::shape::{Exit, SurfaceInteraction};
 
 /// What paths carry.
 pub(super) const MODE: TransportMode = TransportMode::Radiance;
@@ -119,8 +119,8 @@ pub fn trace<R: Real, S: Strategy, X: Sampler, O: Observer<R>>(
 pub struct Walk<R: Real, S: Strategy, X: Sampler> {
     /// The next edge, if there is one.
     pub ray: Option<Ray<Geometry<S, R>>>,
-    /// Towards the light sampled at the last vertex, and how far it must be free.
-    pub shadow: Option<(Ray<R::Primal>, R::Primal)>,
+    /// Towards the light sampled at the last vertex.
+    pub shadow: Option<Segment<R::Primal>>,
     /// Radiance so far.
     pub l: Rgb<R>,
     sampler: X,
@@ -156,6 +156,8 @@ struct Here<'a, R: Real, S: Strategy> {
     wo: Vec3<Geometry<S, R>>,
     /// The same in the scalar of the estimate.
     wo_r: Vec3<R>,
+    /// How rays leave it.
+    exit: Exit,
     /// What leads scattered directions, if anything does.
     guide: Option<&'a Directions>,
     /// Whether the change of normals has samples of its own.
@@ -251,6 +253,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
             },
             wo,
             wo_r: S::Bsdf::embed3(wo),
+            exit: scene.exit(prim),
             guide: None,
             splits: false,
         };
@@ -298,7 +301,6 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
             ..
         } = context;
         let &Here {
-            info,
             material,
             ref si,
             ref at,
@@ -338,9 +340,8 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
         if !matters(O::ENABLED, f, pdf) {
             return;
         }
-        let shadow = si
-            .primal()
-            .shadow_ray(sample.d, sample.distance, info.offset);
+        let from = si.primal();
+        let shadow = from.shadow_ray(sample.d, sample.distance, here.exit, sample.surface);
         let (pdf_light, emission) = match moved {
             None => (R::lift(sample.pdf), sample.emission.lift()),
             Some(s) => (
@@ -448,7 +449,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
             // From here on both are ordinary paths of this throughput, made of the same numbers: what
             // they find is alike, and its noise cancels.
             let d = si.frame.to_world(sample.wi);
-            let ray = si.spawn_ray(d, here.info.offset);
+            let ray = si.spawn_ray(d, here.exit);
             let mut walk = Walk::<R::Primal, S, X> {
                 beta: self.beta.primal(),
                 pdf_bsdf: sample.pdf,
@@ -554,7 +555,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
             self.departure.put(followed.then(|| {
                 let from = Departure {
                     material: info.material,
-                    offset: info.offset,
+                    exit: here.exit,
                     si: si.primal(),
                     wo: wo.primal(),
                     u,
@@ -595,7 +596,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
             Component::Delta { .. } => R::zero(),
         };
         self.from = si.p;
-        let ray = si.spawn_ray(si.frame.to_world(sample.wi), info.offset);
+        let ray = si.spawn_ray(si.frame.to_world(sample.wi), here.exit);
         // The last edge only looks for light, and only where light that is hit counts.
         let last = self.depth >= settings.max_depth;
         let counts = counts_hits::<S, R::Primal>(self.pdf_bsdf.primal());

@@ -2,21 +2,50 @@
 
 use ad_core::{Real, Vec3};
 
-/// A half line. Origins are already moved off their surface where they are made
-/// ([`crate::shape::SurfaceInteraction::spawn_ray`]), so a ray starts at distance zero.
+/// No surface: see [`Ray::from`].
+pub const NOWHERE: u32 = u32::MAX;
+
+/// A half line.
+///
+/// One that leaves a flat surface cannot meet it again, and is not tested against it. Where that is not so, and for
+/// rounding, origins are moved off their surface where rays are made
+/// ([`crate::shape::SurfaceInteraction::spawn_ray`]): a ray starts at distance zero.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ray<R> {
     /// Origin, world space.
     pub o: Vec3<R>,
     /// Unit direction, world space.
     pub d: Vec3<R>,
+    /// The flat surface that it leaves, as [`crate::accel::surfaces`] numbers them; or [`NOWHERE`].
+    pub from: u32,
+}
+
+/// A ray as far as the point that it is to reach.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Segment<P> {
+    /// Origin and direction.
+    pub ray: Ray<P>,
+    /// How far it must be free.
+    pub length: P,
+    /// The surface that the point lies on, which does not hide it; or [`NOWHERE`].
+    pub to: u32,
 }
 
 impl<R: Real> Ray<R> {
-    /// From origin and unit direction.
+    /// From origin and unit direction; it leaves no surface.
     #[inline]
     pub fn new(o: Vec3<R>, d: Vec3<R>) -> Self {
-        Self { o, d }
+        Self {
+            o,
+            d,
+            from: NOWHERE,
+        }
+    }
+
+    /// The same, leaving a surface.
+    #[inline]
+    pub fn leaving(self, from: u32) -> Self {
+        Self { from, ..self }
     }
 
     /// The point at distance `t`.
@@ -31,6 +60,7 @@ impl<R: Real> Ray<R> {
         Self {
             o: Vec3::lift(r.o),
             d: Vec3::lift(r.d),
+            from: r.from,
         }
     }
 
@@ -40,6 +70,7 @@ impl<R: Real> Ray<R> {
         Ray {
             o: self.o.primal(),
             d: self.d.primal(),
+            from: self.from,
         }
     }
 }

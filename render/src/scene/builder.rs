@@ -1,18 +1,21 @@
 //! Scenes made by code, and the common part of scenes made from files.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
+use ad_core::Vec3;
+
 use super::{Node, PixelShares, Prim, Scene, Settings, ShapeInfo, Shares};
-use crate::accel::{Accel, AccelError, MAX_COORDINATE};
-use crate::bsdf::nesting::{flips_normals, is_glossy, visit_deltas};
-use crate::bsdf::{Bsdf, Material};
+use crate::accel::{self, Accel, AccelError, Hit, MAX_COORDINATE, Plane, Primitive};
+use crate::bsdf::nesting::{flips_normals, is_glossy, most_textures, visit_deltas};
+use crate::bsdf::{Bsdf, MAX_SLOTS, Material};
 use crate::camera::Camera;
 use crate::emitter::{AnyEmitter, Ball, Emitter};
 use crate::error::SceneError;
 use crate::film::Film;
+use crate::math::{NOWHERE, Ray};
 use crate::params::{ParamRef, ParamShape, Params};
-use crate::shape::{AnyShape, Shape};
+use crate::shape::{AnyShape, Exit, Shape};
 use crate::texture::{self, Bitmap, RgbTexture, ScalarTexture, Texture, UvTransform, Wrap};
 
 /// Index of a material in the builder.
@@ -55,8 +58,12 @@ fn texture_key(
 /// This many lamps, or things that throw caustics, have a ball of their own, at most.
 const MOST_BALLS: usize = 16;
 
-/// Spawn offset relative to the largest coordinate of a surface: 64 roundings of an f32.
+/// How far rays start off a curved surface, relative to its largest coordinate: 64 roundings of an f32.
 const RELATIVE_OFFSET: f32 = 64.0 * f32::EPSILON / 2.0;
+
+/// How far a light stands out from what else lies on its plane, in roundings of the scene's coordinates: more than
+/// distances err by.
+const STANDS_OUT: f64 = 16.0;
 
 impl Builder {
     /// An empty scene.
@@ -316,14 +323,12 @@ impl Builder {
     ) -> u32 {
         let shape = shape.into();
         let index = self.shapes.len() as u32;
-        let offset = (shape.extent() * RELATIVE_OFFSET).max(f32::MIN_POSITIVE);
         self.infos.push(ShapeInfo {
             name: name.into(),
             material: material.0,
             delta: self.materials[material.0 as usize].is_delta(),
             glossy: is_glossy(&self.materials[material.0 as usize]),
             emitter: None,
-            offset,
         });
         self.shapes.push(shape);
         index
@@ -352,7 +357,7 @@ impl Builder {
     /// Checks the whole and builds the acceleration structure.
     ///
     /// # Errors
-    /// Geometry that is not finite.
+    /// Geometry that is not finite, or a material that reads more textures than there is room for.
     pub fn build(
         mut self,
         camera: Camera,
@@ -371,29 +376,53 @@ impl Builder {
             }
         }
         for m in &self.materials {
+            let n = most_textures(m);
+            if n > MAX_SLOTS {
+                return Err(too_many_textures(m, &self.params, n));
+            }
             visit_deltas(m, &mut |p| self.params.mark_delta(p));
         }
         let (mut prims, mut patches) = (Vec::new(), Vec::new());
         let mut primitives = Vec::new();
+        let mut firsts = Vec::with_capacity(self.shapes.len());
         for (i, shape) in self.shapes.iter().enumerate() {
+            firsts.push(prims.len() as u32);
+            let curved = Exit {
+                offset: (shape.extent() * RELATIVE_OFFSET).max(f32::MIN_POSITIVE),
+                ..Exit::default()
+            };
             for (local, primitive) in shape.primitives().into_iter().enumerate() {
                 let patch = shape.patch(local as u32);
                 prims.push(Prim {
                     shape: i as u32,
                     local: local as u32,
                     patch: patch.map_or(u32::MAX, |_| patches.len() as u32),
+                    surface: NOWHERE,
+                    exit: curved,
                 });
                 patches.extend(patch.copied());
                 primitives.push(primitive);
             }
         }
-        let accel = Accel::build(&primitives).map_err(|e| match e {
+        let emits = |i: usize| self.infos[prims[i].shape as usize].emitter.is_some();
+        let surfaces = accel::surfaces(&primitives, emits);
+        raise_lights(&mut primitives, &prims, &surfaces, &self.shapes, &camera, emits);
+        let accel = Accel::with_surfaces(&primitives, &surfaces).map_err(|e| match e {
             AccelError::Coordinate { primitive, .. } => {
                 let shape = prims[primitive].shape as usize;
                 out_of_reach(&self.infos[shape].name, &e)
             }
             AccelError::TooMany { .. } => out_of_reach("geometry", &e),
         })?;
+        for ((prim, primitive), &surface) in prims.iter_mut().zip(&primitives).zip(&surfaces) {
+            prim.surface = surface;
+            if let Some(plane) = Plane::of(primitive) {
+                prim.exit = Exit {
+                    offset: plane.offset(),
+                    surface,
+                };
+            }
+        }
         let mut emitters = self.emitters;
         for e in &mut emitters {
             e.update(&self.params);
@@ -424,12 +453,70 @@ impl Builder {
             casters,
             lamps,
             prims,
+            firsts,
             patches,
             accel,
             camera,
             film,
             settings,
         })
+    }
+}
+
+/// Lets lights that share their plane with something else stand out from it on the side that emits, for rays: they are
+/// met first wherever they come from, whichever stands first in the scene.
+fn raise_lights(
+    primitives: &mut [Primitive],
+    prims: &[Prim],
+    surfaces: &[u32],
+    shapes: &[AnyShape],
+    camera: &Camera,
+    emits: impl Fn(usize) -> bool,
+) {
+    // Surfaces that something dark lies on.
+    let dark: HashSet<u32> = (0..prims.len())
+        .filter(|&i| !emits(i))
+        .map(|i| surfaces[i])
+        .collect();
+    let shared = |i: &usize| emits(*i) && dark.contains(&surfaces[*i]);
+    let raised: Vec<usize> = (0..prims.len()).filter(shared).collect();
+    if raised.is_empty() {
+        return;
+    }
+    let mut reach = camera.origin().map(f64::abs);
+    for p in &*primitives {
+        let [low, high] = accel::bounds(p);
+        for k in 0..3 {
+            reach[k] = reach[k].max(f64::from(low[k].abs().max(high[k].abs())));
+        }
+    }
+    for i in raised {
+        let Some(plane) = Plane::of(&primitives[i]) else {
+            continue;
+        };
+        let Prim { shape, local, .. } = prims[i];
+        let anywhere = Hit {
+            t: 1.0,
+            u: 0.25,
+            v: 0.25,
+            prim: i as u32,
+        };
+        let along = Ray::new(Vec3::zero(), Vec3::new(0.0f32, 0.0, 1.0));
+        let outside = shapes[shape as usize].interaction(local, &along, &anywhere);
+        let normal = plane.normal;
+        let same = f64::from(outside.n_geo.x) * normal[0]
+            + f64::from(outside.n_geo.y) * normal[1]
+            + f64::from(outside.n_geo.z) * normal[2];
+        let by = STANDS_OUT * accel::scale(normal, reach) * same.signum();
+        let (Primitive::Triangle { v0: at, .. }
+        | Primitive::Parallelogram { v0: at, .. }
+        | Primitive::Disk { center: at, .. }) = &mut primitives[i]
+        else {
+            continue;
+        };
+        for k in 0..3 {
+            at[k] = (f64::from(at[k]) + by * normal[k]) as f32;
+        }
     }
 }
 
@@ -460,6 +547,19 @@ pub(super) fn out_of_reach(name: &str, e: &AccelError) -> SceneError {
         key: name.to_owned(),
         expected,
         found,
+    }
+}
+
+/// Names a material by its first parameter.
+fn too_many_textures(material: &Material, params: &Params, found: usize) -> SceneError {
+    let mut key = None;
+    material.visit_params(&mut |p| {
+        key.get_or_insert_with(|| params.infos()[p.id as usize].name.clone());
+    });
+    SceneError::Parameter {
+        key: key.unwrap_or_else(|| "bsdf".into()),
+        expected: format!("a material that reads at most {MAX_SLOTS} textures"),
+        found: found.to_string(),
     }
 }
 

@@ -90,9 +90,9 @@ impl Scene {
             .ok_or_else(|| root.missing("sensor", "a perspective sensor"))?;
         let clip = Clip::from_node(sensor)?;
         let (camera, film) = sensor_from_node(sensor, &mut settings)?;
-        let mut grey = None;
+        let mut defaults = [None; 2];
         for (i, node) in root.children_with_tag("shape").into_iter().enumerate() {
-            shape(node, i, &mut build, &mut grey)?;
+            shape(node, i, &mut build, &mut defaults)?;
         }
         for node in root.children_with_tag("emitter") {
             // An area light out here is a declaration that shapes refer to.
@@ -284,7 +284,7 @@ fn shape(
     node: &Arc<Node>,
     index: usize,
     build: &mut Builder,
-    grey: &mut Option<MaterialId>,
+    defaults: &mut [Option<MaterialId>; 2],
 ) -> Result<(), SceneError> {
     let name = node.id.clone().unwrap_or_else(|| format!("shape{index}"));
     let geometry = AnyShape::from_node(node, build)?;
@@ -293,21 +293,29 @@ fn shape(
         Accel::build(&geometry.primitives())
             .map_err(|e| out_of_reach(&node.plugin, &e).at(&node.location))?;
     }
+    let emitter_node = node.child_with_tag("emitter")?;
+    let emits = emitter_node.is_some();
     let material = match node.child_with_tag("bsdf")? {
         Some(bsdf) => {
             let m = build.within(&name, false, |b| b.material_from_node(bsdf, "bsdf"))?;
             build.add_shared_material(m)
         }
-        None => match *grey {
-            Some(id) => id,
-            None => {
-                let reflectance =
-                    build.rgb("default_bsdf.reflectance.value", [0.5; 3], (0.0, 1.0))?;
-                *grey.insert(build.add_material(Diffuse { reflectance }))
+        None => {
+            // As in the peer, lamps reflect nothing unless they say so.
+            let (kind, name, albedo) = match emits {
+                true => (1, "default_lamp_bsdf.reflectance.value", 0.0),
+                false => (0, "default_bsdf.reflectance.value", 0.5),
+            };
+            match defaults[kind] {
+                Some(id) => id,
+                None => {
+                    let reflectance = build.rgb(name, [albedo; 3], (0.0, 1.0))?;
+                    *defaults[kind].insert(build.add_material(Diffuse { reflectance }))
+                }
             }
-        },
+        }
     };
-    let emitter = match node.child_with_tag("emitter")? {
+    let emitter = match emitter_node {
         Some(e) => {
             let emitter = build.within(&format!("{name}.emitter"), true, |b| {
                 AnyEmitter::from_node(e, b)

@@ -23,10 +23,10 @@ use crate::error::RenderError;
 use crate::estimator::{Sampling, Strategy};
 use crate::film::Film;
 use crate::guide::Guide;
-use crate::math::Ray;
+use crate::math::{Ray, Segment};
 use crate::params::Params;
 use crate::sampler::Points;
-use crate::shape::{AnyShape, Patch, Shape, SurfaceInteraction};
+use crate::shape::{AnyShape, Exit, Patch, Shape, SurfaceInteraction};
 
 pub(crate) use pixels::PixelShares;
 pub(crate) use shares::Shares;
@@ -136,8 +136,6 @@ pub struct ShapeInfo {
     pub glossy: bool,
     /// Index of its emitter, if it emits.
     pub emitter: Option<u32>,
-    /// How far rays start off its surface.
-    pub offset: f32,
 }
 
 /// A scene. Geometry and topology are fixed; parameters can be changed with [`Scene::set_params`].
@@ -162,6 +160,8 @@ pub struct Scene {
     lamps: Option<Vec<Ball>>,
     /// Every primitive of `accel`.
     prims: Vec<Prim>,
+    /// The first one of each shape.
+    firsts: Vec<u32>,
     /// Those that are parallelograms, once more: paths through rooms of boxes need not ask what they hit.
     patches: Vec<Patch>,
     accel: Accel,
@@ -175,12 +175,16 @@ pub struct Scene {
 
 /// What a primitive belongs to.
 #[derive(Clone, Copy, Debug)]
-struct Prim {
+pub(crate) struct Prim {
     shape: u32,
     /// Index within the shape.
     local: u32,
     /// Index among the parallelograms; none if beyond.
     patch: u32,
+    /// The surface it lies on, as [`crate::accel::surfaces`] numbers them.
+    pub surface: u32,
+    /// How rays leave it.
+    pub exit: Exit,
 }
 
 /// A ray's nearest hit.
@@ -361,6 +365,8 @@ impl Scene {
     pub fn lights(&self) -> Lights<'_> {
         Lights {
             shapes: &self.shapes,
+            prims: &self.prims,
+            firsts: &self.firsts,
         }
     }
 
@@ -368,7 +374,7 @@ impl Scene {
     #[inline(always)]
     pub fn nearest<R: Real>(&self, ray: &Ray<R>) -> Option<Hit> {
         let (o, d) = single(&ray.primal());
-        self.accel.intersect(o, d, f32::INFINITY)
+        self.accel.intersect(o, d, f32::INFINITY, ray.from)
     }
 
     /// What lies at a hit of this ray. It follows the ray's tangents.
@@ -383,11 +389,13 @@ impl Scene {
         }
     }
 
-    /// The shape that was hit, and the parallelogram, if it was one.
+    /// The shape that was hit, how rays leave it, and the parallelogram, if it was one.
     #[inline(always)]
-    pub(crate) fn patch(&self, hit: &Hit) -> (u32, Option<&Patch>) {
-        let Prim { shape, patch, .. } = self.prims[hit.prim as usize];
-        (shape, self.patches.get(patch as usize))
+    pub(crate) fn patch(&self, hit: &Hit) -> (u32, Exit, Option<&Patch>) {
+        let Prim {
+            shape, patch, exit, ..
+        } = self.prims[hit.prim as usize];
+        (shape, exit, self.patches.get(patch as usize))
     }
 
     /// Brings what [`Scene::interaction`] looks up near.
@@ -403,11 +411,23 @@ impl Scene {
         self.nearest(ray).map(|hit| self.interaction(ray, &hit))
     }
 
-    /// Whether anything lies along a ray before the distance `t_max`.
+    /// Whether anything lies in between.
     #[inline(always)]
-    pub fn occluded<P: Float>(&self, ray: &Ray<P>, t_max: P) -> bool {
+    pub fn occluded<P: Float>(&self, segment: &Segment<P>) -> bool {
+        let Segment { ray, length, to } = segment;
         let (o, d) = single(ray);
-        self.accel.occluded(o, d, t_max.to_f32())
+        self.accel.occluded(o, d, length.to_f32(), [ray.from, *to])
+    }
+
+    /// Index in the scene of a shape's primitive.
+    pub(crate) fn primitive(&self, shape: u32, local: u32) -> u32 {
+        self.firsts[shape as usize] + local
+    }
+
+    /// How rays leave a primitive.
+    #[inline(always)]
+    pub fn exit(&self, prim: u32) -> Exit {
+        self.prims[prim as usize].exit
     }
 
     /// Whether rays go through a hierarchy.

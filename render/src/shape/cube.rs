@@ -64,9 +64,9 @@ impl Shape for Cube {
 
     fn sample_area<P: Float>(&self, u: [P; 2]) -> ShapeSample<P> {
         let mut rest = u[0].to_f64() * self.area;
-        let mut face = &self.faces[0];
-        for f in self.faces.iter() {
-            face = f;
+        let (mut face, mut prim) = (&self.faces[0], 0);
+        for (f, k) in self.faces.iter().zip(0..) {
+            (face, prim) = (f, k);
             if rest < f.area() {
                 break;
             }
@@ -75,6 +75,7 @@ impl Shape for Cube {
         let reused = P::of((rest / face.area()).clamp(0.0, 1.0));
         ShapeSample {
             pdf: P::of(1.0 / self.area),
+            prim,
             ..face.sample_area([reused, u[1]])
         }
     }

@@ -4,8 +4,8 @@ use std::f64::consts::PI;
 
 use ad_core::{Const, Float, Real, Vec2, Vec3};
 
-use super::sphere::{SIMILARITY_TOLERANCE, root_near};
-use super::{Shape, ShapeSample, SurfaceInteraction, hit_is_exact, lift3, turn};
+use super::sphere::{ON_SURFACE, SIMILARITY_TOLERANCE, root_near};
+use super::{DirectionSample, Shape, ShapeSample, SurfaceInteraction, hit_is_exact, lift3, turn};
 use crate::accel::{Hit, MAX_COORDINATE, MIN_THICKNESS, Primitive};
 use crate::bsdf::FromNode;
 use crate::error::SceneError;
@@ -160,7 +160,28 @@ impl Shape for Cylinder {
             n: self.side(outward),
             uv: Vec2::new(u[0], u[1]),
             pdf: P::of(1.0 / self.area()),
+            prim: 0,
         }
+    }
+
+    /// The inside may be hidden by the tube itself.
+    fn sample<P: Float>(&self, from: Vec3<P>, u: [P; 2]) -> Option<DirectionSample<P>> {
+        let s = self.sample_area(u);
+        let seen = s.seen_from(from, s.n)?;
+        let direction = lift3::<P>(self.axis).normalize();
+        let flat = |v: Vec3<P>| v - direction * direction.dot(v);
+        let p0 = lift3::<P>(self.p0);
+        let (to, d) = (flat(p0 - from), flat(seen.d));
+        let radius = P::from_f32(self.radius);
+        let outside = to.length() > radius * P::of(1.0 + ON_SURFACE);
+        if outside && flat(s.p - p0).dot(d) > P::zero() {
+            let near = root_near(to, d, radius, P::zero());
+            let height = direction.dot(from + seen.d * near - p0);
+            if near > P::zero() && height >= P::zero() && height <= lift3::<P>(self.axis).length() {
+                return None;
+            }
+        }
+        Some(seen)
     }
 
     fn extent(&self) -> f32 {

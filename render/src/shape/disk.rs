@@ -101,6 +101,7 @@ impl Shape for Disk {
             n: lift3(self.n),
             uv: Vec2::new(x.hypot(y), turn(y, x)),
             pdf: P::of(1.0 / self.area),
+            prim: 0,
         }
     }
 

@@ -365,13 +365,13 @@ impl Shape for Mesh {
             n: frame.n,
             uv,
             pdf: P::of(1.0 / self.0.area),
+            prim: triangle as u32,
         }
     }
 
     fn sample_surface<P: Float>(&self, u: [P; 2]) -> (ShapeSample<P>, Vec3<P>) {
         let s = self.sample_area(u);
-        let (triangle, _) = self.choose(u);
-        let [e1, e2] = self.0.edges(triangle);
+        let [e1, e2] = self.0.edges(s.prim as usize);
         let n = e1.cross(e2).normalize();
         (s, Vec3::new(P::of(n.x), P::of(n.y), P::of(n.z)))
     }

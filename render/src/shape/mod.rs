@@ -26,11 +26,30 @@ use ad_core::{Const, Float, Real, Vec2, Vec3};
 use crate::accel::{Hit, Primitive};
 use crate::bsdf::FromNode;
 use crate::error::SceneError;
-use crate::math::{Frame, Ray};
+use crate::math::{Frame, NOWHERE, Ray, Segment};
 use crate::scene::{Builder, Node};
 
-/// Part of the distance to a light that is not tested for occluders: the light's own surface.
-const SHADOW_EPSILON: f64 = 1e-3;
+/// Part of the distance to a point that is not tested for occluders: its rounding.
+const SHADOW_EPSILON: f64 = 1e-6;
+
+/// How rays leave a surface.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Exit {
+    /// How far they start off it.
+    pub offset: f32,
+    /// The flat surface that they cannot meet again, see [`Ray::from`].
+    pub surface: u32,
+}
+
+impl Default for Exit {
+    /// From no surface.
+    fn default() -> Self {
+        Self {
+            offset: 0.0,
+            surface: NOWHERE,
+        }
+    }
+}
 
 /// A point on a surface, seen along a ray.
 #[derive(Clone, Copy, Debug)]
@@ -48,24 +67,23 @@ pub struct SurfaceInteraction<R> {
 }
 
 impl<R: Real> SurfaceInteraction<R> {
-    /// The ray that leaves in the unit direction `d`, moved off the surface by `offset`.
+    /// The ray that leaves in the unit direction `d`.
     #[inline(always)]
-    pub fn spawn_ray(&self, d: Vec3<R>, offset: f32) -> Ray<R> {
-        let offset = R::Primal::from_f32(offset);
+    pub fn spawn_ray(&self, d: Vec3<R>, exit: Exit) -> Ray<R> {
+        let offset = R::Primal::from_f32(exit.offset);
         let behind = self.n_geo.primal().dot(d.primal()) < R::Primal::zero();
         let offset = R::Primal::select(behind, -offset, offset);
-        Ray::new(self.p + self.n_geo * Const(offset), d)
+        Ray::new(self.p + self.n_geo * Const(offset), d).leaving(exit.surface)
     }
 
-    /// The ray that tests whether the point at `distance` in the unit direction `d` is visible, and the
-    /// length to test. The ray leaves off the surface by `offset` and is aimed anew at that point:
-    /// kept parallel, it would meet a ball light too early near its outline, and lose per cents of it.
+    /// What must be free for the point at `distance` in the unit direction `d` to be visible, which lies on the
+    /// surface `to`. The ray is aimed anew at that point: kept parallel, it would pass a ball near its outline.
     #[inline(always)]
-    pub fn shadow_ray(&self, d: Vec3<R>, distance: R, offset: f32) -> (Ray<R>, R) {
-        let Ray { o, d } = self.spawn_ray(d, offset);
-        let to = self.p + d * distance - o;
-        let length = to.length_squared().sqrt();
-        let aimed = to * length.recip();
+    pub fn shadow_ray(&self, d: Vec3<R>, distance: R, exit: Exit, to: u32) -> Segment<R> {
+        let Ray { o, d, from } = self.spawn_ray(d, exit);
+        let way = self.p + d * distance - o;
+        let length = way.length_squared().sqrt();
+        let aimed = way * length.recip();
         // Without a branch: waves of paths do this in vectors.
         let finite = distance.primal() <= R::Primal::MAX;
         let d = Vec3::new(
@@ -74,7 +92,11 @@ impl<R: Real> SurfaceInteraction<R> {
             R::select(finite, aimed.z, d.z),
         );
         let length = length * R::c(1.0 - SHADOW_EPSILON);
-        (Ray::new(o, d), R::select(finite, length, distance))
+        Segment {
+            ray: Ray { o, d, from },
+            length: R::select(finite, length, distance),
+            to,
+        }
     }
 
     /// The same point over a scalar with tangents, all of them zero.
@@ -120,6 +142,8 @@ pub struct ShapeSample<P> {
     pub uv: Vec2<P>,
     /// Density per area.
     pub pdf: P,
+    /// The primitive of the shape that it lies on.
+    pub prim: u32,
 }
 
 /// A direction sampled towards a shape.
@@ -137,6 +161,8 @@ pub struct DirectionSample<P> {
     pub uv: Vec2<P>,
     /// Density per solid angle.
     pub pdf: P,
+    /// The primitive of the shape that the point lies on.
+    pub prim: u32,
 }
 
 impl<P: Float> ShapeSample<P> {
@@ -157,6 +183,7 @@ impl<P: Float> ShapeSample<P> {
             n_geo,
             uv: self.uv,
             pdf,
+            prim: self.prim,
         })
     }
 }
@@ -194,7 +221,8 @@ pub trait Shape: Send + Sync {
         (s, s.n)
     }
 
-    /// A direction from `from` towards the shape. `None` where nothing is seen.
+    /// A direction from `from` towards the shape. `None` where nothing is seen: the primitive of the sample does not
+    /// hide the side of it that faces `from`.
     #[inline]
     fn sample<P: Float>(&self, from: Vec3<P>, u: [P; 2]) -> Option<DirectionSample<P>> {
         let s = self.sample_area(u);

@@ -126,6 +126,7 @@ impl Patch {
             n: lift3(self.frame.n.to_array()),
             uv: Vec2::new(u[0], u[1]),
             pdf: P::of(self.inv_area),
+            prim: 0,
         }
     }
 }

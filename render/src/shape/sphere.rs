@@ -168,11 +168,12 @@ pub(crate) fn sample_cone<P: Float>(
         n_geo: outward,
         uv: Vec2::zero(),
         pdf: cone_pdf(one_minus_cos_max),
+        prim: 0,
     })
 }
 
 /// Relative distance from the surface up to which a point counts as on it.
-const ON_SURFACE: f64 = 1e-4;
+pub(super) const ON_SURFACE: f64 = 1e-4;
 
 /// The angle of (x, y) in turns, in [0, 1].
 #[inline]
@@ -243,6 +244,7 @@ impl Shape for Sphere {
             n: self.side(outward),
             uv: self.uv(outward).0,
             pdf: P::of(1.0 / self.area()),
+            prim: 0,
         }
     }
 

@@ -113,7 +113,7 @@ fn hemisphere(
 ) -> Result<Hemisphere> {
     let camera = scene.camera.ray(position[0] as f32, position[1] as f32);
     let hit = scene.intersect(&camera).ok_or("nothing there")?;
-    let offset = scene.shape_info(hit.shape).offset;
+    let exit = scene.exit(hit.prim);
     let (si, material) = (hit.si, scene.material(hit.shape));
     let at = Shading {
         theta: Theta::constant(scene.params().values()),
@@ -139,7 +139,7 @@ fn hemisphere(
                         continue;
                     };
                     let (f, _) = material.eval_pdf(&at, wo, wi, TransportMode::Radiance);
-                    let ray = si.spawn_ray(si.frame.to_world(wi), offset);
+                    let ray = si.spawn_ray(si.frame.to_world(wi), exit);
                     let l = radiance(scene, |_| ray, DEPTH - 1, seed, stream, 0..1)
                         .map_err(|e| e.to_string())?;
                     for c in 0..3 {

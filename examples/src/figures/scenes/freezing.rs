@@ -30,7 +30,7 @@ impl Place {
         let mut sampler = Independent::new(SEED, stream, 0);
         freeze(
             &self.scene,
-            POINT.into(),
+            &Ray::new(POINT.into(), self.frame.to_world(w)),
             &self.frame,
             w,
             rays,

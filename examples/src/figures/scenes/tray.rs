@@ -120,7 +120,7 @@ fn seen(scene: &Scene) -> Vec<Seen> {
         let found = TRAY.iter().find(|(n, _)| n == name);
         let n = hit.si.frame.n;
         let mirrored = ray.d - n * (2.0 * ray.d.dot(n));
-        let reflected = scene.intersect(&hit.si.spawn_ray(mirrored, 1e-3));
+        let reflected = scene.intersect(&hit.si.spawn_ray(mirrored, scene.exit(hit.prim)));
         let emits = |s: u32| scene.shape_info(s).emitter.is_some();
         let alpha = found.map(|(_, alpha)| *alpha);
         // The slope of the microfacets that mirror it, in units of the roughness.

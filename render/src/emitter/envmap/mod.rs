@@ -15,7 +15,7 @@ use crate::bsdf::FromNode;
 use crate::error::SceneError;
 use crate::film::Image;
 use crate::image_io::Encoding;
-use crate::math::{Rgb, Transform, each};
+use crate::math::{NOWHERE, Rgb, Transform, each};
 use crate::params::{ParamRef, ParamShape, Params};
 use crate::scene::{Builder, Node};
 use crate::shape::{SurfaceInteraction, lift3, turn};
@@ -260,6 +260,7 @@ impl Emitter for Envmap {
             d: d.map(P::of).normalize(),
             distance: P::of(f64::INFINITY),
             normals: [Vec3::zero(); 2],
+            surface: NOWHERE,
             pdf: P::of(draw.density * 0.25 * FRAC_1_PI),
             emission: Emission {
                 uv: Vec2::new(P::of(u), P::of(v)),

@@ -36,14 +36,14 @@ use crate::emitter::{AnyEmitter, Area, Emission, Emitter, EmitterSample};
 use crate::estimator::memory::Memory;
 use crate::estimator::{Detached, Sampling, Still, Strategy};
 use crate::guide::{Directions, Guide};
-use crate::math::{Frame, Ray, Rgb};
+use crate::math::{Frame, NOWHERE, Ray, Rgb, Segment};
 use crate::params::Theta;
 use crate::sampler::{
     Points, Purpose, Sampler, Stream, first_four, independent_bits, scrambled, sobol_bits,
     sobol_points, sobol_set,
 };
 use crate::scene::Scene;
-use crate::shape::{AnyShape, Shape, SurfaceInteraction, sample_cone};
+use crate::shape::{AnyShape, Exit, Shape, SurfaceInteraction, sample_cone};
 use crate::texture::Texture;
 
 /// Whether waves estimate derivatives as strategy `S` does: paths and samples of emitters stand still, and decisions are
@@ -107,6 +107,8 @@ lanes! {
         o: Lanes<P>,
         /// Its direction.
         d: Lanes<P>,
+        /// The surface that it leaves.
+        surface: Lane<u32>,
         /// Throughput.
         beta: Lanes<P>,
         /// Radiance so far.
@@ -149,6 +151,8 @@ lanes! {
         guide: Lane<u32>,
         /// How far rays start off the surface.
         offset: Lane<f32>,
+        /// The surface that they cannot meet again.
+        surface: Lane<u32>,
         /// Albedo of what is plain.
         albedo: Lanes<P>,
         /// Position.
@@ -202,6 +206,14 @@ impl<P: Float> Vertices<P> {
     }
 
     #[inline(always)]
+    fn exit(&self, i: usize) -> Exit {
+        Exit {
+            offset: self.offset[i],
+            surface: self.surface[i],
+        }
+    }
+
+    #[inline(always)]
     fn interaction(&self, i: usize) -> SurfaceInteraction<P> {
         SurfaceInteraction {
             p: self.p.vec(i),
@@ -232,6 +244,8 @@ lanes! {
         d: Lanes<P>,
         /// How far away it is.
         distance: Lane<P>,
+        /// The surface that it lies on.
+        surface: Lane<u32>,
         /// Density; zero if there is no sample.
         pdf: Lane<P>,
         /// One over the probability that it was kept.
@@ -276,15 +290,18 @@ impl<P: Float> Lights<P> {
         share: P,
         sample: Option<EmitterSample<P>>,
     ) {
-        let none = (Vec3::zero(), P::zero(), P::zero(), P::zero(), Vec2::zero());
-        let (d, distance, pdf, falloff, uv) = sample.map_or(none, |s| {
+        let zero = P::zero();
+        let none = (Vec3::zero(), zero, NOWHERE, zero, zero, Vec2::zero());
+        let (d, distance, surface, pdf, falloff, uv) = sample.map_or(none, |s| {
             let e = s.emission;
-            (s.d, s.distance, s.pdf * share, e.falloff, e.uv)
+            let pdf = s.pdf * share;
+            (s.d, s.distance, s.surface, pdf, e.falloff, e.uv)
         });
         self.emitter[i] = emitter;
         self.kept[i] = kept;
         self.d.put_vec(i, d);
         self.distance[i] = distance;
+        self.surface[i] = surface;
         self.pdf[i] = pdf;
         self.falloff[i] = falloff;
         (self.u[i], self.v[i]) = (uv.x, uv.y);
@@ -445,6 +462,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             let (d, is_right) = camera.direction(x[i], y[i]).unit();
             paths.o.put_vec(i, origin);
             paths.d.put_vec(i, d);
+            paths.surface[i] = NOWHERE;
             right[i] = u32::from(is_right);
         }
         for i in 0..self.n {
@@ -539,7 +557,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         let single = |v: Vec3<P>| v.map(P::to_f32).to_array();
         let ray = |i: usize| {
             let (o, d) = (paths.o.vec(i), paths.d.vec(i));
-            (single(o), single(d), f32::INFINITY)
+            (single(o), single(d), f32::INFINITY, [paths.surface[i], NOWHERE])
         };
         let mut rays = Bundle::default();
         if !scene.has_hierarchy() {
@@ -588,7 +606,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         let mut any = false;
         self.textured.clear();
         for i in 0..self.n {
-            let ray = Ray::new(paths.o.vec(i), paths.d.vec(i));
+            let ray = Ray::new(paths.o.vec(i), paths.d.vec(i)).leaving(paths.surface[i]);
             let mut regard = paths.regard(i);
             let lit = regard.lit(log);
             let sampled = has_rival::<S, P>(depth, paths.pdf[i]);
@@ -638,7 +656,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
                 continue;
             };
             // Apart, so that the common case stays in registers.
-            let (shape, patch) = scene.patch(hit);
+            let (shape, exit, patch) = scene.patch(hit);
             match patch {
                 Some(patch) => self.at.put(i, &patch.interaction(&ray, hit)),
                 None => self.at.put(i, &scene.interaction(&ray, hit).si),
@@ -668,7 +686,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
                 Some(guide) if !info.glossy => guide.part_at(self.at.p.vec(i)) + 1,
                 _ => 0,
             };
-            self.at.offset[i] = info.offset;
+            (self.at.offset[i], self.at.surface[i]) = (exit.offset, exit.surface);
             let plain = match scene.material(shape) {
                 Material::Diffuse(m) => {
                     match m.reflectance {
@@ -784,15 +802,17 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             // A copy, which no store of the loop can change.
             let rectangle = *rectangle;
             let share = settings.lights.share(scene, 0);
+            let surface = scene.lights().surface(area.shape, 0);
             for i in 0..whole(self.n) {
                 let seen = rectangle.sample(at.p.vec(i), [a[i], b[i]]);
-                let sample = seen.and_then(|s| Area::facing(0.0, s));
+                let sample = seen.and_then(|s| Area::facing(0.0, surface, s));
                 lights.put(i, (0, P::one()), share, sample);
             }
             return;
         }
         // A radius of zero is no sphere.
         let mut spheres = ([Lane::<f32>::zero(); 3], Lane::<f32>::zero());
+        let mut surfaces = Lane::<u32>::zero();
         let mut shares = Lane::<P>::zero();
         let mut any = false;
         for i in 0..self.n {
@@ -828,6 +848,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
                 let ([x, y, z], radius) = &mut spheres;
                 [x[i], y[i], z[i]] = sphere.center();
                 radius[i] = sphere.radius();
+                surfaces[i] = scene.lights().surface(area.shape, 0);
                 any = true;
             }
         }
@@ -835,7 +856,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         if any {
             for i in 0..whole(self.n) {
                 let seen = sample_cone([x[i], y[i], z[i]], radius[i], at.p.vec(i), [a[i], b[i]]);
-                let sample = seen.and_then(|s| Area::facing(0.0, s));
+                let sample = seen.and_then(|s| Area::facing(0.0, surfaces[i], s));
                 lights.put(i, (lights.emitter[i], lights.kept[i]), shares[i], sample);
             }
         } else {
@@ -931,19 +952,20 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             let f = lights.f.rgb(i);
             let direct = self.paths.beta.rgb(i) * f * lights.le.rgb(i) * weight;
             let (d, distance) = (lights.d.vec(i), lights.distance[i]);
-            let (ray, t) = (at.interaction(i)).shadow_ray(d, distance, at.offset[i]);
+            let Segment { ray, length, .. } =
+                (at.interaction(i)).shadow_ray(d, distance, at.exit(i), NOWHERE);
             lights.weight[i] = weight;
             lights.direct.put_rgb(i, direct);
             lights.shadow_o.put_vec(i, ray.o);
             lights.shadow_d.put_vec(i, ray.d);
-            lights.shadow_t[i] = P::select(lights.pdf[i] > P::zero(), t, P::zero());
+            lights.shadow_t[i] = P::select(lights.pdf[i] > P::zero(), length, P::zero());
         }
     }
 
     /// Adds the light that nothing hides.
     #[inline(never)]
     fn find_shadows(&mut self, scene: &Scene) {
-        let (paths, lights) = (&mut self.paths, &mut self.lights);
+        let (at, paths, lights) = (&self.at, &mut self.paths, &mut self.lights);
         let mut asked = [0; WIDTH];
         let mut n = 0;
         for i in 0..self.n {
@@ -956,7 +978,8 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             rays.fill(asked.len(), |k| {
                 let i = asked[k % asked.len()];
                 let (o, d) = (lights.shadow_o.vec(i), lights.shadow_d.vec(i));
-                (single(o), single(d), lights.shadow_t[i].to_f32())
+                let skip = [at.surface[i], lights.surface[i]];
+                (single(o), single(d), lights.shadow_t[i].to_f32(), skip)
             });
             let occluded = scene.occluded_bundle(&rays);
             for (k, &i) in asked.iter().enumerate() {
@@ -1038,7 +1061,8 @@ impl<P: Float, X: Sampler> Wave<P, X> {
                 aside.start(k, self.branches.len(), &sampler);
                 aside.l.push(Rgb::black());
                 let d = at.frame(i).to_world(sample.wi);
-                let ray = at.interaction(i).spawn_ray(d, at.offset[i]);
+                let ray = at.interaction(i).spawn_ray(d, at.exit(i));
+                aside.paths.surface[k] = ray.from;
                 aside.paths.o.put_vec(k, ray.o);
                 aside.paths.d.put_vec(k, ray.d);
                 aside.paths.beta.put_rgb(k, paths.beta.rgb(i));
@@ -1146,7 +1170,8 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             bounces.lives[i] &= u32::from(L::ENABLED | !beta.is_black());
             paths.beta.put_rgb(i, beta);
             let d = at.frame(i).to_world(bounces.wi.vec(i));
-            let ray = at.interaction(i).spawn_ray(d, at.offset[i]);
+            let ray = at.interaction(i).spawn_ray(d, at.exit(i));
+            paths.surface[i] = ray.from;
             paths.o.put_vec(i, ray.o);
             paths.d.put_vec(i, ray.d);
             paths.from.put_vec(i, at.p.vec(i));

@@ -470,7 +470,7 @@ impl<P: Float> Log<P> for Record<'_, P> {
                     let [.., a, b, c, _] = &wave.numbers;
                     let departure = goes_on.then(|| Departure {
                         material: at.material[i],
-                        offset: at.offset[i],
+                        exit: at.exit(i),
                         si: at.interaction(i),
                         wo,
                         u: [a[i], b[i], c[i]],

@@ -1,0 +1,235 @@
+//! Which flat primitives lie on the same plane.
+//!
+//! A ray that leaves a plane cannot meet it again, and a point on it is not hidden by what lies on it: that holds for
+//! all primitives of the plane, and is known where distances of a few roundings are not.
+
+use super::{Primitive, bounds};
+use crate::math::each;
+use smallvec::SmallVec;
+
+/// So many roundings of its coordinates lie between a point that is computed on a primitive and its plane, at most.
+const ROUNDINGS: f64 = 6.0;
+
+/// Most primitives that one is compared with.
+const MOST: usize = 256;
+
+/// The plane of a flat primitive.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Plane {
+    /// A point.
+    at: [f64; 3],
+    /// Unit normal along `e1 x e2`.
+    pub normal: [f64; 3],
+    /// Points whose hull is the primitive, or contains it.
+    corners: [[f64; 3]; 4],
+    /// Largest absolute coordinates of these.
+    reach: [f64; 3],
+}
+
+fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+fn sum(a: [f64; 3], s: f64, b: [f64; 3]) -> [f64; 3] {
+    std::array::from_fn(|k| a[k] + s * b[k])
+}
+
+/// How far the rounding of numbers up to `reach` may move a point along a normal, relative to [`f32::EPSILON`].
+pub(crate) fn scale(normal: [f64; 3], reach: [f64; 3]) -> f64 {
+    0.5 * f64::from(f32::EPSILON) * dot(normal.map(f64::abs), reach)
+}
+
+impl Plane {
+    /// `None` for curved primitives and those without area.
+    pub fn of(p: &Primitive) -> Option<Self> {
+        let (at, e1, e2) = match *p {
+            Primitive::Triangle { v0, e1, e2 } | Primitive::Parallelogram { v0, e1, e2 } => {
+                (v0, e1, e2)
+            }
+            Primitive::Disk { center, e1, e2 } => (center, e1, e2),
+            Primitive::Sphere { .. } | Primitive::Cylinder { .. } => return None,
+        };
+        let [at, a, b] = [at, e1, e2].map(|x| each(x, f64::from));
+        let normal = [
+            a[1] * b[2] - a[2] * b[1],
+            a[2] * b[0] - a[0] * b[2],
+            a[0] * b[1] - a[1] * b[0],
+        ];
+        let length = dot(normal, normal).sqrt();
+        if !(length > 0.0 && length.is_finite()) {
+            return None;
+        }
+        let corners = match p {
+            Primitive::Triangle { .. } => [at, at, sum(at, 1.0, a), sum(at, 1.0, b)],
+            Primitive::Disk { .. } => [
+                sum(at, 1.0, a),
+                sum(at, -1.0, a),
+                sum(at, 1.0, b),
+                sum(at, -1.0, b),
+            ],
+            _ => {
+                let far = sum(at, 1.0, a);
+                [at, far, sum(at, 1.0, b), sum(far, 1.0, b)]
+            }
+        };
+        let reach = |k: usize| corners.iter().fold(0.0, |m: f64, c| m.max(c[k].abs()));
+        Some(Self {
+            at,
+            normal: normal.map(|x| x / length),
+            corners,
+            reach: [reach(0), reach(1), reach(2)],
+        })
+    }
+
+    /// How far rays start off: beyond the rounding of points on it.
+    pub fn offset(&self) -> f32 {
+        (ROUNDINGS * scale(self.normal, self.reach)) as f32
+    }
+
+    /// Whether all of `other` lies on this plane up to rounding.
+    fn holds(&self, other: &Self) -> bool {
+        let reach = std::array::from_fn(|k| self.reach[k].max(other.reach[k]));
+        // What double precision makes of right angles.
+        let exact = 1e-14 * (reach[0] + reach[1] + reach[2]);
+        let near = ROUNDINGS * scale(self.normal, reach) + exact;
+        let off = |c: &[f64; 3]| dot(self.normal, sum(*c, -1.0, self.at)).abs();
+        other.corners.iter().all(|c| off(c) <= near)
+    }
+
+    /// Whether both are the same plane where they meet: the smaller says little about the larger.
+    fn is(&self, other: &Self) -> bool {
+        self.holds(other) || other.holds(self)
+    }
+}
+
+type Bounds = [[f32; 3]; 2];
+
+fn meet(a: &Bounds, b: &Bounds) -> bool {
+    (0..3).all(|k| a[0][k] <= b[1][k] && b[0][k] <= a[1][k])
+}
+
+/// Boxes in a binary tree: node `i` has the children `2 i + 1` and `2 i + 2`; the leaves are single boxes.
+struct Boxes {
+    order: Vec<(u32, Bounds)>,
+    nodes: Vec<(Bounds, [usize; 2])>,
+}
+
+impl Boxes {
+    fn new(boxes: Vec<(u32, Bounds)>) -> Self {
+        let n = boxes.len();
+        let size = (2 * n.next_power_of_two()).saturating_sub(1);
+        let mut tree = Self {
+            order: boxes,
+            nodes: vec![([[f32::INFINITY; 3], [f32::NEG_INFINITY; 3]], [0, 0]); size],
+        };
+        tree.split(0, 0, n);
+        tree
+    }
+
+    fn split(&mut self, node: usize, first: usize, end: usize) {
+        if first == end {
+            return;
+        }
+        let part = &mut self.order[first..end];
+        let mut all = part[0].1;
+        for (_, b) in &part[1..] {
+            for k in 0..3 {
+                all[0][k] = all[0][k].min(b[0][k]);
+                all[1][k] = all[1][k].max(b[1][k]);
+            }
+        }
+        self.nodes[node] = (all, [first, end]);
+        let n = end - first;
+        if n > 1 {
+            let side = |k: usize| all[1][k] - all[0][k];
+            let longest = (1..3).fold(0, |m, k| if side(k) > side(m) { k } else { m });
+            let at = |b: &Bounds| b[0][longest] + b[1][longest];
+            part.select_nth_unstable_by(n / 2, |a, b| {
+                at(&a.1).total_cmp(&at(&b.1)).then(a.0.cmp(&b.0))
+            });
+            self.split(2 * node + 1, first, first + n / 2);
+            self.split(2 * node + 2, first + n / 2, end);
+        }
+    }
+
+    /// The index of every box that meets `bounds`.
+    /// Not more than [`MOST`]: those that lie on top of each other are united with each other as well.
+    fn meeting(&self, bounds: &Bounds, found: &mut Vec<u32>) {
+        let mut open = SmallVec::<[usize; 64]>::new();
+        open.push(0);
+        while let Some(node) = open.pop()
+            && found.len() < MOST
+        {
+            let Some((all, [first, end])) = self.nodes.get(node) else {
+                continue;
+            };
+            if !meet(all, bounds) {
+                continue;
+            }
+            match end - first {
+                1 => found.push(self.order[*first].0),
+                _ => open.extend([2 * node + 1, 2 * node + 2]),
+            }
+        }
+    }
+}
+
+/// The set that `i` belongs to, by its lowest member.
+fn root(sets: &mut [u32], i: u32) -> u32 {
+    let mut at = i;
+    while sets[at as usize] != at {
+        let above = sets[sets[at as usize] as usize];
+        sets[at as usize] = above;
+        at = above;
+    }
+    at
+}
+
+/// The surface of every primitive: the index of the first one that lies on the same plane, up to a few roundings of
+/// the coordinates, and touches it directly or through others. Curved primitives have surfaces of their own.
+///
+/// Triangles are compared with what is no triangle, and with those that `emit`: neighbours in a mesh overlap nowhere.
+pub fn surfaces(prims: &[Primitive], emits: impl Fn(usize) -> bool) -> Vec<u32> {
+    let mut sets: Vec<u32> = (0..prims.len() as u32).collect();
+    // Those on the same plane touch up to rounding.
+    let grown = |p: &Primitive| -> Bounds {
+        let [low, high] = bounds(p);
+        let more = |k: usize| 4.0 * f32::EPSILON * low[k].abs().max(high[k].abs());
+        [
+            std::array::from_fn(|k| low[k] - more(k)),
+            std::array::from_fn(|k| high[k] + more(k)),
+        ]
+    };
+    let compared = |i: usize| match prims[i] {
+        Primitive::Triangle { .. } => emits(i),
+        Primitive::Parallelogram { .. } | Primitive::Disk { .. } => true,
+        Primitive::Sphere { .. } | Primitive::Cylinder { .. } => false,
+    };
+    let few: Vec<_> = (0..prims.len())
+        .filter(|&i| compared(i) && Plane::of(&prims[i]).is_some())
+        .map(|i| (i as u32, grown(&prims[i])))
+        .collect();
+    if few.is_empty() {
+        return sets;
+    }
+    let few = Boxes::new(few);
+    let mut found = Vec::new();
+    for (i, p) in prims.iter().enumerate() {
+        let around = grown(p);
+        if !meet(&few.nodes[0].0, &around) {
+            continue;
+        }
+        let Some(plane) = Plane::of(p) else {
+            continue;
+        };
+        found.clear();
+        few.meeting(&around, &mut found);
+        for &k in &found {
+            let (a, b) = (root(&mut sets, i as u32), root(&mut sets, k));
+            if a != b && Plane::of(&prims[k as usize]).is_some_and(|other| plane.is(&other)) {
+                sets[a.max(b) as usize] = a.min(b);
+            }
+        }
+    }
+    (0..prims.len() as u32).map(|i| root(&mut sets, i)).collect()
+}
