@@ -70,11 +70,7 @@ impl Bundle {
 
     /// Replaces all rays by the first `n` of these, at most [`BUNDLE`].
     #[inline(always)]
-    pub fn fill(
-        &mut self,
-        n: usize,
-        ray: impl Fn(usize) -> ([f32; 3], [f32; 3], f32, [u32; 2]),
-    ) {
+    pub fn fill(&mut self, n: usize, ray: impl Fn(usize) -> ([f32; 3], [f32; 3], f32, [u32; 2])) {
         *self = Self::default();
         for i in 0..n.min(BUNDLE) {
             let (o, d, t_max, skip) = ray(i);

@@ -20,6 +20,7 @@ pub mod record;
 pub mod render;
 pub(crate) mod scout;
 pub mod second_order;
+pub mod simple;
 pub(crate) mod tally;
 pub mod vertex;
 mod wave;

@@ -406,7 +406,14 @@ impl Builder {
         }
         let emits = |i: usize| self.infos[prims[i].shape as usize].emitter.is_some();
         let surfaces = accel::surfaces(&primitives, emits);
-        raise_lights(&mut primitives, &prims, &surfaces, &self.shapes, &camera, emits);
+        raise_lights(
+            &mut primitives,
+            &prims,
+            &surfaces,
+            &self.shapes,
+            &camera,
+            emits,
+        );
         let accel = Accel::with_surfaces(&primitives, &surfaces).map_err(|e| match e {
             AccelError::Coordinate { primitive, .. } => {
                 let shape = prims[primitive].shape as usize;
