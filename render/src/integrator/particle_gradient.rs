@@ -10,7 +10,8 @@ use std::ops::Range;
 
 use ad_core::{Float, Vec2, Vec3};
 
-use super::gradient::{self, Active, ExactBuffer, Gradient, Sink, check_size, exactly, largest_of};
+use super::exact::ExactBuffer;
+use super::gradient::{self, Active, Gradient, Sink, check_size, exactly, largest_of};
 use super::particle::{Bounce, Connected, Context, Observer, follow, pixels};
 use super::render::{NonFinite, Progress};
 use crate::bsdf::differential::Part;

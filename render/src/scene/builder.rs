@@ -426,6 +426,7 @@ impl Builder {
             prims,
             patches,
             accel,
+            files: Vec::new(),
             camera,
             film,
             settings,
