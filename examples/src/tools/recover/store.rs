@@ -185,14 +185,13 @@ impl Inputs {
             .zip(values.iter().zip(&self.values))
         {
             if found != begun {
-                let message =
-                    format!("inputs.values: expected the values that the {name} has, found others");
+                let message = format!("inputs.values: expected those of the {name}, found others");
                 return Err(ToolError::file(checkpoint, message));
             }
         }
         // The folder has the target; where it came from may be gone.
-        let there = self.targets.iter().filter(|i| i.path.0.exists());
-        there.into_iter().try_for_each(same)?;
+        let mut there = self.targets.iter().filter(|i| i.path.0.exists());
+        there.try_for_each(same)?;
         match Digest::of_numbers(&target.data) == self.target {
             true => Ok(()),
             false => changed(target_file),
