@@ -769,10 +769,10 @@ fn resumes(optimizer: &str) {
         let [whole, parts] = ["whole", "parts"].map(|d| bytes(dir.path(d).join(file)));
         assert!(!whole.is_empty() && whole == parts, "{file} differs");
     }
-    // Nothing else: no leftovers of atomic writes.
+    // Nothing else but the lock: no leftovers of atomic writes.
     assert_eq!(
         std::fs::read_dir(dir.path("parts")).unwrap().count(),
-        files.len()
+        files.len() + 1
     );
     // Complete: resuming changes nothing.
     dir.ok("recover", "--out parts --resume");
@@ -885,18 +885,18 @@ fn damaged_checkpoints_are_errors_that_name_the_key() {
         (
             "/tail_sum",
             shorter("/tail_sum", 16),
-            "tail_sum: expected 10 values as in the scene, found 9",
+            "tail_sum: expected 10 values with a tail of 1, found 9",
         ),
         ("/tail_sum", ending("/tail_sum", nan), "tail_sum: "),
         (
-            "/start",
-            shorter("/start", 8),
-            "start: expected 10 values as in the scene, found 9",
+            "/version",
+            1.into(),
+            "version: expected 2, found 1; another version of this tool wrote it",
         ),
         (
-            "/start",
-            ending("/start", nan32),
-            "start[9]: expected 4 as in the scene, found NaN",
+            "/inputs/values/0",
+            "".into(),
+            "inputs.values: expected those of the scene, found others",
         ),
         (
             "/values",
@@ -931,7 +931,7 @@ fn damaged_checkpoints_are_errors_that_name_the_key() {
         (
             "/job/params",
             without("/job/params"),
-            "start: expected 7 values as in the scene, found 10",
+            "inputs.values: expected those of the unknowns, found others",
         ),
         ("/job/params", Value::Array(vec![]), "job.params: expected"),
         ("/job/estimator", "luck".into(), "job.estimator: "),
@@ -993,7 +993,12 @@ fn damaged_checkpoints_are_errors_that_name_the_key() {
     );
     refused(&newton, "/tail", 1.into(), "tail: expected 0");
     let sum = "3ff0000000000000".repeat(10);
-    refused(&newton, "/tail_sum", sum.into(), "tail_sum: expected zeros");
+    refused(
+        &newton,
+        "/tail_sum",
+        sum.into(),
+        "tail_sum: expected 0 values with a tail of 0, found 10",
+    );
     let steps = "/optimizer/gauss-newton/steps";
     refused(
         &newton,
@@ -1001,6 +1006,220 @@ fn damaged_checkpoints_are_errors_that_name_the_key() {
         8.into(),
         "optimizer.steps: expected 0 to 7 steps, found 8",
     );
+}
+
+/// [`SCENE`] with a texture of 64 x 64 texels on its walls, a picture of it, and how to recover the texture.
+fn textured(dir: &Folder) -> &'static str {
+    let texture = |value: f32| {
+        let mut image = Image::new(64, 64);
+        let texels = image.data.iter_mut().enumerate();
+        texels.for_each(|(i, x)| *x = value + 0.1 * (i as f32).sin());
+        image
+    };
+    let rgb = r#"<rgb name="reflectance" value="$red,0.4,0.2"/>"#;
+    let map = r#"<texture type="bitmap" name="reflectance"><string name="filename" value="$map"/>
+        <boolean name="raw" value="true"/></texture>"#;
+    assert!(SCENE.contains(rgb));
+    let scene = SCENE.replace(rgb, map);
+    let scene = scene.replace(r#"name="red" value="0.7""#, r#"name="map" value="map.exr""#);
+    std::fs::write(dir.path("scene.xml"), scene).unwrap();
+    write_exr(&dir.path("map.exr"), &texture(0.5)).unwrap();
+    write_exr(&dir.path("truth.exr"), &texture(0.3)).unwrap();
+    dir.ok("render", "scene.xml -o photo.exr --spp 16 -D map=truth.exr");
+    "scene.xml --param wall.reflectance.data --target photo.exr --spp 2 --iterations 8"
+}
+
+fn fails(dir: &Folder, args: &str, named: &str) {
+    let out = dir.run("recover", args);
+    let stderr = String::from_utf8_lossy(&out.stderr);
+    assert_eq!(out.status.code(), Some(1), "{args}: {stderr}");
+    assert!(stderr.contains(named), "{named}: {stderr}");
+}
+
+#[test]
+fn a_checkpoint_belongs_to_its_scene_and_target() {
+    let dir = Folder::new();
+    let job = textured(&dir);
+    let out = dir.run("recover", &format!("{job} --out d --stop-after 2"));
+    assert_eq!(out.status.code(), Some(130));
+    let before = bytes(dir.path("d/checkpoint.json"));
+    dir.ok("render", "scene.xml -o other.exr --spp 1 --seed 2");
+    let scene = std::fs::read_to_string(dir.path("scene.xml")).unwrap();
+    let others = [
+        ("scene.xml", scene.replace("10,8,6", "10,8,7").into_bytes()),
+        ("map.exr", bytes(dir.path("truth.exr"))),
+        ("photo.exr", bytes(dir.path("other.exr"))),
+        ("d/target.exr", bytes(dir.path("other.exr"))),
+    ];
+    for (name, other) in others {
+        let whole = bytes(dir.path(name));
+        assert!(other != whole);
+        std::fs::write(dir.path(name), other).unwrap();
+        let named = format!("{name}: expected what the run was begun with, found other content");
+        fails(&dir, "--out d --resume", &named);
+        assert!(bytes(dir.path("d/checkpoint.json")) == before);
+        std::fs::write(dir.path(name), whole).unwrap();
+    }
+    // The folder has all that is needed of the picture.
+    std::fs::remove_file(dir.path("photo.exr")).unwrap();
+    dir.ok("recover", "--out d --resume");
+}
+
+#[test]
+fn two_runs_do_not_share_a_folder() {
+    let dir = Folder::new();
+    let job = "--size 8 --spp 1 --iterations 4";
+    let out = dir.run("recover", &format!("{job} --out d --stop-after 1"));
+    assert_eq!(out.status.code(), Some(130));
+    let files = || {
+        let names = std::fs::read_dir(dir.path("d")).unwrap();
+        let mut names: Vec<String> = names
+            .map(|e| e.unwrap().file_name().into_string().unwrap())
+            .collect();
+        names.sort();
+        names
+    };
+    let clean = files();
+    let lock = std::fs::File::open(dir.path("d/recover.lock")).unwrap();
+    lock.lock().unwrap();
+    for args in [format!("{job} --out d"), "--out d --resume".into()] {
+        fails(&dir, &args, "d: expected a folder that no other run uses");
+    }
+    assert_eq!(files(), clean);
+    drop(lock);
+    // What a killed run leaves, and what others do.
+    let (half, bytes) = (".target.exr.77-3.tmp", "checkpoint-0123456789abcdef.bin");
+    for name in [half, bytes, ".notes.tmp"] {
+        std::fs::write(dir.path("d").join(name), "half").unwrap();
+    }
+    dir.ok("recover", "--out d --resume");
+    let left = files();
+    let has = |name: &str| left.iter().any(|l| l == name);
+    assert!(has(".notes.tmp") && !has(half) && !has(bytes), "{left:?}");
+}
+
+/// A checkpoint of many values is a short text and a file of bytes, and resumes from every state that a kill can leave.
+#[test]
+fn large_checkpoints_have_their_arrays_beside_them() {
+    let dir = Folder::new();
+    let job = textured(&dir);
+    dir.ok("recover", &format!("{job} --out whole"));
+    let arrays = |folder: &str| {
+        let names = std::fs::read_dir(dir.path(folder)).unwrap();
+        let mut found: Vec<String> = names
+            .map(|e| e.unwrap().file_name().into_string().unwrap())
+            .filter(|name| name.ends_with(".bin"))
+            .collect();
+        assert_eq!(found.len(), 1, "{found:?}");
+        format!("{folder}/{}", found.remove(0))
+    };
+    let stop = |args: &str| {
+        let out = dir.run("recover", args);
+        assert_eq!(out.status.code(), Some(130));
+        let name = arrays("parts");
+        let kept = [dir.path("parts/checkpoint.json"), dir.path(&name)].map(bytes);
+        (name, kept)
+    };
+    let (first, [text, kept]) = stop(&format!("{job} --out parts --stop-after 3"));
+    // Values, variables, and two means.
+    assert_eq!(kept.len(), 4 * 4 * 64 * 64 * 3);
+    assert!(text.len() < 10_000, "{}", text.len());
+    let (second, [_, later]) = stop("--out parts --resume --stop-after 2");
+    assert_ne!(first, second);
+    assert!(!dir.path(&first).exists());
+
+    // Killed after new bytes and before the text that names them.
+    std::fs::write(dir.path("parts/checkpoint.json"), &text).unwrap();
+    std::fs::write(dir.path(&first), &kept).unwrap();
+    let (again, [_, found]) = stop("--out parts --resume --stop-after 2");
+    assert!(again == second && found == later);
+    // Bytes that do not belong to the text are not resumed from.
+    let name = second.strip_prefix("parts/").unwrap();
+    for damaged in [kept, later[..later.len() - 1].to_vec(), Vec::new()] {
+        std::fs::write(dir.path(&second), damaged).unwrap();
+        fails(&dir, "--out parts --resume", name);
+    }
+    std::fs::remove_file(dir.path(&second)).unwrap();
+    fails(&dir, "--out parts --resume", name);
+    std::fs::write(dir.path(&second), later).unwrap();
+
+    dir.ok("recover", "--out parts --resume");
+    for name in [
+        "checkpoint.json",
+        "result.json",
+        "wall.reflectance.data.exr",
+    ] {
+        let [whole, parts] = ["whole", "parts"].map(|d| bytes(dir.path(d).join(name)));
+        assert!(whole == parts, "{name}");
+    }
+    let [whole, parts] = ["whole", "parts"].map(|d| bytes(dir.path(&arrays(d))));
+    assert!(whole == parts);
+}
+
+#[cfg(unix)]
+#[test]
+fn checkpoints_that_are_no_files_are_refused() {
+    let dir = Folder::new();
+    std::fs::create_dir(dir.path("d")).unwrap();
+    let path = dir.path("d/checkpoint.json");
+    std::os::unix::fs::symlink("/dev/zero", &path).unwrap();
+    let message = "checkpoint.json: cannot read the checkpoint: expected a file, found a folder, a device or a pipe";
+    fails(&dir, "--out d --resume", message);
+    std::fs::remove_file(&path).unwrap();
+    let made = Command::new("mkfifo").arg(&path).status().unwrap();
+    assert!(made.success());
+    fails(&dir, "--out d --resume", message);
+}
+
+#[cfg(unix)]
+#[test]
+fn a_recovery_takes_paths_that_are_not_utf_8() {
+    use std::os::unix::ffi::OsStringExt;
+    let dir = Folder::new();
+    dir.ok("render", "scene.xml -o photo.exr --spp 4");
+    let name = std::ffi::OsString::from_vec(b"sc\xff\xfene.xml".to_vec());
+    let path = dir.0.path().join(name);
+    std::fs::write(&path, SCENE).unwrap();
+    let run = |more: &str| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_recover"));
+        command.args(["--out", "d"]).args(more.split_whitespace());
+        command.arg(&path).current_dir(&dir.0).output().unwrap()
+    };
+    let job = format!("--target photo.exr --param {WALL} --iterations 3 --spp 1 --stop-after 1");
+    for (more, code) in [(job.as_str(), 130), ("--resume", 0)] {
+        let out = run(more);
+        let stderr = String::from_utf8_lossy(&out.stderr);
+        assert_eq!(out.status.code(), Some(code), "{stderr}");
+    }
+}
+
+/// How bright a picture is does not decide whether Adam moves; where plain gradient descent does not, it says so.
+#[test]
+fn dim_scenes_are_recovered_like_bright_ones() {
+    let dir = Folder::new();
+    let dim = SCENE.replace("10,8,6", "1e-5,8e-6,6e-6");
+    std::fs::write(dir.path("dim.xml"), dim).unwrap();
+    dir.ok(
+        "render",
+        "dim.xml -o photo.exr --spp 512 --seed 9 -D red=0.3",
+    );
+    let job = format!("dim.xml --param {WALL} --target photo.exr --loss l2 -D red=0.6 --spp 4");
+    let out = dir.run("recover", &format!("{job} --iterations 150 --out adam"));
+    let stderr = String::from_utf8_lossy(&out.stderr);
+    assert!(out.status.success(), "{stderr}");
+    assert!(!stderr.contains("no unknown has moved"), "{stderr}");
+    let report = dir.json("adam/result.json");
+    for (c, truth) in [0.3, 0.4, 0.2].into_iter().enumerate() {
+        let found = report["params"][format!("{WALL}[{c}]")]["value"]
+            .as_f64()
+            .unwrap();
+        assert!((found / truth - 1.0).abs() < 0.02, "{c}: {found}");
+    }
+    let sgd = format!("{job} --iterations 12 --optimizer sgd --out sgd");
+    let out = dir.run("recover", &sgd);
+    let stderr = String::from_utf8_lossy(&out.stderr);
+    let warning = "in 10 steps of sgd at --lr 1: its steps are --lr times the derivative";
+    assert_eq!(stderr.matches(warning).count(), 1, "{stderr}");
 }
 
 /// Ctrl-C while the pictures are made, or just before, costs pictures and nothing else.

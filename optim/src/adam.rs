@@ -6,7 +6,28 @@ use crate::rates::Rates;
 use crate::scalar::Scalar;
 use serde::{Deserialize, Serialize};
 
-/// Options of [`Adam`]; the names and the defaults are Mitsuba 3's.
+/// What keeps [`Adam`] from dividing by zero, and small gradients from moving like large ones.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Epsilon {
+    /// A multiple of the largest root mean square in the range (see [`Rates`]; a group of
+    /// [`Constrained`](crate::Constrained) is one): how a parameter moves does not depend on the scale of the
+    /// objective, be it the brightness of a picture or the number of its pixels.
+    Relative(#[serde(with = "crate::exact::number")] f64),
+    /// The same number for all parameters, in units of the gradient, as in Mitsuba 3 and PyTorch: gradients that are
+    /// much smaller do not move anything.
+    Absolute(#[serde(with = "crate::exact::number")] f64),
+}
+
+impl Epsilon {
+    fn number(self) -> f64 {
+        match self {
+            Self::Relative(e) | Self::Absolute(e) => e,
+        }
+    }
+}
+
+/// Options of [`Adam`]; the names and, but for epsilon, the defaults are Mitsuba 3's.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct AdamOptions {
@@ -16,9 +37,8 @@ pub struct AdamOptions {
     /// Decay of the mean squared gradient, in [0, 1).
     #[serde(with = "crate::exact::number")]
     pub beta2: f64,
-    /// Added to the root of the mean square; positive, in units of the gradient.
-    #[serde(with = "crate::exact::number")]
-    pub epsilon: f64,
+    /// Added to the root of the mean square; positive.
+    pub epsilon: Epsilon,
     /// Undo the pull of both means towards their initial zero.
     pub bias_correction: bool,
     /// Take an exactly zero gradient for "not observed": neither parameter nor means change.
@@ -35,7 +55,7 @@ impl Default for AdamOptions {
         Self {
             beta1: 0.9,
             beta2: 0.999,
-            epsilon: 1e-8,
+            epsilon: Epsilon::Relative(1e-8),
             bias_correction: true,
             mask_updates: false,
             uniform: false,
@@ -50,9 +70,10 @@ impl AdamOptions {
         fraction("beta1", self.beta1)?;
         fraction("beta2", self.beta2)?;
         // Positive also after rounding to the scalar type.
-        let e = T::from_f64(self.epsilon);
+        let e = T::from_f64(self.epsilon.number());
         let valid = e > T::default() && e.is_finite();
-        require(valid, "epsilon", "a positive finite value", self.epsilon)
+        let found = self.epsilon.number();
+        require(valid, "epsilon", "a positive finite value", found)
     }
 
     /// `sqrt(1 - beta2^t) / (1 - beta1^t)` at the step with number `t`, from 1.
@@ -69,8 +90,10 @@ impl AdamOptions {
 /// `m = beta1 m + (1 - beta1) g`, `v = beta2 v + (1 - beta2) g^2`,
 /// `p -= rate * sqrt(1 - beta2^t) / (1 - beta1^t) * m / (sqrt(v) + epsilon)`.
 ///
-/// A parameter moves by about the rate per step, whatever the gradient's scale. As in Mitsuba 3
-/// epsilon joins the uncorrected root; PyTorch adds it after the correction.
+/// A parameter moves by about the rate per step, whatever the gradient's scale: objectives that differ by a factor give
+/// the same steps, to rounding, for all gradients that the scalar type can hold ([`Epsilon::Relative`]; the root of
+/// `v` is kept instead of `v`, whose range would be half of that). Epsilon joins the uncorrected root as in
+/// Mitsuba 3; PyTorch adds it after the correction.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "RawAdam<T>", bound = "")]
 pub struct Adam<T: Scalar> {
@@ -79,8 +102,9 @@ pub struct Adam<T: Scalar> {
     steps: u64,
     #[serde(with = "crate::exact::slice")]
     mean: Vec<T>,
+    /// Square roots of `v`.
     #[serde(with = "crate::exact::slice")]
-    mean_square: Vec<T>,
+    root_mean_square: Vec<T>,
 }
 
 #[derive(Deserialize)]
@@ -92,7 +116,7 @@ struct RawAdam<T: Scalar> {
     #[serde(with = "crate::exact::slice")]
     mean: Vec<T>,
     #[serde(with = "crate::exact::slice")]
-    mean_square: Vec<T>,
+    root_mean_square: Vec<T>,
 }
 
 impl<T: Scalar> TryFrom<RawAdam<T>> for Adam<T> {
@@ -103,22 +127,27 @@ impl<T: Scalar> TryFrom<RawAdam<T>> for Adam<T> {
             rates,
             steps,
             mean,
-            mean_square,
+            root_mean_square,
         } = raw;
         options.validate::<T>()?;
-        for (what, values) in [("mean", &mean), ("mean_square", &mean_square)] {
+        for (what, values) in [("mean", &mean), ("root_mean_square", &root_mean_square)] {
             require_len(what, rates.len(), values.len())?;
             require_finite(what, values)?;
         }
-        if let Some(v) = mean_square.iter().find(|v| **v < T::default()) {
-            require(false, "mean_square", "values of at least 0", v.to_f64())?;
+        if let Some(v) = root_mean_square.iter().find(|v| **v < T::default()) {
+            require(
+                false,
+                "root_mean_square",
+                "values of at least 0",
+                v.to_f64(),
+            )?;
         }
         Ok(Self {
             options,
             rates,
             steps,
             mean,
-            mean_square,
+            root_mean_square,
         })
     }
 }
@@ -138,7 +167,7 @@ impl<T: Scalar> Adam<T> {
             rates,
             steps: 0,
             mean: zeros.clone(),
-            mean_square: zeros,
+            root_mean_square: zeros,
         })
     }
 
@@ -164,9 +193,8 @@ impl<T: Scalar> Moved<T> {
 struct Update<T> {
     beta1: T,
     rest1: T,
-    beta2: T,
-    rest2: T,
-    epsilon: T,
+    beta2: f64,
+    rest2: f64,
     mask: bool,
 }
 
@@ -175,34 +203,48 @@ impl<T: Scalar> Update<T> {
         Self {
             beta1: T::from_f64(options.beta1),
             rest1: T::from_f64(1.0 - options.beta1),
-            beta2: T::from_f64(options.beta2),
-            rest2: T::from_f64(1.0 - options.beta2),
-            epsilon: T::from_f64(options.epsilon),
+            beta2: options.beta2,
+            rest2: 1.0 - options.beta2,
             mask: options.mask_updates,
         }
     }
 
-    fn mean_square(&self, g: T, v: T) -> T {
-        if self.mask && g == T::default() {
-            v
-        } else {
-            self.beta2 * v + self.rest2 * (g * g)
+    /// The next root mean square, where squares may be out of range.
+    fn root_mean_square(&self, g: T, root: T) -> T {
+        let (g, v) = (g.to_f64().abs(), root.to_f64());
+        let size = g.max(v);
+        if self.mask && g == 0.0 || size == 0.0 {
+            return root;
         }
+        let (g, v) = (g / size, v / size);
+        T::from_f64(size * (self.beta2 * v * v + self.rest2 * g * g).sqrt())
     }
 
-    /// `shared`: the range's largest mean square after this step, for the uniform variant.
-    fn apply(&self, p: T, g: T, state: [T; 2], scale: T, shared: Option<T>) -> Moved<T> {
+    fn apply(&self, p: T, g: T, state: [T; 2], range: &OfRange<T>) -> Moved<T> {
         if self.mask && g == T::default() {
             return Moved { param: p, state };
         }
         let m = self.beta1 * state[0] + self.rest1 * g;
-        let v = self.mean_square(g, state[1]);
-        let step = m / (shared.unwrap_or(v).sqrt() + self.epsilon);
+        let root = self.root_mean_square(g, state[1]);
+        // No overflow: neither is larger than the largest gradient so far, and their quotient is moderate.
+        let (m64, root64) = (m.to_f64(), range.shared.unwrap_or(root).to_f64());
+        let step = match m64 == 0.0 {
+            true => 0.0,
+            false => m64 / (root64 + range.epsilon),
+        };
         Moved {
-            param: p - scale * step,
-            state: [m, v],
+            param: p - range.scale * T::from_f64(step),
+            state: [m, root],
         }
     }
+}
+
+/// What the parameters of a range have in common in one step.
+struct OfRange<T> {
+    scale: T,
+    epsilon: f64,
+    /// The largest root mean square after this step, for the uniform variant.
+    shared: Option<T>,
 }
 
 impl<T: Scalar> Optimizer<T> for Adam<T> {
@@ -213,17 +255,25 @@ impl<T: Scalar> Optimizer<T> for Adam<T> {
         let correction = self.options.correction(self.steps.saturating_add(1));
         let mut ranges = Vec::new();
         for (range, rate) in self.rates.at(self.steps) {
-            let shared = self.options.uniform.then(|| {
+            let relative = matches!(self.options.epsilon, Epsilon::Relative(_));
+            let largest = (relative || self.options.uniform).then(|| {
                 range.clone().fold(T::default(), |largest, i| {
-                    let v = update.mean_square(grad[i], self.mean_square[i]);
-                    if v > largest { v } else { largest }
+                    let root = update.root_mean_square(grad[i], self.root_mean_square[i]);
+                    if root > largest { root } else { largest }
                 })
             });
-            let scale = T::from_f64(rate * correction);
+            let of_range = OfRange {
+                scale: T::from_f64(rate * correction),
+                epsilon: match (self.options.epsilon, largest) {
+                    (Epsilon::Relative(e), Some(largest)) => e * largest.to_f64(),
+                    (e, _) => e.number(),
+                },
+                shared: largest.filter(|_| self.options.uniform),
+            };
             for index in range.clone() {
-                let state = [self.mean[index], self.mean_square[index]];
+                let state = [self.mean[index], self.root_mean_square[index]];
                 if !update
-                    .apply(params[index], grad[index], state, scale, shared)
+                    .apply(params[index], grad[index], state, &of_range)
                     .is_finite()
                 {
                     return Err(OptimError::Overflow {
@@ -232,14 +282,14 @@ impl<T: Scalar> Optimizer<T> for Adam<T> {
                     });
                 }
             }
-            ranges.push((range, scale, shared));
+            ranges.push((range, of_range));
         }
-        for (range, scale, shared) in ranges {
+        for (range, of_range) in ranges {
             for i in range {
-                let state = [self.mean[i], self.mean_square[i]];
-                let moved = update.apply(params[i], grad[i], state, scale, shared);
+                let state = [self.mean[i], self.root_mean_square[i]];
+                let moved = update.apply(params[i], grad[i], state, &of_range);
                 params[i] = moved.param;
-                [self.mean[i], self.mean_square[i]] = moved.state;
+                [self.mean[i], self.root_mean_square[i]] = moved.state;
             }
         }
         self.steps = self.steps.saturating_add(1);
@@ -274,7 +324,7 @@ mod tests {
         let options = AdamOptions {
             beta1: 0.5,
             beta2: 0.75,
-            epsilon: 1.0,
+            epsilon: Epsilon::Absolute(1.0),
             ..Default::default()
         };
         let mut p = [1.0];
@@ -315,7 +365,7 @@ mod tests {
                 1,
                 0.01,
                 AdamOptions {
-                    epsilon: 1e-20,
+                    epsilon: Epsilon::Absolute(1e-20),
                     ..Default::default()
                 },
             )
@@ -330,7 +380,7 @@ mod tests {
     #[test]
     fn agrees_with_the_peer() {
         let base = AdamOptions {
-            epsilon: 1e-4,
+            epsilon: Epsilon::Absolute(1e-4),
             ..Default::default()
         };
         for (options, expected) in [
@@ -372,7 +422,7 @@ mod tests {
         rates.set_rate(2..3, 0.2).unwrap();
         let options = AdamOptions {
             uniform: true,
-            epsilon: 1e-12,
+            epsilon: Epsilon::Absolute(1e-12),
             ..Default::default()
         };
         let mut p = [0.0; 3];
@@ -427,22 +477,91 @@ mod tests {
         }
         // The last one is positive, but zero in single precision.
         for bad in [0.0, -1.0, f64::INFINITY, f64::NAN, 1e-60] {
-            assert_eq!(
-                message(AdamOptions {
-                    epsilon: bad,
-                    ..Default::default()
-                }),
-                format!("epsilon: expected a positive finite value, found {bad}")
-            );
+            for epsilon in [Epsilon::Absolute(bad), Epsilon::Relative(bad)] {
+                assert_eq!(
+                    message(AdamOptions {
+                        epsilon,
+                        ..Default::default()
+                    }),
+                    format!("epsilon: expected a positive finite value, found {bad}")
+                );
+            }
+        }
+    }
+
+    /// Objectives that differ by a power of two give the same steps bit by bit, those of 1e-30 and 1e30 the same
+    /// to rounding, in both precisions: also where squares of gradients are out of range.
+    #[test]
+    fn the_scale_of_the_objective_does_not_matter() {
+        fn path<T: Scalar>(scale: f64, uniform: bool) -> Vec<f64> {
+            let mut rates = Rates::new(4, 0.03).unwrap();
+            // Two groups; the gradients of the second one are much smaller.
+            rates.separate(&(0..2)).unwrap();
+            let options = AdamOptions {
+                uniform,
+                ..Default::default()
+            };
+            let mut adam = Adam::<T>::with_options(rates, options).unwrap();
+            let mut p = [0.9, -0.4, 0.3, 2.0].map(T::from_f64);
+            for _ in 0..50 {
+                let grad: Vec<T> = (p.iter().zip([1.0, 1e-3, 1e-6, 1e-5]))
+                    .map(|(p, size)| T::from_f64(p.to_f64() * size * scale))
+                    .collect();
+                adam.step(&mut p, &grad).unwrap();
+            }
+            p.iter().map(|p| p.to_f64()).collect()
+        }
+        for uniform in [false, true] {
+            let single = path::<f32>(1.0, uniform);
+            assert!((single[0] - 0.9).abs() > 0.5, "{single:?}");
+            assert!(uniform || (single[2] - 0.3).abs() > 0.2, "{single:?}");
+            for exponent in [-80, 80] {
+                assert_eq!(path::<f32>(f64::from(exponent).exp2(), uniform), single);
+            }
+            let double = path::<f64>(1.0, uniform);
+            for scale in [1e-30, 1e-12, 1e12, 1e30] {
+                for (p, expected) in path::<f32>(scale, uniform).iter().zip(&single) {
+                    assert_relative_eq!(p, expected, epsilon = 1e-4);
+                }
+                for (p, expected) in path::<f64>(scale * scale * scale, uniform)
+                    .iter()
+                    .zip(&double)
+                {
+                    assert_relative_eq!(p, expected, epsilon = 1e-12);
+                }
+            }
+            for scale in [1e-290, 1e290] {
+                for (p, expected) in path::<f64>(scale, uniform).iter().zip(&double) {
+                    assert_relative_eq!(p, expected, epsilon = 1e-12);
+                }
+            }
+        }
+    }
+
+    /// Nothing is known of a parameter whose gradient has always been zero: it stays.
+    #[test]
+    fn zero_gradients_move_nothing() {
+        for epsilon in [Epsilon::Relative(1e-8), Epsilon::Absolute(1e-8)] {
+            let options = AdamOptions {
+                epsilon,
+                ..Default::default()
+            };
+            let mut p = [1.0, 2.0];
+            let mut o = adam(2, 0.1, options);
+            o.step(&mut p, &[0.0, 0.0]).unwrap();
+            assert_eq!(p, [1.0, 2.0]);
+            o.step(&mut p, &[0.0, 1.0]).unwrap();
+            assert_eq!(p[0], 1.0);
+            assert!(p[1] < 2.0);
         }
     }
 
     #[test]
-    fn a_square_beyond_the_range_is_an_error_not_a_frozen_parameter() {
-        let mut o = Adam::<f32>::new(2, 0.1).unwrap();
+    fn a_step_beyond_the_range_is_an_error() {
+        let mut o = Adam::<f32>::new(2, 1e38).unwrap();
         let fresh = o.clone();
-        let mut p = [1.0, 2.0];
-        let error = o.step(&mut p, &[1.0, 1e30]).unwrap_err();
+        let mut p = [1.0, f32::MAX];
+        let error = o.step(&mut p, &[0.0, -1.0]).unwrap_err();
         assert_eq!(
             error,
             OptimError::Overflow {
@@ -450,6 +569,6 @@ mod tests {
                 index: 1
             }
         );
-        assert_eq!((p, o), ([1.0, 2.0], fresh));
+        assert_eq!((p, o), ([1.0, f32::MAX], fresh));
     }
 }

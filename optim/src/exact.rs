@@ -6,14 +6,25 @@
 //! the checkpoints of callers.
 
 /// A `Vec` of f32 or f64 as one string of bit patterns: 8 or 16 hexadecimal digits per value.
-/// Not-a-numbers pass too.
+/// Not-a-numbers pass too. Long ones may go [`beside`] the text.
 pub mod slice {
+    use super::beside;
     use crate::scalar::{Scalar, sealed::Sealed};
-    use serde::{Deserialize, Deserializer, Serializer, de::Error};
+    use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error};
     use std::fmt::Write;
+
+    #[derive(Deserialize)]
+    #[serde(untagged)]
+    enum Text {
+        Inside(String),
+        Beside(beside::Place),
+    }
 
     /// Writes the values in order.
     pub fn serialize<T: Scalar, S: Serializer>(values: &[T], to: S) -> Result<S::Ok, S::Error> {
+        if let Some(place) = beside::put(values).map_err(serde::ser::Error::custom)? {
+            return place.serialize(to);
+        }
         let digits = <T as Sealed>::DIGITS;
         let mut text = String::with_capacity(values.len() * digits);
         for v in values {
@@ -24,7 +35,13 @@ pub mod slice {
 
     /// Reads what [`serialize`] wrote.
     pub fn deserialize<'de, T: Scalar, D: Deserializer<'de>>(from: D) -> Result<Vec<T>, D::Error> {
-        let text = String::deserialize(from)?;
+        let text = match beside::is_reading() {
+            false => String::deserialize(from)?,
+            true => match Text::deserialize(from)? {
+                Text::Inside(text) => text,
+                Text::Beside(place) => return beside::get(&place).map_err(D::Error::custom),
+            },
+        };
         let digits = <T as Sealed>::DIGITS;
         if text.len() % digits != 0 {
             return Err(D::Error::custom(format!(
@@ -80,8 +97,142 @@ pub mod number {
     }
 }
 
+/// Long arrays in a file of bytes beside the text: there a value takes 4 or 8 bytes instead of 8 or 16 characters, and
+/// no copy of all is made in memory. Inside of [`beside::write`] and [`beside::read`] what
+/// [`slice`](mod@slice) leaves in the text of a long array is where its bytes are; the values lie there one after
+/// another, little-endian.
+pub mod beside {
+    use std::cell::RefCell;
+    use std::io::{self, Read, Seek, SeekFrom, Write};
+    use std::rc::Rc;
+
+    use crate::scalar::Scalar;
+    use serde::{Deserialize, Serialize};
+
+    /// Arrays of so many values and more go beside the text.
+    pub const LONG: usize = 4096;
+
+    /// Where the bytes of an array are.
+    #[derive(Serialize, Deserialize)]
+    #[serde(deny_unknown_fields)]
+    pub(super) struct Place {
+        /// The first byte.
+        at: u64,
+        /// Number of values.
+        len: u64,
+    }
+
+    struct Sink {
+        to: Rc<RefCell<dyn Write>>,
+        at: u64,
+    }
+
+    trait Bytes: Read + Seek {}
+    impl<T: Read + Seek> Bytes for T {}
+
+    // Serde hands no context to the values that it writes and reads.
+    thread_local! {
+        static SINK: RefCell<Option<Sink>> = const { RefCell::new(None) };
+        static SOURCE: RefCell<Option<Rc<RefCell<dyn Bytes>>>> = const { RefCell::new(None) };
+    }
+
+    /// Takes a sink or source back, also when a panic passes by.
+    struct Scope(fn());
+    impl Drop for Scope {
+        fn drop(&mut self) {
+            (self.0)();
+        }
+    }
+
+    /// Runs `serialize`, which must write on this thread; long arrays go to `to`, which is given back.
+    pub fn write<W: Write + 'static, R>(to: W, serialize: impl FnOnce() -> R) -> (R, W) {
+        let shared = Rc::new(RefCell::new(to));
+        let sink = Sink {
+            to: shared.clone(),
+            at: 0,
+        };
+        SINK.set(Some(sink));
+        let scope = Scope(|| SINK.set(None));
+        let result = serialize();
+        drop(scope);
+        match Rc::try_unwrap(shared) {
+            Ok(to) => (result, to.into_inner()),
+            Err(_) => unreachable!("the scope gave its share back"),
+        }
+    }
+
+    /// Runs `deserialize`, which must read on this thread; long arrays come from `from`.
+    pub fn read<S: Read + Seek + 'static, R>(from: S, deserialize: impl FnOnce() -> R) -> R {
+        SOURCE.set(Some(Rc::new(RefCell::new(from))));
+        let _scope = Scope(|| SOURCE.set(None));
+        deserialize()
+    }
+
+    /// Puts values beside the text, if there is such a place and they are many.
+    pub(super) fn put<T: Scalar>(values: &[T]) -> io::Result<Option<Place>> {
+        if values.len() < LONG {
+            return Ok(None);
+        }
+        SINK.with_borrow_mut(|sink| {
+            let Some(sink) = sink else {
+                return Ok(None);
+            };
+            let place = Place {
+                at: sink.at,
+                len: values.len() as u64,
+            };
+            let mut to = sink.to.borrow_mut();
+            let mut bytes = Vec::new();
+            for part in values.chunks(1 << 14) {
+                bytes.clear();
+                let each = part.iter().map(|v| v.bits().to_le_bytes());
+                each.for_each(|b| bytes.extend_from_slice(&b[..T::DIGITS / 2]));
+                to.write_all(&bytes)?;
+                sink.at += bytes.len() as u64;
+            }
+            Ok(Some(place))
+        })
+    }
+
+    /// Whether arrays may be beside the text.
+    pub(super) fn is_reading() -> bool {
+        SOURCE.with_borrow(Option::is_some)
+    }
+
+    /// The values of a place.
+    pub(super) fn get<T: Scalar>(place: &Place) -> io::Result<Vec<T>> {
+        let Some(source) = SOURCE.with_borrow(Clone::clone) else {
+            return Err(io::ErrorKind::NotFound.into());
+        };
+        let mut source = source.borrow_mut();
+        let width = T::DIGITS / 2;
+        let found = source.seek(SeekFrom::End(0))?;
+        let end = (place.len.checked_mul(width as u64)).and_then(|n| n.checked_add(place.at));
+        if end.is_none_or(|end| end > found) {
+            let (at, len) = (place.at, place.len);
+            return Err(io::Error::other(format!(
+                "expected {len} values of {width} bytes from byte {at} on, found {found} bytes in all"
+            )));
+        }
+        source.seek(SeekFrom::Start(place.at))?;
+        let mut values = Vec::with_capacity(place.len as usize);
+        let mut bytes = vec![0; width << 14];
+        while values.len() < place.len as usize {
+            let n = (place.len as usize - values.len()).min(1 << 14);
+            source.read_exact(&mut bytes[..n * width])?;
+            values.extend(bytes[..n * width].chunks_exact(width).filter_map(|b| {
+                let mut whole = [0; 8];
+                whole[..width].copy_from_slice(b);
+                T::of_bits(u64::from_le_bytes(whole))
+            }));
+        }
+        Ok(values)
+    }
+}
+
 #[cfg(test)]
 mod tests {
+    use super::beside;
     use serde::{Deserialize, Serialize};
 
     #[derive(Serialize, Deserialize)]
@@ -118,6 +269,42 @@ mod tests {
             assert_eq!(bits64(&record.double), bits64(&back.double));
             assert_eq!(record.number.to_bits(), back.number.to_bits());
         }
+    }
+
+    #[test]
+    fn long_arrays_go_beside_the_text() {
+        use std::io::Cursor;
+        let values = |n: usize| (0..n).map(|i| (i as f64).sin() / 3.0);
+        let record = Record {
+            single: values(beside::LONG).map(|x| x as f32).collect(),
+            double: values(beside::LONG + 77).collect(),
+            number: 0.1,
+        };
+        let (text, bytes) = beside::write(Vec::new(), || serde_json::to_string(&record).unwrap());
+        assert_eq!(
+            text,
+            r#"{"single":{"at":0,"len":4096},"double":{"at":16384,"len":4173},"number":"0.1"}"#
+        );
+        assert_eq!(bytes.len(), 4096 * 4 + 4173 * 8);
+        let read = |bytes: Vec<u8>, text: &str| {
+            beside::read(Cursor::new(bytes), || serde_json::from_str::<Record>(text))
+        };
+        let back = read(bytes.clone(), &text).unwrap();
+        assert!(back.single == record.single && back.double == record.double);
+        // Short ones stay, and without such a place all do.
+        let short = r#"{"single":"3f800000","double":"","number":"0.1"}"#;
+        assert_eq!(read(Vec::new(), short).unwrap().single, [1.0]);
+        assert!(serde_json::to_string(&record).unwrap().len() > 2 * bytes.len());
+
+        for (bytes, text) in [
+            (bytes[..bytes.len() - 1].to_vec(), text.clone()),
+            (bytes.clone(), text.replace("4173", "18446744073709551615")),
+            (bytes.clone(), text.replace("16384", "18446744073709551615")),
+            (bytes.clone(), text.replace("\"len\"", "\"length\"")),
+        ] {
+            assert!(read(bytes, &text).is_err(), "{text}");
+        }
+        assert!(serde_json::from_str::<Record>(&text).is_err());
     }
 
     #[test]

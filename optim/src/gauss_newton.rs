@@ -625,6 +625,41 @@ mod tests {
         )
     }
 
+    /// Damping and the least diagonal are fractions of the curvature: an objective that is multiplied by a power of two
+    /// gives the same steps bit by bit.
+    #[test]
+    fn the_scale_of_the_objective_does_not_matter() {
+        let path = |scale: f64| {
+            let mut groups = Groups::new(2);
+            let bounded = Parameterisation::bounded(0.5, f64::INFINITY).unwrap();
+            groups.add("x", 0..1, bounded).unwrap();
+            let rates = Rates::new(2, 1.0).unwrap();
+            let mut optimizer = GaussNewton::new(rates, groups, Default::default()).unwrap();
+            let mut p = [2.0f64, -1.0];
+            let mut path = Vec::new();
+            for _ in 0..12 {
+                let [x, y] = p;
+                let r = [10.0 * (y - x * x), 1.0 - x];
+                let gradient = [-20.0 * x * r[0] - r[1], 10.0 * r[0]].map(|g| g * scale);
+                let matrix = [400.0 * x * x + 1.0, 0.0, -200.0 * x, 100.0].map(|m| m * scale);
+                let here = Evaluation {
+                    loss: 0.5 * (r[0] * r[0] + r[1] * r[1]) * scale,
+                    loss_error: 0.0,
+                    gradient: &gradient,
+                };
+                let matrix = NormalMatrix::new(2, matrix.to_vec()).unwrap();
+                optimizer.step(&mut p, &here, &matrix).unwrap();
+                path.extend(p);
+            }
+            path
+        };
+        let expected = path(1.0);
+        assert!((expected[22] - 1.0).abs() < 1e-2, "{expected:?}");
+        for exponent in [-300, -60, 60, 300] {
+            assert_eq!(path(f64::from(exponent).exp2()), expected, "2^{exponent}");
+        }
+    }
+
     /// Linear with singular values from 1 to 1e-6, rotated by a Hilbert-like matrix.
     fn ill_conditioned(p: &[f64]) -> (Vec<f64>, Vec<Vec<f64>>) {
         let j: Vec<Vec<f64>> = (0..6)

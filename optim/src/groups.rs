@@ -465,7 +465,7 @@ mod tests {
         // The gradient falls by six orders of magnitude: a short memory for its square.
         let options = AdamOptions {
             beta2: 0.99,
-            epsilon: 1e-12,
+            epsilon: crate::Epsilon::Absolute(1e-12),
             ..Default::default()
         };
         let adam = Adam::<f64>::with_options(rates.unwrap(), options).unwrap();
@@ -559,11 +559,6 @@ mod tests {
                 "parameter: expected a value in [0.0001, 1.0], found -0.5 at index 2 (in `alpha`)",
             ),
             (p, vec![0.0; 2], "grad: expected 3 entries, found 2"),
-            (
-                p,
-                vec![0.0, 1e30, 0.0],
-                "Adam step: the result at index 1 exceeds the range of the scalar type",
-            ),
         ] {
             let before = start.map(f32::to_bits);
             assert_eq!(o.step(&mut start, &grad).unwrap_err().to_string(), message);
@@ -701,7 +696,10 @@ mod tests {
             (r#""beta1":"0.9""#, r#""beta1":"1.9""#),
             (zeros, "00000000"),
             (zeros, "000000007fc00000"),
-            (r#""mean_square":"00000000"#, r#""mean_square":"bf800000"#),
+            (
+                r#""root_mean_square":"00000000"#,
+                r#""root_mean_square":"bf800000"#,
+            ),
             (r#""end":2"#, r#""end":3"#),
             (r#""rate":"0.25""#, r#""rate":"NaN""#),
             (r#""start":0,"end":1"#, r#""start":0,"end":7"#),

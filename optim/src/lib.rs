@@ -67,7 +67,7 @@ mod sgd;
 #[cfg(test)]
 mod test_functions;
 
-pub use adam::{Adam, AdamOptions};
+pub use adam::{Adam, AdamOptions, Epsilon};
 pub use bounds::{Parameterisation, SIGMOID_LIMIT};
 pub use error::OptimError;
 pub use gauss_newton::{

@@ -39,6 +39,10 @@ impl SgdOptions {
 /// The conventions of PyTorch and Mitsuba 3: the velocity starts at zero, carries no learning rate,
 /// and the first gradient enters with full weight. With momentum m a steady gradient moves a
 /// parameter by `rate / (1 - m)` per unit.
+///
+/// Steps are proportional to the gradient: an objective that is a thousand times as small needs a rate a thousand times
+/// as large, and so do the texels of a texture under the mean over a picture, the more of them there are.
+/// [`Adam`](crate::Adam) and [`GaussNewton`](crate::GaussNewton) do not depend on the scale.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "RawSgd<T>", bound = "")]
 pub struct Sgd<T: Scalar> {

@@ -15,6 +15,7 @@ use exr::{ReadChannels, ReadLayers, WritableImage};
 
 use crate::error::SceneError;
 use crate::film::Image;
+use crate::inputs;
 
 /// Largest number of rows and of columns.
 pub const MAX_SIDE: usize = 1 << 16;
@@ -172,6 +173,7 @@ fn read_bytes(path: &Path) -> Result<Vec<u8>, SceneError> {
     let mut bytes = Vec::new();
     let file = File::open(path).map_err(io)?;
     file.take(MAX_BYTES).read_to_end(&mut bytes).map_err(io)?;
+    inputs::note(path);
     Ok(bytes)
 }
 

@@ -17,6 +17,7 @@ pub mod film;
 pub mod finite_element;
 pub mod guide;
 pub mod image_io;
+mod inputs;
 pub mod instances;
 pub mod integrator;
 pub mod math;

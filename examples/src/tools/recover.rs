@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 use clap::Parser;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use optim::{
-    AnyOptimizer, Constrained, GaussNewton, Groups, LossKind, Optimizer, Parameterisation,
+    AnyOptimizer, Constrained, GaussNewton, Group, Groups, LossKind, Optimizer, Parameterisation,
     PixelLoss, Rates, Schedule,
 };
 use render::instances::{Estimator, Technique};
@@ -27,6 +27,9 @@ use render::{Image, RenderError, Scene, Settings, image_io};
 use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
+mod store;
+
+use self::store::{FilePath, Inputs, Store};
 use super::render::{Method, in_passes, passes};
 use crate::chart::LineChart;
 use crate::cli::{
@@ -189,8 +192,8 @@ fn loss_name(text: &str) -> Result<String, String> {
 /// Everything that the numbers of a run depend on.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 struct Job {
-    scene: Option<PathBuf>,
-    targets: Vec<PathBuf>,
+    scene: Option<FilePath>,
+    targets: Vec<FilePath>,
     params: Vec<String>,
     defines: Vec<(String, String)>,
     allow_missing: bool,
@@ -222,8 +225,8 @@ impl Job {
             OptimizerArg::GaussNewton => 48,
         });
         let job = Self {
-            scene: args.scene.clone(),
-            targets: args.targets.clone(),
+            scene: args.scene.clone().map(FilePath),
+            targets: args.targets.iter().cloned().map(FilePath).collect(),
             params,
             defines: args.load.defines.clone(),
             allow_missing: args.load.allow_missing,
@@ -364,11 +367,12 @@ impl Job {
         }
         same(
             "SCENE",
-            args.scene.clone().map(Some),
+            args.scene.clone().map(|path| Some(FilePath(path))),
             self.scene.clone(),
             debug,
         )?;
-        same("--target", some(&args.targets), self.targets.clone(), debug)?;
+        let targets: Vec<_> = args.targets.iter().cloned().map(FilePath).collect();
+        same("--target", some(&targets), self.targets.clone(), debug)?;
         same("--param", some(&args.params), self.params.clone(), debug)?;
         same("-D", some(&args.load.defines), self.defines.clone(), debug)?;
         same("--optimizer", args.optimizer, self.optimizer, |o| {
@@ -424,10 +428,11 @@ struct Checkpoint {
     /// The unknowns, one after another.
     #[serde(with = "optim::exact::slice")]
     values: Vec<f32>,
-    #[serde(with = "optim::exact::slice")]
+    /// Where the scene starts.
+    #[serde(skip)]
     start: Vec<f32>,
     optimizer: Algorithm,
-    /// Sum of the values after the steps that [`Job::tail`] counts, whose noise it removes.
+    /// Sum of the values after the steps that [`Job::tail`] counts, whose noise it removes; empty before.
     #[serde(with = "optim::exact::slice")]
     tail_sum: Vec<f64>,
     tail: u32,
@@ -443,6 +448,44 @@ impl Checkpoint {
         let n = f64::from(self.tail);
         self.tail_sum.iter().map(|s| (s / n) as f32).collect()
     }
+
+    /// What to say where hardly anything has moved, once. Gauss-Newton steps have the right length or a reason.
+    fn stalled(&self) -> Option<String> {
+        let Algorithm::FirstOrder(optimizer) = &self.optimizer else {
+            return None;
+        };
+        if self.iteration != WATCHED {
+            return None;
+        }
+        let moved = |group: &Group| {
+            let change = |i: usize| {
+                let [from, to] = [&self.start, &self.values].map(|v| f64::from(v[i]));
+                match group.parameterisation {
+                    Parameterisation::Log { .. } => (to / from).ln().abs(),
+                    _ => (to - from).abs(),
+                }
+            };
+            group.range.clone().map(change).fold(0.0, f64::max)
+        };
+        let most = optimizer.groups().iter().map(moved).fold(0.0, f64::max);
+        let step = most / f64::from(WATCHED);
+        let in_all = step * f64::from(self.job.iterations);
+        if step >= SLOW * self.job.lr || in_all >= UNSEEN {
+            return None;
+        }
+        let why = match optimizer.inner() {
+            AnyOptimizer::Sgd(_) => {
+                "its steps are --lr times the derivative, which is small in dim and in large pictures; expected \
+                 a larger --lr, or another --optimizer"
+            }
+            _ => "the image does not depend on them, or too little for single precision",
+        };
+        Some(format!(
+            "no unknown has moved by more than {most:.1e} in {WATCHED} steps of {} at --lr {}: {why}",
+            optimizer.inner().name(),
+            self.job.lr
+        ))
+    }
 }
 
 const CHECKPOINT: &str = "checkpoint.json";
@@ -450,8 +493,15 @@ const TARGET: &str = "target.exr";
 const BEFORE: &str = "before.exr";
 const AFTER: &str = "after.exr";
 const PANELS: &str = "before-after-target.png";
-/// Time between two checkpoints: what a crash costs at most.
+/// Time between two checkpoints: what a crash costs at most. Large ones take their time, of which they may have a
+/// twentieth.
 const CHECKPOINT_EVERY: Duration = Duration::from_secs(5);
+const CHECKPOINT_SHARE: u32 = 20;
+/// Steps after which a run says that hardly anything has moved: less than this part of the rate per step, and so
+/// little that all steps together would hardly be seen.
+const WATCHED: u32 = 10;
+const SLOW: f64 = 1e-3;
+const UNSEEN: f64 = 1e-2;
 /// Samples per pixel of the built-in target.
 const TARGET_SPP: u32 = 2048;
 /// Samples per pixel of the pictures before and after.
@@ -481,17 +531,20 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
 }
 
 fn recover(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
-    let saved = args.out.join(CHECKPOINT);
-    let resumed = match args.resume {
-        true => Some(read_checkpoint(&saved)?),
-        false => None,
-    };
-    let job = match &resumed {
-        Some(c) => {
-            c.job.require_same(args)?;
-            c.job.clone()
+    let (job, resumed, store) = match args.resume {
+        true => {
+            let mut store = Store::existing(&args.out, CHECKPOINT)?;
+            let (checkpoint, inputs) = store.read()?;
+            checkpoint.job.require_same(args)?;
+            let job = checkpoint.job.clone();
+            (job, Some((checkpoint, inputs)), Some(store))
         }
-        None => Job::new(args)?,
+        false => {
+            let job = Job::new(args)?;
+            let there = args.out.is_dir();
+            let store = there.then(|| Store::open(&args.out, CHECKPOINT));
+            (job, None, store.transpose()?)
+        }
     };
     let estimator = Estimator::from_name(&job.estimator)?;
     let (scene, active, start, truth) = load(&job, estimator)?;
@@ -502,22 +555,6 @@ fn recover(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     settings.max_depth = job.max_depth.unwrap_or(settings.max_depth);
     job.samples.apply(&scene, &mut settings)?;
     let loss: LossKind = job.loss.parse()?;
-    let mut state = match resumed {
-        Some(state) => state,
-        None => {
-            let values = start.clone();
-            Checkpoint {
-                optimizer: optimizer(&job, &active, &values)?,
-                job: job.clone(),
-                iteration: 0,
-                start: values.clone(),
-                tail_sum: vec![0.0; values.len()],
-                tail: 0,
-                values,
-                history: Vec::new(),
-            }
-        }
-    };
     let [target_file, before_file, after_file, panels_file] =
         [TARGET, BEFORE, AFTER, PANELS].map(|name| args.out.join(name));
     let target = if args.resume {
@@ -531,6 +568,31 @@ fn recover(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
             }
         }
     };
+    let mut store = match store {
+        Some(store) => store,
+        None => Store::open(&args.out, CHECKPOINT)?,
+    };
+    let (mut state, inputs) = match resumed {
+        Some((state, inputs)) => {
+            let files = [store.path(), &target_file];
+            inputs.require_same(&scene, &start, &target, files)?;
+            (Checkpoint { start, ..state }, inputs)
+        }
+        None => {
+            let state = Checkpoint {
+                optimizer: optimizer(&job, &active, &start)?,
+                job: job.clone(),
+                iteration: 0,
+                values: start.clone(),
+                tail_sum: Vec::new(),
+                tail: 0,
+                history: Vec::new(),
+                start,
+            };
+            let inputs = Inputs::of(&scene, &state.start, &job.targets, &target)?;
+            (state, inputs)
+        }
+    };
     let problem = Problem {
         scene,
         settings,
@@ -541,20 +603,20 @@ fn recover(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     };
     let mut recovery = Recovery { problem, truth };
     if args.resume {
-        recovery.check(&state, &start, &saved)?;
+        recovery.check(&state, store.path())?;
     }
     // As every run and every continuation of it starts.
     recovery.problem.set(&state.start)?;
     let seed = stream(job.seed, GUIDE_STREAM);
     (job.samples).learn(&mut recovery.problem.scene, &settings, seed, interrupt);
     if !args.resume {
-        output::create_dir(&args.out)?;
         // Those of another job.
-        for file in [&saved, &before_file, &after_file, &panels_file] {
+        store.clear()?;
+        for file in [&before_file, &after_file, &panels_file] {
             output::remove(file)?;
         }
         image_io::write_exr(&target_file, &recovery.problem.target)?;
-        output::write_json(&saved, &state)?;
+        store.write(&state, &inputs)?;
     }
     if !before_file.exists() {
         // Complete or not at all: a run that is resumed makes one that is missing.
@@ -572,7 +634,7 @@ fn recover(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     let left = job.iterations.saturating_sub(state.iteration);
     let stop = state.iteration + args.stop_after.unwrap_or(left).min(left);
     let bar = Bar::new("recover", job.iterations.into(), interrupt);
-    let mut last_save = Instant::now();
+    let (mut last_save, mut save_every) = (Instant::now(), CHECKPOINT_EVERY);
     while state.iteration < stop && !interrupt.is_set() {
         bar.set(state.iteration.into());
         // What was there before a failing step is worth keeping, too.
@@ -580,20 +642,25 @@ fn recover(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
             Ok(true) => {}
             Ok(false) => break,
             Err(e) => {
-                output::write_json(&saved, &state)?;
+                store.write(&state, &inputs)?;
                 return Err(e);
             }
         }
         if let Some(row) = state.history.last() {
             bar.message(format!("loss {:.3e}", row.loss));
         }
-        if last_save.elapsed() > CHECKPOINT_EVERY {
-            output::write_json(&saved, &state)?;
+        if let Some(warning) = state.stalled() {
+            eprintln!("warning: {warning}");
+        }
+        if last_save.elapsed() > save_every {
+            let begin = Instant::now();
+            store.write(&state, &inputs)?;
             last_save = Instant::now();
+            save_every = CHECKPOINT_EVERY.max(CHECKPOINT_SHARE * (last_save - begin));
         }
     }
     bar.finish();
-    output::write_json(&saved, &state)?;
+    store.write(&state, &inputs)?;
     if state.iteration != first {
         // They show other values.
         output::remove(&after_file)?;
@@ -639,7 +706,7 @@ fn load(job: &Job, estimator: Estimator) -> Result<Loaded, ToolError> {
         defines: job.defines.clone(),
         allow_missing: job.allow_missing,
     };
-    let (scene, _) = load.load(path)?;
+    let (scene, _) = load.load(&path.0)?;
     let active = estimator.active(&scene, &job.params)?;
     let mut start = Vec::new();
     for info in active.ranges() {
@@ -679,7 +746,7 @@ fn target(
     }
     let mut sum = vec![0.0f64; scene.film.pixels() * 3];
     for path in &job.targets {
-        let image = read_size(path, scene)?;
+        let image = read_size(&path.0, scene)?;
         for (s, x) in sum.iter_mut().zip(&image.data) {
             *s += f64::from(*x);
         }
@@ -694,16 +761,6 @@ fn target(
 
 fn read_size(path: &Path, scene: &Scene) -> Result<Image, ToolError> {
     output::read_image(path, scene.film.crop_size.map(|n| n as usize))
-}
-
-fn read_checkpoint(path: &Path) -> Result<Checkpoint, ToolError> {
-    let text = std::fs::read_to_string(path)
-        .map_err(|e| ToolError::file(path, format!("cannot read the checkpoint: {e}")))?;
-    let checkpoint: Checkpoint = serde_json::from_str(&text)
-        .map_err(|e| ToolError::file(path, format!("expected a checkpoint of this tool: {e}")))?;
-    (checkpoint.job.check())
-        .map_err(|wrong| ToolError::file(path, format!("job.{}: {}", wrong.key, wrong.message)))?;
-    Ok(checkpoint)
 }
 
 /// Name, number of steps, groups and rates of an algorithm: what follows from the job.
@@ -781,10 +838,9 @@ fn optimizer(job: &Job, active: &Active, values: &[f32]) -> Result<Algorithm, To
 }
 
 impl Recovery {
-    /// Whether a run of this job can have left this state, as far as a look at it tells. `start` is where the
-    /// scene starts.
-    fn check(&mut self, state: &Checkpoint, start: &[f32], path: &Path) -> Result<(), ToolError> {
-        let job = &state.job;
+    /// Whether a run of this job can have left this state, as far as a look at it tells.
+    fn check(&mut self, state: &Checkpoint, path: &Path) -> Result<(), ToolError> {
+        let (job, start) = (&state.job, &state.start);
         let require =
             |holds: bool, key: &str, expected: &dyn Display, found: &dyn Display| match holds {
                 true => Ok(()),
@@ -793,20 +849,9 @@ impl Recovery {
                     format!("{key}: expected {expected}, found {found}"),
                 )),
             };
-        let lengths = [
-            ("start", state.start.len()),
-            ("values", state.values.len()),
-            ("tail_sum", state.tail_sum.len()),
-        ];
-        for (key, n) in lengths {
-            let expected = format!("{} values as in the scene", start.len());
-            require(n == start.len(), key, &expected, &n)?;
-        }
-        for (i, (found, value)) in state.start.iter().zip(start).enumerate() {
-            let expected = format!("{value} as in the scene");
-            let same = found.to_bits() == value.to_bits();
-            require(same, &format!("start[{i}]"), &expected, found)?;
-        }
+        let (expected, found) = (start.len(), state.values.len());
+        let what = format!("{expected} values as in the scene");
+        require(found == expected, "values", &what, &found)?;
 
         let (n, last) = (state.iteration, job.iterations);
         let expected = format!("at most the {last} of job.iterations");
@@ -827,10 +872,10 @@ impl Recovery {
         let tail = job.tail(n);
         let expected = format!("{tail} after {n} of {last} iterations");
         require(state.tail == tail, "tail", &expected, &state.tail)?;
-        for &sum in &state.tail_sum {
-            let holds = tail > 0 || sum == 0.0;
-            require(holds, "tail_sum", &"zeros without a tail", &sum)?;
-        }
+        let expected = if tail > 0 { start.len() } else { 0 };
+        let what = format!("{expected} values with a tail of {tail}");
+        let found = state.tail_sum.len();
+        require(found == expected, "tail_sum", &what, &found)?;
 
         let fresh = optimizer(job, &self.problem.active, start)?;
         let (expected, found) = (plan(&fresh), plan(&state.optimizer));
@@ -880,6 +925,7 @@ impl Recovery {
         let tail = state.job.tail(state.iteration);
         if tail > 0 {
             state.tail = tail;
+            state.tail_sum.resize(state.values.len(), 0.0);
             for (s, v) in state.tail_sum.iter_mut().zip(&state.values) {
                 *s += f64::from(*v);
             }
@@ -1072,7 +1118,7 @@ impl Recovery {
         }
         let report = Report {
             scene: match &state.job.scene {
-                Some(path) => path.display().to_string(),
+                Some(path) => path.0.display().to_string(),
                 None => "built-in".into(),
             },
             optimizer: state.job.optimizer,

@@ -10,6 +10,7 @@ mod batch;
 pub mod boundary;
 pub mod density;
 pub mod direct;
+mod exact;
 pub mod gradient;
 mod local;
 pub mod noise;

@@ -9,7 +9,8 @@ use std::ops::Range;
 
 use ad_core::Float;
 
-use super::gradient::{self, Active, ExactBuffer, Gradient, Sink, check_size, exactly, largest_of};
+use super::exact::ExactBuffer;
+use super::gradient::{self, Active, Gradient, Sink, check_size, exactly, largest_of};
 use super::particle::{Context, ParticleObserver, follow, pixels};
 use super::record::{Contribution, Observer, PathRecord, Place, Recorder, Wishes};
 use super::render::{NonFinite, Progress};

@@ -463,6 +463,7 @@ impl Builder {
             firsts,
             patches,
             accel,
+            files: Vec::new(),
             camera,
             film,
             settings,

@@ -13,6 +13,7 @@ use crate::camera::{Camera, FovAxis};
 use crate::emitter::AnyEmitter;
 use crate::error::SceneError;
 use crate::film::{Film, PixelFilter};
+use crate::inputs;
 use crate::shape::{AnyShape, Shape};
 use crate::texture;
 
@@ -59,7 +60,12 @@ impl Scene {
     /// # Errors
     /// Anything wrong with the file or the files it names, with its place.
     pub fn load(path: &Path, options: &LoadOptions) -> Result<(Self, Vec<String>), SceneError> {
-        Self::from_document(&Document::load(path, &options.defines)?, options)
+        let (loaded, files) = inputs::during(|| {
+            Self::from_document(&Document::load(path, &options.defines)?, options)
+        });
+        let (mut scene, warnings) = loaded?;
+        scene.files = files;
+        Ok((scene, warnings))
     }
 
     /// [`Scene::load`] from the text of a scene file; file names in it are relative to `base`.

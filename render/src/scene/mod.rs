@@ -11,6 +11,7 @@ pub use builder::Builder;
 pub use load::LoadOptions;
 pub use xml::Node;
 
+use std::path::PathBuf;
 use std::sync::Arc;
 
 use ad_core::{Float, Real};
@@ -165,6 +166,8 @@ pub struct Scene {
     /// Those that are parallelograms, once more: paths through rooms of boxes need not ask what they hit.
     patches: Vec<Patch>,
     accel: Accel,
+    /// What it was read from.
+    files: Vec<PathBuf>,
     /// The camera.
     pub camera: Camera,
     /// Resolution, crop and filter.
@@ -199,6 +202,12 @@ pub struct Intersection<R> {
 }
 
 impl Scene {
+    /// The files that [`Scene::load`] read, each once, the scene file first: included ones, textures and meshes. Empty
+    /// if the scene was made otherwise.
+    pub fn files(&self) -> &[PathBuf] {
+        &self.files
+    }
+
     /// The parameter vector.
     pub fn params(&self) -> &Params {
         &self.params

@@ -11,6 +11,7 @@ use super::{DirectionSample, Shape, ShapeSample, SurfaceInteraction, hit_is_exac
 use crate::accel::{Hit, MAX_COORDINATE, Primitive};
 use crate::bsdf::FromNode;
 use crate::error::SceneError;
+use crate::inputs;
 use crate::math::{Frame, Ray, Transform, each, warp};
 use crate::prefetch::prefetch;
 use crate::scene::{Builder, Node};
@@ -125,6 +126,7 @@ impl Mesh {
             path: path.into(),
             source,
         })?;
+        inputs::note(path);
         Self::from_obj_text(&text, path, options)
     }
 

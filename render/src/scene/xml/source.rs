@@ -8,6 +8,7 @@ use roxmltree as xml;
 use super::Directories;
 use super::value::quoted;
 use crate::error::{Location, SceneError};
+use crate::inputs;
 
 /// One file.
 pub(super) struct Source {
@@ -79,6 +80,7 @@ pub(super) fn read(path: &Path) -> Result<String, SceneError> {
         path: path.to_owned(),
         source,
     })?;
+    inputs::note(path);
     String::from_utf8(bytes).map_err(|error| {
         let valid = error.utf8_error().valid_up_to();
         let lines = error.as_bytes()[..valid].iter().filter(|b| **b == b'\n');
