@@ -327,7 +327,11 @@ impl<'a, P: Float> Pass<'a, P> {
         large: &ExactBuffer,
         progress: &dyn Progress,
     ) -> Sums {
-        let n = self.context.per_sample;
+        let context = &Context {
+            progress,
+            ..*self.context
+        };
+        let n = context.per_sample;
         let total = self.samples.end.saturating_sub(self.samples.start) * n;
         let (first, step) = (self.samples.start * n, total.div_ceil(JOBS as u64).max(1));
         let pixels = self.sensor.film.pixels() as u64;
@@ -343,14 +347,14 @@ impl<'a, P: Float> Pass<'a, P> {
                     break;
                 }
                 follow::<P, X, Recorder<P>>(
-                    self.context,
+                    context,
                     &Recorder::new(&self.sensor, active),
                     self.seed,
                     first + start..first + end.min(start + 4096),
                     |_, _, _| {},
                     |i, recorder| {
                         if recorder.is_finite() {
-                            value += recorder.backward(self.context, &mut sink);
+                            value += recorder.backward(context, &mut sink);
                         } else {
                             non_finite.add(i % n, i / n);
                         }

@@ -8,6 +8,7 @@ use super::direct::{
     Aimed, Departure, Edges, Found, FoundEdge, FoundLight, Weighing, aimed_light, direct_light,
     follows_edges,
 };
+use super::render::Progress;
 use crate::bsdf::{
     Bsdf, BsdfSample, Component, Material, Part, Scattered, Shading, TextureRef, TransportMode,
 };
@@ -170,6 +171,9 @@ pub struct Context<'a, R: Real> {
     pub shifts: &'a [Option<Shift<R>>],
     /// Who finds caustics: paths leave them out where particles do.
     pub caustics: Caustics,
+    /// Asked now and then whether paths are to be followed any further: once it says no, what they found counts
+    /// for nothing.
+    pub progress: &'a dyn Progress,
 }
 
 /// How the samples of all emitters move, for strategies and scalars that want to know: made once per pass.
@@ -196,6 +200,7 @@ pub fn trace<R: Real, S: Strategy, X: Sampler, O: Observer<R>>(
         settings,
         shifts: &shifts::<R, S>(scene, theta),
         caustics: Caustics::Paths,
+        progress: &(),
     };
     Walk::<R, S, X>::new(ray, sampler).finish(&context, observer)
 }
@@ -282,9 +287,14 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
 
     /// [`Walk::finish`] for one that is still of interest.
     fn go<O: Observer<R>>(&mut self, context: &Context<R>, observer: &mut O) {
-        batch::trace_alone(context.scene, self, |walk, hit, visible| {
-            walk.step(context, hit, visible, observer);
-        });
+        batch::trace_alone(
+            context.scene,
+            context.progress,
+            self,
+            |walk, hit, visible| {
+                walk.step(context, hit, visible, observer);
+            },
+        );
     }
 
     /// Goes on to the next vertex: `hit` is what [`Walk::ray`] met, `visible` whether
@@ -303,6 +313,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
             settings,
             shifts,
             caustics,
+            progress,
         } = context;
         let depth = self.depth;
 
@@ -518,6 +529,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
                 settings,
                 shifts: &[],
                 caustics,
+                progress,
             };
             sampler.seek(first);
             let u = sampler.next_3d();
