@@ -28,6 +28,7 @@ use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use super::render::{Method, in_passes, passes};
+use crate::{complain, say};
 use crate::chart::LineChart;
 use crate::cli::{
     LoadArgs, Outcome, SAMPLE_COUNTS, SampleArgs, ThreadArgs, ToolError, depth, report_non_finite,
@@ -495,6 +496,7 @@ fn recover(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     };
     let estimator = Estimator::from_name(&job.estimator)?;
     let (scene, active, start, truth) = load(&job, estimator)?;
+    interrupt.keep();
     estimator.check(&scene)?;
     job.samples.check_guided(estimator)?;
     let mut settings = scene.settings;
@@ -526,7 +528,7 @@ fn recover(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
         match target(&job, &scene, &settings, interrupt)? {
             Some(target) => target,
             None => {
-                eprintln!("interrupted before the target was complete: nothing was written");
+                complain!("interrupted before the target was complete: nothing was written");
                 return Ok(Outcome::Interrupted);
             }
         }
@@ -607,7 +609,7 @@ fn recover(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
         n if n == PICTURE_SPP => String::new(),
         n => format!(", with {n} of {PICTURE_SPP} samples per pixel of the picture after"),
     };
-    eprintln!(
+    complain!(
         "stopped after {} of {} iterations{picture}; --resume --out {} continues",
         state.iteration,
         job.iterations,
@@ -1054,13 +1056,13 @@ impl Recovery {
             let truth = truth.as_ref().map(|t| t[k]);
             let error = truth.map(|t| largest_error(&[found[k]], &[t]));
             match (truth, error) {
-                (Some(t), Some(e)) => println!(
+                (Some(t), Some(e)) => say!(
                     "{name}: {:.4} -> {:.4} (truth {t:.4}, error {:.2} %)",
                     start[k],
                     found[k],
                     100.0 * e
                 ),
-                _ => println!("{name}: {:.4} -> {:.4}", start[k], found[k]),
+                _ => say!("{name}: {:.4} -> {:.4}", start[k], found[k]),
             }
             let value = Recovered {
                 start: start[k],
@@ -1083,7 +1085,7 @@ impl Recovery {
             params,
         };
         output::write_json(&out.join("result.json"), &report)?;
-        println!("{}: pictures, charts and values", out.display());
+        say!("{}: pictures, charts and values", out.display());
         Ok(())
     }
 }

@@ -14,6 +14,7 @@ use render::scene::{Caustics, LightChoice};
 use render::{RenderError, Scene, Settings, image_io};
 use serde::Serialize;
 
+use crate::{complain, say};
 use crate::cli::{
     LoadArgs, Outcome, SampleArgs, ThreadArgs, ToolError, depth, report_non_finite, sample_count,
 };
@@ -234,6 +235,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     require_extension(&exr, "exr")?;
     let method = args.method()?;
     let (mut scene, seconds_load) = args.load.load(&args.scene)?;
+    interrupt.keep();
     if !matches!(method, Method::Paths(_)) {
         particle::check(&scene)?;
     }
@@ -257,7 +259,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
         Ok((rendering, threads))
     })?;
     let Some(rendering) = rendering else {
-        eprintln!("interrupted before the first pass was complete: nothing was written");
+        complain!("interrupted before the first pass was complete: nothing was written");
         return Ok(Outcome::Interrupted);
     };
     let seconds_render = start.elapsed().as_secs_f64();
@@ -279,7 +281,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
         };
         output::write_json(path, &report)?;
     }
-    println!(
+    say!(
         "{}: {} x {}, {} spp in {seconds_render:.2} s",
         exr.display(),
         rendering.width,
@@ -287,7 +289,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
         rendering.samples
     );
     if rendering.samples < u64::from(settings.spp) {
-        eprintln!(
+        complain!(
             "interrupted: the image holds {} of {} samples per pixel",
             rendering.samples, settings.spp
         );

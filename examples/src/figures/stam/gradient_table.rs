@@ -13,6 +13,7 @@ use render::params::{GradSink, ParamRef, Theta};
 use super::cornell::{CONTROLS, Cornell, LABELS, NAMES, SPHERE};
 use super::fixed_path::{FixedPath, trace};
 use super::printed;
+use crate::say;
 use crate::chart::LineChart;
 use crate::figure::{Figure, Result};
 
@@ -197,9 +198,9 @@ pub fn figure(fig: &mut Figure) -> Result {
     fig.note("J", f64::from(cost));
 
     // ---- The table ----
-    println!("  J = {cost:.4e}");
+    say!("  J = {cost:.4e}");
     let numbers = |row: &[f64; CONTROLS]| row.map(|x| format!("{x:>11.6}")).join("");
-    println!("  adjoint   {}", numbers(&adjoint));
+    say!("  adjoint   {}", numbers(&adjoint));
     let mut tables = [[[0.0; CONTROLS]; STEPS.len()]; 2];
     let mut rows = Vec::new();
     let mut evaluations = 0;
@@ -221,10 +222,10 @@ pub fn figure(fig: &mut Figure) -> Result {
                 f64_row[2].to_string(),
             ]);
         }
-        println!("  eps {step:<6e}{}", numbers(&tables[0][s]));
+        say!("  eps {step:<6e}{}", numbers(&tables[0][s]));
         same &= single.adjoint()? == adjoint;
     }
-    println!("  f64 1e-7  {}", numbers(&tables[1][2]));
+    say!("  f64 1e-7  {}", numbers(&tables[1][2]));
     fig.note("path_evaluations_per_step", evaluations / STEPS.len());
     let header = [
         "control", "eps", "adjoint", "J_up", "J_down", "fd_f32", "fd_f64",
