@@ -19,8 +19,8 @@ use render::{RenderError, Scene, SceneError, Settings};
 use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-use crate::{complain, print};
 use crate::progress::Interrupt;
+use crate::{complain, print};
 
 /// Exit code of a tool that was stopped by Ctrl-C and kept what was complete.
 pub const INTERRUPTED: u8 = 130;

@@ -79,8 +79,7 @@ impl Figure {
         let command = Arguments::command().name(id).about(about);
         let matches = command.try_get_matches();
         let arguments = matches.and_then(|m| Arguments::from_arg_matches(&m));
-        let arguments =
-            arguments.unwrap_or_else(|e| std::process::exit(cli::usage(&e).into()));
+        let arguments = arguments.unwrap_or_else(|e| std::process::exit(cli::usage(&e).into()));
         let out = arguments.out.unwrap_or_else(|| Path::new("out").join(id));
         let mut figure = Self::in_folder(id, arguments.quick, out);
         if let Err(e) = cli::check_threads() {

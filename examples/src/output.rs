@@ -218,6 +218,19 @@ mod tests {
     }
 
     #[test]
+    fn pictures_of_narrow_images_stay_small() {
+        for (width, height) in [(1, 4096), (4096, 1), (1, 1 << 16), (2, 3), (36, 24), (1, 1)] {
+            let image = Image::new(width, height);
+            let [w, h] = readable(Panel::tonemapped("", &image, 1.0)).size();
+            assert!(w >= PANEL_WIDTH && w <= width.max(2 * PANEL_WIDTH), "{w}");
+            assert!(h >= height && h <= height.max(PANEL_HEIGHT), "{h}");
+        }
+        // Where it fits, pixels are squares as large as the label needs.
+        let small = Panel::tonemapped("", &Image::new(36, 24), 1.0);
+        assert_eq!(readable(small).size(), [9 * 36, 9 * 24]);
+    }
+
+    #[test]
     fn what_cannot_be_written_is_known_before() {
         let dir = tempfile::tempdir().unwrap();
         let at = |name: &str| dir.path().join(name);
@@ -237,7 +250,10 @@ mod tests {
                 &["a.exr", "in.xml"],
                 "in.xml: expected a file of its own, found one that is read",
             ),
-            (&["folder"], "folder: cannot write the file: expected a file, found a folder"),
+            (
+                &["folder"],
+                "folder: cannot write the file: expected a file, found a folder",
+            ),
             (&["in.xml/a.exr"], "in.xml: cannot create the folder"),
             (&["a/.."], "a/..: cannot write the file"),
         ] {

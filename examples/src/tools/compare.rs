@@ -13,7 +13,6 @@ use render::{Image, RenderError, Scene, Settings, image_io};
 use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
-use crate::{complain, print, say};
 use crate::chart::{LineChart, Panel};
 use crate::cli::{
     self, Choice, LoadArgs, Outcome, SampleArgs, ThreadArgs, ToolError, depth, report_non_finite,
@@ -22,6 +21,7 @@ use crate::cli::{
 use crate::output;
 use crate::progress::{Bar, Interrupt};
 use crate::tools::stability::Finding;
+use crate::{complain, print, say};
 
 const EXAMPLES: &str = "\
 Examples:

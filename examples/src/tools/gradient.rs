@@ -14,13 +14,13 @@ use render::scene::LightChoice;
 use render::{Image, Scene, Settings, image_io};
 use serde::Serialize;
 
-use crate::{complain, print, say};
 use crate::cli::{
     self, Choice, LoadArgs, Outcome, SampleArgs, ThreadArgs, ToolError, depth, report_non_finite,
     sample_count,
 };
 use crate::output;
 use crate::progress::{Bar, Interrupt};
+use crate::{complain, print, say};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -285,7 +285,8 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     if interrupt.is_set() {
         complain!(
             "interrupted: {} of {} repeats were complete",
-            statistics.repeats, args.repeats
+            statistics.repeats,
+            args.repeats
         );
         return Ok(Outcome::Interrupted);
     }

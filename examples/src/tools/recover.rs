@@ -28,7 +28,6 @@ use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use super::render::{Method, in_passes, passes};
-use crate::{complain, say};
 use crate::chart::LineChart;
 use crate::cli::{
     LoadArgs, Outcome, SAMPLE_COUNTS, SampleArgs, ThreadArgs, ToolError, depth, report_non_finite,
@@ -38,6 +37,7 @@ use crate::optimise::{Algorithm, Problem};
 use crate::output;
 use crate::progress::{Bar, Interrupt};
 use crate::scenes;
+use crate::{complain, say};
 
 /// Values of `--iterations`.
 const ITERATIONS: RangeInclusive<i64> = 1..=1 << 24;

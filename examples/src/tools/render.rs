@@ -14,12 +14,12 @@ use render::scene::{Caustics, LightChoice};
 use render::{RenderError, Scene, Settings, image_io};
 use serde::Serialize;
 
-use crate::{complain, say};
 use crate::cli::{
     LoadArgs, Outcome, SampleArgs, ThreadArgs, ToolError, depth, report_non_finite, sample_count,
 };
 use crate::output;
 use crate::progress::{Bar, Interrupt};
+use crate::{complain, say};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -291,7 +291,8 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     if rendering.samples < u64::from(settings.spp) {
         complain!(
             "interrupted: the image holds {} of {} samples per pixel",
-            rendering.samples, settings.spp
+            rendering.samples,
+            settings.spp
         );
         return Ok(Outcome::Interrupted);
     }

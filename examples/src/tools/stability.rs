@@ -13,10 +13,10 @@ use render::image_io;
 use render::instances::{Direction, Estimator};
 use serde::Serialize;
 
-use crate::{complain, print};
 use crate::cli::{Outcome, ThreadArgs, ToolError, sample_count};
 use crate::output;
 use crate::progress::{Bar, Interrupt};
+use crate::{complain, print};
 
 use setup::{SIZE, Setup};
 use sweeps::Sweep;

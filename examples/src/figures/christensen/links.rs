@@ -10,10 +10,10 @@ use super::boxes::{
     self, Step, Which, difference, mask, noiseless_patch_difference, patch_difference, refine,
     traced,
 };
-use crate::say;
 use crate::chart::LineChart;
 use crate::figure::{Figure, Result};
 use crate::figures::stage::{Walls, cornell};
+use crate::say;
 
 /// The error that runs are compared at.
 const ERROR: f64 = 0.01;

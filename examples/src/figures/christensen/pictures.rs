@@ -3,9 +3,9 @@
 use render::finite_element::FiniteElements;
 
 use super::boxes::{self, EYE, Which, average, mask, noiseless_difference, refine, traced};
-use crate::say;
 use crate::chart::Panel;
 use crate::figure::{Figure, Result};
+use crate::say;
 
 const SEED: u64 = 1;
 

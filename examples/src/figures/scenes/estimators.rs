@@ -14,11 +14,11 @@ use render::params::Theta;
 use render::{RenderError, Scene};
 
 use super::direct_light::corner;
-use crate::say;
 use crate::chart::Panel;
 use crate::figure::{Figure, Result};
 use crate::figures::stage::{LAMP_RADII, Plates, picture, textured_plates};
 use crate::figures::statistics::grey;
+use crate::say;
 
 const SEED: u64 = 419;
 /// From top to bottom, as in the thesis.

@@ -8,11 +8,11 @@ use render::instances::Estimator;
 use render::integrator::gradient::Active;
 use render::sampler::mix64;
 
-use crate::say;
 use crate::chart::LineChart;
 use crate::figure::{Figure, Result};
 use crate::figures::stage::picture;
 use crate::optimise::{Algorithm, Problem};
+use crate::say;
 use crate::scenes;
 use crate::tools::recover::{WHOLE_STEPS, groups};
 

@@ -13,9 +13,9 @@ use render::params::{GradSink, ParamRef, Theta};
 use super::cornell::{CONTROLS, Cornell, LABELS, NAMES, SPHERE};
 use super::fixed_path::{FixedPath, trace};
 use super::printed;
-use crate::say;
 use crate::chart::LineChart;
 use crate::figure::{Figure, Result};
+use crate::say;
 
 /// Emission 0.2 and wall albedo 0.3 are the paper's (decoded from its numbers); the others are chosen so
 /// that the table has its shape.
