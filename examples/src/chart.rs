@@ -417,6 +417,24 @@ impl Panel {
         }
     }
 
+    /// Columns and rows, pixels.
+    pub fn size(&self) -> [usize; 2] {
+        [self.width, self.height]
+    }
+
+    /// White columns are added at the right, up to this width.
+    pub fn widened(self, width: usize) -> Self {
+        if width <= self.width || self.width == 0 {
+            return self;
+        }
+        let mut rgb = vec![255; width * self.height * 3];
+        let rows = self.rgb.chunks_exact(self.width * 3);
+        for (to, row) in rgb.chunks_exact_mut(width * 3).zip(rows) {
+            to[..row.len()].copy_from_slice(row);
+        }
+        Self { width, rgb, ..self }
+    }
+
     /// Every pixel becomes `factor` x `factor` pixels.
     pub fn enlarged(self, factor: usize) -> Self {
         let (width, height) = (self.width * factor, self.height * factor);

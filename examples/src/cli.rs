@@ -1,5 +1,6 @@
 //! What all tools share: arguments of scenes, errors, exit codes.
 
+use std::borrow::Cow;
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -19,8 +20,9 @@ use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use crate::progress::Interrupt;
+use crate::{complain, print};
 
-/// Exit code of a tool that was stopped by Ctrl-C and kept what it had.
+/// Exit code of a tool that was stopped by Ctrl-C and kept what was complete.
 pub const INTERRUPTED: u8 = 130;
 
 /// What a tool can fail with. The message names the thing.
@@ -68,16 +70,93 @@ pub enum Outcome {
 }
 
 /// Parses the arguments, runs the tool and turns its outcome into an exit code: 0, 1 for an error, 2
-/// for wrong arguments, [`INTERRUPTED`] after Ctrl-C.
+/// for wrong arguments, [`INTERRUPTED`] after Ctrl-C. Standard output that cannot be written is an error as well, once all
+/// files are; that its reader has gone is none.
 pub fn main<A: Parser>(run: fn(&A, &Interrupt) -> Result<Outcome, ToolError>) -> ExitCode {
-    let args = A::parse();
-    match run(&args, &Interrupt::on_signal()) {
+    let args = match A::try_parse() {
+        Ok(args) => args,
+        Err(e) => return ExitCode::from(usage(&e)),
+    };
+    let code = match check_threads().and_then(|()| run(&args, &Interrupt::on_signal())) {
         Ok(Outcome::Done) => ExitCode::SUCCESS,
         Ok(Outcome::Interrupted) => ExitCode::from(INTERRUPTED),
         Err(e) => {
-            eprintln!("error: {e}");
+            complain!("error: {}", shortened(&e.to_string(), LONGEST_MESSAGE));
             ExitCode::FAILURE
         }
+    };
+    match print::finish() {
+        Ok(()) => code,
+        Err(e) => {
+            complain!("error: standard output: {e}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+/// Characters of a message, and of an argument that it quotes.
+const LONGEST_MESSAGE: usize = 8192;
+const LONGEST_ARGUMENT: usize = 80;
+
+/// Prints the help that was asked for, or what is wrong with the arguments. The exit code.
+pub(crate) fn usage(e: &clap::Error) -> u8 {
+    let args: Vec<String> = std::env::args_os()
+        .map(|arg| arg.to_string_lossy().into_owned())
+        .collect();
+    let values = args.iter().flat_map(|arg| {
+        let value = arg.split_once('=').map(|(_, value)| value);
+        [Some(arg.as_str()), value].into_iter().flatten()
+    });
+    let long: Vec<&str> = values
+        .filter(|value| value.chars().count() > LONGEST_ARGUMENT)
+        .collect();
+    if e.use_stderr() {
+        if long.is_empty() {
+            // As all on standard error.
+            let _ = e.print();
+        } else {
+            let shorter = |text: String, value: &&str| {
+                text.replace(value, &shortened(value, LONGEST_ARGUMENT))
+            };
+            let text = long.iter().fold(e.render().to_string(), shorter);
+            print::err(format_args!("{}", shortened(&text, LONGEST_MESSAGE)));
+        }
+        return 2;
+    }
+    match print::wanted(e.print()) {
+        Ok(()) => 0,
+        Err(e) => {
+            complain!("error: standard output: {e}");
+            1
+        }
+    }
+}
+
+/// The start of a text, and how long it is, where it is longer than this.
+fn shortened(text: &str, longest: usize) -> Cow<'_, str> {
+    match text.char_indices().nth(longest) {
+        Some((end, _)) => Cow::Owned(format!("{}... ({} bytes)", &text[..end], text.len())),
+        None => Cow::Borrowed(text),
+    }
+}
+
+/// Most threads that can be asked for.
+pub(crate) const MOST_THREADS: i64 = 1024;
+
+/// What the environment asks for, where `--threads` does not. Even a scene that is loaded starts threads.
+///
+/// # Errors
+/// Too many.
+pub(crate) fn check_threads() -> Result<(), ToolError> {
+    const NAME: &str = "RAYON_NUM_THREADS";
+    let Ok(text) = std::env::var(NAME) else {
+        return Ok(());
+    };
+    match text.trim().parse::<i64>() {
+        Ok(n) if n > MOST_THREADS => Err(ToolError::Usage(format!(
+            "{NAME}: expected at most {MOST_THREADS} threads, found {n}"
+        ))),
+        _ => Ok(()),
     }
 }
 
@@ -113,7 +192,7 @@ impl LoadArgs {
         };
         let (scene, warnings) = Scene::load(path, &options)?;
         for w in warnings {
-            eprintln!("warning: {w}");
+            complain!("warning: {w}");
         }
         Ok((scene, start.elapsed().as_secs_f64()))
     }
@@ -154,7 +233,7 @@ impl SampleArgs {
     /// Learns where light comes from, if asked to; says so if there is none.
     pub fn learn(self, scene: &mut Scene, settings: &Settings, seed: u64, progress: &dyn Progress) {
         if self.guide && !auto::guide(scene, settings, seed, progress) && !progress.cancelled() {
-            eprintln!("warning: --guide: no light meets anything diffuse; paths are not guided");
+            complain!("warning: --guide: no light meets anything diffuse; paths are not guided");
         }
     }
 
@@ -245,7 +324,7 @@ fn read_name<'de, T: Copy, D: Deserializer<'de>>(
 #[derive(Args, Clone, Copy, Debug, Default)]
 pub struct ThreadArgs {
     /// Number of threads [default: one per processor]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=MOST_THREADS))]
     pub threads: Option<u16>,
 }
 
@@ -355,7 +434,7 @@ fn name_in<T: PartialEq>(names: &[(&'static str, T)], value: &T) -> &'static str
 pub fn report_non_finite(bad: &NonFinite, width: usize, seed: u64) {
     if let Some((pixel, sample)) = bad.first {
         let (x, y) = (pixel % width as u64, pixel / width as u64);
-        eprintln!(
+        complain!(
             "warning: {} samples were not finite and are left out; the first is sample {sample} of \
              pixel ({x}, {y}) with seed {seed}",
             bad.count

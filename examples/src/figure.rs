@@ -19,16 +19,16 @@
 
 use std::error::Error;
 use std::fmt::Display;
-use std::fs;
-use std::io;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Instant;
 
 use clap::Parser;
+use render::image_io;
 use serde_json::{Map, Value, json};
 
 use crate::chart::{LineChart, Panel, grid};
+use crate::{cli, complain, output, print, say};
 
 /// What the code of a figure returns: an error is a failure to run, not a failed outcome.
 pub type Result<T = ()> = std::result::Result<T, Box<dyn Error>>;
@@ -47,7 +47,7 @@ struct Arguments {
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// Number of threads; the result does not depend on it [default: all]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=cli::MOST_THREADS))]
     threads: Option<u16>,
 }
 
@@ -77,17 +77,22 @@ impl Figure {
     pub fn start(id: &'static str, about: &'static str) -> Self {
         use clap::{CommandFactory, FromArgMatches};
         let command = Arguments::command().name(id).about(about);
-        let arguments = Arguments::from_arg_matches(&command.get_matches());
-        let arguments = arguments.unwrap_or_else(|e| e.exit());
+        let matches = command.try_get_matches();
+        let arguments = matches.and_then(|m| Arguments::from_arg_matches(&m));
+        let arguments = arguments.unwrap_or_else(|e| std::process::exit(cli::usage(&e).into()));
         let out = arguments.out.unwrap_or_else(|| Path::new("out").join(id));
         let mut figure = Self::in_folder(id, arguments.quick, out);
+        if let Err(e) = cli::check_threads() {
+            complain!("error: {e}");
+            std::process::exit(2);
+        }
         if let Some(n) = arguments.threads {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(n.into());
             if let Err(e) = pool.build_global() {
                 figure.errors.push(format!("--threads {n}: {e}"));
             }
         }
-        println!("{id}: {about}");
+        say!("{id}: {about}");
         figure
     }
 
@@ -136,7 +141,7 @@ impl Figure {
             found: found.to_string(),
         };
         let word = if passed { "pass" } else { "FAIL" };
-        println!("  {word}  {}\n        {}", check.statement, check.found);
+        say!("  {word}  {}\n        {}", check.statement, check.found);
         self.checks.push(check);
     }
 
@@ -153,9 +158,11 @@ impl Figure {
     /// Writes the output file `name`. A failure is reported at the end and fails the figure.
     pub fn write(&mut self, name: &str, bytes: &[u8]) {
         let path = self.path(name);
-        match write_atomic(&path, bytes) {
+        let written = output::create_parent(&path)
+            .and_then(|()| Ok(image_io::write_atomically(&path, bytes)?));
+        match written {
             Ok(()) => self.files.push(name.into()),
-            Err(e) => self.errors.push(format!("{}: {e}", path.display())),
+            Err(e) => self.errors.push(e.to_string()),
         }
     }
 
@@ -230,38 +237,23 @@ impl Figure {
         });
         self.write("manifest.json", format!("{manifest:#}\n").as_bytes());
         for e in &self.errors {
-            eprintln!("error: {e}");
+            complain!("error: {e}");
         }
-        println!(
+        say!(
             "{}: {} of {} outcomes hold, {seconds:.1} s, files in {}",
             self.id,
             self.checks.len() - failed,
             self.checks.len(),
             self.out.display()
         );
+        if let Err(e) = print::finish() {
+            complain!("error: standard output: {e}");
+            return ExitCode::from(2);
+        }
         match (self.errors.is_empty(), failed) {
             (false, _) => ExitCode::from(2),
             (true, 0) => ExitCode::SUCCESS,
             (true, _) => ExitCode::from(1),
         }
     }
-}
-
-/// Writes a file so that `path` holds either all of `bytes` or what it held before. Folders are made.
-///
-/// # Errors
-/// Those of the file system; nothing is left behind then.
-pub fn write_atomic(path: &Path, bytes: &[u8]) -> io::Result<()> {
-    if let Some(folder) = path.parent() {
-        fs::create_dir_all(folder)?;
-    }
-    let mut name = path.file_name().unwrap_or_default().to_owned();
-    name.push(format!(".{}.part", std::process::id()));
-    let part = path.with_file_name(name);
-    let written = fs::write(&part, bytes).and_then(|()| fs::rename(&part, path));
-    if written.is_err() {
-        // Best effort: the first error is the one to report.
-        let _ = fs::remove_file(&part);
-    }
-    written
 }

@@ -7,6 +7,7 @@ pub mod figures;
 pub mod memory;
 pub mod optimise;
 pub mod output;
+pub mod print;
 pub mod progress;
 pub mod scenes;
 pub mod sheet;

@@ -1,7 +1,6 @@
 //! Files that tools write and read. Every file appears complete or not at all.
 
 use std::collections::HashMap;
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use render::Image;
@@ -21,40 +20,21 @@ pub fn prepare(written: &[PathBuf], read: &[&Path]) -> Result<(), ToolError> {
     let mut uses: HashMap<PathBuf, &str> = HashMap::new();
     for path in read {
         // One that cannot be found has been complained about, or will be.
-        if let Ok(place) = place(path) {
+        if let Ok(place) = image_io::target(path) {
             uses.insert(place, "is read");
         }
     }
     for path in written {
         create_parent(path)?;
         let unwritable = |e| ToolError::file(path, format!("cannot write the file: {e}"));
-        let place = place(path).map_err(unwritable)?;
-        if place.exists() && !place.is_file() {
-            let message = "expected a file, found a folder or a device";
-            return Err(ToolError::file(path, message));
-        }
-        // As when it is written: under another name beside it.
-        let mut name = std::ffi::OsString::from(".");
-        name.push(place.file_name().unwrap_or_default());
-        name.push(format!(".{}.trial", std::process::id()));
-        let trial = place.with_file_name(name);
-        (fs::File::create_new(&trial).and_then(|_| fs::remove_file(&trial))).map_err(unwritable)?;
+        image_io::try_to_write(path).map_err(unwritable)?;
+        let place = image_io::target(path).map_err(unwritable)?;
         if let Some(first) = uses.insert(place, "would be written twice") {
             let message = format!("expected a file of its own, found one that {first}");
             return Err(ToolError::file(path, message));
         }
     }
     Ok(())
-}
-
-/// Which file a path leads to, whether it exists or not; its folder does.
-fn place(path: &Path) -> std::io::Result<PathBuf> {
-    let name = (path.file_name()).ok_or(std::io::ErrorKind::InvalidFilename)?;
-    let folder = match path.parent() {
-        Some(dir) if !dir.as_os_str().is_empty() => dir,
-        _ => Path::new("."),
-    };
-    Ok(folder.canonicalize()?.join(name))
 }
 
 /// Creates the folder that `path` lies in.
@@ -151,21 +131,28 @@ pub fn write_chart(path: &Path, chart: &LineChart) -> Result<(), ToolError> {
     )?)
 }
 
-/// Small images are enlarged to at least this width, so that their labels fit.
+/// Small images are enlarged to at least this width, so that their labels fit,
 const PANEL_WIDTH: usize = 320;
+/// unless they become higher than this: the rest of the width is white then.
+const PANEL_HEIGHT: usize = 2048;
+
+/// A picture as large as its label needs.
+pub fn readable(panel: Panel) -> Panel {
+    let [width, height] = panel.size().map(|n| n.max(1));
+    let factor = PANEL_WIDTH.div_ceil(width).min(PANEL_HEIGHT / height);
+    panel.enlarged(factor.max(1)).widened(PANEL_WIDTH)
+}
 
 /// A labelled image.
 pub fn panel(label: &str, image: &Image) -> Panel {
-    let factor = PANEL_WIDTH.div_ceil(image.width.max(1));
-    Panel::tonemapped(label, image, 1.0).enlarged(factor)
+    readable(Panel::tonemapped(label, image, 1.0))
 }
 
 /// Mean over the channels of every pixel in false colours, white at zero.
 pub fn signed_panel(label: &str, image: &Image) -> Panel {
     let mean = |p: &[f32]| p.iter().map(|&x| f64::from(x)).sum::<f64>() / 3.0;
     let values: Vec<f64> = image.data.chunks_exact(3).map(mean).collect();
-    let factor = PANEL_WIDTH.div_ceil(image.width.max(1));
-    Panel::signed(label, image.width, &values, None).enlarged(factor)
+    readable(Panel::signed(label, image.width, &values, None))
 }
 
 /// Reads an image that must have this size, `[width, height]`.
@@ -215,6 +202,8 @@ pub fn file_name(key: &str) -> String {
 
 #[cfg(test)]
 mod tests {
+    use std::fs;
+
     use super::*;
 
     #[test]
@@ -226,6 +215,19 @@ mod tests {
         // Monotone, and no kink: the slope falls slowly from 1.
         assert!(steps.iter().all(|s| *s > 0.0 && *s < 0.0101));
         assert!(steps.windows(2).all(|s| (s[1] - s[0]).abs() < 4e-4));
+    }
+
+    #[test]
+    fn pictures_of_narrow_images_stay_small() {
+        for (width, height) in [(1, 4096), (4096, 1), (1, 1 << 16), (2, 3), (36, 24), (1, 1)] {
+            let image = Image::new(width, height);
+            let [w, h] = readable(Panel::tonemapped("", &image, 1.0)).size();
+            assert!(w >= PANEL_WIDTH && w <= width.max(2 * PANEL_WIDTH), "{w}");
+            assert!(h >= height && h <= height.max(PANEL_HEIGHT), "{h}");
+        }
+        // Where it fits, pixels are squares as large as the label needs.
+        let small = Panel::tonemapped("", &Image::new(36, 24), 1.0);
+        assert_eq!(readable(small).size(), [9 * 36, 9 * 24]);
     }
 
     #[test]
@@ -248,7 +250,10 @@ mod tests {
                 &["a.exr", "in.xml"],
                 "in.xml: expected a file of its own, found one that is read",
             ),
-            (&["folder"], "folder: expected a file, found a folder"),
+            (
+                &["folder"],
+                "folder: cannot write the file: expected a file, found a folder",
+            ),
             (&["in.xml/a.exr"], "in.xml: cannot create the folder"),
             (&["a/.."], "a/..: cannot write the file"),
         ] {

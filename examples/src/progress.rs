@@ -6,36 +6,55 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use indicatif::{ProgressBar, ProgressStyle};
 use render::integrator::render::Progress;
 
+use crate::complain;
+
 /// Whether the user wants to stop. Clones share the answer.
 #[derive(Clone, Debug, Default)]
-pub struct Interrupt(Arc<AtomicBool>);
+pub struct Interrupt(Arc<State>);
+
+#[derive(Debug, Default)]
+struct State {
+    asked: AtomicBool,
+    /// Whether there is anything to keep.
+    keeps: AtomicBool,
+}
 
 impl Interrupt {
-    /// Set by Ctrl-C (and by the signals that ask a process to end); a second one ends the process at
-    /// once.
+    /// Set by Ctrl-C (and by the signals that ask a process to end). It ends the process at once if it is the second one,
+    /// or while there is nothing to keep yet ([`Interrupt::keep`]).
     pub fn on_signal() -> Self {
         let interrupt = Self::default();
         let flag = interrupt.clone();
         let handler = move || {
-            if flag.0.swap(true, Ordering::Relaxed) {
+            let again = flag.0.asked.swap(true, Ordering::Relaxed);
+            let keeps = flag.0.keeps.load(Ordering::Relaxed);
+            if !keeps {
+                complain!("interrupted before the work began: nothing was written");
+            }
+            if again || !keeps {
                 std::process::exit(crate::cli::INTERRUPTED.into());
             }
         };
         // Without a handler Ctrl-C ends the program as usual, which is no reason not to start.
         if let Err(e) = ctrlc::set_handler(handler) {
-            eprintln!("warning: Ctrl-C will not keep partial results: {e}");
+            complain!("warning: Ctrl-C will not keep partial results: {e}");
         }
         interrupt
     }
 
+    /// From here on there may be something to keep, and whoever works asks [`Interrupt::is_set`] many times a second.
+    pub fn keep(&self) {
+        self.0.keeps.store(true, Ordering::Relaxed);
+    }
+
     /// Asks to stop.
     pub fn set(&self) {
-        self.0.store(true, Ordering::Relaxed);
+        self.0.asked.store(true, Ordering::Relaxed);
     }
 
     /// Whether to stop.
     pub fn is_set(&self) -> bool {
-        self.0.load(Ordering::Relaxed)
+        self.0.asked.load(Ordering::Relaxed)
     }
 }
 

@@ -1,7 +1,8 @@
 //! The command-line tools, run as a user runs them.
 
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::{Command, Output, Stdio};
+use std::time::{Duration, Instant};
 
 use clap::Parser;
 use examples::cli::Outcome;
@@ -79,16 +80,21 @@ impl Folder {
 
     /// Runs a tool in the folder; the arguments are separated by spaces.
     fn run(&self, tool: &str, args: &str) -> Output {
+        self.command(tool, args).output().unwrap()
+    }
+
+    fn command(&self, tool: &str, args: &str) -> Command {
         let program = match tool {
             "render" => env!("CARGO_BIN_EXE_render"),
             "gradient" => env!("CARGO_BIN_EXE_gradient"),
             "compare" => env!("CARGO_BIN_EXE_compare"),
             "stability" => env!("CARGO_BIN_EXE_stability"),
+            "stam-alg-c" => env!("CARGO_BIN_EXE_stam-alg-c"),
             _ => env!("CARGO_BIN_EXE_recover"),
         };
         let mut command = Command::new(program);
         command.args(args.split_whitespace()).current_dir(&self.0);
-        command.output().unwrap()
+        command
     }
 
     /// [`Folder::run`] that must succeed.
@@ -1500,4 +1506,321 @@ fn failures_of_estimators_are_marked_and_depend_on_the_seed_alone() {
     }
     let out = dir.run("stability", "--estimators best");
     assert_eq!(out.status.code(), Some(1));
+}
+
+/// Each tool, and the files of a short run.
+const SHORT_RUNS: [(&str, &str, &[&str]); 6] = [
+    ("render", "scene.xml --spp 2 -o a.exr", &["a.exr", "a.png"]),
+    (
+        "gradient",
+        "scene.xml --param wall.reflectance.value --spp 2 --json g.json --images d",
+        &["g.json", "d/wall.reflectance.value.exr"],
+    ),
+    (
+        "compare",
+        "scene.xml --param wall.reflectance.value --spp 1 --repeats 4 --reference mis --estimators mis --out c",
+        &["c/report.json", "c/verdict.txt"],
+    ),
+    (
+        "stability",
+        "--quick --spp 1 --estimators detached --out s",
+        &["s/report.json", "s/stability.png"],
+    ),
+    (
+        "recover",
+        "--size 8 --iterations 1 --out r",
+        &["r/result.json", "r/checkpoint.json"],
+    ),
+    ("stam-alg-c", "--quick --out f", &["f/manifest.json"]),
+];
+
+/// What cannot be printed costs no result.
+#[cfg(target_os = "linux")]
+#[test]
+fn output_with_nowhere_to_go_costs_no_file() {
+    let full = || {
+        std::fs::File::options()
+            .write(true)
+            .open("/dev/full")
+            .unwrap()
+    };
+    for (tool, args, files) in SHORT_RUNS {
+        let failed = if tool.contains('-') { 2 } else { 1 };
+        for (what, code) in [("full", failed), ("closed", 0), ("deaf", 0)] {
+            let dir = Folder::new();
+            let mut command = dir.command(tool, args);
+            match what {
+                "full" => command.stdout(full()).stderr(Stdio::piped()),
+                "closed" => {
+                    let (reader, writer) = std::io::pipe().unwrap();
+                    drop(reader);
+                    command.stdout(writer).stderr(Stdio::piped())
+                }
+                _ => command.stdout(Stdio::piped()).stderr(full()),
+            };
+            let out = command.spawn().unwrap().wait_with_output().unwrap();
+            let stderr = String::from_utf8_lossy(&out.stderr);
+            assert_eq!(out.status.code(), Some(code), "{tool} {what}: {stderr}");
+            let told = stderr.contains("standard output: No space left");
+            assert_eq!(told, what == "full", "{tool} {what}: {stderr}");
+            for file in files {
+                assert!(dir.path(file).is_file(), "{tool} {what}: no {file}");
+            }
+        }
+    }
+    // Nothing but what is printed.
+    let dir = Folder::new();
+    for args in ["scene.xml --list", "--help"] {
+        let out = dir
+            .command("gradient", args)
+            .stdout(full())
+            .output()
+            .unwrap();
+        assert_eq!(out.status.code(), Some(1), "{args}");
+    }
+}
+
+/// Mirrors all around a lamp: paths never end.
+fn closed_mirrors() -> String {
+    let mirror = |turn: &str| {
+        format!(
+            r#"<shape type="rectangle"><transform name="to_world"><scale value="2"/><translate z="-2"/>{turn}</transform><ref id="mirror"/></shape>"#
+        )
+    };
+    let mirrors = [
+        "",
+        r#"<rotate y="1" angle="180"/>"#,
+        r#"<rotate y="1" angle="90"/>"#,
+        r#"<rotate y="1" angle="-90"/>"#,
+        r#"<rotate x="1" angle="90"/>"#,
+        r#"<rotate x="1" angle="-90"/>"#,
+    ];
+    format!(
+        r#"<scene version="3.0.0"><sensor type="perspective"><float name="fov" value="60"/>
+        <film type="hdrfilm"><integer name="width" value="16"/><integer name="height" value="16"/></film></sensor>
+        <integrator type="path"><integer name="max_depth" value="-1"/><integer name="rr_depth" value="2000000000"/></integrator>
+        <bsdf type="conductor" id="mirror"><string name="material" value="none"/></bsdf>{}
+        <shape type="sphere" id="lamp"><float name="radius" value="0.1"/><point name="center" value="1, 1, 1"/>
+        <emitter type="area"><rgb name="radiance" value="9"/></emitter></shape></scene>"#,
+        mirrors.map(mirror).concat()
+    )
+}
+
+/// Jobs that nobody would wait for end soon after the signal, with nothing half-done left.
+#[cfg(unix)]
+#[test]
+fn signals_are_noticed_within_jobs() {
+    let mirror = "lamp.emitter.radiance.value";
+    let cases = [
+        ("render", "mirrors.xml --spp 4".to_owned()),
+        ("render", "mirrors.xml --spp 4 --integrator particle".into()),
+        ("render", "mirrors.xml --guide".into()),
+        (
+            "gradient",
+            format!("scene.xml --param {WALL} --spp 10000000 --json g.json"),
+        ),
+        (
+            "gradient",
+            format!("scene.xml --param {WALL} --spp 10000000 --estimator auto"),
+        ),
+        (
+            "compare",
+            format!("mirrors.xml --param {mirror} --repeats 4 --out c --estimators mis-f64,auto"),
+        ),
+        ("stability", "--spp 10000000 --out s".into()),
+        ("recover", "--size 16 --spp 10000000 --out r".into()),
+    ];
+    for (tool, args) in cases {
+        let dir = Folder::new();
+        std::fs::write(dir.path("mirrors.xml"), closed_mirrors()).unwrap();
+        let mut command = dir.command(tool, &args);
+        let child = command.stdout(Stdio::piped()).stderr(Stdio::piped());
+        let child = child.spawn().unwrap();
+        std::thread::sleep(Duration::from_millis(1500));
+        let start = Instant::now();
+        let kill = Command::new("kill")
+            .args(["-TERM", &child.id().to_string()])
+            .status();
+        assert!(kill.unwrap().success(), "{tool} {args} had ended");
+        let out = child.wait_with_output().unwrap();
+        // A second, on machines that do something else as well.
+        let seconds = start.elapsed().as_secs_f64();
+        assert!(seconds < 5.0, "{tool} {args}: {seconds:.1} s");
+        let stderr = String::from_utf8_lossy(&out.stderr);
+        assert_eq!(out.status.code(), Some(130), "{tool} {args}: {stderr}");
+        let temporary = |name: &String| name.ends_with(".tmp") || name.ends_with(".json");
+        assert!(!dir.names().iter().any(temporary), "{tool} {args}");
+    }
+}
+
+#[cfg(unix)]
+#[test]
+fn images_are_written_through_links_and_left_overs_removed() {
+    let dir = Folder::new();
+    std::os::unix::fs::symlink("target.exr", dir.path("link.exr")).unwrap();
+    std::os::unix::fs::symlink("scene.xml", dir.path("own.exr")).unwrap();
+    std::fs::write(dir.path(".target.exr.1-0.tmp"), "of a run that was killed").unwrap();
+    dir.ok("render", "scene.xml --spp 1 -o link.exr");
+    assert!(dir.path("link.exr").is_symlink());
+    assert!(read_exr(&dir.path("target.exr")).is_ok());
+    assert!(!dir.path(".target.exr.1-0.tmp").exists());
+    let out = dir.run("render", "scene.xml --spp 1 -o own.exr");
+    let stderr = String::from_utf8_lossy(&out.stderr);
+    assert!(stderr.contains("one that is read"), "{stderr}");
+    assert_eq!(bytes(dir.path("scene.xml")), SCENE.as_bytes());
+}
+
+/// Devices and pipes may never end: they are refused by name. So are more threads than anybody has.
+#[cfg(unix)]
+#[test]
+fn what_never_ends_is_refused() {
+    let dir = Folder::new();
+    let made = Command::new("mkfifo").arg(dir.path("pipe")).status();
+    assert!(made.unwrap().success());
+    std::os::unix::fs::symlink("/dev/zero", dir.path("zero.exr")).unwrap();
+    std::os::unix::fs::symlink("pipe", dir.path("pipe.exr")).unwrap();
+    for file in ["mesh.obj", "mesh.ply", "mesh.serialized"] {
+        std::os::unix::fs::symlink("/dev/zero", dir.path(file)).unwrap();
+    }
+    let mesh = |kind: &str| {
+        let shape = format!(
+            r#"<shape type="{kind}"><string name="filename" value="mesh.{kind}"/></shape></scene>"#
+        );
+        std::fs::write(
+            dir.path(&format!("{kind}.xml")),
+            SCENE.replace("</scene>", &shape),
+        )
+        .unwrap();
+    };
+    mesh("obj");
+    let include = SCENE.replace("</scene>", r#"<include filename="pipe"/></scene>"#);
+    std::fs::write(dir.path("include.xml"), include).unwrap();
+    let texture = SCENE.replace(
+        r#"<rgb name="reflectance" value="$red,0.4,0.2"/>"#,
+        r#"<texture type="bitmap" name="reflectance"><string name="filename" value="pipe.exr"/></texture>"#,
+    );
+    std::fs::write(dir.path("texture.xml"), texture).unwrap();
+    let wall = format!("scene.xml --param {WALL}");
+    let before = dir.names();
+    for (tool, args, named) in [
+        ("render", "/dev/zero".to_owned(), "/dev/zero"),
+        ("render", "pipe -o a.exr".into(), "pipe"),
+        ("render", "obj.xml".into(), "mesh.obj"),
+        ("render", "include.xml".into(), "pipe"),
+        ("render", "texture.xml".into(), "pipe.exr"),
+        ("render", "scene.xml -o zero.exr".into(), "zero.exr"),
+        ("render", "scene.xml -o pipe.exr".into(), "pipe.exr"),
+        ("render", "scene.xml --json /dev/full".into(), "/dev/full"),
+        (
+            "gradient",
+            format!("{wall} --adjoint /dev/zero"),
+            "/dev/zero",
+        ),
+        ("gradient", format!("{wall} --adjoint pipe"), "pipe"),
+        (
+            "gradient",
+            format!("{wall} --loss l2 --target pipe.exr"),
+            "pipe.exr",
+        ),
+        (
+            "recover",
+            format!("{wall} --target zero.exr --out r"),
+            "zero.exr",
+        ),
+    ] {
+        let out = dir.run(tool, &args);
+        let stderr = String::from_utf8_lossy(&out.stderr);
+        assert_eq!(out.status.code(), Some(1), "{tool} {args}: {stderr}");
+        assert!(stderr.contains(named), "{tool} {args}: {stderr}");
+        assert!(stderr.contains("device"), "{tool} {args}: {stderr}");
+        assert_eq!(dir.names(), before, "{tool} {args}");
+    }
+    for (tool, args) in [("render", "scene.xml"), ("stam-alg-c", "--quick")] {
+        let mut command = dir.command(tool, args);
+        let out = command.env("RAYON_NUM_THREADS", "100000").output().unwrap();
+        let stderr = String::from_utf8_lossy(&out.stderr);
+        assert!(!out.status.success(), "{tool}");
+        assert!(stderr.contains("at most 1024 threads"), "{tool}: {stderr}");
+        let out = dir.run(tool, &format!("{args} --threads 100000"));
+        assert_eq!(out.status.code(), Some(2), "{tool}");
+    }
+    assert_eq!(dir.names(), before);
+}
+
+/// Whatever is wrong with a long word, nobody reads all of it.
+#[test]
+fn long_words_are_quoted_in_part() {
+    let dir = Folder::new();
+    let long = "a".repeat(100_000);
+    let very_long = "b".repeat(1 << 21);
+    for (name, from, to) in [
+        (
+            "attribute.xml",
+            "name=\"radiance\"",
+            format!("name=\"{very_long}\""),
+        ),
+        (
+            "value.xml",
+            "value=\"10,8,6\"",
+            format!("value=\"{very_long}\""),
+        ),
+        (
+            "plugin.xml",
+            "type=\"diffuse\"",
+            format!("type=\"{very_long}\""),
+        ),
+        (
+            "id.xml",
+            "<ref id=\"wall\"",
+            format!("<ref id=\"{very_long}\""),
+        ),
+        ("name.xml", "$red", format!("${very_long}")),
+        ("tag.xml", "<ref id=\"wall\"/>", format!("<{very_long}/>")),
+        ("text.xml", "<ref id=\"wall\"/>", very_long.clone()),
+        ("not.xml", SCENE, very_long.clone()),
+        ("comment.xml", SCENE, format!("<!-- {very_long}")),
+        ("version.xml", "3.0.0", very_long.clone()),
+        (
+            "file.xml",
+            "<ref id=\"wall\"/>",
+            format!("<include filename=\"{very_long}\"/>"),
+        ),
+    ] {
+        std::fs::write(dir.path(name), SCENE.replace(from, &to)).unwrap();
+    }
+    let long = long.as_str();
+    let mut cases: Vec<(&str, Vec<&str>)> = vec![
+        ("render", vec!["scene.xml", "--spp", long]),
+        ("render", vec!["scene.xml", "--strategy", long]),
+        ("render", vec!["scene.xml", long]),
+        ("render", vec!["scene.xml", "-D", long]),
+        ("render", vec![long]),
+        ("gradient", vec!["scene.xml", "--param", long]),
+        (
+            "gradient",
+            vec!["scene.xml", "--param", WALL, "--estimator", long],
+        ),
+        (
+            "compare",
+            vec!["scene.xml", "--param", WALL, "--estimators", long],
+        ),
+        ("stability", vec!["--estimators", long]),
+        ("recover", vec!["--param", long, "--out", "r"]),
+        ("stam-alg-c", vec!["--out", "f", "--threads", long]),
+    ];
+    let names = dir.names();
+    cases.extend(
+        (names.iter().filter(|name| *name != "scene.xml"))
+            .map(|name| ("render", vec![name.as_str()])),
+    );
+    for (tool, args) in cases {
+        let mut command = dir.command(tool, "");
+        let out = command.args(&args).output().unwrap();
+        let args: Vec<&str> = args.iter().map(|a| &a[..a.len().min(20)]).collect();
+        let length = out.stderr.len();
+        assert!(!out.status.success(), "{tool} {args:?}");
+        assert!(length < 9000, "{tool} {args:?}: {length} bytes");
+        let stderr = String::from_utf8_lossy(&out.stderr);
+        assert!(!stderr.contains("panicked"), "{tool} {args:?}: {stderr}");
+    }
 }

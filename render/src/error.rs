@@ -35,7 +35,7 @@ impl fmt::Display for Location {
 #[derive(Debug, thiserror::Error)]
 pub enum SceneError {
     /// The operating system refused to read a file.
-    #[error("{}: cannot read the file: {source}", path.display())]
+    #[error("{}: cannot read the file: {source}", Name(path))]
     Io {
         /// The file.
         path: PathBuf,
@@ -44,7 +44,7 @@ pub enum SceneError {
     },
 
     /// The operating system refused to write a file.
-    #[error("{}: cannot write the file: {source}", path.display())]
+    #[error("{}: cannot write the file: {source}", Name(path))]
     Write {
         /// The file.
         path: PathBuf,
@@ -53,7 +53,7 @@ pub enum SceneError {
     },
 
     /// A mesh or image was read, but its content is not what was expected.
-    #[error("{}{}: expected {expected}, found {found}", path.display(), Line(*line))]
+    #[error("{}{}: expected {expected}, found {}", Name(path), Line(*line), Found(found))]
     Asset {
         /// The file.
         path: PathBuf,
@@ -66,7 +66,11 @@ pub enum SceneError {
     },
 
     /// A parameter given in code (not by a file) is out of range.
-    #[error("parameter `{key}`: expected {expected}, found {found}")]
+    #[error(
+        "parameter `{}`: expected {expected}, found {}",
+        Short(key),
+        Found(found)
+    )]
     Parameter {
         /// The key of the parameter, such as `red.reflectance.value`.
         key: String,
@@ -78,7 +82,7 @@ pub enum SceneError {
 
     /// The text does not have the structure of a scene file: not XML, an unknown or misplaced
     /// element, stray text.
-    #[error("{location}: expected {expected}, found {found}")]
+    #[error("{location}: expected {expected}, found {}", Found(found))]
     Syntax {
         /// The offending line.
         location: Location,
@@ -89,7 +93,11 @@ pub enum SceneError {
     },
 
     /// The value of an attribute has the wrong type or is out of range.
-    #[error("{location}: `{key}`: expected {expected}, found {found}")]
+    #[error(
+        "{location}: `{}`: expected {expected}, found {}",
+        Short(key),
+        Found(found)
+    )]
     Value {
         /// The line of the value.
         location: Location,
@@ -102,7 +110,11 @@ pub enum SceneError {
     },
 
     /// An attribute or child that a plugin needs is absent.
-    #[error("{location}: {owner} has no `{key}`: expected {expected}, found nothing")]
+    #[error(
+        "{location}: {} has no `{}`: expected {expected}, found nothing",
+        Found(owner),
+        Short(key)
+    )]
     Missing {
         /// The line of the plugin.
         location: Location,
@@ -115,7 +127,12 @@ pub enum SceneError {
     },
 
     /// An attribute or child that the plugin never asked for.
-    #[error("{location}: unknown {what} of {owner}; known: {}", List(known))]
+    #[error(
+        "{location}: unknown {} of {}; known: {}",
+        Found(what),
+        Found(owner),
+        List(known)
+    )]
     Unknown {
         /// The line of the attribute.
         location: Location,
@@ -128,7 +145,12 @@ pub enum SceneError {
     },
 
     /// No plugin has this name.
-    #[error("{location}: unknown {tag} `{plugin}`; known: {}", List(known))]
+    #[error(
+        "{location}: unknown {} `{}`; known: {}",
+        Short(tag),
+        Short(plugin),
+        List(known)
+    )]
     UnknownPlugin {
         /// The line of the plugin.
         location: Location,
@@ -141,7 +163,7 @@ pub enum SceneError {
     },
 
     /// A name that must be unique is given twice.
-    #[error("{location}: {what} is given twice, first at {first}")]
+    #[error("{location}: {} is given twice, first at {first}", Found(what))]
     Duplicate {
         /// The second occurrence.
         location: Location,
@@ -152,7 +174,7 @@ pub enum SceneError {
     },
 
     /// `$name` without a `<default>` above it and without a value from outside.
-    #[error("{location}: `{name}` is not defined; known: {}", List(known))]
+    #[error("{location}: `{}` is not defined; known: {}", Short(name), List(known))]
     UndefinedParameter {
         /// The line that uses the name.
         location: Location,
@@ -163,7 +185,12 @@ pub enum SceneError {
     },
 
     /// A value from outside (`-D name=value`) that the scene does not use.
-    #[error("{}: no parameter `{name}` to define; known: {}", file.display(), List(known))]
+    #[error(
+        "{}: no parameter `{}` to define; known: {}",
+        Name(file),
+        Short(name),
+        List(known)
+    )]
     UnusedDefine {
         /// The scene file.
         file: PathBuf,
@@ -174,7 +201,11 @@ pub enum SceneError {
     },
 
     /// `<ref>` to an id that no element has.
-    #[error("{location}: no element has the id `{id}`; known: {}", List(known))]
+    #[error(
+        "{location}: no element has the id `{}`; known: {}",
+        Short(id),
+        List(known)
+    )]
     UnknownReference {
         /// The line of the reference.
         location: Location,
@@ -185,7 +216,7 @@ pub enum SceneError {
     },
 
     /// A reference or an include that leads back to itself.
-    #[error("{location}: {what} contains itself")]
+    #[error("{location}: {} contains itself", Found(what))]
     Cycle {
         /// The line that closes the cycle.
         location: Location,
@@ -233,6 +264,41 @@ impl fmt::Display for Line {
     }
 }
 
+/// A name, of which a message quotes no more than anybody reads.
+struct Short<'a>(&'a str);
+
+impl fmt::Display for Short<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        shortened(f, self.0, 80)
+    }
+}
+
+/// What was found, in words; names in it may be long.
+struct Found<'a>(&'a str);
+
+impl fmt::Display for Found<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        shortened(f, self.0, 160)
+    }
+}
+
+/// The name of a file; scenes may ask for any.
+struct Name<'a>(&'a Path);
+
+impl fmt::Display for Name<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        shortened(f, &self.0.to_string_lossy(), 1024)
+    }
+}
+
+/// The start of a text, and how long it is, where it is longer than this.
+fn shortened(f: &mut fmt::Formatter<'_>, text: &str, longest: usize) -> fmt::Result {
+    match text.char_indices().nth(longest) {
+        Some((end, _)) => write!(f, "{}... ({} bytes)", &text[..end], text.len()),
+        None => f.write_str(text),
+    }
+}
+
 /// A comma-separated list of names, or "(none)".
 struct List<'a>(&'a [String]);
 
@@ -241,7 +307,15 @@ impl fmt::Display for List<'_> {
         if self.0.is_empty() {
             return f.write_str("(none)");
         }
-        f.write_str(&self.0.join(", "))
+        const MOST: usize = 64;
+        for (i, name) in self.0.iter().take(MOST).enumerate() {
+            let comma = if i == 0 { "" } else { ", " };
+            write!(f, "{comma}{}", Short(name))?;
+        }
+        match self.0.len().saturating_sub(MOST) {
+            0 => Ok(()),
+            more => write!(f, ", and {more} more"),
+        }
     }
 }
 
@@ -251,7 +325,8 @@ impl fmt::Display for List<'_> {
 pub enum RenderError {
     /// No parameter has this name.
     #[error(
-        "no parameter `{name}`; closest: {}; `--list` prints all",
+        "no parameter `{}`; closest: {}; `--list` prints all",
+        Short(name),
         List(closest)
     )]
     UnknownParameter {
@@ -302,7 +377,7 @@ pub enum RenderError {
     },
 
     /// A parameter outside its valid range.
-    #[error("parameter `{name}`[{index}]: expected a value in [{}, {}], found {found}", valid.0, valid.1)]
+    #[error("parameter `{}`[{index}]: expected a value in [{}, {}], found {found}", Short(name), valid.0, valid.1)]
     ParameterOutOfRange {
         /// Its name.
         name: String,
@@ -316,15 +391,16 @@ pub enum RenderError {
 
     /// The sampled direction is a Dirac delta in the parameter.
     #[error(
-        "parameter `{name}` moves a Dirac delta: detached sampling has no derivative there (it would \
-         silently be zero); use an attached estimator"
+        "parameter `{}` moves a Dirac delta: detached sampling has no derivative there (it would \
+         silently be zero); use an attached estimator",
+        Short(name)
     )]
     DeltaParameter {
         /// Its name.
         name: String,
     },
     /// A name that no estimator has.
-    #[error("unknown estimator `{name}`; known: {known}")]
+    #[error("unknown estimator `{}`; known: {known}", Short(name))]
     UnknownEstimator {
         /// The name.
         name: String,
@@ -377,5 +453,46 @@ impl RenderError {
             name: name.into(),
             closest: ranked.into_iter().take(3).map(|(_, k)| k.clone()).collect(),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn messages_stay_short() {
+        let long = "\u{e9}".repeat(1 << 20);
+        let location = Location::new(Path::new("a.xml"), 3);
+        let errors = [
+            SceneError::UnknownReference {
+                location: location.clone(),
+                id: long.clone(),
+                known: vec![long.clone(); 5000],
+            },
+            SceneError::Value {
+                location,
+                key: long.clone(),
+                expected: "a number".into(),
+                found: long.clone(),
+            },
+            SceneError::Io {
+                path: long.clone().into(),
+                source: std::io::ErrorKind::InvalidFilename.into(),
+            },
+        ];
+        for error in errors {
+            let text = error.to_string();
+            assert!(text.chars().count() < 8000, "{}", text.len());
+        }
+        let error = RenderError::UnknownEstimator {
+            name: long,
+            known: "mis".into(),
+        };
+        let start = "\u{e9}".repeat(80);
+        assert_eq!(
+            error.to_string(),
+            format!("unknown estimator `{start}... (2097152 bytes)`; known: mis")
+        );
     }
 }

@@ -5,10 +5,9 @@
 //! under its name, or not at all.
 
 use std::fs::{self, File};
-use std::io::{Cursor, Read, Write};
+use std::io::{Cursor, Read};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
-use std::sync::atomic::{AtomicU32, Ordering};
 
 use exr::prelude as exr;
 use exr::{ReadChannels, ReadLayers, WritableImage};
@@ -16,6 +15,8 @@ use exr::{ReadChannels, ReadLayers, WritableImage};
 use crate::error::SceneError;
 use crate::film::Image;
 use crate::inputs;
+
+pub use crate::file::{require_regular, target, try_to_write, write_atomically};
 
 /// Largest number of rows and of columns.
 pub const MAX_SIDE: usize = 1 << 16;
@@ -161,7 +162,7 @@ fn read_bytes(path: &Path) -> Result<Vec<u8>, SceneError> {
         path: path.to_owned(),
         source,
     };
-    // Devices and pipes may never end.
+    require_regular(path)?;
     let info = fs::metadata(path).map_err(io)?;
     if info.is_file() && info.len() > MAX_BYTES {
         let found = format!("{} bytes", info.len());
@@ -450,34 +451,4 @@ fn unwritable(path: &Path, source: std::io::Error) -> SceneError {
         path: path.to_owned(),
         source,
     }
-}
-
-/// Writes a file completely or not at all: a reader, or a crash, never meets half of it. What stood under the
-/// name before stays until the new content is on disk.
-///
-/// # Errors
-/// The file cannot be written; nothing is left behind then.
-pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<(), SceneError> {
-    static COUNTER: AtomicU32 = AtomicU32::new(0);
-    let error = |source| unwritable(path, source);
-    let Some(name) = path.file_name() else {
-        return Err(error(std::io::ErrorKind::InvalidFilename.into()));
-    };
-    // Beside the target: a rename is atomic within one file system only.
-    let unique = COUNTER.fetch_add(1, Ordering::Relaxed);
-    let mut temporary = std::ffi::OsString::from(".");
-    temporary.push(name);
-    temporary.push(format!(".{}-{unique}.tmp", std::process::id()));
-    let temporary = path.with_file_name(temporary);
-    let written = File::create_new(&temporary).and_then(|mut file| {
-        file.write_all(bytes)?;
-        file.sync_all()?;
-        drop(file);
-        fs::rename(&temporary, path)
-    });
-    written.map_err(|source| {
-        // Already failing; a left-over that cannot be removed changes nothing about that.
-        let _ = fs::remove_file(&temporary);
-        error(source)
-    })
 }

@@ -128,7 +128,7 @@ pub fn density_f32(
         rules,
         ..particle::Context::new(scene, theta, settings)?
     };
-    let map = Map::new::<Spread>(&context, radius, seed, samples.clone(), &())?;
+    let map = Map::new::<Spread>(&context, radius, seed, samples.clone(), progress)?;
     Ok(map.render::<Spread>(&context, convention, seed, samples, progress))
 }
 
@@ -565,11 +565,12 @@ macro_rules! estimators {
                 mode: Mode,
                 seed: u64,
                 paths: u64,
+                progress: &dyn Progress,
             ) -> f64 {
                 let tally = match self {
                     $(Self::$variant => tally::<$strategy, Spread>,)*
                 };
-                tally(scene, active, settings, mode, seed, paths).work()
+                tally(scene, active, settings, mode, seed, paths, progress).work()
             }
 
             fn forward<R: Components>(self) -> Forward<R> {

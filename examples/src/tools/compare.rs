@@ -21,6 +21,7 @@ use crate::cli::{
 use crate::output;
 use crate::progress::{Bar, Interrupt};
 use crate::tools::stability::Finding;
+use crate::{complain, print, say};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -351,7 +352,7 @@ impl Run<'_> {
             let seed = self.seed.wrapping_add((stream << 32) + k);
             let start = Instant::now();
             let (rendering, derivative) = make(seed, &bar)?;
-            if rendering.cancelled {
+            if rendering.cancelled || self.interrupt.is_set() {
                 bar.finish();
                 return Ok(None);
             }
@@ -391,7 +392,10 @@ impl Run<'_> {
                     spp * repeats,
                     self.interrupt,
                 )?;
-                print!("{found}");
+                if self.interrupt.is_set() {
+                    return Ok(None);
+                }
+                print::out(format_args!("{found}"));
                 found
             }
         };
@@ -470,7 +474,8 @@ impl Run<'_> {
         }))
     }
 
-    /// What an estimator's difference from the truth in one block says: `allows_bias` if it is wrong on purpose.
+    /// What an estimator's difference from the truth in one block says: `allows_bias` if it is wrong on purpose. `None` if
+    /// interrupted.
     fn finding(
         &self,
         contestant: Contestant,
@@ -480,16 +485,16 @@ impl Run<'_> {
         (block, z_block): (usize, f64),
         truth: &Series,
         z_limit: f64,
-    ) -> Result<Finding, ToolError> {
+    ) -> Result<Option<Finding>, ToolError> {
         if z_block.abs() <= z_limit {
-            return Ok(Finding::Right);
+            return Ok(Some(Finding::Right));
         }
         if matches!(contestant.choice, Choice::One(e) if e.allows_bias()) {
-            return Ok(Finding::Biased);
+            return Ok(Some(Finding::Biased));
         }
         let (stream, repeats) = (stream + SECOND_LOOK, MORE_REPEATS * repeats);
         let again = self.estimate(contestant, param, stream, repeats)?;
-        Ok(again.map_or(Finding::Unresolved, |again| {
+        Ok(again.map(|again| {
             let found = again.block(block);
             let z = z(found, truth.block(block));
             // Without any spread it has seen nothing there.
@@ -507,6 +512,7 @@ impl Run<'_> {
 /// Anything wrong with the arguments, the scene or the files.
 pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     let (mut scene, _) = args.load.load(&args.scene)?;
+    interrupt.keep();
     let mut settings = scene.settings;
     settings.spp = args.spp.unwrap_or(settings.spp);
     args.samples.apply(&scene, &mut settings)?;
@@ -592,11 +598,14 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
                 let Some(series) = run.estimate(e, param, stream, repeats)? else {
                     break;
                 };
-                panels.push((e.name(), deviation(&series, f64::from(settings.spp))));
                 let worst = series.worst_block(&truth);
                 let finding = run.finding(e, param, stream, repeats, worst, &truth, z_limit)?;
+                let Some(finding) = finding else {
+                    break;
+                };
+                panels.push((e.name(), deviation(&series, f64::from(settings.spp))));
                 let row = row(param, e, &series, &truth, &settings, finding);
-                println!("{}", line(&row));
+                say!("{}", line(&row));
                 report.rows.push(row);
             }
             write_images(&args.out, param, &scene, &truth, &panels)?;
@@ -606,12 +615,12 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
             }
         }
         let verdict = verdict(&report);
-        print!("{verdict}");
+        print::out(format_args!("{verdict}"));
         write_report(args, &report, &verdict)?;
         Ok(())
     })?;
     if interrupt.is_set() {
-        eprintln!("interrupted: the estimators so far were written");
+        complain!("interrupted: the estimators so far were written");
         return Ok(Outcome::Interrupted);
     }
     Ok(Outcome::Done)
@@ -833,9 +842,9 @@ fn write_images(
             o.fill(x as f32);
         }
         image_io::write_exr(&out.join(format!("{name}.std.{estimator}.exr")), &image)?;
-        let factor = 320usize.div_ceil(width.max(1));
         let label = format!("std: {estimator}");
-        panels.push(Panel::signed(&label, width, values, Some(scale)).enlarged(factor));
+        let panel = Panel::signed(&label, width, values, Some(scale));
+        panels.push(output::readable(panel));
     }
     let columns = panels.len().min(4);
     let path = out.join(format!("{name}.std.png"));

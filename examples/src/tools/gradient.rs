@@ -20,6 +20,7 @@ use crate::cli::{
 };
 use crate::output;
 use crate::progress::{Bar, Interrupt};
+use crate::{complain, print, say};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -182,7 +183,7 @@ impl Objective {
 pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     let (mut scene, _) = args.load.load(&args.scene)?;
     if args.list {
-        print!("{}", listing(&scene));
+        print::out(format_args!("{}", listing(&scene)));
         return Ok(Outcome::Done);
     }
     if args.measure_lights && args.samples.lights == Some(LightChoice::All) {
@@ -196,6 +197,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     }
     let ranges = ranges(args, &scene)?;
     let objective = objective(args, &scene)?;
+    interrupt.keep();
     let mut settings = scene.settings;
     settings.spp = args.spp.unwrap_or(settings.spp);
     args.samples.apply(&scene, &mut settings)?;
@@ -215,16 +217,25 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
         (args.samples).learn(&mut scene, &settings, args.seed, interrupt);
         if args.measure_lights {
             let found = measure_lights(args, &scene, &settings, &objective, interrupt)?;
+            let Some(found) = found else {
+                return Ok((None, Vec::new(), threads));
+            };
             scene.set_sampling_weights(&found)?;
             weights = Some(found);
         }
         if args.measure_pixels {
             let found = measure_pixels(args, &scene, &settings, &objective, interrupt)?;
+            let Some(found) = found else {
+                return Ok((None, Vec::new(), threads));
+            };
             scene.set_pixel_weights(&found)?;
             pixels = Some(found);
         }
         let mixture = mixture(args, &scene, &settings, &objective, interrupt)?;
         seconds_pilots = start.elapsed().as_secs_f64();
+        let Some(mixture) = mixture else {
+            return Ok((None, Vec::new(), threads));
+        };
         let statistics = repeat(args, &scene, &settings, &mixture, &objective, interrupt)?;
         let images = match &args.images {
             Some(_) if !interrupt.is_set() => {
@@ -235,7 +246,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
         Ok((statistics.map(|s| (s, mixture)), images, threads))
     })?;
     let Some((statistics, mixture)) = statistics else {
-        eprintln!("interrupted before the first repeat was complete: nothing was written");
+        complain!("interrupted before the first repeat was complete: nothing was written");
         return Ok(Outcome::Interrupted);
     };
     statistics.check(&ranges)?;
@@ -272,9 +283,10 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
         output::write_json(path, &report)?;
     }
     if interrupt.is_set() {
-        eprintln!(
+        complain!(
             "interrupted: {} of {} repeats were complete",
-            statistics.repeats, args.repeats
+            statistics.repeats,
+            args.repeats
         );
         return Ok(Outcome::Interrupted);
     }
@@ -340,19 +352,23 @@ fn measuring(args: &Args) -> Estimator {
     }
 }
 
-/// How often to sample each pixel, as a short pass tells; says how much they differ.
+/// How often to sample each pixel, as a short pass tells; says how much they differ. `None` if
+/// interrupted.
 fn measure_pixels(
     args: &Args,
     scene: &Scene,
     settings: &Settings,
     objective: &Objective,
     interrupt: &Interrupt,
-) -> Result<Vec<f32>, ToolError> {
+) -> Result<Option<Vec<f32>>, ToolError> {
     let (names, estimator) = (&args.params, measuring(args));
     let adjoint = objective.adjoint(args, scene, settings, interrupt)?;
     let seed = args.seed;
     let weights =
         auto::pixel_weights(scene, names, &adjoint, estimator, settings, seed, interrupt)?;
+    if interrupt.is_set() {
+        return Ok(None);
+    }
     let total: f64 = weights.iter().map(|&w| f64::from(w)).sum();
     let mut sorted = weights.clone();
     sorted.sort_by(|a, b| b.total_cmp(a));
@@ -362,8 +378,8 @@ fn measure_pixels(
         sum < 0.5 * total
     });
     let part = 100.0 * half.count() as f64 / weights.len().max(1) as f64;
-    println!("half of the samples: in {part:.0} % of the pixels");
-    Ok(weights)
+    say!("half of the samples: in {part:.0} % of the pixels");
+    Ok(Some(weights))
 }
 
 /// Weights of pixels as an image beside `json`.
@@ -380,37 +396,40 @@ fn pixel_image(scene: &Scene, weights: &[f32], json: &Path) -> Result<String, To
         .into_owned())
 }
 
-/// How often to sample each light, as pilots tell; says so.
+/// How often to sample each light, as pilots tell; says so. `None` if interrupted.
 fn measure_lights(
     args: &Args,
     scene: &Scene,
     settings: &Settings,
     objective: &Objective,
     interrupt: &Interrupt,
-) -> Result<Vec<f64>, ToolError> {
+) -> Result<Option<Vec<f64>>, ToolError> {
     let estimator = measuring(args);
     let names = &args.params;
     let adjoint = objective.adjoint(args, scene, settings, interrupt)?;
     let seed = args.seed;
     let weights =
         auto::sampling_weights(scene, names, &adjoint, estimator, settings, seed, interrupt)?;
+    if interrupt.is_set() {
+        return Ok(None);
+    }
     let total: f64 = weights.iter().sum();
     let parts = weights
         .iter()
         .map(|w| format!("{:.0} %", 100.0 * w / total));
     let parts: Vec<String> = parts.collect();
-    println!("samples of lights: {}", parts.join(", "));
-    Ok(weights)
+    say!("samples of lights: {}", parts.join(", "));
+    Ok(Some(weights))
 }
 
-/// The estimator asked for, or what pilots choose; says what that is.
+/// The estimator asked for, or what pilots choose; says what that is. `None` if interrupted.
 fn mixture(
     args: &Args,
     scene: &Scene,
     settings: &Settings,
     objective: &Objective,
     interrupt: &Interrupt,
-) -> Result<Mixture, ToolError> {
+) -> Result<Option<Mixture>, ToolError> {
     let names = &args.params;
     let estimator = match args.estimator {
         Choice::One(e) => e,
@@ -432,11 +451,14 @@ fn mixture(
                 &bar,
             )?;
             bar.finish();
-            print!("{found}");
-            return Ok(found);
+            if interrupt.is_set() {
+                return Ok(None);
+            }
+            print::out(format_args!("{found}"));
+            return Ok(Some(found));
         }
     };
-    Ok(Mixture::only(scene, estimator, names))
+    Ok(Some(Mixture::only(scene, estimator, names)))
 }
 
 /// A line per parameter.
@@ -551,7 +573,7 @@ impl Statistics {
 
     fn print(&self, scene: &Scene, ranges: &[ParamInfo]) {
         if let Some(loss) = self.loss() {
-            println!("loss {loss:.6e}");
+            say!("loss {loss:.6e}");
         }
         for (r, info) in ranges.iter().enumerate() {
             let values = &scene.params().values()[info.range()];
@@ -563,14 +585,14 @@ impl Statistics {
                         None => String::new(),
                     };
                     let name = &info.name;
-                    println!("{name}[{i}] = {value}: {gradient:.6e}{error}");
+                    say!("{name}[{i}] = {value}: {gradient:.6e}{error}");
                 }
             } else {
                 let sum: f64 = self.mean[r].iter().sum();
-                println!("{}: {} values, sum {sum:.6e}", info.name, values.len());
+                say!("{}: {} values, sum {sum:.6e}", info.name, values.len());
             }
         }
-        println!(
+        say!(
             "{} repeats: {:.3} s primal, {:.3} s gradient each",
             self.repeats,
             median(&self.seconds_primal),

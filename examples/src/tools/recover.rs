@@ -40,6 +40,7 @@ use crate::optimise::{Algorithm, Problem};
 use crate::output;
 use crate::progress::{Bar, Interrupt};
 use crate::scenes;
+use crate::{complain, say};
 
 /// Values of `--iterations`.
 const ITERATIONS: RangeInclusive<i64> = 1..=1 << 24;
@@ -548,6 +549,7 @@ fn recover(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     };
     let estimator = Estimator::from_name(&job.estimator)?;
     let (scene, active, start, truth) = load(&job, estimator)?;
+    interrupt.keep();
     estimator.check(&scene)?;
     job.samples.check_guided(estimator)?;
     let mut settings = scene.settings;
@@ -563,7 +565,7 @@ fn recover(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
         match target(&job, &scene, &settings, interrupt)? {
             Some(target) => target,
             None => {
-                eprintln!("interrupted before the target was complete: nothing was written");
+                complain!("interrupted before the target was complete: nothing was written");
                 return Ok(Outcome::Interrupted);
             }
         }
@@ -674,7 +676,7 @@ fn recover(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
         n if n == PICTURE_SPP => String::new(),
         n => format!(", with {n} of {PICTURE_SPP} samples per pixel of the picture after"),
     };
-    eprintln!(
+    complain!(
         "stopped after {} of {} iterations{picture}; --resume --out {} continues",
         state.iteration,
         job.iterations,
@@ -1100,13 +1102,13 @@ impl Recovery {
             let truth = truth.as_ref().map(|t| t[k]);
             let error = truth.map(|t| largest_error(&[found[k]], &[t]));
             match (truth, error) {
-                (Some(t), Some(e)) => println!(
+                (Some(t), Some(e)) => say!(
                     "{name}: {:.4} -> {:.4} (truth {t:.4}, error {:.2} %)",
                     start[k],
                     found[k],
                     100.0 * e
                 ),
-                _ => println!("{name}: {:.4} -> {:.4}", start[k], found[k]),
+                _ => say!("{name}: {:.4} -> {:.4}", start[k], found[k]),
             }
             let value = Recovered {
                 start: start[k],
@@ -1129,7 +1131,7 @@ impl Recovery {
             params,
         };
         output::write_json(&out.join("result.json"), &report)?;
-        println!("{}: pictures, charts and values", out.display());
+        say!("{}: pictures, charts and values", out.display());
         Ok(())
     }
 }

@@ -19,6 +19,7 @@ use crate::cli::{
 };
 use crate::output;
 use crate::progress::{Bar, Interrupt};
+use crate::{complain, say};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -234,6 +235,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     require_extension(&exr, "exr")?;
     let method = args.method()?;
     let (mut scene, seconds_load) = args.load.load(&args.scene)?;
+    interrupt.keep();
     if !matches!(method, Method::Paths(_)) {
         particle::check(&scene)?;
     }
@@ -257,7 +259,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
         Ok((rendering, threads))
     })?;
     let Some(rendering) = rendering else {
-        eprintln!("interrupted before the first pass was complete: nothing was written");
+        complain!("interrupted before the first pass was complete: nothing was written");
         return Ok(Outcome::Interrupted);
     };
     let seconds_render = start.elapsed().as_secs_f64();
@@ -279,7 +281,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
         };
         output::write_json(path, &report)?;
     }
-    println!(
+    say!(
         "{}: {} x {}, {} spp in {seconds_render:.2} s",
         exr.display(),
         rendering.width,
@@ -287,9 +289,10 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
         rendering.samples
     );
     if rendering.samples < u64::from(settings.spp) {
-        eprintln!(
+        complain!(
             "interrupted: the image holds {} of {} samples per pixel",
-            rendering.samples, settings.spp
+            rendering.samples,
+            settings.spp
         );
         return Ok(Outcome::Interrupted);
     }

@@ -16,6 +16,7 @@ use serde::Serialize;
 use crate::cli::{Outcome, ThreadArgs, ToolError, sample_count};
 use crate::output;
 use crate::progress::{Bar, Interrupt};
+use crate::{complain, print};
 
 use setup::{SIZE, Setup};
 use sweeps::Sweep;
@@ -257,6 +258,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     let reports = [args.out.join("report.json")]
         .into_iter()
         .chain(args.json.clone());
+    interrupt.keep();
     output::prepare(&reports.collect::<Vec<_>>(), &[])?;
     let spp = args.spp.unwrap_or(if args.quick { 16 } else { 128 });
     let sweeps = sweeps::all(args.quick);
@@ -325,7 +327,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     });
     threads?;
     if interrupt.is_set() {
-        eprintln!("interrupted: the points so far were written");
+        complain!("interrupted: the points so far were written");
         return Ok(Outcome::Interrupted);
     }
     Ok(Outcome::Done)
@@ -343,7 +345,7 @@ fn z_limit(tests: usize) -> f64 {
 
 fn write(args: &Args, sweeps: &[Sweep], report: &Report) -> Result<(), ToolError> {
     let text = verdict::text(report);
-    print!("{text}");
+    print::out(format_args!("{text}"));
     let mut table = String::from(
         "sweep,x,estimator,radiance,truth,truth_error,mean,std_error,z,relative_bias,std,\
          expected_std,seconds_per_sample,non_finite,finding\n",

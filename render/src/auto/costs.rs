@@ -4,6 +4,7 @@ use super::PILOT_SEED;
 use crate::error::RenderError;
 use crate::instances::{Estimator, Mode};
 use crate::integrator::gradient::Active;
+use crate::integrator::render::Progress;
 use crate::params::ParamInfo;
 use crate::scene::{Scene, Settings};
 
@@ -32,7 +33,7 @@ pub fn costs<N: AsRef<str>>(
     let active = Active::of(scene, &infos);
     let works = |estimators: &[Estimator]| {
         let seed = seed ^ PILOT_SEED;
-        works(scene, &active, estimators, mode, settings, seed, PATHS)
+        works(scene, &active, estimators, mode, settings, seed, PATHS, &())
     };
     let unit = works(&[Estimator::Mis])[0];
     Ok(works(estimators).iter().map(|w| w / unit).collect())
@@ -47,7 +48,8 @@ pub(super) fn works(
     settings: &Settings,
     seed: u64,
     paths: u64,
+    progress: &dyn Progress,
 ) -> Vec<f64> {
-    let work = |&e: &Estimator| e.work(scene, active, settings, mode, seed, paths);
+    let work = |&e: &Estimator| e.work(scene, active, settings, mode, seed, paths, progress);
     estimators.iter().map(work).collect()
 }

@@ -69,7 +69,7 @@ pub fn sampling_weights<N: AsRef<str>>(
                 true => contribution(scene, &own),
                 false => directions(scene.params(), &seen, seed, pair),
             };
-            if along.is_empty() {
+            if along.is_empty() || progress.cancelled() {
                 break;
             }
             let sample = |i: u64| {

@@ -157,7 +157,7 @@ pub fn choose<N: AsRef<str>>(
     let seed = seed ^ PILOT_SEED;
     let most = PILOTS * budget as f64;
     let pilots = pilot::Pilots::new(
-        scene, names, adjoint, candidates, settings, seed, mode, most,
+        scene, names, adjoint, candidates, settings, seed, mode, most, progress,
     )?;
     let findings = pilots.run(progress)?;
     Ok(Mixture::of(scene, findings))

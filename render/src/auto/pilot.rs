@@ -159,6 +159,7 @@ impl<'a> Pilots<'a> {
         seed: u64,
         mode: Mode,
         budget: f64,
+        progress: &dyn Progress,
     ) -> Result<Self, RenderError> {
         // Pairs of samples must know nothing of each other.
         let settings = Settings {
@@ -181,7 +182,9 @@ impl<'a> Pilots<'a> {
             true => {
                 let active = Active::of(scene, infos);
                 let works = |estimators: &[Estimator]| {
-                    costs::works(scene, &active, estimators, mode, &settings, seed, paths)
+                    costs::works(
+                        scene, &active, estimators, mode, &settings, seed, paths, progress,
+                    )
                 };
                 (works(candidates), works(&[Estimator::Mis])[0])
             }
@@ -264,6 +267,10 @@ impl<'a> Pilots<'a> {
             return Ok(self.unseen());
         };
         let budget = self.budget - counted;
+        // What was counted is not complete then.
+        if progress.cancelled() {
+            return Ok(self.unseen());
+        }
         let Some(groups) = self.groups(budget) else {
             return Ok(self.unseen());
         };

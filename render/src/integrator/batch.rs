@@ -3,6 +3,7 @@
 use ad_core::{Float, Real, Vec3};
 
 use super::path::{Geometry, Walk};
+use super::render::Progress;
 use crate::accel::{BUNDLE, Bundle, Hit};
 use crate::estimator::Strategy;
 use crate::math::{NOWHERE, Ray, Segment};
@@ -61,13 +62,20 @@ impl<R: Real, S: Strategy, X: Sampler> Traveller for Walk<R, S, X> {
     }
 }
 
-/// Follows one path to its end, ray by ray; `step` as in [`trace`].
+/// How many edges of a path alone are followed between two looks at whether to stop.
+const LOOK: u32 = 64;
+
+/// Follows one path to its end, ray by ray; `step` as in [`trace`]. Where `progress` is cancelled, a long path ends early.
 pub(super) fn trace_alone<T: Traveller>(
     scene: &Scene,
+    progress: &dyn Progress,
     traveller: &mut T,
     mut step: impl FnMut(&mut T, Option<Intersection<T::Geometry>>, bool),
 ) {
-    while !traveller.ended() {
+    for edge in 1u32.. {
+        if traveller.ended() || (edge % LOOK == 0 && progress.cancelled()) {
+            break;
+        }
         let hit = traveller.ray().and_then(|ray| scene.intersect(ray));
         let visible = traveller.shadow().is_some_and(|s| !scene.occluded(s));
         step(traveller, hit, visible);
@@ -106,9 +114,10 @@ pub(super) fn sorted<'a>(
 }
 
 /// Follows up to [`PATHS`] paths to their ends. `step` takes one on, given its index, what its ray met and
-/// whether its shadow ray was free.
+/// whether its shadow ray was free. Where `progress` is cancelled, they stay where they are.
 pub(super) fn trace<T: Traveller>(
     scene: &Scene,
+    progress: &dyn Progress,
     travellers: &mut [T],
     mut step: impl FnMut(usize, &mut T, Option<Intersection<T::Geometry>>, bool),
 ) {
@@ -119,7 +128,7 @@ pub(super) fn trace<T: Traveller>(
     let mut order = [0; PATHS];
     let mut met = Vec::with_capacity(travellers.len());
     let mut n = travellers.len();
-    while n > 0 {
+    while n > 0 && !progress.cancelled() {
         let mut find = |queue: &mut Queue| {
             let found = scene.nearest_bundle(&queue.rays);
             for (&path, hit) in queue.paths().iter().zip(found) {

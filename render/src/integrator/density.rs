@@ -116,6 +116,10 @@ impl<P: Float> Map<P> {
         if !(radius_p > P::zero() && area.is_finite() && area.recip().is_finite()) {
             return Err(RenderError::Radius { found: radius });
         }
+        let context = &Context {
+            progress,
+            ..*context
+        };
         let scene = context.scene;
         let n = context.per_sample;
         let sent = samples.end.saturating_sub(samples.start) * n;
@@ -281,6 +285,10 @@ impl<P: Float> Map<P> {
     where
         P: Components,
     {
+        let context = &Context {
+            progress,
+            ..*context
+        };
         let film = &context.scene.film;
         let [width, height] = film.crop_size;
         let spp = samples.end.saturating_sub(samples.start);
@@ -295,6 +303,9 @@ impl<P: Float> Map<P> {
             for (at, sum) in sums.iter_mut().enumerate() {
                 let [x, y] = tile.pixel(at);
                 for index in samples.clone() {
+                    if progress.cancelled() {
+                        return (sums, non_finite);
+                    }
                     let [px, py] = [x + film.crop_offset[0], y + film.crop_offset[1]];
                     let pixel = u64::from(py) * u64::from(film.size[0]) + u64::from(px);
                     let l = self.radiance(
@@ -359,6 +370,9 @@ impl<P: Float> Map<P> {
         // Index of the medium around the ray over that around the camera.
         let mut eta = P::one();
         for depth in 1..=settings.max_depth {
+            if depth % 64 == 0 && context.progress.cancelled() {
+                break;
+            }
             // Where light and importance meet, L / eta^2 is what is carried; the sensor's own eta is 1.
             let meet = if basic { (eta * eta).recip() } else { P::one() };
             let hit = scene.intersect(&ray);

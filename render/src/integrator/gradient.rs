@@ -545,6 +545,7 @@ impl<P: Float> Pass<'_, P> {
                     let again = Again::<P, S, X> {
                         pass: self,
                         at,
+                        progress: context.progress,
                         types: PhantomData,
                     };
                     recorder.backward_moving(context, &again, d, sink);
@@ -616,7 +617,7 @@ impl<P: Float> Pass<'_, P> {
         large: &ExactBuffer,
         progress: &dyn Progress,
     ) -> Sums {
-        let (scene, context) = (self.scene, self.context());
+        let (scene, context) = (self.scene, self.context(progress));
         let tiles = self.tiles();
         let jobs = JOBS.min(tiles.len());
         let parts = parallel::map(jobs, |job| {
@@ -666,13 +667,14 @@ impl<P: Float> Pass<'_, P> {
         sums
     }
 
-    fn context(&self) -> Context<'_, P> {
+    fn context<'b>(&'b self, progress: &'b dyn Progress) -> Context<'b, P> {
         Context {
             scene: self.scene,
             theta: self.theta,
             settings: self.settings,
             shifts: &[],
             caustics: self.caustics,
+            progress,
         }
     }
 
@@ -691,7 +693,7 @@ impl<P: Float> Pass<'_, P> {
         new: impl Fn() -> J + Sync,
         each: impl Fn(&Context<P>, Sample, &mut Recorder<'_, P>, &mut J) + Sync,
     ) -> (Vec<J>, NonFinite) {
-        let (context, tiles) = (self.context(), self.tiles());
+        let (context, tiles) = (self.context(progress), self.tiles());
         let jobs = jobs.min(tiles.len());
         let parts = parallel::map(jobs, |job| {
             let mut state = new();
@@ -727,6 +729,7 @@ impl<P: Float> Pass<'_, P> {
 struct Again<'a, P: Float, S, X> {
     pass: &'a Pass<'a, P>,
     at: Sample,
+    progress: &'a dyn Progress,
     types: PhantomData<fn() -> (S, X)>,
 }
 
@@ -744,6 +747,7 @@ impl<P: Float, S: Strategy, X: Sampler> LocalFn<P> for Again<'_, P, S, X> {
             settings,
             shifts: &[],
             caustics: Caustics::Paths,
+            progress: self.progress,
         };
         start::<R, S, X>(scene, settings.points, seed, self.at.pixel, self.at.index)
             .finish(&context, &mut ())

@@ -60,6 +60,9 @@ pub struct Context<'a, R: Real> {
     pub differential: bool,
     /// Particles per sample: one per pixel of the full film, or fewer where they find caustics only.
     pub per_sample: u64,
+    /// Asked now and then whether particles are to be followed any further, as
+    /// [`super::path::Context::progress`].
+    pub(crate) progress: &'a dyn Progress,
 }
 
 impl<'a, R: Real> Context<'a, R> {
@@ -91,6 +94,7 @@ impl<'a, R: Real> Context<'a, R> {
             caustics_only: false,
             differential: false,
             per_sample: pixels(scene),
+            progress: &(),
         }
     }
 
@@ -502,6 +506,7 @@ impl<R: Real, X: Sampler> Particle<R, X> {
             caustics_only: context.caustics_only,
             differential: false,
             per_sample: context.per_sample,
+            progress: context.progress,
         };
         let si = &hit.si;
         let n_geo = local_normal(si);
@@ -563,9 +568,14 @@ impl<R: Real, X: Sampler> Particle<R, X> {
 
     /// Goes on to the end, tracing ray by ray.
     fn finish(mut self, context: &Context<R>, splat: &mut dyn FnMut([R::Primal; 2], Rgb<R>)) {
-        batch::trace_alone(context.scene, &mut self, |particle, hit, visible| {
-            particle.step(context, hit, visible, &mut (), splat);
-        });
+        batch::trace_alone(
+            context.scene,
+            context.progress,
+            &mut self,
+            |particle, hit, visible| {
+                particle.step(context, hit, visible, &mut (), splat);
+            },
+        );
     }
 }
 
@@ -582,7 +592,8 @@ impl<R: Real, X: Sampler> Traveller for Particle<R, X> {
 }
 
 /// The particles `first .. first + count` of all samples, of which there is one per pixel of the full
-/// film and sample. Calls `done` with each one's index after its end, in order.
+/// film and sample. Calls `done` with each one's index after its end, in order; those that are
+/// cut short are left out, and those after them.
 pub(super) fn follow<R: Real, X: Sampler, O: ParticleObserver<R> + Clone>(
     context: &Context<R>,
     observer: &O,
@@ -603,10 +614,18 @@ pub(super) fn follow<R: Real, X: Sampler, O: ParticleObserver<R> + Clone>(
             let sampler = X::spread(context.settings.points, seed ^ STREAM, 0, i);
             group.push(Particle::new(context, sampler, &mut observers[k as usize]));
         }
-        batch::trace(context.scene, &mut group, |k, particle, hit, visible| {
-            let mut to_film = |at, value| splat(first + k as u64, at, value);
-            particle.step(context, hit, visible, &mut observers[k], &mut to_film);
-        });
+        batch::trace(
+            context.scene,
+            context.progress,
+            &mut group,
+            |k, particle, hit, visible| {
+                let mut to_film = |at, value| splat(first + k as u64, at, value);
+                particle.step(context, hit, visible, &mut observers[k], &mut to_film);
+            },
+        );
+        if context.progress.cancelled() {
+            break;
+        }
         for (k, observer) in observers.iter_mut().enumerate().take(n as usize) {
             done(first + k as u64, observer);
         }
@@ -641,6 +660,10 @@ pub fn render<R: Components, X: Sampler>(
     samples: Range<u64>,
     progress: &dyn Progress,
 ) -> Rendering {
+    let context = &Context {
+        progress,
+        ..*context
+    };
     let scene = context.scene;
     let [width, height] = scene.film.crop_size.map(|n| n as usize);
     let n = context.per_sample;
@@ -692,6 +715,10 @@ pub fn render<R: Components, X: Sampler>(
             );
             (splats, non_finite)
         });
+        if progress.cancelled() {
+            out.cancelled = true;
+            break;
+        }
         // Every band of rows goes through its splats, in order.
         parallel::over(sums.chunks_mut(row * rows_per_band), |band, sums| {
             let first_row = band * rows_per_band;

@@ -195,7 +195,11 @@ impl<'a, P: Float> Pass<'a, P> {
         large: &ExactBuffer,
         progress: &dyn Progress,
     ) -> Sums {
-        let n = self.context.per_sample;
+        let context = &Context {
+            progress,
+            ..*self.context
+        };
+        let n = context.per_sample;
         let total = self.samples.end.saturating_sub(self.samples.start) * n;
         let (first, step) = (self.samples.start * n, total.div_ceil(JOBS as u64).max(1));
         let pixels = self.sensor.film.pixels() as u64;
@@ -215,14 +219,14 @@ impl<'a, P: Float> Pass<'a, P> {
                     recorder: Recorder::of(active),
                 };
                 follow::<P, X, ParticleRecorder<P>>(
-                    self.context,
+                    context,
                     &observer,
                     self.seed,
                     first + start..first + end.min(start + 4096),
                     |_, _, _| {},
                     |i, ParticleRecorder { recorder, .. }| {
                         if is_finite(&recorder.path) {
-                            let (scene, theta) = (self.context.scene, self.context.theta);
+                            let (scene, theta) = (context.scene, context.theta);
                             let one = Rgb::splat(P::one());
                             let carried =
                                 recorder.backward::<DetachedMis>(scene, theta, one, &mut sink);

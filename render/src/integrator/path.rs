@@ -9,6 +9,7 @@ use super::direct::{
     follows_edges,
 };
 use super::record::{Bounce, Contribution, MetLight, NormalsLight, Observer, Place, SampledLight};
+use super::render::Progress;
 use super::vertex::light::{
     Rival, Seen, choose, counts_hits, find_light, frozen_pdf, guided, has_rival, has_tangent,
     is_guided, matters, mis_weight, mixed,
@@ -53,6 +54,9 @@ pub struct Context<'a, R: Real> {
     pub shifts: &'a [Option<Shift<R>>],
     /// Who finds caustics: paths leave them out where particles do.
     pub caustics: Caustics,
+    /// Asked now and then whether paths are to be followed any further: once it says no, what they found counts
+    /// for nothing.
+    pub progress: &'a dyn Progress,
 }
 
 impl<'a, R: Real> Context<'a, R> {
@@ -67,6 +71,7 @@ impl<'a, R: Real> Context<'a, R> {
             settings: self.settings,
             shifts: &[],
             caustics: self.caustics,
+            progress: self.progress,
         }
     }
 }
@@ -95,6 +100,7 @@ pub fn trace<R: Real, S: Strategy, X: Sampler, O: Observer<R>>(
         settings,
         shifts: &shifts::<R, S>(scene, theta),
         caustics: Caustics::Paths,
+        progress: &(),
     };
     Walk::<R, S, X>::new(ray, sampler).finish(&context, observer)
 }
@@ -195,9 +201,14 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
 
     /// [`Walk::finish`] for one that is still of interest.
     fn go<O: Observer<R>>(&mut self, context: &Context<R>, observer: &mut O) {
-        batch::trace_alone(context.scene, self, |walk, hit, visible| {
-            walk.step(context, hit, visible, observer);
-        });
+        batch::trace_alone(
+            context.scene,
+            context.progress,
+            self,
+            |walk, hit, visible| {
+                walk.step(context, hit, visible, observer);
+            },
+        );
     }
 
     /// Goes on to the next vertex: `hit` is what [`Walk::ray`] met, `visible` whether

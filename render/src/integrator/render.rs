@@ -25,6 +25,9 @@ use crate::scene::{Caustics, Scene, Settings};
 pub const TILE: u32 = 16;
 
 /// How a long computation reports, and whether it is wanted at all.
+///
+/// Computations ask many times a second whether they are cancelled, between the edges of paths as well. One that was
+/// must stay so: what has been cut short is recognised by asking again afterwards.
 pub trait Progress: Sync {
     /// `n` more units of work are done.
     fn advance(&self, _n: u64) {}
@@ -35,6 +38,17 @@ pub trait Progress: Sync {
 }
 
 impl Progress for () {}
+
+impl std::fmt::Debug for dyn Progress + '_ {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let state = if self.cancelled() {
+            "cancelled"
+        } else {
+            "wanted"
+        };
+        f.write_str(state)
+    }
+}
 
 /// The progress of work in one part or two, each of which counts all of its units.
 pub(super) struct InParts<'a> {
@@ -313,7 +327,8 @@ impl Tile {
     }
 
     /// Follows the samples `samples` of all pixels, as the scene shares them, and calls `done` with the pixel's
-    /// index within the tile, the sample, the radiance and the observer of each, in order.
+    /// index within the tile, the sample, the radiance and the observer of each, in order. Samples that were cut short
+    /// are left out, and those after them.
     pub(super) fn trace<R: Real, S: Strategy, X: Sampler, O: Observer<R>>(
         &self,
         context: &Context<R>,
@@ -337,9 +352,17 @@ impl Tile {
                     .map(|(_, sample)| start(scene, points, seed, sample.pixel, sample.index)),
             );
             let observers = &mut paths.observers;
-            batch::trace(scene, &mut paths.walks, |i, walk, hit, visible| {
-                walk.step(context, hit, visible, &mut observers[i]);
-            });
+            batch::trace(
+                scene,
+                context.progress,
+                &mut paths.walks,
+                |i, walk, hit, visible| {
+                    walk.step(context, hit, visible, &mut observers[i]);
+                },
+            );
+            if context.progress.cancelled() {
+                break;
+            }
             let found = paths.walks.iter().zip(&mut paths.observers);
             for (&(at, sample), (walk, observer)) in paths.which.iter().zip(found) {
                 done(at, sample, walk.l, observer);
@@ -374,6 +397,9 @@ impl Tile {
                 spot::<P, X>(scene, points, seed, sample.pixel, sample.index)
             };
             wave.trace::<S, L>(context, which.len(), spot, log);
+            if context.progress.cancelled() {
+                break;
+            }
             done(log, &which, &wave.l[..which.len()]);
         }
     }
@@ -450,7 +476,7 @@ pub(crate) fn unchecked<R: Components, S: Unbiased, X: Sampler>(
     out
 }
 
-/// `[component][height][width][3]` of a tile, added up, and what went wrong there; empty if there was no time.
+/// `[component][height][width][3]` of a tile, added up, and what went wrong there; empty if it was cut short.
 type TileSums = (Vec<f64>, NonFinite);
 
 /// Whether a number has single precision.
@@ -477,6 +503,7 @@ fn of_paths<R: Components, S: Strategy, X: Sampler>(
         settings,
         shifts: &[],
         caustics,
+        progress,
     };
     let infos = scene.params().infos().iter();
     let moving: Vec<_> = infos
@@ -552,11 +579,15 @@ fn of_paths<R: Components, S: Strategy, X: Sampler>(
                 settings,
                 shifts: &shifts,
                 caustics,
+                progress,
             };
             let mut paths = Paths::<R, S, X, _>::new(());
             tile.trace(&context, seed, samples, &mut paths, |at, sample, l, _| {
                 add(at, sample, l);
             });
+        }
+        if progress.cancelled() {
+            return (Vec::new(), NonFinite::default());
         }
         progress.advance(pixels as u64);
         (sums, non_finite)

@@ -78,6 +78,7 @@ pub(crate) fn arrivals<S: Strategy, X: Sampler>(
             settings,
             shifts: &[],
             caustics: settings.caustics_of::<S>(scene),
+            progress,
         };
         let mut paths = Paths::<f32, S, X, _>::new(PathRecord::default());
         tiles[i].trace(&context, seed, &samples, &mut paths, |_, _, _, path| {

@@ -4,7 +4,7 @@ use super::batch;
 use super::gradient::Active;
 use super::path::Context;
 use super::record::{Contribution, Observer, Place, Wishes};
-use super::render::start;
+use super::render::{Progress, start};
 use super::wave;
 use crate::emitter::AnyEmitter;
 use crate::estimator::{Direct, Sampling, Strategy};
@@ -168,7 +168,7 @@ impl Observer<f32> for Counter<'_> {
 }
 
 /// Counts what `paths` samples are made of, spread over the image, of the derivatives in `active`. Particles are not
-/// counted.
+/// counted. Incomplete if cancelled.
 pub fn tally<S: Strategy, X: Sampler>(
     scene: &Scene,
     active: &Active,
@@ -176,6 +176,7 @@ pub fn tally<S: Strategy, X: Sampler>(
     mode: Mode,
     seed: u64,
     paths: u64,
+    progress: &dyn Progress,
 ) -> Tally {
     let theta = Theta::constant(scene.params().values());
     let context = Context {
@@ -184,18 +185,22 @@ pub fn tally<S: Strategy, X: Sampler>(
         settings,
         shifts: &[],
         caustics: settings.caustics_of::<S>(scene),
+        progress,
     };
     let [width, height] = scene.film.crop_size.map(|n| u64::from(n).max(1));
     let pixels = width * height;
     let part = |job| {
         let mut counter = Counter::of::<S>(scene, active, mode);
         for path in (job as u64..paths).step_by(JOBS) {
+            if progress.cancelled() {
+                break;
+            }
             // One pixel from each of as many equal parts of the image.
             let u = path as f64 + Independent::new(seed, path, 0).next_1d::<f64>();
             let pixel = ((u / paths as f64 * pixels as f64) as u64).min(pixels - 1);
             let pixel = [pixel % width, pixel / width].map(|p| p as u32);
             let mut walk = start::<f32, S, X>(scene, settings.points, seed, pixel, path);
-            batch::trace_alone(scene, &mut walk, |walk, hit, visible| {
+            batch::trace_alone(scene, progress, &mut walk, |walk, hit, visible| {
                 let tally = &mut counter.tally;
                 let edge = u64::from(walk.ray.is_some());
                 tally.add(Part::Edge, edge);
@@ -238,7 +243,7 @@ mod tests {
 
     fn counted<S: Strategy>(scene: &Scene, name: &str, mode: Mode) -> [u64; PRICES.len()] {
         let active = Active::new(scene, &[name]).expect("a parameter");
-        let found = tally::<S, Spread>(scene, &active, &scene.settings, mode, 1, PATHS);
+        let found = tally::<S, Spread>(scene, &active, &scene.settings, mode, 1, PATHS, &());
         assert_eq!(found.paths, PATHS);
         found.parts
     }

@@ -11,7 +11,7 @@ use super::{DirectionSample, Shape, ShapeSample, SurfaceInteraction, hit_is_exac
 use crate::accel::{Hit, MAX_COORDINATE, Primitive};
 use crate::bsdf::FromNode;
 use crate::error::SceneError;
-use crate::inputs;
+use crate::file;
 use crate::math::{Frame, Ray, Transform, each, warp};
 use crate::prefetch::prefetch;
 use crate::scene::{Builder, Node};
@@ -122,11 +122,7 @@ impl Mesh {
     /// # Errors
     /// Whatever is wrong, with the line where there is one.
     pub fn from_obj(path: &Path, options: &ObjOptions) -> Result<Self, SceneError> {
-        let text = std::fs::read(path).map_err(|source| SceneError::Io {
-            path: path.into(),
-            source,
-        })?;
-        inputs::note(path);
+        let text = file::read(path)?;
         Self::from_obj_text(&text, path, options)
     }
 

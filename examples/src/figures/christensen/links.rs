@@ -13,6 +13,7 @@ use super::boxes::{
 use crate::chart::LineChart;
 use crate::figure::{Figure, Result};
 use crate::figures::stage::{Walls, cornell};
+use crate::say;
 
 /// The error that runs are compared at.
 const ERROR: f64 = 0.01;
@@ -233,7 +234,7 @@ pub fn figure(fig: &mut Figure) -> Result {
     );
     // Coarse solutions have not found out yet which lamps matter.
     if fig.quick() {
-        println!("  (e) is judged at full length only; {found}");
+        say!("  (e) is judged at full length only; {found}");
     } else {
         fig.check(
             "(e) 16 lamps that do not shine at the eye increase the gain",
@@ -247,7 +248,7 @@ pub fn figure(fig: &mut Figure) -> Result {
         let ratio = at(with, e, links).zip(at(without, e, links));
         ratio.map_or(f64::NAN, |(a, b)| a / b)
     });
-    println!(
+    say!(
         "  (d) against a reference without importance, ratio of all links at 20, 15, 10 %: {theirs:.2?}"
     );
     fig.note("ratio-d-reference-without-importance", &theirs[..]);

@@ -5,6 +5,7 @@ use render::finite_element::FiniteElements;
 use super::boxes::{self, EYE, Which, average, mask, noiseless_difference, refine, traced};
 use crate::chart::Panel;
 use crate::figure::{Figure, Result};
+use crate::say;
 
 const SEED: u64 = 1;
 
@@ -58,7 +59,7 @@ pub fn figure(fig: &mut Figure) -> Result {
                 fig.check(format!("{statement} less than 5 %"), off.most < limit, text);
             }
             _ => {
-                println!("  {statement} {text}");
+                say!("  {statement} {text}");
                 fig.note(&format!("rms {letter}"), off.rms);
             }
         }

@@ -18,6 +18,7 @@ use crate::chart::Panel;
 use crate::figure::{Figure, Result};
 use crate::figures::stage::{LAMP_RADII, Plates, picture, textured_plates};
 use crate::figures::statistics::grey;
+use crate::say;
 
 const SEED: u64 = 419;
 /// From top to bottom, as in the thesis.
@@ -383,7 +384,7 @@ fn pictures(fig: &mut Figure, setup: &Plates, costs: [f64; COLUMNS.len()]) -> Re
     let rows: Vec<[String; 4]> = times
         .iter()
         .map(|(e, n, t)| {
-            println!(
+            say!(
                 "        {}: {n} samples, {t:.3} s, {:.2} x the time of mis",
                 e.name(),
                 t / base

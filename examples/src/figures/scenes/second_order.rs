@@ -12,6 +12,7 @@ use crate::chart::LineChart;
 use crate::figure::{Figure, Result};
 use crate::figures::stage::picture;
 use crate::optimise::{Algorithm, Problem};
+use crate::say;
 use crate::scenes;
 use crate::tools::recover::{WHOLE_STEPS, groups};
 
@@ -158,7 +159,7 @@ fn race(fig: &mut Figure, setup: &mut Setup) -> Result {
     for run in &runs {
         chart = chart.line(&run.label, run.errors.iter().copied());
         let each = 1e3 * run.time.as_secs_f64() / run.done.max(1) as f64;
-        println!("  {}: {each:.1} ms per step", run.label);
+        say!("  {}: {each:.1} ms per step", run.label);
         fig.note(&format!("ms per step, {}", run.label), each);
         let rows = run.errors.iter().enumerate();
         table.extend(rows.map(|(k, (t, e))| {

@@ -15,6 +15,7 @@ use super::fixed_path::{FixedPath, trace};
 use super::printed;
 use crate::chart::LineChart;
 use crate::figure::{Figure, Result};
+use crate::say;
 
 /// Emission 0.2 and wall albedo 0.3 are the paper's (decoded from its numbers); the others are chosen so
 /// that the table has its shape.
@@ -197,9 +198,9 @@ pub fn figure(fig: &mut Figure) -> Result {
     fig.note("J", f64::from(cost));
 
     // ---- The table ----
-    println!("  J = {cost:.4e}");
+    say!("  J = {cost:.4e}");
     let numbers = |row: &[f64; CONTROLS]| row.map(|x| format!("{x:>11.6}")).join("");
-    println!("  adjoint   {}", numbers(&adjoint));
+    say!("  adjoint   {}", numbers(&adjoint));
     let mut tables = [[[0.0; CONTROLS]; STEPS.len()]; 2];
     let mut rows = Vec::new();
     let mut evaluations = 0;
@@ -221,10 +222,10 @@ pub fn figure(fig: &mut Figure) -> Result {
                 f64_row[2].to_string(),
             ]);
         }
-        println!("  eps {step:<6e}{}", numbers(&tables[0][s]));
+        say!("  eps {step:<6e}{}", numbers(&tables[0][s]));
         same &= single.adjoint()? == adjoint;
     }
-    println!("  f64 1e-7  {}", numbers(&tables[1][2]));
+    say!("  f64 1e-7  {}", numbers(&tables[1][2]));
     fig.note("path_evaluations_per_step", evaluations / STEPS.len());
     let header = [
         "control", "eps", "adjoint", "J_up", "J_down", "fd_f32", "fd_f64",

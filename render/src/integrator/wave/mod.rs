@@ -426,7 +426,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         self.n = self.samplers.len();
         self.look(&context.scene.camera, &x, &y);
         for depth in 1.. {
-            if self.n == 0 {
+            if self.n == 0 || context.progress.cancelled() {
                 break;
             }
             self.edge::<S, Still<S>, L>(context, depth, log);
@@ -446,7 +446,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         context: &Context<P>,
         end: u32,
     ) {
-        while self.n > 0 && self.next < end {
+        while self.n > 0 && self.next < end && !context.progress.cancelled() {
             self.edge::<Of, S, ()>(context, self.next, &mut ());
             self.next += 1;
         }

@@ -8,7 +8,7 @@ use roxmltree as xml;
 use super::Directories;
 use super::value::quoted;
 use crate::error::{Location, SceneError};
-use crate::inputs;
+use crate::file;
 
 /// One file.
 pub(super) struct Source {
@@ -76,11 +76,7 @@ impl Source {
 
 /// The text of a file.
 pub(super) fn read(path: &Path) -> Result<String, SceneError> {
-    let bytes = std::fs::read(path).map_err(|source| SceneError::Io {
-        path: path.to_owned(),
-        source,
-    })?;
-    inputs::note(path);
+    let bytes = file::read(path)?;
     String::from_utf8(bytes).map_err(|error| {
         let valid = error.utf8_error().valid_up_to();
         let lines = error.as_bytes()[..valid].iter().filter(|b| **b == b'\n');
