@@ -5,6 +5,7 @@
 //! [`render`](render::render) and [`gradient`](gradient::Gradient) drive it over an image;
 //! [`second_order`] has Hessian-vector products and the Gauss-Newton matrix.
 
+mod active;
 mod aim;
 mod batch;
 pub mod boundary;
@@ -16,12 +17,14 @@ mod local;
 pub mod noise;
 pub mod particle;
 pub mod particle_gradient;
+mod pass;
 pub mod path;
 pub mod record;
 pub mod render;
 pub(crate) mod scout;
 pub mod second_order;
 pub mod simple;
+mod sink;
 pub(crate) mod tally;
 pub mod vertex;
 mod wave;

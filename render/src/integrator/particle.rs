@@ -6,6 +6,7 @@ use ad_core::{Float, Real, Vec2, Vec3};
 
 use super::aim::aim;
 use super::batch::{self, PATHS, Traveller};
+use super::pass::Pass;
 use super::record::{
     Bounce, Contribution, EmittedLight, NormalsLight, Observer, Place, SeenVertex,
 };
@@ -20,6 +21,7 @@ use crate::bsdf::{Bsdf, Component, Shading, TransportMode};
 use crate::camera::Pinhole;
 use crate::emitter::{Ball, Emission, Emitter};
 use crate::error::RenderError;
+use crate::estimator::{Sampling, Strategy};
 use crate::math::{NOWHERE, Ray, Rgb, Segment};
 use crate::parallel;
 use crate::params::Theta;
@@ -98,19 +100,15 @@ impl<'a, R: Real> Context<'a, R> {
         }
     }
 
-    /// For the light that paths leave to particles, with [`Context::differential`]: they leave none where
-    /// normals are flipped.
-    pub(super) fn caustics(
-        scene: &'a Scene,
-        theta: &'a Theta<'a, R>,
-        settings: &'a Settings,
-        differential: bool,
-    ) -> Self {
+    /// For the light that paths of strategy `S` leave to particles: they leave none where normals are flipped.
+    pub(super) fn caustics<S: Strategy>(pass: &'a Pass<'a, R>) -> Self {
+        let n = pass.settings.pixels_per_particle.max(1);
         Self {
             caustics_only: true,
-            differential,
-            per_sample: pixels(scene).div_ceil(settings.pixels_per_particle.max(1).into()),
-            ..Self::unchecked(scene, theta, settings)
+            differential: S::Bsdf::DIFFERENTIAL,
+            per_sample: pixels(pass.scene).div_ceil(n.into()),
+            progress: pass.progress,
+            ..Self::unchecked(pass.scene, pass.theta, pass.settings)
         }
     }
 }

@@ -10,10 +10,11 @@ use std::ops::Range;
 use ad_core::Float;
 
 use super::exact::ExactBuffer;
-use super::gradient::{self, Active, Gradient, Sink, check_size, exactly, largest_of};
+use super::gradient::{Active, Gradient, check_size, largest_of};
 use super::particle::{Context, ParticleObserver, follow, pixels};
 use super::record::{Contribution, Observer, PathRecord, Place, Recorder, Wishes};
 use super::render::{NonFinite, Progress};
+use super::sink::{GradientSums, Sink, collect};
 use crate::error::RenderError;
 use crate::estimator::DetachedMis;
 use crate::film::Film;
@@ -124,16 +125,13 @@ pub fn backward<P: Float, X: Sampler>(
     progress: &dyn Progress,
 ) -> Result<Measurement, RenderError> {
     check_size("adjoint image", context.scene, adjoint)?;
-    let pass = Pass::new(context, adjoint, seed, samples);
+    let particles = Particles::new(context, adjoint, seed, samples);
     let value = Cell::new(0.0);
-    let gradient = exactly(context.scene, active, pass.largest(), progress, &|large| {
-        let sums = pass.sums::<X>(active, large, progress);
-        value.set(sums.value);
-        gradient::Sums {
-            small: sums.small,
-            non_finite: sums.non_finite,
-            noise: None,
-        }
+    let largest = particles.largest();
+    let gradient = collect(context.scene, active, largest, progress, &|large| {
+        let (sums, carried) = particles.sums::<X>(active, large, progress);
+        value.set(carried);
+        sums
     });
     Ok(Measurement {
         value: value.get(),
@@ -142,24 +140,14 @@ pub fn backward<P: Float, X: Sampler>(
 }
 
 /// The recorded particles of an image.
-pub(super) struct Pass<'a, P: Float> {
+pub(super) struct Particles<'a, P: Float> {
     context: &'a Context<'a, P>,
     sensor: Sensor<'a>,
     seed: u64,
     samples: Range<u64>,
 }
 
-/// What a [`Pass`] adds up.
-pub(super) struct Sums {
-    /// Derivatives with respect to the small ranges.
-    pub small: Vec<f64>,
-    /// The measurement itself.
-    pub value: f64,
-    /// What went wrong.
-    pub non_finite: NonFinite,
-}
-
-impl<'a, P: Float> Pass<'a, P> {
+impl<'a, P: Float> Particles<'a, P> {
     /// As the arguments of [`backward`].
     pub(super) fn new(
         context: &'a Context<'a, P>,
@@ -188,13 +176,13 @@ impl<'a, P: Float> Pass<'a, P> {
         largest_of(self.sensor.adjoint) * shared / spp.max(1) as f64
     }
 
-    /// Follows all particles. The large ranges are added to `large`.
+    /// Follows all particles. The large ranges are added to `large`. The second result is the measurement itself.
     pub(super) fn sums<X: Sampler>(
         &self,
         active: &Active,
         large: &ExactBuffer,
         progress: &dyn Progress,
-    ) -> Sums {
+    ) -> (GradientSums, f64) {
         let context = &Context {
             progress,
             ..*self.context
@@ -241,24 +229,18 @@ impl<'a, P: Float> Pass<'a, P> {
             let done =
                 |i: u64| (u128::from(pixels) * u128::from(i) / u128::from(total.max(1))) as u64;
             progress.advance(done(end) - done(start));
-            Sums {
+            let sums = GradientSums {
                 small: sink.into_small(),
-                value,
                 non_finite,
-            }
+                noise: None,
+            };
+            (sums, value)
         });
-        let mut sums = Sums {
-            small: Vec::new(),
-            value: 0.0,
-            non_finite: NonFinite::default(),
-        };
-        for part in &parts {
-            sums.small.resize(part.small.len(), 0.0);
-            let small = sums.small.iter_mut().zip(&part.small);
-            small.for_each(|(s, p)| *s += p);
-            sums.value += part.value;
-            sums.non_finite.merge(&part.non_finite);
+        let mut all = (GradientSums::zero(active), 0.0);
+        for (sums, value) in parts {
+            all.0.merge(sums);
+            all.1 += value;
         }
-        sums
+        all
     }
 }

@@ -61,7 +61,7 @@ pub struct Context<'a, R: Real> {
 
 impl<'a, R: Real> Context<'a, R> {
     /// The same where nothing moves: with the values of the parameters, `theta`.
-    fn still<'b>(&self, theta: &'b Theta<'b, R::Primal>) -> Context<'b, R::Primal>
+    pub(super) fn still<'b>(&self, theta: &'b Theta<'b, R::Primal>) -> Context<'b, R::Primal>
     where
         'a: 'b,
     {

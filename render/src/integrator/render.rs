@@ -1,25 +1,24 @@
 //! Images: paths over all pixels, in tiles.
 
 use std::ops::Range;
-use std::sync::atomic::{AtomicU64, Ordering};
 
 use ad_core::{Dual, Float, Real, array};
 
+use super::active::Active;
 use super::batch::{self, PATHS};
-use super::gradient::Active;
-use super::particle;
+use super::pass::{Integral, Pass, Question, every};
 use super::path::{Context, Geometry, Walk, shifts};
 use super::record::Observer;
 use super::record::ends::Tangents;
 use super::wave::{self, Log, Record, WIDTH, Wave};
 use crate::error::RenderError;
-use crate::estimator::{self, Sampling, Strategy, Unbiased};
-use crate::film::{Film, Image};
+use crate::estimator::{self, Strategy, Unbiased};
+use crate::film::Image;
 use crate::math::{Ray, Rgb};
 use crate::parallel;
 use crate::params::Theta;
 use crate::sampler::{Points, Sampler};
-use crate::scene::{Caustics, Scene, Settings};
+use crate::scene::{Scene, Settings};
 
 /// Tiles are squares of this many pixels.
 pub const TILE: u32 = 16;
@@ -47,38 +46,6 @@ impl std::fmt::Debug for dyn Progress + '_ {
             "wanted"
         };
         f.write_str(state)
-    }
-}
-
-/// The progress of work in one part or two, each of which counts all of its units.
-pub(super) struct InParts<'a> {
-    progress: &'a dyn Progress,
-    parts: u64,
-    done: AtomicU64,
-}
-
-impl<'a> InParts<'a> {
-    /// Two parts where particles find caustics.
-    pub(super) fn new(progress: &'a dyn Progress, caustics: Caustics) -> Self {
-        let parts = match caustics {
-            Caustics::Paths => 1,
-            Caustics::Particles => 2,
-        };
-        Self {
-            progress,
-            parts,
-            done: AtomicU64::new(0),
-        }
-    }
-}
-
-impl Progress for InParts<'_> {
-    fn advance(&self, n: u64) {
-        let before = self.done.fetch_add(n, Ordering::Relaxed);
-        (self.progress).advance((before + n) / self.parts - before / self.parts);
-    }
-    fn cancelled(&self) -> bool {
-        self.progress.cancelled()
     }
 }
 
@@ -462,18 +429,39 @@ pub(crate) fn unchecked<R: Components, S: Unbiased, X: Sampler>(
     samples: Range<u64>,
     progress: &dyn Progress,
 ) -> Rendering {
-    let caustics = settings.caustics_of::<S>(scene);
-    let progress = InParts::new(progress, caustics);
-    let of_paths = of_paths::<R, S::Runs, X>;
-    let tiles = of_paths(scene, theta, settings, caustics, seed, &samples, &progress);
-    let mut out = assemble(&scene.film, R::COUNT, &samples, &tiles);
-    if caustics == Caustics::Particles && !out.cancelled {
-        let differential = S::Bsdf::DIFFERENTIAL;
-        let particles = particle::Context::caustics(scene, theta, settings, differential);
-        let part = particle::render::<R, X>(&particles, seed, samples, &progress);
-        out.add(&part);
+    let pass = Pass {
+        scene,
+        theta,
+        settings,
+        caustics: settings.caustics_of::<S>(scene),
+        seed,
+        samples,
+        progress,
+    };
+    let mut question = ImageOf {
+        pass: &pass,
+        sum: None,
+    };
+    every::<S::Runs, X>(pass.caustics, progress, &mut question);
+    question
+        .sum
+        .unwrap_or_else(|| assemble(&pass, R::COUNT, &[]))
+}
+
+/// An image that is asked of every integral.
+struct ImageOf<'a, R: Real> {
+    pass: &'a Pass<'a, R>,
+    sum: Option<Rendering>,
+}
+
+impl<R: Components, S: Strategy, X: Sampler> Question<S, X> for ImageOf<'_, R> {
+    fn ask<I: Integral<S, X>>(&mut self, progress: &dyn Progress) {
+        let part = I::image(&self.pass.reporting(progress));
+        match &mut self.sum {
+            None => self.sum = Some(part),
+            Some(sum) => sum.add(&part),
+        }
     }
-    out
 }
 
 /// `[component][height][width][3]` of a tile, added up, and what went wrong there; empty if it was cut short.
@@ -484,27 +472,30 @@ pub(super) const fn is_single<P: Float>() -> bool {
     size_of::<P>() == size_of::<f32>()
 }
 
+/// The image by paths.
+pub(super) fn of_paths<R: Components, S: Strategy, X: Sampler>(pass: &Pass<R>) -> Rendering {
+    let tiles = tile_sums::<R, S, X>(pass);
+    assemble(pass, R::COUNT, &tiles)
+}
+
 /// All tiles, row by row.
-fn of_paths<R: Components, S: Strategy, X: Sampler>(
-    scene: &Scene,
-    theta: &Theta<R>,
-    settings: &Settings,
-    caustics: Caustics,
-    seed: u64,
-    samples: &Range<u64>,
-    progress: &dyn Progress,
-) -> Vec<TileSums> {
-    let [width, height] = scene.film.crop_size;
-    let tiles = tiles(width, height);
-    let shifts = shifts::<R, S>(scene, theta);
-    let still = Context {
+fn tile_sums<R: Components, S: Strategy, X: Sampler>(pass: &Pass<R>) -> Vec<TileSums> {
+    let &Pass {
         scene,
-        theta: &theta.primal(),
-        settings,
-        shifts: &[],
-        caustics,
+        theta,
+        seed,
+        ref samples,
         progress,
+        ..
+    } = pass;
+    let tiles = pass.tiles();
+    let shifts = shifts::<R, S>(scene, theta);
+    let context = Context {
+        shifts: &shifts,
+        ..pass.context()
     };
+    let primal = theta.primal();
+    let still = context.still(&primal);
     let infos = scene.params().infos().iter();
     let moving: Vec<_> = infos
         .filter(|info| theta.moves(scene.params().handle(info)))
@@ -573,14 +564,6 @@ fn of_paths<R: Components, S: Strategy, X: Sampler>(
             let log = &mut record;
             tile.trace_waves::<_, S, X, _>(&still, seed, samples, &mut wave, log, begin, done);
         } else {
-            let context = Context {
-                scene,
-                theta,
-                settings,
-                shifts: &shifts,
-                caustics,
-                progress,
-            };
             let mut paths = Paths::<R, S, X, _>::new(());
             tile.trace(&context, seed, samples, &mut paths, |at, sample, l, _| {
                 add(at, sample, l);
@@ -595,9 +578,10 @@ fn of_paths<R: Components, S: Strategy, X: Sampler>(
 }
 
 /// The image made of its tiles.
-fn assemble(film: &Film, count: usize, samples: &Range<u64>, parts: &[TileSums]) -> Rendering {
-    let [width, height] = film.crop_size;
-    let tiles = tiles(width, height);
+fn assemble<R: Real>(pass: &Pass<R>, count: usize, parts: &[TileSums]) -> Rendering {
+    let [width, height] = pass.scene.film.crop_size;
+    let samples = &pass.samples;
+    let tiles = pass.tiles();
     let mut out = Rendering {
         width: width as usize,
         height: height as usize,

@@ -31,10 +31,12 @@ use std::ops::Range;
 
 use ad_core::Float;
 
-use super::gradient::{Active, Gradient, Pass, Sink, check_size, exactly};
+use super::gradient::{Active, Gradient, check_size};
+use super::pass::Pass;
 use super::path::Context;
 use super::record::{Recorder, SumSink};
 use super::render::{NonFinite, Progress, Sample, place};
+use super::sink::{Sink, collect};
 use crate::error::RenderError;
 use crate::estimator::DetachedMis;
 use crate::math::Rgb;
@@ -87,6 +89,7 @@ pub fn hessian_vector<P: Float, X: Sampler>(
         caustics: Caustics::Paths,
         seed,
         samples,
+        progress,
     };
     let along = |p: ParamRef, element: u32| {
         let place = active.place(p).map(|at| at + element as usize);
@@ -98,8 +101,8 @@ pub fn hessian_vector<P: Float, X: Sampler>(
         path.backward_second(context, along, d, sink);
     };
     let largest = pass.largest(adjoint).max(pass.largest(adjoint_tangent));
-    Ok(exactly(scene, active, largest, progress, &|large| {
-        pass.sums::<DetachedMis, X>(active, large, progress, each)
+    Ok(collect(scene, active, largest, progress, &|large| {
+        pass.sums::<DetachedMis, X>(active, large, each)
     }))
 }
 
@@ -163,6 +166,7 @@ pub fn gauss_newton<P: Float, X: Sampler>(
         caustics: Caustics::Paths,
         seed,
         samples,
+        progress,
     };
     let spp = pass.samples.end.saturating_sub(pass.samples.start);
     if spp < 2 {
@@ -189,7 +193,7 @@ pub fn gauss_newton<P: Float, X: Sampler>(
         }
     };
     let new = || Sums::new(active);
-    let (parts, non_finite) = pass.paths::<DetachedMis, X, _>(active, JOBS, progress, new, each);
+    let (parts, non_finite) = pass.paths::<DetachedMis, X, _>(active, JOBS, new, each);
     let mut gradient = vec![0.0; n];
     let mut lower = vec![0.0; n * (n + 1) / 2];
     for mut part in parts {

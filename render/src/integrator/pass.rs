@@ -1,0 +1,168 @@
+//! Passes: what is asked of every integral that an image is the sum of.
+//!
+//! Paths from the camera and particles from the emitters are two integrals with samples of their own; [`every`] lists those
+//! of a pass. Images, derivative images and gradients ask each of them, and add up.
+
+use std::ops::Range;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use ad_core::{Float, Real};
+
+use super::active::Active;
+use super::exact::ExactBuffer;
+use super::gradient::{self, largest_of};
+use super::path::Context;
+use super::render::{self, Components, Progress, Rendering, Tile, tiles};
+use super::sink::GradientSums;
+use super::{particle, particle_gradient};
+use crate::estimator::Strategy;
+use crate::params::Theta;
+use crate::sampler::Sampler;
+use crate::scene::{Caustics, Scene, Settings};
+
+/// The samples of an image.
+pub(super) struct Pass<'a, R: Real> {
+    pub scene: &'a Scene,
+    pub theta: &'a Theta<'a, R>,
+    pub settings: &'a Settings,
+    /// Who finds caustics: decides which integrals there are.
+    pub caustics: Caustics,
+    pub seed: u64,
+    pub samples: Range<u64>,
+    pub progress: &'a dyn Progress,
+}
+
+impl<R: Real> Pass<'_, R> {
+    /// The same pass, which reports to somebody else.
+    pub fn reporting<'b>(&'b self, progress: &'b dyn Progress) -> Pass<'b, R> {
+        Pass {
+            samples: self.samples.clone(),
+            progress,
+            ..*self
+        }
+    }
+
+    /// How many samples a pixel has.
+    pub fn count(&self, pixel: usize) -> u64 {
+        let samples = self.scene.pixel_shares().samples(pixel, &self.samples);
+        samples.end - samples.start
+    }
+
+    /// The magnitude of the largest adjoint of one path.
+    pub fn largest(&self, adjoint: &[f32]) -> f64 {
+        let pixels = adjoint.chunks_exact(3).enumerate();
+        let each = pixels.map(|(i, adjoint)| largest_of(adjoint) / self.count(i).max(1) as f64);
+        each.fold(0.0, f64::max)
+    }
+
+    /// What its paths have in common, if no samples of emitters move.
+    pub fn context(&self) -> Context<'_, R> {
+        Context {
+            scene: self.scene,
+            theta: self.theta,
+            settings: self.settings,
+            shifts: &[],
+            caustics: self.caustics,
+            progress: self.progress,
+        }
+    }
+
+    /// The tiles of its image.
+    pub fn tiles(&self) -> Vec<Tile> {
+        let [width, height] = self.scene.film.crop_size;
+        tiles(width, height)
+    }
+}
+
+/// A part of the light, as strategy `S` estimates it.
+pub(super) trait Integral<S: Strategy, X: Sampler> {
+    /// Its part of the image, and of derivative images.
+    fn image<R: Components>(pass: &Pass<R>) -> Rendering;
+    /// The derivative of its part of `<adjoint, image>`. The large ranges are added to `large`.
+    fn gradient<P: Float>(
+        pass: &Pass<P>,
+        active: &Active,
+        adjoint: &[f32],
+        large: &ExactBuffer,
+    ) -> GradientSums;
+}
+
+/// Something that is asked of every integral, one after another.
+pub(super) trait Question<S: Strategy, X: Sampler> {
+    /// Asks one of them, which reports its work in pixels.
+    fn ask<I: Integral<S, X>>(&mut self, progress: &dyn Progress);
+}
+
+/// Asks every integral of a pass.
+pub(super) fn every<S: Strategy, X: Sampler>(
+    caustics: Caustics,
+    progress: &dyn Progress,
+    question: &mut impl Question<S, X>,
+) {
+    let by_particles = caustics == Caustics::Particles;
+    let share = Share {
+        progress,
+        integrals: 1 + u64::from(by_particles),
+        done: AtomicU64::new(0),
+    };
+    question.ask::<Paths>(&share);
+    if by_particles && !share.cancelled() {
+        question.ask::<Particles>(&share);
+    }
+}
+
+/// The progress of several integrals, each of which counts all pixels.
+struct Share<'a> {
+    progress: &'a dyn Progress,
+    integrals: u64,
+    done: AtomicU64,
+}
+
+impl Progress for Share<'_> {
+    fn advance(&self, n: u64) {
+        let before = self.done.fetch_add(n, Ordering::Relaxed);
+        (self.progress).advance((before + n) / self.integrals - before / self.integrals);
+    }
+    fn cancelled(&self) -> bool {
+        self.progress.cancelled()
+    }
+}
+
+/// Light along paths from the camera: all of it, or what particles leave.
+struct Paths;
+
+impl<S: Strategy, X: Sampler> Integral<S, X> for Paths {
+    fn image<R: Components>(pass: &Pass<R>) -> Rendering {
+        render::of_paths::<R, S, X>(pass)
+    }
+    fn gradient<P: Float>(
+        pass: &Pass<P>,
+        active: &Active,
+        adjoint: &[f32],
+        large: &ExactBuffer,
+    ) -> GradientSums {
+        gradient::of_paths::<P, S, X>(pass, active, adjoint, large)
+    }
+}
+
+/// Caustics, along particles from the emitters.
+struct Particles;
+
+impl<S: Strategy, X: Sampler> Integral<S, X> for Particles {
+    fn image<R: Components>(pass: &Pass<R>) -> Rendering {
+        let context = particle::Context::caustics::<S>(pass);
+        particle::render::<R, X>(&context, pass.seed, pass.samples.clone(), pass.progress)
+    }
+    fn gradient<P: Float>(
+        pass: &Pass<P>,
+        active: &Active,
+        adjoint: &[f32],
+        large: &ExactBuffer,
+    ) -> GradientSums {
+        let context = particle::Context::caustics::<S>(pass);
+        let samples = pass.samples.clone();
+        let particles = particle_gradient::Particles::new(&context, adjoint, pass.seed, samples);
+        let (sums, _) = particles.sums::<X>(active, large, pass.progress);
+        sums
+    }
+}
