@@ -216,8 +216,12 @@ impl<T: Scalar> Update<T> {
         if self.mask && g == 0.0 || size == 0.0 {
             return root;
         }
-        let (g, v) = (g / size, v / size);
-        T::from_f64(size * (self.beta2 * v * v + self.rest2 * g * g).sqrt())
+        let mean = |g: f64, v: f64| (self.beta2 * v * v + self.rest2 * g * g).sqrt();
+        // The squares of single precision are all in range.
+        T::from_f64(match (1e-140..1e140).contains(&size) {
+            true => mean(g, v),
+            false => size * mean(g / size, v / size),
+        })
     }
 
     fn apply(&self, p: T, g: T, state: [T; 2], range: &OfRange<T>) -> Moved<T> {

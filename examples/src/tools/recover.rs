@@ -74,7 +74,8 @@ pub struct Args {
     /// Scene options
     #[command(flatten)]
     pub load: LoadArgs,
-    /// Algorithm [default: adam]
+    /// Algorithm; steps of sgd are proportional to the derivatives, and small for dim and for large pictures, those
+    /// of the others are not [default: adam]
     #[arg(long, value_name = "NAME", value_parser = optimizer_name())]
     pub optimizer: Option<OptimizerArg>,
     /// Number of steps [default: 400; 24 for gauss-newton]
