@@ -85,9 +85,10 @@ fn citation_key(inside: &str) -> Option<String> {
     })?;
     let names = inside[..year_at].trim();
     let word = |w: &str| {
-        w.starts_with(char::is_uppercase) && w.chars().all(|c| c.is_alphabetic() || c == '-')
+        let main = w.strip_prefix("d'").unwrap_or(w);
+        main.starts_with(char::is_uppercase) && main.chars().all(|c| c.is_alphabetic() || c == '-')
     };
-    let compact = |s: &str| ascii(&s.split_whitespace().collect::<String>());
+    let compact = |s: &str| ascii(&s.split([' ', '\'']).collect::<String>());
     let capitalised = |s: &str| !s.is_empty() && s.split_whitespace().all(word);
     let year = &inside[year_at..year_at + 4];
     let key = if let Some(first) = names.strip_suffix(" et al.") {
@@ -115,11 +116,10 @@ fn citations(text: &str) -> Vec<(String, String)> {
         let Some(end) = rest.find([']', '[']) else {
             continue;
         };
-        if rest[end..].starts_with(']')
-            && end < 200
-            && let Some(key) = citation_key(&rest[..end])
-        {
-            found.push((key, rest[..end].to_owned()));
+        if rest[end..].starts_with(']') && end < 200 {
+            for one in rest[..end].split("; ") {
+                found.extend(citation_key(one).map(|key| (key, one.to_owned())));
+            }
         }
     }
     found
@@ -193,6 +193,10 @@ fn scanners_find_what_is_written() {
     assert_eq!(
         cite("[Shirley and Chiu 1997] [Christensen, Salesin and DeRose 1993]"),
         ["ShirleyChiu1997", "ChristensenEtAl1993"]
+    );
+    assert_eq!(
+        cite("[Heitz and d'Eon 2014, Eq. 19] [Levenberg 1944; Marquardt 1963]"),
+        ["HeitzdEon2014", "Levenberg1944", "Marquardt1963"]
     );
     assert!(cite("[1990, 2000] [Self::Max 3] values[Index 2000x]").is_empty());
     let keys = |s: &str| errata_keys(s).into_iter().collect::<Vec<_>>();
