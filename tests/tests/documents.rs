@@ -144,14 +144,23 @@ fn errata_keys(text: &str) -> BTreeSet<String> {
             let end = rest.find(|c| !name(c)).unwrap_or(rest.len());
             let key = rest[1..end].trim_end_matches(['.', '-']);
             let first = key.chars().next().unwrap_or(' ');
-            let named = ["footnote", "figure", "kernel", "erf", "theorem", "algorithm"];
+            let named = [
+                "footnote",
+                "figure",
+                "kernel",
+                "erf",
+                "theorem",
+                "algorithm",
+            ];
             let upper = first.is_ascii_uppercase()
                 && key.chars().nth(1).is_none_or(|c| !c.is_ascii_lowercase());
             if first.is_ascii_digit() || upper || named.contains(&key) {
                 keys.insert(format!("{c}-{key}"));
             }
         } else if c == 'F' {
-            let end = rest.find(|c: char| !c.is_ascii_digit()).unwrap_or(rest.len());
+            let end = rest
+                .find(|c: char| !c.is_ascii_digit())
+                .unwrap_or(rest.len());
             let word = rest[end..].starts_with(|c: char| c.is_ascii_alphanumeric() || c == '_');
             // F0 is a reflectance.
             if (1..=2).contains(&end) && !rest.starts_with('0') && !word {
@@ -162,17 +171,19 @@ fn errata_keys(text: &str) -> BTreeSet<String> {
     keys
 }
 
-/// The keys that `docs/errata.md` defines: in bold where a paragraph begins, or first in a row of the table of failures.
+/// The keys that `docs/errata.md` defines: in bold in a paragraph that begins so, or first in a row of a table.
 fn defined(errata: &str) -> BTreeSet<String> {
     let mut keys = BTreeSet::new();
-    for line in errata.lines() {
-        if let Some(bold) = line.strip_prefix("**") {
-            let bold: Vec<_> = bold.split("**").collect();
-            // All that stands in bold before the sentence begins.
-            for piece in bold.iter().step_by(2) {
+    for paragraph in errata.split("\n\n") {
+        if let Some(bold) = paragraph.strip_prefix("**") {
+            // All that stands in bold.
+            for piece in bold.split("**").step_by(2) {
                 keys.extend(errata_keys(piece));
             }
-        } else if let Some(row) = line.strip_prefix("| F") {
+        }
+    }
+    for line in errata.lines() {
+        if let Some(row) = line.strip_prefix("| F") {
             let number = row.split(' ').next().unwrap_or_default();
             keys.insert(format!("F{number}"));
         } else if let Some(row) = line.strip_prefix("| B.") {
@@ -189,7 +200,10 @@ fn defined(errata: &str) -> BTreeSet<String> {
 fn scanners_find_what_is_written() {
     let cite = |s: &str| citations(s).into_iter().map(|c| c.0).collect::<Vec<_>>();
     assert_eq!(cite("see [Zeltner 2021, Eq. 4.38]."), ["Zeltner2021"]);
-    assert_eq!(cite("//! after [Müller et\n//! al. 2017]"), ["MuellerEtAl2017"]);
+    assert_eq!(
+        cite("//! after [Müller et\n//! al. 2017]"),
+        ["MuellerEtAl2017"]
+    );
     assert_eq!(
         cite("[Shirley and Chiu 1997] [Christensen, Salesin and DeRose 1993]"),
         ["ShirleyChiu1997", "ChristensenEtAl1993"]
@@ -202,7 +216,15 @@ fn scanners_find_what_is_written() {
     let keys = |s: &str| errata_keys(s).into_iter().collect::<Vec<_>>();
     assert_eq!(
         keys("(errata Z-4.13f, F4) S-C1 to S-C4. Z-B-lobes and Z-footnote 4; errata\n/// V-13"),
-        ["F4", "S-C1", "S-C4", "V-13", "Z-4.13f", "Z-B-lobes", "Z-footnote"]
+        [
+            "F4",
+            "S-C1",
+            "S-C4",
+            "V-13",
+            "Z-4.13f",
+            "Z-B-lobes",
+            "Z-footnote"
+        ]
     );
     assert!(keys("FlatSamples::F16 UTF-8 F0 F123 F8x Z-axis AC-3 a S-shaped V-Ray").is_empty());
 }
@@ -261,7 +283,10 @@ fn errata_resolve() {
     }
     assert!(used.len() >= 50, "found only {used:?}");
     for failure in 1..=43 {
-        assert!(defined.contains(&format!("F{failure}")), "no row F{failure}");
+        assert!(
+            defined.contains(&format!("F{failure}")),
+            "no row F{failure}"
+        );
     }
 }
 
@@ -275,7 +300,9 @@ fn anchors(text: &str) -> BTreeSet<String> {
             continue;
         }
         let title = line.trim_start_matches('#').trim().to_lowercase();
-        let kept = title.chars().filter(|c| c.is_alphanumeric() || " -_".contains(*c));
+        let kept = title
+            .chars()
+            .filter(|c| c.is_alphanumeric() || " -_".contains(*c));
         out.insert(kept.map(|c| if c == ' ' { '-' } else { c }).collect());
     }
     out
@@ -326,7 +353,10 @@ fn links_resolve() {
 fn front_pages_are_short() {
     for page in ["README.md", "ARCHITECTURE.md"] {
         let lines = read(page).lines().count();
-        assert!(lines <= 200, "{page}: expected at most 200 lines, found {lines}");
+        assert!(
+            lines <= 200,
+            "{page}: expected at most 200 lines, found {lines}"
+        );
     }
 }
 
@@ -337,7 +367,9 @@ fn the_readme_shows_code_that_runs() {
     let (_, shown) = readme.split_once("```rust\n").expect("code in the README");
     let (shown, _) = shown.split_once("```").expect("an end of the code");
     let library = read("render/src/lib.rs");
-    let (_, run) = library.split_once("//! ```\n").expect("an example in lib.rs");
+    let (_, run) = library
+        .split_once("//! ```\n")
+        .expect("an example in lib.rs");
     let (run, _) = run.split_once("//! ```\n").expect("an end of the example");
     let run: String = run
         .lines()
@@ -352,7 +384,8 @@ fn the_readme_shows_code_that_runs() {
 /// Names in the first column of the tables of a document, in backticks.
 fn listed(document: &str) -> Vec<String> {
     let rows = document.lines().filter_map(|l| l.strip_prefix("| `"));
-    rows.filter_map(|l| Some(l.split_once('`')?.0.to_owned())).collect()
+    rows.filter_map(|l| Some(l.split_once('`')?.0.to_owned()))
+        .collect()
 }
 
 /// `docs/figures.md` lists every figure once, with the module that makes it, and nothing else.
@@ -371,10 +404,19 @@ fn every_figure_is_listed() {
         if !text.contains("Figure::") {
             continue;
         }
-        let id = path.file_stem().expect("a name").to_string_lossy().into_owned();
+        let id = path
+            .file_stem()
+            .expect("a name")
+            .to_string_lossy()
+            .into_owned();
         let row = page.lines().find(|l| l.starts_with(&format!("| `{id}` |")));
         let row = row.unwrap_or_else(|| panic!("docs/figures.md: no row `{id}`"));
-        let module = row.split('|').nth(2).unwrap_or_default().trim().trim_matches('`');
+        let module = row
+            .split('|')
+            .nth(2)
+            .unwrap_or_default()
+            .trim()
+            .trim_matches('`');
         let call = module.replace('/', "::");
         assert!(
             text.contains(&call),
@@ -422,10 +464,20 @@ fn decisions_are_numbered_and_whole() {
     for (i, page) in pages.iter().enumerate() {
         let name = page.file_name().expect("a name").to_string_lossy();
         let number = format!("{:04}-", i + 1);
-        assert!(name.starts_with(&number), "{name}: expected number {number}");
-        assert!(index.contains(&format!("({name})")), "{name} is not in the list");
+        assert!(
+            name.starts_with(&number),
+            "{name}: expected number {number}"
+        );
+        assert!(
+            index.contains(&format!("({name})")),
+            "{name} is not in the list"
+        );
         let text = read(page);
-        for part in ["\n## Context\n", "\n## Choice\n", "\n## Tried and measured\n"] {
+        for part in [
+            "\n## Context\n",
+            "\n## Choice\n",
+            "\n## Tried and measured\n",
+        ] {
             assert!(text.contains(part), "{name}: no part {}", part.trim());
         }
     }
