@@ -239,6 +239,10 @@ fn citations_resolve() {
         .collect();
     let mut cited = BTreeSet::new();
     for path in files(&[".rs", ".py", ".md", ".toml"]) {
+        // The examples of this file's own test.
+        if path.ends_with("tests/documents.rs") {
+            continue;
+        }
         for (key, text) in citations(&read(&path)) {
             assert!(
                 keys.contains(key.as_str()),
