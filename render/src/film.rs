@@ -8,6 +8,13 @@ use ad_core::Float;
 use crate::math::warp;
 
 /// A linear RGB image, row-major, row 0 at the top.
+///
+/// ```
+/// let mut image = render::Image::new(2, 1);
+/// image.data.copy_from_slice(&[1.0, 0.0, 0.0, 0.0, 0.0, 0.5]); // [height][width][3]
+/// assert_eq!(image.pixel(1, 0), [0.0, 0.0, 0.5]);
+/// assert_eq!(image.mean(), [0.5, 0.0, 0.25]);
+/// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct Image {
     /// Number of columns.

@@ -3,6 +3,20 @@
 //! Files are recognised by their content, not their name. Reading never panics and never allocates
 //! more than the limits below, whatever the bytes. Writing is atomic: the file appears complete
 //! under its name, or not at all.
+//!
+//! ```
+//! use render::{Image, image_io};
+//!
+//! let folder = std::env::temp_dir().join(format!("image_io-{}", std::process::id()));
+//! std::fs::create_dir_all(&folder)?;
+//! let mut image = Image::new(4, 2);
+//! image.data.fill(0.25);
+//! image_io::write_exr(&folder.join("grey.exr"), &image)?; // every bit
+//! image_io::write_png(&folder.join("grey.png"), &image, 1.0)?; // one stop brighter, for the eye
+//! assert_eq!(image_io::read_rgb(&folder.join("grey.exr"))?, image);
+//! # std::fs::remove_dir_all(&folder)?;
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 use std::fs::{self, File};
 use std::io::{Cursor, Read};

@@ -3,6 +3,34 @@
 //! The renderer is generic; a program that calls [`render::render`] with types of its own compiles the
 //! whole of light transport for them. Tools and figures call these functions instead, and link in a
 //! second. A new combination is one line in the table of [`render_f32`] or a function below it.
+//!
+//! An image and its derivative as another image, by forward mode:
+//!
+//! ```
+//! use render::Scene;
+//! use render::instances::{Direction, Estimator, forward_f32};
+//! use render::scene::LoadOptions;
+//!
+//! let path = "../examples/scenes/cornell.xml".as_ref();
+//! let small = LoadOptions { defines: vec![("res".into(), "16".into())], ..Default::default() };
+//! let (scene, _warnings) = Scene::load(path, &small)?;
+//! let (values, settings) = (scene.params().values(), scene.settings);
+//! let along = [
+//!     Direction::uniform(scene.params(), "gold.alpha.value")?,
+//!     Direction::uniform(scene.params(), "light.emitter.radiance.value")?,
+//! ];
+//! let found = forward_f32(&scene, values, &along, &settings, 0, 0..4, &())?;
+//! let (image, by_light) = (found.image(0), found.image(2));
+//! // Light is linear in emission: channel by channel the derivative is image over radiance.
+//! for (i, d) in image.data.iter().zip(&by_light.data).step_by(3) {
+//!     assert!((i - 18.0 * d).abs() <= 1e-3 * i.max(0.01));
+//! }
+//! // Other estimators go by name; where one would be wrong it is refused.
+//! let attached = Estimator::from_name("attached")?;
+//! let refused = attached.forward_f32(&scene, values, &along[..1], &settings, 0, 0..4, &());
+//! assert!(refused.unwrap_err().to_string().contains("discontinuities"));
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 use std::ops::Range;
 

@@ -4,6 +4,52 @@
 //! own reference; with [`ad_core::Dual`] it renders derivative images (forward mode); and over recorded
 //! paths it pulls an adjoint image back to all parameters at once (reverse mode). Where derivatives may
 //! flow is a type: see [`estimator`].
+//!
+//! # One step of inverse rendering
+//!
+//! A scene is loaded and rendered, the picture is compared with a target, the derivative of the loss in every pixel is
+//! pulled back to a parameter, and an optimiser moves that. Image and gradient take different seeds (errata Z-4.4).
+//!
+//! ```
+//! # std::env::set_current_dir("..")?; // the examples run in the folder of this crate
+//! use optim::{Adam, Loss, Optimizer, loss::L2};
+//! use render::instances::{Estimator, Technique, render_f32};
+//! use render::{Image, Scene, image_io::write_exr, params::Theta};
+//!
+//! let (mut scene, _warnings) = Scene::load("examples/scenes/cornell.xml".as_ref(), &Default::default())?;
+//! let settings = scene.settings;
+//! let mut values = scene.params().values().to_vec(); // all parameters, one vector
+//! let theta = Theta::constant(&values);
+//! let image = render_f32(&scene, &theta, Technique::MisPower, &settings, 0, 0..16, &()).image(0);
+//!
+//! let target = Image::new(image.width, image.height); // black
+//! let mut adjoint = vec![0.0; image.data.len()]; // [height][width][3], as the image
+//! L2.gradient(&image.data, &target.data, &mut adjoint)?;
+//! let active = Estimator::Mis.active(&scene, &["red.reflectance.value"])?;
+//! let gradient = Estimator::Mis.backward_f32(&scene, &theta, &active, &adjoint, &settings, 1, 0..16, &())?;
+//!
+//! let gradient: Vec<f32> = gradient.values[0].iter().map(|&d| d as f32).collect();
+//! let wall = scene.params().find("red.reflectance.value")?.range();
+//! Adam::new(wall.len(), 0.02)?.step(&mut values[wall], &gradient)?;
+//! scene.set_params(&values)?;
+//! write_exr("before.exr".as_ref(), &image)?;
+//! # assert!((values[scene.params().find("red.reflectance.value")?.range()][0] - 0.63).abs() < 1e-3);
+//! # std::fs::remove_file("before.exr")?;
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! # Where to go on
+//!
+//! | for | see |
+//! |---|---|
+//! | scenes from files and from code, parameters, settings | [`scene`], [`params`], [`scene::Builder`] |
+//! | images, gradients and derivative images | [`instances`] |
+//! | what an estimator is, and which are right | [`estimator`] |
+//! | an estimator that chooses by itself | [`auto`] |
+//! | materials, and how to write one | [`bsdf`] |
+//! | second derivatives | [`integrator::second_order`] |
+//! | particles, density estimation, finite elements | [`integrator::particle`], [`integrator::density`], [`finite_element`] |
+//! | image files | [`image_io`] |
 
 pub mod accel;
 pub mod auto;

@@ -1,4 +1,4 @@
-//! The figures of the seed documents, one module per document.
+//! The figures, by the document that they come from; `docs/figures.md` lists them all.
 
 pub mod christensen;
 pub mod scenes;

@@ -19,7 +19,7 @@ const FEWEST_PATHS: u64 = 8;
 const MOST_PAIRS: u64 = 16;
 /// Variance that fewer samples than this carry, effectively, says little about that of the next ones.
 const EVIDENCE: f64 = 64.0;
-/// Nobody is given up before this many pairs, if the budget allows.
+/// No candidate is given up before this many pairs, if the budget allows.
 const FEWEST_PAIRS: u64 = 4;
 /// A candidate this many times worse than the best for all parameters is not tried again.
 const HOPELESS: f64 = 4.0;

@@ -10,7 +10,90 @@
 //! adjoint of every parameter - follows from that one function. Materials made of other
 //! materials ([`TwoSided`], [`Blend`], ..) implement [`Bsdf`] themselves.
 //!
-//! To add a material: one file here, one line in `materials!` below.
+//! # A material of one's own
+//!
+//! A material that scene files name is one file here and one line in `materials!` below. One that scenes are not made
+//! of, for an experiment, can be written anywhere. This reflector sends light back to where it comes from:
+//!
+//! ```
+//! use ad_core::{Dual, Real, Vec2, Vec3};
+//! use render::bsdf::{Bsdf, BsdfSample, Component, DeltaKind, Leaf, Lobe, Part, Reader, Shading, TransportMode, Use};
+//! use render::math::Rgb;
+//! use render::params::{GradSink, ParamRef, ParamShape, Params, Tangent, Theta};
+//! use render::texture::RgbTexture;
+//!
+//! pub struct Retro {
+//!     pub reflectance: RgbTexture,
+//! }
+//!
+//! #[derive(Clone, Copy)]
+//! pub struct RetroLobe<R>(Rgb<R>);
+//!
+//! impl Leaf for Retro {
+//!     type Lobe<R: Real> = RetroLobe<R>;
+//!     const DELTA: bool = true;
+//!     fn lobe<R: Real>(&self, read: &mut impl Reader<R>) -> RetroLobe<R> {
+//!         RetroLobe(read.rgb(&self.reflectance))
+//!     }
+//! }
+//!
+//! impl<R: Real> Lobe<R> for RetroLobe<R> {
+//!     fn eval(&self, _wo: Vec3<R>, _wi: Vec3<R>, _mode: TransportMode) -> Rgb<R> {
+//!         Rgb::black()
+//!     }
+//!     fn pdf(&self, _wo: Vec3<R>, _wi: Vec3<R>, _mode: TransportMode) -> R {
+//!         R::zero()
+//!     }
+//!     fn sample(&self, wo: Vec3<R>, _u: [R::Primal; 3], _mode: TransportMode) -> Option<BsdfSample<R>> {
+//!         let component = Component::Delta { kind: DeltaKind::Reflection, route: 0 };
+//!         let sample = BsdfSample { wi: wo, pdf: R::one(), component, eta: R::Primal::one() };
+//!         (wo.z.primal() > R::Primal::zero()).then_some(sample)
+//!     }
+//!     fn eval_delta(&self, wo: Vec3<R>, _kind: DeltaKind, _mode: TransportMode) -> Rgb<R> {
+//!         if wo.z.primal() > R::Primal::zero() { self.0 } else { Rgb::black() }
+//!     }
+//! }
+//!
+//! // Nothing above speaks of derivatives, and all of them are there.
+//! let mut params = Params::default();
+//! let reflectance = params.push("retro.reflectance.value", ParamShape::Rgb, &[0.5, 0.6, 0.7], (0.0, 1.0));
+//! let retro = Retro { reflectance: RgbTexture::Constant(reflectance) };
+//! let (values, mode) = ([0.5f64, 0.6, 0.7], TransportMode::Radiance);
+//! let theta = Theta::constant(&values);
+//! let at = Shading { theta, uv: Vec2::new(0.5, 0.5) };
+//! let wo = Vec3::new(0.6, 0.0, 0.8);
+//! let (sample, value) = retro.sample_eval(&at, wo, [0.5; 3], mode).unwrap();
+//! assert_eq!((sample.wi.x, value.g), (wo.x, 0.6));
+//!
+//! // Forward: all three channels move by one.
+//! let tangents = [Tangent::Uniform(Dual::new(0.0, [1.0]))];
+//! let moving: Shading<Dual<f64, 1>> = Shading {
+//!     theta: Theta::with_tangents(&values, &tangents),
+//!     uv: Vec2::lift(at.uv),
+//! };
+//! let (_, moved) = retro.sample_eval(&moving, Vec3::lift(wo), [0.5; 3], mode).unwrap();
+//! assert_eq!(moved.g.eps, [1.0]);
+//!
+//! // Reverse: the adjoint of the value goes to the parameter.
+//! struct Sum([f64; 3]);
+//! impl GradSink<f64> for Sum {
+//!     fn active(&self, _p: ParamRef) -> bool {
+//!         true
+//!     }
+//!     fn add(&mut self, _p: ParamRef, i: usize, d: f64) {
+//!         self.0[i] += d;
+//!     }
+//! }
+//! let d = Rgb::new(1.0, 2.0, 3.0);
+//! let used = Use { wi: sample.wi, component: sample.component, part: Part::All, d };
+//! let mut sum = Sum([0.0; 3]);
+//! retro.backward(&at, wo, &[used], mode, &mut sum);
+//! assert_eq!(sum.0, [1.0, 2.0, 3.0]);
+//! ```
+//!
+//! To make it part of scenes, put the type into `render/src/bsdf/retro.rs`, implement `FromNode` (its names in scene
+//! files, and how to build it from one), and add `Retro` to `materials!`. It then loads, renders, and has derivative
+//! images and gradients by every estimator; a line in `tests/src/cases.rs` compares them with differences.
 
 mod blend;
 mod blinn_phong;

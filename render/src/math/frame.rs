@@ -17,7 +17,7 @@ impl<R: Real> Frame<R> {
     /// Some frame around the unit vector `n`: continuous except across `n.z = 0`, without the
     /// singular direction of Stam's `make_frame` (errata S-D7).
     ///
-    /// Source: Duff et al. 2017, "Building an orthonormal basis, revisited".
+    /// Source: [Duff et al. 2017].
     #[inline]
     pub fn from_normal(n: Vec3<R>) -> Self {
         let sign = R::Primal::one().copysign(n.z.primal());

@@ -23,6 +23,31 @@ use crate::texture::{self, Bitmap, RgbTexture, ScalarTexture, Texture, UvTransfo
 pub struct MaterialId(u32);
 
 /// Collects materials, shapes, emitters and parameters, and checks them as they come.
+///
+/// ```
+/// use render::bsdf::Diffuse;
+/// use render::camera::{Camera, FovAxis};
+/// use render::emitter::Constant;
+/// use render::math::Transform;
+/// use render::scene::Builder;
+/// use render::shape::Sphere;
+/// use render::{Film, Settings};
+///
+/// let mut build = Builder::new();
+/// let reflectance = build.rgb("clay.reflectance.value", [0.6, 0.4, 0.3], (0.0, 1.0))?;
+/// let clay = build.add_material(Diffuse { reflectance });
+/// let ball = Sphere::new([0.0, 0.0, 0.0], 1.0, false).expect("a positive radius");
+/// build.add_shape("ball", ball, clay);
+/// let radiance = build.rgb("sky.radiance.value", [1.0; 3], (0.0, f64::INFINITY))?;
+/// build.add_emitter(Constant { radiance }, None);
+///
+/// let view = Transform::look_at([0.0, 0.0, 4.0], [0.0; 3], [0.0, 1.0, 0.0]).expect("a direction");
+/// let camera = Camera::new(view, 40.0, FovAxis::Smaller, [32, 32])?;
+/// let scene = build.build(camera, Film::new(32, 32), Settings::default())?;
+/// let names: Vec<_> = scene.params().infos().iter().map(|p| p.name.as_str()).collect();
+/// assert_eq!(names, ["clay.reflectance.value", "sky.radiance.value"]);
+/// # Ok::<(), render::SceneError>(())
+/// ```
 #[derive(Debug, Default)]
 pub struct Builder {
     params: Params,

@@ -217,6 +217,25 @@ impl Scene {
     ///
     /// # Errors
     /// Wrong length, or a value outside its valid range (named). The scene is unchanged then.
+    ///
+    /// ```
+    /// use render::{Scene, scene::LoadOptions};
+    ///
+    /// let path = "../examples/scenes/cornell.xml".as_ref();
+    /// let small = LoadOptions { defines: vec![("res".into(), "16".into())], ..Default::default() };
+    /// let (mut scene, warnings) = Scene::load(path, &small)?;
+    /// assert!(warnings.is_empty());
+    ///
+    /// let mut values = scene.params().values().to_vec();
+    /// let alpha = scene.params().find("gold.alpha.value")?.range();
+    /// values[alpha.clone()].fill(0.3);
+    /// scene.set_params(&values)?;
+    ///
+    /// values[alpha].fill(1.5);
+    /// let error = scene.set_params(&values).unwrap_err();
+    /// assert!(error.to_string().starts_with("parameter `gold.alpha.value`[0]: expected a value in ["));
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
     pub fn set_params(&mut self, values: &[f32]) -> Result<(), RenderError> {
         if values.len() != self.params.values().len() {
             return Err(RenderError::WrongLength {

@@ -110,7 +110,7 @@ fn reduce<P: Float>(x: P, wrap: Wrap) -> P {
 }
 
 /// A texel of `n` for an index that is at most one beyond a period: of [`reduce`]d coordinates. Without divisions and,
-/// on small images, without branches that nobody can predict.
+/// on small images, without branches that are hard to predict.
 #[inline]
 fn wrap_index(i: i32, n: u32, wrap: Wrap) -> u32 {
     // As unsigned numbers, negative ones are the largest.

@@ -23,9 +23,9 @@ use crate::scenes;
 const SEED: u64 = 77;
 /// Samples of `mis` per pixel for which `auto` plans.
 const BUDGET: u64 = 4096;
-/// Different pilots.
+/// Number of runs whose pilots have seeds of their own.
 const PILOTS: u64 = 4;
-/// Passes that time is the median of.
+/// Number of passes whose median is the time of one.
 const TURNS: u64 = 5;
 /// Combinations of light and BSDF samples that pilots weigh by what they measure; and the heuristics.
 const FAMILY: [Estimator; 3] = [
@@ -33,7 +33,7 @@ const FAMILY: [Estimator; 3] = [
     Estimator::MisTrustLights,
     Estimator::MisTrustBsdf,
 ];
-/// Those that the chart shows; the table has all.
+/// The estimators that the chart shows; the table has all.
 const CHARTED: [Estimator; 7] = [
     Estimator::Emitter,
     Estimator::Detached,
@@ -209,7 +209,7 @@ impl Clock {
         Ok(Self { mode, samples })
     }
 
-    /// Of the parameter with this index.
+    /// The sample of an estimator for the parameter with this index.
     fn sample(&self, e: Estimator, param: usize) -> Result<Sample> {
         let found = self.samples.iter().find(|(known, _)| *known == e);
         let of = &found.ok_or("an estimator that was not timed")?.1;

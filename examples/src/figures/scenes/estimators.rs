@@ -21,7 +21,7 @@ use crate::figures::statistics::grey;
 use crate::say;
 
 const SEED: u64 = 419;
-/// From top to bottom, as in the thesis.
+/// Roughness of the plates from top to bottom, as in the thesis.
 pub(super) const ALPHAS: [f64; 4] = [0.01, 0.02, 0.06, 0.13];
 /// The columns of the figure, naive attached sampling last.
 const COLUMNS: [Estimator; 8] = [

@@ -65,7 +65,7 @@ fn settings(scene: &Scene) -> Settings {
     }
 }
 
-/// Lets paths learn; seconds that it took.
+/// Lets paths learn, and returns the seconds that it took.
 fn learn(scene: &mut Scene) -> Result<f64> {
     let (start, settings) = (Instant::now(), settings(scene));
     match auto::guide(scene, &settings, SEED, &()) {

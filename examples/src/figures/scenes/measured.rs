@@ -17,11 +17,11 @@ const ESTIMATORS: [Estimator; 2] = [Estimator::MisBalance, Estimator::Differenti
 
 /// Gradients of independent passes.
 struct Passes {
-    /// Of each: every derivative times the size of its parameter.
+    /// For each pass, every derivative times the size of its parameter.
     scaled: Vec<Vec<f64>>,
     /// How many values each parameter has.
     lengths: Vec<usize>,
-    /// Of one, the median.
+    /// Seconds of a pass, the median.
     seconds: f64,
 }
 
@@ -57,7 +57,7 @@ impl Passes {
         })
     }
 
-    /// Of each parameter, summed over its values.
+    /// The variance of each parameter, summed over its values.
     fn variances(&self) -> Vec<f64> {
         let values = per_pixel(&self.scaled);
         let mut rest = values.iter().map(|e| e.error * e.error);

@@ -30,7 +30,7 @@ const REFERENCE: usize = 0;
 const REPARAMETERISED: usize = 2;
 const NAIVE: usize = 3;
 
-/// What samples run into.
+/// The discontinuity that samples move across.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Edge {
     /// (a) The outline of a ball before the sky; the parameter is a texture of roughness.
@@ -170,9 +170,9 @@ struct Effort {
 
 /// Derivatives along the direction of a scene, by all estimators.
 struct Found {
-    /// Per estimator and block.
+    /// Derivatives per estimator and block.
     blocks: Vec<Vec<Estimate>>,
-    /// Per estimator, mean image.
+    /// Mean derivative image per estimator.
     images: Vec<Vec<f64>>,
 }
 

@@ -14,7 +14,7 @@ use render::{Scene, Settings};
 
 use crate::figure::Result;
 
-/// The mistake, on purpose.
+/// Rules under which particles scatter like viewing rays, which is wrong: to be compared with the right ones.
 pub const IGNORED: Rules = Rules {
     symmetry: Symmetry::Ignored,
     side_tests: false,

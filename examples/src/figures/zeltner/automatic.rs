@@ -32,7 +32,7 @@ diff_fn! {
 /// A Jacobian, row by row: `dy1/dx1, dy1/dx2, dy1/dx3, dy2/dx1, ..`.
 type Jacobian = [f64; 6];
 
-/// A way to find it.
+/// A function that finds the Jacobian.
 type Mode = fn([f64; 3]) -> Jacobian;
 
 /// One pass per input: a column each.
