@@ -468,7 +468,7 @@ mod tests {
             SceneError::UnknownReference {
                 location: location.clone(),
                 id: long.clone(),
-                known: vec![long.clone(); 5000],
+                known: vec!["\u{e9}".repeat(1000); 5000],
             },
             SceneError::Value {
                 location,

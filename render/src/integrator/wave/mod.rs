@@ -446,7 +446,12 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         context: &Context<P>,
         end: u32,
     ) {
-        while self.n > 0 && self.next < end && !context.progress.cancelled() {
+        while self.n > 0 && self.next < end {
+            if context.progress.cancelled() {
+                // Others may start here before anybody asks again.
+                self.n = 0;
+                break;
+            }
             self.edge::<Of, S, ()>(context, self.next, &mut ());
             self.next += 1;
         }
