@@ -53,7 +53,7 @@ pub enum SceneError {
     },
 
     /// A mesh or image was read, but its content is not what was expected.
-    #[error("{}{}: expected {expected}, found {found}", path.display(), Line(*line))]
+    #[error("{}{}: expected {expected}, found {}", path.display(), Line(*line), Sentence(found))]
     Asset {
         /// The file.
         path: PathBuf,
@@ -66,7 +66,7 @@ pub enum SceneError {
     },
 
     /// A parameter given in code (not by a file) is out of range.
-    #[error("parameter `{key}`: expected {expected}, found {found}")]
+    #[error("parameter {}: expected {expected}, found {}", quoted(key), Sentence(found))]
     Parameter {
         /// The key of the parameter, such as `red.reflectance.value`.
         key: String,
@@ -78,7 +78,7 @@ pub enum SceneError {
 
     /// The text does not have the structure of a scene file: not XML, an unknown or misplaced
     /// element, stray text.
-    #[error("{location}: expected {expected}, found {found}")]
+    #[error("{location}: expected {expected}, found {}", Sentence(found))]
     Syntax {
         /// The offending line.
         location: Location,
@@ -89,7 +89,7 @@ pub enum SceneError {
     },
 
     /// The value of an attribute has the wrong type or is out of range.
-    #[error("{location}: `{key}`: expected {expected}, found {found}")]
+    #[error("{location}: {}: expected {expected}, found {}", quoted(key), Sentence(found))]
     Value {
         /// The line of the value.
         location: Location,
@@ -102,7 +102,7 @@ pub enum SceneError {
     },
 
     /// An attribute or child that a plugin needs is absent.
-    #[error("{location}: {owner} has no `{key}`: expected {expected}, found nothing")]
+    #[error("{location}: {} has no {}: expected {expected}, found nothing", Sentence(owner), quoted(key))]
     Missing {
         /// The line of the plugin.
         location: Location,
@@ -115,7 +115,7 @@ pub enum SceneError {
     },
 
     /// An attribute or child that the plugin never asked for.
-    #[error("{location}: unknown {what} of {owner}; known: {}", List(known))]
+    #[error("{location}: unknown {} of {}; known: {}", Sentence(what), Sentence(owner), List(known))]
     Unknown {
         /// The line of the attribute.
         location: Location,
@@ -128,7 +128,7 @@ pub enum SceneError {
     },
 
     /// No plugin has this name.
-    #[error("{location}: unknown {tag} `{plugin}`; known: {}", List(known))]
+    #[error("{location}: unknown {tag} {}; known: {}", quoted(plugin), List(known))]
     UnknownPlugin {
         /// The line of the plugin.
         location: Location,
@@ -141,7 +141,7 @@ pub enum SceneError {
     },
 
     /// A name that must be unique is given twice.
-    #[error("{location}: {what} is given twice, first at {first}")]
+    #[error("{location}: {} is given twice, first at {first}", Sentence(what))]
     Duplicate {
         /// The second occurrence.
         location: Location,
@@ -152,7 +152,7 @@ pub enum SceneError {
     },
 
     /// `$name` without a `<default>` above it and without a value from outside.
-    #[error("{location}: `{name}` is not defined; known: {}", List(known))]
+    #[error("{location}: {} is not defined; known: {}", quoted(name), List(known))]
     UndefinedParameter {
         /// The line that uses the name.
         location: Location,
@@ -163,7 +163,7 @@ pub enum SceneError {
     },
 
     /// A value from outside (`-D name=value`) that the scene does not use.
-    #[error("{}: no parameter `{name}` to define; known: {}", file.display(), List(known))]
+    #[error("{}: no parameter {} to define; known: {}", file.display(), quoted(name), List(known))]
     UnusedDefine {
         /// The scene file.
         file: PathBuf,
@@ -174,7 +174,7 @@ pub enum SceneError {
     },
 
     /// `<ref>` to an id that no element has.
-    #[error("{location}: no element has the id `{id}`; known: {}", List(known))]
+    #[error("{location}: no element has the id {}; known: {}", quoted(id), List(known))]
     UnknownReference {
         /// The line of the reference.
         location: Location,
@@ -185,7 +185,7 @@ pub enum SceneError {
     },
 
     /// A reference or an include that leads back to itself.
-    #[error("{location}: {what} contains itself")]
+    #[error("{location}: {} contains itself", Sentence(what))]
     Cycle {
         /// The line that closes the cycle.
         location: Location,
@@ -233,6 +233,40 @@ impl fmt::Display for Line {
     }
 }
 
+/// Most characters that a message quotes of a file or a command line: enough to find the place, little enough to read.
+const MOST_QUOTED: usize = 80;
+/// Most characters of a part of a message that quotes something and says what it is.
+const MOST_SAID: usize = 3 * MOST_QUOTED;
+/// Most names of a list.
+const MOST_NAMES: usize = 40;
+
+/// The start of `text`, and whether something is missing.
+fn cut(text: &str, most: usize) -> (&str, bool) {
+    match text.char_indices().nth(most) {
+        Some((end, _)) => (&text[..end], true),
+        None => (text, false),
+    }
+}
+
+/// `text` in backquotes, shortened so that a message stays readable.
+pub(crate) fn quoted(text: &str) -> String {
+    match cut(text, MOST_QUOTED) {
+        (start, true) => format!("`{start}...`"),
+        (all, false) => format!("`{all}`"),
+    }
+}
+
+/// A part of a message, shortened in case that it quotes at length.
+struct Sentence<'a>(&'a str);
+
+impl fmt::Display for Sentence<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (start, shortened) = cut(self.0, MOST_SAID);
+        f.write_str(start)?;
+        f.write_str(if shortened { "..." } else { "" })
+    }
+}
+
 /// A comma-separated list of names, or "(none)".
 struct List<'a>(&'a [String]);
 
@@ -241,7 +275,15 @@ impl fmt::Display for List<'_> {
         if self.0.is_empty() {
             return f.write_str("(none)");
         }
-        f.write_str(&self.0.join(", "))
+        for (i, name) in self.0.iter().take(MOST_NAMES).enumerate() {
+            let (start, shortened) = cut(name, MOST_QUOTED);
+            let separator = if i == 0 { "" } else { ", " };
+            write!(f, "{separator}{start}{}", if shortened { "..." } else { "" })?;
+        }
+        match self.0.len().saturating_sub(MOST_NAMES) {
+            0 => Ok(()),
+            more => write!(f, " and {more} more"),
+        }
     }
 }
 
@@ -251,7 +293,8 @@ impl fmt::Display for List<'_> {
 pub enum RenderError {
     /// No parameter has this name.
     #[error(
-        "no parameter `{name}`; closest: {}; `--list` prints all",
+        "no parameter {}; closest: {}; `--list` prints all",
+        quoted(name),
         List(closest)
     )]
     UnknownParameter {
@@ -302,7 +345,7 @@ pub enum RenderError {
     },
 
     /// A parameter outside its valid range.
-    #[error("parameter `{name}`[{index}]: expected a value in [{}, {}], found {found}", valid.0, valid.1)]
+    #[error("parameter {}[{index}]: expected a value in [{}, {}], found {found}", quoted(name), valid.0, valid.1)]
     ParameterOutOfRange {
         /// Its name.
         name: String,
@@ -316,15 +359,16 @@ pub enum RenderError {
 
     /// The sampled direction is a Dirac delta in the parameter.
     #[error(
-        "parameter `{name}` moves a Dirac delta: detached sampling has no derivative there (it would \
-         silently be zero); use an attached estimator"
+        "parameter {} moves a Dirac delta: detached sampling has no derivative there (it would \
+         silently be zero); use an attached estimator",
+        quoted(name)
     )]
     DeltaParameter {
         /// Its name.
         name: String,
     },
     /// A name that no estimator has.
-    #[error("unknown estimator `{name}`; known: {known}")]
+    #[error("unknown estimator {}; known: {known}", quoted(name))]
     UnknownEstimator {
         /// The name.
         name: String,
@@ -377,5 +421,54 @@ impl RenderError {
             name: name.into(),
             closest: ranked.into_iter().take(3).map(|(_, k)| k.clone()).collect(),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn quoting_shortens_at_a_character_boundary() {
+        assert_eq!(quoted("ab"), "`ab`");
+        let long = quoted(&"é".repeat(100));
+        assert_eq!(long.chars().filter(|&c| c == 'é').count(), MOST_QUOTED);
+    }
+
+    #[test]
+    fn messages_stay_readable() {
+        let long = "x".repeat(1 << 20);
+        let location = || Location::new(Path::new("a.xml"), 3);
+        let all = [
+            SceneError::Asset {
+                path: "a.obj".into(),
+                line: Some(2),
+                expected: "a number".into(),
+                found: long.clone(),
+            },
+            SceneError::UnknownReference {
+                location: location(),
+                id: long.clone(),
+                known: vec![long.clone(); 1000],
+            },
+            SceneError::Unknown {
+                location: location(),
+                what: long.clone(),
+                owner: long.clone(),
+                known: Vec::new(),
+            },
+            SceneError::Value {
+                location: location(),
+                key: long.clone(),
+                expected: "a number".into(),
+                found: long,
+            },
+        ];
+        for error in all {
+            let message = error.to_string();
+            assert!(message.len() < 5000 && message.starts_with("a."), "{message}");
+        }
+        let names: Vec<String> = (0..50).map(|i| i.to_string()).collect();
+        assert!(List(&names).to_string().ends_with("38, 39 and 10 more"));
     }
 }

@@ -13,6 +13,7 @@ mod dispatch;
 pub mod emitter;
 pub mod error;
 pub mod estimator;
+pub mod files;
 pub mod film;
 pub mod finite_element;
 pub mod guide;

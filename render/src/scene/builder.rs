@@ -24,6 +24,8 @@ pub struct MaterialId(u32);
 pub struct Builder {
     params: Params,
     materials: Vec<Arc<Material>>,
+    /// Where each of them stands.
+    indices: HashMap<*const Material, u32>,
     shapes: Vec<AnyShape>,
     infos: Vec<ShapeInfo>,
     emitters: Vec<AnyEmitter>,
@@ -296,15 +298,14 @@ impl Builder {
 
     /// Adds a material that may be part of others as well.
     pub fn add_shared_material(&mut self, material: Arc<Material>) -> MaterialId {
-        if let Some(i) = self
-            .materials
-            .iter()
-            .position(|m| Arc::ptr_eq(m, &material))
-        {
-            return MaterialId(i as u32);
+        let next = self.materials.len() as u32;
+        // Kept in `materials`, so that no other comes to lie there.
+        let known = self.indices.entry(Arc::as_ptr(&material));
+        let index = *known.or_insert(next);
+        if index == next {
+            self.materials.push(material);
         }
-        self.materials.push(material);
-        MaterialId(self.materials.len() as u32 - 1)
+        MaterialId(index)
     }
 
     /// Adds a shape.
