@@ -66,7 +66,11 @@ pub enum SceneError {
     },
 
     /// A parameter given in code (not by a file) is out of range.
-    #[error("parameter {}: expected {expected}, found {}", quoted(key), Sentence(found))]
+    #[error(
+        "parameter {}: expected {expected}, found {}",
+        quoted(key),
+        Sentence(found)
+    )]
     Parameter {
         /// The key of the parameter, such as `red.reflectance.value`.
         key: String,
@@ -89,7 +93,11 @@ pub enum SceneError {
     },
 
     /// The value of an attribute has the wrong type or is out of range.
-    #[error("{location}: {}: expected {expected}, found {}", quoted(key), Sentence(found))]
+    #[error(
+        "{location}: {}: expected {expected}, found {}",
+        quoted(key),
+        Sentence(found)
+    )]
     Value {
         /// The line of the value.
         location: Location,
@@ -102,7 +110,11 @@ pub enum SceneError {
     },
 
     /// An attribute or child that a plugin needs is absent.
-    #[error("{location}: {} has no {}: expected {expected}, found nothing", Sentence(owner), quoted(key))]
+    #[error(
+        "{location}: {} has no {}: expected {expected}, found nothing",
+        Sentence(owner),
+        quoted(key)
+    )]
     Missing {
         /// The line of the plugin.
         location: Location,
@@ -115,7 +127,12 @@ pub enum SceneError {
     },
 
     /// An attribute or child that the plugin never asked for.
-    #[error("{location}: unknown {} of {}; known: {}", Sentence(what), Sentence(owner), List(known))]
+    #[error(
+        "{location}: unknown {} of {}; known: {}",
+        Sentence(what),
+        Sentence(owner),
+        List(known)
+    )]
     Unknown {
         /// The line of the attribute.
         location: Location,
@@ -174,7 +191,11 @@ pub enum SceneError {
     },
 
     /// `<ref>` to an id that no element has.
-    #[error("{location}: no element has the id {}; known: {}", quoted(id), List(known))]
+    #[error(
+        "{location}: no element has the id {}; known: {}",
+        quoted(id),
+        List(known)
+    )]
     UnknownReference {
         /// The line of the reference.
         location: Location,
@@ -278,7 +299,11 @@ impl fmt::Display for List<'_> {
         for (i, name) in self.0.iter().take(MOST_NAMES).enumerate() {
             let (start, shortened) = cut(name, MOST_QUOTED);
             let separator = if i == 0 { "" } else { ", " };
-            write!(f, "{separator}{start}{}", if shortened { "..." } else { "" })?;
+            write!(
+                f,
+                "{separator}{start}{}",
+                if shortened { "..." } else { "" }
+            )?;
         }
         match self.0.len().saturating_sub(MOST_NAMES) {
             0 => Ok(()),
@@ -466,7 +491,10 @@ mod tests {
         ];
         for error in all {
             let message = error.to_string();
-            assert!(message.len() < 5000 && message.starts_with("a."), "{message}");
+            assert!(
+                message.len() < 5000 && message.starts_with("a."),
+                "{message}"
+            );
         }
         let names: Vec<String> = (0..50).map(|i| i.to_string()).collect();
         assert!(List(&names).to_string().ends_with("38, 39 and 10 more"));

@@ -332,7 +332,10 @@ fn decode_jpeg(bytes: &[u8], encoding: Encoding) -> Result<Pixels, Mismatch> {
     // A scan has a bit at least for each block of the finest component.
     let blocks = width.div_ceil(8) * height.div_ceil(8);
     if !jpeg_is_complete(bytes) || blocks > 8 * bytes.len() {
-        let found = format!("the end cut off: {} bytes for {width} x {height}", bytes.len());
+        let found = format!(
+            "the end cut off: {} bytes for {width} x {height}",
+            bytes.len()
+        );
         return Err(mismatch(EXPECTED, found));
     }
     let (space, channels) = match decoder.input_colorspace() {

@@ -273,6 +273,9 @@ mod tests {
     #[test]
     fn empty_sets_have_no_nodes() {
         assert!(hierarchy(&[]).nodes.is_empty());
-        assert_eq!(hierarchy(&boxes(1, |_| [[0.0; 3], [1.0; 3]])).nodes.len(), 1);
+        assert_eq!(
+            hierarchy(&boxes(1, |_| [[0.0; 3], [1.0; 3]])).nodes.len(),
+            1
+        );
     }
 }

@@ -699,7 +699,11 @@ fn nested_shapes_build_and_are_hit() {
     for (prims, down) in [(balls, true), (triangles, false)] {
         let accel = Accel::build(&prims).unwrap();
         assert!(accel.has_hierarchy());
-        let d = if down { [0.0, 0.0, -1.0] } else { [0.0, 0.0, 1.0] };
+        let d = if down {
+            [0.0, 0.0, -1.0]
+        } else {
+            [0.0, 0.0, 1.0]
+        };
         let h = accel.intersect([0.0, 0.0, -200.0 * d[2]], d, f32::INFINITY);
         let h = h.expect("the outermost is hit");
         assert_eq!(h.prim as usize, n - 1);

@@ -1,7 +1,7 @@
 //! Rough plastic: a diffuse base under a rough dielectric coat.
 
-use std::collections::BTreeMap;
-use std::sync::{Mutex, OnceLock, PoisonError};
+use std::collections::HashMap;
+use std::sync::{LazyLock, Mutex, OnceLock, PoisonError};
 
 use ad_core::{Const, Float, Real, Vec3};
 
@@ -215,10 +215,10 @@ impl Coat {
     /// The table for a kind of facets and a relative index, of which there is one per program: it depends on
     /// nothing that can be differentiated or changed.
     pub fn get(kind: Ndf, eta: f64) -> &'static Self {
-        static TABLES: Mutex<BTreeMap<(bool, u64), &'static Coat>> = Mutex::new(BTreeMap::new());
+        static TABLES: LazyLock<Mutex<HashMap<(Ndf, u64), &'static Coat>>> =
+            LazyLock::new(Mutex::default);
         let mut tables = TABLES.lock().unwrap_or_else(PoisonError::into_inner);
-        let key = (kind == Ndf::Ggx, eta.to_bits());
-        tables.entry(key).or_insert_with(|| {
+        tables.entry((kind, eta.to_bits())).or_insert_with(|| {
             let rows = std::array::from_fn(|_| OnceLock::new());
             Box::leak(Box::new(Self { kind, eta, rows }))
         })

@@ -330,6 +330,11 @@ impl Builder {
         index
     }
 
+    /// The shapes so far.
+    pub(super) fn shapes(&self) -> &[AnyShape] {
+        &self.shapes
+    }
+
     /// Adds an emitter that is no surface, or is the last shape added if `shape` says so.
     pub fn add_emitter(&mut self, emitter: impl Into<AnyEmitter>, shape: Option<u32>) {
         self.add_weighted_emitter(emitter.into(), shape, 1.0);

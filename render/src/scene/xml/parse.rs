@@ -371,7 +371,12 @@ impl Parser {
             });
         }
         self.included += 1;
-        check_limit(self.included, MAX_INCLUDES, "included files", &file.location)?;
+        check_limit(
+            self.included,
+            MAX_INCLUDES,
+            "included files",
+            &file.location,
+        )?;
         let text = source::read(&path)?;
         self.bytes += text.len();
         check_limit(self.bytes, MAX_TEXT, "bytes of scene files", &file.location)?;
@@ -579,7 +584,9 @@ fn longest_known<'a>(
     let mut bound = text;
     let mut bounds = Bound::Included(text);
     let length = loop {
-        let (name, _) = known.range::<str, _>((Bound::Unbounded, bounds)).next_back()?;
+        let (name, _) = known
+            .range::<str, _>((Bound::Unbounded, bounds))
+            .next_back()?;
         let same = name.chars().zip(bound.chars()).take_while(|(a, b)| a == b);
         let same = same.map(|(c, _)| c.len_utf8()).sum();
         if same == name.len() {
