@@ -31,7 +31,6 @@ pub const DOCUMENT: &str = r#"<?xml version="1.0"?>
 </scene>
 "#;
 
-
 /// A scene that loads, with a mesh `a.obj` and an image `a.png` beside it.
 pub const SCENE: &str = r#"<scene version="3.0.0">
     <default name="size" value="8"/>

@@ -123,7 +123,6 @@ fn exercise(node: &Node) {
     node.finish().ok();
 }
 
-
 proptest! {
     #![proptest_config(config(3000))]
 

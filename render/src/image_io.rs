@@ -329,15 +329,26 @@ fn decode_jpeg(bytes: &[u8], encoding: Encoding) -> Result<Pixels, Mismatch> {
     let missing = || mismatch(EXPECTED, "no size");
     let (width, height) = decoder.dimensions().ok_or_else(missing)?;
     check_size(width, height)?;
-    // A scan has a bit at least for each block of the finest component.
-    let blocks = width.div_ceil(8) * height.div_ceil(8);
-    if !jpeg_is_complete(bytes) || blocks > 8 * bytes.len() {
+    let cut_off = || {
         let found = format!(
             "the end cut off: {} bytes for {width} x {height}",
             bytes.len()
         );
-        return Err(mismatch(EXPECTED, found));
+        mismatch(EXPECTED, found)
+    };
+    let scan = JpegScan::find(bytes).ok_or_else(cut_off)?;
+    // There is a bit at least for each block of the finest component.
+    if width.div_ceil(8) * height.div_ceil(8) > 8 * (scan.end - scan.data) {
+        return Err(cut_off());
     }
+    // Behind an end mark the decoder goes on with zeros, where it meets the end of the file it does not. It reads a few
+    // bytes ahead. In progressive files the mark must stay.
+    let padded = [&bytes[..scan.end], &[0; 16]].concat();
+    let mut decoder = match scan.sequential {
+        true => zune_jpeg::JpegDecoder::new_with_options(ZCursor::new(&padded[..]), options),
+        false => decoder,
+    };
+    decoder.decode_headers().map_err(damaged)?;
     let (space, channels) = match decoder.input_colorspace() {
         Some(ColorSpace::Luma) => (ColorSpace::Luma, 1),
         _ => (ColorSpace::RGB, 3),
@@ -355,11 +366,55 @@ fn decode_jpeg(bytes: &[u8], encoding: Encoding) -> Result<Pixels, Mismatch> {
     })
 }
 
-/// Whether the last scan has an end: inside a scan the byte ff is always followed by 00 or a restart
-/// marker, so that the end marker cannot occur by chance.
-fn jpeg_is_complete(bytes: &[u8]) -> bool {
-    let last = |marker: u8| bytes.windows(2).rposition(|w| *w == [0xff, marker]);
-    last(0xd9) > last(0xda)
+/// Where a JPEG file keeps its data.
+struct JpegScan {
+    /// Whether every coefficient is coded at once.
+    sequential: bool,
+    /// Where the first scan's data starts.
+    data: usize,
+    /// Where the mark of the end stands.
+    end: usize,
+}
+
+impl JpegScan {
+    /// `None` where there is no scan, or no end.
+    fn find(bytes: &[u8]) -> Option<Self> {
+        let (mut at, mut sequential) = (2, false);
+        loop {
+            let marker = match (bytes.get(at)?, bytes.get(at + 1)?) {
+                (0xff, &marker @ 1..=0xfe) => marker,
+                // Fill bytes.
+                _ => {
+                    at += 1;
+                    continue;
+                }
+            };
+            let length = match marker {
+                // These stand alone.
+                0x01 | 0xd0..=0xd8 => 0,
+                _ => usize::from(u16::from_be_bytes([
+                    *bytes.get(at + 2)?,
+                    *bytes.get(at + 3)?,
+                ])),
+            };
+            at += 2 + length;
+            match marker {
+                0xc0 | 0xc1 => sequential = true,
+                // Inside a scan the byte ff is always followed by 00 or a restart marker, so that the end marker
+                // cannot occur by chance.
+                0xda => {
+                    let rest = bytes.get(at..)?;
+                    let end = rest.windows(2).rposition(|w| w == [0xff, 0xd9])?;
+                    return Some(Self {
+                        sequential,
+                        data: at,
+                        end: at + end,
+                    });
+                }
+                _ => {}
+            }
+        }
+    }
 }
 
 /// The linear value of an sRGB-encoded one (IEC 61966-2-1).

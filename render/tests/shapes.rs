@@ -695,24 +695,24 @@ fn obj_lines_are_read_as_they_are_written() {
     for (line, message) in [
         (
             "v 0 0 0 1 1",
-            "m.obj:6: expected `v` with three numbers, alone or with a weight",
+            "m.obj:7: expected `v` with three numbers, alone or with a weight",
         ),
         (
             "v 0 0 0 0",
-            "m.obj:6: expected a weight other than zero, found `0`",
+            "m.obj:7: expected a weight other than zero, found `0`",
         ),
         (
             "v 0 0 1e39",
-            "m.obj:6: expected a finite number, found `1e39`",
+            "m.obj:7: expected a finite number, found `1e39`",
         ),
         (
             "vn nan 0 1",
-            "m.obj:6: expected a finite number, found `nan`",
+            "m.obj:7: expected a finite number, found `nan`",
         ),
-        ("vt 0.5", "m.obj:6: expected `vt` with two or three numbers"),
+        ("vt 0.5", "m.obj:7: expected `vt` with two or three numbers"),
         (
             "f 1 \\\n2 \\\n9",
-            "m.obj:6: expected the index of an earlier line, found `9`",
+            "m.obj:7: expected the index of an earlier line, found `9`",
         ),
     ] {
         let found = obj(&format!("{QUAD}# comment \\\n{line}\nf 1 2 3")).unwrap_err();
@@ -830,7 +830,7 @@ fn broken_meshes_name_the_line() {
         ("v 0 nan 0\nv 1 0 0\nv 0 1 0\nf 1 2 3".to_owned(), "m.obj:1"),
         (
             "v 0 1e39 0\nv 1 0 0\nv 0 1 0\nf 1 2 3".to_owned(),
-            "vertex 0",
+            "m.obj:1",
         ),
         (quad("f 1 2 5"), "m.obj:6"),
         (quad("f 1 2 0"), "m.obj:6"),

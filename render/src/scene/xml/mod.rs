@@ -49,7 +49,7 @@ const MAX_SUBSTITUTED: usize = 1 << 26;
 /// Most bytes of text in a scene file and all that it includes, counted once per use.
 const MAX_TEXT: usize = 1 << 28;
 /// Most files that are included, counted once per use: of files that each include another twice, few make many.
-const MAX_INCLUDES: usize = 1 << 12;
+const MAX_INCLUDES: usize = 1 << 17;
 /// Most attributes of an element: far more than any has.
 const MAX_ATTRIBUTES: usize = 64;
 /// Most declarations of namespaces, which mean nothing here.
