@@ -53,7 +53,7 @@ pub enum SceneError {
     },
 
     /// A mesh or image was read, but its content is not what was expected.
-    #[error("{}{}: expected {expected}, found {}", Name(path), Line(*line), Found(found))]
+    #[error("{}{}: expected {expected}, found {}", Name(path), Line(*line), Sentence(found))]
     Asset {
         /// The file.
         path: PathBuf,
@@ -67,9 +67,9 @@ pub enum SceneError {
 
     /// A parameter given in code (not by a file) is out of range.
     #[error(
-        "parameter `{}`: expected {expected}, found {}",
-        Short(key),
-        Found(found)
+        "parameter {}: expected {expected}, found {}",
+        quoted(key),
+        Sentence(found)
     )]
     Parameter {
         /// The key of the parameter, such as `red.reflectance.value`.
@@ -82,7 +82,7 @@ pub enum SceneError {
 
     /// The text does not have the structure of a scene file: not XML, an unknown or misplaced
     /// element, stray text.
-    #[error("{location}: expected {expected}, found {}", Found(found))]
+    #[error("{location}: expected {expected}, found {}", Sentence(found))]
     Syntax {
         /// The offending line.
         location: Location,
@@ -94,9 +94,9 @@ pub enum SceneError {
 
     /// The value of an attribute has the wrong type or is out of range.
     #[error(
-        "{location}: `{}`: expected {expected}, found {}",
-        Short(key),
-        Found(found)
+        "{location}: {}: expected {expected}, found {}",
+        quoted(key),
+        Sentence(found)
     )]
     Value {
         /// The line of the value.
@@ -111,9 +111,9 @@ pub enum SceneError {
 
     /// An attribute or child that a plugin needs is absent.
     #[error(
-        "{location}: {} has no `{}`: expected {expected}, found nothing",
-        Found(owner),
-        Short(key)
+        "{location}: {} has no {}: expected {expected}, found nothing",
+        Sentence(owner),
+        quoted(key)
     )]
     Missing {
         /// The line of the plugin.
@@ -129,8 +129,8 @@ pub enum SceneError {
     /// An attribute or child that the plugin never asked for.
     #[error(
         "{location}: unknown {} of {}; known: {}",
-        Found(what),
-        Found(owner),
+        Sentence(what),
+        Sentence(owner),
         List(known)
     )]
     Unknown {
@@ -145,12 +145,7 @@ pub enum SceneError {
     },
 
     /// No plugin has this name.
-    #[error(
-        "{location}: unknown {} `{}`; known: {}",
-        Short(tag),
-        Short(plugin),
-        List(known)
-    )]
+    #[error("{location}: unknown {tag} {}; known: {}", quoted(plugin), List(known))]
     UnknownPlugin {
         /// The line of the plugin.
         location: Location,
@@ -163,7 +158,7 @@ pub enum SceneError {
     },
 
     /// A name that must be unique is given twice.
-    #[error("{location}: {} is given twice, first at {first}", Found(what))]
+    #[error("{location}: {} is given twice, first at {first}", Sentence(what))]
     Duplicate {
         /// The second occurrence.
         location: Location,
@@ -174,7 +169,7 @@ pub enum SceneError {
     },
 
     /// `$name` without a `<default>` above it and without a value from outside.
-    #[error("{location}: `{}` is not defined; known: {}", Short(name), List(known))]
+    #[error("{location}: {} is not defined; known: {}", quoted(name), List(known))]
     UndefinedParameter {
         /// The line that uses the name.
         location: Location,
@@ -186,9 +181,9 @@ pub enum SceneError {
 
     /// A value from outside (`-D name=value`) that the scene does not use.
     #[error(
-        "{}: no parameter `{}` to define; known: {}",
+        "{}: no parameter {} to define; known: {}",
         Name(file),
-        Short(name),
+        quoted(name),
         List(known)
     )]
     UnusedDefine {
@@ -202,8 +197,8 @@ pub enum SceneError {
 
     /// `<ref>` to an id that no element has.
     #[error(
-        "{location}: no element has the id `{}`; known: {}",
-        Short(id),
+        "{location}: no element has the id {}; known: {}",
+        quoted(id),
         List(known)
     )]
     UnknownReference {
@@ -216,7 +211,7 @@ pub enum SceneError {
     },
 
     /// A reference or an include that leads back to itself.
-    #[error("{location}: {} contains itself", Found(what))]
+    #[error("{location}: {} contains itself", Sentence(what))]
     Cycle {
         /// The line that closes the cycle.
         location: Location,
@@ -264,21 +259,28 @@ impl fmt::Display for Line {
     }
 }
 
-/// A name, of which a message quotes no more than anybody reads.
-struct Short<'a>(&'a str);
+/// Most characters that a message quotes of a file or a command line: enough to find the place, little enough to read.
+const MOST_QUOTED: usize = 80;
+/// Most characters of a part of a message that quotes something and says what it is.
+const MOST_SAID: usize = 3 * MOST_QUOTED;
+/// Most characters of the name of a file.
+const MOST_OF_A_PATH: usize = 1024;
+/// Most names of a list.
+const MOST_NAMES: usize = 40;
 
-impl fmt::Display for Short<'_> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        shortened(f, self.0, 80)
+/// The start of `text`, and whether something is missing.
+fn cut(text: &str, most: usize) -> (&str, bool) {
+    match text.char_indices().nth(most) {
+        Some((end, _)) => (&text[..end], true),
+        None => (text, false),
     }
 }
 
-/// What was found, in words; names in it may be long.
-struct Found<'a>(&'a str);
-
-impl fmt::Display for Found<'_> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        shortened(f, self.0, 160)
+/// `text` in backquotes, shortened so that a message stays readable.
+pub(crate) fn quoted(text: &str) -> String {
+    match cut(text, MOST_QUOTED) {
+        (start, true) => format!("`{start}...`"),
+        (all, false) => format!("`{all}`"),
     }
 }
 
@@ -287,15 +289,21 @@ struct Name<'a>(&'a Path);
 
 impl fmt::Display for Name<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        shortened(f, &self.0.to_string_lossy(), 1024)
+        let name = self.0.to_string_lossy();
+        let (start, shortened) = cut(&name, MOST_OF_A_PATH);
+        f.write_str(start)?;
+        f.write_str(if shortened { "..." } else { "" })
     }
 }
 
-/// The start of a text, and how long it is, where it is longer than this.
-fn shortened(f: &mut fmt::Formatter<'_>, text: &str, longest: usize) -> fmt::Result {
-    match text.char_indices().nth(longest) {
-        Some((end, _)) => write!(f, "{}... ({} bytes)", &text[..end], text.len()),
-        None => f.write_str(text),
+/// A part of a message, shortened in case that it quotes at length.
+struct Sentence<'a>(&'a str);
+
+impl fmt::Display for Sentence<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (start, shortened) = cut(self.0, MOST_SAID);
+        f.write_str(start)?;
+        f.write_str(if shortened { "..." } else { "" })
     }
 }
 
@@ -307,14 +315,18 @@ impl fmt::Display for List<'_> {
         if self.0.is_empty() {
             return f.write_str("(none)");
         }
-        const MOST: usize = 64;
-        for (i, name) in self.0.iter().take(MOST).enumerate() {
-            let comma = if i == 0 { "" } else { ", " };
-            write!(f, "{comma}{}", Short(name))?;
+        for (i, name) in self.0.iter().take(MOST_NAMES).enumerate() {
+            let (start, shortened) = cut(name, MOST_QUOTED);
+            let separator = if i == 0 { "" } else { ", " };
+            write!(
+                f,
+                "{separator}{start}{}",
+                if shortened { "..." } else { "" }
+            )?;
         }
-        match self.0.len().saturating_sub(MOST) {
+        match self.0.len().saturating_sub(MOST_NAMES) {
             0 => Ok(()),
-            more => write!(f, ", and {more} more"),
+            more => write!(f, " and {more} more"),
         }
     }
 }
@@ -325,8 +337,8 @@ impl fmt::Display for List<'_> {
 pub enum RenderError {
     /// No parameter has this name.
     #[error(
-        "no parameter `{}`; closest: {}; `--list` prints all",
-        Short(name),
+        "no parameter {}; closest: {}; `--list` prints all",
+        quoted(name),
         List(closest)
     )]
     UnknownParameter {
@@ -377,7 +389,7 @@ pub enum RenderError {
     },
 
     /// A parameter outside its valid range.
-    #[error("parameter `{}`[{index}]: expected a value in [{}, {}], found {found}", Short(name), valid.0, valid.1)]
+    #[error("parameter {}[{index}]: expected a value in [{}, {}], found {found}", quoted(name), valid.0, valid.1)]
     ParameterOutOfRange {
         /// Its name.
         name: String,
@@ -391,16 +403,16 @@ pub enum RenderError {
 
     /// The sampled direction is a Dirac delta in the parameter.
     #[error(
-        "parameter `{}` moves a Dirac delta: detached sampling has no derivative there (it would \
+        "parameter {} moves a Dirac delta: detached sampling has no derivative there (it would \
          silently be zero); use an attached estimator",
-        Short(name)
+        quoted(name)
     )]
     DeltaParameter {
         /// Its name.
         name: String,
     },
     /// A name that no estimator has.
-    #[error("unknown estimator `{}`; known: {known}", Short(name))]
+    #[error("unknown estimator {}; known: {known}", quoted(name))]
     UnknownEstimator {
         /// The name.
         name: String,
@@ -461,38 +473,49 @@ mod tests {
     use super::*;
 
     #[test]
-    fn messages_stay_short() {
-        let long = "\u{e9}".repeat(1 << 20);
-        let location = Location::new(Path::new("a.xml"), 3);
-        let errors = [
-            SceneError::UnknownReference {
-                location: location.clone(),
-                id: long.clone(),
-                known: vec!["\u{e9}".repeat(1000); 5000],
-            },
-            SceneError::Value {
-                location,
-                key: long.clone(),
+    fn quoting_shortens_at_a_character_boundary() {
+        assert_eq!(quoted("ab"), "`ab`");
+        let long = quoted(&"é".repeat(100));
+        assert_eq!(long.chars().filter(|&c| c == 'é').count(), MOST_QUOTED);
+    }
+
+    #[test]
+    fn messages_stay_readable() {
+        let long = "x".repeat(1 << 20);
+        let location = || Location::new(Path::new("a.xml"), 3);
+        let all = [
+            SceneError::Asset {
+                path: "a.obj".into(),
+                line: Some(2),
                 expected: "a number".into(),
                 found: long.clone(),
             },
-            SceneError::Io {
-                path: long.clone().into(),
-                source: std::io::ErrorKind::InvalidFilename.into(),
+            SceneError::UnknownReference {
+                location: location(),
+                id: long.clone(),
+                known: vec![long.clone(); 1000],
+            },
+            SceneError::Unknown {
+                location: location(),
+                what: long.clone(),
+                owner: long.clone(),
+                known: Vec::new(),
+            },
+            SceneError::Value {
+                location: location(),
+                key: long.clone(),
+                expected: "a number".into(),
+                found: long,
             },
         ];
-        for error in errors {
-            let text = error.to_string();
-            assert!(text.chars().count() < 8000, "{}", text.len());
+        for error in all {
+            let message = error.to_string();
+            assert!(
+                message.len() < 5000 && message.starts_with("a."),
+                "{message}"
+            );
         }
-        let error = RenderError::UnknownEstimator {
-            name: long,
-            known: "mis".into(),
-        };
-        let start = "\u{e9}".repeat(80);
-        assert_eq!(
-            error.to_string(),
-            format!("unknown estimator `{start}... (2097152 bytes)`; known: mis")
-        );
+        let names: Vec<String> = (0..50).map(|i| i.to_string()).collect();
+        assert!(List(&names).to_string().ends_with("38, 39 and 10 more"));
     }
 }

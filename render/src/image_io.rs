@@ -1,7 +1,7 @@
 //! Image files: reading textures and references, writing results.
 //!
 //! Files are recognised by their content, not their name. Reading never panics and never allocates
-//! more than the limits below, whatever the bytes. Writing is atomic: the file appears complete
+//! more than follows from the limits below, whatever the bytes: they are checked before anything is decoded. Writing is atomic: the file appears complete
 //! under its name, or not at all.
 //!
 //! ```
@@ -18,23 +18,28 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
-use std::fs::{self, File};
-use std::io::{Cursor, Read};
+use std::io::Cursor;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 
 use exr::prelude as exr;
 use exr::{ReadChannels, ReadLayers, WritableImage};
+use zune_jpeg::zune_core::bytestream::ZCursor;
+use zune_jpeg::zune_core::colorspace::ColorSpace;
+use zune_jpeg::zune_core::options::DecoderOptions;
 
 use crate::error::SceneError;
+use crate::files;
 use crate::film::Image;
-use crate::inputs;
 
-pub use crate::file::{require_regular, target, try_to_write, write_atomically};
+pub use crate::files::{require_regular, target, try_to_write, write_atomically};
 
 /// Largest number of rows and of columns.
 pub const MAX_SIDE: usize = 1 << 16;
-/// Largest number of samples (pixels times channels) that a file may hold, in all of its layers.
+/// Largest number of pixels that an image read may have, such as 8192 x 8192 or 11 585 x 5792: as three numbers in
+/// single precision each they take 800 megabytes.
+pub const MAX_PIXELS: usize = 1 << 26;
+/// Largest number of samples (pixels times channels) that an OpenEXR file may hold, in all of its layers.
 pub const MAX_SAMPLES: usize = 1 << 28;
 /// Largest size of a file in bytes.
 const MAX_BYTES: u64 = 1 << 31;
@@ -59,6 +64,16 @@ pub enum Encoding {
     Srgb,
     /// Numbers in [0, 1] that are no colours: value over largest value.
     Raw,
+}
+
+impl Encoding {
+    /// The value of a sample in [0, 1].
+    fn decode(self, x: f64) -> f32 {
+        match self {
+            Self::Srgb => srgb_to_linear(x) as f32,
+            Self::Raw => x as f32,
+        }
+    }
 }
 
 impl Pixels {
@@ -107,10 +122,10 @@ impl From<Pixels> for Image {
 /// its first layer that has them, with or without the layer's name in front; or else `Y`.
 ///
 /// # Errors
-/// The file cannot be read or is no such image, is cut off or damaged, exceeds [`MAX_SIDE`] or
+/// The file cannot be read or is no such image, is cut off or damaged, exceeds [`MAX_SIDE`], [`MAX_PIXELS`] or
 /// [`MAX_SAMPLES`], or has a pixel that is not finite.
 pub fn read(path: &Path, encoding: Encoding) -> Result<Pixels, SceneError> {
-    let bytes = read_bytes(path)?;
+    let bytes = files::read(path, MAX_BYTES)?;
     // The decoders promise errors, not panics, but they are large and their input is anybody's. They run
     // on this thread only, so that a panic can be turned into the error it should have been.
     let decoded = catch_unwind(AssertUnwindSafe(|| {
@@ -171,33 +186,13 @@ fn asset(path: &Path, expected: impl Into<String>, found: impl Into<String>) -> 
     }
 }
 
-fn read_bytes(path: &Path) -> Result<Vec<u8>, SceneError> {
-    let io = |source| SceneError::Io {
-        path: path.to_owned(),
-        source,
-    };
-    require_regular(path)?;
-    let info = fs::metadata(path).map_err(io)?;
-    if info.is_file() && info.len() > MAX_BYTES {
-        let found = format!("{} bytes", info.len());
-        return Err(asset(path, format!("at most {MAX_BYTES} bytes"), found));
-    }
-    if !info.is_file() {
-        return Err(asset(path, "an image file", "something else"));
-    }
-    let mut bytes = Vec::new();
-    let file = File::open(path).map_err(io)?;
-    file.take(MAX_BYTES).read_to_end(&mut bytes).map_err(io)?;
-    inputs::note(path);
-    Ok(bytes)
-}
-
 fn check_size(width: usize, height: usize) -> Result<(), Mismatch> {
     let sides = 1..=MAX_SIDE;
-    if sides.contains(&width) && sides.contains(&height) {
-        return Ok(());
-    }
-    let expected = format!("from 1 to {MAX_SIDE} rows and columns");
+    let expected = match sides.contains(&width) && sides.contains(&height) {
+        true if width * height <= MAX_PIXELS => return Ok(()),
+        true => format!("at most {MAX_PIXELS} pixels"),
+        false => format!("from 1 to {MAX_SIDE} rows and columns"),
+    };
     Err(mismatch(expected, format!("{width} x {height}")))
 }
 
@@ -205,7 +200,7 @@ fn check_samples(samples: usize) -> Result<(), Mismatch> {
     if samples <= MAX_SAMPLES {
         return Ok(());
     }
-    let expected = format!("at most {MAX_SAMPLES} samples");
+    let expected = format!("at most {MAX_SAMPLES} samples in all layers");
     Err(mismatch(expected, samples))
 }
 
@@ -224,7 +219,6 @@ fn decode_exr(bytes: &[u8]) -> Result<Pixels, Mismatch> {
                 ));
             }
         }
-        // At most 2^32 times a byte-sized count per header: no overflow.
         let pixels = (width * height).saturating_mul(header.channels.list.len());
         samples = samples.saturating_add(pixels);
     }
@@ -293,41 +287,31 @@ fn decode_8_or_16_bit(bytes: &[u8], encoding: Encoding) -> Result<Pixels, Mismat
         };
         return Err(mismatch(formats, found));
     };
-    // The decoder fills in what is missing at the end of a JPEG.
-    if format == image::ImageFormat::Jpeg && !jpeg_is_complete(bytes) {
-        return Err(mismatch("a complete JPEG image", "the end cut off"));
+    if format == image::ImageFormat::Jpeg {
+        return decode_jpeg(bytes, encoding);
     }
     let mut limits = image::Limits::default();
     limits.max_image_width = Some(MAX_SIDE as u32);
     limits.max_image_height = Some(MAX_SIDE as u32);
-    limits.max_alloc = Some(4 * MAX_SAMPLES as u64);
+    limits.max_alloc = Some(16 * MAX_PIXELS as u64);
     reader.limits(limits);
-    let decoded = reader.decode();
-    let image = decoded.map_err(|e| mismatch(format!("a complete {format:?} image"), e))?;
-    let (width, height) = (image.width() as usize, image.height() as usize);
-    let channels = if image.color().has_color() { 3 } else { 1 };
+    let damaged = |e| mismatch(format!("a complete {format:?} image"), e);
+    let decoder = reader.into_decoder().map_err(damaged)?;
+    let (width, height) = image::ImageDecoder::dimensions(&decoder);
+    let (width, height) = (width as usize, height as usize);
     check_size(width, height)?;
-    check_samples(width * height * channels)?;
-    let decode = |x: f64| match encoding {
-        Encoding::Srgb => srgb_to_linear(x) as f32,
-        Encoding::Raw => x as f32,
-    };
+    let image = image::DynamicImage::from_decoder(decoder).map_err(damaged)?;
+    let channels = if image.color().has_color() { 3 } else { 1 };
     let bytes_per_channel = image.color().bytes_per_pixel() / image.color().channel_count();
     let data = match (bytes_per_channel, channels) {
-        (1, _) => {
-            let table: Vec<f32> = (0..256).map(|i| decode(f64::from(i) / 255.0)).collect();
-            let values = match channels {
-                1 => image.into_luma8().into_raw(),
-                _ => image.into_rgb8().into_raw(),
-            };
-            values.iter().map(|&v| table[usize::from(v)]).collect()
-        }
+        (1, 1) => bytes_to_values(&image.into_luma8(), encoding),
+        (1, _) => bytes_to_values(&image.into_rgb8(), encoding),
         _ => {
             let values = match channels {
                 1 => image.into_luma16().into_raw(),
                 _ => image.into_rgb16().into_raw(),
             };
-            let unit = |&v: &u16| decode(f64::from(v) / 65535.0);
+            let unit = |&v: &u16| encoding.decode(f64::from(v) / 65535.0);
             values.iter().map(unit).collect()
         }
     };
@@ -339,11 +323,112 @@ fn decode_8_or_16_bit(bytes: &[u8], encoding: Encoding) -> Result<Pixels, Mismat
     })
 }
 
-/// Whether the last scan has an end: inside a scan the byte ff is always followed by 00 or a restart
-/// marker, so that the end marker cannot occur by chance.
-fn jpeg_is_complete(bytes: &[u8]) -> bool {
-    let last = |marker: u8| bytes.windows(2).rposition(|w| *w == [0xff, marker]);
-    last(0xd9) > last(0xda)
+fn bytes_to_values(bytes: &[u8], encoding: Encoding) -> Vec<f32> {
+    let table: Vec<f32> = (0..256)
+        .map(|i| encoding.decode(f64::from(i) / 255.0))
+        .collect();
+    bytes.iter().map(|&v| table[usize::from(v)]).collect()
+}
+
+/// By the decoder that `image` uses, but strictly: otherwise it fills in what is missing.
+fn decode_jpeg(bytes: &[u8], encoding: Encoding) -> Result<Pixels, Mismatch> {
+    const EXPECTED: &str = "a complete Jpeg image";
+    let damaged = |e: zune_jpeg::errors::DecodeErrors| mismatch(EXPECTED, format!("{e:?}"));
+    let options = DecoderOptions::default()
+        .set_strict_mode(true)
+        .set_max_width(MAX_SIDE)
+        .set_max_height(MAX_SIDE);
+    let mut decoder = zune_jpeg::JpegDecoder::new_with_options(ZCursor::new(bytes), options);
+    decoder.decode_headers().map_err(damaged)?;
+    let missing = || mismatch(EXPECTED, "no size");
+    let (width, height) = decoder.dimensions().ok_or_else(missing)?;
+    check_size(width, height)?;
+    let cut_off = || {
+        let found = format!(
+            "the end cut off: {} bytes for {width} x {height}",
+            bytes.len()
+        );
+        mismatch(EXPECTED, found)
+    };
+    let scan = JpegScan::find(bytes).ok_or_else(cut_off)?;
+    // There is a bit at least for each block of the finest component.
+    if width.div_ceil(8) * height.div_ceil(8) > 8 * (scan.end - scan.data) {
+        return Err(cut_off());
+    }
+    // Behind an end mark the decoder goes on with zeros, where it meets the end of the file it does not. It reads a few
+    // bytes ahead. In progressive files the mark must stay.
+    let padded = [&bytes[..scan.end], &[0; 16]].concat();
+    let mut decoder = match scan.sequential {
+        true => zune_jpeg::JpegDecoder::new_with_options(ZCursor::new(&padded[..]), options),
+        false => decoder,
+    };
+    decoder.decode_headers().map_err(damaged)?;
+    let (space, channels) = match decoder.input_colorspace() {
+        Some(ColorSpace::Luma) => (ColorSpace::Luma, 1),
+        _ => (ColorSpace::RGB, 3),
+    };
+    decoder.set_options(options.jpeg_set_out_colorspace(space));
+    let values = decoder.decode().map_err(damaged)?;
+    if values.len() != width * height * channels {
+        return Err(mismatch(EXPECTED, format!("{} values", values.len())));
+    }
+    Ok(Pixels {
+        width,
+        height,
+        channels,
+        data: bytes_to_values(&values, encoding),
+    })
+}
+
+/// Where a JPEG file keeps its data.
+struct JpegScan {
+    /// Whether every coefficient is coded at once.
+    sequential: bool,
+    /// Where the first scan's data starts.
+    data: usize,
+    /// Where the mark of the end stands.
+    end: usize,
+}
+
+impl JpegScan {
+    /// `None` where there is no scan, or no end.
+    fn find(bytes: &[u8]) -> Option<Self> {
+        let (mut at, mut sequential) = (2, false);
+        loop {
+            let marker = match (bytes.get(at)?, bytes.get(at + 1)?) {
+                (0xff, &marker @ 1..=0xfe) => marker,
+                // Fill bytes.
+                _ => {
+                    at += 1;
+                    continue;
+                }
+            };
+            let length = match marker {
+                // These stand alone.
+                0x01 | 0xd0..=0xd8 => 0,
+                _ => usize::from(u16::from_be_bytes([
+                    *bytes.get(at + 2)?,
+                    *bytes.get(at + 3)?,
+                ])),
+            };
+            at += 2 + length;
+            match marker {
+                0xc0 | 0xc1 => sequential = true,
+                // Inside a scan the byte ff is always followed by 00 or a restart marker, so that the end marker
+                // cannot occur by chance.
+                0xda => {
+                    let rest = bytes.get(at..)?;
+                    let end = rest.windows(2).rposition(|w| w == [0xff, 0xd9])?;
+                    return Some(Self {
+                        sequential,
+                        data: at,
+                        end: at + end,
+                    });
+                }
+                _ => {}
+            }
+        }
+    }
 }
 
 /// The linear value of an sRGB-encoded one (IEC 61966-2-1).

@@ -59,7 +59,7 @@ mod dispatch;
 pub mod emitter;
 pub mod error;
 pub mod estimator;
-mod file;
+pub mod files;
 pub mod film;
 pub mod finite_element;
 pub mod guide;

@@ -101,6 +101,8 @@ impl ParamInfo {
 pub struct Params {
     infos: Vec<ParamInfo>,
     by_name: HashMap<String, u32>,
+    /// The last suffix that made a name unique.
+    suffixes: HashMap<String, u32>,
     values: Vec<f32>,
 }
 
@@ -116,10 +118,13 @@ impl Params {
     ) -> ParamRef {
         debug_assert_eq!(shape.len(), values.len());
         let mut unique = name.to_owned();
-        let mut n = 0;
-        while self.by_name.contains_key(&unique) {
-            n += 1;
-            unique = format!("{name}_{n}");
+        if self.by_name.contains_key(name) {
+            // All suffixes up to the last one are taken.
+            let last = self.suffixes.entry(name.to_owned()).or_default();
+            while self.by_name.contains_key(&unique) {
+                *last += 1;
+                unique = format!("{name}_{last}");
+            }
         }
         let id = self.infos.len() as u32;
         let offset = self.values.len();

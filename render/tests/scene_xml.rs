@@ -715,7 +715,7 @@ fn errors_of_files_name_the_file() {
             "latin.xml:2: expected text in UTF-8, found the byte 0xe9",
         ),
         ("absent.xml", "absent.xml: cannot read the file: "),
-        ("parts", "parts: cannot read the file: "),
+        ("parts", "parts: expected a regular file, found a directory"),
     ];
     for (file, expected) in cases {
         let error = Document::load(&dir.path().join(file), &[])
@@ -852,4 +852,139 @@ fn the_cornell_box_of_fragments_resolves() {
     close(camera.point([0.0, 0.0, 1.0]), [278.0, 273.0, -799.0]);
     let film = sensor.child_with_tag("film").unwrap().unwrap();
     assert_eq!(film.integer("width").unwrap(), Some(64));
+}
+
+/// Each of these took minutes when something was compared with all that came before it.
+#[test]
+fn long_files_load_in_time() {
+    let n = 100_000;
+    let many = |line: &dyn Fn(usize) -> String| (0..n).map(line).collect::<String>();
+    let defaults = many(&|i| format!("<default name=\"n{i}\" value=\"$n{}\"/>\n", i - i.min(1)));
+    let document = load_with(&defaults, &[("n0", "1")]);
+    assert!(document.is_ok());
+    let comments = "<!-- x -->".repeat(n);
+    let bodies = many(&|i| format!("<bsdf type=\"diffuse\" id=\"b{i}\"/>\n"));
+    let text = format!("{comments}<scene version=\"3.0.0\">{bodies}</scene>");
+    Document::from_str(&text, Path::new("."), &[]).unwrap();
+    let attributes = many(&|i| format!(" a{i}=\"x\""));
+    assert!(
+        message(&format!("<bsdf type=\"diffuse\" {attributes}/>"))
+            .ends_with("expected at most 64 attributes of an element, found more")
+    );
+    let namespaces = many(&|i| format!("<bsdf xmlns:n{i}=\"x{i}\">"));
+    assert!(message(&namespaces).ends_with("expected at most 64 namespaces, found more"));
+}
+
+#[test]
+fn the_longest_known_name_is_substituted() {
+    let defines = [
+        ("a", "1"),
+        ("ab", "2"),
+        ("a-b", "3"),
+        ("é", "4"),
+        ("é-", "5"),
+        ("a-b-c", "6"),
+    ];
+    for (text, expected) in [
+        ("$a", "1"),
+        ("$ab", "2"),
+        ("$a-b", "3"),
+        ("$a-bc", "1-bc"),
+        ("$a-b-", "3-"),
+        ("$a-b-cd", "3-cd"),
+        ("$é", "4"),
+        ("$é-x", "4-x"),
+        ("$é- $a", "5 1"),
+    ] {
+        let declared: String = (defines.iter())
+            .map(|(name, value)| format!("<default name=\"{name}\" value=\"{value}\"/>"))
+            .collect();
+        let body =
+            format!("{declared}<bsdf type=\"test\"><string name=\"s\" value=\"{text}\"/></bsdf>");
+        let document = load(&body);
+        assert_eq!(
+            bsdf(&document).string("s").unwrap(),
+            Some(expected),
+            "{text}"
+        );
+    }
+}
+
+#[test]
+fn includes_that_double_are_limited() {
+    let twice = |i: usize| {
+        format!(
+            "<scene version=\"3.0.0\">{0}{0}</scene>",
+            format!("<include filename=\"f{i}.xml\"/>")
+        )
+    };
+    let texts: Vec<(String, String)> = (0..24)
+        .map(|i| {
+            (
+                format!("f{i}.xml"),
+                if i < 23 { twice(i + 1) } else { scene("") },
+            )
+        })
+        .collect();
+    let files: Vec<(&str, &str)> = texts
+        .iter()
+        .map(|(n, t)| (n.as_str(), t.as_str()))
+        .collect();
+    let dir = folder(&files);
+    let error = Document::load(&dir.path().join("f0.xml"), &[])
+        .unwrap_err()
+        .to_string();
+    assert!(
+        error.ends_with("expected at most 131072 included files, found more"),
+        "{error}"
+    );
+}
+
+#[cfg(unix)]
+#[test]
+fn devices_and_pipes_are_refused_by_name() {
+    let dir = folder(&[("a.xml", &include("pipe.xml"))]);
+    let pipe = dir.path().join("pipe.xml");
+    let made = std::process::Command::new("mkfifo").arg(&pipe).status();
+    assert!(made.is_ok_and(|status| status.success()));
+    let error = |path: &Path| Document::load(path, &[]).unwrap_err().to_string();
+    let found = error(Path::new("/dev/zero"));
+    assert_eq!(found, "/dev/zero: expected a regular file, found a device");
+    for path in [pipe, dir.path().join("a.xml")] {
+        let found = error(&path);
+        assert!(
+            found.ends_with("pipe.xml: expected a regular file, found a pipe"),
+            "{found}"
+        );
+    }
+    let found = error(dir.path());
+    assert!(
+        found.ends_with("expected a regular file, found a directory"),
+        "{found}"
+    );
+}
+
+#[test]
+fn messages_quote_little_of_what_is_long() {
+    let long = "x".repeat(1 << 20);
+    for body in [
+        format!("<float name=\"a\" value=\"{long}\"/>"),
+        format!("<{long}/>"),
+        format!("<bsdf type=\"diffuse\" {long}=\"1\"/>"),
+        format!("<shape type=\"sphere\"><ref id=\"{long}\"/></shape>"),
+        format!("<float name=\"a\" value=\"${long}\"/>"),
+        format!("<include filename=\"{long}\"/>"),
+        format!("<bsdf type=\"a\" id=\"{long}\"/><bsdf type=\"a\" id=\"{long}\"/>"),
+        format!("&{long};"),
+        format!("<a></{long}>"),
+        long.clone(),
+    ] {
+        let found = try_load(&body).map(|_| ()).unwrap_err().to_string();
+        assert!(
+            found.len() < 1000,
+            "{} bytes: {}",
+            found.len(),
+            &found[..500]
+        );
+    }
 }

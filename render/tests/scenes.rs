@@ -430,3 +430,61 @@ fn shapes_out_of_reach_are_errors() {
         "parameter `big`: expected finite coordinates of magnitude at most 1e12, found 1e30";
     assert_eq!(error, expected);
 }
+
+const SENSOR: &str = r#"<sensor type="perspective"><float name="fov" value="40"/><film type="hdrfilm">
+    <integer name="width" value="8"/><integer name="height" value="8"/></film></sensor>"#;
+
+fn load_text(body: &str) -> (Scene, Vec<String>) {
+    let text = format!("<scene version=\"3.0.0\">{SENSOR}{body}</scene>");
+    Scene::from_xml(&text, Path::new("."), &LoadOptions::default()).unwrap()
+}
+
+/// Each of these took minutes: names made unique by counting from one, materials looked for among all others.
+#[test]
+fn scenes_of_many_parts_load_in_time() {
+    let n = 100_000;
+    let point = "<emitter type=\"point\"><point name=\"position\" value=\"0 0 1\"/></emitter>";
+    let (scene, _) = load_text(&point.repeat(n));
+    let names = scene.params().infos();
+    assert_eq!(names.len(), n);
+    assert!(names[n - 1].name.ends_with(&format!("_{}", n - 1)));
+    let ball = "<shape type=\"sphere\"><bsdf type=\"diffuse\"/></shape>";
+    load_text(&ball.repeat(n));
+}
+
+/// Tables of rough coats are made where they are used.
+#[test]
+fn many_rough_plastics_load_in_time() {
+    let balls: String = (0..20_000)
+        .map(|i| {
+            let index = 1.2 + 0.00003 * f64::from(i);
+            format!(
+                "<shape type=\"sphere\"><bsdf type=\"roughplastic\"><float name=\"int_ior\" \
+                 value=\"{index}\"/></bsdf></shape>"
+            )
+        })
+        .collect();
+    load_text(&balls);
+}
+
+/// Where single precision cannot resolve a shape, it says so.
+#[test]
+fn shapes_too_small_for_their_coordinates_are_warned_of() {
+    let ball = |x: f64, id: &str| {
+        format!(
+            "<shape type=\"sphere\" id=\"{id}\"><point name=\"center\" value=\"{x} 0 0\"/></shape>"
+        )
+    };
+    for x in [0.0, 100.0, 1e4] {
+        assert!(load_text(&ball(x, "a")).1.is_empty(), "{x}");
+    }
+    let (_, warnings) = load_text(&(ball(1e5, "near") + &ball(1e6, "far") + &ball(0.0, "here")));
+    let [warning] = &warnings[..] else {
+        panic!("{warnings:?}")
+    };
+    assert!(
+        warning.contains("`far` about 3.5e0 large is too small for coordinates of 1.0e6")
+            && warning.contains("so it is with 1 more shapes"),
+        "{warning}"
+    );
+}

@@ -675,6 +675,62 @@ fn obj_polygons_become_fans() {
     assert_eq!(mesh.data().positions.len(), 4, "groups share vertices");
 }
 
+/// What other programs write: marks, comments, colours, continued lines, line ends of any kind.
+#[test]
+fn obj_lines_are_read_as_they_are_written() {
+    let plain = obj("v -1 -1 0\nv 1 -1 0\nv 1 1 0\nv -1 1 0\nf 1 2 3 4\n").unwrap();
+    for text in [
+        "\u{feff}v -1 -1 0\nv 1 -1 0\nv 1 1 0\nv -1 1 0\nf 1 2 3 4",
+        "v -1 -1 0\nv 1 -1 0#\nv 1 1 0 # corner 3 \\\nv -1 1 0\nf 1 2 3 4# nan\n",
+        "v -1 -1 0\nv 1 -1 0\nv 1 1 0\nv -1 1 0\nf 1 2 \\\n3 4\n",
+        "v -1 -1 0\r\nv 1 \\ \r\n-1 \\\r\n0\r\nv 1 1 0\r\nv -1 1 0\r\nf 1 2 3 4\\",
+        "v -1 -1 0\rv 1 -1 0\rv 1 1 0\rv -1 1 0\rf 1 2 3 4",
+        "v -1 -1 0\nv 1 -1 0\nv 1 1 0 1 0 0\nv -1 1 0\nf 1 2 3 4\n",
+        "v -1 -1 0\nv 2 -2 0 2\nv 1 1 0\nv -1 1 0 1 0 0.5\nf 1 2 3 4\n",
+    ] {
+        let mesh = obj(text).unwrap_or_else(|e| panic!("{text}: {e}"));
+        assert_eq!(mesh.data().positions, plain.data().positions, "{text}");
+        assert_eq!(mesh.data().triangles, plain.data().triangles, "{text}");
+    }
+    for (line, message) in [
+        (
+            "v 0 0 0 1 1",
+            "m.obj:7: expected `v` with three numbers, alone or with a weight",
+        ),
+        (
+            "v 0 0 0 0",
+            "m.obj:7: expected a weight other than zero, found `0`",
+        ),
+        (
+            "v 0 0 1e39",
+            "m.obj:7: expected a finite number, found `1e39`",
+        ),
+        (
+            "vn nan 0 1",
+            "m.obj:7: expected a finite number, found `nan`",
+        ),
+        ("vt 0.5", "m.obj:7: expected `vt` with two or three numbers"),
+        (
+            "f 1 \\\n2 \\\n9",
+            "m.obj:7: expected the index of an earlier line, found `9`",
+        ),
+    ] {
+        let found = obj(&format!("{QUAD}# comment \\\n{line}\nf 1 2 3")).unwrap_err();
+        assert!(found.to_string().starts_with(message), "{found}");
+    }
+    let long = obj(&format!("{QUAD}f 1 2 {}", "x".repeat(1 << 20))).unwrap_err();
+    assert!(long.to_string().len() < 300, "{long}");
+}
+
+#[test]
+fn devices_are_no_obj_files() {
+    if cfg!(unix) {
+        let found = Mesh::from_obj(Path::new("/dev/zero"), &ObjOptions::default()).unwrap_err();
+        let found = found.to_string();
+        assert_eq!(found, "/dev/zero: expected a regular file, found a device");
+    }
+}
+
 #[test]
 fn obj_normals_and_coordinates_are_those_of_the_peer() {
     let text = format!(
@@ -774,7 +830,7 @@ fn broken_meshes_name_the_line() {
         ("v 0 nan 0\nv 1 0 0\nv 0 1 0\nf 1 2 3".to_owned(), "m.obj:1"),
         (
             "v 0 1e39 0\nv 1 0 0\nv 0 1 0\nf 1 2 3".to_owned(),
-            "vertex 0",
+            "m.obj:1",
         ),
         (quad("f 1 2 5"), "m.obj:6"),
         (quad("f 1 2 0"), "m.obj:6"),

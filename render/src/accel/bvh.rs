@@ -1,27 +1,23 @@
-//! Eight-wide hierarchy: built by `obvhs` as a binary one, widened and traversed here.
+//! Eight-wide hierarchy: built as a binary one (`cluster`), widened and traversed here.
 //!
 //! Its planes are single precision numbers, not compressed ones: unpacking took a third of a node's test. A leaf is a
 //! packet of up to eight flat primitives, tested in the time of one, or a curved one. The slabs are wider than
 //! the rounding of any primitive test, so that a hit never depends on the shape of the tree.
 
+use super::cluster::hierarchy;
 use super::curved::{Curved, Line};
 use super::packet::{Flat, LANES, RayLanes};
 use super::{Best, Item, Ray, Shape, Tag};
 use crate::math::each;
 use crate::prefetch::prefetch;
+use obvhs::bvh2::Bvh2;
 use obvhs::bvh2::node::Bvh2Node;
-use obvhs::bvh2::{Bvh2, reinsertion::ReinsertionOptimizer};
-use obvhs::ploc::PlocBuilder;
-use obvhs::{Boundable, BvhBuildParams, aabb::Aabb};
+use obvhs::{Boundable, aabb::Aabb};
 use smallvec::SmallVec;
-use std::collections::HashMap;
 use wide::f32x8;
 
 /// Children of a node.
 pub(super) const WIDTH: usize = 8;
-
-/// Clustering can chain coinciding primitives into a list; such hierarchies are built again, balanced.
-const MAX_BINARY_DEPTH: usize = 500;
 
 /// Widening of the slabs, relative to the farthest point of the scene; must exceed the seam of
 /// the flat test.
@@ -124,12 +120,7 @@ impl Tree {
     /// `None` if there are too many leaves.
     pub(super) fn new(items: &[Item]) -> Option<Tree> {
         let boxes: Vec<Aabb> = items.iter().map(Item::aabb).collect();
-        let clustered = if crowded(&boxes) {
-            None
-        } else {
-            clustered(&boxes)
-        };
-        let binary = clustered.unwrap_or_else(|| balanced(&boxes));
+        let binary = hierarchy(&boxes);
         let all = boxes.iter().fold(Aabb::empty(), |sum, b| sum.union(b));
         let mut tree = Tree {
             nodes: Vec::new(),
@@ -415,87 +406,6 @@ impl<'a> Binary<'a> {
             }
         }
         found
-    }
-}
-
-/// Whether a good part of the boxes coincides, on which clustering takes quadratic time. Looks at a
-/// sample: fewer are harmless.
-fn crowded(boxes: &[Aabb]) -> bool {
-    const SAMPLE: usize = 1024;
-    let mut counts = HashMap::new();
-    boxes.len() > SAMPLE
-        && boxes.iter().step_by(boxes.len() / SAMPLE).any(|b| {
-            let key = [b.min, b.max].map(|p| p.to_array().map(f32::to_bits));
-            let count = counts.entry(key).or_insert(0);
-            *count += 1;
-            *count > SAMPLE / 32
-        })
-}
-
-/// The better hierarchy, unless it is a list.
-fn clustered(boxes: &[Aabb]) -> Option<Bvh2> {
-    let params = BvhBuildParams::medium_build();
-    let mut binary = PlocBuilder::with_capacity(boxes.len()).build(
-        params.ploc_search_distance,
-        boxes,
-        (0..boxes.len() as u32).collect(),
-        params.sort_precision,
-        params.search_depth_threshold,
-    );
-    if levels(&binary) > MAX_BINARY_DEPTH {
-        return None;
-    }
-    ReinsertionOptimizer::default().run(&mut binary, params.reinsertion_batch_ratio, None);
-    (levels(&binary) <= MAX_BINARY_DEPTH).then_some(binary)
-}
-
-/// Number of levels of a binary hierarchy.
-fn levels(tree: &Bvh2) -> usize {
-    let mut deepest = 0;
-    let mut open = vec![(0, 1)];
-    while let Some((at, level)) = open.pop() {
-        let Some(node) = tree.nodes.get(at) else {
-            continue;
-        };
-        deepest = deepest.max(level);
-        if !node.is_leaf() {
-            let first = node.first_index as usize;
-            open.extend([(first, level + 1), (first + 1, level + 1)]);
-        }
-    }
-    deepest
-}
-
-/// Halves the set along the longest side of its centres until single primitives are left.
-fn balanced(boxes: &[Aabb]) -> Bvh2 {
-    let mut order: Vec<u32> = (0..boxes.len() as u32).collect();
-    let mut nodes = vec![Bvh2Node::default()];
-    let mut open = vec![(0, 0..boxes.len())];
-    while let Some((at, range)) = open.pop() {
-        let part = &mut order[range.clone()];
-        let around = |sum: Aabb, &i: &u32| sum.union(&boxes[i as usize]);
-        let bounds = part.iter().fold(Aabb::empty(), around);
-        if part.len() == 1 {
-            nodes[at] = Bvh2Node::new(bounds, 1, range.start as u32);
-            continue;
-        }
-        let center = |i: u32| boxes[i as usize].center();
-        let spread = part
-            .iter()
-            .fold(Aabb::empty(), |mut sum, &i| *sum.extend(center(i)));
-        let axis = (spread.max - spread.min).max_position();
-        let half = part.len() / 2;
-        part.select_nth_unstable_by(half, |&i, &j| center(i)[axis].total_cmp(&center(j)[axis]));
-        let first = nodes.len();
-        nodes[at] = Bvh2Node::new(bounds, 0, first as u32);
-        nodes.extend([Bvh2Node::default(); 2]);
-        open.push((first, range.start..range.start + half));
-        open.push((first + 1, range.start + half..range.end));
-    }
-    Bvh2 {
-        nodes,
-        primitive_indices: order,
-        ..Bvh2::default()
     }
 }
 

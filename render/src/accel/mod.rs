@@ -9,6 +9,7 @@
 
 mod bundle;
 mod bvh;
+mod cluster;
 mod convoy;
 mod curved;
 mod packet;

@@ -688,6 +688,44 @@ fn lopsided_scenes_build() {
     }
 }
 
+/// Shapes that contain each other: of these, clustering alone would take minutes.
+#[test]
+fn nested_shapes_build_and_are_hit() {
+    let n = 100_000;
+    let size = |i: usize| 1.0 + i as f32 / 1024.0;
+    let balls: Vec<_> = (0..n)
+        .map(|i| Primitive::Sphere {
+            center: [0.0; 3],
+            radius: size(i),
+        })
+        .collect();
+    let triangles: Vec<_> = (0..n)
+        .map(|i| Primitive::Triangle {
+            v0: [-size(i), -size(i), -size(i)],
+            e1: [2.0 * size(i), 0.0, 0.0],
+            e2: [size(i), 2.0 * size(i), 0.0],
+        })
+        .collect();
+    for (prims, down) in [(balls, true), (triangles, false)] {
+        let accel = Accel::build(&prims).unwrap();
+        assert!(accel.has_hierarchy());
+        let d = if down {
+            [0.0, 0.0, -1.0]
+        } else {
+            [0.0, 0.0, 1.0]
+        };
+        let h = accel.intersect([0.0, 0.0, -200.0 * d[2]], d, f32::INFINITY, NOWHERE);
+        let h = h.expect("the outermost is hit");
+        assert_eq!(h.prim as usize, n - 1);
+        assert!((h.t - (200.0 - size(n - 1))).abs() < 1e-3, "{}", h.t);
+        // From inside, the innermost.
+        let h = accel.intersect([0.0; 3], [0.0, 0.0, -1.0], f32::INFINITY, NOWHERE);
+        let h = h.expect("the innermost is hit");
+        assert_eq!(h.prim, 0);
+        assert!((h.t - 1.0).abs() < 1e-5, "{}", h.t);
+    }
+}
+
 #[test]
 fn memory_grows_with_the_scene() {
     let small = Accel::build(&cube(1.0)).unwrap().memory_bytes();

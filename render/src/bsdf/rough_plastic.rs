@@ -1,9 +1,9 @@
 //! Rough plastic: a diffuse base under a rough dielectric coat.
 
-use std::sync::{Mutex, PoisonError};
+use std::collections::HashMap;
+use std::sync::{LazyLock, Mutex, OnceLock, PoisonError};
 
 use ad_core::{Const, Float, Real, Vec3};
-use rayon::prelude::*;
 
 use super::microfacet::{ALPHA_RANGE, Microfacet, Ndf};
 use super::plastic::{Coated, CoatedLobe};
@@ -190,56 +190,56 @@ impl FromNode for RoughPlastic {
 /// How much light passes a rough coat, as a function of roughness and angle.
 ///
 /// Nodes are equidistant in the square roots of roughness and cosine: what happens at small values
-/// of either needs them. Between nodes: Catmull-Rom splines.
+/// of either needs them. Between nodes: Catmull-Rom splines. What belongs to a node of roughness is computed when it is
+/// first asked for: most materials need four of them, and those that are not seen none.
 #[derive(Debug)]
 pub struct Coat {
     kind: Ndf,
     eta: f64,
-    /// Light from above that is not reflected, `[alpha][cosine]`.
-    transmit: Vec<[f64; COSINES]>,
-    /// Reflectance for diffuse light from below, `[alpha]`.
-    inside: Vec<f64>,
+    rows: [OnceLock<Row>; ALPHAS],
+}
+
+/// A node of roughness.
+#[derive(Debug)]
+struct Row {
+    /// Light from above that is not reflected, `[cosine]`.
+    transmit: [f64; COSINES],
+    /// Reflectance for diffuse light from below.
+    inside: f64,
 }
 
 const ALPHAS: usize = 24;
 const COSINES: usize = 32;
 
 impl Coat {
-    /// The table for a kind of facets and a relative index, computed once per program: it depends on
+    /// The table for a kind of facets and a relative index, of which there is one per program: it depends on
     /// nothing that can be differentiated or changed.
     pub fn get(kind: Ndf, eta: f64) -> &'static Self {
-        static TABLES: Mutex<Vec<&'static Coat>> = Mutex::new(Vec::new());
+        static TABLES: LazyLock<Mutex<HashMap<(Ndf, u64), &'static Coat>>> =
+            LazyLock::new(Mutex::default);
         let mut tables = TABLES.lock().unwrap_or_else(PoisonError::into_inner);
-        let known = tables.iter().find(|t| t.kind == kind && t.eta == eta);
-        match known {
-            Some(table) => table,
-            None => {
-                let table: &'static Self = Box::leak(Box::new(Self::new(kind, eta)));
-                tables.push(table);
-                table
-            }
-        }
+        tables.entry((kind, eta.to_bits())).or_insert_with(|| {
+            let rows = std::array::from_fn(|_| OnceLock::new());
+            Box::leak(Box::new(Self { kind, eta, rows }))
+        })
     }
 
-    fn new(kind: Ndf, eta: f64) -> Self {
+    /// A node of roughness. On this thread alone: one that shared the work could come to wait for itself.
+    #[inline]
+    fn node(&self, i: usize) -> &Row {
+        self.rows[i].get_or_init(|| self.compute(i))
+    }
+
+    #[cold]
+    fn compute(&self, i: usize) -> Row {
         let last = |n: usize, i: usize| i as f64 / (n - 1) as f64;
         let (lo, hi) = (ALPHA_RANGE.0.sqrt(), ALPHA_RANGE.1.sqrt());
-        let rows: Vec<([f64; COSINES], f64)> = (0..ALPHAS)
-            .into_par_iter()
-            .map(|i| {
-                let facets = Facets::new(kind, (lo + (hi - lo) * last(ALPHAS, i)).powi(2));
-                // At exactly grazing incidence reflection is a limit.
-                let cosine = |j| last(COSINES, j).powi(2).max(1e-6);
-                let transmit = std::array::from_fn(|j| 1.0 - facets.albedo(cosine(j), eta));
-                (transmit, facets.diffuse_albedo(1.0 / eta))
-            })
-            .collect();
-        let (transmit, inside) = rows.into_iter().unzip();
-        Self {
-            kind,
-            eta,
-            transmit,
-            inside,
+        let facets = Facets::new(self.kind, (lo + (hi - lo) * last(ALPHAS, i)).powi(2));
+        // At exactly grazing incidence reflection is a limit.
+        let cosine = |j| last(COSINES, j).powi(2).max(1e-6);
+        Row {
+            transmit: std::array::from_fn(|j| 1.0 - facets.albedo(cosine(j), self.eta)),
+            inside: facets.diffuse_albedo(1.0 / self.eta),
         }
     }
 
@@ -251,7 +251,7 @@ impl Coat {
         let (j, wj) = spline(cos.sqrt() * R::c((COSINES - 1) as f64), COSINES);
         let mut sum = R::zero();
         for (a, wi) in wi.into_iter().enumerate() {
-            let row = &self.transmit[i[a]];
+            let row = &self.node(i[a]).transmit;
             let mut value = R::zero();
             for (b, wj) in wj.into_iter().enumerate() {
                 value += wj * R::c(row[j[b]]);
@@ -267,7 +267,7 @@ impl Coat {
         let (i, w) = Self::row(alpha);
         let mut sum = R::zero();
         for (a, w) in w.into_iter().enumerate() {
-            sum += w * R::c(self.inside[i[a]]);
+            sum += w * R::c(self.node(i[a]).inside);
         }
         sum
     }

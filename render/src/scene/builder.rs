@@ -52,6 +52,8 @@ pub struct MaterialId(u32);
 pub struct Builder {
     params: Params,
     materials: Vec<Arc<Material>>,
+    /// Where each of them stands.
+    indices: HashMap<*const Material, u32>,
     shapes: Vec<AnyShape>,
     infos: Vec<ShapeInfo>,
     emitters: Vec<AnyEmitter>,
@@ -328,15 +330,14 @@ impl Builder {
 
     /// Adds a material that may be part of others as well.
     pub fn add_shared_material(&mut self, material: Arc<Material>) -> MaterialId {
-        if let Some(i) = self
-            .materials
-            .iter()
-            .position(|m| Arc::ptr_eq(m, &material))
-        {
-            return MaterialId(i as u32);
+        let next = self.materials.len() as u32;
+        // Kept in `materials`, so that no other comes to lie there.
+        let known = self.indices.entry(Arc::as_ptr(&material));
+        let index = *known.or_insert(next);
+        if index == next {
+            self.materials.push(material);
         }
-        self.materials.push(material);
-        MaterialId(self.materials.len() as u32 - 1)
+        MaterialId(index)
     }
 
     /// Adds a shape.
@@ -357,6 +358,11 @@ impl Builder {
         });
         self.shapes.push(shape);
         index
+    }
+
+    /// The shapes so far.
+    pub(super) fn shapes(&self) -> &[AnyShape] {
+        &self.shapes
     }
 
     /// Adds an emitter that is no surface, or is the last shape added if `shape` says so.

@@ -1,20 +1,25 @@
 //! Triangle meshes, and Wavefront OBJ files.
 
+use std::borrow::Cow;
 use std::io::{self, BufRead, Read};
 use std::path::Path;
 use std::sync::{Arc, OnceLock};
 
 use ad_core::{Const, Float, Real, Vec2, Vec3};
+use smallvec::SmallVec;
 
 use super::patch::intersect_plane;
 use super::{DirectionSample, Shape, ShapeSample, SurfaceInteraction, hit_is_exact, lift3};
 use crate::accel::{Hit, MAX_COORDINATE, Primitive};
 use crate::bsdf::FromNode;
-use crate::error::SceneError;
-use crate::file;
+use crate::error::{SceneError, quoted};
+use crate::files;
 use crate::math::{Frame, Ray, Transform, each, warp};
 use crate::prefetch::prefetch;
 use crate::scene::{Builder, Node};
+
+/// Largest OBJ file in bytes.
+const MAX_BYTES: u64 = 1 << 33;
 
 /// What a mesh is made of. Arrays with one entry per vertex may be empty.
 #[derive(Clone, Debug, Default)]
@@ -122,7 +127,7 @@ impl Mesh {
     /// # Errors
     /// Whatever is wrong, with the line where there is one.
     pub fn from_obj(path: &Path, options: &ObjOptions) -> Result<Self, SceneError> {
-        let text = file::read(path)?;
+        let text = files::read(path, MAX_BYTES)?;
         Self::from_obj_text(&text, path, options)
     }
 
@@ -154,7 +159,7 @@ impl Mesh {
             Err(e) => {
                 return Err(match reader.complaint {
                     Some((expected, found)) => asset(Some(reader.line), expected, &found),
-                    None => asset(Some(reader.line), expectation(&e), "something else"),
+                    None => asset(Some(reader.line), "a well-formed line", &e.to_string()),
                 });
             }
         };
@@ -480,101 +485,154 @@ fn append(
     Ok(())
 }
 
-/// What the parser wanted in the line it stopped at.
-fn expectation(e: &tobj::LoadError) -> &'static str {
-    match e {
-        tobj::LoadError::ReadError => "text in UTF-8",
-        tobj::LoadError::PositionParseError
-        | tobj::LoadError::ScalingByZeroError
-        | tobj::LoadError::ColorParseError => "`v` with three finite numbers",
-        tobj::LoadError::NormalParseError => "`vn` with three numbers",
-        tobj::LoadError::TexcoordParseError => "`vt` with two or three numbers",
-        _ => "a well-formed face",
-    }
-}
-
-/// The lines of an OBJ file that make up its geometry, counted, with faces checked.
+/// The lines of an OBJ file that make up its geometry, counted, checked and in the form that `tobj` reads.
 ///
 /// Groups and materials are left out, so that normals are smooth across them. Where faces change
 /// between having texture coordinates or normals and not having them, a new group begins: `tobj`
-/// cannot mix them in one.
+/// cannot mix them in one. Comments and colours of vertices are left out, continued lines joined.
 struct ObjLines<'a> {
     rest: &'a [u8],
-    /// What is left of the current line.
-    current: &'a [u8],
-    /// Number of the current line, from one.
+    /// What the parser reads next, and how much of it is read.
+    current: Vec<u8>,
+    given: usize,
+    /// Number of the current line, from one; of several that are joined, the first.
     line: u32,
+    /// Number of the line that `rest` starts with.
+    next_line: u32,
     /// `v`, `vt` and `vn` lines so far.
     counts: [usize; 3],
     /// Whether faces have texture coordinates and normals.
     layout: Option<[bool; 2]>,
-    /// A face waiting behind the start of a new group.
-    pending: Option<&'a [u8]>,
     /// Why the current line was refused: expected, found.
     complaint: Option<(&'static str, String)>,
 }
 
 impl<'a> ObjLines<'a> {
     fn new(text: &'a [u8]) -> Self {
+        const BYTE_ORDER_MARK: &[u8] = "\u{feff}".as_bytes();
         Self {
-            rest: text,
-            current: &[],
+            rest: text.strip_prefix(BYTE_ORDER_MARK).unwrap_or(text),
+            current: Vec::new(),
+            given: 0,
             line: 0,
+            next_line: 1,
             counts: [0; 3],
             layout: None,
-            pending: None,
             complaint: None,
         }
     }
 
     fn refuse(&mut self, expected: &'static str, found: &[u8]) -> io::Error {
-        let found = String::from_utf8_lossy(&found[..found.len().min(64)]);
-        self.complaint = Some((expected, format!("`{found}`")));
+        // Characters of four bytes at most, and one more, so that what is cut is marked as cut.
+        let found = String::from_utf8_lossy(&found[..found.len().min(512)]);
+        self.complaint = Some((expected, quoted(&found)));
         io::Error::from(io::ErrorKind::InvalidData)
+    }
+
+    /// The next line without its end.
+    fn physical_line(&mut self) -> Option<&'a [u8]> {
+        if self.rest.is_empty() {
+            return None;
+        }
+        let end = self.rest.iter().position(|b| matches!(b, b'\n' | b'\r'));
+        let (line, rest) = self.rest.split_at(end.unwrap_or(self.rest.len()));
+        let ends: [&[u8]; 3] = [b"\r\n", b"\n", b"\r"];
+        let after = ends.iter().find_map(|e| rest.strip_prefix(*e));
+        self.rest = after.unwrap_or_default();
+        self.next_line = self.next_line.saturating_add(1);
+        Some(line)
+    }
+
+    /// The next line without its comment, joined with those behind it that continue it.
+    fn logical_line(&mut self) -> Option<Cow<'a, [u8]>> {
+        self.line = self.next_line;
+        let mut joined: Option<Vec<u8>> = None;
+        loop {
+            let Some(line) = self.physical_line() else {
+                return joined.map(Cow::Owned);
+            };
+            let comment = line.iter().position(|&b| b == b'#');
+            let content = &line[..comment.unwrap_or(line.len())];
+            let continued = match comment {
+                None => content.trim_ascii_end().strip_suffix(b"\\"),
+                Some(_) => None,
+            };
+            match (&mut joined, continued) {
+                (None, None) => return Some(Cow::Borrowed(content)),
+                (Some(all), None) => {
+                    all.extend(content);
+                    return joined.map(Cow::Owned);
+                }
+                (_, Some(part)) => {
+                    let all = joined.get_or_insert_default();
+                    all.extend(part);
+                    all.push(b' ');
+                }
+            }
+        }
     }
 
     /// Moves to the next line worth parsing.
     fn advance(&mut self) -> io::Result<()> {
-        if let Some(face) = self.pending.take() {
-            self.current = face;
-            return Ok(());
-        }
-        while !self.rest.is_empty() {
-            let end = self.rest.iter().position(|&b| b == b'\n');
-            let (line, rest) = self.rest.split_at(end.map_or(self.rest.len(), |e| e + 1));
-            self.rest = rest;
-            self.line = self.line.saturating_add(1);
-            let mut words = words(line);
-            let kind = words.next().unwrap_or_default();
-            let counter = match kind {
+        self.current.clear();
+        self.given = 0;
+        while let Some(line) = self.logical_line() {
+            let mut words = words(&line);
+            let (kind, expected, kept) = match words.next().unwrap_or_default() {
                 b"f" => {
                     let layout = self.check_face(words)?;
-                    self.current = line;
                     if self.layout.replace(layout).is_some_and(|old| old != layout) {
-                        (self.current, self.pending) = (b"g\n", Some(line));
+                        self.current.extend(b"g\n");
                     }
+                    self.current.extend(&*line);
+                    self.current.push(b'\n');
                     return Ok(());
                 }
-                b"v" => 0,
-                b"vt" => 1,
-                b"vn" => 2,
+                b"v" => (
+                    0,
+                    "`v` with three numbers, alone or with a weight or a colour behind them",
+                    3,
+                ),
+                b"vt" => (1, "`vt` with two or three numbers", 2),
+                b"vn" => (2, "`vn` with three numbers", 3),
                 _ => continue,
             };
-            // "nan" and "inf" are numbers to the parser.
-            if let Some(word) =
-                words.find(|w| w.iter().any(u8::is_ascii_alphabetic) && !is_exponential(w))
-            {
-                return Err(self.refuse("a finite number", word));
+            let name = ["v", "vt", "vn"][kind];
+            self.current.extend(name.as_bytes());
+            let numbers = SmallVec::<[&[u8]; 6]>::from_iter(words);
+            let (count, weighted) = (numbers.len(), kind == 0 && numbers.len() == 4);
+            for (i, word) in numbers.into_iter().enumerate() {
+                // "nan" and "inf" are numbers to the parser.
+                let number = std::str::from_utf8(word).ok();
+                let number = number.and_then(|s| s.parse::<f32>().ok());
+                let Some(number) = number.filter(|x| x.is_finite()) else {
+                    return Err(self.refuse("a finite number", word));
+                };
+                if weighted && i == 3 && number == 0.0 {
+                    return Err(self.refuse("a weight other than zero", word));
+                }
+                if weighted || i < kept {
+                    self.current.push(b' ');
+                    self.current.extend(word);
+                }
             }
-            self.counts[counter] += 1;
-            self.current = line;
+            let fits = match kind {
+                0 => matches!(count, 3 | 4 | 6),
+                1 => matches!(count, 2 | 3),
+                _ => count == 3,
+            };
+            if !fits {
+                return Err(self.refuse(expected, &line));
+            }
+            self.current.push(b'\n');
+            self.counts[kind] += 1;
             return Ok(());
         }
         Ok(())
     }
 
     /// Whether the face has texture coordinates and normals. All its indices are in range.
-    fn check_face(&mut self, words: impl Iterator<Item = &'a [u8]>) -> io::Result<[bool; 2]> {
+    fn check_face<'w>(&mut self, words: impl Iterator<Item = &'w [u8]>) -> io::Result<[bool; 2]> {
         const FORM: &str = "at least three vertices `v`, `v/vt`, `v//vn` or `v/vt/vn`";
         let mut layout = None;
         let mut corners = 0;
@@ -615,12 +673,6 @@ fn words(line: &[u8]) -> impl Iterator<Item = &[u8]> {
         .filter(|w| !w.is_empty())
 }
 
-/// Whether the only letter is the `e` of an exponent.
-fn is_exponential(word: &[u8]) -> bool {
-    word.iter()
-        .all(|b| !b.is_ascii_alphabetic() || matches!(b, b'e' | b'E'))
-}
-
 impl Read for ObjLines<'_> {
     fn read(&mut self, buf: &mut [u8]) -> io::Result<usize> {
         let available = self.fill_buf()?;
@@ -633,14 +685,14 @@ impl Read for ObjLines<'_> {
 
 impl BufRead for ObjLines<'_> {
     fn fill_buf(&mut self) -> io::Result<&[u8]> {
-        if self.current.is_empty() {
+        if self.given == self.current.len() {
             self.advance()?;
         }
-        Ok(self.current)
+        Ok(&self.current[self.given..])
     }
 
     fn consume(&mut self, n: usize) {
-        self.current = &self.current[n.min(self.current.len())..];
+        self.given = (self.given + n).min(self.current.len());
     }
 }
 

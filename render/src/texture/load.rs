@@ -4,7 +4,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use super::{Bitmap, Checkerboard, Texture, UvTransform, Wrap};
-use crate::error::SceneError;
+use crate::error::{SceneError, quoted};
 use crate::image_io::{self, Encoding};
 use crate::params::{ParamRef, ParamShape};
 use crate::scene::{Builder, Node};
@@ -124,7 +124,7 @@ pub(crate) fn file(
                 return Err(error);
             }
             let value = usage.substitute;
-            let warning = format!("{error}; `{}` is {value:?} instead", usage.name);
+            let warning = format!("{error}; {} is {value:?} instead", quoted(usage.name));
             build.warnings.push(warning);
             Ok(None)
         }
@@ -155,7 +155,7 @@ pub(crate) fn texels<const C: usize>(
         let count = pixels.data.iter().filter(|v| ringing(**v)).count();
         if count > 0 {
             let all = pixels.data.len();
-            let what = format!("{count} of {all} numbers for `{}`", usage.name);
+            let what = format!("{count} of {all} numbers for {}", quoted(usage.name));
             let warning = format!(
                 "{}: {what} are slightly negative; they are zero instead",
                 path.display()
@@ -177,7 +177,7 @@ pub(crate) fn texels<const C: usize>(
     if let Some(i) = pixels.data.iter().position(|v| !valid(v)) {
         let (x, y) = (i / C % pixels.width, i / C / pixels.width);
         return Err(asset(
-            format!("texels from {lo} to {hi} for `{}`", usage.name),
+            format!("texels from {lo} to {hi} for {}", quoted(usage.name)),
             format!("{} at column {x}, row {y}", pixels.data[i]),
         ));
     }

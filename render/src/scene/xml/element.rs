@@ -1,7 +1,7 @@
 //! XML elements that know which of their attributes are understood.
 
-use super::value::{self, Mismatch, quoted};
-use crate::error::{Location, SceneError};
+use super::value::{self, Mismatch};
+use crate::error::{Location, SceneError, quoted};
 
 /// An XML attribute.
 pub(super) struct Attribute {
@@ -39,7 +39,7 @@ impl Element {
     pub fn require(&mut self, name: &'static str) -> Result<Attribute, SceneError> {
         self.take(name).ok_or_else(|| SceneError::Missing {
             location: self.location.clone(),
-            owner: format!("<{}>", self.tag),
+            owner: self.name(),
             key: name.to_owned(),
             expected: "an attribute".to_owned(),
         })
@@ -86,17 +86,22 @@ impl Element {
             Some(attribute) => Err(SceneError::Unknown {
                 location: attribute.location.clone(),
                 what: format!("attribute {}", quoted(&attribute.name)),
-                owner: format!("<{}>", self.tag),
+                owner: self.name(),
                 known: self.asked.iter().map(|&name| name.to_owned()).collect(),
             }),
         }
+    }
+
+    /// `<tag>`, shortened if need be.
+    pub fn name(&self) -> String {
+        format!("<{}>", quoted(&self.tag).trim_matches('`'))
     }
 
     pub fn syntax(&self, expected: &str) -> SceneError {
         SceneError::Syntax {
             location: self.location.clone(),
             expected: expected.to_owned(),
-            found: format!("<{}>", self.tag),
+            found: self.name(),
         }
     }
 

@@ -46,6 +46,15 @@ const MAX_ELEMENTS: usize = 1 << 20;
 /// Most bytes of text that substitution of `$name` may produce.
 const MAX_SUBSTITUTED: usize = 1 << 26;
 
+/// Most bytes of text in a scene file and all that it includes, counted once per use.
+const MAX_TEXT: usize = 1 << 28;
+/// Most files that are included, counted once per use: of files that each include another twice, few make many.
+const MAX_INCLUDES: usize = 1 << 17;
+/// Most attributes of an element: far more than any has.
+const MAX_ATTRIBUTES: usize = 64;
+/// Most declarations of namespaces, which mean nothing here.
+const MAX_NAMESPACES: usize = 64;
+
 /// A scene file with everything it includes.
 #[derive(Debug)]
 pub struct Document {
@@ -145,9 +154,10 @@ impl Directories {
         Self(std::iter::once(own.clone()).chain(outer).collect())
     }
 
-    /// The first existing file of this name.
+    /// The first that exists under this name and is no directory. Whoever reads it refuses what is no file.
     fn find(&self, name: &Path) -> Option<PathBuf> {
-        self.0.iter().map(|d| d.join(name)).find(|p| p.is_file())
+        let mut all = self.0.iter().map(|d| d.join(name));
+        all.find(|p| std::fs::metadata(p).is_ok_and(|found| !found.is_dir()))
     }
 }
 

@@ -7,9 +7,9 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
-use super::value::{Value, quoted};
+use super::value::Value;
 use super::{Directories, Warnings};
-use crate::error::{Location, SceneError};
+use crate::error::{Location, SceneError, quoted};
 use crate::math::Transform;
 
 /// One plugin of the scene file, such as `<bsdf type="diffuse" id="white">`.
@@ -301,14 +301,14 @@ impl Node {
             .properties
             .iter()
             .filter(|(_, p)| unused(&p.used))
-            .map(|(name, p)| (&p.location, format!("attribute `{name}`")));
+            .map(|(name, p)| (&p.location, format!("attribute {}", quoted(name))));
         let declaration = |c: &Child| self.tag == "scene" && c.node.id.is_some();
         let children = self
             .children
             .iter()
             .filter(|&c| unused(&c.used) && !declaration(c))
             .map(|c| {
-                let name = c.name.as_ref().map(|n| format!(" named `{n}`"));
+                let name = c.name.as_ref().map(|n| format!(" named {}", quoted(n)));
                 let what = format!("child {}{}", c.node.describe(), name.unwrap_or_default());
                 (&c.location, what)
             });

@@ -1,6 +1,7 @@
 //! From files to plugins whose values are typed but whose references are still names.
 
 use std::collections::BTreeMap;
+use std::ops::Bound;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 
@@ -9,9 +10,11 @@ use roxmltree as xml;
 use super::element::{Attribute, Element};
 use super::node::Property;
 use super::source::{self, Source};
-use super::value::{self, Value, quoted};
-use super::{Directories, MAX_DEPTH, MAX_ELEMENTS, MAX_SUBSTITUTED, check_limit};
-use crate::error::{Location, SceneError};
+use super::value::{self, Value};
+use super::{
+    Directories, MAX_DEPTH, MAX_ELEMENTS, MAX_INCLUDES, MAX_SUBSTITUTED, MAX_TEXT, check_limit,
+};
+use crate::error::{Location, SceneError, quoted};
 use crate::math::Transform;
 
 /// Elements that are plugins.
@@ -86,6 +89,9 @@ pub(super) struct Parser {
     open: Vec<PathBuf>,
     elements: usize,
     substituted: usize,
+    /// How many files were included, and the bytes of all.
+    included: usize,
+    bytes: usize,
 }
 
 impl Parser {
@@ -108,6 +114,8 @@ impl Parser {
             open: Vec::new(),
             elements: 0,
             substituted: 0,
+            included: 0,
+            bytes: 0,
         }
     }
 
@@ -120,6 +128,7 @@ impl Parser {
 
     /// The text of the scene file, which lies in `directory`.
     pub fn text(&mut self, text: &str, name: &Path, directory: &Path) -> Result<(), SceneError> {
+        self.bytes = text.len();
         let source = Source::new(name, Directories::new(directory, None), text);
         let tree = source.parse(text)?;
         let root = tree.root_element();
@@ -231,7 +240,7 @@ impl Parser {
         let plugin = element.require("type")?.text;
         let id = element.take("id").map(|a| a.text);
         let name = element.take("name");
-        if xml == xml.document().root_element() {
+        if xml.parent().is_some_and(|p| p.is_root()) {
             element.take("version");
         }
         element.finish()?;
@@ -361,7 +370,16 @@ impl Parser {
                 what: format!("the file {}", quoted(&file.text)),
             });
         }
+        self.included += 1;
+        check_limit(
+            self.included,
+            MAX_INCLUDES,
+            "included files",
+            &file.location,
+        )?;
         let text = source::read(&path)?;
+        self.bytes += text.len();
+        check_limit(self.bytes, MAX_TEXT, "bytes of scene files", &file.location)?;
         let directory = path.parent().unwrap_or(Path::new(""));
         let directories = Directories::new(directory, Some(&source.directories));
         let inner = Source::new(&path, directories, &text);
@@ -519,15 +537,7 @@ impl Parser {
             out.push_str(&rest[..dollar]);
             let tail = &rest[dollar + 1..];
             let word = |c: char| c.is_alphanumeric() || c == '_';
-            let found = self
-                .parameters
-                .iter_mut()
-                .filter(|(name, _)| {
-                    let after = tail.strip_prefix(name.as_str());
-                    after.is_some_and(|after| !after.starts_with(word))
-                })
-                .max_by_key(|(name, _)| name.len());
-            let Some((name, parameter)) = found else {
+            let Some((length, parameter)) = longest_known(&mut self.parameters, tail, word) else {
                 let end = tail.find(|c| !word(c)).unwrap_or(tail.len());
                 return Err(SceneError::UndefinedParameter {
                     location: location.clone(),
@@ -541,7 +551,7 @@ impl Parser {
             let what = "bytes of substituted text";
             check_limit(self.substituted, MAX_SUBSTITUTED, what, location)?;
             out.push_str(&parameter.value);
-            rest = &tail[name.len()..];
+            rest = &tail[length..];
         }
         out.push_str(rest);
         Ok(out)
@@ -556,12 +566,41 @@ impl Parser {
                 let child = child?;
                 Err(SceneError::Syntax {
                     location: source.at(child.range().start),
-                    expected: format!("nothing inside <{}>", element.tag),
+                    expected: format!("nothing inside {}", element.name()),
                     found: format!("<{}>", child.tag_name().name()),
                 })
             }
         }
     }
+}
+
+/// The longest name that `text` starts with and that does not end inside a word: its length, and what it stands for.
+fn longest_known<'a>(
+    known: &'a mut BTreeMap<String, Parameter>,
+    text: &str,
+    word: impl Fn(char) -> bool,
+) -> Option<(usize, &'a mut Parameter)> {
+    // All names that `text` starts with come before it in the order of the map, the longest last.
+    let mut bound = text;
+    let mut bounds = Bound::Included(text);
+    let length = loop {
+        let (name, _) = known
+            .range::<str, _>((Bound::Unbounded, bounds))
+            .next_back()?;
+        let same = name.chars().zip(bound.chars()).take_while(|(a, b)| a == b);
+        let same = same.map(|(c, _)| c.len_utf8()).sum();
+        if same == name.len() {
+            if !text[same..].starts_with(&word) {
+                break same;
+            }
+            bound = &text[..same];
+            bounds = Bound::Excluded(bound);
+        } else {
+            bound = &text[..same];
+            bounds = Bound::Included(bound);
+        }
+    };
+    known.get_mut(&text[..length]).map(|p| (length, p))
 }
 
 /// Some direction across the view, where roll does not matter.

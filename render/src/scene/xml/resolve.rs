@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex};
 use super::node::{Child, Node};
 use super::parse::{Parser, RawChild, Target};
 use super::{MAX_DEPTH, MAX_ELEMENTS, Warnings, check_limit};
-use crate::error::{Location, SceneError};
+use crate::error::{Location, SceneError, quoted};
 
 /// A node that is being built, or is finished.
 enum State {
@@ -116,7 +116,7 @@ impl Resolver<'_> {
             if let (Some(id), true) = (&raw.id, raw.at_root && passive)
                 && !self.referenced.contains(&index)
             {
-                let message = format!("{} `{id}` is not referenced by anything", raw.tag);
+                let message = format!("{} {} is not referenced by anything", raw.tag, quoted(id));
                 self.warnings.push(raw.location.clone(), message);
             }
         }

@@ -5,10 +5,9 @@ use std::sync::Arc;
 
 use roxmltree as xml;
 
-use super::Directories;
-use super::value::quoted;
-use crate::error::{Location, SceneError};
-use crate::file;
+use super::{Directories, MAX_ATTRIBUTES, MAX_NAMESPACES, MAX_TEXT, check_limit};
+use crate::error::{Location, SceneError, quoted};
+use crate::files;
 
 /// One file.
 pub(super) struct Source {
@@ -35,6 +34,7 @@ impl Source {
 
     /// The elements of `text`, which is that given to [`new`](Self::new).
     pub fn parse<'t>(&self, text: &'t str) -> Result<xml::Document<'t>, SceneError> {
+        self.check_tags(text)?;
         xml::Document::parse(text).map_err(|error| {
             let line = match error {
                 // These carry no position.
@@ -49,6 +49,55 @@ impl Source {
                 found: format!("an error: {error}"),
             }
         })
+    }
+
+    /// Limits the attributes of each tag, and the namespaces of all: the parser compares each with all others.
+    fn check_tags(&self, text: &str) -> Result<(), SceneError> {
+        let mut namespaces = 0;
+        let mut at = 0;
+        while let Some(open) = text[at..].find('<') {
+            at += open + 1;
+            let rest = &text[at..];
+            let skipped = [("!--", "-->"), ("![CDATA[", "]]>"), ("?", "?>"), ("!", ">")];
+            if let Some((_, end)) = skipped.iter().find(|(start, _)| rest.starts_with(start)) {
+                match rest.find(end) {
+                    Some(length) => at += length + end.len(),
+                    None => break,
+                }
+                continue;
+            }
+            let (mut quote, mut attributes, mut previous) = (None, 0, b' ');
+            let mut length = rest.len();
+            for (i, byte) in rest.bytes().enumerate() {
+                match (quote, byte) {
+                    (Some(q), _) if q == byte => quote = None,
+                    (Some(_), _) => {}
+                    (None, b'"' | b'\'') => {
+                        quote = Some(byte);
+                        attributes += 1;
+                        let here = || self.at(at + i);
+                        if attributes > MAX_ATTRIBUTES {
+                            let what = "attributes of an element";
+                            check_limit(attributes, MAX_ATTRIBUTES, what, &here())?;
+                        }
+                        if namespaces > MAX_NAMESPACES {
+                            check_limit(namespaces, MAX_NAMESPACES, "namespaces", &here())?;
+                        }
+                    }
+                    (None, b'>' | b'<') => {
+                        length = i;
+                        break;
+                    }
+                    (None, b'x') if previous.is_ascii_whitespace() => {
+                        namespaces += usize::from(rest[i..].starts_with("xmlns"));
+                    }
+                    _ => {}
+                }
+                previous = byte;
+            }
+            at += length;
+        }
+        Ok(())
     }
 
     /// The child elements. Text between them is an error: nothing in the format is written as text.
@@ -76,7 +125,7 @@ impl Source {
 
 /// The text of a file.
 pub(super) fn read(path: &Path) -> Result<String, SceneError> {
-    let bytes = file::read(path)?;
+    let bytes = files::read(path, MAX_TEXT as u64)?;
     String::from_utf8(bytes).map_err(|error| {
         let valid = error.utf8_error().valid_up_to();
         let lines = error.as_bytes()[..valid].iter().filter(|b| **b == b'\n');

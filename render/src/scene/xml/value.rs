@@ -1,5 +1,6 @@
 //! The text of attributes as numbers, lists and colours.
 
+use crate::error::quoted;
 use crate::math::Transform;
 
 /// A typed property of a plugin.
@@ -26,15 +27,6 @@ fn mismatch(expected: &'static str, found: &str) -> Mismatch {
     Mismatch {
         expected,
         found: quoted(found),
-    }
-}
-
-/// `text` in backquotes, shortened so that a message stays readable.
-pub(super) fn quoted(text: &str) -> String {
-    const LONGEST: usize = 60;
-    match text.char_indices().nth(LONGEST) {
-        Some((end, _)) => format!("`{}...`", &text[..end]),
-        None => format!("`{text}`"),
     }
 }
 
@@ -183,12 +175,5 @@ mod tests {
         ] {
             assert_eq!(snake_case(old), new);
         }
-    }
-
-    #[test]
-    fn quoting_shortens_at_a_character_boundary() {
-        assert_eq!(quoted("ab"), "`ab`");
-        let long = quoted(&"é".repeat(100));
-        assert_eq!(long.chars().filter(|&c| c == 'é').count(), 60);
     }
 }

@@ -1,8 +1,8 @@
 //! Files as they are read and written: what is read is a file and no device, and what is written appears complete or
 //! not at all.
 
-use std::fs::{self, File, TryLockError};
-use std::io::{self, ErrorKind, Write};
+use std::fs::{self, File, FileType, TryLockError};
+use std::io::{self, ErrorKind, Read, Write};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU32, Ordering};
 
@@ -12,35 +12,79 @@ use crate::inputs;
 /// How many symbolic links are followed one after another.
 const MOST_LINKS: usize = 40;
 
-/// What a path leads to is no device, no pipe and no socket: these may never end. One that is not there is for whoever
+/// What a path leads to is a regular file: devices, pipes and sockets may never end. One that is not there is for whoever
 /// opens it.
 ///
 /// # Errors
-/// It is one.
+/// It is something else.
 pub fn require_regular(path: &Path) -> Result<(), SceneError> {
     match fs::metadata(path) {
-        Ok(info) if !info.is_file() && !info.is_dir() => Err(SceneError::Asset {
+        Ok(info) if !info.is_file() => Err(SceneError::Asset {
             path: path.to_owned(),
             line: None,
-            expected: "a file".into(),
-            found: "a device, a pipe or a socket".into(),
+            expected: "a regular file".into(),
+            found: kind(info.file_type()).into(),
         }),
         _ => Ok(()),
     }
 }
 
-/// All bytes of a file.
+/// The bytes of a regular file. Devices and pipes, which may never end, are refused before they are opened.
 ///
 /// # Errors
-/// The operating system's, or [`require_regular`]'s.
-pub fn read(path: &Path) -> Result<Vec<u8>, SceneError> {
-    require_regular(path)?;
-    let bytes = fs::read(path).map_err(|source| SceneError::Io {
+/// [`SceneError::Asset`] for what is no regular file or has more than `most` bytes, and [`SceneError::Io`] where the
+/// operating system refuses.
+pub fn read(path: &Path, most: u64) -> Result<Vec<u8>, SceneError> {
+    let io = |source| SceneError::Io {
         path: path.to_owned(),
         source,
-    })?;
+    };
+    let asset = |expected: String, found: String| SceneError::Asset {
+        path: path.to_owned(),
+        line: None,
+        expected,
+        found,
+    };
+    require_regular(path)?;
+    let info = fs::metadata(path).map_err(io)?;
+    let too_long = |length: u64| asset(format!("at most {most} bytes"), format!("{length} bytes"));
+    if info.len() > most {
+        return Err(too_long(info.len()));
+    }
+    // It may grow meanwhile; some file systems do not know lengths at all.
+    let mut bytes = Vec::with_capacity(usize::try_from(info.len()).unwrap_or(0));
+    let file = File::open(path).map_err(io)?;
+    file.take(most.saturating_add(1))
+        .read_to_end(&mut bytes)
+        .map_err(io)?;
+    let length = bytes.len() as u64;
+    if length > most {
+        return Err(too_long(length));
+    }
     inputs::note(path);
     Ok(bytes)
+}
+
+/// What else there is.
+fn kind(found: FileType) -> &'static str {
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::FileTypeExt;
+        if found.is_fifo() {
+            return "a pipe";
+        }
+        if found.is_char_device() || found.is_block_device() {
+            return "a device";
+        }
+        if found.is_socket() {
+            return "a socket";
+        }
+    }
+    if found.is_dir() {
+        "a directory"
+    } else {
+        "something else"
+    }
 }
 
 /// Writes a file completely or not at all: a reader, or a crash, never meets half of it. What stood under the
@@ -241,14 +285,10 @@ mod tests {
     #[cfg(unix)]
     #[test]
     fn devices_are_not_read() {
-        let error = read(Path::new("/dev/zero")).unwrap_err().to_string();
-        assert_eq!(
-            error,
-            "/dev/zero: expected a file, found a device, a pipe or a socket"
-        );
-        assert!(matches!(
-            read(Path::new("/dev")),
-            Err(SceneError::Io { .. })
-        ));
+        for (path, found) in [("/dev/zero", "a device"), ("/dev", "a directory")] {
+            let error = read(Path::new(path), 1000).unwrap_err().to_string();
+            let expected = format!("{path}: expected a regular file, found {found}");
+            assert_eq!(error, expected);
+        }
     }
 }

@@ -1,0 +1,107 @@
+//! Valid input of every kind, made by code.
+
+use std::io::Cursor;
+
+use image::{DynamicImage, ImageFormat, Rgb, RgbImage};
+use render::image_io::{Pixels, write_exr_pixels};
+
+/// A scene file with some of everything that the format knows, also what no scene would hold together.
+pub const DOCUMENT: &str = r#"<?xml version="1.0"?>
+<scene version="3.0.0">
+    <default name="spp" value="16"/> <default name="c" value="0.1, 0.2, 0.3"/>
+    <integrator type="path"><integer name="max_depth" value="6"/></integrator>
+    <sensor type="perspective">
+        <transform name="toWorld"><lookat origin="0, 3, 14" target="0, 1, 0" up="0, 1, 0"/></transform>
+        <sampler type="independent"><integer name="sample_count" value="$spp"/></sampler>
+        <ref id="film"/>
+    </sensor>
+    <film type="hdrfilm" id="film"><rfilter type="box"/></film> <!-- comment -->
+    <bsdf type="twosided" id="white"><bsdf type="diffuse">
+        <spectrum name="reflectance" type="bitmap"><string name="filename" value="a.png"/></spectrum>
+    </bsdf></bsdf>
+    <alias id="white" as="paper"/>
+    <shape type="cylinder"><point name="p0" x="1" y="2" z="3"/><vector name="v" value="1 2 3"/>
+        <transform name="to_world">
+            <scale value="2"/><rotate y="1" angle="30"/><translate x="1"/>
+            <matrix value="1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1"/>
+        </transform>
+        <boolean name="flip_normals" value="true"/> <ref id="paper"/>
+        <emitter type="area"><rgb name="radiance" value="$c"/></emitter>
+    </shape>
+</scene>
+"#;
+
+/// A scene that loads, with a mesh `a.obj` and an image `a.png` beside it.
+pub const SCENE: &str = r#"<scene version="3.0.0">
+    <default name="size" value="8"/>
+    <integrator type="path"><integer name="max_depth" value="6"/></integrator>
+    <sensor type="perspective">
+        <float name="fov" value="40"/>
+        <transform name="to_world"><lookat origin="0, 0, 4" target="0, 0, 0" up="0, 1, 0"/></transform>
+        <sampler type="independent"><integer name="sample_count" value="4"/></sampler>
+        <film type="hdrfilm">
+            <integer name="width" value="$size"/><integer name="height" value="$size"/>
+            <rfilter type="box"/>
+        </film>
+    </sensor>
+    <bsdf type="twosided" id="picture"><bsdf type="diffuse">
+        <texture name="reflectance" type="bitmap"><string name="filename" value="a.png"/></texture>
+    </bsdf></bsdf>
+    <bsdf type="roughplastic" id="plastic"><float name="alpha" value="0.2"/><float name="int_ior" value="1.5"/></bsdf>
+    <bsdf type="dielectric" id="glass"><float name="int_ior" value="1.5"/></bsdf>
+    <shape type="obj" id="mesh">
+        <string name="filename" value="a.obj"/>
+        <transform name="to_world"><rotate x="1" angle="30"/><scale value="0.5"/></transform>
+        <ref id="picture"/>
+    </shape>
+    <shape type="sphere"><point name="center" x="1" y="0" z="0"/><float name="radius" value="0.5"/><ref id="glass"/></shape>
+    <shape type="cube"><transform name="to_world"><translate value="-1 0 0"/></transform><ref id="plastic"/></shape>
+    <shape type="rectangle">
+        <transform name="to_world"><translate z="3"/></transform>
+        <emitter type="area"><rgb name="radiance" value="1, 2, 3"/></emitter>
+    </shape>
+    <emitter type="point"><point name="position" value="0 2 0"/><rgb name="intensity" value="1"/></emitter>
+</scene>
+"#;
+
+/// A mesh with some of everything.
+pub const MESH: &str = "# comment\nmtllib a.mtl\no thing\n\
+    v -1 -1 0\nv 1 -1 0 # corner\nv 1 1 0 1 0 0\nv -1 1 0 1\n\
+    vt 0 0\nvt 1 0\nvt 1 1 0\nvt 0 1\n\
+    vn 0 0 1\nvn 0.1 0 1e0\n\
+    g part\nusemtl red\ns 1\n\
+    f 1/1/1 2/2/1 3/3/2 4/4/2\nf 1 2 \\\n3\nf -4//-1 -3//-1 -2//-2\nf 1/1 2/2 3/3\nl 1 2\np 1\n";
+
+/// An image of every format that is read, with the ending of its name.
+///
+/// # Panics
+/// If an encoder fails.
+pub fn images() -> Vec<(&'static str, Vec<u8>)> {
+    let pixel = |x: u32, y: u32| Rgb([(20 * x) as u8, (30 * y) as u8, (x * y) as u8]);
+    let rgb = DynamicImage::from(RgbImage::from_fn(24, 17, pixel));
+    let grey = DynamicImage::from(rgb.to_luma8());
+    let deep = DynamicImage::from(rgb.to_rgba16());
+    let encode = |image: &DynamicImage, format| {
+        let mut bytes = Cursor::new(Vec::new());
+        image.write_to(&mut bytes, format).expect("an encoder");
+        bytes.into_inner()
+    };
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("a.exr");
+    let pixels = Pixels {
+        width: 24,
+        height: 17,
+        channels: 3,
+        data: rgb.to_rgb32f().into_raw(),
+    };
+    write_exr_pixels(&path, &pixels).expect("an encoder");
+    vec![
+        ("png", encode(&rgb, ImageFormat::Png)),
+        ("png", encode(&grey, ImageFormat::Png)),
+        ("png", encode(&deep, ImageFormat::Png)),
+        ("jpg", encode(&rgb, ImageFormat::Jpeg)),
+        ("jpg", encode(&grey, ImageFormat::Jpeg)),
+        ("bmp", encode(&rgb, ImageFormat::Bmp)),
+        ("exr", std::fs::read(path).expect("a file")),
+    ]
+}

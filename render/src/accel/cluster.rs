@@ -1,0 +1,286 @@
+//! Binary hierarchies: clustering from below, and halving from above where clustering would not get on.
+//!
+//! Parallel locally-ordered clustering [Meister and Bittner 2018] joins boxes that are each other's best neighbour among
+//! those near on a space-filling curve, in rounds. The rounds, with all their ties, are those of `obvhs::ploc`, which has
+//! no bound on their number: of boxes that contain each other, such as the triangles of a fan or concentric balls, each
+//! prefers the one inside, so that a round joins a single pair. Here the work is bounded. What is left when it is used
+//! up is halved, so that any set of boxes takes a time of n log n.
+
+use obvhs::aabb::Aabb;
+use obvhs::bvh2::node::Bvh2Node;
+use obvhs::bvh2::{Bvh2, reinsertion::ReinsertionOptimizer};
+use obvhs::ploc::morton::morton_encode_u64_unorm;
+
+/// Deepest hierarchy: traversal and its stack stay short.
+const MAX_DEPTH: usize = 500;
+/// Most rounds of clustering, so that a hierarchy is no deeper than that and a few levels. Regular grids take most of
+/// all ordinary scenes.
+const MAX_ROUNDS: usize = 448;
+/// Most boxes that all rounds look at together, per box of the scene: several times what ordinary scenes take.
+const WORK_PER_BOX: usize = 16;
+/// This many more may be looked at in any scene: small ones build in no time however they are made.
+const FREE_WORK: usize = 1 << 16;
+/// Neighbours that are compared with a box, on either side.
+const REACH: usize = 14;
+/// Rounds in which only the next neighbours are compared: most boxes find their partner then, at little cost.
+const NARROW_ROUNDS: usize = 3;
+/// Part of the nodes that the optimiser tries to move.
+const REINSERTED: f32 = 0.05;
+
+/// A hierarchy of these boxes, one per leaf.
+pub(super) fn hierarchy(boxes: &[Aabb]) -> Bvh2 {
+    let (mut binary, left) = clustered(boxes);
+    // Of boxes that contain each other the optimiser makes lists, and gains nothing.
+    if left > 1 + boxes.len() / 8 {
+        return binary;
+    }
+    ReinsertionOptimizer::default().run(&mut binary, REINSERTED, None);
+    match levels(&binary) <= MAX_DEPTH {
+        true => binary,
+        false => clustered(boxes).0,
+    }
+}
+
+/// By clustering, and how many clusters were left to be halved.
+fn clustered(boxes: &[Aabb]) -> (Bvh2, usize) {
+    let mut current = in_order(boxes);
+    let mut nodes = vec![Bvh2Node::default(); (2 * boxes.len()).saturating_sub(1)];
+    // Pairs are stored from the end on, so that parents come before children.
+    let mut end = nodes.len();
+    let mut work = FREE_WORK.saturating_add(WORK_PER_BOX.saturating_mul(boxes.len()));
+    let (mut partners, mut next) = (Vec::new(), Vec::with_capacity(current.len()));
+    let mut rounds = 0;
+    while current.len() > 1 && rounds < MAX_ROUNDS && work >= current.len() {
+        work -= current.len();
+        match rounds < NARROW_ROUNDS {
+            true => next_partners(&current, &mut partners),
+            false => best_partners(&current, &mut partners),
+        }
+        rounds += 1;
+        next.clear();
+        for at in 0..current.len() {
+            let partner = partners[at];
+            if partners[partner] != at {
+                next.push(current[at]);
+            } else if partner < at {
+                // Joined where the second of the two stands.
+                end -= 2;
+                next.push(join(&mut nodes, end, [current[at], current[partner]]));
+            }
+        }
+        std::mem::swap(&mut current, &mut next);
+    }
+    halve(&mut nodes[..end], &mut current);
+    let tree = Bvh2 {
+        nodes,
+        primitive_indices: (0..boxes.len() as u32).collect(),
+        children_are_ordered_after_parents: true,
+        ..Bvh2::default()
+    };
+    (tree, current.len())
+}
+
+/// The leaves along a space-filling curve.
+fn in_order(boxes: &[Aabb]) -> Vec<Bvh2Node> {
+    let all = boxes.iter().fold(Aabb::empty(), |sum, b| sum.union(b));
+    let scale = 1.0 / all.diagonal().as_dvec3();
+    let offset = -all.min.as_dvec3() * scale;
+    let mut order: Vec<(u64, u64)> = (boxes.iter().enumerate())
+        .map(|(i, b)| {
+            let code = morton_encode_u64_unorm(b.center().as_dvec3() * scale + offset);
+            (code, i as u64)
+        })
+        .collect();
+    order.sort_unstable_by_key(|&(code, _)| code);
+    let leaf = |&(_, i): &(u64, u64)| Bvh2Node::new(boxes[i as usize], 1, i as u32);
+    order.iter().map(leaf).collect()
+}
+
+fn join(nodes: &mut [Bvh2Node], first: usize, [left, right]: [Bvh2Node; 2]) -> Bvh2Node {
+    nodes[first] = left;
+    nodes[first + 1] = right;
+    Bvh2Node::new(left.aabb().union(right.aabb()), 0, first as u32)
+}
+
+fn cost(a: &Bvh2Node, b: &Bvh2Node) -> f32 {
+    a.aabb().union(b.aabb()).half_area()
+}
+
+/// For each box the better of the one before and the one behind.
+fn next_partners(boxes: &[Bvh2Node], partners: &mut Vec<usize>) {
+    partners.clear();
+    let mut before = f32::INFINITY;
+    for (at, pair) in boxes.windows(2).enumerate() {
+        let behind = cost(&pair[0], &pair[1]);
+        partners.push(if before < behind { at - 1 } else { at + 1 });
+        before = behind;
+    }
+    partners.push(boxes.len() - 2);
+}
+
+/// For each box the best of those within [`REACH`], the last of equals.
+fn best_partners(boxes: &[Bvh2Node], partners: &mut Vec<usize>) {
+    partners.clear();
+    // Costs of the pairs of each recent box with those behind it.
+    let mut recent = [[0.0_f32; REACH]; REACH];
+    for (at, own) in boxes.iter().enumerate() {
+        let (mut best, mut least) = (at, f32::INFINITY);
+        for other in at.saturating_sub(REACH)..at {
+            let cost = recent[other % REACH][at % REACH];
+            if cost <= least {
+                (best, least) = (other, cost);
+            }
+        }
+        for other in at + 1..(at + REACH + 1).min(boxes.len()) {
+            let cost = cost(own, &boxes[other]);
+            recent[at % REACH][other % REACH] = cost;
+            if cost <= least {
+                (best, least) = (other, cost);
+            }
+        }
+        partners.push(best);
+    }
+}
+
+/// Fills `nodes`, which have room for just that, with a hierarchy of clusters. Each set is halved by what gives the
+/// least area: the place of the centres along an axis, or the size.
+fn halve(nodes: &mut [Bvh2Node], clusters: &mut [Bvh2Node]) {
+    let around = |set: &[Bvh2Node]| set.iter().fold(Aabb::empty(), |sum, c| sum.union(c.aabb()));
+    let mut open = vec![(0, 0..clusters.len())];
+    let mut next = 1;
+    while let Some((at, range)) = open.pop() {
+        let set = &mut clusters[range.clone()];
+        let half = match *set {
+            [] => continue,
+            [only] => {
+                nodes[at] = only;
+                continue;
+            }
+            _ => set.len() / 2,
+        };
+        let mut split = |axis: usize| {
+            let key = |c: &Bvh2Node| match axis {
+                3 => c.aabb().half_area(),
+                _ => c.aabb().center()[axis],
+            };
+            set.select_nth_unstable_by(half, |a, b| key(a).total_cmp(&key(b)));
+            let (low, high) = set.split_at(half);
+            let weighted = |set: &[Bvh2Node]| around(set).half_area() * set.len() as f32;
+            weighted(low) + weighted(high)
+        };
+        let costs = [0, 1, 2, 3].map(&mut split);
+        let best = (0..4).min_by(|&a, &b| costs[a].total_cmp(&costs[b]));
+        split(best.unwrap_or(0));
+        nodes[at] = Bvh2Node::new(around(set), 0, next as u32);
+        open.push((next, range.start..range.start + half));
+        open.push((next + 1, range.start + half..range.end));
+        next += 2;
+    }
+}
+
+/// Number of levels of a binary hierarchy.
+fn levels(tree: &Bvh2) -> usize {
+    let mut deepest = 0;
+    let mut open = vec![(0, 1)];
+    while let Some((at, level)) = open.pop() {
+        let Some(node) = tree.nodes.get(at) else {
+            continue;
+        };
+        deepest = deepest.max(level);
+        if !node.is_leaf() {
+            let first = node.first_index as usize;
+            open.extend([(first, level + 1), (first + 1, level + 1)]);
+        }
+    }
+    deepest
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use obvhs::BvhBuildParams;
+    use obvhs::ploc::PlocBuilder;
+
+    fn boxes(n: usize, of: impl Fn(usize) -> [[f32; 3]; 2]) -> Vec<Aabb> {
+        let made = |i| {
+            let [low, high] = of(i);
+            Aabb::new(low.into(), high.into())
+        };
+        (0..n).map(made).collect()
+    }
+
+    /// Some number in [0, 1) for every `i`.
+    fn scattered(i: usize) -> f32 {
+        (i as f32 * 0.754_877_7).fract()
+    }
+
+    #[test]
+    fn ordinary_sets_are_clustered_as_by_the_crate() {
+        let width = 60;
+        let grid = boxes(width * width, |i| {
+            let (x, y) = ((i % width) as f32, (i / width) as f32);
+            [[x, y, 0.0], [x + 1.0, y + 1.0, (x * 0.3).sin().abs()]]
+        });
+        let cloud = boxes(5000, |i| {
+            let at = [i, 7 * i + 1, 13 * i + 2].map(scattered);
+            [at, at.map(|x| x + 0.02 * scattered(3 * i))]
+        });
+        let few = boxes(3, |i| [[i as f32; 3], [i as f32 + 0.5; 3]]);
+        for set in [grid, cloud, few] {
+            let params = BvhBuildParams::medium_build();
+            let crates = PlocBuilder::with_capacity(set.len()).build(
+                params.ploc_search_distance,
+                &set,
+                (0..set.len() as u32).collect(),
+                params.sort_precision,
+                params.search_depth_threshold,
+            );
+            let (own, left) = clustered(&set);
+            assert_eq!(left, 1);
+            assert_eq!(
+                format!("{:?}", own.nodes),
+                format!("{:?}", crates.nodes),
+                "{} boxes",
+                set.len()
+            );
+        }
+    }
+
+    /// Sets on which rounds of clustering join next to nothing. Without a bound they take minutes.
+    #[test]
+    fn no_set_takes_quadratic_time() {
+        let n = 100_000;
+        let along = |i: usize| i as f32 / n as f32;
+        let nested = boxes(n, |i| [[-1.0 - along(i); 3], [1.0 + along(i); 3]]);
+        let corner = boxes(n, |i| [[0.0; 3], [1.0 + i as f32, 1.0 + i as f32, 0.0]]);
+        let comb = boxes(n, |i| [[i as f32, 0.0, 0.0], [i as f32, 1e6, 1.0]]);
+        let same = boxes(n, |_| [[0.0; 3], [1.0; 3]]);
+        let shrinking = boxes(n, |i| {
+            let half = 1.01_f32.powi(i as i32 % 2700);
+            [[-half; 3], [half; 3]]
+        });
+        let fan = boxes(n, |i| {
+            let end = (along(i) * 6.28).sin_cos();
+            let (x, y) = (f32::min, f32::max);
+            [
+                [x(end.0, 0.0), x(end.1, 0.0), 0.0],
+                [y(end.0, 0.0), y(end.1, 0.0), 0.0],
+            ]
+        });
+        for set in [nested, corner, comb, same, shrinking, fan] {
+            let mut tree = hierarchy(&set);
+            assert!(levels(&tree) <= MAX_DEPTH);
+            tree.max_depth = MAX_DEPTH + 1;
+            tree.validate(&set, false, true);
+        }
+    }
+
+    #[test]
+    fn empty_sets_have_no_nodes() {
+        assert!(hierarchy(&[]).nodes.is_empty());
+        assert_eq!(
+            hierarchy(&boxes(1, |_| [[0.0; 3], [1.0; 3]])).nodes.len(),
+            1
+        );
+    }
+}
