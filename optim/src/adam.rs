@@ -5,14 +5,16 @@ use crate::optimizer::{Optimizer, check_inputs, require_finite};
 use crate::rates::Rates;
 use crate::scalar::Scalar;
 use serde::{Deserialize, Serialize};
+use std::ops::Range;
 
 /// What keeps [`Adam`] from dividing by zero, and small gradients from moving like large ones.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Epsilon {
-    /// A multiple of the largest root mean square in the range (see [`Rates`]; a group of
-    /// [`Constrained`](crate::Constrained) is one): how a parameter moves does not depend on the scale of the
-    /// objective, be it the brightness of a picture or the number of its pixels.
+    /// A multiple of the largest root mean square that the range (see [`Rates`]; a group of
+    /// [`Constrained`](crate::Constrained) is one) has had so far: how a parameter moves does not depend on the scale of
+    /// the objective, be it the brightness of a picture or the number of its pixels, and steps still end where gradients
+    /// vanish.
     Relative(#[serde(with = "crate::exact::number")] f64),
     /// The same number for all parameters, in units of the gradient, as in Mitsuba 3 and PyTorch: gradients that are
     /// much smaller do not move anything.
@@ -55,7 +57,7 @@ impl Default for AdamOptions {
         Self {
             beta1: 0.9,
             beta2: 0.999,
-            epsilon: Epsilon::Relative(1e-8),
+            epsilon: Epsilon::Relative(1e-10),
             bias_correction: true,
             mask_updates: false,
             uniform: false,
@@ -105,6 +107,17 @@ pub struct Adam<T: Scalar> {
     /// Square roots of `v`.
     #[serde(with = "crate::exact::slice")]
     root_mean_square: Vec<T>,
+    sizes: Vec<Size>,
+}
+
+/// How large the gradients of a range have been, for [`Epsilon::Relative`].
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+struct Size {
+    /// The first parameter behind the range, which begins where the one before ends.
+    end: usize,
+    /// The largest root mean square so far.
+    #[serde(with = "crate::exact::number")]
+    largest: f64,
 }
 
 #[derive(Deserialize)]
@@ -117,6 +130,7 @@ struct RawAdam<T: Scalar> {
     mean: Vec<T>,
     #[serde(with = "crate::exact::slice")]
     root_mean_square: Vec<T>,
+    sizes: Vec<Size>,
 }
 
 impl<T: Scalar> TryFrom<RawAdam<T>> for Adam<T> {
@@ -128,6 +142,7 @@ impl<T: Scalar> TryFrom<RawAdam<T>> for Adam<T> {
             steps,
             mean,
             root_mean_square,
+            sizes,
         } = raw;
         options.validate::<T>()?;
         for (what, values) in [("mean", &mean), ("root_mean_square", &root_mean_square)] {
@@ -142,12 +157,23 @@ impl<T: Scalar> TryFrom<RawAdam<T>> for Adam<T> {
                 v.to_f64(),
             )?;
         }
+        let mut start = 0;
+        for &Size { end, largest } in &sizes {
+            if end <= start || end > rates.len() {
+                let (range, len) = (start..end, rates.len());
+                return Err(OptimError::Range { range, len });
+            }
+            let valid = largest >= 0.0 && largest.is_finite();
+            require(valid, "sizes", "finite values of at least 0", largest)?;
+            start = end;
+        }
         Ok(Self {
             options,
             rates,
             steps,
             mean,
             root_mean_square,
+            sizes,
         })
     }
 }
@@ -168,12 +194,23 @@ impl<T: Scalar> Adam<T> {
             steps: 0,
             mean: zeros.clone(),
             root_mean_square: zeros,
+            sizes: Vec::new(),
         })
     }
 
     /// The options.
     pub fn options(&self) -> &AdamOptions {
         &self.options
+    }
+
+    /// The largest root mean square so far of any range that overlaps this one.
+    fn size(&self, range: &Range<usize>) -> f64 {
+        let mut start = 0;
+        self.sizes.iter().fold(0.0, |size: f64, s| {
+            let overlaps = start < range.end && range.start < s.end;
+            start = s.end;
+            if overlaps { size.max(s.largest) } else { size }
+        })
     }
 }
 
@@ -257,7 +294,7 @@ impl<T: Scalar> Optimizer<T> for Adam<T> {
         require_len("rates", self.mean.len(), self.rates.len())?;
         let update = Update::new(&self.options);
         let correction = self.options.correction(self.steps.saturating_add(1));
-        let mut ranges = Vec::new();
+        let (mut ranges, mut sizes) = (Vec::new(), Vec::new());
         for (range, rate) in self.rates.at(self.steps) {
             let relative = matches!(self.options.epsilon, Epsilon::Relative(_));
             let largest = (relative || self.options.uniform).then(|| {
@@ -269,7 +306,12 @@ impl<T: Scalar> Optimizer<T> for Adam<T> {
             let of_range = OfRange {
                 scale: T::from_f64(rate * correction),
                 epsilon: match (self.options.epsilon, largest) {
-                    (Epsilon::Relative(e), Some(largest)) => e * largest.to_f64(),
+                    (Epsilon::Relative(e), Some(now)) => {
+                        let largest = now.to_f64().max(self.size(&range));
+                        let end = range.end;
+                        sizes.push(Size { end, largest });
+                        e * largest
+                    }
                     (e, _) => e.number(),
                 },
                 shared: largest.filter(|_| self.options.uniform),
@@ -296,6 +338,7 @@ impl<T: Scalar> Optimizer<T> for Adam<T> {
                 [self.mean[i], self.root_mean_square[i]] = moved.state;
             }
         }
+        self.sizes = sizes;
         self.steps = self.steps.saturating_add(1);
         Ok(())
     }
