@@ -59,23 +59,18 @@ const PARAM: &str = "metal.alpha.value";
 /// A result as a list of numbers, and whether it is said to be cut short.
 type Found = (Vec<f64>, bool);
 
+/// What makes one, given settings and samples.
+type Job<'a> = Box<dyn Fn(&Settings, u64, &dyn Progress) -> Found + 'a>;
+
 fn numbers(r: Rendering) -> Found {
     (r.sums.concat(), r.cancelled)
 }
 
-fn jobs(
-    scene: &Scene,
-) -> Vec<(
-    String,
-    Box<dyn Fn(&Settings, u64, &dyn Progress) -> Found + '_>,
-)> {
+fn jobs(scene: &Scene) -> Vec<(String, Job<'_>)> {
     let values = scene.params().values();
     let along = Direction::uniform(scene.params(), PARAM).expect("a parameter");
     let ones = vec![1.0; scene.film.pixels() * 3];
-    let mut jobs: Vec<(
-        String,
-        Box<dyn Fn(&Settings, u64, &dyn Progress) -> Found + '_>,
-    )> = vec![
+    let mut jobs: Vec<(String, Job<'_>)> = vec![
         (
             "waves".into(),
             Box::new(|s, spp, p| {
