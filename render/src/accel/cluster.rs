@@ -260,7 +260,7 @@ mod tests {
             [[-half; 3], [half; 3]]
         });
         let fan = boxes(n, |i| {
-            let end = (along(i) * 6.28).sin_cos();
+            let end = (along(i) * std::f32::consts::TAU).sin_cos();
             let (x, y) = (f32::min, f32::max);
             [
                 [x(end.0, 0.0), x(end.1, 0.0), 0.0],
