@@ -239,7 +239,11 @@ impl Tree {
     #[inline(always)]
     pub(super) fn offer(&self, leaf: Child, ray: &Ray, lanes: &RayLanes<f32x8>, best: &mut Best) {
         match leaf.kind() {
-            Kind::Packet(k, _) => self.packets[k].load().offer(ray.skip[0], lanes, &self.tags[k], best),
+            Kind::Packet(k, _) => {
+                self.packets[k]
+                    .load()
+                    .offer(ray.skip[0], lanes, &self.tags[k], best)
+            }
             Kind::Curved(k) => {
                 let (curved, tag) = &self.curved[k];
                 if let Some((t, u, v)) = curved.intersect(&Line::of(ray), best.t) {

@@ -290,13 +290,7 @@ impl Accel {
 
     #[cold]
     #[inline(never)]
-    fn intersect_odd(
-        &self,
-        o: [f32; 3],
-        d: [f32; 3],
-        t_max: f32,
-        skip: [u32; 2],
-    ) -> Option<Hit> {
+    fn intersect_odd(&self, o: [f32; 3], d: [f32; 3], t_max: f32, skip: [u32; 2]) -> Option<Hit> {
         let (ray, scale) = Ray::rescaled(o, d, skip)?;
         let hit = self.nearest(&ray, t_max * scale).hit()?;
         Some(Hit {

@@ -231,5 +231,7 @@ pub fn surfaces(prims: &[Primitive], emits: impl Fn(usize) -> bool) -> Vec<u32> 
             }
         }
     }
-    (0..prims.len() as u32).map(|i| root(&mut sets, i)).collect()
+    (0..prims.len() as u32)
+        .map(|i| root(&mut sets, i))
+        .collect()
 }

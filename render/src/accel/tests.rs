@@ -239,7 +239,8 @@ fn bundles_agree_with_single_rays() {
             let mut bundle = Bundle::default();
             bundle.push([0.0; 3], [1.0, 0.0, 0.0], 1.0, [NOWHERE; 2]);
             bundle.clear();
-            rays.iter().for_each(|&(o, d, t)| bundle.push(o, d, t, [NOWHERE; 2]));
+            rays.iter()
+                .for_each(|&(o, d, t)| bundle.push(o, d, t, [NOWHERE; 2]));
             assert_eq!(bundle.is_full(), rays.len() == BUNDLE);
             let (found, occluded) = (
                 accel.intersect_bundle(&bundle),
@@ -247,7 +248,10 @@ fn bundles_agree_with_single_rays() {
             );
             for (i, &(o, d, t_max)) in rays.iter().enumerate() {
                 assert_eq!(found[i], accel.intersect(o, d, t_max, NOWHERE));
-                assert_eq!(occluded >> i & 1 != 0, accel.occluded(o, d, t_max, [NOWHERE; 2]));
+                assert_eq!(
+                    occluded >> i & 1 != 0,
+                    accel.occluded(o, d, t_max, [NOWHERE; 2])
+                );
                 hits += usize::from(found[i].is_some());
             }
         }
@@ -457,7 +461,9 @@ fn rays_from_a_surface_do_not_hit_it_again() {
             d[2] = d[2].abs();
             let o = [0.2 * random.signed(), 0.2 * random.signed(), -1.0];
             assert_ne!(
-                accel.intersect(o, d, f32::INFINITY, NOWHERE).map(|h| h.prim),
+                accel
+                    .intersect(o, d, f32::INFINITY, NOWHERE)
+                    .map(|h| h.prim),
                 Some(4)
             );
             let h = accel
@@ -489,7 +495,9 @@ fn lowest_primitive_wins_ties() {
     for accel in both(&prims) {
         for _ in 0..1000 {
             let o = [1.5 * random.signed(), 1.5 * random.signed(), -1.0];
-            let prim = accel.intersect(o, [0.0, 0.0, 1.0], 5.0, NOWHERE).map(|h| h.prim);
+            let prim = accel
+                .intersect(o, [0.0, 0.0, 1.0], 5.0, NOWHERE)
+                .map(|h| h.prim);
             let inside = o[0].abs() < 1.0 && o[1].abs() < 1.0;
             let round = o[0] * o[0] + o[1] * o[1] < 1.0;
             assert_eq!(prim, inside.then_some(if round { 1 } else { 2 }));
@@ -671,7 +679,8 @@ fn lopsided_scenes_build() {
         })
         .collect();
     for prims in [same, shrinking] {
-        let accel = Accel::tree(&prepare(&prims, &surfaces(&prims, |_| false)).unwrap()).expect("shallow enough");
+        let accel = Accel::tree(&prepare(&prims, &surfaces(&prims, |_| false)).unwrap())
+            .expect("shallow enough");
         let h = accel
             .intersect([-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], f32::INFINITY, NOWHERE)
             .unwrap();

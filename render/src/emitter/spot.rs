@@ -8,7 +8,7 @@ use super::point::{constant_colour, moving, towards};
 use super::{Ball, Connection, Emission, EmittedRay, Emitter, EmitterSample, Lights};
 use crate::bsdf::FromNode;
 use crate::error::SceneError;
-use crate::math::{NOWHERE, Frame, Ray, warp};
+use crate::math::{Frame, NOWHERE, Ray, warp};
 use crate::scene::{Builder, Node};
 use crate::shape::{Exit, SurfaceInteraction, lift3};
 use crate::texture::RgbTexture;

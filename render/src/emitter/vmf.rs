@@ -8,7 +8,7 @@ use super::point::constant_colour;
 use super::{Emission, Emitter, EmitterSample, Lights};
 use crate::bsdf::FromNode;
 use crate::error::SceneError;
-use crate::math::{NOWHERE, Frame, warp};
+use crate::math::{Frame, NOWHERE, warp};
 use crate::scene::{Builder, Node};
 use crate::shape::{SurfaceInteraction, lift3};
 use crate::texture::RgbTexture;

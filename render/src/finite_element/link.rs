@@ -115,9 +115,7 @@ pub fn connect(scene: &Scene, mesh: &Mesh, receiver: u32, source: u32) -> Connec
         }
         for b in 0..4 {
             let d = (y[b] - x).normalize();
-            if g[b] == 0.0
-                || !visible(scene, (x, re), (y[b], rs))
-            {
+            if g[b] == 0.0 || !visible(scene, (x, re), (y[b], rs)) {
                 continue;
             }
             // The exact integral over the source, spread by the kernel at its points.

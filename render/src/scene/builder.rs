@@ -7,8 +7,8 @@ use ad_core::Vec3;
 
 use super::{Node, PixelShares, Prim, Scene, Settings, ShapeInfo, Shares};
 use crate::accel::{self, Accel, AccelError, Hit, MAX_COORDINATE, Plane, Primitive};
-use crate::bsdf::nesting::{flips_normals, is_glossy, most_textures, visit_deltas};
-use crate::bsdf::{Bsdf, MAX_SLOTS, Material};
+use crate::bsdf::nesting::{check_textures, flips_normals, is_glossy, visit_deltas};
+use crate::bsdf::{Bsdf, Material};
 use crate::camera::Camera;
 use crate::emitter::{AnyEmitter, Ball, Emitter};
 use crate::error::SceneError;
@@ -69,6 +69,11 @@ impl Builder {
     /// An empty scene.
     pub fn new() -> Self {
         Self::default()
+    }
+
+    /// The parameters so far.
+    pub fn params(&self) -> &Params {
+        &self.params
     }
 
     /// A constant colour parameter; `valid` bounds each channel.
@@ -376,10 +381,7 @@ impl Builder {
             }
         }
         for m in &self.materials {
-            let n = most_textures(m);
-            if n > MAX_SLOTS {
-                return Err(too_many_textures(m, &self.params, n));
-            }
+            check_textures(m, &self.params)?;
             visit_deltas(m, &mut |p| self.params.mark_delta(p));
         }
         let (mut prims, mut patches) = (Vec::new(), Vec::new());
@@ -406,7 +408,14 @@ impl Builder {
         }
         let emits = |i: usize| self.infos[prims[i].shape as usize].emitter.is_some();
         let surfaces = accel::surfaces(&primitives, emits);
-        raise_lights(&mut primitives, &prims, &surfaces, &self.shapes, &camera, emits);
+        raise_lights(
+            &mut primitives,
+            &prims,
+            &surfaces,
+            &self.shapes,
+            &camera,
+            emits,
+        );
         let accel = Accel::with_surfaces(&primitives, &surfaces).map_err(|e| match e {
             AccelError::Coordinate { primitive, .. } => {
                 let shape = prims[primitive].shape as usize;
@@ -547,19 +556,6 @@ pub(super) fn out_of_reach(name: &str, e: &AccelError) -> SceneError {
         key: name.to_owned(),
         expected,
         found,
-    }
-}
-
-/// Names a material by its first parameter.
-fn too_many_textures(material: &Material, params: &Params, found: usize) -> SceneError {
-    let mut key = None;
-    material.visit_params(&mut |p| {
-        key.get_or_insert_with(|| params.infos()[p.id as usize].name.clone());
-    });
-    SceneError::Parameter {
-        key: key.unwrap_or_else(|| "bsdf".into()),
-        expected: format!("a material that reads at most {MAX_SLOTS} textures"),
-        found: found.to_string(),
     }
 }
 

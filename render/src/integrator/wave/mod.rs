@@ -551,7 +551,12 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         let single = |v: Vec3<P>| v.map(P::to_f32).to_array();
         let ray = |i: usize| {
             let (o, d) = (paths.o.vec(i), paths.d.vec(i));
-            (single(o), single(d), f32::INFINITY, [paths.surface[i], NOWHERE])
+            (
+                single(o),
+                single(d),
+                f32::INFINITY,
+                [paths.surface[i], NOWHERE],
+            )
         };
         let mut rays = Bundle::default();
         if !scene.has_hierarchy() {
