@@ -116,8 +116,8 @@ impl Bundle {
     #[inline(always)]
     pub(super) fn limits(&self) -> Option<[f32; BUNDLE]> {
         let sane = (0..BUNDLE).fold(true, |sane, i| {
-            let (o, d, _, skip) = self.ray(i);
-            sane & Ray::new(o, d, skip).is_some()
+            let (o, d, ..) = self.ray(i);
+            sane & Ray::new(o, d, [NOWHERE; 2]).is_some()
         });
         let mut limits = self.t_max;
         for t in &mut limits {
@@ -132,6 +132,8 @@ impl Bundle {
 pub(super) struct Few {
     items: Vec<(One, Tag)>,
     curved: bool,
+    /// Of every primitive of the scene, up to the last one that can be hit.
+    surfaces: Vec<u32>,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -158,16 +160,37 @@ impl Few {
         };
         let items: Vec<_> = items.map(one).collect();
         let curved = items.iter().any(|i| matches!(i.0, One::Curved(_)));
-        Few { items, curved }
+        let mut surfaces = Vec::new();
+        for (_, Tag { prim, surface }) in &items {
+            surfaces.resize(*prim as usize, NOWHERE);
+            surfaces.push(*surface);
+        }
+        Few {
+            items,
+            curved,
+            surfaces,
+        }
     }
 
     pub(super) fn memory_bytes(&self) -> usize {
         self.items.capacity() * size_of::<(One, Tag)>()
+            + self.surfaces.capacity() * size_of::<u32>()
     }
 
     /// The nearest hit of every ray, or `None` if one of them needs special care.
     #[inline(never)]
     pub(super) fn intersect(
+        &self,
+        bundle: &Bundle,
+        hits: &mut [Option<Hit>; BUNDLE],
+    ) -> Option<()> {
+        self.search::<false>(bundle, hits)
+    }
+
+    /// [`Few::intersect`], `CAREFUL`: without the surfaces that rays leave. As these start off them, it hardly ever
+    /// matters, and is found out by looking at what was hit.
+    #[inline(always)]
+    fn search<const CAREFUL: bool>(
         &self,
         bundle: &Bundle,
         hits: &mut [Option<Hit>; BUNDLE],
@@ -184,8 +207,10 @@ impl Few {
         let from = bundle.marks(0);
         for (one, Tag { prim, surface }) in &self.items {
             // Strict, and primitives ascend: the lowest one among equals stays.
-            let (hit, t, u, v) = lanes.test(one, best.t);
-            let hit = hit & f32x16::splat(mark(*surface)).simd_ne(from);
+            let (mut hit, t, u, v) = lanes.test(one, best.t);
+            if CAREFUL {
+                hit &= f32x16::splat(mark(*surface)).simd_ne(from);
+            }
             best.t = hit.select(t, best.t);
             best.u = hit.select(u, best.u);
             best.v = hit.select(v, best.v);
@@ -194,7 +219,13 @@ impl Few {
         let found = best.t.simd_lt(start).to_bitmask();
         let (t, u, v) = (best.t.to_array(), best.u.to_array(), best.v.to_array());
         let prim = best.prim.to_array();
+        let mut again = false;
         for i in 0..bundle.len {
+            if !CAREFUL {
+                let surface = self.surfaces.get(prim[i].to_bits() as usize);
+                let here = found >> i & 1 != 0;
+                again |= here & (surface == Some(&bundle.skip[0][i]));
+            }
             hits[i] = (found >> i & 1 != 0).then(|| Hit {
                 t: t[i],
                 u: u[i],
@@ -202,7 +233,16 @@ impl Few {
                 prim: prim[i].to_bits(),
             });
         }
+        if !CAREFUL && again {
+            return self.again(bundle, hits);
+        }
         Some(())
+    }
+
+    #[cold]
+    #[inline(never)]
+    fn again(&self, bundle: &Bundle, hits: &mut [Option<Hit>; BUNDLE]) -> Option<()> {
+        self.search::<true>(bundle, hits)
     }
 
     /// One bit per ray that hits anything, or `None` if a ray needs special care.
@@ -213,8 +253,12 @@ impl Few {
         let mut any = f32x16::splat(0.0);
         let (from, to) = (bundle.marks(0), bundle.marks(1));
         for (one, tag) in &self.items {
-            let surface = f32x16::splat(mark(tag.surface));
-            any |= lanes.test(one, t_max).0 & surface.simd_ne(from) & surface.simd_ne(to);
+            let hit = lanes.test(one, t_max).0;
+            // Most are hit by none of the rays.
+            if hit.to_bitmask() != 0 {
+                let surface = f32x16::splat(mark(tag.surface));
+                any |= hit & surface.simd_ne(from) & surface.simd_ne(to);
+            }
         }
         Some(any.to_bitmask())
     }

@@ -4,9 +4,9 @@ use std::sync::Arc;
 
 use ad_core::{Float, Real};
 
-use super::{Bsdf, Material};
+use super::{Bsdf, MAX_SLOTS, Material};
 use crate::error::SceneError;
-use crate::params::ParamRef;
+use crate::params::{ParamRef, Params};
 use crate::scene::Node;
 
 /// How many levels materials may nest: one bit each in the `route` of a delta.
@@ -67,19 +67,35 @@ pub fn has_delta(material: &Material) -> bool {
     }
 }
 
-/// Most textures that any leaf of the material reads.
-pub fn most_textures(material: &Material) -> usize {
+/// Checks that the derivatives of all textures of a material have room.
+///
+/// # Errors
+/// A leaf that reads more than [`MAX_SLOTS`], with the name of its first parameter.
+pub fn check_textures(material: &Material, params: &Params) -> Result<(), SceneError> {
     match children(material) {
-        [] => textures(material),
-        parts => parts.iter().map(|m| most_textures(m)).max().unwrap_or(0),
+        [] => check_leaf(material, params),
+        parts => parts.iter().try_for_each(|m| check_textures(m, params)),
     }
 }
 
-/// How many textures a leaf reads.
-fn textures(leaf: &impl Bsdf) -> usize {
-    let mut n = 0;
-    leaf.visit_textures(&mut |_| n += 1);
-    n
+fn check_leaf(leaf: &impl Bsdf, params: &Params) -> Result<(), SceneError> {
+    let mut found = 0;
+    let mut first = None;
+    leaf.visit_textures(&mut |t| {
+        found += 1;
+        t.visit_params(&mut |p| {
+            first.get_or_insert(p.id);
+        });
+    });
+    if found <= MAX_SLOTS {
+        return Ok(());
+    }
+    let name = first.map(|id| params.infos()[id as usize].name.clone());
+    Err(SceneError::Parameter {
+        key: name.unwrap_or_else(|| "bsdf".into()),
+        expected: format!("a material that reads at most {MAX_SLOTS} textures"),
+        found: found.to_string(),
+    })
 }
 
 /// Calls `f` with every range that a sampled direction is a Dirac delta in: the index of smooth glass, and normals that
@@ -148,5 +164,49 @@ pub(super) fn nested_nodes(
             expected: expected.into(),
             found: format!("{} of them", nodes.len()),
         }),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::bsdf::{DiffuseLobe, Leaf, Reader};
+    use crate::math::Rgb;
+    use crate::scene::Builder;
+    use crate::texture::RgbTexture;
+
+    /// The mean of many albedos.
+    struct Layers(Vec<RgbTexture>);
+
+    impl Leaf for Layers {
+        type Lobe<R: Real> = DiffuseLobe<R>;
+
+        fn lobe<R: Real>(&self, read: &mut impl Reader<R>) -> DiffuseLobe<R> {
+            let sum = |sum: Rgb<R>, t| sum + read.rgb(t);
+            let sum = self.0.iter().fold(Rgb::black(), sum);
+            DiffuseLobe {
+                reflectance: sum * R::of(1.0 / self.0.len() as f64),
+            }
+        }
+    }
+
+    #[test]
+    fn more_textures_than_there_is_room_for_are_refused_by_name() {
+        for n in [MAX_SLOTS, MAX_SLOTS + 1] {
+            let mut build = Builder::new();
+            let layer = |i| build.rgb(&format!("coat.layer{i}.value"), [0.5; 3], (0.0, 1.0));
+            let layers = (0..n).map(layer).collect::<Result<_, _>>().unwrap();
+            let found = check_leaf(&Layers(layers), build.params());
+            if n == MAX_SLOTS {
+                assert!(found.is_ok());
+            } else {
+                let error = found.unwrap_err().to_string();
+                assert!(error.contains("coat.layer0.value"), "{error}");
+                assert!(
+                    error.contains("at most 4") && error.contains('5'),
+                    "{error}"
+                );
+            }
+        }
     }
 }

@@ -7,8 +7,8 @@ use ad_core::Vec3;
 
 use super::{Node, PixelShares, Prim, Scene, Settings, ShapeInfo, Shares};
 use crate::accel::{self, Accel, AccelError, Hit, MAX_COORDINATE, Plane, Primitive};
-use crate::bsdf::nesting::{flips_normals, is_glossy, most_textures, visit_deltas};
-use crate::bsdf::{Bsdf, MAX_SLOTS, Material};
+use crate::bsdf::nesting::{check_textures, flips_normals, is_glossy, visit_deltas};
+use crate::bsdf::{Bsdf, Material};
 use crate::camera::Camera;
 use crate::emitter::{AnyEmitter, Ball, Emitter};
 use crate::error::SceneError;
@@ -96,6 +96,11 @@ impl Builder {
     /// An empty scene.
     pub fn new() -> Self {
         Self::default()
+    }
+
+    /// The parameters so far.
+    pub fn params(&self) -> &Params {
+        &self.params
     }
 
     /// A constant colour parameter; `valid` bounds each channel.
@@ -407,10 +412,7 @@ impl Builder {
             }
         }
         for m in &self.materials {
-            let n = most_textures(m);
-            if n > MAX_SLOTS {
-                return Err(too_many_textures(m, &self.params, n));
-            }
+            check_textures(m, &self.params)?;
             visit_deltas(m, &mut |p| self.params.mark_delta(p));
         }
         let (mut prims, mut patches) = (Vec::new(), Vec::new());
@@ -586,19 +588,6 @@ pub(super) fn out_of_reach(name: &str, e: &AccelError) -> SceneError {
         key: name.to_owned(),
         expected,
         found,
-    }
-}
-
-/// Names a material by its first parameter.
-fn too_many_textures(material: &Material, params: &Params, found: usize) -> SceneError {
-    let mut key = None;
-    material.visit_params(&mut |p| {
-        key.get_or_insert_with(|| params.infos()[p.id as usize].name.clone());
-    });
-    SceneError::Parameter {
-        key: key.unwrap_or_else(|| "bsdf".into()),
-        expected: format!("a material that reads at most {MAX_SLOTS} textures"),
-        found: found.to_string(),
     }
 }
 
