@@ -8,8 +8,8 @@ use fuzz::{apply, check_message, config, corpus, mutations};
 use proptest::prelude::*;
 use render::Scene;
 use render::image_io::{Encoding, read};
+use render::plugin::xml::{Document, Node};
 use render::scene::LoadOptions;
-use render::scene::xml::{Document, Node};
 use render::shape::{Mesh, ObjOptions};
 
 #[global_allocator]

@@ -38,6 +38,7 @@ use ad_core::{Dual, Float};
 
 use crate::bsdf::kernel::Rules;
 use crate::error::RenderError;
+pub use crate::estimator::Mode;
 use crate::estimator::{
     self, AllowBias, Attached, AttachedChoice, AttachedDirect, AttachedRoulette, AttachedWeights,
     Balance, BsdfOnly, Detached, DetachedMis, DetachedWeights, Differential, EmitterOnly,
@@ -502,16 +503,6 @@ fn tangents<'a, const N: usize>(
     out
 }
 
-/// Which way derivatives are carried.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Mode {
-    /// Derivative images along a direction.
-    Forward,
-    /// Gradients.
-    #[default]
-    Reverse,
-}
-
 /// All estimators that are compiled for comparison, one line each: name, type.
 macro_rules! estimators {
     ($($(#[doc = $doc:literal])* $variant:ident $name:literal $strategy:ty;)*) => {
@@ -557,10 +548,10 @@ macro_rules! estimators {
             /// Whether it is right in this scene.
             ///
             /// # Errors
-            /// See [`estimator::check`].
+            /// See [`Scene::admits`].
             pub fn check(self, scene: &Scene) -> Result<(), RenderError> {
                 match self {
-                    $(Self::$variant => estimator::check::<$strategy>(scene),)*
+                    $(Self::$variant => scene.admits::<$strategy>(),)*
                 }
             }
 

@@ -70,6 +70,7 @@ pub mod integrator;
 pub mod math;
 mod parallel;
 pub mod params;
+pub mod plugin;
 mod prefetch;
 pub mod sampler;
 pub mod scene;

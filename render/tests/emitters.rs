@@ -13,8 +13,8 @@ use render::film::Image;
 use render::image_io;
 use render::math::{Frame, Transform, warp};
 use render::params::{GradSink, ParamRef, Tangent, Theta};
+use render::plugin::xml::Document;
 use render::sampler::{Independent, Sampler};
-use render::scene::xml::Document;
 use render::scene::{Builder, Settings};
 use render::shape::{Patch, Rectangle, Shape, Sphere};
 use render::{Film, Scene, SceneError};
@@ -69,7 +69,9 @@ fn environments() -> (Scene, Vec<&'static str>) {
     let scene = scene(|b, _| {
         let grey = |b: &mut Builder| b.rgb("radiance", [1.0, 2.0, 3.0], POSITIVE).unwrap();
         let map = |b: &mut Builder, image: &Image, t: Transform| -> AnyEmitter {
-            Envmap::new(b, "env", image, &t, 0.5).unwrap().into()
+            Envmap::new(b.registry(), "env", image, &t, 0.5)
+                .unwrap()
+                .into()
         };
         let mut spiky = Image::new(16, 8);
         spiky.data[3 * (5 * 16 + 15)..][..3].fill(1e4);
@@ -392,8 +394,10 @@ fn maps_are_looked_up_as_by_the_peer() {
     let scene = scene(|b, _| {
         let t = Transform::IDENTITY;
         vec![
-            Envmap::new(b, "env", &image, &t, 0.5).unwrap().into(),
-            Envmap::new(b, "turned", &image, &turned(), 0.5)
+            Envmap::new(b.registry(), "env", &image, &t, 0.5)
+                .unwrap()
+                .into(),
+            Envmap::new(b.registry(), "turned", &image, &turned(), 0.5)
                 .unwrap()
                 .into(),
         ]
@@ -449,7 +453,7 @@ fn dark_texels_can_be_switched_on() {
     let mut image = Image::new(4, 1);
     image.data[..3].fill(1.0);
     let scene = scene(|b, _| {
-        let map = Envmap::new(b, "env", &image, &Transform::IDENTITY, 1.0).unwrap();
+        let map = Envmap::new(b.registry(), "env", &image, &Transform::IDENTITY, 1.0).unwrap();
         vec![map.into()]
     });
     let emitter = &scene.emitters()[0];
@@ -503,7 +507,7 @@ fn maps_are_resampled_when_they_change() {
     let mut scene = scene(|b, _| {
         let t = Transform::IDENTITY;
         vec![
-            Envmap::new(b, "env", &Image::new(8, 5), &t, 1.0)
+            Envmap::new(b.registry(), "env", &Image::new(8, 5), &t, 1.0)
                 .unwrap()
                 .into(),
         ]
@@ -528,7 +532,13 @@ fn maps_are_resampled_when_they_change() {
 
 /// A map under test and its scene.
 fn map(image: &Image) -> Scene {
-    scene(|b, _| vec![Envmap::new(b, "env", image, &turned(), 0.5).unwrap().into()])
+    scene(|b, _| {
+        vec![
+            Envmap::new(b.registry(), "env", image, &turned(), 0.5)
+                .unwrap()
+                .into(),
+        ]
+    })
 }
 
 /// Attached samples must not jump [Zeltner 2021, section 4.2.2]: along both random numbers the direction is
@@ -1001,7 +1011,7 @@ fn from_xml(text: &str, folder: &Path) -> Result<(AnyEmitter, Builder), SceneErr
     let document = Document::from_str(&text, folder, &[]).unwrap();
     let node = document.root().children_with_tag("emitter")[0];
     let mut build = Builder::new();
-    let emitter = AnyEmitter::from_node(node, &mut build)?;
+    let emitter = AnyEmitter::from_node(node, build.registry())?;
     node.finish()?;
     Ok((emitter, build))
 }
@@ -1109,7 +1119,7 @@ fn maps_come_from_files() {
 fn images_are_checked() {
     let refused = |image: Image| {
         let mut build = Builder::new();
-        Envmap::new(&mut build, "env", &image, &Transform::IDENTITY, 1.0)
+        Envmap::new(build.registry(), "env", &image, &Transform::IDENTITY, 1.0)
             .map(drop)
             .unwrap_err()
             .to_string()

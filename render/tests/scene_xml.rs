@@ -8,7 +8,7 @@ use std::sync::Arc;
 
 use approx::assert_relative_eq;
 use render::error::SceneError;
-use render::scene::xml::{Document, Node};
+use render::plugin::xml::{Document, Node};
 
 /// A scene with `body` from its second line on.
 fn scene(body: &str) -> String {

@@ -8,9 +8,9 @@ use proptest::prelude::*;
 use render::SceneError;
 use render::accel::{Accel, Hit};
 use render::math::{NOWHERE, Ray, Transform};
+use render::plugin::xml::Document;
 use render::sampler::{Independent, Sampler};
 use render::scene::Builder;
-use render::scene::xml::Document;
 use render::shape::{
     AnyShape, Cube, Cylinder, Disk, Mesh, MeshData, ObjOptions, Shape, Sphere, SurfaceInteraction,
 };
@@ -594,7 +594,7 @@ fn from_xml(text: &str) -> Result<AnyShape, SceneError> {
     let text = format!("<scene version=\"3.0.0\">\n{text}\n</scene>");
     let document = Document::from_str(&text, Path::new("."), &[]).unwrap();
     let node = document.root().children_with_tag("shape")[0];
-    AnyShape::from_node(node, &mut Builder::new())
+    AnyShape::from_node(node, Builder::new().registry())
 }
 
 #[test]

@@ -41,3 +41,180 @@ fn tools_print_without_panics() {
     }
     assert!(read > 100, "only {read} files found");
 }
+
+/// Modules of `render`, lowest first: each may use those before it, and nothing after it.
+const LAYERS: &[&str] = &[
+    "prefetch",
+    "parallel",
+    "dispatch",
+    "math",
+    "sampler",
+    "error",
+    "inputs",
+    "files",
+    "film",
+    "image_io",
+    "params",
+    "camera",
+    "accel",
+    "guide",
+    "plugin",
+    "texture",
+    "bsdf",
+    "shape",
+    "emitter",
+    "estimator",
+    "scene",
+    "integrator",
+    "finite_element",
+    "instances",
+    "auto",
+];
+
+/// The same within `integrator`.
+const TRANSPORT: &[&str] = &[
+    "progress",
+    "rendering",
+    "exact",
+    "sparse",
+    "noise",
+    "local",
+    "active",
+    "vertex",
+    "boundary",
+    "direct",
+    "record",
+    "batch",
+    "path",
+    "simple",
+    "wave",
+    "tile",
+    "sink",
+    "pass",
+    "aim",
+    "particle",
+    "particle_gradient",
+    "density",
+    "paths",
+    "integrals",
+    "render",
+    "gradient",
+    "second_order",
+    "scout",
+    "tally",
+];
+
+/// All `.rs` files below a folder, as paths relative to it.
+fn sources(folder: &Path) -> Vec<String> {
+    let mut found = Vec::new();
+    let mut folders = vec![folder.to_owned()];
+    while let Some(next) = folders.pop() {
+        for entry in std::fs::read_dir(&next).expect("a folder") {
+            let path = entry.expect("an entry").path();
+            if path.is_dir() {
+                folders.push(path);
+            } else if path.extension().is_some_and(|e| e == "rs") {
+                let relative = path.strip_prefix(folder).expect("a path below the folder");
+                found.push(relative.to_string_lossy().into_owned());
+            }
+        }
+    }
+    found
+}
+
+/// The names that follow `path` in the code, comments and unit tests left out.
+fn named_after(code: &str, path: &str) -> Vec<String> {
+    let mut names = Vec::new();
+    for (at, _) in code.match_indices(path) {
+        let before = code[..at].chars().next_back();
+        if before.is_some_and(|c| c.is_alphanumeric() || c == '_' || c == ':') {
+            continue;
+        }
+        let rest = &code[at + path.len()..];
+        let word = |text: &str| -> String {
+            (text.trim_start().chars())
+                .take_while(|c| c.is_alphanumeric() || *c == '_')
+                .collect()
+        };
+        match rest.strip_prefix('{') {
+            // The first word of each item of the list, not of lists within it.
+            Some(list) => {
+                let mut depth = 0;
+                let mut item = String::new();
+                for c in list.chars() {
+                    match c {
+                        '{' => depth += 1,
+                        '}' if depth == 0 => break,
+                        '}' => depth -= 1,
+                        ',' if depth == 0 => names.push(word(&std::mem::take(&mut item))),
+                        _ if depth == 0 => item.push(c),
+                        _ => {}
+                    }
+                }
+                names.push(word(&item));
+            }
+            None => names.push(word(rest)),
+        }
+    }
+    names
+}
+
+/// Which modules of `folder`, whose path in the crate is `prefix`, use which others.
+fn uses(folder: &Path, prefix: &str) -> Vec<(String, String)> {
+    let mut uses = Vec::new();
+    for file in sources(folder) {
+        let module = file
+            .split('/')
+            .next()
+            .unwrap_or(&file)
+            .trim_end_matches(".rs")
+            .to_owned();
+        if ["mod", "lib"].contains(&module.as_str()) {
+            continue;
+        }
+        let text = std::fs::read_to_string(folder.join(&file)).expect("source text");
+        let code = text
+            .split("#[cfg(test)]\nmod tests")
+            .next()
+            .unwrap_or(&text);
+        let code: String = code
+            .lines()
+            .map(|l| l.split("//").next().unwrap_or(l))
+            .collect::<Vec<_>>()
+            .join("\n");
+        let levels = file.matches('/').count() + usize::from(!file.ends_with("/mod.rs"));
+        let parent = "super::".repeat(levels);
+        for path in [prefix, &parent] {
+            let named = named_after(&code, path).into_iter();
+            uses.extend(named.map(|name| (module.clone(), name)));
+        }
+    }
+    uses
+}
+
+fn assert_layers(folder: &Path, prefix: &str, layers: &[&str]) {
+    let place = |name: &str| layers.iter().position(|l| *l == name);
+    let mut seen = 0;
+    for (user, used) in uses(folder, prefix) {
+        let Some(above) = place(&user) else {
+            panic!(
+                "{user} has no place among the layers of {}",
+                folder.display()
+            );
+        };
+        // Items of the folder itself are re-exports.
+        let Some(below) = place(&used) else { continue };
+        assert!(below <= above, "{user} uses {used}, which lies above it");
+        seen += usize::from(below < above);
+    }
+    assert!(seen > layers.len(), "only {seen} uses found");
+}
+
+/// There are no circles between modules: what a plugin needs to read itself lies below all plugins, the scene above
+/// them, and estimators know no scene.
+#[test]
+fn modules_use_what_lies_below() {
+    let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("../render/src");
+    assert_layers(&source, "crate::", LAYERS);
+    assert_layers(&source.join("integrator"), "crate::integrator::", TRANSPORT);
+}

@@ -258,7 +258,7 @@ impl Stage {
     /// None that [`hall`] can cause.
     pub fn hall(&mut self, scale: f64) -> Result<()> {
         let axes = Transform::scale([1.0; 3]);
-        let light = Envmap::new(&mut self.build, "hall", &hall(256, 128), &axes, scale)?;
+        let light = Envmap::new(self.build.registry(), "hall", &hall(256, 128), &axes, scale)?;
         self.build.add_emitter(light, None);
         Ok(())
     }

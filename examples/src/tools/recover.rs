@@ -653,7 +653,7 @@ fn recover(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
             bar.message(format!("loss {:.3e}", row.loss));
         }
         if let Some(warning) = state.stalled() {
-            eprintln!("warning: {warning}");
+            complain!("warning: {warning}");
         }
         if last_save.elapsed() > save_every {
             let begin = Instant::now();

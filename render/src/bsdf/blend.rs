@@ -6,13 +6,12 @@ use ad_core::{Const, Float, Real, Vec3};
 
 use super::nesting::{attached_choice, check_levels, choice, choose, nested_nodes};
 use super::{
-    Bsdf, BsdfSample, Component, DeltaKind, FromNode, Material, Part, Shading, TextureRef,
-    TransportMode, Use,
+    Bsdf, BsdfSample, Component, DeltaKind, Material, Part, Shading, TextureRef, TransportMode, Use,
 };
 use crate::error::SceneError;
 use crate::math::{Rgb, both};
 use crate::params::GradSink;
-use crate::scene::{Builder, Node};
+use crate::plugin::{FromNode, Node, Registry};
 use crate::texture::ScalarTexture;
 
 /// `(1 - w) a + w b`, with a weight that varies over the surface.
@@ -260,14 +259,14 @@ impl Bsdf for Blend {
 impl FromNode for Blend {
     const PLUGINS: &'static [&'static str] = &["blendbsdf"];
 
-    fn from_node(node: &Node, build: &mut Builder) -> Result<Self, SceneError> {
+    fn from_node(node: &Node, registry: &mut Registry) -> Result<Self, SceneError> {
         if !node.has("weight") {
             return Err(node.missing("weight", "a number from 0 to 1, or a texture"));
         }
-        let weight = build.scalar_texture(node, "weight", 0.5, (0.0, 1.0))?;
+        let weight = registry.scalar_texture(node, "weight", 0.5, (0.0, 1.0))?;
         let nodes = nested_nodes(node, 2, 2)?;
-        let a = build.material_from_node(nodes[0], "bsdf_0")?;
-        let b = build.material_from_node(nodes[1], "bsdf_1")?;
+        let a = registry.material_from_node(nodes[0], "bsdf_0")?;
+        let b = registry.material_from_node(nodes[1], "bsdf_1")?;
         Self::new(weight, [a, b])
     }
 }

@@ -4,10 +4,10 @@ use std::f64::consts::PI;
 
 use ad_core::{Const, Float, Real, Vec3};
 
-use super::{BsdfSample, Component, FromNode, Leaf, Lobe, Reader, TransportMode, constant};
+use super::{BsdfSample, Component, Leaf, Lobe, Reader, TransportMode, constant};
 use crate::error::SceneError;
 use crate::math::{Rgb, warp};
-use crate::scene::{Builder, Node};
+use crate::plugin::{FromNode, Node, Registry};
 use crate::texture::{RgbTexture, ScalarTexture};
 
 /// Largest valid exponent.
@@ -240,12 +240,12 @@ impl<R: Real> Lobe<R> for BlinnPhongLobe<R> {
 impl FromNode for BlinnPhong {
     const PLUGINS: &'static [&'static str] = &["blinnphong"];
 
-    fn from_node(node: &Node, build: &mut Builder) -> Result<Self, SceneError> {
+    fn from_node(node: &Node, registry: &mut Registry) -> Result<Self, SceneError> {
         let unit = (0.0, 1.0);
         Ok(Self {
-            diffuse: build.rgb_texture(node, "diffuse_reflectance", [0.5; 3], unit)?,
-            specular: build.rgb_texture(node, "specular_reflectance", [0.2; 3], unit)?,
-            exponent: build.scalar_texture(node, "exponent", 30.0, (0.0, MAX_EXPONENT))?,
+            diffuse: registry.rgb_texture(node, "diffuse_reflectance", [0.5; 3], unit)?,
+            specular: registry.rgb_texture(node, "specular_reflectance", [0.2; 3], unit)?,
+            exponent: registry.scalar_texture(node, "exponent", 30.0, (0.0, MAX_EXPONENT))?,
             sampling: match node.boolean_or("importance_sampling", true)? {
                 true => BlinnPhongSampling::Importance,
                 false => BlinnPhongSampling::Cosine,

@@ -2,12 +2,10 @@
 
 use ad_core::{Real, Vec3};
 
-use super::{
-    BsdfSample, Component, DeltaKind, FromNode, Leaf, Lobe, Reader, TransportMode, fresnel,
-};
+use super::{BsdfSample, Component, DeltaKind, Leaf, Lobe, Reader, TransportMode, fresnel};
 use crate::error::SceneError;
 use crate::math::Rgb;
-use crate::scene::{Builder, Node};
+use crate::plugin::{FromNode, Node, Registry};
 use crate::texture::RgbTexture;
 
 /// The reflectance of a conducting surface as a function of angle.
@@ -120,9 +118,9 @@ impl FromNode for Conductor {
 
     /// `specular_reflectance` (1), and either `material` (a metal's name, or `none`: the default)
     /// or `eta` (0) and `k` (1).
-    fn from_node(node: &Node, build: &mut Builder) -> Result<Self, SceneError> {
+    fn from_node(node: &Node, registry: &mut Registry) -> Result<Self, SceneError> {
         let specular_reflectance =
-            build.rgb_texture(node, "specular_reflectance", [1.0; 3], (0.0, 1.0))?;
+            registry.rgb_texture(node, "specular_reflectance", [1.0; 3], (0.0, 1.0))?;
         let named = node.choice("material", METALS)?;
         let explicit = node.has("eta") || node.has("k");
         if explicit && node.has("material") {
@@ -142,8 +140,8 @@ impl FromNode for Conductor {
         Ok(Self {
             specular_reflectance,
             index: Some(ConductorIndex {
-                eta: build.rgb_texture(node, "eta", default[0], valid)?,
-                k: build.rgb_texture(node, "k", default[1], valid)?,
+                eta: registry.rgb_texture(node, "eta", default[0], valid)?,
+                k: registry.rgb_texture(node, "k", default[1], valid)?,
             }),
         })
     }

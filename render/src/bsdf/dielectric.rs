@@ -2,12 +2,10 @@
 
 use ad_core::{Const, Real, Vec3};
 
-use super::{
-    BsdfSample, Component, DeltaKind, FromNode, Leaf, Lobe, Reader, TransportMode, fresnel,
-};
+use super::{BsdfSample, Component, DeltaKind, Leaf, Lobe, Reader, TransportMode, fresnel};
 use crate::error::SceneError;
 use crate::math::Rgb;
-use crate::scene::{Builder, Node};
+use crate::plugin::{FromNode, Node, Registry};
 use crate::texture::{RgbTexture, ScalarTexture};
 
 /// A smooth interface between two dielectrics.
@@ -147,18 +145,18 @@ impl FromNode for Dielectric {
 
     /// `int_ior` (`bk7`) and `ext_ior` (`air`), numbers or names; `specular_reflectance` (1) and
     /// `specular_transmittance` (1).
-    fn from_node(node: &Node, build: &mut Builder) -> Result<Self, SceneError> {
+    fn from_node(node: &Node, registry: &mut Registry) -> Result<Self, SceneError> {
         let eta = relative_index(node, "bk7")?;
-        let name = format!("{}.eta.value", build.prefix());
+        let name = format!("{}.eta.value", registry.prefix());
         Ok(Self {
-            eta: build.scalar(&name, eta, INDEX_RANGE)?,
-            specular_reflectance: build.rgb_texture(
+            eta: registry.scalar(&name, eta, INDEX_RANGE)?,
+            specular_reflectance: registry.rgb_texture(
                 node,
                 "specular_reflectance",
                 [1.0; 3],
                 (0.0, 1.0),
             )?,
-            specular_transmittance: build.rgb_texture(
+            specular_transmittance: registry.rgb_texture(
                 node,
                 "specular_transmittance",
                 [1.0; 3],

@@ -4,10 +4,10 @@ use std::f64::consts::FRAC_1_PI;
 
 use ad_core::{Real, Vec3};
 
-use super::{BsdfSample, Component, FromNode, Leaf, Lobe, Reader, TransportMode};
+use super::{BsdfSample, Component, Leaf, Lobe, Reader, TransportMode};
 use crate::error::SceneError;
 use crate::math::{Rgb, warp};
-use crate::scene::{Builder, Node};
+use crate::plugin::{FromNode, Node, Registry};
 use crate::texture::RgbTexture;
 
 /// An ideally diffuse, one-sided reflector.
@@ -72,9 +72,9 @@ impl<R: Real> Lobe<R> for DiffuseLobe<R> {
 impl FromNode for Diffuse {
     const PLUGINS: &'static [&'static str] = &["diffuse"];
 
-    fn from_node(node: &Node, build: &mut Builder) -> Result<Self, SceneError> {
+    fn from_node(node: &Node, registry: &mut Registry) -> Result<Self, SceneError> {
         Ok(Self {
-            reflectance: build.rgb_texture(node, "reflectance", [0.5; 3], (0.0, 1.0))?,
+            reflectance: registry.rgb_texture(node, "reflectance", [0.5; 3], (0.0, 1.0))?,
         })
     }
 }

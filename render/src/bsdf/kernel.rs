@@ -4,7 +4,6 @@ use ad_core::{Float, Real, Vec3};
 
 use super::{Bsdf, Component, DeltaKind, Shading, TransportMode};
 use crate::math::Rgb;
-use crate::shape::SurfaceInteraction;
 
 /// Whether particles obey the adjoint of the rules for viewing rays, as they have to.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -80,16 +79,6 @@ impl Rules {
             true => TransportMode::Importance,
             false => TransportMode::Radiance,
         }
-    }
-}
-
-/// The geometric normal in the shading frame: exactly z where there is no shading normal.
-#[inline(always)]
-pub fn local_normal<P: Float>(si: &SurfaceInteraction<P>) -> Vec3<P> {
-    if si.n_geo == si.frame.n {
-        Vec3::new(P::zero(), P::zero(), P::one())
-    } else {
-        si.frame.to_local(si.n_geo)
     }
 }
 

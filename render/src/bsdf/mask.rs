@@ -6,13 +6,12 @@ use ad_core::{Const, Float, Real, Vec3};
 
 use super::nesting::{attached_choice, check_levels, choice, choose, nested_nodes};
 use super::{
-    Bsdf, BsdfSample, Component, DeltaKind, FromNode, Material, Part, Shading, TextureRef,
-    TransportMode, Use,
+    Bsdf, BsdfSample, Component, DeltaKind, Material, Part, Shading, TextureRef, TransportMode, Use,
 };
 use crate::error::SceneError;
 use crate::math::Rgb;
 use crate::params::GradSink;
-use crate::scene::{Builder, Node};
+use crate::plugin::{FromNode, Node, Registry};
 use crate::texture::ScalarTexture;
 
 /// A material of which the share `opacity` is there; through the rest light goes straight on.
@@ -230,10 +229,10 @@ impl Bsdf for Mask {
 impl FromNode for Mask {
     const PLUGINS: &'static [&'static str] = &["mask"];
 
-    fn from_node(node: &Node, build: &mut Builder) -> Result<Self, SceneError> {
-        let opacity = build.scalar_texture(node, "opacity", 0.5, (0.0, 1.0))?;
+    fn from_node(node: &Node, registry: &mut Registry) -> Result<Self, SceneError> {
+        let opacity = registry.scalar_texture(node, "opacity", 0.5, (0.0, 1.0))?;
         let nodes = nested_nodes(node, 1, 1)?;
-        let nested = build.material_from_node(nodes[0], "nested_bsdf")?;
+        let nested = registry.material_from_node(nodes[0], "nested_bsdf")?;
         Self::new(opacity, nested)
     }
 }

@@ -127,12 +127,14 @@ pub use rough_dielectric::{RoughDielectric, RoughDielectricLobe};
 pub use rough_plastic::{Coat, RoughPlastic, RoughPlasticLobe};
 pub use twosided::TwoSided;
 
+use std::sync::Arc;
+
 use ad_core::{Dual, Float, Real, Vec2, Vec3};
 
 use crate::error::SceneError;
 use crate::math::Rgb;
 use crate::params::{GradSink, ParamRef, Theta};
-use crate::scene::{Builder, Node};
+use crate::plugin::{FromNode, Node, Registry};
 use crate::texture::{RgbTexture, ScalarTexture};
 
 /// Which quantity is transported. BSDFs are not symmetric: [Veach 1996], errata section 6.
@@ -1000,15 +1002,31 @@ impl Reader<f32> for List<'_> {
     }
 }
 
-/// Builds a material from its scene description.
-pub trait FromNode: Sized {
-    /// The plugin's names in scene files.
-    const PLUGINS: &'static [&'static str];
-    /// Reads the description.
+/// Materials.
+impl Registry {
+    /// Builds the material described by `node`, once however often it is referred to. Its parameters
+    /// start with its id, or with the parent's name and `label`.
     ///
     /// # Errors
-    /// With file, line and key, what was expected and what was found.
-    fn from_node(node: &Node, build: &mut Builder) -> Result<Self, SceneError>;
+    /// Anything wrong with its description.
+    pub fn material_from_node(
+        &mut self,
+        node: &Arc<Node>,
+        label: &str,
+    ) -> Result<Arc<Material>, SceneError> {
+        if let Some(m) = self.shared::<Material>(node, [0; 3]) {
+            return Ok(m);
+        }
+        let name = match &node.id {
+            Some(id) => id.clone(),
+            None => format!("{}.{label}", self.prefix()),
+        };
+        let material = self.called(name, |registry| Material::from_node(node, registry));
+        let material = Arc::new(material.map_err(|e| e.at(&node.location))?);
+        node.finish()?;
+        self.share(node, [0; 3], material.clone());
+        Ok(material)
+    }
 }
 
 macro_rules! materials {
@@ -1040,13 +1058,13 @@ macro_rules! materials {
             ///
             /// # Errors
             /// Unknown plugin, or anything wrong with its description.
-            pub fn from_node(node: &Node, build: &mut Builder) -> Result<Self, SceneError> {
+            pub fn from_node(node: &Node, registry: &mut Registry) -> Result<Self, SceneError> {
                 let plugin = node.plugin.as_str();
                 $(if <$hot as FromNode>::PLUGINS.contains(&plugin) {
-                    return Ok(Self::$hot(<$hot as FromNode>::from_node(node, build)?));
+                    return Ok(Self::$hot(<$hot as FromNode>::from_node(node, registry)?));
                 })*
                 $(if <$name as FromNode>::PLUGINS.contains(&plugin) {
-                    return Ok(Self::$name(<$name as FromNode>::from_node(node, build)?));
+                    return Ok(Self::$name(<$name as FromNode>::from_node(node, registry)?));
                 })*
                 Err(node.unknown_plugin(&Self::PLUGINS.concat()))
             }

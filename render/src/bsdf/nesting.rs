@@ -7,7 +7,7 @@ use ad_core::{Float, Real};
 use super::{Bsdf, MAX_SLOTS, Material};
 use crate::error::SceneError;
 use crate::params::{ParamRef, Params};
-use crate::scene::Node;
+use crate::plugin::Node;
 
 /// How many levels materials may nest: one bit each in the `route` of a delta.
 pub const MAX_LEVELS: u32 = 8;
@@ -172,7 +172,7 @@ mod tests {
     use super::*;
     use crate::bsdf::{DiffuseLobe, Leaf, Reader};
     use crate::math::Rgb;
-    use crate::scene::Builder;
+    use crate::plugin::Registry;
     use crate::texture::RgbTexture;
 
     /// The mean of many albedos.
@@ -193,7 +193,7 @@ mod tests {
     #[test]
     fn more_textures_than_there_is_room_for_are_refused_by_name() {
         for n in [MAX_SLOTS, MAX_SLOTS + 1] {
-            let mut build = Builder::new();
+            let mut build = Registry::default();
             let layer = |i| build.rgb(&format!("coat.layer{i}.value"), [0.5; 3], (0.0, 1.0));
             let layers = (0..n).map(layer).collect::<Result<_, _>>().unwrap();
             let found = check_leaf(&Layers(layers), build.params());

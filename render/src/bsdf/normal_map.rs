@@ -6,14 +6,13 @@ use ad_core::{Dual, Float, Real, Vec3, array};
 
 use super::nesting::{check_levels, nested_nodes};
 use super::{
-    Bsdf, BsdfSample, Component, DeltaKind, FromNode, Material, Part, Shading, TextureRef,
-    TransportMode, Use,
+    Bsdf, BsdfSample, Component, DeltaKind, Material, Part, Shading, TextureRef, TransportMode, Use,
 };
 use crate::error::SceneError;
 use crate::image_io::Encoding;
 use crate::math::{Frame, Rgb, both, each};
 use crate::params::GradSink;
-use crate::scene::{Builder, Node};
+use crate::plugin::{FromNode, Node, Registry};
 use crate::texture::{self, Bitmap, RgbTexture, UvTransform, Wrap};
 
 /// A material in a frame tilted by a normal map.
@@ -482,10 +481,10 @@ impl FromNode for NormalMap {
     /// [Zeltner et al. 2020]: read as raw numbers, repeated `tiles` times, slopes
     /// interpolated unless `use_slopes` is false. `flip_invalid_normals` and `use_shadowing_function` ask for
     /// [`Corrections`]; without them there are none, unlike in Mitsuba 3.9.
-    fn from_node(node: &Node, build: &mut Builder) -> Result<Self, SceneError> {
+    fn from_node(node: &Node, registry: &mut Registry) -> Result<Self, SceneError> {
         let nodes = nested_nodes(node, 1, 1)?;
-        let nested = build.material_from_node(nodes[0], "nested_bsdf")?;
-        let name = format!("{}.normalmap", build.prefix());
+        let nested = registry.material_from_node(nodes[0], "nested_bsdf")?;
+        let name = format!("{}.normalmap", registry.prefix());
         let usage = texture::Use {
             name: &name,
             // Files round a little beyond [0, 1].
@@ -495,8 +494,8 @@ impl FromNode for NormalMap {
         let child = node.child("normalmap").cloned();
         let slopes = node.boolean_or("use_slopes", child.is_none())?;
         let map = match child {
-            Some(child) => texture::from_plugin(build, &child, &usage)?,
-            None => map_from_file(node, build, &usage)?,
+            Some(child) => texture::from_plugin(registry, &child, &usage)?,
+            None => map_from_file(node, registry, &usage)?,
         };
         let corrections = Corrections {
             flip: node.boolean_or("flip_invalid_normals", false)?,
@@ -516,15 +515,15 @@ impl FromNode for NormalMap {
 
 fn map_from_file(
     node: &Node,
-    build: &mut Builder,
+    registry: &mut Registry,
     usage: &texture::Use,
 ) -> Result<RgbTexture, SceneError> {
     let tiles = node.float_or("tiles", 1.0)? as f32;
-    let Some(path) = texture::file(build, node, usage)? else {
+    let Some(path) = texture::file(registry, node, usage)? else {
         let name = format!("{}.value", usage.name);
-        return build.constant(&name, usage.substitute, usage.valid);
+        return registry.constant(&name, usage.substitute, usage.valid);
     };
-    let (param, [width, height]) = texture::texels::<3>(build, &path, Encoding::Raw, usage)?;
+    let (param, [width, height]) = texture::texels::<3>(registry, &path, Encoding::Raw, usage)?;
     Ok(RgbTexture::Bitmap(Bitmap {
         param,
         width,

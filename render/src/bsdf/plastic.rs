@@ -6,12 +6,11 @@ use ad_core::{Const, Real, Vec3};
 
 use super::dielectric::relative_index;
 use super::{
-    BsdfSample, Component, DeltaKind, FromNode, Leaf, Lobe, Reader, TransportMode, constant,
-    fresnel,
+    BsdfSample, Component, DeltaKind, Leaf, Lobe, Reader, TransportMode, constant, fresnel,
 };
 use crate::error::SceneError;
 use crate::math::{Rgb, warp};
-use crate::scene::{Builder, Node};
+use crate::plugin::{FromNode, Node, Registry};
 use crate::texture::RgbTexture;
 
 /// Colours of a coated diffuse surface.
@@ -33,19 +32,19 @@ impl Coated {
     ///
     /// # Errors
     /// Anything out of range.
-    pub fn from_node(node: &Node, build: &mut Builder) -> Result<Self, SceneError> {
+    pub fn from_node(node: &Node, registry: &mut Registry) -> Result<Self, SceneError> {
         let eta = relative_index(node, "polypropylene")?;
         if eta < 1.0 {
             return Err(node.invalid("int_ior", "a coat denser than what is above it"));
         }
         Ok(Self {
-            diffuse_reflectance: build.rgb_texture(
+            diffuse_reflectance: registry.rgb_texture(
                 node,
                 "diffuse_reflectance",
                 [0.5; 3],
                 (0.0, 1.0),
             )?,
-            specular_reflectance: build.rgb_texture(
+            specular_reflectance: registry.rgb_texture(
                 node,
                 "specular_reflectance",
                 [1.0; 3],
@@ -262,7 +261,7 @@ impl FromNode for Plastic {
     const PLUGINS: &'static [&'static str] = &["plastic"];
 
     /// As [`Coated::from_node`].
-    fn from_node(node: &Node, build: &mut Builder) -> Result<Self, SceneError> {
-        Coated::from_node(node, build).map(Self::new)
+    fn from_node(node: &Node, registry: &mut Registry) -> Result<Self, SceneError> {
+        Coated::from_node(node, registry).map(Self::new)
     }
 }

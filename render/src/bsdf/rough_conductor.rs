@@ -4,12 +4,12 @@ use ad_core::{Const, Float, Real, Vec3};
 
 use super::microfacet::{ALPHA_RANGE, Microfacet, Ndf};
 use super::{
-    BsdfSample, Component, Conductor, ConductorLobe, FromNode, Leaf, Lobe, Part, Reader, Scattered,
+    BsdfSample, Component, Conductor, ConductorLobe, Leaf, Lobe, Part, Reader, Scattered,
     TransportMode,
 };
 use crate::error::SceneError;
 use crate::math::{Rgb, both};
-use crate::scene::{Builder, Node};
+use crate::plugin::{FromNode, Node, Registry};
 use crate::texture::ScalarTexture;
 
 /// Roughness and shape of a microsurface.
@@ -39,13 +39,13 @@ impl Roughness {
     /// # Errors
     /// A roughness outside [`ALPHA_RANGE`]: it is not clamped, since that would silently stop its
     /// derivative.
-    pub fn from_node(node: &Node, build: &mut Builder) -> Result<Self, SceneError> {
+    pub fn from_node(node: &Node, registry: &mut Registry) -> Result<Self, SceneError> {
         let kinds = [("beckmann", Ndf::Beckmann), ("ggx", Ndf::Ggx)];
         Ok(Self {
             kind: node
                 .choice("distribution", &kinds)?
                 .unwrap_or(Ndf::Beckmann),
-            alpha: build.scalar_texture(node, "alpha", 0.1, ALPHA_RANGE)?,
+            alpha: registry.scalar_texture(node, "alpha", 0.1, ALPHA_RANGE)?,
             visible: node.boolean_or("sample_visible", true)?,
         })
     }
@@ -318,10 +318,10 @@ impl FromNode for RoughConductor {
     const PLUGINS: &'static [&'static str] = &["roughconductor"];
 
     /// As [`Roughness::from_node`] and [`Conductor::from_node`].
-    fn from_node(node: &Node, build: &mut Builder) -> Result<Self, SceneError> {
+    fn from_node(node: &Node, registry: &mut Registry) -> Result<Self, SceneError> {
         Ok(Self {
-            roughness: Roughness::from_node(node, build)?,
-            conductor: Conductor::from_node(node, build)?,
+            roughness: Roughness::from_node(node, registry)?,
+            conductor: Conductor::from_node(node, registry)?,
         })
     }
 }

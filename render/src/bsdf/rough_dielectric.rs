@@ -6,10 +6,10 @@ use super::dielectric::{eta_across, relative_index};
 use super::fresnel;
 use super::microfacet::Microfacet;
 use super::rough_conductor::{Roughness, reflect, reflection};
-use super::{BsdfSample, Component, FromNode, Leaf, Lobe, Reader, TransportMode, constant};
+use super::{BsdfSample, Component, Leaf, Lobe, Reader, TransportMode, constant};
 use crate::error::SceneError;
 use crate::math::{Rgb, both};
-use crate::scene::{Builder, Node};
+use crate::plugin::{FromNode, Node, Registry};
 use crate::texture::{RgbTexture, ScalarTexture};
 
 /// A rough interface between two dielectrics.
@@ -311,23 +311,23 @@ impl FromNode for RoughDielectric {
 
     /// As [`Roughness::from_node`]; `int_ior` (`bk7`) and `ext_ior` (`air`), different numbers or
     /// names; `specular_reflectance` (1) and `specular_transmittance` (1).
-    fn from_node(node: &Node, build: &mut Builder) -> Result<Self, SceneError> {
+    fn from_node(node: &Node, registry: &mut Registry) -> Result<Self, SceneError> {
         let eta = relative_index(node, "bk7")?;
         let valid = if eta > 1.0 { DENSER } else { THINNER };
         if !(valid.0..=valid.1).contains(&eta) {
             return Err(node.invalid("int_ior", "an index at least 0.1 % from that outside"));
         }
-        let name = format!("{}.eta.value", build.prefix());
+        let name = format!("{}.eta.value", registry.prefix());
         Ok(Self {
-            roughness: Roughness::from_node(node, build)?,
-            eta: build.scalar(&name, eta, valid)?,
-            specular_reflectance: build.rgb_texture(
+            roughness: Roughness::from_node(node, registry)?,
+            eta: registry.scalar(&name, eta, valid)?,
+            specular_reflectance: registry.rgb_texture(
                 node,
                 "specular_reflectance",
                 [1.0; 3],
                 (0.0, 1.0),
             )?,
-            specular_transmittance: build.rgb_texture(
+            specular_transmittance: registry.rgb_texture(
                 node,
                 "specular_transmittance",
                 [1.0; 3],

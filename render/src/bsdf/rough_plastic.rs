@@ -11,12 +11,10 @@ use super::rough_conductor::{
     Roughness, half_vector, pdf_reflected_differential, reflect, reflection, reflection_of_normals,
     sample_reflected_differential,
 };
-use super::{
-    BsdfSample, Component, FromNode, Leaf, Lobe, Reader, TransportMode, constant, fresnel,
-};
+use super::{BsdfSample, Component, Leaf, Lobe, Reader, TransportMode, constant, fresnel};
 use crate::error::SceneError;
 use crate::math::{Rgb, warp};
-use crate::scene::{Builder, Node};
+use crate::plugin::{FromNode, Node, Registry};
 
 /// A diffuse surface under a rough coat.
 #[derive(Clone, Debug)]
@@ -181,9 +179,9 @@ impl FromNode for RoughPlastic {
     const PLUGINS: &'static [&'static str] = &["roughplastic"];
 
     /// As [`Roughness::from_node`] and [`Coated::from_node`].
-    fn from_node(node: &Node, build: &mut Builder) -> Result<Self, SceneError> {
-        let roughness = Roughness::from_node(node, build)?;
-        Ok(Self::new(roughness, Coated::from_node(node, build)?))
+    fn from_node(node: &Node, registry: &mut Registry) -> Result<Self, SceneError> {
+        let roughness = Roughness::from_node(node, registry)?;
+        Ok(Self::new(roughness, Coated::from_node(node, registry)?))
     }
 }
 

@@ -6,13 +6,13 @@ use ad_core::{Float, Real, Vec3};
 
 use super::nesting::{check_levels, nested_nodes};
 use super::{
-    Bsdf, BsdfSample, Component, DeltaKind, FromNode, Material, Scattered, Shading, TextureRef,
+    Bsdf, BsdfSample, Component, DeltaKind, Material, Scattered, Shading, TextureRef,
     TransportMode, Use,
 };
 use crate::error::SceneError;
 use crate::math::{Rgb, both};
 use crate::params::GradSink;
-use crate::scene::{Builder, Node};
+use crate::plugin::{FromNode, Node, Registry};
 
 /// One material in front, the same or another behind. Meant for materials that only reflect.
 #[derive(Clone, Debug)]
@@ -258,12 +258,12 @@ fn check_opaque(node: &Node) -> Result<(), SceneError> {
 impl FromNode for TwoSided {
     const PLUGINS: &'static [&'static str] = &["twosided"];
 
-    fn from_node(node: &Node, build: &mut Builder) -> Result<Self, SceneError> {
+    fn from_node(node: &Node, registry: &mut Registry) -> Result<Self, SceneError> {
         let nodes = nested_nodes(node, 1, 2)?;
         let mut sides = Vec::with_capacity(2);
         for (node, label) in nodes.into_iter().zip(["brdf_0", "brdf_1"]) {
             check_opaque(node)?;
-            sides.push(build.material_from_node(node, label)?);
+            sides.push(registry.material_from_node(node, label)?);
         }
         let front = sides[0].clone();
         let back = sides.get(1).unwrap_or(&front).clone();

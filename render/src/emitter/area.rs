@@ -5,10 +5,9 @@ use std::f64::consts::PI;
 use ad_core::{Const, Float, Real, Vec2, Vec3};
 
 use super::{Ball, Connection, Emission, EmittedRay, Emitter, EmitterSample, Lights};
-use crate::bsdf::FromNode;
 use crate::error::SceneError;
 use crate::math::{Frame, Ray, warp};
-use crate::scene::{Builder, Node};
+use crate::plugin::{FromNode, Node, Registry};
 use crate::shape::{DirectionSample, Shape, SurfaceInteraction};
 use crate::texture::RgbTexture;
 
@@ -192,13 +191,13 @@ impl Emitter for Area {
 impl FromNode for Area {
     const PLUGINS: &'static [&'static str] = &["area"];
 
-    fn from_node(node: &Node, build: &mut Builder) -> Result<Self, SceneError> {
-        let shape = build.current_shape(node)?;
+    fn from_node(node: &Node, registry: &mut Registry) -> Result<Self, SceneError> {
+        let shape = registry.current_shape(node)?;
         let exponent = node.float_or("exponent", 0.0)?;
         if !(0.0..=1e4).contains(&exponent) {
             return Err(node.invalid("exponent", "a number in [0, 10000]"));
         }
-        let radiance = build.rgb_texture(node, "radiance", [1.0; 3], (0.0, f64::INFINITY))?;
+        let radiance = registry.rgb_texture(node, "radiance", [1.0; 3], (0.0, f64::INFINITY))?;
         Ok(Self {
             radiance,
             exponent: exponent as f32,

@@ -6,10 +6,9 @@ use ad_core::{Float, Real, Vec2, Vec3};
 
 use super::point::constant_colour;
 use super::{Emission, Emitter, EmitterSample, Lights};
-use crate::bsdf::FromNode;
 use crate::error::SceneError;
 use crate::math::{NOWHERE, warp};
-use crate::scene::{Builder, Node};
+use crate::plugin::{FromNode, Node, Registry};
 use crate::shape::SurfaceInteraction;
 use crate::texture::RgbTexture;
 
@@ -72,9 +71,9 @@ impl Emitter for Constant {
 impl FromNode for Constant {
     const PLUGINS: &'static [&'static str] = &["constant"];
 
-    fn from_node(node: &Node, build: &mut Builder) -> Result<Self, SceneError> {
+    fn from_node(node: &Node, registry: &mut Registry) -> Result<Self, SceneError> {
         Ok(Self {
-            radiance: constant_colour(node, build, "radiance")?,
+            radiance: constant_colour(node, registry, "radiance")?,
         })
     }
 }

@@ -23,12 +23,11 @@ use std::f64::consts::PI;
 
 use ad_core::{Float, Real, Vec2, Vec3};
 
-use crate::bsdf::FromNode;
 use crate::error::SceneError;
 use crate::math::{Frame, Ray, Rgb, each, warp};
 use crate::params::{GradSink, Params, Theta};
-use crate::scene::{Builder, Node, Prim};
-use crate::shape::{AnyShape, Exit, Shape, SurfaceInteraction};
+use crate::plugin::{FromNode, Node, Registry};
+use crate::shape::{AnyShape, Exit, Prim, Shape, SurfaceInteraction};
 use crate::texture::RgbTexture;
 
 /// Where an emitter's texture is read, and the factor it is multiplied with.
@@ -355,13 +354,13 @@ macro_rules! emitters {
             ///
             /// # Errors
             /// Unknown plugin, or anything wrong with its description.
-            pub fn from_node(node: &Node, build: &mut Builder) -> Result<Self, SceneError> {
+            pub fn from_node(node: &Node, registry: &mut Registry) -> Result<Self, SceneError> {
                 let plugin = node.plugin.as_str();
                 $(if <$hot as FromNode>::PLUGINS.contains(&plugin) {
-                    return Ok(Self::$hot(<$hot as FromNode>::from_node(node, build)?));
+                    return Ok(Self::$hot(<$hot as FromNode>::from_node(node, registry)?));
                 })*
                 $(if <$name as FromNode>::PLUGINS.contains(&plugin) {
-                    return Ok(Self::$name(<$name as FromNode>::from_node(node, build)?));
+                    return Ok(Self::$name(<$name as FromNode>::from_node(node, registry)?));
                 })*
                 Err(node.unknown_plugin(&Self::PLUGINS.concat()))
             }

@@ -5,10 +5,9 @@ use std::f64::consts::PI;
 use ad_core::{Float, Real, Vec2, Vec3};
 
 use super::{Ball, Connection, Emission, EmittedRay, Emitter, EmitterSample, Lights};
-use crate::bsdf::FromNode;
 use crate::error::SceneError;
 use crate::math::{NOWHERE, Ray, Transform, warp};
-use crate::scene::{Builder, Node};
+use crate::plugin::{FromNode, Node, Registry};
 use crate::shape::{Exit, SurfaceInteraction, lift3};
 use crate::texture::RgbTexture;
 
@@ -136,21 +135,21 @@ impl Emitter for Point {
 /// The constant colour `key`, a parameter that textures cannot stand in for.
 pub(super) fn constant_colour(
     node: &Node,
-    build: &mut Builder,
+    registry: &mut Registry,
     key: &str,
 ) -> Result<RgbTexture, SceneError> {
     let value = node.rgb_or(key, [1.0; 3])?;
     if value.iter().any(|&x| x < 0.0) {
         return Err(node.invalid(key, "a colour without negative channels"));
     }
-    let name = format!("{}.{key}.value", build.prefix());
-    build.rgb(&name, value, (0.0, f64::INFINITY))
+    let name = format!("{}.{key}.value", registry.prefix());
+    registry.rgb(&name, value, (0.0, f64::INFINITY))
 }
 
 impl FromNode for Point {
     const PLUGINS: &'static [&'static str] = &["point"];
 
-    fn from_node(node: &Node, build: &mut Builder) -> Result<Self, SceneError> {
+    fn from_node(node: &Node, registry: &mut Registry) -> Result<Self, SceneError> {
         let to_world = node.transform("to_world")?;
         let position = match (node.point("position")?, to_world) {
             (Some(_), Some(_)) => {
@@ -160,7 +159,7 @@ impl FromNode for Point {
             (None, t) => t.unwrap_or(Transform::IDENTITY).translation,
         };
         Ok(Self {
-            intensity: constant_colour(node, build, "intensity")?,
+            intensity: constant_colour(node, registry, "intensity")?,
             position: position.map(|x| x as f32),
         })
     }

@@ -6,10 +6,9 @@ use ad_core::{Float, Real, Vec2, Vec3};
 
 use super::point::{constant_colour, moving, towards};
 use super::{Ball, Connection, Emission, EmittedRay, Emitter, EmitterSample, Lights};
-use crate::bsdf::FromNode;
 use crate::error::SceneError;
 use crate::math::{Frame, NOWHERE, Ray, warp};
-use crate::scene::{Builder, Node};
+use crate::plugin::{FromNode, Node, Registry};
 use crate::shape::{Exit, SurfaceInteraction, lift3};
 use crate::texture::RgbTexture;
 
@@ -158,7 +157,7 @@ impl Emitter for Spot {
 impl FromNode for Spot {
     const PLUGINS: &'static [&'static str] = &["spot"];
 
-    fn from_node(node: &Node, build: &mut Builder) -> Result<Self, SceneError> {
+    fn from_node(node: &Node, registry: &mut Registry) -> Result<Self, SceneError> {
         let to_world = node.transform("to_world")?.unwrap_or_default();
         let cutoff = node.float_or("cutoff_angle", 20.0)?;
         if !(cutoff > 0.0 && cutoff <= 180.0) {
@@ -168,7 +167,7 @@ impl FromNode for Spot {
         if !(0.0..=cutoff).contains(&beam) {
             return Err(node.invalid("beam_width", "a number of degrees in [0, cutoff_angle]"));
         }
-        let intensity = constant_colour(node, build, "intensity")?;
+        let intensity = constant_colour(node, registry, "intensity")?;
         let axis = to_world.vector([0.0, 0.0, 1.0]);
         Self::new(intensity, to_world.translation, axis, beam, cutoff).ok_or_else(|| {
             node.invalid("to_world", "a transform that leaves the z axis a direction")

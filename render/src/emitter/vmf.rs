@@ -6,10 +6,9 @@ use ad_core::{Const, Float, Real, Vec2, Vec3};
 
 use super::point::constant_colour;
 use super::{Emission, Emitter, EmitterSample, Lights};
-use crate::bsdf::FromNode;
 use crate::error::SceneError;
 use crate::math::{Frame, NOWHERE, warp};
-use crate::scene::{Builder, Node};
+use crate::plugin::{FromNode, Node, Registry};
 use crate::shape::{SurfaceInteraction, lift3};
 use crate::texture::RgbTexture;
 
@@ -120,7 +119,7 @@ impl Emitter for Vmf {
 impl FromNode for Vmf {
     const PLUGINS: &'static [&'static str] = &["vmf"];
 
-    fn from_node(node: &Node, build: &mut Builder) -> Result<Self, SceneError> {
+    fn from_node(node: &Node, registry: &mut Registry) -> Result<Self, SceneError> {
         let direction = node
             .vector("direction")?
             .ok_or_else(|| node.missing("direction", "a vector towards the light"))?;
@@ -130,7 +129,7 @@ impl FromNode for Vmf {
         if !KAPPA.contains(&kappa) {
             return Err(node.invalid("kappa", "a number in [1e-3, 1e7]"));
         }
-        let radiance = constant_colour(node, build, "radiance")?;
+        let radiance = constant_colour(node, registry, "radiance")?;
         Self::new(radiance, direction, kappa)
             .ok_or_else(|| node.invalid("direction", "a non-zero vector"))
     }

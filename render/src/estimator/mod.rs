@@ -23,7 +23,8 @@ pub use sampling::{
 };
 pub(crate) use strategy::Still;
 pub use strategy::{
-    AllowBias, AttachedChoice, AttachedRoulette, BsdfOnly, EmitterOnly, Mis, Strategy, Unbiased,
+    AllowBias, AttachedChoice, AttachedRoulette, BsdfOnly, Edges, EmitterOnly, Geometry, Mis,
+    Strategy, Unbiased, follows_edges,
 };
 pub use weights::{
     AttachedWeights, Balance, DetachedWeights, FrozenWeights, Heuristic, MixedWeights, Power,
@@ -32,25 +33,9 @@ pub use weights::{
 
 use crate::error::RenderError;
 use crate::params::{Differentiability, ParamInfo};
-use crate::scene::Scene;
 
 /// The default: detached sampling of BSDF and emitters, power heuristic.
 pub type DetachedMis = Mis<Detached, Detached, DetachedWeights, Power>;
-
-/// Whether the estimator is right in this scene: samples that move by themselves must not meet
-/// discontinuities.
-///
-/// # Errors
-/// Naive attached sampling in a scene where something may occlude something else, or where whole paths slide over edges
-/// or textures that jump: [`Scene::discontinuity`].
-pub fn check<S: Strategy>(scene: &Scene) -> Result<(), RenderError> {
-    if S::NEEDS_CONTINUITY
-        && let Some(culprit) = scene.discontinuity(!S::Bsdf::DETACHED_PATH)
-    {
-        return Err(RenderError::Discontinuous { culprit });
-    }
-    Ok(())
-}
 
 /// Whether the estimator sees the derivative in a parameter: constant paths do not see one that moves a
 /// Dirac delta, and would give zero (F2).
@@ -64,4 +49,14 @@ pub fn check_parameter<S: Strategy>(info: &ParamInfo) -> Result<(), RenderError>
         });
     }
     Ok(())
+}
+
+/// Which way derivatives are carried.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Mode {
+    /// Derivative images along a direction.
+    Forward,
+    /// Gradients.
+    #[default]
+    Reverse,
 }

@@ -39,7 +39,7 @@ pub trait Sampling: Send + Sync + 'static {
     const DIFFERENTIAL: bool = false;
 
     /// Whether samples move across discontinuities without notice, so that the scene must not have
-    /// any: see [`super::check`].
+    /// any: see [`crate::Scene::admits`].
     const NEEDS_CONTINUITY: bool = false;
 
     /// A geometric quantity in the scalar of the estimate.

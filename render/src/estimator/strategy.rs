@@ -7,9 +7,10 @@ use ad_core::Real;
 use super::memory::{Forget, Memory};
 use super::weights::trusted;
 use super::{
-    Attached, AttachedWeights, Detached, DetachedWeights, Differential, EmitterSampling,
+    Attached, AttachedWeights, Detached, DetachedWeights, Differential, Direct, EmitterSampling,
     FrozenWeights, Heuristic, Power, Sampling, Unsplit, Weights,
 };
+use crate::bsdf::Component;
 
 /// Which techniques estimate the light arriving at a vertex, and how they are combined.
 pub trait Strategy: Send + Sync + 'static {
@@ -35,7 +36,7 @@ pub trait Strategy: Send + Sync + 'static {
     const ATTACHED_CHOICE: bool = false;
     /// Whether nothing says that the derivative has the right expectation: [`AllowBias`].
     const ALLOWS_BIAS: bool = false;
-    /// Whether the scene must be free of discontinuities, see [`super::check`].
+    /// Whether the scene must be free of discontinuities, see [`crate::Scene::admits`].
     const NEEDS_CONTINUITY: bool = Self::Bsdf::NEEDS_CONTINUITY || Self::Aim::KEEPS;
     /// Weight of a scattered direction with density `a` when a sampled light has density `b`.
     fn weight_hit<R: Real>(a: R, b: R) -> R;
@@ -46,7 +47,7 @@ pub trait Strategy: Send + Sync + 'static {
 /// The estimator's derivative has the right expectation.
 ///
 /// Implemented for the valid rows of [Zeltner 2021, table in section 4.5.1], as corrected. Naive attached
-/// sampling is among them: it is right where nothing can occlude, which [`super::check`] decides when
+/// sampling is among them: it is right where nothing can occlude, which [`crate::Scene::admits`] decides when
 /// the scene is known.
 #[diagnostic::on_unimplemented(
     message = "`{Self}` gives a biased derivative",
@@ -56,6 +57,46 @@ pub trait Strategy: Send + Sync + 'static {
     note = "to study the bias on purpose, wrap the combination: `AllowBias<{Self}>`"
 )]
 pub trait Unbiased: Strategy {}
+
+/// Scalar of the geometry of a strategy.
+pub type Geometry<S, R> = <<S as Strategy>::Bsdf as Sampling>::Geometry<R>;
+
+/// Which edges a strategy differentiates by themselves, where they find light.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Edges {
+    /// None: they are constants, or move as the whole path does.
+    None,
+    /// Those along deltas are constants: only weights are differentiated, which they have not.
+    Weighed,
+    /// All of them move.
+    All,
+}
+
+impl Edges {
+    /// Those of `S`.
+    pub const fn of<S: Strategy>() -> Self {
+        match S::Bsdf::DIRECT {
+            Direct::AsPath if S::Bsdf::DETACHED_PATH && S::DIFFERENTIATED_WEIGHTS => Self::Weighed,
+            Direct::AsPath => Self::None,
+            Direct::Attached | Direct::Reparameterised { .. } => Self::All,
+        }
+    }
+
+    /// Whether one along a direction that was sampled from `component` is among them.
+    #[inline(always)]
+    pub fn contain(self, component: Component) -> bool {
+        match self {
+            Self::None => false,
+            Self::Weighed => component == Component::Continuous,
+            Self::All => true,
+        }
+    }
+}
+
+/// Whether a strategy differentiates the light that an edge finds by itself.
+pub const fn follows_edges<S: Strategy>() -> bool {
+    !matches!(Edges::of::<S>(), Edges::None)
+}
 
 /// Both techniques, combined by multiple importance sampling.
 ///

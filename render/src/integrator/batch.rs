@@ -2,12 +2,9 @@
 
 use ad_core::{Float, Real, Vec3};
 
-use super::path::{Geometry, Walk};
-use super::render::Progress;
+use super::progress::Progress;
 use crate::accel::{BUNDLE, Bundle, Hit};
-use crate::estimator::Strategy;
 use crate::math::{NOWHERE, Ray, Segment};
-use crate::sampler::Sampler;
 use crate::scene::{Intersection, Scene, single};
 
 /// Paths that are followed at a time. More fill the bundles better, fewer stay in the cache.
@@ -47,18 +44,6 @@ pub(super) trait Traveller {
     #[inline(always)]
     fn ended(&self) -> bool {
         self.ray().is_none() && self.shadow().is_none()
-    }
-}
-
-impl<R: Real, S: Strategy, X: Sampler> Traveller for Walk<R, S, X> {
-    type Geometry = Geometry<S, R>;
-    #[inline(always)]
-    fn ray(&self) -> Option<&Ray<Self::Geometry>> {
-        self.ray.as_ref()
-    }
-    #[inline(always)]
-    fn shadow(&self) -> Option<&Segment<R::Primal>> {
-        self.shadow.as_ref()
     }
 }
 

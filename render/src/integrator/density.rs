@@ -12,9 +12,11 @@ use std::ops::Range;
 use ad_core::{Float, Vec2, Vec3};
 
 use super::particle::{Context, ParticleObserver, follow};
+use super::progress::Progress;
 use super::record::{Observer, Place, Wishes};
-use super::render::{Components, NonFinite, Progress, Rendering, tiles};
-use crate::bsdf::kernel::{Symmetry, eval_kernel, local_normal};
+use super::rendering::{Components, NonFinite, Rendering};
+use super::tile::tiles;
+use crate::bsdf::kernel::{Symmetry, eval_kernel};
 use crate::bsdf::{Bsdf, Component, DeltaKind, Shading, TransportMode};
 use crate::emitter::Emitter;
 use crate::error::RenderError;
@@ -391,7 +393,7 @@ impl<P: Float> Map<P> {
                 break;
             };
             let material = scene.material(shape);
-            let n_geo = local_normal(&si);
+            let n_geo = si.local_geometric_normal();
             let wo = si.frame.to_local(-ray.d);
             let at = Shading {
                 theta: *theta,

@@ -13,7 +13,7 @@ use ad_core::{Const, Float, Real, Vec2, Vec3};
 
 use super::boundary::{Freeze, freeze};
 use super::local::LocalFn;
-use super::path::MODE;
+use super::vertex::MODE;
 use super::vertex::light::frozen_pdf;
 use crate::accel::Hit;
 use crate::bsdf::{Bsdf, BsdfSample, Component, Material, Part, Shading};
@@ -53,43 +53,6 @@ pub struct Departure<P> {
     pub survival: P,
     /// What of the BSDF is differentiated.
     pub part: Part,
-}
-
-/// Which edges a strategy differentiates by themselves, where they find light.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Edges {
-    /// None: they are constants, or move as the whole path does.
-    None,
-    /// Those along deltas are constants: only weights are differentiated, which they have not.
-    Weighed,
-    /// All of them move.
-    All,
-}
-
-impl Edges {
-    /// Those of `S`.
-    pub const fn of<S: Strategy>() -> Self {
-        match S::Bsdf::DIRECT {
-            Direct::AsPath if S::Bsdf::DETACHED_PATH && S::DIFFERENTIATED_WEIGHTS => Self::Weighed,
-            Direct::AsPath => Self::None,
-            Direct::Attached | Direct::Reparameterised { .. } => Self::All,
-        }
-    }
-
-    /// Whether one along a direction that was sampled from `component` is among them.
-    #[inline(always)]
-    pub fn contain(self, component: Component) -> bool {
-        match self {
-            Self::None => false,
-            Self::Weighed => component == Component::Continuous,
-            Self::All => true,
-        }
-    }
-}
-
-/// Whether a strategy differentiates the light that an edge finds by itself.
-pub const fn follows_edges<S: Strategy>() -> bool {
-    !matches!(Edges::of::<S>(), Edges::None)
 }
 
 impl<P: Float> Departure<P> {

@@ -1,6 +1,6 @@
 //! The noise of each pixel, measured by a gradient pass on its way.
 
-use super::second_order::Sparse;
+use super::sparse::Sparse;
 
 /// What a gradient pass tells about its noise, as if its samples were independent. What comes through samples of
 /// environment maps that move is not counted, nor are particles.

@@ -6,22 +6,21 @@ use ad_core::{Float, Real, Vec2, Vec3};
 
 use super::aim::aim;
 use super::batch::{self, PATHS, Traveller};
-use super::pass::Pass;
+use super::progress::Progress;
 use super::record::{
     Bounce, Contribution, EmittedLight, NormalsLight, Observer, Place, SeenVertex,
 };
-use super::render::{Components, NonFinite, Progress, Rendering};
+use super::rendering::{Components, NonFinite, Rendering};
 use super::vertex::light::has_tangent;
 use super::vertex::part_of;
 use super::vertex::roulette::{play, probability, survival};
 use crate::bsdf::differential::Part;
-use crate::bsdf::kernel::{Rules, kernel_weight, local_normal};
+use crate::bsdf::kernel::{Rules, kernel_weight};
 use crate::bsdf::nesting::flips_normals;
 use crate::bsdf::{Bsdf, Component, Shading, TransportMode};
 use crate::camera::Pinhole;
 use crate::emitter::{Ball, Emission, Emitter};
 use crate::error::RenderError;
-use crate::estimator::{Sampling, Strategy};
 use crate::math::{NOWHERE, Ray, Rgb, Segment};
 use crate::parallel;
 use crate::params::Theta;
@@ -100,15 +99,17 @@ impl<'a, R: Real> Context<'a, R> {
         }
     }
 
-    /// For the light that paths of strategy `S` leave to particles: they leave none where normals are flipped.
-    pub(super) fn caustics<S: Strategy>(pass: &'a Pass<'a, R>) -> Self {
-        let n = pass.settings.pixels_per_particle.max(1);
+    /// For the light that paths leave to particles: they leave none where normals are flipped.
+    pub(super) fn caustics(
+        scene: &'a Scene,
+        theta: &'a Theta<'a, R>,
+        settings: &'a Settings,
+    ) -> Self {
+        let n = settings.pixels_per_particle.max(1);
         Self {
             caustics_only: true,
-            differential: S::Bsdf::DIFFERENTIAL,
-            per_sample: pixels(pass.scene).div_ceil(n.into()),
-            progress: pass.progress,
-            ..Self::unchecked(pass.scene, pass.theta, pass.settings)
+            per_sample: pixels(scene).div_ceil(n.into()),
+            ..Self::unchecked(scene, theta, settings)
         }
     }
 }
@@ -359,7 +360,7 @@ impl<R: Real, X: Sampler> Particle<R, X> {
         }
         let material = scene.material(hit.shape);
         let wo = si.frame.to_local(-ray.d);
-        let n_geo = local_normal(si);
+        let n_geo = si.local_geometric_normal();
         let wo_r = Vec3::<R>::lift(wo);
         let at = Shading {
             theta: *context.theta,
@@ -507,7 +508,7 @@ impl<R: Real, X: Sampler> Particle<R, X> {
             progress: context.progress,
         };
         let si = &hit.si;
-        let n_geo = local_normal(si);
+        let n_geo = si.local_geometric_normal();
         let material = scene.material(hit.shape);
         let at = Shading { theta, uv: si.uv };
         let mut sampler = self.sampler;

@@ -9,12 +9,13 @@ use std::ops::Range;
 
 use ad_core::Float;
 
+use super::active::Active;
 use super::exact::ExactBuffer;
-use super::gradient::{Active, Gradient, check_size, largest_of};
 use super::particle::{Context, ParticleObserver, follow, pixels};
+use super::progress::Progress;
 use super::record::{Contribution, Observer, PathRecord, Place, Recorder, Wishes};
-use super::render::{NonFinite, Progress};
-use super::sink::{GradientSums, Sink, collect};
+use super::rendering::NonFinite;
+use super::sink::{Gradient, GradientSums, Sink, check_size, collect, largest_of};
 use crate::error::RenderError;
 use crate::estimator::DetachedMis;
 use crate::film::Film;
@@ -125,7 +126,7 @@ pub fn backward<P: Float, X: Sampler>(
     progress: &dyn Progress,
 ) -> Result<Measurement, RenderError> {
     check_size("adjoint image", context.scene, adjoint)?;
-    let particles = Particles::new(context, adjoint, seed, samples);
+    let particles = ParticlePass::new(context, adjoint, seed, samples);
     let value = Cell::new(0.0);
     let largest = particles.largest();
     let gradient = collect(context.scene, active, largest, progress, &|large| {
@@ -140,14 +141,14 @@ pub fn backward<P: Float, X: Sampler>(
 }
 
 /// The recorded particles of an image.
-pub(super) struct Particles<'a, P: Float> {
+pub(super) struct ParticlePass<'a, P: Float> {
     context: &'a Context<'a, P>,
     sensor: Sensor<'a>,
     seed: u64,
     samples: Range<u64>,
 }
 
-impl<'a, P: Float> Particles<'a, P> {
+impl<'a, P: Float> ParticlePass<'a, P> {
     /// As the arguments of [`backward`].
     pub(super) fn new(
         context: &'a Context<'a, P>,

@@ -1,20 +1,20 @@
 //! Passes: what is asked of every integral that an image is the sum of.
 //!
-//! Paths from the camera and particles from the emitters are two integrals with samples of their own; [`every`] lists those
-//! of a pass. Images, derivative images and gradients ask each of them, and add up.
+//! Paths from the camera and particles from the emitters are two integrals with samples of their own;
+//! [`every`](super::integrals::every) lists those of a pass. Images, derivative images and gradients ask each of them, and
+//! add up.
 
 use std::ops::Range;
-use std::sync::atomic::{AtomicU64, Ordering};
 
 use ad_core::{Float, Real};
 
 use super::active::Active;
 use super::exact::ExactBuffer;
-use super::gradient::{self, largest_of};
 use super::path::Context;
-use super::render::{self, Components, Progress, Rendering, Tile, tiles};
-use super::sink::GradientSums;
-use super::{particle, particle_gradient};
+use super::progress::Progress;
+use super::rendering::{Components, Rendering};
+use super::sink::{GradientSums, largest_of};
+use super::tile::{Tile, tiles};
 use crate::estimator::Strategy;
 use crate::params::Theta;
 use crate::sampler::Sampler;
@@ -91,78 +91,4 @@ pub(super) trait Integral<S: Strategy, X: Sampler> {
 pub(super) trait Question<S: Strategy, X: Sampler> {
     /// Asks one of them, which reports its work in pixels.
     fn ask<I: Integral<S, X>>(&mut self, progress: &dyn Progress);
-}
-
-/// Asks every integral of a pass.
-pub(super) fn every<S: Strategy, X: Sampler>(
-    caustics: Caustics,
-    progress: &dyn Progress,
-    question: &mut impl Question<S, X>,
-) {
-    let by_particles = caustics == Caustics::Particles;
-    let share = Share {
-        progress,
-        integrals: 1 + u64::from(by_particles),
-        done: AtomicU64::new(0),
-    };
-    question.ask::<Paths>(&share);
-    if by_particles && !share.cancelled() {
-        question.ask::<Particles>(&share);
-    }
-}
-
-/// The progress of several integrals, each of which counts all pixels.
-struct Share<'a> {
-    progress: &'a dyn Progress,
-    integrals: u64,
-    done: AtomicU64,
-}
-
-impl Progress for Share<'_> {
-    fn advance(&self, n: u64) {
-        let before = self.done.fetch_add(n, Ordering::Relaxed);
-        (self.progress).advance((before + n) / self.integrals - before / self.integrals);
-    }
-    fn cancelled(&self) -> bool {
-        self.progress.cancelled()
-    }
-}
-
-/// Light along paths from the camera: all of it, or what particles leave.
-struct Paths;
-
-impl<S: Strategy, X: Sampler> Integral<S, X> for Paths {
-    fn image<R: Components>(pass: &Pass<R>) -> Rendering {
-        render::of_paths::<R, S, X>(pass)
-    }
-    fn gradient<P: Float>(
-        pass: &Pass<P>,
-        active: &Active,
-        adjoint: &[f32],
-        large: &ExactBuffer,
-    ) -> GradientSums {
-        gradient::of_paths::<P, S, X>(pass, active, adjoint, large)
-    }
-}
-
-/// Caustics, along particles from the emitters.
-struct Particles;
-
-impl<S: Strategy, X: Sampler> Integral<S, X> for Particles {
-    fn image<R: Components>(pass: &Pass<R>) -> Rendering {
-        let context = particle::Context::caustics::<S>(pass);
-        particle::render::<R, X>(&context, pass.seed, pass.samples.clone(), pass.progress)
-    }
-    fn gradient<P: Float>(
-        pass: &Pass<P>,
-        active: &Active,
-        adjoint: &[f32],
-        large: &ExactBuffer,
-    ) -> GradientSums {
-        let context = particle::Context::caustics::<S>(pass);
-        let samples = pass.samples.clone();
-        let particles = particle_gradient::Particles::new(&context, adjoint, pass.seed, samples);
-        let (sums, _) = particles.sums::<X>(active, large, pass.progress);
-        sums
-    }
 }

@@ -3,36 +3,29 @@
 use ad_core::{Const, Real, Vec2, Vec3};
 use smallvec::SmallVec;
 
-use super::batch;
+use super::batch::{self, Traveller};
 use super::direct::{
-    Aimed, Departure, Edges, Found, FoundEdge, FoundLight, Weighing, aimed_light, direct_light,
-    follows_edges,
+    Aimed, Departure, Found, FoundEdge, FoundLight, Weighing, aimed_light, direct_light,
 };
+use super::progress::Progress;
 use super::record::{Bounce, Contribution, MetLight, NormalsLight, Observer, Place, SampledLight};
-use super::render::Progress;
 use super::vertex::light::{
     Rival, Seen, choose, counts_hits, find_light, frozen_pdf, guided, has_rival, has_tangent,
     is_guided, matters, mis_weight, mixed,
 };
-use super::vertex::part_of;
 use super::vertex::regard::{Regard, splits};
 use super::vertex::roulette::{MAX_SURVIVAL, play, probability, survival};
-use crate::bsdf::{Bsdf, Component, Material, Part, Shading, TextureRef, TransportMode};
+use super::vertex::{MODE, part_of};
+use crate::bsdf::{Bsdf, Component, Material, Part, Shading, TextureRef};
 use crate::emitter::{AnyEmitter, Emission, Emitter, Shift};
 use crate::estimator::memory::{Memory, Store};
-use crate::estimator::{Sampling, Strategy};
+use crate::estimator::{Edges, Geometry, Sampling, Strategy, follows_edges};
 use crate::guide::Directions;
 use crate::math::{Ray, Rgb, Segment};
 use crate::params::Theta;
 use crate::sampler::{Purpose, Sampler};
 use crate::scene::{Caustics, Intersection, Scene, Settings, ShapeInfo};
 use crate::shape::{Exit, SurfaceInteraction};
-
-/// What paths carry.
-pub(super) const MODE: TransportMode = TransportMode::Radiance;
-
-/// Scalar of the geometry of a strategy.
-pub type Geometry<S, R> = <<S as Strategy>::Bsdf as Sampling>::Geometry<R>;
 
 /// The last departure of a path and the throughput there, if its strategy wants to know.
 type Remembered<S, R> =
@@ -632,6 +625,18 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
             *beta = *beta * factor;
         }
         Some(largest)
+    }
+}
+
+impl<R: Real, S: Strategy, X: Sampler> Traveller for Walk<R, S, X> {
+    type Geometry = Geometry<S, R>;
+    #[inline(always)]
+    fn ray(&self) -> Option<&Ray<Self::Geometry>> {
+        self.ray.as_ref()
+    }
+    #[inline(always)]
+    fn shadow(&self) -> Option<&Segment<R::Primal>> {
+        self.shadow.as_ref()
     }
 }
 

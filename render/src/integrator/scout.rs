@@ -5,9 +5,10 @@ use std::ops::Range;
 use ad_core::Vec3;
 
 use super::path::Context;
+use super::progress::Progress;
 use super::record::sweep::{Arriving, Visitor, sweep};
 use super::record::{Bounce, PathRecord, Place, Vertex};
-use super::render::{Paths, Progress, tiles};
+use super::tile::{Paths, tiles};
 use crate::bsdf::Component;
 use crate::emitter::{Emission, Emitter};
 use crate::estimator::Strategy;

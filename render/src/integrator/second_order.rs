@@ -31,12 +31,15 @@ use std::ops::Range;
 
 use ad_core::Float;
 
-use super::gradient::{Active, Gradient, check_size};
+use super::active::Active;
 use super::pass::Pass;
 use super::path::Context;
+use super::progress::Progress;
 use super::record::{Recorder, SumSink};
-use super::render::{NonFinite, Progress, Sample, place};
-use super::sink::{Sink, collect};
+use super::rendering::NonFinite;
+use super::sink::{Gradient, Sink, check_size, collect};
+use super::sparse::Sparse;
+use super::tile::{Sample, place};
 use crate::error::RenderError;
 use crate::estimator::DetachedMis;
 use crate::math::Rgb;
@@ -95,10 +98,10 @@ pub fn hessian_vector<P: Float, X: Sampler>(
         let place = active.place(p).map(|at| at + element as usize);
         place.map_or(P::zero(), |i| direction[i])
     };
-    let each = |context: &Context<P>, at: Sample, path: &mut Recorder<'_, P>, sink: &mut Sink| {
+    let each = |_: &Context<P>, at: Sample, path: &mut Recorder<'_, P>, sink: &mut Sink| {
         let scale = P::of(at.scale());
         let d = [adjoint, adjoint_tangent].map(|a| at.of_image::<P>(a, scene) * scale);
-        path.backward_second(context, along, d, sink);
+        path.backward_second(scene, theta, along, d, sink);
     };
     let largest = pass.largest(adjoint).max(pass.largest(adjoint_tangent));
     Ok(collect(scene, active, largest, progress, &|large| {
@@ -218,46 +221,6 @@ pub fn gauss_newton<P: Float, X: Sampler>(
 fn below(i: usize, j: usize) -> usize {
     let (i, j) = (i.max(j), i.min(j));
     i * (i + 1) / 2 + j
-}
-
-/// A vector that is mostly zero.
-#[derive(Debug)]
-pub(super) struct Sparse {
-    values: Vec<f64>,
-    /// Which entries may not be zero, and a list of them.
-    is_touched: Vec<bool>,
-    touched: Vec<u32>,
-}
-
-impl Sparse {
-    pub fn new(len: usize) -> Self {
-        Self {
-            values: vec![0.0; len],
-            is_touched: vec![false; len],
-            touched: Vec::new(),
-        }
-    }
-
-    #[inline]
-    pub fn add(&mut self, i: usize, x: f64) {
-        if !std::mem::replace(&mut self.is_touched[i], true) {
-            self.touched.push(i as u32);
-        }
-        self.values[i] += x;
-    }
-
-    /// Its entries that may not be zero. It is zero afterwards.
-    pub fn drain(&mut self) -> impl Iterator<Item = (usize, f64)> {
-        self.touched.drain(..).map(|i| {
-            let i = i as usize;
-            self.is_touched[i] = false;
-            (i, std::mem::take(&mut self.values[i]))
-        })
-    }
-
-    fn clear(&mut self) {
-        self.drain().for_each(drop);
-    }
 }
 
 /// The derivative of one channel of one sample.

@@ -4,12 +4,27 @@ use ad_core::Float;
 
 use super::active::{Active, Slot};
 use super::exact::ExactBuffer;
-use super::gradient::Gradient;
 use super::noise::{Noise, Watch};
+use super::progress::Progress;
 use super::record::SumSink;
-use super::render::{NonFinite, Progress, Sample, place};
+use super::rendering::NonFinite;
+use super::tile::{Sample, place};
+use crate::error::RenderError;
 use crate::params::{GradSink, ParamRef};
 use crate::scene::Scene;
+
+/// The derivative of `<adjoint, image>`.
+#[derive(Clone, Debug)]
+pub struct Gradient {
+    /// One slice per range of the [`Active`] set, in its order.
+    pub values: Vec<Vec<f64>>,
+    /// What went wrong.
+    pub non_finite: NonFinite,
+    /// How noisy the derivatives are, if somebody wants to know ([`Active::with_noise`]).
+    pub noise: Option<Noise>,
+    /// Whether it was stopped early; the sums are then incomplete.
+    pub cancelled: bool,
+}
 
 /// Where one job's adjoints go.
 pub(super) struct Sink<'a> {
@@ -185,4 +200,29 @@ pub(super) fn collect(
 /// Adds a part to sums.
 pub(super) fn add(sums: &mut [f64], part: &[f64]) {
     sums.iter_mut().zip(part).for_each(|(s, p)| *s += p);
+}
+
+/// Whether an image with three channels has the size of the film.
+///
+/// # Errors
+/// It has not.
+pub(crate) fn check_size(
+    what: &'static str,
+    scene: &Scene,
+    image: &[f32],
+) -> Result<(), RenderError> {
+    let (expected, found) = (scene.film.pixels() * 3, image.len());
+    if expected == found {
+        return Ok(());
+    }
+    Err(RenderError::WrongLength {
+        what,
+        expected,
+        found,
+    })
+}
+
+/// The largest magnitude of an entry.
+pub(super) fn largest_of(image: &[f32]) -> f64 {
+    image.iter().fold(0.0, |m, &a| m.max(f64::from(a.abs())))
 }

@@ -1,14 +1,14 @@
 //! The work of samples, by counting what they are made of.
 
+use super::active::Active;
 use super::batch;
-use super::gradient::Active;
 use super::path::Context;
+use super::progress::Progress;
 use super::record::{Contribution, Observer, Place, Wishes};
-use super::render::{Progress, start};
+use super::tile::start;
 use super::wave;
 use crate::emitter::AnyEmitter;
-use crate::estimator::{Direct, Sampling, Strategy};
-use crate::instances::Mode;
+use crate::estimator::{Direct, Mode, Sampling, Strategy};
 use crate::math::Rgb;
 use crate::parallel;
 use crate::params::Theta;

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use ad_core::Vec3;
 
-use super::{Node, PixelShares, Prim, Scene, Settings, ShapeInfo, Shares};
+use super::{PixelShares, Scene, Settings, ShapeInfo, Shares};
 use crate::accel::{self, Accel, AccelError, Hit, MAX_COORDINATE, Plane, Primitive};
 use crate::bsdf::nesting::{check_textures, flips_normals, is_glossy, visit_deltas};
 use crate::bsdf::{Bsdf, Material};
@@ -14,9 +14,10 @@ use crate::emitter::{AnyEmitter, Ball, Emitter};
 use crate::error::SceneError;
 use crate::film::Film;
 use crate::math::{NOWHERE, Ray};
-use crate::params::{ParamRef, ParamShape, Params};
-use crate::shape::{AnyShape, Exit, Shape};
-use crate::texture::{self, Bitmap, RgbTexture, ScalarTexture, Texture, UvTransform, Wrap};
+use crate::params::Params;
+use crate::plugin::Registry;
+use crate::shape::{AnyShape, Exit, Prim, Shape};
+use crate::texture::{RgbTexture, ScalarTexture, Texture};
 
 /// Index of a material in the builder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -50,7 +51,7 @@ pub struct MaterialId(u32);
 /// ```
 #[derive(Debug, Default)]
 pub struct Builder {
-    params: Params,
+    registry: Registry,
     materials: Vec<Arc<Material>>,
     /// Where each of them stands.
     indices: HashMap<*const Material, u32>,
@@ -59,27 +60,6 @@ pub struct Builder {
     emitters: Vec<AnyEmitter>,
     /// How often each is sampled, relative to the others.
     weights: Vec<f64>,
-    /// Name that the parameters of the plugin being built start with.
-    prefix: String,
-    /// Materials built from nodes that several places refer to.
-    shared: HashMap<*const Node, Arc<Material>>,
-    /// Textures built from nodes, by channels and valid range.
-    shared_textures: HashMap<(*const Node, usize, [u64; 2]), RgbTexture>,
-    /// Index that the shape under construction will have, while its emitter is built.
-    open_shape: Option<u32>,
-    /// Substitute mid-grey for missing texture files.
-    pub allow_missing: bool,
-    /// What was ignored or substituted.
-    pub warnings: Vec<String>,
-}
-
-fn texture_key(
-    node: &Arc<Node>,
-    channels: usize,
-    valid: (f64, f64),
-) -> (*const Node, usize, [u64; 2]) {
-    let range = [valid.0.to_bits(), valid.1.to_bits()];
-    (Arc::as_ptr(node), channels, range)
 }
 
 /// This many lamps, or things that throw caustics, have a ball of their own, at most.
@@ -100,10 +80,15 @@ impl Builder {
 
     /// The parameters so far.
     pub fn params(&self) -> &Params {
-        &self.params
+        self.registry.params()
     }
 
-    /// A constant colour parameter; `valid` bounds each channel.
+    /// Where plugins put their parameters.
+    pub fn registry(&mut self) -> &mut Registry {
+        &mut self.registry
+    }
+
+    /// [`Registry::rgb`].
     ///
     /// # Errors
     /// A channel outside `valid`.
@@ -113,10 +98,10 @@ impl Builder {
         value: [f64; 3],
         valid: (f64, f64),
     ) -> Result<RgbTexture, SceneError> {
-        self.constant(name, &value, valid)
+        self.registry.rgb(name, value, valid)
     }
 
-    /// A constant scalar parameter within `valid`.
+    /// [`Registry::scalar`].
     ///
     /// # Errors
     /// A value outside `valid`.
@@ -126,206 +111,21 @@ impl Builder {
         value: f64,
         valid: (f64, f64),
     ) -> Result<ScalarTexture, SceneError> {
-        self.constant(name, &[value], valid)
+        self.registry.scalar(name, value, valid)
     }
 
-    /// An image as a texture whose texels, `[height][width][C]`, become the parameter `{name}.data`: repeated,
-    /// bilinear, row 0 at v = 0; `valid` bounds each texel. 1 or 3 channels.
+    /// [`Registry::texels`].
     ///
     /// # Errors
     /// A wrong number of texels, or one outside `valid`.
     pub fn texels<const C: usize>(
         &mut self,
         name: &str,
-        [width, height]: [u32; 2],
+        size: [u32; 2],
         texels: &[f32],
         valid: (f64, f64),
     ) -> Result<Texture<C>, SceneError> {
-        let name = format!("{name}.data");
-        let error = |expected: String, found: String| SceneError::Parameter {
-            key: name.clone(),
-            expected,
-            found,
-        };
-        let shape = ParamShape::Texture {
-            height: height as usize,
-            width: width as usize,
-            channels: C,
-        };
-        if texels.is_empty() || shape.len() != texels.len() {
-            let expected = format!("{width} x {height} x {C} texels");
-            return Err(error(expected, texels.len().to_string()));
-        }
-        let inside = |v: &&f32| (valid.0 as f32..=valid.1 as f32).contains(*v);
-        if let Some(bad) = texels.iter().find(|v| !inside(v)) {
-            return Err(error(range_text(valid), bad.to_string()));
-        }
-        let param = self
-            .push_texels(&name, shape, texels, valid)
-            .ok_or_else(|| error("at most 2^32 parameters".into(), "more".into()))?;
-        Ok(Texture::Bitmap(Bitmap {
-            param,
-            width,
-            height,
-            wrap: Wrap::Repeat,
-            nearest: false,
-            to_uv: UvTransform::IDENTITY,
-        }))
-    }
-
-    pub(crate) fn constant<const C: usize>(
-        &mut self,
-        name: &str,
-        value: &[f64],
-        valid: (f64, f64),
-    ) -> Result<Texture<C>, SceneError> {
-        let shape = if C == 1 {
-            ParamShape::Scalar
-        } else {
-            ParamShape::Rgb
-        };
-        self.push_param(name, shape, value, valid)
-            .map(Texture::Constant)
-    }
-
-    /// Adds a range of parameters after checking its values.
-    pub(crate) fn push_param(
-        &mut self,
-        name: &str,
-        shape: ParamShape,
-        values: &[f64],
-        valid: (f64, f64),
-    ) -> Result<ParamRef, SceneError> {
-        if let Some(bad) = values
-            .iter()
-            .find(|&&v| !(v.is_finite() && v >= valid.0 && v <= valid.1))
-        {
-            return Err(SceneError::Parameter {
-                key: name.into(),
-                expected: range_text(valid),
-                found: bad.to_string(),
-            });
-        }
-        let values: Vec<f32> = values.iter().map(|&v| v as f32).collect();
-        Ok(self.params.push(name, shape, &values, valid))
-    }
-
-    /// Adds a range of texels that were checked. `None` if the parameters do not fit their 32-bit index.
-    pub(crate) fn push_texels(
-        &mut self,
-        name: &str,
-        shape: ParamShape,
-        texels: &[f32],
-        valid: (f64, f64),
-    ) -> Option<ParamRef> {
-        u32::try_from(self.params.values().len() + texels.len()).ok()?;
-        Some(self.params.push(name, shape, texels, valid))
-    }
-
-    /// The texture built before from `node` for this number of channels and valid range.
-    pub(crate) fn shared_texture(
-        &self,
-        node: &Arc<Node>,
-        channels: usize,
-        valid: (f64, f64),
-    ) -> Option<RgbTexture> {
-        let key = texture_key(node, channels, valid);
-        self.shared_textures.get(&key).cloned()
-    }
-
-    /// Keeps a texture for [`Builder::shared_texture`].
-    pub(crate) fn share_texture(
-        &mut self,
-        node: &Arc<Node>,
-        channels: usize,
-        valid: (f64, f64),
-        texture: RgbTexture,
-    ) {
-        let key = texture_key(node, channels, valid);
-        self.shared_textures.insert(key, texture);
-    }
-
-    /// A colour of a scene file: a constant, or a texture.
-    ///
-    /// # Errors
-    /// Anything wrong with the value or its file.
-    pub fn rgb_texture(
-        &mut self,
-        node: &Node,
-        key: &str,
-        default: [f64; 3],
-        valid: (f64, f64),
-    ) -> Result<RgbTexture, SceneError> {
-        texture::from_node(self, node, key, &default, valid)
-    }
-
-    /// A number of a scene file: a constant, or a texture.
-    ///
-    /// # Errors
-    /// Anything wrong with the value or its file.
-    pub fn scalar_texture(
-        &mut self,
-        node: &Node,
-        key: &str,
-        default: f64,
-        valid: (f64, f64),
-    ) -> Result<ScalarTexture, SceneError> {
-        texture::from_node(self, node, key, &[default], valid)
-    }
-
-    /// The name of the plugin being built: parameters are called `{prefix}.{key}.value`.
-    pub fn prefix(&self) -> &str {
-        &self.prefix
-    }
-
-    /// Builds the material described by `node`, once however often it is referred to. Its parameters
-    /// start with its id, or with the parent's name and `label`.
-    ///
-    /// # Errors
-    /// Anything wrong with its description.
-    pub fn material_from_node(
-        &mut self,
-        node: &Arc<Node>,
-        label: &str,
-    ) -> Result<Arc<Material>, SceneError> {
-        if let Some(m) = self.shared.get(&Arc::as_ptr(node)) {
-            return Ok(m.clone());
-        }
-        let name = match &node.id {
-            Some(id) => id.clone(),
-            None => format!("{}.{label}", self.prefix),
-        };
-        let outer = std::mem::replace(&mut self.prefix, name);
-        let material = Material::from_node(node, self);
-        self.prefix = outer;
-        let material = Arc::new(material.map_err(|e| e.at(&node.location))?);
-        node.finish()?;
-        self.shared.insert(Arc::as_ptr(node), material.clone());
-        Ok(material)
-    }
-
-    /// Index of the shape that the emitter being built belongs to.
-    ///
-    /// # Errors
-    /// The emitter stands outside a shape.
-    pub fn current_shape(&self, node: &Node) -> Result<u32, SceneError> {
-        self.open_shape
-            .ok_or_else(|| node.missing("shape", "an area light inside a <shape>"))
-    }
-
-    /// Runs `f` with the parameter prefix `name`, as if inside the shape that comes next.
-    pub(crate) fn within<T>(
-        &mut self,
-        name: &str,
-        in_shape: bool,
-        f: impl FnOnce(&mut Self) -> Result<T, SceneError>,
-    ) -> Result<T, SceneError> {
-        let outer = std::mem::replace(&mut self.prefix, name.to_owned());
-        self.open_shape = in_shape.then_some(self.shapes.len() as u32);
-        let result = f(self);
-        self.open_shape = None;
-        self.prefix = outer;
-        result
+        self.registry.texels(name, size, texels, valid)
     }
 
     /// Adds a material.
@@ -412,8 +212,8 @@ impl Builder {
             }
         }
         for m in &self.materials {
-            check_textures(m, &self.params)?;
-            visit_deltas(m, &mut |p| self.params.mark_delta(p));
+            check_textures(m, self.registry.params())?;
+            visit_deltas(m, &mut |p| self.registry.params_mut().mark_delta(p));
         }
         let (mut prims, mut patches) = (Vec::new(), Vec::new());
         let mut primitives = Vec::new();
@@ -465,7 +265,7 @@ impl Builder {
         }
         let mut emitters = self.emitters;
         for e in &mut emitters {
-            e.update(&self.params);
+            e.update(self.registry.params());
         }
         let infinite: Vec<u32> = (0..emitters.len() as u32)
             .filter(|&i| emitters[i as usize].is_infinite())
@@ -481,7 +281,7 @@ impl Builder {
             false => Vec::new(),
         };
         Ok(Scene {
-            params: self.params,
+            params: self.registry.into_params(),
             materials: self.materials,
             shapes: self.shapes,
             infos: self.infos,
@@ -588,13 +388,5 @@ pub(super) fn out_of_reach(name: &str, e: &AccelError) -> SceneError {
         key: name.to_owned(),
         expected,
         found,
-    }
-}
-
-fn range_text((lo, hi): (f64, f64)) -> String {
-    match (lo.is_finite(), hi.is_finite()) {
-        (true, true) => format!("a number in [{lo}, {hi}]"),
-        (true, false) => format!("a finite number of at least {lo}"),
-        _ => "a finite number".into(),
     }
 }

@@ -3,10 +3,11 @@
 
 use ad_core::{Const, Vec3};
 
-use super::{Node, Scene};
+use super::Scene;
 use crate::accel;
 use crate::error::SceneError;
 use crate::math::each;
+use crate::plugin::Node;
 use crate::shape::Shape;
 
 /// Between which depths the camera of a scene file sees surfaces. Depth is measured along the viewing

@@ -5,8 +5,7 @@ use std::sync::Arc;
 
 use super::builder::{Builder, MaterialId, out_of_reach};
 use super::clip::Clip;
-use super::xml::{Document, check_limit};
-use super::{Node, Scene, Settings};
+use super::{Scene, Settings};
 use crate::accel::{Accel, MAX_COORDINATE};
 use crate::bsdf::{Diffuse, Material};
 use crate::camera::{Camera, FovAxis};
@@ -14,6 +13,8 @@ use crate::emitter::AnyEmitter;
 use crate::error::{SceneError, quoted};
 use crate::film::{Film, PixelFilter};
 use crate::inputs;
+use crate::plugin::Node;
+use crate::plugin::xml::{Document, check_limit};
 use crate::shape::{AnyShape, Shape};
 use crate::texture;
 
@@ -86,7 +87,7 @@ impl Scene {
     ) -> Result<(Self, Vec<String>), SceneError> {
         let root = document.root();
         let mut build = Builder::new();
-        build.allow_missing = options.allow_missing;
+        build.registry().allow_missing = options.allow_missing;
         let mut settings = Settings::default();
         if let Some(node) = root.child_with_tag("integrator")? {
             integrator(node, &mut settings)?;
@@ -108,7 +109,9 @@ impl Scene {
                 continue;
             }
             let name = node.id.clone().unwrap_or_else(|| "emitter".into());
-            let emitter = build.within(&name, false, |b| AnyEmitter::from_node(node, b))?;
+            let emitter = build
+                .registry()
+                .within(&name, None, |r| AnyEmitter::from_node(node, r))?;
             let weight = sampling_weight(node)?;
             node.ignore(HINTS, Node::boolean)?;
             node.finish()?;
@@ -120,7 +123,7 @@ impl Scene {
             }
         }
         root.finish()?;
-        let mut of_builder = std::mem::take(&mut build.warnings);
+        let mut of_builder = std::mem::take(&mut build.registry().warnings);
         let scene = build.build(camera, film, settings)?;
         clip.check(sensor, &scene)?;
         let mut warnings: Vec<String> = document
@@ -352,7 +355,7 @@ fn shape(
     defaults: &mut [Option<MaterialId>; 2],
 ) -> Result<(), SceneError> {
     let name = node.id.clone().unwrap_or_else(|| format!("shape{index}"));
-    let geometry = AnyShape::from_node(node, build)?;
+    let geometry = AnyShape::from_node(node, build.registry())?;
     // The builder would complain too, but knows no line.
     if geometry.extent() > MAX_COORDINATE {
         Accel::build(&geometry.primitives())
@@ -362,7 +365,9 @@ fn shape(
     let emits = emitter_node.is_some();
     let material = match node.child_with_tag("bsdf")? {
         Some(bsdf) => {
-            let m = build.within(&name, false, |b| b.material_from_node(bsdf, "bsdf"))?;
+            let m = build
+                .registry()
+                .within(&name, None, |r| r.material_from_node(bsdf, "bsdf"))?;
             build.add_shared_material(m)
         }
         None => {
@@ -382,9 +387,11 @@ fn shape(
     };
     let emitter = match emitter_node {
         Some(e) => {
-            let emitter = build.within(&format!("{name}.emitter"), true, |b| {
-                AnyEmitter::from_node(e, b)
-            })?;
+            let next = build.shapes().len() as u32;
+            let emitter =
+                (build.registry()).within(&format!("{name}.emitter"), Some(next), |r| {
+                    AnyEmitter::from_node(e, r)
+                })?;
             let weight = sampling_weight(e)?;
             e.ignore(HINTS, Node::boolean)?;
             e.finish()?;

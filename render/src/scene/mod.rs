@@ -5,11 +5,9 @@ mod clip;
 mod load;
 mod pixels;
 mod shares;
-pub mod xml;
 
 pub use builder::Builder;
 pub use load::LoadOptions;
-pub use xml::Node;
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -27,7 +25,7 @@ use crate::guide::Guide;
 use crate::math::{Ray, Segment};
 use crate::params::Params;
 use crate::sampler::Points;
-use crate::shape::{AnyShape, Exit, Patch, Shape, SurfaceInteraction};
+use crate::shape::{AnyShape, Exit, Patch, Prim, Shape, SurfaceInteraction};
 
 pub(crate) use pixels::PixelShares;
 pub(crate) use shares::Shares;
@@ -174,20 +172,6 @@ pub struct Scene {
     pub film: Film,
     /// Depths and sample count.
     pub settings: Settings,
-}
-
-/// What a primitive belongs to.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Prim {
-    shape: u32,
-    /// Index within the shape.
-    local: u32,
-    /// Index among the parallelograms; none if beyond.
-    patch: u32,
-    /// The surface it lies on, as [`crate::accel::surfaces`] numbers them.
-    pub surface: u32,
-    /// How rays leave it.
-    pub exit: Exit,
 }
 
 /// A ray's nearest hit.
@@ -474,6 +458,20 @@ impl Scene {
     #[inline]
     pub fn occluded_bundle(&self, rays: &Bundle) -> u32 {
         self.accel.occluded_bundle(rays)
+    }
+
+    /// Whether an estimator is right in this scene: samples that move by themselves must not meet discontinuities.
+    ///
+    /// # Errors
+    /// Naive attached sampling in a scene where something may occlude something else, or where whole paths slide over edges
+    /// or textures that jump: [`Scene::discontinuity`].
+    pub fn admits<S: Strategy>(&self) -> Result<(), RenderError> {
+        if S::NEEDS_CONTINUITY
+            && let Some(culprit) = self.discontinuity(!S::Bsdf::DETACHED_PATH)
+        {
+            return Err(RenderError::Discontinuous { culprit });
+        }
+        Ok(())
     }
 
     /// Something that makes the integrand at a surface discontinuous in direction: an [`Scene::outline`] or a

@@ -4,10 +4,9 @@ use ad_core::{Float, Real};
 
 use super::{Patch, Shape, ShapeSample, SurfaceInteraction};
 use crate::accel::{Hit, Primitive};
-use crate::bsdf::FromNode;
 use crate::error::SceneError;
 use crate::math::{Ray, Transform};
-use crate::scene::{Builder, Node};
+use crate::plugin::{FromNode, Node, Registry};
 
 /// `uv = (0, 0)`, `(1, 0)` and `(0, 1)` of the six faces, as the peer numbers them.
 const FACES: [[[f64; 3]; 3]; 6] = [
@@ -92,7 +91,7 @@ impl Shape for Cube {
 impl FromNode for Cube {
     const PLUGINS: &'static [&'static str] = &["cube"];
 
-    fn from_node(node: &Node, _build: &mut Builder) -> Result<Self, SceneError> {
+    fn from_node(node: &Node, _registry: &mut Registry) -> Result<Self, SceneError> {
         let to_world = node.transform("to_world")?.unwrap_or_default();
         let flip = node.boolean_or("flip_normals", false)?;
         Self::new(&to_world, flip).ok_or_else(|| {

@@ -7,10 +7,9 @@ use ad_core::{Const, Float, Real, Vec2, Vec3};
 use super::sphere::{ON_SURFACE, SIMILARITY_TOLERANCE, root_near};
 use super::{DirectionSample, Shape, ShapeSample, SurfaceInteraction, hit_is_exact, lift3, turn};
 use crate::accel::{Hit, MAX_COORDINATE, MIN_THICKNESS, Primitive};
-use crate::bsdf::FromNode;
 use crate::error::SceneError;
 use crate::math::{Frame, Ray, Transform, warp};
-use crate::scene::{Builder, Node};
+use crate::plugin::{FromNode, Node, Registry};
 
 /// An open tube around the segment from `p0` to `p1`. `uv = (phi / 2 pi, z / length)`; normals
 /// point away from the axis, or towards it if flipped.
@@ -196,7 +195,7 @@ impl Shape for Cylinder {
 impl FromNode for Cylinder {
     const PLUGINS: &'static [&'static str] = &["cylinder"];
 
-    fn from_node(node: &Node, _build: &mut Builder) -> Result<Self, SceneError> {
+    fn from_node(node: &Node, _registry: &mut Registry) -> Result<Self, SceneError> {
         let p0 = node.point("p0")?.unwrap_or([0.0; 3]);
         let p1 = node.point("p1")?.unwrap_or([0.0, 0.0, 1.0]);
         let radius = node.float_or("radius", 1.0)?;

@@ -7,10 +7,9 @@ use ad_core::{Float, Real, Vec2, Vec3};
 use super::patch::intersect_plane;
 use super::{Shape, ShapeSample, SurfaceInteraction, hit_is_exact, lift3, turn};
 use crate::accel::{Hit, MAX_COORDINATE, MIN_THICKNESS, Primitive};
-use crate::bsdf::FromNode;
 use crate::error::SceneError;
 use crate::math::{Frame, Ray, Transform, each, warp};
-use crate::scene::{Builder, Node};
+use crate::plugin::{FromNode, Node, Registry};
 
 /// The unit disk in the local xy plane, normal +z, under an affine transform (an ellipse in general).
 /// `uv = (r, phi / 2 pi)` in local polar coordinates.
@@ -122,7 +121,7 @@ impl Shape for Disk {
 impl FromNode for Disk {
     const PLUGINS: &'static [&'static str] = &["disk"];
 
-    fn from_node(node: &Node, _build: &mut Builder) -> Result<Self, SceneError> {
+    fn from_node(node: &Node, _registry: &mut Registry) -> Result<Self, SceneError> {
         let to_world = node.transform("to_world")?.unwrap_or_default();
         let flip = node.boolean_or("flip_normals", false)?;
         Self::new(&to_world, flip).ok_or_else(|| {

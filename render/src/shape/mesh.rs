@@ -11,12 +11,11 @@ use smallvec::SmallVec;
 use super::patch::intersect_plane;
 use super::{DirectionSample, Shape, ShapeSample, SurfaceInteraction, hit_is_exact, lift3};
 use crate::accel::{Hit, MAX_COORDINATE, Primitive};
-use crate::bsdf::FromNode;
 use crate::error::{SceneError, quoted};
 use crate::files;
 use crate::math::{Frame, Ray, Transform, each, warp};
+use crate::plugin::{FromNode, Node, Registry};
 use crate::prefetch::prefetch;
-use crate::scene::{Builder, Node};
 
 /// Largest OBJ file in bytes.
 const MAX_BYTES: u64 = 1 << 33;
@@ -699,7 +698,7 @@ impl BufRead for ObjLines<'_> {
 impl FromNode for Mesh {
     const PLUGINS: &'static [&'static str] = &["obj"];
 
-    fn from_node(node: &Node, _build: &mut Builder) -> Result<Self, SceneError> {
+    fn from_node(node: &Node, _registry: &mut Registry) -> Result<Self, SceneError> {
         let path = node
             .path("filename")?
             .ok_or_else(|| node.missing("filename", "an OBJ file"))?;

@@ -24,10 +24,9 @@ pub(crate) use sphere::{sample_cone, turn};
 use ad_core::{Const, Float, Real, Vec2, Vec3};
 
 use crate::accel::{Hit, Primitive};
-use crate::bsdf::FromNode;
 use crate::error::SceneError;
 use crate::math::{Frame, NOWHERE, Ray, Segment};
-use crate::scene::{Builder, Node};
+use crate::plugin::{FromNode, Node, Registry};
 
 /// Part of the distance to a point that is not tested for occluders: its rounding.
 const SHADOW_EPSILON: f64 = 1e-6;
@@ -49,6 +48,20 @@ impl Default for Exit {
             surface: NOWHERE,
         }
     }
+}
+
+/// What a primitive of a scene belongs to.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Prim {
+    pub shape: u32,
+    /// Index within the shape.
+    pub local: u32,
+    /// Index among the parallelograms; none if beyond.
+    pub patch: u32,
+    /// The surface it lies on, as [`crate::accel::surfaces`] numbers them.
+    pub surface: u32,
+    /// How rays leave it.
+    pub exit: Exit,
 }
 
 /// A point on a surface, seen along a ray.
@@ -96,6 +109,19 @@ impl<R: Real> SurfaceInteraction<R> {
             ray: Ray { o, d, from },
             length: R::select(finite, length, distance),
             to,
+        }
+    }
+
+    /// The geometric normal in the shading frame: exactly its axis where the two normals are one.
+    #[inline]
+    pub fn local_geometric_normal(&self) -> Vec3<R>
+    where
+        R: Float,
+    {
+        if self.n_geo == self.frame.n {
+            Vec3::new(R::zero(), R::zero(), R::one())
+        } else {
+            self.frame.to_local(self.n_geo)
         }
     }
 
@@ -331,13 +357,13 @@ macro_rules! shapes {
             ///
             /// # Errors
             /// Unknown plugin, or anything wrong with its description.
-            pub fn from_node(node: &Node, build: &mut Builder) -> Result<Self, SceneError> {
+            pub fn from_node(node: &Node, registry: &mut Registry) -> Result<Self, SceneError> {
                 let plugin = node.plugin.as_str();
                 $(if <$hot as FromNode>::PLUGINS.contains(&plugin) {
-                    return Ok(Self::$hot(<$hot as FromNode>::from_node(node, build)?));
+                    return Ok(Self::$hot(<$hot as FromNode>::from_node(node, registry)?));
                 })*
                 $(if <$name as FromNode>::PLUGINS.contains(&plugin) {
-                    return Ok(Self::$name(<$name as FromNode>::from_node(node, build)?));
+                    return Ok(Self::$name(<$name as FromNode>::from_node(node, registry)?));
                 })*
                 Err(node.unknown_plugin(&Self::PLUGINS.concat()))
             }

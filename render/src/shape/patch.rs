@@ -4,10 +4,9 @@ use ad_core::{Const, Float, Real, Vec2, Vec3};
 
 use super::{Shape, ShapeSample, SurfaceInteraction, hit_is_exact, lift3};
 use crate::accel::{Hit, MIN_THICKNESS, Primitive};
-use crate::bsdf::FromNode;
 use crate::error::SceneError;
 use crate::math::{Frame, Ray, each};
-use crate::scene::{Builder, Node};
+use crate::plugin::{FromNode, Node, Registry};
 
 /// A parallelogram `corner + u e1 + v e2`, with surface coordinates `(u, v)` in [0, 1]^2.
 #[derive(Clone, Copy, Debug)]
@@ -179,7 +178,7 @@ impl Shape for Rectangle {
 impl FromNode for Rectangle {
     const PLUGINS: &'static [&'static str] = &["rectangle"];
 
-    fn from_node(node: &Node, _build: &mut Builder) -> Result<Self, SceneError> {
+    fn from_node(node: &Node, _registry: &mut Registry) -> Result<Self, SceneError> {
         let to_world = node.transform("to_world")?.unwrap_or_default();
         let flip = node.boolean_or("flip_normals", false)?;
         let corner = to_world.point([-1.0, -1.0, 0.0]);

@@ -9,10 +9,9 @@ use super::{
     lift3,
 };
 use crate::accel::{Hit, MAX_COORDINATE, MIN_THICKNESS, Primitive};
-use crate::bsdf::FromNode;
 use crate::error::SceneError;
 use crate::math::{Frame, Ray, Transform, each, warp};
-use crate::scene::{Builder, Node};
+use crate::plugin::{FromNode, Node, Registry};
 
 /// Two axes count as equally long and orthogonal up to this relative error, that of a matrix
 /// written with six digits.
@@ -307,7 +306,7 @@ fn cone_pdf<R: Real>(one_minus_cos_max: R) -> R {
 impl FromNode for Sphere {
     const PLUGINS: &'static [&'static str] = &["sphere"];
 
-    fn from_node(node: &Node, _build: &mut Builder) -> Result<Self, SceneError> {
+    fn from_node(node: &Node, _registry: &mut Registry) -> Result<Self, SceneError> {
         let center = node.point("center")?.unwrap_or_default();
         let radius = node.float_or("radius", 1.0)?;
         let to_world = node.transform("to_world")?.unwrap_or_default();

@@ -3,11 +3,11 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use super::{Bitmap, Checkerboard, Texture, UvTransform, Wrap};
+use super::{Bitmap, Checkerboard, RgbTexture, ScalarTexture, Texture, UvTransform, Wrap};
 use crate::error::{SceneError, quoted};
 use crate::image_io::{self, Encoding};
 use crate::params::{ParamRef, ParamShape};
-use crate::scene::{Builder, Node};
+use crate::plugin::{Node, Registry, range_text};
 
 /// Texture plugins of scene files.
 pub(crate) const PLUGINS: &[&str] = &["bitmap", "checkerboard"];
@@ -25,22 +25,143 @@ pub(crate) struct Use<'a> {
     pub substitute: &'a [f64],
 }
 
+/// What a texture that is built of a node depends on besides.
+fn details(channels: usize, valid: (f64, f64)) -> [u64; 3] {
+    [channels as u64, valid.0.to_bits(), valid.1.to_bits()]
+}
+
+/// Textures.
+impl Registry {
+    /// A constant colour parameter; `valid` bounds each channel.
+    ///
+    /// # Errors
+    /// A channel outside `valid`.
+    pub fn rgb(
+        &mut self,
+        name: &str,
+        value: [f64; 3],
+        valid: (f64, f64),
+    ) -> Result<RgbTexture, SceneError> {
+        self.constant(name, &value, valid)
+    }
+
+    /// A constant scalar parameter within `valid`.
+    ///
+    /// # Errors
+    /// A value outside `valid`.
+    pub fn scalar(
+        &mut self,
+        name: &str,
+        value: f64,
+        valid: (f64, f64),
+    ) -> Result<ScalarTexture, SceneError> {
+        self.constant(name, &[value], valid)
+    }
+
+    /// An image as a texture whose texels, `[height][width][C]`, become the parameter `{name}.data`: repeated,
+    /// bilinear, row 0 at v = 0; `valid` bounds each texel. 1 or 3 channels.
+    ///
+    /// # Errors
+    /// A wrong number of texels, or one outside `valid`.
+    pub fn texels<const C: usize>(
+        &mut self,
+        name: &str,
+        [width, height]: [u32; 2],
+        texels: &[f32],
+        valid: (f64, f64),
+    ) -> Result<Texture<C>, SceneError> {
+        let name = format!("{name}.data");
+        let error = |expected: String, found: String| SceneError::Parameter {
+            key: name.clone(),
+            expected,
+            found,
+        };
+        let shape = ParamShape::Texture {
+            height: height as usize,
+            width: width as usize,
+            channels: C,
+        };
+        if texels.is_empty() || shape.len() != texels.len() {
+            let expected = format!("{width} x {height} x {C} texels");
+            return Err(error(expected, texels.len().to_string()));
+        }
+        let inside = |v: &&f32| (valid.0 as f32..=valid.1 as f32).contains(*v);
+        if let Some(bad) = texels.iter().find(|v| !inside(v)) {
+            return Err(error(range_text(valid), bad.to_string()));
+        }
+        let param = self
+            .push_texels(&name, shape, texels, valid)
+            .ok_or_else(|| error("at most 2^32 parameters".into(), "more".into()))?;
+        Ok(Texture::Bitmap(Bitmap {
+            param,
+            width,
+            height,
+            wrap: Wrap::Repeat,
+            nearest: false,
+            to_uv: UvTransform::IDENTITY,
+        }))
+    }
+
+    pub(crate) fn constant<const C: usize>(
+        &mut self,
+        name: &str,
+        value: &[f64],
+        valid: (f64, f64),
+    ) -> Result<Texture<C>, SceneError> {
+        let shape = if C == 1 {
+            ParamShape::Scalar
+        } else {
+            ParamShape::Rgb
+        };
+        self.push_param(name, shape, value, valid)
+            .map(Texture::Constant)
+    }
+
+    /// A colour of a scene file: a constant, or a texture.
+    ///
+    /// # Errors
+    /// Anything wrong with the value or its file.
+    pub fn rgb_texture(
+        &mut self,
+        node: &Node,
+        key: &str,
+        default: [f64; 3],
+        valid: (f64, f64),
+    ) -> Result<RgbTexture, SceneError> {
+        from_node(self, node, key, &default, valid)
+    }
+
+    /// A number of a scene file: a constant, or a texture.
+    ///
+    /// # Errors
+    /// Anything wrong with the value or its file.
+    pub fn scalar_texture(
+        &mut self,
+        node: &Node,
+        key: &str,
+        default: f64,
+        valid: (f64, f64),
+    ) -> Result<ScalarTexture, SceneError> {
+        from_node(self, node, key, &[default], valid)
+    }
+}
+
 /// The texture `key` of `node`: a nested texture plugin, a constant, or the default.
 pub(crate) fn from_node<const C: usize>(
-    build: &mut Builder,
+    registry: &mut Registry,
     node: &Node,
     key: &str,
     default: &[f64],
     valid: (f64, f64),
 ) -> Result<Texture<C>, SceneError> {
-    let name = format!("{}.{key}", build.prefix());
+    let name = format!("{}.{key}", registry.prefix());
     if let Some(texture) = node.child(key) {
         let usage = Use {
             name: &name,
             valid,
             substitute: if C == 1 { default } else { &[GREY; 3] },
         };
-        return from_plugin(build, texture, &usage);
+        return from_plugin(registry, texture, &usage);
     }
     let value = if C == 1 {
         node.float(key)?.map(|x| vec![x])
@@ -49,31 +170,32 @@ pub(crate) fn from_node<const C: usize>(
     };
     let value = value.unwrap_or_else(|| default.to_vec());
     let name = format!("{name}.value");
-    build.constant(&name, &value, valid)
+    registry.constant(&name, &value, valid)
 }
 
 /// The texture that `node` describes; one that several places refer to has its parameters once.
 pub(crate) fn from_plugin<const C: usize>(
-    build: &mut Builder,
+    registry: &mut Registry,
     node: &Arc<Node>,
     usage: &Use,
 ) -> Result<Texture<C>, SceneError> {
-    if let Some(texture) = build.shared_texture(node, C, usage.valid) {
-        return Ok(texture.with_channels());
+    let details = details(C, usage.valid);
+    if let Some(texture) = registry.shared::<RgbTexture>(node, details) {
+        return Ok(texture.as_ref().clone().with_channels());
     }
     let texture: Texture<C> = match node.plugin.as_str() {
-        "bitmap" => bitmap(build, node, usage)?,
-        "checkerboard" => checkerboard(build, node, usage)?,
+        "bitmap" => bitmap(registry, node, usage)?,
+        "checkerboard" => checkerboard(registry, node, usage)?,
         _ => return Err(node.unknown_plugin(PLUGINS)),
     };
     node.finish()?;
-    let shared = texture.clone().with_channels();
-    build.share_texture(node, C, usage.valid, shared);
+    let shared: RgbTexture = texture.clone().with_channels();
+    registry.share(node, details, Arc::new(shared));
     Ok(texture)
 }
 
 fn bitmap<const C: usize>(
-    build: &mut Builder,
+    registry: &mut Registry,
     node: &Node,
     usage: &Use,
 ) -> Result<Texture<C>, SceneError> {
@@ -93,11 +215,11 @@ fn bitmap<const C: usize>(
     // How the peer stores texels; here they are always f32.
     node.string("format")?;
     node.boolean("accel")?;
-    let Some(path) = file(build, node, usage)? else {
+    let Some(path) = file(registry, node, usage)? else {
         let (name, value) = (format!("{}.value", usage.name), usage.substitute);
-        return build.constant(&name, value, usage.valid);
+        return registry.constant(&name, value, usage.valid);
     };
-    let (param, [width, height]) = texels::<C>(build, &path, encoding, usage)?;
+    let (param, [width, height]) = texels::<C>(registry, &path, encoding, usage)?;
     Ok(Texture::Bitmap(Bitmap {
         param,
         width,
@@ -111,21 +233,21 @@ fn bitmap<const C: usize>(
 /// The existing file that the attribute `filename` names; `None`, with a warning, if it is missing and
 /// may be.
 pub(crate) fn file(
-    build: &mut Builder,
+    registry: &mut Registry,
     node: &Node,
     usage: &Use,
 ) -> Result<Option<std::path::PathBuf>, SceneError> {
     match node.path("filename") {
         Ok(Some(path)) => Ok(Some(path)),
         Ok(None) => Err(node.missing("filename", "the name of an image file")),
-        Err(error @ SceneError::Value { .. }) if build.allow_missing => {
+        Err(error @ SceneError::Value { .. }) if registry.allow_missing => {
             // A <string>, so what is wrong is that the file is missing.
             if !matches!(node.string("filename"), Ok(Some(_))) {
                 return Err(error);
             }
             let value = usage.substitute;
             let warning = format!("{error}; {} is {value:?} instead", quoted(usage.name));
-            build.warnings.push(warning);
+            registry.warnings.push(warning);
             Ok(None)
         }
         Err(error) => Err(error),
@@ -138,7 +260,7 @@ const RINGING: f64 = 0.1;
 
 /// Reads an image into the parameters `{name}.data`; returns its width and height too.
 pub(crate) fn texels<const C: usize>(
-    build: &mut Builder,
+    registry: &mut Registry,
     path: &Path,
     encoding: Encoding,
     usage: &Use,
@@ -160,7 +282,7 @@ pub(crate) fn texels<const C: usize>(
                 "{}: {what} are slightly negative; they are zero instead",
                 path.display()
             );
-            build.warnings.push(warning);
+            registry.warnings.push(warning);
             for v in pixels.data.iter_mut().filter(|v| ringing(**v)) {
                 *v = 0.0;
             }
@@ -187,7 +309,7 @@ pub(crate) fn texels<const C: usize>(
         channels: C,
     };
     let name = format!("{}.data", usage.name);
-    let param = build
+    let param = registry
         .push_texels(&name, shape, &pixels.data, usage.valid)
         .ok_or_else(|| {
             let found = "more with this image".to_owned();
@@ -197,7 +319,7 @@ pub(crate) fn texels<const C: usize>(
 }
 
 fn checkerboard<const C: usize>(
-    build: &mut Builder,
+    registry: &mut Registry,
     node: &Node,
     usage: &Use,
 ) -> Result<Texture<C>, SceneError> {
@@ -212,7 +334,7 @@ fn checkerboard<const C: usize>(
             _ => ParamShape::Rgb,
         };
         let name = format!("{}.{key}.value", usage.name);
-        build.push_param(&name, shape, &value, usage.valid)
+        registry.push_param(&name, shape, &value, usage.valid)
     };
     Ok(Texture::Checkerboard(Checkerboard {
         colors: [color("color0", 0.4)?, color("color1", 0.2)?],

@@ -9,7 +9,7 @@ use render::bsdf::{Material, Shading};
 use render::camera::{Camera, FovAxis};
 use render::math::Transform;
 use render::params::{Params, Theta};
-use render::scene::xml::Document;
+use render::plugin::xml::Document;
 use render::scene::{Builder, Settings};
 use render::{Film, SceneError};
 
@@ -20,7 +20,7 @@ pub fn build(plugin: &str, content: &str) -> Result<(Arc<Material>, Params), Sce
     let document = Document::from_str(&text, Path::new("."), &[])?;
     let node = document.root().children_with_tag("bsdf")[0];
     let mut build = Builder::new();
-    let material = build.material_from_node(node, "bsdf")?;
+    let material = build.registry().material_from_node(node, "bsdf")?;
     let camera = Camera::new(Transform::default(), 45.0, FovAxis::X, [1, 1])?;
     let scene = build.build(camera, Film::new(1, 1), Settings::default())?;
     Ok((material, scene.params().clone()))

@@ -43,7 +43,13 @@ fn floor(map: &Image) -> Result<Scene> {
     let material = stage.matt("floor", [0.5; 3])?;
     let sides = [[2.0, 0.0, 0.0], [0.0, 0.0, -2.0]];
     stage.quad("floor", [[-1.0, 0.0, 1.0], sides[0], sides[1]], &material)?;
-    let sky = Envmap::new(&mut stage.build, "sky", map, &Transform::IDENTITY, 1.0)?;
+    let sky = Envmap::new(
+        stage.build.registry(),
+        "sky",
+        map,
+        &Transform::IDENTITY,
+        1.0,
+    )?;
     stage.build.add_emitter(sky, None);
     let view = View {
         eye: [0.0, 1.6, 2.8],

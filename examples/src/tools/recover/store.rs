@@ -15,6 +15,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use super::Checkpoint;
 use crate::cli::ToolError;
+use crate::complain;
 use crate::output;
 
 /// The layout of checkpoints that this tool reads and writes.
@@ -477,7 +478,7 @@ fn lock(path: &Path, folder: &Path) -> Result<File, ToolError> {
             ));
         }
         Err(fs::TryLockError::Error(e)) if e.kind() == io::ErrorKind::Unsupported => {
-            eprintln!(
+            complain!(
                 "warning: {}: the file system has no locks",
                 folder.display()
             );

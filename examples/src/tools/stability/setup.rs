@@ -141,8 +141,13 @@ impl Plate {
             Light::Constant => stage.ambient([1.0; 3])?,
             Light::Stripes(k) => {
                 let map = stripes(k);
-                let light =
-                    Envmap::new(&mut stage.build, "light", &map, &Transform::IDENTITY, 1.0)?;
+                let light = Envmap::new(
+                    stage.build.registry(),
+                    "light",
+                    &map,
+                    &Transform::IDENTITY,
+                    1.0,
+                )?;
                 stage.build.add_emitter(light, None);
             }
             Light::Lobe => {

@@ -11,13 +11,12 @@ use ad_core::{Const, Float, Real, Vec2, Vec3};
 
 use self::table::Table;
 use super::{Emission, Emitter, EmitterSample, Lights};
-use crate::bsdf::FromNode;
 use crate::error::SceneError;
 use crate::film::Image;
 use crate::image_io::Encoding;
 use crate::math::{NOWHERE, Rgb, Transform, each};
 use crate::params::{ParamRef, ParamShape, Params};
-use crate::scene::{Builder, Node};
+use crate::plugin::{FromNode, Node, Registry};
 use crate::shape::{SurfaceInteraction, lift3, turn};
 use crate::texture::{self, Bitmap, RgbTexture, Texture, UvTransform, Wrap};
 
@@ -51,7 +50,7 @@ impl Envmap {
     /// An image of the wrong length, or negative or not finite; axes that are not orthogonal; a
     /// negative scale.
     pub fn new(
-        build: &mut Builder,
+        registry: &mut Registry,
         name: &str,
         image: &Image,
         to_world: &Transform,
@@ -79,7 +78,7 @@ impl Envmap {
             channels: 3,
         };
         let name = format!("{name}.data");
-        let param = build
+        let param = registry
             .push_texels(&name, shape, &image.data, VALID)
             .ok_or_else(|| error("at most 2^32 parameters", "more".into()))?;
         let axes = orthonormal(to_world)
@@ -299,7 +298,7 @@ impl Emitter for Envmap {
 impl FromNode for Envmap {
     const PLUGINS: &'static [&'static str] = &["envmap"];
 
-    fn from_node(node: &Node, build: &mut Builder) -> Result<Self, SceneError> {
+    fn from_node(node: &Node, registry: &mut Registry) -> Result<Self, SceneError> {
         let to_world = node.transform("to_world")?.unwrap_or_default();
         let axes = orthonormal(&to_world).ok_or_else(|| {
             node.invalid("to_world", "a transform that keeps the axes orthogonal")
@@ -309,21 +308,21 @@ impl FromNode for Envmap {
             return Err(node.invalid("scale", "a number of at least 0"));
         }
         node.ignore(&["mis_compensation"], Node::boolean)?;
-        let name = build.prefix().to_owned();
+        let name = registry.prefix().to_owned();
         let usage = texture::Use {
             name: &name,
             valid: VALID,
             substitute: &[0.5; 3],
         };
-        let Some(path) = texture::file(build, node, &usage)? else {
+        let Some(path) = texture::file(registry, node, &usage)? else {
             let grey = Image {
                 width: 1,
                 height: 1,
                 data: vec![0.5; 3],
             };
-            return Self::new(build, &name, &grey, &to_world, scale);
+            return Self::new(registry, &name, &grey, &to_world, scale);
         };
-        let (param, size) = texture::texels::<3>(build, &path, Encoding::Srgb, &usage)?;
+        let (param, size) = texture::texels::<3>(registry, &path, Encoding::Srgb, &usage)?;
         Ok(Self::over(param, size, axes, scale))
     }
 }

@@ -11,14 +11,12 @@ use super::{
 };
 use crate::bsdf::{Bsdf, Component, Material, Part, Shading, TransportMode};
 use crate::emitter::{Emission, Emitter};
-use crate::estimator::Strategy;
 use crate::estimator::memory::Memory;
-use crate::integrator::direct::{
-    Aimed, Connected, Followed, Found, Weighing, aimed_light, follows_edges,
-};
-use crate::integrator::gradient::Active;
+use crate::estimator::{Strategy, follows_edges};
+use crate::integrator::active::Active;
+use crate::integrator::direct::{Aimed, Connected, Followed, Found, Weighing, aimed_light};
 use crate::integrator::local::{LocalFn, pull_back_texels};
-use crate::integrator::path::{Context, MODE};
+use crate::integrator::vertex::MODE;
 use crate::math::{Rgb, each};
 use crate::params::{GradSink, ParamRef, Theta};
 use crate::scene::Scene;
@@ -69,7 +67,8 @@ impl<'a, P: Float> Recorder<'a, P> {
     /// as recorded, materials through the whole path.
     pub(in crate::integrator) fn backward_moving(
         &self,
-        &Context { scene, theta, .. }: &Context<P>,
+        scene: &Scene,
+        theta: &Theta<P>,
         path: &impl LocalFn<P>,
         d_l: Rgb<P>,
         grad: &mut (impl GradSink<P> + SumSink),
@@ -102,7 +101,8 @@ impl<'a, P: Float> Recorder<'a, P> {
     /// `d_l` changes: both are in `d_l`.
     pub(in crate::integrator) fn backward_second(
         &self,
-        &Context { scene, theta, .. }: &Context<P>,
+        scene: &Scene,
+        theta: &Theta<P>,
         direction: impl Fn(ParamRef, u32) -> P,
         d_l: [Rgb<P>; 2],
         grad: &mut impl GradSink<P>,

@@ -2,12 +2,11 @@
 
 use ad_core::{Const, Float, Real, Vec2, Vec3};
 
+use super::MODE;
 use crate::bsdf::{Bsdf, BsdfSample, Component, Material, Scattered, Shading};
 use crate::emitter::{Emission, Emitter};
-use crate::estimator::{Sampling, Strategy};
+use crate::estimator::{Geometry, Sampling, Strategy, follows_edges};
 use crate::guide::{Directions, PART_GUIDED};
-use crate::integrator::direct::follows_edges;
-use crate::integrator::path::{Geometry, MODE};
 use crate::math::{Frame, Rgb};
 use crate::params::Theta;
 use crate::scene::{LightChoice, Scene};

@@ -8,7 +8,10 @@ pub(crate) mod light;
 pub mod regard;
 pub(super) mod roulette;
 
-use crate::bsdf::{Component, Part};
+use crate::bsdf::{Component, Part, TransportMode};
+
+/// What paths from the camera carry.
+pub(super) const MODE: TransportMode = TransportMode::Radiance;
 
 /// What of the value of a sampled direction is differentiated. `splits`: whether the change of normals has samples of its
 /// own; deltas have no distribution of normals.

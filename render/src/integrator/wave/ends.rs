@@ -7,7 +7,7 @@ use super::lanes::{Lane, Lanes, Sums, WIDTH};
 use super::record::Layer;
 use crate::bsdf::{Material, TransportMode, Use};
 use crate::emitter::{AnyEmitter, Emission};
-use crate::integrator::gradient::Active;
+use crate::integrator::active::Active;
 use crate::integrator::local::{ActiveTexture, LocalFn};
 use crate::integrator::record::SumSink;
 use crate::integrator::record::ends::{Adjoints, Ends, Tangents};

@@ -21,8 +21,9 @@ use lanes::{Field, Lane, Lanes, lanes, whole};
 pub(super) use record::Record;
 
 use super::batch;
-use super::direct::{Departure, FoundEdge, follows_edges};
-use super::path::{Context, MODE};
+use super::direct::{Departure, FoundEdge};
+use super::path::Context;
+use super::vertex::MODE;
 use super::vertex::light::{
     Met, Rival, Seen, choose, counts_hits, find_light, guided, has_rival, is_guided, matters,
     mis_weight, mixed,
@@ -34,7 +35,7 @@ use crate::bsdf::{Bsdf, Component, DiffuseLobe, Lobe, Material, Shading};
 use crate::camera::Camera;
 use crate::emitter::{AnyEmitter, Area, Emission, Emitter, EmitterSample};
 use crate::estimator::memory::Memory;
-use crate::estimator::{Detached, Sampling, Still, Strategy};
+use crate::estimator::{Detached, Sampling, Still, Strategy, follows_edges};
 use crate::guide::{Directions, Guide};
 use crate::math::{Frame, NOWHERE, Ray, Rgb, Segment};
 use crate::params::Theta;

@@ -7,13 +7,11 @@ use super::lanes::{Field, Lane, Lanes, WIDTH, whole};
 use super::{Log, Paths, Wave};
 use crate::bsdf::{Component, Part};
 use crate::emitter::{Emission, Emitter};
-use crate::estimator::Strategy;
-use crate::integrator::direct::{
-    Connected, Departure, Edges, Followed, Found, FoundEdge, FoundLight, follows_edges,
-};
-use crate::integrator::gradient::Active;
-use crate::integrator::path::MODE;
+use crate::estimator::{Edges, Strategy, follows_edges};
+use crate::integrator::active::Active;
+use crate::integrator::direct::{Connected, Departure, Followed, Found, FoundEdge, FoundLight};
 use crate::integrator::record::sweep::Uses;
+use crate::integrator::vertex::MODE;
 use crate::integrator::vertex::light::Met;
 use crate::integrator::vertex::part_of;
 use crate::integrator::vertex::regard::Wishes;

@@ -6,7 +6,7 @@
 //! `diffuse` may contain is decided by its constructor, which asks its [`Node`] for it.
 //!
 //! ```
-//! use render::scene::xml::Document;
+//! use render::plugin::xml::Document;
 //! let text = r#"<scene version="3.0.0">
 //!     <default name="albedo" value="0.5"/>
 //!     <bsdf type="diffuse" id="grey"><rgb name="reflectance" value="$albedo"/></bsdf>
@@ -171,7 +171,7 @@ impl fmt::Display for Directories {
     }
 }
 
-pub(super) fn check_limit(
+pub(crate) fn check_limit(
     value: usize,
     limit: usize,
     what: &'static str,

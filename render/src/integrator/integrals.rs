@@ -1,0 +1,102 @@
+//! The integrals that an image is the sum of: one line each in [`every`].
+
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use ad_core::{Float, Real};
+
+use super::active::Active;
+use super::exact::ExactBuffer;
+use super::particle;
+use super::particle_gradient::ParticlePass;
+use super::pass::{Integral, Pass, Question};
+use super::paths;
+use super::progress::Progress;
+use super::rendering::{Components, Rendering};
+use super::sink::GradientSums;
+use crate::estimator::{Sampling, Strategy};
+use crate::sampler::Sampler;
+use crate::scene::Caustics;
+
+/// Asks every integral of a pass.
+pub(super) fn every<S: Strategy, X: Sampler>(
+    caustics: Caustics,
+    progress: &dyn Progress,
+    question: &mut impl Question<S, X>,
+) {
+    let by_particles = caustics == Caustics::Particles;
+    let share = Share {
+        progress,
+        integrals: 1 + u64::from(by_particles),
+        done: AtomicU64::new(0),
+    };
+    question.ask::<Paths>(&share);
+    if by_particles && !share.cancelled() {
+        question.ask::<Particles>(&share);
+    }
+}
+
+/// The progress of several integrals, each of which counts all pixels.
+struct Share<'a> {
+    progress: &'a dyn Progress,
+    integrals: u64,
+    done: AtomicU64,
+}
+
+impl Progress for Share<'_> {
+    fn advance(&self, n: u64) {
+        let before = self.done.fetch_add(n, Ordering::Relaxed);
+        (self.progress).advance((before + n) / self.integrals - before / self.integrals);
+    }
+    fn cancelled(&self) -> bool {
+        self.progress.cancelled()
+    }
+}
+
+/// Light along paths from the camera: all of it, or what particles leave.
+struct Paths;
+
+impl<S: Strategy, X: Sampler> Integral<S, X> for Paths {
+    fn image<R: Components>(pass: &Pass<R>) -> Rendering {
+        paths::image::<R, S, X>(pass)
+    }
+    fn gradient<P: Float>(
+        pass: &Pass<P>,
+        active: &Active,
+        adjoint: &[f32],
+        large: &ExactBuffer,
+    ) -> GradientSums {
+        paths::gradient::<P, S, X>(pass, active, adjoint, large)
+    }
+}
+
+/// What particles of a pass have in common.
+fn caustics<'a, R: Real, S: Strategy>(pass: &'a Pass<'a, R>) -> particle::Context<'a, R> {
+    let context = particle::Context::caustics(pass.scene, pass.theta, pass.settings);
+    particle::Context {
+        differential: S::Bsdf::DIFFERENTIAL,
+        progress: pass.progress,
+        ..context
+    }
+}
+
+/// Caustics, along particles from the emitters.
+struct Particles;
+
+impl<S: Strategy, X: Sampler> Integral<S, X> for Particles {
+    fn image<R: Components>(pass: &Pass<R>) -> Rendering {
+        let context = caustics::<_, S>(pass);
+        particle::render::<R, X>(&context, pass.seed, pass.samples.clone(), pass.progress)
+    }
+    fn gradient<P: Float>(
+        pass: &Pass<P>,
+        active: &Active,
+        adjoint: &[f32],
+        large: &ExactBuffer,
+    ) -> GradientSums {
+        let context = caustics::<_, S>(pass);
+        let samples = pass.samples.clone();
+        let particles = ParticlePass::new(&context, adjoint, pass.seed, samples);
+        let (sums, _) = particles.sums::<X>(active, large, pass.progress);
+        sums
+    }
+}

@@ -1,0 +1,240 @@
+//! Tiles of an image and their samples: single paths in lockstep, or waves.
+
+use std::ops::Range;
+
+use ad_core::{Float, Real, array};
+
+use super::batch::{self, PATHS};
+use super::path::{Context, Walk};
+use super::record::Observer;
+use super::wave::{Log, WIDTH, Wave};
+use crate::estimator::{Geometry, Strategy};
+use crate::math::{Ray, Rgb};
+use crate::sampler::{Points, Sampler};
+use crate::scene::Scene;
+
+/// Tiles are squares of this many pixels.
+pub const TILE: u32 = 16;
+
+/// A rectangle of pixels, `[x0, y0, x1, y1)` within the crop window.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Tile {
+    pub x: Range32,
+    pub y: Range32,
+}
+
+/// Half-open range that is `Copy`.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Range32 {
+    pub start: u32,
+    pub end: u32,
+}
+
+/// The tiles of an image, row by row.
+pub(super) fn tiles(width: u32, height: u32) -> Vec<Tile> {
+    let cuts = |n: u32| {
+        (0..n.div_ceil(TILE)).map(move |i| Range32 {
+            start: i * TILE,
+            end: (i * TILE + TILE).min(n),
+        })
+    };
+    cuts(height)
+        .flat_map(|y| cuts(width).map(move |x| Tile { x, y }))
+        .collect()
+}
+
+/// The number of a pixel of the crop window, row by row.
+#[inline]
+pub(super) fn place(scene: &Scene, [x, y]: [u32; 2]) -> usize {
+    y as usize * scene.film.crop_size[0] as usize + x as usize
+}
+
+/// A sample of a pixel of the crop window.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Sample {
+    pub pixel: [u32; 2],
+    pub index: u64,
+    /// How many the pixel has.
+    pub count: u64,
+}
+
+impl Sample {
+    /// What it counts in the mean of its pixel.
+    #[inline]
+    pub fn scale(&self) -> f64 {
+        1.0 / self.count as f64
+    }
+
+    /// The pixel's entry of an image.
+    #[inline]
+    pub fn of_image<P: Float>(&self, image: &[f32], scene: &Scene) -> Rgb<P> {
+        let i = place(scene, self.pixel) * 3;
+        Rgb::from(array(|c| P::from_f32(image[i + c])))
+    }
+}
+
+/// The start of sample `index` of the pixel `(x, y)` of the crop window.
+#[inline(always)]
+pub(super) fn start<R: Real, S: Strategy, X: Sampler>(
+    scene: &Scene,
+    points: Points,
+    seed: u64,
+    pixel: [u32; 2],
+    index: u64,
+) -> Walk<R, S, X> {
+    let ([x, y], sampler) = spot(scene, points, seed, pixel, index);
+    Walk::new(Ray::<Geometry<S, R>>::lift(scene.camera.ray(x, y)), sampler)
+}
+
+/// The point of the image that sample `index` of the pixel `(x, y)` of the crop window sees, and the numbers of the
+/// path to come.
+#[inline(always)]
+fn spot<P: Float, X: Sampler>(
+    scene: &Scene,
+    points: Points,
+    seed: u64,
+    [x, y]: [u32; 2],
+    index: u64,
+) -> ([P; 2], X) {
+    let film = &scene.film;
+    // Counted on the full film, so that a crop shows the same samples.
+    let [px, py] = [x + film.crop_offset[0], y + film.crop_offset[1]];
+    let pixel = u64::from(py) * u64::from(film.size[0]) + u64::from(px);
+    let mut sampler = X::spread(points, seed, pixel, index);
+    let [dx, dy] = film.filter.sample(sampler.next_2d::<P>());
+    let centre = |p: u32| P::of(f64::from(p) + 0.5);
+    ([centre(px) + dx, centre(py) + dy], sampler)
+}
+
+impl Tile {
+    /// Number of pixels.
+    pub(super) fn pixels(&self) -> usize {
+        ((self.x.end - self.x.start) * (self.y.end - self.y.start)) as usize
+    }
+
+    /// The pixel with index `i` within the tile, row by row.
+    #[inline]
+    pub(super) fn pixel(&self, i: usize) -> [u32; 2] {
+        let width = self.x.end - self.x.start;
+        let i = i as u32;
+        [self.x.start + i % width, self.y.start + i / width]
+    }
+
+    /// The samples `samples` of all pixels, as the scene shares them, with the index of their pixel within the tile.
+    fn samples<'a>(
+        &'a self,
+        scene: &'a Scene,
+        samples: &'a Range<u64>,
+    ) -> impl Iterator<Item = (usize, Sample)> + 'a {
+        (0..self.pixels()).flat_map(move |at| {
+            let pixel = self.pixel(at);
+            let samples = scene.pixel_shares().samples(place(scene, pixel), samples);
+            let count = samples.end - samples.start;
+            samples.map(move |index| {
+                let sample = Sample {
+                    pixel,
+                    index,
+                    count,
+                };
+                (at, sample)
+            })
+        })
+    }
+
+    /// Follows the samples `samples` of all pixels, as the scene shares them, and calls `done` with the pixel's
+    /// index within the tile, the sample, the radiance and the observer of each, in order. Samples that were cut short
+    /// are left out, and those after them.
+    pub(super) fn trace<R: Real, S: Strategy, X: Sampler, O: Observer<R>>(
+        &self,
+        context: &Context<R>,
+        seed: u64,
+        samples: &Range<u64>,
+        paths: &mut Paths<R, S, X, O>,
+        mut done: impl FnMut(usize, Sample, Rgb<R>, &mut O),
+    ) {
+        let scene = context.scene;
+        let mut all = self.samples(scene, samples);
+        loop {
+            paths.which.clear();
+            paths.which.extend(all.by_ref().take(PATHS));
+            if paths.which.is_empty() {
+                break;
+            }
+            let points = context.settings.points;
+            paths.walks.clear();
+            paths.walks.extend(
+                (paths.which.iter())
+                    .map(|(_, sample)| start(scene, points, seed, sample.pixel, sample.index)),
+            );
+            let observers = &mut paths.observers;
+            batch::trace(
+                scene,
+                context.progress,
+                &mut paths.walks,
+                |i, walk, hit, visible| {
+                    walk.step(context, hit, visible, &mut observers[i]);
+                },
+            );
+            if context.progress.cancelled() {
+                break;
+            }
+            let found = paths.walks.iter().zip(&mut paths.observers);
+            for (&(at, sample), (walk, observer)) in paths.which.iter().zip(found) {
+                done(at, sample, walk.l, observer);
+            }
+        }
+    }
+
+    /// The same by waves, for strategies and contexts that these take. `begin` is called before each wave with its
+    /// samples, `done` after it with the radiance of each.
+    pub(super) fn trace_waves<P: Float, S: Strategy, X: Sampler, L: Log<P>>(
+        &self,
+        context: &Context<P>,
+        seed: u64,
+        samples: &Range<u64>,
+        wave: &mut Wave<P, X>,
+        log: &mut L,
+        mut begin: impl FnMut(&mut L, &[(usize, Sample)]),
+        mut done: impl FnMut(&mut L, &[(usize, Sample)], &[Rgb<P>]),
+    ) {
+        let (scene, points) = (context.scene, context.settings.points);
+        let mut all = self.samples(scene, samples);
+        let mut which = Vec::with_capacity(WIDTH);
+        loop {
+            which.clear();
+            which.extend(all.by_ref().take(WIDTH));
+            if which.is_empty() {
+                break;
+            }
+            begin(log, &which);
+            let spot = |i: usize| {
+                let (_, sample) = &which[i];
+                spot::<P, X>(scene, points, seed, sample.pixel, sample.index)
+            };
+            wave.trace::<S, L>(context, which.len(), spot, log);
+            if context.progress.cancelled() {
+                break;
+            }
+            done(log, &which, &wave.l[..which.len()]);
+        }
+    }
+}
+
+/// Room for the paths of one thread.
+pub(super) struct Paths<R: Real, S: Strategy, X: Sampler, O> {
+    /// Index within the tile of each one's pixel, and its sample.
+    which: Vec<(usize, Sample)>,
+    walks: Vec<Walk<R, S, X>>,
+    observers: Vec<O>,
+}
+
+impl<R: Real, S: Strategy, X: Sampler, O: Clone> Paths<R, S, X, O> {
+    /// Each path is watched by an observer like this one.
+    pub(super) fn new(observer: O) -> Self {
+        Self {
+            which: Vec::with_capacity(PATHS),
+            walks: Vec::with_capacity(PATHS),
+            observers: vec![observer; PATHS],
+        }
+    }
+}
