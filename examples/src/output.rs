@@ -1,6 +1,7 @@
 //! Files that tools write and read. Every file appears complete or not at all.
 
 use std::collections::HashMap;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use render::Image;
@@ -26,7 +27,11 @@ pub fn prepare(written: &[PathBuf], read: &[&Path]) -> Result<(), ToolError> {
     }
     for path in written {
         create_parent(path)?;
-        let unwritable = |e| ToolError::file(path, format!("cannot write the file: {e}"));
+        let unwritable = |e: std::io::Error| match e.kind() {
+            // A folder or a device, say.
+            ErrorKind::InvalidInput => ToolError::file(path, e),
+            _ => ToolError::file(path, format!("cannot write the file: {e}")),
+        };
         image_io::try_to_write(path).map_err(unwritable)?;
         let place = image_io::target(path).map_err(unwritable)?;
         if let Some(first) = uses.insert(place, "would be written twice") {
@@ -63,7 +68,7 @@ pub fn create_dir(dir: &Path) -> Result<(), ToolError> {
 /// The operating system's.
 pub fn remove(path: &Path) -> Result<(), ToolError> {
     match std::fs::remove_file(path) {
-        Err(e) if e.kind() != std::io::ErrorKind::NotFound => {
+        Err(e) if e.kind() != ErrorKind::NotFound => {
             Err(ToolError::file(path, format!("cannot remove it: {e}")))
         }
         _ => Ok(()),
@@ -250,10 +255,7 @@ mod tests {
                 &["a.exr", "in.xml"],
                 "in.xml: expected a file of its own, found one that is read",
             ),
-            (
-                &["folder"],
-                "folder: cannot write the file: expected a file, found a folder",
-            ),
+            (&["folder"], "folder: expected a file, found a folder"),
             (&["in.xml/a.exr"], "in.xml: cannot create the folder"),
             (&["a/.."], "a/..: cannot write the file"),
         ] {
