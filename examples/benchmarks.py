@@ -209,7 +209,8 @@ def figures(args):
         name = cells[0].removeprefix("| ").strip("`")
         if line.startswith("| `") and name in found and len(cells) == 5:
             seconds, quick = found[name]
-            cells[3] = f"{seconds:.2g} s" + (" (quick)" if quick else "") if seconds < 100 else f"{seconds / 60:.0f} min"
+            taken = f"{seconds:.2g} s" if seconds < 100 else f"{seconds / 60:.0f} min"
+            cells[3] = taken + (" (quick)" if quick else "")
             lines[i] = " | ".join(cells)
             changed += 1
     today = datetime.date.today().isoformat()
