@@ -51,8 +51,8 @@ use crate::integrator::is_guided;
 use crate::integrator::particle;
 use crate::integrator::particle_gradient::{self, Measurement};
 use crate::integrator::render::{self, Components, Progress, Rendering};
-use crate::integrator::second_order::{self, GaussNewton};
-use crate::integrator::tally::tally;
+use crate::integrator::second_order::{self, NormalEquations};
+use crate::integrator::work::count_work;
 use crate::params::{ParamInfo, ParamRef, Params, Tangent, Theta};
 use crate::sampler::{Independent, Spread};
 use crate::scene::{Scene, Settings};
@@ -317,7 +317,7 @@ pub fn gauss_newton_f32(
     seed: u64,
     samples: Range<u64>,
     progress: &dyn Progress,
-) -> Result<GaussNewton, RenderError> {
+) -> Result<NormalEquations, RenderError> {
     second_order::gauss_newton::<f32, Independent>(
         scene,
         theta,
@@ -586,10 +586,10 @@ macro_rules! estimators {
                 paths: u64,
                 progress: &dyn Progress,
             ) -> f64 {
-                let tally = match self {
-                    $(Self::$variant => tally::<$strategy, Spread>,)*
+                let count = match self {
+                    $(Self::$variant => count_work::<$strategy, Spread>,)*
                 };
-                tally(scene, active, settings, mode, seed, paths, progress).work()
+                count(scene, active, settings, mode, seed, paths, progress).work()
             }
 
             fn forward<R: Components>(self) -> Forward<R> {

@@ -609,7 +609,7 @@ fn samples_of_maps_follow_the_texels() {
         let moved: Vec<[Dual<f64, 1>; 7]> = (0..N)
             .map(|i| {
                 let e = scene.emitters()[0].moving().unwrap();
-                let aim = e.aim(u(i)).unwrap();
+                let aim = e.moving_draw(u(i)).unwrap();
                 let m = e.follow(&aim, &theta, &e.shift(&theta).unwrap());
                 let Moved {
                     d, pdf, emission, ..
@@ -700,7 +700,7 @@ fn motion_is_finite() {
         ];
         for a in unit {
             for b in unit {
-                let Some(aim) = e.aim([a, b]) else {
+                let Some(aim) = e.moving_draw([a, b]) else {
                     assert!(name.starts_with("black"), "{name} stands still");
                     continue;
                 };

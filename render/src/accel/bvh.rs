@@ -6,7 +6,7 @@
 
 use super::cluster::hierarchy;
 use super::curved::{Curved, Line};
-use super::packet::{Flat, LANES, RayLanes};
+use super::triangle_block::{Flat, LANES, RayLanes};
 use super::{Best, Item, Ray, Shape, Tag};
 use crate::math::each;
 use crate::prefetch::prefetch;
@@ -17,7 +17,7 @@ use smallvec::SmallVec;
 use wide::f32x8;
 
 /// Children of a node.
-pub(super) const WIDTH: usize = 8;
+pub(super) const NODE_WIDTH: usize = 8;
 
 /// Widening of the slabs, relative to the farthest point of the scene; must exceed the seam of
 /// the flat test.
@@ -87,15 +87,15 @@ impl Child {
 #[repr(C, align(64))]
 pub(super) struct Node {
     /// Per axis: lower planes, upper planes.
-    pub planes: [[[f32; WIDTH]; 2]; 3],
-    pub children: [Child; WIDTH],
+    pub planes: [[[f32; NODE_WIDTH]; 2]; 3],
+    pub children: [Child; NODE_WIDTH],
 }
 
 impl Node {
     const EMPTY: Self = Self {
         // Entered by no ray from either side.
-        planes: [[[f32::INFINITY; WIDTH], [f32::NEG_INFINITY; WIDTH]]; 3],
-        children: [Child::NOTHING; WIDTH],
+        planes: [[[f32::INFINITY; NODE_WIDTH], [f32::NEG_INFINITY; NODE_WIDTH]]; 3],
+        children: [Child::NOTHING; NODE_WIDTH],
     };
 }
 
@@ -148,12 +148,12 @@ impl Tree {
         let mut open = vec![(0, 0)];
         while let Some((at, from)) = open.pop() {
             // The largest that can be opened is, as long as there is room.
-            let mut children = SmallVec::<[usize; WIDTH]>::new();
+            let mut children = SmallVec::<[usize; NODE_WIDTH]>::new();
             match binary.is_leaf(from) {
                 true => children.push(from),
                 false => children.extend(binary.children(from)),
             }
-            while children.len() < WIDTH {
+            while children.len() < NODE_WIDTH {
                 let area = |&(_, &c): &(usize, &usize)| binary.area(c);
                 let inner = children.iter().enumerate();
                 let largest = inner
@@ -472,7 +472,7 @@ impl Search {
         let near = near.to_array();
         let first = self.open.len();
         while entered != 0 {
-            let k = entered.trailing_zeros() as usize % WIDTH;
+            let k = entered.trailing_zeros() as usize % NODE_WIDTH;
             entered &= entered - 1;
             let mut at = self.open.len();
             self.open.push((near[k], node.children[k]));

@@ -7,26 +7,26 @@
 //! through a compressed eight-wide hierarchy (`bvh`). Both run the same arithmetic on the same
 //! numbers and break ties towards the lowest primitive, so they return the same bits.
 
-mod bundle;
 mod bvh;
 mod cluster;
-mod convoy;
 mod curved;
-mod packet;
+mod interleaved;
 mod plane;
+mod ray_packet;
+mod triangle_block;
 
 #[cfg(test)]
 mod tests;
 
 use crate::math::{NOWHERE, each};
-use bundle::Few;
-pub use bundle::{BUNDLE, Bundle};
 use bvh::Tree;
 use curved::{Curved, Line};
-use packet::{Flat, Packets};
 pub use plane::surfaces;
 pub(crate) use plane::{Plane, scale};
+use ray_packet::Few;
+pub use ray_packet::{PACKET_SIZE, RayPacket};
 use thiserror::Error;
+use triangle_block::{Flat, TriangleBlocks};
 
 /// Largest coordinate magnitude: squares and cubes of it, divided by [`MIN_THICKNESS`], stay finite.
 pub const MAX_COORDINATE: f32 = 1e12;
@@ -145,7 +145,7 @@ pub struct Accel {
 
 #[derive(Clone, Debug)]
 enum Layout {
-    Linear(Packets, Vec<(Curved, Tag)>, Few),
+    Linear(TriangleBlocks, Vec<(Curved, Tag)>, Few),
     Tree(Box<Tree>),
 }
 
@@ -169,7 +169,7 @@ impl Accel {
             .filter(|s| matches!(s.shape, Shape::Curved(_)))
             .count();
         let flat = items.len() - curved;
-        let cost = flat.div_ceil(packet::LANES) + CURVED_COST * curved;
+        let cost = flat.div_ceil(triangle_block::LANES) + CURVED_COST * curved;
         Ok(if cost <= MAX_LINEAR_COST {
             Self::linear(&items)
         } else {
@@ -188,7 +188,7 @@ impl Accel {
         }
         Accel {
             layout: Layout::Linear(
-                Packets::new(&flat),
+                TriangleBlocks::new(&flat),
                 curved,
                 Few::new(items.iter().map(|i| (i.shape, i.tag))),
             ),
@@ -219,32 +219,32 @@ impl Accel {
         self.occluded_scalars(o[0], o[1], o[2], d[0], d[1], d[2], t_max, from, to)
     }
 
-    /// [`Accel::intersect`] for every ray of a bundle, with the same results.
-    pub fn intersect_bundle(&self, bundle: &Bundle) -> [Option<Hit>; BUNDLE] {
-        let mut hits = [None; BUNDLE];
+    /// [`Accel::intersect`] for every ray of a packet, with the same results.
+    pub fn intersect_packet(&self, packet: &RayPacket) -> [Option<Hit>; PACKET_SIZE] {
+        let mut hits = [None; PACKET_SIZE];
         let done = match &self.layout {
-            Layout::Linear(_, _, few) => few.intersect(bundle, &mut hits),
-            Layout::Tree(tree) => tree.intersect_bundle(bundle, &mut hits),
+            Layout::Linear(_, _, few) => few.intersect(packet, &mut hits),
+            Layout::Tree(tree) => tree.intersect_packet(packet, &mut hits),
         };
         if done.is_some() {
             return hits;
         }
-        for (i, hit) in hits.iter_mut().enumerate().take(bundle.len()) {
-            let (o, d, t_max, [from, _]) = bundle.ray(i);
+        for (i, hit) in hits.iter_mut().enumerate().take(packet.len()) {
+            let (o, d, t_max, [from, _]) = packet.ray(i);
             *hit = self.intersect(o, d, t_max, from);
         }
         hits
     }
 
-    /// [`Accel::occluded`] for every ray of a bundle: one bit each.
-    pub fn occluded_bundle(&self, bundle: &Bundle) -> u32 {
+    /// [`Accel::occluded`] for every ray of a packet: one bit each.
+    pub fn occluded_packet(&self, packet: &RayPacket) -> u32 {
         let done = match &self.layout {
-            Layout::Linear(_, _, few) => few.occluded(bundle),
-            Layout::Tree(tree) => tree.occluded_bundle(bundle),
+            Layout::Linear(_, _, few) => few.occluded(packet),
+            Layout::Tree(tree) => tree.occluded_packet(packet),
         };
         done.unwrap_or_else(|| {
-            (0..bundle.len()).fold(0, |bits, i| {
-                let (o, d, t_max, skip) = bundle.ray(i);
+            (0..packet.len()).fold(0, |bits, i| {
+                let (o, d, t_max, skip) = packet.ray(i);
                 bits | u32::from(self.occluded(o, d, t_max, skip)) << i
             })
         })

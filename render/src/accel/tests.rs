@@ -215,7 +215,7 @@ fn agrees_with_brute_force_in_f64() {
 }
 
 /// A lane per ray and a lane per primitive are the same test: equal bits, also among coinciding
-/// primitives, with limits, and when a ray of the bundle needs special care.
+/// primitives, with limits, and when a ray of the packet needs special care.
 #[test]
 fn bundles_agree_with_single_rays() {
     let mut random = Random(31);
@@ -224,7 +224,7 @@ fn bundles_agree_with_single_rays() {
     for accel in both(&prims) {
         let mut hits = 0;
         for round in 0..2_000 {
-            let rays: Vec<_> = (0..1 + round % BUNDLE)
+            let rays: Vec<_> = (0..1 + round % PACKET_SIZE)
                 .map(|i| {
                     let odd = if round % 7 == 0 && i == 3 { 1e3 } else { 1.0 };
                     let t_max = match i % 3 {
@@ -236,15 +236,15 @@ fn bundles_agree_with_single_rays() {
                     (random.vector(1.2), d, t_max)
                 })
                 .collect();
-            let mut bundle = Bundle::default();
-            bundle.push([0.0; 3], [1.0, 0.0, 0.0], 1.0, [NOWHERE; 2]);
-            bundle.clear();
+            let mut packet = RayPacket::default();
+            packet.push([0.0; 3], [1.0, 0.0, 0.0], 1.0, [NOWHERE; 2]);
+            packet.clear();
             rays.iter()
-                .for_each(|&(o, d, t)| bundle.push(o, d, t, [NOWHERE; 2]));
-            assert_eq!(bundle.is_full(), rays.len() == BUNDLE);
+                .for_each(|&(o, d, t)| packet.push(o, d, t, [NOWHERE; 2]));
+            assert_eq!(packet.is_full(), rays.len() == PACKET_SIZE);
             let (found, occluded) = (
-                accel.intersect_bundle(&bundle),
-                accel.occluded_bundle(&bundle),
+                accel.intersect_packet(&packet),
+                accel.occluded_packet(&packet),
             );
             for (i, &(o, d, t_max)) in rays.iter().enumerate() {
                 assert_eq!(found[i], accel.intersect(o, d, t_max, NOWHERE));

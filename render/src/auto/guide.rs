@@ -3,8 +3,8 @@
 use super::PILOT_SEED;
 use crate::estimator::DetachedMis;
 use crate::guide::Guide;
+use crate::integrator::guide_training;
 use crate::integrator::render::Progress;
-use crate::integrator::scout;
 use crate::sampler::{Points, Spread};
 use crate::scene::{Scene, Settings};
 
@@ -28,7 +28,7 @@ pub fn guide(scene: &mut Scene, settings: &Settings, seed: u64, progress: &dyn P
     for round in 1..=ROUNDS {
         let samples = done..done + last.div_ceil(1 << (ROUNDS - round));
         done = samples.end;
-        let mut arrivals = scout::arrivals::<DetachedMis, Spread>(
+        let mut arrivals = guide_training::arrivals::<DetachedMis, Spread>(
             scene,
             &settings,
             seed ^ PILOT_SEED,

@@ -14,7 +14,7 @@ mod vmf;
 
 pub use area::Area;
 pub use constant::Constant;
-pub use envmap::{Aim, Envmap, Moved, Shift};
+pub use envmap::{Envmap, Moved, MovingDraw, Shift};
 pub use point::Point;
 pub use spot::Spot;
 pub use vmf::Vmf;

@@ -24,7 +24,7 @@ pub use sampling::{
 pub(crate) use strategy::Still;
 pub use strategy::{
     AllowBias, AttachedChoice, AttachedRoulette, BsdfOnly, Edges, EmitterOnly, Geometry, Mis,
-    Strategy, Unbiased, follows_edges,
+    Strategy, Unbiased, differentiates_edges,
 };
 pub use weights::{
     AttachedWeights, Balance, DetachedWeights, FrozenWeights, Heuristic, MixedWeights, Power,

@@ -92,17 +92,17 @@ pub trait Sampling: Send + Sync + 'static {
 )]
 pub trait EmitterSampling<B: Sampling>: Send + Sync + 'static {
     /// Whether a sample must be remembered to be moved: samples of emitters follow the parameters.
-    type Aim: Memory;
+    type EmitterMotion: Memory;
 }
 
 impl<B: Sampling> EmitterSampling<B> for Detached {
-    type Aim = Forget;
+    type EmitterMotion = Forget;
 }
 
 /// The random numbers of an environment map stay, and its direction moves with the texels; samples of other
 /// emitters do not move with any parameter they have, so that they are attached and detached alike.
 impl<B: Unsplit> EmitterSampling<B> for Attached {
-    type Aim = Keep;
+    type EmitterMotion = Keep;
 }
 
 /// Constant paths with one estimate of the derivative of a BSDF: light that moves by itself can be

@@ -21,7 +21,7 @@ pub trait Strategy: Send + Sync + 'static {
     /// Whether paths remember edges, to differentiate them by themselves.
     type Edge: Memory;
     /// Whether samples of emitters are remembered, and follow the parameters.
-    type Aim: Memory;
+    type EmitterMotion: Memory;
     /// Whether emitters are sampled.
     const SAMPLES_EMITTERS: bool;
     /// Whether emitters hit by a scattered direction count.
@@ -37,7 +37,7 @@ pub trait Strategy: Send + Sync + 'static {
     /// Whether nothing says that the derivative has the right expectation: [`AllowBias`].
     const ALLOWS_BIAS: bool = false;
     /// Whether the scene must be free of discontinuities, see [`crate::Scene::admits`].
-    const NEEDS_CONTINUITY: bool = Self::Bsdf::NEEDS_CONTINUITY || Self::Aim::KEEPS;
+    const NEEDS_CONTINUITY: bool = Self::Bsdf::NEEDS_CONTINUITY || Self::EmitterMotion::KEEPS;
     /// Weight of a scattered direction with density `a` when a sampled light has density `b`.
     fn weight_hit<R: Real>(a: R, b: R) -> R;
     /// Weight of a sampled light with density `a` when a scattered direction has density `b`.
@@ -94,7 +94,7 @@ impl Edges {
 }
 
 /// Whether a strategy differentiates the light that an edge finds by itself.
-pub const fn follows_edges<S: Strategy>() -> bool {
+pub const fn differentiates_edges<S: Strategy>() -> bool {
     !matches!(Edges::of::<S>(), Edges::None)
 }
 
@@ -115,7 +115,7 @@ where
     type Runs = Self;
     type Bsdf = B;
     type Edge = <B::Edge as Memory>::Or<W::Edge>;
-    type Aim = E::Aim;
+    type EmitterMotion = E::EmitterMotion;
     const SAMPLES_EMITTERS: bool = true;
     const COUNTS_HITS: bool = true;
     const FROZEN_WEIGHTS: bool = W::FROZEN;
@@ -145,7 +145,7 @@ impl<B: Sampling> Strategy for BsdfOnly<B> {
     type Runs = Self;
     type Bsdf = B;
     type Edge = B::Edge;
-    type Aim = Forget;
+    type EmitterMotion = Forget;
     const SAMPLES_EMITTERS: bool = false;
     const COUNTS_HITS: bool = true;
     #[inline(always)]
@@ -169,7 +169,7 @@ impl<B: Sampling, E: EmitterSampling<B>> Strategy for EmitterOnly<B, E> {
     type Runs = Self;
     type Bsdf = B;
     type Edge = B::Edge;
-    type Aim = E::Aim;
+    type EmitterMotion = E::EmitterMotion;
     const SAMPLES_EMITTERS: bool = true;
     const COUNTS_HITS: bool = false;
     #[inline(always)]
@@ -209,7 +209,7 @@ macro_rules! wrapper {
         impl<S: $inner> Strategy for $name<S> {
             type Bsdf = S::Bsdf;
             type Edge = S::Edge;
-            type Aim = S::Aim;
+            type EmitterMotion = S::EmitterMotion;
             const SAMPLES_EMITTERS: bool = S::SAMPLES_EMITTERS;
             const COUNTS_HITS: bool = S::COUNTS_HITS;
             const FROZEN_WEIGHTS: bool = S::FROZEN_WEIGHTS;
@@ -255,7 +255,7 @@ impl<S: Strategy> Strategy for Still<S> {
     type Runs = Self;
     type Bsdf = Detached;
     type Edge = Forget;
-    type Aim = Forget;
+    type EmitterMotion = Forget;
     const SAMPLES_EMITTERS: bool = S::SAMPLES_EMITTERS;
     const COUNTS_HITS: bool = S::COUNTS_HITS;
     #[inline(always)]

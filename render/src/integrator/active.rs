@@ -197,13 +197,13 @@ impl Active {
 
     /// Whether anything of a material does.
     #[inline]
-    pub(super) fn follows(&self, material: u32) -> bool {
+    pub(super) fn differentiates(&self, material: u32) -> bool {
         !self.textures(material).is_empty()
     }
 
     /// Whether its roughness does.
     #[inline]
-    pub(super) fn follows_normals(&self, material: u32) -> bool {
+    pub(super) fn differentiates_roughness(&self, material: u32) -> bool {
         self.roughness[material as usize]
     }
 
@@ -215,7 +215,7 @@ impl Active {
 
     /// Whether any emitter does.
     #[inline]
-    pub(super) fn follows_light(&self) -> bool {
+    pub(super) fn differentiates_emission(&self) -> bool {
         self.emission
     }
 

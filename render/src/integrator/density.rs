@@ -11,9 +11,9 @@ use std::ops::Range;
 
 use ad_core::{Float, Vec2, Vec3};
 
-use super::particle::{Context, ParticleObserver, follow};
+use super::particle::{Context, ParticleObserver, trace_particles};
 use super::progress::Progress;
-use super::record::{Observer, Place, Wishes};
+use super::record::{Interest, Observer, Place};
 use super::rendering::{Components, NonFinite, Rendering};
 use super::tile::tiles;
 use crate::bsdf::kernel::{Symmetry, eval_kernel};
@@ -56,7 +56,7 @@ struct Keeper<P: Float> {
     landed: Vec<Landed<P>>,
 }
 
-impl<P: Float> Wishes for Keeper<P> {}
+impl<P: Float> Interest for Keeper<P> {}
 
 impl<P: Float> Observer<P> for Keeper<P> {
     fn vertex(&mut self, beta: Rgb<P>, place: &Place<P>) {
@@ -135,7 +135,7 @@ impl<P: Float> Map<P> {
                 return (landed, non_finite);
             }
             let (start, end) = (job * CHUNK, (job * CHUNK + CHUNK).min(sent));
-            follow::<P, X, Keeper<P>>(
+            trace_particles::<P, X, Keeper<P>>(
                 context,
                 &Keeper { landed: Vec::new() },
                 seed,

@@ -5,14 +5,14 @@
 //! over the full scalar: the direction is sampled again from the same random numbers, now moving with the
 //! parameters, and followed to the surface that is known to be hit. Single paths in forward mode do this as
 //! they go, waves and reverse mode for the recorded edges; edges that find no light cost nothing. Samples of
-//! emitters that move ([`aimed_light`]) are treated alike.
+//! emitters that move ([`moving_emitter_light`]) are treated alike.
 
 use std::marker::PhantomData;
 
 use ad_core::{Const, Float, Real, Vec2, Vec3};
 
-use super::boundary::{Freeze, freeze};
 use super::local::LocalFn;
+use super::reparameterisation::{Freeze, freeze};
 use super::vertex::MODE;
 use super::vertex::light::frozen_pdf;
 use crate::accel::Hit;
@@ -50,7 +50,7 @@ pub struct Departure<P> {
     /// Random numbers that the direction was made of.
     pub u: [P; 3],
     /// One over the probability that roulette let the path live.
-    pub survival: P,
+    pub inverse_survival: P,
     /// What of the BSDF is differentiated.
     pub part: Part,
 }
@@ -184,7 +184,7 @@ pub fn direct_light<R: Real>(
             _ => le,
         };
     }
-    weight * light.map(|x| x * Const(from.survival))
+    weight * light.map(|x| x * Const(from.inverse_survival))
 }
 
 /// A sampled direction as it moves.
@@ -288,7 +288,7 @@ pub struct Connected<P> {
 }
 
 /// The light at a vertex that strategy `S` differentiates by itself: a function of the material there.
-pub struct Followed<'a, P, S> {
+pub struct SeparateLight<'a, P, S> {
     scene: &'a Scene,
     material: &'a Material,
     uv: Vec2<P>,
@@ -298,7 +298,7 @@ pub struct Followed<'a, P, S> {
     strategy: PhantomData<S>,
 }
 
-impl<'a, P: Float, S: Strategy> Followed<'a, P, S> {
+impl<'a, P: Float, S: Strategy> SeparateLight<'a, P, S> {
     /// Of the light that was sampled at a vertex, and of what was found at the end of the edge from there.
     pub fn at(
         scene: &'a Scene,
@@ -318,7 +318,7 @@ impl<'a, P: Float, S: Strategy> Followed<'a, P, S> {
     }
 }
 
-impl<P: Float, S: Strategy> LocalFn<P> for Followed<'_, P, S> {
+impl<P: Float, S: Strategy> LocalFn<P> for SeparateLight<'_, P, S> {
     fn eval<R: Real<Primal = P>>(&self, theta: &Theta<R>) -> Rgb<R> {
         let connected = self.connected.map(|light| {
             let (wo, wi) = (self.wo, light.wi);
@@ -345,7 +345,7 @@ impl<P: Float, S: Strategy> LocalFn<P> for Followed<'_, P, S> {
 
 /// A sample of an emitter that moves: all that is needed to make it again.
 #[derive(Clone, Copy, Debug)]
-pub struct Aimed<P> {
+pub struct EmitterDraw<P> {
     /// Random numbers that the direction was made of.
     pub u: [P; 2],
     /// The surface's frame, world space.
@@ -366,20 +366,20 @@ pub struct Aimed<P> {
 /// # Reference
 /// [Zeltner 2021, section 4.2.2, Eq. 4.31].
 #[inline(never)]
-pub fn aimed_light<R: Real>(
+pub fn moving_emitter_light<R: Real>(
     scene: &Scene,
     material: &Material,
     at: &Shading<R>,
     wo: Vec3<R>,
-    aimed: &Aimed<R::Primal>,
+    draw: &EmitterDraw<R::Primal>,
     emitter: u32,
     light: &Moved<R>,
     weighing: &Weighing<R>,
 ) -> Rgb<R> {
-    let wi = Frame::lift(aimed.frame).to_local(light.d);
+    let wi = Frame::lift(draw.frame).to_local(light.d);
     let (f, pdf) = material.eval_pdf(at, wo, wi, MODE);
     let le = scene.emitters()[emitter as usize].eval(&at.theta, &light.emission);
-    let share = Const(aimed.share);
+    let share = Const(draw.share);
     let mis = weighing.sampled.map_or(R::one(), |weight| {
         let pdf = match weighing.frozen {
             true => frozen_pdf(material, at, wo, wi),
@@ -387,5 +387,5 @@ pub fn aimed_light<R: Real>(
         };
         weight(light.frozen_pdf * share, pdf)
     });
-    f * le * (mis / (light.pdf * share) * Const(aimed.kept))
+    f * le * (mis / (light.pdf * share) * Const(draw.kept))
 }

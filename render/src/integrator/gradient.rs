@@ -69,7 +69,7 @@ pub fn backward<P: Float, S: Unbiased, X: Sampler>(
 impl<P: Float> Pass<'_, P> {
     /// The derivative of `<adjoint, image>`, once everything has been checked; see [`backward`].
     fn gradient<S: Strategy, X: Sampler>(&self, active: &Active, adjoint: &[f32]) -> Gradient {
-        let moving = S::Aim::KEEPS.then(|| active.clone().with_sums(self.scene));
+        let moving = S::EmitterMotion::KEEPS.then(|| active.clone().with_sums(self.scene));
         let active = moving.as_ref().unwrap_or(active);
         collect(
             self.scene,

@@ -15,7 +15,7 @@ use crate::texture::{Footprint, RgbTexture, ScalarTexture};
 /// those are evaluated several times.
 const FEW: usize = 4;
 /// The same for the texels that whole paths read, which are many.
-const WIDTH: usize = 8;
+const TEXELS: usize = 8;
 
 /// What most materials read at a vertex fits without a trip to the heap.
 type Short<T> = SmallVec<[T; 8]>;
@@ -213,7 +213,7 @@ pub fn pull_back_texels<'a, P: Float>(
     for (textures, uv) in vertices {
         texels.add_all(textures, uv, |p| grad.active(p));
     }
-    pull_back_slots::<P, WIDTH>(theta, f, d, &texels.slots(), grad);
+    pull_back_slots::<P, TEXELS>(theta, f, d, &texels.slots(), grad);
 }
 
 /// Adds, for all `texels`, the change of the gradient of `d . f` when the parameters move along a
@@ -227,7 +227,7 @@ pub fn pull_back_second<P: Float>(
     [d, change]: [Rgb<P>; 2],
     grad: &mut impl GradSink<P>,
 ) {
-    type Twice<P> = Dual<Dual<P, 1>, WIDTH>;
+    type Twice<P> = Dual<Dual<P, 1>, TEXELS>;
     let moving: Short<Seed<Twice<P>>> = texels
         .elements()
         .map(|(p, element)| Seed {
@@ -237,7 +237,7 @@ pub fn pull_back_second<P: Float>(
         })
         .filter(|s| s.tangent.re.eps[0] != P::zero())
         .collect();
-    for slots in texels.slots().chunks(WIDTH) {
+    for slots in texels.slots().chunks(TEXELS) {
         let mut seeds = moving.clone();
         let inner = Dual::constant(P::zero());
         push_seeds(slots, |k| Dual::var(inner, k), &mut seeds);

@@ -6,15 +6,14 @@
 //! [`second_order`] has Hessian-vector products and the Gauss-Newton matrix.
 
 mod active;
-mod aim;
-mod batch;
-pub mod boundary;
 pub mod density;
 pub mod direct;
 mod exact;
 pub mod gradient;
+pub(crate) mod guide_training;
 mod integrals;
 mod local;
+mod lockstep;
 pub mod noise;
 pub mod particle;
 pub mod particle_gradient;
@@ -22,17 +21,18 @@ mod pass;
 pub mod path;
 mod paths;
 mod progress;
+mod projection_map;
 pub mod record;
 pub mod render;
 mod rendering;
-pub(crate) mod scout;
+pub mod reparameterisation;
 pub mod second_order;
 pub mod simple;
 mod sink;
 mod sparse;
-pub(crate) mod tally;
 mod tile;
 pub mod vertex;
 mod wave;
+pub(crate) mod work;
 
 pub(crate) use vertex::light::is_guided;

@@ -4,16 +4,16 @@ use std::ops::Range;
 
 use ad_core::{Float, Real, Vec2, Vec3};
 
-use super::aim::aim;
-use super::batch::{self, PATHS, Traveller};
+use super::lockstep::{self, GROUP, Traveller};
 use super::progress::Progress;
+use super::projection_map::aim_at_casters;
 use super::record::{
     Bounce, Contribution, EmittedLight, NormalsLight, Observer, Place, SeenVertex,
 };
 use super::rendering::{Components, NonFinite, Rendering};
 use super::vertex::light::has_tangent;
 use super::vertex::part_of;
-use super::vertex::roulette::{play, probability, survival};
+use super::vertex::roulette::{play, probability, roulette_weight};
 use crate::bsdf::differential::Part;
 use crate::bsdf::kernel::{Rules, kernel_weight};
 use crate::bsdf::nesting::flips_normals;
@@ -171,7 +171,7 @@ pub struct Particle<R: Real, X: Sampler> {
     pending: Option<Pending<R>>,
     sampler: X,
     beta: Rgb<R>,
-    survival: R::Primal,
+    roulette_weight: R::Primal,
     depth: u32,
 }
 
@@ -198,7 +198,7 @@ impl<R: Real, X: Sampler> Particle<R, X> {
             pending: None,
             sampler,
             beta: Rgb::black(),
-            survival: R::Primal::one(),
+            roulette_weight: R::Primal::one(),
             depth: 0,
         };
         let n = scene.emitters().len();
@@ -235,7 +235,7 @@ impl<R: Real, X: Sampler> Particle<R, X> {
         };
         if !targets.is_empty() {
             let u = if e.is_infinite() { [a, b] } else { [c, d] };
-            match aim(e, context.ball, targets, target, start, u) {
+            match aim_at_casters(e, context.ball, targets, target, start, u) {
                 Some(aimed) => start = aimed,
                 None => return this,
             }
@@ -418,7 +418,7 @@ impl<R: Real, X: Sampler> Particle<R, X> {
         let differentiates = O::ENABLED || !R::IS_PRIMAL;
         let splits = context.differential
             && differentiates
-            && (!O::ENABLED || observer.follows_normals(info.material))
+            && (!O::ENABLED || observer.differentiates_roughness(info.material))
             && material.has_differential();
         if splits && !beta.is_black() {
             self.split(context, &hit, wo, observer, splat);
@@ -438,19 +438,19 @@ impl<R: Real, X: Sampler> Particle<R, X> {
         }
         let mut weight = shading / sample.pdf;
         let step = f.primal().scale(weight);
-        self.survival = survival(
+        self.roulette_weight = roulette_weight(
             differentiates,
-            self.survival,
+            self.roulette_weight,
             step,
-            step.scale(self.survival),
+            step.scale(self.roulette_weight),
         );
         if depth >= context.settings.rr_depth {
-            let q = probability(self.survival, R::Primal::one());
-            let (lives, inv_q) = play(true, q, sampler.next_1d());
-            if !lives {
+            let q = probability(self.roulette_weight, R::Primal::one());
+            let (survives, inv_q) = play(true, q, sampler.next_1d());
+            if !survives {
                 return;
             }
-            self.survival *= inv_q;
+            self.roulette_weight *= inv_q;
             weight *= inv_q;
         }
         // Grazing shading normals, or nothing to go on with.
@@ -543,7 +543,7 @@ impl<R: Real, X: Sampler> Particle<R, X> {
                 pending: None,
                 sampler,
                 beta: Rgb::splat(R::Primal::one()),
-                survival: self.survival,
+                roulette_weight: self.roulette_weight,
                 depth: self.depth,
             };
             let mut w = Rgb::black();
@@ -567,7 +567,7 @@ impl<R: Real, X: Sampler> Particle<R, X> {
 
     /// Goes on to the end, tracing ray by ray.
     fn finish(mut self, context: &Context<R>, splat: &mut dyn FnMut([R::Primal; 2], Rgb<R>)) {
-        batch::trace_alone(
+        lockstep::trace_alone(
             context.scene,
             context.progress,
             &mut self,
@@ -593,7 +593,7 @@ impl<R: Real, X: Sampler> Traveller for Particle<R, X> {
 /// The particles `first .. first + count` of all samples, of which there is one per pixel of the full
 /// film and sample. Calls `done` with each one's index after its end, in order; those that are
 /// cut short are left out, and those after them.
-pub(super) fn follow<R: Real, X: Sampler, O: ParticleObserver<R> + Clone>(
+pub(super) fn trace_particles<R: Real, X: Sampler, O: ParticleObserver<R> + Clone>(
     context: &Context<R>,
     observer: &O,
     seed: u64,
@@ -601,11 +601,11 @@ pub(super) fn follow<R: Real, X: Sampler, O: ParticleObserver<R> + Clone>(
     mut splat: impl FnMut(u64, [R::Primal; 2], Rgb<R>),
     mut done: impl FnMut(u64, &mut O),
 ) {
-    let mut observers = vec![observer.clone(); PATHS];
-    let mut group = Vec::with_capacity(PATHS);
+    let mut observers = vec![observer.clone(); GROUP];
+    let mut group = Vec::with_capacity(GROUP);
     let mut first = particles.start;
     while first < particles.end {
-        let n = (particles.end - first).min(PATHS as u64);
+        let n = (particles.end - first).min(GROUP as u64);
         group.clear();
         for k in 0..n {
             let i = first + k;
@@ -613,7 +613,7 @@ pub(super) fn follow<R: Real, X: Sampler, O: ParticleObserver<R> + Clone>(
             let sampler = X::spread(context.settings.points, seed ^ STREAM, 0, i);
             group.push(Particle::new(context, sampler, &mut observers[k as usize]));
         }
-        batch::trace(
+        lockstep::trace(
             context.scene,
             context.progress,
             &mut group,
@@ -694,7 +694,7 @@ pub fn render<R: Components, X: Sampler>(
             let mut splats = [const { Vec::<Splat<R>>::new() }; BANDS];
             let mut non_finite = NonFinite::default();
             let first = samples.start * n;
-            follow::<R, X, ()>(
+            trace_particles::<R, X, ()>(
                 context,
                 &(),
                 seed,

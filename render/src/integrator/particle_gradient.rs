@@ -11,9 +11,9 @@ use ad_core::Float;
 
 use super::active::Active;
 use super::exact::ExactBuffer;
-use super::particle::{Context, ParticleObserver, follow, pixels};
+use super::particle::{Context, ParticleObserver, pixels, trace_particles};
 use super::progress::Progress;
-use super::record::{Contribution, Observer, PathRecord, Place, Recorder, Wishes};
+use super::record::{Contribution, Interest, Observer, PathRecord, Place, Recorder};
 use super::rendering::NonFinite;
 use super::sink::{Gradient, GradientSums, Sink, check_size, collect, largest_of};
 use crate::error::RenderError;
@@ -34,10 +34,10 @@ struct ParticleRecorder<'a, P: Float> {
     recorder: Recorder<'a, P>,
 }
 
-impl<P: Float> Wishes for ParticleRecorder<'_, P> {
+impl<P: Float> Interest for ParticleRecorder<'_, P> {
     #[inline]
-    fn follows_normals(&self, material: u32) -> bool {
-        self.recorder.follows_normals(material)
+    fn differentiates_roughness(&self, material: u32) -> bool {
+        self.recorder.differentiates_roughness(material)
     }
 }
 
@@ -207,7 +207,7 @@ impl<'a, P: Float> ParticlePass<'a, P> {
                     sensor: &self.sensor,
                     recorder: Recorder::of(active),
                 };
-                follow::<P, X, ParticleRecorder<P>>(
+                trace_particles::<P, X, ParticleRecorder<P>>(
                     context,
                     &observer,
                     self.seed,

@@ -3,23 +3,24 @@
 use ad_core::{Const, Real, Vec2, Vec3};
 use smallvec::SmallVec;
 
-use super::batch::{self, Traveller};
 use super::direct::{
-    Aimed, Departure, Found, FoundEdge, FoundLight, Weighing, aimed_light, direct_light,
+    Departure, EmitterDraw, Found, FoundEdge, FoundLight, Weighing, direct_light,
+    moving_emitter_light,
 };
+use super::lockstep::{self, Traveller};
 use super::progress::Progress;
 use super::record::{Bounce, Contribution, MetLight, NormalsLight, Observer, Place, SampledLight};
+use super::vertex::interest::{PathInterest, splits};
 use super::vertex::light::{
     Rival, Seen, choose, counts_hits, find_light, frozen_pdf, guided, has_rival, has_tangent,
     is_guided, matters, mis_weight, mixed,
 };
-use super::vertex::regard::{Regard, splits};
-use super::vertex::roulette::{MAX_SURVIVAL, play, probability, survival};
+use super::vertex::roulette::{MAX_SURVIVAL, play, probability, roulette_weight};
 use super::vertex::{MODE, part_of};
 use crate::bsdf::{Bsdf, Component, Material, Part, Shading, TextureRef};
 use crate::emitter::{AnyEmitter, Emission, Emitter, Shift};
 use crate::estimator::memory::{Memory, Store};
-use crate::estimator::{Edges, Geometry, Sampling, Strategy, follows_edges};
+use crate::estimator::{Edges, Geometry, Sampling, Strategy, differentiates_edges};
 use crate::guide::Directions;
 use crate::math::{Ray, Rgb, Segment};
 use crate::params::Theta;
@@ -32,7 +33,8 @@ type Remembered<S, R> =
     <<S as Strategy>::Edge as Memory>::Of<(Departure<<R as Real>::Primal>, Rgb<R>)>;
 
 /// A sampled emitter as it moves, if its strategy moves those.
-type Aiming<S, R> = <<S as Strategy>::Aim as Memory>::Of<Aimed<<R as Real>::Primal>>;
+type KeptDraw<S, R> =
+    <<S as Strategy>::EmitterMotion as Memory>::Of<EmitterDraw<<R as Real>::Primal>>;
 
 /// What stays the same from path to path.
 #[derive(Clone, Copy, Debug)]
@@ -47,7 +49,7 @@ pub struct Context<'a, R: Real> {
     pub shifts: &'a [Option<Shift<R>>],
     /// Who finds caustics: paths leave them out where particles do.
     pub caustics: Caustics,
-    /// Asked now and then whether paths are to be followed any further: once it says no, what they found counts
+    /// Asked now and then whether paths are to be active any further: once it says no, what they found counts
     /// for nothing.
     pub progress: &'a dyn Progress,
 }
@@ -71,7 +73,7 @@ impl<'a, R: Real> Context<'a, R> {
 
 /// How the samples of all emitters move, for strategies and scalars that want to know: made once per pass.
 pub fn shifts<R: Real, S: Strategy>(scene: &Scene, theta: &Theta<R>) -> Vec<Option<Shift<R>>> {
-    if R::IS_PRIMAL || !S::Aim::KEEPS {
+    if R::IS_PRIMAL || !S::EmitterMotion::KEEPS {
         return Vec::new();
     }
     let each = |e: &AnyEmitter| e.moving().and_then(|map| map.shift(theta));
@@ -134,15 +136,15 @@ pub struct Walk<R: Real, S: Strategy, X: Sampler> {
     /// The same in full, and the throughput there, for strategies that differentiate the edge by itself.
     departure: Remembered<S, R>,
     /// What roulette goes by.
-    survival: R::Primal,
+    roulette_weight: R::Primal,
     /// Number of edges with the next one.
     depth: u32,
     /// Whether light on this edge counts.
-    regard: Regard,
+    interest: PathInterest,
     /// What comes through the shadow ray if it is free, and its record for the observer.
     direct: Rgb<R>,
     sampled: Option<SampledLight<R>>,
-    aimed: Aiming<S, R>,
+    draw: KeptDraw<S, R>,
 }
 
 /// A vertex that a path has reached.
@@ -177,12 +179,12 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
             pdf_bsdf: R::zero(),
             from: Vec3::zero(),
             departure: Default::default(),
-            survival: R::Primal::one(),
+            roulette_weight: R::Primal::one(),
             depth: 1,
-            regard: Regard::default(),
+            interest: PathInterest::default(),
             direct: Rgb::black(),
             sampled: None,
-            aimed: Default::default(),
+            draw: Default::default(),
         }
     }
 
@@ -194,7 +196,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
 
     /// [`Walk::finish`] for one that is still of interest.
     fn go<O: Observer<R>>(&mut self, context: &Context<R>, observer: &mut O) {
-        batch::trace_alone(
+        lockstep::trace_alone(
             context.scene,
             context.progress,
             self,
@@ -219,7 +221,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
         if self.shadow.take().is_some() && visible {
             self.l += self.direct;
             if let Some(mut light) = self.sampled.take() {
-                light.aimed = self.aimed.get();
+                light.draw = self.draw.get();
                 observer.contribution(Contribution::Sampled(light));
             }
         }
@@ -232,7 +234,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
             Some(hit) => scene.shape_info(hit.shape).emitter.as_slice(),
             None => scene.infinite_emitters(),
         };
-        if !emitters.is_empty() && self.regard.lit(observer) {
+        if !emitters.is_empty() && self.interest.lit(observer) {
             let end = hit.map(|hit| (hit.prim, hit.si));
             self.find_lights(context, emitters, ray.d, end, observer);
         }
@@ -270,8 +272,8 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
             };
             observer.vertex(self.beta, &place);
         }
-        (self.regard).arrive(observer, context.caustics, self.depth, info);
-        let lit = self.regard.lit(observer);
+        (self.interest).arrive(observer, context.caustics, self.depth, info);
+        let lit = self.interest.lit(observer);
         // With one edge more there may be light, or vertices to find it from.
         let goes_on = lit || self.depth + 1 < context.settings.max_depth;
         let differentiates = const { O::ENABLED || !R::IS_PRIMAL };
@@ -369,8 +371,8 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
         };
         self.shadow = Some(shadow);
         self.direct = beta * f * le * weight;
-        if S::Aim::KEEPS && const { O::ENABLED || !R::IS_PRIMAL } {
-            let aimed = Aimed {
+        if S::EmitterMotion::KEEPS && const { O::ENABLED || !R::IS_PRIMAL } {
+            let draw = EmitterDraw {
                 u,
                 frame: si.frame.primal(),
                 share,
@@ -381,17 +383,17 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
                 .get(emitter as usize)
                 .and_then(Option::as_ref);
             if let (Some(map), Some(shift)) = (e.moving(), shift)
-                && let Some(aim) = map.aim(u)
+                && let Some(aim) = map.moving_draw(u)
             {
-                let moved = map.follow(&aim, theta, shift);
+                let moved = map.moved(&aim, theta, shift);
                 let weighing = Weighing::of::<S>();
                 self.direct = beta
-                    * aimed_light(
-                        scene, material, at, wo_r, &aimed, emitter, &moved, &weighing,
+                    * moving_emitter_light(
+                        scene, material, at, wo_r, &draw, emitter, &moved, &weighing,
                     );
             }
             let moves = O::ENABLED && e.moving().is_some();
-            self.aimed.put(moves.then_some(aimed));
+            self.draw.put(moves.then_some(draw));
         }
         let normals_weight = here.splits.then(|| {
             let pair = if weighs {
@@ -421,7 +423,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
                 } else {
                     R::Primal::zero()
                 },
-                aimed: None,
+                draw: None,
             });
         }
     }
@@ -460,9 +462,9 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
                 from: Vec3::lift(si.p),
                 depth: self.depth + 1,
                 eta: self.eta * sample.eta,
-                regard: Regard {
-                    followed: false,
-                    ..self.regard
+                interest: PathInterest {
+                    active: false,
+                    ..self.interest
                 },
                 ..Walk::new(Ray::lift(ray), *sampler)
             };
@@ -532,17 +534,22 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
         // ---- Roulette ----
         let differentiates = const { O::ENABLED || !R::IS_PRIMAL };
         let step = f.primal() * weight.primal();
-        self.survival = survival(differentiates, self.survival, step, next_beta.primal());
+        self.roulette_weight = roulette_weight(
+            differentiates,
+            self.roulette_weight,
+            step,
+            next_beta.primal(),
+        );
         let mut inv_q = R::Primal::one();
         let mut deciding = None;
         if depth >= settings.rr_depth {
-            let q = probability(self.survival, self.eta);
-            let lives;
-            (lives, inv_q) = play(true, q, self.sampler.next_1d());
-            if !lives {
+            let q = probability(self.roulette_weight, self.eta);
+            let survives;
+            (survives, inv_q) = play(true, q, self.sampler.next_1d());
+            if !survives {
                 return;
             }
-            self.survival *= inv_q;
+            self.roulette_weight *= inv_q;
             weight = weight * Const(inv_q);
             next_beta = next_beta.scale(inv_q);
             if S::ATTACHED_ROULETTE {
@@ -552,18 +559,18 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
 
         // ---- Records ----
         let part = part_of(sample.component, splits);
-        if follows_edges::<S>() {
-            let followed = differentiates
-                && (!O::ENABLED || observer.follows(info.material))
+        if differentiates_edges::<S>() {
+            let active = differentiates
+                && (!O::ENABLED || observer.differentiates(info.material))
                 && Edges::of::<S>().contain(sample.component);
-            self.departure.put(followed.then(|| {
+            self.departure.put(active.then(|| {
                 let from = Departure {
                     material: info.material,
                     exit: here.exit,
                     si: si.primal(),
                     wo: wo.primal(),
                     u,
-                    survival: inv_q,
+                    inverse_survival: inv_q,
                     part,
                 };
                 (from, beta)
@@ -662,7 +669,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
         let (pdf_bsdf, from) = (self.pdf_bsdf, self.from);
         let sampled = has_rival::<S, R::Primal>(depth, pdf_bsdf.primal());
         // Whether the edge is not differentiated like the rest of the path.
-        let follows = const { follows_edges::<S>() } && self.departure.get().is_some();
+        let follows = const { differentiates_edges::<S>() } && self.departure.get().is_some();
         let mut lights = SmallVec::<[FoundLight<R::Primal>; 1]>::new();
         for &emitter in emitters {
             let share = settings.lights.share(scene, emitter);

@@ -11,11 +11,11 @@ use super::noise::{Noise, PixelNoise};
 use super::pass::Pass;
 use super::path::{Context, shifts};
 use super::record::Recorder;
-use super::record::ends::Tangents;
+use super::record::derivatives::Tangents;
 use super::rendering::{Components, NonFinite, Rendering, is_single};
 use super::sink::{GradientSums, Sink, add};
 use super::tile::{Paths, Sample, place, start};
-use super::wave::{self, LayerAdjoints, Record, WIDTH, Wave};
+use super::wave::{self, LayerAdjoints, Record, WAVE_SIZE, Wave};
 use crate::estimator::{Sampling, Strategy};
 use crate::math::Rgb;
 use crate::parallel;
@@ -102,7 +102,7 @@ fn tile_sums<R: Components, S: Strategy, X: Sampler>(pass: &Pass<R>) -> Vec<Tile
         } else if const { R::ORDER == 1 && is_single::<R::Primal>() && wave::fits::<S>() } {
             let mut wave = Wave::<R::Primal, X>::new();
             let mut record = Record::of::<S>(&active, scene, true);
-            let mut lifted = Vec::with_capacity(WIDTH);
+            let mut lifted = Vec::with_capacity(WAVE_SIZE);
             let begin = |record: &mut Record<'_, _>, which: &[(usize, Sample)]| {
                 record.start(which.iter().map(|_| Rgb::splat(R::Primal::one())));
             };

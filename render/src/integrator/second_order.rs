@@ -111,7 +111,7 @@ pub fn hessian_vector<P: Float, X: Sampler>(
 
 /// Gradient and Gauss-Newton matrix of a loss.
 #[derive(Clone, Debug)]
-pub struct GaussNewton {
+pub struct NormalEquations {
     /// The derivative of `<adjoint, image>`, range after range.
     pub gradient: Vec<f64>,
     /// `J^T diag(weights) J`, symmetric, row by row.
@@ -122,7 +122,7 @@ pub struct GaussNewton {
     pub cancelled: bool,
 }
 
-impl GaussNewton {
+impl NormalEquations {
     /// The Gauss-Newton diagonal.
     pub fn diagonal(&self) -> Vec<f64> {
         let stride = self.gradient.len() + 1;
@@ -151,7 +151,7 @@ pub fn gauss_newton<P: Float, X: Sampler>(
     seed: u64,
     samples: Range<u64>,
     progress: &dyn Progress,
-) -> Result<GaussNewton, RenderError> {
+) -> Result<NormalEquations, RenderError> {
     check_size("adjoint image", scene, adjoint)?;
     check_size("weights", scene, weights)?;
     let n = active.len();
@@ -185,7 +185,7 @@ pub fn gauss_newton<P: Float, X: Sampler>(
         let count = pass.count(pixel) as f64;
         at(weights, pixel, c) / (count * (count - 1.0))
     };
-    let each = |_: &Context<P>, sample: Sample, path: &mut Recorder<'_, P>, sums: &mut Sums| {
+    let each = |_: &Context<P>, sample: Sample, path: &mut Recorder<'_, P>, sums: &mut JobSums| {
         let pixel = place(scene, sample.pixel);
         sums.go_to(pixel, pairs);
         for c in 0..3 {
@@ -195,7 +195,7 @@ pub fn gauss_newton<P: Float, X: Sampler>(
             sums.add_sample(c, sample.scale() * at(adjoint, pixel, c), -pairs(pixel, c));
         }
     };
-    let new = || Sums::new(active);
+    let new = || JobSums::new(active);
     let (parts, non_finite) = pass.paths::<DetachedMis, X, _>(active, JOBS, new, each);
     let mut gradient = vec![0.0; n];
     let mut lower = vec![0.0; n * (n + 1) / 2];
@@ -208,7 +208,7 @@ pub fn gauss_newton<P: Float, X: Sampler>(
         lower.iter_mut().zip(&part.lower).for_each(|(m, p)| *m += p);
     }
     let entry = |k: usize| lower[below(k / n, k % n)];
-    Ok(GaussNewton {
+    Ok(NormalEquations {
         gradient,
         matrix: (0..n * n).map(entry).collect(),
         non_finite,
@@ -245,7 +245,7 @@ impl<P: Float> GradSink<P> for Row<'_> {
 impl SumSink for Row<'_> {}
 
 /// The sums of one job.
-struct Sums<'a> {
+struct JobSums<'a> {
     sample: Row<'a>,
     /// The pixel that samples are being added to, and the sums of their derivatives per channel.
     pixel: Option<usize>,
@@ -254,7 +254,7 @@ struct Sums<'a> {
     lower: Vec<f64>,
 }
 
-impl<'a> Sums<'a> {
+impl<'a> JobSums<'a> {
     fn new(active: &'a Active) -> Self {
         let n = active.len();
         Self {

@@ -4,10 +4,10 @@ use std::ops::Range;
 
 use ad_core::{Float, Real, array};
 
-use super::batch::{self, PATHS};
+use super::lockstep::{self, GROUP};
 use super::path::{Context, Walk};
 use super::record::Observer;
-use super::wave::{Log, WIDTH, Wave};
+use super::wave::{Log, WAVE_SIZE, Wave};
 use crate::estimator::{Geometry, Strategy};
 use crate::math::{Ray, Rgb};
 use crate::sampler::{Points, Sampler};
@@ -156,7 +156,7 @@ impl Tile {
         let mut all = self.samples(scene, samples);
         loop {
             paths.which.clear();
-            paths.which.extend(all.by_ref().take(PATHS));
+            paths.which.extend(all.by_ref().take(GROUP));
             if paths.which.is_empty() {
                 break;
             }
@@ -167,7 +167,7 @@ impl Tile {
                     .map(|(_, sample)| start(scene, points, seed, sample.pixel, sample.index)),
             );
             let observers = &mut paths.observers;
-            batch::trace(
+            lockstep::trace(
                 scene,
                 context.progress,
                 &mut paths.walks,
@@ -199,10 +199,10 @@ impl Tile {
     ) {
         let (scene, points) = (context.scene, context.settings.points);
         let mut all = self.samples(scene, samples);
-        let mut which = Vec::with_capacity(WIDTH);
+        let mut which = Vec::with_capacity(WAVE_SIZE);
         loop {
             which.clear();
-            which.extend(all.by_ref().take(WIDTH));
+            which.extend(all.by_ref().take(WAVE_SIZE));
             if which.is_empty() {
                 break;
             }
@@ -232,9 +232,9 @@ impl<R: Real, S: Strategy, X: Sampler, O: Clone> Paths<R, S, X, O> {
     /// Each path is watched by an observer like this one.
     pub(super) fn new(observer: O) -> Self {
         Self {
-            which: Vec::with_capacity(PATHS),
-            walks: Vec::with_capacity(PATHS),
-            observers: vec![observer; PATHS],
+            which: Vec::with_capacity(GROUP),
+            walks: Vec::with_capacity(GROUP),
+            observers: vec![observer; GROUP],
         }
     }
 }

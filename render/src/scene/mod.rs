@@ -14,7 +14,7 @@ use std::sync::Arc;
 
 use ad_core::{Float, Real};
 
-use crate::accel::{Accel, BUNDLE, Bundle, Hit};
+use crate::accel::{Accel, Hit, PACKET_SIZE, RayPacket};
 use crate::bsdf::{Bsdf, Material, TextureRef};
 use crate::camera::Camera;
 use crate::emitter::{AnyEmitter, Ball, Emitter, Lights};
@@ -448,16 +448,16 @@ impl Scene {
         self.accel.has_hierarchy()
     }
 
-    /// [`Scene::nearest`] for a bundle of rays.
+    /// [`Scene::nearest`] for a packet of rays.
     #[inline]
-    pub fn nearest_bundle(&self, rays: &Bundle) -> [Option<Hit>; BUNDLE] {
-        self.accel.intersect_bundle(rays)
+    pub fn nearest_packet(&self, rays: &RayPacket) -> [Option<Hit>; PACKET_SIZE] {
+        self.accel.intersect_packet(rays)
     }
 
-    /// [`Scene::occluded`] for a bundle of rays: one bit each.
+    /// [`Scene::occluded`] for a packet of rays: one bit each.
     #[inline]
-    pub fn occluded_bundle(&self, rays: &Bundle) -> u32 {
-        self.accel.occluded_bundle(rays)
+    pub fn occluded_packet(&self, rays: &RayPacket) -> u32 {
+        self.accel.occluded_packet(rays)
     }
 
     /// Whether an estimator is right in this scene: samples that move by themselves must not meet discontinuities.

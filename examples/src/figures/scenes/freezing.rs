@@ -6,7 +6,7 @@ use std::f64::consts::TAU;
 use ad_core::Vec3;
 use rayon::prelude::*;
 use render::Scene;
-use render::integrator::boundary::freeze;
+use render::integrator::reparameterisation::freeze;
 use render::math::{Frame, Ray};
 use render::sampler::{Independent, Sampler};
 

@@ -6,7 +6,7 @@ use render::Scene;
 use render::emitter::Emitter;
 use render::estimator::{Detached, DetachedWeights, Mis, Power};
 use render::integrator::path::trace;
-use render::integrator::record::{Contribution, Observer, Place, Wishes};
+use render::integrator::record::{Contribution, Interest, Observer, Place};
 use render::math::{Ray, Rgb};
 use render::params::Theta;
 use render::sampler::{Independent, Sampler};
@@ -41,7 +41,7 @@ struct Watch<'a> {
     vertices: usize,
 }
 
-impl Wishes for Watch<'_> {}
+impl Interest for Watch<'_> {}
 
 impl Observer<f32> for Watch<'_> {
     fn vertex(&mut self, beta: Rgb<f32>, _place: &Place<f32>) {

@@ -8,7 +8,7 @@ use render::bsdf::{Bsdf, Component, Shading, TransportMode};
 use render::emitter::{Emission, Emitter};
 use render::estimator::{BsdfOnly, Detached};
 use render::integrator::path;
-use render::integrator::record::{Contribution, Observer, Place, Wishes};
+use render::integrator::record::{Contribution, Interest, Observer, Place};
 use render::math::Rgb;
 use render::params::Theta;
 use render::sampler::{Independent, Sampler};
@@ -44,7 +44,7 @@ pub struct FixedPath<P> {
 }
 
 /// All of the path is wanted.
-impl<P: Float> Wishes for FixedPath<P> {}
+impl<P: Float> Interest for FixedPath<P> {}
 
 impl<P: Float> Observer<P> for FixedPath<P> {
     fn vertex(&mut self, _beta: Rgb<P>, place: &Place<P>) {

@@ -3,7 +3,7 @@
 mod motion;
 mod table;
 
-pub use motion::{Aim, Moved, Shift};
+pub use motion::{Moved, MovingDraw, Shift};
 
 use std::f64::consts::{FRAC_1_PI, PI};
 

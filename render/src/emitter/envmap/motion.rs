@@ -37,7 +37,7 @@ enum Number {
 
 /// A sampled direction, and how it moves.
 #[derive(Clone, Copy, Debug)]
-pub struct Aim {
+pub struct MovingDraw {
     band: usize,
     cell: usize,
     at: Draw<f64>,
@@ -72,7 +72,7 @@ impl Envmap {
     ///
     /// # Derivatives
     /// First derivatives in the texels.
-    pub fn aim<P: Float>(&self, u: [P; 2]) -> Option<Aim> {
+    pub fn moving_draw<P: Float>(&self, u: [P; 2]) -> Option<MovingDraw> {
         let table = &self.table;
         let slope = table.slope;
         if !(slope > 0.0 && slope < STEEPEST) {
@@ -117,7 +117,7 @@ impl Envmap {
             corners: [0, 1].map(|k| [0, 1].map(|i| var(6 + 2 * k + i, l.corners[k][i]))),
         };
         let moving = table.draw_from(band, u, &local);
-        Some(Aim {
+        Some(MovingDraw {
             band,
             cell,
             at,
@@ -140,9 +140,14 @@ impl Envmap {
         l - R::lift(l.primal())
     }
 
-    /// The sample of `aim` when the parameters move.
-    pub fn follow<R: Real>(&self, aim: &Aim, theta: &Theta<R>, shift: &Shift<R>) -> Moved<R> {
-        let tangents = aim.numbers.map(|number| match number {
+    /// The sample of `draw` when the parameters move.
+    pub fn moved<R: Real>(
+        &self,
+        draw: &MovingDraw,
+        theta: &Theta<R>,
+        shift: &Shift<R>,
+    ) -> Moved<R> {
+        let tangents = draw.numbers.map(|number| match number {
             Number::Nothing => R::zero(),
             Number::Sum(i) => shift.sums[i],
             Number::Texel(i) => self.tangent(theta, i),
@@ -151,35 +156,35 @@ impl Envmap {
             let terms = tangents.iter().zip(slopes).map(|(t, s)| *t * R::c(*s));
             terms.fold(R::of(value), |sum, t| sum + t)
         };
-        let [x, y, density] = &aim.slopes;
-        self.moved(
-            aim,
+        let [x, y, density] = &draw.slopes;
+        self.placed(
+            draw,
             Draw {
-                x: each(aim.at.x, x),
-                y: each(aim.at.y, y),
-                density: each(aim.at.density, density),
+                x: each(draw.at.x, x),
+                y: each(draw.at.y, y),
+                density: each(draw.at.density, density),
             },
         )
     }
 
-    /// The sample of `aim` as a function of its place in the cell and its density: the three tangents.
+    /// The sample of `draw` as a function of its place in the cell and its density: the three tangents.
     /// [`Envmap::pull_back`] takes them to the texels.
-    pub fn vary<P: Float>(&self, aim: &Aim) -> Moved<Dual<P, 3>> {
+    pub fn vary<P: Float>(&self, draw: &MovingDraw) -> Moved<Dual<P, 3>> {
         let var = |value, k| Dual::var(P::of(value), k);
-        let Draw { x, y, density } = aim.at;
+        let Draw { x, y, density } = draw.at;
         let at = Draw {
             x: var(x, 0),
             y: var(y, 1),
             density: var(density, 2),
         };
-        self.moved(aim, at)
+        self.placed(draw, at)
     }
 
-    fn moved<R: Real>(&self, aim: &Aim, at: Draw<R>) -> Moved<R> {
+    fn placed<R: Real>(&self, draw: &MovingDraw, at: Draw<R>) -> Moved<R> {
         type Place = Dual<f64, 2>;
-        let place = [Place::var(aim.at.x, 0), Place::var(aim.at.y, 1)];
-        let (d, [u, v]) = self.towards(aim.band, aim.cell, place);
-        let rows = self.table.corners(aim.band, aim.cell);
+        let place = [Place::var(draw.at.x, 0), Place::var(draw.at.y, 1)];
+        let (d, [u, v]) = self.towards(draw.band, draw.cell, place);
+        let rows = self.table.corners(draw.band, draw.cell);
         let side = |i: usize| mix(rows.map(|row| Place::constant(row[i])), place[1]);
         let frozen = mix([side(0), side(1)], place[0]);
 
@@ -204,13 +209,13 @@ impl Envmap {
     /// to `sum`.
     pub fn pull_back<P: Float, G: GradSink<P>>(
         &self,
-        aim: &Aim,
+        draw: &MovingDraw,
         d: [P; 3],
         grad: &mut G,
         mut sum: impl FnMut(&mut G, usize, f64),
     ) {
-        for (k, number) in aim.numbers.into_iter().enumerate() {
-            let terms = aim.slopes.iter().zip(d).map(|(s, d)| s[k] * d.to_f64());
+        for (k, number) in draw.numbers.into_iter().enumerate() {
+            let terms = draw.slopes.iter().zip(d).map(|(s, d)| s[k] * d.to_f64());
             let adjoint: f64 = terms.sum();
             match number {
                 Number::Nothing => {}

@@ -4,9 +4,9 @@
 //! them [contributes](Contribution). [`sweep`](sweep::sweep) goes through it from its end to its start and knows the radiance
 //! at every vertex from `L_k = sampled_k + f_k w_k (met_k + L_(k+1))`: no tape of operations, no second ray tracing, and no
 //! subtraction or division of radiances, so nothing cancels and a zero albedo is no special case. Where the derivatives of the
-//! values go is decided at its [ends](ends::Ends).
+//! values go is decided at its [ends](derivatives::DerivativeSink).
 
-pub mod ends;
+pub mod derivatives;
 mod recorder;
 mod second;
 pub mod sweep;
@@ -14,8 +14,8 @@ pub mod sweep;
 use ad_core::{Real, Vec3};
 pub use recorder::{Recorder, SumSink};
 
-use super::direct::{Aimed, Departure, FoundEdge};
-pub use super::vertex::regard::Wishes;
+use super::direct::{Departure, EmitterDraw, FoundEdge};
+pub use super::vertex::interest::Interest;
 use crate::bsdf::{Component, Part, TransportMode};
 use crate::emitter::Emission;
 use crate::math::Rgb;
@@ -103,7 +103,7 @@ pub struct SampledLight<R: Real> {
     /// One over the probability that this emitter's sample was kept, see [`crate::scene::LightChoice::All`].
     pub kept: R::Primal,
     /// How the sample moves with the emitter, where a strategy wants to know.
-    pub aimed: Option<Aimed<R::Primal>>,
+    pub draw: Option<EmitterDraw<R::Primal>>,
 }
 
 /// What arrives along a sample of the derivative of a distribution of normals.
@@ -162,7 +162,7 @@ pub struct SeenVertex<R: Real> {
 }
 
 /// Follows a path as it grows. All methods do nothing by default.
-pub trait Observer<R: Real>: Wishes {
+pub trait Observer<R: Real>: Interest {
     /// A surface was reached, with this throughput.
     fn vertex(&mut self, _beta: Rgb<R>, _place: &Place<R>) {}
     /// Something happened at the vertex reached last, or at the start, or on the edge from there.
@@ -236,7 +236,7 @@ impl<R: Real> PathRecord<R> {
 }
 
 /// Everything is wanted.
-impl<R: Real> Wishes for PathRecord<R> {}
+impl<R: Real> Interest for PathRecord<R> {}
 
 impl<R: Real> Observer<R> for PathRecord<R> {
     #[inline]

@@ -2,19 +2,21 @@
 
 use ad_core::{Dual, Float, Real, Vec2, Vec3, array};
 
-use super::ends::{Adjoints, Ends};
+use super::derivatives::{Adjoints, DerivativeSink};
 use super::second::pull_back_path;
 use super::sweep::{Arriving, Uses, Visitor, sweep};
 use super::{
-    Bounce, Contribution, NormalsLight, Observer, PathRecord, Place, SampledLight, SeenVertex,
-    Vertex, Wishes,
+    Bounce, Contribution, Interest, NormalsLight, Observer, PathRecord, Place, SampledLight,
+    SeenVertex, Vertex,
 };
 use crate::bsdf::{Bsdf, Component, Material, Part, Shading, TransportMode};
 use crate::emitter::{Emission, Emitter};
 use crate::estimator::memory::Memory;
-use crate::estimator::{Strategy, follows_edges};
+use crate::estimator::{Strategy, differentiates_edges};
 use crate::integrator::active::Active;
-use crate::integrator::direct::{Aimed, Connected, Followed, Found, Weighing, aimed_light};
+use crate::integrator::direct::{
+    Connected, EmitterDraw, Found, SeparateLight, Weighing, moving_emitter_light,
+};
 use crate::integrator::local::{LocalFn, pull_back_texels};
 use crate::integrator::vertex::MODE;
 use crate::math::{Rgb, each};
@@ -58,8 +60,8 @@ impl<'a, P: Float> Recorder<'a, P> {
         d_l: Rgb<P>,
         grad: &mut (impl GradSink<P> + SumSink),
     ) -> Rgb<P> {
-        let mut ends = Adjoints { theta, grad };
-        let mut visitor = Backward::<P, S, _>::new(scene, theta, self.active, d_l, &mut ends);
+        let mut sink = Adjoints { theta, grad };
+        let mut visitor = Backward::<P, S, _>::new(scene, theta, self.active, d_l, &mut sink);
         sweep(&self.path, &mut visitor)
     }
 
@@ -118,7 +120,7 @@ struct Backward<'a, P: Float, S, E> {
     active: &'a Active,
     /// Adjoint of the radiance.
     d_l: Rgb<P>,
-    ends: &'a mut E,
+    sink: &'a mut E,
     /// Of the vertex that the sweep is at, in one mode.
     uses: Uses<P>,
     mode: TransportMode,
@@ -130,21 +132,21 @@ struct Backward<'a, P: Float, S, E> {
     strategy: std::marker::PhantomData<S>,
 }
 
-impl<'a, P: Float, S: Strategy, E: Ends<P>> Backward<'a, P, S, E> {
+impl<'a, P: Float, S: Strategy, E: DerivativeSink<P>> Backward<'a, P, S, E> {
     /// For a path whose radiance has the adjoint `d_l`.
     fn new(
         scene: &'a Scene,
         theta: &'a Theta<'a, P>,
         active: &'a Active,
         d_l: Rgb<P>,
-        ends: &'a mut E,
+        sink: &'a mut E,
     ) -> Self {
         Self {
             scene,
             theta,
             active,
             d_l,
-            ends,
+            sink,
             uses: Uses::new(),
             mode: MODE,
             connected: None,
@@ -158,7 +160,7 @@ impl<'a, P: Float, S: Strategy, E: Ends<P>> Backward<'a, P, S, E> {
     #[inline(always)]
     fn material(&self, place: &Place<P>) -> Option<(u32, &'a Material)> {
         let index = self.scene.shape_info(place.shape).material;
-        let active = self.active.follows(index);
+        let active = self.active.differentiates(index);
         active.then(|| (index, &*self.scene.materials()[index as usize]))
     }
 
@@ -168,7 +170,7 @@ impl<'a, P: Float, S: Strategy, E: Ends<P>> Backward<'a, P, S, E> {
             && let Some((_, material)) = self.material(place)
         {
             let (uv, uses) = (place.si.uv, &self.uses.0);
-            self.ends.vertex(0, material, uv, place.wo, uses, self.mode);
+            self.sink.vertex(0, material, uv, place.wo, uses, self.mode);
         }
         self.uses.0.clear();
     }
@@ -202,14 +204,14 @@ impl<'a, P: Float, S: Strategy, E: Ends<P>> Backward<'a, P, S, E> {
     }
 }
 
-impl<P: Float, S: Strategy, E: Ends<P>> Visitor<P> for Backward<'_, P, S, E> {
+impl<P: Float, S: Strategy, E: DerivativeSink<P>> Visitor<P> for Backward<'_, P, S, E> {
     type Scalar = P;
 
     #[inline(always)]
     fn emitted(&mut self, emitter: u32, emission: &Emission<P>, beta: Rgb<P>) -> Rgb<P> {
         let e = &self.scene.emitters()[emitter as usize];
         if self.active.emitter_active(emitter) {
-            self.ends.emission(0, e, emission, self.d_l * beta);
+            self.sink.emission(0, e, emission, self.d_l * beta);
         }
         e.eval(self.theta, emission)
     }
@@ -228,13 +230,11 @@ impl<P: Float, S: Strategy, E: Ends<P>> Visitor<P> for Backward<'_, P, S, E> {
     #[inline(always)]
     fn sampled(&mut self, vertex: &Vertex<P>, place: &Place<P>, s: &SampledLight<P>) {
         let d = self.d_l * vertex.beta;
-        if S::Aim::KEEPS
+        if S::EmitterMotion::KEEPS
             && self.active.emitter_active(s.emitter)
-            && let Some(aimed) = &s.aimed
+            && let Some(draw) = &s.draw
         {
-            pull_back_motion::<P, S>(
-                self.scene, self.theta, place, s.emitter, aimed, d, self.ends,
-            );
+            pull_back_motion::<P, S>(self.scene, self.theta, place, s.emitter, draw, d, self.sink);
         }
         if S::DIFFERENTIATED_WEIGHTS && s.mis_pdf > P::zero() {
             self.connected = Some(Connected {
@@ -281,7 +281,7 @@ impl<P: Float, S: Strategy, E: Ends<P>> Visitor<P> for Backward<'_, P, S, E> {
                 bounce: b,
             };
             let textures = self.active.textures(index);
-            self.ends.light(0, textures, place.si.uv, &f, chosen);
+            self.sink.light(0, textures, place.si.uv, &f, chosen);
         }
     }
 
@@ -296,16 +296,16 @@ impl<P: Float, S: Strategy, E: Ends<P>> Visitor<P> for Backward<'_, P, S, E> {
     fn leave(&mut self, vertex: &Vertex<P>, place: &Place<P>, found: Option<Found<P>>) {
         self.flush(place);
         // A constant: nothing of this is compiled where it never happens.
-        if const { follows_edges::<S>() } {
+        if const { differentiates_edges::<S>() } {
             let connected = self.connected.take();
             if (connected.is_some() || found.is_some())
                 && let Some((index, _)) = self.material(place)
             {
                 let at = (index, place.si.uv, place.wo);
-                let light = Followed::<P, S>::at(self.scene, at, connected, found);
+                let light = SeparateLight::<P, S>::at(self.scene, at, connected, found);
                 let textures = self.active.textures(index);
                 let d = self.d_l * vertex.beta;
-                self.ends.light(0, textures, place.si.uv, &light, d);
+                self.sink.light(0, textures, place.si.uv, &light, d);
             }
         }
     }
@@ -318,26 +318,26 @@ fn pull_back_motion<P: Float, S: Strategy>(
     theta: &Theta<P>,
     place: &Place<P>,
     emitter: u32,
-    aimed: &Aimed<P>,
+    draw: &EmitterDraw<P>,
     d: Rgb<P>,
-    ends: &mut impl Ends<P>,
+    sink: &mut impl DerivativeSink<P>,
 ) {
     let Some(map) = scene.emitters()[emitter as usize].moving() else {
         return;
     };
-    let Some(aim) = map.aim(aimed.u) else {
+    let Some(aim) = map.moving_draw(draw.u) else {
         return;
     };
     let at = Shading {
         theta: theta.lift(),
         uv: Vec2::lift(place.si.uv),
     };
-    let light: Rgb<Dual<P, 3>> = aimed_light(
+    let light: Rgb<Dual<P, 3>> = moving_emitter_light(
         scene,
         scene.material(place.shape),
         &at,
         Vec3::lift(place.wo),
-        aimed,
+        draw,
         emitter,
         &map.vary(&aim),
         &Weighing::of::<S>(),
@@ -345,7 +345,7 @@ fn pull_back_motion<P: Float, S: Strategy>(
     let adjoint = each([0, 1, 2], |k: usize| {
         (Rgb::new(light.r.eps[k], light.g.eps[k], light.b.eps[k]) * d).sum()
     });
-    ends.moved(emitter, map, &aim, adjoint);
+    sink.moved(emitter, map, &aim, adjoint);
 }
 
 /// Logarithm of one over [`Bsdf::choice_pdf`] of a bounce.
@@ -376,20 +376,20 @@ pub trait SumSink {
     fn add_sum(&mut self, _emitter: u32, _sum: usize, _d: f64) {}
 }
 
-impl<P: Float> Wishes for Recorder<'_, P> {
+impl<P: Float> Interest for Recorder<'_, P> {
     #[inline]
-    fn follows(&self, material: u32) -> bool {
-        self.active.follows(material)
+    fn differentiates(&self, material: u32) -> bool {
+        self.active.differentiates(material)
     }
 
     #[inline]
-    fn follows_normals(&self, material: u32) -> bool {
-        self.active.follows_normals(material)
+    fn differentiates_roughness(&self, material: u32) -> bool {
+        self.active.differentiates_roughness(material)
     }
 
     #[inline]
-    fn follows_light(&self) -> bool {
-        self.active.follows_light()
+    fn differentiates_emission(&self) -> bool {
+        self.active.differentiates_emission()
     }
 }
 

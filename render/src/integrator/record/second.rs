@@ -36,7 +36,7 @@ impl<P: Float, R: Real<Primal = P>> Visitor<P> for Again<'_, R> {
 
     fn value(&mut self, place: &Place<P>, wi: Vec3<P>, component: Component, f: Rgb<P>) -> Rgb<R> {
         let index = self.scene.shape_info(place.shape).material;
-        if !self.active.follows(index) {
+        if !self.active.differentiates(index) {
             return Rgb::lift(f);
         }
         let at = Shading {

@@ -5,7 +5,7 @@ use ad_core::{Const, Float, Real, Vec2, Vec3};
 use super::MODE;
 use crate::bsdf::{Bsdf, BsdfSample, Component, Material, Scattered, Shading};
 use crate::emitter::{Emission, Emitter};
-use crate::estimator::{Geometry, Sampling, Strategy, follows_edges};
+use crate::estimator::{Geometry, Sampling, Strategy, differentiates_edges};
 use crate::guide::{Directions, PART_GUIDED};
 use crate::math::{Frame, Rgb};
 use crate::params::Theta;
@@ -207,7 +207,10 @@ pub fn has_tangent<R: Real>(c: Rgb<R>) -> bool {
 /// Whether a [`Guide`](crate::guide::Guide) may lead scattered directions: only if neither they nor weights move, nor
 /// what they are divided by.
 pub const fn is_guided<S: Strategy>() -> bool {
-    S::Bsdf::DETACHED_PATH && !S::FROZEN_WEIGHTS && !follows_edges::<S>() && !S::ATTACHED_CHOICE
+    S::Bsdf::DETACHED_PATH
+        && !S::FROZEN_WEIGHTS
+        && !differentiates_edges::<S>()
+        && !S::ATTACHED_CHOICE
 }
 
 /// Density of a direction of which the guide draws its part and the material the rest.

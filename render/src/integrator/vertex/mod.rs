@@ -4,8 +4,8 @@
 //! functions in the same order. Those that waves call for many paths at a time have no branches: what is not wanted is
 //! selected away.
 
+pub mod interest;
 pub(crate) mod light;
-pub mod regard;
 pub(super) mod roulette;
 
 use crate::bsdf::{Component, Part, TransportMode};

@@ -13,7 +13,7 @@ pub const LEAST_STEP: f64 = 0.2;
 
 /// What roulette goes by behind a vertex that was `before`, reflects `step` and leaves the throughput `beta`.
 #[inline(always)]
-pub fn survival<P: Float>(differentiates: bool, before: P, step: Rgb<P>, beta: Rgb<P>) -> P {
+pub fn roulette_weight<P: Float>(differentiates: bool, before: P, step: Rgb<P>, beta: Rgb<P>) -> P {
     if differentiates {
         before * step.max_component().max(P::of(LEAST_STEP))
     } else {

@@ -5,19 +5,19 @@ use ad_core::{Float, Vec3};
 use crate::math::{Rgb, each};
 
 /// Paths that are followed at a time: enough to fill vectors when most have ended, few enough for the cache.
-pub const WIDTH: usize = 64;
+pub const WAVE_SIZE: usize = 64;
 
 /// Loops run over multiples of this: whole vectors, and no rest that the compiler would treat by itself.
 const STRIDE: usize = 16;
 
-/// How far a loop over the first `n` of [`WIDTH`] goes. What lies beyond `n` is of no path, and harmless.
+/// How far a loop over the first `n` of [`WAVE_SIZE`] goes. What lies beyond `n` is of no path, and harmless.
 #[inline(always)]
 pub fn whole(n: usize) -> usize {
-    n.next_multiple_of(STRIDE).min(WIDTH)
+    n.next_multiple_of(STRIDE).min(WAVE_SIZE)
 }
 
 /// One value of each path.
-pub type Lane<T> = [T; WIDTH];
+pub type Lane<T> = [T; WAVE_SIZE];
 
 /// A vector or a colour of each path: three arrays, so that loops over them become vector instructions.
 #[derive(Clone, Copy, Debug)]
@@ -59,12 +59,12 @@ impl<P: Float> Lanes<P> {
     }
 }
 
-/// Sums of colours of many paths: as many as there are numbers in a vector, because the order of additions is not the
+/// LaneSums of colours of many paths: as many as there are numbers in a vector, because the order of additions is not the
 /// compiler's to change.
 #[derive(Clone, Copy, Debug)]
-pub struct Sums<P>([[P; STRIDE]; 3]);
+pub struct LaneSums<P>([[P; STRIDE]; 3]);
 
-impl<P: Float> Sums<P> {
+impl<P: Float> LaneSums<P> {
     /// Of nothing.
     pub fn zero() -> Self {
         Self([[P::zero(); STRIDE]; 3])
@@ -109,7 +109,7 @@ pub trait Field {
 
 impl<T: Copy + Default> Field for Lane<T> {
     fn zero() -> Self {
-        [T::default(); WIDTH]
+        [T::default(); WAVE_SIZE]
     }
     #[inline(always)]
     fn relocate(&mut self, to: usize, from: usize) {

@@ -10,32 +10,32 @@
 // Each loop is over many arrays at a time.
 #![allow(clippy::needless_range_loop)]
 
-mod ends;
+mod derivatives;
 mod lanes;
 mod record;
 
 use ad_core::{Const, Float, Vec2, Vec3};
-pub(super) use ends::LayerAdjoints;
-pub(super) use lanes::WIDTH;
+pub(super) use derivatives::LayerAdjoints;
+pub(super) use lanes::WAVE_SIZE;
 use lanes::{Field, Lane, Lanes, lanes, whole};
 pub(super) use record::Record;
 
-use super::batch;
 use super::direct::{Departure, FoundEdge};
+use super::lockstep;
 use super::path::Context;
 use super::vertex::MODE;
+use super::vertex::interest::{Interest, PathInterest, splits};
 use super::vertex::light::{
     Met, Rival, Seen, choose, counts_hits, find_light, guided, has_rival, is_guided, matters,
     mis_weight, mixed,
 };
-use super::vertex::regard::{Regard, Wishes, splits};
-use super::vertex::roulette::{play, probability, survival};
-use crate::accel::{BUNDLE, Bundle, Hit};
+use super::vertex::roulette::{play, probability, roulette_weight};
+use crate::accel::{Hit, PACKET_SIZE, RayPacket};
 use crate::bsdf::{Bsdf, Component, DiffuseLobe, Lobe, Material, Shading};
 use crate::camera::Camera;
 use crate::emitter::{AnyEmitter, Area, Emission, Emitter, EmitterSample};
 use crate::estimator::memory::Memory;
-use crate::estimator::{Detached, Sampling, Still, Strategy, follows_edges};
+use crate::estimator::{Detached, Sampling, Still, Strategy, differentiates_edges};
 use crate::guide::{Directions, Guide};
 use crate::math::{Frame, NOWHERE, Ray, Rgb, Segment};
 use crate::params::Theta;
@@ -50,11 +50,14 @@ use crate::texture::Texture;
 /// Whether waves estimate derivatives as strategy `S` does: paths and samples of emitters stand still, and decisions are
 /// constants.
 pub(super) const fn fits<S: Strategy>() -> bool {
-    S::Bsdf::DETACHED_PATH && !S::Aim::KEEPS && !S::ATTACHED_ROULETTE && !S::ATTACHED_CHOICE
+    S::Bsdf::DETACHED_PATH
+        && !S::EmitterMotion::KEEPS
+        && !S::ATTACHED_ROULETTE
+        && !S::ATTACHED_CHOICE
 }
 
 /// Keeps what happens to the paths of a wave.
-pub(super) trait Log<P: Float>: Wishes {
+pub(super) trait Log<P: Float>: Interest {
     /// The vertex that the edge of path `i` left, if light on that edge is differentiated by itself.
     fn departure(&self, _paths: &Paths<P>, _i: usize) -> Option<&Departure<P>> {
         None
@@ -119,13 +122,13 @@ lanes! {
         /// Relative index along the path.
         eta: Lane<P>,
         /// What roulette goes by.
-        survival: Lane<P>,
+        roulette_weight: Lane<P>,
         /// Density of the last direction; zero if it was a delta.
         pdf: Lane<P>,
         /// Whether a vertex so far is one that the log follows.
-        followed: Lane<u32>,
+        active: Lane<u32>,
         /// Whether others find caustics on the first vertex.
-        left_out: Lane<u32>,
+        caustics_excluded: Lane<u32>,
         /// Whether light on this edge would be one.
         caustic: Lane<u32>,
     }
@@ -175,19 +178,19 @@ lanes! {
 
 impl<P: Float> Paths<P> {
     #[inline(always)]
-    fn regard(&self, i: usize) -> Regard {
-        Regard {
-            followed: self.followed[i] != 0,
-            left_out: self.left_out[i] != 0,
+    fn interest(&self, i: usize) -> PathInterest {
+        PathInterest {
+            active: self.active[i] != 0,
+            caustics_excluded: self.caustics_excluded[i] != 0,
             caustic: self.caustic[i] != 0,
         }
     }
 
     #[inline(always)]
-    fn put_regard(&mut self, i: usize, regard: Regard) {
-        self.followed[i] = u32::from(regard.followed);
-        self.left_out[i] = u32::from(regard.left_out);
-        self.caustic[i] = u32::from(regard.caustic);
+    fn put_interest(&mut self, i: usize, interest: PathInterest) {
+        self.active[i] = u32::from(interest.active);
+        self.caustics_excluded[i] = u32::from(interest.caustics_excluded);
+        self.caustic[i] = u32::from(interest.caustic);
     }
 }
 
@@ -329,9 +332,9 @@ lanes! {
         /// One over density.
         weight: Lane<P>,
         /// One over the probability of surviving.
-        survival: Lane<P>,
+        inverse_survival: Lane<P>,
         /// Whether the path goes on.
-        lives: Lane<u32>,
+        continues: Lane<u32>,
     }
 }
 
@@ -345,7 +348,7 @@ struct Branch<P> {
     pdf: P,
 }
 
-/// Up to [`WIDTH`] paths with equally many edges.
+/// Up to [`WAVE_SIZE`] paths with equally many edges.
 pub(super) struct Wave<P, X> {
     /// How many are on their way.
     n: usize,
@@ -353,7 +356,7 @@ pub(super) struct Wave<P, X> {
     points: Points,
     samplers: Vec<X>,
     paths: Paths<P>,
-    hits: [Option<Hit>; WIDTH],
+    hits: [Option<Hit>; WAVE_SIZE],
     at: Vertices<P>,
     /// Plain vertices whose albedo has to be looked up.
     textured: Vec<usize>,
@@ -366,16 +369,16 @@ pub(super) struct Wave<P, X> {
     lights: Lights<P>,
     bounces: Bounces<P>,
     /// What the scattered directions belong to.
-    components: [Component; WIDTH],
+    components: [Component; WAVE_SIZE],
     /// Whether the change of normals has samples of its own anywhere.
     splits: bool,
     /// The paths of these: those of the first vertices first, then in the order of those that they leave.
     branches: Vec<Branch<P>>,
     /// How many of them started at vertices before.
     before: usize,
-    /// Where they are followed, with as many edges as those that they left.
+    /// Where they are active, with as many edges as those that they left.
     aside: Option<Box<Self>>,
-    /// Number of edges with the next one, for paths that are followed aside.
+    /// Number of edges with the next one, for paths that are active aside.
     next: u32,
     /// Radiance of each path in the order of their start, once it has ended.
     pub l: Vec<Rgb<P>>,
@@ -387,27 +390,27 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         Box::new(Self {
             n: 0,
             points: Points::Independent,
-            samplers: Vec::with_capacity(WIDTH),
+            samplers: Vec::with_capacity(WAVE_SIZE),
             paths: Paths::zero(),
-            hits: [None; WIDTH],
+            hits: [None; WAVE_SIZE],
             at: Vertices::zero(),
-            textured: Vec::with_capacity(WIDTH),
+            textured: Vec::with_capacity(WAVE_SIZE),
             wo: Lanes::zero(),
             choice: Lane::zero(),
             numbers: [Lane::zero(); 6],
             lights: Lights::zero(),
             bounces: Bounces::zero(),
-            components: [Component::Continuous; WIDTH],
+            components: [Component::Continuous; WAVE_SIZE],
             splits: false,
             branches: Vec::new(),
             before: 0,
             aside: None,
             next: 1,
-            l: vec![Rgb::black(); WIDTH],
+            l: vec![Rgb::black(); WAVE_SIZE],
         })
     }
 
-    /// Follows the paths of the camera rays through `n` spots of the image to their ends, at most [`WIDTH`].
+    /// Follows the paths of the camera rays through `n` spots of the image to their ends, at most [`WAVE_SIZE`].
     pub fn trace<S: Strategy, L: Log<P>>(
         &mut self,
         context: &Context<P>,
@@ -418,7 +421,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         self.samplers.clear();
         self.branches.clear();
         let (mut x, mut y) = (Lane::zero(), Lane::zero());
-        for i in 0..n.min(WIDTH) {
+        for i in 0..n.min(WAVE_SIZE) {
             let sampler;
             ([x[i], y[i]], sampler) = spot(i);
             self.start(i, i, &sampler);
@@ -435,14 +438,14 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         if const { S::Bsdf::DIFFERENTIAL && L::ENABLED }
             && let Some(aside) = &mut self.aside
         {
-            aside.follow::<S, Still<S>>(context, u32::MAX);
+            aside.advance::<S, Still<S>>(context, u32::MAX);
             let samples = self.branches.iter().zip(&aside.l);
             log.normals(samples.map(|(b, l)| (b.wi, l.scale(b.pdf.recip()))));
         }
     }
 
     /// Follows the paths until their next edge is the `end`-th. Nobody wants to know what happens to them.
-    fn follow<Of: Strategy, S: Strategy<Bsdf = Detached>>(
+    fn advance<Of: Strategy, S: Strategy<Bsdf = Detached>>(
         &mut self,
         context: &Context<P>,
         end: u32,
@@ -488,9 +491,13 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         (paths.key[i], paths.index[i]) = (key, index);
         paths.beta.put_rgb(i, Rgb::splat(P::one()));
         paths.l.put_rgb(i, Rgb::black());
-        (paths.eta[i], paths.survival[i]) = (P::one(), P::one());
+        (paths.eta[i], paths.roulette_weight[i]) = (P::one(), P::one());
         paths.pdf[i] = P::zero();
-        (paths.followed[i], paths.left_out[i], paths.caustic[i]) = (0, 0, 0);
+        (
+            paths.active[i],
+            paths.caustics_excluded[i],
+            paths.caustic[i],
+        ) = (0, 0, 0);
     }
 
     /// `S` is `Of` where nothing moves.
@@ -506,7 +513,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         self.find_surfaces(scene);
         let guide = scene.guide().filter(|_| const { is_guided::<Of>() });
         if !self.arrive::<Of, S, L>(context, guide, depth, log) {
-            self.bounces.lives = Lane::zero();
+            self.bounces.continues = Lane::zero();
             self.leave();
             return;
         }
@@ -536,15 +543,15 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         self.leave();
     }
 
-    /// Ends the paths that do not live. Others from the end take their places.
+    /// DerivativeSink the paths that do not live. Others from the end take their places.
     #[inline(never)]
     fn leave(&mut self) {
         // Lists of both, made without branches.
-        let (mut ended, mut going) = ([0; WIDTH], [0; WIDTH]);
+        let (mut ended, mut going) = ([0; WAVE_SIZE], [0; WAVE_SIZE]);
         let (mut n_ended, mut n_going) = (0, 0);
         for i in 0..self.n {
-            (ended[n_ended % WIDTH], going[n_going % WIDTH]) = (i, i);
-            n_going += (self.bounces.lives[i] & 1) as usize;
+            (ended[n_ended % WAVE_SIZE], going[n_going % WAVE_SIZE]) = (i, i);
+            n_going += (self.bounces.continues[i] & 1) as usize;
             n_ended = i + 1 - n_going;
         }
         for &i in &ended[..n_ended] {
@@ -570,25 +577,25 @@ impl<P: Float, X: Sampler> Wave<P, X> {
                 [paths.surface[i], NOWHERE],
             )
         };
-        let mut rays = Bundle::default();
+        let mut rays = RayPacket::default();
         if !scene.has_hierarchy() {
-            for (k, hits) in self.hits[..n].chunks_mut(BUNDLE).enumerate() {
-                rays.fill(hits.len(), |i| ray((k * BUNDLE + i) % WIDTH));
-                for (hit, found) in hits.iter_mut().zip(scene.nearest_bundle(&rays)) {
+            for (k, hits) in self.hits[..n].chunks_mut(PACKET_SIZE).enumerate() {
+                rays.fill(hits.len(), |i| ray((k * PACKET_SIZE + i) % WAVE_SIZE));
+                for (hit, found) in hits.iter_mut().zip(scene.nearest_packet(&rays)) {
                     *hit = found;
                 }
             }
             return;
         }
-        let mut all = [0; WIDTH];
+        let mut all = [0; WAVE_SIZE];
         for (i, path) in all.iter_mut().enumerate() {
             *path = i;
         }
-        let mut order = [0; WIDTH];
-        let octant = |i: usize| batch::octant(paths.d.vec(i));
-        for like in batch::sorted(&all[..n], octant, &mut order).chunks(BUNDLE) {
+        let mut order = [0; WAVE_SIZE];
+        let octant = |i: usize| lockstep::octant(paths.d.vec(i));
+        for like in lockstep::sorted(&all[..n], octant, &mut order).chunks(PACKET_SIZE) {
             rays.fill(like.len(), |k| ray(like[k % like.len()]));
-            for (&i, found) in like.iter().zip(scene.nearest_bundle(&rays)) {
+            for (&i, found) in like.iter().zip(scene.nearest_packet(&rays)) {
                 self.hits[i] = found;
             }
         }
@@ -618,15 +625,15 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         self.textured.clear();
         for i in 0..self.n {
             let ray = Ray::new(paths.o.vec(i), paths.d.vec(i)).leaving(paths.surface[i]);
-            let mut regard = paths.regard(i);
-            let lit = regard.lit(log);
+            let mut interest = paths.interest(i);
+            let lit = interest.lit(log);
             let sampled = has_rival::<S, P>(depth, paths.pdf[i]);
             let samplers = &mut self.samplers;
             let mut find = |paths: &mut Paths<P>,
                             emitters: &[u32],
                             end: Option<(u32, SurfaceInteraction<P>)>| {
-                // The constant again: where nothing is followed, this is not even compiled.
-                let follows = const { L::ENABLED && follows_edges::<Of>() }
+                // The constant again: where nothing is active, this is not even compiled.
+                let follows = const { L::ENABLED && differentiates_edges::<Of>() }
                     && log.departure(paths, i).is_some();
                 let mut any = false;
                 for &emitter in emitters {
@@ -649,7 +656,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
                     && any
                     && let Some(from) = log.departure(paths, i)
                 {
-                    let sampler = &mut samplers[paths.id[i] as usize % WIDTH];
+                    let sampler = &mut samplers[paths.id[i] as usize % WAVE_SIZE];
                     let edge = FoundEdge {
                         motion: from.motion::<Of, X>(scene, ray.d, depth, sampler),
                         end: end.map(|(prim, si)| (prim, si.t)),
@@ -684,15 +691,15 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             if depth >= settings.max_depth {
                 continue;
             }
-            regard.arrive(log, caustics, depth, info);
-            paths.put_regard(i, regard);
-            let follows = !L::ENABLED || log.follows(info.material);
+            interest.arrive(log, caustics, depth, info);
+            paths.put_interest(i, interest);
+            let follows = !L::ENABLED || log.differentiates(info.material);
             any = true;
             self.at.there[i] = 1;
             self.at.material[i] = info.material;
             self.at.delta[i] = u32::from(info.delta);
             self.at.follows[i] = u32::from(follows);
-            self.at.lit[i] = u32::from(regard.lit(log));
+            self.at.lit[i] = u32::from(interest.lit(log));
             self.at.guide[i] = match guide {
                 Some(guide) if !info.glossy => guide.part_at(self.at.p.vec(i)) + 1,
                 _ => 0,
@@ -977,14 +984,14 @@ impl<P: Float, X: Sampler> Wave<P, X> {
     #[inline(never)]
     fn find_shadows(&mut self, scene: &Scene) {
         let (at, paths, lights) = (&self.at, &mut self.paths, &mut self.lights);
-        let mut asked = [0; WIDTH];
+        let mut asked = [0; WAVE_SIZE];
         let mut n = 0;
         for i in 0..self.n {
             asked[n] = i;
             n += usize::from(lights.shadow_t[i] > P::zero());
         }
-        let mut rays = Bundle::default();
-        for asked in asked[..n].chunks(BUNDLE) {
+        let mut rays = RayPacket::default();
+        for asked in asked[..n].chunks(PACKET_SIZE) {
             let single = |v: Vec3<P>| v.map(P::to_f32).to_array();
             rays.fill(asked.len(), |k| {
                 let i = asked[k % asked.len()];
@@ -992,7 +999,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
                 let skip = [at.surface[i], lights.surface[i]];
                 (single(o), single(d), lights.shadow_t[i].to_f32(), skip)
             });
-            let occluded = scene.occluded_bundle(&rays);
+            let occluded = scene.occluded_packet(&rays);
             for (k, &i) in asked.iter().enumerate() {
                 // No branch: hardly anything is as hard to predict.
                 let hidden = occluded >> k & 1 != 0;
@@ -1025,8 +1032,8 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             aside.l.clear();
         }
         self.before = self.branches.len();
-        // Those of vertices before are as far as the new ones now: all are followed together.
-        aside.follow::<Of, S>(context, depth + 1);
+        // Those of vertices before are as far as the new ones now: all are active together.
+        aside.advance::<Of, S>(context, depth + 1);
         aside.next = depth + 1;
         let (at, paths, lights) = (&mut self.at, &self.paths, &mut self.lights);
         for i in 0..self.n {
@@ -1059,12 +1066,12 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             }
             // Both samples of a pair go on as ordinary paths of this throughput, made of the same numbers: what they
             // find is alike, and its noise cancels.
-            let mut sampler = self.samplers[paths.id[i] as usize % WIDTH];
+            let mut sampler = self.samplers[paths.id[i] as usize % WAVE_SIZE];
             sampler.seek(first);
             let pair = material.sample_differential(&shading, wo, sampler.next_3d(), MODE);
             for sample in pair.into_iter().flatten() {
-                if aside.n == WIDTH {
-                    aside.follow::<Of, S>(context, u32::MAX);
+                if aside.n == WAVE_SIZE {
+                    aside.advance::<Of, S>(context, u32::MAX);
                     aside.next = depth + 1;
                 }
                 let k = aside.n;
@@ -1080,7 +1087,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
                 aside.paths.from.put_vec(k, at.p.vec(i));
                 aside.paths.pdf[k] = sample.pdf;
                 aside.paths.eta[k] = paths.eta[i] * sample.eta;
-                aside.paths.left_out[k] = paths.left_out[i];
+                aside.paths.caustics_excluded[k] = paths.caustics_excluded[i];
                 aside.paths.caustic[k] = paths.caustic[i];
                 self.branches.push(Branch {
                     at: i,
@@ -1112,7 +1119,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             bounces.white[i] = f;
             bounces.f.put_rgb(i, at.albedo.rgb(i) * f);
             bounces.weight[i] = pdf.recip();
-            bounces.lives[i] = u32::from(pdf > P::zero()) & at.there[i];
+            bounces.continues[i] = u32::from(pdf > P::zero()) & at.there[i];
             paths.pdf[i] = pdf;
         }
         for i in 0..self.n {
@@ -1122,7 +1129,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
                 continue;
             }
             if at.lit[i] == 0 && !more {
-                bounces.lives[i] = 0;
+                bounces.continues[i] = 0;
                 continue;
             }
             let shading = Shading {
@@ -1137,7 +1144,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
                     guided::<P, S>(directions, material, &shading, &at.frame(i), wo, u)
                 }
             };
-            bounces.lives[i] = u32::from(scattered.is_some());
+            bounces.continues[i] = u32::from(scattered.is_some());
             if let Some((sample, f)) = scattered {
                 bounces.wi.put_vec(i, sample.wi);
                 bounces.f.put_rgb(i, f);
@@ -1161,13 +1168,14 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         for i in 0..whole(self.n) {
             let (f, weight) = (bounces.f.rgb(i), bounces.weight[i]);
             let beta = paths.beta.rgb(i) * f * weight;
-            let survival = survival(L::ENABLED, paths.survival[i], f * weight, beta);
-            let q = probability(survival, paths.eta[i]);
-            let (lives, inv_q) = play(plays, q, u[i]);
-            let lives = lives & (more | (self.at.lit[i] != 0));
-            paths.survival[i] = survival * inv_q;
-            bounces.survival[i] = inv_q;
-            bounces.lives[i] &= u32::from(lives);
+            let weight_here =
+                roulette_weight(L::ENABLED, paths.roulette_weight[i], f * weight, beta);
+            let q = probability(weight_here, paths.eta[i]);
+            let (survives, inv_q) = play(plays, q, u[i]);
+            let goes_on = survives & (more | (self.at.lit[i] != 0));
+            paths.roulette_weight[i] = weight_here * inv_q;
+            bounces.inverse_survival[i] = inv_q;
+            bounces.continues[i] &= u32::from(goes_on);
         }
     }
 
@@ -1177,8 +1185,8 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         let (at, paths, bounces) = (&self.at, &mut self.paths, &mut self.bounces);
         for i in 0..whole(self.n) {
             let beta = paths.beta.rgb(i) * bounces.f.rgb(i) * bounces.weight[i];
-            let beta = beta.scale(bounces.survival[i]);
-            bounces.lives[i] &= u32::from(L::ENABLED | !beta.is_black());
+            let beta = beta.scale(bounces.inverse_survival[i]);
+            bounces.continues[i] &= u32::from(L::ENABLED | !beta.is_black());
             paths.beta.put_rgb(i, beta);
             let d = at.frame(i).to_world(bounces.wi.vec(i));
             let ray = at.interaction(i).spawn_ray(d, at.exit(i));
@@ -1207,7 +1215,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         }
         for i in 0..whole(self.n) {
             let counts = counts_hits::<S, P>(paths.pdf[i]);
-            self.bounces.lives[i] &= u32::from(counts) & meets[i];
+            self.bounces.continues[i] &= u32::from(counts) & meets[i];
         }
     }
 }

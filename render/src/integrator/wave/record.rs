@@ -2,19 +2,21 @@
 
 use ad_core::{Float, Vec2, Vec3};
 
-use super::ends::LayerEnds;
-use super::lanes::{Field, Lane, Lanes, WIDTH, whole};
+use super::derivatives::LayerSink;
+use super::lanes::{Field, Lane, Lanes, WAVE_SIZE, whole};
 use super::{Log, Paths, Wave};
 use crate::bsdf::{Component, Part};
 use crate::emitter::{Emission, Emitter};
-use crate::estimator::{Edges, Strategy, follows_edges};
+use crate::estimator::{Edges, Strategy, differentiates_edges};
 use crate::integrator::active::Active;
-use crate::integrator::direct::{Connected, Departure, Followed, Found, FoundEdge, FoundLight};
+use crate::integrator::direct::{
+    Connected, Departure, Found, FoundEdge, FoundLight, SeparateLight,
+};
 use crate::integrator::record::sweep::Uses;
 use crate::integrator::vertex::MODE;
+use crate::integrator::vertex::interest::Interest;
 use crate::integrator::vertex::light::Met;
 use crate::integrator::vertex::part_of;
-use crate::integrator::vertex::regard::Wishes;
 use crate::math::Rgb;
 use crate::scene::Scene;
 
@@ -39,14 +41,14 @@ pub struct Layer<P> {
     albedo: Lanes<P>,
     /// Of sampled light.
     direct: Lanes<P>,
-    /// One over the density of the scattered direction times the value of a white surface; zero where a path ends.
+    /// One over the density of the scattered direction times the value of a white surface; zero where a path sink.
     bounce: Lane<P>,
     /// Vertices that are not plain, by their places.
     others: Vec<(usize, Other<P>)>,
     /// Light that was hit at the end of the edges from here, by the places that they left.
     hits: Vec<(u32, Rgb<P>)>,
     /// Vertices whose light is differentiated by itself, in the order of their places.
-    followed: Vec<FollowedAt<P>>,
+    separate: Vec<SeparateVertex<P>>,
     /// One more than their index there; zero where there is none. All zero where no light is.
     entry: Lane<u32>,
     /// Edges from those that found light, by the places.
@@ -59,7 +61,7 @@ pub struct Layer<P> {
 
 /// A vertex whose light is differentiated by itself: see [`super::super::direct`].
 #[derive(Clone, Copy, Debug)]
-struct FollowedAt<P> {
+struct SeparateVertex<P> {
     place: u32,
     wo: Vec3<P>,
     /// That of the scattered direction, if it is one to follow.
@@ -141,7 +143,7 @@ impl<P: Float> Layer<P> {
             bounce: Lane::zero(),
             others: Vec::new(),
             hits: Vec::new(),
-            followed: Vec::new(),
+            separate: Vec::new(),
             entry: Lane::zero(),
             found: Vec::new(),
             found_light: Vec::new(),
@@ -170,7 +172,7 @@ impl<'a, P: Float> Record<'a, P> {
 
     /// Forgets all paths. `adjoints` are those of the radiance of the next.
     pub fn start(&mut self, adjoints: impl Iterator<Item = Rgb<P>>) {
-        for (i, d) in adjoints.take(WIDTH).enumerate() {
+        for (i, d) in adjoints.take(WAVE_SIZE).enumerate() {
             self.d.put_rgb(i, d);
         }
         self.used = 1;
@@ -178,26 +180,26 @@ impl<'a, P: Float> Record<'a, P> {
         self.emitted.clear();
     }
 
-    /// Hands `ends` the derivatives of the radiances `l` times their adjoints, for the paths whose radiance is finite. The
+    /// Hands `sink` the derivatives of the radiances `l` times their adjoints, for the paths whose radiance is finite. The
     /// strategy is that of [`Record::of`].
-    pub fn differentiate<S: Strategy>(&mut self, l: &[Rgb<P>], ends: &mut impl LayerEnds<P>) {
+    pub fn differentiate<S: Strategy>(&mut self, l: &[Rgb<P>], sink: &mut impl LayerSink<P>) {
         let mut counts = Lane::<u32>::zero();
         for (counts, l) in counts.iter_mut().zip(l) {
             *counts = u32::from(l.is_finite());
         }
-        self.differentiate_vertices(&counts, ends);
-        if const { follows_edges::<S>() } {
-            self.differentiate_followed::<S>(&counts, ends);
+        self.differentiate_vertices(&counts, sink);
+        if const { differentiates_edges::<S>() } {
+            self.differentiate_separately::<S>(&counts, sink);
         }
-        ends.finish();
+        sink.finish();
     }
 
     /// [`Record::differentiate`] of light that strategy `S` differentiates by itself, of the paths that count.
     #[inline(never)]
-    fn differentiate_followed<S: Strategy>(
+    fn differentiate_separately<S: Strategy>(
         &mut self,
         counts: &Lane<u32>,
-        ends: &mut impl LayerEnds<P>,
+        sink: &mut impl LayerSink<P>,
     ) {
         let (scene, active) = (self.scene, self.active);
         for layer in &mut self.layers[1..self.used] {
@@ -207,19 +209,19 @@ impl<'a, P: Float> Record<'a, P> {
                 u,
                 v,
                 d,
-                followed,
+                separate,
                 entry,
                 found,
                 lights,
                 ..
             } = &mut **layer;
-            let mut pull = |at: &FollowedAt<P>, connected, found: Option<Found<P>>| {
-                let i = at.place as usize % WIDTH;
-                let id = id[i] as usize % WIDTH;
+            let mut pull = |at: &SeparateVertex<P>, connected, found: Option<Found<P>>| {
+                let i = at.place as usize % WAVE_SIZE;
+                let id = id[i] as usize % WAVE_SIZE;
                 if counts[id] != 0 {
                     let vertex = (material[i], Vec2::new(u[i], v[i]), at.wo);
-                    let light = Followed::<P, S>::at(scene, vertex, connected, found);
-                    ends.light(id, active.textures(material[i]), vertex.1, &light, d.rgb(i));
+                    let light = SeparateLight::<P, S>::at(scene, vertex, connected, found);
+                    sink.light(id, active.textures(material[i]), vertex.1, &light, d.rgb(i));
                 }
             };
             // Light that was sampled with light that was found, so that both read the material once.
@@ -227,27 +229,27 @@ impl<'a, P: Float> Record<'a, P> {
             for found in found.iter() {
                 let lights = &lights[first..found.lights as usize];
                 first += lights.len();
-                if let Some(k) = entry[found.place as usize % WIDTH].checked_sub(1) {
-                    let connected = followed[k as usize].connected.take();
-                    let (at, edge) = (&followed[k as usize], &found.edge);
+                if let Some(k) = entry[found.place as usize % WAVE_SIZE].checked_sub(1) {
+                    let connected = separate[k as usize].connected.take();
+                    let (at, edge) = (&separate[k as usize], &found.edge);
                     let from = at.departure.as_ref();
                     pull(at, connected, from.map(|from| Found { from, edge, lights }));
                 }
             }
-            for at in followed.iter().filter(|f| f.connected.is_some()) {
+            for at in separate.iter().filter(|f| f.connected.is_some()) {
                 pull(at, at.connected, None);
             }
         }
     }
 
     /// [`Record::differentiate`] of everything else.
-    fn differentiate_vertices(&mut self, counts: &Lane<u32>, ends: &mut impl LayerEnds<P>) {
+    fn differentiate_vertices(&mut self, counts: &Lane<u32>, sink: &mut impl LayerSink<P>) {
         let scene = self.scene;
         for e in &self.emitted {
-            let id = e.id as usize % WIDTH;
+            let id = e.id as usize % WAVE_SIZE;
             if counts[id] != 0 {
                 let emitter = &scene.emitters()[e.emitter as usize];
-                ends.emission(id, emitter, &e.emission, e.d);
+                sink.emission(id, emitter, &e.emission, e.d);
             }
         }
         // Radiance that arrives along the edges from a layer, and that leaves it.
@@ -255,7 +257,7 @@ impl<'a, P: Float> Record<'a, P> {
         let mut leaves = Lanes::zero();
         for layer in self.layers[1..self.used].iter().rev() {
             for (at, light) in &layer.hits {
-                arrives.add_rgb(*at as usize % WIDTH, *light);
+                arrives.add_rgb(*at as usize % WAVE_SIZE, *light);
             }
             // The adjoint of the albedo.
             let mut d = Lanes::zero();
@@ -266,12 +268,12 @@ impl<'a, P: Float> Record<'a, P> {
             }
             let mut by_themselves = Lanes::zero();
             for (at, light) in &layer.found_light {
-                by_themselves.add_rgb(*at as usize % WIDTH, *light);
+                by_themselves.add_rgb(*at as usize % WAVE_SIZE, *light);
             }
-            let mut followed = layer.followed.iter().peekable();
+            let mut separate = layer.separate.iter().peekable();
             for &(i, ref other) in &layer.others {
-                let followed = followed.next_if(|f| f.place as usize == i);
-                let weighed = followed.is_some_and(|f| f.connected.is_some());
+                let separate = separate.next_if(|f| f.place as usize == i);
+                let weighed = separate.is_some_and(|f| f.connected.is_some());
                 let index = layer.material[i];
                 let d = layer.d.rgb(i);
                 let mut l = Rgb::black();
@@ -283,7 +285,7 @@ impl<'a, P: Float> Record<'a, P> {
                 }
                 let (first, end) = other.normals;
                 for &(wi, li) in &self.normals[first as usize..end as usize] {
-                    let d = self.d.rgb(layer.id[i] as usize % WIDTH) * li;
+                    let d = self.d.rgb(layer.id[i] as usize % WAVE_SIZE) * li;
                     uses.push(wi, Component::Continuous, Part::Normals, d);
                 }
                 if let Some((wi, component, f, weight)) = other.bounce {
@@ -293,10 +295,10 @@ impl<'a, P: Float> Record<'a, P> {
                     uses.push(wi, component, part, d * light);
                 }
                 leaves.put_rgb(i, l);
-                let id = layer.id[i] as usize % WIDTH;
+                let id = layer.id[i] as usize % WAVE_SIZE;
                 if layer.follows[i] != 0 && counts[id] != 0 && !uses.0.is_empty() {
                     let material = &scene.materials()[index as usize];
-                    ends.vertex(id, material, layer.uv(i), other.wo, &uses.0, MODE);
+                    sink.vertex(id, material, layer.uv(i), other.wo, &uses.0, MODE);
                 }
             }
             let mut wanted = Lane::<u32>::zero();
@@ -304,12 +306,12 @@ impl<'a, P: Float> Record<'a, P> {
                 wanted[i] = u32::from(i < layer.n)
                     & layer.plain[i]
                     & layer.follows[i]
-                    & counts[layer.id[i] as usize % WIDTH];
+                    & counts[layer.id[i] as usize % WAVE_SIZE];
             }
-            ends.albedos(scene, layer, &wanted, &d);
+            sink.albedos(scene, layer, &wanted, &d);
             arrives = Lanes::zero();
             for i in 0..layer.n {
-                arrives.add_rgb(layer.parent[i] as usize % WIDTH, leaves.rgb(i));
+                arrives.add_rgb(layer.parent[i] as usize % WAVE_SIZE, leaves.rgb(i));
             }
         }
     }
@@ -322,28 +324,28 @@ impl<P: Float> Layer<P> {
     }
 }
 
-impl<P: Float> Wishes for Record<'_, P> {
+impl<P: Float> Interest for Record<'_, P> {
     #[inline(always)]
-    fn follows(&self, material: u32) -> bool {
-        self.active.follows(material)
+    fn differentiates(&self, material: u32) -> bool {
+        self.active.differentiates(material)
     }
 
     #[inline(always)]
-    fn follows_normals(&self, material: u32) -> bool {
-        self.active.follows_normals(material)
+    fn differentiates_roughness(&self, material: u32) -> bool {
+        self.active.differentiates_roughness(material)
     }
 
     #[inline(always)]
-    fn follows_light(&self) -> bool {
-        self.image || self.active.follows_light()
+    fn differentiates_emission(&self) -> bool {
+        self.image || self.active.differentiates_emission()
     }
 }
 
 impl<P: Float> Log<P> for Record<'_, P> {
     fn departure(&self, paths: &Paths<P>, i: usize) -> Option<&Departure<P>> {
         let layer = &self.layers[self.used - 1];
-        let entry = layer.entry[paths.slot[i] as usize % WIDTH] as usize;
-        layer.followed[entry.checked_sub(1)?].departure.as_ref()
+        let entry = layer.entry[paths.slot[i] as usize % WAVE_SIZE] as usize;
+        layer.separate[entry.checked_sub(1)?].departure.as_ref()
     }
 
     fn hit(
@@ -370,7 +372,7 @@ impl<P: Float> Log<P> for Record<'_, P> {
         }
         if self.active.emitter_active(emitter) {
             let id = paths.id[i];
-            let d = self.d.rgb(id as usize % WIDTH) * paths.beta.rgb(i) * light.weight;
+            let d = self.d.rgb(id as usize % WAVE_SIZE) * paths.beta.rgb(i) * light.weight;
             self.emitted.push(Emitted {
                 id,
                 emitter,
@@ -406,7 +408,7 @@ impl<P: Float> Log<P> for Record<'_, P> {
         layer.n = n;
         layer.others.clear();
         layer.hits.clear();
-        layer.followed.clear();
+        layer.separate.clear();
         if self.edges != Edges::None {
             layer.entry = Lane::zero();
         }
@@ -427,11 +429,11 @@ impl<P: Float> Log<P> for Record<'_, P> {
             let direct = lights.le.rgb(i) * (lights.weight[i] * lights.white[i]);
             let direct = direct.map(|c| P::select(seen, c, P::zero()));
             layer.direct.put_rgb(i, direct);
-            let bounce = bounces.white[i] * bounces.weight[i] * bounces.survival[i];
-            layer.bounce[i] = P::select(bounces.lives[i] != 0, bounce, P::zero());
+            let bounce = bounces.white[i] * bounces.weight[i] * bounces.inverse_survival[i];
+            layer.bounce[i] = P::select(bounces.continues[i] != 0, bounce, P::zero());
         }
         for i in 0..n {
-            let d = self.d.rgb(paths.id[i] as usize % WIDTH) * paths.beta.rgb(i);
+            let d = self.d.rgb(paths.id[i] as usize % WAVE_SIZE) * paths.beta.rgb(i);
             layer.d.put_rgb(i, d);
         }
         let mut first = wave.before;
@@ -441,8 +443,8 @@ impl<P: Float> Log<P> for Record<'_, P> {
                     let light = lights.le.rgb(i) * lights.weight[i];
                     (lights.wi.vec(i), lights.f.rgb(i), light)
                 });
-                let bounce = (bounces.lives[i] != 0).then(|| {
-                    let weight = bounces.weight[i] * bounces.survival[i];
+                let bounce = (bounces.continues[i] != 0).then(|| {
+                    let weight = bounces.weight[i] * bounces.inverse_survival[i];
                     let wi = bounces.wi.vec(i);
                     (wi, wave.components[i], bounces.f.rgb(i), weight)
                 });
@@ -472,12 +474,12 @@ impl<P: Float> Log<P> for Record<'_, P> {
                         si: at.interaction(i),
                         wo,
                         u: [a[i], b[i], c[i]],
-                        survival: bounces.survival[i],
+                        inverse_survival: bounces.inverse_survival[i],
                         part: part_of(component, splits),
                     });
                     if connected.is_some() || departure.is_some() {
-                        layer.entry[i] = layer.followed.len() as u32 + 1;
-                        layer.followed.push(FollowedAt {
+                        layer.entry[i] = layer.separate.len() as u32 + 1;
+                        layer.separate.push(SeparateVertex {
                             place: i as u32,
                             wo,
                             departure,
@@ -497,7 +499,7 @@ impl<P: Float> Log<P> for Record<'_, P> {
                 layer.others.push((i, other));
             }
         }
-        if self.active.follows_light() {
+        if self.active.differentiates_emission() {
             for i in 0..n {
                 let emitter = lights.emitter[i];
                 if lights.shadow_t[i] > P::zero() && self.active.emitter_active(emitter) {

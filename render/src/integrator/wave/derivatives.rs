@@ -3,21 +3,21 @@
 use ad_core::{Float, Real, Vec2, Vec3};
 use smallvec::SmallVec;
 
-use super::lanes::{Lane, Lanes, Sums, WIDTH};
+use super::lanes::{Lane, LaneSums, Lanes, WAVE_SIZE};
 use super::record::Layer;
 use crate::bsdf::{Material, TransportMode, Use};
 use crate::emitter::{AnyEmitter, Emission};
 use crate::integrator::active::Active;
 use crate::integrator::local::{ActiveTexture, LocalFn};
 use crate::integrator::record::SumSink;
-use crate::integrator::record::ends::{Adjoints, Ends, Tangents};
+use crate::integrator::record::derivatives::{Adjoints, DerivativeSink, Tangents};
 use crate::math::Rgb;
 use crate::params::{GradSink, ParamRef, Theta};
 use crate::scene::Scene;
 use crate::texture::{RgbTexture, Texture};
 
-/// [`Ends`] that take the albedos of many plain vertices at once.
-pub trait LayerEnds<P: Float>: Ends<P> {
+/// [`DerivativeSink`] that take the albedos of many plain vertices at once.
+pub trait LayerSink<P: Float>: DerivativeSink<P> {
     /// Albedos of the plain vertices of a layer, where `wanted` is not zero.
     fn albedos(&mut self, scene: &Scene, layer: &Layer<P>, wanted: &Lane<u32>, d: &Lanes<P>);
     /// Nothing follows.
@@ -42,7 +42,7 @@ pub struct LayerAdjoints<'a, P: Float, G> {
     /// Plain materials that are differentiated and the same everywhere, and their albedos: sums over whole layers.
     constants: SmallVec<[(u32, ParamRef); MOST_CONSTANTS]>,
     /// In the same order.
-    sums: [Sums<P>; MOST_CONSTANTS],
+    sums: [LaneSums<P>; MOST_CONSTANTS],
     /// Whether there are no other plain materials that are differentiated.
     only_constants: bool,
 }
@@ -54,7 +54,7 @@ impl<'a, P: Float, G: GradSink<P> + SumSink> LayerAdjoints<'a, P, G> {
         let mut only_constants = true;
         for (index, _) in (0..).zip(scene.materials()) {
             match albedo(scene, index) {
-                Some(reflectance) if active.follows(index) => match reflectance {
+                Some(reflectance) if active.differentiates(index) => match reflectance {
                     Texture::Constant(albedo) if constants.len() < MOST_CONSTANTS => {
                         constants.push((index, *albedo));
                     }
@@ -66,13 +66,13 @@ impl<'a, P: Float, G: GradSink<P> + SumSink> LayerAdjoints<'a, P, G> {
         Self {
             adjoints: Adjoints { theta, grad },
             constants,
-            sums: [Sums::zero(); MOST_CONSTANTS],
+            sums: [LaneSums::zero(); MOST_CONSTANTS],
             only_constants,
         }
     }
 }
 
-impl<P: Float, G: GradSink<P> + SumSink> Ends<P> for LayerAdjoints<'_, P, G> {
+impl<P: Float, G: GradSink<P> + SumSink> DerivativeSink<P> for LayerAdjoints<'_, P, G> {
     fn emission(&mut self, id: usize, emitter: &AnyEmitter, emission: &Emission<P>, d: Rgb<P>) {
         self.adjoints.emission(id, emitter, emission, d);
     }
@@ -101,7 +101,7 @@ impl<P: Float, G: GradSink<P> + SumSink> Ends<P> for LayerAdjoints<'_, P, G> {
     }
 }
 
-impl<P: Float, G: GradSink<P> + SumSink> LayerEnds<P> for LayerAdjoints<'_, P, G> {
+impl<P: Float, G: GradSink<P> + SumSink> LayerSink<P> for LayerAdjoints<'_, P, G> {
     fn albedos(&mut self, scene: &Scene, layer: &Layer<P>, wanted: &Lane<u32>, d: &Lanes<P>) {
         for ((material, _), sums) in self.constants.iter().zip(&mut self.sums) {
             let of_this = |i: usize| (layer.material[i] == *material) & (wanted[i] != 0);
@@ -131,12 +131,12 @@ impl<P: Float, G: GradSink<P> + SumSink> LayerEnds<P> for LayerAdjoints<'_, P, G
     fn finish(&mut self) {
         for (&(_, albedo), sums) in self.constants.iter().zip(&mut self.sums) {
             self.adjoints.grad.add_all(albedo, 0, sums.total());
-            *sums = Sums::zero();
+            *sums = LaneSums::zero();
         }
     }
 }
 
-impl<R: Real> LayerEnds<R::Primal> for Tangents<'_, R> {
+impl<R: Real> LayerSink<R::Primal> for Tangents<'_, R> {
     fn albedos(
         &mut self,
         scene: &Scene,
@@ -147,7 +147,10 @@ impl<R: Real> LayerEnds<R::Primal> for Tangents<'_, R> {
         for i in (0..layer.n).filter(|i| wanted[*i] != 0) {
             if let Some(albedo) = albedo(scene, layer.material[i]) {
                 let albedo = albedo.rgb(self.theta, Vec2::lift(layer.uv(i)));
-                self.add(layer.id[i] as usize % WIDTH, albedo * Rgb::lift(d.rgb(i)));
+                self.add(
+                    layer.id[i] as usize % WAVE_SIZE,
+                    albedo * Rgb::lift(d.rgb(i)),
+                );
             }
         }
     }

@@ -4,38 +4,38 @@
 //! ray needs no reduction at the end, no sorting out of ties, and half the instructions of a lane per primitive.
 
 use super::curved::{Curved, LANES_F64, Line};
-use super::packet::{Flat, RayLanes, mark};
+use super::triangle_block::{Flat, RayLanes, mark};
 use super::{Hit, Ray, Tag, capped};
 use crate::math::{NOWHERE, each};
 use wide::{f32x16, f64x8};
 
 /// Rays traced together.
-pub const BUNDLE: usize = 16;
+pub const PACKET_SIZE: usize = 16;
 
-/// Up to [`BUNDLE`] rays, each with the distance it looks ahead and the surfaces that it does not meet.
+/// Up to [`PACKET_SIZE`] rays, each with the distance it looks ahead and the surfaces that it does not meet.
 #[derive(Clone, Copy, Debug)]
-pub struct Bundle {
-    o: [[f32; BUNDLE]; 3],
-    d: [[f32; BUNDLE]; 3],
-    t_max: [f32; BUNDLE],
-    skip: [[u32; BUNDLE]; 2],
+pub struct RayPacket {
+    o: [[f32; PACKET_SIZE]; 3],
+    d: [[f32; PACKET_SIZE]; 3],
+    t_max: [f32; PACKET_SIZE],
+    skip: [[u32; PACKET_SIZE]; 2],
     len: usize,
 }
 
-impl Default for Bundle {
+impl Default for RayPacket {
     fn default() -> Self {
         Self {
-            o: [[0.0; BUNDLE]; 3],
+            o: [[0.0; PACKET_SIZE]; 3],
             // Lanes without a ray look nowhere, but count as sane.
-            d: [[1.0; BUNDLE], [0.0; BUNDLE], [0.0; BUNDLE]],
-            t_max: [0.0; BUNDLE],
-            skip: [[NOWHERE; BUNDLE]; 2],
+            d: [[1.0; PACKET_SIZE], [0.0; PACKET_SIZE], [0.0; PACKET_SIZE]],
+            t_max: [0.0; PACKET_SIZE],
+            skip: [[NOWHERE; PACKET_SIZE]; 2],
             len: 0,
         }
     }
 }
 
-impl Bundle {
+impl RayPacket {
     /// Number of rays.
     #[inline(always)]
     pub fn len(&self) -> usize {
@@ -51,14 +51,14 @@ impl Bundle {
     /// Whether there is room for no more.
     #[inline(always)]
     pub fn is_full(&self) -> bool {
-        self.len == BUNDLE
+        self.len == PACKET_SIZE
     }
 
-    /// Adds a ray to a bundle that is not full. It leaves the first surface in `skip`; whether anything hides its end is
+    /// Adds a ray to a packet that is not full. It leaves the first surface in `skip`; whether anything hides its end is
     /// asked as if the second were not there.
     #[inline(always)]
     pub fn push(&mut self, o: [f32; 3], d: [f32; 3], t_max: f32, skip: [u32; 2]) {
-        let i = self.len % BUNDLE;
+        let i = self.len % PACKET_SIZE;
         for k in 0..3 {
             self.o[k][i] = o[k];
             self.d[k][i] = d[k];
@@ -68,11 +68,11 @@ impl Bundle {
         self.len += 1;
     }
 
-    /// Replaces all rays by the first `n` of these, at most [`BUNDLE`].
+    /// Replaces all rays by the first `n` of these, at most [`PACKET_SIZE`].
     #[inline(always)]
     pub fn fill(&mut self, n: usize, ray: impl Fn(usize) -> ([f32; 3], [f32; 3], f32, [u32; 2])) {
         *self = Self::default();
-        for i in 0..n.min(BUNDLE) {
+        for i in 0..n.min(PACKET_SIZE) {
             let (o, d, t_max, skip) = ray(i);
             self.push(o, d, t_max, skip);
         }
@@ -90,7 +90,7 @@ impl Bundle {
     /// Origin, direction, limit and surfaces of ray `i`.
     #[inline(always)]
     pub(super) fn ray(&self, i: usize) -> ([f32; 3], [f32; 3], f32, [u32; 2]) {
-        let at = |x: &[[f32; BUNDLE]; 3]| [x[0][i], x[1][i], x[2][i]];
+        let at = |x: &[[f32; PACKET_SIZE]; 3]| [x[0][i], x[1][i], x[2][i]];
         (
             at(&self.o),
             at(&self.d),
@@ -114,8 +114,8 @@ impl Bundle {
     /// The distances that the rays look ahead, or `None` if one of them cannot be traced as it is: see
     /// [`Ray::new`].
     #[inline(always)]
-    pub(super) fn limits(&self) -> Option<[f32; BUNDLE]> {
-        let sane = (0..BUNDLE).fold(true, |sane, i| {
+    pub(super) fn limits(&self) -> Option<[f32; PACKET_SIZE]> {
+        let sane = (0..PACKET_SIZE).fold(true, |sane, i| {
             let (o, d, ..) = self.ray(i);
             sane & Ray::new(o, d, [NOWHERE; 2]).is_some()
         });
@@ -181,10 +181,10 @@ impl Few {
     #[inline(never)]
     pub(super) fn intersect(
         &self,
-        bundle: &Bundle,
-        hits: &mut [Option<Hit>; BUNDLE],
+        packet: &RayPacket,
+        hits: &mut [Option<Hit>; PACKET_SIZE],
     ) -> Option<()> {
-        self.search::<false>(bundle, hits)
+        self.search::<false>(packet, hits)
     }
 
     /// [`Few::intersect`], `CAREFUL`: without the surfaces that rays leave. As these start off them, it hardly ever
@@ -192,11 +192,11 @@ impl Few {
     #[inline(always)]
     fn search<const CAREFUL: bool>(
         &self,
-        bundle: &Bundle,
-        hits: &mut [Option<Hit>; BUNDLE],
+        packet: &RayPacket,
+        hits: &mut [Option<Hit>; PACKET_SIZE],
     ) -> Option<()> {
-        let start = f32x16::from(bundle.limits()?);
-        let lanes = Lanes::new(bundle, self.curved);
+        let start = f32x16::from(packet.limits()?);
+        let lanes = Lanes::new(packet, self.curved);
         let zero = f32x16::splat(0.0);
         let mut best = Nearest {
             t: start,
@@ -204,7 +204,7 @@ impl Few {
             v: zero,
             prim: zero,
         };
-        let from = bundle.marks(0);
+        let from = packet.marks(0);
         for (one, Tag { prim, surface }) in &self.items {
             // Strict, and primitives ascend: the lowest one among equals stays.
             let (mut hit, t, u, v) = lanes.test(one, best.t);
@@ -220,11 +220,11 @@ impl Few {
         let (t, u, v) = (best.t.to_array(), best.u.to_array(), best.v.to_array());
         let prim = best.prim.to_array();
         let mut again = false;
-        for i in 0..bundle.len {
+        for i in 0..packet.len {
             if !CAREFUL {
                 let surface = self.surfaces.get(prim[i].to_bits() as usize);
                 let here = found >> i & 1 != 0;
-                again |= here & (surface == Some(&bundle.skip[0][i]));
+                again |= here & (surface == Some(&packet.skip[0][i]));
             }
             hits[i] = (found >> i & 1 != 0).then(|| Hit {
                 t: t[i],
@@ -234,24 +234,24 @@ impl Few {
             });
         }
         if !CAREFUL && again {
-            return self.again(bundle, hits);
+            return self.again(packet, hits);
         }
         Some(())
     }
 
     #[cold]
     #[inline(never)]
-    fn again(&self, bundle: &Bundle, hits: &mut [Option<Hit>; BUNDLE]) -> Option<()> {
-        self.search::<true>(bundle, hits)
+    fn again(&self, packet: &RayPacket, hits: &mut [Option<Hit>; PACKET_SIZE]) -> Option<()> {
+        self.search::<true>(packet, hits)
     }
 
     /// One bit per ray that hits anything, or `None` if a ray needs special care.
     #[inline(never)]
-    pub(super) fn occluded(&self, bundle: &Bundle) -> Option<u32> {
-        let t_max = f32x16::from(bundle.limits()?);
-        let lanes = Lanes::new(bundle, self.curved);
+    pub(super) fn occluded(&self, packet: &RayPacket) -> Option<u32> {
+        let t_max = f32x16::from(packet.limits()?);
+        let lanes = Lanes::new(packet, self.curved);
         let mut any = f32x16::splat(0.0);
-        let (from, to) = (bundle.marks(0), bundle.marks(1));
+        let (from, to) = (packet.marks(0), packet.marks(1));
         for (one, tag) in &self.items {
             let hit = lanes.test(one, t_max).0;
             // Most are hit by none of the rays.
@@ -264,7 +264,7 @@ impl Few {
     }
 }
 
-/// A bundle in registers.
+/// A packet in registers.
 struct Lanes {
     single: RayLanes<f32x16>,
     /// Halves of it, if there is anything curved.
@@ -273,8 +273,8 @@ struct Lanes {
 
 impl Lanes {
     #[inline(always)]
-    fn new(bundle: &Bundle, double: bool) -> Lanes {
-        let wide = |x: &[[f32; BUNDLE]; 3], first: usize| {
+    fn new(packet: &RayPacket, double: bool) -> Lanes {
+        let wide = |x: &[[f32; PACKET_SIZE]; 3], first: usize| {
             let mut lanes = [[0.0; LANES_F64]; 3];
             for k in 0..3 {
                 for i in 0..LANES_F64 {
@@ -283,8 +283,8 @@ impl Lanes {
             }
             [lanes[0].into(), lanes[1].into(), lanes[2].into()]
         };
-        let half = |first| Line::new(wide(&bundle.o, first), wide(&bundle.d, first));
-        let (o, d) = bundle.lanes();
+        let half = |first| Line::new(wide(&packet.o, first), wide(&packet.d, first));
+        let (o, d) = packet.lanes();
         Lanes {
             single: RayLanes::of(o, d),
             double: double.then(|| [half(0), half(LANES_F64)]),
@@ -322,7 +322,7 @@ impl Lanes {
 #[inline(always)]
 fn narrow(a: f64x8, b: f64x8) -> f32x16 {
     let (a, b) = (a.to_array(), b.to_array());
-    let mut lanes = [0.0; BUNDLE];
+    let mut lanes = [0.0; PACKET_SIZE];
     for i in 0..LANES_F64 {
         lanes[i] = a[i] as f32;
         lanes[LANES_F64 + i] = b[i] as f32;

@@ -1,10 +1,10 @@
 //! The work of samples, by counting what they are made of.
 
 use super::active::Active;
-use super::batch;
+use super::lockstep;
 use super::path::Context;
 use super::progress::Progress;
-use super::record::{Contribution, Observer, Place, Wishes};
+use super::record::{Contribution, Interest, Observer, Place};
 use super::tile::start;
 use super::wave;
 use crate::emitter::AnyEmitter;
@@ -22,7 +22,7 @@ const JOBS: usize = 64;
 macro_rules! parts {
     ($($(#[doc = $doc:literal])* $part:ident [$price:literal];)*) => {
         #[derive(Clone, Copy, Debug)]
-        enum Part {
+        enum Item {
             $($(#[doc = $doc])* $part,)*
         }
 
@@ -60,13 +60,13 @@ parts! {
 
 /// How often the parts occur in some paths.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Tally {
+pub struct WorkCount {
     paths: u64,
     parts: [u64; PRICES.len()],
 }
 
-impl Tally {
-    fn add(&mut self, part: Part, n: u64) {
+impl WorkCount {
+    fn add(&mut self, part: Item, n: u64) {
         self.parts[part as usize] += n;
     }
 
@@ -100,7 +100,7 @@ struct Counter<'a> {
     weighs: bool,
     /// Auxiliary rays around an edge.
     rays: u64,
-    tally: Tally,
+    tally: WorkCount,
 }
 
 impl<'a> Counter<'a> {
@@ -116,29 +116,29 @@ impl<'a> Counter<'a> {
                 Direct::Reparameterised { rays } => rays as u64,
                 Direct::AsPath | Direct::Attached => 0,
             },
-            tally: Tally::default(),
+            tally: WorkCount::default(),
         }
     }
 }
 
-impl Wishes for Counter<'_> {
-    fn follows(&self, material: u32) -> bool {
-        self.everywhere || self.active.follows(material)
+impl Interest for Counter<'_> {
+    fn differentiates(&self, material: u32) -> bool {
+        self.everywhere || self.active.differentiates(material)
     }
 
-    fn follows_normals(&self, material: u32) -> bool {
-        self.active.follows_normals(material)
+    fn differentiates_roughness(&self, material: u32) -> bool {
+        self.active.differentiates_roughness(material)
     }
 
-    fn follows_light(&self) -> bool {
-        self.image || self.active.follows_light()
+    fn differentiates_emission(&self) -> bool {
+        self.image || self.active.differentiates_emission()
     }
 }
 
 impl Observer<f32> for Counter<'_> {
     fn vertex(&mut self, _beta: Rgb<f32>, place: &Place<f32>) {
-        let followed = self.follows(self.scene.shape_info(place.shape).material);
-        self.tally.add(Part::Vertex, followed.into());
+        let followed = self.differentiates(self.scene.shape_info(place.shape).material);
+        self.tally.add(Item::Vertex, followed.into());
     }
 
     fn contribution(&mut self, contribution: Contribution<f32>) {
@@ -146,30 +146,30 @@ impl Observer<f32> for Counter<'_> {
             Contribution::Sampled(light) => {
                 let emitter = &self.scene.emitters()[light.emitter as usize];
                 let map = matches!(emitter, AnyEmitter::Envmap(_));
-                self.tally.add(Part::Map, map.into());
-                self.tally.add(Part::WeighedLight, self.weighs.into());
+                self.tally.add(Item::Map, map.into());
+                self.tally.add(Item::WeighedLight, self.weighs.into());
             }
             Contribution::Edge(..) => {
                 let part = match self.weighs {
-                    true => Part::WeighedEdge,
-                    false => Part::MovedEdge,
+                    true => Item::WeighedEdge,
+                    false => Item::MovedEdge,
                 };
                 self.tally.add(part, 1);
-                self.tally.add(Part::Ray, self.rays);
+                self.tally.add(Item::Ray, self.rays);
             }
             _ => {}
         }
     }
 
     fn branch(&mut self, edges: u32) {
-        self.tally.add(Part::Rival, self.rivals.into());
-        self.tally.add(Part::Walked, edges.into());
+        self.tally.add(Item::Rival, self.rivals.into());
+        self.tally.add(Item::Walked, edges.into());
     }
 }
 
 /// Counts what `paths` samples are made of, spread over the image, of the derivatives in `active`. Particles are not
 /// counted. Incomplete if cancelled.
-pub fn tally<S: Strategy, X: Sampler>(
+pub fn count_work<S: Strategy, X: Sampler>(
     scene: &Scene,
     active: &Active,
     settings: &Settings,
@@ -177,7 +177,7 @@ pub fn tally<S: Strategy, X: Sampler>(
     seed: u64,
     paths: u64,
     progress: &dyn Progress,
-) -> Tally {
+) -> WorkCount {
     let theta = Theta::constant(scene.params().values());
     let context = Context {
         scene,
@@ -200,13 +200,13 @@ pub fn tally<S: Strategy, X: Sampler>(
             let pixel = ((u / paths as f64 * pixels as f64) as u64).min(pixels - 1);
             let pixel = [pixel % width, pixel / width].map(|p| p as u32);
             let mut walk = start::<f32, S, X>(scene, settings.points, seed, pixel, path);
-            batch::trace_alone(scene, progress, &mut walk, |walk, hit, visible| {
+            lockstep::trace_alone(scene, progress, &mut walk, |walk, hit, visible| {
                 let tally = &mut counter.tally;
                 let edge = u64::from(walk.ray.is_some());
-                tally.add(Part::Edge, edge);
-                tally.add(Part::Light, walk.shadow.is_some().into());
+                tally.add(Item::Edge, edge);
+                tally.add(Item::Light, walk.shadow.is_some().into());
                 if mode == Mode::Reverse && !S::Bsdf::DETACHED_PATH {
-                    tally.add(Part::Moving, edge);
+                    tally.add(Item::Moving, edge);
                 }
                 walk.step(&context, hit, visible, &mut counter);
             });
@@ -215,7 +215,9 @@ pub fn tally<S: Strategy, X: Sampler>(
         counter.tally
     };
     let parts = parallel::map(JOBS, part);
-    parts.into_iter().fold(Tally::default(), Tally::merge)
+    parts
+        .into_iter()
+        .fold(WorkCount::default(), WorkCount::merge)
 }
 
 #[cfg(test)]
@@ -243,13 +245,13 @@ mod tests {
 
     fn counted<S: Strategy>(scene: &Scene, name: &str, mode: Mode) -> [u64; PRICES.len()] {
         let active = Active::new(scene, &[name]).expect("a parameter");
-        let found = tally::<S, Spread>(scene, &active, &scene.settings, mode, 1, PATHS, &());
+        let found = work::<S, Spread>(scene, &active, &scene.settings, mode, 1, PATHS, &());
         assert_eq!(found.paths, PATHS);
         found.parts
     }
 
-    fn parts(of: &[(Part, u64)]) -> [u64; PRICES.len()] {
-        let mut tally = Tally::default();
+    fn parts(of: &[(Item, u64)]) -> [u64; PRICES.len()] {
+        let mut tally = WorkCount::default();
         of.iter().for_each(|&(part, n)| tally.add(part, n * PATHS));
         tally.parts
     }
@@ -257,7 +259,7 @@ mod tests {
     /// Every path is the same one.
     #[test]
     fn paths_by_hand() {
-        use Part::{Edge, Light, Rival, Vertex, Walked};
+        use Item::{Edge, Light, Rival, Vertex, Walked};
         let point =
             plate(r#"<emitter type="point"><point name="position" value="0, 0, 3"/></emitter>"#);
         let (alpha, power) = ("metal.alpha.value", "emitter.intensity.value");

@@ -420,7 +420,7 @@ impl Flat<f32x16> {
 
 /// Flat primitives in packets of eight, tested one packet after the other.
 #[derive(Clone, Debug)]
-pub(super) struct Packets {
+pub(super) struct TriangleBlocks {
     packets: Vec<Flat<f32x8>>,
     /// Primitive of every slot, ascending; the bits of integers, so that lanes can be selected.
     prims: Vec<f32x8>,
@@ -435,8 +435,8 @@ pub(super) fn mark(surface: u32) -> f32 {
     f32::from_bits(surface.wrapping_add(f32::MIN_POSITIVE.to_bits() + 1))
 }
 
-impl Packets {
-    pub(super) fn new(flat: &[(Flat<f32>, Tag)]) -> Packets {
+impl TriangleBlocks {
+    pub(super) fn new(flat: &[(Flat<f32>, Tag)]) -> TriangleBlocks {
         let mut packets = Vec::new();
         let (mut prims, mut surfaces) = (Vec::new(), Vec::new());
         for group in flat.chunks(LANES) {
@@ -464,7 +464,7 @@ impl Packets {
                 mark(group.get(i).map_or(u32::MAX, |g| g.1.surface))
             })));
         }
-        Packets {
+        TriangleBlocks {
             packets,
             prims,
             surfaces,

@@ -21,12 +21,12 @@ use crate::sampler::Sampler;
 use crate::scene::Scene;
 
 /// Directions closer to a discontinuity than this (radians) are slowed down.
-pub const WIDTH: f64 = 0.02;
+pub const OUTLINE_WIDTH: f64 = 0.02;
 
 /// Auxiliary rays lie in a ring between these angles (radians), uniformly in the logarithm. A pair on
 /// opposite sides of the direction finds most outlines that are nearer than its angle; to find those at
-/// [`WIDTH`] nearly always, as an unbiased `B` needs, it has to look well beyond.
-const RING: [f64; 2] = [WIDTH / 30.0, WIDTH * 10.0];
+/// [`OUTLINE_WIDTH`] nearly always, as an unbiased `B` needs, it has to look well beyond.
+const RING: [f64; 2] = [OUTLINE_WIDTH / 30.0, OUTLINE_WIDTH * 10.0];
 
 /// `B` at a direction, and how it changes with it.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -37,13 +37,13 @@ pub struct Freeze<P> {
     pub gradient: Vec3<P>,
 }
 
-/// One at an outline, zero from [`WIDTH`] on, with a continuous derivative.
+/// One at an outline, zero from [`OUTLINE_WIDTH`] on, with a continuous derivative.
 #[inline]
 fn bump<R: Real>(distance: R) -> R {
-    if distance.primal() >= R::Primal::of(WIDTH) {
+    if distance.primal() >= R::Primal::of(OUTLINE_WIDTH) {
         return R::zero();
     }
-    let s = distance * R::c(1.0 / WIDTH);
+    let s = distance * R::c(1.0 / OUTLINE_WIDTH);
     (-s.square() + R::c(1.0)).square()
 }
 
@@ -53,7 +53,7 @@ fn bump<R: Real>(distance: R) -> R {
 ///
 /// # Does not handle
 /// Lines where surfaces intersect each other; outlines that no auxiliary ray finds, such as those of
-/// objects much smaller than [`WIDTH`]: there, some of the bias of naive attached sampling is left.
+/// objects much smaller than [`OUTLINE_WIDTH`]: there, some of the bias of naive attached sampling is left.
 pub fn freeze<P: Float, X: Sampler>(
     scene: &Scene,
     start: &Ray<P>,

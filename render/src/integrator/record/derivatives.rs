@@ -4,14 +4,14 @@ use ad_core::{Const, Float, Real, Vec2, Vec3};
 
 use super::recorder::SumSink;
 use crate::bsdf::{Bsdf, Material, Shading, TransportMode, Use};
-use crate::emitter::{Aim, AnyEmitter, Emission, Emitter, Envmap};
+use crate::emitter::{AnyEmitter, Emission, Emitter, Envmap, MovingDraw};
 use crate::integrator::local::{ActiveTexture, LocalFn, pull_back};
 use crate::math::Rgb;
 use crate::params::{GradSink, Theta};
 
 /// Takes the values that parameters have a part in, each with the adjoint `d` of the radiance of path `id` with respect
 /// to it.
-pub trait Ends<P: Float> {
+pub trait DerivativeSink<P: Float> {
     /// Light of an emitter.
     fn emission(&mut self, id: usize, emitter: &AnyEmitter, emission: &Emission<P>, d: Rgb<P>);
     /// Values of a material.
@@ -35,7 +35,7 @@ pub trait Ends<P: Float> {
     );
     /// A sample of an environment map that moves with its texels; `d` is the adjoint of its three varying numbers
     /// ([`Envmap::vary`]). Strategies without such samples never call it.
-    fn moved(&mut self, _emitter: u32, _map: &Envmap, _aim: &Aim, _d: [P; 3]) {}
+    fn moved(&mut self, _emitter: u32, _map: &Envmap, _aim: &MovingDraw, _d: [P; 3]) {}
 }
 
 /// Reverse mode: adjoints of the parameters.
@@ -46,7 +46,7 @@ pub struct Adjoints<'a, P: Float, G> {
     pub grad: &'a mut G,
 }
 
-impl<P: Float, G: GradSink<P> + SumSink> Ends<P> for Adjoints<'_, P, G> {
+impl<P: Float, G: GradSink<P> + SumSink> DerivativeSink<P> for Adjoints<'_, P, G> {
     #[inline(always)]
     fn emission(&mut self, _id: usize, emitter: &AnyEmitter, emission: &Emission<P>, d: Rgb<P>) {
         emitter.backward(emission, d, self.grad);
@@ -78,7 +78,7 @@ impl<P: Float, G: GradSink<P> + SumSink> Ends<P> for Adjoints<'_, P, G> {
         pull_back(textures, self.theta, uv, light, d, self.grad);
     }
 
-    fn moved(&mut self, emitter: u32, map: &Envmap, aim: &Aim, d: [P; 3]) {
+    fn moved(&mut self, emitter: u32, map: &Envmap, aim: &MovingDraw, d: [P; 3]) {
         map.pull_back(aim, d, self.grad, |grad, sum, d| {
             grad.add_sum(emitter, sum, d)
         });
@@ -103,7 +103,7 @@ impl<R: Real> Tangents<'_, R> {
     }
 }
 
-impl<R: Real> Ends<R::Primal> for Tangents<'_, R> {
+impl<R: Real> DerivativeSink<R::Primal> for Tangents<'_, R> {
     fn emission(
         &mut self,
         id: usize,

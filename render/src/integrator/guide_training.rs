@@ -20,13 +20,13 @@ use crate::sampler::Sampler;
 use crate::scene::{Scene, Settings};
 
 /// Keeps what a [`Guide`](crate::guide::Guide) is made of.
-struct Scout<'a> {
+struct ArrivalCollector<'a> {
     scene: &'a Scene,
     theta: &'a Theta<'a, f32>,
     arrivals: &'a mut Vec<Arrival>,
 }
 
-impl Visitor<f32> for Scout<'_> {
+impl Visitor<f32> for ArrivalCollector<'_> {
     type Scalar = f32;
 
     fn emitted(&mut self, emitter: u32, emission: &Emission<f32>, _beta: Rgb<f32>) -> Rgb<f32> {
@@ -86,7 +86,7 @@ pub(crate) fn arrivals<S: Strategy, X: Sampler>(
             let arrivals = &mut out;
             sweep(
                 path,
-                &mut Scout {
+                &mut ArrivalCollector {
                     scene,
                     theta: &theta,
                     arrivals,

@@ -3,24 +3,24 @@
 use ad_core::{Float, Real, Vec3};
 
 use super::progress::Progress;
-use crate::accel::{BUNDLE, Bundle, Hit};
+use crate::accel::{Hit, PACKET_SIZE, RayPacket};
 use crate::math::{NOWHERE, Ray, Segment};
 use crate::scene::{Intersection, Scene, single};
 
-/// Paths that are followed at a time. More fill the bundles better, fewer stay in the cache.
-pub(super) const PATHS: usize = 64;
+/// Paths that are followed at a time. More fill the packets better, fewer stay in the cache.
+pub(super) const GROUP: usize = 64;
 
 /// Rays on the way to be traced, and the paths that asked for them.
 #[derive(Default)]
 struct Queue {
-    rays: Bundle,
-    paths: [usize; BUNDLE],
+    rays: RayPacket,
+    paths: [usize; PACKET_SIZE],
 }
 
 impl Queue {
     #[inline(always)]
     fn push<P: Float>(&mut self, ray: &Ray<P>, t_max: f32, to: u32, path: usize) {
-        self.paths[self.rays.len() % BUNDLE] = path;
+        self.paths[self.rays.len() % PACKET_SIZE] = path;
         let (o, d) = single(ray);
         self.rays.push(o, d, t_max, [ray.from, to]);
     }
@@ -79,10 +79,10 @@ pub(super) fn octant<P: Float>(d: Vec3<P>) -> usize {
 pub(super) fn sorted<'a>(
     paths: &[usize],
     key: impl Fn(usize) -> usize,
-    order: &'a mut [usize; PATHS],
+    order: &'a mut [usize; GROUP],
 ) -> &'a [usize] {
     let mut ends = [0; 9];
-    let mut keys = [0; PATHS];
+    let mut keys = [0; GROUP];
     for (&path, k) in paths.iter().zip(&mut keys) {
         *k = key(path) % 9;
         ends[*k] += 1;
@@ -92,13 +92,13 @@ pub(super) fn sorted<'a>(
         first += std::mem::replace(end, first);
     }
     for (&path, k) in paths.iter().zip(&keys) {
-        order[ends[*k] % PATHS] = path;
+        order[ends[*k] % GROUP] = path;
         ends[*k] += 1;
     }
     &order[..paths.len()]
 }
 
-/// Follows up to [`PATHS`] paths to their ends. `step` takes one on, given its index, what its ray met and
+/// Follows up to [`GROUP`] paths to their ends. `step` takes one on, given its index, what its ray met and
 /// whether its shadow ray was free. Where `progress` is cancelled, they stay where they are.
 pub(super) fn trace<T: Traveller>(
     scene: &Scene,
@@ -106,23 +106,23 @@ pub(super) fn trace<T: Traveller>(
     travellers: &mut [T],
     mut step: impl FnMut(usize, &mut T, Option<Intersection<T::Geometry>>, bool),
 ) {
-    let mut hits: [Option<Hit>; PATHS] = [None; PATHS];
-    let mut visible = [false; PATHS];
+    let mut hits: [Option<Hit>; GROUP] = [None; GROUP];
+    let mut visible = [false; GROUP];
     let (mut nearest, mut shadow) = (Queue::default(), Queue::default());
-    let mut open: [usize; PATHS] = std::array::from_fn(|i| i);
-    let mut order = [0; PATHS];
+    let mut open: [usize; GROUP] = std::array::from_fn(|i| i);
+    let mut order = [0; GROUP];
     let mut met = Vec::with_capacity(travellers.len());
     let mut n = travellers.len();
     while n > 0 && !progress.cancelled() {
         let mut find = |queue: &mut Queue| {
-            let found = scene.nearest_bundle(&queue.rays);
+            let found = scene.nearest_packet(&queue.rays);
             for (&path, hit) in queue.paths().iter().zip(found) {
                 hits[path] = hit;
             }
             queue.rays.clear();
         };
         let mut test = |queue: &mut Queue| {
-            let occluded = scene.occluded_bundle(&queue.rays);
+            let occluded = scene.occluded_packet(&queue.rays);
             for (i, &path) in queue.paths().iter().enumerate() {
                 visible[path] = occluded >> i & 1 == 0;
             }

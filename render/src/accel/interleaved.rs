@@ -1,13 +1,13 @@
-//! Bundles of rays through the hierarchy.
+//! Packets of rays through the hierarchy.
 //!
 //! Paths of one pixel stay close for a vertex or two: their rays visit the same nodes, which are then tested with a
-//! lane per ray. Where only a few rays of a bundle are left, these go on alone, but in turns: what each visits next is
+//! lane per ray. Where only a few rays of a packet are left, these go on alone, but in turns: what each visits next is
 //! fetched before the first of them needs it, because most of the time of such a ray is waiting for memory.
 
-use super::bundle::{BUNDLE, Bundle};
-use super::bvh::{Child, Kind, MIN_COMPONENT, Node, SLACK, Search, Tree, WIDTH};
+use super::bvh::{Child, Kind, MIN_COMPONENT, NODE_WIDTH, Node, SLACK, Search, Tree};
 use super::curved::Line;
-use super::packet::RayLanes;
+use super::ray_packet::{PACKET_SIZE, RayPacket};
+use super::triangle_block::RayLanes;
 use super::{Best, Hit, Ray};
 use crate::math::each;
 use smallvec::SmallVec;
@@ -16,7 +16,7 @@ use wide::f32x16;
 /// Up to this number of rays are faster one by one. Measured.
 const FEW: u32 = 6;
 
-/// A child that some rays of a bundle still have to visit.
+/// A child that some rays of a packet still have to visit.
 struct Visit {
     node: Child,
     /// One bit per ray.
@@ -25,9 +25,9 @@ struct Visit {
     near: f32x16,
 }
 
-/// A bundle prepared for node tests.
-struct Convoy<'a> {
-    bundle: &'a Bundle,
+/// A packet prepared for node tests.
+struct Interleaved<'a> {
+    packet: &'a RayPacket,
     lanes: RayLanes<f32x16>,
     inverse: [f32x16; 3],
     /// Where planes at zero are met.
@@ -36,17 +36,17 @@ struct Convoy<'a> {
     slack: f32,
 }
 
-impl<'a> Convoy<'a> {
+impl<'a> Interleaved<'a> {
     #[inline(always)]
-    fn new(bundle: &'a Bundle, tree: &Tree) -> Self {
-        let (o, d) = bundle.lanes();
+    fn new(packet: &'a RayPacket, tree: &Tree) -> Self {
+        let (o, d) = packet.lanes();
         let mut from = o;
         let mut reach = f32x16::splat(0.0);
         for (o, (center, half)) in from.iter_mut().zip(tree.center.iter().zip(tree.half)) {
             *o -= f32x16::splat(*center);
             reach += o.abs() + f32x16::splat(half);
         }
-        let reach = reach.to_array()[..bundle.len()]
+        let reach = reach.to_array()[..packet.len()]
             .iter()
             .fold(0.0, |m: f32, x| m.max(*x));
         let inverse = each(d, |d| {
@@ -58,7 +58,7 @@ impl<'a> Convoy<'a> {
         });
         let base = |k: usize| -from[k] * inverse[k];
         Self {
-            bundle,
+            packet,
             lanes: RayLanes::of(o, d),
             inverse,
             base: [base(0), base(1), base(2)],
@@ -83,7 +83,7 @@ impl<'a> Convoy<'a> {
 
     #[inline(always)]
     fn ray(&self, lane: usize) -> Option<Ray> {
-        let (o, d, _, skip) = self.bundle.ray(lane);
+        let (o, d, _, skip) = self.packet.ray(lane);
         Ray::new(o, d, skip)
     }
 }
@@ -94,7 +94,7 @@ fn lanes(mut mask: u32) -> impl Iterator<Item = usize> {
     std::iter::from_fn(move || {
         let lane = mask.trailing_zeros() as usize;
         mask &= mask.wrapping_sub(1);
-        (lane < BUNDLE).then_some(lane)
+        (lane < PACKET_SIZE).then_some(lane)
     })
 }
 
@@ -108,7 +108,7 @@ struct Single {
     search: Search,
 }
 
-type Alone = SmallVec<[Single; BUNDLE]>;
+type Alone = SmallVec<[Single; PACKET_SIZE]>;
 
 impl Single {
     #[inline(always)]
@@ -125,33 +125,33 @@ impl Single {
 /// The nearest hits so far.
 struct Nearest {
     t: f32x16,
-    best: [Best; BUNDLE],
+    best: [Best; PACKET_SIZE],
 }
 
 impl Tree {
     /// The nearest hit of every ray, or `None` if one of them needs special care.
     #[inline(never)]
-    pub(super) fn intersect_bundle(
+    pub(super) fn intersect_packet(
         &self,
-        bundle: &Bundle,
-        hits: &mut [Option<Hit>; BUNDLE],
+        packet: &RayPacket,
+        hits: &mut [Option<Hit>; PACKET_SIZE],
     ) -> Option<()> {
-        let start = bundle.limits()?;
+        let start = packet.limits()?;
         let mut nearest = Nearest {
             t: f32x16::from(start),
-            best: [Best::new(0.0); BUNDLE],
+            best: [Best::new(0.0); PACKET_SIZE],
         };
         for (best, t) in nearest.best.iter_mut().zip(&start) {
             *best = Best::new(*t);
         }
-        let convoy = Convoy::new(bundle, self);
+        let rays_in_flight = Interleaved::new(packet, self);
         let mut alone = Alone::new();
         self.follow(
-            &convoy,
+            &rays_in_flight,
             &mut nearest,
             &mut alone,
             |nearest| (nearest.t, u32::MAX),
-            |nearest, leaf, rays| self.offer_lanes(&convoy, leaf, rays, nearest),
+            |nearest, leaf, rays| self.offer_lanes(&rays_in_flight, leaf, rays, nearest),
         );
         let mut best = nearest.best;
         self.in_turns(&mut alone, |single| {
@@ -165,7 +165,7 @@ impl Tree {
             }
             single.search.next(best.t)
         });
-        for (hit, best) in hits.iter_mut().zip(&best).take(bundle.len()) {
+        for (hit, best) in hits.iter_mut().zip(&best).take(packet.len()) {
             *hit = best.hit();
         }
         Some(())
@@ -173,14 +173,14 @@ impl Tree {
 
     /// One bit per ray that hits anything, or `None` if a ray needs special care.
     #[inline(never)]
-    pub(super) fn occluded_bundle(&self, bundle: &Bundle) -> Option<u32> {
-        let limits = bundle.limits()?;
+    pub(super) fn occluded_packet(&self, packet: &RayPacket) -> Option<u32> {
+        let limits = packet.limits()?;
         let t_max = f32x16::from(limits);
-        let convoy = Convoy::new(bundle, self);
+        let rays_in_flight = Interleaved::new(packet, self);
         let mut occluded = 0;
         let mut alone = Alone::new();
         self.follow(
-            &convoy,
+            &rays_in_flight,
             &mut occluded,
             &mut alone,
             |occluded| (t_max, !*occluded),
@@ -188,7 +188,7 @@ impl Tree {
                 Kind::Curved(k) => {
                     for lane in lanes(rays) {
                         let (curved, tag) = &self.curved[k];
-                        let hit = convoy.ray(lane).is_some_and(|r| {
+                        let hit = rays_in_flight.ray(lane).is_some_and(|r| {
                             !r.skips(tag.surface) && curved.occluded(&Line::of(&r), limits[lane])
                         });
                         *occluded |= u32::from(hit) << lane;
@@ -197,11 +197,11 @@ impl Tree {
                 Kind::Packet(index, count) => {
                     for k in 0..count {
                         let one = self.packets[index].splat::<f32x16>(k);
-                        let (hit, ..) = one.test(&convoy.lanes, t_max);
+                        let (hit, ..) = one.test(&rays_in_flight.lanes, t_max);
                         let hit = hit.to_bitmask() & rays & !*occluded;
                         let surface = self.tags[index][k].surface;
                         for lane in lanes(hit) {
-                            let (.., skip) = convoy.bundle.ray(lane);
+                            let (.., skip) = rays_in_flight.packet.ray(lane);
                             *occluded |= u32::from(!skip.contains(&surface)) << lane;
                         }
                     }
@@ -227,14 +227,20 @@ impl Tree {
 
     /// Offers the primitives of a leaf to some rays.
     #[inline(always)]
-    fn offer_lanes(&self, convoy: &Convoy, leaf: Child, rays: u32, nearest: &mut Nearest) {
+    fn offer_lanes(
+        &self,
+        rays_in_flight: &Interleaved,
+        leaf: Child,
+        rays: u32,
+        nearest: &mut Nearest,
+    ) {
         match leaf.kind() {
             Kind::Curved(k) => {
                 let (curved, tag) = &self.curved[k];
                 let mut t = nearest.t.to_array();
                 for lane in lanes(rays) {
                     let best = &mut nearest.best[lane];
-                    if let Some(ray) = convoy.ray(lane)
+                    if let Some(ray) = rays_in_flight.ray(lane)
                         && let Some((t, u, v)) = curved.intersect(&Line::of(&ray), best.t)
                     {
                         best.offer(t, u, v, *tag, ray.skip[0]);
@@ -248,18 +254,18 @@ impl Tree {
                     // One rounding more, so that equal distances pass; the offer decides.
                     let reach = nearest.t * f32x16::splat(1.0 + f32::EPSILON);
                     let one = self.packets[index].splat::<f32x16>(k);
-                    let (hit, t, u, v) = one.test(&convoy.lanes, reach);
+                    let (hit, t, u, v) = one.test(&rays_in_flight.lanes, reach);
                     let hit = hit.to_bitmask() & rays;
                     if hit == 0 {
                         continue;
                     }
                     let (t, u, v) = (t.to_array(), u.to_array(), v.to_array());
                     for lane in lanes(hit) {
-                        let (.., [from, _]) = convoy.bundle.ray(lane);
+                        let (.., [from, _]) = rays_in_flight.packet.ray(lane);
                         let tag = self.tags[index][k];
                         nearest.best[lane].offer(t[lane], u[lane], v[lane], tag, from);
                     }
-                    let mut t = [0.0; BUNDLE];
+                    let mut t = [0.0; PACKET_SIZE];
                     for (t, best) in t.iter_mut().zip(&nearest.best) {
                         *t = best.t;
                     }
@@ -273,7 +279,7 @@ impl Tree {
     /// Follows rays that are alone, step by step in turns. `step` visits a ray's child and tells its next.
     #[inline(always)]
     fn in_turns(&self, alone: &mut Alone, mut step: impl FnMut(&mut Single) -> Option<Child>) {
-        let mut left: SmallVec<[usize; 2 * BUNDLE]> = (0..alone.len()).collect();
+        let mut left: SmallVec<[usize; 2 * PACKET_SIZE]> = (0..alone.len()).collect();
         while !left.is_empty() {
             for &k in &left {
                 self.fetch(alone[k].child);
@@ -291,13 +297,13 @@ impl Tree {
         }
     }
 
-    /// Visits the nodes that rays of a bundle enter, roughly front to back; rays that are left with a part of the tree
+    /// Visits the nodes that rays of a packet enter, roughly front to back; rays that are left with a part of the tree
     /// go to `alone`. `limit` tells the distances up to which the rays look and which of them still do, `leaf` tests a
     /// leaf for some rays.
     #[inline(always)]
     fn follow<T>(
         &self,
-        convoy: &Convoy,
+        rays_in_flight: &Interleaved,
         state: &mut T,
         alone: &mut Alone,
         limit: impl Fn(&T) -> (f32x16, u32),
@@ -309,7 +315,7 @@ impl Tree {
         let mut open = SmallVec::<[Visit; 32]>::new();
         open.push(Visit {
             node: Child::ROOT,
-            rays: (1 << convoy.bundle.len()) - 1,
+            rays: (1 << rays_in_flight.packet.len()) - 1,
             near: f32x16::splat(0.0),
         });
         while let Some(visit) = open.pop() {
@@ -323,7 +329,7 @@ impl Tree {
             };
             if rays.count_ones() <= FEW {
                 for lane in lanes(rays) {
-                    if let Some(ray) = convoy.ray(lane) {
+                    if let Some(ray) = rays_in_flight.ray(lane) {
                         alone.push(Single::new(self, visit.node, lane, ray));
                     }
                 }
@@ -331,17 +337,17 @@ impl Tree {
             }
             let node = &self.nodes[index];
             // In the order in which the first ray of each enters them, the nearest last.
-            let mut entered = [(0, f32x16::splat(0.0)); WIDTH];
-            let mut order = [(0.0, 0); WIDTH];
+            let mut entered = [(0, f32x16::splat(0.0)); NODE_WIDTH];
+            let mut order = [(0.0, 0); NODE_WIDTH];
             let mut n = 0;
             for (k, &child) in node.children.iter().enumerate() {
                 if child.is_nothing() {
                     break;
                 }
-                entered[k] = convoy.test(node, k, rays, far);
+                entered[k] = rays_in_flight.test(node, k, rays, far);
                 let (rays, near) = &entered[k];
                 if *rays != 0 {
-                    let distance = near.to_array()[rays.trailing_zeros() as usize % BUNDLE];
+                    let distance = near.to_array()[rays.trailing_zeros() as usize % PACKET_SIZE];
                     let mut at = n;
                     while at > 0 && order[at - 1].0 < distance {
                         order[at] = order[at - 1];
