@@ -167,7 +167,7 @@ def automatic_differentiation(args):
 
 def peer(args):
     """Images and gradients against Mitsuba 3, on the scenes of the repository."""
-    script = os.path.join(ROOT, "examples", "peer", "against_mitsuba.py")
+    script = os.path.join(ROOT, "examples", "mitsuba", "against_mitsuba.py")
     jobs = [
         ("Cornell box, image", CORNELL[0], [], ["", "--sampler sobol"]),
         ("Cornell box, nine albedos", *CORNELL, ["", "--sampler sobol"]),

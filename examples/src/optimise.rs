@@ -77,7 +77,7 @@ pub struct Curved {
     /// The image that the loss was taken of.
     pub seen: Rendering,
     /// Derivatives of the loss by the unknowns.
-    pub derivatives: second_order::GaussNewton,
+    pub derivatives: second_order::NormalEquations,
 }
 
 impl Problem {

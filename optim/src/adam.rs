@@ -255,9 +255,10 @@ impl<T: Scalar> Update<T> {
         }
         let mean = |g: f64, v: f64| (self.beta2 * v * v + self.rest2 * g * g).sqrt();
         // The squares of single precision are all in range.
-        T::from_f64(match (1e-140..1e140).contains(&size) {
-            true => mean(g, v),
-            false => size * mean(g / size, v / size),
+        T::from_f64(if (1e-140..1e140).contains(&size) {
+            mean(g, v)
+        } else {
+            size * mean(g / size, v / size)
         })
     }
 
@@ -269,9 +270,10 @@ impl<T: Scalar> Update<T> {
         let root = self.root_mean_square(g, state[1]);
         // No overflow: neither is larger than the largest gradient so far, and their quotient is moderate.
         let (m64, root64) = (m.to_f64(), range.shared.unwrap_or(root).to_f64());
-        let step = match m64 == 0.0 {
-            true => 0.0,
-            false => m64 / (root64 + range.epsilon),
+        let step = if m64 == 0.0 {
+            0.0
+        } else {
+            m64 / (root64 + range.epsilon)
         };
         Moved {
             param: p - range.scale * T::from_f64(step),

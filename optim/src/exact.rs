@@ -35,12 +35,13 @@ pub mod slice {
 
     /// Reads what [`serialize`] wrote.
     pub fn deserialize<'de, T: Scalar, D: Deserializer<'de>>(from: D) -> Result<Vec<T>, D::Error> {
-        let text = match beside::is_reading() {
-            false => String::deserialize(from)?,
-            true => match Text::deserialize(from)? {
+        let text = if beside::is_reading() {
+            match Text::deserialize(from)? {
                 Text::Inside(text) => text,
                 Text::Beside(place) => return beside::get(&place).map_err(D::Error::custom),
-            },
+            }
+        } else {
+            String::deserialize(from)?
         };
         let digits = <T as Sealed>::DIGITS;
         if text.len() % digits != 0 {

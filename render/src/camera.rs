@@ -22,7 +22,7 @@ pub enum FovAxis {
     Larger,
 }
 
-/// A pinhole camera with the peer's conventions: it looks along its local +z, +x of the world is on
+/// A pinhole camera with Mitsuba's conventions: it looks along its local +z, +x of the world is on
 /// the right when it looks along -z with y up, and row 0 of the image is the top.
 #[derive(Clone, Debug)]
 pub struct Camera {

@@ -215,9 +215,12 @@ impl Directions {
         let (mut corner, mut size) = ([P::zero(); 2], P::one());
         let mut density = 1.0;
         // The half that `x` lies in, if the first has this probability, and where in it.
-        let half = |x: P, first: P| match x < first {
-            true => (0, x / first),
-            false => (1, (x - first) / (P::one() - first)),
+        let half = |x: P, first: P| {
+            if x < first {
+                (0, x / first)
+            } else {
+                (1, (x - first) / (P::one() - first))
+            }
         };
         let mut cell = self.cells.first();
         while let Some(c) = cell {

@@ -267,9 +267,10 @@ fn decode_exr(bytes: &[u8]) -> Result<Pixels, Mismatch> {
         }
         names.extend(list.iter().map(|c| format!("`{}`", c.name)));
     }
-    let found = match names.is_empty() {
-        true => "none".to_owned(),
-        false => names.join(", "),
+    let found = if names.is_empty() {
+        "none".to_owned()
+    } else {
+        names.join(", ")
     };
     Err(mismatch("channels `R`, `G` and `B`, or `Y`", found))
 }
@@ -281,9 +282,10 @@ fn decode_8_or_16_bit(bytes: &[u8], encoding: Encoding) -> Result<Pixels, Mismat
         .map_err(|e| mismatch(formats, e))?;
     let Some(format) = reader.format() else {
         let start: Vec<_> = bytes.iter().take(4).map(|b| format!("{b:02x}")).collect();
-        let found = match start.is_empty() {
-            true => "an empty file".to_owned(),
-            false => format!("a file that starts with bytes {}", start.join(" ")),
+        let found = if start.is_empty() {
+            "an empty file".to_owned()
+        } else {
+            format!("a file that starts with bytes {}", start.join(" "))
         };
         return Err(mismatch(formats, found));
     };
@@ -358,9 +360,10 @@ fn decode_jpeg(bytes: &[u8], encoding: Encoding) -> Result<Pixels, Mismatch> {
     // Behind an end mark the decoder goes on with zeros, where it meets the end of the file it does not. It reads a few
     // bytes ahead. In progressive files the mark must stay.
     let padded = [&bytes[..scan.end], &[0; 16]].concat();
-    let mut decoder = match scan.sequential {
-        true => zune_jpeg::JpegDecoder::new_with_options(ZCursor::new(&padded[..]), options),
-        false => decoder,
+    let mut decoder = if scan.sequential {
+        zune_jpeg::JpegDecoder::new_with_options(ZCursor::new(&padded[..]), options)
+    } else {
+        decoder
     };
     decoder.decode_headers().map_err(damaged)?;
     let (space, channels) = match decoder.input_colorspace() {

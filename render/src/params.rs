@@ -182,9 +182,10 @@ impl Params {
     pub fn size(&self, info: &ParamInfo) -> f64 {
         let values = &self.values()[info.range()];
         let squares: f64 = values.iter().map(|&v| f64::from(v).powi(2)).sum();
-        match squares > 0.0 {
-            true => (squares / values.len() as f64).sqrt(),
-            false => 1.0,
+        if squares > 0.0 {
+            (squares / values.len() as f64).sqrt()
+        } else {
+            1.0
         }
     }
 

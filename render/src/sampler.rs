@@ -339,9 +339,10 @@ impl Sampler for Spread {
         }
         self.dim += 1;
         let bits = independent_bits(self.key, self.dim);
-        match self.points == Points::Antithetic && self.index & 1 == 1 {
-            true => !bits,
-            false => bits,
+        if self.points == Points::Antithetic && self.index & 1 == 1 {
+            !bits
+        } else {
+            bits
         }
     }
 

@@ -346,7 +346,7 @@ fn density_is_the_inverse_jacobian() {
 }
 
 /// `sample`, `pdf` and `choice_pdf` agree to the last bit, in both precisions, whatever the roughness and however
-/// grazing (the peer disagrees with itself by a factor of 15 at alpha 1e-4).
+/// grazing (Mitsuba 3 disagrees with itself by a factor of 15 at alpha 1e-4).
 #[test]
 fn sampled_and_evaluated_densities_are_identical() {
     fn check<P: Float>(case: &Case, n: &mut u32) {

@@ -231,14 +231,15 @@ fn reverse_equals_forward_equals_differences() {
             let scale = 1.0 + grad.0.iter().fold(0.0, |m: f64, g| m.max(g.abs()));
             for i in 0..theta.len() {
                 let tangents: Vec<_> = (scene.params().infos().iter())
-                    .map(|info| match info.range().contains(&i) {
-                        true => {
+                    .map(|info| {
+                        if info.range().contains(&i) {
                             let one_hot = info
                                 .range()
                                 .map(|j| Dual::new(0.0, [f64::from(u8::from(i == j))]));
                             Tangent::Dense(one_hot.collect())
+                        } else {
+                            Tangent::None
                         }
-                        false => Tangent::None,
                     })
                     .collect();
                 let moving = Theta::with_tangents(&theta, &tangents);
@@ -295,17 +296,19 @@ fn densities_change_through_choices_and_through_parts() {
                 let (o, i) = (Vec3::lift(wo), Vec3::lift(s.wi));
                 let choices = material.choice_pdf(&at, o, i, s.component, MODE).eps[0];
                 let continuous = s.component == Component::Continuous;
-                let parts = match continuous {
-                    true => material.eval_pdf(&at, o, i, MODE).1.eps[0],
-                    false => 0.0,
+                let parts = if continuous {
+                    material.eval_pdf(&at, o, i, MODE).1.eps[0]
+                } else {
+                    0.0
                 };
                 let density = |h: f64| {
                     let mut theta = theta.clone();
                     theta[k] += h;
                     let at = shading(Theta::constant(&theta), UV[0]);
-                    match continuous {
-                        true => material.eval_pdf(&at, wo, s.wi, MODE).1,
-                        false => material.choice_pdf(&at, wo, s.wi, s.component, MODE),
+                    if continuous {
+                        material.eval_pdf(&at, wo, s.wi, MODE).1
+                    } else {
+                        material.choice_pdf(&at, wo, s.wi, s.component, MODE)
                     }
                 };
                 let h = 1e-5;
@@ -501,9 +504,12 @@ fn weights_are_unbiased_also_where_a_part_is_invisible() {
             let is_weight = |name: &str| name.ends_with("weight.value") || name.contains("opacity");
             let infos = scene.params().infos();
             let tangents: Vec<_> = (infos.iter())
-                .map(|info| match is_weight(&info.name) {
-                    true => Tangent::Uniform(Dual::new(0.0, [1.0])),
-                    false => Tangent::None,
+                .map(|info| {
+                    if is_weight(&info.name) {
+                        Tangent::Uniform(Dual::new(0.0, [1.0]))
+                    } else {
+                        Tangent::None
+                    }
                 })
                 .collect();
             let [primal, derivative] = estimate(&scene, &tangents, wo);

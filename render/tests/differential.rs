@@ -125,9 +125,10 @@ fn densities_are_the_two_parts_of_the_derivative() {
             let dual = microfacet(kind, Dual::<f64, 1>::var(alpha, 0));
             for i in 0..20_000 {
                 let u: [f64; 3] = Independent::new(1, 0, i).next_3d();
-                let m = match u[2] < 0.5 {
-                    true => plain.sample_differential([u[0], u[1]])[i as usize % 2],
-                    false => plain.sample_all([u[0], u[1]]),
+                let m = if u[2] < 0.5 {
+                    plain.sample_differential([u[0], u[1]])[i as usize % 2]
+                } else {
+                    plain.sample_all([u[0], u[1]])
                 };
                 let density = plain.pdf_differential(m);
                 let signed = match plain.part_of(m) {
@@ -345,9 +346,12 @@ fn estimates_agree_with_differences_of_integrals() {
     for (name, material, params) in materials() {
         let values = values::<f64>(&params);
         let tangents: Vec<Tangent<D>> = (params.infos().iter())
-            .map(|i| match i.name.ends_with("alpha.value") {
-                true => Tangent::Uniform(D::var(0.0, 0)),
-                false => Tangent::None,
+            .map(|i| {
+                if i.name.ends_with("alpha.value") {
+                    Tangent::Uniform(D::var(0.0, 0))
+                } else {
+                    Tangent::None
+                }
             })
             .collect();
         let moving = at(Theta::with_tangents(&values, &tangents));

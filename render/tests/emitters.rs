@@ -370,7 +370,7 @@ fn maps_are_sampled_by_luminance() {
     }
 }
 
-/// The peer's lookup, written down independently: u W - 1/2 periodic, v (H - 1).
+/// Mitsuba's lookup, written down independently: u W - 1/2 periodic, v (H - 1).
 fn lookup(image: &Image, d: Vec3<f64>) -> [f64; 3] {
     let (w, h) = (image.width as f64, image.height as f64);
     let x = d.x.atan2(-d.z) / (2.0 * PI) * w - 0.5;
@@ -610,7 +610,7 @@ fn samples_of_maps_follow_the_texels() {
             .map(|i| {
                 let e = scene.emitters()[0].moving().unwrap();
                 let aim = e.moving_draw(u(i)).unwrap();
-                let m = e.follow(&aim, &theta, &e.shift(&theta).unwrap());
+                let m = e.moved(&aim, &theta, &e.shift(&theta).unwrap());
                 let Moved {
                     d, pdf, emission, ..
                 } = m;
@@ -663,8 +663,10 @@ fn samples_stand_still_when_a_map_is_scaled() {
     let theta = Theta::with_tangents(&values, &tangents);
     let shift = e.shift(&theta).unwrap();
     for i in 0..500 {
-        let aim = e.aim::<f64>(Independent::new(25, 0, i).next_2d()).unwrap();
-        let m = e.follow(&aim, &theta, &shift);
+        let aim = e
+            .moving_draw::<f64>(Independent::new(25, 0, i).next_2d())
+            .unwrap();
+        let m = e.moved(&aim, &theta, &shift);
         for x in [m.d.x, m.d.y, m.d.z, m.pdf, m.frozen_pdf] {
             assert!(x.eps[0].abs() < 1e-6 * (1.0 + x.re.abs()), "{x:?}");
         }
@@ -706,7 +708,7 @@ fn motion_is_finite() {
                 };
                 let m = e.vary::<P>(&aim);
                 assert!(all_finite(&m), "{name} {m:?}");
-                let m = e.follow(&aim, &theta, &e.shift(&theta).unwrap());
+                let m = e.moved(&aim, &theta, &e.shift(&theta).unwrap());
                 assert!(all_finite(&m), "{name} {m:?}");
                 let offsets: Vec<usize> = scene.params().infos().iter().map(|i| i.offset).collect();
                 let mut grad = Gradient(vec![0.0; values.len()], offsets);

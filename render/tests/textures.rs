@@ -136,7 +136,7 @@ fn filters_wraps_and_transforms_are_obeyed() {
     assert_near(albedo(&scene, [-3.0, -3.0]), [0.0, 0.2, 0.4]);
     let scene = with(r#"<string name="wrap_mode" value="mirror"/>"#);
     assert_near(albedo(&scene, [1.75, 0.25]), [0.0, 0.2, 0.4]);
-    // As in the peer: u' = 2 (u + 1/4), v' = 2 (v + 1/2).
+    // As in Mitsuba 3: u' = 2 (u + 1/4), v' = 2 (v + 1/2).
     let scene = with(
         r#"<transform name="to_uv"><translate x="0.25" y="0.5"/><scale x="2" y="2"/></transform>"#,
     );

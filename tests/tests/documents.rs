@@ -97,9 +97,12 @@ fn citation_key(inside: &str) -> Option<String> {
         let many = first.contains(", ");
         let first = first.split(", ").next().unwrap_or_default();
         let two = || format!("{}{}", compact(first), compact(last));
-        (capitalised(first) && capitalised(last)).then(|| match many {
-            true => format!("{}EtAl", compact(first)),
-            false => two(),
+        (capitalised(first) && capitalised(last)).then(|| {
+            if many {
+                format!("{}EtAl", compact(first))
+            } else {
+                two()
+            }
         })
     } else {
         capitalised(names).then(|| compact(names))

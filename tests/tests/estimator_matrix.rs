@@ -361,9 +361,10 @@ fn differences(case: &Case, m: &Move, seed: u64) -> Estimate {
             let at = |h: f64| {
                 let v = m.applied(s, h);
                 let theta = Theta::constant(&v);
-                let technique = match case.one_bounce {
-                    true => Technique::EmitterOnly,
-                    false => Technique::MisPower,
+                let technique = if case.one_bounce {
+                    Technique::EmitterOnly
+                } else {
+                    Technique::MisPower
                 };
                 let (seed, spp) = (seed + r, 0..case.spp());
                 let image = render_f64(s, &theta, technique, &s.settings, seed, spp, &());

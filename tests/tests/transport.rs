@@ -1,4 +1,4 @@
-//! Light transport with known answers, and the peer's failures as tests of ours.
+//! Light transport with known answers, and Mitsuba's failures as tests of ours.
 
 use render::Settings;
 use render::bsdf::kernel::Rules;
@@ -140,7 +140,7 @@ fn corner(res: u32, albedo: &str) -> render::Scene {
     )
 }
 
-/// The peer loses 5 % of a scalar gradient at 67 million samples per pass to f32 accumulation
+/// Mitsuba 3 loses 5 % of a scalar gradient at 67 million samples per pass to f32 accumulation
 /// (anomaly 4). The radiance is linear in the light: `3 L_c dJ/dL_c` is the mean image, here from the
 /// same samples, so to rounding: 1e-5 at 67 million.
 #[test]
@@ -171,7 +171,7 @@ fn no_accumulation_bias_at_64m_samples() {
     }
 }
 
-/// At exactly zero albedo the peer loses the indirect part (anomaly 5). The gradient is continuous there:
+/// At exactly zero albedo Mitsuba 3 loses the indirect part (anomaly 5). The gradient is continuous there:
 /// equal to that at 1e-6, and it has an indirect part. Roulette off: within 1e-4 with the same samples; and on: |z| < 4.
 #[test]
 fn the_whole_gradient_at_zero_albedo() {
@@ -242,7 +242,7 @@ fn forward_mode_at_zero_albedo() {
     );
 }
 
-/// The reflectance of a smooth conductor beside another parameter: the peer returns exactly 0 (anomaly 8). The image
+/// The reflectance of a smooth conductor beside another parameter: Mitsuba 3 returns exactly 0 (anomaly 8). The image
 /// is linear in it here, so the gradient times the value is the share of the image seen in the mirror.
 #[test]
 fn reflectance_of_a_smooth_conductor() {

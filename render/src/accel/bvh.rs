@@ -149,9 +149,10 @@ impl Tree {
         while let Some((at, from)) = open.pop() {
             // The largest that can be opened is, as long as there is room.
             let mut children = SmallVec::<[usize; NODE_WIDTH]>::new();
-            match binary.is_leaf(from) {
-                true => children.push(from),
-                false => children.extend(binary.children(from)),
+            if binary.is_leaf(from) {
+                children.push(from)
+            } else {
+                children.extend(binary.children(from))
             }
             while children.len() < NODE_WIDTH {
                 let area = |&(_, &c): &(usize, &usize)| binary.area(c);

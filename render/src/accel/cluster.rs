@@ -35,9 +35,10 @@ pub(super) fn hierarchy(boxes: &[Aabb]) -> Bvh2 {
         return binary;
     }
     ReinsertionOptimizer::default().run(&mut binary, REINSERTED, None);
-    match levels(&binary) <= MAX_DEPTH {
-        true => binary,
-        false => clustered(boxes).0,
+    if levels(&binary) <= MAX_DEPTH {
+        binary
+    } else {
+        clustered(boxes).0
     }
 }
 
@@ -52,9 +53,10 @@ fn clustered(boxes: &[Aabb]) -> (Bvh2, usize) {
     let mut rounds = 0;
     while current.len() > 1 && rounds < MAX_ROUNDS && work >= current.len() {
         work -= current.len();
-        match rounds < NARROW_ROUNDS {
-            true => next_partners(&current, &mut partners),
-            false => best_partners(&current, &mut partners),
+        if rounds < NARROW_ROUNDS {
+            next_partners(&current, &mut partners)
+        } else {
+            best_partners(&current, &mut partners)
         }
         rounds += 1;
         next.clear();

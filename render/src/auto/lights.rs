@@ -86,9 +86,12 @@ pub fn sampling_weights<N: AsRef<str>>(
     }
     let total: f64 = deviations.iter().sum();
     let n = deviations.len() as f64;
-    let weight = |d: f64| match total > 0.0 && total.is_finite() {
-        true => (1.0 - EVEN) * d / total + EVEN / n,
-        false => 1.0,
+    let weight = |d: f64| {
+        if total > 0.0 && total.is_finite() {
+            (1.0 - EVEN) * d / total + EVEN / n
+        } else {
+            1.0
+        }
     };
     Ok(deviations.into_iter().map(weight).collect())
 }

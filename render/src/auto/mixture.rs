@@ -325,12 +325,13 @@ impl Mixture {
                 out.cancelled |= part.cancelled;
                 out.non_finite.merge(&part.non_finite);
                 for (&i, values) in own.iter().zip(part.values) {
-                    match out.values[i].is_empty() {
-                        true => out.values[i] = values,
-                        false => out.values[i]
+                    if out.values[i].is_empty() {
+                        out.values[i] = values
+                    } else {
+                        out.values[i]
                             .iter_mut()
                             .zip(values)
-                            .for_each(|(a, b)| *a += b),
+                            .for_each(|(a, b)| *a += b)
                     }
                 }
             }

@@ -178,8 +178,8 @@ impl<'a> Pilots<'a> {
         let paths = ((COUNTING * budget * pixels / counts) as u64).min(PATHS);
         let measured = paths >= FEWEST_PATHS;
         // Of the candidates, and of the unit.
-        let works = |infos: &[&ParamInfo], mode| match measured {
-            true => {
+        let works = |infos: &[&ParamInfo], mode| {
+            if measured {
                 let active = Active::of(scene, infos);
                 let works = |estimators: &[Estimator]| {
                     costs::works(
@@ -187,8 +187,9 @@ impl<'a> Pilots<'a> {
                     )
                 };
                 (works(candidates), works(&[Estimator::Mis])[0])
+            } else {
+                (vec![1.0; candidates.len()], 1.0)
             }
-            false => (vec![1.0; candidates.len()], 1.0),
         };
         let together: Vec<&ParamInfo> = infos.iter().map(|(info, _)| *info).collect();
         // In forward mode each parameter has passes of its own.
@@ -381,14 +382,18 @@ pub(super) fn directions(
             return Direction::Uniform(handle);
         }
         let values = &all.values()[info.range()];
-        let size = match params.len() > 1 {
-            true => all.size(info) as f32,
-            false => 1.0,
+        let size = if params.len() > 1 {
+            all.size(info) as f32
+        } else {
+            1.0
         };
         let mut random = Independent::new(seed, u64::from(handle.id), pair);
-        let signs = values.iter().map(|_| match random.next_1d::<f64>() < 0.5 {
-            true => size,
-            false => -size,
+        let signs = values.iter().map(|_| {
+            if random.next_1d::<f64>() < 0.5 {
+                size
+            } else {
+                -size
+            }
         });
         Direction::Dense(handle, signs.collect())
     };
@@ -452,9 +457,12 @@ fn variances(sums: &[Sums], chosen: &[usize]) -> Vec<Vec<f64>> {
         noise / own.len() as f64 + missed
     };
     let blocks = sums[chosen[0]].pairs[0].len();
-    let row = |&k: &usize| match blind(k) && !all_blind {
-        true => vec![f64::INFINITY; blocks],
-        false => (0..blocks).map(|b| of(k, b)).collect(),
+    let row = |&k: &usize| {
+        if blind(k) && !all_blind {
+            vec![f64::INFINITY; blocks]
+        } else {
+            (0..blocks).map(|b| of(k, b)).collect()
+        }
     };
     chosen.iter().map(row).collect()
 }
@@ -511,9 +519,12 @@ fn finding(group: &Group, sums: &[Sums]) -> Finding {
     let blocks = variances[0].len();
     let totals: Vec<f64> = variances.iter().map(|v| v.iter().sum()).collect();
     // Part of an estimator's variance.
-    let part = |k: usize, b: usize| match works[k].is_finite() && totals[k] > 0.0 {
-        true => variances[k][b] / totals[k],
-        false => 0.0,
+    let part = |k: usize, b: usize| {
+        if works[k].is_finite() && totals[k] > 0.0 {
+            variances[k][b] / totals[k]
+        } else {
+            0.0
+        }
     };
     let sighted = works.iter().filter(|w| w.is_finite()).count().max(1) as f64;
     // How much of the variance a block has, as far as the candidates agree.

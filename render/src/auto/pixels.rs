@@ -99,9 +99,10 @@ pub fn pixel_weights<N: AsRef<str>>(
 fn alike(variances: &[f64]) -> Vec<f64> {
     let largest = variances.iter().copied().fold(0.0, f64::max);
     let scale = |&v: &f64| 1.0 / if v > 0.0 { v } else { largest }.sqrt();
-    match largest > 0.0 {
-        true => variances.iter().map(scale).collect(),
-        false => vec![1.0; variances.len()],
+    if largest > 0.0 {
+        variances.iter().map(scale).collect()
+    } else {
+        vec![1.0; variances.len()]
     }
 }
 
@@ -124,9 +125,12 @@ pub fn pixel_weights_of(noise: &[PixelNoise], width: usize) -> Vec<f32> {
         let n = s.samples.max(1) as f64;
         [s.squares / n, s.work as f64 / n]
     };
-    let evenness = |s: &PixelNoise| match s.spread > 0.0 {
-        true => s.squares * s.squares / s.spread / s.samples.max(1) as f64,
-        false => 1.0,
+    let evenness = |s: &PixelNoise| {
+        if s.spread > 0.0 {
+            s.squares * s.squares / s.spread / s.samples.max(1) as f64
+        } else {
+            1.0
+        }
     };
     let mut above: Option<(Level, Vec<[f64; 2]>)> = None;
     while let Some(level) = levels.pop() {
@@ -151,9 +155,10 @@ pub fn pixel_weights_of(noise: &[PixelNoise], width: usize) -> Vec<f32> {
         .collect();
     // Of numbers of any size.
     let largest = weights.iter().copied().fold(0.0, f64::max);
-    match largest > 0.0 && largest.is_finite() {
-        true => weights.iter().map(|w| (w / largest) as f32).collect(),
-        false => vec![1.0; weights.len()],
+    if largest > 0.0 && largest.is_finite() {
+        weights.iter().map(|w| (w / largest) as f32).collect()
+    } else {
+        vec![1.0; weights.len()]
     }
 }
 

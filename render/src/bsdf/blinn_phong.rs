@@ -246,9 +246,10 @@ impl FromNode for BlinnPhong {
             diffuse: registry.rgb_texture(node, "diffuse_reflectance", [0.5; 3], unit)?,
             specular: registry.rgb_texture(node, "specular_reflectance", [0.2; 3], unit)?,
             exponent: registry.scalar_texture(node, "exponent", 30.0, (0.0, MAX_EXPONENT))?,
-            sampling: match node.boolean_or("importance_sampling", true)? {
-                true => BlinnPhongSampling::Importance,
-                false => BlinnPhongSampling::Cosine,
+            sampling: if node.boolean_or("importance_sampling", true)? {
+                BlinnPhongSampling::Importance
+            } else {
+                BlinnPhongSampling::Cosine
             },
         })
     }

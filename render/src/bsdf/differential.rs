@@ -97,9 +97,10 @@ impl<P: Float> Microfacet<P> {
     #[inline]
     pub fn part_of(&self, m: Vec3<P>) -> DiffLobe {
         let [a, b] = self.squares(m);
-        match b > a {
-            true => DiffLobe::Plus,
-            false => DiffLobe::Minus,
+        if b > a {
+            DiffLobe::Plus
+        } else {
+            DiffLobe::Minus
         }
     }
 
@@ -189,9 +190,10 @@ fn beckmann_square<P: Float>(u: P, sign: DiffLobe) -> P {
             let p = (rest * two).sqrt();
             let s = u * polynomial(p, &MINUS);
             // Zero has no logarithm, and what is next to it needs none.
-            match is_single || u < P::EPSILON {
-                true => s,
-                false => refine(s, -u.ln(), -p),
+            if is_single || u < P::EPSILON {
+                s
+            } else {
+                refine(s, -u.ln(), -p)
             }
         }
         DiffLobe::Plus => {
@@ -199,9 +201,10 @@ fn beckmann_square<P: Float>(u: P, sign: DiffLobe) -> P {
             let off = P::one() - rest;
             let l = P::select(off > P::zero(), -rest.ln() * (u / off), u);
             let s = polynomial((l * two).sqrt(), &PLUS);
-            match is_single {
-                true => s,
-                false => refine(s, l, (u * two).sqrt()),
+            if is_single {
+                s
+            } else {
+                refine(s, l, (u * two).sqrt())
             }
         }
     }

@@ -75,9 +75,10 @@ impl Rules {
             Component::Delta { kind, .. } => kind == DeltaKind::Transmission,
         };
         // A normal map weighs particles itself: it must not know that this is one.
-        match transmits {
-            true => TransportMode::Importance,
-            false => TransportMode::Radiance,
+        if transmits {
+            TransportMode::Importance
+        } else {
+            TransportMode::Radiance
         }
     }
 }

@@ -139,9 +139,10 @@ impl NormalMap {
             return v;
         }
         let (w, n) = (wo.primal(), v.primal());
-        match w.z * w.dot(n) <= R::Primal::zero() {
-            true => Vec3::new(-v.x, -v.y, v.z),
-            false => v,
+        if w.z * w.dot(n) <= R::Primal::zero() {
+            Vec3::new(-v.x, -v.y, v.z)
+        } else {
+            v
         }
     }
 
@@ -186,9 +187,10 @@ pub fn shadowing<R: Real>(n: Vec3<R>, w: Vec3<R>) -> R {
     if tilt.primal() == R::Primal::zero() {
         return R::one();
     }
-    let alpha2 = match tilt.primal() < upright.primal() {
-        true => tilt / upright,
-        false => R::one(),
+    let alpha2 = if tilt.primal() < upright.primal() {
+        tilt / upright
+    } else {
+        R::one()
     };
     // Multiplied by the cosine, so that a grazing `w` is no division by zero.
     let cos = w.z.abs();
@@ -353,9 +355,10 @@ impl Bsdf for NormalMap {
         };
         for u in uses.iter().filter(|u| scatters(u)) {
             let wi = frame.to_local(u.wi);
-            let d = match is_passthrough(u.component) {
-                true => u.d,
-                false => u.d * self.weight(&frame, mode, [wo, u.wi], [o, wi]),
+            let d = if is_passthrough(u.component) {
+                u.d
+            } else {
+                u.d * self.weight(&frame, mode, [wo, u.wi], [o, wi])
             };
             let inside = Use { wi, d, ..*u };
             self.nested.backward(at, o, &[inside], mode, grad);
@@ -375,9 +378,10 @@ impl Bsdf for NormalMap {
             let wi = Vec3::lift(u.wi);
             let i = frame.to_local(wi);
             let value = (self.nested).eval_component(&lifted, o, i, u.component, mode);
-            let value = match is_passthrough(u.component) {
-                true => value,
-                false => value * self.weight(&frame, mode, [lifted_wo, wi], [o, i]),
+            let value = if is_passthrough(u.component) {
+                value
+            } else {
+                value * self.weight(&frame, mode, [lifted_wo, wi], [o, i])
             };
             for (k, d) in d_vector.iter_mut().enumerate() {
                 for c in 0..3 {
@@ -505,9 +509,10 @@ impl FromNode for NormalMap {
         node.ignore(&["lean_fallback"], Node::boolean)?;
         node.ignore(&["lean_fallback_alpha"], Node::float)?;
         node.ignore(&["lean_fallback_material"], Node::string)?;
-        let interpolation = match slopes {
-            true => Interpolation::Slopes,
-            false => Interpolation::Normals,
+        let interpolation = if slopes {
+            Interpolation::Slopes
+        } else {
+            Interpolation::Normals
         };
         Ok(Self::new(map, interpolation, nested)?.corrected(corrections))
     }

@@ -46,10 +46,7 @@ impl TwoSided {
 /// Mirrors `v` at the surface if `behind`.
 #[inline]
 fn turn<R: Real>(v: Vec3<R>, behind: bool) -> Vec3<R> {
-    match behind {
-        true => Vec3::new(v.x, v.y, -v.z),
-        false => v,
-    }
+    if behind { Vec3::new(v.x, v.y, -v.z) } else { v }
 }
 
 /// Calls `side` with the uses of one side, a few at a time.

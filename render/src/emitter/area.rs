@@ -12,7 +12,7 @@ use crate::shape::{DirectionSample, Shape, SurfaceInteraction};
 use crate::texture::RgbTexture;
 
 /// One-sided emission `radiance(uv) cos^exponent(theta)` from the outside of a shape. Exponent 0 is
-/// the peer's area light; larger ones are the directional lights of [Christensen et al. 1993].
+/// Mitsuba's area light; larger ones are the directional lights of [Christensen et al. 1993].
 #[derive(Clone, Debug)]
 pub struct Area {
     /// Emitted radiance along the normal, W m^-2 sr^-1.

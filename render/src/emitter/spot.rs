@@ -13,7 +13,7 @@ use crate::shape::{Exit, SurfaceInteraction, lift3};
 use crate::texture::RgbTexture;
 
 /// A point light with a cone: full intensity up to the beam angle from the axis, from there to the
-/// cutoff a linear decrease *in the angle* to zero, as in the peer.
+/// cutoff a linear decrease *in the angle* to zero, as in Mitsuba 3.
 #[derive(Clone, Debug)]
 pub struct Spot {
     /// Radiant intensity along the axis, W sr^-1.

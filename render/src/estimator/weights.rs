@@ -31,7 +31,7 @@ impl Heuristic for Balance {
     }
 }
 
-/// `a^2 / (a^2 + b^2)` [Veach 1997], the peer's choice.
+/// `a^2 / (a^2 + b^2)` [Veach 1997], Mitsuba's choice.
 #[derive(Clone, Copy, Debug)]
 pub struct Power;
 
@@ -75,9 +75,10 @@ impl Heuristic for TrustBsdf {
 /// The density of a sampled light as heuristic `H` sees it.
 #[inline(always)]
 pub(super) fn trusted<H: Heuristic, R: Real>(pdf: R) -> R {
-    match H::LIGHTS == 1.0 {
-        true => pdf,
-        false => pdf * Const(R::Primal::of(H::LIGHTS)),
+    if H::LIGHTS == 1.0 {
+        pdf
+    } else {
+        pdf * Const(R::Primal::of(H::LIGHTS))
     }
 }
 

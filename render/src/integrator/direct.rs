@@ -235,19 +235,25 @@ fn scattered_again<R: Real>(
     };
     let weighed = weighed && component == Component::Continuous;
     // The density shares most of its work with the value.
-    let (mut f, pdf) = known.unwrap_or_else(|| match weighed {
-        true => material.eval_pdf(at, wo, wi, MODE),
-        false => (
-            material.eval_component(at, wo, wi, component, MODE),
-            R::zero(),
-        ),
+    let (mut f, pdf) = known.unwrap_or_else(|| {
+        if weighed {
+            material.eval_pdf(at, wo, wi, MODE)
+        } else {
+            (
+                material.eval_component(at, wo, wi, component, MODE),
+                R::zero(),
+            )
+        }
     });
     if from.part == Part::Rest {
         f = f - material.eval_normals(at, from.wo, wi.primal(), MODE);
     }
-    let pdf = weighed.then(|| match weighing.frozen {
-        true => frozen_pdf(material, at, wo, wi),
-        false => pdf,
+    let pdf = weighed.then(|| {
+        if weighing.frozen {
+            frozen_pdf(material, at, wo, wi)
+        } else {
+            pdf
+        }
     });
     Some(Moving {
         wi,
@@ -381,9 +387,10 @@ pub fn moving_emitter_light<R: Real>(
     let le = scene.emitters()[emitter as usize].eval(&at.theta, &light.emission);
     let share = Const(draw.share);
     let mis = weighing.sampled.map_or(R::one(), |weight| {
-        let pdf = match weighing.frozen {
-            true => frozen_pdf(material, at, wo, wi),
-            false => pdf,
+        let pdf = if weighing.frozen {
+            frozen_pdf(material, at, wo, wi)
+        } else {
+            pdf
         };
         weight(light.frozen_pdf * share, pdf)
     });

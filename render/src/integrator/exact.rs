@@ -68,9 +68,10 @@ impl ExactBuffer {
     /// not over how good they are.
     pub(super) fn new(len: usize, largest: f64) -> Self {
         // The scale and the quantum are normal numbers.
-        let largest = match largest.is_finite() {
-            true => largest.clamp(power(-900), power(900)),
-            false => 1.0,
+        let largest = if largest.is_finite() {
+            largest.clamp(power(-900), power(900))
+        } else {
+            1.0
         };
         let (_, e) = mantissa(largest);
         let exponent = e + 52 - EXPECTED;

@@ -130,9 +130,10 @@ pub(super) fn trace<T: Traveller>(
         };
         // Together with their like: few nodes of a hierarchy, in an order that suits them all.
         let key = |path: usize| travellers[path].ray().map_or(8, |r| octant(r.primal().d));
-        let like = match scene.has_hierarchy() {
-            true => sorted(&open[..n], key, &mut order),
-            false => &open[..n],
+        let like = if scene.has_hierarchy() {
+            sorted(&open[..n], key, &mut order)
+        } else {
+            &open[..n]
         };
         for &path in like {
             if let Some(ray) = travellers[path].ray() {

@@ -119,9 +119,10 @@ impl<'a, R: Real> Context<'a, R> {
 /// # Errors
 /// Normals that are flipped to the viewer, whom particles do not know.
 pub fn check(scene: &Scene) -> Result<(), RenderError> {
-    match scene.materials().iter().any(|m| flips_normals(m)) {
-        true => Err(RenderError::FlippedNormals),
-        false => Ok(()),
+    if scene.materials().iter().any(|m| flips_normals(m)) {
+        Err(RenderError::FlippedNormals)
+    } else {
+        Ok(())
     }
 }
 
@@ -206,9 +207,10 @@ impl<R: Real, X: Sampler> Particle<R, X> {
             return this;
         }
         // What to aim at, if at anything, is chosen with the emitter, from one number.
-        let targets = match context.caustics_only {
-            true => scene.casters(),
-            false => &[],
+        let targets = if context.caustics_only {
+            scene.casters()
+        } else {
+            &[]
         };
         let aims = targets.len().max(1);
         let sampler = &mut this.sampler;
@@ -699,16 +701,17 @@ pub fn render<R: Components, X: Sampler>(
                 &(),
                 seed,
                 first + job..first + (job + CHUNK).min(end),
-                |i, at, value| match value.is_finite() {
-                    true => {
+                |i, at, value| {
+                    if value.is_finite() {
                         // Near a border, to the bands on both sides.
                         let rows = scene.film.rows(at[1].to_f64());
                         let (first, end) = (rows.start as usize, rows.end as usize);
                         let bands = first >> band_of..(end + rows_per_band - 1) >> band_of;
                         let splat = Splat { at, value };
                         splats[bands].iter_mut().for_each(|s| s.push(splat));
+                    } else {
+                        non_finite.add(i % n, i / n)
                     }
-                    false => non_finite.add(i % n, i / n),
                 },
                 |_, ()| {},
             );

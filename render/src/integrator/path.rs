@@ -49,7 +49,7 @@ pub struct Context<'a, R: Real> {
     pub shifts: &'a [Option<Shift<R>>],
     /// Who finds caustics: paths leave them out where particles do.
     pub caustics: Caustics,
-    /// Asked now and then whether paths are to be active any further: once it says no, what they found counts
+    /// Asked now and then whether paths are to be followed any further: once it says no, what they found counts
     /// for nothing.
     pub progress: &'a dyn Progress,
 }
@@ -114,7 +114,7 @@ pub fn trace<R: Real, S: Strategy, X: Sampler, O: Observer<R>>(
 /// Moving discontinuities.
 ///
 /// # Reference
-/// [Zeltner 2021, section 2.5.1]; roulette from `rr_depth` edges with the peer's
+/// [Zeltner 2021, section 2.5.1]; roulette from `rr_depth` edges with Mitsuba's
 /// probability `min(max(beta) eta^2, 0.95)`.
 #[derive(Clone, Copy, Debug)]
 pub struct Walk<R: Real, S: Strategy, X: Sampler> {

@@ -53,9 +53,10 @@ pub(super) fn aim_at_casters<P: Float>(
                 P::of(ball.radius * ball.radius),
             );
             let meets = across.x * across.x + across.y * across.y <= r2;
-            match meets || i == which {
-                true => (P::of(PI) * r2).recip(),
-                false => P::zero(),
+            if meets || i == which {
+                (P::of(PI) * r2).recip()
+            } else {
+                P::zero()
             }
         };
         return Some(EmittedRay {
@@ -77,9 +78,10 @@ pub(super) fn aim_at_casters<P: Float>(
         // One minus the cosine, without cancellation.
         Some((axis, opening)) => {
             let within = (d - axis).length_squared() * P::of(0.5) <= opening;
-            match within || i == which {
-                true => (P::of(2.0 * PI) * opening).recip(),
-                false => P::zero(),
+            if within || i == which {
+                (P::of(2.0 * PI) * opening).recip()
+            } else {
+                P::zero()
             }
         }
     };

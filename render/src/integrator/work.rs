@@ -150,9 +150,10 @@ impl Observer<f32> for Counter<'_> {
                 self.tally.add(Item::WeighedLight, self.weighs.into());
             }
             Contribution::Edge(..) => {
-                let part = match self.weighs {
-                    true => Item::WeighedEdge,
-                    false => Item::MovedEdge,
+                let part = if self.weighs {
+                    Item::WeighedEdge
+                } else {
+                    Item::MovedEdge
                 };
                 self.tally.add(part, 1);
                 self.tally.add(Item::Ray, self.rays);
@@ -245,7 +246,7 @@ mod tests {
 
     fn counted<S: Strategy>(scene: &Scene, name: &str, mode: Mode) -> [u64; PRICES.len()] {
         let active = Active::new(scene, &[name]).expect("a parameter");
-        let found = work::<S, Spread>(scene, &active, &scene.settings, mode, 1, PATHS, &());
+        let found = count_work::<S, Spread>(scene, &active, &scene.settings, mode, 1, PATHS, &());
         assert_eq!(found.paths, PATHS);
         found.parts
     }

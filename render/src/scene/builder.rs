@@ -270,15 +270,17 @@ impl Builder {
         let infinite: Vec<u32> = (0..emitters.len() as u32)
             .filter(|&i| emitters[i as usize].is_infinite())
             .collect();
-        let lamps = match infinite.is_empty() {
-            true => balls(&self.shapes, &self.infos, |i| i.emitter.is_some()),
-            false => None,
+        let lamps = if infinite.is_empty() {
+            balls(&self.shapes, &self.infos, |i| i.emitter.is_some())
+        } else {
+            None
         };
         let flips = self.materials.iter().any(|m| flips_normals(m));
         let lit_things = self.infos.iter().any(|i| !i.glossy) && !emitters.is_empty();
-        let casters = match lit_things && !flips {
-            true => balls(&self.shapes, &self.infos, |i| i.glossy).unwrap_or_default(),
-            false => Vec::new(),
+        let casters = if lit_things && !flips {
+            balls(&self.shapes, &self.infos, |i| i.glossy).unwrap_or_default()
+        } else {
+            Vec::new()
         };
         Ok(Scene {
             params: self.registry.into_params(),

@@ -371,10 +371,11 @@ fn shape(
             build.add_shared_material(m)
         }
         None => {
-            // As in the peer, lamps reflect nothing unless they say so.
-            let (kind, name, albedo) = match emits {
-                true => (1, "default_lamp_bsdf.reflectance.value", 0.0),
-                false => (0, "default_bsdf.reflectance.value", 0.5),
+            // As in Mitsuba 3, lamps reflect nothing unless they say so.
+            let (kind, name, albedo) = if emits {
+                (1, "default_lamp_bsdf.reflectance.value", 0.0)
+            } else {
+                (0, "default_bsdf.reflectance.value", 0.5)
             };
             match defaults[kind] {
                 Some(id) => id,

@@ -101,9 +101,10 @@ impl LightChoice {
 impl Settings {
     /// Who finds caustics if these are made so: particles only where there is something for them to find.
     pub(crate) fn caustics_of<S: Strategy>(&self, scene: &Scene) -> Caustics {
-        match scene.casters.is_empty() || self.max_depth < 3 || !S::Bsdf::DETACHED_PATH {
-            true => Caustics::Paths,
-            false => self.caustics,
+        if scene.casters.is_empty() || self.max_depth < 3 || !S::Bsdf::DETACHED_PATH {
+            Caustics::Paths
+        } else {
+            self.caustics
         }
     }
 }

@@ -35,9 +35,10 @@ impl PixelShares {
         let (mut low, mut high) = (f64::from(LOGS.0) - 1.0, 200.0);
         for _ in 0..64 {
             let middle = 0.5 * (low + high);
-            match total(middle) <= weights.len() as f64 {
-                true => low = middle,
-                false => high = middle,
+            if total(middle) <= weights.len() as f64 {
+                low = middle
+            } else {
+                high = middle
             }
         }
         Self(logs.iter().map(|&l| rounded(l, low)).collect())

@@ -8,7 +8,7 @@ use crate::error::SceneError;
 use crate::math::{Ray, Transform};
 use crate::plugin::{FromNode, Node, Registry};
 
-/// `uv = (0, 0)`, `(1, 0)` and `(0, 1)` of the six faces, as the peer numbers them.
+/// `uv = (0, 0)`, `(1, 0)` and `(0, 1)` of the six faces, as Mitsuba 3 numbers them.
 const FACES: [[[f64; 3]; 3]; 6] = [
     [[-1.0, -1.0, -1.0], [-1.0, -1.0, 1.0], [1.0, -1.0, -1.0]],
     [[1.0, 1.0, 1.0], [-1.0, 1.0, 1.0], [1.0, 1.0, -1.0]],

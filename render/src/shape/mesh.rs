@@ -120,7 +120,7 @@ impl Mesh {
     }
 
     /// Reads a Wavefront OBJ file: positions, normals, texture coordinates and faces; polygons become
-    /// fans of triangles. Groups, materials, lines and points are ignored. As in the peer, a file
+    /// fans of triangles. Groups, materials, lines and points are ignored. As in Mitsuba 3, a file
     /// without any normals gets smooth ones ([`smooth_normals`]), and `flip_v` turns v into 1 - v.
     ///
     /// # Errors
@@ -389,7 +389,7 @@ impl Shape for Mesh {
 }
 
 /// Vertex normals as averages over the adjacent triangles, weighted by their angle at the vertex
-/// [Thuermer and Wuethrich 1998], as the peer computes them. Zero where there is no such triangle.
+/// [Thuermer and Wuethrich 1998], as Mitsuba 3 computes them. Zero where there is no such triangle.
 pub fn smooth_normals(positions: &[[f32; 3]], triangles: &[[u32; 3]]) -> Vec<[f32; 3]> {
     let mut sums = vec![Vec3::<f64>::zero(); positions.len()];
     for t in triangles {

@@ -247,7 +247,7 @@ impl Shape for Sphere {
         }
     }
 
-    /// Uniform in the cone that the sphere subtends, as the peer does; over the area from inside.
+    /// Uniform in the cone that the sphere subtends, as Mitsuba 3 does; over the area from inside.
     #[inline]
     fn sample<P: Float>(&self, from: Vec3<P>, u: [P; 2]) -> Option<DirectionSample<P>> {
         let Some(s) = sample_cone(self.center, self.radius, from, u) else {

@@ -40,7 +40,7 @@ impl UvTransform {
 }
 
 /// A bilinearly interpolated image. Row 0 lies at v = 0, column 0 at u = 0, and the centre of texel
-/// (i, j) at `((i + 1/2) / width, (j + 1/2) / height)`, as in the peer.
+/// (i, j) at `((i + 1/2) / width, (j + 1/2) / height)`, as in Mitsuba 3.
 #[derive(Clone, Debug)]
 pub struct Bitmap {
     /// The texels, `[height][width][channels]`.

@@ -5,7 +5,7 @@ use ad_core::{Float, Vec2};
 use super::bitmap::UvTransform;
 use crate::params::ParamRef;
 
-/// A checkerboard with period one in `uv`, as the peer draws it: `color0` where both halves agree.
+/// A checkerboard with period one in `uv`, as Mitsuba 3 draws it: `color0` where both halves agree.
 #[derive(Clone, Debug)]
 pub struct Checkerboard {
     /// `color0` and `color1`.

@@ -199,9 +199,10 @@ fn bitmap<const C: usize>(
     node: &Node,
     usage: &Use,
 ) -> Result<Texture<C>, SceneError> {
-    let encoding = match node.boolean_or("raw", false)? {
-        true => Encoding::Raw,
-        false => Encoding::Srgb,
+    let encoding = if node.boolean_or("raw", false)? {
+        Encoding::Raw
+    } else {
+        Encoding::Srgb
     };
     let filters = [("bilinear", false), ("nearest", true)];
     let nearest = node.choice("filter_type", &filters)?.unwrap_or(false);
@@ -212,7 +213,7 @@ fn bitmap<const C: usize>(
     ];
     let wrap = node.choice("wrap_mode", &wraps)?.unwrap_or_default();
     let to_uv = to_uv(node)?;
-    // How the peer stores texels; here they are always f32.
+    // How Mitsuba 3 stores texels; here they are always f32.
     node.string("format")?;
     node.boolean("accel")?;
     let Some(path) = file(registry, node, usage)? else {

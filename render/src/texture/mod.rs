@@ -83,12 +83,11 @@ impl<const C: usize> Texture<C> {
                     return gather(theta, &f, decode, |texel, w| texel * Const(w));
                 }
                 let f = t.footprint(uv);
-                match theta.moves(t.param) {
-                    true => gather(theta, &f, decode, |texel, w| texel * w),
-                    false => {
-                        let fixed = theta.primal().lift();
-                        gather(&fixed, &f, decode, |texel, w| w * Const(texel.primal()))
-                    }
+                if theta.moves(t.param) {
+                    gather(theta, &f, decode, |texel, w| texel * w)
+                } else {
+                    let fixed = theta.primal().lift();
+                    gather(&fixed, &f, decode, |texel, w| w * Const(texel.primal()))
                 }
             }),
             Self::Checkerboard(t) => decode(theta.texel(t.select(uv.primal()), 0)),

@@ -26,7 +26,7 @@ const VALID: (f64, f64) = (0.0, f64::INFINITY);
 /// Radiance from infinitely far away, an image over longitude and latitude.
 ///
 /// In the local space of the map, `(u, v)` belongs to the direction `(sin phi sin theta, cos theta,
-/// -cos phi sin theta)` with `phi = 2 pi u` and `theta = pi v`. As in the peer, columns are centre-aligned
+/// -cos phi sin theta)` with `phi = 2 pi u` and `theta = pi v`. As in Mitsuba 3, columns are centre-aligned
 /// and periodic (position `u width - 1/2`), rows are corner-aligned (position `v (height - 1)`): the first
 /// and the last row lie at the poles.
 ///

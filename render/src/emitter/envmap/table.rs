@@ -151,9 +151,10 @@ impl Table {
         let mut sums = self.sums_of(|i| f64::from(luminance[i]));
         let total = sums[sums.len() - 1];
         let known = total > 0.0 && (1.0 / total).is_finite();
-        let (slope, floor) = match known {
-            true => ((1.0 - UNIFORM_FRACTION) / total, UNIFORM_FRACTION),
-            false => (0.0, 1.0),
+        let (slope, floor) = if known {
+            ((1.0 - UNIFORM_FRACTION) / total, UNIFORM_FRACTION)
+        } else {
+            (0.0, 1.0)
         };
         for (i, s) in sums.iter_mut().enumerate() {
             *s = *s * slope + floor * self.uniform_sum(i);
@@ -225,9 +226,10 @@ impl Table {
         let (mut cell, mut end) = (0, self.width - 1);
         while cell < end {
             let middle = (cell + end) / 2;
-            match mix([upper[middle], lower[middle]], y) <= target {
-                true => cell = middle + 1,
-                false => end = middle,
+            if mix([upper[middle], lower[middle]], y) <= target {
+                cell = middle + 1
+            } else {
+                end = middle
             }
         }
         (band, cell, self.place(y, u[0], &self.local(band, cell)))

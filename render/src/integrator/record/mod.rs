@@ -4,7 +4,7 @@
 //! them [contributes](Contribution). [`sweep`](sweep::sweep) goes through it from its end to its start and knows the radiance
 //! at every vertex from `L_k = sampled_k + f_k w_k (met_k + L_(k+1))`: no tape of operations, no second ray tracing, and no
 //! subtraction or division of radiances, so nothing cancels and a zero albedo is no special case. Where the derivatives of the
-//! values go is decided at its [ends](derivatives::DerivativeSink).
+//! values go is decided at its [sinks](derivatives::DerivativeSink).
 
 pub mod derivatives;
 mod recorder;

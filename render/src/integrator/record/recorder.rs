@@ -196,9 +196,12 @@ impl<'a, P: Float, S: Strategy, E: DerivativeSink<P>> Backward<'a, P, S, E> {
             self.deciding[channel] -= own;
         }
         chosen += self.deciding.into();
-        let through = array(|c| match bounce.f[c] == P::zero() {
-            true => P::zero(),
-            false => self.deciding[c] / bounce.f[c],
+        let through = array(|c| {
+            if bounce.f[c] == P::zero() {
+                P::zero()
+            } else {
+                self.deciding[c] / bounce.f[c]
+            }
         });
         (through.into(), chosen)
     }

@@ -16,7 +16,7 @@ use crate::params::{GradSink, ParamRef, Theta};
 use crate::scene::Scene;
 use crate::texture::{RgbTexture, Texture};
 
-/// [`DerivativeSink`] that take the albedos of many plain vertices at once.
+/// [`DerivativeSink`]s that take the albedos of many plain vertices at once.
 pub trait LayerSink<P: Float>: DerivativeSink<P> {
     /// Albedos of the plain vertices of a layer, where `wanted` is not zero.
     fn albedos(&mut self, scene: &Scene, layer: &Layer<P>, wanted: &Lane<u32>, d: &Lanes<P>);

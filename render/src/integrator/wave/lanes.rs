@@ -59,7 +59,7 @@ impl<P: Float> Lanes<P> {
     }
 }
 
-/// LaneSums of colours of many paths: as many as there are numbers in a vector, because the order of additions is not the
+/// Sums of colours of many paths: as many as there are numbers in a vector, because the order of additions is not the
 /// compiler's to change.
 #[derive(Clone, Copy, Debug)]
 pub struct LaneSums<P>([[P; STRIDE]; 3]);

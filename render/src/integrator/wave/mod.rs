@@ -376,9 +376,9 @@ pub(super) struct Wave<P, X> {
     branches: Vec<Branch<P>>,
     /// How many of them started at vertices before.
     before: usize,
-    /// Where they are active, with as many edges as those that they left.
+    /// Where they are followed, with as many edges as those that they left.
     aside: Option<Box<Self>>,
-    /// Number of edges with the next one, for paths that are active aside.
+    /// Number of edges with the next one, for paths that are followed aside.
     next: u32,
     /// Radiance of each path in the order of their start, once it has ended.
     pub l: Vec<Rgb<P>>,
@@ -543,7 +543,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         self.leave();
     }
 
-    /// DerivativeSink the paths that do not live. Others from the end take their places.
+    /// Ends the paths that do not go on. Others from the end take their places.
     #[inline(never)]
     fn leave(&mut self) {
         // Lists of both, made without branches.
@@ -632,7 +632,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             let mut find = |paths: &mut Paths<P>,
                             emitters: &[u32],
                             end: Option<(u32, SurfaceInteraction<P>)>| {
-                // The constant again: where nothing is active, this is not even compiled.
+                // The constant again: where no edge is differentiated by itself, this is not even compiled.
                 let follows = const { L::ENABLED && differentiates_edges::<Of>() }
                     && log.departure(paths, i).is_some();
                 let mut any = false;
@@ -1032,7 +1032,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             aside.l.clear();
         }
         self.before = self.branches.len();
-        // Those of vertices before are as far as the new ones now: all are active together.
+        // Those of vertices before are as far as the new ones now: all are followed together.
         aside.advance::<Of, S>(context, depth + 1);
         aside.next = depth + 1;
         let (at, paths, lights) = (&mut self.at, &self.paths, &mut self.lights);

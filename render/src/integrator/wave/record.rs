@@ -41,7 +41,7 @@ pub struct Layer<P> {
     albedo: Lanes<P>,
     /// Of sampled light.
     direct: Lanes<P>,
-    /// One over the density of the scattered direction times the value of a white surface; zero where a path sink.
+    /// One over the density of the scattered direction times the value of a white surface; zero where a path ends.
     bounce: Lane<P>,
     /// Vertices that are not plain, by their places.
     others: Vec<(usize, Other<P>)>,
@@ -449,10 +449,7 @@ impl<P: Float> Log<P> for Record<'_, P> {
                     (wi, wave.components[i], bounces.f.rgb(i), weight)
                 });
                 let splits = wave.splits && at.splits[i] != 0;
-                let branches = match splits {
-                    true => &wave.branches[first..],
-                    false => &[],
-                };
+                let branches = if splits { &wave.branches[first..] } else { &[] };
                 let end = first + branches.iter().take_while(|b| b.at == i).count();
                 let wo = wave.wo.vec(i);
                 if self.edges != Edges::None && at.follows[i] != 0 {

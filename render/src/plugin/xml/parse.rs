@@ -316,9 +316,10 @@ impl Parser {
                 "lookat" | "lookAt" => {
                     let origin = element.parse("origin", value::triple)?;
                     let target = element.parse("target", value::triple)?;
-                    let up = match element.has("up") {
-                        true => element.parse("up", value::triple)?,
-                        false => any_perpendicular(origin, target),
+                    let up = if element.has("up") {
+                        element.parse("up", value::triple)?
+                    } else {
+                        any_perpendicular(origin, target)
                     };
                     Transform::look_at(origin, target, up).ok_or_else(|| {
                         let expected = "a target away from the origin and not along `up`";

@@ -1,4 +1,4 @@
-//! Images and gradients of the peer's scenes against converged references; skipped without the shared
+//! Images and gradients of Mitsuba's scenes against converged references; skipped without the shared
 //! data.
 //!
 //! Rules: a block of pixels agrees if it lies within 3 standard errors of the reference, and 99 % of the

@@ -3,13 +3,13 @@
 
   pip install mitsuba numpy                     (and an LLVM library, which `llvm_ad_rgb` needs)
   cargo build --release
-  examples/peer/against_mitsuba.py examples/scenes/cornell.xml --param red.reflectance.value \\
+  examples/mitsuba/against_mitsuba.py examples/scenes/cornell.xml --param red.reflectance.value \\
       --ours "--estimator mis" --ours "--estimator mis --sampler sobol"
-  examples/peer/against_mitsuba.py examples/scenes/cornell.xml --ours "" --ours "--sampler sobol" --ours=--guide
+  examples/mitsuba/against_mitsuba.py examples/scenes/cornell.xml --ours "" --ours "--sampler sobol" --ours=--guide
 
 With `--param`, derivatives of the mean of all pixels and channels are compared; without, images. Both sides
 render the same number of samples (unless `--ours` gives another) with independent seeds, in rounds that
-alternate, so that a slow phase of the machine meets both. Printed per `--ours`, as the peer's number over
+alternate, so that a slow phase of the machine meets both. Printed per `--ours`, as Mitsuba's number over
 ours, so that more is better:
 
   variance    of one pass: sum over all derivatives, and the geometric mean of each one's ratio; of an image
@@ -44,8 +44,8 @@ def parse():
     p.add_argument("--repeats", type=int, default=24, help="passes of each [default: 24]")
     p.add_argument("--rounds", type=int, default=6, help="in so many turns [default: 6]")
     p.add_argument("--binaries", default="target/release", help="folder of both tools [default: target/release]")
-    p.add_argument("--variant", default="llvm_ad_rgb", help="of the peer [default: llvm_ad_rgb]")
-    p.add_argument("--integrator", default="prb", help="of the peer's gradients [default: prb]")
+    p.add_argument("--variant", default="llvm_ad_rgb", help="of Mitsuba 3 [default: llvm_ad_rgb]")
+    p.add_argument("--integrator", default="prb", help="of Mitsuba's gradients [default: prb]")
     p.add_argument("--json", metavar="OUT", help="write the numbers to this file")
     args = p.parse_args()
     if args.rounds < 1 or args.repeats < 2 * args.rounds:
@@ -61,7 +61,7 @@ def parse():
 
 
 def depths(args):
-    """Largest depth and depth of roulette, which the peer's integrator does not tell: from the scene file."""
+    """Largest depth and depth of roulette, which Mitsuba's integrator does not tell: from the scene file."""
     root = ElementTree.parse(args.scene).getroot()
     values = {d.get("name"): d.get("value") for d in root.iter("default")}
     values.update(d.split("=", 1) for d in args.define)
@@ -95,7 +95,7 @@ class Peer:
         self.params = mitsuba.traverse(self.scene)
         unknown = [k for k in self.keys if k not in self.params]
         if unknown:
-            sys.exit(f"{args.scene}: the peer knows no parameter {unknown[0]!r}, but {sorted(self.params.keys())}")
+            sys.exit(f"{args.scene}: Mitsuba 3 knows no parameter {unknown[0]!r}, but {sorted(self.params.keys())}")
         for key in self.keys:
             drjit.enable_grad(self.params[key])
         self.params.update()
@@ -286,7 +286,7 @@ def compare_gradients(args, options, peer, each):
         )
         print(
             f"  our gradient takes {found['our_gradient_over_our_primal']:.2f} of our primal, which takes "
-            f"{found['our_primal_over_peers']:.2f} of the peer's"
+            f"{found['our_primal_over_peers']:.2f} of Mitsuba's"
         )
         yield found
 
