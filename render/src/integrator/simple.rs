@@ -1,16 +1,17 @@
-//! A path tracer to read: all of detached differentiable light transport on one page.
+//! A path tracer to read: all of detached differentiable light transport on a few pages.
 //!
-//! It samples BSDFs and emitters, weighs them with the power heuristic, and stops at a depth; everything is detached, so a
-//! path is a list of plain numbers that does not depend on what is differentiated. [`trace`] makes the list, [`radiance`]
+//! It samples BSDFs and emitters, weighs them with the power heuristic, and stops at a depth. Everything is detached, so that
+//! a path is a list of plain numbers which does not depend on what is differentiated: [`trace`] makes it, [`radiance`]
 //! evaluates it over any scalar, and [`backward`] is the adjoint of that. What [`super::path`] and [`super::wave`] have
-//! besides is the other strategies, roulette, guides, the choice of lights by what they would bring, caustics that are left to
-//! particles, many paths at a time, and that what no derivative needs is not computed. With the same random numbers the
-//! two agree to rounding (`tests/tests/simple.rs`).
+//! besides is the other strategies, roulette, guides, the choice of lights by what they would bring, caustics that are left
+//! to particles, many paths at a time, and that what no derivative needs is not computed. With the same random numbers
+//! the two agree to rounding (`tests/tests/simple.rs`).
 
 use ad_core::{Float, Real, Vec2, Vec3};
 
+use super::vertex::MODE;
 use super::vertex::light::mis_weight;
-use crate::bsdf::{Bsdf, Component, Part, Shading, TransportMode, Use};
+use crate::bsdf::{Bsdf, Component, Part, Shading, Use};
 use crate::emitter::{Emission, Emitter};
 use crate::estimator::{DetachedMis, Strategy};
 use crate::math::{Ray, Rgb};
@@ -18,36 +19,28 @@ use crate::params::{GradSink, Theta};
 use crate::sampler::{Purpose, Sampler};
 use crate::scene::Scene;
 
-const MODE: TransportMode = TransportMode::Radiance;
+/// A vertex of a path, and the edge from there. The first one is the camera.
+#[derive(Clone, Debug)]
+pub struct Vertex<P> {
+    /// Throughput from the camera.
+    beta: Rgb<P>,
+    /// Material, surface coordinates, and the direction that the path came from (local frame).
+    surface: Option<(u32, Vec2<P>, Vec3<P>)>,
+    /// How the surface was used: a direction (local frame), what it belongs to, and the light that was sampled there; none
+    /// for the direction of the edge.
+    uses: Vec<(Vec3<P>, Component, Option<Light<P>>)>,
+    /// One over the density of the direction of the edge.
+    weight: P,
+    /// Light that the edge met.
+    met: Vec<Light<P>>,
+}
 
-/// Emitted light: an emitter, where on it, and what it is multiplied by.
+/// Emitted light: an emitter, where on it, and what it is multiplied by (its MIS weight; if sampled, over its density).
 #[derive(Clone, Copy, Debug)]
 pub struct Light<P> {
     emitter: u32,
     emission: Emission<P>,
-    /// MIS weight; of sampled light, over its density.
     weight: P,
-}
-
-/// A point where a path is reflected.
-#[derive(Clone, Copy, Debug)]
-pub struct Vertex<P> {
-    /// Index of the material.
-    material: u32,
-    uv: Vec2<P>,
-    /// Direction that the path came from, local frame.
-    wo: Vec3<P>,
-    /// A light that was sampled and is visible, and its direction, local frame.
-    sampled: Option<(Vec3<P>, Light<P>)>,
-    /// The direction that the path goes on in, local frame, what it belongs to, and one over its density.
-    scattered: Option<(Vec3<P>, Component, P)>,
-}
-
-/// A path: its vertices, and the light that each edge met, of which there is one more.
-#[derive(Clone, Debug, Default)]
-pub struct Path<P> {
-    vertices: Vec<Vertex<P>>,
-    met: Vec<Vec<Light<P>>>,
 }
 
 /// Follows a path of at most `max_depth` edges from a camera ray. `theta` decides about directions only.
@@ -60,40 +53,43 @@ pub fn trace<P: Float>(
     max_depth: u32,
     mut ray: Ray<P>,
     sampler: &mut impl Sampler,
-) -> Path<P> {
-    let mut path = Path::default();
+) -> Vec<Vertex<P>> {
+    let vertex = |beta, surface| Vertex {
+        beta,
+        surface,
+        uses: Vec::new(),
+        weight: P::one(),
+        met: Vec::new(),
+    };
     let share = |emitter: u32| P::of(scene.shares().of(emitter as usize));
-    // The point that the last edge left, and the density of its direction: zero for the camera and for mirrors.
+    let mut here = vertex(Rgb::splat(P::one()), None);
+    let mut path = Vec::new();
+    // The point that the edge left, and the density of its direction: zero for the camera and for mirrors.
     let (mut from, mut pdf) = (ray.o, P::zero());
     for depth in 1..=max_depth {
-        // ---- Light that the edge met ----
+        // ---- Light that the edge meets ----
         let hit = scene.intersect(&ray);
+        let si = hit.as_ref().map(|hit| &hit.si);
         let emitters = match &hit {
             Some(hit) => scene.shape_info(hit.shape).emitter.as_slice(),
             None => scene.infinite_emitters(),
         };
-        let si = hit.as_ref().map(|hit| &hit.si);
-        let mut met = Vec::new();
         for &emitter in emitters {
             let e = &scene.emitters()[emitter as usize];
-            let Some(emission) = e.hit(ray.d, si) else {
-                continue;
-            };
-            let weight = if pdf > P::zero() {
-                DetachedMis::weight_hit(
-                    pdf,
-                    e.pdf(scene.lights(), from, ray.d, si) * share(emitter),
-                )
-            } else {
-                P::one()
-            };
-            met.push(Light {
-                emitter,
-                emission,
-                weight,
-            });
+            if let Some(emission) = e.hit(ray.d, si) {
+                let weight = if pdf > P::zero() {
+                    let rival = e.pdf(scene.lights(), from, ray.d, si) * share(emitter);
+                    DetachedMis::weight_hit(pdf, rival)
+                } else {
+                    P::one()
+                };
+                here.met.push(Light {
+                    emitter,
+                    emission,
+                    weight,
+                });
+            }
         }
-        path.met.push(met);
         let Some(hit) = hit.filter(|_| depth < max_depth) else {
             break;
         };
@@ -107,45 +103,51 @@ pub fn trace<P: Float>(
             uv: si.uv,
         };
         let wo = si.frame.to_local(-ray.d);
+        // Along the edge that led here.
+        let along = here.uses.iter().find(|(.., light)| light.is_none());
+        let beta = match (here.surface, along) {
+            (Some(surface), Some((wi, component, _))) => {
+                here.beta * value(scene, theta, surface, *wi, *component) * here.weight
+            }
+            _ => here.beta,
+        };
+        path.push(std::mem::replace(
+            &mut here,
+            vertex(beta, Some((material, si.uv, wo))),
+        ));
         sampler.seek(Purpose::Light.at(depth));
         let (choice, u) = (sampler.next_bits(), sampler.next_2d());
         let emitter = scene.shares().choose(choice, 1).0 as u32;
-        let sample = (scene.emitters().get(emitter as usize))
+        if let Some(e) = scene
+            .emitters()
+            .get(emitter as usize)
             .filter(|_| !bsdf.is_delta())
-            .and_then(|e| Some((e, e.sample(scene.lights(), si.p, u)?)));
-        let sampled = sample.and_then(|(e, sample)| {
+            && let Some(sample) = e.sample(scene.lights(), si.p, u)
+        {
             let wi = si.frame.to_local(sample.d);
-            let pdf_light = sample.pdf * share(emitter);
-            let (_, pdf_bsdf) = bsdf.eval_pdf(&at, wo, wi, MODE);
-            let weight =
-                mis_weight::<DetachedMis, P>(!e.is_delta(), pdf_light, pdf_bsdf) / pdf_light;
+            let (pdf, rival) = (
+                sample.pdf * share(emitter),
+                bsdf.eval_pdf(&at, wo, wi, MODE).1,
+            );
             let segment = si.shadow_ray(sample.d, sample.distance, exit, sample.surface);
-            let visible =
-                pdf_light > P::zero() && pdf_bsdf > P::zero() && !scene.occluded(&segment);
-            let emission = sample.emission;
-            visible.then_some((
-                wi,
-                Light {
+            if pdf > P::zero() && rival > P::zero() && !scene.occluded(&segment) {
+                let weight = mis_weight::<DetachedMis, P>(!e.is_delta(), pdf, rival) / pdf;
+                let light = Light {
                     emitter,
-                    emission,
+                    emission: sample.emission,
                     weight,
-                },
-            ))
-        });
+                };
+                here.uses.push((wi, Component::Continuous, Some(light)));
+            }
+        }
 
         // ---- The next edge ----
         sampler.seek(Purpose::Scattering.at(depth));
-        let sample = bsdf.sample(&at, wo, sampler.next_3d(), MODE);
-        path.vertices.push(Vertex {
-            material,
-            uv: si.uv,
-            wo,
-            sampled,
-            scattered: sample.map(|s| (s.wi, s.component, s.pdf.recip())),
-        });
-        let Some(sample) = sample else {
+        let Some(sample) = bsdf.sample(&at, wo, sampler.next_3d(), MODE) else {
             break;
         };
+        here.uses.push((sample.wi, sample.component, None));
+        here.weight = sample.pdf.recip();
         from = si.p;
         pdf = match sample.component {
             Component::Continuous => sample.pdf,
@@ -153,121 +155,112 @@ pub fn trace<P: Float>(
         };
         ray = si.spawn_ray(si.frame.to_world(sample.wi), exit);
     }
+    path.push(here);
     path
 }
 
-/// Radiance of a path: `L_k = sampled_k + f_k / p_k (met_k + L_(k+1))`.
+/// Value of the BSDF at a surface.
+fn value<P: Float, R: Real<Primal = P>>(
+    scene: &Scene,
+    theta: &Theta<R>,
+    (material, uv, wo): (u32, Vec2<P>, Vec3<P>),
+    wi: Vec3<P>,
+    component: Component,
+) -> Rgb<R> {
+    let at = Shading {
+        theta: *theta,
+        uv: Vec2::lift(uv),
+    };
+    let bsdf = &scene.materials()[material as usize];
+    bsdf.eval_component(&at, Vec3::lift(wo), Vec3::lift(wi), component, MODE)
+}
+
+/// Emitted radiance, weighed.
+fn emitted<P: Float, R: Real<Primal = P>>(
+    scene: &Scene,
+    theta: &Theta<R>,
+    light: &Light<P>,
+) -> Rgb<R> {
+    let e = &scene.emitters()[light.emitter as usize];
+    e.eval(theta, &light.emission.lift()).scale(light.weight)
+}
+
+/// Radiance of a path, from its end to its start: `L_k = f le / p + f / p (met_k + L_(k+1))`.
 ///
 /// # Derivatives
 /// In `theta`.
 pub fn radiance<P: Float, R: Real<Primal = P>>(
     scene: &Scene,
     theta: &Theta<R>,
-    path: &Path<P>,
+    path: &[Vertex<P>],
 ) -> Rgb<R> {
-    let emitted = |light: &Light<P>| {
-        let e = &scene.emitters()[light.emitter as usize];
-        e.eval(theta, &light.emission.lift()).scale(light.weight)
-    };
-    let mut next = Rgb::black();
-    for k in (0..path.met.len()).rev() {
-        // What arrives at the start of edge k, and what leaves the vertex there.
-        let arrives = path.met[k].iter().fold(next, |l, light| l + emitted(light));
-        let Some(v) = k.checked_sub(1).map(|k| &path.vertices[k]) else {
+    path.iter().rev().fold(Rgb::black(), |next, v| {
+        let arrives = v
+            .met
+            .iter()
+            .fold(next, |l, light| l + emitted(scene, theta, light));
+        let Some(surface) = v.surface else {
             return arrives;
         };
-        next = leaving(scene, theta, v, emitted, arrives);
-    }
-    next
+        v.uses
+            .iter()
+            .fold(Rgb::black(), |l, (wi, component, light)| {
+                let incident = match light {
+                    Some(light) => emitted(scene, theta, light),
+                    None => arrives.scale(v.weight),
+                };
+                l + value(scene, theta, surface, *wi, *component) * incident
+            })
+    })
 }
 
-/// What leaves a vertex, given what arrives along the path.
-fn leaving<P: Float, R: Real<Primal = P>>(
-    scene: &Scene,
-    theta: &Theta<R>,
-    v: &Vertex<P>,
-    emitted: impl Fn(&Light<P>) -> Rgb<R>,
-    arrives: Rgb<R>,
-) -> Rgb<R> {
-    let bsdf = &scene.materials()[v.material as usize];
-    let at = Shading {
-        theta: *theta,
-        uv: Vec2::lift(v.uv),
-    };
-    let f =
-        |wi, component| bsdf.eval_component(&at, Vec3::lift(v.wo), Vec3::lift(wi), component, MODE);
-    let mut l = Rgb::black();
-    if let Some((wi, light)) = &v.sampled {
-        l += f(*wi, Component::Continuous) * emitted(light);
-    }
-    if let Some((wi, component, weight)) = v.scattered {
-        l += f(wi, component) * arrives.scale(weight);
-    }
-    l
-}
-
-/// Adds the derivative of `d . radiance` to `grad`: throughput times adjoint on the way there, radiance on the way back.
+/// Adds the derivative of `d . radiance` to `grad`: each value's adjoint is the throughput up to it times what arrives
+/// behind it.
 pub fn backward<P: Float>(
     scene: &Scene,
     theta: &Theta<P>,
-    path: &Path<P>,
+    path: &[Vertex<P>],
     d: Rgb<P>,
     grad: &mut impl GradSink<P>,
 ) {
-    let eval = |light: &Light<P>| {
+    let emit = |light: &Light<P>, beta: Rgb<P>, grad: &mut _| {
         let e = &scene.emitters()[light.emitter as usize];
-        e.eval(theta, &light.emission) * light.weight
+        e.backward(&light.emission, d * beta * light.weight, grad);
+        emitted(scene, theta, light)
     };
-    // The adjoint of what arrives along each edge.
-    let mut adjoints = vec![d];
-    for v in &path.vertices {
-        let before = adjoints[adjoints.len() - 1];
-        let at = Shading {
-            theta: *theta,
-            uv: v.uv,
-        };
-        let bsdf = &scene.materials()[v.material as usize];
-        let through = v.scattered.map_or(Rgb::black(), |(wi, component, weight)| {
-            bsdf.eval_component(&at, v.wo, wi, component, MODE) * weight
-        });
-        adjoints.push(before * through);
-    }
     let mut next = Rgb::black();
-    for (k, met) in path.met.iter().enumerate().rev() {
-        let mut arrives = next;
-        for light in met {
-            let e = &scene.emitters()[light.emitter as usize];
-            e.backward(&light.emission, adjoints[k] * light.weight, grad);
-            arrives += eval(light);
-        }
-        let Some(v) = k.checked_sub(1).map(|k| &path.vertices[k]) else {
-            return;
+    for v in path.iter().rev() {
+        let f = |wi, component| match v.surface {
+            Some(surface) => value(scene, theta, surface, wi, component),
+            None => Rgb::splat(P::one()),
         };
-        let (d, at) = (
-            adjoints[k - 1],
-            Shading {
-                theta: *theta,
-                uv: v.uv,
-            },
-        );
-        let bsdf = &scene.materials()[v.material as usize];
-        let of = |wi, component, d| Use {
-            wi,
-            component,
-            part: Part::All,
-            d,
-        };
-        let mut uses = Vec::new();
-        if let Some((wi, light)) = &v.sampled {
-            let f = bsdf.eval(&at, v.wo, *wi, MODE);
-            let e = &scene.emitters()[light.emitter as usize];
-            e.backward(&light.emission, d * f * light.weight, grad);
-            uses.push(of(*wi, Component::Continuous, d * eval(light)));
+        let along = v.uses.iter().find(|(.., light)| light.is_none());
+        let beta = v.beta * along.map_or(Rgb::splat(P::one()), |(wi, c, _)| f(*wi, *c) * v.weight);
+        let arrives = v
+            .met
+            .iter()
+            .fold(next, |l, light| l + emit(light, beta, grad));
+        next = arrives;
+        if let Some((material, uv, wo)) = v.surface {
+            next = Rgb::black();
+            let mut uses = Vec::new();
+            for (wi, component, light) in &v.uses {
+                let f = f(*wi, *component);
+                let incident = match light {
+                    Some(light) => emit(light, v.beta * f, grad),
+                    None => arrives * v.weight,
+                };
+                next += f * incident;
+                let (wi, component, d) = (*wi, *component, d * v.beta * incident);
+                uses.push(Use {
+                    wi,
+                    component,
+                    part: Part::All,
+                    d,
+                });
+            }
+            let at = Shading { theta: *theta, uv };
+            scene.materials()[material as usize].backward(&at, wo, &uses, MODE, grad);
         }
-        if let Some((wi, component, weight)) = v.scattered {
-            uses.push(of(wi, component, d * arrives * weight));
-        }
-        bsdf.backward(&at, v.wo, &uses, MODE, grad);
-        next = leaving(scene, theta, v, eval, arrives);
     }
 }
