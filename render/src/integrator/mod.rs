@@ -34,5 +34,3 @@ pub(crate) mod tally;
 mod tile;
 pub mod vertex;
 mod wave;
-
-pub(crate) use vertex::light::is_guided;
