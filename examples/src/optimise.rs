@@ -6,9 +6,7 @@ use std::ops::Range;
 use optim::{
     AnyOptimizer, Constrained, Evaluation, GaussNewton, Loss, LossKind, NormalMatrix, Optimizer,
 };
-use render::instances::{
-    Estimator, Technique, gauss_newton_f32, hessian_vector_f32, render_f32, tangent_f32,
-};
+use render::instances::{Estimator, gauss_newton_f32, hessian_vector_f32, render_f32, tangent_f32};
 use render::integrator::gradient::{Active, Gradient};
 use render::integrator::render::{NonFinite, Progress, Rendering};
 use render::integrator::second_order;
@@ -158,7 +156,7 @@ impl Problem {
         let seen = render_f32(
             &self.scene,
             &self.theta(),
-            Technique::MisPower,
+            Estimator::Mis,
             &self.settings,
             seed,
             self.samples(),

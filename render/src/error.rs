@@ -411,6 +411,16 @@ pub enum RenderError {
         /// Its name.
         name: String,
     },
+    /// A kind of parameter that an estimator does not see.
+    #[error("parameter {}: {what} are not differentiated: {why}", quoted(name))]
+    UnseenParameter {
+        /// Its name.
+        name: String,
+        /// Its kind.
+        what: &'static str,
+        /// Why.
+        why: &'static str,
+    },
     /// A name that no estimator has.
     #[error("unknown estimator {}; known: {known}", quoted(name))]
     UnknownEstimator {

@@ -2,7 +2,7 @@
 //!
 //! The renderer is generic; a program that calls [`render::render`] with types of its own compiles the
 //! whole of light transport for them. Tools and figures call these functions instead, and link in a
-//! second. A new combination is one line in the table of [`render_f32`] or a function below it.
+//! second. A new combination is one line in the list of [`Estimator`]s.
 //!
 //! An image and its derivative as another image, by forward mode:
 //!
@@ -41,13 +41,12 @@ use crate::error::RenderError;
 pub use crate::estimator::Mode;
 use crate::estimator::{
     self, AllowBias, Attached, AttachedChoice, AttachedDirect, AttachedRoulette, AttachedWeights,
-    Balance, BsdfOnly, Detached, DetachedMis, DetachedWeights, Differential, EmitterOnly,
-    FrozenWeights, Mis, MixedWeights, Power, Reparameterised, Strategy, TrustBsdf, TrustLights,
-    Unbiased,
+    Balance, BsdfOnly, Capabilities, Detached, DetachedMis, DetachedWeights, Differential,
+    EmitterOnly, FrozenWeights, Mis, MixedWeights, Reparameterised, Strategy, TrustBsdf,
+    TrustLights, Unbiased,
 };
 use crate::integrator::density::{Convention, Map};
 use crate::integrator::gradient::{self, Active, Gradient};
-use crate::integrator::is_guided;
 use crate::integrator::particle;
 use crate::integrator::particle_gradient::{self, Measurement};
 use crate::integrator::render::{self, Components, Progress, Rendering};
@@ -56,22 +55,6 @@ use crate::integrator::work::count_work;
 use crate::params::{ParamInfo, ParamRef, Params, Tangent, Theta};
 use crate::sampler::{Independent, Spread};
 use crate::scene::{Scene, Settings};
-
-/// Which techniques estimate direct light; see [`crate::estimator`].
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Technique {
-    /// BSDF and emitter sampling, power heuristic.
-    #[default]
-    MisPower,
-    /// BSDF and emitter sampling, balance heuristic.
-    MisBalance,
-    /// BSDF sampling.
-    BsdfOnly,
-    /// Emitter sampling.
-    EmitterOnly,
-}
-
-type MisOf<H> = Mis<Detached, Detached, DetachedWeights, H>;
 
 fn run<R: Components, S: Unbiased>(
     scene: &Scene,
@@ -84,35 +67,19 @@ fn run<R: Components, S: Unbiased>(
     render::render::<R, S, Spread>(scene, theta, settings, seed, samples, progress)
 }
 
-fn primal<P: Components + Float>(
-    scene: &Scene,
-    theta: &Theta<P>,
-    technique: Technique,
-    settings: &Settings,
-    seed: u64,
-    samples: Range<u64>,
-    progress: &dyn Progress,
-) -> Rendering {
-    let run = match technique {
-        Technique::MisPower => render::unchecked::<P, MisOf<Power>, Spread>,
-        Technique::MisBalance => render::unchecked::<P, MisOf<Balance>, Spread>,
-        Technique::BsdfOnly => render::unchecked::<P, BsdfOnly<Detached>, Spread>,
-        Technique::EmitterOnly => render::unchecked::<P, EmitterOnly<Detached>, Spread>,
-    };
-    run(scene, theta, settings, seed, samples, progress)
-}
-
-/// The image, in single precision: [`render::render`] with the points that `settings` asks for.
+/// The image, in single precision: [`render::render`] with the points that `settings` asks for, by the techniques of an
+/// estimator ([`Strategy::Primal`]): sampled emitters, scattered directions, or both by either heuristic. Where nothing is
+/// differentiated many estimators are the same.
 pub fn render_f32(
     scene: &Scene,
     theta: &Theta<f32>,
-    technique: Technique,
+    estimator: Estimator,
     settings: &Settings,
     seed: u64,
     samples: Range<u64>,
     progress: &dyn Progress,
 ) -> Rendering {
-    primal(scene, theta, technique, settings, seed, samples, progress)
+    estimator.primal()(scene, theta, settings, seed, samples, progress)
 }
 
 /// The image by particles, in single precision: [`particle::render`] with the points that `settings` asks
@@ -200,13 +167,13 @@ pub fn backward_particles_f32(
 pub fn render_f64(
     scene: &Scene,
     theta: &Theta<f64>,
-    technique: Technique,
+    estimator: Estimator,
     settings: &Settings,
     seed: u64,
     samples: Range<u64>,
     progress: &dyn Progress,
 ) -> Rendering {
-    primal(scene, theta, technique, settings, seed, samples, progress)
+    estimator.primal()(scene, theta, settings, seed, samples, progress)
 }
 
 /// The gradient of `<adjoint, image>`, in single precision: [`gradient::backward`] with detached MIS and
@@ -503,13 +470,14 @@ fn tangents<'a, const N: usize>(
     out
 }
 
-/// All estimators that are compiled for comparison, one line each: name, type.
+/// All estimators that are compiled for comparison: variant, name, type, a sentence. What else is known of them follows
+/// from the type.
 macro_rules! estimators {
-    ($($(#[doc = $doc:literal])* $variant:ident $name:literal $strategy:ty;)*) => {
+    ($($variant:ident $name:literal $strategy:ty, $summary:literal;)*) => {
         /// An estimator of derivatives, by name; see [`crate::estimator`] for what the parts mean.
         #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
         pub enum Estimator {
-            $($(#[doc = $doc])* $variant,)*
+            $(#[doc = $summary] $variant,)*
         }
 
         impl Estimator {
@@ -523,26 +491,21 @@ macro_rules! estimators {
                 }
             }
 
-            /// Whether a [`Guide`](crate::guide::Guide) leads its paths: not where samples or weights move with the
-            /// parameters.
-            pub fn is_guided(self) -> bool {
+            /// What it is, in a sentence.
+            pub fn summary(self) -> &'static str {
                 match self {
-                    $(Self::$variant => is_guided::<$strategy>(),)*
+                    $(Self::$variant => $summary,)*
                 }
             }
 
-            /// Whether it samples lights.
-            pub fn samples_emitters(self) -> bool {
-                match self {
-                    $(Self::$variant => <$strategy as Strategy>::SAMPLES_EMITTERS,)*
-                }
-            }
-
-            /// Whether it is one of those that are wrong on purpose: wrapped in [`AllowBias`].
-            pub fn allows_bias(self) -> bool {
-                match self {
-                    $(Self::$variant => <$strategy as Strategy>::ALLOWS_BIAS,)*
-                }
+            /// What it can do, and what it refuses.
+            pub const fn capabilities(self) -> Capabilities {
+                let mut own = match self {
+                    $(Self::$variant => Capabilities::of::<$strategy>(),)*
+                };
+                own.modes.second_order = matches!(self, Self::SECOND_ORDER);
+                own.modes.double = matches!(self, Self::DOUBLE);
+                own
             }
 
             /// Whether it is right in this scene.
@@ -592,6 +555,14 @@ macro_rules! estimators {
                 count(scene, active, settings, mode, seed, paths, progress).work()
             }
 
+            fn primal<P: Components + Float>(self) -> Primal<P> {
+                match self {
+                    $(Self::$variant => {
+                        render::unchecked::<P, <$strategy as Strategy>::Primal, Spread>
+                    })*
+                }
+            }
+
             fn forward<R: Components>(self) -> Forward<R> {
                 match self {
                     $(Self::$variant => run::<R, $strategy>,)*
@@ -607,6 +578,7 @@ macro_rules! estimators {
     };
 }
 
+type Primal<P> = fn(&Scene, &Theta<P>, &Settings, u64, Range<u64>, &dyn Progress) -> Rendering;
 type Forward<R> = fn(
     &Scene,
     &Theta<R>,
@@ -642,6 +614,11 @@ fn pull_back<S: Unbiased>(
 }
 
 impl Estimator {
+    /// The one of [`hessian_vector_f32`] and [`gauss_newton_f32`].
+    pub const SECOND_ORDER: Self = Self::Mis;
+    /// The one of [`forward_f64`] and [`backward_f64`].
+    pub const DOUBLE: Self = Self::Mis;
+
     /// The estimator called `name`.
     ///
     /// # Errors
@@ -700,61 +677,92 @@ impl Estimator {
     }
 }
 
-type ReparameterisedMis = Mis<Reparameterised, Detached, AttachedWeights>;
-
 estimators! {
-    /// Light sampling only.
-    Emitter "emitter" EmitterOnly<Detached>;
-    /// Light sampling only, and samples of environment maps move with the texels; for scenes without
-    /// discontinuities.
-    EmitterAttached "emitter-attached" EmitterOnly<Detached, Attached>;
-    /// BSDF sampling, samples constant.
-    Detached "detached" BsdfOnly<Detached>;
-    /// BSDF sampling, samples move; for scenes without discontinuities.
-    Attached "attached" BsdfOnly<AttachedDirect>;
-    /// The same where discontinuities bias it, to study that.
-    AttachedNaive "attached-naive" AllowBias<BsdfOnly<AttachedDirect>>;
-    /// Samples and all vertices behind them move; for scenes without discontinuities.
-    AttachedPath "attached-path" BsdfOnly<Attached>;
-    /// BSDF sampling, samples move but slow down at discontinuities.
-    Reparameterised "reparameterised" BsdfOnly<Reparameterised>;
-    /// BSDF sampling, and samples of the derivative of normals.
-    Differential "differential" BsdfOnly<Differential>;
-    /// Detached BSDF and light sampling, constant weights: the default.
-    Mis "mis" DetachedMis;
-    /// The same with the balance heuristic.
-    MisBalance "mis-balance" Mis<Detached, Detached, DetachedWeights, Balance>;
-    /// The same with lights trusted more, see [`TrustLights`].
-    MisTrustLights "mis-trust-lights" Mis<Detached, Detached, DetachedWeights, TrustLights>;
-    /// The same with BSDF samples trusted more.
-    MisTrustBsdf "mis-trust-bsdf" Mis<Detached, Detached, DetachedWeights, TrustBsdf>;
-    /// [`Estimator::Mis`] with differentiated weights.
-    MisAttachedWeights "mis-attached-weights" Mis<Detached, Detached, AttachedWeights>;
-    /// BSDF sampling, samples of the derivative of normals and light sampling.
-    DifferentialMis "differential-mis" Mis<Differential, Detached, DetachedWeights>;
-    /// The same with the balance heuristic.
-    DifferentialMisBalance "differential-mis-balance" Mis<Differential, Detached, DetachedWeights, Balance>;
-    /// [`Estimator::DifferentialMis`] with differentiated weights for values.
-    DifferentialMisAttachedWeights "differential-mis-attached-weights" Mis<Differential, Detached, AttachedWeights>;
-    /// Attached BSDF sampling and light sampling, differentiated weights.
-    AttachedMis "attached-mis" Mis<AttachedDirect, Detached, AttachedWeights>;
-    /// The same where discontinuities bias it, to study that.
-    AttachedMisNaive "attached-mis-naive" AllowBias<Mis<AttachedDirect, Detached, AttachedWeights>>;
-    /// [`Estimator::AttachedMis`] with weights that follow the samples only.
-    AttachedMisFrozen "attached-mis-frozen" Mis<AttachedDirect, Detached, FrozenWeights>;
-    /// [`Estimator::AttachedMis`] whose samples of environment maps move with the texels.
-    AttachedBoth "attached-both" Mis<AttachedDirect, Attached, AttachedWeights>;
-    /// Reparameterised BSDF sampling and light sampling, differentiated weights.
-    ReparameterisedMis "reparameterised-mis" ReparameterisedMis;
-    /// Reparameterised with constant weights: biased [Zeltner 2021, Eq. 4.38].
-    BiasedWeights "biased-weights" AllowBias<Mis<Reparameterised, Detached, DetachedWeights>>;
-    /// Attached with constant weights: biased for the same reason, whatever the scene.
-    BiasedAttachedWeights "biased-attached-weights" AllowBias<Mis<AttachedDirect, Detached, DetachedWeights>>;
-    /// [`Estimator::Mis`] whose roulette takes a differentiated probability: biased where it is played (F5).
-    BiasedRoulette "biased-roulette" AllowBias<AttachedRoulette<DetachedMis>>;
-    /// Differentiated weights for one technique only: biased (errata Z-4.13f).
-    BiasedMixed "biased-mixed" AllowBias<Mis<Reparameterised, Detached, MixedWeights>>;
-    /// [`Estimator::Mis`] that divides by differentiated probabilities of lobes: biased where they depend on the
-    /// parameter (F6).
-    BiasedChoice "biased-choice" AllowBias<AttachedChoice<DetachedMis>>;
+    Emitter "emitter" EmitterOnly<Detached>,
+        "Sampled lights alone, constant.";
+    EmitterAttached "emitter-attached" EmitterOnly<Detached, Attached>,
+        "Sampled lights alone; samples of environment maps move with the texels.";
+    Detached "detached" BsdfOnly<Detached>,
+        "BSDF samples, constant.";
+    Attached "attached" BsdfOnly<AttachedDirect>,
+        "BSDF samples that move through one bounce.";
+    AttachedNaive "attached-naive" AllowBias<BsdfOnly<AttachedDirect>>,
+        "`attached` in any scene.";
+    AttachedPath "attached-path" BsdfOnly<Attached>,
+        "BSDF samples that move, and the whole path behind them.";
+    Reparameterised "reparameterised" BsdfOnly<Reparameterised>,
+        "BSDF samples that move, but stand still at outlines.";
+    Differential "differential" BsdfOnly<Differential>,
+        "BSDF samples, and an antithetic pair from the derivative of the distribution of normals.";
+    Mis "mis" DetachedMis,
+        "BSDF samples and sampled lights, constant, power heuristic: the default.";
+    MisBalance "mis-balance" Mis<Detached, Detached, DetachedWeights, Balance>,
+        "`mis` with the balance heuristic.";
+    MisTrustLights "mis-trust-lights" Mis<Detached, Detached, DetachedWeights, TrustLights>,
+        "`mis` with weights that trust sampled lights eight times as much.";
+    MisTrustBsdf "mis-trust-bsdf" Mis<Detached, Detached, DetachedWeights, TrustBsdf>,
+        "`mis` with weights that trust BSDF samples eight times as much.";
+    MisAttachedWeights "mis-attached-weights" Mis<Detached, Detached, AttachedWeights>,
+        "`mis` with differentiated weights.";
+    DifferentialMis "differential-mis" Mis<Differential, Detached, DetachedWeights>,
+        "`differential` and sampled lights, power heuristic.";
+    DifferentialMisBalance "differential-mis-balance" Mis<Differential, Detached, DetachedWeights, Balance>,
+        "`differential-mis` with the balance heuristic.";
+    DifferentialMisAttachedWeights "differential-mis-attached-weights" Mis<Differential, Detached, AttachedWeights>,
+        "`differential-mis` with differentiated weights for values.";
+    AttachedMis "attached-mis" Mis<AttachedDirect, Detached, AttachedWeights>,
+        "`attached` and sampled lights, differentiated weights.";
+    AttachedMisNaive "attached-mis-naive" AllowBias<Mis<AttachedDirect, Detached, AttachedWeights>>,
+        "`attached-mis` in any scene.";
+    AttachedMisFrozen "attached-mis-frozen" Mis<AttachedDirect, Detached, FrozenWeights>,
+        "`attached-mis` with weights that follow the samples only.";
+    AttachedBoth "attached-both" Mis<AttachedDirect, Attached, AttachedWeights>,
+        "`attached-mis` whose samples of environment maps move with the texels.";
+    ReparameterisedMis "reparameterised-mis" Mis<Reparameterised, Detached, AttachedWeights>,
+        "`reparameterised` and sampled lights, differentiated weights.";
+    BiasedWeights "biased-weights" AllowBias<Mis<Reparameterised, Detached, DetachedWeights>>,
+        "`reparameterised-mis` with constant weights [Zeltner 2021, Eq. 4.38].";
+    BiasedAttachedWeights "biased-attached-weights" AllowBias<Mis<AttachedDirect, Detached, DetachedWeights>>,
+        "`attached-mis` with constant weights, in any scene.";
+    BiasedRoulette "biased-roulette" AllowBias<AttachedRoulette<DetachedMis>>,
+        "`mis` whose roulette takes a differentiated probability: biased where it is played.";
+    BiasedMixed "biased-mixed" AllowBias<Mis<Reparameterised, Detached, MixedWeights>>,
+        "`reparameterised-mis` with differentiated weights for one technique only (errata Z-4.13f).";
+    BiasedChoice "biased-choice" AllowBias<AttachedChoice<DetachedMis>>,
+        "`mis` that divides by differentiated probabilities of lobes: biased where they depend on the parameter.";
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::estimator::{Failures, Scenes};
+
+    /// Whoever is for study says by what it is biased; whoever is not has no such reason.
+    #[test]
+    fn only_what_is_for_study_is_biased() {
+        for &e in Estimator::ALL {
+            let c = e.capabilities();
+            assert_eq!(c.study, !c.failures.is_empty(), "{}: {c}", e.name());
+            assert!(!c.study || c.scenes == Scenes::Any, "{}: {c}", e.name());
+            // A sentence without the layout of a table.
+            assert!(e.summary().ends_with('.') && !e.summary().contains('|'));
+        }
+        let failures = |e: Estimator| e.capabilities().failures;
+        assert_eq!(
+            Estimator::ALL
+                .iter()
+                .filter(|e| e.capabilities().modes.double)
+                .count(),
+            1
+        );
+        let all = Estimator::ALL.iter().map(|&e| failures(e));
+        for failure in crate::estimator::Failure::ALL {
+            let alone = Failures::of(&[failure]);
+            assert!(
+                all.clone().any(|f| f == alone),
+                "nobody shows {}",
+                failure.number()
+            );
+        }
+    }
 }

@@ -13,14 +13,14 @@
 //! ```
 //! # std::env::set_current_dir("..")?; // the examples run in the folder of this crate
 //! use optim::{Adam, Loss, Optimizer, loss::L2};
-//! use render::instances::{Estimator, Technique, render_f32};
+//! use render::instances::{Estimator, render_f32};
 //! use render::{Image, Scene, image_io::write_exr, params::Theta};
 //!
 //! let (mut scene, _warnings) = Scene::load("examples/scenes/cornell.xml".as_ref(), &Default::default())?;
 //! let settings = scene.settings;
 //! let mut values = scene.params().values().to_vec(); // all parameters, one vector
 //! let theta = Theta::constant(&values);
-//! let image = render_f32(&scene, &theta, Technique::MisPower, &settings, 0, 0..16, &()).image(0);
+//! let image = render_f32(&scene, &theta, Estimator::Mis, &settings, 0, 0..16, &()).image(0);
 //!
 //! let target = Image::new(image.width, image.height); // black
 //! let mut adjoint = vec![0.0; image.data.len()]; // [height][width][3], as the image

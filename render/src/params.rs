@@ -64,14 +64,55 @@ impl ParamShape {
     }
 }
 
-/// What a derivative with respect to a range needs.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Differentiability {
-    /// Every estimator applies.
+/// What a range does to light. Which kinds an estimator sees is in its
+/// [`Capabilities`](crate::estimator::Capabilities). A range that does several things is of the last kind that fits.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum ParamKind {
+    /// Reflectance, and whatever else only scales or shapes what is scattered.
     Smooth,
-    /// A sampled direction is a Dirac delta in this parameter (the index of a smooth dielectric):
-    /// detached sampling has no derivative (F2), and is refused.
+    /// Radiance of emitters, texels of environment maps among it.
+    Emission,
+    /// Roughness of microsurfaces, exponents of lobes.
+    Roughness,
+    /// Shading normals of what is not smooth.
+    Normals,
+    /// A sampled direction is a Dirac delta in it: the index of smooth glass, normals of mirrors. Constant samples have no
+    /// derivative in it (F2).
     Delta,
+    /// Where a shape is. No scene has such parameters yet.
+    Position,
+    /// Where the camera is, and what it looks at. No scene has such parameters yet.
+    Camera,
+    /// Where lights are. No scene has such parameters yet.
+    LightPosition,
+}
+
+impl ParamKind {
+    /// All of them.
+    pub const ALL: [Self; 8] = [
+        Self::Smooth,
+        Self::Emission,
+        Self::Roughness,
+        Self::Normals,
+        Self::Delta,
+        Self::Position,
+        Self::Camera,
+        Self::LightPosition,
+    ];
+
+    /// In words, in the plural.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Smooth => "reflectances",
+            Self::Emission => "emission",
+            Self::Roughness => "roughness",
+            Self::Normals => "normals",
+            Self::Delta => "Dirac deltas",
+            Self::Position => "positions of shapes",
+            Self::Camera => "cameras",
+            Self::LightPosition => "positions of lights",
+        }
+    }
 }
 
 /// One named range.
@@ -85,8 +126,8 @@ pub struct ParamInfo {
     pub shape: ParamShape,
     /// Smallest and largest valid value.
     pub valid: (f64, f64),
-    /// What a derivative needs.
-    pub differentiability: Differentiability,
+    /// What it does to light, which decides on who sees its derivative.
+    pub kind: ParamKind,
 }
 
 impl ParamInfo {
@@ -107,8 +148,8 @@ pub struct Params {
 }
 
 impl Params {
-    /// Adds a range, [`Differentiability::Smooth`] until a scene is built of materials that say otherwise. The name is
-    /// made unique by a suffix `_1`, `_2`, .. when it is taken.
+    /// Adds a range, [`ParamKind::Smooth`] until a scene is built of materials and emitters that say otherwise. The name
+    /// is made unique by a suffix `_1`, `_2`, .. when it is taken.
     pub fn push(
         &mut self,
         name: &str,
@@ -134,7 +175,7 @@ impl Params {
             offset,
             shape,
             valid,
-            differentiability: Differentiability::Smooth,
+            kind: ParamKind::Smooth,
         });
         self.values.extend_from_slice(values);
         ParamRef {
@@ -143,9 +184,10 @@ impl Params {
         }
     }
 
-    /// Says that a sampled direction is a Dirac delta in this range: [`Differentiability::Delta`].
-    pub(crate) fn mark_delta(&mut self, p: ParamRef) {
-        self.infos[p.id as usize].differentiability = Differentiability::Delta;
+    /// Says that this range is of a kind, unless it is of a later one already.
+    pub(crate) fn mark(&mut self, p: ParamRef, kind: ParamKind) {
+        let own = &mut self.infos[p.id as usize].kind;
+        *own = kind.max(*own);
     }
 
     /// All ranges, in the order of the flat vector.

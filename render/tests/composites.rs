@@ -7,7 +7,7 @@ use proptest::prelude::*;
 use render::bsdf::{Bsdf, Component, DeltaKind, Material, Part, Shading, TransportMode, Use};
 use render::image_io::{Pixels, write_exr_pixels};
 use render::math::Rgb;
-use render::params::{Differentiability, GradSink, ParamRef, Tangent, Theta};
+use render::params::{GradSink, ParamKind, ParamRef, Tangent, Theta};
 use render::sampler::{Independent, Sampler};
 use render::scene::LoadOptions;
 use render::{Scene, SceneError};
@@ -816,14 +816,14 @@ fn normals_over_deltas_are_marked() {
     let scene = load(&normal_map(&diffuse(0.5, 0.5, 0.5), "")).unwrap();
     let of = |scene: &Scene| {
         let info = scene.params().find("s.bsdf.normalmap.data").unwrap();
-        info.differentiability
+        info.kind
     };
-    assert_eq!(of(&scene), Differentiability::Smooth);
+    assert_eq!(of(&scene), ParamKind::Normals);
     let mirror = r#"<bsdf type="conductor"/>"#;
     let partly = blend(0.5, &format!("{}{mirror}", diffuse(0.5, 0.5, 0.5)));
     for nested in [mirror.to_owned(), two_sided(mirror), partly] {
         let scene = load(&normal_map(&nested, "")).unwrap();
-        assert_eq!(of(&scene), Differentiability::Delta, "{nested}");
+        assert_eq!(of(&scene), ParamKind::Delta, "{nested}");
     }
 }
 

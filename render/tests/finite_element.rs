@@ -6,7 +6,7 @@ use render::camera::{Camera, FovAxis};
 use render::emitter::Area;
 use render::finite_element::discrete::Patches;
 use render::finite_element::{FiniteElementError, FiniteElements, Options};
-use render::instances::{Technique, render_f32};
+use render::instances::{Estimator, render_f32};
 use render::math::Transform;
 use render::params::Theta;
 use render::scene::Builder;
@@ -167,16 +167,7 @@ fn the_picture_is_that_of_the_path_tracer() {
         let fem = solved(&scene, 3e-5);
         let theta = Theta::constant(scene.params().values());
         let settings = scene.settings;
-        let traced = render_f32(
-            &scene,
-            &theta,
-            Technique::MisPower,
-            &settings,
-            3,
-            0..256,
-            &(),
-        )
-        .image(0);
+        let traced = render_f32(&scene, &theta, Estimator::Mis, &settings, 3, 0..256, &()).image(0);
         let (ours, cells) = (fem.flat(), fem.surfaces());
         // Means over 4 x 4 patches of each surface.
         let mut sums = std::collections::BTreeMap::<(u32, usize, usize), [f64; 3]>::new();

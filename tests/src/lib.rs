@@ -6,11 +6,11 @@ pub mod stats;
 use std::path::{Path, PathBuf};
 
 use ad_core::{Dual, Float};
-use render::estimator::{DetachedMis, Unbiased};
-use render::instances::{Technique, render_f32};
+use render::estimator::{Capabilities, DetachedMis, Unbiased};
+use render::instances::{Estimator, render_f32};
 use render::integrator::gradient::{Active, backward};
 use render::integrator::render::{Rendering, render};
-use render::params::{Differentiability, ParamInfo, Tangent, Theta};
+use render::params::{ParamInfo, Tangent, Theta};
 use render::sampler::Independent;
 use render::scene::LoadOptions;
 use render::{Scene, Settings};
@@ -46,7 +46,7 @@ pub fn scene(body: &str) -> Scene {
 
 /// All parameters of a scene that detached sampling can differentiate.
 pub fn smooth_params(scene: &Scene) -> Vec<ParamInfo> {
-    let smooth = |i: &&ParamInfo| i.differentiability == Differentiability::Smooth;
+    let smooth = |i: &&ParamInfo| Capabilities::of::<DetachedMis>().sees(i.kind);
     scene
         .params()
         .infos()
@@ -84,7 +84,7 @@ pub fn picture(s: &Scene, settings: &Settings, seed: u64, runs: u64, spp: u64) -
     let theta = Theta::constant(s.params().values());
     let images: Vec<_> = (0..runs)
         .map(|r| {
-            let technique = Technique::MisPower;
+            let technique = Estimator::Mis;
             let r = render_f32(s, &theta, technique, settings, seed + r, 0..spp, &());
             assert_eq!(r.non_finite.count, 0);
             r.image(0).data

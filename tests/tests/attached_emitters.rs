@@ -8,7 +8,7 @@ use render::estimator::{
     Attached, AttachedDirect, AttachedWeights, Detached, EmitterOnly, FrozenWeights, Mis, Unbiased,
 };
 use render::image_io::write_exr;
-use render::instances::{Estimator, Technique, render_f64};
+use render::instances::{Estimator, render_f64};
 use render::integrator::gradient::{Active, backward};
 use render::integrator::render::render;
 use render::params::Theta;
@@ -222,7 +222,7 @@ fn gradients_equal_central_differences() {
             let each = |r: u64| {
                 let at = |h: f64| {
                     let v: Vec<f64> = before.iter().zip(d).map(|(v, d)| v + h * d).collect();
-                    let (theta, technique) = (Theta::constant(&v), Technique::EmitterOnly);
+                    let (theta, technique) = (Theta::constant(&v), Estimator::Emitter);
                     let settings = Settings {
                         lights: LightChoice::One,
                         ..s.settings

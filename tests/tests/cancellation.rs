@@ -4,8 +4,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use render::bsdf::kernel::Rules;
 use render::instances::{
-    Direction, Estimator, Technique, density_f32, forward_f64, particles_f32, render_f32,
-    render_f64,
+    Direction, Estimator, density_f32, forward_f64, particles_f32, render_f32, render_f64,
 };
 use render::integrator::density::Convention;
 use render::integrator::render::{Progress, Rendering};
@@ -75,15 +74,7 @@ fn jobs(scene: &Scene) -> Vec<(String, Job<'_>)> {
             "waves".into(),
             Box::new(|s, spp, p| {
                 let theta = Theta::constant(values);
-                numbers(render_f32(
-                    scene,
-                    &theta,
-                    Technique::MisPower,
-                    s,
-                    1,
-                    0..spp,
-                    p,
-                ))
+                numbers(render_f32(scene, &theta, Estimator::Mis, s, 1, 0..spp, p))
             }),
         ),
         (
@@ -91,15 +82,7 @@ fn jobs(scene: &Scene) -> Vec<(String, Job<'_>)> {
             Box::new(|s, spp, p| {
                 let values: Vec<f64> = values.iter().map(|&v| v.into()).collect();
                 let theta = Theta::constant(&values);
-                numbers(render_f64(
-                    scene,
-                    &theta,
-                    Technique::MisPower,
-                    s,
-                    1,
-                    0..spp,
-                    p,
-                ))
+                numbers(render_f64(scene, &theta, Estimator::Mis, s, 1, 0..spp, p))
             }),
         ),
         (

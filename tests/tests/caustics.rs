@@ -6,7 +6,7 @@ use render::estimator::{
     AllowBias, Attached, BsdfOnly, Detached, DetachedMis, DetachedWeights, Differential, Mis,
     Unbiased,
 };
-use render::instances::{Direction, Estimator, Technique, backward_f32, render_f32};
+use render::instances::{Direction, Estimator, backward_f32, render_f32};
 use render::integrator::gradient::Active;
 use render::integrator::render::{Progress, render};
 use render::params::Theta;
@@ -247,7 +247,7 @@ fn progress_counts_every_pixel_once() {
     let theta = Theta::constant(values);
     for caustics in [Caustics::Paths, Caustics::Particles] {
         let (settings, count) = (with(&s, caustics), Count(AtomicU64::new(0)));
-        let technique = Technique::MisPower;
+        let technique = Estimator::Mis;
         render_f32(&s, &theta, technique, &settings, 1, 0..2, &count);
         assert_eq!(count.0.load(Ordering::Relaxed), pixels);
         let active = Active::new(&s, &["metal.alpha.value"]).expect("a parameter");

@@ -11,7 +11,7 @@ use std::path::Path;
 
 use rayon::prelude::*;
 use render::image_io::write_exr;
-use render::instances::{Estimator, Technique, render_f64};
+use render::instances::{Estimator, render_f64};
 use render::params::Theta;
 use render::{Image, Scene};
 use tests::stats::Estimate;
@@ -361,10 +361,9 @@ fn differences(case: &Case, m: &Move, seed: u64) -> Estimate {
             let at = |h: f64| {
                 let v = m.applied(s, h);
                 let theta = Theta::constant(&v);
-                let technique = if case.one_bounce {
-                    Technique::EmitterOnly
-                } else {
-                    Technique::MisPower
+                let technique = match case.one_bounce {
+                    true => Estimator::Emitter,
+                    false => Estimator::Mis,
                 };
                 let (seed, spp) = (seed + r, 0..case.spp());
                 let image = render_f64(s, &theta, technique, &s.settings, seed, spp, &());

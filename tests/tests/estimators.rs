@@ -6,7 +6,7 @@ use std::sync::Arc;
 use ad_core::Dual;
 use render::bsdf::{Conductor, Interpolation, NormalMap};
 use render::estimator::{AllowBias, Attached, AttachedRoulette, BsdfOnly, Detached, EmitterOnly};
-use render::instances::{Direction, Estimator, Technique, forward_f32, forward_f64, render_f32};
+use render::instances::{Direction, Estimator, forward_f32, forward_f64, render_f32};
 use render::integrator::render::render;
 use render::params::{Tangent, Theta};
 use render::sampler::Independent;
@@ -279,7 +279,7 @@ fn however_lights_are_chosen_the_picture_is_the_same() {
     let unevenly = unevenly(scene(&xml));
     let scene = scene(&xml);
     let limit = z_limit(2 * 2 * 64 * 3, ALPHA);
-    for technique in [Technique::MisPower, Technique::EmitterOnly] {
+    for technique in [Estimator::Mis, Estimator::Emitter] {
         let pictures = |scene: &Scene, lights, seed: u64| -> Vec<Vec<f64>> {
             let settings = Settings {
                 lights,

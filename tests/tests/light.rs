@@ -4,7 +4,7 @@ use ad_core::{Dual, Vec2};
 use render::bsdf::kernel::{Rules, Symmetry};
 use render::bsdf::{Bsdf, Shading, TransportMode};
 use render::instances::{
-    Technique, backward_particles_f32, density_f32, particle_map_f32, particles_f32, render_f32,
+    Estimator, backward_particles_f32, density_f32, particle_map_f32, particles_f32, render_f32,
 };
 use render::integrator::density::Convention;
 use render::integrator::gradient::Active;
@@ -48,7 +48,7 @@ fn by_particles(scene: &Scene, settings: &Settings, rules: Rules, seed: u64, spp
 
 fn by_paths(scene: &Scene, settings: &Settings, seed: u64, spp: u64) -> Vec<f32> {
     let theta = Theta::constant(scene.params().values());
-    let technique = Technique::MisPower;
+    let technique = Estimator::Mis;
     let r = render_f32(scene, &theta, technique, settings, seed, 0..spp, &());
     r.image(0).data
 }
@@ -376,7 +376,7 @@ fn gradients_from_either_side_agree() {
                 .expect("an adjoint of the right size");
         assert_eq!(m.gradient.non_finite.count, 0);
         light.push([m.gradient.values.concat(), vec![m.value]].concat());
-        let technique = Technique::MisPower;
+        let technique = Estimator::Mis;
         let image = render_f32(&s, &theta, technique, &s.settings, 500 + seed, 0..64, &());
         let g = tests::reverse::<f32>(&s, &params, &adjoint, &s.settings, 900 + seed, 64);
         camera.push([g.concat(), vec![tests::dot(&adjoint, &image, 0)]].concat());

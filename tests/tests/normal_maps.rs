@@ -5,7 +5,7 @@ use ad_core::Vec3;
 use rayon::prelude::*;
 use render::Scene;
 use render::bsdf::{Bsdf, Shading, TransportMode};
-use render::instances::{Direction, Estimator, Technique, render_f64};
+use render::instances::{Direction, Estimator, render_f64};
 use render::params::Theta;
 use tests::stats::{Estimate, z_limit};
 use tests::{scene, values};
@@ -74,7 +74,7 @@ fn moved(s: &Scene, h: f64) -> Vec<f64> {
 fn both(s: &Scene) -> [Vec<Estimate>; 2] {
     let image = |h: f64, seed: u64| {
         let v = moved(s, h);
-        let (theta, t) = (Theta::constant(&v), Technique::MisPower);
+        let (theta, t) = (Theta::constant(&v), Estimator::Mis);
         render_f64(s, &theta, t, &s.settings, seed, 0..SPP, &())
     };
     let directions = COLOURS.map(|name| {

@@ -3,7 +3,7 @@
 use render::bsdf::kernel::Rules;
 use render::finite_element::{FiniteElements, Options};
 use render::instances::{
-    Technique, backward_f32, backward_particles_f32, particles_f32, render_f32, render_f64,
+    Estimator, backward_f32, backward_particles_f32, particles_f32, render_f32, render_f64,
 };
 use render::integrator::gradient::Active;
 use render::params::Theta;
@@ -12,10 +12,10 @@ use tests::scene;
 use tests::stats::{Estimate, z_limit};
 
 const TECHNIQUES: [Technique; 4] = [
-    Technique::MisPower,
-    Technique::MisBalance,
-    Technique::BsdfOnly,
-    Technique::EmitterOnly,
+    Estimator::Mis,
+    Estimator::MisBalance,
+    Estimator::Detached,
+    Estimator::Emitter,
 ];
 
 /// Turns a scene away from the axes, so that no coordinate is exact.
@@ -176,7 +176,7 @@ fn a_lamp_in_a_ceiling_shines_as_without() {
                 );
                 let double = |s: &Scene| {
                     let values: Vec<f64> = s.params().values().iter().map(|&v| v.into()).collect();
-                    let (theta, t) = (Theta::constant(&values), Technique::MisPower);
+                    let (theta, t) = (Theta::constant(&values), Estimator::Mis);
                     render_f64(s, &theta, t, &s.settings, 3, 0..64, &())
                         .image(0)
                         .data
@@ -190,7 +190,7 @@ fn a_lamp_in_a_ceiling_shines_as_without() {
             }
             // The form factor of a square of side 2 at distance 2, over what is seen of the floor.
             if turn.is_empty() && !many && lamp.contains("rectangle") {
-                let found = mean(&by(&without, Technique::MisPower, 1024));
+                let found = mean(&by(&without, Estimator::Mis, 1024));
                 assert!((found - 0.548).abs() < 2e-3, "{found}");
             }
         }
@@ -218,7 +218,7 @@ fn elements_see_a_lamp_in_a_ceiling() {
             ..s.settings
         };
         let theta = Theta::constant(s.params().values());
-        let technique = Technique::MisPower;
+        let technique = Estimator::Mis;
         let paths = render_f32(&s, &theta, technique, &settings, 3, 0..4096, &());
         [mean(&elements.flat().data), mean(&paths.image(0).data)]
     });
@@ -265,7 +265,7 @@ fn thin_slabs_have_two_faces() {
                     ]
                     .concat(),
                 );
-                let found = mean(&by(&s, Technique::MisPower, 64));
+                let found = mean(&by(&s, Estimator::Mis, 64));
                 let what = format!("{kind} {thickness:e} {many} {turn}");
                 assert!((found - 1.0).abs() < 2e-3, "{what}: {found}");
             }
@@ -311,10 +311,7 @@ fn curved_lights_hide_their_far_side() {
             };
             Estimate::of(&(first..first + 32).map(one).collect::<Vec<_>>())
         };
-        let (a, b) = (
-            run(Technique::EmitterOnly, 0),
-            run(Technique::BsdfOnly, 100),
-        );
+        let (a, b) = (run(Estimator::Emitter, 0), run(Estimator::Detached, 100));
         let z = a.z(&b).abs();
         assert!(z < 1.25 * z_limit(2, 1e-3), "{flip}: {} {}", a.mean, b.mean);
         assert!(a.mean > 1e-3);

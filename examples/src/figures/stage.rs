@@ -8,7 +8,7 @@ use render::bsdf::microfacet::Ndf;
 use render::bsdf::{Conductor, Diffuse, Material, RoughConductor, Roughness, TwoSided};
 use render::camera::{Camera, FovAxis};
 use render::emitter::{Area, Constant, Envmap, Vmf};
-use render::instances::{Technique, render_f32};
+use render::instances::{Estimator, render_f32};
 use render::integrator::render::Rendering;
 use render::math::Transform;
 use render::params::Theta;
@@ -287,7 +287,7 @@ impl Stage {
 /// The image of a scene, by detached MIS.
 pub fn picture(scene: &Scene, seed: u64, spp: u64) -> Rendering {
     let theta = Theta::constant(scene.params().values());
-    let (technique, settings) = (Technique::MisPower, &scene.settings);
+    let (technique, settings) = (Estimator::Mis, &scene.settings);
     render_f32(scene, &theta, technique, settings, seed, 0..spp, &())
 }
 

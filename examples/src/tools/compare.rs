@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use clap::Parser;
 use render::auto::{self, Mixture};
-use render::instances::{Direction, Estimator, Mode, Technique, forward_f64, render_f64};
+use render::instances::{Direction, Estimator, Mode, forward_f64, render_f64};
 use render::integrator::render::{NonFinite, Progress, Rendering};
 use render::params::{ParamInfo, Theta};
 use render::{Image, RenderError, Scene, Settings, image_io};
@@ -432,8 +432,8 @@ impl Run<'_> {
         let params = self.scene.params();
         let range = params.find(param)?.range();
         let (technique, relative) = match self.settings.max_depth {
-            0..=2 => (Technique::EmitterOnly, 1e-4),
-            _ => (Technique::MisPower, 1e-2),
+            0..=2 => (Estimator::Emitter, 1e-4),
+            _ => (Estimator::Mis, 1e-2),
         };
         let values: Vec<f64> = params.values().iter().map(|&v| f64::from(v)).collect();
         let size = range.clone().fold(0.0f64, |m, i| m.max(values[i].abs()));

@@ -7,9 +7,9 @@ use std::time::Instant;
 use clap::Parser;
 use optim::{Loss, LossKind, OptimError};
 use render::auto::{self, Mixture};
-use render::instances::{Direction, Estimator, Mode, Technique, forward_f32, render_f32};
+use render::instances::{Direction, Estimator, Mode, forward_f32, render_f32};
 use render::integrator::render::{NonFinite, Progress};
-use render::params::{Differentiability, ParamInfo, ParamShape, Theta};
+use render::params::{ParamInfo, ParamKind, ParamShape, Theta};
 use render::scene::LightChoice;
 use render::{Image, Scene, Settings, image_io};
 use serde::Serialize;
@@ -166,7 +166,7 @@ impl Objective {
             Self::Loss(loss, target) => {
                 let theta = Theta::constant(scene.params().values());
                 let (seed, samples) = (seed_of_loss(args.seed), 0..u64::from(settings.spp));
-                let technique = Technique::MisPower;
+                let technique = Estimator::Mis;
                 let image = render_f32(scene, &theta, technique, settings, seed, samples, progress);
                 let mut adjoint = vec![0.0; target.len()];
                 loss.gradient(&image.image(0).data, target, &mut adjoint)?;
@@ -483,9 +483,10 @@ fn listing(scene: &Scene) -> String {
             let sum: f64 = values.iter().map(|&v| f64::from(v)).sum();
             format!("mean {:.6}", sum / values.len() as f64)
         };
-        let note = match info.differentiability {
-            Differentiability::Smooth => "",
-            Differentiability::Delta => "  (moves a Dirac delta: no detached derivative)",
+        let note = if info.kind == ParamKind::Delta {
+            "  (moves a Dirac delta: no detached derivative)"
+        } else {
+            ""
         };
         let (lo, hi) = info.valid;
         let line = format!(
@@ -720,7 +721,7 @@ fn repeat(
                 Objective::Loss(..) => seed_of_loss(seed),
             };
             let start = Instant::now();
-            let technique = Technique::MisPower;
+            let technique = Estimator::Mis;
             let primal = render_f32(scene, &theta, technique, settings, seed, 0..spp, &bar);
             let seconds = start.elapsed().as_secs_f64();
             if primal.cancelled {

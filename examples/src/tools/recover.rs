@@ -17,7 +17,7 @@ use optim::{
     AnyOptimizer, Constrained, GaussNewton, Group, Groups, LossKind, Optimizer, Parameterisation,
     PixelLoss, Rates, Schedule,
 };
-use render::instances::{Estimator, Technique};
+use render::instances::Estimator;
 use render::integrator::gradient::Active;
 use render::integrator::render::Rendering;
 use render::integrator::second_order::MAX_VALUES;
@@ -736,13 +736,7 @@ fn target(
         let total = scene.film.pixels() as u64 * passes(scene, &settings);
         let bar = Bar::new("target", total, interrupt);
         let seed = stream(job.seed, TARGET_STREAM);
-        let rendering = in_passes(
-            scene,
-            Method::Paths(Technique::MisPower),
-            &settings,
-            seed,
-            &bar,
-        )?;
+        let rendering = in_passes(scene, Method::Paths(Estimator::Mis), &settings, seed, &bar)?;
         bar.finish();
         let complete = rendering.filter(|r| r.samples == u64::from(TARGET_SPP));
         return Ok(complete.map(|r| r.image(0)));
@@ -980,7 +974,7 @@ impl Recovery {
         };
         let total = scene.film.pixels() as u64 * passes(scene, &settings);
         let bar = Bar::new(what, total, interrupt);
-        let method = Method::Paths(Technique::MisPower);
+        let method = Method::Paths(Estimator::Mis);
         let seed = stream(seed, PICTURE_STREAM);
         let picture = in_passes(scene, method, &settings, seed, &bar)?;
         bar.finish();

@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use clap::{Parser, ValueEnum};
 use render::bsdf::kernel::{Rules, Symmetry};
-use render::instances::{Technique, density_f32, particles_f32, render_f32};
+use render::instances::{Estimator, density_f32, particles_f32, render_f32};
 use render::integrator::density::Convention;
 use render::integrator::particle;
 use render::integrator::render::{Progress, Rendering};
@@ -201,10 +201,10 @@ impl Args {
 
     fn technique(&self) -> Technique {
         match (self.strategy, self.heuristic) {
-            (StrategyArg::Mis, HeuristicArg::Power) => Technique::MisPower,
-            (StrategyArg::Mis, HeuristicArg::Balance) => Technique::MisBalance,
-            (StrategyArg::Bsdf, _) => Technique::BsdfOnly,
-            (StrategyArg::Emitter, _) => Technique::EmitterOnly,
+            (StrategyArg::Mis, HeuristicArg::Power) => Estimator::Mis,
+            (StrategyArg::Mis, HeuristicArg::Balance) => Estimator::MisBalance,
+            (StrategyArg::Bsdf, _) => Estimator::Detached,
+            (StrategyArg::Emitter, _) => Estimator::Emitter,
         }
     }
 }
@@ -416,7 +416,7 @@ mod tests {
             let progress = StopAfter(limit, AtomicU64::new(0));
             in_passes(
                 &scene,
-                Method::Paths(Technique::MisPower),
+                Method::Paths(Estimator::Mis),
                 settings,
                 0,
                 &progress,

@@ -23,7 +23,7 @@ use crate::texture::{self, Bitmap, RgbTexture, UvTransform, Wrap};
 ///
 /// # Derivatives
 /// In the texels, with directions fixed. The nested material moves with the normal, so texels over a
-/// mirror or smooth glass are [`crate::params::Differentiability::Delta`].
+/// mirror or smooth glass are [`crate::params::ParamKind::Delta`].
 ///
 /// # Does not handle
 /// The horizon, which attached samples cross (F9): [`crate::Scene::discontinuity`]. The jump of the value in the

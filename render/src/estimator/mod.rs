@@ -9,14 +9,19 @@
 //! [`Attached`] sampling keeps the full scalar, and samples move with the parameters.
 //!
 //! MIS weights are attached or detached for the whole combination, never per technique
-//! (errata Z-4.13f). Which combinations give the right derivative is said by [`Unbiased`]; the others
+//! (errata Z-4.13f). Which combinations give the right derivative is said by [`Unbiased`], one by one; the others
 //! do not compile unless wrapped in [`AllowBias`].
+//!
+//! What a strategy sees, where it is right and what it refuses is read from its constants: [`Capabilities`].
 
+mod capabilities;
 pub mod memory;
 mod sampling;
 mod strategy;
+mod unbiased;
 mod weights;
 
+pub use capabilities::{Capabilities, Failure, Failures, Modes, Motion, Refusal, Scenes};
 pub use sampling::{
     Attached, AttachedDirect, Detached, Differential, Direct, EmitterSampling, Reparameterised,
     Sampling, Unsplit,
@@ -24,31 +29,38 @@ pub use sampling::{
 pub(crate) use strategy::Still;
 pub use strategy::{
     AllowBias, AttachedChoice, AttachedRoulette, BsdfOnly, Edges, EmitterOnly, Geometry, Mis,
-    Strategy, Unbiased, differentiates_edges,
+    Strategy, differentiates_edges, goes_in_waves, is_guided,
 };
+pub use unbiased::Unbiased;
 pub use weights::{
     AttachedWeights, Balance, DetachedWeights, FrozenWeights, Heuristic, MixedWeights, Power,
     TrustBsdf, TrustLights, Weights,
 };
 
 use crate::error::RenderError;
-use crate::params::{Differentiability, ParamInfo};
+use crate::params::{ParamInfo, ParamKind};
 
 /// The default: detached sampling of BSDF and emitters, power heuristic.
 pub type DetachedMis = Mis<Detached, Detached, DetachedWeights, Power>;
 
-/// Whether the estimator sees the derivative in a parameter: constant paths do not see one that moves a
-/// Dirac delta, and would give zero (F2).
+/// Whether the estimator sees the derivative in a parameter ([`Capabilities::sees`]): constant paths do not see one that
+/// moves a Dirac delta, and would give zero (F2).
 ///
 /// # Errors
 /// Names the parameter.
 pub fn check_parameter<S: Strategy>(info: &ParamInfo) -> Result<(), RenderError> {
-    if S::Bsdf::DETACHED_PATH && info.differentiability == Differentiability::Delta {
-        return Err(RenderError::DeltaParameter {
-            name: info.name.clone(),
-        });
+    let name = || info.name.clone();
+    match Capabilities::of::<S>().refusal_of(info.kind) {
+        None => Ok(()),
+        Some(_) if info.kind == ParamKind::Delta => {
+            Err(RenderError::DeltaParameter { name: name() })
+        }
+        Some(Refusal { what, why }) => Err(RenderError::UnseenParameter {
+            name: name(),
+            what,
+            why,
+        }),
     }
-    Ok(())
 }
 
 /// Which way derivatives are carried.

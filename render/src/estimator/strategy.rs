@@ -7,8 +7,7 @@ use ad_core::Real;
 use super::memory::{Forget, Memory};
 use super::weights::trusted;
 use super::{
-    Attached, AttachedWeights, Detached, DetachedWeights, Differential, Direct, EmitterSampling,
-    FrozenWeights, Heuristic, Power, Sampling, Unsplit, Weights,
+    Detached, DetachedWeights, Direct, EmitterSampling, Heuristic, Power, Sampling, Weights,
 };
 use crate::bsdf::Component;
 
@@ -16,6 +15,8 @@ use crate::bsdf::Component;
 pub trait Strategy: Send + Sync + 'static {
     /// What is compiled for it: itself, or what it wraps, if that differs only in where it is allowed.
     type Runs: Strategy;
+    /// What makes its images, where nothing is differentiated: the same techniques with constant samples and weights.
+    type Primal: Strategy;
     /// How scattered directions are drawn.
     type Bsdf: Sampling;
     /// Whether paths remember edges, to differentiate them by themselves.
@@ -30,6 +31,8 @@ pub trait Strategy: Send + Sync + 'static {
     const FROZEN_WEIGHTS: bool = false;
     /// Whether they are differentiated in the parameters.
     const DIFFERENTIATED_WEIGHTS: bool = false;
+    /// Whether that differs between the techniques: wrong (F4), for study.
+    const MIXED_WEIGHTS: bool = false;
     /// Whether the survival probability of Russian roulette is differentiated: wrong (F5), for study.
     const ATTACHED_ROULETTE: bool = false;
     /// Whether the probabilities of choosing between lobes are: wrong (F6), for study.
@@ -43,20 +46,6 @@ pub trait Strategy: Send + Sync + 'static {
     /// Weight of a sampled light with density `a` when a scattered direction has density `b`.
     fn weight_sampled<R: Real>(a: R, b: R) -> R;
 }
-
-/// The estimator's derivative has the right expectation.
-///
-/// Implemented for the valid rows of [Zeltner 2021, table in section 4.5.1], as corrected. Naive attached
-/// sampling is among them: it is right where nothing can occlude, which [`crate::Scene::admits`] decides when
-/// the scene is known.
-#[diagnostic::on_unimplemented(
-    message = "`{Self}` gives a biased derivative",
-    label = "not an unbiased combination",
-    note = "attached sampling needs `AttachedWeights` or `FrozenWeights`; weights must be alike for all techniques, and \
-            roulette and the choice of lobes must take constant probabilities",
-    note = "to study the bias on purpose, wrap the combination: `AllowBias<{Self}>`"
-)]
-pub trait Unbiased: Strategy {}
 
 /// Scalar of the geometry of a strategy.
 pub type Geometry<S, R> = <<S as Strategy>::Bsdf as Sampling>::Geometry<R>;
@@ -98,6 +87,24 @@ pub const fn differentiates_edges<S: Strategy>() -> bool {
     !matches!(Edges::of::<S>(), Edges::None)
 }
 
+/// Whether a [`Guide`](crate::guide::Guide) may lead scattered directions: only if neither they nor weights move, nor
+/// what they are divided by.
+pub const fn is_guided<S: Strategy>() -> bool {
+    S::Bsdf::DETACHED_PATH
+        && !S::FROZEN_WEIGHTS
+        && !differentiates_edges::<S>()
+        && !S::ATTACHED_CHOICE
+}
+
+/// Whether waves estimate derivatives as strategy `S` does: paths and samples of emitters stand still, and decisions are
+/// constants.
+pub const fn goes_in_waves<S: Strategy>() -> bool {
+    S::Bsdf::DETACHED_PATH
+        && !S::EmitterMotion::KEEPS
+        && !S::ATTACHED_ROULETTE
+        && !S::ATTACHED_CHOICE
+}
+
 /// Both techniques, combined by multiple importance sampling.
 ///
 /// Densities of emitters in weights are functions of the direction, at constant texels: whatever the
@@ -113,6 +120,7 @@ where
     H: Heuristic,
 {
     type Runs = Self;
+    type Primal = Mis<Detached, Detached, DetachedWeights, H::Primal>;
     type Bsdf = B;
     type Edge = <B::Edge as Memory>::Or<W::Edge>;
     type EmitterMotion = E::EmitterMotion;
@@ -120,6 +128,7 @@ where
     const COUNTS_HITS: bool = true;
     const FROZEN_WEIGHTS: bool = W::FROZEN;
     const DIFFERENTIATED_WEIGHTS: bool = W::DIFFERENTIATED;
+    const MIXED_WEIGHTS: bool = W::MIXED;
     #[inline(always)]
     fn weight_hit<R: Real>(a: R, b: R) -> R {
         W::hit::<H, R>(a, trusted::<H, R>(b))
@@ -130,19 +139,13 @@ where
     }
 }
 
-impl<H: Heuristic> Unbiased for Mis<Detached, Detached, DetachedWeights, H> {}
-impl<H: Heuristic> Unbiased for Mis<Differential, Detached, DetachedWeights, H> {}
-impl<B: Sampling, H: Heuristic> Unbiased for Mis<B, Detached, AttachedWeights, H> {}
-impl<B: Sampling, H: Heuristic> Unbiased for Mis<B, Detached, FrozenWeights, H> {}
-impl<B: Unsplit, H: Heuristic> Unbiased for Mis<B, Attached, AttachedWeights, H> {}
-impl<B: Unsplit, H: Heuristic> Unbiased for Mis<B, Attached, FrozenWeights, H> {}
-
 /// Directions are sampled from the BSDF; lights count where they are hit.
 #[derive(Clone, Copy, Debug)]
 pub struct BsdfOnly<B>(PhantomData<B>);
 
 impl<B: Sampling> Strategy for BsdfOnly<B> {
     type Runs = Self;
+    type Primal = BsdfOnly<Detached>;
     type Bsdf = B;
     type Edge = B::Edge;
     type EmitterMotion = Forget;
@@ -158,8 +161,6 @@ impl<B: Sampling> Strategy for BsdfOnly<B> {
     }
 }
 
-impl<B: Sampling> Unbiased for BsdfOnly<B> {}
-
 /// Lights are sampled; a light that is hit counts only where it could not have been sampled (seen
 /// directly or through deltas). `E` says whether their samples move, see [`EmitterSampling`].
 #[derive(Clone, Copy, Debug)]
@@ -167,6 +168,7 @@ pub struct EmitterOnly<B, E = Detached>(PhantomData<(B, E)>);
 
 impl<B: Sampling, E: EmitterSampling<B>> Strategy for EmitterOnly<B, E> {
     type Runs = Self;
+    type Primal = EmitterOnly<Detached>;
     type Bsdf = B;
     type Edge = B::Edge;
     type EmitterMotion = E::EmitterMotion;
@@ -181,8 +183,6 @@ impl<B: Sampling, E: EmitterSampling<B>> Strategy for EmitterOnly<B, E> {
         R::one()
     }
 }
-
-impl<B: Sampling, E: EmitterSampling<B>> Unbiased for EmitterOnly<B, E> {}
 
 /// Opts in to a combination whose derivative is biased.
 #[derive(Clone, Copy, Debug)]
@@ -207,6 +207,7 @@ pub struct AttachedChoice<S>(PhantomData<S>);
 macro_rules! wrapper {
     ($name:ident <$inner:path> { $($item:item)* }) => {
         impl<S: $inner> Strategy for $name<S> {
+            type Primal = S::Primal;
             type Bsdf = S::Bsdf;
             type Edge = S::Edge;
             type EmitterMotion = S::EmitterMotion;
@@ -214,6 +215,7 @@ macro_rules! wrapper {
             const COUNTS_HITS: bool = S::COUNTS_HITS;
             const FROZEN_WEIGHTS: bool = S::FROZEN_WEIGHTS;
             const DIFFERENTIATED_WEIGHTS: bool = S::DIFFERENTIATED_WEIGHTS;
+            const MIXED_WEIGHTS: bool = S::MIXED_WEIGHTS;
             $($item)*
             #[inline]
             fn weight_hit<R: Real>(a: R, b: R) -> R {
@@ -253,6 +255,7 @@ pub(crate) struct Still<S>(PhantomData<S>);
 
 impl<S: Strategy> Strategy for Still<S> {
     type Runs = Self;
+    type Primal = S::Primal;
     type Bsdf = Detached;
     type Edge = Forget;
     type EmitterMotion = Forget;
@@ -267,5 +270,3 @@ impl<S: Strategy> Strategy for Still<S> {
         S::weight_sampled(a, b)
     }
 }
-
-impl<S: Strategy> Unbiased for AllowBias<S> {}

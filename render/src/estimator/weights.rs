@@ -6,6 +6,9 @@ use super::memory::{Forget, Keep, Memory};
 
 /// A weighting function for two techniques.
 pub trait Heuristic: Send + Sync + 'static {
+    /// What weighs images, where nothing is differentiated: [`Balance`] or [`Power`], or a heuristic of its own, for which
+    /// another path tracer is compiled.
+    type Primal: Heuristic;
     /// What densities of sampled lights are multiplied by first: how much more they are trusted than those of
     /// scattered directions.
     const LIGHTS: f64 = 1.0;
@@ -19,6 +22,7 @@ pub trait Heuristic: Send + Sync + 'static {
 pub struct Balance;
 
 impl Heuristic for Balance {
+    type Primal = Self;
     #[inline]
     fn weight<R: Real>(a: R, b: R) -> R {
         // As a ratio of at most one: no overflow for densities up to 1e38.
@@ -36,6 +40,7 @@ impl Heuristic for Balance {
 pub struct Power;
 
 impl Heuristic for Power {
+    type Primal = Self;
     #[inline]
     fn weight<R: Real>(a: R, b: R) -> R {
         // The larger one is anybody's guess: nothing to branch on.
@@ -53,6 +58,7 @@ impl Heuristic for Power {
 pub struct TrustLights;
 
 impl Heuristic for TrustLights {
+    type Primal = Power;
     const LIGHTS: f64 = 8.0;
     #[inline]
     fn weight<R: Real>(a: R, b: R) -> R {
@@ -65,6 +71,7 @@ impl Heuristic for TrustLights {
 pub struct TrustBsdf;
 
 impl Heuristic for TrustBsdf {
+    type Primal = Power;
     const LIGHTS: f64 = 0.125;
     #[inline]
     fn weight<R: Real>(a: R, b: R) -> R {
@@ -90,6 +97,8 @@ pub trait Weights: Send + Sync + 'static {
     type Edge: Memory;
     /// Whether the densities of scattered directions are differentiated in the parameters.
     const DIFFERENTIATED: bool = false;
+    /// Whether weights of one technique carry derivatives and those of the other do not: wrong (F4), for study.
+    const MIXED: bool = false;
     /// The weight of a direction with density `a` against `b`, found by scattering; zero if `a` is.
     fn hit<H: Heuristic, R: Real>(a: R, b: R) -> R;
     /// The weight of a sampled light with density `a` against `b`; zero if `a` is.
@@ -162,6 +171,7 @@ pub struct MixedWeights;
 impl Weights for MixedWeights {
     type Edge = Keep;
     const DIFFERENTIATED: bool = true;
+    const MIXED: bool = true;
     #[inline]
     fn hit<H: Heuristic, R: Real>(a: R, b: R) -> R {
         varying::<H, R>(a, b)

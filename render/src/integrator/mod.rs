@@ -34,5 +34,3 @@ mod tile;
 pub mod vertex;
 mod wave;
 pub(crate) mod work;
-
-pub(crate) use vertex::light::is_guided;

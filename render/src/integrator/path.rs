@@ -13,14 +13,14 @@ use super::record::{Bounce, Contribution, MetLight, NormalsLight, Observer, Plac
 use super::vertex::interest::{PathInterest, splits};
 use super::vertex::light::{
     Rival, Seen, choose, counts_hits, find_light, frozen_pdf, guided, has_rival, has_tangent,
-    is_guided, matters, mis_weight, mixed,
+    matters, mis_weight, mixed,
 };
 use super::vertex::roulette::{MAX_SURVIVAL, play, probability, roulette_weight};
 use super::vertex::{MODE, part_of};
 use crate::bsdf::{Bsdf, Component, Material, Part, Shading, TextureRef};
 use crate::emitter::{AnyEmitter, Emission, Emitter, Shift};
 use crate::estimator::memory::{Memory, Store};
-use crate::estimator::{Edges, Geometry, Sampling, Strategy, differentiates_edges};
+use crate::estimator::{Edges, Geometry, Sampling, Strategy, differentiates_edges, is_guided};
 use crate::guide::Directions;
 use crate::math::{Ray, Rgb, Segment};
 use crate::params::Theta;

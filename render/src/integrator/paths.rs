@@ -15,8 +15,8 @@ use super::record::derivatives::Tangents;
 use super::rendering::{Components, NonFinite, Rendering, is_single};
 use super::sink::{GradientSums, Sink, add};
 use super::tile::{Paths, Sample, place, start};
-use super::wave::{self, LayerAdjoints, Record, WAVE_SIZE, Wave};
-use crate::estimator::{Sampling, Strategy};
+use super::wave::{LayerAdjoints, Record, WAVE_SIZE, Wave};
+use crate::estimator::{Sampling, Strategy, goes_in_waves};
 use crate::math::Rgb;
 use crate::parallel;
 use crate::params::Theta;
@@ -99,7 +99,7 @@ fn tile_sums<R: Components, S: Strategy, X: Sampler>(pass: &Pass<R>) -> Vec<Tile
             };
             let log = &mut ();
             tile.trace_waves::<_, S, X, _>(&still, seed, samples, &mut wave, log, begin, done);
-        } else if const { R::ORDER == 1 && is_single::<R::Primal>() && wave::fits::<S>() } {
+        } else if const { R::ORDER == 1 && is_single::<R::Primal>() && goes_in_waves::<S>() } {
             let mut wave = Wave::<R::Primal, X>::new();
             let mut record = Record::of::<S>(&active, scene, true);
             let mut lifted = Vec::with_capacity(WAVE_SIZE);
@@ -168,7 +168,7 @@ pub(super) fn gradient<P: Float, S: Strategy, X: Sampler>(
     large: &ExactBuffer,
 ) -> GradientSums {
     // In double precision, single paths check on waves.
-    if const { wave::fits::<S>() && is_single::<P>() } && active.scales.is_empty() {
+    if const { goes_in_waves::<S>() && is_single::<P>() } && active.scales.is_empty() {
         return pass.sums_of_waves::<S, X>(active, adjoint, large);
     }
     let (scene, theta) = (pass.scene, pass.theta);

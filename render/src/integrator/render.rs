@@ -45,7 +45,7 @@ pub fn render<R: Components, S: Unbiased, X: Sampler>(
 }
 
 /// [`render`] of what has been checked, or has no tangents.
-pub(crate) fn unchecked<R: Components, S: Unbiased, X: Sampler>(
+pub(crate) fn unchecked<R: Components, S: Strategy, X: Sampler>(
     scene: &Scene,
     theta: &Theta<R>,
     settings: &Settings,

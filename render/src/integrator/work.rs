@@ -6,9 +6,8 @@ use super::path::Context;
 use super::progress::Progress;
 use super::record::{Contribution, Interest, Observer, Place};
 use super::tile::start;
-use super::wave;
 use crate::emitter::AnyEmitter;
-use crate::estimator::{Direct, Mode, Sampling, Strategy};
+use crate::estimator::{Direct, Mode, Sampling, Strategy, goes_in_waves};
 use crate::math::Rgb;
 use crate::parallel;
 use crate::params::Theta;
@@ -109,7 +108,7 @@ impl<'a> Counter<'a> {
             scene,
             active,
             image: mode == Mode::Forward,
-            everywhere: mode == Mode::Forward && !wave::fits::<S>(),
+            everywhere: mode == Mode::Forward && !goes_in_waves::<S>(),
             rivals: S::SAMPLES_EMITTERS,
             weighs: S::DIFFERENTIATED_WEIGHTS || S::FROZEN_WEIGHTS,
             rays: match S::Bsdf::DIRECT {

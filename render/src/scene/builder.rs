@@ -8,13 +8,13 @@ use ad_core::Vec3;
 use super::{PixelShares, Scene, Settings, ShapeInfo, Shares};
 use crate::accel::{self, Accel, AccelError, Hit, MAX_COORDINATE, Plane, Primitive};
 use crate::bsdf::nesting::{check_textures, flips_normals, is_glossy, visit_deltas};
-use crate::bsdf::{Bsdf, Material};
+use crate::bsdf::{Bsdf, Material, TextureRef};
 use crate::camera::Camera;
 use crate::emitter::{AnyEmitter, Ball, Emitter};
 use crate::error::SceneError;
 use crate::film::Film;
 use crate::math::{NOWHERE, Ray};
-use crate::params::Params;
+use crate::params::{ParamKind, Params};
 use crate::plugin::Registry;
 use crate::shape::{AnyShape, Exit, Prim, Shape};
 use crate::texture::{RgbTexture, ScalarTexture, Texture};
@@ -213,7 +213,21 @@ impl Builder {
         }
         for m in &self.materials {
             check_textures(m, self.registry.params())?;
-            visit_deltas(m, &mut |p| self.registry.params_mut().mark_delta(p));
+            let params = self.registry.params_mut();
+            m.visit_textures(&mut |t| match t {
+                TextureRef::Alpha(t) | TextureRef::Exponent(t) => {
+                    t.visit_params(&mut |p| params.mark(p, ParamKind::Roughness));
+                }
+                TextureRef::Vector(t) | TextureRef::Encoded(t) => {
+                    t.visit_params(&mut |p| params.mark(p, ParamKind::Normals));
+                }
+                TextureRef::Rgb(_) | TextureRef::Scalar(_) => {}
+            });
+            visit_deltas(m, &mut |p| params.mark(p, ParamKind::Delta));
+        }
+        for e in &self.emitters {
+            let params = self.registry.params_mut();
+            (e.radiance()).visit_params(&mut |p| params.mark(p, ParamKind::Emission));
         }
         let (mut prims, mut patches) = (Vec::new(), Vec::new());
         let mut primitives = Vec::new();

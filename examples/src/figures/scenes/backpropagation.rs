@@ -8,7 +8,7 @@ use optim::{Loss, LossKind};
 use rayon::prelude::*;
 use render::film::PixelFilter;
 use render::instances::{
-    Direction, Technique, backward_f32, backward_f64, forward_f32, render_f32, render_f64,
+    Direction, Estimator, backward_f32, backward_f64, forward_f32, render_f32, render_f64,
 };
 use render::integrator::gradient::Active;
 use render::params::{ParamInfo, Theta};
@@ -74,7 +74,7 @@ impl Room {
         places.zip(start).for_each(|(i, v)| other[i] = v);
         let shot = |values: &[f32], seed: u64| {
             let theta = Theta::constant(values);
-            let technique = Technique::MisPower;
+            let technique = Estimator::Mis;
             let settings = &scene.settings;
             render_f32(&scene, &theta, technique, settings, seed, 0..128, &()).image(0)
         };
@@ -170,7 +170,7 @@ impl Room {
                 let mut moved = values.clone();
                 info.range().for_each(|i| moved[i] *= 1.0 + sign * step);
                 let theta = Theta::constant(&moved);
-                let technique = Technique::MisPower;
+                let technique = Estimator::Mis;
                 let (s, seed) = (&pass.settings, pass.seed);
                 render_f64(&self.scene, &theta, technique, s, seed, 0..pass.spp, &())
             };

@@ -1,7 +1,7 @@
 //! Direct light by BSDF sampling, emitter sampling and both [Zeltner 2021, figure 2.27].
 
 use rayon::prelude::*;
-use render::instances::{Technique, render_f32};
+use render::instances::{Estimator, render_f32};
 use render::params::Theta;
 
 use super::split::radiance;
@@ -11,10 +11,10 @@ use crate::figures::stage::{LAMP_RADII, PLATE_ALPHAS, Plates, plates};
 
 const SEED: u64 = 227;
 const TECHNIQUES: [(&str, Technique, u64); 3] = [
-    ("BSDF, 64 spp", Technique::BsdfOnly, 64),
-    ("emitter, 64 spp", Technique::EmitterOnly, 64),
+    ("BSDF, 64 spp", Estimator::Detached, 64),
+    ("emitter, 64 spp", Estimator::Emitter, 64),
     // One sample of either kind counts as two. The balance heuristic is the one with a proven bound.
-    ("both, 32 + 32 spp", Technique::MisBalance, 32),
+    ("both, 32 + 32 spp", Estimator::MisBalance, 32),
 ];
 
 /// What was found about one technique in one cell.

@@ -9,7 +9,7 @@ use std::time::Instant;
 
 use rayon::prelude::*;
 use render::auto;
-use render::instances::{Direction, Estimator, Mode, Technique, render_f64};
+use render::instances::{Direction, Estimator, Mode, render_f64};
 use render::params::Theta;
 use render::{RenderError, Scene};
 
@@ -150,7 +150,7 @@ pub fn figure(fig: &mut Figure) -> Result {
                 moved[info.range()].iter_mut().for_each(|v| *v += step);
                 let theta = Theta::constant(&moved);
                 // Light sampling does not move with roughness: common random numbers are smooth.
-                let t = Technique::EmitterOnly;
+                let t = Estimator::Emitter;
                 let s = &scene.settings;
                 render_f64(scene, &theta, t, s, SEED ^ (run + 1) << 20, 0..4 * spp, &())
             };

@@ -4,7 +4,7 @@
 use std::time::Instant;
 
 use render::auto;
-use render::instances::{Estimator, Technique, render_f32};
+use render::instances::{Estimator, render_f32};
 use render::params::Theta;
 
 use super::automatic::{Subject, subjects};
@@ -86,7 +86,7 @@ fn panels(subject: &Subject, weights: &[f32], spp: u64) -> [Panel; 2] {
     let scene = &subject.scene;
     let theta = Theta::constant(scene.params().values());
     let s = &scene.settings;
-    let image = render_f32(scene, &theta, Technique::MisPower, s, SEED, 0..spp, &());
+    let image = render_f32(scene, &theta, Estimator::Mis, s, SEED, 0..spp, &());
     let width = scene.film.crop_size[0] as usize;
     let mean = weights.iter().map(|&w| f64::from(w)).sum::<f64>() / weights.len() as f64;
     let log = |w: &f32| (f64::from(*w) / mean).max(0.25).log2();

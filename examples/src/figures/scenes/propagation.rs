@@ -5,7 +5,7 @@ use ad_core::Dual;
 use optim::{Loss, LossKind};
 use render::estimator::{Detached, DetachedWeights, Mis, Power};
 use render::instances::{
-    Direction, Technique, backward_f32, backward_f64, forward_f32, render_f32,
+    Direction, Estimator, backward_f32, backward_f64, forward_f32, render_f32,
 };
 use render::integrator::gradient::Active;
 use render::integrator::render::{Rendering, render};
@@ -48,7 +48,7 @@ fn board(fig: &mut Figure) -> Result<Board> {
     }
     let shot = |values: &[f32], seed| {
         let theta = Theta::constant(values);
-        let technique = Technique::MisPower;
+        let technique = Estimator::Mis;
         render_f32(
             &scene,
             &theta,
@@ -271,7 +271,7 @@ pub fn forward(fig: &mut Figure) -> Result {
         }
         let theta = Theta::constant(&values);
         let settings = &board.scene.settings;
-        let technique = Technique::MisPower;
+        let technique = Estimator::Mis;
         let samples = 0..board.spp;
         render_f32(
             &board.scene,

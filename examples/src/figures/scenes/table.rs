@@ -10,7 +10,7 @@ use render::estimator::{
     Detached, DetachedWeights, Differential, EmitterOnly, FrozenWeights, Mis, MixedWeights,
     Reparameterised, Unbiased,
 };
-use render::instances::{Direction, Estimator, Technique, render_f64};
+use render::instances::{Direction, Estimator, render_f64};
 use render::params::Theta;
 use render::{Image, Scene};
 
@@ -172,7 +172,7 @@ fn differences(scene: &Scene, effort: Effort) -> Result<Vec<Vec<f64>>> {
             let mut moved = values.clone();
             moved[at] += step;
             let theta = Theta::constant(&moved);
-            let technique = Technique::EmitterOnly;
+            let technique = Estimator::Emitter;
             let settings = &scene.settings;
             render_f64(scene, &theta, technique, settings, SEED + run, 0..spp, &())
         };

@@ -2,7 +2,7 @@
 //! figures 4.1, 4.20 and 4.21].
 
 use ad_core::Vec3;
-use render::instances::{Direction, Estimator, Technique, render_f64};
+use render::instances::{Direction, Estimator, render_f64};
 use render::params::Theta;
 use render::{RenderError, Scene};
 
@@ -78,7 +78,7 @@ fn differences(scene: &Scene, effort: Effort) -> Result<Series> {
             let mut moved = values.clone();
             offsets.iter().for_each(|&i| moved[i] += step);
             let theta = Theta::constant(&moved);
-            let technique = Technique::MisPower;
+            let technique = Estimator::Mis;
             let s = &scene.settings;
             render_f64(scene, &theta, technique, s, SEED + run, 0..spp, &())
         };

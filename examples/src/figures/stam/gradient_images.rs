@@ -7,7 +7,7 @@ use ad_core::Dual;
 use render::Scene;
 use render::bsdf::{BlinnPhongLobe, BlinnPhongSampling};
 use render::estimator::{AllowBias, Attached, BsdfOnly, Detached, Unbiased};
-use render::instances::{Direction, Technique, backward_f32, forward_f32, render_f64};
+use render::instances::{Direction, Estimator, backward_f32, forward_f32, render_f64};
 use render::integrator::gradient::Active;
 use render::integrator::render::{Rendering, render};
 use render::math::Rgb;
@@ -216,7 +216,7 @@ pub fn cosine(fig: &mut Figure) -> Result {
             let r = render_f64(
                 &scene7,
                 &theta,
-                Technique::BsdfOnly,
+                Estimator::Detached,
                 &scene7.settings,
                 s.seed,
                 range,
@@ -510,7 +510,7 @@ pub fn importance(fig: &mut Figure) -> Result {
                 let r = render_f64(
                     &scene7,
                     &theta,
-                    Technique::MisPower,
+                    Estimator::Mis,
                     &scene7.settings,
                     s.seed + 2,
                     samples.clone(),

@@ -4,7 +4,7 @@
 use render::bsdf::Diffuse;
 use render::camera::{Camera, FovAxis};
 use render::emitter::Area;
-use render::instances::{Technique, backward_f64, render_f64};
+use render::instances::{Estimator, backward_f64, render_f64};
 use render::integrator::gradient::Active;
 use render::math::Transform;
 use render::params::Theta;
@@ -248,7 +248,7 @@ pub fn figure(fig: &mut Figure) -> Result {
         let image = render_f64(
             &scene,
             &theta,
-            Technique::BsdfOnly,
+            Estimator::Detached,
             settings,
             31,
             samples.clone(),

@@ -7,7 +7,7 @@ pub mod normals;
 pub mod pool;
 
 use render::bsdf::kernel::{Rules, Symmetry};
-use render::instances::{Technique, particles_f32, render_f32};
+use render::instances::{Estimator, particles_f32, render_f32};
 use render::integrator::render::Rendering;
 use render::params::Theta;
 use render::{Scene, Settings};
@@ -39,13 +39,5 @@ pub fn particles(
 /// The image by paths.
 pub fn paths(scene: &Scene, settings: &Settings, seed: u64, spp: u64) -> Rendering {
     let theta = Theta::constant(scene.params().values());
-    render_f32(
-        scene,
-        &theta,
-        Technique::MisPower,
-        settings,
-        seed,
-        0..spp,
-        &(),
-    )
+    render_f32(scene, &theta, Estimator::Mis, settings, seed, 0..spp, &())
 }

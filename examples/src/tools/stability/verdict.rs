@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use render::bsdf::microfacet::Ndf;
-use render::instances::{Direction, Estimator, Technique, render_f32, render_f64};
+use render::instances::{Direction, Estimator, render_f32, render_f64};
 use render::params::Theta;
 use render::scene::LoadOptions;
 use render::{Scene, SceneError};
@@ -292,7 +292,7 @@ fn steps(probes: &mut Probes, setup: &Setup, quick: bool, seed: u64) -> Result<(
         let mut moved: Vec<f32> = scene.params().values().to_vec();
         moved[at] += h as f32;
         let theta = Theta::constant(&moved);
-        let technique = Technique::EmitterOnly;
+        let technique = Estimator::Emitter;
         let r = render_f32(scene, &theta, technique, &scene.settings, seed, 0..spp, &());
         r.sums[0].iter().step_by(3).copied().collect()
     };
@@ -303,7 +303,7 @@ fn steps(probes: &mut Probes, setup: &Setup, quick: bool, seed: u64) -> Result<(
             .collect()
     };
     let smooth = |h: f64| {
-        let t = Technique::EmitterOnly;
+        let t = Estimator::Emitter;
         moments(&difference(image(t, h), image(t, -h), h))[0]
     };
     // Richardson's extrapolation: the error goes with the fourth power of the step.
@@ -314,7 +314,7 @@ fn steps(probes: &mut Probes, setup: &Setup, quick: bool, seed: u64) -> Result<(
         let step = 0.3 * 10f64.powf(-10.0 * f64::from(i) / f64::from(count - 1));
         let h = step * alpha;
         let single = moments(&difference(image_f32(h), image_f32(-h), h))[0];
-        let t = Technique::BsdfOnly;
+        let t = Estimator::Detached;
         let jumps = difference(image(t, h), image(t, -h), h);
         let [_, spread] = moments(&jumps);
         probes.steps.push(Step {

@@ -5,7 +5,7 @@ use ad_core::{Const, Float, Real, Vec2, Vec3};
 use super::MODE;
 use crate::bsdf::{Bsdf, BsdfSample, Component, Material, Scattered, Shading};
 use crate::emitter::{Emission, Emitter};
-use crate::estimator::{Geometry, Sampling, Strategy, differentiates_edges};
+use crate::estimator::{Geometry, Sampling, Strategy};
 use crate::guide::{Directions, PART_GUIDED};
 use crate::math::{Frame, Rgb};
 use crate::params::Theta;
@@ -202,15 +202,6 @@ pub fn mis_weight<S: Strategy, R: Real>(weighs: bool, pdf: R, pdf_bsdf: R) -> R 
 #[inline(always)]
 pub fn has_tangent<R: Real>(c: Rgb<R>) -> bool {
     !R::IS_PRIMAL && (c.r.has_tangent() || c.g.has_tangent() || c.b.has_tangent())
-}
-
-/// Whether a [`Guide`](crate::guide::Guide) may lead scattered directions: only if neither they nor weights move, nor
-/// what they are divided by.
-pub const fn is_guided<S: Strategy>() -> bool {
-    S::Bsdf::DETACHED_PATH
-        && !S::FROZEN_WEIGHTS
-        && !differentiates_edges::<S>()
-        && !S::ATTACHED_CHOICE
 }
 
 /// Density of a direction of which the guide draws its part and the material the rest.

@@ -26,16 +26,15 @@ use super::path::Context;
 use super::vertex::MODE;
 use super::vertex::interest::{Interest, PathInterest, splits};
 use super::vertex::light::{
-    Met, Rival, Seen, choose, counts_hits, find_light, guided, has_rival, is_guided, matters,
-    mis_weight, mixed,
+    Met, Rival, Seen, choose, counts_hits, find_light, guided, has_rival, matters, mis_weight,
+    mixed,
 };
 use super::vertex::roulette::{play, probability, roulette_weight};
 use crate::accel::{Hit, PACKET_SIZE, RayPacket};
 use crate::bsdf::{Bsdf, Component, DiffuseLobe, Lobe, Material, Shading};
 use crate::camera::Camera;
 use crate::emitter::{AnyEmitter, Area, Emission, Emitter, EmitterSample};
-use crate::estimator::memory::Memory;
-use crate::estimator::{Detached, Sampling, Still, Strategy, differentiates_edges};
+use crate::estimator::{Detached, Sampling, Still, Strategy, differentiates_edges, is_guided};
 use crate::guide::{Directions, Guide};
 use crate::math::{Frame, NOWHERE, Ray, Rgb, Segment};
 use crate::params::Theta;
@@ -46,15 +45,6 @@ use crate::sampler::{
 use crate::scene::Scene;
 use crate::shape::{AnyShape, Exit, Shape, SurfaceInteraction, sample_cone};
 use crate::texture::Texture;
-
-/// Whether waves estimate derivatives as strategy `S` does: paths and samples of emitters stand still, and decisions are
-/// constants.
-pub(super) const fn fits<S: Strategy>() -> bool {
-    S::Bsdf::DETACHED_PATH
-        && !S::EmitterMotion::KEEPS
-        && !S::ATTACHED_ROULETTE
-        && !S::ATTACHED_CHOICE
-}
 
 /// Keeps what happens to the paths of a wave.
 pub(super) trait Log<P: Float>: Interest {
