@@ -161,6 +161,12 @@ pub fn gradients(
     Ok(((0..names.len()).map(of).collect(), seconds))
 }
 
+/// Standard normal deviate of a chi-square statistic [Wilson and Hilferty 1931].
+pub fn deviate(statistic: f64, freedom: f64) -> f64 {
+    let v = 2.0 / (9.0 * freedom);
+    ((statistic / freedom).cbrt() - (1.0 - v)) / v.sqrt()
+}
+
 /// Variance of one of independent images, summed over the pixels.
 pub fn variance(images: &[Vec<f64>]) -> f64 {
     let squares = per_pixel(images).into_iter().map(|e| e.error * e.error);

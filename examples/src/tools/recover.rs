@@ -31,6 +31,7 @@ mod store;
 
 use self::store::{FilePath, Inputs, Store};
 use super::render::{Method, in_passes, passes};
+use crate::builtin_scene;
 use crate::chart::LineChart;
 use crate::cli::{
     LoadArgs, Outcome, SAMPLE_COUNTS, SampleArgs, ThreadArgs, ToolError, depth, report_non_finite,
@@ -39,7 +40,6 @@ use crate::cli::{
 use crate::optimise::{Algorithm, Problem};
 use crate::output;
 use crate::progress::{Bar, Interrupt};
-use crate::scenes;
 use crate::{complain, say};
 
 /// Values of `--iterations`.
@@ -217,7 +217,7 @@ impl Job {
         let optimizer = args.optimizer.unwrap_or(OptimizerArg::ADAM);
         let mut params = args.params.clone();
         if args.scene.is_none() && params.is_empty() {
-            let unknowns = scenes::cornell_unknowns();
+            let unknowns = builtin_scene::cornell_unknowns();
             params = unknowns.iter().map(|u| u.name.to_owned()).collect();
         }
         let loss = args.loss.clone().unwrap_or_else(|| "relative-l2".into());
@@ -691,8 +691,8 @@ type Loaded = (Scene, Active, Vec<f32>, Option<Vec<f32>>);
 
 fn load(job: &Job, estimator: Estimator) -> Result<Loaded, ToolError> {
     let Some(path) = &job.scene else {
-        let scene = scenes::cornell(job.size, job.size)?;
-        let unknowns = scenes::cornell_unknowns();
+        let scene = builtin_scene::cornell(job.size, job.size)?;
+        let unknowns = builtin_scene::cornell_unknowns();
         let active = estimator.active(&scene, &job.params)?;
         let (mut start, mut truth) = (Vec::new(), Vec::new());
         for info in active.ranges() {

@@ -389,7 +389,7 @@ mod tests {
     use std::sync::atomic::{AtomicU64, Ordering};
 
     use super::*;
-    use crate::scenes;
+    use crate::builtin_scene;
 
     /// Stops after a number of pixels.
     struct StopAfter(u64, AtomicU64);
@@ -405,7 +405,7 @@ mod tests {
 
     #[test]
     fn an_interrupted_image_holds_the_complete_passes() {
-        let scene = scenes::cornell(256, 256).unwrap();
+        let scene = builtin_scene::cornell(256, 256).unwrap();
         let mut settings = scene.settings;
         settings.spp = 40;
         settings.max_depth = 2;
