@@ -36,9 +36,10 @@ impl Estimate {
     /// Difference to another one in standard errors.
     pub fn z(&self, other: &Self) -> f64 {
         let d = self.mean - other.mean;
-        match d == 0.0 {
-            true => 0.0,
-            false => d / self.error.hypot(other.error),
+        if d == 0.0 {
+            0.0
+        } else {
+            d / self.error.hypot(other.error)
         }
     }
 }

@@ -529,23 +529,22 @@ fn trial(
         })
     };
     let (first, second) = (of(&forward)?, of(&reverse)?);
-    let measured = match heuristics {
-        true => {
-            let units = best(&first.singles, |s| s.work);
-            let of = |spent: &[Spent]| efficiency(spent, &units, |s| s.work);
-            let alone = |e: Estimator| {
-                let found = first.singles.iter().find(|s| s.0 == e);
-                found.map_or(0.0, |s| of(&s.1))
-            };
-            let own = of(&mixed(subject, &FAMILY, effort, &forward)?.0);
-            let [balance, power] = HEURISTICS.map(alone);
-            let fixed = [Estimator::MisTrustLights, Estimator::MisTrustBsdf];
-            Some(Measured {
-                gains: [own / balance, own / power],
-                fixed: fixed.map(|e| alone(e) / balance),
-            })
-        }
-        false => None,
+    let measured = if heuristics {
+        let units = best(&first.singles, |s| s.work);
+        let of = |spent: &[Spent]| efficiency(spent, &units, |s| s.work);
+        let alone = |e: Estimator| {
+            let found = first.singles.iter().find(|s| s.0 == e);
+            found.map_or(0.0, |s| of(&s.1))
+        };
+        let own = of(&mixed(subject, &FAMILY, effort, &forward)?.0);
+        let [balance, power] = HEURISTICS.map(alone);
+        let fixed = [Estimator::MisTrustLights, Estimator::MisTrustBsdf];
+        Some(Measured {
+            gains: [own / balance, own / power],
+            fixed: fixed.map(|e| alone(e) / balance),
+        })
+    } else {
+        None
     };
     Ok(([first, second], measured))
 }

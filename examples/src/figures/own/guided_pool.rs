@@ -68,9 +68,10 @@ fn settings(scene: &Scene) -> Settings {
 /// Lets paths learn, and returns the seconds that it took.
 fn learn(scene: &mut Scene) -> Result<f64> {
     let (start, settings) = (Instant::now(), settings(scene));
-    match auto::guide(scene, &settings, SEED, &()) {
-        true => Ok(start.elapsed().as_secs_f64()),
-        false => Err("light that meets something diffuse".into()),
+    if auto::guide(scene, &settings, SEED, &()) {
+        Ok(start.elapsed().as_secs_f64())
+    } else {
+        Err("light that meets something diffuse".into())
     }
 }
 

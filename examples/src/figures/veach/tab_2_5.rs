@@ -61,9 +61,10 @@ impl Point<'_> {
             uv: Vec2::new(0.5, 0.5),
         };
         // Radiance comes from `from`, to the viewer at `to`; importance the other way round.
-        let (directions, mode) = match adjoint {
-            true => ([from, to], TransportMode::Importance),
-            false => ([to, from], TransportMode::Radiance),
+        let (directions, mode) = if adjoint {
+            ([from, to], TransportMode::Importance)
+        } else {
+            ([to, from], TransportMode::Radiance)
         };
         eval_kernel(
             self.material,

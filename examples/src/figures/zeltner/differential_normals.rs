@@ -29,8 +29,9 @@ pub(super) fn angle(theta: f64, density: f64) -> f64 {
 
 pub(super) fn part(kind: Ndf, theta: f64, sign: DiffLobe) -> f64 {
     let (surface, m) = (surface(kind, ALPHA), direction(theta));
-    match surface.part_of(m) == sign {
-        true => angle(theta, surface.pdf_differential(m)),
-        false => 0.0,
+    if surface.part_of(m) == sign {
+        angle(theta, surface.pdf_differential(m))
+    } else {
+        0.0
     }
 }

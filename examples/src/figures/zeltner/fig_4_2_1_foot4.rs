@@ -25,9 +25,10 @@ pub fn figure(fig: &mut Figure) -> Result {
         let chosen: Vec<&str> = (names.iter().zip(attached))
             .filter_map(|(name, a)| a.then_some(*name))
             .collect();
-        let label = match chosen.is_empty() {
-            true => "nothing".to_owned(),
-            false => chosen.join(" and "),
+        let label = if chosen.is_empty() {
+            "nothing".to_owned()
+        } else {
+            chosen.join(" and ")
         };
         let one =
             |u: f64| partly_attached((&Power(1.0), &Power(2.0)), &Rising, attached, 1.0, u).eps[0];

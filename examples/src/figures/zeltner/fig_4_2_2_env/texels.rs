@@ -28,9 +28,10 @@ fn sky(smooth: bool) -> Image {
         let x = (i % width) as f64 / width as f64 * TAU;
         let y = (i / width) as f64 / (height - 1) as f64 * PI;
         let any = mix64(i as u64 + 1) as f64 / u64::MAX as f64;
-        let light = match smooth {
-            true => 1.0 + 0.5 * (x + 1.0).sin() * y.sin(),
-            false => (2.0 * any).powi(3),
+        let light = if smooth {
+            1.0 + 0.5 * (x + 1.0).sin() * y.sin()
+        } else {
+            (2.0 * any).powi(3)
         };
         texel.fill(light as f32);
     }
@@ -104,15 +105,16 @@ pub fn measure(fig: &mut Figure) -> Result {
         let detached = spread(&scene, Estimator::Emitter, repeats)?;
         let attached = spread(&scene, Estimator::EmitterAttached, repeats)?;
         let [texels, factor] = [0, 1].map(|k| attached[k] / detached[k]);
-        let (statement, right) = match smooth {
-            true => (
+        let (statement, right) = if smooth {
+            (
                 "under a smooth map, derivatives by single texels vary less if samples move with them",
                 texels < 0.5,
-            ),
-            false => (
+            )
+        } else {
+            (
                 "where every texel is for itself, they vary more",
                 texels > 2.0,
-            ),
+            )
         };
         fig.check(
             statement,
