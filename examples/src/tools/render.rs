@@ -137,9 +137,10 @@ impl Args {
     /// # Errors
     /// Arguments that mean nothing together.
     fn method(&self) -> Result<Method, ToolError> {
-        let symmetry = match self.ignore_non_symmetry {
-            true => Symmetry::Ignored,
-            false => Symmetry::Respected,
+        let symmetry = if self.ignore_non_symmetry {
+            Symmetry::Ignored
+        } else {
+            Symmetry::Respected
         };
         let rules = Rules {
             symmetry,
