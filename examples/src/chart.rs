@@ -262,9 +262,10 @@ impl LineChart {
             }
             let dotted = matches!(s.style, Style::Points | Style::LineAndPoints);
             // Colours repeat after a while; rings tell their second users from the first.
-            let dot = match i < COLOURS.len() {
-                true => colour.filled(),
-                false => colour.stroke_width(2),
+            let dot = if i < COLOURS.len() {
+                colour.filled()
+            } else {
+                colour.stroke_width(2)
             };
             if dotted {
                 // The drawing library moves what is outside to the edge.
@@ -278,11 +279,12 @@ impl LineChart {
             }
             if let (Some(handle), false) = (handle, s.label.is_empty()) {
                 let handle = handle.label(&s.label);
-                match dotted {
-                    true => handle.legend(move |(x, y)| Circle::new((x + 9, y), 4, dot)),
-                    false => handle.legend(move |(x, y)| {
+                if dotted {
+                    handle.legend(move |(x, y)| Circle::new((x + 9, y), 4, dot))
+                } else {
+                    handle.legend(move |(x, y)| {
                         Rectangle::new([(x, y - 2), (x + 18, y + 2)], colour.filled())
-                    }),
+                    })
                 };
             }
         }

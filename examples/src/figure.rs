@@ -184,9 +184,12 @@ impl Figure {
         header: &[&str; N],
         rows: impl IntoIterator<Item = [String; N]>,
     ) {
-        let quote = |field: &str| match field.contains([',', '"', '\n']) {
-            true => format!("\"{}\"", field.replace('"', "\"\"")),
-            false => field.to_owned(),
+        let quote = |field: &str| {
+            if field.contains([',', '"', '\n']) {
+                format!("\"{}\"", field.replace('"', "\"\""))
+            } else {
+                field.to_owned()
+            }
         };
         let mut text = header.map(quote).join(",") + "\n";
         for row in rows {

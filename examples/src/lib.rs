@@ -1,5 +1,6 @@
 //! Command-line tools and reproduced figures, and what they share.
 
+pub mod builtin_scene;
 pub mod chart;
 pub mod cli;
 pub mod figure;
@@ -9,6 +10,6 @@ pub mod optimise;
 pub mod output;
 pub mod print;
 pub mod progress;
-pub mod scenes;
+pub mod scene_builder;
 pub mod sheet;
 pub mod tools;

@@ -198,9 +198,12 @@ pub fn beside(path: &Path, suffix: &str) -> PathBuf {
 
 /// A parameter's key as part of a file name: different for different keys, and the same in an address.
 pub fn file_name(key: &str) -> String {
-    let name = |b: u8| match b.is_ascii_alphanumeric() || b"._-".contains(&b) {
-        true => char::from(b).to_string(),
-        false => format!("~{b:02X}"),
+    let name = |b: u8| {
+        if b.is_ascii_alphanumeric() || b"._-".contains(&b) {
+            char::from(b).to_string()
+        } else {
+            format!("~{b:02X}")
+        }
     };
     key.bytes().map(name).collect()
 }

@@ -219,9 +219,10 @@ impl Plot {
         DB::ErrorType: 'static,
     {
         let y = (self.y[0]..self.y[1]).log_scale();
-        match self.log_x {
-            true => self.draw_on(area, (self.x[0]..self.x[1]).log_scale(), y),
-            false => self.draw_on(area, self.x[0]..self.x[1], y),
+        if self.log_x {
+            self.draw_on(area, (self.x[0]..self.x[1]).log_scale(), y)
+        } else {
+            self.draw_on(area, self.x[0]..self.x[1], y)
         }
     }
 

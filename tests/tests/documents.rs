@@ -395,13 +395,39 @@ fn listed(document: &str) -> Vec<String> {
         .collect()
 }
 
-/// `docs/figures.md` lists every figure once, with the module that makes it, and nothing else.
+/// The module of a figure, by the rule of `CONTRIBUTING.md`.
+fn module_of(id: &str) -> String {
+    let source = ["christensen", "stam", "veach", "zeltner"]
+        .into_iter()
+        .find_map(|s| Some((s, id.strip_prefix(s)?.strip_prefix('-')?)));
+    let (source, rest) = source.unwrap_or(("own", id));
+    let rest = rest.replace('-', "_");
+    let number = rest.starts_with(|c: char| c.is_ascii_digit());
+    format!("{source}/{}{rest}", if number { "fig_" } else { "" })
+}
+
+#[test]
+fn the_id_of_a_figure_names_its_module() {
+    for (id, module) in [
+        ("zeltner-4-19", "zeltner/fig_4_19"),
+        ("zeltner-4-2-2-env", "zeltner/fig_4_2_2_env"),
+        ("stam-alg-b", "stam/alg_b"),
+        ("veach-01a", "veach/fig_01a"),
+        ("caustic-ring", "own/caustic_ring"),
+    ] {
+        assert_eq!(module_of(id), module);
+    }
+}
+
+/// `docs/figures.md` lists every figure once, with the module that its id names, and nothing else. The binary calls that
+/// module, and no other module has such a name.
 #[test]
 fn every_figure_is_listed() {
     let page = read("docs/figures.md");
     let mut listed = listed(&page);
     listed.sort();
     let mut figures = Vec::new();
+    let mut modules = BTreeSet::new();
     for path in files(&[".rs"]) {
         let folder = path.parent().expect("a folder");
         if !folder.ends_with("examples/src/bin") {
@@ -424,16 +450,32 @@ fn every_figure_is_listed() {
             .unwrap_or_default()
             .trim()
             .trim_matches('`');
-        let call = module.replace('/', "::");
-        assert!(
-            text.contains(&call),
-            "docs/figures.md: `{id}`: expected the module that its binary calls, found `{module}`"
-        );
+        let expected = module_of(&id);
+        assert_eq!(module, expected, "docs/figures.md: the module of `{id}`");
+        let call = format!("{}::figure", expected.replace('/', "::"));
+        let called = text.contains(&format!(" {call},")) || text.contains(&format!(" {call})"));
+        assert!(called, "{}: expected a call of {call}", path.display());
+        modules.insert(expected);
         figures.push(id);
     }
     figures.sort();
     assert!(figures.len() > 40, "found only {} figures", figures.len());
     assert_eq!(listed, figures);
+    let folder = root().join("examples/src/figures");
+    let mut made = BTreeSet::new();
+    for path in files(&[".rs"]) {
+        let Ok(below) = path.strip_prefix(&folder) else {
+            continue;
+        };
+        if read(&path).contains("\npub fn figure(") {
+            let below = below
+                .with_extension("")
+                .to_string_lossy()
+                .replace('\\', "/");
+            made.insert(below.trim_end_matches("/mod").to_owned());
+        }
+    }
+    assert_eq!(made, modules);
 }
 
 /// The README's table of estimators has each that tools know by name, and no other.

@@ -11,7 +11,7 @@ use render::{Scene, Settings};
 use tests::scene;
 use tests::stats::{Estimate, z_limit};
 
-const TECHNIQUES: [Technique; 4] = [
+const TECHNIQUES: [Estimator; 4] = [
     Estimator::Mis,
     Estimator::MisBalance,
     Estimator::Detached,
@@ -70,7 +70,7 @@ fn crowd(turn: &str) -> String {
     (0..150).map(one).collect()
 }
 
-fn by(scene: &Scene, technique: Technique, spp: u64) -> Vec<f32> {
+fn by(scene: &Scene, technique: Estimator, spp: u64) -> Vec<f32> {
     let theta = Theta::constant(scene.params().values());
     let settings = &scene.settings;
     render_f32(scene, &theta, technique, settings, 3, 0..spp, &())

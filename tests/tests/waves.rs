@@ -123,7 +123,7 @@ fn all() -> impl Iterator<Item = (Case, Scene)> {
 }
 
 /// Asserts that waves find what single paths do, bit by bit.
-fn assert_same(what: &str, s: &Scene, settings: &Settings, techniques: &[Technique]) {
+fn assert_same(what: &str, s: &Scene, settings: &Settings, techniques: &[Estimator]) {
     let theta = Theta::constant(s.params().values());
     let (seed, spp) = (3, 8);
     for &technique in techniques {
@@ -142,7 +142,7 @@ fn assert_same(what: &str, s: &Scene, settings: &Settings, techniques: &[Techniq
 
 #[test]
 fn images_are_those_of_single_paths_bit_by_bit() {
-    use Technique::{BsdfOnly, EmitterOnly, MisPower};
+    use Estimator::{BsdfOnly, EmitterOnly, MisPower};
     for (case, mut s) in all() {
         let plain = s.settings;
         assert_same(case.name, &s, &plain, &[MisPower, BsdfOnly, EmitterOnly]);

@@ -3,12 +3,12 @@
 use std::process::ExitCode;
 
 use examples::figure::Figure;
-use examples::figures::scenes;
+use examples::figures::own;
 
 fn main() -> ExitCode {
     Figure::run(
         "auto-estimator",
         "an estimator that chooses by itself, against every single one",
-        scenes::automatic::figure,
+        own::auto_estimator::figure,
     )
 }

@@ -3,12 +3,12 @@
 use std::process::ExitCode;
 
 use examples::figure::Figure;
-use examples::figures::scenes;
+use examples::figures::own;
 
 fn main() -> ExitCode {
     Figure::run(
         "caustic-ring",
         "caustics by paths and by particles: the same derivatives, and where which has less noise",
-        scenes::caustics::figure,
+        own::caustic_ring::figure,
     )
 }

@@ -9,6 +9,6 @@ fn main() -> ExitCode {
     Figure::run(
         "christensen-01",
         "four boxes, path-traced and by finite elements",
-        christensen::pictures::figure,
+        christensen::fig_01::figure,
     )
 }

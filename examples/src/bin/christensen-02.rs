@@ -9,6 +9,6 @@ fn main() -> ExitCode {
     Figure::run(
         "christensen-02",
         "piecewise-constant solutions against the path tracer",
-        christensen::flat::figure,
+        christensen::fig_02::figure,
     )
 }

@@ -9,6 +9,6 @@ fn main() -> ExitCode {
     Figure::run(
         "christensen-03",
         "error against links with and without importance",
-        christensen::links::figure,
+        christensen::fig_03::figure,
     )
 }

@@ -9,6 +9,6 @@ fn main() -> ExitCode {
     Figure::run(
         "christensen-eq6-11",
         "radiance and importance between patches",
-        christensen::duality::figure,
+        christensen::eq6_11::figure,
     )
 }

@@ -3,12 +3,12 @@
 use std::process::ExitCode;
 
 use examples::figure::Figure;
-use examples::figures::scenes;
+use examples::figures::own;
 
 fn main() -> ExitCode {
     Figure::run(
         "guided-pool",
         "paths that have learned where light comes from: the same derivatives, less noise below water",
-        scenes::guided::figure,
+        own::guided_pool::figure,
     )
 }

@@ -3,12 +3,12 @@
 use std::process::ExitCode;
 
 use examples::figure::Figure;
-use examples::figures::scenes;
+use examples::figures::own;
 
 fn main() -> ExitCode {
     Figure::run(
         "measured-pixels",
         "what samples gain that go where a derivative is noisy",
-        scenes::measured::figure,
+        own::measured_pixels::figure,
     )
 }

@@ -3,12 +3,12 @@
 use std::process::ExitCode;
 
 use examples::figure::Figure;
-use examples::figures::scenes;
+use examples::figures::own;
 
 fn main() -> ExitCode {
     Figure::run(
         "second-order",
         "Gauss-Newton steps against Adam, and the Hessian of an image loss",
-        scenes::second_order::figure,
+        own::second_order::figure,
     )
 }

@@ -3,12 +3,12 @@
 use std::process::ExitCode;
 
 use examples::figure::Figure;
-use examples::figures::scenes;
+use examples::figures::own;
 
 fn main() -> ExitCode {
     Figure::run(
         "spread-samples",
         "what Sobol points, antithetic pairs and weighed lights gain, per estimator",
-        scenes::spread::figure,
+        own::spread_samples::figure,
     )
 }

@@ -9,6 +9,6 @@ fn main() -> ExitCode {
     Figure::run(
         "stam-05",
         "one path, and an image with some of its paths",
-        stam::path_view::figure,
+        stam::fig_05::figure,
     )
 }

@@ -9,6 +9,6 @@ fn main() -> ExitCode {
     Figure::run(
         "stam-06",
         "seven gradients on one path against central differences",
-        stam::gradient_table::figure,
+        stam::fig_06::figure,
     )
 }

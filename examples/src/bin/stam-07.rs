@@ -9,6 +9,6 @@ fn main() -> ExitCode {
     Figure::run(
         "stam-07",
         "image and seven derivative images, cosine sampling",
-        stam::gradient_images::cosine,
+        stam::fig_07::figure,
     )
 }

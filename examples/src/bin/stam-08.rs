@@ -9,6 +9,6 @@ fn main() -> ExitCode {
     Figure::run(
         "stam-08",
         "image and seven derivative images, Blinn-Phong importance sampling",
-        stam::gradient_images::importance,
+        stam::fig_08::figure,
     )
 }

@@ -9,6 +9,6 @@ fn main() -> ExitCode {
     Figure::run(
         "stam-alg-5-2",
         "forward and backward recursion of a Lambertian path, two controls",
-        stam::recursion::figure,
+        stam::alg_5_2::figure,
     )
 }

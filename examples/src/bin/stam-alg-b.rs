@@ -9,6 +9,6 @@ fn main() -> ExitCode {
     Figure::run(
         "stam-alg-b",
         "sampled Blinn-Phong normals against their density",
-        stam::sampling::figure,
+        stam::alg_b::figure,
     )
 }

@@ -9,6 +9,6 @@ fn main() -> ExitCode {
     Figure::run(
         "stam-alg-c",
         "Blinn-Phong weight and exponent gradient, printed and corrected",
-        stam::brdf::figure,
+        stam::alg_c::figure,
     )
 }

@@ -9,6 +9,6 @@ fn main() -> ExitCode {
     Figure::run(
         "stam-alg-d",
         "roulette, emission gradient and cost of the pseudocode, printed and corrected",
-        stam::path_tracer::figure,
+        stam::alg_d::figure,
     )
 }

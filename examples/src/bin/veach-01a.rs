@@ -9,6 +9,6 @@ fn main() -> ExitCode {
     Figure::run(
         "veach-01a",
         "shading normals gain energy",
-        veach::facets::figure_a,
+        veach::fig_01a::figure,
     )
 }

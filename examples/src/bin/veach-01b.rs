@@ -9,6 +9,6 @@ fn main() -> ExitCode {
     Figure::run(
         "veach-01b",
         "particles jump across an edge, and the weight that mends it",
-        veach::facets::figure_b,
+        veach::fig_01b::figure,
     )
 }

@@ -9,6 +9,6 @@ fn main() -> ExitCode {
     Figure::run(
         "veach-eq9-invariant",
         "basic radiance gives the same image",
-        veach::pool::invariant,
+        veach::eq9_invariant::figure,
     )
 }

@@ -9,6 +9,6 @@ fn main() -> ExitCode {
     Figure::run(
         "veach-plate-1",
         "bumps and facets by particles, with and without adjoint BSDFs",
-        veach::normals::figure,
+        veach::plate_1::figure,
     )
 }

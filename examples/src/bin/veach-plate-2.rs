@@ -9,6 +9,6 @@ fn main() -> ExitCode {
     Figure::run(
         "veach-plate-2",
         "a pool by particles: what refraction scales",
-        veach::pool::figure,
+        veach::plate_2::figure,
     )
 }

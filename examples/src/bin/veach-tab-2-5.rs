@@ -9,6 +9,6 @@ fn main() -> ExitCode {
     Figure::run(
         "veach-tab-2-5",
         "four transport operators, and the scattering kernel with its adjoint",
-        veach::kernel::figure,
+        veach::tab_2_5::figure,
     )
 }

@@ -3,12 +3,12 @@
 use std::process::ExitCode;
 
 use examples::figure::Figure;
-use examples::figures::scenes;
+use examples::figures::zeltner;
 
 fn main() -> ExitCode {
     Figure::run(
         "zeltner-1-1",
         "a scene rendered forward and recovered backward",
-        scenes::recovery::pair,
+        zeltner::fig_1_1::figure,
     )
 }

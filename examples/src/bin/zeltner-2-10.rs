@@ -9,6 +9,6 @@ fn main() -> ExitCode {
     Figure::run(
         "zeltner-2-10",
         "Fresnel reflectance of glass",
-        zeltner::fresnel::dielectrics,
+        zeltner::fig_2_10::figure,
     )
 }

@@ -9,6 +9,6 @@ fn main() -> ExitCode {
     Figure::run(
         "zeltner-2-11",
         "complex index and reflectance of gold",
-        zeltner::fresnel::metal,
+        zeltner::fig_2_11::figure,
     )
 }

@@ -9,6 +9,6 @@ fn main() -> ExitCode {
     Figure::run(
         "zeltner-2-13",
         "Beckmann and GGX distributions of normals",
-        zeltner::microfacet::normals,
+        zeltner::fig_2_13::figure,
     )
 }

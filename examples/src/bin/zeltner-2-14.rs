@@ -9,6 +9,6 @@ fn main() -> ExitCode {
     Figure::run(
         "zeltner-2-14",
         "shadowing and masking of Beckmann and GGX",
-        zeltner::microfacet::masking,
+        zeltner::fig_2_14::figure,
     )
 }

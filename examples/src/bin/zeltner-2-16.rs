@@ -3,12 +3,12 @@
 use std::process::ExitCode;
 
 use examples::figure::Figure;
-use examples::figures::scenes;
+use examples::figures::zeltner;
 
 fn main() -> ExitCode {
     Figure::run(
         "zeltner-2-16",
         "factors of the rendering equation at two points",
-        scenes::factors::figure,
+        zeltner::fig_2_16::figure,
     )
 }

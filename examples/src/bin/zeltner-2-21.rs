@@ -9,6 +9,6 @@ fn main() -> ExitCode {
     Figure::run(
         "zeltner-2-21",
         "good and bad sampling densities",
-        zeltner::importance::figure,
+        zeltner::fig_2_21::figure,
     )
 }

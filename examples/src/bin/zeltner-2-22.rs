@@ -9,6 +9,6 @@ fn main() -> ExitCode {
     Figure::run(
         "zeltner-2-22",
         "inverse-transform sampling",
-        zeltner::transform::inverse,
+        zeltner::fig_2_22::figure,
     )
 }

@@ -9,6 +9,6 @@ fn main() -> ExitCode {
     Figure::run(
         "zeltner-2-23",
         "rejection sampling",
-        zeltner::transform::rejection,
+        zeltner::fig_2_23::figure,
     )
 }

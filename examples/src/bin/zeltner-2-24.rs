@@ -9,6 +9,6 @@ fn main() -> ExitCode {
     Figure::run(
         "zeltner-2-24",
         "weights of multiple importance sampling",
-        zeltner::mis::figure,
+        zeltner::fig_2_24::figure,
     )
 }

@@ -9,6 +9,6 @@ fn main() -> ExitCode {
     Figure::run(
         "zeltner-2-25",
         "antithetic sampling",
-        zeltner::antithetic::figure,
+        zeltner::fig_2_25::figure,
     )
 }

@@ -3,12 +3,12 @@
 use std::process::ExitCode;
 
 use examples::figure::Figure;
-use examples::figures::scenes;
+use examples::figures::zeltner;
 
 fn main() -> ExitCode {
     Figure::run(
         "zeltner-2-27",
         "direct light by BSDF sampling, emitter sampling and both",
-        scenes::direct_light::figure,
+        zeltner::fig_2_27::figure,
     )
 }

@@ -3,12 +3,12 @@
 use std::process::ExitCode;
 
 use examples::figure::Figure;
-use examples::figures::scenes;
+use examples::figures::zeltner;
 
 fn main() -> ExitCode {
     Figure::run(
         "zeltner-2-28",
         "a box by path length",
-        scenes::path_length::figure,
+        zeltner::fig_2_28::figure,
     )
 }

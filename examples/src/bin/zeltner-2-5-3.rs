@@ -3,12 +3,12 @@
 use std::process::ExitCode;
 
 use examples::figure::Figure;
-use examples::figures::veach;
+use examples::figures::zeltner;
 
 fn main() -> ExitCode {
     Figure::run(
         "zeltner-2-5-3",
         "light tracing, its blind spots, and density estimation",
-        veach::light_tracing::figure,
+        zeltner::fig_2_5_3::figure,
     )
 }

@@ -9,6 +9,6 @@ fn main() -> ExitCode {
     Figure::run(
         "zeltner-2-6-ad",
         "forward and reverse mode on the example of section 2.6",
-        zeltner::automatic::figure,
+        zeltner::fig_2_6_ad::figure,
     )
 }

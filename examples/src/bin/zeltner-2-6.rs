@@ -3,8 +3,8 @@
 use std::process::ExitCode;
 
 use examples::figure::Figure;
-use examples::figures::scenes;
+use examples::figures::zeltner;
 
 fn main() -> ExitCode {
-    Figure::run("zeltner-2-6", "seven materials", scenes::materials::figure)
+    Figure::run("zeltner-2-6", "seven materials", zeltner::fig_2_6::figure)
 }

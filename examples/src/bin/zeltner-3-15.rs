@@ -9,6 +9,6 @@ fn main() -> ExitCode {
     Figure::run(
         "zeltner-3-15",
         "the Newton fractal of z^3 = 1",
-        zeltner::newton::fractal,
+        zeltner::fig_3_15::figure,
     )
 }

@@ -9,6 +9,6 @@ fn main() -> ExitCode {
     Figure::run(
         "zeltner-4-10",
         "detached sampling of a wrapped normal distribution",
-        zeltner::strategies::detached,
+        zeltner::fig_4_10::figure,
     )
 }

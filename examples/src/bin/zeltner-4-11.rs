@@ -9,6 +9,6 @@ fn main() -> ExitCode {
     Figure::run(
         "zeltner-4-11",
         "attached sampling of one factor and of a product",
-        zeltner::strategies::attached,
+        zeltner::fig_4_11::figure,
     )
 }

@@ -3,12 +3,12 @@
 use std::process::ExitCode;
 
 use examples::figure::Figure;
-use examples::figures::scenes;
+use examples::figures::zeltner;
 
 fn main() -> ExitCode {
     Figure::run(
         "zeltner-4-12",
         "discontinuities moved by sampling",
-        scenes::moved_edges::figure,
+        zeltner::fig_4_12::figure,
     )
 }

@@ -9,6 +9,6 @@ fn main() -> ExitCode {
     Figure::run(
         "zeltner-4-13",
         "mixing attached and detached techniques",
-        zeltner::combinations::mixed,
+        zeltner::fig_4_13::figure,
     )
 }

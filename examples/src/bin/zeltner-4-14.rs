@@ -9,6 +9,6 @@ fn main() -> ExitCode {
     Figure::run(
         "zeltner-4-14",
         "densities made for a derivative",
-        zeltner::strategies::differential_lobes,
+        zeltner::fig_4_14::figure,
     )
 }

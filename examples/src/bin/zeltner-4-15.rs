@@ -9,6 +9,6 @@ fn main() -> ExitCode {
     Figure::run(
         "zeltner-4-15",
         "derivatives of two distributions of normals",
-        zeltner::differential_normals::curves,
+        zeltner::fig_4_15::figure,
     )
 }

@@ -9,6 +9,6 @@ fn main() -> ExitCode {
     Figure::run(
         "zeltner-4-16",
         "samples of distributions of normals and of their derivatives",
-        zeltner::differential_normals::clouds,
+        zeltner::fig_4_16::figure,
     )
 }

@@ -3,12 +3,12 @@
 use std::process::ExitCode;
 
 use examples::figure::Figure;
-use examples::figures::scenes;
+use examples::figures::zeltner;
 
 fn main() -> ExitCode {
     Figure::run(
         "zeltner-4-17",
         "where attached samples have to stand still",
-        scenes::freezing::figure,
+        zeltner::fig_4_17::figure,
     )
 }

@@ -3,12 +3,12 @@
 use std::process::ExitCode;
 
 use examples::figure::Figure;
-use examples::figures::scenes;
+use examples::figures::zeltner;
 
 fn main() -> ExitCode {
     Figure::run(
         "zeltner-4-18",
         "attached samples at discontinuities, naive and reparameterised",
-        scenes::outlines::figure,
+        zeltner::fig_4_18::figure,
     )
 }

@@ -3,12 +3,12 @@
 use std::process::ExitCode;
 
 use examples::figure::Figure;
-use examples::figures::scenes;
+use examples::figures::zeltner;
 
 fn main() -> ExitCode {
     Figure::run(
         "zeltner-4-19",
         "all estimators of the derivative in roughness, on the plates",
-        scenes::estimators::figure,
+        zeltner::fig_4_19::figure,
     )
 }

@@ -9,6 +9,6 @@ fn main() -> ExitCode {
     Figure::run(
         "zeltner-4-2-1-foot4",
         "attaching some factors of a product only",
-        zeltner::combinations::factors,
+        zeltner::fig_4_2_1_foot4::figure,
     )
 }

@@ -3,12 +3,12 @@
 use std::process::ExitCode;
 
 use examples::figure::Figure;
-use examples::figures::scenes;
+use examples::figures::zeltner;
 
 fn main() -> ExitCode {
     Figure::run(
         "zeltner-4-2-2-env",
         "a rough mirror over directions and over random numbers",
-        scenes::environment::figure,
+        zeltner::fig_4_2_2_env::figure,
     )
 }

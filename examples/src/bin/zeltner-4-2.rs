@@ -3,12 +3,12 @@
 use std::process::ExitCode;
 
 use examples::figure::Figure;
-use examples::figures::scenes;
+use examples::figures::zeltner;
 
 fn main() -> ExitCode {
     Figure::run(
         "zeltner-4-2",
         "the optimisation loop",
-        scenes::recovery::optimisation_loop,
+        zeltner::fig_4_2::figure,
     )
 }

@@ -3,12 +3,12 @@
 use std::process::ExitCode;
 
 use examples::figure::Figure;
-use examples::figures::scenes;
+use examples::figures::zeltner;
 
 fn main() -> ExitCode {
     Figure::run(
         "zeltner-4-20",
         "all estimators of the derivative in roughness, where everything reflects everything",
-        scenes::tray::figure,
+        zeltner::fig_4_20::figure,
     )
 }

@@ -3,12 +3,12 @@
 use std::process::ExitCode;
 
 use examples::figure::Figure;
-use examples::figures::scenes;
+use examples::figures::zeltner;
 
 fn main() -> ExitCode {
     Figure::run(
         "zeltner-4-22",
         "a texture of roughness found by gradient descent with three estimators",
-        scenes::roughness_texture::figure,
+        zeltner::fig_4_22::figure,
     )
 }

@@ -3,12 +3,12 @@
 use std::process::ExitCode;
 
 use examples::figure::Figure;
-use examples::figures::scenes;
+use examples::figures::zeltner;
 
 fn main() -> ExitCode {
     Figure::run(
         "zeltner-4-4",
         "derivatives sent forward through a scene",
-        scenes::propagation::forward,
+        zeltner::fig_4_4::figure,
     )
 }

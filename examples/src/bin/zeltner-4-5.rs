@@ -3,12 +3,12 @@
 use std::process::ExitCode;
 
 use examples::figure::Figure;
-use examples::figures::scenes;
+use examples::figures::zeltner;
 
 fn main() -> ExitCode {
     Figure::run(
         "zeltner-4-5",
         "an adjoint image sent backward through a scene",
-        scenes::propagation::reverse,
+        zeltner::fig_4_5::figure,
     )
 }

@@ -3,7 +3,7 @@
 use std::process::ExitCode;
 
 use examples::figure::Figure;
-use examples::figures::scenes;
+use examples::figures::zeltner;
 use examples::memory::Counting;
 
 #[global_allocator]
@@ -13,6 +13,6 @@ fn main() -> ExitCode {
     Figure::run(
         "zeltner-alg-4-1",
         "ten derivatives by one pass of radiative backpropagation",
-        scenes::backpropagation::figure,
+        zeltner::alg_4_1::figure,
     )
 }

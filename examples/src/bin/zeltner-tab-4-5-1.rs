@@ -3,12 +3,12 @@
 use std::process::ExitCode;
 
 use examples::figure::Figure;
-use examples::figures::scenes;
+use examples::figures::zeltner;
 
 fn main() -> ExitCode {
     Figure::run(
         "zeltner-tab-4-5-1",
         "which combinations of sampling and weights estimate a derivative",
-        scenes::table::figure,
+        zeltner::tab_4_5_1::figure,
     )
 }

@@ -36,9 +36,10 @@ impl Estimate {
     /// Difference to another one in standard errors.
     pub fn z(&self, other: &Self) -> f64 {
         let d = self.mean - other.mean;
-        match d == 0.0 {
-            true => 0.0,
-            false => d / self.error.hypot(other.error),
+        if d == 0.0 {
+            0.0
+        } else {
+            d / self.error.hypot(other.error)
         }
     }
 }
@@ -159,6 +160,12 @@ pub fn gradients(
     let seconds = start.elapsed().as_secs_f64() / runs as f64;
     let of = |k: usize| Estimate::of(each.iter().map(|g| g[k]));
     Ok(((0..names.len()).map(of).collect(), seconds))
+}
+
+/// Standard normal deviate of a chi-square statistic [Wilson and Hilferty 1931].
+pub fn deviate(statistic: f64, freedom: f64) -> f64 {
+    let v = 2.0 / (9.0 * freedom);
+    ((statistic / freedom).cbrt() - (1.0 - v)) / v.sqrt()
 }
 
 /// Variance of one of independent images, summed over the pixels.

@@ -121,9 +121,10 @@ impl Contestant {
     }
 
     fn name(self) -> &'static str {
-        match self.double {
-            true => "mis-f64",
-            false => self.choice.name(),
+        if self.double {
+            "mis-f64"
+        } else {
+            self.choice.name()
         }
     }
 
@@ -498,9 +499,10 @@ impl Run<'_> {
             let found = again.block(block);
             let z = z(found, truth.block(block));
             // Without any spread it has seen nothing there.
-            match z.abs() > z_limit && z * z_block > 0.0 && found[1] > 0.0 {
-                true => Finding::Biased,
-                false => Finding::Unresolved,
+            if z.abs() > z_limit && z * z_block > 0.0 && found[1] > 0.0 {
+                Finding::Biased
+            } else {
+                Finding::Unresolved
             }
         }))
     }
@@ -664,9 +666,10 @@ fn row(
         finding,
         variance,
         seconds_per_sample,
-        efficiency: match variance > 0.0 {
-            true => 1.0 / (variance * seconds_per_sample),
-            false => 0.0,
+        efficiency: if variance > 0.0 {
+            1.0 / (variance * seconds_per_sample)
+        } else {
+            0.0
         },
         non_finite: series.bad.count,
         ladder: (series.cumulative.iter())

@@ -31,6 +31,7 @@ mod store;
 
 use self::store::{FilePath, Inputs, Store};
 use super::render::{Method, in_passes, passes};
+use crate::builtin_scene;
 use crate::chart::LineChart;
 use crate::cli::{
     LoadArgs, Outcome, SAMPLE_COUNTS, SampleArgs, ThreadArgs, ToolError, depth, report_non_finite,
@@ -39,7 +40,6 @@ use crate::cli::{
 use crate::optimise::{Algorithm, Problem};
 use crate::output;
 use crate::progress::{Bar, Interrupt};
-use crate::scenes;
 use crate::{complain, say};
 
 /// Values of `--iterations`.
@@ -217,7 +217,7 @@ impl Job {
         let optimizer = args.optimizer.unwrap_or(OptimizerArg::ADAM);
         let mut params = args.params.clone();
         if args.scene.is_none() && params.is_empty() {
-            let unknowns = scenes::cornell_unknowns();
+            let unknowns = builtin_scene::cornell_unknowns();
             params = unknowns.iter().map(|u| u.name.to_owned()).collect();
         }
         let loss = args.loss.clone().unwrap_or_else(|| "relative-l2".into());
@@ -533,20 +533,17 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
 }
 
 fn recover(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
-    let (job, resumed, store) = match args.resume {
-        true => {
-            let mut store = Store::existing(&args.out, CHECKPOINT)?;
-            let (checkpoint, inputs) = store.read()?;
-            checkpoint.job.require_same(args)?;
-            let job = checkpoint.job.clone();
-            (job, Some((checkpoint, inputs)), Some(store))
-        }
-        false => {
-            let job = Job::new(args)?;
-            let there = args.out.is_dir();
-            let store = there.then(|| Store::open(&args.out, CHECKPOINT));
-            (job, None, store.transpose()?)
-        }
+    let (job, resumed, store) = if args.resume {
+        let mut store = Store::existing(&args.out, CHECKPOINT)?;
+        let (checkpoint, inputs) = store.read()?;
+        checkpoint.job.require_same(args)?;
+        let job = checkpoint.job.clone();
+        (job, Some((checkpoint, inputs)), Some(store))
+    } else {
+        let job = Job::new(args)?;
+        let there = args.out.is_dir();
+        let store = there.then(|| Store::open(&args.out, CHECKPOINT));
+        (job, None, store.transpose()?)
     };
     let estimator = Estimator::from_name(&job.estimator)?;
     let (scene, active, start, truth) = load(&job, estimator)?;
@@ -628,9 +625,10 @@ fn recover(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
             image_io::write_exr(&before_file, &picture.image(0))?;
         }
     }
-    let before = match before_file.exists() {
-        true => Some(read_size(&before_file, &recovery.problem.scene)?),
-        false => None,
+    let before = if before_file.exists() {
+        Some(read_size(&before_file, &recovery.problem.scene)?)
+    } else {
+        None
     };
 
     let first = state.iteration;
@@ -691,8 +689,8 @@ type Loaded = (Scene, Active, Vec<f32>, Option<Vec<f32>>);
 
 fn load(job: &Job, estimator: Estimator) -> Result<Loaded, ToolError> {
     let Some(path) = &job.scene else {
-        let scene = scenes::cornell(job.size, job.size)?;
-        let unknowns = scenes::cornell_unknowns();
+        let scene = builtin_scene::cornell(job.size, job.size)?;
+        let unknowns = builtin_scene::cornell_unknowns();
         let active = estimator.active(&scene, &job.params)?;
         let (mut start, mut truth) = (Vec::new(), Vec::new());
         for info in active.ranges() {
@@ -838,14 +836,16 @@ impl Recovery {
     /// Whether a run of this job can have left this state, as far as a look at it tells.
     fn check(&mut self, state: &Checkpoint, path: &Path) -> Result<(), ToolError> {
         let (job, start) = (&state.job, &state.start);
-        let require =
-            |holds: bool, key: &str, expected: &dyn Display, found: &dyn Display| match holds {
-                true => Ok(()),
-                false => Err(ToolError::file(
+        let require = |holds: bool, key: &str, expected: &dyn Display, found: &dyn Display| {
+            if holds {
+                Ok(())
+            } else {
+                Err(ToolError::file(
                     path,
                     format!("{key}: expected {expected}, found {found}"),
-                )),
-            };
+                ))
+            }
+        };
         let (expected, found) = (start.len(), state.values.len());
         let what = format!("{expected} values as in the scene");
         require(found == expected, "values", &what, &found)?;

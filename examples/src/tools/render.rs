@@ -106,7 +106,7 @@ pub enum IntegratorArg {
 #[derive(Clone, Copy, Debug)]
 pub enum Method {
     /// By paths from the camera.
-    Paths(Technique),
+    Paths(Estimator),
     /// By particles that are connected to the camera.
     Particles(Rules),
     /// By particles that are collected within a radius.
@@ -137,9 +137,10 @@ impl Args {
     /// # Errors
     /// Arguments that mean nothing together.
     fn method(&self) -> Result<Method, ToolError> {
-        let symmetry = match self.ignore_non_symmetry {
-            true => Symmetry::Ignored,
-            false => Symmetry::Respected,
+        let symmetry = if self.ignore_non_symmetry {
+            Symmetry::Ignored
+        } else {
+            Symmetry::Respected
         };
         let rules = Rules {
             symmetry,
@@ -199,7 +200,7 @@ impl Args {
         }
     }
 
-    fn technique(&self) -> Technique {
+    fn technique(&self) -> Estimator {
         match (self.strategy, self.heuristic) {
             (StrategyArg::Mis, HeuristicArg::Power) => Estimator::Mis,
             (StrategyArg::Mis, HeuristicArg::Balance) => Estimator::MisBalance,
@@ -389,7 +390,7 @@ mod tests {
     use std::sync::atomic::{AtomicU64, Ordering};
 
     use super::*;
-    use crate::scenes;
+    use crate::builtin_scene;
 
     /// Stops after a number of pixels.
     struct StopAfter(u64, AtomicU64);
@@ -405,7 +406,7 @@ mod tests {
 
     #[test]
     fn an_interrupted_image_holds_the_complete_passes() {
-        let scene = scenes::cornell(256, 256).unwrap();
+        let scene = builtin_scene::cornell(256, 256).unwrap();
         let mut settings = scene.settings;
         settings.spp = 40;
         settings.max_depth = 2;

@@ -11,7 +11,7 @@ use render::finite_element::{FiniteElements, Options, Statistics};
 use render::{Image, Scene};
 
 use crate::figure::Result;
-use crate::figures::stage::{POSITIVE, Stage, View, picture};
+use crate::scene_builder::{POSITIVE, SceneBuilder, View, picture};
 
 /// The images of figure 1.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -63,37 +63,37 @@ struct Lamp {
 /// # Errors
 /// None for a size above zero.
 pub fn scene(which: Which, size: u32, dark: usize) -> Result<Scene> {
-    let mut stage = Stage::default();
+    let mut builder = SceneBuilder::default();
     let mut wall = |name: &str, rgb: [f64; 3]| -> Result<Arc<Material>> {
         if which == Which::D {
             // One-sided like the diffuse walls: nobody is behind them.
-            stage.front_metal(name, rgb, ALPHA)
+            builder.front_metal(name, rgb, ALPHA)
         } else {
-            stage.matt(name, rgb)
+            builder.matt(name, rgb)
         }
     };
     let white = wall("white", [0.7; 3])?;
     let left = wall("left", [0.65, 0.15, 0.1])?;
     let right = wall("right", [0.15, 0.25, 0.65])?;
-    let black = stage.matt("black", [0.0; 3])?;
+    let black = builder.matt("black", [0.0; 3])?;
     let (x, y, z) = ([2.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 2.0]);
     let minus = |v: [f64; 3]| v.map(|c: f64| -c);
-    stage.quad("floor", [[-1.0, -1.0, 1.0], x, minus(z)], &white)?;
-    stage.quad("ceiling", [[-1.0, 1.0, -1.0], x, z], &white)?;
-    stage.quad("back", [[-1.0, -1.0, -1.0], x, y], &white)?;
-    stage.quad("left", [[-1.0, -1.0, 1.0], minus(z), y], &left)?;
-    stage.quad("right", [[1.0, -1.0, -1.0], z, y], &right)?;
+    builder.quad("floor", [[-1.0, -1.0, 1.0], x, minus(z)], &white)?;
+    builder.quad("ceiling", [[-1.0, 1.0, -1.0], x, z], &white)?;
+    builder.quad("back", [[-1.0, -1.0, -1.0], x, y], &white)?;
+    builder.quad("left", [[-1.0, -1.0, 1.0], minus(z), y], &left)?;
+    builder.quad("right", [[1.0, -1.0, -1.0], z, y], &right)?;
     for (i, l) in lamps(which, dark).iter().enumerate() {
         let name = format!("lamp {i}");
-        let shape = stage.quad(&name, square(l), &black)?;
+        let shape = builder.quad(&name, square(l), &black)?;
         let radiance = format!("{name}.emitter.radiance.value");
-        let radiance = stage.build.rgb(&radiance, [l.radiance; 3], POSITIVE)?;
+        let radiance = builder.build.rgb(&radiance, [l.radiance; 3], POSITIVE)?;
         let light = Area {
             radiance,
             exponent: l.exponent,
             shape,
         };
-        stage.build.add_emitter(light, Some(shape));
+        builder.build.add_emitter(light, Some(shape));
     }
     // (b) is seen from farther away: oblique walls are where the paper expects importance to pay there.
     let (distance, fov) = if which == Which::B {
@@ -107,7 +107,7 @@ pub fn scene(which: Which, size: u32, dark: usize) -> Result<Scene> {
         fov,
         size: [size; 2],
     };
-    let mut scene = stage.finish(&view, 40)?;
+    let mut scene = builder.finish(&view, 40)?;
     scene.settings.rr_depth = 8;
     Ok(scene)
 }

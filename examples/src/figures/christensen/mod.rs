@@ -4,7 +4,7 @@
 //! the figures share.
 
 pub mod boxes;
-pub mod duality;
-pub mod flat;
-pub mod links;
-pub mod pictures;
+pub mod eq6_11;
+pub mod fig_01;
+pub mod fig_02;
+pub mod fig_03;

@@ -1,10 +1,13 @@
-//! Figures of [Veach 1996]: scattering that is not symmetric; and light tracing [Zeltner 2021, section 2.5.3].
+//! Figures of [Veach 1996]: scattering that is not symmetric.
 
-pub mod facets;
-pub mod kernel;
-pub mod light_tracing;
-pub mod normals;
+pub mod eq9_invariant;
+mod facets;
+pub mod fig_01a;
+pub mod fig_01b;
+pub mod plate_1;
+pub mod plate_2;
 pub mod pool;
+pub mod tab_2_5;
 
 use render::bsdf::kernel::{Rules, Symmetry};
 use render::instances::{Estimator, particles_f32, render_f32};

@@ -9,7 +9,7 @@ use std::f64::consts::{PI, TAU};
 
 use ad_core::{Dual, Real};
 
-use super::mc1::{Density, Normal, integrate};
+use super::integration_1d::{Density, Normal, integrate};
 
 /// A number and its derivative with respect to the parameter.
 pub type D = Dual<f64, 1>;
@@ -368,7 +368,7 @@ impl Integrand for Ramp {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::figures::zeltner::mc1::positions;
+    use crate::figures::zeltner::integration_1d::positions;
 
     /// [`Falling`] at parameter 1, but it depends on the parameter.
     struct Mirrored;

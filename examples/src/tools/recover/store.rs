@@ -88,11 +88,12 @@ impl Digest {
 
 /// Devices and pipes have no end.
 fn regular(path: &Path) -> io::Result<()> {
-    match fs::metadata(path)?.is_file() {
-        true => Ok(()),
-        false => Err(io::Error::other(
+    if fs::metadata(path)?.is_file() {
+        Ok(())
+    } else {
+        Err(io::Error::other(
             "expected a file, found a folder, a device or a pipe",
-        )),
+        ))
     }
 }
 
@@ -159,9 +160,12 @@ impl Inputs {
                            starts anew";
             Err(ToolError::file(path, message))
         };
-        let same = |input: &Input| match Digest::of_file(&input.path.0)? == input.digest {
-            true => Ok(()),
-            false => changed(&input.path.0),
+        let same = |input: &Input| {
+            if Digest::of_file(&input.path.0)? == input.digest {
+                Ok(())
+            } else {
+                changed(&input.path.0)
+            }
         };
         self.scene.iter().try_for_each(same)?;
         let found = scene.files().iter();
@@ -193,9 +197,10 @@ impl Inputs {
         // The folder has the target; where it came from may be gone.
         let mut there = self.targets.iter().filter(|i| i.path.0.exists());
         there.try_for_each(same)?;
-        match Digest::of_numbers(&target.data) == self.target {
-            true => Ok(()),
-            false => changed(target_file),
+        if Digest::of_numbers(&target.data) == self.target {
+            Ok(())
+        } else {
+            changed(target_file)
         }
     }
 }

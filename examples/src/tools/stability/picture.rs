@@ -91,9 +91,10 @@ fn plot(sweep: &Sweep, report: &Report, bias: bool) -> Plot {
     }
     let first = sweep.points.first().copied().unwrap_or(0.0);
     let last = sweep.points.last().copied().unwrap_or(1.0);
-    let x = match sweep.log {
-        true => [first / 1.25, last * 1.25],
-        false => [first - 2.0, last + 2.0],
+    let x = if sweep.log {
+        [first / 1.25, last * 1.25]
+    } else {
+        [first - 2.0, last + 2.0]
     };
     let mut places = Vec::new();
     let mut notes = Vec::new();
@@ -130,24 +131,27 @@ fn plot(sweep: &Sweep, report: &Report, bias: bool) -> Plot {
         title: sweep.title.into(),
         axes: [
             sweep.axis.into(),
-            match bias {
-                true => "bias, |z|".into(),
-                false => "std of a sample / radiance".into(),
+            if bias {
+                "bias, |z|".into()
+            } else {
+                "std of a sample / radiance".into()
             },
         ],
         log_x: sweep.log,
         x,
-        y: match bias {
-            true => [LEAST_Z, 1e3],
-            false => span(
+        y: if bias {
+            [LEAST_Z, 1e3]
+        } else {
+            span(
                 curves.iter().flat_map(|c| c.points.iter().map(|p| p.1)),
                 [1e-2, 1e5],
-            ),
+            )
         },
         curves,
-        levels: match bias {
-            true => vec![(report.z_limit, "chance".into())],
-            false => Vec::new(),
+        levels: if bias {
+            vec![(report.z_limit, "chance".into())]
+        } else {
+            Vec::new()
         },
         places,
         notes,

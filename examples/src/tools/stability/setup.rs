@@ -14,7 +14,7 @@ use render::shape::Sphere;
 use render::{Image, Scene};
 
 use crate::figure::Result;
-use crate::figures::stage::{POSITIVE, Stage, View};
+use crate::scene_builder::{POSITIVE, SceneBuilder, View};
 
 type D = Dual<f64, 1>;
 
@@ -106,7 +106,7 @@ impl Plate {
     /// # Errors
     /// A roughness or a size out of range.
     pub fn setup(&self) -> Result<Setup> {
-        let scene = self.scene(Stage::default())?;
+        let scene = self.scene(SceneBuilder::default())?;
         let truth = match self.light {
             Light::Lobe => self.by_moving(&scene),
             _ => self.by_directions(&scene),
@@ -119,12 +119,12 @@ impl Plate {
     /// # Errors
     /// As [`Plate::setup`].
     pub fn in_the_dark(&self) -> Result<Scene> {
-        let mut stage = Stage::default();
+        let mut stage = SceneBuilder::default();
         stage.ambient([0.0; 3])?;
         self.scene(stage)
     }
 
-    fn scene(&self, mut stage: Stage) -> Result<Scene> {
+    fn scene(&self, mut stage: SceneBuilder) -> Result<Scene> {
         let roughness = Roughness {
             kind: self.kind,
             alpha: stage.build.scalar(ROUGHNESS, self.alpha, (1e-4, 1.0))?,
@@ -299,7 +299,7 @@ const GAUSS: [(f64, f64); 6] = [
     (0.932_469_514_203_152, 0.171_324_492_379_170_4),
 ];
 
-fn white(stage: &mut Stage, reflectance: f64) -> Result<Conductor> {
+fn white(stage: &mut SceneBuilder, reflectance: f64) -> Result<Conductor> {
     Ok(Conductor {
         specular_reflectance: stage.colour("metal", "specular_reflectance", [reflectance; 3])?,
         index: None,
@@ -336,7 +336,7 @@ impl Furnace {
     /// # Errors
     /// A parameter out of range.
     pub fn setup(&self) -> Result<Setup> {
-        let mut stage = Stage::default();
+        let mut stage = SceneBuilder::default();
         let roughness = Roughness {
             kind: Ndf::Ggx,
             alpha: stage.build.scalar(ROUGHNESS, self.alpha, (1e-4, 1.0))?,

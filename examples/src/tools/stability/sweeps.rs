@@ -175,12 +175,13 @@ pub fn all(quick: bool) -> Vec<Sweep> {
             title: "Angle of the viewer, smooth light (F9, F43)",
             axis: "angle from the normal (degrees)",
             log: false,
-            points: match quick {
-                true => vec![0.0, 45.0, 85.0, 89.9],
-                false => vec![
+            points: if quick {
+                vec![0.0, 45.0, 85.0, 89.9]
+            } else {
+                vec![
                     0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 70.0, 75.0, 80.0, 84.0, 87.0, 89.0,
                     89.9,
-                ],
+                ]
             },
             setup: Box::new(move |degrees: f64| {
                 Plate {
@@ -199,9 +200,10 @@ pub fn all(quick: bool) -> Vec<Sweep> {
             title: "Path length, inside a glowing ball (F37, F40)",
             axis: "edges of the longest path",
             log: true,
-            points: match quick {
-                true => vec![2.0, 8.0],
-                false => vec![2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0],
+            points: if quick {
+                vec![2.0, 8.0]
+            } else {
+                vec![2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0]
             },
             setup: Box::new(|depth| furnace(Some(depth as u32)).setup()),
             alpha: |_| FURNACE_ALPHA,

@@ -322,9 +322,10 @@ fn steps(probes: &mut Probes, setup: &Setup, quick: bool, seed: u64) -> Result<(
             smooth: (smooth(h) / exact - 1.0).abs(),
             smooth_f32: (single / exact - 1.0).abs(),
             // With fewer samples that jump, there is nothing to see.
-            jumps: match step * (jumps.len() as u64 * spp) as f64 > 16.0 {
-                true => spread / (jumps.len() as f64).sqrt() / exact.abs(),
-                false => f64::NAN,
+            jumps: if step * (jumps.len() as u64 * spp) as f64 > 16.0 {
+                spread / (jumps.len() as f64).sqrt() / exact.abs()
+            } else {
+                f64::NAN
             },
         });
     }
@@ -434,9 +435,10 @@ pub fn text(report: &Report) -> String {
     let attached: Vec<String> = (attached)
         .map(|(name, c)| format!("{name}: z {:.1}", c.z()))
         .collect();
-    out.say("F5, F6", match attached.is_empty() {
-        true => "roulette and the choice of lobes take constant probabilities here (`biased-roulette` and `biased-choice` do not).".into(),
-        false => format!("differentiated roulette is biased ({}); rough metal has no lobes to choose between.", attached.join(", ")),
+    out.say("F5, F6", if attached.is_empty() {
+        "roulette and the choice of lobes take constant probabilities here (`biased-roulette` and `biased-choice` do not).".into()
+    } else {
+        format!("differentiated roulette is biased ({}); rough metal has no lobes to choose between.", attached.join(", "))
     });
     if let Some((worst, c)) = extreme(&p.dark) {
         out.say("F7", format!(
@@ -626,9 +628,10 @@ fn short(sweep: &Sweep) -> &str {
 }
 
 fn list(names: &[&str]) -> String {
-    match names.is_empty() {
-        true => "none".into(),
-        false => names.join(", "),
+    if names.is_empty() {
+        "none".into()
+    } else {
+        names.join(", ")
     }
 }
 

@@ -1,0 +1,8 @@
+//! Figures of this project's own, which reproduce no document.
+
+pub mod auto_estimator;
+pub mod caustic_ring;
+pub mod guided_pool;
+pub mod measured_pixels;
+pub mod second_order;
+pub mod spread_samples;
