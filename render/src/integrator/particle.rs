@@ -11,13 +11,13 @@ use super::record::{
     Bounce, Contribution, EmittedLight, NormalsLight, Observer, Place, SeenVertex,
 };
 use super::rendering::{Components, NonFinite, Rendering};
-use super::vertex::light::has_tangent;
+use super::vertex::light::{has_tangent, matters};
 use super::vertex::part_of;
 use super::vertex::roulette::{play, probability, roulette_weight};
 use crate::bsdf::differential::Part;
 use crate::bsdf::kernel::{Rules, kernel_weight};
 use crate::bsdf::nesting::flips_normals;
-use crate::bsdf::{Bsdf, Component, Shading, TransportMode};
+use crate::bsdf::{Bsdf, Component, Material, Shading, TransportMode};
 use crate::camera::Pinhole;
 use crate::emitter::{Ball, Emission, Emitter};
 use crate::error::RenderError;
@@ -26,6 +26,7 @@ use crate::parallel;
 use crate::params::Theta;
 use crate::sampler::{Purpose, Sampler};
 use crate::scene::{Intersection, Scene, Settings};
+use crate::shape::{Exit, SurfaceInteraction};
 
 /// So that paths and particles of the same seed are independent.
 const STREAM: u64 = 0x6c69_6768_7421_0001;
@@ -174,6 +175,18 @@ pub struct Particle<R: Real, X: Sampler> {
     beta: Rgb<R>,
     roulette_weight: R::Primal,
     depth: u32,
+}
+
+/// A surface that a particle has reached.
+struct Here<'a, R: Real> {
+    material: &'a Material,
+    exit: Exit,
+    si: &'a SurfaceInteraction<R::Primal>,
+    at: Shading<'a, R>,
+    /// Geometric normal, local frame.
+    n_geo: Vec3<R::Primal>,
+    /// Direction that the particle came from, local frame.
+    wo: Vec3<R::Primal>,
 }
 
 /// Direction to the pinhole, distance, film position, importance over squared distance.
@@ -360,93 +373,118 @@ impl<R: Real, X: Sampler> Particle<R, X> {
         if context.caustics_only && depth == 1 && !info.glossy {
             return;
         }
-        let material = scene.material(hit.shape);
         let wo = si.frame.to_local(-ray.d);
-        let n_geo = si.local_geometric_normal();
-        let wo_r = Vec3::<R>::lift(wo);
-        let at = Shading {
-            theta: *context.theta,
-            uv: Vec2::lift(si.uv),
+        let here = Here {
+            material: scene.material(hit.shape),
+            exit,
+            si,
+            at: Shading {
+                theta: *context.theta,
+                uv: Vec2::lift(si.uv),
+            },
+            n_geo: si.local_geometric_normal(),
+            wo,
         };
-        let beta = self.beta;
         if O::ENABLED {
             let place = Place {
                 shape: hit.shape,
                 prim: hit.prim,
                 si: si.lift(),
-                wo: wo_r,
+                wo: Vec3::lift(wo),
             };
-            observer.vertex(beta, &place);
+            observer.vertex(self.beta, &place);
         }
-
-        // ---- Connection to the camera ----
-        if O::CONNECTS
-            && !info.delta
-            && !(context.caustics_only && info.glossy)
-            && let Some((to_camera, distance, film, weight)) =
-                towards_camera(&context.pinhole, si.p)
-        {
-            let wi = si.frame.to_local(to_camera);
-            let shading = kernel_weight(n_geo, [wo, wi], MODE, context.rules);
-            let mode = context.rules.mode(MODE, [wo, wi], Component::Continuous);
-            let wi = Vec3::<R>::lift(wi);
-            let (f, matters) = if O::ENABLED {
-                let (f, pdf) = material.eval_pdf(&at, wo_r, wi, mode);
-                (f, pdf.primal() > R::Primal::zero() || !f.is_black())
-            } else {
-                let f = material.eval(&at, wo_r, wi, mode);
-                (f, !f.is_black() || has_tangent(f))
-            };
-            let weight = weight * shading;
-            if matters && weight > R::Primal::zero() {
-                self.shadow = Some(si.shadow_ray(to_camera, distance, exit, NOWHERE));
-                self.value = beta * f.scale(weight);
-                self.film = film;
-                if O::ENABLED {
-                    self.pending = Some(Pending::Vertex(SeenVertex {
-                        wi,
-                        mode,
-                        f,
-                        importance: Rgb::splat(weight),
-                    }));
-                }
-            }
+        if O::CONNECTS && !info.delta && !(context.caustics_only && info.glossy) {
+            self.connect::<O>(context, &here);
         }
         if depth + 1 >= context.settings.max_depth {
             return;
         }
-
-        // ---- Samples of the derivative of normals ----
-        let differentiates = O::ENABLED || !R::IS_PRIMAL;
         let splits = context.differential
-            && differentiates
+            && const { O::ENABLED || !R::IS_PRIMAL }
             && (!O::ENABLED || observer.differentiates_roughness(info.material))
-            && material.has_differential();
-        if splits && !beta.is_black() {
+            && here.material.has_differential();
+        if splits && !self.beta.is_black() {
             self.split(context, &hit, wo, observer, splat);
         }
+        self.scatter(context, &here, splits, observer);
+    }
 
-        // ---- Scattering ----
-        let sampler = &mut self.sampler;
-        sampler.seek(Purpose::ParticleScattering.at(depth));
-        let Some((sample, mut f)) = material.scatter(&at, wo, sampler.next_3d(), MODE) else {
+    /// Connects the current vertex to the camera, to be seen if the shadow ray is free.
+    #[inline(always)]
+    fn connect<O: ParticleObserver<R>>(&mut self, context: &Context<R>, here: &Here<R>) {
+        let &Here {
+            material,
+            exit,
+            si,
+            ref at,
+            n_geo,
+            wo,
+        } = here;
+        let Some((to_camera, distance, film, weight)) = towards_camera(&context.pinhole, si.p)
+        else {
+            return;
+        };
+        let wi = si.frame.to_local(to_camera);
+        let shading = kernel_weight(n_geo, [wo, wi], MODE, context.rules);
+        let mode = context.rules.mode(MODE, [wo, wi], Component::Continuous);
+        let (wo, wi) = (Vec3::<R>::lift(wo), Vec3::<R>::lift(wi));
+        let (f, matters) = if O::ENABLED {
+            let (f, pdf) = material.eval_pdf(at, wo, wi, mode);
+            (f, matters(true, f, pdf))
+        } else {
+            let f = material.eval(at, wo, wi, mode);
+            (f, matters(false, f, R::zero()))
+        };
+        let weight = weight * shading;
+        if matters && weight > R::Primal::zero() {
+            self.shadow = Some(si.shadow_ray(to_camera, distance, exit, NOWHERE));
+            self.value = self.beta * f.scale(weight);
+            self.film = film;
+            if O::ENABLED {
+                self.pending = Some(Pending::Vertex(SeenVertex {
+                    wi,
+                    mode,
+                    f,
+                    importance: Rgb::splat(weight),
+                }));
+            }
+        }
+    }
+
+    /// Samples the next edge. `splits`: whether the change of normals has samples of its own.
+    #[inline(always)]
+    fn scatter<O: ParticleObserver<R>>(
+        &mut self,
+        context: &Context<R>,
+        here: &Here<R>,
+        splits: bool,
+        observer: &mut O,
+    ) {
+        let &Here {
+            material,
+            exit,
+            si,
+            ref at,
+            n_geo,
+            wo,
+        } = here;
+        let (sampler, beta) = (&mut self.sampler, self.beta);
+        sampler.seek(Purpose::ParticleScattering.at(self.depth));
+        let Some((sample, mut f)) = material.scatter(at, wo, sampler.next_3d(), MODE) else {
             return;
         };
         let shading = kernel_weight(n_geo, [wo, sample.wi], MODE, context.rules);
         let mode = (context.rules).mode(MODE, [wo, sample.wi], sample.component);
         let wi = Vec3::<R>::lift(sample.wi);
         if mode != MODE {
-            f = material.eval_component(&at, wo_r, wi, sample.component, mode);
+            f = material.eval_component(at, Vec3::lift(wo), wi, sample.component, mode);
         }
         let mut weight = shading / sample.pdf;
-        let step = f.primal().scale(weight);
-        self.roulette_weight = roulette_weight(
-            differentiates,
-            self.roulette_weight,
-            step,
-            step.scale(self.roulette_weight),
-        );
-        if depth >= context.settings.rr_depth {
+        let (step, before) = (f.primal().scale(weight), self.roulette_weight);
+        let differentiates = const { O::ENABLED || !R::IS_PRIMAL };
+        self.roulette_weight = roulette_weight(differentiates, before, step, step.scale(before));
+        if self.depth >= context.settings.rr_depth {
             let q = probability(self.roulette_weight, R::Primal::one());
             let (survives, inv_q) = play(true, q, sampler.next_1d());
             if !survives {
@@ -472,14 +510,13 @@ impl<R: Real, X: Sampler> Particle<R, X> {
             }));
         }
         if part == Part::Rest && !R::IS_PRIMAL {
-            f = f - material.eval_normals(&at, wo, sample.wi, mode);
+            f = f - material.eval_normals(at, wo, sample.wi, mode);
         }
         self.beta = beta * f.scale(weight);
         if !O::ENABLED && self.beta.is_black() && !has_tangent(self.beta) {
             return;
         }
-        let d = si.frame.to_world(sample.wi);
-        self.ray = Some(si.spawn_ray(d, exit));
+        self.ray = Some(si.spawn_ray(si.frame.to_world(sample.wi), exit));
     }
 }
 
