@@ -190,7 +190,7 @@ fn mistakes_end_with_a_message_and_without_a_file() {
             "render",
             "scene.xml -o a.exr --json damaged".into(),
             1,
-            "damaged: expected a file, found a folder",
+            "damaged: cannot write the file: expected a file, found a folder",
         ),
         (
             "render",
@@ -1580,7 +1580,7 @@ fn output_with_nowhere_to_go_costs_no_file() {
     }
 }
 
-/// Mirrors all around a lamp: paths never end.
+/// Mirrors all around a lamp, which is one itself: paths never end.
 fn closed_mirrors() -> String {
     let mirror = |turn: &str| {
         format!(
@@ -1601,7 +1601,7 @@ fn closed_mirrors() -> String {
         <integrator type="path"><integer name="max_depth" value="-1"/><integer name="rr_depth" value="2000000000"/></integrator>
         <bsdf type="conductor" id="mirror"><string name="material" value="none"/></bsdf>{}
         <shape type="sphere" id="lamp"><float name="radius" value="0.1"/><point name="center" value="1, 1, 1"/>
-        <emitter type="area"><rgb name="radiance" value="9"/></emitter></shape></scene>"#,
+        <ref id="mirror"/><emitter type="area"><rgb name="radiance" value="9"/></emitter></shape></scene>"#,
         mirrors.map(mirror).concat()
     )
 }
