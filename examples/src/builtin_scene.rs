@@ -1,4 +1,5 @@
-//! Scenes made by code.
+//! The built-in scene of `recover`, a room, and what is unknown about it. It comes from code, so that the tool runs
+//! without any file.
 
 use render::bsdf::microfacet::Ndf;
 use render::bsdf::{Conductor, Diffuse, RoughConductor, Roughness};

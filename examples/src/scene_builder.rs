@@ -1,4 +1,4 @@
-//! [`SceneBuilder`]: scenes from code, of the few things that figures and tools are made of.
+//! [`SceneBuilder`]: scenes from code, of the few materials, shapes and lights that figures and `stability` need.
 
 use std::f64::consts::TAU;
 use std::sync::Arc;
@@ -36,10 +36,10 @@ pub struct View {
     pub size: [u32; 2],
 }
 
-/// A scene under construction: [`Builder`] with the few things that all figures are made of.
+/// A scene under construction: a [`Builder`] with methods for materials, shapes and lights that figures have in common.
 #[derive(Debug, Default)]
 pub struct SceneBuilder {
-    /// What is there so far.
+    /// The scene so far.
     pub build: Builder,
 }
 

@@ -359,7 +359,7 @@ pub fn tray(size: [u32; 2], max_depth: u32) -> Result<Scene> {
     let half = 2.5;
     let (x, z) = ([2.0 * half, 0.0, 0.0], [0.0, 0.0, -2.0 * half]);
     builder.quad("table", [[-half, 0.0, half], x, z], table)?;
-    // A hair apart: surfaces that meet in a line have an edge that no shape knows of.
+    // Slightly above the table: where surfaces meet, their line of contact is an edge that neither shape reports.
     builder.turned("tray", &DISH, [0.1, 0.002, 0.3], dish)?;
     builder.turned("pitcher", &PITCHER, [-0.3, 0.034, 0.15], pitcher)?;
     builder.turned("cup", &CUP, [0.45, 0.034, 0.65], cup)?;

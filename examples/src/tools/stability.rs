@@ -31,9 +31,10 @@ All estimators of the derivative in roughness are swept over roughness, size of 
 the viewer, path length and number of samples, on scenes whose derivatives are known from quadrature. A
 point fails if it differs from those beyond chance (significance 1e-3 over all points), or has samples that
 are not finite; those of estimators that should be right are measured once more with 16 times the
-samples before they are called biased. The folder receives
-stability.png, stability.svg, points.csv, report.json and verdict.txt, which names failure modes by the
-numbers F1 to F43 of the table in docs/errata.md. Everything but times depends on the seed alone. Ctrl-C keeps the points so far (exit code 130).";
+samples before they are called biased. The folder receives stability.png, stability.svg,
+points.csv, report.json and verdict.txt, which names failure modes by the numbers F1 to F43 of the
+table in docs/errata.md. Everything but times depends on the seed alone. Ctrl-C keeps the points so
+far (exit code 130).";
 
 /// Charts where estimators of derivatives fail
 #[derive(Parser, Clone, Debug)]

@@ -27,7 +27,7 @@ pub enum Which {
 }
 
 impl Which {
-    /// All of them.
+    /// All four.
     pub const ALL: [Self; 4] = [Self::A, Self::B, Self::C, Self::D];
 
     /// The letter of the image.
@@ -66,7 +66,7 @@ pub fn scene(which: Which, size: u32, dark: usize) -> Result<Scene> {
     let mut builder = SceneBuilder::default();
     let mut wall = |name: &str, rgb: [f64; 3]| -> Result<Arc<Material>> {
         if which == Which::D {
-            // One-sided like the diffuse walls: nobody is behind them.
+            // One-sided like the diffuse walls: the camera is never behind them.
             builder.front_metal(name, rgb, ALPHA)
         } else {
             builder.matt(name, rgb)
@@ -176,7 +176,7 @@ fn square(l: &Lamp) -> [[f64; 3]; 3] {
 pub struct Step {
     /// Tolerance that it meets.
     pub tolerance: f64,
-    /// How large it is.
+    /// Numbers of elements and links.
     pub size: Statistics,
     /// Seconds so far.
     pub seconds: f64,

@@ -7,7 +7,7 @@ use crate::chart::LineChart;
 use crate::figure::{Figure, Result};
 
 const SEED: u64 = 611;
-/// Patches.
+/// Number of patches.
 const N: usize = 12;
 
 struct Numbers(Independent);
@@ -46,7 +46,7 @@ fn patches(random: &mut Numbers, skew: f64) -> Patches {
     }
 }
 
-/// What a BRDF does to the statements.
+/// How far equations 6 to 11 are violated by a BRDF.
 struct Outcome {
     adjoint: f64,
     cost: f64,

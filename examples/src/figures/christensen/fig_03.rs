@@ -15,14 +15,14 @@ use crate::figure::{Figure, Result};
 use crate::figures::common_scenes::{Walls, cornell};
 use crate::say;
 
-/// The error that runs are compared at.
+/// The error at which the numbers of links are compared.
 const ERROR: f64 = 0.01;
 /// Patches along one side of a surface.
 const CELLS: f64 = 8.0;
-/// Where models without importance are given up: this many times the links that do with importance.
+/// A model without importance is refined until it has this many times the links that suffice with importance.
 const PATIENCE: f64 = 2.2;
 
-/// A step of a run.
+/// One refinement step of a model.
 #[derive(Clone, Copy, Debug)]
 struct Row {
     links: f64,
@@ -56,7 +56,7 @@ fn at(run: &[Row], error: f64, number: impl Fn(&Row) -> f64) -> Option<f64> {
 struct Comparison {
     without: Vec<Row>,
     with: Vec<Row>,
-    /// Both if the reference is the finest model without importance; that run without its last two steps.
+    /// Both runs against the finest model without importance as reference; the last two steps of that run are left out.
     other: [Vec<Row>; 2],
     first: [usize; 2],
 }
@@ -73,7 +73,7 @@ struct Ratio {
 
 impl Comparison {
     fn ratio(&self, error: f64) -> Option<Ratio> {
-        // Where that is not reached, what has been spent is too little.
+        // What a run has spent that does not reach the error is a lower bound.
         let without = |number: fn(&Row) -> f64| {
             at(&self.without, error, number).or(self.without.last().map(number))
         };
@@ -232,7 +232,7 @@ pub fn figure(fig: &mut Figure) -> Result {
         100.0 * reached,
         200.0 * reached
     );
-    // Coarse solutions have not found out yet which lamps matter.
+    // Coarse solutions do not resolve yet which lamps matter.
     if fig.quick() {
         say!("  (e) is judged at full length only; {found}");
     } else {

@@ -1,5 +1,5 @@
-//! The estimator that chooses by itself against every single one, on the scenes of the figures; and weights
-//! by measured variance of the derivative against the balance heuristic.
+//! Automatic choice of estimators against every single estimator, on the scenes of the figures; and weights by the
+//! measured variance of the derivative against the balance heuristic.
 
 use std::time::Instant;
 
@@ -27,7 +27,8 @@ const BUDGET: u64 = 4096;
 const PILOTS: u64 = 4;
 /// Number of passes whose median is the time of one.
 const TURNS: u64 = 5;
-/// Combinations of light and BSDF samples that pilots weigh by what they measure; and the heuristics.
+/// Combinations of light and BSDF samples whose weights are chosen by the variance that pilots measure; and the
+/// heuristics.
 const FAMILY: [Estimator; 3] = [
     Estimator::MisBalance,
     Estimator::MisTrustLights,
@@ -118,7 +119,7 @@ pub(super) fn subjects(quick: bool) -> Result<Vec<Subject>> {
     Ok(out)
 }
 
-/// How much is measured.
+/// Numbers of runs and samples.
 #[derive(Clone, Copy, Debug)]
 struct Effort {
     runs: u64,
@@ -134,7 +135,7 @@ struct Spent {
 }
 
 /// Variance of the derivative image, summed, of a mixture: `plan(run)` has pilots of its own, and says how many samples.
-/// All use the same random numbers: where the same is chosen, the same comes out.
+/// All mixtures use the same random numbers: equal choices give equal images.
 fn spread<'a>(
     subject: &Subject,
     param: &str,
@@ -154,7 +155,7 @@ fn spread<'a>(
     Ok(variance(&images?))
 }
 
-/// What a sample of each estimator takes: for each parameter in forward mode, for all together in reverse mode.
+/// Cost of a sample of each estimator: for each parameter in forward mode, for all together in reverse mode.
 struct Clock {
     mode: Mode,
     samples: Vec<(Estimator, Vec<Sample>)>,
@@ -209,7 +210,7 @@ impl Clock {
         Ok(Self { mode, samples })
     }
 
-    /// The sample of an estimator for the parameter with this index.
+    /// The cost of a sample of an estimator, for the parameter with this index.
     fn sample(&self, e: Estimator, param: usize) -> Result<Sample> {
         let found = self.samples.iter().find(|(known, _)| *known == e);
         let of = &found.ok_or("an estimator that was not timed")?.1;
@@ -219,7 +220,7 @@ impl Clock {
         })
     }
 
-    /// What a mixture takes that has all the work: for a parameter in forward mode.
+    /// The cost of a mixture that spends all of `work`: for one parameter in forward mode.
     fn all(&self, m: &Mixture, subject: &Subject, param: usize, work: u64) -> Result<Sample> {
         let passes = match self.mode {
             Mode::Forward => m.samples(&subject.params[param], work),
@@ -241,14 +242,14 @@ impl Clock {
 /// Variance of a sample, for each parameter.
 type Variances = Vec<f64>;
 
-/// Everything measured in one scene and mode: per estimator, per parameter.
+/// Measurements in one scene and mode: per estimator, per parameter.
 struct Trial {
     singles: Vec<(Estimator, Vec<Spent>)>,
     auto: Vec<Spent>,
     chosen: Mixture,
 }
 
-/// By as many samples as the work is worth in forward mode.
+/// Variances of a single estimator, with as many samples as the work pays for in forward mode.
 fn single(subject: &Subject, e: Estimator, effort: Effort, forward: &Clock) -> Result<Variances> {
     let only = Mixture::only(&subject.scene, e, &subject.params);
     let of = |(k, param): (usize, &String)| {
@@ -296,7 +297,7 @@ fn mixed(
             &(),
         )?);
     }
-    // What is measured stands for a part of the budget, and bears that part of the pilots.
+    // The measured runs are a part of the budget, and bear that part of the cost of the pilots.
     let part = effort.spp as f64 / BUDGET as f64;
     let pilots = start.elapsed().as_secs_f64() / PILOTS as f64;
     let spent = mixtures.iter().map(Mixture::spent).sum::<f64>() / PILOTS as f64;
@@ -340,7 +341,7 @@ fn best(singles: &[(Estimator, Vec<Spent>)], pick: impl Fn(&Spent) -> f64) -> Ve
 
 /// Efficiencies in one mode, over that of the best single estimator.
 struct Standing {
-    /// By work and by the clock.
+    /// Efficiency of each estimator by counted work and by time.
     singles: Vec<(Estimator, [f64; 2])>,
     auto: [f64; 2],
     favourite: Estimator,

@@ -15,13 +15,13 @@ use crate::scene_builder::{SceneBuilder, View};
 const SEED: u64 = 96;
 /// Chance of a false alarm in one check.
 const LEVEL: f64 = 1e-3;
-/// What is differentiated, and what of the scene each is.
+/// Parameters by which images are differentiated, and what they are in the scene.
 const PARAMS: [(&str, &str); 3] = [
     ("ring.alpha.value", "roughness of the ring"),
     ("table.reflectance.value", "albedo of the table"),
     ("lamp.emitter.radiance.value", "emission"),
 ];
-/// Roughness of the ring where nothing else is said.
+/// Roughness of the ring, except where it is varied.
 const ALPHA: f64 = 0.05;
 /// Angle of view, degrees.
 const FOV: f64 = 40.0;
@@ -99,7 +99,7 @@ pub fn figure(fig: &mut Figure) -> Result {
     sweeps(fig)
 }
 
-/// The expectation is the same, block by block.
+/// Checks that paths and particles have the same expectation in every block of pixels.
 fn same(fig: &mut Figure) -> Result {
     let (size, runs, spp) = (32, 64, fig.pick(64, 128));
     let scene = ring(size, 0.1, FOV)?;
@@ -120,7 +120,7 @@ fn same(fig: &mut Figure) -> Result {
     Ok(())
 }
 
-/// Both at the same few samples.
+/// Pictures by paths and by particles, from the same small number of samples.
 fn pictures(fig: &mut Figure) -> Result {
     let (size, spp) = fig.pick((128, 16), (384, 64));
     let scene = ring(size, ALPHA, FOV)?;
@@ -210,7 +210,7 @@ fn clock(fig: &mut Figure) -> Result {
     Ok(())
 }
 
-/// Where it pays: over the roughness of the ring and over the angle of view.
+/// The gain of particles over paths, against the roughness of the ring and against the angle of view.
 fn sweeps(fig: &mut Figure) -> Result {
     let (size, spp, runs) = fig.pick((32, 32, 32), (48, 64, 128));
     let alphas: &[f64] = fig.pick(&[0.02, 0.05, 0.2], &[0.01, 0.02, 0.05, 0.1, 0.2, 0.4]);

@@ -20,12 +20,12 @@ const SEED: u64 = 1312;
 const E: Estimator = Estimator::MisBalance;
 /// Chance of a false alarm in one check.
 const LEVEL: f64 = 1e-3;
-/// What is differentiated, and what of the scene each is.
+/// Parameters by which images are differentiated, and what they are in the scene.
 const PARAMS: [(&str, &str); 2] = [
     ("floor.reflectance.value", "albedo of the floor"),
     ("lamp.emitter.radiance.value", "emission"),
 ];
-/// What guiding is compared with.
+/// How directions are sampled, and whether that is guided.
 const WAYS: [(&str, bool); 2] = [("by the material", false), ("guided", true)];
 
 /// A basin of water with waves, below a small lamp.
@@ -65,7 +65,7 @@ fn settings(scene: &Scene) -> Settings {
     }
 }
 
-/// Lets paths learn, and returns the seconds that it took.
+/// Trains the guiding distributions, and returns the seconds that it took.
 fn learn(scene: &mut Scene) -> Result<f64> {
     let (start, settings) = (Instant::now(), settings(scene));
     if auto::guide(scene, &settings, SEED, &()) {
@@ -101,7 +101,7 @@ pub fn figure(fig: &mut Figure) -> Result {
     room(fig)
 }
 
-/// The expectation is the same, block by block.
+/// Checks that guided and plain paths have the same expectation in every block of pixels.
 fn same(fig: &mut Figure) -> Result {
     let (size, runs, spp) = (32, 64, fig.pick(64, 256));
     let mut scene = basin(size)?;
@@ -123,7 +123,7 @@ fn same(fig: &mut Figure) -> Result {
     Ok(())
 }
 
-/// Both at the same few samples.
+/// Pictures by guided and by plain paths, from the same small number of samples.
 fn pictures(fig: &mut Figure) -> Result {
     let (size, spp) = fig.pick((128, 16), (384, 64));
     let mut scene = basin(size)?;
@@ -217,7 +217,7 @@ fn clock(fig: &mut Figure) -> Result {
     Ok(())
 }
 
-/// Where the lamp is in sight, there is little to gain.
+/// Checks that guiding gains little in a room where all points see the lamp.
 fn room(fig: &mut Figure) -> Result {
     let (size, spp, runs) = fig.pick((32, 16, 32), (64, 64, 64));
     let mut scene = builtin_scene::cornell(size, size)?;

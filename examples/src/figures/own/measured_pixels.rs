@@ -1,5 +1,5 @@
-//! Samples shared among pixels as a short pass before measures, against as many of each pixel, on the scenes of the
-//! figures.
+//! Samples allotted to pixels by the variance that a short first pass measures, against the same number in every
+//! pixel, on the scenes of the figures.
 
 use std::time::Instant;
 
@@ -65,7 +65,7 @@ impl Passes {
         self.lengths.iter().map(of).collect()
     }
 
-    /// Variance over that of others: the geometric mean over the parameters, and the least.
+    /// Ratio of the variances to those of `others`: the geometric mean over the parameters, and the least.
     fn gain(&self, others: &Self) -> [f64; 2] {
         let both = self.variances().into_iter().zip(others.variances());
         let ratios = both.filter(|(a, _)| *a > 0.0).map(|(a, b)| a / b);
@@ -75,13 +75,13 @@ impl Passes {
         [(logs / f64::max(n, 1.0)).exp(), least]
     }
 
-    /// The derivative along all parameters at once.
+    /// The sum of all derivatives: the derivative along all parameters at once.
     fn sum(&self) -> Estimate {
         Estimate::of(self.scaled.iter().map(|g| g.iter().sum()))
     }
 }
 
-/// The image and where its samples go.
+/// Pictures of the image, and of the number of samples in its pixels.
 fn panels(subject: &Subject, weights: &[f32], spp: u64) -> [Panel; 2] {
     let scene = &subject.scene;
     let theta = Theta::constant(scene.params().values());
@@ -156,7 +156,7 @@ pub fn figure(fig: &mut Figure) -> Result {
     let (least, largest) = (&gains[0], &gains[gains.len() - 1]);
     let middle = gains[gains.len() / 2].0;
     let paid = gains.iter().filter(|g| g.1 > 1.0).count();
-    // The variance of what few samples decide is itself uncertain by some tens of per cent.
+    // Where few samples carry the variance, its estimate is uncertain by some tens of per cent.
     fig.check(
         "(b) variance of as many samples of each pixel over that of shared ones: never much below 1, above it as a rule",
         least.0 > 0.5 && middle > 1.2,

@@ -1,5 +1,5 @@
-//! What second derivatives are good for: parameters are recovered with Gauss-Newton steps and with
-//! Adam, on the clock, and the whole Hessian is compared with its Gauss-Newton part.
+//! Second derivatives in inverse rendering: the times in which Gauss-Newton steps and Adam recover parameters, and the
+//! whole Hessian beside its Gauss-Newton part.
 
 use std::time::{Duration, Instant};
 
@@ -17,10 +17,10 @@ use crate::scene_builder::picture;
 use crate::tools::recover::{WHOLE_STEPS, groups};
 
 const SEED: u64 = 5;
-/// The errors whose times are compared.
+/// Largest relative errors of the parameters: the times to reach them are compared.
 const GOALS: [f64; 3] = [0.1, 0.02, 0.01];
 
-/// The room of `recover`.
+/// The built-in scene of `recover`, and what is to be found in it.
 struct Setup {
     problem: Problem,
     start: Vec<f32>,
@@ -61,7 +61,7 @@ struct Run {
     values: Vec<f32>,
     done: u64,
     time: Duration,
-    /// Seconds, and the largest relative error then.
+    /// Seconds since the start, and the largest relative error at that time, after every step.
     errors: Vec<(f64, f64)>,
 }
 
@@ -95,7 +95,7 @@ impl Run {
         Ok(())
     }
 
-    /// When the error fell below `goal` to stay there.
+    /// Seconds after which the error stays below `goal`.
     fn time_to(&self, goal: f64) -> Option<f64> {
         let above = self.errors.iter().rposition(|(_, e)| *e >= goal);
         let first = above.map_or(0, |k| k + 1);
@@ -144,7 +144,7 @@ pub fn figure(fig: &mut Figure) -> Result {
 /// (a) Error against time.
 fn race(fig: &mut Figure, setup: &mut Setup) -> Result {
     let mut runs = runs(fig, setup)?;
-    // Side by side, so that whatever else the machine does slows all of them.
+    // Runs alternate, so that other load on the machine slows all of them alike.
     let most = runs.iter().map(|r| r.steps).max().unwrap_or(0);
     for k in 1..=most {
         for run in &mut runs {

@@ -16,7 +16,7 @@ use crate::figure::{Figure, Result};
 use crate::figures::statistics::variance;
 
 const SEED: u64 = 1024;
-/// One of each kind of sampling; weights change little about how samples are spread.
+/// One estimator for each kind of sampling: weights hardly change what evenly spread samples gain.
 const ESTIMATORS: [Estimator; 7] = [
     Estimator::Emitter,
     Estimator::Detached,
@@ -27,17 +27,17 @@ const ESTIMATORS: [Estimator; 7] = [
     Estimator::DifferentialMis,
 ];
 
-/// A way of making samples, and where its gains are judged.
+/// A way of generating samples, and the criterion for its gains.
 struct Variant {
     name: &'static str,
     points: Points,
     lights: LightChoice,
     claim: &'static str,
-    /// Of the smallest and the median gain in variance.
+    /// Criterion for the smallest and the median gain in variance.
     passed: fn(f64, f64) -> bool,
 }
 
-// The variance of what few samples decide is itself uncertain by some tens of per cent.
+// Where few samples carry the variance, its estimate is uncertain by some tens of per cent.
 const VARIANTS: [Variant; 4] = [
     Variant {
         name: "sobol",
@@ -57,7 +57,7 @@ const VARIANTS: [Variant; 4] = [
         name: "all lights",
         points: Points::Independent,
         lights: LightChoice::All,
-        // Lights that bring little may change much.
+        // Lights that contribute little may change much in variance.
         claim: "(c) all lights weighed, where there are several: above 1 as a rule, never below a quarter",
         passed: |worst, middle| worst > 0.25 && middle > 1.05,
     },
@@ -145,7 +145,7 @@ pub fn figure(fig: &mut Figure) -> Result {
             let base = of((Points::Independent, LightChoice::One))?;
             for (v, gains) in VARIANTS.iter().zip(&mut gains) {
                 let chooses = v.lights == LightChoice::All;
-                // Nothing to choose among, or nothing chosen.
+                // There is only one light, or the estimator samples none.
                 if chooses && (scene.emitters().len() < 2 || !e.samples_emitters()) {
                     continue;
                 }

@@ -72,7 +72,7 @@ fn pass(index: u64, emission: f64, printed: bool, max_depth: usize) -> [f64; 3] 
     [radiance, d_albedo, adjoint / ABSORB]
 }
 
-/// The renderer in the same furnace: a closed box whose walls emit 1 and reflect a half.
+/// The same furnace for the renderer: a closed box whose walls emit 1 and reflect a half.
 fn furnace() -> Result<Scene> {
     let mut b = Builder::new();
     let reflectance = b.rgb("walls.reflectance.value", [ALBEDO; 3], (0.0, 1.0))?;

@@ -13,7 +13,7 @@ use crate::figure::Result;
 
 /// Number of controls, theta_1 to theta_7.
 pub const CONTROLS: usize = 7;
-/// What the paper calls the controls, in its order.
+/// Names of the controls in the paper, in its order.
 pub const LABELS: [&str; CONTROLS] = [
     "emission",
     "sphere ambient",
@@ -23,8 +23,8 @@ pub const LABELS: [&str; CONTROLS] = [
     "wall ambient",
     "wall diffuse",
 ];
-/// The parameters they are. No equation of the paper uses the ambient terms: they are parameters that
-/// nothing reads.
+/// Names of the controls as parameters of the scene. No equation of the paper uses the ambient terms: the image does
+/// not depend on these parameters.
 pub const NAMES: [&str; CONTROLS] = [
     "light.radiance.value",
     "sphere.ambient.value",

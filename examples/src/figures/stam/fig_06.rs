@@ -22,7 +22,7 @@ use crate::say;
 const THETA: [f64; CONTROLS] = [0.2, 0.0, 0.3, 0.13, 10.0, 0.0, 0.3];
 const STEPS: [f64; 4] = [1e-1, 1e-4, 1e-7, 1e-10];
 const SEED: u64 = 6;
-/// Absorption probability that the pseudocode is evaluated with.
+/// Probability of absorption with which the pseudocode is evaluated.
 const ABSORB: f64 = 0.3;
 
 /// Collects the adjoint of every parameter.
@@ -76,7 +76,7 @@ impl<'a, P: Float> Case<'a, P> {
         P::of(0.5) * l * l
     }
 
-    /// Elements of a control.
+    /// Where the values of a control lie in the vector of all parameters.
     fn range(&self, control: usize) -> Result<std::ops::Range<usize>> {
         Ok(self.scene.params().find(NAMES[control])?.range())
     }
@@ -149,8 +149,8 @@ fn find_path(scene: &Scene, size: u32) -> Result<([u32; 2], u64)> {
     Err("no path over sphere and walls was found".into())
 }
 
-/// What the pseudocode of appendix D makes of the path with roulette, relative to J: radiance over
-/// the true one, gradient in emission, exponent and wall albedo.
+/// What the pseudocode of appendix D computes for the path, with roulette: radiance over the true one; gradients in
+/// emission, exponent and wall albedo, relative to J.
 fn pseudocode(case: &Case<f64>) -> [f64; 4] {
     let [_, _, _, specular, exponent, _, wall] = THETA;
     let survive = 1.0 - ABSORB;

@@ -21,7 +21,7 @@ use super::printed;
 use crate::chart::{LineChart, Panel};
 use crate::figure::{Figure, Result};
 
-/// The controls that something reads.
+/// Indices of the controls that the image depends on: all but the ambient terms.
 const USED: [usize; 5] = [0, 2, 3, 4, 6];
 
 /// The sphere's lobe without tangents.

@@ -24,7 +24,7 @@ pub struct Vertex<P> {
     pub wo: Vec3<P>,
     /// Sampled direction, local frame.
     pub wi: Vec3<P>,
-    /// What the direction belongs to.
+    /// The component of the BSDF that the direction was sampled from.
     pub component: Component,
     /// One over the density it was sampled with.
     pub weight: P,
@@ -43,7 +43,7 @@ pub struct FixedPath<P> {
     closed: bool,
 }
 
-/// All of the path is wanted.
+/// The defaults of the trait ask for all events along a path.
 impl<P: Float> Interest for FixedPath<P> {}
 
 impl<P: Float> Observer<P> for FixedPath<P> {
@@ -141,7 +141,7 @@ impl<P: Float> FixedPath<P> {
         })
     }
 
-    /// The same with another scattering law: `f |cos|` at a vertex.
+    /// As [`Self::radiance`], with another scattering law: `f |cos|` at a vertex.
     pub fn radiance_with<R: Real<Primal = P>>(
         &self,
         scene: &Scene,

@@ -13,7 +13,7 @@ use super::cornell::{CONTROLS, Cornell, LABELS, NAMES, perturbed};
 use crate::chart::Panel;
 use crate::figure::{Figure, Result};
 
-/// Bright enough to be seen; the sphere has a wide and visible highlight.
+/// Values of the controls: the light is bright, and the sphere has a wide highlight.
 pub(super) const THETA: [f64; CONTROLS] = [12.0, 0.0, 0.15, 0.45, 40.0, 0.0, 0.7];
 pub(super) const EXPONENT: usize = 4;
 pub(super) const BATCHES: u64 = 16;

@@ -9,8 +9,8 @@ use render::shape::MeshData;
 use crate::figure::Result;
 use crate::scene_builder::{POSITIVE, SceneBuilder};
 
-/// Two quads that share the z axis as their edge, seen from above; each falls off by `degrees`.
-/// All their shading normals point up.
+/// Two quads that share the z axis as their upper edge, each tilted downwards by `degrees`. All their shading normals
+/// point up.
 pub(super) fn roof(degrees: f64, half: f64) -> MeshData {
     let (sin, cos) = degrees.to_radians().sin_cos();
     let side = |s: f64, z: f64| [s * half * cos, -half * sin, z * half].map(|x| x as f32);

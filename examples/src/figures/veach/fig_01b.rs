@@ -25,7 +25,7 @@ pub fn figure(fig: &mut Figure) -> Result {
     let mut builder = SceneBuilder::default();
     let white = builder.matt("white", [0.8; 3])?;
     builder.shape("facets", Mesh::new(roof(FACET, 3.0), false)?, &white);
-    // As good as parallel, both of them.
+    // Light and view are practically parallel.
     let far = 500.0;
     let at = |degrees: f64| {
         let (sin, cos) = degrees.to_radians().sin_cos();

@@ -34,7 +34,7 @@ fn sphere(n: usize) -> Vec<(V, f64)> {
         .collect()
 }
 
-/// Diffuse and glossy, with the parameters of its own vector.
+/// A material that is diffuse and glossy; its parameters are added to `build`.
 fn surface(build: &mut Builder) -> Result<Material> {
     let unit = (0.0, 1.0);
     Ok(Material::from(BlinnPhong {
@@ -79,7 +79,7 @@ impl Point<'_> {
     }
 }
 
-/// Some smooth function of directions.
+/// A smooth function of directions, to be integrated against the kernel.
 fn lobe(towards: V, d: V) -> f64 {
     (2.0 * (towards.normalize().dot(d) - 1.0)).exp() + 0.1
 }
@@ -219,7 +219,7 @@ impl FiniteScene {
     }
 }
 
-/// Largest relative difference to the first.
+/// Largest relative difference of the values from the first of them.
 fn spread(values: &[f64]) -> f64 {
     let d = values.iter().map(|v| (v / values[0] - 1.0).abs());
     d.fold(0.0, f64::max)

@@ -178,7 +178,7 @@ fn hemisphere(
     })
 }
 
-/// Sample `s` of `n` of a cell: one per stratum of a square grid where `n` allows.
+/// Sample `s` of `n` in a cell, stratified on a square grid if `n` is large enough.
 fn jitter(seed: u64, stream: u64, s: u64, n: u64) -> [f32; 2] {
     use render::sampler::{Independent, Sampler};
     let side = (n as f64).sqrt() as u64;

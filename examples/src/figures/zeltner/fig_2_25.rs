@@ -12,18 +12,18 @@ use crate::figure::{Figure, Result};
 const RANGE: [f64; 2] = [0.0, 1.0];
 
 diff_fn! {
-    /// Decreasing.
+    /// The monotone integrand; it decreases.
     pub fn monotone<R>([x]: [R; 1]) -> [R; 1] { [(x * R::c(-2.0)).exp()] }
 }
 
 diff_fn! {
-    /// Both signs; nearly symmetric about 1/2, nearly antisymmetric about its root by 1/4.
+    /// The integrand of both signs: nearly symmetric about 1/2, nearly antisymmetric about its root near 1/4.
     pub fn signed<R>([x]: [R; 1]) -> [R; 1] {
         [(x * R::c(TAU)).cos() + x * R::c(0.15)]
     }
 }
 
-/// What became of an integrand and a rule for the second sample.
+/// Results for one integrand and one rule for the second sample.
 struct Pairing {
     name: &'static str,
     pairs: Moments,

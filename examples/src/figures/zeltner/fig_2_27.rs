@@ -17,7 +17,7 @@ const TECHNIQUES: [(&str, Estimator, u64); 3] = [
     ("both, 32 + 32 spp", Estimator::MisBalance, 32),
 ];
 
-/// What was found about one technique in one cell.
+/// Results of one technique in one cell.
 #[derive(Clone, Copy, Debug, Default)]
 struct Cell {
     mean: f64,

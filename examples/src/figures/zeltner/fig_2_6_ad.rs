@@ -16,14 +16,14 @@ diff_fn! {
 }
 
 diff_fn! {
-    /// Its first line: the product that both outputs share.
+    /// The first line of the example: the product that both outputs share.
     pub fn shared<R>([x1, x2, x3]: [R; 3]) -> [R; 3] {
         [x1 * x2, x3, R::zero()]
     }
 }
 
 diff_fn! {
-    /// Its second line.
+    /// The second line of the example.
     pub fn outputs<R>([v, x3, _unused]: [R; 3]) -> [R; 3] {
         [v * x3, v + x3, R::zero()]
     }
@@ -35,7 +35,7 @@ type Jacobian = [f64; 6];
 /// A function that finds the Jacobian.
 type Mode = fn([f64; 3]) -> Jacobian;
 
-/// One pass per input: a column each.
+/// The Jacobian by forward mode: one pass per input gives one column.
 fn forward(x: [f64; 3]) -> Jacobian {
     let column = |i: usize| {
         jvp(
@@ -49,7 +49,7 @@ fn forward(x: [f64; 3]) -> Jacobian {
     std::array::from_fn(|k| columns[k % 3][k / 3])
 }
 
-/// One pass per output: a row each.
+/// The Jacobian by reverse mode: one pass per output gives one row.
 fn reverse(x: [f64; 3]) -> Jacobian {
     let rows = [
         vjp(&example, x, [1.0, 0.0]).1,

@@ -96,7 +96,7 @@ fn inverse<R: Real<Primal = f64>>(w: Vec3<R>, alpha: R) -> [R; 2] {
     to_square([x * shrink, y * shrink])
 }
 
-/// Something at which the light from the hemisphere jumps, whatever the roughness.
+/// A discontinuity of the light from the hemisphere; it does not depend on the roughness.
 struct Edge {
     name: &'static str,
     colour: [u8; 3],
@@ -197,7 +197,7 @@ pub fn figure(fig: &mut Figure) -> Result {
                 let [a, b] = [alpha + h, alpha - h].map(|alpha| inverse(w, alpha));
                 let slope = [0, 1].map(|k| (a[k] - b[k]) / (2.0 * h));
                 gap = gap.max(length([motion[0] - slope[0], motion[1] - slope[1]]));
-                // A number that moves with its edge keeps its direction.
+                // A random number that moves with its edge keeps its direction.
                 let moving = [0, 1].map(|k| D::new(place[k], [motion[k]]));
                 let kept = sample(moving, D::var(alpha, 0));
                 let kept = [kept.x, kept.y, kept.z].map(|c| c.eps[0].abs());
@@ -339,7 +339,7 @@ fn picture(
 /// Size of the pictures.
 const SIDE: usize = 480;
 
-/// A picture with room for lines.
+/// A picture, enlarged so that lines can be drawn over it.
 fn panel(label: &str, image: &Image) -> Panel {
     // To a size that the small and the large one divide, or nearly.
     Panel::tonemapped(label, image, 0.8).enlarged((SIDE / image.width).max(1))
@@ -378,7 +378,7 @@ fn hemisphere(scene: &Scene, (size, spp): (usize, u64), edges: &[Edge]) -> Resul
     Ok(panel)
 }
 
-/// The same over random numbers, with the motion of the edges.
+/// The hemisphere over random numbers, with the motion of the edges.
 fn square(scene: &Scene, (size, spp): (usize, u64), edges: &[Edge], alpha: f64) -> Result<Panel> {
     let image = picture(scene, (size, spp), |u| {
         let w = sample(u, alpha);

@@ -64,7 +64,7 @@ impl Place {
         Some([a - rest, b + rest].map(Vec3::normalize))
     }
 
-    /// Whether all directions around, up to five widths away, see the same and are above the horizon.
+    /// Whether all directions within five widths of `w` hit the primitive that `w` hits, and are above the horizon.
     fn is_interior(&self, w: Vec3<f64>) -> bool {
         let seen = self.primitive(w);
         let around = Frame::from_normal(w);

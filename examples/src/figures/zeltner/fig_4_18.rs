@@ -19,7 +19,7 @@ const LEVEL: f64 = 1e-3;
 /// Texels along a side of the maps.
 const SIDE: u32 = 16;
 const BALL: ([f64; 3], f64) = ([0.0, 0.75, -0.3], 0.4);
-/// The reference first.
+/// The estimators that are compared; the first is the reference.
 const ESTIMATORS: [Estimator; 4] = [
     Estimator::Mis,
     Estimator::Detached,
@@ -56,7 +56,7 @@ impl Edge {
         }
     }
 
-    /// Beckmann: its lobes end, so that there are places which see no edge.
+    /// Beckmann lobes are narrow enough that some pixels see no edge.
     pub(in crate::figures) fn scene(self, width: u32) -> Result<Scene> {
         let mut builder = SceneBuilder::default();
         let size = [width, width * 3 / 4];
@@ -91,7 +91,7 @@ impl Edge {
         builder.finish(&view, 2)
     }
 
-    /// What moves: all roughness, or all normals, towards the far end.
+    /// The direction of the derivative: all roughness grows, or all normals tilt towards the far end.
     fn direction(self, scene: &Scene) -> Result<Direction> {
         let params = scene.params();
         let info = params.find(self.name())?;
@@ -125,7 +125,8 @@ impl Edge {
         })
     }
 
-    /// Closer than the first, most of a lobe's edge matters; farther than the second, none of it.
+    /// Two distances from the edge: nearer than the first, most of a lobe is affected by it; farther than the second,
+    /// nothing of it is.
     fn bounds(self) -> [f64; 2] {
         match self {
             Self::Ball => [0.15, 0.55],
@@ -159,7 +160,7 @@ fn tilted(builder: &mut SceneBuilder) -> Result<Arc<Material>> {
     Ok(Arc::new(mapped.into()))
 }
 
-/// How much is measured.
+/// Sizes of images and blocks, numbers of runs and samples.
 #[derive(Clone, Copy, Debug)]
 struct Effort {
     width: u32,
@@ -198,7 +199,7 @@ fn measure(edge: Edge, scene: &Scene, effort: Effort) -> Result<Found> {
     Ok(found)
 }
 
-/// Where blocks lie.
+/// Position of a block relative to the edge.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Place {
     Near,

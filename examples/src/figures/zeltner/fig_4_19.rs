@@ -3,7 +3,7 @@
 //! Columns get the same time: samples in proportion to the inverse of [`auto::costs`] in forward mode, so that results
 //! depend on the seed alone. `costs.csv` has their number and the time that was measured. Standard deviations
 //! are those of the work of one sample of `mis`, in outcomes (b) and (c) and in pictures; outcome (e) is about
-//! samples, whose weights it judges, and tells what becomes of it at equal time.
+//! weights, so it compares single samples, and reports the ratio at equal time beside it.
 
 use std::time::Instant;
 
@@ -49,7 +49,7 @@ struct Cell {
 }
 
 impl Cell {
-    /// From images of the window, each of so much work per pixel.
+    /// From independent images of the window, each with `work` per pixel.
     fn of(images: &[Vec<f64>], work: f64) -> Self {
         let n = images.len() as f64;
         let pixels = images[0].len();

@@ -38,7 +38,7 @@ const DIFFERENTIAL_MIS: usize = 6;
 const REPARAMETERISED_MIS: usize = 8;
 const NAIVE: usize = 9;
 
-/// How much is measured.
+/// Sizes of images and blocks, numbers of runs and samples.
 #[derive(Clone, Copy, Debug)]
 struct Effort {
     size: [u32; 2],
@@ -47,7 +47,7 @@ struct Effort {
     spp: u64,
 }
 
-/// One number added to all roughness.
+/// The direction of the derivative: all roughness grows alike.
 fn directions(scene: &Scene) -> std::result::Result<Vec<Direction>, RenderError> {
     let of = |(name, _): &(&str, f64)| {
         Direction::uniform(scene.params(), &format!("{name}.alpha.value"))
@@ -90,13 +90,13 @@ fn differences(scene: &Scene, effort: Effort) -> Result<Series> {
     })
 }
 
-/// Pixels with a name.
+/// A set of pixels: its name, and whether a pixel belongs to it.
 type Region = (&'static str, fn(&Seen) -> bool);
 
-/// What a pixel shows.
+/// Properties of the surface at the centre of a pixel.
 #[derive(Clone, Copy, Debug)]
 struct Seen {
-    /// Roughness; none in the background.
+    /// Roughness; `None` in the background.
     alpha: Option<f64>,
     /// Whether the mirrored view meets another thing.
     reflects: bool,

@@ -27,7 +27,7 @@ const ESTIMATORS: [Estimator; 3] = [
 const DETACHED: usize = 0;
 const DIFFERENTIAL: usize = 1;
 const ATTACHED: usize = 2;
-/// What a plate is made of and lit by.
+/// Material of a plate and its lights.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(in crate::figures) enum Condition {
     /// Rough GGX below the many lights of a hall.
@@ -121,7 +121,7 @@ pub(in crate::figures) fn within([low, high]: [f64; 2], values: &[f64]) -> Vec<f
     values.iter().map(value).collect()
 }
 
-/// How much is measured.
+/// Side of the texture, and numbers of samples.
 #[derive(Clone, Copy, Debug)]
 struct Effort {
     side: usize,
@@ -323,7 +323,7 @@ fn agree(fig: &mut Figure, condition: Condition, setup: &mut Setup) -> Result {
         }
     }
     let (z, (a, b), i) = worst;
-    // How well the data could have told a difference.
+    // The gradient itself in standard errors: how small a difference the data could have shown.
     let strongest = gradients[DIFFERENTIAL]
         .iter()
         .map(|g| g.mean.abs() / g.error)

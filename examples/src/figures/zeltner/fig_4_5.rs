@@ -29,7 +29,7 @@ pub fn figure(fig: &mut Figure) -> Result {
             .map(|&a| f64::from(a) * board.adjoint.len() as f64)
             .collect()
     };
-    // Where in the image the gradient comes from: its summands.
+    // The summands of the gradient, per pixel.
     let derivative = board.derivative(SEED)?;
     let products = derivative.sums[1].iter().zip(&board.adjoint);
     let n = board.spp as f64;

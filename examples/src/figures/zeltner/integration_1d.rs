@@ -19,7 +19,7 @@ pub trait Density<R: Real> {
     /// The density at `x`; integrates to one over the interval.
     fn pdf(&self, x: R) -> R;
 
-    /// Its integral up to `x`.
+    /// The integral of the density up to `x`.
     fn cdf(&self, x: R) -> R;
 
     /// Inverse of [`cdf`](Self::cdf): the `x` below which the fraction `u` of the mass lies. Moves with
@@ -88,7 +88,7 @@ impl<R: Real> Density<R> for Uniform {
 /// A normal distribution cut to an interval.
 #[derive(Clone, Copy, Debug)]
 pub struct Normal<R> {
-    /// Where it is highest.
+    /// Position of the maximum.
     pub mean: R,
     /// Standard deviation before the cut, positive.
     pub sd: R,
@@ -204,7 +204,7 @@ impl Moments {
         ];
     }
 
-    /// Of samples `f(random numbers)`, a pure function of `seed` and their number.
+    /// The moments of `n` samples `f(random numbers)`: a pure function of `seed` and `n`.
     pub fn of(n: u64, seed: u64, mut f: impl FnMut(&mut Independent) -> f64) -> Self {
         let mut moments = Self::default();
         for i in 0..n {
@@ -262,7 +262,7 @@ impl Histogram {
     /// Number of cells.
     pub const CELLS: usize = 50;
 
-    /// Of samples that should have the density `p`.
+    /// The histogram of samples that should have the density `p`.
     pub fn of(samples: &[f64], p: &impl Density<f64>) -> Self {
         let [a, b] = p.range();
         let width = (b - a) / Self::CELLS as f64;

@@ -138,7 +138,7 @@ impl Board {
         )?)
     }
 
-    /// The identities of both figures.
+    /// Checks the identities between forward and reverse mode that both figures show.
     pub(super) fn identities(&self, fig: &mut Figure) -> Result {
         let forward = self.forward(SEED)?;
         let pushed = self.against_adjoint(&forward.sums[1]);

@@ -30,7 +30,7 @@ fn add(sum: &mut [f64; 3], c: Rgb<f32>) {
     }
 }
 
-/// Watches a path; the emission it meets is read from the scene.
+/// Observer of a path that sums its contributions by technique; the emission at its vertices is read from the scene.
 struct Watch<'a> {
     scene: &'a Scene,
     theta: &'a Theta<'a, f32>,

@@ -65,11 +65,11 @@ const ROWS: [&str; 5] = [
 /// A cell of the tables.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Cell {
-    /// Right everywhere.
+    /// Unbiased in every scene.
     Valid(Estimator),
-    /// Right without discontinuities only, where the second one is what the scene admits.
+    /// Unbiased only in scenes without discontinuities; the second estimator is the one that other scenes admit.
     Naive(Estimator, Estimator),
-    /// Wrong everywhere.
+    /// Biased in every scene.
     Biased(Estimator),
     /// Column and row contradict each other: there is no such type.
     None,
@@ -111,7 +111,7 @@ const TABLE: [[Cell; 4]; 5] = [
     ],
 ];
 
-/// Rough metal seen from the front, and what lights it.
+/// A plate of rough metal seen from the front, and its lights.
 fn scene(lamps: bool) -> Result<Scene> {
     let mut builder = SceneBuilder::default();
     let mut roughness = builder.ggx("plate", 0.06)?;
@@ -137,7 +137,7 @@ fn scene(lamps: bool) -> Result<Scene> {
     builder.finish(&view, 2)
 }
 
-/// How much is measured.
+/// Numbers of runs and samples.
 #[derive(Clone, Copy, Debug)]
 struct Effort {
     runs: u64,
@@ -218,7 +218,7 @@ impl Found {
     }
 }
 
-/// What a scene says about the estimators.
+/// Results of all estimators in one scene.
 struct Trial {
     name: &'static str,
     reference: Found,
@@ -510,7 +510,7 @@ fn report(fig: &mut Figure, trials: &[&Trial], valid: &[Estimator], biased: &[Es
     fig.csv_text("table", &header, rows);
 }
 
-/// The table in pictures: what every cell finds beside the hidden lamp.
+/// The table in pictures: the derivative image of every cell, beside the hidden lamp.
 fn picture(fig: &mut Figure, trial: &Trial) {
     let width = VIEW[0] as usize;
     let all = trial.reference.image.iter();

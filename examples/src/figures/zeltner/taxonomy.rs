@@ -1,5 +1,5 @@
-//! The taxonomy of differential estimators [Zeltner 2021, section 4.2] in one dimension, as small as
-//! it gets: an integrand and a sampling technique that depend on one parameter, what of that
+//! The taxonomy of differential estimators [Zeltner 2021, section 4.2] in one dimension, in its
+//! simplest form: an integrand and a sampling technique that depend on one parameter, what of that
 //! dependence an estimator follows, and combinations of two techniques.
 //!
 //! An estimator is a function of random numbers. Its mean is found by quadrature
@@ -38,7 +38,7 @@ pub enum Sampling {
 }
 
 impl Sampling {
-    /// Both.
+    /// Both kinds.
     pub const ALL: [Self; 2] = [Self::Detached, Self::Attached];
 
     fn sample(self, t: &impl Technique, u: f64, pi: f64) -> D {
@@ -87,17 +87,17 @@ pub fn partly_attached(
 /// What of a weight of multiple importance sampling is differentiated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Weight {
-    /// Nothing.
+    /// Nothing of it: a constant.
     Detached,
-    /// Its place, not its parameter: the weight function of the unchanged techniques, at the sample
-    /// wherever that moves.
+    /// The position at which it is evaluated, not its parameter: the weight function of the unchanged techniques at the
+    /// moving sample.
     Frozen,
-    /// Everything.
+    /// Position and parameter.
     Attached,
 }
 
 impl Weight {
-    /// All three.
+    /// All three kinds.
     pub const ALL: [Self; 3] = [Self::Detached, Self::Frozen, Self::Attached];
 }
 

@@ -20,7 +20,7 @@ const SPP: u64 = 64;
 /// Texels of the map.
 const SIZE: [usize; 2] = [16, 8];
 
-/// Bright on one side of the horizon, or every texel for itself.
+/// The environment map: smooth and bright on one side of the horizon, or of independent texels.
 fn sky(smooth: bool) -> Image {
     let [width, height] = SIZE;
     let mut image = Image::new(width, height);
@@ -93,7 +93,7 @@ fn spread(scene: &Scene, e: Estimator, repeats: u64) -> Result<[f64; 2]> {
     Ok([variance(&texels), variance(&factors)])
 }
 
-/// Checks where samples that move with the texels pay.
+/// Checks under which maps samples that move with the texels reduce the variance.
 ///
 /// # Errors
 /// None that the built-in scenes can cause.
@@ -112,7 +112,7 @@ pub fn measure(fig: &mut Figure) -> Result {
             )
         } else {
             (
-                "where every texel is for itself, they vary more",
+                "under a map of independent texels, they vary more",
                 texels > 2.0,
             )
         };
