@@ -155,9 +155,12 @@ pub fn derivative_image<S: Unbiased>(
 ) -> Rendering {
     let values = values::<f64>(scene);
     let dual = |d: &f64| Dual::<f64, 1>::new(0.0, [*d]);
-    let tangent = |d: &[f64]| match d.iter().all(|d| *d == 0.0) {
-        true => Tangent::None,
-        false => Tangent::Dense(d.iter().map(dual).collect()),
+    let tangent = |d: &[f64]| {
+        if d.iter().all(|d| *d == 0.0) {
+            Tangent::None
+        } else {
+            Tangent::Dense(d.iter().map(dual).collect())
+        }
     };
     let infos = scene.params().infos();
     let tangents: Vec<_> = infos

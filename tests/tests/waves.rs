@@ -123,7 +123,7 @@ fn all() -> impl Iterator<Item = (Case, Scene)> {
 }
 
 /// Asserts that waves find what single paths do, bit by bit.
-fn assert_same(what: &str, s: &Scene, settings: &Settings, techniques: &[Technique]) {
+fn assert_same(what: &str, s: &Scene, settings: &Settings, techniques: &[Estimator]) {
     let theta = Theta::constant(s.params().values());
     let (seed, spp) = (3, 8);
     for &technique in techniques {
@@ -142,19 +142,19 @@ fn assert_same(what: &str, s: &Scene, settings: &Settings, techniques: &[Techniq
 
 #[test]
 fn images_are_those_of_single_paths_bit_by_bit() {
-    use Technique::{BsdfOnly, EmitterOnly, MisPower};
+    use Estimator::{Detached, Emitter, Mis};
     for (case, mut s) in all() {
         let plain = s.settings;
-        assert_same(case.name, &s, &plain, &[MisPower, BsdfOnly, EmitterOnly]);
+        assert_same(case.name, &s, &plain, &[Mis, Detached, Emitter]);
         for points in [Points::Sobol, Points::Antithetic] {
             let settings = Settings { points, ..plain };
-            assert_same(case.name, &s, &settings, &[MisPower]);
+            assert_same(case.name, &s, &settings, &[Mis]);
         }
         let lights = LightChoice::All;
         let all = Settings { lights, ..plain };
-        assert_same(case.name, &s, &all, &[MisPower, EmitterOnly]);
+        assert_same(case.name, &s, &all, &[Mis, Emitter]);
         assert!(auto::guide(&mut s, &plain, 1, &()), "{}", case.name);
-        assert_same(case.name, &s, &plain, &[MisPower, BsdfOnly]);
+        assert_same(case.name, &s, &plain, &[Mis, Detached]);
     }
 }
 

@@ -33,8 +33,8 @@ use self::store::{FilePath, Inputs, Store};
 use super::render::{Method, in_passes, passes};
 use crate::chart::LineChart;
 use crate::cli::{
-    LoadArgs, Outcome, SAMPLE_COUNTS, SampleArgs, ThreadArgs, ToolError, depth, report_non_finite,
-    sample_count,
+    self, ListArgs, LoadArgs, Outcome, SAMPLE_COUNTS, SampleArgs, ThreadArgs, ToolError, depth,
+    report_non_finite, sample_count,
 };
 use crate::optimise::{Algorithm, Problem};
 use crate::output;
@@ -122,6 +122,9 @@ pub struct Args {
     /// Threads
     #[command(flatten)]
     pub threads: ThreadArgs,
+    /// What there is
+    #[command(flatten)]
+    pub list_estimators: ListArgs,
 }
 
 /// `--optimizer`, in files by name.
@@ -305,10 +308,10 @@ impl Job {
         if self.optimizer != OptimizerArg::GaussNewton {
             return Ok(());
         }
-        let mis = Estimator::Mis.name();
-        if self.estimator != mis {
+        if !cli::can(&self.estimator, |c| c.modes.second_order) {
             let message = format!(
-                "expected {mis} for gauss-newton, which has no other, found {}",
+                "expected {} for gauss-newton, which has no other, found {}",
+                Estimator::SECOND_ORDER.name(),
                 self.estimator
             );
             return wrong("--estimator", "estimator", message);
@@ -533,20 +536,17 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
 }
 
 fn recover(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
-    let (job, resumed, store) = match args.resume {
-        true => {
-            let mut store = Store::existing(&args.out, CHECKPOINT)?;
-            let (checkpoint, inputs) = store.read()?;
-            checkpoint.job.require_same(args)?;
-            let job = checkpoint.job.clone();
-            (job, Some((checkpoint, inputs)), Some(store))
-        }
-        false => {
-            let job = Job::new(args)?;
-            let there = args.out.is_dir();
-            let store = there.then(|| Store::open(&args.out, CHECKPOINT));
-            (job, None, store.transpose()?)
-        }
+    let (job, resumed, store) = if args.resume {
+        let mut store = Store::existing(&args.out, CHECKPOINT)?;
+        let (checkpoint, inputs) = store.read()?;
+        checkpoint.job.require_same(args)?;
+        let job = checkpoint.job.clone();
+        (job, Some((checkpoint, inputs)), Some(store))
+    } else {
+        let job = Job::new(args)?;
+        let there = args.out.is_dir();
+        let store = there.then(|| Store::open(&args.out, CHECKPOINT));
+        (job, None, store.transpose()?)
     };
     let estimator = Estimator::from_name(&job.estimator)?;
     let (scene, active, start, truth) = load(&job, estimator)?;
@@ -628,9 +628,10 @@ fn recover(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
             image_io::write_exr(&before_file, &picture.image(0))?;
         }
     }
-    let before = match before_file.exists() {
-        true => Some(read_size(&before_file, &recovery.problem.scene)?),
-        false => None,
+    let before = if before_file.exists() {
+        Some(read_size(&before_file, &recovery.problem.scene)?)
+    } else {
+        None
     };
 
     let first = state.iteration;
@@ -838,14 +839,13 @@ impl Recovery {
     /// Whether a run of this job can have left this state, as far as a look at it tells.
     fn check(&mut self, state: &Checkpoint, path: &Path) -> Result<(), ToolError> {
         let (job, start) = (&state.job, &state.start);
-        let require =
-            |holds: bool, key: &str, expected: &dyn Display, found: &dyn Display| match holds {
-                true => Ok(()),
-                false => Err(ToolError::file(
-                    path,
-                    format!("{key}: expected {expected}, found {found}"),
-                )),
-            };
+        let require = |holds: bool, key: &str, expected: &dyn Display, found: &dyn Display| {
+            if holds {
+                return Ok(());
+            }
+            let message = format!("{key}: expected {expected}, found {found}");
+            Err(ToolError::file(path, message))
+        };
         let (expected, found) = (start.len(), state.values.len());
         let what = format!("{expected} values as in the scene");
         require(found == expected, "values", &what, &found)?;

@@ -10,7 +10,7 @@ use crate::figure::{Figure, Result};
 use crate::figures::stage::{LAMP_RADII, PLATE_ALPHAS, Plates, plates};
 
 const SEED: u64 = 227;
-const TECHNIQUES: [(&str, Technique, u64); 3] = [
+const TECHNIQUES: [(&str, Estimator, u64); 3] = [
     ("BSDF, 64 spp", Estimator::Detached, 64),
     ("emitter, 64 spp", Estimator::Emitter, 64),
     // One sample of either kind counts as two. The balance heuristic is the one with a proven bound.
