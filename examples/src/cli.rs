@@ -1,14 +1,16 @@
 //! What all tools share: arguments of scenes, errors, exit codes.
 
 use std::borrow::Cow;
+use std::fmt::Write as _;
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Instant;
 
-use clap::{Args, Parser};
+use clap::{ArgMatches, Args, Parser};
 use optim::OptimError;
 use render::auto;
+use render::estimator::{Capabilities, Refusal};
 use render::instances::Estimator;
 use render::integrator::particle;
 use render::integrator::render::{NonFinite, Progress};
@@ -73,11 +75,22 @@ pub enum Outcome {
 /// for wrong arguments, [`INTERRUPTED`] after Ctrl-C. Standard output that cannot be written is an error as well, once all
 /// files are; that its reader has gone is none.
 pub fn main<A: Parser>(run: fn(&A, &Interrupt) -> Result<Outcome, ToolError>) -> ExitCode {
-    let args = match A::try_parse() {
-        Ok(args) => args,
+    let asked = |args: &A| check_threads().and_then(|()| run(args, &Interrupt::on_signal()));
+    let parsed = A::command().try_get_matches().and_then(|matches| {
+        if ListArgs::asked(&matches) {
+            return Ok(None);
+        }
+        A::from_arg_matches(&matches).map(Some)
+    });
+    let done = match parsed {
+        Ok(Some(args)) => asked(&args),
+        Ok(None) => {
+            print::out(format_args!("{}", list_estimators()));
+            Ok(Outcome::Done)
+        }
         Err(e) => return ExitCode::from(usage(&e)),
     };
-    let code = match check_threads().and_then(|()| run(&args, &Interrupt::on_signal())) {
+    let code = match done {
         Ok(Outcome::Done) => ExitCode::SUCCESS,
         Ok(Outcome::Interrupted) => ExitCode::from(INTERRUPTED),
         Err(e) => {
@@ -158,6 +171,55 @@ pub(crate) fn check_threads() -> Result<(), ToolError> {
         ))),
         _ => Ok(()),
     }
+}
+
+/// `--list-estimators`, which stands alone: [`main`] answers it.
+#[derive(Args, Clone, Copy, Debug, Default)]
+pub struct ListArgs {
+    /// Print all estimators, with what they see, where they are right and what they refuse, and do nothing else
+    #[arg(long, exclusive = true)]
+    pub list_estimators: bool,
+}
+
+impl ListArgs {
+    /// Whether a command line asks for the list: not all tools have it.
+    fn asked(matches: &ArgMatches) -> bool {
+        matches!(matches.try_get_one("list_estimators"), Ok(Some(true)))
+    }
+}
+
+/// All estimators and what they can do, read from [`Estimator::capabilities`].
+fn list_estimators() -> String {
+    let mut text = String::new();
+    let mut refusals: Vec<(Refusal, Vec<&str>)> = Vec::new();
+    for e in Estimator::ALL {
+        let c = e.capabilities();
+        // Writing to a string cannot fail.
+        let _ = writeln!(text, "{}\n    {}\n    {c}", e.name(), e.summary());
+        for refusal in c.refusals() {
+            match refusals.iter_mut().find(|(r, _)| *r == refusal) {
+                Some((_, names)) => names.push(e.name()),
+                None => refusals.push((refusal, vec![e.name()])),
+            }
+        }
+    }
+    text += "auto\n    What pilots choose: one of the above, or a sum with weights for each part of the image \
+             (compare, gradient).\n\n";
+    for line in Capabilities::LEGEND {
+        let _ = writeln!(text, "{}: {}", line.0, line.1);
+    }
+    text += "\nRefused by name:\n";
+    for (refusal, names) in refusals {
+        let all = names.len() == Estimator::ALL.len();
+        let by = if all { "all".into() } else { names.join(", ") };
+        let _ = writeln!(text, "  {refusal}\n    by {by}");
+    }
+    text
+}
+
+/// Whether the estimator of this name is like that; `auto` and double precision are no names of estimators.
+pub fn can(estimator: &str, like: impl Fn(Capabilities) -> bool) -> bool {
+    Estimator::from_name(estimator).is_ok_and(|e| like(e.capabilities()))
 }
 
 /// `-D` and its companions.
@@ -242,10 +304,10 @@ impl SampleArgs {
     /// # Errors
     /// An estimator that is not, with `--guide`.
     pub fn check_guided(self, estimator: Estimator) -> Result<(), ToolError> {
-        if !self.guide || estimator.is_guided() {
+        if !self.guide || estimator.capabilities().guided {
             return Ok(());
         }
-        let guided = Estimator::ALL.iter().filter(|e| e.is_guided());
+        let guided = Estimator::ALL.iter().filter(|e| e.capabilities().guided);
         let names: Vec<&str> = guided.map(|e| e.name()).collect();
         Err(ToolError::Usage(format!(
             "--guide: samples or weights of {} move with the parameters; expected one of {}",

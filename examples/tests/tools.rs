@@ -1580,6 +1580,42 @@ fn output_with_nowhere_to_go_costs_no_file() {
     }
 }
 
+/// Alone, without a scene; beside anything else it is refused.
+#[test]
+fn estimators_are_listed_with_what_they_refuse() {
+    let dir = Folder::new();
+    for tool in ["compare", "gradient", "recover", "stability"] {
+        let out = dir.command(tool, "--list-estimators").output().unwrap();
+        assert!(
+            out.status.success(),
+            "{tool}: {}",
+            String::from_utf8_lossy(&out.stderr)
+        );
+        let text = String::from_utf8(out.stdout).unwrap();
+        for e in render::instances::Estimator::ALL {
+            let row = format!(
+                "{}\n    {}\n    {}\n",
+                e.name(),
+                e.summary(),
+                e.capabilities()
+            );
+            assert!(text.contains(&row), "{tool}: no {row}in\n{text}");
+            for refusal in e.capabilities().refusals() {
+                assert!(text.contains(&refusal.to_string()), "{tool}: {refusal}");
+            }
+        }
+        assert!(
+            text.contains("positions of shapes") && text.contains("cameras"),
+            "{text}"
+        );
+        let out = dir
+            .command(tool, "--list-estimators --seed 1")
+            .output()
+            .unwrap();
+        assert_eq!(out.status.code(), Some(2), "{tool}");
+    }
+}
+
 /// Mirrors all around a lamp, which is one itself: paths never end.
 fn closed_mirrors() -> String {
     let mirror = |turn: &str| {

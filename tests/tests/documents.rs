@@ -5,6 +5,9 @@ use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use render::estimator::Capabilities;
+use render::instances::Estimator;
+
 fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
 }
@@ -478,25 +481,36 @@ fn every_figure_is_listed() {
     assert_eq!(made, modules);
 }
 
-/// The README's table of estimators has each that tools know by name, and no other.
+/// The README's table of estimators is the list that tools print, row by row, and `auto` after it.
 #[test]
 fn every_estimator_is_listed() {
     let readme = read("README.md");
     let (_, section) = readme.split_once("\n## Estimators").expect("a section");
     let (section, _) = section.split_once("\n## ").expect("a next section");
-    let mut listed = BTreeSet::new();
-    for row in section.lines().filter(|l| l.starts_with("| `")) {
-        let names = row.split('|').nth(1).unwrap_or_default();
-        listed.extend(names.split('`').skip(1).step_by(2).map(str::to_owned));
+    let listed: Vec<&str> = section.lines().filter(|l| l.starts_with("| `")).collect();
+    let row = |e: &Estimator| {
+        let (name, summary) = (e.name(), e.summary());
+        format!("| `{name}` | {summary} | {} |", e.capabilities())
+    };
+    let known: Vec<String> = Estimator::ALL.iter().map(row).collect();
+    let (auto, listed) = listed.split_last().expect("a table");
+    assert!(auto.starts_with("| `auto` |"), "the last row: {auto}");
+    let expected = known.join("\n");
+    assert_eq!(
+        listed.join("\n"),
+        expected,
+        "README.md: expected\n{expected}"
+    );
+    // What the words mean stands below.
+    for (word, meaning) in Capabilities::LEGEND {
+        let line = format!("*{word}*: {meaning}");
+        assert!(unwrapped(section).contains(&line), "README.md: {line}");
     }
-    let mut known: BTreeSet<_> = render::instances::Estimator::ALL
-        .iter()
-        .map(|e| e.name().to_owned())
-        // Weights that trust one technique more, which tools do not offer.
-        .filter(|n| !n.starts_with("mis-trust"))
-        .collect();
-    known.insert("auto".into());
-    assert_eq!(listed, known);
+}
+
+/// A text as one line.
+fn unwrapped(text: &str) -> String {
+    text.split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
 /// Every decision has a number of its own and the same three parts, and the list of decisions names them all.

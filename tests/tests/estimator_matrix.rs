@@ -10,6 +10,7 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use rayon::prelude::*;
+use render::estimator::{Failure, Scenes};
 use render::image_io::write_exr;
 use render::instances::{Estimator, render_f64};
 use render::params::Theta;
@@ -361,9 +362,10 @@ fn differences(case: &Case, m: &Move, seed: u64) -> Estimate {
             let at = |h: f64| {
                 let v = m.applied(s, h);
                 let theta = Theta::constant(&v);
-                let technique = match case.one_bounce {
-                    true => Estimator::Emitter,
-                    false => Estimator::Mis,
+                let technique = if case.one_bounce {
+                    Estimator::Emitter
+                } else {
+                    Estimator::Mis
                 };
                 let (seed, spp) = (seed + r, 0..case.spp());
                 let image = render_f64(s, &theta, technique, &s.settings, seed, spp, &());
@@ -387,7 +389,7 @@ fn estimates(case: &Case, e: Estimator, seed: u64) -> Vec<Estimate> {
     let theta = Theta::constant(s.params().values());
     let adjoint = mean_adjoint(s);
     let mut settings = s.settings;
-    if e == Estimator::BiasedRoulette {
+    if (e.capabilities().failures).contains(Failure::AttachedRoulette) {
         settings.rr_depth = 1; // without roulette it is `mis`
     }
     let repeats: Vec<Vec<f64>> = (0..REPEATS)
@@ -452,17 +454,16 @@ fn all_estimators_and_kinds_of_parameters() {
             }
             for (i, &e) in Estimator::ALL.iter().enumerate() {
                 // Those that mapped normals rule out are compared on the flat plane, the others on the mapped one.
-                let name = e.name();
-                let moves =
-                    name.contains("attached") && !name.ends_with("weights") && !e.allows_bias();
+                let moves = e.capabilities().scenes != Scenes::Any;
+                let chooses = (e.capabilities().failures).contains(Failure::AttachedChoice);
                 assert_eq!(
                     e.check(&case.scene).is_err(),
                     moves && case.name != "flat plane"
                 );
                 let takes_part = match case.name {
                     "flat plane" => moves,
-                    WORN => [Estimator::Mis, Estimator::BiasedChoice].contains(&e),
-                    _ => !moves && e != Estimator::BiasedChoice,
+                    WORN => e == Estimator::Mis || chooses,
+                    _ => !moves && !chooses,
                 };
                 if !takes_part {
                     continue;
@@ -474,7 +475,7 @@ fn all_estimators_and_kinds_of_parameters() {
                 for (m, (f, r)) in case.moves.iter().zip(found.iter().zip(&references)) {
                     let z = f.z(r);
                     let _ = write!(line, " {} {z:>6.2} ({:.4})", m.kind, f.mean / r.mean);
-                    if e.allows_bias() {
+                    if e.capabilities().study {
                         noticed[i] = noticed[i].max(z.abs());
                         continue;
                     }
@@ -489,7 +490,7 @@ fn all_estimators_and_kinds_of_parameters() {
         }
     }
     for (&e, z) in Estimator::ALL.iter().zip(&noticed) {
-        if e.allows_bias() {
+        if e.capabilities().study {
             println!("{} is noticed: |z| up to {z:.1}", e.name());
             if *z < LIMIT {
                 let _ = writeln!(failed, "{} is not noticed: |z| {z:.2}", e.name());

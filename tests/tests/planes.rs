@@ -6,7 +6,7 @@ use render::instances::{
     Estimator, backward_f32, backward_particles_f32, particles_f32, render_f32, render_f64,
 };
 use render::integrator::gradient::Active;
-use render::params::Theta;
+use render::params::{ParamKind, Theta};
 use render::{Scene, Settings};
 use tests::scene;
 use tests::stats::{Estimate, z_limit};
@@ -91,8 +91,9 @@ fn mean(image: &[f32]) -> f64 {
 
 /// The gradient of the mean, by paths and by particles, in the radiance of the only emitter.
 fn gradients(scene: &Scene) -> [Vec<f64>; 2] {
-    let name = scene.params().infos().iter().map(|i| &i.name);
-    let name: Vec<_> = name.filter(|n| n.contains("radiance")).collect();
+    let infos = scene.params().infos().iter();
+    let emission = infos.filter(|i| i.kind == ParamKind::Emission);
+    let name: Vec<_> = emission.map(|i| &i.name).collect();
     let active = Active::new(scene, &name).expect("the radiance");
     let theta = Theta::constant(scene.params().values());
     let adjoint = vec![1.0 / 64.0; 8 * 8 * 3];

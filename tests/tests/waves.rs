@@ -142,19 +142,19 @@ fn assert_same(what: &str, s: &Scene, settings: &Settings, techniques: &[Estimat
 
 #[test]
 fn images_are_those_of_single_paths_bit_by_bit() {
-    use Estimator::{BsdfOnly, EmitterOnly, MisPower};
+    use Estimator::{Detached, Emitter, Mis};
     for (case, mut s) in all() {
         let plain = s.settings;
-        assert_same(case.name, &s, &plain, &[MisPower, BsdfOnly, EmitterOnly]);
+        assert_same(case.name, &s, &plain, &[Mis, Detached, Emitter]);
         for points in [Points::Sobol, Points::Antithetic] {
             let settings = Settings { points, ..plain };
-            assert_same(case.name, &s, &settings, &[MisPower]);
+            assert_same(case.name, &s, &settings, &[Mis]);
         }
         let lights = LightChoice::All;
         let all = Settings { lights, ..plain };
-        assert_same(case.name, &s, &all, &[MisPower, EmitterOnly]);
+        assert_same(case.name, &s, &all, &[Mis, Emitter]);
         assert!(auto::guide(&mut s, &plain, 1, &()), "{}", case.name);
-        assert_same(case.name, &s, &plain, &[MisPower, BsdfOnly]);
+        assert_same(case.name, &s, &plain, &[Mis, Detached]);
     }
 }
 

@@ -15,8 +15,8 @@ use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use crate::chart::{LineChart, Panel};
 use crate::cli::{
-    self, Choice, LoadArgs, Outcome, SampleArgs, ThreadArgs, ToolError, depth, report_non_finite,
-    sample_count,
+    self, Choice, ListArgs, LoadArgs, Outcome, SampleArgs, ThreadArgs, ToolError, depth,
+    report_non_finite, sample_count,
 };
 use crate::output;
 use crate::progress::{Bar, Interrupt};
@@ -88,6 +88,9 @@ pub struct Args {
     /// Threads
     #[command(flatten)]
     pub threads: ThreadArgs,
+    /// What there is
+    #[command(flatten)]
+    pub list_estimators: ListArgs,
 }
 
 /// Blocks of the image per side.
@@ -103,13 +106,13 @@ const SECOND_LOOK: u64 = 1 << 16;
 #[derive(Clone, Copy, Debug)]
 struct Contestant {
     choice: Choice,
-    /// In double precision: only [`Estimator::Mis`] is compiled for that.
+    /// In double precision: only [`Estimator::DOUBLE`] is compiled for that.
     double: bool,
 }
 
 impl Contestant {
     const DOUBLE: Self = Self {
-        choice: Choice::One(Estimator::Mis),
+        choice: Choice::One(Estimator::DOUBLE),
         double: true,
     };
 
@@ -475,8 +478,7 @@ impl Run<'_> {
         }))
     }
 
-    /// What an estimator's difference from the truth in one block says: `allows_bias` if it is wrong on purpose. `None` if
-    /// interrupted.
+    /// What an estimator's difference from the truth in one block says. `None` if interrupted.
     fn finding(
         &self,
         contestant: Contestant,
@@ -490,7 +492,7 @@ impl Run<'_> {
         if z_block.abs() <= z_limit {
             return Ok(Some(Finding::Right));
         }
-        if matches!(contestant.choice, Choice::One(e) if e.allows_bias()) {
+        if matches!(contestant.choice, Choice::One(e) if e.capabilities().study) {
             return Ok(Some(Finding::Biased));
         }
         let (stream, repeats) = (stream + SECOND_LOOK, MORE_REPEATS * repeats);
@@ -723,7 +725,7 @@ fn verdict(report: &Report) -> String {
             );
         }
         for r in rows().filter(|r| r.finding != Finding::Right) {
-            let on_purpose = Estimator::from_name(r.estimator).is_ok_and(Estimator::allows_bias);
+            let on_purpose = cli::can(r.estimator, |c| c.study);
             let why = match r.finding {
                 Finding::Unresolved => {
                     ": four times the samples do not confirm it; it hardly ever samples what matters there, and its \

@@ -15,8 +15,8 @@ use render::{Image, Scene, Settings, image_io};
 use serde::Serialize;
 
 use crate::cli::{
-    self, Choice, LoadArgs, Outcome, SampleArgs, ThreadArgs, ToolError, depth, report_non_finite,
-    sample_count,
+    self, Choice, ListArgs, LoadArgs, Outcome, SampleArgs, ThreadArgs, ToolError, depth,
+    report_non_finite, sample_count,
 };
 use crate::output;
 use crate::progress::{Bar, Interrupt};
@@ -52,7 +52,7 @@ pub struct Args {
     #[command(flatten)]
     pub load: LoadArgs,
     /// Where derivatives flow: mis (detached sampling of BSDF and lights), emitter, detached, attached,
-    /// reparameterised, differential, and their combinations; a wrong name lists them all. Or auto: pilots
+    /// reparameterised, differential, and their combinations; `--list-estimators` shows all. Or auto: pilots
     /// choose and mix, for the work of as many samples of mis
     #[arg(long, value_name = "NAME", default_value = "mis", value_parser = cli::estimator)]
     pub estimator: Choice,
@@ -97,6 +97,9 @@ pub struct Args {
     /// Threads
     #[command(flatten)]
     pub threads: ThreadArgs,
+    /// What there is
+    #[command(flatten)]
+    pub list_estimators: ListArgs,
 }
 
 /// Numbers in the report, or the image that holds them.

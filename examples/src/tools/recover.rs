@@ -34,8 +34,8 @@ use super::render::{Method, in_passes, passes};
 use crate::builtin_scene;
 use crate::chart::LineChart;
 use crate::cli::{
-    LoadArgs, Outcome, SAMPLE_COUNTS, SampleArgs, ThreadArgs, ToolError, depth, report_non_finite,
-    sample_count,
+    self, ListArgs, LoadArgs, Outcome, SAMPLE_COUNTS, SampleArgs, ThreadArgs, ToolError, depth,
+    report_non_finite, sample_count,
 };
 use crate::optimise::{Algorithm, Problem};
 use crate::output;
@@ -122,6 +122,9 @@ pub struct Args {
     /// Threads
     #[command(flatten)]
     pub threads: ThreadArgs,
+    /// What there is
+    #[command(flatten)]
+    pub list_estimators: ListArgs,
 }
 
 /// `--optimizer`, in files by name.
@@ -305,10 +308,10 @@ impl Job {
         if self.optimizer != OptimizerArg::GaussNewton {
             return Ok(());
         }
-        let mis = Estimator::Mis.name();
-        if self.estimator != mis {
+        if !cli::can(&self.estimator, |c| c.modes.second_order) {
             let message = format!(
-                "expected {mis} for gauss-newton, which has no other, found {}",
+                "expected {} for gauss-newton, which has no other, found {}",
+                Estimator::SECOND_ORDER.name(),
                 self.estimator
             );
             return wrong("--estimator", "estimator", message);
@@ -838,13 +841,10 @@ impl Recovery {
         let (job, start) = (&state.job, &state.start);
         let require = |holds: bool, key: &str, expected: &dyn Display, found: &dyn Display| {
             if holds {
-                Ok(())
-            } else {
-                Err(ToolError::file(
-                    path,
-                    format!("{key}: expected {expected}, found {found}"),
-                ))
+                return Ok(());
             }
+            let message = format!("{key}: expected {expected}, found {found}");
+            Err(ToolError::file(path, message))
         };
         let (expected, found) = (start.len(), state.values.len());
         let what = format!("{expected} values as in the scene");

@@ -105,7 +105,7 @@ pub enum IntegratorArg {
 /// How the image is made.
 #[derive(Clone, Copy, Debug)]
 pub enum Method {
-    /// By paths from the camera.
+    /// By paths from the camera, with the techniques of an estimator.
     Paths(Estimator),
     /// By particles that are connected to the camera.
     Particles(Rules),
@@ -188,7 +188,7 @@ impl Args {
         }
         match (self.integrator, self.radius) {
             (IntegratorArg::Path, None) if !self.ignore_non_symmetry => {
-                Ok(Method::Paths(self.technique()))
+                Ok(Method::Paths(self.estimator()))
             }
             (IntegratorArg::Particle, None) => Ok(Method::Particles(rules)),
             (IntegratorArg::Density, Some(radius)) => Ok(Method::Density(rules, radius)),
@@ -200,7 +200,8 @@ impl Args {
         }
     }
 
-    fn technique(&self) -> Estimator {
+    /// The one whose techniques these are.
+    fn estimator(&self) -> Estimator {
         match (self.strategy, self.heuristic) {
             (StrategyArg::Mis, HeuristicArg::Power) => Estimator::Mis,
             (StrategyArg::Mis, HeuristicArg::Balance) => Estimator::MisBalance,
@@ -360,8 +361,8 @@ pub fn in_passes(
         let next = (done + pass_length(scene)).min(spp);
         let samples = done..next;
         let pass = match method {
-            Method::Paths(technique) => {
-                render_f32(scene, &theta, technique, settings, seed, samples, progress)
+            Method::Paths(estimator) => {
+                render_f32(scene, &theta, estimator, settings, seed, samples, progress)
             }
             Method::Particles(rules) => {
                 particles_f32(scene, &theta, rules, settings, seed, samples, progress)?

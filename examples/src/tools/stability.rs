@@ -13,7 +13,7 @@ use render::image_io;
 use render::instances::{Direction, Estimator};
 use serde::Serialize;
 
-use crate::cli::{Outcome, ThreadArgs, ToolError, sample_count};
+use crate::cli::{ListArgs, Outcome, ThreadArgs, ToolError, sample_count};
 use crate::output;
 use crate::progress::{Bar, Interrupt};
 use crate::{complain, print};
@@ -66,6 +66,9 @@ pub struct Args {
     /// Threads
     #[command(flatten)]
     pub threads: ThreadArgs,
+    /// What there is
+    #[command(flatten)]
+    pub list_estimators: ListArgs,
 }
 
 /// Probability that a set of unbiased estimators has a point that is called biased.
@@ -305,7 +308,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
                     };
                     let mut found = row(sweep, x, &setup, e, &m, z_limit);
                     // Rare samples may all have been missed: a second look with many more.
-                    if found.finding == Finding::Biased && !verdict::on_purpose(e.name()) {
+                    if found.finding == Finding::Biased && !e.capabilities().study {
                         let (spp, seed) = (16 * spp, !seed);
                         let again = measure(&setup, setup::ROUGHNESS, e, spp, seed, interrupt)?;
                         let Some(m) = again else {

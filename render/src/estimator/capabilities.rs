@@ -211,6 +211,22 @@ impl Capabilities {
         }
     }
 
+    /// The words that capabilities are displayed in, and their meaning.
+    pub const LEGEND: &[(&str, &str)] = &[
+        (
+            "no discontinuities",
+            "scenes with outlines of lights, shapes that may hide others, or horizons of mapped normals are refused",
+        ),
+        ("lights", "emitters are sampled"),
+        ("texels", "samples of environment maps move with the texels"),
+        ("deltas", "sees derivatives in Dirac deltas"),
+        ("guide", "a guide leads its paths"),
+        ("waves", "paths are followed many at a time"),
+        ("second order", "Hessian-vector products and Gauss-Newton"),
+        ("double", "derivatives in double precision are compiled"),
+        ("biased", "wrong on purpose, by these failure modes"),
+    ];
+
     /// Whether it sees the derivative in a kind of parameter.
     pub const fn sees(&self, kind: ParamKind) -> bool {
         self.refusal_of(kind).is_none()
@@ -276,7 +292,7 @@ impl Capabilities {
     }
 }
 
-/// In few words, as in the tables of estimators.
+/// In few words, as in the tables of estimators: [`Capabilities::LEGEND`] says what they mean.
 impl fmt::Display for Capabilities {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
         let scenes = match self.scenes {

@@ -504,7 +504,7 @@ fn trial(
     let params = subject.scene.params();
     let mut estimators = Vec::new();
     for &e in Estimator::ALL {
-        if e.allows_bias() {
+        if e.capabilities().study {
             continue;
         }
         let sees = |name: &String| -> Result<bool> {

@@ -146,7 +146,7 @@ pub fn figure(fig: &mut Figure) -> Result {
             for (v, gains) in VARIANTS.iter().zip(&mut gains) {
                 let chooses = v.lights == LightChoice::All;
                 // There is only one light, or the estimator samples none.
-                if chooses && (scene.emitters().len() < 2 || !e.samples_emitters()) {
+                if chooses && (scene.emitters().len() < 2 || !e.capabilities().samples_emitters) {
                     continue;
                 }
                 let found = of((v.points, v.lights))?;

@@ -41,6 +41,8 @@ pub struct Sweep {
     pub title: &'static str,
     /// Below its charts.
     pub axis: &'static str,
+    /// Whether that is the roughness.
+    pub over_roughness: bool,
     /// Whether the axis is logarithmic.
     pub log: bool,
     /// Where it is measured.
@@ -83,6 +85,7 @@ fn roughness(
         name,
         title,
         axis: "roughness α",
+        over_roughness: true,
         log: true,
         points,
         setup: Box::new(move |alpha| Plate { alpha, ..plate }.setup()),
@@ -158,6 +161,7 @@ pub fn all(quick: bool) -> Vec<Sweep> {
             name: "light-size",
             title: "Size of a ball light (F8)",
             axis: "angular radius of the light (rad)",
+            over_roughness: false,
             log: true,
             points: logarithmic(1e-3, 1.0, if quick { 4 } else { 13 }),
             setup: Box::new(move |r| {
@@ -174,6 +178,7 @@ pub fn all(quick: bool) -> Vec<Sweep> {
             name: "incidence",
             title: "Angle of the viewer, smooth light (F9, F43)",
             axis: "angle from the normal (degrees)",
+            over_roughness: false,
             log: false,
             points: if quick {
                 vec![0.0, 45.0, 85.0, 89.9]
@@ -199,6 +204,7 @@ pub fn all(quick: bool) -> Vec<Sweep> {
             name: "depth",
             title: "Path length, inside a glowing ball (F37, F40)",
             axis: "edges of the longest path",
+            over_roughness: false,
             log: true,
             points: if quick {
                 vec![2.0, 8.0]

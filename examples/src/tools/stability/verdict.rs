@@ -4,6 +4,7 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use render::bsdf::microfacet::Ndf;
+use render::estimator::{Capabilities, Failure, Failures, Motion};
 use render::instances::{Direction, Estimator, render_f32, render_f64};
 use render::params::Theta;
 use render::scene::LoadOptions;
@@ -13,7 +14,7 @@ use serde::Serialize;
 use super::setup::{EMISSION, Light, Plate, ROUGHNESS, Setup};
 use super::sweeps::{self, BALL, BALL_ALPHA, BALL_INCIDENCE, STRIPES, Sweep, lobe_width};
 use super::{Finding, Report, Row};
-use crate::cli::ToolError;
+use crate::cli::{ToolError, can};
 use crate::progress::Interrupt;
 
 /// Error of one estimator with so many samples.
@@ -195,7 +196,8 @@ pub fn probe(
             mean: mean / n,
             error: (std / n / (found.len() as f64).sqrt()).hypot(furnace.truth.error),
         };
-        if !on_purpose(e.name()) || e.name().contains("roulette") {
+        let c = e.capabilities();
+        if !c.study || c.failures.contains(Failure::AttachedRoulette) {
             probes.roulette.push((e.name(), check));
         }
     }
@@ -406,39 +408,34 @@ pub fn text(report: &Report) -> String {
         p.glass[0].len(),
         list(&p.glass[1])
     ));
-    for (mode, name, what) in [
-        (
-            "F3",
-            "biased-weights",
-            "attached samples with constant MIS weights",
-        ),
-        (
-            "F4",
-            "biased-mixed",
-            "weights differentiated for one technique only",
-        ),
-    ] {
-        if let Some(worst) = worst(report, |r| r.estimator == name) {
+    for failure in [Failure::ConstantWeights, Failure::MixedWeights] {
+        if let Some(worst) = worst(report, |r| fails_by(r.estimator, failure)) {
             out.say(
-                mode,
+                failure.number(),
                 format!(
-                    "{what} ({name}): {}. Such a combination does not compile without `AllowBias`.",
+                    "{}: {}. Such a combination does not compile without `AllowBias`.",
+                    failure.name(),
                     found(worst)
                 ),
             );
         }
     }
-    let attached = p
-        .roulette
-        .iter()
-        .filter(|(name, _)| name.contains("roulette"));
+    let attached = (p.roulette.iter()).filter(|(name, _)| plays_attached(name));
     let attached: Vec<String> = (attached)
         .map(|(name, c)| format!("{name}: z {:.1}", c.z()))
         .collect();
     out.say("F5, F6", if attached.is_empty() {
-        "roulette and the choice of lobes take constant probabilities here (`biased-roulette` and `biased-choice` do not).".into()
+        let wrong = |f| list(&named(|c| c.failures.contains(f)));
+        format!(
+            "roulette and the choice of lobes take constant probabilities here ({} and {} do not).",
+            wrong(Failure::AttachedRoulette),
+            wrong(Failure::AttachedChoice)
+        )
     } else {
-        format!("differentiated roulette is biased ({}); rough metal has no lobes to choose between.", attached.join(", "))
+        format!(
+            "differentiated roulette is biased ({}); rough metal has no lobes to choose between.",
+            attached.join(", ")
+        )
     });
     if let Some((worst, c)) = extreme(&p.dark) {
         out.say("F7", format!(
@@ -450,7 +447,7 @@ pub fn text(report: &Report) -> String {
             c.z().abs()
         ));
     }
-    let naive = |r: &Row| r.estimator == "attached-naive" && r.sweep != "depth";
+    let naive = |r: &Row| fails_by(r.estimator, Failure::Discontinuities) && r.sweep != "depth";
     if let Some(worst) = worst(report, naive) {
         let all = report.rows.iter().filter(|r| naive(r));
         let edges = ["roughness-ball", "light-size"];
@@ -461,12 +458,16 @@ pub fn text(report: &Report) -> String {
             .count();
         out.say("F8, F10, F36", format!(
             "attached samples carry the edge of a light with them and miss its boundary term: biased at \
-             {wrong} of {} points under a ball light; {}. `attached` refuses such scenes.",
+             {wrong} of {} points under a ball light; {}. Attached estimators that are not for study refuse such scenes.",
             under.len(),
             found(worst)
         ));
     }
-    let still = |r: &Row| r.estimator.starts_with("reparameterised");
+    let still = |r: &Row| {
+        can(r.estimator, |c| {
+            c.motion == Motion::Reparameterised && !c.study
+        })
+    };
     if let Some(worst) = worst(report, still) {
         let wrong = (report.rows.iter())
             .filter(|r| still(r) && r.finding == Finding::Biased)
@@ -477,7 +478,7 @@ pub fn text(report: &Report) -> String {
             found(worst)
         ));
     }
-    let grazing = |r: &Row| r.sweep == "incidence" && r.x > 80.0 && !on_purpose(r.estimator);
+    let grazing = |r: &Row| r.sweep == "incidence" && r.x > 80.0 && !can(r.estimator, |c| c.study);
     if let Some(worst) = worst(report, grazing) {
         out.say(
             "F9, F43",
@@ -523,7 +524,7 @@ pub fn text(report: &Report) -> String {
         }
     }
     crossover(&mut out, report, &sweeps);
-    let lobes = |r: &Row| r.estimator.starts_with("differential");
+    let lobes = |r: &Row| can(r.estimator, |c| c.differential);
     if let Some(worst) = worst(report, lobes) {
         out.say("F29", format!(
             "the two lobes of the derivative of normals are summed: the largest difference is {}.",
@@ -646,9 +647,24 @@ fn found(r: &Row) -> String {
     )
 }
 
-/// Whether an estimator is wrong on purpose.
-pub fn on_purpose(estimator: &str) -> bool {
-    Estimator::from_name(estimator).is_ok_and(Estimator::allows_bias)
+/// Whether an estimator is for the study of this failure, and of no other.
+fn fails_by(estimator: &str, failure: Failure) -> bool {
+    can(estimator, |c| {
+        c.study && c.failures == Failures::of(&[failure])
+    })
+}
+
+/// Whether the probability of its roulette is differentiated.
+fn plays_attached(estimator: &str) -> bool {
+    can(estimator, |c| {
+        c.failures.contains(Failure::AttachedRoulette)
+    })
+}
+
+/// All estimators that are like that.
+fn named(like: impl Fn(Capabilities) -> bool) -> Vec<&'static str> {
+    let all = Estimator::ALL.iter().filter(|e| like(e.capabilities()));
+    all.map(|e| e.name()).collect()
 }
 
 /// How often each estimator is right.
@@ -716,7 +732,7 @@ fn laws(out: &mut Text, report: &Report, sweeps: &[Sweep]) {
                 ));
             }
         }
-        if sweep.name.starts_with("roughness") {
+        if sweep.over_roughness {
             let mut growing = Vec::new();
             for e in Estimator::ALL {
                 if let Some(power) = growth(report, sweep.name, e.name())
@@ -831,7 +847,7 @@ fn depth(out: &mut Text, report: &Report) {
         })
         .collect();
     let detached: Vec<_> = (report.probes.roulette.iter())
-        .filter(|(name, _)| !name.contains("roulette"))
+        .filter(|(name, _)| !plays_attached(name))
         .copied()
         .collect();
     let roulette = extreme(&detached)
