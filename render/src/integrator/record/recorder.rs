@@ -147,7 +147,7 @@ impl<'a, P: Float, S: Strategy, E: DerivativeSink<P>> Backward<'a, P, S, E> {
             active,
             d_l,
             sink,
-            uses: Uses::new(),
+            uses: Uses::default(),
             mode: MODE,
             connected: None,
             decided: P::zero(),

@@ -182,17 +182,11 @@ fn reflected<P: Float, V: Visitor<P>>(
     }
 }
 
-/// How the material of one vertex was used: what single paths and waves hand to their ends.
-#[derive(Clone, Debug)]
+/// How the material of one vertex was used: what single paths and waves hand to their sinks.
+#[derive(Clone, Debug, Default)]
 pub struct Uses<P: Float>(pub SmallVec<[Use<P>; 5]>);
 
 impl<P: Float> Uses<P> {
-    /// None yet.
-    #[inline(always)]
-    pub fn new() -> Self {
-        Self(SmallVec::new())
-    }
-
     /// A value with the adjoint `d`.
     #[inline(always)]
     pub fn push(&mut self, wi: Vec3<P>, component: Component, part: Part, d: Rgb<P>) {

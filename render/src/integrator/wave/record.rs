@@ -277,7 +277,7 @@ impl<'a, P: Float> Record<'a, P> {
                 let index = layer.material[i];
                 let d = layer.d.rgb(i);
                 let mut l = Rgb::black();
-                let mut uses = Uses::new();
+                let mut uses = Uses::default();
                 if let Some((wi, f, light)) = other.light {
                     l += f * light;
                     let normals = other.splits.then_some(other.for_normals);
