@@ -6,6 +6,7 @@ use std::ops::Range;
 use optim::{
     AnyOptimizer, Constrained, Evaluation, GaussNewton, Loss, LossKind, NormalMatrix, Optimizer,
 };
+use render::Job;
 use render::instances::{Estimator, gauss_newton_f32, hessian_vector_f32, render_f32, tangent_f32};
 use render::integrator::gradient::{Active, Gradient};
 use render::integrator::render::{NonFinite, Progress, Rendering};
@@ -126,14 +127,16 @@ impl Problem {
         self.loss
             .gradient(&image.data, &self.target.data, &mut adjoint)?;
         let gradient = self.estimator.backward_f32(
-            &self.scene,
+            &Job::new(
+                &self.scene,
+                &self.settings,
+                seeds[1],
+                self.samples(),
+                progress,
+            ),
             &self.theta(),
             &self.active,
             &adjoint,
-            &self.settings,
-            seeds[1],
-            self.samples(),
-            progress,
         )?;
         Ok((!gradient.cancelled).then_some(Step {
             loss,
@@ -154,13 +157,9 @@ impl Problem {
     /// The image; `None` if stopped early.
     fn see(&self, seed: u64, progress: &dyn Progress) -> Option<(Rendering, Image)> {
         let seen = render_f32(
-            &self.scene,
+            &Job::new(&self.scene, &self.settings, seed, self.samples(), progress),
             &self.theta(),
             Estimator::Mis,
-            &self.settings,
-            seed,
-            self.samples(),
-            progress,
         );
         let image = seen.image(0);
         (!seen.cancelled).then_some((seen, image))
@@ -188,14 +187,16 @@ impl Problem {
         self.loss.curvature(image, target, &mut weights)?;
         weights.iter_mut().for_each(|w| *w = w.max(0.0));
         let derivatives = gauss_newton_f32(
-            &self.scene,
+            &Job::new(
+                &self.scene,
+                &self.settings,
+                seeds[1],
+                self.samples(),
+                progress,
+            ),
             &self.theta(),
             &self.active,
             [&adjoint, &weights],
-            &self.settings,
-            seeds[1],
-            self.samples(),
-            progress,
         )?;
         Ok((!derivatives.cancelled).then_some(Curved {
             loss,
@@ -217,14 +218,16 @@ impl Problem {
         progress: &dyn Progress,
     ) -> Result<Option<Gradient>, ToolError> {
         let seen = tangent_f32(
-            &self.scene,
+            &Job::new(
+                &self.scene,
+                &self.settings,
+                seeds[0],
+                self.samples(),
+                progress,
+            ),
             self.scene.params().values(),
             &self.active,
             direction,
-            &self.settings,
-            seeds[0],
-            self.samples(),
-            progress,
         )?;
         if seen.cancelled {
             return Ok(None);
@@ -238,15 +241,17 @@ impl Problem {
             .curvature(&image, &self.target.data, &mut change)?;
         change.iter_mut().zip(&tangent).for_each(|(c, t)| *c *= t);
         let product = hessian_vector_f32(
-            &self.scene,
+            &Job::new(
+                &self.scene,
+                &self.settings,
+                seeds[1],
+                self.samples(),
+                progress,
+            ),
             &self.theta(),
             &self.active,
             direction,
             [&adjoint, &change],
-            &self.settings,
-            seeds[1],
-            self.samples(),
-            progress,
         )?;
         Ok((!product.cancelled).then_some(product))
     }

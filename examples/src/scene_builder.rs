@@ -3,6 +3,7 @@
 use std::f64::consts::TAU;
 use std::sync::Arc;
 
+use render::Job;
 use render::bsdf::microfacet::Ndf;
 use render::bsdf::{Conductor, Diffuse, Material, RoughConductor, Roughness, TwoSided};
 use render::camera::{Camera, FovAxis};
@@ -287,7 +288,11 @@ impl SceneBuilder {
 pub fn picture(scene: &Scene, seed: u64, spp: u64) -> Rendering {
     let theta = Theta::constant(scene.params().values());
     let (technique, settings) = (Estimator::Mis, &scene.settings);
-    render_f32(scene, &theta, technique, settings, seed, 0..spp, &())
+    render_f32(
+        &Job::new(scene, settings, seed, 0..spp, &()),
+        &theta,
+        technique,
+    )
 }
 
 /// Light of a hall, as an environment map: dim walls, a floor and ceiling, and eight bright rectangles

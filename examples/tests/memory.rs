@@ -2,6 +2,7 @@
 
 use examples::memory::{self, Counting};
 use rayon::ThreadPoolBuilder;
+use render::Job;
 use render::image_io;
 use render::instances::backward_f32;
 use render::integrator::gradient::Active;
@@ -62,7 +63,12 @@ fn peak(scene: &Scene, threads: usize, spp: u64, max_depth: u32) -> usize {
     pool.install(|| {
         let pass = || {
             let samples = 0..spp;
-            backward_f32(scene, &theta, &active, &adjoint, &settings, 1, samples, &())
+            backward_f32(
+                &Job::new(scene, &settings, 1, samples, &()),
+                &theta,
+                &active,
+                &adjoint,
+            )
         };
         let (gradient, bytes) = memory::peak(pass);
         let gradient = gradient.expect("an adjoint of the right size");

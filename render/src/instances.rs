@@ -7,7 +7,7 @@
 //! An image and its derivative as another image, by forward mode:
 //!
 //! ```
-//! use render::Scene;
+//! use render::{Job, Scene};
 //! use render::instances::{Direction, Estimator, forward_f32};
 //! use render::scene::LoadOptions;
 //!
@@ -19,7 +19,8 @@
 //!     Direction::uniform(scene.params(), "gold.alpha.value")?,
 //!     Direction::uniform(scene.params(), "light.emitter.radiance.value")?,
 //! ];
-//! let found = forward_f32(&scene, values, &along, &settings, 0, 0..4, &())?;
+//! let job = Job::new(&scene, &settings, 0, 0..4, &());
+//! let found = forward_f32(&job, values, &along)?;
 //! let (image, by_light) = (found.image(0), found.image(2));
 //! // Light is linear in emission: channel by channel the derivative is image over radiance.
 //! for (i, d) in image.data.iter().zip(&by_light.data).step_by(3) {
@@ -27,12 +28,10 @@
 //! }
 //! // Other estimators go by name; where one would be wrong it is refused.
 //! let attached = Estimator::from_name("attached")?;
-//! let refused = attached.forward_f32(&scene, values, &along[..1], &settings, 0, 0..4, &());
+//! let refused = attached.forward_f32(&job, values, &along[..1]);
 //! assert!(refused.unwrap_err().to_string().contains("discontinuities"));
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
-
-use std::ops::Range;
 
 use ad_core::{Dual, Float};
 
@@ -45,6 +44,7 @@ use crate::estimator::{
     EmitterOnly, FrozenWeights, Mis, MixedWeights, Reparameterised, Strategy, TrustBsdf,
     TrustLights, Unbiased,
 };
+use crate::integrator::Job;
 use crate::integrator::density::{Convention, Map};
 use crate::integrator::gradient::{self, Active, Gradient};
 use crate::integrator::particle;
@@ -56,30 +56,15 @@ use crate::params::{ParamInfo, ParamRef, Params, Tangent, Theta};
 use crate::sampler::{Independent, Spread};
 use crate::scene::{Scene, Settings};
 
-fn run<R: Components, S: Unbiased>(
-    scene: &Scene,
-    theta: &Theta<R>,
-    settings: &Settings,
-    seed: u64,
-    samples: Range<u64>,
-    progress: &dyn Progress,
-) -> Result<Rendering, RenderError> {
-    render::render::<R, S, Spread>(scene, theta, settings, seed, samples, progress)
+fn run<R: Components, S: Unbiased>(job: &Job, theta: &Theta<R>) -> Result<Rendering, RenderError> {
+    render::render::<R, S, Spread>(job, theta)
 }
 
 /// The image, in single precision: [`render::render`] with the points that `settings` asks for, by the techniques of an
 /// estimator ([`Strategy::Primal`]): sampled emitters, scattered directions, or both by either heuristic. Where nothing is
 /// differentiated many estimators are the same.
-pub fn render_f32(
-    scene: &Scene,
-    theta: &Theta<f32>,
-    estimator: Estimator,
-    settings: &Settings,
-    seed: u64,
-    samples: Range<u64>,
-    progress: &dyn Progress,
-) -> Rendering {
-    estimator.primal()(scene, theta, settings, seed, samples, progress)
+pub fn render_f32(job: &Job, theta: &Theta<f32>, estimator: Estimator) -> Rendering {
+    estimator.primal()(job, theta)
 }
 
 /// The image by particles, in single precision: [`particle::render`] with the points that `settings` asks
@@ -88,14 +73,17 @@ pub fn render_f32(
 /// # Errors
 /// A scene that particles see otherwise than paths do.
 pub fn particles_f32(
-    scene: &Scene,
+    job: &Job,
     theta: &Theta<f32>,
     rules: Rules,
-    settings: &Settings,
-    seed: u64,
-    samples: Range<u64>,
-    progress: &dyn Progress,
 ) -> Result<Rendering, RenderError> {
+    let Job {
+        scene,
+        settings,
+        seed,
+        samples,
+        progress,
+    } = job.clone();
     let context = particle::Context {
         rules,
         ..particle::Context::new(scene, theta, settings)?
@@ -110,16 +98,19 @@ pub fn particles_f32(
 /// # Errors
 /// A scene that particles see otherwise than paths do; a radius that is not positive; too many particles.
 pub fn density_f32(
-    scene: &Scene,
+    job: &Job,
     theta: &Theta<f32>,
     rules: Rules,
     convention: Convention,
     radius: f64,
-    settings: &Settings,
-    seed: u64,
-    samples: Range<u64>,
-    progress: &dyn Progress,
 ) -> Result<Rendering, RenderError> {
+    let Job {
+        scene,
+        settings,
+        seed,
+        samples,
+        progress,
+    } = job.clone();
     let context = particle::Context {
         rules,
         ..particle::Context::new(scene, theta, settings)?
@@ -133,13 +124,17 @@ pub fn density_f32(
 /// # Errors
 /// As those of [`density_f32`].
 pub fn particle_map_f32(
-    scene: &Scene,
+    job: &Job,
     theta: &Theta<f32>,
     radius: f64,
-    settings: &Settings,
-    seed: u64,
-    samples: Range<u64>,
 ) -> Result<Map<f32>, RenderError> {
+    let Job {
+        scene,
+        settings,
+        seed,
+        samples,
+        ..
+    } = job.clone();
     let context = particle::Context::new(scene, theta, settings)?;
     Map::new::<Spread>(&context, radius, seed, samples, &())
 }
@@ -150,30 +145,25 @@ pub fn particle_map_f32(
 /// # Errors
 /// An adjoint image of the wrong size; a scene that particles see otherwise than paths do.
 pub fn backward_particles_f32(
-    scene: &Scene,
+    job: &Job,
     theta: &Theta<f32>,
     active: &Active,
     adjoint: &[f32],
-    settings: &Settings,
-    seed: u64,
-    samples: Range<u64>,
-    progress: &dyn Progress,
 ) -> Result<Measurement, RenderError> {
+    let Job {
+        scene,
+        settings,
+        seed,
+        samples,
+        progress,
+    } = job.clone();
     let context = particle::Context::new(scene, theta, settings)?;
     particle_gradient::backward::<f32, Spread>(&context, active, adjoint, seed, samples, progress)
 }
 
 /// The image, in double precision: a reference for [`render_f32`] and for differences.
-pub fn render_f64(
-    scene: &Scene,
-    theta: &Theta<f64>,
-    estimator: Estimator,
-    settings: &Settings,
-    seed: u64,
-    samples: Range<u64>,
-    progress: &dyn Progress,
-) -> Rendering {
-    estimator.primal()(scene, theta, settings, seed, samples, progress)
+pub fn render_f64(job: &Job, theta: &Theta<f64>, estimator: Estimator) -> Rendering {
+    estimator.primal()(job, theta)
 }
 
 /// The gradient of `<adjoint, image>`, in single precision: [`gradient::backward`] with detached MIS and
@@ -182,18 +172,12 @@ pub fn render_f64(
 /// # Errors
 /// An adjoint image of the wrong size.
 pub fn backward_f32(
-    scene: &Scene,
+    job: &Job,
     theta: &Theta<f32>,
     active: &Active,
     adjoint: &[f32],
-    settings: &Settings,
-    seed: u64,
-    samples: Range<u64>,
-    progress: &dyn Progress,
 ) -> Result<Gradient, RenderError> {
-    gradient::backward::<f32, DetachedMis, Spread>(
-        scene, theta, active, adjoint, settings, seed, samples, progress,
-    )
+    gradient::backward::<f32, DetachedMis, Spread>(job, theta, active, adjoint)
 }
 
 /// [`backward_f32`] in double precision.
@@ -201,18 +185,12 @@ pub fn backward_f32(
 /// # Errors
 /// An adjoint image of the wrong size.
 pub fn backward_f64(
-    scene: &Scene,
+    job: &Job,
     theta: &Theta<f64>,
     active: &Active,
     adjoint: &[f32],
-    settings: &Settings,
-    seed: u64,
-    samples: Range<u64>,
-    progress: &dyn Progress,
 ) -> Result<Gradient, RenderError> {
-    gradient::backward::<f64, DetachedMis, Spread>(
-        scene, theta, active, adjoint, settings, seed, samples, progress,
-    )
+    gradient::backward::<f64, DetachedMis, Spread>(job, theta, active, adjoint)
 }
 
 /// The image and its derivative when all values of `active` move along `direction`, which has one
@@ -221,15 +199,12 @@ pub fn backward_f64(
 /// # Errors
 /// A direction of the wrong length; a parameter that moves a Dirac delta.
 pub fn tangent_f32(
-    scene: &Scene,
+    job: &Job,
     values: &[f32],
     active: &Active,
     direction: &[f32],
-    settings: &Settings,
-    seed: u64,
-    samples: Range<u64>,
-    progress: &dyn Progress,
 ) -> Result<Rendering, RenderError> {
+    let &Job { scene, .. } = job;
     if direction.len() != active.len() {
         return Err(RenderError::WrongLength {
             what: "direction",
@@ -246,7 +221,7 @@ pub fn tangent_f32(
         tangents[scene.params().handle(info).id as usize] = Tangent::Dense(own);
     }
     let theta = Theta::<Dual<f32, 1>>::with_tangents(values, &tangents);
-    run::<Dual<f32, 1>, DetachedMis>(scene, &theta, settings, seed, samples, progress)
+    run::<Dual<f32, 1>, DetachedMis>(job, &theta)
 }
 
 /// The Hessian of an image loss times a direction, in single precision:
@@ -255,19 +230,13 @@ pub fn tangent_f32(
 /// # Errors
 /// Images or a direction of the wrong size.
 pub fn hessian_vector_f32(
-    scene: &Scene,
+    job: &Job,
     theta: &Theta<f32>,
     active: &Active,
     direction: &[f32],
     adjoints: [&[f32]; 2],
-    settings: &Settings,
-    seed: u64,
-    samples: Range<u64>,
-    progress: &dyn Progress,
 ) -> Result<Gradient, RenderError> {
-    second_order::hessian_vector::<f32, Independent>(
-        scene, theta, active, direction, adjoints, settings, seed, samples, progress,
-    )
+    second_order::hessian_vector::<f32, Independent>(job, theta, active, direction, adjoints)
 }
 
 /// Gradient and Gauss-Newton matrix of an image loss, in single precision: [`second_order::gauss_newton`]
@@ -276,25 +245,12 @@ pub fn hessian_vector_f32(
 /// # Errors
 /// Images of the wrong size, too many values, or fewer than two samples.
 pub fn gauss_newton_f32(
-    scene: &Scene,
+    job: &Job,
     theta: &Theta<f32>,
     active: &Active,
     derivatives: [&[f32]; 2],
-    settings: &Settings,
-    seed: u64,
-    samples: Range<u64>,
-    progress: &dyn Progress,
 ) -> Result<NormalEquations, RenderError> {
-    second_order::gauss_newton::<f32, Independent>(
-        scene,
-        theta,
-        active,
-        derivatives,
-        settings,
-        seed,
-        samples,
-        progress,
-    )
+    second_order::gauss_newton::<f32, Independent>(job, theta, active, derivatives)
 }
 
 /// A direction in parameter space along which forward mode differentiates.
@@ -334,15 +290,11 @@ impl Direction {
 /// # Errors
 /// A dense direction of the wrong length; a parameter that moves a Dirac delta.
 pub fn forward_f32(
-    scene: &Scene,
+    job: &Job,
     values: &[f32],
     directions: &[Direction],
-    settings: &Settings,
-    seed: u64,
-    samples: Range<u64>,
-    progress: &dyn Progress,
 ) -> Result<Rendering, RenderError> {
-    check_directions(scene, directions)?;
+    check_directions(job.scene, directions)?;
     let widest = |n: usize| [8, 4, 2].into_iter().find(|w| *w <= n).unwrap_or(1);
     let pass = |directions: &[Direction]| -> Result<Rendering, RenderError> {
         let run = match directions.len() {
@@ -351,8 +303,7 @@ pub fn forward_f32(
             2 => forward::<2>,
             _ => forward::<1>,
         };
-        let samples = samples.clone();
-        let mut part = run(scene, values, directions, settings, seed, samples, progress)?;
+        let mut part = run(job, values, directions)?;
         part.sums.truncate(1 + directions.len());
         Ok(part)
     };
@@ -390,17 +341,14 @@ fn check_directions(scene: &Scene, directions: &[Direction]) -> Result<(), Rende
 }
 
 fn forward<const N: usize>(
-    scene: &Scene,
+    job: &Job,
     values: &[f32],
     directions: &[Direction],
-    settings: &Settings,
-    seed: u64,
-    samples: Range<u64>,
-    progress: &dyn Progress,
 ) -> Result<Rendering, RenderError> {
+    let &Job { scene, .. } = job;
     let tangents = tangents::<N>(scene.params(), directions.iter().enumerate());
     let theta = Theta::<Dual<f32, N>>::with_tangents(values, &tangents);
-    run::<Dual<f32, N>, DetachedMis>(scene, &theta, settings, seed, samples, progress)
+    run::<Dual<f32, N>, DetachedMis>(job, &theta)
 }
 
 /// The image and its derivative along one direction with [`Estimator::Mis`] in double precision: what single
@@ -408,14 +356,8 @@ fn forward<const N: usize>(
 ///
 /// # Errors
 /// A dense direction of the wrong length; a parameter that moves a Dirac delta.
-pub fn forward_f64(
-    scene: &Scene,
-    direction: &Direction,
-    settings: &Settings,
-    seed: u64,
-    samples: Range<u64>,
-    progress: &dyn Progress,
-) -> Result<Rendering, RenderError> {
+pub fn forward_f64(job: &Job, direction: &Direction) -> Result<Rendering, RenderError> {
+    let &Job { scene, .. } = job;
     check_directions(scene, std::slice::from_ref(direction))?;
     let widened = |t: &Dual<f32, 1>| Dual::<f64, 1>::new(0.0, [t.eps[0].into()]);
     let tangents = tangents::<1>(scene.params(), [(0, direction)]);
@@ -429,7 +371,7 @@ pub fn forward_f64(
         .collect();
     let values: Vec<f64> = scene.params().values().iter().map(|&v| v.into()).collect();
     let theta = Theta::<Dual<f64, 1>>::with_tangents(&values, &tangents);
-    run::<Dual<f64, 1>, DetachedMis>(scene, &theta, settings, seed, samples, progress)
+    run::<Dual<f64, 1>, DetachedMis>(job, &theta)
 }
 
 /// One tangent per range of the layout; component `k` of the dual numbers is the sum of the directions
@@ -578,39 +520,17 @@ macro_rules! estimators {
     };
 }
 
-type Primal<P> = fn(&Scene, &Theta<P>, &Settings, u64, Range<u64>, &dyn Progress) -> Rendering;
-type Forward<R> = fn(
-    &Scene,
-    &Theta<R>,
-    &Settings,
-    u64,
-    Range<u64>,
-    &dyn Progress,
-) -> Result<Rendering, RenderError>;
-type Reverse = fn(
-    &Scene,
-    &Theta<f32>,
-    &Active,
-    &[f32],
-    &Settings,
-    u64,
-    Range<u64>,
-    &dyn Progress,
-) -> Result<Gradient, RenderError>;
+type Primal<P> = fn(&Job, &Theta<P>) -> Rendering;
+type Forward<R> = fn(&Job, &Theta<R>) -> Result<Rendering, RenderError>;
+type Reverse = fn(&Job, &Theta<f32>, &Active, &[f32]) -> Result<Gradient, RenderError>;
 
 fn pull_back<S: Unbiased>(
-    scene: &Scene,
+    job: &Job,
     theta: &Theta<f32>,
     active: &Active,
     adjoint: &[f32],
-    settings: &Settings,
-    seed: u64,
-    samples: Range<u64>,
-    progress: &dyn Progress,
 ) -> Result<Gradient, RenderError> {
-    gradient::backward::<f32, S, Spread>(
-        scene, theta, active, adjoint, settings, seed, samples, progress,
-    )
+    gradient::backward::<f32, S, Spread>(job, theta, active, adjoint)
 }
 
 impl Estimator {
@@ -642,18 +562,15 @@ impl Estimator {
     /// A direction of the wrong length; an estimator that is wrong in this scene or for this parameter.
     pub fn forward_f32(
         self,
-        scene: &Scene,
+        job: &Job,
         values: &[f32],
         directions: &[Direction],
-        settings: &Settings,
-        seed: u64,
-        samples: Range<u64>,
-        progress: &dyn Progress,
     ) -> Result<Rendering, RenderError> {
+        let &Job { scene, .. } = job;
         check_directions(scene, directions)?;
         let tangents = tangents::<1>(scene.params(), directions.iter().map(|d| (0, d)));
         let theta = Theta::<Dual<f32, 1>>::with_tangents(values, &tangents);
-        self.forward()(scene, &theta, settings, seed, samples, progress)
+        self.forward()(job, &theta)
     }
 
     /// The gradient of `<adjoint, image>` (reverse mode), in single precision.
@@ -662,18 +579,12 @@ impl Estimator {
     /// An adjoint image of the wrong size; an estimator that is wrong in this scene.
     pub fn backward_f32(
         self,
-        scene: &Scene,
+        job: &Job,
         theta: &Theta<f32>,
         active: &Active,
         adjoint: &[f32],
-        settings: &Settings,
-        seed: u64,
-        samples: Range<u64>,
-        progress: &dyn Progress,
     ) -> Result<Gradient, RenderError> {
-        self.reverse()(
-            scene, theta, active, adjoint, settings, seed, samples, progress,
-        )
+        self.reverse()(job, theta, active, adjoint)
     }
 }
 

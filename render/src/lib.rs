@@ -14,19 +14,19 @@
 //! # std::env::set_current_dir("..")?; // the examples run in the folder of this crate
 //! use optim::{Adam, Loss, Optimizer, loss::L2};
 //! use render::instances::{Estimator, render_f32};
-//! use render::{Image, Scene, image_io::write_exr, params::Theta};
+//! use render::{Image, Job, Scene, image_io::write_exr, params::Theta};
 //!
 //! let (mut scene, _warnings) = Scene::load("examples/scenes/cornell.xml".as_ref(), &Default::default())?;
-//! let settings = scene.settings;
 //! let mut values = scene.params().values().to_vec(); // all parameters, one vector
 //! let theta = Theta::constant(&values);
-//! let image = render_f32(&scene, &theta, Estimator::Mis, &settings, 0, 0..16, &()).image(0);
+//! let job = |seed| Job::new(&scene, &scene.settings, seed, 0..16, &());
+//! let image = render_f32(&job(0), &theta, Estimator::Mis).image(0);
 //!
 //! let target = Image::new(image.width, image.height); // black
 //! let mut adjoint = vec![0.0; image.data.len()]; // [height][width][3], as the image
 //! L2.gradient(&image.data, &target.data, &mut adjoint)?;
 //! let active = Estimator::Mis.active(&scene, &["red.reflectance.value"])?;
-//! let gradient = Estimator::Mis.backward_f32(&scene, &theta, &active, &adjoint, &settings, 1, 0..16, &())?;
+//! let gradient = Estimator::Mis.backward_f32(&job(1), &theta, &active, &adjoint)?;
 //!
 //! let gradient: Vec<f32> = gradient.values[0].iter().map(|&d| d as f32).collect();
 //! let wall = scene.params().find("red.reflectance.value")?.range();
@@ -79,4 +79,5 @@ pub mod texture;
 
 pub use error::{RenderError, SceneError};
 pub use film::{Film, Image};
+pub use integrator::Job;
 pub use scene::{Scene, Settings};

@@ -1,5 +1,6 @@
 //! Finite elements: duality, derivatives, energy, agreement with the path tracer, messages.
 
+use render::Job;
 use render::bsdf::microfacet::Ndf;
 use render::bsdf::{Conductor, Diffuse, RoughConductor, Roughness};
 use render::camera::{Camera, FovAxis};
@@ -167,7 +168,12 @@ fn the_picture_is_that_of_the_path_tracer() {
         let fem = solved(&scene, 3e-5);
         let theta = Theta::constant(scene.params().values());
         let settings = scene.settings;
-        let traced = render_f32(&scene, &theta, Estimator::Mis, &settings, 3, 0..256, &()).image(0);
+        let traced = render_f32(
+            &Job::new(&scene, &settings, 3, 0..256, &()),
+            &theta,
+            Estimator::Mis,
+        )
+        .image(0);
         let (ours, cells) = (fem.flat(), fem.surfaces());
         // Means over 4 x 4 patches of each surface.
         let mut sums = std::collections::BTreeMap::<(u32, usize, usize), [f64; 3]>::new();

@@ -6,6 +6,7 @@ pub mod stats;
 use std::path::{Path, PathBuf};
 
 use ad_core::{Dual, Float};
+use render::Job;
 use render::estimator::{Capabilities, DetachedMis, Unbiased};
 use render::instances::{Estimator, render_f32};
 use render::integrator::gradient::{Active, backward};
@@ -72,7 +73,7 @@ where
     P: Float + render::integrator::render::Components,
 {
     let theta = Theta::constant(values);
-    render::<P, DetachedMis, Independent>(scene, &theta, settings, seed, 0..spp, &())
+    render::<P, DetachedMis, Independent>(&Job::new(scene, settings, seed, 0..spp, &()), &theta)
         .expect("nothing moves")
 }
 
@@ -85,7 +86,11 @@ pub fn picture(s: &Scene, settings: &Settings, seed: u64, runs: u64, spp: u64) -
     let images: Vec<_> = (0..runs)
         .map(|r| {
             let technique = Estimator::Mis;
-            let r = render_f32(s, &theta, technique, settings, seed + r, 0..spp, &());
+            let r = render_f32(
+                &Job::new(s, settings, seed + r, 0..spp, &()),
+                &theta,
+                technique,
+            );
             assert_eq!(r.non_finite.count, 0);
             r.image(0).data
         })
@@ -168,8 +173,11 @@ pub fn derivative_image<S: Unbiased>(
         .map(|i| tangent(&direction[i.range()]))
         .collect();
     let theta = Theta::with_tangents(&values, &tangents);
-    let r = render::<Dual<f64, 1>, S, Independent>(scene, &theta, settings, seed, 0..spp, &())
-        .expect("an estimator for this scene and these parameters");
+    let r = render::<Dual<f64, 1>, S, Independent>(
+        &Job::new(scene, settings, seed, 0..spp, &()),
+        &theta,
+    )
+    .expect("an estimator for this scene and these parameters");
     assert_eq!(r.non_finite.count, 0);
     r
 }
@@ -205,9 +213,13 @@ pub fn reverse_by<P: Float, S: Unbiased>(
     let theta = Theta::constant(&values);
     let names: Vec<&str> = params.iter().map(|i| i.name.as_str()).collect();
     let active = Active::new(scene, &names).expect("known names");
-    let g =
-        backward::<P, S, Independent>(scene, &theta, &active, adjoint, settings, seed, 0..spp, &())
-            .expect("an adjoint of the right size");
+    let g = backward::<P, S, Independent>(
+        &Job::new(scene, settings, seed, 0..spp, &()),
+        &theta,
+        &active,
+        adjoint,
+    )
+    .expect("an adjoint of the right size");
     assert_eq!(g.non_finite.count, 0);
     g.values
 }

@@ -4,6 +4,7 @@
 use std::path::Path;
 
 use rayon::prelude::*;
+use render::Job;
 use render::estimator::{
     Attached, AttachedDirect, AttachedWeights, Detached, EmitterOnly, FrozenWeights, Mis, Unbiased,
 };
@@ -81,14 +82,10 @@ fn reverse<S: Unbiased>(
     let active = Active::new(s, names).expect("known names");
     let samples = 0..spp;
     let g = backward::<f64, S, Independent>(
-        s,
+        &Job::new(s, &s.settings, seed, samples, &()),
         &theta,
         &active,
         adjoint,
-        &s.settings,
-        seed,
-        samples,
-        &(),
     )
     .expect("a scene without discontinuities");
     assert_eq!(g.non_finite.count, 0);
@@ -168,9 +165,11 @@ fn the_derivative_is_that_of_the_picture() {
             let values = values::<f64>(&s);
             let theta = Theta::constant(&values);
             let samples = 0..256;
-            let image =
-                render::<f64, Emitter, Independent>(&s, &theta, &s.settings, 7, samples, &())
-                    .expect("nothing moves");
+            let image = render::<f64, Emitter, Independent>(
+                &Job::new(&s, &s.settings, 7, samples, &()),
+                &theta,
+            )
+            .expect("nothing moves");
             dot(&adjoint, &image, 0)
         };
         let differences = (at(h) - at(-h)) / (2.0 * h);
@@ -227,7 +226,11 @@ fn gradients_equal_central_differences() {
                         lights: LightChoice::One,
                         ..s.settings
                     };
-                    let image = render_f64(&s, &theta, technique, &settings, 9000 + r, 0..SPP, &());
+                    let image = render_f64(
+                        &Job::new(&s, &settings, 9000 + r, 0..SPP, &()),
+                        &theta,
+                        technique,
+                    );
                     dot(&adjoint, &image, 0)
                 };
                 (at(h) - at(-h)) / (2.0 * h)
@@ -295,9 +298,14 @@ fn gradients_do_not_depend_on_threads() {
             let values = on_any_threads(|| {
                 let theta = Theta::constant(s.params().values());
                 let samples = 0..4;
-                e.backward_f32(&s, &theta, &active, &adjoint, &s.settings, 6, samples, &())
-                    .expect("a scene without discontinuities")
-                    .values
+                e.backward_f32(
+                    &Job::new(&s, &s.settings, 6, samples, &()),
+                    &theta,
+                    &active,
+                    &adjoint,
+                )
+                .expect("a scene without discontinuities")
+                .values
             });
             assert!(values[0].iter().any(|&x| x != 0.0));
         }
@@ -336,7 +344,12 @@ fn gradients_are_finite() {
             let active = e.active(&s, &["sky.data"]).expect("names");
             let theta = Theta::constant(s.params().values());
             let g = e
-                .backward_f32(&s, &theta, &active, &adjoint, &s.settings, 8, 0..64, &())
+                .backward_f32(
+                    &Job::new(&s, &s.settings, 8, 0..64, &()),
+                    &theta,
+                    &active,
+                    &adjoint,
+                )
                 .expect("a scene without discontinuities");
             assert_eq!(g.non_finite.count, 0);
             assert!(g.values[0].iter().all(|x| x.is_finite()));

@@ -1,5 +1,6 @@
 //! The estimator that chooses: unbiased, deterministic, and not fooled by what sees nothing.
 
+use render::Job;
 use render::auto::{self, Mixture, candidates};
 use render::image_io::write_exr;
 use render::instances::{Estimator, Mode};
@@ -103,15 +104,11 @@ fn chosen(scene: &Scene, names: &[&str], candidates: &[Estimator], budget: u64) 
     let adjoint = mean_adjoint(scene);
     let s = &scene.settings;
     auto::choose(
-        scene,
+        &Job::new(scene, s, 5, 0..budget, &()),
         names,
         &adjoint,
         candidates,
         Mode::Reverse,
-        s,
-        5,
-        budget,
-        &(),
     )
     .expect("parameters that candidates see")
 }
@@ -130,7 +127,12 @@ fn gradients(
         .map(|r| {
             let s = &scene.settings;
             let g = mixture
-                .backward_f32(scene, &theta, names, &adjoint, s, seed + r, spp, &())
+                .backward_f32(
+                    &Job::new(scene, s, seed + r, 0..spp, &()),
+                    &theta,
+                    names,
+                    &adjoint,
+                )
                 .expect("an estimator that is right here");
             assert_eq!((g.non_finite.count, g.cancelled), (0, false));
             g.values.concat()
@@ -178,11 +180,16 @@ fn forward_and_reverse_mode_are_the_same_sum() {
     for samples in [1, 2, 16, 37] {
         let s = &scene.settings;
         let forward = mixture
-            .forward_f32(&scene, name[0], s, 3, samples, &())
+            .forward_f32(&Job::new(&scene, s, 3, 0..samples, &()), name[0])
             .expect("an estimator that is right here");
         let mean: f64 = forward.mean(1).iter().sum::<f64>() / 3.0;
         let reverse = mixture
-            .backward_f32(&scene, &theta, &name, &adjoint, s, 3, samples, &())
+            .backward_f32(
+                &Job::new(&scene, s, 3, 0..samples, &()),
+                &theta,
+                &name,
+                &adjoint,
+            )
             .expect("an estimator that is right here");
         let other: f64 = reverse.values[0].iter().sum();
         assert!(
@@ -203,7 +210,12 @@ fn the_seed_decides_alone() {
         let adjoint = mean_adjoint(&scene);
         let s = &scene.settings;
         let g = mixture
-            .backward_f32(&scene, &theta, &LOBED, &adjoint, s, 3, 32, &())
+            .backward_f32(
+                &Job::new(&scene, s, 3, 0..32, &()),
+                &theta,
+                &LOBED,
+                &adjoint,
+            )
             .expect("an estimator that is right here");
         (mixture.to_string(), g.values)
     });
@@ -254,8 +266,14 @@ fn work_is_that_of_the_mode_to_come() {
         let adjoint = mean_adjoint(&scene);
         let s = &scene.settings;
         let listed = [path, edge];
-        let mixture = auto::choose(&scene, &names, &adjoint, &listed, mode, s, 5, 4096, &())
-            .expect("both see the roughness");
+        let mixture = auto::choose(
+            &Job::new(&scene, s, 5, 0..4096, &()),
+            &names,
+            &adjoint,
+            &listed,
+            mode,
+        )
+        .expect("both see the roughness");
         println!("{mixture}");
         let most = mixture
             .shares()
@@ -322,15 +340,11 @@ fn what_nobody_sees_is_an_error() {
     let ask = |names: &[&str], adjoint: &[f32], candidates: &[Estimator]| {
         let s = &scene.settings;
         auto::choose(
-            &scene,
+            &Job::new(&scene, s, 0, 0..4096, &()),
             names,
             adjoint,
             candidates,
             Mode::Reverse,
-            s,
-            0,
-            4096,
-            &(),
         )
         .map(|_| ())
     };
@@ -344,7 +358,7 @@ fn what_nobody_sees_is_an_error() {
     let refused = ask(&NAMES, &adjoint, &[Estimator::Attached]);
     assert!(matches!(refused, Err(RenderError::Discontinuous { .. })));
     let mixture = chosen(&scene, &NAMES[..1], &candidates(&scene), 4096);
-    let other = mixture.forward_f32(&scene, NAMES[1], &scene.settings, 0, 4, &());
+    let other = mixture.forward_f32(&Job::new(&scene, &scene.settings, 0, 0..4, &()), NAMES[1]);
     assert!(matches!(other, Err(RenderError::UnknownParameter { .. })));
 }
 
@@ -479,7 +493,12 @@ fn measured_sampling_weights_make_less_noise() {
         let active = e.active(s, &names).expect("parameters");
         let runs: Vec<Vec<f64>> = (0..64)
             .map(|seed| {
-                let g = e.backward_f32(s, &theta, &active, &ones, &s.settings, seed, 0..16, &());
+                let g = e.backward_f32(
+                    &Job::new(s, &s.settings, seed, 0..16, &()),
+                    &theta,
+                    &active,
+                    &ones,
+                );
                 g.expect("a gradient").values.concat()
             })
             .collect();

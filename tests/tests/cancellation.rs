@@ -2,6 +2,7 @@
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
+use render::Job;
 use render::bsdf::kernel::Rules;
 use render::instances::{
     Direction, Estimator, density_f32, forward_f64, particles_f32, render_f32, render_f64,
@@ -59,22 +60,26 @@ const PARAM: &str = "metal.alpha.value";
 type Found = (Vec<f64>, bool);
 
 /// What makes one, given settings and samples.
-type Job<'a> = Box<dyn Fn(&Settings, u64, &dyn Progress) -> Found + 'a>;
+type Computation<'a> = Box<dyn Fn(&Settings, u64, &dyn Progress) -> Found + 'a>;
 
 fn numbers(r: Rendering) -> Found {
     (r.sums.concat(), r.cancelled)
 }
 
-fn jobs(scene: &Scene) -> Vec<(String, Job<'_>)> {
+fn jobs(scene: &Scene) -> Vec<(String, Computation<'_>)> {
     let values = scene.params().values();
     let along = Direction::uniform(scene.params(), PARAM).expect("a parameter");
     let ones = vec![1.0; scene.film.pixels() * 3];
-    let mut jobs: Vec<(String, Job<'_>)> = vec![
+    let mut jobs: Vec<(String, Computation<'_>)> = vec![
         (
             "waves".into(),
             Box::new(|s, spp, p| {
                 let theta = Theta::constant(values);
-                numbers(render_f32(scene, &theta, Estimator::Mis, s, 1, 0..spp, p))
+                numbers(render_f32(
+                    &Job::new(scene, s, 1, 0..spp, p),
+                    &theta,
+                    Estimator::Mis,
+                ))
             }),
         ),
         (
@@ -82,7 +87,11 @@ fn jobs(scene: &Scene) -> Vec<(String, Job<'_>)> {
             Box::new(|s, spp, p| {
                 let values: Vec<f64> = values.iter().map(|&v| v.into()).collect();
                 let theta = Theta::constant(&values);
-                numbers(render_f64(scene, &theta, Estimator::Mis, s, 1, 0..spp, p))
+                numbers(render_f64(
+                    &Job::new(scene, s, 1, 0..spp, p),
+                    &theta,
+                    Estimator::Mis,
+                ))
             }),
         ),
         (
@@ -90,7 +99,7 @@ fn jobs(scene: &Scene) -> Vec<(String, Job<'_>)> {
             Box::new({
                 let along = along.clone();
                 move |s, spp, p| {
-                    numbers(forward_f64(scene, &along, s, 1, 0..spp, p).expect("known"))
+                    numbers(forward_f64(&Job::new(scene, s, 1, 0..spp, p), &along).expect("known"))
                 }
             }),
         ),
@@ -98,7 +107,7 @@ fn jobs(scene: &Scene) -> Vec<(String, Job<'_>)> {
             "particles".into(),
             Box::new(|s, spp, p| {
                 let theta = Theta::constant(values);
-                let r = particles_f32(scene, &theta, Rules::default(), s, 1, 0..spp, p);
+                let r = particles_f32(&Job::new(scene, s, 1, 0..spp, p), &theta, Rules::default());
                 numbers(r.expect("no flipped normals"))
             }),
         ),
@@ -107,7 +116,13 @@ fn jobs(scene: &Scene) -> Vec<(String, Job<'_>)> {
             Box::new(|s, spp, p| {
                 let (theta, convention) = (Theta::constant(values), Convention::Radiance);
                 let rules = Rules::default();
-                let r = density_f32(scene, &theta, rules, convention, 0.1, s, 1, 0..spp, p);
+                let r = density_f32(
+                    &Job::new(scene, s, 1, 0..spp, p),
+                    &theta,
+                    rules,
+                    convention,
+                    0.1,
+                );
                 numbers(r.expect("no flipped normals"))
             }),
         ),
@@ -122,7 +137,7 @@ fn jobs(scene: &Scene) -> Vec<(String, Job<'_>)> {
             format!("forward {}", e.name()),
             Box::new(move |s, spp, p| {
                 let along = [along.clone()];
-                let r = e.forward_f32(scene, values, &along, s, 1, 0..spp, p);
+                let r = e.forward_f32(&Job::new(scene, s, 1, 0..spp, p), values, &along);
                 numbers(r.expect("allowed"))
             }),
         ));
@@ -131,7 +146,7 @@ fn jobs(scene: &Scene) -> Vec<(String, Job<'_>)> {
             format!("reverse {}", e.name()),
             Box::new(move |s, spp, p| {
                 let theta = Theta::constant(values);
-                let g = e.backward_f32(scene, &theta, &active, &ones, s, 1, 0..spp, p);
+                let g = e.backward_f32(&Job::new(scene, s, 1, 0..spp, p), &theta, &active, &ones);
                 let g = g.expect("allowed");
                 (g.values.concat(), g.cancelled)
             }),

@@ -2,6 +2,7 @@
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
+use render::Job;
 use render::estimator::{
     AllowBias, Attached, BsdfOnly, Detached, DetachedMis, DetachedWeights, Differential, Mis,
     Unbiased,
@@ -153,13 +154,9 @@ fn derivatives_are_the_same_whatever_the_estimator() {
         let means: Vec<f64> = (0..24)
             .map(|r| {
                 let image = e.forward_f32(
-                    &s,
+                    &Job::new(&s, &with(&s, caustics), seed + r, 0..200, &()),
                     s.params().values(),
                     std::slice::from_ref(&direction),
-                    &with(&s, caustics),
-                    seed + r,
-                    0..200,
-                    &(),
                 );
                 let image = image.expect("an estimator that is allowed here");
                 assert_eq!(image.non_finite.count, 0, "{}", e.name());
@@ -245,12 +242,17 @@ fn progress_counts_every_pixel_once() {
     for caustics in [Caustics::Paths, Caustics::Particles] {
         let (settings, count) = (with(&s, caustics), Count(AtomicU64::new(0)));
         let technique = Estimator::Mis;
-        render_f32(&s, &theta, technique, &settings, 1, 0..2, &count);
+        render_f32(&Job::new(&s, &settings, 1, 0..2, &count), &theta, technique);
         assert_eq!(count.0.load(Ordering::Relaxed), pixels);
         let active = Active::new(&s, &["metal.alpha.value"]).expect("a parameter");
         let adjoint = mean_adjoint(&s);
-        backward_f32(&s, &theta, &active, &adjoint, &settings, 1, 0..2, &count)
-            .expect("an adjoint of the right size");
+        backward_f32(
+            &Job::new(&s, &settings, 1, 0..2, &count),
+            &theta,
+            &active,
+            &adjoint,
+        )
+        .expect("an adjoint of the right size");
         assert_eq!(count.0.load(Ordering::Relaxed), 2 * pixels);
     }
 }
@@ -308,9 +310,13 @@ fn paths_keep_what_particles_would_miss() {
         let [a, b] = [Caustics::Paths, Caustics::Particles].map(|caustics| {
             let directions = std::slice::from_ref(&direction);
             let settings = with(s, caustics);
-            e.forward_f32(s, s.params().values(), directions, &settings, 3, 0..8, &())
-                .expect("an estimator that is allowed here")
-                .sums
+            e.forward_f32(
+                &Job::new(s, &settings, 3, 0..8, &()),
+                s.params().values(),
+                directions,
+            )
+            .expect("an estimator that is allowed here")
+            .sums
         });
         a == b
     };
@@ -319,7 +325,7 @@ fn paths_keep_what_particles_would_miss() {
         let theta = Theta::constant(&theta);
         type Moving = AllowBias<BsdfOnly<Attached>>;
         let settings = with(&s, caustics);
-        render::<f32, Moving, Independent>(&s, &theta, &settings, 3, 0..8, &())
+        render::<f32, Moving, Independent>(&Job::new(&s, &settings, 3, 0..8, &()), &theta)
             .expect("nothing moves")
             .sums
     };

@@ -10,6 +10,7 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use rayon::prelude::*;
+use render::Job;
 use render::estimator::{Failure, Scenes};
 use render::image_io::write_exr;
 use render::instances::{Estimator, render_f64};
@@ -368,7 +369,8 @@ fn differences(case: &Case, m: &Move, seed: u64) -> Estimate {
                     Estimator::Mis
                 };
                 let (seed, spp) = (seed + r, 0..case.spp());
-                let image = render_f64(s, &theta, technique, &s.settings, seed, spp, &());
+                let image =
+                    render_f64(&Job::new(s, &s.settings, seed, spp, &()), &theta, technique);
                 image.mean(0).iter().sum::<f64>() / 3.0
             };
             (at(m.step) - at(-m.step)) / (2.0 * m.step)
@@ -397,14 +399,10 @@ fn estimates(case: &Case, e: Estimator, seed: u64) -> Vec<Estimate> {
         .map(|r| {
             let g = e
                 .backward_f32(
-                    s,
+                    &Job::new(s, &settings, seed + r, 0..case.spp(), &()),
                     &theta,
                     &active,
                     &adjoint,
-                    &settings,
-                    seed + r,
-                    0..case.spp(),
-                    &(),
                 )
                 .expect("an estimator that is allowed here");
             assert_eq!(g.non_finite.count, 0, "{} {}", case.name, e.name());

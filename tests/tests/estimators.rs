@@ -4,6 +4,7 @@
 use std::sync::Arc;
 
 use ad_core::Dual;
+use render::Job;
 use render::bsdf::{Conductor, Interpolation, NormalMap};
 use render::estimator::{AllowBias, Attached, AttachedRoulette, BsdfOnly, Detached, EmitterOnly};
 use render::instances::{Direction, Estimator, forward_f32, forward_f64, render_f32};
@@ -145,13 +146,9 @@ fn derivative(e: Estimator, case: &Case, seed: u64) -> Estimate {
         .map(|r| {
             let image = e
                 .forward_f32(
-                    s,
+                    &Job::new(s, &settings(s), seed * 1000 + r, 0..case.spp, &()),
                     s.params().values(),
                     std::slice::from_ref(&direction),
-                    &settings(s),
-                    seed * 1000 + r,
-                    0..case.spp,
-                    &(),
                 )
                 .expect("an estimator that is allowed here");
             assert_eq!(image.non_finite.count, 0, "{} {}", case.name, e.name());
@@ -178,12 +175,8 @@ fn differences(case: &Case) -> Estimate {
                     ..settings(s)
                 };
                 let image = render::<f64, EmitterOnly<Detached>, Independent>(
-                    s,
+                    &Job::new(s, &settings, 77_000 + r, 0..case.spp, &()),
                     &theta,
-                    &settings,
-                    77_000 + r,
-                    0..case.spp,
-                    &(),
                 )
                 .expect("nothing moves");
                 image.mean(0).iter().sum::<f64>() / 3.0
@@ -289,8 +282,11 @@ fn however_lights_are_chosen_the_picture_is_the_same() {
             (0..20)
                 .map(|r| {
                     let seed = seed + r;
-                    let image =
-                        render_f32(scene, &theta, technique, &settings, seed, 0..10_000, &());
+                    let image = render_f32(
+                        &Job::new(scene, &settings, seed, 0..10_000, &()),
+                        &theta,
+                        technique,
+                    );
                     assert_eq!(image.non_finite.count, 0);
                     image.sums[0].clone()
                 })
@@ -349,7 +345,12 @@ fn the_pair_serves_roughness_alone() {
         let of = |names: &[&str]| {
             let e = Estimator::DifferentialMis;
             let active = e.active(s, names).expect("parameters");
-            let g = e.backward_f32(s, &theta, &active, &adjoint, &settings(s), 9, 0..64, &());
+            let g = e.backward_f32(
+                &Job::new(s, &settings(s), 9, 0..64, &()),
+                &theta,
+                &active,
+                &adjoint,
+            );
             g.expect("allowed").values.swap_remove(0)
         };
         let alone = of(&names[..1]);
@@ -359,13 +360,9 @@ fn the_pair_serves_roughness_alone() {
         let direction = [Direction::uniform(s.params(), names[0]).expect("a parameter")];
         let image = |e: Estimator| {
             let image = e.forward_f32(
-                s,
+                &Job::new(s, &settings(s), 9, 0..64, &()),
                 s.params().values(),
                 &direction,
-                &settings(s),
-                9,
-                0..64,
-                &(),
             );
             image.expect("allowed").sums
         };
@@ -386,13 +383,9 @@ fn reverse_mode_equals_forward_mode() {
             }
             let image = e
                 .forward_f32(
-                    s,
+                    &Job::new(s, &settings(s), 3, 0..64, &()),
                     s.params().values(),
                     std::slice::from_ref(&direction),
-                    &settings(s),
-                    3,
-                    0..64,
-                    &(),
                 )
                 .expect("allowed");
             let forward = image.mean(1).iter().sum::<f64>() / 3.0;
@@ -400,7 +393,12 @@ fn reverse_mode_equals_forward_mode() {
             let theta = Theta::constant(s.params().values());
             let adjoint = mean_adjoint(s);
             let gradient = e
-                .backward_f32(s, &theta, &active, &adjoint, &settings(s), 3, 0..64, &())
+                .backward_f32(
+                    &Job::new(s, &settings(s), 3, 0..64, &()),
+                    &theta,
+                    &active,
+                    &adjoint,
+                )
                 .expect("allowed");
             let reverse: f64 = gradient.values[0].iter().sum();
             let close = (forward - reverse).abs() < 2e-4 * forward.abs().max(1e-2);
@@ -460,8 +458,8 @@ fn forward_mode_refuses_deltas_and_discontinuities() {
     let s = glass().scene;
     let eta = Direction::uniform(s.params(), "glass.eta.value").expect("a parameter");
     let (values, direction) = (s.params().values(), std::slice::from_ref(&eta));
-    let single = forward_f32(&s, values, direction, &s.settings, 1, 0..1, &());
-    let double = forward_f64(&s, &eta, &s.settings, 1, 0..1, &());
+    let single = forward_f32(&Job::new(&s, &s.settings, 1, 0..1, &()), values, direction);
+    let double = forward_f64(&Job::new(&s, &s.settings, 1, 0..1, &()), &eta);
     for found in [single, double] {
         assert!(matches!(found, Err(RenderError::DeltaParameter { .. })));
     }
@@ -486,12 +484,8 @@ fn forward_mode_refuses_deltas_and_discontinuities() {
     let moving = values_with_tangent(hidden);
     let theta = Theta::with_tangents(hidden.params().values(), &moving);
     let found = render::<Dual<f32, 1>, BsdfOnly<Attached>, Independent>(
-        hidden,
+        &Job::new(hidden, &hidden.settings, 1, 0..1, &()),
         &theta,
-        &hidden.settings,
-        1,
-        0..1,
-        &(),
     );
     assert!(matches!(found, Err(RenderError::Discontinuous { .. })));
 }
@@ -533,7 +527,12 @@ fn normals_of_a_mirror_have_a_derivative() {
         let active = moving.active(s, &[name]).expect("a moving path");
         let theta = Theta::constant(s.params().values());
         let gradient = moving
-            .backward_f32(s, &theta, &active, &adjoint, &s.settings, 5, 0..spp, &())
+            .backward_f32(
+                &Job::new(s, &s.settings, 5, 0..spp, &()),
+                &theta,
+                &active,
+                &adjoint,
+            )
             .expect("allowed");
         let reverse = gradient.values[0][channel];
         assert!(
@@ -586,13 +585,9 @@ fn roulette_that_is_differentiated_is_wrong_and_noticed() {
     let direction = Direction::uniform(s.params(), case.param).expect("a parameter");
     let forward = e
         .forward_f32(
-            s,
+            &Job::new(s, &s.settings, 5, 0..64, &()),
             s.params().values(),
             &[direction],
-            &s.settings,
-            5,
-            0..64,
-            &(),
         )
         .expect("allowed");
     let forward = forward.mean(1).iter().sum::<f64>() / 3.0;
@@ -600,7 +595,12 @@ fn roulette_that_is_differentiated_is_wrong_and_noticed() {
     let theta = Theta::constant(s.params().values());
     let adjoint = mean_adjoint(s);
     let gradient = e
-        .backward_f32(s, &theta, &active, &adjoint, &s.settings, 5, 0..64, &())
+        .backward_f32(
+            &Job::new(s, &s.settings, 5, 0..64, &()),
+            &theta,
+            &active,
+            &adjoint,
+        )
         .expect("allowed");
     let reverse: f64 = gradient.values[0].iter().sum();
     assert!(
@@ -633,13 +633,9 @@ fn the_index_of_smooth_glass_has_a_derivative() {
         let moving = e == Estimator::AttachedPath;
         assert_eq!(e.active(s, &[case.param]).is_ok(), moving, "{}", e.name());
         let forward = e.forward_f32(
-            s,
+            &Job::new(s, &s.settings, 1, 0..1, &()),
             s.params().values(),
             std::slice::from_ref(&direction),
-            &s.settings,
-            1,
-            0..1,
-            &(),
         );
         assert_eq!(forward.is_ok(), moving, "{}", e.name());
     }
@@ -653,12 +649,8 @@ fn the_index_of_smooth_glass_has_a_derivative() {
                 v[info.offset] += sign * h;
                 let theta = Theta::constant(&v);
                 let image = render::<f64, BsdfOnly<Detached>, Independent>(
-                    s,
+                    &Job::new(s, &s.settings, 31_000 + r, 0..case.spp, &()),
                     &theta,
-                    &s.settings,
-                    31_000 + r,
-                    0..case.spp,
-                    &(),
                 )
                 .expect("nothing moves");
                 image.mean(0).iter().sum::<f64>() / 3.0
@@ -677,20 +669,21 @@ fn the_index_of_smooth_glass_has_a_derivative() {
         .expect("a moving path");
     let image = Estimator::AttachedPath
         .forward_f32(
-            s,
+            &Job::new(s, &s.settings, 3, 0..64, &()),
             s.params().values(),
             std::slice::from_ref(&direction),
-            &s.settings,
-            3,
-            0..64,
-            &(),
         )
         .expect("allowed");
     let forward = image.mean(1).iter().sum::<f64>() / 3.0;
     let theta = Theta::constant(s.params().values());
     let adjoint = mean_adjoint(s);
     let gradient = Estimator::AttachedPath
-        .backward_f32(s, &theta, &active, &adjoint, &s.settings, 3, 0..64, &())
+        .backward_f32(
+            &Job::new(s, &s.settings, 3, 0..64, &()),
+            &theta,
+            &active,
+            &adjoint,
+        )
         .expect("allowed");
     let reverse: f64 = gradient.values[0].iter().sum();
     assert!(

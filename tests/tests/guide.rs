@@ -1,6 +1,7 @@
 //! Guided paths: the same light and the same derivatives as by the material alone, with less noise where lamps are
 //! not in sight.
 
+use render::Job;
 use render::auto;
 use render::estimator::{Detached, DetachedMis, DetachedWeights, Differential, Mis, Unbiased};
 use render::instances::{Direction, Estimator};
@@ -94,7 +95,11 @@ fn derivatives_are_the_same_whatever_the_estimator() {
                 let values = s.params().values();
                 let seed = seed + r;
                 let image = e
-                    .forward_f32(s, values, &direction, &s.settings, seed, 0..100, &())
+                    .forward_f32(
+                        &Job::new(s, &s.settings, seed, 0..100, &()),
+                        values,
+                        &direction,
+                    )
                     .expect("an estimator that is allowed here");
                 assert_eq!(image.non_finite.count, 0, "{}", e.name());
                 image.mean(1).iter().sum()

@@ -74,6 +74,7 @@ const LAYERS: &[&str] = &[
 /// The same within `integrator`.
 const TRANSPORT: &[&str] = &[
     "progress",
+    "job",
     "rendering",
     "exact",
     "sparse",

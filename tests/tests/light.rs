@@ -1,6 +1,7 @@
 //! The light tracer against the path tracer.
 
 use ad_core::{Dual, Vec2};
+use render::Job;
 use render::bsdf::kernel::{Rules, Symmetry};
 use render::bsdf::{Bsdf, Shading, TransportMode};
 use render::instances::{
@@ -40,7 +41,7 @@ fn estimates(runs: &[Vec<f64>]) -> Vec<Estimate> {
 
 fn by_particles(scene: &Scene, settings: &Settings, rules: Rules, seed: u64, spp: u64) -> Vec<f32> {
     let theta = Theta::constant(scene.params().values());
-    let r = particles_f32(scene, &theta, rules, settings, seed, 0..spp, &());
+    let r = particles_f32(&Job::new(scene, settings, seed, 0..spp, &()), &theta, rules);
     let r = r.expect("no flipped normals");
     assert_eq!(r.non_finite.count, 0);
     r.image(0).data
@@ -49,7 +50,11 @@ fn by_particles(scene: &Scene, settings: &Settings, rules: Rules, seed: u64, spp
 fn by_paths(scene: &Scene, settings: &Settings, seed: u64, spp: u64) -> Vec<f32> {
     let theta = Theta::constant(scene.params().values());
     let technique = Estimator::Mis;
-    let r = render_f32(scene, &theta, technique, settings, seed, 0..spp, &());
+    let r = render_f32(
+        &Job::new(scene, settings, seed, 0..spp, &()),
+        &theta,
+        technique,
+    );
     r.image(0).data
 }
 
@@ -371,13 +376,21 @@ fn gradients_from_either_side_agree() {
     let theta = Theta::constant(s.params().values());
     let (mut camera, mut light) = (Vec::new(), Vec::new());
     for seed in 0..64 {
-        let m =
-            backward_particles_f32(&s, &theta, &active, &adjoint, &s.settings, seed, 0..64, &())
-                .expect("an adjoint of the right size");
+        let m = backward_particles_f32(
+            &Job::new(&s, &s.settings, seed, 0..64, &()),
+            &theta,
+            &active,
+            &adjoint,
+        )
+        .expect("an adjoint of the right size");
         assert_eq!(m.gradient.non_finite.count, 0);
         light.push([m.gradient.values.concat(), vec![m.value]].concat());
         let technique = Estimator::Mis;
-        let image = render_f32(&s, &theta, technique, &s.settings, 500 + seed, 0..64, &());
+        let image = render_f32(
+            &Job::new(&s, &s.settings, 500 + seed, 0..64, &()),
+            &theta,
+            technique,
+        );
         let g = tests::reverse::<f32>(&s, &params, &adjoint, &s.settings, 900 + seed, 64);
         camera.push([g.concat(), vec![tests::dot(&adjoint, &image, 0)]].concat());
     }
@@ -401,12 +414,25 @@ fn gradients_by_particles_do_not_depend_on_threads() {
     let adjoint = tests::mean_adjoint(&s);
     let theta = Theta::constant(s.params().values());
     on_any_threads(|| {
-        let m = backward_particles_f32(&s, &theta, &active, &adjoint, &s.settings, 1, 0..300, &())
-            .expect("an adjoint of the right size");
+        let m = backward_particles_f32(
+            &Job::new(&s, &s.settings, 1, 0..300, &()),
+            &theta,
+            &active,
+            &adjoint,
+        )
+        .expect("an adjoint of the right size");
         (m.value, m.gradient.values)
     });
     let short = &adjoint[1..];
-    assert!(backward_particles_f32(&s, &theta, &active, short, &s.settings, 1, 0..1, &()).is_err());
+    assert!(
+        backward_particles_f32(
+            &Job::new(&s, &s.settings, 1, 0..1, &()),
+            &theta,
+            &active,
+            short
+        )
+        .is_err()
+    );
 }
 
 /// Normals flipped to a viewer: an error, in place of an image of another scene.
@@ -421,21 +447,23 @@ fn particles_refuse_flipped_normals() {
     let adjoint = tests::mean_adjoint(&s);
     let (rules, settings) = (Rules::default(), &s.settings);
     let errors = [
-        particles_f32(&s, &theta, rules, settings, 1, 0..1, &()).err(),
+        particles_f32(&Job::new(&s, settings, 1, 0..1, &()), &theta, rules).err(),
         density_f32(
-            &s,
+            &Job::new(&s, settings, 1, 0..1, &()),
             &theta,
             rules,
             Convention::Radiance,
             0.1,
-            settings,
-            1,
-            0..1,
-            &(),
         )
         .err(),
-        particle_map_f32(&s, &theta, 0.1, settings, 1, 0..1).err(),
-        backward_particles_f32(&s, &theta, &active, &adjoint, settings, 1, 0..1, &()).err(),
+        particle_map_f32(&Job::new(&s, settings, 1, 0..1, &()), &theta, 0.1).err(),
+        backward_particles_f32(
+            &Job::new(&s, settings, 1, 0..1, &()),
+            &theta,
+            &active,
+            &adjoint,
+        )
+        .err(),
     ];
     for e in errors {
         assert!(matches!(e, Some(RenderError::FlippedNormals)), "{e:?}");
@@ -485,15 +513,11 @@ fn particles_survive_scenes_that_make_no_sense() {
                 ..s.settings
             };
             let r = density_f32(
-                &s,
+                &Job::new(&s, &settings, 1, 0..2, &()),
                 &theta,
                 Rules::default(),
                 Convention::Radiance,
                 0.1,
-                &settings,
-                1,
-                0..2,
-                &(),
             );
             let r = r.expect("a radius");
             assert_eq!(r.non_finite.count, 0, "{name}");
@@ -502,15 +526,11 @@ fn particles_survive_scenes_that_make_no_sense() {
         }
         for radius in [0.0, -1.0, f64::NAN, f64::INFINITY] {
             let r = density_f32(
-                &s,
+                &Job::new(&s, &s.settings, 1, 0..1, &()),
                 &theta,
                 Rules::default(),
                 Convention::Radiance,
                 radius,
-                &s.settings,
-                1,
-                0..1,
-                &(),
             );
             assert!(matches!(r, Err(RenderError::Radius { .. })));
         }
@@ -538,15 +558,11 @@ fn basic_radiance_gives_the_same_image() {
             ..s.settings
         };
         let r = density_f32(
-            &s,
+            &Job::new(&s, &settings, 4, 0..64, &()),
             &theta,
             rules,
             convention,
             0.15,
-            &settings,
-            4,
-            0..64,
-            &(),
         );
         r.expect("a radius").image(0)
     };

@@ -3,6 +3,7 @@
 
 use ad_core::Vec3;
 use rayon::prelude::*;
+use render::Job;
 use render::Scene;
 use render::bsdf::{Bsdf, Shading, TransportMode};
 use render::instances::{Direction, Estimator, render_f64};
@@ -75,7 +76,7 @@ fn both(s: &Scene) -> [Vec<Estimate>; 2] {
     let image = |h: f64, seed: u64| {
         let v = moved(s, h);
         let (theta, t) = (Theta::constant(&v), Estimator::Mis);
-        render_f64(s, &theta, t, &s.settings, seed, 0..SPP, &())
+        render_f64(&Job::new(s, &s.settings, seed, 0..SPP, &()), &theta, t)
     };
     let directions = COLOURS.map(|name| {
         let handle = s
@@ -96,7 +97,7 @@ fn both(s: &Scene) -> [Vec<Estimate>; 2] {
                 .collect();
             let (v, seed) = (s.params().values(), 1000 + r);
             let d = Estimator::Mis
-                .forward_f32(s, v, &directions, &s.settings, seed, 0..SPP, &())
+                .forward_f32(&Job::new(s, &s.settings, seed, 0..SPP, &()), v, &directions)
                 .expect("smooth parameters");
             let one = 1.0 / SPP as f64;
             [grey(&apart, one / (2.0 * STEP)), grey(&d.sums[1], one)]

@@ -1,5 +1,6 @@
 //! Samples shared unevenly among pixels: the same expectations, less noise, and a measurement of that noise.
 
+use render::Job;
 use render::auto;
 use render::instances::{Direction, Estimator, gauss_newton_f32};
 use render::params::Theta;
@@ -61,14 +62,10 @@ fn gradient(s: &Scene, e: Estimator, seed: u64, spp: u64) -> Vec<f64> {
     let theta = Theta::constant(s.params().values());
     let active = e.active(s, &NAMES).expect("parameters");
     let g = e.backward_f32(
-        s,
+        &Job::new(s, &s.settings, seed, 0..spp, &()),
         &theta,
         &active,
         &adjoint(s),
-        &s.settings,
-        seed,
-        0..spp,
-        &(),
     );
     g.expect("a gradient").values.concat()
 }
@@ -106,7 +103,7 @@ fn weights_change_no_expectation() {
         let one = |seed| {
             let v = s.params().values();
             let e = Estimator::Mis;
-            let r = e.forward_f32(s, v, &[], &s.settings, seed, 0..16, &());
+            let r = e.forward_f32(&Job::new(s, &s.settings, seed, 0..16, &()), v, &[]);
             r.expect("an image").mean(0)[c]
         };
         Estimate::of(&(first..first + REPEATS).map(one).collect::<Vec<f64>>())
@@ -126,7 +123,7 @@ fn forward_is_reverse() {
         .into();
     for e in ESTIMATORS {
         let v = s.params().values();
-        let r = e.forward_f32(&s, v, &along, &s.settings, 5, 0..16, &());
+        let r = e.forward_f32(&Job::new(&s, &s.settings, 5, 0..16, &()), v, &along);
         let forward = dot(&adjoint(&s), &r.expect("an image"), 1);
         let reverse: f64 = gradient(&s, e, 5, 16).iter().sum();
         let error = (forward - reverse).abs() / reverse.abs();
@@ -144,8 +141,12 @@ fn gauss_newton_knows_the_counts() {
         let active = Estimator::Mis.active(s, &NAMES).expect("parameters");
         let d = adjoint(s);
         let each = (first..first + REPEATS).map(|seed| {
-            let found =
-                gauss_newton_f32(s, &theta, &active, [&d, &d], &s.settings, seed, 0..16, &());
+            let found = gauss_newton_f32(
+                &Job::new(s, &s.settings, seed, 0..16, &()),
+                &theta,
+                &active,
+                [&d, &d],
+            );
             found.expect("a matrix").matrix
         });
         each.collect()
@@ -173,7 +174,12 @@ fn noise_is_the_variance_between_passes() {
         let (mut said, mut of_pixels) = ([0.0; 3], 0.0);
         let runs: Vec<Vec<Vec<f64>>> = (0..PASSES)
             .map(|seed| {
-                let g = e.backward_f32(&s, &theta, &active, &d, &s.settings, seed, 0..8, &());
+                let g = e.backward_f32(
+                    &Job::new(&s, &s.settings, seed, 0..8, &()),
+                    &theta,
+                    &active,
+                    &d,
+                );
                 let g = g.expect("a gradient");
                 let noise = g.noise.expect("noise");
                 assert_eq!(noise.pixels.len(), s.film.pixels());
@@ -217,7 +223,12 @@ fn measured_weights_make_less_noise() {
         let theta = Theta::constant(s.params().values());
         let active = e.active(s, &name).expect("a parameter");
         let one = |seed| {
-            let g = e.backward_f32(s, &theta, &active, &ones, &s.settings, seed, 0..16, &());
+            let g = e.backward_f32(
+                &Job::new(s, &s.settings, seed, 0..16, &()),
+                &theta,
+                &active,
+                &ones,
+            );
             g.expect("a gradient").values[0][0]
         };
         Estimate::of(&(0..REPEATS).map(one).collect::<Vec<f64>>())
@@ -253,7 +264,12 @@ fn parameters_count_alike_whatever_their_units() {
         let active = e.active(s, &names).expect("parameters");
         let runs: Vec<_> = (0..REPEATS)
             .map(|seed| {
-                let g = e.backward_f32(s, &theta, &active, &ones, &s.settings, seed, 0..16, &());
+                let g = e.backward_f32(
+                    &Job::new(s, &s.settings, seed, 0..16, &()),
+                    &theta,
+                    &active,
+                    &ones,
+                );
                 g.expect("a gradient").values
             })
             .collect();

@@ -1,5 +1,6 @@
 //! Surfaces that touch, coincide or nearly do: which of them a ray meets is the same for all techniques.
 
+use render::Job;
 use render::bsdf::kernel::Rules;
 use render::finite_element::{FiniteElements, Options};
 use render::instances::{
@@ -73,15 +74,23 @@ fn crowd(turn: &str) -> String {
 fn by(scene: &Scene, technique: Estimator, spp: u64) -> Vec<f32> {
     let theta = Theta::constant(scene.params().values());
     let settings = &scene.settings;
-    render_f32(scene, &theta, technique, settings, 3, 0..spp, &())
-        .image(0)
-        .data
+    render_f32(
+        &Job::new(scene, settings, 3, 0..spp, &()),
+        &theta,
+        technique,
+    )
+    .image(0)
+    .data
 }
 
 fn by_particles(scene: &Scene, spp: u64) -> Vec<f32> {
     let theta = Theta::constant(scene.params().values());
     let rules = Rules::default();
-    let r = particles_f32(scene, &theta, rules, &scene.settings, 3, 0..spp, &());
+    let r = particles_f32(
+        &Job::new(scene, &scene.settings, 3, 0..spp, &()),
+        &theta,
+        rules,
+    );
     r.expect("no flipped normals").image(0).data
 }
 
@@ -98,8 +107,18 @@ fn gradients(scene: &Scene) -> [Vec<f64>; 2] {
     let theta = Theta::constant(scene.params().values());
     let adjoint = vec![1.0 / 64.0; 8 * 8 * 3];
     let s = &scene.settings;
-    let paths = backward_f32(scene, &theta, &active, &adjoint, s, 5, 0..64, &());
-    let particles = backward_particles_f32(scene, &theta, &active, &adjoint, s, 5, 0..64, &());
+    let paths = backward_f32(
+        &Job::new(scene, s, 5, 0..64, &()),
+        &theta,
+        &active,
+        &adjoint,
+    );
+    let particles = backward_particles_f32(
+        &Job::new(scene, s, 5, 0..64, &()),
+        &theta,
+        &active,
+        &adjoint,
+    );
     [
         paths.expect("valid").values.concat(),
         particles.expect("valid").gradient.values.concat(),
@@ -178,7 +197,7 @@ fn a_lamp_in_a_ceiling_shines_as_without() {
                 let double = |s: &Scene| {
                     let values: Vec<f64> = s.params().values().iter().map(|&v| v.into()).collect();
                     let (theta, t) = (Theta::constant(&values), Estimator::Mis);
-                    render_f64(s, &theta, t, &s.settings, 3, 0..64, &())
+                    render_f64(&Job::new(s, &s.settings, 3, 0..64, &()), &theta, t)
                         .image(0)
                         .data
                 };
@@ -220,7 +239,7 @@ fn elements_see_a_lamp_in_a_ceiling() {
         };
         let theta = Theta::constant(s.params().values());
         let technique = Estimator::Mis;
-        let paths = render_f32(&s, &theta, technique, &settings, 3, 0..4096, &());
+        let paths = render_f32(&Job::new(&s, &settings, 3, 0..4096, &()), &theta, technique);
         [mean(&elements.flat().data), mean(&paths.image(0).data)]
     });
     println!("{means:?}");
@@ -307,7 +326,11 @@ fn curved_lights_hide_their_far_side() {
         let theta = Theta::constant(s.params().values());
         let run = |technique, first: u64| {
             let one = |seed| {
-                let r = render_f32(&s, &theta, technique, &s.settings, seed, 0..64, &());
+                let r = render_f32(
+                    &Job::new(&s, &s.settings, seed, 0..64, &()),
+                    &theta,
+                    technique,
+                );
                 mean(&r.image(0).data)
             };
             Estimate::of(&(first..first + 32).map(one).collect::<Vec<_>>())

@@ -2,6 +2,7 @@
 //! gradients and their own transpose; the Gauss-Newton matrix against an explicit Jacobian.
 
 use ad_core::Dual;
+use render::Job;
 use render::estimator::DetachedMis;
 use render::instances::{
     Direction, backward_f32, backward_f64, forward_f32, gauss_newton_f32, hessian_vector_f32,
@@ -71,14 +72,10 @@ impl Case {
     fn gradient(&self, values: &[f64], adjoint: &[f32], seed: u64, spp: u64) -> Vec<f64> {
         let theta = Theta::constant(values);
         let g = backward_f64(
-            &self.scene,
+            &Job::new(&self.scene, &self.settings, seed, 0..spp, &()),
             &theta,
             &self.active,
             adjoint,
-            &self.settings,
-            seed,
-            0..spp,
-            &(),
         );
         g.unwrap().values.concat()
     }
@@ -87,15 +84,11 @@ impl Case {
         let all = values::<f64>(&self.scene);
         let theta = Theta::constant(&all);
         let product = hessian_vector::<f64, Independent>(
-            &self.scene,
+            &Job::new(&self.scene, &self.settings, seed, 0..spp, &()),
             &theta,
             &self.active,
             v,
             adjoints,
-            &self.settings,
-            seed,
-            0..spp,
-            &(),
         );
         let product = product.unwrap();
         assert_eq!(product.non_finite.count, 0);
@@ -121,12 +114,8 @@ impl Case {
         }
         let theta = Theta::<Twice>::with_tangents(&all, &tangents);
         let r = render::<Twice, DetachedMis, Independent>(
-            &self.scene,
+            &Job::new(&self.scene, &self.settings, seed, 0..spp, &()),
             &theta,
-            &self.settings,
-            seed,
-            0..spp,
-            &(),
         )
         .expect("detached sampling of smooth parameters");
         assert_eq!(r.non_finite.count, 0);
@@ -312,14 +301,10 @@ fn the_gauss_newton_matrix_equals_an_explicit_jacobian() {
         let weights: Vec<f32> = noise_image(s, 900).iter().map(|w| w.abs() + 0.1).collect();
         let theta = Theta::constant(values);
         let found = gauss_newton_f32(
-            s,
+            &Job::new(s, &s.settings, 3, 0..SPP, &()),
             &theta,
             &case.active,
             [&adjoint, &weights],
-            &s.settings,
-            3,
-            0..SPP,
-            &(),
         )
         .unwrap();
         // One column per value and sample.
@@ -333,7 +318,11 @@ fn the_gauss_newton_matrix_equals_an_explicit_jacobian() {
         }
         let samples: Vec<Vec<Vec<f64>>> = (0..SPP)
             .map(|k| {
-                let r = forward_f32(s, values, &directions, &s.settings, 3, k..k + 1, &());
+                let r = forward_f32(
+                    &Job::new(s, &s.settings, 3, k..k + 1, &()),
+                    values,
+                    &directions,
+                );
                 r.unwrap().sums.into_iter().skip(1).collect()
             })
             .collect();
@@ -363,14 +352,10 @@ fn the_gauss_newton_matrix_equals_an_explicit_jacobian() {
             assert_eq!(*d, found.matrix[i * n + i]);
         }
         let g = backward_f32(
-            s,
+            &Job::new(s, &s.settings, 3, 0..SPP, &()),
             &theta,
             &case.active,
             &adjoint,
-            &s.settings,
-            3,
-            0..SPP,
-            &(),
         );
         let g = g.unwrap().values.concat();
         let largest = g.iter().fold(0.0f64, |m, g| m.max(g.abs()));
@@ -390,17 +375,18 @@ fn results_do_not_depend_on_the_threads() {
         let v: Vec<f32> = case.direction(1).iter().map(|x| *x as f32).collect();
         let images = [&images[0][..], &images[1][..]];
         let h = hessian_vector_f32(
-            s,
+            &Job::new(s, &s.settings, 1, 0..8, &()),
             &theta,
             &case.active,
             &v,
             images,
-            &s.settings,
-            1,
-            0..8,
-            &(),
         );
-        let g = gauss_newton_f32(s, &theta, &case.active, images, &s.settings, 1, 0..8, &());
+        let g = gauss_newton_f32(
+            &Job::new(s, &s.settings, 1, 0..8, &()),
+            &theta,
+            &case.active,
+            images,
+        );
         let g = g.unwrap();
         (h.unwrap().values, g.matrix, g.gradient)
     });
@@ -413,7 +399,12 @@ fn mistakes_are_errors() {
     let good = mean_adjoint(s);
     let theta = Theta::constant(s.params().values());
     let newton = |images: [&[f32]; 2], spp| {
-        let r = gauss_newton_f32(s, &theta, &case.active, images, &s.settings, 0, 0..spp, &());
+        let r = gauss_newton_f32(
+            &Job::new(s, &s.settings, 0, 0..spp, &()),
+            &theta,
+            &case.active,
+            images,
+        );
         r.unwrap_err().to_string()
     };
     assert_eq!(
@@ -427,7 +418,13 @@ fn mistakes_are_errors() {
     let v = vec![0.0; case.active.len() + 1];
     let settings = &s.settings;
     let images = [&good[..], &good[..]];
-    let r = hessian_vector_f32(s, &theta, &case.active, &v, images, settings, 0, 0..1, &());
+    let r = hessian_vector_f32(
+        &Job::new(s, settings, 0, 0..1, &()),
+        &theta,
+        &case.active,
+        &v,
+        images,
+    );
     let message = r.unwrap_err().to_string();
     assert!(message.starts_with("direction: expected"), "{message}");
 }

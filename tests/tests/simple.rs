@@ -2,6 +2,7 @@
 //! path.
 
 use ad_core::Dual;
+use render::Job;
 use render::Scene;
 use render::estimator::DetachedMis;
 use render::integrator::gradient::{Active, backward};
@@ -116,14 +117,10 @@ fn gradients_are_those_of_the_full_path_tracer() {
         let active = Active::new(&s, &names).expect("smooth parameters");
         let ones = vec![1.0; s.film.pixels() * 3];
         let full = backward::<f64, DetachedMis, Spread>(
-            &s,
+            &Job::new(&s, &s.settings, SEED, 0..SPP, &()),
             &still,
             &active,
             &ones,
-            &s.settings,
-            SEED,
-            0..SPP,
-            &(),
         )
         .expect("an image of the right size");
         let own: Vec<f64> = params

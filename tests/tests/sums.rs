@@ -1,6 +1,7 @@
 //! Gradients of textures are as good for dim scenes and small adjoints as for bright and large ones, also beside each
 //! other. Large ranges are summed in integers, whose quantum must not decide about that.
 
+use render::Job;
 use render::instances::{
     Direction, Estimator, backward_particles_f32, forward_f32, hessian_vector_f32,
 };
@@ -69,7 +70,11 @@ fn modes_agree(s: &Scene, adjoint: &[f32], what: &str) {
             })
             .collect();
         let values = s.params().values();
-        let forward = forward_f32(s, values, &directions, &s.settings, seed, 0..spp, &());
+        let forward = forward_f32(
+            &Job::new(s, &s.settings, seed, 0..spp, &()),
+            values,
+            &directions,
+        );
         let forward = forward.expect("directions of the right size");
         let mut seen = 0;
         for k in 0..16 {
@@ -163,7 +168,12 @@ fn all_passes_follow_the_scale_of_light() {
         let theta = Theta::constant(s.params().values());
         let mut all = Vec::new();
         for estimator in [Estimator::Mis, Estimator::Detached] {
-            let g = estimator.backward_f32(s, &theta, active, &image, &s.settings, 1, 0..8, &());
+            let g = estimator.backward_f32(
+                &Job::new(s, &s.settings, 1, 0..8, &()),
+                &theta,
+                active,
+                &image,
+            );
             all.extend(g.expect("an adjoint of the right size").values.concat());
         }
         all
@@ -171,7 +181,12 @@ fn all_passes_follow_the_scale_of_light() {
     let particles: Pass = |s, active| {
         let image = adjoint_of(s);
         let theta = Theta::constant(s.params().values());
-        let g = backward_particles_f32(s, &theta, active, &image, &s.settings, 1, 0..64, &());
+        let g = backward_particles_f32(
+            &Job::new(s, &s.settings, 1, 0..64, &()),
+            &theta,
+            active,
+            &image,
+        );
         g.expect("an adjoint of the right size")
             .gradient
             .values
@@ -183,15 +198,11 @@ fn all_passes_follow_the_scale_of_light() {
         let direction: Vec<f32> = (0..active.len()).map(|i| noise(i + 17) as f32).collect();
         let images = [&image[..], &image[..]];
         let g = hessian_vector_f32(
-            s,
+            &Job::new(s, &s.settings, 1, 0..8, &()),
             &theta,
             active,
             &direction,
             images,
-            &s.settings,
-            1,
-            0..8,
-            &(),
         );
         g.expect("images of the right size").values.concat()
     };

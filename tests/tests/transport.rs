@@ -1,5 +1,6 @@
 //! Light transport with known answers, and Mitsuba's failures as tests of ours.
 
+use render::Job;
 use render::Settings;
 use render::bsdf::kernel::Rules;
 use render::estimator::{BsdfOnly, Detached, DetachedMis, EmitterOnly};
@@ -78,8 +79,11 @@ fn depth_limit_sums_the_first_terms() {
             ..s.settings
         };
         let theta = Theta::constant(&v[..]);
-        let r = render::<f64, BsdfOnly<Detached>, Independent>(&s, &theta, &settings, 1, 0..1, &())
-            .expect("nothing moves");
+        let r = render::<f64, BsdfOnly<Detached>, Independent>(
+            &Job::new(&s, &settings, 1, 0..1, &()),
+            &theta,
+        )
+        .expect("nothing moves");
         let exact: f64 = (0..depth).map(|k| 0.5f64.powi(k as i32)).sum();
         assert!(
             (r.mean(0)[0] - exact).abs() < 1e-6,
@@ -92,7 +96,7 @@ fn depth_limit_sums_the_first_terms() {
 fn strategy<S: render::estimator::Unbiased>(s: &render::Scene, seed: u64, spp: u64) -> [f64; 3] {
     let v = values::<f32>(s);
     let theta = Theta::constant(&v[..]);
-    render::<f32, S, Independent>(s, &theta, &s.settings, seed, 0..spp, &())
+    render::<f32, S, Independent>(&Job::new(s, &s.settings, seed, 0..spp, &()), &theta)
         .expect("nothing moves")
         .mean(0)
 }
@@ -313,7 +317,7 @@ fn delta_light_and_delta_material_give_zero() {
     assert_eq!(r.non_finite.count, 0);
     assert!(r.sums[0].iter().all(|&x| x == 0.0));
     let (theta, rules) = (Theta::constant(s.params().values()), Rules::default());
-    let particles = particles_f32(&s, &theta, rules, &s.settings, 1, 0..64, &());
+    let particles = particles_f32(&Job::new(&s, &s.settings, 1, 0..64, &()), &theta, rules);
     assert!(particles.expect("no flipped normals").mean(0)[0] > 0.0);
     assert!(by_paths(&scene_with("")).mean(0)[0] > 0.0);
 }
@@ -330,12 +334,8 @@ fn forward_mode_renders_the_same_image() {
     let plain = image::<f64>(&s, &v, &settings, 3, 8);
     let theta = Theta::constant(&v[..]);
     let dual = render::<ad_core::Dual<f64, 1>, DetachedMis, Independent>(
-        &s,
+        &Job::new(&s, &settings, 3, 0..8, &()),
         &theta,
-        &settings,
-        3,
-        0..8,
-        &(),
     )
     .expect("nothing moves");
     assert_eq!(<ad_core::Dual<f64, 1> as Components>::COUNT, 2);

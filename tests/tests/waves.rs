@@ -1,6 +1,7 @@
 //! Waves of paths do what single paths do: the same radiance bit by bit, the same derivatives to rounding.
 
 use ad_core::Dual;
+use render::Job;
 use render::estimator::{
     AttachedDirect, AttachedWeights, BsdfOnly, Detached, DetachedMis, DetachedWeights,
     Differential, EmitterOnly, Mis, Reparameterised, Sampling, Strategy,
@@ -134,7 +135,7 @@ fn assert_same(what: &str, s: &Scene, settings: &Settings, techniques: &[Estimat
         };
         let expected = single(s, &theta, settings, seed, spp).swap_remove(0);
         assert!(expected.iter().any(|x| *x > 0.0) || technique != Estimator::Mis);
-        let r = render_f32(s, &theta, technique, settings, seed, 0..spp, &());
+        let r = render_f32(&Job::new(s, settings, seed, 0..spp, &()), &theta, technique);
         assert_eq!(r.non_finite.count, 0);
         assert!(r.sums[0] == expected, "{what} {technique:?} {settings:?}");
     }
@@ -204,7 +205,12 @@ fn assert_same_gradients(what: &str, s: &Scene, settings: &Settings, name: &str)
         .map(|(a, i)| a * (1.0 + (i % 5) as f32))
         .collect();
     let gradient = |active: &Active| {
-        let g = estimator.backward_f32(s, &theta, active, &adjoint, settings, 4, 0..16, &());
+        let g = estimator.backward_f32(
+            &Job::new(s, settings, 4, 0..16, &()),
+            &theta,
+            active,
+            &adjoint,
+        );
         let g = g.expect("a gradient");
         assert_eq!(g.non_finite.count, 0);
         g.values
@@ -281,7 +287,8 @@ fn assert_same_tangents(what: &str, s: &Scene, settings: &Settings) {
         for (name, single) in estimators {
             let estimator = Estimator::from_name(name).expect("a known name");
             let values = params.values();
-            let found = estimator.forward_f32(s, values, &along, settings, seed, 0..spp, &());
+            let found =
+                estimator.forward_f32(&Job::new(s, settings, seed, 0..spp, &()), values, &along);
             let found = found.expect("an image");
             assert_eq!(found.non_finite.count, 0);
             let expected = single(s, &theta, settings, seed, spp);

@@ -3,6 +3,7 @@
 use std::time::Instant;
 
 use rayon::prelude::*;
+use render::Job;
 use render::instances::Estimator;
 use render::integrator::gradient::Active;
 use render::params::Theta;
@@ -144,14 +145,10 @@ pub fn gradients(
     let run = |run: u64| {
         let seed = seed + run;
         let g = e.backward_f32(
-            scene,
+            &Job::new(scene, settings, seed, 0..spp, &()),
             &theta,
             &active,
             &adjoint,
-            settings,
-            seed,
-            0..spp,
-            &(),
         )?;
         Ok(g.values.iter().map(|v| v.iter().sum()).collect())
     };

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use clap::Parser;
+use render::Job;
 use render::auto::{self, Mixture};
 use render::instances::{Direction, Estimator, Mode, forward_f64, render_f64};
 use render::integrator::render::{NonFinite, Progress, Rendering};
@@ -386,15 +387,17 @@ impl Run<'_> {
                 let ones = vec![1.0; self.scene.film.pixels() * 3];
                 let seed = self.seed.wrapping_add(stream << 32);
                 let found = auto::choose(
-                    self.scene,
+                    &Job::new(
+                        self.scene,
+                        &self.settings,
+                        seed,
+                        0..spp * repeats,
+                        self.interrupt,
+                    ),
                     &[param],
                     &ones,
                     &auto::candidates(self.scene),
                     Mode::Forward,
-                    &self.settings,
-                    seed,
-                    spp * repeats,
-                    self.interrupt,
                 )?;
                 if self.interrupt.is_set() {
                     return Ok(None);
@@ -405,7 +408,10 @@ impl Run<'_> {
         };
         let pilots = start.elapsed().as_secs_f64() / repeats as f64;
         let series = self.series(e.name(), stream, repeats, 1, |seed, bar| {
-            let r = mixture.forward_f32(self.scene, param, &self.settings, seed, spp, bar)?;
+            let r = mixture.forward_f32(
+                &Job::new(self.scene, &self.settings, seed, 0..spp, bar),
+                param,
+            )?;
             let n = r.samples as f64;
             let image = r.sums[1].iter().map(|s| s / n).collect();
             Ok((r, image))
@@ -422,7 +428,10 @@ impl Run<'_> {
         let spp = u64::from(self.settings.spp);
         let what = Contestant::DOUBLE.name();
         self.series(what, stream, repeats, 1, |seed, bar| {
-            let r = forward_f64(self.scene, &along, &self.settings, seed, 0..spp, bar)?;
+            let r = forward_f64(
+                &Job::new(self.scene, &self.settings, seed, 0..spp, bar),
+                &along,
+            )?;
             let n = r.samples as f64;
             let image = r.sums[1].iter().map(|s| s / n).collect();
             Ok((r, image))
@@ -450,7 +459,11 @@ impl Run<'_> {
                 range.clone().for_each(|i| moved[i] += step);
                 let theta = Theta::constant(&moved);
                 let s = &self.settings;
-                render_f64(self.scene, &theta, technique, s, seed, 0..spp, bar)
+                render_f64(
+                    &Job::new(self.scene, s, seed, 0..spp, bar),
+                    &theta,
+                    technique,
+                )
             };
             let difference = |h: f64| {
                 let (up, down) = (at(h), at(-h));

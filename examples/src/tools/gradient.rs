@@ -6,6 +6,7 @@ use std::time::Instant;
 
 use clap::Parser;
 use optim::{Loss, LossKind, OptimError};
+use render::Job;
 use render::auto::{self, Mixture};
 use render::instances::{Direction, Estimator, Mode, forward_f32, render_f32};
 use render::integrator::render::{NonFinite, Progress};
@@ -170,7 +171,11 @@ impl Objective {
                 let theta = Theta::constant(scene.params().values());
                 let (seed, samples) = (seed_of_loss(args.seed), 0..u64::from(settings.spp));
                 let technique = Estimator::Mis;
-                let image = render_f32(scene, &theta, technique, settings, seed, samples, progress);
+                let image = render_f32(
+                    &Job::new(scene, settings, seed, samples, progress),
+                    &theta,
+                    technique,
+                );
                 let mut adjoint = vec![0.0; target.len()];
                 loss.gradient(&image.image(0).data, target, &mut adjoint)?;
                 Ok(adjoint)
@@ -443,15 +448,11 @@ fn mixture(
             let bar = Bar::new("pilots", most as u64, interrupt);
             let adjoint = objective.adjoint(args, scene, settings, &bar)?;
             let found = auto::choose(
-                scene,
+                &Job::new(scene, settings, args.seed, 0..budget, &bar),
                 names,
                 &adjoint,
                 &auto::candidates(scene),
                 Mode::Reverse,
-                settings,
-                args.seed,
-                budget,
-                &bar,
             )?;
             bar.finish();
             if interrupt.is_set() {
@@ -725,7 +726,11 @@ fn repeat(
             };
             let start = Instant::now();
             let technique = Estimator::Mis;
-            let primal = render_f32(scene, &theta, technique, settings, seed, 0..spp, &bar);
+            let primal = render_f32(
+                &Job::new(scene, settings, seed, 0..spp, &bar),
+                &theta,
+                technique,
+            );
             let seconds = start.elapsed().as_secs_f64();
             if primal.cancelled {
                 break;
@@ -744,8 +749,12 @@ fn repeat(
         };
         let start = Instant::now();
         let names = &args.params;
-        let gradient =
-            mixture.backward_f32(scene, &theta, names, adjoint, settings, seed, spp, &bar)?;
+        let gradient = mixture.backward_f32(
+            &Job::new(scene, settings, seed, 0..spp, &bar),
+            &theta,
+            names,
+            adjoint,
+        )?;
         let seconds = start.elapsed().as_secs_f64();
         if gradient.cancelled {
             out.losses.truncate(k as usize);
@@ -780,7 +789,8 @@ fn gradient_images(
         let bar = Bar::new("images", pixels * passes, interrupt);
         let mut images = Vec::new();
         for info in ranges {
-            let rendering = mixture.forward_f32(scene, &info.name, settings, seed, spp, &bar)?;
+            let rendering =
+                mixture.forward_f32(&Job::new(scene, settings, seed, 0..spp, &bar), &info.name)?;
             report_non_finite(&rendering.non_finite, rendering.width, seed);
             if bar.cancelled() {
                 return Ok(Vec::new());
@@ -800,7 +810,11 @@ fn gradient_images(
         interrupt,
     );
     let values = scene.params().values();
-    let rendering = forward_f32(scene, values, &directions, settings, seed, 0..spp, &bar)?;
+    let rendering = forward_f32(
+        &Job::new(scene, settings, seed, 0..spp, &bar),
+        values,
+        &directions,
+    )?;
     bar.finish();
     report_non_finite(&rendering.non_finite, rendering.width, seed);
     if bar.cancelled() {

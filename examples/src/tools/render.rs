@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use clap::{Parser, ValueEnum};
+use render::Job;
 use render::bsdf::kernel::{Rules, Symmetry};
 use render::instances::{Estimator, density_f32, particles_f32, render_f32};
 use render::integrator::density::Convention;
@@ -361,16 +362,24 @@ pub fn in_passes(
         let next = (done + pass_length(scene)).min(spp);
         let samples = done..next;
         let pass = match method {
-            Method::Paths(estimator) => {
-                render_f32(scene, &theta, estimator, settings, seed, samples, progress)
-            }
-            Method::Particles(rules) => {
-                particles_f32(scene, &theta, rules, settings, seed, samples, progress)?
-            }
+            Method::Paths(estimator) => render_f32(
+                &Job::new(scene, settings, seed, samples, progress),
+                &theta,
+                estimator,
+            ),
+            Method::Particles(rules) => particles_f32(
+                &Job::new(scene, settings, seed, samples, progress),
+                &theta,
+                rules,
+            )?,
             Method::Density(rules, radius) => {
                 let convention = Convention::Radiance;
                 density_f32(
-                    scene, &theta, rules, convention, radius, settings, seed, samples, progress,
+                    &Job::new(scene, settings, seed, samples, progress),
+                    &theta,
+                    rules,
+                    convention,
+                    radius,
                 )?
             }
         };

@@ -9,6 +9,7 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use clap::Parser;
+use render::Job;
 use render::image_io;
 use render::instances::{Direction, Estimator};
 use serde::Serialize;
@@ -187,7 +188,11 @@ fn measure(
     let (values, settings) = (scene.params().values(), &scene.settings);
     let start = Instant::now();
     let samples = 0..u64::from(spp);
-    let r = e.forward_f32(scene, values, &[along], settings, seed, samples, interrupt)?;
+    let r = e.forward_f32(
+        &Job::new(scene, settings, seed, samples, interrupt),
+        values,
+        &[along],
+    )?;
     if r.cancelled {
         return Ok(None);
     }

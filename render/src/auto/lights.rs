@@ -5,6 +5,7 @@ use super::pilot::{directions, noise};
 use crate::emitter::{AnyEmitter, Emitter};
 use crate::error::RenderError;
 use crate::instances::{Direction, Estimator};
+use crate::integrator::Job;
 use crate::integrator::gradient::check_size;
 use crate::integrator::render::Progress;
 use crate::params::{ParamInfo, ParamRef};
@@ -74,7 +75,11 @@ pub fn sampling_weights<N: AsRef<str>>(
             }
             let sample = |i: u64| {
                 let i = 2 * pair + i;
-                estimator.forward_f32(scene, &values, &along, &settings, seed, i..i + 1, progress)
+                estimator.forward_f32(
+                    &Job::new(scene, &settings, seed, i..i + 1, progress),
+                    &values,
+                    &along,
+                )
             };
             let (a, b) = (sample(0)?, sample(1)?);
             let both = a.sums[1].iter().zip(&b.sums[1]).zip(adjoint);

@@ -4,10 +4,11 @@ use super::pilot::{Blocks, Finding, Findings};
 use super::shares;
 use crate::error::RenderError;
 use crate::instances::{Direction, Estimator};
+use crate::integrator::Job;
 use crate::integrator::gradient::Gradient;
-use crate::integrator::render::{NonFinite, Progress, Rendering};
+use crate::integrator::render::{NonFinite, Rendering};
 use crate::params::Theta;
-use crate::scene::{Scene, Settings};
+use crate::scene::Scene;
 
 /// Estimators, and how work and pixels are shared among them; see [`crate::auto`].
 #[derive(Clone, Debug)]
@@ -281,14 +282,10 @@ impl Mixture {
     /// An adjoint image of the wrong size; an estimator that is wrong in this scene.
     pub fn backward_f32<N: AsRef<str>>(
         &self,
-        scene: &Scene,
+        job: &Job,
         theta: &Theta<f32>,
         names: &[N],
         adjoint: &[f32],
-        settings: &Settings,
-        seed: u64,
-        samples: u64,
-        progress: &dyn Progress,
     ) -> Result<Gradient, RenderError> {
         let mut out = Gradient {
             values: vec![Vec::new(); names.len()],
@@ -298,33 +295,23 @@ impl Mixture {
         };
         let mut stream = 0;
         for cluster in &self.clusters {
-            let own: Vec<usize> = (0..names.len())
+            let places: Vec<usize> = (0..names.len())
                 .filter(|&i| cluster.params.iter().any(|p| p == names[i].as_ref()))
                 .collect();
-            if own.is_empty() {
+            if places.is_empty() {
                 continue;
             }
-            let asked: Vec<&str> = own.iter().map(|&i| names[i].as_ref()).collect();
-            for pass in self.pass(cluster, samples, 1.0) {
+            let asked: Vec<&str> = places.iter().map(|&i| names[i].as_ref()).collect();
+            for pass in self.pass(cluster, job.count(), 1.0) {
                 let e = pass.member.estimator;
-                let active = e.active(scene, &asked)?;
-                let seed = seed_of(seed, stream);
+                let active = e.active(job.scene, &asked)?;
+                let own = part_of(job, stream, pass.samples);
                 stream += 1;
                 let weighted = self.weighted(adjoint, &pass.weights);
-                let n = pass.samples;
-                let part = e.backward_f32(
-                    scene,
-                    theta,
-                    &active,
-                    &weighted,
-                    settings,
-                    seed,
-                    0..n,
-                    progress,
-                )?;
+                let part = e.backward_f32(&own, theta, &active, &weighted)?;
                 out.cancelled |= part.cancelled;
                 out.non_finite.merge(&part.non_finite);
-                for (&i, values) in own.iter().zip(part.values) {
+                for (&i, values) in places.iter().zip(part.values) {
                     if out.values[i].is_empty() {
                         out.values[i] = values
                     } else {
@@ -345,21 +332,14 @@ impl Mixture {
             .collect()
     }
 
-    /// The image and its derivative in one parameter, as [`Estimator::forward_f32`], with the work of `samples`
-    /// samples of [`Estimator::Mis`] per pixel on that parameter alone. The sums are means: one sample.
+    /// The image and its derivative in one parameter, as [`Estimator::forward_f32`], with the work of as many samples
+    /// as the job has of [`Estimator::Mis`] per pixel on that parameter alone. The sums are means: one sample.
     ///
     /// # Errors
     /// An unknown name, or an estimator that is wrong in this scene or for this parameter.
-    pub fn forward_f32(
-        &self,
-        scene: &Scene,
-        name: &str,
-        settings: &Settings,
-        seed: u64,
-        samples: u64,
-        progress: &dyn Progress,
-    ) -> Result<Rendering, RenderError> {
-        let direction = [Direction::uniform(scene.params(), name)?];
+    pub fn forward_f32(&self, job: &Job, name: &str) -> Result<Rendering, RenderError> {
+        let params = job.scene.params();
+        let direction = [Direction::uniform(params, name)?];
         let mut out: Option<Rendering> = None;
         let Some(cluster) = self.cluster(name) else {
             return Err(RenderError::unknown_parameter(
@@ -368,18 +348,10 @@ impl Mixture {
             ));
         };
         let all = self.alone(cluster);
-        let values = scene.params().values();
-        for (stream, pass) in self.pass(cluster, samples, all).iter().enumerate() {
-            let seed = seed_of(seed, stream as u64);
-            let mut part = pass.member.estimator.forward_f32(
-                scene,
-                values,
-                &direction,
-                settings,
-                seed,
-                0..pass.samples,
-                progress,
-            )?;
+        let values = params.values();
+        for (stream, pass) in self.pass(cluster, job.count(), all).iter().enumerate() {
+            let own = part_of(job, stream as u64, pass.samples);
+            let mut part = (pass.member.estimator).forward_f32(&own, values, &direction)?;
             let scale = 1.0 / part.samples.max(1) as f64;
             for image in &mut part.sums {
                 for (i, x) in image.iter_mut().enumerate() {
@@ -403,7 +375,11 @@ impl Mixture {
     }
 }
 
-/// The first pass keeps the seed that was asked for.
-fn seed_of(seed: u64, stream: u64) -> u64 {
-    seed.wrapping_add(stream << 48)
+/// A pass of a mixture. The first one keeps the seed that was asked for.
+fn part_of<'a>(job: &Job<'a>, stream: u64, samples: u64) -> Job<'a> {
+    Job {
+        seed: job.seed.wrapping_add(stream << 48),
+        samples: 0..samples,
+        ..job.clone()
+    }
 }

@@ -13,6 +13,7 @@
 //!
 //! ```no_run
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! use render::Job;
 //! use render::auto::{self, Mixture};
 //! use render::instances::Mode;
 //! use render::params::Theta;
@@ -20,13 +21,13 @@
 //! let (scene, _) = render::Scene::load("scene.xml".as_ref(), &Default::default())?;
 //! let adjoint = vec![1.0; scene.film.pixels() * 3];
 //! let names = ["plate.alpha.value"];
-//! let settings = scene.settings;
 //! let candidates = auto::candidates(&scene);
 //! let mode = Mode::Reverse;
-//! let mixture = auto::choose(&scene, &names, &adjoint, &candidates, mode, &settings, 0, 4096, &())?;
+//! let job = Job::new(&scene, &scene.settings, 0, 0..4096, &());
+//! let mixture = auto::choose(&job, &names, &adjoint, &candidates, mode)?;
 //! print!("{mixture}"); // what was chosen, and why
 //! let theta = Theta::constant(scene.params().values());
-//! let gradient = mixture.backward_f32(&scene, &theta, &names, &adjoint, &settings, 0, 1024, &())?;
+//! let gradient = mixture.backward_f32(&job, &theta, &names, &adjoint)?;
 //! # Ok(())
 //! # }
 //! ```
@@ -45,8 +46,8 @@ use crate::bsdf::{Bsdf, TextureRef};
 use crate::emitter::{AnyEmitter, Emitter};
 use crate::error::RenderError;
 use crate::instances::{Estimator, Mode};
-use crate::integrator::render::Progress;
-use crate::scene::{Scene, Settings};
+use crate::integrator::Job;
+use crate::scene::Scene;
 use crate::texture::ScalarTexture;
 
 pub use costs::costs;
@@ -133,8 +134,8 @@ const PILOT_SEED: u64 = 0x7069_6c6f_7473;
 /// Finds a mixture for the derivatives of `<adjoint, image>` in the named parameters, `adjoint` as for
 /// [`crate::integrator::gradient::backward`].
 ///
-/// `budget` is the work to come in `mode`, in samples per pixel of [`Estimator::Mis`]; pilots cost at most [`PILOTS`] of
-/// it.
+/// The samples of the job are the work to come in `mode`, as samples per pixel of [`Estimator::Mis`]; pilots cost at most
+/// [`PILOTS`] of it.
 /// Every parameter is measured by itself if that leaves enough samples, otherwise all those of one
 /// material or emitter together, or all of them. The first candidate that sees the parameters is taken where not
 /// even that fits, and where few samples carry most of its variance: then nothing was measured. With a budget that does
@@ -143,24 +144,21 @@ const PILOT_SEED: u64 = 0x7069_6c6f_7473;
 /// # Errors
 /// An unknown name, an adjoint of the wrong size, a parameter that no candidate sees.
 pub fn choose<N: AsRef<str>>(
-    scene: &Scene,
+    job: &Job,
     names: &[N],
     adjoint: &[f32],
     candidates: &[Estimator],
     mode: Mode,
-    settings: &Settings,
-    seed: u64,
-    budget: u64,
-    progress: &dyn Progress,
 ) -> Result<Mixture, RenderError> {
-    crate::integrator::gradient::check_size("adjoint image", scene, adjoint)?;
-    let seed = seed ^ PILOT_SEED;
-    let most = PILOTS * budget as f64;
-    let pilots = pilot::Pilots::new(
-        scene, names, adjoint, candidates, settings, seed, mode, most, progress,
-    )?;
-    let findings = pilots.run(progress)?;
-    Ok(Mixture::of(scene, findings))
+    crate::integrator::gradient::check_size("adjoint image", job.scene, adjoint)?;
+    let pilots = Job {
+        seed: job.seed ^ PILOT_SEED,
+        ..job.clone()
+    };
+    let most = PILOTS * job.count() as f64;
+    let pilots = pilot::Pilots::new(&pilots, names, adjoint, candidates, mode, most)?;
+    let findings = pilots.run(job.progress)?;
+    Ok(Mixture::of(job.scene, findings))
 }
 
 impl fmt::Display for Mixture {

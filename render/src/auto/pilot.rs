@@ -3,6 +3,7 @@
 use super::costs::{self, PATHS};
 use crate::error::RenderError;
 use crate::instances::{Direction, Estimator, Mode};
+use crate::integrator::Job;
 use crate::integrator::gradient::Active;
 use crate::integrator::render::{Progress, TILE};
 use crate::params::{ParamInfo, ParamShape, Params};
@@ -151,16 +152,20 @@ pub fn able(
 
 impl<'a> Pilots<'a> {
     pub fn new<N: AsRef<str>>(
-        scene: &'a Scene,
+        job: &Job<'a>,
         names: &[N],
         adjoint: &'a [f32],
         candidates: &[Estimator],
-        settings: &Settings,
-        seed: u64,
         mode: Mode,
         budget: f64,
-        progress: &dyn Progress,
     ) -> Result<Self, RenderError> {
+        let &Job {
+            scene,
+            settings,
+            seed,
+            progress,
+            ..
+        } = job;
         // Pairs of samples must know nothing of each other.
         let settings = Settings {
             points: Points::Independent,
@@ -347,7 +352,11 @@ impl<'a> Pilots<'a> {
         let sample = |i: u64| {
             let i = 2 * pair + i;
             let s = &self.settings;
-            e.forward_f32(self.scene, values, along, s, self.seed, i..i + 1, progress)
+            e.forward_f32(
+                &Job::new(self.scene, s, self.seed, i..i + 1, progress),
+                values,
+                along,
+            )
         };
         let (a, b) = (sample(0)?, sample(1)?);
         let blocks = Blocks::of(self.scene);

@@ -5,6 +5,7 @@ use std::ops::Range;
 use super::PILOT_SEED;
 use crate::error::RenderError;
 use crate::instances::Estimator;
+use crate::integrator::Job;
 use crate::integrator::noise::{Noise, PixelNoise};
 use crate::integrator::render::Progress;
 use crate::params::Theta;
@@ -74,14 +75,10 @@ pub fn pixel_weights<N: AsRef<str>>(
     let first = samples / FEWER;
     let noise = |scales: &[f64], samples: Range<u64>| {
         let found = estimator.backward_f32(
-            scene,
+            &Job::new(scene, settings, seed ^ PILOT_SEED, samples, progress),
             &theta,
             &active.clone().with_noise(scene, scales),
             adjoint,
-            settings,
-            seed ^ PILOT_SEED,
-            samples,
-            progress,
         )?;
         Ok::<Noise, RenderError>(found.noise.unwrap_or_default())
     };

@@ -1,12 +1,11 @@
 //! Reverse mode: the adjoint of an image, pulled back to the parameters.
 
-use std::ops::Range;
-
 use ad_core::Float;
 
 pub use super::active::Active;
 use super::exact::ExactBuffer;
 use super::integrals::every;
+use super::job::Job;
 use super::pass::{Integral, Pass, Question};
 use super::progress::Progress;
 pub use super::sink::Gradient;
@@ -17,7 +16,6 @@ use crate::estimator::memory::Memory;
 use crate::estimator::{Strategy, Unbiased};
 use crate::params::Theta;
 use crate::sampler::Sampler;
-use crate::scene::{Scene, Settings};
 
 /// The derivative of `sum over pixels and channels of adjoint x image`, where the image is the mean
 /// over the samples `samples` of each pixel with seed `seed`: one pass, all parameters.
@@ -43,26 +41,17 @@ use crate::scene::{Scene, Settings};
 /// [Stam 2020, section 5.1] with errata S-5.1 and S-D3 to S-D6; [Zeltner 2021, algorithms 4.1 and 4.2] with
 /// errata Z-4.15.
 pub fn backward<P: Float, S: Unbiased, X: Sampler>(
-    scene: &Scene,
+    job: &Job,
     theta: &Theta<P>,
     active: &Active,
     adjoint: &[f32],
-    settings: &Settings,
-    seed: u64,
-    samples: Range<u64>,
-    progress: &dyn Progress,
 ) -> Result<Gradient, RenderError> {
+    let &Job {
+        scene, settings, ..
+    } = job;
     check_size("adjoint image", scene, adjoint)?;
     scene.admits::<S>()?;
-    let pass = Pass {
-        scene,
-        theta,
-        settings,
-        caustics: settings.caustics_of::<S>(scene),
-        seed,
-        samples,
-        progress,
-    };
+    let pass = Pass::new(job, theta, settings.caustics_of::<S>(scene));
     Ok(pass.gradient::<S::Runs, X>(active, adjoint))
 }
 

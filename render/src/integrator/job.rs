@@ -49,6 +49,11 @@ impl<'a> Job<'a> {
             progress,
         }
     }
+
+    /// How many samples of each pixel.
+    pub fn count(&self) -> u64 {
+        self.samples.end.saturating_sub(self.samples.start)
+    }
 }
 
 impl fmt::Debug for Job<'_> {

@@ -12,6 +12,7 @@ mod exact;
 pub mod gradient;
 pub(crate) mod guide_training;
 mod integrals;
+mod job;
 mod local;
 mod lockstep;
 pub mod noise;
@@ -34,3 +35,5 @@ mod tile;
 pub mod vertex;
 mod wave;
 pub(crate) mod work;
+
+pub use job::Job;

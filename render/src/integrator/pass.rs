@@ -10,6 +10,7 @@ use ad_core::{Float, Real};
 
 use super::active::Active;
 use super::exact::ExactBuffer;
+use super::job::Job;
 use super::path::Context;
 use super::progress::Progress;
 use super::rendering::{Components, Rendering};
@@ -32,7 +33,20 @@ pub(super) struct Pass<'a, R: Real> {
     pub progress: &'a dyn Progress,
 }
 
-impl<R: Real> Pass<'_, R> {
+impl<'a, R: Real> Pass<'a, R> {
+    /// Those of a job, at these parameters.
+    pub fn new(job: &Job<'a>, theta: &'a Theta<'a, R>, caustics: Caustics) -> Self {
+        Self {
+            scene: job.scene,
+            theta,
+            settings: job.settings,
+            caustics,
+            seed: job.seed,
+            samples: job.samples.clone(),
+            progress: job.progress,
+        }
+    }
+
     /// The same pass, which reports to somebody else.
     pub fn reporting<'b>(&'b self, progress: &'b dyn Progress) -> Pass<'b, R> {
         Pass {

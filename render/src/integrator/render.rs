@@ -1,10 +1,9 @@
 //! Images and derivative images: every integral of a pass, added up.
 
-use std::ops::Range;
-
 use ad_core::Real;
 
 use super::integrals::every;
+use super::job::Job;
 use super::pass::{Integral, Pass, Question};
 pub use super::progress::Progress;
 pub use super::rendering::{Components, NonFinite, Rendering};
@@ -13,7 +12,6 @@ use crate::error::RenderError;
 use crate::estimator::{self, Strategy, Unbiased};
 use crate::params::Theta;
 use crate::sampler::Sampler;
-use crate::scene::{Scene, Settings};
 
 /// Renders the samples `samples` of every pixel with seed `seed`.
 ///
@@ -24,13 +22,10 @@ use crate::scene::{Scene, Settings};
 /// A strategy that is wrong in this scene ([`Scene::admits`]) or for a parameter that moves
 /// ([`estimator::check_parameter`]); none without tangents.
 pub fn render<R: Components, S: Unbiased, X: Sampler>(
-    scene: &Scene,
+    job: &Job,
     theta: &Theta<R>,
-    settings: &Settings,
-    seed: u64,
-    samples: Range<u64>,
-    progress: &dyn Progress,
 ) -> Result<Rendering, RenderError> {
+    let &Job { scene, .. } = job;
     if !R::IS_PRIMAL {
         scene.admits::<S>()?;
         for info in scene.params().infos() {
@@ -39,34 +34,23 @@ pub fn render<R: Components, S: Unbiased, X: Sampler>(
             }
         }
     }
-    Ok(unchecked::<R, S, X>(
-        scene, theta, settings, seed, samples, progress,
-    ))
+    Ok(unchecked::<R, S, X>(job, theta))
 }
 
 /// [`render`] of what has been checked, or has no tangents.
 pub(crate) fn unchecked<R: Components, S: Strategy, X: Sampler>(
-    scene: &Scene,
+    job: &Job,
     theta: &Theta<R>,
-    settings: &Settings,
-    seed: u64,
-    samples: Range<u64>,
-    progress: &dyn Progress,
 ) -> Rendering {
-    let pass = Pass {
-        scene,
-        theta,
-        settings,
-        caustics: settings.caustics_of::<S>(scene),
-        seed,
-        samples,
-        progress,
-    };
+    let &Job {
+        scene, settings, ..
+    } = job;
+    let pass = Pass::new(job, theta, settings.caustics_of::<S>(scene));
     let mut question = ImageOf {
         pass: &pass,
         sum: Rendering::black(scene.film.crop_size, &pass.samples, R::COUNT),
     };
-    every::<S::Runs, X>(pass.caustics, progress, &mut question);
+    every::<S::Runs, X>(pass.caustics, job.progress, &mut question);
     question.sum
 }
 

@@ -27,14 +27,12 @@
 //! # Does not handle
 //! Geometry, deltas in the parameter, estimators other than detached MIS.
 
-use std::ops::Range;
-
 use ad_core::Float;
 
 use super::active::Active;
+use super::job::Job;
 use super::pass::Pass;
 use super::path::Context;
-use super::progress::Progress;
 use super::record::{Recorder, SumSink};
 use super::rendering::NonFinite;
 use super::sink::{Gradient, Sink, check_size, collect};
@@ -45,7 +43,7 @@ use crate::estimator::DetachedMis;
 use crate::math::Rgb;
 use crate::params::{GradSink, ParamRef, Theta};
 use crate::sampler::Sampler;
-use crate::scene::{Caustics, Scene, Settings};
+use crate::scene::Caustics;
 
 /// Most values that [`gauss_newton`] writes a matrix for.
 pub const MAX_VALUES: usize = 1024;
@@ -66,16 +64,15 @@ const JOBS: usize = 16;
 /// # Errors
 /// Images or a direction of the wrong size.
 pub fn hessian_vector<P: Float, X: Sampler>(
-    scene: &Scene,
+    job: &Job,
     theta: &Theta<P>,
     active: &Active,
     direction: &[P],
     [adjoint, adjoint_tangent]: [&[f32]; 2],
-    settings: &Settings,
-    seed: u64,
-    samples: Range<u64>,
-    progress: &dyn Progress,
 ) -> Result<Gradient, RenderError> {
+    let &Job {
+        scene, progress, ..
+    } = job;
     check_size("adjoint image", scene, adjoint)?;
     check_size("tangent of the adjoint image", scene, adjoint_tangent)?;
     if direction.len() != active.len() {
@@ -85,15 +82,7 @@ pub fn hessian_vector<P: Float, X: Sampler>(
             found: direction.len(),
         });
     }
-    let pass = Pass {
-        scene,
-        theta,
-        settings,
-        caustics: Caustics::Paths,
-        seed,
-        samples,
-        progress,
-    };
+    let pass = Pass::new(job, theta, Caustics::Paths);
     let along = |p: ParamRef, element: u32| {
         let place = active.place(p).map(|at| at + element as usize);
         place.map_or(P::zero(), |i| direction[i])
@@ -143,15 +132,14 @@ impl NormalEquations {
 /// # Errors
 /// Images of the wrong size, more than [`MAX_VALUES`] values, or fewer than two samples.
 pub fn gauss_newton<P: Float, X: Sampler>(
-    scene: &Scene,
+    job: &Job,
     theta: &Theta<P>,
     active: &Active,
     [adjoint, weights]: [&[f32]; 2],
-    settings: &Settings,
-    seed: u64,
-    samples: Range<u64>,
-    progress: &dyn Progress,
 ) -> Result<NormalEquations, RenderError> {
+    let &Job {
+        scene, progress, ..
+    } = job;
     check_size("adjoint image", scene, adjoint)?;
     check_size("weights", scene, weights)?;
     let n = active.len();
@@ -162,15 +150,7 @@ pub fn gauss_newton<P: Float, X: Sampler>(
             found: n as u64,
         });
     }
-    let pass = Pass {
-        scene,
-        theta,
-        settings,
-        caustics: Caustics::Paths,
-        seed,
-        samples,
-        progress,
-    };
+    let pass = Pass::new(job, theta, Caustics::Paths);
     let spp = pass.samples.end.saturating_sub(pass.samples.start);
     if spp < 2 {
         return Err(RenderError::Count {

@@ -4,6 +4,7 @@
 use std::time::Instant;
 
 use rayon::prelude::*;
+use render::Job;
 use render::auto::{self, Mixture};
 use render::bsdf::microfacet::Ndf;
 use render::instances::{Direction, Estimator, Mode};
@@ -147,7 +148,7 @@ fn spread<'a>(
         .map(|run| {
             let (m, spp) = plan(run);
             let s = &subject.scene.settings;
-            let r = m.forward_f32(&subject.scene, param, s, SEED + run, spp, &())?;
+            let r = m.forward_f32(&Job::new(&subject.scene, s, SEED + run, 0..spp, &()), param)?;
             let n = r.samples as f64;
             Ok(r.sums[1].iter().map(|x| x / n).collect())
         })
@@ -190,10 +191,15 @@ impl Clock {
                     match mode {
                         Mode::Forward => {
                             let values = scene.params().values();
-                            e.forward_f32(scene, values, &along, s, round, 0..spp, &())?;
+                            e.forward_f32(&Job::new(scene, s, round, 0..spp, &()), values, &along)?;
                         }
                         Mode::Reverse => {
-                            e.backward_f32(scene, &theta, &active?, &ones, s, round, 0..spp, &())?;
+                            e.backward_f32(
+                                &Job::new(scene, s, round, 0..spp, &()),
+                                &theta,
+                                &active?,
+                                &ones,
+                            )?;
                         }
                     }
                     seconds.push(start.elapsed().as_secs_f64() / spp as f64);
@@ -286,15 +292,11 @@ fn mixed(
         let p = &subject.params;
         let seed = SEED + pilot;
         mixtures.push(auto::choose(
-            scene,
+            &Job::new(scene, s, seed, 0..BUDGET, &()),
             p,
             &ones,
             candidates,
             clock.mode,
-            s,
-            seed,
-            BUDGET,
-            &(),
         )?);
     }
     // The measured runs are a part of the budget, and bear that part of the cost of the pilots.

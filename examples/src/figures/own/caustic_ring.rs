@@ -1,5 +1,6 @@
 //! Caustics by paths and by particles: the same light, the same derivatives, less noise.
 
+use render::Job;
 use render::instances::{Direction, Estimator};
 use render::integrator::render::Rendering;
 use render::sampler::Points;
@@ -84,7 +85,11 @@ fn images(
     let along = [Direction::uniform(scene.params(), PARAMS[0].0)?];
     let settings = settings(scene, caustics);
     let (e, values) = (Estimator::DifferentialMis, scene.params().values());
-    e.forward_f32(scene, values, &along, &settings, seed, 0..spp, &())
+    e.forward_f32(
+        &Job::new(scene, &settings, seed, 0..spp, &()),
+        values,
+        &along,
+    )
 }
 
 /// `caustic-ring`.

@@ -2,6 +2,7 @@
 
 use std::time::Instant;
 
+use render::Job;
 use render::auto;
 use render::instances::{Direction, Estimator};
 use render::integrator::render::Rendering;
@@ -79,13 +80,9 @@ fn learn(scene: &mut Scene) -> Result<f64> {
 fn images(scene: &Scene, seed: u64, spp: u64) -> std::result::Result<Rendering, RenderError> {
     let along = [Direction::uniform(scene.params(), PARAMS[0].0)?];
     E.forward_f32(
-        scene,
+        &Job::new(scene, &settings(scene), seed, 0..spp, &()),
         scene.params().values(),
         &along,
-        &settings(scene),
-        seed,
-        0..spp,
-        &(),
     )
 }
 

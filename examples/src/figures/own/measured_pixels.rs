@@ -3,6 +3,7 @@
 
 use std::time::Instant;
 
+use render::Job;
 use render::auto;
 use render::instances::{Estimator, render_f32};
 use render::params::Theta;
@@ -44,7 +45,12 @@ impl Passes {
         for seed in first..first + runs {
             let start = Instant::now();
             let s = &scene.settings;
-            let g = e.backward_f32(scene, &theta, &active, adjoint, s, seed, 0..spp, &())?;
+            let g = e.backward_f32(
+                &Job::new(scene, s, seed, 0..spp, &()),
+                &theta,
+                &active,
+                adjoint,
+            )?;
             seconds.push(start.elapsed().as_secs_f64());
             let all = g.values.iter().flatten().zip(&sizes);
             scaled.push(all.map(|(d, size)| d * size).collect());
@@ -86,7 +92,11 @@ fn panels(subject: &Subject, weights: &[f32], spp: u64) -> [Panel; 2] {
     let scene = &subject.scene;
     let theta = Theta::constant(scene.params().values());
     let s = &scene.settings;
-    let image = render_f32(scene, &theta, Estimator::Mis, s, SEED, 0..spp, &());
+    let image = render_f32(
+        &Job::new(scene, s, SEED, 0..spp, &()),
+        &theta,
+        Estimator::Mis,
+    );
     let width = scene.film.crop_size[0] as usize;
     let mean = weights.iter().map(|&w| f64::from(w)).sum::<f64>() / weights.len() as f64;
     let log = |w: &f32| (f64::from(*w) / mean).max(0.25).log2();

@@ -4,6 +4,7 @@
 use std::time::Instant;
 
 use rayon::prelude::*;
+use render::Job;
 use render::auto;
 use render::instances::{Direction, Estimator};
 use render::sampler::Points;
@@ -96,7 +97,11 @@ fn noise(
         .map(|run| {
             let values = scene.params().values();
             let seed = SEED + run;
-            let r = e.forward_f32(scene, values, along, &settings, seed, 0..spp, &())?;
+            let r = e.forward_f32(
+                &Job::new(scene, &settings, seed, 0..spp, &()),
+                values,
+                along,
+            )?;
             Ok(r.sums[1].iter().map(|x| x / spp as f64).collect())
         })
         .collect();

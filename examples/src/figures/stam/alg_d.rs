@@ -1,6 +1,7 @@
 //! [Stam 2020, appendix D]: the pseudocode of the path tracer in a closed furnace, as printed and as
 //! corrected, beside the renderer of this repository.
 
+use render::Job;
 use render::bsdf::Diffuse;
 use render::camera::{Camera, FovAxis};
 use render::emitter::Area;
@@ -246,24 +247,16 @@ pub fn figure(fig: &mut Figure) -> Result {
     for b in 0..batches {
         let (samples, settings) = (b * spp..(b + 1) * spp, &scene.settings);
         let image = render_f64(
-            &scene,
+            &Job::new(&scene, settings, 31, samples.clone(), &()),
             &theta,
             Estimator::Detached,
-            settings,
-            31,
-            samples.clone(),
-            &(),
         );
         l.push(image.mean(0)[0]);
         let g = backward_f64(
-            &scene,
+            &Job::new(&scene, settings, 32, samples, &()),
             &theta,
             &active,
             &adjoint,
-            settings,
-            32,
-            samples,
-            &(),
         )?;
         d.push(g.values[0].iter().sum::<f64>());
         e.push(g.values[1].iter().sum::<f64>());

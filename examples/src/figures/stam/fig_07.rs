@@ -1,6 +1,7 @@
 //! [Stam 2020, figure 7]: the image and one derivative image per control; directions at the sphere drawn
 //! cosine-weighted.
 
+use render::Job;
 use render::bsdf::BlinnPhongSampling;
 use render::estimator::{BsdfOnly, Detached};
 use render::instances::{Estimator, backward_f32, render_f64};
@@ -29,13 +30,9 @@ pub fn figure(fig: &mut Figure) -> Result {
             let theta = Theta::<f64>::constant(&values);
             let range = 0..s.spp / BATCHES * BATCHES;
             let r = render_f64(
-                &scene7,
+                &Job::new(&scene7, &scene7.settings, s.seed, range, &()),
                 &theta,
                 Estimator::Detached,
-                &scene7.settings,
-                s.seed,
-                range,
-                &(),
             );
             Ok(grey(&r).swap_remove(0))
         };
@@ -145,14 +142,10 @@ pub fn figure(fig: &mut Figure) -> Result {
     let adjoint = vec![1.0f32; scene7.film.pixels() * 3];
     let theta = Theta::<f32>::constant(scene7.params().values());
     let g = backward_f32(
-        &scene7,
+        &Job::new(&scene7, &scene7.settings, s.seed, 0..spp, &()),
         &theta,
         &active,
         &adjoint,
-        &scene7.settings,
-        s.seed,
-        0..spp,
-        &(),
     )?;
     let pixels = scene7.film.pixels() as f64;
     let mut worst = 0.0f64;

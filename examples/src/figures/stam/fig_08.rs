@@ -3,6 +3,7 @@
 
 use std::f64::consts::PI;
 
+use render::Job;
 use render::Scene;
 use render::bsdf::{BlinnPhongLobe, BlinnPhongSampling};
 use render::estimator::{AllowBias, Attached, BsdfOnly, Detached};
@@ -151,13 +152,9 @@ pub fn figure(fig: &mut Figure) -> Result {
                 let values = perturbed(&scene7, k, sign * FD_STEP)?;
                 let theta = Theta::<f64>::constant(&values);
                 let r = render_f64(
-                    &scene7,
+                    &Job::new(&scene7, &scene7.settings, s.seed + 2, samples.clone(), &()),
                     &theta,
                     Estimator::Mis,
-                    &scene7.settings,
-                    s.seed + 2,
-                    samples.clone(),
-                    &(),
                 );
                 Ok(grey(&r).swap_remove(0))
             };

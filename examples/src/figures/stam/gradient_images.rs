@@ -1,6 +1,7 @@
 //! What [Stam 2020, figures 7 and 8] share: the scene, and images with one derivative image per control, in batches.
 
 use ad_core::Dual;
+use render::Job;
 use render::Scene;
 use render::bsdf::BlinnPhongSampling;
 use render::estimator::Unbiased;
@@ -50,12 +51,8 @@ pub(super) fn forward<S: Unbiased>(
     }
     let theta = Theta::with_tangents(&values, &tangents);
     render::<Dual<f64, CONTROLS>, S, Independent>(
-        scene,
+        &Job::new(scene, &scene.settings, seed, samples, &()),
         &theta,
-        &scene.settings,
-        seed,
-        samples,
-        &(),
     )
     .map_err(Into::into)
 }
@@ -154,13 +151,9 @@ pub(super) fn clean(scene: &Scene, seed: u64, spp: u64) -> Result<Rendering> {
         .collect::<std::result::Result<Vec<_>, _>>()?;
     let values = scene.params().values();
     Ok(forward_f32(
-        scene,
+        &Job::new(scene, &scene.settings, seed, 0..spp, &()),
         values,
         &directions,
-        &scene.settings,
-        seed,
-        0..spp,
-        &(),
     )?)
 }
 

@@ -1,5 +1,6 @@
 //! Shading normals gain energy [Veach 1996, figure 1 a].
 
+use render::Job;
 use render::instances::particle_map_f32;
 use render::params::Theta;
 use render::shape::{Mesh, Sphere};
@@ -61,7 +62,11 @@ pub fn figure(fig: &mut Figure) -> Result {
     let theta = Theta::constant(scene.params().values());
     let spp = fig.pick(100, 1000);
     fig.note("particles", spp * scene.film.pixels() as u64);
-    let map = particle_map_f32(&scene, &theta, 0.1, &scene.settings, 1, 0..spp)?;
+    let map = particle_map_f32(
+        &Job::new(&scene, &scene.settings, 1, 0..spp, &()),
+        &theta,
+        0.1,
+    )?;
     let received = map.power_on(roof, 1)[0];
     let reflected = map.power_on(shell, 2)[0] + map.power_on(roof, 2)[0];
     fig.check(

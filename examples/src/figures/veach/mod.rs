@@ -9,6 +9,7 @@ pub mod plate_2;
 pub mod pool;
 pub mod tab_2_5;
 
+use render::Job;
 use render::bsdf::kernel::{Rules, Symmetry};
 use render::instances::{Estimator, particles_f32, render_f32};
 use render::integrator::render::Rendering;
@@ -35,12 +36,16 @@ pub fn particles(
     spp: u64,
 ) -> Result<Rendering> {
     let theta = Theta::constant(scene.params().values());
-    let r = particles_f32(scene, &theta, rules, settings, seed, 0..spp, &())?;
+    let r = particles_f32(&Job::new(scene, settings, seed, 0..spp, &()), &theta, rules)?;
     Ok(r)
 }
 
 /// The image by paths.
 pub fn paths(scene: &Scene, settings: &Settings, seed: u64, spp: u64) -> Rendering {
     let theta = Theta::constant(scene.params().values());
-    render_f32(scene, &theta, Estimator::Mis, settings, seed, 0..spp, &())
+    render_f32(
+        &Job::new(scene, settings, seed, 0..spp, &()),
+        &theta,
+        Estimator::Mis,
+    )
 }

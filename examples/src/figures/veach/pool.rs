@@ -3,6 +3,7 @@
 use std::f64::consts::TAU;
 use std::sync::Arc;
 
+use render::Job;
 use render::bsdf::kernel::Rules;
 use render::bsdf::{Dielectric, Material};
 use render::instances::density_f32;
@@ -116,14 +117,10 @@ pub(super) fn gather(
         ..scene.settings
     };
     Ok(density_f32(
-        scene,
+        &Job::new(scene, &settings, 5, 0..spp, &()),
         &theta,
         rules,
         convention,
         RADIUS,
-        &settings,
-        5,
-        0..spp,
-        &(),
     )?)
 }

@@ -4,6 +4,7 @@
 use std::f64::consts::{PI, TAU};
 
 use ad_core::{Vec2, Vec3};
+use render::Job;
 use render::bsdf::kernel::{Rules, eval_kernel};
 use render::bsdf::{BlinnPhong, BlinnPhongSampling, Component, Material, Shading, TransportMode};
 use render::instances::backward_particles_f32;
@@ -290,14 +291,10 @@ pub fn figure(fig: &mut Figure) -> Result {
             particles(&scene, &settings, Rules::default(), seed, spp)?.mean(0),
         ));
         let m = backward_particles_f32(
-            &scene,
+            &Job::new(&scene, &settings, 200 + seed, 0..spp, &()),
             &params,
             &active,
             &adjoint,
-            &settings,
-            200 + seed,
-            0..spp,
-            &(),
         )?;
         found[2].push(m.value);
     }

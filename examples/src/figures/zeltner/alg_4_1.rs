@@ -6,6 +6,7 @@
 
 use optim::{Loss, LossKind};
 use rayon::prelude::*;
+use render::Job;
 use render::film::PixelFilter;
 use render::instances::{
     Direction, Estimator, backward_f32, backward_f64, forward_f32, render_f32, render_f64,
@@ -77,7 +78,12 @@ impl Room {
             let theta = Theta::constant(values);
             let technique = Estimator::Mis;
             let settings = &scene.settings;
-            render_f32(&scene, &theta, technique, settings, seed, 0..128, &()).image(0)
+            render_f32(
+                &Job::new(&scene, settings, seed, 0..128, &()),
+                &theta,
+                technique,
+            )
+            .image(0)
         };
         let (image, target) = (shot(scene.params().values(), 1), shot(&other, 2));
         let mut adjoint = vec![0.0; image.data.len()];
@@ -96,14 +102,10 @@ impl Room {
         let values: Vec<f64> = self.values_f64();
         let theta = Theta::constant(&values);
         let gradient = backward_f64(
-            &self.scene,
+            &Job::new(&self.scene, &pass.settings, pass.seed, 0..pass.spp, &()),
             &theta,
             &self.active,
             &self.adjoint,
-            &pass.settings,
-            pass.seed,
-            0..pass.spp,
-            &(),
         )?;
         Ok(gradient.values.concat())
     }
@@ -111,14 +113,10 @@ impl Room {
     fn reverse_f32(&self, pass: Pass) -> std::result::Result<Vec<f64>, render::RenderError> {
         let theta = Theta::constant(self.scene.params().values());
         let gradient = backward_f32(
-            &self.scene,
+            &Job::new(&self.scene, &pass.settings, pass.seed, 0..pass.spp, &()),
             &theta,
             &self.active,
             &self.adjoint,
-            &pass.settings,
-            pass.seed,
-            0..pass.spp,
-            &(),
         )?;
         Ok(gradient.values.concat())
     }
@@ -154,7 +152,11 @@ impl Room {
             .collect();
         let (values, s) = (params.values(), &pass.settings);
         let samples = 0..pass.spp;
-        let r = forward_f32(&self.scene, values, &directions, s, pass.seed, samples, &())?;
+        let r = forward_f32(
+            &Job::new(&self.scene, s, pass.seed, samples, &()),
+            values,
+            &directions,
+        )?;
         let sums = r.sums.iter().skip(1);
         Ok(sums.map(|s| self.against_adjoint(s, pass.spp)).collect())
     }
@@ -173,7 +175,11 @@ impl Room {
                 let theta = Theta::constant(&moved);
                 let technique = Estimator::Mis;
                 let (s, seed) = (&pass.settings, pass.seed);
-                render_f64(&self.scene, &theta, technique, s, seed, 0..pass.spp, &())
+                render_f64(
+                    &Job::new(&self.scene, s, seed, 0..pass.spp, &()),
+                    &theta,
+                    technique,
+                )
             };
             let (up, down) = (shot(1.0), shot(-1.0));
             let pairs = up.sums[0].iter().zip(&down.sums[0]);

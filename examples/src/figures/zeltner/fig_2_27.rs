@@ -1,6 +1,7 @@
 //! Direct light by BSDF sampling, emitter sampling and both [Zeltner 2021, figure 2.27].
 
 use rayon::prelude::*;
+use render::Job;
 use render::instances::{Estimator, render_f32};
 use render::params::Theta;
 
@@ -198,7 +199,11 @@ pub fn figure(fig: &mut Figure) -> Result {
     let settings = &setup.scene.settings;
     let mut panels: Vec<Panel> = TECHNIQUES
         .map(|(label, technique, spp)| {
-            let image = render_f32(&setup.scene, &theta, technique, settings, SEED, 0..spp, &());
+            let image = render_f32(
+                &Job::new(&setup.scene, settings, SEED, 0..spp, &()),
+                &theta,
+                technique,
+            );
             Panel::tonemapped(label, &image.image(0), 1.0).enlarged(enlarge)
         })
         .into();
@@ -246,7 +251,11 @@ fn cells(setup: &mut Plates, width: u32, runs: u64) -> [[[Cell; 3]; 4]; 4] {
                     let seed = SEED + 1 + t as u64;
                     let samples = run * spp..(run + 1) * spp;
                     let settings = &scene.settings;
-                    let r = render_f32(scene, &theta, technique, settings, seed, samples, &());
+                    let r = render_f32(
+                        &Job::new(scene, settings, seed, samples, &()),
+                        &theta,
+                        technique,
+                    );
                     let pixels = r.sums[0].chunks_exact(3);
                     pixels
                         .map(|p| p.iter().sum::<f64>() / (3.0 * spp as f64))

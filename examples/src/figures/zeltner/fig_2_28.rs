@@ -1,6 +1,7 @@
 //! The box by path length [Zeltner 2021, figure 2.28].
 
 use render::Image;
+use render::Job;
 use render::instances::{Estimator, render_f32};
 use render::params::Theta;
 
@@ -29,7 +30,11 @@ pub fn figure(fig: &mut Figure) -> Result {
     for n in 1..=LONGEST {
         let mut settings = scene.settings;
         settings.max_depth = n;
-        let image = render_f32(&scene, &theta, Estimator::Mis, &settings, SEED, 0..spp, &());
+        let image = render_f32(
+            &Job::new(&scene, &settings, SEED, 0..spp, &()),
+            &theta,
+            Estimator::Mis,
+        );
         bad += image.non_finite.count;
         means.push(image.mean(0));
         sums.push(image.sums[0].clone());

@@ -1,6 +1,7 @@
 //! Light tracing, what it cannot see, and density estimation that can [Zeltner 2021, sections 2.5.3 and 2.5.4].
 
 use ad_core::Vec3;
+use render::Job;
 use render::bsdf::kernel::Rules;
 use render::emitter::Point;
 use render::instances::{density_f32, particle_map_f32};
@@ -169,15 +170,11 @@ pub fn figure(fig: &mut Figure) -> Result {
     let l = particles(&pool, &pool.settings, Rules::default(), 1, spp)?.mean(0)[0];
     let theta = Theta::constant(pool.params().values());
     let gathered = density_f32(
-        &pool,
+        &Job::new(&pool, &pool.settings, 1, 0..spp, &()),
         &theta,
         Rules::default(),
         Convention::Radiance,
         0.04,
-        &pool.settings,
-        1,
-        0..spp,
-        &(),
     )?;
     let d = gathered.mean(0)[0];
     fig.check(
@@ -201,7 +198,11 @@ pub fn figure(fig: &mut Figure) -> Result {
     for r in radii {
         let mut values = Vec::new();
         for seed in 0..runs {
-            let map = particle_map_f32(&pool, &theta, r, &settings, 1000 + seed, 0..samples)?;
+            let map = particle_map_f32(
+                &Job::new(&pool, &settings, 1000 + seed, 0..samples, &()),
+                &theta,
+                r,
+            )?;
             values.push(f64::from(map.irradiance(at, up).value.r));
         }
         let mean = values.iter().sum::<f64>() / runs as f64;

@@ -3,6 +3,7 @@
 
 use std::sync::Arc;
 
+use render::Job;
 use render::Scene;
 use render::bsdf::microfacet::Ndf;
 use render::bsdf::{Interpolation, Material, NormalMap};
@@ -189,7 +190,7 @@ fn measure(edge: Edge, scene: &Scene, effort: Effort) -> Result<Found> {
         let image = |run: u64| {
             let seed = SEED + (k as u64 + 1) * 1000 + run;
             let s = &scene.settings;
-            let r = e.forward_f32(scene, values, &along, s, seed, 0..spp, &())?;
+            let r = e.forward_f32(&Job::new(scene, s, seed, 0..spp, &()), values, &along)?;
             Ok::<_, render::RenderError>(grey(&r.sums[1], 1.0 / spp as f64))
         };
         let series = Series::of(effort.runs, [effort.width as usize, effort.block], image)?;

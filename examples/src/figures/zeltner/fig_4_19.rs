@@ -8,6 +8,7 @@
 use std::time::Instant;
 
 use rayon::prelude::*;
+use render::Job;
 use render::auto;
 use render::instances::{Direction, Estimator, Mode, render_f64};
 use render::params::Theta;
@@ -153,7 +154,11 @@ pub fn figure(fig: &mut Figure) -> Result {
                 // Light sampling does not move with roughness: common random numbers are smooth.
                 let t = Estimator::Emitter;
                 let s = &scene.settings;
-                render_f64(scene, &theta, t, s, SEED ^ (run + 1) << 20, 0..4 * spp, &())
+                render_f64(
+                    &Job::new(scene, s, SEED ^ (run + 1) << 20, 0..4 * spp, &()),
+                    &theta,
+                    t,
+                )
             };
             let (up, down) = (at(h), at(-h));
             let difference: Vec<f64> = up.sums[0]
@@ -178,7 +183,7 @@ pub fn figure(fig: &mut Figure) -> Result {
                 let seed = SEED + (k as u64 + 1) * 1000 + run;
                 let along = direction(scene, plate)?;
                 let s = &scene.settings;
-                let r = e.forward_f32(scene, values, &[along], s, seed, 0..n, &())?;
+                let r = e.forward_f32(&Job::new(scene, s, seed, 0..n, &()), values, &[along])?;
                 Ok(grey(&r.sums[1], 1.0 / n as f64))
             },
             n as f64 * cost,
@@ -352,7 +357,11 @@ fn pictures(fig: &mut Figure, setup: &Plates, costs: [f64; COLUMNS.len()]) -> Re
             for plate in 0..4 {
                 let along = direction(scene, plate)?;
                 let start = Instant::now();
-                let r = e.forward_f32(scene, values, &[along], s, SEED + run, 0..count, &())?;
+                let r = e.forward_f32(
+                    &Job::new(scene, s, SEED + run, 0..count, &()),
+                    values,
+                    &[along],
+                )?;
                 seconds.push(start.elapsed().as_secs_f64());
                 let part = grey(&r.sums[1], 1.0 / count as f64);
                 total.iter_mut().zip(part).for_each(|(t, p)| *t += p);

@@ -2,6 +2,7 @@
 //! figures 4.1, 4.20 and 4.21].
 
 use ad_core::Vec3;
+use render::Job;
 use render::instances::{Direction, Estimator, render_f64};
 use render::params::Theta;
 use render::{RenderError, Scene};
@@ -81,7 +82,11 @@ fn differences(scene: &Scene, effort: Effort) -> Result<Series> {
             let theta = Theta::constant(&moved);
             let technique = Estimator::Mis;
             let s = &scene.settings;
-            render_f64(scene, &theta, technique, s, SEED + run, 0..spp, &())
+            render_f64(
+                &Job::new(scene, s, SEED + run, 0..spp, &()),
+                &theta,
+                technique,
+            )
         };
         let (up, down) = (shot(STEP), shot(-STEP));
         let pairs = up.sums[0].iter().zip(&down.sums[0]);
@@ -164,7 +169,11 @@ pub fn figure(fig: &mut Figure) -> Result {
         found.push(series(effort, |run| {
             let seed = SEED + (k as u64 + 1) * 1000 + run;
             let spp = effort.spp;
-            let r = e.forward_f32(&scene, values, &along, &scene.settings, seed, 0..spp, &())?;
+            let r = e.forward_f32(
+                &Job::new(&scene, &scene.settings, seed, 0..spp, &()),
+                values,
+                &along,
+            )?;
             Ok(grey(&r.sums[1], 1.0 / spp as f64))
         })?);
     }

@@ -3,6 +3,7 @@
 
 use optim::{Constrained, Groups, Loss, LossKind, Parameterisation, Sgd};
 use rayon::prelude::*;
+use render::Job;
 use render::bsdf::microfacet::Ndf;
 use render::instances::{Direction, Estimator};
 use render::params::Theta;
@@ -193,14 +194,10 @@ impl Setup {
             let seed = mix64(SEED + stream * 1000 + k);
             let samples = samples.clone();
             let g = e.backward_f32(
-                scene,
+                &Job::new(scene, settings, seed, samples, &()),
                 &theta,
                 active,
                 &adjoint,
-                settings,
-                seed,
-                samples,
-                &(),
             )?;
             Ok(blocks(&g.values[0], self.effort.side, self.effort.side / 4))
         };
@@ -216,8 +213,11 @@ impl Setup {
         let along = [Direction::uniform(scene.params(), NAME)?];
         let (values, s) = (scene.params().values(), &scene.settings);
         let spp = self.effort.many;
-        let r =
-            Estimator::DifferentialMis.forward_f32(scene, values, &along, s, SEED, 0..spp, &())?;
+        let r = Estimator::DifferentialMis.forward_f32(
+            &Job::new(scene, s, SEED, 0..spp, &()),
+            values,
+            &along,
+        )?;
         let n = spp as f64;
         let square = r.sums[1].iter().map(|x| (x / n).powi(2)).sum::<f64>();
         let mean = square / r.sums[1].len() as f64;

@@ -1,5 +1,6 @@
 //! Derivatives sent forward from the parameters through a scene [Zeltner 2021, figure 4.4].
 
+use render::Job;
 use render::instances::{Estimator, render_f32};
 use render::params::Theta;
 
@@ -29,13 +30,9 @@ pub fn figure(fig: &mut Figure) -> Result {
         let technique = Estimator::Mis;
         let samples = 0..board.spp;
         render_f32(
-            &board.scene,
+            &Job::new(&board.scene, settings, SEED, samples, &()),
             &theta,
             technique,
-            settings,
-            SEED,
-            samples,
-            &(),
         )
     };
     let (plus, minus) = (moved(1.0), moved(-1.0));

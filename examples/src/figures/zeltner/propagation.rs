@@ -3,6 +3,7 @@
 
 use ad_core::Dual;
 use optim::{Loss, LossKind};
+use render::Job;
 use render::estimator::{Detached, DetachedWeights, Mis, Power};
 use render::instances::{
     Direction, Estimator, backward_f32, backward_f64, forward_f32, render_f32,
@@ -49,13 +50,9 @@ pub(super) fn board(fig: &mut Figure) -> Result<Board> {
         let theta = Theta::constant(values);
         let technique = Estimator::Mis;
         render_f32(
-            &scene,
+            &Job::new(&scene, &scene.settings, seed, 0..spp, &()),
             &theta,
             technique,
-            &scene.settings,
-            seed,
-            0..spp,
-            &(),
         )
         .image(0)
     };
@@ -93,14 +90,10 @@ impl Board {
         let theta = Theta::constant(&values);
         let active = Active::new(&self.scene, &[NAME])?;
         let gradient = backward_f64(
-            &self.scene,
+            &Job::new(&self.scene, &self.scene.settings, seed, 0..self.spp, &()),
             &theta,
             &active,
             &self.adjoint,
-            &self.scene.settings,
-            seed,
-            0..self.spp,
-            &(),
         )?;
         Ok(gradient.values.concat())
     }
@@ -110,14 +103,10 @@ impl Board {
         let theta = Theta::constant(self.scene.params().values());
         let active = Active::new(&self.scene, &[NAME])?;
         let gradient = backward_f32(
-            &self.scene,
+            &Job::new(&self.scene, &self.scene.settings, seed, 0..self.spp, &()),
             &theta,
             &active,
             &self.adjoint,
-            &self.scene.settings,
-            seed,
-            0..self.spp,
-            &(),
         )?;
         Ok(along(&gradient.values.concat()))
     }
@@ -128,13 +117,9 @@ impl Board {
         let handle = params.handle(params.find(NAME)?);
         let direction = Direction::Dense(handle, CHANGE.map(|d| d as f32).to_vec());
         Ok(forward_f32(
-            &self.scene,
+            &Job::new(&self.scene, &self.scene.settings, seed, 0..self.spp, &()),
             params.values(),
             &[direction],
-            &self.scene.settings,
-            seed,
-            0..self.spp,
-            &(),
         )?)
     }
 
@@ -210,7 +195,7 @@ pub(super) fn push_f64(
     let dense = direction.iter().map(|d| Real::new(0.0, [*d])).collect();
     tangents[handle.id as usize] = Tangent::Dense(dense);
     let theta = Theta::<Real>::with_tangents(&values, &tangents);
-    render::<Real, Strategy, Independent>(scene, &theta, settings, seed, 0..spp, &())
+    render::<Real, Strategy, Independent>(&Job::new(scene, settings, seed, 0..spp, &()), &theta)
         .map_err(Into::into)
 }
 

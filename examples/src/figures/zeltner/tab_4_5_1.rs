@@ -4,6 +4,7 @@
 use std::marker::PhantomData;
 
 use rayon::prelude::*;
+use render::Job;
 use render::bsdf::microfacet::Ndf;
 use render::estimator::{
     Attached, AttachedChoice, AttachedDirect, AttachedRoulette, AttachedWeights, BsdfOnly,
@@ -152,7 +153,11 @@ fn derivatives(e: Estimator, scene: &Scene, effort: Effort) -> Result<Vec<Vec<f6
     let image = |run: u64| {
         let seed = SEED + stream * 10_000 + run;
         let spp = effort.spp;
-        let r = e.forward_f32(scene, values, &along, &scene.settings, seed, 0..spp, &())?;
+        let r = e.forward_f32(
+            &Job::new(scene, &scene.settings, seed, 0..spp, &()),
+            values,
+            &along,
+        )?;
         Ok(grey(&r.sums[1], 1.0 / spp as f64))
     };
     let images: std::result::Result<Vec<_>, render::RenderError> =
@@ -174,7 +179,11 @@ fn differences(scene: &Scene, effort: Effort) -> Result<Vec<Vec<f64>>> {
             let theta = Theta::constant(&moved);
             let technique = Estimator::Emitter;
             let settings = &scene.settings;
-            render_f64(scene, &theta, technique, settings, SEED + run, 0..spp, &())
+            render_f64(
+                &Job::new(scene, settings, SEED + run, 0..spp, &()),
+                &theta,
+                technique,
+            )
         };
         let (up, down) = (shot(h), shot(-h));
         let pairs = up.sums[0].iter().zip(&down.sums[0]);

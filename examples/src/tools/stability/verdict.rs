@@ -3,6 +3,7 @@
 use std::fmt::Write as _;
 use std::path::Path;
 
+use render::Job;
 use render::bsdf::microfacet::Ndf;
 use render::estimator::{Capabilities, Failure, Failures, Motion};
 use render::instances::{Direction, Estimator, render_f32, render_f64};
@@ -107,7 +108,11 @@ fn pixels(
 ) -> Result<Option<Vec<f64>>, ToolError> {
     let along = Direction::uniform(scene.params(), param)?;
     let (values, settings) = (scene.params().values(), &scene.settings);
-    let r = e.forward_f32(scene, values, &[along], settings, seed, samples, interrupt)?;
+    let r = e.forward_f32(
+        &Job::new(scene, settings, seed, samples, interrupt),
+        values,
+        &[along],
+    )?;
     let done = !r.cancelled;
     Ok(done.then(|| r.sums[1].iter().step_by(3).copied().collect()))
 }
@@ -287,7 +292,11 @@ fn steps(probes: &mut Probes, setup: &Setup, quick: bool, seed: u64) -> Result<(
         let mut moved = values.clone();
         moved[at] += h;
         let theta = Theta::constant(&moved);
-        let r = render_f64(scene, &theta, technique, &scene.settings, seed, 0..spp, &());
+        let r = render_f64(
+            &Job::new(scene, &scene.settings, seed, 0..spp, &()),
+            &theta,
+            technique,
+        );
         r.sums[0].iter().step_by(3).copied().collect()
     };
     let image_f32 = |h: f64| -> Vec<f64> {
@@ -295,7 +304,11 @@ fn steps(probes: &mut Probes, setup: &Setup, quick: bool, seed: u64) -> Result<(
         moved[at] += h as f32;
         let theta = Theta::constant(&moved);
         let technique = Estimator::Emitter;
-        let r = render_f32(scene, &theta, technique, &scene.settings, seed, 0..spp, &());
+        let r = render_f32(
+            &Job::new(scene, &scene.settings, seed, 0..spp, &()),
+            &theta,
+            technique,
+        );
         r.sums[0].iter().step_by(3).copied().collect()
     };
     let difference = |up: Vec<f64>, down: Vec<f64>, h: f64| -> Vec<f64> {

@@ -3,6 +3,7 @@
 
 use std::f64::consts::{PI, TAU};
 
+use render::Job;
 use render::emitter::Envmap;
 use render::instances::Estimator;
 use render::math::Transform;
@@ -76,14 +77,10 @@ fn spread(scene: &Scene, e: Estimator, repeats: u64) -> Result<[f64; 2]> {
         let samples = 0..SPP;
         let settings = &scene.settings;
         let g = e.backward_f32(
-            scene,
+            &Job::new(scene, settings, seed, samples, &()),
             &theta,
             &active,
             &adjoint,
-            settings,
-            seed,
-            samples,
-            &(),
         )?;
         let g = &g.values[0];
         texels.push(g.chunks_exact(3).map(|t| t.iter().sum()).collect());
