@@ -50,6 +50,7 @@
 //! | second derivatives | [`integrator::second_order`] |
 //! | particles, density estimation, finite elements | [`integrator::particle`], [`integrator::density`], [`finite_element`] |
 //! | image files | [`image_io`] |
+//! | whether estimates agree within chance | [`statistics`] |
 
 pub mod accel;
 pub mod auto;
@@ -75,6 +76,7 @@ mod prefetch;
 pub mod sampler;
 pub mod scene;
 pub mod shape;
+pub mod statistics;
 pub mod texture;
 
 pub use error::{RenderError, SceneError};

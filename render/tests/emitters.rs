@@ -17,8 +17,8 @@ use render::plugin::xml::Document;
 use render::sampler::{Independent, Sampler};
 use render::scene::{Builder, Settings};
 use render::shape::{Patch, Rectangle, Shape, Sphere};
+use render::statistics::{p_value, sidak, z_limit};
 use render::{Film, Scene, SceneError};
-use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 const POSITIVE: (f64, f64) = (0.0, f64::INFINITY);
 
@@ -126,8 +126,7 @@ impl Histogram {
         const FINE: usize = 40;
         let bins = Self::ROWS * Self::COLUMNS;
         let area = 4.0 * PI / (bins * FINE * FINE) as f64;
-        let (mut statistic, mut bins, mut total) = (0.0, 0, 0.0);
-        let (mut rest_o, mut rest_e) = (0.0, 0.0);
+        let (mut total, mut counts) = (0.0, Vec::with_capacity(bins));
         for (cell, o) in self.observed.into_iter().enumerate() {
             let mut e = 0.0;
             for fine in 0..FINE * FINE {
@@ -142,39 +141,23 @@ impl Histogram {
                     ));
             }
             total += e;
-            let e = e * self.n;
-            if e >= 5.0 {
-                statistic += (o - e) * (o - e) / e;
-                bins += 1;
-            } else {
-                (rest_o, rest_e) = (rest_o + o, rest_e + e);
-            }
+            counts.push((o, e * self.n));
         }
         assert!(
             (total - 1.0).abs() < 1e-3,
             "{name}: density integrates to {total}"
         );
-        if rest_e >= 5.0 {
-            statistic += (rest_o - rest_e) * (rest_o - rest_e) / rest_e;
-            bins += 1;
-        } else {
-            assert!(rest_o < 30.0, "{name}: {rest_o} for {rest_e}");
-        }
-        ChiSquared::new(f64::from(bins - 1)).unwrap().sf(statistic)
+        p_value(counts)
     }
-}
-
-/// Smallest probability that `tests` true hypotheses exceed together with probability 99 % (Sidak).
-fn p_limit(tests: usize) -> f64 {
-    -((-0.01f64).ln_1p() / tests as f64).exp_m1()
 }
 
 /// Chi-square of sampled directions against the density; 60 000 samples, significance 1 % over all
 /// environments.
 #[test]
+#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
 fn environments_are_sampled_by_their_density() {
     let (scene, names) = environments();
-    let limit = p_limit(names.len());
+    let limit = sidak(names.len(), 0.01);
     let origin = Vec3::<f64>::zero();
     for (k, (emitter, name)) in scene.emitters().iter().zip(names).enumerate() {
         let directions = (0..60_000).map(|i| {
@@ -198,6 +181,7 @@ fn environments_are_sampled_by_their_density() {
 /// Particles start by the densities that they state, in position and direction: chi-square of 60 000 of each
 /// kind, significance 1 % over all. Positions are mapped to a sphere so that equal areas stay equal.
 #[test]
+#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
 fn particles_start_by_their_densities() {
     const N: u64 = 60_000;
     let (around, names) = environments();
@@ -340,7 +324,7 @@ fn particles_start_by_their_densities() {
         }
     }
     assert_eq!(tests.len(), 2 * 9 + 2 * 4 + 2);
-    let limit = p_limit(tests.len());
+    let limit = sidak(tests.len(), 0.01);
     for (name, p) in tests {
         assert!(p > limit, "{name}: p = {p}");
     }
@@ -449,6 +433,7 @@ impl GradSink<f64> for Gradient {
 /// the integral of the texel's footprint times the cosine; no sampling density may miss it. Among two
 /// texels interpolation reaches everywhere, so the map has four, and one that shines.
 #[test]
+#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
 fn dark_texels_can_be_switched_on() {
     let mut image = Image::new(4, 1);
     image.data[..3].fill(1.0);
@@ -496,7 +481,10 @@ fn dark_texels_can_be_switched_on() {
         let error = ((squares[k] / n as f64 - mean * mean) / n as f64).sqrt();
         let z = (mean - expected[k]) / error;
         let found = format!("{mean} +- {error}, expected {}", expected[k]);
-        assert!(z.abs() < 4.0 && error < 0.03, "texel {k}: {found}");
+        assert!(
+            z.abs() < z_limit(4, n, 1e-3) && error < 0.03,
+            "texel {k}: {found}"
+        );
     }
     assert!(expected[2] > 1.0, "{expected:?}");
 }
@@ -750,6 +738,7 @@ fn motion_is_finite() {
 /// With a ball of radius r, radiance L and distance D that is all above the horizon, the irradiance is
 /// pi L (r / D)^2 cos(theta). Samples from inside the cone all arrive.
 #[test]
+#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
 fn ball_lights_irradiate_as_they_should() {
     let scene = scene(|b, ball| {
         let radiance = b.rgb("l", [1.0; 3], POSITIVE).unwrap();
@@ -783,7 +772,7 @@ fn ball_lights_irradiate_as_they_should() {
         let mean = sum / n as f64;
         let error = ((squares / n as f64 - mean * mean).max(0.0) / n as f64).sqrt();
         assert!(
-            (mean - exact).abs() < 4.0 * error + 1e-6,
+            (mean - exact).abs() < z_limit(2, n, 1e-3) * error + 1e-6,
             "{mean} +- {error}, exact {exact}"
         );
     }

@@ -162,6 +162,7 @@ fn one_importance_solution_gives_all_derivatives() {
 }
 
 #[test]
+#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
 fn the_picture_is_that_of_the_path_tracer() {
     for (glossy, exponent) in [(false, 0.0), (true, 0.0), (false, 10.0)] {
         let scene = room(glossy, 5.0, exponent);

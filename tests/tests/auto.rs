@@ -146,6 +146,7 @@ fn gradients(
 /// A mixture of several estimators has the expectation of one, where parameters have estimators of their own
 /// and where parts of the image do: ten numbers, 32 repeats of 256 samples of each pixel (Sidak, 1e-3).
 #[test]
+#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
 fn mixtures_are_unbiased() {
     for (scene, names) in [(lobed(32), &LOBED[..]), (lobed(64), &LOBED[2..])] {
         let mixture = chosen(&scene, names, &SINGLE, 1 << 16);
@@ -157,7 +158,7 @@ fn mixtures_are_unbiased() {
         let found = gradients(&scene, &mixture, names, 256, 100);
         let alone = Mixture::only(&scene, Estimator::Mis, names);
         let expected = gradients(&scene, &alone, names, 256, 900);
-        let limit = z_limit(10, ALPHA);
+        let limit = z_limit(10, REPEATS, ALPHA);
         for (k, (a, b)) in found.iter().zip(&expected).enumerate() {
             println!(
                 "{k}: {:.5} +- {:.5}, {:.5} +- {:.5}",
@@ -364,12 +365,13 @@ fn what_nobody_sees_is_an_error() {
 
 /// The other kinds of points pass through: same expectation, for each member.
 #[test]
+#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
 fn spread_points_are_unbiased() {
     let mut scene = halves(16);
     let names = &NAMES[1..2];
     let mixture = Mixture::only(&scene, Estimator::DifferentialMis, names);
     let expected = gradients(&scene, &mixture, names, 256, 1)[0];
-    let limit = z_limit(2, ALPHA);
+    let limit = z_limit(2, REPEATS, ALPHA);
     for (k, points) in [Points::Sobol, Points::Antithetic].into_iter().enumerate() {
         scene.settings.points = points;
         let found = gradients(&scene, &mixture, names, 256, 1000 * (k as u64 + 1))[0];
@@ -472,6 +474,7 @@ fn lights_are_sampled_where_they_matter() {
 /// derivatives in emission: on matt plates, where it comes from the choice (64 repeats each, whose variances are good
 /// to a sixth).
 #[test]
+#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
 fn measured_sampling_weights_make_less_noise() {
     let matt = r#"<bsdf type="diffuse"/>"#;
     let plates = [

@@ -120,13 +120,13 @@ fn with(s: &Scene, caustics: Caustics) -> Settings {
 }
 
 /// In blocks of pixels (a single one may see what matters too rarely), for all glossy materials, deltas included:
-/// 256 runs of 64 samples, spread or not; significance 1e-3 over all comparisons, a quarter more for the tails of
-/// Student's t.
+/// 256 runs of 64 samples, spread or not; significance 1e-3 over all comparisons.
 #[test]
+#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
 fn particles_find_the_light_that_paths_leave_out() {
     let scenes = glossy();
     assert!(scenes.len() >= 20);
-    let limit = 1.25 * z_limit(scenes.len() * 2 * 4 * 3, ALPHA);
+    let limit = z_limit(scenes.len() * 2 * 4 * 3, 256, ALPHA);
     for (name, s) in &scenes {
         let paths = picture(s, &with(s, Caustics::Paths), 1000, 256, 64);
         for points in [Points::Independent, Points::Sobol] {
@@ -147,6 +147,7 @@ fn particles_find_the_light_that_paths_leave_out() {
 /// with particles against paths alone, so that no light is counted twice or left out by any of them; significance
 /// 1e-3 over all.
 #[test]
+#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
 fn derivatives_are_the_same_whatever_the_estimator() {
     let s = wall();
     let direction = Direction::uniform(s.params(), "metal.alpha.value").expect("a parameter");
@@ -169,7 +170,7 @@ fn derivatives_are_the_same_whatever_the_estimator() {
     println!("reference {:.6} +- {:.6}", reference.mean, reference.se);
     assert!(reference.mean.abs() > 10.0 * reference.se);
     let unbiased = |e: &&Estimator| e.check(&s).is_ok() && !e.capabilities().study;
-    let limit = 1.25 * z_limit(Estimator::ALL.len(), ALPHA);
+    let limit = z_limit(Estimator::ALL.len(), 24, ALPHA);
     for (i, &e) in Estimator::ALL.iter().filter(unbiased).enumerate() {
         let d = derivative(e, Caustics::Particles, 1000 + 100 * i as u64);
         let z = d.z(&reference);
@@ -260,6 +261,7 @@ fn progress_counts_every_pixel_once() {
 /// A point light, and the same one behind a mirror: no path finds it there. Its image lights the floor as a
 /// point light would that stands behind the plane of the mirror, seen through the mirror's outline. 1e6 particles.
 #[test]
+#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
 fn a_mirror_throws_the_light_of_a_point() {
     let body = r#"<integrator type="path"><integer name="max_depth" value="3"/></integrator>
     <sensor type="perspective"><float name="fov" value="2"/>
@@ -341,6 +343,7 @@ fn paths_keep_what_particles_would_miss() {
 
 /// A pair of particles knows the change of normals of something smooth better than particles that carry it along.
 #[test]
+#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
 fn pairs_of_particles_make_less_noise() {
     let mut s = wall();
     let mut parameters = s.params().values().to_vec();
@@ -365,6 +368,7 @@ fn pairs_of_particles_make_less_noise() {
 
 /// Fewer particles bring the same light and the same derivatives, with more noise; none at all is not possible.
 #[test]
+#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
 fn the_number_of_particles_does_not_matter() {
     let s = wall();
     let params = smooth_params(&s);
@@ -385,7 +389,7 @@ fn the_number_of_particles_does_not_matter() {
     };
     let (many, few) = (runs(1, 100), runs(7, 1100));
     let n = many[0].len();
-    let limit = z_limit(n, ALPHA) * 1.25;
+    let limit = z_limit(n, 64, ALPHA);
     let mut louder = 0.0f64;
     for i in 0..n {
         let [many, few] =
@@ -401,6 +405,7 @@ fn the_number_of_particles_does_not_matter() {
 
 /// What it is for: the wall and its derivatives in roughness and emission, at equal samples, with a smoother plate.
 #[test]
+#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
 fn particles_make_less_noise() {
     let mut s = wall();
     let mut parameters = s.params().values().to_vec();

@@ -48,6 +48,7 @@ const LAYERS: &[&str] = &[
     "parallel",
     "dispatch",
     "math",
+    "statistics",
     "sampler",
     "error",
     "inputs",

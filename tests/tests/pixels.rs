@@ -79,9 +79,10 @@ const ESTIMATORS: [Estimator; 3] = [
 /// Gradients with and without weights agree, of 64 repeats of 64 samples per pixel (significance 1e-3 over 3
 /// estimators and 7 values), and so does the image, in three channels.
 #[test]
+#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
 fn weights_change_no_expectation() {
     let (even, uneven) = (small_plate(), weighed(small_plate()));
-    let limit = z_limit(ESTIMATORS.len() * 7, ALPHA);
+    let limit = z_limit(ESTIMATORS.len() * 7, REPEATS, ALPHA);
     for e in ESTIMATORS {
         // Other seeds: with the same ones, the samples of a pixel begin alike.
         let [a, b] = [(&even, 0), (&uneven, 1000)].map(|(s, first)| -> Vec<Vec<f64>> {
@@ -110,7 +111,7 @@ fn weights_change_no_expectation() {
     };
     for c in 0..3 {
         let z = image(&even, 0, c).z(&image(&uneven, 1000, c));
-        assert!(z.abs() < z_limit(3, ALPHA), "{c}: {z}");
+        assert!(z.abs() < z_limit(3, REPEATS, ALPHA), "{c}: {z}");
     }
 }
 
@@ -134,6 +135,7 @@ fn forward_is_reverse() {
 /// The Gauss-Newton matrix takes squares and pairs of as many samples as each pixel has (significance 1e-3 over 28
 /// entries, 64 repeats).
 #[test]
+#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
 fn gauss_newton_knows_the_counts() {
     let (even, uneven) = (small_plate(), weighed(small_plate()));
     let matrix = |s: &Scene, first: u64| -> Vec<Vec<f64>> {
@@ -155,13 +157,14 @@ fn gauss_newton_knows_the_counts() {
     for i in 0..49 {
         let of = |runs: &[Vec<f64>]| Estimate::of(&runs.iter().map(|r| r[i]).collect::<Vec<_>>());
         let z = of(&a).z(&of(&b));
-        assert!(z.abs() < z_limit(28, ALPHA), "{i}: {z}");
+        assert!(z.abs() < z_limit(28, REPEATS, ALPHA), "{i}: {z}");
     }
 }
 
 /// What a pass says of its noise is the variance between passes, of each parameter times its scale and of all together,
 /// over 512 passes (whose variance is good to 6 %), with and without weights.
 #[test]
+#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
 fn noise_is_the_variance_between_passes() {
     const PASSES: u64 = 512;
     let scales = [7.0, 0.3];
@@ -213,6 +216,7 @@ fn noise_is_the_variance_between_passes() {
 /// Measured weights go to the few pixels that see a roughness, and leave less than two thirds of the variance (64
 /// repeats each, whose ratio is good to a quarter); the same seed measures the same.
 #[test]
+#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
 fn measured_weights_make_less_noise() {
     let mut s = small_plate();
     // Direct light: what the plate throws on the other one is found so rarely that no few repeats tell its variance.
@@ -251,6 +255,7 @@ fn measured_weights_make_less_noise() {
 /// than with even samples, and the one that few pixels see far less (64 repeats each, whose ratio is good to a quarter;
 /// 2.0 for both if derivatives count by the size of their parameters).
 #[test]
+#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
 fn parameters_count_alike_whatever_their_units() {
     let mut s = below_ball(0.09);
     s.settings.max_depth = 2;

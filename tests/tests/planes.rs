@@ -313,6 +313,7 @@ fn lamps_reflect_nothing_unless_they_say_so() {
 /// Curved lights that do not hide themselves from their own samples do where they should: the inside of an open tube,
 /// seen from beside it. 32 runs of 64 samples each way; significance 1e-3 over both pairs.
 #[test]
+#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
 fn curved_lights_hide_their_far_side() {
     for flip in [false, true] {
         let body = format!(
@@ -337,7 +338,7 @@ fn curved_lights_hide_their_far_side() {
         };
         let (a, b) = (run(Estimator::Emitter, 0), run(Estimator::Detached, 100));
         let z = a.z(&b).abs();
-        assert!(z < 1.25 * z_limit(2, 1e-3), "{flip}: {} {}", a.mean, b.mean);
+        assert!(z < z_limit(2, 32, 1e-3), "{flip}: {} {}", a.mean, b.mean);
         assert!(a.mean > 1e-3);
     }
 }

@@ -218,8 +218,9 @@ fn products_of_a_loss_equal_differences_of_its_gradient() {
 }
 
 /// Roughness moves samples, so differences of gradients agree in the mean only: along the roughness and one
-/// albedo, 32 repetitions; |z| below the Sidak limit at 1e-3, plus 15 % for Student's t.
+/// albedo, 32 repetitions; significance 1e-3 over all comparisons.
 #[test]
+#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
 fn products_equal_differences_of_gradients_in_roughness() {
     const REPEATS: u64 = 32;
     const SPP: u64 = 128;
@@ -254,7 +255,7 @@ fn products_equal_differences_of_gradients_in_roughness() {
             rows.push((name, p.name.clone(), total(&products), total(&differences)));
         }
     }
-    let limit = 1.15 * z_limit(rows.len(), 1e-3);
+    let limit = z_limit(rows.len(), REPEATS, 1e-3);
     let mut seen = 0;
     for (case, name, product, difference) in &rows {
         let z = product.z(difference);

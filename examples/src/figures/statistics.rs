@@ -7,10 +7,11 @@ use render::Job;
 use render::instances::Estimator;
 use render::integrator::gradient::Active;
 use render::params::Theta;
+/// What |z| stays below by chance.
+pub use render::statistics::z_limit as limit;
 use render::{RenderError, Scene, Settings};
 
 use crate::figure::Figure;
-use statrs::distribution::{ContinuousCDF, StudentsT};
 
 /// A mean and its standard error.
 #[derive(Clone, Copy, Debug, Default)]
@@ -42,16 +43,6 @@ impl Estimate {
         } else {
             d / self.error.hypot(other.error)
         }
-    }
-}
-
-/// What `tests` values of |z| stay below with probability 1 - `level` if nothing is wrong, for standard errors
-/// from `runs` repetitions (Student's distribution, Sidak's correction).
-pub fn limit(tests: usize, runs: u64, level: f64) -> f64 {
-    let each = -((-level).ln_1p() / tests as f64).exp_m1();
-    match StudentsT::new(0.0, 1.0, runs as f64 - 1.0) {
-        Ok(t) => t.inverse_cdf(1.0 - 0.5 * each),
-        Err(_) => f64::INFINITY,
     }
 }
 

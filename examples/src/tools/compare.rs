@@ -10,9 +10,8 @@ use render::auto::{self, Mixture};
 use render::instances::{Direction, Estimator, Mode, forward_f64, render_f64};
 use render::integrator::render::{NonFinite, Progress, Rendering};
 use render::params::{ParamInfo, Theta};
-use render::{Image, RenderError, Scene, Settings, image_io};
+use render::{Image, RenderError, Scene, Settings, image_io, statistics};
 use serde::Serialize;
-use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use crate::chart::{LineChart, Panel};
 use crate::cli::{
@@ -568,7 +567,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
 
     let repeats = u64::from(args.repeats);
     let tests = BLOCKS * BLOCKS * estimators.len() * args.params.len();
-    let z_limit = t_limit(repeats, tests);
+    let z_limit = statistics::z_limit(tests, repeats, SIGNIFICANCE);
     args.threads.run(|threads| {
         (args.samples).learn(&mut scene, &settings, args.seed, interrupt);
         let run = Run {
@@ -641,15 +640,6 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
         return Ok(Outcome::Interrupted);
     }
     Ok(Outcome::Done)
-}
-
-/// Largest |z| by chance among `tests` blocks, whose errors come from `repeats` repeats (Sidak).
-fn t_limit(repeats: u64, tests: usize) -> f64 {
-    let each = 1.0 - (1.0 - SIGNIFICANCE).powf(1.0 / tests.max(1) as f64);
-    match StudentsT::new(0.0, 1.0, repeats as f64 - 1.0) {
-        Ok(t) => t.inverse_cdf(1.0 - 0.5 * each),
-        Err(_) => f64::INFINITY,
-    }
 }
 
 fn row(
@@ -875,10 +865,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn limits_and_errors_by_hand() {
-        // Student's t with 15 degrees of freedom, two-sided 1e-3: 4.073.
-        assert!((t_limit(16, 1) - 4.0728).abs() < 1e-3);
-        assert!(t_limit(16, 100) > t_limit(16, 1));
+    fn errors_by_hand() {
         let [mean, error] = mean_and_error(&[1.0, 2.0, 6.0]);
         assert_eq!(mean, 3.0);
         assert!((error - (7.0f64 / 3.0).sqrt()).abs() < 1e-15);

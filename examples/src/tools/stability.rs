@@ -12,6 +12,7 @@ use clap::Parser;
 use render::Job;
 use render::image_io;
 use render::instances::{Direction, Estimator};
+use render::statistics;
 use serde::Serialize;
 
 use crate::cli::{ListArgs, Outcome, ThreadArgs, ToolError, sample_count};
@@ -272,7 +273,12 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     let spp = args.spp.unwrap_or(if args.quick { 16 } else { 128 });
     let sweeps = sweeps::all(args.quick);
     let points: usize = sweeps.iter().map(|s| s.points.len()).sum();
-    let z_limit = z_limit(points * estimators.len());
+    let z_limit = statistics::z_limit(
+        points * estimators.len(),
+        // Errors come from the pixels.
+        u64::from(SIZE * SIZE),
+        SIGNIFICANCE,
+    );
     let threads = args.threads.run(|threads| {
         let mut report = Report {
             seed: args.seed,
@@ -340,16 +346,6 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
         return Ok(Outcome::Interrupted);
     }
     Ok(Outcome::Done)
-}
-
-/// Largest |z| by chance among `tests` points (Sidak); errors come from 256 pixels, nearly normal.
-fn z_limit(tests: usize) -> f64 {
-    use statrs::distribution::{ContinuousCDF, StudentsT};
-    let each = 1.0 - (1.0 - SIGNIFICANCE).powf(1.0 / tests.max(1) as f64);
-    match StudentsT::new(0.0, 1.0, f64::from(SIZE * SIZE) - 1.0) {
-        Ok(t) => t.inverse_cdf(1.0 - 0.5 * each),
-        Err(_) => f64::INFINITY,
-    }
 }
 
 fn write(args: &Args, sweeps: &[Sweep], report: &Report) -> Result<(), ToolError> {

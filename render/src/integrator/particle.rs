@@ -12,8 +12,8 @@ use super::record::{
 };
 use super::rendering::{Components, NonFinite, Rendering};
 use super::vertex::light::{has_tangent, matters};
-use super::vertex::part_of;
 use super::vertex::roulette::{play, probability, roulette_weight};
+use super::vertex::{assert_finite, part_of};
 use crate::bsdf::differential::Part;
 use crate::bsdf::kernel::{Rules, kernel_weight};
 use crate::bsdf::nesting::flips_normals;
@@ -513,6 +513,7 @@ impl<R: Real, X: Sampler> Particle<R, X> {
             f = f - material.eval_normals(at, wo, sample.wi, mode);
         }
         self.beta = beta * f.scale(weight);
+        assert_finite(self.beta, beta);
         if !O::ENABLED && self.beta.is_black() && !has_tangent(self.beta) {
             return;
         }

@@ -16,7 +16,7 @@ use super::vertex::light::{
     matters, mis_weight, mixed,
 };
 use super::vertex::roulette::{MAX_SURVIVAL, play, probability, roulette_weight};
-use super::vertex::{MODE, part_of};
+use super::vertex::{MODE, assert_finite, part_of};
 use crate::bsdf::{Bsdf, Component, Material, Part, Shading, TextureRef};
 use crate::emitter::{AnyEmitter, Emission, Emitter, Shift};
 use crate::estimator::memory::{Memory, Store};
@@ -530,6 +530,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
         self.eta *= sample.eta;
         let beta = self.beta;
         let mut next_beta = beta * f * weight;
+        assert_finite(next_beta, self.l);
 
         // ---- Roulette ----
         let differentiates = const { O::ENABLED || !R::IS_PRIMAL };

@@ -40,11 +40,6 @@ pub fn polar(z: f64, phi: f64) -> Vec3<f64> {
     Vec3::new(s * phi.cos(), s * phi.sin(), z)
 }
 
-/// Significance of each of `n` tests such that all together have significance 1 % (Sidak).
-pub fn sidak(n: usize) -> f64 {
-    -((-0.01f64).ln_1p() / n as f64).exp_m1()
-}
-
 /// Nodes and weights of the 8-point Gauss-Legendre rule on [-1, 1], positive half.
 const GAUSS: [(f64, f64); 4] = [
     (0.183_434_642_495_649_8, 0.362_683_783_378_362),
@@ -92,26 +87,4 @@ pub fn integrate(f: &dyn Fn(f64, f64) -> f64, b: [f64; 4], tolerance: f64, depth
         .iter()
         .map(|&p| integrate(f, p, tolerance / 2.0, depth - 1))
         .sum()
-}
-
-/// Pearson's test; bins with few expected counts are pooled.
-pub fn p_value(mut bins: Vec<(f64, f64)>, name: &str) -> f64 {
-    use statrs::distribution::{ChiSquared, ContinuousCDF};
-    bins.sort_by(|a, b| a.1.total_cmp(&b.1));
-    let (mut statistic, mut dof) = (0.0, -1.0);
-    let mut pool = (0.0, 0.0);
-    for (count, expected) in bins {
-        pool = (pool.0 + count, pool.1 + expected);
-        if pool.1 >= 5.0 {
-            statistic += (pool.0 - pool.1).powi(2) / pool.1;
-            dof += 1.0;
-            pool = (0.0, 0.0);
-        }
-    }
-    // What is left is the total, if that is small at all.
-    assert!(pool.0 < 30.0, "{name}: samples where none are expected");
-    if dof < 1.0 {
-        return 1.0;
-    }
-    1.0 - ChiSquared::new(dof).unwrap().cdf(statistic)
 }

@@ -8,7 +8,10 @@ pub mod interest;
 pub(crate) mod light;
 pub(super) mod roulette;
 
+use ad_core::Real;
+
 use crate::bsdf::{Component, Part, TransportMode};
+use crate::math::Rgb;
 
 /// What paths from the camera carry.
 pub(super) const MODE: TransportMode = TransportMode::Radiance;
@@ -21,4 +24,15 @@ pub(super) fn part_of(component: Component, splits: bool) -> Part {
         Component::Continuous if splits => Part::Rest,
         _ => Part::All,
     }
+}
+
+/// With debug assertions: a throughput is finite, its derivatives included, or `found` is not, which the sample has brought
+/// already and for which it is counted and left out. Anything else could end as a silent zero, since comparisons with NaN
+/// are false.
+#[inline(always)]
+pub(super) fn assert_finite<R: Real>(throughput: Rgb<R>, found: Rgb<R>) {
+    debug_assert!(
+        throughput.is_finite() || !found.is_finite(),
+        "a sample that has brought {found:?} goes on with throughput {throughput:?}"
+    );
 }

@@ -23,13 +23,13 @@ pub(super) use record::Record;
 use super::direct::{Departure, FoundEdge};
 use super::lockstep;
 use super::path::Context;
-use super::vertex::MODE;
 use super::vertex::interest::{Interest, PathInterest, splits};
 use super::vertex::light::{
     Met, Rival, Seen, choose, counts_hits, find_light, guided, has_rival, matters, mis_weight,
     mixed,
 };
 use super::vertex::roulette::{play, probability, roulette_weight};
+use super::vertex::{MODE, assert_finite};
 use crate::accel::{Hit, PACKET_SIZE, RayPacket};
 use crate::bsdf::{Bsdf, Component, DiffuseLobe, Lobe, Material, Shading};
 use crate::camera::Camera;
@@ -524,6 +524,9 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             self.split::<Of, S, L>(context, depth, log);
         }
         self.scatter::<S>(context, guide, more);
+        if cfg!(debug_assertions) {
+            self.assert_finite();
+        }
         self.choose::<L>(more, depth >= settings.rr_depth);
         log.layer(self);
         self.go_on::<L>();
@@ -1147,6 +1150,15 @@ impl<P: Float, X: Sampler> Wave<P, X> {
                     Component::Delta { .. } => P::zero(),
                 };
             }
+        }
+    }
+
+    /// [`assert_finite`] of the paths that may go on.
+    fn assert_finite(&self) {
+        let (paths, bounces) = (&self.paths, &self.bounces);
+        for i in (0..self.n).filter(|&i| bounces.continues[i] != 0) {
+            let beta = paths.beta.rgb(i) * bounces.f.rgb(i) * bounces.weight[i];
+            assert_finite(beta, paths.l.rgb(i));
         }
     }
 
