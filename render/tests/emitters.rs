@@ -208,7 +208,7 @@ fn particles_start_by_their_densities() {
         let [c, d] = numbers.next_2d::<f64>();
         let ball = Ball::around(scene.shapes());
         let e = &scene.emitters()[k];
-        let start = e.sample_ray(scene.lights(), ball, [a, b, c, d]).unwrap();
+        let start = e.sample_ray(&Theta::still(), scene.lights(), ball, [a, b, c, d]).unwrap();
         if !e.is_infinite() {
             let si = start.surface.as_ref().map(|(_, si)| si);
             let (emission, pdf) = e.leaves(start.ray.d, si).unwrap();

@@ -230,7 +230,7 @@ impl<R: Real, X: Sampler> Particle<R, X> {
         if connects && e.is_infinite() {
             this.see_environment::<O>(context, index, [c, d], inverse_choice);
         }
-        let Some(mut start) = e.sample_ray(scene.lights(), context.ball, [a, b, c, d]) else {
+        let Some(mut start) = e.sample_ray(&context.theta.primal(), scene.lights(), context.ball, [a, b, c, d]) else {
             return this;
         };
         if !targets.is_empty() {
@@ -569,6 +569,7 @@ impl<R: Real, X: Sampler> Particle<R, X> {
     fn finish(mut self, context: &Context<R>, splat: &mut dyn FnMut([R::Primal; 2], Rgb<R>)) {
         batch::trace_alone(
             context.scene,
+            &context.theta.primal(),
             context.progress,
             &mut self,
             |particle, hit, visible| {
@@ -615,6 +616,7 @@ pub(super) fn follow<R: Real, X: Sampler, O: ParticleObserver<R> + Clone>(
         }
         batch::trace(
             context.scene,
+            &context.theta.primal(),
             context.progress,
             &mut group,
             |k, particle, hit, visible| {

@@ -200,7 +200,7 @@ pub fn tally<S: Strategy, X: Sampler>(
             let pixel = ((u / paths as f64 * pixels as f64) as u64).min(pixels - 1);
             let pixel = [pixel % width, pixel / width].map(|p| p as u32);
             let mut walk = start::<f32, S, X>(scene, settings.points, seed, pixel, path);
-            batch::trace_alone(scene, progress, &mut walk, |walk, hit, visible| {
+            batch::trace_alone(scene, &S::Bsdf::geometry(context.theta), progress, &mut walk, |walk, hit, visible| {
                 let tally = &mut counter.tally;
                 let edge = u64::from(walk.ray.is_some());
                 tally.add(Part::Edge, edge);

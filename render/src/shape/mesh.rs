@@ -5,15 +5,20 @@ use std::io::{self, BufRead, Read};
 use std::path::Path;
 use std::sync::{Arc, OnceLock};
 
-use ad_core::{Const, Float, Real, Vec2, Vec3};
+use ad_core::{Const, Dual, Float, Real, Vec2, Vec3};
 use smallvec::SmallVec;
 
+use super::partials::variables;
 use super::patch::intersect_plane;
-use super::{DirectionSample, Shape, ShapeSample, SurfaceInteraction, hit_is_exact, lift3};
+use super::{
+    DirectionSample, Partials, Shape, ShapeSample, SurfaceCoordinates, SurfaceInteraction,
+    coordinates_in_plane, hit_is_exact, lift3,
+};
 use crate::accel::{Hit, MAX_COORDINATE, Primitive};
 use crate::error::{SceneError, quoted};
 use crate::files;
 use crate::math::{Frame, Ray, Transform, each, warp};
+use crate::params::Theta;
 use crate::plugin::{FromNode, Node, Registry};
 use crate::prefetch::prefetch;
 
@@ -242,6 +247,21 @@ impl Mesh {
         (Frame::from_normal_and_tangent(n, dp_du), n_geo, uv)
     }
 
+    /// The point at barycentric `(u, v)`.
+    #[inline]
+    fn point<R: Real>(&self, triangle: usize, u: R, v: R) -> SurfaceInteraction<R> {
+        let (v0, [e1, e2]) = self.0.single_edges(triangle);
+        let (v0, e1, e2) = (lift3::<R>(v0), lift3::<R>(e1), lift3::<R>(e2));
+        let (frame, n_geo, uv) = self.surface(triangle, u, v);
+        SurfaceInteraction {
+            p: v0 + e1 * u + e2 * v,
+            t: R::zero(),
+            n_geo,
+            frame,
+            uv,
+        }
+    }
+
     /// A uniform point: triangle, and barycentric coordinates of its second and third vertex.
     fn choose<P: Float>(&self, u: [P; 2]) -> (usize, Vec2<P>) {
         let data = &*self.0;
@@ -313,7 +333,13 @@ impl Shape for Mesh {
     }
 
     #[inline]
-    fn interaction<R: Real>(&self, prim: u32, ray: &Ray<R>, hit: &Hit) -> SurfaceInteraction<R> {
+    fn interaction<R: Real>(
+        &self,
+        _theta: &Theta<R>,
+        prim: u32,
+        ray: &Ray<R>,
+        hit: &Hit,
+    ) -> SurfaceInteraction<R> {
         let (v0, [e1, e2]) = self.0.single_edges(prim as usize);
         let (v0, e1, e2) = (lift3::<R>(v0), lift3::<R>(e1), lift3::<R>(e2));
         let (t, u, v) = if hit_is_exact::<R>() {
@@ -322,14 +348,49 @@ impl Shape for Mesh {
         } else {
             intersect_plane(ray, v0, e1, e2)
         };
-        let (frame, n_geo, uv) = self.surface(prim as usize, u, v);
         SurfaceInteraction {
-            p: v0 + e1 * u + e2 * v,
             t,
-            n_geo,
-            frame,
-            uv,
+            ..self.point(prim as usize, u, v)
         }
+    }
+
+    fn coordinates<P: Float>(
+        &self,
+        prim: u32,
+        si: &SurfaceInteraction<P>,
+    ) -> SurfaceCoordinates<P> {
+        if self.0.mesh.uvs.is_empty() {
+            return SurfaceCoordinates(si.uv);
+        }
+        let (v0, [e1, e2]) = self.0.single_edges(prim as usize);
+        coordinates_in_plane(si.p, v0, e1, e2)
+    }
+
+    fn point_at<R: Real>(
+        &self,
+        _theta: &Theta<R>,
+        prim: u32,
+        at: SurfaceCoordinates<R>,
+    ) -> SurfaceInteraction<R> {
+        self.point(prim as usize, at.0.x, at.0.y)
+    }
+
+    fn partials<R: Real>(
+        &self,
+        _theta: &Theta<R>,
+        prim: u32,
+        at: SurfaceCoordinates<R>,
+    ) -> Option<Partials<R>> {
+        if self.0.double_area(prim as usize) == 0.0 {
+            return None;
+        }
+        let [u, v] = variables(at.0.x, at.0.y);
+        let si = self.point::<Dual<R, 2>>(prim as usize, u, v);
+        Partials::of(si.p, &si.frame).with_respect_to(si.uv)
+    }
+
+    fn area_element<R: Real>(&self, _theta: &Theta<R>, prim: u32) -> R {
+        R::of(self.0.double_area(prim as usize))
     }
 
     #[inline]
@@ -358,28 +419,32 @@ impl Shape for Mesh {
     }
 
     /// The normal returned is the shading normal, which emission goes by.
-    fn sample_area<P: Float>(&self, u: [P; 2]) -> ShapeSample<P> {
+    fn sample_area<R: Real>(&self, _theta: &Theta<R>, u: [R::Primal; 2]) -> ShapeSample<R> {
         let (triangle, b) = self.choose(u);
-        let (v0, [e1, e2]) = self.0.single_edges(triangle);
-        let (frame, _, uv) = self.surface(triangle, b.x, b.y);
+        let at = self.point::<R>(triangle, R::lift(b.x), R::lift(b.y));
         ShapeSample {
-            p: lift3::<P>(v0) + lift3::<P>(e1) * b.x + lift3::<P>(e2) * b.y,
-            n: frame.n,
-            uv,
-            pdf: P::of(1.0 / self.0.area),
+            p: at.p,
+            n: at.frame.n,
+            uv: at.uv,
+            pdf: R::Primal::of(1.0 / self.0.area),
             prim: triangle as u32,
+            coordinates: SurfaceCoordinates(b),
         }
     }
 
-    fn sample_surface<P: Float>(&self, u: [P; 2]) -> (ShapeSample<P>, Vec3<P>) {
-        let s = self.sample_area(u);
+    fn sample_surface<R: Real>(
+        &self,
+        theta: &Theta<R>,
+        u: [R::Primal; 2],
+    ) -> (ShapeSample<R>, Vec3<R>) {
+        let s = self.sample_area(theta, u);
         let [e1, e2] = self.0.edges(s.prim as usize);
         let n = e1.cross(e2).normalize();
-        (s, Vec3::new(P::of(n.x), P::of(n.y), P::of(n.z)))
+        (s, Vec3::new(R::of(n.x), R::of(n.y), R::of(n.z)))
     }
 
     fn sample<P: Float>(&self, from: Vec3<P>, u: [P; 2]) -> Option<DirectionSample<P>> {
-        let (s, n_geo) = self.sample_surface(u);
+        let (s, n_geo) = self.sample_surface(&Theta::still(), u);
         s.seen_from(from, n_geo)
     }
 
