@@ -288,7 +288,10 @@ fn all_shapes() -> Vec<(&'static str, AnyShape)> {
 }
 
 /// Largest difference of two points on a surface, but for the distance along a ray: `u` may be off by whole turns.
-fn difference<P: Float>(a: &SurfaceInteraction<P>, b: &SurfaceInteraction<P>) -> (f64, &'static str) {
+fn difference<P: Float>(
+    a: &SurfaceInteraction<P>,
+    b: &SurfaceInteraction<P>,
+) -> (f64, &'static str) {
     let pairs = numbers(a).into_iter().zip(numbers(b));
     let off = pairs.filter(|((what, _), _)| *what != "distance");
     off.map(|((what, x), (_, y))| {
@@ -323,7 +326,10 @@ fn coordinates_lead_back_to_the_point() {
                 _ => P::one(),
             };
             let (off, what) = difference(&si, &back);
-            assert!(off * middle.to_f64() < limit, "{name}: {what} is off by {off:e}");
+            assert!(
+                off * middle.to_f64() < limit,
+                "{name}: {what} is off by {off:e}"
+            );
             tested += 1;
         }
         assert!(tested > 200, "{name}: {tested}");
@@ -377,11 +383,7 @@ fn bends(at: &SurfaceInteraction<f64>) -> [Vec3<f64>; 3] {
 
 /// Both partial derivatives of each of [`bends`].
 fn partials_of(p: &Partials<f64>) -> [[Vec3<f64>; 2]; 3] {
-    [
-        [p.dp_du, p.dp_dv],
-        [p.dn_du, p.dn_dv],
-        [p.ds_du, p.ds_dv],
-    ]
+    [[p.dp_du, p.dp_dv], [p.dn_du, p.dn_dv], [p.ds_du, p.ds_dv]]
 }
 
 /// Central differences in f64 with step 1e-5 in each surface coordinate: `d x = x_u du + x_v dv`, to 1e-6 of the largest
@@ -473,9 +475,17 @@ fn partials_at_poles_are_finite() {
             let at = SurfaceCoordinates(at);
             let found = shape.partials::<P>(&Theta::still(), 0, at).unwrap();
             assert!(found.is_finite(), "{found:?}");
-            let along = if matches!(shape, AnyShape::Disk(_)) { found.dp_dv } else { found.dp_du };
+            let along = if matches!(shape, AnyShape::Disk(_)) {
+                found.dp_dv
+            } else {
+                found.dp_du
+            };
             assert!(along.length() < P::of(1e-5), "{found:?}");
-            let across = if matches!(shape, AnyShape::Disk(_)) { found.dp_du } else { found.dp_dv };
+            let across = if matches!(shape, AnyShape::Disk(_)) {
+                found.dp_du
+            } else {
+                found.dp_dv
+            };
             assert!(across.length() > P::of(0.3), "{found:?}");
         }
     }
@@ -517,7 +527,7 @@ fn normal_texels(width: usize, height: usize) -> Vec<f32> {
 /// central differences as above.
 #[test]
 fn partials_of_mapped_normals_are_those_of_differences() {
-    use render::bsdf::{Blend, Conductor, ConductorIndex, Interpolation, Mask, NormalMap, TwoSided};
+    use render::bsdf::{Blend, Conductor, Interpolation, Mask, NormalMap, TwoSided};
     use render::camera::{Camera, FovAxis};
     use render::{Film, Settings};
     use std::sync::Arc;
@@ -541,12 +551,13 @@ fn partials_of_mapped_normals_are_those_of_differences() {
             let half = build.scalar("half", 0.5, (0.0, 1.0)).unwrap();
             let mirror: Arc<_> = Arc::new(
                 Conductor {
-                    index: ConductorIndex::Perfect,
+                    index: None,
                     specular_reflectance: tint,
                 }
                 .into(),
             );
-            let mapped = |map: &render::texture::RgbTexture, nested: &Arc<render::bsdf::Material>| {
+            let mapped = |map: &render::texture::RgbTexture,
+                          nested: &Arc<render::bsdf::Material>| {
                 let map = NormalMap::new(map.clone(), interpolation, nested.clone()).unwrap();
                 Arc::new(render::bsdf::Material::from(map))
             };
@@ -556,16 +567,31 @@ fn partials_of_mapped_normals_are_those_of_differences() {
             let (material, route, behind) = match composite {
                 0 => (one, 0, false),
                 1 => (mapped(&second, &one), 0, false),
-                2 => (Arc::new(TwoSided::new([one, other]).unwrap().into()), 0, true),
-                3 => (Arc::new(Blend::new(half, [one, other]).unwrap().into()), 1, false),
+                2 => (
+                    Arc::new(TwoSided::new([one, other]).unwrap().into()),
+                    0,
+                    true,
+                ),
+                3 => (
+                    Arc::new(Blend::new(half, [one, other]).unwrap().into()),
+                    1,
+                    false,
+                ),
                 _ => (Arc::new(Mask::new(half, one).unwrap().into()), 1, false),
             };
             let material = build.add_shared_material(material);
             build.add_shape("it", shape.clone(), material);
             let view = Transform::look_at([0.0, 0.0, 9.0], [0.0; 3], [0.0, 1.0, 0.0]).unwrap();
             let camera = Camera::new(view, 40.0, FovAxis::Smaller, [8, 8]).unwrap();
-            let scene = build.build(camera, Film::new(8, 8), Settings::default()).unwrap();
-            let values: Vec<f64> = scene.params().values().iter().map(|&x| f64::from(x)).collect();
+            let scene = build
+                .build(camera, Film::new(8, 8), Settings::default())
+                .unwrap();
+            let values: Vec<f64> = scene
+                .params()
+                .values()
+                .iter()
+                .map(|&x| f64::from(x))
+                .collect();
             let theta = Theta::<f64>::constant(&values);
             let mut tested = 0;
             for ray in rays(400, 15) {
@@ -587,7 +613,8 @@ fn partials_of_mapped_normals_are_those_of_differences() {
                 let round = name.ends_with("sphere");
                 // Neither where coordinates jump nor where the interpolation of texels bends.
                 let bend = |x: f64, n: [f64; 2]| {
-                    n.iter().any(|n| ((x * n - 0.5) - (x * n - 0.5).round()).abs() < 1e-3)
+                    n.iter()
+                        .any(|n| ((x * n - 0.5) - (x * n - 0.5).round()).abs() < 1e-3)
                 };
                 let edge = |x: f64| x.min(1.0 - x) < 0.06;
                 if (round && fold.iter().any(|x| x.abs() < 1e-3))

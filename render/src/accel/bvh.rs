@@ -209,7 +209,11 @@ impl Tree {
                 }
             }
         }
-        self.lie_within(items.iter().fold(Aabb::empty(), |sum, i| sum.union(&i.aabb())));
+        self.lie_within(
+            items
+                .iter()
+                .fold(Aabb::empty(), |sum, i| sum.union(&i.aabb())),
+        );
         // Children come after their parents.
         let mut around = vec![Aabb::empty(); self.nodes.len()];
         for at in (0..self.nodes.len()).rev() {

@@ -6,8 +6,8 @@ use ad_core::{Const, Float, Real, Vec3};
 
 use super::nesting::{attached_choice, check_levels, choice, choose, nested_nodes};
 use super::{
-    Bsdf, BsdfSample, Component, DeltaKind, Material, Part, Shading, TextureRef, TransportMode, Use,
-    upright,
+    Bsdf, BsdfSample, Component, DeltaKind, Material, Part, Shading, TextureRef, TransportMode,
+    Use, upright,
 };
 use crate::error::SceneError;
 use crate::math::{Frame, Rgb};

@@ -230,7 +230,12 @@ impl<R: Real, X: Sampler> Particle<R, X> {
         if connects && e.is_infinite() {
             this.see_environment::<O>(context, index, [c, d], inverse_choice);
         }
-        let Some(mut start) = e.sample_ray(&context.theta.primal(), scene.lights(), context.ball, [a, b, c, d]) else {
+        let Some(mut start) = e.sample_ray(
+            &context.theta.primal(),
+            scene.lights(),
+            context.ball,
+            [a, b, c, d],
+        ) else {
             return this;
         };
         if !targets.is_empty() {

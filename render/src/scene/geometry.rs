@@ -124,11 +124,7 @@ impl Layout {
 }
 
 impl Wanted {
-    fn balls(
-        self,
-        shapes: &[AnyShape],
-        infos: &[ShapeInfo],
-    ) -> (Option<Vec<Ball>>, Vec<Ball>) {
+    fn balls(self, shapes: &[AnyShape], infos: &[ShapeInfo]) -> (Option<Vec<Ball>>, Vec<Ball>) {
         let lamps = match self.lamps {
             true => balls(shapes, infos, |i| i.emitter.is_some()),
             false => None,
@@ -281,5 +277,147 @@ fn balls(
     match found().count() {
         0..=MOST_BALLS => found().map(|s| Ball::around([s])).collect(),
         _ => Ball::around(found()).map(|b| vec![b]),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::bsdf::{Conductor, Diffuse};
+    use crate::camera::{Camera, FovAxis};
+    use crate::emitter::Area;
+    use crate::film::Film;
+    use crate::math::Transform;
+    use crate::params::ParamShape;
+    use crate::scene::{Builder, Scene, Settings};
+    use crate::shape::{Cube, Mesh, MeshData};
+
+    /// A lamp and a mirror that stand where a parameter says, cubes both, over a floor of many triangles.
+    fn scene(lamp_at: f32, mirror_at: f32) -> Scene {
+        let mut build = Builder::new();
+        let half = build.rgb("half", [0.5; 3], (0.0, 1.0)).expect("valid");
+        let reach = (-1e30, 1e30);
+        let mut place = |name: &str, x: f32| {
+            let params = build.registry().params_mut();
+            params.push(name, ParamShape::Scalar, &[x], reach)
+        };
+        let places = [("lamp", lamp_at), ("mirror", mirror_at)].map(|(n, x)| place(n, x));
+        let grey = build.add_material(Diffuse {
+            reflectance: half.clone(),
+        });
+        let metal = build.add_material(Conductor {
+            specular_reflectance: half.clone(),
+            index: None,
+        });
+        let n = 20u32;
+        let positions = (0..=n).flat_map(|i| (0..=n).map(move |j| [i as f32, j as f32, 0.0]));
+        let triangles = (0..n).flat_map(|i| {
+            (0..n).flat_map(move |j| {
+                let [a, b] = [i * (n + 1) + j, (i + 1) * (n + 1) + j];
+                [[a, b, b + 1], [a, b + 1, a + 1]]
+            })
+        });
+        let floor = MeshData {
+            positions: positions.collect(),
+            triangles: triangles.collect(),
+            ..Default::default()
+        };
+        build.add_shape("floor", Mesh::new(floor, false).expect("a mesh"), grey);
+        let cubes = [("lamp", 5.0, grey), ("mirror", 12.0, metal)];
+        for ((name, y, material), (p, x)) in cubes
+            .into_iter()
+            .zip(places.into_iter().zip([lamp_at, mirror_at]))
+        {
+            let to_world = Transform::translate([f64::from(x) + 1.0, y, 3.0]);
+            let mut cube = Cube::new(&to_world, false).expect("a cube");
+            cube.moved_by = Some(p);
+            build.add_shape(name, cube, material);
+            if name == "lamp" {
+                let radiance = half.clone();
+                let light = Area {
+                    radiance,
+                    exponent: 0.0,
+                    shape: 1,
+                };
+                build.add_emitter(light, Some(1));
+            }
+        }
+        let view = Transform::look_at([10.0, 10.0, 30.0], [10.0, 10.0, 0.0], [0.0, 1.0, 0.0]);
+        let camera = Camera::new(view.expect("a view"), 50.0, FovAxis::Smaller, [8, 8]);
+        let camera = camera.expect("a camera");
+        let scene = build.build(camera, Film::new(8, 8), Settings::default());
+        scene.expect("a scene")
+    }
+
+    /// Everything that follows from where shapes are.
+    fn derived(scene: &Scene) -> String {
+        let g = &scene.geometry;
+        let hits: Vec<Option<Hit>> = (0..40 * 40)
+            .map(|i| {
+                let at = Vec3::new(
+                    0.5 * (i % 40) as f32 + 0.13,
+                    0.5 * (i / 40) as f32 + 0.07,
+                    0.0,
+                );
+                let o = Vec3::new(10.0f32, 9.0, 20.0);
+                scene.nearest(&Ray::new(o, (at - o).normalize()))
+            })
+            .collect();
+        format!(
+            "{:?} {:?} {:?} {:?} {:?} {:?} {hits:?}",
+            &g.shapes[1..],
+            g.prims,
+            g.firsts,
+            g.patches,
+            g.lamps,
+            g.casters
+        )
+    }
+
+    /// After parameters that shapes read have changed, a scene is the one that is built with them: shapes, primitives,
+    /// patches, surfaces and exits, hierarchy, balls around lamps and casters.
+    #[test]
+    fn what_is_derived_from_shapes_moves_with_them() {
+        let mut moving = scene(3.0, 9.0);
+        assert!(moving.has_hierarchy());
+        assert!(moving.lamps().is_some_and(|l| !l.is_empty()) && !moving.casters().is_empty());
+        let start = derived(&moving);
+        assert_eq!(start, derived(&scene(3.0, 9.0)));
+        let offset = |scene: &Scene, name| scene.params().find(name).expect("known").offset;
+        let mut values = moving.params().values().to_vec();
+        for (lamp, mirror) in [(4.0, 9.0), (12.0, 2.0), (3.0, 9.0)] {
+            values[offset(&moving, "lamp")] = lamp;
+            values[offset(&moving, "mirror")] = mirror;
+            moving.set_params(&values).expect("valid");
+            let now = derived(&moving);
+            assert_eq!(now, derived(&scene(lamp, mirror)), "{lamp} {mirror}");
+            assert_eq!(now == start, (lamp, mirror) == (3.0, 9.0));
+        }
+    }
+
+    /// Other parameters leave the geometry alone, and what is out of reach changes nothing.
+    #[test]
+    fn nothing_moves_without_need() {
+        let mut still = scene(3.0, 9.0);
+        let start = derived(&still);
+        let mut values = still.params().values().to_vec();
+        values[0] = 0.25;
+        let floor = still.shapes()[0].primitives();
+        still.set_params(&values).expect("valid");
+        assert_eq!(derived(&still), start);
+        assert_eq!(still.shapes()[0].primitives(), floor);
+        let before = still.params().values().to_vec();
+        let lamp = still.params().find("lamp").expect("known").offset;
+        values[lamp] = 1e20;
+        let error = still
+            .set_params(&values)
+            .expect_err("out of reach")
+            .to_string();
+        assert!(
+            error.starts_with("shape `lamp`: primitive ") && error.contains("at most 1e12"),
+            "{error}"
+        );
+        assert_eq!(derived(&still), start);
+        assert_eq!(still.params().values(), before);
     }
 }

@@ -359,7 +359,8 @@ impl Scene {
     /// Whether a ray may meet something that emits, or leave towards it: false only where it certainly does not.
     #[inline]
     pub(crate) fn may_meet_light<P: Float>(&self, ray: &Ray<P>) -> bool {
-        (self.geometry.lamps.as_ref()).is_none_or(|lamps| lamps.iter().any(|ball| ball.may_be_met(ray)))
+        (self.geometry.lamps.as_ref())
+            .is_none_or(|lamps| lamps.iter().any(|ball| ball.may_be_met(ray)))
     }
 
     /// Shapes, by index.
@@ -511,7 +512,9 @@ impl Scene {
     pub fn occluded<P: Float>(&self, segment: &Segment<P>) -> bool {
         let Segment { ray, length, to } = segment;
         let (o, d) = single(ray);
-        self.geometry.accel.occluded(o, d, length.to_f32(), [ray.from, *to])
+        self.geometry
+            .accel
+            .occluded(o, d, length.to_f32(), [ray.from, *to])
     }
 
     /// Index in the scene of a shape's primitive.
@@ -618,7 +621,9 @@ impl Scene {
 
     /// Bytes held by geometry, acceleration structure and parameters.
     pub fn memory_bytes(&self) -> usize {
-        self.geometry.accel.memory_bytes() + size_of_val(&self.geometry.prims[..]) + size_of_val(self.params.values())
+        self.geometry.accel.memory_bytes()
+            + size_of_val(&self.geometry.prims[..])
+            + size_of_val(self.params.values())
     }
 }
 

@@ -92,7 +92,14 @@ impl Cylinder {
         let [x, y] = self.across.map(lift3::<R>);
         let x = (x - direction * direction.dot(x)).normalize();
         let z = direction.cross(x);
-        [x, if z.dot(y).primal() < R::Primal::zero() { -z } else { z }]
+        [
+            x,
+            if z.dot(y).primal() < R::Primal::zero() {
+                -z
+            } else {
+                z
+            },
+        ]
     }
 
     /// The point at a height over the foot of the axis, in an outward unit direction across it.

@@ -130,7 +130,8 @@ impl Shape for Disk {
         let SurfaceCoordinates(Vec2 { x, y }) = at;
         let [r, turns] = variables(x.hypot(y), turn(y, x));
         let (sin, cos) = (turns * Dual::<R, 2>::c(2.0 * PI)).sin_cos();
-        let [center, e1, e2, n] = [self.center, self.e1, self.e2, self.n].map(|v| constant(lift3::<R>(v)));
+        let [center, e1, e2, n] =
+            [self.center, self.e1, self.e2, self.n].map(|v| constant(lift3::<R>(v)));
         let outward = e1 * cos + e2 * sin;
         let frame = Frame::from_normal_and_tangent(n, outward);
         Some(Partials::of(center + outward * r, &frame))

@@ -32,14 +32,14 @@ pub struct MeshData {
     pub positions: Vec<[f32; 3]>,
     /// World space, of any length; zero for "as the triangle". Without them every triangle is flat.
     pub normals: Vec<[f32; 3]>,
-    /// Surface coordinates. Without them `uv` are the barycentric coordinates of the second and third
+    /// Texture coordinates. Without them `uv` are the barycentric coordinates of the second and third
     /// vertex.
     pub uvs: Vec<[f32; 2]>,
     /// Vertices of each triangle, counter-clockwise seen from outside.
     pub triangles: Vec<[u32; 3]>,
 }
 
-/// Triangles with interpolated normals and surface coordinates. Cheap to clone.
+/// Triangles with interpolated normals and texture coordinates. Cheap to clone.
 ///
 /// Degenerate triangles are kept but never hit or sampled.
 #[derive(Clone, Debug)]
@@ -203,7 +203,7 @@ impl Mesh {
             + self.0.cdf.get().map_or(0, |c| size_of_val(&c[..]))
     }
 
-    /// Shading frame, geometric normal on its side, and surface coordinates at barycentric `(u, v)`.
+    /// Shading frame, geometric normal on its side, and texture coordinates at barycentric `(u, v)`.
     #[inline]
     fn surface<R: Real>(&self, triangle: usize, u: R, v: R) -> (Frame<R>, Vec3<R>, Vec2<R>) {
         let data = &*self.0;
@@ -306,7 +306,7 @@ impl Data {
         e1.cross(e2).length()
     }
 
-    /// The direction of increasing u, zero where the surface coordinates are degenerate. Its length
+    /// The direction of increasing u, zero where the texture coordinates are degenerate. Its length
     /// means nothing.
     #[inline]
     fn dp_du(&self, triangle: usize) -> Vec3<f64> {

@@ -105,7 +105,7 @@ pub struct SurfaceInteraction<R> {
     pub n_geo: Vec3<R>,
     /// Shading frame; `frame.n` on the same side as `n_geo`.
     pub frame: Frame<R>,
-    /// Surface coordinates; may be zero where nothing looks them up ([`Shape::skip_uv`]).
+    /// Texture coordinates; may be zero where nothing looks them up ([`Shape::skip_uv`]).
     pub uv: Vec2<R>,
 }
 
@@ -215,7 +215,7 @@ pub struct DirectionSample<P> {
     pub n: Vec3<P>,
     /// Unit geometric normal there.
     pub n_geo: Vec3<P>,
-    /// Surface coordinates there.
+    /// Texture coordinates there.
     pub uv: Vec2<P>,
     /// Density per solid angle.
     pub pdf: P,

@@ -75,7 +75,7 @@ impl Sphere {
         })
     }
 
-    /// Whether normals point outward, and nothing needs surface coordinates: [`sample_cone`] is all of
+    /// Whether normals point outward, and nothing needs texture coordinates: [`sample_cone`] is all of
     /// [`Shape::sample`] from outside.
     pub(crate) fn is_plain(&self) -> bool {
         !self.flip && self.skips_uv
@@ -96,7 +96,7 @@ impl Sphere {
         if self.flip { -outward } else { outward }
     }
 
-    /// Surface coordinates of the point with outward unit normal `n`, and the direction of
+    /// Texture coordinates of the point with outward unit normal `n`, and the direction of
     /// increasing u there (zero at the poles).
     #[inline]
     fn uv<R: Real>(&self, n: Vec3<R>) -> (Vec2<R>, Vec3<R>) {
@@ -150,7 +150,7 @@ fn cone<R: Real>(center: [f32; 3], radius: f32, from: Vec3<R>) -> Option<(R, Vec
     seen.then_some((sine * sine / (cosine + R::c(1.0)), to * inv_d))
 }
 
-/// A direction towards a sphere from outside, uniform in its cone, and outward normals; without surface coordinates.
+/// A direction towards a sphere from outside, uniform in its cone, and outward normals; without texture coordinates.
 /// `None` where there is no [`cone`]. A function of numbers alone, for loops over many spheres.
 #[inline(always)]
 pub(crate) fn sample_cone<P: Float>(
@@ -311,8 +311,10 @@ impl Shape for Sphere {
             + axes[1] * (sin_theta * sin_phi)
             + axes[2] * cos_theta)
             .normalize();
-        let frame =
-            Frame::from_normal_and_tangent(self.side(outward), axes[1] * cos_phi - axes[0] * sin_phi);
+        let frame = Frame::from_normal_and_tangent(
+            self.side(outward),
+            axes[1] * cos_phi - axes[0] * sin_phi,
+        );
         let radius = Const(R::Primal::from_f32(self.radius));
         Some(Partials::of(
             constant(lift3::<R>(self.center)) + outward * radius,
