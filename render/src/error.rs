@@ -439,6 +439,14 @@ pub enum RenderError {
         /// What makes them.
         culprit: String,
     },
+    /// Parameters that move a shape to where no rays are traced.
+    #[error("{}: {reason}", match shape { Some(name) => format!("shape {}", quoted(name)), None => "geometry".to_owned() })]
+    OutOfReach {
+        /// Its name; none if it is all of them together.
+        shape: Option<String>,
+        /// What was expected, and what was found.
+        reason: String,
+    },
     /// Normals flipped to a viewer, whom particles do not know.
     #[error(
         "flip_invalid_normals: particles do not know their viewer; expected `--integrator path` and \

@@ -323,6 +323,12 @@ impl<'a, R: Real> Theta<'a, R> {
         }
     }
 
+    /// No parameters at all: for shapes as the scene has them, of which nothing moves.
+    #[inline(always)]
+    pub fn still() -> Self {
+        Self::constant(&[])
+    }
+
     /// The values of `theta`, of which the `seeds` move.
     pub fn seeded(theta: &Theta<'a, R::Primal>, seeds: &'a [Seed<R>]) -> Self {
         Self {
@@ -356,6 +362,25 @@ impl<'a, R: Real> Theta<'a, R> {
                 Tangents::Ranges(t) => !matches!(t.get(p.id as usize), None | Some(Tangent::None)),
                 Tangents::Seeds(s) => s.iter().any(|s| s.param == p.id),
             }
+    }
+
+    /// The tangent of element `i` of a range: a number whose primal part is zero.
+    #[inline]
+    pub fn tangent(&self, p: ParamRef, i: usize) -> R {
+        if R::IS_PRIMAL {
+            return R::zero();
+        }
+        match self.tangents {
+            Tangents::Ranges(tangents) => match tangents.get(p.id as usize) {
+                None | Some(Tangent::None) => R::zero(),
+                Some(Tangent::Uniform(t)) => *t,
+                Some(Tangent::Dense(t)) => t[i],
+            },
+            Tangents::Seeds(seeds) => seeds
+                .iter()
+                .filter(|s| s.param == p.id && s.which.has(i))
+                .fold(R::zero(), |sum, s| sum + s.tangent),
+        }
     }
 
     /// Element `i` of a range.

@@ -192,7 +192,9 @@ fn particles_start_by_their_densities() {
         let [c, d] = numbers.next_2d::<f64>();
         let ball = Ball::around(scene.shapes());
         let e = &scene.emitters()[k];
-        let start = e.sample_ray(scene.lights(), ball, [a, b, c, d]).unwrap();
+        let start = e
+            .sample_ray(&Theta::still(), scene.lights(), ball, [a, b, c, d])
+            .unwrap();
         if !e.is_infinite() {
             let si = start.surface.as_ref().map(|(_, si)| si);
             let (emission, pdf) = e.leaves(start.ray.d, si).unwrap();
@@ -899,7 +901,7 @@ fn nothing_is_infinite() {
             Vec3::new(P::zero(), P::zero(), P::of(3.0)),
         ];
         for i in 0..20 {
-            let s = ball.sample_area::<P>(Independent::new(8, 0, i).next_2d());
+            let s = ball.sample_area::<P>(&Theta::still(), Independent::new(8, 0, i).next_2d());
             origins.extend([
                 s.p,
                 s.p - s.n * P::of(1e-6),

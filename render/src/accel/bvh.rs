@@ -108,6 +108,8 @@ pub(super) struct Tree {
     pub curved: Vec<(Curved, Tag)>,
     pub center: [f32; 3],
     pub half: [f32; 3],
+    /// See [`Tree::visits`], when the hierarchy was made.
+    built: f64,
 }
 
 impl Boundable for Item {
@@ -129,16 +131,135 @@ impl Tree {
             curved: Vec::new(),
             center: [0.0; 3],
             half: [0.0; 3],
+            built: 0.0,
         };
         if !items.is_empty() {
-            let (low, high) = (all.min.to_array(), all.max.to_array());
-            for k in 0..3 {
-                tree.center[k] = 0.5 * (low[k] + high[k]);
-                tree.half[k] = 0.5 * (high[k] - low[k]);
-            }
+            tree.lie_within(all);
             tree.widen(&Binary::new(&binary, items))?;
+            tree.built = tree.visits();
         }
         Some(tree)
+    }
+
+    fn lie_within(&mut self, all: Aabb) {
+        let (low, high) = (all.min.to_array(), all.max.to_array());
+        for k in 0..3 {
+            self.center[k] = 0.5 * (low[k] + high[k]);
+            self.half[k] = 0.5 * (high[k] - low[k]);
+        }
+    }
+
+    /// How many boxes a ray through the whole visits on average: the areas of all boxes over that of the whole
+    /// [Goldsmith and Salmon 1987]. Zero where that has none.
+    fn visits(&self) -> f64 {
+        let area = |[a, b, c]: [f64; 3]| a * b + b * c + c * a;
+        let mut sum = 0.0;
+        for node in &self.nodes {
+            for k in (0..NODE_WIDTH).filter(|&k| !node.children[k].is_nothing()) {
+                sum += area(each([0, 1, 2], |axis: usize| {
+                    let [low, high] = node.planes[axis].map(|planes| f64::from(planes[k]));
+                    // Of primitives that are degenerate by now there is no box.
+                    (high - low).max(0.0)
+                }));
+            }
+        }
+        let visits = sum / area(each(self.half, |x| 2.0 * f64::from(x)));
+        if visits.is_finite() { visits } else { 0.0 }
+    }
+
+    /// The same hierarchy around primitives that have moved: how many times as many boxes a ray visits as when it was
+    /// made. `None` if there are primitives that it does not have, or curved ones that it does not need any more: then
+    /// it is left as it was.
+    pub(super) fn refit(&mut self, items: &[Item]) -> Option<f64> {
+        // Where each primitive stands.
+        let last = items.iter().map(|i| i.tag.prim as usize + 1).max();
+        let mut found = vec![None; last.unwrap_or(0)];
+        for item in items {
+            found[item.tag.prim as usize] = Some(item);
+        }
+        let find = |tag: &Tag| found.get(tag.prim as usize).copied().flatten();
+        let flat = self.tags.iter().flatten().filter_map(find);
+        let flat = flat.filter(|i| matches!(i.shape, Shape::Flat(_))).count();
+        let mut curved = Vec::with_capacity(self.curved.len());
+        for (_, tag) in &self.curved {
+            match find(tag) {
+                Some(&Item {
+                    shape: Shape::Curved(c),
+                    tag,
+                    ..
+                }) => curved.push((c, tag)),
+                _ => return None,
+            }
+        }
+        if flat + curved.len() != items.len() {
+            return None;
+        }
+        self.curved = curved;
+        for (packet, tags) in self.packets.iter_mut().zip(&mut self.tags) {
+            *packet = Flat::EMPTY.splat_array();
+            for (k, tag) in tags.iter_mut().enumerate() {
+                if let Some(Item {
+                    shape: Shape::Flat(flat),
+                    tag: now,
+                    ..
+                }) = find(tag)
+                {
+                    packet.set(k, flat);
+                    *tag = *now;
+                }
+            }
+        }
+        self.lie_within(
+            items
+                .iter()
+                .fold(Aabb::empty(), |sum, i| sum.union(&i.aabb())),
+        );
+        // Children come after their parents.
+        let mut around = vec![Aabb::empty(); self.nodes.len()];
+        for at in (0..self.nodes.len()).rev() {
+            for k in 0..NODE_WIDTH {
+                let child = self.nodes[at].children[k];
+                let tags: &[Tag] = match child.kind() {
+                    Kind::Inner(_) => &[],
+                    Kind::Packet(index, _) => &self.tags[index],
+                    Kind::Curved(index) => std::slice::from_ref(&self.curved[index].1),
+                    Kind::Nothing => continue,
+                };
+                let mut bounds = match child.kind() {
+                    Kind::Inner(index) => around[index],
+                    _ => Aabb::empty(),
+                };
+                for item in tags.iter().filter_map(find) {
+                    bounds = bounds.union(&item.aabb());
+                }
+                around[at] = around[at].union(&bounds);
+                self.place(at, k, &bounds);
+            }
+        }
+        let visits = self.visits();
+        Some(match self.built > 0.0 {
+            true => visits / self.built,
+            false if visits > 0.0 => f64::INFINITY,
+            false => 1.0,
+        })
+    }
+
+    /// Writes the box of child `k` of a node.
+    fn place(&mut self, at: usize, k: usize, bounds: &Aabb) {
+        let (low, high) = (bounds.min.to_array(), bounds.max.to_array());
+        for axis in 0..3 {
+            let [lower, upper] = &mut self.nodes[at].planes[axis];
+            // An empty box is entered by no ray from either side.
+            let empty = low[axis] > high[axis];
+            lower[k] = match empty {
+                true => f32::INFINITY,
+                false => (low[axis] - self.center[axis]).next_down(),
+            };
+            upper[k] = match empty {
+                true => f32::NEG_INFINITY,
+                false => (high[axis] - self.center[axis]).next_up(),
+            };
+        }
     }
 
     /// Makes nodes of eight children from nodes of two.
@@ -168,13 +289,7 @@ impl Tree {
                 children.push(second);
             }
             for (k, &child) in children.iter().enumerate() {
-                let bounds = binary.node(child).aabb();
-                let (low, high) = (bounds.min.to_array(), bounds.max.to_array());
-                for axis in 0..3 {
-                    let [lower, upper] = &mut self.nodes[at].planes[axis];
-                    lower[k] = (low[axis] - self.center[axis]).next_down();
-                    upper[k] = (high[axis] - self.center[axis]).next_up();
-                }
+                self.place(at, k, binary.node(child).aabb());
                 self.nodes[at].children[k] = if binary.is_leaf(child) {
                     self.leaf(&binary.primitives(child))?
                 } else {

@@ -130,10 +130,25 @@ pub enum AccelError {
     },
 }
 
+/// What [`Accel::refit`] did.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Refit {
+    /// The hierarchy is the same, with other boxes.
+    Kept {
+        /// How many times as many boxes a ray through it visits as when it was built, by their surface areas.
+        looseness: f64,
+    },
+    /// All is built anew.
+    Rebuilt,
+}
+
+/// A hierarchy whose rays visit so many times as many boxes is built anew.
+const MAX_LOOSENESS: f64 = 1.5;
+
 /// Indices are 32 bits wide and the largest one marks empty slots.
 const MAX_PRIMITIVES: usize = u32::MAX as usize - 1;
 
-/// An immutable set of primitives, ready for ray queries.
+/// A set of primitives, ready for ray queries.
 ///
 /// Queries are pure functions of their arguments and never panic. A ray misses everything if its
 /// direction is zero, NaN or infinite, or shorter or longer than `1e-18` or `1e18`, or if its origin
@@ -175,6 +190,25 @@ impl Accel {
         } else {
             Self::tree(&items).unwrap_or_else(|| Self::linear(&items))
         })
+    }
+
+    /// Follows primitives that have moved: as many as before, in the same order. Hits are those of a structure built
+    /// anew, bit by bit. It is built anew where the hierarchy would be too loose, where there is none, and where
+    /// primitives are no longer degenerate, or are by now.
+    ///
+    /// # Errors
+    /// As [`Accel::build`]; nothing has changed then.
+    pub fn refit(&mut self, prims: &[Primitive], surfaces: &[u32]) -> Result<Refit, AccelError> {
+        if let Layout::Tree(tree) = &mut self.layout {
+            let items = prepare(prims, surfaces)?;
+            if let Some(looseness) = tree.refit(&items)
+                && looseness <= MAX_LOOSENESS
+            {
+                return Ok(Refit::Kept { looseness });
+            }
+        }
+        *self = Self::with_surfaces(prims, surfaces)?;
+        Ok(Refit::Rebuilt)
     }
 
     fn linear(items: &[Item]) -> Accel {

@@ -733,3 +733,196 @@ fn memory_grows_with_the_scene() {
     assert!((512..4096).contains(&small), "{small}");
     assert!((6400 * 64..6400 * 220).contains(&large), "{large}");
 }
+
+/// A waving sheet of triangles with balls and tubes in front of it, at some time; what stands in `gone` has shrunk to
+/// nothing.
+fn sheet(time: f32, gone: &[usize]) -> Vec<Primitive> {
+    const N: usize = 24;
+    let corner = |i: usize, j: usize| {
+        let (x, y) = (i as f32 / N as f32 - 0.5, j as f32 / N as f32 - 0.5);
+        let z = 0.2 * (5.0 * x + time).sin() * (4.0 * y - 0.5 * time).cos();
+        [x + 0.1 * time * y, y, z]
+    };
+    let minus = |a: [f32; 3], b: [f32; 3]| std::array::from_fn(|k| a[k] - b[k]);
+    let mut prims = Vec::new();
+    for i in 0..N {
+        for j in 0..N {
+            let [a, b, c, d] = [
+                corner(i, j),
+                corner(i + 1, j),
+                corner(i + 1, j + 1),
+                corner(i, j + 1),
+            ];
+            for (e1, e2) in [(b, c), (c, d)] {
+                prims.push(Primitive::Triangle {
+                    v0: a,
+                    e1: minus(e1, a),
+                    e2: minus(e2, a),
+                });
+            }
+        }
+    }
+    for i in 0..12 {
+        let x = i as f32 / 12.0 - 0.5;
+        let center = [x, 0.3 * (x * 9.0 + time).sin(), 0.4];
+        prims.push(Primitive::Sphere {
+            center,
+            radius: 0.02,
+        });
+        prims.push(Primitive::Cylinder {
+            p0: center,
+            axis: [0.0, 0.1, 0.05 * time],
+            radius: 0.01,
+        });
+    }
+    for &i in gone {
+        match &mut prims[i] {
+            Primitive::Triangle { e1, .. } => *e1 = [0.0; 3],
+            Primitive::Sphere { radius, .. } => *radius = 0.0,
+            _ => panic!("neither a triangle nor a ball"),
+        }
+    }
+    prims
+}
+
+/// Both structures see the same, bit by bit, ray by ray and in bundles.
+fn assert_equal_hits(a: &Accel, b: &Accel, random: &mut Random) {
+    let mut hits = 0;
+    for _ in 0..200 {
+        let mut packet = RayPacket::default();
+        while !packet.is_full() {
+            let (o, at) = (random.direction().map(|x| 2.0 * x), random.vector(0.4));
+            let d = unit(sub64(wide64(at), wide64(o))).map(|x| x as f32);
+            packet.push(o, d, f32::INFINITY, [NOWHERE; 2]);
+            let hit = b.intersect(o, d, f32::INFINITY, NOWHERE);
+            assert_eq!(a.intersect(o, d, f32::INFINITY, NOWHERE), hit);
+            assert_eq!(
+                a.occluded(o, d, 2.0, [NOWHERE; 2]),
+                b.occluded(o, d, 2.0, [NOWHERE; 2])
+            );
+            hits += usize::from(hit.is_some());
+        }
+        assert_eq!(a.intersect_packet(&packet), b.intersect_packet(&packet));
+        assert_eq!(a.occluded_packet(&packet), b.occluded_packet(&packet));
+    }
+    assert!(hits > 1000, "{hits}");
+}
+
+/// A hierarchy whose primitives move gives the hits of one that is built around them; it says when it got too loose,
+/// and is then built anew.
+#[test]
+fn refitted_hierarchies_give_the_hits_of_new_ones() {
+    let mut random = Random(77);
+    let start = sheet(0.0, &[]);
+    let mut moving = Accel::build(&start).expect("in reach");
+    assert!(moving.has_hierarchy());
+    let surfaces = |prims: &[Primitive]| surfaces(prims, |_| false);
+
+    // At rest nothing changes.
+    let at_rest = moving.refit(&start, &surfaces(&start));
+    assert_eq!(at_rest, Ok(Refit::Kept { looseness: 1.0 }));
+    for time in [0.1, 0.4, 0.3] {
+        let prims = sheet(time, &[]);
+        let refit = moving.refit(&prims, &surfaces(&prims)).expect("in reach");
+        let Refit::Kept { looseness } = refit else {
+            panic!("rebuilt at {time}");
+        };
+        assert!((0.9..1.5).contains(&looseness), "{looseness}");
+        assert_equal_hits(
+            &moving,
+            &Accel::build(&prims).expect("in reach"),
+            &mut random,
+        );
+    }
+
+    // Triangles may vanish and come back.
+    for gone in [&[3, 4, 5, 6, 7, 8, 100][..], &[]] {
+        let prims = sheet(0.3, gone);
+        let refit = moving.refit(&prims, &surfaces(&prims)).expect("in reach");
+        assert!(matches!(refit, Refit::Kept { .. }));
+        assert_equal_hits(
+            &moving,
+            &Accel::build(&prims).expect("in reach"),
+            &mut random,
+        );
+    }
+
+    // A ball that vanishes, and one that comes, need a new hierarchy.
+    let ball = start.len() - 2;
+    for gone in [&[ball][..], &[]] {
+        let prims = sheet(0.3, gone);
+        let refit = moving.refit(&prims, &surfaces(&prims));
+        assert_eq!(refit, Ok(Refit::Rebuilt));
+        assert_equal_hits(
+            &moving,
+            &Accel::build(&prims).expect("in reach"),
+            &mut random,
+        );
+    }
+
+    // Neighbours that are neighbours no more.
+    let mut mixed = sheet(0.3, &[]);
+    for i in 0..mixed.len() / 2 {
+        let j = i + random.bits() as usize % (mixed.len() - i);
+        mixed.swap(i, j);
+    }
+    let refit = moving.refit(&mixed, &surfaces(&mixed));
+    assert_eq!(refit, Ok(Refit::Rebuilt));
+    assert_equal_hits(
+        &moving,
+        &Accel::build(&mixed).expect("in reach"),
+        &mut random,
+    );
+    let tree = |accel: &Accel| match &accel.layout {
+        Layout::Tree(tree) => tree.clone(),
+        Layout::Linear(..) => panic!("no hierarchy"),
+    };
+    let items = prepare(&sheet(0.3, &[]), &surfaces(&mixed)).expect("in reach");
+    let mut scattered: Vec<Item> = items.clone();
+    let n = 2 * 24 * 24;
+    for i in 0..n {
+        // The primitive that item `i` is stands somewhere else, and is of the same kind.
+        scattered[i].tag.prim = ((i * 389) % n) as u32;
+    }
+    let sorted = Accel::build(&sheet(0.3, &[])).expect("in reach");
+    let looseness = tree(&sorted)
+        .refit(&scattered)
+        .expect("the same primitives");
+    assert!(looseness > 10.0, "{looseness}");
+
+    // What is out of reach changes nothing.
+    let mut far = mixed.clone();
+    if let Primitive::Sphere { center, .. } | Primitive::Cylinder { p0: center, .. } =
+        &mut far[ball]
+    {
+        center[0] = f32::NAN;
+    }
+    if let Primitive::Triangle { v0, .. } = &mut far[ball] {
+        v0[0] = f32::NAN;
+    }
+    assert!(moving.refit(&far, &surfaces(&mixed)).is_err());
+    assert_equal_hits(
+        &moving,
+        &Accel::build(&mixed).expect("in reach"),
+        &mut random,
+    );
+}
+
+/// Few primitives have no hierarchy; they are taken over as they are.
+#[test]
+fn lists_follow_what_moves() {
+    let mut random = Random(78);
+    let some = |random: &mut Random| -> Vec<Primitive> {
+        (0..20).map(|_| random.primitive(0.4)).collect()
+    };
+    let mut moving = Accel::build(&some(&mut random)).expect("in reach");
+    let prims = some(&mut random);
+    let refit = moving.refit(&prims, &surfaces(&prims, |_| false));
+    assert_eq!(refit, Ok(Refit::Rebuilt));
+    for _ in 0..1000 {
+        let (o, d) = (random.vector(1.0), random.direction());
+        let new = Accel::build(&prims).expect("in reach");
+        let hit = new.intersect(o, d, f32::INFINITY, NOWHERE);
+        assert_eq!(moving.intersect(o, d, f32::INFINITY, NOWHERE), hit);
+    }
+}

@@ -9,7 +9,7 @@ use super::{
     Bsdf, BsdfSample, Component, DeltaKind, Material, Part, Shading, TextureRef, TransportMode, Use,
 };
 use crate::error::SceneError;
-use crate::math::{Rgb, both};
+use crate::math::{Frame, Rgb, both};
 use crate::params::GradSink;
 use crate::plugin::{FromNode, Node, Registry};
 use crate::texture::ScalarTexture;
@@ -203,6 +203,16 @@ impl Bsdf for Blend {
         if weight_active {
             self.weight.scatter(at.uv, d_weight, grad);
         }
+    }
+
+    fn shading_frame<R: Real>(
+        &self,
+        at: &Shading<R>,
+        wo: Vec3<R::Primal>,
+        route: u8,
+        mode: TransportMode,
+    ) -> Frame<R> {
+        self.parts[usize::from(route & 1)].shading_frame(at, wo, route >> 1, mode)
     }
 
     fn visit_textures(&self, f: &mut dyn FnMut(TextureRef)) {

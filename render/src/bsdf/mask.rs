@@ -6,10 +6,11 @@ use ad_core::{Const, Float, Real, Vec3};
 
 use super::nesting::{attached_choice, check_levels, choice, choose, nested_nodes};
 use super::{
-    Bsdf, BsdfSample, Component, DeltaKind, Material, Part, Shading, TextureRef, TransportMode, Use,
+    Bsdf, BsdfSample, Component, DeltaKind, Material, Part, Shading, TextureRef, TransportMode,
+    Use, upright,
 };
 use crate::error::SceneError;
-use crate::math::Rgb;
+use crate::math::{Frame, Rgb};
 use crate::params::GradSink;
 use crate::plugin::{FromNode, Node, Registry};
 use crate::texture::ScalarTexture;
@@ -182,6 +183,19 @@ impl Bsdf for Mask {
         }
         if opacity_active {
             self.opacity.scatter(at.uv, d_opacity, grad);
+        }
+    }
+
+    fn shading_frame<R: Real>(
+        &self,
+        at: &Shading<R>,
+        wo: Vec3<R::Primal>,
+        route: u8,
+        mode: TransportMode,
+    ) -> Frame<R> {
+        match route & 1 {
+            HOLE => upright(),
+            _ => self.nested.shading_frame(at, wo, route >> 1, mode),
         }
     }
 

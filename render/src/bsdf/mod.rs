@@ -132,7 +132,7 @@ use std::sync::Arc;
 use ad_core::{Dual, Float, Real, Vec2, Vec3};
 
 use crate::error::SceneError;
-use crate::math::Rgb;
+use crate::math::{Frame, Rgb};
 use crate::params::{GradSink, ParamRef, Theta};
 use crate::plugin::{FromNode, Node, Registry};
 use crate::texture::{RgbTexture, ScalarTexture};
@@ -482,6 +482,17 @@ pub struct Use<P: Float> {
     pub d: Rgb<P>,
 }
 
+/// The shading frame in its own coordinates.
+#[inline]
+fn upright<R: Real>() -> Frame<R> {
+    let (zero, one) = (R::zero(), R::one());
+    Frame {
+        s: Vec3::new(one, zero, zero),
+        t: Vec3::new(zero, one, zero),
+        n: Vec3::new(zero, zero, one),
+    }
+}
+
 /// A material: scattering laws with parameters that vary over the surface.
 pub trait Bsdf: Send + Sync {
     /// [`Lobe::eval`] and [`Lobe::pdf`] at a point.
@@ -570,6 +581,24 @@ pub trait Bsdf: Send + Sync {
             };
             sum + value * Rgb::lift(u.d)
         })
+    }
+
+    /// The frame that light is scattered in, in the coordinates of the shading frame: tilted where a normal map is read.
+    /// Its normal is on the side of the shading normal that maps say, also where the viewer is behind. Of blends and
+    /// masks, `route` says whose, as in [`Component::Delta`]; the hole of a mask tilts nothing. What side is seen along
+    /// `wo`, and whether [`Corrections`] flip the normal, is a primal decision.
+    ///
+    /// # Derivatives
+    /// In theta and in `uv`, as those of textures; so it gives how the normal changes over the surface
+    /// ([`crate::shape::Partials::mapped`]).
+    fn shading_frame<R: Real>(
+        &self,
+        _at: &Shading<R>,
+        _wo: Vec3<R::Primal>,
+        _route: u8,
+        _mode: TransportMode,
+    ) -> Frame<R> {
+        upright()
     }
 
     /// Calls `f` with every texture the material reads.
@@ -1137,6 +1166,11 @@ macro_rules! materials {
                 &self, at: &Shading<R>, wo: Vec3<R::Primal>, uses: &[Use<R::Primal>], mode: TransportMode,
             ) -> Rgb<R> {
                 $crate::dispatch::dispatch!(self, [$($hot),*] [$($name),*], m => m.forward(at, wo, uses, mode))
+            }
+            fn shading_frame<R: Real>(
+                &self, at: &Shading<R>, wo: Vec3<R::Primal>, route: u8, mode: TransportMode,
+            ) -> Frame<R> {
+                match self { $(Self::$hot(m) => m.shading_frame(at, wo, route, mode),)* $(Self::$name(m) => m.shading_frame(at, wo, route, mode),)* }
             }
             fn visit_textures(&self, f: &mut dyn FnMut(TextureRef)) {
                 match self { $(Self::$hot(m) => m.visit_textures(f),)* $(Self::$name(m) => m.visit_textures(f),)* }

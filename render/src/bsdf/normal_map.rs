@@ -404,6 +404,23 @@ impl Bsdf for NormalMap {
         }
     }
 
+    fn shading_frame<R: Real>(
+        &self,
+        at: &Shading<R>,
+        wo: Vec3<R::Primal>,
+        route: u8,
+        mode: TransportMode,
+    ) -> Frame<R> {
+        let outer = self.frame(at, Vec3::lift(wo), mode);
+        let wo = outer.primal().to_local(wo);
+        let inner = self.nested.shading_frame(at, wo, route, mode);
+        Frame {
+            s: outer.to_world(inner.s),
+            t: outer.to_world(inner.t),
+            n: outer.to_world(inner.n),
+        }
+    }
+
     fn visit_textures(&self, f: &mut dyn FnMut(TextureRef)) {
         f(match self.interpolation {
             Interpolation::Normals => TextureRef::Vector(&self.map),

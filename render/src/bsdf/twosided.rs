@@ -10,7 +10,7 @@ use super::{
     TransportMode, Use,
 };
 use crate::error::SceneError;
-use crate::math::{Rgb, both};
+use crate::math::{Frame, Rgb, both};
 use crate::params::GradSink;
 use crate::plugin::{FromNode, Node, Registry};
 
@@ -185,6 +185,26 @@ impl Bsdf for TwoSided {
             sum += side.forward(at, turn(wo, behind), uses, mode);
         });
         sum
+    }
+
+    fn shading_frame<R: Real>(
+        &self,
+        at: &Shading<R>,
+        wo: Vec3<R::Primal>,
+        route: u8,
+        mode: TransportMode,
+    ) -> Frame<R> {
+        let (side, behind) = self.side(wo);
+        let frame = side.shading_frame(at, turn(wo, behind), route, mode);
+        if !behind {
+            return frame;
+        }
+        // Mirrored, and the normal on the front again: two reflections leave it right-handed.
+        Frame {
+            s: turn(frame.s, true),
+            t: turn(frame.t, true),
+            n: -turn(frame.n, true),
+        }
     }
 
     fn visit_textures(&self, f: &mut dyn FnMut(TextureRef)) {

@@ -7,6 +7,7 @@ use ad_core::{Const, Float, Real, Vec2, Vec3};
 use super::{Ball, Connection, Emission, EmittedRay, Emitter, EmitterSample, Lights};
 use crate::error::SceneError;
 use crate::math::{Frame, Ray, warp};
+use crate::params::Theta;
 use crate::plugin::{FromNode, Node, Registry};
 use crate::shape::{DirectionSample, Shape, SurfaceInteraction};
 use crate::texture::RgbTexture;
@@ -107,11 +108,12 @@ impl Emitter for Area {
     #[inline(always)]
     fn sample_ray<P: Float>(
         &self,
+        theta: &Theta<P>,
         lights: Lights,
         _ball: Option<Ball>,
         [u0, u1, u2, u3]: [P; 4],
     ) -> Option<EmittedRay<P>> {
-        let (s, n_geo) = lights.shapes[self.shape as usize].sample_surface([u0, u1]);
+        let (s, n_geo) = lights.shapes[self.shape as usize].sample_surface(theta, [u0, u1]);
         let frame = Frame::from_normal(s.n);
         let local = if self.exponent == 0.0 {
             warp::square_to_cosine_hemisphere([u2, u3])

@@ -245,6 +245,7 @@ pub trait Emitter: Send + Sync {
     /// The default is that of environments.
     fn sample_ray<P: Float>(
         &self,
+        _theta: &Theta<P>,
         lights: Lights,
         ball: Option<Ball>,
         [u0, u1, u2, u3]: [P; 4],
@@ -397,9 +398,9 @@ macro_rules! emitters {
             }
             #[inline(always)]
             fn sample_ray<P: Float>(
-                &self, lights: Lights, ball: Option<Ball>, u: [P; 4],
+                &self, theta: &Theta<P>, lights: Lights, ball: Option<Ball>, u: [P; 4],
             ) -> Option<EmittedRay<P>> {
-                $crate::dispatch::dispatch!(self, [$($hot),*] [$($name),*], e => e.sample_ray(lights, ball, u))
+                $crate::dispatch::dispatch!(self, [$($hot),*] [$($name),*], e => e.sample_ray(theta, lights, ball, u))
             }
             fn leaves<P: Float>(
                 &self, d: Vec3<P>, si: Option<&SurfaceInteraction<P>>,

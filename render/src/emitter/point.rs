@@ -7,6 +7,7 @@ use ad_core::{Float, Real, Vec2, Vec3};
 use super::{Ball, Connection, Emission, EmittedRay, Emitter, EmitterSample, Lights};
 use crate::error::SceneError;
 use crate::math::{NOWHERE, Ray, Transform, warp};
+use crate::params::Theta;
 use crate::plugin::{FromNode, Node, Registry};
 use crate::shape::{Exit, SurfaceInteraction, lift3};
 use crate::texture::RgbTexture;
@@ -83,6 +84,7 @@ impl Emitter for Point {
 
     fn sample_ray<P: Float>(
         &self,
+        _theta: &Theta<P>,
         _: Lights,
         _: Option<Ball>,
         [_, _, u2, u3]: [P; 4],

@@ -8,6 +8,7 @@ use super::point::{constant_colour, moving, towards};
 use super::{Ball, Connection, Emission, EmittedRay, Emitter, EmitterSample, Lights};
 use crate::error::SceneError;
 use crate::math::{Frame, NOWHERE, Ray, warp};
+use crate::params::Theta;
 use crate::plugin::{FromNode, Node, Registry};
 use crate::shape::{Exit, SurfaceInteraction, lift3};
 use crate::texture::RgbTexture;
@@ -99,6 +100,7 @@ impl Emitter for Spot {
     /// Uniform over the cone.
     fn sample_ray<P: Float>(
         &self,
+        _theta: &Theta<P>,
         _: Lights,
         _: Option<Ball>,
         [_, _, u2, u3]: [P; 4],

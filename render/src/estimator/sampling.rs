@@ -5,6 +5,7 @@ use ad_core::{Real, Vec2, Vec3};
 use super::memory::{Forget, Keep, Memory};
 use crate::bsdf::{Bsdf, Material, Scattered, Shading, TransportMode};
 use crate::math::Frame;
+use crate::params::Theta;
 use crate::shape::SurfaceInteraction;
 
 /// How the light at the end of a sampled direction depends on that direction.
@@ -41,6 +42,9 @@ pub trait Sampling: Send + Sync + 'static {
     /// Whether samples move across discontinuities without notice, so that the scene must not have
     /// any: see [`crate::Scene::admits`].
     const NEEDS_CONTINUITY: bool = false;
+
+    /// The parameters in the scalar of the geometry.
+    fn geometry<'a, R: Real>(theta: &Theta<'a, R>) -> Theta<'a, Self::Geometry<R>>;
 
     /// A geometric quantity in the scalar of the estimate.
     fn embed<R: Real>(g: Self::Geometry<R>) -> R;
@@ -125,6 +129,11 @@ macro_rules! detached_path {
         const DETACHED_PATH: bool = true;
 
         #[inline(always)]
+        fn geometry<'a, R: Real>(theta: &Theta<'a, R>) -> Theta<'a, R::Primal> {
+            theta.primal()
+        }
+
+        #[inline(always)]
         fn embed<R: Real>(g: R::Primal) -> R {
             R::lift(g)
         }
@@ -168,6 +177,11 @@ impl Sampling for Attached {
     type Geometry<R: Real> = R;
     const DETACHED_PATH: bool = false;
     const NEEDS_CONTINUITY: bool = true;
+
+    #[inline(always)]
+    fn geometry<'a, R: Real>(theta: &Theta<'a, R>) -> Theta<'a, R> {
+        *theta
+    }
 
     #[inline(always)]
     fn embed<R: Real>(g: R) -> R {

@@ -8,6 +8,7 @@ use crate::accel::{Hit, Primitive};
 use crate::bsdf::Material;
 use crate::emitter::{AnyEmitter, Emitter};
 use crate::math::{Frame, Ray};
+use crate::params::Theta;
 use crate::scene::Scene;
 use crate::shape::{AnyShape, Shape};
 use crate::texture::Texture;
@@ -279,7 +280,7 @@ fn shading_frame(shape: &AnyShape, prim: u32, centre: Vec3<f64>) -> Frame<f64> {
     // The frame of a flat face does not depend on the ray, even if that is parallel to it.
     let ray = |d: Vec3<f64>| Ray::new(centre - d, d);
     shape
-        .interaction(prim, &ray(Vec3::new(1.0, 0.0, 0.0)), &hit)
+        .interaction(&Theta::still(), prim, &ray(Vec3::new(1.0, 0.0, 0.0)), &hit)
         .frame
 }
 

@@ -166,7 +166,7 @@ pub fn direct_light<R: Real>(
         // Over a scalar with tangents, the place on the primitive is computed anew.
         let (t, u, v) = (t.to_f32(), 0.0, 0.0);
         let hit = Hit { t, u, v, prim };
-        let Intersection { si, .. } = scene.interaction(&si.spawn_ray(d, from.exit), &hit);
+        let Intersection { si, .. } = scene.interaction(theta, &si.spawn_ray(d, from.exit), &hit);
         si
     });
     let mut light = Rgb::black();

@@ -5,6 +5,7 @@ use ad_core::{Float, Real, Vec3};
 use super::progress::Progress;
 use crate::accel::{Hit, PACKET_SIZE, RayPacket};
 use crate::math::{NOWHERE, Ray, Segment};
+use crate::params::Theta;
 use crate::scene::{Intersection, Scene, single};
 
 /// Paths that are followed at a time. More fill the packets better, fewer stay in the cache.
@@ -53,6 +54,7 @@ const LOOK: u32 = 64;
 /// Follows one path to its end, ray by ray; `step` as in [`trace`]. Where `progress` is cancelled, a long path ends early.
 pub(super) fn trace_alone<T: Traveller>(
     scene: &Scene,
+    theta: &Theta<T::Geometry>,
     progress: &dyn Progress,
     traveller: &mut T,
     mut step: impl FnMut(&mut T, Option<Intersection<T::Geometry>>, bool),
@@ -61,7 +63,7 @@ pub(super) fn trace_alone<T: Traveller>(
         if traveller.ended() || (edge % LOOK == 0 && progress.cancelled()) {
             break;
         }
-        let hit = traveller.ray().and_then(|ray| scene.intersect(ray));
+        let hit = (traveller.ray()).and_then(|ray| scene.intersect_moving(theta, ray));
         let visible = traveller.shadow().is_some_and(|s| !scene.occluded(s));
         step(traveller, hit, visible);
     }
@@ -102,6 +104,7 @@ pub(super) fn sorted<'a>(
 /// whether its shadow ray was free. Where `progress` is cancelled, they stay where they are.
 pub(super) fn trace<T: Traveller>(
     scene: &Scene,
+    theta: &Theta<T::Geometry>,
     progress: &dyn Progress,
     travellers: &mut [T],
     mut step: impl FnMut(usize, &mut T, Option<Intersection<T::Geometry>>, bool),
@@ -161,7 +164,9 @@ pub(super) fn trace<T: Traveller>(
         met.clear();
         met.extend(open[..n].iter().map(|&path| {
             let ray = travellers[path].ray()?;
-            hits[path].take().map(|hit| scene.interaction(ray, &hit))
+            hits[path]
+                .take()
+                .map(|hit| scene.interaction(theta, ray, &hit))
         }));
         let mut left = 0;
         for k in 0..n {

@@ -245,7 +245,12 @@ impl<R: Real, X: Sampler> Particle<R, X> {
         if connects && e.is_infinite() {
             this.see_environment::<O>(context, index, [c, d], inverse_choice);
         }
-        let Some(mut start) = e.sample_ray(scene.lights(), context.ball, [a, b, c, d]) else {
+        let Some(mut start) = e.sample_ray(
+            &context.theta.primal(),
+            scene.lights(),
+            context.ball,
+            [a, b, c, d],
+        ) else {
             return this;
         };
         if !targets.is_empty() {
@@ -609,6 +614,7 @@ impl<R: Real, X: Sampler> Particle<R, X> {
     fn finish(mut self, context: &Context<R>, splat: &mut dyn FnMut([R::Primal; 2], Rgb<R>)) {
         lockstep::trace_alone(
             context.scene,
+            &context.theta.primal(),
             context.progress,
             &mut self,
             |particle, hit, visible| {
@@ -655,6 +661,7 @@ pub(super) fn trace_particles<R: Real, X: Sampler, O: ParticleObserver<R> + Clon
         }
         lockstep::trace(
             context.scene,
+            &context.theta.primal(),
             context.progress,
             &mut group,
             |k, particle, hit, visible| {

@@ -198,6 +198,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
     fn go<O: Observer<R>>(&mut self, context: &Context<R>, observer: &mut O) {
         lockstep::trace_alone(
             context.scene,
+            &S::Bsdf::geometry(context.theta),
             context.progress,
             self,
             |walk, hit, visible| {

@@ -8,7 +8,7 @@ use super::lockstep::{self, GROUP};
 use super::path::{Context, Walk};
 use super::record::Observer;
 use super::wave::{Log, WAVE_SIZE, Wave};
-use crate::estimator::{Geometry, Strategy};
+use crate::estimator::{Geometry, Sampling, Strategy};
 use crate::math::{Ray, Rgb};
 use crate::sampler::{Points, Sampler};
 use crate::scene::Scene;
@@ -169,6 +169,7 @@ impl Tile {
             let observers = &mut paths.observers;
             lockstep::trace(
                 scene,
+                &S::Bsdf::geometry(context.theta),
                 context.progress,
                 &mut paths.walks,
                 |i, walk, hit, visible| {

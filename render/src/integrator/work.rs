@@ -200,16 +200,22 @@ pub fn count_work<S: Strategy, X: Sampler>(
             let pixel = ((u / paths as f64 * pixels as f64) as u64).min(pixels - 1);
             let pixel = [pixel % width, pixel / width].map(|p| p as u32);
             let mut walk = start::<f32, S, X>(scene, settings.points, seed, pixel, path);
-            lockstep::trace_alone(scene, progress, &mut walk, |walk, hit, visible| {
-                let tally = &mut counter.tally;
-                let edge = u64::from(walk.ray.is_some());
-                tally.add(Item::Edge, edge);
-                tally.add(Item::Light, walk.shadow.is_some().into());
-                if mode == Mode::Reverse && !S::Bsdf::DETACHED_PATH {
-                    tally.add(Item::Moving, edge);
-                }
-                walk.step(&context, hit, visible, &mut counter);
-            });
+            lockstep::trace_alone(
+                scene,
+                &S::Bsdf::geometry(context.theta),
+                progress,
+                &mut walk,
+                |walk, hit, visible| {
+                    let tally = &mut counter.tally;
+                    let edge = u64::from(walk.ray.is_some());
+                    tally.add(Item::Edge, edge);
+                    tally.add(Item::Light, walk.shadow.is_some().into());
+                    if mode == Mode::Reverse && !S::Bsdf::DETACHED_PATH {
+                        tally.add(Item::Moving, edge);
+                    }
+                    walk.step(&context, hit, visible, &mut counter);
+                },
+            );
             counter.tally.paths += 1;
         }
         counter.tally

@@ -1,22 +1,20 @@
 //! Scenes made by code, and the common part of scenes made from files.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::HashMap;
 use std::sync::Arc;
 
-use ad_core::Vec3;
-
+use super::geometry::{Geometry, Wanted};
 use super::{PixelShares, Scene, Settings, ShapeInfo, Shares};
-use crate::accel::{self, Accel, AccelError, Hit, MAX_COORDINATE, Plane, Primitive};
+use crate::accel::{AccelError, MAX_COORDINATE};
 use crate::bsdf::nesting::{check_textures, flips_normals, is_glossy, visit_deltas};
 use crate::bsdf::{Bsdf, Material, TextureRef};
 use crate::camera::Camera;
-use crate::emitter::{AnyEmitter, Ball, Emitter};
+use crate::emitter::{AnyEmitter, Emitter};
 use crate::error::SceneError;
 use crate::film::Film;
-use crate::math::{NOWHERE, Ray};
 use crate::params::{ParamKind, Params};
 use crate::plugin::Registry;
-use crate::shape::{AnyShape, Exit, Prim, Shape};
+use crate::shape::{AnyShape, Shape};
 use crate::texture::{RgbTexture, ScalarTexture, Texture};
 
 /// Index of a material in the builder.
@@ -61,16 +59,6 @@ pub struct Builder {
     /// How often each is sampled, relative to the others.
     weights: Vec<f64>,
 }
-
-/// This many lamps, or things that throw caustics, have a ball of their own, at most.
-const MOST_BALLS: usize = 16;
-
-/// How far rays start off a curved surface, relative to its largest coordinate: 64 roundings of an f32.
-const RELATIVE_OFFSET: f32 = 64.0 * f32::EPSILON / 2.0;
-
-/// How far a light stands out from what else lies on its plane, in roundings of the scene's coordinates: more than
-/// distances err by.
-const STANDS_OUT: f64 = 16.0;
 
 impl Builder {
     /// An empty scene.
@@ -229,54 +217,6 @@ impl Builder {
             let params = self.registry.params_mut();
             (e.radiance()).visit_params(&mut |p| params.mark(p, ParamKind::Emission));
         }
-        let (mut prims, mut patches) = (Vec::new(), Vec::new());
-        let mut primitives = Vec::new();
-        let mut firsts = Vec::with_capacity(self.shapes.len());
-        for (i, shape) in self.shapes.iter().enumerate() {
-            firsts.push(prims.len() as u32);
-            let curved = Exit {
-                offset: (shape.extent() * RELATIVE_OFFSET).max(f32::MIN_POSITIVE),
-                ..Exit::default()
-            };
-            for (local, primitive) in shape.primitives().into_iter().enumerate() {
-                let patch = shape.patch(local as u32);
-                prims.push(Prim {
-                    shape: i as u32,
-                    local: local as u32,
-                    patch: patch.map_or(u32::MAX, |_| patches.len() as u32),
-                    surface: NOWHERE,
-                    exit: curved,
-                });
-                patches.extend(patch.copied());
-                primitives.push(primitive);
-            }
-        }
-        let emits = |i: usize| self.infos[prims[i].shape as usize].emitter.is_some();
-        let surfaces = accel::surfaces(&primitives, emits);
-        raise_lights(
-            &mut primitives,
-            &prims,
-            &surfaces,
-            &self.shapes,
-            &camera,
-            emits,
-        );
-        let accel = Accel::with_surfaces(&primitives, &surfaces).map_err(|e| match e {
-            AccelError::Coordinate { primitive, .. } => {
-                let shape = prims[primitive].shape as usize;
-                out_of_reach(&self.infos[shape].name, &e)
-            }
-            AccelError::TooMany { .. } => out_of_reach("geometry", &e),
-        })?;
-        for ((prim, primitive), &surface) in prims.iter_mut().zip(&primitives).zip(&surfaces) {
-            prim.surface = surface;
-            if let Some(plane) = Plane::of(primitive) {
-                prim.exit = Exit {
-                    offset: plane.offset(),
-                    surface,
-                };
-            }
-        }
         let mut emitters = self.emitters;
         for e in &mut emitters {
             e.update(self.registry.params());
@@ -284,110 +224,31 @@ impl Builder {
         let infinite: Vec<u32> = (0..emitters.len() as u32)
             .filter(|&i| emitters[i as usize].is_infinite())
             .collect();
-        let lamps = if infinite.is_empty() {
-            balls(&self.shapes, &self.infos, |i| i.emitter.is_some())
-        } else {
-            None
-        };
         let flips = self.materials.iter().any(|m| flips_normals(m));
         let lit_things = self.infos.iter().any(|i| !i.glossy) && !emitters.is_empty();
-        let casters = if lit_things && !flips {
-            balls(&self.shapes, &self.infos, |i| i.glossy).unwrap_or_default()
-        } else {
-            Vec::new()
+        let wanted = Wanted {
+            lamps: infinite.is_empty(),
+            casters: lit_things && !flips,
         };
+        let geometry = Geometry::new(self.shapes, &self.infos, &camera, wanted).map_err(|e| {
+            let name = e.shape.map(|shape| &self.infos[shape as usize].name[..]);
+            out_of_reach(name.unwrap_or("geometry"), &e.error)
+        })?;
         Ok(Scene {
             params: self.registry.into_params(),
             materials: self.materials,
-            shapes: self.shapes,
+            geometry,
             infos: self.infos,
             emitters,
             infinite,
             shares: Shares::new(&self.weights),
             pixels: PixelShares::default(),
             guide: None,
-            casters,
-            lamps,
-            prims,
-            firsts,
-            patches,
-            accel,
             files: Vec::new(),
             camera,
             film,
             settings,
         })
-    }
-}
-
-/// Lets lights that share their plane with something else stand out from it on the side that emits, for rays: they are
-/// met first wherever they come from, whichever stands first in the scene.
-fn raise_lights(
-    primitives: &mut [Primitive],
-    prims: &[Prim],
-    surfaces: &[u32],
-    shapes: &[AnyShape],
-    camera: &Camera,
-    emits: impl Fn(usize) -> bool,
-) {
-    // Surfaces that something dark lies on.
-    let dark: HashSet<u32> = (0..prims.len())
-        .filter(|&i| !emits(i))
-        .map(|i| surfaces[i])
-        .collect();
-    let shared = |i: &usize| emits(*i) && dark.contains(&surfaces[*i]);
-    let raised: Vec<usize> = (0..prims.len()).filter(shared).collect();
-    if raised.is_empty() {
-        return;
-    }
-    let mut reach = camera.origin().map(f64::abs);
-    for p in &*primitives {
-        let [low, high] = accel::bounds(p);
-        for k in 0..3 {
-            reach[k] = reach[k].max(f64::from(low[k].abs().max(high[k].abs())));
-        }
-    }
-    for i in raised {
-        let Some(plane) = Plane::of(&primitives[i]) else {
-            continue;
-        };
-        let Prim { shape, local, .. } = prims[i];
-        let anywhere = Hit {
-            t: 1.0,
-            u: 0.25,
-            v: 0.25,
-            prim: i as u32,
-        };
-        let along = Ray::new(Vec3::zero(), Vec3::new(0.0f32, 0.0, 1.0));
-        let outside = shapes[shape as usize].interaction(local, &along, &anywhere);
-        let normal = plane.normal;
-        let same = f64::from(outside.n_geo.x) * normal[0]
-            + f64::from(outside.n_geo.y) * normal[1]
-            + f64::from(outside.n_geo.z) * normal[2];
-        let by = STANDS_OUT * accel::scale(normal, reach) * same.signum();
-        let (Primitive::Triangle { v0: at, .. }
-        | Primitive::Parallelogram { v0: at, .. }
-        | Primitive::Disk { center: at, .. }) = &mut primitives[i]
-        else {
-            continue;
-        };
-        for k in 0..3 {
-            at[k] = (f64::from(at[k]) + by * normal[k]) as f32;
-        }
-    }
-}
-
-/// Balls around these shapes, or one around all of them if there are many. `None` if one has no extent in the digits
-/// of its coordinates.
-fn balls(
-    shapes: &[AnyShape],
-    infos: &[ShapeInfo],
-    these: impl Fn(&ShapeInfo) -> bool,
-) -> Option<Vec<Ball>> {
-    let found = || (shapes.iter().zip(infos)).filter_map(|(s, i)| these(i).then_some(s));
-    match found().count() {
-        0..=MOST_BALLS => found().map(|s| Ball::around([s])).collect(),
-        _ => Ball::around(found()).map(|b| vec![b]),
     }
 }
 

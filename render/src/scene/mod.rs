@@ -2,9 +2,12 @@
 
 mod builder;
 mod clip;
+mod geometry;
 mod load;
 mod pixels;
 mod shares;
+
+use geometry::Geometry;
 
 pub use builder::Builder;
 pub use load::LoadOptions;
@@ -12,20 +15,22 @@ pub use load::LoadOptions;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use ad_core::{Float, Real};
+use ad_core::{Dual, Float, Real, Vec2, Vec3};
 
-use crate::accel::{Accel, Hit, PACKET_SIZE, RayPacket};
-use crate::bsdf::{Bsdf, Material, TextureRef};
+use crate::accel::{Hit, PACKET_SIZE, RayPacket};
+use crate::bsdf::{Bsdf, Material, Shading, TextureRef, TransportMode};
 use crate::camera::Camera;
 use crate::emitter::{AnyEmitter, Ball, Emitter, Lights};
 use crate::error::RenderError;
 use crate::estimator::{Sampling, Strategy};
 use crate::film::Film;
 use crate::guide::Guide;
-use crate::math::{Ray, Segment};
-use crate::params::Params;
+use crate::math::{Frame, Ray, Segment};
+use crate::params::{ParamRef, Params, Theta};
 use crate::sampler::Points;
-use crate::shape::{AnyShape, Exit, Patch, Prim, Shape, SurfaceInteraction};
+use crate::shape::{
+    AnyShape, Exit, Partials, Patch, Prim, Shape, SurfaceCoordinates, SurfaceInteraction,
+};
 
 pub(crate) use pixels::PixelShares;
 pub(crate) use shares::Shares;
@@ -101,7 +106,7 @@ impl LightChoice {
 impl Settings {
     /// Who finds caustics if these are made so: particles only where there is something for them to find.
     pub(crate) fn caustics_of<S: Strategy>(&self, scene: &Scene) -> Caustics {
-        if scene.casters.is_empty() || self.max_depth < 3 || !S::Bsdf::DETACHED_PATH {
+        if scene.geometry.casters.is_empty() || self.max_depth < 3 || !S::Bsdf::DETACHED_PATH {
             Caustics::Paths
         } else {
             self.caustics
@@ -138,12 +143,12 @@ pub struct ShapeInfo {
     pub emitter: Option<u32>,
 }
 
-/// A scene. Geometry and topology are fixed; parameters can be changed with [`Scene::set_params`].
+/// A scene. Which shapes there are is fixed; parameters can be changed with [`Scene::set_params`].
 #[derive(Debug)]
 pub struct Scene {
     params: Params,
     materials: Vec<Arc<Material>>,
-    shapes: Vec<AnyShape>,
+    geometry: Geometry,
     infos: Vec<ShapeInfo>,
     emitters: Vec<AnyEmitter>,
     infinite: Vec<u32>,
@@ -153,18 +158,6 @@ pub struct Scene {
     pixels: PixelShares,
     /// Where light comes from, if that was learned.
     guide: Option<Guide>,
-    /// Balls around what throws caustics; none where there is nothing to throw them on, no light, or something
-    /// that particles see otherwise than paths do.
-    casters: Vec<Ball>,
-    /// Balls around everything that emits; `None` if that is everywhere.
-    lamps: Option<Vec<Ball>>,
-    /// Every primitive of `accel`.
-    prims: Vec<Prim>,
-    /// The first one of each shape.
-    firsts: Vec<u32>,
-    /// Those that are parallelograms, once more: paths through rooms of boxes need not ask what they hit.
-    patches: Vec<Patch>,
-    accel: Accel,
     /// What it was read from.
     files: Vec<PathBuf>,
     /// The camera.
@@ -201,7 +194,7 @@ impl Scene {
     /// Replaces the values of all parameters and rebuilds what depends on them.
     ///
     /// # Errors
-    /// Wrong length, or a value outside its valid range (named). The scene is unchanged then.
+    /// Wrong length, a value outside its valid range (named), or a shape out of reach. The scene is unchanged then.
     ///
     /// ```
     /// use render::{Scene, scene::LoadOptions};
@@ -242,6 +235,20 @@ impl Scene {
                     });
                 }
             }
+        }
+        let changed = |p: ParamRef| {
+            let range = self.params.infos()[p.id as usize].range();
+            values[range.clone()] != self.params.values()[range]
+        };
+        if self.geometry.depends_on(changed) {
+            let mut params = self.params.clone();
+            params.values_mut().copy_from_slice(values);
+            (self.geometry)
+                .update(&params, changed, &self.infos, &self.camera)
+                .map_err(|e| RenderError::OutOfReach {
+                    shape: e.shape.map(|shape| self.infos[shape as usize].name.clone()),
+                    reason: e.error.to_string(),
+                })?;
         }
         self.params.values_mut().copy_from_slice(values);
         for e in &mut self.emitters {
@@ -342,23 +349,24 @@ impl Scene {
 
     /// See [`Scene::casters`].
     pub(crate) fn casters(&self) -> &[Ball] {
-        &self.casters
+        &self.geometry.casters
     }
 
     /// Balls around all that emits; `None` if that is everywhere.
     pub(crate) fn lamps(&self) -> Option<&[Ball]> {
-        self.lamps.as_deref()
+        self.geometry.lamps.as_deref()
     }
 
     /// Whether a ray may meet something that emits, or leave towards it: false only where it certainly does not.
     #[inline]
     pub(crate) fn may_meet_light<P: Float>(&self, ray: &Ray<P>) -> bool {
-        (self.lamps.as_ref()).is_none_or(|lamps| lamps.iter().any(|ball| ball.may_be_met(ray)))
+        (self.geometry.lamps.as_ref())
+            .is_none_or(|lamps| lamps.iter().any(|ball| ball.may_be_met(ray)))
     }
 
     /// Shapes, by index.
     pub fn shapes(&self) -> &[AnyShape] {
-        &self.shapes
+        &self.geometry.shapes
     }
 
     /// What belongs to a shape.
@@ -377,9 +385,9 @@ impl Scene {
     #[inline]
     pub fn lights(&self) -> Lights<'_> {
         Lights {
-            shapes: &self.shapes,
-            prims: &self.prims,
-            firsts: &self.firsts,
+            shapes: &self.geometry.shapes,
+            prims: &self.geometry.prims,
+            firsts: &self.geometry.firsts,
         }
     }
 
@@ -387,14 +395,19 @@ impl Scene {
     #[inline(always)]
     pub fn nearest<R: Real>(&self, ray: &Ray<R>) -> Option<Hit> {
         let (o, d) = single(&ray.primal());
-        self.accel.intersect(o, d, f32::INFINITY, ray.from)
+        self.geometry.accel.intersect(o, d, f32::INFINITY, ray.from)
     }
 
-    /// What lies at a hit of this ray. It follows the ray's tangents.
+    /// What lies at a hit of this ray. It follows the tangents of the ray and of the parameters.
     #[inline(always)]
-    pub fn interaction<R: Real>(&self, ray: &Ray<R>, hit: &Hit) -> Intersection<R> {
-        let Prim { shape, local, .. } = self.prims[hit.prim as usize];
-        let si = self.shapes[shape as usize].interaction(local, ray, hit);
+    pub fn interaction<R: Real>(
+        &self,
+        theta: &Theta<R>,
+        ray: &Ray<R>,
+        hit: &Hit,
+    ) -> Intersection<R> {
+        let Prim { shape, local, .. } = self.geometry.prims[hit.prim as usize];
+        let si = self.geometry.shapes[shape as usize].interaction(theta, local, ray, hit);
         Intersection {
             shape,
             prim: hit.prim,
@@ -407,21 +420,92 @@ impl Scene {
     pub(crate) fn patch(&self, hit: &Hit) -> (u32, Exit, Option<&Patch>) {
         let Prim {
             shape, patch, exit, ..
-        } = self.prims[hit.prim as usize];
-        (shape, exit, self.patches.get(patch as usize))
+        } = self.geometry.prims[hit.prim as usize];
+        (shape, exit, self.geometry.patches.get(patch as usize))
     }
 
     /// Brings what [`Scene::interaction`] looks up near.
     #[inline]
     pub(crate) fn fetch(&self, hit: &Hit) {
-        let Prim { shape, local, .. } = self.prims[hit.prim as usize];
-        self.shapes[shape as usize].fetch(local);
+        let Prim { shape, local, .. } = self.geometry.prims[hit.prim as usize];
+        self.geometry.shapes[shape as usize].fetch(local);
     }
 
     /// [`Scene::nearest`], and what lies there.
     #[inline]
-    pub fn intersect<R: Real>(&self, ray: &Ray<R>) -> Option<Intersection<R>> {
-        self.nearest(ray).map(|hit| self.interaction(ray, &hit))
+    pub fn intersect<P: Float>(&self, ray: &Ray<P>) -> Option<Intersection<P>> {
+        self.intersect_moving(&Theta::still(), ray)
+    }
+
+    /// [`Scene::intersect`] over any scalar: what lies there follows the tangents of the ray and of the parameters.
+    #[inline]
+    pub fn intersect_moving<R: Real>(
+        &self,
+        theta: &Theta<R>,
+        ray: &Ray<R>,
+    ) -> Option<Intersection<R>> {
+        self.nearest(ray)
+            .map(|hit| self.interaction(theta, ray, &hit))
+    }
+
+    /// Where a point of a primitive is on its material: [`Shape::coordinates`].
+    pub fn coordinates<P: Float>(
+        &self,
+        prim: u32,
+        si: &SurfaceInteraction<P>,
+    ) -> SurfaceCoordinates<P> {
+        let Prim { shape, local, .. } = self.geometry.prims[prim as usize];
+        self.geometry.shapes[shape as usize].coordinates(local, si)
+    }
+
+    /// The point of a primitive with these surface coordinates: [`Shape::point_at`].
+    ///
+    /// # Derivatives
+    /// In `theta` and in `at`.
+    pub fn point_at<R: Real>(
+        &self,
+        theta: &Theta<R>,
+        prim: u32,
+        at: SurfaceCoordinates<R>,
+    ) -> SurfaceInteraction<R> {
+        let Prim { shape, local, .. } = self.geometry.prims[prim as usize];
+        self.geometry.shapes[shape as usize].point_at(theta, local, at)
+    }
+
+    /// How the surface changes with its texture coordinates there, as the shape has it: [`Shape::partials`].
+    ///
+    /// # Derivatives
+    /// In `theta` and in `at`.
+    pub fn partials<R: Real>(
+        &self,
+        theta: &Theta<R>,
+        prim: u32,
+        at: SurfaceCoordinates<R>,
+    ) -> Option<Partials<R>> {
+        let Prim { shape, local, .. } = self.geometry.prims[prim as usize];
+        self.geometry.shapes[shape as usize].partials(theta, local, at)
+    }
+
+    /// The same with normal maps, and the frame that they give, world space: [`Bsdf::shading_frame`]. `wo` is the unit
+    /// direction to the viewer, world space, and `route` the part of blends and masks.
+    pub fn mapped_partials<P: Float>(
+        &self,
+        theta: &Theta<P>,
+        prim: u32,
+        at: SurfaceCoordinates<P>,
+        wo: Vec3<P>,
+        route: u8,
+    ) -> Option<(Frame<P>, Partials<P>)> {
+        let partials = self.partials(theta, prim, at)?;
+        let si = self.point_at(theta, prim, at);
+        let shading = Shading {
+            theta: theta.lift::<Dual<P, 2>>(),
+            uv: Vec2::new(Dual::var(si.uv.x, 0), Dual::var(si.uv.y, 1)),
+        };
+        let wo = si.frame.to_local(wo);
+        let material = self.material(self.geometry.prims[prim as usize].shape);
+        let local = material.shading_frame(&shading, wo, route, TransportMode::Radiance);
+        Some(partials.mapped(&si.frame, &local))
     }
 
     /// Whether anything lies in between.
@@ -429,36 +513,38 @@ impl Scene {
     pub fn occluded<P: Float>(&self, segment: &Segment<P>) -> bool {
         let Segment { ray, length, to } = segment;
         let (o, d) = single(ray);
-        self.accel.occluded(o, d, length.to_f32(), [ray.from, *to])
+        self.geometry
+            .accel
+            .occluded(o, d, length.to_f32(), [ray.from, *to])
     }
 
     /// Index in the scene of a shape's primitive.
     pub(crate) fn primitive(&self, shape: u32, local: u32) -> u32 {
-        self.firsts[shape as usize] + local
+        self.geometry.firsts[shape as usize] + local
     }
 
     /// How rays leave a primitive.
     #[inline(always)]
     pub fn exit(&self, prim: u32) -> Exit {
-        self.prims[prim as usize].exit
+        self.geometry.prims[prim as usize].exit
     }
 
     /// Whether rays go through a hierarchy.
     #[inline]
     pub(crate) fn has_hierarchy(&self) -> bool {
-        self.accel.has_hierarchy()
+        self.geometry.accel.has_hierarchy()
     }
 
     /// [`Scene::nearest`] for a packet of rays.
     #[inline]
     pub fn nearest_packet(&self, rays: &RayPacket) -> [Option<Hit>; PACKET_SIZE] {
-        self.accel.intersect_packet(rays)
+        self.geometry.accel.intersect_packet(rays)
     }
 
     /// [`Scene::occluded`] for a packet of rays: one bit each.
     #[inline]
     pub fn occluded_packet(&self, rays: &RayPacket) -> u32 {
-        self.accel.occluded_packet(rays)
+        self.geometry.accel.occluded_packet(rays)
     }
 
     /// Whether an estimator is right in this scene: samples that move by themselves must not meet discontinuities.
@@ -506,7 +592,7 @@ impl Scene {
             return Some(format!("the outline of the light `{}`", info.name));
         }
         let convex = |s: &AnyShape| !matches!(s, AnyShape::Mesh(_) | AnyShape::Cylinder(_));
-        match (&self.infos[..], &self.shapes[..]) {
+        match (&self.infos[..], &self.geometry.shapes[..]) {
             ([], _) => None,
             ([info], [AnyShape::Cube(_)]) if paths_move => Some(format!(
                 "the edges of `{}`, over which paths move",
@@ -530,13 +616,15 @@ impl Scene {
 
     /// Distance of a ray from the outline of the primitive that another ray hit, as [`Shape::border`].
     pub fn border<R: Real>(&self, ray: &Ray<R>, hit: &Hit) -> R {
-        let Prim { shape, local, .. } = self.prims[hit.prim as usize];
-        self.shapes[shape as usize].border(local, ray)
+        let Prim { shape, local, .. } = self.geometry.prims[hit.prim as usize];
+        self.geometry.shapes[shape as usize].border(local, ray)
     }
 
     /// Bytes held by geometry, acceleration structure and parameters.
     pub fn memory_bytes(&self) -> usize {
-        self.accel.memory_bytes() + size_of_val(&self.prims[..]) + size_of_val(self.params.values())
+        self.geometry.accel.memory_bytes()
+            + size_of_val(&self.geometry.prims[..])
+            + size_of_val(self.params.values())
     }
 }
 

@@ -2,10 +2,13 @@
 
 use ad_core::{Float, Real};
 
-use super::{Patch, Shape, ShapeSample, SurfaceInteraction};
+use super::{Partials, Patch, Shape, ShapeSample, SurfaceCoordinates, SurfaceInteraction};
 use crate::accel::{Hit, Primitive};
 use crate::error::SceneError;
 use crate::math::{Ray, Transform};
+use crate::params::Theta;
+#[cfg(test)]
+use crate::params::{ParamRef, Params};
 use crate::plugin::{FromNode, Node, Registry};
 
 /// `uv = (0, 0)`, `(1, 0)` and `(0, 1)` of the six faces, as Mitsuba 3 numbers them.
@@ -24,6 +27,9 @@ const FACES: [[[f64; 3]; 3]; 6] = [
 pub struct Cube {
     faces: Box<[Patch; 6]>,
     area: f64,
+    /// Where the first corner is along x, for tests of what follows shapes that move.
+    #[cfg(test)]
+    pub(crate) moved_by: Option<ParamRef>,
 }
 
 impl Cube {
@@ -39,7 +45,12 @@ impl Cube {
         let [a, b, c, d, e, f] = FACES.map(face);
         let faces = Box::new([a?, b?, c?, d?, e?, f?]);
         let area: f64 = faces.iter().map(Patch::area).sum();
-        area.is_finite().then_some(Self { faces, area })
+        area.is_finite().then_some(Self {
+            faces,
+            area,
+            #[cfg(test)]
+            moved_by: None,
+        })
     }
 }
 
@@ -49,8 +60,44 @@ impl Shape for Cube {
     }
 
     #[inline(always)]
-    fn interaction<R: Real>(&self, prim: u32, ray: &Ray<R>, hit: &Hit) -> SurfaceInteraction<R> {
+    fn interaction<R: Real>(
+        &self,
+        _theta: &Theta<R>,
+        prim: u32,
+        ray: &Ray<R>,
+        hit: &Hit,
+    ) -> SurfaceInteraction<R> {
         self.faces[prim as usize].interaction(ray, hit)
+    }
+
+    fn coordinates<P: Float>(
+        &self,
+        prim: u32,
+        si: &SurfaceInteraction<P>,
+    ) -> SurfaceCoordinates<P> {
+        self.faces[prim as usize].coordinates(si)
+    }
+
+    fn point_at<R: Real>(
+        &self,
+        _theta: &Theta<R>,
+        prim: u32,
+        at: SurfaceCoordinates<R>,
+    ) -> SurfaceInteraction<R> {
+        self.faces[prim as usize].point_at(at)
+    }
+
+    fn partials<R: Real>(
+        &self,
+        _theta: &Theta<R>,
+        prim: u32,
+        at: SurfaceCoordinates<R>,
+    ) -> Option<Partials<R>> {
+        Some(self.faces[prim as usize].partials(at))
+    }
+
+    fn area_element<R: Real>(&self, _theta: &Theta<R>, prim: u32) -> R {
+        self.faces[prim as usize].area_element()
     }
 
     fn patch(&self, prim: u32) -> Option<&Patch> {
@@ -61,7 +108,7 @@ impl Shape for Cube {
         self.area
     }
 
-    fn sample_area<P: Float>(&self, u: [P; 2]) -> ShapeSample<P> {
+    fn sample_area<R: Real>(&self, _theta: &Theta<R>, u: [R::Primal; 2]) -> ShapeSample<R> {
         let mut rest = u[0].to_f64() * self.area;
         let (mut face, mut prim) = (&self.faces[0], 0);
         for (f, k) in self.faces.iter().zip(0..) {
@@ -71,9 +118,9 @@ impl Shape for Cube {
             }
             rest -= f.area();
         }
-        let reused = P::of((rest / face.area()).clamp(0.0, 1.0));
+        let reused = R::Primal::of((rest / face.area()).clamp(0.0, 1.0));
         ShapeSample {
-            pdf: P::of(1.0 / self.area),
+            pdf: R::Primal::of(1.0 / self.area),
             prim,
             ..face.sample_area([reused, u[1]])
         }
@@ -81,6 +128,20 @@ impl Shape for Cube {
 
     fn border<R: Real>(&self, prim: u32, ray: &Ray<R>) -> R {
         self.faces[prim as usize].border(ray)
+    }
+
+    #[cfg(test)]
+    fn visit_params(&self, f: &mut dyn FnMut(ParamRef)) {
+        self.moved_by.into_iter().for_each(f);
+    }
+
+    #[cfg(test)]
+    fn update(&mut self, params: &Params) {
+        let Some(p) = self.moved_by else { return };
+        let by = params.values()[p.offset as usize] - self.faces[0].corner[0];
+        for face in self.faces.iter_mut() {
+            face.corner[0] += by;
+        }
     }
 
     fn extent(&self) -> f32 {

@@ -2,13 +2,18 @@
 
 use std::f64::consts::PI;
 
-use ad_core::{Const, Float, Real, Vec2, Vec3};
+use ad_core::{Const, Dual, Float, Real, Vec2, Vec3};
 
+use super::partials::{constant, variables};
 use super::sphere::{ON_SURFACE, SIMILARITY_TOLERANCE, root_near};
-use super::{DirectionSample, Shape, ShapeSample, SurfaceInteraction, hit_is_exact, lift3, turn};
+use super::{
+    DirectionSample, Partials, Shape, ShapeSample, SurfaceCoordinates, SurfaceInteraction,
+    hit_is_exact, lift3, turn,
+};
 use crate::accel::{Hit, MAX_COORDINATE, MIN_THICKNESS, Primitive};
 use crate::error::SceneError;
 use crate::math::{Frame, Ray, Transform, warp};
+use crate::params::Theta;
 use crate::plugin::{FromNode, Node, Registry};
 
 /// An open tube around the segment from `p0` to `p1`. `uv = (phi / 2 pi, z / length)`; normals
@@ -80,6 +85,42 @@ impl Cylinder {
     fn side<R: Real>(&self, outward: Vec3<R>) -> Vec3<R> {
         if self.flip { -outward } else { outward }
     }
+
+    /// Unit vectors where u = 0 and u = 1/4, at right angles to the axis and each other in the digits of the scalar.
+    fn round<R: Real>(&self) -> [Vec3<R>; 2] {
+        let direction = lift3::<R>(self.axis).normalize();
+        let [x, y] = self.across.map(lift3::<R>);
+        let x = (x - direction * direction.dot(x)).normalize();
+        let z = direction.cross(x);
+        [
+            x,
+            if z.dot(y).primal() < R::Primal::zero() {
+                -z
+            } else {
+                z
+            },
+        ]
+    }
+
+    /// The point at a height over the foot of the axis, in an outward unit direction across it.
+    #[inline(always)]
+    fn surface<R: Real>(&self, outward: Vec3<R>, height: R, t: R) -> SurfaceInteraction<R> {
+        let p0 = lift3::<R>(self.p0);
+        let axis = lift3::<R::Primal>(self.axis);
+        let length = axis.length();
+        let direction = Vec3::<R>::lift(axis.normalize());
+        let radius = Const(R::Primal::from_f32(self.radius));
+        let (x, y) = (lift3::<R>(self.across[0]), lift3::<R>(self.across[1]));
+        let (cos, sin) = (x.dot(outward), y.dot(outward));
+        let n = self.side(outward);
+        SurfaceInteraction {
+            p: p0 + direction * height + outward * radius,
+            t,
+            n_geo: n,
+            frame: Frame::from_normal_and_tangent(n, y * cos - x * sin),
+            uv: Vec2::new(turn(sin, cos), height * Const(length.recip())),
+        }
+    }
 }
 
 impl Shape for Cylinder {
@@ -92,10 +133,15 @@ impl Shape for Cylinder {
     }
 
     #[inline]
-    fn interaction<R: Real>(&self, _prim: u32, ray: &Ray<R>, hit: &Hit) -> SurfaceInteraction<R> {
+    fn interaction<R: Real>(
+        &self,
+        _theta: &Theta<R>,
+        _prim: u32,
+        ray: &Ray<R>,
+        hit: &Hit,
+    ) -> SurfaceInteraction<R> {
         let p0 = lift3::<R>(self.p0);
         let axis = lift3::<R::Primal>(self.axis);
-        let length = axis.length();
         let direction = Vec3::<R>::lift(axis.normalize());
         let radius = Const(R::Primal::from_f32(self.radius));
         let flat = |v: Vec3<R>| v - direction * direction.dot(v);
@@ -107,18 +153,50 @@ impl Shape for Cylinder {
         };
         let from_p0 = ray.at(t) - p0;
         let height = direction.dot(from_p0);
-        let outward = flat(from_p0).normalize();
-        let (x, y) = (lift3::<R>(self.across[0]), lift3::<R>(self.across[1]));
-        let (cos, sin) = (x.dot(outward), y.dot(outward));
-        let n = self.side(outward);
-        SurfaceInteraction {
-            // Back onto the cylinder, which rounding of t has left.
-            p: p0 + direction * height + outward * radius,
-            t,
-            n_geo: n,
-            frame: Frame::from_normal_and_tangent(n, y * cos - x * sin),
-            uv: Vec2::new(turn(sin, cos), height * Const(length.recip())),
-        }
+        // Back onto the cylinder, which rounding of t has left.
+        self.surface(flat(from_p0).normalize(), height, t)
+    }
+
+    fn coordinates<P: Float>(
+        &self,
+        _prim: u32,
+        si: &SurfaceInteraction<P>,
+    ) -> SurfaceCoordinates<P> {
+        let [x, y] = self.round::<P>().map(|a| a.dot(self.side(si.n_geo)));
+        SurfaceCoordinates(Vec2::new(turn(y, x), si.uv.y))
+    }
+
+    fn point_at<R: Real>(
+        &self,
+        _theta: &Theta<R>,
+        _prim: u32,
+        at: SurfaceCoordinates<R>,
+    ) -> SurfaceInteraction<R> {
+        let [x, y] = self.round::<R>();
+        let (sin, cos) = (at.0.x * R::c(2.0 * PI)).sin_cos();
+        let length = lift3::<R::Primal>(self.axis).length();
+        self.surface(x * cos + y * sin, at.0.y * Const(length), R::zero())
+    }
+
+    fn partials<R: Real>(
+        &self,
+        _theta: &Theta<R>,
+        _prim: u32,
+        at: SurfaceCoordinates<R>,
+    ) -> Option<Partials<R>> {
+        let [turns, height] = variables(at.0.x, at.0.y);
+        let [x, y] = self.round::<R>().map(constant);
+        let (sin, cos) = (turns * Dual::<R, 2>::c(2.0 * PI)).sin_cos();
+        let outward = x * cos + y * sin;
+        let [p0, axis] = [self.p0, self.axis].map(|v| constant(lift3::<R>(v)));
+        let frame = Frame::from_normal_and_tangent(self.side(outward), y * cos - x * sin);
+        let radius = Const(R::Primal::from_f32(self.radius));
+        Some(Partials::of(p0 + axis * height + outward * radius, &frame))
+    }
+
+    fn area_element<R: Real>(&self, _theta: &Theta<R>, _prim: u32) -> R {
+        let radius = Const(R::Primal::from_f32(self.radius));
+        lift3::<R>(self.axis).length() * radius * R::c(2.0 * PI)
     }
 
     /// The sides, and the two rims where the line of the ray passes them.
@@ -148,24 +226,27 @@ impl Shape for Cylinder {
     }
 
     #[inline]
-    fn sample_area<P: Float>(&self, u: [P; 2]) -> ShapeSample<P> {
+    fn sample_area<R: Real>(&self, _theta: &Theta<R>, u: [R::Primal; 2]) -> ShapeSample<R> {
         let (sin, cos) = warp::sin_cos_of_turns(u[0]);
-        let (x, y) = (lift3::<P>(self.across[0]), lift3::<P>(self.across[1]));
-        let outward = x * cos + y * sin;
+        let (x, y) = (
+            lift3::<R::Primal>(self.across[0]),
+            lift3::<R::Primal>(self.across[1]),
+        );
+        let outward = Vec3::<R>::lift(x * cos + y * sin);
+        let along = lift3::<R>(self.axis) * Const(u[1]);
         ShapeSample {
-            p: lift3::<P>(self.p0)
-                + lift3::<P>(self.axis) * u[1]
-                + outward * P::from_f32(self.radius),
+            p: lift3::<R>(self.p0) + along + outward * Const(R::Primal::from_f32(self.radius)),
             n: self.side(outward),
-            uv: Vec2::new(u[0], u[1]),
-            pdf: P::of(1.0 / self.area()),
+            uv: Vec2::new(R::lift(u[0]), R::lift(u[1])),
+            pdf: R::Primal::of(1.0 / self.area()),
             prim: 0,
+            coordinates: SurfaceCoordinates(Vec2::new(u[0], u[1])),
         }
     }
 
     /// The inside may be hidden by the tube itself.
     fn sample<P: Float>(&self, from: Vec3<P>, u: [P; 2]) -> Option<DirectionSample<P>> {
-        let s = self.sample_area(u);
+        let s = self.sample_area(&Theta::still(), u);
         let seen = s.seen_from(from, s.n)?;
         let direction = lift3::<P>(self.axis).normalize();
         let flat = |v: Vec3<P>| v - direction * direction.dot(v);

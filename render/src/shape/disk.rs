@@ -2,13 +2,18 @@
 
 use std::f64::consts::PI;
 
-use ad_core::{Float, Real, Vec2, Vec3};
+use ad_core::{Dual, Float, Real, Vec2};
 
+use super::partials::{constant, variables};
 use super::patch::intersect_plane;
-use super::{Shape, ShapeSample, SurfaceInteraction, hit_is_exact, lift3, turn};
+use super::{
+    Partials, Shape, ShapeSample, SurfaceCoordinates, SurfaceInteraction, coordinates_in_plane,
+    hit_is_exact, lift3, turn,
+};
 use crate::accel::{Hit, MAX_COORDINATE, MIN_THICKNESS, Primitive};
 use crate::error::SceneError;
 use crate::math::{Frame, Ray, Transform, each, warp};
+use crate::params::Theta;
 use crate::plugin::{FromNode, Node, Registry};
 
 /// The unit disk in the local xy plane, normal +z, under an affine transform (an ellipse in general).
@@ -63,15 +68,44 @@ impl Shape for Disk {
     }
 
     #[inline]
-    fn interaction<R: Real>(&self, _prim: u32, ray: &Ray<R>, hit: &Hit) -> SurfaceInteraction<R> {
-        let center = lift3::<R>(self.center);
-        let (e1, e2, n) = (lift3::<R>(self.e1), lift3::<R>(self.e2), lift3::<R>(self.n));
+    fn interaction<R: Real>(
+        &self,
+        theta: &Theta<R>,
+        prim: u32,
+        ray: &Ray<R>,
+        hit: &Hit,
+    ) -> SurfaceInteraction<R> {
         let (t, x, y) = if hit_is_exact::<R>() {
             let exact = |x: f32| R::lift(R::Primal::from_f32(x));
             (exact(hit.t), exact(hit.u), exact(hit.v))
         } else {
+            let [center, e1, e2] = each([self.center, self.e1, self.e2], lift3::<R>);
             intersect_plane(ray, center, e1, e2)
         };
+        SurfaceInteraction {
+            t,
+            ..self.point_at(theta, prim, SurfaceCoordinates(Vec2::new(x, y)))
+        }
+    }
+
+    fn coordinates<P: Float>(
+        &self,
+        _prim: u32,
+        si: &SurfaceInteraction<P>,
+    ) -> SurfaceCoordinates<P> {
+        coordinates_in_plane(si.p, self.center, self.e1, self.e2)
+    }
+
+    #[inline]
+    fn point_at<R: Real>(
+        &self,
+        _theta: &Theta<R>,
+        _prim: u32,
+        at: SurfaceCoordinates<R>,
+    ) -> SurfaceInteraction<R> {
+        let center = lift3::<R>(self.center);
+        let (e1, e2, n) = (lift3::<R>(self.e1), lift3::<R>(self.e2), lift3::<R>(self.n));
+        let SurfaceCoordinates(Vec2 { x, y }) = at;
         let r = x.hypot(y);
         let outward = if r.primal() > R::Primal::zero() {
             (e1 * x + e2 * y).normalize()
@@ -80,11 +114,31 @@ impl Shape for Disk {
         };
         SurfaceInteraction {
             p: center + e1 * x + e2 * y,
-            t,
+            t: R::zero(),
             n_geo: n,
             frame: Frame::from_normal_and_tangent(n, outward),
             uv: Vec2::new(r, turn(y, x)),
         }
+    }
+
+    fn partials<R: Real>(
+        &self,
+        _theta: &Theta<R>,
+        _prim: u32,
+        at: SurfaceCoordinates<R>,
+    ) -> Option<Partials<R>> {
+        let SurfaceCoordinates(Vec2 { x, y }) = at;
+        let [r, turns] = variables(x.hypot(y), turn(y, x));
+        let (sin, cos) = (turns * Dual::<R, 2>::c(2.0 * PI)).sin_cos();
+        let [center, e1, e2, n] =
+            [self.center, self.e1, self.e2, self.n].map(|v| constant(lift3::<R>(v)));
+        let outward = e1 * cos + e2 * sin;
+        let frame = Frame::from_normal_and_tangent(n, outward);
+        Some(Partials::of(center + outward * r, &frame))
+    }
+
+    fn area_element<R: Real>(&self, _theta: &Theta<R>, _prim: u32) -> R {
+        lift3::<R>(self.e1).cross(lift3(self.e2)).length()
     }
 
     fn area(&self) -> f64 {
@@ -92,15 +146,16 @@ impl Shape for Disk {
     }
 
     #[inline]
-    fn sample_area<P: Float>(&self, u: [P; 2]) -> ShapeSample<P> {
-        let Vec2 { x, y } = warp::square_to_disk(u);
-        let (e1, e2): (Vec3<P>, Vec3<P>) = (lift3(self.e1), lift3(self.e2));
+    fn sample_area<R: Real>(&self, theta: &Theta<R>, u: [R::Primal; 2]) -> ShapeSample<R> {
+        let coordinates = SurfaceCoordinates(warp::square_to_disk(u));
+        let at = self.point_at(theta, 0, SurfaceCoordinates::<R>::lift(coordinates));
         ShapeSample {
-            p: lift3::<P>(self.center) + e1 * x + e2 * y,
-            n: lift3(self.n),
-            uv: Vec2::new(x.hypot(y), turn(y, x)),
-            pdf: P::of(1.0 / self.area),
+            p: at.p,
+            n: at.n_geo,
+            uv: at.uv,
+            pdf: R::Primal::of(1.0 / self.area),
             prim: 0,
+            coordinates,
         }
     }
 

@@ -5,15 +5,20 @@ use std::io::{self, BufRead, Read};
 use std::path::Path;
 use std::sync::{Arc, OnceLock};
 
-use ad_core::{Const, Float, Real, Vec2, Vec3};
+use ad_core::{Const, Dual, Float, Real, Vec2, Vec3};
 use smallvec::SmallVec;
 
+use super::partials::variables;
 use super::patch::intersect_plane;
-use super::{DirectionSample, Shape, ShapeSample, SurfaceInteraction, hit_is_exact, lift3};
+use super::{
+    DirectionSample, Partials, Shape, ShapeSample, SurfaceCoordinates, SurfaceInteraction,
+    coordinates_in_plane, hit_is_exact, lift3,
+};
 use crate::accel::{Hit, MAX_COORDINATE, Primitive};
 use crate::error::{SceneError, quoted};
 use crate::files;
 use crate::math::{Frame, Ray, Transform, each, warp};
+use crate::params::Theta;
 use crate::plugin::{FromNode, Node, Registry};
 use crate::prefetch::prefetch;
 
@@ -27,14 +32,14 @@ pub struct MeshData {
     pub positions: Vec<[f32; 3]>,
     /// World space, of any length; zero for "as the triangle". Without them every triangle is flat.
     pub normals: Vec<[f32; 3]>,
-    /// Surface coordinates. Without them `uv` are the barycentric coordinates of the second and third
+    /// Texture coordinates. Without them `uv` are the barycentric coordinates of the second and third
     /// vertex.
     pub uvs: Vec<[f32; 2]>,
     /// Vertices of each triangle, counter-clockwise seen from outside.
     pub triangles: Vec<[u32; 3]>,
 }
 
-/// Triangles with interpolated normals and surface coordinates. Cheap to clone.
+/// Triangles with interpolated normals and texture coordinates. Cheap to clone.
 ///
 /// Degenerate triangles are kept but never hit or sampled.
 #[derive(Clone, Debug)]
@@ -198,7 +203,7 @@ impl Mesh {
             + self.0.cdf.get().map_or(0, |c| size_of_val(&c[..]))
     }
 
-    /// Shading frame, geometric normal on its side, and surface coordinates at barycentric `(u, v)`.
+    /// Shading frame, geometric normal on its side, and texture coordinates at barycentric `(u, v)`.
     #[inline]
     fn surface<R: Real>(&self, triangle: usize, u: R, v: R) -> (Frame<R>, Vec3<R>, Vec2<R>) {
         let data = &*self.0;
@@ -240,6 +245,21 @@ impl Mesh {
         let dp_du = data.dp_du(triangle);
         let dp_du = Vec3::new(R::of(dp_du.x), R::of(dp_du.y), R::of(dp_du.z));
         (Frame::from_normal_and_tangent(n, dp_du), n_geo, uv)
+    }
+
+    /// The point at barycentric `(u, v)`.
+    #[inline]
+    fn point<R: Real>(&self, triangle: usize, u: R, v: R) -> SurfaceInteraction<R> {
+        let (v0, [e1, e2]) = self.0.single_edges(triangle);
+        let (v0, e1, e2) = (lift3::<R>(v0), lift3::<R>(e1), lift3::<R>(e2));
+        let (frame, n_geo, uv) = self.surface(triangle, u, v);
+        SurfaceInteraction {
+            p: v0 + e1 * u + e2 * v,
+            t: R::zero(),
+            n_geo,
+            frame,
+            uv,
+        }
     }
 
     /// A uniform point: triangle, and barycentric coordinates of its second and third vertex.
@@ -286,7 +306,7 @@ impl Data {
         e1.cross(e2).length()
     }
 
-    /// The direction of increasing u, zero where the surface coordinates are degenerate. Its length
+    /// The direction of increasing u, zero where the texture coordinates are degenerate. Its length
     /// means nothing.
     #[inline]
     fn dp_du(&self, triangle: usize) -> Vec3<f64> {
@@ -313,7 +333,13 @@ impl Shape for Mesh {
     }
 
     #[inline]
-    fn interaction<R: Real>(&self, prim: u32, ray: &Ray<R>, hit: &Hit) -> SurfaceInteraction<R> {
+    fn interaction<R: Real>(
+        &self,
+        _theta: &Theta<R>,
+        prim: u32,
+        ray: &Ray<R>,
+        hit: &Hit,
+    ) -> SurfaceInteraction<R> {
         let (v0, [e1, e2]) = self.0.single_edges(prim as usize);
         let (v0, e1, e2) = (lift3::<R>(v0), lift3::<R>(e1), lift3::<R>(e2));
         let (t, u, v) = if hit_is_exact::<R>() {
@@ -322,14 +348,49 @@ impl Shape for Mesh {
         } else {
             intersect_plane(ray, v0, e1, e2)
         };
-        let (frame, n_geo, uv) = self.surface(prim as usize, u, v);
         SurfaceInteraction {
-            p: v0 + e1 * u + e2 * v,
             t,
-            n_geo,
-            frame,
-            uv,
+            ..self.point(prim as usize, u, v)
         }
+    }
+
+    fn coordinates<P: Float>(
+        &self,
+        prim: u32,
+        si: &SurfaceInteraction<P>,
+    ) -> SurfaceCoordinates<P> {
+        if self.0.mesh.uvs.is_empty() {
+            return SurfaceCoordinates(si.uv);
+        }
+        let (v0, [e1, e2]) = self.0.single_edges(prim as usize);
+        coordinates_in_plane(si.p, v0, e1, e2)
+    }
+
+    fn point_at<R: Real>(
+        &self,
+        _theta: &Theta<R>,
+        prim: u32,
+        at: SurfaceCoordinates<R>,
+    ) -> SurfaceInteraction<R> {
+        self.point(prim as usize, at.0.x, at.0.y)
+    }
+
+    fn partials<R: Real>(
+        &self,
+        _theta: &Theta<R>,
+        prim: u32,
+        at: SurfaceCoordinates<R>,
+    ) -> Option<Partials<R>> {
+        if self.0.double_area(prim as usize) == 0.0 {
+            return None;
+        }
+        let [u, v] = variables(at.0.x, at.0.y);
+        let si = self.point::<Dual<R, 2>>(prim as usize, u, v);
+        Partials::of(si.p, &si.frame).with_respect_to(si.uv)
+    }
+
+    fn area_element<R: Real>(&self, _theta: &Theta<R>, prim: u32) -> R {
+        R::of(self.0.double_area(prim as usize))
     }
 
     #[inline]
@@ -358,28 +419,32 @@ impl Shape for Mesh {
     }
 
     /// The normal returned is the shading normal, which emission goes by.
-    fn sample_area<P: Float>(&self, u: [P; 2]) -> ShapeSample<P> {
+    fn sample_area<R: Real>(&self, _theta: &Theta<R>, u: [R::Primal; 2]) -> ShapeSample<R> {
         let (triangle, b) = self.choose(u);
-        let (v0, [e1, e2]) = self.0.single_edges(triangle);
-        let (frame, _, uv) = self.surface(triangle, b.x, b.y);
+        let at = self.point::<R>(triangle, R::lift(b.x), R::lift(b.y));
         ShapeSample {
-            p: lift3::<P>(v0) + lift3::<P>(e1) * b.x + lift3::<P>(e2) * b.y,
-            n: frame.n,
-            uv,
-            pdf: P::of(1.0 / self.0.area),
+            p: at.p,
+            n: at.frame.n,
+            uv: at.uv,
+            pdf: R::Primal::of(1.0 / self.0.area),
             prim: triangle as u32,
+            coordinates: SurfaceCoordinates(b),
         }
     }
 
-    fn sample_surface<P: Float>(&self, u: [P; 2]) -> (ShapeSample<P>, Vec3<P>) {
-        let s = self.sample_area(u);
+    fn sample_surface<R: Real>(
+        &self,
+        theta: &Theta<R>,
+        u: [R::Primal; 2],
+    ) -> (ShapeSample<R>, Vec3<R>) {
+        let s = self.sample_area(theta, u);
         let [e1, e2] = self.0.edges(s.prim as usize);
         let n = e1.cross(e2).normalize();
-        (s, Vec3::new(P::of(n.x), P::of(n.y), P::of(n.z)))
+        (s, Vec3::new(R::of(n.x), R::of(n.y), R::of(n.z)))
     }
 
     fn sample<P: Float>(&self, from: Vec3<P>, u: [P; 2]) -> Option<DirectionSample<P>> {
-        let (s, n_geo) = self.sample_surface(u);
+        let (s, n_geo) = self.sample_surface(&Theta::still(), u);
         s.seen_from(from, n_geo)
     }
 

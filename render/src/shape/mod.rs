@@ -4,12 +4,20 @@
 //! the scalar of the caller, from the shape's own parameters ([`Shape::interaction`]). A ray whose
 //! origin or direction carries tangents therefore gets an interaction that moves with it.
 //!
+//! What stays with the material when a shape moves are the [`SurfaceCoordinates`] of a point ([`Shape::coordinates`]);
+//! where they are for given parameters says [`Shape::point_at`], and how the surface bends there [`Shape::partials`].
+//!
+//! # Parameters
+//! A shape holds its geometry in single precision, for the values that the scene was given last: it is what rays are
+//! traced against ([`Shape::update`]). Of `theta`, functions over a scalar with tangents take the tangents.
+//!
 //! To add a shape: one file here, one line in `shapes!` below.
 
 mod cube;
 mod cylinder;
 mod disk;
 mod mesh;
+mod partials;
 mod patch;
 mod sphere;
 
@@ -17,6 +25,7 @@ pub use cube::Cube;
 pub use cylinder::Cylinder;
 pub use disk::Disk;
 pub use mesh::{Mesh, MeshData, ObjOptions, smooth_normals};
+pub use partials::Partials;
 pub use patch::{Patch, Rectangle};
 pub use sphere::Sphere;
 pub(crate) use sphere::{sample_cone, turn};
@@ -26,6 +35,7 @@ use ad_core::{Const, Float, Real, Vec2, Vec3};
 use crate::accel::{Hit, Primitive};
 use crate::error::SceneError;
 use crate::math::{Frame, NOWHERE, Ray, Segment};
+use crate::params::{ParamRef, Params, Theta};
 use crate::plugin::{FromNode, Node, Registry};
 
 /// Part of the distance to a point that is not tested for occluders: its rounding.
@@ -64,6 +74,26 @@ pub(crate) struct Prim {
     pub exit: Exit,
 }
 
+/// Where a point is on a primitive of a shape, in two numbers that do not change when the shape moves: the material
+/// stays.
+///
+/// * Triangles: barycentric coordinates of the second and third vertex.
+/// * Parallelograms: in units of their edges.
+/// * Disks: in units of their half axes, so that the rim is the unit circle.
+/// * Spheres: the octahedral map of the outward normal of the sphere as it was loaded, world axes, in `[-1, 1]^2`
+///   [Cigolle et al. 2014]. Unlike angles, it has no poles.
+/// * Cylinders: the angle in turns, as `u`, and the height over the length.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SurfaceCoordinates<R>(pub Vec2<R>);
+
+impl<R: Real> SurfaceCoordinates<R> {
+    /// Constant coordinates: zero tangents.
+    #[inline]
+    pub fn lift(at: SurfaceCoordinates<R::Primal>) -> Self {
+        Self(Vec2::lift(at.0))
+    }
+}
+
 /// A point on a surface, seen along a ray.
 #[derive(Clone, Copy, Debug)]
 pub struct SurfaceInteraction<R> {
@@ -75,7 +105,7 @@ pub struct SurfaceInteraction<R> {
     pub n_geo: Vec3<R>,
     /// Shading frame; `frame.n` on the same side as `n_geo`.
     pub frame: Frame<R>,
-    /// Surface coordinates; may be zero where nothing looks them up ([`Shape::skip_uv`]).
+    /// Texture coordinates; may be zero where nothing looks them up ([`Shape::skip_uv`]).
     pub uv: Vec2<R>,
 }
 
@@ -159,17 +189,19 @@ impl<R: Real> SurfaceInteraction<R> {
 
 /// A point sampled on a shape.
 #[derive(Clone, Copy, Debug)]
-pub struct ShapeSample<P> {
+pub struct ShapeSample<R: Real> {
     /// Position, world space.
-    pub p: Vec3<P>,
+    pub p: Vec3<R>,
     /// Unit normal there, world space.
-    pub n: Vec3<P>,
-    /// Surface coordinates.
-    pub uv: Vec2<P>,
-    /// Density per area.
-    pub pdf: P,
+    pub n: Vec3<R>,
+    /// Texture coordinates.
+    pub uv: Vec2<R>,
+    /// Density per area: a constant.
+    pub pdf: R::Primal,
     /// The primitive of the shape that it lies on.
     pub prim: u32,
+    /// Where on that primitive.
+    pub coordinates: SurfaceCoordinates<R::Primal>,
 }
 
 /// A direction sampled towards a shape.
@@ -183,7 +215,7 @@ pub struct DirectionSample<P> {
     pub n: Vec3<P>,
     /// Unit geometric normal there.
     pub n_geo: Vec3<P>,
-    /// Surface coordinates there.
+    /// Texture coordinates there.
     pub uv: Vec2<P>,
     /// Density per solid angle.
     pub pdf: P,
@@ -222,8 +254,57 @@ pub trait Shape: Send + Sync {
     /// The interaction at `hit`, which lies on primitive `prim` of this shape.
     ///
     /// # Derivatives
-    /// In the ray. The primitive that was hit is a primal decision.
-    fn interaction<R: Real>(&self, prim: u32, ray: &Ray<R>, hit: &Hit) -> SurfaceInteraction<R>;
+    /// In the ray, and in `theta` while the ray stays. The primitive that was hit is a primal decision.
+    fn interaction<R: Real>(
+        &self,
+        theta: &Theta<R>,
+        prim: u32,
+        ray: &Ray<R>,
+        hit: &Hit,
+    ) -> SurfaceInteraction<R>;
+
+    /// Where the point `si` of primitive `prim` is on the material. The inverse of [`Shape::point_at`] up to the
+    /// rounding of the position, computed when somebody asks: interactions do not carry it.
+    fn coordinates<P: Float>(&self, prim: u32, si: &SurfaceInteraction<P>)
+    -> SurfaceCoordinates<P>;
+
+    /// The point of primitive `prim` with the surface coordinates `at`, seen along no ray: `t` is zero.
+    ///
+    /// # Derivatives
+    /// In `theta` and in `at`.
+    fn point_at<R: Real>(
+        &self,
+        theta: &Theta<R>,
+        prim: u32,
+        at: SurfaceCoordinates<R>,
+    ) -> SurfaceInteraction<R>;
+
+    /// How the surface changes with the texture coordinates at the same point, also where [`Shape::skip_uv`] leaves
+    /// them out. `None` where texture coordinates are none: on triangles whose own ones, or which themselves, are
+    /// degenerate.
+    ///
+    /// At the poles of a sphere and in the middle of a disk, where a coordinate is no coordinate, these are the limits
+    /// along the meridian `u = 0`, or the ray `v = 0`: finite, with a zero derivative of the position in that
+    /// coordinate.
+    fn partials<R: Real>(
+        &self,
+        theta: &Theta<R>,
+        prim: u32,
+        at: SurfaceCoordinates<R>,
+    ) -> Option<Partials<R>>;
+
+    /// Area of primitive `prim` per constant measure of its [`SurfaceCoordinates`]: per their own area, on spheres per
+    /// solid angle. How it changes is how integrals over the material do.
+    ///
+    /// # Derivatives
+    /// In `theta`.
+    fn area_element<R: Real>(&self, theta: &Theta<R>, prim: u32) -> R;
+
+    /// Calls `f` with every parameter that the geometry depends on.
+    fn visit_params(&self, _f: &mut dyn FnMut(ParamRef)) {}
+
+    /// Reads these parameters: the geometry is theirs from now on.
+    fn update(&mut self, _params: &Params) {}
 
     /// The parallelogram that primitive `prim` is, if it is one.
     fn patch(&self, _prim: u32) -> Option<&Patch> {
@@ -238,12 +319,19 @@ pub trait Shape: Send + Sync {
     fn area(&self) -> f64;
 
     /// A point distributed uniformly over the area; density per area.
-    fn sample_area<P: Float>(&self, u: [P; 2]) -> ShapeSample<P>;
+    ///
+    /// # Derivatives
+    /// In `theta`, of position, normal and texture coordinates: the material stays, and so does the density.
+    fn sample_area<R: Real>(&self, theta: &Theta<R>, u: [R::Primal; 2]) -> ShapeSample<R>;
 
     /// [`Shape::sample_area`], and the unit geometric normal there.
     #[inline]
-    fn sample_surface<P: Float>(&self, u: [P; 2]) -> (ShapeSample<P>, Vec3<P>) {
-        let s = self.sample_area(u);
+    fn sample_surface<R: Real>(
+        &self,
+        theta: &Theta<R>,
+        u: [R::Primal; 2],
+    ) -> (ShapeSample<R>, Vec3<R>) {
+        let s = self.sample_area(theta, u);
         (s, s.n)
     }
 
@@ -251,7 +339,7 @@ pub trait Shape: Send + Sync {
     /// hide the side of it that faces `from`.
     #[inline]
     fn sample<P: Float>(&self, from: Vec3<P>, u: [P; 2]) -> Option<DirectionSample<P>> {
-        let s = self.sample_area(u);
+        let s = self.sample_area(&Theta::still(), u);
         s.seen_from(from, s.n)
     }
 
@@ -318,6 +406,25 @@ pub fn hit_is_exact<R: Real>() -> bool {
     R::IS_PRIMAL && size_of::<R>() == size_of::<f32>()
 }
 
+/// Coordinates of the point nearest to `p` on the plane `v0 + x e1 + y e2`; zero if it is none.
+fn coordinates_in_plane<P: Float>(
+    p: Vec3<P>,
+    v0: [f32; 3],
+    e1: [f32; 3],
+    e2: [f32; 3],
+) -> SurfaceCoordinates<P> {
+    // In f64, where the products of small edges do not underflow.
+    let [v0, e1, e2] = [v0, e1, e2].map(lift3::<f64>);
+    let d = p.map(P::to_f64) - v0;
+    let n = e1.cross(e2);
+    let inverse = n.length_squared().recip();
+    let finite = |x: f64| P::of(if x.is_finite() { x } else { 0.0 });
+    SurfaceCoordinates(Vec2::new(
+        finite(d.cross(e2).dot(n) * inverse),
+        finite(e1.cross(d).dot(n) * inverse),
+    ))
+}
+
 /// Lifts an f32 point or vector.
 #[inline]
 pub fn lift3<R: Real>(v: [f32; 3]) -> Vec3<R> {
@@ -374,8 +481,32 @@ macro_rules! shapes {
                 match self { $(Self::$hot(s) => s.primitives(),)* $(Self::$name(s) => s.primitives(),)* }
             }
             #[inline(always)]
-            fn interaction<R: Real>(&self, prim: u32, ray: &Ray<R>, hit: &Hit) -> SurfaceInteraction<R> {
-                $crate::dispatch::dispatch!(self, [$($hot),*] [$($name),*], s => s.interaction(prim, ray, hit))
+            fn interaction<R: Real>(
+                &self, theta: &Theta<R>, prim: u32, ray: &Ray<R>, hit: &Hit,
+            ) -> SurfaceInteraction<R> {
+                $crate::dispatch::dispatch!(self, [$($hot),*] [$($name),*], s => s.interaction(theta, prim, ray, hit))
+            }
+            fn coordinates<P: Float>(&self, prim: u32, si: &SurfaceInteraction<P>) -> SurfaceCoordinates<P> {
+                match self { $(Self::$hot(s) => s.coordinates(prim, si),)* $(Self::$name(s) => s.coordinates(prim, si),)* }
+            }
+            fn point_at<R: Real>(
+                &self, theta: &Theta<R>, prim: u32, at: SurfaceCoordinates<R>,
+            ) -> SurfaceInteraction<R> {
+                match self { $(Self::$hot(s) => s.point_at(theta, prim, at),)* $(Self::$name(s) => s.point_at(theta, prim, at),)* }
+            }
+            fn partials<R: Real>(
+                &self, theta: &Theta<R>, prim: u32, at: SurfaceCoordinates<R>,
+            ) -> Option<Partials<R>> {
+                match self { $(Self::$hot(s) => s.partials(theta, prim, at),)* $(Self::$name(s) => s.partials(theta, prim, at),)* }
+            }
+            fn area_element<R: Real>(&self, theta: &Theta<R>, prim: u32) -> R {
+                match self { $(Self::$hot(s) => s.area_element(theta, prim),)* $(Self::$name(s) => s.area_element(theta, prim),)* }
+            }
+            fn visit_params(&self, f: &mut dyn FnMut(ParamRef)) {
+                match self { $(Self::$hot(s) => s.visit_params(f),)* $(Self::$name(s) => s.visit_params(f),)* }
+            }
+            fn update(&mut self, params: &Params) {
+                match self { $(Self::$hot(s) => s.update(params),)* $(Self::$name(s) => s.update(params),)* }
             }
             fn patch(&self, prim: u32) -> Option<&Patch> {
                 match self { $(Self::$hot(s) => s.patch(prim),)* $(Self::$name(s) => s.patch(prim),)* }
@@ -387,11 +518,13 @@ macro_rules! shapes {
             fn area(&self) -> f64 {
                 match self { $(Self::$hot(s) => s.area(),)* $(Self::$name(s) => s.area(),)* }
             }
-            fn sample_area<P: Float>(&self, u: [P; 2]) -> ShapeSample<P> {
-                match self { $(Self::$hot(s) => s.sample_area(u),)* $(Self::$name(s) => s.sample_area(u),)* }
+            fn sample_area<R: Real>(&self, theta: &Theta<R>, u: [R::Primal; 2]) -> ShapeSample<R> {
+                match self { $(Self::$hot(s) => s.sample_area(theta, u),)* $(Self::$name(s) => s.sample_area(theta, u),)* }
             }
-            fn sample_surface<P: Float>(&self, u: [P; 2]) -> (ShapeSample<P>, Vec3<P>) {
-                match self { $(Self::$hot(s) => s.sample_surface(u),)* $(Self::$name(s) => s.sample_surface(u),)* }
+            fn sample_surface<R: Real>(
+                &self, theta: &Theta<R>, u: [R::Primal; 2],
+            ) -> (ShapeSample<R>, Vec3<R>) {
+                match self { $(Self::$hot(s) => s.sample_surface(theta, u),)* $(Self::$name(s) => s.sample_surface(theta, u),)* }
             }
             #[inline(always)]
             fn sample<P: Float>(&self, from: Vec3<P>, u: [P; 2]) -> Option<DirectionSample<P>> {

@@ -2,10 +2,14 @@
 
 use ad_core::{Const, Float, Real, Vec2, Vec3};
 
-use super::{Shape, ShapeSample, SurfaceInteraction, hit_is_exact, lift3};
+use super::partials::{constant, variables};
+use super::{
+    Partials, Shape, ShapeSample, SurfaceCoordinates, SurfaceInteraction, hit_is_exact, lift3,
+};
 use crate::accel::{Hit, MIN_THICKNESS, Primitive};
 use crate::error::SceneError;
 use crate::math::{Frame, Ray, each};
+use crate::params::Theta;
 use crate::plugin::{FromNode, Node, Registry};
 
 /// A parallelogram `corner + u e1 + v e2`, with surface coordinates `(u, v)` in [0, 1]^2.
@@ -87,19 +91,53 @@ impl Patch {
         } else {
             intersect_plane(ray, v0, e1, e2)
         };
+        SurfaceInteraction {
+            t,
+            ..self.point_at(SurfaceCoordinates(Vec2::new(u, v)))
+        }
+    }
+
+    /// See [`Shape::coordinates`].
+    #[inline]
+    pub fn coordinates<P: Float>(&self, si: &SurfaceInteraction<P>) -> SurfaceCoordinates<P> {
+        SurfaceCoordinates(si.uv)
+    }
+
+    /// See [`Shape::point_at`].
+    #[inline(always)]
+    pub fn point_at<R: Real>(&self, at: SurfaceCoordinates<R>) -> SurfaceInteraction<R> {
+        let [v0, e1, e2] = each([self.corner, self.e1, self.e2], lift3::<R>);
+        let frame = self.frame();
+        let SurfaceCoordinates(uv) = at;
+        SurfaceInteraction {
+            p: v0 + e1 * uv.x + e2 * uv.y,
+            t: R::zero(),
+            n_geo: frame.n,
+            frame,
+            uv,
+        }
+    }
+
+    #[inline(always)]
+    fn frame<R: Real>(&self) -> Frame<R> {
         let lift = |v: Vec3<f32>| lift3::<R>(v.to_array());
-        let frame = Frame {
+        Frame {
             s: lift(self.frame.s),
             t: lift(self.frame.t),
             n: lift(self.frame.n),
-        };
-        SurfaceInteraction {
-            p: v0 + e1 * u + e2 * v,
-            t,
-            n_geo: frame.n,
-            frame,
-            uv: Vec2::new(u, v),
         }
+    }
+
+    /// See [`Shape::partials`].
+    pub fn partials<R: Real>(&self, at: SurfaceCoordinates<R>) -> Partials<R> {
+        let [v0, e1, e2] = each([self.corner, self.e1, self.e2], |v| constant(lift3::<R>(v)));
+        let [u, v] = variables(at.0.x, at.0.y);
+        Partials::of(v0 + e1 * u + e2 * v, &self.frame())
+    }
+
+    /// See [`Shape::area_element`].
+    pub fn area_element<R: Real>(&self) -> R {
+        lift3::<R>(self.e1).cross(lift3(self.e2)).length()
     }
 
     /// See [`Shape::border`].
@@ -114,18 +152,16 @@ impl Patch {
 
     /// A uniform point; density per area of this patch.
     #[inline(always)]
-    pub fn sample_area<P: Float>(&self, u: [P; 2]) -> ShapeSample<P> {
-        let (v0, e1, e2) = (
-            lift3::<P>(self.corner),
-            lift3::<P>(self.e1),
-            lift3::<P>(self.e2),
-        );
+    pub fn sample_area<R: Real>(&self, u: [R::Primal; 2]) -> ShapeSample<R> {
+        let coordinates = SurfaceCoordinates(Vec2::new(u[0], u[1]));
+        let at = self.point_at(SurfaceCoordinates::<R>::lift(coordinates));
         ShapeSample {
-            p: v0 + e1 * u[0] + e2 * u[1],
-            n: lift3(self.frame.n.to_array()),
-            uv: Vec2::new(u[0], u[1]),
-            pdf: P::of(self.inv_area),
+            p: at.p,
+            n: at.n_geo,
+            uv: at.uv,
+            pdf: R::Primal::of(self.inv_area),
             prim: 0,
+            coordinates,
         }
     }
 }
@@ -154,8 +190,40 @@ impl Shape for Rectangle {
         vec![self.0.primitive()]
     }
     #[inline(always)]
-    fn interaction<R: Real>(&self, _prim: u32, ray: &Ray<R>, hit: &Hit) -> SurfaceInteraction<R> {
+    fn interaction<R: Real>(
+        &self,
+        _theta: &Theta<R>,
+        _prim: u32,
+        ray: &Ray<R>,
+        hit: &Hit,
+    ) -> SurfaceInteraction<R> {
         self.0.interaction(ray, hit)
+    }
+    fn coordinates<P: Float>(
+        &self,
+        _prim: u32,
+        si: &SurfaceInteraction<P>,
+    ) -> SurfaceCoordinates<P> {
+        self.0.coordinates(si)
+    }
+    fn point_at<R: Real>(
+        &self,
+        _theta: &Theta<R>,
+        _prim: u32,
+        at: SurfaceCoordinates<R>,
+    ) -> SurfaceInteraction<R> {
+        self.0.point_at(at)
+    }
+    fn partials<R: Real>(
+        &self,
+        _theta: &Theta<R>,
+        _prim: u32,
+        at: SurfaceCoordinates<R>,
+    ) -> Option<Partials<R>> {
+        Some(self.0.partials(at))
+    }
+    fn area_element<R: Real>(&self, _theta: &Theta<R>, _prim: u32) -> R {
+        self.0.area_element()
     }
     fn patch(&self, _prim: u32) -> Option<&Patch> {
         Some(&self.0)
@@ -164,7 +232,7 @@ impl Shape for Rectangle {
         self.0.area()
     }
     #[inline(always)]
-    fn sample_area<P: Float>(&self, u: [P; 2]) -> ShapeSample<P> {
+    fn sample_area<R: Real>(&self, _theta: &Theta<R>, u: [R::Primal; 2]) -> ShapeSample<R> {
         self.0.sample_area(u)
     }
     fn border<R: Real>(&self, _prim: u32, ray: &Ray<R>) -> R {

@@ -2,15 +2,17 @@
 
 use std::f64::consts::{FRAC_1_PI, PI};
 
-use ad_core::{Const, Float, Real, Vec2, Vec3};
+use ad_core::{Const, Dual, Float, Real, Vec2, Vec3};
 
+use super::partials::{constant, variables};
 use super::{
-    DirectionSample, Shape, ShapeSample, SurfaceInteraction, area_to_solid_angle, hit_is_exact,
-    lift3,
+    DirectionSample, Partials, Shape, ShapeSample, SurfaceCoordinates, SurfaceInteraction,
+    area_to_solid_angle, hit_is_exact, lift3,
 };
 use crate::accel::{Hit, MAX_COORDINATE, MIN_THICKNESS, Primitive};
 use crate::error::SceneError;
 use crate::math::{Frame, Ray, Transform, each, warp};
+use crate::params::Theta;
 use crate::plugin::{FromNode, Node, Registry};
 
 /// Two axes count as equally long and orthogonal up to this relative error, that of a matrix
@@ -73,7 +75,7 @@ impl Sphere {
         })
     }
 
-    /// Whether normals point outward, and nothing needs surface coordinates: [`sample_cone`] is all of
+    /// Whether normals point outward, and nothing needs texture coordinates: [`sample_cone`] is all of
     /// [`Shape::sample`] from outside.
     pub(crate) fn is_plain(&self) -> bool {
         !self.flip && self.skips_uv
@@ -94,7 +96,7 @@ impl Sphere {
         if self.flip { -outward } else { outward }
     }
 
-    /// Surface coordinates of the point with outward unit normal `n`, and the direction of
+    /// Texture coordinates of the point with outward unit normal `n`, and the direction of
     /// increasing u there (zero at the poles).
     #[inline]
     fn uv<R: Real>(&self, n: Vec3<R>) -> (Vec2<R>, Vec3<R>) {
@@ -103,10 +105,23 @@ impl Sphere {
         let uv = if self.skips_uv {
             Vec2::new(R::zero(), R::zero())
         } else {
-            let v = x.hypot(y).atan2(z) * R::c(FRAC_1_PI);
-            Vec2::new(turn(y, x), v)
+            angles(x, y, z)
         };
         (uv, axes[1] * x - axes[0] * y)
+    }
+
+    /// The point with this outward unit normal, at the distance `t` of a ray.
+    #[inline(always)]
+    fn surface<R: Real>(&self, outward: Vec3<R>, t: R) -> SurfaceInteraction<R> {
+        let (uv, dp_du) = self.uv(outward);
+        let n = self.side(outward);
+        SurfaceInteraction {
+            p: lift3::<R>(self.center) + outward * Const(R::Primal::from_f32(self.radius)),
+            t,
+            n_geo: n,
+            frame: Frame::from_normal_and_tangent(n, dp_du),
+            uv,
+        }
     }
 
     /// Whether `from` lies inside or on the sphere.
@@ -135,7 +150,7 @@ fn cone<R: Real>(center: [f32; 3], radius: f32, from: Vec3<R>) -> Option<(R, Vec
     seen.then_some((sine * sine / (cosine + R::c(1.0)), to * inv_d))
 }
 
-/// A direction towards a sphere from outside, uniform in its cone, and outward normals; without surface coordinates.
+/// A direction towards a sphere from outside, uniform in its cone, and outward normals; without texture coordinates.
 /// `None` where there is no [`cone`]. A function of numbers alone, for loops over many spheres.
 #[inline(always)]
 pub(crate) fn sample_cone<P: Float>(
@@ -169,6 +184,38 @@ pub(crate) fn sample_cone<P: Float>(
         pdf: cone_pdf(one_minus_cos_max),
         prim: 0,
     })
+}
+
+/// Texture coordinates of a unit vector.
+#[inline]
+fn angles<R: Real>(x: R, y: R, z: R) -> Vec2<R> {
+    let v = x.hypot(y).atan2(z) * R::c(FRAC_1_PI);
+    Vec2::new(turn(y, x), v)
+}
+
+/// The octahedral map of a unit vector [Cigolle et al. 2014].
+fn to_octahedron<P: Float>(n: Vec3<P>) -> Vec2<P> {
+    let scale = (n.x.abs() + n.y.abs() + n.z.abs()).recip();
+    let (x, y) = (n.x * scale, n.y * scale);
+    match n.z < P::zero() {
+        true => Vec2::new(
+            (P::one() - y.abs()).copysign(x),
+            (P::one() - x.abs()).copysign(y),
+        ),
+        false => Vec2::new(x, y),
+    }
+}
+
+/// The unit vector with this octahedral map.
+fn from_octahedron<R: Real>(at: Vec2<R>) -> Vec3<R> {
+    let (x, y) = (at.x.abs(), at.y.abs());
+    let z = R::one() - x - y;
+    let (x, y) = match z.primal() < R::Primal::zero() {
+        true => (R::one() - y, R::one() - x),
+        false => (x, y),
+    };
+    let (x, y) = (x.copysign(at.x.primal()), y.copysign(at.y.primal()));
+    Vec3::new(x, y, z).normalize()
 }
 
 /// Relative distance from the surface up to which a point counts as on it.
@@ -210,7 +257,13 @@ impl Shape for Sphere {
     }
 
     #[inline]
-    fn interaction<R: Real>(&self, _prim: u32, ray: &Ray<R>, hit: &Hit) -> SurfaceInteraction<R> {
+    fn interaction<R: Real>(
+        &self,
+        _theta: &Theta<R>,
+        _prim: u32,
+        ray: &Ray<R>,
+        hit: &Hit,
+    ) -> SurfaceInteraction<R> {
         let center = lift3::<R>(self.center);
         let radius = Const(R::Primal::from_f32(self.radius));
         let near = R::Primal::from_f32(hit.t);
@@ -219,31 +272,74 @@ impl Shape for Sphere {
         } else {
             root_near(center - ray.o, ray.d, R::lift(radius.0), near)
         };
-        let outward = (ray.at(t) - center).normalize();
-        let (uv, dp_du) = self.uv(outward);
-        let n = self.side(outward);
-        SurfaceInteraction {
-            // Back onto the sphere, which rounding of t has left.
-            p: center + outward * radius,
-            t,
-            n_geo: n,
-            frame: Frame::from_normal_and_tangent(n, dp_du),
-            uv,
-        }
+        // Back onto the sphere, which rounding of t has left.
+        self.surface((ray.at(t) - center).normalize(), t)
+    }
+
+    fn coordinates<P: Float>(
+        &self,
+        _prim: u32,
+        si: &SurfaceInteraction<P>,
+    ) -> SurfaceCoordinates<P> {
+        SurfaceCoordinates(to_octahedron(self.side(si.n_geo)))
+    }
+
+    fn point_at<R: Real>(
+        &self,
+        _theta: &Theta<R>,
+        _prim: u32,
+        at: SurfaceCoordinates<R>,
+    ) -> SurfaceInteraction<R> {
+        self.surface(from_octahedron(at.0), R::zero())
+    }
+
+    fn partials<R: Real>(
+        &self,
+        _theta: &Theta<R>,
+        _prim: u32,
+        at: SurfaceCoordinates<R>,
+    ) -> Option<Partials<R>> {
+        let axes = each(self.axes, lift3::<R>);
+        let outward = from_octahedron(at.0);
+        let [x, y, z] = each(axes, |a| a.dot(outward));
+        let uv = angles(x, y, z);
+        let [turns, halves] = variables(uv.x, uv.y);
+        let (sin_phi, cos_phi) = (turns * Dual::<R, 2>::c(2.0 * PI)).sin_cos();
+        let (sin_theta, cos_theta) = (halves * Dual::<R, 2>::c(PI)).sin_cos();
+        let axes = each(axes, constant);
+        let outward = (axes[0] * (sin_theta * cos_phi)
+            + axes[1] * (sin_theta * sin_phi)
+            + axes[2] * cos_theta)
+            .normalize();
+        let frame = Frame::from_normal_and_tangent(
+            self.side(outward),
+            axes[1] * cos_phi - axes[0] * sin_phi,
+        );
+        let radius = Const(R::Primal::from_f32(self.radius));
+        Some(Partials::of(
+            constant(lift3::<R>(self.center)) + outward * radius,
+            &frame,
+        ))
+    }
+
+    fn area_element<R: Real>(&self, _theta: &Theta<R>, _prim: u32) -> R {
+        R::lift(R::Primal::from_f32(self.radius)).square()
     }
 
     fn area(&self) -> f64 {
         4.0 * PI * f64::from(self.radius) * f64::from(self.radius)
     }
 
-    fn sample_area<P: Float>(&self, u: [P; 2]) -> ShapeSample<P> {
+    fn sample_area<R: Real>(&self, _theta: &Theta<R>, u: [R::Primal; 2]) -> ShapeSample<R> {
         let outward = warp::square_to_sphere(u);
+        let at = self.surface(Vec3::<R>::lift(outward), R::zero());
         ShapeSample {
-            p: lift3::<P>(self.center) + outward * P::from_f32(self.radius),
-            n: self.side(outward),
-            uv: self.uv(outward).0,
-            pdf: P::of(1.0 / self.area()),
+            p: at.p,
+            n: at.n_geo,
+            uv: at.uv,
+            pdf: R::Primal::of(1.0 / self.area()),
             prim: 0,
+            coordinates: SurfaceCoordinates(to_octahedron(outward)),
         }
     }
 
@@ -254,7 +350,7 @@ impl Shape for Sphere {
             if !self.contains(from) {
                 return None;
             }
-            let s = self.sample_area(u);
+            let s = self.sample_area(&Theta::still(), u);
             return s.seen_from(from, s.n);
         };
         let n = self.side(s.n);

@@ -19,7 +19,8 @@ pub use super::vertex::interest::Interest;
 use crate::bsdf::{Component, Part, TransportMode};
 use crate::emitter::Emission;
 use crate::math::Rgb;
-use crate::shape::SurfaceInteraction;
+use crate::scene::Scene;
+use crate::shape::{SurfaceCoordinates, SurfaceInteraction};
 
 /// Where a path met a surface.
 #[derive(Clone, Copy, Debug)]
@@ -32,6 +33,14 @@ pub struct Place<R> {
     pub si: SurfaceInteraction<R>,
     /// Unit direction that the path came from, local frame.
     pub wo: Vec3<R>,
+}
+
+impl<R: Real> Place<R> {
+    /// The numbers that stay when the surface moves. They follow from the point, and nobody pays for them who does not
+    /// ask: [`Scene::point_at`] is the way back.
+    pub fn coordinates(&self, scene: &Scene) -> SurfaceCoordinates<R::Primal> {
+        scene.coordinates(self.prim, &self.si.primal())
+    }
 }
 
 /// A vertex of a path.

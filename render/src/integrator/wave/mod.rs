@@ -670,7 +670,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             let (shape, exit, patch) = scene.patch(hit);
             match patch {
                 Some(patch) => self.at.put(i, &patch.interaction(&ray, hit)),
-                None => self.at.put(i, &scene.interaction(&ray, hit).si),
+                None => self.at.put(i, &scene.interaction(theta, &ray, hit).si),
             }
             let info = scene.shape_info(shape);
             if let Some(e) = info.emitter.filter(|_| lit) {

@@ -1,0 +1,423 @@
+//! The geometry of a scene, and all that is derived from it: one owner, so that it changes together.
+
+use std::collections::HashSet;
+
+use ad_core::Vec3;
+
+use super::ShapeInfo;
+use crate::accel::{self, Accel, AccelError, Hit, Plane, Primitive};
+use crate::camera::Camera;
+use crate::emitter::Ball;
+use crate::math::{NOWHERE, Ray};
+use crate::params::{ParamRef, Params, Theta};
+use crate::shape::{AnyShape, Exit, Patch, Prim, Shape};
+
+/// This many lamps, or things that throw caustics, have a ball of their own, at most.
+const MOST_BALLS: usize = 16;
+
+/// How far rays start off a curved surface, relative to its largest coordinate: 64 roundings of an f32.
+const RELATIVE_OFFSET: f32 = 64.0 * f32::EPSILON / 2.0;
+
+/// How far a light stands out from what else lies on its plane, in roundings of the scene's coordinates: more than
+/// distances err by.
+const STANDS_OUT: f64 = 16.0;
+
+/// Which balls a scene wants.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Wanted {
+    /// Around what emits.
+    pub lamps: bool,
+    /// Around what is glossy.
+    pub casters: bool,
+}
+
+/// Shapes, and what rays and lights know of them.
+#[derive(Debug)]
+pub(super) struct Geometry {
+    pub shapes: Vec<AnyShape>,
+    /// Every primitive of `accel`.
+    pub prims: Vec<Prim>,
+    /// The first one of each shape.
+    pub firsts: Vec<u32>,
+    /// Those that are parallelograms, once more: paths through rooms of boxes need not ask what they hit.
+    pub patches: Vec<Patch>,
+    pub accel: Accel,
+    /// Balls around everything that emits; `None` if that is everywhere.
+    pub lamps: Option<Vec<Ball>>,
+    /// Balls around what throws caustics; none where there is nothing to throw them on, no light, or something
+    /// that particles see otherwise than paths do.
+    pub casters: Vec<Ball>,
+    wanted: Wanted,
+    /// Parameters that shapes read, with the shape.
+    reads: Vec<(u32, ParamRef)>,
+}
+
+/// Why rays cannot be traced.
+#[derive(Debug)]
+pub(super) struct OutOfReach {
+    /// The shape, if it is one.
+    pub shape: Option<u32>,
+    pub error: AccelError,
+}
+
+/// What follows from the shapes one by one.
+struct Layout {
+    prims: Vec<Prim>,
+    firsts: Vec<u32>,
+    patches: Vec<Patch>,
+    primitives: Vec<Primitive>,
+    surfaces: Vec<u32>,
+}
+
+impl Layout {
+    fn new(shapes: &[AnyShape], infos: &[ShapeInfo], camera: &Camera) -> Self {
+        let (mut prims, mut patches) = (Vec::new(), Vec::new());
+        let mut primitives = Vec::new();
+        let mut firsts = Vec::with_capacity(shapes.len());
+        for (i, shape) in shapes.iter().enumerate() {
+            firsts.push(prims.len() as u32);
+            let curved = Exit {
+                offset: (shape.extent() * RELATIVE_OFFSET).max(f32::MIN_POSITIVE),
+                ..Exit::default()
+            };
+            for (local, primitive) in shape.primitives().into_iter().enumerate() {
+                let patch = shape.patch(local as u32);
+                prims.push(Prim {
+                    shape: i as u32,
+                    local: local as u32,
+                    patch: patch.map_or(u32::MAX, |_| patches.len() as u32),
+                    surface: NOWHERE,
+                    exit: curved,
+                });
+                patches.extend(patch.copied());
+                primitives.push(primitive);
+            }
+        }
+        let emits = |i: usize| infos[prims[i].shape as usize].emitter.is_some();
+        let surfaces = accel::surfaces(&primitives, emits);
+        raise_lights(&mut primitives, &prims, &surfaces, shapes, camera, emits);
+        for ((prim, primitive), &surface) in prims.iter_mut().zip(&primitives).zip(&surfaces) {
+            prim.surface = surface;
+            if let Some(plane) = Plane::of(primitive) {
+                prim.exit = Exit {
+                    offset: plane.offset(),
+                    surface,
+                };
+            }
+        }
+        Self {
+            prims,
+            firsts,
+            patches,
+            primitives,
+            surfaces,
+        }
+    }
+
+    fn out_of_reach(&self, error: AccelError) -> OutOfReach {
+        let shape = match error {
+            AccelError::Coordinate { primitive, .. } => Some(self.prims[primitive].shape),
+            AccelError::TooMany { .. } => None,
+        };
+        OutOfReach { shape, error }
+    }
+}
+
+impl Wanted {
+    fn balls(self, shapes: &[AnyShape], infos: &[ShapeInfo]) -> (Option<Vec<Ball>>, Vec<Ball>) {
+        let lamps = match self.lamps {
+            true => balls(shapes, infos, |i| i.emitter.is_some()),
+            false => None,
+        };
+        let casters = match self.casters {
+            true => balls(shapes, infos, |i| i.glossy).unwrap_or_default(),
+            false => Vec::new(),
+        };
+        (lamps, casters)
+    }
+}
+
+impl Geometry {
+    /// Of shapes, and what belongs to them.
+    ///
+    /// # Errors
+    /// Coordinates out of reach, or too many primitives.
+    pub fn new(
+        shapes: Vec<AnyShape>,
+        infos: &[ShapeInfo],
+        camera: &Camera,
+        wanted: Wanted,
+    ) -> Result<Self, OutOfReach> {
+        let layout = Layout::new(&shapes, infos, camera);
+        let accel = Accel::with_surfaces(&layout.primitives, &layout.surfaces)
+            .map_err(|e| layout.out_of_reach(e))?;
+        let (lamps, casters) = wanted.balls(&shapes, infos);
+        let mut reads = Vec::new();
+        for (shape, i) in shapes.iter().zip(0..) {
+            shape.visit_params(&mut |p| reads.push((i, p)));
+        }
+        Ok(Self {
+            shapes,
+            prims: layout.prims,
+            firsts: layout.firsts,
+            patches: layout.patches,
+            accel,
+            lamps,
+            casters,
+            wanted,
+            reads,
+        })
+    }
+
+    /// Whether it depends on a parameter for which `changed` holds.
+    pub fn depends_on(&self, changed: impl Fn(ParamRef) -> bool) -> bool {
+        self.reads.iter().any(|(_, p)| changed(*p))
+    }
+
+    /// Moves to these parameters, of which those for which `changed` holds are new.
+    ///
+    /// # Errors
+    /// As [`Geometry::new`]; nothing has changed then.
+    pub fn update(
+        &mut self,
+        params: &Params,
+        changed: impl Fn(ParamRef) -> bool,
+        infos: &[ShapeInfo],
+        camera: &Camera,
+    ) -> Result<(), OutOfReach> {
+        let mut moved: Vec<u32> = (self.reads.iter())
+            .filter_map(|&(shape, p)| changed(p).then_some(shape))
+            .collect();
+        moved.dedup();
+        if moved.is_empty() {
+            return Ok(());
+        }
+        // Meshes share their arrays with the scene's until they change them.
+        let mut shapes = self.shapes.clone();
+        for shape in moved {
+            shapes[shape as usize].update(params);
+        }
+        let layout = Layout::new(&shapes, infos, camera);
+        (self.accel.refit(&layout.primitives, &layout.surfaces))
+            .map_err(|e| layout.out_of_reach(e))?;
+        (self.lamps, self.casters) = self.wanted.balls(&shapes, infos);
+        self.shapes = shapes;
+        self.prims = layout.prims;
+        self.firsts = layout.firsts;
+        self.patches = layout.patches;
+        Ok(())
+    }
+}
+
+/// Lets lights that share their plane with something else stand out from it on the side that emits, for rays: they are
+/// met first wherever they come from, whichever stands first in the scene.
+fn raise_lights(
+    primitives: &mut [Primitive],
+    prims: &[Prim],
+    surfaces: &[u32],
+    shapes: &[AnyShape],
+    camera: &Camera,
+    emits: impl Fn(usize) -> bool,
+) {
+    // Surfaces that something dark lies on.
+    let dark: HashSet<u32> = (0..prims.len())
+        .filter(|&i| !emits(i))
+        .map(|i| surfaces[i])
+        .collect();
+    let shared = |i: &usize| emits(*i) && dark.contains(&surfaces[*i]);
+    let raised: Vec<usize> = (0..prims.len()).filter(shared).collect();
+    if raised.is_empty() {
+        return;
+    }
+    let mut reach = camera.origin().map(f64::abs);
+    for p in &*primitives {
+        let [low, high] = accel::bounds(p);
+        for k in 0..3 {
+            reach[k] = reach[k].max(f64::from(low[k].abs().max(high[k].abs())));
+        }
+    }
+    for i in raised {
+        let Some(plane) = Plane::of(&primitives[i]) else {
+            continue;
+        };
+        let Prim { shape, local, .. } = prims[i];
+        let anywhere = Hit {
+            t: 1.0,
+            u: 0.25,
+            v: 0.25,
+            prim: i as u32,
+        };
+        let along = Ray::new(Vec3::zero(), Vec3::new(0.0f32, 0.0, 1.0));
+        let outside = shapes[shape as usize].interaction(&Theta::still(), local, &along, &anywhere);
+        let normal = plane.normal;
+        let same = f64::from(outside.n_geo.x) * normal[0]
+            + f64::from(outside.n_geo.y) * normal[1]
+            + f64::from(outside.n_geo.z) * normal[2];
+        let by = STANDS_OUT * accel::scale(normal, reach) * same.signum();
+        let (Primitive::Triangle { v0: at, .. }
+        | Primitive::Parallelogram { v0: at, .. }
+        | Primitive::Disk { center: at, .. }) = &mut primitives[i]
+        else {
+            continue;
+        };
+        for k in 0..3 {
+            at[k] = (f64::from(at[k]) + by * normal[k]) as f32;
+        }
+    }
+}
+
+/// Balls around these shapes, or one around all of them if there are many. `None` if one has no extent in the digits
+/// of its coordinates.
+fn balls(
+    shapes: &[AnyShape],
+    infos: &[ShapeInfo],
+    these: impl Fn(&ShapeInfo) -> bool,
+) -> Option<Vec<Ball>> {
+    let found = || (shapes.iter().zip(infos)).filter_map(|(s, i)| these(i).then_some(s));
+    match found().count() {
+        0..=MOST_BALLS => found().map(|s| Ball::around([s])).collect(),
+        _ => Ball::around(found()).map(|b| vec![b]),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::bsdf::{Conductor, Diffuse};
+    use crate::camera::{Camera, FovAxis};
+    use crate::emitter::Area;
+    use crate::film::Film;
+    use crate::math::Transform;
+    use crate::params::ParamShape;
+    use crate::scene::{Builder, Scene, Settings};
+    use crate::shape::{Cube, Mesh, MeshData};
+
+    /// A lamp and a mirror that stand where a parameter says, cubes both, over a floor of many triangles.
+    fn scene(lamp_at: f32, mirror_at: f32) -> Scene {
+        let mut build = Builder::new();
+        let half = build.rgb("half", [0.5; 3], (0.0, 1.0)).expect("valid");
+        let reach = (-1e30, 1e30);
+        let mut place = |name: &str, x: f32| {
+            let params = build.registry().params_mut();
+            params.push(name, ParamShape::Scalar, &[x], reach)
+        };
+        let places = [("lamp", lamp_at), ("mirror", mirror_at)].map(|(n, x)| place(n, x));
+        let grey = build.add_material(Diffuse {
+            reflectance: half.clone(),
+        });
+        let metal = build.add_material(Conductor {
+            specular_reflectance: half.clone(),
+            index: None,
+        });
+        let n = 20u32;
+        let positions = (0..=n).flat_map(|i| (0..=n).map(move |j| [i as f32, j as f32, 0.0]));
+        let triangles = (0..n).flat_map(|i| {
+            (0..n).flat_map(move |j| {
+                let [a, b] = [i * (n + 1) + j, (i + 1) * (n + 1) + j];
+                [[a, b, b + 1], [a, b + 1, a + 1]]
+            })
+        });
+        let floor = MeshData {
+            positions: positions.collect(),
+            triangles: triangles.collect(),
+            ..Default::default()
+        };
+        build.add_shape("floor", Mesh::new(floor, false).expect("a mesh"), grey);
+        let cubes = [("lamp", 5.0, grey), ("mirror", 12.0, metal)];
+        for ((name, y, material), (p, x)) in cubes
+            .into_iter()
+            .zip(places.into_iter().zip([lamp_at, mirror_at]))
+        {
+            let to_world = Transform::translate([f64::from(x) + 1.0, y, 3.0]);
+            let mut cube = Cube::new(&to_world, false).expect("a cube");
+            cube.moved_by = Some(p);
+            build.add_shape(name, cube, material);
+            if name == "lamp" {
+                let radiance = half.clone();
+                let light = Area {
+                    radiance,
+                    exponent: 0.0,
+                    shape: 1,
+                };
+                build.add_emitter(light, Some(1));
+            }
+        }
+        let view = Transform::look_at([10.0, 10.0, 30.0], [10.0, 10.0, 0.0], [0.0, 1.0, 0.0]);
+        let camera = Camera::new(view.expect("a view"), 50.0, FovAxis::Smaller, [8, 8]);
+        let camera = camera.expect("a camera");
+        let scene = build.build(camera, Film::new(8, 8), Settings::default());
+        scene.expect("a scene")
+    }
+
+    /// Everything that follows from where shapes are.
+    fn derived(scene: &Scene) -> String {
+        let g = &scene.geometry;
+        let hits: Vec<Option<Hit>> = (0..40 * 40)
+            .map(|i| {
+                let at = Vec3::new(
+                    0.5 * (i % 40) as f32 + 0.13,
+                    0.5 * (i / 40) as f32 + 0.07,
+                    0.0,
+                );
+                let o = Vec3::new(10.0f32, 9.0, 20.0);
+                scene.nearest(&Ray::new(o, (at - o).normalize()))
+            })
+            .collect();
+        format!(
+            "{:?} {:?} {:?} {:?} {:?} {:?} {hits:?}",
+            &g.shapes[1..],
+            g.prims,
+            g.firsts,
+            g.patches,
+            g.lamps,
+            g.casters
+        )
+    }
+
+    /// After parameters that shapes read have changed, a scene is the one that is built with them: shapes, primitives,
+    /// patches, surfaces and exits, hierarchy, balls around lamps and casters.
+    #[test]
+    fn what_is_derived_from_shapes_moves_with_them() {
+        let mut moving = scene(3.0, 9.0);
+        assert!(moving.has_hierarchy());
+        assert!(moving.lamps().is_some_and(|l| !l.is_empty()) && !moving.casters().is_empty());
+        let start = derived(&moving);
+        assert_eq!(start, derived(&scene(3.0, 9.0)));
+        let offset = |scene: &Scene, name| scene.params().find(name).expect("known").offset;
+        let mut values = moving.params().values().to_vec();
+        for (lamp, mirror) in [(4.0, 9.0), (12.0, 2.0), (3.0, 9.0)] {
+            values[offset(&moving, "lamp")] = lamp;
+            values[offset(&moving, "mirror")] = mirror;
+            moving.set_params(&values).expect("valid");
+            let now = derived(&moving);
+            assert_eq!(now, derived(&scene(lamp, mirror)), "{lamp} {mirror}");
+            assert_eq!(now == start, (lamp, mirror) == (3.0, 9.0));
+        }
+    }
+
+    /// Other parameters leave the geometry alone, and what is out of reach changes nothing.
+    #[test]
+    fn nothing_moves_without_need() {
+        let mut still = scene(3.0, 9.0);
+        let start = derived(&still);
+        let mut values = still.params().values().to_vec();
+        values[0] = 0.25;
+        let floor = still.shapes()[0].primitives();
+        still.set_params(&values).expect("valid");
+        assert_eq!(derived(&still), start);
+        assert_eq!(still.shapes()[0].primitives(), floor);
+        let before = still.params().values().to_vec();
+        let lamp = still.params().find("lamp").expect("known").offset;
+        values[lamp] = 1e20;
+        let error = still
+            .set_params(&values)
+            .expect_err("out of reach")
+            .to_string();
+        assert!(
+            error.starts_with("shape `lamp`: primitive ") && error.contains("at most 1e12"),
+            "{error}"
+        );
+        assert_eq!(derived(&still), start);
+        assert_eq!(still.params().values(), before);
+    }
+}
