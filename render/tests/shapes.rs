@@ -657,39 +657,6 @@ fn partials_of_mapped_normals_are_those_of_differences() {
     }
 }
 
-/// Significance of each of `n` tests such that all together have significance 1 % (Sidak).
-fn sidak(n: usize) -> f64 {
-    -((-0.01f64).ln_1p() / n as f64).exp_m1()
-}
-
-/// p-value of Pearson's test; bins that expect less than five are merged.
-fn chi_square(name: &str, observed: &[f64], expected: &[f64]) -> f64 {
-    let (mut statistic, mut bins) = (0.0, 0);
-    let (mut rest_o, mut rest_e) = (0.0, 0.0);
-    let mut add = |o: f64, e: f64| {
-        statistic += (o - e) * (o - e) / e;
-        bins += 1;
-    };
-    for (&o, &e) in observed.iter().zip(expected) {
-        if e >= 5.0 {
-            add(o, e);
-        } else {
-            rest_o += o;
-            rest_e += e;
-        }
-    }
-    if rest_e >= 5.0 {
-        add(rest_o, rest_e);
-    } else {
-        assert!(
-            rest_o < 30.0,
-            "{name}: {rest_o} samples where {rest_e} are expected"
-        );
-    }
-    let freedom = f64::from(bins - 1);
-    ChiSquared::new(freedom).unwrap().sf(statistic)
-}
-
 /// None of them sees a face of the cube nearly edge-on: its quadrature would need more points.
 const FROM: [[f64; 3]; 2] = [[1.9, 0.2, 1.4], [-0.9, 0.5, 2.6]];
 
