@@ -704,9 +704,9 @@ estimators! {
     Mis "mis" DetachedMis;
     /// The same with the balance heuristic.
     MisBalance "mis-balance" Mis<Detached, Detached, DetachedWeights, Balance>;
-    /// The same with lights trusted more, see [`TrustLights`].
+    /// The same with lights trusted more, see [`TrustLights`]: to study weights, not to be used.
     MisTrustLights "mis-trust-lights" Mis<Detached, Detached, DetachedWeights, TrustLights>;
-    /// The same with BSDF samples trusted more.
+    /// The same with BSDF samples trusted more, likewise.
     MisTrustBsdf "mis-trust-bsdf" Mis<Detached, Detached, DetachedWeights, TrustBsdf>;
     /// [`Estimator::Mis`] with differentiated weights.
     MisAttachedWeights "mis-attached-weights" Mis<Detached, Detached, AttachedWeights>;

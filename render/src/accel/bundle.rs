@@ -136,8 +136,6 @@ impl Bundle {
 pub(super) struct Few {
     items: Vec<(One, Tag)>,
     curved: bool,
-    /// Whether any surface has several primitives, and is not numbered as its only one.
-    shared: bool,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -164,11 +162,9 @@ impl Few {
         };
         let items: Vec<_> = items.map(one).collect();
         let curved = items.iter().any(|i| matches!(i.0, One::Curved(_)));
-        let shared = items.iter().any(|(_, tag)| tag.surface != tag.prim);
         Few {
             items,
             curved,
-            shared,
         }
     }
 
@@ -183,14 +179,11 @@ impl Few {
         bundle: &Bundle,
         hits: &mut [Option<Hit>; BUNDLE],
     ) -> Option<()> {
-        match self.shared {
-            true => self.search::<true>(bundle, hits),
-            false => self.search::<false>(bundle, hits),
-        }
+        self.search::<false>(bundle, hits)
     }
 
     /// [`Few::intersect`], `CAREFUL`: without the surfaces that rays leave. As these start off them, it hardly ever
-    /// matters, and is found out by looking at what was hit.
+    /// matters, and is found out by looking at what was hit; but for primitives whose surface has another's number.
     #[inline(always)]
     fn search<const CAREFUL: bool>(
         &self,
@@ -210,7 +203,7 @@ impl Few {
         for (one, Tag { prim, surface }) in &self.items {
             // Strict, and primitives ascend: the lowest one among equals stays.
             let (mut hit, t, u, v) = lanes.test(one, best.t);
-            if CAREFUL {
+            if CAREFUL || surface != prim {
                 hit &= f32x16::splat(mark(*surface)).simd_ne(from);
             }
             best.t = hit.select(t, best.t);
