@@ -744,7 +744,14 @@ fn samples_are_hit_where_they_say() {
         for i in 0..4000 {
             let mut r = Independent::new(4, 0, i);
             let from = random_direction(r.next_2d()) * (1.6 + 2.0 * r.next_1d::<f64>());
-            let Some(s) = shape.sample(from, r.next_2d()) else {
+            let u = r.next_2d();
+            let Some(s) = shape.sample(from, u) else {
+                // Hidden by the shape itself, or facing nowhere.
+                let way = shape.sample_area(u).p - from;
+                let hits = tracer.all(Ray::new(from, way.normalize()));
+                let between =
+                    |si: &SurfaceInteraction<f64>| (si.p - from).length() < way.length() - 1e-4;
+                met += usize::from(hits.iter().any(between));
                 continue;
             };
             drawn += 1.0;

@@ -145,7 +145,7 @@ const BOX: &str = r#"
     <shape type="rectangle"><transform name="to_world"><rotate x="1" angle="-90"/></transform><ref id="white"/></shape>
     <shape type="rectangle"><transform name="to_world"><translate z="-1" y="1"/></transform><ref id="white"/></shape>
     <shape type="rectangle" id="light"><transform name="to_world"><scale value="0.4"/><rotate x="1" angle="90"/><translate y="1.9"/></transform>
-        <emitter type="area"><rgb name="radiance" value="8, 6, 4"/></emitter></shape>"#;
+        <bsdf type="diffuse"/><emitter type="area"><rgb name="radiance" value="8, 6, 4"/></emitter></shape>"#;
 
 fn corner(res: u32, albedo: &str) -> render::Scene {
     scene(

@@ -102,7 +102,11 @@ impl RayPacket {
     /// The surfaces that rays leave, or those that they go to, as [`mark`]s.
     #[inline(always)]
     fn marks(&self, end: usize) -> f32x16 {
-        f32x16::from(self.skip[end % 2].map(mark))
+        let mut marks = [0.0; PACKET_SIZE];
+        for (m, surface) in marks.iter_mut().zip(&self.skip[end % 2]) {
+            *m = mark(*surface);
+        }
+        f32x16::from(marks)
     }
 
     /// Origins and directions.
@@ -132,8 +136,6 @@ impl RayPacket {
 pub(super) struct Few {
     items: Vec<(One, Tag)>,
     curved: bool,
-    /// Of every primitive of the scene, up to the last one that can be hit.
-    surfaces: Vec<u32>,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -160,21 +162,11 @@ impl Few {
         };
         let items: Vec<_> = items.map(one).collect();
         let curved = items.iter().any(|i| matches!(i.0, One::Curved(_)));
-        let mut surfaces = Vec::new();
-        for (_, Tag { prim, surface }) in &items {
-            surfaces.resize(*prim as usize, NOWHERE);
-            surfaces.push(*surface);
-        }
-        Few {
-            items,
-            curved,
-            surfaces,
-        }
+        Few { items, curved }
     }
 
     pub(super) fn memory_bytes(&self) -> usize {
         self.items.capacity() * size_of::<(One, Tag)>()
-            + self.surfaces.capacity() * size_of::<u32>()
     }
 
     /// The nearest hit of every ray, or `None` if one of them needs special care.
@@ -188,7 +180,7 @@ impl Few {
     }
 
     /// [`Few::intersect`], `CAREFUL`: without the surfaces that rays leave. As these start off them, it hardly ever
-    /// matters, and is found out by looking at what was hit.
+    /// matters, and is found out by looking at what was hit; but for primitives whose surface has another's number.
     #[inline(always)]
     fn search<const CAREFUL: bool>(
         &self,
@@ -208,7 +200,7 @@ impl Few {
         for (one, Tag { prim, surface }) in &self.items {
             // Strict, and primitives ascend: the lowest one among equals stays.
             let (mut hit, t, u, v) = lanes.test(one, best.t);
-            if CAREFUL {
+            if CAREFUL || surface != prim {
                 hit &= f32x16::splat(mark(*surface)).simd_ne(from);
             }
             best.t = hit.select(t, best.t);
@@ -219,13 +211,7 @@ impl Few {
         let found = best.t.simd_lt(start).to_bitmask();
         let (t, u, v) = (best.t.to_array(), best.u.to_array(), best.v.to_array());
         let prim = best.prim.to_array();
-        let mut again = false;
         for i in 0..packet.len {
-            if !CAREFUL {
-                let surface = self.surfaces.get(prim[i].to_bits() as usize);
-                let here = found >> i & 1 != 0;
-                again |= here & (surface == Some(&packet.skip[0][i]));
-            }
             hits[i] = (found >> i & 1 != 0).then(|| Hit {
                 t: t[i],
                 u: u[i],
@@ -233,8 +219,14 @@ impl Few {
                 prim: prim[i].to_bits(),
             });
         }
-        if !CAREFUL && again {
-            return self.again(packet, hits);
+        if !CAREFUL {
+            let mut again = 0;
+            for i in 0..PACKET_SIZE {
+                again |= u32::from(prim[i].to_bits() == packet.skip[0][i]) << i;
+            }
+            if again & found != 0 {
+                return self.again(packet, hits);
+            }
         }
         Some(())
     }
@@ -248,17 +240,36 @@ impl Few {
     /// One bit per ray that hits anything, or `None` if a ray needs special care.
     #[inline(never)]
     pub(super) fn occluded(&self, packet: &RayPacket) -> Option<u32> {
+        // All to the same light, as a rule, which then need not be tested.
+        let to = packet.skip[1][0];
+        let mut alike = true;
+        for i in 0..PACKET_SIZE {
+            alike &= (packet.skip[1][i] == to) | (i >= packet.len);
+        }
+        if alike {
+            self.blocked::<true>(packet)
+        } else {
+            self.blocked::<false>(packet)
+        }
+    }
+
+    /// `ALIKE`: whether all rays go to the same surface.
+    #[inline(always)]
+    fn blocked<const ALIKE: bool>(&self, packet: &RayPacket) -> Option<u32> {
         let t_max = f32x16::from(packet.limits()?);
         let lanes = Lanes::new(packet, self.curved);
         let mut any = f32x16::splat(0.0);
         let (from, to) = (packet.marks(0), packet.marks(1));
         for (one, tag) in &self.items {
-            let hit = lanes.test(one, t_max).0;
-            // Most are hit by none of the rays.
-            if hit.to_bitmask() != 0 {
-                let surface = f32x16::splat(mark(tag.surface));
-                any |= hit & surface.simd_ne(from) & surface.simd_ne(to);
+            if ALIKE && tag.surface == packet.skip[1][0] {
+                continue;
             }
+            let surface = f32x16::splat(mark(tag.surface));
+            let mut hit = lanes.test(one, t_max).0 & surface.simd_ne(from);
+            if !ALIKE {
+                hit &= surface.simd_ne(to);
+            }
+            any |= hit;
         }
         Some(any.to_bitmask())
     }

@@ -259,6 +259,59 @@ fn bundles_agree_with_single_rays() {
     }
 }
 
+/// What lies on the surfaces that a ray leaves, or goes to, might as well not be there: for single rays and for packets
+/// whose rays have one goal or several, among primitives that share planes.
+#[test]
+fn surfaces_that_are_left_out_are_not_met() {
+    let mut random = Random(57);
+    let mut prims: Vec<_> = (0..20).map(|_| random.primitive(1.0)).collect();
+    prims.extend_from_within(..10);
+    let surfaces = surfaces(&prims, |_| true);
+    assert!((20..30).any(|i| surfaces[i] == i as u32 - 20));
+    let items = prepare(&prims, &surfaces).unwrap();
+    let without = |skip: [u32; 2]| {
+        let left = items.iter().filter(|i| !skip.contains(&i.tag.surface));
+        Accel::linear(&left.copied().collect::<Vec<_>>())
+    };
+    let without: Vec<Vec<_>> = (0..20)
+        .map(|i| (0..20).map(|j| without([i, j])).collect())
+        .collect();
+    for accel in both(&prims) {
+        let mut changed = 0;
+        for round in 0..500 {
+            let goal = random.bits() as u32 % 20;
+            let rays: Vec<_> = (0..PACKET_SIZE)
+                .map(|_| {
+                    let (o, d) = (random.vector(1.2), random.direction());
+                    let met = accel.intersect(o, d, f32::INFINITY, NOWHERE);
+                    let from = met.map_or(0, |h| surfaces[h.prim as usize] % 20);
+                    let to = match round % 2 {
+                        0 => goal,
+                        _ => random.bits() as u32 % 20,
+                    };
+                    (o, d, [from, to])
+                })
+                .collect();
+            let mut packet = RayPacket::default();
+            rays.iter()
+                .for_each(|&(o, d, skip)| packet.push(o, d, 1.0, skip));
+            let found = accel.intersect_packet(&packet);
+            let occluded = accel.occluded_packet(&packet);
+            for (i, &(o, d, [from, to])) in rays.iter().enumerate() {
+                let expected = without[from as usize][from as usize].intersect(o, d, 1.0, NOWHERE);
+                assert_eq!(accel.intersect(o, d, 1.0, from), expected);
+                assert_eq!(found[i], expected);
+                let all = accel.intersect(o, d, 1.0, NOWHERE);
+                changed += usize::from(all != expected);
+                let blocked = without[from as usize][to as usize].occluded(o, d, 1.0, [NOWHERE; 2]);
+                assert_eq!(accel.occluded(o, d, 1.0, [from, to]), blocked);
+                assert_eq!(occluded >> i & 1 != 0, blocked);
+            }
+        }
+        assert!(changed > 1_000, "{changed}");
+    }
+}
+
 /// Most rays meet a plane at a moderate angle; there all three numbers are good to a few ulps of
 /// the distance.
 #[test]
@@ -785,7 +838,7 @@ fn sheet(time: f32, gone: &[usize]) -> Vec<Primitive> {
     prims
 }
 
-/// Both structures see the same, bit by bit, ray by ray and in bundles.
+/// Both structures see the same, bit by bit, ray by ray and in packets.
 fn assert_equal_hits(a: &Accel, b: &Accel, random: &mut Random) {
     let mut hits = 0;
     for _ in 0..200 {
