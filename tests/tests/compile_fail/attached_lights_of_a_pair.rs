@@ -1,9 +1,9 @@
-//! Lights sampled beside a differential pair are sampled detached.
+//! Lights sampled beside a differential pair are sampled detached: nobody can allow a bias here, there is no such estimator.
 
-use render::estimator::{Attached, AttachedWeights, Differential, Mis, Unbiased};
+use render::estimator::{AllowBias, Attached, AttachedWeights, Differential, Mis, Unbiased};
 
 fn estimate<S: Unbiased>() {}
 
 fn main() {
-    estimate::<Mis<Differential, Attached, AttachedWeights>>();
+    estimate::<AllowBias<Mis<Differential, Attached, AttachedWeights>>>();
 }

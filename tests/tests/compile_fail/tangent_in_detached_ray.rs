@@ -1,8 +1,7 @@
 //! A detached path has no place for the tangent of a ray.
 
 use ad_core::Dual;
-use render::estimator::DetachedMis;
-use render::integrator::path::Geometry;
+use render::estimator::{DetachedMis, Geometry};
 use render::math::{Ray, Vec3};
 
 fn main() {
