@@ -21,7 +21,7 @@ use render::{Image, Scene, image_io};
 const SIZE: u32 = 64;
 const SPP: u64 = 16;
 /// Texels per side of the textured wall.
-const TEXELS: u32 = 256;
+const TEXELS: usize = 256;
 
 /// Four rough plates under four balls of light, after figure 4.19 of [Zeltner 2021].
 const PLATES: &str = r#"<scene version="3.0.0"><default name="res" value="64"/>
