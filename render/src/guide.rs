@@ -284,10 +284,9 @@ fn direction<P: Float>(at: [P; 2]) -> Vec3<P> {
 
 #[cfg(test)]
 mod tests {
-    use statrs::distribution::{ChiSquared, ContinuousCDF};
-
     use super::*;
     use crate::sampler::{Independent, Sampler};
+    use crate::statistics::p_value;
 
     /// Light from around `d`, in a sphere of this radius before it is normalised.
     fn lamp(at: [f32; 3], d: [f64; 3], radius: f64, n: u64, seed: u64) -> Vec<Arrival> {
@@ -340,25 +339,8 @@ mod tests {
         }
         let total: f64 = expected.iter().sum();
         assert!((total - 1.0).abs() < 1e-5, "{total}");
-        // Cells in which few are expected count together.
-        let (mut x2, mut bins, mut rest) = (0.0, 0.0, (0.0, 0.0));
-        let mut count = |found: f64, expected: f64| {
-            x2 += (found - expected).powi(2) / expected;
-            bins += 1.0;
-        };
-        for (found, expected) in counts.iter().zip(&expected) {
-            match expected * n as f64 {
-                e if e >= 10.0 => count(*found, e),
-                e => rest = (rest.0 + found, rest.1 + e),
-            }
-        }
-        if rest.1 >= 10.0 {
-            count(rest.0, rest.1);
-        } else {
-            assert_eq!(rest.0, 0.0);
-        }
-        let p = ChiSquared::new(bins - 1.0).expect("bins").sf(x2);
-        println!("chi-square {x2:.1} of {bins} bins, p = {p:.3}");
+        let expected = expected.into_iter().map(|e| e * n as f64);
+        let p = p_value(counts.into_iter().zip(expected));
         assert!(p > 1e-3, "p = {p}");
     }
 

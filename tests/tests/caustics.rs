@@ -181,12 +181,14 @@ fn derivatives_are_the_same_whatever_the_estimator() {
 
 /// To rounding, in f64, for all parameters of all glossy materials.
 #[test]
+#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
 fn reverse_mode_equals_forward_mode() {
     reverse_equals_forward::<DetachedMis>();
 }
 
 /// The same where the change of normals has samples of its own, of particles too.
 #[test]
+#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
 fn reverse_mode_equals_forward_mode_with_pairs() {
     reverse_equals_forward::<Mis<Differential, Detached, DetachedWeights>>();
 }

@@ -132,6 +132,7 @@ fn derivatives_are_the_same_whatever_the_estimator() {
 
 /// To rounding, in f64, for all parameters of all materials and emitters.
 #[test]
+#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
 fn reverse_mode_equals_forward_mode() {
     reverse_equals_forward::<DetachedMis>();
     reverse_equals_forward::<Mis<Differential, Detached, DetachedWeights>>();
