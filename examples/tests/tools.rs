@@ -190,7 +190,7 @@ fn mistakes_end_with_a_message_and_without_a_file() {
             "render",
             "scene.xml -o a.exr --json damaged".into(),
             1,
-            "damaged: cannot write the file: expected a file, found a folder",
+            "damaged: expected a file, found a folder",
         ),
         (
             "render",

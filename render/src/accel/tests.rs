@@ -217,7 +217,7 @@ fn agrees_with_brute_force_in_f64() {
 /// A lane per ray and a lane per primitive are the same test: equal bits, also among coinciding
 /// primitives, with limits, and when a ray of the packet needs special care.
 #[test]
-fn bundles_agree_with_single_rays() {
+fn packets_agree_with_single_rays() {
     let mut random = Random(31);
     let mut prims: Vec<_> = (0..40).map(|_| random.primitive(1.0)).collect();
     prims.extend_from_within(..20);
@@ -276,7 +276,7 @@ fn surfaces_that_are_left_out_are_not_met() {
     let without: Vec<Vec<_>> = (0..20)
         .map(|i| (0..20).map(|j| without([i, j])).collect())
         .collect();
-    for accel in both(&prims) {
+    for accel in [Accel::linear(&items), Accel::tree(&items).unwrap()] {
         let mut changed = 0;
         for round in 0..500 {
             let goal = random.bits() as u32 % 20;

@@ -5,6 +5,7 @@ use render::bsdf::{Bsdf, Material, Scattered, Shading, TransportMode};
 use render::estimator::memory::Forget;
 use render::estimator::{BsdfOnly, Sampling};
 use render::integrator::render::render;
+use render::params::Theta;
 use render::sampler::Independent;
 
 struct Mine;
@@ -13,6 +14,10 @@ impl Sampling for Mine {
     type Geometry<R: Real> = R::Primal;
     const DETACHED_PATH: bool = true;
     type Edge = Forget;
+
+    fn geometry<'a, R: Real>(theta: &Theta<'a, R>) -> Theta<'a, R::Primal> {
+        theta.primal()
+    }
 
     fn embed<R: Real>(g: R::Primal) -> R {
         R::lift(g)
