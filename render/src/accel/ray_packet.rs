@@ -151,6 +151,7 @@ struct Nearest {
     v: f32x16,
     /// The bits of integers, so that lanes can be selected.
     prim: f32x16,
+    surface: f32x16,
 }
 
 impl Few {
@@ -180,7 +181,7 @@ impl Few {
     }
 
     /// [`Few::intersect`], `CAREFUL`: without the surfaces that rays leave. As these start off them, it hardly ever
-    /// matters, and is found out by looking at what was hit; but for primitives whose surface has another's number.
+    /// matters, and is found out by looking at what was hit.
     #[inline(always)]
     fn search<const CAREFUL: bool>(
         &self,
@@ -195,18 +196,20 @@ impl Few {
             u: zero,
             v: zero,
             prim: zero,
+            surface: zero,
         };
         let from = packet.marks(0);
         for (one, Tag { prim, surface }) in &self.items {
             // Strict, and primitives ascend: the lowest one among equals stays.
             let (mut hit, t, u, v) = lanes.test(one, best.t);
-            if CAREFUL || surface != prim {
+            if CAREFUL {
                 hit &= f32x16::splat(mark(*surface)).simd_ne(from);
             }
             best.t = hit.select(t, best.t);
             best.u = hit.select(u, best.u);
             best.v = hit.select(v, best.v);
             best.prim = hit.select(f32x16::splat(f32::from_bits(*prim)), best.prim);
+            best.surface = hit.select(f32x16::splat(f32::from_bits(*surface)), best.surface);
         }
         let found = best.t.simd_lt(start).to_bitmask();
         let (t, u, v) = (best.t.to_array(), best.u.to_array(), best.v.to_array());
@@ -220,9 +223,10 @@ impl Few {
             });
         }
         if !CAREFUL {
+            let surface = best.surface.to_array();
             let mut again = 0;
             for i in 0..PACKET_SIZE {
-                again |= u32::from(prim[i].to_bits() == packet.skip[0][i]) << i;
+                again |= u32::from(surface[i].to_bits() == packet.skip[0][i]) << i;
             }
             if again & found != 0 {
                 return self.again(packet, hits);
