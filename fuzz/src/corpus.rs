@@ -72,6 +72,14 @@ pub const MESH: &str = "# comment\nmtllib a.mtl\no thing\n\
     g part\nusemtl red\ns 1\n\
     f 1/1/1 2/2/1 3/3/2 4/4/2\nf 1 2 \\\n3\nf -4//-1 -3//-1 -2//-2\nf 1/1 2/2 3/3\nl 1 2\np 1\n";
 
+/// A portable float map, big endian.
+fn pfm(pixels: &Pixels) -> Vec<u8> {
+    let mut bytes = format!("PF\n{} {}\n1\n", pixels.width, pixels.height).into_bytes();
+    let rows = pixels.data.chunks_exact(3 * pixels.width).rev();
+    bytes.extend(rows.flatten().flat_map(|x| x.to_be_bytes()));
+    bytes
+}
+
 /// An image of every format that is read, with the ending of its name.
 ///
 /// # Panics
@@ -103,5 +111,11 @@ pub fn images() -> Vec<(&'static str, Vec<u8>)> {
         ("jpg", encode(&grey, ImageFormat::Jpeg)),
         ("bmp", encode(&rgb, ImageFormat::Bmp)),
         ("exr", std::fs::read(path).expect("a file")),
+        ("tga", encode(&rgb, ImageFormat::Tga)),
+        (
+            "hdr",
+            encode(&DynamicImage::from(rgb.to_rgb32f()), ImageFormat::Hdr),
+        ),
+        ("pfm", pfm(&pixels)),
     ]
 }

@@ -488,3 +488,280 @@ fn shapes_too_small_for_their_coordinates_are_warned_of() {
         "{warning}"
     );
 }
+
+/// The mean of the image of these elements, over 16 samples.
+fn mean(version: &str, body: &str, base: &Path) -> Result<[f64; 3], String> {
+    let text = format!(
+        "<scene version=\"{version}\"><integrator type=\"path\"/><sensor type=\"perspective\"><float name=\"fov\" value=\"8\"/>
+        <transform name=\"to_world\"><lookat origin=\"0, 0, 4\" target=\"0, 0, 0\" up=\"0, 1, 0\"/></transform>
+        <film type=\"hdrfilm\"><integer name=\"width\" value=\"4\"/><integer name=\"height\" value=\"4\"/>
+        <rfilter type=\"box\"/></film></sensor>{body}</scene>"
+    );
+    let loaded = Scene::from_xml(&text, base, &LoadOptions::default());
+    let (scene, _) = loaded.map_err(|e| e.to_string())?;
+    Ok(common::image(&scene, 16).mean())
+}
+
+/// As in Mitsuba 3, and as often as it is mirrored; materials and the other side of it go along.
+#[test]
+fn a_mirrored_sphere_shines_inward() {
+    let sphere = |transform: &str, more: &str| {
+        let body = format!(
+            "<shape type=\"sphere\"><transform name=\"to_world\">{transform}</transform>{more}
+            <emitter type=\"area\"><rgb name=\"radiance\" value=\"1\"/></emitter></shape>"
+        );
+        mean("3.0.0", &body, Path::new(".")).unwrap()[0]
+    };
+    let flip = "<boolean name=\"flip_normals\" value=\"true\"/>";
+    for (transform, seen) in [
+        ("", 1.0),
+        ("<scale x=\"-1\"/>", 0.0),
+        ("<scale x=\"-1\" y=\"-1\"/>", 1.0),
+        ("<scale value=\"-1\"/>", 0.0),
+        ("<rotate y=\"1\" angle=\"70\"/><scale z=\"-1\"/>", 0.0),
+    ] {
+        assert_eq!(sphere(transform, ""), seen, "{transform}");
+        assert_eq!(sphere(transform, flip), 1.0 - seen, "{transform}");
+    }
+}
+
+/// Seen in RGB, light of equal energy is no white.
+#[test]
+fn flat_lamps_are_those_of_their_version() {
+    let lamp = |version: &str, radiance: &str| {
+        let body = format!(
+            "<emitter type=\"constant\">{radiance}</emitter><shape type=\"rectangle\"><transform name=\"to_world\">
+            <translate z=\"9\"/></transform></shape>"
+        );
+        mean(version, &body, Path::new(".")).unwrap()
+    };
+    let spectrum = "<spectrum name=\"radiance\" value=\"1\"/>";
+    let close = |found: [f64; 3], expected: [f64; 3]| {
+        let near = (0..3).all(|c| (found[c] - expected[c]).abs() < 1e-5);
+        assert!(near, "{found:?} {expected:?}");
+    };
+    close(lamp("3.0.0", spectrum), [1.204_794, 0.948_291, 0.908_916]);
+    close(lamp("2.1.0", spectrum), [1.0; 3]);
+    close(
+        lamp("3.0.0", "<rgb name=\"radiance\" value=\"1\"/>"),
+        [1.0; 3],
+    );
+    let plugin = |inner: &str| format!("<spectrum name=\"radiance\" {inner}");
+    close(
+        lamp("3.0.0", &plugin("type=\"uniform\"/>")),
+        [1.204_794, 0.948_291, 0.908_916],
+    );
+    close(lamp("3.0.0", &plugin("type=\"d65\"/>")), [1.0; 3]);
+    close(
+        lamp("3.0.0", &plugin("value=\"300:1, 900:1\"/>")),
+        [1.204_794, 0.948_291, 0.908_916],
+    );
+    let regular = "type=\"regular\"><string name=\"values\" value=\"1, 1\"/></spectrum>";
+    close(
+        lamp("3.0.0", &plugin(regular)),
+        [1.204_794, 0.948_291, 0.908_916],
+    );
+}
+
+/// A film of 5 x 5 pixels with this filter, that sees a lamp which ends in the middle of a pixel, before a sky or none.
+fn filtered(filter: &str, sky: bool) -> Result<Scene, String> {
+    let sky = match sky {
+        true => "<emitter type=\"constant\"><rgb name=\"radiance\" value=\"0.75\"/></emitter>",
+        false => "",
+    };
+    let text = format!(
+        "<scene version=\"3.0.0\"><integrator type=\"path\"><integer name=\"max_depth\" value=\"2\"/></integrator>
+        <sensor type=\"perspective\"><float name=\"fov\" value=\"30\"/>
+        <transform name=\"to_world\"><lookat origin=\"0, 0, 4\" target=\"0, 0, 0\" up=\"0, 1, 0\"/></transform>
+        <film type=\"hdrfilm\"><integer name=\"width\" value=\"5\"/><integer name=\"height\" value=\"5\"/>{filter}</film></sensor>
+        {sky}<shape type=\"rectangle\" id=\"lamp\"><transform name=\"to_world\"><translate x=\"1\"/></transform>
+        <emitter type=\"area\"><rgb name=\"radiance\" value=\"2\"/></emitter></shape></scene>"
+    );
+    let loaded = Scene::from_xml(&text, Path::new("."), &LoadOptions::default());
+    loaded.map(|(scene, _)| scene).map_err(|e| e.to_string())
+}
+
+const LAMP: &str = "lamp.emitter.radiance.value";
+
+const FILTERS: [&str; 8] = [
+    "<rfilter type=\"box\"/>",
+    "<rfilter type=\"gaussian\"/>",
+    "<rfilter type=\"tent\"/>",
+    "<rfilter type=\"tent\"><float name=\"radius\" value=\"1.7\"/></rfilter>",
+    "<rfilter type=\"mitchell\"/>",
+    "<rfilter type=\"mitchell\"><float name=\"B\" value=\"0\"/><float name=\"c\" value=\"0.9\"/></rfilter>",
+    "<rfilter type=\"catmullrom\"/>",
+    "<rfilter type=\"lanczos\"/>",
+];
+
+/// Each pixel is the integral of filter times image, which quadrature gives, by samples of paths and by splats of
+/// particles: within five standard errors of 8 seeds. What is the same everywhere stays that.
+#[test]
+fn images_are_filtered() {
+    for filter in FILTERS {
+        for sky in [true, false] {
+            let scene = filtered(filter, sky).unwrap();
+            let outside = if sky { 0.75 } else { 0.0 };
+            let value = |x: f64, y: f64| {
+                let ray = scene.camera.ray(x, y);
+                let ([ox, oy, oz], [dx, dy, dz]) = (ray.o.to_array(), ray.d.to_array());
+                let t: f64 = -oz / dz;
+                let inside = (ox + t * dx - 1.0).abs() < 1.0 && (oy + t * dy).abs() < 1.0;
+                if inside { 2.0 } else { outside }
+            };
+            let f = &scene.film.filter;
+            let exact = |px: usize, py: usize| {
+                let n = 300;
+                let h = 2.0 * f.radius() / f64::from(n);
+                let at = |i: i32| (f64::from(i) + 0.5) * h - f.radius();
+                let mut sum = 0.0;
+                for (dx, dy) in (0..n * n).map(|i| (at(i % n), at(i / n))) {
+                    let density = f.density([dx, dy]);
+                    if density != 0.0 {
+                        sum += density * value(px as f64 + 0.5 + dx, py as f64 + 0.5 + dy);
+                    }
+                }
+                sum * h * h
+            };
+            let seeds = 8;
+            let check = |name: &str, image: &dyn Fn(u64) -> render::Image| {
+                let images: Vec<_> = (0..seeds).map(image).collect();
+                for (px, py) in [(2, 2), (1, 1), (3, 2), (4, 3)] {
+                    let all = images.iter().map(|i| f64::from(i.pixel(px, py)[0]));
+                    let mean = all.clone().sum::<f64>() / seeds as f64;
+                    let squares = all.map(|x| (x - mean).powi(2)).sum::<f64>();
+                    let error = (squares / (seeds * (seeds - 1)) as f64).sqrt();
+                    let expected = exact(px, py);
+                    // One percent for the quadrature of an edge.
+                    let most = 5.0 * error + 0.01;
+                    assert!(
+                        (mean - expected).abs() < most,
+                        "{name}, {filter}, ({px}, {py}): {mean} +- {error}, not {expected}"
+                    );
+                }
+            };
+            if sky {
+                check("paths", &|seed| common::image_of_seed(&scene, seed, 1024));
+                let mut flat = filtered(filter, sky).unwrap();
+                let mut values = flat.params().values().to_vec();
+                let range = flat.params().find(LAMP).unwrap().range();
+                values[range].fill(0.75);
+                flat.set_params(&values).unwrap();
+                // Weights of either sign have a mean of one.
+                let tolerance = if f.is_weighted() { 0.15 } else { 1e-5 };
+                for x in &common::image(&flat, 1024).data {
+                    assert!((x - 0.75).abs() < tolerance, "{filter}: {x}");
+                }
+            } else {
+                check("particles", &|seed| {
+                    common::image_by_particles(&scene, seed, 1024)
+                });
+            }
+        }
+    }
+}
+
+/// With filters that are negative in places too: at equal seeds the image is linear in the radiance, so that differences
+/// are derivatives.
+#[test]
+fn gradients_and_derivative_images_are_those_of_filtered_images() {
+    for filter in FILTERS {
+        let scene = filtered(filter, true).unwrap();
+        let shifted = |shift: f32| {
+            let mut scene = filtered(filter, true).unwrap();
+            let mut values = scene.params().values().to_vec();
+            let range = scene.params().find(LAMP).unwrap().range();
+            values[range].iter_mut().for_each(|v| *v += shift);
+            scene.set_params(&values).unwrap();
+            common::image(&scene, 64)
+        };
+        let (low, high) = (shifted(-0.5), shifted(0.5));
+        let adjoint: Vec<f32> = (0..low.data.len()).map(|i| (i as f32).sin()).collect();
+        let inner = |image: &[f32]| -> f64 {
+            let pairs = adjoint.iter().zip(image);
+            pairs.map(|(&a, &x)| f64::from(a) * f64::from(x)).sum()
+        };
+        let expected = inner(&high.data) - inner(&low.data);
+        let gradient = common::gradient(&scene, LAMP, &adjoint, 64);
+        let derivative = inner(&common::derivative(&scene, LAMP, 64).data);
+        for found in [gradient.iter().sum(), derivative] {
+            assert!(
+                (found - expected).abs() < 2e-4,
+                "{filter}: {found}, not {expected}"
+            );
+        }
+    }
+}
+
+#[test]
+fn filters_are_refused_by_name() {
+    for (filter, expected) in [
+        (
+            "<rfilter type=\"sinc\"/>",
+            "known: box, gaussian, tent, mitchell, catmullrom, lanczos",
+        ),
+        (
+            "<rfilter type=\"tent\"><float name=\"radius\" value=\"0\"/></rfilter>",
+            "`radius`: expected a number of pixels in (0, 100]",
+        ),
+        (
+            "<rfilter type=\"mitchell\"><float name=\"B\" value=\"2\"/></rfilter>",
+            "`B`: expected a number from 0 to 1",
+        ),
+        (
+            "<rfilter type=\"lanczos\"><integer name=\"lobes\" value=\"17\"/></rfilter>",
+            "`lobes`: expected an integer from 1 to 16",
+        ),
+        (
+            "<rfilter type=\"catmullrom\"><float name=\"b\" value=\"0\"/></rfilter>",
+            "unknown attribute `b`",
+        ),
+    ] {
+        let found = filtered(filter, true).unwrap_err();
+        assert!(found.contains(expected), "{found}");
+    }
+}
+
+/// Materials, environments and maps of normals choose among layers by the same name.
+#[test]
+fn textures_choose_a_layer() {
+    use exr::prelude::{self as ex, WritableImage};
+    let dir = tempfile::tempdir().unwrap();
+    let channel =
+        |name: &str, value: f32| ex::AnyChannel::new(name, ex::FlatSamples::F32(vec![value; 2]));
+    let list = [("a", 0.25), ("b", 0.75)]
+        .into_iter()
+        .flat_map(|(layer, value)| {
+            ["B", "G", "R"].map(|c| channel(&format!("{layer}.{c}"), value))
+        });
+    let list = ex::AnyChannels::sort(list.collect());
+    let attributes = ex::LayerAttributes::default();
+    let layer = ex::Layer::new((2, 1), attributes, ex::Encoding::UNCOMPRESSED, list);
+    let path = dir.path().join("a.exr");
+    ex::Image::from_layer(layer).write().to_file(&path).unwrap();
+    let file = |layer: &str| format!("<string name=\"filename\" value=\"a.exr\"/>{layer}");
+    let wall = |layer: &str| {
+        let body = format!(
+            "<emitter type=\"constant\"/><shape type=\"rectangle\"><bsdf type=\"diffuse\">
+            <texture name=\"reflectance\" type=\"bitmap\">{}</texture></bsdf></shape>",
+            file(layer)
+        );
+        mean("3.0.0", &body, dir.path())
+    };
+    let sky = |layer: &str| {
+        let body = format!("<emitter type=\"envmap\">{}</emitter>", file(layer));
+        mean("3.0.0", &body, dir.path())
+    };
+    for (layer, value) in [("a", 0.25), ("b", 0.75)] {
+        let layer = format!("<string name=\"layer\" value=\"{layer}\"/>");
+        for found in [wall(&layer).unwrap(), sky(&layer).unwrap()] {
+            assert!(found.iter().all(|x| (x - value).abs() < 0.05), "{found:?}");
+        }
+    }
+    for refused in [wall("").unwrap_err(), sky("").unwrap_err()] {
+        assert!(
+            refused.contains("`a` (B, G, R), `b` (B, G, R)"),
+            "{refused}"
+        );
+    }
+}

@@ -11,7 +11,7 @@ use crate::bsdf::{Diffuse, Material};
 use crate::camera::{Camera, FovAxis};
 use crate::emitter::AnyEmitter;
 use crate::error::{SceneError, quoted};
-use crate::film::{Film, PixelFilter};
+use crate::film::{Film, Lobed, MOST_LOBES, PixelFilter};
 use crate::inputs;
 use crate::plugin::Node;
 use crate::plugin::xml::{Document, check_limit};
@@ -41,7 +41,14 @@ const INTEGRATORS: &[&str] = &[
 /// Those of them that leave out some paths.
 const FILTERED: &[&str] = &["path_filtered_ss", "path_filtered_ms"];
 const FILMS: &[&str] = &["hdrfilm"];
-const FILTERS: &[&str] = &["box", "gaussian"];
+const FILTERS: &[&str] = &[
+    "box",
+    "gaussian",
+    "tent",
+    "mitchell",
+    "catmullrom",
+    "lanczos",
+];
 /// What does nothing at the root unless something refers to it.
 const DECLARED: &[&str] = &["bsdf", "texture", "film", "sampler", "rfilter"];
 /// Flags of the manifold-sampling scene files: hints to another integrator, without effect on the image.
@@ -146,6 +153,9 @@ fn declaration(node: &Node) -> Result<(), SceneError> {
 
 /// An error for the first plugin in a declaration that does not exist.
 fn known_plugins(node: &Node) -> Result<(), SceneError> {
+    if node.is_constant() {
+        return Ok(());
+    }
     let known = match node.tag.as_str() {
         "bsdf" => Material::PLUGINS.concat(),
         "texture" => texture::PLUGINS.to_vec(),
@@ -254,21 +264,7 @@ fn film_from_node(node: &Node) -> Result<Film, SceneError> {
     check_limit(w * h, MAX_PIXELS, "pixels", &node.location)?;
     let filter = match node.child_with_tag("rfilter")? {
         None => PixelFilter::Gaussian { stddev: 0.5 },
-        Some(f) => {
-            let filter = match f.plugin.as_str() {
-                "box" => PixelFilter::Box,
-                "gaussian" => {
-                    let stddev = f.float_or("stddev", 0.5)?;
-                    if !(stddev > 0.0 && stddev <= 100.0) {
-                        return Err(f.invalid("stddev", "a number of pixels in (0, 100]"));
-                    }
-                    PixelFilter::Gaussian { stddev }
-                }
-                _ => return Err(f.unknown_plugin(FILTERS)),
-            };
-            f.finish()?;
-            filter
-        }
+        Some(filter) => filter_from_node(filter)?,
     };
     // Images hold three colours.
     node.choice("pixel_format", &[("rgb", ()), ("rgba", ())])?;
@@ -281,6 +277,41 @@ fn film_from_node(node: &Node) -> Result<Film, SceneError> {
         crop_size,
         filter,
     })
+}
+
+fn filter_from_node(node: &Node) -> Result<PixelFilter, SceneError> {
+    let length = |key: &str, default: f64| match node.float_or(key, default)? {
+        x if x > 0.0 && x <= 100.0 => Ok(x),
+        _ => Err(node.invalid(key, "a number of pixels in (0, 100]")),
+    };
+    // The authors' letters, which scene files spell in either case.
+    let third = |key: &'static str, capital: &'static str| {
+        let key = if node.has(capital) { capital } else { key };
+        node.float_in(key, 1.0 / 3.0, 0.0..=1.0)
+    };
+    let cubic = |b: f64, c: f64| {
+        let lobed = Lobed::cubic(b, c).map(PixelFilter::Lobed);
+        lobed.ok_or_else(|| node.invalid("b", "a number from 0 to 1"))
+    };
+    let filter = match node.plugin.as_str() {
+        "box" => PixelFilter::Box,
+        "gaussian" => PixelFilter::Gaussian {
+            stddev: length("stddev", 0.5)?,
+        },
+        "tent" => PixelFilter::Tent {
+            radius: length("radius", 1.0)?,
+        },
+        "mitchell" => cubic(third("b", "B")?, third("c", "C")?)?,
+        "catmullrom" => cubic(0.0, 0.5)?,
+        "lanczos" => {
+            let lobes = node.integer_in("lobes", 3, 1..=i64::from(MOST_LOBES))?;
+            let lobed = Lobed::lanczos(lobes as u32).map(PixelFilter::Lobed);
+            lobed.ok_or_else(|| node.invalid("lobes", "a number of zeros"))?
+        }
+        _ => return Err(node.unknown_plugin(FILTERS)),
+    };
+    node.finish()?;
+    Ok(filter)
 }
 
 /// Shapes smaller than so many roundings of their coordinates are not seen as they are: rays that leave a surface

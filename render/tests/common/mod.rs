@@ -7,6 +7,11 @@ pub mod materials;
 
 use std::path::{Path, PathBuf};
 
+use render::bsdf::kernel::Rules;
+use render::instances::{self, Direction, Estimator};
+use render::params::Theta;
+use render::{Image, Scene};
+
 /// Where large scenes and references lie that are not part of the repository: `$RENDER_SHARED`, or
 /// `shared` beside the workspace. `None`, with a printed message, if there is no such folder; the
 /// test should then pass without them.
@@ -39,4 +44,42 @@ pub fn files_below(dir: &Path, extension: &str) -> Vec<PathBuf> {
     }
     found.sort();
     found
+}
+/// The image of `spp` samples per pixel by the default estimator.
+pub fn image(scene: &Scene, spp: u64) -> Image {
+    image_of_seed(scene, 1, spp)
+}
+
+/// The same with another seed.
+pub fn image_of_seed(scene: &Scene, seed: u64, spp: u64) -> Image {
+    let theta = Theta::constant(scene.params().values());
+    let settings = &scene.settings;
+    instances::render_f32(scene, &theta, Estimator::Mis, settings, seed, 0..spp, &()).image(0)
+}
+
+/// The image by particles.
+pub fn image_by_particles(scene: &Scene, seed: u64, spp: u64) -> Image {
+    let theta = Theta::constant(scene.params().values());
+    let (rules, settings) = (Rules::default(), &scene.settings);
+    let rendering = instances::particles_f32(scene, &theta, rules, settings, seed, 0..spp, &());
+    rendering.unwrap().image(0)
+}
+
+/// The derivative of `<adjoint, image>` in the parameter `name`.
+pub fn gradient(scene: &Scene, name: &str, adjoint: &[f32], spp: u64) -> Vec<f64> {
+    let theta = Theta::constant(scene.params().values());
+    let (estimator, settings) = (Estimator::Mis, &scene.settings);
+    let active = estimator.active(scene, &[name]).unwrap();
+    let gradient =
+        estimator.backward_f32(scene, &theta, &active, adjoint, settings, 1, 0..spp, &());
+    gradient.unwrap().values[0].clone()
+}
+
+/// The derivative of the image when all elements of the parameter `name` grow alike.
+pub fn derivative(scene: &Scene, name: &str, spp: u64) -> Image {
+    let directions = [Direction::uniform(scene.params(), name).unwrap()];
+    let (values, settings) = (scene.params().values(), &scene.settings);
+    let rendering =
+        Estimator::Mis.forward_f32(scene, values, &directions, settings, 1, 0..spp, &());
+    rendering.unwrap().image(1)
 }
