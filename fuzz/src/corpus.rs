@@ -72,6 +72,32 @@ pub const MESH: &str = "# comment\nmtllib a.mtl\no thing\n\
     g part\nusemtl red\ns 1\n\
     f 1/1/1 2/2/1 3/3/2 4/4/2\nf 1 2 \\\n3\nf -4//-1 -3//-1 -2//-2\nf 1/1 2/2 3/3\nl 1 2\np 1\n";
 
+/// A mesh in text and in binary, little endian, with some of everything.
+pub fn polygons() -> [Vec<u8>; 2] {
+    let header = |format: &str| {
+        format!(
+            "ply\nformat {format} 1.0\ncomment x\nelement vertex 4\nproperty float x\nproperty float y\n\
+             property float z\nproperty float nx\nproperty float ny\nproperty float nz\nproperty float u\n\
+             property float v\nproperty uchar red\nelement face 2\nproperty list uchar int vertex_indices\nend_header\n"
+        )
+    };
+    let corners = [[0.0f32, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]];
+    let (mut text, mut binary) = (header("ascii"), header("binary_little_endian").into_bytes());
+    for [x, y] in corners {
+        text += &format!("{x} {y} 0 0 0 1 {x} {y} 7\n");
+        let numbers = [x, y, 0.0, 0.0, 0.0, 1.0, x, y];
+        binary.extend(numbers.iter().flat_map(|x| x.to_le_bytes()));
+        binary.push(7);
+    }
+    for face in [&[0, 1, 2, 3][..], &[0, 2, 1]] {
+        let indices: Vec<_> = face.iter().map(i32::to_string).collect();
+        text += &format!("{} {}\n", face.len(), indices.join(" "));
+        binary.push(face.len() as u8);
+        binary.extend(face.iter().flat_map(|i: &i32| i.to_le_bytes()));
+    }
+    [text.into_bytes(), binary]
+}
+
 /// A portable float map, big endian.
 fn pfm(pixels: &Pixels) -> Vec<u8> {
     let mut bytes = format!("PF\n{} {}\n1\n", pixels.width, pixels.height).into_bytes();

@@ -61,6 +61,8 @@ impl Image {
 /// to one pixel: the expectation is that of the normalised splat, tiles need no borders, and the adjoint of a
 /// pixel is looked up, never filtered twice (errata Z-4.15). Of filters with negative lobes the magnitude is sampled, and
 /// samples have a [weight](PixelFilter::weight).
+// There is one per scene, and it is `Copy`.
+#[allow(clippy::large_enum_variant)]
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum PixelFilter {
     /// Uniform over the pixel.

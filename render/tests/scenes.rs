@@ -88,6 +88,155 @@ fn scenes_of_the_peer_load() {
     assert!(failures.is_empty(), "{}", failures.join("\n"));
 }
 
+/// The public scenes of others that are understood at least.
+const UNDERSTOOD: usize = 69;
+
+/// How many of the public scene files of others are understood but for files that are not there, and what the rest stops.
+#[test]
+fn scenes_of_others_are_understood() {
+    let Some(shared) = shared_dir() else { return };
+    let files = files_below(&shared.join("census"), "xml");
+    if files.is_empty() {
+        println!("skipped: no census of scenes");
+        return;
+    }
+    let mut understood = 0;
+    let mut refused = std::collections::BTreeMap::<String, Vec<String>>::new();
+    for path in &files {
+        match Scene::load(path, &options()) {
+            Ok(_) => understood += 1,
+            Err(e)
+                if e.to_string()
+                    .contains(": expected an existing file (looked in ") =>
+            {
+                understood += 1
+            }
+            Err(e) => {
+                let message = e.to_string();
+                // Without its place.
+                let reason = message
+                    .split_once(": ")
+                    .map_or(&*message, |(_, reason)| reason);
+                let name = path.strip_prefix(&shared).unwrap_or(path);
+                let file = format!("{} ({message})", name.display());
+                refused.entry(reason.to_owned()).or_default().push(file);
+            }
+        }
+    }
+    let mut refused: Vec<_> = refused.into_iter().collect();
+    refused.sort_by_key(|(_, files)| std::cmp::Reverse(files.len()));
+    for (reason, files) in &refused {
+        println!("{} x {reason}\n    {}", files.len(), files.join("\n    "));
+    }
+    println!("{understood} of {} are understood", files.len());
+    assert!(understood >= UNDERSTOOD, "{understood}");
+}
+
+#[test]
+fn cameras_may_have_a_focal_length() {
+    let load = |inner: &str| {
+        let text = format!(
+            "<scene version=\"3.0.0\"><sensor type=\"perspective\">{inner}<film type=\"hdrfilm\"><integer name=\"width\" value=\"300\"/>
+            <integer name=\"height\" value=\"200\"/></film></sensor><shape type=\"rectangle\"><emitter type=\"area\"/></shape></scene>"
+        );
+        let loaded = Scene::from_xml(&text, Path::new("."), &LoadOptions::default());
+        loaded
+            .map(|(scene, _)| scene.camera)
+            .map_err(|e| e.to_string())
+    };
+    let length = |l: &str| format!("<string name=\"focal_length\" value=\"{l}\"/>");
+    // On a film of the form of 35 mm film, 36 mm are as wide as that: half a width at half a length.
+    let wide = load(&length("18mm")).unwrap();
+    let d = wide.ray(300.0, 100.0).d.to_array().map(|x: f64| x.abs());
+    assert!((d[0] - d[2]).abs() < 1e-6 && d[1] < 1e-6, "{d:?}");
+    let ray = |camera: Camera| camera.ray(300.0, 200.0).d.to_array().map(|x: f64| x);
+    let default = ray(load("").unwrap());
+    assert_eq!(default, ray(load(&length("50")).unwrap()));
+    assert_eq!(default, ray(load(&length(" 50 mm")).unwrap()));
+    for bad in ["0mm", "-1", "wide", "nan"] {
+        let found = load(&length(bad)).unwrap_err();
+        assert!(
+            found.contains("`focal_length`: expected a length such as `50mm`"),
+            "{found}"
+        );
+    }
+    let both = format!("{}<float name=\"fov\" value=\"40\"/>", length("50mm"));
+    assert!(
+        load(&both)
+            .unwrap_err()
+            .contains("`focal_length`: expected none beside `fov`")
+    );
+}
+
+/// What stands in for them is said; what they see that is not here is refused.
+#[test]
+fn integrators_of_others() {
+    let load = |integrator: &str| {
+        let text = format!(
+            "<scene version=\"3.0.0\">\n{integrator}<sensor type=\"perspective\"><float name=\"fov\" value=\"40\"/></sensor>
+            <shape type=\"rectangle\"><emitter type=\"area\"/></shape></scene>"
+        );
+        Scene::from_xml(&text, Path::new("."), &LoadOptions::default()).map_err(|e| e.to_string())
+    };
+    for (plugin, depth) in [
+        ("path", u32::MAX),
+        ("direct", 2),
+        ("prb", 6),
+        ("prb_projective", 6),
+        ("direct_projective", 2),
+        ("volpath", u32::MAX),
+        ("ptracer", u32::MAX),
+        ("bdpt", u32::MAX),
+    ] {
+        let (scene, warnings) = load(&format!("<integrator type=\"{plugin}\"/>")).unwrap();
+        assert_eq!(scene.settings.max_depth, depth, "{plugin}");
+        let replaced = !matches!(plugin, "path" | "direct" | "prb");
+        assert_eq!(
+            warnings.len(),
+            usize::from(replaced),
+            "{plugin}: {warnings:?}"
+        );
+    }
+    let moment = "<integrator type=\"moment\"><integrator type=\"aov\"><string name=\"aovs\" value=\"d:depth\"/>
+        <integrator type=\"prb_basic\"><integer name=\"max_depth\" value=\"3\"/><float name=\"kappa\" value=\"1\"/></integrator>
+        </integrator></integrator>";
+    let (scene, warnings) = load(moment).unwrap();
+    assert_eq!(scene.settings.max_depth, 3);
+    let expected = [
+        "<text>:2: integrator `moment`: only the image of the integrator inside is made",
+        "<text>:2: integrator `aov`: only the image of the integrator inside is made",
+        "<text>:2: integrator `aov`: `aovs` has no effect",
+        "<text>:3: integrator `prb_basic`: traced like `path` instead: the same image, but for its noise",
+        "<text>:3: integrator `prb_basic`: `kappa` has no effect",
+    ];
+    assert_eq!(warnings, expected);
+    for (integrator, expected) in [
+        (
+            "<integrator type=\"aov\"/>",
+            "<text>:2: integrator `aov` has no `integrator`: expected one inside, whose image it is",
+        ),
+        (
+            "<integrator type=\"stokes\"/>",
+            "<text>:2: `integrator`: expected one of light without polarisation, which is not there, found `stokes`",
+        ),
+        (
+            "<integrator type=\"depth\"/>",
+            "<text>:2: unknown integrator `depth`",
+        ),
+        (
+            "<integrator type=\"volpath\"/><medium type=\"homogeneous\"/>",
+            "<text>:2: expected a scene without participating media, which are not there, found <medium>",
+        ),
+        (
+            "<integrator type=\"prb_basic\"><boolean name=\"hide_emitters\" value=\"true\"/></integrator>",
+            "`hide_emitters`: expected false",
+        ),
+    ] {
+        let found = load(integrator).unwrap_err();
+        assert!(found.contains(expected), "{found}");
+    }
+}
+
 #[test]
 fn missing_textures_are_errors_unless_allowed() {
     let Some(shared) = shared_dir() else { return };

@@ -408,7 +408,7 @@ pub fn smooth_normals(positions: &[[f32; 3]], triangles: &[[u32; 3]]) -> Vec<[f3
     sums.into_iter().map(single).collect()
 }
 
-/// How an OBJ file is read.
+/// How an OBJ or PLY file is read.
 #[derive(Clone, Copy, Debug)]
 pub struct ObjOptions {
     /// From the file's space to the world.
@@ -696,9 +696,12 @@ impl BufRead for ObjLines<'_> {
 }
 
 impl FromNode for Mesh {
-    const PLUGINS: &'static [&'static str] = &["obj"];
+    const PLUGINS: &'static [&'static str] = &["obj", "ply"];
 
-    fn from_node(node: &Node, _registry: &mut Registry) -> Result<Self, SceneError> {
+    fn from_node(node: &Node, registry: &mut Registry) -> Result<Self, SceneError> {
+        if node.plugin == "ply" {
+            return super::ply::from_node(node, registry);
+        }
         let path = node
             .path("filename")?
             .ok_or_else(|| node.missing("filename", "an OBJ file"))?;

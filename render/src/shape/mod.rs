@@ -11,6 +11,7 @@ mod cylinder;
 mod disk;
 mod mesh;
 mod patch;
+mod ply;
 mod sphere;
 
 pub use cube::Cube;

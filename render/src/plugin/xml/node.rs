@@ -370,6 +370,22 @@ impl Node {
         Ok(())
     }
 
+    /// Accepts all attributes and children that nobody asked for, with a warning for each: those of a plugin that another
+    /// stands in for.
+    pub fn ignore_rest(&self) {
+        for (name, property) in &self.properties {
+            if !property.used.swap(true, Ordering::Relaxed) {
+                self.warn_at(&property.location, format!("`{name}` has no effect"));
+            }
+        }
+        for child in &self.children {
+            if !child.used.swap(true, Ordering::Relaxed) {
+                let message = format!("{} has no effect", child.node.describe());
+                self.warn_at(&child.location, message);
+            }
+        }
+    }
+
     /// An error for the first attribute or child that nobody asked for.
     ///
     /// At the root, elements with an id are declarations and need not be asked for.

@@ -239,6 +239,9 @@ impl Parser {
                 self.leaf(element, xml, source)?;
                 self.path(&folder, source)
             }
+            "medium" | "phase" | "volume" => {
+                Err(element.syntax("a scene without participating media, which are not there"))
+            }
             _ => {
                 let mut allowed = [&PLUGINS[..], &PROPERTIES, &DIRECTIVES].concat();
                 allowed.sort_unstable();
