@@ -6,8 +6,9 @@ use image::{DynamicImage, ImageFormat, Rgb, RgbImage};
 use render::image_io::{Pixels, write_exr_pixels};
 
 /// A scene file with some of everything that the format knows, also what no scene would hold together.
-pub const DOCUMENT: &str = r#"<?xml version="1.0"?>
+pub const DOCUMENT: &str = r##"<?xml version="1.0"?>
 <scene version="3.0.0">
+    <path value="."/> <path value="absent"/>
     <default name="spp" value="16"/> <default name="c" value="0.1, 0.2, 0.3"/>
     <integrator type="path"><integer name="max_depth" value="6"/></integrator>
     <sensor type="perspective">
@@ -20,6 +21,11 @@ pub const DOCUMENT: &str = r#"<?xml version="1.0"?>
         <spectrum name="reflectance" type="bitmap"><string name="filename" value="a.png"/></spectrum>
     </bsdf></bsdf>
     <alias id="white" as="paper"/>
+    <bsdf type="plastic" id="colours">
+        <rgb name="a" value="#80ff00"/> <srgb name="b" value="#80ff00"/> <spectrum name="c" value="400:0.5, 700:0.7"/>
+        <blackbody name="d" temperature="5000K"/> <spectrum name="e" type="d65"><float name="scale" value="2"/></spectrum>
+        <spectrum name="f" type="regular"><string name="values" value="1 2 3"/></spectrum>
+    </bsdf>
     <shape type="cylinder"><point name="p0" x="1" y="2" z="3"/><vector name="v" value="1 2 3"/>
         <transform name="to_world">
             <scale value="2"/><rotate y="1" angle="30"/><translate x="1"/>
@@ -29,7 +35,7 @@ pub const DOCUMENT: &str = r#"<?xml version="1.0"?>
         <emitter type="area"><rgb name="radiance" value="$c"/></emitter>
     </shape>
 </scene>
-"#;
+"##;
 
 /// A scene that loads, with a mesh `a.obj` and an image `a.png` beside it.
 pub const SCENE: &str = r#"<scene version="3.0.0">

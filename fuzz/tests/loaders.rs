@@ -21,7 +21,7 @@ const MOST_MEMORY: usize = 3 << 30;
 const MOST_MEMORY_OF_TEXT: usize = 64 << 20;
 
 /// Pieces that mean something to the parser of scenes.
-const XML: [&[u8]; 22] = [
+const XML: [&[u8]; 26] = [
     b"<",
     b"/>",
     b"\"",
@@ -44,6 +44,10 @@ const XML: [&[u8]; 22] = [
     b"<default name=\"c\" value=\"$c$c\"/>",
     b"<bsdf type=\"x\" id=\"white\"/>",
     b"<scale value=\"0\"/>",
+    b"<!DOCTYPE x>",
+    b"<!ENTITY a \"b\">",
+    b"400:1",
+    b"version=\"0.6\"",
 ];
 
 /// Pieces that mean something to the reader of meshes.

@@ -802,6 +802,9 @@ fn images_are_filtered() {
                     assert!((x - 0.75).abs() < tolerance, "{filter}: {x}");
                 }
             } else {
+                check("density", &|seed| {
+                    common::image_by_density(&scene, seed, 256)
+                });
                 check("particles", &|seed| {
                     common::image_by_particles(&scene, seed, 1024)
                 });
@@ -838,6 +841,40 @@ fn gradients_and_derivative_images_are_those_of_filtered_images() {
                 (found - expected).abs() < 2e-4,
                 "{filter}: {found}, not {expected}"
             );
+        }
+    }
+}
+
+/// Pixels that have more samples than others keep their expectation, and their weights of either sign; Gauss-Newton sees
+/// the same: its gradient is that of the adjoint, and its matrix the squares of the derivative image, within 5 % by
+/// 1024 samples.
+#[test]
+fn pixel_weights_and_gauss_newton_know_the_filter() {
+    for filter in FILTERS {
+        let scene = filtered(filter, true).unwrap();
+        let plain = common::image(&scene, 4096);
+        let mut uneven = filtered(filter, true).unwrap();
+        let weights: Vec<f32> = (0..25).map(|i| 0.5 + (i % 3) as f32 * 0.5).collect();
+        uneven.set_pixel_weights(&weights).unwrap();
+        let image = common::image(&uneven, 4096);
+        for (a, b) in plain.data.iter().zip(&image.data) {
+            assert!((a - b).abs() < 0.15, "{filter}: {a} {b}");
+        }
+        assert!(plain != image);
+        let adjoint: Vec<f32> = (0..75).map(|i| (i as f32).cos()).collect();
+        let (gradient, matrix) = common::normal_equations(&scene, LAMP, &adjoint, 1024);
+        let expected = common::gradient(&scene, LAMP, &adjoint, 1024);
+        for (a, b) in gradient.iter().zip(&expected) {
+            assert!((a - b).abs() < 1e-3, "{filter}: {a} {b}");
+        }
+        let derivative = common::derivative(&scene, LAMP, 8192);
+        let n = gradient.len();
+        for c in 0..n {
+            let squares = derivative.data.iter().skip(c).step_by(3);
+            let squares: f64 = squares.map(|&d| f64::from(d).powi(2)).sum();
+            let found = matrix[c * n + c];
+            let close = (found - squares).abs() < 0.05 * squares;
+            assert!(close, "{filter}: {found}, not {squares}");
         }
     }
 }

@@ -9,6 +9,7 @@ use std::path::{Path, PathBuf};
 
 use render::bsdf::kernel::Rules;
 use render::instances::{self, Direction, Estimator};
+use render::integrator::density::Convention;
 use render::params::Theta;
 use render::{Image, Scene};
 
@@ -63,6 +64,49 @@ pub fn image_by_particles(scene: &Scene, seed: u64, spp: u64) -> Image {
     let (rules, settings) = (Rules::default(), &scene.settings);
     let rendering = instances::particles_f32(scene, &theta, rules, settings, seed, 0..spp, &());
     rendering.unwrap().image(0)
+}
+
+/// The image by particles that viewing rays collect.
+pub fn image_by_density(scene: &Scene, seed: u64, spp: u64) -> Image {
+    let theta = Theta::constant(scene.params().values());
+    let (rules, settings) = (Rules::default(), &scene.settings);
+    let (convention, radius) = (Convention::default(), 0.1);
+    let rendering = instances::density_f32(
+        scene,
+        &theta,
+        rules,
+        convention,
+        radius,
+        settings,
+        seed,
+        0..spp,
+        &(),
+    );
+    rendering.unwrap().image(0)
+}
+
+/// The gradient of `<adjoint, image>` in the parameter `name` and the matrix `J^T J`, as Gauss-Newton has them.
+pub fn normal_equations(
+    scene: &Scene,
+    name: &str,
+    adjoint: &[f32],
+    spp: u64,
+) -> (Vec<f64>, Vec<f64>) {
+    let theta = Theta::constant(scene.params().values());
+    let active = Estimator::Mis.active(scene, &[name]).unwrap();
+    let ones = vec![1.0; adjoint.len()];
+    let found = instances::gauss_newton_f32(
+        scene,
+        &theta,
+        &active,
+        [adjoint, &ones],
+        &scene.settings,
+        1,
+        0..spp,
+        &(),
+    );
+    let found = found.unwrap();
+    (found.gradient, found.matrix)
 }
 
 /// The derivative of `<adjoint, image>` in the parameter `name`.
