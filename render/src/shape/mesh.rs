@@ -408,7 +408,7 @@ pub fn smooth_normals(positions: &[[f32; 3]], triangles: &[[u32; 3]]) -> Vec<[f3
     sums.into_iter().map(single).collect()
 }
 
-/// How an OBJ or PLY file is read.
+/// How a file with meshes is read.
 #[derive(Clone, Copy, Debug)]
 pub struct ObjOptions {
     /// From the file's space to the world.
@@ -696,11 +696,13 @@ impl BufRead for ObjLines<'_> {
 }
 
 impl FromNode for Mesh {
-    const PLUGINS: &'static [&'static str] = &["obj", "ply"];
+    const PLUGINS: &'static [&'static str] = &["obj", "ply", "serialized"];
 
     fn from_node(node: &Node, registry: &mut Registry) -> Result<Self, SceneError> {
-        if node.plugin == "ply" {
-            return super::ply::from_node(node, registry);
+        match node.plugin.as_str() {
+            "ply" => return super::ply::from_node(node, registry),
+            "serialized" => return super::serialized::from_node(node, registry),
+            _ => {}
         }
         let path = node
             .path("filename")?

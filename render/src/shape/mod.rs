@@ -12,6 +12,7 @@ mod disk;
 mod mesh;
 mod patch;
 mod ply;
+mod serialized;
 mod sphere;
 
 pub use cube::Cube;

@@ -12,7 +12,7 @@ use ply_rs_bw::ply::{
 use super::mesh::{Mesh, MeshData, ObjOptions, smooth_normals};
 use crate::error::{SceneError, quoted};
 use crate::files;
-use crate::math::{Transform, each};
+use crate::math::each;
 use crate::plugin::{Node, Registry};
 
 /// Largest file in bytes.
@@ -227,7 +227,12 @@ fn read(bytes: &[u8], options: &ObjOptions) -> Result<(MeshData, Vec<String>), W
         for i in 0..def.count {
             let element = file.element(def, i)?;
             match name.as_str() {
-                "vertex" => vertex(&mut mesh, &element, has, options),
+                "vertex" => {
+                    let [x, y, z, nx, ny, nz, u, v] = element.numbers;
+                    let normal = has.normals.then_some([nx, ny, nz]);
+                    let uv = has.uvs.then_some([u, v]);
+                    add_vertex(&mut mesh, [x, y, z], normal, uv, options);
+                }
                 "face" => {
                     let here = (file.encoding == Encoding::Ascii).then_some(file.line);
                     let at = face(&mut faces, &element, i);
@@ -305,21 +310,26 @@ fn ignored(header: &Header) -> Vec<String> {
 }
 
 /// Adds a vertex, in world space.
-fn vertex(mesh: &mut MeshData, element: &Element, has: Has, options: &ObjOptions) {
+pub(super) fn add_vertex(
+    mesh: &mut MeshData,
+    position: [f64; 3],
+    normal: Option<[f64; 3]>,
+    uv: Option<[f64; 2]>,
+    options: &ObjOptions,
+) {
     let single = |v: [f64; 3]| each(v, |x| x as f32);
-    let to_world: &Transform = &options.to_world;
-    let [x, y, z, nx, ny, nz, u, v] = element.numbers;
-    mesh.positions.push(single(to_world.point([x, y, z])));
-    if has.normals {
+    let to_world = &options.to_world;
+    mesh.positions.push(single(to_world.point(position)));
+    mesh.normals.extend(normal.map(|n| {
         // As those of OBJ files: a reflection keeps the outside.
         let sign = to_world.determinant().signum();
-        let n = Vec3::from(to_world.normal([nx, ny, nz])).normalize();
-        mesh.normals.push(single(each(n.to_array(), |x| x * sign)));
-    }
-    if has.uvs {
+        let n = Vec3::from(to_world.normal(n)).normalize();
+        single(each(n.to_array(), |x| x * sign))
+    }));
+    mesh.uvs.extend(uv.map(|[u, v]| {
         let v = if options.flip_v { 1.0 - v } else { v };
-        mesh.uvs.push([u as f32, v as f32]);
-    }
+        [u as f32, v as f32]
+    }));
 }
 
 /// Adds a face as a fan.
