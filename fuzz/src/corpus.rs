@@ -6,8 +6,9 @@ use image::{DynamicImage, ImageFormat, Rgb, RgbImage};
 use render::image_io::{Pixels, write_exr_pixels};
 
 /// A scene file with some of everything that the format knows, also what no scene would hold together.
-pub const DOCUMENT: &str = r#"<?xml version="1.0"?>
+pub const DOCUMENT: &str = r##"<?xml version="1.0"?>
 <scene version="3.0.0">
+    <path value="."/> <path value="absent"/>
     <default name="spp" value="16"/> <default name="c" value="0.1, 0.2, 0.3"/>
     <integrator type="path"><integer name="max_depth" value="6"/></integrator>
     <sensor type="perspective">
@@ -20,6 +21,11 @@ pub const DOCUMENT: &str = r#"<?xml version="1.0"?>
         <spectrum name="reflectance" type="bitmap"><string name="filename" value="a.png"/></spectrum>
     </bsdf></bsdf>
     <alias id="white" as="paper"/>
+    <bsdf type="plastic" id="colours">
+        <rgb name="a" value="#80ff00"/> <srgb name="b" value="#80ff00"/> <spectrum name="c" value="400:0.5, 700:0.7"/>
+        <blackbody name="d" temperature="5000K"/> <spectrum name="e" type="d65"><float name="scale" value="2"/></spectrum>
+        <spectrum name="f" type="regular"><string name="values" value="1 2 3"/></spectrum>
+    </bsdf>
     <shape type="cylinder"><point name="p0" x="1" y="2" z="3"/><vector name="v" value="1 2 3"/>
         <transform name="to_world">
             <scale value="2"/><rotate y="1" angle="30"/><translate x="1"/>
@@ -29,7 +35,7 @@ pub const DOCUMENT: &str = r#"<?xml version="1.0"?>
         <emitter type="area"><rgb name="radiance" value="$c"/></emitter>
     </shape>
 </scene>
-"#;
+"##;
 
 /// A scene that loads, with a mesh `a.obj` and an image `a.png` beside it.
 pub const SCENE: &str = r#"<scene version="3.0.0">
@@ -72,6 +78,40 @@ pub const MESH: &str = "# comment\nmtllib a.mtl\no thing\n\
     g part\nusemtl red\ns 1\n\
     f 1/1/1 2/2/1 3/3/2 4/4/2\nf 1 2 \\\n3\nf -4//-1 -3//-1 -2//-2\nf 1/1 2/2 3/3\nl 1 2\np 1\n";
 
+/// A mesh in text and in binary, little endian, with some of everything.
+pub fn polygons() -> [Vec<u8>; 2] {
+    let header = |format: &str| {
+        format!(
+            "ply\nformat {format} 1.0\ncomment x\nelement vertex 4\nproperty float x\nproperty float y\n\
+             property float z\nproperty float nx\nproperty float ny\nproperty float nz\nproperty float u\n\
+             property float v\nproperty uchar red\nelement face 2\nproperty list uchar int vertex_indices\nend_header\n"
+        )
+    };
+    let corners = [[0.0f32, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]];
+    let (mut text, mut binary) = (header("ascii"), header("binary_little_endian").into_bytes());
+    for [x, y] in corners {
+        text += &format!("{x} {y} 0 0 0 1 {x} {y} 7\n");
+        let numbers = [x, y, 0.0, 0.0, 0.0, 1.0, x, y];
+        binary.extend(numbers.iter().flat_map(|x| x.to_le_bytes()));
+        binary.push(7);
+    }
+    for face in [&[0, 1, 2, 3][..], &[0, 2, 1]] {
+        let indices: Vec<_> = face.iter().map(i32::to_string).collect();
+        text += &format!("{} {}\n", face.len(), indices.join(" "));
+        binary.push(face.len() as u8);
+        binary.extend(face.iter().flat_map(|i: &i32| i.to_le_bytes()));
+    }
+    [text.into_bytes(), binary]
+}
+
+/// A portable float map, big endian.
+fn pfm(pixels: &Pixels) -> Vec<u8> {
+    let mut bytes = format!("PF\n{} {}\n1\n", pixels.width, pixels.height).into_bytes();
+    let rows = pixels.data.chunks_exact(3 * pixels.width).rev();
+    bytes.extend(rows.flatten().flat_map(|x| x.to_be_bytes()));
+    bytes
+}
+
 /// An image of every format that is read, with the ending of its name.
 ///
 /// # Panics
@@ -103,5 +143,11 @@ pub fn images() -> Vec<(&'static str, Vec<u8>)> {
         ("jpg", encode(&grey, ImageFormat::Jpeg)),
         ("bmp", encode(&rgb, ImageFormat::Bmp)),
         ("exr", std::fs::read(path).expect("a file")),
+        ("tga", encode(&rgb, ImageFormat::Tga)),
+        (
+            "hdr",
+            encode(&DynamicImage::from(rgb.to_rgb32f()), ImageFormat::Hdr),
+        ),
+        ("pfm", pfm(&pixels)),
     ]
 }

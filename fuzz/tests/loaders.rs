@@ -21,7 +21,7 @@ const MOST_MEMORY: usize = 3 << 30;
 const MOST_MEMORY_OF_TEXT: usize = 64 << 20;
 
 /// Pieces that mean something to the parser of scenes.
-const XML: [&[u8]; 22] = [
+const XML: [&[u8]; 26] = [
     b"<",
     b"/>",
     b"\"",
@@ -44,6 +44,10 @@ const XML: [&[u8]; 22] = [
     b"<default name=\"c\" value=\"$c$c\"/>",
     b"<bsdf type=\"x\" id=\"white\"/>",
     b"<scale value=\"0\"/>",
+    b"<!DOCTYPE x>",
+    b"<!ENTITY a \"b\">",
+    b"400:1",
+    b"version=\"0.6\"",
 ];
 
 /// Pieces that mean something to the reader of meshes.
@@ -64,6 +68,22 @@ const OBJ: [&[u8]; 16] = [
     b"1e-45",
     b"g\n",
     "\u{feff}".as_bytes(),
+];
+
+/// Pieces that mean something to the reader of polygon files.
+const PLY: [&[u8]; 12] = [
+    b"\n",
+    b"end_header\n",
+    b"element face 4000000000\n",
+    b"element vertex 1\n",
+    b"element x 99999999999\n",
+    b"property list uint double vertex_index\n",
+    b"property double x\n",
+    b"nan ",
+    b"1e39 ",
+    b"-1 ",
+    b"\xff\xff\xff\xff",
+    b"\x00\x00\xc0\x7f",
 ];
 
 /// Pieces of image files: markers, names of chunks, large numbers.
@@ -168,6 +188,23 @@ fn folder() -> tempfile::TempDir {
 
 proptest! {
     #![proptest_config(config(20_000))]
+
+    #[test]
+    fn damaged_polygons_do_not_panic(changes in mutations(PLY.len()), which in 0..2usize) {
+        let bytes = apply(&corpus::polygons()[which], &changes, &PLY);
+        let read = || Mesh::from_ply_bytes(&bytes, Path::new("a.ply"), &ObjOptions::default());
+        let (read, memory) = peak(read);
+        prop_assert!(memory < MOST_MEMORY_OF_TEXT, "{} bytes", memory);
+        match read {
+            Ok((mesh, _)) => {
+                let data = mesh.data();
+                prop_assert!(data.positions.as_flattened().iter().all(|x| x.is_finite()));
+                prop_assert!(data.normals.as_flattened().iter().all(|x| x.is_finite()));
+                prop_assert!(data.uvs.as_flattened().iter().all(|x| x.is_finite()));
+            }
+            Err(error) => check_message(&error),
+        }
+    }
 
     #[test]
     fn damaged_meshes_do_not_panic(changes in mutations(OBJ.len())) {

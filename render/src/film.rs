@@ -7,6 +7,10 @@ use ad_core::Float;
 
 use crate::math::warp;
 
+mod lobed;
+
+pub use lobed::{Lobed, MOST_LOBES};
+
 /// A linear RGB image, row-major, row 0 at the top.
 ///
 /// ```
@@ -55,7 +59,10 @@ impl Image {
 
 /// A reconstruction filter. Samples are drawn *from* the filter and weigh one, so that a sample belongs
 /// to one pixel: the expectation is that of the normalised splat, tiles need no borders, and the adjoint of a
-/// pixel is looked up, never filtered twice (errata Z-4.15).
+/// pixel is looked up, never filtered twice (errata Z-4.15). Of filters with negative lobes the magnitude is sampled, and
+/// samples have a [weight](PixelFilter::weight).
+// There is one per scene, and it is `Copy`.
+#[allow(clippy::large_enum_variant)]
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum PixelFilter {
     /// Uniform over the pixel.
@@ -66,6 +73,13 @@ pub enum PixelFilter {
         /// Standard deviation, in pixels.
         stddev: f64,
     },
+    /// A pyramid: the product of a triangle along either axis.
+    Tent {
+        /// Where it ends, in pixels.
+        radius: f64,
+    },
+    /// The product of a filter with negative lobes along either axis.
+    Lobed(Lobed),
 }
 
 impl PixelFilter {
@@ -81,13 +95,37 @@ impl PixelFilter {
                 let (sin, cos) = warp::sin_cos_of_turns(u[1]);
                 [r * cos, r * sin]
             }
+            Self::Tent { radius } => u.map(|u| {
+                // Both halves by their distance from the end, so that nothing cancels.
+                let (near, far) = (P::of(2.0) * u, P::of(2.0) * (P::one() - u));
+                let end = near.min(far).max(P::zero()).sqrt();
+                let x = P::of(radius) * (P::one() - end);
+                P::select(near < P::one(), -x, x)
+            }),
+            Self::Lobed(lobed) => u.map(|u| lobed.sample(u)),
         }
+    }
+
+    /// What a [`PixelFilter::sample`] at this offset counts: the filter over the density of the sample. One, unless the
+    /// filter is negative in places.
+    #[inline(always)]
+    pub fn weight<P: Float>(&self, offset: [P; 2]) -> f64 {
+        match self {
+            Self::Lobed(lobed) => offset.iter().map(|x| lobed.weight(x.to_f64())).product(),
+            _ => 1.0,
+        }
+    }
+
+    /// Whether samples have [weights](PixelFilter::weight) other than one.
+    #[inline(always)]
+    pub fn is_weighted(&self) -> bool {
+        matches!(self, Self::Lobed(_))
     }
 }
 
 impl PixelFilter {
-    /// Density of [`PixelFilter::sample`] at an offset from the pixel's centre, per square pixel: the
-    /// weight of a splat.
+    /// The filter at an offset from the pixel's centre, per square pixel; its integral is one. The weight of a splat, and
+    /// the density of [`PixelFilter::sample`] times what such a sample [weighs](PixelFilter::weight).
     #[inline]
     pub fn density(&self, [x, y]: [f64; 2]) -> f64 {
         match *self {
@@ -100,14 +138,21 @@ impl PixelFilter {
                     0.0
                 }
             }
+            Self::Tent { radius } => {
+                let side = |x: f64| (1.0 - x.abs() / radius).max(0.0) / radius;
+                side(x) * side(y)
+            }
+            Self::Lobed(ref lobed) => lobed.density(x) * lobed.density(y),
         }
     }
 
-    /// Largest offset along either axis that has a density.
+    /// Largest offset along either axis where the filter is not zero.
     pub fn radius(&self) -> f64 {
         match *self {
             Self::Box => 0.5,
             Self::Gaussian { stddev } => 4.0 * stddev,
+            Self::Tent { radius } => radius,
+            Self::Lobed(ref lobed) => lobed.radius(),
         }
     }
 }
@@ -195,7 +240,7 @@ impl Film {
             for column in columns.clone() {
                 let offset = [x - f64::from(column) - 0.5, y - f64::from(row) - 0.5];
                 let weight = self.filter.density(offset);
-                if weight > 0.0 {
+                if weight != 0.0 {
                     f(row as usize * width + column as usize, weight);
                 }
             }
@@ -220,6 +265,9 @@ mod tests {
             PixelFilter::Box,
             PixelFilter::Gaussian { stddev: 0.5 },
             PixelFilter::Gaussian { stddev: 0.9 },
+            PixelFilter::Tent { radius: 1.5 },
+            PixelFilter::Lobed(Lobed::cubic(1.0 / 3.0, 1.0 / 3.0).unwrap()),
+            PixelFilter::Lobed(Lobed::lanczos(2).unwrap()),
         ] {
             let film = Film {
                 crop_offset: [3, 2],
@@ -258,5 +306,113 @@ mod tests {
             film.splat([f64::NAN, 1.0], 0..3, |_, _| panic!("touched"));
             film.splat([f64::INFINITY, 1.0], 0..3, |_, _| panic!("touched"));
         }
+    }
+
+    fn all() -> Vec<PixelFilter> {
+        let cubic = |b, c| PixelFilter::Lobed(Lobed::cubic(b, c).unwrap());
+        let lanczos = |n| PixelFilter::Lobed(Lobed::lanczos(n).unwrap());
+        vec![
+            PixelFilter::Box,
+            PixelFilter::Gaussian { stddev: 0.5 },
+            PixelFilter::Tent { radius: 1.0 },
+            PixelFilter::Tent { radius: 2.3 },
+            cubic(1.0 / 3.0, 1.0 / 3.0),
+            cubic(0.0, 0.5),
+            cubic(1.0, 0.0),
+            cubic(0.0, 1.0),
+            lanczos(1),
+            lanczos(2),
+            lanczos(3),
+            lanczos(MOST_LOBES),
+        ]
+    }
+
+    /// Along an axis through the centre, where filters that are products are their own cut times a constant.
+    fn cut(filter: &PixelFilter, moment: i32) -> f64 {
+        // Thousands of cells of the midpoint rule, whose ends are those of all pieces but the Gaussian's.
+        let n = 40_000;
+        let r = filter.radius();
+        let h = 2.0 * r / f64::from(n);
+        let at = |i: i32| -r + (f64::from(i) + 0.5) * h;
+        (0..n)
+            .map(|i| filter.density([at(i), 0.0]) * at(i).powi(moment) * h)
+            .sum()
+    }
+
+    /// The samples of a regular grid, weighed, have the integral and the moments of the filter, which quadrature gives,
+    /// and each sample weighs what it must.
+    #[test]
+    fn weighed_samples_are_the_filter() {
+        for filter in all() {
+            let n = 200_000;
+            let mut moments = [0.0; 5];
+            let mut heaviest: f64 = 0.0;
+            for i in 0..n {
+                let u = (f64::from(i) + 0.5) / f64::from(n);
+                // The radius of a Gaussian comes from the first number.
+                let [x, y] = match filter {
+                    PixelFilter::Gaussian { .. } => {
+                        filter.sample([u, (f64::from(i) * 0.618_033_988_75).fract()])
+                    }
+                    _ => filter.sample([u, 0.5]),
+                };
+                let weight = match &filter {
+                    PixelFilter::Lobed(lobed) => lobed.weight(x),
+                    _ => filter.weight([x, y]),
+                };
+                assert!(
+                    x.abs() <= filter.radius() && weight.is_finite(),
+                    "{filter:?} {x}"
+                );
+                heaviest = heaviest.max(weight.abs());
+                for (k, m) in moments.iter_mut().enumerate() {
+                    *m += weight * x.powi(k as i32) / f64::from(n);
+                }
+            }
+            let whole = cut(&filter, 0);
+            let scale = filter.radius();
+            for (k, m) in moments.into_iter().enumerate() {
+                let expected = cut(&filter, k as i32) / whole;
+                let off = (m - expected).abs() / scale.powi(k as i32);
+                assert!(off < 2e-4, "{filter:?}: moment {k} is {m}, not {expected}");
+            }
+            assert!((1.0..3.5).contains(&heaviest), "{filter:?}: {heaviest}");
+            assert_eq!(filter.is_weighted(), heaviest != 1.0, "{filter:?}");
+        }
+    }
+
+    /// Known values of the filters themselves.
+    #[test]
+    fn filters_are_those_of_the_books() {
+        let one = |filter: &PixelFilter, x: f64| match filter {
+            PixelFilter::Lobed(lobed) => lobed.density(x),
+            _ => filter.density([x, 0.0]) / filter.density([0.0, 0.0]),
+        };
+        let close = |a: f64, b: f64| assert!((a - b).abs() < 1e-9, "{a} {b}");
+        let mitchell = PixelFilter::Lobed(Lobed::cubic(1.0 / 3.0, 1.0 / 3.0).unwrap());
+        for (x, value) in [
+            (0.0, 8.0 / 9.0),
+            (1.0, 1.0 / 18.0),
+            (1.5, -5.0 / 144.0),
+            (2.0, 0.0),
+        ] {
+            close(one(&mitchell, x), value);
+            close(one(&mitchell, -x), value);
+        }
+        let catmull_rom = PixelFilter::Lobed(Lobed::cubic(0.0, 0.5).unwrap());
+        for (x, value) in [(0.0, 1.0), (0.5, 0.5625), (1.0, 0.0), (1.5, -0.0625)] {
+            close(one(&catmull_rom, x), value);
+        }
+        let lanczos = PixelFilter::Lobed(Lobed::lanczos(3).unwrap());
+        close(one(&lanczos, 1.0), 0.0);
+        close(
+            one(&lanczos, 1.5) / one(&lanczos, 0.0),
+            -4.0 / (3.0 * std::f64::consts::PI.powi(2)),
+        );
+        close(one(&PixelFilter::Tent { radius: 2.0 }, 0.5), 0.75);
+        for bad in [(-0.1, 0.5), (0.5, 1.1), (f64::NAN, 0.5)] {
+            assert!(Lobed::cubic(bad.0, bad.1).is_none());
+        }
+        assert!(Lobed::lanczos(0).is_none() && Lobed::lanczos(MOST_LOBES + 1).is_none());
     }
 }

@@ -22,15 +22,18 @@ use std::io::Cursor;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 
+use exr::WritableImage;
 use exr::prelude as exr;
-use exr::{ReadChannels, ReadLayers, WritableImage};
 use zune_jpeg::zune_core::bytestream::ZCursor;
 use zune_jpeg::zune_core::colorspace::ColorSpace;
 use zune_jpeg::zune_core::options::DecoderOptions;
 
-use crate::error::SceneError;
+use crate::error::{SceneError, quoted};
 use crate::files;
 use crate::film::Image;
+
+mod floats;
+mod layers;
 
 pub use crate::files::{require_regular, target, try_to_write, write_atomically};
 
@@ -57,7 +60,7 @@ pub struct Pixels {
     pub data: Vec<f32>,
 }
 
-/// What the samples of 8- and 16-bit files mean. EXR files are linear in any case.
+/// What the samples of 8- and 16-bit files mean. EXR, Radiance and PFM files are linear in any case.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Encoding {
     /// Colours on the sRGB curve; read as linear values.
@@ -118,21 +121,44 @@ impl From<Pixels> for Image {
     }
 }
 
-/// Reads an EXR, PNG, JPEG or BMP file. Alpha is dropped. Of an EXR file, the channels `R`, `G`, `B` of
-/// its first layer that has them, with or without the layer's name in front; or else `Y`.
+/// Reads an EXR, Radiance (HDR), PFM, PNG, JPEG, BMP or TGA file. Alpha is dropped. Of an EXR file, the layer that [`read_layer`] finds without a
+/// name.
+///
+/// # Errors
+/// As [`read_layer`].
+pub fn read(path: &Path, encoding: Encoding) -> Result<Pixels, SceneError> {
+    read_layer(path, encoding, None)
+}
+
+/// [`read`], for a layer of an EXR file. Layers are the parts of the file, and within these the channels whose names agree
+/// up to the last dot: `ViewLayer.Combined.R` belongs to `ViewLayer.Combined`, which the name `Combined` finds too
+/// where it is the only one. Without a name it is the unnamed layer, or else the only one called `Combined`, `beauty`
+/// or `RGBA`, or else the only one that is a picture: that has channels `R`, `G`, `B`, or `Y`. What has `X`, `Z`, `RY` or
+/// `BY` beside its `Y` is none.
 ///
 /// # Errors
 /// The file cannot be read or is no such image, is cut off or damaged, exceeds [`MAX_SIDE`], [`MAX_PIXELS`] or
-/// [`MAX_SAMPLES`], or has a pixel that is not finite.
-pub fn read(path: &Path, encoding: Encoding) -> Result<Pixels, SceneError> {
+/// [`MAX_SAMPLES`], or has a pixel that is not finite. It has several pictures or none, and then all layers are listed; a
+/// layer is asked of a file that cannot have any.
+pub fn read_layer(
+    path: &Path,
+    encoding: Encoding,
+    layer: Option<&str>,
+) -> Result<Pixels, SceneError> {
     let bytes = files::read(path, MAX_BYTES)?;
     // The decoders promise errors, not panics, but they are large and their input is anybody's. They run
     // on this thread only, so that a panic can be turned into the error it should have been.
     let decoded = catch_unwind(AssertUnwindSafe(|| {
         if bytes.starts_with(&EXR_MAGIC) {
-            decode_exr(&bytes)
+            layers::decode(&bytes, layer)
+        } else if let Some(name) = layer {
+            let expected = format!(
+                "an OpenEXR image, which has layers such as {}",
+                quoted(name)
+            );
+            Err(mismatch(expected, "a file of another format"))
         } else {
-            decode_8_or_16_bit(&bytes, encoding)
+            decode(&bytes, encoding)
         }
     }));
     let pixels = match decoded {
@@ -204,82 +230,38 @@ fn check_samples(samples: usize) -> Result<(), Mismatch> {
     Err(mismatch(expected, samples))
 }
 
-fn decode_exr(bytes: &[u8]) -> Result<Pixels, Mismatch> {
-    let bad = |e: exr::Error| mismatch("a complete OpenEXR image", e);
-    let meta = exr::MetaData::read_from_buffered(Cursor::new(bytes), false).map_err(bad)?;
-    let mut samples = 0usize;
-    for header in &meta.headers {
-        let exr::Vec2(width, height) = header.layer_size;
-        check_size(width, height)?;
-        for channel in &header.channels.list {
-            if channel.sampling != exr::Vec2(1, 1) {
-                return Err(mismatch(
-                    "a sample per pixel in every channel",
-                    format!("subsampled channel `{}`", channel.name),
-                ));
-            }
-        }
-        let pixels = (width * height).saturating_mul(header.channels.list.len());
-        samples = samples.saturating_add(pixels);
-    }
-    check_samples(samples)?;
-    let image = exr::read()
-        .no_deep_data()
-        .largest_resolution_level()
-        .all_channels()
-        .all_layers()
-        .all_attributes()
-        // A panic in a pool's thread could not be caught.
-        .non_parallel()
-        .from_buffered(Cursor::new(bytes))
-        .map_err(bad)?;
-    let mut names = Vec::new();
-    for layer in &image.layer_data {
-        let list = &layer.channel_data.list;
-        let find = |name: &str| list.iter().find(|c| c.name.eq(name));
-        let prefixes = list.iter().filter_map(|c| {
-            let name = c.name.to_string();
-            let dot = name.rfind('.')?;
-            Some(name[..=dot].to_owned())
-        });
-        for prefix in std::iter::once(String::new()).chain(prefixes) {
-            let of = |c| find(&format!("{prefix}{c}"));
-            let found = match (of("R"), of("G"), of("B"), of("Y")) {
-                (Some(r), Some(g), Some(b), _) => vec![r, g, b],
-                (_, _, _, Some(y)) => vec![y],
-                _ => continue,
-            };
-            let (width, height) = (layer.size.0, layer.size.1);
-            let channels = found.len();
-            let mut data = vec![0.0; width * height * channels];
-            for (c, channel) in found.iter().enumerate() {
-                let values = channel.sample_data.values_as_f32();
-                for (pixel, value) in data.chunks_exact_mut(channels).zip(values) {
-                    pixel[c] = value;
-                }
-            }
-            return Ok(Pixels {
-                width,
-                height,
-                channels,
-                data,
-            });
-        }
-        names.extend(list.iter().map(|c| format!("`{}`", c.name)));
-    }
-    let found = if names.is_empty() {
-        "none".to_owned()
+/// Anything but OpenEXR.
+fn decode(bytes: &[u8], encoding: Encoding) -> Result<Pixels, Mismatch> {
+    if floats::is_radiance(bytes) {
+        floats::decode_radiance(bytes)
+    } else if floats::is_pfm(bytes) {
+        floats::decode_pfm(bytes)
     } else {
-        names.join(", ")
+        decode_8_or_16_bit(bytes, encoding)
+    }
+}
+
+/// Whether the first bytes are the header of a TGA file, which has no mark: every field that has few values has one of
+/// them.
+fn is_tga(bytes: &[u8]) -> bool {
+    let Some(&[_, colour_map, kind, .., bits, descriptor]) = bytes.first_chunk::<18>() else {
+        return false;
     };
-    Err(mismatch("channels `R`, `G` and `B`, or `Y`", found))
+    let mapped = matches!(kind, 1 | 9);
+    let true_colour = matches!(kind, 2 | 3 | 10 | 11);
+    (mapped && colour_map == 1 || true_colour && colour_map <= 1)
+        && matches!(bits, 8 | 15 | 16 | 24 | 32)
+        && descriptor & 0xc0 == 0
 }
 
 fn decode_8_or_16_bit(bytes: &[u8], encoding: Encoding) -> Result<Pixels, Mismatch> {
-    let formats = "an OpenEXR, PNG, JPEG or BMP image";
+    let formats = "an OpenEXR, Radiance, PFM, PNG, JPEG, BMP or TGA image";
     let mut reader = image::ImageReader::new(Cursor::new(bytes))
         .with_guessed_format()
         .map_err(|e| mismatch(formats, e))?;
+    if reader.format().is_none() && is_tga(bytes) {
+        reader.set_format(image::ImageFormat::Tga);
+    }
     let Some(format) = reader.format() else {
         let start: Vec<_> = bytes.iter().take(4).map(|b| format!("{b:02x}")).collect();
         let found = if start.is_empty() {
@@ -302,6 +284,11 @@ fn decode_8_or_16_bit(bytes: &[u8], encoding: Encoding) -> Result<Pixels, Mismat
     let (width, height) = image::ImageDecoder::dimensions(&decoder);
     let (width, height) = (width as usize, height as usize);
     check_size(width, height)?;
+    // A byte is at most a run of 128 pixels.
+    if format == image::ImageFormat::Tga && (width * height).div_ceil(128) > bytes.len() {
+        let found = format!("{} bytes for {width} x {height}", bytes.len());
+        return Err(mismatch("a complete Tga image", found));
+    }
     let image = image::DynamicImage::from_decoder(decoder).map_err(damaged)?;
     let channels = if image.color().has_color() { 3 } else { 1 };
     let bytes_per_channel = image.color().bytes_per_pixel() / image.color().channel_count();

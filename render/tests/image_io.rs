@@ -4,9 +4,10 @@ use std::path::{Path, PathBuf};
 
 use ex::WritableImage;
 use exr::prelude as ex;
+use image::DynamicImage;
 use render::image_io::{
-    Encoding, MAX_SIDE, Pixels, linear_to_srgb, read, read_rgb, srgb_to_linear, write_atomically,
-    write_exr, write_exr_pixels, write_png,
+    Encoding, MAX_SIDE, Pixels, linear_to_srgb, read, read_layer, read_rgb, srgb_to_linear,
+    write_atomically, write_exr, write_exr_pixels, write_png,
 };
 use render::{Image, SceneError};
 use tempfile::TempDir;
@@ -120,15 +121,124 @@ fn exr_channels_are_found_by_name() {
     exr_file(&path, vec![(2, 1, depth)]);
     let found = message(read(&path));
     assert!(
-        found.contains("a.exr: expected channels `R`, `G` and `B`, or `Y`, found `Z`"),
+        found.contains(
+            "a.exr: expected a layer with channels `R`, `G` and `B`, or `Y` alone, found the layers an unnamed one (Z)"
+        ),
         "{found}"
     );
+}
+
+/// A file with these layers, named as Blender does in one part or, if they have names, in one part each.
+fn layered(path: &Path, parts: &[(Option<&str>, &[&str])]) {
+    let layers: Vec<_> = (parts.iter())
+        .map(|(name, channels)| {
+            let list = channels.iter().map(|c| {
+                // Told apart by what they hold: the number of bytes in their name.
+                let samples = ex::FlatSamples::F32(vec![c.len() as f32; 2]);
+                ex::AnyChannel::new(*c, samples)
+            });
+            let attributes = match name {
+                Some(name) => ex::LayerAttributes::named(*name),
+                None => ex::LayerAttributes::default(),
+            };
+            let list = ex::AnyChannels::sort(list.collect());
+            ex::Layer::new((2, 1), attributes, ex::Encoding::FAST_LOSSLESS, list)
+        })
+        .collect();
+    let attributes = ex::ImageAttributes::new(ex::IntegerBounds::from_dimensions((2, 1)));
+    ex::Image::from_layers(attributes, layers)
+        .write()
+        .to_file(path)
+        .unwrap();
+}
+
+#[test]
+fn the_picture_of_an_exr_file_is_found_or_asked_for() {
+    const AO: &[&str] = &["V.AO.R", "V.AO.G", "V.AO.B"];
+    const COMBINED: &[&str] = &[
+        "V.Combined.R",
+        "V.Combined.G",
+        "V.Combined.B",
+        "V.Combined.A",
+    ];
+    const RGB: &[&str] = &["R", "G", "B"];
+    const NORMAL: &[&str] = &["N.X", "N.Y", "N.Z"];
+    let dir = TempDir::new().unwrap();
+    let path = dir.path().join("a.exr");
+    let one = |channels: &[&[&'static str]]| {
+        layered(&path, &[(None, &channels.concat())]);
+        read(&path, Encoding::Srgb).map(|p| (p.channels, p.data[0]))
+    };
+    // In which order ever.
+    assert_eq!(one(&[AO, COMBINED]).unwrap(), (3, 12.0));
+    assert_eq!(one(&[COMBINED, RGB, AO]).unwrap(), (3, 1.0));
+    assert_eq!(one(&[NORMAL, AO]).unwrap(), (3, 6.0));
+    assert_eq!(
+        one(&[&["beauty.R", "beauty.G", "beauty.B"], AO]).unwrap(),
+        (3, 8.0)
+    );
+    assert_eq!(one(&[&["Y"], NORMAL]).unwrap(), (1, 1.0));
+    let refused = |channels: &[&[&'static str]]| one(channels).unwrap_err().to_string();
+    let two = refused(&[AO, &["V.Mist.R", "V.Mist.G", "V.Mist.B"]]);
+    let expected = "a.exr: expected the name of a layer (`layer`), since there are several, found the layers \
+        `V.AO` (B, G, R), `V.Mist` (B, G, R)";
+    assert!(two.ends_with(expected), "{two}");
+    for (channels, listed) in [
+        (NORMAL, "`N` (X, Y, Z)"),
+        (&["X", "Y", "Z"], "an unnamed one (X, Y, Z)"),
+        (&["Y", "RY", "BY"], "an unnamed one (BY, RY, Y)"),
+        (&["P.Y", "P.Z"], "`P` (Y, Z)"),
+    ] {
+        let found = refused(&[channels]);
+        let expected = format!(
+            "a.exr: expected a layer with channels `R`, `G` and `B`, or `Y` alone, found the layers {listed}"
+        );
+        assert!(found.ends_with(&expected), "{found}");
+    }
+    // A name chooses, in full or by its end.
+    layered(&path, &[(None, &[AO, COMBINED, NORMAL].concat())]);
+    let named = |name: &str| read_layer(&path, Encoding::Srgb, Some(name)).map(|p| p.data[0]);
+    assert_eq!(named("V.AO").unwrap(), 6.0);
+    assert_eq!(named("AO").unwrap(), 6.0);
+    for name in ["N", "V", ""] {
+        let found = named(name).unwrap_err().to_string();
+        let expected = format!(
+            "expected one layer `{name}` with channels `R`, `G` and `B`, or `Y`, found the layers"
+        );
+        assert!(
+            found.contains(&expected) && found.contains("`N` (X, Y, Z)"),
+            "{found}"
+        );
+    }
+    // Parts are layers too, and one whose channels repeat its name is called so once.
+    let of_part = ["d.R", "d.G", "d.B"];
+    layered(
+        &path,
+        &[
+            (Some("d"), &of_part),
+            (Some("rgba"), RGB),
+            (Some("n"), NORMAL),
+        ],
+    );
+    let named = |name: &str| read_layer(&path, Encoding::Srgb, Some(name)).map(|p| p.data[0]);
+    assert_eq!(read(&path, Encoding::Srgb).unwrap().data[0], 1.0);
+    assert_eq!((named("d").unwrap(), named("rgba").unwrap()), (3.0, 1.0));
+    assert!(
+        named("n")
+            .unwrap_err()
+            .to_string()
+            .contains("`n.N` (X, Y, Z)")
+    );
+    let png = dir.path().join("a.png");
+    write_png(&png, &ramp(2, 2), 0.0).unwrap();
+    let found = message(read_layer(&png, Encoding::Srgb, Some("AO")));
+    assert!(found.ends_with("a.png: expected an OpenEXR image, which has layers such as `AO`, found a file of another format"), "{found}");
 }
 
 #[test]
 fn eight_and_sixteen_bit_files_are_decoded() {
     let dir = TempDir::new().unwrap();
-    for name in ["a.png", "a.bmp", "a.jpg"] {
+    for name in ["a.png", "a.bmp", "a.jpg", "a.tga"] {
         let path = dir.path().join(name);
         image::RgbImage::from_pixel(8, 8, image::Rgb([255, 128, 0]))
             .save(&path)
@@ -229,7 +339,7 @@ fn unreadable_files_are_named() {
     std::fs::write(&path, "hello").unwrap();
     let found = read(&path);
     assert!(
-        found.contains("an OpenEXR, PNG, JPEG or BMP image"),
+        found.contains("an OpenEXR, Radiance, PFM, PNG, JPEG, BMP or TGA image"),
         "{found}"
     );
     assert!(read(dir.path()).contains("expected a regular file, found a directory"));
@@ -279,13 +389,162 @@ fn absurd_sizes_are_refused_before_memory_is_taken() {
     assert!(read(&path, Encoding::Raw).is_err());
 }
 
+fn float_image(image: &Image) -> image::Rgb32FImage {
+    let (width, height) = (image.width as u32, image.height as u32);
+    image::Rgb32FImage::from_raw(width, height, image.data.clone()).unwrap()
+}
+
+/// A portable float map of the first of three channels, or of all; in little endian if `scale` is negative.
+fn pfm(image: &Image, channels: usize, scale: f32) -> Vec<u8> {
+    let kind = if channels == 3 { "PF" } else { "Pf" };
+    let mut bytes = format!("{kind}\n{} {}\n{scale}\n", image.width, image.height).into_bytes();
+    for row in image.data.chunks_exact(3 * image.width).rev() {
+        for pixel in row.chunks_exact(3) {
+            for &x in &pixel[..channels] {
+                let little = scale < 0.0;
+                bytes.extend(if little {
+                    x.to_le_bytes()
+                } else {
+                    x.to_be_bytes()
+                });
+            }
+        }
+    }
+    bytes
+}
+
+/// Nine bits or more of each number, whatever its size, by either name of the format and either way of packing.
+#[test]
+fn radiance_files_are_read() {
+    let dir = TempDir::new().unwrap();
+    let path = dir.path().join("a.hdr");
+    let mut image = ramp(40, 3);
+    image.data[..6].copy_from_slice(&[1e4, 2e3, 0.0, 1e-6, 1e-6, 0.0]);
+    DynamicImage::from(float_image(&image)).save(&path).unwrap();
+    let read = || read(&path, Encoding::Srgb);
+    let close = |found: &Pixels| {
+        assert_eq!((found.width, found.height, found.channels), (40, 3, 3));
+        for (a, b) in found.data.chunks_exact(3).zip(image.data.chunks_exact(3)) {
+            let largest = b.iter().fold(0.0f32, |m, x| m.max(*x));
+            assert!(
+                (0..3).all(|c| (a[c] - b[c]).abs() <= largest / 120.0),
+                "{a:?} {b:?}"
+            );
+        }
+    };
+    close(&read().unwrap());
+    let bytes = std::fs::read(&path).unwrap();
+    assert!(bytes.starts_with(b"#?RADIANCE\n"));
+    std::fs::write(&path, [b"#?RGBE\n", &bytes[11..]].concat()).unwrap();
+    close(&read().unwrap());
+    // Without runs: 128 x 2^(129 - 136) = 1.
+    let flat = |head: &str| [head.as_bytes(), &[128, 64, 0, 129].repeat(2)].concat();
+    std::fs::write(&path, flat("#?RGBE\nFORMAT=32-bit_rle_rgbe\n\n-Y 2 +X 1\n")).unwrap();
+    assert_eq!(read().unwrap().data, [1.0, 0.5, 0.0, 1.0, 0.5, 0.0]);
+    for (head, found) in [
+        ("#?RGBE\nFORMAT=32-bit_rle_xyze\n\n-Y 2 +X 1\n", "xyze"),
+        ("#?RGBE\n\n+X 2 -Y 1\n", "+X -Y"),
+        ("#?RGBE\n\n-Y 70000 +X 1\n", "1 x 70000"),
+        ("#?RGBE\n\n-Y 60000 +X 1000\n", "bytes for 1000 x 60000"),
+        ("#?RGBE\n-Y 2 +X 1\n", "none"),
+    ] {
+        std::fs::write(&path, flat(head)).unwrap();
+        let error = message(read());
+        assert!(
+            error.contains("a.hdr: expected ") && error.contains(found),
+            "{error}"
+        );
+    }
+}
+
+#[test]
+fn float_maps_are_read_bit_by_bit() {
+    let dir = TempDir::new().unwrap();
+    let path = dir.path().join("a.pfm");
+    let mut image = ramp(5, 3);
+    image.data[0] = -1.5e-30;
+    let read = || read(&path, Encoding::Srgb);
+    for scale in [-1.0, 1.0, 2.0] {
+        std::fs::write(&path, pfm(&image, 3, scale)).unwrap();
+        let found = read().unwrap();
+        assert_eq!((found.width, found.height, found.channels), (5, 3, 3));
+        let scaled: Vec<_> = image.data.iter().map(|x| x * scale.abs()).collect();
+        assert_eq!(found.data, scaled);
+        std::fs::write(&path, pfm(&image, 1, scale)).unwrap();
+        let found = read().unwrap();
+        let first: Vec<_> = scaled.chunks_exact(3).map(|p| p[0]).collect();
+        assert_eq!((found.channels, found.data), (1, first));
+    }
+    for (text, found) in [
+        ("PF\n", "no width"),
+        ("PF\n5 x 1\n", "the height `x`"),
+        ("PF\n5 -3 1\n", "the height `-3`"),
+        ("PF\n0 3 1\n", "0 x 3"),
+        ("PF\n5 3 0\n", "the scale `0`"),
+        ("PF\n5 3 nan\n", "the scale `nan`"),
+        ("PF\n5 3 1", "no scale"),
+        ("PF\n5 3 1\nabcd", "1 numbers for 5 x 3 x 3"),
+        ("PF\n60000 60000 1\n", "60000 x 60000"),
+    ] {
+        std::fs::write(&path, text).unwrap();
+        let error = message(read());
+        assert!(
+            error.contains("a.pfm: expected ") && error.contains(found),
+            "{error}"
+        );
+    }
+}
+
+/// Rows from the bottom or the top, with runs or without, grey or in colours.
+#[test]
+fn tga_files_are_read_by_their_content() {
+    let dir = TempDir::new().unwrap();
+    // Under any name.
+    let path = dir.path().join("a.png");
+    let header = |kind: u8, bits: u8, descriptor: u8| {
+        let mut header = vec![0, 0, kind, 0, 0, 0, 0, 0, 0, 0, 0, 0, 2, 0, 2, 0];
+        header.extend([bits, descriptor]);
+        header
+    };
+    let read = |bytes: Vec<u8>| {
+        std::fs::write(&path, bytes).unwrap();
+        read(&path, Encoding::Raw)
+    };
+    let rows = |kind, descriptor| {
+        let mut bytes = header(kind, 24, descriptor);
+        // Blue, green, red.
+        for pixel in [[0, 0, 255], [0, 51, 0], [51, 0, 0], [0, 0, 0]] {
+            if kind == 10 {
+                bytes.push(0);
+            }
+            bytes.extend(pixel);
+        }
+        bytes
+    };
+    let top = [1.0, 0.0, 0.0, 0.0, 0.2, 0.0, 0.0, 0.0, 0.2, 0.0, 0.0, 0.0];
+    for kind in [2, 10] {
+        let found = read(rows(kind, 0x20)).unwrap();
+        assert_eq!((found.channels, found.data), (3, top.to_vec()));
+        let found = read(rows(kind, 0)).unwrap();
+        assert_eq!(found.data, [&top[6..], &top[..6]].concat());
+    }
+    let mut grey = header(3, 8, 0x20);
+    grey.extend([0, 51, 102, 255]);
+    let found = read(grey).unwrap();
+    assert_eq!((found.channels, found.data), (1, vec![0.0, 0.2, 0.4, 1.0]));
+    let mut large = rows(10, 0);
+    large[12..16].copy_from_slice(&[0xff; 4]);
+    let error = message(read(large));
+    assert!(error.contains("found 65535 x 65535"), "{error}");
+}
+
 /// One small valid file of each kind, and the ending it is known by.
 fn samples() -> Vec<(&'static str, Vec<u8>)> {
     let dir = TempDir::new().unwrap();
     let image = ramp(9, 7);
     let bytes: Vec<u8> = image.data.iter().map(|x| (x * 255.0) as u8).collect();
     let eight = image::RgbImage::from_raw(9, 7, bytes).unwrap();
-    ["exr", "half.exr", "png", "jpg", "bmp"]
+    ["exr", "half.exr", "png", "jpg", "bmp", "tga", "hdr", "pfm"]
         .into_iter()
         .map(|ending| {
             let path = dir.path().join(format!("a.{ending}"));
@@ -307,6 +566,8 @@ fn samples() -> Vec<(&'static str, Vec<u8>)> {
                         )],
                     );
                 }
+                "hdr" => DynamicImage::from(float_image(&image)).save(&path).unwrap(),
+                "pfm" => std::fs::write(&path, pfm(&image, 3, -1.0)).unwrap(),
                 _ => eight.save(&path).unwrap(),
             }
             (ending, std::fs::read(path).unwrap())

@@ -424,9 +424,9 @@ fn messages() {
         ),
         (
             "<bdsf type=\"diffuse\"/>",
-            "<text>:2: expected one of the elements alias, boolean, bsdf, default, emitter, film, \
-             float, include, integer, integrator, point, ref, rfilter, rgb, sampler, sensor, \
-             shape, spectrum, string, texture, transform, vector, found <bdsf>",
+            "<text>:2: expected one of the elements alias, blackbody, boolean, bsdf, default, emitter, \
+             film, float, include, integer, integrator, path, point, ref, rfilter, rgb, sampler, \
+             sensor, shape, spectrum, srgb, string, texture, transform, vector, found <bdsf>",
         ),
         (
             "<bsdf type=\"mask\"></shape>",
@@ -551,8 +551,8 @@ fn the_root_must_be_a_scene_of_a_known_version() {
             "<text>:1: <scene> has no `version`: expected an attribute, found nothing",
         ),
         (
-            "<!-- old -->\n<scene version=\"0.6.0\"/>",
-            "<text>:2: `version`: expected 2.x.x or 3.x.x, found `0.6.0`",
+            "<!-- old -->\n<scene version=\"0.3.0\"/>",
+            "<text>:2: `version`: expected 0.4 to 0.6, 2.x.x or 3.x.x, found `0.3.0`",
         ),
         (
             "<scene version=\"3.0.0\" type=\"x\"/>",
@@ -569,13 +569,13 @@ fn the_root_must_be_a_scene_of_a_known_version() {
         ),
         (
             "<!DOCTYPE x [<!ENTITY a \"b\">]><scene version=\"3.0.0\"/>",
-            "<text>:1: expected well-formed XML, found an error: XML with DTD detected",
+            "<text>:1: expected no entities, found <!ENTITY",
         ),
         (
             "<scene version=\"3.0.0\"><scene version=\"3.0.0\"/></scene>",
-            "<text>:1: expected one of the elements alias, boolean, bsdf, default, emitter, film, \
-             float, include, integer, integrator, point, ref, rfilter, rgb, sampler, sensor, \
-             shape, spectrum, string, texture, transform, vector, found <scene>",
+            "<text>:1: expected one of the elements alias, blackbody, boolean, bsdf, default, emitter, \
+             film, float, include, integer, integrator, path, point, ref, rfilter, rgb, sampler, \
+             sensor, shape, spectrum, srgb, string, texture, transform, vector, found <scene>",
         ),
     ];
     for (text, expected) in cases {
@@ -704,7 +704,7 @@ fn errors_of_files_name_the_file() {
         ("duplicate.xml", "duplicate.xml:2"),
         (
             "old.xml",
-            "/old.xml:1: `version`: expected 2.x.x or 3.x.x, found `1.0`",
+            "/old.xml:1: `version`: expected 0.4 to 0.6, 2.x.x or 3.x.x, found `1.0`",
         ),
         (
             "reference.xml",
@@ -987,4 +987,292 @@ fn messages_quote_little_of_what_is_long() {
             &found[..500]
         );
     }
+}
+
+#[test]
+fn colours_in_hexadecimal_and_on_the_srgb_curve() {
+    let document = with_bsdf(
+        r##"<rgb name="a" value="#ff3300"/><srgb name="b" value="#ff3300"/><srgb name="c" value="0.5"/>"##,
+    );
+    let bsdf = bsdf(&document);
+    close(bsdf.rgb("a").unwrap().unwrap(), [1.0, 0.2, 0.0]);
+    close(
+        bsdf.rgb("b").unwrap().unwrap(),
+        [1.0, 0.033_104_766_570_885_05, 0.0],
+    );
+    close(
+        bsdf.rgb("c").unwrap().unwrap(),
+        [0.214_041_140_482_232_55; 3],
+    );
+    let found = message("<bsdf type=\"x\"><rgb name=\"a\" value=\"#ff33\"/></bsdf>");
+    let expected = "<text>:2: `a`: expected `#` and six hexadecimal digits, found `#ff33`";
+    assert_eq!(found, expected);
+}
+
+#[test]
+fn spectra_are_seen_in_rgb() {
+    let document = with_bsdf(
+        r#"<spectrum name="reflectance" value="300:0.25, 900:0.25"/>
+        <spectrum name="specular_reflectance" value="505:0, 510:1, 515:0"/>
+        <spectrum name="eta" value="300:3 900:3"/>
+        <texture type="uniform" name="u"><float name="value" value="0.5"/></texture>
+        <spectrum type="srgb" name="s"><rgb name="color" value="0.1 0.2 0.3"/></spectrum>
+        <spectrum type="d65" name="d"><float name="scale" value="2"/></spectrum>
+        <spectrum type="irregular" name="i"><string name="wavelengths" value="300, 900"/><string name="values" value="2 2"/></spectrum>
+        <blackbody name="b" temperature="5000K" scale="1e-4"/>"#,
+    );
+    let bsdf = bsdf(&document);
+    let rgb = |name: &str| bsdf.rgb(name).unwrap().unwrap();
+    close(rgb("reflectance"), [0.25; 3]);
+    close(rgb("eta"), [3.0; 3]);
+    close(rgb("u"), [0.5; 3]);
+    close(rgb("s"), [0.1, 0.2, 0.3]);
+    close(rgb("d"), [2.0; 3]);
+    close(rgb("i"), [2.0; 3]);
+    let warm = rgb("b");
+    assert!(
+        warm[0] > warm[1] && warm[1] > warm[2] && warm[2] > 0.0,
+        "{warm:?}"
+    );
+    let green = rgb("specular_reflectance");
+    assert!(green[0] == 0.0 && green[1] > 0.0, "{green:?}");
+    bsdf.finish().unwrap();
+    let warnings = document.warnings();
+    assert_eq!(warnings.len(), 1);
+    let warning = warnings[0].to_string();
+    assert!(
+        warning.starts_with(
+            "<text>:4: `specular_reflectance`: a spectrum whose colour RGB cannot show"
+        ),
+        "{warning}"
+    );
+}
+
+#[test]
+fn spectra_that_are_none_are_errors() {
+    for (element, line, expected) in [
+        (
+            "<spectrum name=\"a\" value=\"500:1, 400:1\"/>",
+            3,
+            "`a`: expected at least two wavelengths with values",
+        ),
+        (
+            "<spectrum name=\"a\" filename=\"none.spd\"/>",
+            3,
+            "`a`: expected an existing file",
+        ),
+        (
+            "<blackbody name=\"a\" temperature=\"-5\"/>",
+            3,
+            "`a.temperature`: expected a temperature in kelvin",
+        ),
+        ("<blackbody name=\"a\"/>", 3, "`temperature`"),
+    ] {
+        let found = message(&format!("<bsdf type=\"x\">\n{element}</bsdf>"));
+        assert!(
+            found.starts_with(&format!("<text>:{line}: ")) && found.contains(expected),
+            "{found}"
+        );
+    }
+    for (spectrum, expected) in [
+        ("type=\"srgb\"/>", "`color`"),
+        ("type=\"blackbody\"/>", "`temperature`"),
+        (
+            "type=\"uniform\"><float name=\"x\" value=\"1\"/></spectrum>",
+            "`x`",
+        ),
+        (
+            "type=\"regular\"><string name=\"values\" value=\"1\"/></spectrum>",
+            "expected at least two numbers",
+        ),
+        (
+            "type=\"irregular\"><string name=\"values\" value=\"1 2\"/><string name=\"wavelengths\" value=\"500\"/></spectrum>",
+            "expected at least two numbers",
+        ),
+    ] {
+        let document = with_bsdf(&format!("<spectrum name=\"a\" {spectrum}"));
+        let found = bsdf(&document).rgb("a").unwrap_err().to_string();
+        assert!(
+            found.starts_with("<text>:3: ") && found.contains(expected),
+            "{found}"
+        );
+    }
+}
+
+#[test]
+fn spectra_are_read_from_files() {
+    let dir = folder(&[
+        ("a.spd", "# nm, value\n300 0.5\n900 0.5\n"),
+        ("b.spd", "300 0.5\nhalf\n"),
+        (
+            "a.xml",
+            &scene("<bsdf type=\"x\"><spectrum name=\"a\" filename=\"a.spd\"/></bsdf>"),
+        ),
+        (
+            "b.xml",
+            &scene("<bsdf type=\"x\"><spectrum name=\"a\" filename=\"b.spd\"/></bsdf>"),
+        ),
+    ]);
+    let document = Document::load(&dir.path().join("a.xml"), &[]).unwrap();
+    close(bsdf(&document).rgb("a").unwrap().unwrap(), [0.5; 3]);
+    let found = Document::load(&dir.path().join("b.xml"), &[])
+        .unwrap_err()
+        .to_string();
+    let expected = "b.spd: expected at least two lines with a wavelength and a value, wavelengths increasing, found `half`";
+    assert!(found.ends_with(expected), "{found}");
+}
+
+/// As Mitsuba 3 upgrades them.
+#[test]
+fn versions_before_2_are_upgraded() {
+    let old = |version: &str, body: &str| {
+        let text = format!("<scene version=\"{version}\">{body}</scene>");
+        Document::from_str(&text, Path::new("."), &[]).unwrap()
+    };
+    let body = r#"<bsdf type="diffuse"><texture type="bitmap" name="diffuseReflectance">
+        <float name="uoffset" value="0.5"/><float name="vscale" value="3"/><float name="uscale" value="2"/>
+        <string name="filterType" value="nearest"/></texture></bsdf>"#;
+    for version in ["0.4.0", "0.5.0", "0.6.0", "0.6"] {
+        let document = old(version, body);
+        let bsdf = bsdf(&document);
+        let texture = bsdf.child("reflectance").unwrap();
+        assert_eq!(texture.string("filter_type").unwrap(), Some("nearest"));
+        let to_uv = texture.transform("to_uv").unwrap().unwrap();
+        close(to_uv.point([0.25, 0.5, 0.0]), [1.5, 1.5, 0.0]);
+        texture.finish().unwrap();
+        bsdf.finish().unwrap();
+    }
+    let document = old("2.0.0", body);
+    assert!(bsdf(&document).child("reflectance").is_none());
+    let plain = old(
+        "0.6.0",
+        "<bsdf type=\"diffuse\"><rgb name=\"diffuseReflectance\" value=\"0.3\"/></bsdf>",
+    );
+    close(bsdf(&plain).rgb("reflectance").unwrap().unwrap(), [0.3; 3]);
+    // What has its new name already keeps it, and the old one is left over.
+    let both = old(
+        "0.6.0",
+        "<bsdf type=\"diffuse\"><rgb name=\"reflectance\" value=\"0.1\"/><rgb name=\"diffuseReflectance\" value=\"0.3\"/></bsdf>",
+    );
+    close(bsdf(&both).rgb("reflectance").unwrap().unwrap(), [0.1; 3]);
+    assert!(bsdf(&both).finish().is_err());
+    // A flat lamp is white.
+    let lamp = old(
+        "0.6.0",
+        "<emitter type=\"constant\"><spectrum name=\"radiance\" value=\"2\"/></emitter>",
+    );
+    let emitter = lamp.root().child_with_tag("emitter").unwrap().unwrap();
+    close(emitter.rgb("radiance").unwrap().unwrap(), [2.0; 3]);
+}
+
+#[test]
+fn paths_are_looked_in_from_where_they_stand() {
+    let dir = folder(&[
+        (
+            "a.xml",
+            "<scene version=\"3.0.0\">\n<path value=\"common\"/>\n<path value=\"absent\"/>\n<include filename=\"b.xml\"/>\n</scene>",
+        ),
+        (
+            "common/b.xml",
+            "<scene version=\"3.0.0\"><bsdf type=\"x\"><string name=\"f\" value=\"c.png\"/></bsdf></scene>",
+        ),
+        ("common/c.png", ""),
+        (
+            "nested.xml",
+            &scene("<bsdf type=\"x\">\n<path value=\"common\"/></bsdf>"),
+        ),
+        (
+            "late.xml",
+            &scene("<include filename=\"b.xml\"/>\n<path value=\"common\"/>"),
+        ),
+        ("many.xml", &scene(&"<path value=\"common\"/>\n".repeat(65))),
+    ]);
+    let load = |name: &str| Document::load(&dir.path().join(name), &[]);
+    let document = load("a.xml").unwrap();
+    let found = bsdf(&document).path("f").unwrap().unwrap();
+    assert!(found.ends_with("common/c.png"), "{}", found.display());
+    let warnings: Vec<_> = document
+        .warnings()
+        .iter()
+        .map(ToString::to_string)
+        .collect();
+    assert_eq!(warnings.len(), 1);
+    assert!(
+        warnings[0].contains("a.xml:3: <path>: there is no folder `absent` (looked in "),
+        "{warnings:?}"
+    );
+    let error = |name: &str| load(name).unwrap_err().to_string();
+    assert!(
+        error("nested.xml")
+            .contains("nested.xml:3: expected <path> in <scene> itself, found <path>"),
+        "{}",
+        error("nested.xml")
+    );
+    assert!(error("late.xml").contains("late.xml:2: `include`: expected an existing file"));
+    assert!(
+        error("many.xml").contains("many.xml:66: "),
+        "{}",
+        error("many.xml")
+    );
+}
+
+#[test]
+fn other_encodings_are_read_where_they_say_so() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("a.xml");
+    let text = |encoding: &str| {
+        format!(
+            "<?xml version=\"1.0\" encoding='{encoding}'?>\n<!DOCTYPE scene SYSTEM \"scene.dtd\">\n<scene version=\"3.0.0\">
+            <bsdf type=\"x\"><string name=\"s\" value=\"é\"/></bsdf></scene>"
+        )
+    };
+    let load = |bytes: &[u8]| {
+        fs::write(&path, bytes).unwrap();
+        let document = Document::load(&path, &[]).map_err(|e| e.to_string())?;
+        Ok(bsdf(&document).string("s").unwrap().unwrap().to_owned())
+    };
+    let latin = |text: &str| -> Vec<u8> { text.chars().map(|c| c as u8).collect() };
+    let wide = |text: &str, mark: bool, to: fn(u16) -> [u8; 2]| -> Vec<u8> {
+        let mark = if mark { "\u{feff}" } else { "" };
+        format!("{mark}{text}")
+            .encode_utf16()
+            .flat_map(to)
+            .collect()
+    };
+    assert_eq!(load(text("UTF-8").as_bytes()).unwrap(), "é");
+    assert_eq!(
+        load(format!("\u{feff}{}", text("UTF-8")).as_bytes()).unwrap(),
+        "é"
+    );
+    assert_eq!(load(&latin(&text("ISO-8859-1"))).unwrap(), "é");
+    assert_eq!(load(&latin(&text("latin1"))).unwrap(), "é");
+    for to in [u16::to_le_bytes, u16::to_be_bytes] {
+        let bytes = wide(&text("UTF-16"), true, to);
+        assert_eq!(load(&bytes).unwrap(), "é");
+        let error: Result<String, String> = load(&bytes[..bytes.len() - 1]);
+        assert!(
+            error
+                .unwrap_err()
+                .contains("a.xml:1: expected text in UTF-16")
+        );
+    }
+    let error = load(&latin(&text("KOI8-R"))).unwrap_err();
+    assert!(
+        error.contains(
+            "a.xml:4: expected text in UTF-8 or Latin-1, not `koi8-r`, found the byte 0xe9"
+        ),
+        "{error}"
+    );
+    let error = load(&latin(&text("UTF-8"))).unwrap_err();
+    assert!(
+        error.contains("a.xml:4: expected text in UTF-8, found the byte 0xe9"),
+        "{error}"
+    );
+    let bomb =
+        "<?xml version=\"1.0\"?>\n<!DOCTYPE scene [\n<!ENTITY a \"b\">]><scene version=\"3.0.0\"/>";
+    let error = load(bomb.as_bytes()).unwrap_err();
+    assert!(
+        error.contains("a.xml:3: expected no entities, found <!ENTITY"),
+        "{error}"
+    );
 }

@@ -9,10 +9,11 @@ use render::bsdf::Diffuse;
 use render::camera::{Camera, FovAxis};
 use render::emitter::AnyEmitter;
 use render::film::Film;
+use render::image_io::{write_exr, write_png};
 use render::math::Transform;
 use render::scene::{Builder, LoadOptions};
 use render::shape::{Patch, Rectangle};
-use render::{Scene, Settings};
+use render::{Scene, SceneError, Settings};
 
 fn options() -> LoadOptions {
     LoadOptions {
@@ -86,6 +87,261 @@ fn scenes_of_the_peer_load() {
         .filter_map(|path| Some(format!("{}: {}", path.display(), load(path).err()?)))
         .collect();
     assert!(failures.is_empty(), "{}", failures.join("\n"));
+}
+
+/// The public scenes of others that are understood at least.
+const UNDERSTOOD: usize = 82;
+
+/// How many of the public scene files of others are understood but for files that are not there, and what the rest stops.
+#[test]
+fn scenes_of_others_are_understood() {
+    let Some(shared) = shared_dir() else { return };
+    let files = files_below(&shared.join("census"), "xml");
+    if files.is_empty() {
+        println!("skipped: no census of scenes");
+        return;
+    }
+    let mut understood = 0;
+    let mut refused = std::collections::BTreeMap::<String, Vec<String>>::new();
+    for path in &files {
+        match Scene::load(path, &options()) {
+            Ok(_) => understood += 1,
+            Err(e)
+                if e.to_string()
+                    .contains(": expected an existing file (looked in ") =>
+            {
+                understood += 1
+            }
+            Err(e) => {
+                let message = e.to_string();
+                // Without its place.
+                let reason = message
+                    .split_once(": ")
+                    .map_or(&*message, |(_, reason)| reason);
+                let name = path.strip_prefix(&shared).unwrap_or(path);
+                let file = format!("{} ({message})", name.display());
+                refused.entry(reason.to_owned()).or_default().push(file);
+            }
+        }
+    }
+    let mut refused: Vec<_> = refused.into_iter().collect();
+    refused.sort_by_key(|(_, files)| std::cmp::Reverse(files.len()));
+    for (reason, files) in &refused {
+        println!("{} x {reason}\n    {}", files.len(), files.join("\n    "));
+    }
+    println!("{understood} of {} are understood", files.len());
+    assert!(understood >= UNDERSTOOD, "{understood}");
+}
+
+/// A file of the smallest kind that its ending promises; whether there is one.
+fn stand_in(path: &Path) -> bool {
+    let folder = path.parent().map(std::fs::create_dir_all);
+    let ending = path.extension().unwrap_or_default().to_ascii_lowercase();
+    let image = render::Image {
+        width: 4,
+        height: 2,
+        data: vec![0.5; 24],
+    };
+    let written = match ending.to_string_lossy().as_ref() {
+        "obj" => {
+            let text = "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvn 0 0 1\nf 1/1/1 2/1/1 3/1/1\n";
+            std::fs::write(path, text).is_ok()
+        }
+        "ply" => {
+            let text = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n\
+                element face 1\nproperty list uchar int vertex_index\nend_header\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n";
+            std::fs::write(path, text).is_ok()
+        }
+        "serialized" => std::fs::write(path, serialized(64)).is_ok(),
+        "exr" | "hdr" | "pfm" => write_exr(path, &image).is_ok(),
+        "png" | "jpg" | "jpeg" | "bmp" | "tga" => write_png(path, &image, 0.0).is_ok(),
+        _ => false,
+    };
+    written && folder.is_none_or(|f| f.is_ok())
+}
+
+/// So many times the same triangle, in Mitsuba's own format.
+fn serialized(count: u32) -> Vec<u8> {
+    use std::io::Write;
+    let head = [0x041c_u16, 4].map(u16::to_le_bytes).concat();
+    let mut encoder = flate2::write::ZlibEncoder::new(head, flate2::Compression::default());
+    let mut body = [&0x1000u32.to_le_bytes()[..], b"x\0"].concat();
+    body.extend([3u64, 1].map(u64::to_le_bytes).concat());
+    body.extend(
+        [0.0f32, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0]
+            .map(f32::to_le_bytes)
+            .concat(),
+    );
+    body.extend([0u32, 1, 2].map(u32::to_le_bytes).concat());
+    encoder.write_all(&body).unwrap();
+    let mut bytes = encoder.finish().unwrap();
+    bytes.extend(vec![0; 8 * count as usize]);
+    bytes.extend(count.to_le_bytes());
+    bytes
+}
+
+/// The public scenes of others that load from their first to their last line at least.
+const LOADED: usize = 58;
+
+/// The same where something stands in for the meshes and images, so that what comes after them counts too.
+#[test]
+fn scenes_of_others_load_with_stand_ins() {
+    let Some(shared) = shared_dir() else { return };
+    let census = shared.join("census");
+    let files = files_below(&census, "xml");
+    if files.is_empty() {
+        println!("skipped: no census of scenes");
+        return;
+    }
+    let dir = tempfile::tempdir().unwrap();
+    for file in &files {
+        let copy = dir.path().join(file.strip_prefix(&census).unwrap());
+        std::fs::create_dir_all(copy.parent().unwrap()).unwrap();
+        std::fs::write(copy, std::fs::read(file).unwrap()).unwrap();
+    }
+    let mut loaded = 0;
+    let mut refused = std::collections::BTreeMap::<String, usize>::new();
+    for path in files_below(dir.path(), "xml") {
+        let reason = loop {
+            let error = match Scene::load(&path, &LoadOptions::default()) {
+                Ok(_) => break None,
+                Err(error) => error,
+            };
+            let missing = match &error {
+                SceneError::Value {
+                    expected, found, ..
+                } => (expected.strip_prefix("an existing file (looked in "))
+                    .and_then(|rest| rest.trim_end_matches(')').split(", ").next())
+                    .map(|folder| Path::new(folder).join(found.trim_matches('`'))),
+                _ => None,
+            };
+            if !missing.is_some_and(|missing| {
+                missing.starts_with(dir.path()) && !missing.exists() && stand_in(&missing)
+            }) {
+                let message = error.to_string();
+                let reason = message
+                    .split_once(": ")
+                    .map_or(&*message, |(_, reason)| reason);
+                break Some(reason.to_owned());
+            }
+        };
+        match reason {
+            None => loaded += 1,
+            Some(reason) => *refused.entry(reason).or_default() += 1,
+        }
+    }
+    let mut refused: Vec<_> = refused.into_iter().collect();
+    refused.sort_by_key(|(_, count)| std::cmp::Reverse(*count));
+    for (reason, count) in &refused {
+        println!("{count} x {reason}");
+    }
+    println!("{loaded} of {} load with stand-ins", files.len());
+    assert!(loaded >= LOADED, "{loaded}");
+}
+
+#[test]
+fn cameras_may_have_a_focal_length() {
+    let load = |inner: &str| {
+        let text = format!(
+            "<scene version=\"3.0.0\"><sensor type=\"perspective\">{inner}<film type=\"hdrfilm\"><integer name=\"width\" value=\"300\"/>
+            <integer name=\"height\" value=\"200\"/></film></sensor><shape type=\"rectangle\"><emitter type=\"area\"/></shape></scene>"
+        );
+        let loaded = Scene::from_xml(&text, Path::new("."), &LoadOptions::default());
+        loaded
+            .map(|(scene, _)| scene.camera)
+            .map_err(|e| e.to_string())
+    };
+    let length = |l: &str| format!("<string name=\"focal_length\" value=\"{l}\"/>");
+    // On a film of the form of 35 mm film, 36 mm are as wide as that: half a width at half a length.
+    let wide = load(&length("18mm")).unwrap();
+    let d = wide.ray(300.0, 100.0).d.to_array().map(|x: f64| x.abs());
+    assert!((d[0] - d[2]).abs() < 1e-6 && d[1] < 1e-6, "{d:?}");
+    let ray = |camera: Camera| camera.ray(300.0, 200.0).d.to_array().map(|x: f64| x);
+    let default = ray(load("").unwrap());
+    assert_eq!(default, ray(load(&length("50")).unwrap()));
+    assert_eq!(default, ray(load(&length(" 50 mm")).unwrap()));
+    for bad in ["0mm", "-1", "wide", "nan"] {
+        let found = load(&length(bad)).unwrap_err();
+        assert!(
+            found.contains("`focal_length`: expected a length such as `50mm`"),
+            "{found}"
+        );
+    }
+    let both = format!("{}<float name=\"fov\" value=\"40\"/>", length("50mm"));
+    assert!(
+        load(&both)
+            .unwrap_err()
+            .contains("`focal_length`: expected none beside `fov`")
+    );
+}
+
+/// What stands in for them is said; what they see that is not here is refused.
+#[test]
+fn integrators_of_others() {
+    let load = |integrator: &str| {
+        let text = format!(
+            "<scene version=\"3.0.0\">\n{integrator}<sensor type=\"perspective\"><float name=\"fov\" value=\"40\"/></sensor>
+            <shape type=\"rectangle\"><emitter type=\"area\"/></shape></scene>"
+        );
+        Scene::from_xml(&text, Path::new("."), &LoadOptions::default()).map_err(|e| e.to_string())
+    };
+    for (plugin, depth) in [
+        ("path", u32::MAX),
+        ("direct", 2),
+        ("prb", 6),
+        ("prb_projective", 6),
+        ("direct_projective", 2),
+        ("volpath", u32::MAX),
+        ("ptracer", u32::MAX),
+        ("bdpt", u32::MAX),
+    ] {
+        let (scene, warnings) = load(&format!("<integrator type=\"{plugin}\"/>")).unwrap();
+        assert_eq!(scene.settings.max_depth, depth, "{plugin}");
+        let replaced = !matches!(plugin, "path" | "direct" | "prb");
+        assert_eq!(
+            warnings.len(),
+            usize::from(replaced),
+            "{plugin}: {warnings:?}"
+        );
+    }
+    let moment = "<integrator type=\"moment\"><integrator type=\"aov\"><string name=\"aovs\" value=\"d:depth\"/>
+        <integrator type=\"prb_basic\"><integer name=\"max_depth\" value=\"3\"/><float name=\"kappa\" value=\"1\"/></integrator>
+        </integrator></integrator>";
+    let (scene, warnings) = load(moment).unwrap();
+    assert_eq!(scene.settings.max_depth, 3);
+    let expected = [
+        "<text>:2: integrator `moment`: only the image of the integrator inside is made",
+        "<text>:2: integrator `aov`: only the image of the integrator inside is made",
+        "<text>:2: integrator `aov`: `aovs` has no effect",
+        "<text>:3: integrator `prb_basic`: traced like `path` instead: the same image, but for its noise",
+        "<text>:3: integrator `prb_basic`: `kappa` has no effect",
+    ];
+    assert_eq!(warnings, expected);
+    for (integrator, expected) in [
+        (
+            "<integrator type=\"aov\"/>",
+            "<text>:2: integrator `aov` has no `integrator`: expected one inside, whose image it is",
+        ),
+        (
+            "<integrator type=\"stokes\"/>",
+            "<text>:2: `integrator`: expected one of light without polarisation, which is not there, found `stokes`",
+        ),
+        (
+            "<integrator type=\"depth\"/>",
+            "<text>:2: unknown integrator `depth`",
+        ),
+        (
+            "<integrator type=\"volpath\"/><medium type=\"homogeneous\"/>",
+            "<text>:2: expected a scene without participating media, which are not there, found <medium>",
+        ),
+        (
+            "<integrator type=\"prb_basic\"><boolean name=\"hide_emitters\" value=\"true\"/></integrator>",
+            "`hide_emitters`: expected false",
+        ),
+    ] {
+        let found = load(integrator).unwrap_err();
+        assert!(found.contains(expected), "{found}");
+    }
 }
 
 #[test]
@@ -487,4 +743,318 @@ fn shapes_too_small_for_their_coordinates_are_warned_of() {
             && warning.contains("so it is with 1 more shapes"),
         "{warning}"
     );
+}
+
+/// The mean of the image of these elements, over 16 samples.
+fn mean(version: &str, body: &str, base: &Path) -> Result<[f64; 3], String> {
+    let text = format!(
+        "<scene version=\"{version}\"><integrator type=\"path\"/><sensor type=\"perspective\"><float name=\"fov\" value=\"8\"/>
+        <transform name=\"to_world\"><lookat origin=\"0, 0, 4\" target=\"0, 0, 0\" up=\"0, 1, 0\"/></transform>
+        <film type=\"hdrfilm\"><integer name=\"width\" value=\"4\"/><integer name=\"height\" value=\"4\"/>
+        <rfilter type=\"box\"/></film></sensor>{body}</scene>"
+    );
+    let loaded = Scene::from_xml(&text, base, &LoadOptions::default());
+    let (scene, _) = loaded.map_err(|e| e.to_string())?;
+    Ok(common::image(&scene, 16).mean())
+}
+
+/// As in Mitsuba 3, and as often as it is mirrored; materials and the other side of it go along.
+#[test]
+fn a_mirrored_sphere_shines_inward() {
+    let sphere = |transform: &str, more: &str| {
+        let body = format!(
+            "<shape type=\"sphere\"><transform name=\"to_world\">{transform}</transform>{more}
+            <emitter type=\"area\"><rgb name=\"radiance\" value=\"1\"/></emitter></shape>"
+        );
+        mean("3.0.0", &body, Path::new(".")).unwrap()[0]
+    };
+    let flip = "<boolean name=\"flip_normals\" value=\"true\"/>";
+    for (transform, seen) in [
+        ("", 1.0),
+        ("<scale x=\"-1\"/>", 0.0),
+        ("<scale x=\"-1\" y=\"-1\"/>", 1.0),
+        ("<scale value=\"-1\"/>", 0.0),
+        ("<rotate y=\"1\" angle=\"70\"/><scale z=\"-1\"/>", 0.0),
+    ] {
+        assert_eq!(sphere(transform, ""), seen, "{transform}");
+        assert_eq!(sphere(transform, flip), 1.0 - seen, "{transform}");
+    }
+}
+
+/// Seen in RGB, light of equal energy is no white.
+#[test]
+fn flat_lamps_are_those_of_their_version() {
+    let lamp = |version: &str, radiance: &str| {
+        let body = format!(
+            "<emitter type=\"constant\">{radiance}</emitter><shape type=\"rectangle\"><transform name=\"to_world\">
+            <translate z=\"9\"/></transform></shape>"
+        );
+        mean(version, &body, Path::new(".")).unwrap()
+    };
+    let spectrum = "<spectrum name=\"radiance\" value=\"1\"/>";
+    let close = |found: [f64; 3], expected: [f64; 3]| {
+        let near = (0..3).all(|c| (found[c] - expected[c]).abs() < 1e-5);
+        assert!(near, "{found:?} {expected:?}");
+    };
+    close(lamp("3.0.0", spectrum), [1.204_794, 0.948_291, 0.908_916]);
+    close(lamp("2.1.0", spectrum), [1.0; 3]);
+    close(
+        lamp("3.0.0", "<rgb name=\"radiance\" value=\"1\"/>"),
+        [1.0; 3],
+    );
+    let plugin = |inner: &str| format!("<spectrum name=\"radiance\" {inner}");
+    close(
+        lamp("3.0.0", &plugin("type=\"uniform\"/>")),
+        [1.204_794, 0.948_291, 0.908_916],
+    );
+    close(lamp("3.0.0", &plugin("type=\"d65\"/>")), [1.0; 3]);
+    close(
+        lamp("3.0.0", &plugin("value=\"300:1, 900:1\"/>")),
+        [1.204_794, 0.948_291, 0.908_916],
+    );
+    let regular = "type=\"regular\"><string name=\"values\" value=\"1, 1\"/></spectrum>";
+    close(
+        lamp("3.0.0", &plugin(regular)),
+        [1.204_794, 0.948_291, 0.908_916],
+    );
+}
+
+/// A film of 5 x 5 pixels with this filter, that sees a lamp which ends in the middle of a pixel, before a sky or none.
+fn filtered(filter: &str, sky: bool) -> Result<Scene, String> {
+    let sky = match sky {
+        true => "<emitter type=\"constant\"><rgb name=\"radiance\" value=\"0.75\"/></emitter>",
+        false => "",
+    };
+    let text = format!(
+        "<scene version=\"3.0.0\"><integrator type=\"path\"><integer name=\"max_depth\" value=\"2\"/></integrator>
+        <sensor type=\"perspective\"><float name=\"fov\" value=\"30\"/>
+        <transform name=\"to_world\"><lookat origin=\"0, 0, 4\" target=\"0, 0, 0\" up=\"0, 1, 0\"/></transform>
+        <film type=\"hdrfilm\"><integer name=\"width\" value=\"5\"/><integer name=\"height\" value=\"5\"/>{filter}</film></sensor>
+        {sky}<shape type=\"rectangle\" id=\"lamp\"><transform name=\"to_world\"><translate x=\"1\"/></transform>
+        <emitter type=\"area\"><rgb name=\"radiance\" value=\"2\"/></emitter></shape></scene>"
+    );
+    let loaded = Scene::from_xml(&text, Path::new("."), &LoadOptions::default());
+    loaded.map(|(scene, _)| scene).map_err(|e| e.to_string())
+}
+
+const LAMP: &str = "lamp.emitter.radiance.value";
+
+const FILTERS: [&str; 8] = [
+    "<rfilter type=\"box\"/>",
+    "<rfilter type=\"gaussian\"/>",
+    "<rfilter type=\"tent\"/>",
+    "<rfilter type=\"tent\"><float name=\"radius\" value=\"1.7\"/></rfilter>",
+    "<rfilter type=\"mitchell\"/>",
+    "<rfilter type=\"mitchell\"><float name=\"B\" value=\"0\"/><float name=\"c\" value=\"0.9\"/></rfilter>",
+    "<rfilter type=\"catmullrom\"/>",
+    "<rfilter type=\"lanczos\"/>",
+];
+
+/// Each pixel is the integral of filter times image, which quadrature gives, by samples of paths and by splats of
+/// particles: within five standard errors of 8 seeds. What is the same everywhere stays that.
+#[test]
+fn images_are_filtered() {
+    for filter in FILTERS {
+        for sky in [true, false] {
+            let scene = filtered(filter, sky).unwrap();
+            let outside = if sky { 0.75 } else { 0.0 };
+            let value = |x: f64, y: f64| {
+                let ray = scene.camera.ray(x, y);
+                let ([ox, oy, oz], [dx, dy, dz]) = (ray.o.to_array(), ray.d.to_array());
+                let t: f64 = -oz / dz;
+                let inside = (ox + t * dx - 1.0).abs() < 1.0 && (oy + t * dy).abs() < 1.0;
+                if inside { 2.0 } else { outside }
+            };
+            let f = &scene.film.filter;
+            let exact = |px: usize, py: usize| {
+                let n = 300;
+                let h = 2.0 * f.radius() / f64::from(n);
+                let at = |i: i32| (f64::from(i) + 0.5) * h - f.radius();
+                let mut sum = 0.0;
+                for (dx, dy) in (0..n * n).map(|i| (at(i % n), at(i / n))) {
+                    let density = f.density([dx, dy]);
+                    if density != 0.0 {
+                        sum += density * value(px as f64 + 0.5 + dx, py as f64 + 0.5 + dy);
+                    }
+                }
+                sum * h * h
+            };
+            let seeds = 8;
+            let check = |name: &str, image: &dyn Fn(u64) -> render::Image| {
+                let images: Vec<_> = (0..seeds).map(image).collect();
+                for (px, py) in [(2, 2), (1, 1), (3, 2), (4, 3)] {
+                    let all = images.iter().map(|i| f64::from(i.pixel(px, py)[0]));
+                    let mean = all.clone().sum::<f64>() / seeds as f64;
+                    let squares = all.map(|x| (x - mean).powi(2)).sum::<f64>();
+                    let error = (squares / (seeds * (seeds - 1)) as f64).sqrt();
+                    let expected = exact(px, py);
+                    // One percent for the quadrature of an edge.
+                    let most = 5.0 * error + 0.01;
+                    assert!(
+                        (mean - expected).abs() < most,
+                        "{name}, {filter}, ({px}, {py}): {mean} +- {error}, not {expected}"
+                    );
+                }
+            };
+            if sky {
+                check("paths", &|seed| common::image_of_seed(&scene, seed, 1024));
+                let mut flat = filtered(filter, sky).unwrap();
+                let mut values = flat.params().values().to_vec();
+                let range = flat.params().find(LAMP).unwrap().range();
+                values[range].fill(0.75);
+                flat.set_params(&values).unwrap();
+                // Weights of either sign have a mean of one.
+                let tolerance = if f.is_weighted() { 0.15 } else { 1e-5 };
+                for x in &common::image(&flat, 1024).data {
+                    assert!((x - 0.75).abs() < tolerance, "{filter}: {x}");
+                }
+            } else {
+                check("density", &|seed| {
+                    common::image_by_density(&scene, seed, 256)
+                });
+                check("particles", &|seed| {
+                    common::image_by_particles(&scene, seed, 1024)
+                });
+            }
+        }
+    }
+}
+
+/// With filters that are negative in places too: at equal seeds the image is linear in the radiance, so that differences
+/// are derivatives.
+#[test]
+fn gradients_and_derivative_images_are_those_of_filtered_images() {
+    for filter in FILTERS {
+        let scene = filtered(filter, true).unwrap();
+        let shifted = |shift: f32| {
+            let mut scene = filtered(filter, true).unwrap();
+            let mut values = scene.params().values().to_vec();
+            let range = scene.params().find(LAMP).unwrap().range();
+            values[range].iter_mut().for_each(|v| *v += shift);
+            scene.set_params(&values).unwrap();
+            common::image(&scene, 64)
+        };
+        let (low, high) = (shifted(-0.5), shifted(0.5));
+        let adjoint: Vec<f32> = (0..low.data.len()).map(|i| (i as f32).sin()).collect();
+        let inner = |image: &[f32]| -> f64 {
+            let pairs = adjoint.iter().zip(image);
+            pairs.map(|(&a, &x)| f64::from(a) * f64::from(x)).sum()
+        };
+        let expected = inner(&high.data) - inner(&low.data);
+        let gradient = common::gradient(&scene, LAMP, &adjoint, 64);
+        let derivative = inner(&common::derivative(&scene, LAMP, 64).data);
+        for found in [gradient.iter().sum(), derivative] {
+            assert!(
+                (found - expected).abs() < 2e-4,
+                "{filter}: {found}, not {expected}"
+            );
+        }
+    }
+}
+
+/// Pixels that have more samples than others keep their expectation, and their weights of either sign; Gauss-Newton sees
+/// the same: its gradient is that of the adjoint, and its matrix the squares of the derivative image, within 5 % by
+/// 1024 samples.
+#[test]
+fn pixel_weights_and_gauss_newton_know_the_filter() {
+    for filter in FILTERS {
+        let scene = filtered(filter, true).unwrap();
+        let plain = common::image(&scene, 4096);
+        let mut uneven = filtered(filter, true).unwrap();
+        let weights: Vec<f32> = (0..25).map(|i| 0.5 + (i % 3) as f32 * 0.5).collect();
+        uneven.set_pixel_weights(&weights).unwrap();
+        let image = common::image(&uneven, 4096);
+        for (a, b) in plain.data.iter().zip(&image.data) {
+            assert!((a - b).abs() < 0.15, "{filter}: {a} {b}");
+        }
+        assert!(plain != image);
+        let adjoint: Vec<f32> = (0..75).map(|i| (i as f32).cos()).collect();
+        let (gradient, matrix) = common::normal_equations(&scene, LAMP, &adjoint, 1024);
+        let expected = common::gradient(&scene, LAMP, &adjoint, 1024);
+        for (a, b) in gradient.iter().zip(&expected) {
+            assert!((a - b).abs() < 1e-3, "{filter}: {a} {b}");
+        }
+        let derivative = common::derivative(&scene, LAMP, 8192);
+        let n = gradient.len();
+        for c in 0..n {
+            let squares = derivative.data.iter().skip(c).step_by(3);
+            let squares: f64 = squares.map(|&d| f64::from(d).powi(2)).sum();
+            let found = matrix[c * n + c];
+            let close = (found - squares).abs() < 0.05 * squares;
+            assert!(close, "{filter}: {found}, not {squares}");
+        }
+    }
+}
+
+#[test]
+fn filters_are_refused_by_name() {
+    for (filter, expected) in [
+        (
+            "<rfilter type=\"sinc\"/>",
+            "known: box, gaussian, tent, mitchell, catmullrom, lanczos",
+        ),
+        (
+            "<rfilter type=\"tent\"><float name=\"radius\" value=\"0\"/></rfilter>",
+            "`radius`: expected a number of pixels in (0, 100]",
+        ),
+        (
+            "<rfilter type=\"mitchell\"><float name=\"B\" value=\"2\"/></rfilter>",
+            "`B`: expected a number from 0 to 1",
+        ),
+        (
+            "<rfilter type=\"lanczos\"><integer name=\"lobes\" value=\"17\"/></rfilter>",
+            "`lobes`: expected an integer from 1 to 16",
+        ),
+        (
+            "<rfilter type=\"catmullrom\"><float name=\"b\" value=\"0\"/></rfilter>",
+            "unknown attribute `b`",
+        ),
+    ] {
+        let found = filtered(filter, true).unwrap_err();
+        assert!(found.contains(expected), "{found}");
+    }
+}
+
+/// Materials, environments and maps of normals choose among layers by the same name.
+#[test]
+fn textures_choose_a_layer() {
+    use exr::prelude::{self as ex, WritableImage};
+    let dir = tempfile::tempdir().unwrap();
+    let channel =
+        |name: &str, value: f32| ex::AnyChannel::new(name, ex::FlatSamples::F32(vec![value; 2]));
+    let list = [("a", 0.25), ("b", 0.75)]
+        .into_iter()
+        .flat_map(|(layer, value)| {
+            ["B", "G", "R"].map(|c| channel(&format!("{layer}.{c}"), value))
+        });
+    let list = ex::AnyChannels::sort(list.collect());
+    let attributes = ex::LayerAttributes::default();
+    let layer = ex::Layer::new((2, 1), attributes, ex::Encoding::UNCOMPRESSED, list);
+    let path = dir.path().join("a.exr");
+    ex::Image::from_layer(layer).write().to_file(&path).unwrap();
+    let file = |layer: &str| format!("<string name=\"filename\" value=\"a.exr\"/>{layer}");
+    let wall = |layer: &str| {
+        let body = format!(
+            "<emitter type=\"constant\"/><shape type=\"rectangle\"><bsdf type=\"diffuse\">
+            <texture name=\"reflectance\" type=\"bitmap\">{}</texture></bsdf></shape>",
+            file(layer)
+        );
+        mean("3.0.0", &body, dir.path())
+    };
+    let sky = |layer: &str| {
+        let body = format!("<emitter type=\"envmap\">{}</emitter>", file(layer));
+        mean("3.0.0", &body, dir.path())
+    };
+    for (layer, value) in [("a", 0.25), ("b", 0.75)] {
+        let layer = format!("<string name=\"layer\" value=\"{layer}\"/>");
+        for found in [wall(&layer).unwrap(), sky(&layer).unwrap()] {
+            assert!(found.iter().all(|x| (x - value).abs() < 0.05), "{found:?}");
+        }
+    }
+    for refused in [wall("").unwrap_err(), sky("").unwrap_err()] {
+        assert!(
+            refused.contains("`a` (B, G, R), `b` (B, G, R)"),
+            "{refused}"
+        );
+    }
 }

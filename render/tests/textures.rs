@@ -254,7 +254,7 @@ fn faulty_textures_are_named() {
         (reflectance("cut.exr", ""), "cut.exr: expected"),
         (
             reflectance("scene.xml", ""),
-            "an OpenEXR, PNG, JPEG or BMP image",
+            "an OpenEXR, Radiance, PFM, PNG, JPEG, BMP or TGA image",
         ),
         (
             reflectance("rgb.png", r#"<string name="wrap_mode" value="x"/>"#),

@@ -541,11 +541,13 @@ fn map_from_file(
     usage: &texture::Use,
 ) -> Result<RgbTexture, SceneError> {
     let tiles = node.float_or("tiles", 1.0)? as f32;
+    let layer = node.string("layer")?;
     let Some(path) = texture::file(registry, node, usage)? else {
         let name = format!("{}.value", usage.name);
         return registry.constant(&name, usage.substitute, usage.valid);
     };
-    let (param, [width, height]) = texture::texels::<3>(registry, &path, Encoding::Raw, usage)?;
+    let (param, [width, height]) =
+        texture::texels::<3>(registry, &path, Encoding::Raw, layer, usage)?;
     Ok(RgbTexture::Bitmap(Bitmap {
         param,
         width,

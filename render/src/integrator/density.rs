@@ -362,13 +362,14 @@ impl<P: Float> Map<P> {
             rules,
             ..
         } = *context;
-        let [dx, dy] = scene.film.filter.sample(sampler.next_2d::<P>());
+        let filter = &scene.film.filter;
+        let offset @ [dx, dy] = filter.sample(sampler.next_2d::<P>());
         let centre = |p: u32| P::of(f64::from(p) + 0.5);
         let mut ray = scene.camera.ray(centre(px) + dx, centre(py) + dy);
         let scaled = convention == Convention::Radiance && rules.symmetry == Symmetry::Respected;
         let basic = convention == Convention::Basic && rules.symmetry == Symmetry::Respected;
         let mut l = Rgb::black();
-        let mut beta = Rgb::splat(P::one());
+        let mut beta = Rgb::splat(P::of(filter.weight(offset)));
         // Index of the medium around the ray over that around the camera.
         let mut eta = P::one();
         for depth in 1..=settings.max_depth {

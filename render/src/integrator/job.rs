@@ -15,7 +15,7 @@ use crate::scene::{Scene, Settings};
 /// let (scene, _) = Scene::from_xml(text, "".as_ref(), &Default::default())?;
 /// // Sixteen samples of every pixel with seed 1, as the scene file wants them; nobody is told how far they are.
 /// let job = Job::new(&scene, &scene.settings, 1, 0..16, &());
-/// assert_eq!(job.samples.len(), 16);
+/// assert_eq!(job.samples, 0..16);
 /// # Ok::<(), render::SceneError>(())
 /// ```
 #[derive(Clone)]

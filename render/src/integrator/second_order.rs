@@ -170,9 +170,13 @@ pub fn gauss_newton<P: Float, X: Sampler>(
         sums.go_to(pixel, pairs);
         for c in 0..3 {
             let mut d = [P::zero(); 3];
-            d[c] = P::one();
+            d[c] = P::of(sample.weight);
             path.backward::<DetachedMis>(scene, theta, Rgb::from(d), &mut sums.sample);
-            sums.add_sample(c, sample.scale() * at(adjoint, pixel, c), -pairs(pixel, c));
+            sums.add_sample(
+                c,
+                at(adjoint, pixel, c) / sample.count as f64,
+                -pairs(pixel, c),
+            );
         }
     };
     let new = || JobSums::new(active);

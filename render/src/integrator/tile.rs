@@ -56,13 +56,15 @@ pub(super) struct Sample {
     pub index: u64,
     /// How many the pixel has.
     pub count: u64,
+    /// What the filter makes of it: one, unless that is negative in places.
+    pub weight: f64,
 }
 
 impl Sample {
     /// What it counts in the mean of its pixel.
     #[inline]
     pub fn scale(&self) -> f64 {
-        1.0 / self.count as f64
+        self.weight / self.count as f64
     }
 
     /// The pixel's entry of an image.
@@ -106,6 +108,22 @@ fn spot<P: Float, X: Sampler>(
     ([centre(px) + dx, centre(py) + dy], sampler)
 }
 
+/// What a filter that is negative in places makes of the sample that [`spot`] places.
+fn weight<P: Float, X: Sampler>(
+    scene: &Scene,
+    points: Points,
+    seed: u64,
+    [x, y]: [u32; 2],
+    index: u64,
+) -> f64 {
+    let film = &scene.film;
+    let [px, py] = [x + film.crop_offset[0], y + film.crop_offset[1]];
+    let pixel = u64::from(py) * u64::from(film.size[0]) + u64::from(px);
+    let mut sampler = X::spread(points, seed, pixel, index);
+    film.filter
+        .weight(film.filter.sample(sampler.next_2d::<P>()))
+}
+
 impl Tile {
     /// Number of pixels.
     pub(super) fn pixels(&self) -> usize {
@@ -121,11 +139,14 @@ impl Tile {
     }
 
     /// The samples `samples` of all pixels, as the scene shares them, with the index of their pixel within the tile.
-    fn samples<'a>(
+    fn samples<'a, P: Float, X: Sampler>(
         &'a self,
         scene: &'a Scene,
+        points: Points,
+        seed: u64,
         samples: &'a Range<u64>,
     ) -> impl Iterator<Item = (usize, Sample)> + 'a {
+        let weighted = scene.film.filter.is_weighted();
         (0..self.pixels()).flat_map(move |at| {
             let pixel = self.pixel(at);
             let samples = scene.pixel_shares().samples(place(scene, pixel), samples);
@@ -135,6 +156,11 @@ impl Tile {
                     pixel,
                     index,
                     count,
+                    weight: if weighted {
+                        weight::<P, X>(scene, points, seed, pixel, index)
+                    } else {
+                        1.0
+                    },
                 };
                 (at, sample)
             })
@@ -152,15 +178,14 @@ impl Tile {
         paths: &mut Paths<R, S, X, O>,
         mut done: impl FnMut(usize, Sample, Rgb<R>, &mut O),
     ) {
-        let scene = context.scene;
-        let mut all = self.samples(scene, samples);
+        let (scene, points) = (context.scene, context.settings.points);
+        let mut all = self.samples::<R::Primal, X>(scene, points, seed, samples);
         loop {
             paths.which.clear();
             paths.which.extend(all.by_ref().take(GROUP));
             if paths.which.is_empty() {
                 break;
             }
-            let points = context.settings.points;
             paths.walks.clear();
             paths.walks.extend(
                 (paths.which.iter())
@@ -199,7 +224,7 @@ impl Tile {
         mut done: impl FnMut(&mut L, &[(usize, Sample)], &[Rgb<P>]),
     ) {
         let (scene, points) = (context.scene, context.settings.points);
-        let mut all = self.samples(scene, samples);
+        let mut all = self.samples::<P, X>(scene, points, seed, samples);
         let mut which = Vec::with_capacity(WAVE_SIZE);
         loop {
             which.clear();

@@ -11,7 +11,7 @@ use crate::bsdf::{Diffuse, Material};
 use crate::camera::{Camera, FovAxis};
 use crate::emitter::AnyEmitter;
 use crate::error::{SceneError, quoted};
-use crate::film::{Film, PixelFilter};
+use crate::film::{Film, Lobed, MOST_LOBES, PixelFilter};
 use crate::inputs;
 use crate::plugin::Node;
 use crate::plugin::xml::{Document, check_limit};
@@ -30,18 +30,49 @@ pub struct LoadOptions {
 /// Sums of so many pixels take three gigabytes.
 const MAX_PIXELS: usize = 1 << 27;
 
-/// Integrators whose paths the path tracer covers.
-const INTEGRATORS: &[&str] = &[
-    "path",
-    "prb",
-    "direct",
-    "path_filtered_ss",
-    "path_filtered_ms",
-];
-/// Those of them that leave out some paths.
+/// Integrators that the path tracer is.
+const INTEGRATORS: &[&str] = &["path", "direct", "prb"];
+/// Those that leave out some paths.
 const FILTERED: &[&str] = &["path_filtered_ss", "path_filtered_ms"];
+/// Other ways to the same image, or to its derivatives: the path tracer takes their place.
+const OTHERS: &[&str] = &[
+    "bdpt",
+    "direct_projective",
+    "direct_reparam",
+    "erpt",
+    "manifold_path_guiding",
+    "mlt",
+    "photonmapper",
+    "ppm",
+    "prb_basic",
+    "prb_projective",
+    "prb_reparam",
+    "prbvolpath",
+    "pssmlt",
+    "ptracer",
+    "sppm",
+    "volpath",
+    "volpath_simple",
+    "volpathmis",
+];
+/// Those that add something to the image of the integrator inside.
+const WRAPPERS: &[&str] = &["adaptive", "aov", "moment"];
+/// Those of light with a state that does not exist here, and what that is.
+const REFUSED: &[(&str, &str)] = &[
+    ("stokes", "polarisation"),
+    ("transientpath", "time"),
+    ("transientstokes", "polarisation"),
+    ("transient_path", "time"),
+];
 const FILMS: &[&str] = &["hdrfilm"];
-const FILTERS: &[&str] = &["box", "gaussian"];
+const FILTERS: &[&str] = &[
+    "box",
+    "gaussian",
+    "tent",
+    "mitchell",
+    "catmullrom",
+    "lanczos",
+];
 /// What does nothing at the root unless something refers to it.
 const DECLARED: &[&str] = &["bsdf", "texture", "film", "sampler", "rfilter"];
 /// Flags of the manifold-sampling scene files: hints to another integrator, without effect on the image.
@@ -146,6 +177,9 @@ fn declaration(node: &Node) -> Result<(), SceneError> {
 
 /// An error for the first plugin in a declaration that does not exist.
 fn known_plugins(node: &Node) -> Result<(), SceneError> {
+    if node.is_constant() {
+        return Ok(());
+    }
     let known = match node.tag.as_str() {
         "bsdf" => Material::PLUGINS.concat(),
         "texture" => texture::PLUGINS.to_vec(),
@@ -161,9 +195,27 @@ fn known_plugins(node: &Node) -> Result<(), SceneError> {
         .try_for_each(|(_, child)| known_plugins(child))
 }
 
-fn integrator(node: &Node, settings: &mut Settings) -> Result<(), SceneError> {
-    if !INTEGRATORS.contains(&node.plugin.as_str()) {
-        return Err(node.unknown_plugin(INTEGRATORS));
+fn integrator(mut node: &Node, settings: &mut Settings) -> Result<(), SceneError> {
+    while WRAPPERS.contains(&node.plugin.as_str()) {
+        let Some(inside) = node.child_with_tag("integrator")? else {
+            return Err(node.missing("integrator", "one inside, whose image it is"));
+        };
+        node.warn("only the image of the integrator inside is made");
+        node.ignore_rest();
+        node = inside;
+    }
+    let plugin = node.plugin.as_str();
+    if let Some((_, state)) = REFUSED.iter().find(|(name, _)| *name == plugin) {
+        return Err(SceneError::Value {
+            location: node.location.clone(),
+            key: "integrator".to_owned(),
+            expected: format!("one of light without {state}, which is not there"),
+            found: quoted(plugin),
+        });
+    }
+    let replaced = OTHERS.contains(&plugin);
+    if !(INTEGRATORS.contains(&plugin) || FILTERED.contains(&plugin) || replaced) {
+        return Err(node.unknown_plugin(&[INTEGRATORS, FILTERED, OTHERS, WRAPPERS].concat()));
     }
     let depth = |key: &str, default: i64| -> Result<u32, SceneError> {
         match node.integer_or(key, default)? {
@@ -172,18 +224,31 @@ fn integrator(node: &Node, settings: &mut Settings) -> Result<(), SceneError> {
             _ => Err(node.invalid(key, "-1 for no limit, or a non-negative integer")),
         }
     };
-    let direct = node.plugin == "direct";
-    settings.max_depth = depth("max_depth", if direct { 2 } else { -1 })?;
+    // The defaults of Mitsuba 3.
+    let deepest = if plugin.starts_with("direct") {
+        2
+    } else if plugin.starts_with("prb") {
+        6
+    } else {
+        -1
+    };
+    settings.max_depth = depth("max_depth", deepest)?;
     settings.rr_depth = depth("rr_depth", 5)?;
     if node.boolean_or("hide_emitters", false)? {
         return Err(node.invalid("hide_emitters", "false: lamps are always seen"));
     }
-    if FILTERED.contains(&node.plugin.as_str()) {
+    if FILTERED.contains(&plugin) {
         node.warn("traced like `path` instead: all paths, not only some");
         node.integer("bounces")?;
         node.boolean("disable_reflected_emitters")?;
     }
+    if replaced {
+        node.warn("traced like `path` instead: the same image, but for its noise");
+        node.ignore_rest();
+    }
     node.ignore(&["samples_per_pass", "block_size"], Node::integer)?;
+    let samples = ["shading_samples", "emitter_samples", "bsdf_samples"];
+    node.ignore(&samples, Node::integer)?;
     node.ignore(&["timeout"], Node::float)?;
     node.finish()
 }
@@ -201,10 +266,9 @@ fn sensor_from_node(node: &Node, settings: &mut Settings) -> Result<(Camera, Fil
             sampler.warn("every sampler is replaced by independent samples");
         }
         settings.spp = sampler.integer_in("sample_count", 16, 1..=1 << 30)? as u32;
-        sampler.ignore(&["seed"], Node::integer)?;
-        sampler.finish()?;
+        sampler.ignore_rest();
     }
-    let axis = node.choice(
+    let given = node.choice(
         "fov_axis",
         &[
             ("x", FovAxis::X),
@@ -214,10 +278,22 @@ fn sensor_from_node(node: &Node, settings: &mut Settings) -> Result<(Camera, Fil
             ("larger", FovAxis::Larger),
         ],
     )?;
-    let axis = axis.unwrap_or_default();
-    let fov = node
-        .float("fov")?
-        .ok_or_else(|| node.missing("fov", "an angle in degrees"))?;
+    let length = node.string_or("focal_length", "50mm")?;
+    let (fov, axis) = match node.float("fov")? {
+        Some(_) if node.has("focal_length") => {
+            return Err(node.invalid("focal_length", "none beside `fov`"));
+        }
+        Some(fov) => (fov, given.unwrap_or_default()),
+        None => {
+            let number = length.trim().trim_end_matches("mm").trim_end();
+            let millimetres = number.parse::<f64>().ok().filter(|l| *l > 0.0);
+            let millimetres = millimetres
+                .ok_or_else(|| node.invalid("focal_length", "a length such as `50mm`"))?;
+            // Of 35 mm film, 36 mm x 24 mm, along its diagonal; 50 mm is the default of Mitsuba.
+            let fov = 2.0 * (36.0f64.hypot(24.0) / (2.0 * millimetres)).atan();
+            (fov.to_degrees(), FovAxis::Diagonal)
+        }
+    };
     let to_world = node.transform("to_world")?.unwrap_or_default();
     let camera = Camera::new(to_world, fov, axis, film.size).map_err(|e| match e {
         SceneError::Parameter { key, expected, .. } => node.invalid(&key, &expected),
@@ -254,26 +330,19 @@ fn film_from_node(node: &Node) -> Result<Film, SceneError> {
     check_limit(w * h, MAX_PIXELS, "pixels", &node.location)?;
     let filter = match node.child_with_tag("rfilter")? {
         None => PixelFilter::Gaussian { stddev: 0.5 },
-        Some(f) => {
-            let filter = match f.plugin.as_str() {
-                "box" => PixelFilter::Box,
-                "gaussian" => {
-                    let stddev = f.float_or("stddev", 0.5)?;
-                    if !(stddev > 0.0 && stddev <= 100.0) {
-                        return Err(f.invalid("stddev", "a number of pixels in (0, 100]"));
-                    }
-                    PixelFilter::Gaussian { stddev }
-                }
-                _ => return Err(f.unknown_plugin(FILTERS)),
-            };
-            f.finish()?;
-            filter
-        }
+        Some(filter) => filter_from_node(filter)?,
     };
     // Images hold three colours.
     node.choice("pixel_format", &[("rgb", ()), ("rgba", ())])?;
     node.ignore(&["component_format", "file_format"], Node::string)?;
-    node.ignore(&["banner", "sample_border"], Node::boolean)?;
+    let flags = [
+        "attach_log",
+        "banner",
+        "compensate",
+        "high_quality_edges",
+        "sample_border",
+    ];
+    node.ignore(&flags, Node::boolean)?;
     node.finish()?;
     Ok(Film {
         size: [width, height],
@@ -281,6 +350,41 @@ fn film_from_node(node: &Node) -> Result<Film, SceneError> {
         crop_size,
         filter,
     })
+}
+
+fn filter_from_node(node: &Node) -> Result<PixelFilter, SceneError> {
+    let length = |key: &str, default: f64| match node.float_or(key, default)? {
+        x if x > 0.0 && x <= 100.0 => Ok(x),
+        _ => Err(node.invalid(key, "a number of pixels in (0, 100]")),
+    };
+    // The authors' letters, which scene files spell in either case.
+    let third = |key: &'static str, capital: &'static str| {
+        let key = if node.has(capital) { capital } else { key };
+        node.float_in(key, 1.0 / 3.0, 0.0..=1.0)
+    };
+    let cubic = |b: f64, c: f64| {
+        let lobed = Lobed::cubic(b, c).map(PixelFilter::Lobed);
+        lobed.ok_or_else(|| node.invalid("b", "a number from 0 to 1"))
+    };
+    let filter = match node.plugin.as_str() {
+        "box" => PixelFilter::Box,
+        "gaussian" => PixelFilter::Gaussian {
+            stddev: length("stddev", 0.5)?,
+        },
+        "tent" => PixelFilter::Tent {
+            radius: length("radius", 1.0)?,
+        },
+        "mitchell" => cubic(third("b", "B")?, third("c", "C")?)?,
+        "catmullrom" => cubic(0.0, 0.5)?,
+        "lanczos" => {
+            let lobes = node.integer_in("lobes", 3, 1..=i64::from(MOST_LOBES))?;
+            let lobed = Lobed::lanczos(lobes as u32).map(PixelFilter::Lobed);
+            lobed.ok_or_else(|| node.invalid("lobes", "a number of zeros"))?
+        }
+        _ => return Err(node.unknown_plugin(FILTERS)),
+    };
+    node.finish()?;
+    Ok(filter)
 }
 
 /// Shapes smaller than so many roundings of their coordinates are not seen as they are: rays that leave a surface

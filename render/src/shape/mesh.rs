@@ -473,7 +473,7 @@ pub fn smooth_normals(positions: &[[f32; 3]], triangles: &[[u32; 3]]) -> Vec<[f3
     sums.into_iter().map(single).collect()
 }
 
-/// How an OBJ file is read.
+/// How a file with meshes is read.
 #[derive(Clone, Copy, Debug)]
 pub struct ObjOptions {
     /// From the file's space to the world.
@@ -761,9 +761,14 @@ impl BufRead for ObjLines<'_> {
 }
 
 impl FromNode for Mesh {
-    const PLUGINS: &'static [&'static str] = &["obj"];
+    const PLUGINS: &'static [&'static str] = &["obj", "ply", "serialized"];
 
-    fn from_node(node: &Node, _registry: &mut Registry) -> Result<Self, SceneError> {
+    fn from_node(node: &Node, registry: &mut Registry) -> Result<Self, SceneError> {
+        match node.plugin.as_str() {
+            "ply" => return super::ply::from_node(node, registry),
+            "serialized" => return super::serialized::from_node(node, registry),
+            _ => {}
+        }
         let path = node
             .path("filename")?
             .ok_or_else(|| node.missing("filename", "an OBJ file"))?;

@@ -19,6 +19,8 @@ mod disk;
 mod mesh;
 mod partials;
 mod patch;
+mod ply;
+mod serialized;
 mod sphere;
 
 pub use cube::Cube;

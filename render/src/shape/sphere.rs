@@ -20,7 +20,7 @@ use crate::plugin::{FromNode, Node, Registry};
 pub(super) const SIMILARITY_TOLERANCE: f64 = 1e-4;
 
 /// A sphere. `uv = (phi / 2 pi, theta / pi)` in the spherical coordinates around its local z axis;
-/// normals point outward unless flipped.
+/// normals point outward unless flipped, by a flag or by a transform that mirrors.
 #[derive(Clone, Copy, Debug)]
 pub struct Sphere {
     center: [f32; 3],
@@ -58,7 +58,9 @@ impl Sphere {
             }
         }
         let axes = columns.map(|c| c.normalize().to_array());
-        Self::with_axes(to_world.translation, radius, axes, flip_normals)
+        // As Mitsuba 3 has it: a reflection turns the sphere inside out.
+        let flip = flip_normals ^ (to_world.determinant() < 0.0);
+        Self::with_axes(to_world.translation, radius, axes, flip)
     }
 
     fn with_axes(center: [f64; 3], radius: f64, axes: [[f64; 3]; 3], flip: bool) -> Option<Self> {

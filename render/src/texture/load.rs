@@ -155,7 +155,8 @@ pub(crate) fn from_node<const C: usize>(
     valid: (f64, f64),
 ) -> Result<Texture<C>, SceneError> {
     let name = format!("{}.{key}", registry.prefix());
-    if let Some(texture) = node.child(key) {
+    let texture = node.child(key).filter(|t| C == 1 || !t.is_constant());
+    if let Some(texture) = texture {
         let usage = Use {
             name: &name,
             valid,
@@ -216,11 +217,12 @@ fn bitmap<const C: usize>(
     // How Mitsuba 3 stores texels; here they are always f32.
     node.string("format")?;
     node.boolean("accel")?;
+    let layer = node.string("layer")?;
     let Some(path) = file(registry, node, usage)? else {
         let (name, value) = (format!("{}.value", usage.name), usage.substitute);
         return registry.constant(&name, value, usage.valid);
     };
-    let (param, [width, height]) = texels::<C>(registry, &path, encoding, usage)?;
+    let (param, [width, height]) = texels::<C>(registry, &path, encoding, layer, usage)?;
     Ok(Texture::Bitmap(Bitmap {
         param,
         width,
@@ -259,14 +261,15 @@ pub(crate) fn file(
 /// bright things when an image is resampled. Such numbers become zero, with a warning.
 const RINGING: f64 = 0.1;
 
-/// Reads an image into the parameters `{name}.data`; returns its width and height too.
+/// Reads an image, or a layer of one, into the parameters `{name}.data`; returns its width and height too.
 pub(crate) fn texels<const C: usize>(
     registry: &mut Registry,
     path: &Path,
     encoding: Encoding,
+    layer: Option<&str>,
     usage: &Use,
 ) -> Result<(ParamRef, [u32; 2]), SceneError> {
-    let pixels = image_io::read(path, encoding)?;
+    let pixels = image_io::read_layer(path, encoding, layer)?;
     let mut pixels = match C {
         1 => pixels.into_grey(),
         _ => pixels.into_rgb(),

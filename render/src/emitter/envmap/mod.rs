@@ -314,6 +314,7 @@ impl FromNode for Envmap {
             valid: VALID,
             substitute: &[0.5; 3],
         };
+        let layer = node.string("layer")?;
         let Some(path) = texture::file(registry, node, &usage)? else {
             let grey = Image {
                 width: 1,
@@ -322,7 +323,7 @@ impl FromNode for Envmap {
             };
             return Self::new(registry, &name, &grey, &to_world, scale);
         };
-        let (param, size) = texture::texels::<3>(registry, &path, Encoding::Srgb, &usage)?;
+        let (param, size) = texture::texels::<3>(registry, &path, Encoding::Srgb, layer, &usage)?;
         Ok(Self::over(param, size, axes, scale))
     }
 }

@@ -1,8 +1,8 @@
-//! Scene files in the XML format of Mitsuba 2 and 3: from text to a tree of typed, resolved
+//! Scene files in the XML format of Mitsuba, versions 0.4 to 3: from text to a tree of typed, resolved
 //! plugins.
 //!
 //! This layer knows the format, not the plugins. It substitutes `$name`, splices `<include>`,
-//! follows `<ref>`, converts `toWorld` to `to_world` and parses every value. What a `bsdf` of type
+//! follows `<ref>` and `<path>`, converts `toWorld` to `to_world`, takes spectra to RGB and parses every value. What a `bsdf` of type
 //! `diffuse` may contain is decided by its constructor, which asks its [`Node`] for it.
 //!
 //! ```
@@ -26,6 +26,7 @@ mod node;
 mod parse;
 mod resolve;
 mod source;
+mod spectrum;
 mod value;
 
 use std::collections::HashSet;
@@ -52,6 +53,8 @@ const MAX_TEXT: usize = 1 << 28;
 const MAX_INCLUDES: usize = 1 << 17;
 /// Most attributes of an element: far more than any has.
 const MAX_ATTRIBUTES: usize = 64;
+/// Most folders that a file names for others to be looked up in: each name is looked up in all of them.
+const MAX_PATHS: usize = 64;
 /// Most declarations of namespaces, which mean nothing here.
 const MAX_NAMESPACES: usize = 64;
 
@@ -98,9 +101,12 @@ impl Document {
         all.iter().filter(|w| seen.insert(*w)).cloned().collect()
     }
 
-    fn resolve(parser: Parser, file: &Path) -> Result<Self, SceneError> {
+    fn resolve(mut parser: Parser, file: &Path) -> Result<Self, SceneError> {
         parser.check_defines(file)?;
         let warnings = Warnings::default();
+        for (location, message) in std::mem::take(&mut parser.warnings) {
+            warnings.push(location, message);
+        }
         let root = resolve::resolve(parser, &warnings)?;
         Ok(Self { root, warnings })
     }
@@ -152,6 +158,12 @@ impl Directories {
         let outer = includer.map_or(&[][..], |d| &d.0);
         let outer = outer.iter().filter(|&d| *d != own).cloned();
         Self(std::iter::once(own.clone()).chain(outer).collect())
+    }
+
+    /// The first folder that exists under this name.
+    fn find_folder(&self, name: &Path) -> Option<PathBuf> {
+        let mut all = self.0.iter().map(|d| d.join(name));
+        all.find(|p| p.is_dir())
     }
 
     /// The first that exists under this name and is no directory. Whoever reads it refuses what is no file.

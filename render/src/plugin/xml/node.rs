@@ -7,7 +7,8 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
-use super::value::Value;
+use super::spectrum::{self, Role, Samples};
+use super::value::{self, Value};
 use super::{Directories, Warnings};
 use crate::error::{Location, SceneError, quoted};
 use crate::math::Transform;
@@ -173,15 +174,92 @@ impl Node {
     /// Linear RGB: `<rgb>`, `<spectrum>` with one or three numbers, `<float>` or `<integer>` for a
     /// grey.
     ///
-    /// A texture of this name is an error: a plugin that accepts one asks for the
-    /// [`child`](Self::child) first.
+    /// A texture of this name is an error, unless it is a spectrum that [is constant](Self::is_constant): a plugin that
+    /// accepts others asks for the [`child`](Self::child) first.
     pub fn rgb(&self, name: &str) -> Result<Option<[f64; 3]>, SceneError> {
+        if let Some(child) = self.child_quietly(name)
+            && child.node.is_constant()
+        {
+            self.note(name.to_owned());
+            let emits = self.tag == "emitter";
+            return child.take().constant_colour(emits).map(Some);
+        }
         self.get(name, "a colour (<rgb>)", |value| match *value {
             Value::Color(c) => Some(c),
             Value::Float(x) => Some([x; 3]),
             Value::Integer(i) => Some([i as f64; 3]),
             _ => None,
         })
+    }
+
+    /// Whether this is a spectrum that is the same everywhere: `uniform`, `d65`, `srgb`, `blackbody`, `regular` or
+    /// `irregular`. [`rgb`](Self::rgb) of its owner is its colour.
+    pub fn is_constant(&self) -> bool {
+        self.tag == "texture" && spectrum::PLUGINS.contains(&self.plugin.as_str())
+    }
+
+    /// The colour of a constant spectrum, which an emitter has, or something that it lights.
+    fn constant_colour(&self, emits: bool) -> Result<[f64; 3], SceneError> {
+        let role = if emits { Role::Emission } else { Role::Other };
+        let colour = match self.plugin.as_str() {
+            "uniform" => spectrum::flat(self.float_or("value", 1.0)?, role),
+            "srgb" => {
+                let colour = self.rgb("color")?;
+                colour.ok_or_else(|| self.missing("color", "a colour (<rgb>)"))?
+            }
+            "d65" => {
+                let scale = self.float_or("scale", 1.0)?;
+                self.rgb_or("color", [1.0; 3])?.map(|x| scale * x)
+            }
+            "blackbody" => {
+                let temperature = self.float("temperature")?;
+                let expected = "a number of kelvin, of at most a million";
+                let temperature =
+                    temperature.ok_or_else(|| self.missing("temperature", expected))?;
+                if !(temperature > 0.0 && temperature <= 1e6) {
+                    return Err(self.invalid("temperature", expected));
+                }
+                let scale = self.float_or("scale", 1.0)?;
+                spectrum::blackbody(temperature).map(|x| scale * x)
+            }
+            _ => {
+                let (samples, cut) = spectrum::rgb(&self.samples()?, role);
+                if cut {
+                    self.warn(format!(
+                        "its colour is one that RGB cannot show; the nearest is {samples:?}"
+                    ));
+                }
+                samples
+            }
+        };
+        self.finish()?;
+        Ok(colour)
+    }
+
+    /// The values of `regular`, at wavelengths of equal distance, and of `irregular`.
+    fn samples(&self) -> Result<Samples, SceneError> {
+        let list = |name: &str| -> Result<Vec<f64>, SceneError> {
+            let text = self.string(name)?;
+            let text = text.ok_or_else(|| self.missing(name, "a list of numbers (<string>)"))?;
+            value::list(text).map_err(|_| self.invalid(name, "a list of numbers"))
+        };
+        let values = list("values")?;
+        let wavelengths = if self.plugin == "irregular" {
+            list("wavelengths")?
+        } else {
+            let end = |name: &str, default| self.float_or(name, default);
+            let (low, high) = (end("wavelength_min", 360.0)?, end("wavelength_max", 830.0)?);
+            let last = values.len().saturating_sub(1).max(1) as f64;
+            (0..values.len())
+                .map(|i| low + (high - low) * i as f64 / last)
+                .collect()
+        };
+        let expected = "at least two numbers, one for each of increasing wavelengths";
+        if wavelengths.len() != values.len() {
+            return Err(self.invalid("values", expected));
+        }
+        let pairs = wavelengths.into_iter().zip(values).map(<[f64; 2]>::from);
+        Samples::new(pairs.collect()).ok_or_else(|| self.invalid("values", expected))
     }
 
     /// [`rgb`](Self::rgb), or `default` if absent.
@@ -290,6 +368,22 @@ impl Node {
             }
         }
         Ok(())
+    }
+
+    /// Accepts all attributes and children that nobody asked for, with a warning for each: those of a plugin that another
+    /// stands in for.
+    pub fn ignore_rest(&self) {
+        for (name, property) in &self.properties {
+            if !property.used.swap(true, Ordering::Relaxed) {
+                self.warn_at(&property.location, format!("`{name}` has no effect"));
+            }
+        }
+        for child in &self.children {
+            if !child.used.swap(true, Ordering::Relaxed) {
+                let message = format!("{} has no effect", child.node.describe());
+                self.warn_at(&child.location, message);
+            }
+        }
     }
 
     /// An error for the first attribute or child that nobody asked for.

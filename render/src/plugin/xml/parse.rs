@@ -9,12 +9,15 @@ use roxmltree as xml;
 
 use super::element::{Attribute, Element};
 use super::node::Property;
-use super::source::{self, Source};
+use super::source::{self, Source, Version};
+use super::spectrum::{self, Role, Samples};
 use super::value::{self, Value};
 use super::{
-    Directories, MAX_DEPTH, MAX_ELEMENTS, MAX_INCLUDES, MAX_SUBSTITUTED, MAX_TEXT, check_limit,
+    Directories, MAX_DEPTH, MAX_ELEMENTS, MAX_INCLUDES, MAX_PATHS, MAX_SUBSTITUTED, MAX_TEXT,
+    check_limit,
 };
 use crate::error::{Location, SceneError, quoted};
+use crate::image_io::srgb_to_linear;
 use crate::math::Transform;
 
 /// Elements that are plugins.
@@ -29,18 +32,20 @@ const PLUGINS: [&str; 9] = [
     "shape",
     "texture",
 ];
-const PROPERTIES: [&str; 9] = [
+const PROPERTIES: [&str; 11] = [
+    "blackbody",
     "boolean",
     "float",
     "integer",
     "point",
     "rgb",
     "spectrum",
+    "srgb",
     "string",
     "transform",
     "vector",
 ];
-const DIRECTIVES: [&str; 4] = ["alias", "default", "include", "ref"];
+const DIRECTIVES: [&str; 5] = ["alias", "default", "include", "path", "ref"];
 const OPERATIONS: [&str; 5] = ["lookat", "matrix", "rotate", "scale", "translate"];
 
 /// A plugin before its references are resolved.
@@ -92,6 +97,10 @@ pub(super) struct Parser {
     /// How many files were included, and the bytes of all.
     included: usize,
     bytes: usize,
+    /// Folders that were named to look in.
+    paths: usize,
+    /// What has no effect, or another one than was meant.
+    pub warnings: Vec<(Location, String)>,
 }
 
 impl Parser {
@@ -116,6 +125,8 @@ impl Parser {
             substituted: 0,
             included: 0,
             bytes: 0,
+            paths: 0,
+            warnings: Vec::new(),
         }
     }
 
@@ -137,7 +148,7 @@ impl Parser {
             return Err(element.syntax("<scene>"));
         }
         let location = element.location.clone();
-        let id = scene_id(element)?;
+        let id = scene_id(element, &source)?;
         let scene = self.add("scene".to_owned(), "scene".to_owned(), id, location, false)?;
         self.body(root, &source, scene, 1)?;
         self.add_aliases()
@@ -220,6 +231,17 @@ impl Parser {
                 self.leaf(element, xml, source)?;
                 self.include(&file, source, owner, depth)
             }
+            "path" => {
+                let folder = element.require("value")?;
+                if owner != 0 {
+                    return Err(element.syntax("<path> in <scene> itself"));
+                }
+                self.leaf(element, xml, source)?;
+                self.path(&folder, source)
+            }
+            "medium" | "phase" | "volume" => {
+                Err(element.syntax("a scene without participating media, which are not there"))
+            }
             _ => {
                 let mut allowed = [&PLUGINS[..], &PROPERTIES, &DIRECTIVES].concat();
                 allowed.sort_unstable();
@@ -240,15 +262,81 @@ impl Parser {
         let plugin = element.require("type")?.text;
         let id = element.take("id").map(|a| a.text);
         let name = element.take("name");
-        if xml.parent().is_some_and(|p| p.is_root()) {
-            element.take("version");
+        if xml.parent().is_some_and(|p| p.is_root())
+            && let Some(version) = element.take("version")
+        {
+            source.version.set(known_version(&version)?);
         }
         element.finish()?;
         let location = element.location;
         let at_root = owner == 0;
         let node = self.add(tag, plugin, id, location.clone(), at_root)?;
         self.child(owner, name, location, Target::Node(node))?;
-        self.body(xml, source, node, depth + 1)
+        self.body(xml, source, node, depth + 1)?;
+        if source.version.get() < (2, 0) {
+            upgrade(&mut self.nodes[node]);
+        }
+        Ok(())
+    }
+
+    /// `<path>`: files are looked up in another folder first, from here on.
+    fn path(&mut self, folder: &Attribute, source: &Source) -> Result<(), SceneError> {
+        self.paths += 1;
+        check_limit(self.paths, MAX_PATHS, "<path> elements", &folder.location)?;
+        let directories = source.directories();
+        match directories.find_folder(Path::new(&folder.text)) {
+            Some(path) => source.look_in(&path),
+            // Whatever should lie there is missed by name later on.
+            None => self.warnings.push((
+                folder.location.clone(),
+                format!(
+                    "<path>: there is no folder {} (looked in {directories})",
+                    quoted(&folder.text)
+                ),
+            )),
+        }
+        Ok(())
+    }
+
+    /// The colour of a `<spectrum>`: three numbers are RGB.
+    fn spectrum(
+        &mut self,
+        element: &mut Element,
+        source: &Source,
+        owner: usize,
+    ) -> Result<[f64; 3], SceneError> {
+        let role = role(&self.nodes[owner], &element.key);
+        let samples = if let Some(file) = element.take("filename") {
+            let path = find(&file, &element.key, source)?;
+            let text = source::read(&path)?;
+            self.bytes += text.len();
+            check_limit(self.bytes, MAX_TEXT, "bytes of scene files", &file.location)?;
+            Samples::of_lines(&text).map_err(|e| SceneError::Asset {
+                path,
+                line: None,
+                expected: e.expected.to_owned(),
+                found: e.found,
+            })?
+        } else if element.peek("value").is_some_and(|v| v.contains(':')) {
+            element.parse("value", Samples::parse)?
+        } else {
+            let flat = element.peek("value").and_then(|v| value::float(v).ok());
+            let colour = element.parse("value", value::triple_or_uniform)?;
+            // Mitsuba 2 took flat lamps for white.
+            let seen = source.version.get() >= (3, 0);
+            return Ok(flat
+                .filter(|_| seen)
+                .map_or(colour, |v| spectrum::flat(v, role)));
+        };
+        let (colour, cut) = spectrum::rgb(&samples, role);
+        if cut {
+            let message = format!(
+                "{}: a spectrum whose colour RGB cannot show; the nearest is {colour:?}",
+                quoted(&element.key)
+            );
+            self.warnings.push((element.location.clone(), message));
+        }
+        Ok(colour)
     }
 
     fn property(
@@ -268,7 +356,13 @@ impl Parser {
             "integer" => Value::Integer(element.parse("value", value::integer)?),
             "boolean" => Value::Boolean(element.parse("value", value::boolean)?),
             "string" => Value::String(element.require("value")?.text),
-            "rgb" | "spectrum" => Value::Color(element.parse("value", value::triple_or_uniform)?),
+            "rgb" => Value::Color(element.parse("value", value::colour)?),
+            "srgb" => {
+                let encoded = element.parse("value", value::colour)?;
+                Value::Color(encoded.map(srgb_to_linear))
+            }
+            "spectrum" => Value::Color(self.spectrum(&mut element, source, owner)?),
+            "blackbody" => Value::Color(blackbody(&mut element)?),
             "point" => Value::Point(element.coordinates(0.0, value::triple)?),
             "vector" => Value::Vector(element.coordinates(0.0, value::triple)?),
             _ => {
@@ -286,7 +380,7 @@ impl Parser {
             tag,
             text,
             location,
-            directories: source.directories.clone(),
+            directories: source.directories(),
             used: AtomicBool::new(false),
         };
         self.nodes[owner].properties.insert(key, property);
@@ -356,14 +450,7 @@ impl Parser {
         owner: usize,
         depth: usize,
     ) -> Result<(), SceneError> {
-        let Some(path) = source.directories.find(Path::new(&file.text)) else {
-            return Err(SceneError::Value {
-                location: file.location.clone(),
-                key: "include".to_owned(),
-                expected: format!("an existing file (looked in {})", source.directories),
-                found: quoted(&file.text),
-            });
-        };
+        let path = find(file, "include", source)?;
         let identity = source::canonical(&path);
         if self.open.contains(&identity) {
             return Err(SceneError::Cycle {
@@ -382,13 +469,14 @@ impl Parser {
         self.bytes += text.len();
         check_limit(self.bytes, MAX_TEXT, "bytes of scene files", &file.location)?;
         let directory = path.parent().unwrap_or(Path::new(""));
-        let directories = Directories::new(directory, Some(&source.directories));
+        let directories = Directories::new(directory, Some(&source.directories()));
         let inner = Source::new(&path, directories, &text);
+        inner.version.set(source.version.get());
         let tree = inner.parse(&text)?;
         let root = tree.root_element();
         self.open.push(identity);
         if root.has_tag_name("scene") {
-            scene_id(self.element(root, &inner)?)?;
+            scene_id(self.element(root, &inner)?, &inner)?;
             self.body(root, &inner, owner, depth + 1)?;
         } else {
             self.member(root, &inner, owner, depth + 1)?;
@@ -617,20 +705,132 @@ fn any_perpendicular(origin: [f64; 3], target: [f64; 3]) -> [f64; 3] {
     [0, 1, 2].map(|i| if i == least { 1.0 } else { 0.0 })
 }
 
-/// The attributes of `<scene>`: its id, if any. The version must be known because the format
-/// changed meaning between 0.x and 2.0, silently in places.
-fn scene_id(mut element: Element) -> Result<Option<String>, SceneError> {
-    let version = element.require("version")?;
-    let major = version.text.trim().split('.').next();
-    if !matches!(major, Some("2" | "3")) {
-        return Err(SceneError::Value {
-            location: version.location,
-            key: "version".to_owned(),
-            expected: "2.x.x or 3.x.x".to_owned(),
-            found: quoted(&version.text),
-        });
+/// The file that an attribute names.
+fn find(file: &Attribute, key: &str, source: &Source) -> Result<PathBuf, SceneError> {
+    let directories = source.directories();
+    directories
+        .find(Path::new(&file.text))
+        .ok_or_else(|| SceneError::Value {
+            location: file.location.clone(),
+            key: key.to_owned(),
+            expected: format!("an existing file (looked in {directories})"),
+            found: quoted(&file.text),
+        })
+}
+
+/// `<blackbody temperature="5000K" scale="1"/>` of the format's first versions.
+fn blackbody(element: &mut Element) -> Result<[f64; 3], SceneError> {
+    let kelvin = |text: &str| {
+        let number = text.trim().trim_end_matches(['k', 'K']);
+        let expected = "a temperature in kelvin, of at most a million";
+        match value::float(number) {
+            Ok(t) if t > 0.0 && t <= 1e6 => Ok(t),
+            _ => Err(value::mismatch(expected, text)),
+        }
+    };
+    let temperature = element.parse("temperature", kelvin)?;
+    let scale = match element.has("scale") {
+        true => element.parse("scale", value::float)?,
+        false => 1.0,
+    };
+    Ok(spectrum::blackbody(temperature).map(|x| scale * x))
+}
+
+/// What a spectrum means for the plugin that it belongs to.
+fn role(owner: &RawNode, key: &str) -> Role {
+    match owner.tag.as_str() {
+        "emitter" => Role::Emission,
+        "bsdf" if key.contains("reflectance") || key.contains("transmittance") => Role::Reflectance,
+        _ => Role::Other,
     }
+}
+
+/// What versions before 2.0 called otherwise, as Mitsuba 3 reads it; names in another case are the parser's business.
+fn upgrade(node: &mut RawNode) {
+    if node.plugin == "diffuse" {
+        rename(node, "diffuse_reflectance", "reflectance");
+    }
+    let parts = [
+        ("uoffset", 0.0),
+        ("voffset", 0.0),
+        ("uscale", 1.0),
+        ("vscale", 1.0),
+    ];
+    if !parts
+        .iter()
+        .any(|(name, _)| node.properties.contains_key(*name))
+        || node.names.contains_key("to_uv")
+    {
+        return;
+    }
+    // Those that are no numbers stay, and are refused as unknown.
+    let mut first = None;
+    let [u, v, du, dv] = parts.map(|(name, absent)| match node.properties.get(name) {
+        Some(Property {
+            value: Value::Float(x),
+            ..
+        }) => {
+            let x = *x;
+            let property = node.properties.remove(name);
+            first = first.take().or(property);
+            x
+        }
+        _ => absent,
+    });
+    if let Some(property) = first {
+        let [offset, scale] = [[u, v, 0.0], [du, dv, 1.0]];
+        let value = Transform::translate(offset).then(&Transform::scale(scale));
+        let location = property.location.clone();
+        let to_uv = Property {
+            value: Value::Transform(value),
+            tag: "transform",
+            ..property
+        };
+        node.properties.insert("to_uv".to_owned(), to_uv);
+        node.names.insert("to_uv".to_owned(), location);
+    }
+}
+
+/// Gives a property or a child another name, if that is free.
+fn rename(node: &mut RawNode, from: &str, to: &str) {
+    if node.names.contains_key(to) {
+        return;
+    }
+    if let Some(property) = node.properties.remove(from) {
+        node.properties.insert(to.to_owned(), property);
+    }
+    for child in &mut node.children {
+        if child.name.as_deref() == Some(from) {
+            child.name = Some(to.to_owned());
+        }
+    }
+    if let Some(location) = node.names.remove(from) {
+        node.names.insert(to.to_owned(), location);
+    }
+}
+
+/// The attributes of `<scene>`: its id, if any. The version must be known because the format changed meaning between
+/// them, silently in places.
+fn scene_id(mut element: Element, source: &Source) -> Result<Option<String>, SceneError> {
+    let version = element.require("version")?;
+    source.version.set(known_version(&version)?);
     let id = element.take("id").map(|a| a.text);
     element.finish()?;
     Ok(id)
+}
+
+fn known_version(version: &Attribute) -> Result<Version, SceneError> {
+    let mut numbers = version.text.trim().split('.').map(str::parse::<u32>);
+    let major = numbers.next().and_then(Result::ok);
+    let minor = numbers.next().unwrap_or(Ok(0)).ok();
+    match (major, minor) {
+        (Some(0), Some(minor @ 4..=6)) => Ok((0, minor)),
+        (Some(major @ 2..=3), Some(minor)) => Ok((major, minor)),
+        _ => Err(SceneError::Value {
+            location: version.location.clone(),
+            key: "version".to_owned(),
+            expected: "0.4 to 0.6, 2.x.x or 3.x.x".to_owned(),
+            found: quoted(&version.text),
+        }),
+    }
 }

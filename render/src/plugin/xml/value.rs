@@ -23,7 +23,7 @@ pub(super) struct Mismatch {
     pub found: String,
 }
 
-fn mismatch(expected: &'static str, found: &str) -> Mismatch {
+pub(super) fn mismatch(expected: &'static str, found: &str) -> Mismatch {
     Mismatch {
         expected,
         found: quoted(found),
@@ -55,7 +55,7 @@ pub(super) fn boolean(text: &str) -> Result<bool, Mismatch> {
 }
 
 /// Numbers separated by commas, spaces or both.
-fn list(text: &str) -> Result<Vec<f64>, Mismatch> {
+pub(super) fn list(text: &str) -> Result<Vec<f64>, Mismatch> {
     text.split(|c: char| c == ',' || c.is_whitespace())
         .filter(|token| !token.is_empty())
         .map(float)
@@ -74,6 +74,23 @@ pub(super) fn triple_or_uniform(text: &str) -> Result<[f64; 3], Mismatch> {
         [x, y, z] => Ok([x, y, z]),
         _ => Err(mismatch("one or three numbers", text)),
     }
+}
+
+/// `#rrggbb`, each from 0 to 1.
+pub(super) fn hexadecimal(text: &str) -> Option<[f64; 3]> {
+    let digits = text.trim().strip_prefix('#')?;
+    let valid = digits.len() == 6 && digits.bytes().all(|b| b.is_ascii_hexdigit());
+    let number = u32::from_str_radix(digits, 16).ok().filter(|_| valid)?;
+    Some([16, 8, 0].map(|shift| f64::from(number >> shift & 0xff) / 255.0))
+}
+
+/// Three numbers, one for all three, or `#rrggbb`.
+pub(super) fn colour(text: &str) -> Result<[f64; 3], Mismatch> {
+    if text.trim_start().starts_with('#') {
+        let expected = "`#` and six hexadecimal digits";
+        return hexadecimal(text).ok_or_else(|| mismatch(expected, text));
+    }
+    triple_or_uniform(text)
 }
 
 /// A row-major 4x4 matrix with last row 0 0 0 1, or the 3x3 matrix of its linear part.
@@ -150,6 +167,17 @@ mod tests {
         assert!(triple_or_uniform("").is_err() && triple_or_uniform("1 2").is_err());
         // Wavelength:value pairs are not mistaken for numbers.
         assert!(triple_or_uniform("400:0.1, 700:0.2").is_err());
+    }
+
+    #[test]
+    fn hexadecimal_colours_have_six_digits() {
+        assert_eq!(colour(" #ff3300 ").unwrap(), [1.0, 0.2, 0.0]);
+        assert_eq!(colour("0.5").unwrap(), [0.5; 3]);
+        for bad in [
+            "#", "#fff", "#ff33001", "#+f3300", "#gg0000", "ff3300", "#é33",
+        ] {
+            assert!(colour(bad).is_err(), "{bad}");
+        }
     }
 
     #[test]
