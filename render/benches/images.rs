@@ -75,7 +75,7 @@ fn plates() -> Scene {
 fn textured() -> Scene {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("wall.exr");
-    let mut wall = Image::new(TEXELS as usize, TEXELS as usize);
+    let mut wall = Image::new(TEXELS, TEXELS);
     for (i, x) in wall.data.iter_mut().enumerate() {
         *x = 0.2 + 0.6 * (i % 7) as f32 / 6.0;
     }

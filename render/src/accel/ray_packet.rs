@@ -223,10 +223,9 @@ impl Few {
             });
         }
         if !CAREFUL {
-            let surface = best.surface.to_array();
             let mut again = 0;
-            for i in 0..PACKET_SIZE {
-                again |= u32::from(surface[i].to_bits() == packet.skip[0][i]) << i;
+            for (i, met) in best.surface.to_array().iter().enumerate() {
+                again |= u32::from(met.to_bits() == packet.skip[0][i]) << i;
             }
             if again & found != 0 {
                 return self.again(packet, hits);

@@ -933,9 +933,9 @@ fn refitted_hierarchies_give_the_hits_of_new_ones() {
     let items = prepare(&sheet(0.3, &[]), &surfaces(&mixed)).expect("in reach");
     let mut scattered: Vec<Item> = items.clone();
     let n = 2 * 24 * 24;
-    for i in 0..n {
+    for (i, item) in scattered.iter_mut().enumerate().take(n) {
         // The primitive that item `i` is stands somewhere else, and is of the same kind.
-        scattered[i].tag.prim = ((i * 389) % n) as u32;
+        item.tag.prim = ((i * 389) % n) as u32;
     }
     let sorted = Accel::build(&sheet(0.3, &[])).expect("in reach");
     let looseness = tree(&sorted)
