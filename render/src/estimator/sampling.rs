@@ -216,7 +216,7 @@ impl Sampling for AttachedDirect {
 }
 
 /// [`AttachedDirect`] whose samples slow down towards discontinuities [Zeltner 2021, section 4.4.2]
-/// by the factor `1 - B` of [`crate::integrator::boundary`], found by `RAYS` auxiliary rays for each
+/// by the factor `1 - B` of [`crate::integrator::reparameterisation`], found by `RAYS` auxiliary rays for each
 /// direction that finds light.
 ///
 /// The divergence term has the sign of errata Z-4.54.

@@ -27,7 +27,7 @@ pub trait Strategy: Send + Sync + 'static {
     const SAMPLES_EMITTERS: bool;
     /// Whether emitters hit by a scattered direction count.
     const COUNTS_HITS: bool;
-    /// Whether densities in weights are those of constant parameters, see [`FrozenWeights`].
+    /// Whether densities in weights are those of constant parameters, see [`FrozenWeights`](super::FrozenWeights).
     const FROZEN_WEIGHTS: bool = false;
     /// Whether they are differentiated in the parameters.
     const DIFFERENTIATED_WEIGHTS: bool = false;

@@ -285,9 +285,9 @@ pub struct Connected<P> {
     pub wi: Vec3<P>,
     /// Emitted radiance.
     pub le: Rgb<P>,
-    /// As [`super::path::SampledLight::mis_pdf`].
+    /// As [`super::record::SampledLight::mis_pdf`].
     pub mis_pdf: P,
-    /// As [`super::path::SampledLight::kept`].
+    /// As [`super::record::SampledLight::kept`].
     pub kept: P,
     /// Whether the change of normals has samples of its own.
     pub splits: bool,

@@ -35,7 +35,7 @@ use crate::sampler::Sampler;
 ///
 /// # Errors
 /// An adjoint image of the wrong size; an estimator that the scene's discontinuities would bias
-/// ([`Scene::admits`]).
+/// ([`Scene::admits`](crate::Scene::admits)).
 ///
 /// # Reference
 /// [Stam 2020, section 5.1] with errata S-5.1 and S-D3 to S-D6; [Zeltner 2021, algorithms 4.1 and 4.2] with

@@ -1,6 +1,6 @@
 //! Light transport: one path tracer for every scalar, strategy and use.
 //!
-//! [`path::trace`] follows a path and calls an [`path::Observer`]. With `()` it only renders; with a
+//! [`path::trace`] follows a path and calls an [`record::Observer`]. With `()` it only renders; with a
 //! [`record::Recorder`] the vertices are kept, and the adjoint is pulled back through them.
 //! [`render`](render::render) and [`gradient`](gradient::Gradient) drive it over an image;
 //! [`second_order`] has Hessian-vector products and the Gauss-Newton matrix.

@@ -207,8 +207,8 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
         );
     }
 
-    /// Goes on to the next vertex: `hit` is what [`Walk::ray`] met, `visible` whether
-    /// [`Walk::shadow`] was free.
+    /// Goes on to the next vertex: `hit` is what `Walk::ray` met, `visible` whether
+    /// `Walk::shadow` was free.
     #[inline]
     pub fn step<O: Observer<R>>(
         &mut self,

@@ -19,7 +19,7 @@ use crate::sampler::Sampler;
 /// It depends on the arguments only, not on the number of threads.
 ///
 /// # Errors
-/// A strategy that is wrong in this scene ([`Scene::admits`]) or for a parameter that moves
+/// A strategy that is wrong in this scene ([`Scene::admits`](crate::Scene::admits)) or for a parameter that moves
 /// ([`estimator::check_parameter`]); none without tangents.
 pub fn render<R: Components, S: Unbiased, X: Sampler>(
     job: &Job,

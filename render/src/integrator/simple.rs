@@ -2,7 +2,7 @@
 //!
 //! It samples BSDFs and emitters, weighs them with the power heuristic, and stops at a depth. Everything is detached, so that
 //! a path is a list of plain numbers which does not depend on what is differentiated: [`trace`] makes it, [`radiance`]
-//! evaluates it over any scalar, and [`backward`] is the adjoint of that. What [`super::path`] and [`super::wave`] have
+//! evaluates it over any scalar, and [`backward`] is the adjoint of that. What [`super::path`] and `super::wave` have
 //! besides is the other strategies, roulette, guides, the choice of lights by what they would bring, caustics that are left
 //! to particles, many paths at a time, and that what no derivative needs is not computed. With the same random numbers
 //! the two agree to rounding (`tests/tests/simple.rs`).

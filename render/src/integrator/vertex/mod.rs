@@ -1,6 +1,6 @@
 //! What happens at a vertex of a path, each rule once.
 //!
-//! Single paths ([`super::path`]), waves ([`super::wave`]) and particles ([`super::particle`]) are loops that call these
+//! Single paths ([`super::path`]), waves (`super::wave`) and particles ([`super::particle`]) are loops that call these
 //! functions in the same order. Those that waves call for many paths at a time have no branches: what is not wanted is
 //! selected away.
 
