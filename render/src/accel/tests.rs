@@ -308,7 +308,7 @@ fn surfaces_that_are_left_out_are_not_met() {
                 assert_eq!(occluded >> i & 1 != 0, blocked);
             }
         }
-        assert!(changed > 1_000, "{changed}");
+        assert!(changed > 50, "{changed}");
     }
 }
 
