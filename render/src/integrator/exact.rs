@@ -194,8 +194,14 @@ impl ExactBuffer {
 
 /// The number next to the sum over `levels[k] 2^(exponent + k STEP)`.
 fn value(levels: &[i64], exponent: i32) -> f64 {
-    if let [n] = levels {
-        return scaled(*n as f64, exponent);
+    // One digit, as a rule.
+    let mut set = (levels.iter().zip(0..)).filter(|(n, _)| **n != 0);
+    match (set.next(), set.next()) {
+        (None, _) => return 0.0,
+        (Some((&n, k)), None) if levels.len() == 1 || n.unsigned_abs() < 1 << 53 => {
+            return scaled(n as f64, exponent + k * STEP);
+        }
+        _ => {}
     }
     // Digits between zero and 2^STEP, of the sum's magnitude.
     let digits = |sign: i128| {
