@@ -364,25 +364,6 @@ impl<'a, R: Real> Theta<'a, R> {
             }
     }
 
-    /// The tangent of element `i` of a range: a number whose primal part is zero.
-    #[inline]
-    pub fn tangent(&self, p: ParamRef, i: usize) -> R {
-        if R::IS_PRIMAL {
-            return R::zero();
-        }
-        match self.tangents {
-            Tangents::Ranges(tangents) => match tangents.get(p.id as usize) {
-                None | Some(Tangent::None) => R::zero(),
-                Some(Tangent::Uniform(t)) => *t,
-                Some(Tangent::Dense(t)) => t[i],
-            },
-            Tangents::Seeds(seeds) => seeds
-                .iter()
-                .filter(|s| s.param == p.id && s.which.has(i))
-                .fold(R::zero(), |sum, s| sum + s.tangent),
-        }
-    }
-
     /// Element `i` of a range.
     #[inline(always)]
     pub fn get(&self, p: ParamRef, i: usize) -> R {

@@ -821,9 +821,10 @@ fn flat_lamps_are_those_of_their_version() {
 
 /// A film of 5 x 5 pixels with this filter, that sees a lamp which ends in the middle of a pixel, before a sky or none.
 fn filtered(filter: &str, sky: bool) -> Result<Scene, String> {
-    let sky = match sky {
-        true => "<emitter type=\"constant\"><rgb name=\"radiance\" value=\"0.75\"/></emitter>",
-        false => "",
+    let sky = if sky {
+        "<emitter type=\"constant\"><rgb name=\"radiance\" value=\"0.75\"/></emitter>"
+    } else {
+        ""
     };
     let text = format!(
         "<scene version=\"3.0.0\"><integrator type=\"path\"><integer name=\"max_depth\" value=\"2\"/></integrator>

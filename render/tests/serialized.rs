@@ -50,9 +50,12 @@ fn mesh(style: Style, height: f64, triangles: &[[u32; 3]]) -> Vec<u8> {
     }
     body.extend(4u64.to_le_bytes());
     body.extend((triangles.len() as u64).to_le_bytes());
-    let mut float = |x: f64| match style.double {
-        true => body.extend(x.to_le_bytes()),
-        false => body.extend((x as f32).to_le_bytes()),
+    let mut float = |x: f64| {
+        if style.double {
+            body.extend(x.to_le_bytes())
+        } else {
+            body.extend((x as f32).to_le_bytes())
+        }
     };
     SQUARE
         .map(|[x, y, _]| [x, y, height])

@@ -251,13 +251,15 @@ impl Tree {
             let [lower, upper] = &mut self.nodes[at].planes[axis];
             // An empty box is entered by no ray from either side.
             let empty = low[axis] > high[axis];
-            lower[k] = match empty {
-                true => f32::INFINITY,
-                false => (low[axis] - self.center[axis]).next_down(),
+            lower[k] = if empty {
+                f32::INFINITY
+            } else {
+                (low[axis] - self.center[axis]).next_down()
             };
-            upper[k] = match empty {
-                true => f32::NEG_INFINITY,
-                false => (high[axis] - self.center[axis]).next_up(),
+            upper[k] = if empty {
+                f32::NEG_INFINITY
+            } else {
+                (high[axis] - self.center[axis]).next_up()
             };
         }
     }

@@ -113,14 +113,14 @@ impl ExactBuffer {
         let leading = e + m.ilog2() as i32;
         let level = (leading - self.exponent - FIRST).div_euclid(STEP);
         let shift = self.exponent + level * STEP - e;
-        let n = match shift > 0 {
-            // Half a quantum is rounded to even, as it is in the usual level.
-            true => {
-                let (n, rest, half) = (m >> shift, m & ((1 << shift) - 1), 1 << (shift - 1));
-                n + u64::from(rest > half || rest == half && n & 1 == 1)
-            }
-            false => m << -shift,
-        } as i64;
+        // Half a quantum is rounded to even, as it is in the usual level.
+        let n = if shift > 0 {
+            let (n, rest, half) = (m >> shift, m & ((1 << shift) - 1), 1 << (shift - 1));
+            n + u64::from(rest > half || rest == half && n & 1 == 1)
+        } else {
+            m << -shift
+        };
+        let n = n as i64;
         let level = (USUAL as i32 + level) as usize;
         self.add_integer(level, i, if d < 0.0 { -n } else { n });
     }

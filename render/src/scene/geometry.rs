@@ -125,13 +125,15 @@ impl Layout {
 
 impl Wanted {
     fn balls(self, shapes: &[AnyShape], infos: &[ShapeInfo]) -> (Option<Vec<Ball>>, Vec<Ball>) {
-        let lamps = match self.lamps {
-            true => balls(shapes, infos, |i| i.emitter.is_some()),
-            false => None,
+        let lamps = if self.lamps {
+            balls(shapes, infos, |i| i.emitter.is_some())
+        } else {
+            None
         };
-        let casters = match self.casters {
-            true => balls(shapes, infos, |i| i.glossy).unwrap_or_default(),
-            false => Vec::new(),
+        let casters = if self.casters {
+            balls(shapes, infos, |i| i.glossy).unwrap_or_default()
+        } else {
+            Vec::new()
         };
         (lamps, casters)
     }

@@ -199,12 +199,13 @@ fn angles<R: Real>(x: R, y: R, z: R) -> Vec2<R> {
 fn to_octahedron<P: Float>(n: Vec3<P>) -> Vec2<P> {
     let scale = (n.x.abs() + n.y.abs() + n.z.abs()).recip();
     let (x, y) = (n.x * scale, n.y * scale);
-    match n.z < P::zero() {
-        true => Vec2::new(
+    if n.z < P::zero() {
+        Vec2::new(
             (P::one() - y.abs()).copysign(x),
             (P::one() - x.abs()).copysign(y),
-        ),
-        false => Vec2::new(x, y),
+        )
+    } else {
+        Vec2::new(x, y)
     }
 }
 
@@ -212,9 +213,10 @@ fn to_octahedron<P: Float>(n: Vec3<P>) -> Vec2<P> {
 fn from_octahedron<R: Real>(at: Vec2<R>) -> Vec3<R> {
     let (x, y) = (at.x.abs(), at.y.abs());
     let z = R::one() - x - y;
-    let (x, y) = match z.primal() < R::Primal::zero() {
-        true => (R::one() - y, R::one() - x),
-        false => (x, y),
+    let (x, y) = if z.primal() < R::Primal::zero() {
+        (R::one() - y, R::one() - x)
+    } else {
+        (x, y)
     };
     let (x, y) = (x.copysign(at.x.primal()), y.copysign(at.y.primal()));
     Vec3::new(x, y, z).normalize()

@@ -729,9 +729,10 @@ fn blackbody(element: &mut Element) -> Result<[f64; 3], SceneError> {
         }
     };
     let temperature = element.parse("temperature", kelvin)?;
-    let scale = match element.has("scale") {
-        true => element.parse("scale", value::float)?,
-        false => 1.0,
+    let scale = if element.has("scale") {
+        element.parse("scale", value::float)?
+    } else {
+        1.0
     };
     Ok(spectrum::blackbody(temperature).map(|x| scale * x))
 }
