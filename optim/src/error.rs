@@ -75,6 +75,16 @@ pub enum OptimError {
         /// The group that clashes with it.
         second: String,
     },
+    /// The entries of a group cannot move together as was asked for.
+    #[error("group `{group}`: expected {expected}, found {found}")]
+    Tied {
+        /// The group.
+        group: String,
+        /// What such a group needs.
+        expected: String,
+        /// What it has.
+        found: String,
+    },
     /// A physical value outside the domain of its reparameterisation.
     #[error("parameter: expected {expected}, found {value} at {}", place(*.index, group))]
     OutOfDomain {

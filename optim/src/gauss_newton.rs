@@ -254,7 +254,8 @@ impl<T: Scalar> GaussNewton<T> {
     /// For the parameters of `groups`. Rates are fractions of a step, usually 1.
     ///
     /// # Errors
-    /// Rates for another number of parameters, or options out of their range.
+    /// Rates for another number of parameters, options out of their range, or a group whose entries move together
+    /// ([`Groups::tie`]): the matrix is taken one entry at a time.
     pub fn new(
         rates: Rates,
         groups: Groups,
@@ -262,6 +263,13 @@ impl<T: Scalar> GaussNewton<T> {
     ) -> Result<Self, OptimError> {
         options.validate()?;
         require_len("rates", groups.len(), rates.len())?;
+        if let Some(tied) = groups.iter().find(|g| g.diffusion.is_some()) {
+            return Err(OptimError::Tied {
+                group: tied.name.clone(),
+                expected: "entries that move by themselves, for Gauss-Newton steps".to_owned(),
+                found: "a group that moves along a graph".to_owned(),
+            });
+        }
         Ok(Self {
             damping: options.damping,
             // The first step replaces what does not stand for its value.

@@ -1,6 +1,7 @@
 //! Named ranges of the parameter vector with their own learning rate, bounds and variables.
 
 use crate::bounds::Parameterisation;
+use crate::diffusion::Diffusion;
 use crate::error::{OptimError, require_len};
 use crate::optimizer::{Optimizer, check_inputs, require_finite};
 use crate::rates::Rates;
@@ -17,6 +18,10 @@ pub struct Group {
     pub range: Range<usize>,
     /// How the entries depend on what the optimiser moves.
     pub parameterisation: Parameterisation,
+    /// The graph along which the entries move together, where they do ([`Groups::tie`]); the parameterisation is the
+    /// identity then.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub diffusion: Option<Diffusion>,
 }
 
 /// Disjoint named ranges of a parameter vector; entries outside all of them are unbounded.
@@ -38,7 +43,12 @@ impl TryFrom<RawGroups> for Groups {
     fn try_from(raw: RawGroups) -> Result<Self, OptimError> {
         let mut groups = Self::new(raw.len);
         for g in raw.groups {
-            groups.add(g.name, g.range, g.parameterisation)?;
+            if let Some(diffusion) = g.diffusion {
+                groups.add(g.name.clone(), g.range, g.parameterisation)?;
+                groups.tie(&g.name, diffusion)?;
+            } else {
+                groups.add(g.name, g.range, g.parameterisation)?;
+            }
         }
         Ok(groups)
     }
@@ -71,6 +81,7 @@ impl Groups {
             name: name.into(),
             range,
             parameterisation: parameterisation.validated()?,
+            diffusion: None,
         };
         let at = self
             .groups
@@ -88,6 +99,43 @@ impl Groups {
         }
         self.groups.insert(at, group);
         Ok(())
+    }
+
+    /// Lets the entries of a group move together along a graph: `[vertex][component]` in order.
+    ///
+    /// # Errors
+    /// There is no such group, its entries are no whole number per vertex, or they have bounds or variables of their own.
+    pub fn tie(&mut self, name: &str, diffusion: Diffusion) -> Result<(), OptimError> {
+        let Some(group) = self.groups.iter_mut().find(|g| g.name == name) else {
+            return Err(self.unknown(name));
+        };
+        let (entries, vertices) = (group.range.len(), diffusion.vertices());
+        if vertices == 0 || entries % vertices != 0 {
+            return Err(OptimError::Tied {
+                group: name.to_owned(),
+                expected: format!("a multiple of {vertices} entries, the number of vertices"),
+                found: format!("{entries}"),
+            });
+        }
+        if group.parameterisation != Parameterisation::Identity {
+            return Err(OptimError::Tied {
+                group: name.to_owned(),
+                expected: "entries without bounds and variables of their own".to_owned(),
+                found: format!("{:?}", group.parameterisation),
+            });
+        }
+        group.diffusion = Some(diffusion);
+        Ok(())
+    }
+
+    /// The error that no group has this name.
+    fn unknown(&self, name: &str) -> OptimError {
+        let known: Vec<_> = self.groups.iter().map(|g| g.name.as_str()).collect();
+        OptimError::UnknownName {
+            what: "group",
+            expected: known.join(", "),
+            found: name.to_owned(),
+        }
     }
 
     /// Number of parameters, in groups or not.
@@ -139,6 +187,18 @@ impl Groups {
         for group in &self.groups {
             variables[end..group.range.start].copy_from_slice(&params[end..group.range.start]);
             end = group.range.end;
+            if let Some(diffusion) = &group.diffusion {
+                let (params, variables) = (
+                    &params[group.range.clone()],
+                    &mut variables[group.range.clone()],
+                );
+                let mut stands_for = vec![T::default(); params.len()];
+                diffusion.values(variables, &mut stands_for);
+                if stands_for != params {
+                    diffusion.variables(params, variables);
+                }
+                continue;
+            }
             let map = group.parameterisation;
             for index in group.range.clone() {
                 if map.forward(variables[index]) == params[index] {
@@ -166,6 +226,9 @@ impl Groups {
     ) -> Result<Vec<T>, OptimError> {
         let mut out = grad.to_vec();
         for group in &self.groups {
+            if let Some(diffusion) = &group.diffusion {
+                diffusion.pull_back(&mut out[group.range.clone()]);
+            }
             for index in group.range.clone() {
                 out[index] = out[index] * group.parameterisation.derivative(variables[index]);
                 if !out[index].is_finite() {
@@ -192,6 +255,13 @@ impl Groups {
         for group in &self.groups {
             params[end..group.range.start].copy_from_slice(&new[end..group.range.start]);
             end = group.range.end;
+            if let Some(diffusion) = &group.diffusion {
+                let range = group.range.clone();
+                if new[range.clone()] != old[range.clone()] {
+                    diffusion.values(&new[range.clone()], &mut params[range]);
+                }
+                continue;
+            }
             let map = group.parameterisation;
             for i in group.range.clone() {
                 new[i] = map.project(new[i]);
@@ -275,12 +345,7 @@ impl<O: Optimizer<T>, T: Scalar> Constrained<O, T> {
     /// Gives the group of that name its own learning rate.
     pub fn set_rate(&mut self, name: &str, rate: f64) -> Result<(), OptimError> {
         let Some(group) = self.groups.get(name) else {
-            let known: Vec<_> = self.groups.iter().map(|g| g.name.as_str()).collect();
-            return Err(OptimError::UnknownName {
-                what: "group",
-                expected: known.join(", "),
-                found: name.to_owned(),
-            });
+            return Err(self.groups.unknown(name));
         };
         let range = group.range.clone();
         self.inner.rates_mut().set_rate(range, rate)

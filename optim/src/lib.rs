@@ -48,12 +48,14 @@
 //! | `gauss_newton` | [`GaussNewton`]: damped steps for least squares, by conjugate gradients |
 //! | `schedule`, `rates` | learning rates over time and per range |
 //! | `bounds` | changes of variables and projections of single values |
+//! | `diffusion` | a change of variables for the vertices of a mesh |
 //! | `groups` | named ranges, and [`Constrained`], which applies all of the above to them |
 //! | [`loss`] | losses, adjoint images, and what noise does to them |
 //! | [`exact`] | numbers that survive JSON bit for bit, also for the caller's own checkpoints |
 
 mod adam;
 mod bounds;
+mod diffusion;
 mod error;
 pub mod exact;
 mod gauss_newton;
@@ -69,6 +71,7 @@ mod test_functions;
 
 pub use adam::{Adam, AdamOptions, Epsilon};
 pub use bounds::{Parameterisation, SIGMOID_LIMIT};
+pub use diffusion::Diffusion;
 pub use error::OptimError;
 pub use gauss_newton::{
     Curvature, Evaluation, GaussNewton, GaussNewtonOptions, NormalMatrix, Outcome,
