@@ -41,6 +41,7 @@ pub mod fig_4_2_1_foot4;
 pub mod fig_4_2_2_env;
 pub mod fig_4_4;
 pub mod fig_4_5;
+pub mod fig_4_8;
 mod fresnel_angles;
 pub mod integration_1d;
 mod microfacet;
