@@ -157,6 +157,19 @@ pub enum SceneError {
         known: Vec<String>,
     },
 
+    /// A plugin or element that is known, and stands for something that is left out.
+    #[error("{location}: {tag} {}: {what} not there", quoted(plugin))]
+    Refused {
+        /// The line of the plugin.
+        location: Location,
+        /// The kind of plugin, such as `bsdf`.
+        tag: String,
+        /// The name in the file.
+        plugin: String,
+        /// What it would need, with its verb: "polarisation is".
+        what: &'static str,
+    },
+
     /// A name that must be unique is given twice.
     #[error("{location}: {} is given twice, first at {first}", Sentence(what))]
     Duplicate {
@@ -447,6 +460,9 @@ pub enum RenderError {
         /// What was expected, and what was found.
         reason: String,
     },
+    /// A light tracer in a scene whose camera has a lens, or parallel rays.
+    #[error("the camera is no pinhole: particles are connected to nothing else; use paths")]
+    NoPinhole,
     /// Normals flipped to a viewer, whom particles do not know.
     #[error(
         "flip_invalid_normals: particles do not know their viewer; expected `--integrator path` and \

@@ -324,7 +324,7 @@ fn integrators_of_others() {
         ),
         (
             "<integrator type=\"stokes\"/>",
-            "<text>:2: `integrator`: expected one of light without polarisation, which is not there, found `stokes`",
+            "<text>:2: integrator `stokes`: polarisation is not there",
         ),
         (
             "<integrator type=\"depth\"/>",
@@ -332,7 +332,7 @@ fn integrators_of_others() {
         ),
         (
             "<integrator type=\"volpath\"/><medium type=\"homogeneous\"/>",
-            "<text>:2: expected a scene without participating media, which are not there, found <medium>",
+            "<text>:2: medium `homogeneous`: participating media are not there",
         ),
         (
             "<integrator type=\"prb_basic\"><boolean name=\"hide_emitters\" value=\"true\"/></integrator>",

@@ -104,13 +104,16 @@ mod diffuse;
 pub mod fresnel;
 pub mod kernel;
 mod mask;
+mod metals;
 pub mod microfacet;
 pub mod nesting;
 mod normal_map;
+mod null;
 mod plastic;
 mod rough_conductor;
 mod rough_dielectric;
 mod rough_plastic;
+mod thin_dielectric;
 mod twosided;
 
 pub use blend::Blend;
@@ -121,10 +124,12 @@ pub use differential::{DiffLobe, Part};
 pub use diffuse::{Diffuse, DiffuseLobe};
 pub use mask::Mask;
 pub use normal_map::{Corrections, Interpolation, NormalMap, shadowing};
+pub use null::{Null, NullLobe};
 pub use plastic::{Coated, CoatedLobe, Plastic, PlasticLobe};
 pub use rough_conductor::{RoughConductor, RoughConductorLobe, Roughness};
 pub use rough_dielectric::{RoughDielectric, RoughDielectricLobe};
 pub use rough_plastic::{Coat, RoughPlastic, RoughPlasticLobe};
+pub use thin_dielectric::{ThinDielectric, ThinDielectricLobe};
 pub use twosided::TwoSided;
 
 use std::sync::Arc;
@@ -1052,6 +1057,8 @@ impl Registry {
         };
         let material = self.called(name, |registry| Material::from_node(node, registry));
         let material = Arc::new(material.map_err(|e| e.at(&node.location))?);
+        // A flag of other renderers: here everything is differentiable.
+        node.ignore(&["differentiable"], Node::boolean)?;
         node.finish()?;
         self.share(node, [0; 3], material.clone());
         Ok(material)
@@ -1218,4 +1225,6 @@ materials! {
     RoughDielectric,
     Plastic,
     RoughPlastic,
+    ThinDielectric,
+    Null,
 }

@@ -8,7 +8,7 @@ use super::clip::Clip;
 use super::{Scene, Settings};
 use crate::accel::{Accel, MAX_COORDINATE};
 use crate::bsdf::{Diffuse, Material};
-use crate::camera::{Camera, FovAxis};
+use crate::camera::Camera;
 use crate::emitter::AnyEmitter;
 use crate::error::{SceneError, quoted};
 use crate::film::{Film, Lobed, MOST_LOBES, PixelFilter};
@@ -57,13 +57,7 @@ const OTHERS: &[&str] = &[
 ];
 /// Those that add something to the image of the integrator inside.
 const WRAPPERS: &[&str] = &["adaptive", "aov", "moment"];
-/// Those of light with a state that does not exist here, and what that is.
-const REFUSED: &[(&str, &str)] = &[
-    ("stokes", "polarisation"),
-    ("transientpath", "time"),
-    ("transientstokes", "polarisation"),
-    ("transient_path", "time"),
-];
+const SENSORS: &[&str] = &["perspective", "thinlens", "orthographic"];
 const FILMS: &[&str] = &["hdrfilm"];
 const FILTERS: &[&str] = &[
     "box",
@@ -205,14 +199,6 @@ fn integrator(mut node: &Node, settings: &mut Settings) -> Result<(), SceneError
         node = inside;
     }
     let plugin = node.plugin.as_str();
-    if let Some((_, state)) = REFUSED.iter().find(|(name, _)| *name == plugin) {
-        return Err(SceneError::Value {
-            location: node.location.clone(),
-            key: "integrator".to_owned(),
-            expected: format!("one of light without {state}, which is not there"),
-            found: quoted(plugin),
-        });
-    }
     let replaced = OTHERS.contains(&plugin);
     if !(INTEGRATORS.contains(&plugin) || FILTERED.contains(&plugin) || replaced) {
         return Err(node.unknown_plugin(&[INTEGRATORS, FILTERED, OTHERS, WRAPPERS].concat()));
@@ -254,8 +240,8 @@ fn integrator(mut node: &Node, settings: &mut Settings) -> Result<(), SceneError
 }
 
 fn sensor_from_node(node: &Node, settings: &mut Settings) -> Result<(Camera, Film), SceneError> {
-    if node.plugin != "perspective" {
-        return Err(node.unknown_plugin(&["perspective"]));
+    if !SENSORS.contains(&node.plugin.as_str()) {
+        return Err(node.unknown_plugin(SENSORS));
     }
     let film = match node.child_with_tag("film")? {
         Some(film) => film_from_node(film)?,
@@ -268,40 +254,41 @@ fn sensor_from_node(node: &Node, settings: &mut Settings) -> Result<(Camera, Fil
         settings.spp = sampler.integer_in("sample_count", 16, 1..=1 << 30)? as u32;
         sampler.ignore_rest();
     }
-    let given = node.choice(
-        "fov_axis",
-        &[
-            ("x", FovAxis::X),
-            ("y", FovAxis::Y),
-            ("diagonal", FovAxis::Diagonal),
-            ("smaller", FovAxis::Smaller),
-            ("larger", FovAxis::Larger),
-        ],
-    )?;
-    let length = node.string_or("focal_length", "50mm")?;
-    let (fov, axis) = match node.float("fov")? {
-        Some(_) if node.has("focal_length") => {
-            return Err(node.invalid("focal_length", "none beside `fov`"));
-        }
-        Some(fov) => (fov, given.unwrap_or_default()),
-        None => {
-            let number = length.trim().trim_end_matches("mm").trim_end();
-            let millimetres = number.parse::<f64>().ok().filter(|l| *l > 0.0);
-            let millimetres = millimetres
-                .ok_or_else(|| node.invalid("focal_length", "a length such as `50mm`"))?;
-            // Of 35 mm film, 36 mm x 24 mm, along its diagonal; 50 mm is the default of Mitsuba.
-            let fov = 2.0 * (36.0f64.hypot(24.0) / (2.0 * millimetres)).atan();
-            (fov.to_degrees(), FovAxis::Diagonal)
-        }
-    };
-    let to_world = node.transform("to_world")?.unwrap_or_default();
-    let camera = Camera::new(to_world, fov, axis, film.size).map_err(|e| match e {
+    let camera = camera_from_node(node, film.size).map_err(|e| match e {
         SceneError::Parameter { key, expected, .. } => node.invalid(&key, &expected),
         other => other,
     })?;
-    node.ignore(&["focus_distance"], Node::float)?;
     node.finish()?;
     Ok((camera, film))
+}
+
+fn camera_from_node(node: &Node, size: [u32; 2]) -> Result<Camera, SceneError> {
+    let to_world = node.transform("to_world")?.unwrap_or_default();
+    node.ignore(&["shutter_open", "shutter_close"], Node::float)?;
+    if node.plugin == "orthographic" {
+        return Camera::orthographic(to_world, size);
+    }
+    let (fov, axis) = node.field_of_view()?;
+    let camera = Camera::new(to_world, fov, axis, size)?;
+    let offset = |key| node.float_or(key, 0.0);
+    let principal = [
+        offset("principal_point_offset_x")?,
+        offset("principal_point_offset_y")?,
+    ];
+    let camera = if principal == [0.0; 2] {
+        camera
+    } else {
+        camera.with_principal_point(principal)
+    };
+    if node.plugin == "perspective" {
+        node.ignore(&["focus_distance"], Node::float)?;
+        return Ok(camera);
+    }
+    let radius = node.float("aperture_radius")?;
+    let radius = radius.ok_or_else(|| node.missing("aperture_radius", "a positive number"))?;
+    let focus = node.float("focus_distance")?;
+    let focus = focus.ok_or_else(|| node.missing("focus_distance", "a positive number"))?;
+    camera.with_lens(&to_world, radius, focus)
 }
 
 fn film_from_node(node: &Node) -> Result<Film, SceneError> {

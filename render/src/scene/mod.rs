@@ -66,7 +66,8 @@ pub enum Caustics {
     /// diffuse surface; paths leave this light out. The expectation is the same, with what paths cannot find
     /// besides: caustics of point and spot lights in mirrors and smooth glass. Particles scatter as detached BSDF
     /// sampling does, with a pair for the change of normals where the estimator has one. Where the whole path is
-    /// attached, or normals are flipped to the viewer, paths find everything all the same.
+    /// attached, where the camera is no pinhole, or where normals are flipped to the viewer, paths find everything all
+    /// the same.
     Particles,
 }
 
@@ -106,7 +107,8 @@ impl LightChoice {
 impl Settings {
     /// Who finds caustics if these are made so: particles only where there is something for them to find.
     pub(crate) fn caustics_of<S: Strategy>(&self, scene: &Scene) -> Caustics {
-        if scene.geometry.casters.is_empty() || self.max_depth < 3 || !S::Bsdf::DETACHED_PATH {
+        let found = scene.camera.is_pinhole() && !scene.geometry.casters.is_empty();
+        if !found || self.max_depth < 3 || !S::Bsdf::DETACHED_PATH {
             Caustics::Paths
         } else {
             self.caustics

@@ -155,7 +155,7 @@ pub(crate) fn from_node<const C: usize>(
     valid: (f64, f64),
 ) -> Result<Texture<C>, SceneError> {
     let name = format!("{}.{key}", registry.prefix());
-    let texture = node.child(key).filter(|t| C == 1 || !t.is_constant());
+    let texture = node.child(key).filter(|t| !t.is_constant());
     if let Some(texture) = texture {
         let usage = Use {
             name: &name,
@@ -164,14 +164,41 @@ pub(crate) fn from_node<const C: usize>(
         };
         return from_plugin(registry, texture, &usage);
     }
-    let value = if C == 1 {
-        node.float(key)?.map(|x| vec![x])
-    } else {
-        node.rgb(key)?.map(|c| c.to_vec())
-    };
-    let value = value.unwrap_or_else(|| default.to_vec());
+    let value = constant_of::<C>(node, key)?.unwrap_or_else(|| default.to_vec());
     let name = format!("{name}.value");
     registry.constant(&name, &value, valid)
+}
+
+/// The constant `key` of `node` in so many channels: a number is grey, and a colour has a luminance.
+fn constant_of<const C: usize>(node: &Node, key: &str) -> Result<Option<Vec<f64>>, SceneError> {
+    Ok(match C {
+        1 => node.grey(key)?.map(|x| vec![x]),
+        _ => node.rgb(key)?.map(|c| c.to_vec()),
+    })
+}
+
+/// The texture that `node` describes times a colour: one of its own, whatever else refers to the description.
+pub(crate) fn times(
+    registry: &mut Registry,
+    node: &Arc<Node>,
+    usage: &Use,
+    by: [f64; 3],
+) -> Result<RgbTexture, SceneError> {
+    let texture: RgbTexture = described(registry, node, usage)?;
+    let params = registry.params_mut();
+    let mut finite = true;
+    texture.visit_params(&mut |p| {
+        let range = params.infos()[p.id as usize].range();
+        for (value, by) in params.values_mut()[range].iter_mut().zip(by.iter().cycle()) {
+            *value = (f64::from(*value) * by) as f32;
+            finite &= value.is_finite();
+        }
+    });
+    if finite {
+        Ok(texture)
+    } else {
+        Err(node.invalid("filename", "texels that stay finite when they are scaled"))
+    }
 }
 
 /// The texture that `node` describes; one that several places refer to has its parameters once.
@@ -184,14 +211,23 @@ pub(crate) fn from_plugin<const C: usize>(
     if let Some(texture) = registry.shared::<RgbTexture>(node, details) {
         return Ok(texture.as_ref().clone().with_channels());
     }
-    let texture: Texture<C> = match node.plugin.as_str() {
+    let texture: Texture<C> = described(registry, node, usage)?;
+    let shared: RgbTexture = texture.clone().with_channels();
+    registry.share(node, details, Arc::new(shared));
+    Ok(texture)
+}
+
+fn described<const C: usize>(
+    registry: &mut Registry,
+    node: &Node,
+    usage: &Use,
+) -> Result<Texture<C>, SceneError> {
+    let texture = match node.plugin.as_str() {
         "bitmap" => bitmap(registry, node, usage)?,
         "checkerboard" => checkerboard(registry, node, usage)?,
         _ => return Err(node.unknown_plugin(PLUGINS)),
     };
     node.finish()?;
-    let shared: RgbTexture = texture.clone().with_channels();
-    registry.share(node, details, Arc::new(shared));
     Ok(texture)
 }
 
@@ -328,11 +364,7 @@ fn checkerboard<const C: usize>(
     usage: &Use,
 ) -> Result<Texture<C>, SceneError> {
     let mut color = |key: &str, default: f64| -> Result<ParamRef, SceneError> {
-        let value = if C == 1 {
-            vec![node.float_or(key, default)?]
-        } else {
-            node.rgb_or(key, [default; 3])?.to_vec()
-        };
+        let value = constant_of::<C>(node, key)?.unwrap_or_else(|| vec![default; C]);
         let shape = match C {
             1 => ParamShape::Scalar,
             _ => ParamShape::Rgb,

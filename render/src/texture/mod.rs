@@ -10,7 +10,7 @@ mod load;
 
 pub use bitmap::{Bitmap, UvTransform, Wrap};
 pub use checkerboard::Checkerboard;
-pub(crate) use load::{PLUGINS, Use, file, from_plugin, texels};
+pub(crate) use load::{PLUGINS, Use, file, from_plugin, texels, times};
 
 use ad_core::{Const, Float, Real, Vec2, array};
 

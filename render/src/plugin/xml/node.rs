@@ -11,7 +11,8 @@ use super::spectrum::{self, Role, Samples};
 use super::value::{self, Value};
 use super::{Directories, Warnings};
 use crate::error::{Location, SceneError, quoted};
-use crate::math::Transform;
+use crate::math::{Rgb, Transform};
+use crate::plugin::refused;
 
 /// One plugin of the scene file, such as `<bsdf type="diffuse" id="white">`.
 ///
@@ -190,6 +191,26 @@ impl Node {
             Value::Integer(i) => Some([i as f64; 3]),
             _ => None,
         })
+    }
+
+    /// `<float>` or `<integer>`, or the luminance of a colour where one stands in its place, as in Mitsuba.
+    pub fn grey(&self, name: &str) -> Result<Option<f64>, SceneError> {
+        let colour = match self.properties.get(name) {
+            Some(property) => matches!(property.value, Value::Color(_)),
+            None => (self.child_quietly(name)).is_some_and(|c| c.node.is_constant()),
+        };
+        if !colour {
+            return self.float(name);
+        }
+        let luminance = |[r, g, b]: [f64; 3]| {
+            // Exactly, where it is grey.
+            if r == g && g == b {
+                r
+            } else {
+                Rgb::new(r, g, b).luminance()
+            }
+        };
+        Ok(self.rgb(name)?.map(luminance))
     }
 
     /// Whether this is a spectrum that is the same everywhere: `uniform`, `d65`, `srgb`, `blackbody`, `regular` or
@@ -444,8 +465,16 @@ impl Node {
         }
     }
 
-    /// The error for a `type` that nobody implements, with the names that exist.
+    /// The error for a `type` that nobody implements: what is left out on purpose, or the names that exist.
     pub fn unknown_plugin(&self, known: &[&str]) -> SceneError {
+        if let Some(what) = refused::reason(&self.tag, &self.plugin) {
+            return SceneError::Refused {
+                location: self.location.clone(),
+                tag: self.tag.clone(),
+                plugin: self.plugin.clone(),
+                what,
+            };
+        }
         SceneError::UnknownPlugin {
             location: self.location.clone(),
             tag: self.tag.clone(),
