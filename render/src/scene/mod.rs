@@ -1,16 +1,20 @@
 //! Scenes: everything a light path can meet, and the parameters of it all.
 
 mod builder;
+mod check;
 mod clip;
 mod geometry;
 mod load;
 mod pixels;
+mod sensor;
 mod shares;
 
 use geometry::Geometry;
 
 pub use builder::Builder;
+pub use check::{Check, Finding, Outcome, Verdict};
 pub use load::LoadOptions;
+pub use sensor::Sensor;
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -162,6 +166,8 @@ pub struct Scene {
     guide: Option<Guide>,
     /// What it was read from.
     files: Vec<PathBuf>,
+    /// All that it can be looked at through.
+    sensors: Vec<Sensor>,
     /// The camera.
     pub camera: Camera,
     /// Resolution, crop and filter.
@@ -246,7 +252,12 @@ impl Scene {
             let mut params = self.params.clone();
             params.values_mut().copy_from_slice(values);
             (self.geometry)
-                .update(&params, changed, &self.infos, &self.camera)
+                .update(
+                    &params,
+                    changed,
+                    &self.infos,
+                    sensor::farthest(&self.sensors, &self.camera),
+                )
                 .map_err(|e| RenderError::OutOfReach {
                     shape: e.shape.map(|shape| self.infos[shape as usize].name.clone()),
                     reason: e.error.to_string(),

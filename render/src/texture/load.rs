@@ -279,14 +279,12 @@ pub(crate) fn file(
     match node.path("filename") {
         Ok(Some(path)) => Ok(Some(path)),
         Ok(None) => Err(node.missing("filename", "the name of an image file")),
-        Err(error @ SceneError::Value { .. }) if registry.allow_missing => {
-            // A <string>, so what is wrong is that the file is missing.
-            if !matches!(node.string("filename"), Ok(Some(_))) {
-                return Err(error);
-            }
+        Err(error @ SceneError::NoFile { .. }) if registry.allow_missing => {
             let value = usage.substitute;
-            let warning = format!("{error}; {} is {value:?} instead", quoted(usage.name));
-            registry.warnings.push(warning);
+            node.warn_of_file(
+                &error,
+                &format!("{} is {value:?} instead", quoted(usage.name)),
+            );
             Ok(None)
         }
         Err(error) => Err(error),

@@ -9,7 +9,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use super::spectrum::{self, Role, Samples};
 use super::value::{self, Value};
-use super::{Directories, Warnings};
+use super::{Directories, Notice, Warnings};
 use crate::error::{Location, SceneError, quoted};
 use crate::math::{Rgb, Transform};
 use crate::plugin::refused;
@@ -321,11 +321,11 @@ impl Node {
         let property = &self.properties[name];
         match property.directories.find(Path::new(text)) {
             Some(path) => Ok(Some(path)),
-            None => Err(SceneError::Value {
+            None => Err(SceneError::NoFile {
                 location: property.location.clone(),
                 key: name.to_owned(),
-                expected: format!("an existing file (looked in {})", property.directories),
-                found: quoted(text),
+                folders: property.directories.to_string(),
+                name: text.to_owned(),
             }),
         }
     }
@@ -342,6 +342,11 @@ impl Node {
         self.children
             .iter()
             .map(|child| (child.name.as_deref(), child.take()))
+    }
+
+    /// The same without their names; counts as asking for none.
+    pub(crate) fn parts(&self) -> impl Iterator<Item = &Arc<Node>> {
+        self.children.iter().map(|child| &child.node)
     }
 
     /// All nested or referenced plugins of one kind, such as `bsdf`, in the order of the file.
@@ -483,9 +488,22 @@ impl Node {
         }
     }
 
-    /// Adds a warning about this plugin to those of the document.
+    /// Adds a warning about this plugin to those of the document: something stands in for what it asks for.
     pub fn warn(&self, message: impl Into<String>) {
-        self.warn_at(&self.location, message.into());
+        let message = format!("{}: {}", self.describe(), message.into());
+        (self.warnings).push(self.location.clone(), Notice::Replaced, message);
+    }
+
+    /// Adds a warning that this plugin does nothing, and why.
+    pub(crate) fn warn_of_no_effect(&self, why: &str) {
+        self.warn_at(&self.location, format!("no effect: {why}"));
+    }
+
+    /// Adds a warning that something stands in for a file that is not there.
+    pub(crate) fn warn_of_file(&self, error: &SceneError, instead: &str) {
+        let location = error.location().unwrap_or(&self.location);
+        let message = format!("{}; {instead}", error.message());
+        (self.warnings).push(location.clone(), Notice::Absent, message);
     }
 
     /// "bsdf `diffuse`"
@@ -496,9 +514,10 @@ impl Node {
         }
     }
 
+    /// A warning about what has no effect.
     fn warn_at(&self, location: &Location, message: String) {
         let message = format!("{}: {message}", self.describe());
-        self.warnings.push(location.clone(), message);
+        (self.warnings).push(location.clone(), Notice::Ignored, message);
     }
 
     fn get<'a, T>(

@@ -387,6 +387,13 @@ impl Parser {
         if tag != "transform" {
             self.leaf(element, xml, source)?;
         }
+        let before = self.nodes[owner].properties.remove(&key);
+        if source.version.get() < (3, 0) && before.is_some() {
+            // As in Mitsuba 2; Mitsuba 3 refuses it.
+            let message = format!("{}: given twice; the last one counts", quoted(&key));
+            self.warnings.push((name.location.clone(), message));
+            self.nodes[owner].names.remove(&key);
+        }
         self.reserve(owner, &key, &name.location)?;
         let property = Property {
             value,
@@ -723,11 +730,11 @@ fn find(file: &Attribute, key: &str, source: &Source) -> Result<PathBuf, SceneEr
     let directories = source.directories();
     directories
         .find(Path::new(&file.text))
-        .ok_or_else(|| SceneError::Value {
+        .ok_or_else(|| SceneError::NoFile {
             location: file.location.clone(),
             key: key.to_owned(),
-            expected: format!("an existing file (looked in {directories})"),
-            found: quoted(&file.text),
+            folders: directories.to_string(),
+            name: file.text.clone(),
         })
 }
 
