@@ -526,11 +526,6 @@ fn elements_that_nothing_can_use_are_errors() {
             "sampler `independent` has no `id`",
         ),
         (r#"<film type="hdrfilm"/>"#, "film `hdrfilm` has no `id`"),
-        (r#"<bsdf type="diffuse"/>"#, "bsdf `diffuse` has no `id`"),
-        (
-            r#"<texture type="bitmap"/>"#,
-            "texture `bitmap` has no `id`",
-        ),
         (r#"<bsdf type="fooo" id="zz"/>"#, "unknown bsdf `fooo`"),
         (
             r#"<texture type="fooo" id="zz"/>"#,

@@ -1048,7 +1048,13 @@ impl Registry {
         node: &Arc<Node>,
         label: &str,
     ) -> Result<Arc<Material>, SceneError> {
-        if let Some(m) = self.shared::<Material>(node, [0; 3]) {
+        if let Some(id) = &node.id {
+            let way = format!("{}.{label}", self.prefix());
+            self.params_mut().alias(way, id);
+        }
+        // One that reads attributes of a mesh is another one for each.
+        let details = [self.attributes.as_ref().map_or(0, |a| a.serial), 0, 0];
+        if let Some(m) = self.shared::<Material>(node, details) {
             return Ok(m);
         }
         let name = match &node.id {
@@ -1060,7 +1066,7 @@ impl Registry {
         // A flag of other renderers: here everything is differentiable.
         node.ignore(&["differentiable"], Node::boolean)?;
         node.finish()?;
-        self.share(node, [0; 3], material.clone());
+        self.share(node, details, material.clone());
         Ok(material)
     }
 }

@@ -3,11 +3,13 @@
 //!
 //! This lies below all plugins, which know no scene; the scene that collects them lies above.
 
+mod attributes;
 mod refused;
 mod registry;
 mod view;
 pub mod xml;
 
+pub(crate) use attributes::{Attribute, Attributes};
 pub use registry::Registry;
 pub(crate) use registry::range_text;
 pub use xml::Node;

@@ -15,6 +15,16 @@ const REFUSED: &[(&str, &[&str], &str)] = &[
     ),
     ("bsdf", &["hair"], "scattering by fibres is"),
     ("bsdf", &["hk"], MEDIA),
+    (
+        "bsdf",
+        &["bumpmap"],
+        "displacement of shading by a height, other than by a normal map, is",
+    ),
+    (
+        "bsdf",
+        &["principledthin"],
+        "the model of Disney for thin surfaces is",
+    ),
     ("bsdf", &["measured", "bsdf_merl"], "measured materials are"),
     (
         "bsdf",

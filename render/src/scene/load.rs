@@ -1,5 +1,6 @@
 //! Scenes from Mitsuba XML files.
 
+use std::collections::HashMap;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -14,8 +15,8 @@ use crate::error::{SceneError, quoted};
 use crate::film::{Film, Lobed, MOST_LOBES, PixelFilter};
 use crate::inputs;
 use crate::math::Transform;
-use crate::plugin::Node;
 use crate::plugin::xml::{Document, check_limit};
+use crate::plugin::{Attributes, Node};
 use crate::shape::{AnyShape, Cube, Shape};
 use crate::texture;
 
@@ -83,6 +84,26 @@ const HINTS: &[&str] = &[
     "glinty",
 ];
 
+/// Classes of Mitsuba, by plugin.
+const SHAPE_NAMES: &[(&str, &str)] = &[
+    ("cube", "Cube"),
+    ("cylinder", "Cylinder"),
+    ("disk", "Disk"),
+    ("obj", "OBJMesh"),
+    ("ply", "PLYMesh"),
+    ("rectangle", "Rectangle"),
+    ("serialized", "SerializedMesh"),
+    ("sphere", "Sphere"),
+];
+const EMITTER_NAMES: &[(&str, &str)] = &[
+    ("constant", "ConstantBackgroundEmitter"),
+    ("directional", "DirectionalEmitter"),
+    ("envmap", "EnvironmentMapEmitter"),
+    ("point", "PointLight"),
+    ("projector", "Projector"),
+    ("spot", "SpotLight"),
+];
+
 impl Scene {
     /// Loads a scene; the second value lists what was ignored or substituted.
     ///
@@ -131,6 +152,10 @@ pub(super) struct Reading {
     pub warnings: Vec<String>,
     /// The materials of shapes without one, and of such lamps.
     defaults: [Option<MaterialId>; 2],
+    /// Of shapes whose textures ask for attributes of their mesh.
+    serial: u64,
+    /// How many things without id of each class there were.
+    classes: HashMap<String, u32>,
 }
 
 impl Reading {
@@ -143,6 +168,8 @@ impl Reading {
             faults,
             warnings: Vec::new(),
             defaults: [None; 2],
+            serial: 0,
+            classes: HashMap::new(),
         }
     }
 
@@ -183,11 +210,25 @@ impl Reading {
             }
         }
         let shapes = root.children_with_tag("shape");
-        for (i, node) in shapes.iter().enumerate() {
-            self.shape(node, i)?;
+        let (mut drawn, mut groups) = (Vec::new(), Vec::new());
+        for (i, &node) in shapes.iter().enumerate() {
+            let before = self.build.shapes().len();
+            match node.plugin.as_str() {
+                "shapegroup" => groups.push(node),
+                "instance" => {
+                    let read = self.instance(node, i);
+                    self.note(read)?;
+                }
+                _ => self.shape(node, i)?,
+            }
+            drawn.resize(drawn.len() + self.build.shapes().len() - before, node);
+        }
+        for group in groups {
+            group.children_with_tag("shape");
+            self.note(group.finish())?;
         }
         if self.faults.as_ref().is_none_or(Vec::is_empty) {
-            warn_of_coordinates(&shapes, &self.build);
+            warn_of_coordinates(&drawn, &self.build);
         }
         for node in root.children_with_tag("emitter") {
             // An area light out here is a declaration that shapes refer to.
@@ -195,6 +236,9 @@ impl Reading {
                 continue;
             }
             let name = node.id.clone().unwrap_or_else(|| "emitter".into());
+            if node.id.is_none() {
+                self.call_as_peer(EMITTER_NAMES, node, &name);
+            }
             let emitter = self.emitter(node, &name, None);
             if let Some((emitter, weight)) = self.note(emitter)? {
                 self.build.add_weighted_emitter(emitter, None, weight);
@@ -247,11 +291,28 @@ impl Reading {
 
     fn shape(&mut self, node: &Arc<Node>, index: usize) -> Result<(), SceneError> {
         let name = node.id.clone().unwrap_or_else(|| format!("shape{index}"));
+        if node.id.is_none() {
+            self.call_as_peer(SHAPE_NAMES, node, &name);
+        }
+        let wanted = attributes_of(node)?;
+        if !wanted.is_empty() {
+            self.serial += 1;
+            let asked = Attributes {
+                serial: self.serial,
+                shape: name.clone(),
+                wanted,
+                ..Attributes::default()
+            };
+            self.build.registry().attributes = Some(asked);
+        }
         let geometry = AnyShape::from_node(node, self.build.registry());
         // What belongs to a shape that is missing is read all the same.
         let stand_in = || Cube::new(&Transform::IDENTITY, false).map(AnyShape::from);
         let geometry = self.note(geometry)?;
         let whole = geometry.is_some();
+        if let Some(asked) = &mut self.build.registry().attributes {
+            asked.absent = !whole;
+        }
         let Some(geometry) = geometry.or_else(stand_in) else {
             return Ok(());
         };
@@ -285,10 +346,49 @@ impl Reading {
             let rest = node.ignore(HINTS, Node::boolean);
             self.note(rest.and_then(|()| node.finish()))?;
         }
+        self.build.registry().attributes = None;
         let shape = self.build.add_shape(&name, geometry, material);
         if let Some((e, weight)) = emitter {
             self.build.add_weighted_emitter(e, Some(shape), weight);
         }
+        Ok(())
+    }
+
+    /// Parameters of what has no id answer to the name of its class in Mitsuba, numbered from the second on.
+    fn call_as_peer(&mut self, names: &[(&str, &str)], node: &Node, own: &str) {
+        let found = names.iter().find(|(plugin, _)| *plugin == node.plugin);
+        let Some((_, class)) = found else {
+            return;
+        };
+        let count = self.classes.entry(class.to_string()).or_default();
+        let name = match *count {
+            0 => class.to_string(),
+            n => format!("{class}_{n}"),
+        };
+        *count += 1;
+        self.build.registry().params_mut().alias(name, own);
+    }
+
+    /// A copy of all shapes of a group, moved to where the instance is.
+    fn instance(&mut self, node: &Arc<Node>, index: usize) -> Result<(), SceneError> {
+        let to_world = node.transform("to_world")?.unwrap_or_default();
+        let group = node.child_with_tag("shape")?;
+        let group = group.filter(|g| g.plugin == "shapegroup");
+        let group = group.ok_or_else(|| node.missing("shapegroup", "a reference to a group"))?;
+        node.finish()?;
+        let name = node.id.clone().unwrap_or_else(|| format!("shape{index}"));
+        for (i, part) in group.children_with_tag("shape").into_iter().enumerate() {
+            if matches!(part.plugin.as_str(), "instance" | "shapegroup") {
+                return Err(part.invalid("type", "a shape that is none of others, in a group"));
+            }
+            if part.child_with_tag("emitter")?.is_some() {
+                return Err(part.invalid("emitter", "none: instances do not emit"));
+            }
+            let id = part.id.clone().unwrap_or_else(|| format!("shape{i}"));
+            let copy = part.moved(format!("{name}.{id}"), &to_world)?;
+            self.shape(&Arc::new(copy), index)?;
+        }
+        node.warn("its shapes are copied: every instance takes the memory of the group");
         Ok(())
     }
 
@@ -304,6 +404,38 @@ impl Reading {
         }
         let reflectance = self.build.rgb(name, [albedo; 3], (0.0, 1.0))?;
         Ok(*self.defaults[kind].insert(self.build.add_material(Diffuse { reflectance })))
+    }
+}
+
+/// Names of the attributes of its mesh that textures of a shape ask for.
+///
+/// # Errors
+/// Textures by surface coordinates beside them, which then say something else.
+fn attributes_of(shape: &Node) -> Result<Vec<String>, SceneError> {
+    fn visit<'a>(node: &'a Node, names: &mut Vec<String>, other: &mut Option<&'a Node>) {
+        for part in node.parts() {
+            if part.tag == "texture" {
+                match part.plugin.as_str() {
+                    "mesh_attribute" => {
+                        names.extend(part.string("name").ok().flatten().map(str::to_owned))
+                    }
+                    _ if part.is_constant() => {}
+                    _ => *other = Some(part),
+                }
+            }
+            visit(part, names, other);
+        }
+    }
+    let (mut names, mut other) = (Vec::new(), None);
+    visit(shape, &mut names, &mut other);
+    match other {
+        Some(texture) if !names.is_empty() => Err(SceneError::Refused {
+            location: texture.location.clone(),
+            tag: texture.tag.clone(),
+            plugin: texture.plugin.clone(),
+            what: "a texture by surface coordinates beside attributes of the mesh is",
+        }),
+        _ => Ok(names),
     }
 }
 
@@ -330,6 +462,9 @@ fn sensor_called(sensors: &[Sensor], name: &str) -> Result<usize, SceneError> {
 
 /// Checks what may never be built, for want of a reference to it.
 fn declaration(node: &Node) -> Result<(), SceneError> {
+    if node.id.is_none() && !matches!(node.tag.as_str(), "bsdf" | "texture") {
+        return Err(node.missing("id", "a name for others to refer to"));
+    }
     if node.id.is_none() {
         // What it is made of may have one all the same.
         node.warn_of_no_effect("it has no `id` for others to refer to");

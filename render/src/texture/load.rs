@@ -10,7 +10,7 @@ use crate::params::{ParamRef, ParamShape};
 use crate::plugin::{Node, Registry, range_text};
 
 /// Texture plugins of scene files.
-pub(crate) const PLUGINS: &[&str] = &["bitmap", "checkerboard"];
+pub(crate) const PLUGINS: &[&str] = &["bitmap", "checkerboard", "mesh_attribute"];
 
 /// What stands in for a missing file.
 const GREY: f64 = 0.5;
@@ -207,7 +207,12 @@ pub(crate) fn from_plugin<const C: usize>(
     node: &Arc<Node>,
     usage: &Use,
 ) -> Result<Texture<C>, SceneError> {
-    let details = details(C, usage.valid);
+    let mut details = details(C, usage.valid);
+    if node.plugin == "mesh_attribute" {
+        // What it reads is another shape's next time.
+        let serial = registry.attributes.as_ref().map_or(0, |a| a.serial);
+        details[0] |= serial << 8;
+    }
     if let Some(texture) = registry.shared::<RgbTexture>(node, details) {
         return Ok(texture.as_ref().clone().with_channels());
     }
@@ -225,6 +230,7 @@ fn described<const C: usize>(
     let texture = match node.plugin.as_str() {
         "bitmap" => bitmap(registry, node, usage)?,
         "checkerboard" => checkerboard(registry, node, usage)?,
+        "mesh_attribute" => attribute(registry, node, usage)?,
         _ => return Err(node.unknown_plugin(PLUGINS)),
     };
     node.finish()?;
@@ -374,6 +380,60 @@ fn checkerboard<const C: usize>(
         colors: [color("color0", 0.4)?, color("color1", 0.2)?],
         to_uv: to_uv(node)?,
     }))
+}
+
+/// An attribute of the mesh whose shape is being built; its values are the parameter of that name of the shape.
+fn attribute<const C: usize>(
+    registry: &mut Registry,
+    node: &Node,
+    usage: &Use,
+) -> Result<Texture<C>, SceneError> {
+    let name = node.string("name")?;
+    let expected = "the name of an attribute, such as `vertex_color`";
+    let name = name.ok_or_else(|| node.missing("name", expected))?;
+    let scale = node.float_or("scale", 1.0)?;
+    let (found, triangles, shape) = match &registry.attributes {
+        Some(a) if a.absent => {
+            return registry.constant(
+                &format!("{}.value", usage.name),
+                usage.substitute,
+                usage.valid,
+            );
+        }
+        Some(a) => (a.found.as_ref(), a.triangles.clone(), &a.shape),
+        None => (None, Arc::default(), &usage.name.to_owned()),
+    };
+    let found = found.ok_or_else(|| node.invalid("name", "an attribute of a PLY mesh"))?;
+    let Some(attribute) = found.get(name) else {
+        let known: Vec<_> = found.keys().map(|k| quoted(k)).collect();
+        let expected = format!("one of the attributes of the mesh: {}", known.join(", "));
+        return Err(node.invalid("name", &expected));
+    };
+    if attribute.channels != C {
+        let expected = format!("an attribute of {C} numbers, not {}", attribute.channels);
+        return Err(node.invalid("name", &expected));
+    }
+    let values: Vec<f32> = (attribute.values.iter())
+        .map(|&v| (f64::from(v) * scale) as f32)
+        .collect();
+    let (lo, hi) = (usage.valid.0 as f32, usage.valid.1 as f32);
+    if let Some(bad) = values
+        .iter()
+        .find(|v| !(v.is_finite() && (lo..=hi).contains(*v)))
+    {
+        let expected = format!("an attribute of numbers from {lo} to {hi}, none of them {bad}");
+        return Err(node.invalid("name", &expected));
+    }
+    let range = ParamShape::Texture {
+        height: 1,
+        width: values.len() / C,
+        channels: C,
+    };
+    let (name, of_faces) = (format!("{shape}.{name}"), attribute.of_faces);
+    let param = registry.push_texels(&name, range, &values, usage.valid);
+    let texture = param.and_then(|p| super::Attribute::new(p, &triangles, of_faces));
+    (texture.map(Texture::Attribute))
+        .ok_or_else(|| node.invalid("name", "an attribute of fewer triangles"))
 }
 
 /// The attribute `to_uv`: what a transform of space does to its xy plane.

@@ -60,6 +60,18 @@ pub(super) struct Child {
 }
 
 impl Property {
+    /// The same, not asked for yet.
+    fn fresh(&self) -> Self {
+        Self {
+            value: self.value.clone(),
+            tag: self.tag,
+            text: self.text.clone(),
+            location: self.location.clone(),
+            directories: self.directories.clone(),
+            used: AtomicBool::new(false),
+        }
+    }
+
     /// "<float> `0.5`"
     fn describe(&self) -> String {
         match self.value {
@@ -347,6 +359,48 @@ impl Node {
     /// The same without their names; counts as asking for none.
     pub(crate) fn parts(&self) -> impl Iterator<Item = &Arc<Node>> {
         self.children.iter().map(|child| &child.node)
+    }
+
+    /// The same shape elsewhere, under another name: moved by a transform after its own.
+    ///
+    /// # Errors
+    /// A `to_world` of another type, or a product that cannot be inverted.
+    pub(crate) fn moved(&self, id: String, by: &Transform) -> Result<Node, SceneError> {
+        let moved = self.transform("to_world")?.unwrap_or_default().then(by);
+        if moved.inverse().is_none() || !moved.is_finite() {
+            return Err(self.invalid("to_world", "an invertible transform in each instance"));
+        }
+        let mut properties: BTreeMap<String, Property> = (self.properties.iter())
+            .map(|(name, p)| (name.clone(), p.fresh()))
+            .collect();
+        let own = properties.remove("to_world");
+        let to_world = own.unwrap_or_else(|| Property {
+            value: Value::Transform(moved),
+            tag: "transform",
+            text: String::new(),
+            location: self.location.clone(),
+            directories: Directories::new(Path::new(""), None),
+            used: AtomicBool::new(false),
+        });
+        let value = Value::Transform(moved);
+        properties.insert("to_world".to_owned(), Property { value, ..to_world });
+        Ok(Node {
+            tag: self.tag.clone(),
+            plugin: self.plugin.clone(),
+            id: Some(id),
+            location: self.location.clone(),
+            properties,
+            children: (self.children.iter())
+                .map(|c| Child {
+                    name: c.name.clone(),
+                    node: c.node.clone(),
+                    location: c.location.clone(),
+                    used: AtomicBool::new(false),
+                })
+                .collect(),
+            asked: Mutex::default(),
+            warnings: self.warnings.clone(),
+        })
     }
 
     /// All nested or referenced plugins of one kind, such as `bsdf`, in the order of the file.
