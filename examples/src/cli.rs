@@ -14,10 +14,11 @@ use render::estimator::{Capabilities, Refusal};
 use render::instances::Estimator;
 use render::integrator::particle;
 use render::integrator::render::{NonFinite, Progress};
+use render::params::{ParamInfo, ParamShape};
 use render::sampler::Points;
 use render::scene::LoadOptions;
 use render::scene::{Caustics, LightChoice};
-use render::{RenderError, Scene, SceneError, Settings};
+use render::{RenderError, Scene, SceneError, Settings, image_io};
 use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
@@ -232,6 +233,14 @@ pub struct LoadArgs {
     /// Substitute mid-grey for texture files that are missing
     #[arg(long, requires = "scene")]
     pub allow_missing: bool,
+    /// The sensor to look through, by its id or number [default: the first]
+    #[arg(long, value_name = "ID", requires = "scene")]
+    pub sensor: Option<String>,
+    /// Value of a parameter: a number, three for a colour, or an image of its size for texels. The key may be that of
+    /// Mitsuba, and `*` stands for any text in it
+    #[arg(short = 'P', long = "set", value_name = "KEY=VALUE", value_parser = define,
+          requires = "scene")]
+    pub values: Vec<(String, String)>,
 }
 
 fn define(text: &str) -> Result<(String, String), String> {
@@ -242,22 +251,105 @@ fn define(text: &str) -> Result<(String, String), String> {
 }
 
 impl LoadArgs {
+    /// As the library takes them.
+    pub fn options(&self) -> LoadOptions {
+        LoadOptions {
+            defines: self.defines.clone(),
+            allow_missing: self.allow_missing,
+            sensor: self.sensor.clone(),
+        }
+    }
+
     /// Loads the scene, prints its warnings, and says how many seconds it took.
     ///
     /// # Errors
     /// Anything wrong with the file.
     pub fn load(&self, path: &Path) -> Result<(Scene, f64), ToolError> {
         let start = Instant::now();
-        let options = LoadOptions {
-            defines: self.defines.clone(),
-            allow_missing: self.allow_missing,
-        };
-        let (scene, warnings) = Scene::load(path, &options)?;
+        let (mut scene, warnings) = Scene::load(path, &self.options())?;
         for w in warnings {
             complain!("warning: {w}");
         }
+        if !self.values.is_empty() {
+            let mut values = scene.params().values().to_vec();
+            for (key, text) in &self.values {
+                for info in scene.params().matching(key)? {
+                    assign(info, text, &mut values[info.range()])?;
+                }
+            }
+            scene.set_params(&values)?;
+        }
         Ok((scene, start.elapsed().as_secs_f64()))
     }
+}
+
+/// The names of all parameters that fit these, which may be patterns, each once.
+///
+/// # Errors
+/// One that nothing fits, with those that resemble it.
+pub fn names_of(scene: &Scene, keys: &[String]) -> Result<Vec<String>, RenderError> {
+    let mut names: Vec<String> = Vec::new();
+    for key in keys {
+        for info in scene.params().matching(key)? {
+            if !names.contains(&info.name) {
+                names.push(info.name.clone());
+            }
+        }
+    }
+    Ok(names)
+}
+
+/// Reads the value of a parameter from a text: numbers, or the name of an image.
+fn assign(info: &ParamInfo, text: &str, values: &mut [f32]) -> Result<(), ToolError> {
+    let numbers = (text.split([',', ' ']).filter(|t| !t.is_empty()))
+        .map(|t| t.parse().ok().filter(|x: &f32| x.is_finite()))
+        .collect::<Option<Vec<f32>>>();
+    let channels = match info.shape {
+        ParamShape::Scalar => 1,
+        ParamShape::Rgb => 3,
+        ParamShape::Texture { channels, .. } => channels,
+    };
+    if let Some(numbers) = numbers.filter(|n| n.len() == 1 || n.len() == channels) {
+        for (value, x) in values.iter_mut().zip(numbers.iter().cycle()) {
+            *value = *x;
+        }
+        return Ok(());
+    }
+    let wrong = |expected: &str| {
+        ToolError::Usage(format!(
+            "-P {}: expected {expected}, found `{text}`",
+            info.name
+        ))
+    };
+    let ParamShape::Texture { width, height, .. } = info.shape else {
+        return Err(wrong(match channels {
+            1 => "a number",
+            _ => "one or three numbers",
+        }));
+    };
+    if !Path::new(text).is_file() {
+        return Err(wrong("a number, or the name of an image"));
+    }
+    let encoding = if channels == 1 {
+        image_io::Encoding::Raw
+    } else {
+        image_io::Encoding::Srgb
+    };
+    let image = image_io::read_layer(Path::new(text), encoding, None)?;
+    let found = (image.width, image.height);
+    let image = match channels {
+        1 => image.into_grey(),
+        _ => image.into_rgb(),
+    };
+    if found != (width, height) || image.data.len() != values.len() {
+        let (w, h) = found;
+        return Err(ToolError::Usage(format!(
+            "-P {}: expected an image of {width} x {height}, found one of {w} x {h} in `{text}`",
+            info.name
+        )));
+    }
+    values.copy_from_slice(&image.data);
+    Ok(())
 }
 
 /// `--sampler`, `--lights`, `--caustics`, `--pixels-per-particle` and `--guide`. Reports hold them by name.

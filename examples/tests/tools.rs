@@ -1860,3 +1860,150 @@ fn long_words_are_quoted_in_part() {
         assert!(!stderr.contains("panicked"), "{tool} {args:?}: {stderr}");
     }
 }
+
+/// What of a scene is understood, line by line, and an exit code that says whether it would render.
+#[test]
+fn a_check_says_what_is_understood() {
+    let dir = Folder::new();
+    let check = |text: &str| {
+        std::fs::write(dir.path("checked.xml"), text).unwrap();
+        let json = dir.path("found.json");
+        let output = Command::new(env!("CARGO_BIN_EXE_render"))
+            .arg(dir.path("checked.xml"))
+            .args(["--check", "--json"])
+            .arg(&json)
+            .output()
+            .unwrap();
+        let report: Value = serde_json::from_slice(&std::fs::read(json).unwrap()).unwrap();
+        let text = String::from_utf8(output.stdout).unwrap();
+        (output.status.code(), text, report)
+    };
+    let (code, text, report) = check(SCENE);
+    assert_eq!(
+        (code, report["outcome"].as_str()),
+        (Some(0), Some("renders")),
+        "{text}"
+    );
+    assert!(
+        text.contains("understood       3  shape `rectangle`: 13, 14, 18"),
+        "{text}"
+    );
+    let wall = SCENE.replace(
+        "<bsdf type=\"diffuse\" id=\"wall\">",
+        "<bsdf type=\"polarizer\" id=\"wall\">",
+    );
+    let (code, text, report) = check(&wall);
+    assert_eq!(
+        (code, report["outcome"].as_str()),
+        (Some(1), Some("refused")),
+        "{text}"
+    );
+    assert!(
+        text.starts_with("refused         12  bsdf `polarizer`: polarisation is not there"),
+        "{text}"
+    );
+    assert_eq!(report["findings"][0]["line"], 12);
+    let texture = "<texture type=\"bitmap\" name=\"reflectance\"><string name=\"filename\" value=\"none.png\"/></texture>";
+    let wall = SCENE.replace(
+        "<rgb name=\"reflectance\" value=\"$red,0.4,0.2\"/>",
+        texture,
+    );
+    let (code, text, report) = check(&wall);
+    assert_eq!(
+        (code, report["outcome"].as_str()),
+        (Some(1), Some("incomplete")),
+        "{text}"
+    );
+    assert!(
+        text.contains("missing         12  `filename`: expected an existing file"),
+        "{text}"
+    );
+    let (code, _, report) = check(&SCENE.replace("fov", "fow"));
+    assert_eq!((code, report["outcome"].as_str()), (Some(1), Some("wrong")));
+    // Nothing else is done.
+    assert!(!Path::new("checked.exr").exists());
+}
+
+/// Any parameter may be set, by its own name, by that of the peer or by a pattern, to numbers or to an image.
+#[test]
+fn parameters_are_set_on_the_command_line() {
+    let dir = Folder::new();
+    let list = |args: &[&str]| {
+        let output = Command::new(env!("CARGO_BIN_EXE_gradient"))
+            .arg(dir.path("scene.xml"))
+            .arg("--list")
+            .args(args)
+            .current_dir(&dir.0)
+            .output()
+            .unwrap();
+        let text = String::from_utf8(output.stdout).unwrap();
+        let error = String::from_utf8(output.stderr).unwrap();
+        (output.status.code(), text, error)
+    };
+    let value = |args: &[&str], name: &str| {
+        let (code, text, error) = list(args);
+        assert_eq!(code, Some(0), "{error}");
+        let line = text
+            .lines()
+            .find(|l| l.starts_with(name))
+            .map(str::to_owned);
+        line.unwrap_or_else(|| panic!("{text}"))
+    };
+    assert!(value(&[], WALL).contains("[0.7, 0.4, 0.2]  also Rectangle.bsdf.reflectance.value"));
+    for key in [
+        WALL,
+        "Rectangle_1.bsdf.reflectance",
+        "wall.*",
+        "Rect*.reflectance.value",
+    ] {
+        assert!(
+            value(&["-P", &format!("{key}=0.25")], WALL).contains("[0.25, 0.25, 0.25]"),
+            "{key}"
+        );
+        let three = format!("{key}=0.1, 0.2 0.3");
+        assert!(
+            value(&["-P", &three], WALL).contains("[0.1, 0.2, 0.3]"),
+            "{key}"
+        );
+    }
+    for (argument, expected) in [
+        ("wall.reflectence=0.2", "closest: wall.reflectance.value"),
+        (
+            "wall.reflectance=1.5",
+            "expected a value in [0, 1], found 1.5",
+        ),
+        ("wall.reflectance=0.1,0.2", "expected one or three numbers"),
+        ("wall.reflectance=a.exr", "expected one or three numbers"),
+        ("*.alpha=1", "no parameter `*.alpha`"),
+    ] {
+        let (code, _, error) = list(&["-P", argument]);
+        assert!(
+            code == Some(1) && error.contains(expected),
+            "{argument}: {error}"
+        );
+    }
+    // Texels take an image of their size.
+    let image = |width: usize, value: f32| Image {
+        width,
+        height: 1,
+        data: vec![value; 3 * width],
+    };
+    write_exr(&dir.path("own.exr"), &image(2, 0.5)).unwrap();
+    write_exr(&dir.path("new.exr"), &image(2, 0.75)).unwrap();
+    write_exr(&dir.path("wide.exr"), &image(3, 0.75)).unwrap();
+    let texture = "<texture type=\"bitmap\" name=\"reflectance\"><string name=\"filename\" value=\"own.exr\"/></texture>";
+    let wall = SCENE.replace(
+        "<rgb name=\"reflectance\" value=\"$red,0.4,0.2\"/>",
+        texture,
+    );
+    std::fs::write(dir.path("scene.xml"), wall).unwrap();
+    let texels = "wall.reflectance.data";
+    assert!(value(&[], texels).contains("mean 0.500000"));
+    assert!(value(&["-P", "wall.reflectance=new.exr"], texels).contains("mean 0.750000"));
+    assert!(value(&["-P", "wall.reflectance=0.1"], texels).contains("mean 0.100000"));
+    let (code, _, error) = list(&["-P", "wall.reflectance=wide.exr"]);
+    assert!(
+        code == Some(1) && error.contains("an image of 2 x 1, found one of 3 x 1"),
+        "{error}"
+    );
+}

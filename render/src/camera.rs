@@ -1,10 +1,13 @@
-//! The perspective pinhole camera.
+//! Cameras: the perspective pinhole, and what differs from it.
+
+mod lens;
 
 use ad_core::{Float, Vec3};
 
 use crate::error::SceneError;
 use crate::film::Film;
 use crate::math::{Ray, Transform, each};
+use lens::{Lens, bad};
 
 /// What the angle of view refers to.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -22,6 +25,22 @@ pub enum FovAxis {
     Larger,
 }
 
+impl FovAxis {
+    /// Half the width of an image of `[width, height]` at unit distance, for the full angle `fov` in degrees. `None` for
+    /// an angle outside (0, 180).
+    pub fn half_width(self, fov: f64, [w, h]: [f64; 2]) -> Option<f64> {
+        let tan = (fov.to_radians() / 2.0).tan();
+        let half = match self {
+            Self::X => tan,
+            Self::Y => tan * w / h,
+            Self::Diagonal => tan * w / w.hypot(h),
+            Self::Smaller => tan * w / w.min(h),
+            Self::Larger => tan * w / w.max(h),
+        };
+        (fov > 0.0 && fov < 180.0).then_some(half)
+    }
+}
+
 /// A pinhole camera with Mitsuba's conventions: it looks along its local +z, +x of the world is on
 /// the right when it looks along -z with y up, and row 0 of the image is the top.
 #[derive(Clone, Debug)]
@@ -36,6 +55,8 @@ pub struct Camera {
     inverse: [[f64; 3]; 3],
     inverse_determinant: f64,
     resolution: [u32; 2],
+    /// What makes it none.
+    lens: Option<Lens>,
 }
 
 impl Camera {
@@ -49,47 +70,39 @@ impl Camera {
         axis: FovAxis,
         resolution: [u32; 2],
     ) -> Result<Self, SceneError> {
-        let bad = |key: &str, expected: &str, found: String| SceneError::Parameter {
-            key: key.into(),
-            expected: expected.into(),
-            found,
-        };
-        if !(fov > 0.0 && fov < 180.0) {
-            return Err(bad("fov", "an angle in (0, 180) degrees", fov.to_string()));
-        }
-        if to_world.inverse().is_none() {
-            return Err(bad(
-                "to_world",
-                "an invertible transform",
-                format!("{:?}", to_world.matrix()),
-            ));
-        }
         let (w, h) = (f64::from(resolution[0]), f64::from(resolution[1]));
-        let tan = (fov.to_radians() / 2.0).tan();
-        let half_x = match axis {
-            FovAxis::X => tan,
-            FovAxis::Y => tan * w / h,
-            FovAxis::Diagonal => tan * w / w.hypot(h),
-            FovAxis::Smaller => tan * w / w.min(h),
-            FovAxis::Larger => tan * w / w.max(h),
-        };
+        let half_x = (axis.half_width(fov, [w, h]))
+            .ok_or_else(|| bad("fov", "an angle in (0, 180) degrees", fov))?;
+        if to_world.inverse().is_none() {
+            let found = format!("{:?}", to_world.matrix());
+            return Err(bad("to_world", "an invertible transform", found));
+        }
         let half_y = half_x * h / w;
         // The camera's local x axis points left in the image, y up.
         let dx = to_world.vector([-2.0 * half_x / w, 0.0, 0.0]);
         let dy = to_world.vector([0.0, -2.0 * half_y / h, 0.0]);
         let corner = to_world.vector([half_x, half_y, 1.0]);
-        let [a, b, c] = [dx, dy, corner].map(Vec3::<f64>::from);
-        let volume = a.dot(b.cross(c));
-        let inverse = [b.cross(c), c.cross(a), a.cross(b)].map(|v| (v * volume.recip()).to_array());
-        Ok(Self {
+        let mut camera = Self {
             origin: to_world.point([0.0; 3]),
             dx,
             dy,
             corner,
-            inverse,
-            inverse_determinant: volume.abs().recip(),
+            inverse: [[0.0; 3]; 3],
+            inverse_determinant: 0.0,
             resolution,
-        })
+            lens: None,
+        };
+        camera.invert();
+        Ok(camera)
+    }
+
+    /// Finds the inverse of what leads to directions.
+    fn invert(&mut self) {
+        let [a, b, c] = [self.dx, self.dy, self.corner].map(Vec3::<f64>::from);
+        let volume = a.dot(b.cross(c));
+        self.inverse =
+            [b.cross(c), c.cross(a), a.cross(b)].map(|v| (v * volume.recip()).to_array());
+        self.inverse_determinant = volume.abs().recip();
     }
 
     /// The camera and its film for particles.
@@ -102,16 +115,20 @@ impl Camera {
         }
     }
 
-    /// The ray through a point of the image: `x` in [0, width], `y` in [0, height], from the top left.
+    /// The ray through a point of the image: `x` in [0, width], `y` in [0, height], from the top left; where there is a
+    /// lens, through its middle.
     #[inline]
     pub fn ray<P: Float>(&self, x: P, y: P) -> Ray<P> {
+        if let Some(Lens::Parallel { direction, forward }) = &self.lens {
+            return self.parallel(x, y, direction, forward);
+        }
         Ray::new(
             each(self.origin, P::of).into(),
             self.direction(x, y).normalize(),
         )
     }
 
-    /// Its direction, not normalised.
+    /// Its direction, not normalised, if it leaves the origin.
     #[inline(always)]
     pub(crate) fn direction<P: Float>(&self, x: P, y: P) -> Vec3<P> {
         let component =

@@ -109,6 +109,23 @@ pub enum SceneError {
         found: String,
     },
 
+    /// A file that a scene names does not exist.
+    #[error(
+        "{location}: {}: expected an existing file (looked in {folders}), found {}",
+        quoted(key),
+        quoted(name)
+    )]
+    NoFile {
+        /// The line that names it.
+        location: Location,
+        /// The name of the attribute.
+        key: String,
+        /// Where it was looked for.
+        folders: String,
+        /// Its name in the scene.
+        name: String,
+    },
+
     /// An attribute or child that a plugin needs is absent.
     #[error(
         "{location}: {} has no {}: expected {expected}, found nothing",
@@ -155,6 +172,19 @@ pub enum SceneError {
         plugin: String,
         /// The names that exist.
         known: Vec<String>,
+    },
+
+    /// A plugin or element that is known, and stands for something that is left out.
+    #[error("{location}: {tag} {}: {what} not there", quoted(plugin))]
+    Refused {
+        /// The line of the plugin.
+        location: Location,
+        /// The kind of plugin, such as `bsdf`.
+        tag: String,
+        /// The name in the file.
+        plugin: String,
+        /// What it would need, with its verb: "polarisation is".
+        what: &'static str,
     },
 
     /// A name that must be unique is given twice.
@@ -232,6 +262,39 @@ pub enum SceneError {
 }
 
 impl SceneError {
+    /// The line of the scene file, if it is one of that.
+    pub fn location(&self) -> Option<&Location> {
+        match self {
+            Self::Syntax { location, .. }
+            | Self::Value { location, .. }
+            | Self::NoFile { location, .. }
+            | Self::Missing { location, .. }
+            | Self::Unknown { location, .. }
+            | Self::UnknownPlugin { location, .. }
+            | Self::Refused { location, .. }
+            | Self::Duplicate { location, .. }
+            | Self::UndefinedParameter { location, .. }
+            | Self::UnknownReference { location, .. }
+            | Self::Cycle { location, .. }
+            | Self::Limit { location, .. } => Some(location),
+            Self::Io { .. }
+            | Self::Write { .. }
+            | Self::Asset { .. }
+            | Self::Parameter { .. }
+            | Self::UnusedDefine { .. } => None,
+        }
+    }
+
+    /// The message without that line.
+    pub fn message(&self) -> String {
+        let all = self.to_string();
+        let place = self.location().map(|l| format!("{l}: "));
+        match place.as_deref().and_then(|place| all.strip_prefix(place)) {
+            Some(rest) => rest.to_owned(),
+            None => all,
+        }
+    }
+
     /// A parameter given in code, where the code follows this line of a file.
     pub(crate) fn at(self, location: &Location) -> Self {
         match self {
@@ -447,6 +510,9 @@ pub enum RenderError {
         /// What was expected, and what was found.
         reason: String,
     },
+    /// A light tracer in a scene whose camera has a lens, or parallel rays.
+    #[error("the camera is no pinhole: particles are connected to nothing else; use paths")]
+    NoPinhole,
     /// Normals flipped to a viewer, whom particles do not know.
     #[error(
         "flip_invalid_normals: particles do not know their viewer; expected `--integrator path` and \

@@ -145,7 +145,16 @@ pub struct Params {
     /// The last suffix that made a name unique.
     suffixes: HashMap<String, u32>,
     values: Vec<f32>,
+    /// Other beginnings of names, and those that they stand for.
+    aliases: HashMap<String, String>,
+    /// The first other beginning of a name.
+    others: HashMap<String, String>,
 }
+
+/// What names of values may end in, or not.
+const ENDINGS: [&str; 2] = [".value", ".data"];
+/// So often beginnings of a name stand for others at most.
+const MOST_ALIASES: usize = 16;
 
 impl Params {
     /// Adds a range, [`ParamKind::Smooth`] until a scene is built of materials and emitters that say otherwise. The name
@@ -206,18 +215,75 @@ impl Params {
         &mut self.values
     }
 
-    /// The range called `name`.
+    /// Says that names that begin with `own` may begin with `other` as well; the first who says so of `other` is right.
+    pub(crate) fn alias(&mut self, other: String, own: &str) {
+        if other == own {
+            return;
+        }
+        (self.others.entry(own.to_owned())).or_insert_with(|| other.clone());
+        self.aliases.entry(other).or_insert_with(|| own.to_owned());
+    }
+
+    /// The range called `name`: by its own name or by the way to it, as Mitsuba has it (`floor.bsdf.brdf_0.alpha.value`
+    /// for an `alpha` in a material of a material of the shape `floor`, whatever ids they have), with or without the
+    /// `.value` or `.data` at the end.
     ///
     /// # Errors
     /// [`RenderError::UnknownParameter`], with the closest known names.
     pub fn find(&self, name: &str) -> Result<&ParamInfo, RenderError> {
-        match self.by_name.get(name) {
-            Some(&id) => Ok(&self.infos[id as usize]),
-            None => Err(RenderError::unknown_parameter(
-                name,
-                self.infos.iter().map(|i| &i.name),
-            )),
+        let own = |name: &str| self.by_name.get(name).map(|&id| &self.infos[id as usize]);
+        let ended = |name: &str| {
+            own(name).or_else(|| {
+                let longer = ENDINGS.iter().find_map(|end| own(&format!("{name}{end}")));
+                let shorter = || ENDINGS.iter().find_map(|end| own(name.strip_suffix(end)?));
+                longer.or_else(shorter)
+            })
+        };
+        let mut wanted = name.to_owned();
+        for _ in 0..MOST_ALIASES {
+            if let Some(info) = ended(&wanted) {
+                return Ok(info);
+            }
+            match replaced(&wanted, &self.aliases) {
+                Some(next) => wanted = next,
+                None => break,
+            }
         }
+        let names = self.infos.iter().map(|i| &i.name);
+        Err(RenderError::unknown_parameter(name, names))
+    }
+
+    /// All ranges whose own name, or the [other](Params::other_name) one, fits a pattern: `*` stands for any text, `?` for
+    /// any character. A pattern without those is a name, as in [`Params::find`].
+    ///
+    /// # Errors
+    /// [`RenderError::UnknownParameter`] where nothing does.
+    pub fn matching(&self, pattern: &str) -> Result<Vec<&ParamInfo>, RenderError> {
+        if !pattern.contains(['*', '?']) {
+            return self.find(pattern).map(|info| vec![info]);
+        }
+        let fits = |info: &&ParamInfo| {
+            let other = || self.other_name(info);
+            fits(pattern, &info.name) || other().is_some_and(|other| fits(pattern, &other))
+        };
+        let found: Vec<_> = self.infos.iter().filter(fits).collect();
+        if found.is_empty() {
+            let names = self.infos.iter().map(|i| &i.name);
+            return Err(RenderError::unknown_parameter(pattern, names));
+        }
+        Ok(found)
+    }
+
+    /// The way to a range from the scene, as Mitsuba has it, if that is not its name.
+    pub fn other_name(&self, info: &ParamInfo) -> Option<String> {
+        let mut name = info.name.clone();
+        for _ in 0..MOST_ALIASES {
+            match replaced(&name, &self.others) {
+                Some(next) => name = next,
+                None => break,
+            }
+        }
+        (name != info.name).then_some(name)
     }
 
     /// How large a range's values are: their root mean square; one where all are zero.
@@ -238,6 +304,35 @@ impl Params {
             offset: info.offset as u32,
         }
     }
+}
+
+/// A name whose longest known beginning is replaced.
+fn replaced(name: &str, by: &HashMap<String, String>) -> Option<String> {
+    let mut ends = name.rmatch_indices('.').map(|(i, _)| i);
+    ends.find_map(|end| Some(format!("{}{}", by.get(&name[..end])?, &name[end..])))
+}
+
+/// Whether a text fits a pattern with `*` and `?`.
+fn fits(pattern: &str, text: &str) -> bool {
+    let (pattern, text): (Vec<char>, Vec<char>) =
+        (pattern.chars().collect(), text.chars().collect());
+    let (mut p, mut t) = (0, 0);
+    // Where the last star stands, and what it has taken so far.
+    let mut star: Option<(usize, usize)> = None;
+    while t < text.len() {
+        if p < pattern.len() && pattern[p] == '*' {
+            star = Some((p, t));
+            p += 1;
+        } else if p < pattern.len() && (pattern[p] == '?' || pattern[p] == text[t]) {
+            (p, t) = (p + 1, t + 1);
+        } else if let Some((at, taken)) = star {
+            star = Some((at, taken + 1));
+            (p, t) = (at + 1, taken + 1);
+        } else {
+            return false;
+        }
+    }
+    pattern[p..].iter().all(|c| *c == '*')
 }
 
 /// The tangent of one range in forward mode: numbers whose primal part is zero.
@@ -439,5 +534,88 @@ pub fn per_channel<const C: usize, P: Float>(d: Rgb<P>) -> [P; C] {
         [d.sum(); C]
     } else {
         array(|c| d[c])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn patterns_fit_texts() {
+        for (pattern, text, expected) in [
+            ("*", "", true),
+            ("*.alpha.value", "a.b.alpha.value", true),
+            ("*.alpha.*", "a.alpha.value", true),
+            ("a?c", "abc", true),
+            ("a?c", "ac", false),
+            ("*b*b*", "abab", true),
+            ("*b*b*", "ab", false),
+            ("a*", "ba", false),
+        ] {
+            assert_eq!(fits(pattern, text), expected, "{pattern} {text}");
+        }
+    }
+
+    #[test]
+    fn ranges_answer_to_several_names() {
+        let mut params = Params::default();
+        let mut push = |name: &str| params.push(name, ParamShape::Scalar, &[0.5], (0.0, 1.0));
+        push("wood.reflectance.value");
+        push("inner.alpha.value");
+        push("glass.eta.value");
+        push("env.data");
+        for (other, own) in [
+            ("floor.bsdf", "wood"),
+            ("wall.bsdf", "wood"),
+            ("wood.brdf_0", "inner"),
+            ("EnvironmentMapEmitter", "env"),
+        ] {
+            params.alias(other.to_owned(), own);
+        }
+        for (name, own) in [
+            ("wood.reflectance.value", "wood.reflectance.value"),
+            ("wood.reflectance", "wood.reflectance.value"),
+            ("wall.bsdf.reflectance.value", "wood.reflectance.value"),
+            ("floor.bsdf.brdf_0.alpha", "inner.alpha.value"),
+            ("glass.eta", "glass.eta.value"),
+            ("EnvironmentMapEmitter.data", "env.data"),
+            ("env.data.value", "env.data"),
+        ] {
+            assert_eq!(params.find(name).expect(name).name, own);
+        }
+        let other = |name| params.other_name(params.find(name).expect("a name"));
+        assert_eq!(
+            other("inner.alpha.value").expect("one"),
+            "floor.bsdf.brdf_0.alpha.value"
+        );
+        assert_eq!(
+            other("wood.reflectance.value").expect("one"),
+            "floor.bsdf.reflectance.value"
+        );
+        assert_eq!(other("glass.eta.value"), None);
+        let names = |pattern| -> Vec<String> {
+            let found = params.matching(pattern).expect(pattern);
+            found.iter().map(|i| i.name.clone()).collect()
+        };
+        assert_eq!(names("*.value").len(), 3);
+        assert_eq!(
+            names("floor.*"),
+            ["wood.reflectance.value", "inner.alpha.value"]
+        );
+        assert_eq!(names("glass.eta"), ["glass.eta.value"]);
+        let error = params
+            .matching("*.roughness")
+            .expect_err("nothing")
+            .to_string();
+        assert!(
+            error.contains("`*.roughness`") && error.contains("closest"),
+            "{error}"
+        );
+        let error = params
+            .find("wood.reflectence.value")
+            .expect_err("nothing")
+            .to_string();
+        assert!(error.contains("closest: wood.reflectance.value"), "{error}");
     }
 }

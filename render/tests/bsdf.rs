@@ -139,6 +139,13 @@ const MATERIALS: &[(&str, &str, &str, Sampled)] = &[
         Sampled::Once,
     ),
     (
+        "window",
+        "thindielectric",
+        r#"<float name="int_ior" value="1.5"/><rgb name="specular_transmittance" value=".9 .8 .7"/>"#,
+        Sampled::ByChoice,
+    ),
+    ("nothing", "null", "", Sampled::Once),
+    (
         "stained metal",
         "blendbsdf",
         r#"<float name="weight" value=".3"/><bsdf type="roughconductor"/><bsdf type="diffuse"/>"#,
@@ -1409,6 +1416,20 @@ fn bad_descriptions_are_errors() {
             r#"<float name="roughness" value=".1"/>"#,
             "roughness",
         ),
+        (
+            "thindielectric",
+            r#"<float name="int_ior" value="30"/>"#,
+            "int_ior",
+        ),
+        ("null", r#"<float name="opacity" value=".1"/>"#, "opacity"),
+        (
+            "mask",
+            r#"<rgb name="opacity" value="2"/><bsdf type="diffuse"/>"#,
+            "opacity",
+        ),
+        ("polarizer", "", "polarisation is not there"),
+        ("hair", "", "fibres"),
+        ("roughconductor_heitz", "", "facets"),
     ];
     for (plugin, content, key) in bad {
         let error = build(plugin, content).map(|_| ()).unwrap_err().to_string();
@@ -1418,4 +1439,71 @@ fn bad_descriptions_are_errors() {
     let (_, params) = build("dielectric", r#"<string name="int_ior" value="water"/>"#).unwrap();
     let eta = params.find("m.eta.value").unwrap();
     assert!((params.values()[eta.offset] - 1.333 / 1.000277).abs() < 1e-6);
+}
+
+/// The metals of Mitsuba, but for one whose colour RGB cannot show: finite, and no mirror gains light.
+#[test]
+fn metals_are_known_by_name() {
+    let names = "a-C Ag Al AlAs Au Be Cr CsI Cu Cu2O CuO d-C Hg HgTe Ir K Li MgO Mo Na_palik Nb Ni_palik Rh Se SiC SnTe Ta \
+                 Te ThF4 TiC TiN TiO2 VC VN V_palik W";
+    let names: Vec<_> = names.split_whitespace().collect();
+    assert_eq!(names.len(), 36);
+    for name in names {
+        let content = format!(r#"<string name="material" value="{name}"/>"#);
+        let (material, params) = build("conductor", &content).expect(name);
+        let values: Vec<f64> = params.values().iter().map(|&v| v.into()).collect();
+        let at = at(Theta::constant(&values));
+        let wo = polar(0.8, 1.0);
+        let (kind, mode) = (DeltaKind::Reflection, TransportMode::Radiance);
+        let f = material.eval_delta(&at, wo, Vec3::new(-wo.x, -wo.y, wo.z), kind, 0, mode);
+        let channels = f.to_array();
+        assert!(
+            channels.iter().all(|f| (0.01..1.0).contains(f)),
+            "{name}: {channels:?}"
+        );
+    }
+}
+
+/// A sheet of glass passes and reflects what all internal reflections add up to, from either side.
+#[test]
+fn thin_glass_adds_up_its_reflections() {
+    let content = r#"<float name="int_ior" value="1.5"/><float name="ext_ior" value="1"/>"#;
+    let (material, params) = build("thindielectric", content).expect("a material");
+    let values: Vec<f64> = params.values().iter().map(|&v| v.into()).collect();
+    let at = at(Theta::constant(&values));
+    for z in [1.0, 0.6, 0.05, -0.3] {
+        let wo = polar(z, 0.3);
+        let one = fresnel::dielectric(f64::abs(z), 1.5);
+        // r + t r t + t r^3 t + ..
+        let (r, t) = (one.reflect, one.transmit);
+        let between: f64 = (0..200).map(|k| t * t * r.powi(2 * k + 1)).sum();
+        let mode = TransportMode::Importance;
+        let reflect = material
+            .eval_delta(&at, wo, wo, DeltaKind::Reflection, 0, mode)
+            .g;
+        let pass = material
+            .eval_delta(&at, wo, wo, DeltaKind::Transmission, 0, mode)
+            .g;
+        assert!((reflect - r - between).abs() < 1e-7, "{z}: {reflect}");
+        assert!((reflect + pass - 1.0).abs() < 1e-12);
+    }
+}
+
+/// A colour where a number is wanted counts as its luminance, and a spectrum that is the same everywhere as a number.
+#[test]
+fn numbers_may_be_colours() {
+    let opacity = |inner: &str| {
+        let content = format!("{inner}<bsdf type=\"diffuse\"/>");
+        let (_, params) = build("mask", &content).expect("a mask");
+        params.values()[params.find("m.opacity.value").expect("an opacity").offset]
+    };
+    assert_eq!(opacity(r#"<rgb name="opacity" value="0.3"/>"#), 0.3);
+    assert_eq!(opacity(r#"<float name="opacity" value="0.3"/>"#), 0.3);
+    assert_eq!(
+        opacity(r#"<rgb name="opacity" value="0, 1, 0"/>"#),
+        0.715_16
+    );
+    let uniform =
+        r#"<texture name="opacity" type="uniform"><float name="value" value="0.3"/></texture>"#;
+    assert_eq!(opacity(uniform), 0.3);
 }

@@ -133,6 +133,11 @@ pub fn all() -> Vec<Case> {
             r#"<bsdf type="mask"><float name="opacity" value="0.6"/><bsdf type="diffuse"><rgb name="reflectance" value="0.7, 0.3, 0.2"/></bsdf></bsdf>"#,
         ),
         material(
+            "window",
+            r#"<bsdf type="thindielectric"><float name="int_ior" value="1.5"/><rgb name="specular_transmittance" value="0.8, 0.9, 0.7"/></bsdf>"#,
+        ),
+        material("nothing", r#"<bsdf type="null"/>"#),
+        material(
             "checkerboard",
             r#"<bsdf type="diffuse"><texture name="reflectance" type="checkerboard"><rgb name="color0" value="0.7, 0.3, 0.2"/><rgb name="color1" value="0.2, 0.4, 0.6"/></texture></bsdf>"#,
         ),
@@ -166,6 +171,18 @@ pub fn all() -> Vec<Case> {
         emitter(
             "point",
             r#"<emitter type="point" id="lamp"><point name="position" value="1, 2.5, 1"/><rgb name="intensity" value="9, 8, 7"/></emitter>"#,
+        ),
+        emitter(
+            "directional",
+            r#"<emitter type="directional" id="sun"><vector name="direction" value="-0.4, -1, -0.5"/><rgb name="irradiance" value="3, 2, 1"/></emitter>"#,
+        ),
+        emitter(
+            "projector",
+            r#"<emitter type="projector" id="lamp"><transform name="to_world"><lookat origin="1, 2.5, 1" target="0, 0, 0" up="0, 0, 1"/></transform><float name="fov" value="60"/><texture name="irradiance" type="checkerboard"><rgb name="color0" value="0.7, 0.3, 0.2"/><rgb name="color1" value="0.2, 0.4, 0.6"/><transform name="to_uv"><scale value="5"/></transform></texture></emitter>"#,
+        ),
+        emitter(
+            "slide",
+            r#"<emitter type="spot" id="lamp"><transform name="to_world"><lookat origin="1, 2.5, 1" target="0, 0, 0" up="0, 0, 1"/></transform><float name="cutoff_angle" value="35"/><rgb name="intensity" value="9, 8, 7"/><texture name="texture" type="checkerboard"><rgb name="color0" value="0.7, 0.3, 0.2"/><rgb name="color1" value="0.2, 0.4, 0.6"/><transform name="to_uv"><scale value="5"/></transform></texture></emitter>"#,
         ),
         emitter(
             "spot",

@@ -528,6 +528,10 @@ impl Run<'_> {
 /// Anything wrong with the arguments, the scene or the files.
 pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     let (mut scene, _) = args.load.load(&args.scene)?;
+    let args = &Args {
+        params: cli::names_of(&scene, &args.params)?,
+        ..args.clone()
+    };
     interrupt.keep();
     let mut settings = scene.settings;
     settings.spp = args.spp.unwrap_or(settings.spp);

@@ -194,6 +194,10 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
         print::out(format_args!("{}", listing(&scene)));
         return Ok(Outcome::Done);
     }
+    let args = &Args {
+        params: cli::names_of(&scene, &args.params)?,
+        ..args.clone()
+    };
     if args.measure_lights && args.samples.lights == Some(LightChoice::All) {
         let message = "--measure-lights: all lights are sampled alike; expected --lights one";
         return Err(ToolError::Usage(message.into()));
@@ -469,6 +473,7 @@ fn mixture(
 fn listing(scene: &Scene) -> String {
     let infos = scene.params().infos();
     let wide = infos.iter().map(|i| i.name.len()).max().unwrap_or(0);
+    let other = |info| scene.params().other_name(info);
     let mut text = String::new();
     for info in infos {
         let values = &scene.params().values()[info.range()];
@@ -493,8 +498,9 @@ fn listing(scene: &Scene) -> String {
             ""
         };
         let (lo, hi) = info.valid;
+        let also = other(info).map_or(String::new(), |name| format!("  also {name}"));
         let line = format!(
-            "{:wide$}  {shape:16}  in [{lo}, {hi}]  {value}{note}\n",
+            "{:wide$}  {shape:16}  in [{lo}, {hi}]  {value}{also}{note}\n",
             info.name
         );
         text.push_str(&line);

@@ -1,5 +1,6 @@
 //! The command-line tools: arguments and what they do.
 
+pub mod check;
 pub mod compare;
 pub mod gradient;
 pub mod recover;

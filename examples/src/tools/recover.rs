@@ -35,7 +35,7 @@ use crate::builtin_scene;
 use crate::chart::LineChart;
 use crate::cli::{
     self, ListArgs, LoadArgs, Outcome, SAMPLE_COUNTS, SampleArgs, ThreadArgs, ToolError, depth,
-    report_non_finite, sample_count,
+    names_of, report_non_finite, sample_count,
 };
 use crate::optimise::{Algorithm, Problem};
 use crate::output;
@@ -107,7 +107,7 @@ pub struct Args {
     /// Resolution of the built-in room [default: 96]
     // To clap a missing scene is no mistake where it would conflict, hence those that require it.
     #[arg(long, value_name = "PIXELS",
-          conflicts_with_all = ["scene", "targets", "defines", "allow_missing"],
+          conflicts_with_all = ["scene", "targets", "defines", "allow_missing", "sensor", "values"],
           value_parser = clap::value_parser!(u32).range(SIZES))]
     pub size: Option<u32>,
     /// Folder of the results
@@ -202,6 +202,10 @@ struct Job {
     params: Vec<String>,
     defines: Vec<(String, String)>,
     allow_missing: bool,
+    #[serde(default)]
+    sensor: Option<String>,
+    #[serde(default)]
+    values: Vec<(String, String)>,
     optimizer: OptimizerArg,
     iterations: u32,
     #[serde(with = "optim::exact::number")]
@@ -235,6 +239,8 @@ impl Job {
             params,
             defines: args.load.defines.clone(),
             allow_missing: args.load.allow_missing,
+            sensor: args.load.sensor.clone(),
+            values: args.load.values.clone(),
             optimizer,
             iterations: args.iterations.unwrap_or(match optimizer {
                 OptimizerArg::FirstOrder(_) => 400,
@@ -694,7 +700,7 @@ fn load(job: &Job, estimator: Estimator) -> Result<Loaded, ToolError> {
     let Some(path) = &job.scene else {
         let scene = builtin_scene::cornell(job.size, job.size)?;
         let unknowns = builtin_scene::cornell_unknowns();
-        let active = estimator.active(&scene, &job.params)?;
+        let active = estimator.active(&scene, &names_of(&scene, &job.params)?)?;
         let (mut start, mut truth) = (Vec::new(), Vec::new());
         for info in active.ranges() {
             let values = &scene.params().values()[info.range()];
@@ -709,9 +715,11 @@ fn load(job: &Job, estimator: Estimator) -> Result<Loaded, ToolError> {
     let load = LoadArgs {
         defines: job.defines.clone(),
         allow_missing: job.allow_missing,
+        sensor: job.sensor.clone(),
+        values: job.values.clone(),
     };
     let (scene, _) = load.load(&path.0)?;
-    let active = estimator.active(&scene, &job.params)?;
+    let active = estimator.active(&scene, &names_of(&scene, &job.params)?)?;
     let mut start = Vec::new();
     for info in active.ranges() {
         start.extend_from_slice(&scene.params().values()[info.range()]);

@@ -20,6 +20,7 @@ use crate::cli::{
 };
 use crate::output;
 use crate::progress::{Bar, Interrupt};
+use crate::tools::check;
 use crate::{complain, say};
 
 const EXAMPLES: &str = "\
@@ -29,6 +30,8 @@ Examples:
   render scene.xml --strategy bsdf --json out.json
   render scene.xml --integrator particle         light tracing
   render pool.xml --integrator density --radius 0.02
+  render scene.xml -P wall.reflectance.value=0.8 -P '*.alpha'=0.2
+  render scene.xml --check --json found.json     what of it is understood
 
 Ctrl-C keeps the samples so far (exit code 130).";
 
@@ -74,7 +77,11 @@ pub struct Args {
     /// Weights where techniques are combined
     #[arg(long, value_enum, default_value_t)]
     pub heuristic: HeuristicArg,
-    /// Write size, samples and times to this file
+    /// Read everything, files that are missing or not, say what is understood, substituted, ignored or refused, with its
+    /// line, and do nothing else; the exit code says whether the scene would render
+    #[arg(long, conflicts_with_all = ["output", "spp", "max_depth", "radius", "ignore_non_symmetry", "values", "SampleArgs", "ThreadArgs"])]
+    pub check: bool,
+    /// Write size, samples and times, or what was found, to this file
     #[arg(long, value_name = "OUT.JSON")]
     pub json: Option<PathBuf>,
 }
@@ -231,6 +238,9 @@ struct Report {
 /// # Errors
 /// Anything wrong with the arguments, the scene or the output files; nothing has been written then.
 pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
+    if args.check {
+        return check::run(&args.scene, &args.load, args.json.as_deref());
+    }
     let exr = match &args.output {
         Some(path) => path.clone(),
         None => default_output(&args.scene)?,

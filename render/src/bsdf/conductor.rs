@@ -2,6 +2,7 @@
 
 use ad_core::{Real, Vec3};
 
+use super::metals::METALS;
 use super::{BsdfSample, Component, DeltaKind, Leaf, Lobe, Reader, TransportMode, fresnel};
 use crate::error::SceneError;
 use crate::math::Rgb;
@@ -148,37 +149,4 @@ impl FromNode for Conductor {
 }
 
 /// A metal's `[eta, k]`, each in linear RGB.
-type Index = [[f64; 3]; 2];
-
-/// Measured indices, weighted with the responses of linear RGB: the values that Tungsten publishes.
-const METALS: &[(&str, Option<Index>)] = &[
-    ("none", None),
-    (
-        "Ag",
-        Some([
-            [0.155_264_6, 0.116_723_3, 0.138_380_7],
-            [4.828_343_3, 3.122_245_9, 2.146_950_4],
-        ]),
-    ),
-    (
-        "Al",
-        Some([
-            [1.657_46, 0.880_369, 0.521_228_7],
-            [9.223_869_2, 6.269_523_2, 4.837_001_2],
-        ]),
-    ),
-    (
-        "Au",
-        Some([
-            [0.143_119, 0.374_957, 1.442_478_6],
-            [3.983_160_4, 2.385_720_7, 1.603_215_3],
-        ]),
-    ),
-    (
-        "Cu",
-        Some([
-            [0.200_437_7, 0.924_033_4, 1.102_212],
-            [3.912_948_5, 2.452_847_7, 2.142_188],
-        ]),
-    ),
-];
+pub(super) type Index = [[f64; 3]; 2];

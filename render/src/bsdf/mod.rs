@@ -104,13 +104,16 @@ mod diffuse;
 pub mod fresnel;
 pub mod kernel;
 mod mask;
+mod metals;
 pub mod microfacet;
 pub mod nesting;
 mod normal_map;
+mod null;
 mod plastic;
 mod rough_conductor;
 mod rough_dielectric;
 mod rough_plastic;
+mod thin_dielectric;
 mod twosided;
 
 pub use blend::Blend;
@@ -121,10 +124,12 @@ pub use differential::{DiffLobe, Part};
 pub use diffuse::{Diffuse, DiffuseLobe};
 pub use mask::Mask;
 pub use normal_map::{Corrections, Interpolation, NormalMap, shadowing};
+pub use null::{Null, NullLobe};
 pub use plastic::{Coated, CoatedLobe, Plastic, PlasticLobe};
 pub use rough_conductor::{RoughConductor, RoughConductorLobe, Roughness};
 pub use rough_dielectric::{RoughDielectric, RoughDielectricLobe};
 pub use rough_plastic::{Coat, RoughPlastic, RoughPlasticLobe};
+pub use thin_dielectric::{ThinDielectric, ThinDielectricLobe};
 pub use twosided::TwoSided;
 
 use std::sync::Arc;
@@ -1043,7 +1048,13 @@ impl Registry {
         node: &Arc<Node>,
         label: &str,
     ) -> Result<Arc<Material>, SceneError> {
-        if let Some(m) = self.shared::<Material>(node, [0; 3]) {
+        if let Some(id) = &node.id {
+            let way = format!("{}.{label}", self.prefix());
+            self.params_mut().alias(way, id);
+        }
+        // One that reads attributes of a mesh is another one for each.
+        let details = [self.attributes.as_ref().map_or(0, |a| a.serial), 0, 0];
+        if let Some(m) = self.shared::<Material>(node, details) {
             return Ok(m);
         }
         let name = match &node.id {
@@ -1052,8 +1063,10 @@ impl Registry {
         };
         let material = self.called(name, |registry| Material::from_node(node, registry));
         let material = Arc::new(material.map_err(|e| e.at(&node.location))?);
+        // A flag of other renderers: here everything is differentiable.
+        node.ignore(&["differentiable"], Node::boolean)?;
         node.finish()?;
-        self.share(node, [0; 3], material.clone());
+        self.share(node, details, material.clone());
         Ok(material)
     }
 }
@@ -1218,4 +1231,6 @@ materials! {
     RoughDielectric,
     Plastic,
     RoughPlastic,
+    ThinDielectric,
+    Null,
 }

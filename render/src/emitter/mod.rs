@@ -7,15 +7,19 @@
 
 mod area;
 mod constant;
+mod directional;
 mod envmap;
 mod point;
+mod projector;
 mod spot;
 mod vmf;
 
 pub use area::Area;
 pub use constant::Constant;
+pub use directional::Directional;
 pub use envmap::{Envmap, Moved, MovingDraw, Shift};
 pub use point::Point;
+pub use projector::{Projector, Slide};
 pub use spot::Spot;
 pub use vmf::Vmf;
 
@@ -356,11 +360,10 @@ macro_rules! emitters {
             /// # Errors
             /// Unknown plugin, or anything wrong with its description.
             pub fn from_node(node: &Node, registry: &mut Registry) -> Result<Self, SceneError> {
-                let plugin = node.plugin.as_str();
-                $(if <$hot as FromNode>::PLUGINS.contains(&plugin) {
+                $(if <$hot as FromNode>::takes(node) {
                     return Ok(Self::$hot(<$hot as FromNode>::from_node(node, registry)?));
                 })*
-                $(if <$name as FromNode>::PLUGINS.contains(&plugin) {
+                $(if <$name as FromNode>::takes(node) {
                     return Ok(Self::$name(<$name as FromNode>::from_node(node, registry)?));
                 })*
                 Err(node.unknown_plugin(&Self::PLUGINS.concat()))
@@ -442,10 +445,13 @@ impl AnyEmitter {
 emitters! {
     inline { Area }
     Point,
+    Slide,
     Spot,
     Constant,
     Envmap,
     Vmf,
+    Directional,
+    Projector,
 }
 
 #[cfg(test)]

@@ -197,6 +197,13 @@ impl<'a> FiniteElements<'a> {
     /// # Errors
     /// Anything that is not supported, with its name.
     pub fn new(scene: &'a Scene, options: Options) -> Result<Self, FiniteElementError> {
+        if !scene.camera.is_pinhole() {
+            return Err(FiniteElementError::Value {
+                what: "camera",
+                expected: "a pinhole".into(),
+                found: "a lens, or parallel rays".into(),
+            });
+        }
         if !(2..=64).contains(&options.directions) {
             return Err(FiniteElementError::Value {
                 what: "directions",

@@ -118,8 +118,11 @@ impl<'a, R: Real> Context<'a, R> {
 /// Whether particles see the scene as paths do.
 ///
 /// # Errors
-/// Normals that are flipped to the viewer, whom particles do not know.
+/// Normals that are flipped to the viewer, whom particles do not know; a camera that is no pinhole.
 pub fn check(scene: &Scene) -> Result<(), RenderError> {
+    if !scene.camera.is_pinhole() {
+        return Err(RenderError::NoPinhole);
+    }
     if scene.materials().iter().any(|m| flips_normals(m)) {
         Err(RenderError::FlippedNormals)
     } else {
@@ -242,7 +245,7 @@ impl<R: Real, X: Sampler> Particle<R, X> {
 
         // ---- The light as the camera sees it ----
         let connects = O::CONNECTS && !context.caustics_only && context.settings.max_depth >= 1;
-        if connects && e.is_infinite() {
+        if connects && e.is_infinite() && !e.is_delta() {
             this.see_environment::<O>(context, index, [c, d], inverse_choice);
         }
         let Some(mut start) = e.sample_ray(

@@ -84,12 +84,13 @@ pub(super) fn start<R: Real, S: Strategy, X: Sampler>(
     pixel: [u32; 2],
     index: u64,
 ) -> Walk<R, S, X> {
-    let ([x, y], sampler) = spot(scene, points, seed, pixel, index);
-    Walk::new(Ray::<Geometry<S, R>>::lift(scene.camera.ray(x, y)), sampler)
+    let ([x, y, u, v], sampler) = spot(scene, points, seed, pixel, index);
+    let ray = scene.camera.ray_through(x, y, [u, v]);
+    Walk::new(Ray::<Geometry<S, R>>::lift(ray), sampler)
 }
 
-/// The point of the image that sample `index` of the pixel `(x, y)` of the crop window sees, and the numbers of the
-/// path to come.
+/// The point of the image that sample `index` of the pixel `(x, y)` of the crop window sees, with a place on the lens
+/// if there is one, and the numbers of the path to come.
 #[inline(always)]
 fn spot<P: Float, X: Sampler>(
     scene: &Scene,
@@ -97,7 +98,7 @@ fn spot<P: Float, X: Sampler>(
     seed: u64,
     [x, y]: [u32; 2],
     index: u64,
-) -> ([P; 2], X) {
+) -> ([P; 4], X) {
     let film = &scene.film;
     // Counted on the full film, so that a crop shows the same samples.
     let [px, py] = [x + film.crop_offset[0], y + film.crop_offset[1]];
@@ -105,7 +106,12 @@ fn spot<P: Float, X: Sampler>(
     let mut sampler = X::spread(points, seed, pixel, index);
     let [dx, dy] = film.filter.sample(sampler.next_2d::<P>());
     let centre = |p: u32| P::of(f64::from(p) + 0.5);
-    ([centre(px) + dx, centre(py) + dy], sampler)
+    let [u, v] = if scene.camera.has_lens() {
+        sampler.next_2d::<P>()
+    } else {
+        [P::zero(); 2]
+    };
+    ([centre(px) + dx, centre(py) + dy, u, v], sampler)
 }
 
 /// What a filter that is negative in places makes of the sample that [`spot`] places.

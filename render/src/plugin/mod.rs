@@ -3,9 +3,13 @@
 //!
 //! This lies below all plugins, which know no scene; the scene that collects them lies above.
 
+mod attributes;
+mod refused;
 mod registry;
+mod view;
 pub mod xml;
 
+pub(crate) use attributes::{Attribute, Attributes};
 pub use registry::Registry;
 pub(crate) use registry::range_text;
 pub use xml::Node;
@@ -16,6 +20,10 @@ use crate::error::SceneError;
 pub trait FromNode: Sized {
     /// The plugin's names in scene files.
     const PLUGINS: &'static [&'static str];
+    /// Whether the node is one of these: it has one of the names, unless several plugins share that.
+    fn takes(node: &Node) -> bool {
+        Self::PLUGINS.contains(&node.plugin.as_str())
+    }
     /// Reads the description.
     ///
     /// # Errors

@@ -4,7 +4,7 @@ use std::any::{Any, TypeId};
 use std::collections::HashMap;
 use std::sync::Arc;
 
-use super::Node;
+use super::{Attributes, Node};
 use crate::error::SceneError;
 use crate::params::{ParamRef, ParamShape, Params};
 
@@ -23,6 +23,8 @@ pub struct Registry {
     shared: HashMap<Key, Arc<dyn Any + Send + Sync>>,
     /// Index that the shape under construction will have, while its emitter is built.
     open_shape: Option<u32>,
+    /// Of the mesh that is being built, if textures of its shape ask for some.
+    pub(crate) attributes: Option<Attributes>,
     /// Substitute mid-grey for missing texture files.
     pub allow_missing: bool,
     /// What was ignored or substituted.

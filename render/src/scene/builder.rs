@@ -4,6 +4,7 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 use super::geometry::{Geometry, Wanted};
+use super::sensor::{Sensor, farthest};
 use super::{PixelShares, Scene, Settings, ShapeInfo, Shares};
 use crate::accel::{AccelError, MAX_COORDINATE};
 use crate::bsdf::nesting::{check_textures, flips_normals, is_glossy, visit_deltas};
@@ -183,11 +184,41 @@ impl Builder {
     /// # Errors
     /// Geometry that is not finite, or a material that reads more textures than there is room for.
     pub fn build(
-        mut self,
+        self,
         camera: Camera,
         film: Film,
         settings: Settings,
     ) -> Result<Scene, SceneError> {
+        let sensor = Sensor {
+            name: "sensor0".into(),
+            camera,
+            film,
+            spp: settings.spp,
+        };
+        self.build_with(vec![sensor], 0, settings)
+    }
+
+    /// [`Builder::build`] of a scene with several sensors, of which one is looked through: its samples per pixel count.
+    ///
+    /// # Errors
+    /// The same, or no sensor of this number.
+    pub fn build_with(
+        mut self,
+        sensors: Vec<Sensor>,
+        chosen: usize,
+        mut settings: Settings,
+    ) -> Result<Scene, SceneError> {
+        let Some(Sensor {
+            camera, film, spp, ..
+        }) = sensors.get(chosen).cloned()
+        else {
+            return Err(SceneError::Parameter {
+                key: "sensor".into(),
+                expected: format!("a number below {}", sensors.len()),
+                found: chosen.to_string(),
+            });
+        };
+        settings.spp = spp;
         for (shape, info) in self.shapes.iter_mut().zip(&self.infos) {
             let mut mapped = info.emitter.is_some_and(|e| {
                 let radiance = self.emitters[e as usize].radiance();
@@ -230,7 +261,8 @@ impl Builder {
             lamps: infinite.is_empty(),
             casters: lit_things && !flips,
         };
-        let geometry = Geometry::new(self.shapes, &self.infos, &camera, wanted).map_err(|e| {
+        let reach = farthest(&sensors, &camera);
+        let geometry = Geometry::new(self.shapes, &self.infos, reach, wanted).map_err(|e| {
             let name = e.shape.map(|shape| &self.infos[shape as usize].name[..]);
             out_of_reach(name.unwrap_or("geometry"), &e.error)
         })?;
@@ -245,6 +277,7 @@ impl Builder {
             pixels: PixelShares::default(),
             guide: None,
             files: Vec::new(),
+            sensors,
             camera,
             film,
             settings,

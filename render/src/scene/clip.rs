@@ -6,7 +6,7 @@ use ad_core::{Const, Vec3};
 use super::Scene;
 use crate::accel;
 use crate::error::SceneError;
-use crate::math::each;
+use crate::math::{Ray, each};
 use crate::plugin::Node;
 use crate::shape::Shape;
 
@@ -140,14 +140,15 @@ impl View {
 
     /// Corners of a box around all that is in sight at less than this depth.
     fn box_before(&self, scene: &Scene, depth: f64) -> [[f64; 3]; 2] {
-        let origin = self.origin.to_array();
-        let mut corners = [origin; 2];
+        let mut corners = [self.origin.to_array(); 2];
         let [xs, ys] = scene.film.reach();
         for (x, y) in [(0, 0), (0, 1), (1, 0), (1, 1)].map(|(i, j)| (xs[i], ys[j])) {
-            let d: Vec3<f64> = scene.camera.direction(x, y);
-            let p = (self.origin + d * Const(depth / d.dot(self.forward))).to_array();
-            corners[0] = [0, 1, 2].map(|k: usize| corners[0][k].min(p[k]));
-            corners[1] = [0, 1, 2].map(|k: usize| corners[1][k].max(p[k]));
+            let Ray { o, d, .. } = scene.camera.ray::<f64>(x, y);
+            for p in [o, o + d * Const(depth / d.dot(self.forward))] {
+                let p = p.to_array();
+                corners[0] = [0, 1, 2].map(|k: usize| corners[0][k].min(p[k]));
+                corners[1] = [0, 1, 2].map(|k: usize| corners[1][k].max(p[k]));
+            }
         }
         corners
     }

@@ -1,21 +1,23 @@
 //! Scenes from Mitsuba XML files.
 
+use std::collections::HashMap;
 use std::path::Path;
 use std::sync::Arc;
 
 use super::builder::{Builder, MaterialId, out_of_reach};
 use super::clip::Clip;
-use super::{Scene, Settings};
+use super::{Scene, Sensor, Settings};
 use crate::accel::{Accel, MAX_COORDINATE};
 use crate::bsdf::{Diffuse, Material};
-use crate::camera::{Camera, FovAxis};
+use crate::camera::Camera;
 use crate::emitter::AnyEmitter;
 use crate::error::{SceneError, quoted};
 use crate::film::{Film, Lobed, MOST_LOBES, PixelFilter};
 use crate::inputs;
-use crate::plugin::Node;
+use crate::math::Transform;
 use crate::plugin::xml::{Document, check_limit};
-use crate::shape::{AnyShape, Shape};
+use crate::plugin::{Attributes, Node};
+use crate::shape::{AnyShape, Cube, Shape};
 use crate::texture;
 
 /// How a scene file is loaded.
@@ -25,6 +27,8 @@ pub struct LoadOptions {
     pub defines: Vec<(String, String)>,
     /// Substitute mid-grey for missing texture files, with a warning, instead of failing.
     pub allow_missing: bool,
+    /// The sensor to look through, by its id or its number, instead of the first.
+    pub sensor: Option<String>,
 }
 
 /// Sums of so many pixels take three gigabytes.
@@ -57,13 +61,7 @@ const OTHERS: &[&str] = &[
 ];
 /// Those that add something to the image of the integrator inside.
 const WRAPPERS: &[&str] = &["adaptive", "aov", "moment"];
-/// Those of light with a state that does not exist here, and what that is.
-const REFUSED: &[(&str, &str)] = &[
-    ("stokes", "polarisation"),
-    ("transientpath", "time"),
-    ("transientstokes", "polarisation"),
-    ("transient_path", "time"),
-];
+const SENSORS: &[&str] = &["perspective", "thinlens", "orthographic"];
 const FILMS: &[&str] = &["hdrfilm"];
 const FILTERS: &[&str] = &[
     "box",
@@ -84,6 +82,26 @@ const HINTS: &[&str] = &[
     "caustic_emitter_single",
     "caustic_emitter_multi",
     "glinty",
+];
+
+/// Classes of Mitsuba, by plugin.
+const SHAPE_NAMES: &[(&str, &str)] = &[
+    ("cube", "Cube"),
+    ("cylinder", "Cylinder"),
+    ("disk", "Disk"),
+    ("obj", "OBJMesh"),
+    ("ply", "PLYMesh"),
+    ("rectangle", "Rectangle"),
+    ("serialized", "SerializedMesh"),
+    ("sphere", "Sphere"),
+];
+const EMITTER_NAMES: &[(&str, &str)] = &[
+    ("constant", "ConstantBackgroundEmitter"),
+    ("directional", "DirectionalEmitter"),
+    ("envmap", "EnvironmentMapEmitter"),
+    ("point", "PointLight"),
+    ("projector", "Projector"),
+    ("spot", "SpotLight"),
 ];
 
 impl Scene {
@@ -116,61 +134,340 @@ impl Scene {
         document: &Document,
         options: &LoadOptions,
     ) -> Result<(Self, Vec<String>), SceneError> {
-        let root = document.root();
+        let mut reading = Reading::new(options, None);
+        let scene = reading.scene(document.root(), options)?;
+        let scene = scene.ok_or_else(|| document.root().missing("sensor", "a sensor"))?;
+        let warnings = document.warnings().into_iter().map(|w| w.to_string());
+        Ok((scene, warnings.chain(reading.warnings).collect()))
+    }
+}
+
+/// A scene that is being read.
+pub(super) struct Reading {
+    build: Builder,
+    settings: Settings,
+    /// What is wrong, if reading goes on after that.
+    pub faults: Option<Vec<SceneError>>,
+    /// Of files besides the scene's.
+    pub warnings: Vec<String>,
+    /// The materials of shapes without one, and of such lamps.
+    defaults: [Option<MaterialId>; 2],
+    /// Of shapes whose textures ask for attributes of their mesh.
+    serial: u64,
+    /// How many things without id of each class there were.
+    classes: HashMap<String, u32>,
+}
+
+impl Reading {
+    pub fn new(options: &LoadOptions, faults: Option<Vec<SceneError>>) -> Self {
         let mut build = Builder::new();
         build.registry().allow_missing = options.allow_missing;
-        let mut settings = Settings::default();
-        if let Some(node) = root.child_with_tag("integrator")? {
-            integrator(node, &mut settings)?;
+        Self {
+            build,
+            settings: Settings::default(),
+            faults,
+            warnings: Vec::new(),
+            defaults: [None; 2],
+            serial: 0,
+            classes: HashMap::new(),
         }
-        let sensor = root
-            .child_with_tag("sensor")?
-            .ok_or_else(|| root.missing("sensor", "a perspective sensor"))?;
-        let clip = Clip::from_node(sensor)?;
-        let (camera, film) = sensor_from_node(sensor, &mut settings)?;
-        let mut defaults = [None; 2];
+    }
+
+    /// Passes an error on, or notes it and goes on without the result.
+    fn note<T>(&mut self, result: Result<T, SceneError>) -> Result<Option<T>, SceneError> {
+        match (result, &mut self.faults) {
+            (Ok(x), _) => Ok(Some(x)),
+            (Err(e), Some(faults)) => {
+                faults.push(e);
+                Ok(None)
+            }
+            (Err(e), None) => Err(e),
+        }
+    }
+
+    /// All that the file describes; `None` where something was wrong.
+    pub fn scene(
+        &mut self,
+        root: &Node,
+        options: &LoadOptions,
+    ) -> Result<Option<Scene>, SceneError> {
+        let integrators = root.child_with_tag("integrator");
+        if let Some(Some(node)) = self.note(integrators)? {
+            let read = integrator(node, &mut self.settings);
+            self.note(read)?;
+        }
+        let (nodes, mut sensors) = (root.children_with_tag("sensor"), Vec::new());
+        if nodes.is_empty() {
+            self.note::<()>(Err(root.missing("sensor", "a perspective sensor")))?;
+        }
+        let mut clips = Vec::new();
+        for (i, node) in nodes.iter().enumerate() {
+            let read =
+                Clip::from_node(node).and_then(|clip| Ok((clip, sensor_from_node(node, i)?)));
+            if let Some((clip, sensor)) = self.note(read)? {
+                clips.push(clip);
+                sensors.push(sensor);
+            }
+        }
         let shapes = root.children_with_tag("shape");
-        for (i, node) in shapes.iter().enumerate() {
-            shape(node, i, &mut build, &mut defaults)?;
+        let (mut drawn, mut groups) = (Vec::new(), Vec::new());
+        for (i, &node) in shapes.iter().enumerate() {
+            let before = self.build.shapes().len();
+            match node.plugin.as_str() {
+                "shapegroup" => groups.push(node),
+                "instance" => {
+                    let read = self.instance(node, i);
+                    self.note(read)?;
+                }
+                _ => self.shape(node, i)?,
+            }
+            drawn.resize(drawn.len() + self.build.shapes().len() - before, node);
         }
-        warn_of_coordinates(&shapes, &build);
+        for group in groups {
+            group.children_with_tag("shape");
+            self.note(group.finish())?;
+        }
+        if self.faults.as_ref().is_none_or(Vec::is_empty) {
+            warn_of_coordinates(&drawn, &self.build);
+        }
         for node in root.children_with_tag("emitter") {
             // An area light out here is a declaration that shapes refer to.
             if node.plugin == "area" && node.id.is_some() {
                 continue;
             }
             let name = node.id.clone().unwrap_or_else(|| "emitter".into());
-            let emitter = build
-                .registry()
-                .within(&name, None, |r| AnyEmitter::from_node(node, r))?;
-            let weight = sampling_weight(node)?;
-            node.ignore(HINTS, Node::boolean)?;
-            node.finish()?;
-            build.add_weighted_emitter(emitter, None, weight);
+            if node.id.is_none() {
+                self.call_as_peer(EMITTER_NAMES, node, &name);
+            }
+            let emitter = self.emitter(node, &name, None);
+            if let Some((emitter, weight)) = self.note(emitter)? {
+                self.build.add_weighted_emitter(emitter, None, weight);
+            }
         }
         for tag in DECLARED {
             for node in root.children_with_tag(tag) {
-                declaration(node)?;
+                self.note(declaration(node))?;
             }
         }
-        root.finish()?;
-        let mut of_builder = std::mem::take(&mut build.registry().warnings);
-        let scene = build.build(camera, film, settings)?;
-        clip.check(sensor, &scene)?;
-        let mut warnings: Vec<String> = document
-            .warnings()
-            .iter()
-            .map(ToString::to_string)
-            .collect();
-        warnings.append(&mut of_builder);
-        Ok((scene, warnings))
+        self.note(root.finish())?;
+        self.warnings = std::mem::take(&mut self.build.registry().warnings);
+        if self.faults.as_ref().is_some_and(|f| !f.is_empty()) {
+            return Ok(None);
+        }
+        let chosen = match &options.sensor {
+            Some(name) => self.note(sensor_called(&sensors, name))?,
+            None => Some(0),
+        };
+        let Some(chosen) = chosen else {
+            return Ok(None);
+        };
+        if options.sensor.is_none() && sensors.len() > 1 {
+            let count = sensors.len();
+            nodes[0].warn(format!("the first of {count} sensors is looked through"));
+        }
+        let build = std::mem::take(&mut self.build);
+        let scene = build.build_with(sensors, chosen, self.settings);
+        let Some(scene) = self.note(scene)? else {
+            return Ok(None);
+        };
+        let clipped = clips[chosen].check(nodes[chosen], &scene);
+        Ok(self.note(clipped)?.map(|()| scene))
     }
+
+    /// An emitter and how often it is sampled; `shape` is the shape that it belongs to.
+    fn emitter(
+        &mut self,
+        node: &Node,
+        name: &str,
+        shape: Option<u32>,
+    ) -> Result<(AnyEmitter, f64), SceneError> {
+        let registry = self.build.registry();
+        let emitter = registry.within(name, shape, |r| AnyEmitter::from_node(node, r))?;
+        let weight = sampling_weight(node)?;
+        node.ignore(HINTS, Node::boolean)?;
+        node.finish()?;
+        Ok((emitter, weight))
+    }
+
+    fn shape(&mut self, node: &Arc<Node>, index: usize) -> Result<(), SceneError> {
+        let name = node.id.clone().unwrap_or_else(|| format!("shape{index}"));
+        if node.id.is_none() {
+            self.call_as_peer(SHAPE_NAMES, node, &name);
+        }
+        let wanted = attributes_of(node)?;
+        if !wanted.is_empty() {
+            self.serial += 1;
+            let asked = Attributes {
+                serial: self.serial,
+                shape: name.clone(),
+                wanted,
+                ..Attributes::default()
+            };
+            self.build.registry().attributes = Some(asked);
+        }
+        let geometry = AnyShape::from_node(node, self.build.registry());
+        // What belongs to a shape that is missing is read all the same.
+        let stand_in = || Cube::new(&Transform::IDENTITY, false).map(AnyShape::from);
+        let geometry = self.note(geometry)?;
+        let whole = geometry.is_some();
+        if let Some(asked) = &mut self.build.registry().attributes {
+            asked.absent = !whole;
+        }
+        let Some(geometry) = geometry.or_else(stand_in) else {
+            return Ok(());
+        };
+        // The builder would complain too, but knows no line.
+        if geometry.extent() > MAX_COORDINATE {
+            let tested = Accel::build(&geometry.primitives());
+            let tested = tested.map_err(|e| out_of_reach(&node.plugin, &e).at(&node.location));
+            self.note(tested)?;
+        }
+        let emitter_node = self.note(node.child_with_tag("emitter"))?.flatten();
+        let material = match self.note(node.child_with_tag("bsdf"))?.flatten() {
+            Some(bsdf) => {
+                let registry = self.build.registry();
+                let read = registry.within(&name, None, |r| r.material_from_node(bsdf, "bsdf"));
+                match self.note(read)? {
+                    Some(material) => self.build.add_shared_material(material),
+                    None => self.default_material(false)?,
+                }
+            }
+            None => self.default_material(emitter_node.is_some())?,
+        };
+        let emitter = match emitter_node {
+            Some(e) => {
+                let next = self.build.shapes().len() as u32;
+                let read = self.emitter(e, &format!("{name}.emitter"), Some(next));
+                self.note(read)?
+            }
+            None => None,
+        };
+        if whole {
+            let rest = node.ignore(HINTS, Node::boolean);
+            self.note(rest.and_then(|()| node.finish()))?;
+        }
+        self.build.registry().attributes = None;
+        let shape = self.build.add_shape(&name, geometry, material);
+        if let Some((e, weight)) = emitter {
+            self.build.add_weighted_emitter(e, Some(shape), weight);
+        }
+        Ok(())
+    }
+
+    /// Parameters of what has no id answer to the name of its class in Mitsuba, numbered from the second on.
+    fn call_as_peer(&mut self, names: &[(&str, &str)], node: &Node, own: &str) {
+        let found = names.iter().find(|(plugin, _)| *plugin == node.plugin);
+        let Some((_, class)) = found else {
+            return;
+        };
+        let count = self.classes.entry(class.to_string()).or_default();
+        let name = match *count {
+            0 => class.to_string(),
+            n => format!("{class}_{n}"),
+        };
+        *count += 1;
+        self.build.registry().params_mut().alias(name, own);
+    }
+
+    /// A copy of all shapes of a group, moved to where the instance is.
+    fn instance(&mut self, node: &Arc<Node>, index: usize) -> Result<(), SceneError> {
+        let to_world = node.transform("to_world")?.unwrap_or_default();
+        let group = node.child_with_tag("shape")?;
+        let group = group.filter(|g| g.plugin == "shapegroup");
+        let group = group.ok_or_else(|| node.missing("shapegroup", "a reference to a group"))?;
+        node.finish()?;
+        let name = node.id.clone().unwrap_or_else(|| format!("shape{index}"));
+        for (i, part) in group.children_with_tag("shape").into_iter().enumerate() {
+            if matches!(part.plugin.as_str(), "instance" | "shapegroup") {
+                return Err(part.invalid("type", "a shape that is none of others, in a group"));
+            }
+            if part.child_with_tag("emitter")?.is_some() {
+                return Err(part.invalid("emitter", "none: instances do not emit"));
+            }
+            let id = part.id.clone().unwrap_or_else(|| format!("shape{i}"));
+            let copy = part.moved(format!("{name}.{id}"), &to_world)?;
+            self.shape(&Arc::new(copy), index)?;
+        }
+        node.warn("its shapes are copied: every instance takes the memory of the group");
+        Ok(())
+    }
+
+    /// As in Mitsuba 3, lamps without a material reflect nothing, and other shapes half of the light.
+    fn default_material(&mut self, emits: bool) -> Result<MaterialId, SceneError> {
+        let (kind, name, albedo) = if emits {
+            (1, "default_lamp_bsdf.reflectance.value", 0.0)
+        } else {
+            (0, "default_bsdf.reflectance.value", 0.5)
+        };
+        if let Some(id) = self.defaults[kind] {
+            return Ok(id);
+        }
+        let reflectance = self.build.rgb(name, [albedo; 3], (0.0, 1.0))?;
+        Ok(*self.defaults[kind].insert(self.build.add_material(Diffuse { reflectance })))
+    }
+}
+
+/// Names of the attributes of its mesh that textures of a shape ask for.
+///
+/// # Errors
+/// Textures by surface coordinates beside them, which then say something else.
+fn attributes_of(shape: &Node) -> Result<Vec<String>, SceneError> {
+    fn visit<'a>(node: &'a Node, names: &mut Vec<String>, other: &mut Option<&'a Node>) {
+        for part in node.parts() {
+            if part.tag == "texture" {
+                match part.plugin.as_str() {
+                    "mesh_attribute" => {
+                        names.extend(part.string("name").ok().flatten().map(str::to_owned))
+                    }
+                    _ if part.is_constant() => {}
+                    _ => *other = Some(part),
+                }
+            }
+            visit(part, names, other);
+        }
+    }
+    let (mut names, mut other) = (Vec::new(), None);
+    visit(shape, &mut names, &mut other);
+    match other {
+        Some(texture) if !names.is_empty() => Err(SceneError::Refused {
+            location: texture.location.clone(),
+            tag: texture.tag.clone(),
+            plugin: texture.plugin.clone(),
+            what: "a texture by surface coordinates beside attributes of the mesh is",
+        }),
+        _ => Ok(names),
+    }
+}
+
+/// Which of the sensors has this id, or this number.
+fn sensor_called(sensors: &[Sensor], name: &str) -> Result<usize, SceneError> {
+    let by_number = || name.parse().ok().filter(|&i: &usize| i < sensors.len());
+    let found = sensors
+        .iter()
+        .position(|s| s.name == name)
+        .or_else(by_number);
+    found.ok_or_else(|| {
+        let names: Vec<_> = sensors.iter().map(|s| quoted(&s.name)).collect();
+        SceneError::Parameter {
+            key: "sensor".into(),
+            expected: format!(
+                "a number below {} or one of {}",
+                names.len(),
+                names.join(", ")
+            ),
+            found: quoted(name),
+        }
+    })
 }
 
 /// Checks what may never be built, for want of a reference to it.
 fn declaration(node: &Node) -> Result<(), SceneError> {
-    if node.id.is_none() {
+    if node.id.is_none() && !matches!(node.tag.as_str(), "bsdf" | "texture") {
         return Err(node.missing("id", "a name for others to refer to"));
+    }
+    if node.id.is_none() {
+        // What it is made of may have one all the same.
+        node.warn_of_no_effect("it has no `id` for others to refer to");
     }
     known_plugins(node)
 }
@@ -205,14 +502,6 @@ fn integrator(mut node: &Node, settings: &mut Settings) -> Result<(), SceneError
         node = inside;
     }
     let plugin = node.plugin.as_str();
-    if let Some((_, state)) = REFUSED.iter().find(|(name, _)| *name == plugin) {
-        return Err(SceneError::Value {
-            location: node.location.clone(),
-            key: "integrator".to_owned(),
-            expected: format!("one of light without {state}, which is not there"),
-            found: quoted(plugin),
-        });
-    }
     let replaced = OTHERS.contains(&plugin);
     if !(INTEGRATORS.contains(&plugin) || FILTERED.contains(&plugin) || replaced) {
         return Err(node.unknown_plugin(&[INTEGRATORS, FILTERED, OTHERS, WRAPPERS].concat()));
@@ -253,55 +542,63 @@ fn integrator(mut node: &Node, settings: &mut Settings) -> Result<(), SceneError
     node.finish()
 }
 
-fn sensor_from_node(node: &Node, settings: &mut Settings) -> Result<(Camera, Film), SceneError> {
-    if node.plugin != "perspective" {
-        return Err(node.unknown_plugin(&["perspective"]));
+/// The sensor number `index`.
+fn sensor_from_node(node: &Node, index: usize) -> Result<Sensor, SceneError> {
+    if !SENSORS.contains(&node.plugin.as_str()) {
+        return Err(node.unknown_plugin(SENSORS));
     }
     let film = match node.child_with_tag("film")? {
         Some(film) => film_from_node(film)?,
         None => Film::new(768, 576),
     };
+    let mut spp = Settings::default().spp;
     if let Some(sampler) = node.child_with_tag("sampler")? {
         if sampler.plugin != "independent" {
             sampler.warn("every sampler is replaced by independent samples");
         }
-        settings.spp = sampler.integer_in("sample_count", 16, 1..=1 << 30)? as u32;
+        spp = sampler.integer_in("sample_count", 16, 1..=1 << 30)? as u32;
         sampler.ignore_rest();
     }
-    let given = node.choice(
-        "fov_axis",
-        &[
-            ("x", FovAxis::X),
-            ("y", FovAxis::Y),
-            ("diagonal", FovAxis::Diagonal),
-            ("smaller", FovAxis::Smaller),
-            ("larger", FovAxis::Larger),
-        ],
-    )?;
-    let length = node.string_or("focal_length", "50mm")?;
-    let (fov, axis) = match node.float("fov")? {
-        Some(_) if node.has("focal_length") => {
-            return Err(node.invalid("focal_length", "none beside `fov`"));
-        }
-        Some(fov) => (fov, given.unwrap_or_default()),
-        None => {
-            let number = length.trim().trim_end_matches("mm").trim_end();
-            let millimetres = number.parse::<f64>().ok().filter(|l| *l > 0.0);
-            let millimetres = millimetres
-                .ok_or_else(|| node.invalid("focal_length", "a length such as `50mm`"))?;
-            // Of 35 mm film, 36 mm x 24 mm, along its diagonal; 50 mm is the default of Mitsuba.
-            let fov = 2.0 * (36.0f64.hypot(24.0) / (2.0 * millimetres)).atan();
-            (fov.to_degrees(), FovAxis::Diagonal)
-        }
-    };
-    let to_world = node.transform("to_world")?.unwrap_or_default();
-    let camera = Camera::new(to_world, fov, axis, film.size).map_err(|e| match e {
+    let camera = camera_from_node(node, film.size).map_err(|e| match e {
         SceneError::Parameter { key, expected, .. } => node.invalid(&key, &expected),
         other => other,
     })?;
-    node.ignore(&["focus_distance"], Node::float)?;
     node.finish()?;
-    Ok((camera, film))
+    Ok(Sensor {
+        name: node.id.clone().unwrap_or_else(|| format!("sensor{index}")),
+        camera,
+        film,
+        spp,
+    })
+}
+
+fn camera_from_node(node: &Node, size: [u32; 2]) -> Result<Camera, SceneError> {
+    let to_world = node.transform("to_world")?.unwrap_or_default();
+    node.ignore(&["shutter_open", "shutter_close"], Node::float)?;
+    if node.plugin == "orthographic" {
+        return Camera::orthographic(to_world, size);
+    }
+    let (fov, axis) = node.field_of_view()?;
+    let camera = Camera::new(to_world, fov, axis, size)?;
+    let offset = |key| node.float_or(key, 0.0);
+    let principal = [
+        offset("principal_point_offset_x")?,
+        offset("principal_point_offset_y")?,
+    ];
+    let camera = if principal == [0.0; 2] {
+        camera
+    } else {
+        camera.with_principal_point(principal)
+    };
+    if node.plugin == "perspective" {
+        node.ignore(&["focus_distance"], Node::float)?;
+        return Ok(camera);
+    }
+    let radius = node.float("aperture_radius")?;
+    let radius = radius.ok_or_else(|| node.missing("aperture_radius", "a positive number"))?;
+    let focus = node.float("focus_distance")?;
+    let focus = focus.ok_or_else(|| node.missing("focus_distance", "a positive number"))?;
+    camera.with_lens(&to_world, radius, focus)
 }
 
 fn film_from_node(node: &Node) -> Result<Film, SceneError> {
@@ -450,65 +747,4 @@ fn sampling_weight(node: &Node) -> Result<f64, SceneError> {
         weight if weight > 0.0 && weight.is_finite() => Ok(weight),
         _ => Err(node.invalid("sampling_weight", "a positive number")),
     }
-}
-
-fn shape(
-    node: &Arc<Node>,
-    index: usize,
-    build: &mut Builder,
-    defaults: &mut [Option<MaterialId>; 2],
-) -> Result<(), SceneError> {
-    let name = node.id.clone().unwrap_or_else(|| format!("shape{index}"));
-    let geometry = AnyShape::from_node(node, build.registry())?;
-    // The builder would complain too, but knows no line.
-    if geometry.extent() > MAX_COORDINATE {
-        Accel::build(&geometry.primitives())
-            .map_err(|e| out_of_reach(&node.plugin, &e).at(&node.location))?;
-    }
-    let emitter_node = node.child_with_tag("emitter")?;
-    let emits = emitter_node.is_some();
-    let material = match node.child_with_tag("bsdf")? {
-        Some(bsdf) => {
-            let m = build
-                .registry()
-                .within(&name, None, |r| r.material_from_node(bsdf, "bsdf"))?;
-            build.add_shared_material(m)
-        }
-        None => {
-            // As in Mitsuba 3, lamps reflect nothing unless they say so.
-            let (kind, name, albedo) = if emits {
-                (1, "default_lamp_bsdf.reflectance.value", 0.0)
-            } else {
-                (0, "default_bsdf.reflectance.value", 0.5)
-            };
-            match defaults[kind] {
-                Some(id) => id,
-                None => {
-                    let reflectance = build.rgb(name, [albedo; 3], (0.0, 1.0))?;
-                    *defaults[kind].insert(build.add_material(Diffuse { reflectance }))
-                }
-            }
-        }
-    };
-    let emitter = match emitter_node {
-        Some(e) => {
-            let next = build.shapes().len() as u32;
-            let emitter =
-                (build.registry()).within(&format!("{name}.emitter"), Some(next), |r| {
-                    AnyEmitter::from_node(e, r)
-                })?;
-            let weight = sampling_weight(e)?;
-            e.ignore(HINTS, Node::boolean)?;
-            e.finish()?;
-            Some((emitter, weight))
-        }
-        None => None,
-    };
-    node.ignore(HINTS, Node::boolean)?;
-    node.finish()?;
-    let shape = build.add_shape(&name, geometry, material);
-    if let Some((e, weight)) = emitter {
-        build.add_weighted_emitter(e, Some(shape), weight);
-    }
-    Ok(())
 }

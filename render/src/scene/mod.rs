@@ -1,16 +1,20 @@
 //! Scenes: everything a light path can meet, and the parameters of it all.
 
 mod builder;
+mod check;
 mod clip;
 mod geometry;
 mod load;
 mod pixels;
+mod sensor;
 mod shares;
 
 use geometry::Geometry;
 
 pub use builder::Builder;
+pub use check::{Check, Finding, Outcome, Verdict};
 pub use load::LoadOptions;
+pub use sensor::Sensor;
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -66,7 +70,8 @@ pub enum Caustics {
     /// diffuse surface; paths leave this light out. The expectation is the same, with what paths cannot find
     /// besides: caustics of point and spot lights in mirrors and smooth glass. Particles scatter as detached BSDF
     /// sampling does, with a pair for the change of normals where the estimator has one. Where the whole path is
-    /// attached, or normals are flipped to the viewer, paths find everything all the same.
+    /// attached, where the camera is no pinhole, or where normals are flipped to the viewer, paths find everything all
+    /// the same.
     Particles,
 }
 
@@ -106,7 +111,8 @@ impl LightChoice {
 impl Settings {
     /// Who finds caustics if these are made so: particles only where there is something for them to find.
     pub(crate) fn caustics_of<S: Strategy>(&self, scene: &Scene) -> Caustics {
-        if scene.geometry.casters.is_empty() || self.max_depth < 3 || !S::Bsdf::DETACHED_PATH {
+        let found = scene.camera.is_pinhole() && !scene.geometry.casters.is_empty();
+        if !found || self.max_depth < 3 || !S::Bsdf::DETACHED_PATH {
             Caustics::Paths
         } else {
             self.caustics
@@ -160,6 +166,8 @@ pub struct Scene {
     guide: Option<Guide>,
     /// What it was read from.
     files: Vec<PathBuf>,
+    /// All that it can be looked at through.
+    sensors: Vec<Sensor>,
     /// The camera.
     pub camera: Camera,
     /// Resolution, crop and filter.
@@ -244,7 +252,12 @@ impl Scene {
             let mut params = self.params.clone();
             params.values_mut().copy_from_slice(values);
             (self.geometry)
-                .update(&params, changed, &self.infos, &self.camera)
+                .update(
+                    &params,
+                    changed,
+                    &self.infos,
+                    sensor::farthest(&self.sensors, &self.camera),
+                )
                 .map_err(|e| RenderError::OutOfReach {
                     shape: e.shape.map(|shape| self.infos[shape as usize].name.clone()),
                     reason: e.error.to_string(),

@@ -1,19 +1,23 @@
 //! Polygon files (PLY): meshes in text, or in binary of either order of bytes.
 
+use std::collections::BTreeMap;
 use std::io::{BufRead, Cursor};
 use std::path::Path;
 
 use ad_core::Vec3;
 use ply_rs_bw::parser::{Parser, Reader};
 use ply_rs_bw::ply::{
-    ElementDef, Encoding, Header, Property, PropertyAccess, PropertyAccessResult,
+    ElementDef, Encoding, Header, Property, PropertyAccess, PropertyAccessResult, PropertyDef,
+    PropertyType,
 };
 
 use super::mesh::{Mesh, MeshData, ObjOptions, smooth_normals};
 use crate::error::{SceneError, quoted};
 use crate::files;
+use crate::image_io::srgb_to_linear;
 use crate::math::each;
-use crate::plugin::{Node, Registry};
+use crate::plugin::{Attribute, Node, Registry};
+use crate::texture;
 
 /// Largest file in bytes.
 const MAX_BYTES: u64 = 1 << 32;
@@ -43,6 +47,8 @@ const FACE: [&str; 2] = ["vertex_index", "vertex_indices"];
 struct Element {
     numbers: [f64; 8],
     indices: Vec<i64>,
+    /// Numbers of any other name, in the order of the header.
+    others: Vec<f64>,
 }
 
 impl PropertyAccess for Element {
@@ -50,20 +56,21 @@ impl PropertyAccess for Element {
         Self {
             numbers: [0.0; 8],
             indices: Vec::new(),
+            others: Vec::new(),
         }
     }
 
     fn set_property(&mut self, name: &str, property: Property) -> PropertyAccessResult {
         let list = FACE.contains(&name);
         match property {
-            Property::Char(x) => self.number(name, x.into()),
-            Property::UChar(x) => self.number(name, x.into()),
-            Property::Short(x) => self.number(name, x.into()),
-            Property::UShort(x) => self.number(name, x.into()),
-            Property::Int(x) => self.number(name, x.into()),
-            Property::UInt(x) => self.number(name, x.into()),
-            Property::Float(x) => self.number(name, x.into()),
-            Property::Double(x) => self.number(name, x),
+            Property::Char(x) => self.number(name, x.into(), i8::MAX.into()),
+            Property::UChar(x) => self.number(name, x.into(), u8::MAX.into()),
+            Property::Short(x) => self.number(name, x.into(), i16::MAX.into()),
+            Property::UShort(x) => self.number(name, x.into(), u16::MAX.into()),
+            Property::Int(x) => self.number(name, x.into(), i32::MAX.into()),
+            Property::UInt(x) => self.number(name, x.into(), u32::MAX.into()),
+            Property::Float(x) => self.number(name, x.into(), 0.0),
+            Property::Double(x) => self.number(name, x, 0.0),
             Property::ListChar(x) if list => self.indices(x),
             Property::ListUChar(x) if list => self.indices(x),
             Property::ListShort(x) if list => self.indices(x),
@@ -77,13 +84,22 @@ impl PropertyAccess for Element {
 }
 
 impl Element {
-    fn number(&mut self, name: &str, value: f64) -> PropertyAccessResult {
+    /// Attributes that are integers are colours in sRGB, of at most `most`, as in Mitsuba.
+    fn number(&mut self, name: &str, value: f64, most: f64) -> PropertyAccessResult {
         match VERTEX.iter().find(|(known, _)| *known == name) {
             Some(&(_, i)) => {
                 self.numbers[i] = value;
                 PropertyAccessResult::Set
             }
-            None => PropertyAccessResult::Ignored,
+            None => {
+                let integer = most > 0.0;
+                self.others.push(if integer {
+                    srgb_to_linear(value / most)
+                } else {
+                    value
+                });
+                PropertyAccessResult::Set
+            }
         }
     }
 
@@ -174,7 +190,7 @@ impl Mesh {
             expected,
             found,
         };
-        let (data, ignored) = read(bytes, options).map_err(asset)?;
+        let (data, ignored, _) = read(bytes, options).map_err(asset)?;
         let mesh = Self::new(data, options.flip_normals).map_err(|e| match e {
             SceneError::Parameter {
                 expected, found, ..
@@ -185,7 +201,10 @@ impl Mesh {
     }
 }
 
-fn read(bytes: &[u8], options: &ObjOptions) -> Result<(MeshData, Vec<String>), Wrong> {
+/// What a file holds: a mesh, names of what of it has no effect, and attributes.
+type Content = (MeshData, Vec<String>, BTreeMap<String, Attribute>);
+
+fn read(bytes: &[u8], options: &ObjOptions) -> Result<Content, Wrong> {
     if !bytes.starts_with(b"ply") {
         return Err(wrong(
             "a PLY file, which starts with `ply`",
@@ -218,6 +237,7 @@ fn read(bytes: &[u8], options: &ObjOptions) -> Result<(MeshData, Vec<String>), W
     let has = check_header(&header)?;
     let mut faces = Vec::new();
     let mut seen = false;
+    let mut others = Others::of(&header);
     for (name, def) in &header.elements {
         // Each has a byte at least: the header alone promises nothing.
         if def.count > file.left() || def.properties.is_empty() && def.count > 0 {
@@ -232,10 +252,13 @@ fn read(bytes: &[u8], options: &ObjOptions) -> Result<(MeshData, Vec<String>), W
                     let normal = has.normals.then_some([nx, ny, nz]);
                     let uv = has.uvs.then_some([u, v]);
                     add_vertex(&mut mesh, [x, y, z], normal, uv, options);
+                    others.add("vertex", &element.others, 1);
                 }
                 "face" => {
                     let here = (file.encoding == Encoding::Ascii).then_some(file.line);
+                    let before = faces.len();
                     let at = face(&mut faces, &element, i);
+                    others.add("face", &element.others, faces.len() - before);
                     at.map_err(|(_, expected, found)| (here, expected, found))?;
                     seen = true;
                 }
@@ -258,7 +281,96 @@ fn read(bytes: &[u8], options: &ObjOptions) -> Result<(MeshData, Vec<String>), W
     } else if !has.normals {
         mesh.normals = smooth_normals(&mesh.positions, &mesh.triangles);
     }
-    Ok((mesh, ignored(&header)))
+    Ok((mesh, ignored(&header), others.found))
+}
+
+/// Numbers of vertices and faces besides their places, as attributes that textures may ask for.
+struct Others {
+    /// Names as Mitsuba gives them, which element has them, and which of its other numbers they are.
+    groups: Vec<(String, &'static str, Vec<usize>)>,
+    found: BTreeMap<String, Attribute>,
+}
+
+/// What the last part of the name of a number may be, if it is one of several.
+const PARTS: [&[&str]; 4] = [
+    &["r", "g", "b"],
+    &["x", "y", "z"],
+    &["0", "1", "2"],
+    &["1", "2", "3"],
+];
+
+impl Others {
+    fn of(header: &Header) -> Self {
+        let mut groups: Vec<(String, &'static str, Vec<usize>)> = Vec::new();
+        for element in ["vertex", "face"] {
+            let Some(def) = header.elements.get(element) else {
+                continue;
+            };
+            let scalar = |p: &&PropertyDef| matches!(p.data_type, PropertyType::Scalar(_));
+            let known = |name: &str| VERTEX.iter().any(|(known, _)| *known == name);
+            let names = def
+                .properties
+                .values()
+                .filter(scalar)
+                .map(|p| p.name.as_str());
+            for (i, name) in names.filter(|name| !known(name)).enumerate() {
+                let name = match name {
+                    "red" | "r" => "color_r",
+                    "green" | "g" => "color_g",
+                    "blue" | "b" => "color_b",
+                    name => name,
+                };
+                let cut = name
+                    .rfind(['_', '.'])
+                    .filter(|&cut| PARTS.iter().any(|parts| parts.contains(&&name[cut + 1..])));
+                let name = format!("{element}_{}", &name[..cut.unwrap_or(name.len())]);
+                match groups.last_mut() {
+                    Some((last, of, columns)) if *last == name && *of == element => columns.push(i),
+                    _ => groups.push((name, element, vec![i])),
+                }
+            }
+        }
+        groups.retain(|(.., columns)| [1, 3].contains(&columns.len()));
+        Self {
+            groups,
+            found: BTreeMap::new(),
+        }
+    }
+
+    /// The other numbers of an element, for so many vertices or triangles.
+    fn add(&mut self, element: &str, numbers: &[f64], times: usize) {
+        for (name, of, columns) in self.groups.iter().filter(|(_, of, _)| *of == element) {
+            let attribute = self.found.entry(name.clone()).or_insert_with(|| Attribute {
+                of_faces: *of == "face",
+                channels: columns.len(),
+                values: Vec::new(),
+            });
+            for _ in 0..times {
+                let values = columns
+                    .iter()
+                    .map(|&c| numbers.get(c).map_or(0.0, |&x| x as f32));
+                attribute.values.extend(values);
+            }
+        }
+    }
+}
+
+/// A mesh whose triangles share no vertices: its surface coordinates say which triangle a point is on.
+fn told_apart(mesh: &MeshData) -> Option<MeshData> {
+    let columns = texture::columns(mesh.triangles.len())?;
+    let corners = || mesh.triangles.as_flattened().iter().map(|&i| i as usize);
+    let pick = |all: &[[f32; 3]]| -> Vec<[f32; 3]> {
+        corners().filter_map(|i| all.get(i).copied()).collect()
+    };
+    let count = mesh.triangles.len() as u32;
+    Some(MeshData {
+        positions: pick(&mesh.positions),
+        normals: pick(&mesh.normals),
+        uvs: (0..count)
+            .flat_map(|t| texture::place(t, columns))
+            .collect(),
+        triangles: (0..count).map(|t| [3 * t, 3 * t + 1, 3 * t + 2]).collect(),
+    })
 }
 
 /// What vertices have besides their positions.
@@ -359,7 +471,22 @@ pub(super) fn from_node(node: &Node, registry: &mut Registry) -> Result<Mesh, Sc
         flip_normals: node.boolean_or("flip_normals", false)?,
         flip_v: node.boolean_or("flip_tex_coords", false)?,
     };
-    let (mesh, ignored) = Mesh::from_ply(&path, &options)?;
+    let (mut mesh, mut ignored) = Mesh::from_ply(&path, &options)?;
+    if let Some(asked) = registry
+        .attributes
+        .as_mut()
+        .filter(|a| !a.wanted.is_empty())
+    {
+        let bytes = files::read(&path, MAX_BYTES)?;
+        // It was read before.
+        let attributes = read(&bytes, &options).map(|(.., attributes)| attributes);
+        let too_many = || node.invalid("filename", "fewer triangles, for a mesh with attributes");
+        asked.triangles = mesh.data().triangles.clone().into();
+        asked.found = attributes.ok();
+        let apart = told_apart(mesh.data()).ok_or_else(too_many)?;
+        mesh = Mesh::new(apart, options.flip_normals)?;
+        ignored.clear();
+    }
     if !ignored.is_empty() {
         let list = quoted(&ignored.join(", "));
         registry

@@ -10,7 +10,7 @@ use crate::params::{ParamRef, ParamShape};
 use crate::plugin::{Node, Registry, range_text};
 
 /// Texture plugins of scene files.
-pub(crate) const PLUGINS: &[&str] = &["bitmap", "checkerboard"];
+pub(crate) const PLUGINS: &[&str] = &["bitmap", "checkerboard", "mesh_attribute"];
 
 /// What stands in for a missing file.
 const GREY: f64 = 0.5;
@@ -155,7 +155,7 @@ pub(crate) fn from_node<const C: usize>(
     valid: (f64, f64),
 ) -> Result<Texture<C>, SceneError> {
     let name = format!("{}.{key}", registry.prefix());
-    let texture = node.child(key).filter(|t| C == 1 || !t.is_constant());
+    let texture = node.child(key).filter(|t| !t.is_constant());
     if let Some(texture) = texture {
         let usage = Use {
             name: &name,
@@ -164,14 +164,41 @@ pub(crate) fn from_node<const C: usize>(
         };
         return from_plugin(registry, texture, &usage);
     }
-    let value = if C == 1 {
-        node.float(key)?.map(|x| vec![x])
-    } else {
-        node.rgb(key)?.map(|c| c.to_vec())
-    };
-    let value = value.unwrap_or_else(|| default.to_vec());
+    let value = constant_of::<C>(node, key)?.unwrap_or_else(|| default.to_vec());
     let name = format!("{name}.value");
     registry.constant(&name, &value, valid)
+}
+
+/// The constant `key` of `node` in so many channels: a number is grey, and a colour has a luminance.
+fn constant_of<const C: usize>(node: &Node, key: &str) -> Result<Option<Vec<f64>>, SceneError> {
+    Ok(match C {
+        1 => node.grey(key)?.map(|x| vec![x]),
+        _ => node.rgb(key)?.map(|c| c.to_vec()),
+    })
+}
+
+/// The texture that `node` describes times a colour: one of its own, whatever else refers to the description.
+pub(crate) fn times(
+    registry: &mut Registry,
+    node: &Arc<Node>,
+    usage: &Use,
+    by: [f64; 3],
+) -> Result<RgbTexture, SceneError> {
+    let texture: RgbTexture = described(registry, node, usage)?;
+    let params = registry.params_mut();
+    let mut finite = true;
+    texture.visit_params(&mut |p| {
+        let range = params.infos()[p.id as usize].range();
+        for (value, by) in params.values_mut()[range].iter_mut().zip(by.iter().cycle()) {
+            *value = (f64::from(*value) * by) as f32;
+            finite &= value.is_finite();
+        }
+    });
+    if finite {
+        Ok(texture)
+    } else {
+        Err(node.invalid("filename", "texels that stay finite when they are scaled"))
+    }
 }
 
 /// The texture that `node` describes; one that several places refer to has its parameters once.
@@ -180,18 +207,33 @@ pub(crate) fn from_plugin<const C: usize>(
     node: &Arc<Node>,
     usage: &Use,
 ) -> Result<Texture<C>, SceneError> {
-    let details = details(C, usage.valid);
+    let mut details = details(C, usage.valid);
+    if node.plugin == "mesh_attribute" {
+        // What it reads is another shape's next time.
+        let serial = registry.attributes.as_ref().map_or(0, |a| a.serial);
+        details[0] |= serial << 8;
+    }
     if let Some(texture) = registry.shared::<RgbTexture>(node, details) {
         return Ok(texture.as_ref().clone().with_channels());
     }
-    let texture: Texture<C> = match node.plugin.as_str() {
+    let texture: Texture<C> = described(registry, node, usage)?;
+    let shared: RgbTexture = texture.clone().with_channels();
+    registry.share(node, details, Arc::new(shared));
+    Ok(texture)
+}
+
+fn described<const C: usize>(
+    registry: &mut Registry,
+    node: &Node,
+    usage: &Use,
+) -> Result<Texture<C>, SceneError> {
+    let texture = match node.plugin.as_str() {
         "bitmap" => bitmap(registry, node, usage)?,
         "checkerboard" => checkerboard(registry, node, usage)?,
+        "mesh_attribute" => attribute(registry, node, usage)?,
         _ => return Err(node.unknown_plugin(PLUGINS)),
     };
     node.finish()?;
-    let shared: RgbTexture = texture.clone().with_channels();
-    registry.share(node, details, Arc::new(shared));
     Ok(texture)
 }
 
@@ -243,14 +285,12 @@ pub(crate) fn file(
     match node.path("filename") {
         Ok(Some(path)) => Ok(Some(path)),
         Ok(None) => Err(node.missing("filename", "the name of an image file")),
-        Err(error @ SceneError::Value { .. }) if registry.allow_missing => {
-            // A <string>, so what is wrong is that the file is missing.
-            if !matches!(node.string("filename"), Ok(Some(_))) {
-                return Err(error);
-            }
+        Err(error @ SceneError::NoFile { .. }) if registry.allow_missing => {
             let value = usage.substitute;
-            let warning = format!("{error}; {} is {value:?} instead", quoted(usage.name));
-            registry.warnings.push(warning);
+            node.warn_of_file(
+                &error,
+                &format!("{} is {value:?} instead", quoted(usage.name)),
+            );
             Ok(None)
         }
         Err(error) => Err(error),
@@ -328,11 +368,7 @@ fn checkerboard<const C: usize>(
     usage: &Use,
 ) -> Result<Texture<C>, SceneError> {
     let mut color = |key: &str, default: f64| -> Result<ParamRef, SceneError> {
-        let value = if C == 1 {
-            vec![node.float_or(key, default)?]
-        } else {
-            node.rgb_or(key, [default; 3])?.to_vec()
-        };
+        let value = constant_of::<C>(node, key)?.unwrap_or_else(|| vec![default; C]);
         let shape = match C {
             1 => ParamShape::Scalar,
             _ => ParamShape::Rgb,
@@ -344,6 +380,60 @@ fn checkerboard<const C: usize>(
         colors: [color("color0", 0.4)?, color("color1", 0.2)?],
         to_uv: to_uv(node)?,
     }))
+}
+
+/// An attribute of the mesh whose shape is being built; its values are the parameter of that name of the shape.
+fn attribute<const C: usize>(
+    registry: &mut Registry,
+    node: &Node,
+    usage: &Use,
+) -> Result<Texture<C>, SceneError> {
+    let name = node.string("name")?;
+    let expected = "the name of an attribute, such as `vertex_color`";
+    let name = name.ok_or_else(|| node.missing("name", expected))?;
+    let scale = node.float_or("scale", 1.0)?;
+    let (found, triangles, shape) = match &registry.attributes {
+        Some(a) if a.absent => {
+            return registry.constant(
+                &format!("{}.value", usage.name),
+                usage.substitute,
+                usage.valid,
+            );
+        }
+        Some(a) => (a.found.as_ref(), a.triangles.clone(), &a.shape),
+        None => (None, Arc::default(), &usage.name.to_owned()),
+    };
+    let found = found.ok_or_else(|| node.invalid("name", "an attribute of a PLY mesh"))?;
+    let Some(attribute) = found.get(name) else {
+        let known: Vec<_> = found.keys().map(|k| quoted(k)).collect();
+        let expected = format!("one of the attributes of the mesh: {}", known.join(", "));
+        return Err(node.invalid("name", &expected));
+    };
+    if attribute.channels != C {
+        let expected = format!("an attribute of {C} numbers, not {}", attribute.channels);
+        return Err(node.invalid("name", &expected));
+    }
+    let values: Vec<f32> = (attribute.values.iter())
+        .map(|&v| (f64::from(v) * scale) as f32)
+        .collect();
+    let (lo, hi) = (usage.valid.0 as f32, usage.valid.1 as f32);
+    if let Some(bad) = values
+        .iter()
+        .find(|v| !(v.is_finite() && (lo..=hi).contains(*v)))
+    {
+        let expected = format!("an attribute of numbers from {lo} to {hi}, none of them {bad}");
+        return Err(node.invalid("name", &expected));
+    }
+    let range = ParamShape::Texture {
+        height: 1,
+        width: values.len() / C,
+        channels: C,
+    };
+    let (name, of_faces) = (format!("{shape}.{name}"), attribute.of_faces);
+    let param = registry.push_texels(&name, range, &values, usage.valid);
+    let texture = param.and_then(|p| super::Attribute::new(p, &triangles, of_faces));
+    (texture.map(Texture::Attribute))
+        .ok_or_else(|| node.invalid("name", "an attribute of fewer triangles"))
 }
 
 /// The attribute `to_uv`: what a transform of space does to its xy plane.

@@ -4,13 +4,16 @@
 //! evaluation is the weighted sum and the adjoint is scattered through the same weights, so there is
 //! one definition of a texture for both directions.
 
+mod attribute;
 mod bitmap;
 mod checkerboard;
 mod load;
 
+pub use attribute::Attribute;
+pub(crate) use attribute::{columns, place};
 pub use bitmap::{Bitmap, UvTransform, Wrap};
 pub use checkerboard::Checkerboard;
-pub(crate) use load::{PLUGINS, Use, file, from_plugin, texels};
+pub(crate) use load::{PLUGINS, Use, file, from_plugin, texels, times};
 
 use ad_core::{Const, Float, Real, Vec2, array};
 
@@ -49,6 +52,8 @@ pub enum Texture<const C: usize> {
     Bitmap(Bitmap),
     /// Two colours in alternating squares.
     Checkerboard(Checkerboard),
+    /// Numbers of a mesh.
+    Attribute(Attribute),
 }
 
 /// A colour texture.
@@ -76,14 +81,14 @@ impl<const C: usize> Texture<C> {
     ) -> [R; C] {
         match self {
             Self::Constant(p) => decode(theta.texel(*p, 0)),
-            Self::Bitmap(t) => outline(|| {
+            Self::Bitmap(_) | Self::Attribute(_) => outline(|| {
                 if !(uv.x.has_tangent() || uv.y.has_tangent()) {
                     // On paths that stand still only texels move.
-                    let f = t.footprint(uv.primal());
+                    let f = self.footprint(uv.primal());
                     return gather(theta, &f, decode, |texel, w| texel * Const(w));
                 }
-                let f = t.footprint(uv);
-                if theta.moves(t.param) {
+                let f = self.footprint(uv);
+                if theta.moves(f.param) {
                     gather(theta, &f, decode, |texel, w| texel * w)
                 } else {
                     let fixed = theta.primal().lift();
@@ -101,8 +106,8 @@ impl<const C: usize> Texture<C> {
         let d: [P; C] = per_channel(d);
         match self {
             Self::Constant(p) => put(grad, *p, 0, P::one(), d),
-            Self::Bitmap(t) => outline(move || {
-                let f = t.footprint(uv);
+            Self::Bitmap(_) | Self::Attribute(_) => outline(move || {
+                let f = self.footprint(uv);
                 for k in 0..4 {
                     if f.weight[k] != P::zero() {
                         put(grad, f.param, f.texel[k], f.weight[k], d);
@@ -148,6 +153,7 @@ impl<const C: usize> Texture<C> {
             Self::Constant(p) => single(*p),
             Self::Bitmap(t) => t.footprint(uv),
             Self::Checkerboard(t) => single(t.select(uv.primal())),
+            Self::Attribute(t) => t.footprint(uv),
         }
     }
 
@@ -157,6 +163,7 @@ impl<const C: usize> Texture<C> {
             Self::Constant(p) => Texture::Constant(p),
             Self::Bitmap(t) => Texture::Bitmap(t),
             Self::Checkerboard(t) => Texture::Checkerboard(t),
+            Self::Attribute(t) => Texture::Attribute(t),
         }
     }
 
@@ -166,6 +173,7 @@ impl<const C: usize> Texture<C> {
             Self::Constant(p) => f(*p),
             Self::Bitmap(t) => f(t.param),
             Self::Checkerboard(t) => t.colors.iter().for_each(|&p| f(p)),
+            Self::Attribute(t) => f(t.param),
         }
     }
 
@@ -177,7 +185,7 @@ impl<const C: usize> Texture<C> {
                 let [[a, ..], [d, ..]] = t.to_uv.rows;
                 !t.nearest && t.wrap == Wrap::Repeat && a.fract() == 0.0 && d.fract() == 0.0
             }
-            Self::Checkerboard(_) => false,
+            Self::Checkerboard(_) | Self::Attribute(_) => false,
         }
     }
 
@@ -188,6 +196,7 @@ impl<const C: usize> Texture<C> {
             Self::Constant(p) => f(*p),
             Self::Bitmap(t) => f(t.param),
             Self::Checkerboard(t) => t.colors.iter().any(|&p| f(p)),
+            Self::Attribute(t) => f(t.param),
         }
     }
 }

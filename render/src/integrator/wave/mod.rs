@@ -405,20 +405,29 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         &mut self,
         context: &Context<P>,
         n: usize,
-        spot: impl Fn(usize) -> ([P; 2], X),
+        spot: impl Fn(usize) -> ([P; 4], X),
         log: &mut L,
     ) {
         self.samplers.clear();
         self.branches.clear();
         let (mut x, mut y) = (Lane::zero(), Lane::zero());
+        let (mut u, mut v) = (Lane::zero(), Lane::zero());
         for i in 0..n.min(WAVE_SIZE) {
             let sampler;
-            ([x[i], y[i]], sampler) = spot(i);
+            ([x[i], y[i], u[i], v[i]], sampler) = spot(i);
             self.start(i, i, &sampler);
             self.samplers.push(sampler);
         }
         self.n = self.samplers.len();
-        self.look(&context.scene.camera, &x, &y);
+        let camera = &context.scene.camera;
+        self.look(camera, &x, &y);
+        if !camera.is_pinhole() {
+            for i in 0..self.n {
+                let ray = camera.ray_through(x[i], y[i], [u[i], v[i]]);
+                self.paths.o.put_vec(i, ray.o);
+                self.paths.d.put_vec(i, ray.d);
+            }
+        }
         for depth in 1.. {
             if self.n == 0 || context.progress.cancelled() {
                 break;

@@ -105,19 +105,32 @@ impl Document {
         parser.check_defines(file)?;
         let warnings = Warnings::default();
         for (location, message) in std::mem::take(&mut parser.warnings) {
-            warnings.push(location, message);
+            warnings.push(location, Notice::Replaced, message);
         }
         let root = resolve::resolve(parser, &warnings)?;
         Ok(Self { root, warnings })
     }
 }
 
-/// Something in a scene file that has no effect.
+/// What a warning is about.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Notice {
+    /// Something has no effect.
+    Ignored,
+    /// Something else stands in for what was asked for.
+    Replaced,
+    /// The same for a file that is not there.
+    Absent,
+}
+
+/// Something in a scene file that has no effect, or another one than was asked for.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub struct Warning {
     /// The line.
     pub location: Location,
-    /// What has no effect.
+    /// Which of both.
+    pub notice: Notice,
+    /// What it is.
     pub message: String,
 }
 
@@ -132,8 +145,12 @@ impl fmt::Display for Warning {
 struct Warnings(Arc<Mutex<Vec<Warning>>>);
 
 impl Warnings {
-    fn push(&self, location: Location, message: String) {
-        self.lock().push(Warning { location, message });
+    fn push(&self, location: Location, notice: Notice, message: String) {
+        self.lock().push(Warning {
+            location,
+            notice,
+            message,
+        });
     }
 
     fn lock(&self) -> std::sync::MutexGuard<'_, Vec<Warning>> {

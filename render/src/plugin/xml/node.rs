@@ -9,9 +9,10 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use super::spectrum::{self, Role, Samples};
 use super::value::{self, Value};
-use super::{Directories, Warnings};
+use super::{Directories, Notice, Warnings};
 use crate::error::{Location, SceneError, quoted};
-use crate::math::Transform;
+use crate::math::{Rgb, Transform};
+use crate::plugin::refused;
 
 /// One plugin of the scene file, such as `<bsdf type="diffuse" id="white">`.
 ///
@@ -59,6 +60,18 @@ pub(super) struct Child {
 }
 
 impl Property {
+    /// The same, not asked for yet.
+    fn fresh(&self) -> Self {
+        Self {
+            value: self.value.clone(),
+            tag: self.tag,
+            text: self.text.clone(),
+            location: self.location.clone(),
+            directories: self.directories.clone(),
+            used: AtomicBool::new(false),
+        }
+    }
+
     /// "<float> `0.5`"
     fn describe(&self) -> String {
         match self.value {
@@ -192,6 +205,26 @@ impl Node {
         })
     }
 
+    /// `<float>` or `<integer>`, or the luminance of a colour where one stands in its place, as in Mitsuba.
+    pub fn grey(&self, name: &str) -> Result<Option<f64>, SceneError> {
+        let colour = match self.properties.get(name) {
+            Some(property) => matches!(property.value, Value::Color(_)),
+            None => (self.child_quietly(name)).is_some_and(|c| c.node.is_constant()),
+        };
+        if !colour {
+            return self.float(name);
+        }
+        let luminance = |[r, g, b]: [f64; 3]| {
+            // Exactly, where it is grey.
+            if r == g && g == b {
+                r
+            } else {
+                Rgb::new(r, g, b).luminance()
+            }
+        };
+        Ok(self.rgb(name)?.map(luminance))
+    }
+
     /// Whether this is a spectrum that is the same everywhere: `uniform`, `d65`, `srgb`, `blackbody`, `regular` or
     /// `irregular`. [`rgb`](Self::rgb) of its owner is its colour.
     pub fn is_constant(&self) -> bool {
@@ -300,11 +333,11 @@ impl Node {
         let property = &self.properties[name];
         match property.directories.find(Path::new(text)) {
             Some(path) => Ok(Some(path)),
-            None => Err(SceneError::Value {
+            None => Err(SceneError::NoFile {
                 location: property.location.clone(),
                 key: name.to_owned(),
-                expected: format!("an existing file (looked in {})", property.directories),
-                found: quoted(text),
+                folders: property.directories.to_string(),
+                name: text.to_owned(),
             }),
         }
     }
@@ -321,6 +354,53 @@ impl Node {
         self.children
             .iter()
             .map(|child| (child.name.as_deref(), child.take()))
+    }
+
+    /// The same without their names; counts as asking for none.
+    pub(crate) fn parts(&self) -> impl Iterator<Item = &Arc<Node>> {
+        self.children.iter().map(|child| &child.node)
+    }
+
+    /// The same shape elsewhere, under another name: moved by a transform after its own.
+    ///
+    /// # Errors
+    /// A `to_world` of another type, or a product that cannot be inverted.
+    pub(crate) fn moved(&self, id: String, by: &Transform) -> Result<Node, SceneError> {
+        let moved = self.transform("to_world")?.unwrap_or_default().then(by);
+        if moved.inverse().is_none() || !moved.is_finite() {
+            return Err(self.invalid("to_world", "an invertible transform in each instance"));
+        }
+        let mut properties: BTreeMap<String, Property> = (self.properties.iter())
+            .map(|(name, p)| (name.clone(), p.fresh()))
+            .collect();
+        let own = properties.remove("to_world");
+        let to_world = own.unwrap_or_else(|| Property {
+            value: Value::Transform(moved),
+            tag: "transform",
+            text: String::new(),
+            location: self.location.clone(),
+            directories: Directories::new(Path::new(""), None),
+            used: AtomicBool::new(false),
+        });
+        let value = Value::Transform(moved);
+        properties.insert("to_world".to_owned(), Property { value, ..to_world });
+        Ok(Node {
+            tag: self.tag.clone(),
+            plugin: self.plugin.clone(),
+            id: Some(id),
+            location: self.location.clone(),
+            properties,
+            children: (self.children.iter())
+                .map(|c| Child {
+                    name: c.name.clone(),
+                    node: c.node.clone(),
+                    location: c.location.clone(),
+                    used: AtomicBool::new(false),
+                })
+                .collect(),
+            asked: Mutex::default(),
+            warnings: self.warnings.clone(),
+        })
     }
 
     /// All nested or referenced plugins of one kind, such as `bsdf`, in the order of the file.
@@ -444,8 +524,16 @@ impl Node {
         }
     }
 
-    /// The error for a `type` that nobody implements, with the names that exist.
+    /// The error for a `type` that nobody implements: what is left out on purpose, or the names that exist.
     pub fn unknown_plugin(&self, known: &[&str]) -> SceneError {
+        if let Some(what) = refused::reason(&self.tag, &self.plugin) {
+            return SceneError::Refused {
+                location: self.location.clone(),
+                tag: self.tag.clone(),
+                plugin: self.plugin.clone(),
+                what,
+            };
+        }
         SceneError::UnknownPlugin {
             location: self.location.clone(),
             tag: self.tag.clone(),
@@ -454,9 +542,22 @@ impl Node {
         }
     }
 
-    /// Adds a warning about this plugin to those of the document.
+    /// Adds a warning about this plugin to those of the document: something stands in for what it asks for.
     pub fn warn(&self, message: impl Into<String>) {
-        self.warn_at(&self.location, message.into());
+        let message = format!("{}: {}", self.describe(), message.into());
+        (self.warnings).push(self.location.clone(), Notice::Replaced, message);
+    }
+
+    /// Adds a warning that this plugin does nothing, and why.
+    pub(crate) fn warn_of_no_effect(&self, why: &str) {
+        self.warn_at(&self.location, format!("no effect: {why}"));
+    }
+
+    /// Adds a warning that something stands in for a file that is not there.
+    pub(crate) fn warn_of_file(&self, error: &SceneError, instead: &str) {
+        let location = error.location().unwrap_or(&self.location);
+        let message = format!("{}; {instead}", error.message());
+        (self.warnings).push(location.clone(), Notice::Absent, message);
     }
 
     /// "bsdf `diffuse`"
@@ -467,9 +568,10 @@ impl Node {
         }
     }
 
+    /// A warning about what has no effect.
     fn warn_at(&self, location: &Location, message: String) {
         let message = format!("{}: {message}", self.describe());
-        self.warnings.push(location.clone(), message);
+        (self.warnings).push(location.clone(), Notice::Ignored, message);
     }
 
     fn get<'a, T>(

@@ -19,6 +19,7 @@ use super::{
 use crate::error::{Location, SceneError, quoted};
 use crate::image_io::srgb_to_linear;
 use crate::math::Transform;
+use crate::plugin::refused;
 
 /// Elements that are plugins.
 const PLUGINS: [&str; 9] = [
@@ -239,10 +240,16 @@ impl Parser {
                 self.leaf(element, xml, source)?;
                 self.path(&folder, source)
             }
-            "medium" | "phase" | "volume" => {
-                Err(element.syntax("a scene without participating media, which are not there"))
-            }
-            _ => {
+            tag => {
+                let plugin = element.peek("type").unwrap_or_default();
+                if let Some(what) = refused::reason(tag, plugin) {
+                    return Err(SceneError::Refused {
+                        plugin: plugin.to_owned(),
+                        tag: tag.to_owned(),
+                        location: element.location,
+                        what,
+                    });
+                }
                 let mut allowed = [&PLUGINS[..], &PROPERTIES, &DIRECTIVES].concat();
                 allowed.sort_unstable();
                 Err(element.syntax(&format!("one of the elements {}", allowed.join(", "))))
@@ -259,7 +266,13 @@ impl Parser {
         owner: usize,
         depth: usize,
     ) -> Result<(), SceneError> {
-        let plugin = element.require("type")?.text;
+        let name = element.require("type")?;
+        // No plugin has capitals, but files of others do: theirs are looked up without regard to case.
+        let plugin = name.text.to_lowercase();
+        if plugin != name.text {
+            let message = format!("{tag} {}: read as {}", quoted(&name.text), quoted(&plugin));
+            self.warnings.push((name.location, message));
+        }
         let id = element.take("id").map(|a| a.text);
         let name = element.take("name");
         if xml.parent().is_some_and(|p| p.is_root())
@@ -373,6 +386,13 @@ impl Parser {
         let location = element.location.clone();
         if tag != "transform" {
             self.leaf(element, xml, source)?;
+        }
+        let before = self.nodes[owner].properties.remove(&key);
+        if source.version.get() < (3, 0) && before.is_some() {
+            // As in Mitsuba 2; Mitsuba 3 refuses it.
+            let message = format!("{}: given twice; the last one counts", quoted(&key));
+            self.warnings.push((name.location.clone(), message));
+            self.nodes[owner].names.remove(&key);
         }
         self.reserve(owner, &key, &name.location)?;
         let property = Property {
@@ -710,11 +730,11 @@ fn find(file: &Attribute, key: &str, source: &Source) -> Result<PathBuf, SceneEr
     let directories = source.directories();
     directories
         .find(Path::new(&file.text))
-        .ok_or_else(|| SceneError::Value {
+        .ok_or_else(|| SceneError::NoFile {
             location: file.location.clone(),
             key: key.to_owned(),
-            expected: format!("an existing file (looked in {directories})"),
-            found: quoted(&file.text),
+            folders: directories.to_string(),
+            name: file.text.clone(),
         })
 }
 

@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex};
 
 use super::node::{Child, Node};
 use super::parse::{Parser, RawChild, Target};
-use super::{MAX_DEPTH, MAX_ELEMENTS, Warnings, check_limit};
+use super::{MAX_DEPTH, MAX_ELEMENTS, Notice, Warnings, check_limit};
 use crate::error::{Location, SceneError, quoted};
 
 /// A node that is being built, or is finished.
@@ -117,7 +117,7 @@ impl Resolver<'_> {
                 && !self.referenced.contains(&index)
             {
                 let message = format!("{} {} is not referenced by anything", raw.tag, quoted(id));
-                self.warnings.push(raw.location.clone(), message);
+                (self.warnings).push(raw.location.clone(), Notice::Ignored, message);
             }
         }
     }

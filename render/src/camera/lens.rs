@@ -1,0 +1,229 @@
+//! Cameras that are no pinholes: with a thin lens, or with parallel rays.
+
+use ad_core::{Float, Vec3};
+
+use super::{Camera, FovAxis};
+use crate::error::SceneError;
+use crate::math::{Ray, Transform, each, warp};
+
+/// Where rays of a camera start that all leave its origin otherwise.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Lens {
+    /// On a disk around the origin, given by two half axes. They meet the pinhole's ray at a depth, the distance of the
+    /// plane that is in focus: the `forward` component of a direction to there, of any length, is `focus`.
+    Thin {
+        axes: [[f64; 3]; 2],
+        forward: [f64; 3],
+        focus: f64,
+    },
+    /// On a plane through the origin; all are parallel to this unit vector. The other is what [`Camera::direction`] has
+    /// in all places.
+    Parallel {
+        direction: [f64; 3],
+        forward: [f64; 3],
+    },
+}
+
+/// What else is known of a camera that is none.
+pub(super) fn bad(key: &str, expected: &str, found: impl ToString) -> SceneError {
+    SceneError::Parameter {
+        key: key.into(),
+        expected: expected.into(),
+        found: found.to_string(),
+    }
+}
+
+impl Camera {
+    /// The same camera behind a thin lens of this radius, which is focused at this distance along the viewing direction.
+    ///
+    /// # Errors
+    /// A radius or a distance that is not positive, or a transform that scales.
+    pub fn with_lens(
+        mut self,
+        to_world: &Transform,
+        radius: f64,
+        focus: f64,
+    ) -> Result<Self, SceneError> {
+        if !(radius > 0.0 && radius.is_finite()) {
+            return Err(bad("aperture_radius", "a positive number", radius));
+        }
+        if !(focus > 0.0 && focus.is_finite()) {
+            return Err(bad("focus_distance", "a positive number", focus));
+        }
+        let axis = |v: [f64; 3]| Vec3::from(to_world.vector(v));
+        let [right, up, forward] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]].map(axis);
+        let rigid = [right, up, forward]
+            .iter()
+            .all(|a| (a.length() - 1.0).abs() < 1e-3)
+            && [right.dot(up), up.dot(forward), forward.dot(right)]
+                .iter()
+                .all(|x| x.abs() < 1e-3);
+        if !rigid {
+            let expected = "a transform that turns and moves, but does not scale";
+            return Err(bad(
+                "to_world",
+                expected,
+                format!("{:?}", to_world.matrix()),
+            ));
+        }
+        self.lens = Some(Lens::Thin {
+            axes: [right, up].map(|a| (a * radius).to_array()),
+            forward: forward.normalize().to_array(),
+            focus,
+        });
+        Ok(self)
+    }
+
+    /// A camera whose rays are parallel: it sees what lies before the rectangle from -1 to 1 along its x axis, as high as
+    /// the form of the image says.
+    ///
+    /// # Errors
+    /// A transform without inverse.
+    pub fn orthographic(to_world: Transform, resolution: [u32; 2]) -> Result<Self, SceneError> {
+        // At unit distance, half a width of one.
+        let mut camera = Self::new(to_world, 90.0, FovAxis::X, resolution)?;
+        let forward = to_world.vector([0.0, 0.0, 1.0]);
+        camera.lens = Some(Lens::Parallel {
+            direction: Vec3::from(forward).normalize().to_array(),
+            forward,
+        });
+        Ok(camera)
+    }
+
+    /// The same camera with its principal point beside the middle of the image, by these parts of its width and height,
+    /// as in Mitsuba 3.
+    pub fn with_principal_point(mut self, [x, y]: [f64; 2]) -> Self {
+        let [w, h] = self.resolution.map(f64::from);
+        for i in 0..3 {
+            self.corner[i] += self.dx[i] * w * x + self.dy[i] * h * y;
+        }
+        self.invert();
+        self
+    }
+
+    /// Whether all rays leave one point, to which particles can be connected.
+    #[inline]
+    pub fn is_pinhole(&self) -> bool {
+        self.lens.is_none()
+    }
+
+    /// Whether rays depend on where they pass the lens.
+    #[inline(always)]
+    pub(crate) fn has_lens(&self) -> bool {
+        matches!(self.lens, Some(Lens::Thin { .. }))
+    }
+
+    /// [`Camera::ray`] through a place of the lens: `u` in the unit square, which only a lens looks at.
+    #[inline]
+    pub fn ray_through<P: Float>(&self, x: P, y: P, u: [P; 2]) -> Ray<P> {
+        let Some(Lens::Thin {
+            axes,
+            forward,
+            focus,
+        }) = &self.lens
+        else {
+            return self.ray(x, y);
+        };
+        let [right, up] = axes.map(|a| Vec3::from(each(a, P::of)));
+        let disk = warp::square_to_disk(u);
+        let off = right * disk.x + up * disk.y;
+        let d = self.direction(x, y);
+        let depth = d.dot(Vec3::from(each(*forward, P::of)));
+        let to = d * (P::of(*focus) / depth) - off;
+        Ray::new(Vec3::from(each(self.origin, P::of)) + off, to.normalize())
+    }
+
+    /// The ray of a camera whose rays are parallel.
+    #[inline]
+    pub(super) fn parallel<P: Float>(
+        &self,
+        x: P,
+        y: P,
+        direction: &[f64; 3],
+        forward: &[f64; 3],
+    ) -> Ray<P> {
+        let vector = |v: [f64; 3]| Vec3::from(each(v, P::of));
+        let off = self.direction(x, y) - vector(*forward);
+        Ray::new(vector(self.origin) + off, vector(*direction).normalize())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sampler::{Independent, Sampler};
+
+    fn view() -> Transform {
+        Transform::look_at([1.0, 2.0, 3.0], [0.3, -0.2, 0.1], [0.1, 1.0, 0.0]).unwrap()
+    }
+
+    /// Rays through the lens meet in the plane in focus, and nowhere else.
+    #[test]
+    fn a_lens_sees_one_plane_sharply() {
+        let pinhole = Camera::new(view(), 50.0, FovAxis::X, [40, 30]).unwrap();
+        assert!(pinhole.is_pinhole() && !pinhole.has_lens());
+        let camera = pinhole.clone().with_lens(&view(), 0.3, 2.5).unwrap();
+        assert!(!camera.is_pinhole() && camera.has_lens());
+        let forward = Vec3::from(view().vector([0.0, 0.0, 1.0]));
+        let origin = Vec3::from(view().point([0.0; 3]));
+        let (mut mean, n) = (Vec3::<f64>::zero(), 4000);
+        for i in 0..n {
+            let mut s = Independent::new(3, 0, i);
+            let (x, y) = (40.0 * s.next_1d::<f64>(), 30.0 * s.next_1d::<f64>());
+            let middle = pinhole.ray(x, y);
+            let ray = camera.ray_through(x, y, s.next_2d());
+            let at = |r: &Ray<f64>, depth: f64| {
+                r.o + r.d * ((depth - (r.o - origin).dot(forward)) / r.d.dot(forward))
+            };
+            assert!((ray.d.length() - 1.0).abs() < 1e-12);
+            assert!((at(&ray, 2.5) - at(&middle, 2.5)).length() < 1e-12);
+            let off = ray.o - origin;
+            assert!(off.length() <= 0.3 + 1e-12 && off.dot(forward).abs() < 1e-12);
+            mean += off * (1.0 / n as f64);
+            assert_eq!(pinhole.ray_through(x, y, s.next_2d()).d, middle.d);
+        }
+        // Five standard deviations of the mean of a uniform disk.
+        assert!(mean.length() < 5.0 * 0.15 * 2f64.sqrt() / (n as f64).sqrt());
+        for (radius, focus, key) in [
+            (0.0, 1.0, "aperture_radius"),
+            (f64::NAN, 1.0, "aperture_radius"),
+            (1.0, -1.0, "focus_distance"),
+            (1.0, f64::INFINITY, "focus_distance"),
+        ] {
+            let error = pinhole.clone().with_lens(&view(), radius, focus);
+            assert!(error.unwrap_err().to_string().contains(key));
+        }
+        let scaled = Transform::scale([2.0; 3]).then(&view());
+        assert!(pinhole.with_lens(&scaled, 0.1, 1.0).is_err());
+    }
+
+    #[test]
+    fn parallel_rays_start_on_a_plane() {
+        let to_world = Transform::scale([1.5, 1.5, 1.0]).then(&view());
+        let camera = Camera::orthographic(to_world, [40, 20]).unwrap();
+        assert!(!camera.is_pinhole() && !camera.has_lens());
+        for (x, y, local) in [
+            (0.0, 0.0, [1.0, 0.5, 0.0]),
+            (40.0, 20.0, [-1.0, -0.5, 0.0]),
+            (20.0, 10.0, [0.0; 3]),
+            (30.0, 10.0, [-0.5, 0.0, 0.0]),
+        ] {
+            let ray = camera.ray_through::<f64>(x, y, [0.9, 0.1]);
+            let expected = Vec3::from(to_world.point(local));
+            assert!((ray.o - expected).length() < 1e-12, "{x} {y}");
+            let forward = Vec3::from(view().vector([0.0, 0.0, 1.0]));
+            assert!((ray.d - forward).length() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn principal_points_shift_the_image() {
+        let camera = Camera::new(view(), 50.0, FovAxis::X, [40, 30]).unwrap();
+        let shifted = camera.clone().with_principal_point([0.25, -0.1]);
+        let (a, b) = (shifted.ray::<f64>(12.0, 20.0), camera.ray(22.0, 17.0));
+        assert!((a.d - b.d).length() < 1e-12);
+        let film = crate::film::Film::new(40, 30);
+        let ([x, y], _) = shifted.pinhole(&film).project(a.d).unwrap();
+        assert!((x - 12.0).abs() < 1e-11 && (y - 20.0).abs() < 1e-11);
+    }
+}

@@ -1,0 +1,96 @@
+//! Parallel light.
+
+use ad_core::{Float, Real, Vec2, Vec3};
+
+use super::point::constant_colour;
+use super::{Emission, Emitter, EmitterSample, Lights};
+use crate::error::SceneError;
+use crate::math::NOWHERE;
+use crate::plugin::{FromNode, Node, Registry};
+use crate::shape::{SurfaceInteraction, lift3};
+use crate::texture::RgbTexture;
+
+/// Light from infinitely far away along one direction, as of the sun: a Dirac delta, which no ray meets by itself.
+#[derive(Clone, Debug)]
+pub struct Directional {
+    /// Irradiance of a surface that faces the light, W m^-2.
+    pub irradiance: RgbTexture,
+    /// The unit direction that light travels in, world space.
+    direction: [f32; 3],
+}
+
+impl Directional {
+    /// Light that travels along `direction`, of any length. `None` if that is none.
+    pub fn new(irradiance: RgbTexture, direction: [f64; 3]) -> Option<Self> {
+        let direction = Vec3::from(direction).normalize();
+        ((direction.length() - 1.0).abs() < 0.5).then(|| Self {
+            irradiance,
+            direction: direction.to_array().map(|x| x as f32),
+        })
+    }
+}
+
+impl Emitter for Directional {
+    #[inline]
+    fn radiance(&self) -> &RgbTexture {
+        &self.irradiance
+    }
+
+    #[inline]
+    fn hit<R: Real>(&self, _: Vec3<R>, _: Option<&SurfaceInteraction<R>>) -> Option<Emission<R>> {
+        None
+    }
+
+    #[inline]
+    fn sample<P: Float>(&self, _: Lights, _: Vec3<P>, _: [P; 2]) -> Option<EmitterSample<P>> {
+        Some(EmitterSample {
+            d: -lift3::<P>(self.direction).normalize(),
+            distance: P::of(f64::INFINITY),
+            normals: [Vec3::zero(); 2],
+            surface: NOWHERE,
+            pdf: P::one(),
+            emission: Emission {
+                uv: Vec2::zero(),
+                falloff: P::one(),
+            },
+        })
+    }
+
+    #[inline]
+    fn pdf<R: Real>(
+        &self,
+        _: Lights,
+        _: Vec3<R>,
+        _: Vec3<R>,
+        _: Option<&SurfaceInteraction<R>>,
+    ) -> R {
+        R::zero()
+    }
+
+    fn is_delta(&self) -> bool {
+        true
+    }
+
+    fn is_infinite(&self) -> bool {
+        true
+    }
+}
+
+impl FromNode for Directional {
+    const PLUGINS: &'static [&'static str] = &["directional"];
+
+    /// `irradiance` (1), and either `direction` or the z axis of `to_world`.
+    fn from_node(node: &Node, registry: &mut Registry) -> Result<Self, SceneError> {
+        let (key, direction) = match (node.vector("direction")?, node.transform("to_world")?) {
+            (Some(_), Some(_)) => {
+                let expected = "either direction or to_world, not both";
+                return Err(node.invalid("direction", expected));
+            }
+            (Some(d), None) => ("direction", d),
+            (None, t) => ("to_world", t.unwrap_or_default().vector([0.0, 0.0, 1.0])),
+        };
+        let irradiance = constant_colour(node, registry, "irradiance")?;
+        Self::new(irradiance, direction)
+            .ok_or_else(|| node.invalid(key, "a direction that is not zero"))
+    }
+}

@@ -1,0 +1,87 @@
+//! Plugins of others that stand for something which is left out.
+
+/// The element, the names of its plugins, and what they would need, with its verb.
+const REFUSED: &[(&str, &[&str], &str)] = &[
+    (
+        "bsdf",
+        &[
+            "circular",
+            "measured_polarized",
+            "polarizer",
+            "pplastic",
+            "retarder",
+        ],
+        POLARISATION,
+    ),
+    ("bsdf", &["hair"], "scattering by fibres is"),
+    ("bsdf", &["hk"], MEDIA),
+    (
+        "bsdf",
+        &["bumpmap"],
+        "displacement of shading by a height, other than by a normal map, is",
+    ),
+    (
+        "bsdf",
+        &["principledthin"],
+        "the model of Disney for thin surfaces is",
+    ),
+    ("bsdf", &["measured", "bsdf_merl"], "measured materials are"),
+    (
+        "bsdf",
+        &["roughconductor_heitz", "roughdielectric_heitz"],
+        "scattering between the facets of a rough surface is",
+    ),
+    (
+        "emitter",
+        &["directionalarea"],
+        "light along one direction from a surface, which no path from the camera finds, is",
+    ),
+    (
+        "emitter",
+        &["sky", "sun", "sunsky"],
+        "models of the sky are",
+    ),
+    ("film", &["specfilm"], "light by wavelength is"),
+    ("film", &["streakhdrfilm", "transient_hdr_film"], TIME),
+    ("integrator", &["stokes"], POLARISATION),
+    ("integrator", &["transient_path", "transientpath"], TIME),
+    ("integrator", &["transientstokes"], POLARISATION),
+    ("sensor", &["batch"], "several views in one image are"),
+    (
+        "sensor",
+        &[
+            "distant",
+            "fluencemeter",
+            "irradiancemeter",
+            "mdistant",
+            "radiancemeter",
+        ],
+        "sensors without a lens are",
+    ),
+    (
+        "shape",
+        &["bsplinecurve", "curve", "hair", "linearcurve"],
+        "curves are",
+    ),
+    (
+        "shape",
+        &["ellipsoids", "ellipsoidsmesh"],
+        "clouds of Gaussians are",
+    ),
+    ("shape", &["heightfield"], "height fields are"),
+    ("shape", &["sdfgrid"], "signed distance fields are"),
+    ("texture", &["volume"], "textures of space are"),
+];
+
+const MEDIA: &str = "participating media are";
+const POLARISATION: &str = "polarisation is";
+const TIME: &str = "the time that light takes is";
+
+/// What the plugin would need, if it is known to be left out: participating media whatever they are called.
+pub(in crate::plugin) fn reason(tag: &str, plugin: &str) -> Option<&'static str> {
+    if matches!(tag, "medium" | "phase" | "volume") {
+        return Some(MEDIA);
+    }
+    let found = (REFUSED.iter()).find(|(t, plugins, _)| *t == tag && plugins.contains(&plugin));
+    found.map(|(.., what)| *what)
+}

@@ -1,0 +1,186 @@
+//! What of a scene file is understood.
+
+use std::collections::HashSet;
+use std::path::Path;
+use std::sync::Arc;
+
+use super::load::Reading;
+use super::{LoadOptions, Scene};
+use crate::error::{Location, SceneError};
+use crate::plugin::Node;
+use crate::plugin::xml::{Document, Notice};
+
+/// So many `$names` are defined in place of the user at most.
+const MOST_DEFINED: usize = 64;
+
+/// What becomes of a part of a scene file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Verdict {
+    /// It is what it says.
+    Understood,
+    /// It has no effect.
+    Ignored,
+    /// Something else stands in for it.
+    Replaced,
+    /// It needs a file that is not there, or a value for a `$name`.
+    Missing,
+    /// It stands for something that is left out on purpose.
+    Refused,
+    /// It is wrong, or unknown.
+    Wrong,
+}
+
+impl Verdict {
+    /// All of them, by name.
+    pub const NAMES: [(&'static str, Self); 6] = [
+        ("understood", Self::Understood),
+        ("ignored", Self::Ignored),
+        ("substituted", Self::Replaced),
+        ("missing", Self::Missing),
+        ("refused", Self::Refused),
+        ("wrong", Self::Wrong),
+    ];
+}
+
+/// A part of a scene file, and what becomes of it.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub struct Finding {
+    /// What becomes of it.
+    pub verdict: Verdict,
+    /// Its line; none for what stands in another file.
+    pub location: Option<Location>,
+    /// What it is, or what is wrong with it.
+    pub message: String,
+}
+
+/// Whether a scene would render.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Outcome {
+    /// As it is.
+    Renders,
+    /// If some files were there, or values for all `$names`.
+    Incomplete,
+    /// No: all that stops it is left out on purpose.
+    Refused,
+    /// No.
+    Wrong,
+}
+
+impl Outcome {
+    /// All of them, by name.
+    pub const NAMES: [(&'static str, Self); 4] = [
+        ("renders", Self::Renders),
+        ("incomplete", Self::Incomplete),
+        ("refused", Self::Refused),
+        ("wrong", Self::Wrong),
+    ];
+}
+
+/// All parts of a scene file, and what becomes of them.
+#[derive(Clone, Debug)]
+pub struct Check {
+    /// The worst first, then in the order of the file.
+    pub findings: Vec<Finding>,
+}
+
+impl Check {
+    /// Whether the scene would render.
+    pub fn outcome(&self) -> Outcome {
+        let worst = self.findings.iter().map(|f| f.verdict).max();
+        match worst {
+            Some(Verdict::Wrong) => Outcome::Wrong,
+            Some(Verdict::Refused) => Outcome::Refused,
+            Some(Verdict::Missing) => Outcome::Incomplete,
+            _ => Outcome::Renders,
+        }
+    }
+}
+
+impl Scene {
+    /// Reads a scene file to its end, whatever is wrong with it and whether the files that it names are there, and says
+    /// what of it is understood. What is wrong with the XML itself, or with what it includes, ends it early.
+    pub fn check(path: &Path, options: &LoadOptions) -> Check {
+        let mut found = Vec::new();
+        let mut defines = options.defines.clone();
+        loop {
+            match Document::load(path, &defines) {
+                Ok(document) => read(&document, options, &mut found),
+                // One number is as good as another, to read on.
+                Err(e @ SceneError::UndefinedParameter { .. }) if defines.len() < MOST_DEFINED => {
+                    if let SceneError::UndefinedParameter { name, .. } = &e {
+                        let name = name.trim_start_matches('$').to_owned();
+                        defines.push((name, "1".to_owned()));
+                    }
+                    found.push(fault(&e));
+                    continue;
+                }
+                Err(e) => found.push(fault(&e)),
+            }
+            break;
+        }
+        let mut seen = HashSet::new();
+        found.retain(|f| seen.insert(f.clone()));
+        // Stable: in the order of the file otherwise.
+        found.sort_by_key(|f| std::cmp::Reverse(f.verdict));
+        Check { findings: found }
+    }
+}
+
+fn read(document: &Document, options: &LoadOptions, found: &mut Vec<Finding>) {
+    let options = LoadOptions {
+        allow_missing: true,
+        ..options.clone()
+    };
+    let mut reading = Reading::new(&options, Some(Vec::new()));
+    if let Err(e) = reading.scene(document.root(), &options) {
+        found.push(fault(&e));
+    }
+    found.extend(reading.faults.iter().flatten().map(fault));
+    found.extend(document.warnings().into_iter().map(|w| Finding {
+        verdict: match w.notice {
+            Notice::Ignored => Verdict::Ignored,
+            Notice::Replaced => Verdict::Replaced,
+            Notice::Absent => Verdict::Missing,
+        },
+        location: Some(w.location),
+        message: w.message,
+    }));
+    found.extend(reading.warnings.into_iter().map(|message| Finding {
+        verdict: Verdict::Replaced,
+        location: None,
+        message,
+    }));
+    let lines: HashSet<_> = found.iter().filter_map(|f| f.location.clone()).collect();
+    let mut seen = HashSet::new();
+    understood(document.root(), &mut seen, &mut |node| {
+        if !lines.contains(&node.location) {
+            found.push(Finding {
+                verdict: Verdict::Understood,
+                location: Some(node.location.clone()),
+                message: node.describe(),
+            });
+        }
+    });
+}
+
+/// Calls `f` with every plugin below a node, once.
+fn understood(node: &Node, seen: &mut HashSet<*const Node>, f: &mut dyn FnMut(&Node)) {
+    for child in node.parts() {
+        if seen.insert(Arc::as_ptr(child)) {
+            f(child);
+            understood(child, seen, f);
+        }
+    }
+}
+
+fn fault(e: &SceneError) -> Finding {
+    Finding {
+        verdict: match e {
+            SceneError::NoFile { .. } | SceneError::UndefinedParameter { .. } => Verdict::Missing,
+            SceneError::Refused { .. } => Verdict::Refused,
+            _ => Verdict::Wrong,
+        },
+        location: e.location().cloned(),
+        message: e.message(),
+    }
+}

@@ -1,0 +1,60 @@
+//! The sensors of a scene, one of which is looked through.
+
+use super::{PixelShares, Scene};
+use crate::camera::Camera;
+use crate::error::RenderError;
+use crate::film::Film;
+
+/// What a scene is seen through.
+#[derive(Clone, Debug)]
+pub struct Sensor {
+    /// Its id in the scene file, or a made-up one.
+    pub name: String,
+    /// Where it looks.
+    pub camera: Camera,
+    /// Resolution, crop and filter.
+    pub film: Film,
+    /// Samples per pixel.
+    pub spp: u32,
+}
+
+/// The camera that is farthest from the origin: what is seen through any is seen as precisely as through this one.
+pub(super) fn farthest<'a>(sensors: &'a [Sensor], camera: &'a Camera) -> &'a Camera {
+    let distance = |c: &Camera| c.origin().iter().fold(0.0, |m: f64, x| m.max(x.abs()));
+    let all = sensors.iter().map(|s| &s.camera);
+    all.fold(camera, |best, c| {
+        if distance(c) > distance(best) {
+            c
+        } else {
+            best
+        }
+    })
+}
+
+impl Scene {
+    /// All that the scene can be looked at through, as they were given; one of them is [`Scene::camera`] and
+    /// [`Scene::film`].
+    pub fn sensors(&self) -> &[Sensor] {
+        &self.sensors
+    }
+
+    /// Looks through the sensor of this number from now on: at its resolution, with its samples per pixel, and all
+    /// pixels sampled alike.
+    ///
+    /// # Errors
+    /// A number without sensor.
+    pub fn look_through(&mut self, index: usize) -> Result<(), RenderError> {
+        let Some(sensor) = self.sensors.get(index) else {
+            return Err(RenderError::Count {
+                what: "number of a sensor",
+                expected: "one of those of the scene",
+                found: index as u64,
+            });
+        };
+        self.camera = sensor.camera.clone();
+        self.film = sensor.film;
+        self.settings.spp = sensor.spp;
+        self.pixels = PixelShares::default();
+        Ok(())
+    }
+}
