@@ -220,6 +220,14 @@ impl Params {
         }
     }
 
+    /// The values of the range called `name`; [`Scene::set`](crate::Scene::set) replaces them.
+    ///
+    /// # Errors
+    /// As [`Params::find`].
+    pub fn get(&self, name: &str) -> Result<&[f32], RenderError> {
+        self.find(name).map(|info| &self.values[info.range()])
+    }
+
     /// How large a range's values are: their root mean square; one where all are zero.
     pub fn size(&self, info: &ParamInfo) -> f64 {
         let values = &self.values()[info.range()];
