@@ -68,12 +68,14 @@ impl ToolError {
 pub enum Outcome {
     /// All done.
     Done,
+    /// All done, and the answer is an exit code of its own.
+    Answered(u8),
     /// Stopped by Ctrl-C; what was there has been written.
     Interrupted,
 }
 
 /// Parses the arguments, runs the tool and turns its outcome into an exit code: 0, 1 for an error, 2
-/// for wrong arguments, [`INTERRUPTED`] after Ctrl-C. Standard output that cannot be written is an error as well, once all
+/// for wrong arguments, [`INTERRUPTED`] after Ctrl-C, or what the tool answers. Standard output that cannot be written is an error as well, once all
 /// files are; that its reader has gone is none.
 pub fn main<A: Parser>(run: fn(&A, &Interrupt) -> Result<Outcome, ToolError>) -> ExitCode {
     let asked = |args: &A| check_threads().and_then(|()| run(args, &Interrupt::on_signal()));
@@ -93,6 +95,7 @@ pub fn main<A: Parser>(run: fn(&A, &Interrupt) -> Result<Outcome, ToolError>) ->
     };
     let code = match done {
         Ok(Outcome::Done) => ExitCode::SUCCESS,
+        Ok(Outcome::Answered(answer)) => ExitCode::from(answer),
         Ok(Outcome::Interrupted) => ExitCode::from(INTERRUPTED),
         Err(e) => {
             complain!("error: {}", shortened(&e.to_string(), LONGEST_MESSAGE));

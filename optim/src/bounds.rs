@@ -113,6 +113,33 @@ impl Parameterisation {
         Self::Sigmoid { lo, hi }.validated()
     }
 
+    /// What is usual for `values` that are valid within an interval, whose ends may be infinite: positive numbers of unknown
+    /// magnitude move by factors, everything else by steps within its bounds.
+    ///
+    /// ```
+    /// use optim::Parameterisation;
+    /// let roughness = Parameterisation::usual((1e-4, 1.0), &[0.2f32])?;
+    /// assert_eq!(roughness, Parameterisation::log_within(1e-4, 1.0)?);
+    /// assert_eq!(Parameterisation::usual((0.0, f64::INFINITY), &[14.0f32])?, Parameterisation::log());
+    /// assert_eq!(Parameterisation::usual((0.0, 1.0), &[0.5f32])?, Parameterisation::bounded(0.0, 1.0)?);
+    /// # Ok::<(), optim::OptimError>(())
+    /// ```
+    ///
+    /// # Errors
+    /// Ends that are in the wrong order, or not numbers.
+    pub fn usual<T: Scalar>((lo, hi): (f64, f64), values: &[T]) -> Result<Self, OptimError> {
+        let positive = lo >= 0.0 && values.iter().all(|v| v.to_f64() > 0.0);
+        if lo > 0.0 {
+            Self::log_within(lo, hi)
+        } else if positive && hi.is_infinite() {
+            Ok(Self::log())
+        } else if lo.is_finite() || hi.is_finite() {
+            Self::bounded(lo, hi)
+        } else {
+            Ok(Self::Identity)
+        }
+    }
+
     /// Checks the bounds, for values that were built as a literal.
     pub fn validated(self) -> Result<Self, OptimError> {
         let ordered = |lo: f64, hi: f64| {

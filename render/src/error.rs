@@ -422,6 +422,20 @@ pub enum RenderError {
         found: usize,
     },
 
+    /// A parameter that is given too many or too few values.
+    #[error(
+        "parameter {}: expected {expected} values, found {found}",
+        quoted(name)
+    )]
+    ParameterLength {
+        /// Its name.
+        name: String,
+        /// How many it has.
+        expected: usize,
+        /// How many were given.
+        found: usize,
+    },
+
     /// A weight with which nothing could be sampled.
     #[error("sampling weight of emitter {emitter}: expected a positive number, found {found}")]
     SamplingWeight {
@@ -519,6 +533,23 @@ pub enum RenderError {
          `--caustics paths`"
     )]
     FlippedNormals,
+    /// A number that should be a part of one.
+    #[error("{what}: expected a number between 0 and 1, found {found}")]
+    Fraction {
+        /// What.
+        what: &'static str,
+        /// The number.
+        found: f64,
+    },
+    /// A derivative that left the range of numbers: lights or adjoints near the end of single precision do that.
+    #[error(
+        "parameter {}: expected a finite derivative, found one that overflows",
+        quoted(name)
+    )]
+    NonFiniteDerivative {
+        /// Its name.
+        name: String,
+    },
     /// A radius within which nothing could be gathered.
     #[error("radius: expected a positive number, neither tiny nor huge, found {found}")]
     Radius {

@@ -50,12 +50,14 @@
 //! | second derivatives | [`integrator::second_order`] |
 //! | particles, density estimation, finite elements | [`integrator::particle`], [`integrator::density`], [`finite_element`] |
 //! | image files | [`image_io`] |
+//! | whether a gradient is right | [`mod@check`] |
 //! | whether estimates agree within chance | [`statistics`] |
 
 pub mod accel;
 pub mod auto;
 pub mod bsdf;
 pub mod camera;
+pub mod check;
 mod dispatch;
 pub mod emitter;
 pub mod error;

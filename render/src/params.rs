@@ -286,6 +286,14 @@ impl Params {
         (name != info.name).then_some(name)
     }
 
+    /// The values of the range called `name`; [`Scene::set`](crate::Scene::set) replaces them.
+    ///
+    /// # Errors
+    /// As [`Params::find`].
+    pub fn get(&self, name: &str) -> Result<&[f32], RenderError> {
+        self.find(name).map(|info| &self.values[info.range()])
+    }
+
     /// How large a range's values are: their root mean square; one where all are zero.
     pub fn size(&self, info: &ParamInfo) -> f64 {
         let values = &self.values()[info.range()];

@@ -70,6 +70,7 @@ const LAYERS: &[&str] = &[
     "finite_element",
     "instances",
     "auto",
+    "check",
 ];
 
 /// The same within `integrator`.

@@ -23,6 +23,8 @@ use crate::output;
 use crate::progress::{Bar, Interrupt};
 use crate::{complain, print, say};
 
+pub mod check;
+
 const EXAMPLES: &str = "\
 Examples:
   gradient scene.xml --list
@@ -31,11 +33,20 @@ Examples:
   gradient scene.xml --param a.alpha.value --images folder
   gradient scene.xml --param lamp.emitter.radiance.value --measure-lights
   gradient scene.xml --param a.alpha.value --estimator differential-mis --measure-pixels
+  gradient scene.xml --param a.alpha.value --estimator differential-mis --check
 
 The objective is the mean of all pixel values and channels, unless --adjoint or --loss is given. Standard
 errors come from independent repeats. With --loss, the image that the loss sees is rendered with other
 random numbers than the gradient. Gradients of textures are written as EXR beside the JSON.
-Ctrl-C keeps the repeats so far (exit code 130).";
+Ctrl-C keeps the repeats so far (exit code 130).
+
+With --check, every derivative is compared with central differences of the image in double precision: value by
+value, or along four random directions for textures. Differences use common random numbers and a step that
+pilots choose; two steps are extrapolated, and what that changes counts as an error. Right: both agree, and an
+error of --tolerance would have been noticed (exit code 0). Wrong: they differ beyond chance (significance 1e-3
+over all derivatives), and again with four times the repeats (exit code 3). Cannot tell: the noise of --spp and
+--repeats is too large for either (exit code 4). Without --param: all parameters that the estimator sees. With
+--loss the adjoint image is held fixed: what noise does to a loss is not judged.";
 
 /// Differentiates an image of a scene, in reverse mode
 #[derive(Parser, Clone, Debug)]
@@ -44,11 +55,17 @@ pub struct Args {
     /// Scene file, Mitsuba XML
     pub scene: PathBuf,
     /// Parameter to differentiate with respect to; may be given several times
-    #[arg(long = "param", value_name = "KEY", required_unless_present = "list")]
+    #[arg(long = "param", value_name = "KEY", required_unless_present_any = ["list", "check"])]
     pub params: Vec<String>,
     /// Print the scene's parameters and do nothing else
     #[arg(long)]
     pub list: bool,
+    /// Say whether the gradient is right, by central differences
+    #[arg(long, conflicts_with_all = ["list", "images"])]
+    pub check: bool,
+    /// Smallest relative error of a derivative that --check has to notice before it says right
+    #[arg(long, value_name = "X", default_value_t = 0.1, value_parser = tolerance, requires = "check")]
+    pub tolerance: f64,
     /// Scene options
     #[command(flatten)]
     pub load: LoadArgs,
@@ -75,9 +92,9 @@ pub struct Args {
     /// Seed of the first repeat; the others follow
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub seed: u64,
-    /// Independent repeats; two or more give standard errors
-    #[arg(long, value_name = "K", default_value_t = 1,
-          value_parser = clap::value_parser!(u32).range(1..=1 << 20))]
+    /// Independent repeats; two or more give standard errors [default: 1; with --check 32, and at least 4]
+    #[arg(long, value_name = "K", default_value_t = 1, default_value_if("check", "true", "32"),
+          hide_default_value = true, value_parser = clap::value_parser!(u32).range(1..=1 << 20))]
     pub repeats: u32,
     /// Derivative of the objective with respect to every pixel, as an image
     #[arg(long, value_name = "IMG.EXR", conflicts_with_all = ["loss", "target"])]
@@ -184,6 +201,12 @@ impl Objective {
     }
 }
 
+/// A tolerance: a part of one.
+fn tolerance(text: &str) -> Result<f64, String> {
+    let found = text.parse::<f64>().ok().filter(|x| *x > 0.0 && *x < 1.0);
+    found.ok_or_else(|| "expected a number between 0 and 1".into())
+}
+
 /// Runs the tool.
 ///
 /// # Errors
@@ -220,33 +243,15 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
         args.target.as_ref(),
     ];
     let read: Vec<&Path> = read.into_iter().flatten().map(PathBuf::as_path).collect();
+    if args.check {
+        return check::run(args, &mut scene, &settings, &objective, &read, interrupt);
+    }
     output::prepare(&files(args, &ranges), &read)?;
 
-    let (mut weights, mut pixels) = (None, None);
-    let mut seconds_pilots = 0.0;
-    let (statistics, images, threads) = args.threads.run(|threads| {
-        let start = Instant::now();
-        (args.samples).learn(&mut scene, &settings, args.seed, interrupt);
-        if args.measure_lights {
-            let found = measure_lights(args, &scene, &settings, &objective, interrupt)?;
-            let Some(found) = found else {
-                return Ok((None, Vec::new(), threads));
-            };
-            scene.set_sampling_weights(&found)?;
-            weights = Some(found);
-        }
-        if args.measure_pixels {
-            let found = measure_pixels(args, &scene, &settings, &objective, interrupt)?;
-            let Some(found) = found else {
-                return Ok((None, Vec::new(), threads));
-            };
-            scene.set_pixel_weights(&found)?;
-            pixels = Some(found);
-        }
-        let mixture = mixture(args, &scene, &settings, &objective, interrupt)?;
-        seconds_pilots = start.elapsed().as_secs_f64();
-        let Some(mixture) = mixture else {
-            return Ok((None, Vec::new(), threads));
+    let (statistics, images, learned, threads) = args.threads.run(|threads| {
+        let mut learned = learn(args, &mut scene, &settings, &objective, interrupt)?;
+        let Some(mixture) = learned.mixture.take() else {
+            return Ok((None, Vec::new(), learned, threads));
         };
         let statistics = repeat(args, &scene, &settings, &mixture, &objective, interrupt)?;
         let images = match &args.images {
@@ -255,7 +260,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
             }
             _ => Vec::new(),
         };
-        Ok((statistics.map(|s| (s, mixture)), images, threads))
+        Ok((statistics.map(|s| (s, mixture)), images, learned, threads))
     })?;
     let Some((statistics, mixture)) = statistics else {
         complain!("interrupted before the first repeat was complete: nothing was written");
@@ -282,11 +287,11 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
             mixture: (args.estimator == Choice::Auto).then(|| mixture.to_string()),
             spp: settings.spp,
             samples: args.samples.filled(),
-            sampling_weights: weights,
-            pixel_weights: pixels.map(|p| pixel_image(&scene, &p, path)).transpose()?,
+            sampling_weights: learned.weights,
+            pixel_weights: (learned.pixels.map(|p| pixel_image(&scene, &p, path))).transpose()?,
             repeats: statistics.repeats,
             threads,
-            seconds_pilots,
+            seconds_pilots: learned.seconds,
             seconds_primal: median(&statistics.seconds_primal),
             seconds_gradient: median(&statistics.seconds_gradient),
             loss: statistics.loss(),
@@ -303,6 +308,47 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
         return Ok(Outcome::Interrupted);
     }
     Ok(Outcome::Done)
+}
+
+/// What is learned before the first repeat.
+#[derive(Default)]
+struct Learned {
+    /// None if interrupted.
+    mixture: Option<Mixture>,
+    /// What `--measure-lights` found, and `--measure-pixels`.
+    weights: Option<Vec<f64>>,
+    pixels: Option<Vec<f32>>,
+    seconds: f64,
+}
+
+/// Learns what was asked for, and tells the scene.
+fn learn(
+    args: &Args,
+    scene: &mut Scene,
+    settings: &Settings,
+    objective: &Objective,
+    interrupt: &Interrupt,
+) -> Result<Learned, ToolError> {
+    let start = Instant::now();
+    let mut out = Learned::default();
+    (args.samples).learn(scene, settings, args.seed, interrupt);
+    if args.measure_lights {
+        let Some(found) = measure_lights(args, scene, settings, objective, interrupt)? else {
+            return Ok(out);
+        };
+        scene.set_sampling_weights(&found)?;
+        out.weights = Some(found);
+    }
+    if args.measure_pixels {
+        let Some(found) = measure_pixels(args, scene, settings, objective, interrupt)? else {
+            return Ok(out);
+        };
+        scene.set_pixel_weights(&found)?;
+        out.pixels = Some(found);
+    }
+    out.mixture = mixture(args, scene, settings, objective, interrupt)?;
+    out.seconds = start.elapsed().as_secs_f64();
+    Ok(out)
 }
 
 /// The parameters asked for, each once.

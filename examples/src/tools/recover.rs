@@ -21,7 +21,6 @@ use render::instances::Estimator;
 use render::integrator::gradient::Active;
 use render::integrator::render::Rendering;
 use render::integrator::second_order::MAX_VALUES;
-use render::params::ParamInfo;
 use render::sampler::mix64;
 use render::{Image, RenderError, Scene, Settings, image_io};
 use serde::de::Error as _;
@@ -698,7 +697,7 @@ type Loaded = (Scene, Active, Vec<f32>, Option<Vec<f32>>);
 
 fn load(job: &Job, estimator: Estimator) -> Result<Loaded, ToolError> {
     let Some(path) = &job.scene else {
-        let scene = builtin_scene::cornell(job.size, job.size)?;
+        let scene = render::scene::room(job.size, job.size)?;
         let unknowns = builtin_scene::cornell_unknowns();
         let active = estimator.active(&scene, &names_of(&scene, &job.params)?)?;
         let (mut start, mut truth) = (Vec::new(), Vec::new());
@@ -782,21 +781,6 @@ fn plan(algorithm: &Algorithm) -> (&'static str, u64, &Groups, &Rates) {
     }
 }
 
-/// Positive numbers of unknown magnitude move by factors, everything else by steps within its bounds.
-fn parameterisation(info: &ParamInfo, values: &[f32]) -> Result<Parameterisation, ToolError> {
-    let (lo, hi) = info.valid;
-    let positive = lo >= 0.0 && values.iter().all(|&v| v > 0.0);
-    Ok(if lo > 0.0 {
-        Parameterisation::log_within(lo, hi)?
-    } else if positive && hi.is_infinite() {
-        Parameterisation::log()
-    } else if lo.is_finite() || hi.is_finite() {
-        Parameterisation::bounded(lo, hi)?
-    } else {
-        Parameterisation::Identity
-    })
-}
-
 /// The unknowns with their bounds, starting from `values`.
 ///
 /// # Errors
@@ -807,7 +791,7 @@ pub(crate) fn groups(active: &Active, values: &[f32]) -> Result<Groups, ToolErro
     for info in active.ranges() {
         let range = at..at + info.shape.len();
         at = range.end;
-        let map = parameterisation(info, &values[range.clone()])?;
+        let map = Parameterisation::usual(info.valid, &values[range.clone()])?;
         groups.add(info.name.clone(), range, map)?;
     }
     Ok(groups)

@@ -410,7 +410,6 @@ mod tests {
     use std::sync::atomic::{AtomicU64, Ordering};
 
     use super::*;
-    use crate::builtin_scene;
 
     /// Stops after a number of pixels.
     struct StopAfter(u64, AtomicU64);
@@ -426,7 +425,7 @@ mod tests {
 
     #[test]
     fn an_interrupted_image_holds_the_complete_passes() {
-        let scene = builtin_scene::cornell(256, 256).unwrap();
+        let scene = render::scene::room(256, 256).unwrap();
         let mut settings = scene.settings;
         settings.spp = 40;
         settings.max_depth = 2;

@@ -32,7 +32,7 @@ pub struct LoadOptions {
 }
 
 /// Sums of so many pixels take three gigabytes.
-const MAX_PIXELS: usize = 1 << 27;
+pub(super) const MAX_PIXELS: usize = 1 << 27;
 
 /// Integrators that the path tracer is.
 const INTEGRATORS: &[&str] = &["path", "direct", "prb"];

@@ -6,6 +6,7 @@ mod clip;
 mod geometry;
 mod load;
 mod pixels;
+mod room;
 mod sensor;
 mod shares;
 
@@ -14,6 +15,7 @@ use geometry::Geometry;
 pub use builder::Builder;
 pub use check::{Check, Finding, Outcome, Verdict};
 pub use load::LoadOptions;
+pub use room::room;
 pub use sensor::Sensor;
 
 use std::path::PathBuf;
@@ -268,6 +270,40 @@ impl Scene {
             e.update(&self.params);
         }
         Ok(())
+    }
+
+    /// Replaces the values of some ranges and keeps the others; [`Params::get`] reads them.
+    ///
+    /// # Errors
+    /// An unknown name, with the closest ones; a wrong number of values; and as [`Scene::set_params`]. The scene is
+    /// unchanged then.
+    ///
+    /// ```
+    /// let mut scene = render::scene::room(8, 8)?;
+    /// scene.set([("sphere.alpha.value", &[0.4][..]), ("left.reflectance.value", &[0.1, 0.2, 0.3])])?;
+    /// assert_eq!(scene.params().get("left.reflectance.value")?, [0.1, 0.2, 0.3]);
+    ///
+    /// let error = scene.set([("spere.alpha.value", &[0.4][..])]).unwrap_err().to_string();
+    /// assert!(error.starts_with("no parameter `spere.alpha.value`; closest: sphere.alpha.value"));
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    pub fn set<'a, N: AsRef<str>>(
+        &mut self,
+        ranges: impl IntoIterator<Item = (N, &'a [f32])>,
+    ) -> Result<(), RenderError> {
+        let mut values = self.params.values().to_vec();
+        for (name, own) in ranges {
+            let info = self.params.find(name.as_ref())?;
+            if own.len() != info.shape.len() {
+                return Err(RenderError::ParameterLength {
+                    name: info.name.clone(),
+                    expected: info.shape.len(),
+                    found: own.len(),
+                });
+            }
+            values[info.range()].copy_from_slice(own);
+        }
+        self.set_params(&values)
     }
 
     /// Materials, by index.

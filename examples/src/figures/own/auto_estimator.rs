@@ -87,7 +87,7 @@ pub(super) fn subjects(quick: bool) -> Result<Vec<Subject>> {
         },
         Subject {
             name: "room of recover",
-            scene: builtin_scene::cornell(pick(32, 48), pick(32, 48))?,
+            scene: render::scene::room(pick(32, 48), pick(32, 48))?,
             params: builtin_scene::cornell_unknowns()
                 .iter()
                 .map(|u| u.name.to_owned())

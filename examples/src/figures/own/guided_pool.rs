@@ -10,7 +10,6 @@ use render::sampler::Points;
 use render::shape::Mesh;
 use render::{RenderError, Scene, Settings};
 
-use crate::builtin_scene;
 use crate::chart::{LineChart, Panel};
 use crate::figure::{Figure, Result};
 use crate::figures::statistics::{Series, check_same, gradients, grey, limit};
@@ -217,7 +216,7 @@ fn clock(fig: &mut Figure) -> Result {
 /// Checks that guiding gains little in a room where all points see the lamp.
 fn room(fig: &mut Figure) -> Result {
     let (size, spp, runs) = fig.pick((32, 16, 32), (64, 64, 64));
-    let mut scene = builtin_scene::cornell(size, size)?;
+    let mut scene = render::scene::room(size, size)?;
     let names = ["left.reflectance.value"];
     let (plain, before) = gradients(&scene, E, &settings(&scene), &names, SEED, spp, runs)?;
     learn(&mut scene)?;

@@ -29,7 +29,7 @@ struct Setup {
 
 fn setup(fig: &Figure) -> Result<Setup> {
     let size = fig.pick(32, 64);
-    let scene = builtin_scene::cornell(size, size)?;
+    let scene = render::scene::room(size, size)?;
     let unknowns = builtin_scene::cornell_unknowns();
     let names: Vec<&str> = unknowns.iter().map(|u| u.name).collect();
     let active = Active::new(&scene, &names)?;

@@ -1,0 +1,99 @@
+//! Arrays of numpy: those of images and of parameters.
+
+use numpy::{
+    AllowTypeChange, Element, IntoPyArray, PyArray3, PyArrayDyn, PyArrayLikeDyn, PyArrayMethods,
+    PyUntypedArrayMethods,
+};
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+use render::params::{ParamInfo, ParamShape};
+
+/// Anything that numpy makes an array of.
+pub type Like<'py> = PyArrayLikeDyn<'py, f32, AllowTypeChange>;
+
+/// The shape of a range as an array: `()`, `(3,)` or `(height, width, channels)`.
+pub fn shape(info: &ParamInfo) -> Vec<usize> {
+    match info.shape {
+        ParamShape::Scalar => Vec::new(),
+        ParamShape::Rgb => vec![3],
+        ParamShape::Texture {
+            height,
+            width,
+            channels,
+        } => vec![height, width, channels],
+    }
+}
+
+/// Values as an array of this shape.
+pub fn array<'py, T: Element>(
+    py: Python<'py>,
+    values: Vec<T>,
+    shape: &[usize],
+) -> PyResult<Bound<'py, PyArrayDyn<T>>> {
+    values.into_pyarray(py).reshape(shape.to_vec())
+}
+
+/// An image as an array of height x width x 3.
+pub fn image<'py, T: Element>(
+    py: Python<'py>,
+    values: Vec<T>,
+    [width, height]: [usize; 2],
+) -> PyResult<Bound<'py, PyArray3<T>>> {
+    values.into_pyarray(py).reshape([height, width, 3])
+}
+
+/// The values of an array in the order of C.
+///
+/// # Errors
+/// Another shape than the expected one.
+pub fn values(what: &str, array: &Like<'_>, expected: &[usize]) -> PyResult<Vec<f32>> {
+    if array.shape() != expected {
+        return Err(PyValueError::new_err(format!(
+            "{what}: expected an array of shape {}, found {}",
+            tuple(expected),
+            tuple(array.shape())
+        )));
+    }
+    Ok(array.as_array().iter().copied().collect())
+}
+
+/// The values of a range: an array of its shape, or one number for all of them.
+///
+/// # Errors
+/// Another shape.
+pub fn range(info: &ParamInfo, array: &Like<'_>) -> PyResult<Vec<f32>> {
+    let single = array.as_array().iter().copied().next();
+    match single {
+        Some(value) if array.shape().is_empty() => Ok(vec![value; info.shape.len()]),
+        _ => values(&format!("parameter `{}`", info.name), array, &shape(info)),
+    }
+}
+
+/// The values of an image, all of them finite.
+///
+/// # Errors
+/// Another size, or a value that is not finite, with its place.
+pub fn pixels(what: &str, array: &Like<'_>, [width, height]: [usize; 2]) -> PyResult<Vec<f32>> {
+    let values = values(what, array, &[height, width, 3])?;
+    match values.iter().position(|v| !v.is_finite()) {
+        None => Ok(values),
+        Some(i) => Err(PyValueError::new_err(format!(
+            "{what}: expected finite numbers, found {} in row {}, column {}, channel {}",
+            values[i],
+            i / 3 / width,
+            i / 3 % width,
+            i % 3
+        ))),
+    }
+}
+
+/// A shape as Python writes it.
+fn tuple(shape: &[usize]) -> String {
+    match shape {
+        [one] => format!("({one},)"),
+        _ => {
+            let all: Vec<String> = shape.iter().map(ToString::to_string).collect();
+            format!("({})", all.join(", "))
+        }
+    }
+}

@@ -1,0 +1,621 @@
+//! Scenes: parameters, images, gradients.
+
+use std::collections::{HashMap, HashSet};
+use std::ffi::CString;
+use std::path::{Path, PathBuf};
+use std::sync::{RwLock, RwLockReadGuard, RwLockWriteGuard, TryLockError};
+
+use numpy::{PyArray3, PyArrayDyn};
+use pyo3::exceptions::{PyKeyError, PyRuntimeError, PyRuntimeWarning, PyValueError};
+use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyList, PyMapping, PyString};
+use render::auto::{self, Mixture};
+use render::check::{Options, check, most_passes};
+use render::instances::{Direction, Estimator, Mode, render_f32, render_f64};
+use render::integrator::render::{NonFinite, Progress};
+use render::params::{ParamInfo, Theta};
+use render::sampler::Points;
+use render::scene::{LightChoice, LoadOptions};
+use render::{Job, Settings};
+
+use crate::arrays::{Like, array, image, pixels, range, shape};
+use crate::check::Check;
+use crate::error::Error;
+use crate::estimators::or_auto;
+use crate::work::work;
+
+/// A scene: what is in it, how it is rendered, and all its parameters by name.
+///
+/// `scene[key]` is a copy of a parameter as an array, and `scene[key] = value` replaces it, by an array of the same shape
+/// or by one number for all of it. Keys are those of Mitsuba.
+#[pyclass(frozen, mapping, module = "render_gradients")]
+pub struct Scene {
+    inner: RwLock<render::Scene>,
+    warnings: Vec<String>,
+}
+
+/// Loads a Mitsuba scene file. `defines` are values for its `$names`; `allow_missing` substitutes mid-grey for missing
+/// textures.
+#[pyfunction]
+#[pyo3(signature = (path, *, defines = None, allow_missing = false))]
+pub fn load(
+    py: Python<'_>,
+    path: PathBuf,
+    defines: Option<HashMap<String, Bound<'_, PyAny>>>,
+    allow_missing: bool,
+) -> PyResult<Scene> {
+    let options = options(defines, allow_missing)?;
+    Scene::made(work(py, 1, None, |_| {
+        Ok(render::Scene::load(&path, &options)?)
+    })?)
+}
+
+/// Loads a scene from the text of a Mitsuba scene file. File names in it are relative to `base`.
+#[pyfunction]
+#[pyo3(signature = (text, *, base = None, defines = None, allow_missing = false))]
+pub fn load_string(
+    py: Python<'_>,
+    text: &str,
+    base: Option<PathBuf>,
+    defines: Option<HashMap<String, Bound<'_, PyAny>>>,
+    allow_missing: bool,
+) -> PyResult<Scene> {
+    let options = options(defines, allow_missing)?;
+    let base = base.as_deref().unwrap_or(Path::new(""));
+    Scene::made(work(py, 1, None, |_| {
+        Ok(render::Scene::from_xml(text, base, &options)?)
+    })?)
+}
+
+/// A room to begin with, without any file: coloured walls on the left and right (`left.reflectance.value`,
+/// `right.reflectance.value`), a lamp in the ceiling (`light.emitter.radiance.value`), a matt block, and a sphere of rough
+/// metal (`sphere.alpha.value`).
+#[pyfunction]
+#[pyo3(signature = (width = 128, height = 128))]
+pub fn room(py: Python<'_>, width: u32, height: u32) -> PyResult<Scene> {
+    let made = work(py, 1, None, |_| Ok(render::scene::room(width, height)?))?;
+    Scene::made((made, Vec::new()))
+}
+
+fn options(
+    defines: Option<HashMap<String, Bound<'_, PyAny>>>,
+    allow_missing: bool,
+) -> PyResult<LoadOptions> {
+    let text = |(name, value): (String, Bound<'_, PyAny>)| Ok((name, value.str()?.to_string()));
+    let mut defines = (defines.into_iter().flatten())
+        .map(text)
+        .collect::<PyResult<Vec<_>>>()?;
+    // Whose error comes first does not depend on how names are hashed.
+    defines.sort();
+    Ok(LoadOptions {
+        defines,
+        allow_missing,
+    })
+}
+
+/// A name, or a sequence of names, each once.
+///
+/// # Errors
+/// Anything else; no names at all.
+pub fn several(keys: &Bound<'_, PyAny>) -> PyResult<Vec<String>> {
+    let given: Vec<String> = match keys.cast::<PyString>() {
+        Ok(one) => vec![one.to_string()],
+        Err(_) => (keys.try_iter()?.map(|k| k?.extract())).collect::<PyResult<_>>()?,
+    };
+    if given.is_empty() {
+        return Err(PyValueError::new_err(
+            "keys: expected at least one parameter, found none",
+        ));
+    }
+    let mut seen = HashSet::new();
+    Ok((given.into_iter())
+        .filter(|k| seen.insert(k.clone()))
+        .collect())
+}
+
+/// The name of a value in a list of names.
+fn name_of<T: PartialEq>(names: &[(&'static str, T)], value: &T) -> &'static str {
+    names
+        .iter()
+        .find(|(_, v)| v == value)
+        .map_or("", |(name, _)| name)
+}
+
+/// The value of a name in a list of names.
+fn named<T: Copy>(what: &str, names: &[(&'static str, T)], name: &str) -> PyResult<T> {
+    let found = names.iter().find(|(n, _)| *n == name);
+    found.map(|(_, value)| *value).ok_or_else(|| {
+        let known: Vec<&str> = names.iter().map(|(n, _)| *n).collect();
+        let known = known.join(", ");
+        PyValueError::new_err(format!("{what}: expected one of {known}, found `{name}`"))
+    })
+}
+
+/// Most samples per pixel.
+const MOST_SAMPLES: u32 = 1 << 30;
+
+fn sample_count(spp: u32) -> PyResult<u32> {
+    if (1..=MOST_SAMPLES).contains(&spp) {
+        return Ok(spp);
+    }
+    Err(PyValueError::new_err(format!(
+        "spp: expected 1 to {MOST_SAMPLES} samples per pixel, found {spp}"
+    )))
+}
+
+/// Warns of samples that were left out.
+fn warn_of(py: Python<'_>, bad: &NonFinite, width: usize, seed: u64) -> PyResult<()> {
+    let Some((pixel, sample)) = bad.first else {
+        return Ok(());
+    };
+    let (x, y) = (pixel % width as u64, pixel / width as u64);
+    let message = format!(
+        "{} samples were not finite and are left out; the first is sample {sample} of pixel ({x}, {y}) with seed {seed}",
+        bad.count
+    );
+    let category = py.get_type::<PyRuntimeWarning>();
+    PyErr::warn(py, category.as_any(), &CString::new(message)?, 1)
+}
+
+impl Scene {
+    fn made((inner, warnings): (render::Scene, Vec<String>)) -> PyResult<Self> {
+        Ok(Self {
+            inner: RwLock::new(inner),
+            warnings,
+        })
+    }
+
+    /// The scene, to be looked at.
+    ///
+    /// # Errors
+    /// Somebody is changing it.
+    pub fn read(&self) -> PyResult<RwLockReadGuard<'_, render::Scene>> {
+        match self.inner.try_read() {
+            Ok(scene) => Ok(scene),
+            Err(TryLockError::Poisoned(scene)) => Ok(scene.into_inner()),
+            Err(TryLockError::WouldBlock) => Err(PyRuntimeError::new_err(
+                "the scene is being checked or changed by another thread",
+            )),
+        }
+    }
+
+    /// The scene, to be changed.
+    ///
+    /// # Errors
+    /// Somebody is working with it.
+    pub fn write(&self) -> PyResult<RwLockWriteGuard<'_, render::Scene>> {
+        match self.inner.try_write() {
+            Ok(scene) => Ok(scene),
+            Err(TryLockError::Poisoned(scene)) => Ok(scene.into_inner()),
+            Err(TryLockError::WouldBlock) => Err(PyRuntimeError::new_err(
+                "the scene is being rendered, and cannot be changed meanwhile",
+            )),
+        }
+    }
+}
+
+/// Its settings with so many samples per pixel.
+fn settings(scene: &render::Scene, spp: Option<u32>) -> PyResult<Settings> {
+    let spp = sample_count(spp.unwrap_or(scene.settings.spp))?;
+    Ok(Settings {
+        spp,
+        ..scene.settings
+    })
+}
+
+fn size(scene: &render::Scene) -> [usize; 2] {
+    scene.film.crop_size.map(|n| n as usize)
+}
+
+/// One estimator for the named parameters, or what pilots choose for `budget` samples per pixel to come.
+fn mixture(
+    scene: &render::Scene,
+    keys: &[String],
+    adjoint: &[f32],
+    estimator: Option<Estimator>,
+    job: &Job,
+    mode: Mode,
+) -> Result<Mixture, Error> {
+    match estimator {
+        Some(e) => {
+            e.check(scene)?;
+            e.active(scene, keys)?;
+            Ok(Mixture::only(scene, e, keys))
+        }
+        None => Ok(auto::choose(
+            job,
+            keys,
+            adjoint,
+            &auto::candidates(scene),
+            mode,
+        )?),
+    }
+}
+
+/// All parameters that an estimator sees; `auto` sees what `mis` does.
+fn seen(scene: &render::Scene, estimator: Option<Estimator>) -> Vec<String> {
+    let can = estimator.unwrap_or(Estimator::Mis).capabilities();
+    let infos = scene.params().infos().iter();
+    infos
+        .filter(|i| can.sees(i.kind))
+        .map(|i| i.name.clone())
+        .collect()
+}
+
+#[pymethods]
+impl Scene {
+    /// The names of all parameters.
+    fn keys(&self) -> PyResult<Vec<String>> {
+        let scene = self.read()?;
+        Ok(scene
+            .params()
+            .infos()
+            .iter()
+            .map(|i| i.name.clone())
+            .collect())
+    }
+
+    fn __iter__<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        self.keys()?.into_pyobject(py)?.call_method0("__iter__")
+    }
+
+    fn __len__(&self) -> PyResult<usize> {
+        Ok(self.read()?.params().infos().len())
+    }
+
+    fn __contains__(&self, key: &str) -> PyResult<bool> {
+        Ok(self.read()?.params().find(key).is_ok())
+    }
+
+    fn __getitem__<'py>(
+        &self,
+        py: Python<'py>,
+        key: &str,
+    ) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
+        let scene = self.read()?;
+        let info = scene.params().find(key).map_err(Error::from)?;
+        array(
+            py,
+            scene.params().values()[info.range()].to_vec(),
+            &shape(info),
+        )
+    }
+
+    fn __setitem__(&self, key: &str, value: Like<'_>) -> PyResult<()> {
+        self.update(HashMap::from([(key.to_owned(), value)]))
+    }
+
+    fn __delitem__(&self, key: &str) -> PyResult<()> {
+        Err(PyKeyError::new_err(format!(
+            "`{key}`: parameters of a scene cannot be removed"
+        )))
+    }
+
+    /// Replaces several parameters at once. Nothing has changed where this raises.
+    fn update(&self, values: HashMap<String, Like<'_>>) -> PyResult<()> {
+        let mut scene = self.write()?;
+        let mut all = Vec::new();
+        for (key, value) in values {
+            let info = scene.params().find(&key).map_err(Error::from)?;
+            let value = range(info, &value)?;
+            all.push((key, value));
+        }
+        all.sort_by(|a, b| a.0.cmp(&b.0));
+        let ranges = all.iter().map(|(key, value)| (key, &value[..]));
+        Ok(scene.set(ranges).map_err(Error::from)?)
+    }
+
+    /// What is known of a parameter: its shape, its valid interval, and what it does to light, which decides on who sees
+    /// its derivative.
+    fn info<'py>(&self, py: Python<'py>, key: &str) -> PyResult<Bound<'py, PyDict>> {
+        let scene = self.read()?;
+        let info = scene.params().find(key).map_err(Error::from)?;
+        let out = PyDict::new(py);
+        out.set_item(
+            "shape",
+            shape(info)
+                .into_pyobject(py)?
+                .cast_into::<PyList>()?
+                .to_tuple(),
+        )?;
+        out.set_item("valid", info.valid)?;
+        out.set_item("kind", info.kind.name())?;
+        Ok(out)
+    }
+
+    /// Why an estimator is refused in this scene, or for these parameters; `None` if it is not.
+    #[pyo3(signature = (estimator, keys = None))]
+    fn refusal(
+        &self,
+        estimator: &str,
+        keys: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<Option<String>> {
+        let scene = self.read()?;
+        let e = Estimator::from_name(estimator).map_err(Error::from)?;
+        if let Err(reason) = e.check(&scene) {
+            return Ok(Some(reason.to_string()));
+        }
+        let keys = keys.map_or(Ok(Vec::new()), several)?;
+        for key in &keys {
+            scene.params().find(key).map_err(Error::from)?;
+        }
+        Ok(e.active(&scene, &keys).err().map(|e| e.to_string()))
+    }
+
+    /// What was ignored or substituted when the scene was loaded.
+    #[getter]
+    fn warnings(&self) -> Vec<String> {
+        self.warnings.clone()
+    }
+
+    /// The files that the scene was read from.
+    #[getter]
+    fn files(&self) -> PyResult<Vec<PathBuf>> {
+        Ok(self.read()?.files().to_vec())
+    }
+
+    /// Height and width of its images, in pixels.
+    #[getter]
+    fn size(&self) -> PyResult<(usize, usize)> {
+        let [width, height] = size(&*self.read()?);
+        Ok((height, width))
+    }
+
+    /// Samples per pixel, where none are asked for.
+    #[getter]
+    fn spp(&self) -> PyResult<u32> {
+        Ok(self.read()?.settings.spp)
+    }
+
+    #[setter]
+    fn set_spp(&self, spp: u32) -> PyResult<()> {
+        self.write()?.settings.spp = sample_count(spp)?;
+        Ok(())
+    }
+
+    /// Largest number of edges of a path: 1 is emission only, 2 direct light; -1 for no limit.
+    #[getter]
+    fn max_depth(&self) -> PyResult<i64> {
+        let depth = self.read()?.settings.max_depth;
+        Ok(if depth == u32::MAX { -1 } else { depth.into() })
+    }
+
+    #[setter]
+    fn set_max_depth(&self, depth: i64) -> PyResult<()> {
+        let depth = match depth {
+            -1 => u32::MAX,
+            _ => u32::try_from(depth).map_err(|_| {
+                PyValueError::new_err(format!(
+                    "max_depth: expected -1 for no limit, or a number of edges, found {depth}"
+                ))
+            })?,
+        };
+        self.write()?.settings.max_depth = depth;
+        Ok(())
+    }
+
+    /// How the samples of a pixel are spread: independent, sobol or antithetic.
+    #[getter]
+    fn sampler(&self) -> PyResult<&'static str> {
+        Ok(name_of(&Points::NAMES, &self.read()?.settings.points))
+    }
+
+    #[setter]
+    fn set_sampler(&self, name: &str) -> PyResult<()> {
+        self.write()?.settings.points = named("sampler", &Points::NAMES, name)?;
+        Ok(())
+    }
+
+    /// How a point chooses the light that it samples: one (any), or all (in proportion to what each would bring).
+    #[getter]
+    fn lights(&self) -> PyResult<&'static str> {
+        Ok(name_of(&LightChoice::NAMES, &self.read()?.settings.lights))
+    }
+
+    #[setter]
+    fn set_lights(&self, name: &str) -> PyResult<()> {
+        self.write()?.settings.lights = named("lights", &LightChoice::NAMES, name)?;
+        Ok(())
+    }
+
+    /// The image, height x width x 3, linear RGB, row 0 at the top; in single precision unless `double` is set. The same
+    /// seed gives the same bits. `estimator` chooses the techniques. `progress` is called with the part that is done.
+    #[pyo3(signature = (spp = None, seed = 0, *, estimator = "mis", double = false, progress = None))]
+    fn render<'py>(
+        &self,
+        py: Python<'py>,
+        spp: Option<u32>,
+        seed: u64,
+        estimator: &str,
+        double: bool,
+        progress: Option<Py<PyAny>>,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let guard = self.read()?;
+        let scene: &render::Scene = &guard;
+        let settings = settings(scene, spp)?;
+        let technique = Estimator::from_name(estimator).map_err(Error::from)?;
+        let total = scene.film.pixels() as u64;
+        let found = work(py, total, progress.as_ref(), |progress| {
+            let job = Job::new(scene, &settings, seed, 0..settings.spp.into(), progress);
+            Ok(if double {
+                let values: Vec<f64> = scene.params().values().iter().map(|&v| v.into()).collect();
+                render_f64(&job, &Theta::constant(&values), technique)
+            } else {
+                render_f32(&job, &Theta::constant(scene.params().values()), technique)
+            })
+        })?;
+        warn_of(py, &found.non_finite, found.width, seed)?;
+        if double {
+            let scale = 1.0 / found.samples.max(1) as f64;
+            let means = found.sums[0].iter().map(|x| x * scale).collect();
+            Ok(image::<f64>(py, means, size(scene))?.into_any())
+        } else {
+            Ok(image::<f32>(py, found.image(0).data, size(scene))?.into_any())
+        }
+    }
+
+    /// The gradient of the sum of `adjoint * image` in the parameters `keys`, a dict of arrays in their shapes.
+    ///
+    /// `adjoint` is the derivative of an objective in every entry of the image, as `loss` gives it. It has to come from an
+    /// image with another seed than this one; the defaults of `render` and of this differ. Without keys: all parameters
+    /// that the estimator sees.
+    #[pyo3(signature = (adjoint, keys = None, estimator = "mis", spp = None, seed = 1, *, progress = None))]
+    fn backward<'py>(
+        &self,
+        py: Python<'py>,
+        adjoint: Like<'py>,
+        keys: Option<&Bound<'py, PyAny>>,
+        estimator: &str,
+        spp: Option<u32>,
+        seed: u64,
+        progress: Option<Py<PyAny>>,
+    ) -> PyResult<Bound<'py, PyDict>> {
+        let guard = self.read()?;
+        let scene: &render::Scene = &guard;
+        let settings = settings(scene, spp)?;
+        let adjoint = pixels("adjoint", &adjoint, size(scene))?;
+        let estimator = or_auto(estimator).map_err(Error::from)?;
+        let keys = keys.map_or_else(|| Ok(seen(scene, estimator)), several)?;
+        let infos = keys.iter().map(|k| scene.params().find(k));
+        let infos: Vec<ParamInfo> = infos
+            .map(|i| i.cloned())
+            .collect::<Result<_, _>>()
+            .map_err(Error::from)?;
+        let total = scene.film.pixels() as u64;
+        let found = work(py, total, progress.as_ref(), |progress| {
+            let job = Job::new(scene, &settings, seed, 0..settings.spp.into(), progress);
+            let chosen = mixture(scene, &keys, &adjoint, estimator, &job, Mode::Reverse)?;
+            let theta = Theta::constant(scene.params().values());
+            Ok(chosen.backward_f32(&job, &theta, &keys, &adjoint)?)
+        })?;
+        warn_of(py, &found.non_finite, size(scene)[0], seed)?;
+        let out = PyDict::new(py);
+        for (info, values) in infos.iter().zip(found.values) {
+            out.set_item(&info.name, array(py, values, &shape(info))?)?;
+        }
+        Ok(out)
+    }
+
+    /// The derivative of the image, height x width x 3, when a parameter moves: when one number is added to all of it, or
+    /// along `directions`, a dict of arrays in the shapes of the parameters (or of one number each), whose sum it is.
+    ///
+    /// Colours do not mix: moving all channels of a colour gives, in channel c, the derivative in channel c.
+    #[pyo3(signature = (directions, estimator = "mis", spp = None, seed = 1, *, progress = None))]
+    fn forward<'py>(
+        &self,
+        py: Python<'py>,
+        directions: &Bound<'py, PyAny>,
+        estimator: &str,
+        spp: Option<u32>,
+        seed: u64,
+        progress: Option<Py<PyAny>>,
+    ) -> PyResult<Bound<'py, PyArray3<f32>>> {
+        let guard = self.read()?;
+        let scene: &render::Scene = &guard;
+        let settings = settings(scene, spp)?;
+        let along = self::directions(scene, directions)?;
+        let e = Estimator::from_name(estimator).map_err(Error::from)?;
+        let names: Vec<&str> = along.iter().map(|(name, _)| name.as_str()).collect();
+        e.check(scene).map_err(Error::from)?;
+        e.active(scene, &names).map_err(Error::from)?;
+        let along: Vec<Direction> = along.into_iter().map(|(_, d)| d).collect();
+        let total = scene.film.pixels() as u64;
+        let found = work(py, total, progress.as_ref(), |progress| {
+            let job = Job::new(scene, &settings, seed, 0..settings.spp.into(), progress);
+            Ok(e.forward_f32(&job, scene.params().values(), &along)?)
+        })?;
+        warn_of(py, &found.non_finite, found.width, seed)?;
+        image(py, found.image(1).data, size(scene))
+    }
+
+    /// Compares the gradient with central differences in double precision, and says whether it is right, wrong, or not to
+    /// be told at this budget: `spp` samples per pixel in each of `repeats` repeats. The objective is the mean of all pixels
+    /// and channels, unless an `adjoint` is given. A derivative is right if an error of `tolerance`, relative to the others
+    /// of its parameter, would have been noticed. The scene cannot be used by others meanwhile.
+    #[pyo3(signature = (keys = None, estimator = "mis", *, adjoint = None, spp = None, repeats = 32, tolerance = 0.1,
+                        significance = 1e-3, seed = 0, progress = None))]
+    fn check<'py>(
+        &self,
+        py: Python<'py>,
+        keys: Option<&Bound<'py, PyAny>>,
+        estimator: &str,
+        adjoint: Option<Like<'py>>,
+        spp: Option<u32>,
+        repeats: u32,
+        tolerance: f64,
+        significance: f64,
+        seed: u64,
+        progress: Option<Py<PyAny>>,
+    ) -> PyResult<Check> {
+        let mut guard = self.write()?;
+        let scene: &mut render::Scene = &mut guard;
+        let settings = settings(scene, spp)?;
+        let adjoint = match adjoint {
+            Some(adjoint) => pixels("adjoint", &adjoint, size(scene))?,
+            None => {
+                let n = scene.film.pixels() * 3;
+                vec![(1.0 / n as f64) as f32; n]
+            }
+        };
+        let estimator = or_auto(estimator).map_err(Error::from)?;
+        let keys = keys.map_or_else(|| Ok(seen(scene, estimator)), several)?;
+        let options = Options {
+            repeats,
+            tolerance,
+            significance,
+            seed,
+        };
+        let passes = most_passes(scene, &keys, &options);
+        let total = passes.saturating_mul(scene.film.pixels() as u64);
+        let report = work(py, total, progress.as_ref(), |progress: &dyn Progress| {
+            let budget = u64::from(settings.spp) * u64::from(repeats);
+            let job = Job::new(scene, &settings, seed, 0..budget, progress);
+            let chosen = mixture(scene, &keys, &adjoint, estimator, &job, Mode::Reverse)?;
+            Ok(check(
+                scene, &settings, &keys, &chosen, &adjoint, &options, progress,
+            )?)
+        })?;
+        let stopped = || PyRuntimeError::new_err("the check was stopped");
+        report.map(Check).ok_or_else(stopped)
+    }
+
+    fn __repr__(&self) -> PyResult<String> {
+        let scene = self.read()?;
+        let ([width, height], n) = (size(&scene), scene.params().infos().len());
+        Ok(format!(
+            "<scene of {height} x {width} pixels, {n} parameters>"
+        ))
+    }
+}
+
+/// Which parameters move, and how: a name, a sequence of names, or a mapping from names to arrays or numbers.
+fn directions(
+    scene: &render::Scene,
+    along: &Bound<'_, PyAny>,
+) -> PyResult<Vec<(String, Direction)>> {
+    let Ok(mapping) = along.cast::<PyMapping>() else {
+        let named = several(along)?.into_iter().map(|name| {
+            let uniform = Direction::uniform(scene.params(), &name).map_err(Error::from)?;
+            Ok((name, uniform))
+        });
+        return named.collect();
+    };
+    if mapping.is_empty()? {
+        return Err(PyValueError::new_err(
+            "directions: expected at least one parameter, found none",
+        ));
+    }
+    let mut out = Vec::new();
+    for item in mapping.items()? {
+        let (name, values): (String, Bound<'_, PyAny>) = item.extract()?;
+        let info = scene.params().find(&name).map_err(Error::from)?;
+        let values = range(info, &values.extract()?)?;
+        if let Some(bad) = values.iter().find(|v| !v.is_finite()) {
+            return Err(PyValueError::new_err(format!(
+                "direction of `{name}`: expected finite numbers, found {bad}"
+            )));
+        }
+        out.push((name, Direction::Dense(scene.params().handle(info), values)));
+    }
+    Ok(out)
+}

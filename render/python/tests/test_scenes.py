@@ -1,0 +1,148 @@
+"""Scenes, parameters and images."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import render_gradients as rg
+
+WALL, BALL, LAMP = "left.reflectance.value", "sphere.alpha.value", "light.emitter.radiance.value"
+SCENE = """<scene version="3.0.0">
+  <default name="grey" value="0.5"/>
+  <integrator type="path"><integer name="max_depth" value="4"/></integrator>
+  <sensor type="perspective"><float name="fov" value="40"/>
+    <transform name="to_world"><lookat origin="0,0,4" target="0,0,0" up="0,1,0"/></transform>
+    <film type="hdrfilm"><integer name="width" value="6"/><integer name="height" value="4"/></film>
+  </sensor>
+  <bsdf type="diffuse" id="paint"><texture type="bitmap" name="reflectance">
+    <string name="filename" value="missing.png"/></texture></bsdf>
+  <bsdf type="dielectric" id="glass"/>
+  <shape type="rectangle"><ref id="paint"/></shape>
+  <shape type="sphere"><float name="radius" value="0.5"/><ref id="glass"/></shape>
+  <emitter type="constant" id="sky"><rgb name="radiance" value="$grey"/></emitter>
+</scene>"""
+
+
+def test_parameters_are_arrays_by_name(room: rg.Scene) -> None:
+    assert WALL in room and "nothing" not in room
+    assert list(room) == room.keys() and len(room) == len(room.keys())
+    assert room[WALL].shape == (3,) and room[WALL].dtype == np.float32
+    assert room[BALL].shape == () and float(room[BALL]) == pytest.approx(0.2)
+    room[WALL] = [0.1, 0.2, 0.3]
+    np.testing.assert_array_equal(room[WALL], np.float32([0.1, 0.2, 0.3]))
+    room[WALL] = 0.4
+    np.testing.assert_array_equal(room[WALL], np.float32([0.4] * 3))
+    room[BALL] = np.float64(0.3)
+    # A copy: changing it changes nothing.
+    room[WALL][:] = 0.0
+    assert room[WALL].min() > 0.3
+    room.update({WALL: np.ones(3), LAMP: 5})
+    assert room[LAMP].max() == 5 and room[WALL].min() == 1
+    assert room.info(WALL) == {"shape": (3,), "valid": (0.0, 1.0), "kind": "reflectances"}
+    assert room.info(BALL)["shape"] == ()
+    assert dict(room).keys() == set(room.keys())
+
+
+def test_mistakes_about_parameters_are_named(room: rg.Scene) -> None:
+    with pytest.raises(KeyError, match="no parameter `left.reflectance`; closest: left.reflectance.value"):
+        room["left.reflectance"]
+    with pytest.raises(KeyError, match="closest: sphere.alpha.value"):
+        room["spere.alpha.value"] = 0.1
+    before = room[WALL]
+    with pytest.raises(ValueError, match=r"parameter `left.reflectance.value`: expected an array of shape \(3,\), found \(4,\)"):
+        room[WALL] = np.zeros(4)
+    with pytest.raises(ValueError, match=r"parameter `left.reflectance.value`\[1\]: expected a value in \[0, 1\], found 2"):
+        room[WALL] = [0.0, 2.0, 0.0]
+    with pytest.raises(ValueError, match="found NaN"):
+        room.update({BALL: 0.3, WALL: np.nan})
+    with pytest.raises((TypeError, ValueError)):
+        room[WALL] = "red"
+    with pytest.raises(KeyError, match="cannot be removed"):
+        del room[WALL]
+    np.testing.assert_array_equal(room[WALL], before)
+    assert float(room[BALL]) == pytest.approx(0.2)
+
+
+def test_images_are_functions_of_the_seed(room: rg.Scene) -> None:
+    image = room.render()
+    assert image.shape == (12, 16, 3) == (*room.size, 3) and image.dtype == np.float32
+    assert np.isfinite(image).all() and image.mean() > 0.05
+    np.testing.assert_array_equal(image, room.render(16, 0))
+    assert (image != room.render(seed=1)).any()
+    double = room.render(double=True)
+    assert double.dtype == np.float64
+    np.testing.assert_allclose(double, image, rtol=0.05, atol=0.02)
+    # More light, a brighter image, exactly.
+    room[LAMP] = 2 * room[LAMP]
+    np.testing.assert_allclose(room.render(), 2 * image, rtol=1e-4)
+
+
+def test_settings_are_attributes(room: rg.Scene) -> None:
+    room.max_depth = 1
+    assert room.max_depth == 1 and room.render().mean() < 0.1
+    room.max_depth = -1
+    assert room.max_depth == -1
+    room.sampler, room.lights = "sobol", "all"
+    assert (room.sampler, room.lights) == ("sobol", "all")
+    with pytest.raises(ValueError, match="sampler: expected one of independent, sobol, antithetic, found `halton`"):
+        room.sampler = "halton"
+    with pytest.raises(ValueError, match="max_depth: expected -1"):
+        room.max_depth = -2
+    for wrong in (0, 2**31):
+        with pytest.raises(ValueError, match="spp: expected 1 to"):
+            room.spp = wrong
+        with pytest.raises(ValueError, match="spp: expected 1 to"):
+            room.render(spp=wrong)
+    with pytest.raises(OverflowError):
+        room.render(seed=-1)
+    with pytest.raises(TypeError):
+        room.render(spp="many")
+    with pytest.raises(ValueError, match="unknown estimator `miss`; known: emitter, "):
+        room.render(estimator="miss")
+
+
+def test_scene_files_load(tmp_path: Path) -> None:
+    path = tmp_path / "scene.xml"
+    path.write_text(SCENE)
+    with pytest.raises(ValueError, match=r"scene.xml:9: `filename`: expected an existing file .*`missing.png`"):
+        rg.load(path)
+    scene = rg.load(str(path), defines={"grey": 0.25}, allow_missing=True)
+    assert scene.size == (4, 6) and len(scene.warnings) == 1 and "missing.png" in scene.warnings[0]
+    assert scene.files[0] == path
+    assert scene["sky.radiance.value"][0] == 0.25
+    same = rg.load_string(SCENE, base=tmp_path, defines={"grey": "0.25"}, allow_missing=True)
+    np.testing.assert_array_equal(same.render(4), scene.render(4))
+    assert repr(scene).startswith("<scene of 4 x 6 pixels, ")
+
+
+def test_textures_are_arrays_of_rows_and_columns(tmp_path: Path) -> None:
+    texels = np.linspace(0.1, 0.9, 2 * 4 * 3, dtype="<f4").reshape(2, 4, 3)
+    # A portable float map has the last row first.
+    (tmp_path / "paint.pfm").write_bytes(b"PF\n4 2\n-1.0\n" + texels[::-1].tobytes())
+    text = SCENE.replace('value="missing.png"/>', 'value="paint.pfm"/><boolean name="raw" value="true"/>')
+    scene = rg.load_string(text, base=tmp_path)
+    key = "paint.reflectance.data"
+    np.testing.assert_array_equal(scene[key], texels)
+    scene[key] = 1 - texels
+    np.testing.assert_array_equal(scene[key], 1 - texels)
+    gradient = scene.backward(np.ones((4, 6, 3)), key, spp=256)[key]
+    assert gradient.shape == (2, 4, 3) and (gradient > 0).all()
+    with pytest.raises(ValueError, match=r"expected an array of shape \(2, 4, 3\), found \(4, 2, 3\)"):
+        scene[key] = np.zeros((4, 2, 3))
+
+
+def test_mistakes_in_scene_files_are_named(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match="nothing.xml: cannot read the file"):
+        rg.load(tmp_path / "nothing.xml")
+    with pytest.raises((OSError, ValueError)):
+        rg.load(tmp_path)
+    with pytest.raises(ValueError, match=r":8: .*unknown bsdf `diffus`"):
+        rg.load_string(SCENE.replace('"diffuse"', '"diffus"'), allow_missing=True)
+    with pytest.raises(ValueError, match="no parameter `gray` to define; known: grey"):
+        rg.load_string(SCENE, defines={"gray": 1}, allow_missing=True)
+    for width, height in [(0, 1), (2**31, 2**31)]:
+        with pytest.raises(ValueError, match="parameter `size`: expected 1 to"):
+            rg.room(width, height)
+    with pytest.raises(TypeError):
+        rg.load(3)

@@ -1,0 +1,288 @@
+//! Checks of gradients: what is right is called right, what is biased on purpose wrong, and what a budget cannot decide
+//! is not decided.
+
+use render::auto::Mixture;
+use render::check::{Along, DIRECTIONS, Options, Report, Verdict, check, most_passes};
+use render::image_io::write_exr;
+use render::instances::Estimator;
+use render::integrator::render::Progress;
+use render::{Image, Scene, Settings};
+use tests::{mean_adjoint, scene};
+
+const OPTIONS: Options = Options {
+    repeats: 32,
+    tolerance: 0.2,
+    significance: 1e-3,
+    seed: 1,
+};
+
+/// A plate of rough metal that mirrors two ball lights, and paint that wears off metal beside it, under a dim sky.
+fn plates() -> Scene {
+    let ball = |center: &str, radius: f64, radiance: &str| {
+        format!(
+            r#"<shape type="sphere"><point name="center" value="{center}"/><float name="radius" value="{radius}"/>
+            <emitter type="area"><rgb name="radiance" value="{radiance}"/></emitter></shape>"#
+        )
+    };
+    scene(&format!(
+        r#"<sensor type="perspective"><float name="fov" value="24"/>
+        <transform name="to_world"><lookat origin="0, 2.2, 3.6" target="0, 0, 0" up="0, 1, 0"/></transform>
+        <film type="hdrfilm"><integer name="width" value="8"/><integer name="height" value="8"/>
+        <rfilter type="box"/></film></sensor>
+        <integrator type="path"><integer name="max_depth" value="3"/></integrator>
+        <bsdf type="roughconductor" id="metal"><float name="alpha" value="0.15"/>
+        <string name="material" value="none"/><rgb name="specular_reflectance" value="1, 0.5, 0"/></bsdf>
+        <bsdf type="blendbsdf" id="worn"><float name="weight" value="0.4"/>
+        <bsdf type="diffuse"><texture type="checkerboard" name="reflectance"/></bsdf><ref id="metal"/></bsdf>
+        <shape type="rectangle"><transform name="to_world"><rotate x="1" angle="-90"/><translate x="-1"/></transform>
+        <ref id="metal"/></shape>
+        <shape type="rectangle"><transform name="to_world"><rotate x="1" angle="-90"/><translate x="1"/></transform>
+        <ref id="worn"/></shape>{}{}
+        <emitter type="constant" id="sky"><rgb name="radiance" value="0.3, 0.2, 0"/></emitter>"#,
+        ball("-0.6, 2, -3.2", 0.6, "4, 3, 2"),
+        ball("1.2, 2.2, -3", 0.3, "6, 7, 8"),
+    ))
+}
+
+fn run(scene: &mut Scene, estimator: Estimator, names: &[&str], spp: u32) -> Report {
+    run_with(scene, estimator, names, spp, &OPTIONS)
+}
+
+fn run_with(
+    scene: &mut Scene,
+    estimator: Estimator,
+    names: &[&str],
+    spp: u32,
+    options: &Options,
+) -> Report {
+    let settings = Settings {
+        spp,
+        ..scene.settings
+    };
+    let mixture = Mixture::only(scene, estimator, names);
+    let adjoint = mean_adjoint(scene);
+    let report = check(scene, &settings, names, &mixture, &adjoint, options, &());
+    let report = report
+        .expect("parameters that are seen")
+        .expect("nobody stops it");
+    println!("{}\n{report}", estimator.name());
+    report
+}
+
+/// 32 repeats of 256 samples; a significance of 1e-3. Colours at both ends of their interval among them.
+#[test]
+#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
+fn what_is_right_is_called_right() {
+    let mut s = plates();
+    let names = [
+        "metal.alpha.value",
+        "metal.specular_reflectance.value",
+        "worn.weight.value",
+        "sky.radiance.value",
+    ];
+    let before = s.params().values().to_vec();
+    for estimator in [Estimator::Mis, Estimator::DifferentialMis] {
+        let report = run(&mut s, estimator, &names, 256);
+        assert_eq!(report.verdict(), Verdict::Right);
+        assert_eq!(report.params.len(), names.len());
+        assert_eq!(report.params[1].comparisons.len(), 3);
+        assert_eq!(report.params[1].comparisons[2].along, Along::Value(2));
+    }
+    assert_eq!(s.params().values(), before);
+}
+
+/// 32 repeats of 64 samples; the differences are four times as sure at the second look.
+#[test]
+#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
+fn what_is_biased_is_called_wrong() {
+    let mut s = plates();
+    for (estimator, name) in [
+        (Estimator::AttachedNaive, "metal.alpha.value"),
+        (Estimator::BiasedWeights, "metal.alpha.value"),
+        (Estimator::BiasedAttachedWeights, "metal.alpha.value"),
+        (Estimator::BiasedMixed, "metal.alpha.value"),
+        (Estimator::BiasedChoice, "worn.weight.value"),
+    ] {
+        let report = run(&mut s, estimator, &[name], 64);
+        assert_eq!(report.verdict(), Verdict::Wrong, "{}", estimator.name());
+    }
+}
+
+/// 8 samples cannot decide on a derivative whose noise is larger than itself; nor can any number on what is never seen.
+#[test]
+#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
+fn what_a_budget_cannot_tell_is_left_open() {
+    let mut s = plates();
+    let report = run(&mut s, Estimator::Mis, &["metal.alpha.value"], 8);
+    assert_eq!(report.verdict(), Verdict::CannotTell);
+    // Wrong, but noisier than that.
+    let few = Options {
+        repeats: 4,
+        ..OPTIONS
+    };
+    let report = run_with(
+        &mut s,
+        Estimator::BiasedChoice,
+        &["worn.weight.value"],
+        1,
+        &few,
+    );
+    assert_eq!(report.verdict(), Verdict::CannotTell);
+    let mut s = scene(
+        r#"<sensor type="perspective"><float name="fov" value="40"/>
+        <film type="hdrfilm"><integer name="width" value="2"/><integer name="height" value="2"/></film></sensor>
+        <bsdf type="diffuse" id="paint"/>
+        <shape type="rectangle"><transform name="to_world"><translate z="-3"/></transform><ref id="paint"/></shape>
+        <emitter type="constant"/>"#,
+    );
+    let report = run(&mut s, Estimator::Mis, &["paint.reflectance.value"], 8);
+    assert_eq!(report.verdict(), Verdict::CannotTell);
+    assert!(report.to_string().contains("nothing was seen of it"));
+}
+
+/// Textures along random directions, texels at the ends of their interval among them. 32 repeats of 64 samples.
+#[test]
+#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
+fn textures_are_checked_along_random_directions() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("paint.exr");
+    let mut texels = Image::new(4, 4);
+    for (i, x) in texels.data.iter_mut().enumerate() {
+        *x = [0.0, 0.3, 0.9, 1.0, 0.5][i % 5];
+    }
+    write_exr(&path, &texels).expect("a folder to write to");
+    let mut s = scene(&format!(
+        r#"<sensor type="perspective"><float name="fov" value="40"/>
+        <transform name="to_world"><lookat origin="0, 0, 4" target="0, 0, 0" up="0, 1, 0"/></transform>
+        <film type="hdrfilm"><integer name="width" value="8"/><integer name="height" value="8"/></film></sensor>
+        <bsdf type="diffuse" id="paint"><texture type="bitmap" name="reflectance">
+        <string name="filename" value="{}"/><boolean name="raw" value="true"/></texture></bsdf>
+        <shape type="rectangle"><ref id="paint"/></shape>
+        <emitter type="constant"/>"#,
+        path.display()
+    ));
+    let key = "paint.reflectance.data";
+    let report = run(&mut s, Estimator::Mis, &[key], 64);
+    assert_eq!(report.verdict(), Verdict::Right);
+    let comparisons = &report.params[0].comparisons;
+    assert_eq!(comparisons.len(), DIRECTIONS as usize);
+    // The directions differ.
+    assert!(comparisons[0].differences.mean != comparisons[1].differences.mean);
+}
+
+/// Answers after so many questions that nobody wants to know any more.
+#[derive(Default)]
+struct Patience(std::sync::atomic::AtomicU64, u64);
+
+impl Progress for Patience {
+    fn cancelled(&self) -> bool {
+        self.0.fetch_add(1, std::sync::atomic::Ordering::Relaxed) >= self.1
+    }
+}
+
+/// Wherever it is stopped, there is no report, and the scene is as before.
+#[test]
+fn a_check_can_be_stopped() {
+    let mut s = plates();
+    let names = ["metal.alpha.value"];
+    let before = s.params().values().to_vec();
+    let mixture = Mixture::only(&s, Estimator::Mis, &names);
+    let adjoint = mean_adjoint(&s);
+    let options = Options {
+        repeats: 4,
+        ..OPTIONS
+    };
+    let settings = Settings {
+        spp: 1,
+        ..s.settings
+    };
+    for questions in [0, 10, 100] {
+        let patience = Patience(Default::default(), questions);
+        let report = check(
+            &mut s, &settings, &names, &mixture, &adjoint, &options, &patience,
+        );
+        assert_eq!(report.expect("no error"), None);
+        assert_eq!(s.params().values(), before);
+    }
+}
+
+#[test]
+fn mistakes_are_named() {
+    let mut s = plates();
+    let settings = Settings {
+        spp: 1,
+        ..s.settings
+    };
+    let mut failure = |names: &[&str], estimator, adjoint: &[f32], options: Options| {
+        let mixture = Mixture::only(&s, estimator, names);
+        let found = check(&mut s, &settings, names, &mixture, adjoint, &options, &());
+        found.expect_err("a mistake").to_string()
+    };
+    let adjoint = vec![1.0; 192];
+    let alpha = ["metal.alpha.value"];
+    let few = Options {
+        repeats: 3,
+        ..OPTIONS
+    };
+    let found = failure(&alpha, Estimator::Mis, &adjoint, few);
+    assert_eq!(found, "repeats: expected at least four, found 3");
+    let vague = Options {
+        tolerance: 1.0,
+        ..OPTIONS
+    };
+    let found = failure(&alpha, Estimator::Mis, &adjoint, vague);
+    assert_eq!(
+        found,
+        "tolerance: expected a number between 0 and 1, found 1"
+    );
+    let found = failure(&["metal.alhpa.value"], Estimator::Mis, &adjoint, OPTIONS);
+    assert!(
+        found.starts_with("no parameter `metal.alhpa.value`; closest: metal.alpha.value"),
+        "{found}"
+    );
+    let found = failure(&alpha, Estimator::Mis, &adjoint[1..], OPTIONS);
+    assert!(
+        found.starts_with("adjoint image: expected 192 values"),
+        "{found}"
+    );
+    let found = failure(&alpha, Estimator::Attached, &adjoint, OPTIONS);
+    assert!(found.contains("discontinuities"), "{found}");
+    let found = failure(&alpha, Estimator::Mis, &[f32::MAX; 192], OPTIONS);
+    assert!(
+        found.contains("overflow") || found.contains("finite"),
+        "{found}"
+    );
+}
+
+/// How much there is to do is known before: no bar ends beyond its end.
+#[test]
+fn work_stays_within_what_is_announced() {
+    struct Count(std::sync::atomic::AtomicU64);
+    impl Progress for Count {
+        fn advance(&self, n: u64) {
+            self.0.fetch_add(n, std::sync::atomic::Ordering::Relaxed);
+        }
+    }
+    let mut s = plates();
+    let names = ["metal.alpha.value", "metal.specular_reflectance.value"];
+    let options = Options {
+        repeats: 4,
+        ..OPTIONS
+    };
+    let settings = Settings {
+        spp: 1,
+        ..s.settings
+    };
+    let mixture = Mixture::only(&s, Estimator::BiasedWeights, &names);
+    let adjoint = mean_adjoint(&s);
+    let count = Count(Default::default());
+    check(
+        &mut s, &settings, &names, &mixture, &adjoint, &options, &count,
+    )
+    .expect("no error");
+    let passes = count.0.into_inner() / s.film.pixels() as u64;
+    assert!(
+        passes > 40 && passes <= most_passes(&s, &names, &options),
+        "{passes}"
+    );
+}
