@@ -12,6 +12,7 @@ use render::integrator::gradient::{Active, Gradient};
 use render::integrator::render::{NonFinite, Progress, Rendering};
 use render::integrator::second_order;
 use render::params::Theta;
+use render::sampler::mix64;
 use render::{Image, RenderError, Scene, Settings};
 use serde::{Deserialize, Serialize};
 
@@ -30,8 +31,27 @@ pub struct Problem {
     pub estimator: Estimator,
     /// How images are compared.
     pub loss: LossKind,
+    /// What is compared; the loss is the sum over them.
+    pub targets: Vec<Target>,
+}
+
+/// An image, and what the scene is looked at through to be compared with it.
+#[derive(Clone, Debug)]
+pub struct Target {
+    /// The number of the sensor, see [`Scene::look_through`]; `None`: the one that is looked through already.
+    pub sensor: Option<usize>,
     /// What the image is compared with.
-    pub target: Image,
+    pub image: Image,
+}
+
+impl Target {
+    /// Through the sensor that the scene is looked at through already.
+    pub fn of(image: Image) -> Self {
+        Self {
+            sensor: None,
+            image,
+        }
+    }
 }
 
 /// What a step saw before it moved.
@@ -39,10 +59,10 @@ pub struct Problem {
 pub struct Step {
     /// The loss.
     pub loss: f64,
-    /// The image that the loss was taken of.
-    pub seen: Rendering,
-    /// Derivative of the loss by every pixel and channel of the image.
-    pub adjoint: Vec<f32>,
+    /// The images that the loss was taken of, one per view.
+    pub seen: Vec<Rendering>,
+    /// Derivative of the loss by every pixel and channel of each image.
+    pub adjoints: Vec<Vec<f32>>,
     /// Derivative of the loss by the unknowns.
     pub gradient: Gradient,
 }
@@ -73,10 +93,37 @@ pub struct Curved {
     pub loss: f64,
     /// Its standard error, see [`Loss::standard_error`].
     pub loss_error: f64,
-    /// The image that the loss was taken of.
-    pub seen: Rendering,
+    /// The images that the loss was taken of, one per view.
+    pub seen: Vec<Rendering>,
     /// Derivatives of the loss by the unknowns.
     pub derivatives: second_order::NormalEquations,
+}
+
+/// The gradient of a sum of losses, without what is known of the noise of single views.
+fn sum_of(mut sum: Gradient, other: &Gradient) -> Gradient {
+    for (sum, other) in sum.values.iter_mut().zip(&other.values) {
+        add(sum, other);
+    }
+    add_non_finite(&mut sum.non_finite, other.non_finite);
+    sum.noise = None;
+    sum
+}
+
+fn add(sum: &mut [f64], other: &[f64]) {
+    sum.iter_mut().zip(other).for_each(|(s, x)| *s += x);
+}
+
+fn add_non_finite(sum: &mut NonFinite, other: NonFinite) {
+    sum.count += other.count;
+    sum.first = sum.first.or(other.first);
+}
+
+/// What went wrong in any of these.
+fn wrong_in(seen: &[Rendering]) -> NonFinite {
+    let mut sum = NonFinite::default();
+    seen.iter()
+        .for_each(|s| add_non_finite(&mut sum, s.non_finite));
+    sum
 }
 
 impl Problem {
@@ -109,41 +156,75 @@ impl Problem {
         self.scene.set_params(&all)
     }
 
-    /// The image with its loss, and its derivative with other random numbers: with common ones even
+    /// The images with their loss, and its derivative with other random numbers: with common ones even
     /// the squared error is biased (errata Z-4.4). `None` if stopped early.
     ///
     /// # Errors
-    /// A target that is not of the film's size.
+    /// A target that is not of its film's size, or a view through a sensor that the scene does not have.
     pub fn evaluate(
-        &self,
+        &mut self,
         seeds: [u64; 2],
         progress: &dyn Progress,
     ) -> Result<Option<Step>, ToolError> {
-        let Some((seen, image)) = self.see(seeds[0], progress) else {
-            return Ok(None);
-        };
-        let loss = self.loss.value(&image.data, &self.target.data)?;
-        let mut adjoint = vec![0.0; image.data.len()];
-        self.loss
-            .gradient(&image.data, &self.target.data, &mut adjoint)?;
-        let gradient = self.estimator.backward_f32(
-            &Job::new(
-                &self.scene,
-                &self.settings,
-                seeds[1],
-                self.samples(),
-                progress,
-            ),
-            &self.theta(),
-            &self.active,
-            &adjoint,
-        )?;
-        Ok((!gradient.cancelled).then_some(Step {
-            loss,
-            seen,
-            adjoint,
-            gradient,
-        }))
+        let mut step: Option<Step> = None;
+        for k in 0..self.targets.len() {
+            let seeds = self.look_at(k, seeds)?;
+            let Some((seen, image)) = self.see(seeds[0], progress) else {
+                return Ok(None);
+            };
+            let target = &self.targets[k].image;
+            let loss = self.loss.value(&image.data, &target.data)?;
+            let mut adjoint = vec![0.0; image.data.len()];
+            (self.loss).gradient(&image.data, &target.data, &mut adjoint)?;
+            let gradient = self.estimator.backward_f32(
+                &self.job(seeds[1], progress),
+                &self.theta(),
+                &self.active,
+                &adjoint,
+            )?;
+            if gradient.cancelled {
+                return Ok(None);
+            }
+            step = Some(match step {
+                None => Step {
+                    loss,
+                    seen: vec![seen],
+                    adjoints: vec![adjoint],
+                    gradient,
+                },
+                Some(mut sum) => {
+                    sum.loss += loss;
+                    sum.seen.push(seen);
+                    sum.adjoints.push(adjoint);
+                    sum.gradient = sum_of(sum.gradient, &gradient);
+                    sum
+                }
+            });
+        }
+        Ok(step)
+    }
+
+    /// Looks through the sensor of a view, and says which random numbers are its own: the first one has those that it
+    /// would have alone.
+    fn look_at(&mut self, view: usize, seeds: [u64; 2]) -> Result<[u64; 2], RenderError> {
+        if let Some(sensor) = self.targets[view].sensor {
+            self.scene.look_through(sensor)?;
+        }
+        Ok(match view {
+            0 => seeds,
+            _ => seeds.map(|seed| mix64(seed ^ mix64(view as u64))),
+        })
+    }
+
+    /// The image; `None` if stopped early.
+    fn see(&self, seed: u64, progress: &dyn Progress) -> Option<(Rendering, Image)> {
+        let seen = render_f32(&self.job(seed, progress), &self.theta(), Estimator::Mis);
+        let image = seen.image(0);
+        (!seen.cancelled).then_some((seen, image))
+    }
+
+    fn job<'a>(&'a self, seed: u64, progress: &'a dyn Progress) -> Job<'a> {
+        Job::new(&self.scene, &self.settings, seed, self.samples(), progress)
     }
 
     fn theta(&self) -> Theta<'_, f32> {
@@ -154,56 +235,59 @@ impl Problem {
         0..self.settings.spp.into()
     }
 
-    /// The image; `None` if stopped early.
-    fn see(&self, seed: u64, progress: &dyn Progress) -> Option<(Rendering, Image)> {
-        let seen = render_f32(
-            &Job::new(&self.scene, &self.settings, seed, self.samples(), progress),
-            &self.theta(),
-            Estimator::Mis,
-        );
-        let image = seen.image(0);
-        (!seen.cancelled).then_some((seen, image))
-    }
-
     /// [`Problem::evaluate`] with the Gauss-Newton matrix of the loss, for up to
     /// [`second_order::MAX_VALUES`] unknowns. Where the loss is concave in a pixel, that pixel is left out.
     ///
     /// # Errors
     /// As [`Problem::evaluate`]; too many unknowns, or less than two samples per pixel.
     pub fn evaluate_curved(
-        &self,
+        &mut self,
         seeds: [u64; 2],
         progress: &dyn Progress,
     ) -> Result<Option<Curved>, ToolError> {
-        let Some((seen, image)) = self.see(seeds[0], progress) else {
-            return Ok(None);
-        };
-        let (image, target) = (&image.data, &self.target.data);
-        let loss = self.loss.value(image, target)?;
-        let loss_error = self.loss.standard_error(image, target)?;
-        let mut adjoint = vec![0.0; image.len()];
-        self.loss.gradient(image, target, &mut adjoint)?;
-        let mut weights = vec![0.0; image.len()];
-        self.loss.curvature(image, target, &mut weights)?;
-        weights.iter_mut().for_each(|w| *w = w.max(0.0));
-        let derivatives = gauss_newton_f32(
-            &Job::new(
-                &self.scene,
-                &self.settings,
-                seeds[1],
-                self.samples(),
-                progress,
-            ),
-            &self.theta(),
-            &self.active,
-            [&adjoint, &weights],
-        )?;
-        Ok((!derivatives.cancelled).then_some(Curved {
-            loss,
-            loss_error,
-            seen,
-            derivatives,
-        }))
+        let mut curved: Option<Curved> = None;
+        for k in 0..self.targets.len() {
+            let seeds = self.look_at(k, seeds)?;
+            let Some((seen, image)) = self.see(seeds[0], progress) else {
+                return Ok(None);
+            };
+            let (image, target) = (&image.data, &self.targets[k].image.data);
+            let loss = self.loss.value(image, target)?;
+            let loss_error = self.loss.standard_error(image, target)?;
+            let mut adjoint = vec![0.0; image.len()];
+            self.loss.gradient(image, target, &mut adjoint)?;
+            let mut weights = vec![0.0; image.len()];
+            self.loss.curvature(image, target, &mut weights)?;
+            weights.iter_mut().for_each(|w| *w = w.max(0.0));
+            let derivatives = gauss_newton_f32(
+                &self.job(seeds[1], progress),
+                &self.theta(),
+                &self.active,
+                [&adjoint, &weights],
+            )?;
+            if derivatives.cancelled {
+                return Ok(None);
+            }
+            match &mut curved {
+                None => {
+                    curved = Some(Curved {
+                        loss,
+                        loss_error,
+                        seen: vec![seen],
+                        derivatives,
+                    });
+                }
+                Some(sum) => {
+                    sum.loss += loss;
+                    sum.loss_error = sum.loss_error.hypot(loss_error);
+                    sum.seen.push(seen);
+                    add(&mut sum.derivatives.gradient, &derivatives.gradient);
+                    add(&mut sum.derivatives.matrix, &derivatives.matrix);
+                    add_non_finite(&mut sum.derivatives.non_finite, derivatives.non_finite);
+                }
+            }
+        }
+        Ok(curved)
     }
 
     /// The Hessian of the loss times a direction, with one number per unknown; unbiased for squared
@@ -212,48 +296,46 @@ impl Problem {
     /// # Errors
     /// As [`Problem::evaluate`]; a direction of the wrong length.
     pub fn hessian_vector(
-        &self,
+        &mut self,
         direction: &[f32],
         seeds: [u64; 2],
         progress: &dyn Progress,
     ) -> Result<Option<Gradient>, ToolError> {
-        let seen = tangent_f32(
-            &Job::new(
-                &self.scene,
-                &self.settings,
-                seeds[0],
-                self.samples(),
-                progress,
-            ),
-            self.scene.params().values(),
-            &self.active,
-            direction,
-        )?;
-        if seen.cancelled {
-            return Ok(None);
+        let mut sum: Option<Gradient> = None;
+        for k in 0..self.targets.len() {
+            let seeds = self.look_at(k, seeds)?;
+            let seen = tangent_f32(
+                &self.job(seeds[0], progress),
+                self.scene.params().values(),
+                &self.active,
+                direction,
+            )?;
+            if seen.cancelled {
+                return Ok(None);
+            }
+            let target = &self.targets[k].image.data;
+            let [image, tangent] = [0, 1].map(|k| seen.image(k).data);
+            let mut adjoint = vec![0.0; image.len()];
+            let mut change = vec![0.0; image.len()];
+            self.loss.gradient(&image, target, &mut adjoint)?;
+            self.loss.curvature(&image, target, &mut change)?;
+            change.iter_mut().zip(&tangent).for_each(|(c, t)| *c *= t);
+            let product = hessian_vector_f32(
+                &self.job(seeds[1], progress),
+                &self.theta(),
+                &self.active,
+                direction,
+                [&adjoint, &change],
+            )?;
+            if product.cancelled {
+                return Ok(None);
+            }
+            sum = Some(match sum {
+                None => product,
+                Some(sum) => sum_of(sum, &product),
+            });
         }
-        let [image, tangent] = [0, 1].map(|k| seen.image(k).data);
-        let mut adjoint = vec![0.0; image.len()];
-        let mut change = vec![0.0; image.len()];
-        self.loss
-            .gradient(&image, &self.target.data, &mut adjoint)?;
-        self.loss
-            .curvature(&image, &self.target.data, &mut change)?;
-        change.iter_mut().zip(&tangent).for_each(|(c, t)| *c *= t);
-        let product = hessian_vector_f32(
-            &Job::new(
-                &self.scene,
-                &self.settings,
-                seeds[1],
-                self.samples(),
-                progress,
-            ),
-            &self.theta(),
-            &self.active,
-            direction,
-            [&adjoint, &change],
-        )?;
-        Ok((!product.cancelled).then_some(product))
+        Ok(sum)
     }
 
     /// Evaluates at `values` and moves them by one step of `algorithm`. `None` if stopped early:
@@ -273,7 +355,7 @@ impl Problem {
                 let step = self.step(values, optimizer, seeds, progress)?;
                 Ok(step.map(|s| Report {
                     loss: s.loss,
-                    non_finite: [s.seen.non_finite, s.gradient.non_finite],
+                    non_finite: [wrong_in(&s.seen), s.gradient.non_finite],
                 }))
             }
             Algorithm::GaussNewton(optimizer) => {
@@ -292,7 +374,7 @@ impl Problem {
                 optimizer.step(values, &here, &matrix)?;
                 Ok(Some(Report {
                     loss: curved.loss,
-                    non_finite: [curved.seen.non_finite, derivatives.non_finite],
+                    non_finite: [wrong_in(&curved.seen), derivatives.non_finite],
                 }))
             }
         }

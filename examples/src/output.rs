@@ -117,8 +117,8 @@ pub fn write_png(path: &Path, image: &Image) -> Result<(), ToolError> {
 ///
 /// # Errors
 /// The operating system's.
-pub fn write_panels(path: &Path, panels: &[Panel]) -> Result<(), ToolError> {
-    let png = chart::grid(panels.len(), panels).map_err(|e| ToolError::file(path, e))?;
+pub fn write_panels(path: &Path, columns: usize, panels: &[Panel]) -> Result<(), ToolError> {
+    let png = chart::grid(columns, panels).map_err(|e| ToolError::file(path, e))?;
     Ok(image_io::write_atomically(path, &png)?)
 }
 

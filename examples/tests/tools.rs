@@ -897,7 +897,7 @@ fn damaged_checkpoints_are_errors_that_name_the_key() {
         (
             "/version",
             1.into(),
-            "version: expected 2, found 1; another version of this tool wrote it",
+            "version: expected 3, found 1; another version of this tool wrote it",
         ),
         (
             "/inputs/values/0",
@@ -1322,6 +1322,74 @@ fn a_colour_is_recovered_from_a_picture() {
         assert_eq!(report["scene"], "scene.xml");
         assert!(dir.path("found/values.svg").is_file());
     }
+}
+
+/// Two walls behind each other's sensors, which see one of them each: only the sum over both views knows both colours.
+#[test]
+fn a_recovery_looks_through_several_sensors() {
+    let dir = Folder::new();
+    let sensor = |name: &str, z: i32, size: u32| {
+        format!(
+            r#"<sensor type="perspective" id="{name}"><float name="fov" value="40"/>
+            <transform name="to_world"><lookat origin="0,0,0" target="0,0,{z}" up="0,1,0"/></transform>
+            <film type="hdrfilm"><integer name="width" value="{size}"/><integer name="height" value="{size}"/>
+            </film></sensor>"#
+        )
+    };
+    let wall = |name: &str, z: i32, colour: &str| {
+        format!(
+            r#"<shape type="rectangle"><transform name="to_world"><scale value="5"/>
+            <lookat origin="0,0,{z}" target="0,0,0" up="0,1,0"/></transform>
+            <bsdf type="diffuse" id="{name}"><rgb name="reflectance" value="{colour}"/></bsdf></shape>"#
+        )
+    };
+    let scene = |near: &str, far: &str| {
+        format!(
+            r#"<scene version="3.0.0"><integrator type="path"><integer name="max_depth" value="2"/></integrator>
+            {}{}{}{}<emitter type="constant"/></scene>"#,
+            sensor("front", 1, 16),
+            sensor("back", -1, 12),
+            wall("near", 3, near),
+            wall("far", -3, far),
+        )
+    };
+    std::fs::write(dir.path("truth.xml"), scene("0.2,0.4,0.6", "0.7,0.3,0.1")).unwrap();
+    std::fs::write(dir.path("start.xml"), scene("0.5,0.5,0.5", "0.5,0.5,0.5")).unwrap();
+    dir.ok("render", "truth.xml -o front.exr --spp 256");
+    dir.ok("render", "truth.xml -o back.exr --spp 256 --sensor back");
+    let job = "start.xml --param near.reflectance.value --param far.reflectance.value --spp 4 --iterations 120";
+    let views = "--target front=front.exr --target back=back.exr";
+    dir.ok("recover", &format!("{job} {views} --out both"));
+    let report = dir.json("both/result.json");
+    for (wall, truth) in [("near", [0.2, 0.4, 0.6]), ("far", [0.7, 0.3, 0.1])] {
+        for (c, truth) in truth.into_iter().enumerate() {
+            let value = &report["params"][format!("{wall}.reflectance.value[{c}]")]["value"];
+            let found = value.as_f64().unwrap();
+            assert!((found / truth - 1.0).abs() < 0.02, "{wall} {c}: {found}");
+        }
+    }
+    for kind in ["before", "after", "target"] {
+        for view in ["front", "back"] {
+            assert!(dir.path(&format!("both/{kind}-{view}.exr")).is_file());
+        }
+    }
+    // In parts it is the same run; one target is the first sensor's.
+    let parts = format!("{job} --target front.exr --target 1=back.exr --out parts --stop-after 50");
+    let out = dir.run("recover", &parts);
+    assert_eq!(out.status.code(), Some(130));
+    dir.ok("recover", "--out parts --resume");
+    let found = |folder: &str| dir.json(&format!("{folder}/result.json"))["params"].clone();
+    assert_eq!(found("parts"), found("both"));
+
+    let unknown = format!("{job} --target side=back.exr --out none");
+    let message =
+        "--target: sensor: expected a number below 2 or one of `front`, `back`, found `side`";
+    fails(&dir, &unknown, message);
+    fails(
+        &dir,
+        &format!("{job} --target back=front.exr --out none"),
+        "12",
+    );
 }
 
 /// The index of smooth glass moves a Dirac delta: for whole paths that move and for nothing else.

@@ -277,7 +277,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
             let [exr, png] = image_files(dir, info);
             image_io::write_exr(&exr, image)?;
             let panel = output::signed_panel(&format!("d image / d {}", info.name), image);
-            output::write_panels(&png, &[panel])?;
+            output::write_panels(&png, 1, &[panel])?;
         }
     }
     if let Some(path) = &args.json {

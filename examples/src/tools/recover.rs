@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use clap::Parser;
-use clap::builder::{PossibleValuesParser, TypedValueParser};
+use clap::builder::{OsStringValueParser, PossibleValuesParser, TypedValueParser};
 use optim::{
     AnyOptimizer, Constrained, GaussNewton, Group, Groups, LossKind, Optimizer, Parameterisation,
     PixelLoss, Rates, Schedule,
@@ -36,7 +36,7 @@ use crate::cli::{
     self, ListArgs, LoadArgs, Outcome, SAMPLE_COUNTS, SampleArgs, ThreadArgs, ToolError, depth,
     names_of, report_non_finite, sample_count,
 };
-use crate::optimise::{Algorithm, Problem};
+use crate::optimise::{Algorithm, Problem, Target};
 use crate::output;
 use crate::progress::{Bar, Interrupt};
 use crate::{complain, say};
@@ -53,8 +53,9 @@ Examples:
   recover --out folder --resume                  continues where Ctrl-C or a crash ended it
   recover --optimizer gauss-newton               the same room in fewer, dearer steps
 
-Starts from the values of the scene file (-D changes them). Several targets are images of the same view
-and are averaged. The folder receives before, after and target as EXR and side by side, values and loss
+Starts from the values of the scene file (-D changes them). Targets are images of the sensor that is looked
+through, or, as SENSOR=IMG.EXR, of another one of the scene: the loss is the sum over sensors. Several targets of one
+sensor are averaged. The folder receives before, after and target as EXR and side by side, values and loss
 of all iterations, charts, and the result as JSON. Ctrl-C keeps everything so far (exit code 130); the
 pictures are then left for --resume to complete.";
 
@@ -64,9 +65,9 @@ pictures are then left for --resume to complete.";
 pub struct Args {
     /// Scene file, Mitsuba XML [default: a built-in room]
     pub scene: Option<PathBuf>,
-    /// Image of the scene; may be given several times
-    #[arg(long = "target", value_name = "IMG.EXR", requires = "scene")]
-    pub targets: Vec<PathBuf>,
+    /// Image of the scene, or of one of its sensors; may be given several times
+    #[arg(long = "target", value_name = "[SENSOR=]IMG.EXR", requires = "scene", value_parser = target_argument())]
+    pub targets: Vec<TargetArg>,
     /// Unknown parameter; may be given several times
     #[arg(long = "param", value_name = "KEY")]
     pub params: Vec<String>,
@@ -124,6 +125,35 @@ pub struct Args {
     /// What there is
     #[command(flatten)]
     pub list_estimators: ListArgs,
+}
+
+/// `--target`.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct TargetArg {
+    /// The sensor's name or number; `None`: the one that is looked through.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    sensor: Option<String>,
+    image: FilePath,
+}
+
+/// A name before the first `=` is a sensor's, unless it has a folder: `./a=b.exr` is a file.
+fn target_argument() -> impl TypedValueParser<Value = TargetArg> {
+    OsStringValueParser::new().try_map(|text| {
+        let (sensor, image) = match text.to_str().and_then(|text| text.split_once('=')) {
+            Some((sensor, image)) if !sensor.contains(['/', '\\']) => {
+                (Some(sensor.to_owned()), PathBuf::from(image))
+            }
+            _ => (None, PathBuf::from(&text)),
+        };
+        if image.as_os_str().is_empty() || sensor.as_ref().is_some_and(String::is_empty) {
+            let found = text.display();
+            return Err(format!("expected IMG.EXR or SENSOR=IMG.EXR, found {found}"));
+        }
+        Ok(TargetArg {
+            sensor,
+            image: FilePath(image),
+        })
+    })
 }
 
 /// `--optimizer`, in files by name.
@@ -197,7 +227,7 @@ fn loss_name(text: &str) -> Result<String, String> {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 struct Job {
     scene: Option<FilePath>,
-    targets: Vec<FilePath>,
+    targets: Vec<TargetArg>,
     params: Vec<String>,
     defines: Vec<(String, String)>,
     allow_missing: bool,
@@ -234,7 +264,7 @@ impl Job {
         });
         let job = Self {
             scene: args.scene.clone().map(FilePath),
-            targets: args.targets.iter().cloned().map(FilePath).collect(),
+            targets: args.targets.clone(),
             params,
             defines: args.load.defines.clone(),
             allow_missing: args.load.allow_missing,
@@ -381,8 +411,7 @@ impl Job {
             self.scene.clone(),
             debug,
         )?;
-        let targets: Vec<_> = args.targets.iter().cloned().map(FilePath).collect();
-        same("--target", some(&targets), self.targets.clone(), debug)?;
+        same("--target", some(&args.targets), self.targets.clone(), debug)?;
         same("--param", some(&args.params), self.params.clone(), debug)?;
         same("-D", some(&args.load.defines), self.defines.clone(), debug)?;
         same("--optimizer", args.optimizer, self.optimizer, |o| {
@@ -499,9 +528,6 @@ impl Checkpoint {
 }
 
 const CHECKPOINT: &str = "checkpoint.json";
-const TARGET: &str = "target.exr";
-const BEFORE: &str = "before.exr";
-const AFTER: &str = "after.exr";
 const PANELS: &str = "before-after-target.png";
 /// Time between two checkpoints: what a crash costs at most. Large ones take their time, of which they may have a
 /// twentieth.
@@ -528,6 +554,8 @@ const GUIDE_STREAM: u64 = u64::MAX - 2;
 /// The problem, and its solution for the built-in scene.
 struct Recovery {
     problem: Problem,
+    /// One per target of the problem.
+    views: Vec<View>,
     /// The true values.
     truth: Option<Vec<f32>>,
 }
@@ -554,7 +582,7 @@ fn recover(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
         (job, None, store.transpose()?)
     };
     let estimator = Estimator::from_name(&job.estimator)?;
-    let (scene, active, start, truth) = load(&job, estimator)?;
+    let (mut scene, active, start, truth) = load(&job, estimator)?;
     interrupt.keep();
     estimator.check(&scene)?;
     job.samples.check_guided(estimator)?;
@@ -563,27 +591,43 @@ fn recover(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     settings.max_depth = job.max_depth.unwrap_or(settings.max_depth);
     job.samples.apply(&scene, &mut settings)?;
     let loss: LossKind = job.loss.parse()?;
-    let [target_file, before_file, after_file, panels_file] =
-        [TARGET, BEFORE, AFTER, PANELS].map(|name| args.out.join(name));
-    let target = if args.resume {
-        read_size(&target_file, &scene)?
-    } else {
-        match target(&job, &scene, &settings, interrupt)? {
-            Some(target) => target,
-            None => {
-                complain!("interrupted before the target was complete: nothing was written");
-                return Ok(Outcome::Interrupted);
-            }
-        }
+    let panels_file = args.out.join(PANELS);
+    let views = views(&job, &scene)?;
+    let files = |kind: &str| {
+        views
+            .iter()
+            .map(|v| args.out.join(v.file(kind)))
+            .collect::<Vec<_>>()
     };
+    let [target_files, before_files, after_files] = ["target", "before", "after"].map(files);
+    let mut targets = Vec::new();
+    for (view, file) in views.iter().zip(&target_files) {
+        view.look(&mut scene)?;
+        let image = if args.resume {
+            read_size(file, &scene)?
+        } else {
+            match target(&job, view, &scene, &settings, interrupt)? {
+                Some(image) => image,
+                None => {
+                    complain!("interrupted before the target was complete: nothing was written");
+                    return Ok(Outcome::Interrupted);
+                }
+            }
+        };
+        targets.push(Target {
+            sensor: view.sensor,
+            image,
+        });
+    }
+    // Guides and measured pixels are those of the first view.
+    views[0].look(&mut scene)?;
     let mut store = match store {
         Some(store) => store,
         None => Store::open(&args.out, CHECKPOINT)?,
     };
     let (mut state, inputs) = match resumed {
         Some((state, inputs)) => {
-            let files = [store.path(), &target_file];
-            inputs.require_same(&scene, &start, &target, files)?;
+            inputs.require_same(&scene, &start, (&targets, &target_files), store.path())?;
             (Checkpoint { start, ..state }, inputs)
         }
         None => {
@@ -597,7 +641,7 @@ fn recover(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
                 history: Vec::new(),
                 start,
             };
-            let inputs = Inputs::of(&scene, &state.start, &job.targets, &target)?;
+            let inputs = Inputs::of(&scene, &state.start, &job.targets, &targets)?;
             (state, inputs)
         }
     };
@@ -607,9 +651,13 @@ fn recover(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
         active,
         estimator,
         loss,
-        target,
+        targets,
     };
-    let mut recovery = Recovery { problem, truth };
+    let mut recovery = Recovery {
+        problem,
+        views,
+        truth,
+    };
     if args.resume {
         recovery.check(&state, store.path())?;
     }
@@ -620,24 +668,35 @@ fn recover(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     if !args.resume {
         // Those of another job.
         store.clear()?;
-        for file in [&before_file, &after_file, &panels_file] {
+        for file in before_files
+            .iter()
+            .chain(&after_files)
+            .chain([&panels_file])
+        {
             output::remove(file)?;
         }
-        image_io::write_exr(&target_file, &recovery.problem.target)?;
+        for (file, target) in target_files.iter().zip(&recovery.problem.targets) {
+            image_io::write_exr(file, &target.image)?;
+        }
         store.write(&state, &inputs)?;
     }
-    if !before_file.exists() {
-        // Complete or not at all: a run that is resumed makes one that is missing.
-        let picture = recovery.picture("before", job.seed, interrupt)?;
-        if let Some(picture) = picture.filter(is_complete) {
-            image_io::write_exr(&before_file, &picture.image(0))?;
+    let mut before = Vec::new();
+    for (view, file) in before_files.iter().enumerate() {
+        recovery.look(view)?;
+        if !file.exists() {
+            // Complete or not at all: a run that is resumed makes one that is missing.
+            let picture = recovery.picture("before", job.seed, interrupt)?;
+            if let Some(picture) = picture.filter(is_complete) {
+                image_io::write_exr(file, &picture.image(0))?;
+            }
         }
+        before.push(if file.exists() {
+            Some(read_size(file, &recovery.problem.scene)?)
+        } else {
+            None
+        });
     }
-    let before = if before_file.exists() {
-        Some(read_size(&before_file, &recovery.problem.scene)?)
-    } else {
-        None
-    };
+    recovery.look(0)?;
 
     let first = state.iteration;
     let left = job.iterations.saturating_sub(state.iteration);
@@ -672,10 +731,11 @@ fn recover(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     store.write(&state, &inputs)?;
     if state.iteration != first {
         // They show other values.
-        output::remove(&after_file)?;
-        output::remove(&panels_file)?;
+        for file in after_files.iter().chain([&panels_file]) {
+            output::remove(file)?;
+        }
     }
-    let samples = recovery.write_results(&args.out, &state, before.as_ref(), interrupt)?;
+    let samples = recovery.write_results(&args.out, &state, &before, interrupt)?;
     if state.iteration == job.iterations && samples == PICTURE_SPP {
         return Ok(Outcome::Done);
     }
@@ -731,14 +791,79 @@ fn is_complete(picture: &Rendering) -> bool {
     picture.samples == PICTURE_SPP
 }
 
-/// What the unknowns are compared with; `None` if interrupted.
+/// What a run compares: the images of one sensor.
+struct View {
+    /// Its number in the scene, if there are several views or it was named.
+    sensor: Option<usize>,
+    /// Its name; none where there is one view.
+    name: Option<String>,
+    /// Its images.
+    images: Vec<FilePath>,
+}
+
+impl View {
+    /// The file of its `kind` of picture.
+    fn file(&self, kind: &str) -> String {
+        match &self.name {
+            None => format!("{kind}.exr"),
+            Some(name) => format!("{kind}-{}.exr", output::file_name(name)),
+        }
+    }
+
+    /// Looks through its sensor.
+    fn look(&self, scene: &mut Scene) -> Result<(), RenderError> {
+        self.sensor
+            .map_or(Ok(()), |sensor| scene.look_through(sensor))
+    }
+}
+
+/// The views that the targets of a job are of, in the order of their first one.
+///
+/// # Errors
+/// A sensor that the scene does not have.
+fn views(job: &Job, scene: &Scene) -> Result<Vec<View>, ToolError> {
+    let numbered = |name: &str| {
+        let number = scene.sensor_called(name);
+        number.map_err(|e| ToolError::Usage(format!("--target: {e}")))
+    };
+    if job.targets.iter().all(|t| t.sensor.is_none()) {
+        return Ok(vec![View {
+            sensor: None,
+            name: None,
+            images: job.targets.iter().map(|t| t.image.clone()).collect(),
+        }]);
+    }
+    let looked_through = job.sensor.as_deref().map_or(Ok(0), numbered)?;
+    let mut views = Vec::<View>::new();
+    for target in &job.targets {
+        let sensor = target
+            .sensor
+            .as_deref()
+            .map_or(Ok(looked_through), numbered)?;
+        match views.iter_mut().find(|v| v.sensor == Some(sensor)) {
+            Some(view) => view.images.push(target.image.clone()),
+            None => views.push(View {
+                sensor: Some(sensor),
+                name: Some(scene.sensors()[sensor].name.clone()),
+                images: vec![target.image.clone()],
+            }),
+        }
+    }
+    if let [only] = &mut views[..] {
+        only.name = None;
+    }
+    Ok(views)
+}
+
+/// What the image of a view is compared with; `None` if interrupted.
 fn target(
     job: &Job,
+    view: &View,
     scene: &Scene,
     settings: &Settings,
     interrupt: &Interrupt,
 ) -> Result<Option<Image>, ToolError> {
-    if job.targets.is_empty() {
+    if view.images.is_empty() {
         let mut settings = *settings;
         settings.spp = TARGET_SPP;
         let total = scene.film.pixels() as u64 * passes(scene, &settings);
@@ -750,7 +875,7 @@ fn target(
         return Ok(complete.map(|r| r.image(0)));
     }
     let mut sum = vec![0.0f64; scene.film.pixels() * 3];
-    for path in &job.targets {
+    for path in &view.images {
         let image = read_size(&path.0, scene)?;
         for (s, x) in sum.iter_mut().zip(&image.data) {
             *s += f64::from(*x);
@@ -759,7 +884,7 @@ fn target(
     let [width, height] = scene.film.crop_size;
     let mut mean = Image::new(width as usize, height as usize);
     for (m, s) in mean.data.iter_mut().zip(sum) {
-        *m = (s / job.targets.len() as f64) as f32;
+        *m = (s / view.images.len() as f64) as f32;
     }
     Ok(Some(mean))
 }
@@ -951,6 +1076,11 @@ impl Recovery {
         out
     }
 
+    /// Looks through the sensor of a view.
+    fn look(&mut self, view: usize) -> Result<(), RenderError> {
+        self.views[view].look(&mut self.problem.scene)
+    }
+
     /// The scene as it is, with little noise. When stopped, the passes that were complete; `None` if there
     /// is none.
     fn picture(
@@ -979,24 +1109,33 @@ impl Recovery {
         &mut self,
         out: &Path,
         state: &Checkpoint,
-        before: Option<&Image>,
+        before: &[Option<Image>],
         interrupt: &Interrupt,
     ) -> Result<u64, ToolError> {
         let estimate = state.estimate();
         self.problem.set(&estimate)?;
-        let after = self.picture("after", state.job.seed, interrupt)?;
-        let file = out.join(AFTER);
-        if let Some(after) = after.as_ref().filter(|r| is_complete(r) || !file.exists()) {
-            let after = after.image(0);
-            image_io::write_exr(&file, &after)?;
-            if let Some(before) = before {
-                let panels = [
-                    output::panel("before", before),
-                    output::panel("after", &after),
-                    output::panel("target", &self.problem.target),
-                ];
-                output::write_panels(&out.join(PANELS), &panels)?;
+        let (mut panels, mut fewest) = (Vec::new(), PICTURE_SPP);
+        for (view, before) in before.iter().enumerate() {
+            self.look(view)?;
+            let after = self.picture("after", state.job.seed, interrupt)?;
+            fewest = fewest.min(after.as_ref().map_or(0, |r| r.samples));
+            let file = out.join(self.views[view].file("after"));
+            if let Some(after) = after.filter(|r| is_complete(r) || !file.exists()) {
+                let after = after.image(0);
+                image_io::write_exr(&file, &after)?;
+                if let Some(before) = before {
+                    let target = &self.problem.targets[view].image;
+                    let row = [("before", before), ("after", &after), ("target", target)];
+                    panels.extend(row.map(|(kind, image)| {
+                        let label = self.views[view].name.as_ref();
+                        let label = label.map_or(kind.to_owned(), |name| format!("{kind}, {name}"));
+                        output::panel(&label, image)
+                    }));
+                }
             }
+        }
+        if panels.len() == 3 * before.len() {
+            output::write_panels(&out.join(PANELS), 3, &panels)?;
         }
         image_io::write_atomically(&out.join("iterations.csv"), self.csv(state).as_bytes())?;
         for (name, chart) in self.charts(state) {
@@ -1004,7 +1143,7 @@ impl Recovery {
         }
         self.write_textures(out, &estimate)?;
         self.report(out, state, &estimate)?;
-        Ok(after.map_or(0, |r| r.samples))
+        Ok(fewest)
     }
 
     fn csv(&self, state: &Checkpoint) -> String {

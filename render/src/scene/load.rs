@@ -440,7 +440,7 @@ fn attributes_of(shape: &Node) -> Result<Vec<String>, SceneError> {
 }
 
 /// Which of the sensors has this id, or this number.
-fn sensor_called(sensors: &[Sensor], name: &str) -> Result<usize, SceneError> {
+pub(super) fn sensor_called(sensors: &[Sensor], name: &str) -> Result<usize, SceneError> {
     let by_number = || name.parse().ok().filter(|&i: &usize| i < sensors.len());
     let found = sensors
         .iter()

@@ -1,8 +1,9 @@
 //! The sensors of a scene, one of which is looked through.
 
+use super::load::sensor_called;
 use super::{PixelShares, Scene};
 use crate::camera::Camera;
-use crate::error::RenderError;
+use crate::error::{RenderError, SceneError};
 use crate::film::Film;
 
 /// What a scene is seen through.
@@ -36,6 +37,14 @@ impl Scene {
     /// [`Scene::film`].
     pub fn sensors(&self) -> &[Sensor] {
         &self.sensors
+    }
+
+    /// The number of the sensor with this name, or with this number.
+    ///
+    /// # Errors
+    /// There is none; says which there are.
+    pub fn sensor_called(&self, name: &str) -> Result<usize, SceneError> {
+        sensor_called(&self.sensors, name)
     }
 
     /// Looks through the sensor of this number from now on: at its resolution, with its samples per pixel, and all

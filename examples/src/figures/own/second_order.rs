@@ -11,7 +11,7 @@ use render::sampler::mix64;
 use crate::builtin_scene;
 use crate::chart::LineChart;
 use crate::figure::{Figure, Result};
-use crate::optimise::{Algorithm, Problem};
+use crate::optimise::{Algorithm, Problem, Target};
 use crate::say;
 use crate::scene_builder::picture;
 use crate::tools::recover::{WHOLE_STEPS, groups};
@@ -41,7 +41,7 @@ fn setup(fig: &Figure) -> Result<Setup> {
         active,
         estimator: Estimator::Mis,
         loss: "relative-l2".parse::<LossKind>()?,
-        target,
+        targets: vec![Target::of(target)],
     };
     let truth = problem.values();
     let start = unknowns.into_iter().flat_map(|u| u.start).collect();

@@ -37,7 +37,7 @@ pub fn figure(fig: &mut Figure) -> Result {
     let panels = [
         panel("start", &before),
         panel("recovered", &after),
-        panel("target", &setup.problem.target),
+        panel("target", &setup.problem.targets[0].image),
     ];
     fig.images("forward-inverse", 3, &panels);
     report(fig, "steps", &path, &setup.truth);

@@ -18,10 +18,13 @@ pub fn figure(fig: &mut Figure) -> Result {
     note(fig, &setup);
     setup.problem.set(&START)?;
     let step = setup.problem.evaluate([1, 2], &())?.ok_or("stopped")?;
-    let (image, target) = (step.seen.image(0), setup.problem.target.clone());
+    let (image, target) = (
+        step.seen[0].image(0),
+        setup.problem.targets[0].image.clone(),
+    );
     let n = image.data.len() as f64;
     let pairs = || image.data.iter().zip(&target.data);
-    let off = step.adjoint.iter().zip(pairs()).map(|(a, (x, t))| {
+    let off = step.adjoints[0].iter().zip(pairs()).map(|(a, (x, t))| {
         let expected = 2.0 * (f64::from(*x) - f64::from(*t)) / n;
         (f64::from(*a) - expected).abs() * n
     });
@@ -34,7 +37,7 @@ pub fn figure(fig: &mut Figure) -> Result {
     let difference = |x: &[f32]| x.iter().map(|&x| f64::from(x)).collect::<Vec<_>>();
     let width = image.width;
     let green = |x: &[f64]| x.iter().skip(1).step_by(3).copied().collect::<Vec<f64>>();
-    let adjoint = green(&difference(&step.adjoint));
+    let adjoint = green(&difference(&step.adjoints[0]));
     let panels = [
         Panel::tonemapped("1. render", &image, 1.0).enlarged(4),
         Panel::tonemapped("2. compare with the target", &target, 1.0).enlarged(4),
@@ -95,7 +98,11 @@ fn smoke(
         let problem = &mut setup.problem;
         problem.set(values)?;
         let image = picture(&problem.scene, setup.target_spp, TARGET_SEED);
-        losses.push(problem.loss.value(&image.data, &problem.target.data)?);
+        losses.push(
+            problem
+                .loss
+                .value(&image.data, &problem.targets[0].image.data)?,
+        );
     }
     fig.check(
         format!("the loss falls below 1/1000 with {name}"),

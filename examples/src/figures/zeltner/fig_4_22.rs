@@ -13,7 +13,7 @@ use render::{Image, Scene};
 use crate::chart::{LineChart, Panel};
 use crate::figure::{Figure, Result};
 use crate::figures::statistics::{Estimate, blocks, limit};
-use crate::optimise::Problem;
+use crate::optimise::{Problem, Target};
 use crate::scene_builder;
 use crate::scene_builder::{SceneBuilder, View};
 
@@ -159,7 +159,7 @@ impl Setup {
             active,
             estimator: Estimator::Mis,
             loss: "l2".parse::<LossKind>()?,
-            target,
+            targets: vec![Target::of(target)],
         };
         Ok(Self {
             problem,
@@ -172,7 +172,7 @@ impl Setup {
     /// Loss of the image without noise: with the samples of the target, what differs is the texture.
     fn loss(&self) -> Result<f64> {
         let image = picture(&self.problem.scene, self.effort.many);
-        let target = &self.problem.target;
+        let target = &self.problem.targets[0].image;
         Ok(self.problem.loss.value(&image.data, &target.data)?)
     }
 
@@ -182,7 +182,7 @@ impl Setup {
         let scene = &self.problem.scene;
         let image = picture(scene, self.effort.many);
         let mut adjoint = vec![0.0; image.data.len()];
-        let target = &self.problem.target;
+        let target = &self.problem.targets[0].image;
         self.problem
             .loss
             .gradient(&image.data, &target.data, &mut adjoint)?;
@@ -242,7 +242,7 @@ impl Setup {
             let seeds = [2 * i, 2 * i + 1].map(|s| mix64(SEED + s));
             let step = self.problem.step(&mut values, &mut sgd, seeds, &())?;
             let step = step.ok_or("stopped")?;
-            bad += step.seen.non_finite.count + step.gradient.non_finite.count;
+            bad += step.seen[0].non_finite.count + step.gradient.non_finite.count;
         }
         self.problem.set(&values)?;
         losses.push((STEPS, self.loss()?));
@@ -399,7 +399,7 @@ fn show(fig: &mut Figure, condition: Condition, setup: &mut Setup, found: &[Desc
     let start = picture(&setup.problem.scene, setup.effort.many);
     let panel = |label: &str, image: &Image| Panel::tonemapped(label, image, 0.5).enlarged(enlarge);
     images.push(panel("start", &start));
-    images.push(panel("target", &setup.problem.target));
+    images.push(panel("target", &setup.problem.targets[0].image));
     for (e, d) in ESTIMATORS.iter().zip(found) {
         textures.push(texture(e.name(), &d.values));
         setup.problem.set(&d.values)?;

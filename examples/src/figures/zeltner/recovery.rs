@@ -8,7 +8,7 @@ use render::{Image, Scene};
 use crate::chart::LineChart;
 use crate::figure::{Figure, Result};
 use crate::figures::common_scenes::{Walls, cornell};
-use crate::optimise::Problem;
+use crate::optimise::{Problem, Target};
 use crate::scene_builder;
 
 /// The unknown.
@@ -38,7 +38,7 @@ pub(super) fn setup(fig: &Figure) -> Result<Setup> {
         active,
         estimator: Estimator::Mis,
         loss: "l2".parse::<LossKind>()?,
-        target,
+        targets: vec![Target::of(target)],
     };
     let truth = problem.values();
     Ok(Setup {
@@ -83,7 +83,7 @@ pub(super) fn descend(
         let seeds = [SEED + 2 * i, SEED + 2 * i + 1].map(render::sampler::mix64);
         let step = problem.step(&mut values, optimizer, seeds, &())?;
         let step = step.ok_or("stopped")?;
-        bad += step.seen.non_finite.count + step.gradient.non_finite.count;
+        bad += step.seen[0].non_finite.count + step.gradient.non_finite.count;
         path.push((before, step.loss));
     }
     problem.set(&values)?;

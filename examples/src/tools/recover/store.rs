@@ -10,16 +10,17 @@ use std::io::{self, BufReader, BufWriter, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 use optim::exact::beside;
-use render::{Image, Scene};
+use render::Scene;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-use super::Checkpoint;
+use super::{Checkpoint, TargetArg};
 use crate::cli::ToolError;
 use crate::complain;
+use crate::optimise::Target;
 use crate::output;
 
 /// The layout of checkpoints that this tool reads and writes.
-const VERSION: u32 = 2;
+const VERSION: u32 = 3;
 const LOCK: &str = "recover.lock";
 
 /// A path, which need not be UTF-8: a string where it is, and what the operating system makes of it where not.
@@ -122,8 +123,8 @@ pub(super) struct Inputs {
     values: [Digest; 2],
     /// The files of the target.
     targets: Vec<Input>,
-    /// What the image is compared with.
-    target: Digest,
+    /// What the images are compared with.
+    target: Vec<Digest>,
 }
 
 impl Inputs {
@@ -131,20 +132,20 @@ impl Inputs {
     pub fn of(
         scene: &Scene,
         start: &[f32],
-        targets: &[FilePath],
-        target: &Image,
+        files: &[TargetArg],
+        targets: &[Target],
     ) -> Result<Self, ToolError> {
         let scene_files = scene.files().iter().map(|path| Input::of(path));
-        let target_files = targets.iter().map(|path| Input::of(&path.0));
+        let target_files = files.iter().map(|target| Input::of(&target.image.0));
         Ok(Self {
             scene: scene_files.collect::<Result<_, _>>()?,
             values: [scene.params().values(), start].map(Digest::of_numbers),
             targets: target_files.collect::<Result<_, _>>()?,
-            target: Digest::of_numbers(&target.data),
+            target: targets.iter().map(digest_of).collect(),
         })
     }
 
-    /// Whether a run that was begun with these may go on with a scene and the target in its folder.
+    /// Whether a run that was begun with these may go on with a scene and the targets in its folder.
     ///
     /// # Errors
     /// What differs, by name.
@@ -152,8 +153,8 @@ impl Inputs {
         &self,
         scene: &Scene,
         start: &[f32],
-        target: &Image,
-        [checkpoint, target_file]: [&Path; 2],
+        (targets, files): (&[Target], &[PathBuf]),
+        checkpoint: &Path,
     ) -> Result<(), ToolError> {
         let changed = |path: &Path| {
             let message = "expected what the run was begun with, found other content; without --resume, recover \
@@ -194,15 +195,20 @@ impl Inputs {
                 return Err(ToolError::file(checkpoint, message));
             }
         }
-        // The folder has the target; where it came from may be gone.
+        // The folder has the targets; where they came from may be gone.
         let mut there = self.targets.iter().filter(|i| i.path.0.exists());
         there.try_for_each(same)?;
-        if Digest::of_numbers(&target.data) == self.target {
-            Ok(())
-        } else {
-            changed(target_file)
+        for (i, (target, file)) in targets.iter().zip(files).enumerate() {
+            if self.target.get(i) != Some(&digest_of(target)) {
+                return changed(file);
+            }
         }
+        Ok(())
     }
+}
+
+fn digest_of(target: &Target) -> Digest {
+    Digest::of_numbers(&target.image.data)
 }
 
 /// The long arrays of a checkpoint.
