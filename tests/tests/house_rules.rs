@@ -99,6 +99,7 @@ const TRANSPORT: &[&str] = &[
     "particle_gradient",
     "density",
     "paths",
+    "motion",
     "integrals",
     "render",
     "gradient",

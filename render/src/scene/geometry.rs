@@ -270,6 +270,11 @@ impl Geometry {
         self.placement(shape)?.drift(theta)
     }
 
+    /// Parameters that shapes read, with the shape.
+    pub fn reads(&self) -> &[(u32, ParamRef)] {
+        &self.reads
+    }
+
     /// Whether it depends on a parameter for which `changed` holds.
     pub fn depends_on(&self, changed: impl Fn(ParamRef) -> bool) -> bool {
         self.reads.iter().any(|(_, p)| changed(*p))

@@ -629,6 +629,17 @@ impl Scene {
             .occluded(o, d, length.to_f32(), [ray.from, *to])
     }
 
+    /// Index of the shape that a primitive belongs to.
+    #[inline]
+    pub(crate) fn shape_of(&self, prim: u32) -> u32 {
+        self.geometry.prims[prim as usize].shape
+    }
+
+    /// Parameters that move shapes, each with one of the shapes.
+    pub(crate) fn movers(&self) -> &[(u32, ParamRef)] {
+        self.geometry.reads()
+    }
+
     /// Index in the scene of a shape's primitive.
     pub(crate) fn primitive(&self, shape: u32, local: u32) -> u32 {
         self.geometry.firsts[shape as usize] + local
