@@ -274,6 +274,8 @@ impl LoadArgs {
             complain!("warning: {w}");
         }
         if !self.values.is_empty() {
+            let keys: Vec<&String> = self.values.iter().map(|(key, _)| key).collect();
+            scene.make_movable(&keys)?;
             let mut values = scene.params().values().to_vec();
             for (key, text) in &self.values {
                 for info in scene.params().matching(key)? {
@@ -286,11 +288,12 @@ impl LoadArgs {
     }
 }
 
-/// The names of all parameters that fit these, which may be patterns, each once.
+/// The names of all parameters that fit these, which may be patterns, each once. What moves becomes a parameter.
 ///
 /// # Errors
 /// One that nothing fits, with those that resemble it.
-pub fn names_of(scene: &Scene, keys: &[String]) -> Result<Vec<String>, RenderError> {
+pub fn names_of(scene: &mut Scene, keys: &[String]) -> Result<Vec<String>, RenderError> {
+    scene.make_movable(keys)?;
     let mut names: Vec<String> = Vec::new();
     for key in keys {
         for info in scene.params().matching(key)? {
@@ -309,7 +312,7 @@ fn assign(info: &ParamInfo, text: &str, values: &mut [f32]) -> Result<(), ToolEr
         .collect::<Option<Vec<f32>>>();
     let channels = match info.shape {
         ParamShape::Scalar => 1,
-        ParamShape::Rgb => 3,
+        ParamShape::Rgb | ParamShape::Vector | ParamShape::Points { .. } => 3,
         ParamShape::Texture { channels, .. } => channels,
     };
     if let Some(numbers) = numbers.filter(|n| n.len() == 1 || n.len() == channels) {

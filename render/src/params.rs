@@ -33,6 +33,13 @@ pub enum ParamShape {
     Scalar,
     /// One linear RGB colour.
     Rgb,
+    /// Three components in space: a point, a displacement, a rotation vector.
+    Vector,
+    /// `[count][3]`: points in space.
+    Points {
+        /// How many.
+        count: usize,
+    },
     /// `[height][width][channels]`, row-major.
     Texture {
         /// Number of rows.
@@ -49,7 +56,8 @@ impl ParamShape {
     pub fn len(&self) -> usize {
         match *self {
             Self::Scalar => 1,
-            Self::Rgb => 3,
+            Self::Rgb | Self::Vector => 3,
+            Self::Points { count } => 3 * count,
             Self::Texture {
                 height,
                 width,
@@ -79,11 +87,11 @@ pub enum ParamKind {
     /// A sampled direction is a Dirac delta in it: the index of smooth glass, normals of mirrors. Constant samples have no
     /// derivative in it (F2).
     Delta,
-    /// Where a shape is. No scene has such parameters yet.
+    /// Where a shape is, see [`crate::Scene::movables`].
     Position,
-    /// Where the camera is, and what it looks at. No scene has such parameters yet.
+    /// Where the camera is, and what it looks at.
     Camera,
-    /// Where lights are. No scene has such parameters yet.
+    /// Where lights are, and how environments are turned.
     LightPosition,
 }
 
@@ -99,6 +107,11 @@ impl ParamKind {
         Self::Camera,
         Self::LightPosition,
     ];
+
+    /// Whether it moves something: a shape, the camera or a light.
+    pub const fn is_motion(self) -> bool {
+        matches!(self, Self::Position | Self::Camera | Self::LightPosition)
+    }
 
     /// In words, in the plural.
     pub const fn name(self) -> &'static str {
@@ -191,6 +204,11 @@ impl Params {
             id,
             offset: offset as u32,
         }
+    }
+
+    /// Says that a range is also called `name`, where that is free.
+    pub(crate) fn also_call(&mut self, p: ParamRef, name: String) {
+        self.by_name.entry(name).or_insert(p.id);
     }
 
     /// Says that this range is of a kind, unless it is of a later one already.
@@ -321,7 +339,7 @@ fn replaced(name: &str, by: &HashMap<String, String>) -> Option<String> {
 }
 
 /// Whether a text fits a pattern with `*` and `?`.
-fn fits(pattern: &str, text: &str) -> bool {
+pub(crate) fn fits(pattern: &str, text: &str) -> bool {
     let (pattern, text): (Vec<char>, Vec<char>) =
         (pattern.chars().collect(), text.chars().collect());
     let (mut p, mut t) = (0, 0);

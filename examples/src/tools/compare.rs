@@ -529,7 +529,7 @@ impl Run<'_> {
 pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     let (mut scene, _) = args.load.load(&args.scene)?;
     let args = &Args {
-        params: cli::names_of(&scene, &args.params)?,
+        params: cli::names_of(&mut scene, &args.params)?,
         ..args.clone()
     };
     interrupt.keep();

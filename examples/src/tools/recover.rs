@@ -757,9 +757,10 @@ type Loaded = (Scene, Active, Vec<f32>, Option<Vec<f32>>);
 
 fn load(job: &Job, estimator: Estimator) -> Result<Loaded, ToolError> {
     let Some(path) = &job.scene else {
-        let scene = render::scene::room(job.size, job.size)?;
+        let mut scene = render::scene::room(job.size, job.size)?;
         let unknowns = builtin_scene::cornell_unknowns();
-        let active = estimator.active(&scene, &names_of(&scene, &job.params)?)?;
+        let names = names_of(&mut scene, &job.params)?;
+        let active = estimator.active(&scene, &names)?;
         let (mut start, mut truth) = (Vec::new(), Vec::new());
         for info in active.ranges() {
             let values = &scene.params().values()[info.range()];
@@ -777,8 +778,9 @@ fn load(job: &Job, estimator: Estimator) -> Result<Loaded, ToolError> {
         sensor: job.sensor.clone(),
         values: job.values.clone(),
     };
-    let (scene, _) = load.load(&path.0)?;
-    let active = estimator.active(&scene, &names_of(&scene, &job.params)?)?;
+    let (mut scene, _) = load.load(&path.0)?;
+    let names = names_of(&mut scene, &job.params)?;
+    let active = estimator.active(&scene, &names)?;
     let mut start = Vec::new();
     for info in active.ranges() {
         start.extend_from_slice(&scene.params().values()[info.range()]);

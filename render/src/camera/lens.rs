@@ -93,6 +93,7 @@ impl Camera {
     /// The same camera with its principal point beside the middle of the image, by these parts of its width and height,
     /// as in Mitsuba 3.
     pub fn with_principal_point(mut self, [x, y]: [f64; 2]) -> Self {
+        self.rest.shift = [self.rest.shift[0] + x, self.rest.shift[1] + y];
         let [w, h] = self.resolution.map(f64::from);
         for i in 0..3 {
             self.corner[i] += self.dx[i] * w * x + self.dy[i] * h * y;

@@ -48,6 +48,7 @@ impl Emitter for Directional {
             distance: P::of(f64::INFINITY),
             normals: [Vec3::zero(); 2],
             surface: NOWHERE,
+            prim: 0,
             pdf: P::one(),
             emission: Emission {
                 uv: Vec2::zero(),

@@ -121,6 +121,7 @@ impl Emitter for Projector {
             distance,
             normals: [Vec3::zero(); 2],
             surface: NOWHERE,
+            prim: 0,
             pdf: P::one(),
             emission: Emission { uv, falloff },
         })

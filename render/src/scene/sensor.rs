@@ -51,7 +51,7 @@ impl Scene {
     /// pixels sampled alike.
     ///
     /// # Errors
-    /// A number without sensor.
+    /// A number without sensor, or a sensor that moves with parameters, which belong to it.
     pub fn look_through(&mut self, index: usize) -> Result<(), RenderError> {
         let Some(sensor) = self.sensors.get(index) else {
             return Err(RenderError::Count {
@@ -60,6 +60,12 @@ impl Scene {
                 found: index as u64,
             });
         };
+        if self.camera.moves() {
+            return Err(RenderError::Motion {
+                name: "sensor".into(),
+                culprit: "another sensor cannot take the parameters that move this one".into(),
+            });
+        }
         self.camera = sensor.camera.clone();
         self.film = sensor.film;
         self.settings.spp = sensor.spp;
