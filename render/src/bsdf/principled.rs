@@ -55,7 +55,7 @@ const LEAST_SHARE: f64 = 0.05;
 const GRAZING: f64 = 1e-4;
 
 /// [`Principled`] at a point: diffuse and retro-reflection, a fake of subsurface scattering, sheen and clear coat are those
-/// of [Burley 2012; Burley 2015]; the main reflection is, as in Mitsuba 3, the Fresnel reflectance of a dielectric instead
+/// of [Burley 2012] and [Burley 2015]; the main reflection is, as in Mitsuba 3, the Fresnel reflectance of a dielectric instead
 /// of Schlick's fit, mixed with Schlick's of the metal, over GGX with separable masking; the clear coat has Mitsuba's
 /// masking, too.
 ///

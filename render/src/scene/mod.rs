@@ -6,6 +6,7 @@ mod clip;
 mod geometry;
 mod load;
 mod pixels;
+mod save;
 mod sensor;
 mod shares;
 
@@ -166,6 +167,8 @@ pub struct Scene {
     guide: Option<Guide>,
     /// What it was read from.
     files: Vec<PathBuf>,
+    /// The same as it was understood, to be written again.
+    source: Option<save::Source>,
     /// All that it can be looked at through.
     sensors: Vec<Sensor>,
     /// The camera.
