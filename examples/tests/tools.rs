@@ -1953,7 +1953,7 @@ fn a_check_says_what_is_understood() {
         "{text}"
     );
     assert!(
-        text.contains("understood       3  shape `rectangle`: 13, 14, 18"),
+        text.contains("understood       3  shape `rectangle`: 14, 15, 19"),
         "{text}"
     );
     let wall = SCENE.replace(
@@ -1967,10 +1967,10 @@ fn a_check_says_what_is_understood() {
         "{text}"
     );
     assert!(
-        text.starts_with("refused         12  bsdf `polarizer`: polarisation is not there"),
+        text.starts_with("refused         13  bsdf `polarizer`: polarisation is not there"),
         "{text}"
     );
-    assert_eq!(report["findings"][0]["line"], 12);
+    assert_eq!(report["findings"][0]["line"], 13);
     let texture = "<texture type=\"bitmap\" name=\"reflectance\"><string name=\"filename\" value=\"none.png\"/></texture>";
     let wall = SCENE.replace(
         "<rgb name=\"reflectance\" value=\"$red,0.4,0.2\"/>",
@@ -1983,7 +1983,7 @@ fn a_check_says_what_is_understood() {
         "{text}"
     );
     assert!(
-        text.contains("missing         12  `filename`: expected an existing file"),
+        text.contains("missing         13  `filename`: expected an existing file"),
         "{text}"
     );
     let (code, _, report) = check(&SCENE.replace("fov", "fow"));

@@ -136,6 +136,10 @@ pub fn all() -> Vec<Case> {
             "window",
             r#"<bsdf type="thindielectric"><float name="int_ior" value="1.5"/><rgb name="specular_transmittance" value="0.8, 0.9, 0.7"/></bsdf>"#,
         ),
+        material(
+            "principled",
+            r#"<bsdf type="principled"><rgb name="base_color" value="0.7, 0.3, 0.2"/><float name="roughness" value="0.6"/><float name="metallic" value="0.3"/><float name="specular" value="0.6"/><float name="flatness" value="0.3"/><float name="sheen" value="0.4"/><float name="clearcoat" value="0.5"/><float name="clearcoat_gloss" value="0.1"/></bsdf>"#,
+        ),
         material("nothing", r#"<bsdf type="null"/>"#),
         material(
             "checkerboard",

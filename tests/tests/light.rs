@@ -96,7 +96,14 @@ fn particles_and_paths_agree_for_all_materials_and_emitters() {
     for case in cases::all() {
         let s = scene(&case.body);
         // A mirror or smooth glass shows nothing to particles.
-        let deltas = ["conductor", "dielectric", "plastic", "mask"];
+        let deltas = [
+            "conductor",
+            "dielectric",
+            "plastic",
+            "mask",
+            "window",
+            "nothing",
+        ];
         if !deltas.contains(&case.name) {
             agrees(case.name, &s, 4, 128);
         }

@@ -115,8 +115,28 @@ fn lamps() -> Case {
     }
 }
 
+/// Glossy things seen through a lens, and by parallel rays.
+fn lenses() -> [Case; 2] {
+    let glossy = cases::all().into_iter().find(|c| c.name == "ggx");
+    let body = glossy.expect("a case").body;
+    let pinhole = "<sensor type=\"perspective\">\n        <float name=\"fov\" value=\"40\"/>";
+    let seen_by = |name, sensor: &str| {
+        let body = body.replace(pinhole, sensor);
+        assert!(body.contains(sensor));
+        Case { name, body }
+    };
+    let lens = "<sensor type=\"thinlens\"><float name=\"aperture_radius\" value=\"0.2\"/><float name=\"focus_distance\" value=\"4\"/>";
+    [
+        seen_by("lens", lens),
+        seen_by("parallel", "<sensor type=\"orthographic\">"),
+    ]
+}
+
 fn all() -> impl Iterator<Item = (Case, Scene)> {
-    let cases = cases::all().into_iter().chain([room(), lamps()]);
+    let cases = cases::all()
+        .into_iter()
+        .chain([room(), lamps()])
+        .chain(lenses());
     cases.map(|case| {
         let scene = scene(&case.body);
         (case, scene)

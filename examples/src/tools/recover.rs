@@ -529,6 +529,8 @@ impl Checkpoint {
 
 const CHECKPOINT: &str = "checkpoint.json";
 const PANELS: &str = "before-after-target.png";
+/// The scene with what was recovered, with its textures and meshes beside it.
+const SAVED: &str = "scene/scene.xml";
 /// Time between two checkpoints: what a crash costs at most. Large ones take their time, of which they may have a
 /// twentieth.
 const CHECKPOINT_EVERY: Duration = Duration::from_secs(5);
@@ -1144,6 +1146,11 @@ impl Recovery {
             output::write_chart(&out.join(name), &chart)?;
         }
         self.write_textures(out, &estimate)?;
+        if state.job.scene.is_some()
+            && let Err(e) = self.problem.scene.save(&out.join(SAVED))
+        {
+            complain!("warning: the scene is not written: {e}");
+        }
         self.report(out, state, &estimate)?;
         Ok(fewest)
     }

@@ -31,6 +31,7 @@ Examples:
   render scene.xml --integrator particle         light tracing
   render pool.xml --integrator density --radius 0.02
   render scene.xml -P wall.reflectance.value=0.8 -P '*.alpha'=0.2
+  render scene.xml -P wall.reflectance=0.8 --save new/scene.xml
   render scene.xml --check --json found.json     what of it is understood
 
 Ctrl-C keeps the samples so far (exit code 130).";
@@ -81,6 +82,10 @@ pub struct Args {
     /// line, and do nothing else; the exit code says whether the scene would render
     #[arg(long, conflicts_with_all = ["output", "spp", "max_depth", "radius", "ignore_non_symmetry", "values", "SampleArgs", "ThreadArgs"])]
     pub check: bool,
+    /// Write the scene with its parameters as they are, for this renderer and Mitsuba 3, with its textures and meshes in
+    /// folders beside it, and do nothing else
+    #[arg(long, value_name = "OUT.XML", conflicts_with_all = ["output", "spp", "max_depth", "radius", "ignore_non_symmetry", "json", "check", "SampleArgs", "ThreadArgs"])]
+    pub save: Option<PathBuf>,
     /// Write size, samples and times, or what was found, to this file
     #[arg(long, value_name = "OUT.JSON")]
     pub json: Option<PathBuf>,
@@ -240,6 +245,15 @@ struct Report {
 pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     if args.check {
         return check::run(&args.scene, &args.load, args.json.as_deref());
+    }
+    if let Some(path) = &args.save {
+        require_extension(path, "xml")?;
+        output::prepare(std::slice::from_ref(path), &[&args.scene])?;
+        let (scene, _) = args.load.load(&args.scene)?;
+        for file in scene.save(path)? {
+            say!("{}", file.display());
+        }
+        return Ok(Outcome::Done);
     }
     let exr = match &args.output {
         Some(path) => path.clone(),

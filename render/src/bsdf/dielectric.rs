@@ -148,8 +148,10 @@ impl FromNode for Dielectric {
     fn from_node(node: &Node, registry: &mut Registry) -> Result<Self, SceneError> {
         let eta = relative_index(node, "bk7")?;
         let name = format!("{}.eta.value", registry.prefix());
+        let eta = registry.scalar(&name, eta, INDEX_RANGE)?;
+        eta.visit_params(&mut |p| registry.origins.of_index(node, p));
         Ok(Self {
-            eta: registry.scalar(&name, eta, INDEX_RANGE)?,
+            eta,
             specular_reflectance: registry.rgb_texture(
                 node,
                 "specular_reflectance",

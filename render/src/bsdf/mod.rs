@@ -110,6 +110,7 @@ pub mod nesting;
 mod normal_map;
 mod null;
 mod plastic;
+mod principled;
 mod rough_conductor;
 mod rough_dielectric;
 mod rough_plastic;
@@ -126,6 +127,7 @@ pub use mask::Mask;
 pub use normal_map::{Corrections, Interpolation, NormalMap, shadowing};
 pub use null::{Null, NullLobe};
 pub use plastic::{Coated, CoatedLobe, Plastic, PlasticLobe};
+pub use principled::{Principled, PrincipledLobe, Reflectivity};
 pub use rough_conductor::{RoughConductor, RoughConductorLobe, Roughness};
 pub use rough_dielectric::{RoughDielectric, RoughDielectricLobe};
 pub use rough_plastic::{Coat, RoughPlastic, RoughPlasticLobe};
@@ -480,6 +482,8 @@ pub trait Leaf: Send + Sync {
     const DELTA: bool = false;
     /// Whether its lobe has [`Lobe::sample_differential`].
     const DIFFERENTIAL: bool = false;
+    /// Whether it may have more than [`MAX_SLOTS`] textures, up to [`MANY_SLOTS`].
+    const MANY: bool = false;
 }
 
 /// One use of a material at a path vertex whose value had the adjoint `d`.
@@ -810,7 +814,13 @@ impl<L: Leaf> Bsdf for L {
         match count.n {
             0 => {}
             1 => leaf_backward::<L, P, 1>(self, at, wo, uses, mode, grad),
-            _ => leaf_backward::<L, P, MAX_SLOTS>(self, at, wo, uses, mode, grad),
+            n => {
+                if const { L::MANY } && n > MAX_SLOTS {
+                    leaf_backward::<L, P, MANY_SLOTS>(self, at, wo, uses, mode, grad);
+                } else {
+                    leaf_backward::<L, P, MAX_SLOTS>(self, at, wo, uses, mode, grad);
+                }
+            }
         }
     }
 
@@ -883,6 +893,8 @@ impl<L: Leaf> Bsdf for L {
 
 /// Most textures a leaf may have: scenes with more are refused when they are built.
 pub const MAX_SLOTS: usize = 4;
+/// The same for a leaf that says so ([`Leaf::MANY`]).
+pub const MANY_SLOTS: usize = 8;
 
 /// The value of a lobe that was used.
 #[inline(always)]
@@ -1241,4 +1253,5 @@ materials! {
     RoughPlastic,
     ThinDielectric,
     Null,
+    Principled,
 }

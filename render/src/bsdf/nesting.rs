@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use ad_core::{Float, Real};
 
-use super::{Bsdf, MAX_SLOTS, Material};
+use super::{Bsdf, MANY_SLOTS, MAX_SLOTS, Material};
 use crate::error::SceneError;
 use crate::params::{ParamRef, Params};
 use crate::plugin::Node;
@@ -80,15 +80,18 @@ pub fn scatters_deltas(material: &Material) -> bool {
 /// Checks that the derivatives of all textures of a material have room.
 ///
 /// # Errors
-/// A leaf that reads more than [`MAX_SLOTS`], with the name of its first parameter.
+/// A leaf that reads more than it may, with the name of its first parameter.
 pub fn check_textures(material: &Material, params: &Params) -> Result<(), SceneError> {
     match children(material) {
-        [] => check_leaf(material, params),
+        [] => {
+            let many = matches!(material, Material::Principled(_));
+            check_leaf(material, if many { MANY_SLOTS } else { MAX_SLOTS }, params)
+        }
         parts => parts.iter().try_for_each(|m| check_textures(m, params)),
     }
 }
 
-fn check_leaf(leaf: &impl Bsdf, params: &Params) -> Result<(), SceneError> {
+fn check_leaf(leaf: &impl Bsdf, most: usize, params: &Params) -> Result<(), SceneError> {
     let mut found = 0;
     let mut first = None;
     leaf.visit_textures(&mut |t| {
@@ -97,13 +100,13 @@ fn check_leaf(leaf: &impl Bsdf, params: &Params) -> Result<(), SceneError> {
             first.get_or_insert(p.id);
         });
     });
-    if found <= MAX_SLOTS {
+    if found <= most {
         return Ok(());
     }
     let name = first.map(|id| params.infos()[id as usize].name.clone());
     Err(SceneError::Parameter {
         key: name.unwrap_or_else(|| "bsdf".into()),
-        expected: format!("a material that reads at most {MAX_SLOTS} textures"),
+        expected: format!("a material that reads at most {most} textures"),
         found: found.to_string(),
     })
 }
@@ -206,7 +209,7 @@ mod tests {
             let mut build = Registry::default();
             let layer = |i| build.rgb(&format!("coat.layer{i}.value"), [0.5; 3], (0.0, 1.0));
             let layers = (0..n).map(layer).collect::<Result<_, _>>().unwrap();
-            let found = check_leaf(&Layers(layers), build.params());
+            let found = check_leaf(&Layers(layers), MAX_SLOTS, build.params());
             if n == MAX_SLOTS {
                 assert!(found.is_ok());
             } else {

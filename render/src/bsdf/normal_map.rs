@@ -548,6 +548,7 @@ fn map_from_file(
     };
     let (param, [width, height]) =
         texture::texels::<3>(registry, &path, Encoding::Raw, layer, usage)?;
+    registry.origins.of_image(node, param);
     Ok(RgbTexture::Bitmap(Bitmap {
         param,
         width,

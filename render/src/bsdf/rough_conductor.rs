@@ -34,20 +34,43 @@ impl Roughness {
         }
     }
 
-    /// `distribution` (`beckmann`), `alpha` (0.1) and `sample_visible` (true) of a scene file.
+    /// `distribution` (`beckmann`), `alpha` (0.1), or `alpha_u` and `alpha_v` of equal value, and `sample_visible` (true)
+    /// of a scene file.
     ///
     /// # Errors
-    /// A roughness outside [`ALPHA_RANGE`]: it is not clamped, since that would silently stop its
+    /// Another roughness across than along, which is left out. A roughness outside [`ALPHA_RANGE`]: it is not clamped, since that would silently stop its
     /// derivative.
     pub fn from_node(node: &Node, registry: &mut Registry) -> Result<Self, SceneError> {
         let kinds = [("beckmann", Ndf::Beckmann), ("ggx", Ndf::Ggx)];
+        let key = isotropic(node)?;
         Ok(Self {
             kind: node
                 .choice("distribution", &kinds)?
                 .unwrap_or(Ndf::Beckmann),
-            alpha: registry.scalar_texture(node, "alpha", 0.1, ALPHA_RANGE)?,
+            alpha: registry.scalar_texture(node, key, 0.1, ALPHA_RANGE)?,
             visible: node.boolean_or("sample_visible", true)?,
         })
+    }
+}
+
+/// The attribute that holds the roughness, which is the same in all directions.
+fn isotropic(node: &Node) -> Result<&'static str, SceneError> {
+    let [u, v] = ["alpha_u", "alpha_v"];
+    if !node.has(u) && !node.has(v) {
+        return Ok("alpha");
+    }
+    if node.has("alpha") {
+        return Err(node.invalid("alpha", "none beside `alpha_u` and `alpha_v`"));
+    }
+    let number = |key| node.grey(key).ok().flatten();
+    match (number(u), number(v)) {
+        (Some(a), Some(b)) if a == b => Ok(u),
+        _ => Err(SceneError::Refused {
+            location: node.location.clone(),
+            tag: node.tag.clone(),
+            plugin: format!("{} with {u} and {v}", node.plugin),
+            what: "anisotropic roughness is",
+        }),
     }
 }
 

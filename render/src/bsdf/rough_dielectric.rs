@@ -318,9 +318,11 @@ impl FromNode for RoughDielectric {
             return Err(node.invalid("int_ior", "an index at least 0.1 % from that outside"));
         }
         let name = format!("{}.eta.value", registry.prefix());
+        let eta = registry.scalar(&name, eta, valid)?;
+        eta.visit_params(&mut |p| registry.origins.of_index(node, p));
         Ok(Self {
             roughness: Roughness::from_node(node, registry)?,
-            eta: registry.scalar(&name, eta, valid)?,
+            eta,
             specular_reflectance: registry.rgb_texture(
                 node,
                 "specular_reflectance",

@@ -142,6 +142,7 @@ impl FromNode for ThinDielectric {
         let eta = relative_index(node, "bk7")?;
         let name = format!("{}.eta.value", registry.prefix());
         let eta = registry.scalar(&name, eta, INDEX_RANGE)?;
+        eta.visit_params(&mut |p| registry.origins.of_index(node, p));
         let mut factor = |key| registry.rgb_texture(node, key, [1.0; 3], (0.0, 1.0));
         Ok(Self {
             eta,

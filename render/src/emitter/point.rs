@@ -182,7 +182,9 @@ pub(super) fn constant_colour(
         return Err(node.invalid(key, "a colour without negative channels"));
     }
     let name = format!("{}.{key}.value", registry.prefix());
-    registry.rgb(&name, value, (0.0, f64::INFINITY))
+    let texture = registry.rgb(&name, value, (0.0, f64::INFINITY))?;
+    texture.visit_params(&mut |p| registry.origins.of_value(node, key, p));
+    Ok(texture)
 }
 
 impl FromNode for Point {

@@ -194,7 +194,7 @@ impl FromNode for Projector {
     /// `irradiance` (1), `scale` (1), `fov` or `focal_length`, `fov_axis`, `to_world`.
     fn from_node(node: &Node, registry: &mut Registry) -> Result<Self, SceneError> {
         let scale = node.float_or("scale", 1.0)?;
-        if !(scale >= 0.0) {
+        if scale < 0.0 {
             return Err(node.invalid("scale", "a number of at least 0"));
         }
         let irradiance =

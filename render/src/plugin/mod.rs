@@ -4,12 +4,14 @@
 //! This lies below all plugins, which know no scene; the scene that collects them lies above.
 
 mod attributes;
+mod origin;
 mod refused;
 mod registry;
 mod view;
 pub mod xml;
 
 pub(crate) use attributes::{Attribute, Attributes};
+pub(crate) use origin::Origins;
 pub use registry::Registry;
 pub(crate) use registry::range_text;
 pub use xml::Node;

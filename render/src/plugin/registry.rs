@@ -4,7 +4,7 @@ use std::any::{Any, TypeId};
 use std::collections::HashMap;
 use std::sync::Arc;
 
-use super::{Attributes, Node};
+use super::{Attributes, Node, Origins};
 use crate::error::SceneError;
 use crate::params::{ParamRef, ParamShape, Params};
 
@@ -25,6 +25,8 @@ pub struct Registry {
     open_shape: Option<u32>,
     /// Of the mesh that is being built, if textures of its shape ask for some.
     pub(crate) attributes: Option<Attributes>,
+    /// Which parts of the file hold which parameters.
+    pub(crate) origins: Origins,
     /// Substitute mid-grey for missing texture files.
     pub allow_missing: bool,
     /// What was ignored or substituted.

@@ -277,6 +277,7 @@ impl Builder {
             pixels: PixelShares::default(),
             guide: None,
             files: Vec::new(),
+            source: None,
             sensors,
             camera,
             film,

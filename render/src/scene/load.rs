@@ -6,6 +6,7 @@ use std::sync::Arc;
 
 use super::builder::{Builder, MaterialId, out_of_reach};
 use super::clip::Clip;
+use super::save::Source;
 use super::{Scene, Sensor, Settings};
 use crate::accel::{Accel, MAX_COORDINATE};
 use crate::bsdf::{Diffuse, Material};
@@ -16,7 +17,7 @@ use crate::film::{Film, Lobed, MOST_LOBES, PixelFilter};
 use crate::inputs;
 use crate::math::Transform;
 use crate::plugin::xml::{Document, check_limit};
-use crate::plugin::{Attributes, Node};
+use crate::plugin::{Attributes, Node, Origins};
 use crate::shape::{AnyShape, Cube, Shape};
 use crate::texture;
 
@@ -136,7 +137,9 @@ impl Scene {
     ) -> Result<(Self, Vec<String>), SceneError> {
         let mut reading = Reading::new(options, None);
         let scene = reading.scene(document.root(), options)?;
-        let scene = scene.ok_or_else(|| document.root().missing("sensor", "a sensor"))?;
+        let mut scene = scene.ok_or_else(|| document.root().missing("sensor", "a sensor"))?;
+        let origins = std::mem::take(&mut reading.origins);
+        scene.source = Some(Source::new(document.shared_root(), origins, &scene.params));
         let warnings = document.warnings().into_iter().map(|w| w.to_string());
         Ok((scene, warnings.chain(reading.warnings).collect()))
     }
@@ -150,6 +153,8 @@ pub(super) struct Reading {
     pub faults: Option<Vec<SceneError>>,
     /// Of files besides the scene's.
     pub warnings: Vec<String>,
+    /// Which parts of the file hold which parameters.
+    origins: Origins,
     /// The materials of shapes without one, and of such lamps.
     defaults: [Option<MaterialId>; 2],
     /// Of shapes whose textures ask for attributes of their mesh.
@@ -167,6 +172,7 @@ impl Reading {
             settings: Settings::default(),
             faults,
             warnings: Vec::new(),
+            origins: Origins::default(),
             defaults: [None; 2],
             serial: 0,
             classes: HashMap::new(),
@@ -251,6 +257,7 @@ impl Reading {
         }
         self.note(root.finish())?;
         self.warnings = std::mem::take(&mut self.build.registry().warnings);
+        self.origins = std::mem::take(&mut self.build.registry().origins);
         if self.faults.as_ref().is_some_and(|f| !f.is_empty()) {
             return Ok(None);
         }

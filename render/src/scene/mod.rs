@@ -8,6 +8,7 @@ mod load;
 mod movable;
 mod pixels;
 mod room;
+mod save;
 mod sensor;
 mod shares;
 
@@ -171,6 +172,8 @@ pub struct Scene {
     guide: Option<Guide>,
     /// What it was read from.
     files: Vec<PathBuf>,
+    /// The same as it was understood, to be written again.
+    source: Option<save::Source>,
     /// All that it can be looked at through.
     sensors: Vec<Sensor>,
     /// The camera.

@@ -166,7 +166,9 @@ pub(crate) fn from_node<const C: usize>(
     }
     let value = constant_of::<C>(node, key)?.unwrap_or_else(|| default.to_vec());
     let name = format!("{name}.value");
-    registry.constant(&name, &value, valid)
+    let texture = registry.constant(&name, &value, valid)?;
+    texture.visit_params(&mut |p| registry.origins.of_value(node, key, p));
+    Ok(texture)
 }
 
 /// The constant `key` of `node` in so many channels: a number is grey, and a colour has a luminance.
@@ -194,6 +196,8 @@ pub(crate) fn times(
             finite &= value.is_finite();
         }
     });
+    // The product of two parts of the file stands in neither.
+    registry.origins.forget(node);
     if finite {
         Ok(texture)
     } else {
@@ -265,6 +269,7 @@ fn bitmap<const C: usize>(
         return registry.constant(&name, value, usage.valid);
     };
     let (param, [width, height]) = texels::<C>(registry, &path, encoding, layer, usage)?;
+    registry.origins.of_image(node, param);
     Ok(Texture::Bitmap(Bitmap {
         param,
         width,
@@ -374,7 +379,9 @@ fn checkerboard<const C: usize>(
             _ => ParamShape::Rgb,
         };
         let name = format!("{}.{key}.value", usage.name);
-        registry.push_param(&name, shape, &value, usage.valid)
+        let param = registry.push_param(&name, shape, &value, usage.valid)?;
+        registry.origins.of_value(node, key, param);
+        Ok(param)
     };
     Ok(Texture::Checkerboard(Checkerboard {
         colors: [color("color0", 0.4)?, color("color1", 0.2)?],

@@ -81,20 +81,8 @@ impl<const C: usize> Texture<C> {
     ) -> [R; C] {
         match self {
             Self::Constant(p) => decode(theta.texel(*p, 0)),
-            Self::Bitmap(_) | Self::Attribute(_) => outline(|| {
-                if !(uv.x.has_tangent() || uv.y.has_tangent()) {
-                    // On paths that stand still only texels move.
-                    let f = self.footprint(uv.primal());
-                    return gather(theta, &f, decode, |texel, w| texel * Const(w));
-                }
-                let f = self.footprint(uv);
-                if theta.moves(f.param) {
-                    gather(theta, &f, decode, |texel, w| texel * w)
-                } else {
-                    let fixed = theta.primal().lift();
-                    gather(&fixed, &f, decode, |texel, w| w * Const(texel.primal()))
-                }
-            }),
+            Self::Bitmap(t) => outline(|| interpolated(t, theta, uv, decode)),
+            Self::Attribute(t) => outline(|| interpolated(t, theta, uv, decode)),
             Self::Checkerboard(t) => decode(theta.texel(t.select(uv.primal()), 0)),
         }
     }
@@ -106,14 +94,8 @@ impl<const C: usize> Texture<C> {
         let d: [P; C] = per_channel(d);
         match self {
             Self::Constant(p) => put(grad, *p, 0, P::one(), d),
-            Self::Bitmap(_) | Self::Attribute(_) => outline(move || {
-                let f = self.footprint(uv);
-                for k in 0..4 {
-                    if f.weight[k] != P::zero() {
-                        put(grad, f.param, f.texel[k], f.weight[k], d);
-                    }
-                }
-            }),
+            Self::Bitmap(t) => outline(move || scatter(&t.footprint(uv), d, grad)),
+            Self::Attribute(t) => outline(move || scatter(&t.footprint(uv), d, grad)),
             Self::Checkerboard(t) => put(grad, t.select(uv), 0, P::one(), d),
         }
     }
@@ -223,6 +205,68 @@ impl Texture<1> {
     #[inline(always)]
     pub fn scalar<R: Real>(&self, theta: &Theta<R>, uv: Vec2<R>) -> R {
         self.eval(theta, uv)[0]
+    }
+}
+
+/// A texture of which several texels make a value.
+trait Interpolated {
+    /// The range of the texels.
+    fn param(&self) -> ParamRef;
+    /// Those of a lookup.
+    fn footprint<R: Real>(&self, uv: Vec2<R>) -> Footprint<R>;
+}
+
+impl Interpolated for Bitmap {
+    #[inline(always)]
+    fn param(&self) -> ParamRef {
+        self.param
+    }
+    #[inline(always)]
+    fn footprint<R: Real>(&self, uv: Vec2<R>) -> Footprint<R> {
+        Bitmap::footprint(self, uv)
+    }
+}
+
+impl Interpolated for Attribute {
+    #[inline(always)]
+    fn param(&self) -> ParamRef {
+        self.param
+    }
+    #[inline(always)]
+    fn footprint<R: Real>(&self, uv: Vec2<R>) -> Footprint<R> {
+        Attribute::footprint(self, uv)
+    }
+}
+
+/// The value at `uv` of what `decode` makes of each texel.
+#[inline(always)]
+fn interpolated<R: Real, const C: usize>(
+    t: &impl Interpolated,
+    theta: &Theta<R>,
+    uv: Vec2<R>,
+    decode: impl Fn([R; C]) -> [R; C],
+) -> [R; C] {
+    if !(uv.x.has_tangent() || uv.y.has_tangent()) {
+        // On paths that stand still only texels move.
+        let f = t.footprint(uv.primal());
+        return gather(theta, &f, decode, |texel, w| texel * Const(w));
+    }
+    let f = t.footprint(uv);
+    if theta.moves(t.param()) {
+        gather(theta, &f, decode, |texel, w| texel * w)
+    } else {
+        let fixed = theta.primal().lift();
+        gather(&fixed, &f, decode, |texel, w| w * Const(texel.primal()))
+    }
+}
+
+/// Adds the adjoint of a value to the texels that it was made of.
+#[inline(always)]
+fn scatter<P: Float, const C: usize>(f: &Footprint<P>, d: [P; C], grad: &mut impl GradSink<P>) {
+    for k in 0..4 {
+        if f.weight[k] != P::zero() {
+            put(grad, f.param, f.texel[k], f.weight[k], d);
+        }
     }
 }
 

@@ -360,6 +360,7 @@ impl FromNode for Envmap {
             return Self::new(registry, &name, &grey, &to_world, scale);
         };
         let (param, size) = texture::texels::<3>(registry, &path, Encoding::Srgb, layer, &usage)?;
+        registry.origins.of_image(node, param);
         Ok(Self::over(param, size, axes, scale))
     }
 }

@@ -28,6 +28,7 @@ mod resolve;
 mod source;
 mod spectrum;
 mod value;
+mod write;
 
 use std::collections::HashSet;
 use std::fmt;
@@ -38,6 +39,7 @@ pub use crate::error::Location;
 use crate::error::SceneError;
 pub use node::Node;
 use parse::Parser;
+pub(crate) use write::{Number, Rewrite, scene as written};
 
 /// Deepest nesting of elements, includes and references together: far above any real scene, far
 /// below any stack.
@@ -90,6 +92,11 @@ impl Document {
     /// The `<scene>`.
     pub fn root(&self) -> &Node {
         &self.root
+    }
+
+    /// The same, to be kept.
+    pub(crate) fn shared_root(&self) -> Arc<Node> {
+        self.root.clone()
     }
 
     /// What was accepted but has no effect, in the order in which it was noticed. Plugin

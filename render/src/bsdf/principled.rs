@@ -1,0 +1,377 @@
+//! The material of [Burley 2012] that modelling programs write, as far as it reflects.
+
+use std::f64::consts::{FRAC_1_PI, PI};
+
+use ad_core::{Const, Float, Real, Vec3};
+
+use super::microfacet::{Microfacet, Ndf};
+use super::rough_conductor::{half_vector, reflect, reflection};
+use super::{BsdfSample, Component, Leaf, Lobe, Reader, TransportMode, constant, fresnel};
+use crate::error::SceneError;
+use crate::math::{Rgb, warp};
+use crate::plugin::{FromNode, Node, Registry};
+use crate::texture::{RgbTexture, ScalarTexture};
+
+/// A one-sided surface between a metal and a coloured dielectric, with sheen and a clear coat. What a scene file does not
+/// mention costs nothing and is no parameter.
+#[derive(Clone, Debug)]
+pub struct Principled {
+    /// Colour of the base, and of reflection by metal.
+    pub base_color: RgbTexture,
+    /// The root of the roughness of the microsurface, where that is at least [`LEAST_ALPHA`].
+    pub roughness: ScalarTexture,
+    /// From a dielectric, 0, to a metal, 1.
+    pub metallic: Option<ScalarTexture>,
+    /// How much a dielectric reflects.
+    pub dielectric: Option<Reflectivity>,
+    /// From diffuse reflection, 0, to that of something translucent, 1.
+    pub flatness: Option<ScalarTexture>,
+    /// Light at grazing angles, as of cloth.
+    pub sheen: Option<ScalarTexture>,
+    /// Strength and gloss of a second, colourless reflection.
+    pub clearcoat: Option<[ScalarTexture; 2]>,
+}
+
+/// How the reflectance of a dielectric is given.
+#[derive(Clone, Debug)]
+pub enum Reflectivity {
+    /// Its index of refraction.
+    Index(ScalarTexture),
+    /// Its reflectance at normal incidence over 0.08.
+    Specular(ScalarTexture),
+}
+
+/// Smallest roughness of the microsurface.
+const LEAST_ALPHA: f64 = 1e-3;
+/// A dielectric of less `specular` reflects nothing.
+const LEAST_SPECULAR: f64 = 1e-4;
+/// Roughness of the clear coat without gloss and with all of it.
+const COAT: [f64; 2] = [0.1, 1e-3];
+/// Roughness in the masking of the clear coat.
+const COAT_MASKING: f64 = 0.25;
+/// Least share of samples of each part that is there: what has no weight has a derivative (errata F7).
+const LEAST_SHARE: f64 = 0.05;
+/// Closer to grazing on both sides, what is translucent stays as it is.
+const GRAZING: f64 = 1e-4;
+
+/// [`Principled`] at a point: diffuse and retro-reflection, a fake of subsurface scattering, sheen and clear coat are those
+/// of [Burley 2012] and [Burley 2015]; the main reflection is, as in Mitsuba 3, the Fresnel reflectance of a dielectric instead
+/// of Schlick's fit, mixed with Schlick's of the metal, over GGX with separable masking; the clear coat has Mitsuba's
+/// masking, too.
+///
+/// # Does not handle
+/// Transmission, anisotropy and tints: scene files that ask for them are refused. Tints would mix colour channels.
+///
+/// # Derivatives
+/// None in a roughness whose square is below [`LEAST_ALPHA`]: the model is constant there.
+#[derive(Clone, Copy, Debug)]
+pub struct PrincipledLobe<R> {
+    base_color: Rgb<R>,
+    roughness: R,
+    microfacet: Microfacet<R>,
+    metallic: R,
+    /// Index of the dielectric.
+    eta: Option<R>,
+    flatness: Option<R>,
+    sheen: Option<R>,
+    /// Strength and roughness.
+    clearcoat: Option<[R; 2]>,
+}
+
+impl Leaf for Principled {
+    type Lobe<R: Real> = PrincipledLobe<R>;
+    const MANY: bool = true;
+
+    #[inline]
+    fn lobe<R: Real>(&self, read: &mut impl Reader<R>) -> PrincipledLobe<R> {
+        let base_color = read.rgb(&self.base_color);
+        let roughness = read.alpha(&self.roughness);
+        let mut number = |t: &Option<ScalarTexture>| t.as_ref().map(|t| read.scalar(t));
+        let metallic = number(&self.metallic).unwrap_or(R::zero());
+        let (flatness, sheen) = (number(&self.flatness), number(&self.sheen));
+        let eta = self.dielectric.as_ref().map(|d| match d {
+            Reflectivity::Index(eta) => read.scalar(eta),
+            Reflectivity::Specular(s) => {
+                let root = (read.scalar(s) * R::c(0.08)).sqrt();
+                (root + R::c(1.0)) / (-root + R::c(1.0))
+            }
+        });
+        let clearcoat = self.clearcoat.as_ref().map(|[strength, gloss]| {
+            let (strength, gloss) = (read.scalar(strength), read.scalar(gloss));
+            [strength, gloss * R::c(COAT[1] - COAT[0]) + R::c(COAT[0])]
+        });
+        PrincipledLobe {
+            base_color,
+            roughness,
+            microfacet: Microfacet {
+                kind: Ndf::Ggx,
+                alpha: roughness.square().max(R::of(LEAST_ALPHA)),
+                visible: true,
+            },
+            metallic,
+            eta,
+            flatness,
+            sheen,
+            clearcoat,
+        }
+    }
+}
+
+/// `(1 - cos)^5`.
+#[inline]
+fn schlick<R: Real>(cos: R) -> R {
+    let m = (-cos + R::c(1.0)).clamp(R::zero(), R::one());
+    m.square().square() * m
+}
+
+/// Density of normals with the long tail of [Burley 2012, Eq. 4], exponent one.
+#[inline]
+fn coat_d<R: Real>(alpha: R, m: Vec3<R>) -> R {
+    let a2 = alpha.square();
+    let below = -a2 + R::c(1.0);
+    // 1 + (a^2 - 1) cos^2 without cancellation.
+    let spread = a2 * m.z.square() + m.x.square() + m.y.square();
+    -below / (a2.ln() * spread * R::c(PI))
+}
+
+/// A normal with the density [`coat_d`] times its cosine.
+#[inline]
+fn coat_normal<R: Real>(alpha: R, u: [R::Primal; 2]) -> Vec3<R> {
+    let a2 = alpha.square();
+    let least = R::Primal::EPSILON * R::Primal::of(0.25);
+    let u0 = Const(u[0].max(least));
+    let sin2 = a2 * (-(a2.ln() * u0)).exp_m1() / (-a2 + R::c(1.0));
+    let sin2 = sin2.min(R::one());
+    let (sin_phi, cos_phi) = warp::sin_cos_of_turns(u[1]);
+    let sin = sin2.max(R::of(1e-30)).sqrt();
+    let cos = (-sin2 + R::c(1.0)).max(R::of(1e-12)).sqrt();
+    Vec3::new(sin * Const(cos_phi), sin * Const(sin_phi), cos).normalize()
+}
+
+impl<R: Real> PrincipledLobe<R> {
+    /// Shares of the main reflection, the base and the clear coat among samples.
+    #[inline]
+    fn shares<S: Real<Primal = R::Primal>>(metallic: S, clearcoat: Option<S>) -> [S; 3] {
+        let least = S::of(LEAST_SHARE);
+        let base = (-metallic + S::c(1.0)) + least;
+        let coat = clearcoat.map_or(S::zero(), |c| c * S::c(0.25) + least);
+        let main = S::one();
+        let whole = (main + base + coat).recip();
+        [main * whole, base * whole, coat * whole]
+    }
+
+    #[inline]
+    fn primal_shares(&self) -> [R::Primal; 3] {
+        let strength = self.clearcoat.map(|[strength, _]| strength.primal());
+        PrincipledLobe::<R::Primal>::shares(self.metallic.primal(), strength)
+    }
+
+    /// Densities of `wi` in each of those, given the half vector.
+    #[inline]
+    fn densities(&self, wo: Vec3<R>, wi: Vec3<R>, m: Vec3<R>) -> [R; 3] {
+        let main = self.microfacet.pdf_reflected(wo, m);
+        let base = warp::cosine_hemisphere_pdf(wi.z);
+        let coat = self.clearcoat.map_or(R::zero(), |[_, alpha]| {
+            let cos = wo.dot(m).abs();
+            // As in `Microfacet::pdf_reflected`.
+            if cos.primal() < R::Primal::of(1e-8) {
+                R::zero()
+            } else {
+                coat_d(alpha, m) * m.z / (cos * R::c(4.0))
+            }
+        });
+        [main, base, coat]
+    }
+
+    /// Diffuse and retro-reflection and their like, cosine included, for a white base without metal.
+    #[inline]
+    fn base(&self, wo: Vec3<R>, wi: Vec3<R>, cos_d: R) -> R {
+        let (one, (f_o, f_i)) = (R::one(), (schlick(wo.z), schlick(wi.z)));
+        let half = R::c(0.5);
+        let diffuse = (-(f_i * half) + R::c(1.0)) * (-(f_o * half) + R::c(1.0));
+        let rr = self.roughness * cos_d.square() * R::c(2.0);
+        let retro = rr * (f_o + f_i + f_o * f_i * (rr - one));
+        let surface = diffuse + retro;
+        let value = match self.flatness {
+            None => surface,
+            Some(flatness) => {
+                // One, and the value at grazing angles, by Schlick's weight.
+                let mix = |f: R| (rr * half - one) * f + one;
+                let cosines = (wo.z + wi.z).max(R::of(GRAZING));
+                let below = mix(f_o) * mix(f_i) * (cosines.recip() - R::of(0.5)) + R::of(0.5);
+                let below = below * R::c(1.25);
+                surface + (below - surface) * flatness
+            }
+        };
+        value * wi.z * R::c(FRAC_1_PI)
+    }
+
+    /// Masking of the clear coat.
+    #[inline]
+    fn coat_masking(w: Vec3<R>) -> R {
+        let (c, s2) = (w.z.abs(), w.x.square() + w.y.square());
+        let root = (c.square() + s2 * R::c(COAT_MASKING * COAT_MASKING)).sqrt();
+        c * R::c(2.0) / (c + root)
+    }
+}
+
+impl<R: Real> Lobe<R> for PrincipledLobe<R> {
+    #[inline]
+    fn eval(&self, wo: Vec3<R>, wi: Vec3<R>, _mode: TransportMode) -> Rgb<R> {
+        let Some(m) = half_vector(wo, wi) else {
+            return Rgb::black();
+        };
+        let cos_d = wo.dot(m);
+        let (grazing, matt) = (schlick(cos_d), -self.metallic + R::c(1.0));
+        let dielectric = match self.eta {
+            Some(eta) => fresnel::dielectric(cos_d, eta).reflect * matt,
+            None => R::zero(),
+        };
+        let main = reflection(&self.microfacet, wo, wi, m);
+        let base = self.base(wo, wi, cos_d) * matt;
+        let mut white = R::zero();
+        if let Some(sheen) = self.sheen {
+            white += sheen * matt * grazing * wi.z;
+        }
+        if let Some([strength, alpha]) = self.clearcoat {
+            let f = grazing * R::c(0.96) + R::c(0.04);
+            let masking = Self::coat_masking(wo) * Self::coat_masking(wi);
+            white += strength * f * coat_d(alpha, m) * masking * wi.z * R::c(0.25);
+        }
+        self.base_color.map(|colour| {
+            let metal = colour + (R::one() - colour) * grazing;
+            (metal * self.metallic + dielectric) * main + colour * base + white
+        })
+    }
+
+    #[inline]
+    fn pdf(&self, wo: Vec3<R>, wi: Vec3<R>, _mode: TransportMode) -> R {
+        let Some(m) = half_vector(wo, wi) else {
+            return R::zero();
+        };
+        let parts = self
+            .densities(wo, wi, m)
+            .into_iter()
+            .zip(self.primal_shares());
+        parts.fold(R::zero(), |sum, (pdf, share)| sum + pdf * Const(share))
+    }
+
+    /// Chooses a part by the (primal) shares.
+    #[inline]
+    fn sample(&self, wo: Vec3<R>, u: [R::Primal; 3], mode: TransportMode) -> Option<BsdfSample<R>> {
+        if wo.z.primal() <= R::Primal::zero() {
+            return None;
+        }
+        let [main, base, _] = self.primal_shares();
+        let wi = match self.clearcoat {
+            _ if u[0] < main => reflect(wo, self.microfacet.sample(wo, [u[1], u[2]])),
+            Some([_, alpha]) if u[0] >= main + base => {
+                reflect(wo, coat_normal(alpha, [u[1], u[2]]))
+            }
+            _ => Vec3::lift(warp::square_to_cosine_hemisphere([u[1], u[2]])),
+        };
+        let pdf = self.pdf(wo, wi, mode);
+        (pdf.primal() > R::Primal::zero()).then_some(BsdfSample {
+            wi,
+            pdf,
+            component: Component::Continuous,
+            eta: R::Primal::one(),
+        })
+    }
+
+    #[inline]
+    fn choice_pdf(
+        &self,
+        wo: Vec3<R>,
+        wi: Vec3<R>,
+        _component: Component,
+        _mode: TransportMode,
+    ) -> R {
+        let Some(m) = half_vector(wo, wi) else {
+            return R::zero();
+        };
+        let shares = Self::shares(self.metallic, self.clearcoat.map(|[strength, _]| strength));
+        let parts = self.densities(wo, wi, m).into_iter().zip(shares);
+        parts.fold(R::zero(), |sum, (pdf, share)| sum + constant(pdf) * share)
+    }
+}
+
+impl FromNode for Principled {
+    const PLUGINS: &'static [&'static str] = &["principled"];
+
+    /// `base_color` (0.5), `roughness` (0.5), `metallic` (0), `specular` (0.5) or `eta`, `flatness` (0), `sheen` (0),
+    /// `clearcoat` (0) and `clearcoat_gloss` (0).
+    fn from_node(node: &Node, registry: &mut Registry) -> Result<Self, SceneError> {
+        for (key, what) in [
+            ("spec_trans", "transmission by this material is"),
+            ("anisotropic", "anisotropy of this material is"),
+            ("spec_tint", "a tint, which mixes colours, is"),
+            ("sheen_tint", "a tint, which mixes colours, is"),
+        ] {
+            let is_zero = matches!(node.grey(key), Ok(Some(x)) if x == 0.0);
+            // Without sheen there is nothing to tint.
+            if node.has(key) && !is_zero && (key != "sheen_tint" || node.has("sheen")) {
+                return Err(SceneError::Refused {
+                    location: node.location.clone(),
+                    tag: node.tag.clone(),
+                    plugin: format!("{} with {key}", node.plugin),
+                    what,
+                });
+            }
+        }
+        node.ignore(
+            &[
+                "diffuse_reflectance_sampling_rate",
+                "main_specular_sampling_rate",
+                "clearcoat_sampling_rate",
+            ],
+            Node::float,
+        )?;
+        let unit = (0.0, 1.0);
+        let base_color = registry.rgb_texture(node, "base_color", [0.5; 3], unit)?;
+        let roughness = registry.scalar_texture(node, "roughness", 0.5, unit)?;
+        let mut given = |key: &str| -> Result<Option<ScalarTexture>, SceneError> {
+            if node.has(key) {
+                registry.scalar_texture(node, key, 0.0, unit).map(Some)
+            } else {
+                Ok(None)
+            }
+        };
+        let (metallic, flatness) = (given("metallic")?, given("flatness")?);
+        let (sheen, coat) = (given("sheen")?, given("clearcoat")?);
+        let clearcoat = match coat {
+            None => {
+                node.grey("clearcoat_gloss")?;
+                None
+            }
+            Some(strength) => {
+                let gloss = registry.scalar_texture(node, "clearcoat_gloss", 0.0, unit)?;
+                Some([strength, gloss])
+            }
+        };
+        let dielectric = match (node.has("eta"), node.grey("specular")?) {
+            (true, Some(_)) => return Err(node.invalid("specular", "none beside `eta`")),
+            (true, None) => {
+                let valid = (1.0 + LEAST_ALPHA, 10.0);
+                Some(Reflectivity::Index(
+                    registry.scalar_texture(node, "eta", 1.5, valid)?,
+                ))
+            }
+            (false, Some(s)) if (0.0..LEAST_SPECULAR).contains(&s) => None,
+            (false, _) => {
+                let valid = (LEAST_SPECULAR, 1.0);
+                let specular = registry.scalar_texture(node, "specular", 0.5, valid)?;
+                Some(Reflectivity::Specular(specular))
+            }
+        };
+        Ok(Self {
+            base_color,
+            roughness,
+            metallic,
+            dielectric,
+            flatness,
+            sheen,
+            clearcoat,
+        })
+    }
+}

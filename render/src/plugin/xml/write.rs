@@ -1,0 +1,166 @@
+//! Nodes as text again.
+
+use std::collections::{HashMap, HashSet};
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use super::node::{Node, Property};
+use super::value::Value;
+
+/// What stands in a file in place of what was read.
+pub(crate) trait Rewrite {
+    /// Attributes of a node that have other values now, or stand for their defaults.
+    fn values(&mut self, node: &Node) -> Vec<(String, Number)>;
+    /// Whether an attribute belongs to what a node named, and no longer to what stands in its place.
+    fn is_gone(&self, node: &Node, name: &str) -> bool;
+    /// The name of a file, relative to the new scene.
+    fn file(&mut self, node: &Node, path: Option<PathBuf>, name: &str) -> String;
+}
+
+/// A number or a colour.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Number {
+    Scalar(f32),
+    Colour([f32; 3]),
+}
+
+/// The text of a scene file of version 3: names, values and colours as they were resolved, shared plugins once.
+pub(crate) fn scene(root: &Node, with: &mut dyn Rewrite) -> String {
+    let mut writer = Writer {
+        uses: HashMap::new(),
+        written: HashSet::new(),
+        text: "<scene version=\"3.0.0\">\n".to_owned(),
+        with,
+    };
+    writer.count(root);
+    writer.body(root, 1);
+    writer.text.push_str("</scene>\n");
+    writer.text
+}
+
+struct Writer<'a> {
+    /// How often each node is referred to or nested.
+    uses: HashMap<*const Node, u32>,
+    written: HashSet<*const Node>,
+    text: String,
+    with: &'a mut dyn Rewrite,
+}
+
+fn escaped(text: &str) -> String {
+    let text = text.replace('&', "&amp;").replace('<', "&lt;");
+    text.replace('>', "&gt;").replace('"', "&quot;")
+}
+
+impl Writer<'_> {
+    fn count(&mut self, node: &Node) {
+        for child in &node.children {
+            let uses = self.uses.entry(Arc::as_ptr(&child.node)).or_default();
+            *uses += 1;
+            if *uses == 1 {
+                self.count(&child.node);
+            }
+        }
+    }
+
+    fn line(&mut self, depth: usize, line: std::fmt::Arguments) {
+        // Writing to a string cannot fail.
+        let _ = writeln!(self.text, "{:1$}{line}", "", 4 * depth);
+    }
+
+    /// Attributes and nested plugins.
+    fn body(&mut self, node: &Node, depth: usize) {
+        let new = self.with.values(node);
+        for (name, property) in &node.properties {
+            if self.with.is_gone(node, name) {
+                continue;
+            }
+            match new.iter().find(|(key, _)| key == name) {
+                Some((_, number)) => self.number(name, *number, depth),
+                None => self.property(node, name, property, depth),
+            }
+        }
+        for (name, number) in &new {
+            if !node.properties.contains_key(name) {
+                self.number(name, *number, depth);
+            }
+        }
+        for child in &node.children {
+            let name = child.name.as_deref();
+            if name.is_some_and(|name| new.iter().any(|(key, _)| key == name)) {
+                continue;
+            }
+            self.plugin(&child.node, name, depth);
+        }
+    }
+
+    fn plugin(&mut self, node: &Arc<Node>, name: Option<&str>, depth: usize) {
+        let name = name.map_or(String::new(), |n| format!(" name=\"{}\"", escaped(n)));
+        if !self.written.insert(Arc::as_ptr(node))
+            && let Some(id) = &node.id
+        {
+            self.line(depth, format_args!("<ref id=\"{}\"{name}/>", escaped(id)));
+            return;
+        }
+        let id = node
+            .id
+            .as_ref()
+            .map_or(String::new(), |id| format!(" id=\"{}\"", escaped(id)));
+        let tag = if node.is_constant() {
+            "spectrum"
+        } else {
+            node.tag.as_str()
+        };
+        let plugin = escaped(&node.plugin);
+        self.line(depth, format_args!("<{tag} type=\"{plugin}\"{id}{name}>"));
+        self.body(node, depth + 1);
+        self.line(depth, format_args!("</{tag}>"));
+    }
+
+    fn number(&mut self, name: &str, number: Number, depth: usize) {
+        let name = escaped(name);
+        match number {
+            Number::Scalar(x) => self.line(
+                depth,
+                format_args!("<float name=\"{name}\" value=\"{x}\"/>"),
+            ),
+            Number::Colour([r, g, b]) => {
+                self.line(
+                    depth,
+                    format_args!("<rgb name=\"{name}\" value=\"{r}, {g}, {b}\"/>"),
+                );
+            }
+        }
+    }
+
+    fn property(&mut self, node: &Node, name: &str, property: &Property, depth: usize) {
+        let key = escaped(name);
+        let (tag, value) = match &property.value {
+            Value::Float(x) => ("float", x.to_string()),
+            Value::Integer(i) => ("integer", i.to_string()),
+            Value::Boolean(b) => ("boolean", b.to_string()),
+            Value::Color([r, g, b]) => ("rgb", format!("{r}, {g}, {b}")),
+            Value::Point([x, y, z]) => ("point", format!("{x}, {y}, {z}")),
+            Value::Vector([x, y, z]) => ("vector", format!("{x}, {y}, {z}")),
+            Value::String(s) if name == "filename" => {
+                let found = property.directories.find(Path::new(s));
+                ("string", self.with.file(node, found, s))
+            }
+            Value::String(s) => ("string", s.clone()),
+            Value::Transform(t) => {
+                let rows = t.matrix();
+                let numbers: Vec<String> = rows.as_flattened().iter().map(f64::to_string).collect();
+                self.line(depth, format_args!("<transform name=\"{key}\">"));
+                let numbers = numbers.join(" ");
+                self.line(depth + 1, format_args!("<matrix value=\"{numbers}\"/>"));
+                self.line(depth, format_args!("</transform>"));
+                return;
+            }
+        };
+        let value = escaped(&value);
+        self.line(
+            depth,
+            format_args!("<{tag} name=\"{key}\" value=\"{value}\"/>"),
+        );
+    }
+}
