@@ -65,7 +65,7 @@ class _Series:
         self.blocks = (sums / counts).reshape(len(images), -1)
 
     def mean(self) -> NDArray[np.float64]:
-        return self.images.mean(axis=0)
+        return np.asarray(self.images.mean(axis=0))
 
     def z(self, truth: _Series) -> NDArray[np.float64]:
         """Difference of every block to that of another series, in standard errors."""
@@ -75,8 +75,10 @@ class _Series:
             return np.where(difference == 0.0, 0.0, difference / np.sqrt(variance))
 
     def ladder(self, truth: NDArray[np.float64]) -> list[tuple[float, float]]:
+        def error(n: int) -> float:
+            return float(np.sqrt(np.mean((self.images[:n].mean(axis=0) - truth) ** 2)))
+
         steps = [2**k for k in range(len(self.images).bit_length())]
-        error = lambda n: float(np.sqrt(np.mean((self.images[:n].mean(axis=0) - truth) ** 2)))
         return [(float(self.seconds[:n].sum()), error(n)) for n in steps]
 
 

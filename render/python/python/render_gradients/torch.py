@@ -9,7 +9,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import torch
 
@@ -20,7 +21,15 @@ __all__ = ["render"]
 
 class _Render(torch.autograd.Function):
     @staticmethod
-    def forward(ctx, scene: Scene, keys: tuple[str, ...], spp: int | None, seed: int, estimator: str, *values):
+    def forward(
+        ctx: Any,
+        scene: Scene,
+        keys: tuple[str, ...],
+        spp: int | None,
+        seed: int,
+        estimator: str,
+        *values: torch.Tensor,
+    ) -> torch.Tensor:
         ctx.scene, ctx.keys, ctx.spp, ctx.seed, ctx.estimator = scene, keys, spp, seed, estimator
         ctx.save_for_backward(*values)
         _set(scene, keys, values)
@@ -29,7 +38,7 @@ class _Render(torch.autograd.Function):
 
     @staticmethod
     @torch.autograd.function.once_differentiable
-    def backward(ctx, adjoint):
+    def backward(ctx: Any, adjoint: torch.Tensor) -> tuple[Any, ...]:
         values = ctx.saved_tensors
         # Others may have moved the scene since.
         _set(ctx.scene, ctx.keys, values)
@@ -43,7 +52,7 @@ class _Render(torch.autograd.Function):
         return None, None, None, None, None, *gradients
 
 
-def _set(scene: Scene, keys: tuple[str, ...], values) -> None:
+def _set(scene: Scene, keys: Sequence[str], values: Sequence[torch.Tensor]) -> None:
     # A parameter of one number has the shape (), whatever a tensor calls that.
     arrays = {key: value.detach().cpu().numpy() for key, value in zip(keys, values)}
     scene.update({key: a.reshape(()) if a.size == 1 else a for key, a in arrays.items()})
