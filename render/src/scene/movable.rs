@@ -288,6 +288,9 @@ impl Scene {
             });
         }
         let p = (self.params).push(&movable.name, movable.shape, &values, movable.valid);
+        if let Some(source) = &mut self.source {
+            source.fixed.push((p.id, values));
+        }
         self.params.mark(p, movable.kind);
         match movable.what {
             What::Shape(shape, part) => self.geometry.place(shape, p, |own| part.of(own)),

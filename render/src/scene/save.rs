@@ -44,8 +44,9 @@ impl Scene {
     /// written as it was read. Returns all files, the scene last.
     ///
     /// # Errors
-    /// A scene that was not read from a file; a folder in which one of its own files would be replaced; a parameter that has changed and that no attribute or image of the file
-    /// holds, such as the colours of meshes and the images in spot lights; the operating system's.
+    /// A scene that was not read from a file; a folder in which one of its own files would be replaced; a parameter that
+    /// has changed and that no attribute or image of the file holds, such as the colours of meshes, the images in spot
+    /// lights, and what moves; the operating system's.
     pub fn save(&self, path: &Path) -> Result<Vec<PathBuf>, SceneError> {
         let bad = |key: &str, expected: &str, found: &str| SceneError::Parameter {
             key: key.to_owned(),
