@@ -68,6 +68,7 @@ pub mod image_io;
 mod inputs;
 pub mod instances;
 pub mod integrator;
+pub mod manifold;
 pub mod math;
 mod parallel;
 pub mod params;

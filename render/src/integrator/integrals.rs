@@ -5,33 +5,35 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use ad_core::{Float, Real};
 
 use super::active::Active;
+use super::connections;
 use super::exact::ExactBuffer;
 use super::particle;
 use super::particle_gradient::ParticlePass;
-use super::pass::{Integral, Pass, Question};
+use super::pass::{Finders, Integral, Pass, Question};
 use super::paths;
 use super::progress::Progress;
 use super::rendering::{Components, Rendering};
 use super::sink::GradientSums;
 use crate::estimator::{Sampling, Strategy};
 use crate::sampler::Sampler;
-use crate::scene::Caustics;
 
 /// Asks every integral of a pass.
 pub(super) fn every<S: Strategy, X: Sampler>(
-    caustics: Caustics,
+    finders: Finders,
     progress: &dyn Progress,
     question: &mut impl Question<S, X>,
 ) {
-    let by_particles = caustics == Caustics::Particles;
     let share = Share {
         progress,
-        integrals: 1 + u64::from(by_particles),
+        integrals: 1 + u64::from(finders.particles) + u64::from(finders.connections),
         done: AtomicU64::new(0),
     };
     question.ask::<Paths>(&share);
-    if by_particles && !share.cancelled() {
+    if finders.particles && !share.cancelled() {
         question.ask::<Particles>(&share);
+    }
+    if finders.connections && !share.cancelled() {
+        question.ask::<Connections>(&share);
     }
 }
 
@@ -98,5 +100,22 @@ impl<S: Strategy, X: Sampler> Integral<S, X> for Particles {
         let particles = ParticlePass::new(&context, adjoint, pass.seed, samples);
         let (sums, _) = particles.sums::<X>(active, large, pass.progress);
         sums
+    }
+}
+
+/// Light over specular chains, by manifold connections.
+struct Connections;
+
+impl<S: Strategy, X: Sampler> Integral<S, X> for Connections {
+    fn image<R: Components>(pass: &Pass<R>) -> Rendering {
+        connections::image::<R, X>(pass)
+    }
+    fn gradient<P: Float>(
+        pass: &Pass<P>,
+        active: &Active,
+        adjoint: &[f32],
+        large: &ExactBuffer,
+    ) -> GradientSums {
+        connections::gradient::<P, X>(pass, active, adjoint, large)
     }
 }

@@ -2,6 +2,7 @@
 
 use ad_core::Real;
 
+use super::connections;
 use super::integrals::every;
 use super::job::Job;
 use super::pass::{Integral, Pass, Question};
@@ -10,7 +11,7 @@ pub use super::rendering::{Components, NonFinite, Rendering};
 pub use super::tile::TILE;
 use crate::error::RenderError;
 use crate::estimator::{self, Strategy, Unbiased};
-use crate::params::Theta;
+use crate::params::{ParamInfo, Theta};
 use crate::sampler::Sampler;
 
 /// Renders the samples `samples` of every pixel with seed `seed`.
@@ -28,11 +29,12 @@ pub fn render<R: Components, S: Unbiased, X: Sampler>(
     let &Job { scene, .. } = job;
     if !R::IS_PRIMAL {
         scene.admits::<S>()?;
-        for info in scene.params().infos() {
-            if theta.moves(scene.params().handle(info)) {
-                estimator::check_parameter::<S>(info)?;
-            }
+        let moves = |info: &&ParamInfo| theta.moves(scene.params().handle(info));
+        let moving = scene.params().infos().iter().filter(moves);
+        for info in moving.clone() {
+            estimator::check_parameter::<S>(info)?;
         }
+        connections::check::<S>(job.settings, moving)?;
     }
     Ok(unchecked::<R, S, X>(job, theta))
 }
@@ -42,15 +44,13 @@ pub(crate) fn unchecked<R: Components, S: Strategy, X: Sampler>(
     job: &Job,
     theta: &Theta<R>,
 ) -> Rendering {
-    let &Job {
-        scene, settings, ..
-    } = job;
-    let pass = Pass::new(job, theta, settings.caustics_of::<S>(scene));
+    let scene = job.scene;
+    let pass = Pass::of::<S>(job, theta);
     let mut question = ImageOf {
         pass: &pass,
         sum: Rendering::black(scene.film.crop_size, &pass.samples, R::COUNT),
     };
-    every::<S::Runs, X>(pass.caustics, job.progress, &mut question);
+    every::<S::Runs, X>(pass.finders(), job.progress, &mut question);
     question.sum
 }
 
