@@ -7,17 +7,19 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Instant;
 
-use clap::{ArgMatches, Args, Parser};
+use clap::{ArgMatches, Args, Parser, ValueEnum};
 use optim::OptimError;
 use render::auto;
 use render::estimator::{Capabilities, Refusal};
 use render::instances::Estimator;
 use render::integrator::particle;
 use render::integrator::render::{NonFinite, Progress};
+use render::manifold::{Split, Statistics};
 use render::params::{ParamInfo, ParamShape};
 use render::sampler::Points;
-use render::scene::LoadOptions;
-use render::scene::{Caustics, LightChoice};
+use render::scene::{
+    Caustics, Connections, Constraint, LightChoice, LoadOptions, Method, Uniqueness,
+};
 use render::{RenderError, Scene, SceneError, Settings, image_io};
 use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
@@ -387,6 +389,177 @@ pub struct SampleArgs {
     #[arg(long)]
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub guide: bool,
+}
+
+/// `--manifold` and its companions.
+#[derive(Args, Clone, Copy, Debug, Default, PartialEq)]
+pub struct ManifoldArgs {
+    /// How light over chains of mirrors and smooth glass is found that sampling cannot find: sms (unbiased), sms-biased
+    /// (distinct solutions of --trials walks), mnee (one walk, towards the light), or off [default: the scene's
+    /// integrator]
+    #[arg(long, value_name = "NAME", value_enum)]
+    pub manifold: Option<ManifoldArg>,
+    /// Walks of a trial set of --manifold sms-biased [default: 16]; of --manifold sms, most trials of an estimate, which
+    /// bias it where they are used up [default: 1048576]
+    #[arg(long, value_name = "M", value_parser = clap::value_parser!(u32).range(1..), requires = "manifold")]
+    pub trials: Option<u32>,
+    /// Most specular vertices of a chain [default: 2]
+    #[arg(long, value_name = "K", requires = "manifold",
+          value_parser = clap::value_parser!(u32).range(1..=i64::from(Connections::MOST_BOUNCES)))]
+    pub bounces: Option<u32>,
+    /// The function whose roots are sought
+    #[arg(long, value_name = "NAME", value_enum, requires = "manifold")]
+    pub constraint: Option<ConstraintArg>,
+    /// Tell solutions apart as published: by one minus the cosine between their directions, at least this; merges some of
+    /// them [default: by proof]
+    #[arg(long, value_name = "X", requires = "manifold", value_parser = threshold)]
+    pub uniqueness_threshold: Option<f64>,
+}
+
+/// `--manifold`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum ManifoldArg {
+    /// Unbiased specular manifold sampling
+    Sms,
+    /// Distinct solutions of a trial set
+    SmsBiased,
+    /// Manifold next event estimation
+    Mnee,
+    /// Paths find all light
+    Off,
+}
+
+/// `--constraint`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum ConstraintArg {
+    /// Differences of angles
+    Angle,
+    /// Half vectors
+    HalfVector,
+}
+
+fn threshold(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(x) if x > 0.0 && x <= 2.0 => Ok(x),
+        _ => Err("expected a number in (0, 2]".into()),
+    }
+}
+
+/// Size of a trial set [Zeltner 2021, figure 3.13].
+const TRIALS: u32 = 16;
+
+impl ManifoldArgs {
+    /// Says so in `settings`.
+    ///
+    /// # Errors
+    /// Options without effect, and connections beside particles.
+    pub fn apply(self, scene: &Scene, settings: &mut Settings) -> Result<(), ToolError> {
+        let usage = |message: &str| Err(ToolError::Usage(message.into()));
+        let method = match self.manifold {
+            None => return Ok(()),
+            Some(ManifoldArg::Off) => {
+                let others = self.trials.is_some()
+                    || self.bounces.is_some()
+                    || self.constraint.is_some()
+                    || self.uniqueness_threshold.is_some();
+                if others {
+                    return usage("--manifold off: its other options are without effect");
+                }
+                settings.connections = None;
+                return Ok(());
+            }
+            Some(ManifoldArg::Sms) => Method::Sms,
+            Some(ManifoldArg::SmsBiased) => Method::SmsBiased(self.trials.unwrap_or(TRIALS)),
+            Some(ManifoldArg::Mnee) => Method::Mnee,
+        };
+        if method == Method::Mnee && self.trials.is_some() {
+            return usage("--trials: without effect; expected --manifold sms or sms-biased");
+        }
+        if settings.caustics == Caustics::Particles {
+            return usage(
+                "--caustics particles: --manifold finds that light; expected one of them",
+            );
+        }
+        let mut connections = Connections::new(method);
+        connections.bounces = self.bounces.unwrap_or(connections.bounces);
+        if let (Method::Sms, Some(trials)) = (method, self.trials) {
+            connections.budget = trials;
+        }
+        if self.constraint == Some(ConstraintArg::HalfVector) {
+            connections.constraint = Constraint::HalfVector;
+        }
+        if let Some(threshold) = self.uniqueness_threshold {
+            connections.uniqueness = Uniqueness::Threshold(threshold);
+        }
+        if Split::of(scene, &connections).is_none() {
+            complain!(
+                "warning: --manifold: nothing smooth to connect lights over; paths find all light"
+            );
+        }
+        settings.connections = Some(connections);
+        Ok(())
+    }
+}
+
+/// What manifold connections came to, for reports.
+#[derive(Clone, Debug, Serialize)]
+pub struct ManifoldReport {
+    /// The estimator.
+    pub method: String,
+    /// Whether its expectation is that of the light: an estimate that ran out of trials is not.
+    pub unbiased: bool,
+    /// Most vertices of a chain.
+    pub bounces: u32,
+    /// Vertices and light samples to be connected, and how many of them were.
+    pub attempts: u64,
+    /// See `attempts`.
+    pub found: u64,
+    /// Walks, and the part of them that converged.
+    pub walks: u64,
+    /// See `walks`.
+    pub success_rate: f64,
+    /// Steps per walk.
+    pub steps_per_walk: f64,
+    /// Trials per reciprocal that was estimated.
+    pub trials_per_solution: f64,
+    /// Reciprocals that ran out of trials.
+    pub exhausted: u64,
+}
+
+impl ManifoldReport {
+    /// Of a rendering with these settings; `None` without connections.
+    pub fn of(settings: &Settings, s: &Statistics) -> Option<Self> {
+        let connections = settings.connections?;
+        let (method, unbiased) = match connections.method {
+            Method::Sms => ("sms".to_owned(), true),
+            Method::SmsBiased(trials) => (format!("sms-biased, {trials} walks"), false),
+            Method::Mnee => ("mnee".to_owned(), false),
+            Method::LeftOut => ("left out".to_owned(), false),
+        };
+        let per = |a: u64, b: u64| a as f64 / b.max(1) as f64;
+        Some(Self {
+            method,
+            unbiased: unbiased && s.exhausted == 0 && connections.uniqueness == Uniqueness::Proof,
+            bounces: connections.bounces,
+            attempts: s.attempts,
+            found: s.found,
+            walks: s.walks,
+            success_rate: per(s.converged, s.walks),
+            steps_per_walk: per(s.steps, s.walks),
+            trials_per_solution: per(s.trials, s.reciprocals),
+            exhausted: s.exhausted,
+        })
+    }
+
+    /// Says what went wrong.
+    pub fn complain(&self) {
+        if self.exhausted > 0 {
+            complain!(
+                "warning: {} manifold connections ran out of trials: the image is biased where they are; more by --trials",
+                self.exhausted
+            );
+        }
+    }
 }
 
 impl SampleArgs {

@@ -561,6 +561,12 @@ pub enum RenderError {
         /// Its name.
         name: String,
     },
+    /// What manifold connections do not have.
+    #[error("manifold connections (`--manifold`, or the scene's integrator): {what}")]
+    Connections {
+        /// What is asked for, and what would be right.
+        what: String,
+    },
     /// A radius within which nothing could be gathered.
     #[error("radius: expected a positive number, neither tiny nor huge, found {found}")]
     Radius {

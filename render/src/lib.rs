@@ -70,6 +70,7 @@ pub mod image_io;
 mod inputs;
 pub mod instances;
 pub mod integrator;
+pub mod manifold;
 pub mod math;
 pub mod motion;
 mod parallel;

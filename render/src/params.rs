@@ -466,6 +466,11 @@ impl<'a, R: Real> Theta<'a, R> {
         }
     }
 
+    /// The values of all parameters; none for [`Theta::still`].
+    pub fn values(&self) -> &'a [R::Primal] {
+        self.values
+    }
+
     /// The same parameters without tangents.
     #[inline]
     pub fn primal(&self) -> Theta<'a, R::Primal> {

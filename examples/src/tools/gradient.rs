@@ -16,8 +16,8 @@ use render::{Image, Scene, Settings, image_io};
 use serde::Serialize;
 
 use crate::cli::{
-    self, Choice, ListArgs, LoadArgs, Outcome, SampleArgs, ThreadArgs, ToolError, depth,
-    report_non_finite, sample_count,
+    self, Choice, ListArgs, LoadArgs, ManifoldArgs, Outcome, SampleArgs, ThreadArgs, ToolError,
+    depth, report_non_finite, sample_count,
 };
 use crate::output;
 use crate::progress::{Bar, Interrupt};
@@ -80,6 +80,9 @@ pub struct Args {
     /// How samples are made
     #[command(flatten)]
     pub samples: SampleArgs,
+    /// Light over specular chains
+    #[command(flatten)]
+    pub manifold: ManifoldArgs,
     /// Pilots choose how often each light is sampled, for these parameters [default: as the scene says]
     #[arg(long)]
     pub measure_lights: bool,
@@ -236,6 +239,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     let mut settings = scene.settings;
     settings.spp = args.spp.unwrap_or(settings.spp);
     args.samples.apply(&scene, &mut settings)?;
+    args.manifold.apply(&scene, &mut settings)?;
     settings.max_depth = args.max_depth.unwrap_or(settings.max_depth);
     let read = [
         Some(&args.scene),

@@ -1,5 +1,7 @@
 //! `render`: a scene to an image.
 
+mod energy;
+
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -16,12 +18,14 @@ use render::{RenderError, Scene, Settings, image_io};
 use serde::Serialize;
 
 use crate::cli::{
-    LoadArgs, Outcome, SampleArgs, ThreadArgs, ToolError, depth, report_non_finite, sample_count,
+    LoadArgs, ManifoldArgs, ManifoldReport, Outcome, SampleArgs, ThreadArgs, ToolError, depth,
+    report_non_finite, sample_count,
 };
 use crate::output;
 use crate::progress::{Bar, Interrupt};
 use crate::tools::check;
 use crate::{complain, say};
+use energy::Energy;
 
 const EXAMPLES: &str = "\
 Examples:
@@ -33,6 +37,7 @@ Examples:
   render scene.xml -P wall.reflectance.value=0.8 -P '*.alpha'=0.2
   render scene.xml -P wall.reflectance=0.8 --save new/scene.xml
   render scene.xml --check --json found.json     what of it is understood
+  render pool.xml --manifold sms --bounces 1     caustics by specular manifold sampling
 
 Ctrl-C keeps the samples so far (exit code 130).";
 
@@ -54,6 +59,9 @@ pub struct Args {
     /// How samples are made
     #[command(flatten)]
     pub samples: SampleArgs,
+    /// Light over specular chains
+    #[command(flatten)]
+    pub manifold: ManifoldArgs,
     /// Largest number of path edges: 1 is emission, 2 direct light; -1 for no limit [default: the scene's]
     #[arg(long, value_name = "N", value_parser = depth, allow_hyphen_values = true)]
     pub max_depth: Option<u32>,
@@ -63,6 +71,10 @@ pub struct Args {
     /// Threads
     #[command(flatten)]
     pub threads: ThreadArgs,
+    /// Say whether manifold connections miss any light: by means of blocks of the image without them, by paths, or by
+    /// particles where a light is a point; takes about as long again
+    #[arg(long)]
+    pub manifold_check: bool,
     /// Where light is followed from
     #[arg(long, value_enum, default_value_t)]
     pub integrator: IntegratorArg,
@@ -179,6 +191,10 @@ impl Args {
                 "--caustics: all light is particles' here; expected --integrator path",
             ),
             (
+                self.manifold.manifold.is_some() && !paths,
+                "--manifold: all light is particles' here; expected --integrator path",
+            ),
+            (
                 self.samples.guide && !paths,
                 "--guide: particles are not guided; expected --integrator path",
             ),
@@ -233,6 +249,10 @@ struct Report {
     spp: u64,
     #[serde(flatten)]
     samples: SampleArgs,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    manifold: Option<ManifoldReport>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    manifold_check: Option<Energy>,
     threads: usize,
     seconds_load: f64,
     seconds_render: f64,
@@ -269,6 +289,15 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     let mut settings = scene.settings;
     settings.spp = args.spp.unwrap_or(settings.spp);
     args.samples.apply(&scene, &mut settings)?;
+    args.manifold.apply(&scene, &mut settings)?;
+    if !matches!(method, Method::Paths(_)) {
+        // All light is particles' there.
+        settings.connections = None;
+    }
+    if args.manifold_check && settings.connections.is_none() {
+        let message = "--manifold-check: no connections to check; expected --manifold, or a scene that asks for them";
+        return Err(ToolError::Usage(message.into()));
+    }
     settings.max_depth = args.max_depth.unwrap_or(settings.max_depth);
     let png = exr.with_extension("png");
     let mut files = vec![exr.clone(), png.clone()];
@@ -276,14 +305,19 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     output::prepare(&files, &[&args.scene])?;
 
     let start = Instant::now();
-    let (rendering, threads) = args.threads.run(|threads| {
+    let (rendering, threads, energy) = args.threads.run(|threads| {
         let pixels = scene.film.pixels() as u64;
         args.samples
             .learn(&mut scene, &settings, args.seed, interrupt);
         let bar = Bar::new("render", pixels * passes(&scene, &settings), interrupt);
         let rendering = in_passes(&scene, method, &settings, args.seed, &bar)?;
         bar.finish();
-        Ok((rendering, threads))
+        let energy = if args.manifold_check && rendering.is_some() {
+            energy::check(&scene, &settings, args.seed, interrupt)
+        } else {
+            None
+        };
+        Ok((rendering, threads, energy))
     })?;
     let Some(rendering) = rendering else {
         complain!("interrupted before the first pass was complete: nothing was written");
@@ -292,9 +326,16 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     let seconds_render = start.elapsed().as_secs_f64();
 
     report_non_finite(&rendering.non_finite, rendering.width, args.seed);
+    let manifold = ManifoldReport::of(&settings, &rendering.connections);
+    if let Some(manifold) = &manifold {
+        manifold.complain();
+    }
     let image = rendering.image(0);
     image_io::write_exr(&exr, &image)?;
     output::write_png(&png, &image)?;
+    if let Some(energy) = &energy {
+        energy.say();
+    }
     if let Some(path) = &args.json {
         let report = Report {
             scene: args.scene.display().to_string(),
@@ -302,6 +343,8 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
             height: rendering.height,
             spp: rendering.samples,
             samples: args.samples.filled(),
+            manifold: manifold.clone(),
+            manifold_check: energy,
             threads,
             seconds_load,
             seconds_render,

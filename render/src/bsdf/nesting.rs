@@ -8,6 +8,7 @@ use super::{Bsdf, MANY_SLOTS, MAX_SLOTS, Material};
 use crate::error::SceneError;
 use crate::params::{ParamRef, Params};
 use crate::plugin::Node;
+use crate::texture::ScalarTexture;
 
 /// How many levels materials may nest: one bit each in the `route` of a delta.
 pub const MAX_LEVELS: u32 = 8;
@@ -131,6 +132,29 @@ pub fn is_glossy(material: &Material) -> bool {
         (Material::Mask(_), _) => true,
         (_, []) => !matches!(material, Material::Diffuse(_)),
         (_, parts) => parts.iter().any(|m| is_glossy(m)),
+    }
+}
+
+/// A surface whose every part does the same to light, along deltas alone.
+#[derive(Clone, Copy, Debug)]
+pub enum Specular<'a> {
+    /// It reflects.
+    Mirror,
+    /// It reflects and refracts; the index below over that above.
+    Interface(&'a ScalarTexture),
+}
+
+/// What smooth metal or glass does, be its normals mapped or both of its sides metal. `None` for everything else: also for
+/// what is smooth in parts only, blended or masked.
+pub fn specular(material: &Material) -> Option<Specular<'_>> {
+    match material {
+        Material::Conductor(_) => Some(Specular::Mirror),
+        Material::Dielectric(m) => Some(Specular::Interface(&m.eta)),
+        Material::NormalMap(m) => specular(m.nested()),
+        Material::TwoSided(m) => (m.sides().iter())
+            .all(|side| matches!(specular(side), Some(Specular::Mirror)))
+            .then_some(Specular::Mirror),
+        _ => None,
     }
 }
 

@@ -20,6 +20,7 @@ use crate::bsdf::kernel::{Symmetry, eval_kernel};
 use crate::bsdf::{Bsdf, Component, DeltaKind, Shading, TransportMode};
 use crate::emitter::Emitter;
 use crate::error::RenderError;
+use crate::manifold::Statistics;
 use crate::math::Rgb;
 use crate::parallel;
 use crate::sampler::{Purpose, Sampler};
@@ -334,6 +335,7 @@ impl<P: Float> Map<P> {
             samples: spp,
             sums: vec![vec![0.0; film.pixels() * 3]],
             non_finite: self.non_finite,
+            connections: Statistics::default(),
             cancelled: progress.cancelled(),
         };
         for (tile, (sums, bad)) in tiles.iter().zip(&parts) {

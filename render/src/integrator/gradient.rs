@@ -3,6 +3,7 @@
 use ad_core::Float;
 
 pub use super::active::Active;
+use super::connections;
 use super::exact::ExactBuffer;
 use super::integrals::{Wanted, every};
 use super::job::Job;
@@ -46,13 +47,12 @@ pub fn backward<P: Float, S: Unbiased, X: Sampler>(
     active: &Active,
     adjoint: &[f32],
 ) -> Result<Gradient, RenderError> {
-    let &Job {
-        scene, settings, ..
-    } = job;
+    let scene = job.scene;
     check_size("adjoint image", scene, adjoint)?;
     scene.admits::<S>()?;
     active.check_motion::<S>()?;
-    let pass = Pass::new(job, theta, settings.caustics_of::<S>(scene));
+    connections::check::<S>(job.settings, &active.ranges)?;
+    let pass = Pass::of::<S>(job, theta);
     Ok(pass.gradient::<S::Runs, X>(active, adjoint))
 }
 
@@ -75,7 +75,7 @@ impl<P: Float> Pass<'_, P> {
                     sums: GradientSums::zero(active),
                 };
                 let wanted = Wanted {
-                    caustics: self.caustics,
+                    finders: self.finders(),
                     light: active.rests(),
                     motion: active.moves(),
                 };

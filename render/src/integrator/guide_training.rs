@@ -79,6 +79,7 @@ pub(crate) fn arrivals<S: Strategy, X: Sampler>(
             settings,
             shifts: &[],
             caustics: settings.caustics_of::<S>(scene),
+            split: None,
             progress,
         };
         let mut paths = Paths::<f32, S, X, _>::new(PathRecord::default());

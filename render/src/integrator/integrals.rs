@@ -5,24 +5,24 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use ad_core::{Float, Real};
 
 use super::active::Active;
+use super::connections;
 use super::exact::ExactBuffer;
 use super::motion;
 use super::particle;
 use super::particle_gradient::ParticlePass;
-use super::pass::{Integral, Pass, Question};
+use super::pass::{Finders, Integral, Pass, Question};
 use super::paths;
 use super::progress::Progress;
 use super::rendering::{Components, Rendering};
 use super::sink::GradientSums;
 use crate::estimator::{Sampling, Strategy};
 use crate::sampler::Sampler;
-use crate::scene::Caustics;
 
 /// What of a pass somebody wants to know.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Wanted {
-    /// Who finds caustics.
-    pub caustics: Caustics,
+    /// Who finds light besides paths.
+    pub finders: Finders,
     /// Light where it is, and what changes it there.
     pub light: bool,
     /// What moves.
@@ -35,9 +35,11 @@ pub(super) fn every<S: Strategy, X: Sampler>(
     progress: &dyn Progress,
     question: &mut impl Question<S, X>,
 ) {
-    let by_particles = wanted.light && wanted.caustics == Caustics::Particles;
+    let by_particles = wanted.light && wanted.finders.particles;
+    let by_connections = wanted.light && wanted.finders.connections;
     let moves = S::INTERIOR && wanted.motion;
-    let integrals = u64::from(wanted.light) + u64::from(by_particles) + u64::from(moves);
+    let all = [wanted.light, by_particles, by_connections, moves];
+    let integrals: u64 = all.into_iter().map(u64::from).sum();
     let share = Share {
         progress,
         integrals: integrals.max(1),
@@ -48,6 +50,9 @@ pub(super) fn every<S: Strategy, X: Sampler>(
     }
     if by_particles && !share.cancelled() {
         question.ask::<Particles>(&share);
+    }
+    if by_connections && !share.cancelled() {
+        question.ask::<Connections>(&share);
     }
     // A constant: it is not even compiled for strategies that do not move vertices.
     if const { S::INTERIOR } && wanted.motion && !share.cancelled() {
@@ -135,5 +140,22 @@ impl<S: Strategy, X: Sampler> Integral<S, X> for Particles {
         let particles = ParticlePass::new(&context, adjoint, pass.seed, samples);
         let (sums, _) = particles.sums::<X>(active, large, pass.progress);
         sums
+    }
+}
+
+/// Light over specular chains, by manifold connections.
+struct Connections;
+
+impl<S: Strategy, X: Sampler> Integral<S, X> for Connections {
+    fn image<R: Components>(pass: &Pass<R>) -> Rendering {
+        connections::image::<R, X>(pass)
+    }
+    fn gradient<P: Float>(
+        pass: &Pass<P>,
+        active: &Active,
+        adjoint: &[f32],
+        large: &ExactBuffer,
+    ) -> GradientSums {
+        connections::gradient::<P, X>(pass, active, adjoint, large)
     }
 }

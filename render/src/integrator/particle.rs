@@ -21,6 +21,7 @@ use crate::bsdf::{Bsdf, Component, Material, Shading, TransportMode};
 use crate::camera::Pinhole;
 use crate::emitter::{Ball, Emission, Emitter};
 use crate::error::RenderError;
+use crate::manifold::Statistics;
 use crate::math::{NOWHERE, Ray, Rgb, Segment};
 use crate::parallel;
 use crate::params::Theta;
@@ -723,6 +724,7 @@ pub fn render<R: Components, X: Sampler>(
         samples: samples.end.saturating_sub(samples.start),
         sums: vec![vec![0.0; width * height * 3]; R::COUNT],
         non_finite: NonFinite::default(),
+        connections: Statistics::default(),
         cancelled: false,
     };
     // `[pixel][component][3]` while splats are added.

@@ -5,6 +5,7 @@
 //! add up.
 
 use std::ops::Range;
+use std::sync::Arc;
 
 use ad_core::{Float, Real};
 
@@ -16,10 +17,11 @@ use super::progress::Progress;
 use super::rendering::{Components, Rendering};
 use super::sink::{GradientSums, largest_of};
 use super::tile::{Tile, tiles};
-use crate::estimator::Strategy;
+use crate::estimator::{Sampling, Strategy};
+use crate::manifold::Split;
 use crate::params::Theta;
 use crate::sampler::Sampler;
-use crate::scene::{Caustics, Scene, Settings};
+use crate::scene::{Caustics, Method, Scene, Settings};
 
 /// The samples of an image.
 pub(super) struct Pass<'a, R: Real> {
@@ -28,19 +30,35 @@ pub(super) struct Pass<'a, R: Real> {
     pub settings: &'a Settings,
     /// Who finds caustics: decides which integrals there are.
     pub caustics: Caustics,
+    /// What manifold connections find, if there are any.
+    pub split: Option<Arc<Split>>,
     pub seed: u64,
     pub samples: Range<u64>,
     pub progress: &'a dyn Progress,
 }
 
 impl<'a, R: Real> Pass<'a, R> {
-    /// Those of a job, at these parameters.
+    /// Those of a job, at these parameters, with all that finds light.
+    pub fn of<S: Strategy>(job: &Job<'a>, theta: &'a Theta<'a, R>) -> Self {
+        let &Job {
+            scene, settings, ..
+        } = job;
+        let deep = S::Bsdf::DETACHED_PATH && settings.max_depth >= 3;
+        let connections = settings.connections.as_ref().filter(|_| deep);
+        Self {
+            split: connections.and_then(|c| Split::of(scene, c)).map(Arc::new),
+            ..Self::new(job, theta, settings.caustics_of::<S>(scene))
+        }
+    }
+
+    /// Those of a job, at these parameters, without manifold connections.
     pub fn new(job: &Job<'a>, theta: &'a Theta<'a, R>, caustics: Caustics) -> Self {
         Self {
             scene: job.scene,
             theta,
             settings: job.settings,
             caustics,
+            split: None,
             seed: job.seed,
             samples: job.samples.clone(),
             progress: job.progress,
@@ -51,8 +69,18 @@ impl<'a, R: Real> Pass<'a, R> {
     pub fn reporting<'b>(&'b self, progress: &'b dyn Progress) -> Pass<'b, R> {
         Pass {
             samples: self.samples.clone(),
+            split: self.split.clone(),
             progress,
             ..*self
+        }
+    }
+
+    /// Who finds light besides paths.
+    pub fn finders(&self) -> Finders {
+        Finders {
+            particles: self.caustics == Caustics::Particles,
+            connections: self.split.is_some()
+                && (self.settings.connections).is_some_and(|c| c.method != Method::LeftOut),
         }
     }
 
@@ -77,6 +105,7 @@ impl<'a, R: Real> Pass<'a, R> {
             settings: self.settings,
             shifts: &[],
             caustics: self.caustics,
+            split: self.split.as_deref(),
             progress: self.progress,
         }
     }
@@ -86,6 +115,13 @@ impl<'a, R: Real> Pass<'a, R> {
         let [width, height] = self.scene.film.crop_size;
         tiles(width, height)
     }
+}
+
+/// Who finds light besides paths.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Finders {
+    pub particles: bool,
+    pub connections: bool,
 }
 
 /// A part of the light, as strategy `S` estimates it.

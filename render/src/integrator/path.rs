@@ -22,6 +22,7 @@ use crate::emitter::{AnyEmitter, Emission, Emitter, Shift};
 use crate::estimator::memory::{Memory, Store};
 use crate::estimator::{Edges, Geometry, Sampling, Strategy, differentiates_edges, is_guided};
 use crate::guide::Directions;
+use crate::manifold::Split;
 use crate::math::{Ray, Rgb, Segment};
 use crate::params::Theta;
 use crate::sampler::{Purpose, Sampler};
@@ -49,6 +50,8 @@ pub struct Context<'a, R: Real> {
     pub shifts: &'a [Option<Shift<R>>],
     /// Who finds caustics: paths leave them out where particles do.
     pub caustics: Caustics,
+    /// Which light manifold connections find, if they are made: paths leave it out.
+    pub split: Option<&'a Split>,
     /// Asked now and then whether paths are to be followed any further: once it says no, what they found counts
     /// for nothing.
     pub progress: &'a dyn Progress,
@@ -66,6 +69,7 @@ impl<'a, R: Real> Context<'a, R> {
             settings: self.settings,
             shifts: &[],
             caustics: self.caustics,
+            split: self.split,
             progress: self.progress,
         }
     }
@@ -95,6 +99,7 @@ pub fn trace<R: Real, S: Strategy, X: Sampler, O: Observer<R>>(
         settings,
         shifts: &shifts::<R, S>(scene, theta),
         caustics: Caustics::Paths,
+        split: None,
         progress: &(),
     };
     Walk::<R, S, X>::new(ray, sampler).finish(&context, observer)
@@ -279,6 +284,8 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
             observer.vertex(self.beta, &place);
         }
         (self.interest).arrive(observer, context.caustics, self.depth, info);
+        let along_delta = self.pdf_bsdf.primal() == R::Primal::zero();
+        (self.interest).arrive_on(context.split, shape, along_delta);
         let lit = self.interest.lit(observer);
         // With one edge more there may be light, or vertices to find it from.
         let goes_on = lit || self.depth + 1 < context.settings.max_depth;
@@ -670,6 +677,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
             scene,
             theta,
             settings,
+            split,
             ..
         }: &Context<R>,
         emitters: &[u32],
@@ -684,7 +692,9 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
         // Whether the edge is not differentiated like the rest of the path.
         let follows = const { differentiates_edges::<S>() } && self.departure.get().is_some();
         let mut lights = SmallVec::<[FoundLight<R::Primal>; 1]>::new();
-        for &emitter in emitters {
+        let interest = self.interest;
+        let own = emitters.iter().filter(|&&e| !interest.leaves(split, e));
+        for &emitter in own {
             let share = settings.lights.share(scene, emitter);
             let rival = Rival {
                 pdf_bsdf,

@@ -347,6 +347,7 @@ impl<P: Float, S: Strategy, X: Sampler> LocalFn<P> for Again<'_, P, S, X> {
             settings,
             shifts: &[],
             caustics: Caustics::Paths,
+            split: None,
             progress: self.pass.progress,
         };
         start::<R, S, X>(scene, settings.points, seed, self.at.pixel, self.at.index)

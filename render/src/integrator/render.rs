@@ -2,6 +2,7 @@
 
 use ad_core::Real;
 
+use super::connections;
 use super::integrals::{Wanted, every};
 use super::job::Job;
 use super::pass::{Integral, Pass, Question};
@@ -28,12 +29,13 @@ pub fn render<R: Components, S: Unbiased, X: Sampler>(
     let &Job { scene, .. } = job;
     if !R::IS_PRIMAL {
         scene.admits::<S>()?;
-        for info in scene.params().infos() {
-            if theta.moves(scene.params().handle(info)) {
-                estimator::check_parameter::<S>(info)?;
-                scene.admits_motion(info)?;
-            }
+        let moves = |info: &&ParamInfo| theta.moves(scene.params().handle(info));
+        let moving = scene.params().infos().iter().filter(moves);
+        for info in moving.clone() {
+            estimator::check_parameter::<S>(info)?;
+            scene.admits_motion(info)?;
         }
+        connections::check::<S>(job.settings, moving)?;
     }
     Ok(unchecked::<R, S, X>(job, theta))
 }
@@ -43,10 +45,8 @@ pub(crate) fn unchecked<R: Components, S: Strategy, X: Sampler>(
     job: &Job,
     theta: &Theta<R>,
 ) -> Rendering {
-    let &Job {
-        scene, settings, ..
-    } = job;
-    let pass = Pass::new(job, theta, settings.caustics_of::<S>(scene));
+    let scene = job.scene;
+    let pass = Pass::of::<S>(job, theta);
     let mut question = ImageOf {
         pass: &pass,
         sum: Rendering::black(scene.film.crop_size, &pass.samples, R::COUNT),
@@ -54,7 +54,7 @@ pub(crate) fn unchecked<R: Components, S: Strategy, X: Sampler>(
     let moves =
         |info: &ParamInfo| info.kind.is_motion() && theta.moves(scene.params().handle(info));
     let wanted = Wanted {
-        caustics: pass.caustics,
+        finders: pass.finders(),
         light: true,
         motion: !R::IS_PRIMAL && scene.params().infos().iter().any(moves),
     };

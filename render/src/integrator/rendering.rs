@@ -5,6 +5,7 @@ use std::ops::Range;
 use ad_core::{Dual, Float, Real};
 
 use crate::film::Image;
+use crate::manifold::Statistics;
 
 /// Samples that were not finite. They are left out of the sums, counted and reported.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -80,6 +81,8 @@ pub struct Rendering {
     pub sums: Vec<Vec<f64>>,
     /// What went wrong.
     pub non_finite: NonFinite,
+    /// What manifold connections came to.
+    pub connections: Statistics,
     /// Whether it was stopped early; the sums are then incomplete.
     pub cancelled: bool,
 }
@@ -94,6 +97,7 @@ impl Rendering {
             samples: samples.end.saturating_sub(samples.start),
             sums: vec![vec![0.0; width * height * 3]; count],
             non_finite: NonFinite::default(),
+            connections: Statistics::default(),
             cancelled: false,
         }
     }
@@ -129,6 +133,7 @@ impl Rendering {
     /// Adds another part of the light, of as many samples.
     pub(super) fn add(&mut self, other: &Self) {
         self.non_finite.merge(&other.non_finite);
+        self.connections.merge(&other.connections);
         self.cancelled |= other.cancelled;
         for (a, b) in self.sums.iter_mut().zip(&other.sums) {
             for (a, b) in a.iter_mut().zip(b) {

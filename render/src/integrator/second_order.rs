@@ -30,6 +30,7 @@
 use ad_core::Float;
 
 use super::active::Active;
+use super::connections;
 use super::job::Job;
 use super::pass::Pass;
 use super::path::Context;
@@ -83,6 +84,7 @@ pub fn hessian_vector<P: Float, X: Sampler>(
             found: direction.len(),
         });
     }
+    connections::refuse(job.settings, "second derivatives")?;
     let pass = Pass::new(job, theta, Caustics::Paths);
     let along = |p: ParamRef, element: u32| {
         let place = active.place(p).map(|at| at + element as usize);
@@ -152,6 +154,7 @@ pub fn gauss_newton<P: Float, X: Sampler>(
             found: n as u64,
         });
     }
+    connections::refuse(job.settings, "second derivatives")?;
     let pass = Pass::new(job, theta, Caustics::Paths);
     let spp = pass.samples.end.saturating_sub(pass.samples.start);
     if spp < 2 {

@@ -156,7 +156,7 @@ impl Tile {
     }
 
     /// The samples `samples` of all pixels, as the scene shares them, with the index of their pixel within the tile.
-    fn samples<'a, P: Float, X: Sampler>(
+    pub(super) fn samples<'a, P: Float, X: Sampler>(
         &'a self,
         scene: &'a Scene,
         points: Points,

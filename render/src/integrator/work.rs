@@ -185,6 +185,7 @@ pub fn count_work<S: Strategy, X: Sampler>(
         settings,
         shifts: &[],
         caustics: settings.caustics_of::<S>(scene),
+        split: None,
         progress,
     };
     let [width, height] = scene.film.crop_size.map(|n| u64::from(n).max(1));

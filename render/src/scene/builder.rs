@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use super::geometry::{Geometry, Wanted};
 use super::sensor::{Sensor, farthest};
-use super::{PixelShares, Scene, Settings, ShapeInfo, Shares};
+use super::{Hints, PixelShares, Scene, Settings, ShapeInfo, Shares};
 use crate::accel::{AccelError, MAX_COORDINATE};
 use crate::bsdf::nesting::{check_textures, flips_normals, is_glossy, visit_deltas};
 use crate::bsdf::{Bsdf, Material, TextureRef};
@@ -59,6 +59,8 @@ pub struct Builder {
     emitters: Vec<AnyEmitter>,
     /// How often each is sampled, relative to the others.
     weights: Vec<f64>,
+    /// What is said of each.
+    emitter_hints: Vec<Hints>,
 }
 
 impl Builder {
@@ -149,6 +151,7 @@ impl Builder {
             delta: self.materials[material.0 as usize].is_delta(),
             glossy: is_glossy(&self.materials[material.0 as usize]),
             emitter: None,
+            hints: Hints::default(),
         });
         self.shapes.push(shape);
         index
@@ -174,8 +177,23 @@ impl Builder {
         let index = self.emitters.len() as u32;
         self.emitters.push(emitter);
         self.weights.push(weight);
+        self.emitter_hints.push(Hints::default());
         if let Some(shape) = shape {
             self.infos[shape as usize].emitter = Some(index);
+        }
+    }
+
+    /// What is said of the shape added last.
+    pub fn hint_shape(&mut self, hints: Hints) {
+        if let Some(info) = self.infos.last_mut() {
+            info.hints = hints;
+        }
+    }
+
+    /// What is said of the emitter added last.
+    pub fn hint_emitter(&mut self, hints: Hints) {
+        if let Some(last) = self.emitter_hints.last_mut() {
+            *last = hints;
         }
     }
 
@@ -273,6 +291,7 @@ impl Builder {
             infos: self.infos,
             emitters,
             infinite,
+            emitter_hints: self.emitter_hints,
             shares: Shares::new(&self.weights),
             pixels: PixelShares::default(),
             guide: None,

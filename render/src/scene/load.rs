@@ -7,7 +7,7 @@ use std::sync::Arc;
 use super::builder::{Builder, MaterialId, out_of_reach};
 use super::clip::Clip;
 use super::save::Source;
-use super::{Scene, Sensor, Settings};
+use super::{Connections, Constraint, Hints, Method, Scene, Sensor, Settings};
 use crate::accel::{Accel, MAX_COORDINATE};
 use crate::bsdf::{Diffuse, Material};
 use crate::camera::Camera;
@@ -32,13 +32,18 @@ pub struct LoadOptions {
     pub sensor: Option<String>,
 }
 
+/// Size of a trial set that a file does not give [Zeltner 2021, figure 3.13].
+const DEFAULT_TRIALS: u32 = 16;
+
 /// Sums of so many pixels take three gigabytes.
 pub(super) const MAX_PIXELS: usize = 1 << 27;
 
 /// Integrators that the path tracer is.
 const INTEGRATORS: &[&str] = &["path", "direct", "prb"];
-/// Those that leave out some paths.
+/// Those of [Zeltner et al. 2020] that leave out the light that manifold connections would find.
 const FILTERED: &[&str] = &["path_filtered_ss", "path_filtered_ms"];
+/// Those that find it.
+const CONNECTED: &[&str] = &["path_sms_ss", "path_sms_ms"];
 /// Other ways to the same image, or to its derivatives: the path tracer takes their place.
 const OTHERS: &[&str] = &[
     "bdpt",
@@ -74,15 +79,13 @@ const FILTERS: &[&str] = &[
 ];
 /// What does nothing at the root unless something refers to it.
 const DECLARED: &[&str] = &["bsdf", "texture", "film", "sampler", "rfilter"];
-/// Flags of the manifold-sampling scene files: hints to another integrator, without effect on the image.
-const HINTS: &[&str] = &[
-    "caustic_receiver",
-    "caustic_caster_single",
+/// Flags of the scenes of [Zeltner et al. 2020]: [`Hints`].
+const RECEIVER: &[&str] = &["caustic_receiver"];
+const SINGLE: &[&str] = &["caustic_caster_single", "caustic_emitter_single"];
+const MULTI: &[&str] = &[
     "caustic_caster_multi",
     "caustic_bouncer",
-    "caustic_emitter_single",
     "caustic_emitter_multi",
-    "glinty",
 ];
 
 /// Classes of Mitsuba, by plugin.
@@ -246,8 +249,9 @@ impl Reading {
                 self.call_as_peer(EMITTER_NAMES, node, &name);
             }
             let emitter = self.emitter(node, &name, None);
-            if let Some((emitter, weight)) = self.note(emitter)? {
+            if let Some((emitter, weight, hints)) = self.note(emitter)? {
                 self.build.add_weighted_emitter(emitter, None, weight);
+                self.build.hint_emitter(hints);
             }
         }
         for tag in DECLARED {
@@ -287,13 +291,13 @@ impl Reading {
         node: &Node,
         name: &str,
         shape: Option<u32>,
-    ) -> Result<(AnyEmitter, f64), SceneError> {
+    ) -> Result<(AnyEmitter, f64, Hints), SceneError> {
         let registry = self.build.registry();
         let emitter = registry.within(name, shape, |r| AnyEmitter::from_node(node, r))?;
         let weight = sampling_weight(node)?;
-        node.ignore(HINTS, Node::boolean)?;
+        let hints = hints(node)?;
         node.finish()?;
-        Ok((emitter, weight))
+        Ok((emitter, weight, hints))
     }
 
     fn shape(&mut self, node: &Arc<Node>, index: usize) -> Result<(), SceneError> {
@@ -349,14 +353,16 @@ impl Reading {
             }
             None => None,
         };
+        let hinted = self.note(hints(node))?.unwrap_or_default();
         if whole {
-            let rest = node.ignore(HINTS, Node::boolean);
-            self.note(rest.and_then(|()| node.finish()))?;
+            self.note(node.finish())?;
         }
         self.build.registry().attributes = None;
         let shape = self.build.add_shape(&name, geometry, material);
-        if let Some((e, weight)) = emitter {
+        self.build.hint_shape(hinted);
+        if let Some((e, weight, hints)) = emitter {
             self.build.add_weighted_emitter(e, Some(shape), weight);
+            self.build.hint_emitter(hints);
         }
         Ok(())
     }
@@ -510,8 +516,10 @@ fn integrator(mut node: &Node, settings: &mut Settings) -> Result<(), SceneError
     }
     let plugin = node.plugin.as_str();
     let replaced = OTHERS.contains(&plugin);
-    if !(INTEGRATORS.contains(&plugin) || FILTERED.contains(&plugin) || replaced) {
-        return Err(node.unknown_plugin(&[INTEGRATORS, FILTERED, OTHERS, WRAPPERS].concat()));
+    let of_manifolds = FILTERED.contains(&plugin) || CONNECTED.contains(&plugin);
+    if !(INTEGRATORS.contains(&plugin) || of_manifolds || replaced) {
+        let known = [INTEGRATORS, FILTERED, CONNECTED, OTHERS, WRAPPERS].concat();
+        return Err(node.unknown_plugin(&known));
     }
     let depth = |key: &str, default: i64| -> Result<u32, SceneError> {
         match node.integer_or(key, default)? {
@@ -533,10 +541,8 @@ fn integrator(mut node: &Node, settings: &mut Settings) -> Result<(), SceneError
     if node.boolean_or("hide_emitters", false)? {
         return Err(node.invalid("hide_emitters", "false: lamps are always seen"));
     }
-    if FILTERED.contains(&plugin) {
-        node.warn("traced like `path` instead: all paths, not only some");
-        node.integer("bounces")?;
-        node.boolean("disable_reflected_emitters")?;
+    if of_manifolds {
+        settings.connections = Some(connections(node)?);
     }
     if replaced {
         node.warn("traced like `path` instead: the same image, but for its noise");
@@ -547,6 +553,58 @@ fn integrator(mut node: &Node, settings: &mut Settings) -> Result<(), SceneError
     node.ignore(&samples, Node::integer)?;
     node.ignore(&["timeout"], Node::float)?;
     node.finish()
+}
+
+/// How manifold connections are made, or left out.
+fn connections(node: &Node) -> Result<Connections, SceneError> {
+    let plugin = node.plugin.as_str();
+    let most = i64::from(Connections::MOST_BOUNCES);
+    let bounces = if plugin.ends_with("_ms") {
+        node.integer_in("bounces", 2, 1..=most)? as u32
+    } else {
+        1
+    };
+    node.boolean("disable_reflected_emitters")?;
+    if FILTERED.contains(&plugin) {
+        return Ok(Connections {
+            bounces,
+            ..Connections::new(Method::LeftOut)
+        });
+    }
+    let trials = match node.integer("max_trials")? {
+        None | Some(-1) => None,
+        Some(n @ 1..=0xffff_ffff) => Some(n as u32),
+        Some(_) => return Err(node.invalid("max_trials", "-1 for no limit, or a positive number")),
+    };
+    // Evaluated whatever comes of them, so that none is unknown.
+    let (biased, aimed) = (
+        node.boolean_or("biased", false)?,
+        node.boolean_or("mnee_init", false)?,
+    );
+    let method = match (biased, aimed) {
+        (_, true) => Method::Mnee,
+        (true, false) => Method::SmsBiased(trials.unwrap_or(DEFAULT_TRIALS)),
+        (false, false) => Method::Sms,
+    };
+    if node.boolean_or("twostage", false)? {
+        node.warn("`twostage`: walks have one stage, which changes their number");
+    }
+    let constraint = if node.boolean_or("halfvector_constraints", false)? {
+        Constraint::HalfVector
+    } else {
+        Constraint::Angle
+    };
+    if node.float("uniqueness_threshold")?.is_some() {
+        node.warn("`uniqueness_threshold`: solutions are told apart by proof");
+    }
+    node.ignore(&["max_iterations"], Node::integer)?;
+    node.ignore(&["solver_threshold"], Node::float)?;
+    Ok(Connections {
+        bounces,
+        constraint,
+        budget: trials.unwrap_or(u32::MAX),
+        ..Connections::new(method)
+    })
 }
 
 /// The sensor number `index`.
@@ -746,6 +804,24 @@ fn size_of_triangles(shape: &AnyShape) -> Option<f64> {
         return None;
     };
     Some((2.0 * mesh.area() / mesh.data().triangles.len() as f64).sqrt())
+}
+
+/// What a shape or an emitter is to manifold connections.
+fn hints(node: &Node) -> Result<Hints, SceneError> {
+    // Glints are not told from other reflections.
+    node.ignore(&["glinty"], Node::boolean)?;
+    let any = |keys: &[&str]| {
+        let mut any = false;
+        for key in keys {
+            any |= node.boolean_or(key, false)?;
+        }
+        Ok::<bool, SceneError>(any)
+    };
+    Ok(Hints {
+        receiver: any(RECEIVER)?,
+        single: any(SINGLE)?,
+        multi: any(MULTI)?,
+    })
 }
 
 /// How often an emitter is sampled, relative to the others.

@@ -3,6 +3,7 @@
 mod builder;
 mod check;
 mod clip;
+mod connections;
 mod geometry;
 mod load;
 mod movable;
@@ -16,6 +17,7 @@ use geometry::Geometry;
 
 pub use builder::Builder;
 pub use check::{Check, Finding, Outcome, Verdict};
+pub use connections::{Connections, Constraint, Hints, Method, Uniqueness};
 pub use load::LoadOptions;
 pub use movable::Movable;
 pub use room::room;
@@ -46,7 +48,7 @@ pub(crate) use pixels::PixelShares;
 pub(crate) use shares::Shares;
 
 /// How a scene file wants to be rendered.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settings {
     /// Largest number of path edges: 1 is emission only, 2 direct light.
     pub max_depth: u32,
@@ -63,6 +65,8 @@ pub struct Settings {
     /// How many pixels share one of the particles that find caustics, per sample; 0 counts as 1. Particles say so
     /// much more than paths that few will do, except where caustics are what is looked at.
     pub pixels_per_particle: u32,
+    /// How manifold connections are made, if they are; then they find caustics, and not particles.
+    pub connections: Option<Connections>,
 }
 
 /// Who finds the light that something glossy throws on a diffuse surface which the camera sees, be it there or
@@ -118,7 +122,8 @@ impl Settings {
     /// Who finds caustics if these are made so: particles only where there is something for them to find.
     pub(crate) fn caustics_of<S: Strategy>(&self, scene: &Scene) -> Caustics {
         let found = scene.camera.is_pinhole() && !scene.geometry.casters.is_empty();
-        if !found || self.max_depth < 3 || !S::Bsdf::DETACHED_PATH {
+        let connected = self.connections.is_some();
+        if !found || connected || self.max_depth < 3 || !S::Bsdf::DETACHED_PATH {
             Caustics::Paths
         } else {
             self.caustics
@@ -136,6 +141,7 @@ impl Default for Settings {
             lights: LightChoice::default(),
             caustics: Caustics::default(),
             pixels_per_particle: 4,
+            connections: None,
         }
     }
 }
@@ -153,6 +159,8 @@ pub struct ShapeInfo {
     pub glossy: bool,
     /// Index of its emitter, if it emits.
     pub emitter: Option<u32>,
+    /// What the scene file says of manifold connections.
+    pub hints: Hints,
 }
 
 /// A scene. Which shapes there are is fixed; parameters can be changed with [`Scene::set_params`].
@@ -164,6 +172,8 @@ pub struct Scene {
     infos: Vec<ShapeInfo>,
     emitters: Vec<AnyEmitter>,
     infinite: Vec<u32>,
+    /// What the scene file says of each of them.
+    emitter_hints: Vec<Hints>,
     /// How often each emitter is sampled.
     shares: Shares,
     /// How often each pixel is.
@@ -329,6 +339,11 @@ impl Scene {
     /// Emitters, by index.
     pub fn emitters(&self) -> &[AnyEmitter] {
         &self.emitters
+    }
+
+    /// What the scene file says of emitters and manifold connections, by index.
+    pub fn emitter_hints(&self) -> &[Hints] {
+        &self.emitter_hints
     }
 
     /// Emitters that surround the scene, by index.

@@ -53,5 +53,6 @@ pub(super) const SETTINGS: Settings = Settings {
     points: render::sampler::Points::Independent,
     lights: render::scene::LightChoice::One,
     caustics: render::scene::Caustics::Paths,
+    connections: None,
     pixels_per_particle: 1,
 };

@@ -2,6 +2,7 @@
 
 use crate::bsdf::{Bsdf, Material};
 use crate::estimator::{Sampling, Strategy};
+use crate::manifold::{Run, Split};
 use crate::scene::{Caustics, ShapeInfo};
 
 /// What an observer of paths wants to know.
@@ -36,6 +37,8 @@ pub struct PathInterest {
     pub caustics_excluded: bool,
     /// Whether light on this edge would be one.
     pub caustic: bool,
+    /// Where it is on its way over a specular chain, where manifold connections find light.
+    pub run: Run,
 }
 
 impl PathInterest {
@@ -59,6 +62,21 @@ impl PathInterest {
             self.caustics_excluded = caustics == Caustics::Particles && !info.glossy;
         }
         self.caustic = self.caustics_excluded && info.glossy;
+    }
+
+    /// The path reaches a surface, where manifold connections find light; `along_delta`: by an edge that left its vertex
+    /// along a delta.
+    #[inline(always)]
+    pub fn arrive_on(&mut self, split: Option<&Split>, shape: u32, along_delta: bool) {
+        if let Some(split) = split {
+            self.run = split.next(self.run, shape, along_delta);
+        }
+    }
+
+    /// Whether manifold connections find light of this emitter on the edge.
+    #[inline(always)]
+    pub fn leaves(&self, split: Option<&Split>, emitter: u32) -> bool {
+        split.is_some_and(|split| split.finds(self.run, emitter))
     }
 }
 

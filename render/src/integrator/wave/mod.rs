@@ -36,6 +36,7 @@ use crate::camera::Camera;
 use crate::emitter::{AnyEmitter, Area, Emission, Emitter, EmitterSample};
 use crate::estimator::{Detached, Sampling, Still, Strategy, differentiates_edges, is_guided};
 use crate::guide::{Directions, Guide};
+use crate::manifold::Run;
 use crate::math::{Frame, NOWHERE, Ray, Rgb, Segment};
 use crate::params::Theta;
 use crate::sampler::{
@@ -119,7 +120,7 @@ lanes! {
         active: Lane<u32>,
         /// Whether others find caustics on the first vertex.
         caustics_excluded: Lane<u32>,
-        /// Whether light on this edge would be one.
+        /// Whether light on this edge would be one, in the lowest bit; above it, where the path is on a specular chain.
         caustic: Lane<u32>,
     }
 }
@@ -172,7 +173,8 @@ impl<P: Float> Paths<P> {
         PathInterest {
             active: self.active[i] != 0,
             caustics_excluded: self.caustics_excluded[i] != 0,
-            caustic: self.caustic[i] != 0,
+            caustic: self.caustic[i] & 1 != 0,
+            run: Run::from_bits(self.caustic[i] >> 1),
         }
     }
 
@@ -180,7 +182,7 @@ impl<P: Float> Paths<P> {
     fn put_interest(&mut self, i: usize, interest: PathInterest) {
         self.active[i] = u32::from(interest.active);
         self.caustics_excluded[i] = u32::from(interest.caustics_excluded);
-        self.caustic[i] = u32::from(interest.caustic);
+        self.caustic[i] = u32::from(interest.caustic) | interest.run.bits() << 1;
     }
 }
 
@@ -616,6 +618,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             theta,
             settings,
             caustics,
+            split,
             ..
         }: &Context<P>,
         guide: Option<&Guide>,
@@ -638,7 +641,8 @@ impl<P: Float, X: Sampler> Wave<P, X> {
                 let follows = const { L::ENABLED && differentiates_edges::<Of>() }
                     && log.departure(paths, i).is_some();
                 let mut any = false;
-                for &emitter in emitters {
+                let own = emitters.iter().filter(|&&e| !interest.leaves(split, e));
+                for &emitter in own {
                     let share = settings.lights.share(scene, emitter);
                     let rival = Rival {
                         pdf_bsdf: paths.pdf[i],
@@ -694,6 +698,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
                 continue;
             }
             interest.arrive(log, caustics, depth, info);
+            interest.arrive_on(split, shape, paths.pdf[i] == P::zero());
             paths.put_interest(i, interest);
             let follows = !L::ENABLED || log.differentiates(info.material);
             any = true;

@@ -1,0 +1,434 @@
+//! The integral over paths that end in a manifold connection: its image and its gradient.
+//!
+//! Paths from the camera scatter as they do for BSDF sampling, look for no light, and are connected at every receiver that
+//! they reach ([`crate::manifold`]). A connection is a path like any other: over a scalar with tangents its value has the
+//! derivatives of its factors, and reverse mode goes back through the record of its vertices.
+
+use ad_core::{Float, Real, Vec2, Vec3};
+
+use super::active::Active;
+use super::exact::ExactBuffer;
+use super::pass::Pass;
+use super::path::Context;
+use super::paths::{TileSums, assemble};
+use super::record::{
+    Bounce, Contribution, Interest, MetLight, Observer, PathRecord, Place, Recorder,
+};
+use super::rendering::{Components, NonFinite, Rendering};
+use super::sink::{GradientSums, Sink};
+use super::tile::{Sample, place, start};
+use super::vertex::MODE;
+use crate::bsdf::{Bsdf, Component, Part, Shading};
+use crate::emitter::{Emission, Emitter};
+use crate::error::RenderError;
+use crate::estimator::{BsdfOnly, Detached, Sampling, Strategy};
+use crate::manifold::{Connection, Connector, Space, Split, Start, cast};
+use crate::math::Rgb;
+use crate::parallel;
+use crate::params::{ParamInfo, ParamKind, Theta};
+use crate::sampler::{Independent, Sampler};
+use crate::scene::{Scene, Settings};
+use crate::shape::SurfaceInteraction;
+
+/// Whether connections have the derivatives that are asked for, if they are made: those that leave the chain where it is.
+///
+/// # Errors
+/// Names the parameter that moves chains, or the reason.
+pub(super) fn check<'a, S: Strategy>(
+    settings: &Settings,
+    moving: impl IntoIterator<Item = &'a ParamInfo>,
+) -> Result<(), RenderError> {
+    if settings.connections.is_none() {
+        return Ok(());
+    }
+    if !S::Bsdf::DETACHED_PATH {
+        let what =
+            "whole paths that move have none; expected another estimator, or `--manifold off`";
+        return Err(RenderError::Connections { what: what.into() });
+    }
+    for info in moving {
+        match info.kind {
+            ParamKind::Smooth | ParamKind::Emission | ParamKind::Roughness | ParamKind::Normals => {
+            }
+            ParamKind::Delta
+            | ParamKind::Position
+            | ParamKind::Camera
+            | ParamKind::LightPosition => {
+                let name = &info.name;
+                let what = format!(
+                    "parameter `{name}` moves chains, which have derivatives only where they stay; expected \
+                     `--manifold off`"
+                );
+                return Err(RenderError::Connections { what });
+            }
+        }
+    }
+    Ok(())
+}
+
+/// That there are none, where something else has no part for them.
+///
+/// # Errors
+/// That there are.
+pub(super) fn refuse(settings: &Settings, whose: &str) -> Result<(), RenderError> {
+    if settings.connections.is_none() {
+        return Ok(());
+    }
+    let what = format!("{whose} leave out their light; expected `--manifold off`");
+    Err(RenderError::Connections { what })
+}
+
+/// How paths scatter on their way to where they are connected, whatever the estimator of the others.
+type Scattering = BsdfOnly<Detached>;
+
+/// So that connections and the paths that they start from are independent.
+const STREAM: u64 = 0x6d61_6e69_666f_6c64;
+
+/// The sum is made of this many parts, whatever the number of threads.
+const JOBS: usize = 128;
+
+/// A number in another precision.
+fn number<R: Real>(x: f64) -> R {
+    R::of(x)
+}
+
+fn vector<R: Real>(v: Vec3<f64>) -> Vec3<R> {
+    v.map(number)
+}
+
+fn surface<R: Real>(si: &SurfaceInteraction<f64>) -> SurfaceInteraction<R> {
+    cast::<f64, R::Primal>(si).lift()
+}
+
+fn emission<R: Real>(e: &Emission<f64>) -> Emission<R> {
+    Emission {
+        uv: Vec2::new(number(e.uv.x), number(e.uv.y)),
+        falloff: number(e.falloff),
+    }
+}
+
+/// Follows a path and connects its vertices.
+struct Connecting<'a> {
+    scene: &'a Scene,
+    connector: &'a Connector<'a>,
+    split: &'a Split,
+    max_depth: u32,
+    /// Edges of the path so far.
+    depth: u32,
+    rng: Independent,
+    found: Vec<Connection>,
+}
+
+impl<'a> Connecting<'a> {
+    fn new<R: Real>(pass: &Pass<'a, R>, connector: &'a Connector<'a>, split: &'a Split) -> Self {
+        Self {
+            scene: pass.scene,
+            connector,
+            split,
+            max_depth: pass.settings.max_depth,
+            depth: 0,
+            rng: Independent::new(0, 0, 0),
+            found: Vec::new(),
+        }
+    }
+
+    /// Starts the path of a sample.
+    fn restart(&mut self, seed: u64, at: &Sample) {
+        // Counted on the full film, so that a crop shows the same samples.
+        let film = &self.scene.film;
+        let [x, y] = [0, 1].map(|k: usize| u64::from(at.pixel[k] + film.crop_offset[k]));
+        let pixel = y * u64::from(film.size[0]) + x;
+        self.rng = Independent::new(seed ^ STREAM, pixel, at.index);
+        self.depth = 0;
+    }
+
+    /// The connections of the vertex that the path reaches now.
+    fn arrive<R: Real>(&mut self, place: &Place<R>) -> &[Connection] {
+        self.depth += 1;
+        self.found.clear();
+        // The edges of a chain are one more than its vertices.
+        let most = self.max_depth.saturating_sub(self.depth).saturating_sub(1);
+        if most > 0 && self.split.is_receiver(place.shape) {
+            let start = Start {
+                si: cast(&place.si.primal()),
+                exit: self.scene.exit(place.prim),
+            };
+            (self.connector).connect(&start, most, &mut self.rng, &mut self.found);
+        }
+        &self.found
+    }
+}
+
+/// A connection as it is seen from its start: the direction that it leaves in, local frame, and the values of the start's
+/// material and of each delta.
+struct Valued<R: Real> {
+    wi: Vec3<R>,
+    f: Rgb<R>,
+    deltas: Vec<Rgb<R>>,
+}
+
+impl<R: Real> Valued<R> {
+    fn of(scene: &Scene, theta: &Theta<R>, place: &Place<R>, connection: &Connection) -> Self {
+        let at = |uv: Vec2<R>| Shading { theta: *theta, uv };
+        let wi = place.si.frame.to_local(vector(connection.direction));
+        let material = scene.material(place.shape);
+        let deltas = connection.links.iter().map(|link| {
+            let uv = Vec2::new(number(link.si.uv.x), number(link.si.uv.y));
+            let (wo, wi) = (vector(link.wo), vector(link.wi));
+            let material = scene.material(link.shape);
+            material.eval_delta(&at(uv), wo, wi, link.kind, 0, MODE)
+        });
+        Self {
+            wi,
+            f: material.eval(&at(place.si.uv), place.wo, wi, MODE),
+            deltas: deltas.collect(),
+        }
+    }
+}
+
+/// Adds up what connections bring.
+struct Value<'a, R: Real> {
+    connecting: Connecting<'a>,
+    theta: &'a Theta<'a, R>,
+    l: Rgb<R>,
+}
+
+/// Its path looks for no light.
+impl<R: Real> Interest for Value<'_, R> {
+    fn differentiates(&self, _material: u32) -> bool {
+        false
+    }
+    fn differentiates_roughness(&self, _material: u32) -> bool {
+        false
+    }
+    fn differentiates_emission(&self) -> bool {
+        false
+    }
+}
+
+impl<R: Real> Observer<R> for Value<'_, R> {
+    fn vertex(&mut self, beta: Rgb<R>, place: &Place<R>) {
+        let (scene, theta) = (self.connecting.scene, self.theta);
+        for connection in self.connecting.arrive(place) {
+            let Valued { f, deltas, .. } = Valued::of(scene, theta, place, connection);
+            let e = &scene.emitters()[connection.emitter as usize];
+            let le = e.eval(theta, &emission(&connection.emission));
+            let along = deltas.into_iter().fold(beta * f, |b, delta| b * delta);
+            self.l += along * le * number::<R>(connection.weight);
+        }
+    }
+}
+
+/// The parameters in double precision.
+fn double<R: Real>(theta: &Theta<R>) -> Vec<f64> {
+    theta.values().iter().map(|x| x.to_f64()).collect()
+}
+
+/// Where connections of a pass are sought.
+fn space<'a, R: Real>(pass: &Pass<'a, R>, values: &'a [f64]) -> Option<Space<'a>> {
+    Some(Space {
+        scene: pass.scene,
+        theta: Theta::constant(values),
+        constraint: pass.settings.connections?.constraint,
+    })
+}
+
+/// The image by connections.
+pub(super) fn image<R: Components, X: Sampler>(pass: &Pass<R>) -> Rendering {
+    let values = double(pass.theta);
+    let parts = (pass.split.as_deref())
+        .zip(space(pass, &values))
+        .zip(pass.settings.connections);
+    let Some(((split, space), options)) = parts else {
+        return Rendering::black(pass.scene.film.crop_size, &pass.samples, R::COUNT);
+    };
+    let connector = Connector::new(space, split, options);
+    let (scene, progress, seed) = (pass.scene, pass.progress, pass.seed);
+    let (points, context) = (pass.settings.points, still(pass));
+    let spp = pass.samples.end.saturating_sub(pass.samples.start) as f64;
+    let tiles = pass.tiles();
+    let sums: Vec<TileSums> = parallel::map(tiles.len(), |i| {
+        let tile = &tiles[i];
+        let pixels = tile.pixels();
+        let mut sums = vec![0.0f64; R::COUNT * pixels * 3];
+        let mut non_finite = NonFinite::default();
+        let mut value = Value {
+            connecting: Connecting::new(pass, &connector, split),
+            theta: pass.theta,
+            l: Rgb::black(),
+        };
+        for (at, sample) in tile.samples::<R::Primal, X>(scene, points, seed, &pass.samples) {
+            if progress.cancelled() {
+                return (Vec::new(), NonFinite::default());
+            }
+            value.connecting.restart(seed, &sample);
+            value.l = Rgb::black();
+            start::<R, Scattering, X>(scene, points, seed, sample.pixel, sample.index)
+                .finish(&context, &mut value);
+            if !value.l.is_finite() {
+                non_finite.add(place(scene, sample.pixel) as u64, sample.index);
+                continue;
+            }
+            let weight = spp * sample.scale();
+            for k in 0..R::COUNT {
+                for c in 0..3 {
+                    sums[(k * pixels + at) * 3 + c] += weight * value.l[c].component(k);
+                }
+            }
+        }
+        progress.advance(pixels as u64);
+        (sums, non_finite)
+    });
+    let mut out = assemble(pass, R::COUNT, &sums);
+    out.connections = connector.statistics();
+    out
+}
+
+/// What paths have in common that look for no light.
+fn still<'a, R: Real>(pass: &'a Pass<'a, R>) -> Context<'a, R> {
+    Context {
+        split: None,
+        ..pass.context()
+    }
+}
+
+/// Records what connections bring.
+struct Recording<'a, P: Float> {
+    connecting: Connecting<'a>,
+    theta: &'a Theta<'a, P>,
+    /// The path so far.
+    path: PathRecord<P>,
+    /// With each connection.
+    connected: Vec<PathRecord<P>>,
+}
+
+/// As [`Value`].
+impl<P: Float> Interest for Recording<'_, P> {
+    fn differentiates(&self, _material: u32) -> bool {
+        false
+    }
+    fn differentiates_roughness(&self, _material: u32) -> bool {
+        false
+    }
+    fn differentiates_emission(&self) -> bool {
+        false
+    }
+}
+
+impl<P: Float> Observer<P> for Recording<'_, P> {
+    fn vertex(&mut self, beta: Rgb<P>, place: &Place<P>) {
+        self.path.vertex(beta, place);
+        let scene = self.connecting.scene;
+        for connection in self.connecting.arrive(place) {
+            let valued = Valued::of(scene, self.theta, place, connection);
+            let mut path = self.path.clone();
+            let mut bounce = Bounce {
+                wi: valued.wi,
+                component: Component::Continuous,
+                mode: MODE,
+                weight: number(connection.weight),
+                f: valued.f,
+                part: Part::All,
+                deciding: None,
+            };
+            let mut beta = beta;
+            for (link, delta) in connection.links.iter().zip(valued.deltas) {
+                path.contribution(Contribution::Scattered(bounce));
+                beta = beta * bounce.f * bounce.weight;
+                let at = Place {
+                    shape: link.shape,
+                    prim: link.prim,
+                    si: surface(&link.si),
+                    wo: vector(link.wo),
+                };
+                path.vertex(beta, &at);
+                bounce = Bounce {
+                    wi: vector(link.wi),
+                    component: Component::Delta {
+                        kind: link.kind,
+                        route: 0,
+                    },
+                    weight: P::one(),
+                    f: delta,
+                    ..bounce
+                };
+            }
+            path.contribution(Contribution::Scattered(bounce));
+            path.contribution(Contribution::Met(MetLight {
+                emitter: connection.emitter,
+                emission: emission(&connection.emission),
+                weight: P::one(),
+                beta: beta * bounce.f * bounce.weight,
+                share: P::one(),
+            }));
+            self.connected.push(path);
+        }
+    }
+
+    fn contribution(&mut self, contribution: Contribution<P>) {
+        self.path.contribution(contribution);
+    }
+}
+
+/// The derivative of `<adjoint, image>` by connections. The large ranges are added to `large`.
+pub(super) fn gradient<P: Float, X: Sampler>(
+    pass: &Pass<P>,
+    active: &Active,
+    adjoint: &[f32],
+    large: &ExactBuffer,
+) -> GradientSums {
+    let values = double(pass.theta);
+    let parts = (pass.split.as_deref())
+        .zip(space(pass, &values))
+        .zip(pass.settings.connections);
+    let mut sums = GradientSums::zero(active);
+    let Some(((split, space), options)) = parts else {
+        return sums;
+    };
+    let connector = Connector::new(space, split, options);
+    let (scene, theta, seed) = (pass.scene, pass.theta, pass.seed);
+    let (points, context) = (pass.settings.points, still(pass));
+    let tiles = pass.tiles();
+    let jobs = JOBS.min(tiles.len());
+    let parts = parallel::map(jobs, |job| {
+        let mut sink = Sink::new(active, large);
+        let mut non_finite = NonFinite::default();
+        let mut recording = Recording {
+            connecting: Connecting::new(pass, &connector, split),
+            theta,
+            path: PathRecord::default(),
+            connected: Vec::new(),
+        };
+        for tile in tiles.iter().skip(job).step_by(jobs) {
+            for (_, sample) in tile.samples::<P, X>(scene, points, seed, &pass.samples) {
+                if pass.progress.cancelled() {
+                    break;
+                }
+                recording.connecting.restart(seed, &sample);
+                recording.path.clear();
+                recording.connected.clear();
+                start::<P, Scattering, X>(scene, points, seed, sample.pixel, sample.index)
+                    .finish(&context, &mut recording);
+                let d = sample.of_image::<P>(adjoint, scene) * P::of(sample.scale());
+                let mut l = Rgb::black();
+                for path in recording.connected.drain(..) {
+                    let recorder = Recorder { active, path };
+                    l += recorder.backward::<Scattering>(scene, theta, d, &mut sink);
+                }
+                if !l.is_finite() {
+                    non_finite.add(place(scene, sample.pixel) as u64, sample.index);
+                }
+            }
+            pass.progress.advance(tile.pixels() as u64);
+        }
+        (sink.into_small(), non_finite)
+    });
+    for (small, non_finite) in parts {
+        sums.merge(GradientSums {
+            small,
+            non_finite,
+            noise: None,
+        });
+    }
+    sums
+}

@@ -1,0 +1,541 @@
+//! Connections from one vertex: a sampled point of a light, starts of walks, and what their ends are worth.
+
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use ad_core::{Float, Vec3};
+use smallvec::SmallVec;
+
+use super::chain::{Chain, Space, Start, Target, Vertex, towards};
+use super::estimate::{distinct, trials};
+use super::split::Split;
+use super::walk::{Solution, Walked};
+use crate::accel::Hit;
+use crate::bsdf::nesting::{Specular, specular};
+use crate::bsdf::{Bsdf, DeltaKind, Shading, TransportMode, fresnel};
+use crate::emitter::{Ball, Emission, Emitter};
+use crate::math::{NOWHERE, Rgb};
+use crate::sampler::{Independent, Sampler};
+use crate::scene::{Connections, Method};
+use crate::shape::{Shape, SurfaceInteraction};
+
+/// A start goes on over a further caster, or over either event of glass, at least as often as this, so that every chain
+/// has starts.
+const LEAST_PROBABILITY: f64 = 0.1;
+
+/// What connections came to: sums over all of them.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Statistics {
+    /// Vertices and light samples that were to be connected.
+    pub attempts: u64,
+    /// Those whose first walk, or any of a trial set, found light.
+    pub found: u64,
+    /// Walks.
+    pub walks: u64,
+    /// Walks that converged.
+    pub converged: u64,
+    /// Steps of walks, those that were halved included.
+    pub steps: u64,
+    /// Reciprocals that were estimated.
+    pub reciprocals: u64,
+    /// Trials that took.
+    pub trials: u64,
+    /// Reciprocals that ran out of trials: where there is one, the image is biased.
+    pub exhausted: u64,
+}
+
+impl Statistics {
+    /// Adds those of other connections.
+    pub fn merge(&mut self, other: &Self) {
+        self.attempts += other.attempts;
+        self.found += other.found;
+        self.walks += other.walks;
+        self.converged += other.converged;
+        self.steps += other.steps;
+        self.reciprocals += other.reciprocals;
+        self.trials += other.trials;
+        self.exhausted += other.exhausted;
+    }
+}
+
+/// [`Statistics`] that several threads add to.
+#[derive(Debug, Default)]
+pub(super) struct Counters([AtomicU64; 8]);
+
+impl Counters {
+    fn add(&self, s: &Statistics) {
+        let numbers = [
+            s.attempts,
+            s.found,
+            s.walks,
+            s.converged,
+            s.steps,
+            s.reciprocals,
+            s.trials,
+            s.exhausted,
+        ];
+        for (sum, n) in self.0.iter().zip(numbers) {
+            sum.fetch_add(n, Ordering::Relaxed);
+        }
+    }
+
+    fn read(&self) -> Statistics {
+        let [
+            attempts,
+            found,
+            walks,
+            converged,
+            steps,
+            reciprocals,
+            trials,
+            exhausted,
+        ] = [0, 1, 2, 3, 4, 5, 6, 7].map(|i: usize| self.0[i].load(Ordering::Relaxed));
+        Statistics {
+            attempts,
+            found,
+            walks,
+            converged,
+            steps,
+            reciprocals,
+            trials,
+            exhausted,
+        }
+    }
+}
+
+/// A vertex of a chain, as materials see it.
+#[derive(Clone, Copy, Debug)]
+pub struct Link {
+    /// Index of the shape.
+    pub shape: u32,
+    /// Index of the primitive in the scene.
+    pub prim: u32,
+    /// Where on it.
+    pub si: SurfaceInteraction<f64>,
+    /// Direction to the vertex before, local frame.
+    pub wo: Vec3<f64>,
+    /// Direction on to the light, local frame.
+    pub wi: Vec3<f64>,
+    /// What happens there.
+    pub kind: DeltaKind,
+}
+
+/// A chain to a light. What it brings is the value of the start's material, times the weights of the deltas, times the
+/// emission, times [`Connection::weight`].
+#[derive(Clone, Debug)]
+pub struct Connection {
+    /// Unit direction that it leaves its start in, world space.
+    pub direction: Vec3<f64>,
+    /// The specular vertices.
+    pub links: SmallVec<[Link; 2]>,
+    /// Index of the emitter.
+    pub emitter: u32,
+    /// Where on it, and how it sends light along the chain.
+    pub emission: Emission<f64>,
+    /// Solid angle at the start over densities at the light, times the estimate of one over the probability of the chain.
+    pub weight: f64,
+}
+
+/// A sampled point of a light.
+#[derive(Clone, Copy, Debug)]
+struct Light {
+    emitter: u32,
+    target: Target,
+    /// The surface there, if it lies on one, and its number.
+    surface: Option<SurfaceInteraction<f64>>,
+    number: u32,
+    /// Density per area or solid angle, or one for a point; the choice of the emitter included.
+    pdf: f64,
+    /// What an environment sends from there.
+    emission: Emission<f64>,
+}
+
+/// Makes connections.
+#[derive(Debug)]
+pub struct Connector<'a> {
+    pub(super) space: Space<'a>,
+    split: &'a Split,
+    options: Connections,
+    /// Around the scene.
+    ball: Option<Ball>,
+    counters: Counters,
+}
+
+impl<'a> Connector<'a> {
+    /// In a scene at these parameters.
+    pub fn new(space: Space<'a>, split: &'a Split, options: Connections) -> Self {
+        Self {
+            space,
+            split,
+            options,
+            ball: Ball::around(space.scene.shapes()),
+            counters: Counters::default(),
+        }
+    }
+
+    /// What it has come to so far.
+    pub fn statistics(&self) -> Statistics {
+        self.counters.read()
+    }
+
+    /// One walk from a random start to a target, over at most `most` vertices: to a chain that light goes along, if nothing is
+    /// in the way of its last edge. Basins and counts of solutions are made of these.
+    pub fn explore(
+        &self,
+        start: &Start,
+        target: &Target,
+        most: u32,
+        rng: &mut Independent,
+    ) -> Option<Solution> {
+        let chain = self.seed(start, most.min(self.split.bounces()), rng)?;
+        let solution = self.space.walk(start, chain, target).solution?;
+        self.links(&solution, target).map(|_| solution)
+    }
+
+    /// Adds to `out` connections from a vertex to one sampled point of a light, over chains of at most `most` vertices. What
+    /// they bring, added up, is an estimate of the light that belongs to them, as the method says. Takes as many random
+    /// numbers as it needs.
+    pub fn connect(
+        &self,
+        start: &Start,
+        most: u32,
+        rng: &mut Independent,
+        out: &mut Vec<Connection>,
+    ) {
+        let most = most.min(self.split.bounces());
+        let Some(light) = self.light(rng) else {
+            return;
+        };
+        if most == 0 {
+            return;
+        }
+        let mut s = Statistics {
+            attempts: 1,
+            ..Statistics::default()
+        };
+        let before = out.len();
+        let uniqueness = self.options.uniqueness;
+        match self.options.method {
+            Method::Sms => {
+                let first = self.random(start, &light, most, rng, &mut s);
+                let worth = first.and_then(|f| Some((self.worth(&f, &light)?, f)));
+                if let Some((mut connection, solution)) = worth {
+                    let again = || {
+                        let found = self.random(start, &light, most, rng, &mut s);
+                        found.is_some_and(|found| solution.is(&found, uniqueness))
+                    };
+                    let (n, exhausted) = trials(again, self.options.budget);
+                    s.reciprocals += 1;
+                    s.trials += u64::from(n);
+                    s.exhausted += u64::from(exhausted);
+                    connection.weight *= f64::from(n);
+                    out.push(connection);
+                }
+            }
+            Method::SmsBiased(walks) => {
+                let walk = || self.random(start, &light, most, rng, &mut s);
+                let found = distinct(walks, walk, |a, b| a.is(b, uniqueness));
+                out.extend(found.iter().filter_map(|f| self.worth(f, &light)));
+            }
+            Method::Mnee => {
+                let mut starts = self.aimed(start, &light, most).into_iter();
+                let n = starts.len() as u32;
+                let walk = || {
+                    let chain = starts.next()?;
+                    self.walk(start, chain, &light, &mut s)
+                };
+                let found = distinct(n, walk, |a, b| a.is(b, uniqueness));
+                out.extend(found.iter().filter_map(|f| self.worth(f, &light)));
+            }
+            Method::LeftOut => return,
+        }
+        s.found += u64::from(out.len() > before);
+        self.counters.add(&s);
+    }
+
+    /// A point of a light: any of them equally often.
+    fn light(&self, rng: &mut Independent) -> Option<Light> {
+        let lights = &self.split.emitter_list;
+        let choice = (rng.next_1d::<f64>() * lights.len() as f64) as usize;
+        let emitter = lights[choice.min(lights.len() - 1)];
+        let [a, b] = rng.next_2d::<f64>();
+        let Space { scene, theta, .. } = self.space;
+        let e = &scene.emitters()[emitter as usize];
+        let ray = e.sample_ray(&theta, scene.lights(), self.ball, [a, b, a, b])?;
+        let (target, pdf) = if e.is_infinite() {
+            (Target::Direction(-ray.ray.d), ray.pdf_direction)
+        } else {
+            let at = ray.surface.map_or(ray.ray.o, |(_, si)| si.p);
+            (Target::Point(at), ray.pdf_position)
+        };
+        let light = Light {
+            emitter,
+            target,
+            surface: ray.surface.map(|(_, si)| si),
+            number: ray.surface.map_or(NOWHERE, |_| ray.exit.surface),
+            pdf: pdf / lights.len() as f64,
+            emission: ray.emission,
+        };
+        (light.pdf > 0.0).then_some(light)
+    }
+
+    fn walk(
+        &self,
+        start: &Start,
+        chain: Chain,
+        light: &Light,
+        s: &mut Statistics,
+    ) -> Option<Solution> {
+        let Walked { solution, steps } = self.space.walk(start, chain, &light.target);
+        s.steps += u64::from(steps);
+        s.converged += u64::from(solution.is_some());
+        solution
+    }
+
+    /// A walk from a random start.
+    fn random(
+        &self,
+        start: &Start,
+        light: &Light,
+        most: u32,
+        rng: &mut Independent,
+        s: &mut Statistics,
+    ) -> Option<Solution> {
+        s.walks += 1;
+        let chain = self.seed(start, most, rng)?;
+        self.walk(start, chain, light, s)
+    }
+
+    /// A chain that starts towards a random point of a caster and goes on as light would: at glass in either way, in
+    /// proportion to its reflectance or nearly so, and over further casters that it meets, mostly.
+    ///
+    /// Every chain has starts next to it: its own events are possible there, and it may end where the next ray meets a
+    /// caster beyond the light.
+    pub(super) fn seed(&self, start: &Start, most: u32, rng: &mut Independent) -> Option<Chain> {
+        let casters = &self.split.caster_list;
+        let choice = (rng.next_1d::<f64>() * casters.len() as f64) as usize;
+        let aim = casters[choice.min(casters.len() - 1)];
+        let shape = &self.space.scene.shapes()[aim as usize];
+        let d = shape.sample(start.si.p, rng.next_2d::<f64>())?.d;
+        let (hit, met) = self.space.meet(&start.si.spawn_ray(d, start.exit))?;
+        if !self.split.is_caster(met) {
+            return None;
+        }
+        let mut chain = Chain::new();
+        let (mut from, mut d, mut hit, mut met) = (start.si.p, d, hit, met);
+        loop {
+            let vertex = self.event(from, d, &hit, met, rng.next_1d());
+            let last = chain.len() as u32 + 1 == most;
+            let ends = rng.next_1d::<f64>() < LEAST_PROBABILITY;
+            let next = if last {
+                None
+            } else {
+                self.space.onward(&vertex)
+            };
+            from = vertex.si.p;
+            chain.push(vertex);
+            match next {
+                Some((onward, next, shape)) if self.split.is_caster(shape) && !ends => {
+                    (d, hit, met) = (onward, next, shape);
+                }
+                _ => return Some(chain),
+            }
+        }
+    }
+
+    /// The vertex at a hit on a caster, with a random event.
+    fn event(&self, from: Vec3<f64>, d: Vec3<f64>, hit: &Hit, shape: u32, u: f64) -> Vertex {
+        let refracts = matches!(
+            specular(self.space.scene.material(shape)),
+            Some(Specular::Interface(_))
+        );
+        self.space.vertex(from, d, hit, |facet| {
+            if !refracts {
+                return DeltaKind::Reflection;
+            }
+            let n = facet.n.map(|x| x.re);
+            let (cos, eta) = (-n.dot(d), facet.eta.re);
+            let across = if cos < 0.0 { eta.recip() } else { eta };
+            let light = fresnel::dielectric(cos.abs(), across);
+            let reflects = light
+                .reflect
+                .clamp(LEAST_PROBABILITY, 1.0 - LEAST_PROBABILITY);
+            if light.transmit <= 0.0 || u < reflects {
+                DeltaKind::Reflection
+            } else {
+                DeltaKind::Transmission
+            }
+        })
+    }
+
+    /// Straight at the light, through whatever refracts, and at the middle of what reflects.
+    fn aimed(&self, start: &Start, light: &Light, most: u32) -> Vec<Chain> {
+        let scene = self.space.scene;
+        let mut chains = Vec::new();
+        // The casters on the straight way.
+        let d = towards(start.si.p, &light.target);
+        let end = match light.target {
+            Target::Point(at) => (at - start.si.p).length(),
+            Target::Direction(_) => f64::INFINITY,
+        };
+        let mut like: SmallVec<[(u32, DeltaKind); 4]> = SmallVec::new();
+        let (mut si, mut exit) = (start.si, start.exit);
+        while let Some((hit, shape)) = self.space.meet(&si.spawn_ray(d, exit)) {
+            let refracts = specular(scene.material(shape));
+            if !self.split.is_caster(shape) || !matches!(refracts, Some(Specular::Interface(_))) {
+                break;
+            }
+            let vertex = self
+                .space
+                .vertex(si.p, d, &hit, |_| DeltaKind::Transmission);
+            if (vertex.si.p - start.si.p).length() >= end || like.len() as u32 == most {
+                break;
+            }
+            like.push((shape, DeltaKind::Transmission));
+            (si, exit) = (vertex.si, scene.exit(vertex.prim));
+        }
+        if !like.is_empty() {
+            chains.extend(self.space.follow(start, d, &like));
+        }
+        for &shape in &self.split.caster_list {
+            let middle = Ball::around([&scene.shapes()[shape as usize]]);
+            let Some(middle) = middle.map(|ball| Vec3::from(ball.centre)) else {
+                continue;
+            };
+            let d = (middle - start.si.p).normalize();
+            chains.extend((self.space).follow(start, d, &[(shape, DeltaKind::Reflection)]));
+        }
+        chains
+    }
+
+    /// What light along a solution is worth, before trials. `None` where there is none: in between something, or light does
+    /// not go that way.
+    fn worth(&self, solution: &Solution, light: &Light) -> Option<Connection> {
+        let scene = self.space.scene;
+        let last = solution.chain.last()?;
+        let out = towards(last.si.p, &light.target);
+        // ---- Emission ----
+        let e = &scene.emitters()[light.emitter as usize];
+        let (emission, area) = match light.target {
+            Target::Direction(_) => (light.emission, 1.0),
+            Target::Point(_) => {
+                let (emission, _) = e.leaves(-out, light.surface.as_ref())?;
+                let cos = light.surface.map_or(1.0, |si| si.n_geo.dot(out).abs());
+                (emission, cos)
+            }
+        };
+        let links = self.links(solution, &light.target)?;
+        // ---- The last edge ----
+        let distance = match light.target {
+            Target::Point(at) => (at - last.si.p).length(),
+            Target::Direction(_) => f64::INFINITY,
+        };
+        let exit = scene.exit(last.prim);
+        let shadow = last.si.shadow_ray(out, distance, exit, light.number);
+        if scene.occluded(&shadow) {
+            return None;
+        }
+        let weight = solution.angle_per_target() * area / light.pdf;
+        Some(Connection {
+            direction: solution.direction(),
+            links,
+            emitter: light.emitter,
+            emission,
+            weight,
+        })
+    }
+
+    /// The vertices of a solution as materials see them. `None` where light does not go that way.
+    fn links(&self, solution: &Solution, target: &Target) -> Option<SmallVec<[Link; 2]>> {
+        let Space { scene, theta, .. } = self.space;
+        let mut links = SmallVec::new();
+        for (i, vertex) in solution.chain.iter().enumerate() {
+            let next = match solution.chain.get(i + 1) {
+                Some(next) => -next.wo,
+                None => towards(vertex.si.p, target),
+            };
+            let link = self.link(vertex, next)?;
+            let at = Shading {
+                theta,
+                uv: link.si.uv,
+            };
+            let value: Rgb<f64> = scene.material(link.shape).eval_delta(
+                &at,
+                link.wo,
+                link.wi,
+                link.kind,
+                0,
+                TransportMode::Radiance,
+            );
+            // Zero reflectance may have a derivative; at total reflection nothing goes on.
+            if value.is_black() && !self.passes(vertex) {
+                return None;
+            }
+            links.push(link);
+        }
+        Some(links)
+    }
+
+    /// Whether some light goes over a vertex, whatever the factors on it.
+    fn passes(&self, vertex: &Vertex) -> bool {
+        let material = self.space.scene.material(vertex.shape);
+        match (specular(material), vertex.kind) {
+            (Some(Specular::Interface(_)), DeltaKind::Transmission) => {
+                let cos = vertex.normal().dot(vertex.wo);
+                let eta = vertex.eta();
+                let across = if cos < 0.0 { eta.recip() } else { eta };
+                fresnel::dielectric(cos.abs(), across).transmit > 0.0
+            }
+            (Some(Specular::Interface(_)), _) => true,
+            // Metal may have one side only.
+            _ => {
+                let at = Shading {
+                    theta: self.space.theta,
+                    uv: vertex.si.uv,
+                };
+                let wo = vertex.si.frame.to_local(vertex.wo);
+                material
+                    .sample(&at, wo, [0.5; 3], TransportMode::Radiance)
+                    .is_some()
+            }
+        }
+    }
+
+    /// A vertex as materials see it: on the sides that they scatter between. `None` if light does not go on like that.
+    pub(super) fn link(&self, vertex: &Vertex, wi: Vec3<f64>) -> Option<Link> {
+        let (n, wo, frame) = (vertex.normal(), vertex.wo, &vertex.si.frame);
+        let reflects = vertex.kind == DeltaKind::Reflection;
+        let one_side = n.dot(wo) * n.dot(wi) > 0.0;
+        // Where half vectors are roots that are no solutions.
+        let onward = super::constraint::scatter(vertex.kind, wo, n, vertex.eta())?;
+        if one_side != reflects || (onward - wi).length() > 1e-6 {
+            return None;
+        }
+        // As mapped normals have it: on the same side of both.
+        let same = |w: Vec3<f64>| frame.n.dot(w) * n.dot(w) > 0.0;
+        (same(wo) && same(wi)).then(|| Link {
+            shape: vertex.shape,
+            prim: vertex.prim,
+            si: vertex.si,
+            wo: frame.to_local(wo),
+            wi: frame.to_local(wi),
+            kind: vertex.kind,
+        })
+    }
+}
+
+/// The same point in another precision.
+pub(crate) fn cast<A: Float, B: Float>(si: &SurfaceInteraction<A>) -> SurfaceInteraction<B> {
+    let number = |x: A| B::from_f64(x.to_f64());
+    let vector = |v: Vec3<A>| v.map(number);
+    SurfaceInteraction {
+        p: vector(si.p),
+        t: number(si.t),
+        n_geo: vector(si.n_geo),
+        frame: crate::math::Frame {
+            s: vector(si.frame.s),
+            t: vector(si.frame.t),
+            n: vector(si.frame.n),
+        },
+        uv: si.uv.map(number),
+    }
+}

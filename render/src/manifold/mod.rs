@@ -1,0 +1,35 @@
+//! Specular manifolds: light over chains of mirrors and glass that sampling cannot find.
+//!
+//! A *connection* goes from a vertex that is not specular over one to K specular ones, the *chain*, to a sampled point of a
+//! light. A chain is a root of the constraints of its vertices ([`constraint`]), which walks find by Newton's method
+//! ([`Space::walk`]) from random starts ([`Connector`]); what light along it is worth says the generalised geometric term
+//! ([`Solution::angle_per_target`]). Everything here is in double precision, whatever paths are in.
+//!
+//! # Who finds what
+//! The space of paths is split once and for all, by [`Split::next`]: what connections can represent is theirs, everything
+//! else that of ordinary sampling, which leaves their light out. Both sides ask the same function, so that the image is
+//! that of the path tracer.
+//!
+//! # Does not handle
+//! Rough casters: chains are of smooth metal and glass, with or without mapped normals. Continua of solutions, as on the axis
+//! of a mirrored cylinder (F21): walks end there somewhere or nowhere, in bounded time, and the estimate is of no use.
+//!
+//! # Source
+//! [Zeltner 2021, chapter 3] with errata Z-3.9, Z-3.11, Z-Alg-3.1, Z-3.19 and Z-A.3; [Hanika et al. 2015]; [Jakob and Marschner 2012].
+
+mod chain;
+mod connector;
+pub mod constraint;
+mod estimate;
+mod split;
+mod walk;
+
+pub use chain::{Chain, Derivative, Space, Start, Target, Vertex};
+pub(crate) use connector::cast;
+pub use connector::{Connection, Connector, Link, Statistics};
+pub use estimate::{distinct, trials};
+pub use split::{Run, Split};
+pub use walk::Solution;
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,135 @@
+//! Which paths belong to manifold connections.
+
+use crate::bsdf::nesting::specular;
+use crate::emitter::Emitter;
+use crate::scene::{Connections, Hints, Scene};
+
+/// Where a path is on its way over a chain: how many of its last vertices are casters, since it left a receiver.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Run(u32);
+
+impl Run {
+    /// On no chain: from here on everything is ordinary until the next receiver.
+    const NONE: Self = Self(0);
+
+    /// At a receiver, or behind so many casters.
+    fn casters(n: u32) -> Self {
+        Self(n + 1)
+    }
+
+    /// As a number, for arrays of them.
+    pub fn bits(self) -> u32 {
+        self.0
+    }
+
+    /// The inverse of [`Run::bits`].
+    pub fn from_bits(bits: u32) -> Self {
+        Self(bits)
+    }
+}
+
+/// The roles of shapes and emitters in manifold connections.
+///
+/// *Casters* are shapes of smooth metal or glass, *receivers* those that scatter along more than deltas; the *emitters* are
+/// all but those so wide that scattered directions find them better ([`Emitter::is_wide`]). Where the flags of a scene file
+/// name any of a kind, only these are ([`Hints`]).
+#[derive(Clone, Debug)]
+pub struct Split {
+    casters: Vec<bool>,
+    receivers: Vec<bool>,
+    emitters: Vec<bool>,
+    /// The casters, by index.
+    pub(super) caster_list: Vec<u32>,
+    /// The emitters.
+    pub(super) emitter_list: Vec<u32>,
+    bounces: u32,
+}
+
+/// Those of `able` that are flagged, or all if none is.
+fn chosen(able: Vec<bool>, flagged: impl Fn(usize) -> bool) -> Vec<bool> {
+    let any = (0..able.len()).any(|i| able[i] && flagged(i));
+    let each = able.iter().enumerate();
+    each.map(|(i, &able)| able && (!any || flagged(i)))
+        .collect()
+}
+
+fn list(these: &[bool]) -> Vec<u32> {
+    let all = these.iter().zip(0..);
+    all.filter_map(|(&yes, i)| yes.then_some(i)).collect()
+}
+
+impl Split {
+    /// The roles in a scene. `None` if there is nothing to connect: no caster, no receiver or no emitter.
+    pub fn of(scene: &Scene, connections: &Connections) -> Option<Self> {
+        let single = connections.bounces == 1;
+        let takes_part = move |hints: Hints| {
+            if single {
+                hints.single
+            } else {
+                hints.single || hints.multi
+            }
+        };
+        let shapes = 0..scene.shapes().len() as u32;
+        let info = |shape: u32| scene.shape_info(shape);
+        let smooth = shapes
+            .clone()
+            .map(|i| specular(scene.material(i)).is_some());
+        let casters = chosen(smooth.collect(), |i| takes_part(info(i as u32).hints));
+        let scatters = shapes.map(|i| !info(i).delta);
+        let receivers = chosen(scatters.collect(), |i| info(i as u32).hints.receiver);
+        let narrow = scene.emitters().iter().map(|e| !e.is_wide());
+        let emitters = chosen(narrow.collect(), |i| takes_part(scene.emitter_hints()[i]));
+        let (caster_list, emitter_list) = (list(&casters), list(&emitters));
+        let any = !caster_list.is_empty() && !emitter_list.is_empty() && receivers.contains(&true);
+        any.then_some(Self {
+            casters,
+            receivers,
+            emitters,
+            caster_list,
+            emitter_list,
+            bounces: connections.bounces.clamp(1, Connections::MOST_BOUNCES),
+        })
+    }
+
+    /// Whether chains may have vertices on this shape.
+    #[inline]
+    pub fn is_caster(&self, shape: u32) -> bool {
+        self.casters[shape as usize]
+    }
+
+    /// Whether chains start on this shape.
+    #[inline]
+    pub fn is_receiver(&self, shape: u32) -> bool {
+        self.receivers[shape as usize]
+    }
+
+    /// Longest chain.
+    pub fn bounces(&self) -> u32 {
+        self.bounces
+    }
+
+    /// A path arrives at a shape; `along_delta`: the edge that it came by left its vertex along a Dirac delta.
+    ///
+    /// A chain starts at a receiver that is left otherwise than along a delta, and has one to [`Split::bounces`] casters.
+    #[inline]
+    pub fn next(&self, run: Run, shape: u32, along_delta: bool) -> Run {
+        if self.is_caster(shape) {
+            match run {
+                Run::NONE => Run::NONE,
+                Run(1) if along_delta => Run::NONE,
+                Run(n) if n <= self.bounces => Run::casters(n),
+                Run(_) => Run::NONE,
+            }
+        } else if self.is_receiver(shape) {
+            Run::casters(0)
+        } else {
+            Run::NONE
+        }
+    }
+
+    /// Whether light that a path meets there belongs to connections.
+    #[inline]
+    pub fn finds(&self, run: Run, emitter: u32) -> bool {
+        run.0 > 1 && self.emitters[emitter as usize]
+    }
+}

@@ -1,0 +1,80 @@
+//! What a scene says about manifold connections: who throws caustics, who receives them, how they are found.
+
+/// How manifold connections are made: paths from a vertex that is not specular over a chain of specular ones to a sampled
+/// point of a light. See [`crate::manifold`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Connections {
+    /// The estimator.
+    pub method: Method,
+    /// Most specular vertices of a chain, from 1 to [`Connections::MOST_BOUNCES`].
+    pub bounces: u32,
+    /// The function whose roots are sought.
+    pub constraint: Constraint,
+    /// When two walks have ended in the same solution.
+    pub uniqueness: Uniqueness,
+    /// Most Bernoulli trials of one estimate. Where it bites, and that is counted, the estimate is biased (F13).
+    pub budget: u32,
+}
+
+/// Which estimator.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Method {
+    /// A random start, and the reciprocal of its solution's probability from trials: unbiased
+    /// [Zeltner 2021, algorithm 3.2 with errata Z-Alg-3.1].
+    Sms,
+    /// So many random starts, and each distinct solution once: it loses what they miss
+    /// [Zeltner 2021, algorithm 3.3 with errata Z-Alg-3.1].
+    SmsBiased(u32),
+    /// One start on the way to the light, for reflection at the middle of each caster: it loses what that misses
+    /// [Zeltner 2021, algorithm 3.1; Hanika et al. 2015].
+    Mnee,
+    /// None: the light that connections would find is left out.
+    LeftOut,
+}
+
+/// A function of a specular vertex that vanishes where the laws of reflection and refraction hold.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Constraint {
+    /// Polar and azimuthal angle between the direction onward and the scattered one [Zeltner 2021, Eq. 3.19].
+    #[default]
+    Angle,
+    /// The half vector, projected onto the tangents of the surface [Zeltner 2021, Eqs. 3.1 and 3.2].
+    HalfVector,
+}
+
+/// When two walks have ended in the same solution.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum Uniqueness {
+    /// If the balls in which Newton's method has proved a root overlap.
+    #[default]
+    Proof,
+    /// If one minus the cosine between their directions is less than this, as it was published: it merges what is distinct.
+    Threshold(f64),
+}
+
+impl Connections {
+    /// Longest chains.
+    pub const MOST_BOUNCES: u32 = 8;
+
+    /// Unbiased, with chains of at most two vertices.
+    pub fn new(method: Method) -> Self {
+        Self {
+            method,
+            bounces: 2,
+            constraint: Constraint::default(),
+            uniqueness: Uniqueness::default(),
+            budget: 1 << 20,
+        }
+    }
+}
+
+/// What a scene file says of a shape or an emitter: the flags of the scenes of [Zeltner et al. 2020].
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Hints {
+    /// `caustic_receiver`: caustics are looked for on it.
+    pub receiver: bool,
+    /// `caustic_caster_single` or `caustic_emitter_single`: part of chains of one specular vertex.
+    pub single: bool,
+    /// `caustic_caster_multi`, `caustic_bouncer` or `caustic_emitter_multi`: of longer ones.
+    pub multi: bool,
+}
