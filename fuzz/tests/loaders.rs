@@ -164,9 +164,10 @@ proptest! {
 
     /// What loads can be traced: its numbers are finite.
     #[test]
-    fn damaged_scenes_do_not_panic(changes in mutations(XML.len())) {
+    fn damaged_scenes_do_not_panic(changes in mutations(XML.len()), which in 0..2usize) {
         thread_local!(static FOLDER: tempfile::TempDir = folder());
-        let text = apply(corpus::SCENE.as_bytes(), &changes, &XML);
+        let scene = [corpus::SCENE, corpus::OTHERS][which];
+        let text = apply(scene.as_bytes(), &changes, &XML);
         let text = String::from_utf8_lossy(&text);
         let load = |base: &Path| Scene::from_xml(&text, base, &LoadOptions::default());
         let (read, memory) = peak(|| FOLDER.with(|folder| load(folder.path())));
@@ -183,6 +184,7 @@ fn folder() -> tempfile::TempDir {
     let folder = tempfile::tempdir().expect("a folder");
     fs::write(folder.path().join("a.obj"), corpus::MESH).expect("a file");
     fs::write(folder.path().join("a.png"), &corpus::images()[0].1).expect("a file");
+    fs::write(folder.path().join("a.ply"), &corpus::polygons()[0]).expect("a file");
     folder
 }
 
@@ -263,6 +265,9 @@ fn undamaged_files_are_read() {
         Scene::from_xml(corpus::SCENE, folder.path(), &LoadOptions::default()).unwrap();
     assert!(warnings.is_empty(), "{warnings:?}");
     assert!(!scene.params().values().is_empty());
+    let (scene, _) =
+        Scene::from_xml(corpus::OTHERS, folder.path(), &LoadOptions::default()).unwrap();
+    assert!(scene.params().find("PLYMesh.vertex_color").is_ok());
     for (ending, bytes) in corpus::images() {
         let path = folder.path().join(format!("b.{ending}"));
         fs::write(&path, bytes).unwrap();

@@ -10,6 +10,7 @@ use ply_rs_bw::ply::{
     ElementDef, Encoding, Header, Property, PropertyAccess, PropertyAccessResult, PropertyDef,
     PropertyType,
 };
+use smallvec::SmallVec;
 
 use super::mesh::{Mesh, MeshData, ObjOptions};
 use crate::error::{SceneError, quoted};
@@ -48,7 +49,7 @@ struct Element {
     numbers: [f64; 8],
     indices: Vec<i64>,
     /// Numbers of any other name, in the order of the header.
-    others: Vec<f64>,
+    others: SmallVec<[f64; 8]>,
 }
 
 impl PropertyAccess for Element {
@@ -56,7 +57,7 @@ impl PropertyAccess for Element {
         Self {
             numbers: [0.0; 8],
             indices: Vec::new(),
-            others: Vec::new(),
+            others: SmallVec::new(),
         }
     }
 
@@ -190,7 +191,7 @@ impl Mesh {
             expected,
             found,
         };
-        let (data, ignored, _) = read(bytes, options).map_err(asset)?;
+        let (data, ignored, _) = read(bytes, options, false).map_err(asset)?;
         let smooth = !options.face_normals && data.normals.is_empty();
         let mesh = Self::with_normals(data, options.flip_normals, smooth).map_err(|e| match e {
             SceneError::Parameter {
@@ -205,7 +206,8 @@ impl Mesh {
 /// What a file holds: a mesh, names of what of it has no effect, and attributes.
 type Content = (MeshData, Vec<String>, BTreeMap<String, Attribute>);
 
-fn read(bytes: &[u8], options: &ObjOptions) -> Result<Content, Wrong> {
+/// Attributes are kept if somebody wants some.
+fn read(bytes: &[u8], options: &ObjOptions, attributes: bool) -> Result<Content, Wrong> {
     if !bytes.starts_with(b"ply") {
         return Err(wrong(
             "a PLY file, which starts with `ply`",
@@ -238,7 +240,11 @@ fn read(bytes: &[u8], options: &ObjOptions) -> Result<Content, Wrong> {
     let has = check_header(&header)?;
     let mut faces = Vec::new();
     let mut seen = false;
-    let mut others = Others::of(&header);
+    let mut others = if attributes {
+        Others::of(&header)
+    } else {
+        Others::default()
+    };
     for (name, def) in &header.elements {
         // Each has a byte at least: the header alone promises nothing.
         if def.count > file.left() || def.properties.is_empty() && def.count > 0 {
@@ -284,6 +290,7 @@ fn read(bytes: &[u8], options: &ObjOptions) -> Result<Content, Wrong> {
 }
 
 /// Numbers of vertices and faces besides their places, as attributes that textures may ask for.
+#[derive(Default)]
 struct Others {
     /// Names as Mitsuba gives them, which element has them, and which of its other numbers they are.
     groups: Vec<(String, &'static str, Vec<usize>)>,
@@ -478,7 +485,7 @@ pub(super) fn from_node(node: &Node, registry: &mut Registry) -> Result<Mesh, Sc
     {
         let bytes = files::read(&path, MAX_BYTES)?;
         // It was read before.
-        let attributes = read(&bytes, &options).map(|(.., attributes)| attributes);
+        let attributes = read(&bytes, &options, true).map(|(.., attributes)| attributes);
         let too_many = || node.invalid("filename", "fewer triangles, for a mesh with attributes");
         asked.triangles = mesh.data().triangles.clone().into();
         asked.found = attributes.ok();

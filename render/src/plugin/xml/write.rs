@@ -1,6 +1,6 @@
 //! Nodes as text again.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::{BTreeSet, HashMap, HashSet};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -71,18 +71,17 @@ impl Writer<'_> {
     /// Attributes and nested plugins.
     fn body(&mut self, node: &Node, depth: usize) {
         let new = self.with.values(node);
-        for (name, property) in &node.properties {
-            if self.with.is_gone(node, name) {
-                continue;
-            }
-            match new.iter().find(|(key, _)| key == name) {
-                Some((_, number)) => self.number(name, *number, depth),
-                None => self.property(node, name, property, depth),
-            }
-        }
-        for (name, number) in &new {
-            if !node.properties.contains_key(name) {
-                self.number(name, *number, depth);
+        let given = node.properties.keys().map(String::as_str);
+        let names: BTreeSet<&str> = given
+            .chain(new.iter().map(|(key, _)| key.as_str()))
+            .collect();
+        for name in names {
+            let number = new.iter().find(|(key, _)| key == name);
+            match (number, node.properties.get(name)) {
+                _ if self.with.is_gone(node, name) => {}
+                (Some((_, number)), _) => self.number(name, *number, depth),
+                (None, Some(property)) => self.property(node, name, property, depth),
+                (None, None) => {}
             }
         }
         for child in &node.children {
