@@ -69,7 +69,7 @@ fn run_with(
     report
 }
 
-/// 32 repeats of 256 samples; a significance of 1e-3. Colours at both ends of their interval among them.
+/// 32 repeats of 64 samples; a significance of 1e-3. Colours at both ends of their interval among them.
 #[test]
 #[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
 fn what_is_right_is_called_right() {
@@ -82,7 +82,7 @@ fn what_is_right_is_called_right() {
     ];
     let before = s.params().values().to_vec();
     for estimator in [Estimator::Mis, Estimator::DifferentialMis] {
-        let report = run(&mut s, estimator, &names, 256);
+        let report = run(&mut s, estimator, &names, 64);
         assert_eq!(report.verdict(), Verdict::Right);
         assert_eq!(report.params.len(), names.len());
         assert_eq!(report.params[1].comparisons.len(), 3);

@@ -2,7 +2,7 @@
 //!
 //! Scenes are loaded, rendered and differentiated over arrays of numpy. What is computed, and what is refused, is that of
 //! the crates [`render`] and [`optim`], with their messages; nothing is computed here. Work runs without the lock of the
-//! interpreter, and Ctrl-C ends it ([`work`]). What is convenient and needs no speed is written in Python, beside this
+//! interpreter, and Ctrl-C ends it (`work`). What is convenient and needs no speed is written in Python, beside this
 //! (`python/render_gradients`), and so are the stubs that editors read, which a test compares with what is here.
 
 mod arrays;
