@@ -122,6 +122,7 @@ pub use diffuse::{Diffuse, DiffuseLobe};
 pub use mask::Mask;
 pub use normal_map::{Corrections, Interpolation, NormalMap, shadowing};
 pub use plastic::{Coated, CoatedLobe, Plastic, PlasticLobe};
+pub(crate) use rough_conductor::{Facets, Metal};
 pub use rough_conductor::{RoughConductor, RoughConductorLobe, Roughness};
 pub use rough_dielectric::{RoughDielectric, RoughDielectricLobe};
 pub use rough_plastic::{Coat, RoughPlastic, RoughPlasticLobe};

@@ -15,6 +15,7 @@ mod vmf;
 pub use area::Area;
 pub use constant::Constant;
 pub use envmap::{Envmap, Moved, MovingDraw, Shift};
+pub(crate) use envmap::{Local as LocalSums, MapPoint};
 pub use point::Point;
 pub use spot::Spot;
 pub use vmf::Vmf;
