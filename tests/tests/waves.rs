@@ -6,6 +6,8 @@ use render::estimator::{
     AttachedDirect, AttachedWeights, BsdfOnly, Detached, DetachedMis, DetachedWeights,
     Differential, EmitterOnly, Mis, Reparameterised, Sampling, Strategy,
 };
+use render::film::Image;
+use render::image_io::write_exr;
 use render::instances::{Direction, Estimator, render_f32};
 use render::integrator::gradient::Active;
 use render::integrator::path;
@@ -132,15 +134,100 @@ fn lenses() -> [Case; 2] {
     ]
 }
 
+/// Everything that goes through a loop of its own, several of each at a vertex or none: metals of all normals, one-sided
+/// and two-sided, seen from the front and from behind, and two-sided diffuse things, under a sky and lamps.
+fn court() -> (Case, Scene) {
+    let folder = tempfile::tempdir().expect("a folder");
+    let picture = |name: &str, [width, height]: [usize; 2], value: fn(usize) -> f32| {
+        let data = (0..3 * width * height).map(value).collect();
+        let path = folder.path().join(name);
+        let image = Image {
+            width,
+            height,
+            data,
+        };
+        write_exr(&path, &image).expect("a folder to write to");
+        path.display().to_string()
+    };
+    // Bright in places, and black in others.
+    let sky = picture("sky.exr", [12, 7], |i| {
+        (4.0 * (0.37 * i as f32).sin() - 1.0).max(0.0)
+    });
+    let tiles = picture("tiles.exr", [4, 4], |i| 0.5 + 0.4 * (1.3 * i as f32).sin());
+    let metal = |kind: &str, alpha: f64, material: &str| {
+        format!(
+            r#"<bsdf type="roughconductor"><string name="distribution" value="{kind}"/>
+               <float name="alpha" value="{alpha}"/><string name="material" value="{material}"/></bsdf>"#
+        )
+    };
+    let both = |inner: &str| format!(r#"<bsdf type="twosided">{inner}</bsdf>"#);
+    let mirror = |material: &str| {
+        format!(r#"<bsdf type="conductor"><string name="material" value="{material}"/></bsdf>"#)
+    };
+    let plate = |at: &str, bsdf: &str| {
+        format!(
+            r#"<shape type="rectangle"><transform name="to_world"><scale value="0.5"/>{at}</transform>{bsdf}</shape>"#
+        )
+    };
+    let ball = |x: f64, bsdf: &str| {
+        format!(
+            r#"<shape type="sphere"><point name="center" value="{x}, -0.2, 0.4"/><float name="radius" value="0.3"/>{bsdf}</shape>"#
+        )
+    };
+    let floor = format!(
+        r#"<bsdf type="diffuse"><texture type="bitmap" name="reflectance"><string name="filename" value="{tiles}"/></texture></bsdf>"#
+    );
+    let lamp = |at: &str, radiance: &str| {
+        format!(
+            r#"<shape type="rectangle"><transform name="to_world"><scale value="0.3"/><rotate x="1" angle="90"/>{at}</transform>
+               <emitter type="area"><rgb name="radiance" value="{radiance}"/></emitter></shape>"#
+        )
+    };
+    let body = [
+        r#"<sensor type="perspective"><float name="fov" value="50"/>
+           <transform name="to_world"><lookat origin="0, 1, 4" target="0, 0, 0" up="0, 1, 0"/></transform>
+           <film type="hdrfilm"><integer name="width" value="20"/><integer name="height" value="20"/></film></sensor>
+           <integrator type="path"><integer name="max_depth" value="6"/></integrator>"#
+            .to_string(),
+        plate(
+            r#"<scale value="6"/><rotate x="1" angle="90"/><translate y="-0.5"/>"#,
+            &both(&floor),
+        ),
+        plate(r#"<translate x="-1" z="-0.5"/>"#, &both(&metal("ggx", 0.2, "Cu"))),
+        plate(
+            r#"<rotate y="1" angle="160"/><translate x="0" z="-0.6"/>"#,
+            &both(&metal("beckmann", 0.4, "none")),
+        ),
+        plate(
+            r#"<rotate y="1" angle="200"/><translate x="1" z="-0.5"/>"#,
+            &both(&mirror("Au")),
+        ),
+        ball(-0.8, &metal("ggx", 0.6, "none")),
+        ball(0.0, &metal("beckmann", 0.1, "Al")),
+        ball(0.8, &mirror("none")),
+        lamp(r#"<translate x="-0.7" y="1.2"/>"#, "7, 6, 5"),
+        lamp(r#"<translate x="0.7" y="1.4"/>"#, "3, 4, 5"),
+        format!(
+            r#"<emitter type="envmap" id="sky"><string name="filename" value="{sky}"/>
+               <transform name="to_world"><rotate x="1" z="0.4" angle="35"/></transform></emitter>"#
+        ),
+    ];
+    let body = body.concat();
+    let scene = scene(&body);
+    let name = "court";
+    (Case { name, body }, scene)
+}
+
 fn all() -> impl Iterator<Item = (Case, Scene)> {
     let cases = cases::all()
         .into_iter()
         .chain([room(), lamps()])
         .chain(lenses());
-    cases.map(|case| {
+    let read = cases.map(|case| {
         let scene = scene(&case.body);
         (case, scene)
-    })
+    });
+    read.chain([court()])
 }
 
 /// Asserts that waves find what single paths do, bit by bit.

@@ -4,16 +4,19 @@
 //! packet of up to eight flat primitives, tested in the time of one, or a curved one. The slabs are wider than
 //! the rounding of any primitive test, so that a hit never depends on the shape of the tree.
 
-use super::cluster::hierarchy;
+use super::cluster::{children, hierarchy, parts};
 use super::curved::{Curved, Line};
 use super::triangle_block::{Flat, LANES, RayLanes};
 use super::{Best, Item, Ray, Shape, Tag};
 use crate::math::each;
+use crate::parallel;
 use crate::prefetch::prefetch;
 use obvhs::bvh2::Bvh2;
 use obvhs::bvh2::node::Bvh2Node;
 use obvhs::{Boundable, aabb::Aabb};
 use smallvec::SmallVec;
+use std::collections::VecDeque;
+use std::sync::atomic::{AtomicU8, Ordering};
 use wide::f32x8;
 
 /// Children of a node.
@@ -46,17 +49,29 @@ impl Child {
     const NOTHING: Self = Self(u32::MAX);
     const LEAF: u32 = 1 << 31;
     const CURVED: u32 = 1 << 30;
-    /// Indices are below.
+    /// Indices are below, also those of nodes.
     const COUNT_SHIFT: u32 = 27;
     const INDEX: u32 = (1 << Self::COUNT_SHIFT) - 1;
 
     /// The root.
     pub const ROOT: Self = Self(0);
 
-    fn leaf(tag: u32, index: usize) -> Option<Self> {
-        let index = u32::try_from(index).ok()?;
-        // One less than there are: the last one with all tags is nothing.
-        (index < Self::INDEX).then_some(Self(Self::LEAF | tag | index))
+    /// Wrong where there are too many, see [`Part::count`].
+    fn leaf(tag: u32, index: usize) -> Self {
+        Self(Self::LEAF | tag | (index as u32 & Self::INDEX))
+    }
+
+    /// The same where there are so many more of its kind before.
+    fn behind(self, nodes: usize, leaves: usize, curved: usize) -> Self {
+        let Self(code) = self;
+        let by = match self.kind() {
+            Kind::Inner(_) => nodes,
+            Kind::Packet(..) => leaves,
+            Kind::Curved(_) => curved,
+            Kind::Nothing => return self,
+        };
+        let index = (code & Self::INDEX).wrapping_add(by as u32) & Self::INDEX;
+        Self(code & !Self::INDEX | index)
     }
 
     /// Whether it is nothing: so are those after it.
@@ -121,9 +136,10 @@ impl Boundable for Item {
 impl Tree {
     /// `None` if there are too many leaves.
     pub(super) fn new(items: &[Item]) -> Option<Tree> {
-        let boxes: Vec<Aabb> = items.iter().map(Item::aabb).collect();
+        let boxes = parallel::fill(items.len(), &|i| items[i].aabb());
         let binary = hierarchy(&boxes);
         let all = boxes.iter().fold(Aabb::empty(), |sum, b| sum.union(b));
+        drop(boxes);
         let mut tree = Tree {
             nodes: Vec::new(),
             packets: Vec::new(),
@@ -179,15 +195,11 @@ impl Tree {
         }
         let find = |tag: &Tag| found.get(tag.prim as usize).copied().flatten();
         let flat = self.tags.iter().flatten().filter_map(find);
-        let flat = flat.filter(|i| matches!(i.shape, Shape::Flat(_))).count();
+        let flat = flat.filter(|i| !i.is_curved()).count();
         let mut curved = Vec::with_capacity(self.curved.len());
         for (_, tag) in &self.curved {
-            match find(tag) {
-                Some(&Item {
-                    shape: Shape::Curved(c),
-                    tag,
-                    ..
-                }) => curved.push((c, tag)),
+            match find(tag).and_then(|item| Some((item.shape()?, item.tag))) {
+                Some((Shape::Curved(c), tag)) => curved.push((c, tag)),
                 _ => return None,
             }
         }
@@ -198,14 +210,11 @@ impl Tree {
         for (packet, tags) in self.packets.iter_mut().zip(&mut self.tags) {
             *packet = Flat::EMPTY.splat_array();
             for (k, tag) in tags.iter_mut().enumerate() {
-                if let Some(Item {
-                    shape: Shape::Flat(flat),
-                    tag: now,
-                    ..
-                }) = find(tag)
+                if let Some(item) = find(tag)
+                    && let Some(Shape::Flat(flat)) = item.shape()
                 {
-                    packet.set(k, flat);
-                    *tag = *now;
+                    packet.set(k, &flat);
+                    *tag = item.tag;
                 }
             }
         }
@@ -246,96 +255,67 @@ impl Tree {
 
     /// Writes the box of child `k` of a node.
     fn place(&mut self, at: usize, k: usize, bounds: &Aabb) {
-        let (low, high) = (bounds.min.to_array(), bounds.max.to_array());
-        for axis in 0..3 {
-            let [lower, upper] = &mut self.nodes[at].planes[axis];
-            // An empty box is entered by no ray from either side.
-            let empty = low[axis] > high[axis];
-            lower[k] = if empty {
-                f32::INFINITY
-            } else {
-                (low[axis] - self.center[axis]).next_down()
-            };
-            upper[k] = if empty {
-                f32::NEG_INFINITY
-            } else {
-                (high[axis] - self.center[axis]).next_up()
-            };
-        }
+        self.nodes[at].place(k, bounds, self.center);
     }
 
-    /// Makes nodes of eight children from nodes of two.
+    /// Makes nodes of eight children from nodes of two: the top of the tree, what is below on all threads, and then all
+    /// leaves, whose packets are most of the memory.
     fn widen(&mut self, binary: &Binary) -> Option<()> {
-        self.nodes.push(Node::EMPTY);
-        // Nodes to fill, and the binary ones that they stand for.
-        let mut open = vec![(0, 0)];
-        while let Some((at, from)) = open.pop() {
-            // The largest that can be opened is, as long as there is room.
-            let mut children = SmallVec::<[usize; NODE_WIDTH]>::new();
-            if binary.is_leaf(from) {
-                children.push(from)
-            } else {
-                children.extend(binary.children(from))
-            }
-            while children.len() < NODE_WIDTH {
-                let area = |&(_, &c): &(usize, &usize)| binary.area(c);
-                let inner = children.iter().enumerate();
-                let largest = inner
-                    .filter(|(_, c)| !binary.is_leaf(**c))
-                    .max_by(|a, b| area(a).total_cmp(&area(b)));
-                let Some((k, &largest)) = largest else {
-                    break;
-                };
-                let [first, second] = binary.children(largest);
-                children[k] = first;
-                children.push(second);
-            }
-            for (k, &child) in children.iter().enumerate() {
-                self.place(at, k, binary.node(child).aabb());
-                self.nodes[at].children[k] = if binary.is_leaf(child) {
-                    self.leaf(&binary.primitives(child))?
-                } else {
-                    let index = u32::try_from(self.nodes.len()).ok()?;
-                    if index >= Child::LEAF {
-                        return None;
-                    }
-                    open.push((index as usize, child));
-                    self.nodes.push(Node::EMPTY);
-                    Child(index)
-                };
-            }
-        }
-        Some(())
-    }
-
-    fn leaf(&mut self, items: &[&Item]) -> Option<Child> {
-        if let [
-            Item {
-                shape: Shape::Curved(c),
-                tag,
-                ..
-            },
-        ] = items
+        let center = self.center;
+        let mut all = Part::new();
+        let mut open = VecDeque::from([(0, 0)]);
+        let most = match binary.items.len() {
+            0..MANY_ITEMS => 1,
+            _ => PARTS,
+        };
+        while open.len() < most
+            && let Some((at, from)) = open.pop_front()
         {
-            self.curved.push((*c, *tag));
-            return Child::leaf(Child::CURVED, self.curved.len() - 1);
+            all.open(at, from, binary, center, |child| open.push_back(child));
         }
-        let mut packet = Flat::EMPTY.splat_array();
+        let parts = parallel::map(open.len(), |k| {
+            let mut part = Part::new();
+            let mut below = vec![(0, open[k].1)];
+            while let Some((at, from)) = below.pop() {
+                part.open(at, from, binary, center, |child| below.push(child));
+            }
+            part
+        });
+        for (&(at, _), part) in open.iter().zip(parts) {
+            all.append(at, part)?;
+        }
+        all.count()?;
+        let Part {
+            nodes,
+            leaves,
+            curved,
+        } = all;
+        self.nodes = nodes;
+        let items = binary.items;
+        let curved = curved.iter().map(|&i| &items[i as usize]);
+        self.curved = curved
+            .filter_map(|item| match item.shape() {
+                Some(Shape::Curved(c)) => Some((c, item.tag)),
+                _ => None,
+            })
+            .collect();
+        let item = |i: u32| items.get(i as usize);
+        self.packets = parallel::fill(leaves.len(), &|leaf| {
+            let mut packet = Flat::EMPTY.splat_array();
+            for (k, &i) in leaves[leaf].iter().enumerate() {
+                if let Some(Shape::Flat(flat)) = item(i).and_then(Item::shape) {
+                    packet.set(k, &flat);
+                }
+            }
+            packet
+        });
         let none = Tag {
             prim: u32::MAX,
             surface: u32::MAX,
         };
-        let mut tags = [none; LANES];
-        for (k, item) in items.iter().enumerate() {
-            if let Shape::Flat(flat) = &item.shape {
-                packet.set(k, flat);
-                tags[k] = item.tag;
-            }
-        }
-        self.packets.push(packet);
-        self.tags.push(tags);
-        let count = (items.len() as u32 - 1) << Child::COUNT_SHIFT;
-        Child::leaf(count, self.packets.len() - 1)
+        let tags = |leaf: &[u32; LANES]| leaf.map(|i| item(i).map_or(none, |item| item.tag));
+        self.tags = leaves.iter().map(tags).collect();
+        Some(())
     }
 
     /// The first node, if there is any.
@@ -447,47 +427,199 @@ impl Tree {
     }
 }
 
+impl Node {
+    /// Writes the box of child `k`, relative to the centre of the tree.
+    fn place(&mut self, k: usize, bounds: &Aabb, center: [f32; 3]) {
+        let (low, high) = (bounds.min.to_array(), bounds.max.to_array());
+        for axis in 0..3 {
+            let [lower, upper] = &mut self.planes[axis];
+            // An empty box is entered by no ray from either side.
+            let empty = low[axis] > high[axis];
+            lower[k] = if empty {
+                f32::INFINITY
+            } else {
+                (low[axis] - center[axis]).next_down()
+            };
+            upper[k] = if empty {
+                f32::NEG_INFINITY
+            } else {
+                (high[axis] - center[axis]).next_up()
+            };
+        }
+    }
+}
+
+/// Trees of more primitives are widened in parts.
+const MANY_ITEMS: usize = 1 << 13;
+
+/// So many parts at least, if there are.
+const PARTS: usize = 64;
+
+/// A part of a tree: nodes whose children are in it, and items by their indices.
+struct Part {
+    nodes: Vec<Node>,
+    /// Those of each packet; beyond the last there is none.
+    leaves: Vec<[u32; LANES]>,
+    curved: Vec<u32>,
+}
+
+impl Part {
+    fn new() -> Self {
+        Self {
+            nodes: vec![Node::EMPTY],
+            leaves: Vec::new(),
+            curved: Vec::new(),
+        }
+    }
+
+    /// Fills node `at`, which stands for the binary node `from`. Its children that are nodes are to be filled next, and
+    /// stand for others.
+    #[inline(always)]
+    fn open(
+        &mut self,
+        at: usize,
+        from: usize,
+        binary: &Binary,
+        center: [f32; 3],
+        mut next: impl FnMut((usize, usize)),
+    ) {
+        // The largest that can be opened is, as long as there is room.
+        let mut children = SmallVec::<[usize; NODE_WIDTH]>::new();
+        if binary.is_leaf(from) {
+            children.push(from)
+        } else {
+            children.extend(binary.children(from))
+        }
+        while children.len() < NODE_WIDTH {
+            let area = |&(_, &c): &(usize, &usize)| binary.area(c);
+            let inner = children.iter().enumerate();
+            let largest = inner
+                .filter(|(_, c)| !binary.is_leaf(**c))
+                .max_by(|a, b| area(a).total_cmp(&area(b)));
+            let Some((k, &largest)) = largest else {
+                break;
+            };
+            let [first, second] = binary.children(largest);
+            children[k] = first;
+            children.push(second);
+        }
+        for (k, &child) in children.iter().enumerate() {
+            self.nodes[at].place(k, binary.node(child).aabb(), center);
+            self.nodes[at].children[k] = if binary.is_leaf(child) {
+                self.leaf(&binary.primitives(child), binary)
+            } else {
+                let index = self.nodes.len();
+                next((index, child));
+                self.nodes.push(Node::EMPTY);
+                Child(index as u32 & Child::INDEX)
+            };
+        }
+    }
+
+    fn leaf(&mut self, primitives: &[u32], binary: &Binary) -> Child {
+        if let [one] = primitives
+            && binary.items[*one as usize].is_curved()
+        {
+            self.curved.push(*one);
+            return Child::leaf(Child::CURVED, self.curved.len() - 1);
+        }
+        let mut leaf = [u32::MAX; LANES];
+        leaf[..primitives.len()].copy_from_slice(primitives);
+        self.leaves.push(leaf);
+        let count = (primitives.len() as u32 - 1) << Child::COUNT_SHIFT;
+        Child::leaf(count, self.leaves.len() - 1)
+    }
+
+    /// Takes in a part whose first node is node `at`. `None` if there are too many of anything.
+    fn append(&mut self, at: usize, part: Self) -> Option<()> {
+        // The first node has a place already.
+        let nodes = self.nodes.len() - 1;
+        let (leaves, curved) = (self.leaves.len(), self.curved.len());
+        for (k, mut node) in part.nodes.into_iter().enumerate() {
+            for child in &mut node.children {
+                *child = child.behind(nodes, leaves, curved);
+            }
+            match k {
+                0 => self.nodes[at] = node,
+                _ => self.nodes.push(node),
+            }
+        }
+        self.leaves.extend(part.leaves);
+        self.curved.extend(part.curved);
+        self.count()
+    }
+
+    /// `None` if there are too many of anything for an index: one less than there are of these, because the last one
+    /// with all tags is nothing.
+    fn count(&self) -> Option<()> {
+        let counts = [self.nodes.len(), self.leaves.len(), self.curved.len()];
+        (counts.iter().all(|&n| n < Child::INDEX as usize)).then_some(())
+    }
+}
+
 /// A binary hierarchy, and what is below its nodes.
 struct Binary<'a> {
     tree: &'a Bvh2,
     items: &'a [Item],
     /// Per node: how many primitives there are below, or more than fit a leaf.
-    counts: Vec<u32>,
+    counts: Vec<AtomicU8>,
 }
 
 /// More primitives than fit a leaf.
-const MANY: u32 = LANES as u32 + 1;
+const MANY: u8 = LANES as u8 + 1;
 
 impl<'a> Binary<'a> {
     fn new(tree: &'a Bvh2, items: &'a [Item]) -> Self {
-        let mut binary = Self {
+        let binary = Self {
             tree,
             items,
-            counts: vec![0; tree.nodes.len()],
+            counts: parallel::fill(tree.nodes.len(), &|_| AtomicU8::new(0)),
         };
-        // Parents before children.
-        let mut order = vec![0];
-        let mut next = 0;
-        while let Some(&at) = order.get(next) {
-            next += 1;
-            if !tree.nodes[at].is_leaf() {
-                order.extend(binary.children(at));
-            }
-        }
-        for &at in order.iter().rev() {
-            binary.counts[at] = if tree.nodes[at].is_leaf() {
-                let flat = |i: &&Item| matches!(i.shape, Shape::Flat(_));
-                match binary.primitives(at).iter().all(flat) {
-                    true => tree.nodes[at].prim_count,
-                    // Joined with nothing.
-                    false => MANY,
+        let (top, parts) = parts(&tree.nodes);
+        // Every node is written by one thread, after those below it.
+        let parts_below = parallel::map(parts.len(), |k| {
+            let mut order = vec![parts[k].0];
+            let mut next = 0;
+            while let Some(&at) = order.get(next) {
+                next += 1;
+                if !tree.nodes[at].is_leaf() {
+                    order.extend(binary.children(at));
                 }
-            } else {
-                let below = binary.children(at).map(|c| binary.counts[c]);
-                (below[0] + below[1]).min(MANY)
-            };
-        }
+            }
+            order.iter().rev().for_each(|&at| binary.count(at));
+        });
+        drop(parts_below);
+        top.iter().rev().for_each(|&at| binary.count(at));
         binary
+    }
+
+    /// Counts what is below a node, when that is known of its children.
+    fn count(&self, at: usize) {
+        let node = &self.tree.nodes[at];
+        let count = if node.is_leaf() {
+            let mut count = node.prim_count.min(u32::from(MANY)) as u8;
+            for &i in self.leaf(node) {
+                if self.items[i as usize].is_curved() {
+                    // Joined with nothing.
+                    count = MANY;
+                }
+            }
+            count
+        } else {
+            let [a, b] = self.children(at).map(|c| self.below(c));
+            (a + b).min(MANY)
+        };
+        self.counts[at].store(count, Ordering::Relaxed);
+    }
+
+    fn below(&self, at: usize) -> u8 {
+        self.counts[at].load(Ordering::Relaxed)
+    }
+
+    /// What a leaf of it holds: indices of items.
+    fn leaf(&self, node: &Bvh2Node) -> &'a [u32] {
+        let first = node.first_index as usize;
+        &self.tree.primitive_indices[first..first + node.prim_count as usize]
     }
 
     fn node(&self, at: usize) -> &'a Bvh2Node {
@@ -495,32 +627,29 @@ impl<'a> Binary<'a> {
     }
 
     fn children(&self, at: usize) -> [usize; 2] {
-        let first = self.node(at).first_index as usize;
-        [first, first + 1]
+        children(self.node(at))
     }
 
     /// Whether all below becomes one leaf.
     fn is_leaf(&self, at: usize) -> bool {
-        self.counts[at] < MANY || self.node(at).is_leaf()
+        self.below(at) < MANY || self.node(at).is_leaf()
     }
 
     fn area(&self, at: usize) -> f32 {
         self.node(at).aabb().half_area()
     }
 
-    /// All below, which becomes one leaf.
-    fn primitives(&self, at: usize) -> SmallVec<[&'a Item; LANES]> {
+    /// All below, which becomes one leaf: indices of items.
+    fn primitives(&self, at: usize) -> SmallVec<[u32; LANES]> {
         let mut found = SmallVec::new();
         let mut open = SmallVec::<[usize; 2 * LANES]>::new();
         open.push(at);
         while let Some(at) = open.pop() {
             let node = self.node(at);
             if node.is_leaf() {
-                let first = node.first_index as usize;
-                let all = &self.tree.primitive_indices[first..first + node.prim_count as usize];
-                found.extend(all.iter().map(|&i| &self.items[i as usize]));
+                found.extend_from_slice(self.leaf(node));
             } else {
-                open.extend(self.children(at));
+                open.extend_from_slice(&self.children(at));
             }
         }
         found

@@ -6,10 +6,15 @@
 //! prefers the one inside, so that a round joins a single pair. Here the work is bounded. What is left when it is used
 //! up is halved, so that any set of boxes takes a time of n log n.
 
+use std::collections::VecDeque;
+
 use obvhs::aabb::Aabb;
+use obvhs::bvh2::Bvh2;
 use obvhs::bvh2::node::Bvh2Node;
-use obvhs::bvh2::{Bvh2, reinsertion::ReinsertionOptimizer};
+use obvhs::bvh2::reinsertion::{Reinsertion, find_reinsertion, reinsert_node};
 use obvhs::ploc::morton::morton_encode_u64_unorm;
+
+use crate::parallel;
 
 /// Deepest hierarchy: traversal and its stack stay short.
 const MAX_DEPTH: usize = 500;
@@ -24,8 +29,17 @@ const FREE_WORK: usize = 1 << 16;
 const REACH: usize = 14;
 /// Rounds in which only the next neighbours are compared: most boxes find their partner then, at little cost.
 const NARROW_ROUNDS: usize = 3;
-/// Part of the nodes that the optimiser tries to move.
+/// Part of the nodes that the optimiser tries to move first.
 const REINSERTED: f32 = 0.05;
+/// How often it tries, each time fewer of them.
+const REINSERTIONS: usize = 16;
+/// So many boxes are looked at by one thread, and so many reinsertions.
+const TOGETHER: usize = 1 << 13;
+const TRIED_TOGETHER: usize = 1 << 8;
+/// Trees of more nodes are walked in parts.
+const MANY_NODES: usize = 1 << 14;
+/// So many parts at least, if there are.
+const PARTS: usize = 64;
 
 /// A hierarchy of these boxes, one per leaf.
 pub(super) fn hierarchy(boxes: &[Aabb]) -> Bvh2 {
@@ -34,11 +48,56 @@ pub(super) fn hierarchy(boxes: &[Aabb]) -> Bvh2 {
     if left > 1 + boxes.len() / 8 {
         return binary;
     }
-    ReinsertionOptimizer::default().run(&mut binary, REINSERTED, None);
+    reinsert(&mut binary);
     if levels(&binary) <= MAX_DEPTH {
         binary
     } else {
         clustered(boxes).0
+    }
+}
+
+/// Moves nodes, the largest first, to where they make the boxes above them smaller: what `obvhs::bvh2::reinsertion` does,
+/// with its searches on all threads, and an order of equals that does not depend on them.
+fn reinsert(tree: &mut Bvh2) {
+    if tree.nodes.len() < 3 {
+        return;
+    }
+    tree.init_parents_if_uninit();
+    tree.children_are_ordered_after_parents = false;
+    let mut touched = vec![0; tree.nodes.len()];
+    let mut candidates: Vec<(u32, u32)> = Vec::new();
+    for round in 0..REINSERTIONS {
+        let part = REINSERTED / (2 * round + 1) as f32;
+        let count = ((tree.nodes.len() as f32 * part) as usize).clamp(1, tree.nodes.len() - 1);
+        // Nodes near the root come early: those of most of the largest boxes.
+        let early = tree.nodes.iter().zip(0..).take(2 * (count + 1)).skip(1);
+        candidates.clear();
+        // Areas are not negative, so that their bits are in their order.
+        candidates.extend(early.map(|(node, i)| (!node.aabb().half_area().to_bits(), i)));
+        if count < candidates.len() {
+            candidates.select_nth_unstable(count);
+            candidates.truncate(count);
+        }
+        let found = parallel::ranges(candidates.len(), TRIED_TOGETHER, |range| {
+            let tried = candidates[range].iter();
+            let found = tried.map(|&(_, node)| find_reinsertion(tree, node as usize));
+            found.filter(|r| r.area_diff > 0.0).collect::<Vec<_>>()
+        });
+        let mut found: Vec<Reinsertion> = found.into_iter().flatten().collect();
+        found.sort_unstable_by(|a, b| {
+            (b.area_diff.total_cmp(&a.area_diff)).then(a.from.cmp(&b.from))
+        });
+        for Reinsertion { from, to, .. } in found {
+            let [from, to] = [from as usize, to as usize];
+            let sibling = Bvh2Node::get_sibling_id(from);
+            let above = [to, from].map(|i| tree.parents[i] as usize);
+            let all = [to, from, sibling, above[0], above[1]];
+            // Its place may have changed in this round.
+            if all.iter().all(|&i| touched[i] != round + 1) {
+                all.iter().for_each(|&i| touched[i] = round + 1);
+                reinsert_node(tree, from, to);
+            }
+        }
     }
 }
 
@@ -87,13 +146,11 @@ fn in_order(boxes: &[Aabb]) -> Vec<Bvh2Node> {
     let all = boxes.iter().fold(Aabb::empty(), |sum, b| sum.union(b));
     let scale = 1.0 / all.diagonal().as_dvec3();
     let offset = -all.min.as_dvec3() * scale;
-    let mut order: Vec<(u64, u64)> = (boxes.iter().enumerate())
-        .map(|(i, b)| {
-            let code = morton_encode_u64_unorm(b.center().as_dvec3() * scale + offset);
-            (code, i as u64)
-        })
-        .collect();
-    order.sort_unstable_by_key(|&(code, _)| code);
+    let mut order = parallel::fill(boxes.len(), &|i| {
+        let code = morton_encode_u64_unorm(boxes[i].center().as_dvec3() * scale + offset);
+        (code, i as u64)
+    });
+    parallel::sort(&mut order);
     let leaf = |&(_, i): &(u64, u64)| Bvh2Node::new(boxes[i as usize], 1, i as u32);
     order.iter().map(leaf).collect()
 }
@@ -122,12 +179,23 @@ fn next_partners(boxes: &[Bvh2Node], partners: &mut Vec<usize>) {
 
 /// For each box the best of those within [`REACH`], the last of equals.
 fn best_partners(boxes: &[Bvh2Node], partners: &mut Vec<usize>) {
-    partners.clear();
+    partners.resize(boxes.len(), 0);
+    let parts = partners.chunks_mut(TOGETHER);
+    parallel::over(parts, |k, part| best_of(boxes, k * TOGETHER, part));
+}
+
+/// The same for the boxes from the `first` on.
+fn best_of(boxes: &[Bvh2Node], first: usize, partners: &mut [usize]) {
     // Costs of the pairs of each recent box with those behind it.
     let mut recent = [[0.0_f32; REACH]; REACH];
-    for (at, own) in boxes.iter().enumerate() {
+    let begin = first.saturating_sub(REACH);
+    for (at, own) in boxes[..first + partners.len()]
+        .iter()
+        .enumerate()
+        .skip(begin)
+    {
         let (mut best, mut least) = (at, f32::INFINITY);
-        for other in at.saturating_sub(REACH)..at {
+        for other in at.saturating_sub(REACH).max(begin)..at {
             let cost = recent[other % REACH][at % REACH];
             if cost <= least {
                 (best, least) = (other, cost);
@@ -140,7 +208,9 @@ fn best_partners(boxes: &[Bvh2Node], partners: &mut Vec<usize>) {
                 (best, least) = (other, cost);
             }
         }
-        partners.push(best);
+        if let Some(at) = at.checked_sub(first) {
+            partners[at] = best;
+        }
     }
 }
 
@@ -180,27 +250,59 @@ fn halve(nodes: &mut [Bvh2Node], clusters: &mut [Bvh2Node]) {
     }
 }
 
-/// Number of levels of a binary hierarchy.
-fn levels(tree: &Bvh2) -> usize {
-    let mut deepest = 0;
-    let mut open = vec![(0, 1)];
-    while let Some((at, level)) = open.pop() {
-        let Some(node) = tree.nodes.get(at) else {
-            continue;
-        };
-        deepest = deepest.max(level);
-        if !node.is_leaf() {
-            let first = node.first_index as usize;
-            open.extend([(first, level + 1), (first + 1, level + 1)]);
+/// The children of a node that is no leaf.
+pub(super) fn children(node: &Bvh2Node) -> [usize; 2] {
+    let first = node.first_index as usize;
+    [first, first + 1]
+}
+
+/// Nodes with nothing but each other above them, parents before children, and those below them with their levels, which
+/// several threads may go on from.
+pub(super) fn parts(nodes: &[Bvh2Node]) -> (Vec<usize>, Vec<(usize, usize)>) {
+    let (mut top, mut below) = (Vec::new(), VecDeque::from([(0, 1)]));
+    let most = if nodes.len() < MANY_NODES { 1 } else { PARTS };
+    // Leaves at the end of the list are parts as well.
+    let mut leaves = Vec::new();
+    while below.len() < most
+        && let Some((at, level)) = below.pop_front()
+    {
+        if nodes[at].is_leaf() {
+            leaves.push((at, level));
+        } else {
+            top.push(at);
+            below.extend(children(&nodes[at]).map(|c| (c, level + 1)));
         }
     }
-    deepest
+    leaves.extend(below);
+    (top, leaves)
+}
+
+/// Number of levels of a binary hierarchy.
+fn levels(tree: &Bvh2) -> usize {
+    if tree.nodes.is_empty() {
+        return 0;
+    }
+    let (_, parts) = parts(&tree.nodes);
+    let deepest = parallel::map(parts.len(), |k| {
+        let mut open = vec![parts[k]];
+        let mut deepest = 0;
+        while let Some((at, level)) = open.pop() {
+            deepest = deepest.max(level);
+            let node = &tree.nodes[at];
+            if !node.is_leaf() {
+                open.extend(children(node).map(|c| (c, level + 1)));
+            }
+        }
+        deepest
+    });
+    deepest.into_iter().max().unwrap_or(0)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use obvhs::BvhBuildParams;
+    use obvhs::bvh2::reinsertion::ReinsertionOptimizer;
     use obvhs::ploc::PlocBuilder;
 
     fn boxes(n: usize, of: impl Fn(usize) -> [[f32; 3]; 2]) -> Vec<Aabb> {
@@ -275,6 +377,46 @@ mod tests {
             tree.max_depth = MAX_DEPTH + 1;
             tree.validate(&set, false, true);
         }
+    }
+
+    /// Whatever the number of threads.
+    #[test]
+    fn a_hierarchy_depends_on_its_boxes_alone() {
+        let set = boxes(40_000, |i| {
+            // Many of the same size, on a grid of few places.
+            let at = [i, 7 * i + 1, 13 * i + 2].map(|k| (8.0 * scattered(k)).floor());
+            [at, at.map(|x| x + 1.0 + scattered(i).floor())]
+        });
+        let with = |threads: usize| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads);
+            let pool = pool.build().expect("threads");
+            pool.install(|| format!("{:?}", hierarchy(&set).nodes))
+        };
+        let one = with(1);
+        assert!(with(2) == one && with(7) == one);
+    }
+
+    /// Moving nodes makes boxes smaller, as much as the crate does it.
+    #[test]
+    fn reinsertions_are_worth_those_of_the_crate() {
+        let cloud = boxes(20_000, |i| {
+            let at = [i, 7 * i + 1, 13 * i + 2].map(scattered);
+            [at, at.map(|x| x + 0.1 * scattered(3 * i).powi(4))]
+        });
+        let area = |tree: &Bvh2| -> f64 {
+            let inner = tree.nodes.iter().filter(|n| !n.is_leaf());
+            inner.map(|n| f64::from(n.aabb().half_area())).sum()
+        };
+        let (start, _) = clustered(&cloud);
+        let (mut own, mut crates) = (start.clone(), start.clone());
+        reinsert(&mut own);
+        ReinsertionOptimizer::default().run(&mut crates, REINSERTED, None);
+        own.validate(&cloud, false, true);
+        let [start, own, crates] = [&start, &own, &crates].map(area);
+        assert!(
+            own < 0.99 * start && own < 1.002 * crates,
+            "{start} {own} {crates}"
+        );
     }
 
     #[test]

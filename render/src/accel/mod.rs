@@ -19,6 +19,7 @@ mod triangle_block;
 mod tests;
 
 use crate::math::{NOWHERE, each};
+use crate::parallel;
 use bvh::Tree;
 use curved::{Curved, Line};
 pub use plane::surfaces;
@@ -179,10 +180,7 @@ impl Accel {
     /// As [`Accel::build`].
     pub fn with_surfaces(prims: &[Primitive], surfaces: &[u32]) -> Result<Accel, AccelError> {
         let items = prepare(prims, surfaces)?;
-        let curved = items
-            .iter()
-            .filter(|s| matches!(s.shape, Shape::Curved(_)))
-            .count();
+        let curved = items.iter().filter(|i| i.is_curved()).count();
         let flat = items.len() - curved;
         let cost = flat.div_ceil(triangle_block::LANES) + CURVED_COST * curved;
         Ok(if cost <= MAX_LINEAR_COST {
@@ -214,18 +212,15 @@ impl Accel {
     fn linear(items: &[Item]) -> Accel {
         let mut flat = Vec::new();
         let mut curved = Vec::new();
-        for &Item { shape, tag, .. } in items {
+        let shapes = || (items.iter()).filter_map(|i| Some((i.shape()?, i.tag)));
+        for (shape, tag) in shapes() {
             match shape {
                 Shape::Flat(f) => flat.push((f, tag)),
                 Shape::Curved(c) => curved.push((c, tag)),
             }
         }
         Accel {
-            layout: Layout::Linear(
-                TriangleBlocks::new(&flat),
-                curved,
-                Few::new(items.iter().map(|i| (i.shape, i.tag))),
-            ),
+            layout: Layout::Linear(TriangleBlocks::new(&flat), curved, Few::new(shapes())),
         }
     }
 
@@ -413,58 +408,87 @@ struct Tag {
 /// A primitive that can be hit.
 #[derive(Clone, Copy, Debug)]
 struct Item {
-    shape: Shape,
+    primitive: Primitive,
     tag: Tag,
     /// Corners of a box around it.
     bounds: [[f32; 3]; 2],
 }
 
-/// Checks the input, drops what can never be hit and precomputes the rest.
+impl Item {
+    /// What its intersection test wants: computed where it is needed, because it takes more memory than all else. There
+    /// is always one.
+    fn shape(&self) -> Option<Shape> {
+        shape(&self.primitive)
+    }
+
+    fn is_curved(&self) -> bool {
+        !matches!(
+            self.primitive,
+            Primitive::Triangle { .. } | Primitive::Parallelogram { .. }
+        )
+    }
+}
+
+/// `None` if it can never be hit.
+#[inline(always)]
+fn shape(p: &Primitive) -> Option<Shape> {
+    match *p {
+        Primitive::Triangle { v0, e1, e2 } => Flat::new(v0, e1, e2, true).map(Shape::Flat),
+        Primitive::Parallelogram { v0, e1, e2 } => Flat::new(v0, e1, e2, false).map(Shape::Flat),
+        Primitive::Sphere { center, radius } => Curved::sphere(center, radius).map(Shape::Curved),
+        Primitive::Disk { center, e1, e2 } => Curved::disk(center, e1, e2).map(Shape::Curved),
+        Primitive::Cylinder { p0, axis, radius } => {
+            Curved::cylinder(p0, axis, radius).map(Shape::Curved)
+        }
+    }
+}
+
+/// So many primitives are prepared by one thread.
+const PREPARED_TOGETHER: usize = 1 << 14;
+
+/// Checks the input, and drops what can never be hit.
 fn prepare(prims: &[Primitive], surfaces: &[u32]) -> Result<Vec<Item>, AccelError> {
     if prims.len() > MAX_PRIMITIVES {
         return Err(AccelError::TooMany { found: prims.len() });
     }
-    let mut items = Vec::with_capacity(prims.len());
-    for (i, p) in prims.iter().enumerate() {
-        let (vectors, radius) = match *p {
-            Primitive::Triangle { v0, e1, e2 } | Primitive::Parallelogram { v0, e1, e2 } => {
-                ([v0, e1, e2], 0.0)
+    let parts = parallel::ranges(prims.len(), PREPARED_TOGETHER, |range| {
+        let mut items = Vec::with_capacity(range.len());
+        for i in range {
+            let p = prims[i];
+            let (vectors, radius) = match p {
+                Primitive::Triangle { v0, e1, e2 } | Primitive::Parallelogram { v0, e1, e2 } => {
+                    ([v0, e1, e2], 0.0)
+                }
+                Primitive::Disk { center, e1, e2 } => ([center, e1, e2], 0.0),
+                Primitive::Sphere { center, radius } => ([center, [0.0; 3], [0.0; 3]], radius),
+                Primitive::Cylinder { p0, axis, radius } => ([p0, axis, [0.0; 3]], radius),
+            };
+            let numbers = vectors.iter().flatten().chain([&radius]);
+            if let Some(&found) = numbers
+                .into_iter()
+                .find(|x| !x.is_finite() || x.abs() > MAX_COORDINATE)
+            {
+                return Err(AccelError::Coordinate {
+                    primitive: i,
+                    found,
+                });
             }
-            Primitive::Disk { center, e1, e2 } => ([center, e1, e2], 0.0),
-            Primitive::Sphere { center, radius } => ([center, [0.0; 3], [0.0; 3]], radius),
-            Primitive::Cylinder { p0, axis, radius } => ([p0, axis, [0.0; 3]], radius),
-        };
-        let numbers = vectors.iter().flatten().chain([&radius]);
-        if let Some(&found) = numbers
-            .into_iter()
-            .find(|x| !x.is_finite() || x.abs() > MAX_COORDINATE)
-        {
-            return Err(AccelError::Coordinate {
-                primitive: i,
-                found,
-            });
+            if shape(&p).is_some() {
+                items.push(Item {
+                    primitive: p,
+                    tag: Tag {
+                        prim: i as u32,
+                        surface: surfaces[i],
+                    },
+                    bounds: bounds(&p),
+                });
+            }
         }
-        let shape = match *p {
-            Primitive::Triangle { v0, e1, e2 } => Flat::new(v0, e1, e2, true).map(Shape::Flat),
-            Primitive::Parallelogram { v0, e1, e2 } => {
-                Flat::new(v0, e1, e2, false).map(Shape::Flat)
-            }
-            Primitive::Sphere { center, radius } => {
-                Curved::sphere(center, radius).map(Shape::Curved)
-            }
-            Primitive::Disk { center, e1, e2 } => Curved::disk(center, e1, e2).map(Shape::Curved),
-            Primitive::Cylinder { p0, axis, radius } => {
-                Curved::cylinder(p0, axis, radius).map(Shape::Curved)
-            }
-        };
-        items.extend(shape.map(|shape| Item {
-            shape,
-            tag: Tag {
-                prim: i as u32,
-                surface: surfaces[i],
-            },
-            bounds: bounds(p),
-        }));
+        Ok(items)
+    });
+    let mut items = Vec::with_capacity(prims.len());
+    for part in parts {
+        items.extend(part?);
     }
     Ok(items)
 }

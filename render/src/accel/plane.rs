@@ -5,10 +5,14 @@
 
 use super::{Primitive, bounds};
 use crate::math::each;
+use crate::parallel;
 use smallvec::SmallVec;
 
 /// So many roundings of its coordinates lie between a point that is computed on a primitive and its plane, at most.
 const ROUNDINGS: f64 = 6.0;
+
+/// So many primitives are compared by one thread.
+const COMPARED_TOGETHER: usize = 1 << 12;
 
 /// Most primitives that one is compared with.
 const MOST: usize = 256;
@@ -31,12 +35,12 @@ fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
 }
 
 fn sum(a: [f64; 3], s: f64, b: [f64; 3]) -> [f64; 3] {
-    std::array::from_fn(|k| a[k] + s * b[k])
+    each([0, 1, 2], |k: usize| a[k] + s * b[k])
 }
 
 /// How far the rounding of numbers up to `reach` may move a point along a normal, relative to [`f32::EPSILON`].
 pub(crate) fn scale(normal: [f64; 3], reach: [f64; 3]) -> f64 {
-    0.5 * f64::from(f32::EPSILON) * dot(normal.map(f64::abs), reach)
+    0.5 * f64::from(f32::EPSILON) * dot(each(normal, f64::abs), reach)
 }
 
 impl Plane {
@@ -49,7 +53,7 @@ impl Plane {
             Primitive::Disk { center, e1, e2 } => (center, e1, e2),
             Primitive::Sphere { .. } | Primitive::Cylinder { .. } => return None,
         };
-        let [at, a, b] = [at, e1, e2].map(|x| each(x, f64::from));
+        let [at, a, b] = each([at, e1, e2], |x| each(x, f64::from));
         let normal = [
             a[1] * b[2] - a[2] * b[1],
             a[2] * b[0] - a[0] * b[2],
@@ -75,7 +79,7 @@ impl Plane {
         let reach = |k: usize| corners.iter().fold(0.0, |m: f64, c| m.max(c[k].abs()));
         Some(Self {
             at,
-            normal: normal.map(|x| x / length),
+            normal: each(normal, |x| x / length),
             corners,
             reach: [reach(0), reach(1), reach(2)],
         })
@@ -88,7 +92,7 @@ impl Plane {
 
     /// Whether all of `other` lies on this plane up to rounding.
     fn holds(&self, other: &Self) -> bool {
-        let reach = std::array::from_fn(|k| self.reach[k].max(other.reach[k]));
+        let reach = each([0, 1, 2], |k: usize| self.reach[k].max(other.reach[k]));
         // What double precision makes of right angles.
         let exact = 1e-14 * (reach[0] + reach[1] + reach[2]);
         let near = ROUNDINGS * scale(self.normal, reach) + exact;
@@ -196,8 +200,8 @@ pub fn surfaces(prims: &[Primitive], emits: impl Fn(usize) -> bool) -> Vec<u32> 
         let [low, high] = bounds(p);
         let more = |k: usize| 4.0 * f32::EPSILON * low[k].abs().max(high[k].abs());
         [
-            std::array::from_fn(|k| low[k] - more(k)),
-            std::array::from_fn(|k| high[k] + more(k)),
+            each([0, 1, 2], |k: usize| low[k] - more(k)),
+            each([0, 1, 2], |k: usize| high[k] + more(k)),
         ]
     };
     let compared = |i: usize| match prims[i] {
@@ -213,23 +217,31 @@ pub fn surfaces(prims: &[Primitive], emits: impl Fn(usize) -> bool) -> Vec<u32> 
         return sets;
     }
     let few = Boxes::new(few);
-    let mut found = Vec::new();
-    for (i, p) in prims.iter().enumerate() {
-        let around = grown(p);
-        if !meet(&few.nodes[0].0, &around) {
-            continue;
-        }
-        let Some(plane) = Plane::of(p) else {
-            continue;
-        };
-        found.clear();
-        few.meeting(&around, &mut found);
-        for &k in &found {
-            let (a, b) = (root(&mut sets, i as u32), root(&mut sets, k));
-            if a != b && Plane::of(&prims[k as usize]).is_some_and(|other| plane.is(&other)) {
-                sets[a.max(b) as usize] = a.min(b);
+    // What lies on the same plane, and is united in order.
+    let pairs = parallel::ranges(prims.len(), COMPARED_TOGETHER, |range| {
+        let (mut pairs, mut found) = (Vec::new(), Vec::new());
+        for i in range {
+            let around = grown(&prims[i]);
+            if !meet(&few.nodes[0].0, &around) {
+                continue;
             }
+            found.clear();
+            few.meeting(&around, &mut found);
+            found.retain(|&k| k as usize != i);
+            if found.is_empty() {
+                continue;
+            }
+            let Some(plane) = Plane::of(&prims[i]) else {
+                continue;
+            };
+            let same = |k: &u32| Plane::of(&prims[*k as usize]).is_some_and(|p| plane.is(&p));
+            pairs.extend((found.iter().copied().filter(same)).map(|k| (i as u32, k)));
         }
+        pairs
+    });
+    for (i, k) in pairs.into_iter().flatten() {
+        let (a, b) = (root(&mut sets, i), root(&mut sets, k));
+        sets[a.max(b) as usize] = a.min(b);
     }
     (0..prims.len() as u32)
         .map(|i| root(&mut sets, i))

@@ -149,9 +149,8 @@ struct Nearest {
     t: f32x16,
     u: f32x16,
     v: f32x16,
-    /// The bits of integers, so that lanes can be selected.
-    prim: f32x16,
-    surface: f32x16,
+    /// Which of the items: the bits of integers, so that lanes can be selected.
+    slot: f32x16,
 }
 
 impl Few {
@@ -195,11 +194,10 @@ impl Few {
             t: start,
             u: zero,
             v: zero,
-            prim: zero,
-            surface: zero,
+            slot: zero,
         };
         let from = packet.marks(0);
-        for (one, Tag { prim, surface }) in &self.items {
+        for (slot, (one, Tag { surface, .. })) in (0..).zip(&self.items) {
             // Strict, and primitives ascend: the lowest one among equals stays.
             let (mut hit, t, u, v) = lanes.test(one, best.t);
             if CAREFUL {
@@ -208,28 +206,27 @@ impl Few {
             best.t = hit.select(t, best.t);
             best.u = hit.select(u, best.u);
             best.v = hit.select(v, best.v);
-            best.prim = hit.select(f32x16::splat(f32::from_bits(*prim)), best.prim);
-            best.surface = hit.select(f32x16::splat(f32::from_bits(*surface)), best.surface);
+            best.slot = hit.select(f32x16::splat(f32::from_bits(slot)), best.slot);
         }
         let found = best.t.simd_lt(start).to_bitmask();
         let (t, u, v) = (best.t.to_array(), best.u.to_array(), best.v.to_array());
-        let prim = best.prim.to_array();
+        let slot = best.slot.to_array();
+        let mut again = false;
         for i in 0..packet.len {
-            hits[i] = (found >> i & 1 != 0).then(|| Hit {
-                t: t[i],
-                u: u[i],
-                v: v[i],
-                prim: prim[i].to_bits(),
-            });
+            hits[i] = None;
+            if found >> i & 1 != 0 {
+                let Tag { prim, surface } = self.items[slot[i].to_bits() as usize].1;
+                again |= surface == packet.skip[0][i];
+                hits[i] = Some(Hit {
+                    t: t[i],
+                    u: u[i],
+                    v: v[i],
+                    prim,
+                });
+            }
         }
-        if !CAREFUL {
-            let mut again = 0;
-            for (i, met) in best.surface.to_array().iter().enumerate() {
-                again |= u32::from(met.to_bits() == packet.skip[0][i]) << i;
-            }
-            if again & found != 0 {
-                return self.again(packet, hits);
-            }
+        if !CAREFUL && again {
+            return self.again(packet, hits);
         }
         Some(())
     }

@@ -144,8 +144,9 @@ fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
     ]
 }
 
+/// Of numbers whose squares neither overflow nor vanish beside what counts as degenerate.
 fn length(a: [f64; 3]) -> f64 {
-    a[0].hypot(a[1]).hypot(a[2])
+    (a[0] * a[0] + a[1] * a[1] + a[2] * a[2]).sqrt()
 }
 
 #[inline(always)]

@@ -1,6 +1,6 @@
 //! Smooth conductors: mirrors, coloured by their complex index of refraction.
 
-use ad_core::{Real, Vec3};
+use ad_core::{Float, Real, Vec3};
 
 use super::metals::METALS;
 use super::{BsdfSample, Component, DeltaKind, Leaf, Lobe, Reader, TransportMode, fresnel};
@@ -56,6 +56,26 @@ impl<R: Real> ConductorLobe<R> {
                 self.specular_reflectance * Rgb::new(f(eta.r, k.r), f(eta.g, k.g), f(eta.b, k.b))
             }
         }
+    }
+}
+
+impl<P: Float> ConductorLobe<P> {
+    /// [`ConductorLobe::reflectance`] of those that have an index or do not, without a branch.
+    #[inline(always)]
+    pub(super) fn reflectance_in_line(&self, has_index: bool, cos: P) -> Rgb<P> {
+        let [eta, k] = self.index.unwrap_or([Rgb::black(); 2]);
+        let f = |eta, k| {
+            let [r_s, r_p] = fresnel::conductor_in_line(cos, eta, k);
+            (r_s + r_p) * P::of(0.5)
+        };
+        let fresnel = Rgb::new(f(eta.r, k.r), f(eta.g, k.g), f(eta.b, k.b));
+        let all = self.specular_reflectance;
+        let some = all * fresnel;
+        Rgb::new(
+            P::select(has_index, some.r, all.r),
+            P::select(has_index, some.g, all.g),
+            P::select(has_index, some.b, all.b),
+        )
     }
 }
 

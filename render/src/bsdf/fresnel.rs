@@ -5,6 +5,8 @@
 
 use ad_core::{Const, Float, Real};
 
+use crate::math::both;
+
 /// Up to here, an index of refraction is used as it is.
 const LARGE_INDEX: f64 = 1e6;
 
@@ -87,35 +89,32 @@ pub fn conductor<R: Real>(cos_i: R, eta: R, k: R) -> R {
 /// [`conductor`] for light polarised perpendicular and parallel to the plane of incidence.
 #[inline]
 pub fn conductor_polarised<R: Real>(cos_i: R, eta: R, k: R) -> [R; 2] {
+    conductor_in_line(cos_i, eta, k)
+}
+
+/// [`conductor_polarised`] without a branch, for loops over many.
+#[inline(always)]
+pub(super) fn conductor_in_line<R: Real>(cos_i: R, eta: R, k: R) -> [R; 2] {
     let zero = R::Primal::zero();
-    if cos_i.primal() <= zero {
-        return [R::one(); 2];
-    }
     // The fourth powers of a larger index leave single precision: there, all is measured in units of it.
     let largest = eta.primal().abs().max(k.primal().abs());
-    let unit = if largest > R::Primal::of(LARGE_INDEX) {
-        largest.recip()
-    } else {
-        R::Primal::one()
-    };
+    let unit = R::Primal::select(
+        largest > R::Primal::of(LARGE_INDEX),
+        largest.recip(),
+        R::Primal::one(),
+    );
     let (eta, k) = (eta * Const(unit), k.abs() * Const(unit));
     let c2 = cos_i.square();
     let eta_k = eta * k;
     // a + ib = sqrt((eta + ik)^2 - sin^2), the component of the wave vector along the normal.
     let t = (eta - k) * (eta + k) - Const(unit * unit) + c2 * Const(unit * unit);
     let modulus = (t.square() + (eta_k * R::c(2.0)).square()).sqrt();
-    let (a, b) = if t.primal() > zero {
-        let a = ((modulus + t) * R::c(0.5)).sqrt();
-        (a, eta_k / a)
-    } else {
-        let b = ((modulus - t) * R::c(0.5)).sqrt();
-        let a = if b.primal() > zero {
-            eta_k / b
-        } else {
-            R::zero()
-        };
-        (a, b)
-    };
+    // The larger of both without cancellation, and the other from it.
+    let real = t.primal() > zero;
+    let size = R::select(real, t, -t);
+    let root = ((modulus + size) * R::c(0.5)).sqrt();
+    let other = R::select(root.primal() > zero, eta_k / root, R::zero());
+    let (a, b) = (R::select(real, root, other), R::select(real, other, root));
     let (b2, c) = (b.square(), cos_i * Const(unit));
     let r_s = ((c - a).square() + b2) / ((c + a).square() + b2);
     // (eta + ik)^2 cos_i
@@ -123,12 +122,13 @@ pub fn conductor_polarised<R: Real>(cos_i: R, eta: R, k: R) -> [R; 2] {
     let (a, b) = (a * Const(unit), b * Const(unit));
     let numerator = (re - a).square() + (im - b).square();
     let denominator = (re + a).square() + (im + b).square();
-    let r_p = if denominator.primal() > zero {
-        numerator / denominator
-    } else {
-        R::one()
-    };
-    [r_s, r_p]
+    let r_p = R::select(
+        denominator.primal() > zero,
+        numerator / denominator,
+        R::one(),
+    );
+    let grazing = cos_i.primal() <= zero;
+    both([r_s, r_p], |r| R::select(grazing, R::one(), r))
 }
 
 /// Average of [`dielectric`]'s reflectance over cosine-weighted directions on the near side, to

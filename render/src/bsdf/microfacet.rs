@@ -58,16 +58,13 @@ impl<R: Real> Microfacet<R> {
     /// horizon. Integrates to one over projected solid angle.
     #[inline]
     pub fn d(&self, m: Vec3<R>) -> R {
-        if m.z.primal() <= R::Primal::zero() {
-            return R::zero();
-        }
-        let area = self.alpha.square() * R::c(PI);
         match self.kind {
-            Ndf::Ggx => {
-                let (x, y) = (m.x / self.alpha, m.y / self.alpha);
-                (area * (x.square() + y.square() + m.z.square()).square()).recip()
-            }
+            Ndf::Ggx => ggx_d(self.alpha, m),
             Ndf::Beckmann => {
+                if m.z.primal() <= R::Primal::zero() {
+                    return R::zero();
+                }
+                let area = self.alpha.square() * R::c(PI);
                 let az = self.alpha * m.z;
                 let steepness = (m.x / az).square() + (m.y / az).square();
                 // The far tail, where the exponential is no normal number: 0 * inf below.
@@ -82,11 +79,12 @@ impl<R: Real> Microfacet<R> {
     /// Projected area of the microfacets visible from `w`, on either side; `|cos| / G1`. Positive.
     #[inline]
     pub fn sigma(&self, w: Vec3<R>) -> R {
-        let c = w.z.abs();
-        let s2 = w.x.square() + w.y.square();
         match self.kind {
-            Ndf::Ggx => (c + (c.square() + self.alpha.square() * s2).sqrt()) * R::c(0.5),
-            Ndf::Beckmann => beckmann_sigma(c, self.alpha * s2.sqrt()),
+            Ndf::Ggx => ggx_sigma(self.alpha, w),
+            Ndf::Beckmann => {
+                let s2 = w.x.square() + w.y.square();
+                beckmann_sigma(w.z.abs(), self.alpha * s2.sqrt())
+            }
         }
     }
 
@@ -202,9 +200,35 @@ impl<R: Real> Microfacet<R> {
     }
 }
 
+/// [`Microfacet::d`] of GGX surfaces.
+#[inline(always)]
+pub(super) fn ggx_d<R: Real>(alpha: R, m: Vec3<R>) -> R {
+    let area = alpha.square() * R::c(PI);
+    let (x, y) = (m.x / alpha, m.y / alpha);
+    let d = (area * (x.square() + y.square() + m.z.square()).square()).recip();
+    R::select(m.z.primal() > R::Primal::zero(), d, R::zero())
+}
+
+/// [`Microfacet::sigma`] of GGX surfaces.
+#[inline(always)]
+pub(super) fn ggx_sigma<R: Real>(alpha: R, w: Vec3<R>) -> R {
+    let c = w.z.abs();
+    let s2 = w.x.square() + w.y.square();
+    (c + (c.square() + alpha.square() * s2).sqrt()) * R::c(0.5)
+}
+
+/// [`Microfacet::sample_visible`] of GGX surfaces, and whether that is right: without branches, as [`Vec3::unit`].
+#[inline(always)]
+pub(super) fn ggx_sample_visible<P: Float>(alpha: P, w: Vec3<P>, u: [P; 2]) -> (Vec3<P>, bool) {
+    let (stretched, sane) = Vec3::new(alpha * w.x, alpha * w.y, w.z).unit();
+    let m = ggx_visible(stretched, u);
+    let (m, right) = Vec3::new(alpha * m.x, alpha * m.y, m.z).unit();
+    (m, sane & right)
+}
+
 /// A visible normal of the GGX surface of roughness 1, not normalised: the half-vector of `w` and a
 /// uniform point `c` on the spherical cap `c.z > -w.z`.
-#[inline]
+#[inline(always)]
 fn ggx_visible<R: Real>(w: Vec3<R>, u: [R::Primal; 2]) -> Vec3<R> {
     let above = w.z + R::c(1.0);
     // 1 - w.z without cancellation.

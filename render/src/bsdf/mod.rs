@@ -128,6 +128,7 @@ pub use normal_map::{Corrections, Interpolation, NormalMap, shadowing};
 pub use null::{Null, NullLobe};
 pub use plastic::{Coated, CoatedLobe, Plastic, PlasticLobe};
 pub use principled::{Principled, PrincipledLobe, Reflectivity};
+pub(crate) use rough_conductor::{Facets, Metal};
 pub use rough_conductor::{RoughConductor, RoughConductorLobe, Roughness};
 pub use rough_dielectric::{RoughDielectric, RoughDielectricLobe};
 pub use rough_plastic::{Coat, RoughPlastic, RoughPlasticLobe};

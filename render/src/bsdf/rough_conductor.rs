@@ -2,9 +2,9 @@
 
 use ad_core::{Const, Float, Real, Vec3};
 
-use super::microfacet::{ALPHA_RANGE, Microfacet, Ndf};
+use super::microfacet::{ALPHA_RANGE, Microfacet, Ndf, ggx_d, ggx_sample_visible, ggx_sigma};
 use super::{
-    BsdfSample, Component, Conductor, ConductorLobe, Leaf, Lobe, Part, Reader, Scattered,
+    BsdfSample, Component, Conductor, ConductorLobe, Leaf, Lobe, Part, Reader, Scattered, Shading,
     TransportMode,
 };
 use crate::error::SceneError;
@@ -178,7 +178,7 @@ pub(super) fn sample_reflected_differential<P: Float>(
 }
 
 /// Reflects `w` about `m`.
-#[inline]
+#[inline(always)]
 pub(super) fn reflect<R: Real>(w: Vec3<R>, m: Vec3<R>) -> Vec3<R> {
     m * (w.dot(m) * R::c(2.0)) - w
 }
@@ -202,6 +202,129 @@ impl<R: Real> RoughConductorLobe<R> {
             component: Component::Continuous,
             eta: R::Primal::one(),
         })
+    }
+}
+
+/// The lobe of a metal: a [`RoughConductorLobe`] whose visible normals are sampled, or a mirror. Number by number, in steps
+/// without branches, so that loops over many become vector instructions.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Metal<P> {
+    /// Roughness; zero of mirrors.
+    pub alpha: P,
+    /// Factor on the reflectance.
+    pub specular_reflectance: Rgb<P>,
+    /// Real and imaginary part of the index, if it has one.
+    pub index: [Rgb<P>; 2],
+    /// Whether it has.
+    pub has_index: bool,
+}
+
+/// What facets of a normal reflect, without colour.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Facets<P> {
+    /// The normal.
+    pub m: Vec3<P>,
+    /// Density of such normals.
+    pub d: P,
+    /// `sigma` of both directions.
+    pub sigma: [P; 2],
+}
+
+impl<P: Float> Metal<P> {
+    /// What a rough material is at a point; `None` if not only visible normals are sampled.
+    #[inline(always)]
+    pub fn rough(material: &RoughConductor, at: &Shading<P>) -> Option<(Ndf, Self)> {
+        if !material.roughness.visible {
+            return None;
+        }
+        let lobe = material.lobe(&mut { *at });
+        let microfacet = lobe.microfacet;
+        Some((microfacet.kind, Self::of(microfacet.alpha, &lobe.facet)))
+    }
+
+    /// What a mirror is at a point.
+    #[inline(always)]
+    pub fn mirror(material: &Conductor, at: &Shading<P>) -> Self {
+        Self::of(P::zero(), &material.lobe(&mut { *at }))
+    }
+
+    #[inline(always)]
+    fn of(alpha: P, facet: &ConductorLobe<P>) -> Self {
+        Self {
+            alpha,
+            specular_reflectance: facet.specular_reflectance,
+            index: facet.index.unwrap_or([Rgb::black(); 2]),
+            has_index: facet.index.is_some(),
+        }
+    }
+
+    /// Of the facets that reflect `wi` to `wo`, if they are GGX; and whether their normal is right, as of
+    /// [`Vec3::unit`].
+    #[inline(always)]
+    pub fn ggx(&self, wo: Vec3<P>, wi: Vec3<P>) -> (Facets<P>, bool) {
+        let (m, right) = (wo + wi).unit();
+        let sigma = [ggx_sigma(self.alpha, wo), ggx_sigma(self.alpha, wi)];
+        let d = ggx_d(self.alpha, m);
+        (Facets { m, d, sigma }, right)
+    }
+
+    /// The same of facets that are Beckmann's. The normal is known.
+    #[inline(always)]
+    pub fn beckmann(&self, wo: Vec3<P>, wi: Vec3<P>, m: Vec3<P>) -> Facets<P> {
+        let surface = self.surface();
+        let d = surface.d(m);
+        let above = (wo.z > P::zero()) & (wi.z > P::zero());
+        // Far off a narrow lobe, as most lights are.
+        let sigma = if above && d > P::zero() {
+            both([wo, wi], |w| surface.sigma(w))
+        } else {
+            [P::one(); 2]
+        };
+        Facets { m, d, sigma }
+    }
+
+    fn surface(&self) -> Microfacet<P> {
+        Microfacet {
+            kind: Ndf::Beckmann,
+            alpha: self.alpha,
+            visible: true,
+        }
+    }
+
+    /// [`Lobe::eval_pdf`] by what the facets do.
+    #[inline(always)]
+    pub fn eval_pdf(&self, wo: Vec3<P>, wi: Vec3<P>, facets: &Facets<P>) -> (Rgb<P>, P) {
+        let zero = P::zero();
+        let Facets { m, d, sigma } = *facets;
+        let reflection = d * (wi.z.abs() / (sigma[0] * sigma[1] * P::of(4.0)));
+        let f = self.reflectance(wo.dot(m)) * reflection;
+        let scatters = (wo.z > zero) & (wi.z > zero) & (d != zero);
+        let pdf = d / (sigma[0] * P::of(4.0));
+        let f = f.map(|f| P::select(scatters, f, zero));
+        (f, P::select(scatters, pdf, zero))
+    }
+
+    /// Reflectance under the angle whose cosine is `cos`.
+    #[inline(always)]
+    pub fn reflectance(&self, cos: P) -> Rgb<P> {
+        let facet = ConductorLobe {
+            specular_reflectance: self.specular_reflectance,
+            index: Some(self.index),
+        };
+        facet.reflectance_in_line(self.has_index, cos)
+    }
+
+    /// The direction that [`Lobe::sample`] finds if facets are GGX, and whether it is right.
+    #[inline(always)]
+    pub fn sample_ggx(&self, wo: Vec3<P>, u: [P; 2]) -> (Vec3<P>, bool) {
+        let (m, right) = ggx_sample_visible(self.alpha, wo, u);
+        (reflect(wo, m), right)
+    }
+
+    /// The same if they are Beckmann's, of directions above the horizon.
+    #[inline(always)]
+    pub fn sample_beckmann(&self, wo: Vec3<P>, u: [P; 2]) -> Vec3<P> {
+        reflect(wo, self.surface().sample_visible(wo, u))
     }
 }
 

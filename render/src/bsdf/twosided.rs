@@ -35,6 +35,13 @@ impl TwoSided {
         &self.sides
     }
 
+    /// The material of both sides, if it is one.
+    #[inline]
+    pub(crate) fn same(&self) -> Option<&Material> {
+        let [front, back] = &self.sides;
+        Arc::ptr_eq(front, back).then_some(front)
+    }
+
     /// The side that is seen along `wo`, and whether it has to be turned to the front.
     #[inline]
     fn side<R: Real>(&self, wo: Vec3<R>) -> (&Material, bool) {

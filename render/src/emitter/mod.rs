@@ -18,6 +18,7 @@ pub use area::Area;
 pub use constant::Constant;
 pub use directional::Directional;
 pub use envmap::{Envmap, Moved, MovingDraw, Shift};
+pub(crate) use envmap::{Local as LocalSums, MapPoint};
 pub use point::Point;
 pub use projector::{Projector, Slide};
 pub use spot::Spot;

@@ -1,5 +1,6 @@
 //! Geometry and colour over any scalar: one type per file.
 
+pub mod angle;
 mod frame;
 mod ray;
 mod rgb;

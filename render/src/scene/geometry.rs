@@ -1,7 +1,5 @@
 //! The geometry of a scene, and all that is derived from it: one owner, so that it changes together.
 
-use std::collections::HashSet;
-
 use ad_core::{Real, Vec3};
 
 use super::ShapeInfo;
@@ -10,11 +8,15 @@ use crate::camera::Camera;
 use crate::emitter::Ball;
 use crate::math::{NOWHERE, Ray, Transform};
 use crate::motion::{Drift, Placement};
+use crate::parallel;
 use crate::params::{ParamRef, Params, Theta};
 use crate::shape::{AnyShape, Exit, Patch, Prim, Shape};
 
 /// This many lamps, or things that throw caustics, have a ball of their own, at most.
 const MOST_BALLS: usize = 16;
+
+/// So many primitives are looked at by one thread.
+const PLACED_TOGETHER: usize = 1 << 14;
 
 /// How far rays start off a curved surface, relative to its largest coordinate: 64 roundings of an f32.
 const RELATIVE_OFFSET: f32 = 64.0 * f32::EPSILON / 2.0;
@@ -136,15 +138,18 @@ impl Layout {
         let emits = |i: usize| infos[prims[i].shape as usize].emitter.is_some();
         let surfaces = accel::surfaces(&primitives, emits);
         raise_lights(&mut primitives, &prims, &surfaces, shapes, camera, emits);
-        for ((prim, primitive), &surface) in prims.iter_mut().zip(&primitives).zip(&surfaces) {
-            prim.surface = surface;
-            if let Some(plane) = Plane::of(primitive) {
-                prim.exit = Exit {
-                    offset: plane.offset(),
-                    surface,
-                };
+        parallel::over(prims.chunks_mut(PLACED_TOGETHER), |k, part| {
+            for (prim, i) in part.iter_mut().zip(k * PLACED_TOGETHER..) {
+                let surface = surfaces[i];
+                prim.surface = surface;
+                if let Some(plane) = Plane::of(&primitives[i]) {
+                    prim.exit = Exit {
+                        offset: plane.offset(),
+                        surface,
+                    };
+                }
             }
-        }
+        });
         Self {
             prims,
             firsts,
@@ -332,11 +337,11 @@ fn raise_lights(
     emits: impl Fn(usize) -> bool,
 ) {
     // Surfaces that something dark lies on.
-    let dark: HashSet<u32> = (0..prims.len())
-        .filter(|&i| !emits(i))
-        .map(|i| surfaces[i])
-        .collect();
-    let shared = |i: &usize| emits(*i) && dark.contains(&surfaces[*i]);
+    let mut dark = vec![false; prims.len()];
+    for i in (0..prims.len()).filter(|&i| !emits(i)) {
+        dark[surfaces[i] as usize] = true;
+    }
+    let shared = |i: &usize| emits(*i) && dark[surfaces[*i] as usize];
     let raised: Vec<usize> = (0..prims.len()).filter(shared).collect();
     if raised.is_empty() {
         return;

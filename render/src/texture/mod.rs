@@ -87,6 +87,18 @@ impl<const C: usize> Texture<C> {
         }
     }
 
+    /// [`Texture::eval`] of what stands still, for loops over many lookups: no call, which would wait for `uv`.
+    #[inline(always)]
+    pub(crate) fn eval_in_line<P: Float>(&self, theta: &Theta<P>, uv: Vec2<P>) -> [P; C] {
+        match self {
+            Self::Bitmap(t) => {
+                let f = t.footprint(uv);
+                gather(theta, &f, |texel| texel, |texel, w| texel * Const(w))
+            }
+            _ => self.eval(theta, uv),
+        }
+    }
+
     /// Adds the adjoint `d` of the value at `uv` to the texels it was made from. A scalar texture
     /// takes the sum over the channels.
     #[inline(always)]
@@ -282,7 +294,7 @@ fn put<P: Float, const C: usize>(
     grad.add_all::<C>(p, texel as usize * C, array(|c| weight * d[c]));
 }
 
-#[inline]
+#[inline(always)]
 fn gather<R: Real, W: Copy, const C: usize>(
     theta: &Theta<R>,
     f: &Footprint<W>,

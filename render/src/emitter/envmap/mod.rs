@@ -5,20 +5,21 @@ mod table;
 
 pub use motion::{Moved, MovingDraw, Shift};
 
-use std::f64::consts::{FRAC_1_PI, PI};
+use std::f64::consts::FRAC_1_PI;
 
 use ad_core::{Const, Float, Real, Vec2, Vec3};
 
+pub(crate) use self::table::Local;
 use self::table::Table;
 use super::{Emission, Emitter, EmitterSample, Lights};
 use crate::error::SceneError;
 use crate::film::Image;
 use crate::image_io::Encoding;
-use crate::math::{NOWHERE, Rgb, Transform, each};
+use crate::math::{NOWHERE, Rgb, Transform, angle, each};
 use crate::motion::Placement;
 use crate::params::{GradSink, ParamRef, ParamShape, Params, Theta};
 use crate::plugin::{FromNode, Node, Registry};
-use crate::shape::{SurfaceInteraction, lift3, turn};
+use crate::shape::{SurfaceInteraction, lift3};
 use crate::texture::{self, Bitmap, RgbTexture, Texture, UvTransform, Wrap};
 
 /// What every environment's texels satisfy.
@@ -125,67 +126,166 @@ impl Envmap {
         }
     }
 
-    #[inline]
-    fn local<R: Real>(&self, d: Vec3<R>) -> [R; 3] {
-        each(self.axes, |a| lift3::<R>(a).dot(d))
-    }
-
-    /// Density per solid angle at a local direction: bilinear in its cell, so continuous.
-    fn density<R: Real>(&self, local: [R; 3]) -> R {
-        let uniform = R::c(0.25 * FRAC_1_PI);
-        let table = &self.table;
-        if table.density.is_empty() {
-            return R::lift(uniform.0);
-        }
-        let [x, y, z] = local;
-        let column = turn(x, -z) * R::c(table.width as f64) - R::c(0.5);
-        let left = column.primal().to_f64().floor();
-        let cell = (left as i64).rem_euclid(table.width as i64) as usize;
-        let fx = column - R::c(left);
-        let sine_squared = x * x + z * z;
-        let theta = sine_squared.primal().sqrt().atan2(y.primal()).to_f64();
-        let band = (theta * FRAC_1_PI * table.bands() as f64) as usize;
-        let band = band.min(table.bands() - 1);
+    /// Where a direction meets the map.
+    #[inline(always)]
+    pub(crate) fn spot<R: Real>(&self, d: Vec3<R>) -> MapPoint<R> {
+        let [x, y, z] = each(self.axes, |a| lift3::<R>(a).dot(d));
+        let sine_squared = x.square() + z.square();
+        let u = angle::atan2(x, -z) * R::c(0.5 * FRAC_1_PI);
+        let u = R::select(u.primal() < R::Primal::zero(), u + R::c(1.0), u);
+        let v = angle::atan2(sine_squared.sqrt(), y) * R::c(FRAC_1_PI);
         // 1 - cos theta without cancellation near the upper pole; near the lower one nothing cancels.
         let r = (sine_squared + y * y).sqrt();
-        let h = if y.primal() > R::Primal::zero() {
-            sine_squared / (r * (r + y))
-        } else {
-            -(y / r) + R::c(1.0)
-        };
-        let (above, below) = (table.edges[band], table.edges[band + 1]);
-        let fy = ((h - R::c(above)) / R::c(below - above)).clamp(R::zero(), R::one());
-        let [[a, b], [c, d]] = table.corners(band, cell);
-        let across = |a: f64, b: f64| fx * R::c(b - a) + R::c(a);
-        let (upper, lower) = (across(a, b), across(c, d));
-        (upper + (lower - upper) * fy) * uniform
+        let h = R::select(
+            y.primal() > R::Primal::zero(),
+            sine_squared / (r * (r + y)),
+            -(y / r) + R::c(1.0),
+        );
+        MapPoint {
+            uv: Vec2::new(u, v),
+            h,
+        }
     }
 
-    /// The direction to a place in a cell, world space, and the coordinates of the texture there.
+    /// The cell there: its band, its column, and how far along it the spot is.
+    #[inline(always)]
+    pub(crate) fn cell<R: Real>(&self, spot: &MapPoint<R>) -> ([u32; 2], R) {
+        let (width, bands) = (self.table.width as f64, self.table.bands() as f64);
+        let column = spot.uv.x * R::c(width) - R::c(0.5);
+        let left = column.primal().floor();
+        let whole = |x: R::Primal, n: f64| {
+            let last = R::Primal::of(n - 1.0);
+            let x = R::Primal::select(x < R::Primal::zero(), last, x);
+            // Of numbers in this range the fastest conversion is right.
+            x.min(last).to_f64() as i32 as u32
+        };
+        let band = spot.uv.y.primal() * R::Primal::of(bands);
+        let cell = [whole(band, bands), whole(left, width)];
+        (cell, column - Const(left))
+    }
+
+    /// What the density in a cell depends on: 1 - cos theta above and below it, and the density at its corners.
+    #[inline(always)]
+    pub(crate) fn corners(&self, [band, cell]: [u32; 2]) -> ([f64; 2], [[f64; 2]; 2]) {
+        let (table, band) = (&self.table, band as usize);
+        let edges = [table.edges[band], table.edges[band + 1]];
+        (edges, table.corners(band, cell as usize))
+    }
+
+    /// Density per solid angle at a spot that is so far along its cell: bilinear there, so continuous.
+    #[inline(always)]
+    pub(crate) fn density_in<R: Real>(
+        spot: &MapPoint<R>,
+        fx: R,
+        [above, below]: [f64; 2],
+        [[a, b], [c, d]]: [[f64; 2]; 2],
+    ) -> R {
+        let fy = ((spot.h - R::c(above)) / R::c(below - above)).clamp(R::zero(), R::one());
+        let across = |a: f64, b: f64| fx * R::c(b - a) + R::c(a);
+        let (upper, lower) = (across(a, b), across(c, d));
+        (upper + (lower - upper) * fy) * R::c(0.25 * FRAC_1_PI)
+    }
+
+    /// A sample of direction, density and coordinates of the texture.
+    #[inline(always)]
+    pub(crate) fn sampled<P: Float>(&self, d: Vec3<P>, pdf: P, uv: Vec2<P>) -> EmitterSample<P> {
+        EmitterSample {
+            d,
+            distance: P::of(f64::INFINITY),
+            normals: [Vec3::zero(); 2],
+            surface: NOWHERE,
+            prim: 0,
+            pdf,
+            emission: self.emission(uv),
+        }
+    }
+
+    /// Whether it has been told its texels: until then there is nothing to draw.
+    #[inline(always)]
+    pub(crate) fn is_known(&self) -> bool {
+        !self.table.density.is_empty()
+    }
+
+    /// What it emits at a spot.
+    #[inline(always)]
+    pub(crate) fn emission<R: Real>(&self, uv: Vec2<R>) -> Emission<R> {
+        Emission {
+            uv,
+            falloff: R::of(self.scale),
+        }
+    }
+
+    /// Where in the map's numbers a sample is looked up: its band, what there is of that, and the fraction of the sphere
+    /// that it covers.
+    #[inline(always)]
+    pub(crate) fn draw_band(&self, u: f64) -> (usize, Local<f64>, f64) {
+        let band = self.table.band(u);
+        (band, self.table.around(band), self.table.cover(band))
+    }
+
+    /// How far down in the band it is.
+    #[inline(always)]
+    pub(crate) fn draw_latitude(&self, cover: f64, u: f64, around: &Local<f64>) -> f64 {
+        self.table.latitude_where(cover, u, around)
+    }
+
+    /// Its cell, what surrounds that, and 1 - cos theta above and below.
+    #[inline(always)]
+    pub(crate) fn draw_cell(&self, band: usize, u: f64, y: f64) -> (usize, Local<f64>, [f64; 2]) {
+        let (table, cell) = (&self.table, self.table.cell(band, u, y));
+        let edges = [table.edges[band], table.edges[band + 1]];
+        (cell, table.local(band, cell), edges)
+    }
+
+    /// The sample that these numbers give: direction, density and coordinates of the texture.
+    #[inline(always)]
+    pub(crate) fn draw_place<P: Float>(
+        &self,
+        (cell, edges): (f64, [f64; 2]),
+        u: f64,
+        y: f64,
+        local: &Local<f64>,
+    ) -> (Vec3<P>, P, Vec2<P>) {
+        let draw = self.table.place(y, u, local);
+        let (d, [u, v]) = self.towards(cell, edges, [draw.x, draw.y]);
+        let pdf = P::of(draw.density * 0.25 * FRAC_1_PI);
+        // It is nearly of unit length already.
+        (d.map(P::of).unit().0, pdf, Vec2::new(P::of(u), P::of(v)))
+    }
+
+    /// The direction to a place in a cell, whose edges are at these values of 1 - cos theta, world space, and the
+    /// coordinates of the texture there.
+    #[inline(always)]
     fn towards<R: Real<Primal = f64>>(
         &self,
-        band: usize,
-        cell: usize,
+        cell: f64,
+        [above, below]: [f64; 2],
         [x, y]: [R; 2],
     ) -> (Vec3<R>, [R; 2]) {
-        let (above, below) = (self.table.edges[band], self.table.edges[band + 1]);
         let h = y * R::c(below - above) + R::c(above);
-        let u = (x + R::c(cell as f64 + 0.5)) * R::c(1.0 / self.table.width as f64);
-        let u = u.rem_euclid(R::c(1.0));
-        let (sin_phi, cos_phi) = (u * R::c(2.0 * PI)).sin_cos();
+        let u = (x + R::c(cell + 0.5)) * R::c(1.0 / self.table.width as f64);
+        // Half of the last cell lies beyond the seam.
+        let u = R::select(u.primal() >= 1.0, u - R::c(1.0), u);
+        let (sin_phi, cos_phi) = angle::sin_cos(u);
         let sin_theta = (h * (R::c(2.0) - h)).max(R::zero()).sqrt();
         let cos_theta = R::c(1.0) - h;
         let local = [sin_phi * sin_theta, cos_theta, -cos_phi * sin_theta];
-        let world = self.axes.iter().zip(local);
-        let d = world.fold(Vec3::zero(), |sum, (&a, x)| sum + lift3::<R>(a) * x);
-        (d, [u, sin_theta.atan2(cos_theta) * R::c(FRAC_1_PI)])
+        let world = |k: usize| {
+            let [a, b, c] = each(self.axes, |axis| R::c(f64::from(axis[k])));
+            local[0] * a + local[1] * b + local[2] * c
+        };
+        let v = angle::atan2(sin_theta, cos_theta) * R::c(FRAC_1_PI);
+        (Vec3::new(world(0), world(1), world(2)), [u, v])
     }
 }
 
-/// Sine of the angle to the y axis. Of a unit vector, it needs no care against overflow.
-#[inline(always)]
-fn sine<R: Real>(x: R, z: R) -> R {
-    (x.square() + z.square()).sqrt()
+/// Where a direction meets a map.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct MapPoint<R> {
+    /// Coordinates of the texture.
+    pub uv: Vec2<R>,
+    /// 1 - cos theta.
+    pub h: R,
 }
 
 /// What the angle of `(x, y)` is more than it is without tangents: zero, and its change. `atan2` would find the angle,
@@ -227,12 +327,7 @@ impl Emitter for Envmap {
         if si.is_some() {
             return None;
         }
-        let [x, y, z] = self.local(d);
-        let v = sine(x, z).atan2(y) * R::c(FRAC_1_PI);
-        Some(Emission {
-            uv: Vec2::new(turn(x, -z), v),
-            falloff: R::of(self.scale),
-        })
+        Some(self.emission(self.spot(d).uv))
     }
 
     #[inline]
@@ -245,9 +340,10 @@ impl Emitter for Envmap {
         if si.is_some() {
             return None;
         }
-        let [x, y, z] = self.local(d);
+        let [x, y, z] = each(self.axes, |a| lift3::<R>(a).dot(d));
         let u = angle_again(x, -z) * R::c(0.5 * FRAC_1_PI);
-        let v = angle_again(sine(x, z), y) * R::c(FRAC_1_PI);
+        let sine = (x.square() + z.square()).sqrt();
+        let v = angle_again(sine, y) * R::c(FRAC_1_PI);
         Some(Emission {
             uv: Vec2::new(u + Const(at.uv.x), v + Const(at.uv.y)),
             falloff: R::lift(at.falloff),
@@ -255,24 +351,16 @@ impl Emitter for Envmap {
     }
 
     fn sample<P: Float>(&self, _: Lights, _: Vec3<P>, u: [P; 2]) -> Option<EmitterSample<P>> {
-        if self.table.density.is_empty() {
+        if !self.is_known() {
             return None;
         }
         // In f64: a choice among thousands of cells leaves f32 few digits for the place in the cell.
-        let (band, cell, draw) = self.table.draw([u[0].to_f64(), u[1].to_f64()]);
-        let (d, [u, v]) = self.towards(band, cell, [draw.x, draw.y]);
-        Some(EmitterSample {
-            d: d.map(P::of).normalize(),
-            distance: P::of(f64::INFINITY),
-            normals: [Vec3::zero(); 2],
-            surface: NOWHERE,
-            prim: 0,
-            pdf: P::of(draw.density * 0.25 * FRAC_1_PI),
-            emission: Emission {
-                uv: Vec2::new(P::of(u), P::of(v)),
-                falloff: P::of(self.scale),
-            },
-        })
+        let [u0, u1] = [u[0].to_f64(), u[1].to_f64()];
+        let (band, around, cover) = self.draw_band(u1);
+        let y = self.draw_latitude(cover, u1, &around);
+        let (cell, local, edges) = self.draw_cell(band, u0, y);
+        let (d, pdf, uv) = self.draw_place((cell as f64, edges), u0, y, &local);
+        Some(self.sampled(d, pdf, uv))
     }
 
     #[inline]
@@ -285,7 +373,13 @@ impl Emitter for Envmap {
     ) -> R {
         match si {
             Some(_) => R::zero(),
-            None => self.density(self.local(d)),
+            None if !self.is_known() => R::of(0.25 * FRAC_1_PI),
+            None => {
+                let spot = self.spot(d);
+                let (cell, fx) = self.cell(&spot);
+                let (edges, corners) = self.corners(cell);
+                Self::density_in(&spot, fx, edges, corners)
+            }
         }
     }
 

@@ -183,7 +183,8 @@ impl Envmap {
     fn placed<R: Real>(&self, draw: &MovingDraw, at: Draw<R>) -> Moved<R> {
         type Place = Dual<f64, 2>;
         let place = [Place::var(draw.at.x, 0), Place::var(draw.at.y, 1)];
-        let (d, [u, v]) = self.towards(draw.band, draw.cell, place);
+        let edges = [self.table.edges[draw.band], self.table.edges[draw.band + 1]];
+        let (d, [u, v]) = self.towards(draw.cell as f64, edges, place);
         let rows = self.table.corners(draw.band, draw.cell);
         let side = |i: usize| mix(rows.map(|row| Place::constant(row[i])), place[1]);
         let frozen = mix([side(0), side(1)], place[0]);

@@ -10,6 +10,8 @@ use std::f64::consts::PI;
 
 use ad_core::Real;
 
+use crate::math::both;
+
 /// Fraction of the samples that are uniform over the sphere, so that dark texels can be switched on
 /// (F7).
 pub(super) const UNIFORM_FRACTION: f64 = 0.05;
@@ -25,13 +27,19 @@ pub(super) struct Table {
     pub density: Vec<f32>,
     /// [`Table::sums_of`] the density.
     pub sums: Vec<f64>,
+    /// Where to look for the band of a random number.
+    band_guide: Guide,
+    /// Where to look for the cell in each row.
+    cell_guides: Guide,
+    /// How many parts these have: a search among a few numbers is left.
+    parts: [usize; 2],
     /// Change of the density with the luminance; zero for a black map, which is sampled uniformly.
     pub slope: f64,
 }
 
 /// What a sample is made of: a cell, and what surrounds it.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Local<R> {
+pub(crate) struct Local<R> {
     /// Probability of all bands before.
     pub before: R,
     /// Sums of the upper and the lower row.
@@ -51,6 +59,48 @@ pub(super) struct Draw<R> {
     pub density: R,
 }
 
+/// Bounds for searches among numbers that ascend from nothing to a whole: how many are at most so many parts of it, for
+/// all parts from none to all.
+///
+/// The parts are powers of two, so that a random number lies in its part whatever the rounding.
+#[derive(Clone, Debug, Default)]
+struct Guide(Vec<u32>);
+
+impl Guide {
+    /// Appends that of some numbers, in so many parts.
+    fn add(&mut self, numbers: &[f64], whole: f64, parts: usize) {
+        let mut passed = 0;
+        for k in 0..=parts {
+            let bound = whole * (k as f64 / parts as f64);
+            while passed < numbers.len() && numbers[passed] <= bound {
+                passed += 1;
+            }
+            self.0.push(passed as u32);
+        }
+    }
+}
+
+/// The part of so many that a number in [0, 1) lies in.
+#[inline(always)]
+fn part(u: f64, parts: usize) -> usize {
+    // Larger numbers than that are none.
+    ((u * parts as f64) as usize).min(parts - 1)
+}
+
+/// The first of these places that is not `before`, or the last of them.
+#[inline(always)]
+fn first_not(mut first: usize, mut last: usize, before: impl Fn(usize) -> bool) -> usize {
+    while first < last {
+        let middle = (first + last) / 2;
+        if before(middle) {
+            first = middle + 1
+        } else {
+            last = middle
+        }
+    }
+    first
+}
+
 impl Table {
     pub fn new(width: usize, height: usize) -> Self {
         // One band where there is one row only.
@@ -63,6 +113,9 @@ impl Table {
             edges: (0..=bands).map(one_minus_cos).collect(),
             density: Vec::new(),
             sums: Vec::new(),
+            band_guide: Guide::default(),
+            cell_guides: Guide::default(),
+            parts: both([bands, width], usize::next_power_of_two),
             slope: 0.0,
         }
     }
@@ -162,6 +215,14 @@ impl Table {
         let density = |l: &f32| (f64::from(*l) * slope + floor) as f32;
         self.density = luminance.iter().map(density).collect();
         (self.sums, self.slope) = (sums, slope);
+        let (lines, bands) = self.sums.split_at(self.width * self.height);
+        let [band_parts, cell_parts] = self.parts;
+        let (mut band_guide, mut cell_guides) = (Guide::default(), Guide::default());
+        band_guide.add(bands, 1.0, band_parts);
+        for line in lines.chunks_exact(self.width) {
+            cell_guides.add(line, line[self.width - 1], cell_parts);
+        }
+        (self.band_guide, self.cell_guides) = (band_guide, cell_guides);
     }
 
     /// Element `i` of [`Table::sums_of`] ones.
@@ -216,23 +277,50 @@ impl Table {
 
     /// The band and the cell that random numbers fall into, and where.
     pub fn draw(&self, u: [f64; 2]) -> (usize, usize, Draw<f64>) {
-        let (lines, bands) = self.sums.split_at(self.width * self.height);
-        let band = bands.partition_point(|&p| p <= u[1]).min(self.bands() - 1);
-        let start = self.local(band, 0);
-        let y = self.latitude(band, u[1], &start);
-        let [a, b] = self.rows(band);
-        let (upper, lower) = (&lines[a * self.width..], &lines[b * self.width..]);
-        let target = u[0] * mix(start.rows, y);
-        let (mut cell, mut end) = (0, self.width - 1);
-        while cell < end {
-            let middle = (cell + end) / 2;
-            if mix([upper[middle], lower[middle]], y) <= target {
-                cell = middle + 1
-            } else {
-                end = middle
-            }
-        }
+        let band = self.band(u[1]);
+        let y = self.latitude(band, u[1], &self.around(band));
+        let cell = self.cell(band, u[0], y);
         (band, cell, self.place(y, u[0], &self.local(band, cell)))
+    }
+
+    /// The band that a random number falls into.
+    #[inline(always)]
+    pub fn band(&self, u: f64) -> usize {
+        let bands = &self.sums[self.width * self.height..];
+        let k = part(u, self.parts[0]);
+        let guide = &self.band_guide.0;
+        // The last sum may be less than one by rounding.
+        let last = (guide[k + 1] as usize).min(self.bands() - 1);
+        first_not((guide[k] as usize).min(last), last, |i| bands[i] <= u)
+    }
+
+    /// The cell that a random number falls into, at a latitude in a band. What is searched is a mean of two rows, which
+    /// passes a part of its sum no earlier than both of them do, and no later.
+    #[inline(always)]
+    pub fn cell(&self, band: usize, u: f64, y: f64) -> usize {
+        let parts = self.parts[1];
+        let [a, b] = self.rows(band);
+        let k = part(u, parts);
+        let guide = |row: usize, k: usize| self.cell_guides.0[row * (parts + 1) + k] as usize;
+        let first = guide(a, k).min(guide(b, k));
+        let last = guide(a, k + 1).max(guide(b, k + 1)).min(self.width - 1);
+        let (upper, lower) = (&self.sums[a * self.width..], &self.sums[b * self.width..]);
+        let target = u * mix([self.sums[self.row(a)], self.sums[self.row(b)]], y);
+        first_not(first.min(last), last, |i| {
+            mix([upper[i], lower[i]], y) <= target
+        })
+    }
+
+    /// What the latitude in a band depends on; there is no cell yet.
+    #[inline(always)]
+    pub fn around(&self, band: usize) -> Local<f64> {
+        let [a, b] = self.rows(band);
+        Local {
+            before: self.before(band).map_or(0.0, |i| self.sums[i]),
+            rows: [self.sums[self.row(a)], self.sums[self.row(b)]],
+            lines: [0.0; 2],
+            corners: [[0.0; 2]; 2],
+        }
     }
 
     /// The same, for the band and the cell that are known.
@@ -248,13 +336,23 @@ impl Table {
         self.place(self.latitude(band, u[1], local), u[0], local)
     }
 
-    fn latitude<R: Real<Primal = f64>>(&self, band: usize, u: f64, local: &Local<R>) -> R {
+    /// How far down in a band a random number falls.
+    #[inline(always)]
+    pub fn latitude<R: Real<Primal = f64>>(&self, band: usize, u: f64, local: &Local<R>) -> R {
+        self.latitude_where(self.cover(band), u, local)
+    }
+
+    /// The same where it is known which fraction of the sphere the band covers.
+    #[inline(always)]
+    pub fn latitude_where<R: Real<Primal = f64>>(&self, cover: f64, u: f64, local: &Local<R>) -> R {
         let [a, b] = local.rows;
-        let mass = (a + b) * R::c(0.5 * self.cover(band) / self.width as f64);
+        let mass = (a + b) * R::c(0.5 * cover / self.width as f64);
         sample_linear((R::of(u) - local.before) / mass, a, b)
     }
 
-    fn place<R: Real<Primal = f64>>(&self, y: R, u: f64, local: &Local<R>) -> Draw<R> {
+    /// Where in its cell a random number falls.
+    #[inline(always)]
+    pub fn place<R: Real<Primal = f64>>(&self, y: R, u: f64, local: &Local<R>) -> Draw<R> {
         let [[a, b], [c, d]] = local.corners;
         let (left, right) = (mix([a, c], y), mix([b, d], y));
         let target = mix(local.rows, y) * R::c(u) - mix(local.lines, y);
@@ -268,13 +366,13 @@ impl Table {
 }
 
 /// From the first value to the second.
-#[inline]
+#[inline(always)]
 pub(super) fn mix<R: Real>([a, b]: [R; 2], x: R) -> R {
     a + (b - a) * x
 }
 
 /// Fraction at which a density linear from `a` to `b` (positive) has accumulated the share `u`.
-#[inline]
+#[inline(always)]
 fn sample_linear<R: Real>(u: R, a: R, b: R) -> R {
     let u = u.clamp(R::zero(), R::one());
     let x = u * (a + b) / (a + (a * a + u * (b * b - a * a)).sqrt());
@@ -296,5 +394,57 @@ impl<R: Real> Sum<R> {
         self.excess = (value - self.value) - x;
         self.value = value;
         value
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Searches that start from tables find what searches through everything do, on the borders of parts and of cells as
+    /// well; for maps of many sizes, with rows and columns that are black.
+    #[test]
+    fn tables_do_not_change_what_is_found() {
+        for (width, height) in [(1, 1), (1, 5), (7, 1), (8, 4), (37, 19), (64, 33)] {
+            for dark in 1..4 {
+                let luminance: Vec<f32> = (0..width * height)
+                    .map(|i| {
+                        let wave = (0.73 * (i * dark) as f32).sin().powi(8);
+                        let black = i / width % 4 == dark || i % width < width / dark / 2;
+                        if black { 0.0 } else { 1e3 * wave }
+                    })
+                    .collect();
+                let mut table = Table::new(width, height);
+                table.update(&luminance);
+                let (lines, bands) = table.sums.split_at(width * height);
+                let numbers = (0..=512).flat_map(|k| {
+                    let u = f64::from(k) / 512.0;
+                    [u.next_down(), u, u.next_up()]
+                });
+                let numbers: Vec<f64> = (numbers.chain(bands.iter().copied()))
+                    .filter(|u| (0.0..1.0).contains(u))
+                    .collect();
+                for &u in &numbers {
+                    let all = bands.partition_point(|&p| p <= u).min(bands.len() - 1);
+                    assert_eq!(table.band(u), all, "{width} {height} {u}");
+                }
+                for band in 0..bands.len() {
+                    let [a, b] = both(table.rows(band), |row| &lines[row * width..][..width]);
+                    for &u in &numbers {
+                        for y in [0.0, 0.3, 1.0] {
+                            let at = |i: usize| mix([a[i], b[i]], y);
+                            let target = u * at(width - 1);
+                            let all = (0..width - 1).find(|&i| at(i) > target);
+                            let all = all.unwrap_or(width - 1);
+                            let found = table.cell(band, u, y);
+                            // Numbers on the border of a cell may be rounded to either side.
+                            let near = |i: usize| (at(i) - target).abs() <= 1e-14 * at(width - 1);
+                            let border = near(all.min(found));
+                            assert!(found == all || border, "{width} {height} {u} {found} {all}");
+                        }
+                    }
+                }
+            }
+        }
     }
 }

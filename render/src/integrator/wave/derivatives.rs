@@ -3,6 +3,7 @@
 use ad_core::{Float, Real, Vec2, Vec3};
 use smallvec::SmallVec;
 
+use super::kinds::{Kind, kind};
 use super::lanes::{Lane, LaneSums, Lanes, WAVE_SIZE};
 use super::record::Layer;
 use crate::bsdf::{Material, TransportMode, Use};
@@ -27,8 +28,8 @@ pub trait LayerSink<P: Float>: DerivativeSink<P> {
 /// The albedo of a plain vertex.
 #[inline(always)]
 fn albedo(scene: &Scene, material: u32) -> Option<&RgbTexture> {
-    match &*scene.materials()[material as usize] {
-        Material::Diffuse(m) => Some(&m.reflectance),
+    match kind(&scene.materials()[material as usize]) {
+        (Kind::Plain(m), _) => Some(&m.reflectance),
         _ => None,
     }
 }

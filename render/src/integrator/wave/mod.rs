@@ -4,21 +4,27 @@
 //! tangents, where no sample or weight moves. Derivatives of both modes are made of what a wave keeps ([`record`]), where
 //! it is known which values change ([`ends`]). The vertices of a wave of paths do the same things at the same time, in
 //! loops over arrays that call what the path tracer calls for one vertex. Nothing in such a loop is decided by a
-//! branch, so the compiler makes vector instructions of it. Materials other than diffuse ones, and what emitters do
-//! beside being sampled as a single rectangle or as balls, are called vertex by vertex in between.
+//! branch, so the compiler makes vector instructions of it. What is not the same for all vertices is sorted: those of one
+//! kind of material ([`kinds`]) or at one emitter ([`lights`]) go through a loop of their own. Other materials and emitters
+//! are called vertex by vertex in between.
 
 // Each loop is over many arrays at a time.
 #![allow(clippy::needless_range_loop)]
 
 mod derivatives;
+mod kinds;
 mod lanes;
+mod lights;
 mod record;
 
 use ad_core::{Const, Float, Vec2, Vec3};
 pub(super) use derivatives::LayerAdjoints;
+use kinds::{Kind, Metals, kind, seen_from};
 pub(super) use lanes::WAVE_SIZE;
 use lanes::{Field, Lane, Lanes, lanes, whole};
+use lights::{Group, Leaving, MOST_TOGETHER, together};
 pub(super) use record::Record;
+use smallvec::SmallVec;
 
 use super::direct::{Departure, FoundEdge};
 use super::lockstep;
@@ -31,7 +37,7 @@ use super::vertex::light::{
 use super::vertex::roulette::{play, probability, roulette_weight};
 use super::vertex::{MODE, assert_finite};
 use crate::accel::{Hit, PACKET_SIZE, RayPacket};
-use crate::bsdf::{Bsdf, Component, DiffuseLobe, Lobe, Material, Shading};
+use crate::bsdf::{Bsdf, Component, DiffuseLobe, Lobe, Shading};
 use crate::camera::Camera;
 use crate::emitter::{AnyEmitter, Area, Emission, Emitter, EmitterSample};
 use crate::estimator::{Detached, Sampling, Still, Strategy, differentiates_edges, is_guided};
@@ -132,8 +138,14 @@ lanes! {
         there: Lane<u32>,
         /// Index of the material.
         material: Lane<u32>,
-        /// Whether that is diffuse and one-sided.
+        /// Whether that is diffuse.
         plain: Lane<u32>,
+        /// Whether it is one of those that [`Metals`] holds.
+        metal: Lane<u32>,
+        /// Whether it is the same from both sides.
+        both: Lane<u32>,
+        /// One; minus one behind what is the same from both sides.
+        side: Lane<P>,
         /// Whether it scatters along deltas only.
         delta: Lane<u32>,
         /// Whether the log follows that.
@@ -352,6 +364,12 @@ pub(super) struct Wave<P, X> {
     at: Vertices<P>,
     /// Plain vertices whose albedo has to be looked up.
     textured: Vec<usize>,
+    /// Vertices that are rough metals.
+    metals: Metals<P>,
+    /// Paths that leave the scene.
+    leaving: Leaving<P>,
+    /// Paths that sample the same emitter.
+    group: Group<P>,
     /// Direction the paths came from, local frame.
     wo: Lanes<P>,
     /// Random bits that choose an emitter.
@@ -387,6 +405,9 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             hits: [None; WAVE_SIZE],
             at: Vertices::zero(),
             textured: Vec::with_capacity(WAVE_SIZE),
+            metals: Metals::new(),
+            leaving: Leaving::new(),
+            group: Group::new(),
             wo: Lanes::zero(),
             choice: Lane::zero(),
             numbers: [Lane::zero(); 6],
@@ -613,21 +634,24 @@ impl<P: Float, X: Sampler> Wave<P, X> {
     #[inline(never)]
     fn arrive<Of: Strategy, S: Strategy<Bsdf = Detached>, L: Log<P>>(
         &mut self,
-        &Context {
+        context: &Context<P>,
+        guide: Option<&Guide>,
+        depth: u32,
+        log: &mut L,
+    ) -> bool {
+        let &Context {
             scene,
             theta,
             settings,
             caustics,
             split,
             ..
-        }: &Context<P>,
-        guide: Option<&Guide>,
-        depth: u32,
-        log: &mut L,
-    ) -> bool {
+        } = context;
         let paths = &mut self.paths;
         let mut any = false;
         self.textured.clear();
+        self.metals.clear();
+        self.leaving.paths.clear();
         for i in 0..self.n {
             let ray = Ray::new(paths.o.vec(i), paths.d.vec(i)).leaving(paths.surface[i]);
             let mut interest = paths.interest(i);
@@ -672,10 +696,12 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             };
             // Where there is no surface, or nothing happens: like one that is plain, but without light.
             (self.at.there[i], self.at.lit[i], self.at.plain[i]) = (0, 0, 1);
-            self.at.guide[i] = 0;
+            (self.at.guide[i], self.at.metal[i]) = (0, 0);
             let Some(hit) = &self.hits[i] else {
-                if lit {
+                if lit && const { L::ENABLED && differentiates_edges::<Of>() } {
                     find(paths, scene.infinite_emitters(), None);
+                } else if lit {
+                    self.leaving.paths.push(i);
                 }
                 continue;
             };
@@ -712,19 +738,30 @@ impl<P: Float, X: Sampler> Wave<P, X> {
                 _ => 0,
             };
             (self.at.offset[i], self.at.surface[i]) = (exit.offset, exit.surface);
-            let plain = match scene.material(shape) {
-                Material::Diffuse(m) => {
+            let (kind, both) = kind(scene.material(shape));
+            self.at.both[i] = u32::from(both);
+            let mut plain = 0;
+            match kind {
+                Kind::Plain(m) => {
                     match m.reflectance {
                         Texture::Constant(albedo) => {
                             (self.at.albedo).put_rgb(i, theta.texel(albedo, 0).into());
                         }
                         _ => self.textured.push(i),
                     }
-                    1
+                    plain = 1;
                 }
-                _ => 0,
-            };
+                Kind::Rough(_) | Kind::Mirror(_) => {
+                    let uv = self.at.uv(i);
+                    let taken = (self.metals).take(i, kind, &Shading { theta: *theta, uv });
+                    self.at.metal[i] = u32::from(taken);
+                }
+                Kind::Other => {}
+            }
             self.at.plain[i] = plain;
+        }
+        if !self.leaving.paths.is_empty() {
+            self.meet_environments::<S, L>(context, depth, log);
         }
         if !self.textured.is_empty() {
             self.find_albedos(scene, theta);
@@ -732,13 +769,59 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         any
     }
 
+    /// Adds the light that comes from outside along the edges that leave the scene.
+    #[inline(never)]
+    fn meet_environments<S: Strategy<Bsdf = Detached>, L: Log<P>>(
+        &mut self,
+        &Context {
+            scene,
+            theta,
+            settings,
+            ..
+        }: &Context<P>,
+        depth: u32,
+        log: &mut L,
+    ) {
+        // Apart from what is added to.
+        let (d, pdf) = (self.paths.d, self.paths.pdf);
+        let paths = &mut self.paths;
+        let mut found = |i: usize, emitter: u32, light: Met<P>, le: Rgb<P>| {
+            (paths.l).add_rgb(i, paths.beta.rgb(i) * le * light.weight);
+            log.hit(paths, i, emitter, &light, le, None);
+        };
+        for &emitter in scene.infinite_emitters() {
+            let share = settings.lights.share(scene, emitter);
+            let rivals = S::SAMPLES_EMITTERS && depth > 1;
+            if let AnyEmitter::Envmap(e) = &scene.emitters()[emitter as usize]
+                && e.is_known()
+            {
+                let put = |i, light, le| found(i, emitter, light, le);
+                (self.leaving).meet::<S>(e, theta, (&d, &pdf), (rivals, share), put);
+                continue;
+            }
+            for &i in &self.leaving.paths {
+                // Environments are the same from everywhere.
+                let rival = Rival {
+                    pdf_bsdf: pdf[i],
+                    from: Vec3::zero(),
+                    share,
+                };
+                let rival = has_rival::<S, P>(depth, pdf[i]).then_some(rival);
+                let met = find_light::<P, S>(scene, theta, emitter, d.vec(i), None, rival);
+                if let Some((light, le)) = met {
+                    found(i, emitter, light, le);
+                }
+            }
+        }
+    }
+
     /// Looks up the albedos that are not the same everywhere.
     #[inline(never)]
     fn find_albedos(&mut self, scene: &Scene, theta: &Theta<P>) {
         let at = &mut self.at;
         let textured = self.textured.iter().filter_map(|&i| {
-            match &*scene.materials()[at.material[i] as usize] {
-                Material::Diffuse(m) => Some((i, &m.reflectance)),
+            match kind(&scene.materials()[at.material[i] as usize]) {
+                (Kind::Plain(m), _) => Some((i, &m.reflectance)),
                 _ => None,
             }
         });
@@ -746,7 +829,8 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             albedo.expect(theta, at.uv(i));
         }
         for (i, albedo) in textured {
-            at.albedo.put_rgb(i, albedo.rgb(theta, at.uv(i)));
+            at.albedo
+                .put_rgb(i, albedo.eval_in_line(theta, at.uv(i)).into());
         }
     }
 
@@ -801,6 +885,8 @@ impl<P: Float, X: Sampler> Wave<P, X> {
     fn look_back(&mut self) {
         for i in 0..whole(self.n) {
             let wo = self.at.frame(i).to_local(-self.paths.d.vec(i));
+            let behind = (self.at.both[i] != 0) & (wo.z < P::zero());
+            self.at.side[i] = P::select(behind, -P::one(), P::one());
             self.wo.put_vec(i, wo);
         }
     }
@@ -887,6 +973,25 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         } else {
             lights.pdf = Lane::zero();
         }
+        for (index, emitter) in (0..).zip(emitters).take(MOST_TOGETHER) {
+            let Some(together) = together(scene, emitter) else {
+                continue;
+            };
+            self.group.paths.clear();
+            for i in 0..self.n {
+                if lights.emitter[i] == index && shares[i] > P::zero() {
+                    self.group.paths.push(i);
+                }
+            }
+            if self.group.paths.is_empty() {
+                continue;
+            }
+            self.group.sample(together, &at.p, [a, b], |i, sample| {
+                lights.put(i, (index, lights.kept[i]), shares[i], sample);
+                // There is nothing more to do.
+                shares[i] = P::zero();
+            });
+        }
         // All others, and spheres from within.
         for i in 0..self.n {
             if shares[i] > P::zero() && lights.pdf[i] == P::zero() {
@@ -907,17 +1012,32 @@ impl<P: Float, X: Sampler> Wave<P, X> {
     ) {
         let (at, lights) = (&self.at, &mut self.lights);
         for i in 0..whole(self.n) {
-            let wo = self.wo.vec(i);
+            let side = at.side[i];
             let wi = at.frame(i).to_local(lights.d.vec(i));
+            lights.wi.put_vec(i, wi);
+            let (wo, wi) = (seen_from(side, self.wo.vec(i)), seen_from(side, wi));
             let white = white();
             let f = white.eval(wo, wi, MODE).r;
-            lights.wi.put_vec(i, wi);
             lights.white[i] = f;
             lights.f.put_rgb(i, at.albedo.rgb(i) * f);
             lights.pdf_bsdf[i] = white.pdf(wo, wi, MODE);
         }
+        let mut others = SmallVec::<[usize; WAVE_SIZE]>::new();
         for i in 0..self.n {
-            if at.plain[i] == 0 && lights.pdf[i] > P::zero() {
+            if at.plain[i] == 0 && at.metal[i] == 0 {
+                others.push(i);
+            }
+        }
+        let (f, pdf_bsdf) = (&mut lights.f, &mut lights.pdf_bsdf);
+        (self.metals).eval_pdf(&self.wo, &at.side, &lights.wi, |i, found| match found {
+            Some((value, pdf)) => {
+                f.put_rgb(i, value);
+                pdf_bsdf[i] = pdf;
+            }
+            None => others.push(i),
+        });
+        for i in others {
+            if lights.pdf[i] > P::zero() {
                 let shading = Shading {
                     theta: *theta,
                     uv: at.uv(i),
@@ -955,9 +1075,12 @@ impl<P: Float, X: Sampler> Wave<P, X> {
                 }
             }
             _ => {
-                for i in 0..self.n {
+                // Where there is no sample, any radiance is right.
+                for i in (0..self.n).filter(|&i| lights.pdf[i] > P::zero()) {
                     let e = &emitters[lights.emitter[i] as usize];
-                    lights.le.put_rgb(i, e.eval(theta, &lights.emission(i)));
+                    let Emission { uv, falloff } = lights.emission(i);
+                    let radiance: Rgb<P> = e.radiance().eval_in_line(theta, uv).into();
+                    lights.le.put_rgb(i, radiance * falloff);
                 }
             }
         }
@@ -1117,24 +1240,51 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         let (at, paths, bounces) = (&self.at, &mut self.paths, &mut self.bounces);
         let [.., a, b, c, _] = &self.numbers;
         for i in 0..whole(self.n) {
-            let (lobe, wo) = (white(), self.wo.vec(i));
+            let side = at.side[i];
+            let (lobe, wo) = (white(), seen_from(side, self.wo.vec(i)));
             let sample = lobe.sample(wo, [a[i], b[i], c[i]], MODE);
             let none = (Vec3::zero(), P::zero());
             let (wi, pdf) = sample.map_or(none, |s| (s.wi, s.pdf));
             let f = lobe.eval(wo, wi, MODE).r;
-            bounces.wi.put_vec(i, wi);
+            bounces.wi.put_vec(i, seen_from(side, wi));
             bounces.white[i] = f;
             bounces.f.put_rgb(i, at.albedo.rgb(i) * f);
             bounces.weight[i] = pdf.recip();
             bounces.continues[i] = u32::from(pdf > P::zero()) & at.there[i];
             paths.pdf[i] = pdf;
         }
+        self.components = [Component::Continuous; WAVE_SIZE];
+        let mut others = SmallVec::<[usize; WAVE_SIZE]>::new();
         for i in 0..self.n {
-            let directions = directions(guide, at.guide[i]);
-            if at.plain[i] != 0 && directions.is_none() {
-                self.components[i] = Component::Continuous;
-                continue;
+            let together = at.plain[i] != 0 || at.metal[i] != 0;
+            if !together || directions(guide, at.guide[i]).is_some() {
+                others.push(i);
             }
+        }
+        let components = &mut self.components;
+        (self.metals).sample(&self.wo, &at.side, [b, c], |i, found| {
+            if directions(guide, at.guide[i]).is_some() {
+                return;
+            }
+            let Some((wi, f, pdf, component)) = found else {
+                others.push(i);
+                return;
+            };
+            let goes_on = (pdf > P::zero()) & (more | (at.lit[i] != 0));
+            bounces.continues[i] = u32::from(goes_on);
+            if goes_on {
+                bounces.wi.put_vec(i, wi);
+                bounces.f.put_rgb(i, f);
+                bounces.weight[i] = pdf.recip();
+                components[i] = component;
+                paths.pdf[i] = match component {
+                    Component::Continuous => pdf,
+                    Component::Delta { .. } => P::zero(),
+                };
+            }
+        });
+        for i in others {
+            let directions = directions(guide, at.guide[i]);
             if at.lit[i] == 0 && !more {
                 bounces.continues[i] = 0;
                 continue;
@@ -1155,7 +1305,9 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             if let Some((sample, f)) = scattered {
                 bounces.wi.put_vec(i, sample.wi);
                 bounces.f.put_rgb(i, f);
-                bounces.white[i] = white().eval(wo, sample.wi, MODE).r;
+                let side = at.side[i];
+                let (wo, wi) = (seen_from(side, wo), seen_from(side, sample.wi));
+                bounces.white[i] = white().eval(wo, wi, MODE).r;
                 bounces.weight[i] = sample.pdf.recip();
                 self.components[i] = sample.component;
                 paths.eta[i] *= sample.eta;
