@@ -57,6 +57,7 @@ pub mod auto;
 pub mod bsdf;
 pub mod camera;
 mod dispatch;
+mod edges;
 pub mod emitter;
 pub mod error;
 pub mod estimator;

@@ -6,6 +6,7 @@
 //! [`second_order`] has Hessian-vector products and the Gauss-Newton matrix.
 
 mod active;
+mod boundary;
 pub mod density;
 pub mod direct;
 mod exact;

@@ -28,7 +28,7 @@ use crate::scene::Caustics;
 const JOBS: usize = 128;
 
 /// `[component][height][width][3]` of a tile, added up, and what went wrong there; empty if it was cut short.
-type TileSums = (Vec<f64>, NonFinite);
+pub(super) type TileSums = (Vec<f64>, NonFinite);
 
 /// The image by paths.
 pub(super) fn image<R: Components, S: Strategy, X: Sampler>(pass: &Pass<R>) -> Rendering {
@@ -136,7 +136,7 @@ fn tile_sums<R: Components, S: Strategy, X: Sampler>(pass: &Pass<R>) -> Vec<Tile
 }
 
 /// The image made of its tiles.
-fn assemble<R: Real>(pass: &Pass<R>, count: usize, parts: &[TileSums]) -> Rendering {
+pub(super) fn assemble<R: Real>(pass: &Pass<R>, count: usize, parts: &[TileSums]) -> Rendering {
     let width = pass.scene.film.crop_size[0];
     let samples = &pass.samples;
     let tiles = pass.tiles();

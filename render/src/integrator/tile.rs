@@ -91,7 +91,7 @@ pub(super) fn start<R: Real, S: Strategy, X: Sampler>(
 /// The point of the image that sample `index` of the pixel `(x, y)` of the crop window sees, and the numbers of the
 /// path to come.
 #[inline(always)]
-fn spot<P: Float, X: Sampler>(
+pub(super) fn spot<P: Float, X: Sampler>(
     scene: &Scene,
     points: Points,
     seed: u64,
