@@ -73,10 +73,10 @@ pub(crate) struct FilmCurves {
 
 impl Projection {
     fn of(camera: &Camera) -> Self {
-        let corner = camera.direction(0.0, 0.0);
+        let corner: Vec3<f64> = camera.direction(0.0, 0.0);
         let dx = camera.direction(1.0, 0.0) - corner;
         let dy = camera.direction(0.0, 1.0) - corner;
-        let determinant = dx.dot(dy.cross(corner));
+        let determinant: f64 = dx.dot(dy.cross(corner));
         let scale = determinant.recip();
         Self {
             origin: camera.origin().into(),

@@ -78,7 +78,14 @@ impl Topology {
                     let axes = [place(shape, 1.0, 0.0) - origin, place(shape, 0.0, 1.0) - origin];
                     let radius = axes[0].length().max(axes[1].length());
                     let kind = CurveKind::Disk;
-                    all.curves.push(Curve { shape: i, kind, origin, axes, radius });
+                    all.curves.push(Curve {
+                        shape: i,
+                        kind,
+                        origin,
+                        axes,
+                        into: Vec3::zero(),
+                        radius,
+                    });
                 }
                 AnyShape::Cylinder(_) => all.cylinder(i, shape),
             }

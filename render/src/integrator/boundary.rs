@@ -19,7 +19,7 @@
 
 use std::ops::Range;
 
-use ad_core::{Const, Float, Real, Vec3, array};
+use ad_core::{Const, Float, Real, Vec3};
 use smallvec::SmallVec;
 
 use super::active::Active;
@@ -27,7 +27,6 @@ use super::exact::ExactBuffer;
 use super::pass::Pass;
 use super::path::{Context, Walk};
 use super::paths::{TileSums, assemble};
-use super::progress::Progress;
 use super::record::{Interest, Observer, Place};
 use super::rendering::{Components, NonFinite, Rendering};
 use super::sink::{GradientSums, Sink, add};
@@ -37,7 +36,7 @@ use crate::accel::Hit;
 use crate::bsdf::{Bsdf, Shading};
 use crate::edges::film::{FilmCurves, FilmPoint, Inside, Sides};
 use crate::edges::{EdgePoint, Edges, Seeker, Surfaces};
-use crate::estimator::Strategy;
+use crate::estimator::{Still, Strategy};
 use crate::math::{NOWHERE, Ray, RayAdjoint, Rgb, Segment};
 use crate::parallel;
 use crate::params::{ParamRef, Theta};
@@ -274,7 +273,7 @@ impl<'a, P: Float> Boundary<'a, P> {
         depth: u32,
         sampler: X,
     ) -> Rgb<P> {
-        Walk::<P, S::Primal, X>::behind(ray, sampler, depth).finish_at(&self.context, hit)
+        Walk::<P, Still<S>, X>::behind(ray, sampler, depth).finish_at(&self.context, hit)
     }
 
     /// The ray that passes an edge, from an origin, and what it meets; `None` if something hides the edge.
@@ -437,7 +436,7 @@ impl<'a, P: Float> Boundary<'a, P> {
         sampler.seek(Purpose::Edges(CANDIDATES).at(depth));
         let mut kept: Option<(EdgePoint, Rgb<P>, f64)> = None;
         let mut total = 0.0;
-        let draws: [[f64; 2]; CANDIDATES as usize] = array(|_| sampler.next_2d());
+        let draws: [[f64; 2]; CANDIDATES as usize] = std::array::from_fn(|_| sampler.next_2d());
         let mut choice: f64 = sampler.next_1d();
         for u in draws {
             let Some(edge) = self.edges.draw(&seeker, u) else {
@@ -587,7 +586,7 @@ pub(super) fn image<R: Components, S: Strategy, X: Sampler>(pass: &Pass<R>) -> R
         let pixels = tile.pixels();
         let mut sums = vec![0.0f64; R::COUNT * pixels * 3];
         let mut non_finite = NonFinite::default();
-        let mut paths = Paths::<R::Primal, S::Primal, X, _>::new(Vertices(Vec::new()));
+        let mut paths = Paths::<R::Primal, Still<S>, X, _>::new(Vertices(Vec::new()));
         let seed = boundary.seed ^ SALTS[0];
         let done = |at: usize, sample: Sample, _, vertices: &mut Vertices<R::Primal>| {
             boundary.along_path::<S, X>(&sample, vertices, |c| {
@@ -683,7 +682,7 @@ pub(super) fn gradient<P: Float, S: Strategy, X: Sampler>(
     let parts = parallel::map(jobs, |job| {
         let mut sink = Sink::new(active, large);
         let mut non_finite = NonFinite::default();
-        let mut paths = Paths::<P, S::Primal, X, _>::new(Vertices(Vec::new()));
+        let mut paths = Paths::<P, Still<S>, X, _>::new(Vertices(Vec::new()));
         let seed = boundary.seed ^ SALTS[0];
         for tile in tiles.iter().skip(job).step_by(jobs) {
             if pass.progress.cancelled() {
