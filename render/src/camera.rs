@@ -1,10 +1,14 @@
 //! The perspective pinhole camera.
 
-use ad_core::{Float, Vec3};
+use std::f64::consts::PI;
+
+use ad_core::{Const, Float, Real, Vec3};
 
 use crate::error::SceneError;
 use crate::film::Film;
-use crate::math::{Ray, Transform, each};
+use crate::math::{Ray, RayAdjoint, Transform, each};
+use crate::motion::Placement;
+use crate::params::{GradSink, ParamRef, Params, Theta};
 
 /// What the angle of view refers to.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -24,9 +28,20 @@ pub enum FovAxis {
 
 /// A pinhole camera with Mitsuba's conventions: it looks along its local +z, +x of the world is on
 /// the right when it looks along -z with y up, and row 0 of the image is the top.
+///
+/// # Parameters
+/// None, unless the scene is told that the camera moves ([`crate::Scene::make_movable`]): a translation, a rotation about
+/// the pinhole and the angle of view. A camera inside of a shape sees its inside.
 #[derive(Clone, Debug)]
 pub struct Camera {
+    /// What it was made of.
+    rest: (Transform, f64, FovAxis),
+    placement: Placement,
+    /// Full angle in degrees.
+    fov: Option<ParamRef>,
     origin: [f64; 3],
+    /// Where it looks, as long as the camera's own z axis.
+    forward: [f64; 3],
     /// The direction through the point `(x, y)` of the image is `x dx + y dy + corner`, not normalised.
     dx: [f64; 3],
     dy: [f64; 3],
@@ -81,8 +96,13 @@ impl Camera {
         let [a, b, c] = [dx, dy, corner].map(Vec3::<f64>::from);
         let volume = a.dot(b.cross(c));
         let inverse = [b.cross(c), c.cross(a), a.cross(b)].map(|v| (v * volume.recip()).to_array());
+        let origin = to_world.point([0.0; 3]);
         Ok(Self {
-            origin: to_world.point([0.0; 3]),
+            rest: (to_world, fov, axis),
+            placement: Placement::about(origin),
+            fov: None,
+            origin,
+            forward: to_world.vector([0.0, 0.0, 1.0]),
             dx,
             dy,
             corner,
@@ -90,6 +110,93 @@ impl Camera {
             inverse_determinant: volume.abs().recip(),
             resolution,
         })
+    }
+
+    /// Full angle of view in degrees, as it was made.
+    pub fn fov(&self) -> (f64, FovAxis) {
+        let (_, fov, axis) = self.rest;
+        (fov, axis)
+    }
+
+    /// What moves it.
+    pub(crate) fn placement(&mut self) -> &mut Placement {
+        &mut self.placement
+    }
+
+    /// Says that this parameter is its angle of view, in degrees.
+    pub(crate) fn set_fov(&mut self, p: ParamRef) {
+        self.fov = Some(p);
+    }
+
+    /// Whether it depends on a parameter for which `changed` holds.
+    pub(crate) fn depends_on(&self, changed: impl Fn(ParamRef) -> bool) -> bool {
+        self.placement.params().chain(self.fov).any(changed)
+    }
+
+    /// The same at these parameters.
+    ///
+    /// # Errors
+    /// As [`Camera::new`].
+    pub(crate) fn at(&self, params: &Params) -> Result<Self, SceneError> {
+        let (to_world, fov, axis) = self.rest;
+        let now = (self.fov).map_or(fov, |p| f64::from(params.values()[p.offset as usize]));
+        let placed = to_world.then(&self.placement.transform(params));
+        Ok(Self {
+            rest: self.rest,
+            placement: self.placement,
+            fov: self.fov,
+            ..Self::new(placed, now, axis, self.resolution)?
+        })
+    }
+
+    /// The ray through a point of the image that stays: [`Camera::ray`].
+    ///
+    /// # Derivatives
+    /// In `theta`.
+    pub fn ray_moving<R: Real>(&self, theta: &Theta<R>, x: R::Primal, y: R::Primal) -> Ray<R> {
+        let mut d = Vec3::<R>::lift(self.direction(x, y));
+        let mut o = Vec3::<R>::lift(each(self.origin, R::Primal::of).into());
+        if let Some(p) = self.fov
+            && theta.moves(p)
+        {
+            let widens = (theta.get(p, 0) * R::c(PI / 360.0)).tan();
+            let widens = (widens - Const(widens.primal())) * Const(widens.primal().recip());
+            let forward = Vec3::<R>::lift(each(self.forward, R::Primal::of).into());
+            d += (d - forward) * widens;
+        }
+        if let Some(drift) = self.placement.drift(theta) {
+            o = drift.point(o);
+            d = drift.direction(d);
+        }
+        Ray::new(o, d.normalize())
+    }
+
+    /// Adds the adjoints of its parameters, given those of the ray through a point of the image: the transpose of
+    /// [`Camera::ray_moving`].
+    pub fn scatter_ray<P: Float>(
+        &self,
+        theta: &Theta<P>,
+        [x, y]: [P; 2],
+        adjoint: &RayAdjoint<P>,
+        grad: &mut impl GradSink<P>,
+    ) {
+        let v = self.direction(x, y);
+        let n = v.normalize();
+        let d_v = (adjoint.d - n * n.dot(adjoint.d)) * v.length().recip();
+        if let Some(p) = self.fov
+            && grad.active(p)
+        {
+            let forward = Vec3::from(each(self.forward, P::of));
+            let angle = theta.get(p, 0) * P::of(PI / 180.0);
+            let widens = P::of(PI / 180.0) / angle.sin();
+            grad.add(p, 0, (v - forward).dot(d_v) * widens);
+        }
+        if self.placement.params().any(|p| grad.active(p)) {
+            let mut wrench = self.placement.wrench(theta);
+            wrench.point(each(self.origin, P::of).into(), adjoint.o);
+            wrench.direction(v, d_v);
+            self.placement.scatter(theta, &wrench, grad);
+        }
     }
 
     /// The camera and its film for particles.

@@ -70,6 +70,7 @@ mod inputs;
 pub mod instances;
 pub mod integrator;
 pub mod math;
+pub mod motion;
 mod parallel;
 pub mod params;
 pub mod plugin;

@@ -33,6 +33,13 @@ pub enum ParamShape {
     Scalar,
     /// One linear RGB colour.
     Rgb,
+    /// Three components in space: a point, a displacement, a rotation vector.
+    Vector,
+    /// `[count][3]`: points in space.
+    Points {
+        /// How many.
+        count: usize,
+    },
     /// `[height][width][channels]`, row-major.
     Texture {
         /// Number of rows.
@@ -49,7 +56,8 @@ impl ParamShape {
     pub fn len(&self) -> usize {
         match *self {
             Self::Scalar => 1,
-            Self::Rgb => 3,
+            Self::Rgb | Self::Vector => 3,
+            Self::Points { count } => 3 * count,
             Self::Texture {
                 height,
                 width,
@@ -79,11 +87,11 @@ pub enum ParamKind {
     /// A sampled direction is a Dirac delta in it: the index of smooth glass, normals of mirrors. Constant samples have no
     /// derivative in it (F2).
     Delta,
-    /// Where a shape is. No scene has such parameters yet.
+    /// Where a shape is, see [`crate::Scene::movables`].
     Position,
-    /// Where the camera is, and what it looks at. No scene has such parameters yet.
+    /// Where the camera is, and what it looks at.
     Camera,
-    /// Where lights are. No scene has such parameters yet.
+    /// Where lights are, and how environments are turned.
     LightPosition,
 }
 

@@ -253,11 +253,7 @@ fn particles_start_by_their_densities() {
             area(30.0, sphere).into(),
             area(0.0, sphere + 1).into(),
             area(3.0, sphere + 1).into(),
-            Point {
-                intensity: white("point"),
-                position: at.map(|x| x as f32),
-            }
-            .into(),
+            Point::new(white("point"), at.map(|x| x as f32)).into(),
             Spot::new(white("spot"), at, axis.to_array(), 40.0, 60.0)
                 .unwrap()
                 .into(),
@@ -784,10 +780,7 @@ fn ball_lights_irradiate_as_they_should() {
 fn points_and_spots_follow_their_formulas() {
     let scene = scene(|b, _| {
         let mut white = |name: &str| b.rgb(name, [1.0; 3], POSITIVE).unwrap();
-        let point = Point {
-            intensity: white("p"),
-            position: [0.0, 0.0, 2.0],
-        };
+        let point = Point::new(white("p"), [0.0, 0.0, 2.0]);
         let spot = Spot::new(white("s"), [0.0, 0.0, 2.0], [0.0, 0.0, -3.0], 15.0, 20.0).unwrap();
         vec![point.into(), spot.into()]
     });
@@ -960,11 +953,7 @@ fn nothing_is_infinite() {
                 shape: ball,
             }
             .into(),
-            Point {
-                intensity: white("p"),
-                position: [0.0; 3],
-            }
-            .into(),
+            Point::new(white("p"), [0.0; 3]).into(),
             Spot::new(white("s"), [0.0; 3], [0.0, 1.0, 0.0], 0.0, 180.0)
                 .unwrap()
                 .into(),

@@ -56,6 +56,7 @@ const LAYERS: &[&str] = &[
     "film",
     "image_io",
     "params",
+    "motion",
     "camera",
     "accel",
     "guide",

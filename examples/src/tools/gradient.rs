@@ -475,6 +475,8 @@ fn listing(scene: &Scene) -> String {
         let shape = match info.shape {
             ParamShape::Scalar => "scalar".to_owned(),
             ParamShape::Rgb => "rgb".to_owned(),
+            ParamShape::Vector => "vector".to_owned(),
+            ParamShape::Points { count } => format!("{count} x 3"),
             ParamShape::Texture {
                 height,
                 width,

@@ -387,7 +387,7 @@ pub(super) fn directions(
 ) -> Vec<Direction> {
     let of = |info: &ParamInfo| {
         let handle = all.handle(info);
-        if params.len() == 1 && !matches!(info.shape, ParamShape::Texture { .. }) {
+        if params.len() == 1 && matches!(info.shape, ParamShape::Scalar | ParamShape::Rgb) {
             return Direction::Uniform(handle);
         }
         let values = &all.values()[info.range()];

@@ -25,7 +25,7 @@ use ad_core::{Float, Real, Vec2, Vec3};
 
 use crate::error::SceneError;
 use crate::math::{Frame, Ray, Rgb, each, warp};
-use crate::params::{GradSink, Params, Theta};
+use crate::params::{GradSink, ParamRef, Params, Theta};
 use crate::plugin::{FromNode, Node, Registry};
 use crate::shape::{AnyShape, Exit, Prim, Shape, SurfaceInteraction};
 use crate::texture::RgbTexture;
@@ -308,8 +308,22 @@ pub trait Emitter: Send + Sync {
         false
     }
 
-    /// Rebuilds sampling tables after parameters have changed.
+    /// Follows parameters that have changed: its place, and sampling tables.
     fn update(&mut self, _params: &Params) {}
+
+    /// What of it a parameter of three numbers can move, with its value now: the `position` of points, world space, the
+    /// `rotation` of environments, a rotation vector about the world's axes.
+    fn mobility(&self) -> Option<(&'static str, [f32; 3])> {
+        None
+    }
+
+    /// Says that this parameter is that.
+    fn make_movable(&mut self, _p: ParamRef) {}
+
+    /// That parameter.
+    fn moved_by(&self) -> Option<ParamRef> {
+        None
+    }
 
     /// The emitted radiance (intensity over squared distance for points).
     #[inline(always)]
@@ -423,6 +437,15 @@ macro_rules! emitters {
             }
             fn update(&mut self, params: &Params) {
                 match self { $(Self::$hot(e) => e.update(params),)* $(Self::$name(e) => e.update(params),)* }
+            }
+            fn mobility(&self) -> Option<(&'static str, [f32; 3])> {
+                match self { $(Self::$hot(e) => e.mobility(),)* $(Self::$name(e) => e.mobility(),)* }
+            }
+            fn make_movable(&mut self, p: ParamRef) {
+                match self { $(Self::$hot(e) => e.make_movable(p),)* $(Self::$name(e) => e.make_movable(p),)* }
+            }
+            fn moved_by(&self) -> Option<ParamRef> {
+                match self { $(Self::$hot(e) => e.moved_by(),)* $(Self::$name(e) => e.moved_by(),)* }
             }
         }
     };

@@ -7,7 +7,7 @@ use ad_core::{Float, Real, Vec2, Vec3};
 use super::{Ball, Connection, Emission, EmittedRay, Emitter, EmitterSample, Lights};
 use crate::error::SceneError;
 use crate::math::{NOWHERE, Ray, Transform, warp};
-use crate::params::Theta;
+use crate::params::{ParamRef, Params, Theta};
 use crate::plugin::{FromNode, Node, Registry};
 use crate::shape::{Exit, SurfaceInteraction, lift3};
 use crate::texture::RgbTexture;
@@ -17,8 +17,25 @@ use crate::texture::RgbTexture;
 pub struct Point {
     /// Radiant intensity, W sr^-1.
     pub intensity: RgbTexture,
+    position: [f32; 3],
+    /// If that is a parameter.
+    moved_by: Option<ParamRef>,
+}
+
+impl Point {
+    /// A light at `position`, world space.
+    pub fn new(intensity: RgbTexture, position: [f32; 3]) -> Self {
+        Self {
+            intensity,
+            position,
+            moved_by: None,
+        }
+    }
+
     /// World space.
-    pub position: [f32; 3],
+    pub fn position(&self) -> [f32; 3] {
+        self.position
+    }
 }
 
 /// Direction from `from` to `position`, distance, and one over its square. `None` where that is not
@@ -129,6 +146,25 @@ impl Emitter for Point {
         moving(self.position, sample, from, |_| R::one())
     }
 
+    fn update(&mut self, params: &Params) {
+        if let Some(p) = self.moved_by {
+            let values = &params.values()[p.offset as usize..];
+            self.position = [values[0], values[1], values[2]];
+        }
+    }
+
+    fn mobility(&self) -> Option<(&'static str, [f32; 3])> {
+        Some(("position", self.position))
+    }
+
+    fn make_movable(&mut self, p: ParamRef) {
+        self.moved_by = Some(p);
+    }
+
+    fn moved_by(&self) -> Option<ParamRef> {
+        self.moved_by
+    }
+
     fn is_delta(&self) -> bool {
         true
     }
@@ -160,9 +196,7 @@ impl FromNode for Point {
             (Some(p), None) => p,
             (None, t) => t.unwrap_or(Transform::IDENTITY).translation,
         };
-        Ok(Self {
-            intensity: constant_colour(node, registry, "intensity")?,
-            position: position.map(|x| x as f32),
-        })
+        let intensity = constant_colour(node, registry, "intensity")?;
+        Ok(Self::new(intensity, position.map(|x| x as f32)))
     }
 }

@@ -8,7 +8,7 @@ use super::point::{constant_colour, moving, towards};
 use super::{Ball, Connection, Emission, EmittedRay, Emitter, EmitterSample, Lights};
 use crate::error::SceneError;
 use crate::math::{Frame, NOWHERE, Ray, warp};
-use crate::params::Theta;
+use crate::params::{ParamRef, Params, Theta};
 use crate::plugin::{FromNode, Node, Registry};
 use crate::shape::{Exit, SurfaceInteraction, lift3};
 use crate::texture::RgbTexture;
@@ -20,6 +20,8 @@ pub struct Spot {
     /// Radiant intensity along the axis, W sr^-1.
     pub intensity: RgbTexture,
     position: [f32; 3],
+    /// If that is a parameter.
+    moved_by: Option<ParamRef>,
     axis: [f32; 3],
     beam: f64,
     cutoff: f64,
@@ -46,6 +48,7 @@ impl Spot {
         (angles && usable).then(|| Self {
             intensity,
             position: position.map(|x| x as f32),
+            moved_by: None,
             axis: axis.to_array().map(|x| x as f32),
             beam: beam.to_radians(),
             cutoff: cutoff.to_radians(),
@@ -149,6 +152,25 @@ impl Emitter for Spot {
 
     fn connect<R: Real>(&self, sample: &EmitterSample<R::Primal>, from: Vec3<R>) -> Connection<R> {
         moving(self.position, sample, from, |d| self.profile(d))
+    }
+
+    fn update(&mut self, params: &Params) {
+        if let Some(p) = self.moved_by {
+            let values = &params.values()[p.offset as usize..];
+            self.position = [values[0], values[1], values[2]];
+        }
+    }
+
+    fn mobility(&self) -> Option<(&'static str, [f32; 3])> {
+        Some(("position", self.position))
+    }
+
+    fn make_movable(&mut self, p: ParamRef) {
+        self.moved_by = Some(p);
+    }
+
+    fn moved_by(&self) -> Option<ParamRef> {
+        self.moved_by
     }
 
     fn is_delta(&self) -> bool {

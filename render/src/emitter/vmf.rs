@@ -7,7 +7,9 @@ use ad_core::{Const, Float, Real, Vec2, Vec3};
 use super::point::constant_colour;
 use super::{Emission, Emitter, EmitterSample, Lights};
 use crate::error::SceneError;
-use crate::math::{Frame, NOWHERE, warp};
+use crate::math::{Frame, NOWHERE, each, warp};
+use crate::motion::Placement;
+use crate::params::{ParamRef, Params};
 use crate::plugin::{FromNode, Node, Registry};
 use crate::shape::{SurfaceInteraction, lift3};
 use crate::texture::RgbTexture;
@@ -20,6 +22,9 @@ pub struct Vmf {
     pub radiance: RgbTexture,
     /// Unit direction towards the middle, world space.
     direction: [f32; 3],
+    /// The same before it is turned, and how it is.
+    direction_at_rest: [f32; 3],
+    turned: Placement,
     kappa: f64,
     /// 1 - exp(-2 kappa)
     mass: f64,
@@ -34,9 +39,12 @@ impl Vmf {
     pub fn new(radiance: RgbTexture, direction: [f64; 3], kappa: f64) -> Option<Self> {
         let direction = Vec3::from(direction).normalize();
         let usable = (direction.length() - 1.0).abs() < 0.5 && KAPPA.contains(&kappa);
+        let single = direction.to_array().map(|x| x as f32);
         usable.then(|| Self {
             radiance,
-            direction: direction.to_array().map(|x| x as f32),
+            direction: single,
+            direction_at_rest: single,
+            turned: Placement::default(),
             kappa,
             mass: -(-2.0 * kappa).exp_m1(),
         })
@@ -109,6 +117,24 @@ impl Emitter for Vmf {
 
     fn is_infinite(&self) -> bool {
         true
+    }
+
+    fn update(&mut self, params: &Params) {
+        let turned = self.turned.transform(params);
+        let direction = turned.vector(each(self.direction_at_rest, f64::from));
+        self.direction = each(direction, |x| x as f32);
+    }
+
+    fn mobility(&self) -> Option<(&'static str, [f32; 3])> {
+        Some(("rotation", [0.0; 3]))
+    }
+
+    fn make_movable(&mut self, p: ParamRef) {
+        self.turned.rotation = Some(p);
+    }
+
+    fn moved_by(&self) -> Option<ParamRef> {
+        self.turned.rotation
     }
 
     fn is_wide(&self) -> bool {

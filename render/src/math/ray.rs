@@ -20,6 +20,15 @@ pub struct Ray<R> {
     pub from: u32,
 }
 
+/// The adjoints of a ray.
+#[derive(Clone, Copy, Debug)]
+pub struct RayAdjoint<P> {
+    /// Of its origin.
+    pub o: Vec3<P>,
+    /// Of its direction.
+    pub d: Vec3<P>,
+}
+
 /// A ray as far as the point that it is to reach.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Segment<P> {

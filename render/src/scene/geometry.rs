@@ -2,13 +2,14 @@
 
 use std::collections::HashSet;
 
-use ad_core::Vec3;
+use ad_core::{Real, Vec3};
 
 use super::ShapeInfo;
 use crate::accel::{self, Accel, AccelError, Hit, Plane, Primitive};
 use crate::camera::Camera;
 use crate::emitter::Ball;
-use crate::math::{NOWHERE, Ray};
+use crate::math::{NOWHERE, Ray, Transform};
+use crate::motion::{Drift, Placement};
 use crate::params::{ParamRef, Params, Theta};
 use crate::shape::{AnyShape, Exit, Patch, Prim, Shape};
 
@@ -48,8 +49,30 @@ pub(super) struct Geometry {
     /// that particles see otherwise than paths do.
     pub casters: Vec<Ball>,
     wanted: Wanted,
+    /// Per shape, how it moves as a whole; empty as long as none does.
+    placed: Vec<Option<Box<Placed>>>,
     /// Parameters that shapes read, with the shape.
     reads: Vec<(u32, ParamRef)>,
+}
+
+/// A shape that moves as a whole.
+#[derive(Debug)]
+struct Placed {
+    /// The shape before it does.
+    rest: AnyShape,
+    placement: Placement,
+}
+
+impl Placed {
+    /// The shape at these parameters.
+    fn at(&self, params: &Params) -> Result<AnyShape, String> {
+        let mut shape = self.rest.clone();
+        shape.update(params)?;
+        match self.placement.transform(params) {
+            Transform::IDENTITY => Ok(shape),
+            transform => shape.placed(&transform),
+        }
+    }
 }
 
 /// Why rays cannot be traced.
@@ -58,6 +81,23 @@ pub(super) struct OutOfReach {
     /// The shape, if it is one.
     pub shape: Option<u32>,
     pub error: AccelError,
+}
+
+/// Why shapes cannot be where parameters want them.
+#[derive(Debug)]
+pub(super) struct Misplaced {
+    /// The shape, if it is one.
+    pub shape: Option<u32>,
+    pub reason: String,
+}
+
+impl From<OutOfReach> for Misplaced {
+    fn from(e: OutOfReach) -> Self {
+        Self {
+            shape: e.shape,
+            reason: e.error.to_string(),
+        }
+    }
 }
 
 /// What follows from the shapes one by one.
@@ -167,8 +207,67 @@ impl Geometry {
             lamps,
             casters,
             wanted,
+            placed: Vec::new(),
             reads,
         })
+    }
+
+    /// Says that a parameter moves a shape as a whole, by what `own` chooses. The parameter has the value that it has at
+    /// rest.
+    pub fn place(
+        &mut self,
+        shape: u32,
+        p: ParamRef,
+        own: impl Fn(&mut Placement) -> &mut Option<ParamRef>,
+    ) {
+        let count = self.shapes.len();
+        self.placed.resize_with(count, || None);
+        let rest = &self.shapes[shape as usize];
+        let placed = self.placed[shape as usize].get_or_insert_with(|| {
+            Box::new(Placed {
+                rest: rest.clone(),
+                placement: Placement::about(rest.centroid()),
+            })
+        });
+        *own(&mut placed.placement) = Some(p);
+        self.reads.push((shape, p));
+    }
+
+    /// Says that a parameter is the points of a mesh, before it moves as a whole: it has their values.
+    pub fn free_vertices(&mut self, shape: u32, p: ParamRef) {
+        let free = |shape: &mut AnyShape| {
+            if let AnyShape::Mesh(mesh) = shape {
+                *mesh = mesh.with_vertices(p);
+            }
+        };
+        free(&mut self.shapes[shape as usize]);
+        if let Some(Some(placed)) = self.placed.get_mut(shape as usize) {
+            free(&mut placed.rest);
+        }
+        self.reads.push((shape, p));
+    }
+
+    /// The shape before it moves as a whole.
+    pub fn at_rest(&self, shape: u32) -> &AnyShape {
+        match self.placed.get(shape as usize) {
+            Some(Some(placed)) => &placed.rest,
+            _ => &self.shapes[shape as usize],
+        }
+    }
+
+    /// How a shape moves as a whole, if it may.
+    #[inline]
+    pub fn placement(&self, shape: u32) -> Option<&Placement> {
+        Some(&self.placed.get(shape as usize)?.as_ref()?.placement)
+    }
+
+    /// How it does; `None` if it does not.
+    #[inline(always)]
+    pub fn drift<R: Real>(&self, shape: u32, theta: &Theta<R>) -> Option<Drift<R>> {
+        if R::IS_PRIMAL {
+            return None;
+        }
+        self.placement(shape)?.drift(theta)
     }
 
     /// Whether it depends on a parameter for which `changed` holds.
@@ -176,28 +275,34 @@ impl Geometry {
         self.reads.iter().any(|(_, p)| changed(*p))
     }
 
-    /// Moves to these parameters, of which those for which `changed` holds are new.
+    /// Moves to these parameters, of which those for which `changed` holds are new; or the camera has moved.
     ///
     /// # Errors
-    /// As [`Geometry::new`]; nothing has changed then.
+    /// As [`Geometry::new`], or a shape of which nothing is left; nothing has changed then.
     pub fn update(
         &mut self,
         params: &Params,
         changed: impl Fn(ParamRef) -> bool,
         infos: &[ShapeInfo],
         camera: &Camera,
-    ) -> Result<(), OutOfReach> {
+    ) -> Result<(), Misplaced> {
         let mut moved: Vec<u32> = (self.reads.iter())
             .filter_map(|&(shape, p)| changed(p).then_some(shape))
             .collect();
+        moved.sort_unstable();
         moved.dedup();
-        if moved.is_empty() {
-            return Ok(());
-        }
         // Meshes share their arrays with the scene's until they change them.
         let mut shapes = self.shapes.clone();
         for shape in moved {
-            shapes[shape as usize].update(params);
+            let own = &mut shapes[shape as usize];
+            let done = match self.placed.get(shape as usize) {
+                Some(Some(placed)) => placed.at(params).map(|now| *own = now),
+                _ => own.update(params),
+            };
+            done.map_err(|reason| Misplaced {
+                shape: Some(shape),
+                reason,
+            })?;
         }
         let layout = Layout::new(&shapes, infos, camera);
         (self.accel.refit(&layout.primitives, &layout.surfaces))
@@ -290,7 +395,6 @@ mod tests {
     use crate::emitter::Area;
     use crate::film::Film;
     use crate::math::Transform;
-    use crate::params::ParamShape;
     use crate::scene::{Builder, Scene, Settings};
     use crate::shape::{Cube, Mesh, MeshData};
 
@@ -298,12 +402,6 @@ mod tests {
     fn scene(lamp_at: f32, mirror_at: f32) -> Scene {
         let mut build = Builder::new();
         let half = build.rgb("half", [0.5; 3], (0.0, 1.0)).expect("valid");
-        let reach = (-1e30, 1e30);
-        let mut place = |name: &str, x: f32| {
-            let params = build.registry().params_mut();
-            params.push(name, ParamShape::Scalar, &[x], reach)
-        };
-        let places = [("lamp", lamp_at), ("mirror", mirror_at)].map(|(n, x)| place(n, x));
         let grey = build.add_material(Diffuse {
             reflectance: half.clone(),
         });
@@ -326,13 +424,9 @@ mod tests {
         };
         build.add_shape("floor", Mesh::new(floor, false).expect("a mesh"), grey);
         let cubes = [("lamp", 5.0, grey), ("mirror", 12.0, metal)];
-        for ((name, y, material), (p, x)) in cubes
-            .into_iter()
-            .zip(places.into_iter().zip([lamp_at, mirror_at]))
-        {
+        for ((name, y, material), x) in cubes.into_iter().zip([lamp_at, mirror_at]) {
             let to_world = Transform::translate([f64::from(x) + 1.0, y, 3.0]);
-            let mut cube = Cube::new(&to_world, false).expect("a cube");
-            cube.moved_by = Some(p);
+            let cube = Cube::new(&to_world, false).expect("a cube");
             build.add_shape(name, cube, material);
             if name == "lamp" {
                 let radiance = half.clone();
@@ -348,7 +442,10 @@ mod tests {
         let camera = Camera::new(view.expect("a view"), 50.0, FovAxis::Smaller, [8, 8]);
         let camera = camera.expect("a camera");
         let scene = build.build(camera, Film::new(8, 8), Settings::default());
-        scene.expect("a scene")
+        let mut scene = scene.expect("a scene");
+        let names = ["lamp.translation", "mirror.translation"];
+        scene.make_movable(&names).expect("they may move");
+        scene
     }
 
     /// Everything that follows from where shapes are.
@@ -388,8 +485,8 @@ mod tests {
         let offset = |scene: &Scene, name| scene.params().find(name).expect("known").offset;
         let mut values = moving.params().values().to_vec();
         for (lamp, mirror) in [(4.0, 9.0), (12.0, 2.0), (3.0, 9.0)] {
-            values[offset(&moving, "lamp")] = lamp;
-            values[offset(&moving, "mirror")] = mirror;
+            values[offset(&moving, "lamp.translation")] = lamp - 3.0;
+            values[offset(&moving, "mirror.translation")] = mirror - 9.0;
             moving.set_params(&values).expect("valid");
             let now = derived(&moving);
             assert_eq!(now, derived(&scene(lamp, mirror)), "{lamp} {mirror}");
@@ -409,14 +506,18 @@ mod tests {
         assert_eq!(derived(&still), start);
         assert_eq!(still.shapes()[0].primitives(), floor);
         let before = still.params().values().to_vec();
-        let lamp = still.params().find("lamp").expect("known").offset;
-        values[lamp] = 1e20;
+        let lamp = still
+            .params()
+            .find("lamp.translation")
+            .expect("known")
+            .offset;
+        values[lamp] = 2e12;
         let error = still
             .set_params(&values)
             .expect_err("out of reach")
             .to_string();
         assert!(
-            error.starts_with("shape `lamp`: primitive ") && error.contains("at most 1e12"),
+            error.starts_with("shape `lamp`: ") && error.contains("at most 1e12"),
             "{error}"
         );
         assert_eq!(derived(&still), start);

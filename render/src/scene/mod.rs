@@ -4,6 +4,7 @@ mod builder;
 mod clip;
 mod geometry;
 mod load;
+mod movable;
 mod pixels;
 mod shares;
 
@@ -11,6 +12,7 @@ use geometry::Geometry;
 
 pub use builder::Builder;
 pub use load::LoadOptions;
+pub use movable::Movable;
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -25,11 +27,12 @@ use crate::error::RenderError;
 use crate::estimator::{Sampling, Strategy};
 use crate::film::Film;
 use crate::guide::Guide;
-use crate::math::{Frame, Ray, Segment};
-use crate::params::{ParamRef, Params, Theta};
+use crate::math::{Frame, Ray, RayAdjoint, Segment};
+use crate::params::{GradSink, ParamRef, Params, Theta};
 use crate::sampler::Points;
 use crate::shape::{
-    AnyShape, Exit, Partials, Patch, Prim, Shape, SurfaceCoordinates, SurfaceInteraction,
+    AnyShape, Exit, Partials, Patch, Prim, Shape, SurfaceAdjoint, SurfaceCoordinates,
+    SurfaceInteraction,
 };
 
 pub(crate) use pixels::PixelShares;
@@ -240,15 +243,24 @@ impl Scene {
             let range = self.params.infos()[p.id as usize].range();
             values[range.clone()] != self.params.values()[range]
         };
-        if self.geometry.depends_on(changed) {
+        let camera_moves = self.camera.depends_on(changed);
+        if camera_moves || self.geometry.depends_on(changed) {
             let mut params = self.params.clone();
             params.values_mut().copy_from_slice(values);
+            let mut camera = self.camera.clone();
+            if camera_moves {
+                camera = camera.at(&params).map_err(|e| RenderError::OutOfReach {
+                    shape: None,
+                    reason: e.to_string(),
+                })?;
+            }
             (self.geometry)
-                .update(&params, changed, &self.infos, &self.camera)
+                .update(&params, changed, &self.infos, &camera)
                 .map_err(|e| RenderError::OutOfReach {
                     shape: e.shape.map(|shape| self.infos[shape as usize].name.clone()),
-                    reason: e.error.to_string(),
+                    reason: e.reason,
                 })?;
+            self.camera = camera;
         }
         self.params.values_mut().copy_from_slice(values);
         for e in &mut self.emitters {
@@ -407,7 +419,15 @@ impl Scene {
         hit: &Hit,
     ) -> Intersection<R> {
         let Prim { shape, local, .. } = self.geometry.prims[hit.prim as usize];
-        let si = self.geometry.shapes[shape as usize].interaction(theta, local, ray, hit);
+        let own = &self.geometry.shapes[shape as usize];
+        let si = match self.geometry.drift(shape, theta) {
+            None => own.interaction(theta, local, ray, hit),
+            // Who moves along sees the ray move back.
+            Some(drift) => {
+                let seen = own.interaction(theta, local, &drift.ray_back(ray), hit);
+                seen.carried(&drift, own.carries_frame(local))
+            }
+        };
         Intersection {
             shape,
             prim: hit.prim,
@@ -469,13 +489,100 @@ impl Scene {
         at: SurfaceCoordinates<R>,
     ) -> SurfaceInteraction<R> {
         let Prim { shape, local, .. } = self.geometry.prims[prim as usize];
-        self.geometry.shapes[shape as usize].point_at(theta, local, at)
+        let own = &self.geometry.shapes[shape as usize];
+        let si = own.point_at(theta, local, at);
+        match self.geometry.drift(shape, theta) {
+            None => si,
+            Some(drift) => si.carried(&drift, own.carries_frame(local)),
+        }
+    }
+
+    /// Area of a primitive per constant measure of its surface coordinates: [`Shape::area_element`].
+    ///
+    /// # Derivatives
+    /// In `theta`.
+    pub fn area_element<R: Real>(&self, theta: &Theta<R>, prim: u32) -> R {
+        let Prim { shape, local, .. } = self.geometry.prims[prim as usize];
+        let area = self.geometry.shapes[shape as usize].area_element(theta, local);
+        match self.geometry.drift(shape, theta) {
+            None => area,
+            Some(drift) => area * drift.area(),
+        }
+    }
+
+    /// Adds the adjoints of parameters that move a shape, given those of the point `si` of its primitive `prim`, which
+    /// stays on its material, and of the logarithm of the area there: the transpose of [`Scene::point_at`] and
+    /// [`Scene::area_element`].
+    pub fn scatter_point<P: Float>(
+        &self,
+        theta: &Theta<P>,
+        prim: u32,
+        si: &SurfaceInteraction<P>,
+        d: &SurfaceAdjoint<P>,
+        d_log_area: P,
+        grad: &mut impl GradSink<P>,
+    ) {
+        let Prim { shape, local, .. } = self.geometry.prims[prim as usize];
+        let own = &self.geometry.shapes[shape as usize];
+        own.scatter_point(local, own.coordinates(local, si), d, grad);
+        if d_log_area != P::zero() {
+            let area: P = own.area_element(&Theta::still(), local);
+            own.scatter_area(local, d_log_area / area, grad);
+        }
+        if let Some(placement) = self.geometry.placement(shape) {
+            let mut wrench = placement.wrench(theta);
+            d.act(si, own.carries_frame(local), &mut wrench);
+            wrench.area(d_log_area);
+            placement.scatter(theta, &wrench, grad);
+        }
+    }
+
+    /// Adds the adjoints of parameters that move a shape, given those of what `ray` meets there: the transpose of
+    /// [`Scene::interaction`]. The adjoints of the ray.
+    pub fn scatter_interaction<P: Float>(
+        &self,
+        theta: &Theta<P>,
+        prim: u32,
+        ray: &Ray<P>,
+        si: &SurfaceInteraction<P>,
+        d: &SurfaceAdjoint<P>,
+        grad: &mut impl GradSink<P>,
+    ) -> RayAdjoint<P> {
+        let Prim { shape, local, .. } = self.geometry.prims[prim as usize];
+        let own = &self.geometry.shapes[shape as usize];
+        // Where along the ray is all that shapes take from it.
+        let hit = Hit {
+            t: si.t.to_f32(),
+            u: 0.0,
+            v: 0.0,
+            prim,
+        };
+        own.scatter_interaction(local, ray, &hit, d, grad);
+        let vary = |v: Vec3<P>, first: usize| {
+            let var = |i: usize| Dual::<P, 6>::var(v[i], first + i);
+            Vec3::new(var(0), var(1), var(2))
+        };
+        let moving = Ray::new(vary(ray.o, 0), vary(ray.d, 3));
+        let seen = own.interaction(&Theta::still(), local, &moving, &hit);
+        let [ox, oy, oz, dx, dy, dz] = d.of(&seen).eps;
+        let back = RayAdjoint {
+            o: Vec3::new(ox, oy, oz),
+            d: Vec3::new(dx, dy, dz),
+        };
+        if let Some(placement) = self.geometry.placement(shape) {
+            let mut wrench = placement.wrench(theta);
+            d.act(si, own.carries_frame(local), &mut wrench);
+            wrench.point(ray.o, -back.o);
+            wrench.vector(ray.d, -back.d);
+            placement.scatter(theta, &wrench, grad);
+        }
+        back
     }
 
     /// How the surface changes with its texture coordinates there, as the shape has it: [`Shape::partials`].
     ///
     /// # Derivatives
-    /// In `theta` and in `at`.
+    /// In `theta` and in `at`. The axes of the frame turn along, also where [`Shape::carries_frame`] says otherwise.
     pub fn partials<R: Real>(
         &self,
         theta: &Theta<R>,
@@ -483,7 +590,11 @@ impl Scene {
         at: SurfaceCoordinates<R>,
     ) -> Option<Partials<R>> {
         let Prim { shape, local, .. } = self.geometry.prims[prim as usize];
-        self.geometry.shapes[shape as usize].partials(theta, local, at)
+        let partials = self.geometry.shapes[shape as usize].partials(theta, local, at)?;
+        Some(match self.geometry.drift(shape, theta) {
+            None => partials,
+            Some(drift) => partials.carried(&drift),
+        })
     }
 
     /// The same with normal maps, and the frame that they give, world space: [`Bsdf::shading_frame`]. `wo` is the unit

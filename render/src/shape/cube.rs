@@ -1,14 +1,14 @@
 //! The cube.
 
-use ad_core::{Float, Real};
+use ad_core::{Float, Real, Vec3};
 
-use super::{Partials, Patch, Shape, ShapeSample, SurfaceCoordinates, SurfaceInteraction};
+use super::{
+    Partials, Patch, Shape, ShapeSample, SurfaceCoordinates, SurfaceInteraction, misplaced,
+};
 use crate::accel::{Hit, Primitive};
 use crate::error::SceneError;
 use crate::math::{Ray, Transform};
 use crate::params::Theta;
-#[cfg(test)]
-use crate::params::{ParamRef, Params};
 use crate::plugin::{FromNode, Node, Registry};
 
 /// `uv = (0, 0)`, `(1, 0)` and `(0, 1)` of the six faces, as Mitsuba 3 numbers them.
@@ -27,9 +27,6 @@ const FACES: [[[f64; 3]; 3]; 6] = [
 pub struct Cube {
     faces: Box<[Patch; 6]>,
     area: f64,
-    /// Where the first corner is along x, for tests of what follows shapes that move.
-    #[cfg(test)]
-    pub(crate) moved_by: Option<ParamRef>,
 }
 
 impl Cube {
@@ -42,15 +39,13 @@ impl Cube {
             let flip = !(flip_normals ^ mirrored);
             Patch::new(to_world.point(corner), edge(along_u), edge(along_v), flip)
         };
-        let [a, b, c, d, e, f] = FACES.map(face);
+        Self::of(FACES.map(face))
+    }
+
+    fn of([a, b, c, d, e, f]: [Option<Patch>; 6]) -> Option<Self> {
         let faces = Box::new([a?, b?, c?, d?, e?, f?]);
         let area: f64 = faces.iter().map(Patch::area).sum();
-        area.is_finite().then_some(Self {
-            faces,
-            area,
-            #[cfg(test)]
-            moved_by: None,
-        })
+        area.is_finite().then_some(Self { faces, area })
     }
 }
 
@@ -104,6 +99,18 @@ impl Shape for Cube {
         self.faces.get(prim as usize)
     }
 
+    fn centroid(&self) -> [f64; 3] {
+        let [a, b, ..] = &*self.faces;
+        // The first two are opposite.
+        let [a, b] = [a, b].map(|f| Vec3::from(f.centroid()));
+        ((a + b) * 0.5).to_array()
+    }
+
+    fn placed(&self, by: &Transform) -> Result<Self, String> {
+        let faces = [0, 1, 2, 3, 4, 5].map(|i| self.faces[i].placed(by));
+        Self::of(faces).ok_or_else(misplaced)
+    }
+
     fn area(&self) -> f64 {
         self.area
     }
@@ -128,20 +135,6 @@ impl Shape for Cube {
 
     fn border<R: Real>(&self, prim: u32, ray: &Ray<R>) -> R {
         self.faces[prim as usize].border(ray)
-    }
-
-    #[cfg(test)]
-    fn visit_params(&self, f: &mut dyn FnMut(ParamRef)) {
-        self.moved_by.into_iter().for_each(f);
-    }
-
-    #[cfg(test)]
-    fn update(&mut self, params: &Params) {
-        let Some(p) = self.moved_by else { return };
-        let by = params.values()[p.offset as usize] - self.faces[0].corner[0];
-        for face in self.faces.iter_mut() {
-            face.corner[0] += by;
-        }
     }
 
     fn extent(&self) -> f32 {

@@ -7,12 +7,12 @@ use ad_core::{Const, Dual, Float, Real, Vec2, Vec3};
 use super::partials::{constant, variables};
 use super::sphere::{ON_SURFACE, SIMILARITY_TOLERANCE, root_near};
 use super::{
-    DirectionSample, Partials, Shape, ShapeSample, SurfaceCoordinates, SurfaceInteraction,
-    hit_is_exact, lift3, turn,
+    DirectionSample, Partials, Shape, ShapeSample, SurfaceCoordinates, SurfaceInteraction, double,
+    hit_is_exact, lift3, misplaced, turn,
 };
 use crate::accel::{Hit, MAX_COORDINATE, MIN_THICKNESS, Primitive};
 use crate::error::SceneError;
-use crate::math::{Frame, Ray, Transform, warp};
+use crate::math::{Frame, Ray, Transform, each, warp};
 use crate::params::Theta;
 use crate::plugin::{FromNode, Node, Registry};
 
@@ -61,24 +61,27 @@ impl Cylinder {
             return None;
         }
         let single = |v: [f64; 3]| v.map(|x| x as f32);
-        let (p0, axis) = (single(to_world.point(p0)), single(axis.to_array()));
-        let reachable = p0.iter().chain(&axis).all(|x| x.abs() <= MAX_COORDINATE);
-        let allowed = f64::from(MIN_THICKNESS)..=f64::from(MAX_COORDINATE);
-        let length = lift3::<f64>(axis).length();
-        if !(reachable && allowed.contains(&radius) && allowed.contains(&length)) {
-            return None;
-        }
         let x = (s - direction * s.dot(direction)).normalize();
         // Mirrored frames turn the other way round, as the local coordinates do.
         let y = direction.cross(x);
         let y = if y.dot(t) < 0.0 { -y } else { y };
-        Some(Self {
-            p0,
-            axis,
+        let cylinder = Self {
+            p0: single(to_world.point(p0)),
+            axis: single(axis.to_array()),
             radius: radius as f32,
             across: [single(x.to_array()), single(y.to_array())],
             flip,
-        })
+        };
+        cylinder.is_usable().then_some(cylinder)
+    }
+
+    /// Whether rays can meet it.
+    fn is_usable(&self) -> bool {
+        let coordinates = || self.p0.iter().chain(&self.axis);
+        let reachable = coordinates().all(|x| x.abs() <= MAX_COORDINATE);
+        let allowed = f64::from(MIN_THICKNESS)..=f64::from(MAX_COORDINATE);
+        let length = lift3::<f64>(self.axis).length();
+        reachable && allowed.contains(&f64::from(self.radius)) && allowed.contains(&length)
     }
 
     #[inline]
@@ -219,6 +222,24 @@ impl Shape for Cylinder {
             }
         }
         nearest
+    }
+
+    fn centroid(&self) -> [f64; 3] {
+        (lift3::<f64>(self.p0) + lift3::<f64>(self.axis) * 0.5).to_array()
+    }
+
+    fn placed(&self, by: &Transform) -> Result<Self, String> {
+        let single = |v: [f64; 3]| each(v, |x| x as f32);
+        let across = self.across.map(|a| Vec3::from(by.vector(double(a))));
+        let scale = across[0].length();
+        let placed = Self {
+            p0: single(by.point(double(self.p0))),
+            axis: single(by.vector(double(self.axis))),
+            radius: (f64::from(self.radius) * scale) as f32,
+            across: across.map(|a| single(a.normalize().to_array())),
+            flip: self.flip,
+        };
+        placed.is_usable().then_some(placed).ok_or_else(misplaced)
     }
 
     fn area(&self) -> f64 {

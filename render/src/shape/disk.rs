@@ -8,7 +8,7 @@ use super::partials::{constant, variables};
 use super::patch::intersect_plane;
 use super::{
     Partials, Shape, ShapeSample, SurfaceCoordinates, SurfaceInteraction, coordinates_in_plane,
-    hit_is_exact, lift3, turn,
+    double, hit_is_exact, lift3, misplaced, turn,
 };
 use crate::accel::{Hit, MAX_COORDINATE, MIN_THICKNESS, Primitive};
 use crate::error::SceneError;
@@ -34,6 +34,12 @@ impl Disk {
         let center = single(to_world.translation);
         let e1 = single(to_world.vector([1.0, 0.0, 0.0]));
         let e2 = single(to_world.vector([0.0, 1.0, 0.0]));
+        let flip = flip_normals ^ (to_world.determinant() < 0.0);
+        Self::of(center, e1, e2, flip)
+    }
+
+    /// From its centre and half axes; its normal is along `e1 x e2`, or against it if `flip`.
+    fn of(center: [f32; 3], e1: [f32; 3], e2: [f32; 3], flip: bool) -> Option<Self> {
         let n = lift3::<f64>(e1).cross(lift3(e2));
         let area = PI * n.length();
         let reachable = [center, e1, e2]
@@ -46,13 +52,12 @@ impl Disk {
         if !reachable || thin || area == 0.0 {
             return None;
         }
-        let flip = flip_normals ^ (to_world.determinant() < 0.0);
         let n = n.normalize() * if flip { -1.0 } else { 1.0 };
         Some(Self {
             center,
             e1,
             e2,
-            n: single(n.to_array()),
+            n: n.to_array().map(|x| x as f32),
             area,
         })
     }
@@ -139,6 +144,19 @@ impl Shape for Disk {
 
     fn area_element<R: Real>(&self, _theta: &Theta<R>, _prim: u32) -> R {
         lift3::<R>(self.e1).cross(lift3(self.e2)).length()
+    }
+
+    fn centroid(&self) -> [f64; 3] {
+        double(self.center)
+    }
+
+    fn placed(&self, by: &Transform) -> Result<Self, String> {
+        let single = |v: [f64; 3]| each(v, |x| x as f32);
+        let center = single(by.point(double(self.center)));
+        let [e1, e2] = [self.e1, self.e2].map(|e| single(by.vector(double(e))));
+        let along = lift3::<f64>(self.e1).cross(lift3(self.e2));
+        let flip = along.dot(lift3(self.n)) < 0.0;
+        Self::of(center, e1, e2, flip).ok_or_else(misplaced)
     }
 
     fn area(&self) -> f64 {

@@ -10,15 +10,16 @@ use smallvec::SmallVec;
 
 use super::partials::variables;
 use super::patch::intersect_plane;
+use super::vertices::{MovingTriangle, MovingVertices};
 use super::{
-    DirectionSample, Partials, Shape, ShapeSample, SurfaceCoordinates, SurfaceInteraction,
-    coordinates_in_plane, hit_is_exact, lift3,
+    DirectionSample, Partials, Shape, ShapeSample, SurfaceAdjoint, SurfaceCoordinates,
+    SurfaceInteraction, coordinates_in_plane, hit_is_exact, lift3,
 };
 use crate::accel::{Hit, MAX_COORDINATE, Primitive};
 use crate::error::{SceneError, quoted};
 use crate::files;
 use crate::math::{Frame, Ray, Transform, each, warp};
-use crate::params::Theta;
+use crate::params::{GradSink, ParamRef, Params, Theta};
 use crate::plugin::{FromNode, Node, Registry};
 use crate::prefetch::prefetch;
 
@@ -43,12 +44,18 @@ pub struct MeshData {
 ///
 /// Degenerate triangles are kept but never hit or sampled.
 #[derive(Clone, Debug)]
-pub struct Mesh(Arc<Data>);
+pub struct Mesh {
+    pub(super) data: Arc<Data>,
+    /// If they are parameters.
+    pub(super) vertices: Option<MovingVertices>,
+}
 
 #[derive(Debug)]
-struct Data {
-    mesh: MeshData,
-    flip: bool,
+pub(super) struct Data {
+    pub mesh: MeshData,
+    pub flip: bool,
+    /// Whether the normals are [`smooth_normals`], and follow the positions.
+    pub smooth: bool,
     area: f64,
     extent: f32,
     /// Running sums of the triangles' areas: only meshes that emit need them.
@@ -62,6 +69,22 @@ impl Mesh {
     /// [`SceneError::Parameter`]: no triangles, no area, a vertex that is not finite (or out of reach
     /// of [`crate::accel`]), an index without a vertex, arrays of different lengths.
     pub fn new(mesh: MeshData, flip_normals: bool) -> Result<Self, SceneError> {
+        Self::with_normals(mesh, flip_normals, false)
+    }
+
+    /// The same of a mesh without normals, with those of [`smooth_normals`]: they follow the positions.
+    ///
+    /// # Errors
+    /// As [`Mesh::new`].
+    pub fn smoothed(mesh: MeshData, flip_normals: bool) -> Result<Self, SceneError> {
+        Self::with_normals(mesh, flip_normals, true)
+    }
+
+    pub(super) fn with_normals(
+        mut mesh: MeshData,
+        flip_normals: bool,
+        smooth: bool,
+    ) -> Result<Self, SceneError> {
         let error = |expected: &str, found: String| SceneError::Parameter {
             key: "mesh".into(),
             expected: expected.into(),
@@ -100,6 +123,9 @@ impl Mesh {
                 format!("{t:?}"),
             ));
         }
+        if smooth {
+            mesh.normals = smooth_normals(&mesh.positions, &mesh.triangles);
+        }
         let extent = mesh
             .positions
             .as_flattened()
@@ -108,6 +134,7 @@ impl Mesh {
         let mut data = Data {
             mesh,
             flip: flip_normals,
+            smooth,
             area: 0.0,
             extent,
             cdf: OnceLock::new(),
@@ -121,7 +148,10 @@ impl Mesh {
                 "only degenerate ones".into(),
             ));
         }
-        Ok(Self(Arc::new(data)))
+        Ok(Self {
+            data: Arc::new(data),
+            vertices: None,
+        })
     }
 
     /// Reads a Wavefront OBJ file: positions, normals, texture coordinates and faces; polygons become
@@ -177,10 +207,9 @@ impl Mesh {
         }
         if options.face_normals {
             mesh.normals = Vec::new();
-        } else if reader.counts[2] == 0 {
-            mesh.normals = smooth_normals(&mesh.positions, &mesh.triangles);
         }
-        Self::new(mesh, options.flip_normals).map_err(|e| match e {
+        let smooth = !options.face_normals && reader.counts[2] == 0;
+        Self::with_normals(mesh, options.flip_normals, smooth).map_err(|e| match e {
             SceneError::Parameter {
                 expected, found, ..
             } => asset(None, &expected, &found),
@@ -190,34 +219,48 @@ impl Mesh {
 
     /// The arrays.
     pub fn data(&self) -> &MeshData {
-        &self.0.mesh
+        &self.data.mesh
     }
 
     /// Bytes held by the arrays.
     pub fn memory_bytes(&self) -> usize {
-        let m = &self.0.mesh;
+        let m = &self.data.mesh;
         size_of_val(&m.positions[..])
             + size_of_val(&m.normals[..])
             + size_of_val(&m.uvs[..])
             + size_of_val(&m.triangles[..])
-            + self.0.cdf.get().map_or(0, |c| size_of_val(&c[..]))
+            + self.data.cdf.get().map_or(0, |c| size_of_val(&c[..]))
     }
 
     /// Shading frame, geometric normal on its side, and texture coordinates at barycentric `(u, v)`.
     #[inline]
-    fn surface<R: Real>(&self, triangle: usize, u: R, v: R) -> (Frame<R>, Vec3<R>, Vec2<R>) {
-        let data = &*self.0;
+    fn surface<R: Real>(
+        &self,
+        triangle: usize,
+        u: R,
+        v: R,
+        moving: Option<&MovingTriangle<R>>,
+    ) -> (Frame<R>, Vec3<R>, Vec2<R>) {
+        let data = &*self.data;
         let m = &data.mesh;
         let t = each(m.triangles[triangle], |i| i as usize);
         let [e1, e2] = data.edges(triangle);
         // In f64, where the product of small edges does not underflow.
         let flat = e1.cross(e2).normalize();
-        let flat = Vec3::<R>::new(R::of(flat.x), R::of(flat.y), R::of(flat.z));
+        let mut flat = Vec3::<R>::new(R::of(flat.x), R::of(flat.y), R::of(flat.z));
+        if let Some(moving) = moving {
+            flat += moving.flat_normal(data.single_edges(triangle).1);
+        }
         let w = R::one() - u - v;
         let smooth = if m.normals.is_empty() {
             Vec3::zero()
         } else {
-            let [a, b, c] = each(t, |i| lift3::<R>(m.normals[i]));
+            let [mut a, mut b, mut c] = each(t, |i| lift3::<R>(m.normals[i]));
+            if let Some(moving) = moving {
+                a += moving.normals[0];
+                b += moving.normals[1];
+                c += moving.normals[2];
+            }
             (a * w + b * u + c * v).normalize()
         };
         let (mut n, mut n_geo) = (smooth, flat);
@@ -243,16 +286,36 @@ impl Mesh {
         let [a, b, c] = each(t, |i| lift2(m.uvs[i]));
         let uv = Vec2::new(a.x * w + b.x * u + c.x * v, a.y * w + b.y * u + c.y * v);
         let dp_du = data.dp_du(triangle);
-        let dp_du = Vec3::new(R::of(dp_du.x), R::of(dp_du.y), R::of(dp_du.z));
+        let mut dp_du = Vec3::new(R::of(dp_du.x), R::of(dp_du.y), R::of(dp_du.z));
+        if let Some(moving) = moving {
+            dp_du += moving.dp_du(data.single_edges(triangle).1, data.slopes(triangle));
+        }
         (Frame::from_normal_and_tangent(n, dp_du), n_geo, uv)
+    }
+
+    /// A corner and the two edges from there.
+    #[inline]
+    fn corner_and_edges<R: Real>(
+        &self,
+        triangle: usize,
+        moving: Option<&MovingTriangle<R>>,
+    ) -> [Vec3<R>; 3] {
+        let (v0, [e1, e2]) = self.data.single_edges(triangle);
+        let still = [lift3::<R>(v0), lift3::<R>(e1), lift3::<R>(e2)];
+        moving.map_or(still, |m| m.corner_and_edges(still))
     }
 
     /// The point at barycentric `(u, v)`.
     #[inline]
-    fn point<R: Real>(&self, triangle: usize, u: R, v: R) -> SurfaceInteraction<R> {
-        let (v0, [e1, e2]) = self.0.single_edges(triangle);
-        let (v0, e1, e2) = (lift3::<R>(v0), lift3::<R>(e1), lift3::<R>(e2));
-        let (frame, n_geo, uv) = self.surface(triangle, u, v);
+    fn point<R: Real>(
+        &self,
+        triangle: usize,
+        u: R,
+        v: R,
+        moving: Option<&MovingTriangle<R>>,
+    ) -> SurfaceInteraction<R> {
+        let [v0, e1, e2] = self.corner_and_edges(triangle, moving);
+        let (frame, n_geo, uv) = self.surface(triangle, u, v, moving);
         SurfaceInteraction {
             p: v0 + e1 * u + e2 * v,
             t: R::zero(),
@@ -262,9 +325,31 @@ impl Mesh {
         }
     }
 
+    /// See [`Shape::interaction`].
+    #[inline]
+    fn seen<R: Real>(
+        &self,
+        triangle: usize,
+        ray: &Ray<R>,
+        hit: &Hit,
+        moving: Option<&MovingTriangle<R>>,
+    ) -> SurfaceInteraction<R> {
+        let (t, u, v) = if hit_is_exact::<R>() {
+            let exact = |x: f32| R::lift(R::Primal::from_f32(x));
+            (exact(hit.t), exact(hit.u), exact(hit.v))
+        } else {
+            let [v0, e1, e2] = self.corner_and_edges(triangle, moving);
+            intersect_plane(ray, v0, e1, e2)
+        };
+        SurfaceInteraction {
+            t,
+            ..self.point(triangle, u, v, moving)
+        }
+    }
+
     /// A uniform point: triangle, and barycentric coordinates of its second and third vertex.
     fn choose<P: Float>(&self, u: [P; 2]) -> (usize, Vec2<P>) {
-        let data = &*self.0;
+        let data = &*self.data;
         let cdf = data.cdf.get_or_init(|| {
             let mut sum = 0.0;
             let areas = (0..data.mesh.triangles.len()).map(|i| {
@@ -311,22 +396,30 @@ impl Data {
     #[inline]
     fn dp_du(&self, triangle: usize) -> Vec3<f64> {
         let [e1, e2] = self.edges(triangle);
+        let [a, b] = self.slopes(triangle);
+        (e1 * a + e2 * b).normalize()
+    }
+
+    /// How much of each edge is in the direction of increasing u, up to a common factor; zero where the texture
+    /// coordinates are degenerate.
+    #[inline]
+    fn slopes(&self, triangle: usize) -> [f64; 2] {
         let [a, b, c] = each(self.mesh.triangles[triangle], |i| self.mesh.uvs[i as usize]);
         let minus = |x: f32, y: f32| f64::from(x) - f64::from(y);
         let (dv1, dv2) = (minus(b[1], a[1]), minus(c[1], a[1]));
         let det = minus(b[0], a[0]) * dv2 - dv1 * minus(c[0], a[0]);
         if det == 0.0 {
-            return Vec3::zero();
+            return [0.0; 2];
         }
-        ((e1 * dv2 - e2 * dv1) * det.signum()).normalize()
+        [dv2 * det.signum(), -(dv1 * det.signum())]
     }
 }
 
 impl Shape for Mesh {
     fn primitives(&self) -> Vec<Primitive> {
-        (0..self.0.mesh.triangles.len())
+        (0..self.data.mesh.triangles.len())
             .map(|i| {
-                let (v0, [e1, e2]) = self.0.single_edges(i);
+                let (v0, [e1, e2]) = self.data.single_edges(i);
                 Primitive::Triangle { v0, e1, e2 }
             })
             .collect()
@@ -335,23 +428,13 @@ impl Shape for Mesh {
     #[inline]
     fn interaction<R: Real>(
         &self,
-        _theta: &Theta<R>,
+        theta: &Theta<R>,
         prim: u32,
         ray: &Ray<R>,
         hit: &Hit,
     ) -> SurfaceInteraction<R> {
-        let (v0, [e1, e2]) = self.0.single_edges(prim as usize);
-        let (v0, e1, e2) = (lift3::<R>(v0), lift3::<R>(e1), lift3::<R>(e2));
-        let (t, u, v) = if hit_is_exact::<R>() {
-            let exact = |x: f32| R::lift(R::Primal::from_f32(x));
-            (exact(hit.t), exact(hit.u), exact(hit.v))
-        } else {
-            intersect_plane(ray, v0, e1, e2)
-        };
-        SurfaceInteraction {
-            t,
-            ..self.point(prim as usize, u, v)
-        }
+        let moving = self.moving(theta, prim as usize);
+        self.seen(prim as usize, ray, hit, moving.as_ref())
     }
 
     fn coordinates<P: Float>(
@@ -359,43 +442,135 @@ impl Shape for Mesh {
         prim: u32,
         si: &SurfaceInteraction<P>,
     ) -> SurfaceCoordinates<P> {
-        if self.0.mesh.uvs.is_empty() {
+        if self.data.mesh.uvs.is_empty() {
             return SurfaceCoordinates(si.uv);
         }
-        let (v0, [e1, e2]) = self.0.single_edges(prim as usize);
+        let (v0, [e1, e2]) = self.data.single_edges(prim as usize);
         coordinates_in_plane(si.p, v0, e1, e2)
     }
 
     fn point_at<R: Real>(
         &self,
-        _theta: &Theta<R>,
+        theta: &Theta<R>,
         prim: u32,
         at: SurfaceCoordinates<R>,
     ) -> SurfaceInteraction<R> {
-        self.point(prim as usize, at.0.x, at.0.y)
+        let moving = self.moving(theta, prim as usize);
+        self.point(prim as usize, at.0.x, at.0.y, moving.as_ref())
     }
 
     fn partials<R: Real>(
         &self,
-        _theta: &Theta<R>,
+        theta: &Theta<R>,
         prim: u32,
         at: SurfaceCoordinates<R>,
     ) -> Option<Partials<R>> {
-        if self.0.double_area(prim as usize) == 0.0 {
+        if self.data.double_area(prim as usize) == 0.0 {
             return None;
         }
+        let moving = self.moving(theta, prim as usize);
         let [u, v] = variables(at.0.x, at.0.y);
-        let si = self.point::<Dual<R, 2>>(prim as usize, u, v);
+        let constant = moving.map(|m| m.map(Dual::<R, 2>::constant));
+        let si = self.point::<Dual<R, 2>>(prim as usize, u, v, constant.as_ref());
         Partials::of(si.p, &si.frame).with_respect_to(si.uv)
     }
 
-    fn area_element<R: Real>(&self, _theta: &Theta<R>, prim: u32) -> R {
-        R::of(self.0.double_area(prim as usize))
+    fn area_element<R: Real>(&self, theta: &Theta<R>, prim: u32) -> R {
+        let area = R::of(self.data.double_area(prim as usize));
+        match self.moving(theta, prim as usize) {
+            Some(moving) => area + moving.double_area(self.data.single_edges(prim as usize).1),
+            None => area,
+        }
+    }
+
+    fn scatter_point<P: Float>(
+        &self,
+        prim: u32,
+        at: SurfaceCoordinates<P>,
+        d: &SurfaceAdjoint<P>,
+        grad: &mut impl GradSink<P>,
+    ) {
+        self.scatter(prim as usize, grad, |moving| {
+            let at = SurfaceCoordinates::lift(at).0;
+            d.of(&self.point(prim as usize, at.x, at.y, Some(moving)))
+        });
+    }
+
+    fn scatter_interaction<P: Float>(
+        &self,
+        prim: u32,
+        ray: &Ray<P>,
+        hit: &Hit,
+        d: &SurfaceAdjoint<P>,
+        grad: &mut impl GradSink<P>,
+    ) {
+        self.scatter(prim as usize, grad, |moving| {
+            d.of(&self.seen(prim as usize, &Ray::lift(*ray), hit, Some(moving)))
+        });
+    }
+
+    fn scatter_area<P: Float>(&self, prim: u32, d: P, grad: &mut impl GradSink<P>) {
+        let edges = self.data.single_edges(prim as usize).1;
+        self.scatter(prim as usize, grad, |moving| {
+            moving.double_area(edges) * Const(d)
+        });
+    }
+
+    fn visit_params(&self, f: &mut dyn FnMut(ParamRef)) {
+        self.vertices.iter().for_each(|v| f(v.param));
+    }
+
+    /// # Errors
+    /// As [`Mesh::new`].
+    fn update(&mut self, params: &Params) -> Result<(), String> {
+        let Some(vertices) = &self.vertices else {
+            return Ok(());
+        };
+        let values = &params.values()[vertices.param.offset as usize..];
+        let mut mesh = self.data.mesh.clone();
+        for (position, &w) in mesh.positions.iter_mut().zip(&vertices.welding.points) {
+            position.copy_from_slice(&values[3 * w as usize..][..3]);
+        }
+        self.replace(mesh)
+    }
+
+    fn carries_frame(&self, prim: u32) -> bool {
+        !self.data.mesh.uvs.is_empty() && self.data.slopes(prim as usize) != [0.0; 2]
+    }
+
+    fn centroid(&self) -> [f64; 3] {
+        let data = &*self.data;
+        let mut sum = Vec3::<f64>::zero();
+        for (i, t) in data.mesh.triangles.iter().enumerate() {
+            let [a, b, c] = each(*t, |i| lift3::<f64>(data.mesh.positions[i as usize]));
+            sum += (a + b + c) * (data.double_area(i) / 6.0);
+        }
+        (sum * data.area.recip()).to_array()
+    }
+
+    fn placed(&self, by: &Transform) -> Result<Self, String> {
+        let double = |v: &[f32; 3]| each(*v, f64::from);
+        let mut mesh = self.data.mesh.clone();
+        for p in &mut mesh.positions {
+            *p = each(by.point(double(p)), |x| x as f32);
+        }
+        for n in mesh.normals.iter_mut().filter(|n| **n != [0.0; 3]) {
+            // Lengths stay: they weigh the normals where they are interpolated.
+            let length = lift3::<f64>(*n).length();
+            let turned = Vec3::from(by.vector(double(n))).normalize() * length;
+            *n = each(turned.to_array(), |x| x as f32);
+        }
+        let mut placed = self.clone();
+        placed.replace(mesh)?;
+        if let Some(vertices) = &mut placed.vertices {
+            vertices.linear = by.linear;
+        }
+        Ok(placed)
     }
 
     #[inline]
     fn fetch(&self, prim: u32) {
-        let mesh = &self.0.mesh;
+        let mesh = &self.data.mesh;
         for i in mesh.triangles[prim as usize] {
             prefetch(&mesh.positions[i as usize]);
             mesh.normals.get(i as usize).into_iter().for_each(prefetch);
@@ -403,8 +578,7 @@ impl Shape for Mesh {
     }
 
     fn border<R: Real>(&self, prim: u32, ray: &Ray<R>) -> R {
-        let (v0, [e1, e2]) = self.0.single_edges(prim as usize);
-        let (v0, e1, e2) = (lift3::<R>(v0), lift3::<R>(e1), lift3::<R>(e2));
+        let [v0, e1, e2] = self.corner_and_edges::<R>(prim as usize, None);
         let (t, u, v) = intersect_plane(ray, v0, e1, e2);
         // Barycentric coordinate times height over the opposite edge.
         let twice_area = e1.cross(e2).length();
@@ -415,18 +589,19 @@ impl Shape for Mesh {
     }
 
     fn area(&self) -> f64 {
-        self.0.area
+        self.data.area
     }
 
     /// The normal returned is the shading normal, which emission goes by.
-    fn sample_area<R: Real>(&self, _theta: &Theta<R>, u: [R::Primal; 2]) -> ShapeSample<R> {
+    fn sample_area<R: Real>(&self, theta: &Theta<R>, u: [R::Primal; 2]) -> ShapeSample<R> {
         let (triangle, b) = self.choose(u);
-        let at = self.point::<R>(triangle, R::lift(b.x), R::lift(b.y));
+        let moving = self.moving(theta, triangle);
+        let at = self.point::<R>(triangle, R::lift(b.x), R::lift(b.y), moving.as_ref());
         ShapeSample {
             p: at.p,
             n: at.frame.n,
             uv: at.uv,
-            pdf: R::Primal::of(1.0 / self.0.area),
+            pdf: R::Primal::of(1.0 / self.data.area),
             prim: triangle as u32,
             coordinates: SurfaceCoordinates(b),
         }
@@ -438,9 +613,13 @@ impl Shape for Mesh {
         u: [R::Primal; 2],
     ) -> (ShapeSample<R>, Vec3<R>) {
         let s = self.sample_area(theta, u);
-        let [e1, e2] = self.0.edges(s.prim as usize);
+        let [e1, e2] = self.data.edges(s.prim as usize);
         let n = e1.cross(e2).normalize();
-        (s, Vec3::new(R::of(n.x), R::of(n.y), R::of(n.z)))
+        let mut n = Vec3::new(R::of(n.x), R::of(n.y), R::of(n.z));
+        if let Some(moving) = self.moving(theta, s.prim as usize) {
+            n += moving.flat_normal(self.data.single_edges(s.prim as usize).1);
+        }
+        (s, n)
     }
 
     fn sample<P: Float>(&self, from: Vec3<P>, u: [P; 2]) -> Option<DirectionSample<P>> {
@@ -449,7 +628,7 @@ impl Shape for Mesh {
     }
 
     fn extent(&self) -> f32 {
-        self.0.extent
+        self.data.extent
     }
 }
 

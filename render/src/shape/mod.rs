@@ -22,6 +22,7 @@ mod patch;
 mod ply;
 mod serialized;
 mod sphere;
+mod vertices;
 
 pub use cube::Cube;
 pub use cylinder::Cylinder;
@@ -31,13 +32,15 @@ pub use partials::Partials;
 pub use patch::{Patch, Rectangle};
 pub use sphere::Sphere;
 pub(crate) use sphere::{sample_cone, turn};
+pub use vertices::Welding;
 
-use ad_core::{Const, Float, Real, Vec2, Vec3};
+use ad_core::{Const, Dual, Float, Real, Vec2, Vec3};
 
-use crate::accel::{Hit, Primitive};
+use crate::accel::{Hit, MAX_COORDINATE, Primitive};
 use crate::error::SceneError;
-use crate::math::{Frame, NOWHERE, Ray, Segment};
-use crate::params::{ParamRef, Params, Theta};
+use crate::math::{Frame, NOWHERE, Ray, Segment, Transform, each};
+use crate::motion::{Drift, Wrench};
+use crate::params::{GradSink, ParamRef, Params, Theta};
 use crate::plugin::{FromNode, Node, Registry};
 
 /// Part of the distance to a point that is not tested for occluders: its rounding.
@@ -82,8 +85,8 @@ pub(crate) struct Prim {
 /// * Triangles: barycentric coordinates of the second and third vertex.
 /// * Parallelograms: in units of their edges.
 /// * Disks: in units of their half axes, so that the rim is the unit circle.
-/// * Spheres: the octahedral map of the outward normal of the sphere as it was loaded, world axes, in `[-1, 1]^2`
-///   [Cigolle et al. 2014]. Unlike angles, it has no poles.
+/// * Spheres: the octahedral map of the outward normal in the sphere's own axes, in `[-1, 1]^2` [Cigolle et al. 2014].
+///   Unlike angles, it has no poles.
 /// * Cylinders: the angle in turns, as `u`, and the height over the length.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SurfaceCoordinates<R>(pub Vec2<R>);
@@ -176,6 +179,23 @@ impl<R: Real> SurfaceInteraction<R> {
         }
     }
 
+    /// The same point on a surface that moves so; `with_frame` is [`Shape::carries_frame`].
+    #[inline]
+    pub(crate) fn carried(&self, drift: &Drift<R>, with_frame: bool) -> Self {
+        let frame = if with_frame {
+            drift.frame(&self.frame)
+        } else {
+            Frame::from_normal(drift.direction(self.frame.n))
+        };
+        Self {
+            p: drift.point(self.p),
+            t: self.t,
+            n_geo: drift.direction(self.n_geo),
+            frame,
+            uv: self.uv,
+        }
+    }
+
     /// The same point without tangents.
     #[inline]
     pub fn primal(&self) -> SurfaceInteraction<R::Primal> {
@@ -186,6 +206,87 @@ impl<R: Real> SurfaceInteraction<R> {
             frame: self.frame.primal(),
             uv: self.uv.primal(),
         }
+    }
+}
+
+/// The adjoints of what an interaction says of a surface.
+#[derive(Clone, Copy, Debug)]
+pub struct SurfaceAdjoint<P> {
+    /// Of the position.
+    pub p: Vec3<P>,
+    /// Of the geometric normal.
+    pub n_geo: Vec3<P>,
+    /// Of the axes of the shading frame, each by itself.
+    pub frame: Frame<P>,
+    /// Of the texture coordinates.
+    pub uv: Vec2<P>,
+}
+
+impl<P: Float> SurfaceAdjoint<P> {
+    /// None.
+    pub fn zero() -> Self {
+        Self {
+            p: Vec3::zero(),
+            n_geo: Vec3::zero(),
+            frame: Frame {
+                s: Vec3::zero(),
+                t: Vec3::zero(),
+                n: Vec3::zero(),
+            },
+            uv: Vec2::zero(),
+        }
+    }
+
+    /// Adds those of another use of the same interaction.
+    pub fn add(&mut self, other: &Self) {
+        self.p += other.p;
+        self.n_geo += other.n_geo;
+        self.frame.s += other.frame.s;
+        self.frame.t += other.frame.t;
+        self.frame.n += other.frame.n;
+        self.uv += other.uv;
+    }
+
+    /// What it adds to that of a motion of the surface as a whole: the transpose of [`SurfaceInteraction::carried`].
+    pub(crate) fn act(&self, si: &SurfaceInteraction<P>, with_frame: bool, wrench: &mut Wrench<P>) {
+        wrench.point(si.p, self.p);
+        wrench.direction(si.n_geo, self.n_geo);
+        wrench.direction(si.frame.n, self.frame.n);
+        if with_frame {
+            wrench.direction(si.frame.s, self.frame.s);
+            wrench.direction(si.frame.t, self.frame.t);
+        } else {
+            let n = si.frame.n;
+            let n = Vec3::new(
+                Dual::<P, 3>::var(n.x, 0),
+                Dual::var(n.y, 1),
+                Dual::var(n.z, 2),
+            );
+            let axes = Self {
+                frame: Frame {
+                    n: Vec3::zero(),
+                    ..self.frame
+                },
+                ..Self::zero()
+            };
+            let around = SurfaceInteraction {
+                frame: Frame::from_normal(n),
+                ..si.lift()
+            };
+            wrench.direction(si.frame.n, axes.of(&around).eps.into());
+        }
+    }
+
+    /// The sum of the interaction's components, each times its adjoint.
+    pub fn of<R: Real<Primal = P>>(&self, si: &SurfaceInteraction<R>) -> R {
+        let along = |v: Vec3<R>, d: Vec3<P>| v.x * Const(d.x) + v.y * Const(d.y) + v.z * Const(d.z);
+        along(si.p, self.p)
+            + along(si.n_geo, self.n_geo)
+            + along(si.frame.s, self.frame.s)
+            + along(si.frame.t, self.frame.t)
+            + along(si.frame.n, self.frame.n)
+            + si.uv.x * Const(self.uv.x)
+            + si.uv.y * Const(self.uv.y)
     }
 }
 
@@ -302,11 +403,57 @@ pub trait Shape: Send + Sync {
     /// In `theta`.
     fn area_element<R: Real>(&self, theta: &Theta<R>, prim: u32) -> R;
 
-    /// Calls `f` with every parameter that the geometry depends on.
+    /// Adds the adjoints of the shape's own parameters, given those of [`Shape::point_at`].
+    fn scatter_point<P: Float>(
+        &self,
+        _prim: u32,
+        _at: SurfaceCoordinates<P>,
+        _d: &SurfaceAdjoint<P>,
+        _grad: &mut impl GradSink<P>,
+    ) {
+    }
+
+    /// The same, given those of [`Shape::interaction`] of a ray that stays.
+    fn scatter_interaction<P: Float>(
+        &self,
+        _prim: u32,
+        _ray: &Ray<P>,
+        _hit: &Hit,
+        _d: &SurfaceAdjoint<P>,
+        _grad: &mut impl GradSink<P>,
+    ) {
+    }
+
+    /// The same, given that of [`Shape::area_element`].
+    fn scatter_area<P: Float>(&self, _prim: u32, _d: P, _grad: &mut impl GradSink<P>) {}
+
+    /// Calls `f` with every parameter of its own.
     fn visit_params(&self, _f: &mut dyn FnMut(ParamRef)) {}
 
     /// Reads these parameters: the geometry is theirs from now on.
-    fn update(&mut self, _params: &Params) {}
+    ///
+    /// # Errors
+    /// What was expected, and what was found.
+    fn update(&mut self, _params: &Params) -> Result<(), String> {
+        Ok(())
+    }
+
+    /// Whether the axes of the shading frame turn with the shape: not on triangles without texture coordinates, where
+    /// they are some axes around the normal.
+    fn carries_frame(&self, _prim: u32) -> bool {
+        true
+    }
+
+    /// The centroid of the surface, world space.
+    fn centroid(&self) -> [f64; 3];
+
+    /// The same shape moved by a rotation, a positive scale and a translation. Points keep their surface coordinates.
+    ///
+    /// # Errors
+    /// What was expected, and what was found: nothing is left, or it is out of reach.
+    fn placed(&self, by: &Transform) -> Result<Self, String>
+    where
+        Self: Sized;
 
     /// The parallelogram that primitive `prim` is, if it is one.
     fn patch(&self, _prim: u32) -> Option<&Patch> {
@@ -427,6 +574,18 @@ fn coordinates_in_plane<P: Float>(
     ))
 }
 
+/// What [`Shape::placed`] expects.
+fn misplaced() -> String {
+    format!(
+        "expected a finite, non-zero size and coordinates of magnitude at most {MAX_COORDINATE:e}"
+    )
+}
+
+/// A point in double precision.
+fn double(v: [f32; 3]) -> [f64; 3] {
+    each(v, f64::from)
+}
+
 /// Lifts an f32 point or vector.
 #[inline]
 pub fn lift3<R: Real>(v: [f32; 3]) -> Vec3<R> {
@@ -504,11 +663,36 @@ macro_rules! shapes {
             fn area_element<R: Real>(&self, theta: &Theta<R>, prim: u32) -> R {
                 match self { $(Self::$hot(s) => s.area_element(theta, prim),)* $(Self::$name(s) => s.area_element(theta, prim),)* }
             }
+            fn scatter_point<P: Float>(
+                &self, prim: u32, at: SurfaceCoordinates<P>, d: &SurfaceAdjoint<P>, grad: &mut impl GradSink<P>,
+            ) {
+                match self { $(Self::$hot(s) => s.scatter_point(prim, at, d, grad),)* $(Self::$name(s) => s.scatter_point(prim, at, d, grad),)* }
+            }
+            fn scatter_interaction<P: Float>(
+                &self, prim: u32, ray: &Ray<P>, hit: &Hit, d: &SurfaceAdjoint<P>, grad: &mut impl GradSink<P>,
+            ) {
+                match self {
+                    $(Self::$hot(s) => s.scatter_interaction(prim, ray, hit, d, grad),)*
+                    $(Self::$name(s) => s.scatter_interaction(prim, ray, hit, d, grad),)*
+                }
+            }
+            fn scatter_area<P: Float>(&self, prim: u32, d: P, grad: &mut impl GradSink<P>) {
+                match self { $(Self::$hot(s) => s.scatter_area(prim, d, grad),)* $(Self::$name(s) => s.scatter_area(prim, d, grad),)* }
+            }
             fn visit_params(&self, f: &mut dyn FnMut(ParamRef)) {
                 match self { $(Self::$hot(s) => s.visit_params(f),)* $(Self::$name(s) => s.visit_params(f),)* }
             }
-            fn update(&mut self, params: &Params) {
+            fn update(&mut self, params: &Params) -> Result<(), String> {
                 match self { $(Self::$hot(s) => s.update(params),)* $(Self::$name(s) => s.update(params),)* }
+            }
+            fn carries_frame(&self, prim: u32) -> bool {
+                match self { $(Self::$hot(s) => s.carries_frame(prim),)* $(Self::$name(s) => s.carries_frame(prim),)* }
+            }
+            fn centroid(&self) -> [f64; 3] {
+                match self { $(Self::$hot(s) => s.centroid(),)* $(Self::$name(s) => s.centroid(),)* }
+            }
+            fn placed(&self, by: &Transform) -> Result<Self, String> {
+                Ok(match self { $(Self::$hot(s) => s.placed(by)?.into(),)* $(Self::$name(s) => s.placed(by)?.into(),)* })
             }
             fn patch(&self, prim: u32) -> Option<&Patch> {
                 match self { $(Self::$hot(s) => s.patch(prim),)* $(Self::$name(s) => s.patch(prim),)* }

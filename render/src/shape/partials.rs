@@ -3,6 +3,7 @@
 use ad_core::{Dual, Real, Vec2, Vec3};
 
 use crate::math::Frame;
+use crate::motion::Drift;
 
 /// Derivatives of position and shading frame with respect to the texture coordinates `uv` of an interaction, world
 /// space. The third axis of the frame follows: `t = n x s`.
@@ -120,6 +121,18 @@ impl<R: Real> Partials<R> {
         };
         let p = moving(Vec3::zero(), [self.dp_du, self.dp_dv]);
         (now, Self::of(p, &mapped))
+    }
+
+    /// Those of a surface that moves so.
+    pub(crate) fn carried(&self, drift: &Drift<R>) -> Self {
+        Self {
+            dp_du: drift.vector(self.dp_du),
+            dp_dv: drift.vector(self.dp_dv),
+            dn_du: drift.direction(self.dn_du),
+            dn_dv: drift.direction(self.dn_dv),
+            ds_du: drift.direction(self.ds_du),
+            ds_dv: drift.direction(self.ds_dv),
+        }
     }
 
     /// Whether all of them are finite numbers.

@@ -4,11 +4,12 @@ use ad_core::{Const, Float, Real, Vec2, Vec3};
 
 use super::partials::{constant, variables};
 use super::{
-    Partials, Shape, ShapeSample, SurfaceCoordinates, SurfaceInteraction, hit_is_exact, lift3,
+    Partials, Shape, ShapeSample, SurfaceCoordinates, SurfaceInteraction, double, hit_is_exact,
+    lift3, misplaced,
 };
-use crate::accel::{Hit, MIN_THICKNESS, Primitive};
+use crate::accel::{Hit, MAX_COORDINATE, MIN_THICKNESS, Primitive};
 use crate::error::SceneError;
-use crate::math::{Frame, Ray, each};
+use crate::math::{Frame, Ray, Transform, each};
 use crate::params::Theta;
 use crate::plugin::{FromNode, Node, Registry};
 
@@ -68,6 +69,23 @@ impl Patch {
     /// Area, world space.
     pub fn area(&self) -> f64 {
         self.area
+    }
+
+    /// Its middle, world space.
+    pub fn centroid(&self) -> [f64; 3] {
+        let [corner, e1, e2] = [self.corner, self.e1, self.e2].map(lift3::<f64>);
+        (corner + (e1 + e2) * 0.5).to_array()
+    }
+
+    /// See [`Shape::placed`].
+    pub fn placed(&self, by: &Transform) -> Option<Self> {
+        let [e1, e2] = [self.e1, self.e2].map(double);
+        let along = Vec3::from(e1).cross(e2.into());
+        let flip = along.dot(lift3(self.frame.n.to_array())) < 0.0;
+        let corner = by.point(double(self.corner));
+        let near = |v: f64| v.abs() <= f64::from(MAX_COORDINATE);
+        let placed = Self::new(corner, by.vector(e1), by.vector(e2), flip);
+        placed.filter(|_| corner.into_iter().all(near))
     }
 
     /// Largest absolute coordinate.
@@ -227,6 +245,12 @@ impl Shape for Rectangle {
     }
     fn patch(&self, _prim: u32) -> Option<&Patch> {
         Some(&self.0)
+    }
+    fn centroid(&self) -> [f64; 3] {
+        self.0.centroid()
+    }
+    fn placed(&self, by: &Transform) -> Result<Self, String> {
+        self.0.placed(by).map(Self).ok_or_else(misplaced)
     }
     fn area(&self) -> f64 {
         self.0.area()

@@ -9,7 +9,7 @@ use ply_rs_bw::ply::{
     ElementDef, Encoding, Header, Property, PropertyAccess, PropertyAccessResult,
 };
 
-use super::mesh::{Mesh, MeshData, ObjOptions, smooth_normals};
+use super::mesh::{Mesh, MeshData, ObjOptions};
 use crate::error::{SceneError, quoted};
 use crate::files;
 use crate::math::each;
@@ -150,7 +150,7 @@ impl File<'_> {
 impl Mesh {
     /// Reads a PLY file: vertices with positions, normals and surface coordinates (`u`, `v` or `s`, `t`), and faces;
     /// polygons become fans of triangles. Anything else, such as colours, is left out and listed in the second value. As in
-    /// Mitsuba 3, a file without normals gets smooth ones ([`smooth_normals`]).
+    /// Mitsuba 3, a file without normals gets smooth ones ([`super::smooth_normals`]).
     ///
     /// # Errors
     /// Whatever is wrong, with the line where the file is text.
@@ -175,7 +175,8 @@ impl Mesh {
             found,
         };
         let (data, ignored) = read(bytes, options).map_err(asset)?;
-        let mesh = Self::new(data, options.flip_normals).map_err(|e| match e {
+        let smooth = !options.face_normals && data.normals.is_empty();
+        let mesh = Self::with_normals(data, options.flip_normals, smooth).map_err(|e| match e {
             SceneError::Parameter {
                 expected, found, ..
             } => asset(wrong(expected, found)),
@@ -255,8 +256,6 @@ fn read(bytes: &[u8], options: &ObjOptions) -> Result<(MeshData, Vec<String>), W
     }
     if options.face_normals {
         mesh.normals = Vec::new();
-    } else if !has.normals {
-        mesh.normals = smooth_normals(&mesh.positions, &mesh.triangles);
     }
     Ok((mesh, ignored(&header)))
 }

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use flate2::bufread::ZlibDecoder;
 
-use super::mesh::{Mesh, MeshData, ObjOptions, smooth_normals};
+use super::mesh::{Mesh, MeshData, ObjOptions};
 use super::ply::add_vertex;
 use crate::error::{SceneError, quoted};
 use crate::files;
@@ -65,8 +65,8 @@ impl Mesh {
             expected,
             found,
         };
-        let (data, colours) = read(bytes, index, options).map_err(asset)?;
-        let mesh = Self::new(data, options.flip_normals).map_err(|e| match e {
+        let (data, smooth, colours) = read(bytes, index, options).map_err(asset)?;
+        let mesh = Self::with_normals(data, options.flip_normals, smooth).map_err(|e| match e {
             SceneError::Parameter {
                 expected, found, ..
             } => asset((expected, found)),
@@ -162,7 +162,8 @@ impl Stream<'_> {
     }
 }
 
-fn read(bytes: &[u8], index: usize, options: &ObjOptions) -> Result<(MeshData, bool), Wrong> {
+/// The mesh, whether it has smooth normals of our making, and whether there are colours.
+fn read(bytes: &[u8], index: usize, options: &ObjOptions) -> Result<(MeshData, bool, bool), Wrong> {
     let version = version(bytes)?;
     let compressed = place(bytes, index)?;
     let mut stream = Stream {
@@ -225,12 +226,11 @@ fn read(bytes: &[u8], index: usize, options: &ObjOptions) -> Result<(MeshData, b
         let expected = format!("indices of vertices below {vertices}");
         return Err(wrong(expected, format!("{t:?}")));
     }
-    if options.face_normals || has(FACE_NORMALS) {
+    let flat = options.face_normals || has(FACE_NORMALS);
+    if flat {
         mesh.normals = Vec::new();
-    } else if !has(NORMALS) {
-        mesh.normals = smooth_normals(&mesh.positions, &mesh.triangles);
     }
-    Ok((mesh, has(COLOURS)))
+    Ok((mesh, !flat && !has(NORMALS), has(COLOURS)))
 }
 
 /// The shape `serialized` of a scene file.

@@ -7,7 +7,7 @@ use ad_core::{Const, Dual, Float, Real, Vec2, Vec3};
 use super::partials::{constant, variables};
 use super::{
     DirectionSample, Partials, Shape, ShapeSample, SurfaceCoordinates, SurfaceInteraction,
-    area_to_solid_angle, hit_is_exact, lift3,
+    area_to_solid_angle, double, hit_is_exact, lift3, misplaced,
 };
 use crate::accel::{Hit, MAX_COORDINATE, MIN_THICKNESS, Primitive};
 use crate::error::SceneError;
@@ -124,6 +124,29 @@ impl Sphere {
             frame: Frame::from_normal_and_tangent(n, dp_du),
             uv,
         }
+    }
+
+    /// Its axes, at right angles in the digits of the scalar.
+    fn own_axes<R: Real>(&self) -> [Vec3<R>; 3] {
+        let [x, y, z] = each(self.axes, lift3::<R>);
+        let x = x.normalize();
+        let y = (y - x * x.dot(y)).normalize();
+        let right = x.cross(y);
+        let side = R::Primal::one().copysign(right.dot(z).primal());
+        [x, y, right * Const(side)]
+    }
+
+    /// The outward normal with these surface coordinates.
+    fn outward<R: Real>(&self, at: SurfaceCoordinates<R>) -> Vec3<R> {
+        let [x, y, z] = self.own_axes::<R>();
+        let n = from_octahedron(at.0);
+        x * n.x + y * n.y + z * n.z
+    }
+
+    /// Surface coordinates of a point with this outward normal.
+    fn place<P: Float>(&self, outward: Vec3<P>) -> SurfaceCoordinates<P> {
+        let own = each(self.own_axes::<P>(), |a| a.dot(outward));
+        SurfaceCoordinates(to_octahedron(own.into()))
     }
 
     /// Whether `from` lies inside or on the sphere.
@@ -285,7 +308,7 @@ impl Shape for Sphere {
         _prim: u32,
         si: &SurfaceInteraction<P>,
     ) -> SurfaceCoordinates<P> {
-        SurfaceCoordinates(to_octahedron(self.side(si.n_geo)))
+        self.place(self.side(si.n_geo))
     }
 
     fn point_at<R: Real>(
@@ -294,7 +317,7 @@ impl Shape for Sphere {
         _prim: u32,
         at: SurfaceCoordinates<R>,
     ) -> SurfaceInteraction<R> {
-        self.surface(from_octahedron(at.0), R::zero())
+        self.surface(self.outward(at), R::zero())
     }
 
     fn partials<R: Real>(
@@ -304,7 +327,7 @@ impl Shape for Sphere {
         at: SurfaceCoordinates<R>,
     ) -> Option<Partials<R>> {
         let axes = each(self.axes, lift3::<R>);
-        let outward = from_octahedron(at.0);
+        let outward = self.outward(at);
         let [x, y, z] = each(axes, |a| a.dot(outward));
         let uv = angles(x, y, z);
         let [turns, halves] = variables(uv.x, uv.y);
@@ -330,6 +353,23 @@ impl Shape for Sphere {
         R::lift(R::Primal::from_f32(self.radius)).square()
     }
 
+    fn centroid(&self) -> [f64; 3] {
+        double(self.center)
+    }
+
+    fn placed(&self, by: &Transform) -> Result<Self, String> {
+        let along = each(self.axes, |a| Vec3::from(by.vector(double(a))));
+        let radius = f64::from(self.radius) * along[2].length();
+        let axes = each(along, |a| a.normalize().to_array());
+        let placed = Self::with_axes(by.point(double(self.center)), radius, axes, self.flip);
+        placed
+            .map(|s| Self {
+                skips_uv: self.skips_uv,
+                ..s
+            })
+            .ok_or_else(misplaced)
+    }
+
     fn area(&self) -> f64 {
         4.0 * PI * f64::from(self.radius) * f64::from(self.radius)
     }
@@ -343,7 +383,7 @@ impl Shape for Sphere {
             uv: at.uv,
             pdf: R::Primal::of(1.0 / self.area()),
             prim: 0,
-            coordinates: SurfaceCoordinates(to_octahedron(outward)),
+            coordinates: self.place(outward),
         }
     }
 

@@ -40,13 +40,9 @@ pub(super) fn lamp(builder: &mut SceneBuilder, position: [f64; 3], intensity: f6
         .build
         .rgb("lamp.intensity.value", [intensity; 3], POSITIVE)?;
     let position = position.map(|x| x as f32);
-    builder.build.add_emitter(
-        Point {
-            intensity,
-            position,
-        },
-        None,
-    );
+    builder
+        .build
+        .add_emitter(Point::new(intensity, position), None);
     Ok(())
 }
 

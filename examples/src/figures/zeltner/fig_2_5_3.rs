@@ -32,13 +32,9 @@ fn still_pool(size: u32) -> Result<Scene> {
         .build
         .rgb("lamp.intensity.value", [intensity; 3], POSITIVE)?;
     let position = [0.0, height as f32, 0.0];
-    builder.build.add_emitter(
-        Point {
-            intensity,
-            position,
-        },
-        None,
-    );
+    builder
+        .build
+        .add_emitter(Point::new(intensity, position), None);
     let view = View {
         eye: [0.0, 2.5, 2.0],
         target: [0.0, -0.3, 0.0],

@@ -15,6 +15,7 @@ use crate::error::SceneError;
 use crate::film::Image;
 use crate::image_io::Encoding;
 use crate::math::{NOWHERE, Rgb, Transform, each};
+use crate::motion::Placement;
 use crate::params::{ParamRef, ParamShape, Params};
 use crate::plugin::{FromNode, Node, Registry};
 use crate::shape::{SurfaceInteraction, lift3, turn};
@@ -39,6 +40,9 @@ pub struct Envmap {
     scale: f64,
     /// Local x, y and z axis, world space, orthonormal.
     axes: [[f32; 3]; 3],
+    /// The same before it is turned, and how it is.
+    axes_at_rest: [[f32; 3]; 3],
+    turned: Placement,
     table: Table,
 }
 
@@ -115,6 +119,8 @@ impl Envmap {
             param,
             scale,
             axes,
+            axes_at_rest: axes,
+            turned: Placement::default(),
             table: Table::new(width as usize, height as usize),
         }
     }
@@ -292,6 +298,22 @@ impl Emitter for Envmap {
         let luminance = |t: &[f32]| Rgb::new(t[0], t[1], t[2]).luminance();
         let luminance: Vec<f32> = texels.chunks_exact(3).map(luminance).collect();
         self.table.update(&luminance);
+        let turned = self.turned.transform(params);
+        self.axes = each(self.axes_at_rest, |a| {
+            each(turned.vector(each(a, f64::from)), |x| x as f32)
+        });
+    }
+
+    fn mobility(&self) -> Option<(&'static str, [f32; 3])> {
+        Some(("rotation", [0.0; 3]))
+    }
+
+    fn make_movable(&mut self, p: ParamRef) {
+        self.turned.rotation = Some(p);
+    }
+
+    fn moved_by(&self) -> Option<ParamRef> {
+        self.turned.rotation
     }
 }
 

@@ -1,0 +1,307 @@
+//! What may move, and becomes a parameter when somebody asks for it.
+
+use super::Scene;
+use crate::accel::MAX_COORDINATE;
+use crate::camera::FovAxis;
+use crate::emitter::{AnyEmitter, Emitter};
+use crate::error::RenderError;
+use crate::motion::Placement;
+use crate::params::{ParamInfo, ParamKind, ParamRef, ParamShape};
+use crate::shape::AnyShape;
+
+/// Displacements: from one end of what is in reach to the other.
+const WAYS: (f64, f64) = (
+    -2.0 * (MAX_COORDINATE as f64),
+    2.0 * (MAX_COORDINATE as f64),
+);
+/// Coordinates.
+const ANYWHERE: (f64, f64) = (-(MAX_COORDINATE as f64), MAX_COORDINATE as f64);
+/// Rotation vectors: hundreds of turns, where single precision still tells degrees apart.
+const TURNS: (f64, f64) = (-1e4, 1e4);
+/// Scales. Neither zero nor negative ones are there: a shape without size has no points, and one that is turned inside
+/// out has another side.
+const SCALES: (f64, f64) = (1e-6, 1e6);
+/// Angles of view in degrees.
+const ANGLES: (f64, f64) = (1e-3, 179.0);
+
+/// Something that may move: a parameter to be ([`Scene::make_movable`]).
+#[derive(Clone, Debug, PartialEq)]
+pub struct Movable {
+    /// Its name.
+    pub name: String,
+    /// Arrangement.
+    pub shape: ParamShape,
+    /// Smallest and largest valid value.
+    pub valid: (f64, f64),
+    /// What it does to light.
+    pub kind: ParamKind,
+    what: What,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum What {
+    Shape(u32, Part),
+    Vertices(u32),
+    Camera(Part),
+    Fov,
+    Emitter(u32),
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Part {
+    Translation,
+    Rotation,
+    Scale,
+}
+
+impl Part {
+    fn key(self) -> &'static str {
+        match self {
+            Self::Translation => "translation",
+            Self::Rotation => "rotation",
+            Self::Scale => "scale",
+        }
+    }
+
+    fn shape(self) -> ParamShape {
+        match self {
+            Self::Scale => ParamShape::Scalar,
+            _ => ParamShape::Vector,
+        }
+    }
+
+    fn valid(self) -> (f64, f64) {
+        match self {
+            Self::Translation => WAYS,
+            Self::Rotation => TURNS,
+            Self::Scale => SCALES,
+        }
+    }
+
+    /// Its values at rest.
+    fn rest(self) -> &'static [f32] {
+        match self {
+            Self::Scale => &[1.0],
+            _ => &[0.0; 3],
+        }
+    }
+
+    fn of(self, placement: &mut Placement) -> &mut Option<ParamRef> {
+        match self {
+            Self::Translation => &mut placement.translation,
+            Self::Rotation => &mut placement.rotation,
+            Self::Scale => &mut placement.scale,
+        }
+    }
+}
+
+/// What a light is called, from the name of its radiance: what stands before its key, and the number that makes it unique.
+fn name_of_light(radiance: &str) -> (&str, &str) {
+    let number = |s: &str| !s.is_empty() && s.bytes().all(|b| b.is_ascii_digit());
+    let (name, suffix) = match radiance.rsplit_once('_') {
+        Some((name, digits)) if number(digits) => (name, &radiance[name.len()..]),
+        _ => (radiance, ""),
+    };
+    let keys = [".intensity.value", ".radiance.value", ".data"];
+    let stem = keys.iter().find_map(|key| name.strip_suffix(key));
+    stem.map_or((radiance, ""), |stem| (stem, suffix))
+}
+
+impl Scene {
+    /// Everything that may move, whether or not it is a parameter by now. Names are those of shapes and lights in the
+    /// scene file:
+    ///
+    /// * `NAME.translation`, `NAME.rotation`, `NAME.scale` of a shape: a displacement and a factor, in the world's axes and
+    ///   units, and a rotation vector (its length is the angle in radians) about the centroid of the surface as it was
+    ///   loaded. Zero, zero and one in a loaded scene; the scale comes first, then the rotation.
+    /// * `NAME.vertex_positions` of a mesh: its points, before it moves as a whole. Vertices at one position are one point,
+    ///   in the order of their first ones, so that nothing tears along seams of texture coordinates. Normals follow
+    ///   where the file gives none.
+    /// * `sensor.translation`, `sensor.rotation` (about the pinhole), and `sensor.fov` in degrees.
+    /// * `NAME.position` of point and spot lights, world space; `NAME.rotation` of environment maps and lobes.
+    ///
+    /// Mitsuba's keys stand for these where they mean the same: `positions`, and `x_fov` where that is the angle.
+    pub fn movables(&self) -> Vec<Movable> {
+        let mut all = Vec::new();
+        let part = |name: &str, part: Part, kind, what| Movable {
+            name: format!("{name}.{}", part.key()),
+            shape: part.shape(),
+            valid: part.valid(),
+            kind,
+            what,
+        };
+        let parts = [Part::Translation, Part::Rotation, Part::Scale];
+        for ((i, info), shape) in (0..).zip(&self.infos).zip(&self.geometry.shapes) {
+            for p in parts {
+                let what = What::Shape(i, p);
+                all.push(part(&info.name, p, ParamKind::Position, what));
+            }
+            if let AnyShape::Mesh(mesh) = shape {
+                all.push(Movable {
+                    name: format!("{}.vertex_positions", info.name),
+                    shape: ParamShape::Points {
+                        count: mesh.points(),
+                    },
+                    valid: ANYWHERE,
+                    kind: ParamKind::Position,
+                    what: What::Vertices(i),
+                });
+            }
+        }
+        for p in [Part::Translation, Part::Rotation] {
+            all.push(part("sensor", p, ParamKind::Camera, What::Camera(p)));
+        }
+        all.push(Movable {
+            name: "sensor.fov".into(),
+            shape: ParamShape::Scalar,
+            valid: ANGLES,
+            kind: ParamKind::Camera,
+            what: What::Fov,
+        });
+        for (i, e) in (0..).zip(&self.emitters) {
+            all.extend(self.movable_light(i, e));
+        }
+        // Where names are taken, as parameters make them unique.
+        let mut taken = std::collections::HashMap::<String, u32>::new();
+        for m in &mut all {
+            let times = taken.entry(m.name.clone()).or_default();
+            if *times > 0 {
+                m.name = format!("{}_{times}", m.name);
+            }
+            *times += 1;
+        }
+        all
+    }
+
+    fn movable_light(&self, index: u32, emitter: &AnyEmitter) -> Option<Movable> {
+        let (key, _) = emitter.mobility()?;
+        let mut radiance = None;
+        (emitter.radiance()).visit_params(&mut |p| {
+            radiance.get_or_insert(&self.params.infos()[p.id as usize].name);
+        });
+        let (name, suffix) = radiance.map_or(("emitter", ""), |name| name_of_light(name));
+        Some(Movable {
+            name: format!("{name}.{key}{suffix}"),
+            shape: ParamShape::Vector,
+            valid: if key == "rotation" { TURNS } else { ANYWHERE },
+            kind: ParamKind::LightPosition,
+            what: What::Emitter(index),
+        })
+    }
+
+    /// Makes what is called so a parameter, behind all others, with the value that it has. Names of parameters stay what
+    /// they are: a list may hold those of any. Until then, what may move takes no room and no time.
+    ///
+    /// # Errors
+    /// A name that nothing has, or an angle of view that no parameter may have. The names before it are parameters then.
+    ///
+    /// ```
+    /// use render::Scene;
+    ///
+    /// let text = r#"<scene version="3.0.0">
+    ///     <sensor type="perspective"><float name="fov" value="40"/></sensor>
+    ///     <shape type="sphere" id="ball"><point name="center" x="0" y="0" z="5"/></shape>
+    /// </scene>"#;
+    /// let (mut scene, _) = Scene::from_xml(text, "".as_ref(), &Default::default())?;
+    /// scene.make_movable(&["ball.translation"])?;
+    /// let mut values = scene.params().values().to_vec();
+    /// let up = scene.params().find("ball.translation")?.offset + 1;
+    /// values[up] = 0.5;
+    /// scene.set_params(&values)?;
+    /// let render::shape::AnyShape::Sphere(ball) = &scene.shapes()[0] else { unreachable!() };
+    /// assert_eq!(ball.center(), [0.0, 0.5, 5.0]);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    pub fn make_movable<N: AsRef<str>>(&mut self, names: &[N]) -> Result<(), RenderError> {
+        let mut movables = None;
+        for name in names {
+            let name = self.canonical(name.as_ref());
+            if self.params.find(&name).is_ok() {
+                continue;
+            }
+            let all = movables.get_or_insert_with(|| self.movables());
+            let Some(found) = all.iter().find(|m| m.name == name) else {
+                let known = self.params.infos().iter().map(|i| &i.name);
+                let known = known.chain(all.iter().map(|m| &m.name));
+                return Err(RenderError::unknown_parameter(&name, known));
+            };
+            let found = found.clone();
+            self.materialise(&found)?;
+        }
+        Ok(())
+    }
+
+    /// The name that a parameter has here, where Mitsuba calls it otherwise.
+    pub fn canonical(&self, name: &str) -> String {
+        if let Some(shape) = name.strip_suffix(".positions") {
+            return format!("{shape}.vertex_positions");
+        }
+        if name == "sensor.x_fov" && self.camera.fov().1 == FovAxis::X {
+            return "sensor.fov".into();
+        }
+        name.into()
+    }
+
+    fn materialise(&mut self, movable: &Movable) -> Result<(), RenderError> {
+        let values = match movable.what {
+            What::Shape(_, part) | What::Camera(part) => part.rest().to_vec(),
+            What::Fov => vec![self.camera.fov().0 as f32],
+            What::Vertices(shape) => match self.geometry.at_rest(shape) {
+                AnyShape::Mesh(mesh) => mesh.point_positions(),
+                _ => Vec::new(),
+            },
+            What::Emitter(e) => (self.emitters[e as usize].mobility())
+                .map_or(Vec::new(), |(_, value)| value.to_vec()),
+        };
+        let (lo, hi) = movable.valid;
+        let outside = |v: &f32| !(lo..=hi).contains(&f64::from(*v));
+        if let Some(index) = values.iter().position(outside) {
+            return Err(RenderError::ParameterOutOfRange {
+                name: movable.name.clone(),
+                index,
+                valid: movable.valid,
+                found: values[index].into(),
+            });
+        }
+        if u32::try_from(self.params.values().len() + values.len()).is_err() {
+            return Err(RenderError::Count {
+                what: "parameters",
+                expected: "at most 2^32",
+                found: (self.params.values().len() + values.len()) as u64,
+            });
+        }
+        let p = (self.params).push(&movable.name, movable.shape, &values, movable.valid);
+        self.params.mark(p, movable.kind);
+        match movable.what {
+            What::Shape(shape, part) => self.geometry.place(shape, p, |own| part.of(own)),
+            What::Vertices(shape) => self.geometry.free_vertices(shape, p),
+            What::Camera(part) => *part.of(self.camera.placement()) = Some(p),
+            What::Fov => self.camera.set_fov(p),
+            What::Emitter(e) => self.emitters[e as usize].make_movable(p),
+        }
+        Ok(())
+    }
+
+    /// Whether a parameter moves something: a shape, the camera or a light.
+    pub fn is_motion(info: &ParamInfo) -> bool {
+        info.kind >= ParamKind::Position
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lights_are_called_as_their_radiance() {
+        for (radiance, found) in [
+            ("lamp.intensity.value", ("lamp", "")),
+            ("emitter.intensity.value_2", ("emitter", "_2")),
+            ("sky_1.data", ("sky_1", "")),
+            ("sun.radiance.value", ("sun", "")),
+            ("anything_3", ("anything_3", "")),
+        ] {
+            assert_eq!(name_of_light(radiance), found);
+        }
+    }
+}

@@ -1,0 +1,356 @@
+//! Vertices of meshes as parameters, and how triangles move with them.
+
+use std::collections::HashMap;
+use std::sync::Arc;
+
+use ad_core::{Const, Dual, Float, Real, Vec3, array};
+
+use super::{Mesh, MeshData, lift3};
+use crate::error::SceneError;
+use crate::math::{Transform, each};
+use crate::params::{GradSink, ParamRef, Theta};
+
+/// Which vertices of a mesh are one point: those at equal positions, whatever their normals and texture coordinates are.
+/// Seams of texture coordinates are no borders, and do not tear.
+#[derive(Clone, Debug, Default)]
+pub struct Welding {
+    /// Per vertex, the number of its point; points are numbered in the order of their first vertices.
+    pub points: Vec<u32>,
+    /// Per point, its first vertex.
+    pub firsts: Vec<u32>,
+}
+
+impl Welding {
+    /// Of vertices at these positions.
+    pub fn new(positions: &[[f32; 3]]) -> Self {
+        let mut known = HashMap::with_capacity(positions.len());
+        let mut found = Self::default();
+        for (i, p) in (0..).zip(positions) {
+            // Zeros of both signs are one.
+            let key = each(*p, |x| (x + 0.0).to_bits());
+            let next = found.firsts.len() as u32;
+            let point = *known.entry(key).or_insert(next);
+            if point == next {
+                found.firsts.push(i);
+            }
+            found.points.push(point);
+        }
+        found
+    }
+}
+
+/// Corners around each vertex of a mesh: the triangle, and which of its corners.
+#[derive(Debug)]
+struct Rings {
+    starts: Vec<u32>,
+    corners: Vec<(u32, u8)>,
+}
+
+impl Rings {
+    fn new(mesh: &MeshData) -> Self {
+        let mut starts = vec![0; mesh.positions.len() + 1];
+        for &i in mesh.triangles.as_flattened() {
+            starts[i as usize + 1] += 1;
+        }
+        for i in 1..starts.len() {
+            starts[i] += starts[i - 1];
+        }
+        let mut next = starts.clone();
+        let mut corners = vec![(0, 0); 3 * mesh.triangles.len()];
+        for (t, triangle) in (0..).zip(&mesh.triangles) {
+            for (k, &i) in (0..).zip(triangle) {
+                corners[next[i as usize] as usize] = (t, k);
+                next[i as usize] += 1;
+            }
+        }
+        Self { starts, corners }
+    }
+
+    fn around(&self, vertex: u32) -> &[(u32, u8)] {
+        let [from, to] = [0, 1].map(|k| self.starts[vertex as usize + k] as usize);
+        &self.corners[from..to]
+    }
+}
+
+/// Vertices whose positions are parameters.
+#[derive(Clone, Debug)]
+pub(super) struct MovingVertices {
+    /// The points of `welding`, before the mesh moves as a whole.
+    pub param: ParamRef,
+    pub welding: Arc<Welding>,
+    /// Where normals follow the positions.
+    rings: Option<Arc<Rings>>,
+    /// How displacements turn and grow as the mesh moves as a whole.
+    pub linear: [[f64; 3]; 3],
+}
+
+impl MovingVertices {
+    /// How a vertex moves.
+    fn offset<R: Real>(&self, theta: &Theta<R>, vertex: u32) -> Vec3<R> {
+        let at = 3 * self.welding.points[vertex as usize] as usize;
+        let moved = each([0, 1, 2], |k: usize| {
+            let x = theta.get(self.param, at + k);
+            x - Const(x.primal())
+        });
+        each(self.linear, |row| {
+            moved[0] * R::c(row[0]) + moved[1] * R::c(row[1]) + moved[2] * R::c(row[2])
+        })
+        .into()
+    }
+
+    /// Its transpose.
+    fn add<P: Float>(&self, vertex: u32, d: Vec3<P>, grad: &mut impl GradSink<P>) {
+        let at = 3 * self.welding.points[vertex as usize] as usize;
+        let rows = self.linear;
+        let back = each([0, 1, 2], |k: usize| {
+            d.x * P::of(rows[0][k]) + d.y * P::of(rows[1][k]) + d.z * P::of(rows[2][k])
+        });
+        grad.add_all(self.param, at, back);
+    }
+}
+
+/// How the corners of a triangle and the normals there move: tangents.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct MovingTriangle<R> {
+    pub corners: [Vec3<R>; 3],
+    pub normals: [Vec3<R>; 3],
+}
+
+fn tangent<R: Real>(v: Vec3<R>) -> Vec3<R> {
+    v - Vec3::lift(v.primal())
+}
+
+impl<R: Real> MovingTriangle<R> {
+    /// The same over another scalar.
+    pub fn map<Q: Real>(self, f: impl Fn(R) -> Q) -> MovingTriangle<Q> {
+        MovingTriangle {
+            corners: each(self.corners, |v| v.map(&f)),
+            normals: each(self.normals, |v| v.map(&f)),
+        }
+    }
+
+    /// A corner and the two edges from there, which are these where nothing moves.
+    pub fn corner_and_edges(&self, [v0, e1, e2]: [Vec3<R>; 3]) -> [Vec3<R>; 3] {
+        let [a, b, c] = self.corners;
+        [v0 + a, e1 + (b - a), e2 + (c - a)]
+    }
+
+    /// The edges over their lengths, and these.
+    fn scaled(&self, edges: [[f32; 3]; 2]) -> ([Vec3<R>; 2], [f64; 2]) {
+        let lengths = edges.map(|e| lift3::<f64>(e).length());
+        let [_, e1, e2] =
+            self.corner_and_edges([Vec3::zero(), lift3::<R>(edges[0]), lift3::<R>(edges[1])]);
+        let unit = |e: Vec3<R>, length: f64| e * R::c(length.recip());
+        ([unit(e1, lengths[0]), unit(e2, lengths[1])], lengths)
+    }
+
+    /// How the unit normal moves.
+    pub fn flat_normal(&self, edges: [[f32; 3]; 2]) -> Vec3<R> {
+        let ([e1, e2], _) = self.scaled(edges);
+        tangent(e1.cross(e2).normalize())
+    }
+
+    /// How the unit vector along a sum of the edges does.
+    pub fn dp_du(&self, edges: [[f32; 3]; 2], [a, b]: [f64; 2]) -> Vec3<R> {
+        let [_, e1, e2] =
+            self.corner_and_edges([Vec3::zero(), lift3::<R>(edges[0]), lift3::<R>(edges[1])]);
+        tangent((e1 * R::c(a) + e2 * R::c(b)).normalize())
+    }
+
+    /// How twice the area does.
+    pub fn double_area(&self, edges: [[f32; 3]; 2]) -> R {
+        let ([e1, e2], [a, b]) = self.scaled(edges);
+        let sine = e1.cross(e2).length();
+        (sine - Const(sine.primal())) * R::c(a * b)
+    }
+}
+
+/// The normal of a triangle, as long as its angle at the first corner; edges from there.
+fn weighted_normal<R: Real>(a: Vec3<R>, b: Vec3<R>) -> Vec3<R> {
+    // Of length one, so that products of small ones do not underflow.
+    let unit = |v: Vec3<R>| v * Const(v.primal().length().recip());
+    let (a, b) = (unit(a), unit(b));
+    let across = a.cross(b);
+    across.normalize() * across.length().atan2(a.dot(b))
+}
+
+impl Mesh {
+    /// Which of its vertices are one point; once vertices are parameters, those that were when that was said.
+    pub fn welding(&self) -> Arc<Welding> {
+        match &self.vertices {
+            Some(vertices) => vertices.welding.clone(),
+            None => Arc::new(Welding::new(&self.data.mesh.positions)),
+        }
+    }
+
+    /// How many points its vertices are.
+    pub fn points(&self) -> usize {
+        self.welding().firsts.len()
+    }
+
+    /// Their positions, `[points][3]`.
+    pub(crate) fn point_positions(&self) -> Vec<f32> {
+        let firsts = &self.welding().firsts;
+        let each = |&i: &u32| self.data.mesh.positions[i as usize];
+        firsts.iter().flat_map(each).collect()
+    }
+
+    /// The same mesh whose points ([`Mesh::welding`]) are the parameters `param` of shape `[points][3]`.
+    pub(crate) fn with_vertices(&self, param: ParamRef) -> Self {
+        let data = &*self.data;
+        let rings = (data.smooth).then(|| Arc::new(Rings::new(&data.mesh)));
+        Self {
+            data: self.data.clone(),
+            vertices: Some(MovingVertices {
+                param,
+                welding: self.welding(),
+                rings,
+                linear: Transform::IDENTITY.linear,
+            }),
+        }
+    }
+
+    /// The same arrays at other positions.
+    pub(super) fn replace(&mut self, mesh: MeshData) -> Result<(), String> {
+        let data = &*self.data;
+        let replaced = Self::with_normals(mesh, data.flip, data.smooth).map_err(|e| match e {
+            SceneError::Parameter {
+                expected, found, ..
+            } => format!("expected {expected}, found {found}"),
+            other => other.to_string(),
+        })?;
+        self.data = replaced.data;
+        Ok(())
+    }
+
+    /// How a triangle moves; `None` if it does not.
+    #[inline]
+    pub(super) fn moving<R: Real>(
+        &self,
+        theta: &Theta<R>,
+        triangle: usize,
+    ) -> Option<MovingTriangle<R>> {
+        if R::IS_PRIMAL {
+            return None;
+        }
+        let vertices = self.vertices.as_ref()?;
+        if !theta.moves(vertices.param) {
+            return None;
+        }
+        let corners = self.data.mesh.triangles[triangle];
+        Some(MovingTriangle {
+            corners: each(corners, |i| vertices.offset(theta, i)),
+            normals: each(corners, |i| self.normal_offset(vertices, theta, i)),
+        })
+    }
+
+    /// The edges of a triangle from one of its corners.
+    fn edges_at<R: Real>(&self, triangle: u32, corner: u8, offsets: [Vec3<R>; 3]) -> [Vec3<R>; 2] {
+        let corners = self.data.mesh.triangles[triangle as usize];
+        let from = usize::from(corner);
+        let edge = |to: usize| {
+            let [a, b] = [from, to].map(|k| self.data.mesh.positions[corners[k] as usize]);
+            lift3::<R>(each([0, 1, 2], |k: usize| b[k] - a[k])) + (offsets[to] - offsets[from])
+        };
+        [edge((from + 1) % 3), edge((from + 2) % 3)]
+    }
+
+    /// How the normal at a vertex moves, if it follows the positions.
+    fn normal_offset<R: Real>(
+        &self,
+        vertices: &MovingVertices,
+        theta: &Theta<R>,
+        vertex: u32,
+    ) -> Vec3<R> {
+        let Some(rings) = &vertices.rings else {
+            return Vec3::zero();
+        };
+        let mut sum = Vec3::<R>::zero();
+        for &(triangle, corner) in rings.around(vertex) {
+            let corners = self.data.mesh.triangles[triangle as usize];
+            let offsets = each(corners, |i| vertices.offset(theta, i));
+            let [a, b] = self.edges_at(triangle, corner, offsets);
+            sum += weighted_normal(a, b);
+        }
+        tangent(sum.normalize())
+    }
+
+    /// Adds the adjoint of `f` of a triangle that moves.
+    pub(super) fn scatter<P: Float>(
+        &self,
+        triangle: usize,
+        grad: &mut impl GradSink<P>,
+        f: impl Fn(&MovingTriangle<Dual<P, 9>>) -> Dual<P, 9>,
+    ) {
+        let Some(vertices) = &self.vertices else {
+            return;
+        };
+        if !grad.active(vertices.param) {
+            return;
+        }
+        let corners = self.data.mesh.triangles[triangle];
+        let still = [Vec3::zero(); 3];
+        let d = f(&MovingTriangle {
+            corners: seeds(),
+            normals: still,
+        });
+        for (i, d) in corners.into_iter().zip(thirds(d)) {
+            vertices.add(i, d, grad);
+        }
+        let Some(rings) = &vertices.rings else {
+            return;
+        };
+        let d = f(&MovingTriangle {
+            corners: still,
+            normals: seeds(),
+        });
+        for (i, d) in corners.into_iter().zip(thirds(d)) {
+            self.scatter_normal(vertices, rings, i, d, grad);
+        }
+    }
+
+    /// The transpose of [`Mesh::normal_offset`].
+    fn scatter_normal<P: Float>(
+        &self,
+        vertices: &MovingVertices,
+        rings: &Rings,
+        vertex: u32,
+        d: Vec3<P>,
+        grad: &mut impl GradSink<P>,
+    ) {
+        let ring = rings.around(vertex);
+        let mut sum = Vec3::<P>::zero();
+        for &(triangle, corner) in ring {
+            let [a, b] = self.edges_at(triangle, corner, [Vec3::zero(); 3]);
+            sum += weighted_normal(a, b);
+        }
+        let n = sum.normalize();
+        let inverse = sum.length().recip();
+        if d.to_array() == [P::zero(); 3] || !inverse.is_finite() {
+            return;
+        }
+        let d = (d - n * n.dot(d)) * inverse;
+        for &(triangle, corner) in ring {
+            let [a, b] = self.edges_at(triangle, corner, seeds());
+            let moved = weighted_normal::<Dual<P, 9>>(a, b);
+            let along = moved.x * Const(d.x) + moved.y * Const(d.y) + moved.z * Const(d.z);
+            let corners = self.data.mesh.triangles[triangle as usize];
+            for (i, d) in corners.into_iter().zip(thirds(along)) {
+                vertices.add(i, d, grad);
+            }
+        }
+    }
+}
+
+/// Nine independent tangents.
+fn seeds<P: Float>() -> [Vec3<Dual<P, 9>>; 3] {
+    let var = |k| Dual::var(P::zero(), k);
+    each([0, 3, 6], |k: usize| {
+        Vec3::new(var(k), var(k + 1), var(k + 2))
+    })
+}
+
+/// Their derivatives.
+fn thirds<P: Float>(d: Dual<P, 9>) -> [Vec3<P>; 3] {
+    each([0, 3, 6], |k: usize| Vec3::from(array(|i| d.eps[k + i])))
+}

@@ -1,0 +1,591 @@
+//! What moves: parameters of shapes, cameras and lights, what follows from them, and how points move.
+
+use ad_core::{Dual, Real, Vec3};
+use render::bsdf::Diffuse;
+use render::camera::{Camera, FovAxis};
+use render::emitter::{Constant, Emitter, Spot};
+use render::instances::{Estimator, render_f32};
+use render::math::{Ray, RayAdjoint, Transform};
+use render::params::{GradSink, ParamKind, ParamRef, Params, Tangent, Theta};
+use render::sampler::{Independent, Sampler};
+use render::scene::{Builder, LoadOptions, Settings};
+use render::shape::{
+    AnyShape, Cube, Cylinder, Disk, Mesh, MeshData, Patch, Rectangle, Shape, Sphere,
+    SurfaceAdjoint, SurfaceCoordinates, SurfaceInteraction,
+};
+use render::{Film, Job, Scene};
+
+type D1 = Dual<f64, 1>;
+
+/// A waving sheet with a seam of texture coordinates, whose normals follow its positions.
+fn sheet() -> MeshData {
+    let n = 5u32;
+    let mut mesh = MeshData::default();
+    // Two halves that share the positions of the middle column only.
+    for (from, to) in [(0, 2), (2, 4)] {
+        let first = mesh.positions.len() as u32;
+        let columns = to - from + 1;
+        for i in from..=to {
+            for j in 0..n {
+                let [x, y] = [i, j].map(|k| 0.5 * k as f32 - 1.0);
+                let z = 0.25 * (2.0 * x + y).sin();
+                mesh.positions.push([x, y, z]);
+                let u = 0.4 * (i - from) as f32 / columns as f32 + 0.5 * (from / 2) as f32;
+                mesh.uvs.push([u, 0.2 * j as f32]);
+            }
+        }
+        for i in 0..columns - 1 {
+            for j in 0..n - 1 {
+                let a = first + i * n + j;
+                mesh.triangles.push([a, a + n, a + n + 1]);
+                mesh.triangles.push([a, a + n + 1, a + 1]);
+            }
+        }
+    }
+    mesh
+}
+
+/// Every shape, turned and displaced.
+fn shapes() -> Vec<(&'static str, AnyShape)> {
+    let to_world = Transform::sequence([
+        Transform::scale([0.75; 3]),
+        Transform::rotate([1.0, 2.0, -0.5], 70.0).unwrap(),
+        Transform::translate([0.25, -0.25, 0.5]),
+    ]);
+    let affine = Transform::scale([1.2, 0.6, 0.9]).then(&to_world);
+    let mut given = sheet();
+    given.normals = vec![[0.1, -0.2, 1.0]; given.positions.len()];
+    let bare = MeshData {
+        uvs: Vec::new(),
+        ..sheet()
+    };
+    let patch = Patch::new([-0.9, -0.8, 0.1], [1.7, 0.2, 0.3], [0.1, 1.6, -0.2], true);
+    let (p0, p1) = ([0.1, -0.8, 0.2], [0.3, 0.7, -0.1]);
+    vec![
+        (
+            "sphere",
+            Sphere::transformed(&to_world, false).unwrap().into(),
+        ),
+        ("disk", Disk::new(&affine, false).unwrap().into()),
+        ("rectangle", Rectangle(patch.unwrap()).into()),
+        ("cube", Cube::new(&affine, false).unwrap().into()),
+        (
+            "cylinder",
+            Cylinder::new(p0, p1, 0.6, false).unwrap().into(),
+        ),
+        (
+            "smooth mesh",
+            Mesh::smoothed(sheet(), false).unwrap().into(),
+        ),
+        ("mesh with normals", Mesh::new(given, false).unwrap().into()),
+        ("flat mesh", Mesh::new(sheet(), true).unwrap().into()),
+        ("bare mesh", Mesh::smoothed(bare, false).unwrap().into()),
+    ]
+}
+
+/// One shape with a texture under a sky.
+fn scene(shape: AnyShape) -> Scene {
+    let mut build = Builder::new();
+    let texels: Vec<f32> = (0..48).map(|i| (i * 7 % 10) as f32 / 10.0).collect();
+    let reflectance = build.texels("wood", [4, 4], &texels, (0.0, 1.0)).unwrap();
+    let wood = build.add_material(Diffuse { reflectance });
+    build.add_shape("it", shape, wood);
+    let radiance = build.rgb("sky", [1.0; 3], (0.0, 9.0)).unwrap();
+    build.add_emitter(Constant { radiance }, None);
+    let view = Transform::look_at([0.5, 0.25, 6.0], [0.0; 3], [0.0, 1.0, 0.0]).unwrap();
+    let camera = Camera::new(view, 30.0, FovAxis::Smaller, [16, 16]).unwrap();
+    build
+        .build(camera, Film::new(16, 16), Settings::default())
+        .unwrap()
+}
+
+fn wide(params: &Params) -> Vec<f64> {
+    params.values().iter().map(|&v| v.into()).collect()
+}
+
+/// The parameters of a scene, of which element `at` of the range `name` moves.
+fn tangents(scene: &Scene, name: &str, at: usize) -> Vec<Tangent<D1>> {
+    let mut all = vec![Tangent::None; scene.params().infos().len()];
+    let info = scene.params().find(name).unwrap();
+    let mut own = vec![Dual::new(0.0, [0.0]); info.shape.len()];
+    own[at].eps[0] = 1.0;
+    all[scene.params().handle(info).id as usize] = Tangent::Dense(own);
+    all
+}
+
+fn set(scene: &mut Scene, name: &str, at: usize, value: impl Fn(f32) -> f32) {
+    let mut values = scene.params().values().to_vec();
+    let i = scene.params().find(name).unwrap().offset + at;
+    values[i] = value(values[i]);
+    scene.set_params(&values).unwrap();
+}
+
+/// Every number of an interaction.
+fn numbers<R: Real>(si: &SurfaceInteraction<R>) -> Vec<R> {
+    let vectors = [si.p, si.n_geo, si.frame.s, si.frame.t, si.frame.n];
+    let all = vectors.iter().flat_map(|v| v.to_array());
+    all.chain([si.uv.x, si.uv.y]).collect()
+}
+
+struct Sum(Vec<f64>);
+
+impl GradSink<f64> for Sum {
+    fn active(&self, _p: ParamRef) -> bool {
+        true
+    }
+    fn add(&mut self, p: ParamRef, i: usize, d: f64) {
+        self.0[p.offset as usize + i] += d;
+    }
+}
+
+/// Adjoints without a pattern.
+fn adjoint(s: &mut Independent) -> SurfaceAdjoint<f64> {
+    let mut next = || Vec3::new(s.next_1d(), s.next_1d(), s.next_1d()) - Vec3::new(0.5, 0.5, 0.5);
+    let mut d = SurfaceAdjoint::zero();
+    (d.p, d.n_geo, d.frame.s, d.frame.t, d.frame.n) = (next(), next(), next(), next(), next());
+    (d.uv.x, d.uv.y) = (next().x, next().x);
+    d
+}
+
+/// A ray at the shapes from somewhere around them.
+fn ray(s: &mut Independent) -> Ray<f64> {
+    let mut unit = || {
+        let mut next = || s.next_1d::<f64>() - 0.5;
+        Vec3::new(next(), next(), next())
+    };
+    let o = unit().normalize() * 4.0;
+    Ray::new(o, (unit() * 1.2 - o).normalize())
+}
+
+const NAMES: [&str; 4] = [
+    "it.translation",
+    "it.rotation",
+    "it.scale",
+    "it.vertex_positions",
+];
+
+/// The parameters of these that the shape has, moved from where they were at rest.
+fn moved(shape: AnyShape) -> (Scene, Vec<&'static str>) {
+    let mut scene = scene(shape);
+    let names: Vec<_> = NAMES
+        .into_iter()
+        .filter(|n| scene.movables().iter().any(|m| m.name == *n))
+        .collect();
+    scene.make_movable(&names).unwrap();
+    for (at, by) in [0.25, -0.5, 0.125].into_iter().enumerate() {
+        set(&mut scene, "it.translation", at, |_| by);
+        set(&mut scene, "it.rotation", at, |_| 2.0 * by);
+    }
+    set(&mut scene, "it.scale", 0, |_| 1.25);
+    if names.len() == 4 {
+        set(&mut scene, "it.vertex_positions", 20, |z| z + 0.125);
+    }
+    (scene, names)
+}
+
+/// Whether a step may cross a place where coordinates jump, or an edge.
+fn jumps(a: &SurfaceInteraction<f64>, b: &SurfaceInteraction<f64>) -> bool {
+    let pairs = numbers(a).into_iter().zip(numbers(b));
+    pairs.into_iter().any(|(x, y)| (x - y).abs() > 0.1)
+}
+
+/// Points that stay on the material and points that stay on a ray, areas, over duals, against differences of scenes that
+/// are moved by parameters, at two steps. Positions are rounded to single precision: a step of 2^-7 sees them to 2e-5.
+#[test]
+fn points_move_as_differences_say() {
+    const STEP: f32 = 1.0 / 128.0;
+    for (name, shape) in shapes() {
+        let (start, names) = moved(shape.clone());
+        let values = wide(start.params());
+        let mut s = Independent::new(7, 0, 0);
+        let mut tested = 0;
+        let mut vary = |param: &str, element: usize, rays: u32| {
+            let all = tangents(&start, param, element);
+            let theta = Theta::with_tangents(&values, &all);
+            // Four scenes, by two steps apart.
+            let apart = [STEP, -STEP, STEP / 2.0, -STEP / 2.0].map(|h| {
+                let (mut scene, _) = moved(shape.clone());
+                set(&mut scene, param, element, |v| v + h);
+                scene
+            });
+            // Central differences, and their limit.
+            let slopes = |all: [Vec<f64>; 4]| -> Vec<f64> {
+                let step = f64::from(STEP);
+                let each = |i: usize| {
+                    let [a, b, c, d] = [0, 1, 2, 3].map(|k: usize| all[k][i]);
+                    (4.0 * (c - d) / step - (a - b) / (2.0 * step)) / 3.0
+                };
+                (0..all[0].len()).map(each).collect()
+            };
+            for _ in 0..rays {
+                let ray = ray(&mut s);
+                let Some(hit) = start.intersect(&ray) else {
+                    continue;
+                };
+                let at = start.coordinates(hit.prim, &hit.si);
+                let still = Theta::still();
+                let mut pairs: Vec<(D1, f64)> = Vec::new();
+                let all =
+                    [0, 1, 2, 3].map(|k: usize| apart[k].point_at::<f64>(&still, hit.prim, at));
+                if all.iter().all(|si| !jumps(si, &hit.si)) {
+                    let found = start.point_at(&theta, hit.prim, SurfaceCoordinates::lift(at));
+                    let area = start.area_element(&theta, hit.prim);
+                    let with_area = |k: usize| {
+                        let mut all = numbers(&all[k]);
+                        all.push(apart[k].area_element::<f64>(&still, hit.prim));
+                        all
+                    };
+                    let found = numbers(&found).into_iter().chain([area]);
+                    pairs.extend(found.zip(slopes([0, 1, 2, 3].map(with_area))));
+                }
+                let seen = [0, 1, 2, 3].map(|k: usize| apart[k].intersect(&ray));
+                if let [Some(a), Some(b), Some(c), Some(d)] = seen
+                    && [a, b, c, d]
+                        .iter()
+                        .all(|x| x.prim == hit.prim && !jumps(&x.si, &hit.si))
+                    && hit.si.n_geo.dot(ray.d).abs() > 0.4
+                {
+                    let found = start.intersect_moving(&theta, &Ray::lift(ray)).unwrap().si;
+                    let with_t = |si: &SurfaceInteraction<f64>| {
+                        let mut all = numbers(si);
+                        all.push(si.t);
+                        all
+                    };
+                    let all = [a, b, c, d].map(|x| with_t(&x.si));
+                    pairs.extend(
+                        numbers(&found)
+                            .into_iter()
+                            .chain([found.t])
+                            .zip(slopes(all)),
+                    );
+                }
+                for (i, (found, expected)) in pairs.into_iter().enumerate() {
+                    let error = (found.eps[0] - expected).abs();
+                    assert!(
+                        error < 1e-3 * (1.0 + expected.abs()),
+                        "{name} {param}[{element}] {i}: {} {expected}",
+                        found.eps[0]
+                    );
+                    tested += 1;
+                }
+            }
+        };
+        for param in names {
+            let elements: &[usize] = match param {
+                "it.scale" => &[0],
+                "it.vertex_positions" => &[18, 20, 36, 37],
+                _ => &[0, 1, 2],
+            };
+            for &at in elements {
+                vary(param, at, 60);
+            }
+        }
+        assert!(tested > 1500, "{name}: {tested}");
+    }
+}
+
+/// What adds adjoints is the transpose of what carries tangents: of points that stay on the material, of what rays meet,
+/// and of the rays themselves.
+#[test]
+fn adjoints_are_the_transpose() {
+    for (name, shape) in shapes() {
+        let (mut scene, names) = moved(shape);
+        scene
+            .make_movable(&["sensor.translation", "sensor.rotation", "sensor.fov"])
+            .unwrap();
+        set(&mut scene, "sensor.rotation", 0, |_| 0.125);
+        set(&mut scene, "sensor.fov", 0, |f| f + 2.0);
+        let values = wide(scene.params());
+        let still = Theta::<f64>::constant(&values);
+        let mut s = Independent::new(8, 0, 0);
+        let mut tested = 0;
+        for _ in 0..160 {
+            let d = adjoint(&mut s);
+            let d_log_area = s.next_1d::<f64>();
+            let [x, y] = [16.0 * s.next_1d::<f64>(), 16.0 * s.next_1d::<f64>()];
+            let ray = scene.camera.ray(x, y);
+            let Some(hit) = scene.intersect(&ray) else {
+                continue;
+            };
+            let at = scene.coordinates(hit.prim, &hit.si);
+            let mut point = Sum(vec![0.0; values.len()]);
+            scene.scatter_point(&still, hit.prim, &hit.si, &d, d_log_area, &mut point);
+            let mut seen = Sum(vec![0.0; values.len()]);
+            let back: RayAdjoint<f64> =
+                scene.scatter_interaction(&still, hit.prim, &ray, &hit.si, &d, &mut seen);
+            scene.camera.scatter_ray(&still, [x, y], &back, &mut seen);
+            for param in
+                names
+                    .iter()
+                    .copied()
+                    .chain(["sensor.translation", "sensor.rotation", "sensor.fov"])
+            {
+                let info = scene.params().find(param).unwrap().clone();
+                for k in 0..info.shape.len() {
+                    let all = tangents(&scene, param, k);
+                    let theta = Theta::with_tangents(&values, &all);
+                    let ray = scene.camera.ray_moving(&theta, x, y);
+                    let found = scene.intersect_moving(&theta, &ray).unwrap();
+                    let stays = scene.point_at(&theta, hit.prim, SurfaceCoordinates::lift(at));
+                    let area = scene.area_element(&theta, hit.prim);
+                    let along = d.of(&stays).eps[0] + d_log_area * area.eps[0] / area.re;
+                    let pairs = [
+                        (d.of(&found.si).eps[0], seen.0[info.offset + k]),
+                        (along, point.0[info.offset + k]),
+                    ];
+                    for (forward, reverse) in pairs {
+                        let error = (forward - reverse).abs();
+                        assert!(
+                            error < 1e-9 * (1.0 + forward.abs()),
+                            "{name} {param}[{k}]: {forward} {reverse}"
+                        );
+                        tested += usize::from(forward != 0.0);
+                    }
+                }
+            }
+        }
+        assert!(tested > 60, "{name}: {tested}");
+    }
+}
+
+fn load(text: &str) -> Scene {
+    let (scene, warnings) = Scene::from_xml(text, "".as_ref(), &LoadOptions::default()).unwrap();
+    assert!(warnings.is_empty(), "{warnings:?}");
+    scene
+}
+
+fn render(scene: &Scene) -> Vec<f32> {
+    let job = Job::new(scene, &scene.settings, 3, 0..16, &());
+    let theta = Theta::constant(scene.params().values());
+    render_f32(&job, &theta, Estimator::Mis).image(0).data
+}
+
+/// A scene file with one shape, of which the transform ends with `more`.
+fn file(plugin: &str, own: &str, more: &str, sensor: &str, lights: &str) -> String {
+    format!(
+        r#"<scene version="3.0.0">
+            <integrator type="path"><integer name="max_depth" value="3"/></integrator>
+            <sensor type="perspective">{sensor}
+                <film type="hdrfilm"><integer name="width" value="24"/><integer name="height" value="24"/>
+                <rfilter type="box"/></film></sensor>
+            <shape type="{plugin}" id="it">{own}<transform name="to_world">
+                <scale x="1.25" y="1.25" z="1.25"/><rotate x="1" y="0.5" angle="25"/>
+                <translate x="0.25" y="-0.5"/>{more}</transform>
+                <bsdf type="twosided"><bsdf type="diffuse"/></bsdf></shape>
+            <shape type="rectangle" id="floor"><transform name="to_world">
+                <scale value="8"/><translate z="-3"/></transform></shape>
+            {lights}
+        </scene>"#
+    )
+}
+
+const SENSOR: &str = r#"<float name="fov" value="40"/><transform name="to_world">
+    <lookat origin="0.5, 1, 7" target="0, 0, 0" up="0, 1, 0"/></transform>"#;
+const LIGHTS: &str = r#"<emitter type="point" id="bulb"><point name="position" x="2" y="3" z="5"/>
+        <rgb name="intensity" value="40"/></emitter>
+    <emitter type="constant"><rgb name="radiance" value="0.5"/></emitter>"#;
+
+/// Relative difference of most pixels, and of the whole: outlines may move by a rounding.
+fn assert_alike(name: &str, a: &[f32], b: &[f32]) {
+    let mean = |x: &[f32]| x.iter().map(|&x| f64::from(x)).sum::<f64>() / x.len() as f64;
+    let off = a
+        .iter()
+        .zip(b)
+        .filter(|(a, b)| (*a - *b).abs() > 1e-4 * a.abs().max(1.0))
+        .count();
+    assert!(off * 50 < a.len(), "{name}: {off} of {}", a.len());
+    assert!(
+        (mean(a) / mean(b) - 1.0).abs() < 1e-3,
+        "{name}: {} {}",
+        mean(a),
+        mean(b)
+    );
+}
+
+/// Scenes that parameters have moved look like those that were loaded there; where they are at rest, bit by bit.
+#[test]
+#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
+fn moved_scenes_are_those_that_are_loaded_there() {
+    let plugins = [
+        ("sphere", ""),
+        ("disk", ""),
+        ("rectangle", ""),
+        ("cube", ""),
+        ("cylinder", ""),
+    ];
+    for (plugin, own) in plugins {
+        let mut scene = load(&file(plugin, own, "", SENSOR, LIGHTS));
+        let start = render(&scene);
+        let [x, y, z] = scene.shapes()[0].centroid();
+        let names = ["it.translation", "it.rotation", "it.scale"];
+        scene.make_movable(&names).unwrap();
+        assert_eq!(start, render(&scene), "{plugin}");
+        set(&mut scene, "it.translation", 1, |_| 0.75);
+        let angle = 40.0f32;
+        set(&mut scene, "it.rotation", 2, |_| 0.6 * angle.to_radians());
+        set(&mut scene, "it.rotation", 0, |_| 0.8 * angle.to_radians());
+        set(&mut scene, "it.scale", 0, |_| 1.5);
+        let there = format!(
+            r#"<translate x="{}" y="{}" z="{}"/><scale value="1.5"/><rotate x="0.8" y="0" z="0.6" angle="40"/>
+               <translate x="{x}" y="{}" z="{z}"/>"#,
+            -x,
+            -y,
+            -z,
+            y + 0.75
+        );
+        let moved = render(&scene);
+        assert!(moved != start);
+        assert_alike(
+            plugin,
+            &moved,
+            &render(&load(&file(plugin, own, &there, SENSOR, LIGHTS))),
+        );
+        // And back again.
+        for (name, count) in [("it.translation", 3), ("it.rotation", 3)] {
+            (0..count).for_each(|k| set(&mut scene, name, k, |_| 0.0));
+        }
+        set(&mut scene, "it.scale", 0, |_| 1.0);
+        assert_eq!(start, render(&scene), "{plugin}");
+    }
+}
+
+/// The same of meshes whose vertices are moved one by one, with normals that follow.
+#[test]
+#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
+fn moved_vertices_are_those_that_are_loaded_there() {
+    let mut scene = scene(Mesh::smoothed(sheet(), false).unwrap().into());
+    let start = render(&scene);
+    scene.make_movable(&["it.positions"]).unwrap();
+    let info = scene.params().find("it.vertex_positions").unwrap().clone();
+    // Five vertices on the seam are one point each.
+    assert_eq!((info.shape.len(), info.kind), (3 * 25, ParamKind::Position));
+    assert_eq!(start, render(&scene));
+    let wave = |p: [f32; 3]| [p[0] + 0.125, p[1], p[2] + 0.25 * (3.0 * p[0]).sin()];
+    let mut values = scene.params().values().to_vec();
+    for p in values[info.range()].as_chunks_mut::<3>().0 {
+        *p = wave(*p);
+    }
+    scene.set_params(&values).unwrap();
+    let mut there = sheet();
+    there.positions.iter_mut().for_each(|p| *p = wave(*p));
+    let there = self::scene(Mesh::smoothed(there, false).unwrap().into());
+    assert!(render(&scene) != start);
+    assert_eq!(render(&scene), render(&there));
+}
+
+/// Cameras and lights, too.
+#[test]
+#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
+fn moved_cameras_and_lights_are_those_that_are_loaded_there() {
+    let spot = r#"<emitter type="point" id="bulb"><point name="position" x="2.5" y="3" z="4.5"/>
+            <rgb name="intensity" value="40"/></emitter>
+        <emitter type="constant"><rgb name="radiance" value="0.5"/></emitter>"#;
+    let sensor = r#"<float name="fov" value="35"/><transform name="to_world">
+        <lookat origin="0.5, 1, 7" target="0, 0, 0" up="0, 1, 0"/><translate x="-0.5" y="-1" z="-7"/>
+        <rotate x="0" y="1" z="0" angle="5"/><translate x="0.25" y="1" z="7.5"/></transform>"#;
+    let mut scene = load(&file("cube", "", "", SENSOR, LIGHTS));
+    let start = render(&scene);
+    let names = [
+        "sensor.x_fov",
+        "sensor.rotation",
+        "sensor.translation",
+        "bulb.position",
+    ];
+    scene.make_movable(&names).unwrap();
+    assert_eq!(start, render(&scene));
+    set(&mut scene, "sensor.fov", 0, |_| 35.0);
+    set(&mut scene, "sensor.rotation", 1, |_| 5f32.to_radians());
+    set(&mut scene, "sensor.translation", 0, |_| -0.25);
+    set(&mut scene, "sensor.translation", 2, |_| 0.5);
+    set(&mut scene, "bulb.position", 0, |_| 2.5);
+    set(&mut scene, "bulb.position", 2, |_| 4.5);
+    let there = load(&file("cube", "", "", sensor, spot));
+    assert_alike("camera", &render(&scene), &render(&there));
+}
+
+/// Names, once per shape; what has no name; and values that nothing can have.
+#[test]
+fn bad_requests_are_refused_by_name() {
+    let mut scene = load(&file("sphere", "", "", SENSOR, LIGHTS));
+    let names: Vec<String> = scene.movables().into_iter().map(|m| m.name).collect();
+    let parts = ["translation", "rotation", "scale"];
+    let mut expected: Vec<String> = (["it", "floor"].iter())
+        .flat_map(|s| parts.iter().map(move |p| format!("{s}.{p}")))
+        .collect();
+    expected.extend(
+        [
+            "sensor.translation",
+            "sensor.rotation",
+            "sensor.fov",
+            "bulb.position",
+        ]
+        .map(String::from),
+    );
+    assert_eq!(names, expected);
+    let before = scene.params().values().len();
+    let message = scene
+        .make_movable(&["it.to_world"])
+        .unwrap_err()
+        .to_string();
+    assert!(
+        message.contains("`it.to_world`") && message.contains("it.translation"),
+        "{message}"
+    );
+    assert_eq!(scene.params().values().len(), before);
+    scene
+        .make_movable(&["it.scale", "it.translation", "it.scale", "sensor.fov"])
+        .unwrap();
+    assert_eq!(scene.params().values().len(), before + 5);
+
+    let start = scene.params().values().to_vec();
+    let mut refused = |name: &str, value: f32, words: &[&str]| {
+        let mut values = start.clone();
+        values[scene.params().find(name).unwrap().offset] = value;
+        let message = scene.set_params(&values).unwrap_err().to_string();
+        for word in words {
+            assert!(message.contains(word), "{message}");
+        }
+        assert_eq!(scene.params().values(), start);
+    };
+    refused("it.scale", 0.0, &["`it.scale`[0]", "found 0"]);
+    refused("it.scale", -1.0, &["`it.scale`[0]"]);
+    refused("it.translation", f32::NAN, &["`it.translation`[0]", "NaN"]);
+    refused("it.translation", 2e12, &["`it`", "1e12"]);
+    refused("it.translation", 3e12, &["`it.translation`[0]"]);
+    refused("sensor.fov", 180.0, &["`sensor.fov`[0]"]);
+
+    // Estimators without terms for what moves say so.
+    for &e in Estimator::ALL {
+        if e.capabilities().sees(ParamKind::Position) {
+            continue;
+        }
+        for name in ["it.translation", "sensor.fov"] {
+            let message = e.active(&scene, &[name]).unwrap_err().to_string();
+            assert!(message.contains(name), "{message}");
+        }
+    }
+
+    let mut flat = self::scene(Mesh::new(sheet(), false).unwrap().into());
+    flat.make_movable(&["it.vertex_positions"]).unwrap();
+    let range = flat.params().find("it.vertex_positions").unwrap().range();
+    let mut values = flat.params().values().to_vec();
+    values[range.clone()].fill(0.0);
+    let message = flat.set_params(&values).unwrap_err().to_string();
+    assert!(
+        message.contains("`it`") && message.contains("area"),
+        "{message}"
+    );
+    values[range.start + 7] = f32::NAN;
+    let message = flat.set_params(&values).unwrap_err().to_string();
+    assert!(message.contains("`it.vertex_positions`[7]"), "{message}");
+}
+
+/// Lobes and spots move, too, and say by what.
+#[test]
+fn lights_say_what_moves_them() {
+    let mut build = Builder::new();
+    let white = build.rgb("w", [1.0; 3], (0.0, 9.0)).unwrap();
+    let spot = Spot::new(white, [1.0, 2.0, 3.0], [0.0, 0.0, -1.0], 10.0, 20.0).unwrap();
+    assert_eq!(spot.mobility(), Some(("position", [1.0, 2.0, 3.0])));
+    assert_eq!(spot.moved_by(), None);
+}
