@@ -22,6 +22,7 @@ use ad_core::{Dual, Float, Real, Vec2, Vec3};
 use crate::accel::{Hit, PACKET_SIZE, RayPacket};
 use crate::bsdf::{Bsdf, Material, Shading, TextureRef, TransportMode};
 use crate::camera::Camera;
+use crate::edges::{Edges, Surfaces};
 use crate::emitter::{AnyEmitter, Ball, Emitter, Lights};
 use crate::error::RenderError;
 use crate::estimator::{Sampling, Strategy};
@@ -627,6 +628,24 @@ impl Scene {
         self.geometry
             .accel
             .occluded(o, d, length.to_f32(), [ray.from, *to])
+    }
+
+    /// Edges of all shapes as they are: found when somebody asks, after every change anew.
+    pub(crate) fn edges(&self) -> &Edges {
+        self.geometry.edges()
+    }
+
+    /// What edges need to know.
+    pub(crate) fn surfaces(&self) -> Surfaces<'_> {
+        Surfaces {
+            shapes: &self.geometry.shapes,
+            firsts: &self.geometry.firsts,
+        }
+    }
+
+    /// Per shape, whether parameters for which `moves` holds move it.
+    pub(crate) fn moved_shapes(&self, moves: impl Fn(ParamRef) -> bool) -> Vec<bool> {
+        self.geometry.moved(moves)
     }
 
     /// Index in the scene of a shape's primitive.
