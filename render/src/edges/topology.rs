@@ -122,17 +122,12 @@ impl Topology {
 
     fn mesh(&mut self, index: u32, mesh: &Mesh) {
         let data = mesh.data();
-        let mut numbers = HashMap::with_capacity(data.positions.len());
-        let welded: Vec<u32> = (data.positions.iter().zip(0u32..))
-            // Adding zero makes minus zero the other one.
-            .map(|(p, i)| *numbers.entry(p.map(|x| (x + 0.0).to_bits())).or_insert(i))
-            .collect();
-        drop(numbers);
+        let welding = mesh.welding();
         let polygon = |(t, local): (&[u32; 3], u32)| Polygon {
             local,
             corners: Vec::from(t.map(|vertex| Corner {
                 at: data.positions[vertex as usize],
-                welded: welded[vertex as usize],
+                welded: welding.points[vertex as usize],
                 vertex,
             })),
         };
@@ -158,9 +153,9 @@ impl Topology {
         let mut polygons: Vec<Polygon> = Vec::new();
         let mut known: Vec<[f32; 3]> = Vec::new();
         let near = shape.extent() * 1e-5;
-        for local in 0.. {
+        for local in 0..shape.primitives().len() as u32 {
             let Some(Patch { corner, e1, e2, .. }) = shape.patch(local) else {
-                break;
+                continue;
             };
             let at = |u: f32, v: f32| {
                 [0, 1, 2].map(|k: usize| corner[k] + u * e1[k] + v * e2[k])

@@ -5,6 +5,7 @@ use std::f64::consts::{FRAC_PI_2, PI, TAU};
 use std::ops::Range;
 
 use ad_core::Vec3;
+use smallvec::SmallVec;
 
 use super::{Curve, CurveKind, Edge, EdgePoint, Edges, Spot, View};
 use crate::emitter::Ball;
@@ -69,8 +70,30 @@ pub(crate) struct Seeker<'a> {
     pub interest: &'a dyn Fn(Range<u32>) -> f64,
 }
 
+impl Seeker<'_> {
+    /// The lamps as they are seen from there.
+    pub fn cones(&self) -> SmallVec<[Cone; 4]> {
+        let cone = |ball: &Ball| {
+            let to = Vec3::from(ball.centre) - self.from;
+            let distance = to.length();
+            if distance <= ball.radius * 1.001 {
+                return Cone {
+                    axis: self.normal,
+                    angle: PI,
+                };
+            }
+            Cone {
+                axis: to * distance.recip(),
+                // A little more, for rounding.
+                angle: (ball.radius / distance).min(1.0).asin() * 1.001,
+            }
+        };
+        self.lamps.unwrap_or(&[]).iter().map(cone).collect()
+    }
+}
+
 /// A lamp as a cone of directions.
-struct Cone {
+pub(crate) struct Cone {
     axis: Vec3<f64>,
     /// Half its opening.
     angle: f64,
@@ -263,28 +286,17 @@ impl Edges {
     ///
     /// # Reference
     /// The tree is that of [Li et al. 2018, section 5], in three dimensions.
-    pub fn draw(&self, seeker: &Seeker, u: [f64; 2]) -> Option<EdgePoint> {
-        let lamps: Vec<Cone> = (seeker.lamps.unwrap_or(&[]).iter())
-            .map(|ball| {
-                let to = Vec3::from(ball.centre) - seeker.from;
-                let distance = to.length();
-                let within = distance <= ball.radius * 1.001;
-                Cone {
-                    axis: if within { seeker.normal } else { to.normalize() },
-                    angle: if within { PI } else { (ball.radius / distance).asin() * 1.001 },
-                }
-            })
-            .collect();
+    pub fn draw(&self, seeker: &Seeker, lamps: &[Cone], u: [f64; 2]) -> Option<EdgePoint> {
         let mut dice = Dice(u[0]);
         let mut node = 0;
         let mut p = 1.0;
         let nodes = &self.tree.nodes;
-        if nodes.is_empty() || nodes[0].importance(seeker, &lamps) == 0.0 {
+        if nodes.is_empty() || nodes[0].importance(seeker, lamps) == 0.0 {
             return None;
         }
         while nodes[node].second != 0 {
             let children = [node + 1, nodes[node].second as usize];
-            let weights = children.map(|c| nodes[c].importance(seeker, &lamps));
+            let weights = children.map(|c| nodes[c].importance(seeker, lamps));
             let (k, q) = dice.choose(&weights)?;
             p *= q;
             node = children[k];
@@ -299,7 +311,7 @@ impl Edges {
         p *= q;
         let item = items[k] as usize;
         let mut point = match self.straight.get(item) {
-            Some(_) => self.draw_straight(item, seeker, &lamps, [dice.0, u[1]])?,
+            Some(_) => self.draw_straight(item, seeker, lamps, [dice.0, u[1]])?,
             None => self.draw_curve(item - self.straight.len(), seeker, u[1])?,
         };
         point.weight /= p;
@@ -353,7 +365,7 @@ impl Edges {
             return None;
         }
         // Where lamps may be behind it, in radians from its start.
-        let mut parts: Vec<[f64; 2]> = Vec::new();
+        let mut parts = SmallVec::<[[f64; 2]; 4]>::new();
         if seeker.lamps.is_some() {
             for lamp in lamps {
                 let [x, y] = [lamp.axis.dot(start), lamp.axis.dot(turned)];

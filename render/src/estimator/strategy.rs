@@ -39,8 +39,6 @@ pub trait Strategy: Send + Sync + 'static {
     const ATTACHED_CHOICE: bool = false;
     /// Whether nothing says that the derivative has the right expectation: [`AllowBias`].
     const ALLOWS_BIAS: bool = false;
-    /// Whether outlines that move have samples of their own.
-    const BOUNDARIES: bool = false;
     /// Whether the scene must be free of discontinuities, see [`crate::Scene::admits`].
     const NEEDS_CONTINUITY: bool = Self::Bsdf::NEEDS_CONTINUITY || Self::EmitterMotion::KEEPS;
     /// Weight of a scattered direction with density `a` when a sampled light has density `b`.

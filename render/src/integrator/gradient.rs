@@ -16,7 +16,6 @@ use crate::estimator::memory::Memory;
 use crate::estimator::{Strategy, Unbiased};
 use crate::params::Theta;
 use crate::sampler::Sampler;
-use crate::scene::Scene;
 
 /// The derivative of `sum over pixels and channels of adjoint x image`, where the image is the mean
 /// over the samples `samples` of each pixel with seed `seed`: one pass, all parameters.
@@ -74,8 +73,7 @@ impl<P: Float> Pass<'_, P> {
                     large,
                     sums: GradientSums::zero(active),
                 };
-                let moves = active.ranges().iter().any(Scene::is_motion);
-                every::<S, X>(self.caustics, moves, self.progress, &mut question);
+                every::<S, X>(self.caustics, self.progress, &mut question);
                 question.sums
             },
         )

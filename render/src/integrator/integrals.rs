@@ -5,7 +5,6 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use ad_core::{Float, Real};
 
 use super::active::Active;
-use super::boundary;
 use super::exact::ExactBuffer;
 use super::particle;
 use super::particle_gradient::ParticlePass;
@@ -18,26 +17,21 @@ use crate::estimator::{Sampling, Strategy};
 use crate::sampler::Sampler;
 use crate::scene::Caustics;
 
-/// Asks every integral of a pass. `moves`: whether a derivative is asked for in something that moves outlines.
+/// Asks every integral of a pass.
 pub(super) fn every<S: Strategy, X: Sampler>(
     caustics: Caustics,
-    moves: bool,
     progress: &dyn Progress,
     question: &mut impl Question<S, X>,
 ) {
     let by_particles = caustics == Caustics::Particles;
-    let by_edges = S::BOUNDARIES && moves;
     let share = Share {
         progress,
-        integrals: 1 + u64::from(by_particles) + u64::from(by_edges),
+        integrals: 1 + u64::from(by_particles),
         done: AtomicU64::new(0),
     };
     question.ask::<Paths>(&share);
     if by_particles && !share.cancelled() {
         question.ask::<Particles>(&share);
-    }
-    if by_edges && !share.cancelled() {
-        question.ask::<Edges>(&share);
     }
 }
 
@@ -104,22 +98,5 @@ impl<S: Strategy, X: Sampler> Integral<S, X> for Particles {
         let particles = ParticlePass::new(&context, adjoint, pass.seed, samples);
         let (sums, _) = particles.sums::<X>(active, large, pass.progress);
         sums
-    }
-}
-
-/// What outlines that move hide and show.
-struct Edges;
-
-impl<S: Strategy, X: Sampler> Integral<S, X> for Edges {
-    fn image<R: Components>(pass: &Pass<R>) -> Rendering {
-        boundary::image::<R, S, X>(pass)
-    }
-    fn gradient<P: Float>(
-        pass: &Pass<P>,
-        active: &Active,
-        adjoint: &[f32],
-        large: &ExactBuffer,
-    ) -> GradientSums {
-        boundary::gradient::<P, S, X>(pass, active, adjoint, large)
     }
 }

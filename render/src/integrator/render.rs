@@ -12,7 +12,6 @@ use crate::error::RenderError;
 use crate::estimator::{self, Strategy, Unbiased};
 use crate::params::Theta;
 use crate::sampler::Sampler;
-use crate::scene::Scene;
 
 /// Renders the samples `samples` of every pixel with seed `seed`.
 ///
@@ -51,10 +50,7 @@ pub(crate) fn unchecked<R: Components, S: Strategy, X: Sampler>(
         pass: &pass,
         sum: Rendering::black(scene.film.crop_size, &pass.samples, R::COUNT),
     };
-    let mut infos = scene.params().infos().iter();
-    let moves = !R::IS_PRIMAL
-        && infos.any(|i| Scene::is_motion(i) && theta.moves(scene.params().handle(i)));
-    every::<S::Runs, X>(pass.caustics, moves, job.progress, &mut question);
+    every::<S::Runs, X>(pass.caustics, job.progress, &mut question);
     question.sum
 }
 
