@@ -421,6 +421,17 @@ pub enum RenderError {
         /// Why.
         why: &'static str,
     },
+    /// A parameter that moves vertices of paths which cannot be differentiated in it.
+    #[error(
+        "parameter {}: no derivative where vertices of paths move: {culprit}",
+        quoted(name)
+    )]
+    Motion {
+        /// Its name.
+        name: String,
+        /// What stands in the way.
+        culprit: String,
+    },
     /// A name that no estimator has.
     #[error("unknown estimator {}; known: {known}", quoted(name))]
     UnknownEstimator {

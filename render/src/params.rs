@@ -108,6 +108,11 @@ impl ParamKind {
         Self::LightPosition,
     ];
 
+    /// Whether it moves something: a shape, the camera or a light.
+    pub const fn is_motion(self) -> bool {
+        matches!(self, Self::Position | Self::Camera | Self::LightPosition)
+    }
+
     /// In words, in the plural.
     pub const fn name(self) -> &'static str {
         match self {
@@ -190,6 +195,11 @@ impl Params {
             id,
             offset: offset as u32,
         }
+    }
+
+    /// Says that a range is also called `name`, where that is free.
+    pub(crate) fn alias(&mut self, p: ParamRef, name: String) {
+        self.by_name.entry(name).or_insert(p.id);
     }
 
     /// Says that this range is of a kind, unless it is of a later one already.

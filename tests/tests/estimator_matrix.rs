@@ -11,7 +11,7 @@ use std::path::Path;
 
 use rayon::prelude::*;
 use render::Job;
-use render::estimator::{Failure, Scenes};
+use render::estimator::{Failure, Failures, Scenes};
 use render::image_io::write_exr;
 use render::instances::{Estimator, render_f64};
 use render::params::Theta;
@@ -24,8 +24,8 @@ const SIZE: u32 = 8;
 /// 128 repeats of 8192 samples: 1.05e6 per block.
 const REPEATS: u64 = 128;
 const SAMPLES: u64 = 8192;
-/// Some 300 comparisons, with a significance of 3 % over all of them. Seeds are fixed.
-const COMPARISONS: usize = 300;
+/// Some 320 comparisons, with a significance of 3 % over all of them. Seeds are fixed.
+const COMPARISONS: usize = 320;
 const ALPHA: f64 = 0.03;
 
 /// The only case where lobes are chosen between.
@@ -379,6 +379,12 @@ fn differences(case: &Case, m: &Move, seed: u64) -> Estimate {
     Estimate::of(&means)
 }
 
+/// Whether an estimator is wrong on purpose in what moves nothing.
+fn wrong(e: Estimator) -> bool {
+    let c = e.capabilities();
+    c.study && c.failures != Failures::of(&[Failure::Boundaries])
+}
+
 /// The derivative of the mean along every move at once, in reverse mode.
 fn estimates(case: &Case, e: Estimator, seed: u64) -> Vec<Estimate> {
     let s = &case.scene;
@@ -475,7 +481,7 @@ fn all_estimators_and_kinds_of_parameters() {
                 for (m, (f, r)) in case.moves.iter().zip(found.iter().zip(&references)) {
                     let z = f.z(r);
                     let _ = write!(line, " {} {z:>6.2} ({:.4})", m.kind, f.mean / r.mean);
-                    if e.capabilities().study {
+                    if wrong(e) {
                         noticed[i] = noticed[i].max(z.abs());
                         continue;
                     }
@@ -490,7 +496,7 @@ fn all_estimators_and_kinds_of_parameters() {
         }
     }
     for (&e, z) in Estimator::ALL.iter().zip(&noticed) {
-        if e.capabilities().study {
+        if wrong(e) {
             println!("{} is noticed: |z| up to {z:.1}", e.name());
             if *z < limit {
                 let _ = writeln!(failed, "{} is not noticed: |z| {z:.2}", e.name());

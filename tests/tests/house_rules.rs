@@ -100,6 +100,7 @@ const TRANSPORT: &[&str] = &[
     "particle_gradient",
     "density",
     "paths",
+    "motion",
     "boundary",
     "integrals",
     "render",

@@ -194,6 +194,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
         print::out(format_args!("{}", listing(&scene)));
         return Ok(Outcome::Done);
     }
+    scene.make_movable(&args.params)?;
     if args.measure_lights && args.samples.lights == Some(LightChoice::All) {
         let message = "--measure-lights: all lights are sampled alike; expected --lights one";
         return Err(ToolError::Usage(message.into()));
@@ -465,24 +466,32 @@ fn mixture(
     Ok(Some(Mixture::only(scene, estimator, names)))
 }
 
-/// A line per parameter.
+/// The arrangement of a parameter.
+fn arrangement(shape: ParamShape) -> String {
+    match shape {
+        ParamShape::Scalar => "scalar".to_owned(),
+        ParamShape::Rgb => "rgb".to_owned(),
+        ParamShape::Vector => "vector".to_owned(),
+        ParamShape::Points { count } => format!("{count} x 3"),
+        ParamShape::Texture {
+            height,
+            width,
+            channels,
+        } => format!("{height} x {width} x {channels}"),
+    }
+}
+
+/// A line per parameter, and one for what becomes a parameter when somebody asks for it.
 fn listing(scene: &Scene) -> String {
     let infos = scene.params().infos();
-    let wide = infos.iter().map(|i| i.name.len()).max().unwrap_or(0);
+    let movables = scene.movables();
+    let names = infos.iter().map(|i| &i.name);
+    let names = names.chain(movables.iter().map(|m| &m.name));
+    let wide = names.map(String::len).max().unwrap_or(0);
     let mut text = String::new();
     for info in infos {
         let values = &scene.params().values()[info.range()];
-        let shape = match info.shape {
-            ParamShape::Scalar => "scalar".to_owned(),
-            ParamShape::Rgb => "rgb".to_owned(),
-            ParamShape::Vector => "vector".to_owned(),
-            ParamShape::Points { count } => format!("{count} x 3"),
-            ParamShape::Texture {
-                height,
-                width,
-                channels,
-            } => format!("{height} x {width} x {channels}"),
-        };
+        let shape = arrangement(info.shape);
         let value = if values.len() <= 3 {
             format!("{values:?}")
         } else {
@@ -498,6 +507,15 @@ fn listing(scene: &Scene) -> String {
         let line = format!(
             "{:wide$}  {shape:16}  in [{lo}, {hi}]  {value}{note}\n",
             info.name
+        );
+        text.push_str(&line);
+    }
+    for movable in movables {
+        let (lo, hi) = movable.valid;
+        let line = format!(
+            "{:wide$}  {:16}  in [{lo}, {hi}]  (moves: estimators with `motion`)\n",
+            movable.name,
+            arrangement(movable.shape)
         );
         text.push_str(&line);
     }

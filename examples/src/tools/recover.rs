@@ -710,7 +710,8 @@ fn load(job: &Job, estimator: Estimator) -> Result<Loaded, ToolError> {
         defines: job.defines.clone(),
         allow_missing: job.allow_missing,
     };
-    let (scene, _) = load.load(&path.0)?;
+    let (mut scene, _) = load.load(&path.0)?;
+    scene.make_movable(&job.params)?;
     let active = estimator.active(&scene, &job.params)?;
     let mut start = Vec::new();
     for info in active.ranges() {

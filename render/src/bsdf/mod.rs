@@ -439,6 +439,14 @@ impl TextureRef<'_> {
         }
     }
 
+    /// See [`RgbTexture::jumps`].
+    pub(crate) fn jumps(&self) -> bool {
+        match self {
+            Self::Rgb(t) | Self::Vector(t) | Self::Encoded(t) => t.jumps(),
+            Self::Scalar(t) | Self::Alpha(t) | Self::Exponent(t) => t.jumps(),
+        }
+    }
+
     /// See [`RgbTexture::any_param`].
     #[inline]
     pub fn any_param(&self, f: impl FnMut(ParamRef) -> bool) -> bool {

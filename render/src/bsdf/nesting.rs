@@ -67,6 +67,16 @@ pub fn has_delta(material: &Material) -> bool {
     }
 }
 
+/// Whether some directions that it scatters are Dirac deltas: also where others are not, and straight through holes.
+pub fn scatters_deltas(material: &Material) -> bool {
+    let mixed = matches!(material, Material::Plastic(_) | Material::Mask(_));
+    mixed
+        || match children(material) {
+            [] => material.is_delta(),
+            parts => parts.iter().any(|m| scatters_deltas(m)),
+        }
+}
+
 /// Checks that the derivatives of all textures of a material have room.
 ///
 /// # Errors

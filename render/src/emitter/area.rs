@@ -57,6 +57,7 @@ impl Area {
             distance: s.distance,
             normals: [s.n, s.n_geo],
             surface,
+            prim: s.prim,
             pdf: s.pdf,
             emission,
         })

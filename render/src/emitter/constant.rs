@@ -40,6 +40,7 @@ impl Emitter for Constant {
             distance: P::of(f64::INFINITY),
             normals: [Vec3::zero(); 2],
             surface: NOWHERE,
+            prim: 0,
             pdf: P::of(0.25 / PI),
             emission: Emission {
                 uv: Vec2::zero(),

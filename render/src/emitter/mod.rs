@@ -72,6 +72,8 @@ pub struct EmitterSample<P> {
     pub normals: [Vec3<P>; 2],
     /// The surface that the point on the light belongs to, see [`crate::math::Segment::to`].
     pub surface: u32,
+    /// The primitive of the light's shape that it lies on; zero without one.
+    pub prim: u32,
     /// Density per solid angle; 1 for a delta light.
     pub pdf: P,
     /// What arrives.
@@ -325,6 +327,17 @@ pub trait Emitter: Send + Sync {
         None
     }
 
+    /// Adds the adjoint of the turn of an environment, given that of the light from a unit direction `d`, world space, with
+    /// respect to `d`.
+    fn scatter_turn<P: Float>(
+        &self,
+        _theta: &Theta<P>,
+        _d: Vec3<P>,
+        _adjoint: Vec3<P>,
+        _grad: &mut impl GradSink<P>,
+    ) {
+    }
+
     /// The emitted radiance (intensity over squared distance for points).
     #[inline(always)]
     fn eval<R: Real>(&self, theta: &Theta<R>, e: &Emission<R>) -> Rgb<R> {
@@ -446,6 +459,14 @@ macro_rules! emitters {
             }
             fn moved_by(&self) -> Option<ParamRef> {
                 match self { $(Self::$hot(e) => e.moved_by(),)* $(Self::$name(e) => e.moved_by(),)* }
+            }
+            fn scatter_turn<P: Float>(
+                &self, theta: &Theta<P>, d: Vec3<P>, adjoint: Vec3<P>, grad: &mut impl GradSink<P>,
+            ) {
+                match self {
+                    $(Self::$hot(e) => e.scatter_turn(theta, d, adjoint, grad),)*
+                    $(Self::$name(e) => e.scatter_turn(theta, d, adjoint, grad),)*
+                }
             }
         }
     };

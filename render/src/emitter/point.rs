@@ -91,6 +91,7 @@ impl Emitter for Point {
             distance,
             normals: [Vec3::zero(); 2],
             surface: NOWHERE,
+            prim: 0,
             pdf: P::one(),
             emission: Emission {
                 uv: Vec2::zero(),

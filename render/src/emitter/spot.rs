@@ -92,6 +92,7 @@ impl Emitter for Spot {
             distance,
             normals: [Vec3::zero(); 2],
             surface: NOWHERE,
+            prim: 0,
             pdf: P::one(),
             emission: Emission {
                 uv: Vec2::zero(),

@@ -9,7 +9,7 @@ use super::{Emission, Emitter, EmitterSample, Lights};
 use crate::error::SceneError;
 use crate::math::{Frame, NOWHERE, each, warp};
 use crate::motion::Placement;
-use crate::params::{ParamRef, Params};
+use crate::params::{GradSink, ParamRef, Params, Theta};
 use crate::plugin::{FromNode, Node, Registry};
 use crate::shape::{SurfaceInteraction, lift3};
 use crate::texture::RgbTexture;
@@ -93,6 +93,7 @@ impl Emitter for Vmf {
             distance: P::of(f64::INFINITY),
             normals: [Vec3::zero(); 2],
             surface: NOWHERE,
+            prim: 0,
             pdf: falloff * self.normalisation::<P>(),
             emission: Emission {
                 uv: Vec2::zero(),
@@ -135,6 +136,19 @@ impl Emitter for Vmf {
 
     fn moved_by(&self) -> Option<ParamRef> {
         self.turned.rotation
+    }
+
+    fn scatter_turn<P: Float>(
+        &self,
+        theta: &Theta<P>,
+        d: Vec3<P>,
+        adjoint: Vec3<P>,
+        grad: &mut impl GradSink<P>,
+    ) {
+        let mut wrench = self.turned.wrench(theta);
+        // Who turns along sees the direction turn back.
+        wrench.direction(d, -adjoint);
+        self.turned.scatter(theta, &wrench, grad);
     }
 
     fn is_wide(&self) -> bool {

@@ -17,6 +17,8 @@ pub struct Capabilities {
     pub samples_emitters: bool,
     /// Whether samples of environment maps move with the texels.
     pub follows_texels: bool,
+    /// Whether vertices of its paths move with shapes, cameras and lights.
+    pub moves_vertices: bool,
     /// Where it is right.
     pub scenes: Scenes,
     /// Whether a [`Guide`](crate::guide::Guide) leads its paths.
@@ -81,16 +83,19 @@ pub enum Failure {
     AttachedChoice,
     /// F8: samples that move across discontinuities.
     Discontinuities,
+    /// F10: no term for what becomes visible or hidden.
+    Boundaries,
 }
 
 impl Failure {
     /// All of them.
-    pub const ALL: [Self; 5] = [
+    pub const ALL: [Self; 6] = [
         Self::ConstantWeights,
         Self::MixedWeights,
         Self::AttachedRoulette,
         Self::AttachedChoice,
         Self::Discontinuities,
+        Self::Boundaries,
     ];
 
     /// Its number.
@@ -101,6 +106,7 @@ impl Failure {
             Self::AttachedRoulette => "F5",
             Self::AttachedChoice => "F6",
             Self::Discontinuities => "F8",
+            Self::Boundaries => "F10",
         }
     }
 
@@ -112,6 +118,7 @@ impl Failure {
             Self::AttachedRoulette => "differentiated probabilities of roulette",
             Self::AttachedChoice => "differentiated probabilities of lobes",
             Self::Discontinuities => "samples that move across discontinuities",
+            Self::Boundaries => "no term for what becomes visible or hidden",
         }
     }
 }
@@ -191,12 +198,14 @@ impl Capabilities {
             .with(Failure::MixedWeights, S::MIXED_WEIGHTS)
             .with(Failure::AttachedRoulette, S::ATTACHED_ROULETTE)
             .with(Failure::AttachedChoice, S::ATTACHED_CHOICE)
-            .with(Failure::Discontinuities, crosses && !S::NEEDS_CONTINUITY);
+            .with(Failure::Discontinuities, crosses && !S::NEEDS_CONTINUITY)
+            .with(Failure::Boundaries, S::INTERIOR);
         Self {
             motion,
             differential: S::Bsdf::DIFFERENTIAL,
             samples_emitters: S::SAMPLES_EMITTERS,
             follows_texels: S::EmitterMotion::KEEPS,
+            moves_vertices: S::INTERIOR,
             scenes,
             guided: is_guided::<S>(),
             modes: Modes {
@@ -219,6 +228,10 @@ impl Capabilities {
         ),
         ("lights", "emitters are sampled"),
         ("texels", "samples of environment maps move with the texels"),
+        (
+            "motion",
+            "sees derivatives in positions of shapes, cameras and lights",
+        ),
         ("deltas", "sees derivatives in Dirac deltas"),
         ("guide", "a guide leads its paths"),
         ("waves", "paths are followed many at a time"),
@@ -236,6 +249,11 @@ impl Capabilities {
     pub const fn refusal_of(&self, kind: ParamKind) -> Option<Refusal> {
         let why = match kind {
             ParamKind::Smooth | ParamKind::Emission | ParamKind::Roughness | ParamKind::Normals => {
+                return None;
+            }
+            ParamKind::Position | ParamKind::Camera | ParamKind::LightPosition
+                if self.moves_vertices =>
+            {
                 return None;
             }
             ParamKind::Delta if matches!(self.motion, Motion::Path) => return None,
@@ -304,6 +322,7 @@ impl fmt::Display for Capabilities {
         for (holds, what) in [
             (self.samples_emitters, "lights"),
             (self.follows_texels, "texels"),
+            (self.moves_vertices, "motion"),
             (self.sees(ParamKind::Delta), "deltas"),
             (self.guided, "guide"),
             (self.modes.waves, "waves"),
@@ -355,9 +374,9 @@ mod tests {
         );
     }
 
-    /// No scene has parameters of kinds to come; each is refused by name.
+    /// What moves is refused by name where there is no term for it.
     #[test]
-    fn kinds_to_come_are_refused_by_name() {
+    fn what_moves_is_refused_by_name() {
         let refused = |kind, by: fn(&ParamInfo) -> Result<(), crate::error::RenderError>| {
             let info = ParamInfo {
                 name: "ball.center".into(),

@@ -37,6 +37,8 @@ pub trait Strategy: Send + Sync + 'static {
     const ATTACHED_ROULETTE: bool = false;
     /// Whether the probabilities of choosing between lobes are: wrong (F6), for study.
     const ATTACHED_CHOICE: bool = false;
+    /// Whether the vertices of paths move with what moves: [`Interior`].
+    const INTERIOR: bool = false;
     /// Whether nothing says that the derivative has the right expectation: [`AllowBias`].
     const ALLOWS_BIAS: bool = false;
     /// Whether the scene must be free of discontinuities, see [`crate::Scene::admits`].
@@ -192,6 +194,14 @@ pub struct AllowBias<S>(PhantomData<S>);
 #[derive(Clone, Copy, Debug)]
 pub struct AttachedRoulette<S>(PhantomData<S>);
 
+/// `S`, and what moves: derivatives in positions of shapes, cameras and lights, as far as nothing becomes visible or hidden
+/// (F10), by an integral with samples of its own. Needs [`AllowBias`].
+///
+/// The first vertex of a path is where the ray through its point of the film meets the surface that moves; all others stay
+/// on their material, with constant densities, weights and roulette.
+#[derive(Clone, Copy, Debug)]
+pub struct Interior<S>(PhantomData<S>);
+
 /// `S` whose scattered directions are weighed by one over a density in which the probabilities of choosing between
 /// lobes are differentiated, although the choices do not move (F6) [Zeltner 2021, section 4.2.2]. Needs [`AllowBias`].
 ///
@@ -229,8 +239,16 @@ macro_rules! wrapper {
     };
 }
 
+wrapper!(Interior<Strategy<Bsdf = Detached, Edge = Forget, EmitterMotion = Forget>> {
+    type Runs = Self;
+    const INTERIOR: bool = true;
+    const ALLOWS_BIAS: bool = S::ALLOWS_BIAS;
+    const ATTACHED_ROULETTE: bool = S::ATTACHED_ROULETTE;
+    const ATTACHED_CHOICE: bool = S::ATTACHED_CHOICE;
+});
 wrapper!(AllowBias<Strategy> {
     type Runs = S::Runs;
+    const INTERIOR: bool = S::INTERIOR;
     const ALLOWS_BIAS: bool = true;
     const ATTACHED_ROULETTE: bool = S::ATTACHED_ROULETTE;
     const ATTACHED_CHOICE: bool = S::ATTACHED_CHOICE;
@@ -238,12 +256,14 @@ wrapper!(AllowBias<Strategy> {
 });
 wrapper!(AttachedRoulette<Strategy> {
     type Runs = Self;
+    const INTERIOR: bool = S::INTERIOR;
     const ALLOWS_BIAS: bool = S::ALLOWS_BIAS;
     const ATTACHED_ROULETTE: bool = true;
     const ATTACHED_CHOICE: bool = S::ATTACHED_CHOICE;
 });
 wrapper!(AttachedChoice<Strategy<Bsdf = Detached, Edge = Forget>> {
     type Runs = Self;
+    const INTERIOR: bool = S::INTERIOR;
     const ALLOWS_BIAS: bool = S::ALLOWS_BIAS;
     const ATTACHED_ROULETTE: bool = S::ATTACHED_ROULETTE;
     const ATTACHED_CHOICE: bool = true;

@@ -8,6 +8,7 @@ use super::{FiniteElementError, FiniteElements};
 use crate::bsdf::Bsdf;
 use crate::emitter::Emitter;
 use crate::error::RenderError;
+use crate::estimator::{DetachedMis, check_parameter};
 use crate::params::{ParamShape, Tangent, Theta};
 
 /// The derivative of the cost in one range of parameters.
@@ -58,6 +59,9 @@ impl FiniteElements<'_> {
     ) -> Result<ParameterGradient, GradientError> {
         let params = self.scene.params();
         let info = params.find(name)?;
+        if info.kind.is_motion() {
+            check_parameter::<DetachedMis>(info)?;
+        }
         let handle = params.handle(info);
         let mut tangents = vec![Tangent::None; params.infos().len()];
         tangents[handle.id as usize] = Tangent::Uniform(Dual::<f64, 1>::new(0.0, [1.0]));

@@ -37,6 +37,10 @@ pub struct Active {
     pub(super) scales: Vec<(usize, f64)>,
     pub(super) small_len: usize,
     pub(super) large_len: usize,
+    /// Per shape, per emitter: whether one moves it. Empty if none moves anything.
+    moving_shapes: Vec<bool>,
+    moving_emitters: Vec<bool>,
+    moving_camera: bool,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -59,7 +63,8 @@ impl Active {
     /// The named parameters of a scene.
     ///
     /// # Errors
-    /// An unknown name, or a parameter whose derivative detached sampling cannot see.
+    /// An unknown name, or a parameter whose derivative detached sampling cannot see, or what moves in a scene where that
+    /// has none ([`Scene::admits_motion`]).
     pub fn new<N: AsRef<str>>(scene: &Scene, names: &[N]) -> Result<Self, RenderError> {
         Self::seen_by::<DetachedMis, N>(scene, names)
     }
@@ -75,6 +80,7 @@ impl Active {
         let found = names.iter().map(|name| {
             let info = scene.params().find(name.as_ref())?;
             estimator::check_parameter::<S>(info)?;
+            scene.admits_motion(info)?;
             Ok(info)
         });
         Ok(Self::of(scene, &found.collect::<Result<Vec<_>, _>>()?))
@@ -117,7 +123,21 @@ impl Active {
             .iter()
             .map(|e| e.radiance().any_param(on))
             .collect();
+        let moves = ranges.iter().any(|r| r.kind.is_motion());
+        let mut moving_shapes = vec![false; if moves { scene.shapes().len() } else { 0 }];
+        let mut moving_emitters = Vec::new();
+        if moves {
+            for &(shape, p) in scene.movers() {
+                moving_shapes[shape as usize] |= on(p);
+            }
+            let each = scene.emitters().iter();
+            moving_emitters.extend(each.map(|e| e.moved_by().is_some_and(on)));
+        }
+        let moving_camera = moves && scene.camera.depends_on(on);
         Self {
+            moving_shapes,
+            moving_emitters,
+            moving_camera,
             ranges,
             slots,
             places,
@@ -217,6 +237,45 @@ impl Active {
     #[inline]
     pub(super) fn differentiates_emission(&self) -> bool {
         self.emission
+    }
+
+    /// Whether one of them moves something.
+    pub(super) fn moves(&self) -> bool {
+        !self.moving_shapes.is_empty() || self.ranges.iter().any(|r| r.kind.is_motion())
+    }
+
+    /// Whether one of them does anything else, or there are none.
+    pub(super) fn rests(&self) -> bool {
+        self.ranges.is_empty() || self.ranges.iter().any(|r| !r.kind.is_motion())
+    }
+
+    /// Whether one of them moves a shape.
+    #[inline]
+    pub(super) fn moves_shape(&self, shape: u32) -> bool {
+        self.moving_shapes.get(shape as usize) == Some(&true)
+    }
+
+    /// Whether one of them moves an emitter that is no shape.
+    #[inline]
+    pub(super) fn moves_emitter(&self, emitter: u32) -> bool {
+        self.moving_emitters.get(emitter as usize) == Some(&true)
+    }
+
+    /// Whether one of them moves the camera.
+    #[inline]
+    pub(super) fn moves_camera(&self) -> bool {
+        self.moving_camera
+    }
+
+    /// Whether strategy `S` has terms for all that moves.
+    ///
+    /// # Errors
+    /// Names the parameter that it has none for.
+    pub(super) fn check_motion<S: Strategy>(&self) -> Result<(), RenderError> {
+        let moving = self.ranges.iter().filter(|r| r.kind.is_motion());
+        moving
+            .into_iter()
+            .try_for_each(estimator::check_parameter::<S>)
     }
 
     /// Whether the range is one of them.

@@ -4,7 +4,7 @@ use ad_core::Float;
 
 pub use super::active::Active;
 use super::exact::ExactBuffer;
-use super::integrals::every;
+use super::integrals::{Wanted, every};
 use super::job::Job;
 use super::pass::{Integral, Pass, Question};
 use super::progress::Progress;
@@ -31,11 +31,11 @@ use crate::sampler::Sampler;
 /// on the number of threads.
 ///
 /// # Does not handle
-/// Geometry, and deltas in the parameter: detached sampling.
+/// Deltas in the parameter, and what becomes visible or hidden: detached sampling.
 ///
 /// # Errors
 /// An adjoint image of the wrong size; an estimator that the scene's discontinuities would bias
-/// ([`Scene::admits`](crate::Scene::admits)).
+/// ([`Scene::admits`](crate::Scene::admits)), or that has no terms for what moves.
 ///
 /// # Reference
 /// [Stam 2020, section 5.1] with errata S-5.1 and S-D3 to S-D6; [Zeltner 2021, algorithms 4.1 and 4.2] with
@@ -51,6 +51,7 @@ pub fn backward<P: Float, S: Unbiased, X: Sampler>(
     } = job;
     check_size("adjoint image", scene, adjoint)?;
     scene.admits::<S>()?;
+    active.check_motion::<S>()?;
     let pass = Pass::new(job, theta, settings.caustics_of::<S>(scene));
     Ok(pass.gradient::<S::Runs, X>(active, adjoint))
 }
@@ -73,7 +74,12 @@ impl<P: Float> Pass<'_, P> {
                     large,
                     sums: GradientSums::zero(active),
                 };
-                every::<S, X>(self.caustics, self.progress, &mut question);
+                let wanted = Wanted {
+                    caustics: self.caustics,
+                    light: active.rests(),
+                    motion: active.moves(),
+                };
+                every::<S, X>(wanted, self.progress, &mut question);
                 question.sums
             },
         )

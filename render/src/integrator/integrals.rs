@@ -6,6 +6,7 @@ use ad_core::{Float, Real};
 
 use super::active::Active;
 use super::exact::ExactBuffer;
+use super::motion;
 use super::particle;
 use super::particle_gradient::ParticlePass;
 use super::pass::{Integral, Pass, Question};
@@ -17,21 +18,40 @@ use crate::estimator::{Sampling, Strategy};
 use crate::sampler::Sampler;
 use crate::scene::Caustics;
 
+/// What of a pass somebody wants to know.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Wanted {
+    /// Who finds caustics.
+    pub caustics: Caustics,
+    /// Light where it is, and what changes it there.
+    pub light: bool,
+    /// What moves.
+    pub motion: bool,
+}
+
 /// Asks every integral of a pass.
 pub(super) fn every<S: Strategy, X: Sampler>(
-    caustics: Caustics,
+    wanted: Wanted,
     progress: &dyn Progress,
     question: &mut impl Question<S, X>,
 ) {
-    let by_particles = caustics == Caustics::Particles;
+    let by_particles = wanted.light && wanted.caustics == Caustics::Particles;
+    let moves = S::INTERIOR && wanted.motion;
+    let integrals = u64::from(wanted.light) + u64::from(by_particles) + u64::from(moves);
     let share = Share {
         progress,
-        integrals: 1 + u64::from(by_particles),
+        integrals: integrals.max(1),
         done: AtomicU64::new(0),
     };
-    question.ask::<Paths>(&share);
+    if wanted.light {
+        question.ask::<Paths>(&share);
+    }
     if by_particles && !share.cancelled() {
         question.ask::<Particles>(&share);
+    }
+    // A constant: it is not even compiled for strategies that do not move vertices.
+    if const { S::INTERIOR } && wanted.motion && !share.cancelled() {
+        question.ask::<Motion>(&share);
     }
 }
 
@@ -66,6 +86,23 @@ impl<S: Strategy, X: Sampler> Integral<S, X> for Paths {
         large: &ExactBuffer,
     ) -> GradientSums {
         paths::gradient::<P, S, X>(pass, active, adjoint, large)
+    }
+}
+
+/// What vertices of paths that move do to light.
+struct Motion;
+
+impl<S: Strategy, X: Sampler> Integral<S, X> for Motion {
+    fn image<R: Components>(pass: &Pass<R>) -> Rendering {
+        motion::image::<R, S, X>(pass)
+    }
+    fn gradient<P: Float>(
+        pass: &Pass<P>,
+        active: &Active,
+        adjoint: &[f32],
+        large: &ExactBuffer,
+    ) -> GradientSums {
+        motion::gradient::<P, S, X>(pass, active, adjoint, large)
     }
 }
 

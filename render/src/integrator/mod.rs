@@ -16,6 +16,7 @@ mod integrals;
 mod job;
 mod local;
 mod lockstep;
+mod motion;
 pub mod noise;
 pub mod particle;
 pub mod particle_gradient;

@@ -113,7 +113,7 @@ pub struct Measurement {
 /// Geometry, deltas in the parameter, and what a pinhole sees through deltas.
 ///
 /// # Errors
-/// An adjoint image of the wrong size.
+/// An adjoint image of the wrong size, or parameters that move something.
 ///
 /// # Reference
 /// [Stam 2020, Eqs. 12 to 14]; [Veach 1996, section 2.4].
@@ -126,6 +126,7 @@ pub fn backward<P: Float, X: Sampler>(
     progress: &dyn Progress,
 ) -> Result<Measurement, RenderError> {
     check_size("adjoint image", context.scene, adjoint)?;
+    active.check_motion::<DetachedMis>()?;
     let particles = ParticlePass::new(context, adjoint, seed, samples);
     let value = Cell::new(0.0);
     let largest = particles.largest();

@@ -249,6 +249,11 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
         let Some(ray) = self.ray.take() else {
             return;
         };
+        if O::ENABLED
+            && let Some(Intersection { prim, si, .. }) = &hit
+        {
+            observer.arrives(*prim, &S::Bsdf::embed_interaction(si));
+        }
 
         // ---- Light at the end of the edge ----
         let emitters = match &hit {
@@ -306,7 +311,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
         }
 
         if S::SAMPLES_EMITTERS && lit && !info.delta && !scene.emitters().is_empty() {
-            self.sample_light::<O>(context, &here);
+            self.sample_light(context, &here, observer);
         }
         // The constant again: where nothing splits, the path of a sample is not even compiled.
         if S::Bsdf::DIFFERENTIAL && here.splits && !self.beta.is_black() {
@@ -320,7 +325,12 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
 
     /// Samples a light, to be seen if the shadow ray is free.
     #[inline(always)]
-    fn sample_light<O: Observer<R>>(&mut self, context: &Context<R>, here: &Here<R, S>) {
+    fn sample_light<O: Observer<R>>(
+        &mut self,
+        context: &Context<R>,
+        here: &Here<R, S>,
+        observer: &mut O,
+    ) {
         let &Context {
             scene,
             theta,
@@ -430,6 +440,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
             self.direct += beta * change * le * (w - weight);
         }
         if O::ENABLED {
+            observer.aims(&sample);
             self.sampled = Some(SampledLight {
                 emitter,
                 emission,

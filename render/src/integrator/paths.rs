@@ -21,11 +21,11 @@ use crate::math::Rgb;
 use crate::parallel;
 use crate::params::Theta;
 use crate::sampler::Sampler;
-use crate::scene::Caustics;
+use crate::scene::{Caustics, Scene};
 
 /// The image is split into this many jobs, whatever the number of threads, and their sums are added in
 /// order.
-const JOBS: usize = 128;
+pub(super) const JOBS: usize = 128;
 
 /// `[component][height][width][3]` of a tile, added up, and what went wrong there; empty if it was cut short.
 pub(super) type TileSums = (Vec<f64>, NonFinite);
@@ -189,6 +189,31 @@ pub(super) fn gradient<P: Float, S: Strategy, X: Sampler>(
     pass.sums::<S, X>(active, large, each)
 }
 
+/// The sums of jobs that add up sample by sample.
+pub(super) fn collect_parts<'a>(
+    scene: &Scene,
+    active: &Active,
+    parts: impl IntoIterator<Item = (Sink<'a>, NonFinite)>,
+) -> GradientSums {
+    let mut sums = GradientSums::zero(active);
+    let mut noise = (!active.scales.is_empty()).then(|| Noise {
+        pixels: vec![PixelNoise::default(); scene.film.pixels()],
+        variances: vec![0.0; active.ranges.len()],
+    });
+    for (part, non_finite) in parts {
+        add(&mut sums.small, &part.small);
+        sums.non_finite.merge(&non_finite);
+        if let (Some(noise), Some(watch)) = (&mut noise, part.watch) {
+            let (pixels, variances) = watch.finished();
+            add(&mut noise.variances, &variances);
+            for (pixel, found) in pixels {
+                noise.pixels[pixel] = found;
+            }
+        }
+    }
+    GradientSums { noise, ..sums }
+}
+
 impl<P: Float> Pass<'_, P> {
     /// All paths. The large ranges are added to `large`.
     pub fn sums<S: Strategy, X: Sampler>(
@@ -199,26 +224,9 @@ impl<P: Float> Pass<'_, P> {
     ) -> GradientSums {
         let new = || Sink::of_samples(active, large);
         let (parts, non_finite) = self.paths::<S, X, _>(active, JOBS, new, each);
-        let mut small = vec![0.0; active.small_len];
-        let mut noise = (!active.scales.is_empty()).then(|| Noise {
-            pixels: vec![PixelNoise::default(); self.scene.film.pixels()],
-            variances: vec![0.0; active.ranges.len()],
-        });
-        for part in parts {
-            add(&mut small, &part.small);
-            if let (Some(noise), Some(watch)) = (&mut noise, part.watch) {
-                let (pixels, variances) = watch.finished();
-                add(&mut noise.variances, &variances);
-                for (pixel, found) in pixels {
-                    noise.pixels[pixel] = found;
-                }
-            }
-        }
-        GradientSums {
-            small,
-            non_finite,
-            noise,
-        }
+        let parts = parts.into_iter().map(|sink| (sink, NonFinite::default()));
+        let sums = collect_parts(self.scene, active, parts);
+        GradientSums { non_finite, ..sums }
     }
 
     /// [`Pass::sums`] of the derivative of `<adjoint, image>`, by waves.

@@ -2,7 +2,7 @@
 
 use ad_core::Real;
 
-use super::integrals::every;
+use super::integrals::{Wanted, every};
 use super::job::Job;
 use super::pass::{Integral, Pass, Question};
 pub use super::progress::Progress;
@@ -10,7 +10,7 @@ pub use super::rendering::{Components, NonFinite, Rendering};
 pub use super::tile::TILE;
 use crate::error::RenderError;
 use crate::estimator::{self, Strategy, Unbiased};
-use crate::params::Theta;
+use crate::params::{ParamInfo, Theta};
 use crate::sampler::Sampler;
 
 /// Renders the samples `samples` of every pixel with seed `seed`.
@@ -31,6 +31,7 @@ pub fn render<R: Components, S: Unbiased, X: Sampler>(
         for info in scene.params().infos() {
             if theta.moves(scene.params().handle(info)) {
                 estimator::check_parameter::<S>(info)?;
+                scene.admits_motion(info)?;
             }
         }
     }
@@ -50,7 +51,14 @@ pub(crate) fn unchecked<R: Components, S: Strategy, X: Sampler>(
         pass: &pass,
         sum: Rendering::black(scene.film.crop_size, &pass.samples, R::COUNT),
     };
-    every::<S::Runs, X>(pass.caustics, job.progress, &mut question);
+    let moves =
+        |info: &ParamInfo| info.kind.is_motion() && theta.moves(scene.params().handle(info));
+    let wanted = Wanted {
+        caustics: pass.caustics,
+        light: true,
+        motion: !R::IS_PRIMAL && scene.params().infos().iter().any(moves),
+    };
+    every::<S::Runs, X>(wanted, job.progress, &mut question);
     question.sum
 }
 

@@ -62,7 +62,7 @@ const JOBS: usize = 16;
 /// Memory: as the gradient. The result depends on the arguments only, not on the number of threads.
 ///
 /// # Errors
-/// Images or a direction of the wrong size.
+/// Images or a direction of the wrong size, or parameters that move something.
 pub fn hessian_vector<P: Float, X: Sampler>(
     job: &Job,
     theta: &Theta<P>,
@@ -75,6 +75,7 @@ pub fn hessian_vector<P: Float, X: Sampler>(
     } = job;
     check_size("adjoint image", scene, adjoint)?;
     check_size("tangent of the adjoint image", scene, adjoint_tangent)?;
+    active.check_motion::<DetachedMis>()?;
     if direction.len() != active.len() {
         return Err(RenderError::WrongLength {
             what: "direction",
@@ -130,7 +131,7 @@ impl NormalEquations {
 /// not on the number of threads.
 ///
 /// # Errors
-/// Images of the wrong size, more than [`MAX_VALUES`] values, or fewer than two samples.
+/// Images of the wrong size, more than [`MAX_VALUES`] values, fewer than two samples, or parameters that move something.
 pub fn gauss_newton<P: Float, X: Sampler>(
     job: &Job,
     theta: &Theta<P>,
@@ -142,6 +143,7 @@ pub fn gauss_newton<P: Float, X: Sampler>(
     } = job;
     check_size("adjoint image", scene, adjoint)?;
     check_size("weights", scene, weights)?;
+    active.check_motion::<DetachedMis>()?;
     let n = active.len();
     if n > MAX_VALUES {
         return Err(RenderError::Count {

@@ -108,6 +108,16 @@ pub(super) fn spot<P: Float, X: Sampler>(
     ([centre(px) + dx, centre(py) + dy], sampler)
 }
 
+/// The point of the image that a sample of a pass sees.
+pub(super) fn film_point<P: Float, X: Sampler>(
+    scene: &Scene,
+    points: Points,
+    seed: u64,
+    at: &Sample,
+) -> [P; 2] {
+    spot::<P, X>(scene, points, seed, at.pixel, at.index).0
+}
+
 /// What a filter that is negative in places makes of the sample that [`spot`] places.
 fn weight<P: Float, X: Sampler>(
     scene: &Scene,

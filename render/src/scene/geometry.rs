@@ -280,13 +280,9 @@ impl Geometry {
         self.edges.get_or_init(|| Edges::of(&self.shapes))
     }
 
-    /// Which shapes parameters move for which `moves` holds.
-    pub fn moved(&self, moves: impl Fn(ParamRef) -> bool) -> Vec<bool> {
-        let mut moved = vec![false; self.shapes.len()];
-        for &(shape, p) in &self.reads {
-            moved[shape as usize] |= moves(p);
-        }
-        moved
+    /// Parameters that shapes read, with the shape.
+    pub fn reads(&self) -> &[(u32, ParamRef)] {
+        &self.reads
     }
 
     /// Whether it depends on a parameter for which `changed` holds.

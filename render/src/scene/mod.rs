@@ -674,9 +674,15 @@ impl Scene {
         }
     }
 
-    /// Per shape, whether parameters for which `moves` holds move it.
-    pub(crate) fn moved_shapes(&self, moves: impl Fn(ParamRef) -> bool) -> Vec<bool> {
-        self.geometry.moved(moves)
+    /// Index of the shape that a primitive belongs to.
+    #[inline]
+    pub(crate) fn shape_of(&self, prim: u32) -> u32 {
+        self.geometry.prims[prim as usize].shape
+    }
+
+    /// Parameters that move shapes, each with one of the shapes.
+    pub(crate) fn movers(&self) -> &[(u32, ParamRef)] {
+        self.geometry.reads()
     }
 
     /// Index in the scene of a shape's primitive.

@@ -1,7 +1,9 @@
 //! What may move, and becomes a parameter when somebody asks for it.
 
-use super::Scene;
+use super::{Scene, ShapeInfo};
 use crate::accel::MAX_COORDINATE;
+use crate::bsdf::nesting::scatters_deltas;
+use crate::bsdf::{Bsdf, TextureRef};
 use crate::camera::FovAxis;
 use crate::emitter::{AnyEmitter, Emitter};
 use crate::error::RenderError;
@@ -215,10 +217,11 @@ impl Scene {
     pub fn make_movable<N: AsRef<str>>(&mut self, names: &[N]) -> Result<(), RenderError> {
         let mut movables = None;
         for name in names {
-            let name = self.canonical(name.as_ref());
-            if self.params.find(&name).is_ok() {
+            let given = name.as_ref();
+            if self.params.find(given).is_ok() {
                 continue;
             }
+            let name = self.canonical(given);
             let all = movables.get_or_insert_with(|| self.movables());
             let Some(found) = all.iter().find(|m| m.name == name) else {
                 let known = self.params.infos().iter().map(|i| &i.name);
@@ -226,13 +229,17 @@ impl Scene {
                 return Err(RenderError::unknown_parameter(&name, known));
             };
             let found = found.clone();
-            self.materialise(&found)?;
+            let p = match self.params.find(&name) {
+                Ok(info) => self.params.handle(info),
+                Err(_) => self.materialise(&found)?,
+            };
+            self.params.alias(p, given.to_owned());
         }
         Ok(())
     }
 
     /// The name that a parameter has here, where Mitsuba calls it otherwise.
-    pub fn canonical(&self, name: &str) -> String {
+    fn canonical(&self, name: &str) -> String {
         if let Some(shape) = name.strip_suffix(".positions") {
             return format!("{shape}.vertex_positions");
         }
@@ -242,7 +249,7 @@ impl Scene {
         name.into()
     }
 
-    fn materialise(&mut self, movable: &Movable) -> Result<(), RenderError> {
+    fn materialise(&mut self, movable: &Movable) -> Result<ParamRef, RenderError> {
         let values = match movable.what {
             What::Shape(_, part) | What::Camera(part) => part.rest().to_vec(),
             What::Fov => vec![self.camera.fov().0 as f32],
@@ -279,12 +286,48 @@ impl Scene {
             What::Fov => self.camera.set_fov(p),
             What::Emitter(e) => self.emitters[e as usize].make_movable(p),
         }
+        Ok(p)
+    }
+
+    /// Whether paths whose vertices move with this parameter have a derivative in it: nothing may scatter along Dirac
+    /// deltas, and textures may not jump where they slide.
+    ///
+    /// # Errors
+    /// Names the parameter, and the shape. None for parameters that move nothing.
+    pub fn admits_motion(&self, info: &ParamInfo) -> Result<(), RenderError> {
+        if !info.kind.is_motion() {
+            return Ok(());
+        }
+        let refuse = |shape: &ShapeInfo, why: &str| RenderError::Motion {
+            name: info.name.clone(),
+            culprit: format!("`{}` {why}", shape.name),
+        };
+        let smooth = |i: &&ShapeInfo| scatters_deltas(&self.materials[i.material as usize]);
+        if let Some(shape) = self.infos.iter().find(smooth) {
+            let why = "scatters along a Dirac delta, between vertices of which one moves";
+            return Err(refuse(shape, why));
+        }
+        let p = self.params.handle(info);
+        for ((i, own), shape) in (0..).zip(&self.infos).zip(self.shapes()) {
+            let slides = info.kind == ParamKind::Camera || self.movers().contains(&(i, p));
+            if slides && self.jumps(own, shape) {
+                return Err(refuse(own, "has a texture that jumps where it slides"));
+            }
+        }
         Ok(())
     }
 
-    /// Whether a parameter moves something: a shape, the camera or a light.
-    pub fn is_motion(info: &ParamInfo) -> bool {
-        info.kind >= ParamKind::Position
+    /// Whether a texture of a shape does: between texels, or where its coordinates begin again.
+    fn jumps(&self, info: &ShapeInfo, shape: &AnyShape) -> bool {
+        let round = matches!(
+            shape,
+            AnyShape::Sphere(_) | AnyShape::Cylinder(_) | AnyShape::Disk(_)
+        );
+        let jumps = |t: TextureRef| t.jumps() || (round && !t.closes());
+        let mut any = false;
+        self.materials[info.material as usize].visit_textures(&mut |t| any |= jumps(t));
+        let emitted = info.emitter.map(|e| self.emitters[e as usize].radiance());
+        any || emitted.is_some_and(|t| jumps(TextureRef::Rgb(t)))
     }
 }
 

@@ -73,6 +73,10 @@ impl Shape for Cube {
         self.faces[prim as usize].coordinates(si)
     }
 
+    fn locate<P: Float>(&self, prim: u32, p: Vec3<P>) -> SurfaceCoordinates<P> {
+        self.faces[prim as usize].locate(p)
+    }
+
     fn point_at<R: Real>(
         &self,
         _theta: &Theta<R>,

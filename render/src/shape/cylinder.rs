@@ -169,6 +169,14 @@ impl Shape for Cylinder {
         SurfaceCoordinates(Vec2::new(turn(y, x), si.uv.y))
     }
 
+    fn locate<P: Float>(&self, _prim: u32, p: Vec3<P>) -> SurfaceCoordinates<P> {
+        let from_p0 = p - lift3(self.p0);
+        let [x, y] = self.round::<P>().map(|a| a.dot(from_p0));
+        let axis = lift3::<P>(self.axis);
+        let height = axis.dot(from_p0) / axis.length_squared();
+        SurfaceCoordinates(Vec2::new(turn(y, x), height))
+    }
+
     fn point_at<R: Real>(
         &self,
         _theta: &Theta<R>,

@@ -2,7 +2,7 @@
 
 use std::f64::consts::PI;
 
-use ad_core::{Dual, Float, Real, Vec2};
+use ad_core::{Dual, Float, Real, Vec2, Vec3};
 
 use super::partials::{constant, variables};
 use super::patch::intersect_plane;
@@ -99,6 +99,10 @@ impl Shape for Disk {
         si: &SurfaceInteraction<P>,
     ) -> SurfaceCoordinates<P> {
         coordinates_in_plane(si.p, self.center, self.e1, self.e2)
+    }
+
+    fn locate<P: Float>(&self, _prim: u32, p: Vec3<P>) -> SurfaceCoordinates<P> {
+        coordinates_in_plane(p, self.center, self.e1, self.e2)
     }
 
     #[inline]

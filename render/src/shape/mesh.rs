@@ -445,8 +445,12 @@ impl Shape for Mesh {
         if self.data.mesh.uvs.is_empty() {
             return SurfaceCoordinates(si.uv);
         }
+        self.locate(prim, si.p)
+    }
+
+    fn locate<P: Float>(&self, prim: u32, p: Vec3<P>) -> SurfaceCoordinates<P> {
         let (v0, [e1, e2]) = self.data.single_edges(prim as usize);
-        coordinates_in_plane(si.p, v0, e1, e2)
+        coordinates_in_plane(p, v0, e1, e2)
     }
 
     fn point_at<R: Real>(

@@ -371,6 +371,9 @@ pub trait Shape: Send + Sync {
     fn coordinates<P: Float>(&self, prim: u32, si: &SurfaceInteraction<P>)
     -> SurfaceCoordinates<P>;
 
+    /// Surface coordinates of the point of primitive `prim` next to `p`.
+    fn locate<P: Float>(&self, prim: u32, p: Vec3<P>) -> SurfaceCoordinates<P>;
+
     /// The point of primitive `prim` with the surface coordinates `at`, seen along no ray: `t` is zero.
     ///
     /// # Derivatives
@@ -649,6 +652,9 @@ macro_rules! shapes {
             }
             fn coordinates<P: Float>(&self, prim: u32, si: &SurfaceInteraction<P>) -> SurfaceCoordinates<P> {
                 match self { $(Self::$hot(s) => s.coordinates(prim, si),)* $(Self::$name(s) => s.coordinates(prim, si),)* }
+            }
+            fn locate<P: Float>(&self, prim: u32, p: Vec3<P>) -> SurfaceCoordinates<P> {
+                match self { $(Self::$hot(s) => s.locate(prim, p),)* $(Self::$name(s) => s.locate(prim, p),)* }
             }
             fn point_at<R: Real>(
                 &self, theta: &Theta<R>, prim: u32, at: SurfaceCoordinates<R>,

@@ -4,8 +4,8 @@ use ad_core::{Const, Float, Real, Vec2, Vec3};
 
 use super::partials::{constant, variables};
 use super::{
-    Partials, Shape, ShapeSample, SurfaceCoordinates, SurfaceInteraction, double, hit_is_exact,
-    lift3, misplaced,
+    Partials, Shape, ShapeSample, SurfaceCoordinates, SurfaceInteraction, coordinates_in_plane,
+    double, hit_is_exact, lift3, misplaced,
 };
 use crate::accel::{Hit, MAX_COORDINATE, MIN_THICKNESS, Primitive};
 use crate::error::SceneError;
@@ -121,6 +121,11 @@ impl Patch {
         SurfaceCoordinates(si.uv)
     }
 
+    /// See [`Shape::locate`].
+    pub fn locate<P: Float>(&self, p: Vec3<P>) -> SurfaceCoordinates<P> {
+        coordinates_in_plane(p, self.corner, self.e1, self.e2)
+    }
+
     /// See [`Shape::point_at`].
     #[inline(always)]
     pub fn point_at<R: Real>(&self, at: SurfaceCoordinates<R>) -> SurfaceInteraction<R> {
@@ -223,6 +228,9 @@ impl Shape for Rectangle {
         si: &SurfaceInteraction<P>,
     ) -> SurfaceCoordinates<P> {
         self.0.coordinates(si)
+    }
+    fn locate<P: Float>(&self, _prim: u32, p: Vec3<P>) -> SurfaceCoordinates<P> {
+        self.0.locate(p)
     }
     fn point_at<R: Real>(
         &self,

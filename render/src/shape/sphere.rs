@@ -311,6 +311,10 @@ impl Shape for Sphere {
         self.place(self.side(si.n_geo))
     }
 
+    fn locate<P: Float>(&self, _prim: u32, p: Vec3<P>) -> SurfaceCoordinates<P> {
+        self.place((p - lift3(self.center)).normalize())
+    }
+
     fn point_at<R: Real>(
         &self,
         _theta: &Theta<R>,

@@ -181,6 +181,15 @@ impl<const C: usize> Texture<C> {
         }
     }
 
+    /// Whether its values jump between texels or fields.
+    pub(crate) fn jumps(&self) -> bool {
+        match self {
+            Self::Constant(_) => false,
+            Self::Bitmap(t) => t.nearest,
+            Self::Checkerboard(_) => true,
+        }
+    }
+
     /// Whether any of its ranges satisfies `f`.
     #[inline]
     pub fn any_param(&self, mut f: impl FnMut(ParamRef) -> bool) -> bool {

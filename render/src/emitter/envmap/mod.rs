@@ -16,7 +16,7 @@ use crate::film::Image;
 use crate::image_io::Encoding;
 use crate::math::{NOWHERE, Rgb, Transform, each};
 use crate::motion::Placement;
-use crate::params::{ParamRef, ParamShape, Params};
+use crate::params::{GradSink, ParamRef, ParamShape, Params, Theta};
 use crate::plugin::{FromNode, Node, Registry};
 use crate::shape::{SurfaceInteraction, lift3, turn};
 use crate::texture::{self, Bitmap, RgbTexture, Texture, UvTransform, Wrap};
@@ -266,6 +266,7 @@ impl Emitter for Envmap {
             distance: P::of(f64::INFINITY),
             normals: [Vec3::zero(); 2],
             surface: NOWHERE,
+            prim: 0,
             pdf: P::of(draw.density * 0.25 * FRAC_1_PI),
             emission: Emission {
                 uv: Vec2::new(P::of(u), P::of(v)),
@@ -314,6 +315,19 @@ impl Emitter for Envmap {
 
     fn moved_by(&self) -> Option<ParamRef> {
         self.turned.rotation
+    }
+
+    fn scatter_turn<P: Float>(
+        &self,
+        theta: &Theta<P>,
+        d: Vec3<P>,
+        adjoint: Vec3<P>,
+        grad: &mut impl GradSink<P>,
+    ) {
+        let mut wrench = self.turned.wrench(theta);
+        // Who turns along sees the direction turn back.
+        wrench.direction(d, -adjoint);
+        self.turned.scatter(theta, &wrench, grad);
     }
 }
 

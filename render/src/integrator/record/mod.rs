@@ -17,7 +17,7 @@ pub use recorder::{Recorder, SumSink};
 use super::direct::{Departure, EmitterDraw, FoundEdge};
 pub use super::vertex::interest::Interest;
 use crate::bsdf::{Component, Part, TransportMode};
-use crate::emitter::Emission;
+use crate::emitter::{Emission, EmitterSample};
 use crate::math::Rgb;
 use crate::scene::Scene;
 use crate::shape::{SurfaceCoordinates, SurfaceInteraction};
@@ -176,6 +176,10 @@ pub trait Observer<R: Real>: Interest {
     fn vertex(&mut self, _beta: Rgb<R>, _place: &Place<R>) {}
     /// Something happened at the vertex reached last, or at the start, or on the edge from there.
     fn contribution(&mut self, _contribution: Contribution<R>) {}
+    /// The edge from the last vertex, or from the start, ended at this primitive, whether or not it becomes a vertex.
+    fn arrives(&mut self, _prim: u32, _si: &SurfaceInteraction<R>) {}
+    /// A light was sampled at the vertex reached last, visible or not.
+    fn aims(&mut self, _sample: &EmitterSample<R::Primal>) {}
     /// A sample of the derivative of the distribution of normals took so many edges, whatever it met.
     fn branch(&mut self, _edges: u32) {}
 }

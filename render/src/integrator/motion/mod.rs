@@ -1,0 +1,183 @@
+//! What shapes, cameras and lights that move do to light, as far as nothing becomes visible or hidden: the interior term.
+//!
+//! It is an integral of its own, with samples of its own: ordinary paths over plain numbers, whose vertices are then moved
+//! one by one ([`pull_back`]). Images get nothing from it but derivatives. Forward mode contracts the same adjoints, channel
+//! by channel, with the tangents of the parameters, so that both modes are one linear map.
+//!
+//! Light from afar comes from a direction that is a constant in the world, also where an environment turns: then what it
+//! sends from there changes.
+//!
+//! # Does not handle
+//! Boundaries (F10): what is hidden stays hidden. Dirac deltas and textures that jump are refused
+//! ([`Scene::admits_motion`](crate::Scene::admits_motion)).
+
+mod pull_back;
+mod trail;
+
+use ad_core::{Const, Float, Real, array};
+
+use self::pull_back::PullBack;
+use self::trail::Trail;
+use super::active::Active;
+use super::exact::ExactBuffer;
+use super::pass::Pass;
+use super::path::Context;
+use super::paths::{JOBS, TileSums, assemble, collect_parts};
+use super::rendering::{Components, NonFinite, Rendering};
+use super::sink::{GradientSums, Sink};
+use super::tile::{Paths, Sample, film_point, place};
+use crate::estimator::Strategy;
+use crate::math::Rgb;
+use crate::parallel;
+use crate::params::{GradSink, ParamRef, Theta};
+use crate::sampler::Sampler;
+use crate::scene::Caustics;
+
+/// The adjoints of one sample: only once all of them are known to be numbers, they count.
+struct Held<'a> {
+    active: &'a Active,
+    found: Vec<(ParamRef, u32, f64)>,
+}
+
+impl<P: Float> GradSink<P> for Held<'_> {
+    fn active(&self, p: ParamRef) -> bool {
+        self.active.contains(p)
+    }
+
+    fn add(&mut self, p: ParamRef, i: usize, d: P) {
+        if self.active.contains(p) {
+            self.found.push((p, i as u32, d.to_f64()));
+        }
+    }
+}
+
+impl<'a> Held<'a> {
+    fn new(active: &'a Active) -> Self {
+        Self {
+            active,
+            found: Vec::new(),
+        }
+    }
+
+    fn is_finite(&self) -> bool {
+        self.found.iter().all(|(_, _, d)| d.is_finite())
+    }
+}
+
+/// The paths of a pass, over plain numbers: all light is theirs, whoever else finds caustics.
+fn context<'a, R: Real>(
+    pass: &'a Pass<'a, R>,
+    theta: &'a Theta<'a, R::Primal>,
+) -> Context<'a, R::Primal> {
+    Context {
+        scene: pass.scene,
+        theta,
+        settings: pass.settings,
+        shifts: &[],
+        caustics: Caustics::Paths,
+        progress: pass.progress,
+    }
+}
+
+/// What moves in derivative images.
+pub(super) fn image<R: Components, S: Strategy, X: Sampler>(pass: &Pass<R>) -> Rendering {
+    let scene = pass.scene;
+    let theta = pass.theta.primal();
+    let infos = scene.params().infos().iter();
+    let moving: Vec<_> = infos
+        .filter(|info| pass.theta.moves(scene.params().handle(info)))
+        .collect();
+    let active = Active::of(scene, &moving);
+    let context = context(pass, &theta);
+    let tiles = pass.tiles();
+    let spp = pass.samples.end.saturating_sub(pass.samples.start) as f64;
+    let sums = parallel::map(tiles.len(), |i| -> TileSums {
+        let tile = &tiles[i];
+        let pixels = tile.pixels();
+        let mut non_finite = NonFinite::default();
+        if pass.progress.cancelled() {
+            return (Vec::new(), non_finite);
+        }
+        let mut sums = vec![0.0; R::COUNT * pixels * 3];
+        let mut paths = Paths::<R::Primal, S, X, _>::new(Trail::default());
+        let mut pull_back = PullBack::new(scene, &theta, &active);
+        let mut held = Held::new(&active);
+        let done = |at: usize, sample: Sample, l: Rgb<R::Primal>, trail: &mut Trail<R::Primal>| {
+            let film = film_point::<R::Primal, X>(scene, pass.settings.points, pass.seed, &sample);
+            let mut tangents = [R::zero(); 3];
+            let mut finite = l.is_finite();
+            for c in 0..3 {
+                held.found.clear();
+                let unit = |i| R::Primal::select(i == c, R::Primal::one(), R::Primal::zero());
+                pull_back.add(trail, film, array(unit).into(), &mut held);
+                finite &= held.is_finite();
+                for &(p, i, d) in &held.found {
+                    let x = pass.theta.get(p, i as usize);
+                    tangents[c] += (x - Const(x.primal())) * R::c(d);
+                }
+            }
+            trail.clear();
+            if !(finite && Rgb::from(tangents).is_finite()) {
+                non_finite.add(place(scene, sample.pixel) as u64, sample.index);
+                return;
+            }
+            let weight = spp * sample.scale();
+            for k in 0..R::COUNT {
+                for c in 0..3 {
+                    sums[(k * pixels + at) * 3 + c] += weight * tangents[c].component(k);
+                }
+            }
+        };
+        tile.trace(&context, pass.seed, &pass.samples, &mut paths, done);
+        if pass.progress.cancelled() {
+            return (Vec::new(), NonFinite::default());
+        }
+        pass.progress.advance(pixels as u64);
+        (sums, non_finite)
+    });
+    assemble(pass, R::COUNT, &sums)
+}
+
+/// The derivative of `<adjoint, image>` in what moves. The large ranges are added to `large`.
+pub(super) fn gradient<P: Float, S: Strategy, X: Sampler>(
+    pass: &Pass<P>,
+    active: &Active,
+    adjoint: &[f32],
+    large: &ExactBuffer,
+) -> GradientSums {
+    let (scene, theta) = (pass.scene, pass.theta);
+    let context = context(pass, theta);
+    let tiles = pass.tiles();
+    let jobs = JOBS.min(tiles.len());
+    let parts = parallel::map(jobs, |job| {
+        let mut sink = Sink::of_samples(active, large);
+        let mut non_finite = NonFinite::default();
+        let mut paths = Paths::<P, S, X, _>::new(Trail::default());
+        let mut pull_back = PullBack::new(scene, theta, active);
+        let mut held = Held::new(active);
+        for tile in tiles.iter().skip(job).step_by(jobs) {
+            if pass.progress.cancelled() {
+                break;
+            }
+            let done = |_, sample: Sample, l: Rgb<P>, trail: &mut Trail<P>| {
+                let film = film_point::<P, X>(scene, pass.settings.points, pass.seed, &sample);
+                let d = sample.of_image::<P>(adjoint, scene) * P::of(sample.scale());
+                held.found.clear();
+                pull_back.add(trail, film, d, &mut held);
+                if l.is_finite() && held.is_finite() {
+                    for &(p, i, d) in &held.found {
+                        GradSink::<f64>::add(&mut sink, p, i as usize, d);
+                    }
+                    sink.finish(scene, sample, trail.stops.len() as u32 + 1);
+                } else {
+                    non_finite.add(place(scene, sample.pixel) as u64, sample.index);
+                }
+                trail.clear();
+            };
+            tile.trace(&context, pass.seed, &pass.samples, &mut paths, done);
+            pass.progress.advance(tile.pixels() as u64);
+        }
+        (sink, non_finite)
+    });
+    collect_parts(scene, active, parts)
+}

@@ -1,0 +1,443 @@
+//! The adjoint of a path whose vertices move, vertex by vertex.
+
+use ad_core::{Dual, Float, Vec2, Vec3};
+
+use super::trail::{Edge, Stop, Trail};
+use crate::bsdf::{Bsdf, Component, Material, Shading};
+use crate::emitter::{AnyEmitter, Emitter, EmitterSample};
+use crate::integrator::active::Active;
+use crate::integrator::record::{MetLight, Place};
+use crate::integrator::vertex::MODE;
+use crate::math::{Frame, Ray, RayAdjoint, Rgb};
+use crate::params::{GradSink, Theta};
+use crate::scene::Scene;
+use crate::shape::{Shape, SurfaceAdjoint, SurfaceInteraction};
+
+/// A point that may move, and its adjoint.
+#[derive(Clone, Copy, Debug)]
+struct Point<P> {
+    prim: u32,
+    si: SurfaceInteraction<P>,
+    moves: bool,
+    d: SurfaceAdjoint<P>,
+    /// Of the logarithm of the area around it.
+    d_log_area: P,
+}
+
+/// What light comes from.
+#[derive(Clone, Copy)]
+enum Source<P> {
+    /// A point, by its number.
+    Point(usize),
+    /// Far away: a direction that is a constant, world space.
+    Afar,
+    /// A point that is a light.
+    Light(Vec3<P>),
+}
+
+/// The slopes of a sum over the channels of a material's value.
+struct Slopes<P> {
+    wo: Vec3<P>,
+    wi: Vec3<P>,
+    uv: Vec2<P>,
+}
+
+/// Two unit vectors at right angles to a unit vector and each other.
+fn across<P: Float>(d: Vec3<P>) -> [Vec3<P>; 2] {
+    let frame = Frame::from_normal(d);
+    [frame.s, frame.t]
+}
+
+/// `d` as it varies across itself, by the tangents `first` and the next.
+fn varied<P: Float, const N: usize>(d: Vec3<P>, first: usize) -> Vec3<Dual<P, N>> {
+    let [a, b] = across(d);
+    let var = |k| Dual::<P, N>::var(P::zero(), k);
+    Vec3::lift(d) + Vec3::lift(a) * var(first) + Vec3::lift(b) * var(first + 1)
+}
+
+/// The slope of a sum over channels, along tangent `k`.
+fn slope<P: Float, const N: usize>(value: &Rgb<Dual<P, N>>, a: Rgb<P>, k: usize) -> P {
+    value.r.eps[k] * a.r + value.g.eps[k] * a.g + value.b.eps[k] * a.b
+}
+
+/// The slopes of `a . f` at a vertex.
+fn slopes<P: Float, const N: usize>(
+    material: &Material,
+    theta: &Theta<P>,
+    place: &Place<P>,
+    wi: Vec3<P>,
+    component: Component,
+    a: Rgb<P>,
+) -> Slopes<P> {
+    let mut uv = Vec2::lift(place.si.uv);
+    if N > 4 {
+        uv.x += Dual::var(P::zero(), 4);
+        uv.y += Dual::var(P::zero(), 5);
+    }
+    let at = Shading {
+        theta: theta.lift::<Dual<P, N>>(),
+        uv,
+    };
+    let (o, i) = (varied(place.wo, 0), varied(wi, 2));
+    let f = material.eval_component(&at, o, i, component, MODE);
+    let along = |d: Vec3<P>, first: usize| {
+        let [s, t] = across(d);
+        s * slope(&f, a, first) + t * slope(&f, a, first + 1)
+    };
+    let texture = |k: usize| {
+        if N > 4 { slope(&f, a, k) } else { P::zero() }
+    };
+    Slopes {
+        wo: along(place.wo, 0),
+        wi: along(wi, 2),
+        uv: Vec2::new(texture(4), texture(5)),
+    }
+}
+
+/// Adds the adjoint of a path's radiance to the parameters that move its vertices.
+///
+/// Its first vertex is where a ray through a point of the film meets the surface that moves; all others stay on their
+/// material, and so do their densities, weights and roulette. Then every factor of the path's value depends on three
+/// vertices at most, and each vertex takes one adjoint, of its position, normals and texture coordinates, from the factors
+/// that it appears in. Nothing is handed on along the path.
+///
+/// # Does not handle
+/// What becomes visible or hidden (F10), and Dirac deltas.
+pub(super) struct PullBack<'a, P: Float> {
+    scene: &'a Scene,
+    theta: &'a Theta<'a, P>,
+    active: &'a Active,
+    points: Vec<Point<P>>,
+    /// Adjoint of the direction of the camera's ray.
+    d_camera: Vec3<P>,
+}
+
+impl<'a, P: Float> PullBack<'a, P> {
+    pub fn new(scene: &'a Scene, theta: &'a Theta<'a, P>, active: &'a Active) -> Self {
+        Self {
+            scene,
+            theta,
+            active,
+            points: Vec::new(),
+            d_camera: Vec3::zero(),
+        }
+    }
+
+    /// Adds the derivative of `d_l . L`, where `L` is the radiance of the path through the point `film` of the image.
+    pub fn add(
+        &mut self,
+        trail: &Trail<P>,
+        film: [P; 2],
+        d_l: Rgb<P>,
+        grad: &mut impl GradSink<P>,
+    ) {
+        self.d_camera = Vec3::zero();
+        self.points.clear();
+        for stop in &trail.stops {
+            self.push(stop.place.prim, stop.place.si);
+        }
+        // An end that is no vertex.
+        let last = trail.stops.last().map_or(&trail.first, |stop| &stop.edge);
+        if let Some((prim, si)) = last.end {
+            self.push(prim, si);
+        }
+        let ray: Ray<P> = self.scene.camera.ray(film[0], film[1]);
+        let mut next = Rgb::black();
+        for (k, stop) in trail.stops.iter().enumerate().rev() {
+            next = self.stop(k, stop, next, d_l, grad);
+        }
+        for met in &trail.first.met {
+            let end = trail.first.end.map(|_| 0);
+            self.emission(None, end, met.emitter, ray.d, d_l * met.weight, grad);
+        }
+        self.scatter(&ray, film, grad);
+    }
+
+    fn push(&mut self, prim: u32, si: SurfaceInteraction<P>) -> usize {
+        let shape = self.scene.shape_of(prim);
+        let first = self.points.is_empty();
+        self.points.push(Point {
+            prim,
+            si,
+            moves: self.active.moves_shape(shape) || (first && self.active.moves_camera()),
+            d: SurfaceAdjoint::zero(),
+            d_log_area: P::zero(),
+        });
+        self.points.len() - 1
+    }
+
+    /// The radiance that leaves a vertex where `next` leaves the one behind it.
+    fn stop(
+        &mut self,
+        k: usize,
+        stop: &Stop<P>,
+        next: Rgb<P>,
+        d_l: Rgb<P>,
+        grad: &mut impl GradSink<P>,
+    ) -> Rgb<P> {
+        let mut leaves = Rgb::black();
+        if let Some(b) = &stop.bounce {
+            let arriving = next + self.met(&stop.edge);
+            leaves += b.f * arriving.scale(b.weight);
+            let a = d_l * stop.beta * arriving.scale(b.weight);
+            let end = stop.edge.end.map(|_| k + 1);
+            let source = end.map_or(Source::Afar, Source::Point);
+            self.scattered(k, &stop.place, b.wi, b.component, b.f, a, source);
+            let d = stop.place.si.frame.to_world(b.wi);
+            for met in &stop.edge.met {
+                let a = d_l * stop.beta * b.f.scale(b.weight) * met.weight;
+                self.emission(Some(k), end, met.emitter, d, a, grad);
+            }
+        }
+        if let Some((s, aim)) = &stop.sampled {
+            leaves += s.f * s.le.scale(s.weight);
+            let e = &self.scene.emitters()[s.emitter as usize];
+            let a = d_l * stop.beta * s.le.scale(s.weight);
+            let a_le = d_l * stop.beta * s.f.scale(s.weight);
+            if e.is_delta() {
+                self.delta_light(k, &stop.place, s.wi, s.f, [a, a_le], s.emitter, aim, grad);
+            } else {
+                let end = self.end_of(e, &stop.place, aim);
+                let source = end.map_or(Source::Afar, Source::Point);
+                self.scattered(k, &stop.place, s.wi, Component::Continuous, s.f, a, source);
+                self.emission(Some(k), end, s.emitter, aim.d, a_le, grad);
+            }
+        }
+        leaves
+    }
+
+    /// Light that an edge met, weighed.
+    fn met(&self, edge: &Edge<P>) -> Rgb<P> {
+        let le = |m: &MetLight<P>| {
+            let e = &self.scene.emitters()[m.emitter as usize];
+            e.eval(self.theta, &m.emission).scale(m.weight)
+        };
+        edge.met.iter().map(le).fold(Rgb::black(), |a, b| a + b)
+    }
+
+    /// The point on a surface that was sampled.
+    fn end_of(
+        &mut self,
+        e: &AnyEmitter,
+        place: &Place<P>,
+        aim: &EmitterSample<P>,
+    ) -> Option<usize> {
+        let AnyEmitter::Area(area) = e else {
+            return None;
+        };
+        let prim = self.scene.primitive(area.shape, aim.prim);
+        let at = place.si.p + aim.d * aim.distance;
+        let coordinates = self.scene.shapes()[area.shape as usize].locate(aim.prim, at);
+        let si = self.scene.point_at(&Theta::still(), prim, coordinates);
+        Some(self.push(prim, si))
+    }
+
+    /// The adjoint `d` of the unit vector from point `k` to `to`, as that of `to`; point `k` has the opposite.
+    fn towards(&mut self, k: usize, to: Vec3<P>, d: Vec3<P>) -> Vec3<P> {
+        let v = to - self.points[k].si.p;
+        let inverse = v.length().recip();
+        let n = v * inverse;
+        let d = (d - n * n.dot(d)) * inverse;
+        self.points[k].d.p -= d;
+        d
+    }
+
+    /// The adjoint `local` of the vector `w` in the frame of point `k`, as that of the vector in the world.
+    fn in_world(&mut self, k: usize, w: Vec3<P>, local: Vec3<P>) -> Vec3<P> {
+        let point = &mut self.points[k];
+        let world = point.si.frame.to_world(w);
+        point.d.frame.s += world * local.x;
+        point.d.frame.t += world * local.y;
+        point.d.frame.n += world * local.z;
+        point.si.frame.to_world(local)
+    }
+
+    /// A value `f` of the material of point `k` with the adjoint `a`, for light from `source`. The adjoint of the place of
+    /// a source that is a light.
+    #[allow(clippy::too_many_arguments)]
+    fn scattered(
+        &mut self,
+        k: usize,
+        place: &Place<P>,
+        wi: Vec3<P>,
+        component: Component,
+        f: Rgb<P>,
+        a: Rgb<P>,
+        source: Source<P>,
+    ) -> Vec3<P> {
+        let before = match k {
+            0 => self.active.moves_camera(),
+            _ => self.points[k - 1].moves,
+        };
+        let behind = match source {
+            Source::Point(j) => self.points[j].moves,
+            Source::Afar => false,
+            Source::Light(_) => true,
+        };
+        if a.is_black() || !(before || self.points[k].moves || behind) {
+            return Vec3::zero();
+        }
+        let material = self.scene.material(place.shape);
+        // Only on the first vertex does the texture slide.
+        let s = if k == 0 {
+            slopes::<P, 6>(material, self.theta, place, wi, component, a)
+        } else {
+            slopes::<P, 4>(material, self.theta, place, wi, component, a)
+        };
+        self.points[k].d.uv += s.uv;
+        let d_o = self.in_world(k, place.wo, s.wo);
+        if k == 0 {
+            self.d_camera -= d_o;
+        } else {
+            let from = self.points[k - 1].si.p;
+            let d = self.towards(k, from, d_o);
+            self.points[k - 1].d.p += d;
+        }
+        let d_i = self.in_world(k, wi, s.wi);
+        match source {
+            Source::Afar => Vec3::zero(),
+            Source::Light(at) => self.towards(k, at, d_i),
+            Source::Point(j) => {
+                let to = self.points[j].si;
+                let d = self.towards(k, to.p, d_i);
+                // The solid angle of the area around it: its logarithm has this adjoint.
+                let b = (a * f).sum();
+                let v = to.p - self.points[k].si.p;
+                let foreshortened = b / to.n_geo.dot(v);
+                let d_v = to.n_geo * foreshortened - v * (P::of(3.0) * b / v.length_squared());
+                self.points[k].d.p -= d_v;
+                let end = &mut self.points[j];
+                end.d.p += d + d_v;
+                end.d.n_geo += v * foreshortened;
+                end.d_log_area += b;
+                Vec3::zero()
+            }
+        }
+    }
+
+    /// Light from a point that is a light: `a` and `a_le` are the adjoints of the material's value and of what arrives.
+    #[allow(clippy::too_many_arguments)]
+    fn delta_light(
+        &mut self,
+        k: usize,
+        place: &Place<P>,
+        wi: Vec3<P>,
+        f: Rgb<P>,
+        [a, a_le]: [Rgb<P>; 2],
+        emitter: u32,
+        aim: &EmitterSample<P>,
+        grad: &mut impl GradSink<P>,
+    ) {
+        let e = &self.scene.emitters()[emitter as usize];
+        let moves = self.active.moves_emitter(emitter);
+        let before = k == 0 && self.active.moves_camera() || k > 0 && self.points[k - 1].moves;
+        if !(moves || before || self.points[k].moves) {
+            return;
+        }
+        let at = place.si.p + aim.d * aim.distance;
+        let mut d = self.scattered(k, place, wi, Component::Continuous, f, a, Source::Light(at));
+        let from = place.si.p;
+        let var = |x: P, i: usize| Dual::<P, 3>::var(x, i);
+        let from = Vec3::new(var(from.x, 0), var(from.y, 1), var(from.z, 2));
+        let connection = e.connect(aim, from);
+        let le = e.eval(&self.theta.lift(), &connection.emission);
+        let d_from = Vec3::new(
+            slope(&le, a_le, 0),
+            slope(&le, a_le, 1),
+            slope(&le, a_le, 2),
+        );
+        self.points[k].d.p += d_from;
+        d -= d_from;
+        if let Some(p) = e.moved_by()
+            && moves
+        {
+            grad.add_all(p, 0, d.to_array());
+        }
+    }
+
+    /// Light that arrives with the adjoint `a` in direction `d` from an emitter at point `end`, or from afar, at point
+    /// `from`, or at the camera.
+    fn emission(
+        &mut self,
+        from: Option<usize>,
+        end: Option<usize>,
+        emitter: u32,
+        d: Vec3<P>,
+        a: Rgb<P>,
+        grad: &mut impl GradSink<P>,
+    ) {
+        let e = &self.scene.emitters()[emitter as usize];
+        let moves = match from {
+            None => self.active.moves_camera(),
+            Some(k) => end.is_some() && self.points[k].moves,
+        };
+        let moves = moves || end.is_some_and(|j| self.points[j].moves);
+        if a.is_black() || !(moves || self.active.moves_emitter(emitter)) {
+            return;
+        }
+        type D<P> = Dual<P, 7>;
+        let theta = self.theta.lift::<D<P>>();
+        let direction = varied::<P, 7>(d, 0);
+        let seen = end.map(|j| {
+            let mut si = self.points[j].si.lift::<D<P>>();
+            let n = &mut si.frame.n;
+            let var = |k| D::<P>::var(P::zero(), k);
+            *n = Vec3::new(n.x + var(2), n.y + var(3), n.z + var(4));
+            (si.uv.x, si.uv.y) = (si.uv.x + var(5), si.uv.y + var(6));
+            si
+        });
+        let Some(found) = e.hit(direction, seen.as_ref()) else {
+            return;
+        };
+        let le = e.eval(&theta, &found);
+        let slope = |k: usize| slope(&le, a, k);
+        let [s, t] = across(d);
+        let d_d = s * slope(0) + t * slope(1);
+        match (from, end) {
+            (None, _) => self.d_camera += d_d,
+            (Some(k), Some(j)) => {
+                let to = self.points[j].si.p;
+                let d = self.towards(k, to, d_d);
+                self.points[j].d.p += d;
+            }
+            (Some(_), None) => {}
+        }
+        if let Some(j) = end {
+            let end = &mut self.points[j].d;
+            end.frame.n += Vec3::new(slope(2), slope(3), slope(4));
+            if j == 0 {
+                end.uv += Vec2::new(slope(5), slope(6));
+            }
+        } else if self.active.moves_emitter(emitter) {
+            e.scatter_turn(self.theta, d, d_d, grad);
+        }
+    }
+
+    /// Adds the adjoints of all points.
+    fn scatter(&mut self, ray: &Ray<P>, film: [P; 2], grad: &mut impl GradSink<P>) {
+        let (scene, theta) = (self.scene, self.theta);
+        let mut back = RayAdjoint {
+            o: Vec3::zero(),
+            d: self.d_camera,
+        };
+        for (i, point) in self.points.iter().enumerate().filter(|(_, p)| p.moves) {
+            let Point {
+                prim,
+                si,
+                d,
+                d_log_area,
+                ..
+            } = point;
+            if i == 0 {
+                let own = scene.scatter_interaction(theta, *prim, ray, si, d, grad);
+                back.o += own.o;
+                back.d += own.d;
+            } else {
+                scene.scatter_point(theta, *prim, si, d, *d_log_area, grad);
+            }
+        }
+        if self.active.moves_camera() {
+            scene.camera.scatter_ray(theta, film, &back, grad);
+        }
+    }
+}

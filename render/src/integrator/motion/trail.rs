@@ -1,0 +1,115 @@
+//! What is kept of a path whose vertices move: where each edge ends, besides what records keep.
+
+use ad_core::Float;
+use smallvec::SmallVec;
+
+use crate::emitter::EmitterSample;
+use crate::integrator::record::{
+    Bounce, Contribution, Interest, MetLight, Observer, Place, SampledLight,
+};
+use crate::math::Rgb;
+use crate::shape::SurfaceInteraction;
+
+/// What an edge met.
+#[derive(Clone, Debug)]
+pub(super) struct Edge<P: Float> {
+    /// The primitive and the point; none where it left the scene.
+    pub end: Option<(u32, SurfaceInteraction<P>)>,
+    pub met: SmallVec<[MetLight<P>; 1]>,
+}
+
+impl<P: Float> Default for Edge<P> {
+    fn default() -> Self {
+        Self {
+            end: None,
+            met: SmallVec::new(),
+        }
+    }
+}
+
+/// A vertex, and what happened there and on the edge from there.
+#[derive(Clone, Debug)]
+pub(super) struct Stop<P: Float> {
+    pub beta: Rgb<P>,
+    pub place: Place<P>,
+    pub bounce: Option<Bounce<P>>,
+    pub edge: Edge<P>,
+    pub sampled: Option<(SampledLight<P>, EmitterSample<P>)>,
+}
+
+/// A path from the camera.
+#[derive(Clone, Debug)]
+pub(super) struct Trail<P: Float> {
+    /// From the camera.
+    pub first: Edge<P>,
+    pub stops: Vec<Stop<P>>,
+    /// The light that was sampled last, seen or not.
+    aim: Option<EmitterSample<P>>,
+}
+
+impl<P: Float> Default for Trail<P> {
+    fn default() -> Self {
+        Self {
+            first: Edge::default(),
+            stops: Vec::new(),
+            aim: None,
+        }
+    }
+}
+
+impl<P: Float> Trail<P> {
+    /// Forgets the path.
+    pub fn clear(&mut self) {
+        self.first = Edge::default();
+        self.stops.clear();
+        self.aim = None;
+    }
+
+    fn edge(&mut self) -> &mut Edge<P> {
+        match self.stops.last_mut() {
+            Some(stop) => &mut stop.edge,
+            None => &mut self.first,
+        }
+    }
+}
+
+/// Everything is wanted.
+impl<P: Float> Interest for Trail<P> {}
+
+impl<P: Float> Observer<P> for Trail<P> {
+    fn vertex(&mut self, beta: Rgb<P>, place: &Place<P>) {
+        self.stops.push(Stop {
+            beta,
+            place: *place,
+            bounce: None,
+            edge: Edge::default(),
+            sampled: None,
+        });
+    }
+
+    fn contribution(&mut self, contribution: Contribution<P>) {
+        match contribution {
+            Contribution::Met(met) => self.edge().met.push(met),
+            Contribution::Scattered(bounce) => {
+                if let Some(stop) = self.stops.last_mut() {
+                    stop.bounce = Some(bounce);
+                }
+            }
+            Contribution::Sampled(light) => {
+                if let (Some(stop), Some(aim)) = (self.stops.last_mut(), self.aim) {
+                    stop.sampled = Some((light, aim));
+                }
+            }
+            // Of other strategies, and of particles.
+            _ => {}
+        }
+    }
+
+    fn arrives(&mut self, prim: u32, si: &SurfaceInteraction<P>) {
+        self.edge().end = Some((prim, *si));
+    }
+
+    fn aims(&mut self, sample: &EmitterSample<P>) {
+        self.aim = Some(*sample);
+    }
+}
