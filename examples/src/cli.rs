@@ -260,6 +260,22 @@ impl LoadArgs {
     }
 }
 
+/// Makes what may move a parameter where it is named, and warns of lines that samples of edges do not find.
+///
+/// # Errors
+/// An unknown name.
+pub fn make_movable(scene: &mut Scene, names: &[String]) -> Result<(), ToolError> {
+    scene.make_movable(names)?;
+    if scene.params().infos().iter().any(|i| i.kind.is_motion())
+        && let Some([a, b]) = scene.crossing()
+    {
+        complain!(
+            "warning: `{a}` and `{b}` cross each other: samples of edges miss the line along which they do, as it moves"
+        );
+    }
+    Ok(())
+}
+
 /// `--sampler`, `--lights`, `--caustics`, `--pixels-per-particle` and `--guide`. Reports hold them by name.
 #[derive(Args, Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SampleArgs {

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use render::estimator::{DetachedMis, Interior, Outlines};
+use render::estimator::{AllowBias, DetachedMis, Interior, Outlines, Unbiased};
 use render::instances::{Estimator, render_f64};
 use render::integrator::gradient::{Active, backward};
 use render::params::Theta;
@@ -16,14 +16,18 @@ type ByEdges = Outlines<Interior<DetachedMis>>;
 
 /// Derivatives of the mean of all pixels and channels in double precision, from `runs` seeds.
 fn gradient(s: &Scene, names: &[&str], runs: u64, spp: u64) -> Vec<Estimate> {
+    gradient_by::<ByEdges>(s, names, runs, spp)
+}
+
+fn gradient_by<E: Unbiased>(s: &Scene, names: &[&str], runs: u64, spp: u64) -> Vec<Estimate> {
     let all = values::<f64>(s);
     let theta = Theta::constant(&all);
-    let active = Active::seen_by::<ByEdges, _>(s, names).expect("seen");
+    let active = Active::seen_by::<E, _>(s, names).expect("seen");
     let adjoint = mean_adjoint(s);
     let runs: Vec<Vec<f64>> = (0..runs)
         .map(|seed| {
             let job = Job::new(s, &s.settings, seed, 0..spp, &());
-            let g = backward::<f64, ByEdges, Independent>(&job, &theta, &active, &adjoint);
+            let g = backward::<f64, E, Independent>(&job, &theta, &active, &adjoint);
             let g = g.expect("admitted");
             assert_eq!(g.non_finite.count, 0);
             g.values.concat()
@@ -74,12 +78,21 @@ fn agrees(what: &str, found: &[Estimate], expected: &[Estimate], bias: f64, runs
     let size = expected.iter().fold(0.0, |m: f64, e| m.max(e.mean.abs()));
     let limit = z_limit(found.len(), runs, 1e-3);
     for (i, (a, b)) in found.iter().zip(expected).enumerate() {
-        println!("{what} {i}: {:+.6} +- {:.6}, differences {:+.6} +- {:.6}", a.mean, a.se, b.mean, b.se);
+        println!(
+            "{what} {i}: {:+.6} +- {:.6}, differences {:+.6} +- {:.6}",
+            a.mean, a.se, b.mean, b.se
+        );
     }
     for (i, (a, b)) in found.iter().zip(expected).enumerate() {
         let off = (a.mean - b.mean).abs() - bias * size;
-        assert!(off < limit * a.se.hypot(b.se), "{what} {i}: {a:?}, not {b:?}");
-        assert!(a.se.hypot(b.se) < 0.1 * size, "{what} {i}: {a:?} {b:?} say nothing");
+        assert!(
+            off < limit * a.se.hypot(b.se),
+            "{what} {i}: {a:?}, not {b:?}"
+        );
+        assert!(
+            a.se.hypot(b.se) < 0.15 * size,
+            "{what} {i}: {a:?} {b:?} say nothing"
+        );
     }
 }
 
@@ -114,7 +127,7 @@ const TUBE: &str = r#"<shape type="cylinder" id="it"><point name="p0" x="-0.6" y
     <bsdf type="twosided"><ref id="grey"/></bsdf></shape>"#;
 
 /// Shapes before a floor, lit by a lamp, directly and through more bounces: whatever of them moves, and the lamp and the
-/// camera. 8 runs of 1024 samples of 256 pixels, and differences of 8 runs of 4096.
+/// camera. 8 runs of 256 samples of 256 pixels, and differences of 8 runs of 1024.
 #[test]
 #[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
 fn edges_agree_with_differences() {
@@ -131,10 +144,70 @@ fn edges_agree_with_differences() {
         let mut s = scene(&format!("{FLOOR}{body}"), depth);
         let names = ["it.translation", "lamp.translation", "sensor.translation"];
         s.make_movable(&names).expect("known");
-        let found = gradient(&s, &names, 8, 1024);
-        let expected = differences(&mut s, &names, 1.0 / 64.0, 8, 4096);
-        agrees(what, &found, &expected, 4e-3, 8);
+        let found = gradient(&s, &names, 8, 256);
+        let expected = differences(&mut s, &names, 1.0 / 32.0, 8, 1024);
+        agrees(what, &found, &expected, 1e-2, 8);
     }
+}
+
+/// Without edges, the same test notices that visibility is missing.
+#[test]
+#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
+fn the_interior_alone_is_noticed() {
+    let mut s = scene(&format!("{FLOOR}{BALL}"), 2);
+    s.make_movable(&["it.translation"]).expect("known");
+    let right = gradient(&s, &["it.translation"], 8, 256);
+    let wrong = gradient_by::<AllowBias<Interior<DetachedMis>>>(&s, &["it.translation"], 8, 256);
+    let off = right.iter().zip(&wrong).map(|(a, b)| a.z(b).abs());
+    assert!(
+        off.fold(0.0, f64::max) > 2.0 * z_limit(3, 8, 1e-3),
+        "{right:?} {wrong:?}"
+    );
+}
+
+/// Shadows of point lights have outlines that no edge is drawn for: they are refused by name, in both modes.
+#[test]
+fn shadows_of_points_are_refused() {
+    let light = r#"<emitter type="point"><point name="position" x="0" y="4" z="0"/></emitter>"#;
+    let mut s = scene(&format!("{FLOOR}{CUBE}{light}"), 2);
+    s.make_movable(&["it.translation"]).expect("known");
+    let all = values::<f32>(&s);
+    let theta = Theta::constant(&all);
+    let active = Active::seen_by::<ByEdges, _>(&s, &["it.translation"]).expect("seen");
+    let job = Job::new(&s, &s.settings, 0, 0..1, &());
+    let adjoint = mean_adjoint(&s);
+    let refused = Estimator::Edges.backward_f32(&job, &theta, &active, &adjoint);
+    let message = refused.expect_err("refused").to_string();
+    assert!(
+        message.contains("it.translation") && message.contains("point and spot lights"),
+        "{message}"
+    );
+    let direction = render::instances::Direction::uniform(s.params(), "it.translation");
+    let along = [direction.expect("known")];
+    let refused = Estimator::Edges.forward_f32(&job, s.params().values(), &along);
+    assert_eq!(refused.expect_err("refused").to_string(), message);
+}
+
+/// Shapes that cross are found, those that touch are not.
+#[test]
+fn crossing_shapes_are_named() {
+    let at = |y: f64, what: &str| {
+        format!(
+            r#"{FLOOR}<shape type="{what}" id="it"><transform name="to_world"><rotate y="1" angle="20"/>
+            <translate y="{y}"/></transform><ref id="grey"/></shape>"#
+        )
+    };
+    for what in ["cube", "sphere"] {
+        assert_eq!(scene(&at(1.5, what), 2).crossing(), None, "{what}");
+        assert_eq!(scene(&at(1.0, what), 2).crossing(), None, "{what}");
+        let crossing = scene(&at(0.8, what), 2);
+        let mut names = crossing.crossing().expect("they cross");
+        names.sort_unstable();
+        assert_eq!(names, ["floor", "it"], "{what}");
+    }
+    let disk = r#"<shape type="disk" id="it"><transform name="to_world"><rotate y="1" angle="20"/>
+        <translate y="0.5"/></transform><ref id="grey"/></shape>"#;
+    assert!(scene(&format!("{FLOOR}{disk}"), 2).crossing().is_some());
 }
 
 /// Turns, sizes and angles of view.
@@ -144,9 +217,9 @@ fn edges_agree_with_differences_of_turns() {
     let mut s = scene(&format!("{FLOOR}{CUBE}"), 3);
     let names = ["it.rotation", "it.scale", "sensor.rotation"];
     s.make_movable(&names).expect("known");
-    let found = gradient(&s, &names, 8, 1024);
-    let expected = differences(&mut s, &names, 1.0 / 64.0, 8, 4096);
-    agrees("turns", &found, &expected, 4e-3, 8);
+    let found = gradient(&s, &names, 8, 256);
+    let expected = differences(&mut s, &names, 1.0 / 32.0, 8, 1024);
+    agrees("turns", &found, &expected, 1e-2, 8);
 }
 
 /// One rectangle as a parallelogram, as two triangles and as 200 with a seam of texture coordinates.
@@ -160,14 +233,29 @@ fn tessellation_changes_nothing() {
         let mut count = 0;
         for i in 0..n {
             for j in 0..n {
-                let corner = |a: u32, b: u32| {
-                    [a, b].map(|k| f64::from(k) / f64::from(n) * 2.0 - 1.0)
-                };
-                for [x, y] in [corner(i, j), corner(i + 1, j), corner(i + 1, j + 1), corner(i, j + 1)] {
-                    text += &format!("v {x} {y} 0\nvt {} {y}\n", if seam && i >= n / 2 { x + 3.0 } else { x });
+                let corner =
+                    |a: u32, b: u32| [a, b].map(|k| f64::from(k) / f64::from(n) * 2.0 - 1.0);
+                for [x, y] in [
+                    corner(i, j),
+                    corner(i + 1, j),
+                    corner(i + 1, j + 1),
+                    corner(i, j + 1),
+                ] {
+                    text += &format!(
+                        "v {x} {y} 0\nvt {} {y}\n",
+                        if seam && i >= n / 2 { x + 3.0 } else { x }
+                    );
                 }
                 let k = |d: u32| format!("{0}/{0}", count + d);
-                text += &format!("f {} {} {}\nf {} {} {}\n", k(1), k(2), k(3), k(1), k(3), k(4));
+                text += &format!(
+                    "f {} {} {}\nf {} {} {}\n",
+                    k(1),
+                    k(2),
+                    k(3),
+                    k(1),
+                    k(3),
+                    k(4)
+                );
                 count += 4;
             }
         }
@@ -192,7 +280,7 @@ fn tessellation_changes_nothing() {
     let found = shapes.map(|shape| {
         let mut s = scene(&format!("{FLOOR}{shape}"), 2);
         s.make_movable(&names).expect("known");
-        gradient(&s, &names, 8, 512)
+        gradient(&s, &names, 8, 256)
     });
     std::fs::remove_dir_all(&folder).expect("the folder goes");
     agrees("two triangles", &found[1], &found[0], 0.0, 8);

@@ -550,7 +550,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
         "fd" => None,
         name => Some(Contestant::single(Choice::One(Estimator::from_name(name)?))),
     };
-    scene.make_movable(&args.params)?;
+    cli::make_movable(&mut scene, &args.params)?;
     // Wrong names are noticed before the first minute of work.
     let infos = args.params.iter().map(|p| scene.params().find(p).cloned());
     let infos = infos.collect::<Result<Vec<_>, _>>()?;

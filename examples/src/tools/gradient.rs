@@ -194,7 +194,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
         print::out(format_args!("{}", listing(&scene)));
         return Ok(Outcome::Done);
     }
-    scene.make_movable(&args.params)?;
+    cli::make_movable(&mut scene, &args.params)?;
     if args.measure_lights && args.samples.lights == Some(LightChoice::All) {
         let message = "--measure-lights: all lights are sampled alike; expected --lights one";
         return Err(ToolError::Usage(message.into()));

@@ -711,7 +711,7 @@ fn load(job: &Job, estimator: Estimator) -> Result<Loaded, ToolError> {
         allow_missing: job.allow_missing,
     };
     let (mut scene, _) = load.load(&path.0)?;
-    scene.make_movable(&job.params)?;
+    cli::make_movable(&mut scene, &job.params)?;
     let active = estimator.active(&scene, &job.params)?;
     let mut start = Vec::new();
     for info in active.ranges() {

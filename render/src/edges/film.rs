@@ -121,7 +121,9 @@ impl Edges {
             }
             let start = edge.start() - projection.origin;
             let [a, b] = [start, start + edge.along()].map(|p| projection.homogeneous(p));
-            let Some(span) = clip(a, b, reach) else { continue };
+            let Some(span) = clip(a, b, reach) else {
+                continue;
+            };
             let [p, q] = span.map(|t| flat(between(a, b, t)));
             curves.push(i as u32, span, (q[0] - p[0]).hypot(q[1] - p[1]));
         }
@@ -184,7 +186,10 @@ impl Curve {
                 // Round a tube, if it is one.
                 let towards = (out - (d - axis * axis.dot(d)) * INSIDE).normalize();
                 let p = p + (towards - out) * self.radius;
-                return Inside { spot: Spot::Normal(towards), p };
+                return Inside {
+                    spot: Spot::Normal(towards),
+                    p,
+                };
             }
         };
         Inside { spot, p }
@@ -285,7 +290,10 @@ impl FilmCurves {
     pub fn point(&self, edges: &Edges, u: f64) -> Option<FilmPoint> {
         let total = self.length();
         let along = u * total;
-        let i = self.lengths.partition_point(|&l| l <= along).min(self.pieces.len().checked_sub(1)?);
+        let i = self
+            .lengths
+            .partition_point(|&l| l <= along)
+            .min(self.pieces.len().checked_sub(1)?);
         let before = if i == 0 { 0.0 } else { self.lengths[i - 1] };
         let length = self.lengths[i] - before;
         let part = ((along - before) / length).clamp(0.0, 1.0);
@@ -315,7 +323,9 @@ impl FilmCurves {
             None => length / total / (span[1] - span[0]),
         };
         edge.weight = self.projection.pixels_per_steradian(at) * speed / density;
-        edge.weight.is_finite().then_some(FilmPoint { at, edge, sides })
+        edge.weight
+            .is_finite()
+            .then_some(FilmPoint { at, edge, sides })
     }
 }
 

@@ -145,7 +145,12 @@ impl Surfaces<'_> {
         self.place(edge.shape, edge.spot, edge.p)
     }
 
-    fn place<P: Float>(&self, shape: u32, spot: Spot, p: Vec3<f64>) -> (u32, SurfaceCoordinates<P>) {
+    fn place<P: Float>(
+        &self,
+        shape: u32,
+        spot: Spot,
+        p: Vec3<f64>,
+    ) -> (u32, SurfaceCoordinates<P>) {
         let (local, [u, v]) = self.resolve(shape, spot, p);
         let at = Vec2::new(P::of(u), P::of(v));
         (self.firsts[shape as usize] + local, SurfaceCoordinates(at))
@@ -289,7 +294,8 @@ impl Curve {
 impl Curve {
     /// Chords of a sphere or disk, and lines along a tube.
     fn probes(&self) -> Vec<[Vec3<f64>; 2]> {
-        let round = |k: u32, n: u32| (std::f64::consts::TAU * f64::from(k) / f64::from(n)).sin_cos();
+        let round =
+            |k: u32, n: u32| (std::f64::consts::TAU * f64::from(k) / f64::from(n)).sin_cos();
         let [e1, e2] = self.axes;
         match self.kind {
             CurveKind::Ball => {
@@ -341,7 +347,11 @@ impl Rim {
             return None;
         }
         let plane = across.normalize();
-        let normal = if plane.dot(self.into) > 0.0 { -plane } else { plane };
+        let normal = if plane.dot(self.into) > 0.0 {
+            -plane
+        } else {
+            plane
+        };
         let point = EdgePoint {
             p: self.p,
             direction,
@@ -387,7 +397,11 @@ impl Edges {
 
     /// What faces of a straight edge look like.
     fn view(&self, edge: usize, x: Vec3<f64>) -> Option<(View, Vec3<f64>)> {
-        let more = if self.more.is_empty() { &[] } else { self.more(edge) };
+        let more = if self.more.is_empty() {
+            &[]
+        } else {
+            self.more(edge)
+        };
         self.straight[edge].view(x, more)
     }
 

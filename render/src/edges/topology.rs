@@ -9,10 +9,7 @@ use ad_core::Vec3;
 
 use super::{Curve, CurveKind, Edge, Face};
 use crate::params::Theta;
-use crate::shape::{
-    AnyShape, Mesh, Patch, Shape, SurfaceCoordinates, SurfaceInteraction, lift3,
-};
-
+use crate::shape::{AnyShape, Mesh, Patch, Shape, SurfaceCoordinates, SurfaceInteraction, lift3};
 
 /// Two faces whose directions into them differ by less than this from opposite ones are one plane; half the square of an
 /// angle.
@@ -75,7 +72,10 @@ impl Topology {
                 }
                 AnyShape::Disk(_) => {
                     let origin = place(shape, 0.0, 0.0);
-                    let axes = [place(shape, 1.0, 0.0) - origin, place(shape, 0.0, 1.0) - origin];
+                    let axes = [
+                        place(shape, 1.0, 0.0) - origin,
+                        place(shape, 0.0, 1.0) - origin,
+                    ];
                     let radius = axes[0].length().max(axes[1].length());
                     let kind = CurveKind::Disk;
                     all.curves.push(Curve {
@@ -107,7 +107,8 @@ impl Topology {
             into: Vec3::zero(),
             radius,
         };
-        self.curves.extend([0, 1].map(|side| tube(CurveKind::Tube(side))));
+        self.curves
+            .extend([0, 1].map(|side| tube(CurveKind::Tube(side))));
         for top in [false, true] {
             self.curves.push(Curve {
                 shape: index,
@@ -140,7 +141,11 @@ impl Topology {
         let flat = |v: u32| data.normals.is_empty() || data.normals[v as usize] == [0.0; 3];
         let jumps = |bent: bool, a: u32, b: u32| {
             let facets = flat(a) || flat(b);
-            let normals = if facets { bent } else { a != b && apart(&unit(a), &unit(b)) };
+            let normals = if facets {
+                bent
+            } else {
+                a != b && apart(&unit(a), &unit(b))
+            };
             let seam = a != b
                 && !data.uvs.is_empty()
                 && apart(&data.uvs[a as usize], &data.uvs[b as usize]);
@@ -157,9 +162,7 @@ impl Topology {
             let Some(Patch { corner, e1, e2, .. }) = shape.patch(local) else {
                 continue;
             };
-            let at = |u: f32, v: f32| {
-                [0, 1, 2].map(|k: usize| corner[k] + u * e1[k] + v * e2[k])
-            };
+            let at = |u: f32, v: f32| [0, 1, 2].map(|k: usize| corner[k] + u * e1[k] + v * e2[k]);
             let corners = [at(0.0, 0.0), at(1.0, 0.0), at(1.0, 1.0), at(0.0, 1.0)];
             let corners = corners.map(|at| {
                 // Corners of several faces are the same but for rounding.
@@ -168,7 +171,11 @@ impl Topology {
                     known.push(at);
                     known.len() - 1
                 }) as u32;
-                Corner { at, welded, vertex: welded }
+                Corner {
+                    at,
+                    welded,
+                    vertex: welded,
+                }
             });
             polygons.push(Polygon {
                 local,
@@ -211,7 +218,9 @@ impl Topology {
             let along = along.normalize();
             let into = |polygon: u32| {
                 let corners = &polygons[polygon as usize].corners;
-                let sum = corners.iter().fold(Vec3::zero(), |s, c| s + lift3::<f64>(c.at));
+                let sum = corners
+                    .iter()
+                    .fold(Vec3::zero(), |s, c| s + lift3::<f64>(c.at));
                 let to = sum * (corners.len() as f64).recip() - start;
                 (to - along * along.dot(to)).normalize()
             };

@@ -161,17 +161,13 @@ impl Tree {
         self.nodes.push(Node {
             centre: centre.to_array().map(|x| x as f32),
             // A little more, for rounding.
-            radius: ((high - low).length() * 0.5 * (1.0 + 1e-5)
-                + 1e-6 * centre.max_abs()) as f32,
+            radius: ((high - low).length() * 0.5 * (1.0 + 1e-5) + 1e-6 * centre.max_abs()) as f32,
             length: own.iter().map(|i| i.length).sum::<f64>() as f32,
             axis: axis.to_array().map(|x| x as f32),
             angle: angle as f32,
             items: range.start as u32..range.end as u32,
             second: 0,
-            shapes: [
-                shapes.clone().min().unwrap_or(0),
-                shapes.max().unwrap_or(0),
-            ],
+            shapes: [shapes.clone().min().unwrap_or(0), shapes.max().unwrap_or(0)],
         });
         if range.len() <= LEAF {
             return;
@@ -211,8 +207,15 @@ fn cone_of(items: &[Item]) -> (Vec3<f64>, f64) {
     let axis = sum.normalize();
     let angle = |item: &Item| {
         let normals = item.normals.unwrap_or([axis; 2]);
-        let sign = if axis.dot(normals[0] + normals[1]) < 0.0 { -1.0 } else { 1.0 };
-        normals.map(|n| (n.dot(axis) * sign).clamp(-1.0, 1.0).acos()).into_iter().fold(0.0, f64::max)
+        let sign = if axis.dot(normals[0] + normals[1]) < 0.0 {
+            -1.0
+        } else {
+            1.0
+        };
+        normals
+            .map(|n| (n.dot(axis) * sign).clamp(-1.0, 1.0).acos())
+            .into_iter()
+            .fold(0.0, f64::max)
     };
     let widest = items.iter().map(angle).fold(0.0, f64::max);
     (axis, widest + 1e-5)
@@ -226,7 +229,11 @@ impl Node {
         let distance = to.length();
         let near = distance <= radius;
         let spread = if near { PI } else { (radius / distance).asin() };
-        let d = if near { seeker.normal } else { to * distance.recip() };
+        let d = if near {
+            seeker.normal
+        } else {
+            to * distance.recip()
+        };
         let angle = f64::from(self.angle);
         if angle + spread < FRAC_PI_2 {
             let facing = (-d.dot(lift3(self.axis))).clamp(-1.0, 1.0).acos();
@@ -239,9 +246,10 @@ impl Node {
         let cosine = above.cos().max(0.0) + LEAST_COSINE;
         let light = if seeker.lamps.is_none() || near {
             1.0
-        } else if lamps.iter().any(|l| {
-            d.dot(l.axis) >= (l.angle + spread + 1e-6).min(PI).cos()
-        }) {
+        } else if lamps
+            .iter()
+            .any(|l| d.dot(l.axis) >= (l.angle + spread + 1e-6).min(PI).cos())
+        {
             1.0
         } else if seeker.lamps_only {
             0.0
@@ -412,13 +420,21 @@ impl Edges {
             at
         };
         let covers = parts.iter().filter(|[a, b]| *a <= at && at <= *b).count() as f64;
-        let towards_lamps = if lit > 0.0 { (1.0 - anywhere) * covers / lit } else { 0.0 };
+        let towards_lamps = if lit > 0.0 {
+            (1.0 - anywhere) * covers / lit
+        } else {
+            0.0
+        };
         let density = anywhere / length + towards_lamps;
         let (sin, cos) = at.sin_cos();
         let direction = start * cos + turned * sin;
         let across = turned * cos - start * sin;
         let part = a.length() * sin / edge.along().dot(across);
-        let part = if part.is_finite() { part.clamp(0.0, 1.0) } else { 0.5 };
+        let part = if part.is_finite() {
+            part.clamp(0.0, 1.0)
+        } else {
+            0.5
+        };
         let p = edge.start() + edge.along() * part;
         let face = edge.faces[front];
         Some(EdgePoint {

@@ -73,7 +73,10 @@ struct Moving {
 
 impl Moving {
     fn of(scene: &Scene, moves: impl Fn(ParamRef) -> bool) -> Self {
-        let shapes = scene.moved_shapes(&moves);
+        let mut shapes = vec![false; scene.shapes().len()];
+        for &(shape, p) in scene.movers() {
+            shapes[shape as usize] |= moves(p);
+        }
         let mut count = 0;
         let counts = std::iter::once(0)
             .chain(shapes.iter().map(|&m| {
@@ -142,9 +145,7 @@ impl<P: Float> Term<P> {
 
     /// The tangent of the term, over a number whose primal part is zero.
     fn evaluate<R: Real<Primal = P>>(&self, scene: &Scene, theta: &Theta<R>) -> R {
-        let form = |v: Vec3<R>, d: Vec3<P>| {
-            v.x * Const(d.x) + v.y * Const(d.y) + v.z * Const(d.z)
-        };
+        let form = |v: Vec3<R>, d: Vec3<P>| v.x * Const(d.x) + v.y * Const(d.y) + v.z * Const(d.z);
         let sum = match self.mover {
             Mover::Material(prim, si) => {
                 let at = scene.coordinates(prim, &si);
@@ -283,11 +284,7 @@ impl<'a, P: Float> Boundary<'a, P> {
     }
 
     /// The ray that passes an edge, from an origin, and what it meets; `None` if something hides the edge.
-    fn past(
-        &self,
-        edge: &EdgePoint,
-        from: Ray<P>,
-    ) -> Option<(Ray<P>, Option<Intersection<P>>)> {
+    fn past(&self, edge: &EdgePoint, from: Ray<P>) -> Option<(Ray<P>, Option<Intersection<P>>)> {
         let scene = self.context.scene;
         let beside = edge.p + edge.normal * self.clearance(edge);
         let d = (beside - wide(from.o)).normalize();
@@ -332,7 +329,9 @@ impl<'a, P: Float> Boundary<'a, P> {
         let points = self.context.settings.points;
         let mut sampler = X::spread(points, self.seed ^ SALTS[1], index, sample);
         let u: f64 = sampler.next_1d();
-        let point = self.curves.point(self.edges, (index as f64 + u) / count as f64)?;
+        let point = self
+            .curves
+            .point(self.edges, (index as f64 + u) / count as f64)?;
         let FilmPoint { at, edge, sides } = point;
         let origin = scene.camera.origin().map(P::of).into();
         let ray = Ray::new(origin, edge.direction.map(P::of).normalize());
@@ -383,23 +382,19 @@ impl<'a, P: Float> Boundary<'a, P> {
 
     /// Where the borders of two shapes are in one place, as those of walls in the corners of a room, each has half of the
     /// curve that they are.
-    fn share_of_contact(
-        &self,
-        edge: &EdgePoint,
-        past: &Ray<P>,
-        hit: &Intersection<P>,
-    ) -> f64 {
+    fn share_of_contact(&self, edge: &EdgePoint, past: &Ray<P>, hit: &Intersection<P>) -> f64 {
         let scene = self.context.scene;
         let moves = self.moving.camera || self.moving.shapes[hit.shape as usize];
         let t = hit.si.t;
-        if !moves
-            || hit.shape == edge.shape
-            || t.to_f64() * SAME_DEPTH > edge.distance
-        {
+        if !moves || hit.shape == edge.shape || t.to_f64() * SAME_DEPTH > edge.distance {
             return 1.0;
         }
         let from_border = scene.border(past, &hit_at(hit.prim, t)).to_f64();
-        if from_border.abs() * edge.distance < 10.0 * self.clearance(edge) { 0.5 } else { 1.0 }
+        if from_border.abs() * edge.distance < 10.0 * self.clearance(edge) {
+            0.5
+        } else {
+            1.0
+        }
     }
 
     /// An edge that hides light from the vertex number `depth` of a path, which stays at the point `film`.
@@ -421,7 +416,11 @@ impl<'a, P: Float> Boundary<'a, P> {
         let shape_moves = self.moving.shapes[here.shape as usize];
         let x_moves = shape_moves || (depth == 1 && self.moving.camera);
         let interest = |shapes: Range<u32>| {
-            if x_moves || self.moving.any(shapes) { 1.0 } else { STILL }
+            if x_moves || self.moving.any(shapes) {
+                1.0
+            } else {
+                STILL
+            }
         };
         let seen_from_above = wo.z >= P::zero();
         let normal = wide(si.n_geo) * if seen_from_above { 1.0 } else { -1.0 };
@@ -574,13 +573,15 @@ pub(super) fn image<R: Components, S: Strategy, X: Sampler>(pass: &Pass<R>) -> R
         for (splats, non_finite) in &parts {
             out.non_finite.merge(non_finite);
             for (at, value) in splats {
-                scene.film.splat(*at, scene.film.rows(at[1]), |pixel, weight| {
-                    for k in 0..R::COUNT {
-                        for c in 0..3 {
-                            out.sums[k][pixel * 3 + c] += value[c].component(k) * weight;
+                scene
+                    .film
+                    .splat(*at, scene.film.rows(at[1]), |pixel, weight| {
+                        for k in 0..R::COUNT {
+                            for c in 0..3 {
+                                out.sums[k][pixel * 3 + c] += value[c].component(k) * weight;
+                            }
                         }
-                    }
-                });
+                    });
             }
         }
     }
@@ -668,11 +669,13 @@ pub(super) fn gradient<P: Float, S: Strategy, X: Sampler>(
                 continue;
             }
             let mut d = [0.0; 3];
-            scene.film.splat(at, scene.film.rows(at[1]), |pixel, weight| {
-                for (k, d) in d.iter_mut().enumerate() {
-                    *d += weight * f64::from(adjoint[pixel * 3 + k]);
-                }
-            });
+            scene
+                .film
+                .splat(at, scene.film.rows(at[1]), |pixel, weight| {
+                    for (k, d) in d.iter_mut().enumerate() {
+                        *d += weight * f64::from(adjoint[pixel * 3 + k]);
+                    }
+                });
             let d = d.map(|d| P::of(d / samples as f64));
             scatter(&c, Rgb::from(d), &mut sink);
         }
@@ -753,7 +756,9 @@ mod tests {
     fn gradient_of<P: Float>(scene: &Scene, names: &[&str], spp: u64) -> Vec<Estimate> {
         let found = names.iter().map(|n| scene.params().find(n).expect("known"));
         let active = Active::of(scene, &found.collect::<Vec<_>>());
-        let values: Vec<P> = (scene.params().values().iter()).map(|&v| P::from_f32(v)).collect();
+        let values: Vec<P> = (scene.params().values().iter())
+            .map(|&v| P::from_f32(v))
+            .collect();
         let theta = Theta::constant(&values);
         let n = scene.film.pixels() * 3;
         let adjoint = vec![1.0 / n as f32; n];
@@ -804,7 +809,12 @@ mod tests {
         };
         let mut hull = half(&mut sorted.iter());
         hull.extend(half(&mut sorted.iter().rev()));
-        for (axis, sign, limit) in [(0, 1.0, 0.0), (0, -1.0, -SIZE), (1, 1.0, 0.0), (1, -1.0, -SIZE)] {
+        for (axis, sign, limit) in [
+            (0, 1.0, 0.0),
+            (0, -1.0, -SIZE),
+            (1, 1.0, 0.0),
+            (1, -1.0, -SIZE),
+        ] {
             let mut cut = Vec::new();
             for (i, &b) in hull.iter().enumerate() {
                 let a = hull[(i + hull.len() - 1) % hull.len()];
@@ -820,12 +830,18 @@ mod tests {
             hull = cut;
         }
         let pairs = hull.iter().zip(hull.iter().cycle().skip(1));
-        0.5 * pairs.map(|(a, b)| a[0] * b[1] - a[1] * b[0]).sum::<f64>().abs()
+        0.5 * pairs
+            .map(|(a, b)| a[0] * b[1] - a[1] * b[0])
+            .sum::<f64>()
+            .abs()
     }
 
     /// The derivative of an area on the film, as a mean over pixels, by everything that moves a shape or the camera:
     /// translation, rotation and scale about `centre`; translation and rotation of the camera; angle of view.
-    fn derivatives(area: &dyn Fn(&dyn Fn(Vec3<f64>) -> Vec3<f64>) -> f64, centre: Vec3<f64>) -> Vec<f64> {
+    fn derivatives(
+        area: &dyn Fn(&dyn Fn(Vec3<f64>) -> Vec3<f64>) -> f64,
+        centre: Vec3<f64>,
+    ) -> Vec<f64> {
         let unit = |k: usize, h: f64| {
             let mut v = [0.0; 3];
             v[k] = h;
@@ -838,7 +854,9 @@ mod tests {
             out.push(slope(&|h| area(&|p| p + unit(k, h))));
         }
         for k in 0..3 {
-            out.push(slope(&|h| area(&|p| centre + rotation(unit(k, h)) * (p - centre))));
+            out.push(slope(&|h| {
+                area(&|p| centre + rotation(unit(k, h)) * (p - centre))
+            }));
         }
         out.push(slope(&|h| area(&|p| centre + (p - centre) * (1.0 + h))));
         for k in 0..3 {
@@ -889,8 +907,12 @@ mod tests {
     }
 
     fn turned(points: &[[f64; 3]]) -> Vec<Vec3<f64>> {
-        let m = rotation(Vec3::new(0.0f64, 1.0, 0.0) * 0.5) * rotation(Vec3::new(1.0f64, 0.0, 0.0) * 0.4);
-        points.iter().map(|&p| m * Vec3::from(p) + Vec3::new(0.3, -0.2, 5.0)).collect()
+        let m = rotation(Vec3::new(0.0f64, 1.0, 0.0) * 0.5)
+            * rotation(Vec3::new(1.0f64, 0.0, 0.0) * 0.4);
+        points
+            .iter()
+            .map(|&p| m * Vec3::from(p) + Vec3::new(0.3, -0.2, 5.0))
+            .collect()
     }
 
     const TURNED: &str = r#"<transform name="to_world">
@@ -903,7 +925,12 @@ mod tests {
     #[test]
     #[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
     fn outlines_are_those_of_areas_on_the_film() {
-        let square = [[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]];
+        let square = [
+            [-1.0, -1.0, 0.0],
+            [1.0, -1.0, 0.0],
+            [1.0, 1.0, 0.0],
+            [-1.0, 1.0, 0.0],
+        ];
         let points = turned(&square);
         let centre = turned(&[[0.0; 3]])[0];
         let of = |points: &[Vec3<f64>]| {
@@ -922,7 +949,10 @@ mod tests {
         let cube: Vec<[f64; 3]> = (0..8)
             .map(|i| [i & 1, i >> 1 & 1, i >> 2].map(|b| f64::from(2 * b - 1)))
             .collect();
-        agrees(&format!(r#"<shape type="cube" id="it">{TURNED}LIGHT</shape>"#), &of(&turned(&cube)));
+        agrees(
+            &format!(r#"<shape type="cube" id="it">{TURNED}LIGHT</shape>"#),
+            &of(&turned(&cube)),
+        );
         let n = 20_000;
         let rim: Vec<[f64; 3]> = (0..n)
             .map(|i| {
@@ -1032,10 +1062,13 @@ mod tests {
         use ad_core::Dual;
         let s = room(3);
         let names: Vec<&str> = (s.params().infos().iter())
-            .filter(|i| Scene::is_motion(i))
+            .filter(|i| i.kind.is_motion())
             .map(|i| i.name.as_str())
             .collect();
-        let infos: Vec<_> = names.iter().map(|n| s.params().find(n).expect("known")).collect();
+        let infos: Vec<_> = names
+            .iter()
+            .map(|n| s.params().find(n).expect("known"))
+            .collect();
         let active = Active::of(&s, &infos);
         let values: Vec<f64> = s.params().values().iter().map(|&v| v.into()).collect();
         let n = s.film.pixels() * 3;
@@ -1052,7 +1085,7 @@ mod tests {
         let mut count = 0;
         let tangents: Vec<_> = (s.params().infos().iter())
             .map(|info| {
-                if !Scene::is_motion(info) {
+                if !info.kind.is_motion() {
                     return Tangent::None;
                 }
                 let own = (0..info.shape.len()).map(|_| {
@@ -1065,10 +1098,19 @@ mod tests {
         let theta = Theta::with_tangents(&values, &tangents);
         let pass = Pass::new(&job, &theta, Caustics::Paths);
         let image = image::<Dual<f64, 1>, DetachedMis, Independent>(&pass);
-        let forward: f64 = (image.sums[1].iter().zip(&adjoint)).map(|(s, &a)| s * f64::from(a)).sum();
+        let forward: f64 = (image.sums[1].iter().zip(&adjoint))
+            .map(|(s, &a)| s * f64::from(a))
+            .sum();
         let expected: f64 = reverse.iter().enumerate().map(|(i, d)| d * along(i)).sum();
-        let size: f64 = reverse.iter().enumerate().map(|(i, d)| (d * along(i)).abs()).sum();
-        assert!(size > 1e-3 && (forward - expected).abs() < 1e-9 * size, "{forward} {expected}");
+        let size: f64 = reverse
+            .iter()
+            .enumerate()
+            .map(|(i, d)| (d * along(i)).abs())
+            .sum();
+        assert!(
+            size > 1e-3 && (forward - expected).abs() < 1e-9 * size,
+            "{forward} {expected}"
+        );
         assert!(image.sums[0].iter().all(|x| *x == 0.0));
     }
 

@@ -52,6 +52,11 @@ pub fn backward<P: Float, S: Unbiased, X: Sampler>(
     check_size("adjoint image", scene, adjoint)?;
     scene.admits::<S>()?;
     active.check_motion::<S>()?;
+    if S::OUTLINES {
+        for info in active.ranges() {
+            scene.admits_outlines(info, settings.max_depth)?;
+        }
+    }
     let pass = Pass::new(job, theta, settings.caustics_of::<S>(scene));
     Ok(pass.gradient::<S::Runs, X>(active, adjoint))
 }

@@ -5,6 +5,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use ad_core::{Float, Real};
 
 use super::active::Active;
+use super::boundary;
 use super::exact::ExactBuffer;
 use super::motion;
 use super::particle;
@@ -37,7 +38,9 @@ pub(super) fn every<S: Strategy, X: Sampler>(
 ) {
     let by_particles = wanted.light && wanted.caustics == Caustics::Particles;
     let moves = S::INTERIOR && wanted.motion;
-    let integrals = u64::from(wanted.light) + u64::from(by_particles) + u64::from(moves);
+    let outlines = S::OUTLINES && wanted.motion;
+    let integrals = [wanted.light, by_particles, moves, outlines];
+    let integrals = integrals.into_iter().map(u64::from).sum::<u64>();
     let share = Share {
         progress,
         integrals: integrals.max(1),
@@ -52,6 +55,9 @@ pub(super) fn every<S: Strategy, X: Sampler>(
     // A constant: it is not even compiled for strategies that do not move vertices.
     if const { S::INTERIOR } && wanted.motion && !share.cancelled() {
         question.ask::<Motion>(&share);
+    }
+    if const { S::OUTLINES } && wanted.motion && !share.cancelled() {
+        question.ask::<Boundaries>(&share);
     }
 }
 
@@ -103,6 +109,23 @@ impl<S: Strategy, X: Sampler> Integral<S, X> for Motion {
         large: &ExactBuffer,
     ) -> GradientSums {
         motion::gradient::<P, S, X>(pass, active, adjoint, large)
+    }
+}
+
+/// What outlines that move hide and show.
+struct Boundaries;
+
+impl<S: Strategy, X: Sampler> Integral<S, X> for Boundaries {
+    fn image<R: Components>(pass: &Pass<R>) -> Rendering {
+        boundary::image::<R, S, X>(pass)
+    }
+    fn gradient<P: Float>(
+        pass: &Pass<P>,
+        active: &Active,
+        adjoint: &[f32],
+        large: &ExactBuffer,
+    ) -> GradientSums {
+        boundary::gradient::<P, S, X>(pass, active, adjoint, large)
     }
 }
 

@@ -32,6 +32,9 @@ pub fn render<R: Components, S: Unbiased, X: Sampler>(
             if theta.moves(scene.params().handle(info)) {
                 estimator::check_parameter::<S>(info)?;
                 scene.admits_motion(info)?;
+                if S::OUTLINES {
+                    scene.admits_outlines(info, job.settings.max_depth)?;
+                }
             }
         }
     }

@@ -651,7 +651,9 @@ impl Scene {
             let mut start = TOUCHING * length;
             for _ in 0..4 {
                 let ray = Ray::new(a + d * start, d);
-                let Some(hit) = self.intersect(&ray) else { break };
+                let Some(hit) = self.intersect(&ray) else {
+                    break;
+                };
                 start += hit.si.t;
                 if start > (1.0 - TOUCHING) * length {
                     break;
