@@ -41,8 +41,8 @@ pub use crate::estimator::Mode;
 use crate::estimator::{
     self, AllowBias, Attached, AttachedChoice, AttachedDirect, AttachedRoulette, AttachedWeights,
     Balance, BsdfOnly, Capabilities, Detached, DetachedMis, DetachedWeights, Differential,
-    EmitterOnly, FrozenWeights, Interior, Mis, MixedWeights, Reparameterised, Strategy, TrustBsdf,
-    TrustLights, Unbiased,
+    EmitterOnly, FrozenWeights, Interior, Mis, MixedWeights, Outlines, Reparameterised, Strategy,
+    TrustBsdf, TrustLights, Unbiased,
 };
 use crate::integrator::Job;
 use crate::integrator::density::{Convention, Map};
@@ -641,6 +641,8 @@ estimators! {
         "`reparameterised-mis` with differentiated weights for one technique only (errata Z-4.13f).";
     BiasedChoice "biased-choice" AllowBias<AttachedChoice<DetachedMis>>,
         "`mis` that divides by differentiated probabilities of lobes: biased where they depend on the parameter.";
+    Edges "edges" Outlines<Interior<DetachedMis>>,
+        "`mis`, and what moves: vertices of paths, and samples of edges for what becomes visible or hidden.";
     Interior "interior" AllowBias<Interior<DetachedMis>>,
         "`mis`, and what moves, as long as nothing becomes visible or hidden: biased where something does.";
 }

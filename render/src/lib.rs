@@ -59,6 +59,7 @@ pub mod bsdf;
 pub mod camera;
 pub mod check;
 mod dispatch;
+mod edges;
 pub mod emitter;
 pub mod error;
 pub mod estimator;

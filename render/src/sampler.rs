@@ -28,6 +28,8 @@ pub enum Purpose {
     NormalsPair,
     /// So many auxiliary rays around an edge, 2 each.
     AuxiliaryRays(u32),
+    /// Edges that hide light from a vertex, so many candidates of 2 each, and which of them is taken.
+    Edges(u32),
     /// The start of a particle: its emitter if there is a choice, position 2, direction 2; the depth is 1.
     Emission,
     /// A direction that a particle is scattered in, 3, and roulette.
@@ -41,6 +43,7 @@ impl Purpose {
     #[inline(always)]
     pub const fn at(self, depth: u32) -> u32 {
         const AUXILIARY: u32 = 1 << 20;
+        const EDGES: u32 = 1 << 22;
         const RAYS: u32 = 1 << 24;
         match self {
             Self::Pixel | Self::Emission => 0,
@@ -48,6 +51,7 @@ impl Purpose {
             Self::Scattering => 5 + (depth - 1) * 8,
             Self::NormalsPair => AUXILIARY + depth * 8,
             Self::AuxiliaryRays(rays) => RAYS + depth * 2 * rays,
+            Self::Edges(candidates) => EDGES + depth * (2 * candidates + 1),
             Self::ParticleScattering => 5 + (depth - 1) * 4,
             Self::ParticleNormalsPair => AUXILIARY + depth * 4,
         }
@@ -60,6 +64,7 @@ impl Purpose {
             Self::Light | Self::Viewing | Self::NormalsPair | Self::ParticleNormalsPair => 3,
             Self::Scattering | Self::ParticleScattering => 4,
             Self::AuxiliaryRays(rays) => 2 * rays,
+            Self::Edges(candidates) => 2 * candidates + 1,
             Self::Emission => 5,
         }
     }

@@ -124,6 +124,10 @@ pub fn candidates(scene: &Scene) -> Vec<Estimator> {
             out.push(Estimator::Reparameterised);
         }
     }
+    // Nobody else sees what moves.
+    if scene.params().infos().iter().any(|i| i.kind.is_motion()) {
+        out.push(Estimator::Edges);
+    }
     out.retain(|e| e.check(scene).is_ok());
     out
 }

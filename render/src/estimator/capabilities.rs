@@ -199,7 +199,7 @@ impl Capabilities {
             .with(Failure::AttachedRoulette, S::ATTACHED_ROULETTE)
             .with(Failure::AttachedChoice, S::ATTACHED_CHOICE)
             .with(Failure::Discontinuities, crosses && !S::NEEDS_CONTINUITY)
-            .with(Failure::Boundaries, S::INTERIOR);
+            .with(Failure::Boundaries, S::INTERIOR && !S::OUTLINES);
         Self {
             motion,
             differential: S::Bsdf::DIFFERENTIAL,

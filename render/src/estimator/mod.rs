@@ -29,7 +29,7 @@ pub use sampling::{
 pub(crate) use strategy::Still;
 pub use strategy::{
     AllowBias, AttachedChoice, AttachedRoulette, BsdfOnly, Edges, EmitterOnly, Geometry, Interior,
-    Mis, Strategy, differentiates_edges, goes_in_waves, is_guided,
+    Mis, Outlines, Strategy, differentiates_edges, goes_in_waves, is_guided,
 };
 pub use unbiased::Unbiased;
 pub use weights::{

@@ -39,6 +39,8 @@ pub trait Strategy: Send + Sync + 'static {
     const ATTACHED_CHOICE: bool = false;
     /// Whether the vertices of paths move with what moves: [`Interior`].
     const INTERIOR: bool = false;
+    /// Whether outlines that move have samples of their own: [`Outlines`].
+    const OUTLINES: bool = false;
     /// Whether nothing says that the derivative has the right expectation: [`AllowBias`].
     const ALLOWS_BIAS: bool = false;
     /// Whether the scene must be free of discontinuities, see [`crate::Scene::admits`].
@@ -202,6 +204,14 @@ pub struct AttachedRoulette<S>(PhantomData<S>);
 #[derive(Clone, Copy, Debug)]
 pub struct Interior<S>(PhantomData<S>);
 
+/// `S`, which moves the vertices of paths, and what becomes visible or hidden as outlines move: by samples of edges, which
+/// are an integral of its own ([`crate::scene::Scene::admits_outlines`] says where).
+///
+/// # Reference
+/// [Li et al. 2018], with the material followed beyond the first vertex.
+#[derive(Clone, Copy, Debug)]
+pub struct Outlines<S>(PhantomData<S>);
+
 /// `S` whose scattered directions are weighed by one over a density in which the probabilities of choosing between
 /// lobes are differentiated, although the choices do not move (F6) [Zeltner 2021, section 4.2.2]. Needs [`AllowBias`].
 ///
@@ -246,8 +256,17 @@ wrapper!(Interior<Strategy<Bsdf = Detached, Edge = Forget, EmitterMotion = Forge
     const ATTACHED_ROULETTE: bool = S::ATTACHED_ROULETTE;
     const ATTACHED_CHOICE: bool = S::ATTACHED_CHOICE;
 });
+wrapper!(Outlines<Strategy<Bsdf = Detached, Edge = Forget, EmitterMotion = Forget>> {
+    type Runs = Self;
+    const OUTLINES: bool = true;
+    const INTERIOR: bool = S::INTERIOR;
+    const ALLOWS_BIAS: bool = S::ALLOWS_BIAS;
+    const ATTACHED_ROULETTE: bool = S::ATTACHED_ROULETTE;
+    const ATTACHED_CHOICE: bool = S::ATTACHED_CHOICE;
+});
 wrapper!(AllowBias<Strategy> {
     type Runs = S::Runs;
+    const OUTLINES: bool = S::OUTLINES;
     const INTERIOR: bool = S::INTERIOR;
     const ALLOWS_BIAS: bool = true;
     const ATTACHED_ROULETTE: bool = S::ATTACHED_ROULETTE;
@@ -256,6 +275,7 @@ wrapper!(AllowBias<Strategy> {
 });
 wrapper!(AttachedRoulette<Strategy> {
     type Runs = Self;
+    const OUTLINES: bool = S::OUTLINES;
     const INTERIOR: bool = S::INTERIOR;
     const ALLOWS_BIAS: bool = S::ALLOWS_BIAS;
     const ATTACHED_ROULETTE: bool = true;
@@ -263,6 +283,7 @@ wrapper!(AttachedRoulette<Strategy> {
 });
 wrapper!(AttachedChoice<Strategy<Bsdf = Detached, Edge = Forget>> {
     type Runs = Self;
+    const OUTLINES: bool = S::OUTLINES;
     const INTERIOR: bool = S::INTERIOR;
     const ALLOWS_BIAS: bool = S::ALLOWS_BIAS;
     const ATTACHED_ROULETTE: bool = S::ATTACHED_ROULETTE;

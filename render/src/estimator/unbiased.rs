@@ -2,8 +2,8 @@
 
 use super::{
     AllowBias, Attached, AttachedDirect, AttachedWeights, Balance, BsdfOnly, Detached,
-    DetachedWeights, Differential, EmitterOnly, FrozenWeights, Mis, Power, Reparameterised,
-    Strategy, TrustBsdf, TrustLights,
+    DetachedWeights, Differential, EmitterOnly, FrozenWeights, Interior, Mis, Outlines, Power,
+    Reparameterised, Strategy, TrustBsdf, TrustLights,
 };
 
 /// The estimator's derivative has the right expectation.
@@ -94,6 +94,7 @@ by_each_heuristic! { unbiased_for_all_rays:
 }
 
 unbiased! {
+    Outlines<Interior<Mis<Detached, Detached, DetachedWeights>>>;
     BsdfOnly<Detached>;
     BsdfOnly<Differential>;
     BsdfOnly<AttachedDirect>;

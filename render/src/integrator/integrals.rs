@@ -5,6 +5,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use ad_core::{Float, Real};
 
 use super::active::Active;
+use super::boundary;
 use super::connections;
 use super::exact::ExactBuffer;
 use super::motion;
@@ -38,7 +39,8 @@ pub(super) fn every<S: Strategy, X: Sampler>(
     let by_particles = wanted.light && wanted.finders.particles;
     let by_connections = wanted.light && wanted.finders.connections;
     let moves = S::INTERIOR && wanted.motion;
-    let all = [wanted.light, by_particles, by_connections, moves];
+    let outlines = S::OUTLINES && wanted.motion;
+    let all = [wanted.light, by_particles, by_connections, moves, outlines];
     let integrals: u64 = all.into_iter().map(u64::from).sum();
     let share = Share {
         progress,
@@ -57,6 +59,9 @@ pub(super) fn every<S: Strategy, X: Sampler>(
     // A constant: it is not even compiled for strategies that do not move vertices.
     if const { S::INTERIOR } && wanted.motion && !share.cancelled() {
         question.ask::<Motion>(&share);
+    }
+    if const { S::OUTLINES } && wanted.motion && !share.cancelled() {
+        question.ask::<Boundaries>(&share);
     }
 }
 
@@ -108,6 +113,23 @@ impl<S: Strategy, X: Sampler> Integral<S, X> for Motion {
         large: &ExactBuffer,
     ) -> GradientSums {
         motion::gradient::<P, S, X>(pass, active, adjoint, large)
+    }
+}
+
+/// What outlines that move hide and show.
+struct Boundaries;
+
+impl<S: Strategy, X: Sampler> Integral<S, X> for Boundaries {
+    fn image<R: Components>(pass: &Pass<R>) -> Rendering {
+        boundary::image::<R, S, X>(pass)
+    }
+    fn gradient<P: Float>(
+        pass: &Pass<P>,
+        active: &Active,
+        adjoint: &[f32],
+        large: &ExactBuffer,
+    ) -> GradientSums {
+        boundary::gradient::<P, S, X>(pass, active, adjoint, large)
     }
 }
 

@@ -6,6 +6,7 @@
 //! [`second_order`] has Hessian-vector products and the Gauss-Newton matrix.
 
 mod active;
+mod boundary;
 mod connections;
 pub mod density;
 pub mod direct;

@@ -193,6 +193,26 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
         }
     }
 
+    /// The rest of a path, behind a vertex that others have dealt with: `depth` edges with this ray. What the ray meets
+    /// could not have been sampled.
+    #[inline(always)]
+    pub(super) fn behind(ray: Ray<Geometry<S, R>>, sampler: X, depth: u32) -> Self {
+        Self {
+            depth,
+            ..Self::new(ray, sampler)
+        }
+    }
+
+    /// [`Walk::finish`] for a ray of which it is known what it meets.
+    pub(super) fn finish_at(
+        mut self,
+        context: &Context<R>,
+        hit: Option<Intersection<Geometry<S, R>>>,
+    ) -> Rgb<R> {
+        self.step(context, hit, false, &mut ());
+        self.finish(context, &mut ())
+    }
+
     /// Goes on to the end, tracing ray by ray.
     pub fn finish<O: Observer<R>>(mut self, context: &Context<R>, observer: &mut O) -> Rgb<R> {
         self.go(context, observer);

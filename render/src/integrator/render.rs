@@ -34,6 +34,9 @@ pub fn render<R: Components, S: Unbiased, X: Sampler>(
         for info in moving.clone() {
             estimator::check_parameter::<S>(info)?;
             scene.admits_motion(info)?;
+            if S::OUTLINES {
+                scene.admits_outlines(info, job.settings.max_depth)?;
+            }
         }
         connections::check::<S>(job.settings, moving)?;
     }

@@ -92,7 +92,7 @@ pub(super) fn start<R: Real, S: Strategy, X: Sampler>(
 /// The point of the image that sample `index` of the pixel `(x, y)` of the crop window sees, with a place on the lens
 /// if there is one, and the numbers of the path to come.
 #[inline(always)]
-fn spot<P: Float, X: Sampler>(
+pub(super) fn spot<P: Float, X: Sampler>(
     scene: &Scene,
     points: Points,
     seed: u64,

@@ -1,10 +1,13 @@
 //! The geometry of a scene, and all that is derived from it: one owner, so that it changes together.
 
+use std::sync::OnceLock;
+
 use ad_core::{Real, Vec3};
 
 use super::ShapeInfo;
 use crate::accel::{self, Accel, AccelError, Hit, Plane, Primitive};
 use crate::camera::Camera;
+use crate::edges::Edges;
 use crate::emitter::Ball;
 use crate::math::{NOWHERE, Ray, Transform};
 use crate::motion::{Drift, Placement};
@@ -51,6 +54,8 @@ pub(super) struct Geometry {
     /// that particles see otherwise than paths do.
     pub casters: Vec<Ball>,
     wanted: Wanted,
+    /// Once somebody asks.
+    edges: OnceLock<Edges>,
     /// Per shape, how it moves as a whole; empty as long as none does.
     placed: Vec<Option<Box<Placed>>>,
     /// Parameters that shapes read, with the shape.
@@ -212,6 +217,7 @@ impl Geometry {
             lamps,
             casters,
             wanted,
+            edges: OnceLock::new(),
             placed: Vec::new(),
             reads,
         })
@@ -275,6 +281,11 @@ impl Geometry {
         self.placement(shape)?.drift(theta)
     }
 
+    /// The edges of all shapes.
+    pub fn edges(&self) -> &Edges {
+        self.edges.get_or_init(|| Edges::of(&self.shapes))
+    }
+
     /// Parameters that shapes read, with the shape.
     pub fn reads(&self) -> &[(u32, ParamRef)] {
         &self.reads
@@ -319,6 +330,7 @@ impl Geometry {
             .map_err(|e| layout.out_of_reach(e))?;
         (self.lamps, self.casters) = self.wanted.balls(&shapes, infos);
         self.shapes = shapes;
+        self.edges = OnceLock::new();
         self.prims = layout.prims;
         self.firsts = layout.firsts;
         self.patches = layout.patches;

@@ -336,6 +336,25 @@ impl Scene {
         Ok(())
     }
 
+    /// Whether samples of edges find all outlines that move with this parameter, where paths have up to `max_depth` edges:
+    /// there may be no shadows of point and spot lights, whose outlines are no scattered light's.
+    ///
+    /// # Errors
+    /// Names the parameter, and a light. None for parameters that move nothing.
+    pub fn admits_outlines(&self, info: &ParamInfo, max_depth: u32) -> Result<(), RenderError> {
+        if !info.kind.is_motion() || max_depth < 2 || self.outline(false).is_none() {
+            return Ok(());
+        }
+        match self.emitters.iter().find(|e| e.is_delta()) {
+            None => Ok(()),
+            Some(_) => Err(RenderError::Motion {
+                name: info.name.clone(),
+                culprit: "shadows of point and spot lights have outlines without samples of edges"
+                    .into(),
+            }),
+        }
+    }
+
     /// Whether a texture of a shape does: between texels, or where its coordinates begin again.
     fn jumps(&self, info: &ShapeInfo, shape: &AnyShape) -> bool {
         let round = matches!(

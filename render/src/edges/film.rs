@@ -1,0 +1,337 @@
+//! Outlines, borders and creases on the film.
+
+use std::ops::Range;
+
+use ad_core::{Float, Vec3};
+
+use super::{Curve, CurveKind, EdgePoint, Edges, INSIDE, Rim, Spot, Surfaces, View};
+use crate::camera::Camera;
+use crate::film::Film;
+use crate::shape::{SurfaceCoordinates, lift3};
+
+/// Pieces of curves are at most this long on the film, in pixels, ..
+const LONGEST: f64 = 4.0;
+/// .. or this often halved.
+const HALVINGS: u32 = 9;
+/// Nearer to the plane of the pinhole than this, relative to the distance, nothing is on the film.
+const NEAR: f64 = 1e-6;
+
+/// The camera as linear maps: its rays, and where it sees what.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Projection {
+    origin: Vec3<f64>,
+    dx: Vec3<f64>,
+    dy: Vec3<f64>,
+    corner: Vec3<f64>,
+    rows: [Vec3<f64>; 3],
+    /// Of the matrix of the three vectors.
+    determinant: f64,
+}
+
+/// Which faces meet at a point of a curve on the film.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Sides {
+    /// The surface here, and whatever is behind the edge.
+    Outline(Inside),
+    /// This surface, and another one that the normal of the curve points to.
+    Crease(Inside, Inside),
+}
+
+/// A point of a surface just inside of an edge.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Inside {
+    spot: Spot,
+    /// World space, where that is not part of the spot.
+    p: Vec3<f64>,
+}
+
+/// A point of a curve on the film.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct FilmPoint {
+    /// On the full film, in pixels.
+    pub at: [f64; 2],
+    /// Seen from the pinhole. Its weight takes a speed, in radians, to an area of the film in pixels, and is over the
+    /// density.
+    pub edge: EdgePoint,
+    pub sides: Sides,
+}
+
+/// A piece of a curve on the film, in a range of its parameter.
+struct Piece {
+    /// Straight edges, then curves.
+    item: u32,
+    span: [f64; 2],
+}
+
+/// All curves on the film that move.
+pub(crate) struct FilmCurves {
+    projection: Projection,
+    pieces: Vec<Piece>,
+    /// Running sums of their lengths.
+    lengths: Vec<f64>,
+}
+
+impl Projection {
+    fn of(camera: &Camera) -> Self {
+        let corner: Vec3<f64> = camera.direction(0.0, 0.0);
+        let dx = camera.direction(1.0, 0.0) - corner;
+        let dy = camera.direction(0.0, 1.0) - corner;
+        let determinant: f64 = dx.dot(dy.cross(corner));
+        let scale = determinant.recip();
+        Self {
+            origin: camera.origin().into(),
+            dx,
+            dy,
+            corner,
+            rows: [dy.cross(corner), corner.cross(dx), dx.cross(dy)].map(|v| v * scale),
+            determinant,
+        }
+    }
+
+    /// The point `(x, y)` of the film and the depth, as homogeneous coordinates `(x z, y z, z)`.
+    fn homogeneous(&self, v: Vec3<f64>) -> [f64; 3] {
+        self.rows.map(|row| row.dot(v))
+    }
+
+    /// The area on the film, in pixels, of a unit of solid angle around this point of it.
+    fn pixels_per_steradian(&self, [x, y]: [f64; 2]) -> f64 {
+        let d = self.dx * x + self.dy * y + self.corner;
+        d.length().powi(3) / self.determinant.abs()
+    }
+}
+
+impl Edges {
+    /// The curves on a film that edges of `moving` shapes draw. `camera`: whether the camera moves, so that all do.
+    pub fn on_film(
+        &self,
+        camera: &Camera,
+        film: &Film,
+        moving: &dyn Fn(Range<u32>) -> bool,
+    ) -> FilmCurves {
+        let projection = Projection::of(camera);
+        let mut curves = FilmCurves {
+            projection,
+            pieces: Vec::new(),
+            lengths: Vec::new(),
+        };
+        let reach = film.reach();
+        for (edge, i) in self.straight.iter().zip(0..) {
+            if !moving(edge.shape..edge.shape + 1) || self.view(i, projection.origin).is_none() {
+                continue;
+            }
+            let start = edge.start() - projection.origin;
+            let [a, b] = [start, start + edge.along()].map(|p| projection.homogeneous(p));
+            let Some(span) = clip(a, b, reach) else {
+                continue;
+            };
+            let [p, q] = span.map(|t| flat(between(a, b, t)));
+            curves.push(i as u32, span, (q[0] - p[0]).hypot(q[1] - p[1]));
+        }
+        for (curve, i) in self.curves.iter().zip(0..) {
+            if !moving(curve.shape..curve.shape + 1) {
+                continue;
+            }
+            let item = (self.straight.len() + i) as u32;
+            let at = |s: f64| {
+                let rim = curve.rim(s, projection.origin)?;
+                Some(projection.homogeneous(rim.p - projection.origin))
+            };
+            for k in 0..16 {
+                let span = [k, k + 1].map(|k| f64::from(k) / 16.0);
+                curves.split(item, span, &at, reach, 0);
+            }
+        }
+        curves
+    }
+
+    fn film_rim(&self, item: usize, s: f64, x: Vec3<f64>) -> Option<(Rim, u32, Sides)> {
+        let Some(edge) = self.straight.get(item) else {
+            let curve = &self.curves[item - self.straight.len()];
+            let rim = curve.rim(s, x)?;
+            let inside = curve.inside(&rim, x);
+            return Some((rim, curve.shape, Sides::Outline(inside)));
+        };
+        let (view, _) = self.view(item, x)?;
+        let inside = |k: usize| Inside {
+            spot: Spot::At(edge.faces[k].local, edge.faces[k].at(s)[1]),
+            p: Vec3::zero(),
+        };
+        let (front, sides) = match view {
+            View::Outline(k) => (k, Sides::Outline(inside(k))),
+            View::Crease => (0, Sides::Crease(inside(0), inside(1))),
+        };
+        let face = edge.faces[front];
+        let rim = Rim {
+            p: edge.start() + edge.along() * s,
+            tangent: edge.along(),
+            into: lift3(edge.into[front]),
+            spot: Spot::At(face.local, face.at(s)[0]),
+        };
+        Some((rim, edge.shape, sides))
+    }
+}
+
+impl Curve {
+    /// Just inside of a point of the curve as `x` sees it.
+    fn inside(&self, rim: &Rim, x: Vec3<f64>) -> Inside {
+        let Rim { p, spot, .. } = *rim;
+        let spot = match spot {
+            Spot::At(local, [u, v]) if self.kind == CurveKind::Disk => {
+                Spot::At(local, [u, v].map(|x| x * (1.0 - INSIDE)))
+            }
+            Spot::At(local, [u, v]) => Spot::At(local, [u, v + INSIDE * (0.5 - v)]),
+            Spot::Normal(out) => {
+                let axis = self.axes[0].normalize();
+                let d = (p - x).normalize();
+                // Round a tube, if it is one.
+                let towards = (out - (d - axis * axis.dot(d)) * INSIDE).normalize();
+                let p = p + (towards - out) * self.radius;
+                return Inside {
+                    spot: Spot::Normal(towards),
+                    p,
+                };
+            }
+        };
+        Inside { spot, p }
+    }
+}
+
+/// A point of a segment.
+fn between(a: [f64; 3], b: [f64; 3], t: f64) -> [f64; 3] {
+    [0, 1, 2].map(|k| a[k] + t * (b[k] - a[k]))
+}
+
+fn flat([x, y, z]: [f64; 3]) -> [f64; 2] {
+    [x / z, y / z]
+}
+
+/// The part of a segment in homogeneous coordinates that is in front of the camera and within reach of the film.
+fn clip(a: [f64; 3], b: [f64; 3], reach: [[f64; 2]; 2]) -> Option<[f64; 2]> {
+    let near = NEAR * a.iter().chain(&b).fold(0.0, |m: f64, x| m.max(x.abs()))
+        / reach.iter().flatten().fold(1.0, |m: f64, x| m.max(x.abs()));
+    let inside: [&dyn Fn([f64; 3]) -> f64; 5] = [
+        &|p| p[2] - near,
+        &|p| p[0] - reach[0][0] * p[2],
+        &|p| reach[0][1] * p[2] - p[0],
+        &|p| p[1] - reach[1][0] * p[2],
+        &|p| reach[1][1] * p[2] - p[1],
+    ];
+    let mut span = [0.0f64, 1.0];
+    for f in inside {
+        let (x, y) = (f(a), f(b));
+        if x < 0.0 && y < 0.0 {
+            return None;
+        }
+        let cut = x / (x - y);
+        if x < 0.0 {
+            span[0] = span[0].max(cut);
+        } else if y < 0.0 {
+            span[1] = span[1].min(cut);
+        }
+    }
+    (span[0] < span[1]).then_some(span)
+}
+
+impl FilmCurves {
+    fn push(&mut self, item: u32, span: [f64; 2], length: f64) {
+        if length > 0.0 && length.is_finite() {
+            self.pieces.push(Piece { item, span });
+            self.lengths.push(self.length() + length);
+        }
+    }
+
+    fn split(
+        &mut self,
+        item: u32,
+        span: [f64; 2],
+        at: &dyn Fn(f64) -> Option<[f64; 3]>,
+        reach: [[f64; 2]; 2],
+        halvings: u32,
+    ) {
+        let middle = 0.5 * (span[0] + span[1]);
+        let (Some(a), Some(b), Some(m)) = (at(span[0]), at(span[1]), at(middle)) else {
+            return;
+        };
+        let points = [a, m, b];
+        let mut halves = || {
+            for span in [[span[0], middle], [middle, span[1]]] {
+                self.split(item, span, at, reach, halvings + 1);
+            }
+        };
+        if points.iter().any(|p| p[2] <= 0.0) {
+            if halvings < HALVINGS && points.iter().any(|p| p[2] > 0.0) {
+                halves();
+            }
+            return;
+        }
+        let [p, m, q] = points.map(flat);
+        let length = (m[0] - p[0]).hypot(m[1] - p[1]) + (q[0] - m[0]).hypot(q[1] - m[1]);
+        let outside = (0..2).any(|k| {
+            let (low, high) = (p[k].min(q[k]).min(m[k]), p[k].max(q[k]).max(m[k]));
+            low - length > reach[k][1] || high + length < reach[k][0]
+        });
+        if outside {
+            return;
+        }
+        if length > LONGEST && halvings < HALVINGS {
+            halves();
+            return;
+        }
+        self.push(item, span, length);
+    }
+
+    /// Length of all of them, in pixels.
+    pub fn length(&self) -> f64 {
+        self.lengths.last().copied().unwrap_or(0.0)
+    }
+
+    /// A point in proportion to length on the film, exactly on straight edges and nearly on curves, with the weight of its
+    /// exact density. `None` where a curve is seen end on.
+    pub fn point(&self, edges: &Edges, u: f64) -> Option<FilmPoint> {
+        let total = self.length();
+        let along = u * total;
+        let i = self
+            .lengths
+            .partition_point(|&l| l <= along)
+            .min(self.pieces.len().checked_sub(1)?);
+        let before = if i == 0 { 0.0 } else { self.lengths[i - 1] };
+        let length = self.lengths[i] - before;
+        let part = ((along - before) / length).clamp(0.0, 1.0);
+        let Piece { item, span } = self.pieces[i];
+        let x = self.projection.origin;
+        let straight = edges.straight.get(item as usize);
+        let s = match straight {
+            Some(edge) => {
+                // Uniform on the film, where depth shortens.
+                let start = edge.start() - x;
+                let depth = |t: f64| self.projection.rows[2].dot(start + edge.along() * t);
+                let [near, far] = span.map(depth);
+                let t = part * near / (part * near + (1.0 - part) * far);
+                span[0] + t * (span[1] - span[0])
+            }
+            None => span[0] + part * (span[1] - span[0]),
+        };
+        let (rim, shape, sides) = edges.film_rim(item as usize, s, x)?;
+        let tangent = rim.tangent;
+        let (mut edge, speed) = rim.seen(x, shape)?;
+        let p = self.projection.homogeneous(edge.p - x);
+        let at = flat(p);
+        let d = self.projection.homogeneous(tangent);
+        let on_film = [0, 1].map(|k| (d[k] - at[k] * d[2]) / p[2]);
+        let density = match straight {
+            Some(_) => on_film[0].hypot(on_film[1]) / total,
+            None => length / total / (span[1] - span[0]),
+        };
+        edge.weight = self.projection.pixels_per_steradian(at) * speed / density;
+        edge.weight
+            .is_finite()
+            .then_some(FilmPoint { at, edge, sides })
+    }
+}
+
+impl Surfaces<'_> {
+    /// The material of a surface just inside of an edge: primitive of the scene and coordinates.
+    pub fn inside<P: Float>(&self, shape: u32, inside: &Inside) -> (u32, SurfaceCoordinates<P>) {
+        self.place(shape, inside.spot, inside.p)
+    }
+}

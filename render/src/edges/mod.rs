@@ -1,0 +1,421 @@
+//! Edges: where one surface ends before another, or two meet at an angle.
+//!
+//! What a point sees jumps across them, so that the derivative of an integral over directions has a term along every
+//! outline that moves. [`Edges`] knows those of all shapes: the sides of flat faces, welded where their corners are at the
+//! same place, and rims and outlines of curved shapes in closed form. Where an edge is an outline follows from the
+//! directions into its faces alone: all of them are on one side of the plane through the point of view and the edge. No
+//! orientation of faces is asked for, so that it holds for open, flat and badly wound meshes as well.
+//!
+//! An [`EdgePoint`] is a point on an outline as seen from somewhere. Outlines on the film are in [`film`]; for all other
+//! points of view, [`Edges::draw`] chooses in a tree over all edges.
+
+pub(crate) mod film;
+mod topology;
+mod tree;
+
+use std::collections::HashMap;
+
+use ad_core::{Float, Vec2, Vec3};
+
+pub(crate) use tree::Seeker;
+
+use crate::accel::Hit;
+use crate::math::{Frame, Ray};
+use crate::params::Theta;
+use crate::shape::{AnyShape, Shape, SurfaceCoordinates, lift3};
+use topology::Topology;
+use tree::Tree;
+
+/// How far inside of its outline a curved surface is looked at, as the cosine to its normal; and how far inside of its
+/// sides a flat one, as a part of it: where an edge is seen, so is the surface, on the side of the viewer.
+const INSIDE: f64 = 1e-4;
+
+/// A face that ends at an edge.
+#[derive(Clone, Copy, Debug)]
+struct Face {
+    /// Primitive of the shape.
+    local: u32,
+    /// The side: from this corner to the next one.
+    side: u8,
+    /// How many sides there are.
+    sides: u8,
+    /// Whether it runs from the end of the edge to its start.
+    reversed: bool,
+}
+
+/// A straight edge.
+#[derive(Clone, Copy, Debug)]
+struct Edge {
+    shape: u32,
+    ends: [[f32; 3]; 2],
+    /// Unit vectors in the faces, at right angles to the edge; zero where there is none.
+    into: [[f32; 3]; 2],
+    faces: [Face; 2],
+    /// Whether there is one face only.
+    border: bool,
+    /// Whether what is seen jumps where both faces are seen.
+    jumps: bool,
+}
+
+/// What a curve is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum CurveKind {
+    /// The outline of a sphere.
+    Ball,
+    /// The rim of a disk.
+    Disk,
+    /// One of the two outlines of a tube.
+    Tube(u8),
+    /// The rim of a tube, at the end of its axis or not.
+    End(bool),
+}
+
+/// An edge of a curved shape, over a parameter in [0, 1].
+#[derive(Clone, Copy, Debug)]
+struct Curve {
+    shape: u32,
+    kind: CurveKind,
+    /// Centre; the foot of the axis of a tube.
+    origin: Vec3<f64>,
+    /// Half axes of rims; the axis of a tube.
+    axes: [Vec3<f64>; 2],
+    /// From the rim of a tube along its axis; zero for all others.
+    into: Vec3<f64>,
+    radius: f64,
+}
+
+/// Where on its shape a point of an edge is.
+#[derive(Clone, Copy, Debug)]
+enum Spot {
+    /// At these coordinates of a primitive.
+    At(u32, [f64; 2]),
+    /// Where a curved surface has this outward normal.
+    Normal(Vec3<f64>),
+}
+
+/// A point of a curve as seen from somewhere.
+struct Rim {
+    p: Vec3<f64>,
+    /// The change of the point with the parameter.
+    tangent: Vec3<f64>,
+    /// From the edge into the occluder.
+    into: Vec3<f64>,
+    spot: Spot,
+}
+
+/// Faces on both sides of an edge, as seen from somewhere.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum View {
+    /// All faces are on one side, of which this one is in front.
+    Outline(usize),
+    /// The first face and the second one are on different sides, and what is seen jumps.
+    Crease,
+}
+
+/// A point on an outline, seen from a point of view.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct EdgePoint {
+    /// World space.
+    pub p: Vec3<f64>,
+    /// Unit direction from the point of view.
+    pub direction: Vec3<f64>,
+    /// Distance from there.
+    pub distance: f64,
+    /// Unit vector at right angles to the direction and the edge, out of the occluder.
+    pub normal: Vec3<f64>,
+    /// The length of the outline, in radians, over the density.
+    pub weight: f64,
+    /// Shape and its primitive that the point belongs to.
+    pub shape: u32,
+    spot: Spot,
+}
+
+/// What surfaces there are.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Surfaces<'a> {
+    /// All shapes.
+    pub shapes: &'a [AnyShape],
+    /// The first primitive of each.
+    pub firsts: &'a [u32],
+}
+
+impl Surfaces<'_> {
+    /// Where the material of a point on an edge is: a primitive of the scene, and its coordinates.
+    pub fn material<P: Float>(&self, edge: &EdgePoint) -> (u32, SurfaceCoordinates<P>) {
+        self.place(edge.shape, edge.spot, edge.p)
+    }
+
+    fn place<P: Float>(
+        &self,
+        shape: u32,
+        spot: Spot,
+        p: Vec3<f64>,
+    ) -> (u32, SurfaceCoordinates<P>) {
+        let (local, [u, v]) = self.resolve(shape, spot, p);
+        let at = Vec2::new(P::of(u), P::of(v));
+        (self.firsts[shape as usize] + local, SurfaceCoordinates(at))
+    }
+
+    fn resolve(&self, shape: u32, spot: Spot, p: Vec3<f64>) -> (u32, [f64; 2]) {
+        let normal = match spot {
+            Spot::At(local, at) => return (local, at),
+            Spot::Normal(normal) => normal,
+        };
+        // Seen from close above, whatever its axes are.
+        let shape = &self.shapes[shape as usize];
+        let height = f64::from(shape.extent()).max(f64::MIN_POSITIVE) * 1e-3;
+        let ray = Ray::new(p + normal * height, -normal);
+        let hit = Hit {
+            t: height as f32,
+            u: 0.0,
+            v: 0.0,
+            prim: 0,
+        };
+        let si = shape.interaction(&Theta::still(), 0, &ray, &hit);
+        (0, shape.coordinates(0, &si).0.to_array())
+    }
+}
+
+impl Face {
+    /// The coordinates of a point of the edge, at a part of its length, and of one that lies a little inside.
+    fn at(&self, part: f64) -> [[f64; 2]; 2] {
+        let n = usize::from(self.sides);
+        let k = usize::from(self.side);
+        let [a, b] = [k, k + 1].map(|k| topology::corner(n, k));
+        let part = if self.reversed { 1.0 - part } else { part };
+        let middle = if n == 3 { 1.0 / 3.0 } else { 0.5 };
+        let on = [0, 1].map(|i: usize| a[i] + part * (b[i] - a[i]));
+        [on, on.map(|x| x + INSIDE * (middle - x))]
+    }
+}
+
+impl Edge {
+    fn start(&self) -> Vec3<f64> {
+        lift3(self.ends[0])
+    }
+
+    fn along(&self) -> Vec3<f64> {
+        lift3::<f64>(self.ends[1]) - self.start()
+    }
+
+    /// What the faces look like from `x`, and the unit vector at right angles to what sees the edge: out of the first
+    /// face. `None` if nothing jumps, or the edge is seen as a point.
+    fn view(&self, x: Vec3<f64>, more: &[[f32; 3]]) -> Option<(View, Vec3<f64>)> {
+        let to = self.start() - x;
+        let plane = to.cross(self.along());
+        let plane = (plane.length_squared() > 0.0).then(|| plane.normalize())?;
+        let [m, m2] = self.into.map(lift3::<f64>);
+        let side = plane.dot(m);
+        let normal = if side > 0.0 { -plane } else { plane };
+        if self.border {
+            return Some((View::Outline(0), normal));
+        }
+        let side2 = plane.dot(m2);
+        let inside = |side2: f64| (side2 > 0.0) == (side > 0.0);
+        let all = inside(side2) && more.iter().all(|m| inside(plane.dot(lift3(*m))));
+        if !all {
+            return self.jumps.then_some((View::Crease, normal));
+        }
+        // The face in front rises less behind the edge.
+        let d = (to + self.along() * 0.5).normalize();
+        let slope = |m: Vec3<f64>, side: f64| m.dot(d) / side.abs();
+        let front = usize::from(slope(m2, side2) < slope(m, side));
+        Some((View::Outline(front), normal))
+    }
+}
+
+impl Curve {
+    /// The point with parameter `s`, as far as `x` sees it as an outline.
+    fn rim(&self, s: f64, x: Vec3<f64>) -> Option<Rim> {
+        let (sin, cos) = (std::f64::consts::TAU * s).sin_cos();
+        let [e1, e2] = self.axes;
+        let turn = std::f64::consts::TAU;
+        match self.kind {
+            CurveKind::Disk => {
+                let out = e1 * cos + e2 * sin;
+                Some(Rim {
+                    p: self.origin + out,
+                    tangent: (e2 * cos - e1 * sin) * turn,
+                    into: -out,
+                    spot: Spot::At(0, [cos, sin]),
+                })
+            }
+            CurveKind::End(top) => Some(Rim {
+                p: self.origin + e1 * cos + e2 * sin,
+                tangent: (e2 * cos - e1 * sin) * turn,
+                into: self.into,
+                spot: Spot::At(0, [s, if top { 1.0 } else { 0.0 }]),
+            }),
+            CurveKind::Ball => {
+                let (axis, sine) = self.outside(x - self.origin)?;
+                let frame = Frame::from_normal(axis);
+                let cosine = (1.0 - sine * sine).sqrt();
+                let out = axis * sine + (frame.s * cos + frame.t * sin) * cosine;
+                Some(Rim {
+                    p: self.origin + out * self.radius,
+                    tangent: (frame.t * cos - frame.s * sin) * (cosine * self.radius * turn),
+                    into: -out,
+                    spot: Spot::Normal(out),
+                })
+            }
+            CurveKind::Tube(side) => {
+                let axis = e1.normalize();
+                let to = x - self.origin;
+                let (across, sine) = self.outside(to - axis * axis.dot(to))?;
+                let cosine = (1.0 - sine * sine).sqrt();
+                let sign = if side == 0 { 1.0 } else { -1.0 };
+                let out = across * sine + axis.cross(across) * (cosine * sign);
+                Some(Rim {
+                    p: self.origin + e1 * s + out * self.radius,
+                    tangent: e1,
+                    into: -out,
+                    spot: Spot::Normal(out),
+                })
+            }
+        }
+    }
+
+    /// Unit vector and radius over distance; `None` inside, where rounding counts as such.
+    fn outside(&self, to: Vec3<f64>) -> Option<(Vec3<f64>, f64)> {
+        let distance = to.length();
+        let sine = self.radius / distance;
+        (sine < 1.0 - 1e-5).then(|| (to.normalize(), sine))
+    }
+
+    /// A length.
+    fn length(&self) -> f64 {
+        match self.kind {
+            CurveKind::Tube(_) => self.axes[0].length(),
+            _ => std::f64::consts::TAU * self.radius,
+        }
+    }
+}
+
+impl Curve {
+    /// Chords of a sphere or disk, and lines along a tube.
+    fn probes(&self) -> Vec<[Vec3<f64>; 2]> {
+        let round =
+            |k: u32, n: u32| (std::f64::consts::TAU * f64::from(k) / f64::from(n)).sin_cos();
+        let [e1, e2] = self.axes;
+        match self.kind {
+            CurveKind::Ball => {
+                let n = 24;
+                let point = |i: u32, j: u32| {
+                    let ((sin, cos), (s, c)) = (round(i, n), round(j, n));
+                    self.origin + Vec3::new(cos * s, c, sin * s) * self.radius
+                };
+                let around = |(i, j): (u32, u32)| {
+                    let p = point(i, j);
+                    [[p, point(i + 1, j)], [p, point(i, j + 1)]]
+                };
+                (0..n)
+                    .flat_map(|i| (0..n / 2).map(move |j| (i, j)))
+                    .flat_map(around)
+                    .collect()
+            }
+            CurveKind::Disk => (0..12)
+                .map(|k| {
+                    let (sin, cos) = round(k, 24);
+                    let out = e1 * cos + e2 * sin;
+                    [self.origin - out, self.origin + out]
+                })
+                .collect(),
+            CurveKind::Tube(0) => {
+                let frame = Frame::from_normal(e1.normalize());
+                (0..24)
+                    .map(|k| {
+                        let (sin, cos) = round(k, 24);
+                        let p = self.origin + (frame.s * cos + frame.t * sin) * self.radius;
+                        [p, p + e1]
+                    })
+                    .collect()
+            }
+            CurveKind::Tube(_) | CurveKind::End(_) => Vec::new(),
+        }
+    }
+}
+
+impl Rim {
+    /// As seen from `x`, with the derivative of the direction by the parameter. `None` where it is seen end on.
+    fn seen(&self, x: Vec3<f64>, shape: u32) -> Option<(EdgePoint, f64)> {
+        let to = self.p - x;
+        let distance = to.length();
+        let direction = to * distance.recip();
+        let across = direction.cross(self.tangent);
+        let speed = across.length() / distance;
+        if !(speed > 0.0 && speed.is_finite()) {
+            return None;
+        }
+        let plane = across.normalize();
+        let normal = if plane.dot(self.into) > 0.0 {
+            -plane
+        } else {
+            plane
+        };
+        let point = EdgePoint {
+            p: self.p,
+            direction,
+            distance,
+            normal,
+            weight: 0.0,
+            shape,
+            spot: self.spot,
+        };
+        Some((point, speed))
+    }
+}
+
+/// All edges of a scene.
+#[derive(Debug)]
+pub(crate) struct Edges {
+    straight: Vec<Edge>,
+    more: HashMap<u32, Vec<[f32; 3]>>,
+    curves: Vec<Curve>,
+    tree: Tree,
+}
+
+impl Edges {
+    /// Those of shapes as they are.
+    pub fn of(shapes: &[AnyShape]) -> Self {
+        let Topology {
+            straight,
+            more,
+            curves,
+        } = Topology::of(shapes);
+        let tree = Tree::of(&straight, &more, &curves);
+        Self {
+            straight,
+            more,
+            curves,
+            tree,
+        }
+    }
+
+    fn more(&self, edge: usize) -> &[[f32; 3]] {
+        (self.more.get(&(edge as u32))).map_or(&[], |m| &m[..])
+    }
+
+    /// What faces of a straight edge look like.
+    fn view(&self, edge: usize, x: Vec3<f64>) -> Option<(View, Vec3<f64>)> {
+        let more = if self.more.is_empty() {
+            &[]
+        } else {
+            self.more(edge)
+        };
+        self.straight[edge].view(x, more)
+    }
+
+    /// Segments on the surfaces of shapes, with the shape that each belongs to: where shapes cross each other, some of
+    /// them do, unless what sticks out is small and round or lies within one face. At most about `most` of them.
+    pub fn probes(&self, most: usize) -> Vec<(u32, [Vec3<f64>; 2])> {
+        let step = self.straight.len().div_ceil(most.max(1)).max(1);
+        let straight = self.straight.iter().step_by(step);
+        let mut all: Vec<_> = straight
+            .map(|e| (e.shape, [e.start(), e.start() + e.along()]))
+            .collect();
+        for c in &self.curves {
+            all.extend(c.probes().into_iter().map(|ends| (c.shape, ends)));
+        }
+        all
+    }
+}

@@ -1,0 +1,311 @@
+//! Derivatives in what moves, by edges: against central differences, and where they are known.
+
+use std::path::Path;
+
+use render::estimator::{AllowBias, DetachedMis, Interior, Outlines, Unbiased};
+use render::instances::{Estimator, render_f64};
+use render::integrator::gradient::{Active, backward};
+use render::params::Theta;
+use render::sampler::Independent;
+use render::scene::LoadOptions;
+use render::statistics::{Estimate, z_limit};
+use render::{Job, Scene, Settings};
+use tests::{mean_adjoint, shared_dir, values};
+
+type ByEdges = Outlines<Interior<DetachedMis>>;
+
+/// Derivatives of the mean of all pixels and channels in double precision, from `runs` seeds.
+fn gradient(s: &Scene, names: &[&str], runs: u64, spp: u64) -> Vec<Estimate> {
+    gradient_by::<ByEdges>(s, names, runs, spp)
+}
+
+fn gradient_by<E: Unbiased>(s: &Scene, names: &[&str], runs: u64, spp: u64) -> Vec<Estimate> {
+    let all = values::<f64>(s);
+    let theta = Theta::constant(&all);
+    let active = Active::seen_by::<E, _>(s, names).expect("seen");
+    let adjoint = mean_adjoint(s);
+    let runs: Vec<Vec<f64>> = (0..runs)
+        .map(|seed| {
+            let job = Job::new(s, &s.settings, seed, 0..spp, &());
+            let g = backward::<f64, E, Independent>(&job, &theta, &active, &adjoint);
+            let g = g.expect("admitted");
+            assert_eq!(g.non_finite.count, 0);
+            g.values.concat()
+        })
+        .collect();
+    estimates(&runs)
+}
+
+fn estimates(runs: &[Vec<f64>]) -> Vec<Estimate> {
+    (0..runs[0].len())
+        .map(|i| Estimate::of(&runs.iter().map(|r| r[i]).collect::<Vec<_>>()))
+        .collect()
+}
+
+/// Mean of all pixels and channels.
+fn mean(s: &Scene, settings: &Settings, seed: u64, spp: u64) -> f64 {
+    let all = values::<f64>(s);
+    let job = Job::new(s, settings, seed, 0..spp, &());
+    let r = render_f64(&job, &Theta::constant(&all), Estimator::Mis);
+    r.mean(0).iter().sum::<f64>() / 3.0
+}
+
+/// Central differences in every element of the named ranges, from `runs` seeds.
+fn differences(s: &mut Scene, names: &[&str], h: f32, runs: u64, spp: u64) -> Vec<Estimate> {
+    let start = s.params().values().to_vec();
+    let settings = s.settings;
+    let mut out = Vec::new();
+    for name in names {
+        for i in s.params().find(name).expect("known").range() {
+            let mut at = |by: f32, seed: u64| {
+                let mut values = start.clone();
+                values[i] += by;
+                s.set_params(&values).expect("valid");
+                mean(s, &settings, 1000 + seed, spp)
+            };
+            let found: Vec<f64> = (0..runs)
+                .map(|seed| (at(h, seed) - at(-h, seed)) / (2.0 * f64::from(h)))
+                .collect();
+            out.push(Estimate::of(&found));
+        }
+    }
+    s.set_params(&start).expect("valid");
+    out
+}
+
+/// Asserts that a gradient agrees with differences, of which `bias` times the largest is allowed for the step.
+fn agrees(what: &str, found: &[Estimate], expected: &[Estimate], bias: f64, runs: u64) {
+    let size = expected.iter().fold(0.0, |m: f64, e| m.max(e.mean.abs()));
+    let limit = z_limit(found.len(), runs, 1e-3);
+    for (i, (a, b)) in found.iter().zip(expected).enumerate() {
+        println!(
+            "{what} {i}: {:+.6} +- {:.6}, differences {:+.6} +- {:.6}",
+            a.mean, a.se, b.mean, b.se
+        );
+    }
+    for (i, (a, b)) in found.iter().zip(expected).enumerate() {
+        let off = (a.mean - b.mean).abs() - bias * size;
+        assert!(
+            off < limit * a.se.hypot(b.se),
+            "{what} {i}: {a:?}, not {b:?}"
+        );
+        assert!(
+            a.se.hypot(b.se) < 0.15 * size,
+            "{what} {i}: {a:?} {b:?} say nothing"
+        );
+    }
+}
+
+fn scene(body: &str, depth: u32) -> Scene {
+    let s = format!(
+        r#"<integrator type="path"><integer name="max_depth" value="{depth}"/><integer name="rr_depth" value="100"/></integrator>
+        <sensor type="perspective"><float name="fov" value="45"/>
+            <transform name="to_world"><lookat origin="0, 3, 5" target="0, 0.4, 0" up="0, 1, 0"/></transform>
+            <film type="hdrfilm"><integer name="width" value="16"/><integer name="height" value="16"/>
+            <rfilter type="box"/></film></sensor>{body}"#
+    );
+    tests::scene(&s)
+}
+
+const FLOOR: &str = r#"
+    <bsdf type="diffuse" id="grey"><rgb name="reflectance" value="0.6, 0.5, 0.4"/></bsdf>
+    <bsdf type="roughconductor" id="metal"><float name="alpha" value="0.35"/></bsdf>
+    <shape type="rectangle" id="floor"><transform name="to_world"><scale value="4"/><rotate x="1" angle="-90"/>
+        </transform><ref id="grey"/></shape>
+    <shape type="rectangle" id="lamp"><transform name="to_world"><scale value="0.6"/><rotate x="1" angle="90"/>
+        <translate x="0.7" y="3" z="-0.3"/></transform>
+        <emitter type="area"><rgb name="radiance" value="9, 10, 11"/></emitter></shape>"#;
+
+const CUBE: &str = r#"<shape type="cube" id="it"><transform name="to_world"><scale value="0.5"/><rotate y="1" angle="25"/>
+    <rotate x="1" angle="20"/><translate y="1.1"/></transform><ref id="grey"/></shape>"#;
+const BALL: &str = r#"<shape type="sphere" id="it"><float name="radius" value="0.6"/><transform name="to_world">
+    <rotate y="1" angle="25"/><translate x="0.2" y="1.1" z="0.3"/></transform><ref id="grey"/></shape>"#;
+const DISK: &str = r#"<shape type="disk" id="it"><transform name="to_world"><scale value="0.7"/><rotate x="1" angle="-60"/>
+    <translate y="1.2"/></transform><bsdf type="twosided"><ref id="grey"/></bsdf></shape>"#;
+const TUBE: &str = r#"<shape type="cylinder" id="it"><point name="p0" x="-0.6" y="1" z="0.2"/>
+    <point name="p1" x="0.6" y="1.3" z="0"/><float name="radius" value="0.3"/>
+    <bsdf type="twosided"><ref id="grey"/></bsdf></shape>"#;
+
+/// Shapes before a floor, lit by a lamp, directly and through more bounces: whatever of them moves, and the lamp and the
+/// camera. 8 runs of 256 samples of 256 pixels, and differences of 8 runs of 1024.
+#[test]
+#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
+fn edges_agree_with_differences() {
+    for (what, body, depth) in [
+        ("cube", CUBE, 2),
+        ("ball", BALL, 2),
+        ("disk", DISK, 2),
+        ("tube", TUBE, 2),
+        ("cube through bounces", CUBE, 4),
+        ("ball through bounces", BALL, 5),
+    ] {
+        let metal = body.replace("grey", "metal");
+        let body = if depth > 4 { metal.as_str() } else { body };
+        let mut s = scene(&format!("{FLOOR}{body}"), depth);
+        let names = ["it.translation", "lamp.translation", "sensor.translation"];
+        s.make_movable(&names).expect("known");
+        let found = gradient(&s, &names, 8, 256);
+        let expected = differences(&mut s, &names, 1.0 / 32.0, 8, 1024);
+        agrees(what, &found, &expected, 1e-2, 8);
+    }
+}
+
+/// Without edges, the same test notices that visibility is missing.
+#[test]
+#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
+fn the_interior_alone_is_noticed() {
+    let mut s = scene(&format!("{FLOOR}{BALL}"), 2);
+    s.make_movable(&["it.translation"]).expect("known");
+    let right = gradient(&s, &["it.translation"], 8, 256);
+    let wrong = gradient_by::<AllowBias<Interior<DetachedMis>>>(&s, &["it.translation"], 8, 256);
+    let off = right.iter().zip(&wrong).map(|(a, b)| a.z(b).abs());
+    assert!(
+        off.fold(0.0, f64::max) > 2.0 * z_limit(3, 8, 1e-3),
+        "{right:?} {wrong:?}"
+    );
+}
+
+/// Shadows of point lights have outlines that no edge is drawn for: they are refused by name, in both modes.
+#[test]
+fn shadows_of_points_are_refused() {
+    let light = r#"<emitter type="point"><point name="position" x="0" y="4" z="0"/></emitter>"#;
+    let mut s = scene(&format!("{FLOOR}{CUBE}{light}"), 2);
+    s.make_movable(&["it.translation"]).expect("known");
+    let all = values::<f32>(&s);
+    let theta = Theta::constant(&all);
+    let active = Active::seen_by::<ByEdges, _>(&s, &["it.translation"]).expect("seen");
+    let job = Job::new(&s, &s.settings, 0, 0..1, &());
+    let adjoint = mean_adjoint(&s);
+    let refused = Estimator::Edges.backward_f32(&job, &theta, &active, &adjoint);
+    let message = refused.expect_err("refused").to_string();
+    assert!(
+        message.contains("it.translation") && message.contains("point and spot lights"),
+        "{message}"
+    );
+    let direction = render::instances::Direction::uniform(s.params(), "it.translation");
+    let along = [direction.expect("known")];
+    let refused = Estimator::Edges.forward_f32(&job, s.params().values(), &along);
+    assert_eq!(refused.expect_err("refused").to_string(), message);
+}
+
+/// Shapes that cross are found, those that touch are not.
+#[test]
+fn crossing_shapes_are_named() {
+    let at = |y: f64, what: &str| {
+        format!(
+            r#"{FLOOR}<shape type="{what}" id="it"><transform name="to_world"><rotate y="1" angle="20"/>
+            <translate y="{y}"/></transform><ref id="grey"/></shape>"#
+        )
+    };
+    for what in ["cube", "sphere"] {
+        assert_eq!(scene(&at(1.5, what), 2).crossing(), None, "{what}");
+        assert_eq!(scene(&at(1.0, what), 2).crossing(), None, "{what}");
+        let crossing = scene(&at(0.8, what), 2);
+        let mut names = crossing.crossing().expect("they cross");
+        names.sort_unstable();
+        assert_eq!(names, ["floor", "it"], "{what}");
+    }
+    let disk = r#"<shape type="disk" id="it"><transform name="to_world"><rotate y="1" angle="20"/>
+        <translate y="0.5"/></transform><ref id="grey"/></shape>"#;
+    assert!(scene(&format!("{FLOOR}{disk}"), 2).crossing().is_some());
+}
+
+/// Turns, sizes and angles of view.
+#[test]
+#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
+fn edges_agree_with_differences_of_turns() {
+    let mut s = scene(&format!("{FLOOR}{CUBE}"), 3);
+    let names = ["it.rotation", "it.scale", "sensor.rotation"];
+    s.make_movable(&names).expect("known");
+    let found = gradient(&s, &names, 8, 256);
+    let expected = differences(&mut s, &names, 1.0 / 32.0, 8, 1024);
+    agrees("turns", &found, &expected, 1e-2, 8);
+}
+
+/// One rectangle as a parallelogram, as two triangles and as 200 with a seam of texture coordinates.
+#[test]
+#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
+fn tessellation_changes_nothing() {
+    let folder = std::env::temp_dir().join(format!("outlines-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).expect("a folder");
+    let mesh = |n: u32, seam: bool| {
+        let mut text = String::new();
+        let mut count = 0;
+        for i in 0..n {
+            for j in 0..n {
+                let corner =
+                    |a: u32, b: u32| [a, b].map(|k| f64::from(k) / f64::from(n) * 2.0 - 1.0);
+                for [x, y] in [
+                    corner(i, j),
+                    corner(i + 1, j),
+                    corner(i + 1, j + 1),
+                    corner(i, j + 1),
+                ] {
+                    text += &format!(
+                        "v {x} {y} 0\nvt {} {y}\n",
+                        if seam && i >= n / 2 { x + 3.0 } else { x }
+                    );
+                }
+                let k = |d: u32| format!("{0}/{0}", count + d);
+                text += &format!(
+                    "f {} {} {}\nf {} {} {}\n",
+                    k(1),
+                    k(2),
+                    k(3),
+                    k(1),
+                    k(3),
+                    k(4)
+                );
+                count += 4;
+            }
+        }
+        let path = folder.join(format!("{n}.obj"));
+        std::fs::write(&path, text).expect("a file");
+        path
+    };
+    let placed = r#"<transform name="to_world"><scale value="0.7"/><rotate x="1" angle="-70"/>
+        <translate y="1.2"/></transform><bsdf type="twosided"><ref id="grey"/></bsdf>"#;
+    let shapes = [
+        format!(r#"<shape type="rectangle" id="it">{placed}</shape>"#),
+        format!(
+            r#"<shape type="obj" id="it"><string name="filename" value="{}"/><boolean name="face_normals" value="true"/>{placed}</shape>"#,
+            mesh(1, false).display()
+        ),
+        format!(
+            r#"<shape type="obj" id="it"><string name="filename" value="{}"/><boolean name="face_normals" value="true"/>{placed}</shape>"#,
+            mesh(10, true).display()
+        ),
+    ];
+    let names = ["it.translation", "it.scale", "sensor.translation"];
+    let found = shapes.map(|shape| {
+        let mut s = scene(&format!("{FLOOR}{shape}"), 2);
+        s.make_movable(&names).expect("known");
+        gradient(&s, &names, 8, 256)
+    });
+    std::fs::remove_dir_all(&folder).expect("the folder goes");
+    agrees("two triangles", &found[1], &found[0], 0.0, 8);
+    agrees("two hundred", &found[2], &found[0], 0.0, 8);
+}
+
+/// The cube and the lamp of the peer, of which differences are known [`shared/peer`]: its own edges have the wrong sign
+/// there. 8 runs of 64 samples of 128 x 128 pixels.
+#[test]
+#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
+fn a_cube_and_its_shadow_are_those_of_the_peer() {
+    let Some(shared) = shared_dir() else { return };
+    let path = shared.join("peer/scenes/shadow-translate.xml");
+    if !path.exists() {
+        println!("skipped: no {}", path.display());
+        return;
+    }
+    let options = LoadOptions {
+        defines: vec![("res".into(), "128".into())],
+        ..Default::default()
+    };
+    let (mut s, _) = Scene::load(Path::new(&path), &options).expect("a scene");
+    s.make_movable(&["occluder.translation"]).expect("known");
+    let found = gradient(&s, &["occluder.translation"], 8, 64);
+    let known = [(-0.001741, 8e-6), (-0.001486, 7e-6), (-0.014275, 1.4e-5)];
+    let known = known.map(|(mean, se)| Estimate { mean, se });
+    agrees("shadow-translate", &found, &known, 0.0, 8);
+}
