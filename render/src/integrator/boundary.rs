@@ -508,7 +508,7 @@ impl<'a, P: Float> Boundary<'a, P> {
         mut each: impl FnMut(Contribution<P>),
     ) {
         let points = self.context.settings.points;
-        let (film, sampler) = spot::<P, X>(
+        let ([x, y, ..], sampler) = spot::<P, X>(
             self.context.scene,
             points,
             self.seed ^ SALTS[0],
@@ -516,7 +516,7 @@ impl<'a, P: Float> Boundary<'a, P> {
             sample.index,
         );
         for ((beta, here), depth) in vertices.0.iter().zip(1..) {
-            if let Some(c) = self.at_vertex::<S, X>(*beta, here, depth, film, sampler) {
+            if let Some(c) = self.at_vertex::<S, X>(*beta, here, depth, [x, y], sampler) {
                 each(c);
             }
         }

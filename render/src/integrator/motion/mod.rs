@@ -75,6 +75,7 @@ fn context<'a, R: Real>(
         settings: pass.settings,
         shifts: &[],
         caustics: Caustics::Paths,
+        split: None,
         progress: pass.progress,
     }
 }

@@ -126,6 +126,7 @@ impl<P: Float> Group<P> {
                 distance: s.distance[k],
                 normals: [Vec3::zero(); 2],
                 surface,
+                prim: 0,
                 pdf: s.pdf[k],
                 emission: Emission {
                     uv: Vec2::new(s.u[k], s.v[k]),
@@ -158,6 +159,7 @@ impl<P: Float> Samples<P> {
                 distance: zero,
                 normals: [none; 2],
                 surface: NOWHERE,
+                prim: 0,
                 pdf: zero,
                 emission: Emission {
                     uv: Vec2::zero(),
