@@ -269,7 +269,6 @@ impl<'a, P: Float> PullBack<'a, P> {
 
     /// A value `f` of the material of point `k` with the adjoint `a`, for light from `source`. The adjoint of the place of
     /// a source that is a light.
-    #[allow(clippy::too_many_arguments)]
     fn scattered(
         &mut self,
         k: usize,
@@ -338,7 +337,6 @@ impl<'a, P: Float> PullBack<'a, P> {
     }
 
     /// Light from a point that is a light: `a` and `a_le` are the adjoints of the material's value and of what arrives.
-    #[allow(clippy::too_many_arguments)]
     fn delta_light(
         &mut self,
         k: usize,
