@@ -501,6 +501,89 @@ fn render_writes_image_picture_and_report() {
     assert!(mean("--max-depth 2")[1] < mean("--max-depth -1")[1]);
 }
 
+/// A ball of glass on a floor under a lamp: connections are reported, checked against paths, and their options refused where
+/// they would have no effect.
+#[test]
+fn manifold_connections_are_rendered_reported_and_checked() {
+    let dir = Folder::new();
+    let text = r#"<scene version="3.0.0"><integrator type="path"><integer name="max_depth" value="5"/></integrator>
+        <sensor type="perspective"><float name="fov" value="40"/>
+        <transform name="to_world"><lookat origin="0, 3, 4" target="0, 0.2, 0" up="0, 1, 0"/></transform>
+        <film type="hdrfilm"><integer name="width" value="16"/><integer name="height" value="12"/></film></sensor>
+        <shape type="rectangle"><bsdf type="diffuse" id="floor"/>
+        <transform name="to_world"><scale value="4"/><rotate x="1" angle="-90"/></transform></shape>
+        <shape type="sphere"><point name="center" value="0, 0.9, 0"/><float name="radius" value="0.7"/>
+        <bsdf type="dielectric" id="glass"/></shape>
+        <shape type="rectangle"><transform name="to_world"><scale value="0.8"/><rotate x="1" angle="90"/><translate y="3"/>
+        </transform><emitter type="area"/></shape></scene>"#;
+    std::fs::write(dir.path("ball.xml"), text).unwrap();
+    dir.ok(
+        "render",
+        "ball.xml --manifold sms --spp 32 --manifold-check --json sms.json",
+    );
+    let report = dir.json("sms.json");
+    let manifold = &report["manifold"];
+    assert_eq!(
+        (&manifold["method"], &manifold["unbiased"]),
+        (&"sms".into(), &true.into())
+    );
+    let number = |key: &str| manifold[key].as_f64().unwrap();
+    assert!(
+        number("found") > 0.0
+            && number("success_rate") > 0.0
+            && number("trials_per_solution") >= 1.0
+    );
+    let check = &report["manifold_check"];
+    let (z, limit) = (
+        check["worst_z"].as_f64().unwrap(),
+        check["limit_z"].as_f64().unwrap(),
+    );
+    assert!(z < limit, "{check}");
+    dir.ok(
+        "render",
+        "ball.xml --manifold mnee --bounces 2 --spp 4 --json mnee.json",
+    );
+    assert_eq!(dir.json("mnee.json")["manifold"]["unbiased"], false);
+    dir.ok("render", "ball.xml --manifold off --spp 4 --json off.json");
+    assert!(dir.json("off.json").get("manifold").is_none());
+    for (args, expected) in [
+        ("ball.xml --trials 4", "--manifold"),
+        ("ball.xml --manifold off --bounces 2", "without effect"),
+        ("ball.xml --manifold mnee --trials 4", "sms-biased"),
+        (
+            "ball.xml --manifold sms --caustics particles",
+            "one of them",
+        ),
+        (
+            "ball.xml --manifold sms --integrator particle",
+            "--integrator path",
+        ),
+        ("ball.xml --manifold sms --bounces 9", "1..=8"),
+        ("ball.xml --manifold-check", "no connections to check"),
+    ] {
+        let output = dir.run("render", &format!("{args} -o refused.exr"));
+        let message = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(
+            !output.status.success() && message.contains(expected),
+            "{args}: {message}"
+        );
+        assert!(!dir.path("refused.exr").exists(), "{args}");
+    }
+    let output = dir.run(
+        "gradient",
+        "ball.xml --manifold sms --param glass.eta.value --estimator attached-path",
+    );
+    let message = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(
+        !output.status.success() && message.contains("manifold connections"),
+        "{message}"
+    );
+    dir.ok(
+        "gradient",
+        "ball.xml --manifold sms --param floor.reflectance.value --spp 8 --repeats 2 --json g.json",
+    );
+}
+
 #[test]
 fn strategies_agree_on_the_mean() {
     let dir = Folder::new();
