@@ -719,7 +719,7 @@ fn parameters_are_listed() {
     let out = dir.run("gradient", "scene.xml --list");
     let text = String::from_utf8(out.stdout).unwrap();
     assert!(out.status.success());
-    for needed in [WALL, LAMP, "rgb", "[0.7, 0.4, 0.2]", "[0, 1]"] {
+    for needed in [WALL, LAMP, "rgb", "[0.7, 0.4, 0.2]", "[0, 1]", "sensor.fov"] {
         assert!(text.contains(needed), "{needed} not in:\n{text}");
     }
     assert_eq!(dir.names(), ["scene.xml"]);

@@ -18,7 +18,7 @@ use render::integrator::render::render;
 use render::math::Transform;
 use render::params::{ParamKind, Tangent, Theta};
 use render::sampler::Spread;
-use render::scene::{Builder, MaterialId, Settings};
+use render::scene::{Builder, Settings};
 use render::shape::{AnyShape, Cube, Cylinder, Disk, Mesh, MeshData, Patch, Rectangle, Sphere};
 use render::statistics::{Estimate, z_limit};
 use render::{Film, Image, Job, Scene};
@@ -44,12 +44,11 @@ fn waves(size: [u32; 2], low: f64, high: f64) -> Vec<f32> {
     (0..w * h * 3).map(texel).collect()
 }
 
-fn painted(build: &mut Builder, name: &str) -> MaterialId {
+fn painted(build: &mut Builder, name: &str) -> Arc<Material> {
     let reflectance = build.texels(name, [8, 5], &waves([8, 5], 0.2, 0.8), (0.0, 1.0));
     let reflectance = reflectance.unwrap();
     let paint = Arc::new(Material::from(Diffuse { reflectance }));
-    let both = TwoSided::new([paint.clone(), paint]).unwrap();
-    build.add_material(both)
+    Arc::new(TwoSided::new([paint.clone(), paint]).unwrap().into())
 }
 
 fn metal(build: &mut Builder, alpha: f64) -> Arc<Material> {
@@ -118,7 +117,7 @@ fn sky(build: &mut Builder) {
 
 /// Makes a shape emit a pattern.
 fn glow(build: &mut Builder, name: &str, shape: u32, exponent: f32) {
-    let name = format!("{name}.radiance.data");
+    let name = format!("{name}.radiance");
     let radiance = build
         .texels(&name, [8, 5], &waves([8, 5], 0.3, 1.2), (0.0, 1e3))
         .unwrap();
@@ -168,10 +167,11 @@ fn outside(
     shape: AnyShape,
     eye: [f64; 3],
     fov: f64,
-    material: impl Fn(&mut Builder) -> MaterialId,
+    material: impl Fn(&mut Builder) -> Arc<Material>,
 ) -> Scene {
     let mut build = Builder::new();
     let material = material(&mut build);
+    let material = build.add_shared_material(material);
     build.add_shape("it", shape, material);
     bulb(&mut build, [1.5, 2.0, 4.0]);
     spot(&mut build, [-2.0, 1.0, 5.0], [0.4, -0.2, -1.0]);
@@ -183,6 +183,7 @@ fn outside(
 fn inside(shape: AnyShape, target: [f64; 3], fov: f64, depth: u32, exponent: f32) -> Scene {
     let mut build = Builder::new();
     let walls = painted(&mut build, "walls");
+    let walls = build.add_shared_material(walls);
     let room = build.add_shape("it", shape, walls);
     glow(&mut build, "it", room, exponent);
     bulb(&mut build, [0.3, -0.4, 0.5]);
@@ -193,6 +194,7 @@ fn inside(shape: AnyShape, target: [f64; 3], fov: f64, depth: u32, exponent: f32
 fn plate() -> Scene {
     let mut build = Builder::new();
     let grey = painted(&mut build, "grey");
+    let grey = build.add_shared_material(grey);
     let dark = build.rgb("dark", [0.0; 3], (0.0, 1.0)).unwrap();
     let dark = build.add_material(Diffuse { reflectance: dark });
     let patch = Patch::new([-1.0, -1.0, 0.0], [2.0, 0.0, 0.0], [0.0, 2.0, 0.0], false).unwrap();
@@ -301,8 +303,8 @@ fn compare(what: &str, mut scene: Scene, skip: &[&str], spp: u64) {
     let gradients: Vec<Gradient> = seeds(1)
         .map(|s| gradient::<f64>(&scene, &names, s, spp))
         .collect();
-    // Some 200 comparisons in all tests, with a significance of 1 % over all of them.
-    let limit = z_limit(200, REPEATS, 0.01);
+    // Some 250 comparisons in all tests, with a significance of 1 % over all of them.
+    let limit = z_limit(250, REPEATS, 0.01);
     let mut failures = Vec::new();
     for (r, name) in names.iter().enumerate() {
         let h = match *name {
@@ -363,8 +365,7 @@ fn a_plane_moves_as_differences_say() {
 #[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
 fn rough_metal_moves_as_differences_say() {
     let scene = outside(Rectangle(plane()).into(), [0.5, 0.3, 4.0], 25.0, |b| {
-        let metal = metal(b, 0.4);
-        b.add_shared_material(metal)
+        metal(b, 0.4)
     });
     compare("metal", scene, &[], 1024);
 }
@@ -378,7 +379,11 @@ fn mapped_normals_move_as_differences_say() {
         let map = b.texels("normals", [8, 5], &normals, (0.0, 1.0)).unwrap();
         let reflectance = b.rgb("grey", [0.5; 3], (0.0, 1.0)).unwrap();
         let grey = Arc::new(Material::from(Diffuse { reflectance }));
-        b.add_material(NormalMap::new(map, Interpolation::Normals, grey).unwrap())
+        Arc::new(
+            NormalMap::new(map, Interpolation::Normals, grey)
+                .unwrap()
+                .into(),
+        )
     });
     compare("mapped normals", scene, &[], 512);
 }
@@ -581,7 +586,7 @@ fn a_bulb_over_a_plane_is_known() {
         .rgb("bulb.intensity.value", [7.0; 3], (0.0, 1e3))
         .unwrap();
     build.add_emitter(Point::new(intensity, [0.0, 0.0, 2.0]), None);
-    let mut scene = finish(build, [0.0, 0.0, 5.0], [0.0; 3], 0.02, 2);
+    let mut scene = finish(build, [0.0, 0.0, 5.0], [0.0; 3], 0.001, 2);
     scene
         .make_movable(&[
             "bulb.position",

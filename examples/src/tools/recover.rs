@@ -692,7 +692,8 @@ type Loaded = (Scene, Active, Vec<f32>, Option<Vec<f32>>);
 
 fn load(job: &Job, estimator: Estimator) -> Result<Loaded, ToolError> {
     let Some(path) = &job.scene else {
-        let scene = builtin_scene::cornell(job.size, job.size)?;
+        let mut scene = builtin_scene::cornell(job.size, job.size)?;
+        scene.make_movable(&job.params)?;
         let unknowns = builtin_scene::cornell_unknowns();
         let active = estimator.active(&scene, &job.params)?;
         let (mut start, mut truth) = (Vec::new(), Vec::new());

@@ -3,7 +3,7 @@
 use super::sparse::Sparse;
 
 /// What a gradient pass tells about its noise, as if its samples were independent. What comes through samples of
-/// environment maps that move is not counted, nor are particles.
+/// environment maps that move is not counted, nor are particles, nor what moves where anything else is asked for.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Noise {
     /// Of each pixel, row by row.

@@ -108,7 +108,8 @@ pub(super) struct PullBack<'a, P: Float> {
     theta: &'a Theta<'a, P>,
     active: &'a Active,
     points: Vec<Point<P>>,
-    /// Adjoint of the direction of the camera's ray.
+    /// Direction of the camera's ray, and its adjoint.
+    camera: Vec3<P>,
     d_camera: Vec3<P>,
 }
 
@@ -119,6 +120,7 @@ impl<'a, P: Float> PullBack<'a, P> {
             theta,
             active,
             points: Vec::new(),
+            camera: Vec3::zero(),
             d_camera: Vec3::zero(),
         }
     }
@@ -142,6 +144,7 @@ impl<'a, P: Float> PullBack<'a, P> {
             self.push(prim, si);
         }
         let ray: Ray<P> = self.scene.camera.ray(film[0], film[1]);
+        self.camera = ray.d;
         let mut next = Rgb::black();
         for (k, stop) in trail.stops.iter().enumerate().rev() {
             next = self.stop(k, stop, next, d_l, grad);
@@ -183,7 +186,10 @@ impl<'a, P: Float> PullBack<'a, P> {
             let end = stop.edge.end.map(|_| k + 1);
             let source = end.map_or(Source::Afar, Source::Point);
             self.scattered(k, &stop.place, b.wi, b.component, b.f, a, source);
-            let d = stop.place.si.frame.to_world(b.wi);
+            let d = match end {
+                Some(j) => self.direction(k, self.points[j].si.p),
+                None => stop.place.si.frame.to_world(b.wi),
+            };
             for met in &stop.edge.met {
                 let a = d_l * stop.beta * b.f.scale(b.weight) * met.weight;
                 self.emission(Some(k), end, met.emitter, d, a, grad);
@@ -200,7 +206,11 @@ impl<'a, P: Float> PullBack<'a, P> {
                 let end = self.end_of(e, &stop.place, aim);
                 let source = end.map_or(Source::Afar, Source::Point);
                 self.scattered(k, &stop.place, s.wi, Component::Continuous, s.f, a, source);
-                self.emission(Some(k), end, s.emitter, aim.d, a_le, grad);
+                let d = match end {
+                    Some(j) => self.direction(k, self.points[j].si.p),
+                    None => aim.d,
+                };
+                self.emission(Some(k), end, s.emitter, d, a_le, grad);
             }
         }
         leaves
@@ -232,6 +242,12 @@ impl<'a, P: Float> PullBack<'a, P> {
         Some(self.push(prim, si))
     }
 
+    /// The unit vector from point `k` to `to`. Rays start off their surface and are not quite parallel to it: only with
+    /// this one everywhere what moves as a whole changes nothing to the last digits.
+    fn direction(&self, k: usize, to: Vec3<P>) -> Vec3<P> {
+        (to - self.points[k].si.p).normalize()
+    }
+
     /// The adjoint `d` of the unit vector from point `k` to `to`, as that of `to`; point `k` has the opposite.
     fn towards(&mut self, k: usize, to: Vec3<P>, d: Vec3<P>) -> Vec3<P> {
         let v = to - self.points[k].si.p;
@@ -242,10 +258,9 @@ impl<'a, P: Float> PullBack<'a, P> {
         d
     }
 
-    /// The adjoint `local` of the vector `w` in the frame of point `k`, as that of the vector in the world.
-    fn in_world(&mut self, k: usize, w: Vec3<P>, local: Vec3<P>) -> Vec3<P> {
+    /// The adjoint `local` of the unit vector `world` in the frame of point `k`, as that of the vector in the world.
+    fn in_world(&mut self, k: usize, world: Vec3<P>, local: Vec3<P>) -> Vec3<P> {
         let point = &mut self.points[k];
-        let world = point.si.frame.to_world(w);
         point.d.frame.s += world * local.x;
         point.d.frame.t += world * local.y;
         point.d.frame.n += world * local.z;
@@ -285,20 +300,27 @@ impl<'a, P: Float> PullBack<'a, P> {
             slopes::<P, 4>(material, self.theta, place, wi, component, a)
         };
         self.points[k].d.uv += s.uv;
-        let d_o = self.in_world(k, place.wo, s.wo);
         if k == 0 {
+            let d_o = self.in_world(k, -self.camera, s.wo);
             self.d_camera -= d_o;
         } else {
             let from = self.points[k - 1].si.p;
+            let d_o = self.in_world(k, self.direction(k, from), s.wo);
             let d = self.towards(k, from, d_o);
             self.points[k - 1].d.p += d;
         }
-        let d_i = self.in_world(k, wi, s.wi);
         match source {
-            Source::Afar => Vec3::zero(),
-            Source::Light(at) => self.towards(k, at, d_i),
+            Source::Afar => {
+                self.in_world(k, place.si.frame.to_world(wi), s.wi);
+                Vec3::zero()
+            }
+            Source::Light(at) => {
+                let d_i = self.in_world(k, self.direction(k, at), s.wi);
+                self.towards(k, at, d_i)
+            }
             Source::Point(j) => {
                 let to = self.points[j].si;
+                let d_i = self.in_world(k, self.direction(k, to.p), s.wi);
                 let d = self.towards(k, to.p, d_i);
                 // The solid angle of the area around it: its logarithm has this adjoint.
                 let b = (a * f).sum();
