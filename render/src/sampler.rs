@@ -383,6 +383,7 @@ mod tests {
             Purpose::Scattering,
             Purpose::NormalsPair,
             Purpose::AuxiliaryRays(16),
+            Purpose::Edges(4),
         ];
         let particle = [Purpose::ParticleScattering, Purpose::ParticleNormalsPair];
         for (start, purposes) in [(Purpose::Pixel, &path[..]), (Purpose::Emission, &particle)] {
