@@ -8,7 +8,8 @@
 //! sends from there changes.
 //!
 //! # Does not handle
-//! Boundaries (F10): what is hidden stays hidden. Dirac deltas and textures that jump are refused
+//! Boundaries (F10): what is hidden stays hidden. Light from behind a surface with mapped normals that would see it is cut off
+//! at its horizon (F9), which is a boundary, too. Dirac deltas and textures that jump are refused
 //! ([`Scene::admits_motion`](crate::Scene::admits_motion)).
 
 mod pull_back;
