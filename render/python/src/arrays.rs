@@ -11,11 +11,12 @@ use render::params::{ParamInfo, ParamShape};
 /// Anything that numpy makes an array of.
 pub type Like<'py> = PyArrayLikeDyn<'py, f32, AllowTypeChange>;
 
-/// The shape of a range as an array: `()`, `(3,)` or `(height, width, channels)`.
+/// The shape of a range as an array: `()`, `(3,)`, `(points, 3)` or `(height, width, channels)`.
 pub fn shape(info: &ParamInfo) -> Vec<usize> {
     match info.shape {
         ParamShape::Scalar => Vec::new(),
-        ParamShape::Rgb => vec![3],
+        ParamShape::Rgb | ParamShape::Vector => vec![3],
+        ParamShape::Points { count } => vec![count, 3],
         ParamShape::Texture {
             height,
             width,

@@ -90,6 +90,7 @@ fn options(
     Ok(LoadOptions {
         defines,
         allow_missing,
+        ..LoadOptions::default()
     })
 }
 
