@@ -373,18 +373,20 @@ fn rough_metal_moves_as_differences_say() {
 #[test]
 #[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
 fn mapped_normals_move_as_differences_say() {
-    let scene = outside(Rectangle(plane()).into(), [0.5, 0.3, 4.0], 25.0, |b| {
-        let mut normals = waves([8, 5], 0.4, 0.6);
-        normals.iter_mut().skip(2).step_by(3).for_each(|z| *z = 1.0);
-        let map = b.texels("normals", [8, 5], &normals, (0.0, 1.0)).unwrap();
-        let reflectance = b.rgb("grey", [0.5; 3], (0.0, 1.0)).unwrap();
-        let grey = Arc::new(Material::from(Diffuse { reflectance }));
-        Arc::new(
-            NormalMap::new(map, Interpolation::Normals, grey)
-                .unwrap()
-                .into(),
-        )
-    });
+    // Under a sky, the horizon of a tilted normal would be a boundary (F9).
+    let mut build = Builder::new();
+    let mut normals = waves([8, 5], 0.4, 0.6);
+    normals.iter_mut().skip(2).step_by(3).for_each(|z| *z = 1.0);
+    let map = build
+        .texels("normals", [8, 5], &normals, (0.0, 1.0))
+        .unwrap();
+    let metal = metal(&mut build, 0.5);
+    let map = NormalMap::new(map, Interpolation::Normals, metal).unwrap();
+    let map = build.add_material(map);
+    build.add_shape("it", Rectangle(plane()), map);
+    bulb(&mut build, [1.5, 2.0, 4.0]);
+    spot(&mut build, [-2.0, 1.0, 5.0], [0.4, -0.2, -1.0]);
+    let scene = finish(build, [0.5, 0.3, 4.0], [0.0; 3], 25.0, 2);
     compare("mapped normals", scene, &[], 512);
 }
 

@@ -8,7 +8,8 @@
 //! sends from there changes.
 //!
 //! # Does not handle
-//! Boundaries (F10): what is hidden stays hidden. Dirac deltas and textures that jump are refused
+//! Boundaries (F10): what is hidden stays hidden. Light from behind a surface with mapped normals that would see it is cut off
+//! at its horizon (F9), which is a boundary, too. Dirac deltas and textures that jump are refused
 //! ([`Scene::admits_motion`](crate::Scene::admits_motion)).
 
 mod pull_back;
@@ -106,14 +107,14 @@ pub(super) fn image<R: Components, S: Strategy, X: Sampler>(pass: &Pass<R>) -> R
             let film = film_point::<R::Primal, X>(scene, pass.settings.points, pass.seed, &sample);
             let mut tangents = [R::zero(); 3];
             let mut finite = l.is_finite();
-            for c in 0..3 {
+            for (c, tangent) in tangents.iter_mut().enumerate() {
                 held.found.clear();
                 let unit = |i| R::Primal::select(i == c, R::Primal::one(), R::Primal::zero());
                 pull_back.add(trail, film, array(unit).into(), &mut held);
                 finite &= held.is_finite();
                 for &(p, i, d) in &held.found {
                     let x = pass.theta.get(p, i as usize);
-                    tangents[c] += (x - Const(x.primal())) * R::c(d);
+                    *tangent += (x - Const(x.primal())) * R::c(d);
                 }
             }
             trail.clear();

@@ -102,7 +102,7 @@ fn slopes<P: Float, const N: usize>(
 /// that it appears in. Nothing is handed on along the path.
 ///
 /// # Does not handle
-/// What becomes visible or hidden (F10), and Dirac deltas.
+/// What becomes visible or hidden (F10), horizons of mapped normals among it (F9), and Dirac deltas.
 pub(super) struct PullBack<'a, P: Float> {
     scene: &'a Scene,
     theta: &'a Theta<'a, P>,
@@ -269,7 +269,6 @@ impl<'a, P: Float> PullBack<'a, P> {
 
     /// A value `f` of the material of point `k` with the adjoint `a`, for light from `source`. The adjoint of the place of
     /// a source that is a light.
-    #[allow(clippy::too_many_arguments)]
     fn scattered(
         &mut self,
         k: usize,
@@ -325,7 +324,13 @@ impl<'a, P: Float> PullBack<'a, P> {
                 // The solid angle of the area around it: its logarithm has this adjoint.
                 let b = (a * f).sum();
                 let v = to.p - self.points[k].si.p;
-                let foreshortened = b / to.n_geo.dot(v);
+                let across = to.n_geo.dot(v);
+                // Points of one plane stay on it: they see nothing of each other, however it moves.
+                let foreshortened = if across == P::zero() {
+                    P::zero()
+                } else {
+                    b / across
+                };
                 let d_v = to.n_geo * foreshortened - v * (P::of(3.0) * b / v.length_squared());
                 self.points[k].d.p -= d_v;
                 let end = &mut self.points[j];
@@ -338,7 +343,6 @@ impl<'a, P: Float> PullBack<'a, P> {
     }
 
     /// Light from a point that is a light: `a` and `a_le` are the adjoints of the material's value and of what arrives.
-    #[allow(clippy::too_many_arguments)]
     fn delta_light(
         &mut self,
         k: usize,
