@@ -244,12 +244,8 @@ impl Node {
         }
         let above = (d.dot(seeker.normal).clamp(-1.0, 1.0).acos() - spread).max(0.0);
         let cosine = above.cos().max(0.0) + LEAST_COSINE;
-        let light = if seeker.lamps.is_none() || near {
-            1.0
-        } else if lamps
-            .iter()
-            .any(|l| d.dot(l.axis) >= (l.angle + spread + 1e-6).min(PI).cos())
-        {
+        let lit = |l: &Cone| d.dot(l.axis) >= (l.angle + spread + 1e-6).min(PI).cos();
+        let light = if seeker.lamps.is_none() || near || lamps.iter().any(lit) {
             1.0
         } else if seeker.lamps_only {
             0.0
@@ -369,7 +365,7 @@ impl Edges {
         let plane = a.cross(b);
         let length = plane.length().atan2(a.dot(b));
         let turned = plane.normalize().cross(start);
-        if !(length > 0.0) {
+        if length.is_nan() || length <= 0.0 {
             return None;
         }
         // Where lamps may be behind it, in radians from its start.

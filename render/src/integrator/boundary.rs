@@ -576,9 +576,9 @@ pub(super) fn image<R: Components, S: Strategy, X: Sampler>(pass: &Pass<R>) -> R
                 scene
                     .film
                     .splat(*at, scene.film.rows(at[1]), |pixel, weight| {
-                        for k in 0..R::COUNT {
+                        for (k, sums) in out.sums.iter_mut().enumerate() {
                             for c in 0..3 {
-                                out.sums[k][pixel * 3 + c] += value[c].component(k) * weight;
+                                sums[pixel * 3 + c] += value[c].component(k) * weight;
                             }
                         }
                     });
@@ -779,6 +779,7 @@ mod tests {
     }
 
     type Point = [f64; 2];
+    type Move<'a> = &'a dyn Fn(Vec3<f64>) -> Vec3<f64>;
 
     /// On the film, in pixels.
     fn project(p: &Vec3<f64>) -> Point {
@@ -838,10 +839,7 @@ mod tests {
 
     /// The derivative of an area on the film, as a mean over pixels, by everything that moves a shape or the camera:
     /// translation, rotation and scale about `centre`; translation and rotation of the camera; angle of view.
-    fn derivatives(
-        area: &dyn Fn(&dyn Fn(Vec3<f64>) -> Vec3<f64>) -> f64,
-        centre: Vec3<f64>,
-    ) -> Vec<f64> {
+    fn derivatives(area: &dyn Fn(Move) -> f64, centre: Vec3<f64>) -> Vec<f64> {
         let unit = |k: usize, h: f64| {
             let mut v = [0.0; 3];
             v[k] = h;
