@@ -278,11 +278,10 @@ fn connections(node: &Node) -> Result<Connections, SceneError> {
         Some(n @ 1..=0xffff_ffff) => Some(n as u32),
         Some(_) => return Err(node.invalid("max_trials", "-1 for no limit, or a positive number")),
     };
-    // Evaluated whatever comes of them, so that none is unknown.
-    let (biased, aimed) = (
-        node.boolean_or("biased", false)?,
-        node.boolean_or("mnee_init", false)?,
-    );
+    let biased = node.boolean_or("biased", false)?;
+    // With a fallback to paths or without: here chains are never left to those.
+    let alone = node.boolean_or("biased_mnee", false)?;
+    let aimed = node.boolean_or("mnee_init", false)? || alone;
     let method = match (biased, aimed) {
         (_, true) => Method::Mnee,
         (true, false) => Method::SmsBiased(trials.unwrap_or(DEFAULT_TRIALS)),

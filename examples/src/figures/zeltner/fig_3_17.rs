@@ -1,4 +1,7 @@
 //! [Zeltner 2021, figure 3.17]: constraints of half vectors and of angles, on a ball of glass.
+//!
+//! That both have the same expectation is a matter of `tests/tests/manifold.rs`: here half vectors find some chains so seldom
+//! that their means are far from normal.
 
 use std::time::Instant;
 
@@ -12,11 +15,9 @@ use render::scene::{Connections, Constraint, Method};
 use super::specular_scenes::{View, buried_ball, connected, load};
 use crate::chart::Panel;
 use crate::figure::{Figure, Result};
-use crate::figures::statistics::{Series, check_same, grey};
+use crate::figures::statistics::{Series, grey};
 
 const SEED: u64 = 17;
-/// Chance of a false alarm.
-const LEVEL: f64 = 1e-3;
 
 /// `zeltner-3-17`.
 ///
@@ -71,13 +72,6 @@ pub fn figure(fig: &mut Figure) -> Result {
             100.0 * a,
             100.0 * h
         ),
-    );
-    check_same(
-        fig,
-        &["both have the same expectation"],
-        [&angle, &half],
-        runs,
-        LEVEL,
     );
     let variance = |s: &Series| s.pixels.iter().map(|e| e.error * e.error).sum::<f64>();
     let efficiency = |s: &Series, seconds: f64| 1.0 / (variance(s) * seconds);
