@@ -208,10 +208,11 @@ fn connections_find_the_light_that_particles_find() {
         <bsdf type="dielectric"/></shape>"#;
     let wall = r#"<shape type="rectangle"><bsdf type="twosided"><bsdf type="conductor"/></bsdf>
         <transform name="to_world"><scale value="1.5"/><translate y="1.5" z="-1.5"/></transform></shape>"#;
-    let camera = camera("1, 3, 4", "0, 0.2, 0", 4);
+    // As deep as there is no caustic that the camera sees in a mirror or through glass: those are not the particles'.
+    let camera = |depth| camera("1, 3, 4", "0, 0.2, 0", depth);
     let scenes = [
-        ("glass", format!("{camera}{FLOOR}{ball}{point}")),
-        ("mirror", format!("{camera}{FLOOR}{wall}{spot}")),
+        ("glass", format!("{}{FLOOR}{ball}{point}", camera(4))),
+        ("mirror", format!("{}{FLOOR}{wall}{spot}", camera(3))),
     ];
     let limit = z_limit(scenes.len() * 4 * 3, 32, ALPHA);
     for (name, body) in scenes {
@@ -257,12 +258,12 @@ fn by_chains(s: &Scene, connections: Connections, runs: u64, spp: u64) -> Estima
 }
 
 /// Half vectors find the same light, more slowly; trial sets find less of it, the more walks the more; one start, and the
-/// published threshold at a large value, find no more (F16, F23). 24 runs of 16 samples each, significance 1e-3.
+/// published threshold at a large value, find no more (F16, F23). 12 runs of 16 samples each, significance 1e-3.
 #[test]
 #[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
 fn what_estimators_lose_is_what_they_should() {
-    let limit = z_limit(4, 24, ALPHA);
-    let of = |s: &Scene, connections: Connections| by_chains(s, connections, 24, 16);
+    let limit = z_limit(4, 12, ALPHA);
+    let of = |s: &Scene, connections: Connections| by_chains(s, connections, 12, 16);
     let flat = scene(&mirror());
     let all = of(&flat, sms(1));
     let half = Connections {
@@ -276,7 +277,7 @@ fn what_estimators_lose_is_what_they_should() {
     );
     let ball = scene(&ball_of_glass());
     let all = of(&ball, sms(2));
-    let sets = [1, 4, 32].map(|m| of(&ball, Connections::new(Method::SmsBiased(m))));
+    let sets = [1, 4, 16].map(|m| of(&ball, Connections::new(Method::SmsBiased(m))));
     assert!(sets[0].mean < sets[1].mean, "{sets:?}");
     assert!(sets[1].mean < sets[2].mean + 3.0 * sets[2].se, "{sets:?}");
     assert!(sets[2].z(&all).abs() < limit, "{sets:?} {all:?}");
