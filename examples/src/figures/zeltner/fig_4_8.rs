@@ -130,7 +130,7 @@ fn boundary(theta: f64) -> f64 {
 /// Directions between which nothing jumps.
 fn pieces(pi: f64) -> Vec<[f64; 2]> {
     let [red, blue] = CIRCLES.map(|c| c.outline(pi));
-    let mut ends = vec![-VIEW, blue[0], red[0], red[1], VIEW];
+    let mut ends = [-VIEW, blue[0], red[0], red[1], VIEW];
     ends.sort_by(f64::total_cmp);
     ends.windows(2).map(|w| [w[0], w[1]]).collect()
 }
@@ -148,7 +148,7 @@ fn between<R: Real<Primal = f64>>([a, b]: [f64; 2], n: usize, f: impl Fn(f64) ->
         let x = (a + b) / 2.0 + (b - a) / 2.0 * inner.tanh();
         let weight = slope / inner.cosh().powi(2) * step * (b - a) / 2.0;
         if x > a && x < b && weight > 0.0 {
-            sum = sum + f(x) * R::c(weight);
+            sum += f(x) * R::c(weight);
         }
     }
     sum
@@ -185,17 +185,13 @@ fn convolved<R: Real<Primal = f64>>(theta: R, kernel: Kernel, n: usize) -> R {
         // The kernel has its peak at `theta`.
         let split = [[a, b.min(at.max(a))], [a.max(at.min(b)), b]];
         for piece in split.into_iter().filter(|[a, b]| a < b) {
-            weights = weights
-                + between(piece, n, |x| {
-                    // 1 - cos, without its cancellation.
-                    let half = ((theta - R::c(x)) * R::c(0.5)).sin();
-                    kernel.weight(boundary(x), half.square() * R::c(2.0))
-                });
-            sum = sum
-                + between(piece, n, |x| {
-                    let half = ((theta - R::c(x)) * R::c(0.5)).sin();
-                    kernel.weight(boundary(x), half.square() * R::c(2.0)) * R::c(followed(x))
-                });
+            let weight = |x| {
+                // 1 - cos, without its cancellation.
+                let half = ((theta - R::c(x)) * R::c(0.5)).sin();
+                kernel.weight(boundary(x), half.square() * R::c(2.0))
+            };
+            weights += between(piece, n, weight);
+            sum += between(piece, n, |x| weight(x) * R::c(followed(x)));
         }
     }
     sum / weights
@@ -386,8 +382,8 @@ fn on_the_sphere(fig: &mut Figure) {
         let ends = [0.0, RADIUS, angle, angle + 0.5];
         let mut sums = [0.0; 2];
         for piece in ends.windows(2) {
-            for k in 0..2 {
-                sums[k] += between([piece[0], piece[1]], 200, |polar| moments(polar)[k]);
+            for (k, sum) in sums.iter_mut().enumerate() {
+                *sum += between([piece[0], piece[1]], 200, |polar| moments(polar)[k]);
             }
         }
         sums[0] / sums[1]
