@@ -286,16 +286,16 @@ fn directions(scene: &Scene, name: &str) -> Vec<Vec<f32>> {
 }
 
 /// Compares all that may move with differences.
-fn compare(what: &str, mut scene: Scene, skip: &[&str], spp: u64) {
+fn compare(what: &str, scene: Scene, spp: u64) {
+    compare_at(what, scene, true, spp);
+}
+
+/// The same at rest, or somewhere else.
+fn compare_at(what: &str, mut scene: Scene, elsewhere: bool, spp: u64) {
     let names: Vec<String> = scene.movables().into_iter().map(|m| m.name).collect();
-    let names: Vec<&str> = names
-        .iter()
-        .map(String::as_str)
-        .filter(|n| !skip.contains(n))
-        .collect();
+    let names: Vec<&str> = names.iter().map(String::as_str).collect();
     scene.make_movable(&names).unwrap();
-    // Somewhere else than at rest.
-    if names.contains(&"it.rotation") {
+    if elsewhere {
         step(&mut scene, "it.rotation", &[0.1, -0.05, 0.2], 1.0);
         step(&mut scene, "it.scale", &[0.125], 1.0);
     }
@@ -358,7 +358,7 @@ fn a_plane_moves_as_differences_say() {
     let scene = outside(Rectangle(plane()).into(), [0.5, 0.3, 4.0], 25.0, |b| {
         painted(b, "it")
     });
-    compare("plane", scene, &[], 512);
+    compare("plane", scene, 512);
 }
 
 #[test]
@@ -367,7 +367,7 @@ fn rough_metal_moves_as_differences_say() {
     let scene = outside(Rectangle(plane()).into(), [0.5, 0.3, 4.0], 25.0, |b| {
         metal(b, 0.4)
     });
-    compare("metal", scene, &[], 1024);
+    compare("metal", scene, 1024);
 }
 
 #[test]
@@ -387,7 +387,7 @@ fn mapped_normals_move_as_differences_say() {
     bulb(&mut build, [1.5, 2.0, 4.0]);
     spot(&mut build, [-2.0, 1.0, 5.0], [0.4, -0.2, -1.0]);
     let scene = finish(build, [0.5, 0.3, 4.0], [0.0; 3], 25.0, 2);
-    compare("mapped normals", scene, &[], 512);
+    compare("mapped normals", scene, 512);
 }
 
 #[test]
@@ -413,7 +413,7 @@ fn round_shapes_move_as_differences_say() {
     ];
     for (name, shape) in shapes {
         let scene = outside(shape, [0.5, 0.4, 3.0], 12.0, |b| painted(b, "it"));
-        compare(name, scene, &[], 256);
+        compare(name, scene, 256);
     }
 }
 
@@ -429,14 +429,12 @@ fn rooms_move_as_differences_say_through_five_edges() {
     compare(
         "sphere room",
         inside(sphere.into(), [1.0, 0.5, -0.2], 40.0, 5, 0.0),
-        &[],
         256,
     );
     // One wall in view: what moves on the film behind an edge is no business of the interior.
     compare(
         "cube room",
         inside(cube.into(), [1.0, 0.1, -0.1], 12.0, 5, 0.0),
-        &[],
         256,
     );
 }
@@ -444,19 +442,20 @@ fn rooms_move_as_differences_say_through_five_edges() {
 #[test]
 #[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
 fn meshes_move_as_differences_say() {
+    // The middle of one triangle in view: where a film point slides towards a concave crease, the light of its other side
+    // has derivatives of any size, and few samples say all.
+    let mesh = ball(1.6);
+    let corners = mesh.triangles[50].map(|i| Vec3::from(mesh.positions[i as usize]));
+    let middle = (corners[0] + corners[1] + corners[2]) * (1.0 / 3.0);
+    let middle = middle.to_array().map(f64::from);
     let smooth = Mesh::smoothed(ball(1.6), false).unwrap();
-    compare(
-        "smooth mesh",
-        inside(smooth.into(), [1.0, 0.4, -0.2], 30.0, 5, 0.0),
-        &[],
-        256,
-    );
-    let flat = Mesh::new(ball(1.6), false).unwrap();
-    // One triangle in view.
-    compare(
+    let scene = inside(smooth.into(), middle, 5.0, 5, 0.0);
+    compare_at("smooth mesh", scene, false, 256);
+    let flat = Mesh::new(mesh, false).unwrap();
+    compare_at(
         "flat mesh",
-        inside(flat.into(), [1.0, 0.35, -0.12], 4.0, 3, 1.0),
-        &[],
+        inside(flat.into(), middle, 5.0, 3, 1.0),
+        false,
         256,
     );
 }
@@ -464,7 +463,7 @@ fn meshes_move_as_differences_say() {
 #[test]
 #[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
 fn lamps_move_against_what_they_light() {
-    compare("plate", plate(), &[], 512);
+    compare("plate", plate(), 512);
 }
 
 /// A scene in which everything moves alike changes nothing: exactly, path by path.
