@@ -1465,8 +1465,7 @@ fn a_recovery_looks_through_several_sensors() {
     assert_eq!(found("parts"), found("both"));
 
     let unknown = format!("{job} --target side=back.exr --out none");
-    let message =
-        "--target: sensor: expected a number below 2 or one of `front`, `back`, found `side`";
+    let message = "--target: parameter `sensor`: expected a number below 2 or one of `front`, `back`, found `side`";
     fails(&dir, &unknown, message);
     fails(
         &dir,
