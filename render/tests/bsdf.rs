@@ -331,14 +331,24 @@ fn density_is_the_inverse_jacobian() {
                 let u: [f64; 2] = Independent::new(11, 0, i).next_2d();
                 // Far enough from the edges for finite differences.
                 let u = u.map(|u| 0.01 + 0.98 * u);
-                let ends = [0.0, 1.0 - 1e-12].map(|u0| draw(wo, [u0, u[0], u[1]]));
-                let [Some(first), Some(second)] = ends else {
+                // One choice for each part of the material: what differs in its direction.
+                let choices = (0..=32).map(|k| (f64::from(k) / 32.0).min(1.0 - 1e-12));
+                let mut parts = Vec::<(f64, BsdfSample<f64>)>::new();
+                let mut whole = true;
+                for u0 in choices {
+                    match draw(wo, [u0, u[0], u[1]]) {
+                        Some(s) if parts.iter().all(|(_, t)| (s.wi - t.wi).length() > 1e-9) => {
+                            parts.push((u0, s));
+                        }
+                        Some(_) => {}
+                        None => whole = false,
+                    }
+                }
+                if !whole {
                     continue;
-                };
-                let one_part = (first.wi - second.wi).length() < 1e-9;
-                let parts = [(0.0, first), (1.0 - 1e-12, second)];
+                }
                 let mut total = 0.0;
-                for (u0, s) in &parts[..if one_part { 1 } else { 2 }] {
+                for (u0, s) in &parts {
                     if s.component != Component::Continuous {
                         total += s.pdf;
                         continue;

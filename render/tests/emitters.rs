@@ -1056,7 +1056,7 @@ fn descriptions_of_bad_emitters_name_their_line() {
         ),
         ("envmap", squeeze, "to_world"),
         ("envmap", "<float name=\"scale\" value=\"-1\"/>", "scale"),
-        ("sun", "", "known"),
+        ("lantern", "", "known"),
     ];
     for (plugin, content, mention) in cases {
         let text = format!("<emitter type=\"{plugin}\">\n{content}</emitter>");

@@ -165,6 +165,9 @@ fn nothing_changes_but_derivatives_in_what_choices_depend_on() {
         "blinn-phong: ball.bsdf.specular_reflectance.value",
         "two-sided blend: ball.bsdf.brdf_0.weight.value",
         "mask: ball.bsdf.opacity.value",
+        "window: ball.bsdf.eta.value",
+        "principled: ball.bsdf.metallic.value",
+        "principled: ball.bsdf.clearcoat.value",
     ];
     let mut changed = Vec::new();
     for case in cases::all() {
