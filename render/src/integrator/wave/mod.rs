@@ -777,6 +777,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             scene,
             theta,
             settings,
+            split,
             ..
         }: &Context<P>,
         depth: u32,
@@ -786,6 +787,9 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         let (d, pdf) = (self.paths.d, self.paths.pdf);
         let paths = &mut self.paths;
         let mut found = |i: usize, emitter: u32, light: Met<P>, le: Rgb<P>| {
+            if paths.interest(i).leaves(split, emitter) {
+                return;
+            }
             (paths.l).add_rgb(i, paths.beta.rgb(i) * le * light.weight);
             log.hit(paths, i, emitter, &light, le, None);
         };
