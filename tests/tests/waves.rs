@@ -35,7 +35,13 @@ fn single<R: Components<Primal = f32>, S: Strategy<Bsdf: Sampling<Geometry<R> = 
             let pixel = u64::from(y) * u64::from(width) + u64::from(x);
             let mut sampler = Spread::spread(settings.points, seed, pixel, index);
             let [dx, dy] = s.film.filter.sample(sampler.next_2d::<f32>());
-            let ray = s.camera.ray(x as f32 + 0.5 + dx, y as f32 + 0.5 + dy);
+            let place = if s.camera.has_lens() {
+                sampler.next_2d::<f32>()
+            } else {
+                [0.0; 2]
+            };
+            let (x, y) = (x as f32 + 0.5 + dx, y as f32 + 0.5 + dy);
+            let ray = s.camera.ray_through(x, y, place);
             let l = path::trace::<R, S, Spread, ()>(s, theta, settings, ray, sampler, &mut ());
             for (k, sum) in sum.iter_mut().enumerate() {
                 for (sum, l) in sum.iter_mut().zip(l.to_array()) {

@@ -110,7 +110,7 @@ impl Camera {
 
     /// Whether rays depend on where they pass the lens.
     #[inline(always)]
-    pub(crate) fn has_lens(&self) -> bool {
+    pub fn has_lens(&self) -> bool {
         matches!(self.lens, Some(Lens::Thin { .. }))
     }
 
