@@ -18,7 +18,7 @@ use crate::texture::{RgbTexture, ScalarTexture};
 pub struct Principled {
     /// Colour of the base, and of reflection by metal.
     pub base_color: RgbTexture,
-    /// The root of the roughness of the microsurface, where that is at least [`LEAST_ALPHA`].
+    /// The root of the roughness of the microsurface, where that is at least `LEAST_ALPHA`.
     pub roughness: ScalarTexture,
     /// From a dielectric, 0, to a metal, 1.
     pub metallic: Option<ScalarTexture>,
@@ -63,7 +63,7 @@ const GRAZING: f64 = 1e-4;
 /// Transmission, anisotropy and tints: scene files that ask for them are refused. Tints would mix colour channels.
 ///
 /// # Derivatives
-/// None in a roughness whose square is below [`LEAST_ALPHA`]: the model is constant there.
+/// None in a roughness whose square is below `LEAST_ALPHA`: the model is constant there.
 #[derive(Clone, Copy, Debug)]
 pub struct PrincipledLobe<R> {
     base_color: Rgb<R>,

@@ -17,7 +17,7 @@ const MOST_COLUMNS: usize = 4096;
 ///
 /// A texture sees surface coordinates only. Those of a mesh with attributes say which triangle a point lies on: triangle
 /// number `i` of a mesh with `n` columns has the cell of column `i % n` and row `i / n`, and the barycentric coordinates of
-/// its second and third vertex are the place in it ([`place`]).
+/// its second and third vertex are the place in it (`place`).
 #[derive(Clone, Debug)]
 pub struct Attribute {
     pub(super) param: ParamRef,
