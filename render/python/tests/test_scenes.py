@@ -45,11 +45,12 @@ def test_parameters_are_arrays_by_name(room: rg.Scene) -> None:
 
 
 def test_mistakes_about_parameters_are_named(room: rg.Scene) -> None:
-    with pytest.raises(KeyError, match="no parameter `left.reflectance`; closest: left.reflectance.value"):
-        room["left.reflectance"]
+    with pytest.raises(KeyError, match="no parameter `lift.reflectance`; closest: left.reflectance.value"):
+        room["lift.reflectance"]
     with pytest.raises(KeyError, match="closest: sphere.alpha.value"):
         room["spere.alpha.value"] = 0.1
     before = room[WALL]
+    np.testing.assert_array_equal(room["left.reflectance"], before)
     with pytest.raises(ValueError, match=r"parameter `left.reflectance.value`: expected an array of shape \(3,\), found \(4,\)"):
         room[WALL] = np.zeros(4)
     with pytest.raises(ValueError, match=r"parameter `left.reflectance.value`\[1\]: expected a value in \[0, 1\], found 2"):
