@@ -174,6 +174,20 @@ impl Placement {
         }
     }
 
+    /// Adds the adjoint of the turn of what shines from afar, given that of its light from the unit direction `d` with
+    /// respect to `d`: who turns along sees the direction turn back.
+    pub fn scatter_turn<P: Float>(
+        &self,
+        theta: &Theta<P>,
+        d: Vec3<P>,
+        adjoint: Vec3<P>,
+        grad: &mut impl GradSink<P>,
+    ) {
+        let mut wrench = self.wrench(theta);
+        wrench.direction(d, -adjoint);
+        self.scatter(theta, &wrench, grad);
+    }
+
     /// Adds the adjoints of its parameters: the transpose of [`Placement::drift`].
     pub fn scatter<P: Float>(&self, theta: &Theta<P>, d: &Wrench<P>, grad: &mut impl GradSink<P>) {
         let active = |p: &ParamRef| grad.active(*p);

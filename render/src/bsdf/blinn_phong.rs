@@ -208,12 +208,7 @@ impl<R: Real> Lobe<R> for BlinnPhongLobe<R> {
             Vec3::lift(warp::square_to_cosine_hemisphere([u[1], u[2]]))
         };
         let pdf = self.pdf(wo, wi, mode);
-        (pdf.primal() > R::Primal::zero()).then_some(BsdfSample {
-            wi,
-            pdf,
-            component: Component::Continuous,
-            eta: R::Primal::one(),
-        })
+        BsdfSample::reflected(wi, pdf)
     }
 
     #[inline]

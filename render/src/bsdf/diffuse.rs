@@ -4,7 +4,7 @@ use std::f64::consts::FRAC_1_PI;
 
 use ad_core::{Real, Vec3};
 
-use super::{BsdfSample, Component, Leaf, Lobe, Reader, TransportMode};
+use super::{BsdfSample, Leaf, Lobe, Reader, TransportMode};
 use crate::error::SceneError;
 use crate::math::{Rgb, warp};
 use crate::plugin::{FromNode, Node, Registry};
@@ -60,12 +60,7 @@ impl<R: Real> Lobe<R> for DiffuseLobe<R> {
         }
         let wi = Vec3::lift(warp::square_to_cosine_hemisphere([u[1], u[2]]));
         let pdf = self.pdf(wo, wi, mode);
-        (pdf.primal() > R::Primal::zero()).then_some(BsdfSample {
-            wi,
-            pdf,
-            component: Component::Continuous,
-            eta: R::Primal::one(),
-        })
+        BsdfSample::reflected(wi, pdf)
     }
 }
 

@@ -194,6 +194,17 @@ pub struct BsdfSample<R: Real> {
 }
 
 impl<R: Real> BsdfSample<R> {
+    /// A direction on the side of `wo`, with its density per solid angle; `None` where that is not positive.
+    #[inline(always)]
+    pub(super) fn reflected(wi: Vec3<R>, pdf: R) -> Option<Self> {
+        (pdf.primal() > R::Primal::zero()).then_some(Self {
+            wi,
+            pdf,
+            component: Component::Continuous,
+            eta: R::Primal::one(),
+        })
+    }
+
     /// The same without tangents.
     #[inline]
     pub fn primal(&self) -> BsdfSample<R::Primal> {

@@ -196,12 +196,7 @@ impl<R: Real> RoughConductorLobe<R> {
 
     #[inline]
     fn found(wi: Vec3<R>, pdf: R) -> Option<BsdfSample<R>> {
-        (pdf.primal() > R::Primal::zero()).then_some(BsdfSample {
-            wi,
-            pdf,
-            component: Component::Continuous,
-            eta: R::Primal::one(),
-        })
+        BsdfSample::reflected(wi, pdf)
     }
 }
 

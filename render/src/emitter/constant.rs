@@ -7,7 +7,7 @@ use ad_core::{Float, Real, Vec2, Vec3};
 use super::point::constant_colour;
 use super::{Emission, Emitter, EmitterSample, Lights};
 use crate::error::SceneError;
-use crate::math::{NOWHERE, warp};
+use crate::math::warp;
 use crate::plugin::{FromNode, Node, Registry};
 use crate::shape::SurfaceInteraction;
 use crate::texture::RgbTexture;
@@ -35,18 +35,15 @@ impl Emitter for Constant {
 
     #[inline]
     fn sample<P: Float>(&self, _: Lights, _: Vec3<P>, u: [P; 2]) -> Option<EmitterSample<P>> {
-        Some(EmitterSample {
-            d: warp::square_to_sphere(u),
-            distance: P::of(f64::INFINITY),
-            normals: [Vec3::zero(); 2],
-            surface: NOWHERE,
-            prim: 0,
-            pdf: P::of(0.25 / PI),
-            emission: Emission {
+        Some(EmitterSample::without_surface(
+            warp::square_to_sphere(u),
+            P::of(f64::INFINITY),
+            P::of(0.25 / PI),
+            Emission {
                 uv: Vec2::zero(),
                 falloff: P::one(),
             },
-        })
+        ))
     }
 
     #[inline]

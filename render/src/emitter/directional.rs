@@ -5,7 +5,6 @@ use ad_core::{Float, Real, Vec2, Vec3};
 use super::point::constant_colour;
 use super::{Emission, Emitter, EmitterSample, Lights};
 use crate::error::SceneError;
-use crate::math::NOWHERE;
 use crate::plugin::{FromNode, Node, Registry};
 use crate::shape::{SurfaceInteraction, lift3};
 use crate::texture::RgbTexture;
@@ -43,18 +42,15 @@ impl Emitter for Directional {
 
     #[inline]
     fn sample<P: Float>(&self, _: Lights, _: Vec3<P>, _: [P; 2]) -> Option<EmitterSample<P>> {
-        Some(EmitterSample {
-            d: -lift3::<P>(self.direction).normalize(),
-            distance: P::of(f64::INFINITY),
-            normals: [Vec3::zero(); 2],
-            surface: NOWHERE,
-            prim: 0,
-            pdf: P::one(),
-            emission: Emission {
+        Some(EmitterSample::without_surface(
+            -lift3::<P>(self.direction).normalize(),
+            P::of(f64::INFINITY),
+            P::one(),
+            Emission {
                 uv: Vec2::zero(),
                 falloff: P::one(),
             },
-        })
+        ))
     }
 
     #[inline]

@@ -29,7 +29,7 @@ use std::f64::consts::PI;
 use ad_core::{Float, Real, Vec2, Vec3};
 
 use crate::error::SceneError;
-use crate::math::{Frame, Ray, Rgb, each, warp};
+use crate::math::{Frame, NOWHERE, Ray, Rgb, each, warp};
 use crate::params::{GradSink, ParamRef, Params, Theta};
 use crate::plugin::{FromNode, Node, Registry};
 use crate::shape::{AnyShape, Exit, Prim, Shape, SurfaceInteraction};
@@ -83,6 +83,23 @@ pub struct EmitterSample<P> {
     pub pdf: P,
     /// What arrives.
     pub emission: Emission<P>,
+}
+
+impl<P: Float> EmitterSample<P> {
+    /// Of light that has no surface: from the unit direction `d`, at this distance, with this density per solid angle (one
+    /// for Dirac deltas).
+    #[inline(always)]
+    pub(crate) fn without_surface(d: Vec3<P>, distance: P, pdf: P, emission: Emission<P>) -> Self {
+        Self {
+            d,
+            distance,
+            normals: [Vec3::zero(); 2],
+            surface: NOWHERE,
+            prim: 0,
+            pdf,
+            emission,
+        }
+    }
 }
 
 /// An [`EmitterSample`] as seen from a moving point.

@@ -6,7 +6,7 @@ use ad_core::{Float, Real, Vec2, Vec3};
 
 use super::{Ball, Connection, Emission, EmittedRay, Emitter, EmitterSample, Lights};
 use crate::error::SceneError;
-use crate::math::{NOWHERE, Ray, Transform, warp};
+use crate::math::{Ray, Transform, warp};
 use crate::params::{ParamRef, Params, Theta};
 use crate::plugin::{FromNode, Node, Registry};
 use crate::shape::{Exit, SurfaceInteraction, lift3};
@@ -86,18 +86,15 @@ impl Emitter for Point {
     #[inline]
     fn sample<P: Float>(&self, _: Lights, from: Vec3<P>, _: [P; 2]) -> Option<EmitterSample<P>> {
         let (d, distance, falloff) = towards(self.position, from)?;
-        Some(EmitterSample {
+        Some(EmitterSample::without_surface(
             d,
             distance,
-            normals: [Vec3::zero(); 2],
-            surface: NOWHERE,
-            prim: 0,
-            pdf: P::one(),
-            emission: Emission {
+            P::one(),
+            Emission {
                 uv: Vec2::zero(),
                 falloff,
             },
-        })
+        ))
     }
 
     fn sample_ray<P: Float>(

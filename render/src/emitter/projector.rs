@@ -7,7 +7,7 @@ use ad_core::{Float, Real, Vec2, Vec3};
 use super::point::{moving, towards};
 use super::{Ball, Connection, Emission, EmittedRay, Emitter, EmitterSample, Lights, Spot};
 use crate::error::SceneError;
-use crate::math::{NOWHERE, Ray, Transform};
+use crate::math::{Ray, Transform};
 use crate::params::Theta;
 use crate::plugin::{FromNode, Node, Registry};
 use crate::shape::{Exit, SurfaceInteraction, lift3};
@@ -116,15 +116,12 @@ impl Emitter for Projector {
         let (d, distance, inverse_square) = towards(self.position, from)?;
         let Emission { uv, falloff } = self.profile(-d)?;
         let falloff = falloff * inverse_square;
-        (falloff > P::zero() && falloff <= P::MAX).then_some(EmitterSample {
+        (falloff > P::zero() && falloff <= P::MAX).then_some(EmitterSample::without_surface(
             d,
             distance,
-            normals: [Vec3::zero(); 2],
-            surface: NOWHERE,
-            prim: 0,
-            pdf: P::one(),
-            emission: Emission { uv, falloff },
-        })
+            P::one(),
+            Emission { uv, falloff },
+        ))
     }
 
     /// Uniform over the image.

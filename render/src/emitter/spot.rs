@@ -7,7 +7,7 @@ use ad_core::{Float, Real, Vec2, Vec3};
 use super::point::{constant_colour, moving, towards};
 use super::{Ball, Connection, Emission, EmittedRay, Emitter, EmitterSample, Lights};
 use crate::error::SceneError;
-use crate::math::{Frame, NOWHERE, Ray, warp};
+use crate::math::{Frame, Ray, warp};
 use crate::params::{ParamRef, Params, Theta};
 use crate::plugin::{FromNode, Node, Registry};
 use crate::shape::{Exit, SurfaceInteraction, lift3};
@@ -87,18 +87,15 @@ impl Emitter for Spot {
     fn sample<P: Float>(&self, _: Lights, from: Vec3<P>, _: [P; 2]) -> Option<EmitterSample<P>> {
         let (d, distance, inverse_square) = towards(self.position, from)?;
         let falloff = inverse_square * self.profile(-d);
-        (falloff > P::zero()).then_some(EmitterSample {
+        (falloff > P::zero()).then_some(EmitterSample::without_surface(
             d,
             distance,
-            normals: [Vec3::zero(); 2],
-            surface: NOWHERE,
-            prim: 0,
-            pdf: P::one(),
-            emission: Emission {
+            P::one(),
+            Emission {
                 uv: Vec2::zero(),
                 falloff,
             },
-        })
+        ))
     }
 
     /// Uniform over the cone.

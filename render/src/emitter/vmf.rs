@@ -7,7 +7,7 @@ use ad_core::{Const, Float, Real, Vec2, Vec3};
 use super::point::constant_colour;
 use super::{Emission, Emitter, EmitterSample, Lights};
 use crate::error::SceneError;
-use crate::math::{Frame, NOWHERE, each, warp};
+use crate::math::{Frame, each, warp};
 use crate::motion::Placement;
 use crate::params::{GradSink, ParamRef, Params, Theta};
 use crate::plugin::{FromNode, Node, Registry};
@@ -88,18 +88,15 @@ impl Emitter for Vmf {
         let mean = Frame::from_normal(lift3::<P>(self.direction));
         let d = mean.to_world(Vec3::new(r * cos, r * sin, P::one() - w));
         let falloff = self.lobe(d);
-        Some(EmitterSample {
+        Some(EmitterSample::without_surface(
             d,
-            distance: P::of(f64::INFINITY),
-            normals: [Vec3::zero(); 2],
-            surface: NOWHERE,
-            prim: 0,
-            pdf: falloff * self.normalisation::<P>(),
-            emission: Emission {
+            P::of(f64::INFINITY),
+            falloff * self.normalisation::<P>(),
+            Emission {
                 uv: Vec2::zero(),
                 falloff,
             },
-        })
+        ))
     }
 
     #[inline]
@@ -145,10 +142,7 @@ impl Emitter for Vmf {
         adjoint: Vec3<P>,
         grad: &mut impl GradSink<P>,
     ) {
-        let mut wrench = self.turned.wrench(theta);
-        // Who turns along sees the direction turn back.
-        wrench.direction(d, -adjoint);
-        self.turned.scatter(theta, &wrench, grad);
+        self.turned.scatter_turn(theta, d, adjoint, grad);
     }
 
     fn is_wide(&self) -> bool {

@@ -26,10 +26,10 @@ use super::active::Active;
 use super::exact::ExactBuffer;
 use super::pass::Pass;
 use super::path::{Context, Walk};
-use super::paths::{TileSums, assemble};
+use super::paths::{TileSums, assemble, deposit};
 use super::record::{Interest, Observer, Place};
 use super::rendering::{Components, NonFinite, Rendering};
-use super::sink::{GradientSums, Sink, add};
+use super::sink::{GradientSums, Sink};
 use super::tile::{Paths, Sample, place, spot};
 use super::vertex::MODE;
 use crate::accel::Hit;
@@ -207,15 +207,7 @@ fn hit_at<P: Float>(prim: u32, t: P) -> Hit {
 struct Vertices<P: Float>(Vec<(Rgb<P>, Place<P>)>);
 
 impl<P: Float> Interest for Vertices<P> {
-    fn differentiates(&self, _material: u32) -> bool {
-        false
-    }
-    fn differentiates_roughness(&self, _material: u32) -> bool {
-        false
-    }
-    fn differentiates_emission(&self) -> bool {
-        false
-    }
+    const LIGHT: bool = false;
 }
 
 impl<P: Float> Observer<P> for Vertices<P> {
@@ -604,11 +596,7 @@ pub(super) fn image<R: Components, S: Strategy, X: Sampler>(pass: &Pass<R>) -> R
                     return;
                 }
                 let weight = spp * sample.scale();
-                for k in 0..R::COUNT {
-                    for c in 0..3 {
-                        sums[(k * pixels + at) * 3 + c] += weight * value[c].component(k);
-                    }
-                }
+                deposit(&mut sums, at, value, weight);
             });
             vertices.0.clear();
         };
@@ -681,10 +669,7 @@ pub(super) fn gradient<P: Float, S: Strategy, X: Sampler>(
         }
         (sink.into_small(), non_finite)
     });
-    for (small, non_finite) in parts {
-        add(&mut out.small, &small);
-        out.non_finite.merge(&non_finite);
-    }
+    out = out.with_parts(parts);
 
     // ---- Edges that hide light from later vertices ----
     let tiles = pass.tiles();
@@ -714,10 +699,7 @@ pub(super) fn gradient<P: Float, S: Strategy, X: Sampler>(
         }
         (sink.into_small(), non_finite)
     });
-    for (small, non_finite) in parts {
-        add(&mut out.small, &small);
-        out.non_finite.merge(&non_finite);
-    }
+    out = out.with_parts(parts);
     out
 }
 

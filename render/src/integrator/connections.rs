@@ -10,7 +10,7 @@ use super::active::Active;
 use super::exact::ExactBuffer;
 use super::pass::Pass;
 use super::path::Context;
-use super::paths::{TileSums, assemble};
+use super::paths::{TileSums, assemble, deposit};
 use super::record::{
     Bounce, Contribution, Interest, MetLight, Observer, PathRecord, Place, Recorder,
 };
@@ -195,15 +195,7 @@ struct Value<'a, R: Real> {
 
 /// Its path looks for no light.
 impl<R: Real> Interest for Value<'_, R> {
-    fn differentiates(&self, _material: u32) -> bool {
-        false
-    }
-    fn differentiates_roughness(&self, _material: u32) -> bool {
-        false
-    }
-    fn differentiates_emission(&self) -> bool {
-        false
-    }
+    const LIGHT: bool = false;
 }
 
 impl<R: Real> Observer<R> for Value<'_, R> {
@@ -270,11 +262,7 @@ pub(super) fn image<R: Components, X: Sampler>(pass: &Pass<R>) -> Rendering {
                 continue;
             }
             let weight = spp * sample.scale();
-            for k in 0..R::COUNT {
-                for c in 0..3 {
-                    sums[(k * pixels + at) * 3 + c] += weight * value.l[c].component(k);
-                }
-            }
+            deposit(&mut sums, at, value.l, weight);
         }
         progress.advance(pixels as u64);
         (sums, non_finite)
@@ -304,15 +292,7 @@ struct Recording<'a, P: Float> {
 
 /// As [`Value`].
 impl<P: Float> Interest for Recording<'_, P> {
-    fn differentiates(&self, _material: u32) -> bool {
-        false
-    }
-    fn differentiates_roughness(&self, _material: u32) -> bool {
-        false
-    }
-    fn differentiates_emission(&self) -> bool {
-        false
-    }
+    const LIGHT: bool = false;
 }
 
 impl<P: Float> Observer<P> for Recording<'_, P> {
@@ -381,7 +361,7 @@ pub(super) fn gradient<P: Float, X: Sampler>(
     let parts = (pass.split.as_deref())
         .zip(space(pass, &values))
         .zip(pass.settings.connections);
-    let mut sums = GradientSums::zero(active);
+    let sums = GradientSums::zero(active);
     let Some(((split, space), options)) = parts else {
         return sums;
     };
@@ -423,12 +403,5 @@ pub(super) fn gradient<P: Float, X: Sampler>(
         }
         (sink.into_small(), non_finite)
     });
-    for (small, non_finite) in parts {
-        sums.merge(GradientSums {
-            small,
-            non_finite,
-            noise: None,
-        });
-    }
-    sums
+    sums.with_parts(parts)
 }

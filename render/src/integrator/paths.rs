@@ -30,6 +30,17 @@ pub(super) const JOBS: usize = 128;
 /// `[component][height][width][3]` of a tile, added up, and what went wrong there; empty if it was cut short.
 pub(super) type TileSums = (Vec<f64>, NonFinite);
 
+/// Adds a sample to the sums of a tile, as if there were as many samples of each pixel.
+#[inline]
+pub(super) fn deposit<R: Components>(sums: &mut [f64], at: usize, l: Rgb<R>, weight: f64) {
+    let pixels = sums.len() / (3 * R::COUNT);
+    for k in 0..R::COUNT {
+        for c in 0..3 {
+            sums[(k * pixels + at) * 3 + c] += weight * l[c].component(k);
+        }
+    }
+}
+
 /// The image by paths.
 pub(super) fn image<R: Components, S: Strategy, X: Sampler>(pass: &Pass<R>) -> Rendering {
     let tiles = tile_sums::<R, S, X>(pass);
@@ -80,13 +91,8 @@ fn tile_sums<R: Components, S: Strategy, X: Sampler>(pass: &Pass<R>) -> Vec<Tile
                 non_finite.add(place(scene, sample.pixel) as u64, sample.index);
                 return;
             }
-            // Sums as if there were as many samples of each pixel.
             let weight = spp * sample.scale();
-            for k in 0..R::COUNT {
-                for c in 0..3 {
-                    sums[(k * pixels + at) * 3 + c] += weight * l[c].component(k);
-                }
-            }
+            deposit(&mut sums, at, l, weight);
         };
         // In double precision, single paths check on waves.
         if const { R::IS_PRIMAL && is_single::<R::Primal>() } {
@@ -274,15 +280,7 @@ impl<P: Float> Pass<'_, P> {
             }
             (sink.into_small(), non_finite)
         });
-        let mut sums = GradientSums::zero(active);
-        for (small, non_finite) in parts {
-            sums.merge(GradientSums {
-                small,
-                non_finite,
-                noise: None,
-            });
-        }
-        sums
+        GradientSums::zero(active).with_parts(parts)
     }
 
     /// Records every path, as far as the parameters `active` matter to it, and calls `each` with it, pixel by

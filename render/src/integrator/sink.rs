@@ -144,6 +144,18 @@ impl GradientSums {
         }
     }
 
+    /// These, and what jobs have added up, in their order.
+    pub fn with_parts(mut self, parts: Vec<(Vec<f64>, NonFinite)>) -> Self {
+        for (small, non_finite) in parts {
+            self.merge(Self {
+                small,
+                non_finite,
+                noise: None,
+            });
+        }
+        self
+    }
+
     /// Adds what another integral, or another part of one, has.
     pub fn merge(&mut self, other: Self) {
         add(&mut self.small, &other.small);

@@ -111,7 +111,8 @@ pub fn figure(fig: &mut Figure) -> Result {
         .collect();
     fig.image(
         "basins",
-        &Panel::false_colour("basins of the three solutions", size, &colours, 0.0, 2.0),
+        &Panel::false_colour("basins of the three solutions", size, &colours, 0.0, 2.0)
+            .enlarged(fig.pick(4, 2)),
     );
 
     // ---- The estimate at the shown point ----
@@ -209,7 +210,8 @@ fn counts(fig: &mut Figure, ring: &Laboratory, connector: &Connector, target: &T
         .collect();
     fig.image(
         "counts",
-        &Panel::false_colour("number of solutions", size, &colours, 0.0, 4.0),
+        &Panel::false_colour("number of solutions", size, &colours, 0.0, 4.0)
+            .enlarged(fig.pick(4, 2)),
     );
     Ok(())
 }

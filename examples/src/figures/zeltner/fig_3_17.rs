@@ -85,7 +85,7 @@ pub fn figure(fig: &mut Figure) -> Result {
     let exposure = 0.4 / mean(&angle).max(1e-9);
     let panels = [("angles", &angle), ("half vectors", &half)].map(|(label, s)| {
         let values = s.means().iter().map(|x| x * exposure).collect::<Vec<_>>();
-        Panel::false_colour(label, size as usize, &values, 0.0, 2.0)
+        Panel::false_colour(label, size as usize, &values, 0.0, 2.0).enlarged(fig.pick(8, 3))
     });
     fig.images("constraints", 2, &panels);
     let rows = [

@@ -15,7 +15,7 @@ use super::{Emission, Emitter, EmitterSample, Lights};
 use crate::error::SceneError;
 use crate::film::Image;
 use crate::image_io::Encoding;
-use crate::math::{NOWHERE, Rgb, Transform, angle, each};
+use crate::math::{Rgb, Transform, angle, each};
 use crate::motion::Placement;
 use crate::params::{GradSink, ParamRef, ParamShape, Params, Theta};
 use crate::plugin::{FromNode, Node, Registry};
@@ -189,15 +189,7 @@ impl Envmap {
     /// A sample of direction, density and coordinates of the texture.
     #[inline(always)]
     pub(crate) fn sampled<P: Float>(&self, d: Vec3<P>, pdf: P, uv: Vec2<P>) -> EmitterSample<P> {
-        EmitterSample {
-            d,
-            distance: P::of(f64::INFINITY),
-            normals: [Vec3::zero(); 2],
-            surface: NOWHERE,
-            prim: 0,
-            pdf,
-            emission: self.emission(uv),
-        }
+        EmitterSample::without_surface(d, P::of(f64::INFINITY), pdf, self.emission(uv))
     }
 
     /// Whether it has been told its texels: until then there is nothing to draw.
@@ -418,10 +410,7 @@ impl Emitter for Envmap {
         adjoint: Vec3<P>,
         grad: &mut impl GradSink<P>,
     ) {
-        let mut wrench = self.turned.wrench(theta);
-        // Who turns along sees the direction turn back.
-        wrench.direction(d, -adjoint);
-        self.turned.scatter(theta, &wrench, grad);
+        self.turned.scatter_turn(theta, d, adjoint, grad);
     }
 }
 

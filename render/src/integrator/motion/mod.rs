@@ -23,7 +23,7 @@ use super::active::Active;
 use super::exact::ExactBuffer;
 use super::pass::Pass;
 use super::path::Context;
-use super::paths::{JOBS, TileSums, assemble, collect_parts};
+use super::paths::{JOBS, TileSums, assemble, collect_parts, deposit};
 use super::rendering::{Components, NonFinite, Rendering};
 use super::sink::{GradientSums, Sink};
 use super::tile::{Paths, Sample, film_point, place};
@@ -124,11 +124,7 @@ pub(super) fn image<R: Components, S: Strategy, X: Sampler>(pass: &Pass<R>) -> R
                 return;
             }
             let weight = spp * sample.scale();
-            for k in 0..R::COUNT {
-                for c in 0..3 {
-                    sums[(k * pixels + at) * 3 + c] += weight * tangents[c].component(k);
-                }
-            }
+            deposit(&mut sums, at, Rgb::from(tangents), weight);
         };
         tile.trace(&context, pass.seed, &pass.samples, &mut paths, done);
         if pass.progress.cancelled() {

@@ -9,17 +9,19 @@ use crate::scene::{Caustics, ShapeInfo};
 pub trait Interest {
     /// Whether events are wanted; if not, none is made, and nothing that only derivatives need is done.
     const ENABLED: bool = true;
+    /// Whether it looks for light, if nothing else says so; otherwise it wants to know vertices alone.
+    const LIGHT: bool = true;
     /// Whether it wants to know the light behind a vertex of this material: because that is differentiated.
     fn differentiates(&self, _material: u32) -> bool {
-        true
+        Self::LIGHT
     }
     /// Whether the roughness of this material is: only then its normals have samples of their own.
     fn differentiates_roughness(&self, _material: u32) -> bool {
-        true
+        Self::LIGHT
     }
     /// Whether it wants to know all light, since emission is differentiated.
     fn differentiates_emission(&self) -> bool {
-        true
+        Self::LIGHT
     }
 }
 
