@@ -419,7 +419,7 @@ pub struct ManifoldArgs {
     #[arg(long, value_name = "NAME", value_enum, requires = "manifold")]
     pub constraint: Option<ConstraintArg>,
     /// Tell solutions apart as published: by one minus the cosine between their directions, at least this; merges some of
-    /// them [default: by proof]
+    /// them [default: by bounds of their errors]
     #[arg(long, value_name = "X", requires = "manifold", value_parser = threshold)]
     pub uniqueness_threshold: Option<f64>,
 }
@@ -547,7 +547,9 @@ impl ManifoldReport {
         let per = |a: u64, b: u64| a as f64 / b.max(1) as f64;
         Some(Self {
             method,
-            unbiased: unbiased && s.exhausted == 0 && connections.uniqueness == Uniqueness::Proof,
+            unbiased: unbiased
+                && s.exhausted == 0
+                && connections.uniqueness == Uniqueness::ErrorBounds,
             bounces: connections.bounces,
             attempts: s.attempts,
             found: s.found,

@@ -63,7 +63,7 @@ impl Solution {
             && self.chain.iter().zip(&other.chain).all(|(a, b)| same(a, b));
         alike
             && match uniqueness {
-                Uniqueness::Proof => {
+                Uniqueness::ErrorBounds => {
                     let apart = (self.chain[0].si.p - other.chain[0].si.p).length();
                     apart <= self.error + other.error
                 }

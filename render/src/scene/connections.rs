@@ -45,9 +45,10 @@ pub enum Constraint {
 /// When two walks have ended in the same solution.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Uniqueness {
-    /// If the balls in which Newton's method has proved a root overlap.
+    /// If the balls overlap in which the roots lie, as the last steps of Newton's method and rounding bound them: an estimate
+    /// of errors, not a proof, but with nothing to tune.
     #[default]
-    Proof,
+    ErrorBounds,
     /// If one minus the cosine between their directions is less than this, as it was published: it merges what is distinct.
     Threshold(f64),
 }

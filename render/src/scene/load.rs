@@ -594,7 +594,7 @@ fn connections(node: &Node) -> Result<Connections, SceneError> {
         Constraint::Angle
     };
     if node.float("uniqueness_threshold")?.is_some() {
-        node.warn("`uniqueness_threshold`: solutions are told apart by proof");
+        node.warn("`uniqueness_threshold`: solutions are told apart by bounds of their errors");
     }
     node.ignore(&["max_iterations"], Node::integer)?;
     node.ignore(&["solver_threshold"], Node::float)?;

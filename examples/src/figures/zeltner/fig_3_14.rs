@@ -27,7 +27,7 @@ const SHAPE: u32 = 1;
 const SEED: u64 = 14;
 
 fn same(a: &Solution, b: &Solution) -> bool {
-    a.is(b, Uniqueness::Proof)
+    a.is(b, Uniqueness::ErrorBounds)
 }
 
 /// `zeltner-3-14`.
