@@ -169,8 +169,8 @@ def peer(args):
     """Images and gradients against Mitsuba 3, on the scenes of the repository."""
     script = os.path.join(ROOT, "examples", "mitsuba", "against_mitsuba.py")
     jobs = [
-        ("Cornell box, image", CORNELL[0], [], ["", "--sampler sobol"]),
-        ("Cornell box, nine albedos", *CORNELL, ["", "--sampler sobol"]),
+        ("Cornell box, image", CORNELL[0], [], ["", "--sampler independent"]),
+        ("Cornell box, nine albedos", *CORNELL, ["", "--sampler independent"]),
         ("metal boxes, two roughnesses", *BOXES, ["--estimator mis-balance", "--estimator differential-mis --caustics particles"]),
     ]
     rows = []

@@ -372,7 +372,7 @@ fn assign(info: &ParamInfo, text: &str, values: &mut [f32]) -> Result<(), ToolEr
 #[derive(Args, Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SampleArgs {
     /// How the samples of a pixel are spread: independent, sobol (Owen-scrambled, best with powers of two)
-    /// or antithetic (pairs) [default: independent]
+    /// or antithetic (pairs) [default: sobol]
     #[arg(long, value_name = "NAME", value_parser = |text: &str| named(&Points::NAMES, text))]
     #[serde(serialize_with = "write_points", deserialize_with = "read_points")]
     pub sampler: Option<Points>,
@@ -398,6 +398,10 @@ pub struct SampleArgs {
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub guide: bool,
 }
+
+/// How tools spread the samples of a pixel unless they are told. Their standard errors are those of repeats, each with a
+/// scrambling of its own, and hold for any points.
+const POINTS: Points = Points::Sobol;
 
 /// `--manifold` and its companions.
 #[derive(Args, Clone, Copy, Debug, Default, PartialEq)]
@@ -602,7 +606,7 @@ impl SampleArgs {
     /// # Errors
     /// Particles in a scene that they see otherwise than paths do.
     pub fn apply(self, scene: &Scene, settings: &mut Settings) -> Result<(), ToolError> {
-        settings.points = self.sampler.unwrap_or_default();
+        settings.points = self.sampler.unwrap_or(POINTS);
         settings.lights = self.lights.unwrap_or_default();
         settings.caustics = self.caustics.unwrap_or_default();
         if settings.caustics == Caustics::Particles {
@@ -619,7 +623,7 @@ impl SampleArgs {
     /// With the defaults said.
     pub fn filled(self) -> Self {
         Self {
-            sampler: Some(self.sampler.unwrap_or_default()),
+            sampler: Some(self.sampler.unwrap_or(POINTS)),
             lights: Some(self.lights.unwrap_or_default()),
             caustics: Some(self.caustics.unwrap_or_default()),
             pixels_per_particle: (self.caustics == Some(Caustics::Particles)).then(|| {
@@ -632,7 +636,7 @@ impl SampleArgs {
 }
 
 fn write_points<S: Serializer>(value: &Option<Points>, to: S) -> Result<S::Ok, S::Error> {
-    to.serialize_str(name_in(&Points::NAMES, &value.unwrap_or_default()))
+    to.serialize_str(name_in(&Points::NAMES, &value.unwrap_or(POINTS)))
 }
 
 fn read_points<'de, D: Deserializer<'de>>(from: D) -> Result<Option<Points>, D::Error> {

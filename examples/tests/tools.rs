@@ -477,7 +477,7 @@ fn render_writes_image_picture_and_report() {
     );
     assert_eq!(report["scene"], "scene.xml");
     assert_eq!((&report["width"], &report["spp"]), (&36.into(), &8.into()));
-    assert_eq!(samples(&report), ["independent", "one", "paths"]);
+    assert_eq!(samples(&report), ["sobol", "one", "paths"]);
     let image = read_exr(&dir.path("scene.exr")).unwrap();
     assert_eq!((image.width, image.height), (36, 24));
     assert!(bytes(dir.path("scene.png")).starts_with(b"\x89PNG"));
@@ -736,11 +736,11 @@ fn gradient_of_a_texture_is_an_image() {
     let scene = scene.replace(r#"<default name="red" value="0.7"/>"#, "");
     std::fs::write(dir.path("scene.xml"), scene).unwrap();
     let key = "wall.reflectance.data";
-    let chosen = "--sampler sobol --lights all";
+    let chosen = "--sampler antithetic --lights all";
     let args = format!("scene.xml --param {key} --repeats 3 {chosen} --json a.json --images d");
     dir.ok("gradient", &args);
     let report = dir.json("a.json");
-    assert_eq!(samples(&report), ["sobol", "all", "paths"]);
+    assert_eq!(samples(&report), ["antithetic", "all", "paths"]);
     let names = ["value", "gradient", "std_error"].map(|what| {
         let name = report["params"][key][what].as_str().unwrap();
         assert_eq!(name, format!("a.{key}.{what}.exr"));
@@ -1508,7 +1508,7 @@ fn estimators_are_compared_and_the_numbers_depend_on_the_seed_alone() {
     );
     let (a, b) = (dir.json("a/report.json"), dir.json("b/report.json"));
     assert_eq!(dir.json("b.json"), b);
-    assert_eq!(samples(&a), ["independent", "one", "paths"]);
+    assert_eq!(samples(&a), ["sobol", "one", "paths"]);
     let rows = |v: &Value| v["rows"].as_array().unwrap().clone();
     assert_eq!(rows(&a).len(), 4);
     for (a, b) in rows(&a).iter().zip(&rows(&b)) {

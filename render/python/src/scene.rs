@@ -159,7 +159,9 @@ fn warn_of(py: Python<'_>, bad: &NonFinite, width: usize, seed: u64) -> PyResult
 }
 
 impl Scene {
-    fn made((inner, warnings): (render::Scene, Vec<String>)) -> PyResult<Self> {
+    /// Its samples are spread as tools spread them.
+    fn made((mut inner, warnings): (render::Scene, Vec<String>)) -> PyResult<Self> {
+        inner.settings.points = Points::Sobol;
         Ok(Self {
             inner: RwLock::new(inner),
             warnings,
@@ -395,7 +397,7 @@ impl Scene {
         Ok(())
     }
 
-    /// How the samples of a pixel are spread: independent, sobol or antithetic.
+    /// How the samples of a pixel are spread: sobol (after loading), independent or antithetic.
     #[getter]
     fn sampler(&self) -> PyResult<&'static str> {
         Ok(name_of(&Points::NAMES, &self.read()?.settings.points))

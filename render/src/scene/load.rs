@@ -618,7 +618,7 @@ fn sensor_from_node(node: &Node, index: usize) -> Result<Sensor, SceneError> {
     let mut spp = Settings::default().spp;
     if let Some(sampler) = node.child_with_tag("sampler")? {
         if sampler.plugin != "independent" {
-            sampler.warn("every sampler is replaced by independent samples");
+            sampler.warn("of a sampler, only the number of samples is read");
         }
         spp = sampler.integer_in("sample_count", 16, 1..=1 << 30)? as u32;
         sampler.ignore_rest();
