@@ -168,6 +168,8 @@ pub struct Film {
     pub crop_size: [u32; 2],
     /// Reconstruction filter.
     pub filter: PixelFilter,
+    /// Whether the scene file asks for a fourth channel: how much of a pixel is covered.
+    pub alpha: bool,
 }
 
 impl Film {
@@ -178,6 +180,7 @@ impl Film {
             crop_offset: [0, 0],
             crop_size: [width, height],
             filter: PixelFilter::Box,
+            alpha: false,
         }
     }
 

@@ -444,7 +444,21 @@ pub fn linear_to_srgb(x: f64) -> f64 {
 /// # Errors
 /// The file cannot be written; none is left behind then.
 pub fn write_exr(path: &Path, image: &Image) -> Result<(), SceneError> {
+    check_written(path, image.width, image.height, 3, &image.data)?;
     encode_exr(path, image.width, image.height, 3, &image.data)
+}
+
+/// [`write_exr`] with a fourth channel `A`: how much of each pixel is covered, row by row. Colours are as they are,
+/// those of what covers the pixel in part multiplied by that part.
+///
+/// # Errors
+/// As there; another number of values than pixels.
+pub fn write_exr_with_alpha(path: &Path, image: &Image, alpha: &[f32]) -> Result<(), SceneError> {
+    check_written(path, image.width, image.height, 3, &image.data)?;
+    check_written(path, image.width, image.height, 1, alpha)?;
+    let pixels = image.data.chunks_exact(3).zip(alpha);
+    let data: Vec<f32> = pixels.flat_map(|(c, &a)| [c[0], c[1], c[2], a]).collect();
+    encode_exr(path, image.width, image.height, 4, &data)
 }
 
 /// Writes one (`Y`) or three (`R`, `G`, `B`) channels as an OpenEXR file in f32, without loss.
@@ -458,6 +472,7 @@ pub fn write_exr_pixels(path: &Path, pixels: &Pixels) -> Result<(), SceneError> 
         channels,
         ref data,
     } = *pixels;
+    check_written(path, width, height, channels, data)?;
     encode_exr(path, width, height, channels, data)
 }
 
@@ -468,11 +483,10 @@ fn encode_exr(
     channels: usize,
     data: &[f32],
 ) -> Result<(), SceneError> {
-    check_written(path, width, height, channels, data)?;
-    let names: &[&str] = if channels == 1 {
-        &["Y"]
-    } else {
-        &["R", "G", "B"]
+    let names: &[&str] = match channels {
+        1 => &["Y"],
+        3 => &["R", "G", "B"],
+        _ => &["R", "G", "B", "A"],
     };
     let list = names.iter().enumerate().map(|(c, &name)| {
         let plane = data.iter().skip(c).step_by(channels).copied().collect();

@@ -85,6 +85,33 @@ const MATERIALS: &[(&str, &str, &str, Sampled)] = &[
         Sampled::Once,
     ),
     (
+        "brushed, ggx .4 and .1",
+        "roughconductor",
+        r#"<float name="alpha_u" value=".4"/><float name="alpha_v" value=".1"/>
+           <string name="distribution" value="ggx"/><string name="material" value="Cu"/>"#,
+        Sampled::Once,
+    ),
+    (
+        "brushed, beckmann .1 and .5",
+        "roughconductor",
+        r#"<float name="alpha_u" value=".1"/><float name="alpha_v" value=".5"/>"#,
+        Sampled::Once,
+    ),
+    (
+        "brushed, beckmann .2 and .6, all normals",
+        "roughconductor",
+        r#"<float name="alpha_u" value=".2"/><float name="alpha_v" value=".6"/>
+           <boolean name="sample_visible" value="false"/>"#,
+        Sampled::Once,
+    ),
+    (
+        "brushed glass",
+        "roughdielectric",
+        r#"<float name="alpha_u" value=".4"/><float name="alpha_v" value=".15"/>
+           <string name="distribution" value="ggx"/><float name="int_ior" value="1.5"/>"#,
+        Sampled::ByChoice,
+    ),
+    (
         "rough glass ggx .3",
         "roughdielectric",
         r#"<float name="alpha" value=".3"/><string name="distribution" value="ggx"/>
@@ -1488,9 +1515,19 @@ fn bad_descriptions_are_errors() {
             "roughness",
         ),
         (
-            "roughconductor",
+            "roughplastic",
             r#"<float name="alpha_u" value=".1"/><float name="alpha_v" value=".2"/>"#,
             "anisotropic roughness is not there",
+        ),
+        (
+            "roughconductor",
+            r#"<float name="alpha_u" value=".1"/>"#,
+            "`alpha_v`",
+        ),
+        (
+            "roughconductor",
+            r#"<float name="alpha_u" value=".1"/><float name="alpha_v" value="2"/>"#,
+            "alpha_v",
         ),
         (
             "roughdielectric",

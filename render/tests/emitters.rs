@@ -454,7 +454,7 @@ fn dark_texels_can_be_switched_on() {
             .unwrap();
         gradient.0.fill(0.0);
         let one = render::math::Rgb::splat(normal.dot(s.d).max(0.0) / s.pdf);
-        emitter.backward(&s.emission, one, &mut gradient);
+        emitter.backward(&theta, &s.emission, one, &mut gradient);
         for k in 0..4 {
             let x = gradient.0[first + 3 * k];
             sum[k] += x;

@@ -182,7 +182,7 @@ pub fn all() -> Vec<Case> {
         ),
         emitter(
             "projector",
-            r#"<emitter type="projector" id="lamp"><transform name="to_world"><lookat origin="1, 2.5, 1" target="0, 0, 0" up="0, 0, 1"/></transform><float name="fov" value="60"/><texture name="irradiance" type="checkerboard"><rgb name="color0" value="0.7, 0.3, 0.2"/><rgb name="color1" value="0.2, 0.4, 0.6"/><transform name="to_uv"><scale value="5"/></transform></texture></emitter>"#,
+            r#"<emitter type="projector" id="lamp"><transform name="to_world"><lookat origin="1, 2.5, 1" target="0, 0, 0" up="0, 0, 1"/></transform><float name="fov" value="60"/><float name="scale" value="1.5"/><texture name="irradiance" type="checkerboard"><rgb name="color0" value="0.7, 0.3, 0.2"/><rgb name="color1" value="0.2, 0.4, 0.6"/><transform name="to_uv"><scale value="5"/></transform></texture></emitter>"#,
         ),
         emitter(
             "slide",
@@ -191,6 +191,14 @@ pub fn all() -> Vec<Case> {
         emitter(
             "spot",
             r#"<emitter type="spot" id="lamp"><transform name="to_world"><lookat origin="1, 2.5, 1" target="0, 0, 0" up="0, 0, 1"/></transform><float name="cutoff_angle" value="35"/><rgb name="intensity" value="9, 8, 7"/></emitter>"#,
+        ),
+        material(
+            "brushed metal",
+            r#"<bsdf type="roughconductor"><string name="distribution" value="ggx"/><float name="alpha_u" value="0.35"/><float name="alpha_v" value="0.15"/><string name="material" value="Cu"/></bsdf>"#,
+        ),
+        material(
+            "brushed glass",
+            r#"<bsdf type="roughdielectric"><float name="alpha_u" value="0.2"/><float name="alpha_v" value="0.4"/><float name="int_ior" value="1.5"/></bsdf>"#,
         ),
     ]
 }

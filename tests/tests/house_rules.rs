@@ -95,6 +95,7 @@ const TRANSPORT: &[&str] = &[
     "simple",
     "wave",
     "tile",
+    "coverage",
     "sink",
     "pass",
     "projection_map",

@@ -9,6 +9,7 @@ use clap::{Parser, ValueEnum};
 use render::Job;
 use render::bsdf::kernel::{Rules, Symmetry};
 use render::instances::{Estimator, density_f32, particles_f32, render_f32};
+use render::integrator::coverage;
 use render::integrator::density::Convention;
 use render::integrator::particle;
 use render::integrator::render::{Progress, Rendering};
@@ -37,6 +38,7 @@ Examples:
   render scene.xml -P wall.reflectance.value=0.8 -P '*.alpha'=0.2
   render scene.xml -P wall.reflectance=0.8 --save new/scene.xml
   render scene.xml --check --json found.json     what of it is understood
+  render --schema scene.rng                      for editors that complete scene files
   render pool.xml --manifold sms --bounces 1     caustics by specular manifold sampling
 
 Ctrl-C keeps the samples so far (exit code 130).";
@@ -46,7 +48,8 @@ Ctrl-C keeps the samples so far (exit code 130).";
 #[command(name = "render", after_help = EXAMPLES)]
 pub struct Args {
     /// Scene file, Mitsuba XML
-    pub scene: PathBuf,
+    #[arg(required_unless_present = "schema")]
+    pub scene: Option<PathBuf>,
     /// Image to write [default: the scene's name in the current folder]
     #[arg(short, long, value_name = "OUT.EXR")]
     pub output: Option<PathBuf>,
@@ -98,6 +101,9 @@ pub struct Args {
     /// folders beside it, and do nothing else
     #[arg(long, value_name = "OUT.XML", conflicts_with_all = ["output", "spp", "max_depth", "radius", "ignore_non_symmetry", "json", "check", "SampleArgs", "ThreadArgs"])]
     pub save: Option<PathBuf>,
+    /// Write a schema of scene files, RELAX NG, by which editors complete and check them, and do nothing else
+    #[arg(long, value_name = "OUT.RNG", exclusive = true)]
+    pub schema: Option<PathBuf>,
     /// Write size, samples and times, or what was found, to this file
     #[arg(long, value_name = "OUT.JSON")]
     pub json: Option<PathBuf>,
@@ -263,13 +269,23 @@ struct Report {
 /// # Errors
 /// Anything wrong with the arguments, the scene or the output files; nothing has been written then.
 pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
+    if let Some(path) = &args.schema {
+        require_extension(path, "rng")?;
+        output::prepare(std::slice::from_ref(path), &[])?;
+        image_io::write_atomically(path, Scene::schema().as_bytes())?;
+        say!("{}", path.display());
+        return Ok(Outcome::Done);
+    }
+    let Some(file) = &args.scene else {
+        return Err(ToolError::Usage("expected a scene file".into()));
+    };
     if args.check {
-        return check::run(&args.scene, &args.load, args.json.as_deref());
+        return check::run(file, &args.load, args.json.as_deref());
     }
     if let Some(path) = &args.save {
         require_extension(path, "xml")?;
-        output::prepare(std::slice::from_ref(path), &[&args.scene])?;
-        let (scene, _) = args.load.load(&args.scene)?;
+        output::prepare(std::slice::from_ref(path), &[file])?;
+        let (scene, _) = args.load.load(file)?;
         for file in scene.save(path)? {
             say!("{}", file.display());
         }
@@ -277,11 +293,11 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     }
     let exr = match &args.output {
         Some(path) => path.clone(),
-        None => default_output(&args.scene)?,
+        None => default_output(file)?,
     };
     require_extension(&exr, "exr")?;
     let method = args.method()?;
-    let (mut scene, seconds_load) = args.load.load(&args.scene)?;
+    let (mut scene, seconds_load) = args.load.load(file)?;
     interrupt.keep();
     if !matches!(method, Method::Paths(_)) {
         particle::check(&scene)?;
@@ -302,7 +318,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     let png = exr.with_extension("png");
     let mut files = vec![exr.clone(), png.clone()];
     files.extend(args.json.clone());
-    output::prepare(&files, &[&args.scene])?;
+    output::prepare(&files, &[file])?;
 
     let start = Instant::now();
     let (rendering, threads, energy) = args.threads.run(|threads| {
@@ -331,14 +347,22 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
         manifold.complain();
     }
     let image = rendering.image(0);
-    image_io::write_exr(&exr, &image)?;
+    let alpha = scene.film.alpha.then(|| {
+        // Of the samples that the image holds.
+        let job = Job::new(&scene, &settings, args.seed, 0..rendering.samples, &());
+        coverage::coverage(&job)
+    });
+    match alpha.flatten() {
+        Some(alpha) => image_io::write_exr_with_alpha(&exr, &image, &alpha)?,
+        None => image_io::write_exr(&exr, &image)?,
+    }
     output::write_png(&png, &image)?;
     if let Some(energy) = &energy {
         energy.say();
     }
     if let Some(path) = &args.json {
         let report = Report {
-            scene: args.scene.display().to_string(),
+            scene: file.display().to_string(),
             width: rendering.width,
             height: rendering.height,
             spp: rendering.samples,

@@ -12,6 +12,7 @@ use pyo3::types::{PyDict, PyList, PyMapping, PyString};
 use render::auto::{self, Mixture};
 use render::check::{Options, check, most_passes};
 use render::instances::{Direction, Estimator, Mode, render_f32, render_f64};
+use render::integrator::coverage::coverage;
 use render::integrator::render::{NonFinite, Progress};
 use render::params::{ParamInfo, Theta};
 use render::sampler::Points;
@@ -35,16 +36,17 @@ pub struct Scene {
 }
 
 /// Loads a Mitsuba scene file. `defines` are values for its `$names`; `allow_missing` substitutes mid-grey for missing
-/// textures.
+/// textures; `sensor` is the one to look through, by its id or its number, instead of the first.
 #[pyfunction]
-#[pyo3(signature = (path, *, defines = None, allow_missing = false))]
+#[pyo3(signature = (path, *, defines = None, allow_missing = false, sensor = None))]
 pub fn load(
     py: Python<'_>,
     path: PathBuf,
     defines: Option<HashMap<String, Bound<'_, PyAny>>>,
     allow_missing: bool,
+    sensor: Option<Bound<'_, PyAny>>,
 ) -> PyResult<Scene> {
-    let options = options(defines, allow_missing)?;
+    let options = options(defines, allow_missing, sensor)?;
     Scene::made(work(py, 1, None, |_| {
         Ok(render::Scene::load(&path, &options)?)
     })?)
@@ -52,15 +54,16 @@ pub fn load(
 
 /// Loads a scene from the text of a Mitsuba scene file. File names in it are relative to `base`.
 #[pyfunction]
-#[pyo3(signature = (text, *, base = None, defines = None, allow_missing = false))]
+#[pyo3(signature = (text, *, base = None, defines = None, allow_missing = false, sensor = None))]
 pub fn load_string(
     py: Python<'_>,
     text: &str,
     base: Option<PathBuf>,
     defines: Option<HashMap<String, Bound<'_, PyAny>>>,
     allow_missing: bool,
+    sensor: Option<Bound<'_, PyAny>>,
 ) -> PyResult<Scene> {
-    let options = options(defines, allow_missing)?;
+    let options = options(defines, allow_missing, sensor)?;
     let base = base.as_deref().unwrap_or(Path::new(""));
     Scene::made(work(py, 1, None, |_| {
         Ok(render::Scene::from_xml(text, base, &options)?)
@@ -77,9 +80,18 @@ pub fn room(py: Python<'_>, width: u32, height: u32) -> PyResult<Scene> {
     Scene::made((made, Vec::new()))
 }
 
+/// The name or the number of a sensor.
+fn sensor_name(sensor: &Bound<'_, PyAny>) -> PyResult<String> {
+    match sensor.extract::<usize>() {
+        Ok(number) => Ok(number.to_string()),
+        Err(_) => sensor.extract(),
+    }
+}
+
 fn options(
     defines: Option<HashMap<String, Bound<'_, PyAny>>>,
     allow_missing: bool,
+    sensor: Option<Bound<'_, PyAny>>,
 ) -> PyResult<LoadOptions> {
     let text = |(name, value): (String, Bound<'_, PyAny>)| Ok((name, value.str()?.to_string()));
     let mut defines = (defines.into_iter().flatten())
@@ -90,7 +102,7 @@ fn options(
     Ok(LoadOptions {
         defines,
         allow_missing,
-        ..LoadOptions::default()
+        sensor: sensor.map(|s| sensor_name(&s)).transpose()?,
     })
 }
 
@@ -345,6 +357,44 @@ impl Scene {
         Ok(e.active(&scene, &keys).err().map(|e| e.to_string()))
     }
 
+    /// Everything that may move, whether or not it is a parameter by now: names such as `ball.translation`,
+    /// `ball.rotation`, `mesh.vertex_positions`, `sensor.fov` or `lamp.position`.
+    fn movables(&self) -> PyResult<Vec<String>> {
+        let all = self.read()?.movables();
+        Ok(all.into_iter().map(|m| m.name).collect())
+    }
+
+    /// Makes what is called so parameters, behind all others, with the values that they have: a name, a pattern with `*`
+    /// and `?`, or a sequence of those. Until then what may move costs nothing.
+    fn make_movable(&self, keys: &Bound<'_, PyAny>) -> PyResult<()> {
+        let keys = several(keys)?;
+        Ok(self.write()?.make_movable(&keys).map_err(Error::from)?)
+    }
+
+    /// The names of all that the scene can be looked at through.
+    #[getter]
+    fn sensors(&self) -> PyResult<Vec<String>> {
+        let scene = self.read()?;
+        Ok(scene.sensors().iter().map(|s| s.name.clone()).collect())
+    }
+
+    /// Looks through another sensor from now on, by its name or its number: at its resolution, with its samples per pixel.
+    fn look_through(&self, sensor: &Bound<'_, PyAny>) -> PyResult<()> {
+        let mut scene = self.write()?;
+        let index = scene
+            .sensor_called(&sensor_name(sensor)?)
+            .map_err(Error::from)?;
+        Ok(scene.look_through(index).map_err(Error::from)?)
+    }
+
+    /// Writes the scene with its parameters as they are into an XML file for this renderer and Mitsuba 3, with its textures
+    /// and meshes in folders beside it; the names of all files, the scene last.
+    fn save(&self, py: Python<'_>, path: PathBuf) -> PyResult<Vec<PathBuf>> {
+        let guard = self.read()?;
+        let scene: &render::Scene = &guard;
+        work(py, 1, None, |_| Ok(scene.save(&path)?))
+    }
+
     /// What was ignored or substituted when the scene was loaded.
     #[getter]
     fn warnings(&self) -> Vec<String> {
@@ -394,6 +444,18 @@ impl Scene {
             })?,
         };
         self.write()?.settings.max_depth = depth;
+        Ok(())
+    }
+
+    /// Whether light that the camera sees without a reflection in between is left out.
+    #[getter]
+    fn hide_emitters(&self) -> PyResult<bool> {
+        Ok(self.read()?.settings.hide_emitters)
+    }
+
+    #[setter]
+    fn set_hide_emitters(&self, hide: bool) -> PyResult<()> {
+        self.write()?.settings.hide_emitters = hide;
         Ok(())
     }
 
@@ -455,6 +517,26 @@ impl Scene {
         } else {
             Ok(image::<f32>(py, found.image(0).data, size(scene))?.into_any())
         }
+    }
+
+    /// How much of each pixel is covered, height x width: the fourth channel of the image with the same samples and seed.
+    /// Everything is where the sky is seen, unless `hide_emitters` is set.
+    #[pyo3(signature = (spp = None, seed = 0))]
+    fn alpha<'py>(
+        &self,
+        py: Python<'py>,
+        spp: Option<u32>,
+        seed: u64,
+    ) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
+        let guard = self.read()?;
+        let scene: &render::Scene = &guard;
+        let settings = settings(scene, spp)?;
+        let found = work(py, 1, None, |progress| {
+            let job = Job::new(scene, &settings, seed, 0..settings.spp.into(), progress);
+            Ok(coverage(&job).unwrap_or_default())
+        })?;
+        let [width, height] = size(scene);
+        array(py, found, &[height, width])
     }
 
     /// The gradient of the sum of `adjoint * image` in the parameters `keys`, a dict of arrays in their shapes.

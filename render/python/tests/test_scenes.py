@@ -147,3 +147,62 @@ def test_mistakes_in_scene_files_are_named(tmp_path: Path) -> None:
             rg.room(width, height)
     with pytest.raises(TypeError):
         rg.load(3)
+
+
+def test_what_may_move_becomes_a_parameter(room: rg.Scene) -> None:
+    assert "sphere.translation" in room.movables() and "sphere.translation" not in room
+    before = room.render()
+    room.make_movable(["sphere.translation", "sensor.fov"])
+    assert room["sphere.translation"].shape == (3,) and room.info("sensor.fov")["shape"] == ()
+    np.testing.assert_array_equal(room.render(), before)
+    room["sphere.translation"] = [0.0, 0.2, 0.0]
+    assert (room.render() != before).any()
+    adjoint = np.ones((*room.size, 3))
+    found = room.backward(adjoint, "sphere.translation", "edges", spp=2)
+    assert found["sphere.translation"].shape == (3,) and found["sphere.translation"].any()
+    with pytest.raises(KeyError, match="spere.translation"):
+        room.make_movable("spere.translation")
+
+
+VIEWS = """<scene version="3.0.0">
+  <sensor type="perspective" id="front"><film type="hdrfilm">
+    <integer name="width" value="6"/><integer name="height" value="4"/></film></sensor>
+  <sensor type="orthographic" id="side"><film type="hdrfilm">
+    <integer name="width" value="2"/><integer name="height" value="3"/></film></sensor>
+  <shape type="sphere"><point name="center" x="0" y="0" z="5"/></shape>
+  <emitter type="constant"><rgb name="radiance" value="0.5"/></emitter>
+</scene>"""
+
+
+def test_sensors_have_names_and_numbers() -> None:
+    scene = rg.load_string(VIEWS)
+    assert scene.sensors == ["front", "side"] and scene.size == (4, 6)
+    for sensor in ("side", 1):
+        assert rg.load_string(VIEWS, sensor=sensor).size == (3, 2)
+    scene.look_through(1)
+    assert scene.size == (3, 2) and scene.render(4).shape == (3, 2, 3)
+    scene.look_through("front")
+    assert scene.size == (4, 6)
+    with pytest.raises(ValueError, match="one of `front`, `side`, found `top`"):
+        scene.look_through("top")
+
+
+def test_what_is_covered() -> None:
+    scene = rg.load_string(VIEWS)
+    np.testing.assert_array_equal(scene.alpha(4), np.ones((4, 6), np.float32))
+    scene.hide_emitters = True
+    assert scene.hide_emitters
+    image, alpha = scene.render(16), scene.alpha(16)
+    assert 0 < alpha.mean() < 1 and alpha.shape == (4, 6)
+    # Half of the light of the sky comes back, and nothing but that is seen.
+    np.testing.assert_allclose(image[..., 0], 0.25 * alpha, atol=0.02)
+
+
+def test_scenes_are_saved(tmp_path: Path) -> None:
+    (tmp_path / "scene.xml").write_text(VIEWS)
+    scene = rg.load(tmp_path / "scene.xml")
+    key = next(k for k in scene.keys() if k.endswith("radiance.value"))
+    scene[key] = 0.75
+    files = scene.save(tmp_path / "new" / "scene.xml")
+    assert files[-1] == tmp_path / "new" / "scene.xml"
+    np.testing.assert_array_equal(rg.load(files[-1])[key], np.float32([0.75] * 3))

@@ -24,7 +24,7 @@ use std::f64::consts::E;
 
 use ad_core::{Const, Float, Real, Vec3};
 
-use super::microfacet::{Microfacet, Ndf};
+use super::microfacet::{Alpha, Microfacet, Ndf};
 use crate::math::{both, warp};
 
 /// A part of the derivative of a distribution of normals with respect to roughness.
@@ -55,7 +55,7 @@ pub enum Part {
     Rest,
 }
 
-impl<R: Real> Microfacet<R> {
+impl<R: Real, A: Alpha<Scalar = R>> Microfacet<A> {
     /// Relative change of `D(m)` with roughness: `D / D_0 - 1`, zero without tangents.
     #[inline]
     pub fn change(&self, m: Vec3<R::Primal>) -> R {

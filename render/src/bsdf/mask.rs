@@ -41,8 +41,9 @@ impl Mask {
         &self.nested
     }
 
+    /// The part that is there.
     #[inline]
-    fn opacity<R: Real>(&self, at: &Shading<R>) -> R {
+    pub(super) fn opacity<R: Real>(&self, at: &Shading<R>) -> R {
         self.opacity.scalar(&at.theta, at.uv)
     }
 }

@@ -32,21 +32,122 @@ pub enum Ndf {
     Ggx,
 }
 
+/// Roughness as a number, the same in all directions, or as one number along each axis of the surface.
+///
+/// A surface of any roughness is one of roughness 1 whose slopes along either axis were multiplied: all that is known
+/// of that one is known of all.
+pub trait Alpha: Copy {
+    /// Its numbers.
+    type Scalar: Real;
+    /// The same without tangents.
+    type Primal: Alpha<Scalar = <Self::Scalar as Real>::Primal>;
+
+    /// The same without tangents.
+    fn primal(self) -> Self::Primal;
+    /// The number, if it is one.
+    fn isotropic(self) -> Option<Self::Scalar>;
+    /// Roughness along the first and the second axis of the surface.
+    fn axes(self) -> [Self::Scalar; 2];
+    /// [`Microfacet::d`] of GGX surfaces.
+    fn ggx_d(self, m: Vec3<Self::Scalar>) -> Self::Scalar;
+    /// [`Microfacet::sigma`] of GGX surfaces.
+    fn ggx_sigma(self, w: Vec3<Self::Scalar>) -> Self::Scalar;
+    /// Length of the part of `w` along the surface, each axis times its roughness.
+    fn spread(self, w: Vec3<Self::Scalar>) -> Self::Scalar;
+}
+
+impl<R: Real> Alpha for R {
+    type Scalar = R;
+    type Primal = R::Primal;
+
+    #[inline(always)]
+    fn primal(self) -> R::Primal {
+        Real::primal(self)
+    }
+    #[inline(always)]
+    fn isotropic(self) -> Option<R> {
+        Some(self)
+    }
+    #[inline(always)]
+    fn axes(self) -> [R; 2] {
+        [self; 2]
+    }
+    #[inline(always)]
+    fn ggx_d(self, m: Vec3<R>) -> R {
+        ggx_d(self, m)
+    }
+    #[inline(always)]
+    fn ggx_sigma(self, w: Vec3<R>) -> R {
+        ggx_sigma(self, w)
+    }
+    #[inline(always)]
+    fn spread(self, w: Vec3<R>) -> R {
+        self * (w.x.square() + w.y.square()).sqrt()
+    }
+}
+
+/// Roughness along the first axis of the surface, along dp/du, and along the second.
+#[derive(Clone, Copy, Debug)]
+pub struct Axes<R>(pub [R; 2]);
+
+impl<R: Real> Alpha for Axes<R> {
+    type Scalar = R;
+    type Primal = Axes<R::Primal>;
+
+    #[inline]
+    fn primal(self) -> Axes<R::Primal> {
+        Axes(self.0.map(Real::primal))
+    }
+    #[inline(always)]
+    fn isotropic(self) -> Option<R> {
+        None
+    }
+    #[inline(always)]
+    fn axes(self) -> [R; 2] {
+        self.0
+    }
+    #[inline]
+    fn ggx_d(self, m: Vec3<R>) -> R {
+        if m.z.primal() <= R::Primal::zero() {
+            return R::zero();
+        }
+        let Self([u, v]) = self;
+        let (x, y) = (m.x / u, m.y / v);
+        (u * v * R::c(PI) * (x.square() + y.square() + m.z.square()).square()).recip()
+    }
+    #[inline]
+    fn ggx_sigma(self, w: Vec3<R>) -> R {
+        let Self([u, v]) = self;
+        let spread = (u * w.x).square() + (v * w.y).square();
+        (w.z.abs() + (w.z.square() + spread).sqrt()) * R::c(0.5)
+    }
+    #[inline]
+    fn spread(self, w: Vec3<R>) -> R {
+        let Self([u, v]) = self;
+        let squared = (u * w.x).square() + (v * w.y).square();
+        // A root has no slope at zero, nor has what is made of this one.
+        if squared.primal() <= R::Primal::MIN_POSITIVE {
+            return R::zero();
+        }
+        squared.sqrt()
+    }
+}
+
 /// A distribution of microfacet normals, and which of them are sampled.
 #[derive(Clone, Copy, Debug)]
-pub struct Microfacet<R> {
+pub struct Microfacet<A> {
     /// Its shape.
     pub kind: Ndf,
     /// Roughness, in [1e-4, 1].
-    pub alpha: R,
+    pub alpha: A,
     /// Sample the normals visible from a direction instead of all of them.
     pub visible: bool,
 }
 
-impl<R: Real> Microfacet<R> {
+impl<R: Real, A: Alpha<Scalar = R>> Microfacet<A> {
     /// The same without tangents.
     #[inline]
-    pub fn primal(&self) -> Microfacet<R::Primal> {
+    pub fn primal(&self) -> Microfacet<A::Primal> {
         Microfacet {
             kind: self.kind,
             alpha: self.alpha.primal(),
@@ -54,19 +155,31 @@ impl<R: Real> Microfacet<R> {
         }
     }
 
+    /// The same, if it is the same in all directions.
+    #[inline]
+    pub fn isotropic(&self) -> Option<Microfacet<R>> {
+        let &Self { kind, visible, .. } = self;
+        let alpha = self.alpha.isotropic()?;
+        Some(Microfacet {
+            kind,
+            alpha,
+            visible,
+        })
+    }
+
     /// Density of normals `D(m)`, per solid angle and unit of macroscopic area; zero below the
     /// horizon. Integrates to one over projected solid angle.
     #[inline]
     pub fn d(&self, m: Vec3<R>) -> R {
         match self.kind {
-            Ndf::Ggx => ggx_d(self.alpha, m),
+            Ndf::Ggx => self.alpha.ggx_d(m),
             Ndf::Beckmann => {
                 if m.z.primal() <= R::Primal::zero() {
                     return R::zero();
                 }
-                let area = self.alpha.square() * R::c(PI);
-                let az = self.alpha * m.z;
-                let steepness = (m.x / az).square() + (m.y / az).square();
+                let [u, v] = self.alpha.axes();
+                let area = u * v * R::c(PI);
+                let steepness = (m.x / (u * m.z)).square() + (m.y / (v * m.z)).square();
                 // The far tail, where the exponential is no normal number: 0 * inf below.
                 if steepness.primal() > -R::Primal::MIN_POSITIVE.ln() {
                     return R::zero();
@@ -80,11 +193,8 @@ impl<R: Real> Microfacet<R> {
     #[inline]
     pub fn sigma(&self, w: Vec3<R>) -> R {
         match self.kind {
-            Ndf::Ggx => ggx_sigma(self.alpha, w),
-            Ndf::Beckmann => {
-                let s2 = w.x.square() + w.y.square();
-                beckmann_sigma(w.z.abs(), self.alpha * s2.sqrt())
-            }
+            Ndf::Ggx => self.alpha.ggx_sigma(w),
+            Ndf::Beckmann => beckmann_sigma(w.z.abs(), self.alpha.spread(w)),
         }
     }
 
@@ -160,12 +270,8 @@ impl<R: Real> Microfacet<R> {
             Ndf::Beckmann => (-(-u[0]).ln_1p()).sqrt(),
         };
         let (sin, cos) = warp::sin_cos_of_turns(u[1]);
-        Vec3::new(
-            self.alpha * Const(t * cos),
-            self.alpha * Const(t * sin),
-            R::one(),
-        )
-        .normalize()
+        let [along, across] = self.alpha.axes();
+        Vec3::new(along * Const(t * cos), across * Const(t * sin), R::one()).normalize()
     }
 
     /// Density of [`Microfacet::sample_all`].
@@ -181,12 +287,13 @@ impl<R: Real> Microfacet<R> {
     /// the exact CDF of the slope along `w` [Heitz and d'Eon 2014] to machine precision.
     #[inline]
     pub fn sample_visible(&self, w: Vec3<R>, u: [R::Primal; 2]) -> Vec3<R> {
-        let stretched = Vec3::new(self.alpha * w.x, self.alpha * w.y, w.z).normalize();
+        let [along, across] = self.alpha.axes();
+        let stretched = Vec3::new(along * w.x, across * w.y, w.z).normalize();
         let m = match self.kind {
             Ndf::Ggx => ggx_visible(stretched, u),
             Ndf::Beckmann => beckmann_visible(stretched, u),
         };
-        Vec3::new(self.alpha * m.x, self.alpha * m.y, m.z).normalize()
+        Vec3::new(along * m.x, across * m.y, m.z).normalize()
     }
 
     /// Density of [`Microfacet::sample_visible`].

@@ -128,9 +128,9 @@ pub use normal_map::{Corrections, Interpolation, NormalMap, shadowing};
 pub use null::{Null, NullLobe};
 pub use plastic::{Coated, CoatedLobe, Plastic, PlasticLobe};
 pub use principled::{Principled, PrincipledLobe, Reflectivity};
+pub use rough_conductor::{AnisotropicConductor, RoughConductor, RoughConductorLobe, Roughness};
 pub(crate) use rough_conductor::{Facets, Metal};
-pub use rough_conductor::{RoughConductor, RoughConductorLobe, Roughness};
-pub use rough_dielectric::{RoughDielectric, RoughDielectricLobe};
+pub use rough_dielectric::{AnisotropicDielectric, RoughDielectric, RoughDielectricLobe};
 pub use rough_plastic::{Coat, RoughPlastic, RoughPlasticLobe};
 pub use thin_dielectric::{ThinDielectric, ThinDielectricLobe};
 pub use twosided::TwoSided;
@@ -1133,11 +1133,10 @@ macro_rules! materials {
             /// # Errors
             /// Unknown plugin, or anything wrong with its description.
             pub fn from_node(node: &Node, registry: &mut Registry) -> Result<Self, SceneError> {
-                let plugin = node.plugin.as_str();
-                $(if <$hot as FromNode>::PLUGINS.contains(&plugin) {
+                $(if <$hot as FromNode>::takes(node) {
                     return Ok(Self::$hot(<$hot as FromNode>::from_node(node, registry)?));
                 })*
-                $(if <$name as FromNode>::PLUGINS.contains(&plugin) {
+                $(if <$name as FromNode>::takes(node) {
                     return Ok(Self::$name(<$name as FromNode>::from_node(node, registry)?));
                 })*
                 Err(node.unknown_plugin(&Self::PLUGINS.concat()))
@@ -1255,11 +1254,13 @@ materials! {
     BlinnPhong,
     Conductor,
     Dielectric,
+    AnisotropicConductor,
     RoughConductor,
     TwoSided,
     Blend,
     Mask,
     NormalMap,
+    AnisotropicDielectric,
     RoughDielectric,
     Plastic,
     RoughPlastic,

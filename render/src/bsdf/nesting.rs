@@ -2,9 +2,9 @@
 
 use std::sync::Arc;
 
-use ad_core::{Float, Real};
+use ad_core::{Float, Real, Vec3};
 
-use super::{Bsdf, MANY_SLOTS, MAX_SLOTS, Material};
+use super::{Bsdf, MANY_SLOTS, MAX_SLOTS, Material, Shading};
 use crate::error::SceneError;
 use crate::params::{ParamRef, Params};
 use crate::plugin::Node;
@@ -85,7 +85,12 @@ pub fn scatters_deltas(material: &Material) -> bool {
 pub fn check_textures(material: &Material, params: &Params) -> Result<(), SceneError> {
     match children(material) {
         [] => {
-            let many = matches!(material, Material::Principled(_));
+            let many = matches!(
+                material,
+                Material::Principled(_)
+                    | Material::AnisotropicConductor(_)
+                    | Material::AnisotropicDielectric(_)
+            );
             check_leaf(material, if many { MANY_SLOTS } else { MAX_SLOTS }, params)
         }
         parts => parts.iter().try_for_each(|m| check_textures(m, params)),
@@ -132,6 +137,27 @@ pub fn is_glossy(material: &Material) -> bool {
         (Material::Mask(_), _) => true,
         (_, []) => !matches!(material, Material::Diffuse(_)),
         (_, parts) => parts.iter().any(|m| is_glossy(m)),
+    }
+}
+
+/// The share of a material that is there, seen along `wo` in the local frame: less than one where light passes straight
+/// through holes.
+pub fn opacity<P: Float>(material: &Material, at: &Shading<P>, wo: Vec3<P>) -> P {
+    match material {
+        Material::Null(_) => P::zero(),
+        Material::Mask(m) => m.opacity(at) * opacity(m.nested(), at, wo),
+        Material::Blend(m) => {
+            let shares = m.shares(at);
+            (m.parts().iter().zip(shares)).fold(P::zero(), |sum, (part, share)| {
+                sum + opacity(part, at, wo) * share
+            })
+        }
+        Material::NormalMap(m) => opacity(m.nested(), at, wo),
+        Material::TwoSided(m) => {
+            let behind = wo.z < P::zero();
+            opacity(&m.sides()[usize::from(behind)], at, wo)
+        }
+        _ => P::one(),
     }
 }
 

@@ -2,7 +2,9 @@
 
 use ad_core::{Const, Float, Real, Vec3};
 
-use super::microfacet::{ALPHA_RANGE, Microfacet, Ndf, ggx_d, ggx_sample_visible, ggx_sigma};
+use super::microfacet::{
+    ALPHA_RANGE, Alpha, Axes, Microfacet, Ndf, ggx_d, ggx_sample_visible, ggx_sigma,
+};
 use super::{
     BsdfSample, Component, Conductor, ConductorLobe, Leaf, Lobe, Part, Reader, Scattered, Shading,
     TransportMode,
@@ -12,13 +14,13 @@ use crate::math::{Rgb, both};
 use crate::plugin::{FromNode, Node, Registry};
 use crate::texture::ScalarTexture;
 
-/// Roughness and shape of a microsurface.
+/// Roughness and shape of a microsurface; `T` is one texture, or one for each axis of the surface.
 #[derive(Clone, Debug)]
-pub struct Roughness {
+pub struct Roughness<T = ScalarTexture> {
     /// Shape of the distribution of normals.
     pub kind: Ndf,
     /// Roughness, in [`ALPHA_RANGE`].
-    pub alpha: ScalarTexture,
+    pub alpha: T,
     /// Sample visible normals only.
     pub visible: bool,
 }
@@ -38,56 +40,103 @@ impl Roughness {
     /// of a scene file.
     ///
     /// # Errors
-    /// Another roughness across than along, which is left out. A roughness outside [`ALPHA_RANGE`]: it is not clamped, since that would silently stop its
-    /// derivative.
+    /// Another roughness across than along, which is left out here. A roughness outside [`ALPHA_RANGE`]: it is not
+    /// clamped, since that would silently stop its derivative.
     pub fn from_node(node: &Node, registry: &mut Registry) -> Result<Self, SceneError> {
+        if is_anisotropic(node) {
+            return Err(SceneError::Refused {
+                location: node.location.clone(),
+                tag: node.tag.clone(),
+                plugin: format!("{} with {ALONG} and {ACROSS}", node.plugin),
+                what: "anisotropic roughness is",
+            });
+        }
+        let given = node.has(ALONG) || node.has(ACROSS);
+        if given && node.has("alpha") {
+            return Err(node.invalid("alpha", "none beside `alpha_u` and `alpha_v`"));
+        }
+        let key = if given { ALONG } else { "alpha" };
+        // It is the same.
+        node.grey(ACROSS)?;
+        let alpha = registry.scalar_texture(node, key, 0.1, ALPHA_RANGE)?;
+        Self::of(node, alpha)
+    }
+}
+
+impl<T> Roughness<T> {
+    /// With what a scene file says besides.
+    fn of(node: &Node, alpha: T) -> Result<Self, SceneError> {
         let kinds = [("beckmann", Ndf::Beckmann), ("ggx", Ndf::Ggx)];
-        let key = isotropic(node)?;
+        let kind = node.choice("distribution", &kinds)?;
         Ok(Self {
-            kind: node
-                .choice("distribution", &kinds)?
-                .unwrap_or(Ndf::Beckmann),
-            alpha: registry.scalar_texture(node, key, 0.1, ALPHA_RANGE)?,
+            kind: kind.unwrap_or(Ndf::Beckmann),
+            alpha,
             visible: node.boolean_or("sample_visible", true)?,
         })
     }
 }
 
-/// The attribute that holds the roughness, which is the same in all directions.
-fn isotropic(node: &Node) -> Result<&'static str, SceneError> {
-    let [u, v] = ["alpha_u", "alpha_v"];
-    if !node.has(u) && !node.has(v) {
-        return Ok("alpha");
+impl Roughness<[ScalarTexture; 2]> {
+    /// The distribution at a point.
+    #[inline]
+    pub fn read<R: Real>(&self, read: &mut impl Reader<R>) -> Microfacet<Axes<R>> {
+        let [along, across] = &self.alpha;
+        Microfacet {
+            kind: self.kind,
+            alpha: Axes([read.alpha(along), read.alpha(across)]),
+            visible: self.visible,
+        }
     }
-    if node.has("alpha") {
-        return Err(node.invalid("alpha", "none beside `alpha_u` and `alpha_v`"));
-    }
-    let number = |key| node.grey(key).ok().flatten();
-    match (number(u), number(v)) {
-        (Some(a), Some(b)) if a == b => Ok(u),
-        _ => Err(SceneError::Refused {
-            location: node.location.clone(),
-            tag: node.tag.clone(),
-            plugin: format!("{} with {u} and {v}", node.plugin),
-            what: "anisotropic roughness is",
-        }),
+
+    /// [`Roughness::from_node`] of `alpha_u` and `alpha_v`, along dp/du and across.
+    ///
+    /// # Errors
+    /// As there; one of the two without the other.
+    pub fn along_axes(node: &Node, registry: &mut Registry) -> Result<Self, SceneError> {
+        let mut alpha = |key| {
+            if node.has(key) {
+                return registry.scalar_texture(node, key, 0.1, ALPHA_RANGE);
+            }
+            Err(node.missing(key, "a roughness, as there is along the other axis"))
+        };
+        let alpha = [alpha(ALONG)?, alpha(ACROSS)?];
+        Self::of(node, alpha)
     }
 }
 
-/// A rough, one-sided metal.
+/// Roughness along the axes of the surface.
+const ALONG: &str = "alpha_u";
+const ACROSS: &str = "alpha_v";
+
+/// Whether a node asks for another roughness across the surface than along it, or may do so.
+pub(super) fn is_anisotropic(node: &Node) -> bool {
+    let number = |key| node.grey(key).ok().flatten();
+    let asked = (node.has(ALONG) || node.has(ACROSS)) && !node.has("alpha");
+    let same = || matches!((number(ALONG), number(ACROSS)), (Some(a), Some(b)) if a == b);
+    asked && !same()
+}
+
+/// A rough, one-sided metal; `T` as of [`Roughness`].
 #[derive(Clone, Debug)]
-pub struct RoughConductor {
+pub struct RoughConductor<T = ScalarTexture> {
     /// Its microsurface.
-    pub roughness: Roughness,
+    pub roughness: Roughness<T>,
     /// The reflectance of each facet.
     pub conductor: Conductor,
 }
 
+/// Rough metal that was brushed: another roughness across dp/du than along it.
+///
+/// # Derivatives
+/// In both. The change of normals has no samples of its own ([`super::differential`]): estimators that make such sample
+/// this material as all others do.
+pub type AnisotropicConductor = RoughConductor<[ScalarTexture; 2]>;
+
 /// `f_s = F D G / (4 cos cos)` [Zeltner 2021, Eq. 2.36], with separable masking.
 #[derive(Clone, Copy, Debug)]
-pub struct RoughConductorLobe<R> {
+pub struct RoughConductorLobe<R, A = R> {
     /// Distribution of facets.
-    pub microfacet: Microfacet<R>,
+    pub microfacet: Microfacet<A>,
     /// Reflectance of a facet.
     pub facet: ConductorLobe<R>,
 }
@@ -105,6 +154,19 @@ impl Leaf for RoughConductor {
     }
 }
 
+impl Leaf for AnisotropicConductor {
+    type Lobe<R: Real> = RoughConductorLobe<R, Axes<R>>;
+    const MANY: bool = true;
+
+    #[inline]
+    fn lobe<R: Real>(&self, read: &mut impl Reader<R>) -> RoughConductorLobe<R, Axes<R>> {
+        RoughConductorLobe {
+            microfacet: self.roughness.read(read),
+            facet: self.conductor.lobe(read),
+        }
+    }
+}
+
 /// The normal of a facet that reflects `wi` to `wo`, both above the horizon.
 #[inline]
 pub(super) fn half_vector<R: Real>(wo: Vec3<R>, wi: Vec3<R>) -> Option<Vec3<R>> {
@@ -115,8 +177,8 @@ pub(super) fn half_vector<R: Real>(wo: Vec3<R>, wi: Vec3<R>) -> Option<Vec3<R>> 
 /// `D G cos_i / (4 cos_i cos_o)`: reflection of a surface whose facets, here those with normal `m`,
 /// reflect everything; cosine included.
 #[inline]
-pub(super) fn reflection<R: Real>(
-    microfacet: &Microfacet<R>,
+pub(super) fn reflection<R: Real, A: Alpha<Scalar = R>>(
+    microfacet: &Microfacet<A>,
     wo: Vec3<R>,
     wi: Vec3<R>,
     m: Vec3<R>,
@@ -126,14 +188,18 @@ pub(super) fn reflection<R: Real>(
 
 /// [`reflection`] where the distribution at the normal and the `sigma` of `wo` are known already.
 #[inline]
-fn reflection_where<R: Real>(microfacet: &Microfacet<R>, [d, sigma]: [R; 2], wi: Vec3<R>) -> R {
+fn reflection_where<R: Real, A: Alpha<Scalar = R>>(
+    microfacet: &Microfacet<A>,
+    [d, sigma]: [R; 2],
+    wi: Vec3<R>,
+) -> R {
     d * (wi.z.abs() / (sigma * microfacet.sigma(wi) * R::c(4.0)))
 }
 
 /// The change of [`reflection`] through the distribution of normals alone: tangents with primal part zero.
 #[inline]
-pub(super) fn reflection_of_normals<R: Real>(
-    microfacet: &Microfacet<R>,
+pub(super) fn reflection_of_normals<R: Real, A: Alpha<Scalar = R>>(
+    microfacet: &Microfacet<A>,
     wo: Vec3<R::Primal>,
     wi: Vec3<R::Primal>,
     m: Vec3<R::Primal>,
@@ -183,7 +249,7 @@ pub(super) fn reflect<R: Real>(w: Vec3<R>, m: Vec3<R>) -> Vec3<R> {
     m * (w.dot(m) * R::c(2.0)) - w
 }
 
-impl<R: Real> RoughConductorLobe<R> {
+impl<R: Real, A: Alpha<Scalar = R>> RoughConductorLobe<R, A> {
     /// A facet's normal, and the direction it reflects `wo` to.
     #[inline]
     fn sample_facet(&self, wo: Vec3<R>, u: [R::Primal; 3]) -> Option<(Vec3<R>, Vec3<R>)> {
@@ -323,7 +389,7 @@ impl<P: Float> Metal<P> {
     }
 }
 
-impl<R: Real> Lobe<R> for RoughConductorLobe<R> {
+impl<R: Real, A: Alpha<Scalar = R>> Lobe<R> for RoughConductorLobe<R, A> {
     #[inline]
     fn eval(&self, wo: Vec3<R>, wi: Vec3<R>, _mode: TransportMode) -> Rgb<R> {
         let Some(m) = half_vector(wo, wi) else {
@@ -446,12 +512,18 @@ impl<R: Real> Lobe<R> for RoughConductorLobe<R> {
         u: [R::Primal; 3],
         _mode: TransportMode,
     ) -> [Option<BsdfSample<R::Primal>>; 2] {
-        sample_reflected_differential(&self.microfacet.primal(), wo, [u[1], u[2]])
+        let isotropic = self.microfacet.isotropic();
+        isotropic.map_or([None; 2], |m| {
+            sample_reflected_differential(&m.primal(), wo, [u[1], u[2]])
+        })
     }
 
     #[inline]
     fn pdf_differential(&self, wo: Vec3<R::Primal>, wi: Vec3<R::Primal>) -> R::Primal {
-        pdf_reflected_differential(&self.microfacet.primal(), wo, wi)
+        let isotropic = self.microfacet.isotropic();
+        isotropic.map_or(R::Primal::zero(), |m| {
+            pdf_reflected_differential(&m.primal(), wo, wi)
+        })
     }
 }
 
@@ -462,6 +534,22 @@ impl FromNode for RoughConductor {
     fn from_node(node: &Node, registry: &mut Registry) -> Result<Self, SceneError> {
         Ok(Self {
             roughness: Roughness::from_node(node, registry)?,
+            conductor: Conductor::from_node(node, registry)?,
+        })
+    }
+}
+
+impl FromNode for AnisotropicConductor {
+    const PLUGINS: &'static [&'static str] = RoughConductor::<ScalarTexture>::PLUGINS;
+
+    fn takes(node: &Node) -> bool {
+        Self::PLUGINS.contains(&node.plugin.as_str()) && is_anisotropic(node)
+    }
+
+    /// As [`Roughness::along_axes`] and [`Conductor::from_node`].
+    fn from_node(node: &Node, registry: &mut Registry) -> Result<Self, SceneError> {
+        Ok(Self {
+            roughness: Roughness::along_axes(node, registry)?,
             conductor: Conductor::from_node(node, registry)?,
         })
     }

@@ -4,19 +4,19 @@ use ad_core::{Const, Float, Real, Vec3};
 
 use super::dielectric::{eta_across, relative_index};
 use super::fresnel;
-use super::microfacet::Microfacet;
-use super::rough_conductor::{Roughness, reflect, reflection};
+use super::microfacet::{Alpha, Axes, Microfacet};
+use super::rough_conductor::{Roughness, is_anisotropic, reflect, reflection};
 use super::{BsdfSample, Component, Leaf, Lobe, Reader, TransportMode, constant};
 use crate::error::SceneError;
 use crate::math::{Rgb, both};
 use crate::plugin::{FromNode, Node, Registry};
 use crate::texture::{RgbTexture, ScalarTexture};
 
-/// A rough interface between two dielectrics.
+/// A rough interface between two dielectrics; `T` as of [`Roughness`].
 #[derive(Clone, Debug)]
-pub struct RoughDielectric {
+pub struct RoughDielectric<T = ScalarTexture> {
     /// Its microsurface.
-    pub roughness: Roughness,
+    pub roughness: Roughness<T>,
     /// Index of refraction below the surface over that above. Its valid range ends before 1, where
     /// refraction degenerates to a Dirac delta.
     pub eta: ScalarTexture,
@@ -26,6 +26,12 @@ pub struct RoughDielectric {
     pub specular_transmittance: RgbTexture,
 }
 
+/// Rough glass that was brushed: another roughness across dp/du than along it.
+///
+/// # Derivatives
+/// As of [`super::AnisotropicConductor`].
+pub type AnisotropicDielectric = RoughDielectric<[ScalarTexture; 2]>;
+
 /// Reflection [Zeltner 2021, Eq. 2.36] and refraction [Eq. 2.37, corrected: errata Z-2.38, Z-2.42],
 /// with separable masking.
 ///
@@ -34,9 +40,9 @@ pub struct RoughDielectric {
 /// It is integrable, but attached sampling, which moves facets through that angle, has infinite
 /// variance there; detached sampling has not, unless the index itself moves.
 #[derive(Clone, Copy, Debug)]
-pub struct RoughDielectricLobe<R> {
+pub struct RoughDielectricLobe<R, A = R> {
     /// Distribution of facets.
-    pub microfacet: Microfacet<R>,
+    pub microfacet: Microfacet<A>,
     /// Index below over index above.
     pub eta: R,
     /// Factor on the reflectance.
@@ -111,6 +117,21 @@ impl Leaf for RoughDielectric {
     }
 }
 
+impl Leaf for AnisotropicDielectric {
+    type Lobe<R: Real> = RoughDielectricLobe<R, Axes<R>>;
+    const MANY: bool = true;
+
+    #[inline]
+    fn lobe<R: Real>(&self, read: &mut impl Reader<R>) -> RoughDielectricLobe<R, Axes<R>> {
+        RoughDielectricLobe {
+            microfacet: self.roughness.read(read),
+            eta: read.scalar(&self.eta),
+            specular_reflectance: read.rgb(&self.specular_reflectance),
+            specular_transmittance: read.rgb(&self.specular_transmittance),
+        }
+    }
+}
+
 /// Refracts `w` about the normal `m` on its side, given both cosines and the index on the far side
 /// over that on the near side [Zeltner 2021, Eq. 2.23].
 #[inline]
@@ -119,9 +140,9 @@ fn refract<R: Real>(w: Vec3<R>, m: Vec3<R>, cos_i: R, cos_t: R, eta: R) -> Vec3<
     m * (cos_i * inverse - cos_t) - w * inverse
 }
 
-impl<R: Real> RoughDielectricLobe<R> {
+impl<R: Real, A: Alpha<Scalar = R>> RoughDielectricLobe<R, A> {
     #[inline]
-    fn primal(&self) -> RoughDielectricLobe<R::Primal> {
+    fn primal(&self) -> RoughDielectricLobe<R::Primal, A::Primal> {
         RoughDielectricLobe {
             microfacet: self.microfacet.primal(),
             eta: self.eta.primal(),
@@ -131,7 +152,7 @@ impl<R: Real> RoughDielectricLobe<R> {
     }
 }
 
-impl<R: Real> Lobe<R> for RoughDielectricLobe<R> {
+impl<R: Real, A: Alpha<Scalar = R>> Lobe<R> for RoughDielectricLobe<R, A> {
     #[inline]
     fn eval(&self, wo: Vec3<R>, wi: Vec3<R>, mode: TransportMode) -> Rgb<R> {
         let Some(f) = Facet::between(wo, wi, self.eta) else {
@@ -233,7 +254,10 @@ impl<R: Real> Lobe<R> for RoughDielectricLobe<R> {
         u: [R::Primal; 3],
         _mode: TransportMode,
     ) -> [Option<BsdfSample<R::Primal>>; 2] {
-        let normals = (self.microfacet.primal()).sample_differential([u[1], u[2]]);
+        let Some(isotropic) = self.microfacet.isotropic() else {
+            return [None; 2];
+        };
+        let normals = isotropic.primal().sample_differential([u[1], u[2]]);
         both(normals, |m| {
             let (wi, eta) = scatter(wo, m, self.eta.primal(), u[0])?;
             let pdf = self.pdf_differential(wo, wi);
@@ -248,7 +272,10 @@ impl<R: Real> Lobe<R> for RoughDielectricLobe<R> {
 
     #[inline]
     fn pdf_differential(&self, wo: Vec3<R::Primal>, wi: Vec3<R::Primal>) -> R::Primal {
-        pdf_differential(&self.microfacet.primal(), self.eta.primal(), wo, wi)
+        let isotropic = self.microfacet.isotropic();
+        isotropic.map_or(R::Primal::zero(), |m| {
+            pdf_differential(&m.primal(), self.eta.primal(), wo, wi)
+        })
     }
 }
 
@@ -306,12 +333,13 @@ fn upwards<R: Real>(w: Vec3<R>) -> Vec3<R> {
     }
 }
 
-impl FromNode for RoughDielectric {
-    const PLUGINS: &'static [&'static str] = &["roughdielectric"];
-
-    /// As [`Roughness::from_node`]; `int_ior` (`bk7`) and `ext_ior` (`air`), different numbers or
-    /// names; `specular_reflectance` (1) and `specular_transmittance` (1).
-    fn from_node(node: &Node, registry: &mut Registry) -> Result<Self, SceneError> {
+impl<T> RoughDielectric<T> {
+    /// With what a scene file says besides.
+    fn of(
+        node: &Node,
+        registry: &mut Registry,
+        roughness: impl FnOnce(&Node, &mut Registry) -> Result<Roughness<T>, SceneError>,
+    ) -> Result<Self, SceneError> {
         let eta = relative_index(node, "bk7")?;
         let valid = if eta > 1.0 { DENSER } else { THINNER };
         if !(valid.0..=valid.1).contains(&eta) {
@@ -320,22 +348,37 @@ impl FromNode for RoughDielectric {
         let name = format!("{}.eta.value", registry.prefix());
         let eta = registry.scalar(&name, eta, valid)?;
         eta.visit_params(&mut |p| registry.origins.of_index(node, p));
+        let roughness = roughness(node, registry)?;
+        let mut factor = |key| registry.rgb_texture(node, key, [1.0; 3], (0.0, 1.0));
         Ok(Self {
-            roughness: Roughness::from_node(node, registry)?,
+            roughness,
             eta,
-            specular_reflectance: registry.rgb_texture(
-                node,
-                "specular_reflectance",
-                [1.0; 3],
-                (0.0, 1.0),
-            )?,
-            specular_transmittance: registry.rgb_texture(
-                node,
-                "specular_transmittance",
-                [1.0; 3],
-                (0.0, 1.0),
-            )?,
+            specular_reflectance: factor("specular_reflectance")?,
+            specular_transmittance: factor("specular_transmittance")?,
         })
+    }
+}
+
+impl FromNode for RoughDielectric {
+    const PLUGINS: &'static [&'static str] = &["roughdielectric"];
+
+    /// As [`Roughness::from_node`]; `int_ior` (`bk7`) and `ext_ior` (`air`), different numbers or
+    /// names; `specular_reflectance` (1) and `specular_transmittance` (1).
+    fn from_node(node: &Node, registry: &mut Registry) -> Result<Self, SceneError> {
+        Self::of(node, registry, Roughness::from_node)
+    }
+}
+
+impl FromNode for AnisotropicDielectric {
+    const PLUGINS: &'static [&'static str] = RoughDielectric::<ScalarTexture>::PLUGINS;
+
+    fn takes(node: &Node) -> bool {
+        Self::PLUGINS.contains(&node.plugin.as_str()) && is_anisotropic(node)
+    }
+
+    /// As [`Roughness::along_axes`], and the rest as [`RoughDielectric::from_node`].
+    fn from_node(node: &Node, registry: &mut Registry) -> Result<Self, SceneError> {
+        Self::of(node, registry, Roughness::along_axes)
     }
 }
 

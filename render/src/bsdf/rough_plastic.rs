@@ -29,6 +29,10 @@ pub struct RoughPlastic {
 /// Reflection by the coat's facets, and what comes back from below it: the model of Mitsuba's
 /// `roughplastic`.
 ///
+/// What passes the coat is all that its facets do not reflect at once. Mitsuba lets through what rough glass of the same
+/// roughness transmits, which is less: what facets hide from each other is lost there. Ours is brighter by some percent,
+/// the more the rougher; neither returns all light where nothing absorbs any.
+///
 /// How much light passes the coat has no closed form and is interpolated in a [`Coat`]. The
 /// interpolant *is* the model: it is continuously differentiable in roughness and angle, and
 /// derivatives are exactly those of the values.

@@ -1,7 +1,8 @@
 //! Light sources.
 //!
 //! Every emitter is linear in one RGB texture: what it emits at a point or in a direction is
-//! the texture there times a scalar [`Emission::falloff`]. Evaluation and adjoint share that form.
+//! the texture there times a scalar [`Emission::falloff`], and times one number that is a parameter, if it has such
+//! a [`Emitter::scale`]. Evaluation and adjoint share that form.
 //!
 //! To add an emitter: one file here, one line in `emitters!` below.
 
@@ -30,7 +31,7 @@ use ad_core::{Float, Real, Vec2, Vec3};
 
 use crate::error::SceneError;
 use crate::math::{Frame, NOWHERE, Ray, Rgb, each, warp};
-use crate::params::{GradSink, ParamRef, Params, Theta};
+use crate::params::{GradSink, ParamRef, ParamShape, Params, Theta};
 use crate::plugin::{FromNode, Node, Registry};
 use crate::shape::{AnyShape, Exit, Prim, Shape, SurfaceInteraction};
 use crate::texture::RgbTexture;
@@ -237,6 +238,18 @@ pub trait Emitter: Send + Sync {
     /// The parameters that emission is linear in.
     fn radiance(&self) -> &RgbTexture;
 
+    /// One number that all of it is multiplied with, if that is a parameter.
+    #[inline(always)]
+    fn scale(&self) -> Option<ParamRef> {
+        None
+    }
+
+    /// Calls `f` with every range that scales what is emitted.
+    fn visit_params(&self, f: &mut dyn FnMut(ParamRef)) {
+        self.radiance().visit_params(f);
+        self.scale().into_iter().for_each(f);
+    }
+
     /// What a ray with unit direction `d` receives that hits the emitter's shape at `si`, or that
     /// leaves the scene (`si` is `None`). `None` if nothing.
     fn hit<R: Real>(&self, d: Vec3<R>, si: Option<&SurfaceInteraction<R>>) -> Option<Emission<R>>;
@@ -363,17 +376,60 @@ pub trait Emitter: Send + Sync {
     /// The emitted radiance (intensity over squared distance for points).
     #[inline(always)]
     fn eval<R: Real>(&self, theta: &Theta<R>, e: &Emission<R>) -> Rgb<R> {
-        self.radiance().rgb(theta, e.uv) * e.falloff
+        self.scaled(theta, self.radiance().rgb(theta, e.uv) * e.falloff)
     }
 
-    /// Adds the adjoint of the texture, given that of [`Emitter::eval`].
+    /// [`Emitter::eval`] of what stands still, for loops over many lookups.
+    #[inline(always)]
+    fn eval_in_line<P: Float>(&self, theta: &Theta<P>, e: &Emission<P>) -> Rgb<P> {
+        let radiance: Rgb<P> = self.radiance().eval_in_line(theta, e.uv).into();
+        self.scaled(theta, radiance * e.falloff)
+    }
+
+    /// `value` times [`Emitter::scale`].
+    #[inline(always)]
+    fn scaled<R: Real>(&self, theta: &Theta<R>, value: Rgb<R>) -> Rgb<R> {
+        match self.scale() {
+            None => value,
+            Some(p) => value * theta.get(p, 0),
+        }
+    }
+
+    /// Adds the adjoints of the texture and of the scale, given that of [`Emitter::eval`].
     #[inline]
-    fn backward<P: Float>(&self, e: &Emission<P>, d: Rgb<P>, grad: &mut impl GradSink<P>) {
+    fn backward<P: Float>(
+        &self,
+        theta: &Theta<P>,
+        e: &Emission<P>,
+        d: Rgb<P>,
+        grad: &mut impl GradSink<P>,
+    ) {
         if self.radiance().any_param(|p| grad.active(p)) {
-            self.radiance().scatter(e.uv, d * e.falloff, grad);
+            let d = self.scaled(theta, d * e.falloff);
+            self.radiance().scatter(e.uv, d, grad);
+        }
+        if let Some(p) = self.scale().filter(|p| grad.active(*p)) {
+            let unscaled = self.radiance().rgb(theta, e.uv) * e.falloff;
+            grad.add(p, 0, (unscaled * d).sum());
         }
     }
 }
+
+/// The number `scale` (1) of `node`, a parameter of the emitter that is being built: that many times what its
+/// image says is emitted.
+fn scale_of(node: &Node, registry: &mut Registry) -> Result<ParamRef, SceneError> {
+    let scale = node.float_or("scale", 1.0)?;
+    if scale < 0.0 {
+        return Err(node.invalid("scale", "a number of at least 0"));
+    }
+    let name = format!("{}.scale", registry.prefix());
+    let p = registry.push_param(&name, ParamShape::Scalar, &[scale], SCALES)?;
+    registry.origins.of_value(node, "scale", p);
+    Ok(p)
+}
+
+/// Valid factors on all that is emitted.
+const SCALES: (f64, f64) = (0.0, f64::INFINITY);
 
 macro_rules! emitters {
     (inline { $($hot:ident),* $(,)? } $($name:ident),* $(,)?) => {
@@ -419,6 +475,10 @@ macro_rules! emitters {
             #[inline]
             fn radiance(&self) -> &RgbTexture {
                 match self { $(Self::$hot(e) => e.radiance(),)* $(Self::$name(e) => e.radiance(),)* }
+            }
+            #[inline(always)]
+            fn scale(&self) -> Option<ParamRef> {
+                match self { $(Self::$hot(e) => e.scale(),)* $(Self::$name(e) => e.scale(),)* }
             }
             #[inline(always)]
             fn hit<R: Real>(

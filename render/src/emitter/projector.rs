@@ -5,10 +5,12 @@ use std::f64::consts::PI;
 use ad_core::{Float, Real, Vec2, Vec3};
 
 use super::point::{moving, towards};
-use super::{Ball, Connection, Emission, EmittedRay, Emitter, EmitterSample, Lights, Spot};
+use super::{
+    Ball, Connection, Emission, EmittedRay, Emitter, EmitterSample, Lights, Spot, scale_of,
+};
 use crate::error::SceneError;
 use crate::math::{Ray, Transform};
-use crate::params::Theta;
+use crate::params::{ParamRef, Theta};
 use crate::plugin::{FromNode, Node, Registry};
 use crate::shape::{Exit, SurfaceInteraction, lift3};
 use crate::texture::{self, RgbTexture};
@@ -81,7 +83,7 @@ pub struct Projector {
     /// World space.
     position: [f32; 3],
     plane: Plane,
-    scale: f64,
+    scale: ParamRef,
 }
 
 impl Projector {
@@ -89,7 +91,7 @@ impl Projector {
     #[inline]
     fn profile<R: Real>(&self, d: Vec3<R>) -> Option<Emission<R>> {
         let (uv, cos) = self.plane.meet(d)?;
-        let falloff = (cos * cos * cos).recip() * R::c(PI * self.scale);
+        let falloff = (cos * cos * cos).recip() * R::c(PI);
         inside(uv).then_some(Emission { uv, falloff })
     }
 
@@ -104,6 +106,11 @@ impl Emitter for Projector {
     #[inline]
     fn radiance(&self) -> &RgbTexture {
         &self.irradiance
+    }
+
+    #[inline]
+    fn scale(&self) -> Option<ParamRef> {
+        Some(self.scale)
     }
 
     #[inline]
@@ -190,10 +197,7 @@ impl FromNode for Projector {
 
     /// `irradiance` (1), `scale` (1), `fov` or `focal_length`, `fov_axis`, `to_world`.
     fn from_node(node: &Node, registry: &mut Registry) -> Result<Self, SceneError> {
-        let scale = node.float_or("scale", 1.0)?;
-        if scale < 0.0 {
-            return Err(node.invalid("scale", "a number of at least 0"));
-        }
+        let scale = scale_of(node, registry)?;
         let irradiance =
             registry.rgb_texture(node, "irradiance", [1.0; 3], (0.0, f64::INFINITY))?;
         let [w, h] = match &irradiance {

@@ -121,7 +121,11 @@ impl Active {
         let emitters: Vec<bool> = scene
             .emitters()
             .iter()
-            .map(|e| e.radiance().any_param(on))
+            .map(|e| {
+                let mut any = false;
+                e.visit_params(&mut |p| any |= on(p));
+                any
+            })
             .collect();
         let moves = ranges.iter().any(|r| r.kind.is_motion());
         let mut moving_shapes = vec![false; if moves { scene.shapes().len() } else { 0 }];

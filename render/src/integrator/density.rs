@@ -383,6 +383,7 @@ impl<P: Float> Map<P> {
             let hit = scene.intersect(&ray);
             let si = hit.as_ref().map(|h| &h.si);
             let emitters = match &hit {
+                _ if settings.hides(depth) => Vec::new(),
                 Some(h) => scene.shape_info(h.shape).emitter.into_iter().collect(),
                 None => scene.infinite_emitters().to_vec(),
             };

@@ -245,7 +245,8 @@ impl<R: Real, X: Sampler> Particle<R, X> {
         };
 
         // ---- The light as the camera sees it ----
-        let connects = O::CONNECTS && !context.caustics_only && context.settings.max_depth >= 1;
+        let seen = context.settings.max_depth >= 1 && !context.settings.hides(1);
+        let connects = O::CONNECTS && !context.caustics_only && seen;
         if connects && e.is_infinite() && !e.is_delta() {
             this.see_environment::<O>(context, index, [c, d], inverse_choice);
         }

@@ -265,7 +265,8 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
             Some(hit) => scene.shape_info(hit.shape).emitter.as_slice(),
             None => scene.infinite_emitters(),
         };
-        if !emitters.is_empty() && self.interest.lit(observer) {
+        let shown = !emitters.is_empty() && !context.settings.hides(self.depth);
+        if shown && self.interest.lit(observer) {
             let end = hit.map(|hit| (hit.prim, hit.si));
             self.find_lights(context, emitters, ray.d, end, observer);
         }

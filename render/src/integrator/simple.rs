@@ -43,7 +43,7 @@ pub struct Light<P> {
     weight: P,
 }
 
-/// Follows a path of at most `max_depth` edges from a camera ray. `theta` decides about directions only.
+/// Follows a path of at most `max_depth` edges from a camera ray; the scene says whether the first one meets lights. `theta` decides about directions only.
 ///
 /// # Reference
 /// [Zeltner 2021, section 2.5.1].
@@ -71,6 +71,7 @@ pub fn trace<P: Float>(
         let hit = scene.intersect(&ray);
         let si = hit.as_ref().map(|hit| &hit.si);
         let emitters = match &hit {
+            _ if scene.settings.hides(depth) => &[],
             Some(hit) => scene.shape_info(hit.shape).emitter.as_slice(),
             None => scene.infinite_emitters(),
         };
@@ -225,7 +226,7 @@ pub fn backward<P: Float>(
 ) {
     let emit = |light: &Light<P>, beta: Rgb<P>, grad: &mut _| {
         let e = &scene.emitters()[light.emitter as usize];
-        e.backward(&light.emission, d * beta * light.weight, grad);
+        e.backward(theta, &light.emission, d * beta * light.weight, grad);
         emitted(scene, theta, light)
     };
     let mut next = Rgb::black();

@@ -162,6 +162,11 @@ impl Builder {
         &self.shapes
     }
 
+    /// Whether any of them emits.
+    pub(super) fn has_lamps(&self) -> bool {
+        self.infos.iter().any(|info| info.emitter.is_some())
+    }
+
     /// Adds an emitter that is no surface, or is the last shape added if `shape` says so.
     pub fn add_emitter(&mut self, emitter: impl Into<AnyEmitter>, shape: Option<u32>) {
         self.add_weighted_emitter(emitter.into(), shape, 1.0);
@@ -264,7 +269,7 @@ impl Builder {
         }
         for e in &self.emitters {
             let params = self.registry.params_mut();
-            (e.radiance()).visit_params(&mut |p| params.mark(p, ParamKind::Emission));
+            e.visit_params(&mut |p| params.mark(p, ParamKind::Emission));
         }
         let mut emitters = self.emitters;
         for e in &mut emitters {

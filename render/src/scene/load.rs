@@ -16,7 +16,7 @@ use crate::error::{SceneError, quoted};
 use crate::film::{Film, Lobed, MOST_LOBES, PixelFilter};
 use crate::inputs;
 use crate::math::Transform;
-use crate::plugin::xml::{Document, check_limit};
+use crate::plugin::xml::{Document, SPECTRA, check_limit};
 use crate::plugin::{Attributes, Node, Origins};
 use crate::shape::{AnyShape, Cube, Shape};
 use crate::texture;
@@ -107,6 +107,32 @@ const EMITTER_NAMES: &[(&str, &str)] = &[
     ("projector", "Projector"),
     ("spot", "SpotLight"),
 ];
+
+/// All plugins that there are, by the element that names them.
+pub(super) fn plugins() -> Vec<(&'static str, Vec<&'static str>)> {
+    let mut all = vec![
+        ("bsdf", Material::PLUGINS.concat()),
+        ("emitter", AnyEmitter::PLUGINS.concat()),
+        ("film", FILMS.to_vec()),
+        (
+            "integrator",
+            [INTEGRATORS, FILTERED, CONNECTED, OTHERS, WRAPPERS].concat(),
+        ),
+        ("rfilter", FILTERS.to_vec()),
+        ("sampler", vec!["independent"]),
+        ("sensor", SENSORS.to_vec()),
+        (
+            "shape",
+            [&AnyShape::PLUGINS.concat()[..], &["instance", "shapegroup"]].concat(),
+        ),
+        ("texture", [texture::PLUGINS, SPECTRA].concat()),
+    ];
+    for (_, plugins) in &mut all {
+        plugins.sort_unstable();
+        plugins.dedup();
+    }
+    all
+}
 
 impl Scene {
     /// Loads a scene; the second value lists what was ignored or substituted.
@@ -254,6 +280,7 @@ impl Reading {
                 self.build.hint_emitter(hints);
             }
         }
+        self.warn_of_hidden_lamps(root);
         for tag in DECLARED {
             for node in root.children_with_tag(tag) {
                 self.note(declaration(node))?;
@@ -283,6 +310,19 @@ impl Reading {
         };
         let clipped = clips[chosen].check(nodes[chosen], &scene);
         Ok(self.note(clipped)?.map(|()| scene))
+    }
+
+    /// Where light that the camera sees is left out, lamps that are surfaces stay in the way.
+    fn warn_of_hidden_lamps(&self, root: &Node) {
+        if !self.settings.hide_emitters || !self.build.has_lamps() {
+            return;
+        }
+        if let Ok(Some(node)) = root.child_with_tag("integrator") {
+            node.warn(
+                "`hide_emitters`: the camera sees lamps without their light, black or as their material reflects; \
+                 Mitsuba 3 sees what lies behind them since version 3.6",
+            );
+        }
     }
 
     /// An emitter and how often it is sampled; `shape` is the shape that it belongs to.
@@ -538,9 +578,7 @@ fn integrator(mut node: &Node, settings: &mut Settings) -> Result<(), SceneError
     };
     settings.max_depth = depth("max_depth", deepest)?;
     settings.rr_depth = depth("rr_depth", 5)?;
-    if node.boolean_or("hide_emitters", false)? {
-        return Err(node.invalid("hide_emitters", "false: lamps are always seen"));
-    }
+    settings.hide_emitters = node.boolean_or("hide_emitters", false)?;
     if of_manifolds {
         settings.connections = Some(connections(node)?);
     }
@@ -693,8 +731,7 @@ fn film_from_node(node: &Node) -> Result<Film, SceneError> {
         None => PixelFilter::Gaussian { stddev: 0.5 },
         Some(filter) => filter_from_node(filter)?,
     };
-    // Images hold three colours.
-    node.choice("pixel_format", &[("rgb", ()), ("rgba", ())])?;
+    let alpha = node.choice("pixel_format", &[("rgb", false), ("rgba", true)])?;
     node.ignore(&["component_format", "file_format"], Node::string)?;
     let flags = [
         "attach_log",
@@ -710,6 +747,7 @@ fn film_from_node(node: &Node) -> Result<Film, SceneError> {
         crop_offset: [x, y],
         crop_size,
         filter,
+        alpha: alpha.unwrap_or(false),
     })
 }
 

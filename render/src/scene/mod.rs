@@ -10,6 +10,7 @@ mod movable;
 mod pixels;
 mod room;
 mod save;
+mod schema;
 mod sensor;
 mod shares;
 
@@ -68,6 +69,9 @@ pub struct Settings {
     pub pixels_per_particle: u32,
     /// How manifold connections are made, if they are; then they find caustics, and not particles.
     pub connections: Option<Connections>,
+    /// Whether light that the camera sees without a reflection in between is left out: lamps are black, or what their
+    /// material reflects, and the sky is not there ([`crate::integrator::coverage`]).
+    pub hide_emitters: bool,
 }
 
 /// Who finds the light that something glossy throws on a diffuse surface which the camera sees, be it there or
@@ -120,6 +124,12 @@ impl LightChoice {
 }
 
 impl Settings {
+    /// Whether light at the end of the `depth`-th edge is left out.
+    #[inline(always)]
+    pub(crate) fn hides(&self, depth: u32) -> bool {
+        self.hide_emitters && depth == 1
+    }
+
     /// Who finds caustics if these are made so: particles only where there is something for them to find.
     pub(crate) fn caustics_of<S: Strategy>(&self, scene: &Scene) -> Caustics {
         let found = scene.camera.is_pinhole() && !scene.geometry.casters.is_empty();
@@ -143,6 +153,7 @@ impl Default for Settings {
             caustics: Caustics::default(),
             pixels_per_particle: 4,
             connections: None,
+            hide_emitters: false,
         }
     }
 }

@@ -952,9 +952,6 @@ impl FromNode for Mesh {
             "serialized" => return super::serialized::from_node(node, registry),
             _ => {}
         }
-        let path = node
-            .path("filename")?
-            .ok_or_else(|| node.missing("filename", "an OBJ file"))?;
         let to_world = node.transform("to_world")?.unwrap_or_default();
         let options = ObjOptions {
             to_world,
@@ -962,6 +959,9 @@ impl FromNode for Mesh {
             flip_normals: node.boolean_or("flip_normals", false)?,
             flip_v: node.boolean_or("flip_tex_coords", true)?,
         };
+        let path = node
+            .path("filename")?
+            .ok_or_else(|| node.missing("filename", "an OBJ file"))?;
         Self::from_obj(&path, &options)
     }
 }

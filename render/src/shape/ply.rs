@@ -468,15 +468,15 @@ fn face(faces: &mut Vec<[u32; 3]>, element: &Element, i: usize) -> Result<(), Wr
 
 /// The shape `ply` of a scene file.
 pub(super) fn from_node(node: &Node, registry: &mut Registry) -> Result<Mesh, SceneError> {
-    let path = node
-        .path("filename")?
-        .ok_or_else(|| node.missing("filename", "a PLY file"))?;
     let options = ObjOptions {
         to_world: node.transform("to_world")?.unwrap_or_default(),
         face_normals: node.boolean_or("face_normals", false)?,
         flip_normals: node.boolean_or("flip_normals", false)?,
         flip_v: node.boolean_or("flip_tex_coords", false)?,
     };
+    let path = node
+        .path("filename")?
+        .ok_or_else(|| node.missing("filename", "a PLY file"))?;
     let (mut mesh, mut ignored) = Mesh::from_ply(&path, &options)?;
     if let Some(asked) = registry
         .attributes

@@ -235,9 +235,6 @@ fn read(bytes: &[u8], index: usize, options: &ObjOptions) -> Result<(MeshData, b
 
 /// The shape `serialized` of a scene file.
 pub(super) fn from_node(node: &Node, registry: &mut Registry) -> Result<Mesh, SceneError> {
-    let path = node
-        .path("filename")?
-        .ok_or_else(|| node.missing("filename", "a file of serialized meshes"))?;
     let index = node.integer_in("shape_index", 0, 0..=i64::from(u32::MAX))? as usize;
     let options = ObjOptions {
         to_world: node.transform("to_world")?.unwrap_or_default(),
@@ -245,6 +242,9 @@ pub(super) fn from_node(node: &Node, registry: &mut Registry) -> Result<Mesh, Sc
         flip_normals: node.boolean_or("flip_normals", false)?,
         flip_v: node.boolean_or("flip_tex_coords", false)?,
     };
+    let path = node
+        .path("filename")?
+        .ok_or_else(|| node.missing("filename", "a file of serialized meshes"))?;
     let (mesh, colours) = Mesh::from_serialized(&path, index, &options)?;
     if colours {
         let what = quoted("colours of vertices");

@@ -11,7 +11,7 @@ use ad_core::{Const, Float, Real, Vec2, Vec3};
 
 pub(crate) use self::table::Local;
 use self::table::Table;
-use super::{Emission, Emitter, EmitterSample, Lights};
+use super::{Emission, Emitter, EmitterSample, Lights, SCALES, scale_of};
 use crate::error::SceneError;
 use crate::film::Image;
 use crate::image_io::Encoding;
@@ -38,7 +38,7 @@ const VALID: (f64, f64) = (0.0, f64::INFINITY);
 pub struct Envmap {
     radiance: RgbTexture,
     param: ParamRef,
-    scale: f64,
+    scale: ParamRef,
     /// Local x, y and z axis, world space, orthonormal.
     axes: [[f32; 3]; 3],
     /// The same before it is turned, and how it is.
@@ -48,8 +48,8 @@ pub struct Envmap {
 }
 
 impl Envmap {
-    /// From an image whose texels become the parameters `{name}.data`; the radiance is `scale` times
-    /// that. Of `to_world`, only the axes' directions count.
+    /// From an image whose texels become the parameters `{name}.data`; the radiance is `scale`, the parameter
+    /// `{name}.scale`, times that. Of `to_world`, only the axes' directions count.
     ///
     /// # Errors
     /// An image of the wrong length, or negative or not finite; axes that are not orthogonal; a
@@ -60,6 +60,19 @@ impl Envmap {
         image: &Image,
         to_world: &Transform,
         scale: f64,
+    ) -> Result<Self, SceneError> {
+        let key = format!("{name}.scale");
+        let scale = registry.push_param(&key, ParamShape::Scalar, &[scale], SCALES)?;
+        Self::of_image(registry, name, image, to_world, scale)
+    }
+
+    /// [`Envmap::new`] whose scale is a parameter already.
+    fn of_image(
+        registry: &mut Registry,
+        name: &str,
+        image: &Image,
+        to_world: &Transform,
+        scale: ParamRef,
     ) -> Result<Self, SceneError> {
         let error = |expected: &str, found: String| SceneError::Parameter {
             key: format!("{name}.data"),
@@ -88,9 +101,6 @@ impl Envmap {
             .ok_or_else(|| error("at most 2^32 parameters", "more".into()))?;
         let axes = orthonormal(to_world)
             .ok_or_else(|| error("a to_world with orthogonal axes", "others".into()))?;
-        if !(scale.is_finite() && scale >= 0.0) {
-            return Err(error("a scale of at least 0", scale.to_string()));
-        }
         Ok(Self::over(
             param,
             [width as u32, height as u32],
@@ -99,7 +109,12 @@ impl Envmap {
         ))
     }
 
-    fn over(param: ParamRef, [width, height]: [u32; 2], axes: [[f32; 3]; 3], scale: f64) -> Self {
+    fn over(
+        param: ParamRef,
+        [width, height]: [u32; 2],
+        axes: [[f32; 3]; 3],
+        scale: ParamRef,
+    ) -> Self {
         // Rows v (height - 1), expressed for a texture whose rows are centre-aligned. A hair's breadth
         // less, so that rounding at a pole cannot reach across to the other one.
         let n = f64::from(height);
@@ -203,7 +218,7 @@ impl Envmap {
     pub(crate) fn emission<R: Real>(&self, uv: Vec2<R>) -> Emission<R> {
         Emission {
             uv,
-            falloff: R::of(self.scale),
+            falloff: R::one(),
         }
     }
 
@@ -314,6 +329,11 @@ impl Emitter for Envmap {
         &self.radiance
     }
 
+    #[inline(always)]
+    fn scale(&self) -> Option<ParamRef> {
+        Some(self.scale)
+    }
+
     #[inline]
     fn hit<R: Real>(&self, d: Vec3<R>, si: Option<&SurfaceInteraction<R>>) -> Option<Emission<R>> {
         if si.is_some() {
@@ -422,10 +442,7 @@ impl FromNode for Envmap {
         let axes = orthonormal(&to_world).ok_or_else(|| {
             node.invalid("to_world", "a transform that keeps the axes orthogonal")
         })?;
-        let scale = node.float_or("scale", 1.0)?;
-        if scale < 0.0 {
-            return Err(node.invalid("scale", "a number of at least 0"));
-        }
+        let scale = scale_of(node, registry)?;
         node.ignore(&["mis_compensation"], Node::boolean)?;
         let name = registry.prefix().to_owned();
         let usage = texture::Use {
@@ -440,7 +457,7 @@ impl FromNode for Envmap {
                 height: 1,
                 data: vec![0.5; 3],
             };
-            return Self::new(registry, &name, &grey, &to_world, scale);
+            return Self::of_image(registry, &name, &grey, &to_world, scale);
         };
         let (param, size) = texture::texels::<3>(registry, &path, Encoding::Srgb, layer, &usage)?;
         registry.origins.of_image(node, param);
@@ -458,7 +475,8 @@ mod tests {
     fn a_known_place_moves_as_one_that_is_found() {
         let param = ParamRef { id: 0, offset: 0 };
         let axes = [[0.0, 0.6, 0.8], [1.0, 0.0, 0.0], [0.0, 0.8, -0.6]];
-        let map = Envmap::over(param, [8, 4], axes, 2.5);
+        let scale = ParamRef { id: 1, offset: 96 };
+        let map = Envmap::over(param, [8, 4], axes, scale);
         for k in 0..400 {
             let (theta, phi) = (0.157 * f64::from(k / 20), 0.3142 * f64::from(k % 20));
             let (sin, cos) = theta.sin_cos();

@@ -201,7 +201,7 @@ impl Envmap {
             frozen_pdf: of(frozen) * per_angle,
             emission: Emission {
                 uv: Vec2::new(of(u), of(v)),
-                falloff: R::of(self.scale),
+                falloff: R::one(),
             },
         }
     }

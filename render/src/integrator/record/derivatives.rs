@@ -49,7 +49,7 @@ pub struct Adjoints<'a, P: Float, G> {
 impl<P: Float, G: GradSink<P> + SumSink> DerivativeSink<P> for Adjoints<'_, P, G> {
     #[inline(always)]
     fn emission(&mut self, _id: usize, emitter: &AnyEmitter, emission: &Emission<P>, d: Rgb<P>) {
-        emitter.backward(emission, d, self.grad);
+        emitter.backward(self.theta, emission, d, self.grad);
     }
 
     #[inline(always)]

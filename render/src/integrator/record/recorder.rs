@@ -87,7 +87,7 @@ impl<'a, P: Float> Recorder<'a, P> {
                 };
                 if self.active.emitter_active(emitter) {
                     let e = &scene.emitters()[emitter as usize];
-                    e.backward(&emission, d_l * beta, grad);
+                    e.backward(theta, &emission, d_l * beta, grad);
                 }
             }
         }

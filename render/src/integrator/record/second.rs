@@ -12,6 +12,7 @@ use crate::integrator::vertex::MODE;
 use crate::math::Rgb;
 use crate::params::{GradSink, ParamRef, Theta};
 use crate::scene::Scene;
+use crate::texture::ScalarTexture;
 
 /// The radiance of a recorded path: its samples, densities and weights are constants.
 struct Radiance<'a, P: Float> {
@@ -93,8 +94,11 @@ pub(super) fn pull_back_path<P: Float>(
             Contribution::Sampled(l) => (l.emitter, l.emission.uv),
             _ => continue,
         };
-        let radiance = scene.emitters()[emitter as usize].radiance();
-        texels.add(TextureRef::Rgb(radiance), uv, |p| active.contains(p));
+        let e = &scene.emitters()[emitter as usize];
+        texels.add(TextureRef::Rgb(e.radiance()), uv, |p| active.contains(p));
+        if let Some(scale) = e.scale().map(ScalarTexture::Constant) {
+            texels.add(TextureRef::Scalar(&scale), uv, |p| active.contains(p));
+        }
     }
     let radiance = Radiance {
         scene,

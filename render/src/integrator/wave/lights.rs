@@ -304,8 +304,7 @@ impl<P: Float> Leaving<P> {
             }
             let emission = e.emission(Vec2::new(at.u[k], at.v[k]));
             let weight = at.weight[k];
-            let radiance: Rgb<P> = e.radiance().eval_in_line(theta, emission.uv).into();
-            let le = radiance * emission.falloff;
+            let le = e.eval_in_line(theta, &emission);
             put(i, Met { emission, weight }, le);
         }
     }

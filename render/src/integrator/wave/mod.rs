@@ -655,7 +655,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         for i in 0..self.n {
             let ray = Ray::new(paths.o.vec(i), paths.d.vec(i)).leaving(paths.surface[i]);
             let mut interest = paths.interest(i);
-            let lit = interest.lit(log);
+            let lit = interest.lit(log) && !settings.hides(depth);
             let sampled = has_rival::<S, P>(depth, paths.pdf[i]);
             let samplers = &mut self.samplers;
             let mut find = |paths: &mut Paths<P>,
@@ -1072,7 +1072,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         let emitters = scene.emitters();
         let mut delta = emitters[0].is_delta();
         match emitters {
-            [e] if matches!(e.radiance(), Texture::Constant(_)) => {
+            [e] if matches!(e.radiance(), Texture::Constant(_)) && e.scale().is_none() => {
                 let radiance: Rgb<P> = e.radiance().rgb(theta, Vec2::zero());
                 for i in 0..whole(self.n) {
                     lights.le.put_rgb(i, radiance * lights.falloff[i]);
@@ -1082,9 +1082,8 @@ impl<P: Float, X: Sampler> Wave<P, X> {
                 // Where there is no sample, any radiance is right.
                 for i in (0..self.n).filter(|&i| lights.pdf[i] > P::zero()) {
                     let e = &emitters[lights.emitter[i] as usize];
-                    let Emission { uv, falloff } = lights.emission(i);
-                    let radiance: Rgb<P> = e.radiance().eval_in_line(theta, uv).into();
-                    lights.le.put_rgb(i, radiance * falloff);
+                    let le = e.eval_in_line(theta, &lights.emission(i));
+                    lights.le.put_rgb(i, le);
                 }
             }
         }

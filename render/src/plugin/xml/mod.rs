@@ -37,8 +37,10 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 pub use crate::error::Location;
 use crate::error::SceneError;
+pub(crate) use node::Kind;
 pub use node::Node;
 use parse::Parser;
+pub(crate) use spectrum::PLUGINS as SPECTRA;
 pub(crate) use write::{Number, Rewrite, scene as written};
 
 /// Deepest nesting of elements, includes and references together: far above any real scene, far

@@ -32,8 +32,43 @@ pub struct Node {
     pub location: Location,
     pub(super) properties: BTreeMap<String, Property>,
     pub(super) children: Vec<Child>,
-    pub(super) asked: Mutex<BTreeSet<String>>,
+    pub(super) asked: Mutex<BTreeMap<String, BTreeSet<Kind>>>,
     pub(super) warnings: Warnings,
+}
+
+/// What an attribute or a child is asked for as.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) enum Kind {
+    Number,
+    Integer,
+    Boolean,
+    Text,
+    Colour,
+    Point,
+    Vector,
+    Transform,
+    /// A nested plugin.
+    Child,
+    /// Anything that is there.
+    Either,
+}
+
+impl Kind {
+    /// What an error says that was expected.
+    fn expected(self) -> &'static str {
+        match self {
+            Self::Number => "a number (<float>)",
+            Self::Integer => "an integer (<integer>)",
+            Self::Boolean => "true or false (<boolean>)",
+            Self::Text => "a text (<string>)",
+            Self::Colour => "a colour (<rgb>)",
+            Self::Point => "a point (<point>)",
+            Self::Vector => "a vector (<vector>)",
+            Self::Transform => "a <transform>",
+            Self::Child => "a nested plugin",
+            Self::Either => "an attribute or a nested plugin",
+        }
+    }
 }
 
 /// `<float name=.. value=..>` and its kin.
@@ -84,7 +119,7 @@ impl Property {
 impl Node {
     /// `<float>` or `<integer>`: finite, also in single precision.
     pub fn float(&self, name: &str) -> Result<Option<f64>, SceneError> {
-        self.get(name, "a number (<float>)", |value| match *value {
+        self.get(name, Kind::Number, |value| match *value {
             Value::Float(x) => Some(x),
             Value::Integer(i) => Some(i as f64),
             _ => None,
@@ -113,7 +148,7 @@ impl Node {
 
     /// `<integer>`.
     pub fn integer(&self, name: &str) -> Result<Option<i64>, SceneError> {
-        self.get(name, "an integer (<integer>)", |value| match *value {
+        self.get(name, Kind::Integer, |value| match *value {
             Value::Integer(i) => Some(i),
             _ => None,
         })
@@ -141,7 +176,7 @@ impl Node {
 
     /// `<boolean>`.
     pub fn boolean(&self, name: &str) -> Result<Option<bool>, SceneError> {
-        self.get(name, "true or false (<boolean>)", |value| match *value {
+        self.get(name, Kind::Boolean, |value| match *value {
             Value::Boolean(b) => Some(b),
             _ => None,
         })
@@ -154,7 +189,7 @@ impl Node {
 
     /// `<string>`.
     pub fn string(&self, name: &str) -> Result<Option<&str>, SceneError> {
-        self.get(name, "a text (<string>)", |value| match value {
+        self.get(name, Kind::Text, |value| match value {
             Value::String(s) => Some(s.as_str()),
             _ => None,
         })
@@ -193,11 +228,11 @@ impl Node {
         if let Some(child) = self.child_quietly(name)
             && child.node.is_constant()
         {
-            self.note(name.to_owned());
+            self.note(name.to_owned(), Kind::Colour);
             let emits = self.tag == "emitter";
             return child.take().constant_colour(emits).map(Some);
         }
-        self.get(name, "a colour (<rgb>)", |value| match *value {
+        self.get(name, Kind::Colour, |value| match *value {
             Value::Color(c) => Some(c),
             Value::Float(x) => Some([x; 3]),
             Value::Integer(i) => Some([i as f64; 3]),
@@ -302,7 +337,7 @@ impl Node {
 
     /// `<point>`.
     pub fn point(&self, name: &str) -> Result<Option<[f64; 3]>, SceneError> {
-        self.get(name, "a point (<point>)", |value| match *value {
+        self.get(name, Kind::Point, |value| match *value {
             Value::Point(p) => Some(p),
             _ => None,
         })
@@ -310,7 +345,7 @@ impl Node {
 
     /// `<vector>`.
     pub fn vector(&self, name: &str) -> Result<Option<[f64; 3]>, SceneError> {
-        self.get(name, "a vector (<vector>)", |value| match *value {
+        self.get(name, Kind::Vector, |value| match *value {
             Value::Vector(v) => Some(v),
             _ => None,
         })
@@ -318,7 +353,7 @@ impl Node {
 
     /// `<transform>`: invertible, with all entries finite in single precision.
     pub fn transform(&self, name: &str) -> Result<Option<Transform>, SceneError> {
-        self.get(name, "a <transform>", |value| match *value {
+        self.get(name, Kind::Transform, |value| match *value {
             Value::Transform(t) => Some(t),
             _ => None,
         })
@@ -345,7 +380,7 @@ impl Node {
     /// The nested or referenced plugin with this `name`. A shared id gives the same `Arc`
     /// everywhere.
     pub fn child(&self, name: &str) -> Option<&Arc<Node>> {
-        self.note(name.to_owned());
+        self.note(name.to_owned(), Kind::Child);
         self.child_quietly(name).map(Child::take)
     }
 
@@ -405,7 +440,7 @@ impl Node {
 
     /// All nested or referenced plugins of one kind, such as `bsdf`, in the order of the file.
     pub fn children_with_tag(&self, tag: &str) -> Vec<&Arc<Node>> {
-        self.note(format!("<{tag}>"));
+        self.note(format!("<{tag}>"), Kind::Child);
         self.children
             .iter()
             .filter(|child| child.node.tag == tag)
@@ -415,7 +450,7 @@ impl Node {
 
     /// The only plugin of one kind; more than one is an error.
     pub fn child_with_tag(&self, tag: &str) -> Result<Option<&Arc<Node>>, SceneError> {
-        self.note(format!("<{tag}>"));
+        self.note(format!("<{tag}>"), Kind::Child);
         let mut matching = self.children.iter().filter(|c| c.node.tag == tag);
         let first = matching.next();
         match (first, matching.next()) {
@@ -430,6 +465,7 @@ impl Node {
 
     /// Whether an attribute or child has this name; counts as asking for neither.
     pub fn has(&self, name: &str) -> bool {
+        self.note(name.to_owned(), Kind::Either);
         self.properties.contains_key(name) || self.child_quietly(name).is_some()
     }
 
@@ -492,7 +528,10 @@ impl Node {
                 location: location.clone(),
                 what,
                 owner: self.describe(),
-                known: self.lock_asked().iter().cloned().collect(),
+                known: (self.lock_asked().iter())
+                    .filter(|(_, kinds)| kinds.iter().any(|k| *k != Kind::Either))
+                    .map(|(name, _)| name.clone())
+                    .collect(),
             }),
         }
     }
@@ -577,10 +616,11 @@ impl Node {
     fn get<'a, T>(
         &'a self,
         name: &str,
-        expected: &str,
+        kind: Kind,
         convert: impl FnOnce(&'a Value) -> Option<T>,
     ) -> Result<Option<T>, SceneError> {
-        self.note(name.to_owned());
+        let expected = kind.expected();
+        self.note(name.to_owned(), kind);
         let Some(property) = self.properties.get(name) else {
             return match self.child_quietly(name) {
                 Some(_) => Err(self.invalid(name, expected)),
@@ -600,11 +640,16 @@ impl Node {
             .find(|c| c.name.as_deref() == Some(name))
     }
 
-    fn note(&self, name: String) {
-        self.lock_asked().insert(name);
+    /// What has been asked for, and as what: attributes and children by their names, children of a kind as `<bsdf>`.
+    pub(crate) fn asked(&self) -> BTreeMap<String, BTreeSet<Kind>> {
+        self.lock_asked().clone()
     }
 
-    fn lock_asked(&self) -> std::sync::MutexGuard<'_, BTreeSet<String>> {
+    fn note(&self, name: String, kind: Kind) {
+        self.lock_asked().entry(name).or_default().insert(kind);
+    }
+
+    fn lock_asked(&self) -> std::sync::MutexGuard<'_, BTreeMap<String, BTreeSet<Kind>>> {
         self.asked.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

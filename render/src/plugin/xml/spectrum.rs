@@ -7,7 +7,7 @@
 use super::value::{self, Mismatch};
 
 /// Plugins that are a constant spectrum.
-pub(super) const PLUGINS: &[&str] = &[
+pub(crate) const PLUGINS: &[&str] = &[
     "blackbody",
     "d65",
     "irregular",

@@ -1,0 +1,87 @@
+//! How much of each pixel is covered: the fourth channel of an image.
+
+use ad_core::Vec2;
+
+use super::job::Job;
+use super::tile::{Tile, place, spot, tiles};
+use crate::bsdf::Shading;
+use crate::bsdf::nesting::opacity;
+use crate::emitter::Emitter;
+use crate::parallel;
+use crate::params::Theta;
+use crate::sampler::Spread;
+use crate::scene::{Intersection, Scene};
+
+/// Surfaces that a ray may pass straight through; what lies behind them covers.
+const MOST_PASSED: u32 = 256;
+
+/// The covered part of every pixel of the crop window, row by row: the mean over the image's own samples of what the
+/// camera's rays meet, one for a surface, zero for nothing, and in between for what has holes. Everything is covered
+/// where the sky is seen, unless [`crate::Settings::hide_emitters`] is set. Lamps and glass cover.
+///
+/// It depends on the arguments only, not on the number of threads. `None` if it was cancelled.
+pub fn coverage(job: &Job) -> Option<Vec<f32>> {
+    let scene = job.scene;
+    let [width, height] = scene.film.crop_size;
+    let tiles = tiles(width, height);
+    let parts = parallel::map(tiles.len(), |i| of_tile(job, &tiles[i]));
+    if job.progress.cancelled() {
+        return None;
+    }
+    let mut all = vec![0.0; scene.film.pixels()];
+    for (tile, part) in tiles.iter().zip(parts) {
+        for (k, x) in part.into_iter().enumerate() {
+            all[place(scene, tile.pixel(k))] = x as f32;
+        }
+    }
+    Some(all)
+}
+
+fn of_tile(job: &Job, tile: &Tile) -> Vec<f64> {
+    let &Job {
+        scene,
+        settings,
+        seed,
+        ref samples,
+        ..
+    } = job;
+    let theta = Theta::constant(scene.params().values());
+    let sky = |e: &u32| !scene.emitters()[*e as usize].is_delta();
+    let sky = !settings.hide_emitters && scene.infinite_emitters().iter().any(sky);
+    let mut sums = vec![0.0; tile.pixels()];
+    if job.progress.cancelled() {
+        return sums;
+    }
+    for (at, sample) in tile.samples::<f32, Spread>(scene, settings.points, seed, samples) {
+        let covered = if sky {
+            1.0
+        } else {
+            let ([x, y, u, v], _) =
+                spot::<f32, Spread>(scene, settings.points, seed, sample.pixel, sample.index);
+            f64::from(along(scene, &theta, scene.camera.ray_through(x, y, [u, v])))
+        };
+        sums[at] += covered * sample.scale();
+    }
+    sums
+}
+
+/// How much of what a ray meets is there.
+fn along(scene: &Scene, theta: &Theta<f32>, mut ray: crate::math::Ray<f32>) -> f32 {
+    let mut open = 1.0;
+    for _ in 0..MOST_PASSED {
+        let Some(Intersection { shape, prim, si }) = scene.intersect(&ray) else {
+            return 1.0 - open;
+        };
+        let at = Shading {
+            theta: *theta,
+            uv: Vec2::new(si.uv.x, si.uv.y),
+        };
+        let wo = si.frame.to_local(-ray.d);
+        open *= 1.0 - opacity(scene.material(shape), &at, wo);
+        if open <= 0.0 {
+            break;
+        }
+        ray = si.spawn_ray(ray.d, scene.exit(prim));
+    }
+    1.0
+}

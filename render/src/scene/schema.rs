@@ -1,0 +1,207 @@
+//! A schema of scene files, by which editors complete and check them.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt::Write as _;
+use std::path::Path;
+
+use super::load::{Reading, plugins};
+use super::{LoadOptions, Scene};
+use crate::error::SceneError;
+use crate::plugin::Node;
+use crate::plugin::xml::{Document, Kind};
+
+/// What a plugin asks for: names, and what may stand there.
+type Asked = BTreeMap<String, BTreeSet<Kind>>;
+
+/// So many attributes that a plugin cannot do without are found out one after another.
+const MOST_NEEDED: usize = 8;
+
+/// Elements that any plugin may have besides its own, and what all of them consist of.
+const COMMON: &str = r#"<define name="value"><attribute name="value"/></define>
+<define name="name"><optional><attribute name="name"/></optional></define>
+<define name="id"><optional><attribute name="id"/></optional></define>
+<define name="coordinates"><choice><ref name="value"/><group><attribute name="x"/><attribute name="y"/>
+<attribute name="z"/></group></choice></define>
+<define name="spectrum"><choice><ref name="value"/><attribute name="filename"/><group><attribute name="type"/>
+<ref name="inside"/></group></choice></define>
+<define name="operations"><zeroOrMore><element><choice><name>lookat</name><name>matrix</name><name>rotate</name>
+<name>scale</name><name>translate</name></choice><zeroOrMore><attribute><anyName/></attribute></zeroOrMore></element>
+</zeroOrMore></define>
+<define name="reference"><element name="ref"><attribute name="id"/><ref name="name"/></element></define>
+<define name="inside"><zeroOrMore><element><anyName/><zeroOrMore><attribute><anyName/></attribute></zeroOrMore>
+<ref name="inside"/></element></zeroOrMore></define>
+<define name="directives"><choice><ref name="reference"/>
+<element name="include"><attribute name="filename"/></element>
+<element name="path"><ref name="value"/></element>
+<element name="alias"><attribute name="id"/><attribute name="as"/></element>
+<element name="default"><attribute name="name"/><ref name="value"/></element></choice></define>
+"#;
+
+impl Scene {
+    /// A schema of scene files of version 2 and 3, RELAX NG in its XML syntax: every plugin with its attributes and what
+    /// may stand there. It is made by asking: each plugin is built, and what it asks for is written down. Names from
+    /// before version 2, which are upgraded, and plugins that others stand in for are not in it.
+    ///
+    /// # Does not handle
+    /// Which attributes a plugin cannot do without, or not have together, and what values mean: [`Scene::check`] does.
+    pub fn schema() -> String {
+        let mut out = String::from(
+            "<?xml version=\"1.0\" encoding=\"utf-8\"?>\n<grammar xmlns=\"http://relaxng.org/ns/structure/1.0\">\n<start>\
+             <element name=\"scene\"><attribute name=\"version\"/><zeroOrMore><choice>\n<ref name=\"directives\"/>\n",
+        );
+        let all = plugins();
+        for (tag, _) in &all {
+            let _ = writeln!(out, "<ref name=\"{tag}\"/>");
+        }
+        out.push_str("</choice></zeroOrMore></element></start>\n");
+        out.push_str(COMMON);
+        for (tag, plugins) in &all {
+            let _ = writeln!(out, "<define name=\"{tag}\"><choice>");
+            for plugin in plugins {
+                let _ = writeln!(out, "<ref name=\"{tag}.{plugin}\"/>");
+            }
+            out.push_str("</choice></define>\n");
+            for plugin in plugins {
+                define(&mut out, tag, plugin, &asked_by(tag, plugin));
+            }
+        }
+        out.push_str("</grammar>\n");
+        out
+    }
+}
+
+/// The pattern of one plugin.
+fn define(out: &mut String, tag: &str, plugin: &str, asked: &Asked) {
+    let _ = writeln!(
+        out,
+        "<define name=\"{tag}.{plugin}\"><element name=\"{tag}\"><attribute name=\"type\"><value>{plugin}</value>\
+         </attribute><ref name=\"id\"/><ref name=\"name\"/><zeroOrMore><choice>\n<ref name=\"directives\"/>"
+    );
+    let textured = |kinds: &BTreeSet<Kind>| kinds.contains(&Kind::Child) || kinds.len() == 1;
+    let nested = |(name, kinds): (&String, &BTreeSet<Kind>)| {
+        let kind = kinds.contains(&Kind::Child) || kinds.contains(&Kind::Either);
+        !name.starts_with('<') && kind && textured(kinds)
+    };
+    if asked.iter().any(nested) && !asked.contains_key("<texture>") {
+        out.push_str("<ref name=\"texture\"/>\n");
+    }
+    for (name, kinds) in asked {
+        if let Some(tag) = name.strip_prefix('<') {
+            let _ = writeln!(out, "<ref name=\"{}\"/>", tag.trim_end_matches('>'));
+            continue;
+        }
+        for (element, content) in elements(kinds) {
+            let _ = writeln!(
+                out,
+                "<element name=\"{element}\"><attribute name=\"name\"><value>{name}</value></attribute>{content}</element>"
+            );
+        }
+    }
+    out.push_str("</choice></zeroOrMore></element></define>\n");
+}
+
+/// The elements that may stand for what is asked for, and what they consist of besides their name.
+fn elements(kinds: &BTreeSet<Kind>) -> Vec<(&'static str, &'static str)> {
+    const VALUE: &str = "<ref name=\"value\"/>";
+    const COORDINATES: &str = "<ref name=\"coordinates\"/>";
+    const NUMBERS: [(&str, &str); 2] = [("float", VALUE), ("integer", VALUE)];
+    const COLOURS: [(&str, &str); 3] = [
+        ("rgb", VALUE),
+        ("spectrum", "<ref name=\"spectrum\"/>"),
+        ("srgb", VALUE),
+    ];
+    let mut all = BTreeSet::new();
+    for kind in kinds {
+        match kind {
+            Kind::Number => all.extend(NUMBERS),
+            Kind::Integer => all.extend([("integer", VALUE)]),
+            Kind::Boolean => all.extend([("boolean", VALUE)]),
+            Kind::Text => all.extend([("string", VALUE)]),
+            Kind::Colour => all.extend(NUMBERS.into_iter().chain(COLOURS)),
+            Kind::Point => all.extend([("point", COORDINATES)]),
+            Kind::Vector => all.extend([("vector", COORDINATES)]),
+            Kind::Transform => all.extend([("transform", "<ref name=\"operations\"/>")]),
+            Kind::Either if kinds.len() == 1 => all.extend(NUMBERS.into_iter().chain(COLOURS)),
+            Kind::Child | Kind::Either => {}
+        }
+    }
+    all.into_iter().collect()
+}
+
+/// All that a plugin asks for, in any place where it may stand, with none, one or two materials inside.
+fn asked_by(tag: &str, plugin: &str) -> Asked {
+    let mut all = Asked::new();
+    for nested in 0..=2 {
+        let mut content = r#"<bsdf type="diffuse"/>"#.repeat(nested);
+        for _ in 0..MOST_NEEDED {
+            let element = format!(r#"<{tag} type="{plugin}" name="reflectance">{content}</{tag}>"#);
+            let mut needed = None;
+            for around in places(tag) {
+                let text = around.replace("{}", &element);
+                let text = format!(r#"<scene version="3.0.0">{text}</scene>"#);
+                needed = needed.or(ask(&text, (tag, plugin), &mut all));
+            }
+            // Of the one type or the other.
+            let Some((key, expected)) = needed else { break };
+            let element = if expected.contains("name") {
+                "string"
+            } else {
+                "float"
+            };
+            let _ = write!(content, r#"<{element} name="{key}" value="0.5"/>"#);
+        }
+    }
+    all.remove("type");
+    all
+}
+
+/// Where a plugin of a kind may stand.
+fn places(tag: &str) -> &'static [&'static str] {
+    match tag {
+        "bsdf" => &[r#"<shape type="sphere">{}</shape>"#],
+        "texture" => &[r#"<shape type="sphere"><bsdf type="diffuse">{}</bsdf></shape>"#],
+        "emitter" => &["{}", r#"<shape type="sphere">{}</shape>"#],
+        "film" | "sampler" => &[r#"<sensor type="perspective">{}</sensor>"#],
+        "rfilter" => &[r#"<sensor type="perspective"><film type="hdrfilm">{}</film></sensor>"#],
+        _ => &["{}"],
+    }
+}
+
+/// Reads a scene and adds what its plugin of this kind and name asks for. What it cannot do without, and what is expected
+/// there, if that is missing.
+fn ask(text: &str, which: (&str, &str), all: &mut Asked) -> Option<(String, String)> {
+    let document = Document::from_str(text, Path::new("."), &[]).ok()?;
+    let options = LoadOptions {
+        allow_missing: true,
+        ..LoadOptions::default()
+    };
+    let mut reading = Reading::new(&options, Some(Vec::new()));
+    // What is wrong with it is in the list.
+    let _ = reading.scene(document.root(), &options);
+    let node = found(document.root(), which)?;
+    for (name, kinds) in node.asked() {
+        all.entry(name).or_default().extend(kinds);
+    }
+    reading.faults.into_iter().flatten().find_map(|e| match e {
+        SceneError::Missing {
+            location,
+            key,
+            expected,
+            ..
+        } if location == node.location && !all.contains_key(&format!("<{key}>")) => {
+            Some((key, expected))
+        }
+        _ => None,
+    })
+}
+
+/// The first plugin of a kind and a name below a node.
+fn found<'a>(node: &'a Node, (tag, plugin): (&str, &str)) -> Option<&'a Node> {
+    node.parts().find_map(|part| {
+        if part.tag == tag && part.plugin == plugin {
+            Some(&**part)
+        } else {
+            found(part, (tag, plugin))
+        }
+    })
+}
