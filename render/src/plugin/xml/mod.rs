@@ -39,7 +39,7 @@ pub use crate::error::Location;
 use crate::error::SceneError;
 pub use node::Node;
 use parse::Parser;
-pub(crate) use write::{Number, Rewrite, scene as written};
+pub(crate) use write::{Content, Rewrite, scene as written};
 
 /// Deepest nesting of elements, includes and references together: far above any real scene, far
 /// below any stack.
