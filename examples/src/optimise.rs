@@ -7,7 +7,9 @@ use optim::{
     AnyOptimizer, Constrained, Evaluation, GaussNewton, Loss, LossKind, NormalMatrix, Optimizer,
 };
 use render::Job;
-use render::instances::{Estimator, gauss_newton_f32, hessian_vector_f32, render_f32, tangent_f32};
+use render::instances::{
+    Direction, Estimator, gauss_newton_f32, hessian_vector_f32, render_f32, tangent_f32,
+};
 use render::integrator::gradient::{Active, Gradient};
 use render::integrator::render::{NonFinite, Progress, Rendering};
 use render::integrator::second_order;
@@ -236,7 +238,8 @@ impl Problem {
     }
 
     /// [`Problem::evaluate`] with the Gauss-Newton matrix of the loss, for up to
-    /// [`second_order::MAX_VALUES`] unknowns. Where the loss is concave in a pixel, that pixel is left out.
+    /// [`second_order::MAX_VALUES`] unknowns. Where the loss is concave in a pixel, that pixel is left out. An estimator
+    /// without second order, for what moves, takes two derivative images by each unknown.
     ///
     /// # Errors
     /// As [`Problem::evaluate`]; too many unknowns, or less than two samples per pixel.
@@ -259,12 +262,16 @@ impl Problem {
             let mut weights = vec![0.0; image.len()];
             self.loss.curvature(image, target, &mut weights)?;
             weights.iter_mut().for_each(|w| *w = w.max(0.0));
-            let derivatives = gauss_newton_f32(
-                &self.job(seeds[1], progress),
-                &self.theta(),
-                &self.active,
-                [&adjoint, &weights],
-            )?;
+            let derivatives = if self.estimator.capabilities().modes.second_order {
+                gauss_newton_f32(
+                    &self.job(seeds[1], progress),
+                    &self.theta(),
+                    &self.active,
+                    [&adjoint, &weights],
+                )?
+            } else {
+                self.forward_curved(seeds[1], [&adjoint, &weights], progress)?
+            };
             if derivatives.cancelled {
                 return Ok(None);
             }
@@ -288,6 +295,73 @@ impl Problem {
             }
         }
         Ok(curved)
+    }
+
+    /// Gradient and Gauss-Newton matrix by derivative images. Products of two of them are of independent samples, half of
+    /// them each, so that noise adds nothing in the mean.
+    fn forward_curved(
+        &self,
+        seed: u64,
+        [adjoint, weights]: [&[f32]; 2],
+        progress: &dyn Progress,
+    ) -> Result<second_order::NormalEquations, ToolError> {
+        let n = self.active.len();
+        if n > second_order::MAX_VALUES || self.settings.spp < 2 {
+            return Err(RenderError::Count {
+                what: "unknown values, with at least two samples per pixel",
+                expected: "at most 1024",
+                found: n as u64,
+            }
+            .into());
+        }
+        let mut out = second_order::NormalEquations {
+            gradient: vec![0.0; n],
+            matrix: vec![0.0; n * n],
+            non_finite: NonFinite::default(),
+            cancelled: false,
+        };
+        let mut halves = [Vec::new(), Vec::new()];
+        let samples = u64::from(self.settings.spp / 2);
+        let params = self.scene.params();
+        for (half, images) in (0u64..).zip(&mut halves) {
+            let seed = mix64(seed.wrapping_add(half));
+            for info in self.active.ranges() {
+                for i in 0..info.shape.len() {
+                    let mut unit = vec![0.0; info.shape.len()];
+                    unit[i] = 1.0;
+                    let along = [Direction::Dense(params.handle(info), unit)];
+                    let job = Job::new(&self.scene, &self.settings, seed, 0..samples, progress);
+                    let seen = self.estimator.forward_f32(&job, params.values(), &along)?;
+                    add_non_finite(&mut out.non_finite, seen.non_finite);
+                    if seen.cancelled {
+                        out.cancelled = true;
+                        return Ok(out);
+                    }
+                    images.push(seen.image(1).data);
+                }
+            }
+        }
+        let [a, b] = &halves;
+        let product = |x: &[f32], y: &[f32]| -> f64 {
+            let terms = x.iter().zip(y).zip(weights);
+            terms
+                .map(|((x, y), w)| f64::from(*w) * f64::from(*x) * f64::from(*y))
+                .sum()
+        };
+        for i in 0..n {
+            for image in [&a[i], &b[i]] {
+                let terms = image.iter().zip(adjoint);
+                out.gradient[i] += terms
+                    .map(|(x, d)| 0.5 * f64::from(*x) * f64::from(*d))
+                    .sum::<f64>();
+            }
+            for j in 0..=i {
+                let mean = 0.5 * (product(&a[i], &b[j]) + product(&b[i], &a[j]));
+                out.matrix[i * n + j] = mean;
+                out.matrix[j * n + i] = mean;
+            }
+        }
+        Ok(out)
     }
 
     /// The Hessian of the loss times a direction, with one number per unknown; unbiased for squared

@@ -299,7 +299,8 @@ impl<T: Scalar> Optimizer<T> for Adam<T> {
         let (mut ranges, mut sizes) = (Vec::new(), Vec::new());
         for (range, rate) in self.rates.at(self.steps) {
             let relative = matches!(self.options.epsilon, Epsilon::Relative(_));
-            let largest = (relative || self.options.uniform).then(|| {
+            let uniform = self.options.uniform || self.rates.is_tied(range.start);
+            let largest = (relative || uniform).then(|| {
                 range.clone().fold(T::default(), |largest, i| {
                     let root = update.root_mean_square(grad[i], self.root_mean_square[i]);
                     if root > largest { root } else { largest }
@@ -316,7 +317,7 @@ impl<T: Scalar> Optimizer<T> for Adam<T> {
                     }
                     (e, _) => e.number(),
                 },
-                shared: largest.filter(|_| self.options.uniform),
+                shared: largest.filter(|_| uniform),
             };
             for index in range.clone() {
                 let state = [self.mean[index], self.root_mean_square[index]];

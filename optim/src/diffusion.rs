@@ -18,8 +18,9 @@ use crate::scalar::Scalar;
 ///
 /// An optimiser that moves `u` moves a vertex together with its neighbourhood, about `sqrt(lambda)` edges wide: the noise
 /// of single vertices and the steep gradients of silhouettes spread before they can fold the surface, while what the
-/// optimum is does not change. By plain gradient descent the step is `(I + lambda L)^-2` of the gradient. With Adam,
-/// [`AdamOptions::uniform`](crate::AdamOptions::uniform) keeps the direction that was so found.
+/// optimum is does not change. By plain gradient descent the step is `(I + lambda L)^-2` of the gradient. Adam keeps
+/// the direction that was so found, as with [`AdamOptions::uniform`](crate::AdamOptions::uniform), in ranges that are so tied
+/// ([`Constrained`](crate::Constrained)).
 ///
 /// Several vertices may be one: those along the seams of texture coordinates, say. They get one value.
 #[derive(Clone, Debug, Serialize, Deserialize)]

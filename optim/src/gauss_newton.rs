@@ -263,7 +263,10 @@ impl<T: Scalar> GaussNewton<T> {
     ) -> Result<Self, OptimError> {
         options.validate()?;
         require_len("rates", groups.len(), rates.len())?;
-        if let Some(tied) = groups.iter().find(|g| g.diffusion.is_some()) {
+        if let Some(tied) = groups
+            .iter()
+            .find(|g| g.diffusion.is_some() || g.coarse.is_some())
+        {
             return Err(OptimError::Tied {
                 group: tied.name.clone(),
                 expected: "entries that move by themselves, for Gauss-Newton steps".to_owned(),
@@ -320,7 +323,7 @@ impl<T: Scalar> GaussNewton<T> {
         require_len("curvature", n, curvature.diagonal().len())?;
         require_finite("curvature", curvature.diagonal()).map_err(|e| groups.locate(e))?;
         let mut old = self.variables.clone();
-        groups.refresh(params, &mut old)?;
+        groups.refresh(0, params, &mut old)?;
 
         let judged = match self.last.as_ref().filter(|last| last.to == params) {
             Some(last) => last.verdict(here),
@@ -339,7 +342,7 @@ impl<T: Scalar> GaussNewton<T> {
             return Ok(Outcome::TakenBack);
         }
 
-        let gradient = groups.pull_back(&old, here.gradient)?;
+        let gradient = groups.pull_back(0, &old, here.gradient)?;
         let model = Model {
             curvature,
             slopes: (0..n)
@@ -361,7 +364,7 @@ impl<T: Scalar> GaussNewton<T> {
             }
         }
         let from = params.to_vec();
-        groups.apply(&old, &mut new, params);
+        groups.apply(0, &old, &mut new, params);
         self.last = Some(Last {
             loss: here.loss,
             loss_error: here.loss_error,

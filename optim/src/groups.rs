@@ -1,6 +1,7 @@
 //! Named ranges of the parameter vector with their own learning rate, bounds and variables.
 
 use crate::bounds::Parameterisation;
+use crate::coarse::Coarse;
 use crate::diffusion::Diffusion;
 use crate::error::{OptimError, require_len};
 use crate::optimizer::{Optimizer, check_inputs, require_finite};
@@ -22,6 +23,9 @@ pub struct Group {
     /// identity then.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub diffusion: Option<Diffusion>,
+    /// The image whose texels the entries are, where it begins coarse ([`Groups::coarsen`]).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub coarse: Option<Coarse>,
 }
 
 /// Disjoint named ranges of a parameter vector; entries outside all of them are unbounded.
@@ -43,11 +47,12 @@ impl TryFrom<RawGroups> for Groups {
     fn try_from(raw: RawGroups) -> Result<Self, OptimError> {
         let mut groups = Self::new(raw.len);
         for g in raw.groups {
+            groups.add(g.name.clone(), g.range, g.parameterisation)?;
             if let Some(diffusion) = g.diffusion {
-                groups.add(g.name.clone(), g.range, g.parameterisation)?;
                 groups.tie(&g.name, diffusion)?;
-            } else {
-                groups.add(g.name, g.range, g.parameterisation)?;
+            }
+            if let Some(coarse) = g.coarse {
+                groups.coarsen(&g.name, coarse)?;
             }
         }
         Ok(groups)
@@ -82,6 +87,7 @@ impl Groups {
             range,
             parameterisation: parameterisation.validated()?,
             diffusion: None,
+            coarse: None,
         };
         let at = self
             .groups
@@ -124,7 +130,39 @@ impl Groups {
                 found: format!("{:?}", group.parameterisation),
             });
         }
+        if group.coarse.is_some() {
+            return Err(OptimError::Tied {
+                group: name.to_owned(),
+                expected: "entries that begin at their own resolution".to_owned(),
+                found: "a coarse one".to_owned(),
+            });
+        }
         group.diffusion = Some(diffusion);
+        Ok(())
+    }
+
+    /// Lets the entries of a group, texels of an image, begin coarse. Bounds and variables are those of coarse texels.
+    ///
+    /// # Errors
+    /// There is no such group, its entries are not those of the image, or they are tied.
+    pub fn coarsen(&mut self, name: &str, coarse: Coarse) -> Result<(), OptimError> {
+        let Some(group) = self.groups.iter_mut().find(|g| g.name == name) else {
+            return Err(self.unknown(name));
+        };
+        let wrong = |expected: String, found: String| OptimError::Tied {
+            group: name.to_owned(),
+            expected,
+            found,
+        };
+        if coarse.len() != group.range.len() {
+            let expected = format!("{} entries, those of the image", coarse.len());
+            return Err(wrong(expected, group.range.len().to_string()));
+        }
+        if group.diffusion.is_some() {
+            let expected = "entries that move by themselves".to_owned();
+            return Err(wrong(expected, "tied ones".to_owned()));
+        }
+        group.coarse = Some(coarse);
         Ok(())
     }
 
@@ -176,10 +214,11 @@ impl Groups {
         error
     }
 
-    /// Variables for physical values. A variable that already stands for its value is kept: it may
+    /// Variables for physical values at a step. A variable that already stands for its value is kept: it may
     /// hold more digits than the value.
     pub(crate) fn refresh<T: Scalar>(
         &self,
+        step: u64,
         params: &[T],
         variables: &mut [T],
     ) -> Result<(), OptimError> {
@@ -200,18 +239,34 @@ impl Groups {
                 continue;
             }
             let map = group.parameterisation;
-            for index in group.range.clone() {
-                if map.forward(variables[index]) == params[index] {
+            let mut coarse = None;
+            if let Some(image) = &group.coarse {
+                let own = &params[group.range.clone()];
+                let mut values: Vec<T> = (variables[group.range.clone()].iter())
+                    .map(|u| map.forward(*u))
+                    .collect();
+                image.values(step, &mut values);
+                if values == own {
                     continue;
                 }
-                variables[index] =
-                    map.inverse(params[index])
-                        .ok_or_else(|| OptimError::OutOfDomain {
-                            index,
-                            value: params[index].to_f64(),
-                            group: Some(group.name.clone()),
-                            expected: map.domain(),
-                        })?;
+                values.copy_from_slice(own);
+                image.variables(step, &mut values);
+                coarse = Some(values);
+            }
+            for index in group.range.clone() {
+                let value = match &coarse {
+                    Some(values) => values[index - group.range.start],
+                    None => params[index],
+                };
+                if map.forward(variables[index]) == value {
+                    continue;
+                }
+                variables[index] = map.inverse(value).ok_or_else(|| OptimError::OutOfDomain {
+                    index,
+                    value: value.to_f64(),
+                    group: Some(group.name.clone()),
+                    expected: map.domain(),
+                })?;
             }
         }
         variables[end..].copy_from_slice(&params[end..]);
@@ -221,6 +276,7 @@ impl Groups {
     /// The gradient with respect to the variables: `g * dp/du`.
     pub(crate) fn pull_back<T: Scalar>(
         &self,
+        step: u64,
         variables: &[T],
         grad: &[T],
     ) -> Result<Vec<T>, OptimError> {
@@ -228,6 +284,9 @@ impl Groups {
         for group in &self.groups {
             if let Some(diffusion) = &group.diffusion {
                 diffusion.pull_back(&mut out[group.range.clone()]);
+            }
+            if let Some(coarse) = &group.coarse {
+                coarse.pull_back(step, &mut out[group.range.clone()]);
             }
             for index in group.range.clone() {
                 out[index] = out[index] * group.parameterisation.derivative(variables[index]);
@@ -250,7 +309,7 @@ impl Groups {
 
     /// Projects variables that have moved from `old` to `new` and gives the parameters behind them their
     /// values; the others keep their bits.
-    pub(crate) fn apply<T: Scalar>(&self, old: &[T], new: &mut [T], params: &mut [T]) {
+    pub(crate) fn apply<T: Scalar>(&self, step: u64, old: &[T], new: &mut [T], params: &mut [T]) {
         let mut end = 0;
         for group in &self.groups {
             params[end..group.range.start].copy_from_slice(&new[end..group.range.start]);
@@ -263,6 +322,16 @@ impl Groups {
                 continue;
             }
             let map = group.parameterisation;
+            if let Some(coarse) = &group.coarse {
+                let range = group.range.clone();
+                (new[range.clone()].iter_mut()).for_each(|u| *u = map.project(*u));
+                if new[range.clone()] != old[range.clone()] {
+                    let own = &mut params[range.clone()];
+                    (own.iter_mut().zip(&new[range])).for_each(|(p, u)| *p = map.forward(*u));
+                    coarse.values(step, own);
+                }
+                continue;
+            }
             for i in group.range.clone() {
                 new[i] = map.project(new[i]);
                 let outside = {
@@ -332,6 +401,9 @@ impl<O: Optimizer<T>, T: Scalar> Constrained<O, T> {
         require_len("rates", groups.len(), inner.rates().len())?;
         for group in groups.iter() {
             inner.rates_mut().separate(&group.range)?;
+            if group.diffusion.is_some() {
+                inner.rates_mut().tie(group.range.clone())?;
+            }
         }
         // Any start will do: the first step replaces what does not stand for its value.
         let variables = vec![T::default(); groups.len()];
@@ -367,14 +439,15 @@ impl<O: Optimizer<T>, T: Scalar> Optimizer<T> for Constrained<O, T> {
         let groups = &self.groups;
         check_inputs(groups.len(), params, grad).map_err(|e| groups.locate(e))?;
         let mut old = self.variables.clone();
-        groups.refresh(params, &mut old)?;
-        let grad = groups.pull_back(&old, grad)?;
+        let step = self.inner.steps();
+        groups.refresh(step, params, &mut old)?;
+        let grad = groups.pull_back(step, &old, grad)?;
         let mut new = old.clone();
         self.inner
             .step(&mut new, &grad)
             .map_err(|e| groups.locate(e))?;
 
-        groups.apply(&old, &mut new, params);
+        groups.apply(step, &old, &mut new, params);
         self.variables = new;
         Ok(())
     }

@@ -49,12 +49,14 @@
 //! | `schedule`, `rates` | learning rates over time and per range |
 //! | `bounds` | changes of variables and projections of single values |
 //! | `diffusion` | a change of variables for the vertices of a mesh |
+//! | `coarse` | a change of variables for images, whose resolution doubles by a schedule |
 //! | `groups` | named ranges, and [`Constrained`], which applies all of the above to them |
 //! | [`loss`] | losses, adjoint images, and what noise does to them |
 //! | [`exact`] | numbers that survive JSON bit for bit, also for the caller's own checkpoints |
 
 mod adam;
 mod bounds;
+mod coarse;
 mod diffusion;
 mod error;
 pub mod exact;
@@ -71,6 +73,7 @@ mod test_functions;
 
 pub use adam::{Adam, AdamOptions, Epsilon};
 pub use bounds::{Parameterisation, SIGMOID_LIMIT};
+pub use coarse::Coarse;
 pub use diffusion::Diffusion;
 pub use error::OptimError;
 pub use gauss_newton::{

@@ -22,6 +22,9 @@ struct Segment {
     end: usize,
     #[serde(with = "crate::exact::number")]
     rate: f64,
+    /// Whether they move together.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    tied: bool,
 }
 
 #[derive(Deserialize)]
@@ -68,7 +71,12 @@ impl Rates {
         let segments = if len == 0 {
             Vec::new()
         } else {
-            vec![Segment { end: len, rate }]
+            let tied = false;
+            vec![Segment {
+                end: len,
+                rate,
+                tied,
+            }]
         };
         Ok(Self {
             len,
@@ -109,11 +117,32 @@ impl Rates {
         for end in [range.start, range.end] {
             let at = self.segments.partition_point(|s| s.end < end);
             if end > 0 && self.segments.get(at).is_some_and(|s| s.end > end) {
-                let rate = self.segments[at].rate;
-                self.segments.insert(at, Segment { end, rate });
+                let segment = self.segments[at].clone();
+                self.segments.insert(at, Segment { end, ..segment });
             }
         }
         Ok(())
+    }
+
+    /// Says that the parameters of a range move together: [`Adam`](crate::Adam) keeps the direction of their gradient, as
+    /// with [`AdamOptions::uniform`](crate::AdamOptions::uniform).
+    ///
+    /// # Errors
+    /// As [`Rates::set_rate`].
+    pub(crate) fn tie(&mut self, range: Range<usize>) -> Result<(), OptimError> {
+        self.separate(&range)?;
+        let mut start = 0;
+        for segment in &mut self.segments {
+            segment.tied |= start >= range.start && segment.end <= range.end;
+            start = segment.end;
+        }
+        Ok(())
+    }
+
+    /// Whether a parameter moves together with others.
+    pub(crate) fn is_tied(&self, index: usize) -> bool {
+        let at = self.segments.partition_point(|s| s.end <= index);
+        self.segments.get(at).is_some_and(|s| s.tied)
     }
 
     /// Number of parameters.

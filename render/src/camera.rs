@@ -30,6 +30,17 @@ pub enum FovAxis {
 }
 
 impl FovAxis {
+    /// Its name in scene files.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::X => "x",
+            Self::Y => "y",
+            Self::Diagonal => "diagonal",
+            Self::Smaller => "smaller",
+            Self::Larger => "larger",
+        }
+    }
+
     /// Half the width of an image of `[width, height]` at unit distance, for the full angle `fov` in degrees. `None` for
     /// an angle outside (0, 180).
     pub fn half_width(self, fov: f64, [w, h]: [f64; 2]) -> Option<f64> {
@@ -144,6 +155,11 @@ impl Camera {
     /// Full angle of view in degrees, as it was made.
     pub fn fov(&self) -> (f64, FovAxis) {
         (self.rest.fov, self.rest.axis)
+    }
+
+    /// How far it is from where it was made.
+    pub(crate) fn displacement(&self, params: &Params) -> Transform {
+        self.placement.transform(params)
     }
 
     /// What moves it.

@@ -150,6 +150,77 @@ fn edges_agree_with_differences() {
     }
 }
 
+/// A ball of triangles whose radius texels change: one texel at its side, one at its top, one at its back. 8 runs of 512
+/// samples of 256 pixels, and differences of 8 runs of 1024.
+#[test]
+#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
+fn displacement_agrees_with_differences() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let (around, up) = (12, 8);
+    let mut obj = String::new();
+    for j in 0..=up {
+        for i in 0..=around {
+            let [u, v] = [
+                f64::from(i) / f64::from(around),
+                f64::from(j) / f64::from(up),
+            ];
+            let (turn, tilt) = (std::f64::consts::TAU * u, std::f64::consts::PI * v);
+            let [x, y, z] = [
+                tilt.sin() * turn.cos(),
+                -tilt.cos(),
+                -tilt.sin() * turn.sin(),
+            ];
+            obj += &format!(
+                "v {:.5} {:.5} {:.5}\nvt {u} {v}\n",
+                x + 0.0,
+                y + 0.0,
+                z + 0.0
+            );
+        }
+    }
+    for j in 0..up {
+        for i in 0..around {
+            let a = j * (around + 1) + i + 1;
+            let b = a + around + 1;
+            obj += &format!("f {a}/{a} {}/{} {}/{}\n", a + 1, a + 1, b + 1, b + 1);
+            obj += &format!("f {a}/{a} {}/{} {b}/{b}\n", b + 1, b + 1);
+        }
+    }
+    std::fs::write(dir.path().join("ball.obj"), obj).expect("a file");
+    let pixels = render::image_io::Pixels {
+        width: 4,
+        height: 3,
+        channels: 3,
+        data: (0..12)
+            .flat_map(|i| [0.1 * f64::from(i).sin() as f32; 3])
+            .collect(),
+    };
+    render::image_io::write_exr_pixels(&dir.path().join("d.exr"), &pixels).expect("an image");
+    let text = format!(
+        r#"<scene version="3.0.0"><integrator type="path"><integer name="max_depth" value="3"/></integrator>
+        <sensor type="perspective"><float name="fov" value="45"/>
+            <transform name="to_world"><lookat origin="0, 3, 5" target="0, 0.4, 0" up="0, 1, 0"/></transform>
+            <film type="hdrfilm"><integer name="width" value="16"/><integer name="height" value="16"/>
+            <rfilter type="box"/></film></sensor>{FLOOR}
+        <shape type="obj" id="it"><string name="filename" value="ball.obj"/>
+            <transform name="to_world"><scale value="0.7"/><translate y="1"/></transform>
+            <texture type="bitmap" name="displacement"><string name="filename" value="d.exr"/></texture>
+            <ref id="grey"/></shape></scene>"#
+    );
+    let (mut s, _) = Scene::from_xml(&text, dir.path(), &LoadOptions::default()).expect("a scene");
+    let name = "it.displacement.data";
+    let found = gradient(&s, &[name], 8, 512);
+    let mut expected = differences(&mut s, &[name], 1.0 / 32.0, 8, 512);
+    // Those that matter, by differences: what hardly changes the image is all noise.
+    let most = expected.iter().fold(0.0, |m: f64, e| m.max(e.mean.abs()));
+    let clear = |e: &Estimate| e.mean.abs() > 0.2 * most;
+    let (found, expected): (Vec<_>, Vec<_>) = (found.into_iter().zip(expected.drain(..)))
+        .filter(|(_, e)| clear(e))
+        .unzip();
+    assert!(found.len() > 3, "{}", found.len());
+    agrees("displacement", &found, &expected, 2e-2, 8);
+}
+
 /// Without edges, the same test notices that visibility is missing.
 #[test]
 #[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]

@@ -14,13 +14,15 @@ use std::time::{Duration, Instant};
 use clap::Parser;
 use clap::builder::{OsStringValueParser, PossibleValuesParser, TypedValueParser};
 use optim::{
-    AnyOptimizer, Constrained, GaussNewton, Group, Groups, LossKind, Optimizer, Parameterisation,
-    PixelLoss, Rates, Schedule,
+    AnyOptimizer, Coarse, Constrained, Diffusion, GaussNewton, Group, Groups, LossKind, Optimizer,
+    Parameterisation, PixelLoss, Rates, Schedule,
 };
+use render::estimator::Capabilities;
 use render::instances::Estimator;
 use render::integrator::gradient::Active;
 use render::integrator::render::Rendering;
 use render::integrator::second_order::MAX_VALUES;
+use render::params::{ParamKind, ParamShape};
 use render::sampler::mix64;
 use render::{Image, RenderError, Scene, Settings, image_io};
 use serde::de::Error as _;
@@ -52,6 +54,8 @@ Examples:
   recover scene.xml --target photo.exr --param red.reflectance.value --param lamp.emitter.radiance.value
   recover --out folder --resume                  continues where Ctrl-C or a crash ended it
   recover --optimizer gauss-newton               the same room in fewer, dearer steps
+  recover scene.xml --target photo.exr --estimator edges --param bunny.vertex_positions:smooth=20,lr=0.002 \
+      --param bunny.reflectance.data:coarse=16   shape and texture
 
 Starts from the values of the scene file (-D changes them). Targets are images of the sensor that is looked
 through, or, as SENSOR=IMG.EXR, of another one of the scene: the loss is the sum over sensors. Several targets of one
@@ -68,8 +72,11 @@ pub struct Args {
     /// Image of the scene, or of one of its sensors; may be given several times
     #[arg(long = "target", value_name = "[SENSOR=]IMG.EXR", requires = "scene", value_parser = target_argument())]
     pub targets: Vec<TargetArg>,
-    /// Unknown parameter; may be given several times
-    #[arg(long = "param", value_name = "KEY")]
+    /// Unknown parameter; may be given several times. Behind a colon, how it moves: `lr=RATE` for a rate of its own;
+    /// `smooth=LAMBDA` for points of a mesh that move with their neighbours, over a width of about the root of LAMBDA
+    /// edges [Nicolet et al. 2021]; `coarse=SIDE` for texels that begin with SIDE along the longer side of the texture
+    /// and double until, after three fifths of the iterations, they are its own
+    #[arg(long = "param", value_name = "KEY[:OPTION=VALUE,..]")]
     pub params: Vec<String>,
     /// Scene options
     #[command(flatten)]
@@ -223,6 +230,53 @@ fn loss_name(text: &str) -> Result<String, String> {
     }
 }
 
+/// A `--param`, taken apart.
+#[derive(Clone, Debug, PartialEq)]
+struct Unknown {
+    key: String,
+    lr: Option<f64>,
+    smooth: Option<f64>,
+    coarse: Option<usize>,
+}
+
+impl std::str::FromStr for Unknown {
+    type Err = String;
+    fn from_str(text: &str) -> Result<Self, String> {
+        let options = text.rsplit_once(':').filter(|(_, o)| o.contains('='));
+        let (key, options) = options.map_or((text, ""), |(key, options)| (key, options));
+        let mut found = Self {
+            key: key.to_owned(),
+            lr: None,
+            smooth: None,
+            coarse: None,
+        };
+        for option in options.split(',').filter(|o| !o.is_empty()) {
+            let (name, value) = option.split_once('=').unwrap_or((option, ""));
+            let number = value
+                .parse::<f64>()
+                .ok()
+                .filter(|x| x.is_finite() && *x > 0.0);
+            let side = value.parse::<usize>().ok().filter(|n| *n > 0);
+            match (name, number, side) {
+                ("lr", Some(_), _) => found.lr = number,
+                ("smooth", Some(_), _) => found.smooth = number,
+                ("coarse", _, Some(_)) => found.coarse = side,
+                ("lr" | "smooth" | "coarse", ..) => {
+                    return Err(format!(
+                        "{key}: expected a positive number for {name}, found {value}"
+                    ));
+                }
+                _ => {
+                    return Err(format!(
+                        "{key}: expected lr, smooth or coarse, found {option}"
+                    ));
+                }
+            }
+        }
+        Ok(found)
+    }
+}
+
 /// Everything that the numbers of a run depend on.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 struct Job {
@@ -318,6 +372,9 @@ impl Job {
                            prints all";
             return wrong("--param", "params", message.into());
         }
+        if let Err(e) = self.unknowns() {
+            return wrong("--param", "params", e);
+        }
         within("--iterations", "iterations", &ITERATIONS, self.iterations)?;
         within("--spp", "spp", &SAMPLE_COUNTS, self.spp)?;
         within("--size", "size", &SIZES, self.size)?;
@@ -343,9 +400,10 @@ impl Job {
         if self.optimizer != OptimizerArg::GaussNewton {
             return Ok(());
         }
-        if !cli::can(&self.estimator, |c| c.modes.second_order) {
+        let moves = |c: Capabilities| c.sees(ParamKind::Position);
+        if !cli::can(&self.estimator, |c| c.modes.second_order || moves(c)) {
             let message = format!(
-                "expected {} for gauss-newton, which has no other, found {}",
+                "expected {}, or one that sees what moves, for gauss-newton, found {}",
                 Estimator::SECOND_ORDER.name(),
                 self.estimator
             );
@@ -366,6 +424,18 @@ impl Job {
             return wrong("--spp", "spp", message);
         }
         Ok(())
+    }
+
+    /// The unknowns, taken apart.
+    fn unknowns(&self) -> Result<Vec<Unknown>, String> {
+        self.params.iter().map(|text| text.parse()).collect()
+    }
+
+    /// Their keys.
+    fn keys(&self) -> Result<Vec<String>, ToolError> {
+        let unknowns = self.unknowns();
+        let unknowns = unknowns.map_err(|e| ToolError::Usage(format!("--param: {e}")))?;
+        Ok(unknowns.into_iter().map(|u| u.key).collect())
     }
 
     /// How many of the first `iteration` steps end in the last quarter of the run, whose values are averaged.
@@ -560,6 +630,8 @@ struct Recovery {
     views: Vec<View>,
     /// The true values.
     truth: Option<Vec<f32>>,
+    /// Triangles that are turned over at the start, or were when that was said last.
+    folded: BTreeMap<String, usize>,
 }
 
 /// Runs the tool.
@@ -634,7 +706,7 @@ fn recover(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
         }
         None => {
             let state = Checkpoint {
-                optimizer: optimizer(&job, &active, &start)?,
+                optimizer: optimizer(&job, &scene, &active, &start)?,
                 job: job.clone(),
                 iteration: 0,
                 values: start.clone(),
@@ -659,12 +731,14 @@ fn recover(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
         problem,
         views,
         truth,
+        folded: BTreeMap::new(),
     };
     if args.resume {
         recovery.check(&state, store.path())?;
     }
     // As every run and every continuation of it starts.
     recovery.problem.set(&state.start)?;
+    recovery.folded = recovery.folds();
     let seed = stream(job.seed, GUIDE_STREAM);
     (job.samples).learn(&mut recovery.problem.scene, &settings, seed, interrupt);
     if !args.resume {
@@ -761,7 +835,7 @@ fn load(job: &Job, estimator: Estimator) -> Result<Loaded, ToolError> {
     let Some(path) = &job.scene else {
         let mut scene = render::scene::room(job.size, job.size)?;
         let unknowns = builtin_scene::cornell_unknowns();
-        let names = names_of(&mut scene, &job.params)?;
+        let names = names_of(&mut scene, &job.keys()?)?;
         let active = estimator.active(&scene, &names)?;
         let (mut start, mut truth) = (Vec::new(), Vec::new());
         for info in active.ranges() {
@@ -781,7 +855,7 @@ fn load(job: &Job, estimator: Estimator) -> Result<Loaded, ToolError> {
         values: job.values.clone(),
     };
     let (mut scene, _) = load.load(&path.0)?;
-    let names = names_of(&mut scene, &job.params)?;
+    let names = names_of(&mut scene, &job.keys()?)?;
     let active = estimator.active(&scene, &names)?;
     let mut start = Vec::new();
     for info in active.ranges() {
@@ -920,7 +994,11 @@ pub(crate) fn groups(active: &Active, values: &[f32]) -> Result<Groups, ToolErro
     for info in active.ranges() {
         let range = at..at + info.shape.len();
         at = range.end;
-        let map = Parameterisation::usual(info.valid, &values[range.clone()])?;
+        // Coordinates have no bounds that anybody would reach.
+        let map = match info.shape {
+            ParamShape::Points { .. } => Parameterisation::Identity,
+            _ => Parameterisation::usual(info.valid, &values[range.clone()])?,
+        };
         groups.add(info.name.clone(), range, map)?;
     }
     Ok(groups)
@@ -929,9 +1007,74 @@ pub(crate) fn groups(active: &Active, values: &[f32]) -> Result<Groups, ToolErro
 /// Whole Gauss-Newton steps; those after them average.
 pub(crate) const WHOLE_STEPS: u64 = 5;
 
-fn optimizer(job: &Job, active: &Active, values: &[f32]) -> Result<Algorithm, ToolError> {
-    let rates = Rates::new(values.len(), job.lr)?;
-    let groups = groups(active, values)?;
+/// What a range cannot be asked for.
+fn unsuited(name: &str, expected: &str, option: &str) -> ToolError {
+    ToolError::Usage(format!(
+        "--param: expected {expected} for {option}, found `{name}`"
+    ))
+}
+
+/// The unknowns with their rates, and how they move together.
+fn plans(
+    job: &Job,
+    scene: &Scene,
+    active: &Active,
+    values: &[f32],
+) -> Result<(Rates, Groups), ToolError> {
+    let mut rates = Rates::new(values.len(), job.lr)?;
+    let mut groups = groups(active, values)?;
+    let unknowns = job.unknowns().map_err(ToolError::Usage)?;
+    let mut at = 0;
+    for info in active.ranges() {
+        let range = at..at + info.shape.len();
+        at = range.end;
+        let mine = |u: &&Unknown| {
+            let fitting = scene.params().matching(&u.key);
+            fitting.is_ok_and(|all| all.iter().any(|i| i.name == info.name))
+        };
+        let Some(unknown) = unknowns.iter().find(mine) else {
+            continue;
+        };
+        if let Some(lr) = unknown.lr {
+            rates.set_rate(range.clone(), lr)?;
+        }
+        if let Some(lambda) = unknown.smooth {
+            let mesh = scene.mesh_of(info);
+            let mesh = mesh.ok_or_else(|| unsuited(&info.name, "points of a mesh", "smooth"))?;
+            let triangles = mesh.welding().triangles(mesh.data());
+            let points: Vec<u64> = (0..mesh.points() as u64).collect();
+            groups.tie(
+                &info.name,
+                Diffusion::of_triangles(&points, &triangles, lambda)?,
+            )?;
+        }
+        if let Some(side) = unknown.coarse {
+            let ParamShape::Texture {
+                height,
+                width,
+                channels,
+            } = info.shape
+            else {
+                return Err(unsuited(&info.name, "texels", "coarse"));
+            };
+            let doublings = (height.max(width).div_ceil(side))
+                .next_power_of_two()
+                .ilog2();
+            let every = 3 * u64::from(job.iterations) / (5 * u64::from(doublings.max(1)));
+            let coarse = Coarse::new([width, height], channels, side, every.max(1))?;
+            groups.coarsen(&info.name, coarse)?;
+        }
+    }
+    Ok((rates, groups))
+}
+
+fn optimizer(
+    job: &Job,
+    scene: &Scene,
+    active: &Active,
+    values: &[f32],
+) -> Result<Algorithm, ToolError> {
+    let (rates, groups) = plans(job, scene, active, values)?;
     match job.optimizer {
         OptimizerArg::FirstOrder(name) => {
             let schedule = Schedule::Cosine {
@@ -995,7 +1138,7 @@ impl Recovery {
         let found = state.tail_sum.len();
         require(found == expected, "tail_sum", &what, &found)?;
 
-        let fresh = optimizer(job, &self.problem.active, start)?;
+        let fresh = optimizer(job, &self.problem.scene, &self.problem.active, start)?;
         let (expected, found) = (plan(&fresh), plan(&state.optimizer));
         require(found.0 == expected.0, "optimizer", &expected.0, &found.0)?;
         // A Gauss-Newton step may have been taken back.
@@ -1037,6 +1180,7 @@ impl Recovery {
         for (bad, seed) in step.non_finite.iter().zip(seeds) {
             report_non_finite(bad, width, seed);
         }
+        self.report_folds();
         let loss = step.loss;
         state.history.push(Row { loss, values });
         state.iteration += 1;
@@ -1049,6 +1193,26 @@ impl Recovery {
             }
         }
         Ok(true)
+    }
+
+    /// Triangles that are turned over, by mesh.
+    fn folds(&self) -> BTreeMap<String, usize> {
+        let folded = self.problem.scene.folded().into_iter();
+        folded.map(|(name, count, _)| (name, count)).collect()
+    }
+
+    /// Says of meshes that fold over themselves by more triangles than was said before, twice as many at least.
+    fn report_folds(&mut self) {
+        for (name, folded, all) in self.problem.scene.folded() {
+            let said = self.folded.entry(name.clone()).or_default();
+            if folded >= (2 * *said).max(1) {
+                *said = folded;
+                complain!(
+                    "warning: `{name}` folds over itself: {folded} of {all} triangles are turned over; expected a smaller \
+                     lr, or a larger smooth or smaller coarse"
+                );
+            }
+        }
     }
 
     /// What is kept of every iteration: up to three values per parameter, the mean of a texture.
@@ -1212,7 +1376,7 @@ impl Recovery {
         for info in self.problem.active.ranges() {
             let own = &estimate[at..at + info.shape.len()];
             at += own.len();
-            if let render::params::ParamShape::Texture {
+            if let ParamShape::Texture {
                 height,
                 width,
                 channels,
@@ -1264,6 +1428,7 @@ impl Recovery {
             iterations: state.iteration,
             final_loss: state.history.last().map(|r| r.loss),
             params,
+            folded: self.folds(),
         };
         output::write_json(&out.join("result.json"), &report)?;
         say!("{}: pictures, charts and values", out.display());
@@ -1291,6 +1456,9 @@ struct Report {
     iterations: u32,
     final_loss: Option<f64>,
     params: BTreeMap<String, Recovered>,
+    /// Triangles that are turned over, by mesh.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    folded: BTreeMap<String, usize>,
 }
 
 /// Largest relative error of any value.

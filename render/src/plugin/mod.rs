@@ -11,7 +11,7 @@ mod view;
 pub mod xml;
 
 pub(crate) use attributes::{Attribute, Attributes};
-pub(crate) use origin::Origins;
+pub(crate) use origin::{Origins, address};
 pub use registry::Registry;
 pub(crate) use registry::range_text;
 pub use xml::Node;

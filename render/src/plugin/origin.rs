@@ -21,7 +21,7 @@ pub(crate) struct Origin {
 pub(crate) struct Origins(HashMap<usize, Origin>);
 
 /// Nodes are told apart by where they lie, as long as they are there.
-fn address(node: &Node) -> usize {
+pub(crate) fn address(node: &Node) -> usize {
     std::ptr::from_ref(node).addr()
 }
 

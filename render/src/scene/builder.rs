@@ -167,6 +167,11 @@ impl Builder {
         self.infos.iter().any(|info| info.emitter.is_some())
     }
 
+    /// How many emitters there are so far.
+    pub(super) fn emitters(&self) -> usize {
+        self.emitters.len()
+    }
+
     /// Adds an emitter that is no surface, or is the last shape added if `shape` says so.
     pub fn add_emitter(&mut self, emitter: impl Into<AnyEmitter>, shape: Option<u32>) {
         self.add_weighted_emitter(emitter.into(), shape, 1.0);
@@ -267,6 +272,10 @@ impl Builder {
             });
             visit_deltas(m, &mut |p| params.mark(p, ParamKind::Delta));
         }
+        for shape in &self.shapes {
+            let params = self.registry.params_mut();
+            shape.visit_params(&mut |p| params.mark(p, ParamKind::Position));
+        }
         for e in &self.emitters {
             let params = self.registry.params_mut();
             e.visit_params(&mut |p| params.mark(p, ParamKind::Emission));
@@ -303,6 +312,7 @@ impl Builder {
             files: Vec::new(),
             source: None,
             sensors,
+            through: chosen,
             camera,
             film,
             settings,

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use super::builder::{Builder, MaterialId, out_of_reach};
 use super::clip::Clip;
-use super::save::Source;
+use super::save::{Place, Places, Source};
 use super::{Connections, Constraint, Hints, Method, Scene, Sensor, Settings};
 use crate::accel::{Accel, MAX_COORDINATE};
 use crate::bsdf::{Diffuse, Material};
@@ -17,7 +17,7 @@ use crate::film::{Film, Lobed, MOST_LOBES, PixelFilter};
 use crate::inputs;
 use crate::math::Transform;
 use crate::plugin::xml::{Document, SPECTRA, check_limit};
-use crate::plugin::{Attributes, Node, Origins};
+use crate::plugin::{Attributes, Node, Origins, address};
 use crate::shape::{AnyShape, Cube, Shape};
 use crate::texture;
 
@@ -168,7 +168,9 @@ impl Scene {
         let scene = reading.scene(document.root(), options)?;
         let mut scene = scene.ok_or_else(|| document.root().missing("sensor", "a sensor"))?;
         let origins = std::mem::take(&mut reading.origins);
-        scene.source = Some(Source::new(document.shared_root(), origins, &scene.params));
+        let places = std::mem::take(&mut reading.places);
+        let root = document.shared_root();
+        scene.source = Some(Source::new(root, origins, places, &scene.params));
         let warnings = document.warnings().into_iter().map(|w| w.to_string());
         Ok((scene, warnings.chain(reading.warnings).collect()))
     }
@@ -184,6 +186,8 @@ pub(super) struct Reading {
     pub warnings: Vec<String>,
     /// Which parts of the file hold which parameters.
     origins: Origins,
+    /// Which parts hold what may move.
+    places: Places,
     /// The materials of shapes without one, and of such lamps.
     defaults: [Option<MaterialId>; 2],
     /// Of shapes whose textures ask for attributes of their mesh.
@@ -202,6 +206,7 @@ impl Reading {
             faults,
             warnings: Vec::new(),
             origins: Origins::default(),
+            places: Places::default(),
             defaults: [None; 2],
             serial: 0,
             classes: HashMap::new(),
@@ -242,6 +247,7 @@ impl Reading {
             if let Some((clip, sensor)) = self.note(read)? {
                 clips.push(clip);
                 sensors.push(sensor);
+                self.places.sensors.push(address(node));
             }
         }
         let shapes = root.children_with_tag("shape");
@@ -257,6 +263,11 @@ impl Reading {
                 _ => self.shape(node, i)?,
             }
             drawn.resize(drawn.len() + self.build.shapes().len() - before, node);
+            let place = (node.plugin != "instance").then(|| Place {
+                node: address(node),
+                has_attributes: attributes_of(node).is_ok_and(|names| !names.is_empty()),
+            });
+            self.places.shapes.resize(drawn.len(), place);
         }
         for group in groups {
             group.children_with_tag("shape");
@@ -276,6 +287,8 @@ impl Reading {
             }
             let emitter = self.emitter(node, &name, None);
             if let Some((emitter, weight, hints)) = self.note(emitter)? {
+                let number = self.build.emitters() as u32;
+                self.places.emitters.push((number, address(node)));
                 self.build.add_weighted_emitter(emitter, None, weight);
                 self.build.hint_emitter(hints);
             }
@@ -356,7 +369,8 @@ impl Reading {
             };
             self.build.registry().attributes = Some(asked);
         }
-        let geometry = AnyShape::from_node(node, self.build.registry());
+        let registry = self.build.registry();
+        let geometry = registry.within(&name, None, |r| AnyShape::from_node(node, r));
         // What belongs to a shape that is missing is read all the same.
         let stand_in = || Cube::new(&Transform::IDENTITY, false).map(AnyShape::from);
         let geometry = self.note(geometry)?;

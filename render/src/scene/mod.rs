@@ -198,6 +198,8 @@ pub struct Scene {
     source: Option<save::Source>,
     /// All that it can be looked at through.
     sensors: Vec<Sensor>,
+    /// The number of the one that is.
+    through: usize,
     /// The camera.
     pub camera: Camera,
     /// Resolution, crop and filter.

@@ -9,7 +9,7 @@ use crate::emitter::{AnyEmitter, Emitter};
 use crate::error::RenderError;
 use crate::motion::Placement;
 use crate::params::{ParamInfo, ParamKind, ParamRef, ParamShape, fits};
-use crate::shape::AnyShape;
+use crate::shape::{AnyShape, Mesh};
 
 /// Displacements: from one end of what is in reach to the other.
 const WAYS: (f64, f64) = (
@@ -40,8 +40,9 @@ pub struct Movable {
     what: What,
 }
 
+/// What a parameter moves.
 #[derive(Clone, Copy, Debug, PartialEq)]
-enum What {
+pub(super) enum What {
     Shape(u32, Part),
     Vertices(u32),
     Camera(Part),
@@ -49,8 +50,9 @@ enum What {
     Emitter(u32),
 }
 
+/// How something moves as a whole.
 #[derive(Clone, Copy, Debug, PartialEq)]
-enum Part {
+pub(super) enum Part {
     Translation,
     Rotation,
     Scale,
@@ -118,7 +120,7 @@ impl Scene {
     ///   loaded. Zero, zero and one in a loaded scene; the scale comes first, then the rotation.
     /// * `NAME.vertex_positions` of a mesh: its points, before it moves as a whole. Vertices at one position are one point,
     ///   in the order of their first ones, so that nothing tears along seams of texture coordinates. Normals follow
-    ///   where the file gives none.
+    ///   where the file gives none. Those of meshes that a texture displaces are not there: its texels are parameters.
     /// * `sensor.translation`, `sensor.rotation` (about the pinhole), and `sensor.fov` in degrees, of pinholes.
     /// * `NAME.position` of point and spot lights, world space; `NAME.rotation` of environment maps and lobes.
     ///
@@ -138,7 +140,9 @@ impl Scene {
                 let what = What::Shape(i, p);
                 all.push(part(&info.name, p, ParamKind::Position, what));
             }
-            if let AnyShape::Mesh(mesh) = shape {
+            if let AnyShape::Mesh(mesh) = shape
+                && !mesh.is_displaced()
+            {
                 all.push(Movable {
                     name: format!("{}.vertex_positions", info.name),
                     shape: ParamShape::Points {
@@ -248,6 +252,35 @@ impl Scene {
         Ok(())
     }
 
+    /// The mesh whose points this range is.
+    pub fn mesh_of(&self, info: &ParamInfo) -> Option<&Mesh> {
+        let p = self.params.handle(info);
+        let of_points = matches!(info.shape, ParamShape::Points { .. });
+        let (shape, _) = (self.movers().iter()).find(|(_, reads)| of_points && *reads == p)?;
+        match &self.shapes()[*shape as usize] {
+            AnyShape::Mesh(mesh) => Some(mesh),
+            _ => None,
+        }
+    }
+
+    /// Meshes whose points are parameters, or displaced by them, and of which triangles are turned over ([`Mesh::folded`]):
+    /// name, number of those, number of all. There is light on a surface that folds over itself, and derivatives of it are
+    /// right; but no optimiser should have made it.
+    pub fn folded(&self) -> Vec<(String, usize, usize)> {
+        let mut out = Vec::new();
+        for (info, shape) in self.infos.iter().zip(self.shapes()) {
+            if let AnyShape::Mesh(mesh) = shape
+                && mesh.has_moving_points()
+            {
+                let folded = mesh.folded().len();
+                if folded > 0 {
+                    out.push((info.name.clone(), folded, mesh.data().triangles.len()));
+                }
+            }
+        }
+        out
+    }
+
     /// The name that a parameter has here, where Mitsuba calls it otherwise.
     fn canonical(&self, name: &str) -> String {
         if let Some(shape) = name.strip_suffix(".positions") {
@@ -289,7 +322,7 @@ impl Scene {
         }
         let p = (self.params).push(&movable.name, movable.shape, &values, movable.valid);
         if let Some(source) = &mut self.source {
-            source.fixed.push((p.id, values));
+            source.moves(p, movable.what, values);
         }
         self.params.mark(p, movable.kind);
         match movable.what {

@@ -5,14 +5,18 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use super::Scene;
+use super::movable::What;
+use crate::camera::FovAxis;
+use crate::emitter::Emitter;
 use crate::error::SceneError;
 use crate::files;
 use crate::film::Image;
 use crate::image_io;
-use crate::params::{ParamInfo, ParamShape, Params};
-use crate::plugin::Node;
-use crate::plugin::Origins;
-use crate::plugin::xml::{Number, Rewrite, written};
+use crate::math::{Transform, each};
+use crate::params::{ParamInfo, ParamRef, ParamShape, Params};
+use crate::plugin::xml::{Content, Rewrite, written};
+use crate::plugin::{Node, Origins, address};
+use crate::shape::AnyShape;
 
 /// What a scene was read from.
 #[derive(Debug)]
@@ -20,11 +24,53 @@ pub(super) struct Source {
     pub root: Arc<Node>,
     pub origins: Origins,
     /// The values of parameters that no part of the file holds, which therefore cannot change.
-    pub fixed: Vec<(u32, Vec<f32>)>,
+    fixed: Vec<(u32, Vec<f32>)>,
+    /// Parameters that move something, with the values at which it is where the file has it.
+    moving: Vec<(ParamRef, What, Vec<f32>)>,
+    places: Places,
+}
+
+/// Where in the file things are that may move.
+#[derive(Debug, Default)]
+pub(super) struct Places {
+    /// Per shape; none for parts of instances.
+    pub shapes: Vec<Option<Place>>,
+    /// Of emitters that are no surfaces, with their numbers.
+    pub emitters: Vec<(u32, usize)>,
+    /// Per sensor.
+    pub sensors: Vec<usize>,
+}
+
+/// Of a shape.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Place {
+    /// Where its node lies.
+    pub node: usize,
+    /// Whether textures read attributes of its mesh, which stand in its file.
+    pub has_attributes: bool,
+}
+
+/// What becomes of a node.
+#[derive(Debug, Default)]
+struct Change {
+    /// Behind its own `to_world`.
+    placed: Option<Transform>,
+    /// Degrees, and what they refer to.
+    fov: Option<(f32, FovAxis)>,
+    position: Option<[f32; 3]>,
+    direction: Option<[f64; 3]>,
+    /// The shape whose mesh it names from now on.
+    mesh: Option<u32>,
+}
+
+impl Change {
+    fn place(&mut self, by: Transform) {
+        self.placed = Some(self.placed.unwrap_or_default().then(&by));
+    }
 }
 
 impl Source {
-    pub fn new(root: Arc<Node>, origins: Origins, params: &Params) -> Self {
+    pub fn new(root: Arc<Node>, origins: Origins, places: Places, params: &Params) -> Self {
         let written: HashSet<u32> = origins.params().collect();
         let rest = (0u32..)
             .zip(params.infos())
@@ -32,21 +78,39 @@ impl Source {
         let fixed = rest.map(|(id, info)| (id, params.values()[info.range()].to_vec()));
         Self {
             fixed: fixed.collect(),
+            moving: Vec::new(),
+            places,
             root,
             origins,
         }
+    }
+
+    /// Says what a parameter moves; it has the values of rest.
+    pub fn moves(&mut self, p: ParamRef, what: What, rest: Vec<f32>) {
+        self.moving.push((p, what, rest));
+    }
+
+    /// The only node at this address. One that several things were made of, as they refer to it, cannot be changed.
+    fn node(&self, at: usize) -> Option<&Node> {
+        let mut found = self.root.parts().filter(|n| address(n) == at);
+        found
+            .next()
+            .filter(|_| found.next().is_none())
+            .map(|n| &**n)
     }
 }
 
 impl Scene {
     /// Writes the scene, with the parameters that it has now, as a file that this renderer and Mitsuba 3 read: images of
-    /// texels as OpenEXR in the folder `textures` beside it, meshes copied into `meshes`. What has no effect here is
-    /// written as it was read. Returns all files, the scene last.
+    /// texels as OpenEXR in the folder `textures` beside it, meshes copied into `meshes`. What has moved as a whole has
+    /// another `to_world` (lights at a point another `position`), and sensors another `fov`. Meshes whose points have moved
+    /// or are displaced, which Mitsuba does not know, are written as PLY files, world space, with the normals and texture
+    /// coordinates that they have. What has no effect here is written as it was read. Returns all files, the scene last.
     ///
     /// # Errors
     /// A scene that was not read from a file; a folder in which one of its own files would be replaced; a parameter that
-    /// has changed and that no attribute or image of the file holds, such as the colours of meshes, the images in spot
-    /// lights, and what moves; the operating system's.
+    /// has changed and that no attribute, image or mesh of the file holds, such as the colours of meshes, the images in
+    /// spot lights, parts of instances that move, and points of meshes with attributes; the operating system's.
     pub fn save(&self, path: &Path) -> Result<Vec<PathBuf>, SceneError> {
         let bad = |key: &str, expected: &str, found: &str| SceneError::Parameter {
             key: key.to_owned(),
@@ -67,13 +131,21 @@ impl Scene {
         let mut writing = Writing {
             params: &self.params,
             origins: &source.origins,
+            changes: self.changes(source)?,
+            scene: self,
             files: HashMap::new(),
             names: HashSet::new(),
             images: Vec::new(),
+            meshes: Vec::new(),
             copies: Vec::new(),
         };
         let text = written(&source.root, &mut writing);
-        let Writing { images, copies, .. } = writing;
+        let Writing {
+            images,
+            meshes,
+            copies,
+            ..
+        } = writing;
         let same = |a: &Path, b: &Path| match (a.canonicalize(), b.canonicalize()) {
             (Ok(a), Ok(b)) => a == b,
             _ => false,
@@ -82,7 +154,9 @@ impl Scene {
             .map(|(from, to)| (from, folder.join(to)))
             .filter(|(from, to)| !same(from, to))
             .collect();
-        let written = images.iter().map(|(to, _)| folder.join(to));
+        let made = images.iter().map(|(to, _)| to);
+        let made = made.chain(meshes.iter().map(|(to, _)| to));
+        let written = made.map(|to| folder.join(to));
         let written = written.chain(copies.iter().map(|(_, to)| to.clone()));
         let mut written = written.chain([path.to_owned()]);
         if let Some(own) = written.find(|to| self.files.iter().any(|file| same(file, to))) {
@@ -103,6 +177,12 @@ impl Scene {
             image_io::write_exr(&to, &image)?;
             all.push(to);
         }
+        for (to, bytes) in meshes {
+            let to = folder.join(to);
+            make(&to)?;
+            image_io::write_atomically(&to, &bytes)?;
+            all.push(to);
+        }
         for (from, to) in copies {
             make(&to)?;
             let bytes = files::read(&from, u64::MAX)?;
@@ -114,22 +194,140 @@ impl Scene {
         all.push(path.to_owned());
         Ok(all)
     }
+
+    /// What has moved, by the address of its node.
+    fn changes(&self, source: &Source) -> Result<HashMap<usize, Change>, SceneError> {
+        let mut changes = HashMap::<usize, Change>::new();
+        let has_moved = |(p, _, rest): &&(ParamRef, What, Vec<f32>)| {
+            self.params.values()[self.params.infos()[p.id as usize].range()] != rest[..]
+        };
+        for (p, what, rest) in source.moving.iter().filter(has_moved) {
+            let info = &self.params.infos()[p.id as usize];
+            let error = |found: &str| SceneError::Parameter {
+                key: info.name.clone(),
+                expected: "the value that the file has: nothing in it holds this parameter".into(),
+                found: found.to_owned(),
+            };
+            let emitters = &source.places.emitters;
+            let at = match *what {
+                What::Shape(shape, _) | What::Vertices(shape) => {
+                    let place = source.places.shapes[shape as usize];
+                    place
+                        .filter(|p| !p.has_attributes || matches!(what, What::Shape(..)))
+                        .map(|p| p.node)
+                }
+                What::Camera(_) | What::Fov => source.places.sensors.get(self.through).copied(),
+                What::Emitter(e) => emitters.iter().find(|(i, _)| *i == e).map(|(_, at)| *at),
+            };
+            let node = at.and_then(|at| source.node(at));
+            let node = node.ok_or_else(|| error("another"))?;
+            let change = changes.entry(address(node)).or_default();
+            let values = &self.params.values()[info.range()];
+            match *what {
+                What::Shape(shape, _) => {
+                    let placement = self.geometry.placement(shape);
+                    change.placed = placement.map(|p| p.transform(&self.params));
+                }
+                What::Vertices(shape) => change.mesh = Some(shape),
+                What::Camera(_) => change.placed = Some(self.camera.displacement(&self.params)),
+                What::Fov => change.fov = Some((values[0], self.camera.fov().1)),
+                What::Emitter(e) => {
+                    let emitter = &self.emitters[e as usize];
+                    let key = emitter.mobility().map_or("", |(key, _)| key);
+                    let now = each([0, 1, 2], |i: usize| values[i]);
+                    if key == "position" && node.plugin == "point" {
+                        change.position = Some(now);
+                    } else if key == "position" {
+                        let by = each([0, 1, 2], |i: usize| f64::from(now[i]) - f64::from(rest[i]));
+                        change.place(Transform::translate(by));
+                    } else {
+                        let turn = crate::motion::Placement {
+                            rotation: Some(*p),
+                            ..Default::default()
+                        };
+                        let turn = turn.transform(&self.params);
+                        match node.vector("direction").ok().flatten() {
+                            Some(d) => change.direction = Some(turn.vector(d)),
+                            None => change.place(turn),
+                        }
+                    }
+                }
+            }
+        }
+        for (i, shape) in self.shapes().iter().enumerate() {
+            if !matches!(shape, AnyShape::Mesh(mesh) if mesh.is_displaced()) {
+                continue;
+            }
+            let node = source.places.shapes[i].and_then(|p| source.node(p.node));
+            let node = node.ok_or_else(|| SceneError::Parameter {
+                key: format!("{}.displacement", self.infos[i].name),
+                expected: "a displaced mesh of its own, whose points can be written".into(),
+                found: "a part of an instance, or of several shapes".into(),
+            })?;
+            changes.entry(address(node)).or_default().mesh = Some(i as u32);
+        }
+        Ok(changes)
+    }
 }
 
 /// What becomes of values and files while a scene is written.
 struct Writing<'a> {
     params: &'a Params,
     origins: &'a Origins,
+    changes: HashMap<usize, Change>,
+    scene: &'a Scene,
     /// The new names of files that were named before.
     files: HashMap<PathBuf, String>,
     names: HashSet<String>,
     images: Vec<(String, Image)>,
+    meshes: Vec<(String, Vec<u8>)>,
     copies: Vec<(PathBuf, String)>,
 }
 
 impl Writing<'_> {
     fn info(&self, id: u32) -> &ParamInfo {
         &self.params.infos()[id as usize]
+    }
+
+    fn change(&self, node: &Node) -> Option<&Change> {
+        self.changes.get(&address(node))
+    }
+
+    /// The shape whose mesh a node names from now on.
+    fn mesh(&self, node: &Node) -> Option<u32> {
+        self.change(node)?.mesh
+    }
+
+    /// Attributes of what has moved.
+    fn moved(&self, node: &Node) -> Vec<(String, Content)> {
+        let mut out: Vec<(&str, Content)> = Vec::new();
+        let Some(change) = self.change(node) else {
+            return Vec::new();
+        };
+        if let Some(shape) = change.mesh {
+            if let AnyShape::Mesh(mesh) = &self.scene.shapes()[shape as usize]
+                && mesh.data().normals.is_empty()
+            {
+                out.push(("face_normals", Content::Boolean(true)));
+            }
+        } else if let Some(by) = change.placed {
+            let own = node.transform("to_world").ok().flatten();
+            let moved = own.unwrap_or_default().then(&by);
+            out.push(("to_world", Content::Transform(moved)));
+        }
+        if let Some((degrees, axis)) = change.fov {
+            out.push(("fov", Content::Scalar(degrees)));
+            out.push(("fov_axis", Content::Text(axis.name())));
+        }
+        if let Some(position) = change.position {
+            out.push(("position", Content::Point(position)));
+        }
+        if let Some(direction) = change.direction {
+            out.push(("direction", Content::Vector(direction)));
+        }
+        out.into_iter()
+            .map(|(key, x)| (key.to_owned(), x))
+            .collect()
     }
 
     /// A name in a folder that is free.
@@ -154,35 +352,46 @@ impl Writing<'_> {
 }
 
 impl Rewrite for Writing<'_> {
-    fn values(&mut self, node: &Node) -> Vec<(String, Number)> {
+    fn values(&mut self, node: &Node) -> Vec<(String, Content)> {
+        let mut out = self.moved(node);
         let Some(origin) = self.origins.of(node) else {
-            return Vec::new();
+            return out;
         };
-        let mut out = Vec::new();
         for (key, &id) in &origin.values {
             let info = self.info(id);
             let number = match self.params.values()[info.range()] {
-                [x] => Number::Scalar(x),
-                [r, g, b] => Number::Colour([r, g, b]),
+                [x] => Content::Scalar(x),
+                [r, g, b] => Content::Colour([r, g, b]),
                 _ => continue,
             };
             out.push((key.clone(), number));
         }
         if let Some(id) = origin.index {
             let eta = self.params.values()[self.info(id).offset];
-            out.push(("int_ior".to_owned(), Number::Scalar(eta)));
-            out.push(("ext_ior".to_owned(), Number::Scalar(1.0)));
+            out.push(("int_ior".to_owned(), Content::Scalar(eta)));
+            out.push(("ext_ior".to_owned(), Content::Scalar(1.0)));
         }
         out
     }
 
     fn is_gone(&self, node: &Node, name: &str) -> bool {
-        self.origins.of(node).is_some_and(|origin| match name {
-            "layer" => origin.image.is_some(),
-            // Its indices are written themselves.
-            "material" => origin.values.contains_key("eta"),
+        let moved = self.change(node).is_some_and(|change| match name {
+            "to_world" => change.mesh.is_some() || change.position.is_some(),
+            "flip_tex_coords" | "shape_index" | "displacement" => change.mesh.is_some(),
+            "focal_length" => change.fov.is_some(),
             _ => false,
-        })
+        });
+        moved
+            || self.origins.of(node).is_some_and(|origin| match name {
+                "layer" => origin.image.is_some(),
+                // Its indices are written themselves.
+                "material" => origin.values.contains_key("eta"),
+                _ => false,
+            })
+    }
+
+    fn plugin(&self, node: &Node) -> Option<&'static str> {
+        self.mesh(node).map(|_| "ply")
     }
 
     fn file(&mut self, node: &Node, path: Option<PathBuf>, name: &str) -> String {
@@ -210,6 +419,14 @@ impl Rewrite for Writing<'_> {
                 ));
                 return to;
             }
+        }
+        if let Some(shape) = self.mesh(node)
+            && let AnyShape::Mesh(mesh) = &self.scene.shapes()[shape as usize]
+        {
+            let name = self.scene.shape_info(shape).name.clone();
+            let to = self.free("meshes", &name, "ply");
+            self.meshes.push((to.clone(), mesh.to_ply()));
+            return to;
         }
         let Some(from) = path else {
             // It is missing, and was allowed to be.

@@ -66,6 +66,7 @@ impl Scene {
                 culprit: "another sensor cannot take the parameters that move this one".into(),
             });
         }
+        self.through = index;
         self.camera = sensor.camera.clone();
         self.film = sensor.film;
         self.settings.spp = sensor.spp;

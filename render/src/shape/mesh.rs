@@ -8,6 +8,7 @@ use std::sync::{Arc, OnceLock};
 use ad_core::{Const, Dual, Float, Real, Vec2, Vec3};
 use smallvec::SmallVec;
 
+use super::displacement::HEIGHTS;
 use super::partials::variables;
 use super::patch::intersect_plane;
 use super::vertices::{MovingTriangle, MovingVertices};
@@ -220,6 +221,11 @@ impl Mesh {
     /// The arrays.
     pub fn data(&self) -> &MeshData {
         &self.data.mesh
+    }
+
+    /// Whether its normals were given, and stay where positions change.
+    pub fn has_given_normals(&self) -> bool {
+        !self.data.smooth && !self.data.mesh.normals.is_empty()
     }
 
     /// Bytes held by the arrays.
@@ -527,15 +533,7 @@ impl Shape for Mesh {
     /// # Errors
     /// As [`Mesh::new`].
     fn update(&mut self, params: &Params) -> Result<(), String> {
-        let Some(vertices) = &self.vertices else {
-            return Ok(());
-        };
-        let values = &params.values()[vertices.param.offset as usize..];
-        let mut mesh = self.data.mesh.clone();
-        for (position, &w) in mesh.positions.iter_mut().zip(&vertices.welding.points) {
-            position.copy_from_slice(&values[3 * w as usize..][..3]);
-        }
-        self.replace(mesh)
+        self.follow(params)
     }
 
     fn carries_frame(&self, prim: u32) -> bool {
@@ -947,11 +945,25 @@ impl FromNode for Mesh {
     const PLUGINS: &'static [&'static str] = &["obj", "ply", "serialized"];
 
     fn from_node(node: &Node, registry: &mut Registry) -> Result<Self, SceneError> {
-        match node.plugin.as_str() {
-            "ply" => return super::ply::from_node(node, registry),
-            "serialized" => return super::serialized::from_node(node, registry),
-            _ => {}
+        let mesh = match node.plugin.as_str() {
+            "ply" => super::ply::from_node(node, registry),
+            "serialized" => super::serialized::from_node(node, registry),
+            _ => Self::from_obj_node(node),
+        }?;
+        if node.child("displacement").is_none() {
+            return Ok(mesh);
         }
+        let texture = registry.scalar_texture(node, "displacement", 0.0, HEIGHTS)?;
+        mesh.displaced(&texture, registry.params())
+            .map_err(|e| match e {
+                SceneError::Parameter { key, expected, .. } => node.invalid(&key, &expected),
+                other => other,
+            })
+    }
+}
+
+impl Mesh {
+    fn from_obj_node(node: &Node) -> Result<Self, SceneError> {
         let to_world = node.transform("to_world")?.unwrap_or_default();
         let options = ObjOptions {
             to_world,

@@ -16,6 +16,7 @@
 mod cube;
 mod cylinder;
 mod disk;
+mod displacement;
 mod mesh;
 mod partials;
 mod patch;
@@ -27,6 +28,7 @@ mod vertices;
 pub use cube::Cube;
 pub use cylinder::Cylinder;
 pub use disk::Disk;
+pub use displacement::HEIGHTS;
 pub use mesh::{Mesh, MeshData, ObjOptions, smooth_normals};
 pub use partials::Partials;
 pub use patch::{Patch, Rectangle};

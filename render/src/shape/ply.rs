@@ -450,6 +450,47 @@ pub(super) fn add_vertex(
     }));
 }
 
+impl Mesh {
+    /// The mesh as the content of a PLY file, binary, in little-endian order: positions in world space, texture coordinates
+    /// and normals where it has them; no normals where they follow the positions, as whoever reads it makes the same ones.
+    pub fn to_ply(&self) -> Vec<u8> {
+        let mesh = self.data();
+        let normals: &[_] = if self.has_given_normals() {
+            &mesh.normals
+        } else {
+            &[]
+        };
+        let mut text = "ply\nformat binary_little_endian 1.0\n".to_owned();
+        text += &format!("element vertex {}\n", mesh.positions.len());
+        let names = [
+            (true, &["x", "y", "z"][..]),
+            (!normals.is_empty(), &["nx", "ny", "nz"]),
+            (!mesh.uvs.is_empty(), &["u", "v"]),
+        ];
+        for name in names
+            .iter()
+            .filter(|(has, _)| *has)
+            .flat_map(|(_, names)| *names)
+        {
+            text += &format!("property float {name}\n");
+        }
+        text += &format!("element face {}\n", mesh.triangles.len());
+        text += "property list uchar int vertex_indices\nend_header\n";
+        let mut bytes = text.into_bytes();
+        for (i, position) in mesh.positions.iter().enumerate() {
+            let normal = normals.get(i).map_or(&[][..], |n| n);
+            let uv = mesh.uvs.get(i).map_or(&[][..], |uv| uv);
+            let numbers = position.iter().chain(normal).chain(uv);
+            bytes.extend(numbers.flat_map(|x| x.to_le_bytes()));
+        }
+        for triangle in &mesh.triangles {
+            bytes.push(3);
+            bytes.extend(triangle.iter().flat_map(|i| i.to_le_bytes()));
+        }
+        bytes
+    }
+}
+
 /// Adds a face as a fan.
 fn face(faces: &mut Vec<[u32; 3]>, element: &Element, i: usize) -> Result<(), Wrong> {
     let indices = &element.indices;

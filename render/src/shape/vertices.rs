@@ -5,10 +5,12 @@ use std::sync::Arc;
 
 use ad_core::{Const, Dual, Float, Real, Vec3, array};
 
-use super::{Mesh, MeshData, lift3};
+use super::displacement::Displacement;
+use super::{Mesh, MeshData, lift3, smooth_normals};
 use crate::error::SceneError;
 use crate::math::{Transform, each};
-use crate::params::{GradSink, ParamRef, Theta};
+use crate::params::{GradSink, ParamRef, Params, Theta};
+use crate::texture::ScalarTexture;
 
 /// Which vertices of a mesh are one point: those at equal positions, whatever their normals and texture coordinates are.
 /// Seams of texture coordinates are no borders, and do not tear.
@@ -36,6 +38,12 @@ impl Welding {
             found.points.push(point);
         }
         found
+    }
+
+    /// Triangles of a mesh by points.
+    pub fn triangles(&self, mesh: &MeshData) -> Vec<[u32; 3]> {
+        let points = |t: &[u32; 3]| each(*t, |i| self.points[i as usize]);
+        mesh.triangles.iter().map(points).collect()
     }
 }
 
@@ -75,8 +83,10 @@ impl Rings {
 /// Vertices whose positions are parameters.
 #[derive(Clone, Debug)]
 pub(super) struct MovingVertices {
-    /// The points of `welding`, before the mesh moves as a whole.
+    /// The points of `welding`, before the mesh moves as a whole, or the texels that displace them.
     pub param: ParamRef,
+    /// If they are texels.
+    pub displacement: Option<Arc<Displacement>>,
     pub welding: Arc<Welding>,
     /// Where normals follow the positions.
     rings: Option<Arc<Rings>>,
@@ -87,11 +97,14 @@ pub(super) struct MovingVertices {
 impl MovingVertices {
     /// How a vertex moves.
     fn offset<R: Real>(&self, theta: &Theta<R>, vertex: u32) -> Vec3<R> {
-        let at = 3 * self.welding.points[vertex as usize] as usize;
-        let moved = each([0, 1, 2], |k: usize| {
-            let x = theta.get(self.param, at + k);
-            x - Const(x.primal())
-        });
+        let point = self.welding.points[vertex as usize];
+        let moved = match &self.displacement {
+            Some(displacement) => displacement.offset(theta, point),
+            None => each([0, 1, 2], |k: usize| {
+                let x = theta.get(self.param, 3 * point as usize + k);
+                x - Const(x.primal())
+            }),
+        };
         each(self.linear, |row| {
             moved[0] * R::c(row[0]) + moved[1] * R::c(row[1]) + moved[2] * R::c(row[2])
         })
@@ -100,12 +113,25 @@ impl MovingVertices {
 
     /// Its transpose.
     fn add<P: Float>(&self, vertex: u32, d: Vec3<P>, grad: &mut impl GradSink<P>) {
-        let at = 3 * self.welding.points[vertex as usize] as usize;
+        let point = self.welding.points[vertex as usize];
         let rows = self.linear;
         let back = each([0, 1, 2], |k: usize| {
             d.x * P::of(rows[0][k]) + d.y * P::of(rows[1][k]) + d.z * P::of(rows[2][k])
         });
-        grad.add_all(self.param, at, back);
+        match &self.displacement {
+            Some(displacement) => displacement.add(point, back, grad),
+            None => grad.add_all(self.param, 3 * point as usize, back),
+        }
+    }
+
+    /// Where a vertex is, before the mesh moves as a whole.
+    pub fn position(&self, params: &Params, vertex: u32) -> [f32; 3] {
+        let point = self.welding.points[vertex as usize];
+        if let Some(displacement) = &self.displacement {
+            return displacement.position(params, point);
+        }
+        let values = &params.values()[self.param.offset as usize + 3 * point as usize..];
+        [values[0], values[1], values[2]]
     }
 }
 
@@ -197,17 +223,109 @@ impl Mesh {
 
     /// The same mesh whose points ([`Mesh::welding`]) are the parameters `param` of shape `[points][3]`.
     pub(crate) fn with_vertices(&self, param: ParamRef) -> Self {
+        self.moved_by(param, self.welding(), None)
+    }
+
+    fn moved_by(
+        &self,
+        param: ParamRef,
+        welding: Arc<Welding>,
+        displacement: Option<Arc<Displacement>>,
+    ) -> Self {
         let data = &*self.data;
         let rings = (data.smooth).then(|| Arc::new(Rings::new(&data.mesh)));
         Self {
             data: self.data.clone(),
             vertices: Some(MovingVertices {
                 param,
-                welding: self.welding(),
+                displacement,
+                welding,
                 rings,
                 linear: Transform::IDENTITY.linear,
             }),
         }
+    }
+
+    /// The same mesh with its points displaced along its normals by a texture over its texture coordinates: `x + d n`, `n`
+    /// of unit length. Its texels are parameters ([`super::HEIGHTS`] is a range for them); a point at which several
+    /// vertices meet, along a seam, is displaced by the mean of what the texture has for them. Between points the surface
+    /// is what the triangles make of it: a texture finer than they are is not seen. Normals follow the positions, also
+    /// where they were given; where there are none, triangles stay flat. Displacement is of this renderer, and none of
+    /// Mitsuba's.
+    ///
+    /// # Errors
+    /// [`SceneError::Parameter`]: a mesh without texture coordinates, or whose points are parameters already; a texture
+    /// that is no image; heights with which [`Mesh::new`] would fail.
+    pub fn displaced(&self, texture: &ScalarTexture, params: &Params) -> Result<Self, SceneError> {
+        let error = |expected: &str, found: &str| SceneError::Parameter {
+            key: "displacement".into(),
+            expected: expected.into(),
+            found: found.into(),
+        };
+        let data = &*self.data;
+        if data.mesh.uvs.is_empty() {
+            return Err(error("a mesh with texture coordinates", "one without"));
+        }
+        if self.vertices.is_some() {
+            return Err(error("a mesh that stands still", "one whose points move"));
+        }
+        if !matches!(
+            texture,
+            ScalarTexture::Constant(_) | ScalarTexture::Bitmap(_)
+        ) {
+            return Err(error("a number or an image", "another texture"));
+        }
+        let smooth = !data.mesh.normals.is_empty();
+        let still = Self::with_normals(data.mesh.clone(), data.flip, smooth)?;
+        let welding = still.welding();
+        let displacement = Displacement::new(&data.mesh, data.flip, &welding, texture);
+        let displacement = displacement.ok_or_else(|| error("a texture", "none"))?;
+        let param = displacement.param;
+        let mut moved = still.moved_by(param, welding, Some(Arc::new(displacement)));
+        moved
+            .follow(params)
+            .map_err(|found| error("a mesh that can be displaced", &found))?;
+        Ok(moved)
+    }
+
+    /// Whether a texture displaces its points.
+    pub fn is_displaced(&self) -> bool {
+        (self.vertices.as_ref()).is_some_and(|v| v.displacement.is_some())
+    }
+
+    /// Whether its points are parameters, or displaced by some.
+    pub fn has_moving_points(&self) -> bool {
+        self.vertices.is_some()
+    }
+
+    /// Brings vertices that move to where these parameters have them.
+    pub(super) fn follow(&mut self, params: &Params) -> Result<(), String> {
+        let Some(vertices) = &self.vertices else {
+            return Ok(());
+        };
+        let mut mesh = self.data.mesh.clone();
+        for (position, i) in mesh.positions.iter_mut().zip(0..) {
+            *position = vertices.position(params, i);
+        }
+        self.replace(mesh)
+    }
+
+    /// Triangles that are turned over: those that face away from the mean normal of their corners, which is that of all
+    /// triangles around. Where a mesh folds over itself there are some.
+    pub fn folded(&self) -> Vec<u32> {
+        let welding = self.welding();
+        let points: Vec<[f32; 3]> = self.point_positions().as_chunks::<3>().0.to_vec();
+        let triangles = welding.triangles(&self.data.mesh);
+        let normals = smooth_normals(&points, &triangles);
+        let faces_away = |t: &[u32; 3]| {
+            let [a, b, c] = each(*t, |i| lift3::<f64>(points[i as usize]));
+            let around = t.iter().fold(Vec3::<f64>::zero(), |sum, &i| {
+                sum + lift3::<f64>(normals[i as usize])
+            });
+            (b - a).cross(c - a).dot(around) < 0.0
+        };
+        let found = (0..).zip(&triangles).filter(|(_, t)| faces_away(t));
+        found.map(|(i, _)| i).collect()
     }
 
     /// The same arrays at other positions.

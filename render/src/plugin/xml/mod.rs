@@ -41,7 +41,7 @@ pub(crate) use node::Kind;
 pub use node::Node;
 use parse::Parser;
 pub(crate) use spectrum::PLUGINS as SPECTRA;
-pub(crate) use write::{Number, Rewrite, scene as written};
+pub(crate) use write::{Content, Rewrite, scene as written};
 
 /// Deepest nesting of elements, includes and references together: far above any real scene, far
 /// below any stack.

@@ -7,22 +7,30 @@ use std::sync::Arc;
 
 use super::node::{Node, Property};
 use super::value::Value;
+use crate::math::Transform;
 
 /// What stands in a file in place of what was read.
 pub(crate) trait Rewrite {
     /// Attributes of a node that have other values now, or stand for their defaults.
-    fn values(&mut self, node: &Node) -> Vec<(String, Number)>;
-    /// Whether an attribute belongs to what a node named, and no longer to what stands in its place.
+    fn values(&mut self, node: &Node) -> Vec<(String, Content)>;
+    /// Whether an attribute or a nested plugin belongs to what a node named, and no longer to what stands in its place.
     fn is_gone(&self, node: &Node, name: &str) -> bool;
+    /// The plugin that a node is now, if it is another.
+    fn plugin(&self, node: &Node) -> Option<&'static str>;
     /// The name of a file, relative to the new scene.
     fn file(&mut self, node: &Node, path: Option<PathBuf>, name: &str) -> String;
 }
 
-/// A number or a colour.
+/// What an attribute holds now.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) enum Number {
+pub(crate) enum Content {
     Scalar(f32),
     Colour([f32; 3]),
+    Point([f32; 3]),
+    Vector([f64; 3]),
+    Boolean(bool),
+    Text(&'static str),
+    Transform(Transform),
 }
 
 /// The text of a scene file of version 3: names, values and colours as they were resolved, shared plugins once.
@@ -76,17 +84,18 @@ impl Writer<'_> {
             .chain(new.iter().map(|(key, _)| key.as_str()))
             .collect();
         for name in names {
-            let number = new.iter().find(|(key, _)| key == name);
-            match (number, node.properties.get(name)) {
+            let content = new.iter().find(|(key, _)| key == name);
+            match (content, node.properties.get(name)) {
                 _ if self.with.is_gone(node, name) => {}
-                (Some((_, number)), _) => self.number(name, *number, depth),
+                (Some((_, content)), _) => self.content(name, *content, depth),
                 (None, Some(property)) => self.property(node, name, property, depth),
                 (None, None) => {}
             }
         }
         for child in &node.children {
             let name = child.name.as_deref();
-            if name.is_some_and(|name| new.iter().any(|(key, _)| key == name)) {
+            let replaced = |name| new.iter().any(|(key, _)| key == name);
+            if name.is_some_and(|name| replaced(name) || self.with.is_gone(node, name)) {
                 continue;
             }
             self.plugin(&child.node, name, depth);
@@ -110,26 +119,36 @@ impl Writer<'_> {
         } else {
             node.tag.as_str()
         };
-        let plugin = escaped(&node.plugin);
+        let plugin = escaped(self.with.plugin(node).unwrap_or(&node.plugin));
         self.line(depth, format_args!("<{tag} type=\"{plugin}\"{id}{name}>"));
         self.body(node, depth + 1);
         self.line(depth, format_args!("</{tag}>"));
     }
 
-    fn number(&mut self, name: &str, number: Number, depth: usize) {
+    fn content(&mut self, name: &str, content: Content, depth: usize) {
+        let (tag, value) = match content {
+            Content::Scalar(x) => ("float", x.to_string()),
+            Content::Colour([r, g, b]) => ("rgb", format!("{r}, {g}, {b}")),
+            Content::Point([x, y, z]) => ("point", format!("{x}, {y}, {z}")),
+            Content::Vector([x, y, z]) => ("vector", format!("{x}, {y}, {z}")),
+            Content::Boolean(b) => ("boolean", b.to_string()),
+            Content::Text(text) => ("string", text.to_owned()),
+            Content::Transform(t) => return self.transform(name, &t, depth),
+        };
+        self.line(
+            depth,
+            format_args!("<{tag} name=\"{}\" value=\"{value}\"/>", escaped(name)),
+        );
+    }
+
+    fn transform(&mut self, name: &str, t: &Transform, depth: usize) {
+        let rows = t.matrix();
+        let numbers: Vec<String> = rows.as_flattened().iter().map(f64::to_string).collect();
         let name = escaped(name);
-        match number {
-            Number::Scalar(x) => self.line(
-                depth,
-                format_args!("<float name=\"{name}\" value=\"{x}\"/>"),
-            ),
-            Number::Colour([r, g, b]) => {
-                self.line(
-                    depth,
-                    format_args!("<rgb name=\"{name}\" value=\"{r}, {g}, {b}\"/>"),
-                );
-            }
-        }
+        self.line(depth, format_args!("<transform name=\"{name}\">"));
+        let numbers = numbers.join(" ");
+        self.line(depth + 1, format_args!("<matrix value=\"{numbers}\"/>"));
+        self.line(depth, format_args!("</transform>"));
     }
 
     fn property(&mut self, node: &Node, name: &str, property: &Property, depth: usize) {
@@ -146,15 +165,7 @@ impl Writer<'_> {
                 ("string", self.with.file(node, found, s))
             }
             Value::String(s) => ("string", s.clone()),
-            Value::Transform(t) => {
-                let rows = t.matrix();
-                let numbers: Vec<String> = rows.as_flattened().iter().map(f64::to_string).collect();
-                self.line(depth, format_args!("<transform name=\"{key}\">"));
-                let numbers = numbers.join(" ");
-                self.line(depth + 1, format_args!("<matrix value=\"{numbers}\"/>"));
-                self.line(depth, format_args!("</transform>"));
-                return;
-            }
+            Value::Transform(t) => return self.transform(name, t, depth),
         };
         let value = escaped(&value);
         self.line(
