@@ -18,7 +18,7 @@ use render::manifold::{Split, Statistics};
 use render::params::{ParamInfo, ParamShape};
 use render::sampler::Points;
 use render::scene::{
-    Caustics, Connections, Constraint, LightChoice, LoadOptions, Method, Uniqueness,
+    Caustics, Connections, Constraint, LightChoice, LoadOptions, Method, Starts, Uniqueness,
 };
 use render::{RenderError, Scene, SceneError, Settings, image_io};
 use serde::de::Error as _;
@@ -422,6 +422,24 @@ pub struct ManifoldArgs {
     /// them [default: by bounds of their errors]
     #[arg(long, value_name = "X", requires = "manifold", value_parser = threshold)]
     pub uniqueness_threshold: Option<f64>,
+    /// Where walks start: at random points (uniform), after a walk over the surfaces without their normal maps (two-stage), or
+    /// mostly where particles passed that landed nearby (particles) [default: particles]
+    #[arg(long, value_name = "NAME", value_enum, requires = "manifold")]
+    pub starts: Option<StartsArg>,
+    /// Metal and glass that is no rougher than this throws light over chains, too [default: 0.02]
+    #[arg(long, value_name = "ALPHA", requires = "manifold", value_parser = roughness)]
+    pub caster_roughness: Option<f64>,
+}
+
+/// `--starts`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum StartsArg {
+    /// At random points of casters
+    Uniform,
+    /// After a walk over the surfaces without their normal maps
+    TwoStage,
+    /// Mostly where particles passed
+    Particles,
 }
 
 /// `--manifold`.
@@ -453,6 +471,13 @@ fn threshold(text: &str) -> Result<f64, String> {
     }
 }
 
+fn roughness(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(x) if (0.0..=1.0).contains(&x) => Ok(x),
+        _ => Err("expected a number in [0, 1]".into()),
+    }
+}
+
 /// Size of a trial set [Zeltner 2021, figure 3.13].
 const TRIALS: u32 = 16;
 
@@ -469,7 +494,9 @@ impl ManifoldArgs {
                 let others = self.trials.is_some()
                     || self.bounces.is_some()
                     || self.constraint.is_some()
-                    || self.uniqueness_threshold.is_some();
+                    || self.uniqueness_threshold.is_some()
+                    || self.starts.is_some()
+                    || self.caster_roughness.is_some();
                 if others {
                     return usage("--manifold off: its other options are without effect");
                 }
@@ -482,6 +509,9 @@ impl ManifoldArgs {
         };
         if method == Method::Mnee && self.trials.is_some() {
             return usage("--trials: without effect; expected --manifold sms or sms-biased");
+        }
+        if method == Method::Mnee && self.starts.is_some() {
+            return usage("--starts: without effect; expected --manifold sms or sms-biased");
         }
         if settings.caustics == Caustics::Particles {
             return usage(
@@ -496,6 +526,14 @@ impl ManifoldArgs {
         if self.constraint == Some(ConstraintArg::HalfVector) {
             connections.constraint = Constraint::HalfVector;
         }
+        if let Some(starts) = self.starts {
+            connections.starts = match starts {
+                StartsArg::Uniform => Starts::Uniform,
+                StartsArg::TwoStage => Starts::TwoStage,
+                StartsArg::Particles => Starts::Particles,
+            };
+        }
+        connections.roughness = self.caster_roughness.unwrap_or(connections.roughness);
         if let Some(threshold) = self.uniqueness_threshold {
             connections.uniqueness = Uniqueness::Threshold(threshold);
         }
