@@ -739,9 +739,14 @@ fn starts_bring_the_same_light() {
             let (ours, by) = of(starts, seed);
             let each = ours.iter().zip(&uniform).map(|(a, b)| a.z(b).abs());
             let worst = each.fold(0.0, f64::max);
-            println!("{name}, {starts:?}: |z| up to {worst:.2} of {limit:.2}; {by:.3} of walks, {rate:.3} of uniform ones");
+            println!(
+                "{name}, {starts:?}: |z| up to {worst:.2} of {limit:.2}; {by:.3} of walks, {rate:.3} of uniform ones"
+            );
             assert!(worst < limit, "{name}, {starts:?}: {worst}");
-            assert!(starts != Starts::Particles || by > rate, "{name}: {by} {rate}");
+            assert!(
+                starts != Starts::Particles || by > rate,
+                "{name}: {by} {rate}"
+            );
         }
     }
 }
@@ -758,7 +763,11 @@ fn rough_scenes(alpha: [f64; 3]) -> [(&'static str, String, u32); 3] {
     let [a, b, c] = alpha;
     [
         ("mirror", rough(mirror(), r#"conductor" id="metal""#, a), 1),
-        ("glass", rough(ball_of_glass(), r#"dielectric" id="glass""#, b), 2),
+        (
+            "glass",
+            rough(ball_of_glass(), r#"dielectric" id="glass""#, b),
+            2,
+        ),
         ("pool", rough(pool(), r#"dielectric" id="water""#, c), 1),
     ]
 }
@@ -779,11 +788,27 @@ fn rough_casters_bring_the_light_that_paths_find() {
             ..Connections::new(method)
         };
         let paths = picture(&s, &with(&s, None), 1000, 48, 256);
-        let ours = picture(&s, &with(&s, Some(connections(Method::Sms, 0.2))), 2000, 48, 16);
-        let rest = picture(&s, &with(&s, Some(connections(Method::LeftOut, 0.2))), 3000, 48, 16);
+        let ours = picture(
+            &s,
+            &with(&s, Some(connections(Method::Sms, 0.2))),
+            2000,
+            48,
+            16,
+        );
+        let rest = picture(
+            &s,
+            &with(&s, Some(connections(Method::LeftOut, 0.2))),
+            3000,
+            48,
+            16,
+        );
         let each = ours.iter().zip(&paths).map(|(a, b)| a.z(b).abs());
         let worst = each.fold(0.0, f64::max);
-        let seen = ours.iter().zip(&rest).map(|(a, b)| a.z(b)).fold(0.0, f64::max);
+        let seen = ours
+            .iter()
+            .zip(&rest)
+            .map(|(a, b)| a.z(b))
+            .fold(0.0, f64::max);
         println!("{name}: |z| up to {worst:.2} of {limit:.2}; chains are worth {seen:.1}");
         assert!(worst < limit, "{name}: {worst}");
         assert!(seen > 2.0 * limit, "{name}: {seen}");
@@ -793,7 +818,11 @@ fn rough_casters_bring_the_light_that_paths_find() {
             let job = Job::new(&s, &settings, 1, 0..4, &());
             render_f32(&job, &theta, Estimator::Mis).sums
         };
-        assert_eq!(image(Some(connections(Method::Sms, 0.04))), image(None), "{name}");
+        assert_eq!(
+            image(Some(connections(Method::Sms, 0.04))),
+            image(None),
+            "{name}"
+        );
     }
 }
 
@@ -805,7 +834,10 @@ fn rough_casters_bring_the_light_that_paths_find() {
 fn derivatives_of_rough_casters_are_right() {
     let [mirror, _, pool] = rough_scenes([0.2, 0.1, 0.15]);
     let cases = [
-        (mirror, ["metal.alpha.value", "metal.specular_reflectance.value"]),
+        (
+            mirror,
+            ["metal.alpha.value", "metal.specular_reflectance.value"],
+        ),
         (pool, ["water.alpha.value", "water.eta.value"]),
     ];
     let limit = z_limit(4, 16, ALPHA);
@@ -831,7 +863,10 @@ fn derivatives_of_rough_casters_are_right() {
                 reverse(5, 16),
             );
             let size = back.abs().max(1e-9);
-            assert!((forward - back).abs() < 1e-8 * size, "{name} {key}: {forward} {back}");
+            assert!(
+                (forward - back).abs() < 1e-8 * size,
+                "{name} {key}: {forward} {back}"
+            );
             let ours = Estimate::of(&(0..32).map(|r| reverse(100 + r, 64)).collect::<Vec<_>>());
             let h = 0.05 * f64::from(s.params().values()[info.range().start]);
             let plain = with(&s, None);
@@ -847,8 +882,14 @@ fn derivatives_of_rough_casters_are_right() {
                 (value(h) - value(-h)) / (2.0 * h)
             };
             let paths = Estimate::of(&(0..16).map(|r| difference(500 + r)).collect::<Vec<_>>());
-            println!("{name} {key}: {ours:?} {paths:?}, z {:.2} of {limit:.2}", ours.z(&paths));
-            assert!(ours.z(&paths).abs() < limit, "{name} {key}: {ours:?} {paths:?}");
+            println!(
+                "{name} {key}: {ours:?} {paths:?}, z {:.2} of {limit:.2}",
+                ours.z(&paths)
+            );
+            assert!(
+                ours.z(&paths).abs() < limit,
+                "{name} {key}: {ours:?} {paths:?}"
+            );
             assert!(ours.se < 0.3 * ours.mean.abs(), "{name} {key}: {ours:?}");
         }
     }

@@ -82,9 +82,9 @@ impl Split {
             Some(roughness.map_or(0.0, |r| f64::from(r.everywhere(&theta).alpha)))
         };
         let flagged = |i: u32| takes_part(info(i).hints);
-        let casts = shapes.clone().map(|i| {
-            alpha(i).is_some_and(|alpha| alpha <= connections.roughness || flagged(i))
-        });
+        let casts = shapes
+            .clone()
+            .map(|i| alpha(i).is_some_and(|alpha| alpha <= connections.roughness || flagged(i)));
         let casters = chosen(casts.collect(), |i| flagged(i as u32));
         let rough = (shapes.clone().zip(&casters))
             .any(|(i, casts)| *casts && alpha(i).is_some_and(|alpha| alpha > 0.0));

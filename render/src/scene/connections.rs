@@ -17,6 +17,8 @@ pub struct Connections {
     /// Surfaces of metal and glass that are no rougher than this throw light over chains, too; others are left to paths,
     /// unless the scene file names them.
     pub roughness: f64,
+    /// Whether images say what connections came to in each pixel, too.
+    pub by_pixel: bool,
     /// Most Bernoulli trials of one estimate. Where it bites, and that is counted, the estimate is biased (F13).
     pub budget: u32,
 }
@@ -87,6 +89,7 @@ impl Connections {
             uniqueness: Uniqueness::default(),
             starts: Starts::default(),
             roughness: Self::SMOOTH,
+            by_pixel: false,
             budget: 1 << 20,
         }
     }
