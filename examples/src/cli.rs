@@ -14,11 +14,12 @@ use render::estimator::{Capabilities, Refusal};
 use render::instances::Estimator;
 use render::integrator::particle;
 use render::integrator::render::{NonFinite, Progress};
-use render::manifold::{Split, Statistics};
+use render::integrator::render::{PixelConnections, Rendering};
+use render::manifold::Split;
 use render::params::{ParamInfo, ParamShape};
 use render::sampler::Points;
 use render::scene::{
-    Caustics, Connections, Constraint, LightChoice, LoadOptions, Method, Uniqueness,
+    Caustics, Connections, Constraint, LightChoice, LoadOptions, Method, Starts, Uniqueness,
 };
 use render::{RenderError, Scene, SceneError, Settings, image_io};
 use serde::de::Error as _;
@@ -426,6 +427,24 @@ pub struct ManifoldArgs {
     /// them [default: by bounds of their errors]
     #[arg(long, value_name = "X", requires = "manifold", value_parser = threshold)]
     pub uniqueness_threshold: Option<f64>,
+    /// Where walks start: at random points (uniform), after a walk over the surfaces without their normal maps (two-stage), or
+    /// mostly where particles passed that landed nearby (particles) [default: particles]
+    #[arg(long, value_name = "NAME", value_enum, requires = "manifold")]
+    pub starts: Option<StartsArg>,
+    /// Metal and glass that is no rougher than this throws light over chains, too [default: 0.02]
+    #[arg(long, value_name = "ALPHA", requires = "manifold", value_parser = roughness)]
+    pub caster_roughness: Option<f64>,
+}
+
+/// `--starts`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum StartsArg {
+    /// At random points of casters
+    Uniform,
+    /// After a walk over the surfaces without their normal maps
+    TwoStage,
+    /// Mostly where particles passed
+    Particles,
 }
 
 /// `--manifold`.
@@ -457,6 +476,13 @@ fn threshold(text: &str) -> Result<f64, String> {
     }
 }
 
+fn roughness(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(x) if (0.0..=1.0).contains(&x) => Ok(x),
+        _ => Err("expected a number in [0, 1]".into()),
+    }
+}
+
 /// Size of a trial set [Zeltner 2021, figure 3.13].
 const TRIALS: u32 = 16;
 
@@ -473,7 +499,9 @@ impl ManifoldArgs {
                 let others = self.trials.is_some()
                     || self.bounces.is_some()
                     || self.constraint.is_some()
-                    || self.uniqueness_threshold.is_some();
+                    || self.uniqueness_threshold.is_some()
+                    || self.starts.is_some()
+                    || self.caster_roughness.is_some();
                 if others {
                     return usage("--manifold off: its other options are without effect");
                 }
@@ -486,6 +514,9 @@ impl ManifoldArgs {
         };
         if method == Method::Mnee && self.trials.is_some() {
             return usage("--trials: without effect; expected --manifold sms or sms-biased");
+        }
+        if method == Method::Mnee && self.starts.is_some() {
+            return usage("--starts: without effect; expected --manifold sms or sms-biased");
         }
         if settings.caustics == Caustics::Particles {
             return usage(
@@ -500,6 +531,14 @@ impl ManifoldArgs {
         if self.constraint == Some(ConstraintArg::HalfVector) {
             connections.constraint = Constraint::HalfVector;
         }
+        if let Some(starts) = self.starts {
+            connections.starts = match starts {
+                StartsArg::Uniform => Starts::Uniform,
+                StartsArg::TwoStage => Starts::TwoStage,
+                StartsArg::Particles => Starts::Particles,
+            };
+        }
+        connections.roughness = self.caster_roughness.unwrap_or(connections.roughness);
         if let Some(threshold) = self.uniqueness_threshold {
             connections.uniqueness = Uniqueness::Threshold(threshold);
         }
@@ -536,19 +575,55 @@ pub struct ManifoldReport {
     pub trials_per_solution: f64,
     /// Reciprocals that ran out of trials.
     pub exhausted: u64,
+    /// The part of the image's light that they brought.
+    pub share_of_light: f64,
+}
+
+/// A part of a number; zero of nothing.
+fn per(a: u64, b: u64) -> f64 {
+    a as f64 / b.max(1) as f64
+}
+
+/// What manifold connections came to in each pixel, as channels of an image: `success_rate` of walks, `steps` per walk,
+/// `trials` per reciprocal, and `share` of the light.
+pub fn manifold_planes(rendering: &Rendering) -> Vec<(&'static str, Vec<f32>)> {
+    let pixels = || (rendering.connections_by_pixel.iter()).zip(rendering.sums[0].chunks_exact(3));
+    let plane = |f: fn(&PixelConnections, f64) -> f64| {
+        let each = pixels().map(|(p, sums)| f(p, sums.iter().sum::<f64>() / 3.0) as f32);
+        each.collect()
+    };
+    vec![
+        (
+            "share",
+            plane(|p, light| if light > 0.0 { p.light / light } else { 0.0 }),
+        ),
+        (
+            "steps",
+            plane(|p, _| per(p.statistics.steps, p.statistics.walks)),
+        ),
+        (
+            "success_rate",
+            plane(|p, _| per(p.statistics.converged, p.statistics.walks)),
+        ),
+        (
+            "trials",
+            plane(|p, _| per(p.statistics.trials, p.statistics.reciprocals)),
+        ),
+    ]
 }
 
 impl ManifoldReport {
     /// Of a rendering with these settings; `None` without connections.
-    pub fn of(settings: &Settings, s: &Statistics) -> Option<Self> {
+    pub fn of(settings: &Settings, rendering: &Rendering) -> Option<Self> {
         let connections = settings.connections?;
+        let s = &rendering.connections;
         let (method, unbiased) = match connections.method {
             Method::Sms => ("sms".to_owned(), true),
             Method::SmsBiased(trials) => (format!("sms-biased, {trials} walks"), false),
             Method::Mnee => ("mnee".to_owned(), false),
             Method::LeftOut => ("left out".to_owned(), false),
         };
-        let per = |a: u64, b: u64| a as f64 / b.max(1) as f64;
+        let light: f64 = rendering.sums[0].iter().sum::<f64>() / 3.0;
         Some(Self {
             method,
             unbiased: unbiased
@@ -562,6 +637,11 @@ impl ManifoldReport {
             steps_per_walk: per(s.steps, s.walks),
             trials_per_solution: per(s.trials, s.reciprocals),
             exhausted: s.exhausted,
+            share_of_light: if light > 0.0 {
+                rendering.light_of_connections / light
+            } else {
+                0.0
+            },
         })
     }
 

@@ -4,11 +4,11 @@ use std::sync::Arc;
 
 use ad_core::{Float, Real, Vec3};
 
-use super::{Bsdf, MANY_SLOTS, MAX_SLOTS, Material, Shading};
+use super::{Bsdf, MANY_SLOTS, MAX_SLOTS, Material, Roughness, Shading};
 use crate::error::SceneError;
 use crate::params::{ParamRef, Params};
 use crate::plugin::Node;
-use crate::texture::ScalarTexture;
+use crate::texture::{ScalarTexture, Texture};
 
 /// How many levels materials may nest: one bit each in the `route` of a delta.
 pub const MAX_LEVELS: u32 = 8;
@@ -161,7 +161,7 @@ pub fn opacity<P: Float>(material: &Material, at: &Shading<P>, wo: Vec3<P>) -> P
     }
 }
 
-/// A surface whose every part does the same to light, along deltas alone.
+/// What a facet does to light.
 #[derive(Clone, Copy, Debug)]
 pub enum Specular<'a> {
     /// It reflects.
@@ -170,17 +170,68 @@ pub enum Specular<'a> {
     Interface(&'a ScalarTexture),
 }
 
-/// What smooth metal or glass does, be its normals mapped or both of its sides metal. `None` for everything else: also for
-/// what is smooth in parts only, blended or masked.
-pub fn specular(material: &Material) -> Option<Specular<'_>> {
+/// A surface of facets that all do the same to light.
+#[derive(Clone, Copy, Debug)]
+pub struct Microfacets<'a> {
+    /// What a facet does.
+    pub specular: Specular<'a>,
+    /// How their normals are spread, the same everywhere; `None` where the surface is smooth.
+    pub roughness: Option<&'a Roughness>,
+}
+
+/// Of metal and glass, smooth or of one roughness everywhere, be its normals mapped or both of its sides metal of equal
+/// roughness. `None` for everything else: also for what is metal or glass in parts only, blended or masked.
+pub fn facets(material: &Material) -> Option<Microfacets<'_>> {
+    let smooth = |specular| {
+        Some(Microfacets {
+            specular,
+            roughness: None,
+        })
+    };
+    let rough = |specular, roughness| {
+        let even = matches!(
+            roughness,
+            &Roughness {
+                alpha: Texture::Constant(_),
+                ..
+            }
+        );
+        even.then_some(Microfacets {
+            specular,
+            roughness: Some(roughness),
+        })
+    };
     match material {
-        Material::Conductor(_) => Some(Specular::Mirror),
-        Material::Dielectric(m) => Some(Specular::Interface(&m.eta)),
-        Material::NormalMap(m) => specular(m.nested()),
-        Material::TwoSided(m) => (m.sides().iter())
-            .all(|side| matches!(specular(side), Some(Specular::Mirror)))
-            .then_some(Specular::Mirror),
+        Material::Conductor(_) => smooth(Specular::Mirror),
+        Material::Dielectric(m) => smooth(Specular::Interface(&m.eta)),
+        Material::RoughConductor(m) => rough(Specular::Mirror, &m.roughness),
+        Material::RoughDielectric(m) => rough(Specular::Interface(&m.eta), &m.roughness),
+        Material::NormalMap(m) => facets(m.nested()),
+        Material::TwoSided(m) => {
+            let mut sides = m.sides().iter().map(|side| facets(side));
+            let first = sides.next()??;
+            let mirror = |f: &Microfacets| matches!(f.specular, Specular::Mirror);
+            let alike = |f: Option<Microfacets>| {
+                f.is_some_and(|f| mirror(&f) && equally_rough(f.roughness, first.roughness))
+            };
+            (mirror(&first) && sides.all(alike)).then_some(first)
+        }
         _ => None,
+    }
+}
+
+/// Whether two surfaces have the same distribution of facets, whatever parameters become.
+fn equally_rough(a: Option<&Roughness>, b: Option<&Roughness>) -> bool {
+    match (a, b) {
+        (None, None) => true,
+        (Some(a), Some(b)) => {
+            let of = |r: &Roughness| match &r.alpha {
+                Texture::Constant(p) => Some(p.id),
+                _ => None,
+            };
+            a.kind == b.kind && of(a).is_some() && of(a) == of(b)
+        }
+        _ => false,
     }
 }
 

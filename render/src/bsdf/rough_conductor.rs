@@ -1,6 +1,6 @@
 //! Rough conductors: a microfacet distribution of mirrors.
 
-use ad_core::{Const, Float, Real, Vec3};
+use ad_core::{Const, Float, Real, Vec2, Vec3};
 
 use super::microfacet::{
     ALPHA_RANGE, Alpha, Axes, Microfacet, Ndf, ggx_d, ggx_sample_visible, ggx_sigma,
@@ -11,6 +11,7 @@ use super::{
 };
 use crate::error::SceneError;
 use crate::math::{Rgb, both};
+use crate::params::Theta;
 use crate::plugin::{FromNode, Node, Registry};
 use crate::texture::ScalarTexture;
 
@@ -33,6 +34,15 @@ impl Roughness {
             kind: self.kind,
             alpha: read.alpha(&self.alpha),
             visible: self.visible,
+        }
+    }
+
+    /// The distribution of all normals, of a surface that is as rough everywhere; elsewhere, that of one corner.
+    pub fn everywhere<R: Real>(&self, theta: &Theta<R>) -> Microfacet<R> {
+        Microfacet {
+            kind: self.kind,
+            alpha: self.alpha.scalar(theta, Vec2::zero()),
+            visible: false,
         }
     }
 

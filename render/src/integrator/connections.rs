@@ -14,7 +14,7 @@ use super::paths::{TileSums, assemble, deposit};
 use super::record::{
     Bounce, Contribution, Interest, MetLight, Observer, PathRecord, Place, Recorder,
 };
-use super::rendering::{Components, NonFinite, Rendering};
+use super::rendering::{Components, NonFinite, PixelConnections, Rendering};
 use super::sink::{GradientSums, Sink};
 use super::tile::{Sample, place, start};
 use super::vertex::MODE;
@@ -22,12 +22,12 @@ use crate::bsdf::{Bsdf, Component, Part, Shading};
 use crate::emitter::{Emission, Emitter};
 use crate::error::RenderError;
 use crate::estimator::{BsdfOnly, Detached, Sampling, Strategy};
-use crate::manifold::{Connection, Connector, Space, Split, Start, cast};
+use crate::manifold::{Connection, Connector, Link, Space, Split, Start, Statistics, cast};
 use crate::math::Rgb;
 use crate::parallel;
 use crate::params::{ParamInfo, ParamKind, Theta};
 use crate::sampler::{Independent, Sampler};
-use crate::scene::{Scene, Settings};
+use crate::scene::{Connections, Method, Scene, Settings, Starts};
 use crate::shape::SurfaceInteraction;
 
 /// Whether connections have the derivatives that are asked for, if they are made: those that leave the chain where it is.
@@ -117,6 +117,8 @@ struct Connecting<'a> {
     depth: u32,
     rng: Independent,
     found: Vec<Connection>,
+    /// What they came to, since the path was started.
+    came_to: Statistics,
 }
 
 impl<'a> Connecting<'a> {
@@ -129,6 +131,7 @@ impl<'a> Connecting<'a> {
             depth: 0,
             rng: Independent::new(0, 0, 0),
             found: Vec::new(),
+            came_to: Statistics::default(),
         }
     }
 
@@ -140,6 +143,7 @@ impl<'a> Connecting<'a> {
         let pixel = y * u64::from(film.size[0]) + x;
         self.rng = Independent::new(seed ^ STREAM, pixel, at.index);
         self.depth = 0;
+        self.came_to = Statistics::default();
     }
 
     /// The connections of the vertex that the path reaches now.
@@ -153,18 +157,25 @@ impl<'a> Connecting<'a> {
                 si: cast(&place.si.primal()),
                 exit: self.scene.exit(place.prim),
             };
-            (self.connector).connect(&start, most, &mut self.rng, &mut self.found);
+            let found = &mut self.found;
+            let came_to = (self.connector).connect(&start, most, &mut self.rng, found);
+            self.came_to.merge(&came_to);
         }
         &self.found
     }
 }
 
 /// A connection as it is seen from its start: the direction that it leaves in, local frame, and the values of the start's
-/// material and of each delta.
+/// material and of that at each link.
 struct Valued<R: Real> {
     wi: Vec3<R>,
     f: Rgb<R>,
-    deltas: Vec<Rgb<R>>,
+    links: Vec<Rgb<R>>,
+}
+
+/// What the value of a link's material is multiplied with.
+fn weight<R: Real>(link: &Link) -> R {
+    number(link.density.map_or(1.0, f64::recip))
 }
 
 impl<R: Real> Valued<R> {
@@ -172,16 +183,19 @@ impl<R: Real> Valued<R> {
         let at = |uv: Vec2<R>| Shading { theta: *theta, uv };
         let wi = place.si.frame.to_local(vector(connection.direction));
         let material = scene.material(place.shape);
-        let deltas = connection.links.iter().map(|link| {
+        let links = connection.links.iter().map(|link| {
             let uv = Vec2::new(number(link.si.uv.x), number(link.si.uv.y));
             let (wo, wi) = (vector(link.wo), vector(link.wi));
             let material = scene.material(link.shape);
-            material.eval_delta(&at(uv), wo, wi, link.kind, 0, MODE)
+            match link.density {
+                None => material.eval_delta(&at(uv), wo, wi, link.kind, 0, MODE),
+                Some(_) => material.eval(&at(uv), wo, wi, MODE),
+            }
         });
         Self {
             wi,
             f: material.eval(&at(place.si.uv), place.wo, wi, MODE),
-            deltas: deltas.collect(),
+            links: links.collect(),
         }
     }
 }
@@ -202,10 +216,11 @@ impl<R: Real> Observer<R> for Value<'_, R> {
     fn vertex(&mut self, beta: Rgb<R>, place: &Place<R>) {
         let (scene, theta) = (self.connecting.scene, self.theta);
         for connection in self.connecting.arrive(place) {
-            let Valued { f, deltas, .. } = Valued::of(scene, theta, place, connection);
+            let Valued { f, links, .. } = Valued::of(scene, theta, place, connection);
             let e = &scene.emitters()[connection.emitter as usize];
             let le = e.eval(theta, &emission(&connection.emission));
-            let along = deltas.into_iter().fold(beta * f, |b, delta| b * delta);
+            let along = (links.into_iter().zip(&connection.links))
+                .fold(beta * f, |b, (f, link)| b * f * weight::<R>(link));
             self.l += along * le * number::<R>(connection.weight);
         }
     }
@@ -225,6 +240,49 @@ fn space<'a, R: Real>(pass: &Pass<'a, R>, values: &'a [f64]) -> Option<Space<'a>
     })
 }
 
+/// Fewest and most particles that show where walks may start.
+const PARTICLES: [usize; 2] = [1 << 10, 1 << 16];
+/// So many of them for each pixel of the film.
+const PARTICLES_PER_PIXEL: usize = 4;
+
+/// Makes the connections of a pass, and learns for it where they may start.
+fn connector<'a, R: Real>(
+    pass: &Pass<'a, R>,
+    space: Space<'a>,
+    split: &'a Split,
+    options: Connections,
+) -> Connector<'a> {
+    let mut connector = Connector::new(space, split, options);
+    if options.starts == Starts::Particles && options.method != Method::Mnee {
+        let [width, height] = pass.scene.film.size.map(|n| n as usize);
+        let [least, most] = PARTICLES;
+        let particles = width
+            .saturating_mul(height)
+            .saturating_mul(PARTICLES_PER_PIXEL);
+        connector.learn(pass.seed, particles.clamp(least, most));
+    }
+    connector
+}
+
+/// What the connections of a tile came to.
+struct CameTo {
+    all: Statistics,
+    light: f64,
+    /// Of each pixel, if that is asked for.
+    pixels: Vec<PixelConnections>,
+}
+
+impl CameTo {
+    fn new(by_pixel: bool, pixels: usize) -> Self {
+        let n = if by_pixel { pixels } else { 0 };
+        Self {
+            all: Statistics::default(),
+            light: 0.0,
+            pixels: vec![PixelConnections::default(); n],
+        }
+    }
+}
+
 /// The image by connections.
 pub(super) fn image<R: Components, X: Sampler>(pass: &Pass<R>) -> Rendering {
     let values = double(pass.theta);
@@ -234,16 +292,17 @@ pub(super) fn image<R: Components, X: Sampler>(pass: &Pass<R>) -> Rendering {
     let Some(((split, space), options)) = parts else {
         return Rendering::black(pass.scene.film.crop_size, &pass.samples, R::COUNT);
     };
-    let connector = Connector::new(space, split, options);
+    let connector = connector(pass, space, split, options);
     let (scene, progress, seed) = (pass.scene, pass.progress, pass.seed);
     let (points, context) = (pass.settings.points, still(pass));
     let spp = pass.samples.end.saturating_sub(pass.samples.start) as f64;
     let tiles = pass.tiles();
-    let sums: Vec<TileSums> = parallel::map(tiles.len(), |i| {
+    let found: Vec<(TileSums, CameTo)> = parallel::map(tiles.len(), |i| {
         let tile = &tiles[i];
         let pixels = tile.pixels();
         let mut sums = vec![0.0f64; R::COUNT * pixels * 3];
         let mut non_finite = NonFinite::default();
+        let mut came_to = CameTo::new(options.by_pixel, pixels);
         let mut value = Value {
             connecting: Connecting::new(pass, &connector, split),
             theta: pass.theta,
@@ -251,24 +310,45 @@ pub(super) fn image<R: Components, X: Sampler>(pass: &Pass<R>) -> Rendering {
         };
         for (at, sample) in tile.samples::<R::Primal, X>(scene, points, seed, &pass.samples) {
             if progress.cancelled() {
-                return (Vec::new(), NonFinite::default());
+                return ((Vec::new(), NonFinite::default()), came_to);
             }
             value.connecting.restart(seed, &sample);
             value.l = Rgb::black();
             start::<R, Scattering, X>(scene, points, seed, sample.pixel, sample.index)
                 .finish(&context, &mut value);
+            came_to.all.merge(&value.connecting.came_to);
             if !value.l.is_finite() {
                 non_finite.add(place(scene, sample.pixel) as u64, sample.index);
                 continue;
             }
             let weight = spp * sample.scale();
             deposit(&mut sums, at, value.l, weight);
+            let channels = (0..3).map(|c| value.l[c].component(0));
+            let light = weight * channels.sum::<f64>() / 3.0;
+            came_to.light += light;
+            if let Some(pixel) = came_to.pixels.get_mut(at) {
+                pixel.statistics.merge(&value.connecting.came_to);
+                pixel.light += light;
+            }
         }
         progress.advance(pixels as u64);
-        (sums, non_finite)
+        ((sums, non_finite), came_to)
     });
+    let (sums, came_to): (Vec<TileSums>, Vec<CameTo>) = found.into_iter().unzip();
     let mut out = assemble(pass, R::COUNT, &sums);
-    out.connections = connector.statistics();
+    if options.by_pixel {
+        let n = out.width * out.height;
+        out.connections_by_pixel = vec![PixelConnections::default(); n];
+    }
+    for (tile, CameTo { all, light, pixels }) in tiles.iter().zip(&came_to) {
+        out.connections.merge(all);
+        out.light_of_connections += light;
+        let columns = (tile.x.end - tile.x.start) as usize;
+        for (row, pixels) in (tile.y.start..).zip(pixels.chunks(columns)) {
+            let first = place(scene, [tile.x.start, row]);
+            out.connections_by_pixel[first..first + columns].copy_from_slice(pixels);
+        }
+    }
     out
 }
 
@@ -312,7 +392,7 @@ impl<P: Float> Observer<P> for Recording<'_, P> {
                 deciding: None,
             };
             let mut beta = beta;
-            for (link, delta) in connection.links.iter().zip(valued.deltas) {
+            for (link, f) in connection.links.iter().zip(valued.links) {
                 path.contribution(Contribution::Scattered(bounce));
                 beta = beta * bounce.f * bounce.weight;
                 let at = Place {
@@ -322,14 +402,15 @@ impl<P: Float> Observer<P> for Recording<'_, P> {
                     wo: vector(link.wo),
                 };
                 path.vertex(beta, &at);
+                let delta = Component::Delta {
+                    kind: link.kind,
+                    route: 0,
+                };
                 bounce = Bounce {
                     wi: vector(link.wi),
-                    component: Component::Delta {
-                        kind: link.kind,
-                        route: 0,
-                    },
-                    weight: P::one(),
-                    f: delta,
+                    component: link.density.map_or(delta, |_| Component::Continuous),
+                    weight: weight(link),
+                    f,
                     ..bounce
                 };
             }
@@ -365,7 +446,7 @@ pub(super) fn gradient<P: Float, X: Sampler>(
     let Some(((split, space), options)) = parts else {
         return sums;
     };
-    let connector = Connector::new(space, split, options);
+    let connector = connector(pass, space, split, options);
     let (scene, theta, seed) = (pass.scene, pass.theta, pass.seed);
     let (points, context) = (pass.settings.points, still(pass));
     let tiles = pass.tiles();

@@ -365,6 +365,10 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
             wo: wo.primal(),
         };
         let (emitter, kept) = choose(scene, settings.lights, S::COUNTS_HITS, bits, u, p, seen);
+        // From a rough caster.
+        if self.interest.leaves(context.split, emitter) {
+            return;
+        }
         let e = &scene.emitters()[emitter as usize];
         let share = settings.lights.share(scene, emitter);
         let sample = e.sample(scene.lights(), p, u).map(|mut sample| {

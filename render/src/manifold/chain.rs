@@ -4,8 +4,9 @@ use ad_core::{Dual, Mat2, Real, Vec2, Vec3};
 use smallvec::SmallVec;
 
 use super::constraint::{self, Facet};
+use super::normal::Normal;
 use crate::accel::Hit;
-use crate::bsdf::nesting::{Specular, specular};
+use crate::bsdf::nesting::{Specular, facets};
 use crate::bsdf::{Bsdf, DeltaKind, Shading, TransportMode};
 use crate::math::{Frame, Ray};
 use crate::params::Theta;
@@ -57,6 +58,8 @@ pub struct Vertex {
     pub si: SurfaceInteraction<f64>,
     /// What happens there.
     pub kind: DeltaKind,
+    /// Which normal scatters.
+    pub normal_is: Normal,
     /// Unit direction to the vertex before, world space.
     pub wo: Vec3<f64>,
     /// Position, and the surface, as they change with two lengths along orthonormal tangents.
@@ -82,12 +85,32 @@ impl Vertex {
         self.facet.eta.re
     }
 
+    /// What stays the same while a walk moves it.
+    pub(super) fn event(&self) -> Event {
+        Event {
+            shape: self.shape,
+            kind: self.kind,
+            normal: self.normal_is,
+        }
+    }
+
     /// The point reached by these lengths along the tangents, in the tangent plane.
     pub(super) fn moved(&self, by: Vec2<f64>) -> Vec3<f64> {
         let slope = |k: usize| self.p.map(|x| x.eps[k]);
         self.si.p + slope(0) * by.x + slope(1) * by.y
     }
 }
+
+/// What happens at a vertex of a chain, wherever that is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Event {
+    pub shape: u32,
+    pub kind: DeltaKind,
+    pub normal: Normal,
+}
+
+/// The events of a chain.
+pub(super) type Events = SmallVec<[Event; 2]>;
 
 /// Specular vertices, from a start on. All constraints but the last hold: the chain was traced.
 pub type Chain = SmallVec<[Vertex; 2]>;
@@ -125,12 +148,13 @@ impl<'a> Space<'a> {
         Some((hit, self.scene.patch(&hit).0))
     }
 
-    /// The vertex at a hit of a ray from the point `from`.
+    /// The vertex at a hit of a ray from the point `from`, on the shape `normal` is of.
     pub(super) fn vertex(
         &self,
         from: Vec3<f64>,
         d: Vec3<f64>,
         hit: &Hit,
+        normal: Normal,
         kind: impl FnOnce(&Facet<Moving>) -> DeltaKind,
     ) -> Vertex {
         // From the surface itself, not from where the search for hits began: constraints hold to rounding.
@@ -150,9 +174,10 @@ impl<'a> Space<'a> {
             uv: moving.si.uv,
         };
         let wo = si.frame.to_local(-d);
-        let local = material.shading_frame(&at, wo, 0, TransportMode::Radiance);
+        let mapped = || material.shading_frame(&at, wo, 0, TransportMode::Radiance);
+        let local = normal.frame(mapped);
         let world = |v| moving.si.frame.to_world(v);
-        let eta = match specular(material) {
+        let eta = match facets(material).map(|f| f.specular) {
             Some(Specular::Interface(eta)) => eta.scalar(&theta, moving.si.uv),
             _ => Moving::one(),
         };
@@ -167,23 +192,34 @@ impl<'a> Space<'a> {
             prim,
             si,
             kind: kind(&facet),
+            normal_is: normal,
             wo: -d,
             p: moving.si.p,
             facet,
         }
     }
 
-    /// The chain with the same events on the same shapes as `like` that leaves in the unit direction `d`. `None` where it
-    /// meets something else, or light goes on otherwise.
+    /// The chain with the same events on the same shapes as `like`, by the surfaces' own normals, that leaves in the unit
+    /// direction `d`. `None` where it meets something else, or light goes on otherwise.
     pub fn follow(&self, start: &Start, d: Vec3<f64>, like: &[(u32, DeltaKind)]) -> Option<Chain> {
+        let own = |&(shape, kind): &(u32, DeltaKind)| Event {
+            shape,
+            kind,
+            normal: Normal::Own,
+        };
+        self.trace(start, d, &like.iter().map(own).collect::<Events>())
+    }
+
+    /// [`Space::follow`] with normals of any kind.
+    pub(super) fn trace(&self, start: &Start, d: Vec3<f64>, like: &[Event]) -> Option<Chain> {
         let mut chain = Chain::new();
         let (mut si, mut exit, mut d) = (start.si, start.exit, d);
-        for (i, &(shape, kind)) in like.iter().enumerate() {
+        for (i, event) in like.iter().enumerate() {
             let (hit, met) = self.meet(&si.spawn_ray(d, exit))?;
-            if met != shape {
+            if met != event.shape {
                 return None;
             }
-            let vertex = self.vertex(si.p, d, &hit, |_| kind);
+            let vertex = self.vertex(si.p, d, &hit, event.normal, |_| event.kind);
             if i + 1 < like.len() {
                 (si, exit) = (vertex.si, self.scene.exit(vertex.prim));
                 d = vertex.scattered()?;

@@ -1,26 +1,28 @@
 //! Connections from one vertex: a sampled point of a light, starts of walks, and what their ends are worth.
 
-use std::sync::atomic::{AtomicU64, Ordering};
-
 use ad_core::{Float, Vec3};
 use smallvec::SmallVec;
 
-use super::chain::{Chain, Space, Start, Target, Vertex, towards};
+use super::chain::{Chain, Event, Events, Space, Start, Target, Vertex, towards};
 use super::estimate::{distinct, trials};
+use super::landing::{Landing, Landings};
+use super::normal::{Normal, Slopes, facet};
 use super::split::Split;
 use super::walk::{Solution, Walked};
 use crate::accel::Hit;
-use crate::bsdf::nesting::{Specular, specular};
-use crate::bsdf::{Bsdf, DeltaKind, Shading, TransportMode, fresnel};
+use crate::bsdf::nesting::{Specular, facets};
+use crate::bsdf::{Bsdf, DeltaKind, Material, Shading, TransportMode, fresnel};
 use crate::emitter::{Ball, Emission, Emitter};
 use crate::math::{NOWHERE, Rgb};
 use crate::sampler::{Independent, Sampler};
-use crate::scene::{Connections, Method};
+use crate::scene::{Connections, Method, Starts};
 use crate::shape::{Shape, SurfaceInteraction};
 
 /// A start goes on over a further caster, or over either event of glass, at least as often as this, so that every chain
 /// has starts.
 const LEAST_PROBABILITY: f64 = 0.1;
+/// How many walks start where particles passed; the others reach every solution.
+const PART_LANDED: f64 = 0.75;
 
 /// What connections came to: sums over all of them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -57,51 +59,6 @@ impl Statistics {
     }
 }
 
-/// [`Statistics`] that several threads add to.
-#[derive(Debug, Default)]
-pub(super) struct Counters([AtomicU64; 8]);
-
-impl Counters {
-    fn add(&self, s: &Statistics) {
-        let numbers = [
-            s.attempts,
-            s.found,
-            s.walks,
-            s.converged,
-            s.steps,
-            s.reciprocals,
-            s.trials,
-            s.exhausted,
-        ];
-        for (sum, n) in self.0.iter().zip(numbers) {
-            sum.fetch_add(n, Ordering::Relaxed);
-        }
-    }
-
-    fn read(&self) -> Statistics {
-        let [
-            attempts,
-            found,
-            walks,
-            converged,
-            steps,
-            reciprocals,
-            trials,
-            exhausted,
-        ] = [0, 1, 2, 3, 4, 5, 6, 7].map(|i: usize| self.0[i].load(Ordering::Relaxed));
-        Statistics {
-            attempts,
-            found,
-            walks,
-            converged,
-            steps,
-            reciprocals,
-            trials,
-            exhausted,
-        }
-    }
-}
-
 /// A vertex of a chain, as materials see it.
 #[derive(Clone, Copy, Debug)]
 pub struct Link {
@@ -117,6 +74,8 @@ pub struct Link {
     pub wi: Vec3<f64>,
     /// What happens there.
     pub kind: DeltaKind,
+    /// On rough surfaces, density per solid angle of `wi` where the facet is drawn; `None` along a delta.
+    pub density: Option<f64>,
 }
 
 /// A chain to a light. What it brings is the value of the start's material, times the weights of the deltas, times the
@@ -153,32 +112,71 @@ struct Light {
 #[derive(Debug)]
 pub struct Connector<'a> {
     pub(super) space: Space<'a>,
-    split: &'a Split,
+    pub(super) split: &'a Split,
     options: Connections,
     /// Around the scene.
     ball: Option<Ball>,
-    counters: Counters,
+    /// Of normal maps, by shape, where walks have two stages.
+    slopes: Vec<Option<Slopes>>,
+    pub(super) landings: Landings,
+}
+
+/// What stays the same over the walks of one estimate.
+struct Estimate<'e> {
+    start: &'e Start,
+    target: &'e Target,
+    /// Longest chain.
+    most: u32,
+    /// Draw the facet of each vertex.
+    facets: [[f64; 2]; Connections::MOST_BOUNCES as usize],
+    /// Particles that landed around the start.
+    around: &'e [Landing],
 }
 
 impl<'a> Connector<'a> {
     /// In a scene at these parameters.
     pub fn new(space: Space<'a>, split: &'a Split, options: Connections) -> Self {
+        let shapes = 0..space.scene.shapes().len() as u32;
+        let slopes = match options.starts {
+            Starts::TwoStage => shapes.map(|i| Slopes::of(&space, i)).collect(),
+            Starts::Uniform | Starts::Particles => Vec::new(),
+        };
         Self {
             space,
             split,
             options,
             ball: Ball::around(space.scene.shapes()),
-            counters: Counters::default(),
+            slopes,
+            landings: Landings::default(),
         }
     }
 
-    /// What it has come to so far.
-    pub fn statistics(&self) -> Statistics {
-        self.counters.read()
+    /// The facets of an estimate: numbers are drawn only where there is something rough.
+    fn estimate<'e>(
+        &'e self,
+        start: &'e Start,
+        target: &'e Target,
+        most: u32,
+        rng: &mut Independent,
+    ) -> Estimate<'e> {
+        let most = most.min(self.split.bounces());
+        let mut facets = [[0.5; 2]; Connections::MOST_BOUNCES as usize];
+        if self.split.rough {
+            for u in &mut facets[..most as usize] {
+                *u = rng.next_2d();
+            }
+        }
+        Estimate {
+            start,
+            target,
+            most,
+            facets,
+            around: self.landings.around(start.si.p),
+        }
     }
 
-    /// One walk from a random start to a target, over at most `most` vertices: to a chain that light goes along, if nothing is
-    /// in the way of its last edge. Basins and counts of solutions are made of these.
+    /// One walk from a random start to a target, over at most `most` vertices and random facets: to a chain that light goes
+    /// along, if nothing is in the way of its last edge. Basins and counts of solutions are made of these.
     pub fn explore(
         &self,
         start: &Start,
@@ -186,41 +184,39 @@ impl<'a> Connector<'a> {
         most: u32,
         rng: &mut Independent,
     ) -> Option<Solution> {
-        let chain = self.seed(start, most.min(self.split.bounces()), rng)?;
-        let solution = self.space.walk(start, chain, target).solution?;
+        let estimate = self.estimate(start, target, most, rng);
+        let solution = self.random(&estimate, rng, &mut Statistics::default())?;
         self.links(&solution, target).map(|_| solution)
     }
 
     /// Adds to `out` connections from a vertex to one sampled point of a light, over chains of at most `most` vertices. What
     /// they bring, added up, is an estimate of the light that belongs to them, as the method says. Takes as many random
-    /// numbers as it needs.
+    /// numbers as it needs. Returns what it came to.
     pub fn connect(
         &self,
         start: &Start,
         most: u32,
         rng: &mut Independent,
         out: &mut Vec<Connection>,
-    ) {
-        let most = most.min(self.split.bounces());
-        let Some(light) = self.light(rng) else {
-            return;
-        };
-        if most == 0 {
-            return;
+    ) -> Statistics {
+        let mut s = Statistics::default();
+        if most == 0 || self.options.method == Method::LeftOut {
+            return s;
         }
-        let mut s = Statistics {
-            attempts: 1,
-            ..Statistics::default()
+        let Some(light) = self.light(rng) else {
+            return s;
         };
+        s.attempts = 1;
         let before = out.len();
         let uniqueness = self.options.uniqueness;
+        let estimate = self.estimate(start, &light.target, most, rng);
         match self.options.method {
             Method::Sms => {
-                let first = self.random(start, &light, most, rng, &mut s);
+                let first = self.random(&estimate, rng, &mut s);
                 let worth = first.and_then(|f| Some((self.worth(&f, &light)?, f)));
                 if let Some((mut connection, solution)) = worth {
                     let again = || {
-                        let found = self.random(start, &light, most, rng, &mut s);
+                        let found = self.random(&estimate, rng, &mut s);
                         found.is_some_and(|found| solution.is(&found, uniqueness))
                     };
                     let (n, exhausted) = trials(again, self.options.budget);
@@ -232,31 +228,44 @@ impl<'a> Connector<'a> {
                 }
             }
             Method::SmsBiased(walks) => {
-                let walk = || self.random(start, &light, most, rng, &mut s);
+                let walk = || self.random(&estimate, rng, &mut s);
                 let found = distinct(walks, walk, |a, b| a.is(b, uniqueness));
                 out.extend(found.iter().filter_map(|f| self.worth(f, &light)));
             }
             Method::Mnee => {
-                let mut starts = self.aimed(start, &light, most).into_iter();
+                let mut starts = self.aimed(&estimate).into_iter();
                 let n = starts.len() as u32;
                 let walk = || {
                     let chain = starts.next()?;
-                    self.walk(start, chain, &light, &mut s)
+                    s.walks += 1;
+                    self.walk(&estimate, chain, &mut s)
                 };
                 let found = distinct(n, walk, |a, b| a.is(b, uniqueness));
                 out.extend(found.iter().filter_map(|f| self.worth(f, &light)));
             }
-            Method::LeftOut => return,
+            Method::LeftOut => {}
         }
         s.found += u64::from(out.len() > before);
-        self.counters.add(&s);
+        s
+    }
+
+    /// Any of the emitters.
+    pub(super) fn any_emitter(&self, rng: &mut Independent) -> u32 {
+        let lights = &self.split.emitter_list;
+        let choice = (rng.next_1d::<f64>() * lights.len() as f64) as usize;
+        lights[choice.min(lights.len() - 1)]
+    }
+
+    /// Any of the casters.
+    pub(super) fn any_caster(&self, rng: &mut Independent) -> u32 {
+        let casters = &self.split.caster_list;
+        let choice = (rng.next_1d::<f64>() * casters.len() as f64) as usize;
+        casters[choice.min(casters.len() - 1)]
     }
 
     /// A point of a light: any of them equally often.
     fn light(&self, rng: &mut Independent) -> Option<Light> {
-        let lights = &self.split.emitter_list;
-        let choice = (rng.next_1d::<f64>() * lights.len() as f64) as usize;
-        let emitter = lights[choice.min(lights.len() - 1)];
+        let emitter = self.any_emitter(rng);
         let [a, b] = rng.next_2d::<f64>();
         let Space { scene, theta, .. } = self.space;
         let e = &scene.emitters()[emitter as usize];
@@ -272,20 +281,14 @@ impl<'a> Connector<'a> {
             target,
             surface: ray.surface.map(|(_, si)| si),
             number: ray.surface.map_or(NOWHERE, |_| ray.exit.surface),
-            pdf: pdf / lights.len() as f64,
+            pdf: pdf / self.split.emitter_list.len() as f64,
             emission: ray.emission,
         };
         (light.pdf > 0.0).then_some(light)
     }
 
-    fn walk(
-        &self,
-        start: &Start,
-        chain: Chain,
-        light: &Light,
-        s: &mut Statistics,
-    ) -> Option<Solution> {
-        let Walked { solution, steps } = self.space.walk(start, chain, &light.target);
+    fn walk(&self, estimate: &Estimate, chain: Chain, s: &mut Statistics) -> Option<Solution> {
+        let Walked { solution, steps } = self.space.walk(estimate.start, chain, estimate.target);
         s.steps += u64::from(steps);
         s.converged += u64::from(solution.is_some());
         solution
@@ -294,27 +297,95 @@ impl<'a> Connector<'a> {
     /// A walk from a random start.
     fn random(
         &self,
-        start: &Start,
-        light: &Light,
-        most: u32,
+        estimate: &Estimate,
         rng: &mut Independent,
         s: &mut Statistics,
     ) -> Option<Solution> {
         s.walks += 1;
-        let chain = self.seed(start, most, rng)?;
-        self.walk(start, chain, light, s)
+        let landed = !estimate.around.is_empty() && rng.next_1d::<f64>() < PART_LANDED;
+        let chain = if landed {
+            self.landed(estimate, rng)
+        } else if self.slopes.is_empty() {
+            self.grow(estimate, rng, |shape, i, _| {
+                facet(&self.space, shape, estimate.facets[i])
+            })
+        } else {
+            self.staged(estimate, rng, s)
+        };
+        self.walk(estimate, chain?, s)
+    }
+
+    /// The chain of a particle that landed near the start.
+    fn landed(&self, estimate: &Estimate, rng: &mut Independent) -> Option<Chain> {
+        let around = estimate.around;
+        let landing = around.get((rng.next_1d::<f64>() * around.len() as f64) as usize)?;
+        if landing.like.len() > estimate.most as usize {
+            return None;
+        }
+        let events = self.own(estimate, landing.like.iter().copied());
+        let d = (landing.through - estimate.start.si.p).normalize();
+        (self.space).trace(estimate.start, d, &events)
+    }
+
+    /// A chain from the end of a walk over surfaces without their normal maps, turned by normals of those.
+    fn staged(
+        &self,
+        estimate: &Estimate,
+        rng: &mut Independent,
+        s: &mut Statistics,
+    ) -> Option<Chain> {
+        let chain = self.grow(estimate, rng, |shape, i, rng| {
+            match &self.slopes[shape as usize] {
+                Some(slopes) => slopes.draw(rng.next_2d()),
+                None => facet(&self.space, shape, estimate.facets[i]),
+            }
+        })?;
+        if !chain
+            .iter()
+            .any(|v| matches!(v.normal_is, Normal::Smoothed(_)))
+        {
+            return Some(chain);
+        }
+        let events = self.own(estimate, chain.iter().map(|v| (v.shape, v.kind)));
+        let before = -chain[0].wo;
+        let Walked { solution, steps } = self.space.walk(estimate.start, chain, estimate.target);
+        s.steps += u64::from(steps);
+        let d = solution.map_or(before, |s| s.direction());
+        (self.space).trace(estimate.start, d, &events)
+    }
+
+    /// The same events by the surfaces' own normals, or those of the estimate's facets.
+    fn own(&self, estimate: &Estimate, like: impl Iterator<Item = (u32, DeltaKind)>) -> Events {
+        let own = |(i, (shape, kind)): (usize, (u32, DeltaKind))| Event {
+            shape,
+            kind,
+            normal: facet(&self.space, shape, estimate.facets[i]),
+        };
+        like.enumerate().map(own).collect()
+    }
+
+    /// A chain that starts towards a random point of a caster and goes on as light would, by the surfaces' own normals.
+    #[cfg(test)]
+    pub(super) fn seed(&self, start: &Start, most: u32, rng: &mut Independent) -> Option<Chain> {
+        let target = Target::Point(Vec3::zero());
+        let estimate = self.estimate(start, &target, most, rng);
+        self.grow(&estimate, rng, |_, _, _| Normal::Own)
     }
 
     /// A chain that starts towards a random point of a caster and goes on as light would: at glass in either way, in
-    /// proportion to its reflectance or nearly so, and over further casters that it meets, mostly.
+    /// proportion to its reflectance or nearly so, and over further casters that it meets, mostly. `normal` says which
+    /// scatters on a shape, at a vertex.
     ///
     /// Every chain has starts next to it: its own events are possible there, and it may end where the next ray meets a
     /// caster beyond the light.
-    pub(super) fn seed(&self, start: &Start, most: u32, rng: &mut Independent) -> Option<Chain> {
-        let casters = &self.split.caster_list;
-        let choice = (rng.next_1d::<f64>() * casters.len() as f64) as usize;
-        let aim = casters[choice.min(casters.len() - 1)];
-        let shape = &self.space.scene.shapes()[aim as usize];
+    fn grow(
+        &self,
+        estimate: &Estimate,
+        rng: &mut Independent,
+        mut normal: impl FnMut(u32, usize, &mut Independent) -> Normal,
+    ) -> Option<Chain> {
+        let &Estimate { start, most, .. } = estimate;
+        let shape = &self.space.scene.shapes()[self.any_caster(rng) as usize];
         let d = shape.sample(start.si.p, rng.next_2d::<f64>())?.d;
         let (hit, met) = self.space.meet(&start.si.spawn_ray(d, start.exit))?;
         if !self.split.is_caster(met) {
@@ -323,7 +394,8 @@ impl<'a> Connector<'a> {
         let mut chain = Chain::new();
         let (mut from, mut d, mut hit, mut met) = (start.si.p, d, hit, met);
         loop {
-            let vertex = self.event(from, d, &hit, met, rng.next_1d());
+            let scatters = normal(met, chain.len(), rng);
+            let vertex = self.event(from, d, &hit, met, scatters, rng.next_1d());
             let last = chain.len() as u32 + 1 == most;
             let ends = rng.next_1d::<f64>() < LEAST_PROBABILITY;
             let next = if last {
@@ -343,12 +415,17 @@ impl<'a> Connector<'a> {
     }
 
     /// The vertex at a hit on a caster, with a random event.
-    fn event(&self, from: Vec3<f64>, d: Vec3<f64>, hit: &Hit, shape: u32, u: f64) -> Vertex {
-        let refracts = matches!(
-            specular(self.space.scene.material(shape)),
-            Some(Specular::Interface(_))
-        );
-        self.space.vertex(from, d, hit, |facet| {
+    pub(super) fn event(
+        &self,
+        from: Vec3<f64>,
+        d: Vec3<f64>,
+        hit: &Hit,
+        shape: u32,
+        normal: Normal,
+        u: f64,
+    ) -> Vertex {
+        let refracts = refracts(self.space.scene.material(shape));
+        self.space.vertex(from, d, hit, normal, |facet| {
             if !refracts {
                 return DeltaKind::Reflection;
             }
@@ -368,25 +445,29 @@ impl<'a> Connector<'a> {
     }
 
     /// Straight at the light, through whatever refracts, and at the middle of what reflects.
-    fn aimed(&self, start: &Start, light: &Light, most: u32) -> Vec<Chain> {
+    fn aimed(&self, estimate: &Estimate) -> Vec<Chain> {
+        let &Estimate {
+            start,
+            target,
+            most,
+            ..
+        } = estimate;
         let scene = self.space.scene;
         let mut chains = Vec::new();
         // The casters on the straight way.
-        let d = towards(start.si.p, &light.target);
-        let end = match light.target {
+        let d = towards(start.si.p, target);
+        let end = match *target {
             Target::Point(at) => (at - start.si.p).length(),
             Target::Direction(_) => f64::INFINITY,
         };
         let mut like: SmallVec<[(u32, DeltaKind); 4]> = SmallVec::new();
         let (mut si, mut exit) = (start.si, start.exit);
         while let Some((hit, shape)) = self.space.meet(&si.spawn_ray(d, exit)) {
-            let refracts = specular(scene.material(shape));
-            if !self.split.is_caster(shape) || !matches!(refracts, Some(Specular::Interface(_))) {
+            if !self.split.is_caster(shape) || !refracts(scene.material(shape)) {
                 break;
             }
-            let vertex = self
-                .space
-                .vertex(si.p, d, &hit, |_| DeltaKind::Transmission);
+            let through = |_: &_| DeltaKind::Transmission;
+            let vertex = (self.space).vertex(si.p, d, &hit, Normal::Own, through);
             if (vertex.si.p - start.si.p).length() >= end || like.len() as u32 == most {
                 break;
             }
@@ -394,7 +475,8 @@ impl<'a> Connector<'a> {
             (si, exit) = (vertex.si, scene.exit(vertex.prim));
         }
         if !like.is_empty() {
-            chains.extend(self.space.follow(start, d, &like));
+            let events = self.own(estimate, like.into_iter());
+            chains.extend(self.space.trace(start, d, &events));
         }
         for &shape in &self.split.caster_list {
             let middle = Ball::around([&scene.shapes()[shape as usize]]);
@@ -402,7 +484,8 @@ impl<'a> Connector<'a> {
                 continue;
             };
             let d = (middle - start.si.p).normalize();
-            chains.extend((self.space).follow(start, d, &[(shape, DeltaKind::Reflection)]));
+            let events = self.own(estimate, [(shape, DeltaKind::Reflection)].into_iter());
+            chains.extend(self.space.trace(start, d, &events));
         }
         chains
     }
@@ -458,14 +541,17 @@ impl<'a> Connector<'a> {
                 theta,
                 uv: link.si.uv,
             };
-            let value: Rgb<f64> = scene.material(link.shape).eval_delta(
-                &at,
-                link.wo,
-                link.wi,
-                link.kind,
-                0,
-                TransportMode::Radiance,
-            );
+            let (material, mode) = (scene.material(link.shape), TransportMode::Radiance);
+            if link.density.is_some() {
+                // Zero reflectance may have a derivative, here, too.
+                let (_, pdf) = material.eval_pdf(&at, link.wo, link.wi, mode);
+                if pdf <= 0.0 {
+                    return None;
+                }
+                links.push(link);
+                continue;
+            }
+            let value: Rgb<f64> = material.eval_delta(&at, link.wo, link.wi, link.kind, 0, mode);
             // Zero reflectance may have a derivative; at total reflection nothing goes on.
             if value.is_black() && !self.passes(vertex) {
                 return None;
@@ -478,7 +564,7 @@ impl<'a> Connector<'a> {
     /// Whether some light goes over a vertex, whatever the factors on it.
     fn passes(&self, vertex: &Vertex) -> bool {
         let material = self.space.scene.material(vertex.shape);
-        match (specular(material), vertex.kind) {
+        match (facets(material).map(|f| f.specular), vertex.kind) {
             (Some(Specular::Interface(_)), DeltaKind::Transmission) => {
                 let cos = vertex.normal().dot(vertex.wo);
                 let eta = vertex.eta();
@@ -510,17 +596,53 @@ impl<'a> Connector<'a> {
         if one_side != reflects || (onward - wi).length() > 1e-6 {
             return None;
         }
-        // As mapped normals have it: on the same side of both.
+        let density = match vertex.normal_is {
+            Normal::Facet(m) => Some(self.density(vertex, wi, m)?),
+            Normal::Own | Normal::Smoothed(_) => None,
+        };
+        // As mapped normals have it: on the same side of both. What facets are seen from where is the material's business.
         let same = |w: Vec3<f64>| frame.n.dot(w) * n.dot(w) > 0.0;
-        (same(wo) && same(wi)).then(|| Link {
+        (density.is_some() || (same(wo) && same(wi))).then(|| Link {
             shape: vertex.shape,
             prim: vertex.prim,
             si: vertex.si,
             wo: frame.to_local(wo),
             wi: frame.to_local(wi),
             kind: vertex.kind,
+            density,
         })
     }
+
+    /// Density per solid angle of the direction `wi` that the facet with the normal `m` scatters into, where facets are drawn
+    /// from all normals. `None` where it is nothing that could be divided by.
+    ///
+    /// # Source
+    /// The Jacobians of [Zeltner 2021, Eqs. 2.36 and 2.37] with errata Z-2.38 and Z-2.42.
+    fn density(&self, vertex: &Vertex, wi: Vec3<f64>, m: Vec3<f64>) -> Option<f64> {
+        let roughness = facets(self.space.scene.material(vertex.shape))?.roughness?;
+        let n = vertex.normal();
+        let (signed, cos_i) = (n.dot(vertex.wo), n.dot(wi).abs());
+        let cos_o = signed.abs();
+        let stretch = match vertex.kind {
+            DeltaKind::Transmission => {
+                let eta = vertex.eta();
+                // The index on the side of `wi` over that on the other.
+                let across = if signed < 0.0 { eta.recip() } else { eta };
+                across * across * cos_i / (across * cos_i - cos_o).powi(2)
+            }
+            DeltaKind::Reflection | DeltaKind::Passthrough => 0.25 / cos_o,
+        };
+        let density = roughness.everywhere(&self.space.theta).pdf_all(m) * stretch;
+        (density > 0.0 && density.is_finite()).then_some(density)
+    }
+}
+
+/// Whether a caster is glass.
+fn refracts(material: &Material) -> bool {
+    matches!(
+        facets(material).map(|f| f.specular),
+        Some(Specular::Interface(_))
+    )
 }
 
 /// The same point in another precision.

@@ -10,17 +10,24 @@
 //! else that of ordinary sampling, which leaves their light out. Both sides ask the same function, so that the image is
 //! that of the path tracer.
 //!
+//! # Rough casters
+//! Of metal and glass that are rough, the normal of one facet per vertex is drawn for each estimate and kept through all its
+//! walks; the chain is that of a mirror with this offset normal, and its light is worth the value of the material over the
+//! density of the direction that the facet scatters into. Derivatives are those of the value: directions stay.
+//!
 //! # Does not handle
-//! Rough casters: chains are of smooth metal and glass, with or without mapped normals. Continua of solutions, as on the axis
+//! Roughness that changes over a shape, or is not the same along all tangents. Continua of solutions, as on the axis
 //! of a mirrored cylinder (F21): walks end there somewhere or nowhere, in bounded time, and the estimate is of no use.
 //!
 //! # Source
-//! [Zeltner 2021, chapter 3] with errata Z-3.9, Z-3.11, Z-Alg-3.1, Z-3.19 and Z-A.3; [Hanika et al. 2015]; [Jakob and Marschner 2012].
+//! [Zeltner 2021, chapter 3] with errata Z-3.9, Z-3.11, Z-3.13, Z-Alg-3.1, Z-3.19 and Z-A.3; [Hanika et al. 2015]; [Jakob and Marschner 2012].
 
 mod chain;
 mod connector;
 pub mod constraint;
 mod estimate;
+mod landing;
+mod normal;
 mod split;
 mod walk;
 
@@ -28,6 +35,7 @@ pub use chain::{Chain, Derivative, Space, Start, Target, Vertex};
 pub(crate) use connector::cast;
 pub use connector::{Connection, Connector, Link, Statistics};
 pub use estimate::{distinct, trials};
+pub use normal::{Normal, Slopes};
 pub use split::{Run, Split};
 pub use walk::Solution;
 

@@ -1,7 +1,8 @@
 //! Which paths belong to manifold connections.
 
-use crate::bsdf::nesting::specular;
+use crate::bsdf::nesting::facets;
 use crate::emitter::Emitter;
+use crate::params::Theta;
 use crate::scene::{Connections, Hints, Scene};
 
 /// Where a path is on its way over a chain: how many of its last vertices are casters, since it left a receiver.
@@ -30,9 +31,10 @@ impl Run {
 
 /// The roles of shapes and emitters in manifold connections.
 ///
-/// *Casters* are shapes of smooth metal or glass, *receivers* those that scatter along more than deltas; the *emitters* are
-/// all but those so wide that scattered directions find them better ([`Emitter::is_wide`]). Where the flags of a scene file
-/// name any of a kind, only these are ([`Hints`]).
+/// *Casters* are shapes of metal or glass that are smooth or no rougher than [`Connections::roughness`], *receivers* all others
+/// that scatter along more than deltas; the *emitters* are all but those so wide that scattered directions find them better
+/// ([`Emitter::is_wide`]). Where the flags of a scene file name any of a kind, only these are ([`Hints`]), and casters may
+/// then be as rough as they like. Roughness is that of the scene as it is now, whatever derivatives are taken in.
 #[derive(Clone, Debug)]
 pub struct Split {
     casters: Vec<bool>,
@@ -42,6 +44,8 @@ pub struct Split {
     pub(super) caster_list: Vec<u32>,
     /// The emitters.
     pub(super) emitter_list: Vec<u32>,
+    /// Whether any caster is rough.
+    pub(super) rough: bool,
     bounces: u32,
 }
 
@@ -71,11 +75,20 @@ impl Split {
         };
         let shapes = 0..scene.shapes().len() as u32;
         let info = |shape: u32| scene.shape_info(shape);
-        let smooth = shapes
+        let theta = Theta::<f32>::constant(scene.params().values());
+        // Of smooth shapes zero, of those that can be no casters none.
+        let alpha = |i: u32| {
+            let roughness = facets(scene.material(i))?.roughness;
+            Some(roughness.map_or(0.0, |r| f64::from(r.everywhere(&theta).alpha)))
+        };
+        let flagged = |i: u32| takes_part(info(i).hints);
+        let casts = shapes
             .clone()
-            .map(|i| specular(scene.material(i)).is_some());
-        let casters = chosen(smooth.collect(), |i| takes_part(info(i as u32).hints));
-        let scatters = shapes.map(|i| !info(i).delta);
+            .map(|i| alpha(i).is_some_and(|alpha| alpha <= connections.roughness || flagged(i)));
+        let casters = chosen(casts.collect(), |i| flagged(i as u32));
+        let rough = (shapes.clone().zip(&casters))
+            .any(|(i, casts)| *casts && alpha(i).is_some_and(|alpha| alpha > 0.0));
+        let scatters = (shapes.zip(&casters)).map(|(i, casts)| !casts && !info(i).delta);
         let receivers = chosen(scatters.collect(), |i| info(i as u32).hints.receiver);
         let narrow = scene.emitters().iter().map(|e| !e.is_wide());
         let emitters = chosen(narrow.collect(), |i| takes_part(scene.emitter_hints()[i]));
@@ -87,6 +100,7 @@ impl Split {
             emitters,
             caster_list,
             emitter_list,
+            rough,
             bounces: connections.bounces.clamp(1, Connections::MOST_BOUNCES),
         })
     }
@@ -127,7 +141,13 @@ impl Split {
         }
     }
 
-    /// Whether light that a path meets there belongs to connections.
+    /// Whether paths may sample a light that belongs to connections: at casters that are rough.
+    #[inline(always)]
+    pub fn is_rough(&self) -> bool {
+        self.rough
+    }
+
+    /// Whether light that a path meets there, or samples from there, belongs to connections.
     #[inline]
     pub fn finds(&self, run: Run, emitter: u32) -> bool {
         run.0 > 1 && self.emitters[emitter as usize]

@@ -1,11 +1,9 @@
 //! Newton's method on chains.
 
 use ad_core::{Mat2, Vec2, Vec3};
-use smallvec::SmallVec;
 
-use super::chain::{Chain, Derivative, Space, Start, Target};
+use super::chain::{Chain, Derivative, Event, Events, Space, Start, Target, Vertex};
 use super::constraint::equator;
-use crate::bsdf::DeltaKind;
 use crate::math::Frame;
 use crate::scene::Uniqueness;
 
@@ -109,8 +107,7 @@ impl Space<'_> {
             Target::Point(p) => equator(*p - x1),
             Target::Direction(d) => equator(*d),
         };
-        let like: SmallVec<[(u32, DeltaKind); 4]> =
-            chain.iter().map(|v| (v.shape, v.kind)).collect();
+        let like: Events = chain.iter().map(Vertex::event).collect();
         let mut tried = 0;
         let failed = |steps| Walked {
             solution: None,
@@ -174,7 +171,7 @@ impl Space<'_> {
         &self,
         start: &Start,
         d: Vec3<f64>,
-        like: &[(u32, DeltaKind)],
+        like: &[Event],
         target: &Target,
         frame: &Frame<f64>,
         than: Vec2<f64>,
@@ -182,7 +179,7 @@ impl Space<'_> {
         if !d.is_finite() {
             return None;
         }
-        let chain = self.follow(start, d, like)?;
+        let chain = self.trace(start, d, like)?;
         let value = self.last_value(start.si.p, &chain, target, frame)?;
         (length(value) < length(than)).then_some(chain)
     }

@@ -12,6 +12,13 @@ pub struct Connections {
     pub constraint: Constraint,
     /// When two walks have ended in the same solution.
     pub uniqueness: Uniqueness,
+    /// Where walks start.
+    pub starts: Starts,
+    /// Surfaces of metal and glass that are no rougher than this throw light over chains, too; others are left to paths,
+    /// unless the scene file names them.
+    pub roughness: f64,
+    /// Whether images say what connections came to in each pixel, too.
+    pub by_pixel: bool,
     /// Most Bernoulli trials of one estimate. Where it bites, and that is counted, the estimate is biased (F13).
     pub budget: u32,
 }
@@ -42,6 +49,20 @@ pub enum Constraint {
     HalfVector,
 }
 
+/// Where walks start. All of them reach every solution, so that the estimate is unbiased with any; they differ in how many
+/// trials it takes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Starts {
+    /// At random points of casters, as light would go on from there.
+    Uniform,
+    /// There, after a walk over the surfaces without their normal maps, turned by a normal from the Gaussian of the map's
+    /// slopes [Zeltner 2021, section 3.3.2].
+    TwoStage,
+    /// Where particles from the lights passed that landed nearby, and at random points of casters one time in four.
+    #[default]
+    Particles,
+}
+
 /// When two walks have ended in the same solution.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Uniqueness {
@@ -56,6 +77,8 @@ pub enum Uniqueness {
 impl Connections {
     /// Longest chains.
     pub const MOST_BOUNCES: u32 = 8;
+    /// Up to this roughness chains have less noise than paths, by default.
+    pub const SMOOTH: f64 = 0.02;
 
     /// Unbiased, with chains of at most two vertices.
     pub fn new(method: Method) -> Self {
@@ -64,6 +87,9 @@ impl Connections {
             bounces: 2,
             constraint: Constraint::default(),
             uniqueness: Uniqueness::default(),
+            starts: Starts::default(),
+            roughness: Self::SMOOTH,
+            by_pixel: false,
             budget: 1 << 20,
         }
     }

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use super::builder::{Builder, MaterialId, out_of_reach};
 use super::clip::Clip;
 use super::save::{Place, Places, Source};
-use super::{Connections, Constraint, Hints, Method, Scene, Sensor, Settings};
+use super::{Connections, Constraint, Hints, Method, Scene, Sensor, Settings, Starts};
 use crate::accel::{Accel, MAX_COORDINATE};
 use crate::bsdf::{Diffuse, Material};
 use crate::camera::Camera;
@@ -637,9 +637,10 @@ fn connections(node: &Node) -> Result<Connections, SceneError> {
         (true, false) => Method::SmsBiased(trials.unwrap_or(DEFAULT_TRIALS)),
         (false, false) => Method::Sms,
     };
-    if node.boolean_or("twostage", false)? {
-        node.warn("`twostage`: walks have one stage, which changes their number");
-    }
+    let starts = match node.boolean("twostage")? {
+        Some(true) => Starts::TwoStage,
+        Some(false) | None => Starts::default(),
+    };
     let constraint = if node.boolean_or("halfvector_constraints", false)? {
         Constraint::HalfVector
     } else {
@@ -653,6 +654,7 @@ fn connections(node: &Node) -> Result<Connections, SceneError> {
     Ok(Connections {
         bounces,
         constraint,
+        starts,
         budget: trials.unwrap_or(u32::MAX),
         ..Connections::new(method)
     })

@@ -18,7 +18,7 @@ use geometry::Geometry;
 
 pub use builder::Builder;
 pub use check::{Check, Finding, Outcome, Verdict};
-pub use connections::{Connections, Constraint, Hints, Method, Uniqueness};
+pub use connections::{Connections, Constraint, Hints, Method, Starts, Uniqueness};
 pub use load::LoadOptions;
 pub use movable::Movable;
 pub use room::room;

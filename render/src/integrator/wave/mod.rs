@@ -42,7 +42,7 @@ use crate::camera::Camera;
 use crate::emitter::{AnyEmitter, Area, Emission, Emitter, EmitterSample};
 use crate::estimator::{Detached, Sampling, Still, Strategy, differentiates_edges, is_guided};
 use crate::guide::{Directions, Guide};
-use crate::manifold::Run;
+use crate::manifold::{Run, Split};
 use crate::math::{Frame, NOWHERE, Ray, Rgb, Segment};
 use crate::params::Theta;
 use crate::sampler::{
@@ -543,6 +543,9 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         self.look_back();
         if S::SAMPLES_EMITTERS && !scene.emitters().is_empty() {
             self.sample_lights(context, S::COUNTS_HITS);
+            if let Some(split) = context.split.filter(|split| split.is_rough()) {
+                self.leave_lights(split);
+            }
             self.face_lights::<L>(context, guide);
             self.connect::<S>(context);
             self.find_shadows(scene);
@@ -1003,6 +1006,17 @@ impl<P: Float, X: Sampler> Wave<P, X> {
                 let (p, u) = (at.p.vec(i), [a[i], b[i]]);
                 let sample = emitters[emitter as usize].sample(scene.lights(), p, u);
                 lights.put(i, (emitter, kept), shares[i], sample);
+            }
+        }
+    }
+
+    /// Leaves out the lights that manifold connections find, from rough casters.
+    #[inline(never)]
+    fn leave_lights(&mut self, split: &Split) {
+        for i in 0..self.n {
+            let emitter = self.lights.emitter[i];
+            if self.paths.interest(i).leaves(Some(split), emitter) {
+                self.lights.pdf[i] = P::zero();
             }
         }
     }
