@@ -18,8 +18,8 @@ use render::{RenderError, Scene, Settings, image_io};
 use serde::Serialize;
 
 use crate::cli::{
-    LoadArgs, ManifoldArgs, ManifoldReport, Outcome, SampleArgs, ThreadArgs, ToolError, depth,
-    report_non_finite, sample_count,
+    GlintReport, LoadArgs, ManifoldArgs, ManifoldReport, Outcome, SampleArgs, ThreadArgs,
+    ToolError, depth, report_non_finite, sample_count,
 };
 use crate::output;
 use crate::progress::{Bar, Interrupt};
@@ -195,6 +195,10 @@ impl Args {
                 "--manifold: all light is particles' here; expected --integrator path",
             ),
             (
+                self.manifold.glints.glints.is_some() && !paths,
+                "--glints: all light is particles' here; expected --integrator path",
+            ),
+            (
                 self.samples.guide && !paths,
                 "--guide: particles are not guided; expected --integrator path",
             ),
@@ -252,6 +256,8 @@ struct Report {
     #[serde(skip_serializing_if = "Option::is_none")]
     manifold: Option<ManifoldReport>,
     #[serde(skip_serializing_if = "Option::is_none")]
+    glints: Option<GlintReport>,
+    #[serde(skip_serializing_if = "Option::is_none")]
     manifold_check: Option<Energy>,
     threads: usize,
     seconds_load: f64,
@@ -293,6 +299,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     if !matches!(method, Method::Paths(_)) {
         // All light is particles' there.
         settings.connections = None;
+        settings.glints = None;
     }
     if args.manifold_check && settings.connections.is_none() {
         let message = "--manifold-check: no connections to check; expected --manifold, or a scene that asks for them";
@@ -330,6 +337,10 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     if let Some(manifold) = &manifold {
         manifold.complain();
     }
+    let glints = GlintReport::of(&settings, &rendering.glints);
+    if let Some(glints) = &glints {
+        glints.complain();
+    }
     let image = rendering.image(0);
     image_io::write_exr(&exr, &image)?;
     output::write_png(&png, &image)?;
@@ -344,6 +355,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
             spp: rendering.samples,
             samples: args.samples.filled(),
             manifold: manifold.clone(),
+            glints: glints.clone(),
             manifold_check: energy,
             threads,
             seconds_load,

@@ -336,6 +336,7 @@ impl<P: Float> Map<P> {
             sums: vec![vec![0.0; film.pixels() * 3]],
             non_finite: self.non_finite,
             connections: Statistics::default(),
+            glints: Statistics::default(),
             cancelled: progress.cancelled(),
         };
         for (tile, (sums, bad)) in tiles.iter().zip(&parts) {

@@ -11,6 +11,7 @@ mod connections;
 pub mod density;
 pub mod direct;
 mod exact;
+mod glints;
 pub mod gradient;
 pub(crate) mod guide_training;
 mod integrals;

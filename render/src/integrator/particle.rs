@@ -725,6 +725,7 @@ pub fn render<R: Components, X: Sampler>(
         sums: vec![vec![0.0; width * height * 3]; R::COUNT],
         non_finite: NonFinite::default(),
         connections: Statistics::default(),
+        glints: Statistics::default(),
         cancelled: false,
     };
     // `[pixel][component][3]` while splats are added.

@@ -83,6 +83,8 @@ pub struct Rendering {
     pub non_finite: NonFinite,
     /// What manifold connections came to.
     pub connections: Statistics,
+    /// What walks to glints came to.
+    pub glints: Statistics,
     /// Whether it was stopped early; the sums are then incomplete.
     pub cancelled: bool,
 }
@@ -98,6 +100,7 @@ impl Rendering {
             sums: vec![vec![0.0; width * height * 3]; count],
             non_finite: NonFinite::default(),
             connections: Statistics::default(),
+            glints: Statistics::default(),
             cancelled: false,
         }
     }
@@ -134,6 +137,7 @@ impl Rendering {
     pub(super) fn add(&mut self, other: &Self) {
         self.non_finite.merge(&other.non_finite);
         self.connections.merge(&other.connections);
+        self.glints.merge(&other.glints);
         self.cancelled |= other.cancelled;
         for (a, b) in self.sums.iter_mut().zip(&other.sums) {
             for (a, b) in a.iter_mut().zip(b) {

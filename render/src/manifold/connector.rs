@@ -59,10 +59,10 @@ impl Statistics {
 
 /// [`Statistics`] that several threads add to.
 #[derive(Debug, Default)]
-pub(super) struct Counters([AtomicU64; 8]);
+pub(crate) struct Counters([AtomicU64; 8]);
 
 impl Counters {
-    fn add(&self, s: &Statistics) {
+    pub(crate) fn add(&self, s: &Statistics) {
         let numbers = [
             s.attempts,
             s.found,
@@ -78,7 +78,7 @@ impl Counters {
         }
     }
 
-    fn read(&self) -> Statistics {
+    pub(crate) fn read(&self) -> Statistics {
         let [
             attempts,
             found,

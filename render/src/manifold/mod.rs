@@ -25,8 +25,8 @@ mod split;
 mod walk;
 
 pub use chain::{Chain, Derivative, Space, Start, Target, Vertex};
-pub(crate) use connector::cast;
 pub use connector::{Connection, Connector, Link, Statistics};
+pub(crate) use connector::{Counters, cast};
 pub use estimate::{distinct, trials};
 pub use split::{Run, Split};
 pub use walk::Solution;

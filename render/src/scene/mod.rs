@@ -5,6 +5,7 @@ mod check;
 mod clip;
 mod connections;
 mod geometry;
+mod glints;
 mod load;
 mod movable;
 mod pixels;
@@ -18,6 +19,7 @@ use geometry::Geometry;
 pub use builder::Builder;
 pub use check::{Check, Finding, Outcome, Verdict};
 pub use connections::{Connections, Constraint, Hints, Method, Uniqueness};
+pub use glints::{GlintMethod, GlintRegion, GlintTechniques, GlintWeights, Glints};
 pub use load::LoadOptions;
 pub use movable::Movable;
 pub use room::room;
@@ -68,6 +70,8 @@ pub struct Settings {
     pub pixels_per_particle: u32,
     /// How manifold connections are made, if they are; then they find caustics, and not particles.
     pub connections: Option<Connections>,
+    /// How glints are found, if not by paths.
+    pub glints: Option<Glints>,
 }
 
 /// Who finds the light that something glossy throws on a diffuse surface which the camera sees, be it there or
@@ -143,6 +147,7 @@ impl Default for Settings {
             caustics: Caustics::default(),
             pixels_per_particle: 4,
             connections: None,
+            glints: None,
         }
     }
 }

@@ -54,5 +54,6 @@ pub(super) const SETTINGS: Settings = Settings {
     lights: render::scene::LightChoice::One,
     caustics: render::scene::Caustics::Paths,
     connections: None,
+    glints: None,
     pixels_per_particle: 1,
 };
