@@ -11,15 +11,17 @@ use clap::{ArgMatches, Args, Parser, ValueEnum};
 use optim::OptimError;
 use render::auto;
 use render::estimator::{Capabilities, Refusal};
+use render::glint::glinty_shapes;
 use render::instances::Estimator;
 use render::integrator::particle;
 use render::integrator::render::{NonFinite, Progress};
 use render::integrator::render::{PixelConnections, Rendering};
-use render::manifold::Split;
+use render::manifold::{Split, Statistics};
 use render::params::{ParamInfo, ParamShape};
 use render::sampler::Points;
 use render::scene::{
-    Caustics, Connections, Constraint, LightChoice, LoadOptions, Method, Starts, Uniqueness,
+    Caustics, Connections, Constraint, GlintMethod, GlintRegion, GlintWeights, Glints, LightChoice,
+    LoadOptions, Method, Starts, Uniqueness,
 };
 use render::{RenderError, Scene, SceneError, Settings, image_io};
 use serde::de::Error as _;
@@ -434,6 +436,9 @@ pub struct ManifoldArgs {
     /// Metal and glass that is no rougher than this throws light over chains, too [default: 0.02]
     #[arg(long, value_name = "ALPHA", requires = "manifold", value_parser = roughness)]
     pub caster_roughness: Option<f64>,
+    /// Those of glints.
+    #[command(flatten)]
+    pub glints: GlintArgs,
 }
 
 /// `--starts`.
@@ -445,6 +450,100 @@ pub enum StartsArg {
     TwoStage,
     /// Mostly where particles passed
     Particles,
+}
+
+/// `--glints` and its companions.
+#[derive(Args, Clone, Copy, Debug, Default, PartialEq)]
+pub struct GlintArgs {
+    /// How glints are found, reflections of lights in smooth metal under a fine normal map: unbiased, biased (distinct
+    /// solutions of --glint-trials walks), or off [default: the scene's integrator]
+    #[arg(long, value_name = "NAME", value_enum)]
+    pub glints: Option<GlintArg>,
+    /// Walks of a trial set of --glints biased [default: 16]; of --glints unbiased, most trials of an estimate, which
+    /// bias it where they are used up [default: 1048576]
+    #[arg(long, value_name = "M", value_parser = clap::value_parser!(u32).range(1..), requires = "glints")]
+    pub glint_trials: Option<u32>,
+    /// Where walks start: in a cell between texels that fits, or anywhere in the footprint, as published
+    #[arg(long, value_name = "NAME", value_enum, requires = "glints")]
+    pub glint_region: Option<GlintRegionArg>,
+    /// How walks and scattered directions share the light: by their densities, or by the lobe of filtered slopes, as
+    /// published
+    #[arg(long, value_name = "NAME", value_enum, requires = "glints")]
+    pub glint_weights: Option<GlintWeightsArg>,
+}
+
+/// `--glints`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum GlintArg {
+    /// Reciprocal probabilities from trials
+    Unbiased,
+    /// Distinct solutions of a trial set
+    Biased,
+    /// Paths find all light
+    Off,
+}
+
+/// `--glint-region`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum GlintRegionArg {
+    /// One cell between texels
+    Texels,
+    /// The whole footprint
+    Footprint,
+}
+
+/// `--glint-weights`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum GlintWeightsArg {
+    /// Densities of paths
+    Densities,
+    /// Densities of directions, from filtered slopes
+    Lobe,
+}
+
+impl GlintArgs {
+    /// Says so in `settings`.
+    ///
+    /// # Errors
+    /// Options without effect, and scenes without anything glinty.
+    fn apply(self, scene: &Scene, settings: &mut Settings) -> Result<(), ToolError> {
+        let usage = |message: &str| Err(ToolError::Usage(message.into()));
+        let method = match self.glints {
+            None => return Ok(()),
+            Some(GlintArg::Off) => {
+                let others = self.glint_trials.is_some()
+                    || self.glint_region.is_some()
+                    || self.glint_weights.is_some();
+                if others {
+                    return usage("--glints off: its other options are without effect");
+                }
+                settings.glints = None;
+                return Ok(());
+            }
+            Some(GlintArg::Unbiased) => GlintMethod::Unbiased,
+            Some(GlintArg::Biased) => {
+                GlintMethod::Biased(self.glint_trials.unwrap_or(Glints::TRIALS))
+            }
+        };
+        if glinty_shapes(scene).is_none() {
+            return usage(
+                "--glints: no shape of the scene is smooth metal under a normal map that is an image; expected such a \
+                 shape, or --glints off",
+            );
+        }
+        let mut glints = Glints::new(method);
+        if let (GlintMethod::Unbiased, Some(trials)) = (method, self.glint_trials) {
+            glints.budget = trials;
+        }
+        if self.glint_region == Some(GlintRegionArg::Footprint) {
+            glints.region = GlintRegion::Footprint;
+        }
+        if self.glint_weights == Some(GlintWeightsArg::Lobe) {
+            glints.weights = GlintWeights::Lobe;
+        }
+        settings.glints = Some(glints);
+        Ok(())
+    }
 }
 
 /// `--manifold`.
@@ -490,8 +589,9 @@ impl ManifoldArgs {
     /// Says so in `settings`.
     ///
     /// # Errors
-    /// Options without effect, and connections beside particles.
+    /// Options without effect, connections beside particles, and glints where nothing is glinty.
     pub fn apply(self, scene: &Scene, settings: &mut Settings) -> Result<(), ToolError> {
+        self.glints.apply(scene, settings)?;
         let usage = |message: &str| Err(ToolError::Usage(message.into()));
         let method = match self.manifold {
             None => return Ok(()),
@@ -650,6 +750,62 @@ impl ManifoldReport {
         if self.exhausted > 0 {
             complain!(
                 "warning: {} manifold connections ran out of trials: the image is biased where they are; more by --trials",
+                self.exhausted
+            );
+        }
+    }
+}
+
+/// What walks to glints came to, for reports.
+#[derive(Clone, Debug, Serialize)]
+pub struct GlintReport {
+    /// The estimator.
+    pub method: String,
+    /// Whether it counts every solution: an estimate that ran out of trials does not.
+    pub unbiased: bool,
+    /// Footprints and light samples, and how many of them had a glint.
+    pub attempts: u64,
+    /// See `attempts`.
+    pub found: u64,
+    /// Walks, and the part of them that converged.
+    pub walks: u64,
+    /// See `walks`.
+    pub success_rate: f64,
+    /// Steps per walk.
+    pub steps_per_walk: f64,
+    /// Trials per reciprocal that was estimated.
+    pub trials_per_solution: f64,
+    /// Reciprocals that ran out of trials.
+    pub exhausted: u64,
+}
+
+impl GlintReport {
+    /// Of a rendering with these settings; `None` without glints.
+    pub fn of(settings: &Settings, s: &Statistics) -> Option<Self> {
+        let glints = settings.glints?;
+        let (method, unbiased) = match glints.method {
+            GlintMethod::Unbiased => ("unbiased".to_owned(), true),
+            GlintMethod::Biased(trials) => (format!("biased, {trials} walks"), false),
+        };
+        let per = |a: u64, b: u64| a as f64 / b.max(1) as f64;
+        Some(Self {
+            method,
+            unbiased: unbiased && s.exhausted == 0 && glints.threshold.is_none(),
+            attempts: s.attempts,
+            found: s.found,
+            walks: s.walks,
+            success_rate: per(s.converged, s.walks),
+            steps_per_walk: per(s.steps, s.walks),
+            trials_per_solution: per(s.trials, s.reciprocals),
+            exhausted: s.exhausted,
+        })
+    }
+
+    /// Says what went wrong.
+    pub fn complain(&self) {
+        if self.exhausted > 0 {
+            complain!(
+                "warning: {} glints ran out of trials: the image is biased where they are; more by --glint-trials",
                 self.exhausted
             );
         }

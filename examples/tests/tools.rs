@@ -597,6 +597,84 @@ fn manifold_connections_are_rendered_reported_and_checked() {
 }
 
 #[test]
+fn glints_are_rendered_reported_and_refused() {
+    let dir = Folder::new();
+    let mut map = Image::new(8, 8);
+    for (i, texel) in map.data.chunks_exact_mut(3).enumerate() {
+        let (x, y) = ((i % 8) as f32, (i / 8) as f32);
+        let wave = |x: f32| 0.5 + 0.05 * (0.8 * x).sin();
+        texel.copy_from_slice(&[wave(x), wave(y), 1.0]);
+    }
+    write_exr(&dir.path("map.exr"), &map).unwrap();
+    let scene = |metal: &str| {
+        format!(
+            r#"<scene version="3.0.0"><integrator type="path"><integer name="max_depth" value="3"/></integrator>
+            <sensor type="perspective"><float name="fov" value="40"/>
+            <transform name="to_world"><lookat origin="0, 3, 4" target="0, 0, 0" up="0, 1, 0"/></transform>
+            <film type="hdrfilm"><integer name="width" value="16"/><integer name="height" value="12"/></film></sensor>
+            <shape type="rectangle">{metal}
+            <transform name="to_world"><scale value="2"/><rotate x="1" angle="-90"/></transform></shape>
+            <emitter type="point"><point name="position" value="0, 3, -4"/></emitter></scene>"#
+        )
+    };
+    let mapped = r#"<bsdf type="normalmap" id="map"><string name="filename" value="map.exr"/>
+        <bsdf type="conductor" id="metal"/></bsdf>"#;
+    std::fs::write(dir.path("metal.xml"), scene(mapped)).unwrap();
+    std::fs::write(dir.path("matt.xml"), scene(r#"<bsdf type="diffuse"/>"#)).unwrap();
+    dir.ok(
+        "render",
+        "metal.xml --glints unbiased --spp 8 --json a.json -o a.exr",
+    );
+    let report = &dir.json("a.json")["glints"];
+    assert_eq!(report["unbiased"], true);
+    assert!(report["found"].as_u64().unwrap() > 0, "{report}");
+    assert!(report["trials_per_solution"].as_f64().unwrap() >= 1.0);
+    assert!(read_exr(&dir.path("a.exr")).unwrap().mean()[1] > 0.0);
+    dir.ok(
+        "render",
+        "metal.xml --glints biased --glint-trials 8 --glint-region footprint --glint-weights lobe --spp 4 --json b.json",
+    );
+    assert_eq!(dir.json("b.json")["glints"]["unbiased"], false);
+    dir.ok("render", "metal.xml --glints off --spp 4 --json off.json");
+    assert!(dir.json("off.json").get("glints").is_none());
+    for (args, expected) in [
+        ("matt.xml --glints unbiased", "no shape of the scene"),
+        ("metal.xml --glint-trials 4", "--glints"),
+        ("metal.xml --glints off --glint-trials 4", "without effect"),
+        (
+            "metal.xml --glints unbiased --integrator particle",
+            "--integrator path",
+        ),
+    ] {
+        let output = dir.run("render", &format!("{args} -o refused.exr"));
+        let message = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(
+            !output.status.success() && message.contains(expected),
+            "{args}: {message}"
+        );
+        assert!(!dir.path("refused.exr").exists(), "{args}");
+    }
+    let gradient = |parameter: &str| {
+        dir.run(
+            "gradient",
+            &format!("metal.xml --glints unbiased --param {parameter} --estimator mis --spp 4 --repeats 2"),
+        )
+    };
+    let refused = gradient("map.normalmap.data");
+    let message = String::from_utf8_lossy(&refused.stderr).into_owned();
+    assert!(
+        !refused.status.success() && message.contains("map.normalmap.data"),
+        "{message}"
+    );
+    let output = gradient("metal.specular_reflectance.value");
+    assert!(
+        output.status.success(),
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
+}
+
+#[test]
 fn strategies_agree_on_the_mean() {
     let dir = Folder::new();
     let mean = |args: &str| {

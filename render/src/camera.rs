@@ -1,5 +1,6 @@
 //! Cameras: the perspective pinhole, and what differs from it.
 
+mod differential;
 mod lens;
 
 use std::f64::consts::PI;
@@ -11,6 +12,7 @@ use crate::film::Film;
 use crate::math::{Ray, RayAdjoint, Transform, each};
 use crate::motion::Placement;
 use crate::params::{GradSink, ParamRef, Params, Theta};
+pub use differential::PerPixel;
 use lens::{Lens, bad};
 
 /// What the angle of view refers to.

@@ -567,6 +567,12 @@ pub enum RenderError {
         /// What is asked for, and what would be right.
         what: String,
     },
+    /// What glints do not have.
+    #[error("glints (`--glints`, or the scene's integrator): {what}")]
+    Glints {
+        /// What is asked for, and what would be right.
+        what: String,
+    },
     /// A radius within which nothing could be gathered.
     #[error("radius: expected a positive number, neither tiny nor huge, found {found}")]
     Radius {

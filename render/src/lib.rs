@@ -66,6 +66,7 @@ pub mod estimator;
 pub mod files;
 pub mod film;
 pub mod finite_element;
+pub mod glint;
 pub mod guide;
 pub mod image_io;
 mod inputs;

@@ -525,8 +525,8 @@ fn integrators_of_scene_files_mean_what_they_say() {
         error.contains("bounces") && error.contains("from 1 to 8"),
         "{error}"
     );
-    let error = load(r#"<integrator type="path_sms_glints"/>"#).unwrap_err();
-    assert!(error.contains("path_sms_glints"), "{error}");
+    let error = load(r#"<integrator type="path_sms_teaser"/>"#).unwrap_err();
+    assert!(error.contains("path_sms_teaser"), "{error}");
 }
 
 /// The authors' ring and half-buried sphere at a small size: their caustics, on average, within 2 % of paths or within chance,

@@ -19,8 +19,8 @@ use render::{RenderError, Scene, Settings, image_io};
 use serde::Serialize;
 
 use crate::cli::{
-    LoadArgs, ManifoldArgs, ManifoldReport, Outcome, SampleArgs, ThreadArgs, ToolError, depth,
-    manifold_planes, report_non_finite, sample_count,
+    GlintReport, LoadArgs, ManifoldArgs, ManifoldReport, Outcome, SampleArgs, ThreadArgs,
+    ToolError, depth, manifold_planes, report_non_finite, sample_count,
 };
 use crate::output;
 use crate::progress::{Bar, Interrupt};
@@ -205,6 +205,10 @@ impl Args {
                 "--manifold: all light is particles' here; expected --integrator path",
             ),
             (
+                self.manifold.glints.glints.is_some() && !paths,
+                "--glints: all light is particles' here; expected --integrator path",
+            ),
+            (
                 self.samples.guide && !paths,
                 "--guide: particles are not guided; expected --integrator path",
             ),
@@ -262,6 +266,8 @@ struct Report {
     #[serde(skip_serializing_if = "Option::is_none")]
     manifold: Option<ManifoldReport>,
     #[serde(skip_serializing_if = "Option::is_none")]
+    glints: Option<GlintReport>,
+    #[serde(skip_serializing_if = "Option::is_none")]
     manifold_check: Option<Energy>,
     threads: usize,
     seconds_load: f64,
@@ -313,6 +319,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     if !matches!(method, Method::Paths(_)) {
         // All light is particles' there.
         settings.connections = None;
+        settings.glints = None;
     }
     if args.manifold_check && settings.connections.is_none() {
         let message = "--manifold-check: no connections to check; expected --manifold, or a scene that asks for them";
@@ -358,6 +365,10 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     if let Some(manifold) = &manifold {
         manifold.complain();
     }
+    let glints = GlintReport::of(&settings, &rendering.glints);
+    if let Some(glints) = &glints {
+        glints.complain();
+    }
     let image = rendering.image(0);
     let alpha = scene.film.alpha.then(|| {
         // Of the samples that the image holds.
@@ -389,6 +400,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
             spp: rendering.samples,
             samples: args.samples.filled(),
             manifold: manifold.clone(),
+            glints: glints.clone(),
             manifold_check: energy,
             threads,
             seconds_load,

@@ -66,7 +66,7 @@ pub enum Interpolation {
 impl Interpolation {
     /// The vector that is interpolated; normal to the surface, not normalised.
     #[inline]
-    fn decode<R: Real>(self, texel: [R; 3]) -> Vec3<R> {
+    pub(crate) fn decode<R: Real>(self, texel: [R; 3]) -> Vec3<R> {
         let n = Vec3::from(each(texel, |c| c * R::c(2.0) - R::c(1.0)));
         match self {
             Self::Normals => n,
@@ -118,6 +118,11 @@ impl NormalMap {
     /// The texture of encoded normals.
     pub fn map(&self) -> &RgbTexture {
         &self.map
+    }
+
+    /// What is interpolated between texels.
+    pub fn interpolation(&self) -> Interpolation {
+        self.interpolation
     }
 
     /// The material on the tilted surface.

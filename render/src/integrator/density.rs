@@ -338,6 +338,7 @@ impl<P: Float> Map<P> {
             connections: Statistics::default(),
             light_of_connections: 0.0,
             connections_by_pixel: Vec::new(),
+            glints: Statistics::default(),
             cancelled: progress.cancelled(),
         };
         for (tile, (sums, bad)) in tiles.iter().zip(&parts) {

@@ -5,6 +5,7 @@ use ad_core::Float;
 pub use super::active::Active;
 use super::connections;
 use super::exact::ExactBuffer;
+use super::glints;
 use super::integrals::{Wanted, every};
 use super::job::Job;
 use super::pass::{Integral, Pass, Question};
@@ -57,6 +58,7 @@ pub fn backward<P: Float, S: Unbiased, X: Sampler>(
         }
     }
     connections::check::<S>(job.settings, &active.ranges)?;
+    glints::check::<S>(job.settings, &active.ranges)?;
     let pass = Pass::of::<S>(job, theta);
     Ok(pass.gradient::<S::Runs, X>(active, adjoint))
 }

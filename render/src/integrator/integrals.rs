@@ -8,6 +8,7 @@ use super::active::Active;
 use super::boundary;
 use super::connections;
 use super::exact::ExactBuffer;
+use super::glints;
 use super::motion;
 use super::particle;
 use super::particle_gradient::ParticlePass;
@@ -38,9 +39,17 @@ pub(super) fn every<S: Strategy, X: Sampler>(
 ) {
     let by_particles = wanted.light && wanted.finders.particles;
     let by_connections = wanted.light && wanted.finders.connections;
+    let by_glints = wanted.light && wanted.finders.glints;
     let moves = S::INTERIOR && wanted.motion;
     let outlines = S::OUTLINES && wanted.motion;
-    let all = [wanted.light, by_particles, by_connections, moves, outlines];
+    let all = [
+        wanted.light,
+        by_particles,
+        by_connections,
+        by_glints,
+        moves,
+        outlines,
+    ];
     let integrals: u64 = all.into_iter().map(u64::from).sum();
     let share = Share {
         progress,
@@ -55,6 +64,9 @@ pub(super) fn every<S: Strategy, X: Sampler>(
     }
     if by_connections && !share.cancelled() {
         question.ask::<Connections>(&share);
+    }
+    if by_glints && !share.cancelled() {
+        question.ask::<Glints>(&share);
     }
     // A constant: it is not even compiled for strategies that do not move vertices.
     if const { S::INTERIOR } && wanted.motion && !share.cancelled() {
@@ -179,5 +191,22 @@ impl<S: Strategy, X: Sampler> Integral<S, X> for Connections {
         large: &ExactBuffer,
     ) -> GradientSums {
         connections::gradient::<P, X>(pass, active, adjoint, large)
+    }
+}
+
+/// Lights in glinty surfaces.
+struct Glints;
+
+impl<S: Strategy, X: Sampler> Integral<S, X> for Glints {
+    fn image<R: Components>(pass: &Pass<R>) -> Rendering {
+        glints::image::<R, X>(pass)
+    }
+    fn gradient<P: Float>(
+        pass: &Pass<P>,
+        active: &Active,
+        adjoint: &[f32],
+        large: &ExactBuffer,
+    ) -> GradientSums {
+        glints::gradient::<P, X>(pass, active, adjoint, large)
     }
 }

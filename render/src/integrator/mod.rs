@@ -12,6 +12,7 @@ pub mod coverage;
 pub mod density;
 pub mod direct;
 mod exact;
+mod glints;
 pub mod gradient;
 pub(crate) mod guide_training;
 mod integrals;

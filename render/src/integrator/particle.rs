@@ -728,6 +728,7 @@ pub fn render<R: Components, X: Sampler>(
         connections: Statistics::default(),
         light_of_connections: 0.0,
         connections_by_pixel: Vec::new(),
+        glints: Statistics::default(),
         cancelled: false,
     };
     // `[pixel][component][3]` while splats are added.

@@ -18,6 +18,7 @@ use super::rendering::{Components, Rendering};
 use super::sink::{GradientSums, largest_of};
 use super::tile::{Tile, tiles};
 use crate::estimator::{Sampling, Strategy};
+use crate::glint::glinty_shapes;
 use crate::manifold::Split;
 use crate::params::Theta;
 use crate::sampler::Sampler;
@@ -30,7 +31,7 @@ pub(super) struct Pass<'a, R: Real> {
     pub settings: &'a Settings,
     /// Who finds caustics: decides which integrals there are.
     pub caustics: Caustics,
-    /// What manifold connections find, if there are any.
+    /// What manifold connections and walks to glints find, if there are any.
     pub split: Option<Arc<Split>>,
     pub seed: u64,
     pub samples: Range<u64>,
@@ -43,15 +44,18 @@ impl<'a, R: Real> Pass<'a, R> {
         let &Job {
             scene, settings, ..
         } = job;
-        let deep = S::Bsdf::DETACHED_PATH && settings.max_depth >= 3;
-        let connections = settings.connections.as_ref().filter(|_| deep);
+        let deep = |edges: u32| S::Bsdf::DETACHED_PATH && settings.max_depth >= edges;
+        let connections = settings.connections.as_ref().filter(|_| deep(3));
+        let split = connections.and_then(|c| Split::of(scene, c));
+        let glints = settings.glints.filter(|_| deep(2));
+        let glinty = glints.and_then(|_| glinty_shapes(scene));
         Self {
-            split: connections.and_then(|c| Split::of(scene, c)).map(Arc::new),
+            split: Split::with_glints(split, glinty).map(Arc::new),
             ..Self::new(job, theta, settings.caustics_of::<S>(scene))
         }
     }
 
-    /// Those of a job, at these parameters, without manifold connections.
+    /// Those of a job, at these parameters, without manifold connections and glints.
     pub fn new(job: &Job<'a>, theta: &'a Theta<'a, R>, caustics: Caustics) -> Self {
         Self {
             scene: job.scene,
@@ -79,8 +83,9 @@ impl<'a, R: Real> Pass<'a, R> {
     pub fn finders(&self) -> Finders {
         Finders {
             particles: self.caustics == Caustics::Particles,
-            connections: self.split.is_some()
+            connections: self.split.as_ref().is_some_and(|s| s.connects())
                 && (self.settings.connections).is_some_and(|c| c.method != Method::LeftOut),
+            glints: (self.split.as_ref()).is_some_and(|s| !s.glinty().is_empty()),
         }
     }
 
@@ -122,6 +127,7 @@ impl<'a, R: Real> Pass<'a, R> {
 pub(super) struct Finders {
     pub particles: bool,
     pub connections: bool,
+    pub glints: bool,
 }
 
 /// A part of the light, as strategy `S` estimates it.

@@ -3,6 +3,7 @@
 use ad_core::Real;
 
 use super::connections;
+use super::glints;
 use super::integrals::{Wanted, every};
 use super::job::Job;
 use super::pass::{Integral, Pass, Question};
@@ -38,7 +39,8 @@ pub fn render<R: Components, S: Unbiased, X: Sampler>(
                 scene.admits_outlines(info, job.settings.max_depth)?;
             }
         }
-        connections::check::<S>(job.settings, moving)?;
+        connections::check::<S>(job.settings, moving.clone())?;
+        glints::check::<S>(job.settings, moving)?;
     }
     Ok(unchecked::<R, S, X>(job, theta))
 }

@@ -103,6 +103,8 @@ pub struct Rendering {
     pub light_of_connections: f64,
     /// The same by pixel, `[height][width]`, where [`crate::scene::Connections::by_pixel`] asks for it; else empty.
     pub connections_by_pixel: Vec<PixelConnections>,
+    /// What walks to glints came to.
+    pub glints: Statistics,
     /// Whether it was stopped early; the sums are then incomplete.
     pub cancelled: bool,
 }
@@ -120,6 +122,7 @@ impl Rendering {
             connections: Statistics::default(),
             light_of_connections: 0.0,
             connections_by_pixel: Vec::new(),
+            glints: Statistics::default(),
             cancelled: false,
         }
     }
@@ -163,6 +166,7 @@ impl Rendering {
         } else {
             ours.iter_mut().zip(theirs).for_each(|(a, b)| a.merge(b));
         }
+        self.glints.merge(&other.glints);
         self.cancelled |= other.cancelled;
         for (a, b) in self.sums.iter_mut().zip(&other.sums) {
             for (a, b) in a.iter_mut().zip(b) {

@@ -31,6 +31,7 @@ use ad_core::Float;
 
 use super::active::Active;
 use super::connections;
+use super::glints;
 use super::job::Job;
 use super::pass::Pass;
 use super::path::Context;
@@ -85,6 +86,7 @@ pub fn hessian_vector<P: Float, X: Sampler>(
         });
     }
     connections::refuse(job.settings, "second derivatives")?;
+    glints::refuse(job.settings, "second derivatives")?;
     let pass = Pass::new(job, theta, Caustics::Paths);
     let along = |p: ParamRef, element: u32| {
         let place = active.place(p).map(|at| at + element as usize);
@@ -155,6 +157,7 @@ pub fn gauss_newton<P: Float, X: Sampler>(
         });
     }
     connections::refuse(job.settings, "second derivatives")?;
+    glints::refuse(job.settings, "second derivatives")?;
     let pass = Pass::new(job, theta, Caustics::Paths);
     let spp = pass.samples.end.saturating_sub(pass.samples.start);
     if spp < 2 {

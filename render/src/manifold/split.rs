@@ -5,17 +5,27 @@ use crate::emitter::Emitter;
 use crate::params::Theta;
 use crate::scene::{Connections, Hints, Scene};
 
-/// Where a path is on its way over a chain: how many of its last vertices are casters, since it left a receiver.
+/// Where a path is on its way over a chain: how many of its last vertices are casters, since it left a receiver. The default
+/// is its start at the camera.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Run(u32);
 
 impl Run {
+    /// At the camera.
+    const CAMERA: Self = Self(0);
     /// On no chain: from here on everything is ordinary until the next receiver.
-    const NONE: Self = Self(0);
+    const NONE: Self = Self(1);
+    /// At a first vertex whose glints others find ([`crate::glint`]).
+    const GLINT: Self = Self(2);
 
     /// At a receiver, or behind so many casters.
     fn casters(n: u32) -> Self {
-        Self(n + 1)
+        Self(n + 3)
+    }
+
+    /// Behind how many casters.
+    fn behind(self) -> Option<u32> {
+        self.0.checked_sub(3)
     }
 
     /// As a number, for arrays of them.
@@ -40,6 +50,8 @@ pub struct Split {
     casters: Vec<bool>,
     receivers: Vec<bool>,
     emitters: Vec<bool>,
+    /// Whose glints others find.
+    glinty: Vec<bool>,
     /// The casters, by index.
     pub(super) caster_list: Vec<u32>,
     /// The emitters.
@@ -98,11 +110,41 @@ impl Split {
             casters,
             receivers,
             emitters,
+            glinty: Vec::new(),
             caster_list,
             emitter_list,
             rough,
             bounces: connections.bounces.clamp(1, Connections::MOST_BOUNCES),
         })
+    }
+
+    /// The same, or one without casters, where glints on these shapes are found by others, too. `None` if there is neither.
+    pub fn with_glints(split: Option<Self>, glinty: Option<Vec<bool>>) -> Option<Self> {
+        let Some(glinty) = glinty else {
+            return split;
+        };
+        let none = || Self {
+            casters: vec![false; glinty.len()],
+            receivers: vec![false; glinty.len()],
+            emitters: Vec::new(),
+            glinty: Vec::new(),
+            caster_list: Vec::new(),
+            emitter_list: Vec::new(),
+            rough: false,
+            bounces: 1,
+        };
+        let split = split.unwrap_or_else(none);
+        Some(Self { glinty, ..split })
+    }
+
+    /// Whether there is anything to connect.
+    pub fn connects(&self) -> bool {
+        !self.emitter_list.is_empty()
+    }
+
+    /// The shapes whose glints others find, by index; empty if there are none.
+    pub fn glinty(&self) -> &[bool] {
+        &self.glinty
     }
 
     /// Whether chains may have vertices on this shape.
@@ -127,12 +169,14 @@ impl Split {
     /// A chain starts at a receiver that is left otherwise than along a delta, and has one to [`Split::bounces`] casters.
     #[inline]
     pub fn next(&self, run: Run, shape: u32, along_delta: bool) -> Run {
+        if run == Run::CAMERA && self.glinty.get(shape as usize) == Some(&true) {
+            return Run::GLINT;
+        }
         if self.is_caster(shape) {
-            match run {
-                Run::NONE => Run::NONE,
-                Run(1) if along_delta => Run::NONE,
-                Run(n) if n <= self.bounces => Run::casters(n),
-                Run(_) => Run::NONE,
+            match run.behind() {
+                Some(0) if along_delta => Run::NONE,
+                Some(n) if n < self.bounces => Run::casters(n + 1),
+                _ => Run::NONE,
             }
         } else if self.is_receiver(shape) {
             Run::casters(0)
@@ -147,9 +191,13 @@ impl Split {
         self.rough
     }
 
-    /// Whether light that a path meets there, or samples from there, belongs to connections.
+    /// Whether light that a path meets there, or samples from there, belongs to connections, or is a glint.
     #[inline]
     pub fn finds(&self, run: Run, emitter: u32) -> bool {
-        run.0 > 1 && self.emitters[emitter as usize]
+        match run.behind() {
+            Some(0) => false,
+            Some(_) => self.emitters[emitter as usize],
+            None => run == Run::GLINT,
+        }
     }
 }

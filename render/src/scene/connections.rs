@@ -104,4 +104,6 @@ pub struct Hints {
     pub single: bool,
     /// `caustic_caster_multi`, `caustic_bouncer` or `caustic_emitter_multi`: of longer ones.
     pub multi: bool,
+    /// `glinty`: glints are looked for on it ([`crate::glint`]).
+    pub glinty: bool,
 }

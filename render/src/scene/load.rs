@@ -7,7 +7,10 @@ use std::sync::Arc;
 use super::builder::{Builder, MaterialId, out_of_reach};
 use super::clip::Clip;
 use super::save::{Place, Places, Source};
-use super::{Connections, Constraint, Hints, Method, Scene, Sensor, Settings, Starts};
+use super::{
+    Connections, Constraint, GlintMethod, GlintTechniques, Glints, Hints, Method, Scene, Sensor,
+    Settings, Starts,
+};
 use crate::accel::{Accel, MAX_COORDINATE};
 use crate::bsdf::{Diffuse, Material};
 use crate::camera::Camera;
@@ -44,6 +47,8 @@ const INTEGRATORS: &[&str] = &["path", "direct", "prb"];
 const FILTERED: &[&str] = &["path_filtered_ss", "path_filtered_ms"];
 /// Those that find it.
 const CONNECTED: &[&str] = &["path_sms_ss", "path_sms_ms"];
+/// The one of them that finds glints.
+const GLINTY: &[&str] = &["path_sms_glints"];
 /// Other ways to the same image, or to its derivatives: the path tracer takes their place.
 const OTHERS: &[&str] = &[
     "bdpt",
@@ -80,6 +85,7 @@ const FILTERS: &[&str] = &[
 /// What does nothing at the root unless something refers to it.
 const DECLARED: &[&str] = &["bsdf", "texture", "film", "sampler", "rfilter"];
 /// Flags of the scenes of [Zeltner et al. 2020]: [`Hints`].
+const GLINTY_SHAPE: &[&str] = &["glinty"];
 const RECEIVER: &[&str] = &["caustic_receiver"];
 const SINGLE: &[&str] = &["caustic_caster_single", "caustic_emitter_single"];
 const MULTI: &[&str] = &[
@@ -571,8 +577,9 @@ fn integrator(mut node: &Node, settings: &mut Settings) -> Result<(), SceneError
     let plugin = node.plugin.as_str();
     let replaced = OTHERS.contains(&plugin);
     let of_manifolds = FILTERED.contains(&plugin) || CONNECTED.contains(&plugin);
-    if !(INTEGRATORS.contains(&plugin) || of_manifolds || replaced) {
-        let known = [INTEGRATORS, FILTERED, CONNECTED, OTHERS, WRAPPERS].concat();
+    let glinty = GLINTY.contains(&plugin);
+    if !(INTEGRATORS.contains(&plugin) || of_manifolds || glinty || replaced) {
+        let known = [INTEGRATORS, FILTERED, CONNECTED, GLINTY, OTHERS, WRAPPERS].concat();
         return Err(node.unknown_plugin(&known));
     }
     let depth = |key: &str, default: i64| -> Result<u32, SceneError> {
@@ -595,6 +602,9 @@ fn integrator(mut node: &Node, settings: &mut Settings) -> Result<(), SceneError
     settings.hide_emitters = node.boolean_or("hide_emitters", false)?;
     if of_manifolds {
         settings.connections = Some(connections(node)?);
+    }
+    if glinty {
+        settings.glints = Some(glints(node)?);
     }
     if replaced {
         node.warn("traced like `path` instead: the same image, but for its noise");
@@ -623,11 +633,7 @@ fn connections(node: &Node) -> Result<Connections, SceneError> {
             ..Connections::new(Method::LeftOut)
         });
     }
-    let trials = match node.integer("max_trials")? {
-        None | Some(-1) => None,
-        Some(n @ 1..=0xffff_ffff) => Some(n as u32),
-        Some(_) => return Err(node.invalid("max_trials", "-1 for no limit, or a positive number")),
-    };
+    let trials = trials(node)?;
     let biased = node.boolean_or("biased", false)?;
     // With a fallback to paths or without: here chains are never left to those.
     let alone = node.boolean_or("biased_mnee", false)?;
@@ -657,6 +663,61 @@ fn connections(node: &Node) -> Result<Connections, SceneError> {
         starts,
         budget: trials.unwrap_or(u32::MAX),
         ..Connections::new(method)
+    })
+}
+
+/// `max_trials`: of an estimate, or of a trial set.
+fn trials(node: &Node) -> Result<Option<u32>, SceneError> {
+    match node.integer("max_trials")? {
+        None | Some(-1) => Ok(None),
+        Some(n @ 1..=0xffff_ffff) => Ok(Some(n as u32)),
+        Some(_) => Err(node.invalid("max_trials", "-1 for no limit, or a positive number")),
+    }
+}
+
+/// How glints are found: as published, with the options of the file.
+fn glints(node: &Node) -> Result<Glints, SceneError> {
+    let trials = trials(node)?;
+    let method = if node.boolean_or("biased", false)? {
+        GlintMethod::Biased(trials.unwrap_or(Glints::TRIALS))
+    } else {
+        GlintMethod::Unbiased
+    };
+    let techniques = match (
+        node.boolean_or("bsdf_strategy_only", false)?,
+        node.boolean_or("sms_strategy_only", false)?,
+    ) {
+        (false, false) => GlintTechniques::Both,
+        (true, false) => GlintTechniques::Scattering,
+        (false, true) => GlintTechniques::Walks,
+        (true, true) => {
+            return Err(node.invalid("sms_strategy_only", "false: `bsdf_strategy_only` is true"));
+        }
+    };
+    let threshold = match node.float("uniqueness_threshold")? {
+        Some(x) if x > 0.0 && x.is_finite() => Some(x),
+        None => None,
+        Some(_) => return Err(node.invalid("uniqueness_threshold", "a positive number")),
+    };
+    let published = Glints::published(method);
+    let steps = node.integer_in("max_iterations", i64::from(published.steps), 1..=1000)? as u32;
+    if node.float_or("step_scale", 1.0)? != 1.0 {
+        node.warn("`step_scale`: steps are Newton's, halved where they leave the footprint");
+    }
+    if node.float_or("glint_diff_scale_factor_clamp", 1.0)? != 1.0 {
+        node.warn("`glint_diff_scale_factor_clamp`: footprints are those of the pixel's filter");
+    }
+    node.ignore(&["solver_threshold"], Node::float)?;
+    node.ignore(&["glints_vectorized"], Node::boolean)?;
+    Ok(Glints {
+        techniques,
+        threshold,
+        steps,
+        budget: match method {
+            GlintMethod::Unbiased => trials.unwrap_or(published.budget),
+            GlintMethod::Biased(_) => published.budget,
+        },
+        ..published
     })
 }
 
@@ -861,8 +922,6 @@ fn size_of_triangles(shape: &AnyShape) -> Option<f64> {
 
 /// What a shape or an emitter is to manifold connections.
 fn hints(node: &Node) -> Result<Hints, SceneError> {
-    // Glints are not told from other reflections.
-    node.ignore(&["glinty"], Node::boolean)?;
     let any = |keys: &[&str]| {
         let mut any = false;
         for key in keys {
@@ -874,6 +933,7 @@ fn hints(node: &Node) -> Result<Hints, SceneError> {
         receiver: any(RECEIVER)?,
         single: any(SINGLE)?,
         multi: any(MULTI)?,
+        glinty: any(GLINTY_SHAPE)?,
     })
 }
 

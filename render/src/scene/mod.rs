@@ -5,6 +5,7 @@ mod check;
 mod clip;
 mod connections;
 mod geometry;
+mod glints;
 mod load;
 mod movable;
 mod pixels;
@@ -19,6 +20,7 @@ use geometry::Geometry;
 pub use builder::Builder;
 pub use check::{Check, Finding, Outcome, Verdict};
 pub use connections::{Connections, Constraint, Hints, Method, Starts, Uniqueness};
+pub use glints::{GlintMethod, GlintRegion, GlintTechniques, GlintWeights, Glints};
 pub use load::LoadOptions;
 pub use movable::Movable;
 pub use room::room;
@@ -72,6 +74,8 @@ pub struct Settings {
     /// Whether light that the camera sees without a reflection in between is left out: lamps are black, or what their
     /// material reflects, and the sky is not there ([`crate::integrator::coverage`]).
     pub hide_emitters: bool,
+    /// How glints are found, if not by paths.
+    pub glints: Option<Glints>,
 }
 
 /// Who finds the light that something glossy throws on a diffuse surface which the camera sees, be it there or
@@ -154,6 +158,7 @@ impl Default for Settings {
             pixels_per_particle: 4,
             connections: None,
             hide_emitters: false,
+            glints: None,
         }
     }
 }

@@ -55,5 +55,6 @@ pub(super) const SETTINGS: Settings = Settings {
     caustics: render::scene::Caustics::Paths,
     connections: None,
     hide_emitters: false,
+    glints: None,
     pixels_per_particle: 1,
 };

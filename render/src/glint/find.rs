@@ -1,0 +1,476 @@
+//! What a sample of a pixel finds of the light in a glinty surface.
+
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use ad_core::{Float, Mat2, Vec2, Vec3};
+
+use super::footprint::{Aim, Footprint};
+use super::map::{SlopeMap, cell_of};
+use super::mapped_metal;
+use super::search::Pick;
+use super::walk::{Root, over_footprint};
+use crate::bsdf::{Bsdf, Shading, TransportMode};
+use crate::emitter::{Emission, Emitter, EmitterSample};
+use crate::manifold::{Statistics, Target, cast, distinct, trials};
+use crate::params::Theta;
+use crate::sampler::{Independent, Sampler};
+use crate::scene::{
+    GlintMethod, GlintRegion, GlintTechniques, GlintWeights, Glints, LightChoice, Scene,
+};
+use crate::shape::SurfaceInteraction;
+
+/// How far half vector and normal may be apart, in slopes, where a scattered direction is a solution: single precision.
+const SAME_SLOPE: f64 = 1e-3;
+
+/// Light by one reflection.
+#[derive(Clone, Copy, Debug)]
+pub struct Glint {
+    /// The point, with the texture coordinates of the reflection.
+    pub si: SurfaceInteraction<f64>,
+    /// To the viewer and to the light, local frame.
+    pub wo: Vec3<f64>,
+    /// See `wo`.
+    pub wi: Vec3<f64>,
+    /// Index of the emitter.
+    pub emitter: u32,
+    /// What of it arrives.
+    pub emission: Emission<f64>,
+    /// What reflectance times radiance is multiplied by.
+    pub weight: f64,
+    /// Whether a walk found it.
+    pub by_walk: bool,
+}
+
+/// [`Statistics`] that several threads add to.
+#[derive(Debug, Default)]
+struct Counters([AtomicU64; 8]);
+
+impl Counters {
+    fn add(&self, s: &Statistics) {
+        let numbers = [
+            s.attempts,
+            s.found,
+            s.walks,
+            s.converged,
+            s.steps,
+            s.reciprocals,
+            s.trials,
+            s.exhausted,
+        ];
+        for (sum, n) in self.0.iter().zip(numbers) {
+            sum.fetch_add(n, Ordering::Relaxed);
+        }
+    }
+
+    fn read(&self) -> Statistics {
+        let [
+            attempts,
+            found,
+            walks,
+            converged,
+            steps,
+            reciprocals,
+            trials,
+            exhausted,
+        ] = [0, 1, 2, 3, 4, 5, 6, 7].map(|i: usize| self.0[i].load(Ordering::Relaxed));
+        Statistics {
+            attempts,
+            found,
+            walks,
+            converged,
+            steps,
+            reciprocals,
+            trials,
+            exhausted,
+        }
+    }
+}
+
+/// Finds glints in a scene.
+pub struct Finder<'a, P: Float> {
+    scene: &'a Scene,
+    theta: Theta<'a, P>,
+    options: Glints,
+    /// Slopes by shape, of the front and of the back.
+    maps: Vec<[Option<SlopeMap>; 2]>,
+    counters: Counters,
+}
+
+/// A light for a footprint: where, how densely it is sampled, and the half vectors to it.
+struct Lit<'a> {
+    foot: &'a Footprint,
+    map: &'a SlopeMap,
+    aim: Aim,
+    /// Density of the direction, per solid angle; `None` for what cannot be hit.
+    pdf: Option<f64>,
+    behind: bool,
+}
+
+impl<'a, P: Float> Finder<'a, P> {
+    /// For the shapes of `glinty`, see [`super::glinty_shapes`].
+    pub fn new(scene: &'a Scene, theta: Theta<'a, P>, glinty: &[bool], options: Glints) -> Self {
+        let of = |shape: usize| {
+            [false, true].map(|behind| {
+                let map = mapped_metal(scene.material(shape as u32), behind);
+                map.filter(|_| glinty[shape])
+                    .and_then(|m| SlopeMap::new(m, &theta))
+            })
+        };
+        Self {
+            scene,
+            theta,
+            options,
+            maps: (0..glinty.len()).map(of).collect(),
+            counters: Counters::default(),
+        }
+    }
+
+    /// What it has come to so far.
+    pub fn statistics(&self) -> Statistics {
+        self.counters.read()
+    }
+
+    /// Bytes of moments.
+    pub fn bytes(&self) -> usize {
+        self.maps
+            .iter()
+            .flatten()
+            .flatten()
+            .map(SlopeMap::bytes)
+            .sum()
+    }
+
+    /// The slopes of a footprint, and whether they are seen from behind.
+    fn slopes(&self, foot: &Footprint) -> Option<(&SlopeMap, bool)> {
+        let behind = foot.behind();
+        let map = self.maps[foot.shape as usize][usize::from(behind)].as_ref()?;
+        Some((map, behind && self.turns(foot.shape)))
+    }
+
+    /// Whether directions are turned to the front of a shape: those with two sides.
+    fn turns(&self, shape: u32) -> bool {
+        matches!(
+            self.scene.material(shape),
+            crate::bsdf::Material::TwoSided(_)
+        )
+    }
+
+    /// Adds what a sample finds whose filter weighs it by `sample`: estimates whose mean over samples is the pixel's light from
+    /// this surface over one reflection.
+    pub fn find(&self, foot: &Footprint, sample: f64, rng: &mut Independent, out: &mut Vec<Glint>) {
+        if self.options.techniques != GlintTechniques::Walks {
+            self.scatter(foot, sample, out);
+        }
+        if self.options.techniques != GlintTechniques::Scattering {
+            self.walk(foot, rng, out);
+        }
+    }
+
+    /// The weight of walks for a path, of which `q` is the probability that its part of the footprint is searched, `covers`
+    /// the solid angle per pixel, `drawn` the density of its point in the image, and `t` the place of its normal.
+    fn weight(&self, lit: &Lit, t: Vec2<f64>, [q, covers, drawn]: [f64; 3], angle: f64) -> f64 {
+        let Some(pdf) = lit
+            .pdf
+            .filter(|_| self.options.techniques == GlintTechniques::Both)
+        else {
+            return f64::from(
+                lit.pdf.is_none() || self.options.techniques == GlintTechniques::Walks,
+            );
+        };
+        let (walks, scattering) = match self.options.weights {
+            GlintWeights::Densities => (q * pdf * covers, drawn),
+            GlintWeights::Lobe => (pdf, self.lobe(lit, t) * angle),
+        };
+        let all = walks + scattering;
+        if all > 0.0 && all.is_finite() {
+            walks / all
+        } else {
+            0.0
+        }
+    }
+
+    /// Density of the footprint's slopes at the half vector, from moments, if the footprint is about `t`.
+    fn lobe(&self, lit: &Lit, t: Vec2<f64>) -> f64 {
+        let Aim {
+            texels_per_pixel,
+            half_per_texel,
+            ..
+        } = lit.aim;
+        // As wide as a square pixel.
+        let half = texels_per_pixel
+            .rows
+            .map(|[a, b]| 0.5 * (a.abs() + b.abs()));
+        let per_pixel = half_per_texel * texels_per_pixel;
+        (lit.map.moments(&self.theta, t, half))
+            .spread(&per_pixel, [1.0 / 12.0; 2])
+            .density(lit.aim.half(t))
+    }
+
+    /// Scatters a direction and looks for light there.
+    fn scatter(&self, foot: &Footprint, sample: f64, out: &mut Vec<Glint>) {
+        let scene = self.scene;
+        let si: SurfaceInteraction<P> = cast(&foot.si.primal());
+        let at = Shading {
+            theta: self.theta,
+            uv: si.uv,
+        };
+        let wo = foot.wo();
+        let scattered = scene.material(foot.shape).sample(
+            &at,
+            wo.map(P::from_f64),
+            [P::of(0.5); 3],
+            TransportMode::Radiance,
+        );
+        let Some(scattered) = scattered else {
+            return;
+        };
+        let d = si.frame.to_world(scattered.wi);
+        let ray = si.spawn_ray(d, scene.exit(foot.prim));
+        let met = scene.intersect(&ray);
+        let own = met.and_then(|met| scene.shape_info(met.shape).emitter);
+        let emitters = match &met {
+            Some(_) => own.as_slice(),
+            None => scene.infinite_emitters(),
+        };
+        let met = met.map(|met| met.si);
+        for &emitter in emitters {
+            let e = &scene.emitters()[emitter as usize];
+            let Some(emission) = e.hit(d, met.as_ref()) else {
+                continue;
+            };
+            let share: P = LightChoice::One.share(scene, emitter);
+            let pdf = e.pdf(scene.lights(), si.p, d, met.as_ref()) * share;
+            let target = match &met {
+                Some(met) => Target::Point(met.p.map(P::to_f64)),
+                None => Target::Direction(d.map(P::to_f64)),
+            };
+            let rival = self.rival(foot, &target, pdf.to_f64());
+            let weight = match self.options.techniques {
+                GlintTechniques::Both => 1.0 - rival,
+                _ => 1.0,
+            };
+            out.push(Glint {
+                si: foot.si.primal(),
+                wo,
+                wi: scattered.wi.map(P::to_f64),
+                emitter,
+                emission: Emission {
+                    uv: emission.uv.map(P::to_f64),
+                    falloff: emission.falloff.to_f64(),
+                },
+                weight: sample * weight,
+                by_walk: false,
+            });
+        }
+    }
+
+    /// The weight of walks for the path that was scattered to a target; zero if none could find it.
+    fn rival(&self, foot: &Footprint, target: &Target, pdf: f64) -> f64 {
+        let found = || {
+            let (map, behind) = self.slopes(foot)?;
+            let aim = foot.aim(map, target, behind)?;
+            let (slope, derivative) = map.slope(&self.theta, aim.t0)?;
+            let off = aim.half(aim.t0) - slope;
+            // A normal that was turned to the viewer, and the like.
+            if !(off.length() <= SAME_SLOPE * (1.0 + slope.length_squared())) {
+                return None;
+            }
+            let reflection = foot.reflection(Vec2::zero(), slope, behind)?;
+            let lit = Lit {
+                foot,
+                map,
+                aim,
+                pdf: Some(pdf),
+                behind,
+            };
+            let q = match self.options.region {
+                GlintRegion::Texels => {
+                    map.choose(&self.theta, &lit.aim, Pick::Of(cell_of(aim.t0)))?
+                        .1
+                }
+                GlintRegion::Footprint => 1.0,
+            };
+            let det = (aim.half_per_texel - derivative).determinant().abs();
+            let angle = reflection.slopes_per_angle;
+            let covers = covered(&aim.texels_per_pixel, det, angle);
+            let drawn = foot.drawn(Vec2::zero());
+            Some(self.weight(&lit, aim.t0, [q, covers, drawn], angle))
+        };
+        found().unwrap_or(0.0)
+    }
+
+    /// Samples a light and walks to the normals that reflect it.
+    fn walk(&self, foot: &Footprint, rng: &mut Independent, out: &mut Vec<Glint>) {
+        let Some((map, behind)) = self.slopes(foot) else {
+            return;
+        };
+        let scene = self.scene;
+        if scene.emitters().is_empty() {
+            return;
+        }
+        let emitter = scene.shares().choose(rng.next_bits(), 1).0 as u32;
+        let e = &scene.emitters()[emitter as usize];
+        let p = foot.si.p.map(|x| x.re);
+        let Some(light) = e.sample(scene.lights(), p, rng.next_2d::<f64>()) else {
+            return;
+        };
+        let pdf = light.pdf * LightChoice::One.share::<f64>(scene, emitter);
+        if !(pdf > 0.0) {
+            return;
+        }
+        let target = if light.distance.is_finite() && light.distance < f64::from(f32::MAX) {
+            Target::Point(p + light.d * light.distance)
+        } else {
+            Target::Direction(light.d)
+        };
+        let Some(aim) = foot.aim(map, &target, behind) else {
+            return;
+        };
+        let lit = Lit {
+            foot,
+            map,
+            aim,
+            pdf: (!e.is_delta()).then_some(pdf),
+            behind,
+        };
+        let mut s = Statistics {
+            attempts: 1,
+            ..Statistics::default()
+        };
+        let before = out.len();
+        self.solve(&lit, pdf, rng, &mut s, |si, wo, wi, weight| {
+            out.push(Glint {
+                si,
+                wo,
+                wi,
+                emitter,
+                emission: light.emission,
+                weight,
+                by_walk: true,
+            });
+        });
+        // Seen from the footprint's point: lights are far, compared with its size.
+        if out.len() > before && self.hidden(foot, &light) {
+            out.truncate(before);
+        }
+        s.found += u64::from(out.len() > before);
+        self.counters.add(&s);
+    }
+
+    fn hidden(&self, foot: &Footprint, light: &EmitterSample<f64>) -> bool {
+        let exit = self.scene.exit(foot.prim);
+        let shadow = (foot.si.primal()).shadow_ray(light.d, light.distance, exit, light.surface);
+        self.scene.occluded(&shadow)
+    }
+
+    /// Calls `put` with every reflection that walks find, and its weight.
+    fn solve(
+        &self,
+        lit: &Lit,
+        pdf: f64,
+        rng: &mut Independent,
+        s: &mut Statistics,
+        mut put: impl FnMut(SurfaceInteraction<f64>, Vec3<f64>, Vec3<f64>, f64),
+    ) {
+        let Glints {
+            method,
+            region,
+            threshold,
+            steps: most,
+            budget,
+            ..
+        } = self.options;
+        let &Lit { map, aim, .. } = lit;
+        // A threshold is in texture coordinates.
+        let threshold = threshold.map(|x| x * map.texels_per_uv().determinant().abs().sqrt());
+        let (cell, q) = match region {
+            GlintRegion::Footprint => (None, 1.0),
+            GlintRegion::Texels => match map.choose(&self.theta, &aim, Pick::Random(rng)) {
+                Some((cell, q)) => (Some((cell, map.patch(&self.theta, cell))), q),
+                None => return,
+            },
+        };
+        let mut walk = |s: &mut Statistics| {
+            let u = rng.next_2d::<f64>();
+            let (root, n) = match &cell {
+                Some((cell, patch)) => patch.walk(&aim, *cell, u, most),
+                None => over_footprint(map, &self.theta, &aim, aim.at(u), most),
+            };
+            s.walks += 1;
+            s.steps += u64::from(n);
+            s.converged += u64::from(root.is_some());
+            root
+        };
+        match method {
+            GlintMethod::Unbiased => {
+                let first = walk(s);
+                let worth = first.and_then(|root| Some((self.worth(lit, pdf, q, &root)?, root)));
+                if let Some(((si, wo, wi, weight), root)) = worth {
+                    let again = || walk(s).is_some_and(|found| root.is(&found, threshold));
+                    let (n, exhausted) = trials(again, budget);
+                    s.reciprocals += 1;
+                    s.trials += u64::from(n);
+                    s.exhausted += u64::from(exhausted);
+                    put(si, wo, wi, weight * f64::from(n));
+                }
+            }
+            GlintMethod::Biased(walks) => {
+                let found = distinct(walks, || walk(s), |a, b| a.is(b, threshold));
+                for root in &found {
+                    if let Some((si, wo, wi, weight)) = self.worth(lit, pdf, q, root) {
+                        put(si, wo, wi, weight);
+                    }
+                }
+            }
+        }
+    }
+
+    /// A solution as materials see it, and its weight; `None` where it brings nothing.
+    fn worth(
+        &self,
+        lit: &Lit,
+        pdf: f64,
+        q: f64,
+        root: &Root,
+    ) -> Option<(SurfaceInteraction<f64>, Vec3<f64>, Vec3<f64>, f64)> {
+        let Lit {
+            foot, aim, behind, ..
+        } = lit;
+        let off = aim.pixels(root.t);
+        let filter = foot.filter.density(foot.offset(off));
+        let reflection = foot.reflection(off, aim.half(root.t), *behind)?;
+        if filter == 0.0 {
+            return None;
+        }
+        let angle = reflection.slopes_per_angle;
+        let covers = covered(&aim.texels_per_pixel, root.det, angle);
+        let share = self.weight(lit, root.t, [q, covers, foot.drawn(off)], angle);
+        let weight = share * filter / (q * pdf * covers);
+        let uv = foot.si.uv;
+        let mut si = foot.si.primal();
+        si.uv = Vec2::new(uv.x, uv.y).map(|x| x.re + x.eps[0] * off.x + x.eps[1] * off.y);
+        (weight.is_finite() && weight != 0.0).then_some((si, reflection.wo, reflection.wi, weight))
+    }
+}
+
+/// Solid angle that the reflections of a square pixel cover, if its normals go on as at a point.
+fn covered(texels_per_pixel: &Mat2<f64>, det: f64, slopes_per_angle: f64) -> f64 {
+    texels_per_pixel.determinant().abs() * det / slopes_per_angle
+}
+
+impl Footprint {
+    /// Where the filter of its pixel is asked for a point `off` pixels away.
+    fn offset(&self, off: Vec2<f64>) -> [f64; 2] {
+        [off.x - self.centre[0], off.y - self.centre[1]]
+    }
+
+    /// Density of the point in the image that samples of the pixel see, `off` pixels away.
+    fn drawn(&self, off: Vec2<f64>) -> f64 {
+        let offset = self.offset(off);
+        let weight = self.filter.weight(offset);
+        if weight == 0.0 {
+            return 0.0;
+        }
+        self.filter.density(offset) / weight
+    }
+}
