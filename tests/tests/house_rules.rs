@@ -103,6 +103,7 @@ const TRANSPORT: &[&str] = &[
     "density",
     "paths",
     "motion",
+    "convolved",
     "connections",
     "boundary",
     "integrals",

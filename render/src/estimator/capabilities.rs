@@ -19,6 +19,8 @@ pub struct Capabilities {
     pub follows_texels: bool,
     /// Whether vertices of its paths move with shapes, cameras and lights.
     pub moves_vertices: bool,
+    /// Whether it is right for what moves in a limit only, that of a narrow kernel: [`Convolved`](super::Convolved).
+    pub in_the_limit: bool,
     /// Where it is right.
     pub scenes: Scenes,
     /// Whether a [`Guide`](crate::guide::Guide) leads its paths.
@@ -205,7 +207,8 @@ impl Capabilities {
             differential: S::Bsdf::DIFFERENTIAL,
             samples_emitters: S::SAMPLES_EMITTERS,
             follows_texels: S::EmitterMotion::KEEPS,
-            moves_vertices: S::INTERIOR,
+            moves_vertices: S::INTERIOR || S::CONVOLVED > 0,
+            in_the_limit: S::CONVOLVED > 0,
             scenes,
             guided: is_guided::<S>(),
             modes: Modes {
@@ -231,6 +234,10 @@ impl Capabilities {
         (
             "motion",
             "sees derivatives in positions of shapes, cameras and lights",
+        ),
+        (
+            "motion in the limit",
+            "sees them, and is right in the limit of a narrow kernel: what is smaller is blurred",
         ),
         ("deltas", "sees derivatives in Dirac deltas"),
         ("guide", "a guide leads its paths"),
@@ -322,7 +329,8 @@ impl fmt::Display for Capabilities {
         for (holds, what) in [
             (self.samples_emitters, "lights"),
             (self.follows_texels, "texels"),
-            (self.moves_vertices, "motion"),
+            (self.moves_vertices && !self.in_the_limit, "motion"),
+            (self.in_the_limit, "motion in the limit"),
             (self.sees(ParamKind::Delta), "deltas"),
             (self.guided, "guide"),
             (self.modes.waves, "waves"),
