@@ -40,9 +40,9 @@ use crate::error::RenderError;
 pub use crate::estimator::Mode;
 use crate::estimator::{
     self, AllowBias, Attached, AttachedChoice, AttachedDirect, AttachedRoulette, AttachedWeights,
-    Balance, BsdfOnly, Capabilities, Detached, DetachedMis, DetachedWeights, Differential,
-    EmitterOnly, Convolved, FrozenWeights, Interior, Mis, MixedWeights, Outlines, Reparameterised, Strategy,
-    TrustBsdf, TrustLights, Unbiased,
+    Balance, BsdfOnly, Capabilities, Convolved, Detached, DetachedMis, DetachedWeights,
+    Differential, EmitterOnly, FrozenWeights, Interior, Mis, MixedWeights, Outlines,
+    Reparameterised, Strategy, TrustBsdf, TrustLights, Unbiased,
 };
 use crate::integrator::Job;
 use crate::integrator::density::{Convention, Map};
@@ -602,7 +602,7 @@ estimators! {
     AttachedPath "attached-path" BsdfOnly<Attached>,
         "BSDF samples that move, and the whole path behind them.";
     Reparameterised "reparameterised" Convolved<BsdfOnly<Reparameterised>>,
-        "BSDF samples that move, but stand still at outlines; what moves is followed by all directions.";
+        "BSDF samples that move, but stand still at outlines; what moves, by directions that follow it, in the limit of a narrow kernel.";
     Differential "differential" BsdfOnly<Differential>,
         "BSDF samples, and an antithetic pair from the derivative of the distribution of normals.";
     Mis "mis" DetachedMis,

@@ -235,10 +235,6 @@ impl Capabilities {
             "motion",
             "sees derivatives in positions of shapes, cameras and lights",
         ),
-        (
-            "motion in the limit",
-            "sees them, and is right in the limit of a narrow kernel: what is smaller is blurred",
-        ),
         ("deltas", "sees derivatives in Dirac deltas"),
         ("guide", "a guide leads its paths"),
         ("waves", "paths are followed many at a time"),
@@ -329,8 +325,7 @@ impl fmt::Display for Capabilities {
         for (holds, what) in [
             (self.samples_emitters, "lights"),
             (self.follows_texels, "texels"),
-            (self.moves_vertices && !self.in_the_limit, "motion"),
-            (self.in_the_limit, "motion in the limit"),
+            (self.moves_vertices, "motion"),
             (self.sees(ParamKind::Delta), "deltas"),
             (self.guided, "guide"),
             (self.modes.waves, "waves"),

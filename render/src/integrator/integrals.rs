@@ -42,7 +42,14 @@ pub(super) fn every<S: Strategy, X: Sampler>(
     let moves = S::INTERIOR && wanted.motion;
     let outlines = S::OUTLINES && wanted.motion;
     let follows = S::CONVOLVED > 0 && wanted.motion;
-    let all = [wanted.light, by_particles, by_connections, moves, outlines, follows];
+    let all = [
+        wanted.light,
+        by_particles,
+        by_connections,
+        moves,
+        outlines,
+        follows,
+    ];
     let integrals: u64 = all.into_iter().map(u64::from).sum();
     let share = Share {
         progress,

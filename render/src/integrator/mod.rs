@@ -8,7 +8,7 @@
 mod active;
 mod boundary;
 mod connections;
-mod convolved;
+pub mod convolved;
 pub mod density;
 pub mod direct;
 mod exact;

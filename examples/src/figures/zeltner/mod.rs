@@ -4,6 +4,7 @@
 //! [`taxonomy`]. Those of whole scenes take them from [`super::common_scenes`].
 
 pub mod alg_4_1;
+pub mod alg_4_3;
 mod differential_normals;
 mod estimator_parts;
 mod exact_moments;
@@ -39,10 +40,13 @@ pub mod fig_4_19;
 pub mod fig_4_2;
 pub mod fig_4_20;
 pub mod fig_4_22;
+pub mod fig_4_23;
 pub mod fig_4_2_1_foot4;
 pub mod fig_4_2_2_env;
+pub mod fig_4_3;
 pub mod fig_4_4;
 pub mod fig_4_5;
+pub mod fig_4_7;
 pub mod fig_4_8;
 mod fresnel_angles;
 pub mod integration_1d;

@@ -248,7 +248,9 @@ impl<'a, P: Float> Follow<'a, P> {
         }
         let mut moves = self.active.moves_camera() || first.is_some();
         for (k, (stop, bend)) in trail.stops.iter().zip(&mut bends).enumerate() {
-            let Place { prim, si, shape, .. } = &stop.place;
+            let Place {
+                prim, si, shape, ..
+            } = &stop.place;
             moves |= self.active.moves_shape(*shape);
             let exit = self.scene.exit(*prim);
             let depth = k as u32 + 1;
@@ -307,7 +309,9 @@ impl<'a, P: Float> Follow<'a, P> {
             back.o += self.velocity(field, d, total, grad);
         }
         if self.active.moves_camera() {
-            self.scene.camera.scatter_ray(self.theta, course.film, &back, grad);
+            self.scene
+                .camera
+                .scatter_ray(self.theta, course.film, &back, grad);
         }
     }
 
@@ -351,7 +355,8 @@ impl<'a, P: Float> Follow<'a, P> {
                     p: d_p,
                     ..SurfaceAdjoint::zero()
                 };
-                self.scene.scatter_point(self.theta, *prim, si, &surface, P::zero(), grad);
+                self.scene
+                    .scatter_point(self.theta, *prim, si, &surface, P::zero(), grad);
             }
             if let Some(film) = f.film {
                 let back = RayAdjoint {
@@ -423,12 +428,28 @@ impl<'a, P: Float> Follow<'a, P> {
                 None => place.si.frame.to_world(b.wi),
             };
             let a = beta * bend.arriving;
-            self.scatters(place, [before, w], b.wi, b.component, a, &mut own, &mut behind.d);
+            self.scatters(
+                place,
+                [before, w],
+                b.wi,
+                b.component,
+                a,
+                &mut own,
+                &mut behind.d,
+            );
             let met = beta * b.f.scale(b.weight);
             self.emissions(&stop.edge, w, end, met, &mut behind, grad);
             let ray = Ray::new(from, w);
             let total = (a * b.f).sum();
-            self.leaves(ray, end, &behind, bend.scattered.as_ref(), total, &mut own, grad);
+            self.leaves(
+                ray,
+                end,
+                &behind,
+                bend.scattered.as_ref(),
+                total,
+                &mut own,
+                grad,
+            );
         }
         if let Some((s, aim)) = &stop.sampled {
             let e = &self.scene.emitters()[s.emitter as usize];
@@ -441,12 +462,28 @@ impl<'a, P: Float> Follow<'a, P> {
                 let a = beta * s.le.scale(s.weight);
                 let continuous = Component::Continuous;
                 let directions = [before, w];
-                self.scatters(place, directions, s.wi, continuous, a, &mut own, &mut adjoint.d);
+                self.scatters(
+                    place,
+                    directions,
+                    s.wi,
+                    continuous,
+                    a,
+                    &mut own,
+                    &mut adjoint.d,
+                );
                 let a_le = beta * s.f.scale(s.weight);
                 self.emission(s.emitter, w, end, a_le, &mut adjoint, grad);
                 let ray = Ray::new(from, w);
                 let total = (a * s.f).sum();
-                self.leaves(ray, end, &adjoint, bend.sampled.as_ref(), total, &mut own, grad);
+                self.leaves(
+                    ray,
+                    end,
+                    &adjoint,
+                    bend.sampled.as_ref(),
+                    total,
+                    &mut own,
+                    grad,
+                );
             }
         }
         own
@@ -584,14 +621,26 @@ impl<'a, P: Float> Follow<'a, P> {
         let mut d_w = Vec3::zero();
         let a = beta * s.le.scale(s.weight);
         let directions = [before, aim.d];
-        self.scatters(place, directions, s.wi, Component::Continuous, a, own, &mut d_w);
+        self.scatters(
+            place,
+            directions,
+            s.wi,
+            Component::Continuous,
+            a,
+            own,
+            &mut d_w,
+        );
         // As the adjoint of the light.
         let mut d = (d_w - aim.d * aim.d.dot(d_w)) * aim.distance.recip();
         let var = |x: P, i: usize| Dual::<P, 3>::var(x, i);
         let moving = Vec3::new(var(from.x, 0), var(from.y, 1), var(from.z, 2));
         let le = e.eval(&self.theta.lift(), &e.connect(aim, moving).emission);
         let a_le = beta * s.f.scale(s.weight);
-        d -= Vec3::new(slope(&le, a_le, 0), slope(&le, a_le, 1), slope(&le, a_le, 2));
+        d -= Vec3::new(
+            slope(&le, a_le, 0),
+            slope(&le, a_le, 1),
+            slope(&le, a_le, 2),
+        );
         own.end.p -= d;
         if let Some(p) = e.moved_by()
             && self.active.moves_emitter(s.emitter)
@@ -610,4 +659,3 @@ fn seen_from<P: Float>(
     let t = (si.p - from).length();
     (prim, SurfaceInteraction { t, ..si })
 }
-

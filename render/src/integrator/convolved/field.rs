@@ -24,15 +24,15 @@ use crate::math::Frame;
 /// Concentration of the distribution of neighbours: their angles are about one over its root, radians.
 pub const KAPPA: f64 = 1e5;
 
-/// Largest value of the boundary test. Within an outline and beyond it, neighbours count as the cubes of these.
-pub(super) const LARGEST: f64 = 10.0;
+/// Largest value of the boundary test, and that of what has no outline. Within an outline and beyond it, neighbours count as the cubes of these.
+pub const LARGEST: f64 = 10.0;
 
 /// A value of the boundary test and a distance that are next to nothing: on the outline itself.
 const LEAST: f64 = 1e-12;
 
 /// A direction close to another one.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Neighbour {
+pub struct Neighbour {
     /// Unit vector.
     pub d: Vec3<f64>,
     /// Its part at right angles to the direction that it is a neighbour of.
@@ -42,7 +42,7 @@ pub(super) struct Neighbour {
 }
 
 impl Neighbour {
-    /// Distributed about the axis of `frame` by von Mises and Fisher.
+    /// Distributed about the axis of `frame` by von Mises and Fisher, from two numbers in `[0, 1)`.
     pub fn sample(frame: &Frame<f64>, kappa: f64, [u, v]: [f64; 2]) -> Self {
         let level = 1.0 - u;
         // One minus the cosine.
@@ -59,13 +59,13 @@ impl Neighbour {
 }
 
 /// The boundary test at an angle from an outline, radians: as fast from zero as a kernel rises from one.
-pub(super) fn boundary_test(kappa: f64, distance: f64) -> f64 {
+pub fn boundary_test(kappa: f64, distance: f64) -> f64 {
     (0.5 * kappa * distance * distance).min(LARGEST)
 }
 
 /// What the velocity of one neighbour does to the field and to its divergence.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Influence {
+pub struct Influence {
     /// Part of the field.
     pub share: f64,
     /// The divergence is the sum of the scalar products with the velocities.
@@ -74,7 +74,7 @@ pub(super) struct Influence {
 
 /// The field at the unit direction `w` from at least two neighbours and their boundary tests. It is the sum of velocities
 /// times shares, as far as that is at right angles to `w`; the divergence is that on the sphere (errata Z-4.22).
-pub(super) fn convolve(
+pub fn convolve(
     w: Vec3<f64>,
     kappa: f64,
     neighbours: &[(Neighbour, f64)],

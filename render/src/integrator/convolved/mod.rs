@@ -94,7 +94,9 @@ fn border<P: Float, X: Sampler>(
     let [x, y] = sample.pixel;
     let first = [x == 0, y == 0];
     let sides = [(0, true), (1, true), (0, false), (1, false)];
-    let sides = sides.into_iter().filter(|(axis, after)| *after || first[*axis]);
+    let sides = sides
+        .into_iter()
+        .filter(|(axis, after)| *after || first[*axis]);
     let sides: smallvec::SmallVec<[(usize, bool); 4]> = sides.collect();
     let length = sides.len() as f64;
     let (axis, after) = sides[((u * length) as usize).min(sides.len() - 1)];
@@ -125,7 +127,11 @@ struct Worker<'a, P: Float, S: Strategy, X: Sampler> {
 impl<P: Float, S: Strategy, X: Sampler> Worker<'_, P, S, X> {
     /// Calls `each` with what flows through borders of the sample's pixel: where, the radiance there, and something that adds
     /// the derivative of a number times the speed of the film across the border.
-    fn borders(&mut self, sample: &Sample, mut each: impl FnMut(&Border, Rgb<P>, &dyn Fn(f64, &mut Held))) {
+    fn borders(
+        &mut self,
+        sample: &Sample,
+        mut each: impl FnMut(&Border, Rgb<P>, &dyn Fn(f64, &mut Held)),
+    ) {
         let scene = self.context.scene;
         if scene.film.filter != PixelFilter::Box {
             return;

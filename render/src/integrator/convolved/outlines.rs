@@ -38,7 +38,10 @@ fn opposite(mesh: &Mesh) -> Vec<Opposite> {
     let mut sides: HashMap<(u32, u32), Vec<(u32, u32)>> = HashMap::new();
     for (t, i) in data.triangles.iter().zip(0u32..) {
         for k in 0..3 {
-            sides.entry(side(t, k)).or_default().push((i, t[(k + 2) % 3]));
+            sides
+                .entry(side(t, k))
+                .or_default()
+                .push((i, t[(k + 2) % 3]));
         }
     }
     let of = |(t, i): (&[u32; 3], u32)| {

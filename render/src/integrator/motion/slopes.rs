@@ -22,14 +22,21 @@ pub(in crate::integrator) fn across<P: Float>(d: Vec3<P>) -> [Vec3<P>; 2] {
 }
 
 /// `d` as it varies across itself, by the tangents `first` and the next.
-pub(in crate::integrator) fn varied<P: Float, const N: usize>(d: Vec3<P>, first: usize) -> Vec3<Dual<P, N>> {
+pub(in crate::integrator) fn varied<P: Float, const N: usize>(
+    d: Vec3<P>,
+    first: usize,
+) -> Vec3<Dual<P, N>> {
     let [a, b] = across(d);
     let var = |k| Dual::<P, N>::var(P::zero(), k);
     Vec3::lift(d) + Vec3::lift(a) * var(first) + Vec3::lift(b) * var(first + 1)
 }
 
 /// The slope of a sum over channels, along tangent `k`.
-pub(in crate::integrator) fn slope<P: Float, const N: usize>(value: &Rgb<Dual<P, N>>, a: Rgb<P>, k: usize) -> P {
+pub(in crate::integrator) fn slope<P: Float, const N: usize>(
+    value: &Rgb<Dual<P, N>>,
+    a: Rgb<P>,
+    k: usize,
+) -> P {
     value.r.eps[k] * a.r + value.g.eps[k] * a.g + value.b.eps[k] * a.b
 }
 
