@@ -288,6 +288,22 @@ impl Camera {
         Vec3::new(component(0), component(1), component(2))
     }
 
+    /// Where on the image a unit direction is seen, on the film or not, and how that changes with it. `None` behind the
+    /// camera.
+    pub(crate) fn seen(&self, d: Vec3<f64>) -> Option<Seen> {
+        let [x, y, depth] = self.inverse.map(Vec3::<f64>::from);
+        let z = depth.dot(d);
+        if z <= 0.0 {
+            return None;
+        }
+        let at = [x, y].map(|row| row.dot(d) / z);
+        Some(Seen {
+            at,
+            slopes: [x - depth * at[0], y - depth * at[1]].map(|slope| slope * z.recip()),
+            log_area: depth * (-3.0 / z),
+        })
+    }
+
     /// Width and height of the image that the camera was made for.
     pub fn resolution(&self) -> [u32; 2] {
         self.resolution
@@ -297,6 +313,17 @@ impl Camera {
     pub fn origin(&self) -> [f64; 3] {
         self.origin
     }
+}
+
+/// Where on the image a direction is seen.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Seen {
+    /// The point, as in [`Camera::ray`].
+    pub at: [f64; 2],
+    /// How its coordinates change with a unit direction, pixels per radian.
+    pub slopes: [Vec3<f64>; 2],
+    /// How the logarithm of the area does that a unit of solid angle covers there.
+    pub log_area: Vec3<f64>,
 }
 
 /// A camera as particles meet it, in their scalar.

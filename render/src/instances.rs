@@ -40,9 +40,9 @@ use crate::error::RenderError;
 pub use crate::estimator::Mode;
 use crate::estimator::{
     self, AllowBias, Attached, AttachedChoice, AttachedDirect, AttachedRoulette, AttachedWeights,
-    Balance, BsdfOnly, Capabilities, Detached, DetachedMis, DetachedWeights, Differential,
-    EmitterOnly, FrozenWeights, Interior, Mis, MixedWeights, Outlines, Reparameterised, Strategy,
-    TrustBsdf, TrustLights, Unbiased,
+    Balance, BsdfOnly, Capabilities, Convolved, Detached, DetachedMis, DetachedWeights,
+    Differential, EmitterOnly, FrozenWeights, Interior, Mis, MixedWeights, Outlines,
+    Reparameterised, Strategy, TrustBsdf, TrustLights, Unbiased,
 };
 use crate::integrator::Job;
 use crate::integrator::density::{Convention, Map};
@@ -601,8 +601,8 @@ estimators! {
         "`attached` in any scene.";
     AttachedPath "attached-path" BsdfOnly<Attached>,
         "BSDF samples that move, and the whole path behind them.";
-    Reparameterised "reparameterised" BsdfOnly<Reparameterised>,
-        "BSDF samples that move, but stand still at outlines.";
+    Reparameterised "reparameterised" Convolved<BsdfOnly<Reparameterised>>,
+        "BSDF samples that move, but stand still at outlines; what moves, by directions that follow it, in the limit of a narrow kernel.";
     Differential "differential" BsdfOnly<Differential>,
         "BSDF samples, and an antithetic pair from the derivative of the distribution of normals.";
     Mis "mis" DetachedMis,
@@ -629,7 +629,7 @@ estimators! {
         "`attached-mis` with weights that follow the samples only.";
     AttachedBoth "attached-both" Mis<AttachedDirect, Attached, AttachedWeights>,
         "`attached-mis` whose samples of environment maps move with the texels.";
-    ReparameterisedMis "reparameterised-mis" Mis<Reparameterised, Detached, AttachedWeights>,
+    ReparameterisedMis "reparameterised-mis" Convolved<Mis<Reparameterised, Detached, AttachedWeights>>,
         "`reparameterised` and sampled lights, differentiated weights.";
     BiasedWeights "biased-weights" AllowBias<Mis<Reparameterised, Detached, DetachedWeights>>,
         "`reparameterised-mis` with constant weights [Zeltner 2021, Eq. 4.38].";

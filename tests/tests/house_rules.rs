@@ -105,6 +105,7 @@ const TRANSPORT: &[&str] = &[
     "density",
     "paths",
     "motion",
+    "convolved",
     "connections",
     "glints",
     "boundary",

@@ -123,7 +123,8 @@ impl Sums {
     }
 }
 
-/// The candidates that see a parameter.
+/// The candidates that see a parameter: without those that are right for what moves in a limit only, where there are others,
+/// since a sum of estimators has the biases of all of them.
 ///
 /// # Errors
 /// None of them does, with the last one's reason; or there are none.
@@ -133,6 +134,7 @@ pub fn able(
     candidates: &[Estimator],
 ) -> Result<Vec<Estimator>, RenderError> {
     let mut able = Vec::new();
+    let mut limited = Vec::new();
     let mut refused = Err(RenderError::Count {
         what: "candidates",
         expected: "at least one",
@@ -140,9 +142,13 @@ pub fn able(
     });
     for &e in candidates {
         match e.check(scene).and_then(|()| e.check_parameter(info)) {
+            Ok(()) if info.kind.is_motion() && e.capabilities().in_the_limit => limited.push(e),
             Ok(()) => able.push(e),
             reason => refused = reason,
         }
+    }
+    if able.is_empty() {
+        able = limited;
     }
     if able.is_empty() {
         refused?;

@@ -19,6 +19,8 @@ pub struct Capabilities {
     pub follows_texels: bool,
     /// Whether vertices of its paths move with shapes, cameras and lights.
     pub moves_vertices: bool,
+    /// Whether it is right for what moves in a limit only, that of a narrow kernel: [`Convolved`](super::Convolved).
+    pub in_the_limit: bool,
     /// Where it is right.
     pub scenes: Scenes,
     /// Whether a [`Guide`](crate::guide::Guide) leads its paths.
@@ -205,7 +207,8 @@ impl Capabilities {
             differential: S::Bsdf::DIFFERENTIAL,
             samples_emitters: S::SAMPLES_EMITTERS,
             follows_texels: S::EmitterMotion::KEEPS,
-            moves_vertices: S::INTERIOR,
+            moves_vertices: S::INTERIOR || S::CONVOLVED > 0,
+            in_the_limit: S::CONVOLVED > 0,
             scenes,
             guided: is_guided::<S>(),
             modes: Modes {

@@ -1,7 +1,7 @@
 //! Which combinations are right: a list of them, and no rule.
 
 use super::{
-    AllowBias, Attached, AttachedDirect, AttachedWeights, Balance, BsdfOnly, Detached,
+    AllowBias, Attached, AttachedDirect, AttachedWeights, Balance, BsdfOnly, Convolved, Detached,
     DetachedWeights, Differential, EmitterOnly, FrozenWeights, Interior, Mis, Outlines, Power,
     Reparameterised, Strategy, TrustBsdf, TrustLights,
 };
@@ -28,6 +28,9 @@ use super::{
 /// fn differentiate<S: Unbiased>() {}
 /// differentiate::<AllowBias<Mis<Detached, Detached, DetachedWeights, Maximum>>>();
 /// ```
+///
+/// What is right in a limit only is among them, too, and says so ([`Capabilities::in_the_limit`](super::Capabilities)):
+/// [`Convolved`].
 ///
 /// Naive attached sampling is among them: it is right where nothing can occlude, which [`crate::Scene::admits`] decides
 /// when the scene is known.
@@ -108,6 +111,8 @@ unbiased! {
 }
 
 unbiased_for_all_rays! {
+    Convolved<BsdfOnly<Reparameterised<RAYS>>>;
+    Convolved<Mis<Reparameterised<RAYS>, Detached, AttachedWeights>>;
     BsdfOnly<Reparameterised<RAYS>>;
     EmitterOnly<Reparameterised<RAYS>>;
     EmitterOnly<Reparameterised<RAYS>, Attached>;

@@ -52,10 +52,8 @@ pub fn backward<P: Float, S: Unbiased, X: Sampler>(
     check_size("adjoint image", scene, adjoint)?;
     scene.admits::<S>()?;
     active.check_motion::<S>()?;
-    if S::OUTLINES {
-        for info in active.ranges() {
-            scene.admits_outlines(info, job.settings.max_depth)?;
-        }
+    for info in active.ranges() {
+        scene.admits_outlines::<S>(info, job.settings.max_depth)?;
     }
     connections::check::<S>(job.settings, &active.ranges)?;
     glints::check::<S>(job.settings, &active.ranges)?;

@@ -7,6 +7,7 @@ use ad_core::{Float, Real};
 use super::active::Active;
 use super::boundary;
 use super::connections;
+use super::convolved;
 use super::exact::ExactBuffer;
 use super::glints;
 use super::motion;
@@ -42,6 +43,7 @@ pub(super) fn every<S: Strategy, X: Sampler>(
     let by_glints = wanted.light && wanted.finders.glints;
     let moves = S::INTERIOR && wanted.motion;
     let outlines = S::OUTLINES && wanted.motion;
+    let follows = S::CONVOLVED > 0 && wanted.motion;
     let all = [
         wanted.light,
         by_particles,
@@ -49,6 +51,7 @@ pub(super) fn every<S: Strategy, X: Sampler>(
         by_glints,
         moves,
         outlines,
+        follows,
     ];
     let integrals: u64 = all.into_iter().map(u64::from).sum();
     let share = Share {
@@ -74,6 +77,9 @@ pub(super) fn every<S: Strategy, X: Sampler>(
     }
     if const { S::OUTLINES } && wanted.motion && !share.cancelled() {
         question.ask::<Boundaries>(&share);
+    }
+    if const { S::CONVOLVED > 0 } && wanted.motion && !share.cancelled() {
+        question.ask::<Convolved>(&share);
     }
 }
 
@@ -142,6 +148,23 @@ impl<S: Strategy, X: Sampler> Integral<S, X> for Boundaries {
         large: &ExactBuffer,
     ) -> GradientSums {
         boundary::gradient::<P, S, X>(pass, active, adjoint, large)
+    }
+}
+
+/// What moves, along directions that follow outlines.
+struct Convolved;
+
+impl<S: Strategy, X: Sampler> Integral<S, X> for Convolved {
+    fn image<R: Components>(pass: &Pass<R>) -> Rendering {
+        convolved::image::<R, S, X>(pass)
+    }
+    fn gradient<P: Float>(
+        pass: &Pass<P>,
+        active: &Active,
+        adjoint: &[f32],
+        large: &ExactBuffer,
+    ) -> GradientSums {
+        convolved::gradient::<P, S, X>(pass, active, adjoint, large)
     }
 }
 

@@ -8,6 +8,7 @@
 mod active;
 mod boundary;
 mod connections;
+pub mod convolved;
 pub mod coverage;
 pub mod density;
 pub mod direct;

@@ -35,9 +35,7 @@ pub fn render<R: Components, S: Unbiased, X: Sampler>(
         for info in moving.clone() {
             estimator::check_parameter::<S>(info)?;
             scene.admits_motion(info)?;
-            if S::OUTLINES {
-                scene.admits_outlines(info, job.settings.max_depth)?;
-            }
+            scene.admits_outlines::<S>(info, job.settings.max_depth)?;
         }
         connections::check::<S>(job.settings, moving.clone())?;
         glints::check::<S>(job.settings, moving)?;

@@ -7,6 +7,8 @@ use crate::bsdf::{Bsdf, TextureRef};
 use crate::camera::FovAxis;
 use crate::emitter::{AnyEmitter, Emitter};
 use crate::error::RenderError;
+use crate::estimator::Strategy;
+use crate::film::PixelFilter;
 use crate::motion::Placement;
 use crate::params::{ParamInfo, ParamKind, ParamRef, ParamShape, fits};
 use crate::shape::{AnyShape, Mesh};
@@ -369,23 +371,38 @@ impl Scene {
         Ok(())
     }
 
-    /// Whether samples of edges find all outlines that move with this parameter, where paths have up to `max_depth` edges:
-    /// there may be no shadows of point and spot lights, whose outlines are no scattered light's.
+    /// Whether the estimator has terms for all outlines that move with this parameter, where paths have up to `max_depth`
+    /// edges, if it has any: there may be no shadows of point and spot lights, whose outlines are no scattered light's. Who
+    /// moves points of the film needs a pixel filter whose derivative has samples: a box or a Gaussian.
     ///
     /// # Errors
-    /// Names the parameter, and a light. None for parameters that move nothing.
-    pub fn admits_outlines(&self, info: &ParamInfo, max_depth: u32) -> Result<(), RenderError> {
-        if !info.kind.is_motion() || max_depth < 2 || self.outline(false).is_none() {
+    /// Names the parameter, and what is in the way. None for parameters that move nothing.
+    pub fn admits_outlines<S: Strategy>(
+        &self,
+        info: &ParamInfo,
+        max_depth: u32,
+    ) -> Result<(), RenderError> {
+        let follows = S::CONVOLVED > 0;
+        if !info.kind.is_motion() || !(S::OUTLINES || follows) {
             return Ok(());
         }
-        match self.emitters.iter().find(|e| e.is_delta()) {
-            None => Ok(()),
-            Some(_) => Err(RenderError::Motion {
+        let refuse = |culprit: &str| {
+            Err(RenderError::Motion {
                 name: info.name.clone(),
-                culprit: "shadows of point and spot lights have outlines without samples of edges"
-                    .into(),
-            }),
+                culprit: culprit.into(),
+            })
+        };
+        let filter = &self.film.filter;
+        if follows && !matches!(filter, PixelFilter::Box | PixelFilter::Gaussian { .. }) {
+            return refuse(
+                "directions that follow outlines need a box or a Gaussian as the pixel filter",
+            );
         }
+        let shadows = max_depth >= 2 && self.outline(false).is_some();
+        if shadows && self.emitters.iter().any(AnyEmitter::is_delta) {
+            return refuse("shadows of point and spot lights have outlines without samples");
+        }
+        Ok(())
     }
 
     /// Whether a texture of a shape does: between texels, or where its coordinates begin again.

@@ -4,5 +4,6 @@ pub mod auto_estimator;
 pub mod caustic_ring;
 pub mod guided_pool;
 pub mod measured_pixels;
+pub mod moving_outlines;
 pub mod second_order;
 pub mod spread_samples;

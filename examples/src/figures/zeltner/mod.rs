@@ -5,6 +5,7 @@
 
 pub mod alg_3_2;
 pub mod alg_4_1;
+pub mod alg_4_3;
 mod differential_normals;
 mod estimator_parts;
 mod exact_moments;
@@ -46,12 +47,15 @@ pub mod fig_4_19;
 pub mod fig_4_2;
 pub mod fig_4_20;
 pub mod fig_4_22;
+pub mod fig_4_23;
 pub mod fig_4_24;
 pub mod fig_4_25;
 pub mod fig_4_2_1_foot4;
 pub mod fig_4_2_2_env;
+pub mod fig_4_3;
 pub mod fig_4_4;
 pub mod fig_4_5;
+pub mod fig_4_7;
 pub mod fig_4_8;
 mod fresnel_angles;
 mod glint_scenes;

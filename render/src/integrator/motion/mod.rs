@@ -13,7 +13,8 @@
 //! ([`Scene::admits_motion`](crate::Scene::admits_motion)).
 
 mod pull_back;
-mod trail;
+pub(super) mod slopes;
+pub(super) mod trail;
 
 use ad_core::{Const, Float, Real, array};
 
@@ -35,9 +36,9 @@ use crate::sampler::Sampler;
 use crate::scene::Caustics;
 
 /// The adjoints of one sample: only once all of them are known to be numbers, they count.
-struct Held<'a> {
+pub(super) struct Held<'a> {
     active: &'a Active,
-    found: Vec<(ParamRef, u32, f64)>,
+    pub found: Vec<(ParamRef, u32, f64)>,
 }
 
 impl<P: Float> GradSink<P> for Held<'_> {
@@ -53,20 +54,20 @@ impl<P: Float> GradSink<P> for Held<'_> {
 }
 
 impl<'a> Held<'a> {
-    fn new(active: &'a Active) -> Self {
+    pub fn new(active: &'a Active) -> Self {
         Self {
             active,
             found: Vec::new(),
         }
     }
 
-    fn is_finite(&self) -> bool {
+    pub fn is_finite(&self) -> bool {
         self.found.iter().all(|(_, _, d)| d.is_finite())
     }
 }
 
 /// The paths of a pass, over plain numbers: all light is theirs, whoever else finds caustics.
-fn context<'a, R: Real>(
+pub(super) fn context<'a, R: Real>(
     pass: &'a Pass<'a, R>,
     theta: &'a Theta<'a, R::Primal>,
 ) -> Context<'a, R::Primal> {

@@ -2,13 +2,13 @@
 
 use ad_core::{Dual, Float, Vec2, Vec3};
 
+use super::slopes::{across, slope, slopes, varied};
 use super::trail::{Edge, Stop, Trail};
-use crate::bsdf::{Bsdf, Component, Material, Shading};
+use crate::bsdf::Component;
 use crate::emitter::{AnyEmitter, Emitter, EmitterSample};
 use crate::integrator::active::Active;
 use crate::integrator::record::{MetLight, Place};
-use crate::integrator::vertex::MODE;
-use crate::math::{Frame, Ray, RayAdjoint, Rgb};
+use crate::math::{Ray, RayAdjoint, Rgb};
 use crate::params::{GradSink, Theta};
 use crate::scene::Scene;
 use crate::shape::{Shape, SurfaceAdjoint, SurfaceInteraction};
@@ -33,65 +33,6 @@ enum Source<P> {
     Afar,
     /// A point that is a light.
     Light(Vec3<P>),
-}
-
-/// The slopes of a sum over the channels of a material's value.
-struct Slopes<P> {
-    wo: Vec3<P>,
-    wi: Vec3<P>,
-    uv: Vec2<P>,
-}
-
-/// Two unit vectors at right angles to a unit vector and each other.
-fn across<P: Float>(d: Vec3<P>) -> [Vec3<P>; 2] {
-    let frame = Frame::from_normal(d);
-    [frame.s, frame.t]
-}
-
-/// `d` as it varies across itself, by the tangents `first` and the next.
-fn varied<P: Float, const N: usize>(d: Vec3<P>, first: usize) -> Vec3<Dual<P, N>> {
-    let [a, b] = across(d);
-    let var = |k| Dual::<P, N>::var(P::zero(), k);
-    Vec3::lift(d) + Vec3::lift(a) * var(first) + Vec3::lift(b) * var(first + 1)
-}
-
-/// The slope of a sum over channels, along tangent `k`.
-fn slope<P: Float, const N: usize>(value: &Rgb<Dual<P, N>>, a: Rgb<P>, k: usize) -> P {
-    value.r.eps[k] * a.r + value.g.eps[k] * a.g + value.b.eps[k] * a.b
-}
-
-/// The slopes of `a . f` at a vertex.
-fn slopes<P: Float, const N: usize>(
-    material: &Material,
-    theta: &Theta<P>,
-    place: &Place<P>,
-    wi: Vec3<P>,
-    component: Component,
-    a: Rgb<P>,
-) -> Slopes<P> {
-    let mut uv = Vec2::lift(place.si.uv);
-    if N > 4 {
-        uv.x += Dual::var(P::zero(), 4);
-        uv.y += Dual::var(P::zero(), 5);
-    }
-    let at = Shading {
-        theta: theta.lift::<Dual<P, N>>(),
-        uv,
-    };
-    let (o, i) = (varied(place.wo, 0), varied(wi, 2));
-    let f = material.eval_component(&at, o, i, component, MODE);
-    let along = |d: Vec3<P>, first: usize| {
-        let [s, t] = across(d);
-        s * slope(&f, a, first) + t * slope(&f, a, first + 1)
-    };
-    let texture = |k: usize| {
-        if N > 4 { slope(&f, a, k) } else { P::zero() }
-    };
-    Slopes {
-        wo: along(place.wo, 0),
-        wi: along(wi, 2),
-        uv: Vec2::new(texture(4), texture(5)),
-    }
 }
 
 /// Adds the adjoint of a path's radiance to the parameters that move its vertices.

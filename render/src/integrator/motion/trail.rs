@@ -12,7 +12,7 @@ use crate::shape::SurfaceInteraction;
 
 /// What an edge met.
 #[derive(Clone, Debug)]
-pub(super) struct Edge<P: Float> {
+pub(in crate::integrator) struct Edge<P: Float> {
     /// The primitive and the point; none where it left the scene.
     pub end: Option<(u32, SurfaceInteraction<P>)>,
     pub met: SmallVec<[MetLight<P>; 1]>,
@@ -29,7 +29,7 @@ impl<P: Float> Default for Edge<P> {
 
 /// A vertex, and what happened there and on the edge from there.
 #[derive(Clone, Debug)]
-pub(super) struct Stop<P: Float> {
+pub(in crate::integrator) struct Stop<P: Float> {
     pub beta: Rgb<P>,
     pub place: Place<P>,
     pub bounce: Option<Bounce<P>>,
@@ -39,7 +39,7 @@ pub(super) struct Stop<P: Float> {
 
 /// A path from the camera.
 #[derive(Clone, Debug)]
-pub(super) struct Trail<P: Float> {
+pub(in crate::integrator) struct Trail<P: Float> {
     /// From the camera.
     pub first: Edge<P>,
     pub stops: Vec<Stop<P>>,

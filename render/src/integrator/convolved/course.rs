@@ -1,0 +1,661 @@
+//! A path whose directions follow what they meet, and its adjoint.
+
+use ad_core::{Dual, Float, Vec3};
+use smallvec::SmallVec;
+
+use super::field::{Influence, KAPPA, LARGEST, Neighbour, convolve};
+use super::outlines::Outlines;
+use crate::bsdf::Component;
+use crate::camera::Seen;
+use crate::emitter::{AnyEmitter, Emitter, EmitterSample};
+use crate::integrator::active::Active;
+use crate::integrator::motion::slopes::{across, slope, slopes, varied};
+use crate::integrator::motion::trail::{Edge, Trail};
+use crate::integrator::record::{MetLight, Place, SampledLight};
+use crate::math::{Frame, Ray, RayAdjoint, Rgb};
+use crate::params::{GradSink, Theta};
+use crate::sampler::{Points, Purpose, Sampler};
+use crate::scene::Scene;
+use crate::shape::{Shape, SurfaceAdjoint, SurfaceInteraction};
+
+/// Tells the random numbers of auxiliary rays from those of paths: along scattered directions, towards sampled lights, at
+/// the borders of pixels.
+pub(super) const SALTS: [u64; 3] = [
+    0xa54f_f53a_5f1d_36f1,
+    0x510e_527f_ade6_82d1,
+    0x9b05_688c_2b3e_6c1f,
+];
+
+fn wide<P: Float>(v: Vec3<P>) -> Vec3<f64> {
+    v.map(P::to_f64)
+}
+
+/// A neighbour whose velocity counts.
+struct Follower<P> {
+    /// Unit direction.
+    d: Vec3<f64>,
+    /// One over the distance of what it met; zero where it met nothing.
+    near: f64,
+    /// What it met, if that moves.
+    met: Option<(u32, SurfaceInteraction<P>)>,
+    /// Where on the image it is seen, if it leaves a camera that moves.
+    film: Option<[P; 2]>,
+    influence: Influence,
+}
+
+/// The velocity field around a direction.
+pub(super) struct Field<P> {
+    w: Vec3<f64>,
+    followers: SmallVec<[Follower<P>; 16]>,
+}
+
+/// The adjoints of what an edge ends at and of its direction.
+#[derive(Clone, Copy)]
+struct EdgeAdjoint<P> {
+    end: SurfaceAdjoint<P>,
+    d: Vec3<P>,
+}
+
+impl<P: Float> EdgeAdjoint<P> {
+    fn zero() -> Self {
+        Self {
+            end: SurfaceAdjoint::zero(),
+            d: Vec3::zero(),
+        }
+    }
+}
+
+/// A vertex of a path, and what follows from it.
+struct Bend<P> {
+    /// What arrives along the scattered direction.
+    arriving: Rgb<P>,
+    scattered: Option<Field<P>>,
+    sampled: Option<Field<P>>,
+}
+
+/// A path with the fields around its directions.
+pub(super) struct Course<P> {
+    film: [P; 2],
+    camera: Ray<P>,
+    /// Radiance.
+    l: Rgb<P>,
+    first: Option<Field<P>>,
+    /// One per stop of the trail.
+    bends: Vec<Bend<P>>,
+}
+
+/// Where the random numbers of a sample come from.
+#[derive(Clone, Copy)]
+pub(super) struct Numbers {
+    pub seed: u64,
+    /// Of the whole film.
+    pub pixel: u64,
+    pub sample: u64,
+}
+
+/// Makes fields, and adds the adjoints of paths in them to the parameters that move anything.
+///
+/// A path is a sequence of rays: each starts where the one before it ended, in a direction whose velocity is that of the field
+/// around it, and everything at a vertex follows from where both rays are. So adjoints are handed on from the end of the path
+/// to the camera, through each intersection, and on the way from every direction to what its auxiliary rays met.
+///
+/// # Reference
+/// [Zeltner 2021, algorithms 4.3 and 4.4] with errata Z-4.15, Z-Alg-4.3, Z-4.22 and Z-4.48.
+pub(super) struct Follow<'a, P: Float> {
+    scene: &'a Scene,
+    theta: &'a Theta<'a, P>,
+    active: &'a Active,
+    outlines: &'a Outlines<'a>,
+    rays: u32,
+    neighbours: Vec<(Neighbour, f64)>,
+    influences: Vec<Influence>,
+}
+
+impl<'a, P: Float> Follow<'a, P> {
+    pub fn new(
+        scene: &'a Scene,
+        theta: &'a Theta<'a, P>,
+        active: &'a Active,
+        outlines: &'a Outlines<'a>,
+        rays: u32,
+    ) -> Self {
+        Self {
+            scene,
+            theta,
+            active,
+            outlines,
+            rays,
+            neighbours: Vec::new(),
+            influences: Vec::new(),
+        }
+    }
+
+    /// The field around the direction of a ray, which starts at a point that may move, at the camera if `film` is. `None` if
+    /// nothing moves there.
+    fn field<X: Sampler>(
+        &mut self,
+        ray: Ray<P>,
+        origin_moves: bool,
+        from_camera: bool,
+        mut sampler: X,
+    ) -> Option<Field<P>> {
+        let scene = self.scene;
+        let w = wide(ray.d).normalize();
+        let frame = Frame::from_normal(w);
+        self.neighbours.clear();
+        let mut followers = SmallVec::new();
+        let mut moves = false;
+        for _ in 0..self.rays {
+            let neighbour = Neighbour::sample(&frame, KAPPA, sampler.next_2d());
+            let around = Ray {
+                d: neighbour.d.map(P::of).normalize(),
+                ..ray
+            };
+            let mut follower = Follower {
+                d: neighbour.d,
+                near: 0.0,
+                met: None,
+                film: None,
+                influence: Influence::default(),
+            };
+            if from_camera && origin_moves {
+                let seen = scene.camera.seen(neighbour.d);
+                follower.film = seen.map(|seen| seen.at.map(P::of));
+                moves |= seen.is_some();
+            }
+            // Beyond everything there is no outline.
+            let mut test = LARGEST;
+            if let Some(hit) = scene.nearest(&around) {
+                test = self.outlines.test(KAPPA, &around, &hit);
+                follower.near = f64::from(hit.t).recip();
+                if self.active.moves_shape(scene.shape_of(hit.prim)) {
+                    let met = scene.interaction(&Theta::still(), &around, &hit);
+                    follower.near = met.si.t.to_f64().recip();
+                    follower.met = Some((met.prim, met.si));
+                }
+                moves |= origin_moves || follower.met.is_some();
+            }
+            self.neighbours.push((neighbour, test));
+            followers.push(follower);
+        }
+        if !moves {
+            return None;
+        }
+        convolve(w, KAPPA, &self.neighbours, &mut self.influences);
+        let pairs = followers.iter_mut().zip(&self.influences);
+        pairs.for_each(|(f, i): (&mut Follower<P>, _)| f.influence = *i);
+        Some(Field { w, followers })
+    }
+
+    /// That around a ray of the camera.
+    pub fn camera_field<X: Sampler>(
+        &mut self,
+        ray: Ray<P>,
+        numbers: Numbers,
+        salt: u64,
+    ) -> Option<Field<P>> {
+        let sampler = self.sampler::<X>(numbers, salt, 0);
+        self.field(ray, self.active.moves_camera(), true, sampler)
+    }
+
+    fn sampler<X: Sampler>(&self, numbers: Numbers, salt: u64, depth: u32) -> X {
+        let Numbers {
+            seed,
+            pixel,
+            sample,
+        } = numbers;
+        // Neighbours have to be independent of each other.
+        let mut sampler = X::spread(Points::Independent, seed ^ salt, pixel, sample);
+        sampler.seek(Purpose::AuxiliaryRays(self.rays).at(depth));
+        sampler
+    }
+
+    /// The fields of a path through the point `film` of the image.
+    pub fn course<X: Sampler>(
+        &mut self,
+        trail: &Trail<P>,
+        film: [P; 2],
+        numbers: Numbers,
+    ) -> Course<P> {
+        let camera: Ray<P> = self.scene.camera.ray(film[0], film[1]);
+        // ---- Radiance ----
+        let mut bends: Vec<Bend<P>> = Vec::with_capacity(trail.stops.len());
+        let mut next = Rgb::black();
+        for stop in trail.stops.iter().rev() {
+            let mut arriving = Rgb::black();
+            let mut leaves = Rgb::black();
+            if let Some(b) = &stop.bounce {
+                arriving = (next + self.met(&stop.edge)).scale(b.weight);
+                leaves += b.f * arriving;
+            }
+            if let Some((s, _)) = &stop.sampled {
+                leaves += s.f * s.le.scale(s.weight);
+            }
+            next = leaves;
+            bends.push(Bend {
+                arriving,
+                scattered: None,
+                sampled: None,
+            });
+        }
+        bends.reverse();
+        let l = next + self.met(&trail.first);
+
+        // ---- Fields ----
+        let mut first = None;
+        if !l.is_black() {
+            first = self.camera_field::<X>(camera, numbers, SALTS[0]);
+        }
+        let mut moves = self.active.moves_camera() || first.is_some();
+        for (k, (stop, bend)) in trail.stops.iter().zip(&mut bends).enumerate() {
+            let Place {
+                prim, si, shape, ..
+            } = &stop.place;
+            moves |= self.active.moves_shape(*shape);
+            let exit = self.scene.exit(*prim);
+            let depth = k as u32 + 1;
+            if let Some((s, aim)) = &stop.sampled
+                && !self.scene.emitters()[s.emitter as usize].is_delta()
+            {
+                let sampler = self.sampler::<X>(numbers, SALTS[1], depth);
+                let ray = si.spawn_ray(aim.d, exit);
+                bend.sampled = self.field(ray, moves, false, sampler);
+            }
+            if let Some(b) = &stop.bounce
+                && !bend.arriving.is_black()
+            {
+                let sampler = self.sampler::<X>(numbers, SALTS[0], depth);
+                let ray = si.spawn_ray(si.frame.to_world(b.wi), exit);
+                bend.scattered = self.field(ray, moves, false, sampler);
+                moves |= bend.scattered.is_some();
+            }
+        }
+        Course {
+            film,
+            camera,
+            l,
+            first,
+            bends,
+        }
+    }
+
+    /// Adds the derivative of `d_l . L` for a path with these fields, and of the filter around it, whose logarithm has these
+    /// slopes.
+    pub fn add(
+        &self,
+        trail: &Trail<P>,
+        course: &Course<P>,
+        filter: [f64; 2],
+        d_l: Rgb<P>,
+        grad: &mut impl GradSink<P>,
+    ) {
+        let mut behind = EdgeAdjoint::zero();
+        for k in (0..trail.stops.len()).rev() {
+            behind = self.stop(trail, course, k, behind, d_l, grad);
+        }
+        let (ray, edge) = (&course.camera, &trail.first);
+        let end = edge.end.as_ref().map(|(prim, si)| (*prim, *si));
+        self.emissions(edge, ray.d, end, d_l, &mut behind, grad);
+        let mut back = self.ends_at(*ray, end, &behind, grad);
+        if let Some(field) = &course.first
+            && let Some(seen) = self.scene.camera.seen(field.w)
+        {
+            let Seen {
+                slopes, log_area, ..
+            } = seen;
+            let total = (d_l * course.l).sum().to_f64();
+            let of_film = slopes[0] * filter[0] + slopes[1] * filter[1] + log_area;
+            let d = wide(back.d) + of_film * total;
+            back.o += self.velocity(field, d, total, grad);
+        }
+        if self.active.moves_camera() {
+            self.scene
+                .camera
+                .scatter_ray(self.theta, course.film, &back, grad);
+        }
+    }
+
+    /// Adds the derivative of `d` times the velocity of an axis of the film, where a field has that.
+    pub fn add_border(
+        &self,
+        field: &Field<P>,
+        axis: usize,
+        film: [P; 2],
+        d: f64,
+        grad: &mut impl GradSink<P>,
+    ) {
+        let Some(seen) = self.scene.camera.seen(field.w) else {
+            return;
+        };
+        let o = self.velocity(field, seen.slopes[axis] * d, 0.0, grad);
+        if self.active.moves_camera() {
+            let back = RayAdjoint { o, d: Vec3::zero() };
+            self.scene.camera.scatter_ray(self.theta, film, &back, grad);
+        }
+    }
+
+    /// Adds the derivatives of what neighbours met, given the adjoints of a field and of its divergence. The adjoint of the
+    /// point that the rays leave.
+    fn velocity(
+        &self,
+        field: &Field<P>,
+        d: Vec3<f64>,
+        d_divergence: f64,
+        grad: &mut impl GradSink<P>,
+    ) -> Vec3<P> {
+        let d = d - field.w * field.w.dot(d);
+        let mut origin = Vec3::zero();
+        for f in &field.followers {
+            let d = d * f.influence.share + f.influence.divergence * d_divergence;
+            let d = d - f.d * f.d.dot(d);
+            let d_p = (d * f.near).map(P::of);
+            origin -= d * f.near;
+            if let Some((prim, si)) = &f.met {
+                let surface = SurfaceAdjoint {
+                    p: d_p,
+                    ..SurfaceAdjoint::zero()
+                };
+                self.scene
+                    .scatter_point(self.theta, *prim, si, &surface, P::zero(), grad);
+            }
+            if let Some(film) = f.film {
+                let back = RayAdjoint {
+                    o: Vec3::zero(),
+                    d: (-d).map(P::of),
+                };
+                self.scene.camera.scatter_ray(self.theta, film, &back, grad);
+            }
+        }
+        origin.map(P::of)
+    }
+
+    /// Light that an edge met, weighed.
+    fn met(&self, edge: &Edge<P>) -> Rgb<P> {
+        let le = |m: &MetLight<P>| {
+            let e = &self.scene.emitters()[m.emitter as usize];
+            e.eval(self.theta, &m.emission).scale(m.weight)
+        };
+        edge.met.iter().map(le).fold(Rgb::black(), |a, b| a + b)
+    }
+
+    /// The adjoints of a ray, given those of what it ends at and of its direction.
+    fn ends_at(
+        &self,
+        ray: Ray<P>,
+        end: Option<(u32, SurfaceInteraction<P>)>,
+        adjoint: &EdgeAdjoint<P>,
+        grad: &mut impl GradSink<P>,
+    ) -> RayAdjoint<P> {
+        let mut back = RayAdjoint {
+            o: Vec3::zero(),
+            d: adjoint.d,
+        };
+        if let Some((prim, si)) = end {
+            let own =
+                (self.scene).scatter_interaction(self.theta, prim, &ray, &si, &adjoint.end, grad);
+            back.o += own.o;
+            back.d += own.d;
+        }
+        back
+    }
+
+    /// The adjoints of the edge that leads to stop `k`, given those of the edge behind it.
+    fn stop(
+        &self,
+        trail: &Trail<P>,
+        course: &Course<P>,
+        k: usize,
+        mut behind: EdgeAdjoint<P>,
+        d_l: Rgb<P>,
+        grad: &mut impl GradSink<P>,
+    ) -> EdgeAdjoint<P> {
+        let mut own = EdgeAdjoint::zero();
+        let stop = &trail.stops[k];
+        let place = &stop.place;
+        let from = place.si.p;
+        let before = match k {
+            0 => course.camera.d,
+            _ => (from - trail.stops[k - 1].place.si.p).normalize(),
+        };
+        let bend = &course.bends[k];
+        let beta = d_l * stop.beta;
+        if let Some(b) = &stop.bounce
+            && !bend.arriving.is_black()
+        {
+            let end = stop.edge.end.map(|(prim, si)| seen_from(from, prim, si));
+            let w = match &end {
+                Some((_, si)) => (si.p - from).normalize(),
+                None => place.si.frame.to_world(b.wi),
+            };
+            let a = beta * bend.arriving;
+            self.scatters(
+                place,
+                [before, w],
+                b.wi,
+                b.component,
+                a,
+                &mut own,
+                &mut behind.d,
+            );
+            let met = beta * b.f.scale(b.weight);
+            self.emissions(&stop.edge, w, end, met, &mut behind, grad);
+            let ray = Ray::new(from, w);
+            let total = (a * b.f).sum();
+            self.leaves(
+                ray,
+                end,
+                &behind,
+                bend.scattered.as_ref(),
+                total,
+                &mut own,
+                grad,
+            );
+        }
+        if let Some((s, aim)) = &stop.sampled {
+            let e = &self.scene.emitters()[s.emitter as usize];
+            if e.is_delta() {
+                self.delta_light(place, before, s, aim, beta, &mut own, grad);
+            } else {
+                let end = self.end_of(e, place, aim);
+                let w = end.map_or(aim.d, |(_, si)| (si.p - from).normalize());
+                let mut adjoint = EdgeAdjoint::zero();
+                let a = beta * s.le.scale(s.weight);
+                let continuous = Component::Continuous;
+                let directions = [before, w];
+                self.scatters(
+                    place,
+                    directions,
+                    s.wi,
+                    continuous,
+                    a,
+                    &mut own,
+                    &mut adjoint.d,
+                );
+                let a_le = beta * s.f.scale(s.weight);
+                self.emission(s.emitter, w, end, a_le, &mut adjoint, grad);
+                let ray = Ray::new(from, w);
+                let total = (a * s.f).sum();
+                self.leaves(
+                    ray,
+                    end,
+                    &adjoint,
+                    bend.sampled.as_ref(),
+                    total,
+                    &mut own,
+                    grad,
+                );
+            }
+        }
+        own
+    }
+
+    /// The adjoints of a ray that leaves a vertex, of the velocity of its direction and of its divergence, as those of the
+    /// vertex.
+    fn leaves(
+        &self,
+        ray: Ray<P>,
+        end: Option<(u32, SurfaceInteraction<P>)>,
+        adjoint: &EdgeAdjoint<P>,
+        field: Option<&Field<P>>,
+        total: P,
+        own: &mut EdgeAdjoint<P>,
+        grad: &mut impl GradSink<P>,
+    ) {
+        let back = self.ends_at(ray, end, adjoint, grad);
+        own.end.p += back.o;
+        if let Some(field) = field {
+            own.end.p += self.velocity(field, wide(back.d), total.to_f64(), grad);
+        }
+    }
+
+    /// A material's value with the adjoint `a`, for a path that arrives in direction `before`, goes on in direction `w`, both
+    /// in the world, and leaves in the local direction `wi`.
+    fn scatters(
+        &self,
+        place: &Place<P>,
+        [before, w]: [Vec3<P>; 2],
+        wi: Vec3<P>,
+        component: Component,
+        a: Rgb<P>,
+        own: &mut EdgeAdjoint<P>,
+        d_w: &mut Vec3<P>,
+    ) {
+        let material = self.scene.material(place.shape);
+        let s = slopes::<P, 6>(material, self.theta, place, wi, component, a);
+        let frame = &place.si.frame;
+        for (world, local) in [(-before, s.wo), (w, s.wi)] {
+            own.end.frame.s += world * local.x;
+            own.end.frame.t += world * local.y;
+            own.end.frame.n += world * local.z;
+        }
+        own.end.uv += s.uv;
+        own.d -= frame.to_world(s.wo);
+        *d_w += frame.to_world(s.wi);
+    }
+
+    /// The point on a surface that was sampled.
+    fn end_of(
+        &self,
+        e: &AnyEmitter,
+        place: &Place<P>,
+        aim: &EmitterSample<P>,
+    ) -> Option<(u32, SurfaceInteraction<P>)> {
+        let AnyEmitter::Area(area) = e else {
+            return None;
+        };
+        let prim = self.scene.primitive(area.shape, aim.prim);
+        let at = place.si.p + aim.d * aim.distance;
+        let coordinates = self.scene.shapes()[area.shape as usize].locate(aim.prim, at);
+        let si = self.scene.point_at(&Theta::still(), prim, coordinates);
+        Some(seen_from(place.si.p, prim, si))
+    }
+
+    /// All light that an edge met, which arrives with the adjoint `a` before MIS.
+    fn emissions(
+        &self,
+        edge: &Edge<P>,
+        d: Vec3<P>,
+        end: Option<(u32, SurfaceInteraction<P>)>,
+        a: Rgb<P>,
+        adjoint: &mut EdgeAdjoint<P>,
+        grad: &mut impl GradSink<P>,
+    ) {
+        for met in &edge.met {
+            self.emission(met.emitter, d, end, a * met.weight, adjoint, grad);
+        }
+    }
+
+    /// Light that arrives with the adjoint `a` in direction `d` from an emitter, at a point or from afar.
+    fn emission(
+        &self,
+        emitter: u32,
+        d: Vec3<P>,
+        end: Option<(u32, SurfaceInteraction<P>)>,
+        a: Rgb<P>,
+        adjoint: &mut EdgeAdjoint<P>,
+        grad: &mut impl GradSink<P>,
+    ) {
+        if a.is_black() {
+            return;
+        }
+        type D<P> = Dual<P, 7>;
+        let e = &self.scene.emitters()[emitter as usize];
+        let seen = end.map(|(_, si)| {
+            let mut si = si.lift::<D<P>>();
+            let n = &mut si.frame.n;
+            let var = |k| D::<P>::var(P::zero(), k);
+            *n = Vec3::new(n.x + var(2), n.y + var(3), n.z + var(4));
+            (si.uv.x, si.uv.y) = (si.uv.x + var(5), si.uv.y + var(6));
+            si
+        });
+        let Some(found) = e.hit(varied::<P, 7>(d, 0), seen.as_ref()) else {
+            return;
+        };
+        let le = e.eval(&self.theta.lift::<D<P>>(), &found);
+        let slope = |k: usize| slope(&le, a, k);
+        let [s, t] = across(d);
+        let d_d = s * slope(0) + t * slope(1);
+        adjoint.d += d_d;
+        if end.is_some() {
+            adjoint.end.frame.n += Vec3::new(slope(2), slope(3), slope(4));
+            adjoint.end.uv.x += slope(5);
+            adjoint.end.uv.y += slope(6);
+        } else if self.active.moves_emitter(emitter) {
+            e.scatter_turn(self.theta, d, d_d, grad);
+        }
+    }
+
+    /// Light from a point that is a light.
+    fn delta_light(
+        &self,
+        place: &Place<P>,
+        before: Vec3<P>,
+        s: &SampledLight<P>,
+        aim: &EmitterSample<P>,
+        beta: Rgb<P>,
+        own: &mut EdgeAdjoint<P>,
+        grad: &mut impl GradSink<P>,
+    ) {
+        let e = &self.scene.emitters()[s.emitter as usize];
+        let from = place.si.p;
+        let mut d_w = Vec3::zero();
+        let a = beta * s.le.scale(s.weight);
+        let directions = [before, aim.d];
+        self.scatters(
+            place,
+            directions,
+            s.wi,
+            Component::Continuous,
+            a,
+            own,
+            &mut d_w,
+        );
+        // As the adjoint of the light.
+        let mut d = (d_w - aim.d * aim.d.dot(d_w)) * aim.distance.recip();
+        let var = |x: P, i: usize| Dual::<P, 3>::var(x, i);
+        let moving = Vec3::new(var(from.x, 0), var(from.y, 1), var(from.z, 2));
+        let le = e.eval(&self.theta.lift(), &e.connect(aim, moving).emission);
+        let a_le = beta * s.f.scale(s.weight);
+        d -= Vec3::new(
+            slope(&le, a_le, 0),
+            slope(&le, a_le, 1),
+            slope(&le, a_le, 2),
+        );
+        own.end.p -= d;
+        if let Some(p) = e.moved_by()
+            && self.active.moves_emitter(s.emitter)
+        {
+            grad.add_all(p, 0, d.to_array());
+        }
+    }
+}
+
+/// What a ray from a point ends at: with the distance from there.
+fn seen_from<P: Float>(
+    from: Vec3<P>,
+    prim: u32,
+    si: SurfaceInteraction<P>,
+) -> (u32, SurfaceInteraction<P>) {
+    let t = (si.p - from).length();
+    (prim, SurfaceInteraction { t, ..si })
+}
