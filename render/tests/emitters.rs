@@ -446,6 +446,8 @@ fn dark_texels_can_be_switched_on() {
     let normal = Vec3::new(-0.6, 0.0, 0.8);
     let n = 400_000;
     let (mut sum, mut squares) = ([0.0; 4], [0.0; 4]);
+    let values: Vec<f64> = scene.params().values().iter().map(|&x| x.into()).collect();
+    let theta = Theta::constant(&values);
     let mut gradient = Gradient(vec![0.0; scene.params().values().len()], offsets);
     for i in 0..n {
         let u = Independent::new(4, 0, i).next_2d();
