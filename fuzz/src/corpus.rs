@@ -72,23 +72,30 @@ pub const SCENE: &str = r#"<scene version="3.0.0">
 
 /// Another one, with a mesh `a.ply` beside it: what fewer scenes have.
 pub const OTHERS: &str = r#"<scene version="2.1.0">
-    <integrator type="moment"><integrator type="direct"/></integrator>
+    <integrator type="moment"><integrator type="direct"><boolean name="hideEmitters" value="true"/></integrator></integrator>
     <sensor type="thinlens" id="a"><float name="aperture_radius" value="0.1"/><float name="focus_distance" value="3"/>
         <float name="principal_point_offset_x" value="0.1"/>
-        <film type="hdrfilm"><integer name="width" value="8"/><integer name="height" value="8"/></film></sensor>
+        <film type="hdrfilm"><integer name="width" value="8"/><integer name="height" value="8"/>
+        <string name="pixelFormat" value="rgba"/></film></sensor>
     <sensor type="orthographic"><transform name="toWorld"><scale x="2" y="2"/></transform></sensor>
     <bsdf type="principled" id="p"><rgb name="base_color" value="0.2"/><float name="roughness" value="0.3"/>
         <float name="metallic" value="0.5"/><float name="specular" value="0.4"/><float name="flatness" value="0.1"/>
         <float name="sheen" value="0.2"/><float name="clearcoat" value="1"/><float name="clearcoat_gloss" value="0.7"/></bsdf>
     <bsdf type="thindielectric" id="t"/>
     <bsdf type="null" id="n"/>
+    <bsdf type="twosided" id="b"><bsdf type="roughconductor"><float name="alphaU" value="0.3"/><float name="alphaV" value="0.1"/></bsdf></bsdf>
+    <bsdf type="roughdielectric" id="d"><float name="alphaU" value="0.3"/><float name="alphaV" value="0.1"/></bsdf>
+    <bsdf type="principled" id="q"><float name="anisotropic" value="0.5"/></bsdf>
+    <shape type="sphere"><ref id="b"/></shape>
+    <shape type="sphere"><ref id="d"/></shape>
+    <shape type="sphere"><ref id="q"/></shape>
     <shape type="shapegroup" id="g"><shape type="Sphere"><ref id="p"/></shape><shape type="cube"><ref id="t"/></shape></shape>
     <shape type="instance"><ref id="g"/><transform name="toWorld"><translate x="1"/></transform></shape>
     <shape type="ply"><string name="filename" value="a.ply"/><bsdf type="blendbsdf">
         <texture type="mesh_attribute" name="weight"><string name="name" value="vertex_color"/><float name="scale" value="0.5"/></texture>
         <ref id="p"/><ref id="n"/></bsdf></shape>
     <emitter type="directional"><vector name="direction" x="1" y="-1"/><rgb name="irradiance" value="2"/></emitter>
-    <emitter type="projector"><float name="fov" value="30"/><texture name="irradiance" type="checkerboard"/></emitter>
+    <emitter type="projector"><float name="fov" value="30"/><float name="scale" value="2"/><texture name="irradiance" type="checkerboard"/></emitter>
     <emitter type="spot"><float name="cutoffAngle" value="30"/><rgb name="intensity" value="3"/>
         <texture name="texture" type="checkerboard"><rgb name="color0" value="0.3"/></texture></emitter>
 </scene>

@@ -189,6 +189,15 @@ const MATERIALS: &[(&str, &str, &str, Sampled)] = &[
         Sampled::AsMixture,
     ),
     (
+        "brushed principled",
+        "principled",
+        r#"<rgb name="base_color" value=".7 .4 .1"/><float name="metallic" value=".3"/>
+           <float name="roughness" value=".6"/><float name="anisotropic" value=".8"/>
+           <float name="flatness" value=".4"/><float name="sheen" value=".7"/>
+           <float name="clearcoat" value=".8"/><float name="clearcoat_gloss" value=".2"/>"#,
+        Sampled::AsMixture,
+    ),
+    (
         "stained metal",
         "blendbsdf",
         r#"<float name="weight" value=".3"/><bsdf type="roughconductor"/><bsdf type="diffuse"/>"#,
@@ -1490,8 +1499,8 @@ fn bad_descriptions_are_errors() {
         ),
         (
             "principled",
-            r#"<float name="anisotropic" value=".1"/>"#,
-            "anisotropy",
+            r#"<float name="anisotropic" value="1.1"/>"#,
+            "anisotropic",
         ),
         (
             "principled",

@@ -197,6 +197,10 @@ pub fn all() -> Vec<Case> {
             r#"<bsdf type="roughconductor"><string name="distribution" value="ggx"/><float name="alpha_u" value="0.35"/><float name="alpha_v" value="0.15"/><string name="material" value="Cu"/></bsdf>"#,
         ),
         material(
+            "brushed principled",
+            r#"<bsdf type="principled"><rgb name="base_color" value="0.7, 0.3, 0.2"/><float name="roughness" value="0.6"/><float name="metallic" value="0.5"/><float name="anisotropic" value="0.7"/></bsdf>"#,
+        ),
+        material(
             "brushed glass",
             r#"<bsdf type="roughdielectric"><float name="alpha_u" value="0.2"/><float name="alpha_v" value="0.4"/><float name="int_ior" value="1.5"/></bsdf>"#,
         ),

@@ -83,6 +83,11 @@ fn materials() -> Vec<(String, String)> {
             <float name="clearcoat" value="1"/><float name="clearcoat_gloss" value="0.9"/>"#,
         ),
         (
+            "principled",
+            r#"<rgb name="base_color" value="0.7, 0.3, 0.2"/><float name="roughness" value="0.5"/>
+            <float name="metallic" value="0.6"/><float name="anisotropic" value="0.8"/>"#,
+        ),
+        (
             "roughconductor",
             r#"<string name="distribution" value="ggx"/><float name="alpha_u" value="0.4"/>
             <float name="alpha_v" value="0.1"/><string name="material" value="Cu"/>"#,

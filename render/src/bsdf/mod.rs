@@ -127,7 +127,7 @@ pub use mask::Mask;
 pub use normal_map::{Corrections, Interpolation, NormalMap, shadowing};
 pub use null::{Null, NullLobe};
 pub use plastic::{Coated, CoatedLobe, Plastic, PlasticLobe};
-pub use principled::{Principled, PrincipledLobe, Reflectivity};
+pub use principled::{AnisotropicPrincipled, Principled, PrincipledLobe, Reflectivity};
 pub use rough_conductor::{AnisotropicConductor, RoughConductor, RoughConductorLobe, Roughness};
 pub(crate) use rough_conductor::{Facets, Metal};
 pub use rough_dielectric::{AnisotropicDielectric, RoughDielectric, RoughDielectricLobe};
@@ -906,7 +906,7 @@ impl<L: Leaf> Bsdf for L {
 /// Most textures a leaf may have: scenes with more are refused when they are built.
 pub const MAX_SLOTS: usize = 4;
 /// The same for a leaf that says so ([`Leaf::MANY`]).
-pub const MANY_SLOTS: usize = 8;
+pub const MANY_SLOTS: usize = 9;
 
 /// The value of a lobe that was used.
 #[inline(always)]
@@ -1266,5 +1266,6 @@ materials! {
     RoughPlastic,
     ThinDielectric,
     Null,
+    AnisotropicPrincipled,
     Principled,
 }

@@ -88,6 +88,7 @@ pub fn check_textures(material: &Material, params: &Params) -> Result<(), SceneE
             let many = matches!(
                 material,
                 Material::Principled(_)
+                    | Material::AnisotropicPrincipled(_)
                     | Material::AnisotropicConductor(_)
                     | Material::AnisotropicDielectric(_)
             );

@@ -4,7 +4,7 @@ use std::f64::consts::{FRAC_1_PI, PI};
 
 use ad_core::{Const, Float, Real, Vec3};
 
-use super::microfacet::{Microfacet, Ndf};
+use super::microfacet::{Alpha, Axes, Microfacet, Ndf};
 use super::rough_conductor::{half_vector, reflect, reflection};
 use super::{BsdfSample, Component, Leaf, Lobe, Reader, TransportMode, constant, fresnel};
 use crate::error::SceneError;
@@ -13,9 +13,9 @@ use crate::plugin::{FromNode, Node, Registry};
 use crate::texture::{RgbTexture, ScalarTexture};
 
 /// A one-sided surface between a metal and a coloured dielectric, with sheen and a clear coat. What a scene file does not
-/// mention costs nothing and is no parameter.
+/// mention costs nothing and is no parameter. `T` is a texture where the main reflection is anisotropic.
 #[derive(Clone, Debug)]
-pub struct Principled {
+pub struct Principled<T = ()> {
     /// Colour of the base, and of reflection by metal.
     pub base_color: RgbTexture,
     /// The root of the roughness of the microsurface, where that is at least `LEAST_ALPHA`.
@@ -30,7 +30,12 @@ pub struct Principled {
     pub sheen: Option<ScalarTexture>,
     /// Strength and gloss of a second, colourless reflection.
     pub clearcoat: Option<[ScalarTexture; 2]>,
+    /// How much longer than wide highlights are, from 0 to 1.
+    pub anisotropic: T,
 }
+
+/// The same with highlights that are longer along dp/du than across.
+pub type AnisotropicPrincipled = Principled<ScalarTexture>;
 
 /// How the reflectance of a dielectric is given.
 #[derive(Clone, Debug)]
@@ -41,6 +46,8 @@ pub enum Reflectivity {
     Specular(ScalarTexture),
 }
 
+/// The square of width over length of a highlight is one minus this times `anisotropic` [Burley 2012].
+const ELONGATION: f64 = 0.9;
 /// Smallest roughness of the microsurface.
 const LEAST_ALPHA: f64 = 1e-3;
 /// A dielectric of less `specular` reflects nothing.
@@ -57,18 +64,18 @@ const GRAZING: f64 = 1e-4;
 /// [`Principled`] at a point: diffuse and retro-reflection, a fake of subsurface scattering, sheen and clear coat are those
 /// of [Burley 2012] and [Burley 2015]; the main reflection is, as in Mitsuba 3, the Fresnel reflectance of a dielectric instead
 /// of Schlick's fit, mixed with Schlick's of the metal, over GGX with separable masking; the clear coat has Mitsuba's
-/// masking, too.
+/// masking, too. Roughness along and across is that of [Burley 2012], where highlights are longer.
 ///
 /// # Does not handle
-/// Transmission, anisotropy and tints: scene files that ask for them are refused. Tints would mix colour channels.
+/// Transmission and tints: scene files that ask for them are refused. Tints would mix colour channels.
 ///
 /// # Derivatives
 /// None in a roughness whose square is below `LEAST_ALPHA`: the model is constant there.
 #[derive(Clone, Copy, Debug)]
-pub struct PrincipledLobe<R> {
+pub struct PrincipledLobe<R, A = R> {
     base_color: Rgb<R>,
     roughness: R,
-    microfacet: Microfacet<R>,
+    microfacet: Microfacet<A>,
     metallic: R,
     /// Index of the dielectric.
     eta: Option<R>,
@@ -84,8 +91,35 @@ impl Leaf for Principled {
 
     #[inline]
     fn lobe<R: Real>(&self, read: &mut impl Reader<R>) -> PrincipledLobe<R> {
+        self.read(read, |_, squared| squared.max(R::of(LEAST_ALPHA)))
+    }
+}
+
+impl Leaf for AnisotropicPrincipled {
+    type Lobe<R: Real> = PrincipledLobe<R, Axes<R>>;
+    const MANY: bool = true;
+
+    #[inline]
+    fn lobe<R: Real>(&self, read: &mut impl Reader<R>) -> PrincipledLobe<R, Axes<R>> {
+        self.read(read, |read, squared| {
+            let anisotropic = read.scalar(&self.anisotropic);
+            let aspect = (-(anisotropic * R::c(ELONGATION)) + R::c(1.0)).sqrt();
+            Axes([squared / aspect, squared * aspect].map(|a| a.max(R::of(LEAST_ALPHA))))
+        })
+    }
+}
+
+impl<T> Principled<T> {
+    /// All parameters; `alpha` makes roughness along the surface of that of the model, squared.
+    #[inline]
+    fn read<R: Real, A, X: Reader<R>>(
+        &self,
+        read: &mut X,
+        alpha: impl FnOnce(&mut X, R) -> A,
+    ) -> PrincipledLobe<R, A> {
         let base_color = read.rgb(&self.base_color);
         let roughness = read.alpha(&self.roughness);
+        let alpha = alpha(read, roughness.square());
         let mut number = |t: &Option<ScalarTexture>| t.as_ref().map(|t| read.scalar(t));
         let metallic = number(&self.metallic).unwrap_or(R::zero());
         let (flatness, sheen) = (number(&self.flatness), number(&self.sheen));
@@ -105,7 +139,7 @@ impl Leaf for Principled {
             roughness,
             microfacet: Microfacet {
                 kind: Ndf::Ggx,
-                alpha: roughness.square().max(R::of(LEAST_ALPHA)),
+                alpha,
                 visible: true,
             },
             metallic,
@@ -148,22 +182,22 @@ fn coat_normal<R: Real>(alpha: R, u: [R::Primal; 2]) -> Vec3<R> {
     Vec3::new(sin * Const(cos_phi), sin * Const(sin_phi), cos).normalize()
 }
 
-impl<R: Real> PrincipledLobe<R> {
-    /// Shares of the main reflection, the base and the clear coat among samples.
-    #[inline]
-    fn shares<S: Real<Primal = R::Primal>>(metallic: S, clearcoat: Option<S>) -> [S; 3] {
-        let least = S::of(LEAST_SHARE);
-        let base = (-metallic + S::c(1.0)) + least;
-        let coat = clearcoat.map_or(S::zero(), |c| c * S::c(0.25) + least);
-        let main = S::one();
-        let whole = (main + base + coat).recip();
-        [main * whole, base * whole, coat * whole]
-    }
+/// Shares of the main reflection, the base and the clear coat among samples.
+#[inline]
+fn shares<S: Real>(metallic: S, clearcoat: Option<S>) -> [S; 3] {
+    let least = S::of(LEAST_SHARE);
+    let base = (-metallic + S::c(1.0)) + least;
+    let coat = clearcoat.map_or(S::zero(), |c| c * S::c(0.25) + least);
+    let main = S::one();
+    let whole = (main + base + coat).recip();
+    [main * whole, base * whole, coat * whole]
+}
 
+impl<R: Real, A: Alpha<Scalar = R>> PrincipledLobe<R, A> {
     #[inline]
     fn primal_shares(&self) -> [R::Primal; 3] {
         let strength = self.clearcoat.map(|[strength, _]| strength.primal());
-        PrincipledLobe::<R::Primal>::shares(self.metallic.primal(), strength)
+        shares(self.metallic.primal(), strength)
     }
 
     /// Densities of `wi` in each of those, given the half vector.
@@ -215,7 +249,7 @@ impl<R: Real> PrincipledLobe<R> {
     }
 }
 
-impl<R: Real> Lobe<R> for PrincipledLobe<R> {
+impl<R: Real, A: Alpha<Scalar = R>> Lobe<R> for PrincipledLobe<R, A> {
     #[inline]
     fn eval(&self, wo: Vec3<R>, wi: Vec3<R>, _mode: TransportMode) -> Rgb<R> {
         let Some(m) = half_vector(wo, wi) else {
@@ -285,7 +319,7 @@ impl<R: Real> Lobe<R> for PrincipledLobe<R> {
         let Some(m) = half_vector(wo, wi) else {
             return R::zero();
         };
-        let shares = Self::shares(self.metallic, self.clearcoat.map(|[strength, _]| strength));
+        let shares = shares(self.metallic, self.clearcoat.map(|[strength, _]| strength));
         let parts = self.densities(wo, wi, m).into_iter().zip(shares);
         parts.fold(R::zero(), |sum, (pdf, share)| sum + constant(pdf) * share)
     }
@@ -297,9 +331,34 @@ impl FromNode for Principled {
     /// `base_color` (0.5), `roughness` (0.5), `metallic` (0), `specular` (0.5) or `eta`, `flatness` (0), `sheen` (0),
     /// `clearcoat` (0) and `clearcoat_gloss` (0).
     fn from_node(node: &Node, registry: &mut Registry) -> Result<Self, SceneError> {
+        // Zero, or there is another plugin for it.
+        node.grey(ANISOTROPIC)?;
+        Self::of(node, registry, ())
+    }
+}
+
+impl FromNode for AnisotropicPrincipled {
+    const PLUGINS: &'static [&'static str] = Principled::<()>::PLUGINS;
+
+    fn takes(node: &Node) -> bool {
+        let is_zero = matches!(node.grey(ANISOTROPIC), Ok(Some(x)) if x == 0.0);
+        Self::PLUGINS.contains(&node.plugin.as_str()) && node.has(ANISOTROPIC) && !is_zero
+    }
+
+    /// As that, and `anisotropic`.
+    fn from_node(node: &Node, registry: &mut Registry) -> Result<Self, SceneError> {
+        let anisotropic = registry.scalar_texture(node, ANISOTROPIC, 0.0, (0.0, 1.0))?;
+        Self::of(node, registry, anisotropic)
+    }
+}
+
+/// The attribute.
+const ANISOTROPIC: &str = "anisotropic";
+
+impl<T> Principled<T> {
+    fn of(node: &Node, registry: &mut Registry, anisotropic: T) -> Result<Self, SceneError> {
         for (key, what) in [
             ("spec_trans", "transmission by this material is"),
-            ("anisotropic", "anisotropy of this material is"),
             ("spec_tint", "a tint, which mixes colours, is"),
             ("sheen_tint", "a tint, which mixes colours, is"),
         ] {
@@ -367,6 +426,7 @@ impl FromNode for Principled {
             flatness,
             sheen,
             clearcoat,
+            anisotropic,
         })
     }
 }
