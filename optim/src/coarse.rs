@@ -271,7 +271,7 @@ mod tests {
         let mut image: Vec<f64> = (0..70).map(f64::from).collect();
         c.values(8, &mut image);
         assert!((0..70).all(|i| image[i] == i as f64), "its own resolution");
-        let mut flat = vec![0.25; 70];
+        let mut flat = vec![0.25f64; 70];
         c.values(0, &mut flat);
         assert!(flat.iter().all(|x| (x - 0.25).abs() < 1e-15));
     }
