@@ -8,7 +8,8 @@ use optim::{
 };
 use render::Job;
 use render::instances::{
-    Direction, Estimator, gauss_newton_f32, hessian_vector_f32, render_f32, tangent_f32,
+    Direction, Estimator, forward_edges_f32, gauss_newton_f32, hessian_vector_f32, render_f32,
+    tangent_f32,
 };
 use render::integrator::gradient::{Active, Gradient};
 use render::integrator::render::{NonFinite, Progress, Rendering};
@@ -238,8 +239,8 @@ impl Problem {
     }
 
     /// [`Problem::evaluate`] with the Gauss-Newton matrix of the loss, for up to
-    /// [`second_order::MAX_VALUES`] unknowns. Where the loss is concave in a pixel, that pixel is left out. An estimator
-    /// without second order, for what moves, takes two derivative images by each unknown.
+    /// [`second_order::MAX_VALUES`] unknowns. Where the loss is concave in a pixel, that pixel is left out. [`Estimator::Edges`],
+    /// for what moves, takes two derivative images by each unknown.
     ///
     /// # Errors
     /// As [`Problem::evaluate`]; too many unknowns, or less than two samples per pixel.
@@ -262,15 +263,15 @@ impl Problem {
             let mut weights = vec![0.0; image.len()];
             self.loss.curvature(image, target, &mut weights)?;
             weights.iter_mut().for_each(|w| *w = w.max(0.0));
-            let derivatives = if self.estimator.capabilities().modes.second_order {
+            let derivatives = if self.estimator == Estimator::Edges {
+                self.forward_curved(seeds[1], [&adjoint, &weights], progress)?
+            } else {
                 gauss_newton_f32(
                     &self.job(seeds[1], progress),
                     &self.theta(),
                     &self.active,
                     [&adjoint, &weights],
                 )?
-            } else {
-                self.forward_curved(seeds[1], [&adjoint, &weights], progress)?
             };
             if derivatives.cancelled {
                 return Ok(None);
@@ -323,23 +324,24 @@ impl Problem {
         let mut halves = [Vec::new(), Vec::new()];
         let samples = u64::from(self.settings.spp / 2);
         let params = self.scene.params();
+        let mut directions = Vec::new();
+        for info in self.active.ranges() {
+            for i in 0..info.shape.len() {
+                let mut unit = vec![0.0; info.shape.len()];
+                unit[i] = 1.0;
+                directions.push(Direction::Dense(params.handle(info), unit));
+            }
+        }
         for (half, images) in (0u64..).zip(&mut halves) {
             let seed = mix64(seed.wrapping_add(half));
-            for info in self.active.ranges() {
-                for i in 0..info.shape.len() {
-                    let mut unit = vec![0.0; info.shape.len()];
-                    unit[i] = 1.0;
-                    let along = [Direction::Dense(params.handle(info), unit)];
-                    let job = Job::new(&self.scene, &self.settings, seed, 0..samples, progress);
-                    let seen = self.estimator.forward_f32(&job, params.values(), &along)?;
-                    add_non_finite(&mut out.non_finite, seen.non_finite);
-                    if seen.cancelled {
-                        out.cancelled = true;
-                        return Ok(out);
-                    }
-                    images.push(seen.image(1).data);
-                }
+            let job = Job::new(&self.scene, &self.settings, seed, 0..samples, progress);
+            let seen = forward_edges_f32(&job, params.values(), &directions)?;
+            add_non_finite(&mut out.non_finite, seen.non_finite);
+            if seen.cancelled {
+                out.cancelled = true;
+                return Ok(out);
             }
+            images.extend((1..=n).map(|k| seen.image(k).data));
         }
         let [a, b] = &halves;
         let product = |x: &[f32], y: &[f32]| -> f64 {

@@ -2247,3 +2247,98 @@ fn parameters_are_set_on_the_command_line() {
         "{error}"
     );
 }
+
+/// A tent before a lamp, whose points and colours are unknown.
+const TENT: &str = r#"<scene version="3.0.0">
+  <integrator type="path"><integer name="max_depth" value="3"/></integrator>
+  <sensor type="perspective" id="eye"><float name="fov" value="40"/>
+    <transform name="to_world"><lookat origin="0,0,5" target="0,0,0" up="0,1,0"/></transform>
+    <film type="hdrfilm"><integer name="width" value="12"/><integer name="height" value="12"/><rfilter type="box"/></film>
+  </sensor>
+  <shape type="obj" id="it"><string name="filename" value="tent.obj"/>
+    <bsdf type="diffuse" id="cloth"><texture name="reflectance" type="bitmap" id="weave">
+      <string name="filename" value="weave.exr"/><boolean name="raw" value="true"/></texture></bsdf></shape>
+  <emitter type="constant"><rgb name="radiance" value="1"/></emitter>
+</scene>"#;
+
+/// Points of a mesh and texels are recovered together, with options behind their keys, and written as a scene that renders:
+/// its mesh beside it. Cameras are, by Gauss-Newton steps.
+#[test]
+fn shapes_are_recovered_and_written() {
+    let dir = Folder::new();
+    std::fs::write(dir.path("tent.xml"), TENT).unwrap();
+    let mut tent = String::new();
+    for j in 0..5 {
+        for i in 0..5 {
+            let [x, y] = [i, j].map(|k| f64::from(k) / 4.0);
+            let z = 0.3 * (3.0 * x).sin();
+            tent += &format!("v {} {} {z}\nvt {x} {y}\n", 2.0 * x - 1.0, 2.0 * y - 1.0);
+        }
+    }
+    for a in (0..20).filter(|a| a % 5 < 4).map(|a| a + 1) {
+        let b = a + 5;
+        tent += &format!("f {a}/{a} {0}/{0} {1}/{1} {b}/{b}\n", a + 1, b + 1);
+    }
+    std::fs::write(dir.path("tent.obj"), tent).unwrap();
+    let mut weave = Image::new(8, 8);
+    weave
+        .data
+        .iter_mut()
+        .enumerate()
+        .for_each(|(i, x)| *x = 0.3 + 0.05 * (i % 7) as f32);
+    write_exr(&dir.path("weave.exr"), &weave).unwrap();
+    dir.ok("render", "tent.xml --spp 64 -o t.exr");
+
+    let common = "tent.xml --target t.exr --estimator edges --spp 2 --iterations 6";
+    let points = "--param it.vertex_positions:smooth=4,lr=0.01";
+    let texels = "--param cloth.reflectance.data:coarse=2";
+    dir.ok(
+        "recover",
+        &format!("{common} {points} {texels} -P cloth.reflectance.data=0.5 --out d"),
+    );
+    assert!(dir.path("d/scene/scene.xml").exists() && dir.path("d/scene/meshes/it.ply").exists());
+    dir.ok("render", "d/scene/scene.xml --spp 4 -o again.exr");
+    // Six steps of two texels along each side, then four, then eight: the checkpoint knows.
+    dir.ok(
+        "recover",
+        &format!("{common} {texels} --stop-after 6 --out e"),
+    );
+    assert_eq!(
+        dir.run("recover", "--resume --out e --iterations 6")
+            .status
+            .code(),
+        Some(0)
+    );
+
+    for (option, needed) in [
+        ("it.vertex_positions:coarse=2", "texels for coarse"),
+        (
+            "cloth.reflectance.data:smooth=2",
+            "points of a mesh for smooth",
+        ),
+        (
+            "it.vertex_positions:smooth=-1",
+            "a positive number for smooth",
+        ),
+        ("it.vertex_positions:rough=1", "lr, smooth or coarse"),
+    ] {
+        let out = dir.run("recover", &format!("{common} --param {option} --out f"));
+        let stderr = String::from_utf8_lossy(&out.stderr);
+        assert!(
+            !out.status.success() && stderr.contains(needed),
+            "{option}: {stderr}"
+        );
+    }
+
+    let newton =
+        "tent.xml --target t.exr --estimator edges --optimizer gauss-newton --spp 8 --iterations 3";
+    dir.ok(
+        "recover",
+        &format!("{newton} --param sensor.translation -P sensor.translation=0.2,0,0 --out g"),
+    );
+    let found = dir.json("g/result.json");
+    let x = found["params"]["sensor.translation[0]"]["value"]
+        .as_f64()
+        .unwrap();
+    assert!(x.abs() < 0.1, "{x}");
+}

@@ -307,6 +307,35 @@ pub fn forward_f32(
         part.sums.truncate(1 + directions.len());
         Ok(part)
     };
+    in_passes(directions, widest, pass)
+}
+
+/// [`forward_f32`] by [`Estimator::Edges`], for what moves: eight directions at a time over the same samples.
+///
+/// # Errors
+/// A dense direction of the wrong length; a scene or a parameter that edges do not admit.
+pub fn forward_edges_f32(
+    job: &Job,
+    values: &[f32],
+    directions: &[Direction],
+) -> Result<Rendering, RenderError> {
+    check_directions(job.scene, directions)?;
+    let pass = |directions: &[Direction]| -> Result<Rendering, RenderError> {
+        let tangents = tangents::<8>(job.scene.params(), directions.iter().enumerate());
+        let theta = Theta::<Dual<f32, 8>>::with_tangents(values, &tangents);
+        let mut part = run::<Dual<f32, 8>, Outlines<Interior<DetachedMis>>>(job, &theta)?;
+        part.sums.truncate(1 + directions.len());
+        Ok(part)
+    };
+    in_passes(directions, |n| n.min(8), pass)
+}
+
+/// Components of several passes over the same samples, each with the next so many directions.
+fn in_passes(
+    directions: &[Direction],
+    widest: impl Fn(usize) -> usize,
+    pass: impl Fn(&[Direction]) -> Result<Rendering, RenderError>,
+) -> Result<Rendering, RenderError> {
     let (now, mut rest) = directions.split_at(widest(directions.len()).min(directions.len()));
     let mut out = pass(now)?;
     while !rest.is_empty() {

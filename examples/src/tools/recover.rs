@@ -17,12 +17,11 @@ use optim::{
     AnyOptimizer, Coarse, Constrained, Diffusion, GaussNewton, Group, Groups, LossKind, Optimizer,
     Parameterisation, PixelLoss, Rates, Schedule,
 };
-use render::estimator::Capabilities;
 use render::instances::Estimator;
 use render::integrator::gradient::Active;
 use render::integrator::render::Rendering;
 use render::integrator::second_order::MAX_VALUES;
-use render::params::{ParamKind, ParamShape};
+use render::params::ParamShape;
 use render::sampler::mix64;
 use render::{Image, RenderError, Scene, Settings, image_io};
 use serde::de::Error as _;
@@ -102,7 +101,7 @@ pub struct Args {
     /// How samples are made
     #[command(flatten)]
     pub samples: SampleArgs,
-    /// Where derivatives flow: as in `gradient`, but not auto; mis for gauss-newton [default: mis]
+    /// Where derivatives flow: as in `gradient`, but not auto; mis, or edges for what moves, for gauss-newton [default: mis]
     #[arg(long, value_name = "NAME", value_parser = Estimator::from_name)]
     pub estimator: Option<Estimator>,
     /// l1, l2 (mse), relative-l1, relative-l2 or log-l2 [default: relative-l2]
@@ -400,11 +399,12 @@ impl Job {
         if self.optimizer != OptimizerArg::GaussNewton {
             return Ok(());
         }
-        let moves = |c: Capabilities| c.sees(ParamKind::Position);
-        if !cli::can(&self.estimator, |c| c.modes.second_order || moves(c)) {
+        let edges = self.estimator == Estimator::Edges.name();
+        if !edges && !cli::can(&self.estimator, |c| c.modes.second_order) {
             let message = format!(
-                "expected {}, or one that sees what moves, for gauss-newton, found {}",
+                "expected {}, or {} for what moves, for gauss-newton, which has no other, found {}",
                 Estimator::SECOND_ORDER.name(),
+                Estimator::Edges.name(),
                 self.estimator
             );
             return wrong("--estimator", "estimator", message);

@@ -183,11 +183,11 @@ impl Setup {
 /// # Errors
 /// None that the built-in scene can cause.
 pub fn figure(fig: &mut Figure) -> Result {
-    let size = fig.pick([32, 24], [96, 72]);
+    let size = fig.pick([24, 18], [64, 48]);
     let effort = Effort {
         many: fig.pick(256, 1024),
-        adam: fig.pick((8, 120), (16, 400)),
-        newton: fig.pick((32, 15), (64, 15)),
+        adam: fig.pick((4, 120), (8, 400)),
+        newton: fig.pick((16, 15), (64, 15)),
     };
     fig.note("pixels", size[0] * size[1]);
     fig.note("steps of Adam", effort.adam.1);
@@ -218,7 +218,7 @@ pub fn figure(fig: &mut Figure) -> Result {
 
 /// (a) The gradient at the start against central differences, of which 2 % are allowed for the step.
 fn gradients(fig: &mut Figure, setup: &mut Setup) -> Result {
-    let (runs, spp, step) = (fig.pick(8, 16), fig.pick(64, 128), 1.0f32 / 64.0);
+    let (runs, spp, step) = (fig.pick(8, 16), fig.pick(48, 128), 1.0f32 / 64.0);
     let start: Vec<f64> = START.iter().map(|&x| x.into()).collect();
     let image = setup.picture(&start, SEED + 2)?;
     let problem = &mut setup.problem;
@@ -258,7 +258,7 @@ fn gradients(fig: &mut Figure, setup: &mut Setup) -> Result {
             let theta = Theta::constant(scene.params().values());
             let along = |seed: u64| {
                 let seed = mix64(SEED + 200 + seed);
-                let job = Job::new(scene, &scene.settings, seed, 0..4 * spp, &());
+                let job = Job::new(scene, &scene.settings, seed, 0..2 * spp, &());
                 let image = render_f32(&job, &theta, Estimator::Mis).image(0);
                 let pairs = image.data.iter().zip(&adjoint);
                 pairs
@@ -295,7 +295,7 @@ fn gradients(fig: &mut Figure, setup: &mut Setup) -> Result {
     fig.csv("gradients", &header, rows);
     fig.check(
         "(a) at the start, the gradient in each of nine parameters is that of central differences",
-        largest < limit && fewest > 5.0,
+        largest < limit && fewest > fig.pick(3.0, 5.0),
         format!(
             "largest |z| {largest:.2}, limit {limit:.2}; the largest of each kind is at least {fewest:.0} standard errors"
         ),
@@ -405,7 +405,7 @@ fn show(fig: &mut Figure, setup: &mut Setup, adam: &Descent, newton: &Descent) -
         "above",
         &above.points("where they are", [(EYE[0], EYE[2]), (-1.7, 0.9)]),
     );
-    let enlarge = fig.pick(6, 3);
+    let enlarge = fig.pick(8, 4);
     let mut panels = Vec::new();
     let all = |v: &Vec<f32>| v.iter().map(|&x| x.into()).collect::<Vec<f64>>();
     for (label, run) in [("Adam", adam), ("Gauss-Newton", newton)] {

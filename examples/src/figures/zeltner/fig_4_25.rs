@@ -155,7 +155,7 @@ fn scene(effort: &Effort) -> Result<Scene> {
         });
     }
     let settings = Settings {
-        max_depth: 3,
+        max_depth: 2,
         rr_depth: u32::MAX,
         spp: effort.spp,
         ..Settings::default()
@@ -328,11 +328,11 @@ impl Setup {
 /// None that the built-in scene can cause.
 pub fn figure(fig: &mut Figure) -> Result {
     let effort = Effort {
-        pixels: fig.pick(32, 128),
-        around: fig.pick(48, 128),
+        pixels: fig.pick(24, 64),
+        around: fig.pick(32, 128),
         colour_side: fig.pick(600, 1024),
-        spp: fig.pick(4, 8),
-        steps: fig.pick(40, 240),
+        spp: fig.pick(2, 4),
+        steps: fig.pick(24, 240),
         many: fig.pick(16, 64),
     };
     let mut setup = Setup::new(effort)?;
@@ -419,7 +419,7 @@ fn show(fig: &mut Figure, setup: &mut Setup, fine: &Descent, single: &Descent) -
         &["one resolution", "step", "five views", "held out"],
         rows,
     );
-    let enlarge = fig.pick(4, 1);
+    let enlarge = fig.pick(6, 2);
     let mut panels = Vec::new();
     for view in [0, 2, 3, TRAINED] {
         for (step, values) in &fine.stages {
