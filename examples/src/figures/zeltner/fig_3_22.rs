@@ -69,7 +69,7 @@ fn samples(
     let values: Vec<f64> = (scene.params().values().iter())
         .map(|&x| f64::from(x))
         .collect();
-    let theta = Theta::constant(&values);
+    let theta = Theta::<f64>::constant(&values);
     let glinty = glinty_shapes(scene).ok_or("nothing glitters")?;
     let finder = Finder::new(scene, theta, &glinty, glints);
     let metal = mapped_metal(scene.material(0), false).ok_or("no normal map")?;
