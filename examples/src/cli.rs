@@ -501,6 +501,25 @@ pub enum GlintWeightsArg {
     Lobe,
 }
 
+/// Says which shapes are flagged as glinty and are not.
+fn complain_of_flags(scene: &Scene) {
+    let glinty = glinty_shapes(scene).unwrap_or_default();
+    for shape in 0..scene.shapes().len() as u32 {
+        let info = scene.shape_info(shape);
+        if info.hints.glinty && glinty.get(shape as usize) != Some(&true) {
+            complain!(
+                "warning: shape `{}`: `glinty`, but no smooth metal under a normal map that is an image; paths find its light",
+                info.name
+            );
+        }
+    }
+    if glinty.is_empty() {
+        complain!(
+            "warning: the scene asks for glints, and nothing in it is glinty; paths find all light"
+        );
+    }
+}
+
 impl GlintArgs {
     /// Says so in `settings`.
     ///
@@ -509,7 +528,12 @@ impl GlintArgs {
     fn apply(self, scene: &Scene, settings: &mut Settings) -> Result<(), ToolError> {
         let usage = |message: &str| Err(ToolError::Usage(message.into()));
         let method = match self.glints {
-            None => return Ok(()),
+            None => {
+                if settings.glints.is_some() {
+                    complain_of_flags(scene);
+                }
+                return Ok(());
+            }
             Some(GlintArg::Off) => {
                 let others = self.glint_trials.is_some()
                     || self.glint_region.is_some()

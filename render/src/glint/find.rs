@@ -130,16 +130,6 @@ impl<'a, P: Float> Finder<'a, P> {
         self.counters.read()
     }
 
-    /// Bytes of moments.
-    pub fn bytes(&self) -> usize {
-        self.maps
-            .iter()
-            .flatten()
-            .flatten()
-            .map(SlopeMap::bytes)
-            .sum()
-    }
-
     /// The slopes of a footprint, and whether they are seen from behind.
     fn slopes(&self, foot: &Footprint) -> Option<(&SlopeMap, bool)> {
         let behind = foot.behind();

@@ -1,5 +1,7 @@
 //! [Zeltner 2021, figure 3.22]: walks find bright lights in scratches, scattered directions everything else.
 
+use std::sync::Arc;
+
 use rayon::prelude::*;
 use render::Scene;
 use render::bsdf::{Bsdf, DeltaKind, Shading, TransportMode};
@@ -17,31 +19,36 @@ use crate::scene_builder::{SceneBuilder, View};
 
 const SEED: u64 = 322;
 /// Concentration of the bright lights, and how bright they are in the middle.
-const CONCENTRATION: f64 = 2000.0;
-const BRIGHT: f64 = 60.0;
+const CONCENTRATION: f64 = 5000.0;
+const BRIGHT: f64 = 150.0;
 /// Slopes above this are scratches.
 const SCRATCH: f64 = 0.02;
 
 fn ball(size: u32) -> Result<(Scene, u32)> {
     let mut scene = SceneBuilder::default();
     let slopes = Slopes::scratched(256, 60, 2.0, 0.35, SEED);
+<<<<<<< HEAD
     let metal = slopes.metal(&mut scene.build, 3.0)?;
     let metal = std::sync::Arc::new(metal.into());
+=======
+    let metal = slopes.metal(&mut scene.build, 3.0 * size as f32 / 32.0)?;
+    let metal = Arc::new(metal.into());
+>>>>>>> glints
     scene.ball("ball", [0.0; 3], 1.0, &metal)?;
     let lights = [
-        [0.3, 1.0, 0.8],
-        [-0.8, 0.6, 1.0],
-        [0.9, 0.2, 0.7],
-        [-0.2, -0.5, 1.0],
+        [1.0, 0.5, 0.2],
+        [1.0, 0.2, -0.5],
+        [1.0, -0.1, 0.6],
+        [1.0, -0.6, -0.2],
     ];
     for (i, d) in lights.into_iter().enumerate() {
         scene.lobe(&format!("light{i}"), [BRIGHT; 3], d, CONCENTRATION)?;
     }
     scene.ambient([0.3; 3])?;
     let view = View {
-        eye: [0.0, 0.0, 6.0],
+        eye: [6.0, 0.0, 0.0],
         target: [0.0; 3],
-        fov: 21.0,
+        fov: 10.0,
         size: [size; 2],
     };
     Ok((scene.finish(&view, 2)?, lights.len() as u32))
@@ -67,7 +74,7 @@ fn samples(
     let values: Vec<f64> = (scene.params().values().iter())
         .map(|&x| f64::from(x))
         .collect();
-    let theta = Theta::constant(&values);
+    let theta = Theta::<f64>::constant(&values);
     let glinty = glinty_shapes(scene).ok_or("nothing glitters")?;
     let finder = Finder::new(scene, theta, &glinty, glints);
     let metal = mapped_metal(scene.material(0), false).ok_or("no normal map")?;
@@ -136,32 +143,34 @@ fn total(all: &[Vec<Found>], of: impl Fn(&Found) -> f64) -> f64 {
 /// # Errors
 /// None that the built-in scene can cause.
 pub fn figure(fig: &mut Figure) -> Result {
-    let (size, spp) = (fig.pick(32, 96), fig.pick(128, 512));
+    let (size, spp) = (fig.pick(32, 64), fig.pick(128, 512));
     fig.note("size", size);
     fig.note("spp", spp);
     fig.note("seed", SEED);
     let (scene, bright) = ball(size)?;
     let unbiased = Glints::new(GlintMethod::Unbiased);
-    let of = |glints: Glints, seed: u64| samples(&scene, bright, glints, SEED + seed, spp);
+    let of =
+        |glints: Glints, seed: u64, spp: u64| samples(&scene, bright, glints, SEED + seed, spp);
     let only = |techniques| Glints {
         techniques,
         ..unbiased
     };
-    let both = of(unbiased, 0)?;
+    let both = of(unbiased, 0, spp)?;
     let lobe = Glints {
         weights: GlintWeights::Lobe,
         region: GlintRegion::Texels,
         ..unbiased
     };
-    let by_lobe = of(lobe, 1)?;
-    let walks = of(only(GlintTechniques::Walks), 2)?;
-    let scattering = of(only(GlintTechniques::Scattering), 3)?;
+    let by_lobe = of(lobe, 1, spp)?;
+    let walks = of(only(GlintTechniques::Walks), 2, spp)?;
+    let scattering = of(only(GlintTechniques::Scattering), 3, 4 * spp)?;
     let all = |f: &Found| f.light.iter().flatten().sum::<f64>();
     // ---- The same light ----
     let estimate =
         |found: &[Vec<Found>]| {
             // Samples of equal index over all pixels are independent images.
-            Estimate::of((0..spp as usize).map(|i| {
+            let spp = found.first().map_or(0, Vec::len);
+            Estimate::of((0..spp).map(|i| {
                 found.iter().map(|pixel| all(&pixel[i])).sum::<f64>() / found.len() as f64
             }))
         };
@@ -171,7 +180,7 @@ pub fn figure(fig: &mut Figure) -> Result {
         let error = brute.error.hypot(e.error) / brute.mean;
         fig.check(
             format!("both techniques together find the light, weighed by {name}"),
-            (ratio - 1.0).abs() < f64::max(0.03, 4.0 * error) && error < 0.02,
+            (ratio - 1.0).abs() < f64::max(0.03, 4.0 * error) && error < 0.03,
             format!("{ratio:.4} ± {error:.4} of what scattering alone finds"),
         );
     }

@@ -5,16 +5,17 @@
 //! same map, in pieces within which a linear function misses the slopes by no more than its intrinsic roughness. Nor is its
 //! time compared.
 
+use std::f64::consts::TAU;
+use std::sync::Arc;
 use std::time::Instant;
 
 use ad_core::Vec2;
-use render::Job;
-use render::Scene;
 use render::glint::{SlopeMap, mapped_metal};
 use render::instances::{Estimator, render_f32};
 use render::manifold::Statistics;
 use render::params::Theta;
-use render::scene::{GlintMethod, Glints, Settings};
+use render::scene::{GlintMethod, Glints};
+use render::{Job, Scene, Settings};
 
 use super::glint_scenes::Slopes;
 use crate::chart::{LineChart, Panel};
@@ -34,16 +35,27 @@ const TRIALS: u32 = 16;
 fn ball(size: u32, texels: usize, tiles: f32) -> Result<Scene> {
     let mut scene = SceneBuilder::default();
     let metal = Slopes::gaussian(texels, DEVIATION, SEED).metal(&mut scene.build, tiles)?;
+<<<<<<< HEAD
     scene.ball("ball", [0.0; 3], 1.0, &std::sync::Arc::new(metal.into()))?;
     scene.lobe("sun", [3000.0; 3], [0.5, 0.7, 1.0], 20_000.0)?;
+=======
+    scene.ball("ball", [0.0; 3], 1.0, &Arc::new(metal.into()))?;
+    scene.lobe("sun", [3000.0; 3], [1.0, 0.4, 0.3], 20_000.0)?;
+>>>>>>> glints
     scene.ambient([0.2; 3])?;
     let view = View {
-        eye: [0.0, 0.0, 6.0],
+        eye: [6.0, 0.0, 0.0],
         target: [0.0; 3],
-        fov: 21.0,
+        fov: 10.0,
         size: [size; 2],
     };
     scene.finish(&view, 2)
+}
+
+/// How often the map goes around the ball, of which 0.88 are seen, for so many texels a pixel.
+fn tiles(size: u32, texels: usize, per_pixel: f64) -> f32 {
+    let around = per_pixel * f64::from(size) / 0.88 * TAU;
+    (around / texels as f64).round().max(1.0) as f32
 }
 
 /// Images of independent runs.
@@ -140,8 +152,7 @@ pub fn figure(fig: &mut Figure) -> Result {
     fig.note("runs", runs);
     fig.note("seed", SEED);
     // ---- Memory ----
-    // Some four texels a pixel.
-    let near = ball(size, texels, (f64::from(size) / texels as f64 * 8.0) as f32)?;
+    let near = ball(size, texels, tiles(size, texels, 4.0))?;
     let (pieces, moments) = pieces(&near, texels)?;
     let map = texels * texels * 3 * size_of::<f32>();
     let tree = pieces * (texels * texels) as f64 * PIECE;
@@ -184,8 +195,9 @@ pub fn figure(fig: &mut Figure) -> Result {
     let mut outliers = [0.0; 2];
     let mut trials = Vec::new();
     for (i, texels_per_pixel) in [2.0, 4.0, 8.0, 16.0].into_iter().enumerate() {
-        let tiles = f64::from(size) / texels as f64 * 2.0 * texels_per_pixel;
-        let scene = ball(size, texels, tiles as f32)?;
+        let tiles = tiles(size, texels, texels_per_pixel);
+        let texels_per_pixel = f64::from(tiles) * texels as f64 * 0.88 / TAU / f64::from(size);
+        let scene = ball(size, texels, tiles)?;
         let seed = SEED * (10 + i as u64);
         let spp = spp / 4;
         let ours = measure(&scene, Some(unbiased), seed, runs, 4 * spp);
@@ -221,7 +233,7 @@ pub fn figure(fig: &mut Figure) -> Result {
         "in large footprints trial sets lose light, and trials are many",
         lost > 0.1 && trials[3].1 > 4.0 * trials[0].1,
         format!(
-            "{:.0} % is lost at {} texels a pixel; trials rise from {:.1} to {:.1}",
+            "{:.0} % is lost at {:.0} texels a pixel; trials rise from {:.1} to {:.1}",
             100.0 * lost,
             last[0],
             trials[0].1,
