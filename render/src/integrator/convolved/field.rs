@@ -25,7 +25,11 @@ use crate::math::Frame;
 pub const KAPPA: f64 = 1e5;
 
 /// Largest value of the boundary test, and that of what has no outline. Within an outline and beyond it, neighbours count as the cubes of these.
-pub const LARGEST: f64 = 10.0;
+pub const LARGEST: f64 = 30.0;
+
+/// How much faster the boundary test rises than the kernel: neighbours that are closer to an outline than to the direction
+/// decide. On curved surfaces the velocity at an outline is that of the outline only.
+const STEEPNESS: f64 = 30.0;
 
 /// A value of the boundary test and a distance that are next to nothing: on the outline itself.
 const LEAST: f64 = 1e-12;
@@ -58,9 +62,9 @@ impl Neighbour {
     }
 }
 
-/// The boundary test at an angle from an outline, radians: as fast from zero as a kernel rises from one.
+/// The boundary test at an angle from an outline, radians: it rises with the square of the angle, as a kernel does.
 pub fn boundary_test(kappa: f64, distance: f64) -> f64 {
-    (0.5 * kappa * distance * distance).min(LARGEST)
+    (0.5 * STEEPNESS * kappa * distance * distance).min(LARGEST)
 }
 
 /// What the velocity of one neighbour does to the field and to its divergence.

@@ -331,7 +331,9 @@ pub(super) fn gradient<P: Float, S: Strategy, X: Sampler>(
                     for &(p, i, d) in &held.found {
                         GradSink::<f64>::add(&mut sink, p, i as usize, d);
                     }
-                    sink.finish(scene, sample, trail.stops.len() as u32 + 1);
+                    // Auxiliary rays are edges, too.
+                    let edges = trail.stops.len() as u32 + 1;
+                    sink.finish(scene, sample, edges * (1 + S::CONVOLVED));
                 } else {
                     non_finite.add(place(scene, sample.pixel) as u64, sample.index);
                 }
