@@ -138,8 +138,8 @@ impl<'a> Connector<'a> {
     pub fn new(space: Space<'a>, split: &'a Split, options: Connections) -> Self {
         let shapes = 0..space.scene.shapes().len() as u32;
         let slopes = match options.starts {
-            Starts::TwoStage => shapes.map(|i| Slopes::of(&space, i)).collect(),
-            Starts::Uniform | Starts::Particles => Vec::new(),
+            Starts::TwoStage | Starts::Particles => shapes.map(|i| Slopes::of(&space, i)).collect(),
+            Starts::Uniform => Vec::new(),
         };
         Self {
             space,
