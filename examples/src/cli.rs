@@ -430,7 +430,7 @@ pub struct ManifoldArgs {
     #[arg(long, value_name = "X", requires = "manifold", value_parser = threshold)]
     pub uniqueness_threshold: Option<f64>,
     /// Where walks start: at random points (uniform), after a walk over the surfaces without their normal maps (two-stage), or
-    /// mostly where particles passed that landed nearby (particles) [default: particles]
+    /// where particles passed that landed nearby, and else in two stages (particles) [default: particles]
     #[arg(long, value_name = "NAME", value_enum, requires = "manifold")]
     pub starts: Option<StartsArg>,
     /// Metal and glass that is no rougher than this throws light over chains, too [default: 0.02]

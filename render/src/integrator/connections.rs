@@ -241,7 +241,7 @@ fn space<'a, R: Real>(pass: &Pass<'a, R>, values: &'a [f64]) -> Option<Space<'a>
 }
 
 /// Fewest and most particles that show where walks may start.
-const PARTICLES: [usize; 2] = [1 << 10, 1 << 16];
+const PARTICLES: [usize; 2] = [1 << 12, 1 << 16];
 /// So many of them for each pixel of the film.
 const PARTICLES_PER_PIXEL: usize = 4;
 

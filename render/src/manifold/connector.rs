@@ -21,8 +21,9 @@ use crate::shape::{Shape, SurfaceInteraction};
 /// A start goes on over a further caster, or over either event of glass, at least as often as this, so that every chain
 /// has starts.
 const LEAST_PROBABILITY: f64 = 0.1;
-/// How many walks start where particles passed; the others reach every solution.
-const PART_LANDED: f64 = 0.75;
+/// How many walks start where particles passed; the others reach every solution. What particles miss takes no more than twice
+/// the trials.
+const PART_LANDED: f64 = 0.5;
 
 /// What connections came to: sums over all of them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -138,8 +139,8 @@ impl<'a> Connector<'a> {
     pub fn new(space: Space<'a>, split: &'a Split, options: Connections) -> Self {
         let shapes = 0..space.scene.shapes().len() as u32;
         let slopes = match options.starts {
-            Starts::TwoStage => shapes.map(|i| Slopes::of(&space, i)).collect(),
-            Starts::Uniform | Starts::Particles => Vec::new(),
+            Starts::TwoStage | Starts::Particles => shapes.map(|i| Slopes::of(&space, i)).collect(),
+            Starts::Uniform => Vec::new(),
         };
         Self {
             space,

@@ -33,6 +33,11 @@ impl Measured {
         self.found.converged as f64 / self.found.walks.max(1) as f64
     }
 
+    /// The part of estimates that found light: of first walks, but for trial sets.
+    pub fn lit(&self) -> f64 {
+        self.found.found as f64 / self.found.attempts.max(1) as f64
+    }
+
     /// Trials per reciprocal that was estimated.
     pub fn trials(&self) -> f64 {
         self.found.trials as f64 / self.found.reciprocals.max(1) as f64
