@@ -405,25 +405,6 @@ fn point_lights_glitter() {
         techniques: GlintTechniques::Walks,
         ..unbiased()
     };
-<<<<<<< HEAD
-    let b = mean(&s, Some(walks), 3, 16, 256);
-    let both = mean(&s, Some(unbiased()), 4, 16, 256);
-    // Without the dim sky.
-    let sky = glittering(&Piece {
-        lit: Lit::Lamp(1e-6),
-        ..fine
-    });
-    let scattering = Glints {
-        techniques: GlintTechniques::Scattering,
-        ..unbiased()
-    };
-    let sky = mean(&sky, Some(scattering), 5, 4, 256).mean;
-    println!("point {a:?} times {scale}, lamp {b:?}, both {both:?}, sky {sky}");
-    let (lamp, error) = (b.mean - sky, (a.se * scale).hypot(b.se));
-    assert!(a.mean > 0.0 && (lamp - scale * a.mean).abs() < (0.03 * lamp).max(4.0 * error));
-    let error = b.se.hypot(both.se);
-    assert!((b.mean - both.mean).abs() < (0.03 * lamp).max(4.0 * error));
-=======
     let a = mean(&point, Some(unbiased()), 2, 16, 256);
     let b = mean(&bulb, Some(walks), 3, 16, 256);
     let c = mean(&bulb, Some(unbiased()), 4, 16, 256);
@@ -433,7 +414,6 @@ fn point_lights_glitter() {
         let within = (0.03 * c.mean).max(4.0 * e.se.hypot(c.se));
         assert!((e.mean - c.mean).abs() < within, "{e:?} {c:?}");
     }
->>>>>>> glints
 }
 
 /// Nothing is infinite, and nothing hangs, where there is nothing to find or everything is degenerate: flat maps in front of a

@@ -27,13 +27,8 @@ const SCRATCH: f64 = 0.02;
 fn ball(size: u32) -> Result<(Scene, u32)> {
     let mut scene = SceneBuilder::default();
     let slopes = Slopes::scratched(256, 60, 2.0, 0.35, SEED);
-<<<<<<< HEAD
-    let metal = slopes.metal(&mut scene.build, 3.0)?;
-    let metal = std::sync::Arc::new(metal.into());
-=======
     let metal = slopes.metal(&mut scene.build, 3.0 * size as f32 / 32.0)?;
     let metal = Arc::new(metal.into());
->>>>>>> glints
     scene.ball("ball", [0.0; 3], 1.0, &metal)?;
     let lights = [
         [1.0, 0.5, 0.2],

@@ -35,13 +35,8 @@ const TRIALS: u32 = 16;
 fn ball(size: u32, texels: usize, tiles: f32) -> Result<Scene> {
     let mut scene = SceneBuilder::default();
     let metal = Slopes::gaussian(texels, DEVIATION, SEED).metal(&mut scene.build, tiles)?;
-<<<<<<< HEAD
-    scene.ball("ball", [0.0; 3], 1.0, &std::sync::Arc::new(metal.into()))?;
-    scene.lobe("sun", [3000.0; 3], [0.5, 0.7, 1.0], 20_000.0)?;
-=======
     scene.ball("ball", [0.0; 3], 1.0, &Arc::new(metal.into()))?;
     scene.lobe("sun", [3000.0; 3], [1.0, 0.4, 0.3], 20_000.0)?;
->>>>>>> glints
     scene.ambient([0.2; 3])?;
     let view = View {
         eye: [6.0, 0.0, 0.0],
