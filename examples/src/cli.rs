@@ -14,7 +14,8 @@ use render::estimator::{Capabilities, Refusal};
 use render::instances::Estimator;
 use render::integrator::particle;
 use render::integrator::render::{NonFinite, Progress};
-use render::manifold::{Split, Statistics};
+use render::integrator::render::{PixelConnections, Rendering};
+use render::manifold::Split;
 use render::params::{ParamInfo, ParamShape};
 use render::sampler::Points;
 use render::scene::{
@@ -423,7 +424,7 @@ pub struct ManifoldArgs {
     #[arg(long, value_name = "X", requires = "manifold", value_parser = threshold)]
     pub uniqueness_threshold: Option<f64>,
     /// Where walks start: at random points (uniform), after a walk over the surfaces without their normal maps (two-stage), or
-    /// mostly where particles passed that landed nearby (particles) [default: particles]
+    /// where particles passed that landed nearby, and else in two stages (particles) [default: particles]
     #[arg(long, value_name = "NAME", value_enum, requires = "manifold")]
     pub starts: Option<StartsArg>,
     /// Metal and glass that is no rougher than this throws light over chains, too [default: 0.02]
@@ -570,19 +571,55 @@ pub struct ManifoldReport {
     pub trials_per_solution: f64,
     /// Reciprocals that ran out of trials.
     pub exhausted: u64,
+    /// The part of the image's light that they brought.
+    pub share_of_light: f64,
+}
+
+/// A part of a number; zero of nothing.
+fn per(a: u64, b: u64) -> f64 {
+    a as f64 / b.max(1) as f64
+}
+
+/// What manifold connections came to in each pixel, as channels of an image: `success_rate` of walks, `steps` per walk,
+/// `trials` per reciprocal, and `share` of the light.
+pub fn manifold_planes(rendering: &Rendering) -> Vec<(&'static str, Vec<f32>)> {
+    let pixels = || (rendering.connections_by_pixel.iter()).zip(rendering.sums[0].chunks_exact(3));
+    let plane = |f: fn(&PixelConnections, f64) -> f64| {
+        let each = pixels().map(|(p, sums)| f(p, sums.iter().sum::<f64>() / 3.0) as f32);
+        each.collect()
+    };
+    vec![
+        (
+            "share",
+            plane(|p, light| if light > 0.0 { p.light / light } else { 0.0 }),
+        ),
+        (
+            "steps",
+            plane(|p, _| per(p.statistics.steps, p.statistics.walks)),
+        ),
+        (
+            "success_rate",
+            plane(|p, _| per(p.statistics.converged, p.statistics.walks)),
+        ),
+        (
+            "trials",
+            plane(|p, _| per(p.statistics.trials, p.statistics.reciprocals)),
+        ),
+    ]
 }
 
 impl ManifoldReport {
     /// Of a rendering with these settings; `None` without connections.
-    pub fn of(settings: &Settings, s: &Statistics) -> Option<Self> {
+    pub fn of(settings: &Settings, rendering: &Rendering) -> Option<Self> {
         let connections = settings.connections?;
+        let s = &rendering.connections;
         let (method, unbiased) = match connections.method {
             Method::Sms => ("sms".to_owned(), true),
             Method::SmsBiased(trials) => (format!("sms-biased, {trials} walks"), false),
             Method::Mnee => ("mnee".to_owned(), false),
             Method::LeftOut => ("left out".to_owned(), false),
         };
-        let per = |a: u64, b: u64| a as f64 / b.max(1) as f64;
+        let light: f64 = rendering.sums[0].iter().sum::<f64>() / 3.0;
         Some(Self {
             method,
             unbiased: unbiased
@@ -596,6 +633,11 @@ impl ManifoldReport {
             steps_per_walk: per(s.steps, s.walks),
             trials_per_solution: per(s.trials, s.reciprocals),
             exhausted: s.exhausted,
+            share_of_light: if light > 0.0 {
+                rendering.light_of_connections / light
+            } else {
+                0.0
+            },
         })
     }
 

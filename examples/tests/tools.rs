@@ -519,8 +519,9 @@ fn manifold_connections_are_rendered_reported_and_checked() {
     std::fs::write(dir.path("ball.xml"), text).unwrap();
     dir.ok(
         "render",
-        "ball.xml --manifold sms --spp 32 --manifold-check --json sms.json",
+        "ball.xml --manifold sms --spp 32 --manifold-check --manifold-picture rates.exr --json sms.json",
     );
+    assert!(dir.path("rates.exr").exists());
     let report = dir.json("sms.json");
     let manifold = &report["manifold"];
     assert_eq!(
@@ -532,6 +533,7 @@ fn manifold_connections_are_rendered_reported_and_checked() {
         number("found") > 0.0
             && number("success_rate") > 0.0
             && number("trials_per_solution") >= 1.0
+            && number("share_of_light") > 0.0
     );
     let check = &report["manifold_check"];
     let (z, limit) = (
@@ -560,6 +562,16 @@ fn manifold_connections_are_rendered_reported_and_checked() {
         ),
         ("ball.xml --manifold sms --bounces 9", "1..=8"),
         ("ball.xml --manifold-check", "no connections to check"),
+        (
+            "ball.xml --manifold-picture p.exr",
+            "no connections to picture",
+        ),
+        (
+            "ball.xml --manifold mnee --starts two-stage",
+            "without effect",
+        ),
+        ("ball.xml --manifold off --starts uniform", "without effect"),
+        ("ball.xml --manifold sms --caster-roughness 2", "[0, 1]"),
     ] {
         let output = dir.run("render", &format!("{args} -o refused.exr"));
         let message = String::from_utf8_lossy(&output.stderr).into_owned();

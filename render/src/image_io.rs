@@ -474,10 +474,36 @@ fn encode_exr(
     } else {
         &["R", "G", "B"]
     };
-    let list = names.iter().enumerate().map(|(c, &name)| {
-        let plane = data.iter().skip(c).step_by(channels).copied().collect();
-        exr::AnyChannel::new(name, exr::FlatSamples::F32(plane))
-    });
+    let plane = |c: usize| data.iter().skip(c).step_by(channels).copied().collect();
+    let planes = (0..).zip(names).map(|(c, &name)| (name, plane(c)));
+    encode_planes(path, width, height, planes.collect())
+}
+
+/// Writes numbers of any meaning, `[height][width]` under each name, as the channels of an OpenEXR file in f32.
+///
+/// # Errors
+/// Another number of values, or the file cannot be written; none is left behind then.
+pub fn write_exr_planes(
+    path: &Path,
+    width: usize,
+    height: usize,
+    planes: Vec<(&str, Vec<f32>)>,
+) -> Result<(), SceneError> {
+    for (_, plane) in &planes {
+        check_written(path, width, height, 1, plane)?;
+    }
+    encode_planes(path, width, height, planes)
+}
+
+fn encode_planes(
+    path: &Path,
+    width: usize,
+    height: usize,
+    planes: Vec<(&str, Vec<f32>)>,
+) -> Result<(), SceneError> {
+    let list = planes
+        .into_iter()
+        .map(|(name, plane)| exr::AnyChannel::new(name, exr::FlatSamples::F32(plane)));
     let layer = exr::Layer::new(
         (width, height),
         exr::LayerAttributes::default(),

@@ -19,7 +19,7 @@ use serde::Serialize;
 
 use crate::cli::{
     LoadArgs, ManifoldArgs, ManifoldReport, Outcome, SampleArgs, ThreadArgs, ToolError, depth,
-    report_non_finite, sample_count,
+    manifold_planes, report_non_finite, sample_count,
 };
 use crate::output;
 use crate::progress::{Bar, Interrupt};
@@ -75,6 +75,10 @@ pub struct Args {
     /// particles where a light is a point; takes about as long again
     #[arg(long)]
     pub manifold_check: bool,
+    /// Write what manifold connections came to in each pixel: channels success_rate (of walks), steps (per walk), trials (per
+    /// solution) and share (of the light)
+    #[arg(long, value_name = "OUT.EXR")]
+    pub manifold_picture: Option<PathBuf>,
     /// Where light is followed from
     #[arg(long, value_enum, default_value_t)]
     pub integrator: IntegratorArg,
@@ -298,10 +302,18 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
         let message = "--manifold-check: no connections to check; expected --manifold, or a scene that asks for them";
         return Err(ToolError::Usage(message.into()));
     }
+    if args.manifold_picture.is_some() {
+        let Some(connections) = &mut settings.connections else {
+            let message = "--manifold-picture: no connections to picture; expected --manifold, or a scene that asks for them";
+            return Err(ToolError::Usage(message.into()));
+        };
+        connections.by_pixel = true;
+    }
     settings.max_depth = args.max_depth.unwrap_or(settings.max_depth);
     let png = exr.with_extension("png");
     let mut files = vec![exr.clone(), png.clone()];
     files.extend(args.json.clone());
+    files.extend(args.manifold_picture.clone());
     output::prepare(&files, &[&args.scene])?;
 
     let start = Instant::now();
@@ -326,13 +338,22 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     let seconds_render = start.elapsed().as_secs_f64();
 
     report_non_finite(&rendering.non_finite, rendering.width, args.seed);
-    let manifold = ManifoldReport::of(&settings, &rendering.connections);
+    let manifold = ManifoldReport::of(&settings, &rendering);
     if let Some(manifold) = &manifold {
         manifold.complain();
     }
     let image = rendering.image(0);
     image_io::write_exr(&exr, &image)?;
     output::write_png(&png, &image)?;
+    if let Some(path) = &args.manifold_picture {
+        let planes = manifold_planes(&rendering);
+        // Without connections that were made there is nothing to say of any pixel.
+        if !rendering.connections_by_pixel.is_empty() {
+            image_io::write_exr_planes(path, rendering.width, rendering.height, planes)?;
+        } else {
+            complain!("warning: --manifold-picture: nothing was connected; nothing was written");
+        }
+    }
     if let Some(energy) = &energy {
         energy.say();
     }

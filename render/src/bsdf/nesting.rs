@@ -163,7 +163,13 @@ pub fn facets(material: &Material) -> Option<Microfacets<'_>> {
         })
     };
     let rough = |specular, roughness| {
-        let even = matches!(roughness, &Roughness { alpha: Texture::Constant(_), .. });
+        let even = matches!(
+            roughness,
+            &Roughness {
+                alpha: Texture::Constant(_),
+                ..
+            }
+        );
         even.then_some(Microfacets {
             specular,
             roughness: Some(roughness),

@@ -14,7 +14,7 @@ use super::paths::{TileSums, assemble, deposit};
 use super::record::{
     Bounce, Contribution, Interest, MetLight, Observer, PathRecord, Place, Recorder,
 };
-use super::rendering::{Components, NonFinite, Rendering};
+use super::rendering::{Components, NonFinite, PixelConnections, Rendering};
 use super::sink::{GradientSums, Sink};
 use super::tile::{Sample, place, start};
 use super::vertex::MODE;
@@ -241,7 +241,7 @@ fn space<'a, R: Real>(pass: &Pass<'a, R>, values: &'a [f64]) -> Option<Space<'a>
 }
 
 /// Fewest and most particles that show where walks may start.
-const PARTICLES: [usize; 2] = [1 << 10, 1 << 16];
+const PARTICLES: [usize; 2] = [1 << 12, 1 << 16];
 /// So many of them for each pixel of the film.
 const PARTICLES_PER_PIXEL: usize = 4;
 
@@ -256,10 +256,31 @@ fn connector<'a, R: Real>(
     if options.starts == Starts::Particles && options.method != Method::Mnee {
         let [width, height] = pass.scene.film.size.map(|n| n as usize);
         let [least, most] = PARTICLES;
-        let particles = width.saturating_mul(height).saturating_mul(PARTICLES_PER_PIXEL);
+        let particles = width
+            .saturating_mul(height)
+            .saturating_mul(PARTICLES_PER_PIXEL);
         connector.learn(pass.seed, particles.clamp(least, most));
     }
     connector
+}
+
+/// What the connections of a tile came to.
+struct CameTo {
+    all: Statistics,
+    light: f64,
+    /// Of each pixel, if that is asked for.
+    pixels: Vec<PixelConnections>,
+}
+
+impl CameTo {
+    fn new(by_pixel: bool, pixels: usize) -> Self {
+        let n = if by_pixel { pixels } else { 0 };
+        Self {
+            all: Statistics::default(),
+            light: 0.0,
+            pixels: vec![PixelConnections::default(); n],
+        }
+    }
 }
 
 /// The image by connections.
@@ -276,12 +297,12 @@ pub(super) fn image<R: Components, X: Sampler>(pass: &Pass<R>) -> Rendering {
     let (points, context) = (pass.settings.points, still(pass));
     let spp = pass.samples.end.saturating_sub(pass.samples.start) as f64;
     let tiles = pass.tiles();
-    let found: Vec<(TileSums, Statistics)> = parallel::map(tiles.len(), |i| {
+    let found: Vec<(TileSums, CameTo)> = parallel::map(tiles.len(), |i| {
         let tile = &tiles[i];
         let pixels = tile.pixels();
         let mut sums = vec![0.0f64; R::COUNT * pixels * 3];
         let mut non_finite = NonFinite::default();
-        let mut came_to = Statistics::default();
+        let mut came_to = CameTo::new(options.by_pixel, pixels);
         let mut value = Value {
             connecting: Connecting::new(pass, &connector, split),
             theta: pass.theta,
@@ -295,20 +316,39 @@ pub(super) fn image<R: Components, X: Sampler>(pass: &Pass<R>) -> Rendering {
             value.l = Rgb::black();
             start::<R, Scattering, X>(scene, points, seed, sample.pixel, sample.index)
                 .finish(&context, &mut value);
-            came_to.merge(&value.connecting.came_to);
+            came_to.all.merge(&value.connecting.came_to);
             if !value.l.is_finite() {
                 non_finite.add(place(scene, sample.pixel) as u64, sample.index);
                 continue;
             }
             let weight = spp * sample.scale();
             deposit(&mut sums, at, value.l, weight);
+            let channels = (0..3).map(|c| value.l[c].component(0));
+            let light = weight * channels.sum::<f64>() / 3.0;
+            came_to.light += light;
+            if let Some(pixel) = came_to.pixels.get_mut(at) {
+                pixel.statistics.merge(&value.connecting.came_to);
+                pixel.light += light;
+            }
         }
         progress.advance(pixels as u64);
         ((sums, non_finite), came_to)
     });
-    let (sums, came_to): (Vec<TileSums>, Vec<Statistics>) = found.into_iter().unzip();
+    let (sums, came_to): (Vec<TileSums>, Vec<CameTo>) = found.into_iter().unzip();
     let mut out = assemble(pass, R::COUNT, &sums);
-    came_to.iter().for_each(|s| out.connections.merge(s));
+    if options.by_pixel {
+        let n = out.width * out.height;
+        out.connections_by_pixel = vec![PixelConnections::default(); n];
+    }
+    for (tile, CameTo { all, light, pixels }) in tiles.iter().zip(&came_to) {
+        out.connections.merge(all);
+        out.light_of_connections += light;
+        let columns = (tile.x.end - tile.x.start) as usize;
+        for (row, pixels) in (tile.y.start..).zip(pixels.chunks(columns)) {
+            let first = place(scene, [tile.x.start, row]);
+            out.connections_by_pixel[first..first + columns].copy_from_slice(pixels);
+        }
+    }
     out
 }
 

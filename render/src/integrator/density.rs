@@ -336,6 +336,8 @@ impl<P: Float> Map<P> {
             sums: vec![vec![0.0; film.pixels() * 3]],
             non_finite: self.non_finite,
             connections: Statistics::default(),
+            light_of_connections: 0.0,
+            connections_by_pixel: Vec::new(),
             cancelled: progress.cancelled(),
         };
         for (tile, (sums, bad)) in tiles.iter().zip(&parts) {

@@ -725,6 +725,8 @@ pub fn render<R: Components, X: Sampler>(
         sums: vec![vec![0.0; width * height * 3]; R::COUNT],
         non_finite: NonFinite::default(),
         connections: Statistics::default(),
+        light_of_connections: 0.0,
+        connections_by_pixel: Vec::new(),
         cancelled: false,
     };
     // `[pixel][component][3]` while splats are added.

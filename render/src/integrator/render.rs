@@ -7,7 +7,7 @@ use super::integrals::{Wanted, every};
 use super::job::Job;
 use super::pass::{Integral, Pass, Question};
 pub use super::progress::Progress;
-pub use super::rendering::{Components, NonFinite, Rendering};
+pub use super::rendering::{Components, NonFinite, PixelConnections, Rendering};
 pub use super::tile::TILE;
 use crate::error::RenderError;
 use crate::estimator::{self, Strategy, Unbiased};

@@ -68,6 +68,22 @@ impl<P: Components, const N: usize> Components for Dual<P, N> {
     }
 }
 
+/// What manifold connections came to in a pixel.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct PixelConnections {
+    /// Sums over its samples.
+    pub statistics: Statistics,
+    /// The light that they brought, a mean over channels, summed over samples like [`Rendering::sums`].
+    pub light: f64,
+}
+
+impl PixelConnections {
+    fn merge(&mut self, other: &Self) {
+        self.statistics.merge(&other.statistics);
+        self.light += other.light;
+    }
+}
+
 /// Sums over samples, per pixel.
 #[derive(Clone, Debug)]
 pub struct Rendering {
@@ -83,6 +99,10 @@ pub struct Rendering {
     pub non_finite: NonFinite,
     /// What manifold connections came to.
     pub connections: Statistics,
+    /// The light that they brought, a mean over channels, summed over pixels and samples like [`Rendering::sums`].
+    pub light_of_connections: f64,
+    /// The same by pixel, `[height][width]`, where [`crate::scene::Connections::by_pixel`] asks for it; else empty.
+    pub connections_by_pixel: Vec<PixelConnections>,
     /// Whether it was stopped early; the sums are then incomplete.
     pub cancelled: bool,
 }
@@ -98,6 +118,8 @@ impl Rendering {
             sums: vec![vec![0.0; width * height * 3]; count],
             non_finite: NonFinite::default(),
             connections: Statistics::default(),
+            light_of_connections: 0.0,
+            connections_by_pixel: Vec::new(),
             cancelled: false,
         }
     }
@@ -134,6 +156,13 @@ impl Rendering {
     pub(super) fn add(&mut self, other: &Self) {
         self.non_finite.merge(&other.non_finite);
         self.connections.merge(&other.connections);
+        self.light_of_connections += other.light_of_connections;
+        let (ours, theirs) = (&mut self.connections_by_pixel, &other.connections_by_pixel);
+        if ours.is_empty() {
+            ours.clone_from(theirs);
+        } else {
+            ours.iter_mut().zip(theirs).for_each(|(a, b)| a.merge(b));
+        }
         self.cancelled |= other.cancelled;
         for (a, b) in self.sums.iter_mut().zip(&other.sums) {
             for (a, b) in a.iter_mut().zip(b) {

@@ -4,8 +4,8 @@ use ad_core::{Dual, Mat2, Real, Vec2, Vec3};
 use smallvec::SmallVec;
 
 use super::constraint::{self, Facet};
-use crate::accel::Hit;
 use super::normal::Normal;
+use crate::accel::Hit;
 use crate::bsdf::nesting::{Specular, facets};
 use crate::bsdf::{Bsdf, DeltaKind, Shading, TransportMode};
 use crate::math::{Frame, Ray};

@@ -5,7 +5,7 @@ use smallvec::SmallVec;
 
 use super::chain::{Chain, Event, Events, Space, Start, Target, Vertex, towards};
 use super::estimate::{distinct, trials};
-use super::landing::Landings;
+use super::landing::{Landing, Landings};
 use super::normal::{Normal, Slopes, facet};
 use super::split::Split;
 use super::walk::{Solution, Walked};
@@ -21,8 +21,9 @@ use crate::shape::{Shape, SurfaceInteraction};
 /// A start goes on over a further caster, or over either event of glass, at least as often as this, so that every chain
 /// has starts.
 const LEAST_PROBABILITY: f64 = 0.1;
-/// How many walks start where particles passed; the others reach every solution.
-const PART_LANDED: f64 = 0.75;
+/// How many walks start where particles passed; the others reach every solution. What particles miss takes no more than twice
+/// the trials.
+const PART_LANDED: f64 = 0.5;
 
 /// What connections came to: sums over all of them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -115,7 +116,7 @@ pub struct Connector<'a> {
     pub(super) split: &'a Split,
     options: Connections,
     /// Around the scene.
-    pub(super) ball: Option<Ball>,
+    ball: Option<Ball>,
     /// Of normal maps, by shape, where walks have two stages.
     slopes: Vec<Option<Slopes>>,
     pub(super) landings: Landings,
@@ -129,6 +130,8 @@ struct Estimate<'e> {
     most: u32,
     /// Draw the facet of each vertex.
     facets: [[f64; 2]; Connections::MOST_BOUNCES as usize],
+    /// Particles that landed around the start.
+    around: &'e [Landing],
 }
 
 impl<'a> Connector<'a> {
@@ -136,8 +139,8 @@ impl<'a> Connector<'a> {
     pub fn new(space: Space<'a>, split: &'a Split, options: Connections) -> Self {
         let shapes = 0..space.scene.shapes().len() as u32;
         let slopes = match options.starts {
-            Starts::TwoStage => shapes.map(|i| Slopes::of(&space, i)).collect(),
-            Starts::Uniform | Starts::Particles => Vec::new(),
+            Starts::TwoStage | Starts::Particles => shapes.map(|i| Slopes::of(&space, i)).collect(),
+            Starts::Uniform => Vec::new(),
         };
         Self {
             space,
@@ -151,7 +154,7 @@ impl<'a> Connector<'a> {
 
     /// The facets of an estimate: numbers are drawn only where there is something rough.
     fn estimate<'e>(
-        &self,
+        &'e self,
         start: &'e Start,
         target: &'e Target,
         most: u32,
@@ -169,6 +172,7 @@ impl<'a> Connector<'a> {
             target,
             most,
             facets,
+            around: self.landings.around(start.si.p),
         }
     }
 
@@ -299,7 +303,7 @@ impl<'a> Connector<'a> {
         s: &mut Statistics,
     ) -> Option<Solution> {
         s.walks += 1;
-        let landed = !self.landings.is_empty() && rng.next_1d::<f64>() < PART_LANDED;
+        let landed = !estimate.around.is_empty() && rng.next_1d::<f64>() < PART_LANDED;
         let chain = if landed {
             self.landed(estimate, rng)
         } else if self.slopes.is_empty() {
@@ -314,13 +318,13 @@ impl<'a> Connector<'a> {
 
     /// The chain of a particle that landed near the start.
     fn landed(&self, estimate: &Estimate, rng: &mut Independent) -> Option<Chain> {
-        let p = estimate.start.si.p;
-        let landing = self.landings.near(p, rng.next_1d())?;
+        let around = estimate.around;
+        let landing = around.get((rng.next_1d::<f64>() * around.len() as f64) as usize)?;
         if landing.like.len() > estimate.most as usize {
             return None;
         }
         let events = self.own(estimate, landing.like.iter().copied());
-        let d = (landing.through - p).normalize();
+        let d = (landing.through - estimate.start.si.p).normalize();
         (self.space).trace(estimate.start, d, &events)
     }
 
@@ -337,7 +341,10 @@ impl<'a> Connector<'a> {
                 None => facet(&self.space, shape, estimate.facets[i]),
             }
         })?;
-        if !chain.iter().any(|v| matches!(v.normal_is, Normal::Smoothed(_))) {
+        if !chain
+            .iter()
+            .any(|v| matches!(v.normal_is, Normal::Smoothed(_)))
+        {
             return Some(chain);
         }
         let events = self.own(estimate, chain.iter().map(|v| (v.shape, v.kind)));

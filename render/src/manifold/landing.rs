@@ -6,7 +6,7 @@ use smallvec::SmallVec;
 use super::connector::Connector;
 use super::normal::facet;
 use crate::bsdf::DeltaKind;
-use crate::emitter::Emitter;
+use crate::emitter::{Ball, Emitter};
 use crate::math::Ray;
 use crate::parallel;
 use crate::sampler::{Independent, Sampler};
@@ -14,6 +14,8 @@ use crate::shape::Shape;
 
 /// At most so many landings are neighbours.
 const NEIGHBOURS: usize = 16;
+/// Fewer landings than this say nothing about places.
+const FEWEST: usize = 4 * NEIGHBOURS;
 /// Particles are traced in this many jobs, whatever the number of threads.
 const JOBS: usize = 64;
 /// So that they are independent of everything else.
@@ -46,11 +48,6 @@ impl Landings {
         Self { all, planes }
     }
 
-    /// Whether there are none.
-    pub fn is_empty(&self) -> bool {
-        self.all.is_empty()
-    }
-
     /// The cell that a point is in: neighbours, most of them.
     fn cell(&self, p: Vec3<f64>) -> &[Landing] {
         let (mut part, mut k) = (self.all.as_slice(), 0);
@@ -67,10 +64,22 @@ impl Landings {
         part
     }
 
-    /// One of the landings around a point, by a number in [0, 1).
-    pub fn near(&self, p: Vec3<f64>, u: f64) -> Option<&Landing> {
+    /// The landings around a point; none where it is far from all of them.
+    pub fn around(&self, p: Vec3<f64>) -> &[Landing] {
         let cell = self.cell(p);
-        cell.get((u * cell.len() as f64) as usize)
+        let (mut beside, mut across) = (0.0, 0.0);
+        for (axis, p) in p.to_array().into_iter().enumerate() {
+            let bounds = cell
+                .iter()
+                .fold([f64::INFINITY, f64::NEG_INFINITY], |b, l| {
+                    [b[0].min(l.at[axis]), b[1].max(l.at[axis])]
+                });
+            let away = (bounds[0] - p).max(p - bounds[1]).max(0.0);
+            beside += away * away;
+            across += (bounds[1] - bounds[0]).powi(2);
+        }
+        // No further than the cell is wide; of no landings that is not true either.
+        if beside <= across { cell } else { &[] }
     }
 }
 
@@ -80,9 +89,11 @@ fn halve(part: &mut [Landing], k: usize, planes: &mut Vec<(usize, f64)>) {
         return;
     }
     let side = |axis: usize| {
-        let bounds = part.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |b, l| {
-            [b[0].min(l.at[axis]), b[1].max(l.at[axis])]
-        });
+        let bounds = part
+            .iter()
+            .fold([f64::INFINITY, f64::NEG_INFINITY], |b, l| {
+                [b[0].min(l.at[axis]), b[1].max(l.at[axis])]
+            });
         bounds[1] - bounds[0]
     };
     let sides = [side(0), side(1), side(2)];
@@ -100,7 +111,7 @@ fn halve(part: &mut [Landing], k: usize, planes: &mut Vec<(usize, f64)>) {
 }
 
 impl Connector<'_> {
-    /// Traces so many particles, and remembers where they landed: a function of the seed. Those of lamps are aimed at casters.
+    /// Traces so many particles, and remembers where they landed: a function of the seed. They are aimed at casters.
     pub fn learn(&mut self, seed: u64, particles: usize) {
         let per_job = particles.div_ceil(JOBS);
         let this = &*self;
@@ -112,21 +123,26 @@ impl Connector<'_> {
             };
             numbers.filter_map(particle).collect::<Vec<_>>()
         });
-        self.landings = Landings::new(parts.concat());
+        let all = parts.concat();
+        if all.len() >= FEWEST {
+            self.landings = Landings::new(all);
+        }
     }
 
     /// A particle from a light over casters to a receiver, if it gets there.
     fn particle(&self, rng: &mut Independent) -> Option<Landing> {
         let (space, split) = (&self.space, self.split);
         let e = &space.scene.emitters()[self.any_emitter(rng) as usize];
+        let aim = &space.scene.shapes()[self.any_caster(rng) as usize];
         let ([a, b], [c, d]) = (rng.next_2d::<f64>(), rng.next_2d::<f64>());
-        let sent = e.sample_ray(&space.theta, space.scene.lights(), self.ball, [a, b, c, d])?;
+        let around = Ball::around([aim]);
+        let sent = e.sample_ray(&space.theta, space.scene.lights(), around, [a, b, c, d])?;
         let ray = if e.is_infinite() {
+            // From beside the caster, whatever is before that.
             sent.ray
         } else {
             let si = sent.surface.map(|(_, si)| si);
             let o = si.map_or(sent.ray.o, |si| si.p);
-            let aim = &space.scene.shapes()[self.any_caster(rng) as usize];
             let d = aim.sample(o, rng.next_2d::<f64>())?.d;
             e.leaves(d, si.as_ref())?;
             si.map_or(Ray::new(o, d), |si| si.spawn_ray(d, sent.exit))
@@ -169,7 +185,7 @@ mod tests {
     }
 
     /// Each landing is in the cell of its own place, cells are small and together are all; where several are at one point they
-    /// share cells, and nothing is found among none.
+    /// share cells, and nothing is found among none or far away.
     #[test]
     fn cells_hold_neighbours() {
         let of = |i: u64| {
@@ -186,8 +202,11 @@ mod tests {
             }
         }
         let same = Landings::new(vec![landing(1.0, 2.0); 100]);
-        assert!(same.near(Vec3::new(1.0, 2.0, 0.0), 0.999).is_some());
-        let none = Landings::default();
-        assert!(none.is_empty() && none.near(Vec3::zero(), 0.5).is_none());
+        assert!(!same.around(Vec3::new(1.0, 2.0, 0.0)).is_empty());
+        assert!(same.around(Vec3::new(1.0, 2.1, 0.0)).is_empty());
+        assert!(Landings::default().around(Vec3::zero()).is_empty());
+        let square = Landings::new((0..1000).map(of).collect());
+        assert!(square.around(Vec3::new(0.5, 1.5, 0.01)).len() > 1);
+        assert!(square.around(Vec3::new(0.5, 1.5, 2.0)).is_empty());
     }
 }

@@ -20,10 +20,10 @@ pub enum Normal {
 
 impl Normal {
     /// The frame around it, local to the shading frame; `mapped` is that with normal maps.
-    pub(super) fn frame<R: Real>(self, mapped: impl FnOnce() -> Frame<R>) -> Frame<R>
-    where
-        R: Real<Primal = f64>,
-    {
+    pub(super) fn frame<R: Real<Primal = f64>>(
+        self,
+        mapped: impl FnOnce() -> Frame<R>,
+    ) -> Frame<R> {
         match self {
             Self::Own => mapped(),
             Self::Facet(m) => {

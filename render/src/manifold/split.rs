@@ -76,15 +76,17 @@ impl Split {
         let shapes = 0..scene.shapes().len() as u32;
         let info = |shape: u32| scene.shape_info(shape);
         let theta = Theta::<f32>::constant(scene.params().values());
-        // Of smooth shapes zero, of those that can be no casters none.
+        // In the precision of parameters, so that equal is no more than. Of smooth shapes zero, of those that can be no casters
+        // none.
+        let most = connections.roughness as f32;
         let alpha = |i: u32| {
             let roughness = facets(scene.material(i))?.roughness;
-            Some(roughness.map_or(0.0, |r| f64::from(r.everywhere(&theta).alpha)))
+            Some(roughness.map_or(0.0, |r| r.everywhere(&theta).alpha))
         };
         let flagged = |i: u32| takes_part(info(i).hints);
-        let casts = shapes.clone().map(|i| {
-            alpha(i).is_some_and(|alpha| alpha <= connections.roughness || flagged(i))
-        });
+        let casts = shapes
+            .clone()
+            .map(|i| alpha(i).is_some_and(|alpha| alpha <= most || flagged(i)));
         let casters = chosen(casts.collect(), |i| flagged(i as u32));
         let rough = (shapes.clone().zip(&casters))
             .any(|(i, casts)| *casts && alpha(i).is_some_and(|alpha| alpha > 0.0));

@@ -17,6 +17,8 @@ pub struct Connections {
     /// Surfaces of metal and glass that are no rougher than this throw light over chains, too; others are left to paths,
     /// unless the scene file names them.
     pub roughness: f64,
+    /// Whether images say what connections came to in each pixel, too.
+    pub by_pixel: bool,
     /// Most Bernoulli trials of one estimate. Where it bites, and that is counted, the estimate is biased (F13).
     pub budget: u32,
 }
@@ -56,7 +58,7 @@ pub enum Starts {
     /// There, after a walk over the surfaces without their normal maps, turned by a normal from the Gaussian of the map's
     /// slopes [Zeltner 2021, section 3.3.2].
     TwoStage,
-    /// Where particles from the lights passed that landed nearby, and at random points of casters one time in four.
+    /// Where particles from the lights passed that landed nearby, and in two stages every other time.
     #[default]
     Particles,
 }
@@ -87,6 +89,7 @@ impl Connections {
             uniqueness: Uniqueness::default(),
             starts: Starts::default(),
             roughness: Self::SMOOTH,
+            by_pixel: false,
             budget: 1 << 20,
         }
     }

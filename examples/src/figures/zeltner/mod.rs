@@ -3,6 +3,7 @@
 //! Experiments with random numbers in one dimension share [`integration_1d`], those with differential estimators
 //! [`taxonomy`]. Those of whole scenes take them from [`super::common_scenes`].
 
+pub mod alg_3_2;
 pub mod alg_4_1;
 mod differential_normals;
 mod estimator_parts;
@@ -23,9 +24,12 @@ pub mod fig_2_28;
 pub mod fig_2_5_3;
 pub mod fig_2_6;
 pub mod fig_2_6_ad;
+pub mod fig_3_13;
 pub mod fig_3_14;
 pub mod fig_3_15;
 pub mod fig_3_17;
+pub mod fig_3_19;
+pub mod fig_3_28;
 pub mod fig_4_10;
 pub mod fig_4_11;
 pub mod fig_4_12;
@@ -46,6 +50,7 @@ pub mod fig_4_5;
 pub mod fig_4_8;
 mod fresnel_angles;
 pub mod integration_1d;
+mod manifold_methods;
 mod microfacet;
 mod propagation;
 pub mod radiance_split;

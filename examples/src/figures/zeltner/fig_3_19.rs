@@ -1,0 +1,85 @@
+//! [Zeltner 2021, figure 3.19]: where walks start on metal with bumps: anywhere, after a first stage over the smooth surface, or
+//! where particles passed.
+
+use render::bsdf::{Conductor, Material};
+use render::scene::{Connections, Method, Starts};
+
+use super::manifold_methods::{Effort, Measured, bumpy, measure, mirrored};
+use crate::chart::Panel;
+use crate::figure::{Figure, Result};
+use crate::figures::statistics::check_same;
+
+const SEED: u64 = 319;
+/// Standard deviation of the slopes.
+const SLOPE: f64 = 0.12;
+
+/// `zeltner-3-19`.
+///
+/// # Errors
+/// None that the built-in scene can cause.
+pub fn figure(fig: &mut Figure) -> Result {
+    let size = fig.pick(16, 64);
+    let effort = Effort {
+        runs: fig.pick(8, 16),
+        spp: fig.pick(2, 8),
+        seed: SEED,
+    };
+    fig.note("size", size);
+    fig.note("spp", effort.spp);
+    fig.note("runs", effort.runs);
+    fig.note("seed", SEED);
+    let scene = mirrored(0.15, 3000.0, size, |b| {
+        let specular_reflectance = b.colour("wall", "specular_reflectance", [0.9; 3])?;
+        let metal = Material::from(Conductor {
+            specular_reflectance,
+            index: None,
+        });
+        bumpy(b, metal.into(), SLOPE, SEED)
+    })?;
+    let of = |starts: Starts, k: u64| {
+        let connections = Connections {
+            bounces: 1,
+            starts,
+            ..Connections::new(Method::Sms)
+        };
+        let seed = effort.seed + 1000 * k;
+        measure(&scene, connections, false, Effort { seed, ..effort })
+    };
+    let uniform = of(Starts::Uniform, 0)?;
+    let staged = of(Starts::TwoStage, 1)?;
+    let landed = of(Starts::Particles, 2)?;
+    let all = [
+        ("uniform", &uniform),
+        ("two stages", &staged),
+        ("particles", &landed),
+    ];
+    let per_cent = |m: &Measured| format!("{:.1} %", 100.0 * m.success());
+    fig.check(
+        "more walks converge after a first stage, and where particles passed",
+        staged.success() > 1.2 * uniform.success() && landed.success() > 1.2 * uniform.success(),
+        all.map(|(_, m)| per_cent(m)).join(", "),
+    );
+    fig.check(
+        "both take fewer trials per solution",
+        landed.trials() < 0.7 * uniform.trials() && staged.trials() < 0.7 * uniform.trials(),
+        all.map(|(_, m)| format!("{:.1}", m.trials())).join(", "),
+    );
+    for (name, m) in [("two stages", &staged), ("particles", &landed)] {
+        let statement = format!("the light is the same with {name}");
+        let pair = [&m.series, &uniform.series];
+        check_same(fig, &[&statement], pair, effort.runs, 1e-3);
+    }
+    let rows = all.map(|(_, m)| {
+        let steps = m.found.steps as f64;
+        [m.success(), m.trials(), m.variance(), steps, m.mean()]
+    });
+    let columns = ["success_rate", "trials", "variance", "steps", "mean"];
+    fig.csv("rates", &columns, rows);
+    let exposure = 0.5 / uniform.mean().max(1e-9);
+    let panels = all.map(|(label, m)| {
+        let values: Vec<f64> = m.series.means().iter().map(|x| x * exposure).collect();
+        Panel::false_colour(label, size as usize, &values, 0.0, 2.0).enlarged(fig.pick(10, 4))
+    });
+    fig.images("starts", 3, &panels);
+    Ok(())
+}
