@@ -337,22 +337,27 @@ impl Scene {
     }
 
     /// Whether samples of edges find all outlines that move with this parameter, where paths have up to `max_depth` edges:
-    /// there may be no shadows of point and spot lights, whose outlines are no scattered light's.
+    /// shadows of lights that no scattered light meets are drawn from the light, if it is a point or a spot, and only as
+    /// the camera sees them.
     ///
     /// # Errors
-    /// Names the parameter, and a light. None for parameters that move nothing.
+    /// Names the parameter, and such lights. None for parameters that move nothing.
     pub fn admits_outlines(&self, info: &ParamInfo, max_depth: u32) -> Result<(), RenderError> {
         if !info.kind.is_motion() || max_depth < 2 || self.outline(false).is_none() {
             return Ok(());
         }
-        match self.emitters.iter().find(|e| e.is_delta()) {
-            None => Ok(()),
-            Some(_) => Err(RenderError::Motion {
-                name: info.name.clone(),
-                culprit: "shadows of point and spot lights have outlines without samples of edges"
-                    .into(),
-            }),
-        }
+        let deltas = || self.emitters.iter().filter(|e| e.is_delta());
+        let culprit = if deltas().any(|e| !e.draws_shadows()) {
+            "shadows of directional lights and projectors have outlines without samples of edges"
+        } else if max_depth > 2 && deltas().next().is_some() {
+            "shadows of point and spot lights have outlines without samples of edges where paths have more than two edges"
+        } else {
+            return Ok(());
+        };
+        Err(RenderError::Motion {
+            name: info.name.clone(),
+            culprit: culprit.into(),
+        })
     }
 
     /// Whether a texture of a shape does: between texels, or where its coordinates begin again.
