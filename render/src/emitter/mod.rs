@@ -562,6 +562,12 @@ impl AnyEmitter {
             _ => None,
         }
     }
+
+    /// Whether outlines of shadows are drawn from it: it has points to draw them from, and what it sends from there does
+    /// not jump with the direction.
+    pub(crate) fn draws_shadows(&self) -> bool {
+        matches!(self, Self::Area(_) | Self::Point(_) | Self::Spot(_))
+    }
 }
 
 emitters! {

@@ -194,10 +194,15 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
     }
 
     /// The rest of a path, behind a vertex that others have dealt with: `depth` edges with this ray. What the ray meets
-    /// could not have been sampled.
+    /// could not have been sampled. `lit`: whether light on it counts.
     #[inline(always)]
-    pub(super) fn behind(ray: Ray<Geometry<S, R>>, sampler: X, depth: u32) -> Self {
+    pub(super) fn behind(ray: Ray<Geometry<S, R>>, sampler: X, depth: u32, lit: bool) -> Self {
+        let interest = PathInterest {
+            caustic: !lit,
+            ..PathInterest::default()
+        };
         Self {
+            interest,
             depth,
             ..Self::new(ray, sampler)
         }

@@ -37,7 +37,7 @@ pub struct PathInterest {
     pub active: bool,
     /// Whether others find caustics on the first vertex.
     pub caustics_excluded: bool,
-    /// Whether light on this edge would be one.
+    /// Whether light on this edge would be one, or is found by others for another reason.
     pub caustic: bool,
     /// Where it is on its way over a specular chain, where manifold connections find light.
     pub run: Run,

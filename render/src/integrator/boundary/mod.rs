@@ -1,0 +1,644 @@
+//! What outlines that move do to an image: the derivative of visibility, by samples of edges.
+//!
+//! Two integrals over outlines, with samples of their own. On the film, across which the point of a sample stays, what is
+//! seen jumps along curves, and both sides count: the derivative is that of the area which the inside gains, times the
+//! difference of radiance. From all further vertices the material is followed: whatever is in front keeps its own points,
+//! up to its outline, and what counts is the radiance from behind, which an edge hides or shows as it moves over that,
+//!
+//! `dI = - sum over outlines of the integral of f |cos| L_b (omega_e' - omega_b') . n dl`,
+//!
+//! with `n` out of the occluder, `omega' = (1 - omega omega^T) (x'_point - x'_vertex) / distance`, and `omega_b' = 0` where
+//! there is nothing behind. Faces that meet at an angle are no outline there. Where it is a lamp that is behind an edge, and
+//! the first vertex that sees it, such samples are drawn from the lamp instead ([`shadows`]).
+//!
+//! Everything but the velocities is a constant. A sample is therefore a colour times a [linear form](Form) in the
+//! velocities of a few points: forward mode evaluates it, reverse mode adds its transpose to adjoints.
+//!
+//! # Reference
+//! [Li et al. 2018] for derivatives by samples of edges, and for the tree over them; the form that follows the material
+//! beyond the first vertex is that of [Zhang et al. 2020], in directions.
+
+mod form;
+mod shadows;
+
+use std::ops::Range;
+
+use ad_core::{Const, Float, Vec3};
+
+use self::form::{Contribution, Form, Mover, Moving, Term, hit_at};
+use self::shadows::Shadows;
+use super::active::Active;
+use super::exact::ExactBuffer;
+use super::pass::Pass;
+use super::path::{Context, Walk};
+use super::paths::{TileSums, assemble, deposit};
+use super::record::{Interest, Observer, Place};
+use super::rendering::{Components, NonFinite, Rendering};
+use super::sink::{GradientSums, Sink};
+use super::tile::{Paths, Sample, place, spot};
+use super::vertex::MODE;
+use crate::bsdf::{Bsdf, Shading};
+use crate::camera::Pinhole;
+use crate::edges::film::{FilmCurves, FilmPoint, Inside, Sides};
+use crate::edges::{EdgePoint, Edges, Seeker, Surfaces};
+use crate::estimator::{Still, Strategy};
+use crate::math::{NOWHERE, Ray, RayAdjoint, Rgb, Segment};
+use crate::parallel;
+use crate::params::Theta;
+use crate::sampler::{Purpose, Sampler};
+use crate::scene::{Caustics, Intersection};
+use crate::shape::{Shape, SurfaceInteraction};
+
+/// How far rays pass from an edge that they are to clear, relative to its distance, and to the largest coordinate of its
+/// shape: several roundings of an f32.
+const CLEARANCE: [f64; 2] = [3e-5, 1e-6];
+/// What is met nearer than this part of the distance of an edge hides it.
+const SAME_DEPTH: f64 = 1.0 - 1e-3;
+/// Edges that a vertex chooses among.
+const CANDIDATES: u32 = 4;
+/// What edges that do not move count beside others, where the vertex does not move either: what is behind them may.
+const STILL: f64 = 0.1;
+/// What an edge counts that no lamp is behind, as far as that can be told.
+const UNLIT: f64 = 0.1;
+/// Pixels per sample of an edge on the film.
+const PIXELS_PER_SAMPLE: u64 = 2;
+/// Jobs of a pass over the film at a time, and samples of each.
+const JOBS: u64 = 64;
+const CHUNK: u64 = 1024;
+/// Tells the random numbers of edges from those of paths: of edges at vertices, on the film, and before lights.
+const SALTS: [u64; 3] = [
+    0x6a09_e667_f3bc_c908,
+    0xbb67_ae85_84ca_a73b,
+    0x3c6e_f372_fe94_f82b,
+];
+
+/// The vertices of a path, for the camera's side of what edges hide.
+#[derive(Clone)]
+struct Vertices<P: Float>(Vec<(Rgb<P>, Place<P>)>);
+
+impl<P: Float> Interest for Vertices<P> {
+    const LIGHT: bool = false;
+}
+
+impl<P: Float> Observer<P> for Vertices<P> {
+    fn vertex(&mut self, beta: Rgb<P>, place: &Place<P>) {
+        self.0.push((beta, *place));
+    }
+}
+
+/// What all samples have in common.
+struct Boundary<'a, P: Float> {
+    context: Context<'a, P>,
+    edges: &'a Edges,
+    surfaces: Surfaces<'a>,
+    curves: FilmCurves,
+    shadows: Shadows,
+    pinhole: Pinhole<P>,
+    moving: Moving,
+    seed: u64,
+}
+
+/// Where samples come from that each have a place on the film of their own.
+#[derive(Clone, Copy)]
+enum Source {
+    /// Edges on the film.
+    Film,
+    /// Edges before lights.
+    Shadows,
+}
+
+fn wide<P: Float>(v: Vec3<P>) -> Vec3<f64> {
+    v.map(P::to_f64)
+}
+
+impl<'a, P: Float> Boundary<'a, P> {
+    fn new(context: Context<'a, P>, seed: u64, moving: Moving) -> Self {
+        let scene = context.scene;
+        let edges = scene.edges();
+        let of_film = |shapes: Range<u32>| moving.camera || moving.any(shapes);
+        let curves = edges.on_film(&scene.camera, &scene.film, &of_film);
+        Self {
+            context: Context {
+                caustics: Caustics::Paths,
+                ..context
+            },
+            edges,
+            surfaces: scene.surfaces(),
+            curves,
+            shadows: Shadows::of(scene, context.settings.max_depth),
+            pinhole: scene.camera.pinhole(&scene.film),
+            moving,
+            seed,
+        }
+    }
+
+    /// How many samples of a source there are for every sample of all pixels.
+    fn per_sample(&self, source: Source) -> u64 {
+        let any = match source {
+            Source::Film => self.curves.length() > 0.0,
+            Source::Shadows => self.shadows.any(),
+        };
+        let pixels = self.context.scene.film.pixels() as u64;
+        if any {
+            pixels.div_ceil(PIXELS_PER_SAMPLE)
+        } else {
+            0
+        }
+    }
+
+    /// Number `i` of all samples of a source: where on the film, and of what.
+    fn sample<S: Strategy, X: Sampler>(
+        &self,
+        source: Source,
+        i: u64,
+    ) -> Option<([f64; 2], Contribution<P>)> {
+        match source {
+            Source::Film => {
+                let count = self.per_sample(source);
+                self.on_film::<S, X>([i % count, count], i / count)
+            }
+            Source::Shadows => self.before_light(i),
+        }
+    }
+
+    /// Whether paths look for edges at all.
+    fn at_vertices(&self) -> bool {
+        let infinite = self.context.scene.infinite_emitters();
+        match self.context.settings.max_depth {
+            0..=1 => false,
+            2 => !infinite.is_empty(),
+            _ => true,
+        }
+    }
+
+    /// Radiance along a ray of which it is known what it meets.
+    fn radiance<S: Strategy, X: Sampler>(
+        &self,
+        ray: Ray<P>,
+        hit: Option<Intersection<P>>,
+        depth: u32,
+        sampler: X,
+    ) -> Rgb<P> {
+        // What is drawn from lights sees those of areas behind edges from the first vertex.
+        let found = depth == 2 && hit.is_some() && self.shadows.any();
+        Walk::<P, Still<S>, X>::behind(ray, sampler, depth, !found).finish_at(&self.context, hit)
+    }
+
+    fn clearance(&self, edge: &EdgePoint) -> f64 {
+        let extent = self.surfaces.shapes[edge.shape as usize].extent();
+        (CLEARANCE[0] * edge.distance).max(CLEARANCE[1] * f64::from(extent))
+    }
+
+    /// The ray that passes an edge, from an origin, and what it meets; `None` if something hides the edge.
+    fn past(&self, edge: &EdgePoint, from: Ray<P>) -> Option<(Ray<P>, Option<Intersection<P>>)> {
+        let scene = self.context.scene;
+        let beside = edge.p + edge.normal * self.clearance(edge);
+        let d = (beside - wide(from.o)).normalize();
+        let ray = Ray {
+            d: d.map(P::of).normalize(),
+            ..from
+        };
+        let hit = scene.nearest(&ray);
+        if hit.is_some_and(|hit| f64::from(hit.t) < SAME_DEPTH * edge.distance) {
+            return None;
+        }
+        let theta = Theta::still();
+        Some((ray, hit.map(|hit| scene.interaction(&theta, &ray, &hit))))
+    }
+
+    /// The term of a point of the material, if that moves.
+    fn material(
+        &self,
+        prim: u32,
+        shape: u32,
+        si: impl FnOnce() -> SurfaceInteraction<P>,
+        along: Vec3<f64>,
+    ) -> Option<Term<P>> {
+        let moves = self.moving.shapes[shape as usize];
+        moves.then(|| Term::point(Mover::Material(prim, si()), along))
+    }
+
+    /// That of a point on an edge.
+    fn of_edge(&self, edge: &EdgePoint, along: Vec3<f64>) -> Option<Term<P>> {
+        let (prim, at) = self.surfaces.material::<P>(edge);
+        let si = || self.context.scene.point_at(&Theta::still(), prim, at);
+        self.material(prim, edge.shape, si, along)
+    }
+
+    /// Sample `index` of `count` on the film, in sample `sample` of the image: where, and of what.
+    fn on_film<S: Strategy, X: Sampler>(
+        &self,
+        [index, count]: [u64; 2],
+        sample: u64,
+    ) -> Option<([f64; 2], Contribution<P>)> {
+        let scene = self.context.scene;
+        let points = self.context.settings.points;
+        let mut sampler = X::spread(points, self.seed ^ SALTS[1], index, sample);
+        let u: f64 = sampler.next_1d();
+        let point = self
+            .curves
+            .point(self.edges, (index as f64 + u) / count as f64)?;
+        let FilmPoint { at, edge, sides } = point;
+        let origin = scene.camera.origin().map(P::of).into();
+        let ray = Ray::new(origin, edge.direction.map(P::of).normalize());
+        let inside = |inside: &Inside| {
+            let (prim, at) = self.surfaces.inside::<P>(edge.shape, inside);
+            let mut si = scene.point_at(&Theta::still(), prim, at);
+            si.t = P::of(edge.distance);
+            let shape = edge.shape;
+            let hit = Intersection { shape, prim, si };
+            self.radiance::<S, X>(ray, Some(hit), 1, sampler)
+        };
+        let mut weight = edge.weight / count as f64;
+        let jump = match &sides {
+            Sides::Outline(front) => {
+                let (past, hit) = self.past(&edge, ray)?;
+                weight *= hit.map_or(1.0, |hit| self.share_of_contact(&edge, &past, &hit));
+                inside(front) - self.radiance::<S, X>(past, hit, 1, sampler)
+            }
+            Sides::Crease(near, far) => {
+                let segment = Segment {
+                    ray,
+                    length: P::of(edge.distance * SAME_DEPTH),
+                    to: NOWHERE,
+                };
+                if scene.occluded(&segment) {
+                    return None;
+                }
+                inside(near) - inside(far)
+            }
+        };
+        if jump.is_black() {
+            return None;
+        }
+        let n = edge.normal * edge.distance.recip();
+        let mut form: Form<P> = self.of_edge(&edge, n).into_iter().collect();
+        if self.moving.camera {
+            form.push(Term {
+                mover: Mover::Camera(at.map(P::of)),
+                along: RayAdjoint {
+                    o: (-n).map(P::of),
+                    d: (-edge.normal).map(P::of),
+                },
+            });
+        }
+        let value = jump.scale(P::of(weight));
+        Some((at, Contribution { value, form }))
+    }
+
+    /// Where the borders of two shapes are in one place, as those of walls in the corners of a room, each has half of the
+    /// curve that they are.
+    fn share_of_contact(&self, edge: &EdgePoint, past: &Ray<P>, hit: &Intersection<P>) -> f64 {
+        let scene = self.context.scene;
+        let moves = self.moving.camera || self.moving.shapes[hit.shape as usize];
+        let t = hit.si.t;
+        if !moves || hit.shape == edge.shape || t.to_f64() * SAME_DEPTH > edge.distance {
+            return 1.0;
+        }
+        let from_border = scene.border(past, &hit_at(hit.prim, t)).to_f64();
+        if from_border.abs() * edge.distance < 10.0 * self.clearance(edge) {
+            0.5
+        } else {
+            1.0
+        }
+    }
+
+    /// An edge that hides light from the vertex number `depth` of a path, which stays at the point `film`.
+    fn at_vertex<S: Strategy, X: Sampler>(
+        &self,
+        beta: Rgb<P>,
+        here: &Place<P>,
+        depth: u32,
+        film: [P; 2],
+        mut sampler: X,
+    ) -> Option<Contribution<P>> {
+        let scene = self.context.scene;
+        let info = scene.shape_info(here.shape);
+        if info.delta || beta.is_black() {
+            return None;
+        }
+        let Place { si, wo, .. } = here;
+        let x = wide(si.p);
+        let shape_moves = self.moving.shapes[here.shape as usize];
+        let x_moves = shape_moves || (depth == 1 && self.moving.camera);
+        let interest = |shapes: Range<u32>| {
+            if x_moves || self.moving.any(shapes) {
+                1.0
+            } else {
+                STILL
+            }
+        };
+        // Lamps behind edges have samples of their own.
+        let found = depth == 1 && self.shadows.any();
+        let seen_from_above = wo.z >= P::zero();
+        let normal = wide(si.n_geo) * if seen_from_above { 1.0 } else { -1.0 };
+        let seeker = Seeker {
+            from: x,
+            normal,
+            lamps: if found { None } else { scene.lamps() },
+            lamps_only: depth + 1 >= self.context.settings.max_depth,
+            interest: &interest,
+        };
+        let lamps = seeker.cones();
+        let material = scene.material(here.shape);
+        let shading = Shading {
+            theta: *self.context.theta,
+            uv: si.uv,
+        };
+
+        // ---- One of a few candidates ----
+        sampler.seek(Purpose::Edges(CANDIDATES).at(depth));
+        let mut kept: Option<(EdgePoint, Rgb<P>, f64)> = None;
+        let mut total = 0.0;
+        let draws: [[f64; 2]; CANDIDATES as usize] = std::array::from_fn(|_| sampler.next_2d());
+        let mut choice: f64 = sampler.next_1d();
+        for u in draws {
+            let Some(edge) = self.edges.draw(&seeker, &lamps, u) else {
+                continue;
+            };
+            let d = edge.direction.map(P::of).normalize();
+            let wi = si.frame.to_local(d);
+            let f = material.eval(&shading, *wo, wi, MODE);
+            let lit = if found || scene.may_meet_light(&Ray::new(si.p, d)) {
+                1.0
+            } else if seeker.lamps_only {
+                0.0
+            } else {
+                UNLIT
+            };
+            let speed = interest(edge.shape..edge.shape + 1) / edge.distance;
+            let target = f.max_component().to_f64() * lit * speed;
+            let weight = target * edge.weight;
+            if !(weight > 0.0 && weight.is_finite()) {
+                continue;
+            }
+            total += weight;
+            let p = weight / total;
+            if choice < p {
+                choice /= p;
+                kept = Some((edge, f, target));
+            } else {
+                choice = (choice - p) / (1.0 - p);
+            }
+        }
+        let (edge, f, target) = kept?;
+        let weight = total / f64::from(CANDIDATES) / target;
+
+        // ---- What is behind it ----
+        let from = si.spawn_ray(edge.direction.map(P::of).normalize(), scene.exit(here.prim));
+        let (ray, hit) = self.past(&edge, from)?;
+        let light = self.radiance::<S, X>(ray, hit, depth + 1, sampler);
+        if light.is_black() {
+            return None;
+        }
+        let n = edge.normal;
+        let near = edge.distance.recip();
+        let far = hit.map_or(0.0, |hit| (wide(hit.si.p) - x).length().recip());
+        let mut form: Form<P> = self.of_edge(&edge, n * near).into_iter().collect();
+        if let Some(hit) = hit {
+            form.extend(self.material(hit.prim, hit.shape, || hit.si, n * -far));
+        }
+        let along = n * (far - near);
+        if depth > 1 {
+            form.extend(self.material(here.prim, here.shape, || *si, along));
+        } else if x_moves {
+            form.push(Term::point(Mover::Seen(here.prim, film, *si), along));
+        }
+        let value = -(beta * f * light).scale(P::of(weight));
+        (!form.is_empty()).then_some(Contribution { value, form })
+    }
+
+    /// Calls `each` with a contribution to the pixel of a sample for every vertex of its path.
+    fn along_path<S: Strategy, X: Sampler>(
+        &self,
+        sample: &Sample,
+        vertices: &Vertices<P>,
+        mut each: impl FnMut(Contribution<P>),
+    ) {
+        let points = self.context.settings.points;
+        let ([x, y, ..], sampler) = spot::<P, X>(
+            self.context.scene,
+            points,
+            self.seed ^ SALTS[0],
+            sample.pixel,
+            sample.index,
+        );
+        for ((beta, here), depth) in vertices.0.iter().zip(1..) {
+            if let Some(c) = self.at_vertex::<S, X>(*beta, here, depth, [x, y], sampler) {
+                each(c);
+            }
+        }
+    }
+}
+
+/// Adds the samples of a source to derivative images. Whether all of them were.
+fn splat<R: Components, S: Strategy, X: Sampler>(
+    pass: &Pass<R>,
+    boundary: &Boundary<R::Primal>,
+    source: Source,
+    color: &(impl Fn(&Contribution<R::Primal>) -> Rgb<R> + Sync),
+    out: &mut Rendering,
+) -> bool {
+    let film = &pass.scene.film;
+    let per_sample = boundary.per_sample(source);
+    let first = pass.samples.start * per_sample;
+    let end = pass.samples.end.max(pass.samples.start) * per_sample;
+    for start in (first..end).step_by((JOBS * CHUNK) as usize) {
+        if pass.progress.cancelled() {
+            return false;
+        }
+        let stop = (start + JOBS * CHUNK).min(end);
+        let jobs = (stop - start).div_ceil(CHUNK) as usize;
+        let parts = parallel::map(jobs, |job| {
+            let own = start + job as u64 * CHUNK;
+            let mut splats = Vec::new();
+            let mut non_finite = NonFinite::default();
+            for i in own..(own + CHUNK).min(stop) {
+                let Some((at, c)) = boundary.sample::<S, X>(source, i) else {
+                    continue;
+                };
+                let value = color(&c);
+                if value.is_finite() {
+                    splats.push((at, value));
+                } else {
+                    non_finite.add(i % per_sample, i / per_sample);
+                }
+            }
+            (splats, non_finite)
+        });
+        for (splats, non_finite) in &parts {
+            out.non_finite.merge(non_finite);
+            for (at, value) in splats {
+                film.splat(*at, film.rows(at[1]), |pixel, weight| {
+                    for (k, sums) in out.sums.iter_mut().enumerate() {
+                        for c in 0..3 {
+                            sums[pixel * 3 + c] += value[c].component(k) * weight;
+                        }
+                    }
+                });
+            }
+        }
+    }
+    true
+}
+
+/// The derivative images of outlines that move: their values are zero.
+pub(super) fn image<R: Components, S: Strategy, X: Sampler>(pass: &Pass<R>) -> Rendering {
+    let (scene, theta) = (pass.scene, pass.theta);
+    let primal = theta.primal();
+    let context = pass.context().still(&primal);
+    let moving = Moving::of(scene, |p| theta.moves(p));
+    let mut out = Rendering::black(scene.film.crop_size, &pass.samples, R::COUNT);
+    if !moving.anything() {
+        pass.progress.advance(scene.film.pixels() as u64);
+        return out;
+    }
+    let boundary = Boundary::new(context, pass.seed, moving);
+    let color = |c: &Contribution<R::Primal>| {
+        let zero = R::zero();
+        let speed = (c.form.iter()).fold(zero, |sum, t| sum + t.evaluate(scene, theta));
+        c.value.map(|v| speed * Const(v))
+    };
+
+    for source in [Source::Film, Source::Shadows] {
+        if !splat::<R, S, X>(pass, &boundary, source, &color, &mut out) {
+            out.cancelled = true;
+            return out;
+        }
+    }
+    if !boundary.at_vertices() {
+        pass.progress.advance(scene.film.pixels() as u64);
+        return out;
+    }
+
+    // ---- Edges that hide light from later vertices ----
+    let tiles = pass.tiles();
+    let spp = pass.samples.end.saturating_sub(pass.samples.start) as f64;
+    let parts = parallel::map(tiles.len(), |i| -> TileSums {
+        let tile = &tiles[i];
+        let pixels = tile.pixels();
+        let mut sums = vec![0.0f64; R::COUNT * pixels * 3];
+        let mut non_finite = NonFinite::default();
+        let mut paths = Paths::<R::Primal, Still<S>, X, _>::new(Vertices(Vec::new()));
+        let seed = boundary.seed ^ SALTS[0];
+        let done = |at: usize, sample: Sample, _, vertices: &mut Vertices<R::Primal>| {
+            boundary.along_path::<S, X>(&sample, vertices, |c| {
+                let value = color(&c);
+                if !value.is_finite() {
+                    non_finite.add(place(scene, sample.pixel) as u64, sample.index);
+                    return;
+                }
+                let weight = spp * sample.scale();
+                deposit(&mut sums, at, value, weight);
+            });
+            vertices.0.clear();
+        };
+        tile.trace(&boundary.context, seed, &pass.samples, &mut paths, done);
+        if pass.progress.cancelled() {
+            return (Vec::new(), NonFinite::default());
+        }
+        pass.progress.advance(pixels as u64);
+        (sums, non_finite)
+    });
+    let rest = assemble(pass, R::COUNT, &parts);
+    out.add(&rest);
+    out
+}
+
+/// The derivative of `<adjoint, image>` by outlines that move. The large ranges are added to `large`.
+pub(super) fn gradient<P: Float, S: Strategy, X: Sampler>(
+    pass: &Pass<P>,
+    active: &Active,
+    adjoint: &[f32],
+    large: &ExactBuffer,
+) -> GradientSums {
+    let (scene, theta) = (pass.scene, pass.theta);
+    let moving = Moving::of(scene, |p| active.contains(p));
+    let mut out = GradientSums::zero(active);
+    if !moving.anything() {
+        pass.progress.advance(scene.film.pixels() as u64);
+        return out;
+    }
+    let boundary = Boundary::new(pass.context(), pass.seed, moving);
+    let samples = pass.samples.end.saturating_sub(pass.samples.start);
+    let scatter = |c: &Contribution<P>, d: Rgb<P>, sink: &mut Sink| {
+        let adjoint = (d * c.value).sum();
+        for term in &c.form {
+            term.scatter(scene, theta, adjoint, sink);
+        }
+    };
+
+    // ---- Samples with places of their own on the film ----
+    for source in [Source::Film, Source::Shadows] {
+        let per_sample = boundary.per_sample(source);
+        let first = pass.samples.start * per_sample;
+        let total = samples * per_sample;
+        let jobs = (2 * JOBS).min(total);
+        let parts = parallel::map(jobs as usize, |job| {
+            let job = job as u64;
+            let mut sink = Sink::new(active, large);
+            let mut non_finite = NonFinite::default();
+            for i in first + total * job / jobs..first + total * (job + 1) / jobs {
+                if i % CHUNK == 0 && pass.progress.cancelled() {
+                    break;
+                }
+                let Some((at, c)) = boundary.sample::<S, X>(source, i) else {
+                    continue;
+                };
+                if !c.is_finite() {
+                    non_finite.add(i % per_sample, i / per_sample);
+                    continue;
+                }
+                let mut d = [0.0; 3];
+                let film = &scene.film;
+                film.splat(at, film.rows(at[1]), |pixel, weight| {
+                    for (k, d) in d.iter_mut().enumerate() {
+                        *d += weight * f64::from(adjoint[pixel * 3 + k]);
+                    }
+                });
+                let d = d.map(|d| P::of(d / samples as f64));
+                scatter(&c, Rgb::from(d), &mut sink);
+            }
+            (sink.into_small(), non_finite)
+        });
+        out = out.with_parts(parts);
+    }
+    if !boundary.at_vertices() {
+        pass.progress.advance(scene.film.pixels() as u64);
+        return out;
+    }
+
+    // ---- Edges that hide light from later vertices ----
+    let tiles = pass.tiles();
+    let jobs = (2 * JOBS as usize).min(tiles.len());
+    let parts = parallel::map(jobs, |job| {
+        let mut sink = Sink::new(active, large);
+        let mut non_finite = NonFinite::default();
+        let mut paths = Paths::<P, Still<S>, X, _>::new(Vertices(Vec::new()));
+        let seed = boundary.seed ^ SALTS[0];
+        for tile in tiles.iter().skip(job).step_by(jobs) {
+            if pass.progress.cancelled() {
+                break;
+            }
+            let done = |_, sample: Sample, _, vertices: &mut Vertices<P>| {
+                let d = sample.of_image::<P>(adjoint, scene) * P::of(sample.scale());
+                boundary.along_path::<S, X>(&sample, vertices, |c| {
+                    if c.is_finite() {
+                        scatter(&c, d, &mut sink);
+                    } else {
+                        non_finite.add(place(scene, sample.pixel) as u64, sample.index);
+                    }
+                });
+                vertices.0.clear();
+            };
+            tile.trace(&boundary.context, seed, &pass.samples, &mut paths, done);
+            pass.progress.advance(tile.pixels() as u64);
+        }
+        (sink.into_small(), non_finite)
+    });
+    out = out.with_parts(parts);
+    out
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,217 @@
+//! Outlines of shadows, drawn from the light: what edges before lights hide from the vertices that the camera sees.
+//!
+//! Lines that touch an occluder have three dimensions, and a measure that both ends agree on: with `l` the length of the
+//! outline in radians as seen from one end, and `d` the distance of the edge from there,
+//!
+//! `dl dA |cos| / d` is the same for both ends,
+//!
+//! since it is what the occluder cuts out of all lines as it moves by a unit along its normal. A point on a lamp and a point
+//! of an outline that is seen from there are therefore a sample of the integral over the receiver and the outlines that
+//! it sees; the ray goes on to the receiver, and that is connected to the camera. No sample looks for a lamp that may be
+//! small, and lights that are points are no special case: they have no area to choose from.
+//!
+//! # Does not handle
+//! Environments and directional lights; receivers that the camera sees in others, which paths look for.
+
+use std::ops::Range;
+
+use ad_core::{Float, Vec3};
+
+use super::form::{Contribution, Form, Mover, Term};
+use super::{Boundary, MODE, SALTS, Source, wide};
+use crate::bsdf::{Bsdf, Shading};
+use crate::edges::Seeker;
+use crate::emitter::{AnyEmitter, Emission, Emitter};
+use crate::math::{Frame, NOWHERE, Ray, Rgb};
+use crate::params::Theta;
+use crate::sampler::{Points, Sampler, Spread};
+use crate::scene::Scene;
+use crate::shape::{Shape, SurfaceInteraction, lift3};
+
+/// What edges that do not move count beside others, where the light does not either: what they shade may.
+const STILL: f64 = 0.1;
+
+/// The lights that shadows are drawn from.
+pub(super) struct Shadows {
+    /// Indices of emitters, and running sums of how often they are chosen.
+    lights: Vec<(u32, f64)>,
+}
+
+impl Shadows {
+    /// Those of a scene, for paths of so many edges.
+    pub fn of(scene: &Scene, max_depth: u32) -> Self {
+        let mut lights = Vec::new();
+        let mut sum = 0.0;
+        if max_depth >= 2 {
+            for (e, i) in scene.emitters().iter().zip(0..) {
+                if e.draws_shadows() {
+                    sum += scene.shares().of(i as usize);
+                    lights.push((i, sum));
+                }
+            }
+        }
+        Self { lights }
+    }
+
+    /// Whether there are any.
+    pub fn any(&self) -> bool {
+        !self.lights.is_empty()
+    }
+
+    /// A light, and one over the probability that it is this one.
+    fn choose(&self, u: f64) -> Option<(u32, f64)> {
+        let total = self.lights.last()?.1;
+        let i = self.lights.partition_point(|l| l.1 <= u * total);
+        let i = i.min(self.lights.len() - 1);
+        let before = if i == 0 { 0.0 } else { self.lights[i - 1].1 };
+        let (light, end) = self.lights[i];
+        Some((light, total / (end - before)))
+    }
+}
+
+/// A point on a light.
+struct Start<P> {
+    /// From which rays start, whatever their direction is.
+    p: Vec3<P>,
+    /// Primitive of the scene and surface, of areas.
+    surface: Option<(u32, u32, SurfaceInteraction<P>)>,
+    /// One over the density per area; of points one.
+    weight: f64,
+}
+
+impl<P: Float> Boundary<'_, P> {
+    fn start(&self, emitter: &AnyEmitter, u: [P; 2]) -> Option<Start<P>> {
+        let point = |p: [f32; 3]| Start {
+            p: lift3(p),
+            surface: None,
+            weight: 1.0,
+        };
+        match emitter {
+            AnyEmitter::Area(area) => {
+                let shape = area.shape;
+                let of = &self.surfaces.shapes[shape as usize];
+                let (s, n_geo) = of.sample_surface(&Theta::still(), u);
+                let si = SurfaceInteraction {
+                    p: s.p,
+                    t: P::zero(),
+                    n_geo,
+                    frame: Frame::from_normal(s.n),
+                    uv: s.uv,
+                };
+                let prim = self.surfaces.firsts[shape as usize] + s.prim;
+                Some(Start {
+                    p: s.p,
+                    surface: Some((prim, shape, si)),
+                    weight: s.pdf.to_f64().recip(),
+                })
+            }
+            _ => emitter.mobility().map(|(_, p)| point(p)),
+        }
+    }
+
+    /// Sample `index` of edges before lights: where on the film, and of what.
+    pub(super) fn before_light(&self, index: u64) -> Option<([f64; 2], Contribution<P>)> {
+        let scene = self.context.scene;
+        let count = self.per_sample(Source::Shadows) as f64;
+        // The samples of all pixels together are spread.
+        let mut sampler = Spread::spread(Points::Sobol, self.seed ^ SALTS[2], 0, index);
+        let u: [f64; 2] = sampler.next_2d();
+        let on_light: [P; 2] = sampler.next_2d();
+        let (light, weight) = self.shadows.choose(sampler.next_1d())?;
+        let emitter = &scene.emitters()[light as usize];
+        let start = self.start(emitter, on_light)?;
+
+        // ---- An edge that the light sees ----
+        let y = wide(start.p);
+        let moves = match &start.surface {
+            Some((_, shape, _)) => self.moving.shapes[*shape as usize],
+            None => emitter
+                .moved_by()
+                .is_some_and(|p| self.moving.lights.contains(&p)),
+        };
+        let interest = |shapes: Range<u32>| {
+            if moves || self.moving.camera || self.moving.any(shapes) {
+                1.0
+            } else {
+                STILL
+            }
+        };
+        let n_geo = (start.surface.as_ref()).map(|(_, _, si)| wide(si.n_geo));
+        let seeker = Seeker {
+            from: y,
+            normal: n_geo.unwrap_or(Vec3::zero()),
+            lamps: None,
+            lamps_only: false,
+            interest: &interest,
+        };
+        let edge = self.edges.draw(&seeker, &[], u)?;
+        let surface = start.surface.as_ref().map(|(_, _, si)| si);
+        let leaving = edge.direction.map(P::of).normalize();
+        let (emission, _): (Emission<P>, P) = emitter.leaves(leaving, surface)?;
+        let le = emitter.eval(self.context.theta, &emission);
+        if le.is_black() {
+            return None;
+        }
+        let from = match &start.surface {
+            Some((prim, _, si)) => si.spawn_ray(leaving, scene.exit(*prim)),
+            None => Ray::new(start.p, leaving),
+        };
+
+        // ---- What it shades, as the camera sees that ----
+        let (ray, hit) = self.past(&edge, from)?;
+        let hit = hit?;
+        let info = scene.shape_info(hit.shape);
+        if info.delta {
+            return None;
+        }
+        let si = &hit.si;
+        let v = si.p - self.pinhole.origin;
+        let (at, area) = self.pinhole.project_point(v)?;
+        let distance = v.length();
+        let towards = -v * distance.recip();
+        let [wo, wi] = [towards, -ray.d].map(|d| si.frame.to_local(d));
+        let shading = Shading {
+            theta: *self.context.theta,
+            uv: si.uv,
+        };
+        let f: Rgb<P> = scene.material(hit.shape).eval(&shading, wo, wi, MODE);
+        if f.is_black() {
+            return None;
+        }
+        let exit = scene.exit(hit.prim);
+        if scene.occluded(&si.shadow_ray(towards, distance, exit, NOWHERE)) {
+            return None;
+        }
+        let d = wide(ray.d);
+        let n_x = wide(si.n_geo);
+        let x = wide(si.p);
+        let [to_edge, to_light] = [edge.p, y].map(|p| (p - x).length());
+        let cos_light = n_geo.map_or(1.0, |n| n.dot(d).abs());
+        let measure = edge.weight * cos_light / (edge.distance * n_x.dot(d).abs());
+        let seen = area.to_f64() * n_x.dot(wide(towards)).abs();
+        let weight = weight * start.weight * measure * seen / count;
+
+        // ---- How fast, times the distance of the edge, which may be small ----
+        let n = edge.normal;
+        let part = to_edge / to_light;
+        let mut form: Form<P> = self.of_edge(&edge, n).into_iter().collect();
+        match &start.surface {
+            Some((prim, shape, si)) => {
+                form.extend(self.material(*prim, *shape, || *si, n * -part));
+            }
+            None if moves => {
+                let mover = emitter.moved_by().map(Mover::Light);
+                form.extend(mover.map(|mover| Term::point(mover, n * -part)));
+            }
+            None => {}
+        }
+        if self.moving.camera || self.moving.shapes[hit.shape as usize] {
+            let seen = SurfaceInteraction { t: distance, ..*si };
+            let mover = Mover::Seen(hit.prim, at, seen);
+            form.push(Term::point(mover, n * (part - 1.0)));
+        }
+        let value = -(f * le).scale(P::of(weight));
+        let at = at.map(P::to_f64);
+        (!form.is_empty()).then_some((at, Contribution { value, form }))
+    }
+}
