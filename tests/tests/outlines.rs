@@ -257,7 +257,8 @@ fn shadows_of_points_are_refused() {
         r#"<emitter type="directional"><vector name="direction" x="0" y="-1" z="0"/></emitter>"#;
     let mut s = scene(&format!("{FLOOR}{CUBE}{sun}"), 2);
     s.make_movable(&["it.translation"]).expect("known");
-    let refused = s.admits_outlines(s.params().find("it.translation").expect("known"), 2);
+    let refused =
+        s.admits_outlines::<ByEdges>(s.params().find("it.translation").expect("known"), 2);
     let message = refused.expect_err("refused").to_string();
     assert!(message.contains("directional lights"), "{message}");
     let mut s = scene(&format!("{FLOOR}{CUBE}{light}"), 3);

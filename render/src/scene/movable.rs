@@ -371,10 +371,10 @@ impl Scene {
         Ok(())
     }
 
-<<<<<<< HEAD
     /// Whether the estimator has terms for all outlines that move with this parameter, where paths have up to `max_depth`
-    /// edges, if it has any: there may be no shadows of point and spot lights, whose outlines are no scattered light's. Who
-    /// moves points of the film needs a pixel filter whose derivative has samples: a box or a Gaussian.
+    /// edges, if it has any. Shadows of lights that no scattered light meets are drawn from the light, if it is a point or a
+    /// spot, for samples of edges alone and only as the camera sees them. Directions that follow points of the film need a
+    /// pixel filter whose derivative has samples: a box or a Gaussian.
     ///
     /// # Errors
     /// Names the parameter, and what is in the way. None for parameters that move nothing.
@@ -399,35 +399,23 @@ impl Scene {
                 "directions that follow outlines need a box or a Gaussian as the pixel filter",
             );
         }
-        let shadows = max_depth >= 2 && self.outline(false).is_some();
-        if shadows && self.emitters.iter().any(AnyEmitter::is_delta) {
-            return refuse("shadows of point and spot lights have outlines without samples");
-        }
-        Ok(())
-=======
-    /// Whether samples of edges find all outlines that move with this parameter, where paths have up to `max_depth` edges:
-    /// shadows of lights that no scattered light meets are drawn from the light, if it is a point or a spot, and only as
-    /// the camera sees them.
-    ///
-    /// # Errors
-    /// Names the parameter, and such lights. None for parameters that move nothing.
-    pub fn admits_outlines(&self, info: &ParamInfo, max_depth: u32) -> Result<(), RenderError> {
-        if !info.kind.is_motion() || max_depth < 2 || self.outline(false).is_none() {
+        if max_depth < 2 || self.outline(false).is_none() {
             return Ok(());
         }
         let deltas = || self.emitters.iter().filter(|e| e.is_delta());
-        let culprit = if deltas().any(|e| !e.draws_shadows()) {
-            "shadows of directional lights and projectors have outlines without samples of edges"
+        if follows && deltas().next().is_some() {
+            refuse("shadows of point and spot lights have outlines without samples")
+        } else if deltas().any(|e| !e.draws_shadows()) {
+            refuse(
+                "shadows of directional lights and projectors have outlines without samples of edges",
+            )
         } else if max_depth > 2 && deltas().next().is_some() {
-            "shadows of point and spot lights have outlines without samples of edges where paths have more than two edges"
+            refuse(
+                "shadows of point and spot lights have outlines without samples of edges where paths have more than two edges",
+            )
         } else {
-            return Ok(());
-        };
-        Err(RenderError::Motion {
-            name: info.name.clone(),
-            culprit: culprit.into(),
-        })
->>>>>>> edges
+            Ok(())
+        }
     }
 
     /// Whether a texture of a shape does: between texels, or where its coordinates begin again.
