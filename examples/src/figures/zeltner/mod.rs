@@ -27,8 +27,6 @@ pub mod fig_3_12;
 pub mod fig_3_14;
 pub mod fig_3_15;
 pub mod fig_3_17;
-pub mod fig_3_22;
-pub mod fig_3_30;
 pub mod fig_4_10;
 pub mod fig_4_11;
 pub mod fig_4_12;
