@@ -68,7 +68,7 @@ fn slopes_are_those_of_the_material() {
         for wrap in [Wrap::Repeat, Wrap::Clamp, Wrap::Mirror] {
             let (params, map) = noisy([7, 5], interpolation, wrap);
             let values = double(&params);
-            let theta = Theta::constant(&values);
+            let theta = Theta::<f64>::constant(&values);
             let field = SlopeMap::new(&map, &theta).unwrap();
             let mut s = Independent::new(1, 2, 3);
             for _ in 0..200 {
@@ -106,7 +106,7 @@ fn slopes_are_those_of_the_material() {
 fn moments_are_those_of_points() {
     let (params, map) = noisy([48, 20], Interpolation::Slopes, Wrap::Repeat);
     let values = double(&params);
-    let theta = Theta::constant(&values);
+    let theta = Theta::<f64>::constant(&values);
     let field = SlopeMap::new(&map, &theta).unwrap();
     for half in [[1.5, 2.0], [12.0, 3.0], [24.0, 10.0]] {
         let t = Vec2::new(13.2, 41.7);
@@ -149,7 +149,7 @@ fn cells_are_drawn_as_they_say() {
     for wrap in [Wrap::Repeat, Wrap::Clamp, Wrap::Mirror] {
         let (params, map) = noisy([7, 5], Interpolation::Normals, wrap);
         let values = double(&params);
-        let theta = Theta::constant(&values);
+        let theta = Theta::<f64>::constant(&values);
         let field = SlopeMap::new(&map, &theta).unwrap();
         for (i, width) in [0.3, 3.0, 25.0].into_iter().enumerate() {
             let aim = aim(Vec2::new(5.8, -0.4), width, Vec2::new(0.05, 0.02), 0.01);
@@ -225,7 +225,7 @@ fn closed_form(c: [Vec2<f64>; 4]) -> Vec<Vec2<f64>> {
 fn walks_end_in_the_roots_of_cells() {
     let (params, map) = noisy([16, 16], Interpolation::Slopes, Wrap::Repeat);
     let values = double(&params);
-    let theta = Theta::constant(&values);
+    let theta = Theta::<f64>::constant(&values);
     let field = SlopeMap::new(&map, &theta).unwrap();
     let aim = aim(Vec2::new(8.0, 8.0), 20.0, Vec2::new(0.04, -0.03), 0.02);
     let mut s = Independent::new(3, 1, 4);
