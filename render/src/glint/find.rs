@@ -96,6 +96,9 @@ pub struct Finder<'a, P: Float> {
     counters: Counters,
 }
 
+/// A point, the directions to the viewer and to the light, local frame, and a weight.
+type Worth = (SurfaceInteraction<f64>, Vec3<f64>, Vec3<f64>, f64);
+
 /// A light for a footprint: where, how densely it is sampled, and the half vectors to it.
 struct Lit<'a> {
     foot: &'a Footprint,
@@ -262,7 +265,8 @@ impl<'a, P: Float> Finder<'a, P> {
             let (slope, derivative) = map.slope(&self.theta, aim.t0)?;
             let off = aim.half(aim.t0) - slope;
             // A normal that was turned to the viewer, and the like.
-            if !(off.length() <= SAME_SLOPE * (1.0 + slope.length_squared())) {
+            let same = off.length() <= SAME_SLOPE * (1.0 + slope.length_squared());
+            if !same {
                 return None;
             }
             let reflection = foot.reflection(Vec2::zero(), slope, behind)?;
@@ -305,7 +309,8 @@ impl<'a, P: Float> Finder<'a, P> {
             return;
         };
         let pdf = light.pdf * LightChoice::One.share::<f64>(scene, emitter);
-        if !(pdf > 0.0) {
+        let possible = pdf > 0.0;
+        if !possible {
             return;
         }
         let target = if light.distance.is_finite() && light.distance < f64::from(f32::MAX) {
@@ -416,13 +421,7 @@ impl<'a, P: Float> Finder<'a, P> {
     }
 
     /// A solution as materials see it, and its weight; `None` where it brings nothing.
-    fn worth(
-        &self,
-        lit: &Lit,
-        pdf: f64,
-        q: f64,
-        root: &Root,
-    ) -> Option<(SurfaceInteraction<f64>, Vec3<f64>, Vec3<f64>, f64)> {
+    fn worth(&self, lit: &Lit, pdf: f64, q: f64, root: &Root) -> Option<Worth> {
         let Lit {
             foot, aim, behind, ..
         } = lit;

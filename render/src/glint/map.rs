@@ -115,7 +115,8 @@ impl Patch {
             p * ((1.0 - a) * (1.0 - b)) + q * (a * (1.0 - b)) + r * ((1.0 - a) * b) + s * (a * b);
         let v_a = (q - p) * (1.0 - b) + (s - r) * b;
         let v_b = (r - p) * (1.0 - a) + (s - q) * a;
-        if !(v.z > LEAST_Z) {
+        let upright = v.z > LEAST_Z;
+        if !upright {
             return None;
         }
         let slope = Vec2::new(-v.x / v.z, -v.y / v.z);
@@ -220,8 +221,8 @@ impl SlopeMap {
 
     /// Of a normal map at these parameters. `None` for textures that are no images.
     pub fn new<P: Float>(map: &NormalMap, theta: &Theta<P>) -> Option<Self> {
-        let mut field = match map.map() {
-            &RgbTexture::Bitmap(Bitmap {
+        let mut field = match *map.map() {
+            RgbTexture::Bitmap(Bitmap {
                 param,
                 width,
                 height,
@@ -237,7 +238,7 @@ impl SlopeMap {
                 to_uv: to_uv.rows.map(|row| row.map(f64::from)),
                 levels: Vec::new(),
             },
-            &RgbTexture::Constant(param) => Self {
+            RgbTexture::Constant(param) => Self {
                 param,
                 size: [1, 1],
                 wrap: Wrap::Repeat,

@@ -173,7 +173,8 @@ fn take(
 ) -> Option<([usize; 2], f64)> {
     let area: f64 = children.iter().map(|c| c.area).sum();
     let fits: f64 = children.iter().map(|c| c.fit).sum();
-    if !(area > 0.0) {
+    let any = area > 0.0;
+    if !any {
         return None;
     }
     let probability = |c: &Child| {
@@ -198,7 +199,7 @@ fn take(
                     u -= probability(c);
                     u < 0.0
                 });
-                drawn.or_else(|| some.last())?
+                drawn.or_else(|| some.clone().next_back())?
             }
         }
     };
