@@ -339,7 +339,7 @@ impl Reading {
         if let Ok(Some(node)) = root.child_with_tag("integrator") {
             node.warn(
                 "`hide_emitters`: the camera sees lamps without their light, black or as their material reflects; \
-                 Mitsuba 3 sees what lies behind them since version 3.6",
+                 Mitsuba 3.9 sees what lies behind them",
             );
         }
     }
