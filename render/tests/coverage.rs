@@ -32,7 +32,7 @@ fn alpha(scene: &Scene, settings: &Settings) -> Vec<f32> {
 fn screen(opacity: f64, z: f64) -> String {
     format!(
         r#"<shape type="rectangle"><transform name="to_world"><scale value="50"/><translate z="{z}"/></transform>
-        <bsdf type="twosided"><bsdf type="mask"><float name="opacity" value="{opacity}"/><bsdf type="diffuse"/></bsdf></bsdf></shape>"#
+        <bsdf type="mask"><float name="opacity" value="{opacity}"/><bsdf type="twosided"><bsdf type="diffuse"/></bsdf></bsdf></shape>"#
     )
 }
 

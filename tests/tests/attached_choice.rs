@@ -168,6 +168,8 @@ fn nothing_changes_but_derivatives_in_what_choices_depend_on() {
         "window: ball.bsdf.eta.value",
         "principled: ball.bsdf.metallic.value",
         "principled: ball.bsdf.clearcoat.value",
+        "brushed principled: ball.bsdf.metallic.value",
+        "brushed glass: ball.bsdf.eta.value",
     ];
     let mut changed = Vec::new();
     for case in cases::all() {

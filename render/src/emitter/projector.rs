@@ -197,9 +197,9 @@ impl FromNode for Projector {
 
     /// `irradiance` (1), `scale` (1), `fov` or `focal_length`, `fov_axis`, `to_world`.
     fn from_node(node: &Node, registry: &mut Registry) -> Result<Self, SceneError> {
-        let scale = scale_of(node, registry)?;
         let irradiance =
             registry.rgb_texture(node, "irradiance", [1.0; 3], (0.0, f64::INFINITY))?;
+        let scale = scale_of(node, registry)?;
         let [w, h] = match &irradiance {
             RgbTexture::Bitmap(b) => [b.width, b.height].map(f64::from),
             _ => [1.0; 2],

@@ -62,17 +62,17 @@ impl Envmap {
         scale: f64,
     ) -> Result<Self, SceneError> {
         let key = format!("{name}.scale");
-        let scale = registry.push_param(&key, ParamShape::Scalar, &[scale], SCALES)?;
+        let scale = |r: &mut Registry| r.push_param(&key, ParamShape::Scalar, &[scale], SCALES);
         Self::of_image(registry, name, image, to_world, scale)
     }
 
-    /// [`Envmap::new`] whose scale is a parameter already.
+    /// [`Envmap::new`] whose scale somebody else makes a parameter, behind the texels.
     fn of_image(
         registry: &mut Registry,
         name: &str,
         image: &Image,
         to_world: &Transform,
-        scale: ParamRef,
+        scale: impl FnOnce(&mut Registry) -> Result<ParamRef, SceneError>,
     ) -> Result<Self, SceneError> {
         let error = |expected: &str, found: String| SceneError::Parameter {
             key: format!("{name}.data"),
@@ -105,7 +105,7 @@ impl Envmap {
             param,
             [width as u32, height as u32],
             axes,
-            scale,
+            scale(registry)?,
         ))
     }
 
@@ -442,7 +442,6 @@ impl FromNode for Envmap {
         let axes = orthonormal(&to_world).ok_or_else(|| {
             node.invalid("to_world", "a transform that keeps the axes orthogonal")
         })?;
-        let scale = scale_of(node, registry)?;
         node.ignore(&["mis_compensation"], Node::boolean)?;
         let name = registry.prefix().to_owned();
         let usage = texture::Use {
@@ -457,11 +456,11 @@ impl FromNode for Envmap {
                 height: 1,
                 data: vec![0.5; 3],
             };
-            return Self::of_image(registry, &name, &grey, &to_world, scale);
+            return Self::of_image(registry, &name, &grey, &to_world, |r| scale_of(node, r));
         };
         let (param, size) = texture::texels::<3>(registry, &path, Encoding::Srgb, layer, &usage)?;
         registry.origins.of_image(node, param);
-        Ok(Self::over(param, size, axes, scale))
+        Ok(Self::over(param, size, axes, scale_of(node, registry)?))
     }
 }
 
