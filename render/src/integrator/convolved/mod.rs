@@ -82,7 +82,7 @@ struct Border {
 
 /// A point on a border of the sample's pixel, for box filters: every pixel has those on its right and below, the first ones
 /// of rows and columns also the others, so that all borders have as many samples as pixels.
-fn border<P: Float, X: Sampler>(
+fn border<X: Sampler>(
     pass_points: crate::sampler::Points,
     scene: &Scene,
     sample: &Sample,
@@ -138,7 +138,7 @@ impl<P: Float, S: Strategy, X: Sampler> Worker<'_, P, S, X> {
         }
         let points = self.context.settings.points;
         let numbers = numbers(scene, self.seed, sample);
-        let (border, sampler) = border::<P, X>(points, scene, sample, numbers);
+        let (border, sampler) = border::<X>(points, scene, sample, numbers);
         let film = border.at.map(P::of);
         let ray = scene.camera.ray(film[0], film[1]);
         let Some(field) = self.follow.camera_field::<X>(ray, numbers, SALTS[2]) else {
