@@ -846,7 +846,7 @@ impl<L: Leaf> Bsdf for L {
     ) -> Rgb<R> {
         let lobe: L::Lobe<R> = self.lobe(&mut { *at });
         uses.iter().fold(Rgb::black(), |sum, u| {
-            sum + still(&lobe, wo, u, mode) * Rgb::lift(u.d)
+            sum + still::<L, R>(&lobe, wo, u, mode) * Rgb::lift(u.d)
         })
     }
 
@@ -908,16 +908,21 @@ pub const MAX_SLOTS: usize = 4;
 /// The same for a leaf that says so ([`Leaf::MANY`]).
 pub const MANY_SLOTS: usize = 9;
 
-/// The value of a lobe that was used.
+/// The value of a lobe that was used. Without samples of its own, the change of normals is part of the rest.
 #[inline(always)]
-fn still<R: Real>(
-    lobe: &impl Lobe<R>,
+fn still<L: Leaf, R: Real>(
+    lobe: &L::Lobe<R>,
     wo: Vec3<R::Primal>,
     u: &Use<R::Primal>,
     mode: TransportMode,
 ) -> Rgb<R> {
+    let part = match u.part {
+        Part::Normals if !L::DIFFERENTIAL => return Rgb::black(),
+        Part::Rest if !L::DIFFERENTIAL => Part::All,
+        part => part,
+    };
     match u.component {
-        Component::Continuous => lobe.eval_still(wo, u.wi, u.part, mode),
+        Component::Continuous => lobe.eval_still(wo, u.wi, part, mode),
         Component::Delta { kind, .. } => lobe.eval_delta(Vec3::lift(wo), kind, mode),
     }
 }
@@ -942,7 +947,7 @@ fn leaf_backward<L: Leaf, P: Float, const K: usize>(
     let lobe = leaf.lobe::<Dual<P, K>>(&mut seeds);
     let mut d_slot = [Rgb::<P>::black(); K];
     for u in uses {
-        let value = still(&lobe, wo, u, mode);
+        let value = still::<L, Dual<P, K>>(&lobe, wo, u, mode);
         for (k, d) in d_slot.iter_mut().enumerate() {
             *d += Rgb::new(value.r.eps[k], value.g.eps[k], value.b.eps[k]) * u.d;
         }
