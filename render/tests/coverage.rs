@@ -94,15 +94,16 @@ fn the_rest_of_the_image_is_as_before() {
             Estimator::Mis,
         )
     };
-    let check = |with: Rendering, without: Rendering| {
+    // Weights of the filter follow places, which have more digits in double precision.
+    let check = |with: Rendering, without: Rendering, most: f32| {
         let both = with.image(0).data.into_iter().zip(without.image(0).data);
         for (i, (a, b)) in both.enumerate() {
             let sky = (whole[i / 3] - cover[i / 3]) * SKY as f32;
-            assert!((a - b - sky).abs() < 1e-5, "{i}: {a} {b} {sky}");
+            assert!((a - b - sky).abs() < most, "{i}: {a} {b} {sky}");
         }
     };
-    check(single(&shown), single(&scene.settings));
-    check(double(&shown), double(&scene.settings));
+    check(single(&shown), single(&scene.settings), 1e-5);
+    check(double(&shown), double(&scene.settings), 2e-4);
 }
 
 #[test]
