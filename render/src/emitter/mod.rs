@@ -418,14 +418,19 @@ pub trait Emitter: Send + Sync {
 /// The number `scale` (1) of `node`, a parameter of the emitter that is being built: that many times what its
 /// image says is emitted.
 fn scale_of(node: &Node, registry: &mut Registry) -> Result<ParamRef, SceneError> {
-    let scale = node.float_or("scale", 1.0)?;
-    if scale < 0.0 {
-        return Err(node.invalid("scale", "a number of at least 0"));
-    }
+    let scale = scale_given(node)?;
     let name = format!("{}.scale", registry.prefix());
     let p = registry.push_param(&name, ParamShape::Scalar, &[scale], SCALES)?;
     registry.origins.of_value(node, "scale", p);
     Ok(p)
+}
+
+fn scale_given(node: &Node) -> Result<f64, SceneError> {
+    let scale = node.float_or("scale", 1.0)?;
+    if scale < 0.0 {
+        return Err(node.invalid("scale", "a number of at least 0"));
+    }
+    Ok(scale)
 }
 
 /// Valid factors on all that is emitted.

@@ -141,14 +141,16 @@ fn asked_by(tag: &str, plugin: &str) -> Asked {
                 let text = format!(r#"<scene version="3.0.0">{text}</scene>"#);
                 needed = needed.or(ask(&text, (tag, plugin), &mut all));
             }
-            // Of the one type or the other.
+            // Of the type that is expected.
             let Some((key, expected)) = needed else { break };
-            let element = if expected.contains("name") {
-                "string"
+            let (element, value) = if expected.contains("name") {
+                ("string", "0.5")
+            } else if expected.contains("vector") {
+                ("vector", "0, 0, 1")
             } else {
-                "float"
+                ("float", "0.5")
             };
-            let _ = write!(content, r#"<{element} name="{key}" value="0.5"/>"#);
+            let _ = write!(content, r#"<{element} name="{key}" value="{value}"/>"#);
         }
     }
     all.remove("type");

@@ -11,7 +11,7 @@ use ad_core::{Const, Float, Real, Vec2, Vec3};
 
 pub(crate) use self::table::Local;
 use self::table::Table;
-use super::{Emission, Emitter, EmitterSample, Lights, SCALES, scale_of};
+use super::{Emission, Emitter, EmitterSample, Lights, SCALES, scale_given, scale_of};
 use crate::error::SceneError;
 use crate::film::Image;
 use crate::image_io::Encoding;
@@ -442,6 +442,8 @@ impl FromNode for Envmap {
         let axes = orthonormal(&to_world).ok_or_else(|| {
             node.invalid("to_world", "a transform that keeps the axes orthogonal")
         })?;
+        // What is wrong with it is said before a file is read.
+        scale_given(node)?;
         node.ignore(&["mis_compensation"], Node::boolean)?;
         let name = registry.prefix().to_owned();
         let usage = texture::Use {
