@@ -3,8 +3,8 @@
 //!
 //! Around each direction of a path a few auxiliary rays find out how what they meet moves; a [harmonic convolution](field)
 //! makes a smooth field of that, which has the velocity of outlines there. The path follows the field, its divergence
-//! counts how directions spread, and no edge is looked for. It is the integral of [`super::motion`] and that of
-//! [`super::boundary`] in one, with samples of its own.
+//! counts how directions spread, and no edge is looked for. It is the integral of `integrator::motion` and that of
+//! `integrator::boundary` in one, with samples of its own.
 //!
 //! On the film, points of samples follow the field of the camera's rays, and the pixel filter is differentiated where they
 //! are. A box filter has a derivative on the borders of its pixel only: what flows through them has samples of its own, on
@@ -13,7 +13,7 @@
 //! # Does not handle
 //! It is right in the limit of a narrow kernel only ([`field::KAPPA`]): what is smaller than that is blurred. Dirac deltas,
 //! textures that jump and shadows of point and spot lights are refused, as other estimators of motion do, and pixel filters
-//! other than a box or a Gaussian ([`Scene::admits_convolution`](crate::Scene::admits_convolution)).
+//! other than a box or a Gaussian ([`Scene::admits_outlines`](crate::Scene::admits_outlines)).
 //!
 //! # Reference
 //! [Zeltner 2021, section 4.4] after [Bangaru et al. 2020].
