@@ -270,11 +270,11 @@ impl FromNode for Blend {
     const PLUGINS: &'static [&'static str] = &["blendbsdf"];
 
     fn from_node(node: &Node, registry: &mut Registry) -> Result<Self, SceneError> {
-        let nodes = nested_nodes(node, 2, 2)?;
         if !node.has("weight") {
             return Err(node.missing("weight", "a number from 0 to 1, or a texture"));
         }
         let weight = registry.scalar_texture(node, "weight", 0.5, (0.0, 1.0))?;
+        let nodes = nested_nodes(node, 2, 2)?;
         let a = registry.material_from_node(nodes[0], "bsdf_0")?;
         let b = registry.material_from_node(nodes[1], "bsdf_1")?;
         Self::new(weight, [a, b])

@@ -138,7 +138,8 @@ fn asked_by(tag: &str, plugin: &str) -> Asked {
             let mut needed = None;
             for around in places(tag) {
                 let text = around.replace("{}", &element);
-                let text = format!(r#"<scene version="3.0.0">{text}</scene>"#);
+                // On a line of its own: what the scene lacks is not the plugin's.
+                let text = format!("<scene version=\"3.0.0\">\n{text}</scene>");
                 needed = needed.or(ask(&text, (tag, plugin), &mut all));
             }
             // Of the type that is expected.
