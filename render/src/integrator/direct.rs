@@ -22,7 +22,7 @@ use crate::estimator::{Direct, Sampling, Strategy};
 use crate::math::{Frame, Rgb};
 use crate::params::Theta;
 use crate::sampler::{Purpose, Sampler};
-use crate::scene::{Intersection, Scene};
+use crate::scene::Scene;
 use crate::shape::{Exit, SurfaceInteraction};
 
 /// How a sampled direction moves with the parameters that it was made of.
@@ -166,8 +166,9 @@ pub fn direct_light<R: Real>(
         // Over a scalar with tangents, the place on the primitive is computed anew.
         let (t, u, v) = (t.to_f32(), 0.0, 0.0);
         let hit = Hit { t, u, v, prim };
-        let Intersection { si, .. } = scene.interaction(theta, &si.spawn_ray(d, from.exit), &hit);
-        si
+        // What shapes do that move is another integral's.
+        let ray = si.spawn_ray(d, from.exit);
+        scene.interaction(&Theta::still(), &ray, &hit).si
     });
     let mut light = Rgb::black();
     for found in lights {
