@@ -676,16 +676,10 @@ impl ManifoldArgs {
     }
 }
 
-/// What manifold connections came to, for reports.
+/// What walks to solutions came to, for reports.
 #[derive(Clone, Debug, Serialize)]
-pub struct ManifoldReport {
-    /// The estimator.
-    pub method: String,
-    /// Whether its expectation is that of the light: an estimate that ran out of trials is not.
-    pub unbiased: bool,
-    /// Most vertices of a chain.
-    pub bounces: u32,
-    /// Vertices and light samples to be connected, and how many of them were.
+pub struct WalkReport {
+    /// What was to be connected, and how much of it was.
     pub attempts: u64,
     /// See `attempts`.
     pub found: u64,
@@ -699,6 +693,34 @@ pub struct ManifoldReport {
     pub trials_per_solution: f64,
     /// Reciprocals that ran out of trials.
     pub exhausted: u64,
+}
+
+impl WalkReport {
+    fn of(s: &Statistics) -> Self {
+        Self {
+            attempts: s.attempts,
+            found: s.found,
+            walks: s.walks,
+            success_rate: per(s.converged, s.walks),
+            steps_per_walk: per(s.steps, s.walks),
+            trials_per_solution: per(s.trials, s.reciprocals),
+            exhausted: s.exhausted,
+        }
+    }
+}
+
+/// What manifold connections came to, for reports.
+#[derive(Clone, Debug, Serialize)]
+pub struct ManifoldReport {
+    /// The estimator.
+    pub method: String,
+    /// Whether its expectation is that of the light: an estimate that ran out of trials is not.
+    pub unbiased: bool,
+    /// Most vertices of a chain.
+    pub bounces: u32,
+    /// What walks came to, of vertices and light samples.
+    #[serde(flatten)]
+    pub walks: WalkReport,
     /// The part of the image's light that they brought.
     pub share_of_light: f64,
 }
@@ -754,13 +776,7 @@ impl ManifoldReport {
                 && s.exhausted == 0
                 && connections.uniqueness == Uniqueness::ErrorBounds,
             bounces: connections.bounces,
-            attempts: s.attempts,
-            found: s.found,
-            walks: s.walks,
-            success_rate: per(s.converged, s.walks),
-            steps_per_walk: per(s.steps, s.walks),
-            trials_per_solution: per(s.trials, s.reciprocals),
-            exhausted: s.exhausted,
+            walks: WalkReport::of(s),
             share_of_light: if light > 0.0 {
                 rendering.light_of_connections / light
             } else {
@@ -771,10 +787,10 @@ impl ManifoldReport {
 
     /// Says what went wrong.
     pub fn complain(&self) {
-        if self.exhausted > 0 {
+        if self.walks.exhausted > 0 {
             complain!(
                 "warning: {} manifold connections ran out of trials: the image is biased where they are; more by --trials",
-                self.exhausted
+                self.walks.exhausted
             );
         }
     }
@@ -787,20 +803,9 @@ pub struct GlintReport {
     pub method: String,
     /// Whether it counts every solution: an estimate that ran out of trials does not.
     pub unbiased: bool,
-    /// Footprints and light samples, and how many of them had a glint.
-    pub attempts: u64,
-    /// See `attempts`.
-    pub found: u64,
-    /// Walks, and the part of them that converged.
-    pub walks: u64,
-    /// See `walks`.
-    pub success_rate: f64,
-    /// Steps per walk.
-    pub steps_per_walk: f64,
-    /// Trials per reciprocal that was estimated.
-    pub trials_per_solution: f64,
-    /// Reciprocals that ran out of trials.
-    pub exhausted: u64,
+    /// What walks came to, of footprints and light samples.
+    #[serde(flatten)]
+    pub walks: WalkReport,
 }
 
 impl GlintReport {
@@ -811,26 +816,19 @@ impl GlintReport {
             GlintMethod::Unbiased => ("unbiased".to_owned(), true),
             GlintMethod::Biased(trials) => (format!("biased, {trials} walks"), false),
         };
-        let per = |a: u64, b: u64| a as f64 / b.max(1) as f64;
         Some(Self {
             method,
             unbiased: unbiased && s.exhausted == 0 && glints.threshold.is_none(),
-            attempts: s.attempts,
-            found: s.found,
-            walks: s.walks,
-            success_rate: per(s.converged, s.walks),
-            steps_per_walk: per(s.steps, s.walks),
-            trials_per_solution: per(s.trials, s.reciprocals),
-            exhausted: s.exhausted,
+            walks: WalkReport::of(s),
         })
     }
 
     /// Says what went wrong.
     pub fn complain(&self) {
-        if self.exhausted > 0 {
+        if self.walks.exhausted > 0 {
             complain!(
                 "warning: {} glints ran out of trials: the image is biased where they are; more by --glint-trials",
-                self.exhausted
+                self.walks.exhausted
             );
         }
     }

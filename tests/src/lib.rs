@@ -1,6 +1,7 @@
 //! What the cross-crate tests share: small scenes, statistics, common gradients and differences.
 
 pub mod cases;
+pub mod moving;
 pub mod stats;
 
 use std::path::{Path, PathBuf};

@@ -540,32 +540,36 @@ fn integrators_of_scene_files_mean_what_they_say() {
     assert!(error.contains("path_sms_teaser"), "{error}");
 }
 
+/// The middle of a scene of the authors, where they are.
+fn authors(file: &str) -> Option<Scene> {
+    let path = shared_dir()?.join("scenes/sms").join(file);
+    if !path.is_file() {
+        println!("skipped: no {}", path.display());
+        return None;
+    }
+    let options = LoadOptions {
+        allow_missing: true,
+        ..Default::default()
+    };
+    let (mut s, _) = Scene::load(&path, &options).expect("a valid scene");
+    let [w, h] = s.film.size;
+    s.film.crop_size = [16, 16];
+    s.film.crop_offset = [w / 2 - 8, h / 2 + 40];
+    Some(s)
+}
+
 /// The authors' ring and half-buried sphere at a small size: their caustics, on average, within 2 % of paths or within chance,
 /// whichever is more; skipped where the scenes are not there.
 #[test]
 #[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
 fn the_authors_scenes_keep_their_energy() {
-    let Some(shared) = shared_dir() else {
-        return;
-    };
     for (file, spp) in [
         ("Figure_4_5_RingSolutions/ring.xml", 40_000),
         ("Figure_8_Constraints/sphere.xml", 40_000),
     ] {
-        let path = shared.join("scenes/sms").join(file);
-        if !path.is_file() {
-            println!("skipped: no {}", path.display());
+        let Some(s) = authors(file) else {
             continue;
-        }
-        let options = LoadOptions {
-            allow_missing: true,
-            ..Default::default()
         };
-        let (mut s, _) = Scene::load(&path, &options).expect("a valid scene");
-        // The middle of the image.
-        let [w, h] = s.film.size;
-        s.film.crop_size = [16, 16];
-        s.film.crop_offset = [w / 2 - 8, h / 2 + 40];
         let connections = s.settings.connections.expect("the file asks for them");
         let ours = mean(&s, &with(&s, Some(connections)), 1, 16, 32);
         let without = mean(
@@ -912,22 +916,9 @@ fn derivatives_of_rough_casters_are_right() {
 #[test]
 #[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
 fn particles_halve_the_trials_on_the_authors_plane() {
-    let Some(shared) = shared_dir() else {
+    let Some(s) = authors("Figure_9_Twostage/plane.xml") else {
         return;
     };
-    let path = shared.join("scenes/sms/Figure_9_Twostage/plane.xml");
-    if !path.is_file() {
-        println!("skipped: no {}", path.display());
-        return;
-    }
-    let options = LoadOptions {
-        allow_missing: true,
-        ..Default::default()
-    };
-    let (mut s, _) = Scene::load(&path, &options).expect("a valid scene");
-    let [w, h] = s.film.size;
-    s.film.crop_size = [16, 16];
-    s.film.crop_offset = [w / 2 - 8, h / 2 + 40];
     let [uniform, landed] = [Starts::Uniform, Starts::Particles].map(|starts| {
         let connections = Connections { starts, ..sms(1) };
         let settings = with(&s, Some(connections));

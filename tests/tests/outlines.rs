@@ -2,129 +2,22 @@
 
 use std::path::Path;
 
-use render::estimator::{AllowBias, DetachedMis, Interior, Outlines, Unbiased};
-use render::instances::{Estimator, render_f64};
-use render::integrator::gradient::{Active, backward};
+use render::estimator::{AllowBias, DetachedMis, Interior, Outlines};
+use render::instances::Estimator;
+use render::integrator::gradient::Active;
 use render::params::Theta;
-use render::sampler::Independent;
 use render::scene::LoadOptions;
 use render::statistics::{Estimate, z_limit};
-use render::{Job, Scene, Settings};
+use render::{Job, Scene};
+use tests::moving::{self, BALL, CUBE, DISK, FLOOR, TUBE, agrees, differences, scene};
 use tests::{mean_adjoint, shared_dir, values};
 
 type ByEdges = Outlines<Interior<DetachedMis>>;
 
 /// Derivatives of the mean of all pixels and channels in double precision, from `runs` seeds.
 fn gradient(s: &Scene, names: &[&str], runs: u64, spp: u64) -> Vec<Estimate> {
-    gradient_by::<ByEdges>(s, names, runs, spp)
+    moving::gradient::<ByEdges>(s, names, runs, spp)
 }
-
-fn gradient_by<E: Unbiased>(s: &Scene, names: &[&str], runs: u64, spp: u64) -> Vec<Estimate> {
-    let all = values::<f64>(s);
-    let theta = Theta::constant(&all);
-    let active = Active::seen_by::<E, _>(s, names).expect("seen");
-    let adjoint = mean_adjoint(s);
-    let runs: Vec<Vec<f64>> = (0..runs)
-        .map(|seed| {
-            let job = Job::new(s, &s.settings, seed, 0..spp, &());
-            let g = backward::<f64, E, Independent>(&job, &theta, &active, &adjoint);
-            let g = g.expect("admitted");
-            assert_eq!(g.non_finite.count, 0);
-            g.values.concat()
-        })
-        .collect();
-    estimates(&runs)
-}
-
-fn estimates(runs: &[Vec<f64>]) -> Vec<Estimate> {
-    (0..runs[0].len())
-        .map(|i| Estimate::of(&runs.iter().map(|r| r[i]).collect::<Vec<_>>()))
-        .collect()
-}
-
-/// Mean of all pixels and channels.
-fn mean(s: &Scene, settings: &Settings, seed: u64, spp: u64) -> f64 {
-    let all = values::<f64>(s);
-    let job = Job::new(s, settings, seed, 0..spp, &());
-    let r = render_f64(&job, &Theta::constant(&all), Estimator::Mis);
-    r.mean(0).iter().sum::<f64>() / 3.0
-}
-
-/// Central differences in every element of the named ranges, from `runs` seeds.
-fn differences(s: &mut Scene, names: &[&str], h: f32, runs: u64, spp: u64) -> Vec<Estimate> {
-    let start = s.params().values().to_vec();
-    let settings = s.settings;
-    let mut out = Vec::new();
-    for name in names {
-        for i in s.params().find(name).expect("known").range() {
-            let mut at = |by: f32, seed: u64| {
-                let mut values = start.clone();
-                values[i] += by;
-                s.set_params(&values).expect("valid");
-                mean(s, &settings, 1000 + seed, spp)
-            };
-            let found: Vec<f64> = (0..runs)
-                .map(|seed| (at(h, seed) - at(-h, seed)) / (2.0 * f64::from(h)))
-                .collect();
-            out.push(Estimate::of(&found));
-        }
-    }
-    s.set_params(&start).expect("valid");
-    out
-}
-
-/// Asserts that a gradient agrees with differences, of which `bias` times the largest is allowed for the step.
-fn agrees(what: &str, found: &[Estimate], expected: &[Estimate], bias: f64, runs: u64) {
-    let size = expected.iter().fold(0.0, |m: f64, e| m.max(e.mean.abs()));
-    let limit = z_limit(found.len(), runs, 1e-3);
-    for (i, (a, b)) in found.iter().zip(expected).enumerate() {
-        println!(
-            "{what} {i}: {:+.6} +- {:.6}, differences {:+.6} +- {:.6}",
-            a.mean, a.se, b.mean, b.se
-        );
-    }
-    for (i, (a, b)) in found.iter().zip(expected).enumerate() {
-        let off = (a.mean - b.mean).abs() - bias * size;
-        assert!(
-            off < limit * a.se.hypot(b.se),
-            "{what} {i}: {a:?}, not {b:?}"
-        );
-        assert!(
-            a.se.hypot(b.se) < 0.15 * size,
-            "{what} {i}: {a:?} {b:?} say nothing"
-        );
-    }
-}
-
-fn scene(body: &str, depth: u32) -> Scene {
-    let s = format!(
-        r#"<integrator type="path"><integer name="max_depth" value="{depth}"/><integer name="rr_depth" value="100"/></integrator>
-        <sensor type="perspective"><float name="fov" value="45"/>
-            <transform name="to_world"><lookat origin="0, 3, 5" target="0, 0.4, 0" up="0, 1, 0"/></transform>
-            <film type="hdrfilm"><integer name="width" value="16"/><integer name="height" value="16"/>
-            <rfilter type="box"/></film></sensor>{body}"#
-    );
-    tests::scene(&s)
-}
-
-const FLOOR: &str = r#"
-    <bsdf type="diffuse" id="grey"><rgb name="reflectance" value="0.6, 0.5, 0.4"/></bsdf>
-    <bsdf type="roughconductor" id="metal"><float name="alpha" value="0.35"/></bsdf>
-    <shape type="rectangle" id="floor"><transform name="to_world"><scale value="4"/><rotate x="1" angle="-90"/>
-        </transform><ref id="grey"/></shape>
-    <shape type="rectangle" id="lamp"><transform name="to_world"><scale value="0.6"/><rotate x="1" angle="90"/>
-        <translate x="0.7" y="3" z="-0.3"/></transform>
-        <emitter type="area"><rgb name="radiance" value="9, 10, 11"/></emitter></shape>"#;
-
-const CUBE: &str = r#"<shape type="cube" id="it"><transform name="to_world"><scale value="0.5"/><rotate y="1" angle="25"/>
-    <rotate x="1" angle="20"/><translate y="1.1"/></transform><ref id="grey"/></shape>"#;
-const BALL: &str = r#"<shape type="sphere" id="it"><float name="radius" value="0.6"/><transform name="to_world">
-    <rotate y="1" angle="25"/><translate x="0.2" y="1.1" z="0.3"/></transform><ref id="grey"/></shape>"#;
-const DISK: &str = r#"<shape type="disk" id="it"><transform name="to_world"><scale value="0.7"/><rotate x="1" angle="-60"/>
-    <translate y="1.2"/></transform><bsdf type="twosided"><ref id="grey"/></bsdf></shape>"#;
-const TUBE: &str = r#"<shape type="cylinder" id="it"><point name="p0" x="-0.6" y="1" z="0.2"/>
-    <point name="p1" x="0.6" y="1.3" z="0"/><float name="radius" value="0.3"/>
-    <bsdf type="twosided"><ref id="grey"/></bsdf></shape>"#;
 
 /// Shapes before a floor, lit by a lamp, directly and through more bounces: whatever of them moves, and the lamp and the
 /// camera. 8 runs of 256 samples of 256 pixels, and differences of 8 runs of 1024.
@@ -240,7 +133,8 @@ fn the_interior_alone_is_noticed() {
     let mut s = scene(&format!("{FLOOR}{BALL}"), 2);
     s.make_movable(&["it.translation"]).expect("known");
     let right = gradient(&s, &["it.translation"], 8, 256);
-    let wrong = gradient_by::<AllowBias<Interior<DetachedMis>>>(&s, &["it.translation"], 8, 256);
+    let wrong =
+        moving::gradient::<AllowBias<Interior<DetachedMis>>>(&s, &["it.translation"], 8, 256);
     let off = right.iter().zip(&wrong).map(|(a, b)| a.z(b).abs());
     assert!(
         off.fold(0.0, f64::max) > 2.0 * z_limit(3, 8, 1e-3),

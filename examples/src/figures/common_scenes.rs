@@ -10,6 +10,31 @@ use render::bsdf::microfacet::Ndf;
 use crate::figure::Result;
 use crate::scene_builder::{SceneBuilder, View, add, cross, dot, pixel, sub, unit};
 
+/// A floor of this colour and a lamp three above it, which looks down and whose corner is at `x`: `floor` and `lamp`.
+///
+/// # Errors
+/// Names that are taken.
+pub fn lamp_above_floor(builder: &mut SceneBuilder, floor: [f64; 3], x: f64) -> Result<()> {
+    let floor = builder.matt("floor", floor)?;
+    let black = builder.matt("black", [0.0; 3])?;
+    let corners = [[-4.0, 0.0, 4.0], [8.0, 0.0, 0.0], [0.0, 0.0, -8.0]];
+    builder.quad("floor", corners, &floor)?;
+    let corners = [[x, 3.0, -0.9], [1.2, 0.0, 0.0], [0.0, 0.0, 1.2]];
+    let lamp = builder.quad("lamp", corners, &black)?;
+    builder.lamp("lamp", lamp, [9.0, 10.0, 11.0])?;
+    Ok(())
+}
+
+/// How what stands below that lamp is looked at.
+pub fn below_lamp(size: u32) -> View {
+    View {
+        eye: [0.0, 3.0, 5.0],
+        target: [0.0, 0.4, 0.0],
+        fov: 45.0,
+        size: [size; 2],
+    }
+}
+
 /// What the walls of [`cornell`] are made of.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Walls {

@@ -1,7 +1,5 @@
 //! What a sample of a pixel finds of the light in a glinty surface.
 
-use std::sync::atomic::{AtomicU64, Ordering};
-
 use ad_core::{Float, Mat2, Vec2, Vec3};
 
 use super::footprint::{Aim, Footprint};
@@ -41,51 +39,6 @@ pub struct Glint {
     pub by_walk: bool,
 }
 
-/// [`Statistics`] that several threads add to.
-#[derive(Debug, Default)]
-struct Counters([AtomicU64; 8]);
-
-impl Counters {
-    fn add(&self, s: &Statistics) {
-        let numbers = [
-            s.attempts,
-            s.found,
-            s.walks,
-            s.converged,
-            s.steps,
-            s.reciprocals,
-            s.trials,
-            s.exhausted,
-        ];
-        for (sum, n) in self.0.iter().zip(numbers) {
-            sum.fetch_add(n, Ordering::Relaxed);
-        }
-    }
-
-    fn read(&self) -> Statistics {
-        let [
-            attempts,
-            found,
-            walks,
-            converged,
-            steps,
-            reciprocals,
-            trials,
-            exhausted,
-        ] = [0, 1, 2, 3, 4, 5, 6, 7].map(|i: usize| self.0[i].load(Ordering::Relaxed));
-        Statistics {
-            attempts,
-            found,
-            walks,
-            converged,
-            steps,
-            reciprocals,
-            trials,
-            exhausted,
-        }
-    }
-}
-
 /// Finds glints in a scene.
 pub struct Finder<'a, P: Float> {
     scene: &'a Scene,
@@ -93,7 +46,6 @@ pub struct Finder<'a, P: Float> {
     options: Glints,
     /// Slopes by shape, of the front and of the back.
     maps: Vec<[Option<SlopeMap>; 2]>,
-    counters: Counters,
 }
 
 /// A point, the directions to the viewer and to the light, local frame, and a weight.
@@ -124,13 +76,7 @@ impl<'a, P: Float> Finder<'a, P> {
             theta,
             options,
             maps: (0..glinty.len()).map(of).collect(),
-            counters: Counters::default(),
         }
-    }
-
-    /// What it has come to so far.
-    pub fn statistics(&self) -> Statistics {
-        self.counters.read()
     }
 
     /// The slopes of a footprint, and whether they are seen from behind.
@@ -150,12 +96,20 @@ impl<'a, P: Float> Finder<'a, P> {
 
     /// Adds what a sample finds whose filter weighs it by `sample`: estimates whose mean over samples is the pixel's light from
     /// this surface over one reflection.
-    pub fn find(&self, foot: &Footprint, sample: f64, rng: &mut Independent, out: &mut Vec<Glint>) {
+    /// What walks came to is added to `came_to`.
+    pub fn find(
+        &self,
+        foot: &Footprint,
+        sample: f64,
+        rng: &mut Independent,
+        came_to: &mut Statistics,
+        out: &mut Vec<Glint>,
+    ) {
         if self.options.techniques != GlintTechniques::Walks {
             self.scatter(foot, sample, out);
         }
         if self.options.techniques != GlintTechniques::Scattering {
-            self.walk(foot, rng, out);
+            self.walk(foot, rng, came_to, out);
         }
     }
 
@@ -294,7 +248,13 @@ impl<'a, P: Float> Finder<'a, P> {
     }
 
     /// Samples a light and walks to the normals that reflect it.
-    fn walk(&self, foot: &Footprint, rng: &mut Independent, out: &mut Vec<Glint>) {
+    fn walk(
+        &self,
+        foot: &Footprint,
+        rng: &mut Independent,
+        came_to: &mut Statistics,
+        out: &mut Vec<Glint>,
+    ) {
         let Some((map, behind)) = self.slopes(foot) else {
             return;
         };
@@ -328,12 +288,9 @@ impl<'a, P: Float> Finder<'a, P> {
             pdf: (!e.is_delta()).then_some(pdf),
             behind,
         };
-        let mut s = Statistics {
-            attempts: 1,
-            ..Statistics::default()
-        };
+        came_to.attempts += 1;
         let before = out.len();
-        self.solve(&lit, pdf, rng, &mut s, |si, wo, wi, weight| {
+        self.solve(&lit, pdf, rng, came_to, |si, wo, wi, weight| {
             out.push(Glint {
                 si,
                 wo,
@@ -348,8 +305,7 @@ impl<'a, P: Float> Finder<'a, P> {
         if out.len() > before && self.hidden(foot, &light) {
             out.truncate(before);
         }
-        s.found += u64::from(out.len() > before);
-        self.counters.add(&s);
+        came_to.found += u64::from(out.len() > before);
     }
 
     fn hidden(&self, foot: &Footprint, light: &EmitterSample<f64>) -> bool {

@@ -30,40 +30,80 @@ use crate::sampler::{Independent, Sampler};
 use crate::scene::{Connections, Method, Scene, Settings, Starts};
 use crate::shape::SurfaceInteraction;
 
-/// Whether connections have the derivatives that are asked for, if they are made: those that leave the chain where it is.
-///
-/// # Errors
-/// Names the parameter that moves chains, or the reason.
+/// What chains and glints say of parameters that move them and of whoever leaves them out.
+pub(super) struct Solved {
+    /// What is solved for.
+    pub these: &'static str,
+    /// What they would have to be asked for with.
+    pub option: &'static str,
+    /// The error for a reason.
+    pub error: fn(String) -> RenderError,
+}
+
+/// Of chains.
+const CHAINS: Solved = Solved {
+    these: "chains",
+    option: "--manifold off",
+    error: |what| RenderError::Connections { what },
+};
+
+impl Solved {
+    /// Whether there are the derivatives that are asked for: those that leave what is solved for where it is.
+    ///
+    /// # Errors
+    /// Names the parameter that moves it, or the reason.
+    pub fn check<'a, S: Strategy>(
+        &self,
+        moving: impl IntoIterator<Item = &'a ParamInfo>,
+    ) -> Result<(), RenderError> {
+        let Self {
+            these,
+            option,
+            error,
+        } = self;
+        if !S::Bsdf::DETACHED_PATH {
+            return Err(error(format!(
+                "whole paths that move have none; expected another estimator, or `{option}`"
+            )));
+        }
+        for info in moving {
+            match info.kind {
+                ParamKind::Smooth
+                | ParamKind::Emission
+                | ParamKind::Roughness
+                | ParamKind::Normals => {}
+                ParamKind::Delta
+                | ParamKind::Position
+                | ParamKind::Camera
+                | ParamKind::LightPosition => {
+                    let name = &info.name;
+                    return Err(error(format!(
+                        "parameter `{name}` moves {these}, which have derivatives only where they stay; expected `{option}`"
+                    )));
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// That somebody leaves them out.
+    pub fn left_out(&self, whose: &str) -> RenderError {
+        (self.error)(format!(
+            "{whose} leave out their light; expected `{}`",
+            self.option
+        ))
+    }
+}
+
+/// [`Solved::check`], if connections are made.
 pub(super) fn check<'a, S: Strategy>(
     settings: &Settings,
     moving: impl IntoIterator<Item = &'a ParamInfo>,
 ) -> Result<(), RenderError> {
-    if settings.connections.is_none() {
-        return Ok(());
+    match settings.connections {
+        Some(_) => CHAINS.check::<S>(moving),
+        None => Ok(()),
     }
-    if !S::Bsdf::DETACHED_PATH {
-        let what =
-            "whole paths that move have none; expected another estimator, or `--manifold off`";
-        return Err(RenderError::Connections { what: what.into() });
-    }
-    for info in moving {
-        match info.kind {
-            ParamKind::Smooth | ParamKind::Emission | ParamKind::Roughness | ParamKind::Normals => {
-            }
-            ParamKind::Delta
-            | ParamKind::Position
-            | ParamKind::Camera
-            | ParamKind::LightPosition => {
-                let name = &info.name;
-                let what = format!(
-                    "parameter `{name}` moves chains, which have derivatives only where they stay; expected \
-                     `--manifold off`"
-                );
-                return Err(RenderError::Connections { what });
-            }
-        }
-    }
-    Ok(())
 }
 
 /// That there are none, where something else has no part for them.
@@ -71,11 +111,10 @@ pub(super) fn check<'a, S: Strategy>(
 /// # Errors
 /// That there are.
 pub(super) fn refuse(settings: &Settings, whose: &str) -> Result<(), RenderError> {
-    if settings.connections.is_none() {
-        return Ok(());
+    match settings.connections {
+        Some(_) => Err(CHAINS.left_out(whose)),
+        None => Ok(()),
     }
-    let what = format!("{whose} leave out their light; expected `--manifold off`");
-    Err(RenderError::Connections { what })
 }
 
 /// How paths scatter on their way to where they are connected, whatever the estimator of the others.
@@ -92,7 +131,7 @@ fn number<R: Real>(x: f64) -> R {
     R::of(x)
 }
 
-fn vector<R: Real>(v: Vec3<f64>) -> Vec3<R> {
+pub(super) fn vector<R: Real>(v: Vec3<f64>) -> Vec3<R> {
     v.map(number)
 }
 
@@ -100,7 +139,7 @@ fn surface<R: Real>(si: &SurfaceInteraction<f64>) -> SurfaceInteraction<R> {
     cast::<f64, R::Primal>(si).lift()
 }
 
-fn emission<R: Real>(e: &Emission<f64>) -> Emission<R> {
+pub(super) fn emission<R: Real>(e: &Emission<f64>) -> Emission<R> {
     Emission {
         uv: Vec2::new(number(e.uv.x), number(e.uv.y)),
         falloff: number(e.falloff),

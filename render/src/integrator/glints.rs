@@ -3,9 +3,10 @@
 //! A glint is a path like any other: over a scalar with tangents its value has the derivatives of its factors, and reverse mode
 //! goes back through the record of its vertices.
 
-use ad_core::{Float, Real, Vec2, Vec3};
+use ad_core::{Float, Real, Vec2};
 
 use super::active::Active;
+use super::connections::{Solved, emission, vector};
 use super::exact::ExactBuffer;
 use super::pass::Pass;
 use super::paths::{TileSums, assemble, deposit};
@@ -15,50 +16,33 @@ use super::sink::{GradientSums, Sink};
 use super::tile::{Sample, place, spot};
 use super::vertex::MODE;
 use crate::bsdf::{Bsdf, Component, DeltaKind, Part, Shading};
-use crate::emitter::{Emission, Emitter};
+use crate::emitter::Emitter;
 use crate::error::RenderError;
-use crate::estimator::{BsdfOnly, Detached, Sampling, Strategy};
+use crate::estimator::{BsdfOnly, Detached, Strategy};
 use crate::glint::{Finder, Footprint, Glint};
-use crate::manifold::cast;
+use crate::manifold::{Statistics, cast};
 use crate::math::Rgb;
 use crate::parallel;
-use crate::params::{ParamInfo, ParamKind};
-use crate::sampler::{Independent, Sampler};
+use crate::params::ParamInfo;
+use crate::sampler::{Independent, Points, Sampler};
 use crate::scene::{Scene, Settings};
 
-/// Whether glints have the derivatives that are asked for, if they are sought: those that leave them where they are.
-///
-/// # Errors
-/// Names the parameter that moves glints, or the reason.
+/// What is said of glints.
+const GLINTS: Solved = Solved {
+    these: "glints",
+    option: "--glints off",
+    error: |what| RenderError::Glints { what },
+};
+
+/// [`Solved::check`], if glints are sought.
 pub(super) fn check<'a, S: Strategy>(
     settings: &Settings,
     moving: impl IntoIterator<Item = &'a ParamInfo>,
 ) -> Result<(), RenderError> {
-    if settings.glints.is_none() {
-        return Ok(());
+    match settings.glints {
+        Some(_) => GLINTS.check::<S>(moving),
+        None => Ok(()),
     }
-    if !S::Bsdf::DETACHED_PATH {
-        let what = "whole paths that move have none; expected another estimator, or `--glints off`";
-        return Err(RenderError::Glints { what: what.into() });
-    }
-    for info in moving {
-        match info.kind {
-            ParamKind::Smooth | ParamKind::Emission | ParamKind::Roughness | ParamKind::Normals => {
-            }
-            ParamKind::Delta
-            | ParamKind::Position
-            | ParamKind::Camera
-            | ParamKind::LightPosition => {
-                let name = &info.name;
-                let what = format!(
-                    "parameter `{name}` moves them, and they have derivatives only where they stay; expected \
-                     `--glints off`"
-                );
-                return Err(RenderError::Glints { what });
-            }
-        }
-    }
-    Ok(())
 }
 
 /// That there are none, where something else has no part for them.
@@ -66,11 +50,10 @@ pub(super) fn check<'a, S: Strategy>(
 /// # Errors
 /// That there are.
 pub(super) fn refuse(settings: &Settings, whose: &str) -> Result<(), RenderError> {
-    if settings.glints.is_none() {
-        return Ok(());
+    match settings.glints {
+        Some(_) => Err(GLINTS.left_out(whose)),
+        None => Ok(()),
     }
-    let what = format!("{whose} leave out their light; expected `--glints off`");
-    Err(RenderError::Glints { what })
 }
 
 /// So that glints and the paths beside them are independent.
@@ -79,52 +62,66 @@ const STREAM: u64 = 0x676c_696e_7473_2121;
 /// The sum is made of this many parts, whatever the number of threads.
 const JOBS: usize = 128;
 
-fn vector<R: Real>(v: Vec3<f64>) -> Vec3<R> {
-    v.map(R::of)
+/// Finds the glints of a pass, sample by sample.
+struct Seeking<'a, P: Float> {
+    scene: &'a Scene,
+    finder: &'a Finder<'a, P>,
+    /// Which shapes have any, by index.
+    glinty: &'a [bool],
+    points: Points,
+    seed: u64,
+    /// Those of the sample.
+    found: Vec<Glint>,
+    /// What walks came to so far.
+    came_to: Statistics,
 }
 
-fn emission<R: Real>(e: &Emission<f64>) -> Emission<R> {
-    Emission {
-        uv: Vec2::new(R::of(e.uv.x), R::of(e.uv.y)),
-        falloff: R::of(e.falloff),
-    }
-}
-
-/// Who finds the glints of a pass. `None` if nobody does.
-fn finder<'a, R: Real>(pass: &'a Pass<'a, R>) -> Option<Finder<'a, R::Primal>> {
+/// Who finds the glints of a pass, and on which shapes. `None` if nobody does.
+fn finder<'a, R: Real>(pass: &'a Pass<'a, R>) -> Option<(Finder<'a, R::Primal>, &'a [bool])> {
     let (split, options) = (pass.split.as_deref()?, pass.settings.glints?);
     let glinty = split.glinty();
     let theta = pass.theta.primal();
-    (!glinty.is_empty()).then(|| Finder::new(pass.scene, theta, glinty, options))
+    (!glinty.is_empty()).then(|| (Finder::new(pass.scene, theta, glinty, options), glinty))
 }
 
-/// The glints of a sample, and the shape and the primitive they are on.
-fn found<P: Float, X: Sampler>(
-    scene: &Scene,
-    pass: (crate::sampler::Points, u64),
-    sample: &Sample,
-    finder: &Finder<P>,
-    glinty: &[bool],
-    out: &mut Vec<Glint>,
-) -> Option<(u32, u32)> {
-    let (points, seed) = pass;
-    out.clear();
-    let ([x, y, u, v], _) = spot::<P, X>(scene, points, seed ^ STREAM, sample.pixel, sample.index);
-    // Counted on the full film, so that a crop shows the same samples.
-    let film = &scene.film;
-    let [px, py] = [0, 1].map(|k: usize| sample.pixel[k] + film.crop_offset[k]);
-    let at = [x, y].map(|x| x.to_f64());
-    let middle = [px, py].map(|p| f64::from(p) + 0.5);
-    let foot = Footprint::new(scene, at, [u, v].map(|u| u.to_f64()), middle)?;
-    if !glinty[foot.shape as usize] {
-        return None;
+impl<'a, P: Float> Seeking<'a, P> {
+    fn new<R: Real<Primal = P>>(
+        pass: &Pass<'a, R>,
+        (finder, glinty): &'a (Finder<'a, P>, &'a [bool]),
+    ) -> Self {
+        Self {
+            scene: pass.scene,
+            finder,
+            glinty,
+            points: pass.settings.points,
+            seed: pass.seed,
+            found: Vec::new(),
+            came_to: Statistics::default(),
+        }
     }
-    let pixel = u64::from(py) * u64::from(film.size[0]) + u64::from(px);
-    let mut rng = Independent::new(seed ^ STREAM, pixel, sample.index);
-    // A weight of its own: the point is not that of the paths.
-    let offset = [0, 1].map(|k: usize| at[k] - middle[k]);
-    finder.find(&foot, film.filter.weight(offset), &mut rng, out);
-    Some((foot.shape, foot.prim))
+
+    /// Finds the glints of a sample. The shape and the primitive that they are on.
+    fn seek<X: Sampler>(&mut self, sample: &Sample) -> Option<(u32, u32)> {
+        let (scene, seed) = (self.scene, self.seed ^ STREAM);
+        self.found.clear();
+        let ([x, y, u, v], _) = spot::<P, X>(scene, self.points, seed, sample.pixel, sample.index);
+        // Counted on the full film, so that a crop shows the same samples.
+        let film = &scene.film;
+        let [px, py] = [0, 1].map(|k: usize| sample.pixel[k] + film.crop_offset[k]);
+        let at = [x, y].map(|x| x.to_f64());
+        let middle = [px, py].map(|p| f64::from(p) + 0.5);
+        let foot = Footprint::new(scene, at, [u, v].map(|u| u.to_f64()), middle)?;
+        if !self.glinty[foot.shape as usize] {
+            return None;
+        }
+        let pixel = u64::from(py) * u64::from(film.size[0]) + u64::from(px);
+        let mut rng = Independent::new(seed, pixel, sample.index);
+        // A weight of its own: the point is not that of the paths.
+        let offset = [0, 1].map(|k: usize| at[k] - middle[k]);
+        let weight = film.filter.weight(offset);
+        (self.finder).find(&foot, weight, &mut rng, &mut self.came_to, &mut self.found);
+        Some((foot.shape, foot.prim))
+    }
 }
 
 /// What the material at a glint makes of light.
@@ -140,30 +137,28 @@ fn reflectance<R: Real>(scene: &Scene, pass: &Pass<R>, shape: u32, glint: &Glint
 
 /// The image of glints.
 pub(super) fn image<R: Components, X: Sampler>(pass: &Pass<R>) -> Rendering {
-    let Some((finder, split)) = finder(pass).zip(pass.split.as_deref()) else {
+    let Some(finder) = finder(pass) else {
         return Rendering::black(pass.scene.film.crop_size, &pass.samples, R::COUNT);
     };
     let (scene, progress, seed) = (pass.scene, pass.progress, pass.seed);
     let points = pass.settings.points;
     let spp = pass.samples.end.saturating_sub(pass.samples.start) as f64;
     let tiles = pass.tiles();
-    let sums: Vec<TileSums> = parallel::map(tiles.len(), |i| {
+    let found: Vec<(TileSums, Statistics)> = parallel::map(tiles.len(), |i| {
         let tile = &tiles[i];
         let pixels = tile.pixels();
         let mut sums = vec![0.0f64; R::COUNT * pixels * 3];
         let mut non_finite = NonFinite::default();
-        let mut glints = Vec::new();
+        let mut seeking = Seeking::new(pass, &finder);
         for (at, sample) in tile.samples::<R::Primal, X>(scene, points, seed, &pass.samples) {
             if progress.cancelled() {
-                return (Vec::new(), NonFinite::default());
+                return ((Vec::new(), NonFinite::default()), seeking.came_to);
             }
-            let sees = (points, seed);
-            let seen = found::<_, X>(scene, sees, &sample, &finder, split.glinty(), &mut glints);
-            let Some((shape, _)) = seen else {
+            let Some((shape, _)) = seeking.seek::<X>(&sample) else {
                 continue;
             };
             let mut l = Rgb::<R>::black();
-            for glint in &glints {
+            for glint in &seeking.found {
                 let e = &scene.emitters()[glint.emitter as usize];
                 let le = e.eval(pass.theta, &emission(&glint.emission));
                 l += reflectance(scene, pass, shape, glint) * le * R::of(glint.weight);
@@ -175,10 +170,11 @@ pub(super) fn image<R: Components, X: Sampler>(pass: &Pass<R>) -> Rendering {
             deposit(&mut sums, at, l, spp / sample.count as f64);
         }
         progress.advance(pixels as u64);
-        (sums, non_finite)
+        ((sums, non_finite), seeking.came_to)
     });
+    let (sums, came_to): (Vec<TileSums>, Vec<Statistics>) = found.into_iter().unzip();
     let mut out = assemble(pass, R::COUNT, &sums);
-    out.glints = finder.statistics();
+    came_to.iter().for_each(|s| out.glints.merge(s));
     out
 }
 
@@ -233,7 +229,7 @@ pub(super) fn gradient<P: Float, X: Sampler>(
     large: &ExactBuffer,
 ) -> GradientSums {
     let sums = GradientSums::zero(active);
-    let Some((finder, split)) = finder(pass).zip(pass.split.as_deref()) else {
+    let Some(finder) = finder(pass) else {
         return sums;
     };
     let (scene, seed, points) = (pass.scene, pass.seed, pass.settings.points);
@@ -242,21 +238,18 @@ pub(super) fn gradient<P: Float, X: Sampler>(
     let parts = parallel::map(jobs, |job| {
         let mut sink = Sink::new(active, large);
         let mut non_finite = NonFinite::default();
-        let mut glints = Vec::new();
+        let mut seeking = Seeking::new(pass, &finder);
         for tile in tiles.iter().skip(job).step_by(jobs) {
             for (_, sample) in tile.samples::<P, X>(scene, points, seed, &pass.samples) {
                 if pass.progress.cancelled() {
                     break;
                 }
-                let sees = (points, seed);
-                let seen =
-                    found::<_, X>(scene, sees, &sample, &finder, split.glinty(), &mut glints);
-                let Some(on) = seen else {
+                let Some(on) = seeking.seek::<X>(&sample) else {
                     continue;
                 };
                 let d = sample.of_image::<P>(adjoint, scene) * P::of(1.0 / sample.count as f64);
                 let mut l = Rgb::black();
-                for glint in &glints {
+                for glint in &seeking.found {
                     let path = recorded(scene, pass, on, glint);
                     let recorder = Recorder { active, path };
                     l += recorder.backward::<Scattering>(scene, pass.theta, d, &mut sink);

@@ -100,72 +100,41 @@ impl Progress for Share<'_> {
     }
 }
 
-/// Light along paths from the camera: all of it, or what particles leave.
-struct Paths;
+/// An integral whose image and gradient are functions of a module.
+macro_rules! integrals {
+    ($($(#[$doc:meta])* $name:ident: $module:ident::<$($by:ident),*>;)*) => {$(
+        $(#[$doc])*
+        struct $name;
 
-impl<S: Strategy, X: Sampler> Integral<S, X> for Paths {
-    fn image<R: Components>(pass: &Pass<R>) -> Rendering {
-        paths::image::<R, S, X>(pass)
-    }
-    fn gradient<P: Float>(
-        pass: &Pass<P>,
-        active: &Active,
-        adjoint: &[f32],
-        large: &ExactBuffer,
-    ) -> GradientSums {
-        paths::gradient::<P, S, X>(pass, active, adjoint, large)
-    }
+        impl<S: Strategy, X: Sampler> Integral<S, X> for $name {
+            fn image<R: Components>(pass: &Pass<R>) -> Rendering {
+                $module::image::<R, $($by),*>(pass)
+            }
+            fn gradient<P: Float>(
+                pass: &Pass<P>,
+                active: &Active,
+                adjoint: &[f32],
+                large: &ExactBuffer,
+            ) -> GradientSums {
+                $module::gradient::<P, $($by),*>(pass, active, adjoint, large)
+            }
+        }
+    )*};
 }
 
-/// What vertices of paths that move do to light.
-struct Motion;
-
-impl<S: Strategy, X: Sampler> Integral<S, X> for Motion {
-    fn image<R: Components>(pass: &Pass<R>) -> Rendering {
-        motion::image::<R, S, X>(pass)
-    }
-    fn gradient<P: Float>(
-        pass: &Pass<P>,
-        active: &Active,
-        adjoint: &[f32],
-        large: &ExactBuffer,
-    ) -> GradientSums {
-        motion::gradient::<P, S, X>(pass, active, adjoint, large)
-    }
-}
-
-/// What outlines that move hide and show.
-struct Boundaries;
-
-impl<S: Strategy, X: Sampler> Integral<S, X> for Boundaries {
-    fn image<R: Components>(pass: &Pass<R>) -> Rendering {
-        boundary::image::<R, S, X>(pass)
-    }
-    fn gradient<P: Float>(
-        pass: &Pass<P>,
-        active: &Active,
-        adjoint: &[f32],
-        large: &ExactBuffer,
-    ) -> GradientSums {
-        boundary::gradient::<P, S, X>(pass, active, adjoint, large)
-    }
-}
-
-/// What moves, along directions that follow outlines.
-struct Convolved;
-
-impl<S: Strategy, X: Sampler> Integral<S, X> for Convolved {
-    fn image<R: Components>(pass: &Pass<R>) -> Rendering {
-        convolved::image::<R, S, X>(pass)
-    }
-    fn gradient<P: Float>(
-        pass: &Pass<P>,
-        active: &Active,
-        adjoint: &[f32],
-        large: &ExactBuffer,
-    ) -> GradientSums {
-        convolved::gradient::<P, S, X>(pass, active, adjoint, large)
-    }
+integrals! {
+    /// Light along paths from the camera: all of it, or what particles leave.
+    Paths: paths::<S, X>;
+    /// What vertices of paths that move do to light.
+    Motion: motion::<S, X>;
+    /// What outlines that move hide and show.
+    Boundaries: boundary::<S, X>;
+    /// What moves, along directions that follow outlines.
+    Convolved: convolved::<S, X>;
+    /// Light over specular chains, by manifold connections.
+    Connections: connections::<X>;
+    /// Lights in glinty surfaces.
+    Glints: glints::<X>;
 }
 
 /// What particles of a pass have in common.
@@ -197,39 +166,5 @@ impl<S: Strategy, X: Sampler> Integral<S, X> for Particles {
         let particles = ParticlePass::new(&context, adjoint, pass.seed, samples);
         let (sums, _) = particles.sums::<X>(active, large, pass.progress);
         sums
-    }
-}
-
-/// Light over specular chains, by manifold connections.
-struct Connections;
-
-impl<S: Strategy, X: Sampler> Integral<S, X> for Connections {
-    fn image<R: Components>(pass: &Pass<R>) -> Rendering {
-        connections::image::<R, X>(pass)
-    }
-    fn gradient<P: Float>(
-        pass: &Pass<P>,
-        active: &Active,
-        adjoint: &[f32],
-        large: &ExactBuffer,
-    ) -> GradientSums {
-        connections::gradient::<P, X>(pass, active, adjoint, large)
-    }
-}
-
-/// Lights in glinty surfaces.
-struct Glints;
-
-impl<S: Strategy, X: Sampler> Integral<S, X> for Glints {
-    fn image<R: Components>(pass: &Pass<R>) -> Rendering {
-        glints::image::<R, X>(pass)
-    }
-    fn gradient<P: Float>(
-        pass: &Pass<P>,
-        active: &Active,
-        adjoint: &[f32],
-        large: &ExactBuffer,
-    ) -> GradientSums {
-        glints::gradient::<P, X>(pass, active, adjoint, large)
     }
 }

@@ -10,8 +10,9 @@ use render::{Job, Scene};
 
 use crate::chart::LineChart;
 use crate::figure::{Figure, Result};
+use crate::figures::common_scenes::{below_lamp, lamp_above_floor};
 use crate::figures::statistics::{Estimate, limit};
-use crate::scene_builder::{SceneBuilder, View, picture};
+use crate::scene_builder::{SceneBuilder, picture};
 
 const SEED: u64 = 4801;
 const NAME: &str = "blocks.translation";
@@ -59,25 +60,10 @@ fn blocks(side: u32) -> MeshData {
 
 fn scene(side: u32, size: u32) -> Result<Scene> {
     let mut builder = SceneBuilder::default();
-    let floor = builder.matt("floor", [0.6, 0.5, 0.4])?;
     let blue = builder.matt("blue", [0.3, 0.4, 0.6])?;
-    let black = builder.matt("black", [0.0; 3])?;
-    builder.quad(
-        "floor",
-        [[-4.0, 0.0, 4.0], [8.0, 0.0, 0.0], [0.0, 0.0, -8.0]],
-        &floor,
-    )?;
     builder.shape("blocks", Mesh::new(blocks(side), true)?, &blue);
-    let sides = [[1.2, 0.0, 0.0], [0.0, 0.0, 1.2]];
-    let lamp = builder.quad("lamp", [[0.4, 3.0, -0.9], sides[0], sides[1]], &black)?;
-    builder.lamp("lamp", lamp, [9.0, 10.0, 11.0])?;
-    let view = View {
-        eye: [0.0, 3.0, 5.0],
-        target: [0.0, 0.4, 0.0],
-        fov: 45.0,
-        size: [size; 2],
-    };
-    let mut scene = builder.finish(&view, 2)?;
+    lamp_above_floor(&mut builder, [0.6, 0.5, 0.4], 0.4)?;
+    let mut scene = builder.finish(&below_lamp(size), 2)?;
     scene.make_movable(&[NAME])?;
     Ok(scene)
 }

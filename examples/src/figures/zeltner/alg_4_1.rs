@@ -15,12 +15,11 @@ use render::integrator::gradient::Active;
 use render::params::{ParamInfo, Theta};
 use render::{Scene, Settings};
 
-use super::propagation::push_f64;
+use super::propagation::{memory_stays, push_f64};
 use crate::chart::{LineChart, Panel};
 use crate::figure::{Figure, Result};
 use crate::figures::common_scenes::{Walls, cornell};
 use crate::figures::statistics::{Estimate, limit};
-use crate::memory;
 use crate::scene_builder::picture;
 
 const SEED: u64 = 4102;
@@ -313,25 +312,10 @@ pub fn figure(fig: &mut Figure) -> Result {
     // From where the longest path was met: a thread's records grow to that.
     let small = Room::new(16)?;
     let ladder: &[u64] = fig.pick(&[256, 512, 1024], &[256, 1024, 4096]);
-    let alone = rayon::ThreadPoolBuilder::new().num_threads(1).build()?;
-    let mut peaks = Vec::new();
-    for &spp in ladder {
-        let pass = Pass { spp, ..at(SEED) };
-        let (gradient, bytes) = memory::peak(|| alone.install(|| small.reverse_f32(pass)));
-        gradient?;
-        peaks.push(bytes as f64 / 1024.0);
-    }
-    let least = peaks.iter().fold(f64::INFINITY, |m, p| m.min(*p));
-    let most = peaks.iter().fold(0.0f64, |m, p| m.max(*p));
-    fig.check(
-        "memory does not grow with the samples: within 5 %",
-        least > 0.0 && most < 1.05 * least,
-        format!(
-            "{least:.0} to {most:.0} KiB for {} to {} samples per pixel",
-            ladder[0],
-            ladder[ladder.len() - 1]
-        ),
-    );
+    let peaks = memory_stays(fig, ladder, |spp| {
+        let gradient = small.reverse_f32(Pass { spp, ..at(SEED) });
+        gradient.map(|_| ()).map_err(|e| e.to_string())
+    })?;
     report(fig, &room, &reverse, &differences, &pulled);
     let memory = ladder.iter().zip(&peaks);
     let memory: Vec<[f64; 2]> = memory.map(|(&n, &p)| [n as f64, p]).collect();

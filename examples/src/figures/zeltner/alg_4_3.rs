@@ -11,10 +11,11 @@ use render::params::{Tangent, Theta};
 use render::sampler::Spread;
 use render::{Job, Scene};
 
+use super::propagation::memory_stays;
 use crate::figure::{Figure, Result};
+use crate::figures::common_scenes::{below_lamp, lamp_above_floor};
 use crate::figures::statistics::{Estimate, limit};
-use crate::memory;
-use crate::scene_builder::{SceneBuilder, View};
+use crate::scene_builder::SceneBuilder;
 
 const SEED: u64 = 4304;
 const NAMES: [&str; 4] = [
@@ -45,25 +46,10 @@ type Follows = Convolved<Mis<Reparameterised, Detached, AttachedWeights>>;
 /// A glossy ball above a floor, below a lamp.
 fn scene(size: u32) -> Result<Scene> {
     let mut builder = SceneBuilder::default();
-    let floor = builder.matt("floor", [0.6, 0.5, 0.4])?;
-    let black = builder.matt("black", [0.0; 3])?;
     let metal = builder.metal("ball", [0.9, 0.8, 0.7], 0.4)?;
-    builder.quad(
-        "floor",
-        [[-4.0, 0.0, 4.0], [8.0, 0.0, 0.0], [0.0, 0.0, -8.0]],
-        &floor,
-    )?;
     builder.ball("ball", [0.2, 1.1, 0.3], 0.6, &metal)?;
-    let sides = [[1.2, 0.0, 0.0], [0.0, 0.0, 1.2]];
-    let lamp = builder.quad("lamp", [[0.1, 3.0, -0.9], sides[0], sides[1]], &black)?;
-    builder.lamp("lamp", lamp, [9.0, 10.0, 11.0])?;
-    let view = View {
-        eye: [0.0, 3.0, 5.0],
-        target: [0.0, 0.4, 0.0],
-        fov: 45.0,
-        size: [size; 2],
-    };
-    let mut scene = builder.finish(&view, 3)?;
+    lamp_above_floor(&mut builder, [0.6, 0.5, 0.4], 0.1)?;
+    let mut scene = builder.finish(&below_lamp(size), 3)?;
     // The sensor counts once (errata Z-4.15): a box would hide it.
     scene.film.filter = PixelFilter::Gaussian { stddev: 0.5 };
     scene.make_movable(&["ball.translation"])?;
@@ -200,25 +186,10 @@ pub fn figure(fig: &mut Figure) -> Result {
     fig.csv("derivatives", &names, rows);
 
     let ladder: &[u64] = fig.pick(&[64, 128, 256], &[64, 512, 4096]);
-    let alone = rayon::ThreadPoolBuilder::new().num_threads(1).build()?;
     let small = self::scene(8)?;
-    let mut peaks = Vec::new();
-    for &spp in ladder {
-        let run = || alone.install(|| reverse(&small, SEED, spp).map_err(|e| e.to_string()));
-        let (gradient, bytes) = memory::peak(run);
-        gradient?;
-        peaks.push(bytes as f64 / 1024.0);
-    }
-    let least = peaks.iter().fold(f64::INFINITY, |m, p| m.min(*p));
-    let largest = peaks.iter().fold(0.0f64, |m, p| m.max(*p));
-    fig.check(
-        "memory does not grow with the samples: within 5 %",
-        least > 0.0 && largest < 1.05 * least,
-        format!(
-            "{least:.0} to {largest:.0} KiB for {} to {} samples per pixel",
-            ladder[0],
-            ladder[ladder.len() - 1]
-        ),
-    );
+    memory_stays(fig, ladder, |spp| {
+        let gradient = reverse(&small, SEED, spp);
+        gradient.map(|_| ()).map_err(|e| e.to_string())
+    })?;
     Ok(())
 }

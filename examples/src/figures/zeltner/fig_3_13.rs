@@ -56,10 +56,7 @@ pub fn figure(fig: &mut Figure) -> Result {
         spp: fig.pick(2, 8),
         seed: SEED,
     };
-    fig.note("size", size);
-    fig.note("spp", effort.spp);
-    fig.note("runs", effort.runs);
-    fig.note("seed", SEED);
+    effort.note(fig, size);
     let single = |method: Method, starts: Starts, constraint: Constraint| Connections {
         bounces: 1,
         starts,

@@ -24,10 +24,7 @@ pub fn figure(fig: &mut Figure) -> Result {
         spp: fig.pick(2, 8),
         seed: SEED,
     };
-    fig.note("size", size);
-    fig.note("spp", effort.spp);
-    fig.note("runs", effort.runs);
-    fig.note("seed", SEED);
+    effort.note(fig, size);
     let scene = mirrored(0.15, 3000.0, size, |b| {
         let specular_reflectance = b.colour("wall", "specular_reflectance", [0.9; 3])?;
         let metal = Material::from(Conductor {

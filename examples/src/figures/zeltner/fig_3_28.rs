@@ -29,10 +29,7 @@ pub fn figure(fig: &mut Figure) -> Result {
         spp: fig.pick(8, 64),
         seed: SEED,
     };
-    fig.note("size", size);
-    fig.note("spp", effort.spp);
-    fig.note("runs", effort.runs);
-    fig.note("seed", SEED);
+    effort.note(fig, size);
     let mut rows = Vec::new();
     let mut panels = Vec::new();
     for (i, alpha) in ALPHA.into_iter().enumerate() {

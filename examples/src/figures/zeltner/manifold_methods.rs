@@ -12,7 +12,7 @@ use render::sampler::{Independent, Sampler};
 use render::scene::{Connections, Method};
 use render::{Job, RenderError, Scene, Settings};
 
-use crate::figure::Result;
+use crate::figure::{Figure, Result};
 use crate::figures::statistics::{Series, grey};
 use crate::scene_builder::SceneBuilder;
 
@@ -65,6 +65,16 @@ pub struct Effort {
     pub spp: u64,
     /// Seed of the first.
     pub seed: u64,
+}
+
+impl Effort {
+    /// Keeps it, and the size of images, beside the results.
+    pub fn note(&self, fig: &mut Figure, size: u32) {
+        fig.note("size", size);
+        fig.note("spp", self.spp);
+        fig.note("runs", self.runs);
+        fig.note("seed", self.seed);
+    }
 }
 
 /// The light of chains by connections, or by paths if `by_paths`: an image less that at the same seed which leaves it out.

@@ -16,6 +16,7 @@ use render::{Image, Scene, Settings};
 
 use crate::figure::{Figure, Result};
 use crate::figures::common_scenes::chess;
+use crate::memory;
 
 pub(super) const NAME: &str = "bishop.reflectance.value";
 /// Change of the bishop's colour that is followed.
@@ -234,4 +235,34 @@ pub(super) fn bishop(scene: &Scene) -> Vec<bool> {
         hit.is_some_and(|h| scene.shape_info(h.shape).name == "bishop")
     });
     seen.collect()
+}
+
+/// Checks that the memory of a pass on one thread does not grow with its samples per pixel. The peaks in KiB.
+///
+/// # Errors
+/// Those of the pass.
+pub(super) fn memory_stays(
+    fig: &mut Figure,
+    ladder: &[u64],
+    pass: impl Fn(u64) -> std::result::Result<(), String> + Sync,
+) -> Result<Vec<f64>> {
+    let alone = rayon::ThreadPoolBuilder::new().num_threads(1).build()?;
+    let mut peaks = Vec::new();
+    for &spp in ladder {
+        let (done, bytes) = memory::peak(|| alone.install(|| pass(spp)));
+        done?;
+        peaks.push(bytes as f64 / 1024.0);
+    }
+    let least = peaks.iter().fold(f64::INFINITY, |m, p| m.min(*p));
+    let most = peaks.iter().fold(0.0f64, |m, p| m.max(*p));
+    fig.check(
+        "memory does not grow with the samples: within 5 %",
+        least > 0.0 && most < 1.05 * least,
+        format!(
+            "{least:.0} to {most:.0} KiB for {} to {} samples per pixel",
+            ladder[0],
+            ladder[ladder.len() - 1]
+        ),
+    );
+    Ok(peaks)
 }

@@ -7,16 +7,16 @@ use super::field::{Influence, KAPPA, LARGEST, Neighbour, convolve};
 use super::outlines::Outlines;
 use crate::bsdf::Component;
 use crate::camera::Seen;
-use crate::emitter::{AnyEmitter, Emitter, EmitterSample};
+use crate::emitter::{Emitter, EmitterSample};
 use crate::integrator::active::Active;
 use crate::integrator::motion::slopes::{across, slope, slopes, varied};
-use crate::integrator::motion::trail::{Edge, Trail};
-use crate::integrator::record::{MetLight, Place, SampledLight};
+use crate::integrator::motion::trail::{Edge, Trail, met, sampled_point};
+use crate::integrator::record::{Place, SampledLight};
 use crate::math::{Frame, Ray, RayAdjoint, Rgb};
 use crate::params::{GradSink, Theta};
 use crate::sampler::{Points, Purpose, Sampler};
 use crate::scene::Scene;
-use crate::shape::{Shape, SurfaceAdjoint, SurfaceInteraction};
+use crate::shape::{SurfaceAdjoint, SurfaceInteraction};
 
 /// Tells the random numbers of auxiliary rays from those of paths: along scattered directions, towards sampled lights, at
 /// the borders of pixels.
@@ -225,7 +225,7 @@ impl<'a, P: Float> Follow<'a, P> {
             let mut arriving = Rgb::black();
             let mut leaves = Rgb::black();
             if let Some(b) = &stop.bounce {
-                arriving = (next + self.met(&stop.edge)).scale(b.weight);
+                arriving = (next + met(self.scene, self.theta, &stop.edge)).scale(b.weight);
                 leaves += b.f * arriving;
             }
             if let Some((s, _)) = &stop.sampled {
@@ -239,7 +239,7 @@ impl<'a, P: Float> Follow<'a, P> {
             });
         }
         bends.reverse();
-        let l = next + self.met(&trail.first);
+        let l = next + met(self.scene, self.theta, &trail.first);
 
         // ---- Fields ----
         let mut first = None;
@@ -369,15 +369,6 @@ impl<'a, P: Float> Follow<'a, P> {
         origin.map(P::of)
     }
 
-    /// Light that an edge met, weighed.
-    fn met(&self, edge: &Edge<P>) -> Rgb<P> {
-        let le = |m: &MetLight<P>| {
-            let e = &self.scene.emitters()[m.emitter as usize];
-            e.eval(self.theta, &m.emission).scale(m.weight)
-        };
-        edge.met.iter().map(le).fold(Rgb::black(), |a, b| a + b)
-    }
-
     /// The adjoints of a ray, given those of what it ends at and of its direction.
     fn ends_at(
         &self,
@@ -456,7 +447,8 @@ impl<'a, P: Float> Follow<'a, P> {
             if e.is_delta() {
                 self.delta_light(place, before, s, aim, beta, &mut own, grad);
             } else {
-                let end = self.end_of(e, place, aim);
+                let end = sampled_point(self.scene, e, place, aim)
+                    .map(|(prim, si)| seen_from(from, prim, si));
                 let w = end.map_or(aim.d, |(_, si)| (si.p - from).normalize());
                 let mut adjoint = EdgeAdjoint::zero();
                 let a = beta * s.le.scale(s.weight);
@@ -531,23 +523,6 @@ impl<'a, P: Float> Follow<'a, P> {
         own.end.uv += s.uv;
         own.d -= frame.to_world(s.wo);
         *d_w += frame.to_world(s.wi);
-    }
-
-    /// The point on a surface that was sampled.
-    fn end_of(
-        &self,
-        e: &AnyEmitter,
-        place: &Place<P>,
-        aim: &EmitterSample<P>,
-    ) -> Option<(u32, SurfaceInteraction<P>)> {
-        let AnyEmitter::Area(area) = e else {
-            return None;
-        };
-        let prim = self.scene.primitive(area.shape, aim.prim);
-        let at = place.si.p + aim.d * aim.distance;
-        let coordinates = self.scene.shapes()[area.shape as usize].locate(aim.prim, at);
-        let si = self.scene.point_at(&Theta::still(), prim, coordinates);
-        Some(seen_from(place.si.p, prim, si))
     }
 
     /// All light that an edge met, which arrives with the adjoint `a` before MIS.

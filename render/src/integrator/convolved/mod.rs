@@ -40,7 +40,6 @@ use crate::estimator::{Still, Strategy};
 use crate::film::PixelFilter;
 use crate::math::Rgb;
 use crate::parallel;
-use crate::params::GradSink;
 use crate::sampler::Sampler;
 use crate::scene::Scene;
 
@@ -207,13 +206,6 @@ pub(super) fn image<R: Components, S: Strategy, X: Sampler>(pass: &Pass<R>) -> R
     let context = context(pass, &theta);
     let outlines = Outlines::of(scene);
     let spp = pass.samples.end.saturating_sub(pass.samples.start) as f64;
-    let tangent = |held: &Held| {
-        let add = |sum: R, &(p, i, d): &(_, u32, f64)| {
-            let x = pass.theta.get(p, i as usize);
-            sum + (x - Const(x.primal())) * R::c(d)
-        };
-        held.found.iter().fold(R::zero(), add)
-    };
     let tiles = pass.tiles();
     let parts = parallel::map(tiles.len(), |i| {
         let tile = &tiles[i];
@@ -243,7 +235,7 @@ pub(super) fn image<R: Components, S: Strategy, X: Sampler>(pass: &Pass<R>) -> R
                 let d_l = array(unit).into();
                 worker.follow.add(trail, &course, filter, d_l, &mut held);
                 finite &= held.is_finite();
-                *sum = tangent(&held);
+                *sum = held.tangent(pass.theta);
             }
             trail.clear();
             let found = Rgb::from(tangents);
@@ -256,7 +248,7 @@ pub(super) fn image<R: Components, S: Strategy, X: Sampler>(pass: &Pass<R>) -> R
             worker.borders(&sample, |border, l, speed| {
                 held.found.clear();
                 speed(border.length, &mut held);
-                let outwards = tangent(&held);
+                let outwards = held.tangent(pass.theta);
                 let flow = l.map(|l| outwards * Const(l));
                 if !(held.is_finite() && flow.is_finite()) {
                     non_finite.add(place(scene, sample.pixel) as u64, sample.index);
@@ -327,16 +319,10 @@ pub(super) fn gradient<P: Float, S: Strategy, X: Sampler>(
                     let d = border.other.map_or(own, |other| own + of(other));
                     speed((d * l).sum().to_f64() * border.length, &mut held);
                 });
-                if l.is_finite() && held.is_finite() {
-                    for &(p, i, d) in &held.found {
-                        GradSink::<f64>::add(&mut sink, p, i as usize, d);
-                    }
-                    // Auxiliary rays are edges, too.
-                    let edges = trail.stops.len() as u32 + 1;
-                    sink.finish(scene, sample, edges * (1 + S::CONVOLVED));
-                } else {
-                    non_finite.add(place(scene, sample.pixel) as u64, sample.index);
-                }
+                // Auxiliary rays are edges, too.
+                let edges = (trail.stops.len() as u32 + 1) * (1 + S::CONVOLVED);
+                let which = (scene, sample);
+                held.settle(which, l.is_finite(), edges, &mut sink, &mut non_finite);
                 trail.clear();
             };
             tile.trace(&context, pass.seed, &pass.samples, &mut paths, done);

@@ -33,7 +33,7 @@ use crate::math::Rgb;
 use crate::parallel;
 use crate::params::{GradSink, ParamRef, Theta};
 use crate::sampler::Sampler;
-use crate::scene::Caustics;
+use crate::scene::{Caustics, Scene};
 
 /// The adjoints of one sample: only once all of them are known to be numbers, they count.
 pub(super) struct Held<'a> {
@@ -63,6 +63,35 @@ impl<'a> Held<'a> {
 
     pub fn is_finite(&self) -> bool {
         self.found.iter().all(|(_, _, d)| d.is_finite())
+    }
+
+    /// The adjoints times the tangents of the parameters.
+    pub fn tangent<R: Real>(&self, theta: &Theta<R>) -> R {
+        let add = |sum: R, &(p, i, d): &(ParamRef, u32, f64)| {
+            let x = theta.get(p, i as usize);
+            sum + (x - Const(x.primal())) * R::c(d)
+        };
+        self.found.iter().fold(R::zero(), add)
+    }
+
+    /// The sample is complete, a number if `finite`, and cost so many edges: its adjoints are added to the sums, or it is
+    /// counted as none.
+    pub fn settle(
+        &self,
+        (scene, sample): (&Scene, Sample),
+        finite: bool,
+        edges: u32,
+        sink: &mut Sink,
+        non_finite: &mut NonFinite,
+    ) {
+        if !(finite && self.is_finite()) {
+            non_finite.add(place(scene, sample.pixel) as u64, sample.index);
+            return;
+        }
+        for &(p, i, d) in &self.found {
+            GradSink::<f64>::add(sink, p, i as usize, d);
+        }
+        sink.finish(scene, sample, edges);
     }
 }
 
@@ -114,10 +143,7 @@ pub(super) fn image<R: Components, S: Strategy, X: Sampler>(pass: &Pass<R>) -> R
                 let unit = |i| R::Primal::select(i == c, R::Primal::one(), R::Primal::zero());
                 pull_back.add(trail, film, array(unit).into(), &mut held);
                 finite &= held.is_finite();
-                for &(p, i, d) in &held.found {
-                    let x = pass.theta.get(p, i as usize);
-                    *tangent += (x - Const(x.primal())) * R::c(d);
-                }
+                *tangent = held.tangent(pass.theta);
             }
             trail.clear();
             if !(finite && Rgb::from(tangents).is_finite()) {
@@ -163,14 +189,9 @@ pub(super) fn gradient<P: Float, S: Strategy, X: Sampler>(
                 let d = sample.of_image::<P>(adjoint, scene) * P::of(sample.scale());
                 held.found.clear();
                 pull_back.add(trail, film, d, &mut held);
-                if l.is_finite() && held.is_finite() {
-                    for &(p, i, d) in &held.found {
-                        GradSink::<f64>::add(&mut sink, p, i as usize, d);
-                    }
-                    sink.finish(scene, sample, trail.stops.len() as u32 + 1);
-                } else {
-                    non_finite.add(place(scene, sample.pixel) as u64, sample.index);
-                }
+                let edges = trail.stops.len() as u32 + 1;
+                let which = (scene, sample);
+                held.settle(which, l.is_finite(), edges, &mut sink, &mut non_finite);
                 trail.clear();
             };
             tile.trace(&context, pass.seed, &pass.samples, &mut paths, done);

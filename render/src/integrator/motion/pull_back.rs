@@ -3,15 +3,15 @@
 use ad_core::{Dual, Float, Vec2, Vec3};
 
 use super::slopes::{across, slope, slopes, varied};
-use super::trail::{Edge, Stop, Trail};
+use super::trail::{Stop, Trail, met, sampled_point};
 use crate::bsdf::Component;
-use crate::emitter::{AnyEmitter, Emitter, EmitterSample};
+use crate::emitter::{Emitter, EmitterSample};
 use crate::integrator::active::Active;
-use crate::integrator::record::{MetLight, Place};
+use crate::integrator::record::Place;
 use crate::math::{Ray, RayAdjoint, Rgb};
 use crate::params::{GradSink, Theta};
 use crate::scene::Scene;
-use crate::shape::{Shape, SurfaceAdjoint, SurfaceInteraction};
+use crate::shape::{SurfaceAdjoint, SurfaceInteraction};
 
 /// A point that may move, and its adjoint.
 #[derive(Clone, Copy, Debug)]
@@ -121,7 +121,7 @@ impl<'a, P: Float> PullBack<'a, P> {
     ) -> Rgb<P> {
         let mut leaves = Rgb::black();
         if let Some(b) = &stop.bounce {
-            let arriving = next + self.met(&stop.edge);
+            let arriving = next + met(self.scene, self.theta, &stop.edge);
             leaves += b.f * arriving.scale(b.weight);
             let a = d_l * stop.beta * arriving.scale(b.weight);
             let end = stop.edge.end.map(|_| k + 1);
@@ -144,7 +144,8 @@ impl<'a, P: Float> PullBack<'a, P> {
             if e.is_delta() {
                 self.delta_light(k, &stop.place, s.wi, s.f, [a, a_le], s.emitter, aim, grad);
             } else {
-                let end = self.end_of(e, &stop.place, aim);
+                let end = sampled_point(self.scene, e, &stop.place, aim)
+                    .map(|(prim, si)| self.push(prim, si));
                 let source = end.map_or(Source::Afar, Source::Point);
                 self.scattered(k, &stop.place, s.wi, Component::Continuous, s.f, a, source);
                 let d = match end {
@@ -155,32 +156,6 @@ impl<'a, P: Float> PullBack<'a, P> {
             }
         }
         leaves
-    }
-
-    /// Light that an edge met, weighed.
-    fn met(&self, edge: &Edge<P>) -> Rgb<P> {
-        let le = |m: &MetLight<P>| {
-            let e = &self.scene.emitters()[m.emitter as usize];
-            e.eval(self.theta, &m.emission).scale(m.weight)
-        };
-        edge.met.iter().map(le).fold(Rgb::black(), |a, b| a + b)
-    }
-
-    /// The point on a surface that was sampled.
-    fn end_of(
-        &mut self,
-        e: &AnyEmitter,
-        place: &Place<P>,
-        aim: &EmitterSample<P>,
-    ) -> Option<usize> {
-        let AnyEmitter::Area(area) = e else {
-            return None;
-        };
-        let prim = self.scene.primitive(area.shape, aim.prim);
-        let at = place.si.p + aim.d * aim.distance;
-        let coordinates = self.scene.shapes()[area.shape as usize].locate(aim.prim, at);
-        let si = self.scene.point_at(&Theta::still(), prim, coordinates);
-        Some(self.push(prim, si))
     }
 
     /// The unit vector from point `k` to `to`. Rays start off their surface and are not quite parallel to it: only with

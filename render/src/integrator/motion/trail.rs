@@ -3,12 +3,14 @@
 use ad_core::Float;
 use smallvec::SmallVec;
 
-use crate::emitter::EmitterSample;
+use crate::emitter::{AnyEmitter, Emitter, EmitterSample};
 use crate::integrator::record::{
     Bounce, Contribution, Interest, MetLight, Observer, Place, SampledLight,
 };
 use crate::math::Rgb;
-use crate::shape::SurfaceInteraction;
+use crate::params::Theta;
+use crate::scene::Scene;
+use crate::shape::{Shape, SurfaceInteraction};
 
 /// What an edge met.
 #[derive(Clone, Debug)]
@@ -112,4 +114,33 @@ impl<P: Float> Observer<P> for Trail<P> {
     fn aims(&mut self, sample: &EmitterSample<P>) {
         self.aim = Some(*sample);
     }
+}
+
+/// Light that an edge met, weighed.
+pub(in crate::integrator) fn met<P: Float>(
+    scene: &Scene,
+    theta: &Theta<P>,
+    edge: &Edge<P>,
+) -> Rgb<P> {
+    let le = |m: &MetLight<P>| {
+        let e = &scene.emitters()[m.emitter as usize];
+        e.eval(theta, &m.emission).scale(m.weight)
+    };
+    edge.met.iter().map(le).fold(Rgb::black(), |a, b| a + b)
+}
+
+/// The point on a surface that was sampled from a place; `None` for what is no surface.
+pub(in crate::integrator) fn sampled_point<P: Float>(
+    scene: &Scene,
+    e: &AnyEmitter,
+    place: &Place<P>,
+    aim: &EmitterSample<P>,
+) -> Option<(u32, SurfaceInteraction<P>)> {
+    let AnyEmitter::Area(area) = e else {
+        return None;
+    };
+    let prim = scene.primitive(area.shape, aim.prim);
+    let at = place.si.p + aim.d * aim.distance;
+    let coordinates = scene.shapes()[area.shape as usize].locate(aim.prim, at);
+    Some((prim, scene.point_at(&Theta::still(), prim, coordinates)))
 }

@@ -1,0 +1,128 @@
+//! Things that move above a floor, below a lamp: scenes, gradients in double precision, differences.
+
+use render::estimator::Unbiased;
+use render::instances::{Estimator, render_f64};
+use render::integrator::gradient::{Active, backward};
+use render::params::Theta;
+use render::sampler::Independent;
+use render::statistics::{Estimate, z_limit};
+use render::{Job, Scene, Settings};
+
+use crate::{mean_adjoint, values};
+
+/// Derivatives of the mean of all pixels and channels in double precision, from `runs` seeds.
+pub fn gradient<E: Unbiased>(s: &Scene, names: &[&str], runs: u64, spp: u64) -> Vec<Estimate> {
+    let all = values::<f64>(s);
+    let theta = Theta::constant(&all);
+    let active = Active::seen_by::<E, _>(s, names).expect("seen");
+    let adjoint = mean_adjoint(s);
+    let runs: Vec<Vec<f64>> = (0..runs)
+        .map(|seed| {
+            let job = Job::new(s, &s.settings, seed, 0..spp, &());
+            let g = backward::<f64, E, Independent>(&job, &theta, &active, &adjoint);
+            let g = g.expect("admitted");
+            assert_eq!(g.non_finite.count, 0);
+            g.values.concat()
+        })
+        .collect();
+    estimates(&runs)
+}
+
+fn estimates(runs: &[Vec<f64>]) -> Vec<Estimate> {
+    (0..runs[0].len())
+        .map(|i| Estimate::of(&runs.iter().map(|r| r[i]).collect::<Vec<_>>()))
+        .collect()
+}
+
+/// Mean of all pixels and channels.
+pub fn mean(s: &Scene, settings: &Settings, seed: u64, spp: u64) -> f64 {
+    let all = values::<f64>(s);
+    let job = Job::new(s, settings, seed, 0..spp, &());
+    let r = render_f64(&job, &Theta::constant(&all), Estimator::Mis);
+    r.mean(0).iter().sum::<f64>() / 3.0
+}
+
+/// Central differences in every element of the named ranges, from `runs` seeds.
+pub fn differences(s: &mut Scene, names: &[&str], h: f32, runs: u64, spp: u64) -> Vec<Estimate> {
+    let start = s.params().values().to_vec();
+    let settings = s.settings;
+    let mut out = Vec::new();
+    for name in names {
+        for i in s.params().find(name).expect("known").range() {
+            let mut at = |by: f32, seed: u64| {
+                let mut values = start.clone();
+                values[i] += by;
+                s.set_params(&values).expect("valid");
+                mean(s, &settings, 1000 + seed, spp)
+            };
+            let found: Vec<f64> = (0..runs)
+                .map(|seed| (at(h, seed) - at(-h, seed)) / (2.0 * f64::from(h)))
+                .collect();
+            out.push(Estimate::of(&found));
+        }
+    }
+    s.set_params(&start).expect("valid");
+    out
+}
+
+/// Asserts that a gradient is another one, of which `bias` times the largest is allowed for the step or for a kernel.
+///
+/// # Panics
+/// If it is not, or says nothing.
+pub fn agrees(what: &str, found: &[Estimate], expected: &[Estimate], bias: f64, runs: u64) {
+    let size = expected.iter().fold(0.0, |m: f64, e| m.max(e.mean.abs()));
+    let limit = z_limit(found.len(), runs, 1e-3);
+    for (i, (a, b)) in found.iter().zip(expected).enumerate() {
+        println!(
+            "{what} {i}: {:+.6} +- {:.6}, expected {:+.6} +- {:.6}",
+            a.mean, a.se, b.mean, b.se
+        );
+    }
+    for (i, (a, b)) in found.iter().zip(expected).enumerate() {
+        let off = (a.mean - b.mean).abs() - bias * size;
+        assert!(
+            off < limit * a.se.hypot(b.se),
+            "{what} {i}: {a:?}, not {b:?}"
+        );
+        assert!(
+            a.se.hypot(b.se) < 0.15 * size,
+            "{what} {i}: {a:?} {b:?} say nothing"
+        );
+    }
+}
+
+/// A picture of these elements, of 16 by 16 pixels, by paths of so many edges.
+pub fn scene(body: &str, depth: u32) -> Scene {
+    let s = format!(
+        r#"<integrator type="path"><integer name="max_depth" value="{depth}"/><integer name="rr_depth" value="100"/></integrator>
+        <sensor type="perspective"><float name="fov" value="45"/>
+            <transform name="to_world"><lookat origin="0, 3, 5" target="0, 0.4, 0" up="0, 1, 0"/></transform>
+            <film type="hdrfilm"><integer name="width" value="16"/><integer name="height" value="16"/>
+            <rfilter type="box"/></film></sensor>{body}"#
+    );
+    crate::scene(&s)
+}
+
+/// Materials `grey` and `metal`, a floor, and a lamp.
+pub const FLOOR: &str = r#"
+    <bsdf type="diffuse" id="grey"><rgb name="reflectance" value="0.6, 0.5, 0.4"/></bsdf>
+    <bsdf type="roughconductor" id="metal"><float name="alpha" value="0.35"/></bsdf>
+    <shape type="rectangle" id="floor"><transform name="to_world"><scale value="4"/><rotate x="1" angle="-90"/>
+        </transform><ref id="grey"/></shape>
+    <shape type="rectangle" id="lamp"><transform name="to_world"><scale value="0.6"/><rotate x="1" angle="90"/>
+        <translate x="0.7" y="3" z="-0.3"/></transform>
+        <emitter type="area"><rgb name="radiance" value="9, 10, 11"/></emitter></shape>"#;
+
+/// A cube `it` above [`FLOOR`].
+pub const CUBE: &str = r#"<shape type="cube" id="it"><transform name="to_world"><scale value="0.5"/><rotate y="1" angle="25"/>
+    <rotate x="1" angle="20"/><translate y="1.1"/></transform><ref id="grey"/></shape>"#;
+/// A ball `it`.
+pub const BALL: &str = r#"<shape type="sphere" id="it"><float name="radius" value="0.6"/><transform name="to_world">
+    <rotate y="1" angle="25"/><translate x="0.2" y="1.1" z="0.3"/></transform><ref id="grey"/></shape>"#;
+/// A disk `it`.
+pub const DISK: &str = r#"<shape type="disk" id="it"><transform name="to_world"><scale value="0.7"/><rotate x="1" angle="-60"/>
+    <translate y="1.2"/></transform><bsdf type="twosided"><ref id="grey"/></bsdf></shape>"#;
+/// A tube `it`.
+pub const TUBE: &str = r#"<shape type="cylinder" id="it"><point name="p0" x="-0.6" y="1" z="0.2"/>
+    <point name="p1" x="0.6" y="1.3" z="0"/><float name="radius" value="0.3"/>
+    <bsdf type="twosided"><ref id="grey"/></bsdf></shape>"#;
