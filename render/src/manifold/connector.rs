@@ -601,9 +601,14 @@ impl<'a> Connector<'a> {
             Normal::Facet(m) => Some(self.density(vertex, wi, m)?),
             Normal::Own | Normal::Smoothed(_) => None,
         };
-        // As mapped normals have it: on the same side of both. What facets are seen from where is the material's business.
-        let same = |w: Vec3<f64>| frame.n.dot(w) * n.dot(w) > 0.0;
-        (density.is_some() || (same(wo) && same(wi))).then(|| Link {
+        let along = |w: Vec3<f64>| frame.n.dot(w);
+        let possible = match density {
+            // Materials tell reflection from refraction by the surface's sides, and would take another facet for the one drawn.
+            Some(_) => (along(wo) * along(wi) > 0.0) == reflects,
+            // As mapped normals have it: on the same side of both.
+            None => [wo, wi].iter().all(|w| along(*w) * n.dot(*w) > 0.0),
+        };
+        possible.then(|| Link {
             shape: vertex.shape,
             prim: vertex.prim,
             si: vertex.si,

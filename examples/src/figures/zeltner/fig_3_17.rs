@@ -1,5 +1,6 @@
 //! [Zeltner 2021, figure 3.17]: constraints of half vectors and of angles, on a ball of glass.
 //!
+//! Walks start uniformly on casters, as the figure's do: where particles passed, half vectors are already near a root.
 //! That both have the same expectation is a matter of `tests/tests/manifold.rs`: here half vectors find some chains so seldom
 //! that their means are far from normal.
 
@@ -10,7 +11,7 @@ use render::RenderError;
 use render::instances::{Estimator, render_f32};
 use render::manifold::Statistics;
 use render::params::Theta;
-use render::scene::{Connections, Constraint, Method};
+use render::scene::{Connections, Constraint, Method, Starts};
 
 use super::specular_scenes::{View, buried_ball, connected, load};
 use crate::chart::Panel;
@@ -40,6 +41,7 @@ pub fn figure(fig: &mut Figure) -> Result {
         let connections = Connections {
             bounces: 1,
             constraint,
+            starts: Starts::Uniform,
             ..Connections::new(Method::Sms)
         };
         let settings = connected(&scene, Some(connections));
