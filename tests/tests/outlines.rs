@@ -126,6 +126,48 @@ fn corners_and_turns_change_nothing() {
     std::fs::remove_dir_all(&folder).expect("the folder goes");
 }
 
+/// Few faces with interpolated normals: each hides light from itself, so that what is seen jumps at its sides and as the lamp
+/// passes its horizon, and it is black where its normals turn away. Whatever moves, on the film and in the light. 8 runs of
+/// 256 samples of 256 pixels, and differences of 8 runs of 1024.
+#[test]
+#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
+fn coarse_faces_with_smooth_normals_agree_with_differences() {
+    let folder = std::env::temp_dir().join(format!("coarse-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).expect("a folder");
+    let path = folder.join("octahedron.obj");
+    let mut text = String::new();
+    for k in 0..3 {
+        for sign in [1, -1] {
+            let [x, y, z] = [0, 1, 2].map(|i| if i == k { sign } else { 0 });
+            text += &format!("v {x} {y} {z}\nvn {x} {y} {z}\n");
+        }
+    }
+    for octant in 0..8 {
+        let [x, y, z] = [0, 1, 2].map(|k| 2 * k + 1 + (octant >> k & 1));
+        let (y, z) = if i32::count_ones(octant) % 2 == 1 {
+            (z, y)
+        } else {
+            (y, z)
+        };
+        text += &format!("f {x}//{x} {y}//{y} {z}//{z}\n");
+    }
+    std::fs::write(&path, text).expect("a file");
+    let shape = format!(
+        r#"<shape type="obj" id="it"><string name="filename" value="{}"/><transform name="to_world">
+        <scale value="0.8"/><rotate y="1" angle="25"/><rotate x="1" angle="20"/><translate y="1.1"/></transform>
+        <ref id="grey"/></shape>"#,
+        path.display()
+    );
+    let mut s = scene(&format!("{FLOOR}{shape}"), 2);
+    for name in ["sensor.translation", "it.translation", "lamp.translation"] {
+        s.make_movable(&[name]).expect("known");
+        let found = gradient(&s, &[name], 8, 256);
+        let expected = differences(&mut s, &[name], 1.0 / 64.0, 8, 1024);
+        agrees(name, &found, &expected, 1e-2, 8);
+    }
+    std::fs::remove_dir_all(&folder).expect("the folder goes");
+}
+
 /// Without edges, the same test notices that visibility is missing.
 #[test]
 #[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]

@@ -35,14 +35,17 @@ pub(crate) enum Sides {
     Outline(Inside),
     /// This surface, and another one that the normal of the curve points to.
     Crease(Inside, Inside),
+    /// The same surface on both sides of where its normals turn away, the second one where the normal of the curve points
+    /// to. The cosine between the view and the unit shading normal has this slope along that, per radian.
+    Turn([Inside; 2], f64, Vec3<f64>),
 }
 
 /// A point of a surface just inside of an edge.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Inside {
-    spot: Spot,
+    pub(super) spot: Spot,
     /// World space, where that is not part of the spot.
-    p: Vec3<f64>,
+    pub(super) p: Vec3<f64>,
 }
 
 /// A point of a curve on the film.
@@ -58,7 +61,7 @@ pub(crate) struct FilmPoint {
 
 /// A piece of a curve on the film, in a range of its parameter.
 struct Piece {
-    /// Straight edges, then curves.
+    /// Straight edges, then curves, then two for each face where normals may turn away.
     item: u32,
     span: [f64; 2],
 }
@@ -116,16 +119,23 @@ impl Edges {
         };
         let reach = film.reach();
         for (edge, i) in self.straight.iter().zip(0..) {
-            if !moving(edge.shape..edge.shape + 1) || self.view(i, projection.origin).is_none() {
+            if !moving(edge.shape..edge.shape + 1) {
                 continue;
             }
+            let Some((view, _)) = self.view(i, projection.origin) else {
+                continue;
+            };
+            let share = match view {
+                View::Outline(_) => 1.0,
+                View::Crease => f64::from(edge.jump),
+            };
             let start = edge.start() - projection.origin;
             let [a, b] = [start, start + edge.along()].map(|p| projection.homogeneous(p));
             let Some(span) = clip(a, b, reach) else {
                 continue;
             };
             let [p, q] = span.map(|t| flat(between(a, b, t)));
-            curves.push(i as u32, span, (q[0] - p[0]).hypot(q[1] - p[1]));
+            curves.push(i as u32, span, (q[0] - p[0]).hypot(q[1] - p[1]) * share);
         }
         for (curve, i) in self.curves.iter().zip(0..) {
             if !moving(curve.shape..curve.shape + 1) {
@@ -141,12 +151,31 @@ impl Edges {
                 curves.split(item, span, &at, reach, 0);
             }
         }
+        let first = self.straight.len() + self.curves.len();
+        for (turn, i) in self.turns.iter().zip(0..) {
+            if !moving(turn.shape..turn.shape + 1) || !turn.may_turn(projection.origin) {
+                continue;
+            }
+            for root in 0..2 {
+                let at = |s: f64| {
+                    let (rim, _) = turn.rim(s, root, projection.origin)?;
+                    Some(projection.homogeneous(rim.p - projection.origin))
+                };
+                for k in 0..8 {
+                    let span = [k, k + 1].map(|k| f64::from(k) / 8.0);
+                    curves.split((first + 2 * i + root) as u32, span, &at, reach, 0);
+                }
+            }
+        }
         curves
     }
 
     fn film_rim(&self, item: usize, s: f64, x: Vec3<f64>) -> Option<(Rim, u32, Sides)> {
         let Some(edge) = self.straight.get(item) else {
-            let curve = &self.curves[item - self.straight.len()];
+            let i = item - self.straight.len();
+            let Some(curve) = self.curves.get(i) else {
+                return self.film_turn(i - self.curves.len(), s, x);
+            };
             let rim = curve.rim(s, x)?;
             let inside = curve.inside(&rim, x);
             return Some((rim, curve.shape, Sides::Outline(inside)));
@@ -168,6 +197,18 @@ impl Edges {
             spot: Spot::At(face.local, face.at(s)[0]),
         };
         Some((rim, edge.shape, sides))
+    }
+
+    fn film_turn(&self, i: usize, s: f64, x: Vec3<f64>) -> Option<(Rim, u32, Sides)> {
+        let turn = &self.turns[i / 2];
+        let (rim, insides) = turn.rim(s, i % 2, x)?;
+        let (seen, _) = rim.seen(x, turn.shape)?;
+        let Spot::At(_, at) = rim.spot else {
+            return None;
+        };
+        let (slope, n) = turn.slope(at, seen.direction, seen.normal, seen.distance);
+        let usable = slope != 0.0 && slope.is_finite();
+        usable.then_some((rim, turn.shape, Sides::Turn(insides, slope, n)))
     }
 }
 
@@ -249,15 +290,20 @@ impl FilmCurves {
         halvings: u32,
     ) {
         let middle = 0.5 * (span[0] + span[1]);
-        let (Some(a), Some(b), Some(m)) = (at(span[0]), at(span[1]), at(middle)) else {
-            return;
-        };
-        let points = [a, m, b];
+        let ends = [span[0], middle, span[1]].map(at);
         let mut halves = || {
             for span in [[span[0], middle], [middle, span[1]]] {
                 self.split(item, span, at, reach, halvings + 1);
             }
         };
+        let [Some(a), Some(m), Some(b)] = ends else {
+            // Up to where it ends.
+            if halvings < HALVINGS && ends.iter().any(Option::is_some) {
+                halves();
+            }
+            return;
+        };
+        let points = [a, m, b];
         if points.iter().any(|p| p[2] <= 0.0) {
             if halvings < HALVINGS && points.iter().any(|p| p[2] > 0.0) {
                 halves();
@@ -319,7 +365,13 @@ impl FilmCurves {
         let d = self.projection.homogeneous(tangent);
         let on_film = [0, 1].map(|k| (d[k] - at[k] * d[2]) / p[2]);
         let density = match straight {
-            Some(_) => on_film[0].hypot(on_film[1]) / total,
+            Some(edge) => {
+                let share = match sides {
+                    Sides::Crease(..) => f64::from(edge.jump),
+                    _ => 1.0,
+                };
+                on_film[0].hypot(on_film[1]) / total * share
+            }
             None => length / total / (span[1] - span[0]),
         };
         edge.weight = self.projection.pixels_per_steradian(at) * speed / density;

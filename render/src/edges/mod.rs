@@ -12,6 +12,7 @@
 pub(crate) mod film;
 mod topology;
 mod tree;
+mod turn;
 
 use std::collections::HashMap;
 
@@ -25,6 +26,7 @@ use crate::params::Theta;
 use crate::shape::{AnyShape, Shape, SurfaceCoordinates, lift3};
 use topology::Topology;
 use tree::Tree;
+use turn::Turn;
 
 /// How far inside of its outline a curved surface is looked at, as the cosine to its normal; and how far inside of its
 /// sides a flat one, as a part of it: where an edge is seen, so is the surface, on the side of the viewer.
@@ -53,8 +55,9 @@ struct Edge {
     faces: [Face; 2],
     /// Whether there is one face only.
     border: bool,
-    /// Whether what is seen jumps where both faces are seen.
-    jumps: bool,
+    /// What a curve on the film counts beside others where both faces are seen: one if normals or textures jump; where
+    /// normals are interpolated, the angle between the faces, since each hides light from itself; otherwise zero.
+    jump: f32,
 }
 
 /// What a curve is.
@@ -214,7 +217,7 @@ impl Edge {
         let inside = |side2: f64| (side2 > 0.0) == (side > 0.0);
         let all = inside(side2) && more.iter().all(|m| inside(plane.dot(lift3(*m))));
         if !all {
-            return self.jumps.then_some((View::Crease, normal));
+            return (self.jump > 0.0).then_some((View::Crease, normal));
         }
         // The face in front rises less behind the edge.
         let d = (to + self.along() * 0.5).normalize();
@@ -371,6 +374,7 @@ pub(crate) struct Edges {
     straight: Vec<Edge>,
     more: HashMap<u32, Vec<[f32; 3]>>,
     curves: Vec<Curve>,
+    turns: Vec<Turn>,
     tree: Tree,
 }
 
@@ -381,14 +385,21 @@ impl Edges {
             straight,
             more,
             curves,
+            turns,
         } = Topology::of(shapes);
         let tree = Tree::of(&straight, &more, &curves);
         Self {
             straight,
             more,
             curves,
+            turns,
             tree,
         }
+    }
+
+    /// Whether any normals are interpolated.
+    pub fn has_turns(&self) -> bool {
+        !self.turns.is_empty()
     }
 
     fn more(&self, edge: usize) -> &[[f32; 3]] {

@@ -7,6 +7,7 @@ use std::collections::HashMap;
 
 use ad_core::Vec3;
 
+use super::turn::Turn;
 use super::{Curve, CurveKind, Edge, Face};
 use crate::params::Theta;
 use crate::shape::{AnyShape, Mesh, Patch, Shape, SurfaceCoordinates, SurfaceInteraction, lift3};
@@ -39,6 +40,8 @@ pub(super) struct Topology {
     /// Directions into the third and further faces of an edge.
     pub more: HashMap<u32, Vec<[f32; 3]>>,
     pub curves: Vec<Curve>,
+    /// Faces whose normals are interpolated.
+    pub turns: Vec<Turn>,
 }
 
 /// Unit vectors of texture space that say where the corners of a face are.
@@ -152,6 +155,23 @@ impl Topology {
             normals || seam
         };
         self.join(index, &polygons, jumps);
+        if data.normals.is_empty() {
+            return;
+        }
+        for (t, local) in data.triangles.iter().zip(0..) {
+            let corners = t.map(|v| data.positions[v as usize]);
+            let normals = t.map(|v| data.normals[v as usize]);
+            let [a, b, c] = corners.map(lift3::<f64>);
+            let area = (b - a).cross(c - a).length_squared();
+            if area > 0.0 && normals.iter().any(|n| *n != normals[0]) {
+                self.turns.push(Turn {
+                    shape: index,
+                    local,
+                    corners,
+                    normals,
+                });
+            }
+        }
     }
 
     fn patches(&mut self, index: u32, shape: &AnyShape) {
@@ -237,7 +257,7 @@ impl Topology {
                 into: [single(m), [0.0; 3]],
                 faces: [face(&group[0]); 2],
                 border: group.len() == 1,
-                jumps: false,
+                jump: 0.0,
             };
             if let [_, other, ..] = group {
                 let m2 = into(other.1);
@@ -248,8 +268,13 @@ impl Topology {
                 if edge.faces[1].reversed {
                     (c, d) = (d, c);
                 }
-                edge.jumps = jumps(bent, a.vertex, c.vertex) || jumps(bent, b.vertex, d.vertex);
-                if !bent && !edge.jumps {
+                let jumps = jumps(bent, a.vertex, c.vertex) || jumps(bent, b.vertex, d.vertex);
+                if jumps || group.len() > 2 {
+                    edge.jump = 1.0;
+                } else if bent {
+                    edge.jump = (2.0 * (m.dot(m2) + 1.0)).sqrt().min(1.0) as f32;
+                }
+                if !bent && !jumps {
                     continue;
                 }
             }

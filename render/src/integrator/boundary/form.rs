@@ -69,7 +69,8 @@ pub(super) enum Mover<P> {
     Light(ParamRef),
 }
 
-/// A multiple of a velocity: of a point along `o`; of a ray besides, of its direction along `d`.
+/// A multiple of a velocity: of a point along `o`; along `d` besides, of the direction of a ray, or of the shading normal of
+/// what a ray meets.
 #[derive(Clone, Copy)]
 pub(super) struct Term<P> {
     pub mover: Mover<P>,
@@ -113,7 +114,7 @@ impl<P: Float> Term<P> {
             Mover::Seen(prim, [x, y], si) => {
                 let ray = scene.camera.ray_moving(theta, x, y);
                 let seen = scene.interaction(theta, &ray, &hit_at(prim, si.t));
-                form(seen.si.p, self.along.o)
+                form(seen.si.p, self.along.o) + form(seen.si.frame.n, self.along.d)
             }
             Mover::Camera([x, y]) => {
                 let ray = scene.camera.ray_moving(theta, x, y);
@@ -127,7 +128,7 @@ impl<P: Float> Term<P> {
     /// Adds its transpose, for an adjoint of its value.
     pub fn scatter(&self, scene: &Scene, theta: &Theta<P>, adjoint: P, sink: &mut Sink) {
         let RayAdjoint { o, d } = self.along;
-        let surface = SurfaceAdjoint {
+        let mut surface = SurfaceAdjoint {
             p: o * adjoint,
             ..SurfaceAdjoint::zero()
         };
@@ -136,6 +137,7 @@ impl<P: Float> Term<P> {
                 scene.scatter_point(theta, prim, &si, &surface, P::zero(), sink);
             }
             Mover::Seen(prim, at, si) => {
+                surface.frame.n = d * adjoint;
                 let ray = scene.camera.ray(at[0], at[1]);
                 let back = scene.scatter_interaction(theta, prim, &ray, &si, &surface, sink);
                 scene.camera.scatter_ray(theta, at, &back, sink);

@@ -21,6 +21,7 @@
 mod form;
 mod shadows;
 
+use std::f64::consts::TAU;
 use std::ops::Range;
 
 use ad_core::{Const, Float, Vec3};
@@ -42,7 +43,7 @@ use crate::camera::Pinhole;
 use crate::edges::film::{FilmCurves, FilmPoint, Inside, Sides};
 use crate::edges::{EdgePoint, Edges, Seeker, Surfaces};
 use crate::estimator::{Still, Strategy};
-use crate::math::{NOWHERE, Ray, RayAdjoint, Rgb, Segment};
+use crate::math::{Frame, NOWHERE, Ray, RayAdjoint, Rgb, Segment};
 use crate::parallel;
 use crate::params::Theta;
 use crate::sampler::{Purpose, Sampler};
@@ -54,6 +55,8 @@ use crate::shape::{Shape, SurfaceInteraction};
 const CLEARANCE: [f64; 2] = [3e-5, 1e-6];
 /// What is met nearer than this part of the distance of an edge hides it.
 const SAME_DEPTH: f64 = 1.0 - 1e-3;
+/// The normal of an edge and that of a face whose plane it lies in have a cosine above this.
+const IN_PLANE: f64 = 1.0 - 1e-8;
 /// Edges that a vertex chooses among.
 const CANDIDATES: u32 = 4;
 /// What edges that do not move count beside others, where the vertex does not move either: what is behind them may.
@@ -161,8 +164,13 @@ impl<'a, P: Float> Boundary<'a, P> {
         }
     }
 
-    /// Whether paths look for edges at all.
+    /// Whether paths look for edges, or for horizons of their own vertices.
     fn at_vertices(&self) -> bool {
+        let horizons = self.edges.has_turns() && self.context.settings.max_depth > 1;
+        horizons || self.edges_at_vertices()
+    }
+
+    fn edges_at_vertices(&self) -> bool {
         let infinite = self.context.scene.infinite_emitters();
         match self.context.settings.max_depth {
             0..=1 => false,
@@ -256,7 +264,7 @@ impl<'a, P: Float> Boundary<'a, P> {
                 weight *= hit.map_or(1.0, |hit| self.share_of_contact(&edge, &past, &hit));
                 inside(front) - self.radiance::<S, X>(past, hit, 1, sampler)
             }
-            Sides::Crease(near, far) => {
+            Sides::Crease(near, far) | Sides::Turn([near, far], ..) => {
                 let segment = Segment {
                     ray,
                     length: P::of(edge.distance * SAME_DEPTH),
@@ -271,6 +279,11 @@ impl<'a, P: Float> Boundary<'a, P> {
         if jump.is_black() {
             return None;
         }
+        let value = jump.scale(P::of(weight));
+        if let Sides::Turn(_, slope, shading) = sides {
+            let form = self.of_turn(&edge, slope, shading, at);
+            return Some((at, Contribution { value, form }));
+        }
         let n = edge.normal * edge.distance.recip();
         let mut form: Form<P> = self.of_edge(&edge, n).into_iter().collect();
         if self.moving.camera {
@@ -282,8 +295,35 @@ impl<'a, P: Float> Boundary<'a, P> {
                 },
             });
         }
-        let value = jump.scale(P::of(weight));
         Some((at, Contribution { value, form }))
+    }
+
+    /// The speed on the film of a curve where normals turn away: it slides over the material, so that the cosine between
+    /// view and normal stays zero.
+    fn of_turn(&self, edge: &EdgePoint, slope: f64, shading: Vec3<f64>, at: [f64; 2]) -> Form<P> {
+        let scene = self.context.scene;
+        let (prim, spot) = self.surfaces.material::<P>(edge);
+        let mut si = scene.point_at(&Theta::still(), prim, spot);
+        si.t = P::of(edge.distance);
+        // Meshes may be turned inside out.
+        let slope = slope * wide(si.frame.n).dot(shading).signum();
+        let at = at.map(P::of);
+        let term = |mover: Mover<P>, along: Vec3<f64>| Term {
+            mover,
+            along: RayAdjoint {
+                o: Vec3::zero(),
+                d: along.map(P::of),
+            },
+        };
+        let mut form = Form::new();
+        form.push(term(
+            Mover::Seen(prim, at, si),
+            edge.direction * -slope.recip(),
+        ));
+        if self.moving.camera {
+            form.push(term(Mover::Camera(at), wide(si.frame.n) * -slope.recip()));
+        }
+        form
     }
 
     /// Where the borders of two shapes are in one place, as those of walls in the corners of a room, each has half of the
@@ -356,6 +396,10 @@ impl<'a, P: Float> Boundary<'a, P> {
             let Some(edge) = self.edges.draw(&seeker, &lamps, u) else {
                 continue;
             };
+            // The sides of its own face are its horizon.
+            if si.n_geo != si.frame.n && edge.normal.dot(normal).abs() > IN_PLANE {
+                continue;
+            }
             let d = edge.direction.map(P::of).normalize();
             let wi = si.frame.to_local(d);
             let f = material.eval(&shading, *wo, wi, MODE);
@@ -408,6 +452,81 @@ impl<'a, P: Float> Boundary<'a, P> {
         (!form.is_empty()).then_some(Contribution { value, form })
     }
 
+    /// The horizon of the face of a vertex whose shading normal is another one: light from just above and just below, which
+    /// the face itself hides. A point of its plane stays there, so that the horizon moves as an edge.
+    fn at_horizon<S: Strategy, X: Sampler>(
+        &self,
+        beta: Rgb<P>,
+        here: &Place<P>,
+        depth: u32,
+        film: [P; 2],
+        mut sampler: X,
+        each: &mut impl FnMut(Contribution<P>),
+    ) {
+        let scene = self.context.scene;
+        let Place { si, wo, .. } = here;
+        if scene.shape_info(here.shape).delta
+            || beta.is_black()
+            || depth >= self.context.settings.max_depth
+        {
+            return;
+        }
+        sampler.seek(Purpose::Edges(CANDIDATES).at(depth));
+        let u: f64 = sampler.next_1d();
+        let normal = wide(si.n_geo);
+        let around = Frame::from_normal(normal);
+        let (sin, cos) = (TAU * u).sin_cos();
+        let direction = around.s * cos + around.t * sin;
+        let shading = Shading {
+            theta: *self.context.theta,
+            uv: si.uv,
+        };
+        let wi = si.frame.to_local(direction.map(P::of).normalize());
+        let f = (scene.material(here.shape)).eval(&shading, *wo, wi, MODE);
+        if f.is_black() {
+            return;
+        }
+        let shape = &self.surfaces.shapes[here.shape as usize];
+        let reach = f64::from(shape.extent());
+        let x = wide(si.p);
+        let edge = {
+            let p = (x + direction * reach).map(P::of);
+            let local = here.prim - self.surfaces.firsts[here.shape as usize];
+            let uv = shape.locate(local, p).0;
+            SurfaceInteraction { p, uv, ..*si }
+        };
+        let x_moves = self.moving.shapes[here.shape as usize] || (depth == 1 && self.moving.camera);
+        for side in [1.0, -1.0] {
+            let n = normal * side;
+            let d = (direction + n * CLEARANCE[0]).map(P::of).normalize();
+            let ray = si.spawn_ray(d, scene.exit(here.prim));
+            let hit =
+                (scene.nearest(&ray)).map(|hit| scene.interaction(&Theta::still(), &ray, &hit));
+            let light = Walk::<P, Still<S>, X>::behind(ray, sampler, depth + 1, true)
+                .finish_at(&self.context, hit);
+            if light.is_black() {
+                continue;
+            }
+            let near = reach.recip();
+            let far = hit.map_or(0.0, |hit| (wide(hit.si.p) - x).length().recip());
+            let mut form: Form<P> = Form::new();
+            form.extend(self.material(here.prim, here.shape, || edge, n * near));
+            if let Some(hit) = hit {
+                form.extend(self.material(hit.prim, hit.shape, || hit.si, n * -far));
+            }
+            let along = n * (far - near);
+            if depth > 1 {
+                form.extend(self.material(here.prim, here.shape, || *si, along));
+            } else if x_moves {
+                form.push(Term::point(Mover::Seen(here.prim, film, *si), along));
+            }
+            if !form.is_empty() {
+                let value = -(beta * f * light).scale(P::of(TAU));
+                each(Contribution { value, form });
+            }
+        }
+    }
+
     /// Calls `each` with a contribution to the pixel of a sample for every vertex of its path.
     fn along_path<S: Strategy, X: Sampler>(
         &self,
@@ -423,9 +542,13 @@ impl<'a, P: Float> Boundary<'a, P> {
             sample.pixel,
             sample.index,
         );
+        let edges = self.edges_at_vertices();
         for ((beta, here), depth) in vertices.0.iter().zip(1..) {
-            if let Some(c) = self.at_vertex::<S, X>(*beta, here, depth, [x, y], sampler) {
+            if edges && let Some(c) = self.at_vertex::<S, X>(*beta, here, depth, [x, y], sampler) {
                 each(c);
+            }
+            if here.si.n_geo != here.si.frame.n {
+                self.at_horizon::<S, X>(*beta, here, depth, [x, y], sampler, &mut each);
             }
         }
     }
