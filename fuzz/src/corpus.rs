@@ -85,7 +85,7 @@ pub const OTHERS: &str = r#"<scene version="2.1.0">
     <bsdf type="null" id="n"/>
     <bsdf type="twosided" id="b"><bsdf type="roughconductor"><float name="alphaU" value="0.3"/><float name="alphaV" value="0.1"/></bsdf></bsdf>
     <bsdf type="roughdielectric" id="d"><float name="alphaU" value="0.3"/><float name="alphaV" value="0.1"/></bsdf>
-    <bsdf type="principled" id="q"><float name="anisotropic" value="0.5"/></bsdf>
+    <bsdf type="principled" id="q"><float name="anisotropic" value="0.5"/><float name="spec_trans" value="0.4"/></bsdf>
     <shape type="sphere"><ref id="b"/></shape>
     <shape type="sphere"><ref id="d"/></shape>
     <shape type="sphere"><ref id="q"/></shape>

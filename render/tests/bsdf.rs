@@ -198,6 +198,24 @@ const MATERIALS: &[(&str, &str, &str, Sampled)] = &[
         Sampled::AsMixture,
     ),
     (
+        "principled glass",
+        "principled",
+        r#"<rgb name="base_color" value=".7 .4 .1"/><float name="metallic" value=".2"/>
+           <float name="roughness" value=".6"/><float name="spec_trans" value=".6"/>
+           <float name="specular" value=".7"/>"#,
+        Sampled::AsMixture,
+    ),
+    (
+        "brushed principled glass",
+        "principled",
+        r#"<rgb name="base_color" value=".7 .4 .1"/><float name="metallic" value=".2"/>
+           <float name="roughness" value=".6"/><float name="anisotropic" value=".7"/>
+           <float name="eta" value="1.5"/><float name="spec_trans" value=".6"/>
+           <float name="flatness" value=".4"/><float name="sheen" value=".7"/>
+           <float name="clearcoat" value=".8"/><float name="clearcoat_gloss" value=".2"/>"#,
+        Sampled::AsMixture,
+    ),
+    (
         "stained metal",
         "blendbsdf",
         r#"<float name="weight" value=".3"/><bsdf type="roughconductor"/><bsdf type="diffuse"/>"#,
@@ -1494,8 +1512,18 @@ fn bad_descriptions_are_errors() {
         ("polarizer", "", "polarisation is not there"),
         (
             "principled",
-            r#"<float name="spec_trans" value=".1"/>"#,
-            "transmission",
+            r#"<float name="spec_trans" value="1.1"/>"#,
+            "spec_trans",
+        ),
+        (
+            "principled",
+            r#"<float name="spec_trans" value=".1"/><float name="specular" value="0"/>"#,
+            "specular",
+        ),
+        (
+            "twosided",
+            r#"<bsdf type="principled"><float name="spec_trans" value=".1"/></bsdf>"#,
+            "principled",
         ),
         (
             "principled",
@@ -1621,6 +1649,65 @@ fn numbers_may_be_colours() {
     let uniform =
         r#"<texture name="opacity" type="uniform"><float name="value" value="0.3"/></texture>"#;
     assert_eq!(opacity(uniform), 0.3);
+}
+
+/// White principled glass is rough glass of the same facets, from both sides and for particles; and its values and samples
+/// are finite where colours are black or nothing is glass.
+#[test]
+fn principled_glass_is_rough_glass() {
+    let node = |transmission: &str, base: &str| {
+        let content = format!(
+            r#"<rgb name="base_color" value="{base}"/><float name="roughness" value=".6"/><float name="eta" value="1.5"/>
+            <float name="spec_trans" value="{transmission}"/>"#
+        );
+        build("principled", &content).expect(&content)
+    };
+    let (ours, params) = node("1", "1 1 1");
+    let (peer, peer_params) = build(
+        "roughdielectric",
+        r#"<string name="distribution" value="ggx"/><float name="alpha" value=".36"/>
+        <float name="int_ior" value="1.5"/><float name="ext_ior" value="1"/>"#,
+    )
+    .unwrap();
+    let numbers = |p: &Params| -> Vec<f64> { p.values().iter().map(|&v| v.into()).collect() };
+    let (a, mut b) = (numbers(&params), numbers(&peer_params));
+    let offset = |p: &Params, name: &str| {
+        let found = p.infos().iter().find(|i| i.name.ends_with(name));
+        found.expect(name).offset
+    };
+    let roughness = a[offset(&params, "roughness.value")];
+    b[offset(&peer_params, "alpha.value")] = roughness * roughness;
+    let mut lit = 0;
+    for wo in directions() {
+        for wi in directions().into_iter().chain(directions().map(|w| -w)) {
+            for mode in MODES {
+                let [f, g] = [(&ours, &a), (&peer, &b)]
+                    .map(|(m, v)| m.eval(&at(Theta::constant(v)), wo, wi, mode).to_array());
+                for (f, g) in f.into_iter().zip(g) {
+                    assert!(
+                        (f - g).abs() < 1e-6 * g.abs().max(1e-3),
+                        "{wo:?} {wi:?}: {f} {g}"
+                    );
+                    lit += u32::from(g > 0.0);
+                }
+            }
+        }
+    }
+    assert!(lit > 60, "{lit}");
+    for (transmission, base) in [("1", "0 0 0"), ("1e-30", "1 1 1"), ("1e-30", "0 0 0")] {
+        let (m, params) = node(transmission, base);
+        let values = numbers(&params);
+        let at = at(Theta::constant(&values));
+        for (i, wo) in directions().into_iter().enumerate() {
+            for k in 0..200 {
+                let u = Independent::new(5, i as u64, k).next_3d();
+                if let Some(s) = m.sample(&at, wo, u, MODES[0]) {
+                    let f = m.eval(&at, wo, s.wi, MODES[0]);
+                    assert!(f.is_finite() && s.pdf > 0.0 && s.pdf.is_finite());
+                }
+            }
+        }
+    }
 }
 
 /// Of the parts of a principled material: what is white, smooth and without reflection is diffuse, a metal is a rough

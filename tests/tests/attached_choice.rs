@@ -168,6 +168,9 @@ fn nothing_changes_but_derivatives_in_what_choices_depend_on() {
         "window: ball.bsdf.eta.value",
         "principled: ball.bsdf.metallic.value",
         "principled: ball.bsdf.clearcoat.value",
+        "principled glass: ball.bsdf.metallic.value",
+        "principled glass: ball.bsdf.spec_trans.value",
+        "principled glass: ball.bsdf.eta.value",
         "brushed principled: ball.bsdf.metallic.value",
         "brushed glass: ball.bsdf.eta.value",
     ];

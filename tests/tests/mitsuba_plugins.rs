@@ -88,6 +88,17 @@ fn materials() -> Vec<(String, String)> {
             <float name="metallic" value="0.6"/><float name="anisotropic" value="0.8"/>"#,
         ),
         (
+            "principled",
+            r#"<rgb name="base_color" value="0.7, 0.5, 0.4"/><float name="roughness" value="0.5"/>
+            <float name="metallic" value="0.2"/><float name="spec_trans" value="0.8"/><float name="eta" value="1.5"/>
+            <float name="sheen" value="0.4"/><float name="clearcoat" value="0.5"/><float name="clearcoat_gloss" value="0.1"/>"#,
+        ),
+        (
+            "principled",
+            r#"<rgb name="base_color" value="0.7, 0.9, 0.8"/><float name="roughness" value="0.4"/>
+            <float name="anisotropic" value="0.6"/><float name="spec_trans" value="1"/><float name="specular" value="0.5"/>"#,
+        ),
+        (
             "roughconductor",
             r#"<string name="distribution" value="ggx"/><float name="alpha_u" value="0.4"/>
             <float name="alpha_v" value="0.1"/><string name="material" value="Cu"/>"#,

@@ -96,6 +96,7 @@ fn the_schema_knows_what_scenes_have() {
         ("bsdf", "roughconductor", "alpha_v"),
         ("bsdf", "normalmap", "use_slopes"),
         ("bsdf", "principled", "clearcoat_gloss"),
+        ("bsdf", "principled", "spec_trans"),
         ("emitter", "envmap", "filename"),
         ("film", "hdrfilm", "pixel_format"),
         ("integrator", "path", "hide_emitters"),

@@ -906,7 +906,7 @@ impl<L: Leaf> Bsdf for L {
 /// Most textures a leaf may have: scenes with more are refused when they are built.
 pub const MAX_SLOTS: usize = 4;
 /// The same for a leaf that says so ([`Leaf::MANY`]).
-pub const MANY_SLOTS: usize = 9;
+pub const MANY_SLOTS: usize = 10;
 
 /// The value of a lobe that was used. Without samples of its own, the change of normals is part of the rest.
 #[inline(always)]

@@ -1,19 +1,22 @@
-//! The material of [Burley 2012] that modelling programs write, as far as it reflects.
+//! The material of [Burley 2012] and [Burley 2015] that modelling programs write.
 
 use std::f64::consts::{FRAC_1_PI, PI};
 
 use ad_core::{Const, Float, Real, Vec3};
 
 use super::microfacet::{Alpha, Axes, Microfacet, Ndf};
+use super::nesting::attached_choice;
 use super::rough_conductor::{half_vector, reflect, reflection};
+use super::rough_dielectric::{Facet, scatter, upwards};
 use super::{BsdfSample, Component, Leaf, Lobe, Reader, TransportMode, constant, fresnel};
 use crate::error::SceneError;
 use crate::math::{Rgb, warp};
 use crate::plugin::{FromNode, Node, Registry};
 use crate::texture::{RgbTexture, ScalarTexture};
 
-/// A one-sided surface between a metal and a coloured dielectric, with sheen and a clear coat. What a scene file does not
-/// mention costs nothing and is no parameter. `T` is a texture where the main reflection is anisotropic.
+/// A surface between a metal and a coloured dielectric, with sheen and a clear coat: one-sided, unless some of it is glass.
+/// What a scene file does not mention costs nothing and is no parameter. `T` is a texture where the main reflection is
+/// anisotropic.
 #[derive(Clone, Debug)]
 pub struct Principled<T = ()> {
     /// Colour of the base, and of reflection by metal.
@@ -30,6 +33,8 @@ pub struct Principled<T = ()> {
     pub sheen: Option<ScalarTexture>,
     /// Strength and gloss of a second, colourless reflection.
     pub clearcoat: Option<[ScalarTexture; 2]>,
+    /// How much of what is no metal is rough glass, from 0 to 1; then there is a `dielectric`.
+    pub transmission: Option<ScalarTexture>,
     /// How much longer than wide highlights are, from 0 to 1.
     pub anisotropic: T,
 }
@@ -52,6 +57,8 @@ const ELONGATION: f64 = 0.9;
 const LEAST_ALPHA: f64 = 1e-3;
 /// A dielectric of less `specular` reflects nothing.
 const LEAST_SPECULAR: f64 = 1e-4;
+/// The least `specular` of glass: with less, refraction degenerates to a Dirac delta.
+const LEAST_GLASS: f64 = 1e-3;
 /// Roughness of the clear coat without gloss and with all of it.
 const COAT: [f64; 2] = [0.1, 1e-3];
 /// Roughness in the masking of the clear coat.
@@ -64,13 +71,16 @@ const GRAZING: f64 = 1e-4;
 /// [`Principled`] at a point: diffuse and retro-reflection, a fake of subsurface scattering, sheen and clear coat are those
 /// of [Burley 2012] and [Burley 2015]; the main reflection is, as in Mitsuba 3, the Fresnel reflectance of a dielectric instead
 /// of Schlick's fit, mixed with Schlick's of the metal, over GGX with separable masking; the clear coat has Mitsuba's
-/// masking, too. Roughness along and across is that of [Burley 2012], where highlights are longer.
+/// masking, too. Roughness along and across is that of [Burley 2012], where highlights are longer. Glass, seen from both
+/// sides, is that of [Burley 2015] as Mitsuba 3 has it: refraction by the facets of the main reflection, times the
+/// root of the colour, so that what passes two surfaces has the colour. From below, nothing but glass is seen.
 ///
 /// # Does not handle
-/// Transmission and tints: scene files that ask for them are refused. Tints would mix colour channels.
+/// Tints: scene files that ask for them are refused. They would mix colour channels.
 ///
 /// # Derivatives
-/// None in a roughness whose square is below `LEAST_ALPHA`: the model is constant there.
+/// None in a roughness whose square is below `LEAST_ALPHA`: the model is constant there. None of refraction in a colour that
+/// is zero, where the root has no slope.
 #[derive(Clone, Copy, Debug)]
 pub struct PrincipledLobe<R, A = R> {
     base_color: Rgb<R>,
@@ -83,6 +93,7 @@ pub struct PrincipledLobe<R, A = R> {
     sheen: Option<R>,
     /// Strength and roughness.
     clearcoat: Option<[R; 2]>,
+    transmission: Option<R>,
 }
 
 impl Leaf for Principled {
@@ -134,6 +145,7 @@ impl<T> Principled<T> {
             let (strength, gloss) = (read.scalar(strength), read.scalar(gloss));
             [strength, gloss * R::c(COAT[1] - COAT[0]) + R::c(COAT[0])]
         });
+        let transmission = self.transmission.as_ref().map(|t| read.scalar(t));
         PrincipledLobe {
             base_color,
             roughness,
@@ -147,6 +159,7 @@ impl<T> Principled<T> {
             flatness,
             sheen,
             clearcoat,
+            transmission,
         }
     }
 }
@@ -182,11 +195,18 @@ fn coat_normal<R: Real>(alpha: R, u: [R::Primal; 2]) -> Vec3<R> {
     Vec3::new(sin * Const(cos_phi), sin * Const(sin_phi), cos).normalize()
 }
 
-/// Shares of the main reflection, the base and the clear coat among samples.
+/// What is neither metal nor glass.
 #[inline]
-fn shares<S: Real>(metallic: S, clearcoat: Option<S>) -> [S; 3] {
+fn opaque<S: Real>(metallic: S, transmission: Option<S>) -> S {
+    let matt = -metallic + S::c(1.0);
+    transmission.map_or(matt, |t| matt * (-t + S::c(1.0)))
+}
+
+/// Shares of facets, the base and the clear coat among samples from above.
+#[inline]
+fn shares<S: Real>(metallic: S, clearcoat: Option<S>, transmission: Option<S>) -> [S; 3] {
     let least = S::of(LEAST_SHARE);
-    let base = (-metallic + S::c(1.0)) + least;
+    let base = opaque(metallic, transmission) + least;
     let coat = clearcoat.map_or(S::zero(), |c| c * S::c(0.25) + least);
     let main = S::one();
     let whole = (main + base + coat).recip();
@@ -195,9 +215,101 @@ fn shares<S: Real>(metallic: S, clearcoat: Option<S>) -> [S; 3] {
 
 impl<R: Real, A: Alpha<Scalar = R>> PrincipledLobe<R, A> {
     #[inline]
+    fn shares(&self) -> [R; 3] {
+        let strength = self.clearcoat.map(|[strength, _]| strength);
+        shares(self.metallic, strength, self.transmission)
+    }
+
+    #[inline]
     fn primal_shares(&self) -> [R::Primal; 3] {
         let strength = self.clearcoat.map(|[strength, _]| strength.primal());
-        shares(self.metallic.primal(), strength)
+        let transmission = self.transmission.map(Real::primal);
+        shares(self.metallic.primal(), strength, transmission)
+    }
+
+    /// `shares` of what is reflected, given the probability that a facet refracts.
+    #[inline]
+    fn reflecting<S: Real>(mut shares: [S; 3], refracts: Option<S>) -> [S; 3] {
+        if let Some(refracts) = refracts {
+            shares[0] *= -refracts + S::c(1.0);
+        }
+        shares
+    }
+
+    /// Probability that a sampled facet, seen from above under `cos`, refracts. Not zero without glass, which
+    /// has a derivative (errata F7).
+    #[inline]
+    fn refracts(&self, cos: R) -> Option<R> {
+        let (transmission, eta) = (self.transmission?, self.eta?);
+        let glass = (-self.metallic + R::c(1.0)) * transmission;
+        Some(attached_choice(glass) * fresnel::dielectric(cos, eta).transmit)
+    }
+
+    /// Light that glass refracts, or reflects from below.
+    #[inline]
+    fn glass(&self, wo: Vec3<R>, wi: Vec3<R>, mode: TransportMode) -> Rgb<R> {
+        let (Some(transmission), Some(eta)) = (self.transmission, self.eta) else {
+            return Rgb::black();
+        };
+        let Some(f) = Facet::between(wo, wi, eta) else {
+            return Rgb::black();
+        };
+        let glass = (-self.metallic + R::c(1.0)) * transmission;
+        if f.reflects {
+            let value = reflection(&self.microfacet, wo, wi, f.m);
+            return Rgb::splat(glass * f.fresnel.reflect * value);
+        }
+        let value = f.refraction(&self.microfacet, [wo, wi], mode) * glass;
+        self.base_color.map(|colour| colour.sqrt() * value)
+    }
+
+    /// Density of such directions where facets do that, and the probability that they are chosen to.
+    #[inline]
+    fn glass_density(&self, wo: Vec3<R>, wi: Vec3<R>) -> Option<[R; 2]> {
+        self.transmission?;
+        let f = Facet::between(wo, wi, self.eta?)?;
+        if f.reflects {
+            let density = self.microfacet.pdf_reflected(upwards(wo), f.m);
+            return Some([density, f.fresnel.reflect]);
+        }
+        let density = f.pdf_refracted(&self.microfacet, wo);
+        let chosen = if wo.z.primal() > R::Primal::zero() {
+            self.shares()[0] * self.refracts(wo.dot(f.m))?
+        } else {
+            f.fresnel.transmit
+        };
+        Some([density, chosen])
+    }
+
+    /// [`Lobe::sample`] from below: a facet reflects or refracts.
+    #[inline]
+    fn sample_below(
+        &self,
+        wo: Vec3<R>,
+        u: [R::Primal; 3],
+        mode: TransportMode,
+    ) -> Option<BsdfSample<R>> {
+        let zero = R::Primal::zero();
+        if self.transmission.is_none() || wo.z.primal() == zero {
+            return None;
+        }
+        let m = self.microfacet.sample(upwards(wo), [u[1], u[2]]);
+        let reflects = |f: &fresnel::Dielectric<R>| u[0] < f.reflect.primal();
+        let (wi, eta) = scatter(wo, m, self.eta?, reflects)?;
+        self.sampled(wo, wi, eta, mode)
+    }
+
+    /// A sampled direction, with its density.
+    #[inline]
+    fn sampled(
+        &self,
+        wo: Vec3<R>,
+        wi: Vec3<R>,
+        eta: R::Primal,
+        mode: TransportMode,
+    ) -> Option<BsdfSample<R>> {
+        let sample = BsdfSample::reflected(wi, self.pdf(wo, wi, mode))?;
+        Some(BsdfSample { eta, ..sample })
     }
 
     /// Densities of `wi` in each of those, given the half vector.
@@ -251,9 +363,9 @@ impl<R: Real, A: Alpha<Scalar = R>> PrincipledLobe<R, A> {
 
 impl<R: Real, A: Alpha<Scalar = R>> Lobe<R> for PrincipledLobe<R, A> {
     #[inline]
-    fn eval(&self, wo: Vec3<R>, wi: Vec3<R>, _mode: TransportMode) -> Rgb<R> {
+    fn eval(&self, wo: Vec3<R>, wi: Vec3<R>, mode: TransportMode) -> Rgb<R> {
         let Some(m) = half_vector(wo, wi) else {
-            return Rgb::black();
+            return self.glass(wo, wi, mode);
         };
         let cos_d = wo.dot(m);
         let (grazing, matt) = (schlick(cos_d), -self.metallic + R::c(1.0));
@@ -262,7 +374,7 @@ impl<R: Real, A: Alpha<Scalar = R>> Lobe<R> for PrincipledLobe<R, A> {
             None => R::zero(),
         };
         let main = reflection(&self.microfacet, wo, wi, m);
-        let base = self.base(wo, wi, cos_d) * matt;
+        let base = self.base(wo, wi, cos_d) * opaque(self.metallic, self.transmission);
         let mut white = R::zero();
         if let Some(sheen) = self.sheen {
             white += sheen * matt * grazing * wi.z;
@@ -281,29 +393,41 @@ impl<R: Real, A: Alpha<Scalar = R>> Lobe<R> for PrincipledLobe<R, A> {
     #[inline]
     fn pdf(&self, wo: Vec3<R>, wi: Vec3<R>, _mode: TransportMode) -> R {
         let Some(m) = half_vector(wo, wi) else {
-            return R::zero();
+            let glass = self.glass_density(wo, wi);
+            return glass.map_or(R::zero(), |[pdf, chosen]| pdf * Const(chosen.primal()));
         };
-        let parts = self
-            .densities(wo, wi, m)
-            .into_iter()
-            .zip(self.primal_shares());
+        let refracts = self.refracts(wo.dot(m)).map(Real::primal);
+        let shares = Self::reflecting(self.primal_shares(), refracts);
+        let parts = self.densities(wo, wi, m).into_iter().zip(shares);
         parts.fold(R::zero(), |sum, (pdf, share)| sum + pdf * Const(share))
     }
 
-    /// Chooses a part by the (primal) shares.
+    /// Chooses a part by the (primal) shares, and between reflection and refraction by the reflectance of a facet.
     #[inline]
     fn sample(&self, wo: Vec3<R>, u: [R::Primal; 3], mode: TransportMode) -> Option<BsdfSample<R>> {
         if wo.z.primal() <= R::Primal::zero() {
-            return None;
+            return self.sample_below(wo, u, mode);
         }
         let [main, base, _] = self.primal_shares();
         let wi = match self.clearcoat {
-            _ if u[0] < main => reflect(wo, self.microfacet.sample(wo, [u[1], u[2]])),
+            _ if u[0] < main => {
+                let m = self.microfacet.sample(wo, [u[1], u[2]]);
+                if let (Some(refracts), Some(eta)) = (self.refracts(wo.dot(m)), self.eta) {
+                    let reflects = u[0] >= main * refracts.primal();
+                    let (wi, eta) = scatter(wo, m, eta, |_| reflects)?;
+                    return self.sampled(wo, wi, eta, mode);
+                }
+                reflect(wo, m)
+            }
             Some([_, alpha]) if u[0] >= main + base => {
                 reflect(wo, coat_normal(alpha, [u[1], u[2]]))
             }
             _ => Vec3::lift(warp::square_to_cosine_hemisphere([u[1], u[2]])),
         };
+        // Below the horizon there is glass, but it was not asked for.
+        if wi.z.primal() <= R::Primal::zero() {
+            return None;
+        }
         let pdf = self.pdf(wo, wi, mode);
         BsdfSample::reflected(wi, pdf)
     }
@@ -317,9 +441,10 @@ impl<R: Real, A: Alpha<Scalar = R>> Lobe<R> for PrincipledLobe<R, A> {
         _mode: TransportMode,
     ) -> R {
         let Some(m) = half_vector(wo, wi) else {
-            return R::zero();
+            let glass = self.glass_density(wo, wi);
+            return glass.map_or(R::zero(), |[pdf, chosen]| constant(pdf) * chosen);
         };
-        let shares = shares(self.metallic, self.clearcoat.map(|[strength, _]| strength));
+        let shares = Self::reflecting(self.shares(), self.refracts(wo.dot(m)));
         let parts = self.densities(wo, wi, m).into_iter().zip(shares);
         parts.fold(R::zero(), |sum, (pdf, share)| sum + constant(pdf) * share)
     }
@@ -329,7 +454,7 @@ impl FromNode for Principled {
     const PLUGINS: &'static [&'static str] = &["principled"];
 
     /// `base_color` (0.5), `roughness` (0.5), `metallic` (0), `specular` (0.5) or `eta`, `flatness` (0), `sheen` (0),
-    /// `clearcoat` (0) and `clearcoat_gloss` (0).
+    /// `clearcoat` (0), `clearcoat_gloss` (0) and `spec_trans` (0).
     fn from_node(node: &Node, registry: &mut Registry) -> Result<Self, SceneError> {
         // Zero, or there is another plugin for it.
         node.grey(ANISOTROPIC)?;
@@ -352,13 +477,19 @@ impl FromNode for AnisotropicPrincipled {
     }
 }
 
-/// The attribute.
+/// The attributes.
 const ANISOTROPIC: &str = "anisotropic";
+const TRANSMISSION: &str = "spec_trans";
+
+/// Whether a node is such a material that transmits. Zero is the opaque one, which is seen from one side.
+pub(super) fn transmits(node: &Node) -> bool {
+    let is_zero = matches!(node.grey(TRANSMISSION), Ok(Some(x)) if x == 0.0);
+    Principled::<()>::PLUGINS.contains(&node.plugin.as_str()) && node.has(TRANSMISSION) && !is_zero
+}
 
 impl<T> Principled<T> {
     fn of(node: &Node, registry: &mut Registry, anisotropic: T) -> Result<Self, SceneError> {
         for (key, what) in [
-            ("spec_trans", "transmission by this material is"),
             ("spec_tint", "a tint, which mixes colours, is"),
             ("sheen_tint", "a tint, which mixes colours, is"),
         ] {
@@ -393,6 +524,11 @@ impl<T> Principled<T> {
         };
         let (metallic, flatness) = (given("metallic")?, given("flatness")?);
         let (sheen, coat) = (given("sheen")?, given("clearcoat")?);
+        let transmission = if transmits(node) {
+            given(TRANSMISSION)?
+        } else {
+            None
+        };
         let clearcoat = match coat {
             None => {
                 node.grey("clearcoat_gloss")?;
@@ -403,6 +539,11 @@ impl<T> Principled<T> {
                 Some([strength, gloss])
             }
         };
+        let least = if transmission.is_some() {
+            LEAST_GLASS
+        } else {
+            LEAST_SPECULAR
+        };
         let dielectric = match (node.has("eta"), node.grey("specular")?) {
             (true, Some(_)) => return Err(node.invalid("specular", "none beside `eta`")),
             (true, None) => {
@@ -411,9 +552,9 @@ impl<T> Principled<T> {
                     registry.scalar_texture(node, "eta", 1.5, valid)?,
                 ))
             }
-            (false, Some(s)) if (0.0..LEAST_SPECULAR).contains(&s) => None,
+            (false, Some(s)) if transmission.is_none() && (0.0..least).contains(&s) => None,
             (false, _) => {
-                let valid = (LEAST_SPECULAR, 1.0);
+                let valid = (least, 1.0);
                 let specular = registry.scalar_texture(node, "specular", 0.5, valid)?;
                 Some(Reflectivity::Specular(specular))
             }
@@ -426,6 +567,7 @@ impl<T> Principled<T> {
             flatness,
             sheen,
             clearcoat,
+            transmission,
             anisotropic,
         })
     }

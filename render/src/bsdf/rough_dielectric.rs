@@ -52,9 +52,9 @@ pub struct RoughDielectricLobe<R, A = R> {
 }
 
 /// The facet that connects two directions.
-struct Facet<R> {
+pub(super) struct Facet<R> {
     /// Its normal, in the upper hemisphere.
-    m: Vec3<R>,
+    pub(super) m: Vec3<R>,
     /// Cosine between facet and `wo`, positive.
     cos_o: R,
     /// Cosine between facet and `wi`, positive.
@@ -62,15 +62,15 @@ struct Facet<R> {
     /// Index on the far side over that on the side of `wo`.
     eta: R,
     /// Whether it reflects; else it refracts.
-    reflects: bool,
+    pub(super) reflects: bool,
     /// What it does with the light.
-    fresnel: fresnel::Dielectric<R>,
+    pub(super) fresnel: fresnel::Dielectric<R>,
 }
 
 impl<R: Real> Facet<R> {
     /// `None` if no facet does, or if it would be seen from its back.
     #[inline]
-    fn between(wo: Vec3<R>, wi: Vec3<R>, eta: R) -> Option<Self> {
+    pub(super) fn between(wo: Vec3<R>, wi: Vec3<R>, eta: R) -> Option<Self> {
         let zero = R::Primal::zero();
         let positive = |x: R| x.primal() > zero;
         if wo.z.primal() == zero || wi.z.primal() == zero {
@@ -99,6 +99,43 @@ impl<R: Real> Facet<R> {
     #[inline]
     fn stretch(&self) -> R {
         (self.eta * self.cos_i - self.cos_o).square()
+    }
+
+    /// What a surface of such facets refracts from `wi` to `wo`, cosine included.
+    #[inline]
+    pub(super) fn refraction<A: Alpha<Scalar = R>>(
+        &self,
+        microfacet: &Microfacet<A>,
+        [wo, wi]: [Vec3<R>; 2],
+        mode: TransportMode,
+    ) -> R {
+        let stretch = self.stretch();
+        if stretch.primal() <= R::Primal::zero() {
+            return R::zero();
+        }
+        let sigmas = microfacet.sigma(wo) * microfacet.sigma(wi);
+        let value = self.fresnel.transmit
+            * microfacet.d(self.m)
+            * (wi.z.abs() / sigmas)
+            * (self.cos_o * self.cos_i / stretch);
+        match mode {
+            TransportMode::Radiance => value,
+            TransportMode::Importance => value * self.eta.square(),
+        }
+    }
+
+    /// Density of `wi` where `wo` is refracted at a sampled facet.
+    #[inline]
+    pub(super) fn pdf_refracted<A: Alpha<Scalar = R>>(
+        &self,
+        microfacet: &Microfacet<A>,
+        wo: Vec3<R>,
+    ) -> R {
+        let stretch = self.stretch();
+        if stretch.primal() <= R::Primal::zero() {
+            return R::zero();
+        }
+        microfacet.pdf(upwards(wo), self.m) * (self.eta.square() * self.cos_i / stretch)
     }
 }
 
@@ -162,20 +199,7 @@ impl<R: Real, A: Alpha<Scalar = R>> Lobe<R> for RoughDielectricLobe<R, A> {
             let value = reflection(&self.microfacet, wo, wi, f.m);
             return self.specular_reflectance * (f.fresnel.reflect * value);
         }
-        let stretch = f.stretch();
-        if stretch.primal() <= R::Primal::zero() {
-            return Rgb::black();
-        }
-        let sigmas = self.microfacet.sigma(wo) * self.microfacet.sigma(wi);
-        let value = f.fresnel.transmit
-            * self.microfacet.d(f.m)
-            * (wi.z.abs() / sigmas)
-            * (f.cos_o * f.cos_i / stretch);
-        self.specular_transmittance
-            * match mode {
-                TransportMode::Radiance => value,
-                TransportMode::Importance => value * f.eta.square(),
-            }
+        self.specular_transmittance * f.refraction(&self.microfacet, [wo, wi], mode)
     }
 
     #[inline]
@@ -183,17 +207,12 @@ impl<R: Real, A: Alpha<Scalar = R>> Lobe<R> for RoughDielectricLobe<R, A> {
         let Some(f) = Facet::between(wo, wi, self.eta) else {
             return R::zero();
         };
-        let up = upwards(wo);
         if f.reflects {
             let chosen = Const(f.fresnel.reflect.primal());
-            return self.microfacet.pdf_reflected(up, f.m) * chosen;
-        }
-        let stretch = f.stretch();
-        if stretch.primal() <= R::Primal::zero() {
-            return R::zero();
+            return self.microfacet.pdf_reflected(upwards(wo), f.m) * chosen;
         }
         let chosen = Const(f.fresnel.transmit.primal());
-        self.microfacet.pdf(up, f.m) * (f.eta.square() * f.cos_i / stretch) * chosen
+        f.pdf_refracted(&self.microfacet, wo) * chosen
     }
 
     /// Samples a facet, then chooses by its (primal) reflectance.
@@ -204,7 +223,8 @@ impl<R: Real, A: Alpha<Scalar = R>> Lobe<R> for RoughDielectricLobe<R, A> {
             return None;
         }
         let m = self.microfacet.sample(upwards(wo), [u[1], u[2]]);
-        let (wi, eta) = scatter(wo, m, self.eta, u[0])?;
+        let reflects = |f: &fresnel::Dielectric<R>| u[0] < f.reflect.primal();
+        let (wi, eta) = scatter(wo, m, self.eta, reflects)?;
         let pdf = self.pdf(wo, wi, mode);
         (pdf.primal() > zero).then_some(BsdfSample {
             wi,
@@ -225,12 +245,10 @@ impl<R: Real, A: Alpha<Scalar = R>> Lobe<R> for RoughDielectricLobe<R, A> {
         let Some(f) = Facet::between(wo, wi, self.eta) else {
             return R::zero();
         };
-        let up = upwards(wo);
         if f.reflects {
-            return constant(self.microfacet.pdf_reflected(up, f.m)) * f.fresnel.reflect;
+            return constant(self.microfacet.pdf_reflected(upwards(wo), f.m)) * f.fresnel.reflect;
         }
-        let jacobian = f.eta.square() * f.cos_i / f.stretch();
-        constant(self.microfacet.pdf(up, f.m) * jacobian) * f.fresnel.transmit
+        constant(f.pdf_refracted(&self.microfacet, wo)) * f.fresnel.transmit
     }
 
     #[inline]
@@ -259,7 +277,8 @@ impl<R: Real, A: Alpha<Scalar = R>> Lobe<R> for RoughDielectricLobe<R, A> {
         };
         let normals = isotropic.primal().sample_differential([u[1], u[2]]);
         both(normals, |m| {
-            let (wi, eta) = scatter(wo, m, self.eta.primal(), u[0])?;
+            let reflects = |f: &fresnel::Dielectric<R::Primal>| u[0] < f.reflect;
+            let (wi, eta) = scatter(wo, m, self.eta.primal(), reflects)?;
             let pdf = self.pdf_differential(wo, wi);
             (pdf > R::Primal::zero()).then_some(BsdfSample {
                 wi,
@@ -279,12 +298,17 @@ impl<R: Real, A: Alpha<Scalar = R>> Lobe<R> for RoughDielectricLobe<R, A> {
     }
 }
 
-/// Reflects or refracts `wo` at a facet with the upper normal `m`, chosen by `u` and the primal
-/// reflectance; also the index of refraction on the new side over that on the old. `None` if `wo`
+/// Reflects or refracts `wo` at a facet with the upper normal `m`, whichever `reflects` chooses by what a
+/// facet does with light; also the index of refraction on the new side over that on the old. `None` if `wo`
 /// sees the facet's back, or if the direction ends up on the wrong side of the surface: another kind of
 /// facet would connect the two.
 #[inline]
-fn scatter<R: Real>(wo: Vec3<R>, m: Vec3<R>, eta: R, u: R::Primal) -> Option<(Vec3<R>, R::Primal)> {
+pub(super) fn scatter<R: Real>(
+    wo: Vec3<R>,
+    m: Vec3<R>,
+    eta: R,
+    reflects: impl FnOnce(&fresnel::Dielectric<R>) -> bool,
+) -> Option<(Vec3<R>, R::Primal)> {
     let zero = R::Primal::zero();
     let cos = upwards(wo).dot(m);
     if cos.primal() <= zero {
@@ -294,7 +318,7 @@ fn scatter<R: Real>(wo: Vec3<R>, m: Vec3<R>, eta: R, u: R::Primal) -> Option<(Ve
     let m = if wo.z.primal() > zero { m } else { -m };
     let across = eta_across(eta, wo);
     let f = fresnel::dielectric(cos, across);
-    let reflects = u < f.reflect.primal();
+    let reflects = reflects(&f);
     let (wi, eta) = if reflects {
         (reflect(wo, m), R::Primal::one())
     } else {
@@ -325,7 +349,7 @@ fn pdf_differential<P: Float>(microfacet: &Microfacet<P>, eta: P, wo: Vec3<P>, w
 /// `w` or its opposite, whichever is in the upper hemisphere: microsurfaces look the same from
 /// below.
 #[inline]
-fn upwards<R: Real>(w: Vec3<R>) -> Vec3<R> {
+pub(super) fn upwards<R: Real>(w: Vec3<R>) -> Vec3<R> {
     if w.z.primal() > R::Primal::zero() {
         w
     } else {

@@ -7,7 +7,7 @@ use ad_core::{Float, Real, Vec3};
 use super::nesting::{check_levels, nested_nodes};
 use super::{
     Bsdf, BsdfSample, Component, DeltaKind, Material, Scattered, Shading, TextureRef,
-    TransportMode, Use,
+    TransportMode, Use, principled,
 };
 use crate::error::SceneError;
 use crate::math::{Frame, Rgb, both};
@@ -266,7 +266,7 @@ impl Bsdf for TwoSided {
 const TRANSMITTING: &[&str] = &["dielectric", "thindielectric", "roughdielectric", "mask"];
 
 fn check_opaque(node: &Node) -> Result<(), SceneError> {
-    if TRANSMITTING.contains(&node.plugin.as_str()) {
+    if TRANSMITTING.contains(&node.plugin.as_str()) || principled::transmits(node) {
         return Err(SceneError::Value {
             location: node.location.clone(),
             key: "twosided".into(),
