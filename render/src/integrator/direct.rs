@@ -168,7 +168,9 @@ pub fn direct_light<R: Real>(
         let hit = Hit { t, u, v, prim };
         // What shapes do that move is another integral's.
         let ray = si.spawn_ray(d, from.exit);
-        scene.interaction(&Theta::constant(theta.values()), &ray, &hit).si
+        scene
+            .interaction(&Theta::constant(theta.values()), &ray, &hit)
+            .si
     });
     let mut light = Rgb::black();
     for found in lights {
