@@ -202,7 +202,7 @@ const MATERIALS: &[(&str, &str, &str, Sampled)] = &[
         "principled",
         r#"<rgb name="base_color" value=".7 .4 .1"/><float name="metallic" value=".2"/>
            <float name="roughness" value=".6"/><float name="spec_trans" value=".6"/>
-           <float name="specular" value=".7"/>"#,
+           <float name="specular" value=".5"/>"#,
         Sampled::AsMixture,
     ),
     (

@@ -20,7 +20,7 @@ fn gradient(s: &Scene, names: &[&str], runs: u64, spp: u64) -> Vec<Estimate> {
 }
 
 /// Shapes before a floor, lit by a lamp, directly and through more bounces: whatever of them moves, and the lamp and the
-/// camera. 8 runs of 256 samples of 256 pixels, and differences of 8 runs of 1024.
+/// camera. 8 runs of 128 samples of 256 pixels, and differences of 8 runs of 384.
 #[test]
 #[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
 fn edges_agree_with_differences() {
@@ -128,7 +128,7 @@ fn corners_and_turns_change_nothing() {
 
 /// Few faces with interpolated normals: each hides light from itself, so that what is seen jumps at its sides and as the lamp
 /// passes its horizon, and it is black where its normals turn away. Whatever moves, on the film and in the light. 8 runs of
-/// 256 samples of 256 pixels, and differences of 8 runs of 1024.
+/// 128 samples of 256 pixels, and differences of 8 runs of 384.
 #[test]
 #[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
 fn coarse_faces_with_smooth_normals_agree_with_differences() {
@@ -161,8 +161,8 @@ fn coarse_faces_with_smooth_normals_agree_with_differences() {
     let mut s = scene(&format!("{FLOOR}{shape}"), 2);
     for name in ["sensor.translation", "it.translation", "lamp.translation"] {
         s.make_movable(&[name]).expect("known");
-        let found = gradient(&s, &[name], 8, 256);
-        let expected = differences(&mut s, &[name], 1.0 / 64.0, 8, 1024);
+        let found = gradient(&s, &[name], 8, 128);
+        let expected = differences(&mut s, &[name], 1.0 / 64.0, 8, 384);
         agrees(name, &found, &expected, 1e-2, 8);
     }
     std::fs::remove_dir_all(&folder).expect("the folder goes");

@@ -174,7 +174,7 @@ mod tests {
             corners: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
             normals: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
         };
-        let x = Vec3::new(4.0, 1.0, 0.2);
+        let x = Vec3::new(4.0, 0.5, 0.2);
         assert!(turn.may_turn(x));
         let (rim, _) = turn.rim(0.3, 0, x).expect("a curve");
         let later = turn.rim(0.3 + 1e-6, 0, x).expect("a curve").0;
