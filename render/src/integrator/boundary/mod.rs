@@ -437,19 +437,32 @@ impl<'a, P: Float> Boundary<'a, P> {
         }
         let n = edge.normal;
         let near = edge.distance.recip();
-        let far = hit.map_or(0.0, |hit| (wide(hit.si.p) - x).length().recip());
         let mut form: Form<P> = self.of_edge(&edge, n * near).into_iter().collect();
+        self.add_sight(&mut form, (here, depth, film), hit, (n, near));
+        let value = -(beta * f * light).scale(P::of(weight));
+        (!form.is_empty()).then_some(Contribution { value, form })
+    }
+
+    /// Adds to the motion of an edge, seen at the inverse distance `near` across the plane with the normal `n`, those of what
+    /// is behind it and of the vertex that looks past it, which the film sees at `film` if it is the first one.
+    fn add_sight(
+        &self,
+        form: &mut Form<P>,
+        (here, depth, film): (&Place<P>, u32, [P; 2]),
+        hit: Option<Intersection<P>>,
+        (n, near): (Vec3<f64>, f64),
+    ) {
+        let mut far = 0.0;
         if let Some(hit) = hit {
+            far = (wide(hit.si.p) - wide(here.si.p)).length().recip();
             form.extend(self.material(hit.prim, hit.shape, || hit.si, n * -far));
         }
         let along = n * (far - near);
         if depth > 1 {
-            form.extend(self.material(here.prim, here.shape, || *si, along));
-        } else if x_moves {
-            form.push(Term::point(Mover::Seen(here.prim, film, *si), along));
+            form.extend(self.material(here.prim, here.shape, || here.si, along));
+        } else if self.moving.shapes[here.shape as usize] || self.moving.camera {
+            form.push(Term::point(Mover::Seen(here.prim, film, here.si), along));
         }
-        let value = -(beta * f * light).scale(P::of(weight));
-        (!form.is_empty()).then_some(Contribution { value, form })
     }
 
     /// The horizon of the face of a vertex whose shading normal is another one: light from just above and just below, which
@@ -495,7 +508,6 @@ impl<'a, P: Float> Boundary<'a, P> {
             let uv = shape.locate(local, p).0;
             SurfaceInteraction { p, uv, ..*si }
         };
-        let x_moves = self.moving.shapes[here.shape as usize] || (depth == 1 && self.moving.camera);
         for side in [1.0, -1.0] {
             let n = normal * side;
             let d = (direction + n * CLEARANCE[0]).map(P::of).normalize();
@@ -508,18 +520,9 @@ impl<'a, P: Float> Boundary<'a, P> {
                 continue;
             }
             let near = reach.recip();
-            let far = hit.map_or(0.0, |hit| (wide(hit.si.p) - x).length().recip());
             let mut form: Form<P> = Form::new();
             form.extend(self.material(here.prim, here.shape, || edge, n * near));
-            if let Some(hit) = hit {
-                form.extend(self.material(hit.prim, hit.shape, || hit.si, n * -far));
-            }
-            let along = n * (far - near);
-            if depth > 1 {
-                form.extend(self.material(here.prim, here.shape, || *si, along));
-            } else if x_moves {
-                form.push(Term::point(Mover::Seen(here.prim, film, *si), along));
-            }
+            self.add_sight(&mut form, (here, depth, film), hit, (n, near));
             if !form.is_empty() {
                 let value = -(beta * f * light).scale(P::of(TAU));
                 each(Contribution { value, form });
