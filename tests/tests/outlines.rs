@@ -168,6 +168,40 @@ fn coarse_faces_with_smooth_normals_agree_with_differences() {
     std::fs::remove_dir_all(&folder).expect("the folder goes");
 }
 
+/// A tube of long, thin, smooth faces. Triangles reach over their sides by rounding, slivers far: what is seen just inside of a
+/// side is not hidden by the neighbour, and rays that pass the rim of the tube do not meet it.
+#[test]
+#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
+fn long_thin_faces_with_smooth_normals_agree_with_differences() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("tube.obj");
+    let count = 48;
+    let mut text = String::new();
+    for k in 0..count {
+        let (z, x) = (std::f64::consts::TAU * f64::from(k) / f64::from(count)).sin_cos();
+        let (px, pz) = (0.28 * x, 0.28 * z);
+        text += &format!("v {px} 0 {pz}\nv {px} 1.16 {pz}\nvn {x} 0 {z}\n");
+    }
+    for k in 0..count {
+        let next = (k + 1) % count;
+        let [a, b, c, d] = [2 * k + 1, 2 * k + 2, 2 * next + 2, 2 * next + 1];
+        let (n, m) = (k + 1, next + 1);
+        text += &format!("f {a}//{n} {b}//{n} {c}//{m}\nf {a}//{n} {c}//{m} {d}//{m}\n");
+    }
+    std::fs::write(&path, text).expect("a file");
+    let shape = format!(
+        r#"<shape type="obj" id="it"><string name="filename" value="{}"/><transform name="to_world">
+        <translate y="0.4"/></transform><ref id="grey"/></shape>"#,
+        path.display()
+    );
+    let mut s = scene(&format!("{FLOOR}{shape}"), 2);
+    let name = "it.translation";
+    s.make_movable(&[name]).expect("known");
+    let found = gradient(&s, &[name], 8, 64);
+    let expected = differences(&mut s, &[name], 1.0 / 64.0, 8, 256);
+    agrees(name, &found, &expected, 1e-2, 8);
+}
+
 /// Without edges, the same test notices that visibility is missing.
 #[test]
 #[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]

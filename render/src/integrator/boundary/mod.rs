@@ -53,6 +53,10 @@ use crate::shape::{Shape, SurfaceInteraction};
 /// How far rays pass from an edge that they are to clear, relative to its distance, and to the largest coordinate of its
 /// shape: several roundings of an f32.
 const CLEARANCE: [f64; 2] = [3e-5, 1e-6];
+/// How far slivers reach over their sides, relative to the way of a ray and to coordinates: twice their seam.
+const OVERLAP: f64 = 16.0 * f32::EPSILON as f64;
+/// However thin they are, rays pass nearer than this part of the distance.
+const LARGEST_CLEARANCE: f64 = 1e-2;
 /// What is met nearer than this part of the distance of an edge hides it.
 const SAME_DEPTH: f64 = 1.0 - 1e-3;
 /// The normal of an edge and that of a face whose plane it lies in have a cosine above this.
@@ -193,8 +197,11 @@ impl<'a, P: Float> Boundary<'a, P> {
     }
 
     fn clearance(&self, edge: &EdgePoint) -> f64 {
-        let extent = self.surfaces.shapes[edge.shape as usize].extent();
-        (CLEARANCE[0] * edge.distance).max(CLEARANCE[1] * f64::from(extent))
+        let extent = f64::from(self.surfaces.shapes[edge.shape as usize].extent());
+        let sliver = OVERLAP * (f64::from(edge.seam) - 1.0) * (edge.distance + 2.0 * extent);
+        (CLEARANCE[0] * edge.distance)
+            .max(CLEARANCE[1] * extent)
+            .max(sliver.min(LARGEST_CLEARANCE * edge.distance))
     }
 
     /// The ray that passes an edge, from an origin, and what it meets; `None` if something hides the edge.
