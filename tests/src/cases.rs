@@ -141,6 +141,10 @@ pub fn all() -> Vec<Case> {
             r#"<bsdf type="principled"><rgb name="base_color" value="0.7, 0.3, 0.2"/><float name="roughness" value="0.6"/><float name="metallic" value="0.3"/><float name="specular" value="0.6"/><float name="flatness" value="0.3"/><float name="sheen" value="0.4"/><float name="clearcoat" value="0.5"/><float name="clearcoat_gloss" value="0.1"/></bsdf>"#,
         ),
         material(
+            "principled with tints",
+            r#"<bsdf type="principled"><rgb name="base_color" value="0.7, 0.3, 0.2"/><float name="roughness" value="0.6"/><float name="metallic" value="0.3"/><float name="specular" value="0.6"/><float name="sheen" value="0.8"/><float name="spec_tint" value="0.7"/><float name="sheen_tint" value="0.6"/></bsdf>"#,
+        ),
+        material(
             "principled glass",
             r#"<bsdf type="principled"><rgb name="base_color" value="0.7, 0.5, 0.4"/><float name="roughness" value="0.6"/><float name="metallic" value="0.2"/><float name="eta" value="1.5"/><float name="spec_trans" value="0.6"/></bsdf>"#,
         ),

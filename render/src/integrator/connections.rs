@@ -219,7 +219,7 @@ fn weight<R: Real>(link: &Link) -> R {
 
 impl<R: Real> Valued<R> {
     fn of(scene: &Scene, theta: &Theta<R>, place: &Place<R>, connection: &Connection) -> Self {
-        let at = |uv: Vec2<R>| Shading { theta: *theta, uv };
+        let at = |uv: Vec2<R>| Shading::new(*theta, uv);
         let wi = place.si.frame.to_local(vector(connection.direction));
         let material = scene.material(place.shape);
         let links = connection.links.iter().map(|link| {

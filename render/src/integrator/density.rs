@@ -402,10 +402,7 @@ impl<P: Float> Map<P> {
             let material = scene.material(shape);
             let n_geo = si.local_geometric_normal();
             let wo = si.frame.to_local(-ray.d);
-            let at = Shading {
-                theta: *theta,
-                uv: Vec2::lift(si.uv),
-            };
+            let at = Shading::new(*theta, Vec2::lift(si.uv));
             if !scene.shape_info(shape).delta {
                 let mut sum = Rgb::black();
                 self.near(si.p, si.n_geo, |p, kernel| {

@@ -17,11 +17,6 @@ const REFUSED: &[(&str, &[&str], &str)] = &[
     ("bsdf", &["hk"], MEDIA),
     (
         "bsdf",
-        &["bumpmap"],
-        "displacement of shading by a height, other than by a normal map, is",
-    ),
-    (
-        "bsdf",
         &["principledthin"],
         "the model of Disney for thin surfaces is",
     ),
