@@ -726,11 +726,11 @@ fn shadowing_darkens_mirrors() {
         ),
     ] {
         let wo = Vec3::from(o).normalize();
-        let s = scene.material(0)
-            .sample(&at, wo, [0.3; 3], MODE)
-            .unwrap();
+        let s = scene.material(0).sample(&at, wo, [0.3; 3], MODE).unwrap();
         assert!((s.wi - Vec3::from(i)).length() < 2e-6, "{:?}", s.wi);
-        let f = scene.material(0).eval_component(&at, wo, s.wi, s.component, MODE);
+        let f = scene
+            .material(0)
+            .eval_component(&at, wo, s.wi, s.component, MODE);
         assert!((f.r - value).abs() < 2e-6, "{f:?}");
     }
 }

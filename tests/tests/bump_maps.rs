@@ -71,7 +71,8 @@ fn try_load(dir: &TempDir, shape: &str, bsdf: &str) -> Result<Scene, String> {
     loaded.map(|(s, _)| s).map_err(|e| e.to_string())
 }
 
-const MESH: &str = r#"<shape type="obj" id="it"><string name="filename" value="patch.obj"/>{}</shape>"#;
+const MESH: &str =
+    r#"<shape type="obj" id="it"><string name="filename" value="patch.obj"/>{}</shape>"#;
 const PLATE: &str = r#"<shape type="rectangle" id="it"><transform name="to_world"><scale x="1.4" y="0.7"/>
     <matrix value="1 0.3 0 0  0 1 0 0  0 0.1 1 0  0 0 0 1"/></transform>{}</shape>"#;
 const SHAPES: [(&str, &str); 7] = [
@@ -107,7 +108,10 @@ fn normals_are_those_of_the_definition() {
     let dir = folder();
     let scale = 0.2;
     for (name, shape) in SHAPES {
-        let (plain, bumped) = (load(&dir, shape, TILES), load(&dir, shape, &bumps(scale, TILES)));
+        let (plain, bumped) = (
+            load(&dir, shape, TILES),
+            load(&dir, shape, &bumps(scale, TILES)),
+        );
         let all = values::<f64>(&bumped);
         let theta = Theta::constant(&all);
         let number = bumped.shapes().len() as u32 - 1;
@@ -137,16 +141,25 @@ fn normals_are_those_of_the_definition() {
                 let uv = si.uv + ad_core::Vec2::new(u, v);
                 scale * map.height().scalar(&theta, uv)
             };
-            let slopes = [height(h, 0.0) - height(-h, 0.0), height(0.0, h) - height(0.0, -h)];
+            let slopes = [
+                height(h, 0.0) - height(-h, 0.0),
+                height(0.0, h) - height(0.0, -h),
+            ];
             let n = si.frame.n;
             let raised = |d: Vec3<f64>, slope: f64| d + n * (slope / (2.0 * h) - n.dot(d));
             let expected = raised(partials.dp_du, slopes[0])
                 .cross(raised(partials.dp_dv, slopes[1]))
                 .normalize();
-            let expected = if expected.dot(n) < 0.0 { -expected } else { expected };
+            let expected = if expected.dot(n) < 0.0 {
+                -expected
+            } else {
+                expected
+            };
             let wo = b.si.frame.to_local(n);
             let own = Shading::new(theta, b.si.uv);
-            let frame = bumped.material(number).shading_frame(&own, wo, 0, TransportMode::Radiance);
+            let frame = bumped
+                .material(number)
+                .shading_frame(&own, wo, 0, TransportMode::Radiance);
             let found = b.si.frame.to_world(frame.n);
             // A difference over a border of texels is none.
             if (found - expected).length() > 1e-3 {
@@ -168,7 +181,9 @@ fn flat_heights_change_nothing() {
     let brushed = r#"<bsdf type="roughconductor"><float name="alpha_u" value="0.4"/><float name="alpha_v" value="0.1"/></bsdf>"#;
     for (name, shape) in SHAPES {
         let blended = |part: &str| {
-            format!(r#"<bsdf type="twosided"><bsdf type="blendbsdf">{weight}{part}{brushed}</bsdf></bsdf>"#)
+            format!(
+                r#"<bsdf type="twosided"><bsdf type="blendbsdf">{weight}{part}{brushed}</bsdf></bsdf>"#
+            )
         };
         let [a, b] = [blended(TILES), blended(&bumps(0.0, TILES))].map(|bsdf| {
             let s = load(&dir, shape, &bsdf);
@@ -208,7 +223,10 @@ fn reverse_equals_forward() {
         let terms: Vec<_> = each.zip(&g).map(|(i, g)| direction[i] * g).collect();
         let scale: f64 = terms.iter().map(|t| t.abs()).sum();
         let jt: f64 = terms.iter().sum();
-        assert!(scale > 0.0 && (j - jt).abs() < 1e-9 * scale, "{name}: {j} {jt}");
+        assert!(
+            scale > 0.0 && (j - jt).abs() < 1e-9 * scale,
+            "{name}: {j} {jt}"
+        );
     }
 }
 
@@ -239,7 +257,14 @@ fn gradients_equal_differences() {
             let [g, fd]: [Vec<f64>; 2] = [
                 (0..REPEATS)
                     .map(|r| {
-                        let g = reverse::<f64>(&s, std::slice::from_ref(&p), &adjoint, &settings, r, 64);
+                        let g = reverse::<f64>(
+                            &s,
+                            std::slice::from_ref(&p),
+                            &adjoint,
+                            &settings,
+                            r,
+                            64,
+                        );
                         g[0].iter().zip(&direction).map(|(g, d)| g * d).sum()
                     })
                     .collect(),
@@ -263,7 +288,11 @@ fn extreme_heights_are_harmless() {
     let dir = folder();
     for (name, shape) in SHAPES {
         let mut s = load(&dir, shape, &bumps(1.0, METAL));
-        let p = s.params().find("bumps.nested_texture.data").expect("heights").clone();
+        let p = s
+            .params()
+            .find("bumps.nested_texture.data")
+            .expect("heights")
+            .clone();
         for size in [1e-30f32, 1e3, 1e30, f32::MAX] {
             let mut v = s.params().values().to_vec();
             for i in p.range() {
@@ -288,10 +317,14 @@ fn what_is_not_covered_is_refused() {
     let dir = folder();
     let mut s = load(&dir, MESH, &bumps(0.1, METAL));
     for key in ["it.scale", "it.vertex_positions"] {
-        let error = s.make_movable(&[key]).expect_err("no parameter").to_string();
+        let error = s
+            .make_movable(&[key])
+            .expect_err("no parameter")
+            .to_string();
         assert!(error.contains(key), "{error}");
     }
-    s.make_movable(&["it.translation", "sensor.rotation"]).expect("parameters");
+    s.make_movable(&["it.translation", "sensor.rotation"])
+        .expect("parameters");
     for key in ["it.translation", "sensor.rotation"] {
         let info = s.params().find(key).expect("a parameter").clone();
         let error = s.admits_motion(&info).expect_err("jumps").to_string();
@@ -301,11 +334,17 @@ fn what_is_not_covered_is_refused() {
     let lamp = r#"<emitter type="area"><texture name="radiance" type="bitmap"><string name="filename" value="tiles.exr"/></texture></emitter>"#;
     let error = try_load(&dir, MESH, &format!("{}{lamp}", bumps(0.1, METAL)));
     let error = error.expect_err("light that is an image");
-    assert!(error.contains("under a bump map, light that is the same everywhere"), "{error}");
+    assert!(
+        error.contains("under a bump map, light that is the same everywhere"),
+        "{error}"
+    );
     let raised = r#"<texture name="displacement" type="bitmap"><string name="filename" value="heights.exr"/></texture>"#;
     let error = try_load(&dir, MESH, &format!("{}{raised}", bumps(0.1, METAL)));
     let error = error.expect_err("points that are parameters");
-    assert!(error.contains("under a bump map, points that stay"), "{error}");
+    assert!(
+        error.contains("under a bump map, points that stay"),
+        "{error}"
+    );
 }
 
 /// What is saved loads again, with the same image.
@@ -314,7 +353,11 @@ fn bump_maps_are_saved() {
     let dir = folder();
     let mut s = load(&dir, MESH, &bumps(0.1, METAL));
     let mut v = s.params().values().to_vec();
-    let range = s.params().find("bumps.nested_texture.data").expect("heights").range();
+    let range = s
+        .params()
+        .find("bumps.nested_texture.data")
+        .expect("heights")
+        .range();
     for i in range {
         v[i] *= 0.5;
     }
@@ -323,7 +366,8 @@ fn bump_maps_are_saved() {
     let to = dir.path().join("saved");
     std::fs::create_dir(&to).expect("a folder");
     s.save(&to.join("scene.xml")).expect("a file");
-    let (again, _) = Scene::load(&to.join("scene.xml"), &LoadOptions::default()).expect("what was saved");
+    let (again, _) =
+        Scene::load(&to.join("scene.xml"), &LoadOptions::default()).expect("what was saved");
     assert_eq!(s.params().values(), again.params().values());
     let of = |s: &Scene| image::<f32>(s, s.params().values(), &s.settings, 3, 4).sums[0].clone();
     assert_eq!(of(&s), of(&again));

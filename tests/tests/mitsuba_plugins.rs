@@ -168,7 +168,10 @@ fn bumped() -> Vec<(String, String)> {
         );
         let ball = bumps(0.1, options, ball);
         let body = format!("{LIGHT}{cube}{mesh}");
-        (format!("bumpmap{name}"), scene(r#"type="perspective">"#, false, &body, &ball))
+        (
+            format!("bumpmap{name}"),
+            scene(r#"type="perspective">"#, false, &body, &ball),
+        )
     };
     vec![
         of("", "", DIFFUSE),
@@ -183,7 +186,11 @@ fn patch() -> String {
     for (i, j) in (0..3).flat_map(|i| (0..3).map(move |j| (i, j))) {
         let [x, y] = [i, j].map(|k| f64::from(k) * 0.4 - 0.4);
         text += &format!("v {x} {} {}\n", y + 0.5, 0.2 * (x * 3.0).cos() - 0.1 * y);
-        text += &format!("vt {} {}\n", 0.9 - 0.4 * f64::from(j), 0.3 * f64::from(i) + 0.1 * f64::from(j));
+        text += &format!(
+            "vt {} {}\n",
+            0.9 - 0.4 * f64::from(j),
+            0.3 * f64::from(i) + 0.1 * f64::from(j)
+        );
         text += &format!("vn {} 0.15 1\n", 0.6 * (x * 3.0).sin());
     }
     for (i, j) in (0..2).flat_map(|i| (0..2).map(move |j| (i, j))) {

@@ -101,8 +101,13 @@ impl Tilt for Bumps {
         let d_u = (d.y * b - d.x * c) * by;
         let d_v = -(d.y * a) * by;
         let d_scale = d_u * slope[0] + d_v * slope[1];
-        let d_scale = Rgb::new(d_scale, P::zero(), P::zero());
-        self.scale.scatter(at.uv, d_scale, grad);
+        if self.scale.any_param(|p| grad.active(p)) {
+            let d_scale = Rgb::new(d_scale, P::zero(), P::zero());
+            self.scale.scatter(at.uv, d_scale, grad);
+        }
+        if !self.height.any_param(|p| grad.active(p)) {
+            return;
+        }
         let f = self.height.slopes(at.uv);
         for (texel, [u, v]) in f.texel.into_iter().zip(f.weight) {
             grad.add(f.param, texel as usize, (d_u * u + d_v * v) * scale);

@@ -44,7 +44,10 @@ enum Kind {
     /// A sphere: `a` at its equator, and `c`.
     Ball([f64; 2]),
     /// A disk: squares and product of its half axes, and `n . (e1 x e2)`.
-    Disk { squares: [f64; 3], area: f64 },
+    Disk {
+        squares: [f64; 3],
+        area: f64,
+    },
     Triangles(Triangles),
 }
 
@@ -141,10 +144,7 @@ impl Chart {
             let size = R::of(f64::from(t.size[k]));
             (x - R::c(cell + texture::CELL_BEGIN)) * size + R::of(f64::from(t.low[k]))
         };
-        (
-            Vec2::new(own(uv.x, column, 0), own(uv.y, row, 1)),
-            triangle,
-        )
+        (Vec2::new(own(uv.x, column, 0), own(uv.y, row, 1)), triangle)
     }
 
     /// How long the surface's own coordinates are at a point of this triangle.
@@ -166,7 +166,8 @@ impl Chart {
             Kind::Disk { squares, area } => {
                 let [uu, uv_, vv] = squares.map(R::of);
                 let (sin, cos) = (uv.y * R::c(2.0 * PI)).sin_cos();
-                let a = (uu * cos.square() + uv_ * cos * sin * R::c(2.0) + vv * sin.square()).sqrt();
+                let a =
+                    (uu * cos.square() + uv_ * cos * sin * R::c(2.0) + vv * sin.square()).sqrt();
                 let along = uv_ * (cos.square() - sin.square()) + (vv - uu) * cos * sin;
                 let round = uv.x * R::c(2.0 * PI) / a;
                 Stretch {

@@ -163,7 +163,8 @@ impl Bsdf for Charted {
         u: [P; 3],
         mode: TransportMode,
     ) -> [Option<BsdfSample<P>>; 2] {
-        self.nested.sample_differential(&self.inside(at), wo, u, mode)
+        self.nested
+            .sample_differential(&self.inside(at), wo, u, mode)
     }
 
     fn eval_normals<R: Real>(

@@ -108,7 +108,11 @@ fn check_leaf(leaf: &impl Bsdf, most: usize, params: &Params) -> Result<(), Scen
     let mut found = 0;
     let mut first = None;
     leaf.visit_textures(&mut |t| {
-        found += if matches!(t, TextureRef::Mixed(_)) { 3 } else { 1 };
+        found += if matches!(t, TextureRef::Mixed(_)) {
+            3
+        } else {
+            1
+        };
         t.visit_params(&mut |p| {
             first.get_or_insert(p.id);
         });
@@ -252,7 +256,8 @@ fn equally_rough(a: Option<&Roughness>, b: Option<&Roughness>) -> bool {
 /// Whether a part has normals that follow from heights which are not the same everywhere: those of the material need the
 /// chart of the surface.
 pub(crate) fn is_bumped(material: &Material) -> bool {
-    let own = matches!(material, Material::BumpMap(m) if !matches!(m.height(), Texture::Constant(_)));
+    let own =
+        matches!(material, Material::BumpMap(m) if !matches!(m.height(), Texture::Constant(_)));
     own || children(material).iter().any(|m| is_bumped(m))
 }
 

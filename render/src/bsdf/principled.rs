@@ -566,7 +566,10 @@ impl<T> Principled<T> {
             _ if of => given(key),
             value => value.map(|_| None),
         };
-        let tints = [tint("spec_tint", true)?, tint("sheen_tint", sheen.is_some())?];
+        let tints = [
+            tint("spec_tint", true)?,
+            tint("sheen_tint", sheen.is_some())?,
+        ];
         let transmission = if transmits(node) {
             given(TRANSMISSION)?
         } else {

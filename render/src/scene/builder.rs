@@ -239,7 +239,8 @@ impl Builder {
                 expected: format!("under a bump map, {expected}"),
                 found: found.to_owned(),
             };
-            let glows = |e: u32| !matches!(self.emitters[e as usize].radiance(), Texture::Constant(_));
+            let glows =
+                |e: u32| !matches!(self.emitters[e as usize].radiance(), Texture::Constant(_));
             let (own, chart) = charted(shape).map_err(|expected| refuse(expected, "another"))?;
             if info.emitter.is_some_and(glows) {
                 return Err(refuse("light that is the same everywhere", "an image"));

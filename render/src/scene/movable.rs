@@ -139,7 +139,10 @@ impl Scene {
         };
         let parts = [Part::Translation, Part::Rotation, Part::Scale];
         for ((i, info), shape) in (0..).zip(&self.infos).zip(&self.geometry.shapes) {
-            let bumped = matches!(*self.materials[info.material as usize], Material::Charted(_));
+            let bumped = matches!(
+                *self.materials[info.material as usize],
+                Material::Charted(_)
+            );
             let fits = |p: &Part| !(bumped && *p == Part::Scale);
             for p in parts.into_iter().filter(fits) {
                 let what = What::Shape(i, p);

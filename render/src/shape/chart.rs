@@ -66,7 +66,9 @@ fn charted_mesh(mesh: &Mesh) -> Result<(AnyShape, Chart), &'static str> {
     let data = mesh.data();
     let picked = |all: &[[f32; 3]]| -> Vec<[f32; 3]> {
         let indices = data.triangles.as_flattened().iter();
-        indices.filter_map(|&i| all.get(i as usize).copied()).collect()
+        indices
+            .filter_map(|&i| all.get(i as usize).copied())
+            .collect()
     };
     let count = data.triangles.len() as u32;
     let apart = MeshData {
@@ -161,7 +163,9 @@ mod tests {
                 );
                 assert!(si.frame.s.dot(seen.frame.s) > 1.0 - 10.0 * exact, "{name}");
                 assert!(si.frame.n.dot(seen.frame.n) > 1.0 - 10.0 * exact, "{name}");
-                let p = shape.partials::<f64>(&theta, prim, at).expect("coordinates");
+                let p = shape
+                    .partials::<f64>(&theta, prim, at)
+                    .expect("coordinates");
                 let found = chart.stretch(uv, triangle);
                 let right = [
                     si.frame.s.dot(p.dp_du),
@@ -171,7 +175,10 @@ mod tests {
                 let found = [found.a, found.b, found.c];
                 let size = right.iter().fold(0.0, |m: f64, x| m.max(x.abs()));
                 assert!(
-                    found.iter().zip(right).all(|(f, r)| (f - r).abs() <= exact * size),
+                    found
+                        .iter()
+                        .zip(right)
+                        .all(|(f, r)| (f - r).abs() <= exact * size),
                     "{name} {prim} {at:?}: {found:?} for {right:?}"
                 );
             }
@@ -187,8 +194,16 @@ mod tests {
         for flip in [false, true] {
             let rectangle = Rectangle::new(&sheared, flip).expect("an area");
             check("rectangle", &rectangle.into(), 1e-6);
-            check("disk", &Disk::new(&sheared, flip).expect("an area").into(), 1e-6);
-            check("cube", &Cube::new(&sheared, flip).expect("faces").into(), 1e-5);
+            check(
+                "disk",
+                &Disk::new(&sheared, flip).expect("an area").into(),
+                1e-6,
+            );
+            check(
+                "cube",
+                &Cube::new(&sheared, flip).expect("faces").into(),
+                1e-5,
+            );
             let ball = Sphere::new([0.5, 1.0, -1.0], 0.7, flip).expect("a radius");
             check("sphere", &ball.into(), 1e-6);
             let tube = Cylinder::new([0.0, 1.0, 0.0], [0.5, 1.5, 2.0], 0.4, flip);
@@ -202,7 +217,12 @@ mod tests {
                         [1.2, 1.1, -0.4],
                     ],
                     normals: if normals {
-                        vec![[0.1, 0.0, 1.0], [0.3, -0.2, 1.0], [0.0, 0.3, 0.9], [0.2, 0.2, 2.0]]
+                        vec![
+                            [0.1, 0.0, 1.0],
+                            [0.3, -0.2, 1.0],
+                            [0.0, 0.3, 0.9],
+                            [0.2, 0.2, 2.0],
+                        ]
                     } else {
                         Vec::new()
                     },
@@ -240,7 +260,11 @@ mod tests {
             assert!(uv.x.is_finite() && uv.y.is_finite());
             assert!([s.a, s.b, s.c].iter().all(|x| x.is_finite()), "{s:?}");
         }
-        for uv in [[f32::NAN, 0.0], [f32::INFINITY, -f32::INFINITY], [1e30, -1e30]] {
+        for uv in [
+            [f32::NAN, 0.0],
+            [f32::INFINITY, -f32::INFINITY],
+            [1e30, -1e30],
+        ] {
             let cube = AnyShape::from(Cube::new(&Transform::IDENTITY, false).expect("faces"));
             let (_, chart) = charted(&cube).expect("a chart");
             assert!(chart.own(Vec2::from(uv)).1 < 12);
