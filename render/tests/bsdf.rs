@@ -193,10 +193,8 @@ const MATERIALS: &[(&str, &str, &str, Sampled)] = &[
         "principled",
         r#"<rgb name="base_color" value=".7 .4 .1"/><float name="metallic" value=".3"/>
            <float name="roughness" value=".5"/><float name="eta" value="1.6"/>
-           <float name="flatness" value=".4"/><float name="sheen" value=".7"/>
-           <float name="clearcoat" value=".8"/><float name="clearcoat_gloss" value=".2"/>
-           <float name="spec_tint" value=".6"/><float name="sheen_tint" value=".8"/>
-           <float name="anisotropic" value=".4"/><float name="spec_trans" value=".3"/>"#,
+           <float name="sheen" value=".7"/><float name="flatness" value=".4"/>
+           <float name="spec_tint" value=".6"/><float name="sheen_tint" value=".8"/>"#,
         Sampled::AsMixture,
     ),
     (
