@@ -189,6 +189,10 @@ pub fn all() -> Vec<Case> {
             r#"<emitter type="directional" id="sun"><vector name="direction" value="-0.4, -1, -0.5"/><rgb name="irradiance" value="3, 2, 1"/></emitter>"#,
         ),
         emitter(
+            "beam",
+            r#"<shape type="disk" id="lamp"><transform name="to_world"><scale value="1.1"/><rotate x="1" angle="80"/><translate x="0.3" y="2.5" z="0.4"/></transform><bsdf type="diffuse"><rgb name="reflectance" value="0"/></bsdf><emitter type="directionalarea"><rgb name="radiance" value="3, 2, 1"/></emitter></shape>"#,
+        ),
+        emitter(
             "projector",
             r#"<emitter type="projector" id="lamp"><transform name="to_world"><lookat origin="1, 2.5, 1" target="0, 0, 0" up="0, 0, 1"/></transform><float name="fov" value="60"/><float name="scale" value="1.5"/><texture name="irradiance" type="checkerboard"><rgb name="color0" value="0.7, 0.3, 0.2"/><rgb name="color1" value="0.2, 0.4, 0.6"/><transform name="to_uv"><scale value="5"/></transform></texture></emitter>"#,
         ),

@@ -121,7 +121,7 @@ fn normals_are_those_of_the_definition() {
         let Material::BumpMap(map) = &**charted.nested() else {
             panic!("another material");
         };
-        let mut tilted = 0;
+        let (mut right, mut crossed) = (0, 0);
         for (x, y) in (0..24).flat_map(|x| (0..24).map(move |y| (x, y))) {
             let [x, y] = [x, y].map(|k| (f64::from(k) + 0.3) / 3.0);
             let ray: Ray<f64> = plain.camera.ray(x, y);
@@ -161,15 +161,17 @@ fn normals_are_those_of_the_definition() {
                 .material(number)
                 .shading_frame(&own, wo, 0, TransportMode::Radiance);
             let found = b.si.frame.to_world(frame.n);
-            // A difference over a border of texels is none.
-            if (found - expected).length() > 1e-3 {
-                assert!((slopes[0].abs() + slopes[1].abs()) > 0.0, "{name}");
-                tilted -= 100;
-                continue;
+            // A difference over a border of texels is none: few are.
+            if (found - expected).length() < 1e-3 {
+                right += 1;
+            } else {
+                crossed += 1;
             }
-            tilted += 1;
         }
-        assert!(tilted > 50, "{name}: {tilted}");
+        assert!(
+            right > 50 && crossed * 50 < right,
+            "{name}: {right}, {crossed}"
+        );
     }
 }
 
@@ -330,7 +332,6 @@ fn what_is_not_covered_is_refused() {
         let error = s.admits_motion(&info).expect_err("jumps").to_string();
         assert!(error.contains("jumps where it slides"), "{error}");
     }
-    // Rigid motion leaves the image of what moves along.
     let lamp = r#"<emitter type="area"><texture name="radiance" type="bitmap"><string name="filename" value="tiles.exr"/></texture></emitter>"#;
     let error = try_load(&dir, MESH, &format!("{}{lamp}", bumps(0.1, METAL)));
     let error = error.expect_err("light that is an image");

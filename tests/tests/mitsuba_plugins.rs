@@ -51,6 +51,9 @@ const LIGHT: &str = r#"<shape type="rectangle">
     <bsdf type="diffuse"><rgb name="reflectance" value="0"/></bsdf>
     <emitter type="area"><rgb name="radiance" value="5, 4, 3"/></emitter></shape>
     <emitter type="constant"><rgb name="radiance" value="0.4, 0.5, 0.6"/></emitter>"#;
+const BEAM: &str = r#"<shape type="rectangle"><transform name="to_world"><scale x="0.9" y="0.6"/><rotate x="1" angle="70"/>
+    <translate x="0.2" y="2.5" z="0.3"/></transform><bsdf type="diffuse"><rgb name="reflectance" value="0"/></bsdf>
+    <emitter type="directionalarea"><rgb name="radiance" value="5, 4, 3"/></emitter></shape>"#;
 const DIFFUSE: &str =
     r#"<bsdf type="diffuse"><rgb name="reflectance" value="0.7, 0.3, 0.2"/></bsdf>"#;
 const AIMED: &str = r#"<transform name="to_world"><lookat origin="1, 2.5, 1" target="0, 0, 0" up="0, 0, 1"/></transform>"#;
@@ -266,6 +269,10 @@ fn scenes() -> Vec<(String, String)> {
         all.push((name.into(), scene(PINHOLE, false, &body, DIFFUSE)));
     }
     all.extend(bumped());
+    // Mitsuba finds it with particles only.
+    let beam = scene(PINHOLE, false, BEAM, DIFFUSE)
+        .replace(r#"integrator type="path""#, r#"integrator type="ptracer""#);
+    all.push(("directionalarea".into(), beam));
     let sky = r#"<emitter type="constant"><rgb name="radiance" value="0.4, 0.5, 0.6"/></emitter>"#;
     all.push(("hidden".into(), scene(PINHOLE, true, sky, DIFFUSE)));
     let lens = r#"type="thinlens"><float name="aperture_radius" value="0.15"/><float name="focus_distance" value="4"/>"#;

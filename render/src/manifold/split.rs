@@ -104,7 +104,7 @@ impl Split {
             .any(|(i, casts)| *casts && alpha(i).is_some_and(|alpha| alpha > 0.0));
         let scatters = (shapes.zip(&casters)).map(|(i, casts)| !casts && !info(i).delta);
         let receivers = chosen(scatters.collect(), |i| info(i as u32).hints.receiver);
-        let narrow = scene.emitters().iter().map(|e| !e.is_wide());
+        let narrow = (scene.emitters().iter()).map(|e| !e.is_wide() && !e.is_beam());
         let emitters = chosen(narrow.collect(), |i| takes_part(scene.emitter_hints()[i]));
         let (caster_list, emitter_list) = (list(&casters), list(&emitters));
         let any = !caster_list.is_empty() && !emitter_list.is_empty() && receivers.contains(&true);

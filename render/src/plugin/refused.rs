@@ -28,11 +28,6 @@ const REFUSED: &[(&str, &[&str], &str)] = &[
     ),
     (
         "emitter",
-        &["directionalarea"],
-        "light along one direction from a surface, which no path from the camera finds, is",
-    ),
-    (
-        "emitter",
         &["sky", "sun", "sunsky"],
         "models of the sky are",
     ),

@@ -10,7 +10,7 @@ use crate::accel::{AccelError, MAX_COORDINATE};
 use crate::bsdf::nesting::{check_textures, flips_normals, is_bumped, is_glossy, visit_deltas};
 use crate::bsdf::{Bsdf, Charted, Material, TextureRef};
 use crate::camera::Camera;
-use crate::emitter::{AnyEmitter, Emitter};
+use crate::emitter::{AnyEmitter, DirectionalArea, Emitter};
 use crate::error::SceneError;
 use crate::film::Film;
 use crate::params::{ParamKind, Params};
@@ -227,6 +227,21 @@ impl Builder {
         self.build_with(vec![sensor], 0, settings)
     }
 
+    /// Light along normals is a beam from flat surfaces only.
+    fn check_beams(&self) -> Result<(), SceneError> {
+        for (shape, info) in self.shapes.iter().zip(&self.infos) {
+            let beam = |e: u32| self.emitters[e as usize].is_beam();
+            if info.emitter.is_some_and(beam) && !DirectionalArea::admits(shape) {
+                return Err(SceneError::Parameter {
+                    key: info.name.clone(),
+                    expected: "a rectangle or a disk, whose normals are one".into(),
+                    found: "another shape".into(),
+                });
+            }
+        }
+        Ok(())
+    }
+
     /// Gives materials with bump maps the charts of the surfaces that they are on: a material of its own to each.
     fn chart_bumps(&mut self) -> Result<(), SceneError> {
         for (shape, info) in self.shapes.iter_mut().zip(&mut self.infos) {
@@ -274,6 +289,7 @@ impl Builder {
             });
         };
         settings.spp = spp;
+        self.check_beams()?;
         self.chart_bumps()?;
         for (shape, info) in self.shapes.iter_mut().zip(&self.infos) {
             let mut mapped = info.emitter.is_some_and(|e| {

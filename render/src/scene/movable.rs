@@ -371,6 +371,12 @@ impl Scene {
         let p = self.params.handle(info);
         for ((i, own), shape) in (0..).zip(&self.infos).zip(self.shapes()) {
             let slides = info.kind == ParamKind::Camera || self.movers().contains(&(i, p));
+            let beam = own
+                .emitter
+                .is_some_and(|e| self.emitters[e as usize].is_beam());
+            if beam && self.movers().contains(&(i, p)) {
+                return Err(refuse(own, "sends a beam, whose edge would move along"));
+            }
             if slides && self.jumps(own, shape) {
                 return Err(refuse(own, "has a texture that jumps where it slides"));
             }

@@ -192,7 +192,13 @@ mod tests {
             translation: [1.0, -2.0, 0.5],
         };
         for flip in [false, true] {
-            let rectangle = Rectangle::new(&sheared, flip).expect("an area");
+            let patch = Patch::new(
+                sheared.point([-1.0, -1.0, 0.0]),
+                sheared.vector([2.0, 0.0, 0.0]),
+                sheared.vector([0.0, 2.0, 0.0]),
+                flip,
+            );
+            let rectangle = Rectangle(patch.expect("an area"));
             check("rectangle", &rectangle.into(), 1e-6);
             check(
                 "disk",
