@@ -3,8 +3,11 @@
 use ad_core::Vec3;
 use render::bsdf::{Bsdf, Material, Shading, TransportMode};
 use render::image_io::{Pixels, write_exr_pixels};
+use render::integrator::gradient::Active;
+use render::integrator::second_order::hessian_vector;
 use render::math::Ray;
 use render::params::Theta;
+use render::sampler::Independent;
 use render::scene::LoadOptions;
 use render::{Scene, Settings};
 use tempfile::TempDir;
@@ -228,6 +231,47 @@ fn reverse_equals_forward() {
         assert!(
             scale > 0.0 && (j - jt).abs() < 1e-9 * scale,
             "{name}: {j} {jt}"
+        );
+    }
+}
+
+/// Second derivatives at equal seeds are a symmetric matrix, of texels that a slope alone reads too.
+#[test]
+fn second_derivatives_are_symmetric() {
+    let dir = folder();
+    for (name, shape) in [("mesh", MESH), ("plate", PLATE)] {
+        let s = load(&dir, shape, &bumps(0.1, METAL));
+        let names = [
+            "bumps.nested_texture.data",
+            "bumps.scale",
+            "sky.radiance.value",
+        ];
+        let active = Active::new(&s, &names).expect("parameters");
+        let settings = Settings {
+            rr_depth: u32::MAX,
+            ..s.settings
+        };
+        let all = values::<f64>(&s);
+        let theta = Theta::constant(&all);
+        let adjoint = mean_adjoint(&s);
+        let still = vec![0.0; adjoint.len()];
+        let product = |v: &[f64]| {
+            let job = render::Job::new(&s, &settings, 7, 0..16, &());
+            let found =
+                hessian_vector::<f64, Independent>(&job, &theta, &active, v, [&adjoint, &still]);
+            found.expect("a product").values.concat()
+        };
+        let along =
+            |first: usize| -> Vec<f64> { (0..active.len()).map(|i| noise(i + first)).collect() };
+        let (u, v) = (along(0), along(1000));
+        let terms =
+            |a: &[f64], b: &[f64]| -> Vec<f64> { a.iter().zip(b).map(|(a, b)| a * b).collect() };
+        let (uhv, vhu) = (terms(&u, &product(&v)), terms(&v, &product(&u)));
+        let size: f64 = uhv.iter().chain(&vhu).map(|x| x.abs()).sum();
+        let apart = uhv.iter().sum::<f64>() - vhu.iter().sum::<f64>();
+        assert!(
+            size > 0.0 && apart.abs() < 1e-9 * size,
+            "{name}: {apart:e} of {size:e}"
         );
     }
 }
