@@ -187,6 +187,17 @@ impl Split {
         }
     }
 
+    /// Where a particle is on its way from an emitter over casters to a receiver, [`Split::next`] from the other end: on to a
+    /// shape behind so many casters. `None` where it is on no chain, or at its end.
+    pub fn next_of_particle(&self, casters: u32, shape: u32) -> Option<u32> {
+        (self.is_caster(shape) && casters < self.bounces).then_some(casters + 1)
+    }
+
+    /// Whether light of this emitter is found over chains.
+    pub fn is_connected(&self, emitter: u32) -> bool {
+        self.emitters[emitter as usize]
+    }
+
     /// Whether paths may sample a light that belongs to connections: at casters that are rough.
     #[inline(always)]
     pub fn is_rough(&self) -> bool {
