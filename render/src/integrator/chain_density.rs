@@ -5,6 +5,8 @@
 //! light, that of chains alone, at any depth and through any glass, from lights of any size. They share neither walks nor
 //! geometric terms nor trials: here chains are scattered, and counted where they end.
 
+use std::f64::consts::PI;
+
 use ad_core::{Float, Vec2, Vec3};
 
 use super::Job;
@@ -28,7 +30,7 @@ use crate::sampler::Sampler;
 use crate::scene::{Scene, Settings};
 
 /// Within the radius there are this many particles around half of all particles.
-const NEIGHBOURS: usize = 4;
+const NEIGHBOURS: usize = 8;
 /// So many particles are asked for their neighbours.
 const ASKED: usize = 64;
 
@@ -86,6 +88,7 @@ struct Collecting<'a, P: Float> {
     theta: &'a Theta<'a, P>,
     split: &'a Split,
     map: &'a Map<P>,
+    radius: P,
     max_depth: u32,
     /// Edges so far.
     depth: u32,
@@ -114,12 +117,22 @@ impl<P: Float> Observer<P> for Collecting<'_, P> {
             let cos = l.wi.dot(si.n_geo).abs();
             if cos > P::zero() {
                 let wi: Vec3<P> = si.frame.to_local(l.wi);
-                sum += material.eval(&at, place.wo, wi, MODE) * l.power * (kernel / cos);
+                let weight = extrapolated(kernel, self.radius) / cos;
+                sum += material.eval(&at, place.wo, wi, MODE) * l.power * weight;
             }
         });
         let sent = P::of(self.map.sent().max(1) as f64);
         self.l += beta * sum * sent.recip();
     }
+}
+
+/// Twice the kernel of half the radius less that of the radius: where light and what is seen end sharply at the same place, a
+/// kernel loses light in proportion to its radius, and this one does not.
+fn extrapolated<P: Float>(kernel: P, radius: P) -> P {
+    // One minus the squared distance over that of the radius, and over that of its half.
+    let whole = kernel * radius * radius * P::of(0.5 * PI);
+    let half = (P::of(4.0) * whole - P::of(3.0)).max(P::zero());
+    P::of(2.0 / PI) / (radius * radius) * (P::of(8.0) * half - whole)
 }
 
 /// A radius that holds a few particles around most of them: so that it shrinks as there are more, and is small where
@@ -148,9 +161,9 @@ fn radius<P: Float>(landed: &[Landed<P>]) -> Option<f64> {
 /// The light of manifold connections as `settings` has them, whatever their method, by so many particles instead.
 ///
 /// It is convolved with a kernel on receivers, whose radius [`radius`] chooses. Means over parts of the image that are much
-/// larger are right but for what goes over their borders, and over those of shapes and shadows where light ends sharply at
-/// the same place: of the order of the radius times the length of that border. The same for any number of threads; 64 bytes
-/// or so per particle.
+/// larger are right but for what goes over their borders; what a plain kernel would lose along edges and shadows is
+/// extrapolated away, so that single values may be negative. The same for any number of threads; 64 bytes or so per
+/// particle.
 ///
 /// # Errors
 /// Normals that are flipped to the viewer, whom particles do not know; more particles than there are numbers for.
@@ -209,6 +222,7 @@ pub fn image<P: Float + Components, X: Sampler>(
             theta,
             split,
             map: &map,
+            radius: P::of(radius),
             max_depth: pass.settings.max_depth,
             depth: 0,
             l: Rgb::black(),
