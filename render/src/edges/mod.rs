@@ -29,8 +29,14 @@ use tree::Tree;
 use turn::Turn;
 
 /// How far inside of its outline a curved surface is looked at, as the cosine to its normal; and how far inside of its
-/// sides a flat one, as a part of it: where an edge is seen, so is the surface, on the side of the viewer.
+/// sides a flat one, as a part of the way to its middle, at least: where an edge is seen, so is the surface, on the side of
+/// the viewer.
 const INSIDE: f64 = 1e-4;
+/// How far inside of its sides a flat surface is looked at, at least, in roundings of its size: neighbours overlap by a few,
+/// and hide light there.
+const SEAM: f64 = 64.0;
+/// At most so far to its middle.
+const MIDDLE: f64 = 0.25;
 
 /// A face that ends at an edge.
 #[derive(Clone, Copy, Debug)]
@@ -43,6 +49,8 @@ struct Face {
     sides: u8,
     /// Whether it runs from the end of the edge to its start.
     reversed: bool,
+    /// How far inside it is looked at, as a part of the way to its middle.
+    inside: f32,
 }
 
 /// A straight edge.
@@ -188,7 +196,7 @@ impl Face {
         let part = if self.reversed { 1.0 - part } else { part };
         let middle = if n == 3 { 1.0 / 3.0 } else { 0.5 };
         let on = [0, 1].map(|i: usize| a[i] + part * (b[i] - a[i]));
-        [on, on.map(|x| x + INSIDE * (middle - x))]
+        [on, on.map(|x| x + f64::from(self.inside) * (middle - x))]
     }
 }
 

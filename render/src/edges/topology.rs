@@ -8,7 +8,7 @@ use std::collections::HashMap;
 use ad_core::Vec3;
 
 use super::turn::Turn;
-use super::{Curve, CurveKind, Edge, Face};
+use super::{Curve, CurveKind, Edge, Face, INSIDE, MIDDLE, SEAM};
 use crate::params::Theta;
 use crate::shape::{AnyShape, Mesh, Patch, Shape, SurfaceCoordinates, SurfaceInteraction, lift3};
 
@@ -236,19 +236,31 @@ impl Topology {
                 continue;
             }
             let along = along.normalize();
-            let into = |polygon: u32| {
+            // At right angles to the edge, up to the middle.
+            let across = |polygon: u32| {
                 let corners = &polygons[polygon as usize].corners;
                 let sum = corners
                     .iter()
                     .fold(Vec3::zero(), |s, c| s + lift3::<f64>(c.at));
                 let to = sum * (corners.len() as f64).recip() - start;
-                (to - along * along.dot(to)).normalize()
+                to - along * along.dot(to)
+            };
+            let into = |polygon: u32| across(polygon).normalize();
+            let inside = |polygon: u32| {
+                let corners = polygons[polygon as usize].corners.iter();
+                let size = corners.map(|c| lift3::<f64>(c.at)).map(|p| {
+                    let largest = p.to_array().into_iter().fold(0.0, |m: f64, x| m.max(x.abs()));
+                    largest.max((p - start).length())
+                });
+                let rounding = f64::from(f32::EPSILON) * size.fold(0.0, f64::max);
+                (SEAM * rounding / across(polygon).length()).clamp(INSIDE, MIDDLE) as f32
             };
             let face = |&(_, polygon, side): &([u32; 2], u32, u8)| Face {
                 local: polygons[polygon as usize].local,
                 side,
                 sides: polygons[polygon as usize].corners.len() as u8,
                 reversed: ends((group[0].0, polygon, side))[0].welded != a.welded,
+                inside: inside(polygon),
             };
             let m = into(group[0].1);
             let mut edge = Edge {
