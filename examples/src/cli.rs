@@ -410,8 +410,8 @@ const POINTS: Points = Points::Sobol;
 #[derive(Args, Clone, Copy, Debug, Default, PartialEq)]
 pub struct ManifoldArgs {
     /// How light over chains of mirrors and smooth glass is found that sampling cannot find: sms (unbiased), sms-biased
-    /// (distinct solutions of --trials walks), mnee (one walk, towards the light), or off [default: the scene's
-    /// integrator]
+    /// (distinct solutions of --trials walks), mnee (one walk, towards the light), or off: paths find it, but with --bounces or
+    /// --caster-roughness the light of such chains is left out [default: the scene's integrator]
     #[arg(long, value_name = "NAME", value_enum)]
     pub manifold: Option<ManifoldArg>,
     /// Walks of a trial set of --manifold sms-biased [default: 16]; of --manifold sms, most trials of an estimate, which
@@ -479,7 +479,7 @@ pub enum GlintArg {
     Unbiased,
     /// Distinct solutions of a trial set
     Biased,
-    /// Paths find all light
+    /// Paths find all light, or all but that of the chains that options name
     Off,
 }
 
@@ -579,7 +579,7 @@ pub enum ManifoldArg {
     SmsBiased,
     /// Manifold next event estimation
     Mnee,
-    /// Paths find all light
+    /// Paths find all light, or all but that of the chains that options name
     Off,
 }
 
@@ -621,16 +621,18 @@ impl ManifoldArgs {
             None => return Ok(()),
             Some(ManifoldArg::Off) => {
                 let others = self.trials.is_some()
-                    || self.bounces.is_some()
                     || self.constraint.is_some()
                     || self.uniqueness_threshold.is_some()
-                    || self.starts.is_some()
-                    || self.caster_roughness.is_some();
+                    || self.starts.is_some();
                 if others {
-                    return usage("--manifold off: its other options are without effect");
+                    return usage("--manifold off: options of walks are without effect");
                 }
-                settings.connections = None;
-                return Ok(());
+                if self.bounces.is_none() && self.caster_roughness.is_none() {
+                    settings.connections = None;
+                    return Ok(());
+                }
+                // Chains are named: their light is left out.
+                Method::LeftOut
             }
             Some(ManifoldArg::Sms) => Method::Sms,
             Some(ManifoldArg::SmsBiased) => Method::SmsBiased(self.trials.unwrap_or(TRIALS)),

@@ -501,7 +501,7 @@ fn render_writes_image_picture_and_report() {
     assert!(mean("--max-depth 2")[1] < mean("--max-depth -1")[1]);
 }
 
-/// A ball of glass on a floor under a lamp: connections are reported, checked against paths, and their options refused where
+/// A ball of glass on a floor under a lamp: connections are reported, checked against particles, and their options refused where
 /// they would have no effect.
 #[test]
 fn manifold_connections_are_rendered_reported_and_checked() {
@@ -548,9 +548,21 @@ fn manifold_connections_are_rendered_reported_and_checked() {
     assert_eq!(dir.json("mnee.json")["manifold"]["unbiased"], false);
     dir.ok("render", "ball.xml --manifold off --spp 4 --json off.json");
     assert!(dir.json("off.json").get("manifold").is_none());
+    // Chains that are named are left out: the rest of the image, which both halves have.
+    let mean = |args: &str| {
+        dir.ok("render", args);
+        read_exr(&dir.path("x.exr")).unwrap().mean()[1]
+    };
+    let off = mean("ball.xml --manifold off --spp 32 -o x.exr");
+    let rest = mean("ball.xml --manifold off --bounces 2 --spp 32 -o x.exr --json rest.json");
+    assert_eq!(dir.json("rest.json")["manifold"]["method"], "left out");
+    assert!(rest < off, "{rest} {off}");
     for (args, expected) in [
         ("ball.xml --trials 4", "--manifold"),
-        ("ball.xml --manifold off --bounces 2", "without effect"),
+        (
+            "ball.xml --manifold off --constraint angle",
+            "without effect",
+        ),
         ("ball.xml --manifold mnee --trials 4", "sms-biased"),
         (
             "ball.xml --manifold sms --caustics particles",
@@ -562,6 +574,10 @@ fn manifold_connections_are_rendered_reported_and_checked() {
         ),
         ("ball.xml --manifold sms --bounces 9", "1..=8"),
         ("ball.xml --manifold-check", "no connections to check"),
+        (
+            "ball.xml --manifold off --bounces 1 --manifold-check",
+            "no connections to check",
+        ),
         (
             "ball.xml --manifold-picture p.exr",
             "no connections to picture",

@@ -45,6 +45,7 @@ use crate::estimator::{
     Reparameterised, Strategy, TrustBsdf, TrustLights, Unbiased,
 };
 use crate::integrator::Job;
+use crate::integrator::chain_density;
 use crate::integrator::density::{Convention, Map};
 use crate::integrator::gradient::{self, Active, Gradient};
 use crate::integrator::particle;
@@ -117,6 +118,19 @@ pub fn density_f32(
     };
     let map = Map::new::<Spread>(&context, radius, seed, samples.clone(), progress)?;
     Ok(map.render::<Spread>(&context, convention, seed, samples, progress))
+}
+
+/// The light of manifold connections by so many particles instead, in single precision: [`chain_density::image`] with the
+/// points that `settings` asks for.
+///
+/// # Errors
+/// As those of [`chain_density::image`].
+pub fn chains_by_particles_f32(
+    job: &Job,
+    theta: &Theta<f32>,
+    particles: u64,
+) -> Result<chain_density::ChainLight, RenderError> {
+    chain_density::image::<f32, Spread>(job, theta, particles)
 }
 
 /// The particles of [`density_f32`], to be gathered at chosen points.

@@ -189,6 +189,15 @@ const MATERIALS: &[(&str, &str, &str, Sampled)] = &[
         Sampled::AsMixture,
     ),
     (
+        "principled with tints",
+        "principled",
+        r#"<rgb name="base_color" value=".7 .4 .1"/><float name="metallic" value=".3"/>
+           <float name="roughness" value=".5"/><float name="eta" value="1.6"/>
+           <float name="sheen" value=".7"/><float name="flatness" value=".4"/>
+           <float name="spec_tint" value=".6"/><float name="sheen_tint" value=".8"/>"#,
+        Sampled::AsMixture,
+    ),
+    (
         "brushed principled",
         "principled",
         r#"<rgb name="base_color" value=".7 .4 .1"/><float name="metallic" value=".3"/>
@@ -1532,13 +1541,18 @@ fn bad_descriptions_are_errors() {
         ),
         (
             "principled",
-            r#"<float name="spec_tint" value=".1"/>"#,
-            "tint",
+            r#"<float name="spec_tint" value="-.1"/>"#,
+            "spec_tint",
         ),
         (
             "principled",
-            r#"<float name="sheen" value=".1"/><float name="sheen_tint" value=".1"/>"#,
-            "tint",
+            r#"<float name="sheen" value=".1"/><float name="sheen_tint" value="1.1"/>"#,
+            "sheen_tint",
+        ),
+        (
+            "principled",
+            r#"<float name="spec_tint" value=".5"/><float name="specular" value="0"/>"#,
+            "specular",
         ),
         (
             "principled",

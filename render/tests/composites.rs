@@ -67,6 +67,14 @@ fn normal_map(nested: &str, extra: &str) -> String {
     )
 }
 
+/// Heights are the weights of blends, times `scale`.
+fn bump_map(scale: f64, nested: &str, extra: &str) -> String {
+    let heights = WEIGHTS.replace("\"weight\"", "\"heights\"");
+    format!(
+        r#"<bsdf type="bumpmap">{heights}<float name="scale" value="{scale}"/>{extra}{nested}</bsdf>"#
+    )
+}
+
 const SLOPES_OFF: &str = r#"<boolean name="use_slopes" value="false"/>"#;
 
 /// More options of a normal map.
@@ -117,6 +125,18 @@ fn zoo() -> Vec<(&'static str, String)> {
                 &normal_map(&blend(0.6, &format!("{GLASS}{red}")), &correct(true, true)),
             ),
         ),
+        ("bump map", bump_map(0.2, &two_sided(&red), "")),
+        (
+            "bump map, uncorrected",
+            bump_map(-0.3, &textured, &correct(false, false)),
+        ),
+        (
+            "bump map of glass in a mask",
+            mask(
+                0.8,
+                &bump_map(0.3, &blend(0.6, &format!("{GLASS}{red}")), ""),
+            ),
+        ),
         (
             "blend of masks",
             blend(0.7, &format!("{holes}{}", mask(0.2, &blue))),
@@ -155,10 +175,7 @@ fn values(scene: &Scene) -> Vec<f64> {
 }
 
 fn shading<'a, R: Real>(theta: Theta<'a, R>, uv: [f64; 2]) -> Shading<'a, R> {
-    Shading {
-        theta,
-        uv: Vec2::new(R::of(uv[0]), R::of(uv[1])),
-    }
+    Shading::new(theta, Vec2::new(R::of(uv[0]), R::of(uv[1])))
 }
 
 fn numbers(seed: u64) -> impl FnMut() -> [f64; 3] {
@@ -221,7 +238,7 @@ fn objective<R: Real<Primal = f64>>(
 fn reverse_equals_forward_equals_differences() {
     for (name, xml) in zoo() {
         let scene = load(&xml).unwrap();
-        let material = &scene.materials()[0];
+        let material = scene.material(0);
         let theta = values(&scene);
         for (wo, uv) in directions().into_iter().flat_map(|d| UV.map(|uv| (d, uv))) {
             let at = shading(Theta::constant(&theta), uv);
@@ -278,7 +295,7 @@ fn densities_change_through_choices_and_through_parts() {
     let mut changes = 0;
     for (name, xml) in zoo() {
         let scene = load(&xml).unwrap();
-        let material = &scene.materials()[0];
+        let material = scene.material(0);
         let theta = values(&scene);
         let mut next = numbers(19);
         for wo in directions() {
@@ -339,7 +356,7 @@ fn inactive_parameters_get_nothing() {
     }
     for (name, xml) in zoo() {
         let scene = load(&xml).unwrap();
-        let material = &scene.materials()[0];
+        let material = scene.material(0);
         let theta = values(&scene);
         let at = shading(Theta::constant(&theta), UV[0]);
         let wo = directions()[1];
@@ -377,7 +394,7 @@ fn samples_follow_their_density() {
     let significance = sidak(tests, 1e-3);
     for (name, xml) in zoo() {
         let scene = load(&xml).unwrap();
-        let material = &scene.materials()[0];
+        let material = scene.material(0);
         let theta = values(&scene);
         let at = shading(Theta::constant(&theta), UV[0]);
         for (k, wo) in directions().into_iter().enumerate() {
@@ -429,7 +446,7 @@ fn samples_follow_their_density() {
 
 /// Mean and standard error of value over density, and of its derivative along `tangents`.
 fn estimate(scene: &Scene, tangents: &[Tangent<Dual<f64, 1>>], wo: Vec3<f64>) -> [[f64; 2]; 2] {
-    let material = &scene.materials()[0];
+    let material = scene.material(0);
     let theta = values(scene);
     let at = shading(Theta::constant(&theta), UV[0]);
     let moving = shading(Theta::with_tangents(&theta, tangents), UV[0]);
@@ -531,7 +548,7 @@ fn holes_let_light_straight_through() {
     let scene = load(&mask(0.25, &diffuse(0.5, 0.5, 0.5))).unwrap();
     let theta = values(&scene);
     let at = shading(Theta::constant(&theta), UV[0]);
-    let material = &scene.materials()[0];
+    let material = scene.material(0);
     for wo in directions() {
         let s = material.sample(&at, wo, [0.1, 0.2, 0.3], MODE).unwrap();
         let Component::Delta { kind, route } = s.component else {
@@ -552,7 +569,7 @@ fn tilted_glass_refracts_the_same_within_others() {
         let scene = load(xml).unwrap();
         let theta = values(&scene);
         let at = shading(Theta::constant(&theta), UV[0]);
-        let (material, wo) = (&scene.materials()[0], directions()[1]);
+        let (material, wo) = (scene.material(0), directions()[1]);
         let mut next = numbers(5);
         for _ in 0..1000 {
             let sample = material.sample(&at, wo, next(), TransportMode::Importance);
@@ -589,7 +606,7 @@ fn two_sided_shows_the_right_side() {
     assert_eq!(names, expected);
     let theta = values(&scene);
     let at = shading(Theta::constant(&theta), UV[0]);
-    let material = &scene.materials()[0];
+    let material = scene.material(0);
     let z = |z: f64| Vec3::new(0.6, 0.0, z);
     let eval = |o: f64, i: f64| material.eval(&at, z(o), z(i), MODE);
     let inv_pi = std::f64::consts::FRAC_1_PI;
@@ -680,7 +697,7 @@ fn normal_maps_agree_with_the_peer() {
             let scene = with_normals(&[encode(n)], &format!("{SLOPES_OFF}{options}"));
             let theta = self::values(&scene);
             let at = shading(Theta::constant(&theta), UV[0]);
-            let f = scene.materials()[0].eval(&at, o, i, MODE);
+            let f = scene.material(0).eval(&at, o, i, MODE);
             for (f, reflectance) in f.to_array().into_iter().zip([0.5, 0.6, 0.7]) {
                 let expected = value * reflectance / 0.5;
                 assert!(
@@ -709,11 +726,11 @@ fn shadowing_darkens_mirrors() {
         ),
     ] {
         let wo = Vec3::from(o).normalize();
-        let s = scene.materials()[0]
-            .sample(&at, wo, [0.3; 3], MODE)
-            .unwrap();
+        let s = scene.material(0).sample(&at, wo, [0.3; 3], MODE).unwrap();
         assert!((s.wi - Vec3::from(i)).length() < 2e-6, "{:?}", s.wi);
-        let f = scene.materials()[0].eval_component(&at, wo, s.wi, s.component, MODE);
+        let f = scene
+            .material(0)
+            .eval_component(&at, wo, s.wi, s.component, MODE);
         assert!((f.r - value).abs() < 2e-6, "{f:?}");
     }
 }
@@ -728,7 +745,7 @@ fn flipped_normals_face_every_viewer() {
     );
     let theta = values(&scene);
     let at = shading(Theta::constant(&theta), UV[0]);
-    let material = &scene.materials()[0];
+    let material = scene.material(0);
     let mut next = numbers(17);
     for _ in 0..1000 {
         let [x, y, z] = next();
@@ -751,7 +768,7 @@ fn slopes_or_normals_are_interpolated() {
         let theta = values(&scene);
         let at = shading(Theta::constant(&theta), [1.0 / 3.0, 0.5]);
         let up = Vec3::new(0.0, 0.0, 1.0);
-        let f = scene.materials()[0].eval(&at, up, up, MODE).r;
+        let f = scene.material(0).eval(&at, up, up, MODE).r;
         let cos = 1.0 / f64::hypot(1.0, slope);
         assert!((f - 0.5 * std::f64::consts::FRAC_1_PI * cos).abs() < 1e-7);
     }
@@ -784,6 +801,16 @@ fn faulty_descriptions_are_named() {
             format!(r#"<bsdf type="normalmap">{d}</bsdf>"#),
             "has no `filename`",
         ),
+        (
+            format!(r#"<bsdf type="bumpmap">{d}</bsdf>"#),
+            "has no `texture`",
+        ),
+        (bump_map(1.0, "", ""), "one nested <bsdf>"),
+        (bump_map(1.0, &d, WEIGHTS), "<texture>"),
+        (
+            format!(r#"<bsdf type="bumpmap"><texture name="a" type="checkerboard"/>{d}</bsdf>"#),
+            "the slope of heights other than those of an image is not there",
+        ),
     ] {
         let error = load(&xml).unwrap_err().to_string();
         assert!(error.contains(expected), "{error}");
@@ -813,7 +840,7 @@ fn sideways_normals_still_have_a_slope() {
     let theta = values(&scene);
     let at = shading(Theta::constant(&theta), UV[0]);
     let up = Vec3::new(0.0, 0.0, 1.0);
-    let f = scene.materials()[0].eval(&at, up, up, MODE).r;
+    let f = scene.material(0).eval(&at, up, up, MODE).r;
     let cos = 1.0 / f64::hypot(1.0, 0.5);
     assert!((f - 0.5 * std::f64::consts::FRAC_1_PI * cos).abs() < 1e-4);
 }
@@ -831,15 +858,12 @@ proptest! {
         let slopes = format!(r#"<boolean name="use_slopes" value="{slopes}"/>"#);
         let extra = slopes + &correct(flip, shadowing);
         let scene = with_normals(&[texel, other], &extra);
-        let material = &scene.materials()[0];
+        let material = scene.material(0);
         let theta = scene.params().values();
         let tangents: Vec<Tangent<Dual<f32, 1>>> = (scene.params().infos().iter())
             .map(|_| Tangent::Uniform(Dual::new(0.0, [1.0])))
             .collect();
-        let at = Shading {
-            theta: Theta::with_tangents(theta, &tangents),
-            uv: Vec2::new(Dual::lift(u[0]), Dual::lift(u[1])),
-        };
+        let at = Shading::new(Theta::with_tangents(theta, &tangents), Vec2::new(Dual::lift(u[0]), Dual::lift(u[1])));
         let z = 1.0 - 2.0 * u[2];
         let wo = Vec3::new(v[0], v[1], z).normalize();
         if let Some(s) = material.sample(&at.primal(), wo, u, MODE) {

@@ -66,10 +66,7 @@ fn reflectance(scene: &Scene, x: f64, y: f64) -> Rgb<f64> {
     let values: Vec<f64> = scene.params().values().iter().map(|&x| x.into()).collect();
     let ray = Ray::new(Vec3::new(x, y, 1.0), Vec3::new(0.0, 0.0, -1.0));
     let hit = scene.intersect(&ray).expect("the square");
-    let at = Shading {
-        theta: Theta::constant(&values),
-        uv: hit.si.uv,
-    };
+    let at = Shading::new(Theta::constant(&values), hit.si.uv);
     let up = Vec3::new(0.0, 0.0, 1.0);
     let material = scene.material(hit.shape);
     material.eval(&at, up, up, TransportMode::Radiance) * std::f64::consts::PI

@@ -295,7 +295,7 @@ fn bad_descriptions_name_their_line_and_key() {
             &format!(r#"<rgb name="intensity" value="-1"/>{}"#, board("texture")),
             "intensity",
         ),
-        ("directionalarea", "", "directionalarea"),
+        ("directionalarea", "", "an area light inside a <shape>"),
         ("sunsky", "", "models of the sky are not there"),
     ] {
         let text = format!("<emitter type=\"{plugin}\">{inner}</emitter>");
@@ -305,4 +305,67 @@ fn bad_descriptions_name_their_line_and_key() {
             "{text}: {error}"
         );
     }
+}
+
+/// Inside its beam a flat lamp is a directional light, outside there is none; particles carry its power.
+#[test]
+fn beams_have_the_form_of_their_lamp() {
+    let lamp = |shape: &str| {
+        format!(
+            r#"<shape type="{shape}" id="lamp"><transform name="to_world"><scale x="2" y="0.5"/><rotate y="1" angle="90"/>
+            <translate x="1" y="2" z="3"/></transform><emitter type="directionalarea"><rgb name="radiance" value="3, 2, 1"/></emitter></shape>"#
+        )
+    };
+    // The x axis of the lamp has become -z, its normal x.
+    for (shape, area, corner) in [("rectangle", 4.0, true), ("disk", PI, false)] {
+        let scene = scene(&lamp(shape));
+        let light = &scene.emitters()[0];
+        assert!(light.is_delta() && !light.is_infinite());
+        for (p, lit) in [
+            ([6.0, 2.0, 3.0], true),
+            ([1.5, 2.4, 3.0], true),
+            ([6.0, 2.0, 4.9], true),
+            ([6.0, 2.45, 4.8], corner),
+            ([6.0, 2.6, 3.0], false),
+            ([6.0, 2.0, 5.1], false),
+            ([0.5, 2.0, 3.0], false),
+            ([1.0, 2.0, 3.0], false),
+        ] {
+            let found = arrives(&scene, Vec3::from(p));
+            assert_eq!(found.is_some(), lit, "{shape} {p:?}");
+            if let Some((d, e, _)) = found {
+                assert!((d - Vec3::new(-1.0, 0.0, 0.0)).length() < 1e-6);
+                assert_eq!(e, [3.0, 2.0, 1.0]);
+            }
+        }
+        let start = light.sample_ray::<f64>(&Theta::still(), scene.lights(), None, [0.3; 4]);
+        let start = start.expect("a particle");
+        assert!((start.ray.d - Vec3::new(1.0, 0.0, 0.0)).length() < 1e-6);
+        assert!(
+            (start.weight() / area - 1.0).abs() < 1e-6,
+            "{}",
+            start.weight()
+        );
+    }
+    let error = load(&lamp("sphere").replace("<scale x=\"2\" y=\"0.5\"/>", "")).map(|_| ());
+    let error = error.expect_err("no direction");
+    assert!(
+        error.contains("<text>:2") || error.contains("<text>:3"),
+        "{error}"
+    );
+    assert!(
+        error.contains("rectangles and disks is not there"),
+        "{error}"
+    );
+    let mut scene = scene(&lamp("disk"));
+    scene
+        .make_movable(&["lamp.translation"])
+        .expect("a parameter");
+    let info = scene
+        .params()
+        .find("lamp.translation")
+        .expect("a parameter")
+        .clone();
+    let error = scene.admits_motion(&info).expect_err("an edge").to_string();
+    assert!(error.contains("sends a beam"), "{error}");
 }

@@ -79,10 +79,10 @@ const RAW: &str = r#"<boolean name="raw" value="true"/>"#;
 
 /// The albedo of the first material at `uv`.
 fn albedo(scene: &Scene, uv: [f32; 2]) -> [f32; 3] {
-    let at = Shading {
-        theta: Theta::constant(scene.params().values()),
-        uv: Vec2::new(uv[0], uv[1]),
-    };
+    let at = Shading::new(
+        Theta::constant(scene.params().values()),
+        Vec2::new(uv[0], uv[1]),
+    );
     let up = Vec3::new(0.0, 0.0, 1.0);
     let f = scene.materials()[0].eval(&at, up, up, TransportMode::Radiance);
     f.to_array().map(|x| x * std::f32::consts::PI)

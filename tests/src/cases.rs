@@ -141,6 +141,10 @@ pub fn all() -> Vec<Case> {
             r#"<bsdf type="principled"><rgb name="base_color" value="0.7, 0.3, 0.2"/><float name="roughness" value="0.6"/><float name="metallic" value="0.3"/><float name="specular" value="0.6"/><float name="flatness" value="0.3"/><float name="sheen" value="0.4"/><float name="clearcoat" value="0.5"/><float name="clearcoat_gloss" value="0.1"/></bsdf>"#,
         ),
         material(
+            "principled with tints",
+            r#"<bsdf type="principled"><rgb name="base_color" value="0.7, 0.3, 0.2"/><float name="roughness" value="0.6"/><float name="metallic" value="0.3"/><float name="specular" value="0.6"/><float name="sheen" value="0.8"/><float name="spec_tint" value="0.7"/><float name="sheen_tint" value="0.6"/></bsdf>"#,
+        ),
+        material(
             "principled glass",
             r#"<bsdf type="principled"><rgb name="base_color" value="0.7, 0.5, 0.4"/><float name="roughness" value="0.6"/><float name="metallic" value="0.2"/><float name="eta" value="1.5"/><float name="spec_trans" value="0.6"/></bsdf>"#,
         ),
@@ -183,6 +187,10 @@ pub fn all() -> Vec<Case> {
         emitter(
             "directional",
             r#"<emitter type="directional" id="sun"><vector name="direction" value="-0.4, -1, -0.5"/><rgb name="irradiance" value="3, 2, 1"/></emitter>"#,
+        ),
+        emitter(
+            "beam",
+            r#"<shape type="disk" id="lamp"><transform name="to_world"><scale value="1.1"/><rotate x="1" angle="80"/><translate x="0.3" y="2.5" z="0.4"/></transform><bsdf type="diffuse"><rgb name="reflectance" value="0"/></bsdf><emitter type="directionalarea"><rgb name="radiance" value="3, 2, 1"/></emitter></shape>"#,
         ),
         emitter(
             "projector",

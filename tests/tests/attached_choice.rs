@@ -94,10 +94,7 @@ fn integrals(s: &Scene, hit: impl Fn(f64) -> f64) -> [f64; 2] {
     let weight = s.params().find("blend.weight.value").expect("a weight");
     let w = values[weight.offset];
     let (probability, slope) = choice(w);
-    let at = Shading {
-        theta: Theta::constant(&values),
-        uv: ad_core::Vec2::new(0.5, 0.5),
-    };
+    let at = Shading::new(Theta::constant(&values), ad_core::Vec2::new(0.5, 0.5));
     let wo = Vec3::new(0.0, -0.8, 0.6);
     let n = 500;
     let area = std::f64::consts::TAU / f64::from(n * n);

@@ -107,6 +107,7 @@ const TRANSPORT: &[&str] = &[
     "motion",
     "convolved",
     "connections",
+    "chain_density",
     "glints",
     "boundary",
     "integrals",

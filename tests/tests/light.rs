@@ -294,10 +294,7 @@ fn importance_scatters_by_the_adjoint_of_what_radiance_does() {
             for _ in 0..200 {
                 let [wo, wi] = [(); 2].map(|()| warp::square_to_sphere(sampler.next_2d::<f64>()));
                 let uv = sampler.next_2d::<f64>();
-                let at = Shading {
-                    theta,
-                    uv: Vec2::new(uv[0], uv[1]),
-                };
+                let at = Shading::new(theta, Vec2::new(uv[0], uv[1]));
                 let radiance = material.eval(&at, wo, wi, TransportMode::Radiance);
                 let importance = material.eval(&at, wi, wo, TransportMode::Importance);
                 for c in 0..3 {

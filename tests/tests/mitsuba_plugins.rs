@@ -8,7 +8,7 @@
 use std::path::Path;
 use std::process::Command;
 
-use render::image_io::write_exr;
+use render::image_io::{Pixels, write_exr, write_exr_pixels};
 use render::instances::{Estimator, render_f32};
 use render::params::Theta;
 use render::scene::LoadOptions;
@@ -51,6 +51,9 @@ const LIGHT: &str = r#"<shape type="rectangle">
     <bsdf type="diffuse"><rgb name="reflectance" value="0"/></bsdf>
     <emitter type="area"><rgb name="radiance" value="5, 4, 3"/></emitter></shape>
     <emitter type="constant"><rgb name="radiance" value="0.4, 0.5, 0.6"/></emitter>"#;
+const BEAM: &str = r#"<shape type="rectangle"><transform name="to_world"><scale x="0.9" y="0.6"/><rotate x="1" angle="70"/>
+    <translate x="0.2" y="2.5" z="0.3"/></transform><bsdf type="diffuse"><rgb name="reflectance" value="0"/></bsdf>
+    <emitter type="directionalarea"><rgb name="radiance" value="5, 4, 3"/></emitter></shape>"#;
 const DIFFUSE: &str =
     r#"<bsdf type="diffuse"><rgb name="reflectance" value="0.7, 0.3, 0.2"/></bsdf>"#;
 const AIMED: &str = r#"<transform name="to_world"><lookat origin="1, 2.5, 1" target="0, 0, 0" up="0, 0, 1"/></transform>"#;
@@ -99,6 +102,18 @@ fn materials() -> Vec<(String, String)> {
             <float name="anisotropic" value="0.6"/><float name="spec_trans" value="1"/><float name="specular" value="0.5"/>"#,
         ),
         (
+            "principled",
+            r#"<rgb name="base_color" value="0.7, 0.3, 0.2"/><float name="roughness" value="0.3"/>
+            <float name="metallic" value="0.2"/><float name="specular" value="0.9"/><float name="spec_tint" value="0.8"/>
+            <float name="sheen" value="1"/><float name="sheen_tint" value="0.7"/>"#,
+        ),
+        (
+            "principled",
+            r#"<rgb name="base_color" value="0.2, 0.5, 0.7"/><float name="roughness" value="0.5"/>
+            <float name="eta" value="1.8"/><float name="spec_tint" value="1"/><float name="anisotropic" value="0.6"/>
+            <float name="spec_trans" value="0.5"/>"#,
+        ),
+        (
             "roughconductor",
             r#"<string name="distribution" value="ggx"/><float name="alpha_u" value="0.4"/>
             <float name="alpha_v" value="0.1"/><string name="material" value="Cu"/>"#,
@@ -128,6 +143,70 @@ fn materials() -> Vec<(String, String)> {
         all.push((format!("conductor-{metal}"), bsdf));
     }
     all
+}
+
+/// A bump map over `nested`, with heights up to `scale`.
+fn bumps(scale: f64, options: &str, nested: &str) -> String {
+    format!(
+        r#"<bsdf type="bumpmap"><texture name="heights" type="bitmap"><string name="filename" value="heights.exr"/>
+        <boolean name="raw" value="true"/></texture><float name="scale" value="{scale}"/>{options}{nested}</bsdf>"#
+    )
+}
+
+/// A ball with a bump map, a stretched cube and a mesh with normals and coordinates of its own, all but the ball before a
+/// floor: with the corrections of Mitsuba 3.9, and without.
+fn bumped() -> Vec<(String, String)> {
+    let metal = r#"<bsdf type="roughconductor"><float name="alpha" value="0.3"/></bsdf>"#;
+    let plain = r#"<boolean name="flip_invalid_normals" value="false"/><boolean name="use_shadowing_function" value="false"/>"#;
+    let of = |name: &str, options: &str, ball: &str| {
+        let cube = format!(
+            r#"<shape type="cube"><transform name="to_world"><scale x="0.3" y="0.5" z="0.2"/><rotate y="1" angle="30"/>
+            <translate x="-1.2" y="0.5" z="0.3"/></transform>{}</shape>"#,
+            bumps(0.05, options, DIFFUSE)
+        );
+        let mesh = format!(
+            r#"<shape type="obj"><string name="filename" value="patch.obj"/><transform name="to_world">
+            <translate x="1.2" y="0.2" z="0.3"/></transform><bsdf type="twosided">{}</bsdf></shape>"#,
+            bumps(0.1, options, metal)
+        );
+        let ball = bumps(0.1, options, ball);
+        let body = format!("{LIGHT}{cube}{mesh}");
+        (
+            format!("bumpmap{name}"),
+            scene(r#"type="perspective">"#, false, &body, &ball),
+        )
+    };
+    vec![
+        of("", "", DIFFUSE),
+        of("-plain", plain, metal),
+        of("-mirror", "", r#"<bsdf type="conductor"/>"#),
+    ]
+}
+
+/// A bent patch of four quadrilaterals, with normals that are not those of its faces.
+fn patch() -> String {
+    let mut text = String::new();
+    for (i, j) in (0..3).flat_map(|i| (0..3).map(move |j| (i, j))) {
+        let [x, y] = [i, j].map(|k| f64::from(k) * 0.4 - 0.4);
+        text += &format!("v {x} {} {}\n", y + 0.5, 0.2 * (x * 3.0).cos() - 0.1 * y);
+        text += &format!(
+            "vt {} {}\n",
+            0.9 - 0.4 * f64::from(j),
+            0.3 * f64::from(i) + 0.1 * f64::from(j)
+        );
+        text += &format!("vn {} 0.15 1\n", 0.6 * (x * 3.0).sin());
+    }
+    for (i, j) in (0..2).flat_map(|i| (0..2).map(move |j| (i, j))) {
+        let at = |i: u32, j: u32| format!("{0}/{0}/{0}", 3 * i + j + 1);
+        text += &format!(
+            "f {} {} {} {}\n",
+            at(i, j),
+            at(i + 1, j),
+            at(i + 1, j + 1),
+            at(i, j + 1)
+        );
+    }
+    text
 }
 
 /// Lights that shine on a diffuse ball.
@@ -189,6 +268,11 @@ fn scenes() -> Vec<(String, String)> {
     for (name, body) in lights() {
         all.push((name.into(), scene(PINHOLE, false, &body, DIFFUSE)));
     }
+    all.extend(bumped());
+    // Mitsuba finds it with particles only.
+    let beam = scene(PINHOLE, false, BEAM, DIFFUSE)
+        .replace(r#"integrator type="path""#, r#"integrator type="ptracer""#);
+    all.push(("directionalarea".into(), beam));
     let sky = r#"<emitter type="constant"><rgb name="radiance" value="0.4, 0.5, 0.6"/></emitter>"#;
     all.push(("hidden".into(), scene(PINHOLE, true, sky, DIFFUSE)));
     let lens = r#"type="thinlens"><float name="aperture_radius" value="0.15"/><float name="focus_distance" value="4"/>"#;
@@ -245,6 +329,14 @@ fn plugins_look_as_in_mitsuba() {
         data: texels.collect(),
     };
     write_exr(&dir.path().join("slide.exr"), &image).expect("a file");
+    let heights = Pixels {
+        width: 8,
+        height: 8,
+        channels: 1,
+        data: (0..64).map(|i| ((i * 7919 % 101) as f32) / 101.0).collect(),
+    };
+    write_exr_pixels(&dir.path().join("heights.exr"), &heights).expect("a file");
+    std::fs::write(dir.path().join("patch.obj"), patch()).expect("a file");
     let scenes = scenes();
     let files: Vec<_> = (scenes.iter())
         .map(|(name, text)| {

@@ -46,7 +46,7 @@ fn lit(s: &Scene, v: &[f64]) -> Vec<f64> {
         s.intersect(&ray).is_some_and(|hit| {
             let wo = hit.si.frame.to_local(-ray.d);
             let uv = hit.si.uv;
-            let (at, up) = (Shading { theta, uv }, Vec3::new(0.0, 0.0, 1.0));
+            let (at, up) = (Shading::new(theta, uv), Vec3::new(0.0, 0.0, 1.0));
             let f = s
                 .material(hit.shape)
                 .eval(&at, wo, up, TransportMode::Radiance);

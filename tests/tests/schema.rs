@@ -95,6 +95,8 @@ fn the_schema_knows_what_scenes_have() {
     for (tag, plugin, name) in [
         ("bsdf", "roughconductor", "alpha_v"),
         ("bsdf", "normalmap", "use_slopes"),
+        ("bsdf", "bumpmap", "scale"),
+        ("bsdf", "principled", "spec_tint"),
         ("bsdf", "principled", "clearcoat_gloss"),
         ("bsdf", "principled", "spec_trans"),
         ("emitter", "envmap", "filename"),

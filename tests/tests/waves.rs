@@ -224,6 +224,54 @@ fn court() -> (Case, Scene) {
     (Case { name, body }, scene)
 }
 
+/// A ball and a mesh under bump maps, one of them over a textured blend.
+fn bumps() -> (Case, Scene) {
+    let dir = tempfile::tempdir().unwrap();
+    let heights = dir.path().join("heights.exr");
+    let noise = (0..16 * 8 * 3).map(|i| ((i / 3 * 7919 % 101) as f32) / 101.0);
+    let image = Image {
+        width: 16,
+        height: 8,
+        data: noise.collect(),
+    };
+    write_exr(&heights, &image).unwrap();
+    let mesh = dir.path().join("tent.obj");
+    let tent = "v -1 0 0\nv 1 0 0\nv 0 0.4 0.5\nv 0 1.2 -0.3\nvt 0 0\nvt 1 0.2\nvt 0.4 0.6\nvt 0.5 1\n\
+        vn 0 0.2 1\nvn 0.3 0.3 1\nf 1/1/1 2/2/2 3/3/1\nf 1/1/1 3/3/1 4/4/2\nf 3/3/1 2/2/2 4/4/2\n";
+    std::fs::write(&mesh, tent).unwrap();
+    let (heights, mesh) = (heights.display(), mesh.display());
+    let bitmap = |name: &str| {
+        format!(
+            r#"<texture name="{name}" type="bitmap"><string name="filename" value="{heights}"/></texture>"#
+        )
+    };
+    let bump = |nested: &str| {
+        let map = bitmap("map");
+        format!(r#"<bsdf type="bumpmap">{map}<float name="scale" value="0.1"/>{nested}</bsdf>"#)
+    };
+    let metal = r#"<bsdf type="roughconductor"><float name="alpha" value="0.2"/></bsdf>"#;
+    let tiles = format!(r#"<bsdf type="diffuse">{}</bsdf>"#, bitmap("reflectance"));
+    let blend = format!(
+        r#"<bsdf type="blendbsdf">{}{metal}{tiles}</bsdf>"#,
+        bitmap("weight")
+    );
+    let (ball, tent) = (bump(metal), bump(&blend));
+    let body = format!(
+        r#"<sensor type="perspective"><float name="fov" value="50"/>
+        <transform name="to_world"><lookat origin="0, 1, 4" target="0, 0.4, 0" up="0, 1, 0"/></transform>
+        <film type="hdrfilm"><integer name="width" value="20"/><integer name="height" value="20"/></film></sensor>
+        <integrator type="path"><integer name="max_depth" value="5"/></integrator>
+        <shape type="rectangle"><transform name="to_world"><scale value="0.5"/><rotate x="1" angle="90"/><translate y="2.5" z="1"/></transform>
+        <emitter type="area"><rgb name="radiance" value="7, 6, 5"/></emitter></shape>
+        <emitter type="constant" id="sky"><rgb name="radiance" value="0.3, 0.4, 0.5"/></emitter>
+        <shape type="sphere"><point name="center" value="-0.7, 0.4, 0.6"/><float name="radius" value="0.4"/>{ball}</shape>
+        <shape type="obj"><string name="filename" value="{mesh}"/><bsdf type="twosided">{tent}</bsdf></shape>"#
+    );
+    let scene = scene(&body);
+    let name = "bumps";
+    (Case { name, body }, scene)
+}
+
 fn all() -> impl Iterator<Item = (Case, Scene)> {
     let cases = cases::all()
         .into_iter()
@@ -233,7 +281,7 @@ fn all() -> impl Iterator<Item = (Case, Scene)> {
         let scene = scene(&case.body);
         (case, scene)
     });
-    read.chain([court()])
+    read.chain([court(), bumps()])
 }
 
 /// Asserts that waves find what single paths do, bit by bit.

@@ -14,7 +14,7 @@ use render::integrator::density::Convention;
 use render::integrator::particle;
 use render::integrator::render::{Progress, Rendering};
 use render::params::Theta;
-use render::scene::{Caustics, LightChoice};
+use render::scene::{Caustics, LightChoice, Method as Finding};
 use render::{RenderError, Scene, Settings, image_io};
 use serde::Serialize;
 
@@ -74,8 +74,8 @@ pub struct Args {
     /// Threads
     #[command(flatten)]
     pub threads: ThreadArgs,
-    /// Say whether manifold connections miss any light: by means of blocks of the image without them, by paths, or by
-    /// particles where a light is a point; takes about as long again
+    /// Say whether manifold connections miss any light: by means of blocks of the light of chains, which particles that land
+    /// on receivers bring as well; takes about as long again
     #[arg(long)]
     pub manifold_check: bool,
     /// Write what manifold connections came to in each pixel: channels success_rate (of walks), steps (per walk), trials (per
@@ -321,7 +321,8 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
         settings.connections = None;
         settings.glints = None;
     }
-    if args.manifold_check && settings.connections.is_none() {
+    let connects = (settings.connections).is_some_and(|c| c.method != Finding::LeftOut);
+    if args.manifold_check && !connects {
         let message = "--manifold-check: no connections to check; expected --manifold, or a scene that asks for them";
         return Err(ToolError::Usage(message.into()));
     }
@@ -348,7 +349,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
         let rendering = in_passes(&scene, method, &settings, args.seed, &bar)?;
         bar.finish();
         let energy = if args.manifold_check && rendering.is_some() {
-            energy::check(&scene, &settings, args.seed, interrupt)
+            energy::check(&scene, &settings, args.seed, interrupt)?
         } else {
             None
         };

@@ -60,17 +60,15 @@
 //! let retro = Retro { reflectance: RgbTexture::Constant(reflectance) };
 //! let (values, mode) = ([0.5f64, 0.6, 0.7], TransportMode::Radiance);
 //! let theta = Theta::constant(&values);
-//! let at = Shading { theta, uv: Vec2::new(0.5, 0.5) };
+//! let at = Shading::new(theta, Vec2::new(0.5, 0.5));
 //! let wo = Vec3::new(0.6, 0.0, 0.8);
 //! let (sample, value) = retro.sample_eval(&at, wo, [0.5; 3], mode).unwrap();
 //! assert_eq!((sample.wi.x, value.g), (wo.x, 0.6));
 //!
 //! // Forward: all three channels move by one.
 //! let tangents = [Tangent::Uniform(Dual::new(0.0, [1.0]))];
-//! let moving: Shading<Dual<f64, 1>> = Shading {
-//!     theta: Theta::with_tangents(&values, &tangents),
-//!     uv: Vec2::lift(at.uv),
-//! };
+//! let theta: Theta<Dual<f64, 1>> = Theta::with_tangents(&values, &tangents);
+//! let moving = Shading::new(theta, Vec2::lift(at.uv));
 //! let (_, moved) = retro.sample_eval(&moving, Vec3::lift(wo), [0.5; 3], mode).unwrap();
 //! assert_eq!(moved.g.eps, [1.0]);
 //!
@@ -97,6 +95,9 @@
 
 mod blend;
 mod blinn_phong;
+mod bump_map;
+pub mod chart;
+mod charted;
 mod conductor;
 mod dielectric;
 pub mod differential;
@@ -115,16 +116,19 @@ mod rough_conductor;
 mod rough_dielectric;
 mod rough_plastic;
 mod thin_dielectric;
+mod tilted;
 mod twosided;
 
 pub use blend::Blend;
 pub use blinn_phong::{BlinnPhong, BlinnPhongLobe, BlinnPhongSampling};
+pub use bump_map::{BumpMap, Bumps};
+pub use charted::Charted;
 pub use conductor::{Conductor, ConductorIndex, ConductorLobe};
 pub use dielectric::{Dielectric, DielectricLobe};
 pub use differential::{DiffLobe, Part};
 pub use diffuse::{Diffuse, DiffuseLobe};
 pub use mask::Mask;
-pub use normal_map::{Corrections, Interpolation, NormalMap, shadowing};
+pub use normal_map::{EncodedNormals, Interpolation, NormalMap};
 pub use null::{Null, NullLobe};
 pub use plastic::{Coated, CoatedLobe, Plastic, PlasticLobe};
 pub use principled::{AnisotropicPrincipled, Principled, PrincipledLobe, Reflectivity};
@@ -133,6 +137,7 @@ pub(crate) use rough_conductor::{Facets, Metal};
 pub use rough_dielectric::{AnisotropicDielectric, RoughDielectric, RoughDielectricLobe};
 pub use rough_plastic::{Coat, RoughPlastic, RoughPlasticLobe};
 pub use thin_dielectric::{ThinDielectric, ThinDielectricLobe};
+pub use tilted::{Corrections, Tilt, Tilted, shadowing};
 pub use twosided::TwoSided;
 
 use std::sync::Arc;
@@ -366,6 +371,11 @@ pub trait Reader<R: Real> {
     fn rgb(&mut self, t: &RgbTexture) -> Rgb<R>;
     /// The value of `t`.
     fn scalar(&mut self, t: &ScalarTexture) -> R;
+    /// The colour of `t`, of which each channel changes all channels of what is scattered.
+    #[inline(always)]
+    fn mixed(&mut self, t: &RgbTexture) -> Rgb<R> {
+        self.rgb(t)
+    }
     /// The value of `t`, the roughness of a microsurface.
     #[inline(always)]
     fn alpha(&mut self, t: &ScalarTexture) -> R {
@@ -385,15 +395,43 @@ pub struct Shading<'a, R: Real> {
     pub theta: Theta<'a, R>,
     /// Surface coordinates.
     pub uv: Vec2<R>,
+    /// How long these are, where materials want to know.
+    pub(crate) on: Option<OnChart<'a>>,
+}
+
+/// Where on a chart.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct OnChart<'a> {
+    chart: &'a chart::Chart,
+    triangle: u32,
 }
 
 impl<'a, R: Real> Shading<'a, R> {
+    /// At `uv`, which are the coordinates that interactions have.
+    #[inline(always)]
+    pub fn new(theta: Theta<'a, R>, uv: Vec2<R>) -> Self {
+        Self {
+            theta,
+            uv,
+            on: None,
+        }
+    }
+
+    /// How long dp/du and dp/dv are, as far as that is known: [`Charted`].
+    #[inline]
+    pub(crate) fn stretch(&self) -> chart::Stretch<R> {
+        self.on.map_or(chart::Stretch::unit(), |on| {
+            on.chart.stretch(self.uv, on.triangle)
+        })
+    }
+
     /// The same point without tangents.
     #[inline]
     pub fn primal(&self) -> Shading<'a, R::Primal> {
         Shading {
             theta: self.theta.primal(),
             uv: self.uv.primal(),
+            on: self.on,
         }
     }
 }
@@ -405,6 +443,7 @@ impl<'a, P: Float> Shading<'a, P> {
         Shading {
             theta: self.theta.lift(),
             uv: Vec2::lift(self.uv),
+            on: self.on,
         }
     }
 }
@@ -431,20 +470,24 @@ pub enum TextureRef<'a> {
     Alpha(&'a ScalarTexture),
     /// One number: the exponent of a lobe.
     Exponent(&'a ScalarTexture),
+    /// A colour whose channels mix.
+    Mixed(&'a RgbTexture),
     /// A vector: channels mix.
     Vector(&'a RgbTexture),
     /// A vector that is not linear in the texels.
     Encoded(&'a RgbTexture),
+    /// Numbers of which the slope counts, or a factor on it.
+    Height(&'a ScalarTexture),
 }
 
 impl TextureRef<'_> {
     /// Whether it has the same value everywhere.
     pub fn is_constant(&self) -> bool {
         match self {
-            Self::Rgb(t) | Self::Vector(t) | Self::Encoded(t) => {
+            Self::Rgb(t) | Self::Mixed(t) | Self::Vector(t) | Self::Encoded(t) => {
                 matches!(t, RgbTexture::Constant(_))
             }
-            Self::Scalar(t) | Self::Alpha(t) | Self::Exponent(t) => {
+            Self::Scalar(t) | Self::Alpha(t) | Self::Exponent(t) | Self::Height(t) => {
                 matches!(t, ScalarTexture::Constant(_))
             }
         }
@@ -453,16 +496,19 @@ impl TextureRef<'_> {
     /// See [`RgbTexture::closes`].
     pub(crate) fn closes(&self) -> bool {
         match self {
-            Self::Rgb(t) | Self::Vector(t) | Self::Encoded(t) => t.closes(),
+            Self::Rgb(t) | Self::Mixed(t) | Self::Vector(t) | Self::Encoded(t) => t.closes(),
             Self::Scalar(t) | Self::Alpha(t) | Self::Exponent(t) => t.closes(),
+            Self::Height(_) => self.is_constant(),
         }
     }
 
     /// See [`RgbTexture::jumps`].
     pub(crate) fn jumps(&self) -> bool {
         match self {
-            Self::Rgb(t) | Self::Vector(t) | Self::Encoded(t) => t.jumps(),
+            Self::Rgb(t) | Self::Mixed(t) | Self::Vector(t) | Self::Encoded(t) => t.jumps(),
             Self::Scalar(t) | Self::Alpha(t) | Self::Exponent(t) => t.jumps(),
+            // Slopes do, between texels.
+            Self::Height(_) => !self.is_constant(),
         }
     }
 
@@ -470,16 +516,20 @@ impl TextureRef<'_> {
     #[inline]
     pub fn any_param(&self, f: impl FnMut(ParamRef) -> bool) -> bool {
         match self {
-            Self::Rgb(t) | Self::Vector(t) | Self::Encoded(t) => t.any_param(f),
-            Self::Scalar(t) | Self::Alpha(t) | Self::Exponent(t) => t.any_param(f),
+            Self::Rgb(t) | Self::Mixed(t) | Self::Vector(t) | Self::Encoded(t) => t.any_param(f),
+            Self::Scalar(t) | Self::Alpha(t) | Self::Exponent(t) | Self::Height(t) => {
+                t.any_param(f)
+            }
         }
     }
 
     /// See [`RgbTexture::visit_params`].
     pub fn visit_params(&self, f: &mut dyn FnMut(ParamRef)) {
         match self {
-            Self::Rgb(t) | Self::Vector(t) | Self::Encoded(t) => t.visit_params(f),
-            Self::Scalar(t) | Self::Alpha(t) | Self::Exponent(t) => t.visit_params(f),
+            Self::Rgb(t) | Self::Mixed(t) | Self::Vector(t) | Self::Encoded(t) => t.visit_params(f),
+            Self::Scalar(t) | Self::Alpha(t) | Self::Exponent(t) | Self::Height(t) => {
+                t.visit_params(f);
+            }
         }
     }
 }
@@ -494,7 +544,8 @@ pub trait Leaf: Send + Sync {
     const DELTA: bool = false;
     /// Whether its lobe has [`Lobe::sample_differential`].
     const DIFFERENTIAL: bool = false;
-    /// Whether it may have more than [`MAX_SLOTS`] textures, up to [`MANY_SLOTS`].
+    /// Whether it may have more than [`MAX_SLOTS`] textures, up to [`MOST_SLOTS`]: one that is [`Reader::mixed`] counts
+    /// three times.
     const MANY: bool = false;
 }
 
@@ -827,7 +878,9 @@ impl<L: Leaf> Bsdf for L {
             0 => {}
             1 => leaf_backward::<L, P, 1>(self, at, wo, uses, mode, grad),
             n => {
-                if const { L::MANY } && n > MAX_SLOTS {
+                if const { L::MANY } && n > MANY_SLOTS {
+                    leaf_backward::<L, P, MOST_SLOTS>(self, at, wo, uses, mode, grad);
+                } else if const { L::MANY } && n > MAX_SLOTS {
                     leaf_backward::<L, P, MANY_SLOTS>(self, at, wo, uses, mode, grad);
                 } else {
                     leaf_backward::<L, P, MAX_SLOTS>(self, at, wo, uses, mode, grad);
@@ -907,6 +960,8 @@ impl<L: Leaf> Bsdf for L {
 pub const MAX_SLOTS: usize = 4;
 /// The same for a leaf that says so ([`Leaf::MANY`]).
 pub const MANY_SLOTS: usize = 10;
+/// The same for one that reads more than those.
+pub const MOST_SLOTS: usize = 14;
 
 /// The value of a lobe that was used. Without samples of its own, the change of normals is part of the rest.
 #[inline(always)]
@@ -971,6 +1026,11 @@ struct CountActive<'a, G> {
 
 impl<P: Float, G: GradSink<P>> Reader<P> for CountActive<'_, G> {
     #[inline(always)]
+    fn mixed(&mut self, t: &RgbTexture) -> Rgb<P> {
+        self.n += 3 * usize::from(t.any_param(|p| self.grad.active(p)));
+        Rgb::splat(P::of(PLACEHOLDER))
+    }
+    #[inline(always)]
     fn rgb(&mut self, t: &RgbTexture) -> Rgb<P> {
         self.n += usize::from(t.any_param(|p| self.grad.active(p)));
         Rgb::splat(P::of(PLACEHOLDER))
@@ -1008,6 +1068,15 @@ fn seed<P: Float, const K: usize>(x: P, slot: Option<usize>) -> Dual<P, K> {
 
 impl<P: Float, G: GradSink<P>, const K: usize> Reader<Dual<P, K>> for Seeds<'_, P, G, K> {
     #[inline(always)]
+    fn mixed(&mut self, t: &RgbTexture) -> Rgb<Dual<P, K>> {
+        let colour = t.rgb(&self.at.theta, self.at.uv);
+        let active = t.any_param(|p| self.grad.active(p));
+        Rgb::from(colour.to_array().map(|x| {
+            let slot = self.slot(active);
+            seed(x, slot)
+        }))
+    }
+    #[inline(always)]
     fn rgb(&mut self, t: &RgbTexture) -> Rgb<Dual<P, K>> {
         let slot = self.slot(t.any_param(|p| self.grad.active(p)));
         t.rgb(&self.at.theta, self.at.uv).map(|x| seed(x, slot))
@@ -1040,6 +1109,15 @@ impl<P: Float, G: GradSink<P>, const K: usize> Scatter<'_, P, G, K> {
 
 impl<P: Float, G: GradSink<P>, const K: usize> Reader<P> for Scatter<'_, P, G, K> {
     #[inline(always)]
+    fn mixed(&mut self, t: &RgbTexture) -> Rgb<P> {
+        if t.any_param(|p| self.grad.active(p)) {
+            let d = [0, 1, 2].map(|k| self.d_slot[self.n + k].sum());
+            t.scatter(self.uv, d.into(), self.grad);
+            self.n += 3;
+        }
+        Rgb::splat(P::of(PLACEHOLDER))
+    }
+    #[inline(always)]
     fn rgb(&mut self, t: &RgbTexture) -> Rgb<P> {
         self.give(t);
         Rgb::splat(P::of(PLACEHOLDER))
@@ -1055,6 +1133,10 @@ impl<P: Float, G: GradSink<P>, const K: usize> Reader<P> for Scatter<'_, P, G, K
 struct List<'a>(&'a mut dyn FnMut(TextureRef));
 
 impl Reader<f32> for List<'_> {
+    fn mixed(&mut self, t: &RgbTexture) -> Rgb<f32> {
+        (self.0)(TextureRef::Mixed(t));
+        Rgb::splat(PLACEHOLDER as f32)
+    }
     fn rgb(&mut self, t: &RgbTexture) -> Rgb<f32> {
         (self.0)(TextureRef::Rgb(t));
         Rgb::splat(PLACEHOLDER as f32)
@@ -1265,6 +1347,8 @@ materials! {
     Blend,
     Mask,
     NormalMap,
+    BumpMap,
+    Charted,
     AnisotropicDielectric,
     RoughDielectric,
     Plastic,

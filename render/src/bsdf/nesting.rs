@@ -4,7 +4,8 @@ use std::sync::Arc;
 
 use ad_core::{Float, Real, Vec3};
 
-use super::{Bsdf, MANY_SLOTS, MAX_SLOTS, Material, Roughness, Shading};
+use super::tilted::Tilt;
+use super::{Bsdf, MAX_SLOTS, MOST_SLOTS, Material, Roughness, Shading, TextureRef};
 use crate::error::SceneError;
 use crate::params::{ParamRef, Params};
 use crate::plugin::Node;
@@ -50,12 +51,17 @@ fn children(material: &Material) -> &[Arc<Material>] {
         Material::Blend(m) => m.parts(),
         Material::Mask(m) => std::slice::from_ref(m.nested()),
         Material::NormalMap(m) => std::slice::from_ref(m.nested()),
+        Material::BumpMap(m) => std::slice::from_ref(m.nested()),
+        Material::Charted(m) => std::slice::from_ref(m.nested()),
         _ => &[],
     }
 }
 
 /// Levels of nesting; a leaf has none.
 pub fn levels(material: &Material) -> u32 {
+    if let Material::Charted(m) = material {
+        return levels(m.nested());
+    }
     let deepest = children(material).iter().map(|m| levels(m)).max();
     deepest.map_or(0, |n| n + 1)
 }
@@ -92,7 +98,7 @@ pub fn check_textures(material: &Material, params: &Params) -> Result<(), SceneE
                     | Material::AnisotropicConductor(_)
                     | Material::AnisotropicDielectric(_)
             );
-            check_leaf(material, if many { MANY_SLOTS } else { MAX_SLOTS }, params)
+            check_leaf(material, if many { MOST_SLOTS } else { MAX_SLOTS }, params)
         }
         parts => parts.iter().try_for_each(|m| check_textures(m, params)),
     }
@@ -102,7 +108,11 @@ fn check_leaf(leaf: &impl Bsdf, most: usize, params: &Params) -> Result<(), Scen
     let mut found = 0;
     let mut first = None;
     leaf.visit_textures(&mut |t| {
-        found += 1;
+        found += if matches!(t, TextureRef::Mixed(_)) {
+            3
+        } else {
+            1
+        };
         t.visit_params(&mut |p| {
             first.get_or_insert(p.id);
         });
@@ -123,7 +133,12 @@ fn check_leaf(leaf: &impl Bsdf, most: usize, params: &Params) -> Result<(), Scen
 pub fn visit_deltas(material: &Material, f: &mut dyn FnMut(ParamRef)) {
     match material {
         Material::Dielectric(m) => m.eta.visit_params(f),
-        Material::NormalMap(m) if has_delta(material) => m.map().visit_params(f),
+        Material::NormalMap(m) if has_delta(material) => {
+            m.tilt.visit_textures(&mut |t| t.visit_params(f));
+        }
+        Material::BumpMap(m) if has_delta(material) => {
+            m.tilt.visit_textures(&mut |t| t.visit_params(f));
+        }
         _ => {}
     }
     for m in children(material) {
@@ -154,6 +169,8 @@ pub fn opacity<P: Float>(material: &Material, at: &Shading<P>, wo: Vec3<P>) -> P
             })
         }
         Material::NormalMap(m) => opacity(m.nested(), at, wo),
+        Material::BumpMap(m) => opacity(m.nested(), at, wo),
+        Material::Charted(m) => opacity(m.nested(), &m.inside(at), wo),
         Material::TwoSided(m) => {
             let behind = wo.z < P::zero();
             opacity(&m.sides()[usize::from(behind)], at, wo)
@@ -236,10 +253,22 @@ fn equally_rough(a: Option<&Roughness>, b: Option<&Roughness>) -> bool {
     }
 }
 
+/// Whether a part has normals that follow from heights which are not the same everywhere: those of the material need the
+/// chart of the surface.
+pub(crate) fn is_bumped(material: &Material) -> bool {
+    let own =
+        matches!(material, Material::BumpMap(m) if !matches!(m.height(), Texture::Constant(_)));
+    own || children(material).iter().any(|m| is_bumped(m))
+}
+
 /// Whether any part flips normals to the viewer, as [`super::Corrections::flip`] says: light tracers
 /// do not, and disagree with path tracers there.
 pub fn flips_normals(material: &Material) -> bool {
-    let own = matches!(material, Material::NormalMap(m) if m.corrections().flip);
+    let own = match material {
+        Material::NormalMap(m) => m.corrections().flip,
+        Material::BumpMap(m) => m.corrections().flip,
+        _ => false,
+    };
     own || children(material).iter().any(|m| flips_normals(m))
 }
 

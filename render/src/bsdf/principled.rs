@@ -33,6 +33,9 @@ pub struct Principled<T = ()> {
     pub sheen: Option<ScalarTexture>,
     /// Strength and gloss of a second, colourless reflection.
     pub clearcoat: Option<[ScalarTexture; 2]>,
+    /// How much the reflection of a dielectric, and the sheen, have the hue of the base, from 0 to 1; not without a
+    /// `dielectric`, and without sheen.
+    pub tints: [Option<ScalarTexture>; 2],
     /// How much of what is no metal is rough glass, from 0 to 1; then there is a `dielectric`.
     pub transmission: Option<ScalarTexture>,
     /// How much longer than wide highlights are, from 0 to 1.
@@ -75,12 +78,12 @@ const GRAZING: f64 = 1e-4;
 /// sides, is that of [Burley 2015] as Mitsuba 3 has it: refraction by the facets of the main reflection, times the
 /// root of the colour, so that what passes two surfaces has the colour. From below, nothing but glass is seen.
 ///
-/// # Does not handle
-/// Tints: scene files that ask for them are refused. They would mix colour channels.
+/// Tints are Mitsuba's: the hue is the base colour over its luminance, white where that is zero, and what of the
+/// dielectric is tinted reflects by Schlick's fit.
 ///
 /// # Derivatives
 /// None in a roughness whose square is below `LEAST_ALPHA`: the model is constant there. None of refraction in a colour that
-/// is zero, where the root has no slope.
+/// is zero, where the root has no slope, nor in the hue of black. A hue mixes colour channels.
 #[derive(Clone, Copy, Debug)]
 pub struct PrincipledLobe<R, A = R> {
     base_color: Rgb<R>,
@@ -94,6 +97,7 @@ pub struct PrincipledLobe<R, A = R> {
     /// Strength and roughness.
     clearcoat: Option<[R; 2]>,
     transmission: Option<R>,
+    tints: [Option<R>; 2],
 }
 
 impl Leaf for Principled {
@@ -128,7 +132,11 @@ impl<T> Principled<T> {
         read: &mut X,
         alpha: impl FnOnce(&mut X, R) -> A,
     ) -> PrincipledLobe<R, A> {
-        let base_color = read.rgb(&self.base_color);
+        let base_color = if self.is_tinted() {
+            read.mixed(&self.base_color)
+        } else {
+            read.rgb(&self.base_color)
+        };
         let roughness = read.alpha(&self.roughness);
         let alpha = alpha(read, roughness.square());
         let mut number = |t: &Option<ScalarTexture>| t.as_ref().map(|t| read.scalar(t));
@@ -146,6 +154,9 @@ impl<T> Principled<T> {
             [strength, gloss * R::c(COAT[1] - COAT[0]) + R::c(COAT[0])]
         });
         let transmission = self.transmission.as_ref().map(|t| read.scalar(t));
+        let [spec, sheen_tint] = &self.tints;
+        let mut tint = |t: &Option<ScalarTexture>| t.as_ref().map(|t| read.scalar(t));
+        let tints = [tint(spec), tint(sheen_tint)];
         PrincipledLobe {
             base_color,
             roughness,
@@ -160,7 +171,14 @@ impl<T> Principled<T> {
             sheen,
             clearcoat,
             transmission,
+            tints,
         }
+    }
+
+    /// Whether something has the hue of the base.
+    #[inline]
+    fn is_tinted(&self) -> bool {
+        self.tints.iter().any(Option::is_some)
     }
 }
 
@@ -352,6 +370,35 @@ impl<R: Real, A: Alpha<Scalar = R>> PrincipledLobe<R, A> {
         value * wi.z * R::c(FRAC_1_PI)
     }
 
+    /// What tints change: `dielectric` is the reflectance without, `main` what it is multiplied with.
+    #[inline]
+    fn tinted(&self, grazing: R, dielectric: R, main: R, cos: R) -> Rgb<R> {
+        let matt = -self.metallic + R::c(1.0);
+        let luminance = self.base_color.luminance();
+        let hue = if luminance.primal() > R::Primal::zero() {
+            self.base_color.map(|c| c / luminance)
+        } else {
+            Rgb::splat(R::one())
+        };
+        let [spec, sheen] = self.tints;
+        let normal = self.eta.map(|eta| {
+            let root = (eta - R::one()) / (eta + R::one());
+            root.square()
+        });
+        hue.map(|hue| {
+            let mut change = R::zero();
+            if let (Some(tint), Some(normal)) = (spec, normal) {
+                let normal = hue * normal;
+                let coloured = normal + (R::one() - normal) * grazing;
+                change += (coloured * matt - dielectric) * tint * main;
+            }
+            if let (Some(tint), Some(sheen)) = (sheen, self.sheen) {
+                change += (hue - R::one()) * tint * sheen * matt * grazing * cos;
+            }
+            change
+        })
+    }
+
     /// Masking of the clear coat.
     #[inline]
     fn coat_masking(w: Vec3<R>) -> R {
@@ -384,10 +431,14 @@ impl<R: Real, A: Alpha<Scalar = R>> Lobe<R> for PrincipledLobe<R, A> {
             let masking = Self::coat_masking(wo) * Self::coat_masking(wi);
             white += strength * f * coat_d(alpha, m) * masking * wi.z * R::c(0.25);
         }
-        self.base_color.map(|colour| {
+        let value = self.base_color.map(|colour| {
             let metal = colour + (R::one() - colour) * grazing;
             (metal * self.metallic + dielectric) * main + colour * base + white
-        })
+        });
+        if let [None, None] = self.tints {
+            return value;
+        }
+        value + self.tinted(grazing, dielectric, main, wi.z)
     }
 
     #[inline]
@@ -454,7 +505,7 @@ impl FromNode for Principled {
     const PLUGINS: &'static [&'static str] = &["principled"];
 
     /// `base_color` (0.5), `roughness` (0.5), `metallic` (0), `specular` (0.5) or `eta`, `flatness` (0), `sheen` (0),
-    /// `clearcoat` (0), `clearcoat_gloss` (0) and `spec_trans` (0).
+    /// `clearcoat` (0), `clearcoat_gloss` (0), `spec_trans` (0), `spec_tint` (0) and `sheen_tint` (0).
     fn from_node(node: &Node, registry: &mut Registry) -> Result<Self, SceneError> {
         // Zero, or there is another plugin for it.
         node.grey(ANISOTROPIC)?;
@@ -489,21 +540,6 @@ pub(super) fn transmits(node: &Node) -> bool {
 
 impl<T> Principled<T> {
     fn of(node: &Node, registry: &mut Registry, anisotropic: T) -> Result<Self, SceneError> {
-        for (key, what) in [
-            ("spec_tint", "a tint, which mixes colours, is"),
-            ("sheen_tint", "a tint, which mixes colours, is"),
-        ] {
-            let is_zero = matches!(node.grey(key), Ok(Some(x)) if x == 0.0);
-            // Without sheen there is nothing to tint.
-            if node.has(key) && !is_zero && (key != "sheen_tint" || node.has("sheen")) {
-                return Err(SceneError::Refused {
-                    location: node.location.clone(),
-                    tag: node.tag.clone(),
-                    plugin: format!("{} with {key}", node.plugin),
-                    what,
-                });
-            }
-        }
         node.ignore(
             &[
                 "diffuse_reflectance_sampling_rate",
@@ -524,6 +560,16 @@ impl<T> Principled<T> {
         };
         let (metallic, flatness) = (given("metallic")?, given("flatness")?);
         let (sheen, coat) = (given("sheen")?, given("clearcoat")?);
+        // A tint of zero is none, and without sheen there is nothing to tint.
+        let mut tint = |key: &str, of: bool| match node.grey(key) {
+            Ok(Some(0.0)) => Ok(None),
+            _ if of => given(key),
+            value => value.map(|_| None),
+        };
+        let tints = [
+            tint("spec_tint", true)?,
+            tint("sheen_tint", sheen.is_some())?,
+        ];
         let transmission = if transmits(node) {
             given(TRANSMISSION)?
         } else {
@@ -552,7 +598,11 @@ impl<T> Principled<T> {
                     registry.scalar_texture(node, "eta", 1.5, valid)?,
                 ))
             }
-            (false, Some(s)) if transmission.is_none() && (0.0..least).contains(&s) => None,
+            (false, Some(s))
+                if transmission.is_none() && tints[0].is_none() && (0.0..least).contains(&s) =>
+            {
+                None
+            }
             (false, _) => {
                 let valid = (least, 1.0);
                 let specular = registry.scalar_texture(node, "specular", 0.5, valid)?;
@@ -568,6 +618,7 @@ impl<T> Principled<T> {
             sheen,
             clearcoat,
             transmission,
+            tints,
             anisotropic,
         })
     }

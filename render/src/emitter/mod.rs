@@ -9,6 +9,7 @@
 mod area;
 mod constant;
 mod directional;
+mod directional_area;
 mod envmap;
 mod point;
 mod projector;
@@ -18,6 +19,7 @@ mod vmf;
 pub use area::Area;
 pub use constant::Constant;
 pub use directional::Directional;
+pub use directional_area::DirectionalArea;
 pub use envmap::{Envmap, Moved, MovingDraw, Shift};
 pub(crate) use envmap::{Local as LocalSums, MapPoint};
 pub use point::Point;
@@ -568,6 +570,11 @@ impl AnyEmitter {
         }
     }
 
+    /// Whether each point of it sends light in one direction only.
+    pub(crate) fn is_beam(&self) -> bool {
+        matches!(self, Self::DirectionalArea(_))
+    }
+
     /// Whether outlines of shadows are drawn from it: it has points to draw them from, and what it sends from there does
     /// not jump with the direction.
     pub(crate) fn draws_shadows(&self) -> bool {
@@ -584,6 +591,7 @@ emitters! {
     Envmap,
     Vmf,
     Directional,
+    DirectionalArea,
     Projector,
 }
 

@@ -185,10 +185,7 @@ fn mean(c: Colour) -> f64 {
 
 /// Where materials are evaluated: they are constant over a surface.
 fn middle<'a, R: Real<Primal = f64>>(theta: &Theta<'a, R>) -> Shading<'a, R> {
-    Shading {
-        theta: *theta,
-        uv: Vec2::lift(Vec2::new(0.5, 0.5)),
-    }
+    Shading::new(*theta, Vec2::lift(Vec2::new(0.5, 0.5)))
 }
 
 impl<'a> FiniteElements<'a> {

@@ -157,10 +157,7 @@ impl<'a, P: Float> Finder<'a, P> {
     fn scatter(&self, foot: &Footprint, sample: f64, out: &mut Vec<Glint>) {
         let scene = self.scene;
         let si: SurfaceInteraction<P> = cast(&foot.si.primal());
-        let at = Shading {
-            theta: self.theta,
-            uv: si.uv,
-        };
+        let at = Shading::new(self.theta, si.uv);
         let wo = foot.wo();
         let scattered = scene.material(foot.shape).sample(
             &at,

@@ -76,7 +76,7 @@ fn slopes_are_those_of_the_material() {
                 let uv = Vec2::from(uv);
                 let t = field.texels(uv);
                 let (slope, derivative) = field.slope(&theta, t).unwrap();
-                let at = Shading { theta, uv };
+                let at = Shading::new(theta, uv);
                 let up = Vec3::new(0.0, 0.0, 1.0);
                 let n = map.shading_frame(&at, up, 0, TransportMode::Radiance).n;
                 let expected = Vec2::new(-n.x / n.z, -n.y / n.z);

@@ -118,7 +118,7 @@ pub(super) fn refuse(settings: &Settings, whose: &str) -> Result<(), RenderError
 }
 
 /// How paths scatter on their way to where they are connected, whatever the estimator of the others.
-type Scattering = BsdfOnly<Detached>;
+pub(super) type Scattering = BsdfOnly<Detached>;
 
 /// So that connections and the paths that they start from are independent.
 const STREAM: u64 = 0x6d61_6e69_666f_6c64;
@@ -219,7 +219,7 @@ fn weight<R: Real>(link: &Link) -> R {
 
 impl<R: Real> Valued<R> {
     fn of(scene: &Scene, theta: &Theta<R>, place: &Place<R>, connection: &Connection) -> Self {
-        let at = |uv: Vec2<R>| Shading { theta: *theta, uv };
+        let at = |uv: Vec2<R>| Shading::new(*theta, uv);
         let wi = place.si.frame.to_local(vector(connection.direction));
         let material = scene.material(place.shape);
         let links = connection.links.iter().map(|link| {
@@ -392,7 +392,7 @@ pub(super) fn image<R: Components, X: Sampler>(pass: &Pass<R>) -> Rendering {
 }
 
 /// What paths have in common that look for no light.
-fn still<'a, R: Real>(pass: &'a Pass<'a, R>) -> Context<'a, R> {
+pub(super) fn still<'a, R: Real>(pass: &'a Pass<'a, R>) -> Context<'a, R> {
     Context {
         split: None,
         ..pass.context()

@@ -72,10 +72,7 @@ fn along(scene: &Scene, theta: &Theta<f32>, mut ray: crate::math::Ray<f32>) -> f
         let Some(Intersection { shape, prim, si }) = scene.intersect(&ray) else {
             return 1.0 - open;
         };
-        let at = Shading {
-            theta: *theta,
-            uv: Vec2::new(si.uv.x, si.uv.y),
-        };
+        let at = Shading::new(*theta, Vec2::new(si.uv.x, si.uv.y));
         let wo = si.frame.to_local(-ray.d);
         open *= 1.0 - opacity(scene.material(shape), &at, wo);
         if open <= 0.0 {

@@ -40,15 +40,36 @@ pub enum Convention {
 
 /// A particle that landed.
 #[derive(Clone, Copy, Debug)]
-struct Landed<P: Float> {
-    p: Vec3<P>,
+pub(super) struct Landed<P: Float> {
+    pub p: Vec3<P>,
     /// Where it came from, unit, world space.
-    wi: Vec3<P>,
-    n_geo: Vec3<P>,
-    power: Rgb<P>,
+    pub wi: Vec3<P>,
+    pub n_geo: Vec3<P>,
+    pub power: Rgb<P>,
     /// Number of edges so far.
-    depth: u32,
-    shape: u32,
+    pub depth: u32,
+    pub shape: u32,
+}
+
+impl<P: Float> Landed<P> {
+    /// With so much power, after so many edges.
+    pub fn at(place: &Place<P>, power: Rgb<P>, depth: u32) -> Self {
+        let si = &place.si;
+        Self {
+            p: si.p,
+            wi: si.frame.to_world(place.wo),
+            n_geo: si.n_geo,
+            power,
+            depth,
+            shape: place.shape,
+        }
+    }
+}
+
+/// Keeps where a particle lands, as far as that is of interest.
+pub(super) trait Keeps<P: Float>: ParticleObserver<P> + Clone + Sync {
+    /// What it has kept since it was last emptied.
+    fn kept(&mut self) -> &mut Vec<Landed<P>>;
 }
 
 /// Keeps where a particle landed.
@@ -61,20 +82,63 @@ impl<P: Float> Interest for Keeper<P> {}
 
 impl<P: Float> Observer<P> for Keeper<P> {
     fn vertex(&mut self, beta: Rgb<P>, place: &Place<P>) {
-        let si = &place.si;
-        self.landed.push(Landed {
-            p: si.p,
-            wi: si.frame.to_world(place.wo),
-            n_geo: si.n_geo,
-            power: beta,
-            depth: self.landed.len() as u32 + 1,
-            shape: place.shape,
-        });
+        let depth = self.landed.len() as u32 + 1;
+        self.landed.push(Landed::at(place, beta, depth));
     }
 }
 
 impl<P: Float> ParticleObserver<P> for Keeper<P> {
     const CONNECTS: bool = false;
+}
+
+impl<P: Float> Keeps<P> for Keeper<P> {
+    fn kept(&mut self) -> &mut Vec<Landed<P>> {
+        &mut self.landed
+    }
+}
+
+/// Where the particles of these numbers land on surfaces that are no deltas, as far as `keeper` keeps them, in their order;
+/// and those whose power was not finite, which are left out.
+pub(super) fn land<P: Float, X: Sampler, K: Keeps<P>>(
+    context: &Context<P>,
+    keeper: &K,
+    seed: u64,
+    particles: Range<u64>,
+) -> (Vec<Landed<P>>, NonFinite) {
+    const CHUNK: u64 = 4096;
+    let (scene, progress, n) = (context.scene, context.progress, context.per_sample);
+    let jobs = (particles.end - particles.start).div_ceil(CHUNK) as usize;
+    let parts = parallel::map(jobs, |job| {
+        let start = particles.start + job as u64 * CHUNK;
+        let mut landed = Vec::<Landed<P>>::new();
+        let mut non_finite = NonFinite::default();
+        if progress.cancelled() {
+            return (landed, non_finite);
+        }
+        trace_particles::<P, X, K>(
+            context,
+            keeper,
+            seed,
+            start..(start + CHUNK).min(particles.end),
+            |_, _, _| {},
+            |i, keeper| {
+                for l in keeper.kept().drain(..) {
+                    if !l.power.is_finite() {
+                        non_finite.add(i % n, i / n);
+                    } else if !l.power.is_black() && !scene.shape_info(l.shape).delta {
+                        landed.push(l);
+                    }
+                }
+            },
+        );
+        (landed, non_finite)
+    });
+    let mut non_finite = NonFinite::default();
+    for (_, bad) in &parts {
+        non_finite.merge(bad);
+    }
+    let landed = parts.iter().flat_map(|(l, _)| l).copied().collect();
+    (landed, non_finite)
 }
 
 /// Particles in a hashed grid whose cells are as large as the radius of the kernel.
@@ -101,7 +165,8 @@ pub struct Density<P: Float> {
 
 impl<P: Float> Map<P> {
     /// Sends the particles of the samples `samples` (one per pixel of the full film and sample, as
-    /// [`super::particle::render`]), and keeps those on surfaces that are no deltas.     /// Memory: 64 bytes or so per particle that lands. The same for any number of threads.
+    /// [`super::particle::render`]), and keeps those on surfaces that are no deltas.
+    /// Memory: 64 bytes or so per particle that lands. The same for any number of threads.
     ///
     /// # Errors
     /// A `radius` that is not positive, or so large or small that its square is not; more than 2^32 particles
@@ -113,48 +178,42 @@ impl<P: Float> Map<P> {
         samples: Range<u64>,
         progress: &dyn Progress,
     ) -> Result<Self, RenderError> {
-        const CHUNK: u64 = 4096;
-        let radius_p = P::of(radius);
-        let area = radius_p * radius_p;
-        if !(radius_p > P::zero() && area.is_finite() && area.recip().is_finite()) {
-            return Err(RenderError::Radius { found: radius });
-        }
         let context = &Context {
             progress,
             ..*context
         };
-        let scene = context.scene;
         let n = context.per_sample;
-        let sent = samples.end.saturating_sub(samples.start) * n;
-        let first = samples.start * n;
-        let jobs = sent.div_ceil(CHUNK) as usize;
-        let parts = parallel::map(jobs, |job| {
-            let job = job as u64;
-            let mut landed = Vec::<Landed<P>>::new();
-            let mut non_finite = NonFinite::default();
-            if progress.cancelled() {
-                return (landed, non_finite);
-            }
-            let (start, end) = (job * CHUNK, (job * CHUNK + CHUNK).min(sent));
-            trace_particles::<P, X, Keeper<P>>(
-                context,
-                &Keeper { landed: Vec::new() },
-                seed,
-                first + start..first + end,
-                |_, _, _| {},
-                |i, keeper| {
-                    for l in keeper.landed.drain(..) {
-                        if !l.power.is_finite() {
-                            non_finite.add(i % n, i / n);
-                        } else if !l.power.is_black() && !scene.shape_info(l.shape).delta {
-                            landed.push(l);
-                        }
-                    }
-                },
-            );
-            (landed, non_finite)
-        });
-        let total: usize = parts.iter().map(|(l, _)| l.len()).sum();
+        let particles = samples.start * n..samples.end.max(samples.start) * n;
+        let sent = particles.end - particles.start;
+        Self::check(radius)?;
+        let keeper = Keeper { landed: Vec::new() };
+        let (landed, non_finite) = land::<P, X, _>(context, &keeper, seed, particles);
+        Self::of(&landed, radius, sent, non_finite)
+    }
+
+    /// That a radius is one.
+    fn check(radius: f64) -> Result<P, RenderError> {
+        let radius_p = P::of(radius);
+        let area = radius_p * radius_p;
+        if radius_p > P::zero() && area.is_finite() && area.recip().is_finite() {
+            Ok(radius_p)
+        } else {
+            Err(RenderError::Radius { found: radius })
+        }
+    }
+
+    /// Those that landed of so many that were sent.
+    ///
+    /// # Errors
+    /// As those of [`Map::new`].
+    pub(super) fn of(
+        landed: &[Landed<P>],
+        radius: f64,
+        sent: u64,
+        non_finite: NonFinite,
+    ) -> Result<Self, RenderError> {
+        let radius = Self::check(radius)?;
+        let total = landed.len();
         if u32::try_from(total).is_err() {
             return Err(RenderError::Count {
                 what: "particles that land",
@@ -163,16 +222,14 @@ impl<P: Float> Map<P> {
             });
         }
         let mut map = Self {
-            radius: radius_p,
-            landed: Vec::with_capacity(total),
+            radius,
+            landed: Vec::new(),
             starts: vec![0; total.next_power_of_two().max(2) + 1],
             sent,
-            non_finite: NonFinite::default(),
+            non_finite,
         };
         // Counting sort by bucket; within a bucket particles keep their order.
-        let buckets: Vec<u32> = (parts.iter().flat_map(|(l, _)| l))
-            .map(|l| map.bucket(map.cell(l.p)))
-            .collect();
+        let buckets: Vec<u32> = (landed.iter()).map(|l| map.bucket(map.cell(l.p))).collect();
         for &b in &buckets {
             map.starts[b as usize + 1] += 1;
         }
@@ -185,11 +242,7 @@ impl<P: Float> Map<P> {
             order[next[b as usize] as usize] = i as u32;
             next[b as usize] += 1;
         }
-        let flat: Vec<Landed<P>> = parts.iter().flat_map(|(l, _)| l).copied().collect();
-        map.landed = order.iter().map(|&i| flat[i as usize]).collect();
-        for (_, bad) in &parts {
-            map.non_finite.merge(bad);
-        }
+        map.landed = order.iter().map(|&i| landed[i as usize]).collect();
         Ok(map)
     }
 
@@ -203,6 +256,11 @@ impl<P: Float> Map<P> {
             }
         }
         sum.map(|x| x / self.sent.max(1) as f64)
+    }
+
+    /// How many particles were sent.
+    pub(super) fn sent(&self) -> u64 {
+        self.sent
     }
 
     /// Number of particles on surfaces.
@@ -230,7 +288,7 @@ impl<P: Float> Map<P> {
 
     /// Calls `f` with the particles within the radius of `p` on surfaces that face the same way as `n_geo`,
     /// and their kernel: `2 / (pi r^2) (1 - d^2 / r^2)`, per area.
-    fn near(&self, p: Vec3<P>, n_geo: Vec3<P>, mut f: impl FnMut(&Landed<P>, P)) {
+    pub(super) fn near(&self, p: Vec3<P>, n_geo: Vec3<P>, mut f: impl FnMut(&Landed<P>, P)) {
         let r2 = self.radius * self.radius;
         let norm = P::of(2.0 / PI) / r2;
         let centre = self.cell(p);
@@ -402,10 +460,7 @@ impl<P: Float> Map<P> {
             let material = scene.material(shape);
             let n_geo = si.local_geometric_normal();
             let wo = si.frame.to_local(-ray.d);
-            let at = Shading {
-                theta: *theta,
-                uv: Vec2::lift(si.uv),
-            };
+            let at = Shading::new(*theta, Vec2::lift(si.uv));
             if !scene.shape_info(shape).delta {
                 let mut sum = Rgb::black();
                 self.near(si.p, si.n_geo, |p, kernel| {

@@ -150,10 +150,7 @@ pub fn direct_light<R: Real>(
     weighing: &Weighing<R>,
 ) -> Rgb<R> {
     let material = &scene.materials()[from.material as usize];
-    let at = Shading {
-        theta: *theta,
-        uv: Vec2::lift(from.si.uv),
-    };
+    let at = Shading::new(*theta, Vec2::lift(from.si.uv));
     let Some(Moving { wi, weight, pdf }) =
         scattered_again(material, &at, from, &edge.motion, weighing)
     else {
@@ -331,10 +328,7 @@ impl<P: Float, S: Strategy> LocalFn<P> for SeparateLight<'_, P, S> {
     fn eval<R: Real<Primal = P>>(&self, theta: &Theta<R>) -> Rgb<R> {
         let connected = self.connected.map(|light| {
             let (wo, wi) = (self.wo, light.wi);
-            let at = Shading {
-                theta: *theta,
-                uv: Vec2::lift(self.uv),
-            };
+            let at = Shading::new(*theta, Vec2::lift(self.uv));
             let (mut f, pdf) = self
                 .material
                 .eval_pdf(&at, Vec3::lift(wo), Vec3::lift(wi), MODE);

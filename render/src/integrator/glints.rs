@@ -126,10 +126,10 @@ impl<'a, P: Float> Seeking<'a, P> {
 
 /// What the material at a glint makes of light.
 fn reflectance<R: Real>(scene: &Scene, pass: &Pass<R>, shape: u32, glint: &Glint) -> Rgb<R> {
-    let at = Shading {
-        theta: *pass.theta,
-        uv: Vec2::new(R::of(glint.si.uv.x), R::of(glint.si.uv.y)),
-    };
+    let at = Shading::new(
+        *pass.theta,
+        Vec2::new(R::of(glint.si.uv.x), R::of(glint.si.uv.y)),
+    );
     let (wo, wi) = (vector(glint.wo), vector(glint.wi));
     let material = scene.material(shape);
     material.eval_delta(&at, wo, wi, DeltaKind::Reflection, 0, MODE)

@@ -3,9 +3,12 @@
 //! The generic code that renders is run once more over dual numbers whose tangents are the active
 //! textures' values at this point, and contracted with the adjoint at once.
 
+use std::sync::Arc;
+
 use ad_core::{Dual, Float, Real, Vec2};
 use smallvec::SmallVec;
 
+use crate::bsdf::chart::Chart;
 use crate::bsdf::{Bsdf, Material, TextureRef};
 use crate::math::Rgb;
 use crate::params::{GradSink, ParamRef, Seed, Theta, Which};
@@ -28,18 +31,31 @@ pub trait LocalFn<P: Float> {
     fn eval<R: Real<Primal = P>>(&self, theta: &Theta<R>) -> Rgb<R>;
 }
 
-/// A texture of a material that is differentiated, by how results depend on it: see [`TextureRef`].
+/// A texture of a material that is differentiated.
 #[derive(Clone, Debug)]
-pub enum ActiveTexture {
+pub struct ActiveTexture {
+    read: Read,
+    /// Of the surface, if the texture is read at other coordinates than interactions have.
+    chart: Option<Arc<Chart>>,
+}
+
+/// By how results depend on it: see [`TextureRef`].
+#[derive(Clone, Debug)]
+enum Read {
     Rgb(RgbTexture),
     Scalar(ScalarTexture),
     Vector(RgbTexture),
     Encoded(RgbTexture),
+    Height(ScalarTexture),
 }
 
 impl ActiveTexture {
     /// Those of `material` that read a range for which `active` holds, each of them once: its parts may share one.
     pub fn of(material: &Material, active: impl Fn(ParamRef) -> bool) -> Vec<Self> {
+        let chart = match material {
+            Material::Charted(m) => Some(m.chart()),
+            _ => None,
+        };
         let mut found = Vec::new();
         let mut seen = Vec::new();
         let mut list = |t: TextureRef| {
@@ -47,19 +63,22 @@ impl ActiveTexture {
                 return;
             }
             t.visit_params(&mut |p| seen.push(p.id));
-            found.push(match t {
-                TextureRef::Rgb(t) => Self::Rgb(t.clone()),
+            let read = match t {
+                TextureRef::Rgb(t) => Read::Rgb(t.clone()),
                 TextureRef::Scalar(t) | TextureRef::Alpha(t) | TextureRef::Exponent(t) => {
-                    Self::Scalar(t.clone())
+                    Read::Scalar(t.clone())
                 }
-                TextureRef::Vector(t) => Self::Vector(t.clone()),
-                TextureRef::Encoded(t) => Self::Encoded(t.clone()),
-            });
+                TextureRef::Mixed(t) | TextureRef::Vector(t) => Read::Vector(t.clone()),
+                TextureRef::Encoded(t) => Read::Encoded(t.clone()),
+                TextureRef::Height(t) => Read::Height(t.clone()),
+            };
+            let chart = chart.cloned();
+            found.push(Self { read, chart });
         };
         // What is right for values that are not linear in the texels is right for those that are.
         for encoded in [true, false] {
             material.visit_textures(&mut |t| {
-                if matches!(t, TextureRef::Encoded(_)) == encoded {
+                if matches!(t, TextureRef::Encoded(_) | TextureRef::Height(_)) == encoded {
                     list(t);
                 }
             });
@@ -68,12 +87,18 @@ impl ActiveTexture {
     }
 
     fn as_ref(&self) -> TextureRef<'_> {
-        match self {
-            Self::Rgb(t) => TextureRef::Rgb(t),
-            Self::Scalar(t) => TextureRef::Scalar(t),
-            Self::Vector(t) => TextureRef::Vector(t),
-            Self::Encoded(t) => TextureRef::Encoded(t),
+        match &self.read {
+            Read::Rgb(t) => TextureRef::Rgb(t),
+            Read::Scalar(t) => TextureRef::Scalar(t),
+            Read::Vector(t) => TextureRef::Vector(t),
+            Read::Encoded(t) => TextureRef::Encoded(t),
+            Read::Height(t) => TextureRef::Height(t),
         }
+    }
+
+    /// Where it is read, at a point with these coordinates.
+    fn place<P: Float>(&self, uv: Vec2<P>) -> Vec2<P> {
+        self.chart.as_ref().map_or(uv, |chart| chart.own(uv).0)
     }
 }
 
@@ -102,15 +127,19 @@ pub fn pull_back<P: Float, F: LocalFn<P>>(
 ) {
     let mut slots = Short::new();
     for t in textures {
-        match t {
-            ActiveTexture::Rgb(t) if !F::MIXES => slots.push(Slot::Rgb(t, uv)),
-            ActiveTexture::Scalar(t) => slots.push(Slot::Scalar(t, uv)),
-            ActiveTexture::Rgb(map) | ActiveTexture::Vector(map) => {
+        let uv = t.place(uv);
+        match &t.read {
+            Read::Rgb(t) if !F::MIXES => slots.push(Slot::Rgb(t, uv)),
+            Read::Scalar(t) => slots.push(Slot::Scalar(t, uv)),
+            Read::Rgb(map) | Read::Vector(map) => {
                 let f = map.footprint(uv);
                 slots.extend((0..3).map(|c| Slot::Channel(f, c)));
             }
-            ActiveTexture::Encoded(map) => texels(&map.footprint(uv), |p, texel| {
+            Read::Encoded(map) => texels(&map.footprint(uv), |p, texel| {
                 slots.extend((0..3).map(|c| Slot::Element(p, texel * 3 + c)));
+            }),
+            Read::Height(map) => all_texels(&map.footprint(uv), |p, texel| {
+                slots.push(Slot::Element(p, texel));
             }),
         }
     }
@@ -141,7 +170,7 @@ impl Texels {
         active: impl Fn(ParamRef) -> bool,
     ) {
         for t in textures {
-            self.add(t.as_ref(), uv, &active);
+            self.add(t.as_ref(), t.place(uv), &active);
         }
     }
 
@@ -157,9 +186,13 @@ impl Texels {
             TextureRef::Scalar(t) | TextureRef::Alpha(t) | TextureRef::Exponent(t) => {
                 (t.footprint(uv), 1, false)
             }
-            TextureRef::Vector(t) | TextureRef::Encoded(t) => (t.footprint(uv), 3, true),
+            TextureRef::Mixed(t) | TextureRef::Vector(t) | TextureRef::Encoded(t) => {
+                (t.footprint(uv), 3, true)
+            }
+            TextureRef::Height(t) => (t.footprint(uv), 1, false),
         };
-        texels(&f, |param, texel| {
+        let slopes = matches!(texture, TextureRef::Height(_));
+        let add = |param, texel| {
             let texel = Texel {
                 param,
                 texel,
@@ -169,7 +202,12 @@ impl Texels {
             if active(param) && !self.found.contains(&texel) {
                 self.found.push(texel);
             }
-        });
+        };
+        if slopes {
+            all_texels(&f, add);
+        } else {
+            texels(&f, add);
+        }
     }
 
     /// All elements.
@@ -248,6 +286,15 @@ pub fn pull_back_second<P: Float>(
                 d[c] * twice + change[c] * re
             };
             slot.give(Rgb::new(each(0), each(1), each(2)), grad);
+        }
+    }
+}
+
+/// The different texels of a footprint, also those without weight: their slope may have some.
+fn all_texels<P: Float>(f: &Footprint<P>, mut each: impl FnMut(ParamRef, u32)) {
+    for k in 0..4 {
+        if !f.texel[..k].contains(&f.texel[k]) {
+            each(f.param, f.texel[k]);
         }
     }
 }

@@ -7,6 +7,7 @@
 
 mod active;
 mod boundary;
+pub mod chain_density;
 mod connections;
 pub mod convolved;
 pub mod coverage;

@@ -388,10 +388,7 @@ impl<R: Real, X: Sampler> Particle<R, X> {
             material: scene.material(hit.shape),
             exit,
             si,
-            at: Shading {
-                theta: *context.theta,
-                uv: Vec2::lift(si.uv),
-            },
+            at: Shading::new(*context.theta, Vec2::lift(si.uv)),
             n_geo: si.local_geometric_normal(),
             wo,
         };
@@ -560,7 +557,7 @@ impl<R: Real, X: Sampler> Particle<R, X> {
         let si = &hit.si;
         let n_geo = si.local_geometric_normal();
         let material = scene.material(hit.shape);
-        let at = Shading { theta, uv: si.uv };
+        let at = Shading::new(theta, si.uv);
         let mut sampler = self.sampler;
         sampler.seek(Purpose::ParticleNormalsPair.at(self.depth));
         let pair = material.sample_differential(&at, wo, sampler.next_3d(), MODE);
@@ -572,10 +569,7 @@ impl<R: Real, X: Sampler> Particle<R, X> {
             }
             let mut change = Rgb::black();
             if !R::IS_PRIMAL {
-                let at = Shading {
-                    theta: *context.theta,
-                    uv: Vec2::lift(si.uv),
-                };
+                let at = Shading::new(*context.theta, Vec2::lift(si.uv));
                 change = self.beta
                     * material
                         .eval_normals(&at, wo, sample.wi, MODE)

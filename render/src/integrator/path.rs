@@ -290,10 +290,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
             info,
             material: scene.material(shape),
             si,
-            at: Shading {
-                theta: *context.theta,
-                uv,
-            },
+            at: Shading::new(*context.theta, uv),
             wo,
             wo_r: S::Bsdf::embed3(wo),
             exit: scene.exit(prim),

@@ -29,7 +29,7 @@ fn mean<P: Float>(balls: &[Ball], density: impl Fn(usize, &Ball) -> P) -> P {
 /// `None` where nothing is emitted.
 ///
 /// Light from points and surfaces gets another direction, towards the ball, unless it starts within; light from
-/// environments keeps its direction and gets another origin, beyond the ball `around` the scene.
+/// environments keeps its direction and gets another origin, beyond the ball `around` the scene. Beams stay as they are.
 ///
 /// # Reference
 /// Projection maps [Jensen 1996], with balls in place of a grid.
@@ -64,6 +64,10 @@ pub(super) fn aim_at_casters<P: Float>(
             pdf_position: mean(balls, density),
             ..start
         });
+    }
+    // There is nowhere to turn, and no ball has a share of its own.
+    if emitter.is_beam() {
+        return Some(start);
     }
     let from = start.ray.o;
     let d = match cone(&balls[which], from) {

@@ -99,10 +99,7 @@ pub fn trace<P: Float>(
         let (si, exit) = (&hit.si, scene.exit(hit.prim));
         let material = scene.shape_info(hit.shape).material;
         let bsdf = &scene.materials()[material as usize];
-        let at = Shading {
-            theta: *theta,
-            uv: si.uv,
-        };
+        let at = Shading::new(*theta, si.uv);
         let wo = si.frame.to_local(-ray.d);
         // Along the edge that led here.
         let along = here.uses.iter().find(|(.., light)| light.is_none());
@@ -168,10 +165,7 @@ fn value<P: Float, R: Real<Primal = P>>(
     wi: Vec3<P>,
     component: Component,
 ) -> Rgb<R> {
-    let at = Shading {
-        theta: *theta,
-        uv: Vec2::lift(uv),
-    };
+    let at = Shading::new(*theta, Vec2::lift(uv));
     let bsdf = &scene.materials()[material as usize];
     bsdf.eval_component(&at, Vec3::lift(wo), Vec3::lift(wi), component, MODE)
 }
@@ -260,7 +254,7 @@ pub fn backward<P: Float>(
                     d,
                 });
             }
-            let at = Shading { theta: *theta, uv };
+            let at = Shading::new(*theta, uv);
             scene.materials()[material as usize].backward(&at, wo, &uses, MODE, grad);
         }
     }

@@ -169,10 +169,7 @@ impl<'a> Space<'a> {
         let here = Hit { t: 0.0, ..*hit };
         let moving = (self.scene).interaction(&theta, &Ray::new(o, -still(n)), &here);
         let material = self.scene.material(shape);
-        let at = Shading {
-            theta,
-            uv: moving.si.uv,
-        };
+        let at = Shading::new(theta, moving.si.uv);
         let wo = si.frame.to_local(-d);
         let mapped = || material.shading_frame(&at, wo, 0, TransportMode::Radiance);
         let local = normal.frame(mapped);

@@ -538,10 +538,7 @@ impl<'a> Connector<'a> {
                 None => towards(vertex.si.p, target),
             };
             let link = self.link(vertex, next)?;
-            let at = Shading {
-                theta,
-                uv: link.si.uv,
-            };
+            let at = Shading::new(theta, link.si.uv);
             let (material, mode) = (scene.material(link.shape), TransportMode::Radiance);
             if link.density.is_some() {
                 // Zero reflectance may have a derivative, here, too.
@@ -575,10 +572,7 @@ impl<'a> Connector<'a> {
             (Some(Specular::Interface(_)), _) => true,
             // Metal may have one side only.
             _ => {
-                let at = Shading {
-                    theta: self.space.theta,
-                    uv: vertex.si.uv,
-                };
+                let at = Shading::new(self.space.theta, vertex.si.uv);
                 let wo = vertex.si.frame.to_local(vertex.wo);
                 material
                     .sample(&at, wo, [0.5; 3], TransportMode::Radiance)

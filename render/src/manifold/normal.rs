@@ -76,7 +76,7 @@ impl Slopes {
             let theta = space.theta;
             let up = Vec3::new(0.0, 0.0, 1.0);
             let mode = TransportMode::Radiance;
-            let normal = (material.shading_frame(&Shading { theta, uv }, up, 0, mode)).n;
+            let normal = (material.shading_frame(&Shading::new(theta, uv), up, 0, mode)).n;
             let (x, y) = (normal.x / normal.z, normal.y / normal.z);
             if normal.z > 0.0 && x.is_finite() && y.is_finite() {
                 n += 1.0;

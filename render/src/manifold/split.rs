@@ -104,7 +104,7 @@ impl Split {
             .any(|(i, casts)| *casts && alpha(i).is_some_and(|alpha| alpha > 0.0));
         let scatters = (shapes.zip(&casters)).map(|(i, casts)| !casts && !info(i).delta);
         let receivers = chosen(scatters.collect(), |i| info(i as u32).hints.receiver);
-        let narrow = scene.emitters().iter().map(|e| !e.is_wide());
+        let narrow = (scene.emitters().iter()).map(|e| !e.is_wide() && !e.is_beam());
         let emitters = chosen(narrow.collect(), |i| takes_part(scene.emitter_hints()[i]));
         let (caster_list, emitter_list) = (list(&casters), list(&emitters));
         let any = !caster_list.is_empty() && !emitter_list.is_empty() && receivers.contains(&true);
@@ -185,6 +185,17 @@ impl Split {
         } else {
             Run::NONE
         }
+    }
+
+    /// Where a particle is on its way from an emitter over casters to a receiver, [`Split::next`] from the other end: on to a
+    /// shape behind so many casters. `None` where it is on no chain, or at its end.
+    pub fn next_of_particle(&self, casters: u32, shape: u32) -> Option<u32> {
+        (self.is_caster(shape) && casters < self.bounces).then_some(casters + 1)
+    }
+
+    /// Whether light of this emitter is found over chains.
+    pub fn is_connected(&self, emitter: u32) -> bool {
+        self.emitters[emitter as usize]
     }
 
     /// Whether paths may sample a light that belongs to connections: at casters that are rough.

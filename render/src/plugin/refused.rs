@@ -17,11 +17,6 @@ const REFUSED: &[(&str, &[&str], &str)] = &[
     ("bsdf", &["hk"], MEDIA),
     (
         "bsdf",
-        &["bumpmap"],
-        "displacement of shading by a height, other than by a normal map, is",
-    ),
-    (
-        "bsdf",
         &["principledthin"],
         "the model of Disney for thin surfaces is",
     ),
@@ -30,11 +25,6 @@ const REFUSED: &[(&str, &[&str], &str)] = &[
         "bsdf",
         &["roughconductor_heitz", "roughdielectric_heitz"],
         "scattering between the facets of a rough surface is",
-    ),
-    (
-        "emitter",
-        &["directionalarea"],
-        "light along one direction from a surface, which no path from the camera finds, is",
     ),
     (
         "emitter",

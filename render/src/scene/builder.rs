@@ -7,15 +7,15 @@ use super::geometry::{Geometry, Wanted};
 use super::sensor::{Sensor, farthest};
 use super::{Hints, PixelShares, Scene, Settings, ShapeInfo, Shares};
 use crate::accel::{AccelError, MAX_COORDINATE};
-use crate::bsdf::nesting::{check_textures, flips_normals, is_glossy, visit_deltas};
-use crate::bsdf::{Bsdf, Material, TextureRef};
+use crate::bsdf::nesting::{check_textures, flips_normals, is_bumped, is_glossy, visit_deltas};
+use crate::bsdf::{Bsdf, Charted, Material, TextureRef};
 use crate::camera::Camera;
-use crate::emitter::{AnyEmitter, Emitter};
+use crate::emitter::{AnyEmitter, DirectionalArea, Emitter};
 use crate::error::SceneError;
 use crate::film::Film;
 use crate::params::{ParamKind, Params};
 use crate::plugin::Registry;
-use crate::shape::{AnyShape, Shape};
+use crate::shape::{AnyShape, Shape, charted};
 use crate::texture::{RgbTexture, ScalarTexture, Texture};
 
 /// Index of a material in the builder.
@@ -210,7 +210,8 @@ impl Builder {
     /// Checks the whole and builds the acceleration structure.
     ///
     /// # Errors
-    /// Geometry that is not finite, or a material that reads more textures than there is room for.
+    /// Geometry that is not finite, a material that reads more textures than there is room for, or a bump map on a mesh
+    /// whose points are parameters, or whose light is an image.
     pub fn build(
         self,
         camera: Camera,
@@ -224,6 +225,47 @@ impl Builder {
             spp: settings.spp,
         };
         self.build_with(vec![sensor], 0, settings)
+    }
+
+    /// Light along normals is a beam from flat surfaces only.
+    fn check_beams(&self) -> Result<(), SceneError> {
+        for (shape, info) in self.shapes.iter().zip(&self.infos) {
+            let beam = |e: u32| self.emitters[e as usize].is_beam();
+            if info.emitter.is_some_and(beam) && !DirectionalArea::admits(shape) {
+                return Err(SceneError::Parameter {
+                    key: info.name.clone(),
+                    expected: "a rectangle or a disk, whose normals are one".into(),
+                    found: "another shape".into(),
+                });
+            }
+        }
+        Ok(())
+    }
+
+    /// Gives materials with bump maps the charts of the surfaces that they are on: a material of its own to each.
+    fn chart_bumps(&mut self) -> Result<(), SceneError> {
+        for (shape, info) in self.shapes.iter_mut().zip(&mut self.infos) {
+            let material = &self.materials[info.material as usize];
+            if !is_bumped(material) {
+                continue;
+            }
+            let refuse = |expected: &str, found: &str| SceneError::Parameter {
+                key: info.name.clone(),
+                expected: format!("under a bump map, {expected}"),
+                found: found.to_owned(),
+            };
+            let glows =
+                |e: u32| !matches!(self.emitters[e as usize].radiance(), Texture::Constant(_));
+            let (own, chart) = charted(shape).map_err(|expected| refuse(expected, "another"))?;
+            if info.emitter.is_some_and(glows) {
+                return Err(refuse("light that is the same everywhere", "an image"));
+            }
+            *shape = own;
+            let charted = Charted::new(chart, material.clone());
+            info.material = self.materials.len() as u32;
+            self.materials.push(Arc::new(charted.into()));
+        }
+        Ok(())
     }
 
     /// [`Builder::build`] of a scene with several sensors, of which one is looked through: its samples per pixel count.
@@ -247,6 +289,8 @@ impl Builder {
             });
         };
         settings.spp = spp;
+        self.check_beams()?;
+        self.chart_bumps()?;
         for (shape, info) in self.shapes.iter_mut().zip(&self.infos) {
             let mut mapped = info.emitter.is_some_and(|e| {
                 let radiance = self.emitters[e as usize].radiance();
@@ -268,7 +312,10 @@ impl Builder {
                 TextureRef::Vector(t) | TextureRef::Encoded(t) => {
                     t.visit_params(&mut |p| params.mark(p, ParamKind::Normals));
                 }
-                TextureRef::Rgb(_) | TextureRef::Scalar(_) => {}
+                TextureRef::Height(t) => {
+                    t.visit_params(&mut |p| params.mark(p, ParamKind::Normals));
+                }
+                TextureRef::Rgb(_) | TextureRef::Mixed(_) | TextureRef::Scalar(_) => {}
             });
             visit_deltas(m, &mut |p| params.mark(p, ParamKind::Delta));
         }

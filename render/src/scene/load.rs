@@ -14,7 +14,7 @@ use super::{
 use crate::accel::{Accel, MAX_COORDINATE};
 use crate::bsdf::{Diffuse, Material};
 use crate::camera::Camera;
-use crate::emitter::AnyEmitter;
+use crate::emitter::{AnyEmitter, DirectionalArea};
 use crate::error::{SceneError, quoted};
 use crate::film::{Film, Lobed, MOST_LOBES, PixelFilter};
 use crate::inputs;
@@ -409,6 +409,17 @@ impl Reading {
             Some(e) => {
                 let next = self.build.shapes().len() as u32;
                 let read = self.emitter(e, &format!("{name}.emitter"), Some(next));
+                let read = read.and_then(|read| match read.0.is_beam() {
+                    true if whole && !DirectionalArea::admits(&geometry) => {
+                        Err(SceneError::Refused {
+                            location: e.location.clone(),
+                            tag: e.tag.clone(),
+                            plugin: e.plugin.clone(),
+                            what: "parallel light from other surfaces than rectangles and disks is",
+                        })
+                    }
+                    _ => Ok(read),
+                });
                 self.note(read)?
             }
             None => None,

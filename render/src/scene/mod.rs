@@ -695,10 +695,10 @@ impl Scene {
     ) -> Option<(Frame<P>, Partials<P>)> {
         let partials = self.partials(theta, prim, at)?;
         let si = self.point_at(theta, prim, at);
-        let shading = Shading {
-            theta: theta.lift::<Dual<P, 2>>(),
-            uv: Vec2::new(Dual::var(si.uv.x, 0), Dual::var(si.uv.y, 1)),
-        };
+        let shading = Shading::new(
+            theta.lift::<Dual<P, 2>>(),
+            Vec2::new(Dual::var(si.uv.x, 0), Dual::var(si.uv.y, 1)),
+        );
         let wo = si.frame.to_local(wo);
         let material = self.material(self.geometry.prims[prim as usize].shape);
         let local = material.shading_frame(&shading, wo, route, TransportMode::Radiance);
@@ -827,7 +827,10 @@ impl Scene {
         let mapped = |m: &Material| {
             let mut any = false;
             m.visit_textures(&mut |t| {
-                any |= matches!(t, TextureRef::Vector(_) | TextureRef::Encoded(_))
+                any |= matches!(
+                    t,
+                    TextureRef::Vector(_) | TextureRef::Encoded(_) | TextureRef::Height(_)
+                )
             });
             any && !m.is_delta()
         };

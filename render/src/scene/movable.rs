@@ -3,7 +3,7 @@
 use super::{Scene, ShapeInfo};
 use crate::accel::MAX_COORDINATE;
 use crate::bsdf::nesting::scatters_deltas;
-use crate::bsdf::{Bsdf, TextureRef};
+use crate::bsdf::{Bsdf, Material, TextureRef};
 use crate::camera::FovAxis;
 use crate::emitter::{AnyEmitter, Emitter};
 use crate::error::RenderError;
@@ -123,6 +123,7 @@ impl Scene {
     /// * `NAME.vertex_positions` of a mesh: its points, before it moves as a whole. Vertices at one position are one point,
     ///   in the order of their first ones, so that nothing tears along seams of texture coordinates. Normals follow
     ///   where the file gives none. Those of meshes that a texture displaces are not there: its texels are parameters.
+    ///   Neither they nor the scale are there under a bump map, whose heights are in units of the scene.
     /// * `sensor.translation`, `sensor.rotation` (about the pinhole), and `sensor.fov` in degrees, of pinholes.
     /// * `NAME.position` of point and spot lights, world space; `NAME.rotation` of environment maps and lobes.
     ///
@@ -138,12 +139,18 @@ impl Scene {
         };
         let parts = [Part::Translation, Part::Rotation, Part::Scale];
         for ((i, info), shape) in (0..).zip(&self.infos).zip(&self.geometry.shapes) {
-            for p in parts {
+            let bumped = matches!(
+                *self.materials[info.material as usize],
+                Material::Charted(_)
+            );
+            let fits = |p: &Part| !(bumped && *p == Part::Scale);
+            for p in parts.into_iter().filter(fits) {
                 let what = What::Shape(i, p);
                 all.push(part(&info.name, p, ParamKind::Position, what));
             }
             if let AnyShape::Mesh(mesh) = shape
                 && !mesh.is_displaced()
+                && !bumped
             {
                 all.push(Movable {
                     name: format!("{}.vertex_positions", info.name),
@@ -364,6 +371,12 @@ impl Scene {
         let p = self.params.handle(info);
         for ((i, own), shape) in (0..).zip(&self.infos).zip(self.shapes()) {
             let slides = info.kind == ParamKind::Camera || self.movers().contains(&(i, p));
+            let beam = own
+                .emitter
+                .is_some_and(|e| self.emitters[e as usize].is_beam());
+            if beam && self.movers().contains(&(i, p)) {
+                return Err(refuse(own, "sends a beam, whose edge would move along"));
+            }
             if slides && self.jumps(own, shape) {
                 return Err(refuse(own, "has a texture that jumps where it slides"));
             }

@@ -63,6 +63,13 @@ impl Disk {
     }
 }
 
+impl Disk {
+    /// From the centre to the rim, world space.
+    pub(super) fn half_axes(&self) -> [Vec3<f64>; 2] {
+        [self.e1, self.e2].map(lift3)
+    }
+}
+
 impl Shape for Disk {
     fn primitives(&self) -> Vec<Primitive> {
         vec![Primitive::Disk {

@@ -228,6 +228,11 @@ impl Mesh {
         !self.data.smooth && !self.data.mesh.normals.is_empty()
     }
 
+    /// Whether the surface was turned around.
+    pub(super) fn is_flipped(&self) -> bool {
+        self.data.flip
+    }
+
     /// Bytes held by the arrays.
     pub fn memory_bytes(&self) -> usize {
         let m = &self.data.mesh;

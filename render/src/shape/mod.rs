@@ -13,6 +13,7 @@
 //!
 //! To add a shape: one file here, one line in `shapes!` below.
 
+mod chart;
 mod cube;
 mod cylinder;
 mod disk;
@@ -25,6 +26,7 @@ mod serialized;
 mod sphere;
 mod vertices;
 
+pub(crate) use chart::charted;
 pub use cube::Cube;
 pub use cylinder::Cylinder;
 pub use disk::Disk;

@@ -8,8 +8,8 @@ use super::Footprint;
 use crate::params::ParamRef;
 
 /// Side of the part of a cell that a triangle fills, and where that begins: the rest is room for rounding.
-const FILLED: f64 = 0.5;
-const BEGIN: f64 = 0.25;
+pub(crate) const CELL_FILLED: f64 = 0.5;
+pub(crate) const CELL_BEGIN: f64 = 0.25;
 /// Most cells along one side: beyond, single precision knows too little of places in a cell.
 const MOST_COLUMNS: usize = 4096;
 
@@ -38,7 +38,7 @@ pub(crate) fn columns(triangles: usize) -> Option<u32> {
 pub(crate) fn place(triangle: u32, columns: u32) -> [[f32; 2]; 3] {
     let [column, row] = [triangle % columns, triangle / columns].map(f64::from);
     [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]].map(|[a, b]: [f64; 2]| {
-        let at = |cell: f64, x: f64| (cell + BEGIN + FILLED * x) as f32;
+        let at = |cell: f64, x: f64| (cell + CELL_BEGIN + CELL_FILLED * x) as f32;
         [at(column, a), at(row, b)]
     })
 }
@@ -80,7 +80,7 @@ impl Attribute {
             };
         };
         let within = |x: R, cell: f64| {
-            let b = (x - R::c(cell + BEGIN)) * R::c(1.0 / FILLED);
+            let b = (x - R::c(cell + CELL_BEGIN)) * R::c(1.0 / CELL_FILLED);
             b.max(zero).min(one)
         };
         let (b, c) = (within(uv.x, column), within(uv.y, row));

@@ -92,6 +92,36 @@ impl Bitmap {
             weight: [gx * gy, fx * gy, gx * fy, fx * fy],
         }
     }
+
+    /// The texels of an interpolated lookup, and how their weights change with `uv`, along u and v: constant across a
+    /// cell each, and linear in the other.
+    pub(super) fn slopes<R: Real>(&self, uv: Vec2<R>) -> Footprint<[R; 2]> {
+        let [[a, b, _], [c, d, _]] = self.to_uv.rows.map(|row| row.map(|x| R::of(f64::from(x))));
+        let at = self.to_uv.apply(uv);
+        let (x0, x1, fx) = cell(at.x, self.width, self.wrap);
+        let (y0, y1, fy) = cell(at.y, self.height, self.wrap);
+        let [width, height] = [self.width, self.height].map(|n| R::of(f64::from(n)));
+        let (gx, gy) = (R::one() - fx, R::one() - fy);
+        let along = |x: R, y: R| {
+            let (x, y) = (x * width, y * height);
+            [x * a + y * c, x * b + y * d]
+        };
+        Footprint {
+            param: self.param,
+            texel: [
+                y0 * self.width + x0,
+                y0 * self.width + x1,
+                y1 * self.width + x0,
+                y1 * self.width + x1,
+            ],
+            weight: [
+                along(-gy, -gx),
+                along(gy, -fx),
+                along(-fy, gx),
+                along(fy, fx),
+            ],
+        }
+    }
 }
 
 /// Reduces a coordinate to about one period, so that its integer part fits an `i32` whatever the input.

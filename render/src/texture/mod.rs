@@ -10,7 +10,7 @@ mod checkerboard;
 mod load;
 
 pub use attribute::Attribute;
-pub(crate) use attribute::{columns, place};
+pub(crate) use attribute::{CELL_BEGIN, CELL_FILLED, columns, place};
 pub use bitmap::{Bitmap, UvTransform, Wrap};
 pub use checkerboard::Checkerboard;
 pub(crate) use load::{PLUGINS, Use, file, from_plugin, texels, times};
@@ -148,6 +148,24 @@ impl<const C: usize> Texture<C> {
             Self::Bitmap(t) => t.footprint(uv),
             Self::Checkerboard(t) => single(t.select(uv.primal())),
             Self::Attribute(t) => t.footprint(uv),
+        }
+    }
+
+    /// Texels of a lookup at `uv`, and how their weights change with u and v. None do unless it is an image that is
+    /// interpolated: there is no slope of what is the same everywhere, or jumps.
+    #[inline]
+    pub(crate) fn slopes<R: Real>(&self, uv: Vec2<R>) -> Footprint<[R; 2]> {
+        let flat = |param| Footprint {
+            param,
+            texel: [0; 4],
+            weight: [[R::zero(); 2]; 4],
+        };
+        match self {
+            Self::Constant(p) => flat(*p),
+            Self::Bitmap(t) if t.nearest => flat(t.param),
+            Self::Bitmap(t) => t.slopes(uv),
+            Self::Checkerboard(t) => flat(t.colors[0]),
+            Self::Attribute(t) => flat(t.param),
         }
     }
 

@@ -28,10 +28,7 @@ pub fn build(plugin: &str, content: &str) -> Result<(Arc<Material>, Params), Sce
 
 /// An arbitrary point.
 pub fn at<R: Real>(theta: Theta<'_, R>) -> Shading<'_, R> {
-    Shading {
-        theta,
-        uv: Vec2::new(R::of(0.3), R::of(0.6)),
-    }
+    Shading::new(theta, Vec2::new(R::of(0.3), R::of(0.6)))
 }
 
 /// A direction by its height and azimuth.

@@ -129,10 +129,7 @@ impl<P: Float> FixedPath<P> {
     /// Radiance along the path with parameters `theta`: directions and densities stay what they were.
     pub fn radiance<R: Real<Primal = P>>(&self, scene: &Scene, theta: &Theta<R>) -> Rgb<R> {
         self.radiance_with(scene, theta, |v| {
-            let at = Shading {
-                theta: *theta,
-                uv: Vec2::new(R::lift(v.uv.x), R::lift(v.uv.y)),
-            };
+            let at = Shading::new(*theta, Vec2::new(R::lift(v.uv.x), R::lift(v.uv.y)));
             let (wo, wi) = (Vec3::lift(v.wo), Vec3::lift(v.wi));
             let mode = TransportMode::Radiance;
             scene

@@ -57,10 +57,7 @@ impl Point<'_> {
     /// `k(wi -> wo)` or its adjoint, EVAL-KERNEL of the paper: the red channel.
     fn kernel(&self, from: V, to: V, adjoint: bool, rules: Rules) -> f64 {
         let theta = Theta::constant(self.theta);
-        let at = Shading {
-            theta,
-            uv: Vec2::new(0.5, 0.5),
-        };
+        let at = Shading::new(theta, Vec2::new(0.5, 0.5));
         // Radiance comes from `from`, to the viewer at `to`; importance the other way round.
         let (directions, mode) = if adjoint {
             ([from, to], TransportMode::Importance)

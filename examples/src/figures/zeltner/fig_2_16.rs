@@ -116,10 +116,7 @@ fn hemisphere(
     let hit = scene.intersect(&camera).ok_or("nothing there")?;
     let exit = scene.exit(hit.prim);
     let (si, material) = (hit.si, scene.material(hit.shape));
-    let at = Shading {
-        theta: Theta::constant(scene.params().values()),
-        uv: si.uv,
-    };
+    let at = Shading::new(Theta::constant(scene.params().values()), si.uv);
     let wo = si.frame.to_local(-camera.d);
     // A jittered place within the cell; cells on the rim count with the part that is inside.
     let direction = |x: usize, y: usize, u: [f32; 2]| {

@@ -31,6 +31,7 @@ pub mod fig_3_14;
 pub mod fig_3_15;
 pub mod fig_3_17;
 pub mod fig_3_19;
+pub mod fig_3_26;
 pub mod fig_3_28;
 pub mod fig_4_10;
 pub mod fig_4_11;

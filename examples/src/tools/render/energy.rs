@@ -1,19 +1,20 @@
 //! Whether manifold connections find all light that is theirs.
 
 use render::Job;
-use render::emitter::Emitter;
-use render::instances::{Estimator, render_f32};
+use render::instances::{Estimator, chains_by_particles_f32, render_f32};
 use render::integrator::render::Progress;
 use render::params::Theta;
-use render::scene::{Caustics, Connections, Method};
+use render::scene::{Connections, Method};
 use render::statistics::{Estimate, z_limit};
-use render::{Scene, Settings};
+use render::{RenderError, Scene, Settings};
 use serde::Serialize;
 
 use crate::{complain, say};
 
 /// Independent images of either kind.
 const RUNS: u64 = 16;
+/// Fewest particles of each.
+const PARTICLES: u64 = 1 << 17;
 /// Blocks of the image, in each direction.
 const BLOCKS: usize = 4;
 /// Chance that light is said to be missing that is not.
@@ -24,10 +25,7 @@ const STREAM: u64 = 0x656e_6572_6779;
 /// What came of the comparison.
 #[derive(Clone, Debug, Serialize)]
 pub struct Energy {
-    /// Who finds the light in the images without connections.
-    against: &'static str,
-    /// Mean of the images with connections over that of those without, and its standard error: against paths of the light that
-    /// belongs to chains alone, against particles of all light. None where the others found nothing.
+    /// Light of chains by connections over that by particles, and its standard error. None where either found nothing.
     ratio: Option<f64>,
     error: Option<f64>,
     /// Largest difference of a block, in standard errors, and what it is expected to stay below.
@@ -35,29 +33,22 @@ pub struct Energy {
     limit_z: f64,
     /// Column and row of that block.
     block: [usize; 2],
+    /// Radius on receivers within which particles are collected, world space. None where too few landed.
+    radius: Option<f64>,
 }
 
-/// Compares means of blocks of the image with and without connections. `None` if interrupted.
+/// Compares means of blocks of the light of chains, by connections and by particles. `None` if interrupted.
 ///
-/// Against paths, the light that both leave to ordinary sampling is taken away at the same seeds, exactly.
+/// The light that connections leave to ordinary sampling is taken away at the same seeds, exactly.
+///
+/// # Errors
+/// A scene that particles see otherwise than paths do.
 pub fn check(
     scene: &Scene,
     settings: &Settings,
     seed: u64,
     progress: &dyn Progress,
-) -> Option<Energy> {
-    let points = scene.emitters().iter().any(Emitter::is_delta);
-    let (caustics, against) = if points {
-        (Caustics::Particles, "particles")
-    } else {
-        (Caustics::Paths, "paths")
-    };
-    let without = Settings {
-        connections: None,
-        caustics,
-        pixels_per_particle: 1,
-        ..*settings
-    };
+) -> Result<Option<Energy>, RenderError> {
     let rest = Settings {
         connections: settings.connections.map(|c| Connections {
             method: Method::LeftOut,
@@ -65,26 +56,28 @@ pub fn check(
         }),
         ..*settings
     };
-    let images = |settings: &Settings, first: u64| {
-        let spp = (u64::from(settings.spp) / RUNS).max(1);
-        let theta = Theta::constant(scene.params().values());
-        let seed = seed ^ STREAM;
-        let images = (first..first + RUNS).map(|run| {
-            let job = Job::new(scene, settings, seed.wrapping_add(run), 0..spp, progress);
-            blocks(
-                &render_f32(&job, &theta, Estimator::Mis).image(0).data,
-                scene,
-            )
-        });
-        images.collect::<Vec<_>>()
+    let theta = Theta::constant(scene.params().values());
+    let spp = (u64::from(settings.spp) / RUNS).max(1);
+    let seed = |run: u64| (seed ^ STREAM).wrapping_add(run);
+    let images = |settings: &Settings| {
+        let image = |run: u64| {
+            let job = Job::new(scene, settings, seed(run), 0..spp, progress);
+            let image = render_f32(&job, &theta, Estimator::Mis).image(0);
+            blocks(&image.data, scene)
+        };
+        (0..RUNS).map(image).collect::<Vec<_>>()
     };
-    let (mut ours, mut theirs) = (images(settings, 0), images(&without, RUNS));
-    let chains = less(&ours, &images(&rest, 0));
-    if !points {
-        theirs = less(&theirs, &images(&rest, RUNS));
-        ours.clone_from(&chains);
+    let ours = less(&images(settings), &images(&rest));
+    let (mut theirs, mut radii) = (Vec::new(), Vec::new());
+    let particles = (spp * scene.film.pixels() as u64).max(PARTICLES);
+    for run in RUNS..2 * RUNS {
+        let job = Job::new(scene, settings, seed(run), 0..spp, progress);
+        let found = chains_by_particles_f32(&job, &theta, particles)?;
+        theirs.push(blocks(&found.image.image(0).data, scene));
+        radii.extend(found.radius);
     }
-    (!progress.cancelled()).then(|| Energy::of(against, &ours, &theirs, &chains))
+    let radius = (!radii.is_empty()).then(|| radii.iter().sum::<f64>() / radii.len() as f64);
+    Ok((!progress.cancelled()).then(|| Energy::of(&ours, &theirs, radius)))
 }
 
 /// Images without those at the same seeds of other light.
@@ -100,18 +93,13 @@ fn estimates(images: &[Vec<f64>]) -> Vec<Estimate> {
 }
 
 impl Energy {
-    /// By independent images, of so many blocks each; `chains` are the light of chains alone.
+    /// By independent images, of so many blocks each.
     ///
     /// Either side may meet light so seldom that in some blocks it never did: their own variance then says that it is certain of
     /// that. If all light is found, light that is met at random has a variance in proportion to its mean, and so each block
-    /// has at least its share of the variance of all, by the light of chains that is there.
-    fn of(
-        against: &'static str,
-        ours: &[Vec<f64>],
-        theirs: &[Vec<f64>],
-        chains: &[Vec<f64>],
-    ) -> Self {
-        let shares = estimates(chains).into_iter().map(|e| e.mean.max(0.0));
+    /// has at least its share of the variance of all, by the light that connections find there.
+    fn of(ours: &[Vec<f64>], theirs: &[Vec<f64>], radius: Option<f64>) -> Self {
+        let shares = estimates(ours).into_iter().map(|e| e.mean.max(0.0));
         let shares: Vec<f64> = shares.collect();
         let all: f64 = shares.iter().sum();
         let floored = |images: &[Vec<f64>]| {
@@ -136,13 +124,13 @@ impl Energy {
         let ratio = a.mean / b.mean;
         let error = ratio.abs() * (a.se / a.mean).hypot(b.se / b.mean);
         Self {
-            against,
             ratio: Some(ratio).filter(|_| met),
             error: Some(error).filter(|e| met && e.is_finite()),
             // Nothing to compare with.
             worst_z: if met { worst_z } else { 0.0 },
             limit_z,
             block: [at % BLOCKS, at / BLOCKS],
+            radius,
         }
     }
 }
@@ -165,7 +153,6 @@ impl Energy {
     /// Says so.
     pub fn say(&self) {
         let Self {
-            against,
             worst_z,
             limit_z,
             block: [x, y],
@@ -173,22 +160,18 @@ impl Energy {
         } = self;
         let (Some(ratio), Some(error)) = (self.ratio, self.error) else {
             complain!(
-                "warning: manifold check: {against} met no light of chains in so many samples: nothing can be said; more by --spp"
+                "warning: manifold check: particles brought no light over chains: nothing can be said; more by --spp"
             );
             return;
         };
-        let of = match *against {
-            "paths" => "the light of chains",
-            _ => "the light",
-        };
         say!(
-            "manifold check: {ratio:.4} ± {error:.4} of {of} that {against} find; blocks differ by up to {worst_z:.2} \
-             standard errors, expected below {limit_z:.2}"
+            "manifold check: {ratio:.4} ± {error:.4} of the light of chains that particles find; blocks differ by up to \
+             {worst_z:.2} standard errors, expected below {limit_z:.2}"
         );
         if worst_z > limit_z {
             let less = if ratio < 1.0 { "less" } else { "more" };
             complain!(
-                "warning: manifold check: {less} light than by {against}, worst in column {x}, row {y} of {BLOCKS} x {BLOCKS} \
+                "warning: manifold check: {less} light than by particles, worst in column {x}, row {y} of {BLOCKS} x {BLOCKS} \
                  blocks: a biased method, or options that merge solutions"
             );
         }
@@ -228,7 +211,7 @@ mod tests {
         let alarms = |events: f64, found: f64| {
             let alarm = |seed: u64| {
                 let ours = seldom(2 * seed, 20.0, found);
-                let e = Energy::of("paths", &ours, &seldom(2 * seed + 1, events, 1.0), &ours);
+                let e = Energy::of(&ours, &seldom(2 * seed + 1, events, 1.0), None);
                 u32::from(e.worst_z > e.limit_z)
             };
             (0..200).map(alarm).sum::<u32>()
@@ -240,7 +223,7 @@ mod tests {
         assert!(alarms(20.0, 0.8) > 190);
         // Nothing at all says nothing.
         let none = vec![vec![0.0; BLOCKS * BLOCKS]; RUNS as usize];
-        let e = Energy::of("paths", &seldom(1, 20.0, 1.0), &none, &none);
+        let e = Energy::of(&seldom(1, 20.0, 1.0), &none, None);
         assert!(e.ratio.is_none() && e.worst_z == 0.0);
     }
 }

@@ -388,10 +388,7 @@ impl<'a, P: Float> Boundary<'a, P> {
         };
         let lamps = seeker.cones();
         let material = scene.material(here.shape);
-        let shading = Shading {
-            theta: *self.context.theta,
-            uv: si.uv,
-        };
+        let shading = Shading::new(*self.context.theta, si.uv);
 
         // ---- One of a few candidates ----
         sampler.seek(Purpose::Edges(CANDIDATES).at(depth));
@@ -497,10 +494,7 @@ impl<'a, P: Float> Boundary<'a, P> {
         let around = Frame::from_normal(normal);
         let (sin, cos) = (TAU * u).sin_cos();
         let direction = around.s * cos + around.t * sin;
-        let shading = Shading {
-            theta: *self.context.theta,
-            uv: si.uv,
-        };
+        let shading = Shading::new(*self.context.theta, si.uv);
         let wi = si.frame.to_local(direction.map(P::of).normalize());
         let f = (scene.material(here.shape)).eval(&shading, *wo, wi, MODE);
         if f.is_black() {

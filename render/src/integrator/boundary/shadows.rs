@@ -170,10 +170,7 @@ impl<P: Float> Boundary<'_, P> {
         let distance = v.length();
         let towards = -v * distance.recip();
         let [wo, wi] = [towards, -ray.d].map(|d| si.frame.to_local(d));
-        let shading = Shading {
-            theta: *self.context.theta,
-            uv: si.uv,
-        };
+        let shading = Shading::new(*self.context.theta, si.uv);
         let f: Rgb<P> = scene.material(hit.shape).eval(&shading, wo, wi, MODE);
         if f.is_black() {
             return None;

@@ -54,10 +54,7 @@ pub(in crate::integrator) fn slopes<P: Float, const N: usize>(
         uv.x += Dual::var(P::zero(), 4);
         uv.y += Dual::var(P::zero(), 5);
     }
-    let at = Shading {
-        theta: theta.lift::<Dual<P, N>>(),
-        uv,
-    };
+    let at = Shading::new(theta.lift::<Dual<P, N>>(), uv);
     let (o, i) = (varied(place.wo, 0), varied(wi, 2));
     let f = material.eval_component(&at, o, i, component, MODE);
     let along = |d: Vec3<P>, first: usize| {

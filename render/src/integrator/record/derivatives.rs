@@ -63,7 +63,7 @@ impl<P: Float, G: GradSink<P> + SumSink> DerivativeSink<P> for Adjoints<'_, P, G
         mode: TransportMode,
     ) {
         let theta = *self.theta;
-        material.backward(&Shading { theta, uv }, wo, uses, mode, self.grad);
+        material.backward(&Shading::new(theta, uv), wo, uses, mode, self.grad);
     }
 
     #[inline(always)]
@@ -126,10 +126,7 @@ impl<R: Real> DerivativeSink<R::Primal> for Tangents<'_, R> {
         uses: &[Use<R::Primal>],
         mode: TransportMode,
     ) {
-        let at = Shading {
-            theta: *self.theta,
-            uv: Vec2::lift(uv),
-        };
+        let at = Shading::new(*self.theta, Vec2::lift(uv));
         self.add(id, material.forward(&at, wo, uses, mode));
     }
 

@@ -331,10 +331,7 @@ fn pull_back_motion<P: Float, S: Strategy>(
     let Some(aim) = map.moving_draw(draw.u) else {
         return;
     };
-    let at = Shading {
-        theta: theta.lift(),
-        uv: Vec2::lift(place.si.uv),
-    };
+    let at = Shading::new(theta.lift(), Vec2::lift(place.si.uv));
     let light: Rgb<Dual<P, 3>> = moving_emitter_light(
         scene,
         scene.material(place.shape),
@@ -362,10 +359,7 @@ impl<P: Float> LocalFn<P> for Chosen<'_, P> {
     const MIXES: bool = true;
 
     fn eval<R: Real<Primal = P>>(&self, theta: &Theta<R>) -> Rgb<R> {
-        let at = Shading {
-            theta: *theta,
-            uv: Vec2::lift(self.place.si.uv),
-        };
+        let at = Shading::new(*theta, Vec2::lift(self.place.si.uv));
         let (wo, wi) = (Vec3::lift(self.place.wo), Vec3::lift(self.bounce.wi));
         let component = self.bounce.component;
         Rgb::splat(-self.material.choice_pdf(&at, wo, wi, component, MODE).ln())

@@ -40,10 +40,7 @@ impl<P: Float, R: Real<Primal = P>> Visitor<P> for Again<'_, R> {
         if !self.active.differentiates(index) {
             return Rgb::lift(f);
         }
-        let at = Shading {
-            theta: *self.theta,
-            uv: Vec2::lift(place.si.uv),
-        };
+        let at = Shading::new(*self.theta, Vec2::lift(place.si.uv));
         let (wo, wi) = (Vec3::lift(place.wo), Vec3::lift(wi));
         self.scene.materials()[index as usize].eval_component(&at, wo, wi, component, MODE)
     }

@@ -251,7 +251,5 @@ pub fn guided<R: Real, S: Strategy>(
 #[inline]
 pub fn frozen_pdf<R: Real>(material: &Material, at: &Shading<R>, wo: Vec3<R>, wi: Vec3<R>) -> R {
     let theta = at.theta.primal().lift();
-    material
-        .eval_pdf(&Shading { theta, uv: at.uv }, wo, wi, MODE)
-        .1
+    material.eval_pdf(&Shading { theta, ..*at }, wo, wi, MODE).1
 }

@@ -756,7 +756,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
                 }
                 Kind::Rough(_) | Kind::Mirror(_) => {
                     let uv = self.at.uv(i);
-                    let taken = (self.metals).take(i, kind, &Shading { theta: *theta, uv });
+                    let taken = (self.metals).take(i, kind, &Shading::new(*theta, uv));
                     self.at.metal[i] = u32::from(taken);
                 }
                 Kind::Other => {}
@@ -940,10 +940,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             let (p, u) = (at.p.vec(i), [a[i], b[i]]);
             let seen = || Seen {
                 material: &scene.materials()[at.material[i] as usize],
-                at: Shading {
-                    theta: *theta,
-                    uv: at.uv(i),
-                },
+                at: Shading::new(*theta, at.uv(i)),
                 frame: at.frame(i),
                 wo: self.wo.vec(i),
             };
@@ -1056,10 +1053,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         });
         for i in others {
             if lights.pdf[i] > P::zero() {
-                let shading = Shading {
-                    theta: *theta,
-                    uv: at.uv(i),
-                };
+                let shading = Shading::new(*theta, at.uv(i));
                 let material = &scene.materials()[at.material[i] as usize];
                 let (f, pdf) = material.eval_pdf(&shading, self.wo.vec(i), lights.wi.vec(i), MODE);
                 lights.f.put_rgb(i, f);
@@ -1191,10 +1185,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             if at.splits[i] == 0 {
                 continue;
             }
-            let shading = Shading {
-                theta: *theta,
-                uv: at.uv(i),
-            };
+            let shading = Shading::new(*theta, at.uv(i));
             let wo = self.wo.vec(i);
             if lights.shadow_t[i] > P::zero() {
                 let pdf = lights.pdf[i];
@@ -1306,10 +1297,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
                 bounces.continues[i] = 0;
                 continue;
             }
-            let shading = Shading {
-                theta: *theta,
-                uv: at.uv(i),
-            };
+            let shading = Shading::new(*theta, at.uv(i));
             let material = &scene.materials()[at.material[i] as usize];
             let (wo, u) = (self.wo.vec(i), [a[i], b[i], c[i]]);
             let scattered = match directions {
