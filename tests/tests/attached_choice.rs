@@ -165,6 +165,7 @@ fn nothing_changes_but_derivatives_in_what_choices_depend_on() {
         "window: ball.bsdf.eta.value",
         "principled: ball.bsdf.metallic.value",
         "principled: ball.bsdf.clearcoat.value",
+        "principled with tints: ball.bsdf.metallic.value",
         "principled glass: ball.bsdf.metallic.value",
         "principled glass: ball.bsdf.spec_trans.value",
         "principled glass: ball.bsdf.eta.value",
