@@ -479,7 +479,7 @@ pub enum GlintArg {
     Unbiased,
     /// Distinct solutions of a trial set
     Biased,
-    /// Paths find all light, or all but that of the chains that options name
+    /// Paths find all light
     Off,
 }
 

@@ -15,6 +15,8 @@ mod plane;
 mod ray_packet;
 mod triangle_block;
 
+pub(crate) use triangle_block::SEAM;
+
 #[cfg(test)]
 mod tests;
 

@@ -13,7 +13,7 @@ pub(super) const LANES: usize = 8;
 ///
 /// Covers the rounding of the hit point (a few half ulps of the distance travelled) and of
 /// vertices that callers rebuild as `v0 + e1`.
-const SEAM: f32 = 4.0 * f32::EPSILON;
+pub(crate) const SEAM: f32 = 4.0 * f32::EPSILON;
 
 /// The operations the flat test needs, rounded alike for one lane and for eight.
 pub(super) trait Lane:

@@ -20,7 +20,7 @@ use ad_core::{Float, Vec2, Vec3};
 
 pub(crate) use tree::Seeker;
 
-use crate::accel::Hit;
+use crate::accel::{Hit, SEAM};
 use crate::math::{Frame, Ray};
 use crate::params::Theta;
 use crate::shape::{AnyShape, Shape, SurfaceCoordinates, lift3};
@@ -32,9 +32,9 @@ use turn::Turn;
 /// sides a flat one, as a part of the way to its middle, at least: where an edge is seen, so is the surface, on the side of
 /// the viewer.
 const INSIDE: f64 = 1e-4;
-/// How far inside of its sides a flat surface is looked at, at least, in roundings of its size: neighbours overlap by a few,
-/// and hide light there.
-const SEAM: f64 = 64.0;
+/// How far inside of its sides a flat surface is looked at, at least, relative to its size: neighbours overlap by their
+/// seam, and hide light there.
+const BEYOND_SEAM: f64 = 16.0 * SEAM as f64;
 /// At most so far to its middle.
 const MIDDLE: f64 = 0.25;
 

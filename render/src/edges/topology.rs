@@ -8,7 +8,7 @@ use std::collections::HashMap;
 use ad_core::Vec3;
 
 use super::turn::Turn;
-use super::{Curve, CurveKind, Edge, Face, INSIDE, MIDDLE, SEAM};
+use super::{BEYOND_SEAM, Curve, CurveKind, Edge, Face, INSIDE, MIDDLE};
 use crate::params::Theta;
 use crate::shape::{AnyShape, Mesh, Patch, Shape, SurfaceCoordinates, SurfaceInteraction, lift3};
 
@@ -257,8 +257,8 @@ impl Topology {
                         .fold(0.0, |m: f64, x| m.max(x.abs()));
                     largest.max((p - start).length())
                 });
-                let rounding = f64::from(f32::EPSILON) * size.fold(0.0, f64::max);
-                (SEAM * seam * rounding / across(polygon).length()).clamp(INSIDE, MIDDLE) as f32
+                let beyond = BEYOND_SEAM * seam * size.fold(0.0, f64::max);
+                (beyond / across(polygon).length()).clamp(INSIDE, MIDDLE) as f32
             };
             let face = |&(_, polygon, side): &([u32; 2], u32, u8)| Face {
                 local: polygons[polygon as usize].local,

@@ -2,7 +2,7 @@
 
 use std::f64::consts::PI;
 
-use ad_core::{Float, Real, Vec2, Vec3};
+use ad_core::{Float, Real, Vec3};
 
 use super::point::constant_colour;
 use super::{Emission, Emitter, EmitterSample, Lights};
@@ -27,10 +27,7 @@ impl Emitter for Constant {
 
     #[inline]
     fn hit<R: Real>(&self, _: Vec3<R>, si: Option<&SurfaceInteraction<R>>) -> Option<Emission<R>> {
-        si.is_none().then(|| Emission {
-            uv: Vec2::zero(),
-            falloff: R::one(),
-        })
+        si.is_none().then(|| Emission::whole())
     }
 
     #[inline]
@@ -39,10 +36,7 @@ impl Emitter for Constant {
             warp::square_to_sphere(u),
             P::of(f64::INFINITY),
             P::of(0.25 / PI),
-            Emission {
-                uv: Vec2::zero(),
-                falloff: P::one(),
-            },
+            Emission::whole(),
         ))
     }
 

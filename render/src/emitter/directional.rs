@@ -1,6 +1,6 @@
 //! Parallel light.
 
-use ad_core::{Float, Real, Vec2, Vec3};
+use ad_core::{Float, Real, Vec3};
 
 use super::point::constant_colour;
 use super::{Emission, Emitter, EmitterSample, Lights};
@@ -46,22 +46,8 @@ impl Emitter for Directional {
             -lift3::<P>(self.direction).normalize(),
             P::of(f64::INFINITY),
             P::one(),
-            Emission {
-                uv: Vec2::zero(),
-                falloff: P::one(),
-            },
+            Emission::whole(),
         ))
-    }
-
-    #[inline]
-    fn pdf<R: Real>(
-        &self,
-        _: Lights,
-        _: Vec3<R>,
-        _: Vec3<R>,
-        _: Option<&SurfaceInteraction<R>>,
-    ) -> R {
-        R::zero()
     }
 
     fn is_delta(&self) -> bool {

@@ -1,6 +1,6 @@
 //! Parallel light from a flat surface.
 
-use ad_core::{Float, Real, Vec2, Vec3};
+use ad_core::{Float, Real, Vec3};
 
 use super::point::constant_colour;
 use super::{Ball, Emission, EmittedRay, Emitter, EmitterSample, Lights};
@@ -44,14 +44,6 @@ fn contains<P: Float>(shape: &AnyShape, SurfaceCoordinates(at): SurfaceCoordinat
     }
 }
 
-/// Nothing of the texture but its value, which is the same everywhere.
-fn whole<P: Float>() -> Emission<P> {
-    Emission {
-        uv: Vec2::zero(),
-        falloff: P::one(),
-    }
-}
-
 impl Emitter for DirectionalArea {
     #[inline]
     fn radiance(&self) -> &RgbTexture {
@@ -78,7 +70,7 @@ impl Emitter for DirectionalArea {
         let distance = (from - si.p).dot(si.n_geo);
         (distance > P::zero()).then(|| EmitterSample {
             surface: lights.surface(self.shape, 0),
-            ..EmitterSample::without_surface(-si.n_geo, distance, P::one(), whole())
+            ..EmitterSample::without_surface(-si.n_geo, distance, P::one(), Emission::whole())
         })
     }
 
@@ -99,19 +91,8 @@ impl Emitter for DirectionalArea {
             exit: lights.prim(self.shape, s.prim).exit,
             pdf_position: s.pdf,
             pdf_direction: P::one(),
-            emission: whole(),
+            emission: Emission::whole(),
         })
-    }
-
-    #[inline]
-    fn pdf<R: Real>(
-        &self,
-        _: Lights,
-        _: Vec3<R>,
-        _: Vec3<R>,
-        _: Option<&SurfaceInteraction<R>>,
-    ) -> R {
-        R::zero()
     }
 
     fn is_delta(&self) -> bool {

@@ -48,6 +48,15 @@ pub struct Emission<R> {
 }
 
 impl<R: Real> Emission<R> {
+    /// Nothing but the texture, which is the same everywhere.
+    #[inline]
+    pub fn whole() -> Self {
+        Self {
+            uv: Vec2::zero(),
+            falloff: R::one(),
+        }
+    }
+
     /// The same without tangents.
     #[inline]
     pub fn primal(&self) -> Emission<R::Primal> {
@@ -306,17 +315,20 @@ pub trait Emitter: Send + Sync {
     }
 
     /// Density of [`Emitter::sample`] for the direction `d` that hits it at `si`, per solid angle;
-    /// zero for delta lights.
+    /// zero for delta lights, which is the default.
     ///
     /// # Derivatives
     /// In the direction and what it hits.
+    #[inline]
     fn pdf<R: Real>(
         &self,
-        lights: Lights,
-        from: Vec3<R>,
-        d: Vec3<R>,
-        si: Option<&SurfaceInteraction<R>>,
-    ) -> R;
+        _lights: Lights,
+        _from: Vec3<R>,
+        _d: Vec3<R>,
+        _si: Option<&SurfaceInteraction<R>>,
+    ) -> R {
+        R::zero()
+    }
 
     /// The same sample of the light seen from a reference point that moves: direction, density and
     /// emission, in area form: the *point* on the light stays where it is (environments keep the

@@ -110,10 +110,7 @@ impl Emitter for Point {
             exit: Exit::default(),
             pdf_position: P::one(),
             pdf_direction: P::of(0.25 / PI),
-            emission: Emission {
-                uv: Vec2::zero(),
-                falloff: P::one(),
-            },
+            emission: Emission::whole(),
         })
     }
 
@@ -122,22 +119,8 @@ impl Emitter for Point {
         _: Vec3<P>,
         _: Option<&SurfaceInteraction<P>>,
     ) -> Option<(Emission<P>, P)> {
-        let emission = Emission {
-            uv: Vec2::zero(),
-            falloff: P::one(),
-        };
+        let emission = Emission::whole();
         Some((emission, P::of(0.25 / PI)))
-    }
-
-    #[inline]
-    fn pdf<R: Real>(
-        &self,
-        _: Lights,
-        _: Vec3<R>,
-        _: Vec3<R>,
-        _: Option<&SurfaceInteraction<R>>,
-    ) -> R {
-        R::zero()
     }
 
     fn connect<R: Real>(&self, sample: &EmitterSample<R::Primal>, from: Vec3<R>) -> Connection<R> {

@@ -160,17 +160,6 @@ impl Emitter for Projector {
         Some((self.profile(d)?, self.pdf_direction(cos)))
     }
 
-    #[inline]
-    fn pdf<R: Real>(
-        &self,
-        _: Lights,
-        _: Vec3<R>,
-        _: Vec3<R>,
-        _: Option<&SurfaceInteraction<R>>,
-    ) -> R {
-        R::zero()
-    }
-
     fn connect<R: Real>(&self, sample: &EmitterSample<R::Primal>, from: Vec3<R>) -> Connection<R> {
         let seen = moving(self.position, sample, from, |d| {
             self.profile(d).map_or(R::zero(), |e| e.falloff)
@@ -282,17 +271,6 @@ impl Emitter for Slide {
     ) -> Option<(Emission<P>, P)> {
         let (emission, pdf) = self.spot.leaves(d, si)?;
         Some((self.at(d, emission)?, pdf))
-    }
-
-    #[inline]
-    fn pdf<R: Real>(
-        &self,
-        _: Lights,
-        _: Vec3<R>,
-        _: Vec3<R>,
-        _: Option<&SurfaceInteraction<R>>,
-    ) -> R {
-        R::zero()
     }
 
     fn connect<R: Real>(&self, sample: &EmitterSample<R::Primal>, from: Vec3<R>) -> Connection<R> {

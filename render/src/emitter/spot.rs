@@ -137,17 +137,6 @@ impl Emitter for Spot {
         (falloff > P::zero()).then_some((emission, P::of(0.5 / (PI * self.opening()))))
     }
 
-    #[inline]
-    fn pdf<R: Real>(
-        &self,
-        _: Lights,
-        _: Vec3<R>,
-        _: Vec3<R>,
-        _: Option<&SurfaceInteraction<R>>,
-    ) -> R {
-        R::zero()
-    }
-
     fn connect<R: Real>(&self, sample: &EmitterSample<R::Primal>, from: Vec3<R>) -> Connection<R> {
         moving(self.position, sample, from, |d| self.profile(d))
     }

@@ -88,7 +88,6 @@ struct Collecting<'a, P: Float> {
     theta: &'a Theta<'a, P>,
     split: &'a Split,
     map: &'a Map<P>,
-    radius: P,
     max_depth: u32,
     /// Edges so far.
     depth: u32,
@@ -117,7 +116,7 @@ impl<P: Float> Observer<P> for Collecting<'_, P> {
             let cos = l.wi.dot(si.n_geo).abs();
             if cos > P::zero() {
                 let wi: Vec3<P> = si.frame.to_local(l.wi);
-                let weight = extrapolated(kernel, self.radius) / cos;
+                let weight = extrapolated(kernel, self.map.radius) / cos;
                 sum += material.eval(&at, place.wo, wi, MODE) * l.power * weight;
             }
         });
@@ -222,7 +221,6 @@ pub fn image<P: Float + Components, X: Sampler>(
             theta,
             split,
             map: &map,
-            radius: P::of(radius),
             max_depth: pass.settings.max_depth,
             depth: 0,
             l: Rgb::black(),

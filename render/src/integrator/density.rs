@@ -144,7 +144,7 @@ pub(super) fn land<P: Float, X: Sampler, K: Keeps<P>>(
 /// Particles in a hashed grid whose cells are as large as the radius of the kernel.
 #[derive(Clone, Debug)]
 pub struct Map<P: Float> {
-    radius: P,
+    pub(super) radius: P,
     landed: Vec<Landed<P>>,
     /// Per bucket of cells: where its particles start; one more at the end.
     starts: Vec<u32>,

@@ -305,17 +305,15 @@ impl Builder {
         for m in &self.materials {
             check_textures(m, self.registry.params())?;
             let params = self.registry.params_mut();
-            m.visit_textures(&mut |t| match t {
-                TextureRef::Alpha(t) | TextureRef::Exponent(t) => {
-                    t.visit_params(&mut |p| params.mark(p, ParamKind::Roughness));
-                }
-                TextureRef::Vector(t) | TextureRef::Encoded(t) => {
-                    t.visit_params(&mut |p| params.mark(p, ParamKind::Normals));
-                }
-                TextureRef::Height(t) => {
-                    t.visit_params(&mut |p| params.mark(p, ParamKind::Normals));
-                }
-                TextureRef::Rgb(_) | TextureRef::Mixed(_) | TextureRef::Scalar(_) => {}
+            m.visit_textures(&mut |t| {
+                let kind = match t {
+                    TextureRef::Alpha(_) | TextureRef::Exponent(_) => ParamKind::Roughness,
+                    TextureRef::Vector(_) | TextureRef::Encoded(_) | TextureRef::Height(_) => {
+                        ParamKind::Normals
+                    }
+                    TextureRef::Rgb(_) | TextureRef::Mixed(_) | TextureRef::Scalar(_) => return,
+                };
+                t.visit_params(&mut |p| params.mark(p, kind));
             });
             visit_deltas(m, &mut |p| params.mark(p, ParamKind::Delta));
         }

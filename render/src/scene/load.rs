@@ -409,16 +409,16 @@ impl Reading {
             Some(e) => {
                 let next = self.build.shapes().len() as u32;
                 let read = self.emitter(e, &format!("{name}.emitter"), Some(next));
-                let read = read.and_then(|read| match read.0.is_beam() {
-                    true if whole && !DirectionalArea::admits(&geometry) => {
-                        Err(SceneError::Refused {
+                let read = read.and_then(|read| {
+                    if whole && read.0.is_beam() && !DirectionalArea::admits(&geometry) {
+                        return Err(SceneError::Refused {
                             location: e.location.clone(),
                             tag: e.tag.clone(),
                             plugin: e.plugin.clone(),
                             what: "parallel light from other surfaces than rectangles and disks is",
-                        })
+                        });
                     }
-                    _ => Ok(read),
+                    Ok(read)
                 });
                 self.note(read)?
             }

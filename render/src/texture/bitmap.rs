@@ -78,19 +78,27 @@ impl Bitmap {
                 weight,
             };
         }
-        let (x0, x1, fx) = cell(uv.x, self.width, self.wrap);
-        let (y0, y1, fy) = cell(uv.y, self.height, self.wrap);
+        let (texel, [fx, fy]) = self.corners(uv);
         let (gx, gy) = (R::one() - fx, R::one() - fy);
         Footprint {
             param: self.param,
-            texel: [
-                y0 * self.width + x0,
-                y0 * self.width + x1,
-                y1 * self.width + x0,
-                y1 * self.width + x1,
-            ],
+            texel,
             weight: [gx * gy, fx * gy, gx * fy, fx * fy],
         }
+    }
+
+    /// The texels around a place of the image, x first, and how far it is from the first to the last.
+    #[inline(always)]
+    fn corners<R: Real>(&self, at: Vec2<R>) -> ([u32; 4], [R; 2]) {
+        let (x0, x1, fx) = cell(at.x, self.width, self.wrap);
+        let (y0, y1, fy) = cell(at.y, self.height, self.wrap);
+        let texel = [
+            y0 * self.width + x0,
+            y0 * self.width + x1,
+            y1 * self.width + x0,
+            y1 * self.width + x1,
+        ];
+        (texel, [fx, fy])
     }
 
     /// The texels of an interpolated lookup, and how their weights change with `uv`, along u and v: constant across a
@@ -98,8 +106,7 @@ impl Bitmap {
     pub(super) fn slopes<R: Real>(&self, uv: Vec2<R>) -> Footprint<[R; 2]> {
         let [[a, b, _], [c, d, _]] = self.to_uv.rows.map(|row| row.map(|x| R::of(f64::from(x))));
         let at = self.to_uv.apply(uv);
-        let (x0, x1, fx) = cell(at.x, self.width, self.wrap);
-        let (y0, y1, fy) = cell(at.y, self.height, self.wrap);
+        let (texel, [fx, fy]) = self.corners(at);
         let [width, height] = [self.width, self.height].map(|n| R::of(f64::from(n)));
         let (gx, gy) = (R::one() - fx, R::one() - fy);
         let along = |x: R, y: R| {
@@ -108,12 +115,7 @@ impl Bitmap {
         };
         Footprint {
             param: self.param,
-            texel: [
-                y0 * self.width + x0,
-                y0 * self.width + x1,
-                y1 * self.width + x0,
-                y1 * self.width + x1,
-            ],
+            texel,
             weight: [
                 along(-gy, -gx),
                 along(gy, -fx),

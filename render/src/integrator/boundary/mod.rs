@@ -38,6 +38,7 @@ use super::rendering::{Components, NonFinite, Rendering};
 use super::sink::{GradientSums, Sink};
 use super::tile::{Paths, Sample, place, spot};
 use super::vertex::MODE;
+use crate::accel::SEAM;
 use crate::bsdf::{Bsdf, Shading};
 use crate::camera::Pinhole;
 use crate::edges::film::{FilmCurves, FilmPoint, Inside, Sides};
@@ -53,8 +54,9 @@ use crate::shape::{Shape, SurfaceInteraction};
 /// How far rays pass from an edge that they are to clear, relative to its distance, and to the largest coordinate of its
 /// shape: several roundings of an f32.
 const CLEARANCE: [f64; 2] = [3e-5, 1e-6];
-/// How far slivers reach over their sides, relative to the way of a ray and to coordinates: twice their seam.
-const OVERLAP: f64 = 16.0 * f32::EPSILON as f64;
+/// How far rays pass from the sides of slivers, relative to their way and to coordinates: beyond what these reach over them,
+/// which goes with the sum of the components of the way.
+const OVERLAP: f64 = 4.0 * SEAM as f64;
 /// However thin they are, rays pass nearer than this part of the distance.
 const LARGEST_CLEARANCE: f64 = 1e-2;
 /// What is met nearer than this part of the distance of an edge hides it.
