@@ -33,7 +33,7 @@ impl<R: Real> Stretch<R> {
 /// What a surface is in its texture coordinates: for materials that know a point by those alone.
 ///
 /// Triangles have coordinates of their own, which may overlap, and their interactions carry others, which say which
-/// triangle a point is on ([`Chart::of_triangles`]).
+/// triangle a point is on.
 #[derive(Clone, Debug)]
 pub struct Chart(Kind);
 

@@ -159,10 +159,10 @@ fn radius<P: Float>(landed: &[Landed<P>]) -> Option<f64> {
 
 /// The light of manifold connections as `settings` has them, whatever their method, by so many particles instead.
 ///
-/// It is convolved with a kernel on receivers, whose radius [`radius`] chooses. Means over parts of the image that are much
-/// larger are right but for what goes over their borders; what a plain kernel would lose along edges and shadows is
-/// extrapolated away, so that single values may be negative. The same for any number of threads; 64 bytes or so per
-/// particle.
+/// It is convolved with a kernel on receivers, whose radius follows from how densely particles land. Means over parts of the
+/// image that are much larger are right but for what goes over their borders; what a plain kernel would lose along edges and
+/// shadows is extrapolated away, so that single values may be negative. The same for any number of threads; 64 bytes or so
+/// per particle.
 ///
 /// # Errors
 /// Normals that are flipped to the viewer, whom particles do not know; more particles than there are numbers for.
