@@ -188,12 +188,12 @@ impl Tree {
     /// it is left as it was.
     pub(super) fn refit(&mut self, items: &[Item]) -> Option<f64> {
         // Where each primitive stands.
-        let last = items.iter().map(|i| i.tag.prim as usize + 1).max();
+        let last = items.iter().map(|i| i.tag.prim() + 1).max();
         let mut found = vec![None; last.unwrap_or(0)];
         for item in items {
-            found[item.tag.prim as usize] = Some(item);
+            found[item.tag.prim()] = Some(item);
         }
-        let find = |tag: &Tag| found.get(tag.prim as usize).copied().flatten();
+        let find = |tag: &Tag| found.get(tag.prim()).copied().flatten();
         let flat = self.tags.iter().flatten().filter_map(find);
         let flat = flat.filter(|i| !i.is_curved()).count();
         let mut curved = Vec::with_capacity(self.curved.len());
@@ -309,11 +309,7 @@ impl Tree {
             }
             packet
         });
-        let none = Tag {
-            prim: u32::MAX,
-            surface: u32::MAX,
-        };
-        let tags = |leaf: &[u32; LANES]| leaf.map(|i| item(i).map_or(none, |item| item.tag));
+        let tags = |leaf: &[u32; LANES]| leaf.map(|i| item(i).map_or(Tag::EMPTY, |item| item.tag));
         self.tags = leaves.iter().map(tags).collect();
         Some(())
     }

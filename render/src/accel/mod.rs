@@ -148,8 +148,8 @@ pub enum Refit {
 /// A hierarchy whose rays visit so many times as many boxes is built anew.
 const MAX_LOOSENESS: f64 = 1.5;
 
-/// Indices are 32 bits wide and the largest one marks empty slots.
-const MAX_PRIMITIVES: usize = u32::MAX as usize - 1;
+/// Indices are 30 bits wide, see [`Tag`], and the largest one marks empty slots.
+const MAX_PRIMITIVES: usize = (u32::MAX >> 2) as usize - 1;
 
 /// A set of primitives, ready for ray queries.
 ///
@@ -403,8 +403,65 @@ enum Shape {
 /// Which primitive it is, and on which surface.
 #[derive(Clone, Copy, Debug)]
 struct Tag {
-    prim: u32,
+    /// Four times the index of the primitive, and which of its corners is the first one of the triangle that is tested,
+    /// see [`turned`].
+    id: u32,
     surface: u32,
+}
+
+impl Tag {
+    const EMPTY: Tag = Tag {
+        id: u32::MAX,
+        surface: u32::MAX,
+    };
+
+    fn prim(self) -> usize {
+        (self.id >> 2) as usize
+    }
+}
+
+/// The hit of a primitive by its [`Tag::id`], with coordinates on the triangle as it was given.
+#[inline(always)]
+fn hit_of(id: u32, t: f32, u: f32, v: f32) -> Hit {
+    let w = 1.0 - u - v;
+    let [u, v] = match id & 3 {
+        0 => [u, v],
+        1 => [w, u],
+        _ => [v, w],
+    };
+    Hit {
+        t,
+        u,
+        v,
+        prim: id >> 2,
+    }
+}
+
+/// A triangle from the corner that faces its longest side, and which corner that is.
+///
+/// Barycentric coordinates are known up to roundings that go with one over the height above a side. Across the side that
+/// both share these add up: if it is the longest one, neighbours overlap there by at most twice as much as elsewhere,
+/// however thin they are.
+fn turned(p: &Primitive) -> (Primitive, u32) {
+    let Primitive::Triangle { v0, e1, e2 } = *p else {
+        return (*p, 0);
+    };
+    let [a, b] = [e1, e2].map(|e| each(e, f64::from));
+    let c = each([0, 1, 2], |k: usize| b[k] - a[k]);
+    let squared = |e: [f64; 3]| e.iter().map(|x| x * x).sum::<f64>();
+    let [ab, ac, bc] = [a, b, c].map(squared);
+    let back = |e: [f32; 3]| each(e, |x| -x);
+    let from = |e: [f32; 3]| each([0, 1, 2], |k: usize| v0[k] + e[k]);
+    let c = each(c, |x| x as f32);
+    if bc >= ab.max(ac) {
+        (*p, 0)
+    } else if ac >= ab {
+        let (v0, e1, e2) = (from(e1), c, back(e1));
+        (Primitive::Triangle { v0, e1, e2 }, 1)
+    } else {
+        let (v0, e1, e2) = (from(e2), back(e2), back(c));
+        (Primitive::Triangle { v0, e1, e2 }, 2)
+    }
 }
 
 /// A primitive that can be hit.
@@ -475,11 +532,12 @@ fn prepare(prims: &[Primitive], surfaces: &[u32]) -> Result<Vec<Item>, AccelErro
                     found,
                 });
             }
-            if shape(&p).is_some() {
+            let (primitive, turn) = turned(&p);
+            if shape(&primitive).is_some() {
                 items.push(Item {
-                    primitive: p,
+                    primitive,
                     tag: Tag {
-                        prim: i as u32,
+                        id: (i as u32) << 2 | turn,
                         surface: surfaces[i],
                     },
                     bounds: bounds(&p),
@@ -595,7 +653,8 @@ struct Best {
     t: f32,
     u: f32,
     v: f32,
-    prim: u32,
+    /// See [`Tag::id`].
+    id: u32,
     found: bool,
 }
 
@@ -607,20 +666,20 @@ impl Best {
             t: t_max,
             u: 0.0,
             v: 0.0,
-            prim: 0,
+            id: 0,
             found: false,
         }
     }
 
     #[inline(always)]
     fn offer(&mut self, t: f32, u: f32, v: f32, tag: Tag, from: u32) {
-        let Tag { prim, surface } = tag;
-        if (t < self.t || (t == self.t && prim < self.prim)) && surface != from {
+        let Tag { id, surface } = tag;
+        if (t < self.t || (t == self.t && id < self.id)) && surface != from {
             *self = Best {
                 t,
                 u,
                 v,
-                prim,
+                id,
                 found: true,
             };
         }
@@ -628,11 +687,6 @@ impl Best {
 
     #[inline(always)]
     fn hit(self) -> Option<Hit> {
-        self.found.then_some(Hit {
-            t: self.t,
-            u: self.u,
-            v: self.v,
-            prim: self.prim,
-        })
+        self.found.then(|| hit_of(self.id, self.t, self.u, self.v))
     }
 }

@@ -5,7 +5,7 @@
 
 use super::curved::{Curved, LANES_F64, Line};
 use super::triangle_block::{Flat, RayLanes, mark};
-use super::{Hit, Ray, Tag, capped};
+use super::{Hit, Ray, Tag, capped, hit_of};
 use crate::math::{NOWHERE, each};
 use wide::{f32x16, f64x8};
 
@@ -215,14 +215,9 @@ impl Few {
         for i in 0..packet.len {
             hits[i] = None;
             if found >> i & 1 != 0 {
-                let Tag { prim, surface } = self.items[slot[i].to_bits() as usize].1;
+                let Tag { id, surface } = self.items[slot[i].to_bits() as usize].1;
                 again |= surface == packet.skip[0][i];
-                hits[i] = Some(Hit {
-                    t: t[i],
-                    u: u[i],
-                    v: v[i],
-                    prim,
-                });
+                hits[i] = Some(hit_of(id, t[i], u[i], v[i]));
             }
         }
         if !CAREFUL && again {

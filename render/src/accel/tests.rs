@@ -458,6 +458,82 @@ fn edges_and_vertices_do_not_leak() {
     }
 }
 
+/// Slivers reach over none of their sides by more than roundings of the ray, whichever corner comes first, and coordinates
+/// belong to the corners as they were given.
+#[test]
+fn thin_triangles_end_at_their_sides() {
+    let tip = [-1.0, 0.0, 0.0];
+    let (right, left) = ([1.0, 1e-4, 0.0], [1.0, -1e-4, 0.0]);
+    for (a, b, c) in [(tip, left, right), (left, right, tip), (right, tip, left)] {
+        let to = |p: [f32; 3]| each([0, 1, 2], |k: usize| p[k] - a[k]);
+        let (e1, e2) = (to(b), to(c));
+        let triangle = Primitive::Triangle { v0: a, e1, e2 };
+        // Beside others, of which none is met, it lies in a hierarchy as well.
+        let far = |k: usize| Primitive::Sphere {
+            center: [0.0, 50.0 + k as f32, 0.0],
+            radius: 0.1,
+        };
+        let many: Vec<_> = [triangle].into_iter().chain((0..100).map(far)).collect();
+        for accel in [vec![triangle], many].map(|prims| Accel::build(&prims).unwrap()) {
+            let ray = |x: f32, y: f32| accel.intersect([x, y, 2.0], [0.0, 0.0, -1.0], 9.0, NOWHERE);
+            assert_eq!(ray(1.0 + 1e-5, 0.0), None, "over the short side");
+            assert_eq!(ray(-1.02, 1e-5), None, "beyond the tip, beside its axis");
+            assert_eq!(ray(0.0, 5e-5 + 1e-5), None, "over a long side");
+            for x in [-0.9_f32, -0.3, 0.5, 0.99] {
+                let hit = ray(x, 2e-5 * (1.0 + x)).expect("a hit");
+                let p: [f32; 3] = each([0, 1, 2], |k: usize| a[k] + hit.u * e1[k] + hit.v * e2[k]);
+                assert!((p[0] - x).abs() < 1e-3, "{p:?}, expected {x}");
+                assert!(
+                    (p[1] - 2e-5 * (1.0 + x)).abs() < 1e-6,
+                    "{p:?}, expected {x}"
+                );
+            }
+        }
+    }
+}
+
+/// A tube of slivers, of which each side is shared by two, seen from its axis.
+#[test]
+fn thin_triangles_do_not_leak() {
+    const COUNT: usize = 1500;
+    let corner = |k: usize, y: f32| {
+        let (z, x) = (std::f64::consts::TAU * (k % COUNT) as f64 / COUNT as f64).sin_cos();
+        [7.0 + x as f32, y, 3.0 + z as f32]
+    };
+    let triangle = |[a, b, c]: [[f32; 3]; 3]| Primitive::Triangle {
+        v0: a,
+        e1: each([0, 1, 2], |k: usize| b[k] - a[k]),
+        e2: each([0, 1, 2], |k: usize| c[k] - a[k]),
+    };
+    let (low, high) = (-5.0, 6.0);
+    let mut prims = Vec::new();
+    for k in 0..COUNT {
+        let [a, b] = [corner(k, low), corner(k, high)];
+        let [d, c] = [corner(k + 1, low), corner(k + 1, high)];
+        // Corners in all orders.
+        let mut faces = [[a, b, c], [c, d, a]];
+        faces.iter_mut().for_each(|f| f.rotate_left(k % 3));
+        prims.extend(faces.map(triangle));
+    }
+    let accel = Accel::build(&prims).unwrap();
+    let mut random = Random(17);
+    for i in 0..60_000 {
+        let origin = [7.0, random.signed(), 3.0];
+        // Every other one at a side that two faces share.
+        let mut at = corner(i % COUNT, 4.0 * random.signed());
+        if i % 2 == 1 {
+            let other = corner(i % COUNT + 1, high);
+            let s = 0.5 + 0.5 * random.signed();
+            let start = corner(i % COUNT, low);
+            at = each([0, 1, 2], |k: usize| start[k] + s * (other[k] - start[k]));
+            at[1] = at[1].clamp(-4.0, 5.0);
+        }
+        let d = each([0, 1, 2], |k: usize| at[k] - origin[k]);
+        let hit = accel.intersect(origin, d, f32::INFINITY, NOWHERE);
+        assert!(hit.is_some(), "a leak at {at:?}");
+    }
+}
+
 fn cube(half: f32) -> Vec<Primitive> {
     let mut prims = Vec::new();
     for axis in 0..3 {
@@ -935,7 +1011,7 @@ fn refitted_hierarchies_give_the_hits_of_new_ones() {
     let n = 2 * 24 * 24;
     for (i, item) in scattered.iter_mut().enumerate().take(n) {
         // The primitive that item `i` is stands somewhere else, and is of the same kind.
-        item.tag.prim = ((i * 389) % n) as u32;
+        item.tag.id = 4 * ((i * 389) % n) as u32;
     }
     let sorted = Accel::build(&sheet(0.3, &[])).expect("in reach");
     let looseness = tree(&sorted)

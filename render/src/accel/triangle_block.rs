@@ -423,8 +423,8 @@ impl Flat<f32x16> {
 #[derive(Clone, Debug)]
 pub(super) struct TriangleBlocks {
     packets: Vec<Flat<f32x8>>,
-    /// Primitive of every slot, ascending; the bits of integers, so that lanes can be selected.
-    prims: Vec<f32x8>,
+    /// [`Tag::id`] of every slot, ascending; the bits of integers, so that lanes can be selected.
+    ids: Vec<f32x8>,
     /// Surface of every slot, as a [`mark`].
     surfaces: Vec<f32x8>,
 }
@@ -439,7 +439,7 @@ pub(super) fn mark(surface: u32) -> f32 {
 impl TriangleBlocks {
     pub(super) fn new(flat: &[(Flat<f32>, Tag)]) -> TriangleBlocks {
         let mut packets = Vec::new();
-        let (mut prims, mut surfaces) = (Vec::new(), Vec::new());
+        let (mut ids, mut surfaces) = (Vec::new(), Vec::new());
         for group in flat.chunks(LANES) {
             let slot = |i: usize| group.get(i).map_or(Flat::EMPTY, |g| g.0);
             let lanes = |f: &dyn Fn(&Flat<f32>) -> f32| {
@@ -458,8 +458,8 @@ impl TriangleBlocks {
                 seam_v: lanes(&|g| g.seam_v),
                 reach: lanes(&|g| g.reach),
             });
-            prims.push(f32x8::from(std::array::from_fn::<f32, LANES, _>(|i| {
-                f32::from_bits(group.get(i).map_or(u32::MAX, |g| g.1.prim))
+            ids.push(f32x8::from(std::array::from_fn::<f32, LANES, _>(|i| {
+                f32::from_bits(group.get(i).map_or(Tag::EMPTY.id, |g| g.1.id))
             })));
             surfaces.push(f32x8::from(std::array::from_fn::<f32, LANES, _>(|i| {
                 mark(group.get(i).map_or(u32::MAX, |g| g.1.surface))
@@ -467,7 +467,7 @@ impl TriangleBlocks {
         }
         TriangleBlocks {
             packets,
-            prims,
+            ids,
             surfaces,
         }
     }
@@ -478,28 +478,28 @@ impl TriangleBlocks {
         let lanes = RayLanes::<f32x8>::new(ray);
         let zero = f32x8::splat(0.0);
         let start = f32x8::splat(best.t);
-        let (mut t, mut u, mut v, mut prim) = (start, zero, zero, zero);
+        let (mut t, mut u, mut v, mut id) = (start, zero, zero, zero);
         let from = f32x8::splat(mark(ray.skip[0]));
-        let tags = self.prims.iter().zip(&self.surfaces);
-        for (packet, (&prims, &surfaces)) in self.packets.iter().zip(tags) {
+        let tags = self.ids.iter().zip(&self.surfaces);
+        for (packet, (&ids, &surfaces)) in self.packets.iter().zip(tags) {
             let c = packet.candidate(&lanes);
             // Strict, and packets ascend: every lane keeps its lowest primitive among equals.
             let hit = c.within(t) & surfaces.simd_ne(from);
             t = hit.select(c.t, t);
             u = hit.select(c.u, u);
             v = hit.select(c.v, v);
-            prim = hit.select(prims, prim);
+            id = hit.select(ids, id);
         }
         let nearest = least(t);
         if nearest < best.t {
             let mut winners = t.simd_eq(f32x8::splat(nearest)).to_bitmask();
-            let prims = prim.to_array();
-            let prim_of = |lane: usize| prims[lane].to_bits();
+            let ids = id.to_array();
+            let id_of = |lane: usize| ids[lane].to_bits();
             let mut lane = winners.trailing_zeros() as usize % LANES;
             winners &= winners - 1;
             while winners != 0 {
                 let other = winners.trailing_zeros() as usize % LANES;
-                if prim_of(other) < prim_of(lane) {
+                if id_of(other) < id_of(lane) {
                     lane = other;
                 }
                 winners &= winners - 1;
@@ -508,7 +508,7 @@ impl TriangleBlocks {
                 t: nearest,
                 u: u.to_array()[lane],
                 v: v.to_array()[lane],
-                prim: prim_of(lane),
+                id: id_of(lane),
                 found: true,
             };
         }
@@ -527,7 +527,7 @@ impl TriangleBlocks {
 
     pub(super) fn memory_bytes(&self) -> usize {
         self.packets.capacity() * size_of::<Flat<f32x8>>()
-            + (self.prims.capacity() + self.surfaces.capacity()) * size_of::<f32x8>()
+            + (self.ids.capacity() + self.surfaces.capacity()) * size_of::<f32x8>()
     }
 }
 

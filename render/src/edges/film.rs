@@ -360,7 +360,6 @@ impl FilmCurves {
         let (rim, shape, sides) = edges.film_rim(item as usize, s, x)?;
         let tangent = rim.tangent;
         let (mut edge, speed) = rim.seen(x, shape)?;
-        edge.seam = straight.map_or(1.0, |edge| edge.seam);
         let p = self.projection.homogeneous(edge.p - x);
         let at = flat(p);
         let d = self.projection.homogeneous(tangent);

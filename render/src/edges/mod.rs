@@ -34,7 +34,7 @@ use turn::Turn;
 const INSIDE: f64 = 1e-4;
 /// How far inside of its sides a flat surface is looked at, at least, relative to its size: neighbours overlap by their
 /// seam, and hide light there.
-const BEYOND_SEAM: f64 = 16.0 * SEAM as f64;
+const BEYOND_SEAM: f64 = 32.0 * SEAM as f64;
 /// At most so far to its middle.
 const MIDDLE: f64 = 0.25;
 
@@ -66,8 +66,6 @@ struct Edge {
     /// What a curve on the film counts beside others where both faces are seen: one if normals or textures jump; where
     /// normals are interpolated, the angle between the faces, since each hides light from itself; otherwise zero.
     jump: f32,
-    /// See [`EdgePoint::seam`].
-    seam: f32,
 }
 
 /// What a curve is.
@@ -140,9 +138,6 @@ pub(crate) struct EdgePoint {
     pub weight: f64,
     /// Shape and its primitive that the point belongs to.
     pub shape: u32,
-    /// How far the triangles that meet here are taken to reach over it by rounding, beside those with a right angle at
-    /// their first corner: far, where they are slivers. One for curves.
-    pub seam: f32,
     spot: Spot,
 }
 
@@ -375,7 +370,6 @@ impl Rim {
             normal,
             weight: 0.0,
             shape,
-            seam: 1.0,
             spot: self.spot,
         };
         Some((point, speed))

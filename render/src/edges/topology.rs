@@ -246,8 +246,6 @@ impl Topology {
                 to - along * along.dot(to)
             };
             let into = |polygon: u32| across(polygon).normalize();
-            let seam =
-                (group.iter()).fold(1.0, |m: f64, s| m.max(seam(&polygons[s.1 as usize], s.2)));
             let inside = |polygon: u32| {
                 let corners = polygons[polygon as usize].corners.iter();
                 let size = corners.map(|c| lift3::<f64>(c.at)).map(|p| {
@@ -257,7 +255,7 @@ impl Topology {
                         .fold(0.0, |m: f64, x| m.max(x.abs()));
                     largest.max((p - start).length())
                 });
-                let beyond = BEYOND_SEAM * seam * size.fold(0.0, f64::max);
+                let beyond = BEYOND_SEAM * size.fold(0.0, f64::max);
                 (beyond / across(polygon).length()).clamp(INSIDE, MIDDLE) as f32
             };
             let face = |&(_, polygon, side): &([u32; 2], u32, u8)| Face {
@@ -275,7 +273,6 @@ impl Topology {
                 faces: [face(&group[0]); 2],
                 border: group.len() == 1,
                 jump: 0.0,
-                seam: seam as f32,
             };
             if let [_, other, ..] = group {
                 let m2 = into(other.1);
@@ -303,17 +300,6 @@ impl Topology {
             self.straight.push(edge);
         }
     }
-}
-
-/// How far a face reaches over a side by rounding, beside others: across the side that both barycentric coordinates share,
-/// the rounding of both counts.
-fn seam(polygon: &Polygon, side: u8) -> f64 {
-    let [a, b, c] = [0, 1, 2].map(|k| lift3::<f64>(polygon.corners[k].at));
-    if polygon.corners.len() > 3 || side != 1 {
-        return 1.0;
-    }
-    let lengths = (b - a).length() + (c - a).length();
-    (lengths / (c - b).length()).max(1.0)
 }
 
 fn single(v: Vec3<f64>) -> [f32; 3] {

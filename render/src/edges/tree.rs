@@ -440,7 +440,6 @@ impl Edges {
             normal,
             weight: density.recip(),
             shape: edge.shape,
-            seam: edge.seam,
             spot: Spot::At(face.local, face.at(part)[0]),
         })
     }

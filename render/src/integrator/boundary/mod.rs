@@ -52,15 +52,12 @@ use crate::scene::{Caustics, Intersection};
 use crate::shape::{Shape, SurfaceInteraction};
 
 /// How far rays pass from an edge that they are to clear, relative to its distance, and to the largest coordinate of its
-/// shape: several roundings of an f32.
-const CLEARANCE: [f64; 2] = [3e-5, 1e-6];
-/// How far rays pass from the sides of slivers, relative to their way and to coordinates: beyond what these reach over them,
-/// which goes with the sum of the components of the way.
-const OVERLAP: f64 = 4.0 * SEAM as f64;
-/// However thin they are, rays pass nearer than this part of the distance.
-const LARGEST_CLEARANCE: f64 = 1e-2;
-/// What is met nearer than this part of the distance of an edge hides it.
+/// shape: beyond the seam by which faces reach over their sides.
+const CLEARANCE: [f64; 2] = [3e-5, 8.0 * SEAM as f64];
+/// What is met beside an edge nearer than this part of its distance hides it.
 const SAME_DEPTH: f64 = 1.0 - 1e-3;
+/// What is met nearer than this part of the distance of the point itself, and is none of its faces, hides it.
+const BEFORE: f64 = 1.0 - 1e-5;
 /// The normal of an edge and that of a face whose plane it lies in have a cosine above this.
 const IN_PLANE: f64 = 1.0 - 1e-8;
 /// Edges that a vertex chooses among.
@@ -200,10 +197,7 @@ impl<'a, P: Float> Boundary<'a, P> {
 
     fn clearance(&self, edge: &EdgePoint) -> f64 {
         let extent = f64::from(self.surfaces.shapes[edge.shape as usize].extent());
-        let sliver = OVERLAP * (f64::from(edge.seam) - 1.0) * (edge.distance + 2.0 * extent);
-        (CLEARANCE[0] * edge.distance)
-            .max(CLEARANCE[1] * extent)
-            .max(sliver.min(LARGEST_CLEARANCE * edge.distance))
+        (CLEARANCE[0] * edge.distance).max(CLEARANCE[1] * extent)
     }
 
     /// The ray that passes an edge, from an origin, and what it meets; `None` if something hides the edge.
@@ -216,11 +210,26 @@ impl<'a, P: Float> Boundary<'a, P> {
             ..from
         };
         let hit = scene.nearest(&ray);
-        if hit.is_some_and(|hit| f64::from(hit.t) < SAME_DEPTH * edge.distance) {
+        let nearer = |part: f64| hit.is_some_and(|hit| f64::from(hit.t) < part * edge.distance);
+        if nearer(SAME_DEPTH) || nearer(BEFORE) && self.hidden(edge, from) {
             return None;
         }
         let theta = Theta::still();
         Some((ray, hit.map(|hit| scene.interaction(&theta, &ray, &hit))))
+    }
+
+    /// Whether something just before the edge of a face hides it, that the ray beside it does not tell from what the edge
+    /// touches.
+    fn hidden(&self, edge: &EdgePoint, from: Ray<P>) -> bool {
+        let scene = self.context.scene;
+        let to = scene.exit(self.surfaces.material::<P>(edge).0).surface;
+        let d = edge.direction.map(P::of).normalize();
+        let segment = Segment {
+            ray: Ray { d, ..from },
+            length: P::of(edge.distance * BEFORE),
+            to,
+        };
+        to != NOWHERE && scene.occluded(&segment)
     }
 
     /// The term of a point of the material, if that moves.
@@ -274,10 +283,15 @@ impl<'a, P: Float> Boundary<'a, P> {
                 inside(front) - self.radiance::<S, X>(past, hit, 1, sampler)
             }
             Sides::Crease(near, far) | Sides::Turn([near, far], ..) => {
+                // Nothing but the faces themselves: others may be as near as faces are small.
+                let [from, to] = [near, far].map(|inside| {
+                    let (prim, _) = self.surfaces.inside::<P>(edge.shape, inside);
+                    scene.exit(prim).surface
+                });
                 let segment = Segment {
-                    ray,
-                    length: P::of(edge.distance * SAME_DEPTH),
-                    to: NOWHERE,
+                    ray: Ray { from, ..ray },
+                    length: P::of(edge.distance * BEFORE),
+                    to,
                 };
                 if scene.occluded(&segment) {
                     return None;
