@@ -379,8 +379,8 @@ impl Problem {
             out.gradient[i] = dot(&images[i], adjoint);
             let terms = images[i].iter().zip(weights);
             let weighed: Vec<f32> = terms.map(|(x, w)| x * w).collect();
-            for j in 0..=i {
-                let entry = dot(&weighed, &images[j]);
+            for (j, image) in images[..=i].iter().enumerate() {
+                let entry = dot(&weighed, image);
                 out.matrix[i * n + j] = entry;
                 out.matrix[j * n + i] = entry;
             }

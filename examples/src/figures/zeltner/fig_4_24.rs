@@ -47,8 +47,9 @@ fn scene(width: u32) -> Result<Scene> {
     };
     builder.quad("floor", flat(12.0, -0.6), &floor)?;
     builder.quad("table", flat(2.0, 0.0), &table)?;
-    // Slightly above the table: surfaces that touch would meet in a line that moves with neither.
-    const GAP: f64 = 0.004;
+    // Slightly above the table: surfaces that touch would meet in a line that moves with neither, and light between those
+    // that nearly do is rare and bright in derivatives.
+    const GAP: f64 = 0.05;
     for (name, profile, at, colour) in [
         ("bishop", &BISHOP[..], [-0.45, GAP, 0.2], [0.6, 0.25, 0.15]),
         ("rook", &ROOK, [0.85, GAP, -0.5], [0.75, 0.72, 0.65]),
@@ -284,7 +285,7 @@ pub fn figure(fig: &mut Figure) -> Result {
 /// (a) The gradient at the start against central differences, of which 2 % are allowed for the step.
 fn gradients(fig: &mut Figure, search: &Search) -> Result {
     let (runs, step) = (fig.pick(8, 16), 1.0f32 / 64.0);
-    let [spp, more] = fig.pick([256, 1024], [320, 256]);
+    let [spp, more] = fig.pick([144, 640], [320, 256]);
     let mut problem = search.problem(stage(fig.pick(12, 24), [1, 1], 0))?;
     problem.set(&START)?;
     let image = scene_builder::picture(&problem.scene, SEED + 2, 512).image(0);
@@ -350,7 +351,7 @@ fn gradients(fig: &mut Figure, search: &Search) -> Result {
     fig.csv("gradients", &header, rows);
     fig.check(
         "(a) at the start, the gradient in each of nine parameters is that of central differences",
-        largest < limit && fewest > fig.pick(1.5, 5.0),
+        largest < limit && fewest > fig.pick(1.5, 4.0),
         format!(
             "largest |z| {largest:.2}, limit {limit:.2}; the largest of each kind is at least {fewest:.1} standard errors"
         ),
@@ -423,7 +424,8 @@ fn show(fig: &mut Figure, search: &Search, runs: &[(&str, Descent); 3]) -> Resul
     let mut largest = LineChart::new("Largest of nine errors", "step", "over that at the start")
         .log_x()
         .log_y();
-    let mut above = LineChart::new("Seen from above: cameras and lamps", "x", "z");
+    let mut above =
+        LineChart::new("Seen from above: cameras and lamps", "x", "z").x_range(-3.0, 4.0);
     for (label, run) in runs {
         let rows = run.values.iter().enumerate().map(|(i, values)| {
             let mut row = [0.0; 11];
