@@ -26,8 +26,11 @@ use crate::cli::ToolError;
 pub struct Problem {
     /// The scene; its unknowns hold the values of the last [`Problem::set`].
     pub scene: Scene,
-    /// Depths and samples per pixel of one step.
+    /// Depths, and samples per pixel of derivatives.
     pub settings: Settings,
+    /// Samples per pixel of the images that a step takes its loss of; `None`: as many as of derivatives. Samples of images
+    /// cost less, and near the solution it is the noise of images that moves the unknowns.
+    pub image_spp: Option<u32>,
     /// The unknowns.
     pub active: Active,
     /// Where the gradient comes from; [`Estimator::Mis`] unless there is a reason.
@@ -219,11 +222,36 @@ impl Problem {
         })
     }
 
+    fn image_spp(&self) -> u32 {
+        self.image_spp.unwrap_or(self.settings.spp)
+    }
+
     /// The image; `None` if stopped early.
     fn see(&self, seed: u64, progress: &dyn Progress) -> Option<(Rendering, Image)> {
-        let seen = render_f32(&self.job(seed, progress), &self.theta(), Estimator::Mis);
+        let seen = self.see_samples(seed, 0..self.image_spp().into(), progress);
         let image = seen.image(0);
         (!seen.cancelled).then_some((seen, image))
+    }
+
+    fn see_samples(&self, seed: u64, samples: Range<u64>, progress: &dyn Progress) -> Rendering {
+        let job = Job::new(&self.scene, &self.settings, seed, samples, progress);
+        render_f32(&job, &self.theta(), Estimator::Mis)
+    }
+
+    /// The image from two halves of its samples, and these; `None` if stopped early.
+    fn see_halves(
+        &self,
+        seed: u64,
+        progress: &dyn Progress,
+    ) -> Option<(Rendering, Image, [Image; 2])> {
+        let spp = u64::from(self.image_spp());
+        let (half, all) = (spp / 2, spp);
+        let mut seen = self.see_samples(seed, 0..half, progress);
+        let later = self.see_samples(seed, half..all, progress);
+        let halves = [&seen, &later].map(|part| part.image(0));
+        seen.merge(&later);
+        let image = seen.image(0);
+        (!seen.cancelled).then_some((seen, image, halves))
     }
 
     fn job<'a>(&'a self, seed: u64, progress: &'a dyn Progress) -> Job<'a> {
@@ -240,7 +268,7 @@ impl Problem {
 
     /// [`Problem::evaluate`] with the Gauss-Newton matrix of the loss, for up to
     /// [`second_order::MAX_VALUES`] unknowns. Where the loss is concave in a pixel, that pixel is left out. [`Estimator::Edges`],
-    /// for what moves, takes two derivative images by each unknown.
+    /// for what moves, takes a derivative image by each unknown.
     ///
     /// # Errors
     /// As [`Problem::evaluate`]; too many unknowns, or less than two samples per pixel.
@@ -249,15 +277,24 @@ impl Problem {
         seeds: [u64; 2],
         progress: &dyn Progress,
     ) -> Result<Option<Curved>, ToolError> {
+        if self.image_spp() < 2 {
+            return Err(RenderError::Count {
+                what: "samples per pixel of images",
+                expected: "at least 2",
+                found: self.image_spp().into(),
+            }
+            .into());
+        }
         let mut curved: Option<Curved> = None;
         for k in 0..self.targets.len() {
             let seeds = self.look_at(k, seeds)?;
-            let Some((seen, image)) = self.see(seeds[0], progress) else {
+            let Some((seen, image, halves)) = self.see_halves(seeds[0], progress) else {
                 return Ok(None);
             };
             let (image, target) = (&image.data, &self.targets[k].image.data);
             let loss = self.loss.value(image, target)?;
-            let loss_error = self.loss.standard_error(image, target)?;
+            let halves = halves.each_ref().map(|half| &half.data[..]);
+            let loss_error = self.loss.standard_error(halves, target, 3)?;
             let mut adjoint = vec![0.0; image.len()];
             self.loss.gradient(image, target, &mut adjoint)?;
             let mut weights = vec![0.0; image.len()];
@@ -307,9 +344,9 @@ impl Problem {
         progress: &dyn Progress,
     ) -> Result<second_order::NormalEquations, ToolError> {
         let n = self.active.len();
-        if n > second_order::MAX_VALUES || self.settings.spp < 2 {
+        if n > second_order::MAX_VALUES {
             return Err(RenderError::Count {
-                what: "unknown values, with at least two samples per pixel",
+                what: "unknown values",
                 expected: "at most 1024",
                 found: n as u64,
             }
@@ -321,8 +358,6 @@ impl Problem {
             non_finite: NonFinite::default(),
             cancelled: false,
         };
-        let mut halves = [Vec::new(), Vec::new()];
-        let samples = u64::from(self.settings.spp / 2);
         let params = self.scene.params();
         let mut directions = Vec::new();
         for info in self.active.ranges() {
@@ -332,35 +367,22 @@ impl Problem {
                 directions.push(Direction::Dense(params.handle(info), unit));
             }
         }
-        for (half, images) in (0u64..).zip(&mut halves) {
-            let seed = mix64(seed.wrapping_add(half));
-            let job = Job::new(&self.scene, &self.settings, seed, 0..samples, progress);
-            let seen = forward_edges_f32(&job, params.values(), &directions)?;
-            add_non_finite(&mut out.non_finite, seen.non_finite);
-            if seen.cancelled {
-                out.cancelled = true;
-                return Ok(out);
-            }
-            images.extend((1..=n).map(|k| seen.image(k).data));
-        }
-        let [a, b] = &halves;
-        let product = |x: &[f32], y: &[f32]| -> f64 {
-            let terms = x.iter().zip(y).zip(weights);
-            terms
-                .map(|((x, y), w)| f64::from(*w) * f64::from(*x) * f64::from(*y))
-                .sum()
+        let seen = forward_edges_f32(&self.job(seed, progress), params.values(), &directions)?;
+        out.non_finite = seen.non_finite;
+        out.cancelled = seen.cancelled;
+        let images: Vec<Vec<f32>> = (1..=n).map(|k| seen.image(k).data).collect();
+        let dot = |x: &[f32], y: &[f32]| -> f64 {
+            let terms = x.iter().zip(y);
+            terms.map(|(x, y)| f64::from(*x) * f64::from(*y)).sum()
         };
         for i in 0..n {
-            for image in [&a[i], &b[i]] {
-                let terms = image.iter().zip(adjoint);
-                out.gradient[i] += terms
-                    .map(|(x, d)| 0.5 * f64::from(*x) * f64::from(*d))
-                    .sum::<f64>();
-            }
-            for j in 0..=i {
-                let mean = 0.5 * (product(&a[i], &b[j]) + product(&b[i], &a[j]));
-                out.matrix[i * n + j] = mean;
-                out.matrix[j * n + i] = mean;
+            out.gradient[i] = dot(&images[i], adjoint);
+            let terms = images[i].iter().zip(weights);
+            let weighed: Vec<f32> = terms.map(|(x, w)| x * w).collect();
+            for (j, image) in images[..=i].iter().enumerate() {
+                let entry = dot(&weighed, image);
+                out.matrix[i * n + j] = entry;
+                out.matrix[j * n + i] = entry;
             }
         }
         Ok(out)

@@ -37,9 +37,15 @@ pub trait Loss<T: Scalar> {
     /// itself; entries do not mix. Like the adjoint it is free of noise for [`L2`] and [`RelativeL2`].
     fn curvature(&self, image: &[T], target: &[T], dd_image: &mut [T]) -> Result<(), OptimError>;
 
-    /// The standard error of [`value`](Self::value) as a mean over entries. Above that of its noise, as
-    /// entries differ for other reasons too.
-    fn standard_error(&self, image: &[T], target: &[T]) -> Result<f64, OptimError>;
+    /// The standard error of [`value`](Self::value) at the mean of two images of equally many, independent samples: their
+    /// difference times the slope at the mean. Where the image is its target but for noise this is too large, by a factor
+    /// of 2^(1/2) for [`L2`]. `together` entries in a row, the channels of a pixel, share their noise.
+    fn standard_error(
+        &self,
+        halves: [&[T]; 2],
+        target: &[T],
+        together: usize,
+    ) -> Result<f64, OptimError>;
 }
 
 /// A loss that is the mean of a function of single entries; implements [`Loss`] for both scalars.
@@ -85,15 +91,33 @@ impl<T: Scalar, P: PixelLoss> Loss<T> for P {
         write_means(dd, image, target, dd_image, "curvature image")
     }
 
-    fn standard_error(&self, image: &[T], target: &[T]) -> Result<f64, OptimError> {
-        let mean = self.value(image, target)?;
-        let n = image.len() as f64;
-        let square = |(i, t): (&T, &T)| {
-            // Divided before they are squared, like the mean.
-            let d = (self.pixel(i.to_f64(), t.to_f64()) - mean) / n;
-            d * d
+    fn standard_error(
+        &self,
+        [a, b]: [&[T]; 2],
+        target: &[T],
+        together: usize,
+    ) -> Result<f64, OptimError> {
+        check(a, target)?;
+        check(b, target)?;
+        require(together > 0, "entries of a pixel", "at least 1", 0.0)?;
+        let n = a.len() as f64;
+        // Divided before it is squared, like the mean.
+        let change = |i: usize| {
+            let [a, b, t] = [a[i], b[i], target[i]].map(|x| x.to_f64());
+            self.d_pixel(0.5 * (a + b), t) / n * (0.5 * (a - b))
         };
-        Ok(image.iter().zip(target).map(square).sum::<f64>().sqrt())
+        let mut sum = 0.0;
+        for first in (0..a.len()).step_by(together) {
+            let pixel = first..(first + together).min(a.len());
+            sum += pixel.map(change).sum::<f64>().powi(2);
+            if !f64::is_finite(sum) {
+                return Err(OptimError::Overflow {
+                    what: "standard error of the loss",
+                    index: first,
+                });
+            }
+        }
+        Ok(sum.sqrt())
     }
 }
 
@@ -414,10 +438,64 @@ mod tests {
 
     #[test]
     fn standard_error_by_hand() {
-        // Losses 1, 1, 4, 9: variance 10.6875, of the mean of four a fourth.
-        let error = L2.standard_error(&[1.0, -1.0, 2.0, 3.0], &[0.0; 4]);
-        assert_relative_eq!(error.unwrap(), (10.6875f64 / 4.0).sqrt());
-        assert!(L2.standard_error(&[1e200], &[-1e200]).is_err());
+        // Halves of differences 0.5, 0.5, 0 and 1, at slopes 2, 4, 2 and 0 over four.
+        let halves = [[1.5, 2.5, 1.0, 1.0], [0.5, 1.5, 1.0, -1.0]];
+        let error = |together| {
+            let halves = halves.each_ref().map(|h| &h[..]);
+            L2.standard_error(halves, &[0.0; 4], together).unwrap()
+        };
+        assert_relative_eq!(error(1), 0.25f64.hypot(0.5), max_relative = 1e-14);
+        assert_relative_eq!(error(2), 0.75, max_relative = 1e-14);
+        assert_relative_eq!(error(3), 0.75, max_relative = 1e-14);
+        let one = [1.0f64];
+        assert!(L2.standard_error([&[1e200], &[-1e200]], &one, 1).is_err());
+        assert!(L2.standard_error([&one, &one], &one, 0).is_err());
+        assert!(L2.standard_error([&one, &[]], &one, 1).is_err());
+    }
+
+    /// The error that is said is the spread of losses, at the optimum and away from it.
+    #[test]
+    fn standard_error_is_the_spread_of_losses() {
+        let mut state = 1u64;
+        let mut normal = || {
+            // Sums of twelve uniform numbers.
+            let uniform = (0..12).map(|_| {
+                state = state
+                    .wrapping_mul(6_364_136_223_846_793_005)
+                    .wrapping_add(1_442_695_040_888_963_407);
+                (state >> 11) as f64 / (1u64 << 53) as f64
+            });
+            uniform.sum::<f64>() - 6.0
+        };
+        for loss in [
+            LossKind::L2(L2),
+            LossKind::RelativeL2(RelativeL2::default()),
+        ] {
+            for shift in [0.0, 0.3] {
+                let target = [0.5; 24];
+                let (runs, mut said) = (4000, 0.0);
+                let mut losses = Vec::new();
+                for _ in 0..runs {
+                    let mut half = || -> Vec<f64> {
+                        let pixel = |_| [0.5 + shift + 0.2 * normal(); 3];
+                        (0..8).flat_map(pixel).collect()
+                    };
+                    let (a, b) = (half(), half());
+                    let mean: Vec<f64> = a.iter().zip(&b).map(|(a, b)| 0.5 * (a + b)).collect();
+                    losses.push(loss.value(&mean, &target).unwrap());
+                    said += loss.standard_error([&a, &b], &target, 3).unwrap().powi(2);
+                }
+                let mean = losses.iter().sum::<f64>() / f64::from(runs);
+                let variance = losses.iter().map(|l| (l - mean).powi(2)).sum::<f64>();
+                // 4000 runs know a variance to 2 or 3 %.
+                let ratio = said / variance;
+                let expected = if shift == 0.0 { 2.0 } else { 1.0 };
+                assert!(
+                    (ratio / expected - 1.0).abs() < 0.15,
+                    "{loss:?} {shift}: {ratio}"
+                );
+            }
+        }
     }
 
     #[test]

@@ -722,6 +722,7 @@ fn recover(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     let problem = Problem {
         scene,
         settings,
+        image_spp: None,
         active,
         estimator,
         loss,

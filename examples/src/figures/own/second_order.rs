@@ -38,6 +38,7 @@ fn setup(fig: &Figure) -> Result<Setup> {
     let problem = Problem {
         scene,
         settings,
+        image_spp: None,
         active,
         estimator: Estimator::Mis,
         loss: "relative-l2".parse::<LossKind>()?,

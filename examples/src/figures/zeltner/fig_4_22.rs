@@ -156,6 +156,7 @@ impl Setup {
         let problem = Problem {
             scene,
             settings,
+            image_spp: None,
             active,
             estimator: Estimator::Mis,
             loss: "l2".parse::<LossKind>()?,

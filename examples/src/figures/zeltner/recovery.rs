@@ -35,6 +35,7 @@ pub(super) fn setup(fig: &Figure) -> Result<Setup> {
     let problem = Problem {
         scene,
         settings,
+        image_spp: None,
         active,
         estimator: Estimator::Mis,
         loss: "l2".parse::<LossKind>()?,
