@@ -82,17 +82,21 @@ fn shapes() -> Vec<(&'static str, AnyShape)> {
             "smooth mesh",
             Mesh::smoothed(sheet(), false).unwrap().into(),
         ),
-        ("mesh with normals", Mesh::new(given, false).unwrap().into()),
+        (
+            "mesh with normals",
+            Mesh::new(given.clone(), false).unwrap().into(),
+        ),
         ("flat mesh", Mesh::new(sheet(), true).unwrap().into()),
         (
             "bare mesh",
             Mesh::smoothed(bare.clone(), false).unwrap().into(),
         ),
-        ("instance", placed(Mesh::smoothed(sheet(), false), &affine)),
+        ("instance", placed(Mesh::new(given, false), &affine)),
         (
             "mirrored instance",
-            placed(Mesh::new(bare, true), &mirrored),
+            placed(Mesh::smoothed(sheet(), true), &mirrored),
         ),
+        ("bare instance", placed(Mesh::new(bare, false), &mirrored)),
     ]
 }
 
