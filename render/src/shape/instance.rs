@@ -87,14 +87,14 @@ impl Instance {
             (0..3).map(|k| row[k].abs() * reach[k]).sum::<f64>() as f32
         });
         placed.extent = carried.into_iter().fold(extent, f32::max);
-        if !(placed.extent <= MAX_COORDINATE) {
+        if placed.extent.is_nan() || placed.extent > MAX_COORDINATE {
             return Err(misplaced());
         }
         let count = placed.mesh.data().triangles.len();
         placed.area = (0..count)
             .map(|i| placed.triangle(i).double_area() * 0.5)
             .sum();
-        if !(placed.area > 0.0) {
+        if placed.area.is_nan() || placed.area <= 0.0 {
             return Err(misplaced());
         }
         Ok(Self(Arc::new(placed)))
