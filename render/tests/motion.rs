@@ -10,7 +10,7 @@ use render::params::{GradSink, ParamKind, ParamRef, Params, Tangent, Theta};
 use render::sampler::{Independent, Sampler};
 use render::scene::{Builder, LoadOptions, Settings};
 use render::shape::{
-    AnyShape, Cube, Cylinder, Disk, Mesh, MeshData, Patch, Rectangle, Shape, Sphere,
+    AnyShape, Cube, Cylinder, Disk, Instance, Mesh, MeshData, Patch, Rectangle, Shape, Sphere,
     SurfaceAdjoint, SurfaceCoordinates, SurfaceInteraction,
 };
 use render::{Film, Job, Scene};
@@ -53,6 +53,11 @@ fn shapes() -> Vec<(&'static str, AnyShape)> {
         Transform::translate([0.25, -0.25, 0.5]),
     ]);
     let affine = Transform::scale([1.2, 0.6, 0.9]).then(&to_world);
+    let mirrored = Transform::scale([1.0, -1.0, 1.0]).then(&to_world);
+    let placed = |mesh: Result<Mesh, _>, map: &Transform| {
+        let mesh: Result<Mesh, render::SceneError> = mesh;
+        AnyShape::from(Instance::new(mesh.unwrap(), *map).unwrap())
+    };
     let mut given = sheet();
     given.normals = vec![[0.1, -0.2, 1.0]; given.positions.len()];
     let bare = MeshData {
@@ -77,9 +82,21 @@ fn shapes() -> Vec<(&'static str, AnyShape)> {
             "smooth mesh",
             Mesh::smoothed(sheet(), false).unwrap().into(),
         ),
-        ("mesh with normals", Mesh::new(given, false).unwrap().into()),
+        (
+            "mesh with normals",
+            Mesh::new(given.clone(), false).unwrap().into(),
+        ),
         ("flat mesh", Mesh::new(sheet(), true).unwrap().into()),
-        ("bare mesh", Mesh::smoothed(bare, false).unwrap().into()),
+        (
+            "bare mesh",
+            Mesh::smoothed(bare.clone(), false).unwrap().into(),
+        ),
+        ("instance", placed(Mesh::new(given, false), &affine)),
+        (
+            "mirrored instance",
+            placed(Mesh::smoothed(sheet(), true), &mirrored),
+        ),
+        ("bare instance", placed(Mesh::new(bare, false), &mirrored)),
     ]
 }
 

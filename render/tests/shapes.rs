@@ -366,7 +366,7 @@ fn elements_of_area_add_up() {
         let measure = match &shape {
             AnyShape::Sphere(_) => 4.0 * PI,
             AnyShape::Disk(_) => PI,
-            AnyShape::Mesh(_) => 0.5,
+            AnyShape::Mesh(_) | AnyShape::Instance(_) => 0.5,
             AnyShape::Rectangle(_) | AnyShape::Cube(_) | AnyShape::Cylinder(_) => 1.0,
         };
         let prims = shape.primitives().len() as u32;

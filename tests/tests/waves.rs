@@ -272,6 +272,39 @@ fn bumps() -> (Case, Scene) {
     (Case { name, body }, scene)
 }
 
+/// Instances of metal over a floor, one of them mirrored.
+fn instances() -> (Case, Scene) {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("tent.obj");
+    let tent = "v -1 0 0\nv 1 0 0\nv 0 0.4 0.5\nv 0 1.2 -0.3\nvt 0 0\nvt 1 0.2\nvt 0.4 0.6\nvt 0.5 1\n\
+        vn 0 0.2 1\nvn 0.3 0.3 1\nf 1/1/1 2/2/2 3/3/1\nf 1/1/1 3/3/1 4/4/2\nf 3/3/1 2/2/2 4/4/2\n";
+    std::fs::write(&path, tent).unwrap();
+    let path = path.display();
+    let instance = |at: &str| {
+        format!(
+            r#"<shape type="instance"><ref id="group"/><transform name="to_world">{at}</transform></shape>"#
+        )
+    };
+    let body = format!(
+        r#"<sensor type="perspective"><float name="fov" value="50"/>
+        <transform name="to_world"><lookat origin="0, 1, 4" target="0, 0.4, 0" up="0, 1, 0"/></transform>
+        <film type="hdrfilm"><integer name="width" value="20"/><integer name="height" value="20"/></film></sensor>
+        <integrator type="path"><integer name="max_depth" value="5"/></integrator>
+        <shape type="rectangle"><transform name="to_world"><scale value="0.5"/><rotate x="1" angle="90"/><translate y="2.5" z="1"/></transform>
+        <emitter type="area"><rgb name="radiance" value="7, 6, 5"/></emitter></shape>
+        <emitter type="constant" id="sky"><rgb name="radiance" value="0.3, 0.4, 0.5"/></emitter>
+        <shape type="rectangle"><transform name="to_world"><scale value="3"/><rotate x="1" angle="-90"/></transform></shape>
+        <shape type="shapegroup" id="group"><shape type="obj"><string name="filename" value="{path}"/><bsdf type="twosided">
+        <bsdf type="roughconductor"><float name="alpha" value="0.2"/></bsdf></bsdf></shape></shape>{}{}{}"#,
+        instance(r#"<translate x="-1" z="0.5"/>"#),
+        instance(r#"<scale value="0.5, 0.9, 1.2"/><rotate y="1" angle="50"/><translate x="0.5"/>"#),
+        instance(r#"<scale x="-0.6" y="0.6" z="0.6"/><translate x="1" y="0.2" z="0.8"/>"#),
+    );
+    let scene = scene(&body);
+    let name = "instances";
+    (Case { name, body }, scene)
+}
+
 fn all() -> impl Iterator<Item = (Case, Scene)> {
     let cases = cases::all()
         .into_iter()
@@ -281,7 +314,7 @@ fn all() -> impl Iterator<Item = (Case, Scene)> {
         let scene = scene(&case.body);
         (case, scene)
     });
-    read.chain([court(), bumps()])
+    read.chain([court(), bumps(), instances()])
 }
 
 /// Asserts that waves find what single paths do, bit by bit.

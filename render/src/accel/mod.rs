@@ -5,11 +5,13 @@
 //!
 //! Small scenes are tested linearly, eight flat primitives at a time (`packet`); large scenes go
 //! through a compressed eight-wide hierarchy (`bvh`). Both run the same arithmetic on the same
-//! numbers and break ties towards the lowest primitive, so they return the same bits.
+//! numbers and break ties towards the lowest primitive, so they return the same bits. Sets of primitives that are placed
+//! many times are there once (`instances`), and found after the others.
 
 mod bvh;
 mod cluster;
 mod curved;
+mod instances;
 mod interleaved;
 mod plane;
 mod ray_packet;
@@ -24,8 +26,10 @@ use crate::math::{NOWHERE, each};
 use crate::parallel;
 use bvh::Tree;
 use curved::{Curved, Line};
+pub use instances::Instance;
+use instances::Instances;
 pub use plane::surfaces;
-pub(crate) use plane::{Plane, scale};
+pub(crate) use plane::{Flats, Plane, scale};
 use ray_packet::Few;
 pub use ray_packet::{PACKET_SIZE, RayPacket};
 use thiserror::Error;
@@ -151,6 +155,9 @@ const MAX_LOOSENESS: f64 = 1.5;
 /// Indices are 30 bits wide, see [`Tag`], and the largest one marks empty slots.
 const MAX_PRIMITIVES: usize = (u32::MAX >> 2) as usize - 1;
 
+/// So many surfaces can be told apart, see [`triangle_block::mark`], and instances have one for each primitive.
+pub(crate) const MAX_INSTANCED: usize = u32::MAX as usize / 2 - (1 << 24);
+
 /// A set of primitives, ready for ray queries.
 ///
 /// Queries are pure functions of their arguments and never panic. A ray misses everything if its
@@ -159,6 +166,8 @@ const MAX_PRIMITIVES: usize = (u32::MAX >> 2) as usize - 1;
 #[derive(Clone, Debug)]
 pub struct Accel {
     layout: Layout,
+    /// Primitives of other spaces.
+    instances: Option<Box<Instances>>,
 }
 
 #[derive(Clone, Debug)]
@@ -192,6 +201,12 @@ impl Accel {
         })
     }
 
+    /// Adds these primitives of other spaces, whose indices are behind those of all others, in place of those that there
+    /// were.
+    pub fn set_instances(&mut self, all: Vec<Instance>) {
+        self.instances = Instances::new(all).map(Box::new);
+    }
+
     /// Follows primitives that have moved: as many as before, in the same order. Hits are those of a structure built
     /// anew, bit by bit. It is built anew where the hierarchy would be too loose, where there is none, and where
     /// primitives are no longer degenerate, or are by now.
@@ -223,6 +238,7 @@ impl Accel {
         }
         Accel {
             layout: Layout::Linear(TriangleBlocks::new(&flat), curved, Few::new(shapes())),
+            instances: None,
         }
     }
 
@@ -230,6 +246,7 @@ impl Accel {
     fn tree(items: &[Item]) -> Option<Accel> {
         Tree::new(items).map(|t| Accel {
             layout: Layout::Tree(Box::new(t)),
+            instances: None,
         })
     }
 
@@ -258,6 +275,9 @@ impl Accel {
             Layout::Tree(tree) => tree.intersect_packet(packet, &mut hits),
         };
         if done.is_some() {
+            if let Some(instances) = &self.instances {
+                instances.intersect_packet(packet, &mut hits);
+            }
             return hits;
         }
         for (i, hit) in hits.iter_mut().enumerate().take(packet.len()) {
@@ -273,6 +293,9 @@ impl Accel {
             Layout::Linear(_, _, few) => few.occluded(packet),
             Layout::Tree(tree) => tree.occluded_packet(packet),
         };
+        if let (Some(blocked), Some(instances)) = (done, &self.instances) {
+            return instances.occluded_packet(packet, blocked);
+        }
         done.unwrap_or_else(|| {
             (0..packet.len()).fold(0, |bits, i| {
                 let (o, d, t_max, skip) = packet.ray(i);
@@ -340,9 +363,19 @@ impl Accel {
     #[inline(always)]
     fn nearest(&self, ray: &Ray, t_max: f32) -> Best {
         let mut best = Best::new(capped(t_max));
+        self.search(ray, &mut best);
+        if let Some(instances) = &self.instances {
+            instances.intersect(ray, &mut best);
+        }
+        best
+    }
+
+    /// The nearest hit without instances, if it is nearer than `best`, which has nothing but its distance.
+    #[inline(always)]
+    fn search(&self, ray: &Ray, best: &mut Best) {
         match &self.layout {
             Layout::Linear(packets, curved, _) => {
-                packets.intersect(ray, &mut best);
+                packets.intersect(ray, best);
                 if !curved.is_empty() {
                     let line = Line::of(ray);
                     for (c, tag) in curved {
@@ -352,14 +385,19 @@ impl Accel {
                     }
                 }
             }
-            Layout::Tree(tree) => tree.intersect(ray, &mut best),
+            Layout::Tree(tree) => tree.intersect(ray, best),
         }
-        best
     }
 
     #[inline(always)]
     fn blocked(&self, ray: &Ray, t_max: f32) -> bool {
         let t_max = capped(t_max);
+        self.blocks(ray, t_max) || (self.instances.as_ref()).is_some_and(|i| i.occluded(ray, t_max))
+    }
+
+    /// Whether anything but an instance is.
+    #[inline(always)]
+    fn blocks(&self, ray: &Ray, t_max: f32) -> bool {
         match &self.layout {
             Layout::Linear(packets, curved, _) => {
                 packets.occluded(ray, t_max)
@@ -376,12 +414,13 @@ impl Accel {
     /// Whether it is a hierarchy, not a list.
     #[inline]
     pub fn has_hierarchy(&self) -> bool {
-        matches!(self.layout, Layout::Tree(_))
+        matches!(self.layout, Layout::Tree(_)) || self.instances.is_some()
     }
 
     /// Heap and inline memory held, in bytes.
     pub fn memory_bytes(&self) -> usize {
         size_of::<Self>()
+            + self.instances.as_ref().map_or(0, |i| i.memory_bytes())
             + match &self.layout {
                 Layout::Linear(packets, curved, few) => {
                     packets.memory_bytes()

@@ -113,6 +113,7 @@ fn meet(a: &Bounds, b: &Bounds) -> bool {
 }
 
 /// Boxes in a binary tree: node `i` has the children `2 i + 1` and `2 i + 2`; the leaves are single boxes.
+#[derive(Debug)]
 struct Boxes {
     order: Vec<(u32, Bounds)>,
     nodes: Vec<(Bounds, [usize; 2])>,
@@ -178,6 +179,57 @@ impl Boxes {
     }
 }
 
+/// A box around a primitive that meets those of others on the same plane: up to rounding they touch.
+fn grown(p: &Primitive) -> Bounds {
+    let [low, high] = bounds(p);
+    let more = |k: usize| 4.0 * f32::EPSILON * low[k].abs().max(high[k].abs());
+    [
+        each([0, 1, 2], |k: usize| low[k] - more(k)),
+        each([0, 1, 2], |k: usize| high[k] + more(k)),
+    ]
+}
+
+/// Flat primitives, to be asked whether others lie on their planes.
+#[derive(Debug)]
+pub(crate) struct Flats {
+    all: Vec<Primitive>,
+    boxes: Boxes,
+}
+
+impl Flats {
+    /// `None` if none of them is flat.
+    pub fn new(all: Vec<Primitive>) -> Option<Self> {
+        let flat: Vec<_> = (all.iter().zip(0..))
+            .filter(|(p, _)| Plane::of(p).is_some())
+            .map(|(p, i)| (i, grown(p)))
+            .collect();
+        let boxes = (!flat.is_empty()).then(|| Boxes::new(flat))?;
+        Some(Self { all, boxes })
+    }
+
+    /// Whether anything in a box may lie on a plane.
+    pub fn meet(&self, bounds: &Bounds) -> bool {
+        let mut found = Vec::new();
+        self.boxes.meeting(bounds, &mut found);
+        !found.is_empty()
+    }
+
+    /// Whether a primitive lies on a plane, and touches what is there.
+    pub fn hold(&self, p: &Primitive) -> bool {
+        let around = grown(p);
+        if !meet(&self.boxes.nodes[0].0, &around) {
+            return false;
+        }
+        let mut found = Vec::new();
+        self.boxes.meeting(&around, &mut found);
+        let Some(plane) = Plane::of(p) else {
+            return false;
+        };
+        let same = |k: &u32| Plane::of(&self.all[*k as usize]).is_some_and(|p| plane.is(&p));
+        found.iter().any(same)
+    }
+}
+
 /// The set that `i` belongs to, by its lowest member.
 fn root(sets: &mut [u32], i: u32) -> u32 {
     let mut at = i;
@@ -195,15 +247,6 @@ fn root(sets: &mut [u32], i: u32) -> u32 {
 /// Triangles are compared with what is no triangle, and with those that `emit`: neighbours in a mesh overlap nowhere.
 pub fn surfaces(prims: &[Primitive], emits: impl Fn(usize) -> bool) -> Vec<u32> {
     let mut sets: Vec<u32> = (0..prims.len() as u32).collect();
-    // Those on the same plane touch up to rounding.
-    let grown = |p: &Primitive| -> Bounds {
-        let [low, high] = bounds(p);
-        let more = |k: usize| 4.0 * f32::EPSILON * low[k].abs().max(high[k].abs());
-        [
-            each([0, 1, 2], |k: usize| low[k] - more(k)),
-            each([0, 1, 2], |k: usize| high[k] + more(k)),
-        ]
-    };
     let compared = |i: usize| match prims[i] {
         Primitive::Triangle { .. } => emits(i),
         Primitive::Parallelogram { .. } | Primitive::Disk { .. } => true,

@@ -171,8 +171,7 @@ impl Ball {
     pub fn around<'a>(shapes: impl IntoIterator<Item = &'a AnyShape>) -> Option<Self> {
         let mut low = [f64::INFINITY; 3];
         let mut high = [f64::NEG_INFINITY; 3];
-        for primitive in shapes.into_iter().flat_map(Shape::primitives) {
-            let [a, b] = crate::accel::bounds(&primitive);
+        for [a, b] in shapes.into_iter().map(Shape::bounds) {
             for k in 0..3 {
                 low[k] = low[k].min(f64::from(a[k]));
                 high[k] = high[k].max(f64::from(b[k]));

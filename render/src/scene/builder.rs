@@ -157,6 +157,21 @@ impl Builder {
         index
     }
 
+    /// Puts something in place of the shape added last. What belongs to it.
+    pub(super) fn replace_last(&mut self, shape: impl Into<AnyShape>) -> (MaterialId, Hints) {
+        self.shapes.pop();
+        self.shapes.push(shape.into());
+        let info = self.infos.last();
+        info.map_or((MaterialId(0), Hints::default()), |info| {
+            (MaterialId(info.material), info.hints)
+        })
+    }
+
+    /// Whether a material has a bump map.
+    pub(super) fn is_bumped(&self, material: MaterialId) -> bool {
+        is_bumped(&self.materials[material.0 as usize])
+    }
+
     /// The shapes so far.
     pub(super) fn shapes(&self) -> &[AnyShape] {
         &self.shapes

@@ -1,11 +1,12 @@
 //! The geometry of a scene, and all that is derived from it: one owner, so that it changes together.
 
-use std::sync::OnceLock;
+use std::collections::HashMap;
+use std::sync::{Arc, OnceLock};
 
 use ad_core::{Real, Vec3};
 
 use super::ShapeInfo;
-use crate::accel::{self, Accel, AccelError, Hit, Plane, Primitive};
+use crate::accel::{self, Accel, AccelError, Flats, Hit, MAX_INSTANCED, Plane, Primitive};
 use crate::camera::Camera;
 use crate::edges::Edges;
 use crate::emitter::Ball;
@@ -13,7 +14,7 @@ use crate::math::{NOWHERE, Ray, Transform};
 use crate::motion::{Drift, Placement};
 use crate::parallel;
 use crate::params::{ParamRef, Params, Theta};
-use crate::shape::{AnyShape, Exit, Patch, Prim, Shape};
+use crate::shape::{AnyShape, Exit, Instance, Mesh, Patch, Prim, Shape};
 
 /// This many lamps, or things that throw caustics, have a ball of their own, at most.
 const MOST_BALLS: usize = 16;
@@ -41,8 +42,12 @@ pub(super) struct Wanted {
 #[derive(Debug)]
 pub(super) struct Geometry {
     pub shapes: Vec<AnyShape>,
-    /// Every primitive of `accel`.
+    /// Every primitive of `accel` but those of instances, which are behind them.
     pub prims: Vec<Prim>,
+    /// Instances, in the order of their primitives.
+    spots: Vec<Spot>,
+    /// What rays meet of each mesh that is placed somewhere.
+    groups: Groups,
     /// The first one of each shape.
     pub firsts: Vec<u32>,
     /// Those that are parallelograms, once more: paths through rooms of boxes need not ask what they hit.
@@ -60,6 +65,68 @@ pub(super) struct Geometry {
     placed: Vec<Option<Box<Placed>>>,
     /// Parameters that shapes read, with the shape.
     reads: Vec<(u32, ParamRef)>,
+}
+
+/// The primitives of an instance.
+#[derive(Clone, Copy, Debug)]
+struct Spot {
+    /// Of its primitives.
+    first: u32,
+    shape: u32,
+    /// See [`Exit::offset`].
+    offset: f32,
+}
+
+/// What rays meet of meshes in their own space, by where the mesh is in memory. It is kept here, so that no other comes to
+/// lie there.
+#[derive(Clone, Debug, Default)]
+struct Groups(HashMap<usize, (Mesh, Arc<Accel>)>);
+
+impl Groups {
+    fn of(&mut self, mesh: &Mesh) -> Result<Arc<Accel>, AccelError> {
+        if let Some((_, accel)) = self.0.get(&mesh.address()) {
+            return Ok(accel.clone());
+        }
+        let primitives = mesh.primitives();
+        let surfaces: Vec<u32> = (0..primitives.len() as u32).collect();
+        let accel = Arc::new(Accel::with_surfaces(&primitives, &surfaces)?);
+        (self.0).insert(mesh.address(), (mesh.clone(), accel.clone()));
+        Ok(accel)
+    }
+
+    /// Instances of shapes, whose first primitives are these.
+    fn place(
+        &mut self,
+        shapes: &[AnyShape],
+        spots: &[Spot],
+    ) -> Result<Vec<accel::Instance>, OutOfReach> {
+        let mut all = Vec::with_capacity(spots.len());
+        for &Spot { first, shape, .. } in spots {
+            let AnyShape::Instance(instance) = &shapes[shape as usize] else {
+                continue;
+            };
+            let out_of_reach = |error| OutOfReach {
+                shape: Some(shape),
+                error,
+            };
+            let [mut low, mut high] = instance.bounds();
+            // Seams of primitives are as wide as the rounding of their own coordinates.
+            let seam = accel::SEAM * 4.0 * instance.extent();
+            for k in 0..3 {
+                low[k] -= seam;
+                high[k] += seam;
+            }
+            all.push(accel::Instance {
+                accel: self.of(instance.mesh()).map_err(out_of_reach)?,
+                // There is one: instances have been checked.
+                to_local: instance.to_world().inverse().unwrap_or_default(),
+                bounds: [low, high],
+                first,
+                count: instance.mesh().data().triangles.len() as u32,
+            });
+        }
+        Ok(all)
+    }
 }
 
 /// A shape that moves as a whole.
@@ -114,15 +181,21 @@ struct Layout {
     patches: Vec<Patch>,
     primitives: Vec<Primitive>,
     surfaces: Vec<u32>,
+    spots: Vec<Spot>,
 }
 
 impl Layout {
-    fn new(shapes: &[AnyShape], infos: &[ShapeInfo], camera: &Camera) -> Self {
+    fn new(shapes: &[AnyShape], infos: &[ShapeInfo], camera: &Camera) -> Result<Self, OutOfReach> {
         let (mut prims, mut patches) = (Vec::new(), Vec::new());
         let mut primitives = Vec::new();
         let mut firsts = Vec::with_capacity(shapes.len());
+        let mut placed: Vec<(u32, &Instance)> = Vec::new();
         for (i, shape) in shapes.iter().enumerate() {
             firsts.push(prims.len() as u32);
+            if let AnyShape::Instance(instance) = shape {
+                placed.push((i as u32, instance));
+                continue;
+            }
             let curved = Exit {
                 offset: (shape.extent() * RELATIVE_OFFSET).max(f32::MIN_POSITIVE),
                 ..Exit::default()
@@ -155,13 +228,32 @@ impl Layout {
                 }
             }
         });
-        Self {
+        let mut next = prims.len();
+        let mut spots = Vec::with_capacity(placed.len());
+        for (shape, instance) in placed {
+            let first = next as u32;
+            next += instance.mesh().data().triangles.len();
+            if next > MAX_INSTANCED {
+                return Err(OutOfReach {
+                    shape: Some(shape),
+                    error: AccelError::TooMany { found: next },
+                });
+            }
+            firsts[shape as usize] = first;
+            spots.push(Spot {
+                first,
+                shape,
+                offset: instance.rounding().max(f64::from(f32::MIN_POSITIVE)) as f32,
+            });
+        }
+        Ok(Self {
             prims,
             firsts,
             patches,
             primitives,
             surfaces,
-        }
+            spots,
+        })
     }
 
     fn out_of_reach(&self, error: AccelError) -> OutOfReach {
@@ -195,14 +287,17 @@ impl Geometry {
     /// # Errors
     /// Coordinates out of reach, or too many primitives.
     pub fn new(
-        shapes: Vec<AnyShape>,
+        mut shapes: Vec<AnyShape>,
         infos: &[ShapeInfo],
         camera: &Camera,
         wanted: Wanted,
     ) -> Result<Self, OutOfReach> {
-        let layout = Layout::new(&shapes, infos, camera);
-        let accel = Accel::with_surfaces(&layout.primitives, &layout.surfaces)
+        copy_beside_lights(&mut shapes, infos);
+        let layout = Layout::new(&shapes, infos, camera)?;
+        let mut accel = Accel::with_surfaces(&layout.primitives, &layout.surfaces)
             .map_err(|e| layout.out_of_reach(e))?;
+        let mut groups = Groups::default();
+        accel.set_instances(groups.place(&shapes, &layout.spots)?);
         let (lamps, casters) = wanted.balls(&shapes, infos);
         let mut reads = Vec::new();
         for (shape, i) in shapes.iter().zip(0..) {
@@ -211,6 +306,8 @@ impl Geometry {
         Ok(Self {
             shapes,
             prims: layout.prims,
+            spots: layout.spots,
+            groups,
             firsts: layout.firsts,
             patches: layout.patches,
             accel,
@@ -242,6 +339,60 @@ impl Geometry {
         });
         *own(&mut placed.placement) = Some(p);
         self.reads.push((shape, p));
+    }
+
+    /// What a primitive belongs to.
+    #[inline(always)]
+    pub fn prim(&self, i: u32) -> Prim {
+        match self.prims.get(i as usize) {
+            Some(prim) => *prim,
+            None => self.prim_of_instance(i),
+        }
+    }
+
+    /// The same, of one behind those that are there one by one.
+    #[inline(never)]
+    fn prim_of_instance(&self, i: u32) -> Prim {
+        let behind = self.spots.partition_point(|spot| spot.first <= i);
+        let Spot {
+            first,
+            shape,
+            offset,
+        } = self.spots[behind - 1];
+        Prim {
+            shape,
+            local: i - first,
+            patch: u32::MAX,
+            surface: i,
+            exit: Exit { offset, surface: i },
+        }
+    }
+
+    /// Gives a shape arrays of its own, if it is an instance.
+    ///
+    /// # Errors
+    /// As [`Geometry::new`]; nothing has changed then.
+    pub fn copy(
+        &mut self,
+        shape: u32,
+        infos: &[ShapeInfo],
+        camera: &Camera,
+    ) -> Result<(), OutOfReach> {
+        if !matches!(self.at_rest(shape), AnyShape::Instance(_)) {
+            return Ok(());
+        }
+        let mut shapes = self.shapes.clone();
+        let own = |shape: &mut AnyShape| {
+            if let AnyShape::Instance(instance) = shape {
+                *shape = instance.copied().into();
+            }
+        };
+        own(&mut shapes[shape as usize]);
+        self.follow(shapes, infos, camera)?;
+        if let Some(Some(placed)) = self.placed.get_mut(shape as usize) {
+            own(&mut placed.rest);
+        }
+        Ok(())
     }
 
     /// Says that a parameter is the points of a mesh, before it moves as a whole: it has their values.
@@ -325,16 +476,59 @@ impl Geometry {
                 reason,
             })?;
         }
-        let layout = Layout::new(&shapes, infos, camera);
+        self.follow(shapes, infos, camera)?;
+        Ok(())
+    }
+
+    /// Derives everything from these shapes.
+    fn follow(
+        &mut self,
+        mut shapes: Vec<AnyShape>,
+        infos: &[ShapeInfo],
+        camera: &Camera,
+    ) -> Result<(), OutOfReach> {
+        copy_beside_lights(&mut shapes, infos);
+        let layout = Layout::new(&shapes, infos, camera)?;
+        let instances = self.groups.place(&shapes, &layout.spots)?;
         (self.accel.refit(&layout.primitives, &layout.surfaces))
             .map_err(|e| layout.out_of_reach(e))?;
+        self.accel.set_instances(instances);
         (self.lamps, self.casters) = self.wanted.balls(&shapes, infos);
         self.shapes = shapes;
         self.edges = OnceLock::new();
         self.prims = layout.prims;
+        self.spots = layout.spots;
         self.firsts = layout.firsts;
         self.patches = layout.patches;
         Ok(())
+    }
+}
+
+/// Gives instances arrays of their own that emit, or share a plane with a light: who lies on the same plane is known of
+/// primitives one by one.
+fn copy_beside_lights(shapes: &mut [AnyShape], infos: &[ShapeInfo]) {
+    if !shapes.iter().any(|s| matches!(s, AnyShape::Instance(_))) {
+        return;
+    }
+    let emits = |(shape, info): (&AnyShape, &ShapeInfo)| info.emitter.map(|_| shape.primitives());
+    let lights: Vec<_> = shapes
+        .iter()
+        .zip(infos)
+        .filter_map(emits)
+        .flatten()
+        .collect();
+    let lights = Flats::new(lights);
+    let shares = |instance: &Instance| {
+        (lights.as_ref()).is_some_and(|lights| {
+            lights.meet(&instance.bounds()) && instance.primitives().iter().any(|p| lights.hold(p))
+        })
+    };
+    for (shape, info) in shapes.iter_mut().zip(infos) {
+        if let AnyShape::Instance(instance) = shape
+            && (info.emitter.is_some() || shares(instance))
+        {
+            *shape = instance.copied().into();
+        }
     }
 }
 

@@ -20,8 +20,8 @@ use crate::film::{Film, Lobed, MOST_LOBES, PixelFilter};
 use crate::inputs;
 use crate::math::Transform;
 use crate::plugin::xml::{Document, SPECTRA, check_limit};
-use crate::plugin::{Attributes, Node, Origins, address};
-use crate::shape::{AnyShape, Cube, Shape};
+use crate::plugin::{Attributes, FromNode, Node, Origins, address};
+use crate::shape::{AnyShape, Cube, Instance, Mesh, Shape};
 use crate::texture;
 
 /// How a scene file is loaded.
@@ -200,7 +200,22 @@ pub(super) struct Reading {
     serial: u64,
     /// How many things without id of each class there were.
     classes: HashMap<String, u32>,
+    /// Meshes of groups, by the node that describes them.
+    members: HashMap<usize, Member>,
 }
+
+/// A mesh that instances place.
+struct Member {
+    mesh: Mesh,
+    material: MaterialId,
+    /// What the file calls it.
+    material_id: Option<String>,
+    hints: Hints,
+}
+
+/// Bump maps and displacements are in units of the scene.
+const COPIED: &str =
+    "a mesh with a bump map or a displacement is copied: every instance takes the memory of it";
 
 impl Reading {
     pub fn new(options: &LoadOptions, faults: Option<Vec<SceneError>>) -> Self {
@@ -216,6 +231,7 @@ impl Reading {
             defaults: [None; 2],
             serial: 0,
             classes: HashMap::new(),
+            members: HashMap::new(),
         }
     }
 
@@ -453,7 +469,7 @@ impl Reading {
         self.build.registry().params_mut().alias(name, own);
     }
 
-    /// A copy of all shapes of a group, moved to where the instance is.
+    /// All shapes of a group, where the instance is: meshes whose points stay are there once, others are copied.
     fn instance(&mut self, node: &Arc<Node>, index: usize) -> Result<(), SceneError> {
         let to_world = node.transform("to_world")?.unwrap_or_default();
         let group = node.child_with_tag("shape")?;
@@ -469,10 +485,70 @@ impl Reading {
                 return Err(part.invalid("emitter", "none: instances do not emit"));
             }
             let id = part.id.clone().unwrap_or_else(|| format!("shape{i}"));
-            let copy = part.moved(format!("{name}.{id}"), &to_world)?;
-            self.shape(&Arc::new(copy), index)?;
+            self.part(node, part, format!("{name}.{id}"), &to_world, index)?;
         }
-        node.warn("its shapes are copied: every instance takes the memory of the group");
+        Ok(())
+    }
+
+    /// A shape of a group, where an instance is.
+    fn part(
+        &mut self,
+        node: &Arc<Node>,
+        part: &Arc<Node>,
+        name: String,
+        to_world: &Transform,
+        index: usize,
+    ) -> Result<(), SceneError> {
+        let place = |mesh: &Mesh| {
+            let placed = Instance::new(mesh.clone(), *to_world);
+            placed.map_err(|expected| {
+                let expected = expected.trim_start_matches("expected ");
+                node.invalid("to_world", expected)
+            })
+        };
+        if let Some(member) = self.members.get(&address(part)) {
+            let placed = place(&member.mesh)?;
+            let (material, hints) = (member.material, member.hints);
+            if let Some(id) = &member.material_id {
+                let own = format!("{name}.bsdf");
+                self.build.registry().params_mut().alias(own, id);
+            }
+            if self.build.is_bumped(material) {
+                node.warn(COPIED);
+            }
+            self.build.add_shape(&name, placed, material);
+            self.build.hint_shape(hints);
+            return Ok(());
+        }
+        let is_mesh = Mesh::PLUGINS.contains(&part.plugin.as_str());
+        let is_displaced = is_mesh && part.child("displacement").is_some();
+        if is_displaced {
+            node.warn(COPIED);
+        }
+        if !is_mesh || is_displaced {
+            let copy = part.moved(name, to_world)?;
+            return self.shape(&Arc::new(copy), index);
+        }
+        let before = self.build.shapes().len();
+        let own = part.moved(name, &Transform::IDENTITY)?;
+        self.shape(&Arc::new(own), index)?;
+        // Nothing has been added, or something in its stead, where the mesh is missing.
+        if let Some(AnyShape::Mesh(mesh)) = self.build.shapes().get(before) {
+            let mesh = mesh.clone();
+            let placed = place(&mesh)?;
+            let (material, hints) = self.build.replace_last(placed);
+            if self.build.is_bumped(material) {
+                node.warn(COPIED);
+            }
+            let bsdf = part.child_with_tag("bsdf")?;
+            let member = Member {
+                mesh,
+                material,
+                material_id: bsdf.and_then(|bsdf| bsdf.id.clone()),
+                hints,
+            };
+            self.members.insert(address(part), member);
+        }
         Ok(())
     }
 
@@ -925,10 +1001,12 @@ fn rounding(shape: &AnyShape) -> f64 {
 
 /// About as long as the sides of the triangles of a mesh.
 fn size_of_triangles(shape: &AnyShape) -> Option<f64> {
-    let AnyShape::Mesh(mesh) = shape else {
-        return None;
+    let mesh = match shape {
+        AnyShape::Mesh(mesh) => mesh,
+        AnyShape::Instance(instance) => instance.mesh(),
+        _ => return None,
     };
-    Some((2.0 * mesh.area() / mesh.data().triangles.len() as f64).sqrt())
+    Some((2.0 * shape.area() / mesh.data().triangles.len() as f64).sqrt())
 }
 
 /// What a shape or an emitter is to manifold connections.

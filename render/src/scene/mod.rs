@@ -504,7 +504,7 @@ impl Scene {
         ray: &Ray<R>,
         hit: &Hit,
     ) -> Intersection<R> {
-        let Prim { shape, local, .. } = self.geometry.prims[hit.prim as usize];
+        let Prim { shape, local, .. } = self.geometry.prim(hit.prim);
         let own = &self.geometry.shapes[shape as usize];
         let si = match self.geometry.drift(shape, theta) {
             None => own.interaction(theta, local, ray, hit),
@@ -526,14 +526,14 @@ impl Scene {
     pub(crate) fn patch(&self, hit: &Hit) -> (u32, Exit, Option<&Patch>) {
         let Prim {
             shape, patch, exit, ..
-        } = self.geometry.prims[hit.prim as usize];
+        } = self.geometry.prim(hit.prim);
         (shape, exit, self.geometry.patches.get(patch as usize))
     }
 
     /// Brings what [`Scene::interaction`] looks up near.
     #[inline]
     pub(crate) fn fetch(&self, hit: &Hit) {
-        let Prim { shape, local, .. } = self.geometry.prims[hit.prim as usize];
+        let Prim { shape, local, .. } = self.geometry.prim(hit.prim);
         self.geometry.shapes[shape as usize].fetch(local);
     }
 
@@ -560,7 +560,7 @@ impl Scene {
         prim: u32,
         si: &SurfaceInteraction<P>,
     ) -> SurfaceCoordinates<P> {
-        let Prim { shape, local, .. } = self.geometry.prims[prim as usize];
+        let Prim { shape, local, .. } = self.geometry.prim(prim);
         self.geometry.shapes[shape as usize].coordinates(local, si)
     }
 
@@ -574,7 +574,7 @@ impl Scene {
         prim: u32,
         at: SurfaceCoordinates<R>,
     ) -> SurfaceInteraction<R> {
-        let Prim { shape, local, .. } = self.geometry.prims[prim as usize];
+        let Prim { shape, local, .. } = self.geometry.prim(prim);
         let own = &self.geometry.shapes[shape as usize];
         let si = own.point_at(theta, local, at);
         match self.geometry.drift(shape, theta) {
@@ -588,7 +588,7 @@ impl Scene {
     /// # Derivatives
     /// In `theta`.
     pub fn area_element<R: Real>(&self, theta: &Theta<R>, prim: u32) -> R {
-        let Prim { shape, local, .. } = self.geometry.prims[prim as usize];
+        let Prim { shape, local, .. } = self.geometry.prim(prim);
         let area = self.geometry.shapes[shape as usize].area_element(theta, local);
         match self.geometry.drift(shape, theta) {
             None => area,
@@ -608,7 +608,7 @@ impl Scene {
         d_log_area: P,
         grad: &mut impl GradSink<P>,
     ) {
-        let Prim { shape, local, .. } = self.geometry.prims[prim as usize];
+        let Prim { shape, local, .. } = self.geometry.prim(prim);
         let own = &self.geometry.shapes[shape as usize];
         own.scatter_point(local, own.coordinates(local, si), d, grad);
         if d_log_area != P::zero() {
@@ -634,7 +634,7 @@ impl Scene {
         d: &SurfaceAdjoint<P>,
         grad: &mut impl GradSink<P>,
     ) -> RayAdjoint<P> {
-        let Prim { shape, local, .. } = self.geometry.prims[prim as usize];
+        let Prim { shape, local, .. } = self.geometry.prim(prim);
         let own = &self.geometry.shapes[shape as usize];
         // Where along the ray is all that shapes take from it.
         let hit = Hit {
@@ -675,7 +675,7 @@ impl Scene {
         prim: u32,
         at: SurfaceCoordinates<R>,
     ) -> Option<Partials<R>> {
-        let Prim { shape, local, .. } = self.geometry.prims[prim as usize];
+        let Prim { shape, local, .. } = self.geometry.prim(prim);
         let partials = self.geometry.shapes[shape as usize].partials(theta, local, at)?;
         Some(match self.geometry.drift(shape, theta) {
             None => partials,
@@ -700,7 +700,7 @@ impl Scene {
             Vec2::new(Dual::var(si.uv.x, 0), Dual::var(si.uv.y, 1)),
         );
         let wo = si.frame.to_local(wo);
-        let material = self.material(self.geometry.prims[prim as usize].shape);
+        let material = self.material(self.geometry.prim(prim).shape);
         let local = material.shading_frame(&shading, wo, route, TransportMode::Radiance);
         Some(partials.mapped(&si.frame, &local))
     }
@@ -764,7 +764,7 @@ impl Scene {
     /// Index of the shape that a primitive belongs to.
     #[inline]
     pub(crate) fn shape_of(&self, prim: u32) -> u32 {
-        self.geometry.prims[prim as usize].shape
+        self.geometry.prim(prim).shape
     }
 
     /// Parameters that move shapes, each with one of the shapes.
@@ -780,7 +780,7 @@ impl Scene {
     /// How rays leave a primitive.
     #[inline(always)]
     pub fn exit(&self, prim: u32) -> Exit {
-        self.geometry.prims[prim as usize].exit
+        self.geometry.prim(prim).exit
     }
 
     /// Whether rays go through a hierarchy.
@@ -848,7 +848,10 @@ impl Scene {
         if let Some(info) = self.infos.iter().find(|i| i.emitter.is_some()) {
             return Some(format!("the outline of the light `{}`", info.name));
         }
-        let convex = |s: &AnyShape| !matches!(s, AnyShape::Mesh(_) | AnyShape::Cylinder(_));
+        let convex = |s: &AnyShape| {
+            use AnyShape::{Cylinder, Instance, Mesh};
+            !matches!(s, Mesh(_) | Instance(_) | Cylinder(_))
+        };
         match (&self.infos[..], &self.geometry.shapes[..]) {
             ([], _) => None,
             ([info], [AnyShape::Cube(_)]) if paths_move => Some(format!(
@@ -873,7 +876,7 @@ impl Scene {
 
     /// Distance of a ray from the outline of the primitive that another ray hit, as [`Shape::border`].
     pub fn border<R: Real>(&self, ray: &Ray<R>, hit: &Hit) -> R {
-        let Prim { shape, local, .. } = self.geometry.prims[hit.prim as usize];
+        let Prim { shape, local, .. } = self.geometry.prim(hit.prim);
         self.geometry.shapes[shape as usize].border(local, ray)
     }
 

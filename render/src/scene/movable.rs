@@ -1,6 +1,6 @@
 //! What may move, and becomes a parameter when somebody asks for it.
 
-use super::{Scene, ShapeInfo};
+use super::{Scene, ShapeInfo, sensor};
 use crate::accel::MAX_COORDINATE;
 use crate::bsdf::nesting::scatters_deltas;
 use crate::bsdf::{Bsdf, Material, TextureRef};
@@ -148,15 +148,17 @@ impl Scene {
                 let what = What::Shape(i, p);
                 all.push(part(&info.name, p, ParamKind::Position, what));
             }
-            if let AnyShape::Mesh(mesh) = shape
-                && !mesh.is_displaced()
+            let points = match shape {
+                AnyShape::Mesh(mesh) if !mesh.is_displaced() => Some(mesh.points()),
+                AnyShape::Instance(instance) => Some(instance.copied().points()),
+                _ => None,
+            };
+            if let Some(count) = points
                 && !bumped
             {
                 all.push(Movable {
                     name: format!("{}.vertex_positions", info.name),
-                    shape: ParamShape::Points {
-                        count: mesh.points(),
-                    },
+                    shape: ParamShape::Points { count },
                     valid: ANYWHERE,
                     kind: ParamKind::Position,
                     what: What::Vertices(i),
@@ -307,6 +309,15 @@ impl Scene {
             What::Fov => vec![self.camera.fov().0 as f32],
             What::Vertices(shape) => match self.geometry.at_rest(shape) {
                 AnyShape::Mesh(mesh) => mesh.point_positions(),
+                AnyShape::Instance(instance) if instance.has_foreign_normals() => {
+                    return Err(RenderError::Motion {
+                        name: movable.name.clone(),
+                        culprit: "normals of an instance that is not scaled evenly do not follow its points (a file \
+                                  with normals, or a copy instead of an instance, would do)"
+                            .into(),
+                    });
+                }
+                AnyShape::Instance(instance) => instance.copied().point_positions(),
                 _ => Vec::new(),
             },
             What::Emitter(e) => (self.emitters[e as usize].mobility())
@@ -328,6 +339,15 @@ impl Scene {
                 expected: "at most 2^32",
                 found: (self.params.values().len() + values.len()) as u64,
             });
+        }
+        if let What::Vertices(shape) = movable.what {
+            let camera = sensor::farthest(&self.sensors, &self.camera);
+            (self.geometry.copy(shape, &self.infos, camera)).map_err(|e| {
+                RenderError::OutOfReach {
+                    shape: Some(self.infos[shape as usize].name.clone()),
+                    reason: e.error.to_string(),
+                }
+            })?;
         }
         let p = (self.params).push(&movable.name, movable.shape, &values, movable.valid);
         if let Some(source) = &mut self.source {

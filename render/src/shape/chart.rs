@@ -6,7 +6,7 @@ use super::{AnyShape, Cube, Disk, Mesh, MeshData, Patch, Shape, SurfaceCoordinat
 use crate::bsdf::chart::{Chart, Corners};
 use crate::params::Theta;
 
-/// The surface with its chart. Cubes become meshes, and triangles of meshes with texture coordinates share no vertices any
+/// The surface with its chart. Cubes and instances become meshes, and triangles of meshes with texture coordinates share no vertices any
 /// more: their interactions have coordinates that tell triangles apart ([`Chart::of_triangles`]).
 ///
 /// # Errors
@@ -28,6 +28,7 @@ pub(crate) fn charted(shape: &AnyShape) -> Result<(AnyShape, Chart), &'static st
         AnyShape::Disk(disk) => Ok((shape.clone(), disk.chart())),
         AnyShape::Cube(cube) => charted_mesh(&of_cube(cube).ok_or(DEGENERATE)?),
         AnyShape::Mesh(mesh) => charted_mesh(mesh),
+        AnyShape::Instance(instance) => charted_mesh(&instance.copied()),
     }
 }
 

@@ -141,7 +141,7 @@ impl Mesh {
             cdf: OnceLock::new(),
         };
         data.area = (0..data.mesh.triangles.len())
-            .map(|i| data.double_area(i) * 0.5)
+            .map(|i| data.triangle(i).double_area() * 0.5)
             .sum();
         if data.area.is_nan() || data.area <= 0.0 {
             return Err(error(
@@ -228,6 +228,16 @@ impl Mesh {
         !self.data.smooth && !self.data.mesh.normals.is_empty()
     }
 
+    /// Where its arrays are in memory.
+    pub(crate) fn address(&self) -> usize {
+        Arc::as_ptr(&self.data).addr()
+    }
+
+    /// Whether its normals are [`smooth_normals`].
+    pub(super) fn has_smooth_normals(&self) -> bool {
+        self.data.smooth
+    }
+
     /// Whether the surface was turned around.
     pub(super) fn is_flipped(&self) -> bool {
         self.data.flip
@@ -242,37 +252,138 @@ impl Mesh {
             + size_of_val(&m.triangles[..])
             + self.data.cdf.get().map_or(0, |c| size_of_val(&c[..]))
     }
+}
+
+/// A triangle that is drawn from running sums of areas, and barycentric coordinates of its second and third vertex.
+pub(super) fn choose<P: Float>(cdf: &[f64], u: [P; 2]) -> (usize, Vec2<P>) {
+    let total = cdf[cdf.len() - 1];
+    let x = (u[0].to_f64() * total).min(total.next_down());
+    // The first whose sum exceeds x: never one without an area.
+    let i = cdf.partition_point(|&c| c <= x).min(cdf.len() - 1);
+    let before = if i == 0 { 0.0 } else { cdf[i - 1] };
+    let reused = ((x - before) / (cdf[i] - before)).clamp(0.0, 1.0);
+    (i, warp::square_to_triangle([P::of(reused), u[1]]))
+}
+
+/// Running sums of the areas of triangles.
+pub(super) fn running_areas(triangles: impl Iterator<Item = Triangle>) -> Vec<f64> {
+    let mut sum = 0.0;
+    let areas = triangles.map(|t| {
+        sum += 0.5 * t.double_area();
+        sum
+    });
+    areas.collect()
+}
+
+impl Data {
+    /// What a triangle is made of.
+    #[inline(always)]
+    pub(super) fn triangle(&self, triangle: usize) -> Triangle {
+        let m = &self.mesh;
+        let t = each(m.triangles[triangle], |i| i as usize);
+        let [a, b, c] = each(t, |i| m.positions[i]);
+        Triangle {
+            normals: (!m.normals.is_empty()).then(|| each(t, |i| m.normals[i])),
+            uvs: (!m.uvs.is_empty()).then(|| each(t, |i| m.uvs[i])),
+            ..Triangle::new([a, b, c], self.flip)
+        }
+    }
+}
+
+/// What a triangle of a mesh is made of, world space: all that is known of its surface follows from it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Triangle {
+    pub v0: [f32; 3],
+    /// From there, rounded as the ray sees them.
+    pub edges: [[f32; 3]; 2],
+    pub normals: Option<[[f32; 3]; 3]>,
+    pub uvs: Option<[[f32; 2]; 3]>,
+    /// Whether it is turned around.
+    pub flip: bool,
+}
+
+impl Triangle {
+    /// Without normals and texture coordinates.
+    #[inline(always)]
+    pub fn new([a, b, c]: [[f32; 3]; 3], flip: bool) -> Self {
+        let minus = |x: [f32; 3]| [x[0] - a[0], x[1] - a[1], x[2] - a[2]];
+        Self {
+            v0: a,
+            edges: [minus(b), minus(c)],
+            normals: None,
+            uvs: None,
+            flip,
+        }
+    }
+
+    #[inline]
+    fn wide_edges(&self) -> [Vec3<f64>; 2] {
+        self.edges.map(lift3)
+    }
+
+    #[inline]
+    pub fn double_area(&self) -> f64 {
+        let [e1, e2] = self.wide_edges();
+        e1.cross(e2).length()
+    }
+
+    /// Along `e1 x e2`, of unit length. In f64, where the product of small edges does not underflow.
+    #[inline]
+    pub fn flat_normal<R: Real>(&self) -> Vec3<R> {
+        let [e1, e2] = self.wide_edges();
+        let flat = e1.cross(e2).normalize();
+        Vec3::new(R::of(flat.x), R::of(flat.y), R::of(flat.z))
+    }
+
+    /// How much of each edge is in the direction of increasing u, up to a common factor; zero where the texture
+    /// coordinates are degenerate, or where there are none.
+    #[inline]
+    pub fn slopes(&self) -> [f64; 2] {
+        let Some([a, b, c]) = self.uvs else {
+            return [0.0; 2];
+        };
+        let minus = |x: f32, y: f32| f64::from(x) - f64::from(y);
+        let (dv1, dv2) = (minus(b[1], a[1]), minus(c[1], a[1]));
+        let det = minus(b[0], a[0]) * dv2 - dv1 * minus(c[0], a[0]);
+        if det == 0.0 {
+            return [0.0; 2];
+        }
+        [dv2 * det.signum(), -(dv1 * det.signum())]
+    }
+
+    /// The direction of increasing u, zero where the texture coordinates are degenerate. Its length
+    /// means nothing.
+    #[inline]
+    fn dp_du(&self) -> Vec3<f64> {
+        let [e1, e2] = self.wide_edges();
+        let [a, b] = self.slopes();
+        (e1 * a + e2 * b).normalize()
+    }
 
     /// Shading frame, geometric normal on its side, and texture coordinates at barycentric `(u, v)`.
     #[inline]
     fn surface<R: Real>(
         &self,
-        triangle: usize,
         u: R,
         v: R,
         moving: Option<&MovingTriangle<R>>,
     ) -> (Frame<R>, Vec3<R>, Vec2<R>) {
-        let data = &*self.data;
-        let m = &data.mesh;
-        let t = each(m.triangles[triangle], |i| i as usize);
-        let [e1, e2] = data.edges(triangle);
-        // In f64, where the product of small edges does not underflow.
-        let flat = e1.cross(e2).normalize();
-        let mut flat = Vec3::<R>::new(R::of(flat.x), R::of(flat.y), R::of(flat.z));
+        let mut flat = self.flat_normal::<R>();
         if let Some(moving) = moving {
-            flat += moving.flat_normal(data.single_edges(triangle).1);
+            flat += moving.flat_normal(self.edges);
         }
         let w = R::one() - u - v;
-        let smooth = if m.normals.is_empty() {
-            Vec3::zero()
-        } else {
-            let [mut a, mut b, mut c] = each(t, |i| lift3::<R>(m.normals[i]));
-            if let Some(moving) = moving {
-                a += moving.normals[0];
-                b += moving.normals[1];
-                c += moving.normals[2];
+        let smooth = match self.normals {
+            None => Vec3::zero(),
+            Some(normals) => {
+                let [mut a, mut b, mut c] = each(normals, lift3::<R>);
+                if let Some(moving) = moving {
+                    a += moving.normals[0];
+                    b += moving.normals[1];
+                    c += moving.normals[2];
+                }
+                (a * w + b * u + c * v).normalize()
             }
-            (a * w + b * u + c * v).normalize()
         };
         let (mut n, mut n_geo) = (smooth, flat);
         let side = smooth.primal().dot(flat.primal());
@@ -282,51 +393,46 @@ impl Mesh {
             // Emission and scattering go by the shading normal.
             n_geo = -flat;
         }
-        if data.flip {
+        if self.flip {
             (n, n_geo) = (-n, -n_geo);
         }
-        if m.uvs.is_empty() {
+        let Some(uvs) = self.uvs else {
             return (Frame::from_normal(n), n_geo, Vec2::new(u, v));
-        }
+        };
         let lift2 = |x: [f32; 2]| -> Vec2<R> {
             Vec2::new(
                 R::lift(R::Primal::from_f32(x[0])),
                 R::lift(R::Primal::from_f32(x[1])),
             )
         };
-        let [a, b, c] = each(t, |i| lift2(m.uvs[i]));
+        let [a, b, c] = each(uvs, lift2);
         let uv = Vec2::new(a.x * w + b.x * u + c.x * v, a.y * w + b.y * u + c.y * v);
-        let dp_du = data.dp_du(triangle);
+        let dp_du = self.dp_du();
         let mut dp_du = Vec3::new(R::of(dp_du.x), R::of(dp_du.y), R::of(dp_du.z));
         if let Some(moving) = moving {
-            dp_du += moving.dp_du(data.single_edges(triangle).1, data.slopes(triangle));
+            dp_du += moving.dp_du(self.edges, self.slopes());
         }
         (Frame::from_normal_and_tangent(n, dp_du), n_geo, uv)
     }
 
     /// A corner and the two edges from there.
     #[inline]
-    fn corner_and_edges<R: Real>(
-        &self,
-        triangle: usize,
-        moving: Option<&MovingTriangle<R>>,
-    ) -> [Vec3<R>; 3] {
-        let (v0, [e1, e2]) = self.data.single_edges(triangle);
-        let still = [lift3::<R>(v0), lift3::<R>(e1), lift3::<R>(e2)];
+    fn corner_and_edges<R: Real>(&self, moving: Option<&MovingTriangle<R>>) -> [Vec3<R>; 3] {
+        let [e1, e2] = self.edges;
+        let still = [lift3::<R>(self.v0), lift3::<R>(e1), lift3::<R>(e2)];
         moving.map_or(still, |m| m.corner_and_edges(still))
     }
 
     /// The point at barycentric `(u, v)`.
     #[inline]
-    fn point<R: Real>(
+    pub fn point<R: Real>(
         &self,
-        triangle: usize,
         u: R,
         v: R,
         moving: Option<&MovingTriangle<R>>,
     ) -> SurfaceInteraction<R> {
-        let [v0, e1, e2] = self.corner_and_edges(triangle, moving);
-        let (frame, n_geo, uv) = self.surface(triangle, u, v, moving);
+        let [v0, e1, e2] = self.corner_and_edges(moving);
+        let (frame, n_geo, uv) = self.surface(u, v, moving);
         SurfaceInteraction {
             p: v0 + e1 * u + e2 * v,
             t: R::zero(),
@@ -338,9 +444,8 @@ impl Mesh {
 
     /// See [`Shape::interaction`].
     #[inline]
-    fn seen<R: Real>(
+    pub fn seen<R: Real>(
         &self,
-        triangle: usize,
         ray: &Ray<R>,
         hit: &Hit,
         moving: Option<&MovingTriangle<R>>,
@@ -349,80 +454,65 @@ impl Mesh {
             let exact = |x: f32| R::lift(R::Primal::from_f32(x));
             (exact(hit.t), exact(hit.u), exact(hit.v))
         } else {
-            let [v0, e1, e2] = self.corner_and_edges(triangle, moving);
+            let [v0, e1, e2] = self.corner_and_edges(moving);
             intersect_plane(ray, v0, e1, e2)
         };
         SurfaceInteraction {
             t,
-            ..self.point(triangle, u, v, moving)
+            ..self.point(u, v, moving)
         }
     }
 
-    /// A uniform point: triangle, and barycentric coordinates of its second and third vertex.
-    fn choose<P: Float>(&self, u: [P; 2]) -> (usize, Vec2<P>) {
-        let data = &*self.data;
-        let cdf = data.cdf.get_or_init(|| {
-            let mut sum = 0.0;
-            let areas = (0..data.mesh.triangles.len()).map(|i| {
-                sum += 0.5 * data.double_area(i);
-                sum
-            });
-            areas.collect()
-        });
-        let total = cdf[cdf.len() - 1];
-        let x = (u[0].to_f64() * total).min(total.next_down());
-        // The first whose sum exceeds x: never one without an area.
-        let i = cdf.partition_point(|&c| c <= x).min(cdf.len() - 1);
-        let before = if i == 0 { 0.0 } else { cdf[i - 1] };
-        let reused = ((x - before) / (cdf[i] - before)).clamp(0.0, 1.0);
-        (i, warp::square_to_triangle([P::of(reused), u[1]]))
-    }
-}
-
-impl Data {
-    /// Edges from the first vertex, rounded as the ray sees them.
-    #[inline]
-    fn single_edges(&self, triangle: usize) -> ([f32; 3], [[f32; 3]; 2]) {
-        let [a, b, c] = each(self.mesh.triangles[triangle], |i| {
-            self.mesh.positions[i as usize]
-        });
-        let minus = |x: [f32; 3]| [x[0] - a[0], x[1] - a[1], x[2] - a[2]];
-        (a, [minus(b), minus(c)])
-    }
-
-    #[inline]
-    fn edges(&self, triangle: usize) -> [Vec3<f64>; 2] {
-        let (_, [e1, e2]) = self.single_edges(triangle);
-        [lift3(e1), lift3(e2)]
-    }
-
-    #[inline]
-    fn double_area(&self, triangle: usize) -> f64 {
-        let [e1, e2] = self.edges(triangle);
-        e1.cross(e2).length()
-    }
-
-    /// The direction of increasing u, zero where the texture coordinates are degenerate. Its length
-    /// means nothing.
-    #[inline]
-    fn dp_du(&self, triangle: usize) -> Vec3<f64> {
-        let [e1, e2] = self.edges(triangle);
-        let [a, b] = self.slopes(triangle);
-        (e1 * a + e2 * b).normalize()
-    }
-
-    /// How much of each edge is in the direction of increasing u, up to a common factor; zero where the texture
-    /// coordinates are degenerate.
-    #[inline]
-    fn slopes(&self, triangle: usize) -> [f64; 2] {
-        let [a, b, c] = each(self.mesh.triangles[triangle], |i| self.mesh.uvs[i as usize]);
-        let minus = |x: f32, y: f32| f64::from(x) - f64::from(y);
-        let (dv1, dv2) = (minus(b[1], a[1]), minus(c[1], a[1]));
-        let det = minus(b[0], a[0]) * dv2 - dv1 * minus(c[0], a[0]);
-        if det == 0.0 {
-            return [0.0; 2];
+    /// The point there, if triangles are chosen by their part of an area.
+    pub fn sampled<R: Real>(
+        &self,
+        prim: u32,
+        at: Vec2<R::Primal>,
+        area: f64,
+        moving: Option<&MovingTriangle<R>>,
+    ) -> ShapeSample<R> {
+        let si = self.point::<R>(R::lift(at.x), R::lift(at.y), moving);
+        ShapeSample {
+            p: si.p,
+            n: si.frame.n,
+            uv: si.uv,
+            pdf: R::Primal::of(1.0 / area),
+            prim,
+            coordinates: SurfaceCoordinates(at),
         }
-        [dv2 * det.signum(), -(dv1 * det.signum())]
+    }
+
+    /// See [`Shape::locate`].
+    pub fn locate<P: Float>(&self, p: Vec3<P>) -> SurfaceCoordinates<P> {
+        let [e1, e2] = self.edges;
+        coordinates_in_plane(p, self.v0, e1, e2)
+    }
+
+    /// See [`Shape::partials`].
+    pub fn partials<R: Real>(
+        &self,
+        at: SurfaceCoordinates<R>,
+        moving: Option<MovingTriangle<R>>,
+    ) -> Option<Partials<R>> {
+        if self.double_area() == 0.0 {
+            return None;
+        }
+        let [u, v] = variables(at.0.x, at.0.y);
+        let constant = moving.map(|m| m.map(Dual::<R, 2>::constant));
+        let si = self.point::<Dual<R, 2>>(u, v, constant.as_ref());
+        Partials::of(si.p, &si.frame).with_respect_to(si.uv)
+    }
+
+    /// See [`Shape::border`].
+    pub fn border<R: Real>(&self, ray: &Ray<R>) -> R {
+        let [v0, e1, e2] = self.corner_and_edges::<R>(None);
+        let (t, u, v) = intersect_plane(ray, v0, e1, e2);
+        // Barycentric coordinate times height over the opposite edge.
+        let twice_area = e1.cross(e2).length();
+        let outside = |b: R, edge: Vec3<R>| -(b * twice_area / edge.length());
+        let w = -(u + v) + R::c(1.0);
+        let distances = [outside(u, e2), outside(v, e1), outside(w, e2 - e1)];
+        super::flat_border(t, distances)
     }
 }
 
@@ -430,7 +520,11 @@ impl Shape for Mesh {
     fn primitives(&self) -> Vec<Primitive> {
         (0..self.data.mesh.triangles.len())
             .map(|i| {
-                let (v0, [e1, e2]) = self.data.single_edges(i);
+                let Triangle {
+                    v0,
+                    edges: [e1, e2],
+                    ..
+                } = self.data.triangle(i);
                 Primitive::Triangle { v0, e1, e2 }
             })
             .collect()
@@ -445,7 +539,7 @@ impl Shape for Mesh {
         hit: &Hit,
     ) -> SurfaceInteraction<R> {
         let moving = self.moving(theta, prim as usize);
-        self.seen(prim as usize, ray, hit, moving.as_ref())
+        (self.data.triangle(prim as usize)).seen(ray, hit, moving.as_ref())
     }
 
     fn coordinates<P: Float>(
@@ -460,8 +554,7 @@ impl Shape for Mesh {
     }
 
     fn locate<P: Float>(&self, prim: u32, p: Vec3<P>) -> SurfaceCoordinates<P> {
-        let (v0, [e1, e2]) = self.data.single_edges(prim as usize);
-        coordinates_in_plane(p, v0, e1, e2)
+        self.data.triangle(prim as usize).locate(p)
     }
 
     fn point_at<R: Real>(
@@ -471,7 +564,7 @@ impl Shape for Mesh {
         at: SurfaceCoordinates<R>,
     ) -> SurfaceInteraction<R> {
         let moving = self.moving(theta, prim as usize);
-        self.point(prim as usize, at.0.x, at.0.y, moving.as_ref())
+        (self.data.triangle(prim as usize)).point(at.0.x, at.0.y, moving.as_ref())
     }
 
     fn partials<R: Real>(
@@ -480,20 +573,15 @@ impl Shape for Mesh {
         prim: u32,
         at: SurfaceCoordinates<R>,
     ) -> Option<Partials<R>> {
-        if self.data.double_area(prim as usize) == 0.0 {
-            return None;
-        }
         let moving = self.moving(theta, prim as usize);
-        let [u, v] = variables(at.0.x, at.0.y);
-        let constant = moving.map(|m| m.map(Dual::<R, 2>::constant));
-        let si = self.point::<Dual<R, 2>>(prim as usize, u, v, constant.as_ref());
-        Partials::of(si.p, &si.frame).with_respect_to(si.uv)
+        self.data.triangle(prim as usize).partials(at, moving)
     }
 
     fn area_element<R: Real>(&self, theta: &Theta<R>, prim: u32) -> R {
-        let area = R::of(self.data.double_area(prim as usize));
+        let triangle = self.data.triangle(prim as usize);
+        let area = R::of(triangle.double_area());
         match self.moving(theta, prim as usize) {
-            Some(moving) => area + moving.double_area(self.data.single_edges(prim as usize).1),
+            Some(moving) => area + moving.double_area(triangle.edges),
             None => area,
         }
     }
@@ -505,9 +593,10 @@ impl Shape for Mesh {
         d: &SurfaceAdjoint<P>,
         grad: &mut impl GradSink<P>,
     ) {
+        let triangle = self.data.triangle(prim as usize);
         self.scatter(prim as usize, grad, |moving| {
             let at = SurfaceCoordinates::lift(at).0;
-            d.of(&self.point(prim as usize, at.x, at.y, Some(moving)))
+            d.of(&triangle.point(at.x, at.y, Some(moving)))
         });
     }
 
@@ -519,13 +608,14 @@ impl Shape for Mesh {
         d: &SurfaceAdjoint<P>,
         grad: &mut impl GradSink<P>,
     ) {
+        let triangle = self.data.triangle(prim as usize);
         self.scatter(prim as usize, grad, |moving| {
-            d.of(&self.seen(prim as usize, &Ray::lift(*ray), hit, Some(moving)))
+            d.of(&triangle.seen(&Ray::lift(*ray), hit, Some(moving)))
         });
     }
 
     fn scatter_area<P: Float>(&self, prim: u32, d: P, grad: &mut impl GradSink<P>) {
-        let edges = self.data.single_edges(prim as usize).1;
+        let edges = self.data.triangle(prim as usize).edges;
         self.scatter(prim as usize, grad, |moving| {
             moving.double_area(edges) * Const(d)
         });
@@ -542,7 +632,7 @@ impl Shape for Mesh {
     }
 
     fn carries_frame(&self, prim: u32) -> bool {
-        !self.data.mesh.uvs.is_empty() && self.data.slopes(prim as usize) != [0.0; 2]
+        self.data.triangle(prim as usize).slopes() != [0.0; 2]
     }
 
     fn centroid(&self) -> [f64; 3] {
@@ -550,7 +640,7 @@ impl Shape for Mesh {
         let mut sum = Vec3::<f64>::zero();
         for (i, t) in data.mesh.triangles.iter().enumerate() {
             let [a, b, c] = each(*t, |i| lift3::<f64>(data.mesh.positions[i as usize]));
-            sum += (a + b + c) * (data.double_area(i) / 6.0);
+            sum += (a + b + c) * (data.triangle(i).double_area() / 6.0);
         }
         (sum * data.area.recip()).to_array()
     }
@@ -585,14 +675,7 @@ impl Shape for Mesh {
     }
 
     fn border<R: Real>(&self, prim: u32, ray: &Ray<R>) -> R {
-        let [v0, e1, e2] = self.corner_and_edges::<R>(prim as usize, None);
-        let (t, u, v) = intersect_plane(ray, v0, e1, e2);
-        // Barycentric coordinate times height over the opposite edge.
-        let twice_area = e1.cross(e2).length();
-        let outside = |b: R, edge: Vec3<R>| -(b * twice_area / edge.length());
-        let w = -(u + v) + R::c(1.0);
-        let distances = [outside(u, e2), outside(v, e1), outside(w, e2 - e1)];
-        super::flat_border(t, distances)
+        self.data.triangle(prim as usize).border(ray)
     }
 
     fn area(&self) -> f64 {
@@ -601,17 +684,14 @@ impl Shape for Mesh {
 
     /// The normal returned is the shading normal, which emission goes by.
     fn sample_area<R: Real>(&self, theta: &Theta<R>, u: [R::Primal; 2]) -> ShapeSample<R> {
-        let (triangle, b) = self.choose(u);
-        let moving = self.moving(theta, triangle);
-        let at = self.point::<R>(triangle, R::lift(b.x), R::lift(b.y), moving.as_ref());
-        ShapeSample {
-            p: at.p,
-            n: at.frame.n,
-            uv: at.uv,
-            pdf: R::Primal::of(1.0 / self.data.area),
-            prim: triangle as u32,
-            coordinates: SurfaceCoordinates(b),
-        }
+        let data = &*self.data;
+        let cdf = data.cdf.get_or_init(|| {
+            let count = data.mesh.triangles.len();
+            running_areas((0..count).map(|i| data.triangle(i)))
+        });
+        let (i, b) = choose(cdf, u);
+        let moving = self.moving(theta, i);
+        (data.triangle(i)).sampled(i as u32, b, data.area, moving.as_ref())
     }
 
     fn sample_surface<R: Real>(
@@ -620,11 +700,10 @@ impl Shape for Mesh {
         u: [R::Primal; 2],
     ) -> (ShapeSample<R>, Vec3<R>) {
         let s = self.sample_area(theta, u);
-        let [e1, e2] = self.data.edges(s.prim as usize);
-        let n = e1.cross(e2).normalize();
-        let mut n = Vec3::new(R::of(n.x), R::of(n.y), R::of(n.z));
+        let triangle = self.data.triangle(s.prim as usize);
+        let mut n = triangle.flat_normal();
         if let Some(moving) = self.moving(theta, s.prim as usize) {
-            n += moving.flat_normal(self.data.single_edges(s.prim as usize).1);
+            n += moving.flat_normal(triangle.edges);
         }
         (s, n)
     }

@@ -18,6 +18,7 @@ mod cube;
 mod cylinder;
 mod disk;
 mod displacement;
+mod instance;
 mod mesh;
 mod partials;
 mod patch;
@@ -31,6 +32,7 @@ pub use cube::Cube;
 pub use cylinder::Cylinder;
 pub use disk::Disk;
 pub use displacement::HEIGHTS;
+pub use instance::Instance;
 pub use mesh::{Mesh, MeshData, ObjOptions, smooth_normals};
 pub use partials::Partials;
 pub use patch::{Patch, Rectangle};
@@ -40,7 +42,7 @@ pub use vertices::Welding;
 
 use ad_core::{Const, Dual, Float, Real, Vec2, Vec3};
 
-use crate::accel::{Hit, MAX_COORDINATE, Primitive};
+use crate::accel::{Hit, MAX_COORDINATE, Primitive, bounds};
 use crate::error::SceneError;
 use crate::math::{Frame, NOWHERE, Ray, Segment, Transform, each};
 use crate::motion::{Drift, Wrench};
@@ -519,6 +521,17 @@ pub trait Shape: Send + Sync {
 
     /// Largest absolute coordinate: the scale of rounding errors on the surface.
     fn extent(&self) -> f32;
+
+    /// Corners of a box around it, rounded outwards.
+    fn bounds(&self) -> [[f32; 3]; 2] {
+        let nothing = [[f32::INFINITY; 3], [f32::NEG_INFINITY; 3]];
+        (self.primitives().iter()).fold(nothing, |[low, high], primitive| {
+            let [a, b] = bounds(primitive);
+            let all = |k: usize| (low[k].min(a[k]), high[k].max(b[k]));
+            let [x, y, z] = [all(0), all(1), all(2)];
+            [[x.0, y.0, z.0], [x.1, y.1, z.1]]
+        })
+    }
 }
 
 /// A distance from outlines that counts as no outline at all, radians.
@@ -739,6 +752,9 @@ macro_rules! shapes {
             fn extent(&self) -> f32 {
                 match self { $(Self::$hot(s) => s.extent(),)* $(Self::$name(s) => s.extent(),)* }
             }
+            fn bounds(&self) -> [[f32; 3]; 2] {
+                match self { $(Self::$hot(s) => s.bounds(),)* $(Self::$name(s) => s.bounds(),)* }
+            }
         }
     };
 }
@@ -749,4 +765,5 @@ shapes! {
     Disk,
     Cylinder,
     Mesh,
+    Instance,
 }

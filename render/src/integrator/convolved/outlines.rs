@@ -23,8 +23,8 @@ type Opposite = [Option<[f32; 3]>; 3];
 /// there is no neighbour, or one on the same side of the plane through the point of view.
 pub(super) struct Outlines<'a> {
     scene: &'a Scene,
-    /// Per shape, that of each triangle.
-    meshes: Vec<Option<Vec<Opposite>>>,
+    /// Per shape, if it is a mesh, and what is opposite to the sides of each triangle.
+    meshes: Vec<Option<(Mesh, Vec<Opposite>)>>,
 }
 
 /// Neighbours share two welded points. A side with more than two triangles counts as one without a neighbour.
@@ -58,8 +58,10 @@ fn opposite(mesh: &Mesh) -> Vec<Opposite> {
 
 impl<'a> Outlines<'a> {
     pub fn of(scene: &'a Scene) -> Self {
+        let with = |mesh: Mesh| Some((mesh.clone(), opposite(&mesh)));
         let each = |shape: &AnyShape| match shape {
-            AnyShape::Mesh(mesh) => Some(opposite(mesh)),
+            AnyShape::Mesh(mesh) => with(mesh.clone()),
+            AnyShape::Instance(instance) => with(instance.copied()),
             _ => None,
         };
         Self {
@@ -72,8 +74,7 @@ impl<'a> Outlines<'a> {
     /// from most of them, the cosine to the normal is asked, too [Zeltner 2021, section 4.1.3].
     pub fn test<P: Float>(&self, kappa: f64, ray: &Ray<P>, hit: &Hit) -> f64 {
         let shape = self.scene.shape_of(hit.prim);
-        let own = &self.scene.shapes()[shape as usize];
-        let (Some(triangles), AnyShape::Mesh(mesh)) = (&self.meshes[shape as usize], own) else {
+        let Some((mesh, triangles)) = &self.meshes[shape as usize] else {
             return boundary_test(kappa, self.scene.border(ray, hit).to_f64());
         };
         let local = (hit.prim - self.scene.primitive(shape, 0)) as usize;
