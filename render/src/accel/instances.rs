@@ -194,11 +194,11 @@ impl Instances {
                 let mut found = Best::new(local.limit(best.t * REACH));
                 instance.accel.search(&local.ray, &mut found);
                 if found.found {
-                    let prim = instance.first + found.prim;
+                    let id = (instance.first << 2) + found.id;
                     // Surfaces that the ray leaves were left out below.
                     let tag = Tag {
-                        prim,
-                        surface: prim,
+                        id,
+                        surface: id >> 2,
                     };
                     let t = start + found.t / local.scale;
                     best.offer(t, found.u, found.v, tag, NOWHERE);
@@ -230,11 +230,12 @@ impl Instances {
                 continue;
             };
             let mut best = match *hit {
+                // Its coordinates are those of the triangle as it was given.
                 Some(Hit { t, u, v, prim }) => Best {
                     t,
                     u,
                     v,
-                    prim,
+                    id: prim << 2,
                     found: true,
                 },
                 None => Best::new(super::capped(t_max)),

@@ -152,11 +152,8 @@ pub enum Refit {
 /// A hierarchy whose rays visit so many times as many boxes is built anew.
 const MAX_LOOSENESS: f64 = 1.5;
 
-/// Indices are 30 bits wide, see [`Tag`], and the largest one marks empty slots.
-const MAX_PRIMITIVES: usize = (u32::MAX >> 2) as usize - 1;
-
-/// So many surfaces can be told apart, see [`triangle_block::mark`], and instances have one for each primitive.
-pub(crate) const MAX_INSTANCED: usize = u32::MAX as usize / 2 - (1 << 24);
+/// Indices are 30 bits wide, see [`Tag`], those of instances, too, and the largest one marks empty slots.
+pub(crate) const MAX_PRIMITIVES: usize = (u32::MAX >> 2) as usize - 1;
 
 /// A set of primitives, ready for ray queries.
 ///

@@ -6,7 +6,7 @@ use std::sync::{Arc, OnceLock};
 use ad_core::{Real, Vec3};
 
 use super::ShapeInfo;
-use crate::accel::{self, Accel, AccelError, Flats, Hit, MAX_INSTANCED, Plane, Primitive};
+use crate::accel::{self, Accel, AccelError, Flats, Hit, MAX_PRIMITIVES, Plane, Primitive};
 use crate::camera::Camera;
 use crate::edges::Edges;
 use crate::emitter::Ball;
@@ -233,7 +233,7 @@ impl Layout {
         for (shape, instance) in placed {
             let first = next as u32;
             next += instance.mesh().data().triangles.len();
-            if next > MAX_INSTANCED {
+            if next > MAX_PRIMITIVES {
                 return Err(OutOfReach {
                     shape: Some(shape),
                     error: AccelError::TooMany { found: next },
