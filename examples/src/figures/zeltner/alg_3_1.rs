@@ -75,7 +75,7 @@ impl Case<'_> {
     }
 
     /// The same from the other end: dOmega_k / dA_1, with the cosine there.
-    fn from_the_lamp(&self, start: &Start, at: Vec3<f64>, there: &Solution) -> Option<f64> {
+    fn anchored_at_lamp(&self, start: &Start, at: Vec3<f64>, there: &Solution) -> Option<f64> {
         let space: Space = self.lab.space(Constraint::Angle);
         let mut back = *start;
         back.si.p = at;
@@ -247,7 +247,7 @@ fn anchors(fig: &mut Figure, case: &Case) -> Result {
     let start = case.lab.floor(x, z).ok_or("no floor")?;
     let (_, there) = case.walk(&start, [0.3, 0.6]).ok_or("no chain")?;
     let at = case.lamp_at([0.3, 0.6]);
-    let back = (case.from_the_lamp(&start, at, &there)).ok_or("no chain back")?;
+    let back = (case.anchored_at_lamp(&start, at, &there)).ok_or("no chain back")?;
     let (one, other) = (there.angle_per_target(), back);
     let squared = case.eta * case.eta;
     fig.check(

@@ -116,7 +116,7 @@ impl Waves {
     pub fn gradient(&self, p: Vec3<f64>) -> Vec3<f64> {
         let mut sum = Vec3::zero();
         for (k, phase) in &self.waves {
-            sum = sum + *k * (self.size * (k.dot(p) + phase).cos() / k.length());
+            sum += *k * (self.size * (k.dot(p) + phase).cos() / k.length());
         }
         sum
     }
