@@ -103,9 +103,12 @@ impl Vertex {
 
 /// What happens at a vertex of a chain, wherever that is.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Event {
+pub struct Event {
+    /// Index of the shape.
     pub shape: u32,
+    /// Reflection or refraction.
     pub kind: DeltaKind,
+    /// Which normal scatters.
     pub normal: Normal,
 }
 
@@ -127,8 +130,8 @@ pub struct Derivative {
 }
 
 /// The blocks of the constraint's Jacobian in one row: with the positions of the vertex before, of the vertex, and of the
-/// one after.
-pub(super) type Row = [Mat2<f64>; 3];
+/// one after, or of the target; per length along orthonormal tangents. Of the start, which stays, the block is zero.
+pub type Row = [Mat2<f64>; 3];
 
 fn place<const AT: usize>(x: Moving) -> Local {
     let mut eps = [0.0; 6];
@@ -208,7 +211,7 @@ impl<'a> Space<'a> {
     }
 
     /// [`Space::follow`] with normals of any kind.
-    pub(super) fn trace(&self, start: &Start, d: Vec3<f64>, like: &[Event]) -> Option<Chain> {
+    pub fn trace(&self, start: &Start, d: Vec3<f64>, like: &[Event]) -> Option<Chain> {
         let mut chain = Chain::new();
         let (mut si, mut exit, mut d) = (start.si, start.exit, d);
         for (i, event) in like.iter().enumerate() {
@@ -233,8 +236,9 @@ impl<'a> Space<'a> {
         Some((d, hit, shape))
     }
 
-    /// The blocks of row `i` of the constraint's Jacobian, and the constraint.
-    pub(super) fn row(
+    /// The constraint of vertex `i` of a chain, and its blocks of the Jacobian [Zeltner 2021, figure 3.6]; tangents are those of
+    /// [`Frame::from_normal`] at the geometric normal. `None` where it has no value.
+    pub fn row(
         &self,
         start: Vec3<f64>,
         chain: &[Vertex],

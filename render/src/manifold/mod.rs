@@ -31,7 +31,7 @@ mod normal;
 mod split;
 mod walk;
 
-pub use chain::{Chain, Derivative, Space, Start, Target, Vertex};
+pub use chain::{Chain, Derivative, Event, Row, Space, Start, Target, Vertex};
 pub(crate) use connector::cast;
 pub use connector::{Connection, Connector, Link, Statistics};
 pub use estimate::{distinct, trials};

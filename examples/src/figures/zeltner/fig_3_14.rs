@@ -107,11 +107,11 @@ pub fn figure(fig: &mut Figure) -> Result {
     );
     let colours: Vec<f64> = ends
         .iter()
-        .map(|e| e.map_or(f64::NAN, |k| k as f64))
+        .map(|e| e.map_or(0.0, |k| 1.0 + k as f64))
         .collect();
     fig.image(
         "basins",
-        &Panel::false_colour("basins of the three solutions", size, &colours, 0.0, 2.0)
+        &Panel::false_colour("basins of the three solutions", size, &colours, 0.0, 3.0)
             .enlarged(fig.pick(4, 2)),
     );
 

@@ -1,11 +1,10 @@
 //! [Zeltner 2021, figure 3.19]: where walks start on metal with bumps: anywhere, after a first stage over the smooth surface, or
 //! where particles passed.
 
-use render::bsdf::{Conductor, Material};
 use render::scene::{Connections, Method, Starts};
 
-use super::manifold_methods::{Effort, Measured, bumpy, measure, mirrored};
-use crate::chart::Panel;
+use super::manifold_methods::{Effort, Measured, measure};
+use super::manifold_scenes::{bumpy, metal, mirrored};
 use crate::figure::{Figure, Result};
 use crate::figures::statistics::check_same;
 
@@ -26,12 +25,8 @@ pub fn figure(fig: &mut Figure) -> Result {
     };
     effort.note(fig, size);
     let scene = mirrored(0.15, 3000.0, size, |b| {
-        let specular_reflectance = b.colour("wall", "specular_reflectance", [0.9; 3])?;
-        let metal = Material::from(Conductor {
-            specular_reflectance,
-            index: None,
-        });
-        bumpy(b, metal.into(), SLOPE, SEED)
+        let smooth = metal(b)?;
+        bumpy(b, smooth, SLOPE, SEED)
     })?;
     let of = |starts: Starts, k: u64| {
         let connections = Connections {
@@ -72,11 +67,7 @@ pub fn figure(fig: &mut Figure) -> Result {
     });
     let columns = ["success_rate", "trials", "variance", "steps", "mean"];
     fig.csv("rates", &columns, rows);
-    let exposure = 0.5 / uniform.mean().max(1e-9);
-    let panels = all.map(|(label, m)| {
-        let values: Vec<f64> = m.series.means().iter().map(|x| x * exposure).collect();
-        Panel::false_colour(label, size as usize, &values, 0.0, 2.0).enlarged(fig.pick(10, 4))
-    });
+    let panels = all.map(|(label, m)| m.panel(label, &uniform, fig.pick(10, 4)));
     fig.images("starts", 3, &panels);
     Ok(())
 }

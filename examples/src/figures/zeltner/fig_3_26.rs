@@ -8,7 +8,7 @@ use render::scene::{Connections, Constraint, Method, Starts, Uniqueness};
 
 use super::manifold_methods::{Effort, Measured, measure};
 use super::specular_scenes::{Laboratory, RING, View, load};
-use crate::chart::{LineChart, Panel};
+use crate::chart::LineChart;
 use crate::figure::{Figure, Result};
 use crate::figures::statistics::Estimate;
 
@@ -55,12 +55,7 @@ pub fn figure(fig: &mut Figure) -> Result {
     let error = |m: &Measured| m.variance().sqrt() / m.series.pixels.len() as f64;
     let mut rows = Vec::new();
     let mut panels = Vec::new();
-    let exposure = 0.5 / all.mean().max(1e-9);
-    let mut panel = |label: &str, m: &Measured| {
-        let values: Vec<f64> = m.series.means().iter().map(|x| x * exposure).collect();
-        let panel = Panel::false_colour(label, view.size as usize, &values, 0.0, 2.0);
-        panels.push(panel.enlarged(fig.pick(10, 4)));
-    };
+    let factor = fig.pick(10, 4);
     for (k, walks) in (1..).zip(WALKS).take(fig.pick(3, 4)) {
         let seed = effort.seed + 1000 * k;
         let connections = single(Method::SmsBiased(walks));
@@ -68,9 +63,9 @@ pub fn figure(fig: &mut Figure) -> Result {
         let ratio = found.mean() / all.mean();
         let relative = (error(&found) / found.mean()).hypot(error(&all) / all.mean());
         rows.push([f64::from(walks), ratio, ratio * relative]);
-        panel(&format!("{walks} walks"), &found);
+        panels.push(found.panel(&format!("{walks} walks"), &all, factor));
     }
-    panel("unbiased", &all);
+    panels.push(all.panel("unbiased", &all, factor));
     fig.check(
         "the energy grows with the trial set, towards that of unbiased estimates",
         rows.windows(2).all(|r| r[1][1] > r[0][1]) && rows.iter().all(|r| r[1] < 1.0 + 4.0 * r[2]),

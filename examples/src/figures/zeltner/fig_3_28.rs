@@ -9,8 +9,9 @@ use render::bsdf::microfacet::Ndf;
 use render::bsdf::{Conductor, Material, RoughConductor, Roughness};
 use render::scene::{Connections, Method};
 
-use super::manifold_methods::{Effort, measure, mirrored};
-use crate::chart::{LineChart, Panel};
+use super::manifold_methods::{Effort, measure};
+use super::manifold_scenes::mirrored;
+use crate::chart::LineChart;
 use crate::figure::{Figure, Result};
 use crate::figures::statistics::limit;
 
@@ -74,12 +75,9 @@ pub fn figure(fig: &mut Figure) -> Result {
             paths.mean(),
             worst,
         ]);
-        let exposure = 0.5 / chains.mean().max(1e-9);
         for (label, m) in [("chains", &chains), ("paths", &paths)] {
-            let values: Vec<f64> = m.series.means().iter().map(|x| x * exposure).collect();
             let label = format!("{label}, {alpha}");
-            let panel = Panel::false_colour(&label, size as usize, &values, 0.0, 2.0);
-            panels.push(panel.enlarged(fig.pick(8, 3)));
+            panels.push(m.panel(&label, &chains, fig.pick(8, 3)));
         }
     }
     let (first, last) = (rows[0], rows[ALPHA.len() - 1]);

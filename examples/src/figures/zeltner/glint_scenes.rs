@@ -60,6 +60,34 @@ impl Slopes {
         Self { n, texels }
     }
 
+    /// Of a flat surface with straight scratches of this half width, in texels, whose sides are this steep.
+    pub fn scratched(n: usize, count: u64, half_width: f64, steep: f64, seed: u64) -> Self {
+        let mut texels = vec![[0.0; 2]; n * n];
+        let size = n as f64;
+        for k in 0..count {
+            let u = |i: u64| number(seed, 8 * k + i);
+            let (sin, cos) = (std::f64::consts::PI * u(0)).sin_cos();
+            let middle = [size * u(1), size * u(2)];
+            let half_length = size * (0.1 + 0.25 * u(3));
+            let reach = (half_length + half_width).ceil() as i64;
+            for dy in -reach..=reach {
+                for dx in -reach..=reach {
+                    let at = [middle[0].floor() + dx as f64, middle[1].floor() + dy as f64];
+                    let off = [at[0] - middle[0], at[1] - middle[1]];
+                    let (along, across) =
+                        (off[0] * cos + off[1] * sin, off[1] * cos - off[0] * sin);
+                    if along.abs() > half_length || across.abs() > half_width {
+                        continue;
+                    }
+                    let slope = steep * (std::f64::consts::PI * across / half_width).sin();
+                    let [x, y] = at.map(|c| (c as i64).rem_euclid(n as i64) as usize);
+                    texels[y * n + x] = [-slope * sin, slope * cos];
+                }
+            }
+        }
+        Self { n, texels }
+    }
+
     /// A metal under this map, repeated so many times.
     ///
     /// # Errors

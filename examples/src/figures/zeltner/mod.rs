@@ -3,6 +3,7 @@
 //! Experiments with random numbers in one dimension share [`integration_1d`], those with differential estimators
 //! [`taxonomy`]. Those of whole scenes take them from [`super::common_scenes`].
 
+pub mod alg_3_1;
 pub mod alg_3_2;
 pub mod alg_4_1;
 pub mod alg_4_3;
@@ -30,9 +31,19 @@ pub mod fig_3_13;
 pub mod fig_3_14;
 pub mod fig_3_15;
 pub mod fig_3_17;
+pub mod fig_3_18;
 pub mod fig_3_19;
+pub mod fig_3_20;
+pub mod fig_3_22;
+pub mod fig_3_23;
+pub mod fig_3_24;
+pub mod fig_3_25;
 pub mod fig_3_26;
+pub mod fig_3_27;
 pub mod fig_3_28;
+pub mod fig_3_30;
+pub mod fig_3_6;
+pub mod fig_3_8;
 pub mod fig_4_10;
 pub mod fig_4_11;
 pub mod fig_4_12;
@@ -57,7 +68,9 @@ pub mod fig_4_8;
 mod fresnel_angles;
 mod glint_scenes;
 pub mod integration_1d;
+mod manifold_comparison;
 mod manifold_methods;
+mod manifold_scenes;
 mod microfacet;
 mod propagation;
 pub mod radiance_split;

@@ -1,0 +1,64 @@
+//! [Zeltner 2021, figure 3.25]: a wall of bumpy metal and a half-buried ball of bumpy glass, by paths, by one walk towards the
+//! light, by unbiased estimates and by trial sets.
+
+use render::scene::{Connections, Method};
+
+use super::manifold_comparison::compare;
+use super::manifold_methods::{Effort, correlation, measure};
+use super::manifold_scenes::{Waves, bumpy, glass, half_ball, mapped_ball, metal, mirrored};
+use crate::figure::{Figure, Result};
+
+const SEED: u64 = 325;
+/// `zeltner-3-25`.
+///
+/// # Errors
+/// None that the built-in scenes can cause.
+pub fn figure(fig: &mut Figure) -> Result {
+    let size = fig.pick(12, 48);
+    let plane = mirrored(0.15, 3000.0, size, |b| {
+        let smooth = metal(b)?;
+        bumpy(b, smooth, 0.1, SEED)
+    })?;
+    let sphere = half_ball(size, 0.2, |b, radius| {
+        let smooth = glass(b)?;
+        let waves = Waves::new(3.0, 0.07, SEED);
+        let material = mapped_ball(b, radius, &waves, 128, smooth)?;
+        b.ball("ball", [0.0; 3], radius, &material)?;
+        Ok(())
+    })?;
+    let effort = Effort {
+        runs: fig.pick(8, 16),
+        spp: fig.pick(2, 16),
+        seed: SEED,
+    };
+    effort.note(fig, size);
+    let wall = compare(fig, "wall", &plane, 1, effort)?;
+    let left = wall.share(&wall.mnee);
+    fig.check(
+        "wall: one walk to the middle of the metal finds less than half of the light",
+        left < 0.5,
+        format!("{left:.3} of it"),
+    );
+    // What is missing is the same in independent images, of independent references.
+    let (walks, set) = &wall.sets[0];
+    let again = |k: u64, method: Method| {
+        let connections = Connections {
+            bounces: 1,
+            ..Connections::new(method)
+        };
+        let seed = effort.seed + 1000 * k;
+        measure(&plane, connections, false, Effort { seed, ..effort })
+    };
+    let (few, all) = (
+        again(30, Method::SmsBiased(*walks))?,
+        again(31, Method::Sms)?,
+    );
+    let alike = correlation([set, &wall.sms], [&few, &all]);
+    fig.check(
+        format!("wall: what trial sets of {walks} miss is the same for other seeds"),
+        alike > 0.5,
+        format!("correlation of blocks {alike:.3}"),
+    );
+    compare(fig, "ball", &sphere, 1, effort)?;
+    Ok(())
+}

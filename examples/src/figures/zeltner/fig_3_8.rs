@@ -1,0 +1,88 @@
+//! [Zeltner 2021, figure 3.8]: a half-buried ball of smooth glass, by one walk towards the lamp and by paths.
+
+use render::scene::{Connections, Method, Starts};
+
+use super::manifold_methods::{Effort, Measured, measure};
+use super::manifold_scenes::{glass, half_ball};
+use crate::figure::{Figure, Result};
+use crate::figures::statistics::check_same;
+
+const SEED: u64 = 38;
+
+/// `zeltner-3-8`.
+///
+/// # Errors
+/// None that the built-in scene can cause.
+pub fn figure(fig: &mut Figure) -> Result {
+    let size = fig.pick(24, 64);
+    let effort = Effort {
+        runs: 16,
+        spp: fig.pick(2, 16),
+        seed: SEED,
+    };
+    effort.note(fig, size);
+    let scene = half_ball(size, 0.2, |b, radius| {
+        let smooth = glass(b)?;
+        b.ball("ball", [0.0; 3], radius, &smooth)?;
+        Ok(())
+    })?;
+    let of = |k: u64, method: Method, by_paths: bool| {
+        let connections = Connections {
+            bounces: 1,
+            starts: Starts::Uniform,
+            ..Connections::new(method)
+        };
+        let seed = effort.seed + 1000 * k;
+        // Paths are quick, and seldom meet the lamp.
+        let spp = effort.spp * if by_paths { 64 } else { 1 };
+        measure(
+            &scene,
+            connections,
+            by_paths,
+            Effort {
+                runs: effort.runs,
+                spp,
+                seed,
+            },
+        )
+    };
+    let (one, all) = (of(1, Method::Mnee, false)?, of(2, Method::Sms, false)?);
+    let paths = of(3, Method::Sms, true)?;
+    let lit = |m: &Measured| {
+        let means = m.series.pixels.iter().map(|e| e.mean > 0.0);
+        means.collect::<Vec<_>>()
+    };
+    let (found, lit) = (lit(&one), lit(&all));
+    let both = found.iter().zip(&lit).filter(|(a, b)| **a && **b).count();
+    let pixels = lit.iter().filter(|l| **l).count();
+    fig.check(
+        "one walk towards the lamp finds light in nine of ten pixels that have any",
+        both * 10 > pixels * 9,
+        format!("{both} of {pixels}"),
+    );
+    let gain = (paths.variance_after(one.seconds) / one.variance()).sqrt();
+    fig.check(
+        "in the same time its error is ten times smaller than that of paths",
+        gain > 10.0,
+        format!("{gain:.0} times"),
+    );
+    let statement = "here it finds all light: there is one chain at most from each point";
+    check_same(
+        fig,
+        &[statement],
+        [&one.series, &all.series],
+        effort.runs,
+        1e-3,
+    );
+    let factor = fig.pick(8, 4);
+    let panels = [("paths", &paths), ("one walk", &one), ("unbiased", &all)];
+    let panels = panels.map(|(label, m)| m.panel(label, &all, factor));
+    fig.images("ball", 3, &panels);
+    let rows = [&paths, &one, &all].map(|m| [m.mean(), m.variance(), m.success(), m.seconds]);
+    fig.csv(
+        "methods",
+        &["mean", "variance", "success_rate", "seconds"],
+        rows,
+    );
+    Ok(())
+}

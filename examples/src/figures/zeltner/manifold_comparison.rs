@@ -1,0 +1,143 @@
+//! Paths, one walk towards the light, unbiased estimates and trial sets, compared in one scene.
+
+use render::Scene;
+use render::scene::{Connections, Method};
+
+use super::manifold_methods::{Effort, Measured, measure};
+use crate::chart::LineChart;
+use crate::figure::{Figure, Result};
+
+/// What was found in a scene.
+pub struct Compared {
+    /// By one walk.
+    pub mnee: Measured,
+    /// By unbiased estimates.
+    pub sms: Measured,
+    /// By trial sets, and their sizes, which grow.
+    pub sets: Vec<(u32, Measured)>,
+}
+
+impl Compared {
+    /// What part of the light is found.
+    pub fn share(&self, found: &Measured) -> f64 {
+        found.mean() / self.sms.mean()
+    }
+}
+
+/// All methods in one scene, over chains of at most so many vertices: checks of what they miss and of their noise, pictures,
+/// and charts of their errors over time.
+///
+/// # Errors
+/// Those of rendering.
+pub fn compare(
+    fig: &mut Figure,
+    name: &str,
+    scene: &Scene,
+    bounces: u32,
+    effort: Effort,
+) -> Result<Compared> {
+    let measured = |k: u64, method: Method, by_paths: bool, spp: u64| {
+        let connections = Connections {
+            bounces,
+            ..Connections::new(method)
+        };
+        let seed = effort.seed + 1000 * k;
+        let effort = Effort {
+            seed,
+            spp,
+            ..effort
+        };
+        measure(scene, connections, by_paths, effort)
+    };
+    let of = |k: u64, method: Method| measured(k, method, false, effort.spp);
+    // Paths are quick, and seldom meet a light.
+    let paths = measured(1, Method::Sms, true, fig.pick(512, 32) * effort.spp)?;
+    let mnee = of(2, Method::Mnee)?;
+    let sms = of(3, Method::Sms)?;
+    let sizes: &[u32] = fig.pick(&[2, 8], &[4, 16, 64]);
+    let sets: Vec<(u32, Measured)> = (sizes.iter().zip(10..))
+        .map(|(walks, k)| Ok((*walks, of(k, Method::SmsBiased(*walks))?)))
+        .collect::<Result<_>>()?;
+    let found = Compared { mnee, sms, sets };
+    let Compared { mnee, sms, sets } = &found;
+
+    // ---- Errors in the same time ----
+    // Where paths find what one walk misses, they do so with the noise of as much of their light.
+    let missing = 1.0 - found.share(mnee);
+    let seconds = sms.seconds;
+    let by_paths = paths.variance_after(seconds);
+    let errors = [
+        by_paths,
+        mnee.variance_after(seconds) + missing * by_paths,
+        sms.variance(),
+    ];
+    fig.check(
+        format!("{name}: in the same time paths have most noise, then one walk with paths for what it misses, then unbiased estimates"),
+        errors[0] > errors[1] && errors[1] > errors[2],
+        format!("variance {errors:.2?}; one walk misses {:.1} % of the light", 100.0 * missing),
+    );
+
+    // ---- Trial sets ----
+    let relative = |m: &Measured| m.variance().sqrt() / (m.mean() * m.series.pixels.len() as f64);
+    let noise = relative(&sets[1].1).hypot(relative(sms));
+    let shares: Vec<f64> = sets.iter().map(|(_, m)| found.share(m)).collect();
+    fig.check(
+        format!("{name}: trial sets lose light, smaller ones more"),
+        shares.windows(2).all(|w| w[0] < w[1]) && shares[0] < 0.95 && shares[1] < 1.0 + 4.0 * noise,
+        format!("{shares:.3?} of it"),
+    );
+    let noise: Vec<f64> = sets.iter().map(|(_, m)| m.variance()).collect();
+    fig.check(
+        format!("{name}: the smallest have less noise than unbiased estimates at equal samples"),
+        noise[0] < sms.variance(),
+        format!("variance {noise:.3?} and {:.3} unbiased", sms.variance()),
+    );
+
+    let others = [("paths", &paths), ("one walk", mnee), ("unbiased", sms)];
+    let labels = sets.iter().map(|(walks, m)| (format!("{walks} walks"), m));
+    let all: Vec<(String, &Measured)> = (others.map(|(l, m)| (l.to_owned(), m)).into_iter())
+        .chain(labels)
+        .collect();
+    let factor = fig.pick(10, 4);
+    let panels: Vec<_> = (all.iter())
+        .map(|(label, m)| m.panel(label, sms, factor))
+        .collect();
+    fig.images(name, 3, &panels);
+    let rows = all.iter().map(|(label, m)| {
+        let numbers = [
+            m.mean(),
+            m.variance(),
+            m.squared_bias(sms),
+            m.success(),
+            m.trials(),
+            m.seconds,
+        ];
+        let [a, b, c, d, e, f] = numbers.map(|x| x.to_string());
+        [label.clone(), a, b, c, d, e, f]
+    });
+    let columns = [
+        "method",
+        "mean",
+        "variance",
+        "squared_bias",
+        "success_rate",
+        "trials",
+        "seconds",
+    ];
+    fig.csv_text(name, &columns, rows.collect::<Vec<_>>());
+    // Noise falls with time, what is missing stays.
+    let times: Vec<f64> = (-4..=10).map(|k| seconds * 2f64.powi(k)).collect();
+    let mut chart = LineChart::new(&format!("{name}: error and time"), "seconds", "error")
+        .log_x()
+        .log_y();
+    for (label, m) in &all {
+        let missing = match label.as_str() {
+            "paths" | "unbiased" => 0.0,
+            _ => m.squared_bias(sms),
+        };
+        let error = |t: &f64| (*t, (m.variance_after(*t) + missing).sqrt());
+        chart = chart.line(label, times.iter().map(error));
+    }
+    fig.chart(&format!("{name}-errors"), &chart);
+    Ok(found)
+}
