@@ -119,9 +119,10 @@ impl Slabs {
         let (low, high) = (bounds.min.to_array(), bounds.max.to_array());
         let (mut near, mut far) = (0.0f32, limit);
         for k in 0..3 {
-            let (first, last) = match self.inverse[k] < 0.0 {
-                true => (high[k], low[k]),
-                false => (low[k], high[k]),
+            let (first, last) = if self.inverse[k] < 0.0 {
+                (high[k], low[k])
+            } else {
+                (low[k], high[k])
             };
             near = near.max(first * self.inverse[k] + self.base[k][0]);
             far = far.min(last * self.inverse[k] + self.base[k][1]);
