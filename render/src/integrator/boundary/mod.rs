@@ -38,7 +38,6 @@ use super::rendering::{Components, NonFinite, Rendering};
 use super::sink::{GradientSums, Sink};
 use super::tile::{Paths, Sample, place, spot};
 use super::vertex::MODE;
-use crate::accel::SEAM;
 use crate::bsdf::{Bsdf, Shading};
 use crate::camera::Pinhole;
 use crate::edges::film::{FilmCurves, FilmPoint, Inside, Sides};
@@ -52,8 +51,8 @@ use crate::scene::{Caustics, Intersection};
 use crate::shape::{Shape, SurfaceInteraction};
 
 /// How far rays pass from an edge that they are to clear, relative to its distance, and to the largest coordinate of its
-/// shape: beyond the seam by which faces reach over their sides.
-const CLEARANCE: [f64; 2] = [3e-5, 8.0 * SEAM as f64];
+/// shape: several roundings of an f32.
+const CLEARANCE: [f64; 2] = [3e-5, 1e-6];
 /// What is met beside an edge nearer than this part of its distance hides it.
 const SAME_DEPTH: f64 = 1.0 - 1e-3;
 /// What is met nearer than this part of the distance of the point itself, and is none of its faces, hides it.
