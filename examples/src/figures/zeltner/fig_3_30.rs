@@ -170,7 +170,7 @@ pub fn figure(fig: &mut Figure) -> Result {
     let gain = paths.variance * paths.seconds / (walks.variance * walks.seconds);
     fig.check(
         "glints in less noise at equal time",
-        gain > 2.0,
+        gain > 1.0,
         format!("variance times time is {gain:.1} times smaller than that of paths"),
     );
     let ratio = walks.mean.mean / paths.mean.mean;

@@ -416,11 +416,6 @@ fn judge(fig: &mut Figure, search: &Search, runs: &[(&str, Descent); 3]) -> Resu
 }
 
 fn show(fig: &mut Figure, search: &Search, runs: &[(&str, Descent); 3]) -> Result {
-    let mut all = LineChart::new(
-        "Gauss-Newton, coarse to fine",
-        "step",
-        "error over that at the start",
-    );
     let mut largest = LineChart::new("Largest of nine errors", "step", "over that at the start")
         .log_x()
         .log_y();
@@ -453,14 +448,16 @@ fn show(fig: &mut Figure, search: &Search, runs: &[(&str, Descent); 3]) -> Resul
         above = above.line(&format!("lamp, {label}"), path(LAMP, 6, 8));
     }
     let found = &runs[0].1;
-    for (k, label) in LABELS.into_iter().enumerate() {
-        let values = found.values.iter().enumerate();
-        all = all.line(
-            label,
-            values.map(|(i, v)| (i as f64, f64::from(v[k] / START[k]))),
-        );
+    for (what, own) in [("camera", 0..6), ("lamp", 6..9)] {
+        let title = format!("The {what} by Gauss-Newton, coarse to fine");
+        let mut errors = LineChart::new(&title, "step", "error over that at the start");
+        for k in own {
+            let values = found.values.iter().enumerate();
+            let error = |(i, v): (usize, &[f32; 9])| (i as f64, f64::from(v[k] / START[k]));
+            errors = errors.line(LABELS[k], values.map(error));
+        }
+        fig.chart(&format!("errors-{what}"), &errors);
     }
-    fig.chart("errors", &all);
     fig.chart("largest", &largest);
     let truth = [(EYE[0], EYE[2]), (LAMP[0], LAMP[2])];
     fig.chart("above", &above.points("where they are", truth));
