@@ -224,6 +224,19 @@ fn court() -> (Case, Scene) {
     (Case { name, body }, scene)
 }
 
+/// A camera, a lamp above and a sky.
+const LIT: &str = r#"<sensor type="perspective"><float name="fov" value="50"/>
+        <transform name="to_world"><lookat origin="0, 1, 4" target="0, 0.4, 0" up="0, 1, 0"/></transform>
+        <film type="hdrfilm"><integer name="width" value="20"/><integer name="height" value="20"/></film></sensor>
+        <integrator type="path"><integer name="max_depth" value="5"/></integrator>
+        <shape type="rectangle"><transform name="to_world"><scale value="0.5"/><rotate x="1" angle="90"/><translate y="2.5" z="1"/></transform>
+        <emitter type="area"><rgb name="radiance" value="7, 6, 5"/></emitter></shape>
+        <emitter type="constant" id="sky"><rgb name="radiance" value="0.3, 0.4, 0.5"/></emitter>"#;
+
+/// A mesh with texture coordinates and interpolated normals.
+const TENT: &str = "v -1 0 0\nv 1 0 0\nv 0 0.4 0.5\nv 0 1.2 -0.3\nvt 0 0\nvt 1 0.2\nvt 0.4 0.6\nvt 0.5 1\n\
+    vn 0 0.2 1\nvn 0.3 0.3 1\nf 1/1/1 2/2/2 3/3/1\nf 1/1/1 3/3/1 4/4/2\nf 3/3/1 2/2/2 4/4/2\n";
+
 /// A ball and a mesh under bump maps, one of them over a textured blend.
 fn bumps() -> (Case, Scene) {
     let dir = tempfile::tempdir().unwrap();
@@ -236,9 +249,7 @@ fn bumps() -> (Case, Scene) {
     };
     write_exr(&heights, &image).unwrap();
     let mesh = dir.path().join("tent.obj");
-    let tent = "v -1 0 0\nv 1 0 0\nv 0 0.4 0.5\nv 0 1.2 -0.3\nvt 0 0\nvt 1 0.2\nvt 0.4 0.6\nvt 0.5 1\n\
-        vn 0 0.2 1\nvn 0.3 0.3 1\nf 1/1/1 2/2/2 3/3/1\nf 1/1/1 3/3/1 4/4/2\nf 3/3/1 2/2/2 4/4/2\n";
-    std::fs::write(&mesh, tent).unwrap();
+    std::fs::write(&mesh, TENT).unwrap();
     let (heights, mesh) = (heights.display(), mesh.display());
     let bitmap = |name: &str| {
         format!(
@@ -257,13 +268,7 @@ fn bumps() -> (Case, Scene) {
     );
     let (ball, tent) = (bump(metal), bump(&blend));
     let body = format!(
-        r#"<sensor type="perspective"><float name="fov" value="50"/>
-        <transform name="to_world"><lookat origin="0, 1, 4" target="0, 0.4, 0" up="0, 1, 0"/></transform>
-        <film type="hdrfilm"><integer name="width" value="20"/><integer name="height" value="20"/></film></sensor>
-        <integrator type="path"><integer name="max_depth" value="5"/></integrator>
-        <shape type="rectangle"><transform name="to_world"><scale value="0.5"/><rotate x="1" angle="90"/><translate y="2.5" z="1"/></transform>
-        <emitter type="area"><rgb name="radiance" value="7, 6, 5"/></emitter></shape>
-        <emitter type="constant" id="sky"><rgb name="radiance" value="0.3, 0.4, 0.5"/></emitter>
+        r#"{LIT}
         <shape type="sphere"><point name="center" value="-0.7, 0.4, 0.6"/><float name="radius" value="0.4"/>{ball}</shape>
         <shape type="obj"><string name="filename" value="{mesh}"/><bsdf type="twosided">{tent}</bsdf></shape>"#
     );
@@ -276,9 +281,7 @@ fn bumps() -> (Case, Scene) {
 fn instances() -> (Case, Scene) {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("tent.obj");
-    let tent = "v -1 0 0\nv 1 0 0\nv 0 0.4 0.5\nv 0 1.2 -0.3\nvt 0 0\nvt 1 0.2\nvt 0.4 0.6\nvt 0.5 1\n\
-        vn 0 0.2 1\nvn 0.3 0.3 1\nf 1/1/1 2/2/2 3/3/1\nf 1/1/1 3/3/1 4/4/2\nf 3/3/1 2/2/2 4/4/2\n";
-    std::fs::write(&path, tent).unwrap();
+    std::fs::write(&path, TENT).unwrap();
     let path = path.display();
     let instance = |at: &str| {
         format!(
@@ -286,13 +289,7 @@ fn instances() -> (Case, Scene) {
         )
     };
     let body = format!(
-        r#"<sensor type="perspective"><float name="fov" value="50"/>
-        <transform name="to_world"><lookat origin="0, 1, 4" target="0, 0.4, 0" up="0, 1, 0"/></transform>
-        <film type="hdrfilm"><integer name="width" value="20"/><integer name="height" value="20"/></film></sensor>
-        <integrator type="path"><integer name="max_depth" value="5"/></integrator>
-        <shape type="rectangle"><transform name="to_world"><scale value="0.5"/><rotate x="1" angle="90"/><translate y="2.5" z="1"/></transform>
-        <emitter type="area"><rgb name="radiance" value="7, 6, 5"/></emitter></shape>
-        <emitter type="constant" id="sky"><rgb name="radiance" value="0.3, 0.4, 0.5"/></emitter>
+        r#"{LIT}
         <shape type="rectangle"><transform name="to_world"><scale value="3"/><rotate x="1" angle="-90"/></transform></shape>
         <shape type="shapegroup" id="group"><shape type="obj"><string name="filename" value="{path}"/><bsdf type="twosided">
         <bsdf type="roughconductor"><float name="alpha" value="0.2"/></bsdf></bsdf></shape></shape>{}{}{}"#,

@@ -268,6 +268,22 @@ pub const ROOK: [[f64; 2]; 12] = [
     [0.0, 1.04],
 ];
 
+/// A table of metal of this roughness, `table`, above a matt floor, `floor`.
+///
+/// # Errors
+/// None for a roughness that metals have.
+pub fn table(builder: &mut SceneBuilder, alpha: f64) -> Result {
+    let floor = builder.matt("floor", [0.35, 0.32, 0.3])?;
+    let table = builder.metal("table", [0.7, 0.62, 0.5], alpha)?;
+    let flat = |half: f64, y: f64| {
+        let side = 2.0 * half;
+        [[-half, y, half], [side, 0.0, 0.0], [0.0, 0.0, -side]]
+    };
+    builder.quad("floor", flat(12.0, -0.6), &floor)?;
+    builder.quad("table", flat(2.0, 0.0), &table)?;
+    Ok(())
+}
+
 /// A board with a bishop, a rook and pawns on a floor, under one lamp and dim ambient light. The
 /// materials are `floor`, `table`, `bishop`, `rook` and `pawn`.
 ///
@@ -275,18 +291,11 @@ pub const ROOK: [[f64; 2]; 12] = [
 /// None for a size above zero.
 pub fn chess(size: [u32; 2], max_depth: u32) -> Result<Scene> {
     let mut builder = SceneBuilder::default();
-    let floor = builder.matt("floor", [0.35, 0.32, 0.3])?;
-    let table = builder.metal("table", [0.7, 0.62, 0.5], 0.25)?;
+    table(&mut builder, 0.25)?;
     let bishop = builder.matt("bishop", [0.6, 0.25, 0.15])?;
     let rook = builder.matt("rook", [0.75, 0.72, 0.65])?;
     let pawn = builder.matt("pawn", [0.25, 0.3, 0.4])?;
     let black = builder.matt("black", [0.0; 3])?;
-    let flat = |half: f64, y: f64| {
-        let side = 2.0 * half;
-        [[-half, y, half], [side, 0.0, 0.0], [0.0, 0.0, -side]]
-    };
-    builder.quad("floor", flat(12.0, -0.6), &floor)?;
-    builder.quad("table", flat(2.0, 0.0), &table)?;
     builder.turned("bishop", &BISHOP, [-0.25, 0.0, 0.35], &bishop)?;
     builder.turned("rook", &ROOK, [0.85, 0.0, -0.3], &rook)?;
     for at in [[-1.1, 0.0, -0.4], [0.2, 0.0, -0.9], [0.75, 0.0, 0.75]] {

@@ -150,7 +150,7 @@ impl Scene {
             }
             let points = match shape {
                 AnyShape::Mesh(mesh) if !mesh.is_displaced() => Some(mesh.points()),
-                AnyShape::Instance(instance) => Some(instance.copied().points()),
+                AnyShape::Instance(instance) => Some(instance.mesh().points()),
                 _ => None,
             };
             if let Some(count) = points

@@ -128,7 +128,7 @@ impl Instance {
         let flip = mesh.is_flipped() ^ mirrored;
         let copy = Mesh::with_normals(copy, flip, self.follows_points());
         // All that is checked there was here.
-        copy.unwrap_or_else(|_| mesh.clone())
+        copy.unwrap_or_else(|_| mesh.clone()).welded_like(mesh)
     }
 
     /// Whether normals are those that follow from the points in the world: made of them, and angles stay.

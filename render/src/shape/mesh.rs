@@ -11,7 +11,7 @@ use smallvec::SmallVec;
 use super::displacement::HEIGHTS;
 use super::partials::variables;
 use super::patch::intersect_plane;
-use super::vertices::{MovingTriangle, MovingVertices};
+use super::vertices::{MovingTriangle, MovingVertices, Welding};
 use super::{
     DirectionSample, Partials, Shape, ShapeSample, SurfaceAdjoint, SurfaceCoordinates,
     SurfaceInteraction, coordinates_in_plane, hit_is_exact, lift3,
@@ -61,6 +61,8 @@ pub(super) struct Data {
     extent: f32,
     /// Running sums of the triangles' areas: only meshes that emit need them.
     cdf: OnceLock<Vec<f64>>,
+    /// See [`Mesh::welding`], once somebody asks for it.
+    pub welding: OnceLock<Arc<Welding>>,
 }
 
 impl Mesh {
@@ -139,6 +141,7 @@ impl Mesh {
             area: 0.0,
             extent,
             cdf: OnceLock::new(),
+            welding: OnceLock::new(),
         };
         data.area = (0..data.mesh.triangles.len())
             .map(|i| data.triangle(i).double_area() * 0.5)
@@ -251,6 +254,7 @@ impl Mesh {
             + size_of_val(&m.uvs[..])
             + size_of_val(&m.triangles[..])
             + self.data.cdf.get().map_or(0, |c| size_of_val(&c[..]))
+            + (self.data.welding.get()).map_or(0, |w| 4 * (w.points.len() + w.firsts.len()))
     }
 }
 

@@ -205,8 +205,18 @@ impl Mesh {
     pub fn welding(&self) -> Arc<Welding> {
         match &self.vertices {
             Some(vertices) => vertices.welding.clone(),
-            None => Arc::new(Welding::new(&self.data.mesh.positions)),
+            None => {
+                let new = || Arc::new(Welding::new(&self.data.mesh.positions));
+                self.data.welding.get_or_init(new).clone()
+            }
         }
+    }
+
+    /// The same mesh, whose vertices are one point where those of another one are, with as many.
+    pub(super) fn welded_like(self, other: &Mesh) -> Self {
+        // Nobody has asked a mesh that is new.
+        let _ = self.data.welding.set(other.welding());
+        self
     }
 
     /// How many points its vertices are.

@@ -77,11 +77,8 @@ pub fn figure(fig: &mut Figure) -> Result {
     let mut measured = Vec::new();
     for (k, (label, method, starts, constraint)) in (0..).zip(methods) {
         let connections = single(method, starts, constraint);
-        let seed = effort.seed + 1000 * k;
-        measured.push((
-            label,
-            measure(&scene, connections, false, Effort { seed, ..effort })?,
-        ));
+        let found = measure(&scene, connections, false, effort.other(k))?;
+        measured.push((label, found));
     }
     let of = |k: usize| &measured[k].1;
     // Of all walks that converge, some by half vectors end behind the surface: what counts is light.

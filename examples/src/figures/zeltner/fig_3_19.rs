@@ -34,8 +34,7 @@ pub fn figure(fig: &mut Figure) -> Result {
             starts,
             ..Connections::new(Method::Sms)
         };
-        let seed = effort.seed + 1000 * k;
-        measure(&scene, connections, false, Effort { seed, ..effort })
+        measure(&scene, connections, false, effort.other(k))
     };
     let uniform = of(Starts::Uniform, 0)?;
     let staged = of(Starts::TwoStage, 1)?;

@@ -145,11 +145,9 @@ pub fn figure(fig: &mut Figure) -> Result {
             roughness: 1.0,
             ..Connections::new(Method::Sms)
         };
-        let seed = effort.seed + 1000 * k;
         let effort = Effort {
-            seed,
             spp,
-            ..effort
+            ..effort.other(k)
         };
         measure(scene, connections, by_paths, effort)
     };

@@ -46,8 +46,7 @@ pub fn figure(fig: &mut Figure) -> Result {
             bounces: 1,
             ..Connections::new(method)
         };
-        let seed = effort.seed + 1000 * k;
-        measure(&plane, connections, false, Effort { seed, ..effort })
+        measure(&plane, connections, false, effort.other(k))
     };
     let (few, all) = (
         again(30, Method::SmsBiased(*walks))?,

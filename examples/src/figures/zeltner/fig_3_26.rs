@@ -57,9 +57,8 @@ pub fn figure(fig: &mut Figure) -> Result {
     let mut panels = Vec::new();
     let factor = fig.pick(10, 4);
     for (k, walks) in (1..).zip(WALKS).take(fig.pick(3, 4)) {
-        let seed = effort.seed + 1000 * k;
         let connections = single(Method::SmsBiased(walks));
-        let found = measure(&ring.scene, connections, false, Effort { seed, ..effort })?;
+        let found = measure(&ring.scene, connections, false, effort.other(k))?;
         let ratio = found.mean() / all.mean();
         let relative = (error(&found) / found.mean()).hypot(error(&all) / all.mean());
         rows.push([f64::from(walks), ratio, ratio * relative]);

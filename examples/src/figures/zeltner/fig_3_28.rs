@@ -55,10 +55,10 @@ pub fn figure(fig: &mut Figure) -> Result {
             roughness: 1.0,
             ..Connections::new(Method::Sms)
         };
-        let seed = effort.seed + 1000 * i as u64;
-        let chains = measure(&scene, connections, false, Effort { seed, ..effort })?;
+        let effort = effort.other(i as u64);
+        let chains = measure(&scene, connections, false, effort)?;
         let paths = Effort {
-            seed: seed + 500,
+            seed: effort.seed + 500,
             spp: 4 * effort.spp,
             ..effort
         };

@@ -32,19 +32,13 @@ pub fn figure(fig: &mut Figure) -> Result {
             starts: Starts::Uniform,
             ..Connections::new(method)
         };
-        let seed = effort.seed + 1000 * k;
         // Paths are quick, and seldom meet the lamp.
         let spp = effort.spp * if by_paths { 64 } else { 1 };
-        measure(
-            &scene,
-            connections,
-            by_paths,
-            Effort {
-                runs: effort.runs,
-                spp,
-                seed,
-            },
-        )
+        let effort = Effort {
+            spp,
+            ..effort.other(k)
+        };
+        measure(&scene, connections, by_paths, effort)
     };
     let (one, all) = (of(1, Method::Mnee, false)?, of(2, Method::Sms, false)?);
     let paths = of(3, Method::Sms, true)?;

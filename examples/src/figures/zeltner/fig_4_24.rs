@@ -14,7 +14,7 @@ use render::{Image, Job, RenderError, Scene};
 
 use crate::chart::{LineChart, Panel};
 use crate::figure::{Figure, Result};
-use crate::figures::common_scenes::{BISHOP, PAWN, ROOK};
+use crate::figures::common_scenes::{BISHOP, PAWN, ROOK, table};
 use crate::figures::statistics::{Estimate, per_pixel};
 use crate::optimise::{Algorithm, Problem, Target};
 use crate::scene_builder::{self, SceneBuilder, View};
@@ -38,15 +38,8 @@ const RATES: [f64; 3] = [0.025, 0.006, 0.02];
 /// Three turned pieces and two metal balls on a table of rough metal, below a spherical lamp that is not in view.
 fn scene(width: u32) -> Result<Scene> {
     let mut builder = SceneBuilder::default();
-    let floor = builder.matt("floor", [0.35, 0.32, 0.3])?;
-    let table = builder.metal("table", [0.7, 0.62, 0.5], 0.4)?;
+    table(&mut builder, 0.4)?;
     let black = builder.matt("black", [0.0; 3])?;
-    let flat = |half: f64, y: f64| {
-        let side = 2.0 * half;
-        [[-half, y, half], [side, 0.0, 0.0], [0.0, 0.0, -side]]
-    };
-    builder.quad("floor", flat(12.0, -0.6), &floor)?;
-    builder.quad("table", flat(2.0, 0.0), &table)?;
     // Slightly above the table: surfaces that touch would meet in a line that moves with neither, and light between those
     // that nearly do is rare and bright in derivatives.
     const GAP: f64 = 0.05;

@@ -41,11 +41,9 @@ pub fn compare(
             bounces,
             ..Connections::new(method)
         };
-        let seed = effort.seed + 1000 * k;
         let effort = Effort {
-            seed,
             spp,
-            ..effort
+            ..effort.other(k)
         };
         measure(scene, connections, by_paths, effort)
     };

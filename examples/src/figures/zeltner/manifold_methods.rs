@@ -96,6 +96,12 @@ impl Effort {
         fig.note("runs", self.runs);
         fig.note("seed", self.seed);
     }
+
+    /// As much with seeds of its own, different ones for each `k`.
+    pub fn other(&self, k: u64) -> Self {
+        let seed = self.seed + 1000 * k;
+        Self { seed, ..*self }
+    }
 }
 
 /// The light of chains by connections, or by paths if `by_paths`: an image less that at the same seed which leaves it out.

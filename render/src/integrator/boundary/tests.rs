@@ -428,6 +428,23 @@ fn a_half_plane_hides_the_sky() {
     }
 }
 
+/// A plate behind another one, nearer to it than a thousandth of the distance: of its edges nothing is seen, whatever the
+/// other one reflects, and what is seen does not change as it moves.
+#[test]
+fn what_is_just_before_an_edge_hides_it() {
+    let body = r#"
+        <emitter type="constant"><rgb name="radiance" value="1, 2, 3"/></emitter>
+        <shape type="rectangle" id="cover"><transform name="to_world"><scale value="2"/><rotate y="1" angle="180"/>
+            <translate z="5"/></transform><bsdf type="diffuse"><rgb name="reflectance" value="0, 0, 0"/></bsdf></shape>
+        <shape type="rectangle" id="it"><transform name="to_world"><scale value="0.7"/><rotate y="1" angle="180"/>
+            <translate z="5.002"/></transform><bsdf type="diffuse"><rgb name="reflectance" value="0.5, 0.5, 0.5"/></bsdf></shape>"#;
+    let mut s = scene(body, 2);
+    let names = ["it.translation"];
+    s.make_movable(&names).expect("known");
+    let found = gradient_of::<f64>(&s, &names, 4);
+    assert!(found.iter().all(|e| e.mean == 0.0), "{found:?}");
+}
+
 /// The same half-plane under a light that is a point: its shadow ends at a line, whatever of the two, the floor and the
 /// camera moves. 8 runs of 256 samples for each pixel.
 #[test]
