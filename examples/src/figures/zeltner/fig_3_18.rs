@@ -106,12 +106,11 @@ impl Walks<'_> {
         let value = |chain: &[Vertex]| {
             let at = space.derivative(start.si.p, chain, &target, &self.azimuths.frame)?;
             let last = chain.last()?;
-            let turn = match self.azimuths.wrap {
-                true => at.value.y,
-                false => {
-                    let next = (self.lamp - last.si.p).normalize();
-                    self.azimuths.difference(last, next)?
-                }
+            let turn = if self.azimuths.wrap {
+                at.value.y
+            } else {
+                let next = (self.lamp - last.si.p).normalize();
+                self.azimuths.difference(last, next)?
             };
             Some((at, Vec2::new(at.value.x, turn)))
         };
@@ -227,10 +226,10 @@ pub fn figure(fig: &mut Figure) -> Result {
         });
         Ok(converged.sum::<usize>() as f64 / (all.len() as u64 * each) as f64)
     };
-    let angles: Vec<f64> = match fig.quick() {
-        true => vec![-120.0, -60.0, -20.0, 0.0, 20.0, 60.0, 120.0],
-        false => (-12..=12).map(|k| 15.0 * f64::from(k)).collect(),
-    };
+    let angles = fig.pick(
+        vec![-120.0, -60.0, -20.0, 0.0, 20.0, 60.0, 120.0],
+        (-12..=12).map(|k| 15.0 * f64::from(k)).collect(),
+    );
     let rows: Vec<[f64; 3]> = (angles.into_iter())
         .map(|a| {
             let [wrapped, plain] = [true, false].map(|wrap| rate(Azimuths::new(a, wrap)));

@@ -14,10 +14,9 @@ use render::emitter::{Point, Spot};
 use render::scene::{Connections, Method};
 use render::shape::{Cylinder, Sphere};
 
-use super::manifold_methods::{Effort, Measured, measure};
+use super::manifold_methods::{Effort, measure};
 use super::manifold_scenes::bumpy;
 use crate::figure::{Figure, Result};
-use crate::figures::statistics::Estimate;
 use crate::scene_builder::{POSITIVE, SceneBuilder, View};
 
 const SEED: u64 = 323;
@@ -119,15 +118,6 @@ fn shop(size: u32, alpha: Option<f64>, depth: u32) -> Result<Scene> {
     b.finish(&view, depth)
 }
 
-/// Mean over the pixels, and its error.
-fn whole(m: &Measured) -> Estimate {
-    let errors = m.series.pixels.iter().map(|e| e.error * e.error);
-    Estimate {
-        mean: m.mean(),
-        error: errors.sum::<f64>().sqrt() / m.series.pixels.len() as f64,
-    }
-}
-
 /// `zeltner-3-23`.
 ///
 /// # Errors
@@ -198,7 +188,7 @@ pub fn figure(fig: &mut Figure) -> Result {
         of(7, &rough, false, spp)?,
         of(8, &rough, true, fig.pick(128, 64) * spp)?,
     );
-    let (a, b) = (whole(&a), whole(&b));
+    let (a, b) = (a.whole(), b.whole());
     let z = a.z(&b);
     fig.check(
         "on rough ones, where paths converge, both bring the same light",

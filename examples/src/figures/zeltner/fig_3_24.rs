@@ -9,7 +9,7 @@ use super::manifold_comparison::compare;
 use super::manifold_methods::{Effort, measure};
 use super::manifold_scenes::{Waves, pool};
 use crate::figure::{Figure, Result};
-use crate::figures::statistics::{Estimate, check_same};
+use crate::figures::statistics::check_same;
 
 const SEED: u64 = 324;
 /// Wavelength and slopes of the waves.
@@ -59,14 +59,7 @@ pub fn figure(fig: &mut Figure) -> Result {
     let pair = [&chains.series, &paths.series];
     let statement = "under a wide lamp unbiased estimates and paths agree, whose light is in water";
     check_same(fig, &[statement], pair, effort.runs, 1e-3);
-    let all = |m: &super::manifold_methods::Measured| {
-        let errors = m.series.pixels.iter().map(|e| e.error * e.error);
-        Estimate {
-            mean: m.mean(),
-            error: errors.sum::<f64>().sqrt() / m.series.pixels.len() as f64,
-        }
-    };
-    let (a, b) = (all(&chains), all(&paths));
+    let (a, b) = (chains.whole(), paths.whole());
     let (ratio, error) = (a.mean / b.mean, (a.error / a.mean).hypot(b.error / b.mean));
     fig.check(
         "so the squared index is in it once",

@@ -9,6 +9,7 @@ use super::manifold_scenes::{Waves, bumpy, glass, half_ball, mapped_ball, metal,
 use crate::figure::{Figure, Result};
 
 const SEED: u64 = 325;
+
 /// `zeltner-3-25`.
 ///
 /// # Errors

@@ -6,7 +6,7 @@ use render::manifold::{Connector, Solution, Target, distinct};
 use render::sampler::{Independent, Sampler};
 use render::scene::{Connections, Constraint, Method, Starts, Uniqueness};
 
-use super::manifold_methods::{Effort, Measured, measure};
+use super::manifold_methods::{Effort, measure};
 use super::specular_scenes::{Laboratory, RING, View, load};
 use crate::chart::LineChart;
 use crate::figure::{Figure, Result};
@@ -52,15 +52,16 @@ pub fn figure(fig: &mut Figure) -> Result {
     };
     effort.note(fig, view.size);
     let all = measure(&ring.scene, single(Method::Sms), false, effort)?;
-    let error = |m: &Measured| m.variance().sqrt() / m.series.pixels.len() as f64;
+    let whole = all.whole();
     let mut rows = Vec::new();
     let mut panels = Vec::new();
     let factor = fig.pick(10, 4);
     for (k, walks) in (1..).zip(WALKS).take(fig.pick(3, 4)) {
         let connections = single(Method::SmsBiased(walks));
         let found = measure(&ring.scene, connections, false, effort.other(k))?;
-        let ratio = found.mean() / all.mean();
-        let relative = (error(&found) / found.mean()).hypot(error(&all) / all.mean());
+        let part = found.whole();
+        let ratio = part.mean / whole.mean;
+        let relative = (part.error / part.mean).hypot(whole.error / whole.mean);
         rows.push([f64::from(walks), ratio, ratio * relative]);
         panels.push(found.panel(&format!("{walks} walks"), &all, factor));
     }

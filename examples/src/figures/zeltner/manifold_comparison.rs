@@ -76,7 +76,7 @@ pub fn compare(
     );
 
     // ---- Trial sets ----
-    let relative = |m: &Measured| m.variance().sqrt() / (m.mean() * m.series.pixels.len() as f64);
+    let relative = |m: &Measured| m.whole().error / m.mean();
     let noise = relative(&sets[1].1).hypot(relative(sms));
     let shares: Vec<f64> = sets.iter().map(|(_, m)| found.share(m)).collect();
     fig.check(

@@ -12,7 +12,7 @@ use render::{Job, RenderError, Scene, Settings};
 
 use crate::chart::Panel;
 use crate::figure::{Figure, Result};
-use crate::figures::statistics::{Series, grey};
+use crate::figures::statistics::{Estimate, Series, grey};
 
 /// Pixels of each side of the blocks in which means are compared.
 const BLOCK: usize = 4;
@@ -54,6 +54,14 @@ impl Measured {
     pub fn variance(&self) -> f64 {
         let each = self.series.pixels.iter().map(|e| e.error * e.error);
         each.sum()
+    }
+
+    /// Mean over the pixels, and its error.
+    pub fn whole(&self) -> Estimate {
+        Estimate {
+            mean: self.mean(),
+            error: self.variance().sqrt() / self.series.pixels.len() as f64,
+        }
     }
 
     /// Square of what it misses, summed over the pixels, against what is unbiased: noise of both is taken off.
