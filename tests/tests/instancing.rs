@@ -604,6 +604,17 @@ fn edges_of_instances_agree_with_differences() {
     agrees("instances", &found, &expected, 1e-2, 8);
 }
 
+/// Points that rounding makes one far away are as many as in the group.
+#[test]
+fn points_are_those_of_the_group() {
+    let mesh = Mesh::new(ball(24, [0.0; 3]), false).expect("a mesh");
+    let map = Transform::scale([1e-3; 3]).then(&Transform::translate([900.0, 0.0, 0.0]));
+    let copy = Instance::new(mesh.clone(), map).expect("in reach").copied();
+    let own = Mesh::new(copy.data().clone(), false).expect("a mesh");
+    assert!(own.points() < mesh.points());
+    assert_eq!(copy.points(), mesh.points());
+}
+
 /// Points of an instance become parameters, and it a copy: nothing else has changed. Where normals would not follow, that
 /// is refused.
 #[test]
