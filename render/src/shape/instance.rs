@@ -4,7 +4,7 @@ use std::sync::{Arc, OnceLock};
 
 use ad_core::{Float, Real, Vec3};
 
-use super::mesh::{Triangle, choose, running_areas};
+use super::mesh::{Triangle, choose, corners, running_areas};
 use super::{
     DirectionSample, Mesh, MeshData, Partials, Shape, ShapeSample, SurfaceCoordinates,
     SurfaceInteraction, lift3, misplaced,
@@ -162,14 +162,18 @@ impl Placed {
     #[inline]
     fn triangle(&self, i: usize) -> Triangle {
         let data = self.mesh.data();
-        let t = each(data.triangles[i], |k| k as usize);
-        let corners = each(t, |k| self.point(data.positions[k]));
-        let flip = self.mesh.is_flipped() ^ self.mirrored;
+        let t = data.triangles[i];
+        let [a, b, c] = corners(&data.positions, t);
+        let normals = || {
+            let [a, b, c] = corners(&data.normals, t);
+            let carried = |n| normal(&self.to_world, n);
+            [carried(a), carried(b), carried(c)]
+        };
+        let at = [self.point(a), self.point(b), self.point(c)];
         Triangle {
-            normals: (!data.normals.is_empty())
-                .then(|| each(t, |k| normal(&self.to_world, data.normals[k]))),
-            uvs: (!data.uvs.is_empty()).then(|| each(t, |k| data.uvs[k])),
-            ..Triangle::new(corners, flip)
+            normals: (!data.normals.is_empty()).then(normals),
+            uvs: (!data.uvs.is_empty()).then(|| corners(&data.uvs, t)),
+            ..Triangle::new(at, self.mesh.is_flipped() ^ self.mirrored)
         }
     }
 }

@@ -284,17 +284,23 @@ impl Data {
     #[inline(always)]
     pub(super) fn triangle(&self, triangle: usize) -> Triangle {
         let m = &self.mesh;
-        let t = each(m.triangles[triangle], |i| i as usize);
-        let [a, b, c] = each(t, |i| m.positions[i]);
+        let t = m.triangles[triangle];
         Triangle {
-            normals: (!m.normals.is_empty()).then(|| each(t, |i| m.normals[i])),
-            uvs: (!m.uvs.is_empty()).then(|| each(t, |i| m.uvs[i])),
-            ..Triangle::new([a, b, c], self.flip)
+            normals: (!m.normals.is_empty()).then(|| corners(&m.normals, t)),
+            uvs: (!m.uvs.is_empty()).then(|| corners(&m.uvs, t)),
+            ..Triangle::new(corners(&m.positions, t), self.flip)
         }
     }
 }
 
-/// What a triangle of a mesh is made of, world space: all that is known of its surface follows from it.
+/// What a triangle has of an array over vertices.
+#[inline(always)]
+pub(super) fn corners<T: Copy>(all: &[T], [a, b, c]: [u32; 3]) -> [T; 3] {
+    [all[a as usize], all[b as usize], all[c as usize]]
+}
+
+/// What a triangle of a mesh is made of, world space: all that is known of its surface follows from it. What rays ask is
+/// inlined, so that it stays in registers.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Triangle {
     pub v0: [f32; 3],
@@ -320,9 +326,10 @@ impl Triangle {
         }
     }
 
-    #[inline]
+    #[inline(always)]
     fn wide_edges(&self) -> [Vec3<f64>; 2] {
-        self.edges.map(lift3)
+        let [e1, e2] = self.edges;
+        [lift3(e1), lift3(e2)]
     }
 
     #[inline]
@@ -332,7 +339,7 @@ impl Triangle {
     }
 
     /// Along `e1 x e2`, of unit length. In f64, where the product of small edges does not underflow.
-    #[inline]
+    #[inline(always)]
     pub fn flat_normal<R: Real>(&self) -> Vec3<R> {
         let [e1, e2] = self.wide_edges();
         let flat = e1.cross(e2).normalize();
@@ -341,7 +348,7 @@ impl Triangle {
 
     /// How much of each edge is in the direction of increasing u, up to a common factor; zero where the texture
     /// coordinates are degenerate, or where there are none.
-    #[inline]
+    #[inline(always)]
     pub fn slopes(&self) -> [f64; 2] {
         let Some([a, b, c]) = self.uvs else {
             return [0.0; 2];
@@ -357,7 +364,7 @@ impl Triangle {
 
     /// The direction of increasing u, zero where the texture coordinates are degenerate. Its length
     /// means nothing.
-    #[inline]
+    #[inline(always)]
     fn dp_du(&self) -> Vec3<f64> {
         let [e1, e2] = self.wide_edges();
         let [a, b] = self.slopes();
@@ -365,7 +372,7 @@ impl Triangle {
     }
 
     /// Shading frame, geometric normal on its side, and texture coordinates at barycentric `(u, v)`.
-    #[inline]
+    #[inline(always)]
     fn surface<R: Real>(
         &self,
         u: R,
@@ -379,8 +386,8 @@ impl Triangle {
         let w = R::one() - u - v;
         let smooth = match self.normals {
             None => Vec3::zero(),
-            Some(normals) => {
-                let [mut a, mut b, mut c] = each(normals, lift3::<R>);
+            Some([a, b, c]) => {
+                let [mut a, mut b, mut c] = [lift3::<R>(a), lift3::<R>(b), lift3::<R>(c)];
                 if let Some(moving) = moving {
                     a += moving.normals[0];
                     b += moving.normals[1];
@@ -400,7 +407,7 @@ impl Triangle {
         if self.flip {
             (n, n_geo) = (-n, -n_geo);
         }
-        let Some(uvs) = self.uvs else {
+        let Some([a, b, c]) = self.uvs else {
             return (Frame::from_normal(n), n_geo, Vec2::new(u, v));
         };
         let lift2 = |x: [f32; 2]| -> Vec2<R> {
@@ -409,7 +416,7 @@ impl Triangle {
                 R::lift(R::Primal::from_f32(x[1])),
             )
         };
-        let [a, b, c] = each(uvs, lift2);
+        let [a, b, c] = [lift2(a), lift2(b), lift2(c)];
         let uv = Vec2::new(a.x * w + b.x * u + c.x * v, a.y * w + b.y * u + c.y * v);
         let dp_du = self.dp_du();
         let mut dp_du = Vec3::new(R::of(dp_du.x), R::of(dp_du.y), R::of(dp_du.z));
@@ -420,7 +427,7 @@ impl Triangle {
     }
 
     /// A corner and the two edges from there.
-    #[inline]
+    #[inline(always)]
     fn corner_and_edges<R: Real>(&self, moving: Option<&MovingTriangle<R>>) -> [Vec3<R>; 3] {
         let [e1, e2] = self.edges;
         let still = [lift3::<R>(self.v0), lift3::<R>(e1), lift3::<R>(e2)];
@@ -428,7 +435,7 @@ impl Triangle {
     }
 
     /// The point at barycentric `(u, v)`.
-    #[inline]
+    #[inline(always)]
     pub fn point<R: Real>(
         &self,
         u: R,
@@ -447,7 +454,7 @@ impl Triangle {
     }
 
     /// See [`Shape::interaction`].
-    #[inline]
+    #[inline(always)]
     pub fn seen<R: Real>(
         &self,
         ray: &Ray<R>,
