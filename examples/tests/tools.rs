@@ -1764,6 +1764,41 @@ fn failures_of_estimators_are_marked_and_depend_on_the_seed_alone() {
     assert_eq!(out.status.code(), Some(1));
 }
 
+/// Edges are right however things move; what has no term for them, or forgets that rays start from what moves, is marked
+/// where that matters.
+#[test]
+fn failures_of_what_moves_are_marked() {
+    let dir = Folder::new();
+    dir.ok(
+        "stability",
+        "--quick --estimators edges,interior,biased-rays,reparameterised-mis,reparameterised-exact --out a",
+    );
+    let report = dir.json("a/report.json");
+    let all = report["rows"].as_array().unwrap();
+    let moving = || all.iter().filter(|r| r["param"] != "metal.alpha.value");
+    let mut outlines = 0;
+    for r in moving() {
+        let (sweep, x) = (r["sweep"].as_str().unwrap(), r["x"].as_f64().unwrap());
+        let right = match r["estimator"].as_str().unwrap() {
+            // What is smaller than a pixel is met by edges alone.
+            "reparameterised-exact" if r["finding"] == "unresolved" => continue,
+            "edges" | "reparameterised-exact" => true,
+            "interior" => sweep == "bounces",
+            "biased-rays" => sweep != "bounces" || x == 2.0,
+            _ => continue,
+        };
+        let expected = if right { "right" } else { "biased" };
+        assert_eq!(r["finding"], expected, "{r}");
+        outlines += usize::from(!right);
+    }
+    assert!(outlines > 8, "{report}");
+    for file in ["motion.png", "motion.svg", "stability.png"] {
+        assert!(!bytes(dir.path("a").join(file)).is_empty(), "{file}");
+    }
+    let verdict = String::from_utf8(bytes(dir.path("a").join("verdict.txt"))).unwrap();
+    assert!(verdict.contains("F44: biased-rays: biased"), "{verdict}");
+}
+
 /// Each tool, and the files of a short run.
 const SHORT_RUNS: [(&str, &str, &[&str]); 6] = [
     ("render", "scene.xml --spp 2 -o a.exr", &["a.exr", "a.png"]),

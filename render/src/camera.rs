@@ -159,6 +159,14 @@ impl Camera {
         (self.rest.fov, self.rest.axis)
     }
 
+    /// Half the angle of view along the shorter side of the image, radians.
+    pub(crate) fn half_angle(&self) -> f64 {
+        let length = |v: [f64; 3]| Vec3::from(v).length();
+        let [w, h] = self.resolution.map(f64::from);
+        let side = (length(self.dx) * w).min(length(self.dy) * h);
+        (0.5 * side / length(self.forward)).atan()
+    }
+
     /// How far it is from where it was made.
     pub(crate) fn displacement(&self, params: &Params) -> Transform {
         self.placement.transform(params)
@@ -167,6 +175,11 @@ impl Camera {
     /// What moves it.
     pub(crate) fn placement(&mut self) -> &mut Placement {
         &mut self.placement
+    }
+
+    /// Whether this parameter is its angle of view.
+    pub(crate) fn zooms(&self, p: ParamRef) -> bool {
+        self.fov == Some(p)
     }
 
     /// Says that this parameter is its angle of view, in degrees.

@@ -41,8 +41,8 @@ pub use crate::estimator::Mode;
 use crate::estimator::{
     self, AllowBias, Attached, AttachedChoice, AttachedDirect, AttachedRoulette, AttachedWeights,
     Balance, BsdfOnly, Capabilities, Convolved, Detached, DetachedMis, DetachedWeights,
-    Differential, EmitterOnly, FrozenWeights, Interior, Mis, MixedWeights, Outlines,
-    Reparameterised, Strategy, TrustBsdf, TrustLights, Unbiased,
+    Differential, EmitterOnly, Followed, FrozenWeights, Interior, Mis, MixedWeights, Outlines,
+    RaysAtRest, Reparameterised, Strategy, TrustBsdf, TrustLights, Unbiased,
 };
 use crate::integrator::Job;
 use crate::integrator::chain_density;
@@ -674,6 +674,8 @@ estimators! {
         "`attached-mis` whose samples of environment maps move with the texels.";
     ReparameterisedMis "reparameterised-mis" Convolved<Mis<Reparameterised, Detached, AttachedWeights>>,
         "`reparameterised` and sampled lights, differentiated weights.";
+    ReparameterisedExact "reparameterised-exact" Followed<Mis<Reparameterised, Detached, AttachedWeights>>,
+        "`reparameterised-mis`; what moves, by directions that follow outlines in closed form, of spheres and flat faces.";
     BiasedWeights "biased-weights" AllowBias<Mis<Reparameterised, Detached, DetachedWeights>>,
         "`reparameterised-mis` with constant weights [Zeltner 2021, Eq. 4.38].";
     BiasedAttachedWeights "biased-attached-weights" AllowBias<Mis<AttachedDirect, Detached, DetachedWeights>>,
@@ -688,6 +690,8 @@ estimators! {
         "`mis`, and what moves: vertices of paths, and samples of edges for what becomes visible or hidden.";
     Interior "interior" AllowBias<Interior<DetachedMis>>,
         "`mis`, and what moves, as long as nothing becomes visible or hidden: biased where something does.";
+    BiasedRays "biased-rays" AllowBias<RaysAtRest<Outlines<Interior<DetachedMis>>>>,
+        "`edges` whose rays beyond the first vertex do not move with the vertices that they start from.";
 }
 
 #[cfg(test)]

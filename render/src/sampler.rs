@@ -30,6 +30,8 @@ pub enum Purpose {
     AuxiliaryRays(u32),
     /// Edges that hide light from a vertex, so many candidates of 2 each, and which of them is taken.
     Edges(u32),
+    /// Where on the horizon of a vertex light is lost, 1.
+    Horizon,
     /// The start of a particle: its emitter if there is a choice, position 2, direction 2; the depth is 1.
     Emission,
     /// A direction that a particle is scattered in, 3, and roulette.
@@ -44,6 +46,7 @@ impl Purpose {
     pub const fn at(self, depth: u32) -> u32 {
         const AUXILIARY: u32 = 1 << 20;
         const EDGES: u32 = 1 << 22;
+        const HORIZON: u32 = 1 << 23;
         const RAYS: u32 = 1 << 24;
         match self {
             Self::Pixel | Self::Emission => 0,
@@ -52,6 +55,7 @@ impl Purpose {
             Self::NormalsPair => AUXILIARY + depth * 8,
             Self::AuxiliaryRays(rays) => RAYS + depth * 2 * rays,
             Self::Edges(candidates) => EDGES + depth * (2 * candidates + 1),
+            Self::Horizon => HORIZON + depth,
             Self::ParticleScattering => 5 + (depth - 1) * 4,
             Self::ParticleNormalsPair => AUXILIARY + depth * 4,
         }
@@ -60,6 +64,7 @@ impl Purpose {
     /// How many it takes.
     pub const fn count(self) -> u32 {
         match self {
+            Self::Horizon => 1,
             Self::Pixel => 2,
             Self::Light | Self::Viewing | Self::NormalsPair | Self::ParticleNormalsPair => 3,
             Self::Scattering | Self::ParticleScattering => 4,
@@ -384,6 +389,7 @@ mod tests {
             Purpose::NormalsPair,
             Purpose::AuxiliaryRays(16),
             Purpose::Edges(4),
+            Purpose::Horizon,
         ];
         let particle = [Purpose::ParticleScattering, Purpose::ParticleNormalsPair];
         for (start, purposes) in [(Purpose::Pixel, &path[..]), (Purpose::Emission, &particle)] {

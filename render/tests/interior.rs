@@ -10,7 +10,7 @@ use render::bsdf::{
 };
 use render::camera::{Camera, FovAxis};
 use render::emitter::{Area, Envmap, Point, Spot, Vmf};
-use render::estimator::{AllowBias, DetachedMis, Interior};
+use render::estimator::{AllowBias, DetachedMis, Failure, Failures, Interior};
 use render::film::PixelFilter;
 use render::instances::{Estimator, render_f64};
 use render::integrator::gradient::{Gradient, backward};
@@ -643,6 +643,60 @@ fn outlines_are_left_out() {
     assert!(g.iter().flatten().all(|&d| d == 0.0), "{g:?}");
     let c = Estimator::Interior.capabilities();
     assert!(c.study && c.sees(ParamKind::Position) && !c.failures.is_empty());
+}
+
+/// A bulb in a white ball lights all of its inside equally from the second bounce on, wherever it hangs: a ball that moves
+/// changes its direct light only. Rays that stay where they are change the rest, too, if they are followed by another (F44):
+/// with two bounces, by rho times the mean of the direct irradiance less that at the point that is seen, over the radius.
+#[test]
+fn a_bulb_in_a_ball() {
+    const RHO: f64 = 0.8;
+    let scene_of = |depth| {
+        let mut build = Builder::new();
+        let reflectance = build.rgb("white", [RHO; 3], (0.0, 1.0)).unwrap();
+        let white = build.add_material(Diffuse { reflectance });
+        let inside = Sphere::new([0.0; 3], 1.0, true).unwrap();
+        build.add_shape("ball", inside, white);
+        bulb(&mut build, [-0.5, 0.0, 0.0]);
+        let mut scene = finish(build, [0.0; 3], [1.0, 0.0, 0.0], 1e-3, depth);
+        scene.make_movable(&["ball.translation"]).unwrap();
+        scene
+    };
+    let adjoint = [1.0; 3 * (SIZE * SIZE) as usize];
+    // Means and standard errors of the derivative of one pixel, over all channels.
+    let slope = |scene: &Scene, e: Estimator| {
+        let active = e.active(scene, &["ball.translation"]).unwrap();
+        let values = wide::<f32>(scene);
+        let theta = Theta::constant(&values);
+        let of = |seed| {
+            let job = Job::new(scene, &scene.settings, seed, 0..512, &());
+            let g = e.backward_f32(&job, &theta, &active, &adjoint).unwrap();
+            g.values[0][0] / f64::from(SIZE * SIZE)
+        };
+        Estimate::of(&(0..REPEATS).map(of).collect::<Vec<_>>())
+    };
+    let limit = z_limit(6, REPEATS, 1e-3);
+    // All channels of the bulb, at one and a half of the radius from the point that is seen.
+    let unit = RHO / PI * 75.0;
+    let truth = -2.0 * unit / 1.5f64.powi(3);
+    let lost = RHO * unit * (1.0 - 1.5f64.powi(-2));
+    for depth in [2, 3, 6] {
+        let scene = scene_of(depth);
+        let z = |e, expected: f64| {
+            let found = slope(&scene, e);
+            assert!(found.se < 0.15 * lost, "{found:?}");
+            (found.mean - expected) / found.se.max(1e-5 * truth.abs())
+        };
+        let right = z(Estimator::Interior, truth);
+        assert!(right.abs() < limit, "{depth}: {right}");
+        match depth {
+            2 => assert!(z(Estimator::BiasedRays, truth).abs() < limit),
+            3 => assert!(z(Estimator::BiasedRays, truth + lost).abs() < limit),
+            _ => assert!(z(Estimator::BiasedRays, truth).abs() > limit),
+        }
+    }
+    let failures = Estimator::BiasedRays.capabilities().failures;
+    assert_eq!(failures, Failures::of(&[Failure::RaysAtRest]));
 }
 
 /// Mirrors and textures that jump are refused by name, where they matter.

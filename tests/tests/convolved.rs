@@ -1,11 +1,12 @@
 //! Derivatives in what moves, by directions that follow outlines: against edges, central differences, and where they are
-//! known. They are right in the limit of a narrow kernel: a part of the largest derivative is allowed for that.
+//! known. By auxiliary rays they are right in the limit of a narrow kernel: a part of the largest derivative is allowed for
+//! that; where outlines are known in closed form, nothing is.
 
 use std::f64::consts::PI;
 
 use ad_core::{Dual, Vec3};
 use render::estimator::{
-    AttachedWeights, BsdfOnly, Convolved, Detached, DetachedMis, Interior, Mis, Outlines,
+    AttachedWeights, BsdfOnly, Convolved, Detached, DetachedMis, Followed, Interior, Mis, Outlines,
     Reparameterised, Unbiased,
 };
 use render::film::PixelFilter;
@@ -22,6 +23,7 @@ use tests::moving::{self, BALL, CUBE, DISK, FLOOR, TUBE, differences, scene};
 use tests::{mean_adjoint, values};
 
 type Follows = Convolved<Mis<Reparameterised, Detached, AttachedWeights>>;
+type Exactly = Followed<Mis<Reparameterised, Detached, AttachedWeights>>;
 type FollowsBsdf = Convolved<BsdfOnly<Reparameterised>>;
 type ByEdges = Outlines<Interior<DetachedMis>>;
 
@@ -98,6 +100,9 @@ fn projected_areas_change_as_they_should() {
         // The velocity of a ball changes with the root of the distance from its outline.
         let bias = if what == "ball" { 1.5e-2 } else { 1e-2 };
         agrees(what, &gradient::<Follows>(&s, &names, 64), &known, bias);
+        if what != "disk" {
+            agrees(what, &gradient::<Exactly>(&s, &names, 64), &known, 0.0);
+        }
         // What the film has of a smooth filter inside is the same.
         s.film.filter = PixelFilter::Gaussian { stddev: 0.5 };
         agrees(what, &gradient::<FollowsBsdf>(&s, &names, 64), &known, bias);
@@ -130,6 +135,28 @@ fn directions_that_follow_agree_with_edges() {
     }
 }
 
+/// The same with outlines in closed form, without anything allowed for a kernel.
+#[test]
+#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
+fn directions_that_follow_closed_forms_agree_with_edges() {
+    let all = ["it.translation", "lamp.translation", "sensor.translation"];
+    let turns = ["it.rotation", "it.scale", "sensor.rotation", "lamp.scale"];
+    let faces = octahedron("solid", true);
+    for (what, body, depth, names) in [
+        ("cube", CUBE, 2, &all[..]),
+        ("turned cube", CUBE, 2, &turns[..]),
+        ("ball", BALL, 2, &all[..]),
+        ("faces", &faces, 2, &turns[..]),
+        ("ball through bounces", BALL, 4, &all[..]),
+    ] {
+        let mut s = scene(&format!("{FLOOR}{body}"), depth);
+        s.make_movable(names).expect("known");
+        let found = gradient::<Exactly>(&s, names, 128);
+        let expected = gradient::<ByEdges>(&s, names, 128);
+        agrees(what, &found, &expected, 0.0);
+    }
+}
+
 /// Central differences of images with other random numbers than this has: metal, and a mesh whose normals are interpolated, of
 /// which `edges` miss how its faces turn from the lamp. 8 runs of 128 samples, and of 1024 for differences.
 #[test]
@@ -152,6 +179,11 @@ fn directions_that_follow_agree_with_differences() {
 /// Forward mode is the transpose of reverse mode, to rounding, at every filter and depth.
 #[test]
 fn both_modes_are_one_linear_map() {
+    modes_are_one_map::<Follows>(&["it.translation", "lamp.rotation", "sensor.fov"]);
+    modes_are_one_map::<Exactly>(&["it.translation", "lamp.rotation", "sensor.rotation"]);
+}
+
+fn modes_are_one_map<E: Unbiased>(names: &[&str]) {
     type R = Dual<f64, 1>;
     for (filter, depth) in [
         (PixelFilter::Box, 3),
@@ -159,15 +191,14 @@ fn both_modes_are_one_linear_map() {
     ] {
         let mut s = scene(&format!("{FLOOR}{BALL}"), depth);
         s.film.filter = filter;
-        let names = ["it.translation", "lamp.rotation", "sensor.fov"];
-        s.make_movable(&names).expect("known");
+        s.make_movable(names).expect("known");
         let all = values::<f64>(&s);
         let job = Job::new(&s, &s.settings, 3, 0..2, &());
         let n = s.film.pixels() * 3;
         let adjoint: Vec<f32> = (0..n).map(|i| (1.3 * i as f32).sin()).collect();
-        let active = Active::seen_by::<Follows, _>(&s, &names).expect("seen");
+        let active = Active::seen_by::<E, _>(&s, names).expect("seen");
         let theta = Theta::constant(&all);
-        let pulled = backward::<f64, Follows, Independent>(&job, &theta, &active, &adjoint);
+        let pulled = backward::<f64, E, Independent>(&job, &theta, &active, &adjoint);
         let pulled = pulled.expect("admitted");
         for (info, values) in active.ranges().iter().zip(&pulled.values) {
             for (i, pulled) in values.iter().enumerate() {
@@ -180,7 +211,7 @@ fn both_modes_are_one_linear_map() {
                     tangents[id] = Tangent::Dense((0..other.range().len()).map(unit).collect());
                 }
                 let theta = Theta::<R>::with_tangents(&all, &tangents);
-                let r = render::<R, Follows, Independent>(&job, &theta).expect("admitted");
+                let r = render::<R, E, Independent>(&job, &theta).expect("admitted");
                 let products = r.sums[1].iter().zip(&adjoint);
                 let products = products.map(|(s, &a)| s * f64::from(a) / 2.0);
                 // Rounding is that of the largest terms, of which most cancels.
@@ -225,6 +256,26 @@ fn single_precision_is_enough() {
     agrees("f32", &found, &gradient::<Follows>(&s, &names, 128), 0.0);
 }
 
+/// Asserts that both modes refuse a parameter, in these words.
+fn refuses(s: &Scene, e: Estimator, name: &str, words: &[&str]) {
+    let all = values::<f32>(s);
+    let theta = Theta::constant(&all);
+    let job = Job::new(s, &s.settings, 0, 0..1, &());
+    let direction = Direction::uniform(s.params(), name).expect("known");
+    let message = match e.active(s, &[name]) {
+        Err(e) => e.to_string(),
+        Ok(active) => {
+            let reverse = e.backward_f32(&job, &theta, &active, &mean_adjoint(s));
+            reverse.expect_err("refused").to_string()
+        }
+    };
+    for word in words {
+        assert!(message.contains(word), "{message}");
+    }
+    let forward = e.forward_f32(&job, s.params().values(), &[direction]);
+    assert_eq!(forward.expect_err("refused").to_string(), message);
+}
+
 /// What has no samples is refused by name, in both modes.
 #[test]
 fn what_is_not_covered_is_refused() {
@@ -232,24 +283,7 @@ fn what_is_not_covered_is_refused() {
         let mut s = scene(&format!("{FLOOR}{CUBE}{body}"), 2);
         s.film.filter = filter;
         s.make_movable(&["it.translation"]).expect("known");
-        let all = values::<f32>(&s);
-        let theta = Theta::constant(&all);
-        let e = Estimator::ReparameterisedMis;
-        let job = Job::new(&s, &s.settings, 0, 0..1, &());
-        let adjoint = mean_adjoint(&s);
-        let direction = Direction::uniform(s.params(), "it.translation").expect("known");
-        let message = match e.active(&s, &["it.translation"]) {
-            Err(e) => e.to_string(),
-            Ok(active) => {
-                let reverse = e.backward_f32(&job, &theta, &active, &adjoint);
-                reverse.expect_err("refused").to_string()
-            }
-        };
-        for word in words {
-            assert!(message.contains(word), "{message}");
-        }
-        let forward = e.forward_f32(&job, s.params().values(), &[direction]);
-        assert_eq!(forward.expect_err("refused").to_string(), message);
+        refuses(&s, Estimator::ReparameterisedMis, "it.translation", words);
     };
     let point = r#"<emitter type="point"><point name="position" x="0" y="4" z="0"/></emitter>"#;
     let mirror = r#"<shape type="sphere"><point name="center" x="2" y="1" z="0"/><float name="radius" value="0.5"/>
@@ -259,6 +293,32 @@ fn what_is_not_covered_is_refused() {
     refused(mirror, plain, &["it.translation", "Dirac delta"]);
     let tent = PixelFilter::Tent { radius: 1.0 };
     refused("", tent, &["it.translation", "box or a Gaussian"]);
+}
+
+/// Closed forms are for some outlines only.
+#[test]
+fn outlines_without_closed_forms_are_refused() {
+    let smooth = octahedron("round", false);
+    let faces = octahedron("points", true);
+    for (body, name, culprit) in [
+        (DISK, "it.translation", "`it` is no sphere"),
+        (&smooth, "lamp.translation", "`it` is no sphere"),
+        (
+            &faces,
+            "it.vertex_positions",
+            "`it` does not move as a whole",
+        ),
+        (CUBE, "sensor.fov", "angle of view"),
+    ] {
+        let mut s = scene(&format!("{FLOOR}{body}"), 2);
+        s.make_movable(&[name]).expect("known");
+        let refused = Estimator::ReparameterisedExact.active(&s, &[name]);
+        let message = refused.err().map(|e| e.to_string()).unwrap_or_default();
+        assert!(
+            message.contains(name) && message.contains(culprit),
+            "{message}"
+        );
+    }
 }
 
 /// A ball in front of the sky turns about the viewer: the derivative of the integral of `y` over the sky that it leaves

@@ -1,15 +1,18 @@
 //! `stability`: where estimators of derivatives fail, as a picture.
 
+mod moving;
 mod picture;
 mod setup;
 mod sweeps;
 mod verdict;
 
+use std::ops::Range;
 use std::path::PathBuf;
 use std::time::Instant;
 
 use clap::Parser;
 use render::Job;
+use render::estimator::Failure;
 use render::image_io;
 use render::instances::{Direction, Estimator};
 use render::statistics;
@@ -20,8 +23,8 @@ use crate::output;
 use crate::progress::{Bar, Interrupt};
 use crate::{complain, print};
 
-use setup::{SIZE, Setup};
-use sweeps::Sweep;
+use setup::{SIZE, Setup, Values};
+use sweeps::{Of, Sweep};
 use verdict::Probes;
 
 const EXAMPLES: &str = "\
@@ -30,12 +33,13 @@ Examples:
   stability --quick --estimators detached,attached,differential
 
 All estimators of the derivative in roughness are swept over roughness, size of the light, angle of
-the viewer, path length and number of samples, on scenes whose derivatives are known from quadrature. A
-point fails if it differs from those beyond chance (significance 1e-3 over all points), or has samples that
+the viewer, path length and number of samples; those of derivatives in what moves over the size of a
+silhouette, the distance of what casts a shadow, roughness, path length and number of faces: on scenes
+whose derivatives are known in closed form or from quadrature. A point fails if it differs from those beyond chance (significance 1e-3 over all points), or has samples that
 are not finite; those of estimators that should be right are measured once more with 16 times the
-samples before they are called biased. The folder receives stability.png, stability.svg,
-points.csv, report.json and verdict.txt, which names failure modes by the numbers F1 to F43 of the
-table in docs/errata.md. Everything but times depends on the seed alone. Ctrl-C keeps the points so
+samples before they are called biased. The folder receives stability.png and motion.png, the same as
+SVG files, points.csv, report.json and verdict.txt, which names failure modes by the numbers F1 to F44
+of the table in docs/errata.md. Everything but times depends on the seed alone. Ctrl-C keeps the points so
 far (exit code 130).";
 
 /// Charts where estimators of derivatives fail
@@ -75,12 +79,15 @@ pub struct Args {
 
 /// Probability that a set of unbiased estimators has a point that is called biased.
 const SIGNIFICANCE: f64 = 1e-3;
-/// Standard error of `d ln I / d ln alpha` from rounding in f32, beside that from chance.
+/// Standard error of `d ln I / d ln alpha`, and of the derivative in what moves over itself, from rounding in f32, beside
+/// that from chance.
 const ROUNDING: f64 = 1e-4;
 /// A measured standard deviation below this part of the true one has not seen the lobe.
 const SEEN: f64 = 0.3;
-/// Nor have so few pixels that differ from zero.
+/// Nor have so few pixels, or images, that differ from zero.
 const PIXELS: usize = 48;
+/// Images, where pixels are not alike.
+const IMAGES: u64 = (SIZE * SIZE) as u64;
 
 /// What the samples of an estimator say.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -113,11 +120,13 @@ impl Finding {
 pub struct Row {
     /// Name of the sweep.
     pub sweep: &'static str,
+    /// What the derivative is in.
+    pub param: &'static str,
     /// Where on its axis.
     pub x: f64,
     /// Name of the estimator.
     pub estimator: &'static str,
-    /// Radiance.
+    /// Radiance, or the mean of the image.
     pub radiance: f64,
     /// True derivative, and how far it may be off.
     pub truth: [f64; 2],
@@ -125,9 +134,9 @@ pub struct Row {
     pub mean: [f64; 2],
     /// Difference in standard errors.
     pub z: f64,
-    /// Difference over the radiance, times the roughness: of `d ln I / d ln alpha`.
+    /// Difference over the radiance, times the roughness: of `d ln I / d ln alpha`. Of what moves, over the derivative.
     pub relative_bias: f64,
-    /// Standard deviation of one sample over the radiance.
+    /// Standard deviation of one sample over the radiance; of what moves, over the derivative.
     pub std: f64,
     /// The same by a law or by quadrature, if known.
     pub expected_std: Option<f64>,
@@ -175,58 +184,83 @@ struct Measured {
     pixels: usize,
 }
 
-/// Derivative in `param` of one pixel, from all of them. `None` if interrupted.
+/// The derivative of one pixel, or of the mean of an image, from all of them. `None` if interrupted.
 fn measure(
     setup: &Setup,
-    param: &str,
     e: Estimator,
     spp: u32,
     seed: u64,
     interrupt: &Interrupt,
 ) -> Result<Option<Measured>, ToolError> {
     let scene = &setup.scene;
-    let along = Direction::uniform(scene.params(), param)?;
+    let along = [Direction::uniform(scene.params(), setup.param)?];
     let (values, settings) = (scene.params().values(), &scene.settings);
     let start = Instant::now();
-    let samples = 0..u64::from(spp);
-    let r = e.forward_f32(
-        &Job::new(scene, settings, seed, samples, interrupt),
-        values,
-        &[along],
-    )?;
-    if r.cancelled {
-        return Ok(None);
-    }
-    let seconds = start.elapsed().as_secs_f64();
-    let n = f64::from(spp);
+    let mut non_finite = 0;
     // All lights and materials are grey.
-    let pixels: Vec<f64> = r.sums[1].iter().step_by(3).map(|s| s / n).collect();
-    let count = pixels.len() as f64;
-    let mean = pixels.iter().sum::<f64>() / count;
-    let spread = pixels.iter().map(|p| (p - mean).powi(2)).sum::<f64>() / (count - 1.0);
+    let mut pixels = |samples: Range<u64>| -> Result<Option<Vec<f64>>, ToolError> {
+        let n = (samples.end - samples.start) as f64;
+        let job = Job::new(scene, settings, seed, samples, interrupt);
+        let r = e.forward_f32(&job, values, &along)?;
+        non_finite += r.non_finite.count;
+        let means = r.sums[1].iter().step_by(3).map(|s| s / n);
+        Ok((!r.cancelled).then(|| means.collect()))
+    };
+    let mut found: Vec<f64> = Vec::new();
+    // Samples that each of them is the mean of.
+    let each = match setup.values {
+        Values::Pixels => {
+            let Some(all) = pixels(0..u64::from(spp))? else {
+                return Ok(None);
+            };
+            found = all;
+            f64::from(spp)
+        }
+        Values::Images => {
+            let size: u32 = scene.film.size.iter().product();
+            let each = u64::from(spp.div_ceil(size));
+            for k in 0..IMAGES {
+                let Some(image) = pixels(k * each..(k + 1) * each)? else {
+                    return Ok(None);
+                };
+                found.push(image.iter().sum::<f64>() / image.len() as f64);
+            }
+            each as f64 * f64::from(size)
+        }
+    };
+    let seconds = start.elapsed().as_secs_f64();
+    let count = found.len() as f64;
+    let mean = found.iter().sum::<f64>() / count;
+    let spread = found.iter().map(|p| (p - mean).powi(2)).sum::<f64>() / (count - 1.0);
     Ok(Some(Measured {
         mean,
         error: (spread / count).sqrt(),
-        std: (spread * n).sqrt(),
-        seconds: seconds / (count * n),
-        non_finite: r.non_finite.count,
-        pixels: pixels.iter().filter(|p| **p != 0.0).count(),
+        std: (spread * each).sqrt(),
+        seconds: seconds / (count * each),
+        non_finite,
+        pixels: found.iter().filter(|p| **p != 0.0).count(),
     }))
 }
 
 fn row(sweep: &Sweep, x: f64, setup: &Setup, e: Estimator, m: &Measured, z_limit: f64) -> Row {
     let truth = setup.truth;
-    let alpha = (sweep.alpha)(x);
+    let unit = sweep.of.unit(x, &truth);
     let off = m.mean - truth.slope;
-    let rounding = ROUNDING * truth.value / alpha;
+    let rounding = ROUNDING * unit;
     let z = off / m.error.hypot(truth.error).hypot(rounding);
     let expected = truth.std.and_then(|[by_light, by_lobe]| match e {
         Estimator::Emitter => Some(by_light),
         Estimator::Detached => Some(by_lobe),
         _ => None,
     });
-    let relative_bias = off / truth.value * alpha;
-    let unseen = m.pixels < PIXELS || expected.is_some_and(|s| m.std < SEEN * s);
+    // A lobe shows in the radiance whatever its width.
+    let scale = match sweep.of {
+        Of::Roughness(_) => truth.value,
+        Of::Motion => unit,
+    };
+    // Without a term for outlines there is nothing to be seen.
+    let blind = (e.capabilities().failures).contains(Failure::Boundaries) && m.pixels == 0;
+    let unseen = !blind && m.pixels < PIXELS || expected.is_some_and(|s| m.std < SEEN * s);
     let finding = if m.non_finite > 0 {
         Finding::NonFinite
     } else if unseen {
@@ -238,14 +272,15 @@ fn row(sweep: &Sweep, x: f64, setup: &Setup, e: Estimator, m: &Measured, z_limit
     };
     Row {
         sweep: sweep.name,
+        param: setup.param,
         x,
         estimator: e.name(),
         radiance: truth.value,
         truth: [truth.slope, truth.error],
         mean: [m.mean, m.error],
         z,
-        relative_bias,
-        std: m.std / truth.value,
+        relative_bias: off / unit,
+        std: m.std / scale,
         expected_std: expected.map(|s| s / truth.value),
         seconds_per_sample: m.seconds,
         non_finite: m.non_finite,
@@ -271,10 +306,17 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     interrupt.keep();
     output::prepare(&reports.collect::<Vec<_>>(), &[])?;
     let spp = args.spp.unwrap_or(if args.quick { 16 } else { 128 });
-    let sweeps = sweeps::all(args.quick);
+    let mut sweeps = sweeps::all(args.quick);
+    sweeps.extend(sweeps::motion(args.quick));
+    let asked = |sweep: &Sweep| -> Vec<Estimator> {
+        let moves = matches!(sweep.of, Of::Motion);
+        let sees = |e: &Estimator| !moves || e.capabilities().moves_vertices;
+        estimators.iter().copied().filter(sees).collect()
+    };
+    let tests = |sweep: &Sweep| sweep.points.len() * asked(sweep).len();
     let points: usize = sweeps.iter().map(|s| s.points.len()).sum();
     let z_limit = statistics::z_limit(
-        points * estimators.len(),
+        sweeps.iter().map(tests).sum(),
         // Errors come from the pixels.
         u64::from(SIZE * SIZE),
         SIGNIFICANCE,
@@ -296,7 +338,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
             bar.message(sweep.name.into());
             for (p, &x) in sweep.points.iter().enumerate() {
                 let setup = (sweep.setup)(x).map_err(|e| ToolError::Usage(e.to_string()))?;
-                for &e in &estimators {
+                for e in asked(sweep) {
                     if let Err(reason) = e.check(&setup.scene) {
                         let refused = Refused {
                             sweep: sweep.name,
@@ -313,7 +355,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
                     let seed = [s, p, index]
                         .iter()
                         .fold(args.seed, |seed, i| seed.wrapping_mul(1009) + 1 + *i as u64);
-                    let found = measure(&setup, setup::ROUGHNESS, e, spp, seed, interrupt)?;
+                    let found = measure(&setup, e, spp, seed, interrupt)?;
                     let Some(m) = found else {
                         break 'sweeps;
                     };
@@ -321,7 +363,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
                     // Rare samples may all have been missed: a second look with many more.
                     if found.finding == Finding::Biased && !e.capabilities().study {
                         let (spp, seed) = (16 * spp, !seed);
-                        let again = measure(&setup, setup::ROUGHNESS, e, spp, seed, interrupt)?;
+                        let again = measure(&setup, e, spp, seed, interrupt)?;
                         let Some(m) = again else {
                             break 'sweeps;
                         };
@@ -352,14 +394,15 @@ fn write(args: &Args, sweeps: &[Sweep], report: &Report) -> Result<(), ToolError
     let text = verdict::text(report);
     print::out(format_args!("{text}"));
     let mut table = String::from(
-        "sweep,x,estimator,radiance,truth,truth_error,mean,std_error,z,relative_bias,std,\
+        "sweep,param,x,estimator,radiance,truth,truth_error,mean,std_error,z,relative_bias,std,\
          expected_std,seconds_per_sample,non_finite,finding\n",
     );
     for r in &report.rows {
         let finding = serde_json::to_string(&r.finding).unwrap_or_default();
         table += &format!(
-            "{},{},{},{},{},{},{},{},{},{},{},{},{},{},{}\n",
+            "{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{}\n",
             r.sweep,
+            r.param,
             r.x,
             r.estimator,
             r.radiance,
@@ -385,8 +428,13 @@ fn write(args: &Args, sweeps: &[Sweep], report: &Report) -> Result<(), ToolError
     if let Some(path) = &args.json {
         output::write_json(path, report)?;
     }
-    let sheet = picture::sheet(sweeps, report);
-    let drawn = |e| ToolError::file(&args.out.join("stability"), e);
-    file("stability.svg", sheet.svg().map_err(drawn)?.as_bytes())?;
-    file("stability.png", &sheet.png().map_err(drawn)?)
+    for (name, sheet) in picture::sheets(sweeps, report) {
+        let drawn = |e| ToolError::file(&args.out.join(name), e);
+        file(
+            &format!("{name}.svg"),
+            sheet.svg().map_err(drawn)?.as_bytes(),
+        )?;
+        file(&format!("{name}.png"), &sheet.png().map_err(drawn)?)?;
+    }
+    Ok(())
 }

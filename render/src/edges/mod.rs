@@ -424,6 +424,27 @@ impl Edges {
         self.straight[edge].view(x, more)
     }
 
+    /// Straight edges that are outlines as seen from `x`: shape, primitive of the shape, ends.
+    pub fn straight_outlines(
+        &self,
+        x: Vec3<f64>,
+    ) -> impl Iterator<Item = (u32, u32, [Vec3<f64>; 2])> {
+        let sides = self.straight.iter().enumerate();
+        sides.filter_map(move |(i, e)| match self.view(i, x)?.0 {
+            View::Outline(face) => {
+                let ends = [e.start(), e.start() + e.along()];
+                Some((e.shape, e.faces[face].local, ends))
+            }
+            View::Crease => None,
+        })
+    }
+
+    /// Spheres: shape, centre, radius.
+    pub fn balls(&self) -> impl Iterator<Item = (u32, Vec3<f64>, f64)> {
+        let balls = self.curves.iter().filter(|c| c.kind == CurveKind::Ball);
+        balls.map(|c| (c.shape, c.origin, c.radius))
+    }
+
     /// Segments on the surfaces of shapes, with the shape that each belongs to: where shapes cross each other, some of
     /// them do, unless what sticks out is small and round or lies within one face. At most about `most` of them.
     pub fn probes(&self, most: usize) -> Vec<(u32, [Vec3<f64>; 2])> {

@@ -87,17 +87,20 @@ pub enum Failure {
     Discontinuities,
     /// F10: no term for what becomes visible or hidden.
     Boundaries,
+    /// F44: rays that do not move with the vertices that they start from.
+    RaysAtRest,
 }
 
 impl Failure {
     /// All of them.
-    pub const ALL: [Self; 6] = [
+    pub const ALL: [Self; 7] = [
         Self::ConstantWeights,
         Self::MixedWeights,
         Self::AttachedRoulette,
         Self::AttachedChoice,
         Self::Discontinuities,
         Self::Boundaries,
+        Self::RaysAtRest,
     ];
 
     /// Its number.
@@ -109,6 +112,7 @@ impl Failure {
             Self::AttachedChoice => "F6",
             Self::Discontinuities => "F8",
             Self::Boundaries => "F10",
+            Self::RaysAtRest => "F44",
         }
     }
 
@@ -121,6 +125,7 @@ impl Failure {
             Self::AttachedChoice => "differentiated probabilities of lobes",
             Self::Discontinuities => "samples that move across discontinuities",
             Self::Boundaries => "no term for what becomes visible or hidden",
+            Self::RaysAtRest => "rays that do not move with the vertices that they start from",
         }
     }
 }
@@ -201,14 +206,15 @@ impl Capabilities {
             .with(Failure::AttachedRoulette, S::ATTACHED_ROULETTE)
             .with(Failure::AttachedChoice, S::ATTACHED_CHOICE)
             .with(Failure::Discontinuities, crosses && !S::NEEDS_CONTINUITY)
-            .with(Failure::Boundaries, S::INTERIOR && !S::OUTLINES);
+            .with(Failure::Boundaries, S::INTERIOR && !S::OUTLINES)
+            .with(Failure::RaysAtRest, S::INTERIOR && S::RAYS_AT_REST);
         Self {
             motion,
             differential: S::Bsdf::DIFFERENTIAL,
             samples_emitters: S::SAMPLES_EMITTERS,
             follows_texels: S::EmitterMotion::KEEPS,
-            moves_vertices: S::INTERIOR || S::CONVOLVED > 0,
-            in_the_limit: S::CONVOLVED > 0,
+            moves_vertices: S::INTERIOR || S::FOLLOWS.any(),
+            in_the_limit: S::FOLLOWS.rays() > 0,
             scenes,
             guided: is_guided::<S>(),
             modes: Modes {

@@ -28,8 +28,9 @@ pub use sampling::{
 };
 pub(crate) use strategy::Still;
 pub use strategy::{
-    AllowBias, AttachedChoice, AttachedRoulette, BsdfOnly, Convolved, Edges, EmitterOnly, Geometry,
-    Interior, Mis, Outlines, Strategy, differentiates_edges, goes_in_waves, is_guided,
+    AllowBias, AttachedChoice, AttachedRoulette, BsdfOnly, Convolved, Edges, EmitterOnly, Followed,
+    Follows, Geometry, Interior, Mis, Outlines, RaysAtRest, Strategy, differentiates_edges,
+    goes_in_waves, is_guided,
 };
 pub use unbiased::Unbiased;
 pub use weights::{

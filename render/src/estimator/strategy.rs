@@ -39,10 +39,12 @@ pub trait Strategy: Send + Sync + 'static {
     const ATTACHED_CHOICE: bool = false;
     /// Whether the vertices of paths move with what moves: [`Interior`].
     const INTERIOR: bool = false;
+    /// Whether the rays between them do not: wrong (F44), for study.
+    const RAYS_AT_REST: bool = false;
     /// Whether outlines that move have samples of their own: [`Outlines`].
     const OUTLINES: bool = false;
-    /// With how many auxiliary rays directions follow outlines that move, or zero: [`Convolved`].
-    const CONVOLVED: u32 = 0;
+    /// How directions follow outlines that move: [`Convolved`], [`Followed`].
+    const FOLLOWS: Follows = Follows::Nothing;
     /// Whether nothing says that the derivative has the right expectation: [`AllowBias`].
     const ALLOWS_BIAS: bool = false;
     /// Whether the scene must be free of discontinuities, see [`crate::Scene::admits`].
@@ -51,6 +53,32 @@ pub trait Strategy: Send + Sync + 'static {
     fn weight_hit<R: Real>(a: R, b: R) -> R;
     /// Weight of a sampled light with density `a` when a scattered direction has density `b`.
     fn weight_sampled<R: Real>(a: R, b: R) -> R;
+}
+
+/// How directions of paths follow outlines that move.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Follows {
+    /// Not at all.
+    Nothing,
+    /// By a convolution over so many auxiliary rays.
+    Sampled(u32),
+    /// By outlines that are known in closed form.
+    Closed,
+}
+
+impl Follows {
+    /// Whether they do.
+    pub const fn any(self) -> bool {
+        !matches!(self, Self::Nothing)
+    }
+
+    /// The number of auxiliary rays.
+    pub const fn rays(self) -> u32 {
+        match self {
+            Self::Sampled(rays) => rays,
+            Self::Nothing | Self::Closed => 0,
+        }
+    }
 }
 
 /// Scalar of the geometry of a strategy.
@@ -206,6 +234,15 @@ pub struct AttachedRoulette<S>(PhantomData<S>);
 #[derive(Clone, Copy, Debug)]
 pub struct Interior<S>(PhantomData<S>);
 
+/// `S`, which moves the vertices of paths, with constant rays beyond the first vertex: vertices are where a ray that stays
+/// meets what moves, and samples of lights are constant directions, although the vertices that they start from move (F44).
+/// Needs [`AllowBias`].
+///
+/// So do systems that hold directions and forget that the next vertex moves with the last one: what a shape that moves does
+/// to its own light, or to what is lit through it, is partly lost.
+#[derive(Clone, Copy, Debug)]
+pub struct RaysAtRest<S>(PhantomData<S>);
+
 /// `S`, which moves the vertices of paths, and what becomes visible or hidden as outlines move: by samples of edges, which
 /// are an integral of its own ([`crate::scene::Scene::admits_outlines`] says where).
 ///
@@ -225,6 +262,14 @@ pub struct Outlines<S>(PhantomData<S>);
 /// [Zeltner 2021, section 4.4], with another estimate of the divergence.
 #[derive(Clone, Copy, Debug)]
 pub struct Convolved<S, const RAYS: u32 = 16>(PhantomData<S>);
+
+/// `S`, and what moves: directions of paths follow the outlines of what they meet as [`Convolved`] does, by a field that is
+/// known in closed form. There is no kernel, and no limit: it is right for outlines of spheres and of flat faces that move as
+/// a whole; all others are refused ([`crate::scene::Scene::admits_outlines`]).
+///
+/// Each direction looks at all outlines: it is for scenes of few of them.
+#[derive(Clone, Copy, Debug)]
+pub struct Followed<S>(PhantomData<S>);
 
 /// `S` whose scattered directions are weighed by one over a density in which the probabilities of choosing between
 /// lobes are differentiated, although the choices do not move (F6) [Zeltner 2021, section 4.2.2]. Needs [`AllowBias`].
@@ -274,15 +319,26 @@ wrapper!(Outlines<Strategy<Bsdf = Detached, Edge = Forget, EmitterMotion = Forge
     type Runs = Self;
     const OUTLINES: bool = true;
     const INTERIOR: bool = S::INTERIOR;
+    const RAYS_AT_REST: bool = S::RAYS_AT_REST;
+    const ALLOWS_BIAS: bool = S::ALLOWS_BIAS;
+    const ATTACHED_ROULETTE: bool = S::ATTACHED_ROULETTE;
+    const ATTACHED_CHOICE: bool = S::ATTACHED_CHOICE;
+});
+wrapper!(RaysAtRest<Strategy<Bsdf = Detached, Edge = Forget, EmitterMotion = Forget>> {
+    type Runs = Self;
+    const RAYS_AT_REST: bool = true;
+    const OUTLINES: bool = S::OUTLINES;
+    const INTERIOR: bool = S::INTERIOR;
     const ALLOWS_BIAS: bool = S::ALLOWS_BIAS;
     const ATTACHED_ROULETTE: bool = S::ATTACHED_ROULETTE;
     const ATTACHED_CHOICE: bool = S::ATTACHED_CHOICE;
 });
 wrapper!(AllowBias<Strategy> {
     type Runs = S::Runs;
-    const CONVOLVED: u32 = S::CONVOLVED;
+    const FOLLOWS: Follows = S::FOLLOWS;
     const OUTLINES: bool = S::OUTLINES;
     const INTERIOR: bool = S::INTERIOR;
+    const RAYS_AT_REST: bool = S::RAYS_AT_REST;
     const ALLOWS_BIAS: bool = true;
     const ATTACHED_ROULETTE: bool = S::ATTACHED_ROULETTE;
     const ATTACHED_CHOICE: bool = S::ATTACHED_CHOICE;
@@ -290,51 +346,60 @@ wrapper!(AllowBias<Strategy> {
 });
 wrapper!(AttachedRoulette<Strategy> {
     type Runs = Self;
-    const CONVOLVED: u32 = S::CONVOLVED;
+    const FOLLOWS: Follows = S::FOLLOWS;
     const OUTLINES: bool = S::OUTLINES;
     const INTERIOR: bool = S::INTERIOR;
+    const RAYS_AT_REST: bool = S::RAYS_AT_REST;
     const ALLOWS_BIAS: bool = S::ALLOWS_BIAS;
     const ATTACHED_ROULETTE: bool = true;
     const ATTACHED_CHOICE: bool = S::ATTACHED_CHOICE;
 });
 wrapper!(AttachedChoice<Strategy<Bsdf = Detached, Edge = Forget>> {
     type Runs = Self;
-    const CONVOLVED: u32 = S::CONVOLVED;
+    const FOLLOWS: Follows = S::FOLLOWS;
     const OUTLINES: bool = S::OUTLINES;
     const INTERIOR: bool = S::INTERIOR;
+    const RAYS_AT_REST: bool = S::RAYS_AT_REST;
     const ALLOWS_BIAS: bool = S::ALLOWS_BIAS;
     const ATTACHED_ROULETTE: bool = S::ATTACHED_ROULETTE;
     const ATTACHED_CHOICE: bool = true;
 });
 
-impl<S: Strategy, const RAYS: u32> Strategy for Convolved<S, RAYS> {
-    type Runs = Self;
-    type Primal = S::Primal;
-    type Bsdf = S::Bsdf;
-    type Edge = S::Edge;
-    type EmitterMotion = S::EmitterMotion;
-    const SAMPLES_EMITTERS: bool = S::SAMPLES_EMITTERS;
-    const COUNTS_HITS: bool = S::COUNTS_HITS;
-    const FROZEN_WEIGHTS: bool = S::FROZEN_WEIGHTS;
-    const DIFFERENTIATED_WEIGHTS: bool = S::DIFFERENTIATED_WEIGHTS;
-    const MIXED_WEIGHTS: bool = S::MIXED_WEIGHTS;
-    const ATTACHED_ROULETTE: bool = S::ATTACHED_ROULETTE;
-    const ATTACHED_CHOICE: bool = S::ATTACHED_CHOICE;
-    const ALLOWS_BIAS: bool = S::ALLOWS_BIAS;
-    const NEEDS_CONTINUITY: bool = S::NEEDS_CONTINUITY;
-    const CONVOLVED: u32 = {
-        assert!(RAYS >= 2, "neighbours are compared with each other");
-        RAYS
+macro_rules! follows {
+    ($name:ident [$($rays:ident)?] $follows:expr) => {
+        impl<S: Strategy $(, const $rays: u32)?> Strategy for $name<S $(, $rays)?> {
+            type Runs = Self;
+            type Primal = S::Primal;
+            type Bsdf = S::Bsdf;
+            type Edge = S::Edge;
+            type EmitterMotion = S::EmitterMotion;
+            const SAMPLES_EMITTERS: bool = S::SAMPLES_EMITTERS;
+            const COUNTS_HITS: bool = S::COUNTS_HITS;
+            const FROZEN_WEIGHTS: bool = S::FROZEN_WEIGHTS;
+            const DIFFERENTIATED_WEIGHTS: bool = S::DIFFERENTIATED_WEIGHTS;
+            const MIXED_WEIGHTS: bool = S::MIXED_WEIGHTS;
+            const ATTACHED_ROULETTE: bool = S::ATTACHED_ROULETTE;
+            const ATTACHED_CHOICE: bool = S::ATTACHED_CHOICE;
+            const ALLOWS_BIAS: bool = S::ALLOWS_BIAS;
+            const NEEDS_CONTINUITY: bool = S::NEEDS_CONTINUITY;
+            const FOLLOWS: Follows = $follows;
+            #[inline]
+            fn weight_hit<R: Real>(a: R, b: R) -> R {
+                S::weight_hit(a, b)
+            }
+            #[inline]
+            fn weight_sampled<R: Real>(a: R, b: R) -> R {
+                S::weight_sampled(a, b)
+            }
+        }
     };
-    #[inline]
-    fn weight_hit<R: Real>(a: R, b: R) -> R {
-        S::weight_hit(a, b)
-    }
-    #[inline]
-    fn weight_sampled<R: Real>(a: R, b: R) -> R {
-        S::weight_sampled(a, b)
-    }
 }
+
+follows!(Convolved[RAYS] {
+    assert!(RAYS >= 2, "neighbours are compared with each other");
+    Follows::Sampled(RAYS)
+});
+follows!(Followed[] Follows::Closed);
 
 /// `S` where nothing has tangents, so that nothing moves.
 #[derive(Clone, Copy, Debug)]

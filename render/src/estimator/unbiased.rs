@@ -2,8 +2,8 @@
 
 use super::{
     AllowBias, Attached, AttachedDirect, AttachedWeights, Balance, BsdfOnly, Convolved, Detached,
-    DetachedWeights, Differential, EmitterOnly, FrozenWeights, Interior, Mis, Outlines, Power,
-    Reparameterised, Strategy, TrustBsdf, TrustLights,
+    DetachedWeights, Differential, EmitterOnly, Followed, FrozenWeights, Interior, Mis, Outlines,
+    Power, Reparameterised, Strategy, TrustBsdf, TrustLights,
 };
 
 /// The estimator's derivative has the right expectation.
@@ -113,6 +113,7 @@ unbiased! {
 unbiased_for_all_rays! {
     Convolved<BsdfOnly<Reparameterised<RAYS>>>;
     Convolved<Mis<Reparameterised<RAYS>, Detached, AttachedWeights>>;
+    Followed<Mis<Reparameterised<RAYS>, Detached, AttachedWeights>>;
     BsdfOnly<Reparameterised<RAYS>>;
     EmitterOnly<Reparameterised<RAYS>>;
     EmitterOnly<Reparameterised<RAYS>, Attached>;

@@ -43,7 +43,7 @@ pub(super) fn every<S: Strategy, X: Sampler>(
     let by_glints = wanted.light && wanted.finders.glints;
     let moves = S::INTERIOR && wanted.motion;
     let outlines = S::OUTLINES && wanted.motion;
-    let follows = S::CONVOLVED > 0 && wanted.motion;
+    let follows = S::FOLLOWS.any() && wanted.motion;
     let all = [
         wanted.light,
         by_particles,
@@ -78,7 +78,7 @@ pub(super) fn every<S: Strategy, X: Sampler>(
     if const { S::OUTLINES } && wanted.motion && !share.cancelled() {
         question.ask::<Boundaries>(&share);
     }
-    if const { S::CONVOLVED > 0 } && wanted.motion && !share.cancelled() {
+    if const { S::FOLLOWS.any() } && wanted.motion && !share.cancelled() {
         question.ask::<Convolved>(&share);
     }
 }

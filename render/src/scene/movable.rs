@@ -7,7 +7,7 @@ use crate::bsdf::{Bsdf, Material, TextureRef};
 use crate::camera::FovAxis;
 use crate::emitter::{AnyEmitter, Emitter};
 use crate::error::RenderError;
-use crate::estimator::Strategy;
+use crate::estimator::{Follows, Strategy};
 use crate::film::PixelFilter;
 use crate::motion::Placement;
 use crate::params::{ParamInfo, ParamKind, ParamRef, ParamShape, fits};
@@ -416,7 +416,7 @@ impl Scene {
         info: &ParamInfo,
         max_depth: u32,
     ) -> Result<(), RenderError> {
-        let follows = S::CONVOLVED > 0;
+        let follows = S::FOLLOWS.any();
         if !info.kind.is_motion() || !(S::OUTLINES || follows) {
             return Ok(());
         }
@@ -431,6 +431,11 @@ impl Scene {
             return refuse(
                 "directions that follow outlines need a box or a Gaussian as the pixel filter",
             );
+        }
+        if matches!(S::FOLLOWS, Follows::Closed)
+            && let Some(culprit) = self.without_closed_outlines(info)
+        {
+            return refuse(&culprit);
         }
         if max_depth < 2 || self.outline(false).is_none() {
             return Ok(());
@@ -449,6 +454,33 @@ impl Scene {
         } else {
             Ok(())
         }
+    }
+
+    /// What has outlines that are not known in closed form where this parameter moves, if anything has.
+    fn without_closed_outlines(&self, info: &ParamInfo) -> Option<String> {
+        let p = self.params.handle(info);
+        if self.camera.zooms(p) {
+            return Some("the angle of view spreads directions, which has no closed form".into());
+        }
+        let round = |shape: &AnyShape| match shape {
+            AnyShape::Rectangle(_) | AnyShape::Cube(_) | AnyShape::Sphere(_) => false,
+            AnyShape::Mesh(mesh) => !mesh.data().normals.is_empty(),
+            AnyShape::Disk(_) | AnyShape::Cylinder(_) | AnyShape::Instance(_) => true,
+        };
+        for ((i, own), shape) in (0..).zip(&self.infos).zip(self.shapes()) {
+            if round(shape) {
+                return Some(format!(
+                    "`{}` is no sphere and has no flat faces, whose outlines are known in closed form",
+                    own.name
+                ));
+            }
+            let moves = self.movers().contains(&(i, p));
+            let whole = (self.geometry.placement(i)).is_some_and(|a| a.params().any(|q| q == p));
+            if moves && !whole {
+                return Some(format!("`{}` does not move as a whole", own.name));
+            }
+        }
+        None
     }
 
     /// Whether a texture of a shape does: between texels, or where its coordinates begin again.

@@ -1,11 +1,14 @@
 //! The chart.
 
-use super::sweeps::{STRIPES, Sweep, lobe_width};
+use super::sweeps::{Of, STRIPES, Sweep, lobe_width};
 use super::{Finding, Report, Row};
 use crate::sheet::{Curve, Look, Mark, Plot, Sheet};
 
+/// How the curves of estimators look: a colour, and whether they are dashed.
+type Looks = [(&'static str, [u8; 3], bool)];
+
 /// One colour per way of sampling the BSDF [Okabe and Ito 2008]; dashed together with light sampling.
-const LOOKS: [(&str, [u8; 3], bool); 11] = [
+const LOOKS: &Looks = &[
     ("emitter", [86, 180, 233], false),
     ("detached", [213, 94, 0], false),
     ("attached", [0, 158, 115], false),
@@ -19,17 +22,22 @@ const LOOKS: [(&str, [u8; 3], bool); 11] = [
     ("differential-mis", [204, 121, 167], true),
 ];
 
+/// Those of what moves.
+const MOVING: &Looks = &[
+    ("edges", [213, 94, 0], false),
+    ("reparameterised", [0, 114, 178], false),
+    ("reparameterised-mis", [0, 114, 178], true),
+    ("reparameterised-exact", [0, 158, 115], false),
+    ("interior", [120, 120, 120], false),
+    ("biased-rays", [60, 60, 60], true),
+];
+
 /// `attached-naive` is `attached` where that is refused.
 fn alias(estimator: &str) -> &str {
     match estimator {
         "attached-naive" => "attached",
         other => other,
     }
-}
-
-fn look(estimator: &str) -> Option<Look> {
-    let entry = LOOKS.iter().find(|(name, ..)| *name == alias(estimator))?;
-    Some(Look::measured(entry.1, entry.2))
 }
 
 fn mark(finding: Finding) -> Option<Mark> {
@@ -42,6 +50,8 @@ fn mark(finding: Finding) -> Option<Mark> {
 
 /// Smallest |z| that is shown.
 const LEAST_Z: f64 = 0.1;
+/// Smallest spread that is shown: some outlines are found without any.
+const LEAST_STD: f64 = 1e-2;
 
 /// A decade or more around all points.
 fn span(values: impl Iterator<Item = f64>, [low, high]: [f64; 2]) -> [f64; 2] {
@@ -56,8 +66,14 @@ fn span(values: impl Iterator<Item = f64>, [low, high]: [f64; 2]) -> [f64; 2] {
     ]
 }
 
-fn plot(sweep: &Sweep, report: &Report, bias: bool) -> Plot {
-    let value = |r: &Row| if bias { r.z.abs().max(LEAST_Z) } else { r.std };
+fn plot(sweep: &Sweep, looks: &Looks, report: &Report, bias: bool) -> Plot {
+    let value = |r: &Row| {
+        if bias {
+            r.z.abs().max(LEAST_Z)
+        } else {
+            r.std.max(LEAST_STD)
+        }
+    };
     let rows = || report.rows.iter().filter(|r| r.sweep == sweep.name);
     let mut curves = Vec::new();
     if !bias {
@@ -69,7 +85,7 @@ fn plot(sweep: &Sweep, report: &Report, bias: bool) -> Plot {
             });
         }
     }
-    for (name, ..) in LOOKS {
+    for &(name, colour, dashed) in looks {
         let own = || {
             let of_look = |r: &&Row| {
                 let naive_twin = r.estimator == "attached-naive"
@@ -80,9 +96,8 @@ fn plot(sweep: &Sweep, report: &Report, bias: bool) -> Plot {
             let says = |r: &&Row| !bias || r.finding != Finding::Unresolved;
             rows().filter(of_look).filter(says)
         };
-        let Some(look) = look(name) else { continue };
         curves.push(Curve {
-            look,
+            look: Look::measured(colour, dashed),
             points: own().map(|r| (r.x, value(r))).collect(),
             marks: own()
                 .filter_map(|r| Some(((r.x, value(r)), mark(r.finding)?)))
@@ -133,6 +148,8 @@ fn plot(sweep: &Sweep, report: &Report, bias: bool) -> Plot {
             sweep.axis.into(),
             if bias {
                 "bias, |z|".into()
+            } else if matches!(sweep.of, Of::Motion) {
+                "std of a sample / derivative".into()
             } else {
                 "std of a sample / radiance".into()
             },
@@ -144,7 +161,7 @@ fn plot(sweep: &Sweep, report: &Report, bias: bool) -> Plot {
         } else {
             span(
                 curves.iter().flat_map(|c| c.points.iter().map(|p| p.1)),
-                [1e-2, 1e5],
+                [LEAST_STD, 1e5],
             )
         },
         curves,
@@ -162,11 +179,10 @@ fn plot(sweep: &Sweep, report: &Report, bias: bool) -> Plot {
 fn samples(report: &Report) -> Plot {
     let probes = &report.probes;
     let mut curves: Vec<Curve> = Vec::new();
-    for (name, ..) in LOOKS {
+    for &(name, colour, dashed) in LOOKS {
         let own = || probes.ladder.iter().filter(|l| alias(l.estimator) == name);
-        let Some(look) = look(name) else { continue };
         curves.push(Curve {
-            look,
+            look: Look::measured(colour, dashed),
             points: own().map(|l| (l.samples, l.error)).collect(),
             marks: own()
                 .filter(|l| l.biased)
@@ -232,30 +248,46 @@ fn steps(report: &Report) -> Plot {
     }
 }
 
-/// Spread above bias for every sweep, four sweeps in a row; samples and steps last.
-pub fn sheet(sweeps: &[Sweep], report: &Report) -> Sheet {
+/// Spread above bias for every sweep, by the name of its file: derivatives in roughness, four sweeps in a row, with samples
+/// and steps last; and in what moves, if anybody has them.
+pub fn sheets(sweeps: &[Sweep], report: &Report) -> Vec<(&'static str, Sheet)> {
+    let (moving, rough): (Vec<&Sweep>, Vec<&Sweep>) =
+        sweeps.iter().partition(|s| matches!(s.of, Of::Motion));
     let mut plots = Vec::new();
-    for four in sweeps.chunks(4) {
+    for four in rough.chunks(4) {
         for bias in [false, true] {
-            plots.extend(four.iter().map(|s| plot(s, report, bias)));
+            plots.extend(four.iter().map(|s| plot(s, LOOKS, report, bias)));
             if four.len() < 4 {
                 plots.push(if bias { steps(report) } else { samples(report) });
             }
         }
     }
-    let legend = LOOKS.map(|(name, colour, dashed)| {
+    let mut out = vec![("stability", sheet("roughness", 4, plots, LOOKS))];
+    let any = |s: &&Sweep| report.rows.iter().any(|r| r.sweep == s.name);
+    if moving.iter().any(any) {
+        let both = [false, true].into_iter();
+        let plots = both.flat_map(|bias| moving.iter().map(move |s| plot(s, MOVING, report, bias)));
+        let plots = plots.collect();
+        out.push(("motion", sheet("what moves", moving.len(), plots, MOVING)));
+    }
+    out
+}
+
+fn sheet(of: &str, columns: usize, plots: Vec<Plot>, looks: &Looks) -> Sheet {
+    let named = |&(name, colour, dashed): &(&'static str, [u8; 3], bool)| {
         let text = match name {
             "attached" => "attached (naive)",
             other => other,
         };
         (text.to_owned(), Look::measured(colour, dashed))
-    });
+    };
     Sheet {
-        title: "Estimators of the derivative in roughness: where they are noisy, and where they are wrong"
-            .into(),
-        columns: 4,
+        title: format!(
+            "Estimators of the derivative in {of}: where they are noisy, and where they are wrong"
+        ),
+        columns,
         plots,
-        legend: legend.into(),
+        legend: looks.iter().map(named).collect(),
         marks: vec![
             ("biased".into(), Mark::Failed),
             ("lobe not met".into(), Mark::Unresolved),

@@ -23,14 +23,14 @@ pub const ROUGHNESS: &str = "metal.alpha.value";
 /// Name of the emitted radiance, where it is a parameter.
 pub const EMISSION: &str = "light.emitter.radiance.value";
 
-/// Pixels per side: all see the same, so that their spread is the error.
+/// Pixels per side where all see the same, so that their spread is the error.
 pub const SIZE: u32 = 16;
 /// Angle of view, degrees: small enough to be one direction.
-const FOV: f64 = 1e-3;
+pub const FOV: f64 = 1e-3;
 /// How far viewer and lights are.
-const DISTANCE: f64 = 4.0;
+pub const DISTANCE: f64 = 4.0;
 
-/// Radiance and its derivative in the roughness.
+/// Radiance, or the mean of an image, and its derivative.
 #[derive(Clone, Copy, Debug)]
 pub struct Truth {
     /// Radiance.
@@ -44,6 +44,15 @@ pub struct Truth {
     pub std: Option<[f64; 2]>,
 }
 
+/// Where the spread of an estimate is read from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Values {
+    /// Pixels, which see the same.
+    Pixels,
+    /// The means of images with samples of their own.
+    Images,
+}
+
 /// One point of a sweep.
 #[derive(Debug)]
 pub struct Setup {
@@ -51,6 +60,21 @@ pub struct Setup {
     pub scene: Scene,
     /// Its truth.
     pub truth: Truth,
+    /// What the derivative is in, each of its components alike.
+    pub param: &'static str,
+    /// Where its spread is read from.
+    pub values: Values,
+}
+
+impl Setup {
+    fn in_roughness(scene: Scene, truth: Truth) -> Self {
+        Self {
+            scene,
+            truth,
+            param: ROUGHNESS,
+            values: Values::Pixels,
+        }
+    }
 }
 
 /// What shines on the plate.
@@ -111,7 +135,7 @@ impl Plate {
             Light::Lobe => self.by_moving(&scene),
             _ => self.by_directions(&scene),
         };
-        Ok(Setup { scene, truth })
+        Ok(Setup::in_roughness(scene, truth))
     }
 
     /// The same in a black environment that could shine.
@@ -279,7 +303,7 @@ impl Plate {
 }
 
 /// BSDF times cosine of a plate that reflects all light.
-fn bsdf<R: Real<Primal = f64>>(
+pub fn bsdf<R: Real<Primal = f64>>(
     surface: &Microfacet<R>,
     wo: Vec3<f64>,
     w: Vec3<f64>,
@@ -290,7 +314,7 @@ fn bsdf<R: Real<Primal = f64>>(
 }
 
 /// Six-point Gauss-Legendre quadrature on [-1, 1].
-const GAUSS: [(f64, f64); 6] = [
+pub const GAUSS: [(f64, f64); 6] = [
     (-0.932_469_514_203_152, 0.171_324_492_379_170_4),
     (-0.661_209_386_466_264_5, 0.360_761_573_048_138_6),
     (-0.238_619_186_083_196_9, 0.467_913_934_572_691),
@@ -299,7 +323,7 @@ const GAUSS: [(f64, f64); 6] = [
     (0.932_469_514_203_152, 0.171_324_492_379_170_4),
 ];
 
-fn white(stage: &mut SceneBuilder, reflectance: f64) -> Result<Conductor> {
+pub fn white(stage: &mut SceneBuilder, reflectance: f64) -> Result<Conductor> {
     Ok(Conductor {
         specular_reflectance: stage.colour("metal", "specular_reflectance", [reflectance; 3])?,
         index: None,
@@ -368,7 +392,7 @@ impl Furnace {
             error: (fine.eps[0] - coarse.eps[0]).abs(),
             std: None,
         };
-        Ok(Setup { scene, truth })
+        Ok(Setup::in_roughness(scene, truth))
     }
 
     /// Radiance of all paths of up to `depth` edges. A chord meets the ball under the same angle at both

@@ -2,7 +2,8 @@
 
 use render::bsdf::microfacet::Ndf;
 
-use super::setup::{Furnace, Light, Plate, Setup, stripe_laws};
+use super::moving;
+use super::setup::{Furnace, Light, Plate, Setup, Truth, stripe_laws};
 use crate::figure::Result;
 
 /// Stripes around the horizon of [`Light::Stripes`].
@@ -33,6 +34,25 @@ pub struct Law {
     pub range: [f64; 2],
 }
 
+/// What a derivative is in, and what it is measured by.
+#[derive(Clone, Copy)]
+pub enum Of {
+    /// A roughness, which is this at a point: differences and spreads are those of `d ln I / d ln alpha`.
+    Roughness(fn(f64) -> f64),
+    /// A position or a size: differences and spreads are relative to the derivative.
+    Motion,
+}
+
+impl Of {
+    /// What a difference or a spread of derivatives is divided by.
+    pub fn unit(self, x: f64, truth: &Truth) -> f64 {
+        match self {
+            Self::Roughness(alpha) => truth.value / alpha(x),
+            Self::Motion => truth.slope.abs(),
+        }
+    }
+}
+
 /// One axis.
 pub struct Sweep {
     /// In tables.
@@ -41,7 +61,9 @@ pub struct Sweep {
     pub title: &'static str,
     /// Below its charts.
     pub axis: &'static str,
-    /// Whether that is the roughness.
+    /// What the derivative is in.
+    pub of: Of,
+    /// Whether the axis is the roughness.
     pub over_roughness: bool,
     /// Whether the axis is logarithmic.
     pub log: bool,
@@ -49,8 +71,6 @@ pub struct Sweep {
     pub points: Vec<f64>,
     /// The scene at a point.
     pub setup: Box<dyn Fn(f64) -> Result<Setup> + Send + Sync>,
-    /// The roughness at a point.
-    pub alpha: fn(f64) -> f64,
     /// Known laws.
     pub laws: Vec<Law>,
 }
@@ -85,11 +105,11 @@ fn roughness(
         name,
         title,
         axis: "roughness α",
+        of: Of::Roughness(|alpha| alpha),
         over_roughness: true,
         log: true,
         points,
         setup: Box::new(move |alpha| Plate { alpha, ..plate }.setup()),
-        alpha: |alpha| alpha,
         laws,
     }
 }
@@ -161,6 +181,7 @@ pub fn all(quick: bool) -> Vec<Sweep> {
             name: "light-size",
             title: "Size of a ball light (F8)",
             axis: "angular radius of the light (rad)",
+            of: Of::Roughness(|_| BALL_ALPHA),
             over_roughness: false,
             log: true,
             points: logarithmic(1e-3, 1.0, if quick { 4 } else { 13 }),
@@ -171,13 +192,13 @@ pub fn all(quick: bool) -> Vec<Sweep> {
                 }
                 .setup()
             }),
-            alpha: |_| BALL_ALPHA,
             laws: Vec::new(),
         },
         Sweep {
             name: "incidence",
             title: "Angle of the viewer, smooth light (F9, F43)",
             axis: "angle from the normal (degrees)",
+            of: Of::Roughness(|_| 0.3),
             over_roughness: false,
             log: false,
             points: if quick {
@@ -197,13 +218,13 @@ pub fn all(quick: bool) -> Vec<Sweep> {
                 }
                 .setup()
             }),
-            alpha: |_| 0.3,
             laws: Vec::new(),
         },
         Sweep {
             name: "depth",
             title: "Path length, inside a glowing ball (F37, F40)",
             axis: "edges of the longest path",
+            of: Of::Roughness(|_| FURNACE_ALPHA),
             over_roughness: false,
             log: true,
             points: if quick {
@@ -212,9 +233,74 @@ pub fn all(quick: bool) -> Vec<Sweep> {
                 vec![2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0]
             },
             setup: Box::new(|depth| furnace(Some(depth as u32)).setup()),
-            alpha: |_| FURNACE_ALPHA,
             laws: Vec::new(),
         },
+    ]
+}
+
+/// All sweeps of derivatives in what moves.
+pub fn motion(quick: bool) -> Vec<Sweep> {
+    let sweep = |name, title, axis, points, setup: fn(f64) -> Result<Setup>| Sweep {
+        name,
+        title,
+        axis,
+        of: Of::Motion,
+        over_roughness: false,
+        log: true,
+        points,
+        setup: Box::new(setup),
+        laws: Vec::new(),
+    };
+    vec![
+        sweep(
+            "silhouette",
+            "Size of a silhouette, ball that grows (F10)",
+            "radius of the ball (pixels)",
+            logarithmic(3e-3, 1.5, if quick { 3 } else { 10 }),
+            moving::silhouette,
+        ),
+        sweep(
+            "contact",
+            "Distance of a shadow's ball that rises (F10)",
+            "height of its centre over the floor (radii)",
+            if quick {
+                vec![1.02, 4.0]
+            } else {
+                vec![
+                    1.01, 1.02, 1.05, 1.1, 1.2, 1.5, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0,
+                ]
+            },
+            moving::contact,
+        ),
+        sweep(
+            "reflection",
+            "Roughness below a ball that moves (F10)",
+            "roughness α",
+            logarithmic(1e-3, 1.0, if quick { 3 } else { 13 }),
+            moving::reflection,
+        ),
+        sweep(
+            "bounces",
+            "Path length, bulb in a ball that moves (F44)",
+            "edges of the longest path",
+            if quick {
+                vec![2.0, 6.0]
+            } else {
+                vec![2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0]
+            },
+            |depth| moving::bounces(depth as u32),
+        ),
+        sweep(
+            "facets",
+            "Faces of a solid that grows (F10)",
+            "number of faces",
+            if quick {
+                vec![8.0, 512.0]
+            } else {
+                (0..6).map(|k| 8.0 * 4f64.powi(k)).collect()
+            },
+            |faces| moving::facets(faces as usize),
+        ),
     ]
 }
 

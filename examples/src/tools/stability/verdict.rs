@@ -479,7 +479,7 @@ pub fn text(report: &Report) -> String {
     let still = |r: &Row| {
         can(r.estimator, |c| {
             c.motion == Motion::Reparameterised && !c.study
-        })
+        }) && !in_motion(r)
     };
     if let Some(worst) = worst(report, still) {
         let wrong = (report.rows.iter())
@@ -491,6 +491,7 @@ pub fn text(report: &Report) -> String {
             found(worst)
         ));
     }
+    motion(&mut out, report);
     let grazing = |r: &Row| r.sweep == "incidence" && r.x > 80.0 && !can(r.estimator, |c| c.study);
     if let Some(worst) = worst(report, grazing) {
         out.say(
@@ -650,14 +651,68 @@ fn list(names: &[&str]) -> String {
 }
 
 fn found(r: &Row) -> String {
+    let what = if in_motion(r) {
+        "the derivative"
+    } else {
+        "d ln I / d ln alpha"
+    };
     format!(
-        "{} at {} = {:.3}: |z| {:.1}, d ln I / d ln alpha off by {:.1e}",
+        "{} at {} = {:.3}: |z| {:.1}, {what} off by {:.1e}",
         r.estimator,
         r.sweep,
         r.x,
         r.z.abs(),
         r.relative_bias.abs()
     )
+}
+
+/// Whether it is about something that moves.
+fn in_motion(r: &Row) -> bool {
+    r.param != ROUGHNESS
+}
+
+/// F10, F44: who has the derivative in what moves.
+fn motion(out: &mut Text, report: &Report) {
+    let rows = || report.rows.iter().filter(|r| in_motion(r));
+    if rows().next().is_none() {
+        return;
+    }
+    let blind = named(|c| !c.moves_vertices);
+    out.say(
+        "F10",
+        format!(
+            "{} estimators refuse the derivative in what moves by name, and answer with no zero.",
+            blind.len()
+        ),
+    );
+    for e in Estimator::ALL {
+        let own = |r: &Row| in_motion(r) && r.estimator == e.name();
+        let c = e.capabilities();
+        let Some(worst) = worst(report, own) else {
+            continue;
+        };
+        let wrong: Vec<&Row> = rows()
+            .filter(|r| own(r) && r.finding == Finding::Biased)
+            .collect();
+        let mut places: Vec<&str> = wrong.iter().map(|r| r.sweep).collect();
+        places.dedup();
+        let numbers: Vec<&str> = c.failures.iter().map(Failure::number).collect();
+        let what = match (wrong.is_empty(), c.in_the_limit) {
+            (true, _) => "right wherever it was measured; the largest difference".into(),
+            (false, true) => format!(
+                "blurs what is small, as its kernel is not narrow enough there: biased at {} points ({}); the largest",
+                wrong.len(),
+                places.join(", ")
+            ),
+            (false, false) => format!("biased at {} points ({})", wrong.len(), places.join(", ")),
+        };
+        let mode = if numbers.is_empty() {
+            "F10, F44".to_owned()
+        } else {
+            numbers.join(", ")
+        };
+        out.say(&mode, format!("{}: {what}: {}.", e.name(), found(worst)));
+    }
 }
 
 /// Whether an estimator is for the study of this failure, and of no other.

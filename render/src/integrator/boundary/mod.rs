@@ -503,7 +503,7 @@ impl<'a, P: Float> Boundary<'a, P> {
         {
             return;
         }
-        sampler.seek(Purpose::Edges(CANDIDATES).at(depth));
+        sampler.seek(Purpose::Horizon.at(depth));
         let u: f64 = sampler.next_1d();
         let normal = wide(si.n_geo);
         let around = Frame::from_normal(normal);

@@ -1,13 +1,16 @@
 //! A path whose directions follow what they meet, and its adjoint.
 
-use ad_core::{Dual, Float, Vec3};
+use ad_core::{Dual, Float, Vec2, Vec3};
 use smallvec::SmallVec;
 
+use super::closed::{self, Anchor};
 use super::field::{Influence, KAPPA, LARGEST, Neighbour, convolve};
 use super::outlines::Outlines;
 use crate::bsdf::Component;
 use crate::camera::Seen;
+use crate::edges::Edges;
 use crate::emitter::{Emitter, EmitterSample};
+use crate::estimator::{Follows, Strategy};
 use crate::integrator::active::Active;
 use crate::integrator::motion::slopes::{across, slope, slopes, varied};
 use crate::integrator::motion::trail::{Edge, Trail, met, sampled_point};
@@ -16,7 +19,7 @@ use crate::math::{Frame, Ray, RayAdjoint, Rgb};
 use crate::params::{GradSink, Theta};
 use crate::sampler::{Points, Purpose, Sampler};
 use crate::scene::Scene;
-use crate::shape::{SurfaceAdjoint, SurfaceInteraction};
+use crate::shape::{SurfaceAdjoint, SurfaceCoordinates, SurfaceInteraction};
 
 /// Tells the random numbers of auxiliary rays from those of paths: along scattered directions, towards sampled lights, at
 /// the borders of pixels.
@@ -30,13 +33,38 @@ fn wide<P: Float>(v: Vec3<P>) -> Vec3<f64> {
     v.map(P::to_f64)
 }
 
-/// A neighbour whose velocity counts.
+/// What is known of outlines.
+pub(super) enum Known<'a> {
+    /// How far what so many auxiliary rays meet is from them.
+    Sampled(Outlines<'a>, u32),
+    /// All of them, in closed form.
+    Closed(Edges),
+}
+
+impl<'a> Known<'a> {
+    pub fn of<S: Strategy>(scene: &'a Scene) -> Self {
+        match S::FOLLOWS {
+            Follows::Sampled(rays) => Self::Sampled(Outlines::of(scene), rays),
+            Follows::Nothing | Follows::Closed => Self::Closed(Edges::of(scene.shapes())),
+        }
+    }
+}
+
+/// Where a ray starts.
+#[derive(Clone, Copy)]
+enum Start {
+    Camera,
+    /// On a surface with this normal.
+    Surface(Vec3<f64>),
+}
+
+/// A neighbour, or a point beside the direction, whose velocity counts.
 struct Follower<P> {
-    /// Unit direction.
+    /// Unit direction, which its velocity has no part along; zero for points, whose velocities are taken as they are.
     d: Vec3<f64>,
-    /// One over the distance of what it met; zero where it met nothing.
+    /// One over the distance of what it met; zero where it met nothing, one for points.
     near: f64,
-    /// What it met, if that moves.
+    /// What it met, or the point, if that moves.
     met: Option<(u32, SurfaceInteraction<P>)>,
     /// Where on the image it is seen, if it leaves a camera that moves.
     film: Option<[P; 2]>,
@@ -93,6 +121,18 @@ pub(super) struct Numbers {
     pub sample: u64,
 }
 
+/// For auxiliary rays around an edge: neighbours have to be independent of each other.
+fn sampler<X: Sampler>(numbers: Numbers, salt: u64, rays: u32, depth: u32) -> X {
+    let Numbers {
+        seed,
+        pixel,
+        sample,
+    } = numbers;
+    let mut sampler = X::spread(Points::Independent, seed ^ salt, pixel, sample);
+    sampler.seek(Purpose::AuxiliaryRays(rays).at(depth));
+    sampler
+}
+
 /// Makes fields, and adds the adjoints of paths in them to the parameters that move anything.
 ///
 /// A path is a sequence of rays: each starts where the one before it ended, in a direction whose velocity is that of the field
@@ -105,8 +145,7 @@ pub(super) struct Follow<'a, P: Float> {
     scene: &'a Scene,
     theta: &'a Theta<'a, P>,
     active: &'a Active,
-    outlines: &'a Outlines<'a>,
-    rays: u32,
+    known: &'a Known<'a>,
     neighbours: Vec<(Neighbour, f64)>,
     influences: Vec<Influence>,
 }
@@ -116,36 +155,117 @@ impl<'a, P: Float> Follow<'a, P> {
         scene: &'a Scene,
         theta: &'a Theta<'a, P>,
         active: &'a Active,
-        outlines: &'a Outlines<'a>,
-        rays: u32,
+        known: &'a Known<'a>,
     ) -> Self {
         Self {
             scene,
             theta,
             active,
-            outlines,
-            rays,
+            known,
             neighbours: Vec::new(),
             influences: Vec::new(),
         }
     }
 
-    /// The field around the direction of a ray, which starts at a point that may move, at the camera if `film` is. `None` if
-    /// nothing moves there.
+    /// The field around the direction of a ray, which starts at a point that may move. `None` if nothing moves there.
     fn field<X: Sampler>(
         &mut self,
         ray: Ray<P>,
         origin_moves: bool,
-        from_camera: bool,
+        start: Start,
+        (numbers, salt, depth): (Numbers, u64, u32),
+    ) -> Option<Field<P>> {
+        match self.known {
+            Known::Sampled(outlines, rays) => {
+                let sampler = sampler::<X>(numbers, salt, *rays, depth);
+                self.sampled_field(ray, origin_moves, start, (outlines, *rays), sampler)
+            }
+            Known::Closed(edges) => self.closed_field(ray, origin_moves, start, edges),
+        }
+    }
+
+    /// Where outlines are known in closed form: [`closed`].
+    fn closed_field(
+        &self,
+        ray: Ray<P>,
+        origin_moves: bool,
+        start: Start,
+        edges: &Edges,
+    ) -> Option<Field<P>> {
+        let scene = self.scene;
+        let w = wide(ray.d).normalize();
+        let (frame, o) = (Frame::from_normal(w), wide(ray.o));
+        let reach = match start {
+            Start::Camera => (closed::REACH.min(scene.camera.half_angle()), None),
+            Start::Surface(normal) => (closed::REACH, Some(normal)),
+        };
+        let anchors = Anchor::of_outlines(edges, &frame, o, reach);
+        let met = scene.nearest(&ray).map(|hit| {
+            let met = scene.interaction(&Theta::still(), &ray, &hit);
+            let (shape, si) = (scene.shape_of(hit.prim), met.si);
+            let local = hit.prim - scene.primitive(shape, 0);
+            Anchor::met((shape, local), &frame, o, wide(si.p), wide(si.n_geo))
+        });
+        let moves = |a: &Anchor| self.active.moves_shape(a.shape);
+        if !(origin_moves || anchors.iter().chain(&met).any(moves)) {
+            return None;
+        }
+        let sum = closed::total(&anchors, met.as_ref());
+        let mut followers = SmallVec::new();
+        for anchor in anchors.iter().chain(&met) {
+            let moves = moves(anchor);
+            let prim = scene.primitive(anchor.shape, anchor.local);
+            let somewhere = SurfaceCoordinates(Vec2::new(P::of(0.25), P::of(0.25)));
+            let at: Option<SurfaceInteraction<P>> =
+                moves.then(|| scene.point_at(&Theta::still(), prim, somewhere));
+            anchor.pulls(&frame, sum, moves, |(p, influence)| {
+                let p = p.map(P::of);
+                followers.push(Follower {
+                    d: Vec3::zero(),
+                    near: 1.0,
+                    // A shape that moves as a whole moves points that are not on it alike.
+                    met: at.map(|si| (prim, SurfaceInteraction { p, ..si })),
+                    film: None,
+                    influence,
+                });
+            });
+        }
+        if let Start::Camera = start
+            && origin_moves
+            && let Some(seen) = scene.camera.seen(w)
+        {
+            // A turn of all directions has no divergence.
+            followers.push(Follower {
+                d: w,
+                near: 0.0,
+                met: None,
+                film: Some(seen.at.map(P::of)),
+                influence: Influence {
+                    share: 1.0,
+                    divergence: Vec3::zero(),
+                },
+            });
+        }
+        Some(Field { w, followers })
+    }
+
+    /// By auxiliary rays: [`convolve`].
+    fn sampled_field<X: Sampler>(
+        &mut self,
+        ray: Ray<P>,
+        origin_moves: bool,
+        start: Start,
+        (outlines, rays): (&Outlines, u32),
         mut sampler: X,
     ) -> Option<Field<P>> {
+        let from_camera = matches!(start, Start::Camera);
         let scene = self.scene;
         let w = wide(ray.d).normalize();
         let frame = Frame::from_normal(w);
         self.neighbours.clear();
         let mut followers = SmallVec::new();
         let mut moves = false;
-        for _ in 0..self.rays {
+        for _ in 0..rays {
             let neighbour = Neighbour::sample(&frame, KAPPA, sampler.next_2d());
             let around = Ray {
                 d: neighbour.d.map(P::of).normalize(),
@@ -166,7 +286,7 @@ impl<'a, P: Float> Follow<'a, P> {
             // Beyond everything there is no outline.
             let mut test = LARGEST;
             if let Some(hit) = scene.nearest(&around) {
-                test = self.outlines.test(KAPPA, &around, &hit);
+                test = outlines.test(KAPPA, &around, &hit);
                 follower.near = f64::from(hit.t).recip();
                 if self.active.moves_shape(scene.shape_of(hit.prim)) {
                     let met = scene.interaction(&Theta::still(), &around, &hit);
@@ -194,20 +314,8 @@ impl<'a, P: Float> Follow<'a, P> {
         numbers: Numbers,
         salt: u64,
     ) -> Option<Field<P>> {
-        let sampler = self.sampler::<X>(numbers, salt, 0);
-        self.field(ray, self.active.moves_camera(), true, sampler)
-    }
-
-    fn sampler<X: Sampler>(&self, numbers: Numbers, salt: u64, depth: u32) -> X {
-        let Numbers {
-            seed,
-            pixel,
-            sample,
-        } = numbers;
-        // Neighbours have to be independent of each other.
-        let mut sampler = X::spread(Points::Independent, seed ^ salt, pixel, sample);
-        sampler.seek(Purpose::AuxiliaryRays(self.rays).at(depth));
-        sampler
+        let moves = self.active.moves_camera();
+        self.field::<X>(ray, moves, Start::Camera, (numbers, salt, 0))
     }
 
     /// The fields of a path through the point `film` of the image.
@@ -254,19 +362,18 @@ impl<'a, P: Float> Follow<'a, P> {
             moves |= self.active.moves_shape(*shape);
             let exit = self.scene.exit(*prim);
             let depth = k as u32 + 1;
+            let start = Start::Surface(wide(si.n_geo));
             if let Some((s, aim)) = &stop.sampled
                 && !self.scene.emitters()[s.emitter as usize].is_delta()
             {
-                let sampler = self.sampler::<X>(numbers, SALTS[1], depth);
                 let ray = si.spawn_ray(aim.d, exit);
-                bend.sampled = self.field(ray, moves, false, sampler);
+                bend.sampled = self.field::<X>(ray, moves, start, (numbers, SALTS[1], depth));
             }
             if let Some(b) = &stop.bounce
                 && !bend.arriving.is_black()
             {
-                let sampler = self.sampler::<X>(numbers, SALTS[0], depth);
                 let ray = si.spawn_ray(si.frame.to_world(b.wi), exit);
-                bend.scattered = self.field(ray, moves, false, sampler);
+                bend.scattered = self.field::<X>(ray, moves, start, (numbers, SALTS[0], depth));
                 moves |= bend.scattered.is_some();
             }
         }

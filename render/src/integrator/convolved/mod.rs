@@ -10,22 +10,25 @@
 //! are. A box filter has a derivative on the borders of its pixel only: what flows through them has samples of its own, on
 //! a border each.
 //!
+//! Where all outlines are those of spheres and of flat faces, a field that has their velocities is known in [closed] form, and
+//! takes the place of the convolution: nothing is traced but the path, and no limit is left.
+//!
 //! # Does not handle
-//! It is right in the limit of a narrow kernel only ([`field::KAPPA`]): what is smaller than that is blurred. Dirac deltas,
+//! By auxiliary rays it is right in the limit of a narrow kernel only ([`field::KAPPA`]): what is smaller than that is blurred. Dirac deltas,
 //! textures that jump and shadows of point and spot lights are refused, as other estimators of motion do, and pixel filters
 //! other than a box or a Gaussian ([`Scene::admits_outlines`](crate::Scene::admits_outlines)).
 //!
 //! # Reference
 //! [Zeltner 2021, section 4.4] after [Bangaru et al. 2020].
 
+mod closed;
 mod course;
 pub mod field;
 mod outlines;
 
 use ad_core::{Const, Float, Real, array};
 
-use self::course::{Follow, Numbers, SALTS};
-use self::outlines::Outlines;
+use self::course::{Follow, Known, Numbers, SALTS};
 use super::active::Active;
 use super::exact::ExactBuffer;
 use super::motion::trail::Trail;
@@ -204,7 +207,7 @@ pub(super) fn image<R: Components, S: Strategy, X: Sampler>(pass: &Pass<R>) -> R
         .collect();
     let active = Active::of(scene, &moving);
     let context = context(pass, &theta);
-    let outlines = Outlines::of(scene);
+    let known = Known::of::<S>(scene);
     let spp = pass.samples.end.saturating_sub(pass.samples.start) as f64;
     let tiles = pass.tiles();
     let parts = parallel::map(tiles.len(), |i| {
@@ -216,7 +219,7 @@ pub(super) fn image<R: Components, S: Strategy, X: Sampler>(pass: &Pass<R>) -> R
         }
         let mut paths = Paths::<R::Primal, Still<S>, X, _>::new(Trail::default());
         let mut worker = Worker::<R::Primal, S, X> {
-            follow: Follow::new(scene, &theta, &active, &outlines, S::CONVOLVED),
+            follow: Follow::new(scene, &theta, &active, &known),
             context: &context,
             seed: pass.seed,
             strategy: std::marker::PhantomData,
@@ -283,7 +286,7 @@ pub(super) fn gradient<P: Float, S: Strategy, X: Sampler>(
 ) -> GradientSums {
     let (scene, theta) = (pass.scene, pass.theta);
     let context = context(pass, theta);
-    let outlines = Outlines::of(scene);
+    let known = Known::of::<S>(scene);
     let tiles = pass.tiles();
     let jobs = JOBS.min(tiles.len());
     let parts = parallel::map(jobs, |job| {
@@ -291,7 +294,7 @@ pub(super) fn gradient<P: Float, S: Strategy, X: Sampler>(
         let mut non_finite = NonFinite::default();
         let mut paths = Paths::<P, Still<S>, X, _>::new(Trail::default());
         let mut worker = Worker::<P, S, X> {
-            follow: Follow::new(scene, theta, active, &outlines, S::CONVOLVED),
+            follow: Follow::new(scene, theta, active, &known),
             context: &context,
             seed: pass.seed,
             strategy: std::marker::PhantomData,
@@ -320,7 +323,7 @@ pub(super) fn gradient<P: Float, S: Strategy, X: Sampler>(
                     speed((d * l).sum().to_f64() * border.length, &mut held);
                 });
                 // Auxiliary rays are edges, too.
-                let edges = (trail.stops.len() as u32 + 1) * (1 + S::CONVOLVED);
+                let edges = (trail.stops.len() as u32 + 1) * (1 + S::FOLLOWS.rays());
                 let which = (scene, sample);
                 held.settle(which, l.is_finite(), edges, &mut sink, &mut non_finite);
                 trail.clear();

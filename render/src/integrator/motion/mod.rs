@@ -132,7 +132,7 @@ pub(super) fn image<R: Components, S: Strategy, X: Sampler>(pass: &Pass<R>) -> R
         }
         let mut sums = vec![0.0; R::COUNT * pixels * 3];
         let mut paths = Paths::<R::Primal, S, X, _>::new(Trail::default());
-        let mut pull_back = PullBack::new(scene, &theta, &active);
+        let mut pull_back = PullBack::new::<S>(scene, &theta, &active);
         let mut held = Held::new(&active);
         let done = |at: usize, sample: Sample, l: Rgb<R::Primal>, trail: &mut Trail<R::Primal>| {
             let film = film_point::<R::Primal, X>(scene, pass.settings.points, pass.seed, &sample);
@@ -178,7 +178,7 @@ pub(super) fn gradient<P: Float, S: Strategy, X: Sampler>(
         let mut sink = Sink::of_samples(active, large);
         let mut non_finite = NonFinite::default();
         let mut paths = Paths::<P, S, X, _>::new(Trail::default());
-        let mut pull_back = PullBack::new(scene, theta, active);
+        let mut pull_back = PullBack::new::<S>(scene, theta, active);
         let mut held = Held::new(active);
         for tile in tiles.iter().skip(job).step_by(jobs) {
             if pass.progress.cancelled() {

@@ -6,6 +6,7 @@ use super::slopes::{across, slope, slopes, varied};
 use super::trail::{Stop, Trail, met, sampled_point};
 use crate::bsdf::Component;
 use crate::emitter::{Emitter, EmitterSample};
+use crate::estimator::Strategy;
 use crate::integrator::active::Active;
 use crate::integrator::record::Place;
 use crate::math::{Ray, RayAdjoint, Rgb};
@@ -18,6 +19,8 @@ use crate::shape::{SurfaceAdjoint, SurfaceInteraction};
 struct Point<P> {
     prim: u32,
     si: SurfaceInteraction<P>,
+    /// The point that its ray comes from; none for the camera's.
+    from: Option<usize>,
     moves: bool,
     d: SurfaceAdjoint<P>,
     /// Of the logarithm of the area around it.
@@ -42,12 +45,16 @@ enum Source<P> {
 /// vertices at most, and each vertex takes one adjoint, of its position, normals and texture coordinates, from the factors
 /// that it appears in. Nothing is handed on along the path.
 ///
+/// With `rays_at_rest`, for study, all others are where a ray that is a constant meets the surface that moves: that its
+/// vertex moves, too, is left out (F44).
+///
 /// # Does not handle
 /// What becomes visible or hidden (F10), horizons of mapped normals among it (F9), and Dirac deltas.
 pub(super) struct PullBack<'a, P: Float> {
     scene: &'a Scene,
     theta: &'a Theta<'a, P>,
     active: &'a Active,
+    rays_at_rest: bool,
     points: Vec<Point<P>>,
     /// Direction of the camera's ray, and its adjoint.
     camera: Vec3<P>,
@@ -55,11 +62,12 @@ pub(super) struct PullBack<'a, P: Float> {
 }
 
 impl<'a, P: Float> PullBack<'a, P> {
-    pub fn new(scene: &'a Scene, theta: &'a Theta<'a, P>, active: &'a Active) -> Self {
+    pub fn new<S: Strategy>(scene: &'a Scene, theta: &'a Theta<'a, P>, active: &'a Active) -> Self {
         Self {
             scene,
             theta,
             active,
+            rays_at_rest: S::RAYS_AT_REST,
             points: Vec::new(),
             camera: Vec3::zero(),
             d_camera: Vec3::zero(),
@@ -76,13 +84,13 @@ impl<'a, P: Float> PullBack<'a, P> {
     ) {
         self.d_camera = Vec3::zero();
         self.points.clear();
-        for stop in &trail.stops {
-            self.push(stop.place.prim, stop.place.si);
+        for (k, stop) in trail.stops.iter().enumerate() {
+            self.push(k.checked_sub(1), stop.place.prim, stop.place.si);
         }
         // An end that is no vertex.
         let last = trail.stops.last().map_or(&trail.first, |stop| &stop.edge);
         if let Some((prim, si)) = last.end {
-            self.push(prim, si);
+            self.push(trail.stops.len().checked_sub(1), prim, si);
         }
         let ray: Ray<P> = self.scene.camera.ray(film[0], film[1]);
         self.camera = ray.d;
@@ -97,12 +105,13 @@ impl<'a, P: Float> PullBack<'a, P> {
         self.scatter(&ray, film, grad);
     }
 
-    fn push(&mut self, prim: u32, si: SurfaceInteraction<P>) -> usize {
+    fn push(&mut self, from: Option<usize>, prim: u32, si: SurfaceInteraction<P>) -> usize {
         let shape = self.scene.shape_of(prim);
         let first = self.points.is_empty();
         self.points.push(Point {
             prim,
             si,
+            from,
             moves: self.active.moves_shape(shape) || (first && self.active.moves_camera()),
             d: SurfaceAdjoint::zero(),
             d_log_area: P::zero(),
@@ -145,7 +154,7 @@ impl<'a, P: Float> PullBack<'a, P> {
                 self.delta_light(k, &stop.place, s.wi, s.f, [a, a_le], s.emitter, aim, grad);
             } else {
                 let end = sampled_point(self.scene, e, &stop.place, aim)
-                    .map(|(prim, si)| self.push(prim, si));
+                    .map(|(prim, si)| self.push(Some(k), prim, si));
                 let source = end.map_or(Source::Afar, Source::Point);
                 self.scattered(k, &stop.place, s.wi, Component::Continuous, s.f, a, source);
                 let d = match end {
@@ -162,6 +171,11 @@ impl<'a, P: Float> PullBack<'a, P> {
     /// this one everywhere what moves as a whole changes nothing to the last digits.
     fn direction(&self, k: usize, to: Vec3<P>) -> Vec3<P> {
         (to - self.points[k].si.p).normalize()
+    }
+
+    /// Whether point `k` slides over its surface, along a ray that does not move with it.
+    fn slides(&self, k: usize) -> bool {
+        k == 0 || self.rays_at_rest
     }
 
     /// The adjoint `d` of the unit vector from point `k` to `to`, as that of `to`; point `k` has the opposite.
@@ -208,8 +222,7 @@ impl<'a, P: Float> PullBack<'a, P> {
             return Vec3::zero();
         }
         let material = self.scene.material(place.shape);
-        // Only on the first vertex does the texture slide.
-        let s = if k == 0 {
+        let s = if self.slides(k) {
             slopes::<P, 6>(material, self.theta, place, wi, component, a)
         } else {
             slopes::<P, 4>(material, self.theta, place, wi, component, a)
@@ -221,8 +234,10 @@ impl<'a, P: Float> PullBack<'a, P> {
         } else {
             let from = self.points[k - 1].si.p;
             let d_o = self.in_world(k, self.direction(k, from), s.wo);
-            let d = self.towards(k, from, d_o);
-            self.points[k - 1].d.p += d;
+            if !self.rays_at_rest {
+                let d = self.towards(k, from, d_o);
+                self.points[k - 1].d.p += d;
+            }
         }
         match source {
             Source::Afar => {
@@ -236,6 +251,9 @@ impl<'a, P: Float> PullBack<'a, P> {
             Source::Point(j) => {
                 let to = self.points[j].si;
                 let d_i = self.in_world(k, self.direction(k, to.p), s.wi);
+                if self.rays_at_rest {
+                    return Vec3::zero();
+                }
                 let d = self.towards(k, to.p, d_i);
                 // The solid angle of the area around it: its logarithm has this adjoint.
                 let b = (a * f).sum();
@@ -337,6 +355,7 @@ impl<'a, P: Float> PullBack<'a, P> {
         let d_d = s * slope(0) + t * slope(1);
         match (from, end) {
             (None, _) => self.d_camera += d_d,
+            (Some(_), Some(_)) if self.rays_at_rest => {}
             (Some(k), Some(j)) => {
                 let to = self.points[j].si.p;
                 let d = self.towards(k, to, d_d);
@@ -345,9 +364,10 @@ impl<'a, P: Float> PullBack<'a, P> {
             (Some(_), None) => {}
         }
         if let Some(j) = end {
+            let slides = self.slides(j);
             let end = &mut self.points[j].d;
             end.frame.n += Vec3::new(slope(2), slope(3), slope(4));
-            if j == 0 {
+            if slides {
                 end.uv += Vec2::new(slope(5), slope(6));
             }
         } else if self.active.moves_emitter(emitter) {
@@ -366,6 +386,7 @@ impl<'a, P: Float> PullBack<'a, P> {
             let Point {
                 prim,
                 si,
+                from,
                 d,
                 d_log_area,
                 ..
@@ -374,6 +395,10 @@ impl<'a, P: Float> PullBack<'a, P> {
                 let own = scene.scatter_interaction(theta, *prim, ray, si, d, grad);
                 back.o += own.o;
                 back.d += own.d;
+            } else if self.rays_at_rest {
+                let o = from.map_or(ray.o, |k| self.points[k].si.p);
+                let ray = Ray::new(o, (si.p - o).normalize());
+                scene.scatter_interaction(theta, *prim, &ray, si, d, grad);
             } else {
                 scene.scatter_point(theta, *prim, si, d, *d_log_area, grad);
             }
