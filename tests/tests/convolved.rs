@@ -312,12 +312,7 @@ fn outlines_without_closed_forms_are_refused() {
     ] {
         let mut s = scene(&format!("{FLOOR}{body}"), 2);
         s.make_movable(&[name]).expect("known");
-        let refused = Estimator::ReparameterisedExact.active(&s, &[name]);
-        let message = refused.err().map(|e| e.to_string()).unwrap_or_default();
-        assert!(
-            message.contains(name) && message.contains(culprit),
-            "{message}"
-        );
+        refuses(&s, Estimator::ReparameterisedExact, name, &[name, culprit]);
     }
 }
 

@@ -424,18 +424,17 @@ impl Edges {
         self.straight[edge].view(x, more)
     }
 
-    /// Straight edges that are outlines as seen from `x`: shape, primitive of the shape, ends.
-    pub fn straight_outlines(
-        &self,
-        x: Vec3<f64>,
-    ) -> impl Iterator<Item = (u32, u32, [Vec3<f64>; 2])> {
+    /// Straight edges across which what `x` sees may jump, outlines and creases, hidden or not: shape, primitive of the shape,
+    /// ends.
+    pub fn straight_jumps(&self, x: Vec3<f64>) -> impl Iterator<Item = (u32, u32, [Vec3<f64>; 2])> {
         let sides = self.straight.iter().enumerate();
-        sides.filter_map(move |(i, e)| match self.view(i, x)?.0 {
-            View::Outline(face) => {
-                let ends = [e.start(), e.start() + e.along()];
-                Some((e.shape, e.faces[face].local, ends))
-            }
-            View::Crease => None,
+        sides.filter_map(move |(i, e)| {
+            let front = match self.view(i, x)?.0 {
+                View::Outline(front) => front,
+                View::Crease => 0,
+            };
+            let ends = [e.start(), e.start() + e.along()];
+            Some((e.shape, e.faces[front].local, ends))
         })
     }
 

@@ -3,9 +3,8 @@
 //!
 //! The field is a mean of the velocities of [`Anchor`]s, which are points of material: what the direction meets, with the
 //! weight one, and for each outline a point on it or beside it, with a weight that grows without bound towards the outline
-//! and vanishes far from it. On an outline it has the velocity of that, whatever else is near; within a surface that moves
-//! it is that of the surface, so that creases stay where they are on it. Outlines that something hides are followed as well,
-//! which is not needed and does no harm.
+//! and vanishes far from it. On an outline it has the velocity of that, whatever else is near. Creases are outlines here, as
+//! what is seen jumps there, too; those that something hides are followed as well, which is not needed and does no harm.
 //!
 //! Everything is a function of the direction in closed form, and so is the divergence: nothing is traced, and no limit is
 //! left. Where two outlines cross, the field has no limit, and its divergence goes with one over the distance from there:
@@ -205,7 +204,7 @@ impl Anchor {
         o: Vec3<f64>,
         (reach, horizon): (f64, Option<Vec3<f64>>),
     ) -> SmallVec<[Self; 8]> {
-        let straight = edges.straight_outlines(o);
+        let straight = edges.straight_jumps(o);
         let sides = straight.filter_map(|(shape, local, ends)| {
             Self::side((shape, local), frame, o, ends, (reach, horizon))
         });
@@ -338,7 +337,7 @@ mod tests {
             let (to, distance) = ((p - o).normalize(), (p - o).length());
             (to, (v - to * to.dot(v)) * distance.recip())
         };
-        for (.., [a, b]) in edges.straight_outlines(o) {
+        for (.., [a, b]) in edges.straight_jumps(o) {
             for part in [0.1, 0.5, 0.8] {
                 let (w, expected) = near(a + (b - a) * part);
                 let found = field(&edges, w).0;
