@@ -11,6 +11,7 @@ use crate::emitter::{Emitter, EmitterSample};
 use crate::integrator::active::Active;
 use crate::integrator::motion::slopes::{across, slope, slopes, varied};
 use crate::integrator::motion::trail::{Edge, Trail, met, sampled_point};
+use crate::integrator::path::Context;
 use crate::integrator::record::{Place, SampledLight};
 use crate::math::{Frame, Ray, RayAdjoint, Rgb};
 use crate::params::{GradSink, Theta};
@@ -104,6 +105,8 @@ pub(super) struct Numbers {
 pub(super) struct Follow<'a, P: Float> {
     scene: &'a Scene,
     theta: &'a Theta<'a, P>,
+    /// Whether the camera looks through lamps.
+    hidden: bool,
     active: &'a Active,
     outlines: &'a Outlines<'a>,
     rays: u32,
@@ -113,15 +116,15 @@ pub(super) struct Follow<'a, P: Float> {
 
 impl<'a, P: Float> Follow<'a, P> {
     pub fn new(
-        scene: &'a Scene,
-        theta: &'a Theta<'a, P>,
+        context: &Context<'a, P>,
         active: &'a Active,
         outlines: &'a Outlines<'a>,
         rays: u32,
     ) -> Self {
         Self {
-            scene,
-            theta,
+            scene: context.scene,
+            theta: context.theta,
+            hidden: context.settings.hides(1),
             active,
             outlines,
             rays,
@@ -165,7 +168,7 @@ impl<'a, P: Float> Follow<'a, P> {
             }
             // Beyond everything there is no outline.
             let mut test = LARGEST;
-            if let Some(hit) = scene.nearest(&around) {
+            if let Some(hit) = scene.seen(&around, from_camera && self.hidden) {
                 test = self.outlines.test(KAPPA, &around, &hit);
                 follower.near = f64::from(hit.t).recip();
                 if self.active.moves_shape(scene.shape_of(hit.prim)) {

@@ -216,7 +216,7 @@ pub(super) fn image<R: Components, S: Strategy, X: Sampler>(pass: &Pass<R>) -> R
         }
         let mut paths = Paths::<R::Primal, Still<S>, X, _>::new(Trail::default());
         let mut worker = Worker::<R::Primal, S, X> {
-            follow: Follow::new(scene, &theta, &active, &outlines, S::CONVOLVED),
+            follow: Follow::new(&context, &active, &outlines, S::CONVOLVED),
             context: &context,
             seed: pass.seed,
             strategy: std::marker::PhantomData,
@@ -291,7 +291,7 @@ pub(super) fn gradient<P: Float, S: Strategy, X: Sampler>(
         let mut non_finite = NonFinite::default();
         let mut paths = Paths::<P, Still<S>, X, _>::new(Trail::default());
         let mut worker = Worker::<P, S, X> {
-            follow: Follow::new(scene, theta, active, &outlines, S::CONVOLVED),
+            follow: Follow::new(&context, active, &outlines, S::CONVOLVED),
             context: &context,
             seed: pass.seed,
             strategy: std::marker::PhantomData,
