@@ -121,7 +121,7 @@ fn lamps_do_not_cover() {
         &(screen(0.6, 5.0) + &screen(0.25, 7.0)),
     ] {
         let [(with, warnings), (without, _)] =
-            [lamps, ""].map(|lamps| scene("mitchell", &format!("{behind}{lamps}")));
+            [lamps, ""].map(|lamps| scene("tent", &format!("{behind}{lamps}")));
         assert_eq!(warnings, Vec::<String>::new());
         let cover = alpha(&with, &with.settings);
         assert_eq!(cover, alpha(&without, &without.settings));
