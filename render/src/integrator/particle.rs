@@ -401,8 +401,8 @@ impl<R: Real, X: Sampler> Particle<R, X> {
             };
             observer.vertex(self.beta, &place);
         }
-        let seen = !info.delta && !(info.emitter.is_some() && context.settings.hides(1));
-        if O::CONNECTS && seen && !(context.caustics_only && info.glossy) {
+        let unseen = info.delta || (info.emitter.is_some() && context.settings.hides(1));
+        if O::CONNECTS && !unseen && !(context.caustics_only && info.glossy) {
             self.connect::<O>(context, &here);
         }
         if depth + 1 >= context.settings.max_depth {
