@@ -1,7 +1,9 @@
 //! Valid input of every kind, made by code.
 
-use std::io::Cursor;
+use std::io::{Cursor, Write};
 
+use flate2::Compression;
+use flate2::write::ZlibEncoder;
 use image::{DynamicImage, ImageFormat, Rgb, RgbImage};
 use render::image_io::{Pixels, write_exr_pixels};
 
@@ -101,6 +103,66 @@ pub const OTHERS: &str = r#"<scene version="2.1.0">
 </scene>
 "#;
 
+/// And one of what came last, with files of every kind beside it ([`files`]).
+pub const LATEST: &str = r##"<scene version="3.0.0">
+    <integrator type="path_sms_ms"><integer name="max_depth" value="4"/><integer name="rr_depth" value="3"/>
+        <boolean name="hide_emitters" value="true"/></integrator>
+    <sensor type="perspective" id="view"><string name="focal_length" value="35mm"/>
+        <float name="near_clip" value="0.01"/><float name="far_clip" value="1000"/>
+        <transform name="to_world"><lookat origin="0.5, 1, 5" target="0, 0, 0" up="0, 1, 0"/></transform>
+        <film type="hdrfilm"><integer name="width" value="6"/><integer name="height" value="5"/>
+        <integer name="crop_width" value="4"/><integer name="crop_height" value="4"/><integer name="crop_offset_x" value="1"/>
+        <rfilter type="mitchell"><float name="B" value="0.3"/><float name="C" value="0.4"/></rfilter></film></sensor>
+    <sensor type="orthographic" id="flat"><film type="hdrfilm"><integer name="width" value="4"/>
+        <integer name="height" value="4"/><rfilter type="lanczos"><integer name="lobes" value="2"/></rfilter></film></sensor>
+    <sensor type="thinlens" id="lens"><float name="aperture_radius" value="0.1"/><float name="focus_distance" value="3"/>
+        <film type="hdrfilm"><integer name="width" value="4"/><integer name="height" value="4"/>
+        <rfilter type="gaussian"><float name="stddev" value="0.6"/></rfilter></film></sensor>
+    <bsdf type="diffuse" id="red"><spectrum name="reflectance" filename="a.spd"/></bsdf>
+    <bsdf type="bumpmap" id="bumps"><texture type="bitmap" name="bumps"><string name="filename" value="a.pfm"/>
+        <boolean name="raw" value="true"/><string name="wrap_mode" value="clamp"/></texture><float name="scale" value="0.3"/>
+        <boolean name="flip_invalid_normals" value="false"/><bsdf type="plastic"/></bsdf>
+    <bsdf type="normalmap" id="bent"><texture type="bitmap" name="normalmap"><string name="filename" value="a.tga"/>
+        <boolean name="raw" value="true"/></texture><boolean name="use_shadowing_function" value="true"/>
+        <bsdf type="roughplastic"><float name="alpha" value="0.2"/><boolean name="nonlinear" value="true"/></bsdf></bsdf>
+    <bsdf type="mask" id="holes"><texture type="checkerboard" name="opacity"><float name="color0" value="0.2"/>
+        <float name="color1" value="0.9"/><transform name="to_uv"><scale x="3" y="2"/></transform></texture>
+        <bsdf type="twosided"><bsdf type="principled"><rgb name="base_color" value="#80ff00"/>
+        <float name="spec_tint" value="0.4"/><float name="sheen" value="0.5"/><float name="sheen_tint" value="0.3"/>
+        <float name="metallic" value="0.2"/><float name="roughness" value="0.4"/><float name="anisotropic" value="0.5"/>
+        <float name="clearcoat" value="0.6"/><float name="clearcoat_gloss" value="0.8"/><float name="flatness" value="0.3"/>
+        </bsdf></bsdf></bsdf>
+    <bsdf type="principled" id="glass"><float name="spec_trans" value="0.7"/><float name="eta" value="1.4"/>
+        <float name="roughness" value="0.3"/></bsdf>
+    <bsdf type="roughconductor" id="metal"><spectrum name="eta" value="400:0.2, 550:0.4, 700:0.1"/>
+        <rgb name="k" value="3, 2.5, 2"/><float name="alpha_u" value="0.1"/><float name="alpha_v" value="0.4"/>
+        <string name="distribution" value="beckmann"/></bsdf>
+    <bsdf type="conductor" id="mirror"><string name="material" value="Ag"/></bsdf>
+    <shape type="serialized" id="packed"><string name="filename" value="a.serialized"/><integer name="shape_index" value="0"/>
+        <transform name="to_world"><translate z="-1"/></transform><ref id="bumps"/></shape>
+    <shape type="ply" id="grown"><string name="filename" value="a.ply"/><boolean name="face_normals" value="false"/>
+        <transform name="to_world"><translate x="-1.5"/></transform>
+        <texture name="displacement" type="bitmap"><string name="filename" value="a.png"/></texture><ref id="bent"/></shape>
+    <shape type="obj" id="shiny"><string name="filename" value="a.obj"/><boolean name="flip_tex_coords" value="true"/>
+        <transform name="to_world"><translate y="-1"/></transform>
+        <boolean name="caustic_receiver" value="true"/><ref id="red"/></shape>
+    <shape type="shapegroup" id="pair"><shape type="obj"><string name="filename" value="a.obj"/><ref id="glass"/></shape>
+        <shape type="sphere"><float name="radius" value="0.2"/><ref id="metal"/></shape></shape>
+    <shape type="instance"><ref id="pair"/><transform name="to_world"><rotate y="1" angle="20"/><translate x="1"/></transform></shape>
+    <shape type="instance"><ref id="pair"/><transform name="to_world"><scale x="0.5" y="-0.5" z="0.5"/><translate y="1"/></transform></shape>
+    <shape type="disk"><transform name="to_world"><scale value="0.4"/><translate x="1" z="1"/></transform>
+        <boolean name="flip_normals" value="true"/><ref id="holes"/></shape>
+    <shape type="cylinder"><point name="p0" x="0" y="0" z="0"/><point name="p1" x="0" y="1" z="0"/>
+        <float name="radius" value="0.1"/><boolean name="caustic_caster_single" value="true"/><ref id="mirror"/></shape>
+    <shape type="rectangle"><transform name="to_world"><rotate x="1" angle="80"/><translate y="2"/></transform>
+        <emitter type="directionalarea"><rgb name="radiance" value="1, 2, 3"/></emitter></shape>
+    <shape type="sphere"><point name="center" x="1" y="2" z="0"/><float name="radius" value="0.1"/>
+        <emitter type="area"><blackbody name="radiance" temperature="4000"/><float name="sampling_weight" value="2"/></emitter></shape>
+    <emitter type="envmap"><string name="filename" value="a.hdr"/><float name="scale" value="0.5"/>
+        <transform name="to_world"><rotate y="1" angle="30"/></transform></emitter>
+</scene>
+"##;
+
 /// A mesh with some of everything.
 pub const MESH: &str = "# comment\nmtllib a.mtl\no thing\n\
     v -1 -1 0\nv 1 -1 0 # corner\nv 1 1 0 1 0 0\nv -1 1 0 1\n\
@@ -141,6 +203,44 @@ fn pfm(pixels: &Pixels) -> Vec<u8> {
     let rows = pixels.data.chunks_exact(3 * pixels.width).rev();
     bytes.extend(rows.flatten().flat_map(|x| x.to_be_bytes()));
     bytes
+}
+
+/// A compressed mesh of one triangle, as Mitsuba writes it.
+///
+/// # Panics
+/// If an encoder fails.
+pub fn compressed() -> Vec<u8> {
+    let mut body = 0x1000u32.to_le_bytes().to_vec();
+    body.extend(b"a\0");
+    body.extend([3u64, 1].map(u64::to_le_bytes).as_flattened());
+    let corners: [f32; 9] = [-1.0, -1.0, 0.0, 1.0, -1.0, 0.1, 0.0, 1.0, 0.2];
+    body.extend(corners.map(f32::to_le_bytes).as_flattened());
+    body.extend([0u32, 1, 2].map(u32::to_le_bytes).as_flattened());
+    let mut packed = ZlibEncoder::new(vec![0x1c, 0x04, 4, 0], Compression::fast());
+    packed.write_all(&body).expect("an encoder");
+    let mut bytes = packed.finish().expect("an encoder");
+    bytes.extend(0u64.to_le_bytes());
+    bytes.extend(1u32.to_le_bytes());
+    bytes
+}
+
+/// What scenes name, with the names of the files.
+///
+/// # Panics
+/// If an encoder fails.
+pub fn files() -> Vec<(String, Vec<u8>)> {
+    let mut all: Vec<(String, Vec<u8>)> = (images().into_iter().rev())
+        .map(|(ending, bytes)| (format!("a.{ending}"), bytes))
+        .collect();
+    let [text, _] = polygons();
+    all.push(("a.ply".into(), text));
+    all.push(("a.obj".into(), MESH.into()));
+    all.push(("a.serialized".into(), compressed()));
+    all.push((
+        "a.spd".into(),
+        b"# reflectance\n400 0.1\n550 0.2\n700 0.7\n".to_vec(),
+    ));
+    all
 }
 
 /// An image of every format that is read, with the ending of its name.

@@ -164,9 +164,9 @@ proptest! {
 
     /// What loads can be traced: its numbers are finite.
     #[test]
-    fn damaged_scenes_do_not_panic(changes in mutations(XML.len()), which in 0..2usize) {
+    fn damaged_scenes_do_not_panic(changes in mutations(XML.len()), which in 0..3usize) {
         thread_local!(static FOLDER: tempfile::TempDir = folder());
-        let scene = [corpus::SCENE, corpus::OTHERS][which];
+        let scene = [corpus::SCENE, corpus::OTHERS, corpus::LATEST][which];
         let text = apply(scene.as_bytes(), &changes, &XML);
         let text = String::from_utf8_lossy(&text);
         let load = |base: &Path| Scene::from_xml(&text, base, &LoadOptions::default());
@@ -179,12 +179,12 @@ proptest! {
     }
 }
 
-/// A folder with what [`corpus::SCENE`] names.
+/// A folder with what scenes of the corpus name.
 fn folder() -> tempfile::TempDir {
     let folder = tempfile::tempdir().expect("a folder");
-    fs::write(folder.path().join("a.obj"), corpus::MESH).expect("a file");
-    fs::write(folder.path().join("a.png"), &corpus::images()[0].1).expect("a file");
-    fs::write(folder.path().join("a.ply"), &corpus::polygons()[0]).expect("a file");
+    for (name, bytes) in corpus::files() {
+        fs::write(folder.path().join(name), bytes).expect("a file");
+    }
     folder
 }
 
@@ -268,6 +268,9 @@ fn undamaged_files_are_read() {
     let (scene, _) =
         Scene::from_xml(corpus::OTHERS, folder.path(), &LoadOptions::default()).unwrap();
     assert!(scene.params().find("PLYMesh.vertex_color").is_ok());
+    let (scene, _) =
+        Scene::from_xml(corpus::LATEST, folder.path(), &LoadOptions::default()).unwrap();
+    assert!(scene.params().find("grown.displacement.data").is_ok());
     for (ending, bytes) in corpus::images() {
         let path = folder.path().join(format!("b.{ending}"));
         fs::write(&path, bytes).unwrap();

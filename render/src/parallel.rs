@@ -1,10 +1,24 @@
 //! Parallel loops whose machinery is compiled once, and not for every closure: rayon's was an eighth of this
 //! crate's machine code.
 
+use std::cell::Cell;
 use std::ops::Range;
 use std::sync::{Mutex, PoisonError};
 
 use rayon::prelude::*;
+
+thread_local! {
+    /// Whether loops of this thread stay on it.
+    static ALONE: Cell<bool> = const { Cell::new(false) };
+}
+
+/// `f`, whose loops stay on this thread: it takes no other work until it is done.
+pub(crate) fn alone<T>(f: impl FnOnce() -> T) -> T {
+    let before = ALONE.replace(true);
+    let value = f();
+    ALONE.set(before);
+    value
+}
 
 /// `f(0)` to `f(n - 1)` on all threads, in order.
 pub(crate) fn map<T: Send>(n: usize, f: impl Fn(usize) -> T + Sync) -> Vec<T> {
@@ -31,12 +45,19 @@ pub(crate) fn ranges<T: Send>(
 
 /// The same as [`map`] of what is made in no time, written where it stays.
 pub(crate) fn fill<T: Send>(n: usize, f: &(dyn Fn(usize) -> T + Sync)) -> Vec<T> {
+    if ALONE.get() {
+        return (0..n).map(f).collect();
+    }
     (0..n).into_par_iter().map(f).collect()
 }
 
 /// Sorts, on all threads.
 pub(crate) fn sort(numbers: &mut [(u64, u64)]) {
-    numbers.par_sort_unstable();
+    if ALONE.get() {
+        numbers.sort_unstable();
+    } else {
+        numbers.par_sort_unstable();
+    }
 }
 
 /// `f` of every item and its number, on all threads.
@@ -54,7 +75,11 @@ pub(crate) fn over<T: Send>(items: impl Iterator<Item = T>, f: impl Fn(usize, T)
 }
 
 fn each(n: usize, f: &(dyn Fn(usize) + Sync)) {
-    (0..n).into_par_iter().for_each(f);
+    if ALONE.get() {
+        (0..n).for_each(f);
+    } else {
+        (0..n).into_par_iter().for_each(f);
+    }
 }
 
 #[cfg(test)]
@@ -69,6 +94,24 @@ mod tests {
         let parts = super::ranges(10, 4, |range| range);
         assert_eq!(parts, [0..4, 4..8, 8..10]);
         assert_eq!(super::fill(1000, &|i| 3 * i), super::map(1000, |i| 3 * i));
+    }
+
+    #[test]
+    fn one_thread_does_the_same() {
+        let sorted = || {
+            let mut numbers: Vec<_> = (0..5000u64).map(|i| (i * 7919 % 5003, i)).collect();
+            super::sort(&mut numbers);
+            (
+                numbers,
+                super::fill(5000, &|i| 3 * i),
+                super::map(50, |i| i * i),
+            )
+        };
+        let here = std::thread::current().id();
+        let elsewhere = |_| std::thread::current().id() != here;
+        let stays = || super::map(100, elsewhere).iter().all(|e| !e);
+        assert!(super::alone(|| stays() && super::alone(stays) && stays()));
+        assert_eq!(super::alone(sorted), sorted());
     }
 
     #[test]

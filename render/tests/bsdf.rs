@@ -1519,6 +1519,8 @@ fn bad_descriptions_are_errors() {
             "opacity",
         ),
         ("polarizer", "", "polarisation is not there"),
+        ("ward", "", "that Mitsuba 3 has no more is not there"),
+        ("coating", "", "layers over other materials are not there"),
         (
             "principled",
             r#"<float name="spec_trans" value="1.1"/>"#,

@@ -106,19 +106,35 @@ fn the_rest_of_the_image_is_as_before() {
     check(double(&shown), double(&scene.settings), 2e-4);
 }
 
+/// Whatever lies behind lamps covers, be they one behind the other, of one side or in one plane with something; and lamps
+/// cover where they are seen through something.
 #[test]
-fn lamps_in_the_way_are_a_warning() {
-    let lamp = r#"<shape type="sphere"><point name="center" x="0" y="0" z="5"/><emitter type="area"/></shape>"#;
-    let (scene, warnings) = scene("box", lamp);
-    assert!(
-        warnings.len() == 1 && warnings[0].contains("hide_emitters"),
-        "{warnings:?}"
-    );
-    let cover = alpha(&scene, &scene.settings);
-    let theta = Theta::constant(scene.params().values());
-    let job = Job::new(&scene, &scene.settings, 3, 0..SPP, &());
-    let image = render_f32(&job, &theta, Estimator::Mis).image(0);
-    // Lamps reflect nothing, unless their file says so.
-    assert!(image.data.iter().all(|x| *x == 0.0));
-    assert!(cover.iter().any(|a| *a > 0.9));
+fn lamps_do_not_cover() {
+    let lamps = r#"<shape type="sphere"><point name="center" x="0" y="0" z="4"/><emitter type="area"/></shape>
+        <shape type="disk"><transform name="to_world"><scale value="0.8"/><translate z="2.5"/></transform>
+        <emitter type="area"/></shape><shape type="rectangle"><transform name="to_world"><translate z="5"/></transform>
+        <emitter type="directionalarea"/></shape>"#;
+    for behind in [
+        BALL,
+        "",
+        &screen(0.3, 5.0),
+        &(screen(0.6, 5.0) + &screen(0.25, 7.0)),
+    ] {
+        let [(with, warnings), (without, _)] =
+            [lamps, ""].map(|lamps| scene("tent", &format!("{behind}{lamps}")));
+        assert_eq!(warnings, Vec::<String>::new());
+        let cover = alpha(&with, &with.settings);
+        assert_eq!(cover, alpha(&without, &without.settings));
+        let shown = Settings {
+            hide_emitters: false,
+            ..with.settings
+        };
+        let whole = alpha(&with, &shown);
+        assert!(whole.iter().all(|a| (a - 1.0).abs() < 1e-6));
+    }
+    let (before, _) = scene("box", &format!("{}{lamps}", screen(0.25, 1.0)));
+    let cover = alpha(&before, &before.settings);
+    let values = || cover.iter().map(|a| f64::from(*a));
+    assert!(values().any(|a| (a - 1.0).abs() < 1e-6), "a lamp");
+    assert!(values().any(|a| (a - 0.25).abs() < 1e-6), "the sky");
 }

@@ -1017,6 +1017,7 @@ fn spectra_are_seen_in_rgb() {
         <spectrum name="eta" value="300:3 900:3"/>
         <texture type="uniform" name="u"><float name="value" value="0.5"/></texture>
         <spectrum type="srgb" name="s"><rgb name="color" value="0.1 0.2 0.3"/></spectrum>
+        <texture type="rawconstant" name="r"><rgb name="value" value="0.3 0.2 0.1"/></texture>
         <spectrum type="d65" name="d"><float name="scale" value="2"/></spectrum>
         <spectrum type="irregular" name="i"><string name="wavelengths" value="300, 900"/><string name="values" value="2 2"/></spectrum>
         <blackbody name="b" temperature="5000K" scale="1e-4"/>"#,
@@ -1027,6 +1028,7 @@ fn spectra_are_seen_in_rgb() {
     close(rgb("eta"), [3.0; 3]);
     close(rgb("u"), [0.5; 3]);
     close(rgb("s"), [0.1, 0.2, 0.3]);
+    close(rgb("r"), [0.3, 0.2, 0.1]);
     close(rgb("d"), [2.0; 3]);
     close(rgb("i"), [2.0; 3]);
     let warm = rgb("b");

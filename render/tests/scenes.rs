@@ -320,7 +320,7 @@ fn integrators_of_others() {
         ),
         (
             "<integrator type=\"depth\"/>",
-            "<text>:2: unknown integrator `depth`",
+            "<text>:2: integrator `depth`: a picture of something else than light is not there",
         ),
         (
             "<integrator type=\"volpath\"/><medium type=\"homogeneous\"/>",

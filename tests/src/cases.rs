@@ -216,5 +216,24 @@ pub fn all() -> Vec<Case> {
             "brushed glass",
             r#"<bsdf type="roughdielectric"><float name="alpha_u" value="0.2"/><float name="alpha_v" value="0.4"/><float name="int_ior" value="1.5"/></bsdf>"#,
         ),
+        hidden_lamps(),
     ]
+}
+
+/// Two lamps, one behind the other, that the camera looks through at a metal ball and a floor.
+fn hidden_lamps() -> Case {
+    let hide = r#"<boolean name="hide_emitters" value="true"/></integrator>"#;
+    let ball = ball(r#"<bsdf type="roughconductor"><float name="alpha" value="0.3"/></bsdf>"#);
+    Case {
+        name: "hidden lamps",
+        body: format!(
+            r#"{}{FLOOR}{ball}{SKY}<shape type="sphere" id="bulb"><point name="center" value="0.1, 0.9, 2"/>
+            <float name="radius" value="0.3"/><bsdf type="diffuse"><rgb name="reflectance" value="0.3"/></bsdf>
+            <emitter type="area"><rgb name="radiance" value="5, 4, 3"/></emitter></shape>
+            <shape type="rectangle" id="panel"><transform name="to_world"><scale value="0.3"/><rotate x="1" angle="150"/>
+            <translate x="-0.2" y="0.9" z="1.5"/></transform><bsdf type="diffuse"><rgb name="reflectance" value="0.2"/></bsdf>
+            <emitter type="area"><rgb name="radiance" value="3, 4, 5"/></emitter></shape>"#,
+            CAMERA.replace("</integrator>", hide)
+        ),
+    }
 }

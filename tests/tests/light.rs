@@ -4,6 +4,7 @@ use ad_core::{Dual, Vec2};
 use render::Job;
 use render::bsdf::kernel::{Rules, Symmetry};
 use render::bsdf::{Bsdf, Shading, TransportMode};
+use render::image_io::{Pixels, write_exr_pixels};
 use render::instances::{
     Estimator, backward_particles_f32, density_f32, particle_map_f32, particles_f32, render_f32,
 };
@@ -253,6 +254,108 @@ fn particles_and_paths_agree_on_normal_mapped_objects() {
     assert!(worst > 3.0 * limit, "the mistake is not seen: {worst}");
 }
 
+/// Heights of 6 x 5 texels, as a file.
+fn heights(dir: &std::path::Path) -> String {
+    let path = dir.join("heights.exr");
+    let pixels = Pixels {
+        width: 6,
+        height: 5,
+        channels: 1,
+        data: (0..30).map(|i| (i * 7919 % 101) as f32 / 101.0).collect(),
+    };
+    write_exr_pixels(&path, &pixels).expect("a file");
+    format!(
+        r#"<texture name="heights" type="bitmap"><string name="filename" value="{}"/>
+        <transform name="to_uv"><scale value="2"/></transform></texture>"#,
+        path.display()
+    )
+}
+
+/// Bumps on all that has a chart, on a mesh whose normals are tilted, too, over rough, matt and smooth materials: the weight is
+/// that of both normals, of the mesh and of the bumps; with shadows and without.
+#[test]
+#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
+fn particles_and_paths_agree_on_bumps() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let heights = heights(dir.path());
+    let bumps = |scale: f64, shadows: bool, nested: &str| {
+        format!(
+            r#"<bsdf type="bumpmap">{heights}<float name="scale" value="{scale}"/>
+            <boolean name="flip_invalid_normals" value="false"/>
+            <boolean name="use_shadowing_function" value="{shadows}"/>{nested}</bsdf>"#
+        )
+    };
+    let rough = r#"<bsdf type="roughplastic"><float name="alpha" value="0.3"/></bsdf>"#;
+    let ball = |bsdf: &str| {
+        format!(
+            r#"<shape type="sphere" id="ball"><point name="center" value="0, 0.6, 0"/><float name="radius" value="0.6"/>{bsdf}</shape>"#
+        )
+    };
+    let roof = {
+        let whole = tilted(dir.path());
+        let path = dir.path().join("tilted.obj");
+        let text = std::fs::read_to_string(&path).expect("the roof");
+        let uv: String = (0..6)
+            .map(|i| format!("vt {} {}\n", i % 3, i / 3))
+            .collect();
+        let mut faces = String::new();
+        for line in text.lines().filter(|l| l.starts_with("f ")) {
+            let corner = |c: &str| c.split_once("//").map(|(v, n)| format!(" {v}/{v}/{n}"));
+            let corners: String = line[2..].split(' ').filter_map(corner).collect();
+            faces += &format!("f{corners}\n");
+        }
+        let rest: String = (text.lines().filter(|l| !l.starts_with("f ")))
+            .flat_map(|l| [l, "\n"])
+            .collect();
+        std::fs::write(&path, format!("{rest}{uv}{faces}")).expect("a file");
+        let at = whole.find("<bsdf").expect("a material");
+        let bsdf = bumps(0.05, true, rough);
+        format!(
+            "{}<bsdf type=\"twosided\">{bsdf}</bsdf></shape>",
+            &whole[..at]
+        )
+    };
+    for (what, body) in [
+        (
+            "floor and ball",
+            format!(
+                "{}{}",
+                floor(&bumps(0.15, false, &matt("0.6, 0.5, 0.4"))),
+                ball(&bumps(0.1, true, rough))
+            ),
+        ),
+        ("roof", format!("{}{roof}", floor(&matt("0.6, 0.5, 0.4")))),
+        (
+            "two maps",
+            floor(&bumps(
+                0.1,
+                true,
+                &format!(
+                    r#"<bsdf type="normalmap"><texture name="normalmap" type="checkerboard">
+                    <rgb name="color0" value="0.6, 0.45, 0.9"/></texture>{rough}</bsdf>"#
+                ),
+            )),
+        ),
+    ] {
+        let s = scene(&format!("{VIEW}{}{body}", lamp()));
+        agrees(what, &s, 4, 64);
+        let (worst, limit, _) = compare(&s, 4, 32, IGNORED);
+        println!("{what}, ignored: {worst:.1} of {limit:.1}");
+        assert!(
+            worst > 1.3 * limit,
+            "{what}: the mistake is not seen: {worst}"
+        );
+    }
+    // As scene files have them: flipped, which particles do not know.
+    let s = scene(&format!(
+        "{VIEW}{}{}",
+        lamp(),
+        floor(&format!(r#"<bsdf type="bumpmap">{heights}{rough}</bsdf>"#))
+    ));
+    let error = particle::check(&s).expect_err("flipped");
+    assert!(matches!(error, RenderError::FlippedNormals));
+}
+
 /// A light within a block of glass, so that no second refraction undoes the first; the camera looks at the
 /// floor only. Smooth and rough.
 #[test]
@@ -323,6 +426,14 @@ fn reverse_mode_of_particles_equals_forward_mode() {
         .replace("5, 4, 3", "0, 0, 3")
         .replace("0.7, 0.3, 0.2", "0, 0.3, 0.2");
     cases.push(dark);
+    let dir = tempfile::tempdir().expect("a folder");
+    let bumps = format!(
+        r#"<bsdf type="bumpmap">{}<float name="scale" value="0.1"/>
+        <boolean name="flip_invalid_normals" value="false"/>{}</bsdf>"#,
+        heights(dir.path()),
+        matt("0.6, 0.5, 0.4")
+    );
+    cases.push(format!("{VIEW}{}{}", lamp(), floor(&bumps)));
     for body in cases {
         let s = scene(&body);
         let params = tests::smooth_params(&s);

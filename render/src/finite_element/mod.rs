@@ -340,10 +340,12 @@ impl<'a> FiniteElements<'a> {
     fn look(&self) -> Vec<Option<Pixel>> {
         let film = &self.scene.film;
         let [w, h] = film.crop_size;
+        let hidden = self.scene.settings.hides(1);
         let pixel = |i: u32| {
             let at = |k: usize, p: u32| f64::from(film.crop_offset[k] + p) + 0.5;
             let ray = self.scene.camera.ray(at(0, i % w), at(1, i / w));
-            let hit = self.scene.intersect(&ray)?;
+            let hit = self.scene.seen(&ray, hidden)?;
+            let hit = self.scene.interaction(&Theta::still(), &ray, &hit);
             let (shape, p) = (hit.shape, hit.si.p);
             let seen = |r: &element::Root| {
                 let height = r.normal.dot(p - r.corner).abs();

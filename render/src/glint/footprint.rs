@@ -131,11 +131,18 @@ pub(super) struct Reflection {
 }
 
 impl Footprint {
-    /// That of the sample at `at` of the image, `u` on the lens, of the pixel whose filter has its middle at `pixel`. `None`
-    /// where the ray meets nothing.
-    pub fn new(scene: &Scene, at: [f64; 2], u: [f64; 2], pixel: [f64; 2]) -> Option<Self> {
+    /// That of the sample at `at` of the image, `u` on the lens, of the pixel whose filter has its middle at `pixel`;
+    /// `hidden`: whether the camera looks through lamps. `None` where the ray meets nothing.
+    pub fn new(
+        scene: &Scene,
+        at: [f64; 2],
+        u: [f64; 2],
+        pixel: [f64; 2],
+        hidden: bool,
+    ) -> Option<Self> {
         let ray = scene.camera.ray_differential(at, u);
-        let hit = scene.nearest(&Ray::<f64>::new(ray.o.map(|x| x.re), ray.d.map(|x| x.re)))?;
+        let primal = Ray::<f64>::new(ray.o.map(|x| x.re), ray.d.map(|x| x.re));
+        let hit = scene.seen(&primal, hidden)?;
         let found: Intersection<PerPixel> = scene.interaction(&Theta::still(), &ray, &hit);
         Some(Self {
             shape: found.shape,

@@ -7,6 +7,7 @@ use super::tile::{Tile, place, spot, tiles};
 use crate::bsdf::Shading;
 use crate::bsdf::nesting::opacity;
 use crate::emitter::Emitter;
+use crate::math::Ray;
 use crate::parallel;
 use crate::params::Theta;
 use crate::sampler::Spread;
@@ -17,7 +18,8 @@ const MOST_PASSED: u32 = 256;
 
 /// The covered part of every pixel of the crop window, row by row: the mean over the image's own samples of what the
 /// camera's rays meet, one for a surface, zero for nothing, and in between for what has holes. Everything is covered
-/// where the sky is seen, unless [`crate::Settings::hide_emitters`] is set. Lamps and glass cover.
+/// where the sky is seen, unless [`crate::Settings::hide_emitters`] is set. Glass covers, and lamps do, if they are not
+/// hidden or if there is something to look through in front of them.
 ///
 /// It depends on the arguments only, not on the number of threads. `None` if it was cancelled.
 pub fn coverage(job: &Job) -> Option<Vec<f32>> {
@@ -58,20 +60,22 @@ fn of_tile(job: &Job, tile: &Tile) -> Vec<f64> {
         } else {
             let ([x, y, u, v], _) =
                 spot::<f32, Spread>(scene, settings.points, seed, sample.pixel, sample.index);
-            f64::from(along(scene, &theta, scene.camera.ray_through(x, y, [u, v])))
+            let ray = scene.camera.ray_through(x, y, [u, v]);
+            f64::from(along(scene, &theta, settings.hides(1), ray))
         };
         sums[at] += covered * sample.scale();
     }
     sums
 }
 
-/// How much of what a ray meets is there.
-fn along(scene: &Scene, theta: &Theta<f32>, mut ray: crate::math::Ray<f32>) -> f32 {
+/// How much of what a ray of the camera meets is there; `hidden`: whether it looks through lamps.
+fn along(scene: &Scene, theta: &Theta<f32>, hidden: bool, mut ray: Ray<f32>) -> f32 {
     let mut open = 1.0;
-    for _ in 0..MOST_PASSED {
-        let Some(Intersection { shape, prim, si }) = scene.intersect(&ray) else {
+    for passed in 0..MOST_PASSED {
+        let Some(hit) = scene.seen(&ray, hidden && passed == 0) else {
             return 1.0 - open;
         };
+        let Intersection { shape, prim, si } = scene.interaction(&Theta::still(), &ray, &hit);
         let at = Shading::new(*theta, Vec2::new(si.uv.x, si.uv.y));
         let wo = si.frame.to_local(-ray.d);
         open *= 1.0 - opacity(scene.material(shape), &at, wo);

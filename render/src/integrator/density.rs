@@ -23,6 +23,7 @@ use crate::error::RenderError;
 use crate::manifold::Statistics;
 use crate::math::Rgb;
 use crate::parallel;
+use crate::params::Theta;
 use crate::sampler::{Purpose, Sampler};
 use crate::scene::Intersection;
 
@@ -441,7 +442,8 @@ impl<P: Float> Map<P> {
             }
             // Where light and importance meet, L / eta^2 is what is carried; the sensor's own eta is 1.
             let meet = if basic { (eta * eta).recip() } else { P::one() };
-            let hit = scene.intersect(&ray);
+            let hit = (scene.seen(&ray, settings.hides(depth)))
+                .map(|hit| scene.interaction(&Theta::still(), &ray, &hit));
             let si = hit.as_ref().map(|h| &h.si);
             let emitters = match &hit {
                 _ if settings.hides(depth) => Vec::new(),

@@ -68,6 +68,8 @@ struct Seeking<'a, P: Float> {
     finder: &'a Finder<'a, P>,
     /// Which shapes have any, by index.
     glinty: &'a [bool],
+    /// Whether the camera looks through lamps.
+    hidden: bool,
     points: Points,
     seed: u64,
     /// Those of the sample.
@@ -93,6 +95,7 @@ impl<'a, P: Float> Seeking<'a, P> {
             scene: pass.scene,
             finder,
             glinty,
+            hidden: pass.settings.hides(1),
             points: pass.settings.points,
             seed: pass.seed,
             found: Vec::new(),
@@ -110,7 +113,8 @@ impl<'a, P: Float> Seeking<'a, P> {
         let [px, py] = [0, 1].map(|k: usize| sample.pixel[k] + film.crop_offset[k]);
         let at = [x, y].map(|x| x.to_f64());
         let middle = [px, py].map(|p| f64::from(p) + 0.5);
-        let foot = Footprint::new(scene, at, [u, v].map(|u| u.to_f64()), middle)?;
+        let lens = [u, v].map(|u| u.to_f64());
+        let foot = Footprint::new(scene, at, lens, middle, self.hidden)?;
         if !self.glinty[foot.shape as usize] {
             return None;
         }

@@ -37,10 +37,14 @@ impl Queue {
 pub(super) trait Traveller {
     /// Scalar of the geometry.
     type Geometry: Real;
+    /// Whether what may be seen from its last vertex is the camera.
+    const IS_SEEN: bool;
     /// To the next vertex.
     fn ray(&self) -> Option<&Ray<Self::Geometry>>;
     /// Whether nothing is in the way.
     fn shadow(&self) -> Option<&Segment<<Self::Geometry as Real>::Primal>>;
+    /// Whether the ray to its next vertex is one of the camera.
+    fn looks(&self) -> bool;
     /// Whether no ray is asked for.
     #[inline(always)]
     fn ended(&self) -> bool {
@@ -51,10 +55,12 @@ pub(super) trait Traveller {
 /// How many edges of a path alone are followed between two looks at whether to stop.
 const LOOK: u32 = 64;
 
-/// Follows one path to its end, ray by ray; `step` as in [`trace`]. Where `progress` is cancelled, a long path ends early.
+/// Follows one path to its end, ray by ray; `hidden` and `step` as in [`trace`]. Where `progress` is cancelled, a long path
+/// ends early.
 pub(super) fn trace_alone<T: Traveller>(
     scene: &Scene,
     theta: &Theta<T::Geometry>,
+    hidden: bool,
     progress: &dyn Progress,
     traveller: &mut T,
     mut step: impl FnMut(&mut T, Option<Intersection<T::Geometry>>, bool),
@@ -63,8 +69,12 @@ pub(super) fn trace_alone<T: Traveller>(
         if traveller.ended() || (edge % LOOK == 0 && progress.cancelled()) {
             break;
         }
-        let hit = (traveller.ray()).and_then(|ray| scene.intersect_moving(theta, ray));
-        let visible = traveller.shadow().is_some_and(|s| !scene.occluded(s));
+        let hit = (traveller.ray()).and_then(|ray| {
+            let hit = scene.seen(ray, hidden && traveller.looks())?;
+            Some(scene.interaction(theta, ray, &hit))
+        });
+        let free = |s| !scene.out_of_sight(s, hidden && T::IS_SEEN);
+        let visible = traveller.shadow().is_some_and(free);
         step(traveller, hit, visible);
     }
 }
@@ -101,10 +111,12 @@ pub(super) fn sorted<'a>(
 }
 
 /// Follows up to [`GROUP`] paths to their ends. `step` takes one on, given its index, what its ray met and
-/// whether its shadow ray was free. Where `progress` is cancelled, they stay where they are.
+/// whether its shadow ray was free; `hidden`: whether the camera looks through lamps. Where `progress` is cancelled, they
+/// stay where they are.
 pub(super) fn trace<T: Traveller>(
     scene: &Scene,
     theta: &Theta<T::Geometry>,
+    hidden: bool,
     progress: &dyn Progress,
     travellers: &mut [T],
     mut step: impl FnMut(usize, &mut T, Option<Intersection<T::Geometry>>, bool),
@@ -164,10 +176,18 @@ pub(super) fn trace<T: Traveller>(
         met.clear();
         met.extend(open[..n].iter().map(|&path| {
             let ray = travellers[path].ray()?;
-            hits[path]
-                .take()
-                .map(|hit| scene.interaction(theta, ray, &hit))
+            let mut hit = hits[path].take()?;
+            if hidden && travellers[path].looks() {
+                hit = scene.behind_lamps(ray, hit)?;
+            }
+            Some(scene.interaction(theta, ray, &hit))
         }));
+        if T::IS_SEEN && hidden {
+            for &path in &open[..n] {
+                let shadow = travellers[path].shadow().filter(|_| !visible[path]);
+                visible[path] |= shadow.is_some_and(|s| scene.only_lamps_occlude(s));
+            }
+        }
         let mut left = 0;
         for k in 0..n {
             let path = open[k];

@@ -401,7 +401,8 @@ impl<R: Real, X: Sampler> Particle<R, X> {
             };
             observer.vertex(self.beta, &place);
         }
-        if O::CONNECTS && !info.delta && !(context.caustics_only && info.glossy) {
+        let unseen = info.delta || (info.emitter.is_some() && context.settings.hides(1));
+        if O::CONNECTS && !unseen && !(context.caustics_only && info.glossy) {
             self.connect::<O>(context, &here);
         }
         if depth + 1 >= context.settings.max_depth {
@@ -614,6 +615,7 @@ impl<R: Real, X: Sampler> Particle<R, X> {
         lockstep::trace_alone(
             context.scene,
             &context.theta.primal(),
+            context.settings.hides(1),
             context.progress,
             &mut self,
             |particle, hit, visible| {
@@ -625,6 +627,7 @@ impl<R: Real, X: Sampler> Particle<R, X> {
 
 impl<R: Real, X: Sampler> Traveller for Particle<R, X> {
     type Geometry = R::Primal;
+    const IS_SEEN: bool = true;
     #[inline(always)]
     fn ray(&self) -> Option<&Ray<R::Primal>> {
         self.ray.as_ref()
@@ -632,6 +635,10 @@ impl<R: Real, X: Sampler> Traveller for Particle<R, X> {
     #[inline(always)]
     fn shadow(&self) -> Option<&Segment<R::Primal>> {
         self.shadow.as_ref()
+    }
+    #[inline(always)]
+    fn looks(&self) -> bool {
+        false
     }
 }
 
@@ -661,6 +668,7 @@ pub(super) fn trace_particles<R: Real, X: Sampler, O: ParticleObserver<R> + Clon
         lockstep::trace(
             context.scene,
             &context.theta.primal(),
+            context.settings.hides(1),
             context.progress,
             &mut group,
             |k, particle, hit, visible| {

@@ -229,6 +229,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
         lockstep::trace_alone(
             context.scene,
             &S::Bsdf::geometry(context.theta),
+            context.settings.hides(1),
             context.progress,
             self,
             |walk, hit, visible| {
@@ -684,6 +685,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
 
 impl<R: Real, S: Strategy, X: Sampler> Traveller for Walk<R, S, X> {
     type Geometry = Geometry<S, R>;
+    const IS_SEEN: bool = false;
     #[inline(always)]
     fn ray(&self) -> Option<&Ray<Self::Geometry>> {
         self.ray.as_ref()
@@ -691,6 +693,10 @@ impl<R: Real, S: Strategy, X: Sampler> Traveller for Walk<R, S, X> {
     #[inline(always)]
     fn shadow(&self) -> Option<&Segment<R::Primal>> {
         self.shadow.as_ref()
+    }
+    #[inline(always)]
+    fn looks(&self) -> bool {
+        self.depth == 1
     }
 }
 

@@ -68,7 +68,8 @@ pub fn trace<P: Float>(
     let (mut from, mut pdf) = (ray.o, P::zero());
     for depth in 1..=max_depth {
         // ---- Light that the edge meets ----
-        let hit = scene.intersect(&ray);
+        let hit = (scene.seen(&ray, scene.settings.hides(depth)))
+            .map(|hit| scene.interaction(&Theta::still(), &ray, &hit));
         let si = hit.as_ref().map(|hit| &hit.si);
         let emitters = match &hit {
             _ if scene.settings.hides(depth) => &[],

@@ -212,6 +212,7 @@ impl Tile {
             lockstep::trace(
                 scene,
                 &S::Bsdf::geometry(context.theta),
+                context.settings.hides(1),
                 context.progress,
                 &mut paths.walks,
                 |i, walk, hit, visible| {

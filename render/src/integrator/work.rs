@@ -204,6 +204,7 @@ pub fn count_work<S: Strategy, X: Sampler>(
             lockstep::trace_alone(
                 scene,
                 &S::Bsdf::geometry(context.theta),
+                settings.hides(1),
                 progress,
                 &mut walk,
                 |walk, hit, visible| {

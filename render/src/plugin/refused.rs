@@ -13,7 +13,13 @@ const REFUSED: &[(&str, &[&str], &str)] = &[
         ],
         POLARISATION,
     ),
-    ("bsdf", &["hair"], "scattering by fibres is"),
+    (
+        "bsdf",
+        &["coating", "roughcoating"],
+        "layers over other materials are",
+    ),
+    ("bsdf", &["difftrans"], "diffuse transmission is"),
+    ("bsdf", &["hair", "irawan"], "scattering by fibres is"),
     ("bsdf", &["hk"], MEDIA),
     (
         "bsdf",
@@ -27,12 +33,28 @@ const REFUSED: &[(&str, &[&str], &str)] = &[
         "scattering between the facets of a rough surface is",
     ),
     (
+        "bsdf",
+        &["phong", "roughdiffuse", "ward"],
+        "a model of roughness that Mitsuba 3 has no more is",
+    ),
+    ("emitter", &["collimated"], "light of a single ray is"),
+    (
         "emitter",
         &["sky", "sun", "sunsky"],
         "models of the sky are",
     ),
+    (
+        "film",
+        &["ldrfilm", "mfilm"],
+        "an image of another kind than OpenEXR is",
+    ),
     ("film", &["specfilm"], "light by wavelength is"),
     ("film", &["streakhdrfilm", "transient_hdr_film"], TIME),
+    (
+        "integrator",
+        &["ao", "depth"],
+        "a picture of something else than light is",
+    ),
     ("integrator", &["stokes"], POLARISATION),
     ("integrator", &["transient_path", "transientpath"], TIME),
     ("integrator", &["transientstokes"], POLARISATION),
@@ -47,6 +69,11 @@ const REFUSED: &[(&str, &[&str], &str)] = &[
             "radiancemeter",
         ],
         "sensors without a lens are",
+    ),
+    (
+        "sensor",
+        &["perspective_rdist", "spherical", "telecentric"],
+        "projections by other lenses than thin ones are",
     ),
     (
         "shape",

@@ -177,11 +177,6 @@ impl Builder {
         &self.shapes
     }
 
-    /// Whether any of them emits.
-    pub(super) fn has_lamps(&self) -> bool {
-        self.infos.iter().any(|info| info.emitter.is_some())
-    }
-
     /// How many emitters there are so far.
     pub(super) fn emitters(&self) -> usize {
         self.emitters.len()

@@ -124,11 +124,12 @@ impl View {
                 f64::from(from) + (f64::from(i) + 0.5) * f64::from(size) / f64::from(n)
             })
         };
+        let hidden = scene.settings.hides(1);
         let mut found: Option<[f64; 2]> = None;
         for y in points(1) {
             for x in points(0) {
                 let ray = scene.camera.ray(x, y);
-                if let Some(hit) = scene.nearest(&ray) {
+                if let Some(hit) = scene.seen(&ray, hidden) {
                     let depth = f64::from(hit.t) * ray.d.dot(self.forward);
                     let [low, high] = found.unwrap_or([depth; 2]);
                     found = Some([low.min(depth), high.max(depth)]);

@@ -61,6 +61,8 @@ pub(super) struct Geometry {
     wanted: Wanted,
     /// Once somebody asks.
     edges: OnceLock<Edges>,
+    /// `accel` without what emits, once somebody asks.
+    without_lamps: OnceLock<Accel>,
     /// Per shape, how it moves as a whole; empty as long as none does.
     placed: Vec<Option<Box<Placed>>>,
     /// Parameters that shapes read, with the shape.
@@ -315,6 +317,7 @@ impl Geometry {
             casters,
             wanted,
             edges: OnceLock::new(),
+            without_lamps: OnceLock::new(),
             placed: Vec::new(),
             reads,
         })
@@ -437,6 +440,37 @@ impl Geometry {
         self.edges.get_or_init(|| Edges::of(&self.shapes))
     }
 
+    /// What rays meet where there are no lamps. Primitives, surfaces and hits are those of `accel`.
+    pub fn without_lamps(&self, infos: &[ShapeInfo], camera: &Camera) -> &Accel {
+        // Those who ask are threads at work: whoever makes it takes no other work in between, which might ask, too.
+        let make = || parallel::alone(|| self.others(infos, camera));
+        // The same primitives have been accepted before.
+        (self.without_lamps).get_or_init(|| make().unwrap_or_else(|_| self.accel.clone()))
+    }
+
+    fn others(&self, infos: &[ShapeInfo], camera: &Camera) -> Result<Accel, OutOfReach> {
+        let mut layout = Layout::new(&self.shapes, infos, camera)?;
+        let zero = [0.0; 3];
+        // Without extent, so that no ray meets it.
+        let nothing = Primitive::Triangle {
+            v0: zero,
+            e1: zero,
+            e2: zero,
+        };
+        let emits = |shape: u32| infos[shape as usize].emitter.is_some();
+        for (primitive, prim) in layout.primitives.iter_mut().zip(&layout.prims) {
+            if emits(prim.shape) {
+                *primitive = nothing;
+            }
+        }
+        layout.spots.retain(|spot| !emits(spot.shape));
+        let mut others = Accel::with_surfaces(&layout.primitives, &layout.surfaces)
+            .map_err(|e| layout.out_of_reach(e))?;
+        let mut groups = self.groups.clone();
+        others.set_instances(groups.place(&self.shapes, &layout.spots)?);
+        Ok(others)
+    }
+
     /// Parameters that shapes read, with the shape.
     pub fn reads(&self) -> &[(u32, ParamRef)] {
         &self.reads
@@ -496,6 +530,7 @@ impl Geometry {
         (self.lamps, self.casters) = self.wanted.balls(&shapes, infos);
         self.shapes = shapes;
         self.edges = OnceLock::new();
+        self.without_lamps = OnceLock::new();
         self.prims = layout.prims;
         self.spots = layout.spots;
         self.firsts = layout.firsts;

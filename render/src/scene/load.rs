@@ -315,7 +315,6 @@ impl Reading {
                 self.build.hint_emitter(hints);
             }
         }
-        self.warn_of_hidden_lamps(root);
         for tag in DECLARED {
             for node in root.children_with_tag(tag) {
                 self.note(declaration(node))?;
@@ -345,19 +344,6 @@ impl Reading {
         };
         let clipped = clips[chosen].check(nodes[chosen], &scene);
         Ok(self.note(clipped)?.map(|()| scene))
-    }
-
-    /// Where light that the camera sees is left out, lamps that are surfaces stay in the way.
-    fn warn_of_hidden_lamps(&self, root: &Node) {
-        if !self.settings.hide_emitters || !self.build.has_lamps() {
-            return;
-        }
-        if let Ok(Some(node)) = root.child_with_tag("integrator") {
-            node.warn(
-                "`hide_emitters`: the camera sees lamps without their light, black or as their material reflects; \
-                 Mitsuba 3.9 sees what lies behind them",
-            );
-        }
     }
 
     /// An emitter and how often it is sampled; `shape` is the shape that it belongs to.

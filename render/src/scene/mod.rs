@@ -14,6 +14,7 @@ mod save;
 mod schema;
 mod sensor;
 mod shares;
+mod sight;
 
 use geometry::Geometry;
 
@@ -71,8 +72,8 @@ pub struct Settings {
     pub pixels_per_particle: u32,
     /// How manifold connections are made, if they are; then they find caustics, and not particles.
     pub connections: Option<Connections>,
-    /// Whether light that the camera sees without a reflection in between is left out: lamps are black, or what their
-    /// material reflects, and the sky is not there ([`crate::integrator::coverage`]).
+    /// Whether the camera sees no lights without a reflection in between: it looks through lamps, which light the scene all
+    /// the same, at what lies behind them, and the sky is not there ([`crate::integrator::coverage`]).
     pub hide_emitters: bool,
     /// How glints are found, if not by paths.
     pub glints: Option<Glints>,
@@ -128,7 +129,7 @@ impl LightChoice {
 }
 
 impl Settings {
-    /// Whether light at the end of the `depth`-th edge is left out.
+    /// Whether lights at the end of the `depth`-th edge are left out.
     #[inline(always)]
     pub(crate) fn hides(&self, depth: u32) -> bool {
         self.hide_emitters && depth == 1

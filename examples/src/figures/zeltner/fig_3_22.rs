@@ -82,7 +82,7 @@ fn samples(
         let [u, v] = rng.next_2d::<f64>();
         let at = [middle[0] + u - 0.5, middle[1] + v - 0.5];
         let mut found = Found::default();
-        let Some(foot) = Footprint::new(scene, at, [0.5; 2], middle) else {
+        let Some(foot) = Footprint::new(scene, at, [0.5; 2], middle, false) else {
             return found;
         };
         let mut all = Vec::new();

@@ -120,7 +120,12 @@ impl<'a, P: Float> Boundary<'a, P> {
     fn new(context: Context<'a, P>, seed: u64, moving: Moving) -> Self {
         let scene = context.scene;
         let edges = scene.edges();
-        let of_film = |shapes: Range<u32>| moving.camera || moving.any(shapes);
+        let hidden = context.settings.hides(1);
+        // Those that nobody sees draw nothing.
+        let of_film = |shapes: Range<u32>| {
+            let shown = !hidden || shapes.clone().any(|shape| !scene.is_lamp(shape));
+            shown && (moving.camera || moving.any(shapes))
+        };
         let curves = edges.on_film(&scene.camera, &scene.film, &of_film);
         Self {
             context: Context {
@@ -199,18 +204,25 @@ impl<'a, P: Float> Boundary<'a, P> {
         (CLEARANCE[0] * edge.distance).max(CLEARANCE[1] * extent)
     }
 
-    /// The ray that passes an edge, from an origin, and what it meets; `None` if something hides the edge.
-    fn past(&self, edge: &EdgePoint, from: Ray<P>) -> Option<(Ray<P>, Option<Intersection<P>>)> {
+    /// The ray that passes an edge, from an origin, and what it meets as the edge number `depth` of a path, if it is one
+    /// that the camera may see; `None` if something hides the edge.
+    fn past(
+        &self,
+        edge: &EdgePoint,
+        from: Ray<P>,
+        depth: u32,
+    ) -> Option<(Ray<P>, Option<Intersection<P>>)> {
         let scene = self.context.scene;
+        let hidden = self.context.settings.hides(depth);
         let beside = edge.p + edge.normal * self.clearance(edge);
         let d = (beside - wide(from.o)).normalize();
         let ray = Ray {
             d: d.map(P::of).normalize(),
             ..from
         };
-        let hit = scene.nearest(&ray);
+        let hit = scene.seen(&ray, hidden);
         let nearer = |part: f64| hit.is_some_and(|hit| f64::from(hit.t) < part * edge.distance);
-        if nearer(SAME_DEPTH) || nearer(BEFORE) && self.hidden(edge, from) {
+        if nearer(SAME_DEPTH) || nearer(BEFORE) && self.hidden(edge, from, hidden) {
             return None;
         }
         let theta = Theta::still();
@@ -218,8 +230,8 @@ impl<'a, P: Float> Boundary<'a, P> {
     }
 
     /// Whether something just before the edge of a face hides it, that the ray beside it does not tell from what the edge
-    /// touches.
-    fn hidden(&self, edge: &EdgePoint, from: Ray<P>) -> bool {
+    /// touches. `through`: whether that may be a lamp.
+    fn hidden(&self, edge: &EdgePoint, from: Ray<P>, through: bool) -> bool {
         let scene = self.context.scene;
         let to = scene.exit(self.surfaces.material::<P>(edge).0).surface;
         let d = edge.direction.map(P::of).normalize();
@@ -228,7 +240,7 @@ impl<'a, P: Float> Boundary<'a, P> {
             length: P::of(edge.distance * BEFORE),
             to,
         };
-        to != NOWHERE && scene.occluded(&segment)
+        to != NOWHERE && scene.out_of_sight(&segment, through)
     }
 
     /// The term of a point of the material, if that moves.
@@ -277,7 +289,7 @@ impl<'a, P: Float> Boundary<'a, P> {
         let mut weight = edge.weight / count as f64;
         let jump = match &sides {
             Sides::Outline(front) => {
-                let (past, hit) = self.past(&edge, ray)?;
+                let (past, hit) = self.past(&edge, ray, 1)?;
                 weight *= hit.map_or(1.0, |hit| self.share_of_contact(&edge, &past, &hit));
                 inside(front) - self.radiance::<S, X>(past, hit, 1, sampler)
             }
@@ -292,7 +304,7 @@ impl<'a, P: Float> Boundary<'a, P> {
                     length: P::of(edge.distance * BEFORE),
                     to,
                 };
-                if scene.occluded(&segment) {
+                if scene.out_of_sight(&segment, self.context.settings.hides(1)) {
                     return None;
                 }
                 inside(near) - inside(far)
@@ -449,7 +461,7 @@ impl<'a, P: Float> Boundary<'a, P> {
 
         // ---- What is behind it ----
         let from = si.spawn_ray(edge.direction.map(P::of).normalize(), scene.exit(here.prim));
-        let (ray, hit) = self.past(&edge, from)?;
+        let (ray, hit) = self.past(&edge, from, depth + 1)?;
         let light = self.radiance::<S, X>(ray, hit, depth + 1, sampler);
         if light.is_black() {
             return None;

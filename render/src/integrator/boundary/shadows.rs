@@ -158,10 +158,11 @@ impl<P: Float> Boundary<'_, P> {
         };
 
         // ---- What it shades, as the camera sees that ----
-        let (ray, hit) = self.past(&edge, from)?;
+        let (ray, hit) = self.past(&edge, from, 2)?;
         let hit = hit?;
         let info = scene.shape_info(hit.shape);
-        if info.delta {
+        let hidden = self.context.settings.hides(1);
+        if info.delta || (hidden && info.emitter.is_some()) {
             return None;
         }
         let si = &hit.si;
@@ -176,7 +177,7 @@ impl<P: Float> Boundary<'_, P> {
             return None;
         }
         let exit = scene.exit(hit.prim);
-        if scene.occluded(&si.shadow_ray(towards, distance, exit, NOWHERE)) {
+        if scene.out_of_sight(&si.shadow_ray(towards, distance, exit, NOWHERE), hidden) {
             return None;
         }
         let d = wide(ray.d);

@@ -14,6 +14,7 @@ use crate::estimator::{Follows, Strategy};
 use crate::integrator::active::Active;
 use crate::integrator::motion::slopes::{across, slope, slopes, varied};
 use crate::integrator::motion::trail::{Edge, Trail, met, sampled_point};
+use crate::integrator::path::Context;
 use crate::integrator::record::{Place, SampledLight};
 use crate::math::{Frame, Ray, RayAdjoint, Rgb};
 use crate::params::{GradSink, Theta};
@@ -144,6 +145,8 @@ fn sampler<X: Sampler>(numbers: Numbers, salt: u64, rays: u32, depth: u32) -> X 
 pub(super) struct Follow<'a, P: Float> {
     scene: &'a Scene,
     theta: &'a Theta<'a, P>,
+    /// Whether the camera looks through lamps.
+    hidden: bool,
     active: &'a Active,
     known: &'a Known<'a>,
     neighbours: Vec<(Neighbour, f64)>,
@@ -152,14 +155,14 @@ pub(super) struct Follow<'a, P: Float> {
 
 impl<'a, P: Float> Follow<'a, P> {
     pub fn new(
-        scene: &'a Scene,
-        theta: &'a Theta<'a, P>,
+        context: &Context<'a, P>,
         active: &'a Active,
         known: &'a Known<'a>,
     ) -> Self {
         Self {
-            scene,
-            theta,
+            scene: context.scene,
+            theta: context.theta,
+            hidden: context.settings.hides(1),
             active,
             known,
             neighbours: Vec::new(),
@@ -200,7 +203,8 @@ impl<'a, P: Float> Follow<'a, P> {
             Start::Surface(normal) => (closed::REACH, Some(normal)),
         };
         let anchors = Anchor::of_outlines(edges, &frame, o, reach);
-        let met = scene.nearest(&ray).map(|hit| {
+        let through = matches!(start, Start::Camera) && self.hidden;
+        let met = scene.seen(&ray, through).map(|hit| {
             let met = scene.interaction(&Theta::still(), &ray, &hit);
             let (shape, si) = (scene.shape_of(hit.prim), met.si);
             let local = hit.prim - scene.primitive(shape, 0);
@@ -285,7 +289,7 @@ impl<'a, P: Float> Follow<'a, P> {
             }
             // Beyond everything there is no outline.
             let mut test = LARGEST;
-            if let Some(hit) = scene.nearest(&around) {
+            if let Some(hit) = scene.seen(&around, from_camera && self.hidden) {
                 test = outlines.test(KAPPA, &around, &hit);
                 follower.near = f64::from(hit.t).recip();
                 if self.active.moves_shape(scene.shape_of(hit.prim)) {

@@ -219,7 +219,7 @@ pub(super) fn image<R: Components, S: Strategy, X: Sampler>(pass: &Pass<R>) -> R
         }
         let mut paths = Paths::<R::Primal, Still<S>, X, _>::new(Trail::default());
         let mut worker = Worker::<R::Primal, S, X> {
-            follow: Follow::new(scene, &theta, &active, &known),
+            follow: Follow::new(&context, &active, &known),
             context: &context,
             seed: pass.seed,
             strategy: std::marker::PhantomData,
@@ -294,7 +294,7 @@ pub(super) fn gradient<P: Float, S: Strategy, X: Sampler>(
         let mut non_finite = NonFinite::default();
         let mut paths = Paths::<P, Still<S>, X, _>::new(Trail::default());
         let mut worker = Worker::<P, S, X> {
-            follow: Follow::new(scene, theta, active, &known),
+            follow: Follow::new(&context, active, &known),
             context: &context,
             seed: pass.seed,
             strategy: std::marker::PhantomData,

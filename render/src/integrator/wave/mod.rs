@@ -533,6 +533,9 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             scene, settings, ..
         } = context;
         self.find_surfaces(scene);
+        if settings.hides(depth) {
+            self.look_through_lamps(scene);
+        }
         let guide = scene.guide().filter(|_| const { is_guided::<Of>() });
         if !self.arrive::<Of, S, L>(context, guide, depth, log) {
             self.bounces.continues = Lane::zero();
@@ -629,6 +632,17 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         }
         for hit in self.hits[..n].iter().flatten() {
             scene.fetch(hit);
+        }
+    }
+
+    /// Finds what the camera sees behind lamps.
+    #[cold]
+    #[inline(never)]
+    fn look_through_lamps(&mut self, scene: &Scene) {
+        let paths = &self.paths;
+        for (i, hit) in self.hits[..self.n].iter_mut().enumerate() {
+            let ray = Ray::new(paths.o.vec(i), paths.d.vec(i)).leaving(paths.surface[i]);
+            *hit = hit.and_then(|hit| scene.behind_lamps(&ray, hit));
         }
     }
 

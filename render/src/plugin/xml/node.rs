@@ -260,8 +260,8 @@ impl Node {
         Ok(self.rgb(name)?.map(luminance))
     }
 
-    /// Whether this is a spectrum that is the same everywhere: `uniform`, `d65`, `srgb`, `blackbody`, `regular` or
-    /// `irregular`. [`rgb`](Self::rgb) of its owner is its colour.
+    /// Whether this is a spectrum that is the same everywhere: `uniform`, `d65`, `srgb`, `rawconstant`, `blackbody`, `regular`
+    /// or `irregular`. [`rgb`](Self::rgb) of its owner is its colour.
     pub fn is_constant(&self) -> bool {
         self.tag == "texture" && spectrum::PLUGINS.contains(&self.plugin.as_str())
     }
@@ -271,6 +271,11 @@ impl Node {
         let role = if emits { Role::Emission } else { Role::Other };
         let colour = match self.plugin.as_str() {
             "uniform" => spectrum::flat(self.float_or("value", 1.0)?, role),
+            // As it is, whatever it is for.
+            "rawconstant" => {
+                let colour = self.rgb("value")?;
+                colour.ok_or_else(|| self.missing("value", "a colour (<rgb>)"))?
+            }
             "srgb" => {
                 let colour = self.rgb("color")?;
                 colour.ok_or_else(|| self.missing("color", "a colour (<rgb>)"))?
@@ -573,11 +578,14 @@ impl Node {
                 what,
             };
         }
+        let mut known: Vec<String> = known.iter().map(|&name| name.to_owned()).collect();
+        // Several implementations may share a name.
+        known.dedup();
         SceneError::UnknownPlugin {
             location: self.location.clone(),
             tag: self.tag.clone(),
             plugin: self.plugin.clone(),
-            known: known.iter().map(|&name| name.to_owned()).collect(),
+            known,
         }
     }
 

@@ -11,6 +11,7 @@ pub(crate) const PLUGINS: &[&str] = &[
     "blackbody",
     "d65",
     "irregular",
+    "rawconstant",
     "regular",
     "srgb",
     "uniform",
