@@ -1,7 +1,7 @@
 //! [Zeltner 2021, figures 3.9 and 3.24]: light through the waves of a pool, by paths, by one walk towards the light, by unbiased
 //! estimates and by trial sets.
 //!
-//! What one walk misses is left out by the renderer, as where figure 3.9 discards outliers: those are what paths find of it.
+//! What one walk misses is found by paths, or left out, as where figure 3.9 discards outliers: those are what paths find of it.
 
 use render::scene::{Connections, Method};
 

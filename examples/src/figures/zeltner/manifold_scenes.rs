@@ -392,9 +392,9 @@ pub fn slab(size: u32, waves: &Waves, one: bool) -> Result<Scene> {
             [p, if up { n } else { -n }]
         })
     };
-    b.shape("top", face(high, true)?, &glass)?;
+    b.shape("top", face(high, true)?, &glass);
     if !one {
-        b.shape("bottom", face(low, false)?, &glass)?;
+        b.shape("bottom", face(low, false)?, &glass);
     }
     let frame = b.matt("frame", [0.05; 3])?;
     let (foot, tall) = if one { (0.0, high) } else { (low, thick) };
