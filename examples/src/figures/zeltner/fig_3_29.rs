@@ -13,14 +13,14 @@ use crate::figure::{Figure, Result};
 
 const SEED: u64 = 329;
 /// Wavelength and slopes of the waves.
-const WAVES: [f64; 2] = [1.2, 0.09];
+const WAVES: [f64; 2] = [1.0, 0.16];
 
 /// `zeltner-3-29`.
 ///
 /// # Errors
 /// None that the built-in scene can cause.
 pub fn figure(fig: &mut Figure) -> Result {
-    let size = fig.pick(12, 48);
+    let size = fig.pick(8, 48);
     let effort = Effort {
         runs: fig.pick(8, 16),
         spp: fig.pick(2, 16),
@@ -29,11 +29,13 @@ pub fn figure(fig: &mut Figure) -> Result {
     effort.note(fig, size);
     let [length, slope] = WAVES;
     let waves = Waves::new(length, slope, SEED);
-    let twice = slab(size, &waves, false)?;
+    // Paths meet wider lamps in less time.
+    let lamp = fig.pick(0.3, 0.05);
+    let twice = slab(size, lamp, &waves, false)?;
     let found = compare(fig, "slab", &twice, 2, effort)?;
 
     // ---- One face ----
-    let once = slab(size, &waves, true)?;
+    let once = slab(size, lamp, &waves, true)?;
     let of = |k: u64, method: Method| {
         let connections = Connections {
             bounces: 1,

@@ -366,11 +366,11 @@ pub fn pool(size: u32, lamp: f64, waves: &Waves) -> Result<Scene> {
 const SLAB: [f64; 2] = [1.5, 0.4];
 
 /// A floor under a slab of glass with a frame around it, both faces displaced by the same waves elsewhere, or the lower one plane
-/// and the whole space below of glass if only `one` face is there, and a small lamp above.
+/// and the whole space below of glass if only `one` face is there, and a lamp of this half side above.
 ///
 /// # Errors
 /// None that the constants of figures can cause.
-pub fn slab(size: u32, waves: &Waves, one: bool) -> Result<Scene> {
+pub fn slab(size: u32, lamp: f64, waves: &Waves, one: bool) -> Result<Scene> {
     const HALF: f64 = 1.5;
     const CELLS: u32 = 40;
     let [low, thick] = SLAB;
@@ -409,14 +409,11 @@ pub fn slab(size: u32, waves: &Waves, one: bool) -> Result<Scene> {
         b.quad(&format!("bar {k}"), bar, &frame)?;
     }
     let black = b.matt("lamp", [0.0; 3])?;
-    let half = 0.05;
-    let above = [
-        [0.6 - half, 5.0, -half],
-        [2.0 * half, 0.0, 0.0],
-        [0.0, 0.0, 2.0 * half],
-    ];
+    let side = 2.0 * lamp;
+    let above = [[0.6 - lamp, 5.0, -lamp], [side, 0.0, 0.0], [0.0, 0.0, side]];
     let shape = b.quad("lamp", above, &black)?;
-    b.lamp("lamp", shape, [4e3; 3])?;
+    // As much light whatever its size.
+    b.lamp("lamp", shape, [40.0 / (side * side); 3])?;
     let view = View {
         eye: [0.0, 7.0, 5.0],
         target: [0.0, 0.3, 0.0],
