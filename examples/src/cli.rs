@@ -410,8 +410,9 @@ const POINTS: Points = Points::Sobol;
 #[derive(Args, Clone, Copy, Debug, Default, PartialEq)]
 pub struct ManifoldArgs {
     /// How light over chains of mirrors and smooth glass is found that sampling cannot find: sms (unbiased), sms-biased
-    /// (distinct solutions of --trials walks), mnee (one walk, towards the light), or off: paths find it, but with --bounces or
-    /// --caster-roughness the light of such chains is left out [default: the scene's integrator]
+    /// (distinct solutions of --trials walks), mnee (one walk, towards the light), mnee-unbiased (that walk, and paths for the
+    /// chains that it misses), or off: paths find it, but with --bounces or --caster-roughness the light of such chains is left
+    /// out [default: the scene's integrator]
     #[arg(long, value_name = "NAME", value_enum)]
     pub manifold: Option<ManifoldArg>,
     /// Walks of a trial set of --manifold sms-biased [default: 16]; of --manifold sms, most trials of an estimate, which
@@ -579,6 +580,8 @@ pub enum ManifoldArg {
     SmsBiased,
     /// Manifold next event estimation
     Mnee,
+    /// The same, and paths for what it misses
+    MneeUnbiased,
     /// Paths find all light, or all but that of the chains that options name
     Off,
 }
@@ -637,11 +640,12 @@ impl ManifoldArgs {
             Some(ManifoldArg::Sms) => Method::Sms,
             Some(ManifoldArg::SmsBiased) => Method::SmsBiased(self.trials.unwrap_or(TRIALS)),
             Some(ManifoldArg::Mnee) => Method::Mnee,
+            Some(ManifoldArg::MneeUnbiased) => Method::MneeUnbiased,
         };
-        if method == Method::Mnee && self.trials.is_some() {
+        if method.is_aimed() && self.trials.is_some() {
             return usage("--trials: without effect; expected --manifold sms or sms-biased");
         }
-        if method == Method::Mnee && self.starts.is_some() {
+        if method.is_aimed() && self.starts.is_some() {
             return usage("--starts: without effect; expected --manifold sms or sms-biased");
         }
         if settings.caustics == Caustics::Particles {
@@ -668,10 +672,18 @@ impl ManifoldArgs {
         if let Some(threshold) = self.uniqueness_threshold {
             connections.uniqueness = Uniqueness::Threshold(threshold);
         }
-        if Split::of(scene, &connections).is_none() {
-            complain!(
+        match Split::of(scene, &connections) {
+            None => complain!(
                 "warning: --manifold: nothing smooth to connect lights over; paths find all light"
-            );
+            ),
+            Some(split) if method == Method::MneeUnbiased => {
+                if let Some(light) = split.unmet(scene) {
+                    return Err(ToolError::Usage(format!(
+                        "--manifold mnee-unbiased: paths never meet the light of `{light}`, which has no size; expected sms, or mnee"
+                    )));
+                }
+            }
+            Some(_) => {}
         }
         settings.connections = Some(connections);
         Ok(())
@@ -725,6 +737,12 @@ pub struct ManifoldReport {
     pub walks: WalkReport,
     /// The part of the image's light that they brought.
     pub share_of_light: f64,
+    /// Of mnee-unbiased: paths that met light over a chain.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub paths_met: Option<u64>,
+    /// Those of which the walk missed the chain, so that they count.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub paths_counted: Option<u64>,
 }
 
 /// A part of a number; zero of nothing.
@@ -769,9 +787,11 @@ impl ManifoldReport {
             Method::Sms => ("sms".to_owned(), true),
             Method::SmsBiased(trials) => (format!("sms-biased, {trials} walks"), false),
             Method::Mnee => ("mnee".to_owned(), false),
+            Method::MneeUnbiased => ("mnee-unbiased".to_owned(), true),
             Method::LeftOut => ("left out".to_owned(), false),
         };
         let light: f64 = rendering.sums[0].iter().sum::<f64>() / 3.0;
+        let with_paths = connections.method == Method::MneeUnbiased;
         Some(Self {
             method,
             unbiased: unbiased
@@ -784,6 +804,8 @@ impl ManifoldReport {
             } else {
                 0.0
             },
+            paths_met: with_paths.then_some(s.met),
+            paths_counted: with_paths.then_some(s.missed),
         })
     }
 

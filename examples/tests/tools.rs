@@ -546,6 +546,18 @@ fn manifold_connections_are_rendered_reported_and_checked() {
         "ball.xml --manifold mnee --bounces 2 --spp 4 --json mnee.json",
     );
     assert_eq!(dir.json("mnee.json")["manifold"]["unbiased"], false);
+    dir.ok(
+        "render",
+        "ball.xml --manifold mnee-unbiased --bounces 2 --spp 16 --json both.json",
+    );
+    let both = &dir.json("both.json")["manifold"];
+    assert_eq!(both["unbiased"], true);
+    assert!(
+        both["paths_met"].as_u64() >= both["paths_counted"].as_u64(),
+        "{both}"
+    );
+    let point = r#"<emitter type="point" id="bulb"><point name="position" value="0, 3, 0"/></emitter></scene>"#;
+    std::fs::write(dir.path("bulb.xml"), text.replace("</scene>", point)).unwrap();
     dir.ok("render", "ball.xml --manifold off --spp 4 --json off.json");
     assert!(dir.json("off.json").get("manifold").is_none());
     // Chains that are named are left out: the rest of the image, which both halves have.
@@ -564,6 +576,8 @@ fn manifold_connections_are_rendered_reported_and_checked() {
             "without effect",
         ),
         ("ball.xml --manifold mnee --trials 4", "sms-biased"),
+        ("ball.xml --manifold mnee-unbiased --trials 4", "sms-biased"),
+        ("bulb.xml --manifold mnee-unbiased", "bulb.intensity.value"),
         (
             "ball.xml --manifold sms --caustics particles",
             "one of them",

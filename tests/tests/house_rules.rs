@@ -106,6 +106,7 @@ const TRANSPORT: &[&str] = &[
     "paths",
     "motion",
     "convolved",
+    "trail",
     "connections",
     "chain_density",
     "glints",

@@ -3,6 +3,9 @@
 //! Paths from the camera scatter as they do for BSDF sampling, look for no light, and are connected at every receiver that
 //! they reach ([`crate::manifold`]). A connection is a path like any other: over a scalar with tangents its value has the
 //! derivatives of its factors, and reverse mode goes back through the record of its vertices.
+//!
+//! Where one walk is all that is tried ([`crate::scene::Method::MneeUnbiased`]), the same paths look for light that they meet behind chains,
+//! and count what the walk misses.
 
 use ad_core::{Float, Real, Vec2, Vec3};
 
@@ -17,6 +20,7 @@ use super::record::{
 use super::rendering::{Components, NonFinite, PixelConnections, Rendering};
 use super::sink::{GradientSums, Sink};
 use super::tile::{Sample, place, start};
+use super::trail::Trail;
 use super::vertex::MODE;
 use crate::bsdf::{Bsdf, Component, Part, Shading};
 use crate::emitter::{Emission, Emitter};
@@ -27,7 +31,7 @@ use crate::math::Rgb;
 use crate::parallel;
 use crate::params::{ParamInfo, ParamKind, Theta};
 use crate::sampler::{Independent, Sampler};
-use crate::scene::{Connections, Method, Scene, Settings, Starts};
+use crate::scene::{Connections, Scene, Settings, Starts};
 use crate::shape::SurfaceInteraction;
 
 /// What chains and glints say of parameters that move them and of whoever leaves them out.
@@ -158,6 +162,8 @@ struct Connecting<'a> {
     found: Vec<Connection>,
     /// What they came to, since the path was started.
     came_to: Statistics,
+    /// The chain that the path is on, where light counts that it meets there.
+    trail: Option<Trail>,
 }
 
 impl<'a> Connecting<'a> {
@@ -171,6 +177,7 @@ impl<'a> Connecting<'a> {
             rng: Independent::new(0, 0, 0),
             found: Vec::new(),
             came_to: Statistics::default(),
+            trail: connector.counts_missed().then(Trail::default),
         }
     }
 
@@ -183,6 +190,9 @@ impl<'a> Connecting<'a> {
         self.rng = Independent::new(seed ^ STREAM, pixel, at.index);
         self.depth = 0;
         self.came_to = Statistics::default();
+        if let Some(trail) = &mut self.trail {
+            trail.restart();
+        }
     }
 
     /// The connections of the vertex that the path reaches now.
@@ -191,16 +201,51 @@ impl<'a> Connecting<'a> {
         self.found.clear();
         // The edges of a chain are one more than its vertices.
         let most = self.max_depth.saturating_sub(self.depth).saturating_sub(1);
+        let start = || Start {
+            si: cast(&place.si.primal()),
+            exit: self.scene.exit(place.prim),
+        };
+        if let Some(trail) = &mut self.trail {
+            trail.vertex(self.split, place, start(), most);
+        }
         if most > 0 && self.split.is_receiver(place.shape) {
-            let start = Start {
-                si: cast(&place.si.primal()),
-                exit: self.scene.exit(place.prim),
-            };
+            let start = start();
             let found = &mut self.found;
             let came_to = (self.connector).connect(&start, most, &mut self.rng, found);
             self.came_to.merge(&came_to);
         }
         &self.found
+    }
+
+    /// Whether the path looks for light.
+    fn looks(&self) -> bool {
+        self.trail.is_some()
+    }
+
+    /// The path goes on from its last vertex.
+    fn leaves<R: Real>(&mut self, bounce: &Bounce<R>) {
+        if let Some(trail) = &mut self.trail {
+            trail.leaves(bounce);
+        }
+    }
+
+    /// Its edge ends at a surface.
+    fn ends<R: Real>(&mut self, prim: u32, si: &SurfaceInteraction<R>) {
+        if let Some(trail) = &mut self.trail {
+            trail.arrives(prim, si);
+        }
+    }
+
+    /// Whether light that it meets counts: behind a chain that walks miss.
+    fn counts(&mut self, emitter: u32) -> bool {
+        let met = (self.trail.as_ref()).and_then(|trail| trail.met(self.split, emitter));
+        let Some(met) = met else {
+            return false;
+        };
+        let missed = !self.connector.finds(&met);
+        self.came_to.met += 1;
+        self.came_to.missed += u64::from(missed);
+        missed
     }
 }
 
@@ -246,9 +291,12 @@ struct Value<'a, R: Real> {
     l: Rgb<R>,
 }
 
-/// Its path looks for no light.
+/// Its path looks for no light, but where some of it counts that is met.
 impl<R: Real> Interest for Value<'_, R> {
     const LIGHT: bool = false;
+    fn differentiates_emission(&self) -> bool {
+        self.connecting.looks()
+    }
 }
 
 impl<R: Real> Observer<R> for Value<'_, R> {
@@ -261,6 +309,21 @@ impl<R: Real> Observer<R> for Value<'_, R> {
             let along = (links.into_iter().zip(&connection.links))
                 .fold(beta * f, |b, (f, link)| b * f * weight::<R>(link));
             self.l += along * le * number::<R>(connection.weight);
+        }
+    }
+
+    fn arrives(&mut self, prim: u32, si: &SurfaceInteraction<R>) {
+        self.connecting.ends(prim, si);
+    }
+
+    fn contribution(&mut self, contribution: Contribution<R>) {
+        match contribution {
+            Contribution::Scattered(bounce) => self.connecting.leaves(&bounce),
+            Contribution::Met(light) if self.connecting.counts(light.emitter) => {
+                let e = &self.connecting.scene.emitters()[light.emitter as usize];
+                self.l += light.beta * e.eval(self.theta, &light.emission) * light.weight;
+            }
+            _ => {}
         }
     }
 }
@@ -292,7 +355,7 @@ fn connector<'a, R: Real>(
     options: Connections,
 ) -> Connector<'a> {
     let mut connector = Connector::new(space, split, options);
-    if options.starts == Starts::Particles && options.method != Method::Mnee {
+    if options.starts == Starts::Particles && !options.method.is_aimed() {
         let [width, height] = pass.scene.film.size.map(|n| n as usize);
         let [least, most] = PARTICLES;
         let particles = width
@@ -405,13 +468,16 @@ struct Recording<'a, P: Float> {
     theta: &'a Theta<'a, P>,
     /// The path so far.
     path: PathRecord<P>,
-    /// With each connection.
+    /// With each connection, and with each light that it met and that counts.
     connected: Vec<PathRecord<P>>,
 }
 
 /// As [`Value`].
 impl<P: Float> Interest for Recording<'_, P> {
     const LIGHT: bool = false;
+    fn differentiates_emission(&self) -> bool {
+        self.connecting.looks()
+    }
 }
 
 impl<P: Float> Observer<P> for Recording<'_, P> {
@@ -465,8 +531,26 @@ impl<P: Float> Observer<P> for Recording<'_, P> {
         }
     }
 
+    fn arrives(&mut self, prim: u32, si: &SurfaceInteraction<P>) {
+        self.connecting.ends(prim, si);
+    }
+
     fn contribution(&mut self, contribution: Contribution<P>) {
-        self.path.contribution(contribution);
+        match contribution {
+            Contribution::Met(light) => {
+                if self.connecting.counts(light.emitter) {
+                    let mut path = self.path.clone();
+                    path.contribution(contribution);
+                    self.connected.push(path);
+                }
+            }
+            _ => {
+                if let Contribution::Scattered(bounce) = &contribution {
+                    self.connecting.leaves(bounce);
+                }
+                self.path.contribution(contribution);
+            }
+        }
     }
 }
 

@@ -39,6 +39,7 @@ pub mod simple;
 mod sink;
 mod sparse;
 mod tile;
+mod trail;
 pub mod vertex;
 mod wave;
 pub(crate) mod work;

@@ -116,7 +116,7 @@ pub struct Event {
 pub(super) type Events = SmallVec<[Event; 2]>;
 
 /// Specular vertices, from a start on. All constraints but the last hold: the chain was traced.
-pub type Chain = SmallVec<[Vertex; 2]>;
+pub type Chain = Vec<Vertex>;
 
 /// How the last constraint of a chain changes.
 #[derive(Clone, Copy, Debug)]

@@ -44,6 +44,10 @@ pub struct Statistics {
     pub trials: u64,
     /// Reciprocals that ran out of trials: where there is one, the image is biased.
     pub exhausted: u64,
+    /// Paths that met light over a chain, where those are asked for that walks miss.
+    pub met: u64,
+    /// Those of which no walk found the chain: they count. Walks to find out are not counted above.
+    pub missed: u64,
 }
 
 impl Statistics {
@@ -57,6 +61,8 @@ impl Statistics {
         self.reciprocals += other.reciprocals;
         self.trials += other.trials;
         self.exhausted += other.exhausted;
+        self.met += other.met;
+        self.missed += other.missed;
     }
 }
 
@@ -97,16 +103,16 @@ pub struct Connection {
 
 /// A sampled point of a light.
 #[derive(Clone, Copy, Debug)]
-struct Light {
-    emitter: u32,
-    target: Target,
+pub(super) struct Light {
+    pub emitter: u32,
+    pub target: Target,
     /// The surface there, if it lies on one, and its number.
-    surface: Option<SurfaceInteraction<f64>>,
-    number: u32,
+    pub surface: Option<SurfaceInteraction<f64>>,
+    pub number: u32,
     /// Density per area or solid angle, or one for a point; the choice of the emitter included.
-    pdf: f64,
+    pub pdf: f64,
     /// What an environment sends from there.
-    emission: Emission<f64>,
+    pub emission: Emission<f64>,
 }
 
 /// Makes connections.
@@ -114,7 +120,7 @@ struct Light {
 pub struct Connector<'a> {
     pub(super) space: Space<'a>,
     pub(super) split: &'a Split,
-    options: Connections,
+    pub(super) options: Connections,
     /// Around the scene.
     ball: Option<Ball>,
     /// Of normal maps, by shape, where walks have two stages.
@@ -122,14 +128,32 @@ pub struct Connector<'a> {
     pub(super) landings: Landings,
 }
 
+/// Which facets of rough surfaces scatter.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Facets<'e> {
+    /// Those that these numbers draw, vertex by vertex.
+    Drawn([[f64; 2]; Connections::MOST_BOUNCES as usize]),
+    /// Those of a chain that is known.
+    Of(&'e [Event]),
+}
+
+impl Facets<'_> {
+    /// The normal of vertex `i`, where that is on this shape.
+    fn normal(&self, space: &Space, shape: u32, i: usize) -> Normal {
+        match self {
+            Self::Drawn(u) => facet(space, shape, u[i]),
+            Self::Of(events) => events.get(i).map_or(Normal::Own, |e| e.normal),
+        }
+    }
+}
+
 /// What stays the same over the walks of one estimate.
-struct Estimate<'e> {
+pub(super) struct Estimate<'e> {
     start: &'e Start,
     target: &'e Target,
     /// Longest chain.
     most: u32,
-    /// Draw the facet of each vertex.
-    facets: [[f64; 2]; Connections::MOST_BOUNCES as usize],
+    facets: Facets<'e>,
     /// Particles that landed around the start.
     around: &'e [Landing],
 }
@@ -160,17 +184,27 @@ impl<'a> Connector<'a> {
         most: u32,
         rng: &mut Independent,
     ) -> Estimate<'e> {
-        let most = most.min(self.split.bounces());
         let mut facets = [[0.5; 2]; Connections::MOST_BOUNCES as usize];
         if self.split.rough {
-            for u in &mut facets[..most as usize] {
+            for u in &mut facets[..most.min(self.split.bounces()) as usize] {
                 *u = rng.next_2d();
             }
         }
+        self.estimate_over(start, target, most, Facets::Drawn(facets))
+    }
+
+    /// The same over facets that are given.
+    pub(super) fn estimate_over<'e>(
+        &'e self,
+        start: &'e Start,
+        target: &'e Target,
+        most: u32,
+        facets: Facets<'e>,
+    ) -> Estimate<'e> {
         Estimate {
             start,
             target,
-            most,
+            most: most.min(self.split.bounces()),
             facets,
             around: self.landings.around(start.si.p),
         }
@@ -233,7 +267,7 @@ impl<'a> Connector<'a> {
                 let found = distinct(walks, walk, |a, b| a.is(b, uniqueness));
                 out.extend(found.iter().filter_map(|f| self.worth(f, &light)));
             }
-            Method::Mnee => {
+            Method::Mnee | Method::MneeUnbiased => {
                 let mut starts = self.aimed(&estimate).into_iter();
                 let n = starts.len() as u32;
                 let walk = || {
@@ -288,7 +322,12 @@ impl<'a> Connector<'a> {
         (light.pdf > 0.0).then_some(light)
     }
 
-    fn walk(&self, estimate: &Estimate, chain: Chain, s: &mut Statistics) -> Option<Solution> {
+    pub(super) fn walk(
+        &self,
+        estimate: &Estimate,
+        chain: Chain,
+        s: &mut Statistics,
+    ) -> Option<Solution> {
         let Walked { solution, steps } = self.space.walk(estimate.start, chain, estimate.target);
         s.steps += u64::from(steps);
         s.converged += u64::from(solution.is_some());
@@ -308,7 +347,7 @@ impl<'a> Connector<'a> {
             self.landed(estimate, rng)
         } else if self.slopes.is_empty() {
             self.grow(estimate, rng, |shape, i, _| {
-                facet(&self.space, shape, estimate.facets[i])
+                estimate.facets.normal(&self.space, shape, i)
             })
         } else {
             self.staged(estimate, rng, s)
@@ -338,7 +377,7 @@ impl<'a> Connector<'a> {
         let chain = self.grow(estimate, rng, |shape, i, rng| {
             match &self.slopes[shape as usize] {
                 Some(slopes) => slopes.draw(rng.next_2d()),
-                None => facet(&self.space, shape, estimate.facets[i]),
+                None => estimate.facets.normal(&self.space, shape, i),
             }
         })?;
         if !chain
@@ -360,7 +399,7 @@ impl<'a> Connector<'a> {
         let own = |(i, (shape, kind)): (usize, (u32, DeltaKind))| Event {
             shape,
             kind,
-            normal: facet(&self.space, shape, estimate.facets[i]),
+            normal: estimate.facets.normal(&self.space, shape, i),
         };
         like.enumerate().map(own).collect()
     }
@@ -446,7 +485,7 @@ impl<'a> Connector<'a> {
     }
 
     /// Straight at the light, through whatever refracts, and at the middle of what reflects.
-    fn aimed(&self, estimate: &Estimate) -> Vec<Chain> {
+    pub(super) fn aimed(&self, estimate: &Estimate) -> Vec<Chain> {
         let &Estimate {
             start,
             target,
@@ -493,7 +532,7 @@ impl<'a> Connector<'a> {
 
     /// What light along a solution is worth, before trials. `None` where there is none: in between something, or light does
     /// not go that way.
-    fn worth(&self, solution: &Solution, light: &Light) -> Option<Connection> {
+    pub(super) fn worth(&self, solution: &Solution, light: &Light) -> Option<Connection> {
         let scene = self.space.scene;
         let last = solution.chain.last()?;
         let out = towards(last.si.p, &light.target);

@@ -15,6 +15,10 @@
 //! walks; the chain is that of a mirror with this offset normal, and its light is worth the value of the material over the
 //! density of the direction that the facet scatters into. Derivatives are those of the value: directions stay.
 //!
+//! # One walk, and paths for what it misses
+//! The unbiased form of manifold next event estimation: paths that scatter over a chain onto a light count where the walks
+//! between the same two ends do not find it ([`Connector::finds`]).
+//!
 //! # Does not handle
 //! Roughness that changes over a shape, or is not the same along all tangents. Continua of solutions, as on the axis
 //! of a mirrored cylinder (F21): walks end there somewhere or nowhere, in bounded time, and the estimate is of no use.
@@ -27,6 +31,7 @@ mod connector;
 pub mod constraint;
 mod estimate;
 mod landing;
+mod met;
 mod normal;
 mod split;
 mod walk;
@@ -35,6 +40,7 @@ pub use chain::{Chain, Derivative, Event, Row, Space, Start, Target, Vertex};
 pub(crate) use connector::cast;
 pub use connector::{Connection, Connector, Link, Statistics};
 pub use estimate::{distinct, trials};
+pub use met::Met;
 pub use normal::{Normal, Slopes};
 pub use split::{Run, Split};
 pub use walk::Solution;

@@ -23,8 +23,8 @@ impl Run {
         Self(n + 3)
     }
 
-    /// Behind how many casters.
-    fn behind(self) -> Option<u32> {
+    /// Behind how many casters, since it left a receiver. `None` on no chain.
+    pub fn behind(self) -> Option<u32> {
         self.0.checked_sub(3)
     }
 
@@ -196,6 +196,19 @@ impl Split {
     /// Whether light of this emitter is found over chains.
     pub fn is_connected(&self, emitter: u32) -> bool {
         self.emitters[emitter as usize]
+    }
+
+    /// The parameter of the first of the emitters that scattered paths never meet: it has no size.
+    pub fn unmet<'a>(&self, scene: &'a Scene) -> Option<&'a str> {
+        let mut emitters = self
+            .emitter_list
+            .iter()
+            .map(|&e| &scene.emitters()[e as usize]);
+        let mut name = "";
+        emitters.find(|e| e.is_delta())?.visit_params(&mut |p| {
+            name = &scene.params().infos()[p.id as usize].name;
+        });
+        Some(name)
     }
 
     /// Whether paths may sample a light that belongs to connections: at casters that are rough.

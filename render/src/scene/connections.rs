@@ -35,8 +35,19 @@ pub enum Method {
     /// One start on the way to the light, for reflection at the middle of each caster: it loses what that misses
     /// [Zeltner 2021, algorithm 3.1; Hanika et al. 2015].
     Mnee,
+    /// The same start, and paths for what it misses: those that scatter over a chain onto a light count where the walk between
+    /// the same two ends does not find that chain. Unbiased where lights have a size that paths can meet
+    /// ([`crate::manifold::Split::unmet`]) [Hanika et al. 2015].
+    MneeUnbiased,
     /// None: the light that connections would find is left out.
     LeftOut,
+}
+
+impl Method {
+    /// Whether walks have one start, which is not random.
+    pub fn is_aimed(self) -> bool {
+        matches!(self, Self::Mnee | Self::MneeUnbiased)
+    }
 }
 
 /// A function of a specular vertex that vanishes where the laws of reflection and refraction hold.

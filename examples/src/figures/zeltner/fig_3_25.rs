@@ -16,11 +16,13 @@ const SEED: u64 = 325;
 /// None that the built-in scenes can cause.
 pub fn figure(fig: &mut Figure) -> Result {
     let size = fig.pick(12, 48);
-    let plane = mirrored(0.15, 3000.0, size, |b| {
+    // Paths meet wider lamps in less time.
+    let lamp = fig.pick(0.75, 0.15);
+    let plane = mirrored(lamp, 67.5 / (lamp * lamp), size, |b| {
         let smooth = metal(b)?;
         bumpy(b, smooth, 0.1, SEED)
     })?;
-    let sphere = half_ball(size, 0.2, |b, radius| {
+    let sphere = half_ball(size, fig.pick(1.5, 0.2), |b, radius| {
         let smooth = glass(b)?;
         let waves = Waves::new(3.0, 0.07, SEED);
         let material = mapped_ball(b, radius, &waves, 128, smooth)?;

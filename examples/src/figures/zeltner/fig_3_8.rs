@@ -1,5 +1,6 @@
 //! [Zeltner 2021, figure 3.8]: a half-buried ball of smooth glass, by one walk towards the lamp and by paths.
 
+use render::manifold::Statistics;
 use render::scene::{Connections, Method, Starts};
 
 use super::manifold_methods::{Effort, Measured, measure};
@@ -67,6 +68,20 @@ pub fn figure(fig: &mut Figure) -> Result {
         [&one.series, &all.series],
         effort.runs,
         1e-3,
+    );
+    let both = Effort {
+        spp: 16 * effort.spp,
+        ..effort.other(4)
+    };
+    let connections = Connections {
+        bounces: 1,
+        ..Connections::new(Method::MneeUnbiased)
+    };
+    let Statistics { met, missed, .. } = measure(&scene, connections, false, both)?.found;
+    fig.check(
+        "so next to none of the paths that meet the lamp through the ball are missed by it",
+        met >= 10 && missed * 50 <= met,
+        format!("{missed} of {met}"),
     );
     let factor = fig.pick(8, 4);
     let panels = [("paths", &paths), ("one walk", &one), ("unbiased", &all)];

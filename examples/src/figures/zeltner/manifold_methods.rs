@@ -25,6 +25,8 @@ pub struct Measured {
     pub found: Statistics,
     /// Seconds that all runs took together; images that leave chains out are not counted.
     pub seconds: f64,
+    /// Samples per pixel of a run.
+    pub spp: u64,
     width: usize,
 }
 
@@ -70,6 +72,11 @@ impl Measured {
         let each =
             pairs.map(|(a, b)| (a.mean - b.mean).powi(2) - a.error * a.error - b.error * b.error);
         each.sum::<f64>().max(0.0)
+    }
+
+    /// Variance of a single sample per run, summed over the pixels.
+    pub fn variance_of_one(&self) -> f64 {
+        self.variance() * self.spp as f64
     }
 
     /// Variance after so many seconds, summed over the pixels.
@@ -156,6 +163,7 @@ pub fn measure(
         series,
         found,
         seconds,
+        spp: effort.spp,
         width,
     })
 }

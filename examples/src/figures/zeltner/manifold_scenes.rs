@@ -361,3 +361,64 @@ pub fn pool(size: u32, lamp: f64, waves: &Waves) -> Result<Scene> {
     };
     b.finish(&view, 4)
 }
+
+/// Height of the lower face of [`slab`], and how thick it is.
+const SLAB: [f64; 2] = [1.5, 0.4];
+
+/// A floor under a slab of glass with a frame around it, both faces displaced by the same waves elsewhere, or the lower one plane
+/// and the whole space below of glass if only `one` face is there, and a lamp of this half side above.
+///
+/// # Errors
+/// None that the constants of figures can cause.
+pub fn slab(size: u32, lamp: f64, waves: &Waves, one: bool) -> Result<Scene> {
+    const HALF: f64 = 1.5;
+    const CELLS: u32 = 40;
+    let [low, thick] = SLAB;
+    let high = low + thick;
+    let mut b = SceneBuilder::default();
+    let matt = b.matt("floor", [0.6, 0.5, 0.4])?;
+    let floor = [[-2.5, 0.0, -2.5], [0.0, 0.0, 5.0], [5.0, 0.0, 0.0]];
+    b.quad("floor", floor, &matt)?;
+    let glass = glass(&mut b)?;
+    // Seen from above, or from below.
+    let face = |y: f64, up: bool| {
+        mesh_of_square([CELLS; 2], |u, v| {
+            let (x, z) = (HALF * (2.0 * u - 1.0), HALF * (2.0 * v - 1.0));
+            let z = if up { -z } else { z };
+            let at = Vec3::new(x, y, z);
+            let slope = waves.gradient(at);
+            let n = Vec3::new(-slope.x, 1.0, -slope.z).normalize();
+            let p = Vec3::new(x, y + waves.height(at), z);
+            [p, if up { n } else { -n }]
+        })
+    };
+    b.shape("top", face(high, true)?, &glass);
+    if !one {
+        b.shape("bottom", face(low, false)?, &glass);
+    }
+    let frame = b.matt("frame", [0.05; 3])?;
+    let (foot, tall) = if one { (0.0, high) } else { (low, thick) };
+    let up = [0.0, tall + 0.2, 0.0];
+    let bars = [
+        [[-HALF, foot - 0.1, -HALF], [2.0 * HALF, 0.0, 0.0], up],
+        [[HALF, foot - 0.1, -HALF], [0.0, 0.0, 2.0 * HALF], up],
+        [[HALF, foot - 0.1, HALF], [-2.0 * HALF, 0.0, 0.0], up],
+        [[-HALF, foot - 0.1, HALF], [0.0, 0.0, -2.0 * HALF], up],
+    ];
+    for (k, bar) in bars.into_iter().enumerate() {
+        b.quad(&format!("bar {k}"), bar, &frame)?;
+    }
+    let black = b.matt("lamp", [0.0; 3])?;
+    let side = 2.0 * lamp;
+    let above = [[0.6 - lamp, 5.0, -lamp], [side, 0.0, 0.0], [0.0, 0.0, side]];
+    let shape = b.quad("lamp", above, &black)?;
+    // As much light whatever its size.
+    b.lamp("lamp", shape, [40.0 / (side * side); 3])?;
+    let view = View {
+        eye: [0.0, 7.0, 5.0],
+        target: [0.0, 0.3, 0.0],
+        fov: 30.0,
+        size: [size; 2],
+    };
+    b.finish(&view, 4)
+}

@@ -41,6 +41,7 @@ pub mod fig_3_25;
 pub mod fig_3_26;
 pub mod fig_3_27;
 pub mod fig_3_28;
+pub mod fig_3_29;
 pub mod fig_3_30;
 pub mod fig_3_6;
 pub mod fig_3_8;
