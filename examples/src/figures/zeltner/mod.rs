@@ -61,6 +61,7 @@ pub mod fig_4_23;
 pub mod fig_4_24;
 pub mod fig_4_2_1_foot4;
 pub mod fig_4_2_2_env;
+pub mod fig_4_3;
 pub mod fig_4_4;
 pub mod fig_4_5;
 pub mod fig_4_7;
