@@ -59,6 +59,7 @@ pub mod fig_4_20;
 pub mod fig_4_22;
 pub mod fig_4_23;
 pub mod fig_4_24;
+pub mod fig_4_25;
 pub mod fig_4_2_1_foot4;
 pub mod fig_4_2_2_env;
 pub mod fig_4_3;
