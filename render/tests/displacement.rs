@@ -1,6 +1,6 @@
 //! Meshes displaced by a texture: where their points are, and how they move with the texels.
 
-use ad_core::{Dual, Vec3};
+use ad_core::{Dual, Vec2, Vec3};
 use render::bsdf::Diffuse;
 use render::camera::{Camera, FovAxis};
 use render::emitter::Constant;
@@ -240,6 +240,41 @@ fn points_move_with_texels() {
         }
     }
     assert!(met > 20 && tested > 300, "{met} {tested}");
+}
+
+/// What is kept of normals belongs to where the mesh is, and not to where it was.
+#[test]
+fn adjoints_of_normals_follow() {
+    const PRIM: u32 = 40;
+    let at = SurfaceCoordinates(Vec2::new(0.3, 0.25));
+    let mut scene = scene(smooth(), [5, 4], &waves(20));
+    let mut all = Vec::new();
+    for grown in [1.0, -2.0] {
+        let texels: Vec<f32> = waves(20).iter().map(|x| grown * x).collect();
+        scene.set([(NAME, &texels[..])]).expect("valid");
+        let values = all_values(&scene);
+        let still = Theta::<f64>::constant(&values);
+        let si = scene.point_at::<f64>(&Theta::still(), PRIM, at);
+        let mut d = SurfaceAdjoint::zero();
+        d.frame.n = Vec3::new(0.3, -0.5, 0.2);
+        let mut reverse = Sum(vec![0.0; values.len()]);
+        scene.scatter_point(&still, PRIM, &si, &d, 0.0, &mut reverse);
+        let offset = scene.params().find(NAME).expect("known").offset;
+        let found = reverse.0[offset..offset + 20].to_vec();
+        for (texel, reverse) in found.iter().enumerate() {
+            let tangents = tangents(&scene, texel);
+            let theta = Theta::with_tangents(&values, &tangents);
+            let moved = scene.point_at(&theta, PRIM, SurfaceCoordinates::lift(at));
+            let along = d.of(&moved).eps[0];
+            assert!(
+                (along - reverse).abs() < 1e-12,
+                "{grown} {texel}: {along} {reverse}"
+            );
+        }
+        all.push(found);
+    }
+    let change = all[0].iter().zip(&all[1]).map(|(a, b)| (a - b).abs());
+    assert!(change.fold(0.0, f64::max) > 1e-2);
 }
 
 /// Triangles that are turned over are counted, and others are not, however sharp the mesh is.

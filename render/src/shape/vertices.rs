@@ -1,7 +1,7 @@
 //! Vertices of meshes as parameters, and how triangles move with them.
 
 use std::collections::HashMap;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 use ad_core::{Const, Dual, Float, Real, Vec3, array};
 
@@ -80,6 +80,35 @@ impl Rings {
     }
 }
 
+/// How the unit normal at a vertex changes with a value of a range of parameters: its number there, and the slope.
+type NormalSlope = (u32, [f64; 3]);
+
+/// Those of each vertex that somebody has asked for, as long as positions stay.
+type NormalSlopes = Arc<OnceLock<Box<[OnceLock<Box<[NormalSlope]>>]>>>;
+
+/// Adjoints of single values of one range, each once.
+struct Collected<'a> {
+    slopes: &'a mut Vec<NormalSlope>,
+    /// Which of three adjoints they are.
+    of: usize,
+}
+
+impl GradSink<f64> for Collected<'_> {
+    fn active(&self, _p: ParamRef) -> bool {
+        true
+    }
+
+    fn add(&mut self, _p: ParamRef, i: usize, d: f64) {
+        let i = i as u32;
+        let at = self.slopes.iter().position(|(known, _)| *known == i);
+        let at = at.unwrap_or_else(|| {
+            self.slopes.push((i, [0.0; 3]));
+            self.slopes.len() - 1
+        });
+        self.slopes[at].1[self.of] += d;
+    }
+}
+
 /// Vertices whose positions are parameters.
 #[derive(Clone, Debug)]
 pub(super) struct MovingVertices {
@@ -92,6 +121,8 @@ pub(super) struct MovingVertices {
     rings: Option<Arc<Rings>>,
     /// How displacements turn and grow as the mesh moves as a whole.
     pub linear: [[f64; 3]; 3],
+    /// Of the normals that follow.
+    slopes: NormalSlopes,
 }
 
 impl MovingVertices {
@@ -252,6 +283,7 @@ impl Mesh {
                 welding,
                 rings,
                 linear: Transform::IDENTITY.linear,
+                slopes: NormalSlopes::default(),
             }),
         }
     }
@@ -348,6 +380,9 @@ impl Mesh {
             other => other.to_string(),
         })?;
         self.data = replaced.data;
+        if let Some(vertices) = &mut self.vertices {
+            vertices.slopes = NormalSlopes::default();
+        }
         Ok(())
     }
 
@@ -433,40 +468,65 @@ impl Mesh {
             normals: seeds(),
         });
         for (i, d) in corners.into_iter().zip(thirds(d)) {
-            self.scatter_normal(vertices, rings, i, d, grad);
+            if d.to_array() == [P::zero(); 3] {
+                continue;
+            }
+            let d = d.map(P::to_f64);
+            for &(value, slope) in self.normal_slopes(vertices, rings, i) {
+                grad.add(vertices.param, value as usize, P::of(d.dot(slope.into())));
+            }
         }
     }
 
-    /// The transpose of [`Mesh::normal_offset`].
-    fn scatter_normal<P: Float>(
+    /// The transpose of [`Mesh::normal_offset`], kept: many samples see a vertex before it moves.
+    fn normal_slopes<'a>(
+        &self,
+        vertices: &'a MovingVertices,
+        rings: &Rings,
+        vertex: u32,
+    ) -> &'a [NormalSlope] {
+        let count = self.data.mesh.positions.len();
+        let all = vertices
+            .slopes
+            .get_or_init(|| (0..count).map(|_| OnceLock::new()).collect());
+        all[vertex as usize].get_or_init(|| self.find_normal_slopes(vertices, rings, vertex))
+    }
+
+    fn find_normal_slopes(
         &self,
         vertices: &MovingVertices,
         rings: &Rings,
         vertex: u32,
-        d: Vec3<P>,
-        grad: &mut impl GradSink<P>,
-    ) {
-        let ring = rings.around(vertex);
-        let mut sum = Vec3::<P>::zero();
-        for &(triangle, corner) in ring {
-            let [a, b] = self.edges_at(triangle, corner, [Vec3::zero(); 3]);
-            sum += weighted_normal(a, b);
-        }
+    ) -> Box<[NormalSlope]> {
+        let moved: Vec<_> = (rings.around(vertex).iter())
+            .map(|&(triangle, corner)| {
+                let [a, b] = self.edges_at(triangle, corner, seeds());
+                (triangle, weighted_normal::<Dual<f64, 9>>(a, b))
+            })
+            .collect();
+        let sum = (moved.iter()).fold(Vec3::<f64>::zero(), |sum, (_, n)| sum + n.primal());
         let n = sum.normalize();
         let inverse = sum.length().recip();
-        if d.to_array() == [P::zero(); 3] || !inverse.is_finite() {
-            return;
+        let mut slopes = Vec::new();
+        if !inverse.is_finite() {
+            return slopes.into();
         }
-        let d = (d - n * n.dot(d)) * inverse;
-        for &(triangle, corner) in ring {
-            let [a, b] = self.edges_at(triangle, corner, seeds());
-            let moved = weighted_normal::<Dual<P, 9>>(a, b);
-            let along = moved.x * Const(d.x) + moved.y * Const(d.y) + moved.z * Const(d.z);
-            let corners = self.data.mesh.triangles[triangle as usize];
-            for (i, d) in corners.into_iter().zip(thirds(along)) {
-                vertices.add(i, d, grad);
+        for of in 0..3 {
+            let unit = Vec3::from(array(|k| f64::from(u8::from(k == of))));
+            let d = (unit - n * n.dot(unit)) * inverse;
+            let mut collected = Collected {
+                slopes: &mut slopes,
+                of,
+            };
+            for (triangle, moved) in &moved {
+                let along = moved.x * Const(d.x) + moved.y * Const(d.y) + moved.z * Const(d.z);
+                let corners = self.data.mesh.triangles[*triangle as usize];
+                for (i, d) in corners.into_iter().zip(thirds(along)) {
+                    vertices.add(i, d, &mut collected);
+                }
             }
         }
+        slopes.into()
     }
 }
 
