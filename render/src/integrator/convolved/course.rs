@@ -154,11 +154,7 @@ pub(super) struct Follow<'a, P: Float> {
 }
 
 impl<'a, P: Float> Follow<'a, P> {
-    pub fn new(
-        context: &Context<'a, P>,
-        active: &'a Active,
-        known: &'a Known<'a>,
-    ) -> Self {
+    pub fn new(context: &Context<'a, P>, active: &'a Active, known: &'a Known<'a>) -> Self {
         Self {
             scene: context.scene,
             theta: context.theta,
