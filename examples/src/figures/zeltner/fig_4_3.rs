@@ -207,7 +207,7 @@ fn series(images: &[Vec<f64>], width: usize) -> Result<Series> {
 /// # Errors
 /// None that the built-in scene can cause.
 pub fn figure(fig: &mut Figure) -> Result {
-    let size = fig.pick([64, 48], [160, 120]);
+    let size = fig.pick([64, 48], [128, 96]);
     let spp = fig.pick(8, 32);
     fig.note("samples per pixel of an image", spp);
     fig.note("images", RUNS);
@@ -221,7 +221,7 @@ pub fn figure(fig: &mut Figure) -> Result {
     let mut reference = Vec::new();
     for (change, seed) in CHANGES.iter().zip([SEED, SEED + 100]) {
         found.push(derivatives(&scene, Estimator::Edges, change, seed, spp)?);
-        reference.push(differences(&mut scene, change, 4 * spp)?);
+        reference.push(differences(&mut scene, change, 2 * spp)?);
     }
     let interior = derivatives(&scene, Estimator::Interior, &CHANGES[1], SEED + 100, spp)?;
     for (statement, k) in [
