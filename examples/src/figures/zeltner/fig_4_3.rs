@@ -28,7 +28,8 @@ const BLOCK: usize = 8;
 /// Middle of the lamp of [`chess`].
 const LAMP: [f64; 3] = [-1.8, 4.0, 0.4];
 
-/// What is differentiated: `sign` along `at` of a parameter, with half the step of differences.
+/// What is differentiated: `sign` along `at` of a parameter, with half the step of differences. That of a place is a small
+/// part of a pixel: an outline on the side of a block leaves it within a step.
 struct Change {
     name: &'static str,
     at: usize,
@@ -47,7 +48,7 @@ const CHANGES: [Change; 2] = [
         name: PLACE,
         at: 0,
         sign: -1.0,
-        step: 1.0 / 64.0,
+        step: 1.0 / 256.0,
     },
 ];
 
