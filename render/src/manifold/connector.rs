@@ -123,6 +123,8 @@ pub struct Connector<'a> {
     pub(super) options: Connections,
     /// Around the scene.
     ball: Option<Ball>,
+    /// Around each caster, by shape: of a mesh it takes all of its triangles to know.
+    pub(super) around: Vec<Option<Ball>>,
     /// Of normal maps, by shape, where walks have two stages.
     slopes: Vec<Option<Slopes>>,
     pub(super) landings: Landings,
@@ -166,11 +168,19 @@ impl<'a> Connector<'a> {
             Starts::TwoStage | Starts::Particles => shapes.map(|i| Slopes::of(&space, i)).collect(),
             Starts::Uniform => Vec::new(),
         };
+        let around = |(shape, i)| {
+            if split.is_caster(i) {
+                Ball::around([shape])
+            } else {
+                None
+            }
+        };
         Self {
             space,
             split,
             options,
             ball: Ball::around(space.scene.shapes()),
+            around: space.scene.shapes().iter().zip(0..).map(around).collect(),
             slopes,
             landings: Landings::default(),
         }
@@ -519,10 +529,10 @@ impl<'a> Connector<'a> {
             chains.extend(self.space.trace(start, d, &events));
         }
         for &shape in &self.split.caster_list {
-            let middle = Ball::around([&scene.shapes()[shape as usize]]);
-            let Some(middle) = middle.map(|ball| Vec3::from(ball.centre)) else {
+            let Some(ball) = self.around[shape as usize] else {
                 continue;
             };
+            let middle = Vec3::from(ball.centre);
             let d = (middle - start.si.p).normalize();
             let events = self.own(estimate, [(shape, DeltaKind::Reflection)].into_iter());
             chains.extend(self.space.trace(start, d, &events));

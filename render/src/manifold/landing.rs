@@ -6,7 +6,7 @@ use smallvec::SmallVec;
 use super::connector::Connector;
 use super::normal::facet;
 use crate::bsdf::DeltaKind;
-use crate::emitter::{Ball, Emitter};
+use crate::emitter::Emitter;
 use crate::math::Ray;
 use crate::parallel;
 use crate::sampler::{Independent, Sampler};
@@ -133,9 +133,10 @@ impl Connector<'_> {
     fn particle(&self, rng: &mut Independent) -> Option<Landing> {
         let (space, split) = (&self.space, self.split);
         let e = &space.scene.emitters()[self.any_emitter(rng) as usize];
-        let aim = &space.scene.shapes()[self.any_caster(rng) as usize];
+        let caster = self.any_caster(rng) as usize;
+        let aim = &space.scene.shapes()[caster];
         let ([a, b], [c, d]) = (rng.next_2d::<f64>(), rng.next_2d::<f64>());
-        let around = Ball::around([aim]);
+        let around = self.around[caster];
         let sent = e.sample_ray(&space.theta, space.scene.lights(), around, [a, b, c, d])?;
         let ray = if e.is_infinite() {
             // From beside the caster, whatever is before that.

@@ -129,7 +129,7 @@ impl Space<'_> {
                 let [angles, lengths] = ROUNDING;
                 let error = 2.0 * length(step) + norm(&inverse) * angles + lengths * edge;
                 Walked {
-                    solution: error.is_finite().then(|| Solution {
+                    solution: error.is_finite().then_some(Solution {
                         chain,
                         start: x1,
                         derivative: at,
