@@ -106,7 +106,7 @@ const TRANSPORT: &[&str] = &[
     "paths",
     "motion",
     "convolved",
-    "trail",
+    "chain_trail",
     "connections",
     "chain_density",
     "glints",

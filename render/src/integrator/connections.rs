@@ -10,6 +10,7 @@
 use ad_core::{Float, Real, Vec2, Vec3};
 
 use super::active::Active;
+use super::chain_trail::ChainTrail;
 use super::exact::ExactBuffer;
 use super::pass::Pass;
 use super::path::Context;
@@ -20,7 +21,6 @@ use super::record::{
 use super::rendering::{Components, NonFinite, PixelConnections, Rendering};
 use super::sink::{GradientSums, Sink};
 use super::tile::{Sample, place, start};
-use super::trail::Trail;
 use super::vertex::MODE;
 use crate::bsdf::{Bsdf, Component, Part, Shading};
 use crate::emitter::{Emission, Emitter};
@@ -163,7 +163,7 @@ struct Connecting<'a> {
     /// What they came to, since the path was started.
     came_to: Statistics,
     /// The chain that the path is on, where light counts that it meets there.
-    trail: Option<Trail>,
+    trail: Option<ChainTrail>,
 }
 
 impl<'a> Connecting<'a> {
@@ -177,7 +177,7 @@ impl<'a> Connecting<'a> {
             rng: Independent::new(0, 0, 0),
             found: Vec::new(),
             came_to: Statistics::default(),
-            trail: connector.counts_missed().then(Trail::default),
+            trail: connector.counts_missed().then(ChainTrail::default),
         }
     }
 

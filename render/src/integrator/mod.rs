@@ -8,6 +8,7 @@
 mod active;
 mod boundary;
 pub mod chain_density;
+mod chain_trail;
 mod connections;
 pub mod convolved;
 pub mod coverage;
@@ -39,7 +40,6 @@ pub mod simple;
 mod sink;
 mod sparse;
 mod tile;
-mod trail;
 pub mod vertex;
 mod wave;
 pub(crate) mod work;

@@ -10,7 +10,7 @@ use crate::shape::SurfaceInteraction;
 
 /// The chain that a path is on.
 #[derive(Clone, Debug)]
-pub(super) struct Trail {
+pub(super) struct ChainTrail {
     run: Run,
     /// Whether the path left its last vertex, or the camera, along a delta.
     along_delta: bool,
@@ -22,7 +22,7 @@ pub(super) struct Trail {
     end: Option<(u32, SurfaceInteraction<f64>)>,
 }
 
-impl Default for Trail {
+impl Default for ChainTrail {
     fn default() -> Self {
         Self {
             run: Run::default(),
@@ -38,7 +38,7 @@ fn double<R: Real>(v: Vec3<R>) -> Vec3<f64> {
     v.map(|x| x.primal().to_f64())
 }
 
-impl Trail {
+impl ChainTrail {
     /// Back at the camera.
     pub fn restart(&mut self) {
         (self.run, self.along_delta, self.start) = (Run::default(), true, None);
