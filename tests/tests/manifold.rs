@@ -334,7 +334,7 @@ fn one_walk_and_paths_for_what_it_misses_bring_all_light() {
     let at = glass
         .find(r#"<shape type="rectangle" id="lamp">"#)
         .expect("a lamp");
-    let lobe = r#"<emitter type="vmf"><vector name="direction" value="0.4, 1, 0.1"/><float name="kappa" value="40"/>
+    let lobe = r#"<emitter type="vmf"><vector name="direction" value="0.3, 1, 0.1"/><float name="kappa" value="150"/>
         <rgb name="radiance" value="9, 8, 7"/></emitter>"#;
     let sky = format!("{}{lobe}", &glass[..at]);
     let scenes = [

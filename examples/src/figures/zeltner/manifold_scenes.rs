@@ -420,5 +420,6 @@ pub fn slab(size: u32, lamp: f64, waves: &Waves, one: bool) -> Result<Scene> {
         fov: 30.0,
         size: [size; 2],
     };
-    b.finish(&view, 4)
+    // The floor is seen through the slab, and lit through it.
+    b.finish(&view, 6)
 }
