@@ -10,7 +10,7 @@
 //! are. A box filter has a derivative on the borders of its pixel only: what flows through them has samples of its own, on
 //! a border each.
 //!
-//! Where all outlines are those of spheres and of flat faces, a field that has their velocities is known in [closed] form, and
+//! Where all outlines are those of spheres and of flat faces, a field that has their velocities is known in closed form, and
 //! takes the place of the convolution: nothing is traced but the path, and no limit is left.
 //!
 //! # Does not handle
