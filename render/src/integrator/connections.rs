@@ -4,8 +4,8 @@
 //! they reach ([`crate::manifold`]). A connection is a path like any other: over a scalar with tangents its value has the
 //! derivatives of its factors, and reverse mode goes back through the record of its vertices.
 //!
-//! Where one walk is all that is tried ([`crate::scene::Method::MneeUnbiased`]), the same paths look for light that they meet behind chains,
-//! and count what the walk misses.
+//! Where one walk is all that is tried ([`crate::scene::Method::MneeUnbiased`]), the same paths look for light that they meet
+//! behind chains, and count what the walk misses.
 
 use ad_core::{Float, Real, Vec2, Vec3};
 

@@ -14,9 +14,9 @@
 //! takes the place of the convolution: nothing is traced but the path, and no limit is left.
 //!
 //! # Does not handle
-//! By auxiliary rays it is right in the limit of a narrow kernel only ([`field::KAPPA`]): what is smaller than that is blurred. Dirac deltas,
-//! textures that jump and shadows of point and spot lights are refused, as other estimators of motion do, and pixel filters
-//! other than a box or a Gaussian ([`Scene::admits_outlines`](crate::Scene::admits_outlines)).
+//! By auxiliary rays it is right in the limit of a narrow kernel only ([`field::KAPPA`]): what is smaller than that is
+//! blurred. Dirac deltas, textures that jump and shadows of point and spot lights are refused, as other estimators of motion
+//! do, and pixel filters other than a box or a Gaussian ([`Scene::admits_outlines`](crate::Scene::admits_outlines)).
 //!
 //! # Reference
 //! [Zeltner 2021, section 4.4] after [Bangaru et al. 2020].
