@@ -284,8 +284,8 @@ pub struct Followed<S>(PhantomData<S>);
 pub struct AttachedChoice<S>(PhantomData<S>);
 
 macro_rules! wrapper {
-    ($name:ident <$inner:path> { $($item:item)* }) => {
-        impl<S: $inner> Strategy for $name<S> {
+    ($name:ident <$inner:path $(, const $number:ident: $of:ty)?> { $($item:item)* }) => {
+        impl<S: $inner $(, const $number: $of)?> Strategy for $name<S $(, $number)?> {
             type Primal = S::Primal;
             type Bsdf = S::Bsdf;
             type Edge = S::Edge;
@@ -311,6 +311,7 @@ macro_rules! wrapper {
 wrapper!(Interior<Strategy<Bsdf = Detached, Edge = Forget, EmitterMotion = Forget>> {
     type Runs = Self;
     const INTERIOR: bool = true;
+    const RAYS_AT_REST: bool = S::RAYS_AT_REST;
     const ALLOWS_BIAS: bool = S::ALLOWS_BIAS;
     const ATTACHED_ROULETTE: bool = S::ATTACHED_ROULETTE;
     const ATTACHED_CHOICE: bool = S::ATTACHED_CHOICE;
@@ -365,41 +366,25 @@ wrapper!(AttachedChoice<Strategy<Bsdf = Detached, Edge = Forget>> {
     const ATTACHED_CHOICE: bool = true;
 });
 
-macro_rules! follows {
-    ($name:ident [$($rays:ident)?] $follows:expr) => {
-        impl<S: Strategy $(, const $rays: u32)?> Strategy for $name<S $(, $rays)?> {
-            type Runs = Self;
-            type Primal = S::Primal;
-            type Bsdf = S::Bsdf;
-            type Edge = S::Edge;
-            type EmitterMotion = S::EmitterMotion;
-            const SAMPLES_EMITTERS: bool = S::SAMPLES_EMITTERS;
-            const COUNTS_HITS: bool = S::COUNTS_HITS;
-            const FROZEN_WEIGHTS: bool = S::FROZEN_WEIGHTS;
-            const DIFFERENTIATED_WEIGHTS: bool = S::DIFFERENTIATED_WEIGHTS;
-            const MIXED_WEIGHTS: bool = S::MIXED_WEIGHTS;
-            const ATTACHED_ROULETTE: bool = S::ATTACHED_ROULETTE;
-            const ATTACHED_CHOICE: bool = S::ATTACHED_CHOICE;
-            const ALLOWS_BIAS: bool = S::ALLOWS_BIAS;
-            const NEEDS_CONTINUITY: bool = S::NEEDS_CONTINUITY;
-            const FOLLOWS: Follows = $follows;
-            #[inline]
-            fn weight_hit<R: Real>(a: R, b: R) -> R {
-                S::weight_hit(a, b)
-            }
-            #[inline]
-            fn weight_sampled<R: Real>(a: R, b: R) -> R {
-                S::weight_sampled(a, b)
-            }
-        }
+wrapper!(Convolved<Strategy, const RAYS: u32> {
+    type Runs = Self;
+    const ATTACHED_ROULETTE: bool = S::ATTACHED_ROULETTE;
+    const ATTACHED_CHOICE: bool = S::ATTACHED_CHOICE;
+    const ALLOWS_BIAS: bool = S::ALLOWS_BIAS;
+    const NEEDS_CONTINUITY: bool = S::NEEDS_CONTINUITY;
+    const FOLLOWS: Follows = {
+        assert!(RAYS >= 2, "neighbours are compared with each other");
+        Follows::Sampled(RAYS)
     };
-}
-
-follows!(Convolved[RAYS] {
-    assert!(RAYS >= 2, "neighbours are compared with each other");
-    Follows::Sampled(RAYS)
 });
-follows!(Followed[] Follows::Closed);
+wrapper!(Followed<Strategy> {
+    type Runs = Self;
+    const ATTACHED_ROULETTE: bool = S::ATTACHED_ROULETTE;
+    const ATTACHED_CHOICE: bool = S::ATTACHED_CHOICE;
+    const ALLOWS_BIAS: bool = S::ALLOWS_BIAS;
+    const NEEDS_CONTINUITY: bool = S::NEEDS_CONTINUITY;
+    const FOLLOWS: Follows = Follows::Closed;
+});
 
 /// `S` where nothing has tangents, so that nothing moves.
 #[derive(Clone, Copy, Debug)]

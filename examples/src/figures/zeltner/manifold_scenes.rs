@@ -347,12 +347,7 @@ pub fn pool(size: u32, lamp: f64, waves: &Waves) -> Result<Scene> {
     let smooth = interface(&mut b, WATER)?;
     let material = mapped_quad(&mut b, water, waves, 128, smooth)?;
     b.quad("water", water, &material)?;
-    let black = b.matt("lamp", [0.0; 3])?;
-    let side = 2.0 * lamp;
-    let above = [[0.8 - lamp, 4.5, -lamp], [side, 0.0, 0.0], [0.0, 0.0, side]];
-    let shape = b.quad("lamp", above, &black)?;
-    // As much light whatever its size.
-    b.lamp("lamp", shape, [10.0 / (side * side); 3])?;
+    square_lamp(&mut b, [0.8, 4.5], lamp, 10.0)?;
     let view = View {
         eye: [0.0, 7.0, 4.0],
         target: [0.0, 0.4, 0.0],
@@ -360,6 +355,19 @@ pub fn pool(size: u32, lamp: f64, waves: &Waves) -> Result<Scene> {
         size: [size; 2],
     };
     b.finish(&view, 4)
+}
+
+/// A square lamp at this place and height that shines down, of this half side and radiance times area.
+fn square_lamp(b: &mut SceneBuilder, [x, height]: [f64; 2], half: f64, power: f64) -> Result<()> {
+    let black = b.matt("lamp", [0.0; 3])?;
+    let side = 2.0 * half;
+    let above = [
+        [x - half, height, -half],
+        [side, 0.0, 0.0],
+        [0.0, 0.0, side],
+    ];
+    let shape = b.quad("lamp", above, &black)?;
+    b.lamp("lamp", shape, [power / (side * side); 3])
 }
 
 /// Height of the lower face of [`slab`], and how thick it is.
@@ -408,12 +416,7 @@ pub fn slab(size: u32, lamp: f64, waves: &Waves, one: bool) -> Result<Scene> {
     for (k, bar) in bars.into_iter().enumerate() {
         b.quad(&format!("bar {k}"), bar, &frame)?;
     }
-    let black = b.matt("lamp", [0.0; 3])?;
-    let side = 2.0 * lamp;
-    let above = [[0.6 - lamp, 5.0, -lamp], [side, 0.0, 0.0], [0.0, 0.0, side]];
-    let shape = b.quad("lamp", above, &black)?;
-    // As much light whatever its size.
-    b.lamp("lamp", shape, [40.0 / (side * side); 3])?;
+    square_lamp(&mut b, [0.6, 5.0], lamp, 40.0)?;
     let view = View {
         eye: [0.0, 7.0, 5.0],
         target: [0.0, 0.3, 0.0],

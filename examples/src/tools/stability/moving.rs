@@ -1,18 +1,14 @@
 //! Scenes in which something moves, and their derivatives: in closed form, or by an integral along an outline in f64.
 
 use std::f64::consts::{PI, TAU};
-use std::sync::Arc;
 
 use ad_core::{Dual, Real, Vec3};
-use render::bsdf::microfacet::{Microfacet, Ndf};
-use render::bsdf::{Material, RoughConductor, Roughness};
+use render::bsdf::microfacet::Ndf;
 use render::emitter::Point;
 use render::math::Frame;
 use render::shape::{Mesh, MeshData, Sphere};
 
-use super::setup::{
-    DISTANCE, FOV, GAUSS, Light, Plate, ROUGHNESS, SIZE, Setup, Truth, Values, bsdf, white,
-};
+use super::setup::{DISTANCE, FOV, GAUSS, Light, Plate, SIZE, Setup, Truth, Values, bsdf, plane};
 use crate::figure::Result;
 use crate::scene_builder::{POSITIVE, SceneBuilder, View};
 
@@ -101,9 +97,7 @@ pub fn contact(height: f64) -> Result<Setup> {
     let mut stage = SceneBuilder::default();
     let floor = stage.matt("floor", [1.0; 3])?;
     let black = stage.matt("black", [0.0; 3])?;
-    let half = 10.0;
-    let sides = [[2.0 * half, 0.0, 0.0], [0.0, 2.0 * half, 0.0]];
-    stage.quad("plane", [[-half, -half, 0.0], sides[0], sides[1]], &floor)?;
+    plane(&mut stage, "plane", &floor)?;
     let center = [0.0, 0.0, height * OCCLUDER];
     stage.ball("ball", center, OCCLUDER, &black)?;
     stage.ambient([1.0; 3])?;
@@ -126,44 +120,29 @@ pub fn contact(height: f64) -> Result<Setup> {
 /// A roughness out of range.
 pub fn reflection(alpha: f64) -> Result<Setup> {
     let mut stage = SceneBuilder::default();
-    let roughness = Roughness {
+    let plate = Plate {
         kind: Ndf::Ggx,
-        alpha: stage.build.scalar(ROUGHNESS, alpha, (1e-4, 1.0))?,
-        visible: true,
+        alpha,
+        incidence: INCIDENCE,
+        light: Light::Constant,
     };
-    let metal = Arc::new(Material::from(RoughConductor {
-        roughness,
-        conductor: white(&mut stage, 1.0)?,
-    }));
-    let half = 10.0;
-    let sides = [[2.0 * half, 0.0, 0.0], [0.0, 2.0 * half, 0.0]];
-    stage.quad("plate", [[-half, -half, 0.0], sides[0], sides[1]], &metal)?;
+    plate.place(&mut stage, true)?;
     let black = stage.matt("black", [0.0; 3])?;
     let tilt = INCIDENCE - ANGLE;
     let axis = Vec3::new(-tilt.sin(), 0.0, tilt.cos());
     let center = (axis * DISTANCE).to_array();
     stage.ball("ball", center, DISTANCE * ANGLE.sin(), &black)?;
     stage.ambient([1.0; 3])?;
-    let wo = Vec3::new(INCIDENCE.sin(), 0.0, INCIDENCE.cos());
+    let wo = plate.wo();
     let view = View {
         eye: (wo * DISTANCE).to_array(),
         target: [0.0; 3],
         fov: FOV,
         size: [SIZE; 2],
     };
-    let open = Plate {
-        kind: Ndf::Ggx,
-        alpha,
-        incidence: INCIDENCE,
-        light: Light::Constant,
-    };
-    let surface = Microfacet {
-        kind: Ndf::Ggx,
-        alpha,
-        visible: true,
-    };
+    let surface = plate.surface(alpha, true);
     let f = |w: Vec3<f64>| bsdf(&surface, wo, w, (wo + w).normalize());
-    let value = open.setup()?.truth.value - hidden(&f);
+    let value = plate.setup()?.truth.value - hidden(&f);
     let truth = closed(value, -along_outline(axis, &f));
     ready(stage, &view, 2, "ball.translation", truth)
 }

@@ -107,17 +107,20 @@ pub struct Plate {
 pub const DEPTH: f64 = 0.9;
 
 impl Plate {
-    fn wo(&self) -> Vec3<f64> {
+    /// Direction to the viewer.
+    pub fn wo(&self) -> Vec3<f64> {
         let (sin, cos) = self.incidence.sin_cos();
         Vec3::new(sin, 0.0, cos)
     }
 
-    fn mirror(&self) -> Vec3<f64> {
+    /// Its reflection.
+    pub fn mirror(&self) -> Vec3<f64> {
         let (sin, cos) = self.incidence.sin_cos();
         Vec3::new(-sin, 0.0, cos)
     }
 
-    fn surface<R: Real>(&self, alpha: R, visible: bool) -> Microfacet<R> {
+    /// Its distribution of normals.
+    pub fn surface<R: Real>(&self, alpha: R, visible: bool) -> Microfacet<R> {
         Microfacet {
             kind: self.kind,
             alpha,
@@ -148,19 +151,25 @@ impl Plate {
         self.scene(stage)
     }
 
-    fn scene(&self, mut stage: SceneBuilder) -> Result<Scene> {
+    /// The plate alone; whether visible normals are sampled.
+    ///
+    /// # Errors
+    /// A roughness out of range.
+    pub fn place(&self, stage: &mut SceneBuilder, visible: bool) -> Result<()> {
         let roughness = Roughness {
             kind: self.kind,
             alpha: stage.build.scalar(ROUGHNESS, self.alpha, (1e-4, 1.0))?,
-            visible: false,
+            visible,
         };
         let metal = Arc::new(Material::from(RoughConductor {
             roughness,
-            conductor: white(&mut stage, 1.0)?,
+            conductor: white(stage, 1.0)?,
         }));
-        let half = 10.0;
-        let sides = [[2.0 * half, 0.0, 0.0], [0.0, 2.0 * half, 0.0]];
-        stage.quad("plate", [[-half, -half, 0.0], sides[0], sides[1]], &metal)?;
+        plane(stage, "plate", &metal)
+    }
+
+    fn scene(&self, mut stage: SceneBuilder) -> Result<Scene> {
+        self.place(&mut stage, false)?;
         match self.light {
             Light::Constant => stage.ambient([1.0; 3])?,
             Light::Stripes(k) => {
@@ -302,6 +311,17 @@ impl Plate {
     }
 }
 
+/// A large square around the origin; its front is towards z.
+///
+/// # Errors
+/// None.
+pub fn plane(stage: &mut SceneBuilder, name: &str, material: &Arc<Material>) -> Result<()> {
+    let half = 10.0;
+    let sides = [[2.0 * half, 0.0, 0.0], [0.0, 2.0 * half, 0.0]];
+    stage.quad(name, [[-half, -half, 0.0], sides[0], sides[1]], material)?;
+    Ok(())
+}
+
 /// BSDF times cosine of a plate that reflects all light.
 pub fn bsdf<R: Real<Primal = f64>>(
     surface: &Microfacet<R>,
@@ -323,7 +343,7 @@ pub const GAUSS: [(f64, f64); 6] = [
     (0.932_469_514_203_152, 0.171_324_492_379_170_4),
 ];
 
-pub fn white(stage: &mut SceneBuilder, reflectance: f64) -> Result<Conductor> {
+fn white(stage: &mut SceneBuilder, reflectance: f64) -> Result<Conductor> {
     Ok(Conductor {
         specular_reflectance: stage.colour("metal", "specular_reflectance", [reflectance; 3])?,
         index: None,

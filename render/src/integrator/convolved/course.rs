@@ -39,14 +39,14 @@ pub(super) enum Known<'a> {
     /// How far what so many auxiliary rays meet is from them.
     Sampled(Outlines<'a>, u32),
     /// All of them, in closed form.
-    Closed(Edges),
+    Closed(&'a Edges),
 }
 
 impl<'a> Known<'a> {
     pub fn of<S: Strategy>(scene: &'a Scene) -> Self {
         match S::FOLLOWS {
             Follows::Sampled(rays) => Self::Sampled(Outlines::of(scene), rays),
-            Follows::Nothing | Follows::Closed => Self::Closed(Edges::of(scene.shapes())),
+            Follows::Nothing | Follows::Closed => Self::Closed(scene.edges()),
         }
     }
 }
