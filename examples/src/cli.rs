@@ -676,14 +676,7 @@ impl ManifoldArgs {
             None => complain!(
                 "warning: --manifold: nothing smooth to connect lights over; paths find all light"
             ),
-            Some(split) if method == Method::MneeUnbiased => {
-                if let Some(light) = split.unmet(scene) {
-                    return Err(ToolError::Usage(format!(
-                        "--manifold mnee-unbiased: paths never meet the light of `{light}`, which has no size; expected sms, or mnee"
-                    )));
-                }
-            }
-            Some(_) => {}
+            Some(split) => split.admits(scene, method)?,
         }
         settings.connections = Some(connections);
         Ok(())

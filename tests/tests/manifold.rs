@@ -604,6 +604,25 @@ fn what_is_not_covered_is_refused() {
         .unwrap_err()
         .to_string();
     assert!(error.contains("glass.eta.value"), "{error}");
+
+    // One walk, and paths for the rest, which never meet a bulb.
+    let bulb =
+        r#"<emitter type="point" id="bulb"><point name="position" value="0.5, 4, 1"/></emitter>"#;
+    let s = scene(&format!("{}{bulb}", ball_of_glass()));
+    let settings = with(&s, Some(Connections::new(Method::MneeUnbiased)));
+    let job = Job::new(&s, &settings, 0, 0..1, &());
+    let along = [Direction::uniform(s.params(), "floor.reflectance.value").expect("a parameter")];
+    let forward = Estimator::Mis.forward_f32(&job, s.params().values(), &along);
+    let active = Active::new(&s, &["floor.reflectance.value"]).expect("a parameter");
+    let theta = Theta::constant(s.params().values());
+    let reverse = backward_f32(&job, &theta, &active, &mean_adjoint(&s));
+    for error in [
+        forward.err().map(|e| e.to_string()),
+        reverse.err().map(|e| e.to_string()),
+    ] {
+        let error = error.expect("refused");
+        assert!(error.contains("bulb.intensity.value"), "{error}");
+    }
 }
 
 /// The integrators of the authors' files say how connections are made, or what is left out; options that are not known are

@@ -99,15 +99,19 @@ impl Solved {
     }
 }
 
-/// [`Solved::check`], if connections are made.
+/// [`Solved::check`] and [`Split::admits`], if connections are made.
 pub(super) fn check<'a, S: Strategy>(
+    scene: &Scene,
     settings: &Settings,
     moving: impl IntoIterator<Item = &'a ParamInfo>,
 ) -> Result<(), RenderError> {
-    match settings.connections {
-        Some(_) => CHAINS.check::<S>(moving),
-        None => Ok(()),
+    let Some(connections) = &settings.connections else {
+        return Ok(());
+    };
+    if let Some(split) = Split::of(scene, connections) {
+        split.admits(scene, connections.method)?;
     }
+    CHAINS.check::<S>(moving)
 }
 
 /// That there are none, where something else has no part for them.

@@ -55,7 +55,7 @@ pub fn backward<P: Float, S: Unbiased, X: Sampler>(
     for info in active.ranges() {
         scene.admits_outlines::<S>(info, job.settings.max_depth)?;
     }
-    connections::check::<S>(job.settings, &active.ranges)?;
+    connections::check::<S>(scene, job.settings, &active.ranges)?;
     glints::check::<S>(job.settings, &active.ranges)?;
     let pass = Pass::of::<S>(job, theta);
     Ok(pass.gradient::<S::Runs, X>(active, adjoint))

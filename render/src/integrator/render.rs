@@ -37,7 +37,7 @@ pub fn render<R: Components, S: Unbiased, X: Sampler>(
             scene.admits_motion(info)?;
             scene.admits_outlines::<S>(info, job.settings.max_depth)?;
         }
-        connections::check::<S>(job.settings, moving.clone())?;
+        connections::check::<S>(scene, job.settings, moving.clone())?;
         glints::check::<S>(job.settings, moving)?;
     }
     Ok(unchecked::<R, S, X>(job, theta))

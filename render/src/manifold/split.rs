@@ -2,8 +2,9 @@
 
 use crate::bsdf::nesting::facets;
 use crate::emitter::Emitter;
+use crate::error::RenderError;
 use crate::params::Theta;
-use crate::scene::{Connections, Hints, Scene};
+use crate::scene::{Connections, Hints, Method, Scene};
 
 /// Where a path is on its way over a chain: how many of its last vertices are casters, since it left a receiver. The default
 /// is its start at the camera.
@@ -198,17 +199,25 @@ impl Split {
         self.emitters[emitter as usize]
     }
 
-    /// The parameter of the first of the emitters that scattered paths never meet: it has no size.
-    pub fn unmet<'a>(&self, scene: &'a Scene) -> Option<&'a str> {
-        let mut emitters = self
-            .emitter_list
-            .iter()
-            .map(|&e| &scene.emitters()[e as usize]);
+    /// Whether the method finds all light that it takes from others: for [`Method::MneeUnbiased`] paths have to meet lights.
+    ///
+    /// # Errors
+    /// Names the parameter of the first emitter without a size.
+    pub fn admits(&self, scene: &Scene, method: Method) -> Result<(), RenderError> {
+        if method != Method::MneeUnbiased {
+            return Ok(());
+        }
+        let mut emitters = (self.emitter_list.iter()).map(|&e| &scene.emitters()[e as usize]);
+        let Some(unmet) = emitters.find(|e| e.is_delta()) else {
+            return Ok(());
+        };
         let mut name = "";
-        emitters.find(|e| e.is_delta())?.visit_params(&mut |p| {
-            name = &scene.params().infos()[p.id as usize].name;
-        });
-        Some(name)
+        unmet.visit_params(&mut |p| name = &scene.params().infos()[p.id as usize].name);
+        Err(RenderError::Connections {
+            what: format!(
+                "`mnee-unbiased`: paths never meet the light of `{name}`, which has no size; expected `sms`, or `mnee`"
+            ),
+        })
     }
 
     /// Whether paths may sample a light that belongs to connections: at casters that are rough.

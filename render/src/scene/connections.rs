@@ -37,7 +37,7 @@ pub enum Method {
     Mnee,
     /// The same start, and paths for what it misses: those that scatter over a chain onto a light count where the walk between
     /// the same two ends does not find that chain. Unbiased where lights have a size that paths can meet
-    /// ([`crate::manifold::Split::unmet`]) [Hanika et al. 2015].
+    /// ([`crate::manifold::Split::admits`]) [Hanika et al. 2015].
     MneeUnbiased,
     /// None: the light that connections would find is left out.
     LeftOut,
