@@ -54,7 +54,7 @@ use crate::instances::{Estimator, render_f64};
 use crate::integrator::Job;
 use crate::integrator::gradient::check_size;
 use crate::integrator::render::Progress;
-use crate::params::{ParamInfo, ParamKind, Params, Theta};
+use crate::params::{ParamInfo, Params, Theta};
 use crate::sampler::mix64;
 use crate::scene::{Scene, Settings};
 use crate::statistics::{Estimate, z_limit};
@@ -401,10 +401,7 @@ impl Line {
                 0.0
             });
         }
-        let moves = matches!(
-            info.kind,
-            ParamKind::Position | ParamKind::Camera | ParamKind::LightPosition
-        );
+        let moves = info.kind.is_motion();
         Self {
             offset: info.offset,
             along: direction,

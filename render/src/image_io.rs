@@ -133,8 +133,8 @@ pub fn read(path: &Path, encoding: Encoding) -> Result<Pixels, SceneError> {
 /// [`read`], for a layer of an EXR file. Layers are the parts of the file, and within these the channels whose names agree
 /// up to the last dot: `ViewLayer.Combined.R` belongs to `ViewLayer.Combined`, which the name `Combined` finds too
 /// where it is the only one. Without a name it is the unnamed layer, or else the only one called `Combined`, `beauty`
-/// or `RGBA`, or else the only one that is a picture: that has channels `R`, `G`, `B`, or `Y`. What has `X`, `Z`, `RY` or
-/// `BY` beside its `Y` is none.
+/// or `RGBA`, or else the only one that is a picture: that has channels `R`, `G`, `B`, or `Y`. Channels `X`, `Y`, `Z`
+/// without a layer's name are CIE XYZ, which becomes linear RGB. What else has `X`, `Z`, `RY` or `BY` beside its `Y` is none.
 ///
 /// # Errors
 /// The file cannot be read or is no such image, is cut off or damaged, exceeds [`MAX_SIDE`], [`MAX_PIXELS`] or

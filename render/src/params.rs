@@ -89,6 +89,8 @@ pub enum ParamKind {
     Delta,
     /// Where a shape is, see [`crate::Scene::movables`].
     Position,
+    /// Where the vertices of a mesh face, which stay where they are.
+    VertexNormals,
     /// Where the camera is, and what it looks at.
     Camera,
     /// Where lights are, and how environments are turned.
@@ -97,20 +99,24 @@ pub enum ParamKind {
 
 impl ParamKind {
     /// All of them.
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 9] = [
         Self::Smooth,
         Self::Emission,
         Self::Roughness,
         Self::Normals,
         Self::Delta,
         Self::Position,
+        Self::VertexNormals,
         Self::Camera,
         Self::LightPosition,
     ];
 
-    /// Whether it moves something: a shape, the camera or a light.
+    /// Whether it moves something: a shape or what is seen of it, the camera or a light.
     pub const fn is_motion(self) -> bool {
-        matches!(self, Self::Position | Self::Camera | Self::LightPosition)
+        matches!(
+            self,
+            Self::Position | Self::VertexNormals | Self::Camera | Self::LightPosition
+        )
     }
 
     /// In words, in the plural.
@@ -122,6 +128,7 @@ impl ParamKind {
             Self::Normals => "normals",
             Self::Delta => "Dirac deltas",
             Self::Position => "positions of shapes",
+            Self::VertexNormals => "normals at vertices",
             Self::Camera => "cameras",
             Self::LightPosition => "positions of lights",
         }

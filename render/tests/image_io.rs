@@ -178,6 +178,16 @@ fn the_picture_of_an_exr_file_is_found_or_asked_for() {
         (3, 8.0)
     );
     assert_eq!(one(&[&["Y"], NORMAL]).unwrap(), (1, 1.0));
+    // CIE XYZ of a file without layers' names; coordinates have a name.
+    for channels in [&["X", "Y", "Z"][..], &["A", "X", "Y", "Z"]] {
+        layered(&path, &[(None, channels)]);
+        let white = read(&path, Encoding::Srgb).unwrap();
+        assert_eq!(white.channels, 3);
+        // Of equal energy (IEC 61966-2-1).
+        for (found, expected) in white.data.iter().zip([1.2048, 0.9483, 0.9089]) {
+            assert!((found - expected).abs() < 1e-4, "{found} {expected}");
+        }
+    }
     let refused = |channels: &[&[&'static str]]| one(channels).unwrap_err().to_string();
     let two = refused(&[AO, &["V.Mist.R", "V.Mist.G", "V.Mist.B"]]);
     let expected = "a.exr: expected the name of a layer (`layer`), since there are several, found the layers \
@@ -185,7 +195,7 @@ fn the_picture_of_an_exr_file_is_found_or_asked_for() {
     assert!(two.ends_with(expected), "{two}");
     for (channels, listed) in [
         (NORMAL, "`N` (X, Y, Z)"),
-        (&["X", "Y", "Z"], "an unnamed one (X, Y, Z)"),
+        (&["X", "Y"], "an unnamed one (X, Y)"),
         (&["Y", "RY", "BY"], "an unnamed one (BY, RY, Y)"),
         (&["P.Y", "P.Z"], "`P` (Y, Z)"),
     ] {

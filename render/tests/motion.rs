@@ -174,11 +174,12 @@ fn ray(s: &mut Independent) -> Ray<f64> {
     Ray::new(o, (unit() * 1.2 - o).normalize())
 }
 
-const NAMES: [&str; 4] = [
+const NAMES: [&str; 5] = [
     "it.translation",
     "it.rotation",
     "it.scale",
     "it.vertex_positions",
+    "it.vertex_normals",
 ];
 
 /// The parameters of these that the shape has, moved from where they were at rest.
@@ -194,8 +195,8 @@ fn moved(shape: AnyShape) -> (Scene, Vec<&'static str>) {
         set(&mut scene, "it.rotation", at, |_| 2.0 * by);
     }
     set(&mut scene, "it.scale", 0, |_| 1.25);
-    if names.len() == 4 {
-        set(&mut scene, "it.vertex_positions", 20, |z| z + 0.125);
+    for name in &names[3..] {
+        set(&mut scene, name, 20, |z| z + 0.125);
     }
     (scene, names)
 }
@@ -290,7 +291,7 @@ fn points_move_as_differences_say() {
         for param in names {
             let elements: &[usize] = match param {
                 "it.scale" => &[0],
-                "it.vertex_positions" => &[18, 20, 36, 37],
+                "it.vertex_positions" | "it.vertex_normals" => &[18, 20, 36, 37],
                 _ => &[0, 1, 2],
             };
             for &at in elements {
@@ -488,6 +489,49 @@ fn moved_vertices_are_those_that_are_loaded_there() {
     let there = self::scene(Mesh::smoothed(there, false).unwrap().into());
     assert!(render(&scene) != start);
     assert_eq!(render(&scene), render(&there));
+}
+
+/// Normals that a mesh was given turn by themselves, and with the mesh; they have a length.
+#[test]
+#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
+fn turned_normals_are_those_that_are_loaded_so() {
+    let given = |x: f32| {
+        let mut mesh = sheet();
+        mesh.normals = (mesh.positions.iter())
+            .map(|p| [x * p[1], -0.2, 1.0 + p[0].abs()])
+            .collect();
+        AnyShape::from(Mesh::new(mesh, true).unwrap())
+    };
+    let there = render(&scene(given(0.75)));
+    let mut scene = scene(given(0.25));
+    assert!(render(&scene) != there);
+    scene
+        .make_movable(&["it.rotation", "it.vertex_normals"])
+        .unwrap();
+    let info = scene.params().find("it.vertex_normals").unwrap().clone();
+    // Those on the seam are two each.
+    assert_eq!(
+        (info.shape.len(), info.kind),
+        (3 * 30, ParamKind::VertexNormals)
+    );
+    let mut values = scene.params().values().to_vec();
+    let normals = values[info.range()].as_chunks_mut::<3>().0;
+    normals.iter_mut().for_each(|n| n[0] *= 3.0);
+    scene.set_params(&values).unwrap();
+    assert_eq!(render(&scene), there);
+    values[info.offset + 6..][..3].fill(0.0);
+    let message = scene.set_params(&values).unwrap_err().to_string();
+    assert!(message.contains("none at vertex 2"), "{message}");
+    assert_eq!(render(&scene), there);
+    let mut zero = sheet();
+    zero.normals = vec![[0.0; 3]; zero.positions.len()];
+    let mut zero = self::scene(Mesh::new(zero, false).unwrap().into());
+    let message = zero.make_movable(&["it.vertex_normals"]).unwrap_err();
+    let message = message.to_string();
+    assert!(
+        message.contains("`it.vertex_normals`") && message.contains("vertex 0"),
+        "{message}"
+    );
 }
 
 /// Cameras and lights, too.

@@ -172,8 +172,8 @@ const MOVING: &str = r#"<scene version="3.0.0">
 <shape type="sphere" id="ball"><point name="center" x="1.5" y="-0.5"/><float name="radius" value="0.4"/><ref id="grey"/></shape>
 <shape type="cylinder" id="tube"><point name="p0" x="-2" y="-1"/><point name="p1" x="-1.5" y="0"/>
   <float name="radius" value="0.2"/><ref id="grey"/></shape>
-<shape type="cube" id="cube"><transform name="to_world"><scale value="0.3"/><translate x="0.5" y="-0.8"/></transform>
-  <ref id="grey"/></shape>
+<shape type="merge"><shape type="cube" id="cube"><transform name="to_world"><scale value="0.3"/>
+  <translate x="0.5" y="-0.8"/></transform><ref id="grey"/></shape></shape>
 <shape type="rectangle" id="floor"><transform name="to_world"><scale value="6"/><rotate x="1" angle="-90"/>
   <translate y="-1.5"/></transform><ref id="grey"/></shape>
 <shape type="shapegroup" id="group"><shape type="disk" id="plate"><ref id="grey"/></shape></shape>

@@ -10,10 +10,12 @@ use render::camera::{Camera, FovAxis};
 use render::emitter::AnyEmitter;
 use render::film::Film;
 use render::image_io::{write_exr, write_png};
+use render::instances::{Estimator, render_f32};
 use render::math::Transform;
+use render::params::Theta;
 use render::scene::{Builder, LoadOptions, Outcome, Verdict};
 use render::shape::{Patch, Rectangle};
-use render::{Scene, SceneError, Settings};
+use render::{Job, Scene, SceneError, Settings};
 
 fn options() -> LoadOptions {
     LoadOptions {
@@ -323,6 +325,27 @@ fn integrators_of_others() {
             "<text>:2: integrator `depth`: a picture of something else than light is not there",
         ),
         (
+            "<integrator type=\"multichannel\"/>",
+            "<text>:2: integrator `multichannel`: several pictures in one image are not there",
+        ),
+        (
+            "<bsdf type=\"mixturebsdf\" id=\"both\"/>",
+            "<text>:2: bsdf `mixturebsdf`: a sum of materials other than `blendbsdf` is not there",
+        ),
+        (
+            "<emitter type=\"timed_sunsky\"/>",
+            "<text>:2: emitter `timed_sunsky`: models of the sky are not there",
+        ),
+        (
+            "<texture type=\"gridtexture\" id=\"grid\"/>",
+            "<text>:2: texture `gridtexture`: textures that are computed, other than `checkerboard`, are not there",
+        ),
+        (
+            "<shape type=\"shape\"/>",
+            "<text>:2: unknown shape `shape`; known: cube, cylinder, disk, instance, merge, obj, ply, rectangle, \
+             serialized, shapegroup, sphere",
+        ),
+        (
             "<integrator type=\"volpath\"/><medium type=\"homogeneous\"/>",
             "<text>:2: medium `homogeneous`: participating media are not there",
         ),
@@ -330,6 +353,36 @@ fn integrators_of_others() {
         let found = load(integrator).unwrap_err();
         assert!(found.contains(expected), "{found}");
     }
+}
+
+/// Shapes that Mitsuba traces as one are those inside, wherever they stand; tiles are not written.
+#[test]
+fn merged_shapes_are_those_inside() {
+    let image = |open: &str, close: &str, film: &str| {
+        let text = format!(
+            "<scene version=\"3.0.0\"><sensor type=\"perspective\"><transform name=\"to_world\">
+            <lookat origin=\"0, 0, 6\" target=\"0, 0, 0\" up=\"0, 1, 0\"/></transform>
+            <film type=\"{film}\"><integer name=\"width\" value=\"12\"/><integer name=\"height\" value=\"9\"/></film></sensor>
+            {open}<shape type=\"sphere\" id=\"ball\"><emitter type=\"area\"/></shape>
+            {open}<shape type=\"rectangle\"><transform name=\"to_world\"><translate z=\"-1.5\"/></transform></shape>{close}{close}
+            <shape type=\"shapegroup\" id=\"group\">{open}<shape type=\"disk\"/>{close}</shape>
+            <shape type=\"instance\"><ref id=\"group\"/><transform name=\"to_world\"><translate x=\"2\"/></transform></shape></scene>"
+        );
+        let loaded = Scene::from_xml(&text, Path::new("."), &LoadOptions::default());
+        let (scene, warnings) = loaded.expect("a scene");
+        let job = Job::new(&scene, &scene.settings, 1, 0..4, &());
+        let theta = Theta::constant(scene.params().values());
+        let image = render_f32(&job, &theta, Estimator::Mis).image(0);
+        (image.data, warnings)
+    };
+    let (apart, none) = image("", "", "hdrfilm");
+    assert!(none.is_empty() && apart.iter().any(|c| *c > 0.0));
+    let (merged, warnings) = image("<shape type=\"merge\">", "</shape>", "tiledhdrfilm");
+    assert_eq!(merged, apart);
+    assert_eq!(
+        warnings,
+        ["<text>:3: film `tiledhdrfilm`: written as one image, without tiles"]
+    );
 }
 
 #[test]

@@ -294,6 +294,20 @@ fn what_is_not_covered_is_refused() {
     refused(mirror, plain, &["it.translation", "Dirac delta"]);
     let tent = PixelFilter::Tent { radius: 1.0 };
     refused("", tent, &["it.translation", "box or a Gaussian"]);
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("face.obj");
+    let face = "v 0 1 0\nv 1 1 0\nv 0 1 1\nvn 0 1 0.2\nf 1//1 2//1 3//1\n";
+    std::fs::write(&path, face).expect("a file");
+    let face = format!(
+        r#"<shape type="obj" id="face"><string name="filename" value="{}"/></shape>"#,
+        path.display()
+    );
+    let mut s = scene(&format!("{FLOOR}{face}"), 2);
+    let name = "face.vertex_normals";
+    s.make_movable(&[name]).expect("known");
+    refuses(&s, Estimator::Mis, name, &[name, "normals at vertices"]);
+    let follows = Estimator::ReparameterisedMis;
+    refuses(&s, follows, name, &[name, "normals turn away"]);
 }
 
 /// Closed forms are for some outlines only.

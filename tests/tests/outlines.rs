@@ -127,8 +127,8 @@ fn corners_and_turns_change_nothing() {
 }
 
 /// Few faces with interpolated normals: each hides light from itself, so that what is seen jumps at its sides and as the lamp
-/// passes its horizon, and it is black where its normals turn away. Whatever moves, on the film and in the light. 8 runs of
-/// 128 samples of 256 pixels, and differences of 8 runs of 384.
+/// passes its horizon, and it is black where its normals turn away. Whatever moves, on the film and in the light, normals
+/// among it. 8 runs of 128 samples of 256 pixels, and differences of 8 runs of 384 (of normals, 256).
 #[test]
 #[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
 fn coarse_faces_with_smooth_normals_agree_with_differences() {
@@ -165,6 +165,11 @@ fn coarse_faces_with_smooth_normals_agree_with_differences() {
         let expected = differences(&mut s, &[name], 1.0 / 64.0, 8, 384);
         agrees(name, &found, &expected, 1e-2, 8);
     }
+    // Normals that turn by themselves take along where they turn away.
+    s.make_movable(&["it.vertex_normals"]).expect("known");
+    let found = gradient(&s, &["it.vertex_normals"], 8, 128);
+    let expected = differences(&mut s, &["it.vertex_normals"], 1.0 / 32.0, 8, 256);
+    agrees("normals", &found, &expected, 1e-2, 8);
     std::fs::remove_dir_all(&folder).expect("the folder goes");
 }
 

@@ -260,16 +260,15 @@ impl Capabilities {
             ParamKind::Smooth | ParamKind::Emission | ParamKind::Roughness | ParamKind::Normals => {
                 return None;
             }
-            ParamKind::Position | ParamKind::Camera | ParamKind::LightPosition
-                if self.moves_vertices =>
-            {
-                return None;
-            }
+            kind if kind.is_motion() && self.moves_vertices => return None,
             ParamKind::Delta if matches!(self.motion, Motion::Path) => return None,
             ParamKind::Delta => {
                 "a direction is a Dirac delta in them, which constant samples give a zero for (F2)"
             }
             ParamKind::Position => "visibility moves with them, and no term is there for it (F10)",
+            ParamKind::VertexNormals => {
+                "where surfaces turn away moves with them, and no term is there for it (F10)"
+            }
             ParamKind::Camera => {
                 "what a pixel sees moves with them, and no term is there for it (F10)"
             }

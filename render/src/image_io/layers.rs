@@ -7,9 +7,12 @@ use exr::prelude as exr;
 use exr::{ReadChannels, ReadLayers};
 
 use super::{Mismatch, Pixels, check_samples, check_size, mismatch};
+use crate::math::rgb_of_xyz;
 
 /// Names of layers that hold the picture itself, by which renderers call it, most telling first.
 const PICTURES: &[&str] = &["combined", "beauty", "rgba"];
+/// Channels of colours in CIE XYZ.
+const XYZ: [&str; 3] = ["X", "Y", "Z"];
 
 /// Channels that belong together: those of one part whose names agree up to the last dot.
 struct Group<'a> {
@@ -21,18 +24,27 @@ struct Group<'a> {
 }
 
 impl<'a> Group<'a> {
-    /// Red, green and blue, or grey; `None` for what is no colour. Luminance is none where it stands beside chroma
-    /// (`RY`, `BY`), and `Y` may be a coordinate where it stands beside others.
+    /// Red, green and blue, or grey, or CIE XYZ in a file's unnamed layer; `None` for what is no colour. Luminance is none
+    /// where it stands beside chroma (`RY`, `BY`), and `X`, `Y` and `Z` are coordinates in a layer with a name.
     fn colours(&self) -> Option<Vec<&'a exr::AnyChannel<exr::FlatSamples>>> {
         let channel = |name: &str| self.channels.get(name).copied();
-        if let (Some(r), Some(g), Some(b)) = (channel("R"), channel("G"), channel("B")) {
-            return Some(vec![r, g, b]);
+        let three = |names: &[&str; 3]| names.map(channel).into_iter().collect::<Option<Vec<_>>>();
+        if let Some(rgb) = three(&["R", "G", "B"]) {
+            return Some(rgb);
+        }
+        if self.is_xyz() {
+            return three(&XYZ);
         }
         let others = ["X", "Z", "RY", "BY"];
         if others.iter().any(|name| self.channels.contains_key(*name)) {
             return None;
         }
         channel("Y").map(|y| vec![y])
+    }
+
+    /// Whether its colours are in CIE XYZ.
+    fn is_xyz(&self) -> bool {
+        self.name.is_empty() && (self.channels.keys()).filter(|c| *c != "A").eq(&XYZ)
     }
 
     /// The last part of its name.
@@ -59,6 +71,12 @@ impl<'a> Group<'a> {
             let values = channel.sample_data.values_as_f32();
             for (pixel, value) in data.chunks_exact_mut(channels).zip(values) {
                 pixel[c] = value;
+            }
+        }
+        if self.is_xyz() {
+            for pixel in data.chunks_exact_mut(channels) {
+                let rgb = rgb_of_xyz([0, 1, 2].map(|c| f64::from(pixel[c])));
+                pixel.copy_from_slice(&rgb.map(|x| x as f32));
             }
         }
         Pixels {

@@ -78,6 +78,7 @@ impl Solved {
                 | ParamKind::Normals => {}
                 ParamKind::Delta
                 | ParamKind::Position
+                | ParamKind::VertexNormals
                 | ParamKind::Camera
                 | ParamKind::LightPosition => {
                     let name = &info.name;

@@ -21,6 +21,18 @@ pub struct Rgb<R> {
 /// What the channels count in relative luminance (Rec. 709).
 pub const LUMINANCE: [f64; 3] = [0.212_671, 0.715_160, 0.072_169];
 
+/// Linear sRGB of CIE XYZ (ITU-R BT.709), to the digits that Mitsuba has.
+const XYZ_TO_RGB: [[f64; 3]; 3] = [
+    [3.240_479, -1.537_150, -0.498_535],
+    [-0.969_256, 1.875_991, 0.041_556],
+    [0.055_648, -0.204_043, 1.057_311],
+];
+
+/// The linear RGB of a colour in CIE XYZ; outside of the gamut channels are negative.
+pub fn rgb_of_xyz(xyz: [f64; 3]) -> [f64; 3] {
+    XYZ_TO_RGB.map(|row| (0..3).map(|c| row[c] * xyz[c]).sum())
+}
+
 impl<R: Real> Rgb<R> {
     /// From three channels.
     #[inline]

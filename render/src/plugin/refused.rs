@@ -29,6 +29,11 @@ const REFUSED: &[(&str, &[&str], &str)] = &[
     ("bsdf", &["measured", "bsdf_merl"], "measured materials are"),
     (
         "bsdf",
+        &["mixturebsdf"],
+        "a sum of materials other than `blendbsdf` is",
+    ),
+    (
+        "bsdf",
         &["roughconductor_heitz", "roughdielectric_heitz"],
         "scattering between the facets of a rough surface is",
     ),
@@ -38,9 +43,10 @@ const REFUSED: &[(&str, &[&str], &str)] = &[
         "a model of roughness that Mitsuba 3 has no more is",
     ),
     ("emitter", &["collimated"], "light of a single ray is"),
+    ("emitter", &["volumelight"], MEDIA),
     (
         "emitter",
-        &["sky", "sun", "sunsky"],
+        &["sky", "sun", "sunsky", "timed_sunsky"],
         "models of the sky are",
     ),
     (
@@ -52,8 +58,13 @@ const REFUSED: &[(&str, &[&str], &str)] = &[
     ("film", &["streakhdrfilm", "transient_hdr_film"], TIME),
     (
         "integrator",
-        &["ao", "depth"],
+        &["ao", "depth", "field", "motion"],
         "a picture of something else than light is",
+    ),
+    (
+        "integrator",
+        &["multichannel"],
+        "several pictures in one image are",
     ),
     ("integrator", &["stokes"], POLARISATION),
     ("integrator", &["transient_path", "transientpath"], TIME),
@@ -87,6 +98,16 @@ const REFUSED: &[(&str, &[&str], &str)] = &[
     ),
     ("shape", &["heightfield"], "height fields are"),
     ("shape", &["sdfgrid"], "signed distance fields are"),
+    (
+        "texture",
+        &["curvature", "gridtexture", "wireframe"],
+        "textures that are computed, other than `checkerboard`, are",
+    ),
+    (
+        "texture",
+        &["scale", "vertexcolors"],
+        "a texture that Mitsuba 3 has no more is",
+    ),
     ("texture", &["volume"], "textures of space are"),
 ];
 

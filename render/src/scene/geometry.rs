@@ -400,9 +400,18 @@ impl Geometry {
 
     /// Says that a parameter is the points of a mesh, before it moves as a whole: it has their values.
     pub fn free_vertices(&mut self, shape: u32, p: ParamRef) {
+        self.free(shape, p, |mesh| mesh.with_vertices(p));
+    }
+
+    /// Says that a parameter is the normals of a mesh, likewise.
+    pub fn free_normals(&mut self, shape: u32, p: ParamRef) {
+        self.free(shape, p, |mesh| mesh.with_vertex_normals(p));
+    }
+
+    fn free(&mut self, shape: u32, p: ParamRef, freed: impl Fn(&Mesh) -> Mesh) {
         let free = |shape: &mut AnyShape| {
             if let AnyShape::Mesh(mesh) = shape {
-                *mesh = mesh.with_vertices(p);
+                *mesh = freed(mesh);
             }
         };
         free(&mut self.shapes[shape as usize]);

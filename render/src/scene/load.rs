@@ -69,11 +69,12 @@ const OTHERS: &[&str] = &[
     "volpath",
     "volpath_simple",
     "volpathmis",
+    "vpl",
 ];
 /// Those that add something to the image of the integrator inside.
-const WRAPPERS: &[&str] = &["adaptive", "aov", "moment"];
+const WRAPPERS: &[&str] = &["adaptive", "aov", "irrcache", "moment"];
 const SENSORS: &[&str] = &["perspective", "thinlens", "orthographic"];
-const FILMS: &[&str] = &["hdrfilm"];
+const FILMS: &[&str] = &["hdrfilm", "tiledhdrfilm"];
 const FILTERS: &[&str] = &[
     "box",
     "gaussian",
@@ -127,10 +128,7 @@ pub(super) fn plugins() -> Vec<(&'static str, Vec<&'static str>)> {
         ("rfilter", FILTERS.to_vec()),
         ("sampler", vec!["independent"]),
         ("sensor", SENSORS.to_vec()),
-        (
-            "shape",
-            [&AnyShape::PLUGINS.concat()[..], &["instance", "shapegroup"]].concat(),
-        ),
+        ("shape", AnyShape::names()),
         ("texture", [texture::PLUGINS, SPECTRA].concat()),
     ];
     for (_, plugins) in &mut all {
@@ -272,7 +270,7 @@ impl Reading {
                 self.places.sensors.push(address(node));
             }
         }
-        let shapes = root.children_with_tag("shape");
+        let shapes = self.apart(root.children_with_tag("shape"))?;
         let (mut drawn, mut groups) = (Vec::new(), Vec::new());
         for (i, &node) in shapes.iter().enumerate() {
             let before = self.build.shapes().len();
@@ -292,7 +290,7 @@ impl Reading {
             self.places.shapes.resize(drawn.len(), place);
         }
         for group in groups {
-            group.children_with_tag("shape");
+            self.apart(group.children_with_tag("shape"))?;
             self.note(group.finish())?;
         }
         if self.faults.as_ref().is_none_or(Vec::is_empty) {
@@ -455,6 +453,20 @@ impl Reading {
         self.build.registry().params_mut().alias(name, own);
     }
 
+    /// The shapes themselves where some stand for those inside, which Mitsuba traces as one.
+    fn apart<'n>(&mut self, nodes: Vec<&'n Arc<Node>>) -> Result<Vec<&'n Arc<Node>>, SceneError> {
+        let mut shapes = Vec::new();
+        for node in nodes {
+            if node.plugin != "merge" {
+                shapes.push(node);
+                continue;
+            }
+            shapes.extend(self.apart(node.children_with_tag("shape"))?);
+            self.note(node.finish())?;
+        }
+        Ok(shapes)
+    }
+
     /// All shapes of a group, where the instance is: meshes whose points stay are there once, others are copied.
     fn instance(&mut self, node: &Arc<Node>, index: usize) -> Result<(), SceneError> {
         let to_world = node.transform("to_world")?.unwrap_or_default();
@@ -463,7 +475,8 @@ impl Reading {
         let group = group.ok_or_else(|| node.missing("shapegroup", "a reference to a group"))?;
         node.finish()?;
         let name = node.id.clone().unwrap_or_else(|| format!("shape{index}"));
-        for (i, part) in group.children_with_tag("shape").into_iter().enumerate() {
+        let parts = self.apart(group.children_with_tag("shape"))?;
+        for (i, part) in parts.into_iter().enumerate() {
             if matches!(part.plugin.as_str(), "instance" | "shapegroup") {
                 return Err(part.invalid("type", "a shape that is none of others, in a group"));
             }
@@ -856,6 +869,9 @@ fn camera_from_node(node: &Node, size: [u32; 2]) -> Result<Camera, SceneError> {
 fn film_from_node(node: &Node) -> Result<Film, SceneError> {
     if !FILMS.contains(&node.plugin.as_str()) {
         return Err(node.unknown_plugin(FILMS));
+    }
+    if node.plugin == "tiledhdrfilm" {
+        node.warn("written as one image, without tiles");
     }
     let size = |key, default| node.integer_in(key, default, 1..=1 << 16).map(|x| x as u32);
     let (width, height) = (size("width", 768)?, size("height", 576)?);

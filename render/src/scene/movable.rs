@@ -25,6 +25,8 @@ const TURNS: (f64, f64) = (-1e4, 1e4);
 /// Scales. Neither zero nor negative ones are there: a shape without size has no points, and one that is turned inside
 /// out has another side.
 const SCALES: (f64, f64) = (1e-6, 1e6);
+/// Components of normals, whose lengths weigh them where they are interpolated.
+const NORMALS: (f64, f64) = (-1e6, 1e6);
 /// Angles of view in degrees.
 const ANGLES: (f64, f64) = (1e-3, 179.0);
 
@@ -47,6 +49,7 @@ pub struct Movable {
 pub(super) enum What {
     Shape(u32, Part),
     Vertices(u32),
+    Normals(u32),
     Camera(Part),
     Fov,
     Emitter(u32),
@@ -124,6 +127,8 @@ impl Scene {
     ///   in the order of their first ones, so that nothing tears along seams of texture coordinates. Normals follow
     ///   where the file gives none. Those of meshes that a texture displaces are not there: its texels are parameters.
     ///   Neither they nor the scale are there under a bump map, whose heights are in units of the scene.
+    /// * `NAME.vertex_normals` of a mesh whose file gives normals: those of all vertices, before it moves as a whole, of any
+    ///   length but zero. Under a bump map they are not there.
     /// * `sensor.translation`, `sensor.rotation` (about the pinhole), and `sensor.fov` in degrees, of pinholes.
     /// * `NAME.position` of point and spot lights, world space; `NAME.rotation` of environment maps and lobes.
     ///
@@ -148,20 +153,32 @@ impl Scene {
                 let what = What::Shape(i, p);
                 all.push(part(&info.name, p, ParamKind::Position, what));
             }
-            let points = match shape {
-                AnyShape::Mesh(mesh) if !mesh.is_displaced() => Some(mesh.points()),
-                AnyShape::Instance(instance) => Some(instance.mesh().points()),
+            let mesh = match shape {
+                AnyShape::Mesh(mesh) if !mesh.is_displaced() => Some(mesh),
+                AnyShape::Instance(instance) => Some(instance.mesh()),
                 _ => None,
             };
-            if let Some(count) = points
-                && !bumped
-            {
+            let Some(mesh) = mesh.filter(|_| !bumped) else {
+                continue;
+            };
+            all.push(Movable {
+                name: format!("{}.vertex_positions", info.name),
+                shape: ParamShape::Points {
+                    count: mesh.points(),
+                },
+                valid: ANYWHERE,
+                kind: ParamKind::Position,
+                what: What::Vertices(i),
+            });
+            if mesh.has_given_normals() {
                 all.push(Movable {
-                    name: format!("{}.vertex_positions", info.name),
-                    shape: ParamShape::Points { count },
-                    valid: ANYWHERE,
-                    kind: ParamKind::Position,
-                    what: What::Vertices(i),
+                    name: format!("{}.vertex_normals", info.name),
+                    shape: ParamShape::Points {
+                        count: mesh.data().normals.len(),
+                    },
+                    valid: NORMALS,
+                    kind: ParamKind::VertexNormals,
+                    what: What::Normals(i),
                 });
             }
         }
@@ -266,7 +283,8 @@ impl Scene {
     /// The mesh whose points this range is.
     pub fn mesh_of(&self, info: &ParamInfo) -> Option<&Mesh> {
         let p = self.params.handle(info);
-        let of_points = matches!(info.shape, ParamShape::Points { .. });
+        let of_points =
+            matches!(info.shape, ParamShape::Points { .. }) && info.kind == ParamKind::Position;
         let (shape, _) = (self.movers().iter()).find(|(_, reads)| of_points && *reads == p)?;
         match &self.shapes()[*shape as usize] {
             AnyShape::Mesh(mesh) => Some(mesh),
@@ -320,6 +338,20 @@ impl Scene {
                 AnyShape::Instance(instance) => instance.copied().point_positions(),
                 _ => Vec::new(),
             },
+            What::Normals(shape) => {
+                let normals = match self.geometry.at_rest(shape) {
+                    AnyShape::Mesh(mesh) => mesh.data().normals.clone(),
+                    AnyShape::Instance(instance) => instance.copied().data().normals.clone(),
+                    _ => Vec::new(),
+                };
+                if let Some(i) = normals.iter().position(|n| *n == [0.0; 3]) {
+                    return Err(RenderError::Motion {
+                        name: movable.name.clone(),
+                        culprit: format!("vertex {i} has no normal of its own"),
+                    });
+                }
+                normals.concat()
+            }
             What::Emitter(e) => (self.emitters[e as usize].mobility())
                 .map_or(Vec::new(), |(_, value)| value.to_vec()),
         };
@@ -340,7 +372,7 @@ impl Scene {
                 found: (self.params.values().len() + values.len()) as u64,
             });
         }
-        if let What::Vertices(shape) = movable.what {
+        if let What::Vertices(shape) | What::Normals(shape) = movable.what {
             let camera = sensor::farthest(&self.sensors, &self.camera);
             (self.geometry.copy(shape, &self.infos, camera)).map_err(|e| {
                 RenderError::OutOfReach {
@@ -357,6 +389,7 @@ impl Scene {
         match movable.what {
             What::Shape(shape, part) => self.geometry.place(shape, p, |own| part.of(own)),
             What::Vertices(shape) => self.geometry.free_vertices(shape, p),
+            What::Normals(shape) => self.geometry.free_normals(shape, p),
             What::Camera(part) => *part.of(self.camera.placement()) = Some(p),
             What::Fov => self.camera.set_fov(p),
             What::Emitter(e) => self.emitters[e as usize].make_movable(p),
@@ -390,7 +423,8 @@ impl Scene {
         }
         let p = self.params.handle(info);
         for ((i, own), shape) in (0..).zip(&self.infos).zip(self.shapes()) {
-            let slides = info.kind == ParamKind::Camera || self.movers().contains(&(i, p));
+            let moves = self.movers().contains(&(i, p)) && info.kind == ParamKind::Position;
+            let slides = info.kind == ParamKind::Camera || moves;
             let beam = own
                 .emitter
                 .is_some_and(|e| self.emitters[e as usize].is_beam());
@@ -427,6 +461,9 @@ impl Scene {
             })
         };
         let filter = &self.film.filter;
+        if follows && info.kind == ParamKind::VertexNormals {
+            return refuse("directions do not follow curves where normals turn away");
+        }
         if follows && !matches!(filter, PixelFilter::Box | PixelFilter::Gaussian { .. }) {
             return refuse(
                 "directions that follow outlines need a box or a Gaussian as the pixel filter",

@@ -210,7 +210,7 @@ impl Scene {
             };
             let emitters = &source.places.emitters;
             let at = match *what {
-                What::Shape(shape, _) | What::Vertices(shape) => {
+                What::Shape(shape, _) | What::Vertices(shape) | What::Normals(shape) => {
                     let place = source.places.shapes[shape as usize];
                     place
                         .filter(|p| !p.has_attributes || matches!(what, What::Shape(..)))
@@ -228,7 +228,7 @@ impl Scene {
                     let placement = self.geometry.placement(shape);
                     change.placed = placement.map(|p| p.transform(&self.params));
                 }
-                What::Vertices(shape) => change.mesh = Some(shape),
+                What::Vertices(shape) | What::Normals(shape) => change.mesh = Some(shape),
                 What::Camera(_) => change.placed = Some(self.camera.displacement(&self.params)),
                 What::Fov => change.fov = Some((values[0], self.camera.fov().1)),
                 What::Emitter(e) => {

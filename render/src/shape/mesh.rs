@@ -11,7 +11,7 @@ use smallvec::SmallVec;
 use super::displacement::HEIGHTS;
 use super::partials::variables;
 use super::patch::intersect_plane;
-use super::vertices::{MovingTriangle, MovingVertices, Welding};
+use super::vertices::{MovingNormals, MovingTriangle, MovingVertices, Welding};
 use super::{
     DirectionSample, Partials, Shape, ShapeSample, SurfaceAdjoint, SurfaceCoordinates,
     SurfaceInteraction, coordinates_in_plane, hit_is_exact, lift3,
@@ -49,6 +49,8 @@ pub struct Mesh {
     pub(super) data: Arc<Data>,
     /// If they are parameters.
     pub(super) vertices: Option<MovingVertices>,
+    /// Likewise.
+    pub(super) normals: Option<MovingNormals>,
 }
 
 #[derive(Debug)]
@@ -155,6 +157,7 @@ impl Mesh {
         Ok(Self {
             data: Arc::new(data),
             vertices: None,
+            normals: None,
         })
     }
 
@@ -634,6 +637,7 @@ impl Shape for Mesh {
 
     fn visit_params(&self, f: &mut dyn FnMut(ParamRef)) {
         self.vertices.iter().for_each(|v| f(v.param));
+        self.normals.iter().for_each(|n| f(n.param));
     }
 
     /// # Errors
@@ -672,6 +676,10 @@ impl Shape for Mesh {
         placed.replace(mesh)?;
         if let Some(vertices) = &mut placed.vertices {
             vertices.linear = by.linear;
+        }
+        if let Some(normals) = &mut placed.normals {
+            let size = by.determinant().cbrt();
+            normals.turn = each(by.linear, |row| row.map(|x| x / size));
         }
         Ok(placed)
     }

@@ -641,6 +641,13 @@ macro_rules! shapes {
             pub const PLUGINS: &'static [&'static [&'static str]] =
                 &[$(<$hot as FromNode>::PLUGINS,)* $(<$name as FromNode>::PLUGINS),*];
 
+            /// All names that a shape may have in scene files, in their order: those that stand for other shapes, too.
+            pub fn names() -> Vec<&'static str> {
+                let mut names = [&Self::PLUGINS.concat()[..], &["instance", "merge", "shapegroup"]].concat();
+                names.sort_unstable();
+                names
+            }
+
             /// Builds the shape that the node's plugin names.
             ///
             /// # Errors
@@ -653,7 +660,7 @@ macro_rules! shapes {
                 $(if <$name as FromNode>::PLUGINS.contains(&plugin) {
                     return Ok(Self::$name(<$name as FromNode>::from_node(node, registry)?));
                 })*
-                Err(node.unknown_plugin(&Self::PLUGINS.concat()))
+                Err(node.unknown_plugin(&Self::names()))
             }
         }
 

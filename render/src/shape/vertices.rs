@@ -129,26 +129,22 @@ impl MovingVertices {
     /// How a vertex moves.
     fn offset<R: Real>(&self, theta: &Theta<R>, vertex: u32) -> Vec3<R> {
         let point = self.welding.points[vertex as usize];
-        let moved = match &self.displacement {
-            Some(displacement) => displacement.offset(theta, point),
-            None => each([0, 1, 2], |k: usize| {
+        match &self.displacement {
+            Some(displacement) => {
+                let moved = displacement.offset(theta, point);
+                changed(self.linear, |k| moved[k])
+            }
+            None => changed(self.linear, |k| {
                 let x = theta.get(self.param, 3 * point as usize + k);
                 x - Const(x.primal())
             }),
-        };
-        each(self.linear, |row| {
-            moved[0] * R::c(row[0]) + moved[1] * R::c(row[1]) + moved[2] * R::c(row[2])
-        })
-        .into()
+        }
     }
 
     /// Its transpose.
     fn add<P: Float>(&self, vertex: u32, d: Vec3<P>, grad: &mut impl GradSink<P>) {
         let point = self.welding.points[vertex as usize];
-        let rows = self.linear;
-        let back = each([0, 1, 2], |k: usize| {
-            d.x * P::of(rows[0][k]) + d.y * P::of(rows[1][k]) + d.z * P::of(rows[2][k])
-        });
+        let back = changed_back(self.linear, d);
         match &self.displacement {
             Some(displacement) => displacement.add(point, back, grad),
             None => grad.add_all(self.param, 3 * point as usize, back),
@@ -164,6 +160,47 @@ impl MovingVertices {
         let values = &params.values()[self.param.offset as usize + 3 * point as usize..];
         [values[0], values[1], values[2]]
     }
+}
+
+/// Normals that a mesh was given, as parameters.
+#[derive(Clone, Debug)]
+pub(super) struct MovingNormals {
+    /// Of all vertices, before the mesh moves as a whole.
+    pub param: ParamRef,
+    /// How they turn as it does.
+    pub turn: [[f64; 3]; 3],
+}
+
+impl MovingNormals {
+    /// How the normal at a vertex moves.
+    fn offset<R: Real>(&self, theta: &Theta<R>, vertex: u32) -> Vec3<R> {
+        changed(self.turn, |k| {
+            let x = theta.get(self.param, 3 * vertex as usize + k);
+            x - Const(x.primal())
+        })
+    }
+
+    /// Its transpose.
+    fn add<P: Float>(&self, vertex: u32, d: Vec3<P>, grad: &mut impl GradSink<P>) {
+        let back = changed_back(self.turn, d);
+        grad.add_all(self.param, 3 * vertex as usize, back);
+    }
+}
+
+/// A vector that moves, after a linear map.
+fn changed<R: Real>(rows: [[f64; 3]; 3], moved: impl Fn(usize) -> R) -> Vec3<R> {
+    let moved = each([0, 1, 2], moved);
+    each(rows, |row| {
+        moved[0] * R::c(row[0]) + moved[1] * R::c(row[1]) + moved[2] * R::c(row[2])
+    })
+    .into()
+}
+
+/// Its transpose.
+fn changed_back<P: Float>(rows: [[f64; 3]; 3], d: Vec3<P>) -> [P; 3] {
+    each([0, 1, 2], |k: usize| {
+        d.x * P::of(rows[0][k]) + d.y * P::of(rows[1][k]) + d.z * P::of(rows[2][k])
+    })
 }
 
 /// How the corners of a triangle and the normals there move: tangents.
@@ -285,6 +322,18 @@ impl Mesh {
                 linear: Transform::IDENTITY.linear,
                 slopes: NormalSlopes::default(),
             }),
+            normals: self.normals.clone(),
+        }
+    }
+
+    /// The same mesh, whose given normals are the parameters `param` of shape `[vertices][3]`: of any length but zero.
+    pub(crate) fn with_vertex_normals(&self, param: ParamRef) -> Self {
+        Self {
+            normals: Some(MovingNormals {
+                param,
+                turn: Transform::IDENTITY.linear,
+            }),
+            ..self.clone()
         }
     }
 
@@ -340,14 +389,26 @@ impl Mesh {
         self.vertices.is_some()
     }
 
-    /// Brings vertices that move to where these parameters have them.
+    /// Brings vertices that move to where these parameters have them, and their normals.
     pub(super) fn follow(&mut self, params: &Params) -> Result<(), String> {
-        let Some(vertices) = &self.vertices else {
+        if self.vertices.is_none() && self.normals.is_none() {
             return Ok(());
-        };
+        }
         let mut mesh = self.data.mesh.clone();
-        for (position, i) in mesh.positions.iter_mut().zip(0..) {
-            *position = vertices.position(params, i);
+        if let Some(vertices) = &self.vertices {
+            for (position, i) in mesh.positions.iter_mut().zip(0..) {
+                *position = vertices.position(params, i);
+            }
+        }
+        if let Some(MovingNormals { param, .. }) = self.normals {
+            let values = params.values()[param.offset as usize..].as_chunks::<3>().0;
+            let count = mesh.normals.len();
+            mesh.normals.copy_from_slice(&values[..count]);
+            if let Some(i) = mesh.normals.iter().position(|n| *n == [0.0; 3]) {
+                return Err(format!(
+                    "expected normals of some length, found none at vertex {i}"
+                ));
+            }
         }
         self.replace(mesh)
     }
@@ -396,14 +457,20 @@ impl Mesh {
         if R::IS_PRIMAL {
             return None;
         }
-        let vertices = self.vertices.as_ref()?;
-        if !theta.moves(vertices.param) {
+        let vertices = (self.vertices.as_ref()).filter(|v| theta.moves(v.param));
+        let normals = (self.normals.as_ref()).filter(|n| theta.moves(n.param));
+        if vertices.is_none() && normals.is_none() {
             return None;
         }
         let corners = self.data.mesh.triangles[triangle];
+        let still = || [Vec3::zero(); 3];
         Some(MovingTriangle {
-            corners: each(corners, |i| vertices.offset(theta, i)),
-            normals: each(corners, |i| self.normal_offset(vertices, theta, i)),
+            corners: vertices.map_or_else(still, |v| each(corners, |i| v.offset(theta, i))),
+            normals: match (normals, vertices) {
+                (Some(n), _) => each(corners, |i| n.offset(theta, i)),
+                (None, Some(v)) => each(corners, |i| self.normal_offset(v, theta, i)),
+                (None, None) => still(),
+            },
         })
     }
 
@@ -445,14 +512,23 @@ impl Mesh {
         grad: &mut impl GradSink<P>,
         f: impl Fn(&MovingTriangle<Dual<P, 9>>) -> Dual<P, 9>,
     ) {
-        let Some(vertices) = &self.vertices else {
-            return;
-        };
-        if !grad.active(vertices.param) {
-            return;
-        }
         let corners = self.data.mesh.triangles[triangle];
         let still = [Vec3::zero(); 3];
+        let by_normals = || {
+            let d = f(&MovingTriangle {
+                corners: still,
+                normals: seeds(),
+            });
+            corners.into_iter().zip(thirds(d))
+        };
+        if let Some(normals) = (self.normals.as_ref()).filter(|n| grad.active(n.param)) {
+            for (i, d) in by_normals() {
+                normals.add(i, d, grad);
+            }
+        }
+        let Some(vertices) = (self.vertices.as_ref()).filter(|v| grad.active(v.param)) else {
+            return;
+        };
         let d = f(&MovingTriangle {
             corners: seeds(),
             normals: still,
@@ -463,11 +539,7 @@ impl Mesh {
         let Some(rings) = &vertices.rings else {
             return;
         };
-        let d = f(&MovingTriangle {
-            corners: still,
-            normals: seeds(),
-        });
-        for (i, d) in corners.into_iter().zip(thirds(d)) {
+        for (i, d) in by_normals() {
             if d.to_array() == [P::zero(); 3] {
                 continue;
             }

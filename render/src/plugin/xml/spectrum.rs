@@ -5,6 +5,7 @@
 //! somewhat pink; everything else under daylight (CIE D65), so that a flat one is grey.
 
 use super::value::{self, Mismatch};
+use crate::math::rgb_of_xyz;
 
 /// Plugins that are a constant spectrum.
 pub(crate) const PLUGINS: &[&str] = &[
@@ -31,13 +32,6 @@ pub(super) enum Role {
 /// Visible wavelengths and the step of integrals over them, nanometres.
 const VISIBLE: [f64; 2] = [360.0, 830.0];
 const STEP: f64 = 1.0;
-
-/// Linear sRGB of CIE XYZ (ITU-R BT.709), to the digits that Mitsuba has.
-const XYZ_TO_RGB: [[f64; 3]; 3] = [
-    [3.240_479, -1.537_150, -0.498_535],
-    [-0.969_256, 1.875_991, 0.041_556],
-    [0.055_648, -0.204_043, 1.057_311],
-];
 
 /// Relative power of the illuminant D65 every 10 nm from 360 nm on (CIE 15).
 const D65: [f64; 43] = [
@@ -109,7 +103,7 @@ pub(super) fn rgb(spectrum: &Samples, role: Role) -> ([f64; 3], bool) {
 /// The colour of a flat spectrum.
 pub(super) fn flat(value: f64, role: Role) -> [f64; 3] {
     match role {
-        Role::Emission => to_rgb([value; 3]),
+        Role::Emission => rgb_of_xyz([value; 3]),
         _ => [value; 3],
     }
 }
@@ -142,10 +136,10 @@ fn rgb_of(spectrum: impl Fn(f64) -> f64, role: Role) -> ([f64; 3], bool) {
     }
     // Flat spectra come out exactly: of the fits' error only that of the shape is left.
     let rgb = if lit {
-        let (rgb, white) = (to_rgb(sum), to_rgb(white));
+        let (rgb, white) = (rgb_of_xyz(sum), rgb_of_xyz(white));
         [0, 1, 2].map(|c| rgb[c] / white[c])
     } else {
-        to_rgb([0, 1, 2].map(|c| sum[c] / white[c]))
+        rgb_of_xyz([0, 1, 2].map(|c| sum[c] / white[c]))
     };
     let most = match role {
         Role::Reflectance => 1.0,
@@ -154,10 +148,6 @@ fn rgb_of(spectrum: impl Fn(f64) -> f64, role: Role) -> ([f64; 3], bool) {
     // Rounding of a white one is no colour beyond all.
     let outside = rgb.iter().any(|&x| x < -1e-9 || x > most + 1e-9);
     (rgb.map(|x| x.clamp(0.0, most)), outside)
-}
-
-fn to_rgb(xyz: [f64; 3]) -> [f64; 3] {
-    XYZ_TO_RGB.map(|row| (0..3).map(|c| row[c] * xyz[c]).sum())
 }
 
 /// The colour matching functions x, y, z.
@@ -216,7 +206,7 @@ mod tests {
         }
         let sum: f64 = xyz.iter().sum();
         assert!((xyz[0] / sum - 0.3127).abs() < 2e-3 && (xyz[1] / sum - 0.3290).abs() < 2e-3);
-        close(to_rgb(xyz.map(|x| x / xyz[1])), [1.0; 3], 0.02);
+        close(rgb_of_xyz(xyz.map(|x| x / xyz[1])), [1.0; 3], 0.02);
     }
 
     /// The chromaticities of black bodies of 2856 K (illuminant A) and of 6504 K, which lies near daylight.
