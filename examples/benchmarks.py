@@ -5,7 +5,7 @@
   examples/benchmarks.py                     every table that can be measured without other renderers
   examples/benchmarks.py passes samples      these tables
   examples/benchmarks.py figures             times of docs/figures.md, from out/*/manifest.json of earlier runs
-  examples/benchmarks.py peer                against Mitsuba 3 (pip install mitsuba numpy)
+  examples/benchmarks.py mitsuba             against Mitsuba 3 (pip install mitsuba numpy)
 
 A table stands between `<!-- NAME -->` and `<!-- end NAME -->` and is replaced as a whole, with the date and the
 machine that it was measured on; what is not measured keeps its numbers. Commands that are compared run in turns, and
@@ -165,7 +165,7 @@ def automatic_differentiation(args):
     put("ad", table(["", "ns", "ratio", "largest ratio allowed"], rows))
 
 
-def peer(args):
+def mitsuba(args):
     """Images and gradients against Mitsuba 3, on the scenes of the repository."""
     script = os.path.join(ROOT, "examples", "mitsuba", "against_mitsuba.py")
     jobs = [
@@ -187,7 +187,7 @@ def peer(args):
         for found in report["ours"]:
             numbers = [f"{found[k]:.2g}" for k in ("variance", "time", "efficiency")]
             rows.append([name, f"`{found['arguments']}`" if found["arguments"] else "", *numbers])
-    put("peer", table(["", "options", "variance", "time", "efficiency"], rows))
+    put("mitsuba", table(["", "options", "variance", "time", "efficiency"], rows))
 
 
 def figures(args):
@@ -225,14 +225,14 @@ TABLES = {
     "samples": samples,
     "recover": recover,
     "ad": automatic_differentiation,
-    "peer": peer,
+    "mitsuba": mitsuba,
     "figures": figures,
 }
 
 
 def main():
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    p.add_argument("tables", nargs="*", metavar="TABLE", help=f"of {', '.join(TABLES)} [default: all but peer and figures]")
+    p.add_argument("tables", nargs="*", metavar="TABLE", help=f"of {', '.join(TABLES)} [default: all but mitsuba and figures]")
     p.add_argument("--rounds", type=int, default=7, help="turns that commands take [default: 7]")
     p.add_argument("--spp", type=int, default=64, help="samples per pixel [default: 64]")
     p.add_argument("--res", type=int, default=256, help="side of images, in pixels [default: 256]")
@@ -245,7 +245,7 @@ def main():
         p.error(f"{unknown[0]}: expected one of {', '.join(TABLES)}")
     if args.rounds < 1:
         p.error("--rounds: expected at least one")
-    for name in args.tables or [t for t in TABLES if t not in ("peer", "figures")]:
+    for name in args.tables or [t for t in TABLES if t not in ("mitsuba", "figures")]:
         TABLES[name](args)
 
 

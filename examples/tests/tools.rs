@@ -2229,7 +2229,7 @@ fn a_check_says_what_is_understood() {
     assert!(!Path::new("checked.exr").exists());
 }
 
-/// Any parameter may be set, by its own name, by that of the peer or by a pattern, to numbers or to an image.
+/// Any parameter may be set, by its own name, by that of Mitsuba 3 or by a pattern, to numbers or to an image.
 #[test]
 fn parameters_are_set_on_the_command_line() {
     let dir = Folder::new();

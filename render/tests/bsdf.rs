@@ -1679,25 +1679,25 @@ fn principled_glass_is_rough_glass() {
         build("principled", &content).expect(&content)
     };
     let (ours, params) = node("1", "1 1 1");
-    let (peer, peer_params) = build(
+    let (rough, rough_params) = build(
         "roughdielectric",
         r#"<string name="distribution" value="ggx"/><float name="alpha" value=".36"/>
         <float name="int_ior" value="1.5"/><float name="ext_ior" value="1"/>"#,
     )
     .unwrap();
     let numbers = |p: &Params| -> Vec<f64> { p.values().iter().map(|&v| v.into()).collect() };
-    let (a, mut b) = (numbers(&params), numbers(&peer_params));
+    let (a, mut b) = (numbers(&params), numbers(&rough_params));
     let offset = |p: &Params, name: &str| {
         let found = p.infos().iter().find(|i| i.name.ends_with(name));
         found.expect(name).offset
     };
     let roughness = a[offset(&params, "roughness.value")];
-    b[offset(&peer_params, "alpha.value")] = roughness * roughness;
+    b[offset(&rough_params, "alpha.value")] = roughness * roughness;
     let mut lit = 0;
     for wo in directions() {
         for wi in directions().into_iter().chain(directions().map(|w| -w)) {
             for mode in MODES {
-                let [f, g] = [(&ours, &a), (&peer, &b)]
+                let [f, g] = [(&ours, &a), (&rough, &b)]
                     .map(|(m, v)| m.eval(&at(Theta::constant(v)), wo, wi, mode).to_array());
                 for (f, g) in f.into_iter().zip(g) {
                     assert!(
@@ -1763,7 +1763,7 @@ fn principled_parts_are_what_they_should() {
     let cloth = r#"<rgb name="base_color" value="0"/><float name="specular" value="0"/><float name="sheen" value="0.5"/>"#;
     let f = eval(cloth, wo, wi).g;
     assert!((f / (0.5 * grazing * wi.z) - 1.0).abs() < 1e-6);
-    // The coat by itself, against the formula of its authors with the masking of the peer.
+    // The coat by itself, against the formula of its authors with the masking of Mitsuba 3.
     let coat = r#"<rgb name="base_color" value="0"/><float name="specular" value="0"/>
         <float name="clearcoat" value="1"/><float name="clearcoat_gloss" value="0.5"/>"#;
     let a2 = 0.0505f64.powi(2);

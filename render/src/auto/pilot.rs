@@ -498,10 +498,12 @@ fn works(
         let doubt = 1.0 + evidence.max(1.0).sqrt().recip();
         let work = v.iter().sum::<f64>() * candidates[k].pass;
         let trusted = rivals && (evidence >= EVIDENCE || !sees(&blocks[0]));
-        match k == chosen[0] {
-            true => work / doubt,
-            false if trusted => work * doubt,
-            false => f64::INFINITY,
+        if k == chosen[0] {
+            work / doubt
+        } else if trusted {
+            work * doubt
+        } else {
+            f64::INFINITY
         }
     };
     chosen.iter().zip(blocks).map(work).collect()

@@ -305,7 +305,7 @@ impl Reading {
             }
             let name = node.id.clone().unwrap_or_else(|| "emitter".into());
             if node.id.is_none() {
-                self.call_as_peer(EMITTER_NAMES, node, &name);
+                self.call_as_mitsuba(EMITTER_NAMES, node, &name);
             }
             let emitter = self.emitter(node, &name, None);
             if let Some((emitter, weight, hints)) = self.note(emitter)? {
@@ -364,7 +364,7 @@ impl Reading {
     fn shape(&mut self, node: &Arc<Node>, index: usize) -> Result<(), SceneError> {
         let name = node.id.clone().unwrap_or_else(|| format!("shape{index}"));
         if node.id.is_none() {
-            self.call_as_peer(SHAPE_NAMES, node, &name);
+            self.call_as_mitsuba(SHAPE_NAMES, node, &name);
         }
         let wanted = attributes_of(node)?;
         if !wanted.is_empty() {
@@ -441,7 +441,7 @@ impl Reading {
     }
 
     /// Parameters of what has no id answer to the name of its class in Mitsuba, numbered from the second on.
-    fn call_as_peer(&mut self, names: &[(&str, &str)], node: &Node, own: &str) {
+    fn call_as_mitsuba(&mut self, names: &[(&str, &str)], node: &Node, own: &str) {
         let found = names.iter().find(|(plugin, _)| *plugin == node.plugin);
         let Some((_, class)) = found else {
             return;
