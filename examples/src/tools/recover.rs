@@ -674,25 +674,11 @@ fn recover(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
             .collect::<Vec<_>>()
     };
     let [target_files, before_files, after_files] = ["target", "before", "after"].map(files);
-    let mut targets = Vec::new();
-    for (view, file) in views.iter().zip(&target_files) {
-        view.look(&mut scene)?;
-        let image = if args.resume {
-            read_size(file, &scene)?
-        } else {
-            match target(&job, view, &scene, &settings, interrupt)? {
-                Some(image) => image,
-                None => {
-                    complain!("interrupted before the target was complete: nothing was written");
-                    return Ok(Outcome::Interrupted);
-                }
-            }
-        };
-        targets.push(Target {
-            sensor: view.sensor,
-            image,
-        });
-    }
+    let given = args.resume.then_some(&target_files[..]);
+    let Some(targets) = targets(&job, &views, given, &mut scene, &settings, interrupt)? else {
+        complain!("interrupted before the target was complete: nothing was written");
+        return Ok(Outcome::Interrupted);
+    };
     // Guides and measured pixels are those of the first view.
     views[0].look(&mut scene)?;
     let mut store = match store {
@@ -757,55 +743,12 @@ fn recover(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
         }
         store.write(&state, &inputs)?;
     }
-    let mut before = Vec::new();
-    for (view, file) in before_files.iter().enumerate() {
-        recovery.look(view)?;
-        if !file.exists() {
-            // Complete or not at all: a run that is resumed makes one that is missing.
-            let picture = recovery.picture("before", job.seed, interrupt)?;
-            if let Some(picture) = picture.filter(is_complete) {
-                image_io::write_exr(file, &picture.image(0))?;
-            }
-        }
-        before.push(if file.exists() {
-            Some(read_size(file, &recovery.problem.scene)?)
-        } else {
-            None
-        });
-    }
-    recovery.look(0)?;
+    let before = recovery.pictures_before(&before_files, job.seed, interrupt)?;
 
     let first = state.iteration;
-    let left = job.iterations.saturating_sub(state.iteration);
-    let stop = state.iteration + args.stop_after.unwrap_or(left).min(left);
-    let bar = Bar::new("recover", job.iterations.into(), interrupt);
-    let (mut last_save, mut save_every) = (Instant::now(), CHECKPOINT_EVERY);
-    while state.iteration < stop && !interrupt.is_set() {
-        bar.set(state.iteration.into());
-        // What was there before a failing step is worth keeping, too.
-        match recovery.step(&mut state, interrupt) {
-            Ok(true) => {}
-            Ok(false) => break,
-            Err(e) => {
-                store.write(&state, &inputs)?;
-                return Err(e);
-            }
-        }
-        if let Some(row) = state.history.last() {
-            bar.message(format!("loss {:.3e}", row.loss));
-        }
-        if let Some(warning) = state.stalled() {
-            complain!("warning: {warning}");
-        }
-        if last_save.elapsed() > save_every {
-            let begin = Instant::now();
-            store.write(&state, &inputs)?;
-            last_save = Instant::now();
-            save_every = CHECKPOINT_EVERY.max(CHECKPOINT_SHARE * (last_save - begin));
-        }
-    }
-    bar.finish();
-    store.write(&state, &inputs)?;
+    let left = job.iterations.saturating_sub(first);
+    let stop = first + args.stop_after.unwrap_or(left).min(left);
+    recovery.steps(&mut state, stop, (&mut store, &inputs), interrupt)?;
     if state.iteration != first {
         // They show other values.
         for file in after_files.iter().chain([&panels_file]) {
@@ -827,6 +770,100 @@ fn recover(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
         args.out.display()
     );
     Ok(Outcome::Interrupted)
+}
+
+impl Recovery {
+    /// The pictures before: those that are there, and what is missing where it is made in time.
+    fn pictures_before(
+        &mut self,
+        files: &[PathBuf],
+        seed: u64,
+        interrupt: &Interrupt,
+    ) -> Result<Vec<Option<Image>>, ToolError> {
+        let mut before = Vec::new();
+        for (view, file) in files.iter().enumerate() {
+            self.look(view)?;
+            if !file.exists() {
+                // Complete or not at all: a run that is resumed makes one that is missing.
+                let picture = self.picture("before", seed, interrupt)?;
+                if let Some(picture) = picture.filter(is_complete) {
+                    image_io::write_exr(file, &picture.image(0))?;
+                }
+            }
+            before.push(if file.exists() {
+                Some(read_size(file, &self.problem.scene)?)
+            } else {
+                None
+            });
+        }
+        self.look(0)?;
+        Ok(before)
+    }
+
+    /// Steps until as many are done, with a checkpoint every now and then, and one at the end.
+    fn steps(
+        &mut self,
+        state: &mut Checkpoint,
+        stop: u32,
+        (store, inputs): (&mut Store, &Inputs),
+        interrupt: &Interrupt,
+    ) -> Result<(), ToolError> {
+        let bar = Bar::new("recover", state.job.iterations.into(), interrupt);
+        let (mut last_save, mut save_every) = (Instant::now(), CHECKPOINT_EVERY);
+        while state.iteration < stop && !interrupt.is_set() {
+            bar.set(state.iteration.into());
+            // What was there before a failing step is worth keeping, too.
+            match self.step(state, interrupt) {
+                Ok(true) => {}
+                Ok(false) => break,
+                Err(e) => {
+                    store.write(state, inputs)?;
+                    return Err(e);
+                }
+            }
+            if let Some(row) = state.history.last() {
+                bar.message(format!("loss {:.3e}", row.loss));
+            }
+            if let Some(warning) = state.stalled() {
+                complain!("warning: {warning}");
+            }
+            if last_save.elapsed() > save_every {
+                let begin = Instant::now();
+                store.write(state, inputs)?;
+                last_save = Instant::now();
+                save_every = CHECKPOINT_EVERY.max(CHECKPOINT_SHARE * (last_save - begin));
+            }
+        }
+        bar.finish();
+        store.write(state, inputs)
+    }
+}
+
+/// The target of every view: those of an earlier run, or as the job says. `None` if interrupted before they are complete.
+fn targets(
+    job: &Job,
+    views: &[View],
+    given: Option<&[PathBuf]>,
+    scene: &mut Scene,
+    settings: &Settings,
+    interrupt: &Interrupt,
+) -> Result<Option<Vec<Target>>, ToolError> {
+    let mut targets = Vec::new();
+    for (i, view) in views.iter().enumerate() {
+        view.look(scene)?;
+        let image = match given {
+            Some(files) => Some(read_size(&files[i], scene)?),
+            None => target(job, view, scene, settings, interrupt)?,
+        };
+        let Some(image) = image else {
+            return Ok(None);
+        };
+        targets.push(Target {
+            sensor: view.sensor,
+            image,
+        });
+    }
+    Ok(Some(targets))
 }
 
 /// A scene, its unknowns, their start values and, if known, the truth.

@@ -7,6 +7,7 @@ use std::sync::Arc;
 use super::builder::{Builder, MaterialId, out_of_reach};
 use super::clip::Clip;
 use super::save::{Place, Places, Source};
+use super::sensor::sensor_called;
 use super::{
     Connections, Constraint, GlintMethod, GlintTechniques, Glints, Hints, Method, Scene, Sensor,
     Settings, Starts,
@@ -583,27 +584,6 @@ fn attributes_of(shape: &Node) -> Result<Vec<String>, SceneError> {
         }),
         _ => Ok(names),
     }
-}
-
-/// Which of the sensors has this id, or this number.
-pub(super) fn sensor_called(sensors: &[Sensor], name: &str) -> Result<usize, SceneError> {
-    let by_number = || name.parse().ok().filter(|&i: &usize| i < sensors.len());
-    let found = sensors
-        .iter()
-        .position(|s| s.name == name)
-        .or_else(by_number);
-    found.ok_or_else(|| {
-        let names: Vec<_> = sensors.iter().map(|s| quoted(&s.name)).collect();
-        SceneError::Parameter {
-            key: "sensor".into(),
-            expected: format!(
-                "a number below {} or one of {}",
-                names.len(),
-                names.join(", ")
-            ),
-            found: quoted(name),
-        }
-    })
 }
 
 /// Checks what may never be built, for want of a reference to it.
