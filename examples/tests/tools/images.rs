@@ -8,7 +8,7 @@ use render::image_io::read_rgb as read_exr;
 use render::image_io::write_exr;
 use serde_json::Value;
 
-use crate::{Folder, SCENE, WALL, bytes, keys, samples};
+use crate::{Folder, GLASS, SCENE, WALL, bytes, keys, samples};
 
 #[test]
 fn render_writes_image_picture_and_report() {
@@ -444,4 +444,27 @@ fn parameters_are_set_on_the_command_line() {
         code == Some(1) && error.contains("an image of 2 x 1, found one of 3 x 1"),
         "{error}"
     );
+}
+
+/// What particles cannot show is said, and is there by density estimation.
+#[test]
+fn particles_say_what_they_leave_dark() {
+    let dir = Folder::new();
+    std::fs::write(dir.path("glass.xml"), GLASS).unwrap();
+    let of = |scene: &str, integrator: &str| {
+        let args = format!("{scene} -o a.exr --spp 16 --integrator {integrator}");
+        let out = dir.run("render", &args);
+        let stderr = String::from_utf8_lossy(&out.stderr).into_owned();
+        assert!(out.status.success(), "{args}: {stderr}");
+        let image = read_exr(&dir.path("a.exr")).unwrap();
+        let at = image.height / 2 * image.width + image.width / 2;
+        (stderr, image.data[3 * at])
+    };
+    let (said, middle) = of("glass.xml", "particle");
+    assert!(said.contains("by `ball` is dark"), "{said}");
+    assert_eq!(middle, 0.0);
+    let (said, middle) = of("glass.xml", "density --radius 0.1");
+    assert!(!said.contains("dark") && middle > 0.1, "{said} {middle}");
+    let (said, _) = of("scene.xml", "particle");
+    assert!(!said.contains("dark"), "{said}");
 }

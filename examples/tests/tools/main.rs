@@ -40,6 +40,25 @@ const SCENE: &str = r#"<scene version="3.0.0">
   </shape>
 </scene>"#;
 
+/// A ball of tinted glass under a constant light.
+const GLASS: &str = r#"<scene version="3.0.0">
+  <default name="eta" value="1.5"/>
+  <integrator type="path"><integer name="max_depth" value="6"/></integrator>
+  <sensor type="perspective">
+    <float name="fov" value="40"/>
+    <transform name="to_world"><lookat origin="0,0,4" target="0,0,0" up="0,1,0"/></transform>
+    <film type="hdrfilm">
+      <integer name="width" value="16"/><integer name="height" value="16"/>
+      <rfilter type="box"/>
+    </film>
+  </sensor>
+  <bsdf type="dielectric" id="m">
+    <float name="int_ior" value="$eta"/><rgb name="specular_transmittance" value="0.5"/>
+  </bsdf>
+  <shape type="sphere" id="ball"><ref id="m"/></shape>
+  <emitter type="constant"><rgb name="radiance" value="1"/></emitter>
+</scene>"#;
+
 const WALL: &str = "wall.reflectance.value";
 
 const LAMP: &str = "lamp.emitter.radiance.value";

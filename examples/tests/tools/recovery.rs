@@ -9,7 +9,7 @@ use examples::tools::recover;
 use render::Image;
 use render::image_io::write_exr;
 
-use crate::{Folder, SCENE, WALL, bytes};
+use crate::{Folder, GLASS, SCENE, WALL, bytes};
 
 /// How bright a picture is does not decide whether Adam moves; where plain gradient descent does not, it says so.
 #[test]
@@ -202,25 +202,6 @@ fn a_recovery_looks_through_several_sensors() {
         "12",
     );
 }
-
-/// A ball of tinted glass under a constant light.
-const GLASS: &str = r#"<scene version="3.0.0">
-  <default name="eta" value="1.5"/>
-  <integrator type="path"><integer name="max_depth" value="6"/></integrator>
-  <sensor type="perspective">
-    <float name="fov" value="40"/>
-    <transform name="to_world"><lookat origin="0,0,4" target="0,0,0" up="0,1,0"/></transform>
-    <film type="hdrfilm">
-      <integer name="width" value="16"/><integer name="height" value="16"/>
-      <rfilter type="box"/>
-    </film>
-  </sensor>
-  <bsdf type="dielectric" id="m">
-    <float name="int_ior" value="$eta"/><rgb name="specular_transmittance" value="0.5"/>
-  </bsdf>
-  <shape type="sphere"><ref id="m"/></shape>
-  <emitter type="constant"><rgb name="radiance" value="1"/></emitter>
-</scene>"#;
 
 /// The index of smooth glass moves a Dirac delta: for whole paths that move and for nothing else.
 #[test]

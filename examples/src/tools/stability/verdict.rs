@@ -421,7 +421,7 @@ pub fn text(report: &Report) -> String {
             "the derivative in the radiance of an environment that is black: {:.4}; {} of {} estimators \
              have it, largest |z| {:.1} ({worst}).",
             c.truth,
-            p.dark.iter().filter(|(_, c)| c.z().abs() < 5.0).count(),
+            p.dark.iter().filter(|(_, c)| c.z().abs() < limit).count(),
             p.dark.len(),
             c.z().abs()
         ));
