@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use ad_core::check::central_difference;
 use ad_core::{Dual, Float, Real, Vec3};
-use render::bsdf::{BsdfSample, Component, DeltaKind, Material, Part, TransportMode, Use};
+use render::bsdf::{Bsdf, BsdfSample, Component, DeltaKind, Material, Part, TransportMode, Use};
 use render::math::Rgb;
 use render::params::{GradSink, ParamRef, Params, Tangent, Theta};
 use render::sampler::{Independent, Sampler};

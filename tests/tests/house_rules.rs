@@ -43,6 +43,39 @@ fn tools_print_without_panics() {
     assert!(read > 100, "only {read} files found");
 }
 
+/// Functions that fit a look: as rustfmt lays them out, one ends with a brace below its first line.
+#[test]
+fn functions_are_short() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+    let mut found = 0;
+    for part in ["ad-core/src", "render/src", "optim/src", "examples/src"] {
+        for file in sources(&root.join(part)) {
+            let text = std::fs::read_to_string(root.join(part).join(&file)).expect("source text");
+            let lines: Vec<&str> = text.lines().collect();
+            for (i, line) in lines.iter().enumerate() {
+                let start = line.trim_start();
+                let words = start.split(['(', ' ']);
+                let qualifiers = ["pub", "const", "unsafe", "crate)", "super)", "in"];
+                let is = |w: &&str| !qualifiers.contains(w) && !w.contains("::");
+                if words.clone().find(is) != Some("fn") {
+                    continue;
+                }
+                let indent = &line[..line.len() - start.len()];
+                let header = lines[i..].iter().position(|l| l.ends_with(['{', ';', '}']));
+                let Some(header) = header.filter(|&n| lines[i + n].ends_with('{')) else {
+                    continue;
+                };
+                let end = format!("{indent}}}");
+                let rest = lines[i + header..].iter().position(|l| *l == end);
+                let length = header + rest.expect("an end") + 1;
+                assert!(length <= 150, "{part}/{file}: {start} has {length} lines");
+                found += 1;
+            }
+        }
+    }
+    assert!(found > 3000, "only {found} functions found");
+}
+
 /// Modules of `render`, lowest first: each may use those before it, and nothing after it.
 const LAYERS: &[&str] = &[
     "prefetch",

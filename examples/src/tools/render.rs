@@ -275,7 +275,10 @@ struct Report {
 }
 
 /// Says which shape, if any, is dark because particles reach the camera from no Dirac delta.
-fn warn_of_deltas(scene: &Scene) {
+fn warn_of_deltas(method: Method, scene: &Scene) {
+    if matches!(method, Method::Density(..)) {
+        return;
+    }
     let shapes = 0..scene.shapes().len() as u32;
     let mut deltas = shapes
         .map(|shape| scene.shape_info(shape))
@@ -330,9 +333,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     interrupt.keep();
     if !matches!(method, Method::Paths(_)) {
         particle::check(&scene)?;
-    }
-    if matches!(method, Method::Particles(_)) {
-        warn_of_deltas(&scene);
+        warn_of_deltas(method, &scene);
     }
     let mut settings = scene.settings;
     settings.spp = args.spp.unwrap_or(settings.spp);

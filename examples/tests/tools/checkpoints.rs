@@ -6,7 +6,7 @@ use render::Image;
 use render::image_io::write_exr;
 use serde_json::Value;
 
-use crate::{Folder, SCENE, WALL, bytes};
+use crate::{Folder, SCENE, WALL, bytes, fails};
 
 #[test]
 fn a_resumed_recovery_equals_an_uninterrupted_one_bit_for_bit() {
@@ -338,13 +338,6 @@ fn textured(dir: &Folder) -> &'static str {
     write_exr(&dir.path("truth.exr"), &texture(0.3)).unwrap();
     dir.ok("render", "scene.xml -o photo.exr --spp 16 -D map=truth.exr");
     "scene.xml --param wall.reflectance.data --target photo.exr --spp 2 --iterations 8"
-}
-
-fn fails(dir: &Folder, args: &str, named: &str) {
-    let out = dir.run("recover", args);
-    let stderr = String::from_utf8_lossy(&out.stderr);
-    assert_eq!(out.status.code(), Some(1), "{args}: {stderr}");
-    assert!(stderr.contains(named), "{named}: {stderr}");
 }
 
 #[test]

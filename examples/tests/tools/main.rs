@@ -140,3 +140,10 @@ fn numbers(value: &Value) -> Vec<f64> {
 fn bytes(path: impl AsRef<Path>) -> Vec<u8> {
     std::fs::read(path).unwrap()
 }
+
+fn fails(dir: &Folder, args: &str, named: &str) {
+    let out = dir.run("recover", args);
+    let stderr = String::from_utf8_lossy(&out.stderr);
+    assert_eq!(out.status.code(), Some(1), "{args}: {stderr}");
+    assert!(stderr.contains(named), "{named}: {stderr}");
+}

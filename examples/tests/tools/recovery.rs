@@ -1,7 +1,5 @@
 //! Parameters that are found from pictures.
 
-use std::time::Duration;
-
 use clap::Parser;
 use examples::cli::Outcome;
 use examples::progress::Interrupt;
@@ -9,7 +7,7 @@ use examples::tools::recover;
 use render::Image;
 use render::image_io::write_exr;
 
-use crate::{Folder, GLASS, SCENE, WALL, bytes};
+use crate::{Folder, GLASS, SCENE, WALL, bytes, fails};
 
 /// How bright a picture is does not decide whether Adam moves; where plain gradient descent does not, it says so.
 #[test]

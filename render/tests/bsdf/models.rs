@@ -4,7 +4,9 @@ use std::f64::consts::PI;
 
 use ad_core::{Dual, Real, Vec3};
 use render::bsdf::microfacet::{Microfacet, Ndf};
-use render::bsdf::{Coat, ConductorLobe, DeltaKind, RoughConductorLobe, TransportMode, fresnel};
+use render::bsdf::{
+    Bsdf, Coat, ConductorLobe, DeltaKind, Lobe, RoughConductorLobe, TransportMode, fresnel,
+};
 use render::math::Rgb;
 use render::params::{Params, Theta};
 use render::sampler::{Independent, Sampler};
