@@ -380,7 +380,7 @@ impl Standing {
 pub fn figure(fig: &mut Figure) -> Result {
     let effort = Effort {
         runs: fig.pick(8, 16),
-        spp: fig.pick(16, 64),
+        spp: fig.pick(32, 64),
     };
     fig.note("runs", effort.runs);
     fig.note("work per pixel and run", effort.spp);
