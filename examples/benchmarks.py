@@ -5,11 +5,17 @@
   examples/benchmarks.py                     every table that can be measured without other renderers
   examples/benchmarks.py passes samples      these tables
   examples/benchmarks.py figures             times of docs/figures.md, from out/*/manifest.json of earlier runs
-  examples/benchmarks.py peer                against Mitsuba 3 (pip install mitsuba numpy)
+  examples/benchmarks.py instructions --binaries target/portable/release
+                                             instructions of a sample, by valgrind, and by how much they have changed
+  examples/benchmarks.py mitsuba             against Mitsuba 3 (pip install mitsuba numpy)
 
 A table stands between `<!-- NAME -->` and `<!-- end NAME -->` and is replaced as a whole, with the date and the
 machine that it was measured on; what is not measured keeps its numbers. Commands that are compared run in turns, and
 a number is the median over the rounds. Leave the machine alone meanwhile.
+
+Instructions need a build that valgrind knows the instructions of. Their counts are those of any machine:
+
+  RUSTFLAGS="-C target-cpu=x86-64-v3" cargo build --release --target-dir target/portable --bin render --bin gradient
 """
 import argparse
 import datetime
@@ -90,6 +96,15 @@ def put(name, rows):
     print("\n".join([note, *rows]))
 
 
+def numbers_of(name):
+    """What the last column of a table of docs/benchmarks.md says of its rows."""
+    with open(os.path.join(ROOT, "docs", "benchmarks.md")) as file:
+        page = file.read()
+    found = page.split(f"<!-- {name} -->")[1].split(f"<!-- end {name} -->")[0]
+    rows = [line.strip("| ").split(" | ") for line in found.splitlines() if line.startswith("| ")]
+    return {row[0]: float(row[-1]) for row in rows if re.fullmatch(r"[0-9.]+", row[-1])}
+
+
 def tool(args, name):
     return os.path.join(args.binaries, name)
 
@@ -139,6 +154,36 @@ def samples(args):
     put("samples", table(["estimator, two roughnesses of the metal boxes", "time over that of `detached`"], rows))
 
 
+def refs(command):
+    """How many instructions a command takes."""
+    with tempfile.TemporaryDirectory() as folder:
+        out = os.path.join(folder, "out")
+        run(["valgrind", "--tool=cachegrind", "--cache-sim=no", f"--cachegrind-out-file={out}", *command])
+        with open(out) as file:
+            return next(int(l.split()[1]) for l in file if l.startswith("summary:"))
+
+
+def instructions(args):
+    """Instructions of a sample on one thread. What starting takes is left out: the difference of two runs."""
+    size, spp = 32, (4, 12)
+    rows = []
+    for name, scene, params in [("Cornell box, nine albedos", *CORNELL), ("metal boxes, two roughnesses", *BOXES)]:
+        with tempfile.TemporaryDirectory() as folder:
+            common = [scene, "-D", f"res={size}", "--threads", "1"]
+            image = [tool(args, "render"), *common, "-o", os.path.join(folder, "out.exr")]
+            gradient = [tool(args, "gradient"), *common, "--repeats", "2", "--json", os.path.join(folder, "out.json")]
+            gradient += [f"--param={key}" for key in params]
+            for what, passes, command in [("image", 1, image), ("image and gradient", 2, gradient)]:
+                few, many = (refs([*command, "--spp", str(n)]) for n in spp)
+                each = (many - few) / (size * size * (spp[1] - spp[0]) * passes)
+                rows.append([f"{name}, {what}", f"{each:.0f}"])
+    before = numbers_of("instructions")
+    for name, now in rows:
+        if name in before:
+            print(f"{name}: {float(now) / before[name]:.4f} of what the page says")
+    put("instructions", table(["with `mis`", "instructions of a sample"], rows))
+
+
 def recover(args):
     """The main job, from start to end."""
     rows = []
@@ -165,7 +210,7 @@ def automatic_differentiation(args):
     put("ad", table(["", "ns", "ratio", "largest ratio allowed"], rows))
 
 
-def peer(args):
+def mitsuba(args):
     """Images and gradients against Mitsuba 3, on the scenes of the repository."""
     script = os.path.join(ROOT, "examples", "mitsuba", "against_mitsuba.py")
     jobs = [
@@ -187,7 +232,7 @@ def peer(args):
         for found in report["ours"]:
             numbers = [f"{found[k]:.2g}" for k in ("variance", "time", "efficiency")]
             rows.append([name, f"`{found['arguments']}`" if found["arguments"] else "", *numbers])
-    put("peer", table(["", "options", "variance", "time", "efficiency"], rows))
+    put("mitsuba", table(["", "options", "variance", "time", "efficiency"], rows))
 
 
 def figures(args):
@@ -223,16 +268,21 @@ def figures(args):
 TABLES = {
     "passes": passes,
     "samples": samples,
+    "instructions": instructions,
     "recover": recover,
     "ad": automatic_differentiation,
-    "peer": peer,
+    "mitsuba": mitsuba,
     "figures": figures,
 }
 
 
+# Tables that need more than this repository as it is built.
+ASKED_FOR = ("instructions", "mitsuba", "figures")
+
+
 def main():
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    p.add_argument("tables", nargs="*", metavar="TABLE", help=f"of {', '.join(TABLES)} [default: all but peer and figures]")
+    p.add_argument("tables", nargs="*", metavar="TABLE", help=f"of {', '.join(TABLES)} [default: all but {', '.join(ASKED_FOR)}]")
     p.add_argument("--rounds", type=int, default=7, help="turns that commands take [default: 7]")
     p.add_argument("--spp", type=int, default=64, help="samples per pixel [default: 64]")
     p.add_argument("--res", type=int, default=256, help="side of images, in pixels [default: 256]")
@@ -245,7 +295,7 @@ def main():
         p.error(f"{unknown[0]}: expected one of {', '.join(TABLES)}")
     if args.rounds < 1:
         p.error("--rounds: expected at least one")
-    for name in args.tables or [t for t in TABLES if t not in ("peer", "figures")]:
+    for name in args.tables or [t for t in TABLES if t not in ASKED_FOR]:
         TABLES[name](args)
 
 

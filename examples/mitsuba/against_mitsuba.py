@@ -75,7 +75,7 @@ def depths(args):
     return {k: v for k, v in found.items() if k in ("max_depth", "rr_depth")}
 
 
-class Peer:
+class Mitsuba:
     """Mitsuba: gradients and images, timed until they are known."""
 
     def __init__(self, args):
@@ -163,14 +163,14 @@ def our_gradient(args, options, repeats, seed):
     return mean, variance, seconds
 
 
-def our_image(args, options, peer, seed):
+def our_image(args, options, mitsuba, seed):
     """Seconds and image of our `render`."""
     with tempfile.TemporaryDirectory() as folder:
         command, out = common(args, options, folder, seed)
         image = os.path.join(folder, "out.exr")
         run(command + ["-o", image], options)
         with open(out) as file:
-            return json.load(file)["seconds_render"], peer.read(image)
+            return json.load(file)["seconds_render"], mitsuba.read(image)
 
 
 class Images:
@@ -207,18 +207,18 @@ def pooled(rounds):
     return [(sum(m for m, _ in c) / n, sum(v for _, v in c) / n) for c in columns]
 
 
-def compare_images(args, options, peer, each):
-    peer.image(0)  # compiles
+def compare_images(args, options, mitsuba, each):
+    mitsuba.image(0)  # compiles
     theirs, mine, times = Images(), [Images() for _ in options], []
     for r in range(args.rounds):
         print(f"round {r + 1} of {args.rounds}", file=sys.stderr)
         seconds = [[] for _ in range(1 + len(options))]
         for seed in range(1 + r * each, 1 + (r + 1) * each):
-            taken, image = peer.image(seed)
+            taken, image = mitsuba.image(seed)
             theirs.add(image)
             seconds[0].append(taken)
             for i, option in enumerate(options):
-                taken, image = our_image(args, option, peer, 1_000_000 + seed)
+                taken, image = our_image(args, option, mitsuba, 1_000_000 + seed)
                 mine[i].add(image)
                 seconds[1 + i].append(taken)
         times.append([median(s) for s in seconds])
@@ -229,7 +229,7 @@ def compare_images(args, options, peer, each):
             "arguments": option,
             "variance": float((theirs.variance() / scale).mean() / (mine[i].variance() / scale).mean()),
             "time": median([t[0] / t[1 + i] for t in times]),
-            "largest_z": mine[i].largest_z(theirs, peer.np),
+            "largest_z": mine[i].largest_z(theirs, mitsuba.np),
         }
         found["efficiency"] = found["variance"] * found["time"]
         print(
@@ -239,17 +239,17 @@ def compare_images(args, options, peer, each):
         yield found
 
 
-def compare_gradients(args, options, peer, each):
+def compare_gradients(args, options, mitsuba, each):
     repeats = each * args.rounds
-    shape = peer.image(0)[1].shape
-    peer.gradient(0, shape)  # compiles
+    shape = mitsuba.image(0)[1].shape
+    mitsuba.gradient(0, shape)  # compiles
     theirs, mine, times = [], [[] for _ in options], []
     for r in range(args.rounds):
         print(f"round {r + 1} of {args.rounds}", file=sys.stderr)
         seeds = range(1 + r * each, 1 + (r + 1) * each)
-        passes = [peer.gradient(seed, shape) for seed in seeds]
-        images = [peer.image(seed)[0] for seed in seeds[:3]]
-        values = peer.np.array([g for _, g in passes])
+        passes = [mitsuba.gradient(seed, shape) for seed in seeds]
+        images = [mitsuba.image(seed)[0] for seed in seeds[:3]]
+        values = mitsuba.np.array([g for _, g in passes])
         theirs.append((values.mean(0).tolist(), values.var(0, ddof=1).tolist()))
         row = {"gradient": median([s for s, _ in passes]), "primal": median(images), "ours": []}
         for i, option in enumerate(options):
@@ -278,7 +278,7 @@ def compare_gradients(args, options, peer, each):
             "efficiency_with_pilots": total * paid,
             "largest_z": z,
             "our_gradient_over_our_primal": median([t["ours"][i]["gradient"] / t["ours"][i]["primal"] for t in times]),
-            "our_primal_over_peers": median([t["ours"][i]["primal"] / t["primal"] for t in times]),
+            "our_primal_over_mitsubas": median([t["ours"][i]["primal"] / t["primal"] for t in times]),
         }
         print(
             f"{option or '(defaults)':44} {total:9.2f} {geometric:8.2f} {speed:6.2f} {total * speed:10.2f} "
@@ -286,7 +286,7 @@ def compare_gradients(args, options, peer, each):
         )
         print(
             f"  our gradient takes {found['our_gradient_over_our_primal']:.2f} of our primal, which takes "
-            f"{found['our_primal_over_peers']:.2f} of Mitsuba's"
+            f"{found['our_primal_over_mitsubas']:.2f} of Mitsuba's"
         )
         yield found
 
@@ -294,10 +294,10 @@ def compare_gradients(args, options, peer, each):
 def main():
     args = parse()
     options = args.ours or [""]
-    peer = Peer(args)
+    mitsuba = Mitsuba(args)
     each = args.repeats // args.rounds
     compare = compare_gradients if args.param else compare_images
-    found = list(compare(args, options, peer, each))
+    found = list(compare(args, options, mitsuba, each))
     report = {"scene": args.scene, "params": args.param, "spp": args.spp, "passes": each * args.rounds, "ours": found}
     if args.json:
         with open(args.json, "w") as file:

@@ -27,11 +27,8 @@ use render::{RenderError, Scene, SceneError, Settings, image_io};
 use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-use crate::progress::Interrupt;
+use crate::progress::{INTERRUPTED, Interrupt};
 use crate::{complain, print};
-
-/// Exit code of a tool that was stopped by Ctrl-C and kept what was complete.
-pub const INTERRUPTED: u8 = 130;
 
 /// What a tool can fail with. The message names the thing.
 #[derive(Debug, thiserror::Error)]

@@ -8,6 +8,9 @@ use render::integrator::render::Progress;
 
 use crate::complain;
 
+/// Exit code of a tool that was stopped by Ctrl-C and kept what was complete.
+pub const INTERRUPTED: u8 = 130;
+
 /// Whether the user wants to stop. Clones share the answer.
 #[derive(Clone, Debug, Default)]
 pub struct Interrupt(Arc<State>);
@@ -32,7 +35,7 @@ impl Interrupt {
                 complain!("interrupted before the work began: nothing was written");
             }
             if again || !keeps {
-                std::process::exit(crate::cli::INTERRUPTED.into());
+                std::process::exit(INTERRUPTED.into());
             }
         };
         // Without a handler Ctrl-C ends the program as usual, which is no reason not to start.

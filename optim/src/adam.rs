@@ -360,7 +360,7 @@ impl<T: Scalar> Optimizer<T> for Adam<T> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::test_functions::{PEER_GRADIENTS, PEER_START, descend, quadratic, rosenbrock};
+    use crate::test_functions::{MITSUBA_GRADIENTS, MITSUBA_START, descend, quadratic, rosenbrock};
     use approx::assert_relative_eq;
 
     fn adam(len: usize, rate: f64, options: AdamOptions) -> Adam<f64> {
@@ -428,7 +428,7 @@ mod tests {
     /// Five steps of `drjit.opt.Adam` (Mitsuba 3.9.1, llvm, double precision; its factor of rate
     /// and bias correction is rounded to single precision).
     #[test]
-    fn agrees_with_the_peer() {
+    fn agrees_with_mitsuba() {
         let base = AdamOptions {
             epsilon: Epsilon::Absolute(1e-4),
             ..Default::default()
@@ -456,8 +456,8 @@ mod tests {
             ),
         ] {
             let mut optimizer = adam(3, 0.05, options);
-            let mut p = PEER_START;
-            for g in PEER_GRADIENTS {
+            let mut p = MITSUBA_START;
+            for g in MITSUBA_GRADIENTS {
                 optimizer.step(&mut p, &g).unwrap();
             }
             for (p, e) in p.iter().zip(expected) {

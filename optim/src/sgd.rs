@@ -165,7 +165,7 @@ impl<T: Scalar> Optimizer<T> for Sgd<T> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::test_functions::{PEER_GRADIENTS, PEER_START, descend, quadratic, rosenbrock};
+    use crate::test_functions::{MITSUBA_GRADIENTS, MITSUBA_START, descend, quadratic, rosenbrock};
     use approx::assert_relative_eq;
 
     fn sgd(momentum: f64, nesterov: bool, mask_updates: bool, len: usize, rate: f64) -> Sgd<f64> {
@@ -197,7 +197,7 @@ mod tests {
 
     /// Five steps of `drjit.opt.SGD` (Mitsuba 3.9.1, double precision).
     #[test]
-    fn agrees_with_the_peer() {
+    fn agrees_with_mitsuba() {
         for (mut optimizer, expected) in [
             (sgd(0.0, false, false, 3, 0.05), [0.1625, -0.73125, 0.95]),
             (
@@ -213,8 +213,8 @@ mod tests {
                 [0.014675, -0.749475, 0.62861],
             ),
         ] {
-            let mut p = PEER_START;
-            for g in PEER_GRADIENTS {
+            let mut p = MITSUBA_START;
+            for g in MITSUBA_GRADIENTS {
                 optimizer.step(&mut p, &g).unwrap();
             }
             for (p, e) in p.iter().zip(expected) {

@@ -1,12 +1,12 @@
-//! Objectives with known minima, and the inputs of the comparison with the peer.
+//! Objectives with known minima, and the inputs of the comparison with Mitsuba 3.
 
 use crate::{Optimizer, Scalar};
 
 /// The start of the reference trajectories.
-pub const PEER_START: [f64; 3] = [0.3, -0.7, 1.1];
+pub const MITSUBA_START: [f64; 3] = [0.3, -0.7, 1.1];
 
 /// The gradients of the reference trajectories.
-pub const PEER_GRADIENTS: [[f64; 3]; 5] = [
+pub const MITSUBA_GRADIENTS: [[f64; 3]; 5] = [
     [1.0, -2.0, 0.5],
     [0.0, 3.0, -0.25],
     [-0.75, 0.125, 4.0],

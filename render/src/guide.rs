@@ -43,11 +43,11 @@ pub(crate) struct Arrival {
 #[derive(Clone, Debug)]
 pub struct Guide {
     /// The first one is the whole of space.
-    parts: Vec<Part>,
+    parts: Vec<Node>,
 }
 
 #[derive(Clone, Debug)]
-enum Part {
+enum Node {
     /// Cut across an axis at a coordinate: the parts below and above.
     Cut(usize, f32, [u32; 2]),
     Directions(Directions),
@@ -65,15 +65,15 @@ impl Guide {
     /// Adds the part of space of these arrivals; returns its index.
     fn grow(&mut self, arrivals: &mut [Arrival], part: usize) -> u32 {
         let index = self.parts.len();
-        self.parts.push(Part::Directions(Directions::default()));
+        self.parts.push(Node::Directions(Directions::default()));
         self.parts[index] = match cut(arrivals) {
             Some((axis, at)) if arrivals.len() >= 2 * part => {
                 arrivals.sort_by_key(|a| a.p[axis] >= at);
                 let below = arrivals.partition_point(|a| a.p[axis] < at);
                 let (below, above) = arrivals.split_at_mut(below);
-                Part::Cut(axis, at, [self.grow(below, part), self.grow(above, part)])
+                Node::Cut(axis, at, [self.grow(below, part), self.grow(above, part)])
             }
-            _ => Part::Directions(Directions::new(arrivals)),
+            _ => Node::Directions(Directions::new(arrivals)),
         };
         index as u32
     }
@@ -83,7 +83,7 @@ impl Guide {
     pub(crate) fn part_at<P: Float>(&self, p: Vec3<P>) -> u32 {
         let p = [p.x.to_f32(), p.y.to_f32(), p.z.to_f32()];
         let mut index = 0;
-        while let Part::Cut(axis, at, sides) = &self.parts[index as usize] {
+        while let Node::Cut(axis, at, sides) = &self.parts[index as usize] {
             index = sides[usize::from(p[*axis] >= *at)];
         }
         index
@@ -93,8 +93,8 @@ impl Guide {
     #[inline(always)]
     pub(crate) fn directions(&self, part: u32) -> Option<&Directions> {
         match &self.parts[part as usize] {
-            Part::Cut(..) => None,
-            Part::Directions(directions) => Some(directions),
+            Node::Cut(..) => None,
+            Node::Directions(directions) => Some(directions),
         }
     }
 

@@ -214,10 +214,12 @@ fn asset(path: &Path, expected: impl Into<String>, found: impl Into<String>) -> 
 
 fn check_size(width: usize, height: usize) -> Result<(), Mismatch> {
     let sides = 1..=MAX_SIDE;
-    let expected = match sides.contains(&width) && sides.contains(&height) {
-        true if width * height <= MAX_PIXELS => return Ok(()),
-        true => format!("at most {MAX_PIXELS} pixels"),
-        false => format!("from 1 to {MAX_SIDE} rows and columns"),
+    let expected = if !sides.contains(&width) || !sides.contains(&height) {
+        format!("from 1 to {MAX_SIDE} rows and columns")
+    } else if width * height > MAX_PIXELS {
+        format!("at most {MAX_PIXELS} pixels")
+    } else {
+        return Ok(());
     };
     Err(mismatch(expected, format!("{width} x {height}")))
 }

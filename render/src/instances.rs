@@ -523,7 +523,7 @@ macro_rules! estimators {
                 }
             }
 
-            /// Work of a sample of derivatives in these parameters, in edges: see [`tally`].
+            /// Work of a sample of derivatives in these parameters, in edges: see [`count_work`].
             pub(crate) fn work(
                 self,
                 scene: &Scene,

@@ -75,6 +75,65 @@ impl Purpose {
     }
 }
 
+/// Who draws random numbers beside the paths of a pass, at the same seed. Each has numbers of its own, so that estimates
+/// that are added, compared or decided by are independent.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Family {
+    /// Particles from the lights.
+    Particles,
+    /// Manifold connections, and the paths that they end.
+    Connections,
+    /// Glints.
+    Glints,
+    /// Edges that hide light from a vertex.
+    EdgesAtVertices,
+    /// Edges on the film.
+    EdgesOnFilm,
+    /// Edges before lights.
+    EdgesBeforeLights,
+    /// Auxiliary rays around scattered directions, and around rays of the camera.
+    FieldsOfScattering,
+    /// Auxiliary rays around directions to sampled lights.
+    FieldsOfLights,
+    /// Paths and auxiliary rays at the borders of pixels.
+    PixelBorders,
+    /// Short passes that decide on the ones that follow, whose seed may be the same.
+    Pilots,
+}
+
+impl Family {
+    /// All of them.
+    #[cfg(test)]
+    const ALL: [Self; 10] = [
+        Self::Particles,
+        Self::Connections,
+        Self::Glints,
+        Self::EdgesAtVertices,
+        Self::EdgesOnFilm,
+        Self::EdgesBeforeLights,
+        Self::FieldsOfScattering,
+        Self::FieldsOfLights,
+        Self::PixelBorders,
+        Self::Pilots,
+    ];
+
+    /// Its seed in a pass with this one.
+    pub const fn seed(self, pass: u64) -> u64 {
+        pass ^ match self {
+            Self::Particles => 0x6c69_6768_7421_0001,
+            Self::Connections => 0x6d61_6e69_666f_6c64,
+            Self::Glints => 0x676c_696e_7473_2121,
+            Self::EdgesAtVertices => 0x6a09_e667_f3bc_c908,
+            Self::EdgesOnFilm => 0xbb67_ae85_84ca_a73b,
+            Self::EdgesBeforeLights => 0x3c6e_f372_fe94_f82b,
+            Self::FieldsOfScattering => 0xa54f_f53a_5f1d_36f1,
+            Self::FieldsOfLights => 0x510e_527f_ade6_82d1,
+            Self::PixelBorders => 0x9b05_688c_2b3e_6c1f,
+            Self::Pilots => 0x7069_6c6f_7473,
+        }
+    }
+}
+
 /// How the samples of a pixel are spread.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Points {
@@ -400,6 +459,18 @@ mod tests {
             taken.sort_unstable();
             assert!(taken.windows(2).all(|w| w[0].0 + w[0].1 <= w[1].0));
         }
+    }
+
+    /// No two families share a seed, nor do those of a pass and of a pilot for it.
+    #[test]
+    fn families_have_seeds_of_their_own() {
+        let of = |pass: u64| Family::ALL.map(|f| f.seed(pass)).into_iter().chain([pass]);
+        let mut seeds: Vec<u64> = of(7).chain(of(Family::Pilots.seed(7))).collect();
+        let all = seeds.len();
+        seeds.sort_unstable();
+        seeds.dedup();
+        // A pilot of a pilot is the pass, and the pilot stands in both lists.
+        assert_eq!(seeds.len(), all - 2);
     }
 
     /// The table holds the sequence: the exclusive or of its halves is what the crate says.

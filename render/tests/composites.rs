@@ -644,7 +644,7 @@ fn encode(n: [f64; 3]) -> [f32; 3] {
 }
 
 #[test]
-fn normal_maps_agree_with_the_peer() {
+fn normal_maps_agree_with_mitsuba() {
     // Mitsuba 3.9.1, `eval` of a diffuse surface with reflectances 0.5, 0.6, 0.7: its wi and wo, and the red
     // value without corrections, with shadowing, with flipped normals, with both.
     let wide = [0.5, 0.2, 0.8];

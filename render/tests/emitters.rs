@@ -371,7 +371,7 @@ fn lookup(image: &Image, d: Vec3<f64>) -> [f64; 3] {
 }
 
 #[test]
-fn maps_are_looked_up_as_by_the_peer() {
+fn maps_are_looked_up_as_by_mitsuba() {
     let image = noise(6, 5, 1);
     let scene = scene(|b, _| {
         let t = Transform::IDENTITY;

@@ -110,7 +110,7 @@ fn what_is_written_is_what_was_read() {
     again.save(&twice).expect("a file");
     let read = |path: &Path| std::fs::read_to_string(path).expect("a text");
     assert_eq!(read(&twice), read(&to));
-    // The peer takes this version without its upgrade.
+    // Mitsuba 3 takes this version without its upgrade.
     assert!(read(&to).starts_with("<scene version=\"3.0.0\">"));
 }
 

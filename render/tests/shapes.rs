@@ -888,7 +888,7 @@ fn assert_near(a: Vec3<f64>, b: [f64; 3]) {
 
 /// Surface coordinates of Mitsuba 3.9.
 #[test]
-fn surface_coordinates_are_those_of_the_peer() {
+fn surface_coordinates_are_those_of_mitsuba() {
     let sphere: AnyShape = Sphere::new([0.0; 3], 2.0, false).unwrap().into();
     let si = interact(&sphere, [3.0, 3.0, 0.0], [-1.0, -1.0, 0.0]);
     assert!((si.uv.x - 0.125).abs() < 1e-6 && (si.uv.y - 0.5).abs() < 1e-6);
@@ -1110,7 +1110,7 @@ fn devices_are_no_obj_files() {
 }
 
 #[test]
-fn obj_normals_and_coordinates_are_those_of_the_peer() {
+fn obj_normals_and_coordinates_are_those_of_mitsuba() {
     let text = format!(
         "{QUAD}vt 0.25 0.1\nvt 1 0\nvn 0 0.6 0.8\nvn 0 0 2\nf 1/1/1 2/2/2 3/2/2\nf 1/2/2 3/2/2 4/1/2\n"
     );

@@ -1,5 +1,6 @@
 //! Rules of the house that the compiler cannot check.
 
+use std::collections::BTreeSet;
 use std::path::Path;
 
 /// Derivative policy lives in `estimator/`: materials, emitters and shapes never detach anything.
@@ -40,6 +41,39 @@ fn tools_print_without_panics() {
         }
     }
     assert!(read > 100, "only {read} files found");
+}
+
+/// Functions that fit a look: as rustfmt lays them out, one ends with a brace below its first line.
+#[test]
+fn functions_are_short() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+    let mut found = 0;
+    for part in ["ad-core/src", "render/src", "optim/src", "examples/src"] {
+        for file in sources(&root.join(part)) {
+            let text = std::fs::read_to_string(root.join(part).join(&file)).expect("source text");
+            let lines: Vec<&str> = text.lines().collect();
+            for (i, line) in lines.iter().enumerate() {
+                let start = line.trim_start();
+                let words = start.split(['(', ' ']);
+                let qualifiers = ["pub", "const", "unsafe", "crate)", "super)", "in"];
+                let is = |w: &&str| !qualifiers.contains(w) && !w.contains("::");
+                if words.clone().find(is) != Some("fn") {
+                    continue;
+                }
+                let indent = &line[..line.len() - start.len()];
+                let header = lines[i..].iter().position(|l| l.ends_with(['{', ';', '}']));
+                let Some(header) = header.filter(|&n| lines[i + n].ends_with('{')) else {
+                    continue;
+                };
+                let end = format!("{indent}}}");
+                let rest = lines[i + header..].iter().position(|l| *l == end);
+                let length = header + rest.expect("an end") + 1;
+                assert!(length <= 150, "{part}/{file}: {start} has {length} lines");
+                found += 1;
+            }
+        }
+    }
+    assert!(found > 3000, "only {found} functions found");
 }
 
 /// Modules of `render`, lowest first: each may use those before it, and nothing after it.
@@ -207,6 +241,25 @@ fn uses(folder: &Path, prefix: &str) -> Vec<(String, String)> {
     uses
 }
 
+/// Folders whose files form circles: what all members of a list share, and the list that names them.
+const LISTS: &[&str] = &["bsdf", "manifold", "shape"];
+
+/// The files of `folder` that use each other in a circle, if any do.
+fn circle(folder: &Path, prefix: &str) -> Option<Vec<String>> {
+    let mut left: Vec<(String, String)> = uses(folder, prefix);
+    let files: BTreeSet<String> = left.iter().map(|(user, _)| user.clone()).collect();
+    left.retain(|(user, used)| user != used && files.contains(used));
+    // Whoever uses nobody that is left is in no circle.
+    loop {
+        let users: BTreeSet<String> = left.iter().map(|(user, _)| user.clone()).collect();
+        let before = left.len();
+        left.retain(|(_, used)| users.contains(used));
+        if left.len() == before {
+            return (!users.is_empty()).then(|| users.into_iter().collect());
+        }
+    }
+}
+
 fn assert_layers(folder: &Path, prefix: &str, layers: &[&str]) {
     let place = |name: &str| layers.iter().position(|l| *l == name);
     let mut seen = 0;
@@ -223,6 +276,43 @@ fn assert_layers(folder: &Path, prefix: &str, layers: &[&str]) {
         seen += usize::from(below < above);
     }
     assert!(seen > layers.len(), "only {seen} uses found");
+}
+
+/// Nor are there circles between the files of one folder.
+#[test]
+fn files_use_each_other_one_way() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+    let mut folders = vec![(root.join("examples/src"), "crate::".to_owned())];
+    let render = root.join("render/src");
+    let mut below = vec![render.clone()];
+    while let Some(folder) = below.pop() {
+        for entry in std::fs::read_dir(&folder).expect("a folder") {
+            let path = entry.expect("an entry").path();
+            if path.is_dir() {
+                below.push(path);
+            }
+        }
+        let relative = folder
+            .strip_prefix(&render)
+            .expect("a path below the folder");
+        let relative = relative.to_string_lossy().replace('\\', "/");
+        if LISTS.contains(&relative.as_str()) {
+            assert!(circle(&folder, &format!("crate::{relative}::")).is_some());
+            continue;
+        }
+        let path = relative.split('/').filter(|p| !p.is_empty());
+        let path: String = path.map(|p| format!("{p}::")).collect();
+        folders.push((folder, format!("crate::{path}")));
+    }
+    assert!(folders.len() > 20, "only {} folders found", folders.len());
+    for (folder, prefix) in folders {
+        let found = circle(&folder, &prefix);
+        assert!(
+            found.is_none(),
+            "{}: {found:?} use each other",
+            folder.display()
+        );
+    }
 }
 
 /// There are no circles between modules: what a plugin needs to read itself lies below all plugins, the scene above

@@ -54,9 +54,12 @@ fn obj(data: &MeshData) -> String {
     text.extend(data.uvs.iter().map(|v| format!("vt {} {}\n", v[0], v[1])));
     text.extend(data.normals.iter().map(|v| three("vn", v)));
     for t in &data.triangles {
-        let corner = |i: u32| match data.normals.is_empty() {
-            true => format!("{0}/{0}", i + 1),
-            false => format!("{0}/{0}/{0}", i + 1),
+        let corner = |i: u32| {
+            if data.normals.is_empty() {
+                format!("{0}/{0}", i + 1)
+            } else {
+                format!("{0}/{0}/{0}", i + 1)
+            }
         };
         let [a, b, c] = t.map(corner);
         writeln!(text, "f {a} {b} {c}").expect("a string");
@@ -98,9 +101,10 @@ fn placed(mesh: &Mesh, maps: &[Transform], copies: bool) -> Scene {
     build.add_shape("floor", Rectangle(floor.expect("an area")), grey);
     for (i, map) in maps.iter().enumerate() {
         let instance = Instance::new(mesh.clone(), *map).expect("in reach");
-        let shape = match copies {
-            true => AnyShape::from(instance.copied()),
-            false => instance.into(),
+        let shape = if copies {
+            AnyShape::from(instance.copied())
+        } else {
+            instance.into()
         };
         build.add_shape(&format!("it{i}"), shape, grey);
     }

@@ -21,7 +21,7 @@ const SIZE: usize = 32;
 const BLOCK: usize = 4;
 
 /// Means of blocks, for each run of each scene: a list of lists of lists.
-const PEER: &str = r#"
+const MITSUBA: &str = r#"
 import json, sys
 import numpy as np
 import mitsuba as mi
@@ -318,7 +318,7 @@ fn blocks(scene: &Scene, seed: u64) -> Vec<f64> {
 }
 
 /// What Mitsuba makes of these files; `None` where it is not there.
-fn peer(files: &[std::path::PathBuf]) -> Option<Vec<Vec<Vec<f64>>>> {
+fn by_mitsuba(files: &[std::path::PathBuf]) -> Option<Vec<Vec<Vec<f64>>>> {
     let python = std::env::var_os("RENDER_PYTHON").unwrap_or_else(|| "python3".into());
     let found = Command::new(&python)
         .args(["-c", "import mitsuba, numpy"])
@@ -328,7 +328,7 @@ fn peer(files: &[std::path::PathBuf]) -> Option<Vec<Vec<Vec<f64>>>> {
         return None;
     }
     let output = Command::new(&python)
-        .args(["-c", PEER, &RUNS.to_string()])
+        .args(["-c", MITSUBA, &RUNS.to_string()])
         .args(files)
         .output()
         .expect("it ran before");
@@ -366,7 +366,9 @@ fn plugins_look_as_in_mitsuba() {
             path
         })
         .collect();
-    let Some(theirs) = peer(&files) else { return };
+    let Some(theirs) = by_mitsuba(&files) else {
+        return;
+    };
     let count = (SIZE / BLOCK) * (SIZE / BLOCK) * 3;
     let limit = z_limit(count * scenes.len(), RUNS, 1e-3);
     let mut wrong = Vec::new();

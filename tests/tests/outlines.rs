@@ -359,11 +359,11 @@ fn tessellation_changes_nothing() {
     agrees("two hundred", &found[2], &found[0], 0.0, 8);
 }
 
-/// The cube and the lamp of the peer, of which differences are known [`shared/peer`]: its own edges have the wrong sign
+/// The cube and the lamp of Mitsuba 3, of which differences are known [`shared/peer`]: its own edges have the wrong sign
 /// there. 8 runs of 64 samples of 128 x 128 pixels.
 #[test]
 #[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
-fn a_cube_and_its_shadow_are_those_of_the_peer() {
+fn a_cube_and_its_shadow_are_those_of_mitsuba() {
     let Some(shared) = shared_dir() else { return };
     let path = shared.join("peer/scenes/shadow-translate.xml");
     if !path.exists() {

@@ -6,16 +6,15 @@
 //! continues bit for bit.
 
 use std::collections::BTreeMap;
-use std::fmt::{Display, Write as _};
+use std::fmt::Display;
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use clap::Parser;
-use clap::builder::{OsStringValueParser, PossibleValuesParser, TypedValueParser};
 use optim::{
     AnyOptimizer, Coarse, Constrained, Diffusion, GaussNewton, Group, Groups, LossKind, Optimizer,
-    Parameterisation, PixelLoss, Rates, Schedule,
+    Parameterisation, Rates, Schedule,
 };
 use render::instances::Estimator;
 use render::integrator::gradient::Active;
@@ -24,23 +23,27 @@ use render::integrator::second_order::MAX_VALUES;
 use render::params::ParamShape;
 use render::sampler::mix64;
 use render::{Image, RenderError, Scene, Settings, image_io};
-use serde::de::Error as _;
-use serde::{Deserialize, Deserializer, Serialize, Serializer};
+use serde::{Deserialize, Serialize};
 
+mod file_path;
+mod job;
+mod results;
 mod store;
 
-use self::store::{FilePath, Inputs, Store};
+use self::file_path::FilePath;
+use self::job::{Job, Unknown, loss_name, optimizer_name, target_argument};
+pub use self::job::{OptimizerArg, TargetArg};
+use self::store::{Inputs, Store};
 use super::render::{Method, in_passes, passes};
 use crate::builtin_scene;
-use crate::chart::LineChart;
 use crate::cli::{
-    self, ListArgs, LoadArgs, Outcome, SAMPLE_COUNTS, SampleArgs, ThreadArgs, ToolError, depth,
-    names_of, report_non_finite, sample_count,
+    ListArgs, LoadArgs, Outcome, SampleArgs, ThreadArgs, ToolError, depth, names_of,
+    report_non_finite, sample_count,
 };
+use crate::complain;
 use crate::optimise::{Algorithm, Problem, Target};
 use crate::output;
 use crate::progress::{Bar, Interrupt};
-use crate::{complain, say};
 
 /// Values of `--iterations`.
 const ITERATIONS: RangeInclusive<i64> = 1..=1 << 24;
@@ -131,391 +134,6 @@ pub struct Args {
     /// What there is
     #[command(flatten)]
     pub list_estimators: ListArgs,
-}
-
-/// `--target`.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct TargetArg {
-    /// The sensor's name or number; `None`: the one that is looked through.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    sensor: Option<String>,
-    image: FilePath,
-}
-
-/// A name before the first `=` is a sensor's, unless it has a folder: `./a=b.exr` is a file.
-fn target_argument() -> impl TypedValueParser<Value = TargetArg> {
-    OsStringValueParser::new().try_map(|text| {
-        let (sensor, image) = match text.to_str().and_then(|text| text.split_once('=')) {
-            Some((sensor, image)) if !sensor.contains(['/', '\\']) => {
-                (Some(sensor.to_owned()), PathBuf::from(image))
-            }
-            _ => (None, PathBuf::from(&text)),
-        };
-        if image.as_os_str().is_empty() || sensor.as_ref().is_some_and(String::is_empty) {
-            let found = text.display();
-            return Err(format!("expected IMG.EXR or SENSOR=IMG.EXR, found {found}"));
-        }
-        Ok(TargetArg {
-            sensor,
-            image: FilePath(image),
-        })
-    })
-}
-
-/// `--optimizer`, in files by name.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum OptimizerArg {
-    /// One of [`AnyOptimizer`], by name.
-    FirstOrder(&'static str),
-    /// Damped Gauss-Newton steps, for up to 1024 unknown values.
-    GaussNewton,
-}
-
-impl OptimizerArg {
-    const ADAM: Self = Self::FirstOrder("adam");
-
-    fn all() -> impl Iterator<Item = Self> {
-        let first_order = AnyOptimizer::<f32>::NAMES.map(Self::FirstOrder);
-        first_order.into_iter().chain([Self::GaussNewton])
-    }
-
-    fn name(self) -> &'static str {
-        match self {
-            Self::FirstOrder(name) => name,
-            Self::GaussNewton => "gauss-newton",
-        }
-    }
-
-    fn usual_rate(self) -> f64 {
-        match self {
-            Self::FirstOrder(name) => AnyOptimizer::<f32>::usual_rate(name).unwrap_or(1.0),
-            Self::GaussNewton => 1.0,
-        }
-    }
-}
-
-impl TryFrom<String> for OptimizerArg {
-    type Error = String;
-    fn try_from(text: String) -> Result<Self, String> {
-        Self::all().find(|o| o.name() == text).ok_or_else(|| {
-            let known: Vec<_> = Self::all().map(Self::name).collect();
-            format!("expected one of {}, found {text}", known.join(", "))
-        })
-    }
-}
-
-impl Serialize for OptimizerArg {
-    fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
-        to.serialize_str(self.name())
-    }
-}
-
-impl<'de> Deserialize<'de> for OptimizerArg {
-    fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
-        Self::try_from(String::deserialize(from)?).map_err(D::Error::custom)
-    }
-}
-
-/// Shown by `--help` with all names.
-fn optimizer_name() -> impl TypedValueParser<Value = OptimizerArg> {
-    let names = OptimizerArg::all().map(OptimizerArg::name);
-    PossibleValuesParser::new(names).try_map(OptimizerArg::try_from)
-}
-
-fn loss_name(text: &str) -> Result<String, String> {
-    match text.parse::<LossKind>() {
-        Ok(_) => Ok(text.to_owned()),
-        Err(e) => Err(e.to_string()),
-    }
-}
-
-/// A `--param`, taken apart.
-#[derive(Clone, Debug, PartialEq)]
-struct Unknown {
-    key: String,
-    lr: Option<f64>,
-    smooth: Option<f64>,
-    coarse: Option<usize>,
-}
-
-impl std::str::FromStr for Unknown {
-    type Err = String;
-    fn from_str(text: &str) -> Result<Self, String> {
-        let options = text.rsplit_once(':').filter(|(_, o)| o.contains('='));
-        let (key, options) = options.map_or((text, ""), |(key, options)| (key, options));
-        let mut found = Self {
-            key: key.to_owned(),
-            lr: None,
-            smooth: None,
-            coarse: None,
-        };
-        for option in options.split(',').filter(|o| !o.is_empty()) {
-            let (name, value) = option.split_once('=').unwrap_or((option, ""));
-            let number = value
-                .parse::<f64>()
-                .ok()
-                .filter(|x| x.is_finite() && *x > 0.0);
-            let side = value.parse::<usize>().ok().filter(|n| *n > 0);
-            match (name, number, side) {
-                ("lr", Some(_), _) => found.lr = number,
-                ("smooth", Some(_), _) => found.smooth = number,
-                ("coarse", _, Some(_)) => found.coarse = side,
-                ("lr" | "smooth" | "coarse", ..) => {
-                    return Err(format!(
-                        "{key}: expected a positive number for {name}, found {value}"
-                    ));
-                }
-                _ => {
-                    return Err(format!(
-                        "{key}: expected lr, smooth or coarse, found {option}"
-                    ));
-                }
-            }
-        }
-        Ok(found)
-    }
-}
-
-/// Everything that the numbers of a run depend on.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-struct Job {
-    scene: Option<FilePath>,
-    targets: Vec<TargetArg>,
-    params: Vec<String>,
-    defines: Vec<(String, String)>,
-    allow_missing: bool,
-    #[serde(default)]
-    sensor: Option<String>,
-    #[serde(default)]
-    values: Vec<(String, String)>,
-    optimizer: OptimizerArg,
-    iterations: u32,
-    #[serde(with = "optim::exact::number")]
-    lr: f64,
-    spp: u32,
-    max_depth: Option<u32>,
-    samples: SampleArgs,
-    estimator: String,
-    loss: String,
-    seed: u64,
-    size: u32,
-}
-
-impl Job {
-    fn new(args: &Args) -> Result<Self, ToolError> {
-        let optimizer = args.optimizer.unwrap_or(OptimizerArg::ADAM);
-        let mut params = args.params.clone();
-        if args.scene.is_none() && params.is_empty() {
-            let unknowns = builtin_scene::cornell_unknowns();
-            params = unknowns.iter().map(|u| u.name.to_owned()).collect();
-        }
-        let loss = args.loss.clone().unwrap_or_else(|| "relative-l2".into());
-        let estimator = args.estimator.unwrap_or(Estimator::Mis);
-        let spp = args.spp.unwrap_or(match optimizer {
-            OptimizerArg::FirstOrder(_) => 12,
-            OptimizerArg::GaussNewton => 48,
-        });
-        let job = Self {
-            scene: args.scene.clone().map(FilePath),
-            targets: args.targets.clone(),
-            params,
-            defines: args.load.defines.clone(),
-            allow_missing: args.load.allow_missing,
-            sensor: args.load.sensor.clone(),
-            values: args.load.values.clone(),
-            optimizer,
-            iterations: args.iterations.unwrap_or(match optimizer {
-                OptimizerArg::FirstOrder(_) => 400,
-                OptimizerArg::GaussNewton => 24,
-            }),
-            lr: args.lr.unwrap_or(optimizer.usual_rate()),
-            spp,
-            max_depth: args.max_depth,
-            samples: args.samples.filled(),
-            estimator: estimator.name().to_owned(),
-            loss,
-            seed: args.seed.unwrap_or(0),
-            size: args.size.unwrap_or(96),
-        };
-        job.check()
-            .map_err(|wrong| ToolError::Usage(format!("{}: {}", wrong.option, wrong.message)))?;
-        Ok(job)
-    }
-
-    /// Whether it could come from a command line.
-    fn check(&self) -> Result<(), Wrong> {
-        let wrong = |option, key, message: String| {
-            Err(Wrong {
-                option,
-                key,
-                message,
-            })
-        };
-        let within = |option, key, range: &RangeInclusive<i64>, found: u32| {
-            if range.contains(&found.into()) {
-                return Ok(());
-            }
-            let (lo, hi) = (range.start(), range.end());
-            wrong(
-                option,
-                key,
-                format!("expected a number from {lo} to {hi}, found {found}"),
-            )
-        };
-        if self.scene.is_some() && self.targets.is_empty() {
-            let message = "expected an image of the scene, found none";
-            return wrong("--target", "targets", message.into());
-        }
-        if self.params.is_empty() {
-            let message = "expected the key of an unknown parameter, found none; `gradient SCENE --list` \
-                           prints all";
-            return wrong("--param", "params", message.into());
-        }
-        if let Err(e) = self.unknowns() {
-            return wrong("--param", "params", e);
-        }
-        within("--iterations", "iterations", &ITERATIONS, self.iterations)?;
-        within("--spp", "spp", &SAMPLE_COUNTS, self.spp)?;
-        within("--size", "size", &SIZES, self.size)?;
-        if !(self.lr > 0.0 && self.lr.is_finite()) {
-            let message = format!("expected a positive finite rate, found {}", self.lr);
-            return wrong("--lr", "lr", message);
-        }
-        if self.samples.pixels_per_particle == Some(0) {
-            let message = "expected at least 1, found 0";
-            return wrong(
-                "--pixels-per-particle",
-                "samples.pixels_per_particle",
-                message.into(),
-            );
-        }
-        if let Err(e) = Estimator::from_name(&self.estimator) {
-            return wrong("--estimator", "estimator", e.to_string());
-        }
-        let loss = match self.loss.parse::<LossKind>() {
-            Ok(loss) => loss,
-            Err(e) => return wrong("--loss", "loss", e.to_string()),
-        };
-        if self.optimizer != OptimizerArg::GaussNewton {
-            return Ok(());
-        }
-        let edges = self.estimator == Estimator::Edges.name();
-        if !edges && !cli::can(&self.estimator, |c| c.modes.second_order) {
-            let message = format!(
-                "expected {}, or {} for what moves, for gauss-newton, which has no other, found {}",
-                Estimator::SECOND_ORDER.name(),
-                Estimator::Edges.name(),
-                self.estimator
-            );
-            return wrong("--estimator", "estimator", message);
-        }
-        if loss.dd_pixel(1.0, 1.0) == 0.0 {
-            let message = format!(
-                "expected l2, relative-l2 or log-l2 for gauss-newton, found {}, which has no curvature",
-                self.loss
-            );
-            return wrong("--loss", "loss", message);
-        }
-        if self.spp < 2 {
-            let message = format!(
-                "expected at least 2 samples per pixel for gauss-newton, found {}",
-                self.spp
-            );
-            return wrong("--spp", "spp", message);
-        }
-        Ok(())
-    }
-
-    /// The unknowns, taken apart.
-    fn unknowns(&self) -> Result<Vec<Unknown>, String> {
-        self.params.iter().map(|text| text.parse()).collect()
-    }
-
-    /// Their keys.
-    fn keys(&self) -> Result<Vec<String>, ToolError> {
-        let unknowns = self.unknowns();
-        let unknowns = unknowns.map_err(|e| ToolError::Usage(format!("--param: {e}")))?;
-        Ok(unknowns.into_iter().map(|u| u.key).collect())
-    }
-
-    /// How many of the first `iteration` steps end in the last quarter of the run, whose values are averaged.
-    /// Gauss-Newton steps average by themselves.
-    fn tail(&self, iteration: u32) -> u32 {
-        match self.optimizer {
-            OptimizerArg::FirstOrder(_) => {
-                iteration.saturating_sub(self.iterations - self.iterations / 4)
-            }
-            OptimizerArg::GaussNewton => 0,
-        }
-    }
-
-    /// An error if the arguments ask for another job than this one, which is being resumed.
-    fn require_same(&self, args: &Args) -> Result<(), ToolError> {
-        fn same<T: PartialEq>(
-            what: &str,
-            given: Option<T>,
-            job: T,
-            show: impl Fn(&T) -> String,
-        ) -> Result<(), ToolError> {
-            match given {
-                Some(given) if given != job => Err(ToolError::Usage(format!(
-                    "{what}: expected {} as in the checkpoint, found {}; leave it out to resume",
-                    show(&job),
-                    show(&given)
-                ))),
-                _ => Ok(()),
-            }
-        }
-        fn text<T: Display>(x: &T) -> String {
-            x.to_string()
-        }
-        fn debug<T: std::fmt::Debug>(x: &T) -> String {
-            format!("{x:?}")
-        }
-        fn some<T: Clone>(list: &[T]) -> Option<Vec<T>> {
-            (!list.is_empty()).then(|| list.to_vec())
-        }
-        same(
-            "SCENE",
-            args.scene.clone().map(|path| Some(FilePath(path))),
-            self.scene.clone(),
-            debug,
-        )?;
-        same("--target", some(&args.targets), self.targets.clone(), debug)?;
-        same("--param", some(&args.params), self.params.clone(), debug)?;
-        same("-D", some(&args.load.defines), self.defines.clone(), debug)?;
-        same("--optimizer", args.optimizer, self.optimizer, |o| {
-            o.name().to_owned()
-        })?;
-        same("--iterations", args.iterations, self.iterations, text)?;
-        same("--lr", args.lr, self.lr, text)?;
-        same("--spp", args.spp, self.spp, text)?;
-        same(
-            "--max-depth",
-            args.max_depth.map(Some),
-            self.max_depth,
-            debug,
-        )?;
-        let (given, job) = (args.samples, self.samples);
-        same("--sampler", given.sampler.map(Some), job.sampler, debug)?;
-        same("--lights", given.lights.map(Some), job.lights, debug)?;
-        same("--caustics", given.caustics.map(Some), job.caustics, debug)?;
-        let (shared, by) = (given.pixels_per_particle, job.pixels_per_particle);
-        same("--pixels-per-particle", shared.map(Some), by, debug)?;
-        same("--guide", given.guide.then_some(true), job.guide, text)?;
-        let given = args.estimator.map(|e| e.name().to_owned());
-        same("--estimator", given, self.estimator.clone(), text)?;
-        same("--loss", args.loss.clone(), self.loss.clone(), text)?;
-        same("--seed", args.seed, self.seed, text)?;
-        same("--size", args.size, self.size, text)
-    }
-}
-
-/// What is wrong with a [`Job`]: the option, the key in a checkpoint, what was expected and what was found.
-struct Wrong {
-    option: &'static str,
-    key: &'static str,
-    message: String,
 }
 
 /// Loss and values before a step.
@@ -674,25 +292,11 @@ fn recover(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
             .collect::<Vec<_>>()
     };
     let [target_files, before_files, after_files] = ["target", "before", "after"].map(files);
-    let mut targets = Vec::new();
-    for (view, file) in views.iter().zip(&target_files) {
-        view.look(&mut scene)?;
-        let image = if args.resume {
-            read_size(file, &scene)?
-        } else {
-            match target(&job, view, &scene, &settings, interrupt)? {
-                Some(image) => image,
-                None => {
-                    complain!("interrupted before the target was complete: nothing was written");
-                    return Ok(Outcome::Interrupted);
-                }
-            }
-        };
-        targets.push(Target {
-            sensor: view.sensor,
-            image,
-        });
-    }
+    let given = args.resume.then_some(&target_files[..]);
+    let Some(targets) = targets(&job, &views, given, &mut scene, &settings, interrupt)? else {
+        complain!("interrupted before the target was complete: nothing was written");
+        return Ok(Outcome::Interrupted);
+    };
     // Guides and measured pixels are those of the first view.
     views[0].look(&mut scene)?;
     let mut store = match store {
@@ -757,55 +361,12 @@ fn recover(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
         }
         store.write(&state, &inputs)?;
     }
-    let mut before = Vec::new();
-    for (view, file) in before_files.iter().enumerate() {
-        recovery.look(view)?;
-        if !file.exists() {
-            // Complete or not at all: a run that is resumed makes one that is missing.
-            let picture = recovery.picture("before", job.seed, interrupt)?;
-            if let Some(picture) = picture.filter(is_complete) {
-                image_io::write_exr(file, &picture.image(0))?;
-            }
-        }
-        before.push(if file.exists() {
-            Some(read_size(file, &recovery.problem.scene)?)
-        } else {
-            None
-        });
-    }
-    recovery.look(0)?;
+    let before = recovery.pictures_before(&before_files, job.seed, interrupt)?;
 
     let first = state.iteration;
-    let left = job.iterations.saturating_sub(state.iteration);
-    let stop = state.iteration + args.stop_after.unwrap_or(left).min(left);
-    let bar = Bar::new("recover", job.iterations.into(), interrupt);
-    let (mut last_save, mut save_every) = (Instant::now(), CHECKPOINT_EVERY);
-    while state.iteration < stop && !interrupt.is_set() {
-        bar.set(state.iteration.into());
-        // What was there before a failing step is worth keeping, too.
-        match recovery.step(&mut state, interrupt) {
-            Ok(true) => {}
-            Ok(false) => break,
-            Err(e) => {
-                store.write(&state, &inputs)?;
-                return Err(e);
-            }
-        }
-        if let Some(row) = state.history.last() {
-            bar.message(format!("loss {:.3e}", row.loss));
-        }
-        if let Some(warning) = state.stalled() {
-            complain!("warning: {warning}");
-        }
-        if last_save.elapsed() > save_every {
-            let begin = Instant::now();
-            store.write(&state, &inputs)?;
-            last_save = Instant::now();
-            save_every = CHECKPOINT_EVERY.max(CHECKPOINT_SHARE * (last_save - begin));
-        }
-    }
-    bar.finish();
-    store.write(&state, &inputs)?;
+    let left = job.iterations.saturating_sub(first);
+    let stop = first + args.stop_after.unwrap_or(left).min(left);
+    recovery.steps(&mut state, stop, (&mut store, &inputs), interrupt)?;
     if state.iteration != first {
         // They show other values.
         for file in after_files.iter().chain([&panels_file]) {
@@ -827,6 +388,100 @@ fn recover(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
         args.out.display()
     );
     Ok(Outcome::Interrupted)
+}
+
+impl Recovery {
+    /// The pictures before: those that are there, and what is missing where it is made in time.
+    fn pictures_before(
+        &mut self,
+        files: &[PathBuf],
+        seed: u64,
+        interrupt: &Interrupt,
+    ) -> Result<Vec<Option<Image>>, ToolError> {
+        let mut before = Vec::new();
+        for (view, file) in files.iter().enumerate() {
+            self.look(view)?;
+            if !file.exists() {
+                // Complete or not at all: a run that is resumed makes one that is missing.
+                let picture = self.picture("before", seed, interrupt)?;
+                if let Some(picture) = picture.filter(is_complete) {
+                    image_io::write_exr(file, &picture.image(0))?;
+                }
+            }
+            before.push(if file.exists() {
+                Some(read_size(file, &self.problem.scene)?)
+            } else {
+                None
+            });
+        }
+        self.look(0)?;
+        Ok(before)
+    }
+
+    /// Steps until as many are done, with a checkpoint every now and then, and one at the end.
+    fn steps(
+        &mut self,
+        state: &mut Checkpoint,
+        stop: u32,
+        (store, inputs): (&mut Store, &Inputs),
+        interrupt: &Interrupt,
+    ) -> Result<(), ToolError> {
+        let bar = Bar::new("recover", state.job.iterations.into(), interrupt);
+        let (mut last_save, mut save_every) = (Instant::now(), CHECKPOINT_EVERY);
+        while state.iteration < stop && !interrupt.is_set() {
+            bar.set(state.iteration.into());
+            // What was there before a failing step is worth keeping, too.
+            match self.step(state, interrupt) {
+                Ok(true) => {}
+                Ok(false) => break,
+                Err(e) => {
+                    store.write(state, inputs)?;
+                    return Err(e);
+                }
+            }
+            if let Some(row) = state.history.last() {
+                bar.message(format!("loss {:.3e}", row.loss));
+            }
+            if let Some(warning) = state.stalled() {
+                complain!("warning: {warning}");
+            }
+            if last_save.elapsed() > save_every {
+                let begin = Instant::now();
+                store.write(state, inputs)?;
+                last_save = Instant::now();
+                save_every = CHECKPOINT_EVERY.max(CHECKPOINT_SHARE * (last_save - begin));
+            }
+        }
+        bar.finish();
+        store.write(state, inputs)
+    }
+}
+
+/// The target of every view: those of an earlier run, or as the job says. `None` if interrupted before they are complete.
+fn targets(
+    job: &Job,
+    views: &[View],
+    given: Option<&[PathBuf]>,
+    scene: &mut Scene,
+    settings: &Settings,
+    interrupt: &Interrupt,
+) -> Result<Option<Vec<Target>>, ToolError> {
+    let mut targets = Vec::new();
+    for (i, view) in views.iter().enumerate() {
+        view.look(scene)?;
+        let image = match given {
+            Some(files) => Some(read_size(&files[i], scene)?),
+            None => target(job, view, scene, settings, interrupt)?,
+        };
+        let Some(image) = image else {
+            return Ok(None);
+        };
+        targets.push(Target {
+            sensor: view.sensor,
+            image,
+        });
+    }
+    Ok(Some(targets))
 }
 
 /// A scene, its unknowns, their start values and, if known, the truth.
@@ -1271,199 +926,4 @@ impl Recovery {
         bar.finish();
         Ok(picture)
     }
-
-    /// Everything but the checkpoint. Says how many samples per pixel the picture after has; without any it
-    /// is left out, and a complete one is not replaced by less.
-    fn write_results(
-        &mut self,
-        out: &Path,
-        state: &Checkpoint,
-        before: &[Option<Image>],
-        interrupt: &Interrupt,
-    ) -> Result<u64, ToolError> {
-        let estimate = state.estimate();
-        self.problem.set(&estimate)?;
-        let (mut panels, mut fewest) = (Vec::new(), PICTURE_SPP);
-        for (view, before) in before.iter().enumerate() {
-            self.look(view)?;
-            let after = self.picture("after", state.job.seed, interrupt)?;
-            fewest = fewest.min(after.as_ref().map_or(0, |r| r.samples));
-            let file = out.join(self.views[view].file("after"));
-            if let Some(after) = after.filter(|r| is_complete(r) || !file.exists()) {
-                let after = after.image(0);
-                image_io::write_exr(&file, &after)?;
-                if let Some(before) = before {
-                    let target = &self.problem.targets[view].image;
-                    let row = [("before", before), ("after", &after), ("target", target)];
-                    panels.extend(row.map(|(kind, image)| {
-                        let label = self.views[view].name.as_ref();
-                        let label = label.map_or(kind.to_owned(), |name| format!("{kind}, {name}"));
-                        output::panel(&label, image)
-                    }));
-                }
-            }
-        }
-        if panels.len() == 3 * before.len() {
-            output::write_panels(&out.join(PANELS), 3, &panels)?;
-        }
-        image_io::write_atomically(&out.join("iterations.csv"), self.csv(state).as_bytes())?;
-        for (name, chart) in self.charts(state) {
-            output::write_chart(&out.join(name), &chart)?;
-        }
-        self.write_textures(out, &estimate)?;
-        if state.job.scene.is_some()
-            && let Err(e) = self.problem.scene.save(&out.join(SAVED))
-        {
-            complain!("warning: the scene is not written: {e}");
-        }
-        self.report(out, state, &estimate)?;
-        Ok(fewest)
-    }
-
-    fn csv(&self, state: &Checkpoint) -> String {
-        let mut text = "iteration,loss".to_owned();
-        for name in self.tracked_names() {
-            text.push(',');
-            text.push_str(&name.replace(',', "_"));
-        }
-        text.push('\n');
-        for (i, row) in state.history.iter().enumerate() {
-            // Writing to a string cannot fail.
-            let _ = write!(text, "{i},{:e}", row.loss);
-            for v in &row.values {
-                let _ = write!(text, ",{v}");
-            }
-            text.push('\n');
-        }
-        text
-    }
-
-    /// Loss and errors where the truth is known; loss and values where it is not.
-    fn charts(&self, state: &Checkpoint) -> Vec<(&'static str, LineChart)> {
-        let rows = || state.history.iter().enumerate();
-        let loss = |chart: LineChart| {
-            let name = format!("loss ({})", state.job.loss);
-            chart.line(&name, rows().map(|(i, r)| (i as f64, r.loss)))
-        };
-        let names = self.tracked_names();
-        let Some(truth) = &self.truth else {
-            let chart = LineChart::new("Convergence", "iteration", "loss").log_y();
-            let mut values = LineChart::new("Recovered values", "iteration", "value");
-            for (k, name) in names.iter().enumerate() {
-                values = values.line(name, rows().map(|(i, r)| (i as f64, r.values[k])));
-            }
-            return vec![("convergence", loss(chart)), ("values", values)];
-        };
-        let truth = self.tracked(truth);
-        let label = "loss; largest relative error of each parameter";
-        let mut chart = loss(LineChart::new("Convergence", "iteration", label).log_y());
-        let mut at = 0;
-        for info in self.problem.active.ranges() {
-            let n = if info.shape.len() <= 3 {
-                info.shape.len()
-            } else {
-                1
-            };
-            let range = at..at + n;
-            at += n;
-            let error = |r: &Row| largest_error(&r.values[range.clone()], &truth[range.clone()]);
-            chart = chart.line(&info.name, rows().map(|(i, r)| (i as f64, error(r))));
-        }
-        vec![("convergence", chart)]
-    }
-
-    fn write_textures(&self, out: &Path, estimate: &[f32]) -> Result<(), ToolError> {
-        let mut at = 0;
-        for info in self.problem.active.ranges() {
-            let own = &estimate[at..at + info.shape.len()];
-            at += own.len();
-            if let ParamShape::Texture {
-                height,
-                width,
-                channels,
-            } = info.shape
-            {
-                let path = out.join(format!("{}.exr", output::file_name(&info.name)));
-                let values: Vec<f64> = own.iter().map(|&v| f64::from(v)).collect();
-                output::write_texture(&path, [height, width, channels], &values)?;
-            }
-        }
-        Ok(())
-    }
-
-    /// Prints the recovered values and writes `result.json`.
-    fn report(&self, out: &Path, state: &Checkpoint, estimate: &[f32]) -> Result<(), ToolError> {
-        let names = self.tracked_names();
-        let start = self.tracked(&state.start);
-        let found = self.tracked(estimate);
-        let truth = self.truth.as_ref().map(|t| self.tracked(t));
-        let mut params = BTreeMap::new();
-        for (k, name) in names.iter().enumerate() {
-            let truth = truth.as_ref().map(|t| t[k]);
-            let error = truth.map(|t| largest_error(&[found[k]], &[t]));
-            match (truth, error) {
-                (Some(t), Some(e)) => say!(
-                    "{name}: {:.4} -> {:.4} (truth {t:.4}, error {:.2} %)",
-                    start[k],
-                    found[k],
-                    100.0 * e
-                ),
-                _ => say!("{name}: {:.4} -> {:.4}", start[k], found[k]),
-            }
-            let value = Recovered {
-                start: start[k],
-                value: found[k],
-                truth,
-                relative_error: error,
-            };
-            params.insert(name.clone(), value);
-        }
-        let report = Report {
-            scene: match &state.job.scene {
-                Some(path) => path.0.display().to_string(),
-                None => "built-in".into(),
-            },
-            optimizer: state.job.optimizer,
-            estimator: state.job.estimator.clone(),
-            loss: state.job.loss.clone(),
-            iterations: state.iteration,
-            final_loss: state.history.last().map(|r| r.loss),
-            params,
-            folded: self.folds(),
-        };
-        output::write_json(&out.join("result.json"), &report)?;
-        say!("{}: pictures, charts and values", out.display());
-        Ok(())
-    }
-}
-
-#[derive(Debug, Serialize)]
-struct Recovered {
-    start: f64,
-    value: f64,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    truth: Option<f64>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    relative_error: Option<f64>,
-}
-
-/// What `result.json` holds.
-#[derive(Debug, Serialize)]
-struct Report {
-    scene: String,
-    optimizer: OptimizerArg,
-    estimator: String,
-    loss: String,
-    iterations: u32,
-    final_loss: Option<f64>,
-    params: BTreeMap<String, Recovered>,
-    /// Triangles that are turned over, by mesh.
-    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
-    folded: BTreeMap<String, usize>,
-}
-
-/// Largest relative error of any value.
-fn largest_error(values: &[f64], truth: &[f64]) -> f64 {
-    let error = |(v, t): (&f64, &f64)| (v - t).abs() / t.abs().max(1e-12);
-    values.iter().zip(truth).map(error).fold(0.0, f64::max)
 }

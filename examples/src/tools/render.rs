@@ -274,6 +274,28 @@ struct Report {
     seconds_render: f64,
 }
 
+/// Says which shape, if any, is dark because particles reach the camera from no Dirac delta.
+fn warn_of_deltas(method: Method, scene: &Scene) {
+    if matches!(method, Method::Density(..)) {
+        return;
+    }
+    let shapes = 0..scene.shapes().len() as u32;
+    let mut deltas = shapes
+        .map(|shape| scene.shape_info(shape))
+        .filter(|info| info.delta);
+    if let Some(first) = deltas.next() {
+        complain!(
+            "warning: --integrator particle: what the camera sees by `{}`{} is dark, since no particle reaches it from a mirror \
+             or smooth glass; --integrator density shows it, slightly blurred",
+            first.name,
+            match deltas.count() {
+                0 => String::new(),
+                n => format!(" and {n} more"),
+            }
+        );
+    }
+}
+
 /// Runs the tool.
 ///
 /// # Errors
@@ -311,6 +333,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     interrupt.keep();
     if !matches!(method, Method::Paths(_)) {
         particle::check(&scene)?;
+        warn_of_deltas(method, &scene);
     }
     let mut settings = scene.settings;
     settings.spp = args.spp.unwrap_or(settings.spp);

@@ -1,11 +1,11 @@
 //! What samples cost.
 
-use super::PILOT_SEED;
 use crate::error::RenderError;
 use crate::instances::{Estimator, Mode};
 use crate::integrator::gradient::Active;
 use crate::integrator::render::Progress;
 use crate::params::ParamInfo;
+use crate::sampler::Family;
 use crate::scene::{Scene, Settings};
 
 /// Paths that are counted for each estimator: enough for a few per cent.
@@ -32,7 +32,7 @@ pub fn costs<N: AsRef<str>>(
     let infos: Vec<&ParamInfo> = infos.collect::<Result<_, _>>()?;
     let active = Active::of(scene, &infos);
     let works = |estimators: &[Estimator]| {
-        let seed = seed ^ PILOT_SEED;
+        let seed = Family::Pilots.seed(seed);
         works(scene, &active, estimators, mode, settings, seed, PATHS, &())
     };
     let unit = works(&[Estimator::Mis])[0];

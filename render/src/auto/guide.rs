@@ -1,11 +1,10 @@
 //! Where light comes from.
 
-use super::PILOT_SEED;
 use crate::estimator::DetachedMis;
 use crate::guide::Guide;
 use crate::integrator::guide_training;
 use crate::integrator::render::Progress;
-use crate::sampler::{Points, Spread};
+use crate::sampler::{Family, Points, Spread};
 use crate::scene::{Scene, Settings};
 
 /// Paths of the last round, as far as one per pixel is not more.
@@ -31,7 +30,7 @@ pub fn guide(scene: &mut Scene, settings: &Settings, seed: u64, progress: &dyn P
         let mut arrivals = guide_training::arrivals::<DetachedMis, Spread>(
             scene,
             &settings,
-            seed ^ PILOT_SEED,
+            Family::Pilots.seed(seed),
             samples,
             progress,
         );

@@ -1,6 +1,5 @@
 //! How often to sample each emitter.
 
-use super::PILOT_SEED;
 use super::pilot::{directions, noise};
 use crate::emitter::{AnyEmitter, Emitter};
 use crate::error::RenderError;
@@ -9,7 +8,7 @@ use crate::integrator::Job;
 use crate::integrator::gradient::check_size;
 use crate::integrator::render::Progress;
 use crate::params::{ParamInfo, ParamRef};
-use crate::sampler::Points;
+use crate::sampler::{Family, Points};
 use crate::scene::{LightChoice, Scene, Settings};
 
 /// Samples that each emitter is measured with, as far as two per pixel are not more.
@@ -53,7 +52,7 @@ pub fn sampling_weights<N: AsRef<str>>(
         ..*settings
     };
     let pairs = (SAMPLES / 2).div_ceil(scene.film.pixels().max(1)) as u64;
-    let seed = seed ^ PILOT_SEED;
+    let seed = Family::Pilots.seed(seed);
     let mut deviations = Vec::with_capacity(scene.emitters().len());
     let emission: Vec<ParamRef> = scene.emitters().iter().flat_map(emission_of).collect();
     for (k, emitter) in scene.emitters().iter().enumerate() {
@@ -65,10 +64,11 @@ pub fn sampling_weights<N: AsRef<str>>(
         seen.retain(|info| !others.contains(&scene.params().handle(info)));
         let mut variance = 0.0;
         for pair in 0..pairs {
-            let along = match params.is_empty() {
+            let along = if params.is_empty() {
                 // Emission times its derivative: all of its light.
-                true => contribution(scene, &own),
-                false => directions(scene.params(), &seen, seed, pair),
+                contribution(scene, &own)
+            } else {
+                directions(scene.params(), &seen, seed, pair)
             };
             if along.is_empty() || progress.cancelled() {
                 break;

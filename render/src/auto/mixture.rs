@@ -39,7 +39,7 @@ pub(super) struct Member {
 }
 
 /// A member's samples and pixel weights in one call.
-struct Pass<'a> {
+struct MemberPass<'a> {
     member: &'a Member,
     samples: u64,
     /// Per block.
@@ -199,7 +199,7 @@ impl Mixture {
         let Some(cluster) = self.cluster(name) else {
             return Vec::new();
         };
-        let of = |pass: Pass| {
+        let of = |pass: MemberPass| {
             let pixels = 0..self.blocks.pixels();
             let weight = |i| pass.weights[self.blocks.index(i)];
             (pass.member.estimator, pixels.map(weight).collect())
@@ -211,7 +211,7 @@ impl Mixture {
     /// How many samples of each estimator that is.
     pub fn samples(&self, name: &str, samples: u64) -> Vec<(Estimator, u64)> {
         let passes = (self.cluster(name)).map(|c| self.pass(c, samples, self.alone(c)));
-        let of = |p: &Pass| (p.member.estimator, p.samples);
+        let of = |p: &MemberPass| (p.member.estimator, p.samples);
         passes.iter().flatten().map(of).collect()
     }
 
@@ -231,7 +231,7 @@ impl Mixture {
 
     /// Passes over the image that [`Mixture::backward_f32`] makes, with their numbers of samples.
     pub fn passes(&self, samples: u64) -> Vec<(Estimator, u64)> {
-        let of = |p: Pass| (p.member.estimator, p.samples);
+        let of = |p: MemberPass| (p.member.estimator, p.samples);
         let passes = self
             .clusters
             .iter()
@@ -240,12 +240,12 @@ impl Mixture {
     }
 
     /// Whole numbers of samples, and the best weights for these.
-    fn pass<'a>(&self, cluster: &'a Cluster, samples: u64, all: f64) -> Vec<Pass<'a>> {
+    fn pass<'a>(&self, cluster: &'a Cluster, samples: u64, all: f64) -> Vec<MemberPass<'a>> {
         let wanted = |m: &Member| m.share / all * samples as f64 / m.cost;
-        let mut passes: Vec<Pass> = cluster
+        let mut passes: Vec<MemberPass> = cluster
             .members
             .iter()
-            .map(|member| Pass {
+            .map(|member| MemberPass {
                 member,
                 samples: wanted(member).round() as u64,
                 weights: Vec::new(),
@@ -260,7 +260,7 @@ impl Mixture {
         passes.retain(|p| p.samples > 0);
         // Variance of the mean of the samples.
         let precision =
-            |p: &Pass, b: usize| p.samples as f64 * p.member.cost / p.member.variance[b];
+            |p: &MemberPass, b: usize| p.samples as f64 * p.member.cost / p.member.variance[b];
         let sums: Vec<f64> = (0..self.blocks.len())
             .map(|b| passes.iter().map(|p| precision(p, b)).sum())
             .collect();

@@ -47,6 +47,7 @@ use crate::emitter::{AnyEmitter, Emitter};
 use crate::error::RenderError;
 use crate::instances::{Estimator, Mode};
 use crate::integrator::Job;
+use crate::sampler::Family;
 use crate::scene::Scene;
 use crate::texture::ScalarTexture;
 
@@ -132,9 +133,6 @@ pub fn candidates(scene: &Scene) -> Vec<Estimator> {
     out
 }
 
-/// Pilots must not share random numbers with the passes that they decide on, whose seed may be the same.
-const PILOT_SEED: u64 = 0x7069_6c6f_7473;
-
 /// Finds a mixture for the derivatives of `<adjoint, image>` in the named parameters, `adjoint` as for
 /// [`crate::integrator::gradient::backward`].
 ///
@@ -156,7 +154,7 @@ pub fn choose<N: AsRef<str>>(
 ) -> Result<Mixture, RenderError> {
     crate::integrator::gradient::check_size("adjoint image", job.scene, adjoint)?;
     let pilots = Job {
-        seed: job.seed ^ PILOT_SEED,
+        seed: Family::Pilots.seed(job.seed),
         ..job.clone()
     };
     let most = PILOTS * job.count() as f64;

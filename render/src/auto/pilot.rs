@@ -86,7 +86,7 @@ pub(super) struct Pilots<'a> {
 
 /// What one candidate gave for one group: of each pair, the blocks.
 #[derive(Clone, Default)]
-struct Sums {
+struct Trials {
     pairs: Vec<Vec<Block>>,
 }
 
@@ -113,7 +113,7 @@ fn evidence<'a>(blocks: impl Iterator<Item = &'a Block>) -> f64 {
     }
 }
 
-impl Sums {
+impl Trials {
     fn evidence(&self) -> f64 {
         evidence(self.pairs.iter().flatten())
     }
@@ -286,9 +286,9 @@ impl<'a> Pilots<'a> {
         let Some(groups) = self.groups(budget) else {
             return Ok(self.unseen());
         };
-        let mut sums: Vec<Vec<Sums>> = groups
+        let mut sums: Vec<Vec<Trials>> = groups
             .iter()
-            .map(|g| vec![Sums::default(); g.candidates.len()])
+            .map(|g| vec![Trials::default(); g.candidates.len()])
             .collect();
         let mut alive: Vec<Vec<usize>> = groups
             .iter()
@@ -351,7 +351,7 @@ impl<'a> Pilots<'a> {
         e: Estimator,
         along: &[Direction],
         pair: u64,
-        sums: &mut Sums,
+        sums: &mut Trials,
         progress: &dyn Progress,
     ) -> Result<(), RenderError> {
         let values = self.scene.params().values();
@@ -440,7 +440,7 @@ fn pair_cost(candidates: &[Candidate]) -> f64 {
 /// Variance of one sample in each block, of each of `chosen`. One that saw less there than another one, in all
 /// or pixel by pixel, has missed something, such as a small light that it finds less than once in as many
 /// samples: what would make up for that counts as well. One that has seen nothing at all where others have is out.
-fn variances(sums: &[Sums], chosen: &[usize]) -> Vec<Vec<f64>> {
+fn variances(sums: &[Trials], chosen: &[usize]) -> Vec<Vec<f64>> {
     let blind = |k: usize| {
         sums[k]
             .pairs
@@ -487,7 +487,7 @@ fn variances(sums: &[Sums], chosen: &[usize]) -> Vec<Vec<f64>> {
 /// evidence they are out.
 fn works(
     candidates: &[Candidate],
-    sums: &[Sums],
+    sums: &[Trials],
     chosen: &[usize],
     blocks: &[Vec<f64>],
 ) -> Vec<f64> {
@@ -498,17 +498,19 @@ fn works(
         let doubt = 1.0 + evidence.max(1.0).sqrt().recip();
         let work = v.iter().sum::<f64>() * candidates[k].pass;
         let trusted = rivals && (evidence >= EVIDENCE || !sees(&blocks[0]));
-        match k == chosen[0] {
-            true => work / doubt,
-            false if trusted => work * doubt,
-            false => f64::INFINITY,
+        if k == chosen[0] {
+            work / doubt
+        } else if trusted {
+            work * doubt
+        } else {
+            f64::INFINITY
         }
     };
     chosen.iter().zip(blocks).map(work).collect()
 }
 
 /// Those of `alive` that may still be the best; the first always.
-fn hopeful(candidates: &[Candidate], sums: &[Sums], alive: &[usize]) -> Vec<usize> {
+fn hopeful(candidates: &[Candidate], sums: &[Trials], alive: &[usize]) -> Vec<usize> {
     let variances = variances(sums, alive);
     let work = |(&k, v): (&usize, &Vec<f64>)| v.iter().sum::<f64>() * candidates[k].pass;
     let works: Vec<f64> = alive.iter().zip(&variances).map(work).collect();
@@ -521,7 +523,7 @@ fn hopeful(candidates: &[Candidate], sums: &[Sums], alive: &[usize]) -> Vec<usiz
 
 /// Variances per block that can be trusted with weights: a block is believed as far as there is evidence, and
 /// otherwise to be like the others.
-fn finding(group: &Group, sums: &[Sums]) -> Finding {
+fn finding(group: &Group, sums: &[Trials]) -> Finding {
     let all: Vec<usize> = (0..sums.len()).collect();
     let variances = variances(sums, &all);
     let works = works(&group.candidates, sums, &all, &variances);

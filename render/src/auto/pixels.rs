@@ -2,13 +2,13 @@
 
 use std::ops::Range;
 
-use super::PILOT_SEED;
 use crate::error::RenderError;
 use crate::instances::Estimator;
 use crate::integrator::Job;
 use crate::integrator::noise::{Noise, PixelNoise};
 use crate::integrator::render::Progress;
 use crate::params::Theta;
+use crate::sampler::Family;
 use crate::scene::{Scene, Settings};
 
 /// Samples that are taken in all, as far as [`LEAST`] per pixel are not more.
@@ -75,7 +75,13 @@ pub fn pixel_weights<N: AsRef<str>>(
     let first = samples / FEWER;
     let noise = |scales: &[f64], samples: Range<u64>| {
         let found = estimator.backward_f32(
-            &Job::new(scene, settings, seed ^ PILOT_SEED, samples, progress),
+            &Job::new(
+                scene,
+                settings,
+                Family::Pilots.seed(seed),
+                samples,
+                progress,
+            ),
             &theta,
             &active.clone().with_noise(scene, scales),
             adjoint,

@@ -22,7 +22,7 @@ pub struct Rules {
     /// Adjoint kernels, or the mistake.
     pub symmetry: Symmetry,
     /// No light for directions on different sides of the geometric and the shading normal, so that none
-    /// leaks through the surface. Off by default: the path tracer has no such test, as its peers.
+    /// leaks through the surface. Off by default: the path tracer has no such test, nor has Mitsuba 3.
     pub side_tests: bool,
 }
 

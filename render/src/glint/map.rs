@@ -64,13 +64,13 @@ impl Moments {
 
 /// Sums of slopes, and of their products.
 #[derive(Clone, Copy, Debug, Default)]
-struct Sums {
+struct SlopeSums {
     n: f64,
     first: [f64; 2],
     second: [f64; 3],
 }
 
-impl Sums {
+impl SlopeSums {
     fn add(&mut self, m: &Moments, weight: f64) {
         let (x, y) = (m.mean.x, m.mean.y);
         let [xx, xy, yy] = m.covariance;
@@ -260,7 +260,7 @@ impl SlopeMap {
             let mut nodes = Vec::with_capacity(size[0] * size[1]);
             for j in 0..size[1] {
                 for i in 0..size[0] {
-                    let mut sums = Sums::default();
+                    let mut sums = SlopeSums::default();
                     for [x, y] in [[0, 0], [1, 0], [0, 1], [1, 1]] {
                         let at = [2 * i + x, 2 * j + y];
                         if at[0] < below[0] && at[1] < below[1] {
@@ -405,7 +405,7 @@ impl SlopeMap {
         let overlap = |i: i64, (from, to): (f64, f64)| {
             ((i as f64 + 1.0).min(to) - (i as f64).max(from)).max(0.0)
         };
-        let mut sums = Sums::default();
+        let mut sums = SlopeSums::default();
         for j in y.0.floor() as i64..=y.1.floor() as i64 {
             for i in x.0.floor() as i64..=x.1.floor() as i64 {
                 let weight = overlap(i, x) * overlap(j, y);

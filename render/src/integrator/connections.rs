@@ -30,7 +30,7 @@ use crate::manifold::{Connection, Connector, Link, Space, Split, Start, Statisti
 use crate::math::Rgb;
 use crate::parallel;
 use crate::params::{ParamInfo, ParamKind, Theta};
-use crate::sampler::{Independent, Sampler};
+use crate::sampler::{Family, Independent, Sampler};
 use crate::scene::{Connections, Scene, Settings, Starts};
 use crate::shape::SurfaceInteraction;
 
@@ -129,9 +129,6 @@ pub(super) fn refuse(settings: &Settings, whose: &str) -> Result<(), RenderError
 /// How paths scatter on their way to where they are connected, whatever the estimator of the others.
 pub(super) type Scattering = BsdfOnly<Detached>;
 
-/// So that connections and the paths that they start from are independent.
-const STREAM: u64 = 0x6d61_6e69_666f_6c64;
-
 /// The sum is made of this many parts, whatever the number of threads.
 const JOBS: usize = 128;
 
@@ -192,7 +189,7 @@ impl<'a> Connecting<'a> {
         let film = &self.scene.film;
         let [x, y] = [0, 1].map(|k: usize| u64::from(at.pixel[k] + film.crop_offset[k]));
         let pixel = y * u64::from(film.size[0]) + x;
-        self.rng = Independent::new(seed ^ STREAM, pixel, at.index);
+        self.rng = Independent::new(Family::Connections.seed(seed), pixel, at.index);
         self.depth = 0;
         self.came_to = Statistics::default();
         if let Some(trail) = &mut self.trail {

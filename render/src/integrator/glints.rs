@@ -24,7 +24,7 @@ use crate::manifold::{Statistics, cast};
 use crate::math::Rgb;
 use crate::parallel;
 use crate::params::ParamInfo;
-use crate::sampler::{Independent, Points, Sampler};
+use crate::sampler::{Family, Independent, Points, Sampler};
 use crate::scene::{Scene, Settings};
 
 /// What is said of glints.
@@ -55,9 +55,6 @@ pub(super) fn refuse(settings: &Settings, whose: &str) -> Result<(), RenderError
         None => Ok(()),
     }
 }
-
-/// So that glints and the paths beside them are independent.
-const STREAM: u64 = 0x676c_696e_7473_2121;
 
 /// The sum is made of this many parts, whatever the number of threads.
 const JOBS: usize = 128;
@@ -105,7 +102,7 @@ impl<'a, P: Float> Seeking<'a, P> {
 
     /// Finds the glints of a sample. The shape and the primitive that they are on.
     fn seek<X: Sampler>(&mut self, sample: &Sample) -> Option<(u32, u32)> {
-        let (scene, seed) = (self.scene, self.seed ^ STREAM);
+        let (scene, seed) = (self.scene, Family::Glints.seed(self.seed));
         self.found.clear();
         let ([x, y, u, v], _) = spot::<P, X>(scene, self.points, seed, sample.pixel, sample.index);
         // Counted on the full film, so that a crop shows the same samples.

@@ -25,12 +25,9 @@ use crate::manifold::Statistics;
 use crate::math::{NOWHERE, Ray, Rgb, Segment};
 use crate::parallel;
 use crate::params::Theta;
-use crate::sampler::{Purpose, Sampler};
+use crate::sampler::{Family, Purpose, Sampler};
 use crate::scene::{Intersection, Scene, Settings};
 use crate::shape::{Exit, SurfaceInteraction};
-
-/// So that paths and particles of the same seed are independent.
-const STREAM: u64 = 0x6c69_6768_7421_0001;
 
 /// Particles of one job.
 const CHUNK: u64 = 1024;
@@ -662,7 +659,7 @@ pub(super) fn trace_particles<R: Real, X: Sampler, O: ParticleObserver<R> + Clon
         for k in 0..n {
             let i = first + k;
             // One sequence, so that spread points are spread over the light of all emitters.
-            let sampler = X::spread(context.settings.points, seed ^ STREAM, 0, i);
+            let sampler = X::spread(context.settings.points, Family::Particles.seed(seed), 0, i);
             group.push(Particle::new(context, sampler, &mut observers[k as usize]));
         }
         lockstep::trace(

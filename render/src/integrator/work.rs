@@ -99,7 +99,7 @@ struct Counter<'a> {
     weighs: bool,
     /// Auxiliary rays around an edge.
     rays: u64,
-    tally: WorkCount,
+    count: WorkCount,
 }
 
 impl<'a> Counter<'a> {
@@ -115,7 +115,7 @@ impl<'a> Counter<'a> {
                 Direct::Reparameterised { rays } => rays as u64,
                 Direct::AsPath | Direct::Attached => 0,
             },
-            tally: WorkCount::default(),
+            count: WorkCount::default(),
         }
     }
 }
@@ -137,7 +137,7 @@ impl Interest for Counter<'_> {
 impl Observer<f32> for Counter<'_> {
     fn vertex(&mut self, _beta: Rgb<f32>, place: &Place<f32>) {
         let followed = self.differentiates(self.scene.shape_info(place.shape).material);
-        self.tally.add(Item::Vertex, followed.into());
+        self.count.add(Item::Vertex, followed.into());
     }
 
     fn contribution(&mut self, contribution: Contribution<f32>) {
@@ -145,8 +145,8 @@ impl Observer<f32> for Counter<'_> {
             Contribution::Sampled(light) => {
                 let emitter = &self.scene.emitters()[light.emitter as usize];
                 let map = matches!(emitter, AnyEmitter::Envmap(_));
-                self.tally.add(Item::Map, map.into());
-                self.tally.add(Item::WeighedLight, self.weighs.into());
+                self.count.add(Item::Map, map.into());
+                self.count.add(Item::WeighedLight, self.weighs.into());
             }
             Contribution::Edge(..) => {
                 let part = if self.weighs {
@@ -154,16 +154,16 @@ impl Observer<f32> for Counter<'_> {
                 } else {
                     Item::MovedEdge
                 };
-                self.tally.add(part, 1);
-                self.tally.add(Item::Ray, self.rays);
+                self.count.add(part, 1);
+                self.count.add(Item::Ray, self.rays);
             }
             _ => {}
         }
     }
 
     fn branch(&mut self, edges: u32) {
-        self.tally.add(Item::Rival, self.rivals.into());
-        self.tally.add(Item::Walked, edges.into());
+        self.count.add(Item::Rival, self.rivals.into());
+        self.count.add(Item::Walked, edges.into());
     }
 }
 
@@ -208,19 +208,19 @@ pub fn count_work<S: Strategy, X: Sampler>(
                 progress,
                 &mut walk,
                 |walk, hit, visible| {
-                    let tally = &mut counter.tally;
+                    let count = &mut counter.count;
                     let edge = u64::from(walk.ray.is_some());
-                    tally.add(Item::Edge, edge);
-                    tally.add(Item::Light, walk.shadow.is_some().into());
+                    count.add(Item::Edge, edge);
+                    count.add(Item::Light, walk.shadow.is_some().into());
                     if mode == Mode::Reverse && !S::Bsdf::DETACHED_PATH {
-                        tally.add(Item::Moving, edge);
+                        count.add(Item::Moving, edge);
                     }
                     walk.step(&context, hit, visible, &mut counter);
                 },
             );
-            counter.tally.paths += 1;
+            counter.count.paths += 1;
         }
-        counter.tally
+        counter.count
     };
     let parts = parallel::map(JOBS, part);
     parts
@@ -259,9 +259,9 @@ mod tests {
     }
 
     fn parts(of: &[(Item, u64)]) -> [u64; PRICES.len()] {
-        let mut tally = WorkCount::default();
-        of.iter().for_each(|&(part, n)| tally.add(part, n * PATHS));
-        tally.parts
+        let mut count = WorkCount::default();
+        of.iter().for_each(|&(part, n)| count.add(part, n * PATHS));
+        count.parts
     }
 
     /// Every path is the same one.

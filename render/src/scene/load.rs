@@ -7,6 +7,7 @@ use std::sync::Arc;
 use super::builder::{Builder, MaterialId, out_of_reach};
 use super::clip::Clip;
 use super::save::{Place, Places, Source};
+use super::sensor::sensor_called;
 use super::{
     Connections, Constraint, GlintMethod, GlintTechniques, Glints, Hints, Method, Scene, Sensor,
     Settings, Starts,
@@ -303,7 +304,7 @@ impl Reading {
             }
             let name = node.id.clone().unwrap_or_else(|| "emitter".into());
             if node.id.is_none() {
-                self.call_as_peer(EMITTER_NAMES, node, &name);
+                self.call_as_mitsuba(EMITTER_NAMES, node, &name);
             }
             let emitter = self.emitter(node, &name, None);
             if let Some((emitter, weight, hints)) = self.note(emitter)? {
@@ -362,7 +363,7 @@ impl Reading {
     fn shape(&mut self, node: &Arc<Node>, index: usize) -> Result<(), SceneError> {
         let name = node.id.clone().unwrap_or_else(|| format!("shape{index}"));
         if node.id.is_none() {
-            self.call_as_peer(SHAPE_NAMES, node, &name);
+            self.call_as_mitsuba(SHAPE_NAMES, node, &name);
         }
         let wanted = attributes_of(node)?;
         if !wanted.is_empty() {
@@ -439,7 +440,7 @@ impl Reading {
     }
 
     /// Parameters of what has no id answer to the name of its class in Mitsuba, numbered from the second on.
-    fn call_as_peer(&mut self, names: &[(&str, &str)], node: &Node, own: &str) {
+    fn call_as_mitsuba(&mut self, names: &[(&str, &str)], node: &Node, own: &str) {
         let found = names.iter().find(|(plugin, _)| *plugin == node.plugin);
         let Some((_, class)) = found else {
             return;
@@ -596,27 +597,6 @@ fn attributes_of(shape: &Node) -> Result<Vec<String>, SceneError> {
         }),
         _ => Ok(names),
     }
-}
-
-/// Which of the sensors has this id, or this number.
-pub(super) fn sensor_called(sensors: &[Sensor], name: &str) -> Result<usize, SceneError> {
-    let by_number = || name.parse().ok().filter(|&i: &usize| i < sensors.len());
-    let found = sensors
-        .iter()
-        .position(|s| s.name == name)
-        .or_else(by_number);
-    found.ok_or_else(|| {
-        let names: Vec<_> = sensors.iter().map(|s| quoted(&s.name)).collect();
-        SceneError::Parameter {
-            key: "sensor".into(),
-            expected: format!(
-                "a number below {} or one of {}",
-                names.len(),
-                names.join(", ")
-            ),
-            found: quoted(name),
-        }
-    })
 }
 
 /// Checks what may never be built, for want of a reference to it.

@@ -47,23 +47,23 @@ pub struct Movable {
 /// What a parameter moves.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum What {
-    Shape(u32, Part),
+    Shape(u32, Freedom),
     Vertices(u32),
     Normals(u32),
-    Camera(Part),
+    Camera(Freedom),
     Fov,
     Emitter(u32),
 }
 
 /// How something moves as a whole.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum Part {
+pub(super) enum Freedom {
     Translation,
     Rotation,
     Scale,
 }
 
-impl Part {
+impl Freedom {
     fn key(self) -> &'static str {
         match self {
             Self::Translation => "translation",
@@ -135,20 +135,20 @@ impl Scene {
     /// Mitsuba's keys stand for these where they mean the same: `positions`, and `x_fov` where that is the angle.
     pub fn movables(&self) -> Vec<Movable> {
         let mut all = Vec::new();
-        let part = |name: &str, part: Part, kind, what| Movable {
+        let part = |name: &str, part: Freedom, kind, what| Movable {
             name: format!("{name}.{}", part.key()),
             shape: part.shape(),
             valid: part.valid(),
             kind,
             what,
         };
-        let parts = [Part::Translation, Part::Rotation, Part::Scale];
+        let parts = [Freedom::Translation, Freedom::Rotation, Freedom::Scale];
         for ((i, info), shape) in (0..).zip(&self.infos).zip(&self.geometry.shapes) {
             let bumped = matches!(
                 *self.materials[info.material as usize],
                 Material::Charted(_)
             );
-            let fits = |p: &Part| !(bumped && *p == Part::Scale);
+            let fits = |p: &Freedom| !(bumped && *p == Freedom::Scale);
             for p in parts.into_iter().filter(fits) {
                 let what = What::Shape(i, p);
                 all.push(part(&info.name, p, ParamKind::Position, what));
@@ -183,7 +183,7 @@ impl Scene {
             }
         }
         if self.camera.is_pinhole() {
-            for p in [Part::Translation, Part::Rotation] {
+            for p in [Freedom::Translation, Freedom::Rotation] {
                 all.push(part("sensor", p, ParamKind::Camera, What::Camera(p)));
             }
             all.push(Movable {

@@ -1,9 +1,8 @@
 //! The sensors of a scene, one of which is looked through.
 
-use super::load::sensor_called;
 use super::{PixelShares, Scene};
 use crate::camera::Camera;
-use crate::error::{RenderError, SceneError};
+use crate::error::{RenderError, SceneError, quoted};
 use crate::film::Film;
 
 /// What a scene is seen through.
@@ -28,6 +27,27 @@ pub(super) fn farthest<'a>(sensors: &'a [Sensor], camera: &'a Camera) -> &'a Cam
             c
         } else {
             best
+        }
+    })
+}
+
+/// Which of the sensors has this id, or this number.
+pub(super) fn sensor_called(sensors: &[Sensor], name: &str) -> Result<usize, SceneError> {
+    let by_number = || name.parse().ok().filter(|&i: &usize| i < sensors.len());
+    let found = sensors
+        .iter()
+        .position(|s| s.name == name)
+        .or_else(by_number);
+    found.ok_or_else(|| {
+        let names: Vec<_> = sensors.iter().map(|s| quoted(&s.name)).collect();
+        SceneError::Parameter {
+            key: "sensor".into(),
+            expected: format!(
+                "a number below {} or one of {}",
+                names.len(),
+                names.join(", ")
+            ),
+            found: quoted(name),
         }
     })
 }

@@ -182,13 +182,8 @@ pub fn mean_printed_weight(exponent: f64, n: u64) -> f64 {
     (0..n).map(|i| printed::weight(normal(i).z)).sum::<f64>() / n as f64
 }
 
-/// `stam-alg-c`.
-pub fn figure(fig: &mut Figure) -> Result {
-    let n = fig.pick(200_000u64, 4_000_000);
-    fig.note("samples", n);
-    fig.note("seed", 11);
-
-    // ---- Normalisation and weight ----
+/// Normalisation and weight of samples.
+fn weight(fig: &mut Figure, n: u64) {
     let mut rows = Vec::new();
     let mut worst = 0.0f64;
     for (exponent, expected) in [
@@ -257,8 +252,10 @@ pub fn figure(fig: &mut Figure) -> Result {
         rows,
     );
     fig.chart("weight", &chart);
+}
 
-    // ---- Derivative in the exponent ----
+/// The derivative in the exponent.
+fn exponent_derivative(fig: &mut Figure, n: u64) {
     let [wo, mirror, tilted] = views();
     let mut rows = Vec::new();
     for exponent in [5.0, 20.0, 80.0] {
@@ -323,8 +320,10 @@ pub fn figure(fig: &mut Figure) -> Result {
         "printed",
     ];
     fig.csv("exponent_gradient", &header, rows);
+}
 
-    // ---- Numbers at the pole, and symmetry ----
+/// Numbers at the pole, and symmetry.
+fn pole_and_symmetry(fig: &mut Figure) {
     let m = Vec3::new(0.0, 0.0, 1.0f32);
     let at_pole = white(Dual::<f32, 1>::var(20.0, 0))
         .eval(Vec3::lift(m), Vec3::lift(m), MODE)
@@ -354,6 +353,7 @@ pub fn figure(fig: &mut Figure) -> Result {
             sum / 1e5
         ),
     );
+    let [wo, ..] = views();
     let (a, b) = (wo, Vec3::new(0.3, 0.8, 0.52).normalize());
     let f = |o: Vec3<f64>, i: Vec3<f64>| white(10.0).eval(o, i, MODE).r / i.z;
     let adjoint = white(10.0).eval(b, a, TransportMode::Importance).r / a.z;
@@ -366,5 +366,16 @@ pub fn figure(fig: &mut Figure) -> Result {
             f(b, a)
         ),
     );
+}
+
+/// `stam-alg-c`.
+pub fn figure(fig: &mut Figure) -> Result {
+    let n = fig.pick(200_000u64, 4_000_000);
+    fig.note("samples", n);
+    fig.note("seed", 11);
+
+    weight(fig, n);
+    exponent_derivative(fig, n);
+    pole_and_symmetry(fig);
     Ok(())
 }

@@ -118,86 +118,15 @@ fn furnace() -> Result<Scene> {
     Ok(b.build(camera, Film::new(8, 8), settings)?)
 }
 
-/// `stam-alg-d`.
-pub fn figure(fig: &mut Figure) -> Result {
-    let n = fig.pick(400_000u64, 10_000_000);
-    fig.note("paths", n);
-    fig.note("seed", 21);
-    let deep = 1000;
-    let near = |(m, e): (f64, f64), x: f64| (m - x).abs() < 3.0 * e;
-    let text = |(m, e): (f64, f64), x: f64| format!("{m:.4} ± {e:.4}, expected {x}");
-    let of = |k: usize, emission: f64, printed: bool, depth: usize| {
-        mean(n, |i| pass(i, emission, printed, depth)[k])
-    };
+/// A depth that no path reaches.
+const DEEP: usize = 1000;
 
-    // ---- Roulette (S-D3) ----
-    let radiance = of(0, 1.0, false, deep);
-    let gradient = of(1, 1.0, false, deep);
-    fig.check(
-        "(b) closed furnace: radiance E / (1 - albedo)",
-        near(radiance, 2.0),
-        text(radiance, 2.0),
-    );
-    fig.check(
-        "(b) its derivative in the albedo",
-        near(gradient, 4.0),
-        text(gradient, 4.0),
-    );
-    let printed = [of(0, 1.0, true, deep), of(1, 1.0, true, deep)];
-    let survive = 1.0 - ABSORB;
-    let expected = 1.0 / (1.0 - ALBEDO * survive);
-    fig.check(
-        "(b) printed: radiance without the survival probability (errata S-D3)",
-        near(printed[0], expected) && !near(printed[0], 2.0),
-        text(printed[0], (expected * 1e4).round() / 1e4) + " for the printed form, 2 is true",
-    );
-    let expected = expected * expected;
-    let own = survive * (1.0 / (1.0 - ALBEDO * survive)).powi(2);
-    fig.check(
-        "(b) printed: gradient that is neither that of its own forward pass nor the true one",
-        near(printed[1], expected) && !near(printed[1], own) && !near(printed[1], 4.0),
-        text(printed[1], (expected * 1e4).round() / 1e4)
-            + &format!("; own forward pass {own:.4}, true 4"),
-    );
+fn text((m, e): (f64, f64), x: f64) -> String {
+    format!("{m:.4} ± {e:.4}, expected {x}")
+}
 
-    // ---- Emission (S-D4) ----
-    let (right, wrong) = (of(2, 3.0, false, deep), of(2, 3.0, true, deep));
-    fig.check(
-        "derivative in the emission, 1 / (1 - albedo) at emission 3",
-        near(right, 2.0),
-        text(right, 2.0),
-    );
-    fig.check(
-        "printed: too large by the emission itself (errata S-D4)",
-        (wrong.0 / 3.0 - 1.0 / (1.0 - ALBEDO * survive)).abs() < 3.0 * wrong.1,
-        format!(
-            "{:.3} for 1.538 of the printed forward pass, 2 is true",
-            wrong.0
-        ),
-    );
-
-    // ---- Depth limit (S-D6) ----
-    let (right, wrong) = (
-        of(0, 1.0, false, 4),
-        mean(n, |i| {
-            let (s, absorbed) = make_path(i, ABSORB, 4);
-            let end = if absorbed { s } else { 4 };
-            // Corrected roulette, but cut paths count as if absorbed.
-            (ALBEDO / survive).powi(end.min(3) as i32) / ABSORB
-        }),
-    );
-    fig.check(
-        "depth limit 4: the first four terms of the series, only absorbed paths count",
-        near(right, 1.875),
-        text(right, 1.875),
-    );
-    fig.check(
-        "counting paths that were cut as well is wrong (errata S-D6)",
-        !near(wrong, 1.875) && wrong.0 > 1.9,
-        format!("{:.3} instead of 1.875", wrong.0),
-    );
-
-    // ---- Cost per pixel, not per sample (S-D5) ----
+/// The cost is one of pixels, not of samples (S-D5).
+fn cost_per_pixel(fig: &mut Figure) {
     // Samples are theta x with x exponential of mean 1; the target is 1, so theta = 1 is right.
     let spp = 16u64;
     let pixels = fig.pick(20_000u64, 200_000);
@@ -234,8 +163,10 @@ pub fn figure(fig: &mut Figure) -> Result {
         (per_sample - 8.0).abs() < 0.2 && (undivided - 0.5).abs() < 0.02,
         format!("{per_sample:.3} with radiance/N (N = 16), {undivided:.3} without"),
     );
+}
 
-    // ---- The renderer ----
+/// The renderer in the same furnace.
+fn by_the_renderer(fig: &mut Figure) -> Result {
     let scene = furnace()?;
     let spp = fig.pick(64, 1024);
     let values: Vec<f64> = scene.params().values().iter().map(|&v| v.into()).collect();
@@ -274,14 +205,17 @@ pub fn figure(fig: &mut Figure) -> Result {
             text(m, expected),
         );
     }
+    Ok(())
+}
 
-    // ---- Radiance against the absorption probability ----
+/// Radiance against the absorption probability.
+fn absorption(fig: &mut Figure, n: u64) {
     let mut rows = Vec::new();
     for k in 1..10 {
         let absorb = f64::from(k) / 10.0;
         let survive = 1.0 - absorb;
         let (m, _) = mean(n / 10, |i| {
-            let (s, _) = make_path(i, absorb, deep);
+            let (s, _) = make_path(i, absorb, DEEP);
             (ALBEDO / survive).powi(s as i32) / absorb
         });
         rows.push([absorb, m, 1.0 / (1.0 - ALBEDO * survive)]);
@@ -297,5 +231,87 @@ pub fn figure(fig: &mut Figure) -> Result {
     .y_range(0.8, 2.4);
     fig.csv("roulette", &["absorb", "corrected", "printed"], rows);
     fig.chart("roulette", &chart);
+}
+
+/// `stam-alg-d`.
+pub fn figure(fig: &mut Figure) -> Result {
+    let n = fig.pick(400_000u64, 10_000_000);
+    fig.note("paths", n);
+    fig.note("seed", 21);
+    let near = |(m, e): (f64, f64), x: f64| (m - x).abs() < 3.0 * e;
+    let of = |k: usize, emission: f64, printed: bool, depth: usize| {
+        mean(n, |i| pass(i, emission, printed, depth)[k])
+    };
+
+    // ---- Roulette (S-D3) ----
+    let radiance = of(0, 1.0, false, DEEP);
+    let gradient = of(1, 1.0, false, DEEP);
+    fig.check(
+        "(b) closed furnace: radiance E / (1 - albedo)",
+        near(radiance, 2.0),
+        text(radiance, 2.0),
+    );
+    fig.check(
+        "(b) its derivative in the albedo",
+        near(gradient, 4.0),
+        text(gradient, 4.0),
+    );
+    let printed = [of(0, 1.0, true, DEEP), of(1, 1.0, true, DEEP)];
+    let survive = 1.0 - ABSORB;
+    let expected = 1.0 / (1.0 - ALBEDO * survive);
+    fig.check(
+        "(b) printed: radiance without the survival probability (errata S-D3)",
+        near(printed[0], expected) && !near(printed[0], 2.0),
+        text(printed[0], (expected * 1e4).round() / 1e4) + " for the printed form, 2 is true",
+    );
+    let expected = expected * expected;
+    let own = survive * (1.0 / (1.0 - ALBEDO * survive)).powi(2);
+    fig.check(
+        "(b) printed: gradient that is neither that of its own forward pass nor the true one",
+        near(printed[1], expected) && !near(printed[1], own) && !near(printed[1], 4.0),
+        text(printed[1], (expected * 1e4).round() / 1e4)
+            + &format!("; own forward pass {own:.4}, true 4"),
+    );
+
+    // ---- Emission (S-D4) ----
+    let (right, wrong) = (of(2, 3.0, false, DEEP), of(2, 3.0, true, DEEP));
+    fig.check(
+        "derivative in the emission, 1 / (1 - albedo) at emission 3",
+        near(right, 2.0),
+        text(right, 2.0),
+    );
+    fig.check(
+        "printed: too large by the emission itself (errata S-D4)",
+        (wrong.0 / 3.0 - 1.0 / (1.0 - ALBEDO * survive)).abs() < 3.0 * wrong.1,
+        format!(
+            "{:.3} for 1.538 of the printed forward pass, 2 is true",
+            wrong.0
+        ),
+    );
+
+    // ---- Depth limit (S-D6) ----
+    let (right, wrong) = (
+        of(0, 1.0, false, 4),
+        mean(n, |i| {
+            let (s, absorbed) = make_path(i, ABSORB, 4);
+            let end = if absorbed { s } else { 4 };
+            // Corrected roulette, but cut paths count as if absorbed.
+            (ALBEDO / survive).powi(end.min(3) as i32) / ABSORB
+        }),
+    );
+    fig.check(
+        "depth limit 4: the first four terms of the series, only absorbed paths count",
+        near(right, 1.875),
+        text(right, 1.875),
+    );
+    fig.check(
+        "counting paths that were cut as well is wrong (errata S-D6)",
+        !near(wrong, 1.875) && wrong.0 > 1.9,
+        format!("{:.3} instead of 1.875", wrong.0),
+    );
+
+    cost_per_pixel(fig);
+    by_the_renderer(fig)?;
+    absorption(fig, n);
     Ok(())
 }

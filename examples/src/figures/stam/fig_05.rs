@@ -106,6 +106,46 @@ fn wireframe(view: &View, panel: &mut Panel) {
     }
 }
 
+/// The points of a path, from the eye on.
+fn points(path: &FixedPath<f64>) -> Vec<Point> {
+    let mut all = vec![Point::from(EYE)];
+    all.extend(&path.positions);
+    all
+}
+
+/// A path, seen from outside.
+fn one_path(path: Option<&FixedPath<f64>>) -> Panel {
+    let view = View::new(
+        Vec3::new(2.2, 1.5, 4.2),
+        Vec3::new(0.0, -0.05, 0.0),
+        41.0,
+        512.0,
+    );
+    let blank = render::Image {
+        width: 512,
+        height: 512,
+        data: vec![1.0; 512 * 512 * 3],
+    };
+    let mut left = Panel::tonemapped("one path", &blank, 1.0);
+    wireframe(&view, &mut left);
+    if let Some(path) = path {
+        let all = points(path);
+        for offset in [0.0, 0.004] {
+            let shifted: Vec<Point> = all.iter().map(|p| *p + Vec3::splat(offset)).collect();
+            view.polyline(&mut left, &shifted, [200, 30, 30]);
+        }
+        for (i, p) in all.iter().enumerate() {
+            let colour = match i {
+                0 => [0, 0, 0],
+                _ if i + 1 == all.len() => [230, 160, 0],
+                _ => [200, 30, 30],
+            };
+            left.dot(view.pixel(*p), 4.5, colour);
+        }
+    }
+    left
+}
+
 /// `stam-05`.
 pub fn figure(fig: &mut Figure) -> Result {
     let size = fig.pick(96, 256);
@@ -190,40 +230,7 @@ pub fn figure(fig: &mut Figure) -> Result {
     );
 
     // ---- Left: one path, seen from outside ----
-    let eye = Point::from(EYE);
-    let points = |p: &FixedPath<f64>| {
-        let mut all = vec![eye];
-        all.extend(&p.positions);
-        all
-    };
-    let view = View::new(
-        Vec3::new(2.2, 1.5, 4.2),
-        Vec3::new(0.0, -0.05, 0.0),
-        41.0,
-        512.0,
-    );
-    let blank = render::Image {
-        width: 512,
-        height: 512,
-        data: vec![1.0; 512 * 512 * 3],
-    };
-    let mut left = Panel::tonemapped("one path", &blank, 1.0);
-    wireframe(&view, &mut left);
-    if let Some(path) = paths.get(single) {
-        let all = points(path);
-        for offset in [0.0, 0.004] {
-            let shifted: Vec<Point> = all.iter().map(|p| *p + Vec3::splat(offset)).collect();
-            view.polyline(&mut left, &shifted, [200, 30, 30]);
-        }
-        for (i, p) in all.iter().enumerate() {
-            let colour = match i {
-                0 => [0, 0, 0],
-                _ if i + 1 == all.len() => [230, 160, 0],
-                _ => [200, 30, 30],
-            };
-            left.dot(view.pixel(*p), 4.5, colour);
-        }
-    }
+    let left = one_path(paths.get(single));
 
     // ---- Right: the image and a subset of its paths ----
     let image = picture(&scene, seed, spp);
@@ -238,7 +245,12 @@ pub fn figure(fig: &mut Figure) -> Result {
     );
     let mut right =
         Panel::tonemapped("image and some of its paths", &image.image(0), 1.3).enlarged(enlarge);
-    let view = View::new(eye, Vec3::zero(), FOV, f64::from(size) * enlarge as f64);
+    let view = View::new(
+        Point::from(EYE),
+        Vec3::zero(),
+        FOV,
+        f64::from(size) * enlarge as f64,
+    );
     let colours = [
         [230, 159, 0],
         [86, 180, 233],

@@ -174,33 +174,27 @@ fn pseudocode(case: &Case<f64>) -> [f64; 4] {
     [radiance, d_emission, d_exponent, d_wall]
 }
 
-/// `stam-06`.
-pub fn figure(fig: &mut Figure) -> Result {
-    let size = 64;
-    let sampling = BlinnPhongSampling::Importance;
-    let scene = Cornell {
-        theta: THETA,
-        sampling,
-        size,
-        max_depth: 6,
-    }
-    .build()?;
-    let (pixel, index) = find_path(&scene, size)?;
-    fig.note("theta", THETA.to_vec());
-    fig.note("seed", SEED);
-    fig.note("pixel", pixel.to_vec());
-    fig.note("sample", index);
-    let single = Case::<f32>::new(&scene, pixel, index);
-    let double = Case::<f64>::new(&scene, pixel, index);
-    let adjoint = single.adjoint()?;
-    let adjoint64 = double.adjoint()?;
-    let cost = single.cost(&single.values);
-    fig.note("J", f64::from(cost));
+/// A path in both precisions.
+struct Both<'a> {
+    single: Case<'a, f32>,
+    double: Case<'a, f64>,
+}
 
-    // ---- The table ----
+/// Differences in both precisions for all steps, and whether the adjoint was the same beside each.
+struct Differences {
+    single: [[f64; CONTROLS]; STEPS.len()],
+    double: [[f64; CONTROLS]; STEPS.len()],
+    evaluations: usize,
+    same: bool,
+}
+
+/// The table of figure 6.
+fn table(fig: &mut Figure, path: &Both, adjoint: &[f64; CONTROLS]) -> Result<Differences> {
+    let Both { single, double } = path;
+    let cost = single.cost(&single.values);
     say!("  J = {cost:.4e}");
     let numbers = |row: &[f64; CONTROLS]| row.map(|x| format!("{x:>11.6}")).join("");
-    say!("  adjoint   {}", numbers(&adjoint));
+    say!("  adjoint   {}", numbers(adjoint));
     let mut tables = [[[0.0; CONTROLS]; STEPS.len()]; 2];
     let mut rows = Vec::new();
     let mut evaluations = 0;
@@ -223,7 +217,7 @@ pub fn figure(fig: &mut Figure) -> Result {
             ]);
         }
         say!("  eps {step:<6e}{}", numbers(&tables[0][s]));
-        same &= single.adjoint()? == adjoint;
+        same &= single.adjoint()? == *adjoint;
     }
     say!("  f64 1e-7  {}", numbers(&tables[1][2]));
     fig.note("path_evaluations_per_step", evaluations / STEPS.len());
@@ -231,18 +225,28 @@ pub fn figure(fig: &mut Figure) -> Result {
         "control", "eps", "adjoint", "J_up", "J_down", "fd_f32", "fd_f64",
     ];
     fig.csv_text("gradients", &header, rows);
-    let [f32_table, f64_table] = tables;
+    let [single, double] = tables;
+    Ok(Differences {
+        single,
+        double,
+        evaluations,
+        same,
+    })
+}
 
-    // ---- Outcomes ----
-    let worst = |row: &[f64; CONTROLS], of: &[f64; CONTROLS], f: &dyn Fn(f64, f64) -> f64| {
-        (0..CONTROLS)
-            .map(|k| f(row[k], of[k]))
-            .fold(0.0f64, f64::max)
-    };
+/// The largest of a function of two rows.
+fn worst(row: &[f64; CONTROLS], of: &[f64; CONTROLS], f: impl Fn(f64, f64) -> f64) -> f64 {
+    (0..CONTROLS)
+        .map(|k| f(row[k], of[k]))
+        .fold(0.0f64, f64::max)
+}
+
+/// How far differences in single precision agree.
+fn differences(fig: &mut Figure, found: &Differences, adjoint: &[f64; CONTROLS]) {
     // Three digits, and four roundings of a cost of 1 (the square of a product of some ten factors)
     // divided by 2 eps.
     let rounding = 4.0 * f64::from(f32::EPSILON) / 2e-4;
-    let miss = worst(&f32_table[1], &adjoint, &|f, a| {
+    let miss = worst(&found.single[1], adjoint, |f, a| {
         (f - a).abs() / (1e-3 * a.abs() + rounding)
     });
     fig.check(
@@ -253,21 +257,21 @@ pub fn figure(fig: &mut Figure) -> Result {
         ),
     );
     let (emission, wall, specular) = (
-        f32_table[0][0] / adjoint[0],
-        f32_table[0][6] / adjoint[6],
-        f32_table[0][3] / adjoint[3],
+        found.single[0][0] / adjoint[0],
+        found.single[0][6] / adjoint[6],
+        found.single[0][3] / adjoint[3],
     );
     fig.check(
         "(b) eps 0.1: the control that is linear in radiance is exact to 5 digits",
         (emission - 1.0).abs() < 1e-5,
-        format!("{:.6}, adjoint {:.6}", f32_table[0][0], adjoint[0]),
+        format!("{:.6}, adjoint {:.6}", found.single[0][0], adjoint[0]),
     );
     fig.check(
         "(b) eps 0.1: the control with the fourth power is 11.1 % too large",
         (wall / (14.814816 / 13.3333) - 1.0).abs() < 1e-4,
         format!(
             "{:.6}, adjoint {:.6}: the paper's 14.814816 and 13.3333",
-            f32_table[0][6], adjoint[6]
+            found.single[0][6], adjoint[6]
         ),
     );
     fig.check(
@@ -275,12 +279,12 @@ pub fn figure(fig: &mut Figure) -> Result {
         (specular - 1.0).abs() > 0.1,
         format!(
             "{:.4}, adjoint {:.4} ({:+.0} %)",
-            f32_table[0][3],
+            found.single[0][3],
             adjoint[3],
             100.0 * (specular - 1.0)
         ),
     );
-    let off = worst(&f32_table[2], &adjoint, &|f, a| {
+    let off = worst(&found.single[2], adjoint, |f, a| {
         if a == 0.0 { 0.0 } else { (f / a - 1.0).abs() }
     });
     fig.check(
@@ -290,15 +294,24 @@ pub fn figure(fig: &mut Figure) -> Result {
     );
     fig.check(
         "(d) eps 1e-10, single precision: every entry is exactly 0",
-        f32_table[3].iter().all(|&x| x == 0.0),
-        format!("{:?}", f32_table[3]),
+        found.single[3].iter().all(|&x| x == 0.0),
+        format!("{:?}", found.single[3]),
     );
+}
+
+/// How far the adjoint does, and what double precision adds.
+fn adjoints(
+    fig: &mut Figure,
+    found: &Differences,
+    adjoint: &[f64; CONTROLS],
+    adjoint64: &[f64; CONTROLS],
+) {
     fig.check(
         "(e) the adjoint does not depend on eps",
-        same,
+        found.same,
         "bit-identical after every row",
     );
-    let precise = worst(&adjoint, &adjoint64, &|a, b| {
+    let precise = worst(adjoint, adjoint64, |a, b| {
         if b == 0.0 {
             a.abs()
         } else {
@@ -316,7 +329,7 @@ pub fn figure(fig: &mut Figure) -> Result {
         unused.iter().all(|&x| x == 0.0),
         format!("{unused:?}"),
     );
-    let exact = worst(&f64_table[2], &adjoint64, &|f, a| {
+    let exact = worst(&found.double[2], adjoint64, |f, a| {
         (f - a).abs() / a.abs().max(1.0)
     });
     fig.check(
@@ -326,27 +339,34 @@ pub fn figure(fig: &mut Figure) -> Result {
     );
     fig.check(
         "2K = 14 path evaluations per row of differences",
-        evaluations == 14 * STEPS.len(),
-        format!("{} per row", evaluations / STEPS.len()),
+        found.evaluations == 14 * STEPS.len(),
+        format!("{} per row", found.evaluations / STEPS.len()),
     );
-    let [radiance, d_emission, d_exponent, d_wall] = pseudocode(&double);
+}
+
+/// What the pseudocode of the source finds on this path.
+fn as_printed(fig: &mut Figure, path: &Case<f64>, adjoint: &[f64; CONTROLS]) {
+    let [radiance, d_emission, d_exponent, d_wall] = pseudocode(path);
     fig.check(
         "the pseudocode on this path: radiance without survival probabilities (errata S-D3)",
         (radiance - 1.0).abs() > 0.1,
-        format!("{radiance:.4} of the radiance at absorption {ABSORB}; wall entry {d_wall:.4} for {:.4}", adjoint64[6]),
+        format!("{radiance:.4} of the radiance at absorption {ABSORB}; wall entry {d_wall:.4} for {:.4}", adjoint[6]),
     );
     fig.check(
         "the pseudocode on this path: emission entry too small by the emission (errata S-D4)",
-        (d_emission / adjoint64[0] - THETA[0]).abs() < 1e-6,
-        format!("{d_emission:.4} for {:.4}", adjoint64[0]),
+        (d_emission / adjoint[0] - THETA[0]).abs() < 1e-6,
+        format!("{d_emission:.4} for {:.4}", adjoint[0]),
     );
     fig.check(
         "the pseudocode on this path: exponent entry is not the derivative (errata S-C1, S-C3)",
-        (d_exponent / adjoint64[4] - 1.0).abs() > 0.1,
-        format!("{d_exponent:.4} for {:.4}", adjoint64[4]),
+        (d_exponent / adjoint[4] - 1.0).abs() > 0.1,
+        format!("{d_exponent:.4} for {:.4}", adjoint[4]),
     );
+}
 
-    // ---- Error against the step ----
+/// Error against the step.
+fn steps(fig: &mut Figure, path: &Both, adjoint: &[f64; CONTROLS]) -> Result {
+    let Both { single, double } = path;
     let mut chart = LineChart::new(
         "Error of central differences on one path",
         "eps",
@@ -362,7 +382,7 @@ pub fn figure(fig: &mut Figure) -> Result {
         for &step in &sweep {
             curve.push((
                 step,
-                (single.difference(k, step)?[2] / adjoint64[k] - 1.0).abs(),
+                (single.difference(k, step)?[2] / adjoint[k] - 1.0).abs(),
             ));
         }
         chart = chart.line(&format!("{}, f32", LABELS[k]), curve);
@@ -371,9 +391,41 @@ pub fn figure(fig: &mut Figure) -> Result {
     for &step in &sweep {
         curve.push((
             step,
-            (double.difference(3, step)?[2] / adjoint64[3] - 1.0).abs(),
+            (double.difference(3, step)?[2] / adjoint[3] - 1.0).abs(),
         ));
     }
     fig.chart("step", &chart.dashed(&format!("{}, f64", LABELS[3]), curve));
     Ok(())
+}
+
+/// `stam-06`.
+pub fn figure(fig: &mut Figure) -> Result {
+    let size = 64;
+    let sampling = BlinnPhongSampling::Importance;
+    let scene = Cornell {
+        theta: THETA,
+        sampling,
+        size,
+        max_depth: 6,
+    }
+    .build()?;
+    let (pixel, index) = find_path(&scene, size)?;
+    fig.note("theta", THETA.to_vec());
+    fig.note("seed", SEED);
+    fig.note("pixel", pixel.to_vec());
+    fig.note("sample", index);
+    let path = Both {
+        single: Case::new(&scene, pixel, index),
+        double: Case::new(&scene, pixel, index),
+    };
+    let adjoint = path.single.adjoint()?;
+    let adjoint64 = path.double.adjoint()?;
+    let cost = path.single.cost(&path.single.values);
+    fig.note("J", f64::from(cost));
+
+    let found = table(fig, &path, &adjoint)?;
+    differences(fig, &found, &adjoint);
+    adjoints(fig, &found, &adjoint, &adjoint64);
+    as_printed(fig, &path.double, &adjoint64);
+    steps(fig, &path, &adjoint64)
 }

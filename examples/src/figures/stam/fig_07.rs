@@ -2,18 +2,54 @@
 //! cosine-weighted.
 
 use render::Job;
+use render::Scene;
 use render::bsdf::BlinnPhongSampling;
 use render::estimator::{BsdfOnly, Detached};
 use render::instances::{Estimator, backward_f32, render_f64};
 use render::integrator::gradient::Active;
+use render::integrator::render::Rendering;
 use render::params::Theta;
 
 use super::cornell::{LABELS, NAMES, SPHERE, perturbed};
 use super::fixed_path::images;
 use super::gradient_images::{
-    BATCHES, EXPONENT, FD_STEP, THETA, clean, forward_batched, grey, panels, scene, setup, total,
+    BATCHES, EXPONENT, FD_STEP, Setup, THETA, clean, forward_batched, grey, panels, scene, setup,
+    total,
 };
 use crate::figure::{Figure, Result};
+
+/// (e) One backward pass against derivative images; returns these, with emitters sampled.
+fn reverse_mode(fig: &mut Figure, scene: &Scene, s: &Setup) -> Result<Rendering> {
+    let spp = s.spp.min(64);
+    let mis = clean(scene, s.seed, spp)?;
+    let active = Active::new(scene, &NAMES)?;
+    let adjoint = vec![1.0f32; scene.film.pixels() * 3];
+    let theta = Theta::<f32>::constant(scene.params().values());
+    let g = backward_f32(
+        &Job::new(scene, &scene.settings, s.seed, 0..spp, &()),
+        &theta,
+        &active,
+        &adjoint,
+    )?;
+    let pixels = scene.film.pixels() as f64;
+    let mut worst = 0.0f64;
+    let mut text = Vec::new();
+    for (k, d) in g.values.iter().enumerate() {
+        let images: f64 = mis.mean(k + 1).iter().sum::<f64>() * pixels;
+        let reverse: f64 = d.iter().sum();
+        worst = worst.max((images - reverse).abs() / images.abs().max(1.0));
+        text.push(format!("{reverse:.4}"));
+    }
+    fig.check(
+        "(e) one backward pass gives the sums of all seven derivative images over the same paths",
+        worst < 1e-4,
+        format!(
+            "largest relative difference {worst:.1e}; {}",
+            text.join(", ")
+        ),
+    );
+    Ok(mis)
+}
 
 /// `stam-07`.
 pub fn figure(fig: &mut Figure) -> Result {
@@ -135,35 +171,7 @@ pub fn figure(fig: &mut Figure) -> Result {
         "exactly 0 in all pixels",
     );
 
-    // ---- (e) Reverse mode ----
-    let spp = s.spp.min(64);
-    let mis = clean(&scene7, s.seed, spp)?;
-    let active = Active::new(&scene7, &NAMES)?;
-    let adjoint = vec![1.0f32; scene7.film.pixels() * 3];
-    let theta = Theta::<f32>::constant(scene7.params().values());
-    let g = backward_f32(
-        &Job::new(&scene7, &scene7.settings, s.seed, 0..spp, &()),
-        &theta,
-        &active,
-        &adjoint,
-    )?;
-    let pixels = scene7.film.pixels() as f64;
-    let mut worst = 0.0f64;
-    let mut text = Vec::new();
-    for (k, d) in g.values.iter().enumerate() {
-        let images: f64 = mis.mean(k + 1).iter().sum::<f64>() * pixels;
-        let reverse: f64 = d.iter().sum();
-        worst = worst.max((images - reverse).abs() / images.abs().max(1.0));
-        text.push(format!("{reverse:.4}"));
-    }
-    fig.check(
-        "(e) one backward pass gives the sums of all seven derivative images over the same paths",
-        worst < 1e-4,
-        format!(
-            "largest relative difference {worst:.1e}; {}",
-            text.join(", ")
-        ),
-    );
+    let mis = reverse_mode(fig, &scene7, &s)?;
 
     fig.images(
         "figure",

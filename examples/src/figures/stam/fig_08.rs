@@ -15,8 +15,8 @@ use super::alg_c;
 use super::cornell::{LABELS, NAMES, SPHERE, perturbed};
 use super::fixed_path::{FixedPath, Vertex, images};
 use super::gradient_images::{
-    EXPONENT, FD_STEP, Setup, THETA, batched, forward_batched, grey, highlight, panels, scene,
-    setup, total,
+    Batched, EXPONENT, FD_STEP, Setup, THETA, batched, forward_batched, grey, highlight, panels,
+    scene, setup, total,
 };
 use super::printed;
 use crate::chart::{LineChart, Panel};
@@ -91,24 +91,12 @@ fn noise_ratios(exponent: f64, s: &Setup, spp: u64) -> Result<([f64; 2], usize)>
     Ok(([image, derivative], region.len()))
 }
 
-/// `stam-08`.
-pub fn figure(fig: &mut Figure) -> Result {
-    let s = setup(fig);
-    let scene8 = scene(THETA, BlinnPhongSampling::Importance, s.size, s.depth)?;
-    let scene7 = scene(THETA, BlinnPhongSampling::Cosine, s.size, s.depth)?;
-    let b = forward_batched::<BsdfOnly<Detached>>(&scene8, s.seed, s.spp)?;
-    let b7 = forward_batched::<BsdfOnly<Detached>>(&scene7, s.seed + 1, s.spp)?;
-    fig.check(
-        "no sample is NaN or infinite",
-        b.bad + b7.bad == 0,
-        b.bad + b7.bad,
-    );
-
-    // ---- (a) Noise in the highlight ----
+/// (a) Noise in the highlight.
+fn noise(fig: &mut Figure, s: &Setup) -> Result {
     let mut rows = Vec::new();
     let mut ratios = Vec::new();
     for exponent in [20.0, 80.0, 320.0] {
-        let ([image, derivative], pixels) = noise_ratios(exponent, &s, fig.pick(64, 256))?;
+        let ([image, derivative], pixels) = noise_ratios(exponent, s, fig.pick(64, 256))?;
         fig.check(
             format!("(a) exponent {exponent}: less noise in the highlight than cosine sampling"),
             image > 1.0 && derivative > 1.0,
@@ -142,17 +130,20 @@ pub fn figure(fig: &mut Figure) -> Result {
         &["exponent", "ratio_image", "ratio_exponent_derivative"],
         rows,
     );
+    Ok(())
+}
 
-    // ---- (b) Detached against differences ----
-    // Differences of an estimator whose paths do not depend on the controls, with emitters sampled.
+/// Differences in every control of [`USED`], of an estimator whose paths do not depend on the controls, with emitters
+/// sampled.
+fn differences(scene: &Scene, s: &Setup) -> Result<Vec<Batched>> {
     let mut reference = Vec::new();
     for &k in &USED {
         let fd = batched(s.spp.min(128), |samples| {
             let at = |sign: f64| -> Result<Vec<f64>> {
-                let values = perturbed(&scene7, k, sign * FD_STEP)?;
+                let values = perturbed(scene, k, sign * FD_STEP)?;
                 let theta = Theta::<f64>::constant(&values);
                 let r = render_f64(
-                    &Job::new(&scene7, &scene7.settings, s.seed + 2, samples.clone(), &()),
+                    &Job::new(scene, &scene.settings, s.seed + 2, samples.clone(), &()),
                     &theta,
                     Estimator::Mis,
                 );
@@ -168,9 +159,14 @@ pub fn figure(fig: &mut Figure) -> Result {
         })?;
         reference.push(fd);
     }
+    Ok(reference)
+}
+
+/// (b) Detached derivatives against differences.
+fn detached(fig: &mut Figure, b: &Batched, reference: &[Batched]) {
     let mut rows = Vec::new();
-    for (&k, fd) in USED.iter().zip(&reference) {
-        let (found, error) = total(&b, k + 1);
+    for (&k, fd) in USED.iter().zip(reference) {
+        let (found, error) = total(b, k + 1);
         let (truth, fd_error) = total(fd, 0);
         let z = (found - truth).abs() / error.hypot(fd_error);
         fig.check(
@@ -199,23 +195,23 @@ pub fn figure(fig: &mut Figure) -> Result {
     for (statement, passed, found) in alg_c::attached_outcomes(fig.pick(100_000, 1_000_000)) {
         fig.check(format!("(b) variant iii, {statement}"), passed, found);
     }
-    let attached = forward_batched::<AllowBias<BsdfOnly<Attached>>>(&scene8, s.seed, s.spp)?;
-    let (found, error) = total(&attached, EXPONENT + 1);
-    let (truth, fd_error) = total(&reference[3], 0);
-    fig.check(
-        "(b) attached sampling without reparameterisation misses the edge of the light (F8)",
-        (found - truth).abs() > 6.0 * error.hypot(fd_error),
-        format!("{found:.4} ± {error:.4}, differences {truth:.4} ± {fd_error:.4}"),
-    );
+}
 
-    // ---- (c) The printed rule ----
-    let values = perturbed(&scene8, 0, 0.0)?;
-    let lobe = sphere_lobe(&values, &scene8)?;
+/// (c) The printed rule: its image and its exponent derivative.
+fn as_printed(
+    fig: &mut Figure,
+    scene: &Scene,
+    s: &Setup,
+    differences: &Batched,
+) -> Result<Batched> {
+    let (truth, fd_error) = total(differences, 0);
+    let values = perturbed(scene, 0, 0.0)?;
+    let lobe = sphere_lobe(&values, scene)?;
     let theta = Theta::<f64>::constant(&values);
     let measured = batched(s.spp, |samples| {
-        let found = images(&scene8, &values, s.seed, samples, |p: &FixedPath<f64>| {
+        let found = images(scene, &values, s.seed, samples, |p: &FixedPath<f64>| {
             let mut score = 0.0;
-            let l = p.radiance_with(&scene8, &theta, |v| {
+            let l = p.radiance_with(scene, &theta, |v| {
                 if v.shape == SPHERE {
                     let (f, d) = printed_lobe(&lobe, v);
                     score += d;
@@ -224,7 +220,7 @@ pub fn figure(fig: &mut Figure) -> Result {
                     Rgb::splat(THETA[6] * v.wi.z / PI)
                 }
             });
-            [l.r, l.r * score, p.radiance(&scene8, &theta).r]
+            [l.r, l.r * score, p.radiance(scene, &theta).r]
         });
         Ok(found.to_vec())
     })?;
@@ -234,7 +230,7 @@ pub fn figure(fig: &mut Figure) -> Result {
         (found - truth).abs() > 6.0 * error.hypot(fd_error),
         format!("sum over the image {found:.4} ± {error:.4}, true {truth:.4} ± {fd_error:.4}"),
     );
-    let region = highlight(THETA, &s)?;
+    let region = highlight(THETA, s)?;
     let sum = |k: usize| region.iter().map(|&i| measured.mean[k][i]).sum::<f64>();
     fig.check(
         "(c) variant i loses the highlight",
@@ -253,8 +249,11 @@ pub fn figure(fig: &mut Figure) -> Result {
             format!("{found:.4}, expected {expected}"),
         );
     }
+    Ok(measured)
+}
 
-    // ---- (d) Albedo-like controls ----
+/// (d) Albedo-like controls.
+fn albedos(fig: &mut Figure, b: &Batched, attached: &Batched, b7: &Batched) {
     let same = [0, 2, 3, 6]
         .iter()
         .flat_map(|&k| b.mean[k + 1].iter().zip(&attached.mean[k + 1]));
@@ -267,14 +266,42 @@ pub fn figure(fig: &mut Figure) -> Result {
         format!("largest relative difference {same:.1e}"),
     );
     for k in [0, 2, 3, 6] {
-        let (a, ea) = total(&b, k + 1);
-        let (c, ec) = total(&b7, k + 1);
+        let (a, ea) = total(b, k + 1);
+        let (c, ec) = total(b7, k + 1);
         fig.check(
             format!("(d) {}: importance and cosine sampling agree", LABELS[k]),
             (a - c).abs() < 4.0 * ea.hypot(ec),
             format!("{a:.4} ± {ea:.4}, {c:.4} ± {ec:.4}"),
         );
     }
+}
+
+/// `stam-08`.
+pub fn figure(fig: &mut Figure) -> Result {
+    let s = setup(fig);
+    let scene8 = scene(THETA, BlinnPhongSampling::Importance, s.size, s.depth)?;
+    let scene7 = scene(THETA, BlinnPhongSampling::Cosine, s.size, s.depth)?;
+    let b = forward_batched::<BsdfOnly<Detached>>(&scene8, s.seed, s.spp)?;
+    let b7 = forward_batched::<BsdfOnly<Detached>>(&scene7, s.seed + 1, s.spp)?;
+    fig.check(
+        "no sample is NaN or infinite",
+        b.bad + b7.bad == 0,
+        b.bad + b7.bad,
+    );
+
+    noise(fig, &s)?;
+    let reference = differences(&scene7, &s)?;
+    detached(fig, &b, &reference);
+    let attached = forward_batched::<AllowBias<BsdfOnly<Attached>>>(&scene8, s.seed, s.spp)?;
+    let (found, error) = total(&attached, EXPONENT + 1);
+    let (truth, fd_error) = total(&reference[3], 0);
+    fig.check(
+        "(b) attached sampling without reparameterisation misses the edge of the light (F8)",
+        (found - truth).abs() > 6.0 * error.hypot(fd_error),
+        format!("{found:.4} ± {error:.4}, differences {truth:.4} ± {fd_error:.4}"),
+    );
+    let measured = as_printed(fig, &scene8, &s, &reference[3])?;
+    albedos(fig, &b, &attached, &b7);
 
     fig.images(
         "figure",

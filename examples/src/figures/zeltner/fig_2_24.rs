@@ -30,6 +30,54 @@ fn weights(p: &[Normal<f64>; 3], x: f64, exponent: i32) -> [f64; 3] {
     powers.map(|v| v / sum)
 }
 
+/// The densities and their weights.
+fn curves(fig: &mut Figure, p: &[Normal<f64>; 3]) {
+    let rows: Vec<[f64; 11]> = positions(RANGE, 400)
+        .map(|x| {
+            let (d, b, w) = (p.map(|p| p.pdf(x)), weights(p, x, 1), weights(p, x, 2));
+            [
+                x,
+                f(x),
+                d[0],
+                d[1],
+                d[2],
+                b[0],
+                b[1],
+                b[2],
+                w[0],
+                w[1],
+                w[2],
+            ]
+        })
+        .collect();
+    let curve = |k: usize| rows.iter().map(|r| (r[0], r[k])).collect::<Vec<_>>();
+    let chart = LineChart::new("Three densities for one integrand", "x", "f, p")
+        .x_range(0.0, 1.0)
+        .y_range(0.0, 3.8)
+        .line("p1", curve(2))
+        .line("p2", curve(3))
+        .line("p3", curve(4))
+        .dashed("f", curve(1));
+    fig.chart("densities", &chart);
+    for (file, title, first) in [
+        ("balance", "Weights of the balance heuristic", 5),
+        ("power", "Weights of the power heuristic, beta = 2", 8),
+    ] {
+        let chart = LineChart::new(title, "x", "weight")
+            .x_range(0.0, 1.0)
+            .y_range(0.0, 1.3)
+            .line("w1", curve(first))
+            .line("w2", curve(first + 1))
+            .line("w3", curve(first + 2));
+        fig.chart(file, &chart);
+    }
+    let header = [
+        "x", "f", "p1", "p2", "p3", "balance1", "balance2", "balance3", "power1", "power2",
+        "power3",
+    ];
+    fig.csv("curves", &header, rows);
+}
+
 /// `zeltner-2-24`.
 pub fn figure(fig: &mut Figure) -> Result {
     let (n, seed) = (fig.pick(50_000, 500_000), 3);
@@ -121,50 +169,7 @@ pub fn figure(fig: &mut Figure) -> Result {
         );
         combined.push((name, m, exact));
     }
-    let rows: Vec<[f64; 11]> = positions(RANGE, 400)
-        .map(|x| {
-            let (d, b, w) = (p.map(|p| p.pdf(x)), weights(&p, x, 1), weights(&p, x, 2));
-            [
-                x,
-                f(x),
-                d[0],
-                d[1],
-                d[2],
-                b[0],
-                b[1],
-                b[2],
-                w[0],
-                w[1],
-                w[2],
-            ]
-        })
-        .collect();
-    let curve = |k: usize| rows.iter().map(|r| (r[0], r[k])).collect::<Vec<_>>();
-    let chart = LineChart::new("Three densities for one integrand", "x", "f, p")
-        .x_range(0.0, 1.0)
-        .y_range(0.0, 3.8)
-        .line("p1", curve(2))
-        .line("p2", curve(3))
-        .line("p3", curve(4))
-        .dashed("f", curve(1));
-    fig.chart("densities", &chart);
-    for (file, title, first) in [
-        ("balance", "Weights of the balance heuristic", 5),
-        ("power", "Weights of the power heuristic, beta = 2", 8),
-    ] {
-        let chart = LineChart::new(title, "x", "weight")
-            .x_range(0.0, 1.0)
-            .y_range(0.0, 1.3)
-            .line("w1", curve(first))
-            .line("w2", curve(first + 1))
-            .line("w3", curve(first + 2));
-        fig.chart(file, &chart);
-    }
-    let header = [
-        "x", "f", "p1", "p2", "p3", "balance1", "balance2", "balance3", "power1", "power2",
-        "power3",
-    ];
-    fig.csv("curves", &header, rows);
+    curves(fig, &p);
     let line = |name: String, m: &Moments, evaluations: f64, exact: f64| {
         let numbers = [
             m.mean,

@@ -2,6 +2,7 @@
 
 use render::Image;
 use render::Job;
+use render::Scene;
 use render::instances::{Estimator, render_f32};
 use render::params::Theta;
 
@@ -12,6 +13,47 @@ use crate::figures::common_scenes::{CORNELL, CORNELL_LAMP, Walls, cornell};
 const SEED: u64 = 28;
 /// Longest paths.
 const LONGEST: u32 = 10;
+
+/// Paths of one edge against the lamp as the camera's rays through the corners of pixels see it.
+fn lamp_alone(fig: &mut Figure, scene: &Scene, sums: &[f64], spp: u64) -> Result {
+    let size = scene.film.size[0];
+    let light = scene.params().find("light.emitter.radiance.value")?;
+    let radiance = &scene.params().values()[light.range()];
+    let on_lamp = |x: f64, y: f64| {
+        let ray = scene.camera.ray(x, y);
+        let [half, height] = CORNELL_LAMP;
+        let t = (height - ray.o.y) / ray.d.y;
+        let [px, pz] = [ray.o.x + t * ray.d.x, ray.o.z + t * ray.d.z];
+        t > 0.0 && px.abs() <= half && pz.abs() <= half
+    };
+    let (mut inside, mut outside, mut wrong) = (0, 0, 0);
+    for (i, sum) in sums.chunks_exact(3).enumerate() {
+        let (x, y) = ((i % size as usize) as f64, (i / size as usize) as f64);
+        // The lamp is thin in this view: corners alone could miss it.
+        let grid = (0..=8).flat_map(|a| (0..=8).map(move |b| [a, b].map(|k| f64::from(k) / 8.0)));
+        let hits = grid.filter(|[a, b]| on_lamp(x + a, y + b)).count();
+        let mean = [0, 1, 2].map(|c: usize| sum[c] / spp as f64);
+        let full = [0, 1, 2].map(|c: usize| f64::from(radiance[c]));
+        let near = |m: f64, f: f64| (m - f).abs() <= 1e-5 * f;
+        match hits {
+            81 => {
+                inside += 1;
+                wrong += usize::from(!(0..3).all(|c| near(mean[c], full[c])));
+            }
+            0 => {
+                outside += 1;
+                wrong += usize::from(mean != [0.0; 3]);
+            }
+            _ => {}
+        }
+    }
+    fig.check(
+        "length 1 shows only the light: its radiance inside, exactly 0 outside",
+        wrong == 0 && inside > 0,
+        format!("{inside} pixels inside, {outside} outside, {wrong} wrong"),
+    );
+    Ok(())
+}
 
 /// `zeltner-2-28`.
 ///
@@ -55,42 +97,7 @@ pub fn figure(fig: &mut Figure) -> Result {
         ),
     );
 
-    // n = 1 against the lamp as seen by the camera's rays through the corners of pixels.
-    let light = scene.params().find("light.emitter.radiance.value")?;
-    let radiance = &scene.params().values()[light.range()];
-    let on_lamp = |x: f64, y: f64| {
-        let ray = scene.camera.ray(x, y);
-        let [half, height] = CORNELL_LAMP;
-        let t = (height - ray.o.y) / ray.d.y;
-        let [px, pz] = [ray.o.x + t * ray.d.x, ray.o.z + t * ray.d.z];
-        t > 0.0 && px.abs() <= half && pz.abs() <= half
-    };
-    let (mut inside, mut outside, mut wrong) = (0, 0, 0);
-    for (i, sum) in sums[0].chunks_exact(3).enumerate() {
-        let (x, y) = ((i % size as usize) as f64, (i / size as usize) as f64);
-        // The lamp is thin in this view: corners alone could miss it.
-        let grid = (0..=8).flat_map(|a| (0..=8).map(move |b| [a, b].map(|k| f64::from(k) / 8.0)));
-        let hits = grid.filter(|[a, b]| on_lamp(x + a, y + b)).count();
-        let mean = [0, 1, 2].map(|c: usize| sum[c] / spp as f64);
-        let full = [0, 1, 2].map(|c: usize| f64::from(radiance[c]));
-        let near = |m: f64, f: f64| (m - f).abs() <= 1e-5 * f;
-        match hits {
-            81 => {
-                inside += 1;
-                wrong += usize::from(!(0..3).all(|c| near(mean[c], full[c])));
-            }
-            0 => {
-                outside += 1;
-                wrong += usize::from(mean != [0.0; 3]);
-            }
-            _ => {}
-        }
-    }
-    fig.check(
-        "length 1 shows only the light: its radiance inside, exactly 0 outside",
-        wrong == 0 && inside > 0,
-        format!("{inside} pixels inside, {outside} outside, {wrong} wrong"),
-    );
+    lamp_alone(fig, &scene, &sums[0], spp)?;
 
     // Areas of what is white, left and right: five walls, and two blocks without their bottoms.
     let blocks = [[0.28, 0.6, 0.28], [0.28, 0.3, 0.28]];

@@ -6,6 +6,7 @@ use render::bsdf::kernel::Rules;
 use render::emitter::Point;
 use render::instances::{density_f32, particle_map_f32};
 use render::integrator::density::Convention;
+use render::integrator::render::Rendering;
 use render::params::Theta;
 use render::{Scene, Settings};
 
@@ -51,18 +52,14 @@ fn irradiance() -> f64 {
     i * (1.0 - mirror) / (h + d / WATER).powi(2)
 }
 
-/// `zeltner-2-5-3`.
-///
-/// # Errors
-/// None that the built-in scenes can cause.
-pub fn figure(fig: &mut Figure) -> Result {
-    // ---- The box by paths and by particles ----
+/// The box by paths and by particles.
+fn the_box(fig: &mut Figure) -> Result {
     let size = fig.pick(32u32, 64);
     let scene = cornell(size, Walls::Matt, 6)?;
     let settings = scene.settings;
     let (runs, spp, block) = (32u64, fig.pick(32, 128), 8usize);
     let n = size as usize / block;
-    let blocks = |r: &render::integrator::render::Rendering| {
+    let blocks = |r: &Rendering| {
         let mut out = vec![0.0; n * n * 3];
         for (i, v) in r.sums[0].iter().enumerate() {
             let (x, y, c) = (i / 3 % size as usize, i / 3 / size as usize, i % 3);
@@ -103,8 +100,11 @@ pub fn figure(fig: &mut Figure) -> Result {
         (beyond as f64) <= 0.02 * z.len() as f64 && spread < 1.3,
         format!("{beyond} beyond, root mean square z {spread:.3}"),
     );
+    Ok(())
+}
 
-    // ---- A mirror ball ----
+/// A mirror ball, by paths and by particles.
+fn mirror_ball(fig: &mut Figure) -> Result<[Rendering; 2]> {
     let mut builder = SceneBuilder::default();
     let matt = builder.matt("floor", [0.5; 3])?;
     let black = builder.matt("black", [0.0; 3])?;
@@ -158,15 +158,17 @@ pub fn figure(fig: &mut Figure) -> Result {
         seen[0] == 0.0 && seen[1] > 0.0,
         format!("sums over its pixels {} and {:.1}", seen[0], seen[1]),
     );
+    Ok([by_path, by_light])
+}
 
-    // ---- Specular, diffuse, specular ----
-    let pool = still_pool(fig.pick(32, 96))?;
+/// Light that is seen through water: specular, diffuse, specular.
+fn through_water(fig: &mut Figure, pool: &Scene) -> Result<Rendering> {
     let spp = fig.pick(32, 128);
-    let p = paths(&pool, &pool.settings, 1, spp).mean(0)[0];
-    let l = particles(&pool, &pool.settings, Rules::default(), 1, spp)?.mean(0)[0];
+    let p = paths(pool, &pool.settings, 1, spp).mean(0)[0];
+    let l = particles(pool, &pool.settings, Rules::default(), 1, spp)?.mean(0)[0];
     let theta = Theta::constant(pool.params().values());
     let gathered = density_f32(
-        &Job::new(&pool, &pool.settings, 1, 0..spp, &()),
+        &Job::new(pool, &pool.settings, 1, 0..spp, &()),
         &theta,
         Rules::default(),
         Convention::Radiance,
@@ -178,9 +180,13 @@ pub fn figure(fig: &mut Figure) -> Result {
         p == 0.0 && l == 0.0 && d > 0.0,
         format!("means {p}, {l} and {d:.4}"),
     );
+    Ok(gathered)
+}
 
-    // ---- Bias and variance against the radius ----
+/// Bias and variance against the radius.
+fn radii(fig: &mut Figure, pool: &Scene) -> Result {
     let exact = irradiance();
+    let theta = Theta::constant(pool.params().values());
     let settings = Settings {
         max_depth: 3,
         ..pool.settings
@@ -195,7 +201,7 @@ pub fn figure(fig: &mut Figure) -> Result {
         let mut values = Vec::new();
         for seed in 0..runs {
             let map = particle_map_f32(
-                &Job::new(&pool, &settings, 1000 + seed, 0..samples, &()),
+                &Job::new(pool, &settings, 1000 + seed, 0..samples, &()),
                 &theta,
                 r,
             )?;
@@ -258,6 +264,19 @@ pub fn figure(fig: &mut Figure) -> Result {
         rows.iter().map(|r| (r[0], r[3].sqrt())).collect::<Vec<_>>(),
     );
     fig.chart("radius", &chart);
+    Ok(())
+}
+
+/// `zeltner-2-5-3`.
+///
+/// # Errors
+/// None that the built-in scenes can cause.
+pub fn figure(fig: &mut Figure) -> Result {
+    the_box(fig)?;
+    let [by_path, by_light] = mirror_ball(fig)?;
+    let pool = still_pool(fig.pick(32, 96))?;
+    let gathered = through_water(fig, &pool)?;
+    radii(fig, &pool)?;
     let enlarge = fig.pick(4, 2);
     let panel =
         |label: &str, image: &render::Image| Panel::tonemapped(label, image, 1.0).enlarged(enlarge);

@@ -4,16 +4,17 @@
 //! its digest. The bytes are written first and under a name of their own, so a run that is
 //! killed between the two leaves the checkpoint before, whole.
 
-use std::ffi::OsString;
 use std::fs::{self, File};
 use std::io::{self, BufReader, BufWriter, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 use optim::exact::beside;
 use render::Scene;
-use serde::{Deserialize, Deserializer, Serialize, Serializer};
+use serde::{Deserialize, Serialize};
 
-use super::{Checkpoint, TargetArg};
+use super::Checkpoint;
+use super::file_path::FilePath;
+use super::job::TargetArg;
 use crate::cli::ToolError;
 use crate::complain;
 use crate::optimise::Target;
@@ -22,40 +23,6 @@ use crate::output;
 /// The layout of checkpoints that this tool reads and writes.
 const VERSION: u32 = 3;
 const LOCK: &str = "recover.lock";
-
-/// A path, which need not be UTF-8: a string where it is, and what the operating system makes of it where not.
-#[derive(Clone, PartialEq, Eq)]
-pub(super) struct FilePath(pub PathBuf);
-
-impl std::fmt::Debug for FilePath {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        self.0.fmt(f)
-    }
-}
-
-impl Serialize for FilePath {
-    fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
-        match self.0.to_str() {
-            Some(text) => to.serialize_str(text),
-            None => self.0.as_os_str().serialize(to),
-        }
-    }
-}
-
-impl<'de> Deserialize<'de> for FilePath {
-    fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
-        #[derive(Deserialize)]
-        #[serde(untagged)]
-        enum Either {
-            Text(PathBuf),
-            Other(OsString),
-        }
-        Ok(Self(match Either::deserialize(from)? {
-            Either::Text(path) => path,
-            Either::Other(name) => name.into(),
-        }))
-    }
-}
 
 /// BLAKE3, in hexadecimal digits.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -528,18 +495,5 @@ mod tests {
         ] {
             assert!(!is_array_file(other), "{other}");
         }
-    }
-
-    #[cfg(unix)]
-    #[test]
-    fn paths_need_not_be_utf_8() {
-        use std::os::unix::ffi::OsStringExt;
-        for bytes in [&b"scene.xml"[..], b"sc\xff\xfene.xml"] {
-            let path = FilePath(OsString::from_vec(bytes.to_vec()).into());
-            let text = serde_json::to_string(&path).unwrap();
-            assert_eq!(serde_json::from_str::<FilePath>(&text).unwrap(), path);
-        }
-        let plain = FilePath("a/b.xml".into());
-        assert_eq!(serde_json::to_string(&plain).unwrap(), "\"a/b.xml\"");
     }
 }

@@ -415,82 +415,18 @@ pub fn text(report: &Report) -> String {
     summary(&mut out, report);
     laws(&mut out, report, &sweeps);
 
-    out.say("F2", format!(
-        "a derivative through a Dirac delta (index of smooth glass) is refused by {} estimators, not \
-         answered by a silent zero; {} has it.",
-        p.glass[0].len(),
-        list(&p.glass[1])
-    ));
-    for failure in [Failure::ConstantWeights, Failure::MixedWeights] {
-        if let Some(worst) = worst(report, |r| fails_by(r.estimator, failure)) {
-            out.say(
-                failure.number(),
-                format!(
-                    "{}: {}. Such a combination does not compile without `AllowBias`.",
-                    failure.name(),
-                    found(worst)
-                ),
-            );
-        }
-    }
-    let attached = (p.roulette.iter()).filter(|(name, _)| plays_attached(name));
-    let attached: Vec<String> = (attached)
-        .map(|(name, c)| format!("{name}: z {:.1}", c.z()))
-        .collect();
-    out.say("F5, F6", if attached.is_empty() {
-        let wrong = |f| list(&named(|c| c.failures.contains(f)));
-        format!(
-            "roulette and the choice of lobes take constant probabilities here ({} and {} do not).",
-            wrong(Failure::AttachedRoulette),
-            wrong(Failure::AttachedChoice)
-        )
-    } else {
-        format!(
-            "differentiated roulette is biased ({}); rough metal has no lobes to choose between.",
-            attached.join(", ")
-        )
-    });
+    wrong_on_purpose(&mut out, report);
     if let Some((worst, c)) = extreme(&p.dark) {
         out.say("F7", format!(
             "the derivative in the radiance of an environment that is black: {:.4}; {} of {} estimators \
              have it, largest |z| {:.1} ({worst}).",
             c.truth,
-            p.dark.iter().filter(|(_, c)| c.z().abs() < 5.0).count(),
+            p.dark.iter().filter(|(_, c)| c.z().abs() < limit).count(),
             p.dark.len(),
             c.z().abs()
         ));
     }
-    let naive = |r: &Row| fails_by(r.estimator, Failure::Discontinuities) && r.sweep != "depth";
-    if let Some(worst) = worst(report, naive) {
-        let all = report.rows.iter().filter(|r| naive(r));
-        let edges = ["roughness-ball", "light-size"];
-        let under: Vec<&Row> = all.filter(|r| edges.contains(&r.sweep)).collect();
-        let wrong = under
-            .iter()
-            .filter(|r| r.finding == Finding::Biased)
-            .count();
-        out.say("F8, F10, F36", format!(
-            "attached samples carry the edge of a light with them and miss its boundary term: biased at \
-             {wrong} of {} points under a ball light; {}. Attached estimators that are not for study refuse such scenes.",
-            under.len(),
-            found(worst)
-        ));
-    }
-    let still = |r: &Row| {
-        can(r.estimator, |c| {
-            c.motion == Motion::Reparameterised && !c.study
-        }) && !in_motion(r)
-    };
-    if let Some(worst) = worst(report, still) {
-        let wrong = (report.rows.iter())
-            .filter(|r| still(r) && r.finding == Finding::Biased)
-            .count();
-        out.say("F11", format!(
-            "samples that stand still at outlines (reparameterised): {wrong} points biased; the largest \
-             difference: {}.",
-            found(worst)
-        ));
-    }
+    outlines(&mut out, report);
     motion(&mut out, report);
     let grazing = |r: &Row| r.sweep == "incidence" && r.x > 80.0 && !can(r.estimator, |c| c.study);
     if let Some(worst) = worst(report, grazing) {
@@ -508,35 +444,7 @@ pub fn text(report: &Report) -> String {
             .into(),
     );
     out.say("F24, F25", "concern losses of images, not derivatives of images: `gradient` draws image and adjoint from two seeds.".into());
-    if let (Some(best), Some(best32)) = (
-        p.steps.iter().min_by(|a, b| a.smooth.total_cmp(&b.smooth)),
-        p.steps
-            .iter()
-            .min_by(|a, b| a.smooth_f32.total_cmp(&b.smooth_f32)),
-    ) {
-        out.say("F26", format!(
-            "central differences of smooth samples are best at a step of {:.0e} alpha in f64 (error {:.0e}) \
-             and {:.0e} in f32 (error {:.0e}).",
-            best.step, best.smooth, best32.step, best32.smooth_f32
-        ));
-        let seen = || {
-            p.steps
-                .iter()
-                .filter(|s| s.jumps.is_finite() && s.step < 0.1)
-        };
-        let wide = seen().max_by(|a, b| a.step.total_cmp(&b.step));
-        let narrow = seen().min_by(|a, b| a.step.total_cmp(&b.step));
-        if let (Some(wide), Some(narrow)) = (wide, narrow)
-            && narrow.step < wide.step
-        {
-            let slope = (narrow.jumps / wide.jumps).ln() / (narrow.step / wide.step).ln();
-            out.say("F27", format!(
-                "of samples that jump, the standard error grows from {:.3} at {:.0e} to {:.3} at {:.0e}: with \
-                 the power {slope:.2} of the step (law: -0.5).",
-                wide.jumps, wide.step, narrow.jumps, narrow.step
-            ));
-        }
-    }
+    differences(&mut out, report);
     crossover(&mut out, report, &sweeps);
     let lobes = |r: &Row| can(r.estimator, |c| c.differential);
     if let Some(worst) = worst(report, lobes) {
@@ -580,6 +488,115 @@ pub fn text(report: &Report) -> String {
     }
     unresolved(&mut out, report);
     out.0
+}
+
+/// F2 to F6: what is refused, and what is biased by its type.
+fn wrong_on_purpose(out: &mut Text, report: &Report) {
+    let p = &report.probes;
+    out.say("F2", format!(
+        "a derivative through a Dirac delta (index of smooth glass) is refused by {} estimators, not \
+         answered by a silent zero; {} has it.",
+        p.glass[0].len(),
+        list(&p.glass[1])
+    ));
+    for failure in [Failure::ConstantWeights, Failure::MixedWeights] {
+        if let Some(worst) = worst(report, |r| fails_by(r.estimator, failure)) {
+            out.say(
+                failure.number(),
+                format!(
+                    "{}: {}. Such a combination does not compile without `AllowBias`.",
+                    failure.name(),
+                    found(worst)
+                ),
+            );
+        }
+    }
+    let attached = (p.roulette.iter()).filter(|(name, _)| plays_attached(name));
+    let attached: Vec<String> = (attached)
+        .map(|(name, c)| format!("{name}: z {:.1}", c.z()))
+        .collect();
+    out.say("F5, F6", if attached.is_empty() {
+        let wrong = |f| list(&named(|c| c.failures.contains(f)));
+        format!(
+            "roulette and the choice of lobes take constant probabilities here ({} and {} do not).",
+            wrong(Failure::AttachedRoulette),
+            wrong(Failure::AttachedChoice)
+        )
+    } else {
+        format!(
+            "differentiated roulette is biased ({}); rough metal has no lobes to choose between.",
+            attached.join(", ")
+        )
+    });
+}
+
+/// F8 to F11: samples that move across outlines, and those that stand still there.
+fn outlines(out: &mut Text, report: &Report) {
+    let naive = |r: &Row| fails_by(r.estimator, Failure::Discontinuities) && r.sweep != "depth";
+    if let Some(worst) = worst(report, naive) {
+        let all = report.rows.iter().filter(|r| naive(r));
+        let edges = ["roughness-ball", "light-size"];
+        let under: Vec<&Row> = all.filter(|r| edges.contains(&r.sweep)).collect();
+        let wrong = under
+            .iter()
+            .filter(|r| r.finding == Finding::Biased)
+            .count();
+        out.say("F8, F10, F36", format!(
+            "attached samples carry the edge of a light with them and miss its boundary term: biased at \
+             {wrong} of {} points under a ball light; {}. Attached estimators that are not for study refuse such scenes.",
+            under.len(),
+            found(worst)
+        ));
+    }
+    let still = |r: &Row| {
+        can(r.estimator, |c| {
+            c.motion == Motion::Reparameterised && !c.study
+        }) && !in_motion(r)
+    };
+    if let Some(worst) = worst(report, still) {
+        let wrong = (report.rows.iter())
+            .filter(|r| still(r) && r.finding == Finding::Biased)
+            .count();
+        out.say("F11", format!(
+            "samples that stand still at outlines (reparameterised): {wrong} points biased; the largest \
+             difference: {}.",
+            found(worst)
+        ));
+    }
+}
+
+/// F26, F27: the step of differences.
+fn differences(out: &mut Text, report: &Report) {
+    let p = &report.probes;
+    if let (Some(best), Some(best32)) = (
+        p.steps.iter().min_by(|a, b| a.smooth.total_cmp(&b.smooth)),
+        p.steps
+            .iter()
+            .min_by(|a, b| a.smooth_f32.total_cmp(&b.smooth_f32)),
+    ) {
+        out.say("F26", format!(
+            "central differences of smooth samples are best at a step of {:.0e} alpha in f64 (error {:.0e}) \
+             and {:.0e} in f32 (error {:.0e}).",
+            best.step, best.smooth, best32.step, best32.smooth_f32
+        ));
+        let seen = || {
+            p.steps
+                .iter()
+                .filter(|s| s.jumps.is_finite() && s.step < 0.1)
+        };
+        let wide = seen().max_by(|a, b| a.step.total_cmp(&b.step));
+        let narrow = seen().min_by(|a, b| a.step.total_cmp(&b.step));
+        if let (Some(wide), Some(narrow)) = (wide, narrow)
+            && narrow.step < wide.step
+        {
+            let slope = (narrow.jumps / wide.jumps).ln() / (narrow.step / wide.step).ln();
+            out.say("F27", format!(
+                "of samples that jump, the standard error grows from {:.3} at {:.0e} to {:.3} at {:.0e}: with \
+                 the power {slope:.2} of the step (law: -0.5).",
+                wide.jumps, wide.step, narrow.jumps, narrow.step
+            ));
+        }
+    }
 }
 
 #[derive(Default)]

@@ -46,7 +46,7 @@ use crate::estimator::{Still, Strategy};
 use crate::math::{Frame, NOWHERE, Ray, RayAdjoint, Rgb, Segment};
 use crate::parallel;
 use crate::params::Theta;
-use crate::sampler::{Purpose, Sampler};
+use crate::sampler::{Family, Purpose, Sampler};
 use crate::scene::{Caustics, Intersection};
 use crate::shape::{Shape, SurfaceInteraction};
 
@@ -70,12 +70,6 @@ const PIXELS_PER_SAMPLE: u64 = 2;
 /// Jobs of a pass over the film at a time, and samples of each.
 const JOBS: u64 = 64;
 const CHUNK: u64 = 1024;
-/// Tells the random numbers of edges from those of paths: of edges at vertices, on the film, and before lights.
-const SALTS: [u64; 3] = [
-    0x6a09_e667_f3bc_c908,
-    0xbb67_ae85_84ca_a73b,
-    0x3c6e_f372_fe94_f82b,
-];
 
 /// The vertices of a path, for the camera's side of what edges hide.
 #[derive(Clone)]
@@ -270,7 +264,7 @@ impl<'a, P: Float> Boundary<'a, P> {
     ) -> Option<([f64; 2], Contribution<P>)> {
         let scene = self.context.scene;
         let points = self.context.settings.points;
-        let mut sampler = X::spread(points, self.seed ^ SALTS[1], index, sample);
+        let mut sampler = X::spread(points, Family::EdgesOnFilm.seed(self.seed), index, sample);
         let u: f64 = sampler.next_1d();
         let point = self
             .curves
@@ -569,7 +563,7 @@ impl<'a, P: Float> Boundary<'a, P> {
         let ([x, y, ..], sampler) = spot::<P, X>(
             self.context.scene,
             points,
-            self.seed ^ SALTS[0],
+            Family::EdgesAtVertices.seed(self.seed),
             sample.pixel,
             sample.index,
         );
@@ -674,7 +668,7 @@ pub(super) fn image<R: Components, S: Strategy, X: Sampler>(pass: &Pass<R>) -> R
         let mut sums = vec![0.0f64; R::COUNT * pixels * 3];
         let mut non_finite = NonFinite::default();
         let mut paths = Paths::<R::Primal, Still<S>, X, _>::new(Vertices(Vec::new()));
-        let seed = boundary.seed ^ SALTS[0];
+        let seed = Family::EdgesAtVertices.seed(boundary.seed);
         let done = |at: usize, sample: Sample, _, vertices: &mut Vertices<R::Primal>| {
             boundary.along_path::<S, X>(&sample, vertices, |c| {
                 let value = color(&c);
@@ -769,7 +763,7 @@ pub(super) fn gradient<P: Float, S: Strategy, X: Sampler>(
         let mut sink = Sink::new(active, large);
         let mut non_finite = NonFinite::default();
         let mut paths = Paths::<P, Still<S>, X, _>::new(Vertices(Vec::new()));
-        let seed = boundary.seed ^ SALTS[0];
+        let seed = Family::EdgesAtVertices.seed(boundary.seed);
         for tile in tiles.iter().skip(job).step_by(jobs) {
             if pass.progress.cancelled() {
                 break;

@@ -18,13 +18,13 @@ use std::ops::Range;
 use ad_core::{Float, Vec3};
 
 use super::form::{Contribution, Form, Mover, Term};
-use super::{Boundary, MODE, SALTS, Source, wide};
+use super::{Boundary, MODE, Source, wide};
 use crate::bsdf::{Bsdf, Shading};
 use crate::edges::Seeker;
 use crate::emitter::{AnyEmitter, Emission, Emitter};
 use crate::math::{Frame, NOWHERE, Ray, Rgb};
 use crate::params::Theta;
-use crate::sampler::{Points, Sampler, Spread};
+use crate::sampler::{Family, Points, Sampler, Spread};
 use crate::scene::Scene;
 use crate::shape::{Shape, SurfaceInteraction, lift3};
 
@@ -114,7 +114,12 @@ impl<P: Float> Boundary<'_, P> {
         let scene = self.context.scene;
         let count = self.per_sample(Source::Shadows) as f64;
         // The samples of all pixels together are spread.
-        let mut sampler = Spread::spread(Points::Sobol, self.seed ^ SALTS[2], 0, index);
+        let mut sampler = Spread::spread(
+            Points::Sobol,
+            Family::EdgesBeforeLights.seed(self.seed),
+            0,
+            index,
+        );
         let u: [f64; 2] = sampler.next_2d();
         let on_light: [P; 2] = sampler.next_2d();
         let (light, weight) = self.shadows.choose(sampler.next_1d())?;

@@ -18,17 +18,9 @@ use crate::integrator::path::Context;
 use crate::integrator::record::{Place, SampledLight};
 use crate::math::{Frame, Ray, RayAdjoint, Rgb};
 use crate::params::{GradSink, Theta};
-use crate::sampler::{Points, Purpose, Sampler};
+use crate::sampler::{Family, Points, Purpose, Sampler};
 use crate::scene::Scene;
 use crate::shape::{SurfaceAdjoint, SurfaceCoordinates, SurfaceInteraction};
-
-/// Tells the random numbers of auxiliary rays from those of paths: along scattered directions, towards sampled lights, at
-/// the borders of pixels.
-pub(super) const SALTS: [u64; 3] = [
-    0xa54f_f53a_5f1d_36f1,
-    0x510e_527f_ade6_82d1,
-    0x9b05_688c_2b3e_6c1f,
-];
 
 fn wide<P: Float>(v: Vec3<P>) -> Vec3<f64> {
     v.map(P::to_f64)
@@ -123,13 +115,13 @@ pub(super) struct Numbers {
 }
 
 /// For auxiliary rays around an edge: neighbours have to be independent of each other.
-fn sampler<X: Sampler>(numbers: Numbers, salt: u64, rays: u32, depth: u32) -> X {
+fn sampler<X: Sampler>(numbers: Numbers, family: Family, rays: u32, depth: u32) -> X {
     let Numbers {
         seed,
         pixel,
         sample,
     } = numbers;
-    let mut sampler = X::spread(Points::Independent, seed ^ salt, pixel, sample);
+    let mut sampler = X::spread(Points::Independent, family.seed(seed), pixel, sample);
     sampler.seek(Purpose::AuxiliaryRays(rays).at(depth));
     sampler
 }
@@ -172,11 +164,11 @@ impl<'a, P: Float> Follow<'a, P> {
         ray: Ray<P>,
         origin_moves: bool,
         start: Start,
-        (numbers, salt, depth): (Numbers, u64, u32),
+        (numbers, family, depth): (Numbers, Family, u32),
     ) -> Option<Field<P>> {
         match self.known {
             Known::Sampled(outlines, rays) => {
-                let sampler = sampler::<X>(numbers, salt, *rays, depth);
+                let sampler = sampler::<X>(numbers, family, *rays, depth);
                 self.sampled_field(ray, origin_moves, start, (outlines, *rays), sampler)
             }
             Known::Closed(edges) => self.closed_field(ray, origin_moves, start, edges),
@@ -312,10 +304,10 @@ impl<'a, P: Float> Follow<'a, P> {
         &mut self,
         ray: Ray<P>,
         numbers: Numbers,
-        salt: u64,
+        family: Family,
     ) -> Option<Field<P>> {
         let moves = self.active.moves_camera();
-        self.field::<X>(ray, moves, Start::Camera, (numbers, salt, 0))
+        self.field::<X>(ray, moves, Start::Camera, (numbers, family, 0))
     }
 
     /// The fields of a path through the point `film` of the image.
@@ -352,7 +344,7 @@ impl<'a, P: Float> Follow<'a, P> {
         // ---- Fields ----
         let mut first = None;
         if !l.is_black() {
-            first = self.camera_field::<X>(camera, numbers, SALTS[0]);
+            first = self.camera_field::<X>(camera, numbers, Family::FieldsOfScattering);
         }
         let mut moves = self.active.moves_camera() || first.is_some();
         for (k, (stop, bend)) in trail.stops.iter().zip(&mut bends).enumerate() {
@@ -367,13 +359,19 @@ impl<'a, P: Float> Follow<'a, P> {
                 && !self.scene.emitters()[s.emitter as usize].is_delta()
             {
                 let ray = si.spawn_ray(aim.d, exit);
-                bend.sampled = self.field::<X>(ray, moves, start, (numbers, SALTS[1], depth));
+                bend.sampled =
+                    self.field::<X>(ray, moves, start, (numbers, Family::FieldsOfLights, depth));
             }
             if let Some(b) = &stop.bounce
                 && !bend.arriving.is_black()
             {
                 let ray = si.spawn_ray(si.frame.to_world(b.wi), exit);
-                bend.scattered = self.field::<X>(ray, moves, start, (numbers, SALTS[0], depth));
+                bend.scattered = self.field::<X>(
+                    ray,
+                    moves,
+                    start,
+                    (numbers, Family::FieldsOfScattering, depth),
+                );
                 moves |= bend.scattered.is_some();
             }
         }

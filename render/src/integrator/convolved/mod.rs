@@ -28,7 +28,7 @@ mod outlines;
 
 use ad_core::{Const, Float, Real, array};
 
-use self::course::{Follow, Known, Numbers, SALTS};
+use self::course::{Follow, Known, Numbers};
 use super::active::Active;
 use super::exact::ExactBuffer;
 use super::motion::trail::Trail;
@@ -43,7 +43,7 @@ use crate::estimator::{Still, Strategy};
 use crate::film::PixelFilter;
 use crate::math::Rgb;
 use crate::parallel;
-use crate::sampler::Sampler;
+use crate::sampler::{Family, Sampler};
 use crate::scene::Scene;
 
 /// Who the random numbers of a sample belong to.
@@ -91,7 +91,12 @@ fn border<X: Sampler>(
     numbers: Numbers,
 ) -> (Border, X) {
     let Numbers { seed, pixel, .. } = numbers;
-    let mut sampler = X::spread(pass_points, seed ^ SALTS[2], pixel, sample.index);
+    let mut sampler = X::spread(
+        pass_points,
+        Family::PixelBorders.seed(seed),
+        pixel,
+        sample.index,
+    );
     let [u, v]: [f64; 2] = sampler.next_2d();
     let [x, y] = sample.pixel;
     let first = [x == 0, y == 0];
@@ -143,7 +148,10 @@ impl<P: Float, S: Strategy, X: Sampler> Worker<'_, P, S, X> {
         let (border, sampler) = border::<X>(points, scene, sample, numbers);
         let film = border.at.map(P::of);
         let ray = scene.camera.ray(film[0], film[1]);
-        let Some(field) = self.follow.camera_field::<X>(ray, numbers, SALTS[2]) else {
+        let Some(field) = self
+            .follow
+            .camera_field::<X>(ray, numbers, Family::PixelBorders)
+        else {
             return;
         };
         let l = Walk::<P, Still<S>, X>::new(ray, sampler).finish(self.context, &mut ());

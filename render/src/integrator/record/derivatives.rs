@@ -2,7 +2,6 @@
 
 use ad_core::{Const, Float, Real, Vec2, Vec3};
 
-use super::recorder::SumSink;
 use crate::bsdf::{Bsdf, Material, Shading, TransportMode, Use};
 use crate::emitter::{AnyEmitter, Emission, Emitter, Envmap, MovingDraw};
 use crate::integrator::local::{ActiveTexture, LocalFn, pull_back};
@@ -36,6 +35,13 @@ pub trait DerivativeSink<P: Float> {
     /// A sample of an environment map that moves with its texels; `d` is the adjoint of its three varying numbers
     /// ([`Envmap::vary`]). Strategies without such samples never call it.
     fn moved(&mut self, _emitter: u32, _map: &Envmap, _aim: &MovingDraw, _d: [P; 3]) {}
+}
+
+/// Where the adjoints of sums go that moving samples of an emitter are made of
+/// ([`crate::emitter::Envmap::fold`]).
+pub trait SumSink {
+    /// Adds `d`. Nobody calls it for strategies whose emitters stand still.
+    fn add_sum(&mut self, _emitter: u32, _sum: usize, _d: f64) {}
 }
 
 /// Reverse mode: adjoints of the parameters.

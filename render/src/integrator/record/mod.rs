@@ -12,7 +12,8 @@ mod second;
 pub mod sweep;
 
 use ad_core::{Real, Vec3};
-pub use recorder::{Recorder, SumSink};
+pub use derivatives::SumSink;
+pub use recorder::Recorder;
 
 use super::direct::{Departure, EmitterDraw, FoundEdge};
 pub use super::vertex::interest::Interest;

@@ -2,7 +2,7 @@
 
 use ad_core::{Dual, Float, Real, Vec2, Vec3, array};
 
-use super::derivatives::{Adjoints, DerivativeSink};
+use super::derivatives::{Adjoints, DerivativeSink, SumSink};
 use super::second::pull_back_path;
 use super::sweep::{Arriving, Uses, Visitor, sweep};
 use super::{
@@ -364,13 +364,6 @@ impl<P: Float> LocalFn<P> for Chosen<'_, P> {
         let component = self.bounce.component;
         Rgb::splat(-self.material.choice_pdf(&at, wo, wi, component, MODE).ln())
     }
-}
-
-/// Where the adjoints of sums go that moving samples of an emitter are made of
-/// ([`crate::emitter::Envmap::fold`]).
-pub trait SumSink {
-    /// Adds `d`. Nobody calls it for strategies whose emitters stand still.
-    fn add_sum(&mut self, _emitter: u32, _sum: usize, _d: f64) {}
 }
 
 impl<P: Float> Interest for Recorder<'_, P> {

@@ -1,11 +1,11 @@
-//! Where derivatives of what waves keep go: [`super::super::record::ends`], and what many plain vertices have together.
+//! Where derivatives of what waves keep go: [`crate::integrator::record::derivatives`], and what many plain vertices have together.
 
 use ad_core::{Float, Real, Vec2, Vec3};
 use smallvec::SmallVec;
 
 use super::kinds::{Kind, kind};
 use super::lanes::{Lane, LaneSums, Lanes, WAVE_SIZE};
-use super::record::Layer;
+use super::record::{Layer, LayerSink};
 use crate::bsdf::{Material, TransportMode, Use};
 use crate::emitter::{AnyEmitter, Emission};
 use crate::integrator::active::Active;
@@ -16,14 +16,6 @@ use crate::math::Rgb;
 use crate::params::{GradSink, ParamRef, Theta};
 use crate::scene::Scene;
 use crate::texture::{RgbTexture, Texture};
-
-/// [`DerivativeSink`]s that take the albedos of many plain vertices at once.
-pub trait LayerSink<P: Float>: DerivativeSink<P> {
-    /// Albedos of the plain vertices of a layer, where `wanted` is not zero.
-    fn albedos(&mut self, scene: &Scene, layer: &Layer<P>, wanted: &Lane<u32>, d: &Lanes<P>);
-    /// Nothing follows.
-    fn finish(&mut self) {}
-}
 
 /// The albedo of a plain vertex.
 #[inline(always)]

@@ -2,7 +2,6 @@
 
 use ad_core::{Float, Vec2, Vec3};
 
-use super::derivatives::LayerSink;
 use super::lanes::{Field, Lane, Lanes, WAVE_SIZE, whole};
 use super::{Log, Paths, Wave};
 use crate::bsdf::{Component, Part};
@@ -12,6 +11,7 @@ use crate::integrator::active::Active;
 use crate::integrator::direct::{
     Connected, Departure, Found, FoundEdge, FoundLight, SeparateLight,
 };
+use crate::integrator::record::derivatives::DerivativeSink;
 use crate::integrator::record::sweep::Uses;
 use crate::integrator::vertex::MODE;
 use crate::integrator::vertex::interest::Interest;
@@ -19,6 +19,14 @@ use crate::integrator::vertex::light::Met;
 use crate::integrator::vertex::part_of;
 use crate::math::Rgb;
 use crate::scene::Scene;
+
+/// [`DerivativeSink`]s that take the albedos of many plain vertices at once.
+pub trait LayerSink<P: Float>: DerivativeSink<P> {
+    /// Albedos of the plain vertices of a layer, where `wanted` is not zero.
+    fn albedos(&mut self, scene: &Scene, layer: &Layer<P>, wanted: &Lane<u32>, d: &Lanes<P>);
+    /// Nothing follows.
+    fn finish(&mut self) {}
+}
 
 /// The vertices of all paths that have so many edges. At a plain one, the radiance that leaves is its albedo times
 /// what arrives: `albedo (direct + bounce L)`.

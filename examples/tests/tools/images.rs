@@ -1,0 +1,470 @@
+//! Images: how they are made, checked and set up.
+
+use std::path::Path;
+use std::process::Command;
+
+use render::Image;
+use render::image_io::read_rgb as read_exr;
+use render::image_io::write_exr;
+use serde_json::Value;
+
+use crate::{Folder, GLASS, SCENE, WALL, bytes, keys, samples};
+
+#[test]
+fn render_writes_image_picture_and_report() {
+    let dir = Folder::new();
+    dir.ok("render", "scene.xml --json new/report.json");
+    assert_eq!(dir.names(), ["new", "scene.exr", "scene.png", "scene.xml"]);
+    let report = dir.json("new/report.json");
+    assert_eq!(
+        keys(&report),
+        [
+            "caustics",
+            "height",
+            "lights",
+            "sampler",
+            "scene",
+            "seconds_load",
+            "seconds_render",
+            "spp",
+            "threads",
+            "width"
+        ]
+    );
+    assert_eq!(report["scene"], "scene.xml");
+    assert_eq!((&report["width"], &report["spp"]), (&36.into(), &8.into()));
+    assert_eq!(samples(&report), ["sobol", "one", "paths"]);
+    let image = read_exr(&dir.path("scene.exr")).unwrap();
+    assert_eq!((image.width, image.height), (36, 24));
+    assert!(bytes(dir.path("scene.png")).starts_with(b"\x89PNG"));
+    let chosen = "--sampler antithetic --lights all --caustics particles";
+    dir.ok("render", &format!("scene.xml {chosen} --json all.json"));
+    assert_eq!(
+        samples(&dir.json("all.json")),
+        ["antithetic", "all", "particles"]
+    );
+    assert_eq!(dir.json("all.json")["pixels_per_particle"], 4);
+    assert!(report.get("pixels_per_particle").is_none());
+    // Options arrive.
+    let mean = |args: &str| {
+        dir.ok("render", &format!("scene.xml -o other.exr {args}"));
+        read_exr(&dir.path("other.exr")).unwrap().mean()
+    };
+    assert_eq!(mean(""), image.mean());
+    assert_ne!(mean("--seed 1"), image.mean());
+    assert!(mean("-D red=0.1")[0] < image.mean()[0]);
+    assert!(mean("--max-depth 1")[1] < mean("--max-depth 2")[1]);
+    assert!(mean("--max-depth 2")[1] < mean("--max-depth -1")[1]);
+}
+
+/// A ball of glass on a floor under a lamp: connections are reported, checked against particles, and their options refused where
+/// they would have no effect.
+#[test]
+fn manifold_connections_are_rendered_reported_and_checked() {
+    let dir = Folder::new();
+    let text = r#"<scene version="3.0.0"><integrator type="path"><integer name="max_depth" value="5"/></integrator>
+        <sensor type="perspective"><float name="fov" value="40"/>
+        <transform name="to_world"><lookat origin="0, 3, 4" target="0, 0.2, 0" up="0, 1, 0"/></transform>
+        <film type="hdrfilm"><integer name="width" value="16"/><integer name="height" value="12"/></film></sensor>
+        <shape type="rectangle"><bsdf type="diffuse" id="floor"/>
+        <transform name="to_world"><scale value="4"/><rotate x="1" angle="-90"/></transform></shape>
+        <shape type="sphere"><point name="center" value="0, 0.9, 0"/><float name="radius" value="0.7"/>
+        <bsdf type="dielectric" id="glass"/></shape>
+        <shape type="rectangle"><transform name="to_world"><scale value="0.8"/><rotate x="1" angle="90"/><translate y="3"/>
+        </transform><emitter type="area"/></shape></scene>"#;
+    std::fs::write(dir.path("ball.xml"), text).unwrap();
+    dir.ok(
+        "render",
+        "ball.xml --manifold sms --spp 32 --manifold-check --manifold-picture rates.exr --json sms.json",
+    );
+    assert!(dir.path("rates.exr").exists());
+    let report = dir.json("sms.json");
+    let manifold = &report["manifold"];
+    assert_eq!(
+        (&manifold["method"], &manifold["unbiased"]),
+        (&"sms".into(), &true.into())
+    );
+    let number = |key: &str| manifold[key].as_f64().unwrap();
+    assert!(
+        number("found") > 0.0
+            && number("success_rate") > 0.0
+            && number("trials_per_solution") >= 1.0
+            && number("share_of_light") > 0.0
+    );
+    let check = &report["manifold_check"];
+    let (z, limit) = (
+        check["worst_z"].as_f64().unwrap(),
+        check["limit_z"].as_f64().unwrap(),
+    );
+    assert!(z < limit, "{check}");
+    dir.ok(
+        "render",
+        "ball.xml --manifold mnee --bounces 2 --spp 4 --json mnee.json",
+    );
+    assert_eq!(dir.json("mnee.json")["manifold"]["unbiased"], false);
+    dir.ok(
+        "render",
+        "ball.xml --manifold mnee-unbiased --bounces 2 --spp 16 --json both.json",
+    );
+    let both = &dir.json("both.json")["manifold"];
+    assert_eq!(both["unbiased"], true);
+    assert!(
+        both["paths_met"].as_u64() >= both["paths_counted"].as_u64(),
+        "{both}"
+    );
+    let point = r#"<emitter type="point" id="bulb"><point name="position" value="0, 3, 0"/></emitter></scene>"#;
+    std::fs::write(dir.path("bulb.xml"), text.replace("</scene>", point)).unwrap();
+    dir.ok("render", "ball.xml --manifold off --spp 4 --json off.json");
+    assert!(dir.json("off.json").get("manifold").is_none());
+    // Chains that are named are left out: the rest of the image, which both halves have.
+    let mean = |args: &str| {
+        dir.ok("render", args);
+        read_exr(&dir.path("x.exr")).unwrap().mean()[1]
+    };
+    let off = mean("ball.xml --manifold off --spp 32 -o x.exr");
+    let rest = mean("ball.xml --manifold off --bounces 2 --spp 32 -o x.exr --json rest.json");
+    assert_eq!(dir.json("rest.json")["manifold"]["method"], "left out");
+    assert!(rest < off, "{rest} {off}");
+    for (args, expected) in [
+        ("ball.xml --trials 4", "--manifold"),
+        (
+            "ball.xml --manifold off --constraint angle",
+            "without effect",
+        ),
+        ("ball.xml --manifold mnee --trials 4", "sms-biased"),
+        ("ball.xml --manifold mnee-unbiased --trials 4", "sms-biased"),
+        ("bulb.xml --manifold mnee-unbiased", "bulb.intensity.value"),
+        (
+            "ball.xml --manifold sms --caustics particles",
+            "one of them",
+        ),
+        (
+            "ball.xml --manifold sms --integrator particle",
+            "--integrator path",
+        ),
+        ("ball.xml --manifold sms --bounces 9", "1..=8"),
+        ("ball.xml --manifold-check", "no connections to check"),
+        (
+            "ball.xml --manifold off --bounces 1 --manifold-check",
+            "no connections to check",
+        ),
+        (
+            "ball.xml --manifold-picture p.exr",
+            "no connections to picture",
+        ),
+        (
+            "ball.xml --manifold mnee --starts two-stage",
+            "without effect",
+        ),
+        ("ball.xml --manifold off --starts uniform", "without effect"),
+        ("ball.xml --manifold sms --caster-roughness 2", "[0, 1]"),
+    ] {
+        let output = dir.run("render", &format!("{args} -o refused.exr"));
+        let message = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(
+            !output.status.success() && message.contains(expected),
+            "{args}: {message}"
+        );
+        assert!(!dir.path("refused.exr").exists(), "{args}");
+    }
+    let output = dir.run(
+        "gradient",
+        "ball.xml --manifold sms --param glass.eta.value --estimator mis",
+    );
+    let message = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(
+        !output.status.success() && message.contains("glass.eta.value"),
+        "{message}"
+    );
+    dir.ok(
+        "gradient",
+        "ball.xml --manifold sms --param floor.reflectance.value --spp 8 --repeats 2 --json g.json",
+    );
+}
+
+#[test]
+fn glints_are_rendered_reported_and_refused() {
+    let dir = Folder::new();
+    let mut map = Image::new(8, 8);
+    for (i, texel) in map.data.chunks_exact_mut(3).enumerate() {
+        let (x, y) = ((i % 8) as f32, (i / 8) as f32);
+        let wave = |x: f32| 0.5 + 0.05 * (0.8 * x).sin();
+        texel.copy_from_slice(&[wave(x), wave(y), 1.0]);
+    }
+    write_exr(&dir.path("map.exr"), &map).unwrap();
+    let scene = |metal: &str| {
+        format!(
+            r#"<scene version="3.0.0"><integrator type="path"><integer name="max_depth" value="3"/></integrator>
+            <sensor type="perspective"><float name="fov" value="40"/>
+            <transform name="to_world"><lookat origin="0, 3, 4" target="0, 0, 0" up="0, 1, 0"/></transform>
+            <film type="hdrfilm"><integer name="width" value="16"/><integer name="height" value="12"/></film></sensor>
+            <shape type="rectangle">{metal}
+            <transform name="to_world"><scale value="2"/><rotate x="1" angle="-90"/></transform></shape>
+            <emitter type="point"><point name="position" value="0, 3, -4"/></emitter></scene>"#
+        )
+    };
+    let mapped = r#"<bsdf type="normalmap" id="map"><string name="filename" value="map.exr"/>
+        <bsdf type="conductor" id="metal"/></bsdf>"#;
+    std::fs::write(dir.path("metal.xml"), scene(mapped)).unwrap();
+    std::fs::write(dir.path("matt.xml"), scene(r#"<bsdf type="diffuse"/>"#)).unwrap();
+    dir.ok(
+        "render",
+        "metal.xml --glints unbiased --spp 8 --json a.json -o a.exr",
+    );
+    let report = &dir.json("a.json")["glints"];
+    assert_eq!(report["unbiased"], true);
+    assert!(report["found"].as_u64().unwrap() > 0, "{report}");
+    assert!(report["trials_per_solution"].as_f64().unwrap() >= 1.0);
+    assert!(read_exr(&dir.path("a.exr")).unwrap().mean()[1] > 0.0);
+    dir.ok(
+        "render",
+        "metal.xml --glints biased --glint-trials 8 --glint-region footprint --glint-weights lobe --spp 4 --json b.json",
+    );
+    assert_eq!(dir.json("b.json")["glints"]["unbiased"], false);
+    dir.ok("render", "metal.xml --glints off --spp 4 --json off.json");
+    assert!(dir.json("off.json").get("glints").is_none());
+    for (args, expected) in [
+        ("matt.xml --glints unbiased", "no shape of the scene"),
+        ("metal.xml --glint-trials 4", "--glints"),
+        ("metal.xml --glints off --glint-trials 4", "without effect"),
+        (
+            "metal.xml --glints unbiased --integrator particle",
+            "--integrator path",
+        ),
+    ] {
+        let output = dir.run("render", &format!("{args} -o refused.exr"));
+        let message = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(
+            !output.status.success() && message.contains(expected),
+            "{args}: {message}"
+        );
+        assert!(!dir.path("refused.exr").exists(), "{args}");
+    }
+    let gradient = |parameter: &str| {
+        dir.run(
+            "gradient",
+            &format!("metal.xml --glints unbiased --param {parameter} --estimator mis --spp 4 --repeats 2"),
+        )
+    };
+    let refused = gradient("map.normalmap.data");
+    let message = String::from_utf8_lossy(&refused.stderr).into_owned();
+    assert!(
+        !refused.status.success() && message.contains("map.normalmap.data"),
+        "{message}"
+    );
+    let output = gradient("metal.specular_reflectance.value");
+    assert!(
+        output.status.success(),
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
+}
+
+#[test]
+fn strategies_agree_on_the_mean() {
+    let dir = Folder::new();
+    let mean = |args: &str| {
+        dir.ok("render", &format!("scene.xml -o a.exr --spp 256 {args}"));
+        read_exr(&dir.path("a.exr")).unwrap().mean()[1]
+    };
+    let expected = mean("");
+    for args in [
+        "--heuristic balance",
+        "--strategy emitter",
+        "--strategy bsdf",
+    ] {
+        let relative = mean(args) / expected - 1.0;
+        // 0 is far from all: BSDF sampling, the worst, has a standard error of 0.2 %.
+        assert!(
+            relative.abs() < 0.01 && relative != 0.0,
+            "{args}: {relative}"
+        );
+    }
+}
+
+#[cfg(unix)]
+#[test]
+fn images_are_written_through_links_and_left_overs_removed() {
+    let dir = Folder::new();
+    std::os::unix::fs::symlink("target.exr", dir.path("link.exr")).unwrap();
+    std::os::unix::fs::symlink("scene.xml", dir.path("own.exr")).unwrap();
+    std::fs::write(dir.path(".target.exr.1-0.tmp"), "of a run that was killed").unwrap();
+    dir.ok("render", "scene.xml --spp 1 -o link.exr");
+    assert!(dir.path("link.exr").is_symlink());
+    assert!(read_exr(&dir.path("target.exr")).is_ok());
+    assert!(!dir.path(".target.exr.1-0.tmp").exists());
+    let out = dir.run("render", "scene.xml --spp 1 -o own.exr");
+    let stderr = String::from_utf8_lossy(&out.stderr);
+    assert!(stderr.contains("one that is read"), "{stderr}");
+    assert_eq!(bytes(dir.path("scene.xml")), SCENE.as_bytes());
+}
+
+/// What of a scene is understood, line by line, and an exit code that says whether it would render.
+#[test]
+fn a_check_says_what_is_understood() {
+    let dir = Folder::new();
+    let check = |text: &str| {
+        std::fs::write(dir.path("checked.xml"), text).unwrap();
+        let json = dir.path("found.json");
+        let output = Command::new(env!("CARGO_BIN_EXE_render"))
+            .arg(dir.path("checked.xml"))
+            .args(["--check", "--json"])
+            .arg(&json)
+            .output()
+            .unwrap();
+        let report: Value = serde_json::from_slice(&std::fs::read(json).unwrap()).unwrap();
+        let text = String::from_utf8(output.stdout).unwrap();
+        (output.status.code(), text, report)
+    };
+    let (code, text, report) = check(SCENE);
+    assert_eq!(
+        (code, report["outcome"].as_str()),
+        (Some(0), Some("renders")),
+        "{text}"
+    );
+    assert!(
+        text.contains("understood       3  shape `rectangle`: 14, 15, 19"),
+        "{text}"
+    );
+    let wall = SCENE.replace(
+        "<bsdf type=\"diffuse\" id=\"wall\">",
+        "<bsdf type=\"polarizer\" id=\"wall\">",
+    );
+    let (code, text, report) = check(&wall);
+    assert_eq!(
+        (code, report["outcome"].as_str()),
+        (Some(1), Some("refused")),
+        "{text}"
+    );
+    assert!(
+        text.starts_with("refused         13  bsdf `polarizer`: polarisation is not there"),
+        "{text}"
+    );
+    assert_eq!(report["findings"][0]["line"], 13);
+    let texture = "<texture type=\"bitmap\" name=\"reflectance\"><string name=\"filename\" value=\"none.png\"/></texture>";
+    let wall = SCENE.replace(
+        "<rgb name=\"reflectance\" value=\"$red,0.4,0.2\"/>",
+        texture,
+    );
+    let (code, text, report) = check(&wall);
+    assert_eq!(
+        (code, report["outcome"].as_str()),
+        (Some(1), Some("incomplete")),
+        "{text}"
+    );
+    assert!(
+        text.contains("missing         13  `filename`: expected an existing file"),
+        "{text}"
+    );
+    let (code, _, report) = check(&SCENE.replace("fov", "fow"));
+    assert_eq!((code, report["outcome"].as_str()), (Some(1), Some("wrong")));
+    // Nothing else is done.
+    assert!(!Path::new("checked.exr").exists());
+}
+
+/// Any parameter may be set, by its own name, by that of Mitsuba 3 or by a pattern, to numbers or to an image.
+#[test]
+fn parameters_are_set_on_the_command_line() {
+    let dir = Folder::new();
+    let list = |args: &[&str]| {
+        let output = Command::new(env!("CARGO_BIN_EXE_gradient"))
+            .arg(dir.path("scene.xml"))
+            .arg("--list")
+            .args(args)
+            .current_dir(&dir.0)
+            .output()
+            .unwrap();
+        let text = String::from_utf8(output.stdout).unwrap();
+        let error = String::from_utf8(output.stderr).unwrap();
+        (output.status.code(), text, error)
+    };
+    let value = |args: &[&str], name: &str| {
+        let (code, text, error) = list(args);
+        assert_eq!(code, Some(0), "{error}");
+        let line = text
+            .lines()
+            .find(|l| l.starts_with(name))
+            .map(str::to_owned);
+        line.unwrap_or_else(|| panic!("{text}"))
+    };
+    assert!(value(&[], WALL).contains("[0.7, 0.4, 0.2]  also Rectangle.bsdf.reflectance.value"));
+    for key in [
+        WALL,
+        "Rectangle_1.bsdf.reflectance",
+        "wall.*",
+        "Rect*.reflectance.value",
+    ] {
+        assert!(
+            value(&["-P", &format!("{key}=0.25")], WALL).contains("[0.25, 0.25, 0.25]"),
+            "{key}"
+        );
+        let three = format!("{key}=0.1, 0.2 0.3");
+        assert!(
+            value(&["-P", &three], WALL).contains("[0.1, 0.2, 0.3]"),
+            "{key}"
+        );
+    }
+    for (argument, expected) in [
+        ("wall.reflectence=0.2", "closest: wall.reflectance.value"),
+        (
+            "wall.reflectance=1.5",
+            "expected a value in [0, 1], found 1.5",
+        ),
+        ("wall.reflectance=0.1,0.2", "expected one or three numbers"),
+        ("wall.reflectance=a.exr", "expected one or three numbers"),
+        ("*.alpha=1", "no parameter `*.alpha`"),
+    ] {
+        let (code, _, error) = list(&["-P", argument]);
+        assert!(
+            code == Some(1) && error.contains(expected),
+            "{argument}: {error}"
+        );
+    }
+    // Texels take an image of their size.
+    let image = |width: usize, value: f32| Image {
+        width,
+        height: 1,
+        data: vec![value; 3 * width],
+    };
+    write_exr(&dir.path("own.exr"), &image(2, 0.5)).unwrap();
+    write_exr(&dir.path("new.exr"), &image(2, 0.75)).unwrap();
+    write_exr(&dir.path("wide.exr"), &image(3, 0.75)).unwrap();
+    let texture = "<texture type=\"bitmap\" name=\"reflectance\"><string name=\"filename\" value=\"own.exr\"/></texture>";
+    let wall = SCENE.replace(
+        "<rgb name=\"reflectance\" value=\"$red,0.4,0.2\"/>",
+        texture,
+    );
+    std::fs::write(dir.path("scene.xml"), wall).unwrap();
+    let texels = "wall.reflectance.data";
+    assert!(value(&[], texels).contains("mean 0.500000"));
+    assert!(value(&["-P", "wall.reflectance=new.exr"], texels).contains("mean 0.750000"));
+    assert!(value(&["-P", "wall.reflectance=0.1"], texels).contains("mean 0.100000"));
+    let (code, _, error) = list(&["-P", "wall.reflectance=wide.exr"]);
+    assert!(
+        code == Some(1) && error.contains("an image of 2 x 1, found one of 3 x 1"),
+        "{error}"
+    );
+}
+
+/// What particles cannot show is said, and is there by density estimation.
+#[test]
+fn particles_say_what_they_leave_dark() {
+    let dir = Folder::new();
+    std::fs::write(dir.path("glass.xml"), GLASS).unwrap();
+    let of = |scene: &str, integrator: &str| {
+        let args = format!("{scene} -o a.exr --spp 16 --integrator {integrator}");
+        let out = dir.run("render", &args);
+        let stderr = String::from_utf8_lossy(&out.stderr).into_owned();
+        assert!(out.status.success(), "{args}: {stderr}");
+        let image = read_exr(&dir.path("a.exr")).unwrap();
+        let at = image.height / 2 * image.width + image.width / 2;
+        (stderr, image.data[3 * at])
+    };
+    let (said, middle) = of("glass.xml", "particle");
+    assert!(said.contains("by `ball` is dark"), "{said}");
+    assert_eq!(middle, 0.0);
+    let (said, middle) = of("glass.xml", "density --radius 0.1");
+    assert!(!said.contains("dark") && middle > 0.1, "{said} {middle}");
+    let (said, _) = of("scene.xml", "particle");
+    assert!(!said.contains("dark"), "{said}");
+}

@@ -1,0 +1,319 @@
+//! Parameters that are found from pictures.
+
+use clap::Parser;
+use examples::cli::Outcome;
+use examples::progress::Interrupt;
+use examples::tools::recover;
+use render::Image;
+use render::image_io::write_exr;
+
+use crate::{Folder, GLASS, SCENE, WALL, bytes, fails};
+
+/// How bright a picture is does not decide whether Adam moves; where plain gradient descent does not, it says so.
+#[test]
+fn dim_scenes_are_recovered_like_bright_ones() {
+    let dir = Folder::new();
+    let dim = SCENE.replace("10,8,6", "1e-5,8e-6,6e-6");
+    std::fs::write(dir.path("dim.xml"), dim).unwrap();
+    dir.ok(
+        "render",
+        "dim.xml -o photo.exr --spp 512 --seed 9 -D red=0.3",
+    );
+    let job = format!("dim.xml --param {WALL} --target photo.exr --loss l2 -D red=0.6 --spp 4");
+    let out = dir.run("recover", &format!("{job} --iterations 150 --out adam"));
+    let stderr = String::from_utf8_lossy(&out.stderr);
+    assert!(out.status.success(), "{stderr}");
+    assert!(!stderr.contains("no unknown has moved"), "{stderr}");
+    let report = dir.json("adam/result.json");
+    for (c, truth) in [0.3, 0.4, 0.2].into_iter().enumerate() {
+        let found = report["params"][format!("{WALL}[{c}]")]["value"]
+            .as_f64()
+            .unwrap();
+        assert!((found / truth - 1.0).abs() < 0.02, "{c}: {found}");
+    }
+    let sgd = format!("{job} --iterations 12 --optimizer sgd --out sgd");
+    let out = dir.run("recover", &sgd);
+    let stderr = String::from_utf8_lossy(&out.stderr);
+    let warning = "in 10 steps of sgd at --lr 1: its steps are --lr times the derivative";
+    assert_eq!(stderr.matches(warning).count(), 1, "{stderr}");
+}
+
+/// Ctrl-C while the pictures are made, or just before, costs pictures and nothing else.
+#[test]
+fn an_interrupted_recovery_lacks_pictures_that_resuming_makes() {
+    let dir = Folder::new();
+    dir.ok("render", "scene.xml -o photo.exr --spp 16");
+    let run = |out: &str, more: &str, interrupt: &Interrupt| {
+        let [scene, photo, out] = ["scene.xml", "photo.exr", out].map(|n| dir.path(n));
+        let mut args = vec!["recover".into(), scene.into_os_string()];
+        args.extend(["--target".into(), photo.into_os_string()]);
+        args.extend(["--out".into(), out.into_os_string()]);
+        args.extend(["--param", WALL].map(Into::into));
+        args.extend(more.split_whitespace().map(Into::into));
+        recover::run(&recover::Args::try_parse_from(args).unwrap(), interrupt).unwrap()
+    };
+    let (quiet, pressed) = (Interrupt::default(), Interrupt::default());
+    pressed.set();
+    let exists = |name: &str| dir.path(name).exists();
+    let pictures = ["before.exr", "after.exr", "before-after-target.png"];
+
+    let job = "--iterations 3 --spp 2";
+    assert_eq!(run("whole", job, &quiet), Outcome::Done);
+    // A folder that another job has used.
+    std::fs::create_dir(dir.path("parts")).unwrap();
+    for name in pictures {
+        std::fs::write(dir.path("parts").join(name), "of another job").unwrap();
+    }
+    assert_eq!(run("parts", job, &pressed), Outcome::Interrupted);
+    assert_eq!(dir.json("parts/result.json")["iterations"], 0);
+    assert!(exists("parts/target.exr") && exists("parts/iterations.csv"));
+    assert!(!pictures.iter().any(|p| exists(&format!("parts/{p}"))));
+    assert_eq!(run("parts", "--resume", &quiet), Outcome::Done);
+    let same = || {
+        for file in pictures.iter().chain(&["checkpoint.json", "result.json"]) {
+            let [whole, parts] = ["whole", "parts"].map(|d| bytes(dir.path(d).join(file)));
+            assert!(whole == parts, "{file}");
+        }
+    };
+    same();
+    // Nothing has moved: the pictures still show the values.
+    assert_eq!(run("parts", "--resume", &pressed), Outcome::Interrupted);
+    same();
+
+    let long = "--iterations 1000000 --spp 1";
+    run("long", &format!("{long} --stop-after 1"), &quiet);
+    assert!(pictures.iter().all(|p| exists(&format!("long/{p}"))));
+    let mut wait = std::time::Duration::from_millis(50);
+    while dir.json("long/checkpoint.json")["iteration"] == 1 {
+        wait *= 2;
+        let late = Interrupt::default();
+        std::thread::scope(|s| {
+            s.spawn(|| {
+                std::thread::sleep(wait);
+                late.set();
+            });
+            assert_eq!(run("long", "--resume", &late), Outcome::Interrupted);
+        });
+    }
+    assert_eq!(
+        pictures.map(|p| exists(&format!("long/{p}"))),
+        [true, false, false]
+    );
+}
+
+#[test]
+fn a_colour_is_recovered_from_a_picture() {
+    let dir = Folder::new();
+    dir.ok(
+        "render",
+        "scene.xml -o photo.exr --spp 512 --seed 9 -D red=0.3",
+    );
+    let unknown = format!("scene.xml --param {WALL} --target photo.exr");
+    let steps = "--iterations 150 --spp 4 --out found";
+    for optimizer in [
+        "--optimizer adam",
+        "--optimizer sgd --lr 2",
+        "--optimizer gauss-newton",
+    ] {
+        dir.ok(
+            "recover",
+            &format!("{unknown} {steps} {optimizer} -D red=0.6"),
+        );
+        let report = dir.json("found/result.json");
+        for (c, truth) in [0.3, 0.4, 0.2].into_iter().enumerate() {
+            let found = report["params"][format!("{WALL}[{c}]")]["value"]
+                .as_f64()
+                .unwrap();
+            assert!(
+                (found / truth - 1.0).abs() < 0.02,
+                "{optimizer} {c}: {found}"
+            );
+        }
+        assert_eq!(report["scene"], "scene.xml");
+        assert!(dir.path("found/values.svg").is_file());
+    }
+}
+
+/// Two walls behind each other's sensors, which see one of them each: only the sum over both views knows both colours.
+#[test]
+fn a_recovery_looks_through_several_sensors() {
+    let dir = Folder::new();
+    let sensor = |name: &str, z: i32, size: u32| {
+        format!(
+            r#"<sensor type="perspective" id="{name}"><float name="fov" value="40"/>
+            <transform name="to_world"><lookat origin="0,0,0" target="0,0,{z}" up="0,1,0"/></transform>
+            <film type="hdrfilm"><integer name="width" value="{size}"/><integer name="height" value="{size}"/>
+            </film></sensor>"#
+        )
+    };
+    let wall = |name: &str, z: i32, colour: &str| {
+        format!(
+            r#"<shape type="rectangle"><transform name="to_world"><scale value="5"/>
+            <lookat origin="0,0,{z}" target="0,0,0" up="0,1,0"/></transform>
+            <bsdf type="diffuse" id="{name}"><rgb name="reflectance" value="{colour}"/></bsdf></shape>"#
+        )
+    };
+    let scene = |near: &str, far: &str| {
+        format!(
+            r#"<scene version="3.0.0"><integrator type="path"><integer name="max_depth" value="2"/></integrator>
+            {}{}{}{}<emitter type="constant"/></scene>"#,
+            sensor("front", 1, 16),
+            sensor("back", -1, 12),
+            wall("near", 3, near),
+            wall("far", -3, far),
+        )
+    };
+    std::fs::write(dir.path("truth.xml"), scene("0.2,0.4,0.6", "0.7,0.3,0.1")).unwrap();
+    std::fs::write(dir.path("start.xml"), scene("0.5,0.5,0.5", "0.5,0.5,0.5")).unwrap();
+    dir.ok("render", "truth.xml -o front.exr --spp 256");
+    dir.ok("render", "truth.xml -o back.exr --spp 256 --sensor back");
+    let job = "start.xml --param near.reflectance.value --param far.reflectance.value --spp 4 --iterations 120";
+    let views = "--target front=front.exr --target back=back.exr";
+    dir.ok("recover", &format!("{job} {views} --out both"));
+    let report = dir.json("both/result.json");
+    for (wall, truth) in [("near", [0.2, 0.4, 0.6]), ("far", [0.7, 0.3, 0.1])] {
+        for (c, truth) in truth.into_iter().enumerate() {
+            let value = &report["params"][format!("{wall}.reflectance.value[{c}]")]["value"];
+            let found = value.as_f64().unwrap();
+            assert!((found - truth).abs() < 0.01, "{wall} {c}: {found}");
+        }
+    }
+    for kind in ["before", "after", "target"] {
+        for view in ["front", "back"] {
+            assert!(dir.path(&format!("both/{kind}-{view}.exr")).is_file());
+        }
+    }
+    // In parts it is the same run; one target is the first sensor's.
+    let parts = format!("{job} --target front.exr --target 1=back.exr --out parts --stop-after 50");
+    let out = dir.run("recover", &parts);
+    assert_eq!(out.status.code(), Some(130));
+    dir.ok("recover", "--out parts --resume");
+    let found = |folder: &str| dir.json(&format!("{folder}/result.json"))["params"].clone();
+    assert_eq!(found("parts"), found("both"));
+
+    let unknown = format!("{job} --target side=back.exr --out none");
+    let message = "--target: parameter `sensor`: expected a number below 2 or one of `front`, `back`, found `side`";
+    fails(&dir, &unknown, message);
+    fails(
+        &dir,
+        &format!("{job} --target back=front.exr --out none"),
+        "12",
+    );
+}
+
+/// The index of smooth glass moves a Dirac delta: for whole paths that move and for nothing else.
+#[test]
+fn the_index_of_smooth_glass_is_recovered() {
+    let dir = Folder::new();
+    std::fs::write(dir.path("glass.xml"), GLASS).unwrap();
+    dir.ok("render", "glass.xml -o photo.exr --spp 512");
+    let unknown = "glass.xml --param m.eta.value --target photo.exr -D eta=1.3 --out found";
+    let detached = dir.run("recover", unknown);
+    assert_eq!(detached.status.code(), Some(1));
+    assert!(String::from_utf8_lossy(&detached.stderr).contains("m.eta.value"));
+    assert!(!dir.path("found").exists());
+
+    let steps = "--iterations 100 --spp 16 --loss l2";
+    dir.ok(
+        "recover",
+        &format!("{unknown} {steps} --estimator attached-path"),
+    );
+    let report = dir.json("found/result.json");
+    let found = report["params"]["m.eta.value"]["value"].as_f64().unwrap();
+    assert!((found / 1.5 - 1.0).abs() < 0.02, "{found}");
+}
+
+/// A tent before a lamp, whose points and colours are unknown.
+const TENT: &str = r#"<scene version="3.0.0">
+  <integrator type="path"><integer name="max_depth" value="3"/></integrator>
+  <sensor type="perspective" id="eye"><float name="fov" value="40"/>
+    <transform name="to_world"><lookat origin="0,0,5" target="0,0,0" up="0,1,0"/></transform>
+    <film type="hdrfilm"><integer name="width" value="12"/><integer name="height" value="12"/><rfilter type="box"/></film>
+  </sensor>
+  <shape type="obj" id="it"><string name="filename" value="tent.obj"/>
+    <bsdf type="diffuse" id="cloth"><texture name="reflectance" type="bitmap" id="weave">
+      <string name="filename" value="weave.exr"/><boolean name="raw" value="true"/></texture></bsdf></shape>
+  <emitter type="constant"><rgb name="radiance" value="1"/></emitter>
+</scene>"#;
+
+/// Points of a mesh and texels are recovered together, with options behind their keys, and written as a scene that renders:
+/// its mesh beside it. Cameras are, by Gauss-Newton steps.
+#[test]
+fn shapes_are_recovered_and_written() {
+    let dir = Folder::new();
+    std::fs::write(dir.path("tent.xml"), TENT).unwrap();
+    let mut tent = String::new();
+    for j in 0..5 {
+        for i in 0..5 {
+            let [x, y] = [i, j].map(|k| f64::from(k) / 4.0);
+            let z = 0.3 * (3.0 * x).sin();
+            tent += &format!("v {} {} {z}\nvt {x} {y}\n", 2.0 * x - 1.0, 2.0 * y - 1.0);
+        }
+    }
+    for a in (0..20).filter(|a| a % 5 < 4).map(|a| a + 1) {
+        let b = a + 5;
+        tent += &format!("f {a}/{a} {0}/{0} {1}/{1} {b}/{b}\n", a + 1, b + 1);
+    }
+    std::fs::write(dir.path("tent.obj"), tent).unwrap();
+    let mut weave = Image::new(8, 8);
+    weave
+        .data
+        .iter_mut()
+        .enumerate()
+        .for_each(|(i, x)| *x = 0.3 + 0.05 * (i % 7) as f32);
+    write_exr(&dir.path("weave.exr"), &weave).unwrap();
+    dir.ok("render", "tent.xml --spp 64 -o t.exr");
+
+    let common = "tent.xml --target t.exr --estimator edges --spp 2 --iterations 6";
+    let points = "--param it.vertex_positions:smooth=4,lr=0.01";
+    let texels = "--param cloth.reflectance.data:coarse=2";
+    dir.ok(
+        "recover",
+        &format!("{common} {points} {texels} -P cloth.reflectance.data=0.5 --out d"),
+    );
+    assert!(dir.path("d/scene/scene.xml").exists() && dir.path("d/scene/meshes/it.ply").exists());
+    dir.ok("render", "d/scene/scene.xml --spp 4 -o again.exr");
+    // Six steps of two texels along each side, then four, then eight: the checkpoint knows.
+    dir.ok(
+        "recover",
+        &format!("{common} {texels} --stop-after 6 --out e"),
+    );
+    assert_eq!(
+        dir.run("recover", "--resume --out e --iterations 6")
+            .status
+            .code(),
+        Some(0)
+    );
+
+    for (option, needed) in [
+        ("it.vertex_positions:coarse=2", "texels for coarse"),
+        (
+            "cloth.reflectance.data:smooth=2",
+            "points of a mesh for smooth",
+        ),
+        (
+            "it.vertex_positions:smooth=-1",
+            "a positive number for smooth",
+        ),
+        ("it.vertex_positions:rough=1", "lr, smooth or coarse"),
+    ] {
+        let out = dir.run("recover", &format!("{common} --param {option} --out f"));
+        let stderr = String::from_utf8_lossy(&out.stderr);
+        assert!(
+            !out.status.success() && stderr.contains(needed),
+            "{option}: {stderr}"
+        );
+    }
+
+    let newton =
+        "tent.xml --target t.exr --estimator edges --optimizer gauss-newton --spp 8 --iterations 3";
+    dir.ok(
+        "recover",
+        &format!("{newton} --param sensor.translation -P sensor.translation=0.2,0,0 --out g"),
+    );
+    let found = dir.json("g/result.json");
+    let x = found["params"]["sensor.translation[0]"]["value"]
+        .as_f64()
+        .unwrap();
+    assert!(x.abs() < 0.2, "{x}");
+}
