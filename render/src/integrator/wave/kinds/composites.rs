@@ -371,8 +371,9 @@ impl<P: Float> Composites<P> {
             (0..).zip(self.parts.iter_mut().zip([&lanes.side_a, &lanes.side_b]))
         {
             let numbers = [&lanes.first, &lanes.b, &lanes.c];
-            part.sample(&lanes.o, side, numbers, &mut |k, found| {
-                if lanes.chosen[k] == number {
+            let chosen = |k: usize| lanes.chosen[k] == number;
+            part.sample(&lanes.o, side, numbers, chosen, &mut |k, found| {
+                if chosen(k) {
                     self.drawn[k] = found;
                 }
             });

@@ -47,11 +47,10 @@ impl<P: Float> Metals<P> {
     }
 
     #[inline(never)]
-    fn turn(&mut self, n: usize, of: &mut Scattering<P>) {
-        for k in 0..whole(n) {
-            let wo = of.wo.vec(k);
-            of.wi.put_vec(k, reflect(wo, self.facets.m.vec(k)));
-        }
+    fn turn(&self, among: Among, of: &mut Scattering<P>) {
+        self.facets.sample(among, of, false, |of, k, m| {
+            of.wi.put_vec(k, reflect(of.wo.vec(k), m));
+        });
     }
 
     /// Mirrors, whose directions are not drawn.
@@ -110,8 +109,7 @@ impl<P: Float> Members<P> for Metals<P> {
 
     #[inline(always)]
     fn sample(&mut self, among: Among, of: &mut Scattering<P>) {
-        self.facets.sample(among, of, false);
-        self.turn(among.n, of);
+        self.turn(among, of);
         self.eval_pdf(among, of);
         self.reflect(among.n, of);
     }

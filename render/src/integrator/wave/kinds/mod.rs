@@ -82,6 +82,8 @@ lanes! {
         eta: Lane<P>,
         /// What the direction belongs to: [`component`].
         component: Lane<u32>,
+        /// Whether anything depends on the answer.
+        asked: Lane<u32>,
         /// Whether the direction is right.
         sampled: Lane<u32>,
         /// Whether all is right; otherwise, the functions of the vertex have to be called.
@@ -180,6 +182,7 @@ impl<M> Sorted<M> {
             let k = k % WAVE_SIZE;
             of.wo.put_vec(k, seen_from(side[i], wo.vec(i)));
             of.wi.put_vec(k, seen_from(side[i], wi.vec(i)));
+            of.asked[k] = 1;
         }
         let (n, one_by_one) = (self.paths.len(), &self.one_by_one[..]);
         members.eval_pdf(Among { n, one_by_one }, of);
@@ -195,6 +198,7 @@ impl<M> Sorted<M> {
         &mut self,
         of: &mut Scattering<P>,
         (wo, side, [a, b, c]): (&Lanes<P>, &Lane<P>, [&Lane<P>; 3]),
+        asked: &impl Fn(usize) -> bool,
         put: &mut impl FnMut(usize, Option<Found<P>>),
     ) where
         M: Members<P>,
@@ -206,6 +210,7 @@ impl<M> Sorted<M> {
             let k = k % WAVE_SIZE;
             of.wo.put_vec(k, seen_from(side[i], wo.vec(i)));
             of.u.put_vec(k, Vec3::new(a[i], b[i], c[i]));
+            of.asked[k] = u32::from(asked(i));
         }
         let (n, one_by_one) = (self.paths.len(), &self.one_by_one[..]);
         members.sample(Among { n, one_by_one }, of);
@@ -310,22 +315,23 @@ impl<P: Float> Leaves<P> {
         self.rough_plastics.eval_pdf(of, directions, put);
     }
 
-    /// As [`Kinds::sample`].
+    /// As [`Kinds::sample`]; answers are right where `asked` holds.
     #[inline(always)]
     fn sample(
         &mut self,
         wo: &Lanes<P>,
         side: &Lane<P>,
         numbers: [&Lane<P>; 3],
+        asked: impl Fn(usize) -> bool,
         put: &mut impl FnMut(usize, Option<Found<P>>),
     ) {
         let (of, from) = (&mut *self.of, (wo, side, numbers));
-        self.diffuse.sample(of, from, put);
-        self.metals.sample(of, from, put);
-        self.glass.sample(of, from, put);
-        self.rough_glass.sample(of, from, put);
-        self.plastics.sample(of, from, put);
-        self.rough_plastics.sample(of, from, put);
+        self.diffuse.sample(of, from, &asked, put);
+        self.metals.sample(of, from, &asked, put);
+        self.glass.sample(of, from, &asked, put);
+        self.rough_glass.sample(of, from, &asked, put);
+        self.plastics.sample(of, from, &asked, put);
+        self.rough_plastics.sample(of, from, &asked, put);
     }
 }
 
@@ -355,7 +361,7 @@ impl<P: Float> Kinds<P> {
 
     /// Takes path `i` in, if its material is one of these there; `wo`, from where the path came to the side that is seen,
     /// is asked only where a material is made of others.
-    #[inline(always)]
+    #[inline(never)]
     pub fn take(
         &mut self,
         i: usize,
@@ -371,7 +377,7 @@ impl<P: Float> Kinds<P> {
     }
 
     /// Values and densities of directions to lights: calls `put` with each path, and with them where they are right.
-    #[inline(always)]
+    #[inline(never)]
     pub fn eval_pdf(
         &mut self,
         wo: &Lanes<P>,
@@ -387,7 +393,7 @@ impl<P: Float> Kinds<P> {
 
     /// Scattered directions, made of three lanes of random numbers: calls `put` with each path, and with what it finds
     /// where that is right.
-    #[inline(always)]
+    #[inline(never)]
     pub fn sample(
         &mut self,
         wo: &Lanes<P>,
@@ -395,7 +401,7 @@ impl<P: Float> Kinds<P> {
         numbers: [&Lane<P>; 3],
         mut put: impl FnMut(usize, Option<Found<P>>),
     ) {
-        self.leaves.sample(wo, side, numbers, &mut put);
+        self.leaves.sample(wo, side, numbers, |_| true, &mut put);
         if let Some(composites) = &mut self.composites {
             composites.sample((wo, side, numbers), &mut put);
         }
