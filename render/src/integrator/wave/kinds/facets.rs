@@ -1,6 +1,6 @@
 //! Normals of many rough surfaces: as if all were GGX, then one by one those that are not.
 
-use ad_core::{Float, Vec3};
+use ad_core::Float;
 
 use super::super::lanes::{Field, Lane, Lanes, lanes, whole};
 use super::{Among, Scattering};
@@ -55,29 +55,23 @@ impl<P: Float> FacetLanes<P> {
         }
     }
 
-    /// Samples normals on the upper side of surfaces, says whether they are right, and calls `turn` with the places and
-    /// them. `through`: whether they are wanted where `wo` is below.
-    #[inline(always)]
-    pub fn sample(
-        &self,
-        among: Among,
-        of: &mut Scattering<P>,
-        through: bool,
-        turn: impl Fn(&mut Scattering<P>, usize, Vec3<P>),
-    ) {
+    /// Samples normals on the upper side of surfaces, and says whether they are right. `through`: whether they are wanted
+    /// where `wo` is below.
+    #[inline(never)]
+    pub fn sample(&mut self, among: Among, of: &mut Scattering<P>, through: bool) {
         for k in 0..whole(among.n) {
             let (wo, u) = (of.wo.vec(k), of.u.vec(k));
             let (m, right) = ggx_sample_visible(self.alpha[k], upwards(wo), [u.y, u.z]);
+            self.m.put_vec(k, m);
             of.sampled[k] = u32::from(right | !(through | (wo.z > P::zero())));
-            turn(of, k, m);
         }
         for &k in among.one_by_one {
             let (wo, u) = (of.wo.vec(k), of.u.vec(k));
             let asked = (wo.z > P::zero()) | (through & (wo.z < P::zero()));
             if asked & (of.asked[k] != 0) {
                 let m = beckmann(self.alpha[k]).sample_visible(upwards(wo), [u.y, u.z]);
+                self.m.put_vec(k, m);
                 of.sampled[k] = 1;
-                turn(of, k, m);
             }
         }
     }

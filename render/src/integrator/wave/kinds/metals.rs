@@ -47,10 +47,11 @@ impl<P: Float> Metals<P> {
     }
 
     #[inline(never)]
-    fn turn(&self, among: Among, of: &mut Scattering<P>) {
-        self.facets.sample(among, of, false, |of, k, m| {
-            of.wi.put_vec(k, reflect(of.wo.vec(k), m));
-        });
+    fn turn(&mut self, n: usize, of: &mut Scattering<P>) {
+        for k in 0..whole(n) {
+            let wo = of.wo.vec(k);
+            of.wi.put_vec(k, reflect(wo, self.facets.m.vec(k)));
+        }
     }
 
     /// Mirrors, whose directions are not drawn.
@@ -109,7 +110,8 @@ impl<P: Float> Members<P> for Metals<P> {
 
     #[inline(always)]
     fn sample(&mut self, among: Among, of: &mut Scattering<P>) {
-        self.turn(among, of);
+        self.facets.sample(among, of, false);
+        self.turn(among.n, of);
         self.eval_pdf(among, of);
         self.reflect(among.n, of);
     }

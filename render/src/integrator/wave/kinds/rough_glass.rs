@@ -64,14 +64,15 @@ impl<P: Float> RoughGlass<P> {
 
     /// Where the sampled normals lead.
     #[inline(never)]
-    fn scatter(&self, among: Among, of: &mut Scattering<P>) {
-        self.facets.sample(among, of, true, |of, k, m| {
-            let (wi, eta, goes) = self.at(k).scatter(of.wo.vec(k), m, of.u.vec(k).x);
+    fn scatter(&mut self, n: usize, of: &mut Scattering<P>) {
+        for k in 0..whole(n) {
+            let (wo, m, u) = (of.wo.vec(k), self.facets.m.vec(k), of.u.vec(k).x);
+            let (wi, eta, goes) = self.at(k).scatter(wo, m, u);
             // Where nothing goes, nothing is found.
             of.wi.put_vec(k, wi.map(|x| P::select(goes, x, P::zero())));
             of.eta[k] = eta;
             of.component[k] = CONTINUOUS;
-        });
+        }
     }
 }
 
@@ -105,7 +106,8 @@ impl<P: Float> Members<P> for RoughGlass<P> {
 
     #[inline(always)]
     fn sample(&mut self, among: Among, of: &mut Scattering<P>) {
-        self.scatter(among, of);
+        self.facets.sample(among, of, true);
+        self.scatter(among.n, of);
         self.eval_pdf(among, of);
     }
 }

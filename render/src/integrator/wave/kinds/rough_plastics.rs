@@ -67,14 +67,15 @@ impl<P: Float> RoughCoatings<P> {
     }
 
     #[inline(never)]
-    fn turn(&self, among: Among, of: &mut Scattering<P>) {
-        self.facets.sample(among, of, false, |of, k, m| {
+    fn turn(&mut self, n: usize, of: &mut Scattering<P>) {
+        for k in 0..whole(n) {
             let (wo, u) = (of.wo.vec(k), of.u.vec(k).to_array());
-            let wi = self.coated.at(k).rough_sample(wo, m, u, self.t_o[k]);
+            let coated = self.coated.at(k);
+            let wi = coated.rough_sample(wo, self.facets.m.vec(k), u, self.t_o[k]);
             of.wi.put_vec(k, wi);
             of.eta[k] = P::one();
             of.component[k] = CONTINUOUS;
-        });
+        }
     }
 }
 
@@ -116,7 +117,8 @@ impl<P: Float> Members<P> for RoughPlastics<P> {
     #[inline(always)]
     fn sample(&mut self, among: Among, of: &mut Scattering<P>) {
         self.look_out(of);
-        self.lanes.turn(among, of);
+        self.lanes.facets.sample(among, of, false);
+        self.lanes.turn(among.n, of);
         self.eval_pdf(among, of);
     }
 }
