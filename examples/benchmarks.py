@@ -31,6 +31,16 @@ import time
 
 ROOT = os.path.join(os.path.dirname(os.path.abspath(__file__)), "..")
 CORNELL = ("examples/scenes/cornell.xml", ["red.reflectance.value", "green.reflectance.value", "white.reflectance.value"])
+SCENES = {
+    "glass": ["frosted.alpha.value"],
+    "plastics": ["green.alpha.value", "lacquer.diffuse_reflectance.value"],
+    "cards": ["red.reflectance.value", "copper.alpha.value"],
+    "relief": ["gold.alpha.value", "blue.diffuse_reflectance.value"],
+    "principled": ["lacquer.base_color.value", "soft.base_color.value"],
+    "brushed": ["gold.alpha.value"],
+    "lamps": ["grey.reflectance.value"],
+    "mirrors": ["copper.alpha.value"],
+}
 BOXES = ("examples/scenes/metal-boxes.xml", ["gold.alpha.value", "copper.alpha.value"])
 ESTIMATORS = ["detached", "mis", "mis-balance", "mis-attached-weights", "attached-naive", "reparameterised",
               "reparameterised-mis", "differential", "differential-mis"]
@@ -218,6 +228,9 @@ def mitsuba(args):
         ("Cornell box, nine albedos", *CORNELL, ["", "--sampler independent"]),
         ("metal boxes, two roughnesses", *BOXES, ["--estimator mis-balance", "--estimator differential-mis --caustics particles"]),
     ]
+    for scene, params in SCENES.items():
+        path = f"examples/scenes/{scene}.xml"
+        jobs += [(f"{scene}, image", path, [], [""]), (f"{scene}, {', '.join(params)}", path, params, [""])]
     rows = []
     for name, scene, params, ours in jobs:
         with tempfile.TemporaryDirectory() as folder:

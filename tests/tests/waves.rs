@@ -1,5 +1,7 @@
 //! Waves of paths do what single paths do: the same radiance bit by bit, the same derivatives to rounding.
 
+use std::path::Path;
+
 use ad_core::Dual;
 use render::Job;
 use render::estimator::{
@@ -14,7 +16,7 @@ use render::integrator::path;
 use render::integrator::render::Components;
 use render::params::{Tangent, Theta};
 use render::sampler::{Points, Sampler, Spread};
-use render::scene::{Caustics, LightChoice, Settings};
+use render::scene::{Caustics, LightChoice, LoadOptions, Settings};
 use render::{Scene, auto};
 use tests::cases::{self, Case};
 use tests::{mean_adjoint, scene, smooth_params};
@@ -302,10 +304,158 @@ fn instances() -> (Case, Scene) {
     (Case { name, body }, scene)
 }
 
+/// Balls and plates of these materials in rows, seen from above, over a floor.
+fn rows(name: &'static str, balls: &[String], plates: &[String]) -> Case {
+    let ball = |(i, bsdf): (usize, &String)| {
+        let x = 0.6 * i as f64 - 0.3 * (balls.len() - 1) as f64;
+        format!(
+            r#"<shape type="sphere"><point name="center" value="{x}, 0.3, 0.9"/><float name="radius" value="0.28"/>{bsdf}</shape>"#
+        )
+    };
+    // Every other one is seen from behind.
+    let plate = |(i, bsdf): (usize, &String)| {
+        let (x, turn) = (
+            0.7 * i as f64 - 0.35 * (plates.len() - 1) as f64,
+            180 * (i % 2),
+        );
+        format!(
+            r#"<shape type="rectangle"><transform name="to_world"><scale value="0.33"/><rotate y="1" angle="{turn}"/>
+            <rotate x="1" angle="-20"/><translate x="{x}" y="0.9" z="-0.2"/></transform>{bsdf}</shape>"#
+        )
+    };
+    let things = (balls.iter().enumerate().map(ball)).chain(plates.iter().enumerate().map(plate));
+    let things: String = things.collect();
+    let body = format!(
+        r#"{}{things}
+        <shape type="rectangle"><transform name="to_world"><scale value="3"/><rotate x="1" angle="-90"/></transform></shape>"#,
+        LIT.replace(r#""max_depth" value="5""#, r#""max_depth" value="7""#)
+    );
+    Case { name, body }
+}
+
+const SQUARES: &str =
+    r#"type="checkerboard"><transform name="to_uv"><scale value="5"/></transform>"#;
+
+/// Every kind of glass and plastic: denser and thinner inside, smooth, nearly smooth and rough, the same everywhere and
+/// textured, from the front, from behind, and with another side.
+fn cabinet() -> Case {
+    let colours = |name: &str| {
+        format!(
+            r#"<texture name="{name}" {SQUARES}<rgb name="color0" value="0.7, 0.3, 0.2"/><rgb name="color1" value="0.1, 0.5, 0.9"/></texture>"#
+        )
+    };
+    let alphas = format!(
+        r#"<texture name="alpha" {SQUARES}<float name="color0" value="0.02"/><float name="color1" value="0.5"/></texture>"#
+    );
+    let glass =
+        |index: &str, more: &str| format!(r#"<bsdf type="dielectric">{index}{more}</bsdf>"#);
+    let rough = |kind: &str, plugin: &str, more: &str| {
+        format!(
+            r#"<bsdf type="{plugin}"><string name="distribution" value="{kind}"/>{more}</bsdf>"#
+        )
+    };
+    let alpha = |alpha: f64| format!(r#"<float name="alpha" value="{alpha}"/>"#);
+    let denser = r#"<float name="int_ior" value="1.6"/>"#;
+    let thinner = r#"<float name="int_ior" value="1"/><float name="ext_ior" value="1.5"/>"#;
+    let both = |a: &str, b: &str| format!(r#"<bsdf type="twosided">{a}{b}</bsdf>"#);
+    let plastic = format!(
+        r#"<bsdf type="plastic"><boolean name="nonlinear" value="true"/>{}</bsdf>"#,
+        colours("diffuse_reflectance")
+    );
+    let black = r#"<bsdf type="plastic"><rgb name="diffuse_reflectance" value="0"/><rgb name="specular_reflectance" value="0"/></bsdf>"#;
+    let red = r#"<bsdf type="diffuse"><rgb name="reflectance" value="0.7, 0.2, 0.1"/></bsdf>"#;
+    let tiles = format!(r#"<bsdf type="diffuse">{}</bsdf>"#, colours("reflectance"));
+    let balls = [
+        glass(denser, &colours("specular_transmittance")),
+        glass(thinner, ""),
+        rough("ggx", "roughdielectric", &format!("{denser}{alphas}")),
+        rough(
+            "beckmann",
+            "roughdielectric",
+            &format!("{thinner}{}", alpha(0.3)),
+        ),
+        rough(
+            "ggx",
+            "roughdielectric",
+            &format!("{denser}{}", alpha(1e-4)),
+        ),
+        rough(
+            "ggx",
+            "roughplastic",
+            &format!("{}{}", alpha(1e-4), colours("diffuse_reflectance")),
+        ),
+        rough("beckmann", "roughplastic", &alphas),
+        plastic.clone(),
+    ];
+    let plates = [
+        r#"<bsdf type="thindielectric"><rgb name="specular_reflectance" value="0.9, 0.5, 0.7"/></bsdf>"#.to_string(),
+        both(&plastic, ""),
+        both(&rough("ggx", "roughplastic", &alpha(0.2)), black),
+        both(red, &rough("ggx", "roughplastic", &alpha(0.7))),
+        both(red, &tiles),
+        both(r#"<bsdf type="conductor"/>"#, &tiles),
+        rough("beckmann", "roughdielectric", &format!("{denser}{}", alpha(0.02))),
+    ];
+    rows("cabinet", &balls, &plates)
+}
+
+/// Masks, blends and tilted surfaces of most kinds, and some of what has no kind.
+fn composites() -> Case {
+    let metal = r#"<bsdf type="roughconductor"><string name="distribution" value="ggx"/><float name="alpha" value="0.2"/></bsdf>"#;
+    let brushed = r#"<bsdf type="roughconductor"><float name="alpha" value="0.3"/><string name="material" value="Cu"/></bsdf>"#;
+    let red = r#"<bsdf type="diffuse"><rgb name="reflectance" value="0.7, 0.2, 0.1"/></bsdf>"#;
+    let glass = r#"<bsdf type="dielectric"/>"#;
+    let frosted = r#"<bsdf type="roughdielectric"><float name="alpha" value="0.3"/></bsdf>"#;
+    let plastic = r#"<bsdf type="plastic"/>"#;
+    let lacquer = r#"<bsdf type="roughplastic"><float name="alpha" value="0.1"/></bsdf>"#;
+    let mirror = r#"<bsdf type="conductor"/>"#;
+    let both = |a: &str, b: &str| format!(r#"<bsdf type="twosided">{a}{b}</bsdf>"#);
+    let squares = |name: &str, [a, b]: [f64; 2]| {
+        format!(
+            r#"<texture name="{name}" {SQUARES}<float name="color0" value="{a}"/><float name="color1" value="{b}"/></texture>"#
+        )
+    };
+    let mask = |inner: &str| {
+        let opacity = squares("opacity", [0.0, 0.7]);
+        format!(r#"<bsdf type="mask">{opacity}{inner}</bsdf>"#)
+    };
+    let blend = |a: &str, b: &str| {
+        let weight = squares("weight", [0.3, 1.0]);
+        format!(r#"<bsdf type="blendbsdf">{weight}{a}{b}</bsdf>"#)
+    };
+    let tilted = |inner: &str, more: &str| {
+        format!(
+            r#"<bsdf type="normalmap">{more}<texture name="normalmap" {SQUARES}<rgb name="color0" value="0.9, 0.4, 0.7"/>
+            <rgb name="color1" value="0.42, 0.55, 0.9"/></texture>{inner}</bsdf>"#
+        )
+    };
+    let corrected = r#"<boolean name="flip_invalid_normals" value="true"/><boolean name="use_shadowing_function" value="true"/>"#;
+    let balls = [
+        mask(red),
+        mask(glass),
+        blend(metal, brushed),
+        blend(glass, frosted),
+        blend(plastic, mirror),
+        tilted(lacquer, ""),
+        tilted(frosted, corrected),
+        tilted(plastic, corrected),
+    ];
+    let plates = [
+        mask(&both(metal, "")),
+        both(&blend(red, lacquer), ""),
+        both(mirror, &blend(metal, red)),
+        tilted(&both(brushed, ""), ""),
+        both(&tilted(metal, corrected), red),
+        blend(&mask(red), metal),
+        mask(frosted),
+    ];
+    rows("composites", &balls, &plates)
+}
+
 fn all() -> impl Iterator<Item = (Case, Scene)> {
     let cases = cases::all()
         .into_iter()
-        .chain([room(), lamps()])
+        .chain([room(), lamps(), cabinet(), composites()])
         .chain(lenses());
     let read = cases.map(|case| {
         let scene = scene(&case.body);
@@ -348,6 +498,26 @@ fn images_are_those_of_single_paths_bit_by_bit() {
         assert!(auto::guide(&mut s, &plain, 1, &()), "{}", case.name);
         assert_same(case.name, &s, &plain, &[Mis, Detached]);
     }
+}
+
+#[test]
+fn images_of_the_scenes_of_the_repository_are_those_of_single_paths() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../examples/scenes");
+    let options = LoadOptions {
+        defines: vec![("res".into(), "12".into())],
+        ..LoadOptions::default()
+    };
+    let mut found = 0;
+    for entry in std::fs::read_dir(folder).expect("a folder") {
+        let path = entry.expect("a file").path();
+        let (scene, warnings) = Scene::load(&path, &options).expect("a scene");
+        let name = path.display().to_string();
+        assert!(warnings.is_empty(), "{name}: {warnings:?}");
+        let mis = [Estimator::Mis];
+        assert_same(&name, &scene, &scene.settings, &mis);
+        found += 1;
+    }
+    assert!(found >= 10);
 }
 
 /// Where the noise of pixels is asked for, single paths find it.

@@ -38,7 +38,7 @@ impl Blend {
 
     /// The shares of the two parts.
     #[inline]
-    pub(super) fn shares<R: Real>(&self, at: &Shading<R>) -> [R; 2] {
+    pub(crate) fn shares<R: Real>(&self, at: &Shading<R>) -> [R; 2] {
         let w = self.weight.scalar(&at.theta, at.uv);
         [R::one() - w, w]
     }

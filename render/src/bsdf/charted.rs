@@ -42,7 +42,7 @@ impl Charted {
 
     /// A point as materials inside see it: in the surface's own coordinates.
     #[inline]
-    pub(super) fn inside<'a, R: Real>(&'a self, at: &Shading<'a, R>) -> Shading<'a, R> {
+    pub(crate) fn inside<'a, R: Real>(&'a self, at: &Shading<'a, R>) -> Shading<'a, R> {
         let (uv, triangle) = self.chart.own(at.uv);
         Shading {
             theta: at.theta,

@@ -2,7 +2,10 @@
 
 use ad_core::{Const, Real, Vec3};
 
-use super::{BsdfSample, Component, DeltaKind, Leaf, Lobe, Reader, TransportMode, fresnel};
+use super::{
+    BsdfSample, Component, DeltaKind, Leaf, Lobe, Passage, Reader, Scattered, TransportMode,
+    fresnel,
+};
 use crate::error::SceneError;
 use crate::math::Rgb;
 use crate::plugin::{FromNode, Node, Registry};
@@ -45,12 +48,52 @@ impl Leaf for Dielectric {
 }
 
 /// Index on the side that `w` does not point to over that on the side it does.
-#[inline]
+#[inline(always)]
 pub(super) fn eta_across<R: Real>(eta: R, w: Vec3<R>) -> R {
-    if w.z.primal() > R::Primal::zero() {
-        eta
-    } else {
-        eta.recip()
+    R::select(w.z.primal() > R::Primal::zero(), eta, eta.recip())
+}
+
+impl<R: Real> DielectricLobe<R> {
+    /// What becomes of light, chosen by the (primal) reflectance of the interface: without a branch, for loops over many.
+    #[inline(always)]
+    pub(crate) fn pass(&self, wo: Vec3<R>, u: R::Primal, mode: TransportMode) -> Passage<R> {
+        let (zero, one) = (R::Primal::zero(), R::Primal::one());
+        let eta = eta_across(self.eta, wo);
+        let f = fresnel::dielectric(wo.z.abs(), eta);
+        let reflects = u < f.reflect.primal();
+        let inverse = eta.recip();
+        let side = R::Primal::select(wo.z.primal() < zero, -one, one);
+        let refracted = [
+            -(wo.x * inverse),
+            -(wo.y * inverse),
+            -(f.cos_t * Const(side)),
+        ];
+        let [x, y, z] = refracted;
+        let wi = Vec3::new(
+            R::select(reflects, -wo.x, x),
+            R::select(reflects, -wo.y, y),
+            R::select(reflects, wo.z, z),
+        );
+        let pdf = R::Primal::select(reflects, f.reflect.primal(), f.transmit.primal());
+        let goes = (wo.z.primal() != zero) & (wi.z.primal() != zero);
+        let reflected = self.specular_reflectance * f.reflect;
+        let refracted = self.specular_transmittance * self.refracted(&f, eta, mode);
+        Passage {
+            reflects,
+            wi,
+            value: Rgb::select(reflects, reflected, refracted),
+            pdf: R::Primal::select(goes, pdf, zero),
+            eta: R::Primal::select(reflects, one, eta.primal()),
+        }
+    }
+
+    /// The weight of what is refracted into an index that is `eta` times as large.
+    #[inline(always)]
+    fn refracted(&self, f: &fresnel::Dielectric<R>, eta: R, mode: TransportMode) -> R {
+        match mode {
+            TransportMode::Importance => f.transmit,
+            TransportMode::Radiance => f.transmit / eta.square(),
+        }
     }
 }
 
@@ -67,38 +110,19 @@ impl<R: Real> Lobe<R> for DielectricLobe<R> {
 
     /// Chooses by the (primal) reflectance of the interface.
     #[inline]
-    fn sample(
+    fn sample(&self, wo: Vec3<R>, u: [R::Primal; 3], mode: TransportMode) -> Option<BsdfSample<R>> {
+        self.pass(wo, u[0], mode).sample()
+    }
+
+    #[inline]
+    fn sample_eval(
         &self,
         wo: Vec3<R>,
         u: [R::Primal; 3],
-        _mode: TransportMode,
-    ) -> Option<BsdfSample<R>> {
-        if wo.z.primal() == R::Primal::zero() {
-            return None;
-        }
-        let eta = eta_across(self.eta, wo);
-        let f = fresnel::dielectric(wo.z.abs(), eta);
-        let delta = |kind| Component::Delta { kind, route: 0 };
-        if u[0] < f.reflect.primal() {
-            return Some(BsdfSample {
-                wi: Vec3::new(-wo.x, -wo.y, wo.z),
-                pdf: R::lift(f.reflect.primal()),
-                component: delta(DeltaKind::Reflection),
-                eta: R::Primal::one(),
-            });
-        }
-        let inverse = eta.recip();
-        let side = Const(R::Primal::one().copysign(wo.z.primal()));
-        let wi = Vec3::new(-(wo.x * inverse), -(wo.y * inverse), -(f.cos_t * side));
-        let pdf = R::lift(f.transmit.primal());
-        (wi.z.primal() != R::Primal::zero() && pdf.primal() > R::Primal::zero()).then_some(
-            BsdfSample {
-                wi,
-                pdf,
-                component: delta(DeltaKind::Transmission),
-                eta: eta.primal(),
-            },
-        )
+        mode: TransportMode,
+    ) -> Option<Scattered<R, R>> {
+        let passage = self.pass(wo, u[0], mode);
+        Some((passage.sample()?, passage.value))
     }
 
     #[inline]
@@ -108,15 +132,10 @@ impl<R: Real> Lobe<R> for DielectricLobe<R> {
         }
         let eta = eta_across(self.eta, wo);
         let f = fresnel::dielectric(wo.z.abs(), eta);
-        match (kind, mode) {
-            (DeltaKind::Reflection, _) => self.specular_reflectance * f.reflect,
-            (DeltaKind::Transmission, TransportMode::Importance) => {
-                self.specular_transmittance * f.transmit
-            }
-            (DeltaKind::Transmission, TransportMode::Radiance) => {
-                self.specular_transmittance * (f.transmit / eta.square())
-            }
-            (DeltaKind::Passthrough, _) => Rgb::black(),
+        match kind {
+            DeltaKind::Reflection => self.specular_reflectance * f.reflect,
+            DeltaKind::Transmission => self.specular_transmittance * self.refracted(&f, eta, mode),
+            DeltaKind::Passthrough => Rgb::black(),
         }
     }
 

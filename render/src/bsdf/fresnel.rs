@@ -43,32 +43,32 @@ impl<P: Float> Dielectric<P> {
 /// # Derivatives
 /// In both arguments. At total internal reflection everything is reflected, with zero derivative;
 /// exactly grazing light counts as such. Constant arguments, as directions are to detached estimators, cost
-/// primal work only.
-#[inline]
+/// primal work only, and there is no branch where all are.
+#[inline(always)]
 pub fn dielectric<R: Real>(cos_i: R, eta: R) -> Dielectric<R> {
     if !R::IS_PRIMAL && !cos_i.has_tangent() && !eta.has_tangent() {
-        return dielectric(cos_i.primal(), eta.primal()).lift();
+        return dielectric_in_line(cos_i.primal(), eta.primal()).lift();
     }
+    dielectric_in_line(cos_i, eta)
+}
+
+#[inline(always)]
+fn dielectric_in_line<R: Real>(cos_i: R, eta: R) -> Dielectric<R> {
     // eta cos_t = sqrt(eta^2 - sin^2), in factors that do not cancel.
     let radicand = (eta - R::c(1.0)) * (eta + R::c(1.0)) + cos_i.square();
     let zero = R::Primal::zero();
-    if radicand.primal() <= zero || cos_i.primal() <= zero {
-        return Dielectric {
-            reflect: R::one(),
-            polarised: [R::one(); 2],
-            transmit: R::zero(),
-            cos_t: R::zero(),
-        };
-    }
+    let passes = (radicand.primal() > zero) & (cos_i.primal() > zero);
     let q = radicand.sqrt();
     let (s, p) = (cos_i + q, eta * cos_i + q / eta);
     let (r_s, r_p) = ((cos_i - q) / s, (eta * cos_i - q / eta) / p);
     let polarised = [r_s.square(), r_p.square()];
+    let reflect = (polarised[0] + polarised[1]) * R::c(0.5);
+    let transmit = cos_i * q * R::c(2.0) * (s.square().recip() + p.square().recip());
     Dielectric {
-        reflect: (polarised[0] + polarised[1]) * R::c(0.5),
-        polarised,
-        transmit: cos_i * q * R::c(2.0) * (s.square().recip() + p.square().recip()),
-        cos_t: q / eta,
+        reflect: R::select(passes, reflect, R::one()),
+        polarised: both(polarised, |r| R::select(passes, r, R::one())),
+        transmit: R::select(passes, transmit, R::zero()),
+        cos_t: R::select(passes, q / eta, R::zero()),
     }
 }
 

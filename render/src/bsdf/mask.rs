@@ -43,7 +43,7 @@ impl Mask {
 
     /// The part that is there.
     #[inline]
-    pub(super) fn opacity<R: Real>(&self, at: &Shading<R>) -> R {
+    pub(crate) fn opacity<R: Real>(&self, at: &Shading<R>) -> R {
         self.opacity.scalar(&at.theta, at.uv)
     }
 }

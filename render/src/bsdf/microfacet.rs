@@ -326,7 +326,7 @@ pub(super) fn ggx_sigma<R: Real>(alpha: R, w: Vec3<R>) -> R {
 
 /// [`Microfacet::sample_visible`] of GGX surfaces, and whether that is right: without branches, as [`Vec3::unit`].
 #[inline(always)]
-pub(super) fn ggx_sample_visible<P: Float>(alpha: P, w: Vec3<P>, u: [P; 2]) -> (Vec3<P>, bool) {
+pub(crate) fn ggx_sample_visible<P: Float>(alpha: P, w: Vec3<P>, u: [P; 2]) -> (Vec3<P>, bool) {
     let (stretched, sane) = Vec3::new(alpha * w.x, alpha * w.y, w.z).unit();
     let m = ggx_visible(stretched, u);
     let (m, right) = Vec3::new(alpha * m.x, alpha * m.y, m.z).unit();

@@ -133,8 +133,10 @@ pub use null::{Null, NullLobe};
 pub use plastic::{Coated, CoatedLobe, Plastic, PlasticLobe};
 pub use principled::{AnisotropicPrincipled, Principled, PrincipledLobe, Reflectivity};
 pub use rough_conductor::{AnisotropicConductor, RoughConductor, RoughConductorLobe, Roughness};
-pub(crate) use rough_conductor::{Facets, Metal};
+pub(crate) use rough_conductor::{Facets, Metal, beckmann, reflect};
 pub use rough_dielectric::{AnisotropicDielectric, RoughDielectric, RoughDielectricLobe};
+pub(crate) use rough_dielectric::{Facet, upwards};
+pub(crate) use rough_plastic::Passes;
 pub use rough_plastic::{Coat, RoughPlastic, RoughPlasticLobe};
 pub use thin_dielectric::{ThinDielectric, ThinDielectricLobe};
 pub use tilted::{Corrections, Tilt, Tilted, shadowing};
@@ -219,6 +221,53 @@ impl<R: Real> BsdfSample<R> {
             component: self.component,
             eta: self.eta,
         }
+    }
+}
+
+/// What becomes of light at a smooth interface that it passes or is reflected by, without a branch.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Passage<R: Real> {
+    /// Whether it is reflected.
+    pub reflects: bool,
+    /// Direction, local frame.
+    pub wi: Vec3<R>,
+    /// Weight of that delta.
+    pub value: Rgb<R>,
+    /// Probability; zero if there is no such direction.
+    pub pdf: R::Primal,
+    /// As of [`BsdfSample::eta`].
+    pub eta: R::Primal,
+}
+
+impl<R: Real> Passage<R> {
+    /// `a` if `cond` holds, else `b`: no branch.
+    #[inline(always)]
+    pub fn select(cond: bool, a: Self, b: Self) -> Self {
+        let select = |a: R, b: R| R::select(cond, a, b);
+        let (v, w) = (a.wi, b.wi);
+        Self {
+            reflects: (a.reflects & cond) | (b.reflects & !cond),
+            wi: Vec3::new(select(v.x, w.x), select(v.y, w.y), select(v.z, w.z)),
+            value: Rgb::select(cond, a.value, b.value),
+            pdf: R::Primal::select(cond, a.pdf, b.pdf),
+            eta: R::Primal::select(cond, a.eta, b.eta),
+        }
+    }
+
+    /// As a sample.
+    #[inline(always)]
+    fn sample(&self) -> Option<BsdfSample<R>> {
+        let kind = if self.reflects {
+            DeltaKind::Reflection
+        } else {
+            DeltaKind::Transmission
+        };
+        (self.pdf > R::Primal::zero()).then_some(BsdfSample {
+            wi: self.wi,
+            pdf: R::lift(self.pdf),
+            component: Component::Delta { kind, route: 0 },
+            eta: self.eta,
+        })
     }
 }
 

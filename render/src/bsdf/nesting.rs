@@ -21,7 +21,7 @@ pub(super) const LEAST_CHOICE: f64 = 0.05;
 /// Probability of choosing the second of two parts that are mixed with the weight `w`: primal, as every
 /// discrete decision.
 #[inline]
-pub(super) fn choice<R: Real>(w: R) -> R::Primal {
+pub(crate) fn choice<R: Real>(w: R) -> R::Primal {
     attached_choice(w.primal())
 }
 
@@ -33,15 +33,14 @@ pub(super) fn attached_choice<R: Real>(w: R) -> R {
 }
 
 /// Whether `u` chooses the second part, and `u` stretched over [0, 1) again.
-#[inline]
-pub(super) fn choose<P: Float>(u: P, second: P) -> (bool, P) {
+#[inline(always)]
+pub(crate) fn choose<P: Float>(u: P, second: P) -> (bool, P) {
     let first = P::one() - second;
     let below_one = P::one() - P::EPSILON;
-    if u < first {
-        (false, (u / first).min(below_one))
-    } else {
-        (true, ((u - first) / second).min(below_one))
-    }
+    let below = u < first;
+    let part = P::select(below, u, u - first);
+    let whole = P::select(below, first, second);
+    (!below, (part / whole).min(below_one))
 }
 
 /// The materials that `material` is made of.

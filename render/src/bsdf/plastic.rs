@@ -9,7 +9,7 @@ use super::{
     BsdfSample, Component, DeltaKind, Leaf, Lobe, Reader, TransportMode, constant, fresnel,
 };
 use crate::error::SceneError;
-use crate::math::{Rgb, warp};
+use crate::math::{Rgb, both, warp};
 use crate::plugin::{FromNode, Node, Registry};
 use crate::texture::RgbTexture;
 
@@ -82,26 +82,22 @@ impl<R: Real> CoatedLobe<R> {
 
     /// Light that enters (fraction `t_i`), is scattered by the base, and leaves (`t_o`), cosine
     /// included; `inside` is what the coat reflects back of diffuse light from below.
-    #[inline]
+    #[inline(always)]
     pub(super) fn diffuse(&self, cos_i: R, t_i: R, t_o: R, inside: R) -> Rgb<R> {
         let inverse = R::Primal::one() / (self.eta * self.eta);
         let entering = cos_i * t_i * t_o * Const(inverse) * R::c(FRAC_1_PI);
         self.diffuse_reflectance.map(|albedo| {
-            let again = if self.nonlinear {
-                albedo * inside
-            } else {
-                inside
-            };
+            let again = R::select(self.nonlinear, albedo * inside, inside);
             albedo * entering / (R::one() - again)
         })
     }
 
     /// Probability of sampling the coat where it reflects the fraction `f`. Never quite 0 or 1: a
     /// black base still has a derivative with respect to its colour.
-    #[inline]
+    #[inline(always)]
     pub(super) fn choose_coat(&self, f: R::Primal) -> R::Primal {
         let colours = [self.specular_reflectance, self.diffuse_reflectance];
-        choice(f, colours.map(|c| c.primal()))
+        choice(f, both(colours, |c| c.primal()))
     }
 
     /// [`CoatedLobe::choose_coat`] with the tangents of the colours and of `f`, for [`Lobe::choice_pdf`].
@@ -111,17 +107,14 @@ impl<R: Real> CoatedLobe<R> {
     }
 }
 
-#[inline]
+#[inline(always)]
 fn choice<R: Real>(f: R, [specular, diffuse]: [Rgb<R>; 2]) -> R {
     let (one, floor) = (R::one(), R::of(0.05));
     let coat = f * specular.mean();
     let base = (one - f) * diffuse.mean();
     let sum = coat + base;
-    if sum.primal() > R::Primal::zero() {
-        floor + coat / sum * (one - floor - floor)
-    } else {
-        R::of(0.5)
-    }
+    let share = floor + coat / sum * (one - floor - floor);
+    R::select(sum.primal() > R::Primal::zero(), share, R::of(0.5))
 }
 
 /// A diffuse surface under a smooth coat.
@@ -164,18 +157,48 @@ impl Leaf for Plastic {
 }
 
 impl<R: Real> PlasticLobe<R> {
-    #[inline]
+    #[inline(always)]
     fn coat(&self, w: Vec3<R>) -> fresnel::Dielectric<R> {
         fresnel::dielectric(w.z, R::lift(self.coated.eta))
     }
 
-    #[inline]
+    #[inline(always)]
     fn choose_coat(&self, wo: Vec3<R>) -> R::Primal {
         self.coated.choose_coat(self.coat(wo).reflect.primal())
     }
+
+    /// [`Lobe::eval_pdf`] without a branch, for loops over many.
+    #[inline(always)]
+    pub(crate) fn eval_pdf_in_line(&self, wo: Vec3<R>, wi: Vec3<R>) -> (Rgb<R>, R) {
+        let (coat_o, coat_i) = (self.coat(wo), self.coat(wi));
+        let base = R::Primal::one() - self.coated.choose_coat(coat_o.reflect.primal());
+        let pdf = warp::cosine_hemisphere_pdf(wi.z) * Const(base);
+        let inside = R::lift(self.inside);
+        let f = (self.coated).diffuse(wi.z, coat_i.transmit, coat_o.transmit, inside);
+        let lit = above(wo) & above(wi);
+        let f = Rgb::select(lit, f, Rgb::black());
+        (f, R::select(above(wo), pdf, R::zero()))
+    }
+
+    /// Direction and probability of the coat's reflection, or a direction from the base and zero; and the weight of that
+    /// reflection: from above the surface, without a branch, for loops over many.
+    #[inline(always)]
+    pub(crate) fn choose(&self, wo: Vec3<R>, u: [R::Primal; 3]) -> (Vec3<R>, R::Primal, Rgb<R>) {
+        let reflect = self.coat(wo).reflect;
+        let coat = self.coated.choose_coat(reflect.primal());
+        let reflects = u[0] < coat;
+        let base = warp::square_to_cosine_hemisphere([u[1], u[2]]);
+        let wi = Vec3::new(
+            R::select(reflects, -wo.x, R::lift(base.x)),
+            R::select(reflects, -wo.y, R::lift(base.y)),
+            R::select(reflects, wo.z, R::lift(base.z)),
+        );
+        let probability = R::Primal::select(reflects, coat, R::Primal::zero());
+        (wi, probability, self.coated.specular_reflectance * reflect)
+    }
 }
 
-#[inline]
+#[inline(always)]
 fn above<R: Real>(w: Vec3<R>) -> bool {
     w.z.primal() > R::Primal::zero()
 }
@@ -188,6 +211,11 @@ impl<R: Real> Lobe<R> for PlasticLobe<R> {
         }
         let (t_i, t_o) = (self.coat(wi).transmit, self.coat(wo).transmit);
         self.coated.diffuse(wi.z, t_i, t_o, R::lift(self.inside))
+    }
+
+    #[inline]
+    fn eval_pdf(&self, wo: Vec3<R>, wi: Vec3<R>, _mode: TransportMode) -> (Rgb<R>, R) {
+        self.eval_pdf_in_line(wo, wi)
     }
 
     #[inline]
@@ -205,10 +233,10 @@ impl<R: Real> Lobe<R> for PlasticLobe<R> {
         if !above(wo) {
             return None;
         }
-        let coat = self.choose_coat(wo);
-        if u[0] < coat {
+        let (wi, coat, _) = self.choose(wo, u);
+        if coat > R::Primal::zero() {
             return Some(BsdfSample {
-                wi: Vec3::new(-wo.x, -wo.y, wo.z),
+                wi,
                 pdf: R::lift(coat),
                 component: Component::Delta {
                     kind: DeltaKind::Reflection,
@@ -217,9 +245,7 @@ impl<R: Real> Lobe<R> for PlasticLobe<R> {
                 eta: R::Primal::one(),
             });
         }
-        let wi = Vec3::lift(warp::square_to_cosine_hemisphere([u[1], u[2]]));
-        let pdf = self.pdf(wo, wi, mode);
-        BsdfSample::reflected(wi, pdf)
+        BsdfSample::reflected(wi, self.pdf(wo, wi, mode))
     }
 
     #[inline]

@@ -2,9 +2,7 @@
 
 use ad_core::{Const, Float, Real, Vec2, Vec3};
 
-use super::microfacet::{
-    ALPHA_RANGE, Alpha, Axes, Microfacet, Ndf, ggx_d, ggx_sample_visible, ggx_sigma,
-};
+use super::microfacet::{ALPHA_RANGE, Alpha, Axes, Microfacet, Ndf, ggx_d, ggx_sigma};
 use super::{
     BsdfSample, Component, Conductor, ConductorLobe, Leaf, Lobe, Part, Reader, Scattered, Shading,
     TransportMode,
@@ -255,7 +253,7 @@ pub(super) fn sample_reflected_differential<P: Float>(
 
 /// Reflects `w` about `m`.
 #[inline(always)]
-pub(super) fn reflect<R: Real>(w: Vec3<R>, m: Vec3<R>) -> Vec3<R> {
+pub(crate) fn reflect<R: Real>(w: Vec3<R>, m: Vec3<R>) -> Vec3<R> {
     m * (w.dot(m) * R::c(2.0)) - w
 }
 
@@ -301,16 +299,60 @@ pub(crate) struct Facets<P> {
     pub sigma: [P; 2],
 }
 
-impl<P: Float> Metal<P> {
-    /// What a rough material is at a point; `None` if not only visible normals are sampled.
+/// The microsurface of Beckmann's, of which visible normals are sampled.
+#[inline(always)]
+pub(crate) fn beckmann<P: Float>(alpha: P) -> Microfacet<P> {
+    Microfacet {
+        kind: Ndf::Beckmann,
+        alpha,
+        visible: true,
+    }
+}
+
+impl<P: Float> Facets<P> {
+    /// Those of a GGX surface of this roughness with the normal `m`, for two directions.
     #[inline(always)]
-    pub fn rough(material: &RoughConductor, at: &Shading<P>) -> Option<(Ndf, Self)> {
-        if !material.roughness.visible {
-            return None;
-        }
+    pub fn ggx(alpha: P, m: Vec3<P>, directions: [Vec3<P>; 2]) -> Self {
+        let sigma = both(directions, |w| ggx_sigma(alpha, w));
+        let d = ggx_d(alpha, m);
+        Self { m, d, sigma }
+    }
+
+    /// The same of one of Beckmann's; `asked`: whether anything depends on it.
+    #[inline(always)]
+    pub fn beckmann(alpha: P, m: Vec3<P>, directions: [Vec3<P>; 2], asked: bool) -> Self {
+        let surface = beckmann(alpha);
+        let d = surface.d(m);
+        // Far off a narrow lobe, as most lights are.
+        let sigma = if asked && d > P::zero() {
+            both(directions, |w| surface.sigma(w))
+        } else {
+            [P::one(); 2]
+        };
+        Self { m, d, sigma }
+    }
+
+    /// [`reflection`] of these facets.
+    #[inline(always)]
+    pub fn reflection(&self, wi: Vec3<P>) -> P {
+        let [o, i] = self.sigma;
+        self.d * (wi.z.abs() / (o * i * P::of(4.0)))
+    }
+
+    /// [`Microfacet::pdf_reflected`] where visible normals are sampled.
+    #[inline(always)]
+    pub fn pdf_reflected(&self) -> P {
+        self.d / (self.sigma[0] * P::of(4.0))
+    }
+}
+
+impl<P: Float> Metal<P> {
+    /// What a rough material is at a point, and the shape of its normals.
+    #[inline(always)]
+    pub fn rough(material: &RoughConductor, at: &Shading<P>) -> (Ndf, Self) {
         let lobe = material.lobe(&mut { *at });
         let microfacet = lobe.microfacet;
-        Some((microfacet.kind, Self::of(microfacet.alpha, &lobe.facet)))
+        (microfacet.kind, Self::of(microfacet.alpha, &lobe.facet))
     }
 
     /// What a mirror is at a point.
@@ -329,48 +371,13 @@ impl<P: Float> Metal<P> {
         }
     }
 
-    /// Of the facets that reflect `wi` to `wo`, if they are GGX; and whether their normal is right, as of
-    /// [`Vec3::unit`].
-    #[inline(always)]
-    pub fn ggx(&self, wo: Vec3<P>, wi: Vec3<P>) -> (Facets<P>, bool) {
-        let (m, right) = (wo + wi).unit();
-        let sigma = [ggx_sigma(self.alpha, wo), ggx_sigma(self.alpha, wi)];
-        let d = ggx_d(self.alpha, m);
-        (Facets { m, d, sigma }, right)
-    }
-
-    /// The same of facets that are Beckmann's. The normal is known.
-    #[inline(always)]
-    pub fn beckmann(&self, wo: Vec3<P>, wi: Vec3<P>, m: Vec3<P>) -> Facets<P> {
-        let surface = self.surface();
-        let d = surface.d(m);
-        let above = (wo.z > P::zero()) & (wi.z > P::zero());
-        // Far off a narrow lobe, as most lights are.
-        let sigma = if above && d > P::zero() {
-            both([wo, wi], |w| surface.sigma(w))
-        } else {
-            [P::one(); 2]
-        };
-        Facets { m, d, sigma }
-    }
-
-    fn surface(&self) -> Microfacet<P> {
-        Microfacet {
-            kind: Ndf::Beckmann,
-            alpha: self.alpha,
-            visible: true,
-        }
-    }
-
     /// [`Lobe::eval_pdf`] by what the facets do.
     #[inline(always)]
     pub fn eval_pdf(&self, wo: Vec3<P>, wi: Vec3<P>, facets: &Facets<P>) -> (Rgb<P>, P) {
         let zero = P::zero();
-        let Facets { m, d, sigma } = *facets;
-        let reflection = d * (wi.z.abs() / (sigma[0] * sigma[1] * P::of(4.0)));
-        let f = self.reflectance(wo.dot(m)) * reflection;
-        let scatters = (wo.z > zero) & (wi.z > zero) & (d != zero);
-        let pdf = d / (sigma[0] * P::of(4.0));
+        let f = self.reflectance(wo.dot(facets.m)) * facets.reflection(wi);
+        let scatters = (wo.z > zero) & (wi.z > zero) & (facets.d != zero);
+        let pdf = facets.pdf_reflected();
         let f = f.map(|f| P::select(scatters, f, zero));
         (f, P::select(scatters, pdf, zero))
     }
@@ -383,19 +390,6 @@ impl<P: Float> Metal<P> {
             index: Some(self.index),
         };
         facet.reflectance_in_line(self.has_index, cos)
-    }
-
-    /// The direction that [`Lobe::sample`] finds if facets are GGX, and whether it is right.
-    #[inline(always)]
-    pub fn sample_ggx(&self, wo: Vec3<P>, u: [P; 2]) -> (Vec3<P>, bool) {
-        let (m, right) = ggx_sample_visible(self.alpha, wo, u);
-        (reflect(wo, m), right)
-    }
-
-    /// The same if they are Beckmann's, of directions above the horizon.
-    #[inline(always)]
-    pub fn sample_beckmann(&self, wo: Vec3<P>, u: [P; 2]) -> Vec3<P> {
-        reflect(wo, self.surface().sample_visible(wo, u))
     }
 }
 

@@ -5,7 +5,7 @@ use ad_core::{Const, Float, Real, Vec3};
 use super::dielectric::{eta_across, relative_index};
 use super::fresnel;
 use super::microfacet::{Alpha, Axes, Microfacet};
-use super::rough_conductor::{Roughness, is_anisotropic, reflect, reflection};
+use super::rough_conductor::{Facets, Roughness, is_anisotropic, reflect, reflection};
 use super::{BsdfSample, Component, Leaf, Lobe, Reader, TransportMode, constant};
 use crate::error::SceneError;
 use crate::math::{Rgb, both};
@@ -52,7 +52,8 @@ pub struct RoughDielectricLobe<R, A = R> {
 }
 
 /// The facet that connects two directions.
-pub(super) struct Facet<R> {
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Facet<R> {
     /// Its normal, in the upper hemisphere.
     pub(super) m: Vec3<R>,
     /// Cosine between facet and `wo`, positive.
@@ -72,31 +73,67 @@ impl<R: Real> Facet<R> {
     #[inline]
     pub(super) fn between(wo: Vec3<R>, wi: Vec3<R>, eta: R) -> Option<Self> {
         let zero = R::Primal::zero();
-        let positive = |x: R| x.primal() > zero;
         if wo.z.primal() == zero || wi.z.primal() == zero {
             return None;
         }
+        let m = Self::along(wo, wi, eta).normalize();
+        let (facet, faces) = Self::with(m, [wo, wi], eta);
+        faces.then_some(facet)
+    }
+
+    /// A vector along the normal of the facet that would connect them.
+    #[inline(always)]
+    pub(crate) fn along(wo: Vec3<R>, wi: Vec3<R>, eta: R) -> Vec3<R> {
+        let eta = R::select(same_side(wo, wi), R::one(), eta_across(eta, wo));
+        wo + wi * eta
+    }
+
+    /// The facet whose normal, of unit length, is `m` or the opposite, and whether it is seen from its front: without a
+    /// branch, for loops over many.
+    #[inline(always)]
+    pub(crate) fn with(m: Vec3<R>, [wo, wi]: [Vec3<R>; 2], eta: R) -> (Self, bool) {
+        let zero = R::Primal::zero();
         let eta = eta_across(eta, wo);
-        let reflects = positive(wo.z) == positive(wi.z);
-        let sum = if reflects { wo + wi } else { wo + wi * eta };
-        let m = sum.normalize();
-        // Refraction into the denser medium makes it point down.
-        let m = if positive(m.z) { m } else { -m };
+        let m = Self::upper(m);
         let (cos_o, cos_i) = (wo.dot(m), wi.dot(m));
-        let faces = |cos: R, z: R| cos.primal() != zero && positive(cos) == positive(z);
-        (faces(cos_o, wo.z) && faces(cos_i, wi.z)).then(|| Self {
+        let faces =
+            |cos: R, z: R| (cos.primal() != zero) & ((cos.primal() > zero) == (z.primal() > zero));
+        let facet = Self {
             m,
             cos_o: cos_o.abs(),
             cos_i: cos_i.abs(),
             eta,
-            reflects,
+            reflects: same_side(wo, wi),
             fresnel: fresnel::dielectric(cos_o.abs(), eta),
-        })
+        };
+        (facet, faces(cos_o, wo.z) & faces(cos_i, wi.z))
+    }
+
+    /// Refraction into the denser medium makes normals point down.
+    #[inline(always)]
+    pub(crate) fn upper(m: Vec3<R>) -> Vec3<R> {
+        let up = m.z.primal() > R::Primal::zero();
+        m.map(|x| R::select(up, x, -x))
+    }
+
+    /// Of [`Facet::refraction`] all but the factor of importance, and the density [`Facet::pdf_refracted`] where visible
+    /// normals are sampled.
+    #[inline(always)]
+    fn refracted(&self, d: R, sigma: [R; 2], wi: Vec3<R>) -> [R; 2] {
+        let stretch = self.stretch();
+        let value = self.fresnel.transmit
+            * d
+            * (wi.z.abs() / (sigma[0] * sigma[1]))
+            * (self.cos_o * self.cos_i / stretch);
+        let jacobian = self.eta.square() * self.cos_i / stretch;
+        let pdf = d * self.cos_o / sigma[0] * jacobian;
+        let passes = stretch.primal() > R::Primal::zero();
+        both([value, pdf], |x| R::select(passes, x, R::zero()))
     }
 
     /// `(wo.m + eta wi.m)^2`, for refraction: `eta^2 cos_i` over this is the Jacobian of normals with
     /// respect to `wi`.
-    #[inline]
+    #[inline(always)]
     fn stretch(&self) -> R {
         (self.eta * self.cos_i - self.cos_o).square()
     }
@@ -109,15 +146,8 @@ impl<R: Real> Facet<R> {
         [wo, wi]: [Vec3<R>; 2],
         mode: TransportMode,
     ) -> R {
-        let stretch = self.stretch();
-        if stretch.primal() <= R::Primal::zero() {
-            return R::zero();
-        }
-        let sigmas = microfacet.sigma(wo) * microfacet.sigma(wi);
-        let value = self.fresnel.transmit
-            * microfacet.d(self.m)
-            * (wi.z.abs() / sigmas)
-            * (self.cos_o * self.cos_i / stretch);
+        let sigma = both([wo, wi], |w| microfacet.sigma(w));
+        let [value, _] = self.refracted(microfacet.d(self.m), sigma, wi);
         match mode {
             TransportMode::Radiance => value,
             TransportMode::Importance => value * self.eta.square(),
@@ -171,10 +201,43 @@ impl Leaf for AnisotropicDielectric {
 
 /// Refracts `w` about the normal `m` on its side, given both cosines and the index on the far side
 /// over that on the near side [Zeltner 2021, Eq. 2.23].
-#[inline]
+#[inline(always)]
 fn refract<R: Real>(w: Vec3<R>, m: Vec3<R>, cos_i: R, cos_t: R, eta: R) -> Vec3<R> {
     let inverse = eta.recip();
     m * (cos_i * inverse - cos_t) - w * inverse
+}
+
+impl<P: Float> RoughDielectricLobe<P> {
+    /// [`Lobe::eval_pdf`] of radiance where the facets are known and visible normals are sampled: without a branch, for
+    /// loops over many. `facets.m` is of unit length.
+    #[inline(always)]
+    pub(crate) fn eval_pdf_where(
+        &self,
+        facets: &Facets<P>,
+        wo: Vec3<P>,
+        wi: Vec3<P>,
+    ) -> (Rgb<P>, P) {
+        let (f, faces) = Facet::with(facets.m, [wo, wi], self.eta);
+        let faces = faces & (wo.z != P::zero()) & (wi.z != P::zero());
+        let reflected = self.specular_reflectance * (f.fresnel.reflect * facets.reflection(wi));
+        let [value, density] = f.refracted(facets.d, facets.sigma, wi);
+        let value = Rgb::select(f.reflects, reflected, self.specular_transmittance * value);
+        let pdf = P::select(
+            f.reflects,
+            facets.pdf_reflected() * f.fresnel.reflect,
+            density * f.fresnel.transmit,
+        );
+        let value = Rgb::select(faces, value, Rgb::black());
+        (value, P::select(faces, pdf, P::zero()))
+    }
+
+    /// What [`Lobe::sample`] makes of a sampled normal in the upper hemisphere: direction and relative index, and whether
+    /// there is one. Without a branch, for loops over many.
+    #[inline(always)]
+    pub(crate) fn scatter(&self, wo: Vec3<P>, m: Vec3<P>, u: P) -> (Vec3<P>, P, bool) {
+        let (wi, eta, goes) = scatter_in_line(wo, m, self.eta, |f| u < f.reflect);
+        (wi, eta, goes & (wo.z != P::zero()))
+    }
 }
 
 impl<R: Real, A: Alpha<Scalar = R>> RoughDielectricLobe<R, A> {
@@ -309,23 +372,42 @@ pub(super) fn scatter<R: Real>(
     eta: R,
     reflects: impl FnOnce(&fresnel::Dielectric<R>) -> bool,
 ) -> Option<(Vec3<R>, R::Primal)> {
-    let zero = R::Primal::zero();
+    let (wi, eta, goes) = scatter_in_line(wo, m, eta, reflects);
+    goes.then_some((wi, eta))
+}
+
+/// [`scatter`], and whether it is there, without a branch.
+#[inline(always)]
+fn scatter_in_line<R: Real>(
+    wo: Vec3<R>,
+    m: Vec3<R>,
+    eta: R,
+    reflects: impl FnOnce(&fresnel::Dielectric<R>) -> bool,
+) -> (Vec3<R>, R::Primal, bool) {
+    let (zero, one) = (R::Primal::zero(), R::Primal::one());
     let cos = upwards(wo).dot(m);
-    if cos.primal() <= zero {
-        return None;
-    }
     // The normal on the side of wo.
-    let m = if wo.z.primal() > zero { m } else { -m };
+    let up = wo.z.primal() > zero;
+    let m = m.map(|x| R::select(up, x, -x));
     let across = eta_across(eta, wo);
     let f = fresnel::dielectric(cos, across);
     let reflects = reflects(&f);
-    let (wi, eta) = if reflects {
-        (reflect(wo, m), R::Primal::one())
-    } else {
-        (refract(wo, m, cos, f.cos_t, across), across.primal())
-    };
-    let right_side = (wi.z.primal() > zero) == ((wo.z.primal() > zero) == reflects);
-    right_side.then_some((wi, eta))
+    let (reflected, refracted) = (reflect(wo, m), refract(wo, m, cos, f.cos_t, across));
+    let wi = Vec3::new(
+        R::select(reflects, reflected.x, refracted.x),
+        R::select(reflects, reflected.y, refracted.y),
+        R::select(reflects, reflected.z, refracted.z),
+    );
+    let right_side = (wi.z.primal() > zero) == (up == reflects);
+    let eta = R::Primal::select(reflects, one, across.primal());
+    (wi, eta, right_side & (cos.primal() > zero))
+}
+
+/// Whether both are on one side of the surface.
+#[inline(always)]
+fn same_side<R: Real>(a: Vec3<R>, b: Vec3<R>) -> bool {
+    let zero = R::Primal::zero();
+    (a.z.primal() > zero) == (b.z.primal() > zero)
 }
 
 /// Density of facets from one part of the derivative, times the probability of what they do and the
@@ -348,13 +430,10 @@ fn pdf_differential<P: Float>(microfacet: &Microfacet<P>, eta: P, wo: Vec3<P>, w
 
 /// `w` or its opposite, whichever is in the upper hemisphere: microsurfaces look the same from
 /// below.
-#[inline]
-pub(super) fn upwards<R: Real>(w: Vec3<R>) -> Vec3<R> {
-    if w.z.primal() > R::Primal::zero() {
-        w
-    } else {
-        -w
-    }
+#[inline(always)]
+pub(crate) fn upwards<R: Real>(w: Vec3<R>) -> Vec3<R> {
+    let up = w.z.primal() > R::Primal::zero();
+    w.map(|x| R::select(up, x, -x))
 }
 
 impl<T> RoughDielectric<T> {

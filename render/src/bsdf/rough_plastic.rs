@@ -8,8 +8,8 @@ use ad_core::{Const, Float, Real, Vec3};
 use super::microfacet::{ALPHA_RANGE, Microfacet, Ndf};
 use super::plastic::{Coated, CoatedLobe};
 use super::rough_conductor::{
-    Roughness, half_vector, pdf_reflected_differential, reflect, reflection, reflection_of_normals,
-    sample_reflected_differential,
+    Facets as Known, Roughness, half_vector, pdf_reflected_differential, reflect, reflection,
+    reflection_of_normals, sample_reflected_differential,
 };
 use super::{BsdfSample, Component, Leaf, Lobe, Reader, TransportMode, constant, fresnel};
 use crate::error::SceneError;
@@ -78,6 +78,44 @@ impl<R: Real> RoughPlasticLobe<R> {
         let alpha = self.microfacet.alpha.primal();
         let passes = self.table.transmit(wo.z.primal(), alpha);
         self.coated.choose_coat(R::Primal::one() - passes)
+    }
+}
+
+impl<P: Float> CoatedLobe<P> {
+    /// [`Lobe::eval_pdf`] of a rough coat where the facets and the [`Passes`] of `wo` and of `wi` are known, and visible
+    /// normals are sampled: without a branch, for loops over many.
+    #[inline(always)]
+    pub(crate) fn rough_eval_pdf(
+        &self,
+        facets: &Known<P>,
+        [wo, wi]: [Vec3<P>; 2],
+        [t_o, t_i, inside]: [P; 3],
+    ) -> (Rgb<P>, P) {
+        let (zero, one) = (P::zero(), P::one());
+        let f = fresnel::dielectric(wo.dot(facets.m), self.eta).reflect;
+        let coat = f * facets.reflection(wi);
+        let value = self.specular_reflectance * coat + self.diffuse(wi.z, t_i, t_o, inside);
+        let coat = self.choose_coat(one - t_o);
+        let base = warp::cosine_hemisphere_pdf(wi.z) * (one - coat);
+        let pdf = facets.pdf_reflected() * coat + base;
+        let lit = (wo.z > zero) & (wi.z > zero);
+        let value = Rgb::select(lit, value, Rgb::black());
+        (value, P::select(lit, pdf, zero))
+    }
+
+    /// The direction that [`Lobe::sample`] of a rough coat finds by a normal of its facets: likewise.
+    #[inline(always)]
+    pub(crate) fn rough_sample(&self, wo: Vec3<P>, m: Vec3<P>, u: [P; 3], t_o: P) -> Vec3<P> {
+        let reflects = u[0] < self.choose_coat(P::one() - t_o);
+        let (coat, base) = (
+            reflect(wo, m),
+            warp::square_to_cosine_hemisphere([u[1], u[2]]),
+        );
+        Vec3::new(
+            P::select(reflects, coat.x, base.x),
+            P::select(reflects, coat.y, base.y),
+            P::select(reflects, coat.z, base.z),
+        )
     }
 }
 
@@ -244,36 +282,58 @@ impl Coat {
     /// reflect.
     #[inline]
     pub fn transmit<R: Real>(&self, cos: R, alpha: R) -> R {
-        let (i, wi) = Self::row(alpha);
-        let (j, wj) = spline(cos.sqrt() * R::c((COSINES - 1) as f64), COSINES);
-        let mut sum = R::zero();
-        for (a, wi) in wi.into_iter().enumerate() {
-            let row = &self.node(i[a]).transmit;
-            let mut value = R::zero();
-            for (b, wj) in wj.into_iter().enumerate() {
-                value += wj * R::c(row[j[b]]);
-            }
-            sum += value * wi;
-        }
-        sum
+        self.passes(alpha).transmit(cos)
     }
 
     /// Fraction of diffuse light from below that the coat reflects.
     #[inline]
     pub fn inside<R: Real>(&self, alpha: R) -> R {
-        let (i, w) = Self::row(alpha);
+        self.passes(alpha).inside()
+    }
+
+    /// What passes a coat of one roughness.
+    #[inline]
+    pub(crate) fn passes<R: Real>(&self, alpha: R) -> Passes<'_, R> {
+        let (lo, hi) = (ALPHA_RANGE.0.sqrt(), ALPHA_RANGE.1.sqrt());
+        let x = (alpha.sqrt() - R::c(lo)) * R::c((ALPHAS - 1) as f64 / (hi - lo));
+        let (i, weights) = spline(x, ALPHAS);
+        let [a, b, c, d] = i;
+        let rows = [self.node(a), self.node(b), self.node(c), self.node(d)];
+        Passes { rows, weights }
+    }
+}
+
+/// A [`Coat`] of one roughness: nodes, and their weights.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Passes<'a, R> {
+    rows: [&'a Row; 4],
+    weights: [R; 4],
+}
+
+impl<R: Real> Passes<'_, R> {
+    /// See [`Coat::transmit`].
+    #[inline]
+    pub fn transmit(&self, cos: R) -> R {
+        let (j, wj) = spline(cos.sqrt() * R::c((COSINES - 1) as f64), COSINES);
         let mut sum = R::zero();
-        for (a, w) in w.into_iter().enumerate() {
-            sum += w * R::c(self.node(i[a]).inside);
+        for (row, &w) in self.rows.iter().zip(&self.weights) {
+            let mut value = R::zero();
+            for (b, wj) in wj.into_iter().enumerate() {
+                value += wj * R::c(row.transmit[j[b]]);
+            }
+            sum += value * w;
         }
         sum
     }
 
+    /// See [`Coat::inside`].
     #[inline]
-    fn row<R: Real>(alpha: R) -> ([usize; 4], [R; 4]) {
-        let (lo, hi) = (ALPHA_RANGE.0.sqrt(), ALPHA_RANGE.1.sqrt());
-        let x = (alpha.sqrt() - R::c(lo)) * R::c((ALPHAS - 1) as f64 / (hi - lo));
-        spline(x, ALPHAS)
+    pub fn inside(&self) -> R {
+        let mut sum = R::zero();
+        for (row, &w) in self.rows.iter().zip(&self.weights) {
+            sum += w * R::c(row.inside);
+        }
+        sum
     }
 }
 

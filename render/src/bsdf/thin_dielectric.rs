@@ -3,7 +3,10 @@
 use ad_core::{Real, Vec3};
 
 use super::dielectric::{INDEX_RANGE, relative_index};
-use super::{BsdfSample, Component, DeltaKind, Leaf, Lobe, Reader, TransportMode, fresnel};
+use super::{
+    BsdfSample, Component, DeltaKind, Leaf, Lobe, Passage, Reader, Scattered, TransportMode,
+    fresnel,
+};
 use crate::error::SceneError;
 use crate::math::Rgb;
 use crate::plugin::{FromNode, Node, Registry};
@@ -36,8 +39,28 @@ pub struct ThinDielectricLobe<R> {
 }
 
 impl<R: Real> ThinDielectricLobe<R> {
+    /// What becomes of light, chosen by the (primal) shares: without a branch, for loops over many.
+    #[inline(always)]
+    pub(crate) fn pass(&self, wo: Vec3<R>, u: R::Primal) -> Passage<R> {
+        let zero = R::Primal::zero();
+        let [reflect, pass] = self.shares(wo);
+        let reflects = u < reflect.primal();
+        let pdf = R::Primal::select(reflects, reflect.primal(), pass.primal());
+        Passage {
+            reflects,
+            wi: Vec3::new(-wo.x, -wo.y, R::select(reflects, wo.z, -wo.z)),
+            value: Rgb::select(
+                reflects,
+                self.specular_reflectance * reflect,
+                self.specular_transmittance * pass,
+            ),
+            pdf: R::Primal::select(wo.z.primal() != zero, pdf, zero),
+            eta: R::Primal::one(),
+        }
+    }
+
     /// The reflected share of light, and that which passes.
-    #[inline]
+    #[inline(always)]
     fn shares(&self, wo: Vec3<R>) -> [R; 2] {
         let f = fresnel::dielectric(wo.z.abs(), self.eta);
         let inverse = (f.reflect + R::c(1.0)).recip();
@@ -78,26 +101,18 @@ impl<R: Real> Lobe<R> for ThinDielectricLobe<R> {
         u: [R::Primal; 3],
         _mode: TransportMode,
     ) -> Option<BsdfSample<R>> {
-        let zero = R::Primal::zero();
-        if wo.z.primal() == zero {
-            return None;
-        }
-        let [reflect, pass] = self.shares(wo).map(|x| x.primal());
-        let (wi, pdf, kind) = if u[0] < reflect {
-            (
-                Vec3::new(-wo.x, -wo.y, wo.z),
-                reflect,
-                DeltaKind::Reflection,
-            )
-        } else {
-            (-wo, pass, DeltaKind::Transmission)
-        };
-        (pdf > zero).then_some(BsdfSample {
-            wi,
-            pdf: R::lift(pdf),
-            component: Component::Delta { kind, route: 0 },
-            eta: R::Primal::one(),
-        })
+        self.pass(wo, u[0]).sample()
+    }
+
+    #[inline]
+    fn sample_eval(
+        &self,
+        wo: Vec3<R>,
+        u: [R::Primal; 3],
+        _mode: TransportMode,
+    ) -> Option<Scattered<R, R>> {
+        let passage = self.pass(wo, u[0]);
+        Some((passage.sample()?, passage.value))
     }
 
     #[inline]

@@ -105,8 +105,14 @@ impl<N: Tilt> Tilted<N> {
         }
     }
 
+    /// The frame that light is scattered in, for a viewer along `wo`.
     #[inline]
-    fn frame<R: Real>(&self, at: &Shading<R>, wo: Vec3<R>, mode: TransportMode) -> Frame<R> {
+    pub(crate) fn frame<R: Real>(
+        &self,
+        at: &Shading<R>,
+        wo: Vec3<R>,
+        mode: TransportMode,
+    ) -> Frame<R> {
         tilted(self.seen(self.tilt.vector(at), wo, mode))
     }
 
@@ -139,25 +145,17 @@ impl<N: Tilt> Tilted<N> {
 /// # Derivatives
 /// In both vectors. One, with derivative zero, where nothing is tilted; `alpha` has none where it is
 /// cut off.
-#[inline]
+#[inline(always)]
 pub fn shadowing<R: Real>(n: Vec3<R>, w: Vec3<R>) -> R {
+    let (zero, one) = (R::Primal::zero(), R::one());
     let horizontal = |v: Vec3<R>| v.x * v.x + v.y * v.y;
     let (tilt, upright) = (horizontal(n), n.z * n.z * R::c(8.0));
-    if tilt.primal() == R::Primal::zero() {
-        return R::one();
-    }
-    let alpha2 = if tilt.primal() < upright.primal() {
-        tilt / upright
-    } else {
-        R::one()
-    };
+    let alpha2 = R::select(tilt.primal() < upright.primal(), tilt / upright, one);
     // Multiplied by the cosine, so that a grazing `w` is no division by zero.
     let cos = w.z.abs();
     let root = w.z * w.z + alpha2 * horizontal(w);
-    if root.primal() <= R::Primal::zero() {
-        return R::one();
-    }
-    cos * R::c(2.0) / (cos + root.sqrt())
+    let darkens = (tilt.primal() != zero) & (root.primal() > zero);
+    R::select(darkens, cos * R::c(2.0) / (cos + root.sqrt()), one)
 }
 
 /// The frame whose normal is along `v`, in the coordinates of the shading frame. The zero vector

@@ -74,6 +74,16 @@ impl<R: Real> Rgb<R> {
         self.map(|c| c * Const(s))
     }
 
+    /// `a` if `cond` holds, else `b`: no branch.
+    #[inline(always)]
+    pub fn select(cond: bool, a: Self, b: Self) -> Self {
+        Self {
+            r: R::select(cond, a.r, b.r),
+            g: R::select(cond, a.g, b.g),
+            b: R::select(cond, a.b, b.b),
+        }
+    }
+
     /// Applies `f` to every channel.
     #[inline(always)]
     pub fn map<S>(self, mut f: impl FnMut(R) -> S) -> Rgb<S> {

@@ -85,13 +85,10 @@ pub fn square_to_cosine_hemisphere<P: Float>(u: [P; 2]) -> Vec3<P> {
 }
 
 /// Density of [`square_to_cosine_hemisphere`] per solid angle, zero below the horizon.
-#[inline]
+#[inline(always)]
 pub fn cosine_hemisphere_pdf<R: Real>(cos_theta: R) -> R {
-    if cos_theta.primal() > R::Primal::zero() {
-        cos_theta * R::c(FRAC_1_PI)
-    } else {
-        R::zero()
-    }
+    let above = cos_theta.primal() > R::Primal::zero();
+    R::select(above, cos_theta * R::c(FRAC_1_PI), R::zero())
 }
 
 /// Uniform direction on the unit sphere; density 1/(4 pi) per solid angle.

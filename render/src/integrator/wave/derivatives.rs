@@ -3,7 +3,7 @@
 use ad_core::{Float, Real, Vec2, Vec3};
 use smallvec::SmallVec;
 
-use super::kinds::{Kind, kind};
+use super::kinds::{has_two_sides, side};
 use super::lanes::{Lane, LaneSums, Lanes, WAVE_SIZE};
 use super::record::{Layer, LayerSink};
 use crate::bsdf::{Material, TransportMode, Use};
@@ -17,11 +17,11 @@ use crate::params::{GradSink, ParamRef, Theta};
 use crate::scene::Scene;
 use crate::texture::{RgbTexture, Texture};
 
-/// The albedo of a plain vertex.
+/// The albedo of a plain vertex; `back`: whether it is that of the back of a material that is another one there.
 #[inline(always)]
-fn albedo(scene: &Scene, material: u32) -> Option<&RgbTexture> {
-    match kind(&scene.materials()[material as usize]) {
-        (Kind::Plain(m), _) => Some(&m.reflectance),
+pub(super) fn albedo(scene: &Scene, material: u32, back: bool) -> Option<&RgbTexture> {
+    match side(&scene.materials()[material as usize], back) {
+        (Material::Diffuse(m), _) => Some(&m.reflectance),
         _ => None,
     }
 }
@@ -32,8 +32,9 @@ const MOST_CONSTANTS: usize = 8;
 /// Reverse mode: [`Adjoints`], and sums over whole layers.
 pub struct LayerAdjoints<'a, P: Float, G> {
     adjoints: Adjoints<'a, P, G>,
-    /// Plain materials that are differentiated and the same everywhere, and their albedos: sums over whole layers.
-    constants: SmallVec<[(u32, ParamRef); MOST_CONSTANTS]>,
+    /// Plain materials that are differentiated and the same everywhere, whether only their backs are, and their albedos:
+    /// sums over whole layers.
+    constants: SmallVec<[(u32, bool, ParamRef); MOST_CONSTANTS]>,
     /// In the same order.
     sums: [LaneSums<P>; MOST_CONSTANTS],
     /// Whether there are no other plain materials that are differentiated.
@@ -45,15 +46,20 @@ impl<'a, P: Float, G: GradSink<P> + SumSink> LayerAdjoints<'a, P, G> {
     pub fn of(scene: &Scene, active: &Active, theta: &'a Theta<'a, P>, grad: &'a mut G) -> Self {
         let mut constants = SmallVec::new();
         let mut only_constants = true;
-        for (index, _) in (0..).zip(scene.materials()) {
-            match albedo(scene, index) {
-                Some(reflectance) if active.differentiates(index) => match reflectance {
-                    Texture::Constant(albedo) if constants.len() < MOST_CONSTANTS => {
-                        constants.push((index, *albedo));
-                    }
-                    _ => only_constants = false,
-                },
-                _ => {}
+        for (index, material) in (0..).zip(scene.materials()) {
+            for back in [false, true]
+                .into_iter()
+                .take(1 + usize::from(has_two_sides(material)))
+            {
+                match albedo(scene, index, back) {
+                    Some(reflectance) if active.differentiates(index) => match reflectance {
+                        Texture::Constant(albedo) if constants.len() < MOST_CONSTANTS => {
+                            constants.push((index, back, *albedo));
+                        }
+                        _ => only_constants = false,
+                    },
+                    _ => {}
+                }
             }
         }
         Self {
@@ -96,21 +102,24 @@ impl<P: Float, G: GradSink<P> + SumSink> DerivativeSink<P> for LayerAdjoints<'_,
 
 impl<P: Float, G: GradSink<P> + SumSink> LayerSink<P> for LayerAdjoints<'_, P, G> {
     fn albedos(&mut self, scene: &Scene, layer: &Layer<P>, wanted: &Lane<u32>, d: &Lanes<P>) {
-        for ((material, _), sums) in self.constants.iter().zip(&mut self.sums) {
-            let of_this = |i: usize| (layer.material[i] == *material) & (wanted[i] != 0);
+        for (&(material, back, _), sums) in self.constants.iter().zip(&mut self.sums) {
+            let of_this = |i: usize| {
+                let same = (layer.material[i] == material) & (layer.back[i] == u32::from(back));
+                same & (wanted[i] != 0)
+            };
             sums.add_where(d, layer.n, of_this);
         }
         if self.only_constants {
             return;
         }
         let textured = |i: &usize| {
-            let material = layer.material[*i];
-            wanted[*i] != 0 && self.constants.iter().all(|(m, _)| *m != material)
+            let of = (layer.material[*i], layer.back[*i] != 0);
+            wanted[*i] != 0 && self.constants.iter().all(|&(m, back, _)| (m, back) != of)
         };
         let textured = || {
             (0..layer.n)
                 .filter(textured)
-                .filter_map(|i| Some((i, albedo(scene, layer.material[i])?)))
+                .filter_map(|i| Some((i, albedo(scene, layer.material[i], layer.back[i] != 0)?)))
         };
         let grad = &mut *self.adjoints.grad;
         for (i, albedo) in textured() {
@@ -122,7 +131,7 @@ impl<P: Float, G: GradSink<P> + SumSink> LayerSink<P> for LayerAdjoints<'_, P, G
     }
 
     fn finish(&mut self) {
-        for (&(_, albedo), sums) in self.constants.iter().zip(&mut self.sums) {
+        for (&(_, _, albedo), sums) in self.constants.iter().zip(&mut self.sums) {
             self.adjoints.grad.add_all(albedo, 0, sums.total());
             *sums = LaneSums::zero();
         }
@@ -138,7 +147,7 @@ impl<R: Real> LayerSink<R::Primal> for Tangents<'_, R> {
         d: &Lanes<R::Primal>,
     ) {
         for i in (0..layer.n).filter(|i| wanted[*i] != 0) {
-            if let Some(albedo) = albedo(scene, layer.material[i]) {
+            if let Some(albedo) = albedo(scene, layer.material[i], layer.back[i] != 0) {
                 let albedo = albedo.rgb(self.theta, Vec2::lift(layer.uv(i)));
                 self.add(
                     layer.id[i] as usize % WAVE_SIZE,

@@ -19,7 +19,8 @@ mod record;
 
 use ad_core::{Const, Float, Vec2, Vec3};
 pub(super) use derivatives::LayerAdjoints;
-use kinds::{Kind, Metals, kind, seen_from};
+use derivatives::albedo;
+use kinds::{Kinds, has_two_sides, seen_from, side};
 pub(super) use lanes::WAVE_SIZE;
 use lanes::{Field, Lane, Lanes, lanes, whole};
 use lights::{Group, Leaving, MOST_TOGETHER, together};
@@ -37,7 +38,7 @@ use super::vertex::light::{
 use super::vertex::roulette::{play, probability, roulette_weight};
 use super::vertex::{MODE, assert_finite};
 use crate::accel::{Hit, PACKET_SIZE, RayPacket};
-use crate::bsdf::{Bsdf, Component, DiffuseLobe, Lobe, Shading};
+use crate::bsdf::{Bsdf, Component, DiffuseLobe, Lobe, Material, Shading};
 use crate::camera::Camera;
 use crate::emitter::{AnyEmitter, Area, Emission, Emitter, EmitterSample};
 use crate::estimator::{Detached, Sampling, Still, Strategy, differentiates_edges, is_guided};
@@ -140,11 +141,13 @@ lanes! {
         material: Lane<u32>,
         /// Whether that is diffuse.
         plain: Lane<u32>,
-        /// Whether it is one of those that [`Metals`] holds.
-        metal: Lane<u32>,
-        /// Whether it is the same from both sides.
+        /// Whether it is one of those that [`Kinds`] has.
+        sorted: Lane<u32>,
+        /// Whether it is seen from both sides.
         both: Lane<u32>,
-        /// One; minus one behind what is the same from both sides.
+        /// Whether it is the back of a material that is another one there.
+        back: Lane<u32>,
+        /// One; minus one behind what is seen from both sides.
         side: Lane<P>,
         /// Whether it scatters along deltas only.
         delta: Lane<u32>,
@@ -364,8 +367,8 @@ pub(super) struct Wave<P, X> {
     at: Vertices<P>,
     /// Plain vertices whose albedo has to be looked up.
     textured: Vec<usize>,
-    /// Vertices that are rough metals.
-    metals: Metals<P>,
+    /// Vertices that are not, by kinds.
+    kinds: Kinds<P>,
     /// Paths that leave the scene.
     leaving: Leaving<P>,
     /// Paths that sample the same emitter.
@@ -405,7 +408,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             hits: [None; WAVE_SIZE],
             at: Vertices::zero(),
             textured: Vec::with_capacity(WAVE_SIZE),
-            metals: Metals::new(),
+            kinds: Kinds::new(),
             leaving: Leaving::new(),
             group: Group::new(),
             wo: Lanes::zero(),
@@ -667,7 +670,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         let paths = &mut self.paths;
         let mut any = false;
         self.textured.clear();
-        self.metals.clear();
+        self.kinds.clear();
         self.leaving.paths.clear();
         for i in 0..self.n {
             let ray = Ray::new(paths.o.vec(i), paths.d.vec(i)).leaving(paths.surface[i]);
@@ -713,7 +716,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             };
             // Where there is no surface, or nothing happens: like one that is plain, but without light.
             (self.at.there[i], self.at.lit[i], self.at.plain[i]) = (0, 0, 1);
-            (self.at.guide[i], self.at.metal[i]) = (0, 0);
+            (self.at.guide[i], self.at.sorted[i]) = (0, 0);
             let Some(hit) = &self.hits[i] else {
                 if lit && const { L::ENABLED && differentiates_edges::<Of>() } {
                     find(paths, scene.infinite_emitters(), None);
@@ -755,11 +758,14 @@ impl<P: Float, X: Sampler> Wave<P, X> {
                 _ => 0,
             };
             (self.at.offset[i], self.at.surface[i]) = (exit.offset, exit.surface);
-            let (kind, both) = kind(scene.material(shape));
-            self.at.both[i] = u32::from(both);
+            let material = scene.material(shape);
+            let back =
+                has_two_sides(material) && self.at.frame(i).to_local(-paths.d.vec(i)).z < P::zero();
+            let (material, both) = side(material, back);
+            (self.at.both[i], self.at.back[i]) = (u32::from(both), u32::from(back));
             let mut plain = 0;
-            match kind {
-                Kind::Plain(m) => {
+            match material {
+                Material::Diffuse(m) => {
                     match m.reflectance {
                         Texture::Constant(albedo) => {
                             (self.at.albedo).put_rgb(i, theta.texel(albedo, 0).into());
@@ -768,12 +774,16 @@ impl<P: Float, X: Sampler> Wave<P, X> {
                     }
                     plain = 1;
                 }
-                Kind::Rough(_) | Kind::Mirror(_) => {
-                    let uv = self.at.uv(i);
-                    let taken = (self.metals).take(i, kind, &Shading::new(*theta, uv));
-                    self.at.metal[i] = u32::from(taken);
+                _ => {
+                    let shading = Shading::new(*theta, self.at.uv(i));
+                    let wo = || {
+                        let wo = self.at.frame(i).to_local(-paths.d.vec(i));
+                        let behind = both & (wo.z < P::zero());
+                        seen_from(P::select(behind, -P::one(), P::one()), wo)
+                    };
+                    let taken = (self.kinds).take(i, material, &shading, wo);
+                    self.at.sorted[i] = u32::from(taken);
                 }
-                Kind::Other => {}
             }
             self.at.plain[i] = plain;
         }
@@ -841,10 +851,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
     fn find_albedos(&mut self, scene: &Scene, theta: &Theta<P>) {
         let at = &mut self.at;
         let textured = self.textured.iter().filter_map(|&i| {
-            match kind(&scene.materials()[at.material[i] as usize]) {
-                (Kind::Plain(m), _) => Some((i, &m.reflectance)),
-                _ => None,
-            }
+            albedo(scene, at.material[i], at.back[i] != 0).map(|albedo| (i, albedo))
         });
         for (i, albedo) in textured.clone() {
             albedo.expect(theta, at.uv(i));
@@ -1053,12 +1060,12 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         }
         let mut others = SmallVec::<[usize; WAVE_SIZE]>::new();
         for i in 0..self.n {
-            if at.plain[i] == 0 && at.metal[i] == 0 {
+            if at.plain[i] == 0 && at.sorted[i] == 0 {
                 others.push(i);
             }
         }
         let (f, pdf_bsdf) = (&mut lights.f, &mut lights.pdf_bsdf);
-        (self.metals).eval_pdf(&self.wo, &at.side, &lights.wi, |i, found| match found {
+        (self.kinds).eval_pdf(&self.wo, &at.side, &lights.wi, |i, found| match found {
             Some((value, pdf)) => {
                 f.put_rgb(i, value);
                 pdf_bsdf[i] = pdf;
@@ -1278,17 +1285,17 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         self.components = [Component::Continuous; WAVE_SIZE];
         let mut others = SmallVec::<[usize; WAVE_SIZE]>::new();
         for i in 0..self.n {
-            let together = at.plain[i] != 0 || at.metal[i] != 0;
+            let together = at.plain[i] != 0 || at.sorted[i] != 0;
             if !together || directions(guide, at.guide[i]).is_some() {
                 others.push(i);
             }
         }
         let components = &mut self.components;
-        (self.metals).sample(&self.wo, &at.side, [b, c], |i, found| {
+        (self.kinds).sample(&self.wo, &at.side, [a, b, c], |i, found| {
             if directions(guide, at.guide[i]).is_some() {
                 return;
             }
-            let Some((wi, f, pdf, component)) = found else {
+            let Some((wi, f, pdf, component, eta)) = found else {
                 others.push(i);
                 return;
             };
@@ -1299,6 +1306,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
                 bounces.f.put_rgb(i, f);
                 bounces.weight[i] = pdf.recip();
                 components[i] = component;
+                paths.eta[i] *= eta;
                 paths.pdf[i] = match component {
                     Component::Continuous => pdf,
                     Component::Delta { .. } => P::zero(),

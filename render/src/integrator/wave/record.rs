@@ -38,6 +38,8 @@ pub struct Layer<P> {
     /// Its place in the layer before.
     parent: Lane<u32>,
     pub material: Lane<u32>,
+    /// Whether it is the back of a material that is another one there.
+    pub back: Lane<u32>,
     /// Whether that is differentiated.
     follows: Lane<u32>,
     /// Whether there is a vertex that is not in `others`.
@@ -141,6 +143,7 @@ impl<P: Float> Layer<P> {
             id: Lane::zero(),
             parent: Lane::zero(),
             material: Lane::zero(),
+            back: Lane::zero(),
             follows: Lane::zero(),
             plain: Lane::zero(),
             u: Lane::zero(),
@@ -428,6 +431,7 @@ impl<P: Float> Log<P> for Record<'_, P> {
             layer.parent[i] = paths.slot[i];
             paths.slot[i] = i as u32;
             layer.material[i] = at.material[i];
+            layer.back[i] = at.back[i];
             layer.follows[i] = at.follows[i];
             layer.plain[i] = at.plain[i] & at.there[i];
             layer.u[i] = at.u[i];

@@ -1,0 +1,69 @@
+//! Diffuse parts of materials that are made of others.
+
+use ad_core::{Float, Vec3};
+
+use super::super::lanes::{Field, Lanes, lanes, whole};
+use super::{Among, CONTINUOUS, Members, Scattering};
+use crate::bsdf::microfacet::Ndf;
+use crate::bsdf::{DiffuseLobe, Leaf, Lobe, Material, Shading};
+use crate::integrator::vertex::MODE;
+
+lanes! {
+    /// Diffuse surfaces.
+    Matt {
+        reflectance: Lanes<P>,
+    }
+}
+
+impl<P: Float> Members<P> for Matt<P> {
+    const CONNECTS: bool = true;
+
+    fn new() -> Self {
+        Self::zero()
+    }
+
+    #[inline(always)]
+    fn gather(&mut self, k: usize, material: &Material, at: &Shading<P>) -> Option<Ndf> {
+        let Material::Diffuse(m) = material else {
+            return None;
+        };
+        let lobe = m.lobe(&mut { *at });
+        self.reflectance.put_rgb(k, lobe.reflectance);
+        Some(Ndf::Ggx)
+    }
+
+    #[inline(never)]
+    fn eval_pdf(&mut self, among: Among, of: &mut Scattering<P>) {
+        for k in 0..whole(among.n) {
+            let (wo, wi) = (of.wo.vec(k), of.wi.vec(k));
+            let lobe = DiffuseLobe {
+                reflectance: self.reflectance.rgb(k),
+            };
+            of.f.put_rgb(k, lobe.eval(wo, wi, MODE));
+            of.pdf[k] = lobe.pdf(wo, wi, MODE);
+            of.right[k] = 1;
+        }
+    }
+
+    #[inline(always)]
+    fn sample(&mut self, among: Among, of: &mut Scattering<P>) {
+        self.draw(among.n, of);
+        self.eval_pdf(among, of);
+    }
+}
+
+impl<P: Float> Matt<P> {
+    #[inline(never)]
+    fn draw(&self, n: usize, of: &mut Scattering<P>) {
+        for k in 0..whole(n) {
+            let lobe = DiffuseLobe {
+                reflectance: self.reflectance.rgb(k),
+            };
+            let sample = lobe.sample(of.wo.vec(k), of.u.vec(k).to_array(), MODE);
+            of.wi.put_vec(k, sample.map_or(Vec3::zero(), |s| s.wi));
+            of.eta[k] = P::one();
+            of.component[k] = CONTINUOUS;
+            of.sampled[k] = 1;
+        }
+    }
+}

@@ -1,0 +1,118 @@
+//! Metals, rough ones of which visible normals are sampled, and mirrors.
+
+use ad_core::{Float, Vec3};
+
+use super::super::lanes::{Field, Lane, Lanes, lanes, whole};
+use super::facets::FacetLanes;
+use super::{Among, CONTINUOUS, Members, REFLECTED, Scattering};
+use crate::bsdf::microfacet::Ndf;
+use crate::bsdf::{Material, Metal, Shading, reflect};
+use crate::math::Rgb;
+
+lanes! {
+    /// Metals.
+    Metals {
+        facets: FacetLanes<P>,
+        specular_reflectance: Lanes<P>,
+        eta: Lanes<P>,
+        k: Lanes<P>,
+        has_index: Lane<u32>,
+        /// Whether it is a mirror.
+        smooth: Lane<u32>,
+    }
+}
+
+impl<P: Float> Metals<P> {
+    #[inline(always)]
+    fn metal(&self, k: usize) -> Metal<P> {
+        Metal {
+            alpha: self.facets.alpha[k],
+            specular_reflectance: self.specular_reflectance.rgb(k),
+            index: [self.eta.rgb(k), self.k.rgb(k)],
+            has_index: self.has_index[k] != 0,
+        }
+    }
+
+    #[inline(never)]
+    fn value(&mut self, n: usize, of: &mut Scattering<P>) {
+        for k in 0..whole(n) {
+            let (wo, wi) = (of.wo.vec(k), of.wi.vec(k));
+            let (f, pdf) = self.metal(k).eval_pdf(wo, wi, &self.facets.at(k));
+            // Nothing comes from a light to a mirror.
+            let rough = self.smooth[k] == 0;
+            of.f.put_rgb(k, Rgb::select(rough, f, Rgb::black()));
+            of.pdf[k] = P::select(rough, pdf, P::zero());
+            of.right[k] |= self.smooth[k];
+        }
+    }
+
+    #[inline(never)]
+    fn turn(&mut self, n: usize, of: &mut Scattering<P>) {
+        for k in 0..whole(n) {
+            let wo = of.wo.vec(k);
+            of.wi.put_vec(k, reflect(wo, self.facets.m.vec(k)));
+        }
+    }
+
+    /// Mirrors, whose directions are not drawn.
+    #[inline(never)]
+    fn reflect(&mut self, n: usize, of: &mut Scattering<P>) {
+        for k in 0..whole(n) {
+            let wo = of.wo.vec(k);
+            let (smooth, above) = (self.smooth[k] != 0, wo.z > P::zero());
+            let f = Rgb::select(above, self.metal(k).reflectance(wo.z), Rgb::black());
+            let pdf = P::select(above, P::one(), P::zero());
+            let select = |a: P, b: P| P::select(smooth, a, b);
+            let w = of.wi.vec(k);
+            let wi = Vec3::new(select(-wo.x, w.x), select(-wo.y, w.y), select(wo.z, w.z));
+            of.wi.put_vec(k, wi);
+            of.f.put_rgb(k, Rgb::select(smooth, f, of.f.rgb(k)));
+            of.pdf[k] = select(pdf, of.pdf[k]);
+            of.eta[k] = P::one();
+            of.component[k] = if smooth { REFLECTED } else { CONTINUOUS };
+            of.sampled[k] |= self.smooth[k];
+        }
+    }
+}
+
+impl<P: Float> Members<P> for Metals<P> {
+    const CONNECTS: bool = true;
+
+    fn new() -> Self {
+        Self::zero()
+    }
+
+    #[inline(always)]
+    fn gather(&mut self, k: usize, material: &Material, at: &Shading<P>) -> Option<Ndf> {
+        let (normals, metal, smooth) = match material {
+            Material::RoughConductor(m) => {
+                let (normals, metal) = Metal::rough(m, at);
+                (normals, metal, false)
+            }
+            Material::Conductor(m) => (Ndf::Ggx, Metal::mirror(m, at), true),
+            _ => return None,
+        };
+        self.facets.alpha[k] = metal.alpha;
+        self.specular_reflectance
+            .put_rgb(k, metal.specular_reflectance);
+        self.eta.put_rgb(k, metal.index[0]);
+        self.k.put_rgb(k, metal.index[1]);
+        self.has_index[k] = u32::from(metal.has_index);
+        self.smooth[k] = u32::from(smooth);
+        Some(normals)
+    }
+
+    #[inline(always)]
+    fn eval_pdf(&mut self, among: Among, of: &mut Scattering<P>) {
+        self.facets.reflecting(among, of);
+        self.value(among.n, of);
+    }
+
+    #[inline(always)]
+    fn sample(&mut self, among: Among, of: &mut Scattering<P>) {
+        self.facets.sample(among, of, false);
+        self.turn(among.n, of);
+        self.eval_pdf(among, of);
+        self.reflect(among.n, of);
+    }
+}
