@@ -1,9 +1,9 @@
 //! What vanishes where light is reflected or refracted as the laws say, written once over the scalar.
 
-use ad_core::{Const, Real, Vec3};
+use ad_core::{Real, Vec3};
 
 use crate::bsdf::DeltaKind;
-use crate::math::Frame;
+use crate::math::{Frame, each};
 pub use crate::scene::Constraint;
 
 /// The mirror image of the unit vector `w` about the unit normal `n`.
@@ -63,12 +63,9 @@ fn difference<R>(a: Vec3<R>, b: Vec3<R>, frame: &Frame<f64>) -> [R; 2]
 where
     R: Real<Primal = f64>,
 {
-    let along = |v: Vec3<R>, axis: Vec3<f64>| {
-        v.x * Const(axis.x) + v.y * Const(axis.y) + v.z * Const(axis.z)
-    };
-    let local = |v| [frame.s, frame.t, frame.n].map(|axis| along(v, axis));
+    let local = |v: Vec3<R>| each([frame.s, frame.t, frame.n], |axis| v.dot_const(axis));
     let ([ax, ay, az], [bx, by, bz]) = (local(a), local(b));
-    let [a_off, b_off] = [ax * ax + ay * ay, bx * bx + by * by].map(R::sqrt);
+    let (a_off, b_off) = ((ax * ax + ay * ay).sqrt(), (bx * bx + by * by).sqrt());
     let theta = (a_off * bz - az * b_off).atan2(az * bz + a_off * b_off);
     let phi = (ay * bx - ax * by).atan2(ax * bx + ay * by);
     [theta, phi]

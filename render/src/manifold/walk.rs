@@ -6,7 +6,7 @@ use smallvec::SmallVec;
 use super::chain::{Chain, Derivative, Event, Events, Space, Start, Target, Vertex};
 use super::constraint::{self, equator};
 use crate::accel::Hit;
-use crate::math::{Frame, Ray};
+use crate::math::{Frame, Ray, both};
 use crate::scene::Uniqueness;
 
 /// Most steps of a walk.
@@ -116,7 +116,6 @@ pub(super) struct End {
     /// Whether Newton's method was seen to square what is left.
     certain: bool,
     like: Events,
-    steps: u32,
 }
 
 /// How a walk went.
@@ -134,7 +133,7 @@ fn size(c: Vec2<f64>) -> f64 {
 }
 
 fn length(v: Vec2<f64>) -> f64 {
-    v.x.hypot(v.y)
+    (v.x * v.x + v.y * v.y).sqrt()
 }
 
 /// Largest stretch of a matrix, at most.
@@ -158,15 +157,10 @@ impl End {
     /// How far the first vertex may be from that of the exact root.
     fn error(&self, start: Vec3<f64>) -> f64 {
         let [angles, lengths] = ROUNDING;
-        let columns = [0, 1].map(|k| self.at.along(self.inverse.col(k)).length_squared());
-        let stretch = (columns[0] + columns[1]).sqrt();
+        let column = |k| self.at.along(self.inverse.col(k)).length_squared();
+        let stretch = (column(0) + column(1)).sqrt();
         let edge = (self.at.p - start).length();
         2.0 * self.at.along(self.step).length() + stretch * angles + lengths * edge
-    }
-
-    /// How many steps were taken or tried.
-    pub fn steps(&self) -> u32 {
-        self.steps
     }
 
     /// Unit direction that the chain leaves its start in.
@@ -230,7 +224,8 @@ impl<'w> Way<'w> {
                 };
                 let (which, kind) = (space.constraint, event.kind);
                 let value = constraint::value(which, kind, w, next, &here.facet, &self.frame)?;
-                return (value.iter().all(|c| c.is_finite())).then_some((first, value));
+                let finite = value[0].is_finite() && value[1].is_finite();
+                return finite.then_some((first, value));
             }
             let onward = constraint::scatter(event.kind, w, here.facet.n, here.facet.eta)?;
             let exit = space.scene.exit(here.prim);
@@ -248,7 +243,7 @@ impl<'w> Way<'w> {
         Some(Point {
             d,
             p: p.primal(),
-            slopes: [0, 1].map(|k| p.map(|x| x.eps[k])),
+            slopes: both([0, 1], |k: usize| p.map(|x| x.eps[k])),
             value: Vec2::new(a.re, b.re),
             jacobian: Mat2::from_rows([a.eps, b.eps]),
         })
@@ -262,7 +257,7 @@ impl<'w> Way<'w> {
         let mut hits = Hits::new();
         if !likely {
             let (_, [a, b]) = self.shoot(d, &mut hits)?;
-            if a.hypot(b) >= than {
+            if length(Vec2::new(a, b)) >= than {
                 return None;
             }
         }
@@ -323,7 +318,7 @@ impl Space<'_> {
         };
         let mut steps = 0;
         let end = self.approach(start, seed, target, &mut steps);
-        let solution = end.and_then(|end| self.polish(start, end, target, &mut steps));
+        let solution = end.and_then(|end| self.polish(start, &end, target, &mut steps));
         Walked { solution, steps }
     }
 
@@ -344,7 +339,6 @@ impl Space<'_> {
             inverse,
             certain,
             like,
-            steps: *steps,
         })
     }
 
@@ -352,13 +346,13 @@ impl Space<'_> {
     pub(super) fn polish(
         &self,
         start: &Start,
-        end: End,
+        end: &End,
         target: &Target,
         steps: &mut u32,
     ) -> Option<Solution> {
         let way = Way::new(self, start, target, &end.like);
         let [angles, lengths] = ROUNDING;
-        let (x1, mut here, mut step) = (start.si.p, end.at, end.step);
+        let (x1, mut here, mut step) = (start.si.p, end.at.clone(), end.step);
         for _ in 0..POLISH {
             *steps += 1;
             let left = length(here.value);
@@ -390,7 +384,7 @@ impl Space<'_> {
     pub(super) fn is_near(
         &self,
         start: &Start,
-        end: End,
+        end: &End,
         target: &Target,
         solution: &Solution,
         uniqueness: Uniqueness,
