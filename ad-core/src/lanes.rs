@@ -34,14 +34,21 @@ macro_rules! map_lanes {
             $(let $a = $w::new(array(|j| $a[k + j]));)*
             $(let $s = $w::splat($s);)*
             let r: $w = $e;
-            out[k..k + $W].copy_from_slice(&r.to_array());
+            let r = r.to_array();
+            // Slices are copied by a call, for a few numbers.
+            for (j, r) in r.iter().enumerate() {
+                out[k + j] = *r;
+            }
             k += $W;
         }
         if k + $H <= $N {
             $(let $a = $h::new(array(|j| $a[k + j]));)*
             $(let $s = $h::splat($s);)*
             let r: $h = $e;
-            out[k..k + $H].copy_from_slice(&r.to_array());
+            let r = r.to_array();
+            for (j, r) in r.iter().enumerate() {
+                out[k + j] = *r;
+            }
             k += $H;
         }
         while k < $N {

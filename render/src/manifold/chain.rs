@@ -4,7 +4,7 @@ use ad_core::{Dual, Mat2, Real, Vec2, Vec3};
 use smallvec::SmallVec;
 
 use super::constraint::{self, Facet};
-use super::normal::Normal;
+use super::normal::{Normal, is_mapped};
 use crate::accel::Hit;
 use crate::bsdf::nesting::{Specular, facets};
 use crate::bsdf::{Bsdf, DeltaKind, Shading, TransportMode};
@@ -93,12 +93,19 @@ impl Vertex {
             normal: self.normal_is,
         }
     }
+}
 
-    /// The point reached by these lengths along the tangents, in the tangent plane.
-    pub(super) fn moved(&self, by: Vec2<f64>) -> Vec3<f64> {
-        let slope = |k: usize| self.p.map(|x| x.eps[k]);
-        self.si.p + slope(0) * by.x + slope(1) * by.y
-    }
+/// The surface at a specular vertex, seen along a ray.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Surface<R> {
+    /// Index of the shape.
+    pub shape: u32,
+    /// Index of the primitive in the scene.
+    pub prim: u32,
+    /// Where on it.
+    pub si: SurfaceInteraction<R>,
+    /// What scatters there.
+    pub facet: Facet<R>,
 }
 
 /// What happens at a vertex of a chain, wherever that is.
@@ -151,51 +158,61 @@ impl<'a> Space<'a> {
         Some((hit, self.scene.patch(&hit).0))
     }
 
-    /// The vertex at a hit of a ray from the point `from`, on the shape `normal` is of.
-    pub(super) fn vertex(
+    /// The surface that a ray meets which moves as its scalar says; `wo` is the way back, and does not.
+    ///
+    /// From `ray.o` itself, not from where the search for hits began: constraints hold to rounding.
+    #[inline]
+    pub(super) fn surface<R: Real<Primal = f64>>(
         &self,
-        from: Vec3<f64>,
-        d: Vec3<f64>,
+        ray: &Ray<R>,
+        wo: Vec3<f64>,
         hit: &Hit,
         normal: Normal,
-        kind: impl FnOnce(&Facet<Moving>) -> DeltaKind,
-    ) -> Vertex {
-        // From the surface itself, not from where the search for hits began: constraints hold to rounding.
-        let ray = Ray::new(from, d);
-        let Intersection { shape, prim, si } = self.scene.interaction(&self.theta, &ray, hit);
+    ) -> Surface<R> {
+        let theta = self.theta.lift::<R>();
+        let Intersection { shape, prim, si } = self.scene.interaction(&theta, ray, hit);
+        let material = self.scene.material(shape);
+        let at = Shading::new(theta, si.uv);
+        let n = match normal {
+            Normal::Own if !is_mapped(material) => si.frame.n,
+            _ => {
+                let wo = si.frame.primal().to_local(wo);
+                let mapped = || material.shading_frame(&at, wo, 0, TransportMode::Radiance);
+                si.frame.to_world(normal.vector(mapped))
+            }
+        };
+        let eta = match facets(material).map(|f| f.specular) {
+            Some(Specular::Interface(eta)) => eta.scalar(&theta, si.uv),
+            _ => R::one(),
+        };
+        Surface {
+            shape,
+            prim,
+            si,
+            facet: Facet { n, eta },
+        }
+    }
+
+    /// The vertex at a hit of a ray from the point `from`, with this event.
+    fn vertex(&self, from: Vec3<f64>, d: Vec3<f64>, hit: &Hit, event: &Event) -> Vertex {
+        let found = self.scene.interaction(&self.theta, &Ray::new(from, d), hit);
+        let Intersection { shape, prim, si } = found;
         // Along the normal, the surface is met again wherever the point moves to, whatever coordinates the shape has.
         let Frame { s, t, n } = Frame::from_normal(si.n_geo);
         let tangents = [Dual::var(0.0, 0), Dual::var(0.0, 1)];
         let still = |v: Vec3<f64>| v.map(Moving::constant);
         let o = still(si.p) + still(s) * tangents[0] + still(t) * tangents[1];
-        let theta = self.theta.lift::<Moving>();
         let here = Hit { t: 0.0, ..*hit };
-        let moving = (self.scene).interaction(&theta, &Ray::new(o, -still(n)), &here);
-        let material = self.scene.material(shape);
-        let at = Shading::new(theta, moving.si.uv);
-        let wo = si.frame.to_local(-d);
-        let mapped = || material.shading_frame(&at, wo, 0, TransportMode::Radiance);
-        let local = normal.frame(mapped);
-        let world = |v| moving.si.frame.to_world(v);
-        let eta = match facets(material).map(|f| f.specular) {
-            Some(Specular::Interface(eta)) => eta.scalar(&theta, moving.si.uv),
-            _ => Moving::one(),
-        };
-        let facet = Facet {
-            n: world(local.n),
-            s: world(local.s),
-            t: world(local.t),
-            eta,
-        };
+        let moving = self.surface(&Ray::new(o, -still(n)), -d, &here, event.normal);
         Vertex {
             shape,
             prim,
             si,
-            kind: kind(&facet),
-            normal_is: normal,
+            kind: event.kind,
+            normal_is: event.normal,
             wo: -d,
             p: moving.si.p,
-            facet,
+            facet: moving.facet,
         }
     }
 
@@ -219,7 +236,7 @@ impl<'a> Space<'a> {
             if met != event.shape {
                 return None;
             }
-            let vertex = self.vertex(si.p, d, &hit, event.normal, |_| event.kind);
+            let vertex = self.vertex(si.p, d, &hit, event);
             if i + 1 < like.len() {
                 (si, exit) = (vertex.si, self.scene.exit(vertex.prim));
                 d = vertex.scattered()?;
@@ -229,10 +246,15 @@ impl<'a> Space<'a> {
         Some(chain)
     }
 
-    /// Goes on from the last vertex of a chain.
-    pub(super) fn onward(&self, last: &Vertex) -> Option<(Vec3<f64>, Hit, u32)> {
-        let d = last.scattered()?;
-        let (hit, shape) = self.meet(&last.si.spawn_ray(d, self.scene.exit(last.prim)))?;
+    /// Where light goes on that came from `wo`, over this event.
+    pub(super) fn onward(
+        &self,
+        here: &Surface<f64>,
+        wo: Vec3<f64>,
+        kind: DeltaKind,
+    ) -> Option<(Vec3<f64>, Hit, u32)> {
+        let d = constraint::scatter(kind, wo, here.facet.n, here.facet.eta)?;
+        let (hit, shape) = self.meet(&here.si.spawn_ray(d, self.scene.exit(here.prim)))?;
         Some((d, hit, shape))
     }
 
@@ -265,8 +287,6 @@ impl<'a> Space<'a> {
         };
         let facet = Facet {
             n: here.facet.n.map(place::<2>),
-            s: here.facet.s.map(place::<2>),
-            t: here.facet.t.map(place::<2>),
             eta: place::<2>(here.facet.eta),
         };
         let w = (before - p).normalize();
@@ -303,31 +323,6 @@ impl<'a> Space<'a> {
             (before, here) = (here, Mat2::default() - next);
         }
         None
-    }
-
-    /// The last constraint.
-    pub(super) fn last_value(
-        &self,
-        start: Vec3<f64>,
-        chain: &[Vertex],
-        target: &Target,
-        frame: &Frame<f64>,
-    ) -> Option<Vec2<f64>> {
-        let (here, value) = (chain.last()?, |v: Vec3<Moving>| v.map(|x| x.re));
-        let before = match chain.len() {
-            1 => start,
-            n => chain[n - 2].si.p,
-        };
-        let w = (before - here.si.p).normalize();
-        let next = towards(here.si.p, target);
-        let facet = Facet {
-            n: value(here.facet.n),
-            s: value(here.facet.s),
-            t: value(here.facet.t),
-            eta: here.facet.eta.re,
-        };
-        let [a, b] = constraint::value(self.constraint, here.kind, w, next, &facet, frame)?;
-        (a.is_finite() && b.is_finite()).then(|| Vec2::new(a, b))
     }
 }
 

@@ -3,17 +3,17 @@
 use ad_core::{Float, Vec3};
 use smallvec::SmallVec;
 
-use super::chain::{Chain, Event, Events, Space, Start, Target, Vertex, towards};
+use super::chain::{Event, Events, Space, Start, Surface, Target, Vertex, towards};
 use super::estimate::{distinct, trials};
 use super::landing::{Landing, Landings};
 use super::normal::{Normal, Slopes, facet};
 use super::split::Split;
-use super::walk::{Solution, Walked};
+use super::walk::{End, Seed, Solution};
 use crate::accel::Hit;
 use crate::bsdf::nesting::{Specular, facets};
 use crate::bsdf::{Bsdf, DeltaKind, Material, Shading, TransportMode, fresnel};
 use crate::emitter::{Ball, Emission, Emitter};
-use crate::math::{NOWHERE, Rgb};
+use crate::math::{NOWHERE, Ray, Rgb};
 use crate::sampler::{Independent, Sampler};
 use crate::scene::{Connections, Method, Starts};
 use crate::shape::{Shape, SurfaceInteraction};
@@ -21,16 +21,18 @@ use crate::shape::{Shape, SurfaceInteraction};
 /// A start goes on over a further caster, or over either event of glass, at least as often as this, so that every chain
 /// has starts.
 const LEAST_PROBABILITY: f64 = 0.1;
-/// How many walks start where particles passed; the others reach every solution. What particles miss takes no more than twice
-/// the trials.
+/// How many walks of a trial set start where particles passed; the others reach every solution. What particles miss takes no
+/// more than twice the trials.
 const PART_LANDED: f64 = 0.5;
+/// Of one unbiased estimate, so many do, before the one that reaches every solution.
+const LANDED: usize = 8;
 
 /// What connections came to: sums over all of them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Statistics {
     /// Vertices and light samples that were to be connected.
     pub attempts: u64,
-    /// Those whose first walk, or any of a trial set, found light.
+    /// Those that found light.
     pub found: u64,
     /// Walks.
     pub walks: u64,
@@ -38,9 +40,9 @@ pub struct Statistics {
     pub converged: u64,
     /// Steps of walks, those that were halved included.
     pub steps: u64,
-    /// Reciprocals that were estimated.
+    /// Solutions of unbiased estimates: those that are summed, and those whose reciprocal probability was estimated.
     pub reciprocals: u64,
-    /// Trials that took.
+    /// Walks that took: those to solutions that are summed, and trials.
     pub trials: u64,
     /// Reciprocals that ran out of trials: where there is one, the image is biased.
     pub exhausted: u64,
@@ -257,20 +259,9 @@ impl<'a> Connector<'a> {
         let estimate = self.estimate(start, &light.target, most, rng);
         match self.options.method {
             Method::Sms => {
-                let first = self.random(&estimate, rng, &mut s);
-                let worth = first.and_then(|f| Some((self.worth(&f, &light)?, f)));
-                if let Some((mut connection, solution)) = worth {
-                    let again = || {
-                        let found = self.random(&estimate, rng, &mut s);
-                        found.is_some_and(|found| solution.is(&found, uniqueness))
-                    };
-                    let (n, exhausted) = trials(again, self.options.budget);
-                    s.reciprocals += 1;
-                    s.trials += u64::from(n);
-                    s.exhausted += u64::from(exhausted);
-                    connection.weight *= f64::from(n);
-                    out.push(connection);
-                }
+                let known = self.known(&estimate, rng, &mut s);
+                out.extend(known.iter().filter_map(|k| self.worth(k, &light)));
+                out.extend(self.others(&estimate, &known, &light, rng, &mut s));
             }
             Method::SmsBiased(walks) => {
                 let walk = || self.random(&estimate, rng, &mut s);
@@ -281,9 +272,9 @@ impl<'a> Connector<'a> {
                 let mut starts = self.aimed(&estimate).into_iter();
                 let n = starts.len() as u32;
                 let walk = || {
-                    let chain = starts.next()?;
+                    let seed = starts.next()?;
                     s.walks += 1;
-                    self.walk(&estimate, chain, &mut s)
+                    self.walk(&estimate, seed, &mut s)
                 };
                 let found = distinct(n, walk, |a, b| a.is(b, uniqueness));
                 out.extend(found.iter().filter_map(|f| self.worth(f, &light)));
@@ -332,76 +323,173 @@ impl<'a> Connector<'a> {
         (light.pdf > 0.0).then_some(light)
     }
 
+    /// A walk to a solution.
     pub(super) fn walk(
         &self,
         estimate: &Estimate,
-        chain: Chain,
+        seed: Seed,
         s: &mut Statistics,
     ) -> Option<Solution> {
-        let Walked { solution, steps } = self.space.walk(estimate.start, chain, estimate.target);
+        let end = self.approach(estimate, seed, s)?;
+        self.polish(estimate, &end, s)
+    }
+
+    /// A walk to where its root is certain.
+    fn approach(&self, estimate: &Estimate, seed: Seed, s: &mut Statistics) -> Option<End> {
+        let mut steps = 0;
+        let end = (self.space).approach(estimate.start, seed, estimate.target, &mut steps);
         s.steps += u64::from(steps);
-        s.converged += u64::from(solution.is_some());
+        s.converged += u64::from(end.is_some());
+        end
+    }
+
+    /// The solution that a walk ended near.
+    fn polish(&self, estimate: &Estimate, end: &End, s: &mut Statistics) -> Option<Solution> {
+        let mut steps = 0;
+        let solution = (self.space).polish(estimate.start, end, estimate.target, &mut steps);
+        s.steps += u64::from(steps);
         solution
     }
 
-    /// A walk from a random start.
+    /// The solutions that walks find which start as some of the particles went that landed near the start, whichever these are.
+    fn known(
+        &self,
+        estimate: &Estimate,
+        rng: &mut Independent,
+        s: &mut Statistics,
+    ) -> Vec<Solution> {
+        let mut found = Vec::new();
+        let around = estimate.around;
+        if around.is_empty() {
+            return found;
+        }
+        let first = (rng.next_1d::<f64>() * around.len() as f64) as usize;
+        for landing in around
+            .iter()
+            .cycle()
+            .skip(first)
+            .take(LANDED.min(around.len()))
+        {
+            let Some(seed) = self.landed(estimate, landing) else {
+                continue;
+            };
+            s.walks += 1;
+            s.trials += 1;
+            let Some(end) = self.approach(estimate, seed, s) else {
+                continue;
+            };
+            if !found.iter().any(|k| self.is_near(estimate, &end, k)) {
+                found.extend(self.polish(estimate, &end, s));
+            }
+        }
+        s.reciprocals += found.len() as u64;
+        found
+    }
+
+    /// An unbiased estimate of the light of all solutions but those: by a start from which each can be reached, and its
+    /// probability from trials.
+    fn others(
+        &self,
+        estimate: &Estimate,
+        known: &[Solution],
+        light: &Light,
+        rng: &mut Independent,
+        s: &mut Statistics,
+    ) -> Option<Connection> {
+        let end = self.from_anywhere(estimate, rng, s)?;
+        if known.iter().any(|k| self.is_near(estimate, &end, k)) {
+            return None;
+        }
+        let solution = self.polish(estimate, &end, s)?;
+        let connection = self.worth(&solution, light)?;
+        let again = || {
+            let end = self.from_anywhere(estimate, rng, s);
+            end.is_some_and(|end| self.is_near(estimate, &end, &solution))
+        };
+        let (n, exhausted) = trials(again, self.options.budget);
+        s.reciprocals += 1;
+        s.trials += u64::from(n);
+        s.exhausted += u64::from(exhausted);
+        Some(Connection {
+            weight: connection.weight * f64::from(n),
+            ..connection
+        })
+    }
+
+    /// Whether a walk ended near this solution.
+    fn is_near(&self, estimate: &Estimate, end: &End, solution: &Solution) -> bool {
+        let Estimate { start, target, .. } = estimate;
+        (self.space).is_near(start, end, target, solution, self.options.uniqueness)
+    }
+
+    /// A walk of a trial set.
     fn random(
         &self,
         estimate: &Estimate,
         rng: &mut Independent,
         s: &mut Statistics,
     ) -> Option<Solution> {
+        let around = estimate.around;
+        let landed = !around.is_empty() && rng.next_1d::<f64>() < PART_LANDED;
+        let end = if landed {
+            s.walks += 1;
+            let landing = around.get((rng.next_1d::<f64>() * around.len() as f64) as usize)?;
+            self.approach(estimate, self.landed(estimate, landing)?, s)
+        } else {
+            self.from_anywhere(estimate, rng, s)
+        };
+        self.polish(estimate, &end?, s)
+    }
+
+    /// A walk from a random start.
+    fn from_anywhere(
+        &self,
+        estimate: &Estimate,
+        rng: &mut Independent,
+        s: &mut Statistics,
+    ) -> Option<End> {
         s.walks += 1;
-        let landed = !estimate.around.is_empty() && rng.next_1d::<f64>() < PART_LANDED;
-        let chain = if landed {
-            self.landed(estimate, rng)
-        } else if self.slopes.is_empty() {
+        let seed = if self.slopes.is_empty() {
             self.grow(estimate, rng, |shape, i, _| {
                 estimate.facets.normal(&self.space, shape, i)
             })
         } else {
             self.staged(estimate, rng, s)
         };
-        self.walk(estimate, chain?, s)
+        self.approach(estimate, seed?, s)
     }
 
-    /// The chain of a particle that landed near the start.
-    fn landed(&self, estimate: &Estimate, rng: &mut Independent) -> Option<Chain> {
-        let around = estimate.around;
-        let landing = around.get((rng.next_1d::<f64>() * around.len() as f64) as usize)?;
-        if landing.like.len() > estimate.most as usize {
-            return None;
-        }
-        let events = self.own(estimate, landing.like.iter().copied());
-        let d = (landing.through - estimate.start.si.p).normalize();
-        (self.space).trace(estimate.start, d, &events)
+    /// As a particle went that landed near the start.
+    fn landed(&self, estimate: &Estimate, landing: &Landing) -> Option<Seed> {
+        (landing.like.len() <= estimate.most as usize).then(|| Seed {
+            d: (landing.through - estimate.start.si.p).normalize(),
+            like: self.own(estimate, landing.like.iter().copied()),
+        })
     }
 
-    /// A chain from the end of a walk over surfaces without their normal maps, turned by normals of those.
+    /// From the end of a walk over surfaces without their normal maps, turned by normals of those.
     fn staged(
         &self,
         estimate: &Estimate,
         rng: &mut Independent,
         s: &mut Statistics,
-    ) -> Option<Chain> {
-        let chain = self.grow(estimate, rng, |shape, i, rng| {
+    ) -> Option<Seed> {
+        let seed = self.grow(estimate, rng, |shape, i, rng| {
             match &self.slopes[shape as usize] {
                 Some(slopes) => slopes.draw(rng.next_2d()),
                 None => estimate.facets.normal(&self.space, shape, i),
             }
         })?;
-        if !chain
-            .iter()
-            .any(|v| matches!(v.normal_is, Normal::Smoothed(_)))
-        {
-            return Some(chain);
+        let smoothed = |e: &Event| matches!(e.normal, Normal::Smoothed(_));
+        if !seed.like.iter().any(smoothed) {
+            return Some(seed);
         }
-        let events = self.own(estimate, chain.iter().map(|v| (v.shape, v.kind)));
-        let before = -chain[0].wo;
-        let Walked { solution, steps } = self.space.walk(estimate.start, chain, estimate.target);
+        let like = self.own(estimate, seed.like.iter().map(|e| (e.shape, e.kind)));
+        let (before, mut steps) = (seed.d, 0);
+        let end = (self.space).approach(estimate.start, seed, estimate.target, &mut steps);
         s.steps += u64::from(steps);
-        let d = solution.map_or(before, |s| s.direction());
-        (self.space).trace(estimate.start, d, &events)
+        let d = end.map_or(before, |end| end.direction());
+        Some(Seed { d, like })
     }
 
     /// The same events by the surfaces' own normals, or those of the estimate's facets.
@@ -416,13 +504,19 @@ impl<'a> Connector<'a> {
 
     /// A chain that starts towards a random point of a caster and goes on as light would, by the surfaces' own normals.
     #[cfg(test)]
-    pub(super) fn seed(&self, start: &Start, most: u32, rng: &mut Independent) -> Option<Chain> {
+    pub(super) fn seed(
+        &self,
+        start: &Start,
+        most: u32,
+        rng: &mut Independent,
+    ) -> Option<super::Chain> {
         let target = Target::Point(Vec3::zero());
         let estimate = self.estimate(start, &target, most, rng);
-        self.grow(&estimate, rng, |_, _, _| Normal::Own)
+        let seed = self.grow(&estimate, rng, |_, _, _| Normal::Own)?;
+        self.space.trace(start, seed.d, &seed.like)
     }
 
-    /// A chain that starts towards a random point of a caster and goes on as light would: at glass in either way, in
+    /// A start towards a random point of a caster that goes on as light would: at glass in either way, in
     /// proportion to its reflectance or nearly so, and over further casters that it meets, mostly. `normal` says which
     /// scatters on a shape, at a vertex.
     ///
@@ -433,69 +527,75 @@ impl<'a> Connector<'a> {
         estimate: &Estimate,
         rng: &mut Independent,
         mut normal: impl FnMut(u32, usize, &mut Independent) -> Normal,
-    ) -> Option<Chain> {
+    ) -> Option<Seed> {
         let &Estimate { start, most, .. } = estimate;
         let shape = &self.space.scene.shapes()[self.any_caster(rng) as usize];
-        let d = shape.sample(start.si.p, rng.next_2d::<f64>())?.d;
-        let (hit, met) = self.space.meet(&start.si.spawn_ray(d, start.exit))?;
+        let seed = shape.sample(start.si.p, rng.next_2d::<f64>())?.d;
+        let (hit, met) = self.space.meet(&start.si.spawn_ray(seed, start.exit))?;
         if !self.split.is_caster(met) {
             return None;
         }
-        let mut chain = Chain::new();
-        let (mut from, mut d, mut hit, mut met) = (start.si.p, d, hit, met);
+        let mut like = Events::new();
+        let (mut from, mut d, mut hit, mut met) = (start.si.p, seed, hit, met);
         loop {
-            let scatters = normal(met, chain.len(), rng);
-            let vertex = self.event(from, d, &hit, met, scatters, rng.next_1d());
-            let last = chain.len() as u32 + 1 == most;
+            let scatters = normal(met, like.len(), rng);
+            let u = rng.next_1d();
+            let last = like.len() as u32 + 1 == most;
             let ends = rng.next_1d::<f64>() < LEAST_PROBABILITY;
-            let next = if last {
-                None
-            } else {
-                self.space.onward(&vertex)
+            let mut event = Event {
+                shape: met,
+                kind: DeltaKind::Reflection,
+                normal: scatters,
             };
-            from = vertex.si.p;
-            chain.push(vertex);
+            let mut next = None;
+            // What is met, and where light goes on, is looked up only where something depends on it.
+            if !last || refracts(self.space.scene.material(met)) {
+                let (here, kind) = self.event(from, d, &hit, scatters, u);
+                event.kind = kind;
+                if !last {
+                    next = self.space.onward(&here, -d, kind);
+                }
+                from = here.si.p;
+            }
+            like.push(event);
             match next {
                 Some((onward, next, shape)) if self.split.is_caster(shape) && !ends => {
                     (d, hit, met) = (onward, next, shape);
                 }
-                _ => return Some(chain),
+                _ => return Some(Seed { d: seed, like }),
             }
         }
     }
 
-    /// The vertex at a hit on a caster, with a random event.
+    /// The surface at a hit on a caster, and a random event there.
     pub(super) fn event(
         &self,
         from: Vec3<f64>,
         d: Vec3<f64>,
         hit: &Hit,
-        shape: u32,
         normal: Normal,
         u: f64,
-    ) -> Vertex {
-        let refracts = refracts(self.space.scene.material(shape));
-        self.space.vertex(from, d, hit, normal, |facet| {
-            if !refracts {
-                return DeltaKind::Reflection;
-            }
-            let n = facet.n.map(|x| x.re);
-            let (cos, eta) = (-n.dot(d), facet.eta.re);
-            let across = if cos < 0.0 { eta.recip() } else { eta };
-            let light = fresnel::dielectric(cos.abs(), across);
-            let reflects = light
-                .reflect
-                .clamp(LEAST_PROBABILITY, 1.0 - LEAST_PROBABILITY);
-            if light.transmit <= 0.0 || u < reflects {
-                DeltaKind::Reflection
-            } else {
-                DeltaKind::Transmission
-            }
-        })
+    ) -> (Surface<f64>, DeltaKind) {
+        let here = (self.space).surface(&Ray::new(from, d), -d, hit, normal);
+        if !refracts(self.space.scene.material(here.shape)) {
+            return (here, DeltaKind::Reflection);
+        }
+        let (cos, eta) = (-here.facet.n.dot(d), here.facet.eta);
+        let across = if cos < 0.0 { eta.recip() } else { eta };
+        let light = fresnel::dielectric(cos.abs(), across);
+        let reflects = light
+            .reflect
+            .clamp(LEAST_PROBABILITY, 1.0 - LEAST_PROBABILITY);
+        let kind = if light.transmit <= 0.0 || u < reflects {
+            DeltaKind::Reflection
+        } else {
+            DeltaKind::Transmission
+        };
+        (here, kind)
     }
 
     /// Straight at the light, through whatever refracts, and at the middle of what reflects.
-    pub(super) fn aimed(&self, estimate: &Estimate) -> Vec<Chain> {
+    pub(super) fn aimed(&self, estimate: &Estimate) -> Vec<Seed> {
         let &Estimate {
             start,
             target,
@@ -503,7 +603,12 @@ impl<'a> Connector<'a> {
             ..
         } = estimate;
         let scene = self.space.scene;
-        let mut chains = Vec::new();
+        let mut seeds = Vec::new();
+        let mut start_in = |d: Vec3<f64>, like: Events| {
+            if self.space.trace(start, d, &like).is_some() {
+                seeds.push(Seed { d, like });
+            }
+        };
         // The casters on the straight way.
         let d = towards(start.si.p, target);
         let end = match *target {
@@ -516,17 +621,16 @@ impl<'a> Connector<'a> {
             if !self.split.is_caster(shape) || !refracts(scene.material(shape)) {
                 break;
             }
-            let through = |_: &_| DeltaKind::Transmission;
-            let vertex = (self.space).vertex(si.p, d, &hit, Normal::Own, through);
-            if (vertex.si.p - start.si.p).length() >= end || like.len() as u32 == most {
+            let here = (self.space).surface(&Ray::new(si.p, d), -d, &hit, Normal::Own);
+            if (here.si.p - start.si.p).length() >= end || like.len() as u32 == most {
                 break;
             }
             like.push((shape, DeltaKind::Transmission));
-            (si, exit) = (vertex.si, scene.exit(vertex.prim));
+            (si, exit) = (here.si, scene.exit(here.prim));
         }
         if !like.is_empty() {
             let events = self.own(estimate, like.into_iter());
-            chains.extend(self.space.trace(start, d, &events));
+            start_in(d, events);
         }
         for &shape in &self.split.caster_list {
             let Some(ball) = self.around[shape as usize] else {
@@ -535,9 +639,9 @@ impl<'a> Connector<'a> {
             let middle = Vec3::from(ball.centre);
             let d = (middle - start.si.p).normalize();
             let events = self.own(estimate, [(shape, DeltaKind::Reflection)].into_iter());
-            chains.extend(self.space.trace(start, d, &events));
+            start_in(d, events);
         }
-        chains
+        seeds
     }
 
     /// What light along a solution is worth, before trials. `None` where there is none: in between something, or light does

@@ -1,11 +1,9 @@
 //! What vanishes where light is reflected or refracted as the laws say, written once over the scalar.
 
-use std::f64::consts::PI;
-
 use ad_core::{Real, Vec3};
 
 use crate::bsdf::DeltaKind;
-use crate::math::Frame;
+use crate::math::{Frame, each};
 pub use crate::scene::Constraint;
 
 /// The mirror image of the unit vector `w` about the unit normal `n`.
@@ -47,10 +45,6 @@ pub fn scatter<R: Real>(kind: DeltaKind, w: Vec3<R>, n: Vec3<R>, eta: R) -> Opti
 pub struct Facet<R> {
     /// Unit normal that scatters: shading normal, normal maps included.
     pub n: Vec3<R>,
-    /// Unit tangents to it.
-    pub s: Vec3<R>,
-    /// Orthogonal to both.
-    pub t: Vec3<R>,
     /// Index behind the normal over that in front of it; one on mirrors.
     pub eta: R,
 }
@@ -62,23 +56,19 @@ pub fn equator(d: Vec3<f64>) -> Frame<f64> {
     Frame { s: n, t, n: s }
 }
 
-/// Polar angle and azimuth of a direction.
-#[inline]
-fn angles<R: Real>(w: Vec3<R>, frame: &Frame<R>) -> [R; 2] {
-    let w = frame.to_local(w);
-    [w.x.hypot(w.y).atan2(w.z), w.y.atan2(w.x)]
-}
-
-/// The angles of `a` less those of `b`; azimuths differ by at most half a turn (errata Z-3.19).
+/// The polar angle and the azimuth of the unit vector `a` less those of `b`; azimuths differ by at most half a turn (errata
+/// Z-3.19). As angles of one turn to the other: equal directions differ by zero, without any rounding of large angles.
 #[inline]
 fn difference<R>(a: Vec3<R>, b: Vec3<R>, frame: &Frame<f64>) -> [R; 2]
 where
     R: Real<Primal = f64>,
 {
-    let frame = Frame::lift(*frame);
-    let ([theta_a, phi_a], [theta_b, phi_b]) = (angles(a, &frame), angles(b, &frame));
-    let turn = (phi_a - phi_b + R::of(PI)).rem_euclid(ad_core::Const(2.0 * PI)) - R::of(PI);
-    [theta_a - theta_b, turn]
+    let local = |v: Vec3<R>| each([frame.s, frame.t, frame.n], |axis| v.dot_const(axis));
+    let ([ax, ay, az], [bx, by, bz]) = (local(a), local(b));
+    let (a_off, b_off) = ((ax * ax + ay * ay).sqrt(), (bx * bx + by * by).sqrt());
+    let theta = (a_off * bz - az * b_off).atan2(az * bz + a_off * b_off);
+    let phi = (ay * bx - ax * by).atan2(ax * bx + ay * by);
+    [theta, phi]
 }
 
 /// The constraint of a vertex whose unit directions to its two neighbours are `w` and `next`. `None` where it has no value:
@@ -120,13 +110,16 @@ pub fn value<R: Real<Primal = f64>>(
             }
             let h = h.normalize();
             let h = if h.dot(facet.n).primal() < 0.0 { -h } else { h };
-            Some([facet.s.dot(h), facet.t.dot(h)])
+            let Frame { s, t, .. } = Frame::from_normal(facet.n);
+            Some([s.dot(h), t.dot(h)])
         }
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use std::f64::consts::PI;
+
     use ad_core::Dual;
 
     use super::*;
@@ -146,13 +139,7 @@ mod tests {
     ) -> Option<[R; 2]> {
         let v = |i: usize| Vec3::new(x[i], x[i + 1], x[i + 2]);
         let n = unit([x[9], x[10], x[11]]);
-        let Frame { s, t, n } = Frame::from_normal(n);
-        let facet = Facet {
-            n,
-            s,
-            t,
-            eta: R::of(1.5),
-        };
+        let facet = Facet { n, eta: R::of(1.5) };
         let to = |p: Vec3<R>| (p - v(3)).normalize();
         value(which, kind, to(v(0)), to(v(6)), &facet, frame)
     }
@@ -220,8 +207,7 @@ mod tests {
             let mut s = Independent::new(2, 0, i);
             let n = warp::square_to_sphere(s.next_2d::<f64>());
             let w = warp::square_to_sphere(s.next_2d::<f64>());
-            let Frame { s, t, n } = Frame::from_normal(n);
-            let facet = Facet { n, s, t, eta: 1.5 };
+            let facet = Facet { n, eta: 1.5 };
             let frame = equator(Vec3::new(0.3, -0.2, 0.9));
             for kind in [DeltaKind::Reflection, DeltaKind::Transmission] {
                 let Some(next) = scatter(kind, w, n, 1.5) else {
@@ -245,8 +231,7 @@ mod tests {
     #[test]
     fn total_reflection_falls_back() {
         let n = Vec3::new(0.0, 0.0, 1.0);
-        let (s, t) = (Vec3::new(1.0, 0.0, 0.0), Vec3::new(0.0, 1.0, 0.0));
-        let facet = Facet { n, s, t, eta: 1.5 };
+        let facet = Facet { n, eta: 1.5 };
         let frame = equator(n);
         let inside = |angle: f64| Vec3::new(angle.sin(), 0.0, -angle.cos());
         let outside = Vec3::new(-0.6, 0.0, 0.8);
@@ -301,8 +286,7 @@ mod tests {
     #[test]
     fn only_half_vectors_have_roots_behind_the_surface() {
         let n = Vec3::new(0.0, 0.0, 1.0);
-        let (s, t) = (Vec3::new(1.0, 0.0, 0.0), Vec3::new(0.0, 1.0, 0.0));
-        let facet = Facet { n, s, t, eta: 1.5 };
+        let facet = Facet { n, eta: 1.5 };
         // The half vector of refraction is parallel to the normal, and both directions are on one side.
         let w = Vec3::new(0.6, 0.0, 0.8);
         let next = Vec3::new(-0.6, 0.0, 0.8);

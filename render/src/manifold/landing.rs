@@ -156,10 +156,10 @@ impl Connector<'_> {
                 return None;
             }
             let normal = facet(space, met, rng.next_2d());
-            let vertex = self.event(from, d, &hit, met, normal, rng.next_1d());
-            like.push((met, vertex.kind));
-            from = vertex.si.p;
-            (d, hit, met) = space.onward(&vertex)?;
+            let (here, kind) = self.event(from, d, &hit, normal, rng.next_1d());
+            like.push((met, kind));
+            from = here.si.p;
+            (d, hit, met) = space.onward(&here, -d, kind)?;
         }
         if like.is_empty() || !split.is_receiver(met) {
             return None;

@@ -2,9 +2,10 @@
 
 use ad_core::Vec3;
 
-use super::chain::{Event, Events, Start, Target, Vertex};
+use super::chain::{Event, Events, Start, Target};
 use super::connector::{Connector, Facets, Light, Link, Statistics};
 use super::normal::Normal;
+use super::walk::Seed;
 use crate::bsdf::nesting::{Specular, facets};
 use crate::bsdf::{Bsdf, DeltaKind, Shading, TransportMode};
 use crate::emitter::Emission;
@@ -63,22 +64,22 @@ impl Connector<'_> {
         let facets = Facets::Of(&events);
         let estimate = self.estimate_over(met.start, &light.target, met.most, facets);
         let mut ignored = Statistics::default();
-        let same = |v: &Vertex, e: &Event| v.shape == e.shape && v.kind == e.kind;
+        let same = |v: &Event, e: &Event| v.shape == e.shape && v.kind == e.kind;
         let mut own = None;
-        self.aimed(&estimate).into_iter().any(|chain| {
-            let alike =
-                chain.len() == events.len() && chain.iter().zip(&events).all(|(v, e)| same(v, e));
+        self.aimed(&estimate).into_iter().any(|seed| {
+            let alike = seed.like.len() == events.len()
+                && seed.like.iter().zip(&events).all(|(v, e)| same(v, e));
             if !alike {
                 return false;
             }
-            let Some(found) = self.walk(&estimate, chain, &mut ignored) else {
+            let Some(found) = self.walk(&estimate, seed, &mut ignored) else {
                 return false;
             };
             // The path is a root but for rounding; a walk from there takes that away.
             let own = own.get_or_insert_with(|| {
                 let d = (met.links[0].si.p - met.start.si.p).normalize();
-                let chain = self.space.trace(met.start, d, &events)?;
-                self.walk(&estimate, chain, &mut Statistics::default())
+                let like = events.clone();
+                self.walk(&estimate, Seed { d, like }, &mut Statistics::default())
             });
             own.as_ref()
                 .is_some_and(|own| found.is(own, self.options.uniqueness))

@@ -19,23 +19,15 @@ pub enum Normal {
 }
 
 impl Normal {
-    /// The frame around it, local to the shading frame; `mapped` is that with normal maps.
-    pub(super) fn frame<R: Real<Primal = f64>>(
+    /// The vector itself, local to the shading frame; `mapped` is the frame with normal maps.
+    pub(super) fn vector<R: Real<Primal = f64>>(
         self,
         mapped: impl FnOnce() -> Frame<R>,
-    ) -> Frame<R> {
+    ) -> Vec3<R> {
         match self {
-            Self::Own => mapped(),
-            Self::Facet(m) => {
-                let (outer, inner) = (mapped(), Frame::from_normal(m));
-                let world = |v: Vec3<f64>| outer.to_world(v.map(R::of));
-                Frame {
-                    s: world(inner.s),
-                    t: world(inner.t),
-                    n: world(inner.n),
-                }
-            }
-            Self::Smoothed(m) => Frame::lift(Frame::from_normal(m)),
+            Self::Own => mapped().n,
+            Self::Facet(m) => mapped().to_world(m.map(R::of)),
+            Self::Smoothed(m) => Vec3::lift(m),
         }
     }
 }
@@ -53,7 +45,7 @@ pub struct Slopes {
 const LOOK_UPS: usize = 128;
 
 /// Whether a normal map is read.
-fn is_mapped(material: &Material) -> bool {
+pub(super) fn is_mapped(material: &Material) -> bool {
     match material {
         Material::NormalMap(_) => true,
         Material::TwoSided(m) => m.sides().iter().any(|side| is_mapped(side)),

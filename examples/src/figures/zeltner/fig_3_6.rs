@@ -60,8 +60,8 @@ fn constraints(start: &Start, points: &[Vec3<f64>; K], at: Vec3<f64>) -> Option<
         let p = points[i];
         let before = if i == 0 { start.si.p } else { points[i - 1] };
         let next = points.get(i + 1).copied().unwrap_or(at);
-        let Frame { s, t, n } = Frame::from_normal((p - Vec3::from(CENTRE)).normalize());
-        let facet = Facet { n, s, t, eta: ETA };
+        let n = (p - Vec3::from(CENTRE)).normalize();
+        let facet = Facet { n, eta: ETA };
         let [w, onward] = [before, next].map(|q| (q - p).normalize());
         let c = constraint::value(Constraint::Angle, LIKE[i].1, w, onward, &facet, &frame)?;
         all[2 * i..2 * i + 2].copy_from_slice(&c);
