@@ -762,6 +762,8 @@ impl Search {
     /// Adds the children of a node that are entered before `limit`. Which of them there are, and in which order, is
     /// hardly ever the same twice: nothing branches on it.
     #[inline(always)]
+    // Iterators over several arrays are no vector instructions.
+    #[allow(clippy::needless_range_loop)]
     pub fn enter(&mut self, slabs: &Slabs, node: &Node, limit: f32) {
         let (near, entered) = slabs.enter(node, limit);
         self.make_room();
@@ -787,6 +789,7 @@ impl Search {
 
     /// The same in any order, for those who look for nothing in particular.
     #[inline(always)]
+    #[allow(clippy::needless_range_loop)]
     pub fn enter_all(&mut self, slabs: &Slabs, node: &Node, limit: f32) {
         let entered = slabs.enter(node, limit).1.to_bitmask();
         self.make_room();

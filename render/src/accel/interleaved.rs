@@ -126,6 +126,8 @@ impl Alone {
 
     /// A ray of a packet visits a child by itself, after those that it did not yet.
     #[inline(always)]
+    // They are some kilobytes, which most packets do not need.
+    #[allow(clippy::unnecessary_lazy_evaluations)]
     fn visit(&mut self, tree: &Tree, packet: &Interleaved, lane: usize, near: f32, child: Child) {
         if self.started >> lane & 1 == 0 {
             self.started |= 1 << lane;
