@@ -8,7 +8,7 @@ use super::cluster::{children, hierarchy, parts};
 use super::curved::{Curved, Line};
 use super::triangle_block::{Flat, LANES, RayLanes};
 use super::{Best, Item, Ray, Shape, Tag};
-use crate::math::each;
+use crate::math::{both, each};
 use crate::parallel;
 use crate::prefetch::prefetch;
 use obvhs::bvh2::Bvh2;
@@ -314,10 +314,14 @@ impl Tree {
         Some(())
     }
 
-    /// The first node, if there is any.
+    /// A search from the first node on, if there is any.
     #[inline(always)]
-    pub(super) fn root(&self) -> Option<Child> {
-        (!self.nodes.is_empty()).then_some(Child::ROOT)
+    fn start(&self, ray: &Ray) -> (Slabs, Search) {
+        let mut search = Search::NONE;
+        if !self.nodes.is_empty() {
+            search.push(0.0, Child::ROOT);
+        }
+        (Slabs::new(self, ray), search)
     }
 
     /// Offers what a leaf holds.
@@ -373,10 +377,10 @@ impl Tree {
     #[inline(never)]
     pub(super) fn intersect(&self, ray: &Ray, best: &mut Best) {
         let lanes = RayLanes::<f32x8>::new(ray);
-        let mut search = Search::new(self, self.root(), ray);
+        let (slabs, mut search) = self.start(ray);
         while let Some(child) = search.next(best.t) {
             match child.kind() {
-                Kind::Inner(index) => search.enter(&self.nodes[index], best.t),
+                Kind::Inner(index) => search.enter(&slabs, &self.nodes[index], best.t),
                 _ => self.offer(child, ray, &lanes, best),
             }
         }
@@ -385,10 +389,10 @@ impl Tree {
     #[inline(never)]
     pub(super) fn occluded(&self, ray: &Ray, t_max: f32) -> bool {
         let lanes = RayLanes::<f32x8>::new(ray);
-        let mut search = Search::new(self, self.root(), ray);
+        let (slabs, mut search) = self.start(ray);
         while let Some(child) = search.next(t_max) {
             match child.kind() {
-                Kind::Inner(index) => search.enter(&self.nodes[index], t_max),
+                Kind::Inner(index) => search.enter_all(&slabs, &self.nodes[index], t_max),
                 _ => {
                     if self.blocks(child, ray, &lanes, t_max) {
                         return true;
@@ -602,7 +606,7 @@ impl<'a> Binary<'a> {
             }
             count
         } else {
-            let [a, b] = self.children(at).map(|c| self.below(c));
+            let [a, b] = both(self.children(at), |c| self.below(c));
             (a + b).min(MANY)
         };
         self.counts[at].store(count, Ordering::Relaxed);
@@ -652,22 +656,19 @@ impl<'a> Binary<'a> {
     }
 }
 
-/// What a ray has still to visit.
-#[derive(Clone)]
-pub(super) struct Search {
+/// What a ray meets of boxes.
+#[derive(Clone, Copy)]
+pub(super) struct Slabs {
     inverse: [f32; 3],
     /// Where the lower of the near planes would be met, and the upper of the far ones, if all were at zero.
     base: [[f32; 2]; 3],
     /// Per axis: which planes are met first.
     first: [usize; 3],
-    /// Children, and where the ray enters them; the nearest comes last.
-    open: SmallVec<[(f32, Child); 24]>,
 }
 
-impl Search {
-    /// For everything below a child.
+impl Slabs {
     #[inline(always)]
-    pub fn new(tree: &Tree, child: Option<Child>, ray: &Ray) -> Self {
+    pub fn new(tree: &Tree, ray: &Ray) -> Self {
         let o: [f32; 3] = each([0, 1, 2], |k: usize| ray.o[k] - tree.center[k]);
         let far = each([0, 1, 2], |k: usize| o[k].abs() + tree.half[k]);
         let reach = far[0] + far[1] + far[2];
@@ -677,30 +678,16 @@ impl Search {
             let base = -o[k] * inverse[k];
             [base - slack, base + slack]
         };
-        let mut open = SmallVec::new();
-        open.extend(child.map(|child| (0.0, child)));
         Self {
             base: [base(0), base(1), base(2)],
             first: each(inverse, |x| usize::from(x < 0.0)),
             inverse,
-            open,
         }
     }
 
-    /// The next child that is entered before `limit`.
+    /// Where the children of a node are entered, and the lanes of those that are before `limit`.
     #[inline(always)]
-    pub fn next(&mut self, limit: f32) -> Option<Child> {
-        loop {
-            let (near, child) = self.open.pop()?;
-            if near <= limit {
-                return Some(child);
-            }
-        }
-    }
-
-    /// Adds the children of a node that are entered before `limit`.
-    #[inline(always)]
-    pub fn enter(&mut self, node: &Node, limit: f32) {
+    fn enter(&self, node: &Node, limit: f32) -> (f32x8, f32x8) {
         let mut near = f32x8::splat(0.0);
         let mut far = f32x8::splat(limit);
         for k in 0..3 {
@@ -711,17 +698,204 @@ impl Search {
             near = near.fast_max(first.mul_add(inverse, f32x8::splat(self.base[k][0])));
             far = far.fast_min(last.mul_add(inverse, f32x8::splat(self.base[k][1])));
         }
-        let mut entered = near.simd_le(far).to_bitmask();
-        let near = near.to_array();
-        let first = self.open.len();
-        while entered != 0 {
-            let k = entered.trailing_zeros() as usize % NODE_WIDTH;
-            entered &= entered - 1;
-            let mut at = self.open.len();
-            self.open.push((near[k], node.children[k]));
-            while at > first && self.open[at - 1].0 < self.open[at].0 {
-                self.open.swap(at - 1, at);
-                at -= 1;
+        (near, near.simd_le(far))
+    }
+}
+
+/// The numbers of lanes, as bits of numbers, and the same less eight.
+const LANE: [f32; NODE_WIDTH] = lane_bits(0);
+const OUTSIDE: [f32; NODE_WIDTH] = lane_bits(-8);
+
+const fn lane_bits(first: i32) -> [f32; NODE_WIDTH] {
+    let mut bits = [0.0; NODE_WIDTH];
+    let mut k = 0;
+    while k < NODE_WIDTH {
+        bits[k] = f32::from_bits((first + k as i32) as u32);
+        k += 1;
+    }
+    bits
+}
+
+/// Children that are at hand; deeper searches go to the heap.
+const AT_HAND: usize = 32;
+
+/// What a ray has still to visit: children, and where it enters them; the nearest comes last.
+#[derive(Clone)]
+pub(super) struct Search {
+    open: [(f32, Child); AT_HAND],
+    count: usize,
+    /// What comes before.
+    deep: Vec<(f32, Child)>,
+}
+
+impl Search {
+    /// Nothing.
+    pub const NONE: Self = Self {
+        open: [(0.0, Child::NOTHING); AT_HAND],
+        count: 0,
+        deep: Vec::new(),
+    };
+
+    /// Adds a child.
+    #[inline(always)]
+    pub fn push(&mut self, near: f32, child: Child) {
+        self.make_room();
+        self.open[self.count % AT_HAND] = (near, child);
+        self.count += 1;
+    }
+
+    /// The next child that is entered before `limit`.
+    #[inline(always)]
+    pub fn next(&mut self, limit: f32) -> Option<Child> {
+        loop {
+            if self.count == 0 {
+                self.fetch_deep();
+            }
+            self.count = self.count.checked_sub(1)?;
+            let (near, child) = self.open[self.count % AT_HAND];
+            if near <= limit {
+                return Some(child);
+            }
+        }
+    }
+
+    /// Adds the children of a node that are entered before `limit`. Which of them there are, and in which order, is
+    /// hardly ever the same twice: nothing branches on it.
+    #[inline(always)]
+    // Iterators over several arrays are no vector instructions.
+    #[allow(clippy::needless_range_loop)]
+    pub fn enter(&mut self, slabs: &Slabs, node: &Node, limit: f32) {
+        let (near, entered) = slabs.enter(node, limit);
+        self.make_room();
+        // Distances are not negative, so that their bits are in their order; the lowest ones make all different. What is
+        // not entered comes behind all else.
+        let high = f32x8::splat(f32::from_bits(0x7fff_fff8));
+        let keys = entered.select((near & high) | f32x8::from(LANE), f32x8::from(OUTSIDE));
+        let (near, keys) = (near.to_array(), keys.to_array());
+        let entered = entered.to_bitmask();
+        let mut places = [0_u32; NODE_WIDTH];
+        for key in keys {
+            for k in 0..NODE_WIDTH {
+                places[k] += u32::from(key.to_bits() as i32 > keys[k].to_bits() as i32);
+            }
+        }
+        let first = self.count.min(AT_HAND - NODE_WIDTH);
+        let room: &mut [(f32, Child)] = &mut self.open[first..first + NODE_WIDTH];
+        for k in 0..NODE_WIDTH {
+            room[places[k] as usize % NODE_WIDTH] = (near[k], node.children[k]);
+        }
+        self.count = first + entered.count_ones() as usize;
+    }
+
+    /// The same in any order, for those who look for nothing in particular.
+    #[inline(always)]
+    #[allow(clippy::needless_range_loop)]
+    pub fn enter_all(&mut self, slabs: &Slabs, node: &Node, limit: f32) {
+        let entered = slabs.enter(node, limit).1.to_bitmask();
+        self.make_room();
+        for k in 0..NODE_WIDTH {
+            self.open[self.count % AT_HAND] = (0.0, node.children[k]);
+            self.count += (entered >> k & 1) as usize;
+        }
+    }
+
+    /// Turns the order of what is at hand around.
+    #[inline(always)]
+    pub fn reverse(&mut self) {
+        self.open[..self.count.min(AT_HAND)].reverse();
+    }
+
+    /// Makes room for the children of a node.
+    #[inline(always)]
+    fn make_room(&mut self) {
+        if self.count > AT_HAND - NODE_WIDTH {
+            self.put_deep();
+        }
+    }
+
+    #[cold]
+    #[inline(never)]
+    fn put_deep(&mut self) {
+        self.deep.extend_from_slice(&self.open[..self.count]);
+        self.count = 0;
+    }
+
+    /// Takes up what was put away.
+    #[inline(always)]
+    fn fetch_deep(&mut self) {
+        if let Some(last) = self.deep.pop() {
+            self.open[0] = last;
+            self.count = 1;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::accel::Primitive;
+
+    /// Far more than is at hand, as in hierarchies that are mostly depth.
+    #[test]
+    fn searches_are_as_deep_as_they_have_to_be() {
+        let child = |k: usize| Child::leaf(0, k);
+        let mut search = Search::NONE;
+        let count = 5 * AT_HAND;
+        for k in 0..count {
+            search.push((count - k) as f32, child(k));
+        }
+        let limit = (count / 2) as f32;
+        for k in (count / 2..count).rev() {
+            assert_eq!(search.next(limit), Some(child(k)));
+        }
+        assert_eq!(search.next(limit), None);
+    }
+
+    /// The children that are entered, from the nearest on, whatever their order in the node; or all of them.
+    #[test]
+    fn children_are_visited_from_the_nearest_on() {
+        let unit = Primitive::Sphere {
+            center: [0.0; 3],
+            radius: 1.0,
+        };
+        let items = super::super::prepare(&[unit], &[0]).expect("a primitive");
+        let tree = Tree::new(&items).expect("a tree");
+        let ray = Ray::new([-2.0, 0.0, 0.0], [1.0, 0.0, 0.0], [u32::MAX; 2]).expect("a ray");
+        let slabs = Slabs::new(&tree, &ray);
+        for turn in 0..NODE_WIDTH {
+            for missed in 0..NODE_WIDTH {
+                let mut node = Node::EMPTY;
+                let place = |k: usize| (3 * k + turn) % NODE_WIDTH;
+                for k in 0..NODE_WIDTH {
+                    // The first two begin before the ray does.
+                    let low = place(k) as f32 - 3.0;
+                    let side = if k == missed { 9.0 } else { 0.0 };
+                    let bounds = Aabb::new([low, side, -1.0].into(), [low + 1.5, side, 1.0].into());
+                    node.place(k, &bounds, [0.0; 3]);
+                    node.children[k] = Child::leaf(0, k);
+                }
+                let mut search = Search::NONE;
+                search.enter(&slabs, &node, 5.5);
+                let mut found = Vec::new();
+                while let Some(child) = search.next(5.5) {
+                    found.extend((0..NODE_WIDTH).filter(|&k| node.children[k] == child));
+                }
+                // The box in the last place is beyond the limit.
+                let mut expected: Vec<usize> = (0..NODE_WIDTH)
+                    .filter(|&k| k != missed && place(k) < NODE_WIDTH - 1)
+                    .collect();
+                let near = |k: &usize| place(*k).max(1);
+                expected.sort_by_key(near);
+                let places = |found: &[usize]| found.iter().map(near).collect::<Vec<_>>();
+                assert_eq!(places(&found), places(&expected));
+                search.enter_all(&slabs, &node, 5.5);
+                let mut all = Vec::new();
+                while let Some(child) = search.next(5.5) {
+                    all.extend((0..NODE_WIDTH).filter(|&k| node.children[k] == child));
+                }
+                all.sort_unstable();
+                expected.sort_unstable();
+                assert_eq!(all, expected);
             }
         }
     }

@@ -4,7 +4,7 @@
 //! lane per ray. Where only a few rays of a packet are left, these go on alone, but in turns: what each visits next is
 //! fetched before the first of them needs it, because most of the time of such a ray is waiting for memory.
 
-use super::bvh::{Child, Kind, MIN_COMPONENT, NODE_WIDTH, Node, SLACK, Search, Tree};
+use super::bvh::{Child, Kind, MIN_COMPONENT, NODE_WIDTH, Node, SLACK, Search, Slabs, Tree};
 use super::curved::Line;
 use super::ray_packet::{PACKET_SIZE, RayPacket};
 use super::triangle_block::RayLanes;
@@ -102,22 +102,78 @@ fn lanes(mut mask: u32) -> impl Iterator<Item = usize> {
 struct Single {
     lane: usize,
     ray: Ray,
-    /// What it visits next.
-    child: Child,
-    /// And after that.
-    search: Search,
+    slabs: Slabs,
 }
 
-type Alone = SmallVec<[Single; PACKET_SIZE]>;
+/// Rays that go on alone, and all that each of them has still to visit.
+struct Alone {
+    rays: SmallVec<[Single; PACKET_SIZE]>,
+    /// Per lane: whether it is among the rays.
+    started: u32,
+    /// Per lane, once there are any.
+    searches: Option<[Search; PACKET_SIZE]>,
+}
 
-impl Single {
+impl Alone {
     #[inline(always)]
-    fn new(tree: &Tree, child: Child, lane: usize, ray: Ray) -> Self {
+    fn new() -> Self {
         Self {
-            lane,
-            search: Search::new(tree, None, &ray),
-            child,
-            ray,
+            rays: SmallVec::new(),
+            started: 0,
+            searches: None,
+        }
+    }
+
+    /// A ray of a packet visits a child by itself, after those that it did not yet.
+    #[inline(always)]
+    // They are some kilobytes, which most packets do not need.
+    #[allow(clippy::unnecessary_lazy_evaluations)]
+    fn visit(&mut self, tree: &Tree, packet: &Interleaved, lane: usize, near: f32, child: Child) {
+        if self.started >> lane & 1 == 0 {
+            self.started |= 1 << lane;
+            if let Some(ray) = packet.ray(lane) {
+                let slabs = Slabs::new(tree, &ray);
+                self.rays.push(Single { lane, ray, slabs });
+            }
+        }
+        let searches = (self.searches).get_or_insert_with(|| [const { Search::NONE }; PACKET_SIZE]);
+        searches[lane % PACKET_SIZE].push(near, child);
+    }
+
+    /// Follows the rays step by step, in turns. `step` visits a ray's child, if there is one yet, and tells its next.
+    #[inline(always)]
+    fn in_turns(
+        &mut self,
+        tree: &Tree,
+        mut step: impl FnMut(&Single, &mut Search, Option<Child>) -> Option<Child>,
+    ) {
+        let Some(searches) = &mut self.searches else {
+            return;
+        };
+        // Those that are still on their way, and what they visit next.
+        let mut left = [(0, None); PACKET_SIZE];
+        let mut count = 0;
+        for (k, single) in self.rays.iter().enumerate() {
+            let search = &mut searches[single.lane % PACKET_SIZE];
+            search.reverse();
+            if let Some(child) = step(single, search, None) {
+                left[count % PACKET_SIZE] = (k, Some(child));
+                count += 1;
+            }
+        }
+        while count > 0 {
+            for (_, child) in &left[..count.min(PACKET_SIZE)] {
+                child.iter().for_each(|&child| tree.fetch(child));
+            }
+            let before = std::mem::take(&mut count);
+            for at in 0..before.min(PACKET_SIZE) {
+                let (k, child) = left[at];
+                let single = &self.rays[k];
+                let search = &mut searches[single.lane % PACKET_SIZE];
+                let next = step(single, search, child);
+                left[count % PACKET_SIZE] = (k, next);
+                count += usize::from(next.is_some());
+            }
         }
     }
 }
@@ -154,16 +210,20 @@ impl Tree {
             |nearest, leaf, rays| self.offer_lanes(&rays_in_flight, leaf, rays, nearest),
         );
         let mut best = nearest.best;
-        self.in_turns(&mut alone, |single| {
-            let best = &mut best[single.lane];
-            match single.child.kind() {
-                Kind::Inner(index) => single.search.enter(&self.nodes[index], best.t),
-                _ => {
-                    let lanes = RayLanes::new(&single.ray);
-                    self.offer(single.child, &single.ray, &lanes, best);
+        alone.in_turns(self, |single, search, child| {
+            let best = &mut best[single.lane % PACKET_SIZE];
+            if let Some(child) = child {
+                match child.kind() {
+                    Kind::Inner(index) => {
+                        search.enter(&single.slabs, &self.nodes[index], best.t);
+                    }
+                    _ => {
+                        let lanes = RayLanes::new(&single.ray);
+                        self.offer(child, &single.ray, &lanes, best);
+                    }
                 }
             }
-            single.search.next(best.t)
+            search.next(best.t)
         });
         for (hit, best) in hits.iter_mut().zip(&best).take(packet.len()) {
             *hit = best.hit();
@@ -209,18 +269,22 @@ impl Tree {
                 Kind::Inner(_) | Kind::Nothing => {}
             },
         );
-        self.in_turns(&mut alone, |single| {
-            let limit = limits[single.lane];
-            match single.child.kind() {
-                Kind::Inner(index) => single.search.enter(&self.nodes[index], limit),
-                _ => {
-                    let lanes = RayLanes::new(&single.ray);
-                    let blocked = self.blocks(single.child, &single.ray, &lanes, limit);
-                    occluded |= u32::from(blocked) << single.lane;
+        alone.in_turns(self, |single, search, child| {
+            let limit = limits[single.lane % PACKET_SIZE];
+            if let Some(child) = child {
+                match child.kind() {
+                    Kind::Inner(index) => {
+                        search.enter_all(&single.slabs, &self.nodes[index], limit);
+                    }
+                    _ => {
+                        let lanes = RayLanes::new(&single.ray);
+                        let blocked = self.blocks(child, &single.ray, &lanes, limit);
+                        occluded |= u32::from(blocked) << single.lane;
+                    }
                 }
             }
             let looking = occluded >> single.lane & 1 == 0;
-            single.search.next(limit).filter(|_| looking)
+            search.next(limit).filter(|_| looking)
         });
         Some(occluded)
     }
@@ -249,6 +313,17 @@ impl Tree {
                 }
                 nearest.t = f32x16::from(t);
             }
+            Kind::Packet(_, count) if (rays.count_ones() as usize) < count => {
+                let mut t = nearest.t.to_array();
+                for lane in lanes(rays) {
+                    if let Some(ray) = rays_in_flight.ray(lane) {
+                        let best = &mut nearest.best[lane];
+                        self.offer(leaf, &ray, &RayLanes::new(&ray), best);
+                        t[lane] = best.t;
+                    }
+                }
+                nearest.t = f32x16::from(t);
+            }
             Kind::Packet(index, count) => {
                 for k in 0..count {
                     // One rounding more, so that equal distances pass; the offer decides.
@@ -273,27 +348,6 @@ impl Tree {
                 }
             }
             Kind::Inner(_) | Kind::Nothing => {}
-        }
-    }
-
-    /// Follows rays that are alone, step by step in turns. `step` visits a ray's child and tells its next.
-    #[inline(always)]
-    fn in_turns(&self, alone: &mut Alone, mut step: impl FnMut(&mut Single) -> Option<Child>) {
-        let mut left: SmallVec<[usize; 2 * PACKET_SIZE]> = (0..alone.len()).collect();
-        while !left.is_empty() {
-            for &k in &left {
-                self.fetch(alone[k].child);
-            }
-            left.retain(|k| {
-                let single = &mut alone[*k];
-                match step(single) {
-                    Some(child) => {
-                        single.child = child;
-                        true
-                    }
-                    None => false,
-                }
-            });
         }
     }
 
@@ -328,10 +382,9 @@ impl Tree {
                 continue;
             };
             if rays.count_ones() <= FEW {
+                let near = visit.near.to_array();
                 for lane in lanes(rays) {
-                    if let Some(ray) = rays_in_flight.ray(lane) {
-                        alone.push(Single::new(self, visit.node, lane, ray));
-                    }
+                    alone.visit(self, rays_in_flight, lane, near[lane], visit.node);
                 }
                 continue;
             }

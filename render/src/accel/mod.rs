@@ -22,7 +22,7 @@ pub(crate) use triangle_block::SEAM;
 #[cfg(test)]
 mod tests;
 
-use crate::math::{NOWHERE, each};
+use crate::math::{NOWHERE, both, each};
 use crate::parallel;
 use bvh::Tree;
 use curved::{Curved, Line};
@@ -482,10 +482,10 @@ fn turned(p: &Primitive) -> (Primitive, u32) {
     let Primitive::Triangle { v0, e1, e2 } = *p else {
         return (*p, 0);
     };
-    let [a, b] = [e1, e2].map(|e| each(e, f64::from));
+    let [a, b] = both([e1, e2], |e| each(e, f64::from));
     let c = each([0, 1, 2], |k: usize| b[k] - a[k]);
-    let squared = |e: [f64; 3]| e.iter().map(|x| x * x).sum::<f64>();
-    let [ab, ac, bc] = [a, b, c].map(squared);
+    let squared = |[x, y, z]: [f64; 3]| x * x + y * y + z * z;
+    let [ab, ac, bc] = each([a, b, c], squared);
     let back = |e: [f32; 3]| each(e, |x| -x);
     let from = |e: [f32; 3]| each([0, 1, 2], |k: usize| v0[k] + e[k]);
     let c = each(c, |x| x as f32);

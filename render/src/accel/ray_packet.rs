@@ -71,7 +71,7 @@ impl RayPacket {
     /// Replaces all rays by the first `n` of these, at most [`PACKET_SIZE`].
     #[inline(always)]
     pub fn fill(&mut self, n: usize, ray: impl Fn(usize) -> ([f32; 3], [f32; 3], f32, [u32; 2])) {
-        *self = Self::default();
+        self.clear();
         for i in 0..n.min(PACKET_SIZE) {
             let (o, d, t_max, skip) = ray(i);
             self.push(o, d, t_max, skip);

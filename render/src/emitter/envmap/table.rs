@@ -7,6 +7,7 @@
 //! own, jumps at its sides.)
 
 use std::f64::consts::PI;
+use std::hint::select_unpredictable;
 
 use ad_core::Real;
 
@@ -90,6 +91,13 @@ fn part(u: f64, parts: usize) -> usize {
 /// The first of these places that is not `before`, or the last of them.
 #[inline(always)]
 fn first_not(mut first: usize, mut last: usize, before: impl Fn(usize) -> bool) -> usize {
+    // Mostly there are up to three of them, and nobody can tell how many: no branches as long as that will do.
+    for _ in 0..2 {
+        let middle = (first + last) / 2;
+        let (open, passed) = (first < last, before(middle));
+        first = select_unpredictable(open & passed, middle + 1, first);
+        last = select_unpredictable(open & !passed, middle, last);
+    }
     while first < last {
         let middle = (first + last) / 2;
         if before(middle) {
