@@ -246,10 +246,12 @@ impl Tree {
             }
         }
         let visits = self.visits();
-        Some(match self.built > 0.0 {
-            true => visits / self.built,
-            false if visits > 0.0 => f64::INFINITY,
-            false => 1.0,
+        Some(if self.built > 0.0 {
+            visits / self.built
+        } else if visits > 0.0 {
+            f64::INFINITY
+        } else {
+            1.0
         })
     }
 

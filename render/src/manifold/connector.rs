@@ -396,14 +396,14 @@ impl<'a> Connector<'a> {
         rng: &mut Independent,
         s: &mut Statistics,
     ) -> Option<Connection> {
-        let end = self.from_anywhere(estimate, rng, s)?;
+        let end = self.anywhere(estimate, rng, s)?;
         if known.iter().any(|k| self.is_near(estimate, &end, k)) {
             return None;
         }
         let solution = self.polish(estimate, &end, s)?;
         let connection = self.worth(&solution, light)?;
         let again = || {
-            let end = self.from_anywhere(estimate, rng, s);
+            let end = self.anywhere(estimate, rng, s);
             end.is_some_and(|end| self.is_near(estimate, &end, &solution))
         };
         let (n, exhausted) = trials(again, self.options.budget);
@@ -436,13 +436,13 @@ impl<'a> Connector<'a> {
             let landing = around.get((rng.next_1d::<f64>() * around.len() as f64) as usize)?;
             self.approach(estimate, self.landed(estimate, landing)?, s)
         } else {
-            self.from_anywhere(estimate, rng, s)
+            self.anywhere(estimate, rng, s)
         };
         self.polish(estimate, &end?, s)
     }
 
     /// A walk from a random start.
-    fn from_anywhere(
+    fn anywhere(
         &self,
         estimate: &Estimate,
         rng: &mut Independent,
