@@ -83,6 +83,8 @@ pub(crate) enum Family {
     Particles,
     /// Manifold connections, and the paths that they end.
     Connections,
+    /// Particles by which the walks of connections start.
+    Landings,
     /// Glints.
     Glints,
     /// Edges that hide light from a vertex.
@@ -104,9 +106,10 @@ pub(crate) enum Family {
 impl Family {
     /// All of them.
     #[cfg(test)]
-    const ALL: [Self; 10] = [
+    const ALL: [Self; 11] = [
         Self::Particles,
         Self::Connections,
+        Self::Landings,
         Self::Glints,
         Self::EdgesAtVertices,
         Self::EdgesOnFilm,
@@ -122,6 +125,7 @@ impl Family {
         pass ^ match self {
             Self::Particles => 0x6c69_6768_7421_0001,
             Self::Connections => 0x6d61_6e69_666f_6c64,
+            Self::Landings => 0x6c61_6e64_696e_6773,
             Self::Glints => 0x676c_696e_7473_2121,
             Self::EdgesAtVertices => 0x6a09_e667_f3bc_c908,
             Self::EdgesOnFilm => 0xbb67_ae85_84ca_a73b,

@@ -9,7 +9,7 @@ use crate::bsdf::DeltaKind;
 use crate::emitter::Emitter;
 use crate::math::Ray;
 use crate::parallel;
-use crate::sampler::{Independent, Sampler};
+use crate::sampler::{Family, Independent, Sampler};
 use crate::shape::Shape;
 
 /// At most so many landings are neighbours.
@@ -18,8 +18,6 @@ const NEIGHBOURS: usize = 16;
 const FEWEST: usize = 4 * NEIGHBOURS;
 /// Particles are traced in this many jobs, whatever the number of threads.
 const JOBS: usize = 64;
-/// So that they are independent of everything else.
-const STREAM: u64 = 0x6c61_6e64_696e_6773;
 
 /// A particle that went from a light over casters to a receiver.
 #[derive(Clone, Debug)]
@@ -118,7 +116,7 @@ impl Connector<'_> {
         let parts = parallel::map(JOBS, |job| {
             let numbers = job * per_job..(job * per_job + per_job).min(particles);
             let particle = |i: usize| {
-                let mut rng = Independent::new(seed ^ STREAM, i as u64, 0);
+                let mut rng = Independent::new(Family::Landings.seed(seed), i as u64, 0);
                 this.particle(&mut rng)
             };
             numbers.filter_map(particle).collect::<Vec<_>>()
