@@ -92,11 +92,20 @@ impl Source {
 
     /// The only node at this address. One that several things were made of, as they refer to it, cannot be changed.
     fn node(&self, at: usize) -> Option<&Node> {
-        let mut found = self.root.parts().filter(|n| address(n) == at);
-        found
-            .next()
-            .filter(|_| found.next().is_none())
-            .map(|n| &**n)
+        let mut standing = Vec::new();
+        stand(&self.root, &mut standing);
+        let mut found = standing.into_iter().filter(|n| address(n) == at);
+        found.next().filter(|_| found.next().is_none())
+    }
+}
+
+/// Everything at the root, or in what only keeps shapes together.
+fn stand<'n>(node: &'n Node, out: &mut Vec<&'n Node>) {
+    for part in node.parts() {
+        out.push(part);
+        if part.plugin == "merge" {
+            stand(part, out);
+        }
     }
 }
 
