@@ -25,7 +25,7 @@ const TURNS: (f64, f64) = (-1e4, 1e4);
 /// Scales. Neither zero nor negative ones are there: a shape without size has no points, and one that is turned inside
 /// out has another side.
 const SCALES: (f64, f64) = (1e-6, 1e6);
-/// Components of normals, whose lengths weigh them where they are interpolated.
+/// Components of normals, whose directions count.
 const NORMALS: (f64, f64) = (-1e6, 1e6);
 /// Angles of view in degrees.
 const ANGLES: (f64, f64) = (1e-3, 179.0);
@@ -127,8 +127,8 @@ impl Scene {
     ///   in the order of their first ones, so that nothing tears along seams of texture coordinates. Normals follow
     ///   where the file gives none. Those of meshes that a texture displaces are not there: its texels are parameters.
     ///   Neither they nor the scale are there under a bump map, whose heights are in units of the scene.
-    /// * `NAME.vertex_normals` of a mesh whose file gives normals: those of all vertices, before it moves as a whole, of any
-    ///   length but zero. Under a bump map they are not there.
+    /// * `NAME.vertex_normals` of a mesh whose file gives normals: their directions at all vertices, before it moves as a
+    ///   whole. They may have any length but zero. Under a bump map they are not there.
     /// * `sensor.translation`, `sensor.rotation` (about the pinhole), and `sensor.fov` in degrees, of pinholes.
     /// * `NAME.position` of point and spot lights, world space; `NAME.rotation` of environment maps and lobes.
     ///
@@ -344,11 +344,21 @@ impl Scene {
                     AnyShape::Instance(instance) => instance.copied().data().normals.clone(),
                     _ => Vec::new(),
                 };
-                if let Some(i) = normals.iter().position(|n| *n == [0.0; 3]) {
-                    return Err(RenderError::Motion {
+                let refuse = |culprit| {
+                    Err(RenderError::Motion {
                         name: movable.name.clone(),
-                        culprit: format!("vertex {i} has no normal of its own"),
-                    });
+                        culprit,
+                    })
+                };
+                if let Some(i) = normals.iter().position(|n| *n == [0.0; 3]) {
+                    return refuse(format!("vertex {i} has no normal of its own"));
+                }
+                let length = |n: &[f32; 3]| n.iter().map(|x| x * x).sum::<f32>().sqrt();
+                let alike = |n: &[f32; 3]| (length(n) / length(&normals[0]) - 1.0).abs() < 1e-3;
+                if let Some(i) = normals.iter().position(|n| !alike(n)) {
+                    return refuse(format!(
+                        "the normal of vertex {i} weighs more or less by its length"
+                    ));
                 }
                 normals.concat()
             }

@@ -162,27 +162,36 @@ impl MovingVertices {
     }
 }
 
-/// Normals that a mesh was given, as parameters.
+/// Normals that a mesh was given, as parameters: their directions count.
 #[derive(Clone, Debug)]
 pub(super) struct MovingNormals {
     /// Of all vertices, before the mesh moves as a whole.
     pub param: ParamRef,
     /// How they turn as it does.
     pub turn: [[f64; 3]; 3],
+    /// Of the parameters, by vertex.
+    lengths: Arc<[f32]>,
 }
 
 impl MovingNormals {
-    /// How the normal at a vertex moves.
-    fn offset<R: Real>(&self, theta: &Theta<R>, vertex: u32) -> Vec3<R> {
-        changed(self.turn, |k| {
+    /// The part of a vector across the unit normal at a vertex, over the length there.
+    fn across<R: Real>(&self, vertex: u32, v: Vec3<R>, n: [f32; 3]) -> Vec3<R> {
+        let n = lift3::<R>(n);
+        (v - n * n.dot(v)) * R::c(f64::from(self.lengths[vertex as usize]).recip())
+    }
+
+    /// How the unit normal `n` at a vertex moves.
+    fn offset<R: Real>(&self, theta: &Theta<R>, vertex: u32, n: [f32; 3]) -> Vec3<R> {
+        let moved = changed(self.turn, |k| {
             let x = theta.get(self.param, 3 * vertex as usize + k);
             x - Const(x.primal())
-        })
+        });
+        self.across(vertex, moved, n)
     }
 
     /// Its transpose.
-    fn add<P: Float>(&self, vertex: u32, d: Vec3<P>, grad: &mut impl GradSink<P>) {
-        let back = changed_back(self.turn, d);
+    fn add<P: Float>(&self, vertex: u32, d: Vec3<P>, n: [f32; 3], grad: &mut impl GradSink<P>) {
+        let back = changed_back(self.turn, self.across(vertex, d, n));
         grad.add_all(self.param, 3 * vertex as usize, back);
     }
 }
@@ -326,12 +335,14 @@ impl Mesh {
         }
     }
 
-    /// The same mesh, whose given normals are the parameters `param` of shape `[vertices][3]`: of any length but zero.
+    /// The same mesh, the directions of whose given normals are the parameters `param` of shape `[vertices][3]`.
     pub(crate) fn with_vertex_normals(&self, param: ParamRef) -> Self {
+        let of = |n: &[f32; 3]| lift3::<f64>(*n).length() as f32;
         Self {
             normals: Some(MovingNormals {
                 param,
                 turn: Transform::IDENTITY.linear,
+                lengths: self.data.mesh.normals.iter().map(of).collect(),
             }),
             ..self.clone()
         }
@@ -400,14 +411,18 @@ impl Mesh {
                 *position = vertices.position(params, i);
             }
         }
-        if let Some(MovingNormals { param, .. }) = self.normals {
-            let values = params.values()[param.offset as usize..].as_chunks::<3>().0;
-            let count = mesh.normals.len();
-            mesh.normals.copy_from_slice(&values[..count]);
-            if let Some(i) = mesh.normals.iter().position(|n| *n == [0.0; 3]) {
+        if let Some(normals) = &mut self.normals {
+            let first = normals.param.offset as usize;
+            let values = params.values()[first..][..3 * mesh.normals.len()].as_chunks::<3>();
+            if let Some(i) = values.0.iter().position(|n| *n == [0.0; 3]) {
                 return Err(format!(
                     "expected normals of some length, found none at vertex {i}"
                 ));
+            }
+            let wide = || values.0.iter().map(|n| lift3::<f64>(*n));
+            normals.lengths = wide().map(|n| n.length() as f32).collect();
+            for (to, n) in mesh.normals.iter_mut().zip(wide()) {
+                *to = each(n.normalize().to_array(), |x| x as f32);
             }
         }
         self.replace(mesh)
@@ -467,11 +482,16 @@ impl Mesh {
         Some(MovingTriangle {
             corners: vertices.map_or_else(still, |v| each(corners, |i| v.offset(theta, i))),
             normals: match (normals, vertices) {
-                (Some(n), _) => each(corners, |i| n.offset(theta, i)),
+                (Some(n), _) => each(corners, |i| n.offset(theta, i, self.normal(i))),
                 (None, Some(v)) => each(corners, |i| self.normal_offset(v, theta, i)),
                 (None, None) => still(),
             },
         })
+    }
+
+    /// The normal at a vertex.
+    fn normal(&self, vertex: u32) -> [f32; 3] {
+        self.data.mesh.normals[vertex as usize]
     }
 
     /// The edges of a triangle from one of its corners.
@@ -523,7 +543,7 @@ impl Mesh {
         };
         if let Some(normals) = (self.normals.as_ref()).filter(|n| grad.active(n.param)) {
             for (i, d) in by_normals() {
-                normals.add(i, d, grad);
+                normals.add(i, d, self.normal(i), grad);
             }
         }
         let Some(vertices) = (self.vertices.as_ref()).filter(|v| grad.active(v.param)) else {
