@@ -21,18 +21,16 @@ use crate::shape::{Shape, SurfaceInteraction};
 /// A start goes on over a further caster, or over either event of glass, at least as often as this, so that every chain
 /// has starts.
 const LEAST_PROBABILITY: f64 = 0.1;
-/// How many walks of a trial set start where particles passed; the others reach every solution. What particles miss takes no
-/// more than twice the trials.
+/// How many walks start where particles passed; the others reach every solution. What particles miss takes no more than twice
+/// the trials.
 const PART_LANDED: f64 = 0.5;
-/// Of one unbiased estimate, so many do, before the one that reaches every solution.
-const LANDED: usize = 8;
 
 /// What connections came to: sums over all of them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Statistics {
     /// Vertices and light samples that were to be connected.
     pub attempts: u64,
-    /// Those that found light.
+    /// Those whose first walk, or any of a trial set, found light.
     pub found: u64,
     /// Walks.
     pub walks: u64,
@@ -40,9 +38,9 @@ pub struct Statistics {
     pub converged: u64,
     /// Steps of walks, those that were halved included.
     pub steps: u64,
-    /// Solutions of unbiased estimates: those that are summed, and those whose reciprocal probability was estimated.
+    /// Reciprocals that were estimated.
     pub reciprocals: u64,
-    /// Walks that took: those to solutions that are summed, and trials.
+    /// Trials that took.
     pub trials: u64,
     /// Reciprocals that ran out of trials: where there is one, the image is biased.
     pub exhausted: u64,
@@ -259,9 +257,21 @@ impl<'a> Connector<'a> {
         let estimate = self.estimate(start, &light.target, most, rng);
         match self.options.method {
             Method::Sms => {
-                let known = self.known(&estimate, rng, &mut s);
-                out.extend(known.iter().filter_map(|k| self.worth(k, &light)));
-                out.extend(self.others(&estimate, &known, &light, rng, &mut s));
+                let first = self.anywhere(&estimate, rng, &mut s);
+                let first = first.and_then(|end| self.polish(&estimate, &end, &mut s));
+                let worth = first.and_then(|f| Some((self.worth(&f, &light)?, f)));
+                if let Some((mut connection, solution)) = worth {
+                    let again = || {
+                        let end = self.anywhere(&estimate, rng, &mut s);
+                        end.is_some_and(|end| self.is_near(&estimate, &end, &solution))
+                    };
+                    let (n, exhausted) = trials(again, self.options.budget);
+                    s.reciprocals += 1;
+                    s.trials += u64::from(n);
+                    s.exhausted += u64::from(exhausted);
+                    connection.weight *= f64::from(n);
+                    out.push(connection);
+                }
             }
             Method::SmsBiased(walks) => {
                 let walk = || self.random(&estimate, rng, &mut s);
@@ -351,97 +361,24 @@ impl<'a> Connector<'a> {
         solution
     }
 
-    /// The solutions that walks find which start as some of the particles went that landed near the start, whichever these are.
-    fn known(
-        &self,
-        estimate: &Estimate,
-        rng: &mut Independent,
-        s: &mut Statistics,
-    ) -> Vec<Solution> {
-        let mut found = Vec::new();
-        let around = estimate.around;
-        if around.is_empty() {
-            return found;
-        }
-        let first = (rng.next_1d::<f64>() * around.len() as f64) as usize;
-        for landing in around
-            .iter()
-            .cycle()
-            .skip(first)
-            .take(LANDED.min(around.len()))
-        {
-            let Some(seed) = self.landed(estimate, landing) else {
-                continue;
-            };
-            s.walks += 1;
-            s.trials += 1;
-            let Some(end) = self.approach(estimate, seed, s) else {
-                continue;
-            };
-            if !found.iter().any(|k| self.is_near(estimate, &end, k)) {
-                found.extend(self.polish(estimate, &end, s));
-            }
-        }
-        s.reciprocals += found.len() as u64;
-        found
-    }
-
-    /// An unbiased estimate of the light of all solutions but those: by a start from which each can be reached, and its
-    /// probability from trials.
-    fn others(
-        &self,
-        estimate: &Estimate,
-        known: &[Solution],
-        light: &Light,
-        rng: &mut Independent,
-        s: &mut Statistics,
-    ) -> Option<Connection> {
-        let end = self.anywhere(estimate, rng, s)?;
-        if known.iter().any(|k| self.is_near(estimate, &end, k)) {
-            return None;
-        }
-        let solution = self.polish(estimate, &end, s)?;
-        let connection = self.worth(&solution, light)?;
-        let again = || {
-            let end = self.anywhere(estimate, rng, s);
-            end.is_some_and(|end| self.is_near(estimate, &end, &solution))
-        };
-        let (n, exhausted) = trials(again, self.options.budget);
-        s.reciprocals += 1;
-        s.trials += u64::from(n);
-        s.exhausted += u64::from(exhausted);
-        Some(Connection {
-            weight: connection.weight * f64::from(n),
-            ..connection
-        })
-    }
-
     /// Whether a walk ended near this solution.
     fn is_near(&self, estimate: &Estimate, end: &End, solution: &Solution) -> bool {
         let Estimate { start, target, .. } = estimate;
         (self.space).is_near(start, end, target, solution, self.options.uniqueness)
     }
 
-    /// A walk of a trial set.
+    /// A walk from a random start to a solution.
     fn random(
         &self,
         estimate: &Estimate,
         rng: &mut Independent,
         s: &mut Statistics,
     ) -> Option<Solution> {
-        let around = estimate.around;
-        let landed = !around.is_empty() && rng.next_1d::<f64>() < PART_LANDED;
-        let end = if landed {
-            s.walks += 1;
-            let landing = around.get((rng.next_1d::<f64>() * around.len() as f64) as usize)?;
-            self.approach(estimate, self.landed(estimate, landing)?, s)
-        } else {
-            self.anywhere(estimate, rng, s)
-        };
-        self.polish(estimate, &end?, s)
+        let end = self.anywhere(estimate, rng, s)?;
+        self.polish(estimate, &end, s)
     }
 
-    /// A walk from a random start.
+    /// A walk from a random start to where its root is certain.
     fn anywhere(
         &self,
         estimate: &Estimate,
@@ -449,7 +386,12 @@ impl<'a> Connector<'a> {
         s: &mut Statistics,
     ) -> Option<End> {
         s.walks += 1;
-        let seed = if self.slopes.is_empty() {
+        let around = estimate.around;
+        let landed = !around.is_empty() && rng.next_1d::<f64>() < PART_LANDED;
+        let seed = if landed {
+            let landing = around.get((rng.next_1d::<f64>() * around.len() as f64) as usize)?;
+            self.landed(estimate, landing)
+        } else if self.slopes.is_empty() {
             self.grow(estimate, rng, |shape, i, _| {
                 estimate.facets.normal(&self.space, shape, i)
             })

@@ -69,7 +69,7 @@ pub enum Starts {
     /// There, after a walk over the surfaces without their normal maps, turned by a normal from the Gaussian of the map's
     /// slopes [Zeltner 2021, section 3.3.2].
     TwoStage,
-    /// Where particles from the lights passed that landed nearby, and in two stages for what these miss.
+    /// Where particles from the lights passed that landed nearby, and in two stages every other time.
     #[default]
     Particles,
 }
