@@ -174,13 +174,15 @@ pub(super) struct MovingNormals {
 }
 
 impl MovingNormals {
-    /// The part of a vector across the unit normal at a vertex, over the length there.
+    /// The part of a vector across the normal at a vertex, times the length of that over the length of the parameters.
     fn across<R: Real>(&self, vertex: u32, v: Vec3<R>, n: [f32; 3]) -> Vec3<R> {
-        let n = lift3::<R>(n);
-        (v - n * n.dot(v)) * R::c(f64::from(self.lengths[vertex as usize]).recip())
+        let n = lift3::<f64>(n);
+        let length = n.length();
+        let unit = (n * length.recip()).map(R::of);
+        (v - unit * unit.dot(v)) * R::c(length / f64::from(self.lengths[vertex as usize]))
     }
 
-    /// How the unit normal `n` at a vertex moves.
+    /// How the normal `n` at a vertex moves.
     fn offset<R: Real>(&self, theta: &Theta<R>, vertex: u32, n: [f32; 3]) -> Vec3<R> {
         let moved = changed(self.turn, |k| {
             let x = theta.get(self.param, 3 * vertex as usize + k);
