@@ -59,6 +59,11 @@ macro_rules! vector {
             pub fn detach(self) -> Self {
                 self.map(R::detach)
             }
+            /// `a` if `cond` holds, else `b`: no branch.
+            #[inline(always)]
+            pub fn select(cond: bool, a: Self, b: Self) -> Self {
+                Self { $($f: R::select(cond, a.$f, b.$f)),* }
+            }
             /// Inner product.
             #[inline(always)]
             pub fn dot(self, o: Self) -> R {

@@ -316,48 +316,34 @@ fn a_check_says_what_is_understood() {
         let text = String::from_utf8(output.stdout).unwrap();
         (output.status.code(), text, report)
     };
-    let (code, text, report) = check(SCENE);
-    assert_eq!(
-        (code, report["outcome"].as_str()),
-        (Some(0), Some("renders")),
-        "{text}"
-    );
-    assert!(
-        text.contains("understood       3  shape `rectangle`: 14, 15, 19"),
-        "{text}"
-    );
+    let expect = |scene: &str, code: i32, outcome: &str, said: &str| {
+        let (found, text, report) = check(scene);
+        assert_eq!(
+            (found, report["outcome"].as_str()),
+            (Some(code), Some(outcome)),
+            "{text}"
+        );
+        assert!(text.contains(said), "{text}");
+        (text, report)
+    };
+    let said = "understood       3  shape `rectangle`: 14, 15, 19";
+    expect(SCENE, 0, "renders", said);
     let wall = SCENE.replace(
         "<bsdf type=\"diffuse\" id=\"wall\">",
         "<bsdf type=\"polarizer\" id=\"wall\">",
     );
-    let (code, text, report) = check(&wall);
-    assert_eq!(
-        (code, report["outcome"].as_str()),
-        (Some(1), Some("refused")),
-        "{text}"
-    );
-    assert!(
-        text.starts_with("refused         13  bsdf `polarizer`: polarisation is not there"),
-        "{text}"
-    );
+    let said = "refused         13  bsdf `polarizer`: polarisation is not there";
+    let (text, report) = expect(&wall, 1, "refused", said);
+    assert!(text.starts_with(said), "{text}");
     assert_eq!(report["findings"][0]["line"], 13);
     let texture = "<texture type=\"bitmap\" name=\"reflectance\"><string name=\"filename\" value=\"none.png\"/></texture>";
     let wall = SCENE.replace(
         "<rgb name=\"reflectance\" value=\"$red,0.4,0.2\"/>",
         texture,
     );
-    let (code, text, report) = check(&wall);
-    assert_eq!(
-        (code, report["outcome"].as_str()),
-        (Some(1), Some("incomplete")),
-        "{text}"
-    );
-    assert!(
-        text.contains("missing         13  `filename`: expected an existing file"),
-        "{text}"
-    );
-    let (code, _, report) = check(&SCENE.replace("fov", "fow"));
-    assert_eq!((code, report["outcome"].as_str()), (Some(1), Some("wrong")));
+    let said = "missing         13  `filename`: expected an existing file";
+    expect(&wall, 1, "incomplete", said);
+    expect(&SCENE.replace("fov", "fow"), 1, "wrong", "");
     // Nothing else is done.
     assert!(!Path::new("checked.exr").exists());
 }

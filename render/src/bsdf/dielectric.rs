@@ -63,17 +63,12 @@ impl<R: Real> DielectricLobe<R> {
         let reflects = u < f.reflect.primal();
         let inverse = eta.recip();
         let side = R::Primal::select(wo.z.primal() < zero, -one, one);
-        let refracted = [
+        let refracted = Vec3::new(
             -(wo.x * inverse),
             -(wo.y * inverse),
             -(f.cos_t * Const(side)),
-        ];
-        let [x, y, z] = refracted;
-        let wi = Vec3::new(
-            R::select(reflects, -wo.x, x),
-            R::select(reflects, -wo.y, y),
-            R::select(reflects, wo.z, z),
         );
+        let wi = Vec3::select(reflects, Vec3::new(-wo.x, -wo.y, wo.z), refracted);
         let pdf = R::Primal::select(reflects, f.reflect.primal(), f.transmit.primal());
         let goes = (wo.z.primal() != zero) & (wi.z.primal() != zero);
         let reflected = self.specular_reflectance * f.reflect;

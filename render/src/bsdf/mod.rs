@@ -243,11 +243,9 @@ impl<R: Real> Passage<R> {
     /// `a` if `cond` holds, else `b`: no branch.
     #[inline(always)]
     pub fn select(cond: bool, a: Self, b: Self) -> Self {
-        let select = |a: R, b: R| R::select(cond, a, b);
-        let (v, w) = (a.wi, b.wi);
         Self {
             reflects: (a.reflects & cond) | (b.reflects & !cond),
-            wi: Vec3::new(select(v.x, w.x), select(v.y, w.y), select(v.z, w.z)),
+            wi: Vec3::select(cond, a.wi, b.wi),
             value: Rgb::select(cond, a.value, b.value),
             pdf: R::Primal::select(cond, a.pdf, b.pdf),
             eta: R::Primal::select(cond, a.eta, b.eta),

@@ -188,11 +188,8 @@ impl<R: Real> PlasticLobe<R> {
         let coat = self.coated.choose_coat(reflect.primal());
         let reflects = u[0] < coat;
         let base = warp::square_to_cosine_hemisphere([u[1], u[2]]);
-        let wi = Vec3::new(
-            R::select(reflects, -wo.x, R::lift(base.x)),
-            R::select(reflects, -wo.y, R::lift(base.y)),
-            R::select(reflects, wo.z, R::lift(base.z)),
-        );
+        let mirrored = Vec3::new(-wo.x, -wo.y, wo.z);
+        let wi = Vec3::select(reflects, mirrored, Vec3::lift(base));
         let probability = R::Primal::select(reflects, coat, R::Primal::zero());
         (wi, probability, self.coated.specular_reflectance * reflect)
     }

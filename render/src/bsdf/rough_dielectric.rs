@@ -94,7 +94,8 @@ impl<R: Real> Facet<R> {
     pub(crate) fn with(m: Vec3<R>, [wo, wi]: [Vec3<R>; 2], eta: R) -> (Self, bool) {
         let zero = R::Primal::zero();
         let eta = eta_across(eta, wo);
-        let m = Self::upper(m);
+        // Refraction into the denser medium makes it point down.
+        let m = upwards(m);
         let (cos_o, cos_i) = (wo.dot(m), wi.dot(m));
         let faces =
             |cos: R, z: R| (cos.primal() != zero) & ((cos.primal() > zero) == (z.primal() > zero));
@@ -107,13 +108,6 @@ impl<R: Real> Facet<R> {
             fresnel: fresnel::dielectric(cos_o.abs(), eta),
         };
         (facet, faces(cos_o, wo.z) & faces(cos_i, wi.z))
-    }
-
-    /// Refraction into the denser medium makes normals point down.
-    #[inline(always)]
-    pub(crate) fn upper(m: Vec3<R>) -> Vec3<R> {
-        let up = m.z.primal() > R::Primal::zero();
-        m.map(|x| R::select(up, x, -x))
     }
 
     /// Of [`Facet::refraction`] all but the factor of importance, and the density [`Facet::pdf_refracted`] where visible
@@ -388,16 +382,12 @@ fn scatter_in_line<R: Real>(
     let cos = upwards(wo).dot(m);
     // The normal on the side of wo.
     let up = wo.z.primal() > zero;
-    let m = m.map(|x| R::select(up, x, -x));
+    let m = Vec3::select(up, m, -m);
     let across = eta_across(eta, wo);
     let f = fresnel::dielectric(cos, across);
     let reflects = reflects(&f);
     let (reflected, refracted) = (reflect(wo, m), refract(wo, m, cos, f.cos_t, across));
-    let wi = Vec3::new(
-        R::select(reflects, reflected.x, refracted.x),
-        R::select(reflects, reflected.y, refracted.y),
-        R::select(reflects, reflected.z, refracted.z),
-    );
+    let wi = Vec3::select(reflects, reflected, refracted);
     let right_side = (wi.z.primal() > zero) == (up == reflects);
     let eta = R::Primal::select(reflects, one, across.primal());
     (wi, eta, right_side & (cos.primal() > zero))
@@ -432,8 +422,7 @@ fn pdf_differential<P: Float>(microfacet: &Microfacet<P>, eta: P, wo: Vec3<P>, w
 /// below.
 #[inline(always)]
 pub(crate) fn upwards<R: Real>(w: Vec3<R>) -> Vec3<R> {
-    let up = w.z.primal() > R::Primal::zero();
-    w.map(|x| R::select(up, x, -x))
+    Vec3::select(w.z.primal() > R::Primal::zero(), w, -w)
 }
 
 impl<T> RoughDielectric<T> {

@@ -107,15 +107,8 @@ impl<P: Float> CoatedLobe<P> {
     #[inline(always)]
     pub(crate) fn rough_sample(&self, wo: Vec3<P>, m: Vec3<P>, u: [P; 3], t_o: P) -> Vec3<P> {
         let reflects = u[0] < self.choose_coat(P::one() - t_o);
-        let (coat, base) = (
-            reflect(wo, m),
-            warp::square_to_cosine_hemisphere([u[1], u[2]]),
-        );
-        Vec3::new(
-            P::select(reflects, coat.x, base.x),
-            P::select(reflects, coat.y, base.y),
-            P::select(reflects, coat.z, base.z),
-        )
+        let base = warp::square_to_cosine_hemisphere([u[1], u[2]]);
+        Vec3::select(reflects, reflect(wo, m), base)
     }
 }
 

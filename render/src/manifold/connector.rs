@@ -263,7 +263,7 @@ impl<'a> Connector<'a> {
                 if let Some((mut connection, solution)) = worth {
                     let again = || {
                         let end = self.anywhere(&estimate, rng, &mut s);
-                        end.is_some_and(|end| self.is_near(&estimate, &end, &solution))
+                        end.is_some_and(|end| self.is_near(&estimate, &end, &solution, &mut s))
                     };
                     let (n, exhausted) = trials(again, self.options.budget);
                     s.reciprocals += 1;
@@ -362,9 +362,18 @@ impl<'a> Connector<'a> {
     }
 
     /// Whether a walk ended near this solution.
-    fn is_near(&self, estimate: &Estimate, end: &End, solution: &Solution) -> bool {
-        let Estimate { start, target, .. } = estimate;
-        (self.space).is_near(start, end, target, solution, self.options.uniqueness)
+    fn is_near(
+        &self,
+        estimate: &Estimate,
+        end: &End,
+        solution: &Solution,
+        s: &mut Statistics,
+    ) -> bool {
+        let (&Estimate { start, target, .. }, mut steps) = (estimate, 0);
+        let uniqueness = self.options.uniqueness;
+        let near = (self.space).is_near(start, end, target, solution, uniqueness, &mut steps);
+        s.steps += u64::from(steps);
+        near
     }
 
     /// A walk from a random start to a solution.

@@ -380,7 +380,7 @@ impl Space<'_> {
         })
     }
 
-    /// Whether a walk ended near this solution, of the same start and target.
+    /// Whether a walk ended near this solution, of the same start and target. `steps` counts those that it takes to know.
     pub(super) fn is_near(
         &self,
         start: &Start,
@@ -388,9 +388,10 @@ impl Space<'_> {
         target: &Target,
         solution: &Solution,
         uniqueness: Uniqueness,
+        steps: &mut u32,
     ) -> bool {
         if !end.certain || uniqueness != Uniqueness::ErrorBounds {
-            let ended = self.polish(start, end, target, &mut 0);
+            let ended = self.polish(start, end, target, steps);
             return ended.is_some_and(|ended| ended.is(solution, uniqueness));
         }
         let same = |a: &Event, b: &Vertex| a.shape == b.shape && a.kind == b.kind;

@@ -22,7 +22,7 @@ use crate::inputs;
 use crate::math::Transform;
 use crate::plugin::xml::{Document, SPECTRA, check_limit};
 use crate::plugin::{Attributes, FromNode, Node, Origins, address};
-use crate::shape::{AnyShape, Cube, Instance, Mesh, Shape};
+use crate::shape::{AnyShape, Cube, Instance, MERGED, Mesh, Shape};
 use crate::texture;
 
 /// How a scene file is loaded.
@@ -454,11 +454,11 @@ impl Reading {
         self.build.registry().params_mut().alias(name, own);
     }
 
-    /// The shapes themselves where some stand for those inside, which Mitsuba traces as one.
+    /// The shapes themselves where some stand for those inside.
     fn apart<'n>(&mut self, nodes: Vec<&'n Arc<Node>>) -> Result<Vec<&'n Arc<Node>>, SceneError> {
         let mut shapes = Vec::new();
         for node in nodes {
-            if node.plugin != "merge" {
+            if node.plugin != MERGED {
                 shapes.push(node);
                 continue;
             }

@@ -16,7 +16,7 @@ use crate::math::{Transform, each};
 use crate::params::{ParamInfo, ParamRef, ParamShape, Params};
 use crate::plugin::xml::{Content, Rewrite, written};
 use crate::plugin::{Node, Origins, address};
-use crate::shape::AnyShape;
+use crate::shape::{AnyShape, MERGED};
 
 /// What a scene was read from.
 #[derive(Debug)]
@@ -103,7 +103,7 @@ impl Source {
 fn stand<'n>(node: &'n Node, out: &mut Vec<&'n Node>) {
     for part in node.parts() {
         out.push(part);
-        if part.plugin == "merge" {
+        if part.plugin == MERGED {
             stand(part, out);
         }
     }

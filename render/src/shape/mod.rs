@@ -140,11 +140,7 @@ impl<R: Real> SurfaceInteraction<R> {
         let aimed = way * length.recip();
         // Without a branch: waves of paths do this in vectors.
         let finite = distance.primal() <= R::Primal::MAX;
-        let d = Vec3::new(
-            R::select(finite, aimed.x, d.x),
-            R::select(finite, aimed.y, d.y),
-            R::select(finite, aimed.z, d.z),
-        );
+        let d = Vec3::select(finite, aimed, d);
         let length = length * R::c(1.0 - SHADOW_EPSILON);
         Segment {
             ray: Ray { o, d, from },
@@ -616,6 +612,9 @@ pub fn lift3<R: Real>(v: [f32; 3]) -> Vec3<R> {
     ))
 }
 
+/// The plugin that stands for the shapes inside, which Mitsuba traces as one.
+pub(crate) const MERGED: &str = "merge";
+
 macro_rules! shapes {
     (inline { $($hot:ident),* $(,)? } $($name:ident),* $(,)?) => {
         /// Any shape.
@@ -643,7 +642,7 @@ macro_rules! shapes {
 
             /// All names that a shape may have in scene files, in their order: those that stand for other shapes, too.
             pub fn names() -> Vec<&'static str> {
-                let mut names = [&Self::PLUGINS.concat()[..], &["instance", "merge", "shapegroup"]].concat();
+                let mut names = [&Self::PLUGINS.concat()[..], &["instance", MERGED, "shapegroup"]].concat();
                 names.sort_unstable();
                 names
             }

@@ -140,11 +140,7 @@ impl<P: Float> Mixtures<P> {
         for k in 0..whole(n) {
             let (frame, tilted) = (self.frame(k), self.tilted[k] != 0);
             let (wo, wi) = (self.wo.vec(k), self.wi.vec(k));
-            let inside = |w: Vec3<P>| {
-                let v = frame.to_local(w);
-                let select = |a, b| P::select(tilted, a, b);
-                Vec3::new(select(v.x, w.x), select(v.y, w.y), select(v.z, w.z))
-            };
+            let inside = |w: Vec3<P>| Vec3::select(tilted, frame.to_local(w), w);
             let (o, i) = (inside(wo), inside(wi));
             self.o.put_vec(k, o);
             self.i.put_vec(k, i);

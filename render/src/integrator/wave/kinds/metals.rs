@@ -62,12 +62,11 @@ impl<P: Float> Metals<P> {
             let (smooth, above) = (self.smooth[k] != 0, wo.z > P::zero());
             let f = Rgb::select(above, self.metal(k).reflectance(wo.z), Rgb::black());
             let pdf = P::select(above, P::one(), P::zero());
-            let select = |a: P, b: P| P::select(smooth, a, b);
-            let w = of.wi.vec(k);
-            let wi = Vec3::new(select(-wo.x, w.x), select(-wo.y, w.y), select(wo.z, w.z));
+            let mirrored = Vec3::new(-wo.x, -wo.y, wo.z);
+            let wi = Vec3::select(smooth, mirrored, of.wi.vec(k));
             of.wi.put_vec(k, wi);
             of.f.put_rgb(k, Rgb::select(smooth, f, of.f.rgb(k)));
-            of.pdf[k] = select(pdf, of.pdf[k]);
+            of.pdf[k] = P::select(smooth, pdf, of.pdf[k]);
             of.eta[k] = P::one();
             of.component[k] = if smooth { REFLECTED } else { CONTINUOUS };
             of.sampled[k] |= self.smooth[k];

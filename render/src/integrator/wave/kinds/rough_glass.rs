@@ -1,12 +1,12 @@
 //! Rough glass, of which visible normals are sampled.
 
-use ad_core::Float;
+use ad_core::{Float, Vec3};
 
 use super::super::lanes::{Field, Lane, Lanes, lanes, whole};
 use super::facets::FacetLanes;
 use super::{Among, CONTINUOUS, Members, Scattering};
 use crate::bsdf::microfacet::{Microfacet, Ndf};
-use crate::bsdf::{Facet, Facets, Leaf, Material, RoughDielectricLobe, Shading};
+use crate::bsdf::{Facet, Facets, Leaf, Material, RoughDielectricLobe, Shading, upwards};
 
 lanes! {
     /// Rough glass.
@@ -39,7 +39,7 @@ impl<P: Float> RoughGlass<P> {
         for k in 0..whole(among.n) {
             let (wo, wi) = (of.wo.vec(k), of.wi.vec(k));
             let (m, right) = Facet::along(wo, wi, self.eta[k]).unit();
-            let facets = Facets::ggx(self.facets.alpha[k], Facet::upper(m), [wo, wi]);
+            let facets = Facets::ggx(self.facets.alpha[k], upwards(m), [wo, wi]);
             self.facets.put(k, &facets);
             let none = (wo.z == P::zero()) | (wi.z == P::zero());
             of.right[k] = u32::from(right | none);
@@ -69,7 +69,7 @@ impl<P: Float> RoughGlass<P> {
             let (wo, m, u) = (of.wo.vec(k), self.facets.m.vec(k), of.u.vec(k).x);
             let (wi, eta, goes) = self.at(k).scatter(wo, m, u);
             // Where nothing goes, nothing is found.
-            of.wi.put_vec(k, wi.map(|x| P::select(goes, x, P::zero())));
+            of.wi.put_vec(k, Vec3::select(goes, wi, Vec3::zero()));
             of.eta[k] = eta;
             of.component[k] = CONTINUOUS;
         }
