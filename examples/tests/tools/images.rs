@@ -159,13 +159,7 @@ fn manifold_connections_are_rendered_reported_and_checked() {
         ("ball.xml --manifold off --starts uniform", "without effect"),
         ("ball.xml --manifold sms --caster-roughness 2", "[0, 1]"),
     ] {
-        let output = dir.run("render", &format!("{args} -o refused.exr"));
-        let message = String::from_utf8_lossy(&output.stderr).into_owned();
-        assert!(
-            !output.status.success() && message.contains(expected),
-            "{args}: {message}"
-        );
-        assert!(!dir.path("refused.exr").exists(), "{args}");
+        refuses(&dir, args, expected);
     }
     let output = dir.run(
         "gradient",
@@ -232,13 +226,7 @@ fn glints_are_rendered_reported_and_refused() {
             "--integrator path",
         ),
     ] {
-        let output = dir.run("render", &format!("{args} -o refused.exr"));
-        let message = String::from_utf8_lossy(&output.stderr).into_owned();
-        assert!(
-            !output.status.success() && message.contains(expected),
-            "{args}: {message}"
-        );
-        assert!(!dir.path("refused.exr").exists(), "{args}");
+        refuses(&dir, args, expected);
     }
     let gradient = |parameter: &str| {
         dir.run(
@@ -453,4 +441,15 @@ fn particles_say_what_they_leave_dark() {
     assert!(!said.contains("dark") && middle > 0.1, "{said} {middle}");
     let (said, _) = of("scene.xml", "particle");
     assert!(!said.contains("dark"), "{said}");
+}
+
+/// Asserts that `render` refuses these arguments, in these words, and leaves no image.
+fn refuses(dir: &Folder, args: &str, expected: &str) {
+    let output = dir.run("render", &format!("{args} -o refused.exr"));
+    let message = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(
+        !output.status.success() && message.contains(expected),
+        "{args}: {message}"
+    );
+    assert!(!dir.path("refused.exr").exists(), "{args}");
 }
