@@ -12,10 +12,8 @@ use render::params::{GradSink, ParamRef, Params, Tangent, Theta};
 use render::sampler::{Independent, Sampler};
 use render::statistics::{p_value, sidak, z_limit};
 
-mod common;
-use common::materials::{at, build, integrate, polar};
+use crate::common::materials::{at, build, integrate, polar};
 
-#[path = "bsdf/models.rs"]
 mod models;
 
 /// How a material turns random numbers into a direction.

@@ -11,10 +11,9 @@ use render::bsdf::{
 use render::math::Rgb;
 use render::params::{Params, Tangent, Theta};
 use render::sampler::{Independent, Sampler};
-
-mod common;
-use common::materials::{at, build, integrate, polar};
 use render::statistics::{p_value, sidak, z_limit};
+
+use crate::common::materials::{at, build, integrate, polar};
 
 const KINDS: [Ndf; 2] = [Ndf::Ggx, Ndf::Beckmann];
 const MODE: TransportMode = TransportMode::Radiance;

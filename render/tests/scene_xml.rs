@@ -1,7 +1,5 @@
 //! The document layer of scene files: what is accepted, and the exact message for what is not.
 
-mod common;
-
 use std::fs;
 use std::path::Path;
 use std::sync::Arc;
@@ -9,6 +7,8 @@ use std::sync::Arc;
 use approx::assert_relative_eq;
 use render::error::SceneError;
 use render::plugin::xml::{Document, Node};
+
+use crate::common;
 
 /// A scene with `body` from its second line on.
 fn scene(body: &str) -> String {

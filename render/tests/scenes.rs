@@ -1,10 +1,7 @@
 //! Whole scenes: real ones of others where they are at hand, and sizes that no memory holds.
 
-mod common;
-
 use std::path::Path;
 
-use common::{files_below, shared_dir};
 use render::bsdf::Diffuse;
 use render::camera::{Camera, FovAxis};
 use render::emitter::AnyEmitter;
@@ -16,6 +13,8 @@ use render::params::Theta;
 use render::scene::{Builder, LoadOptions, Outcome, Verdict};
 use render::shape::{Patch, Rectangle};
 use render::{Job, Scene, SceneError, Settings};
+
+use crate::common::{self, files_below, shared_dir};
 
 fn options() -> LoadOptions {
     LoadOptions {

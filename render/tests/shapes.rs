@@ -18,7 +18,7 @@ use render::shape::{
 };
 use render::statistics::{p_value, sidak, z_limit};
 
-mod common;
+use crate::common;
 
 /// Similar to the identity, but nothing is aligned or of unit size.
 fn similarity() -> Transform {

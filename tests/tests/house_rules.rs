@@ -76,6 +76,29 @@ fn functions_are_short() {
     assert!(found > 3000, "only {found} functions found");
 }
 
+/// Integration tests are one program for each crate: a file that it does not name would not run.
+#[test]
+fn all_tests_are_named() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+    for part in ["render", "tests"] {
+        let folder = root.join(part).join("tests");
+        let program = std::fs::read_to_string(folder.join("all.rs")).expect("source text");
+        let named: BTreeSet<&str> = (program.lines())
+            .filter_map(|l| l.strip_prefix("mod ")?.strip_suffix(';'))
+            .collect();
+        let mut found = 0;
+        for entry in std::fs::read_dir(&folder).expect("a folder") {
+            let path = entry.expect("an entry").path();
+            let name = path.file_stem().expect("a name").to_string_lossy();
+            if path.extension().is_some_and(|e| e == "rs") && name != "all" {
+                assert!(named.contains(&*name), "{part}/tests/all.rs lacks {name}");
+                found += 1;
+            }
+        }
+        assert!(found > 15, "only {found} files of tests in {part}");
+    }
+}
+
 /// Modules of `render`, lowest first: each may use those before it, and nothing after it.
 const LAYERS: &[&str] = &[
     "prefetch",

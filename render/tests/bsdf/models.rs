@@ -11,8 +11,8 @@ use render::math::Rgb;
 use render::params::{Params, Theta};
 use render::sampler::{Independent, Sampler};
 
-use super::common::materials::{at, build, polar};
 use super::{MODES, cases, directions};
+use crate::common::materials::{at, build, polar};
 
 // ---- Oracles ------------------------------------------------------------------------------------
 

@@ -1,8 +1,5 @@
 //! Shared by the integration tests.
 
-// Each test binary compiles its own copy and uses a part of it.
-#![allow(dead_code)]
-
 pub mod materials;
 
 use std::path::{Path, PathBuf};

@@ -1,0 +1,24 @@
+//! One program of all integration tests: what they compile of generic code, they compile once.
+
+mod blinn_phong;
+mod bsdf;
+mod common;
+mod composites;
+mod coverage;
+mod differential;
+mod displacement;
+mod emitters;
+mod finite_element;
+mod image_io;
+mod interior;
+mod mesh_attributes;
+mod motion;
+mod ply;
+mod projectors;
+mod save;
+mod scales;
+mod scene_xml;
+mod scenes;
+mod serialized;
+mod shapes;
+mod textures;

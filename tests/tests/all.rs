@@ -1,0 +1,35 @@
+//! One program of all tests across the crates: what they compile of generic code, they compile once.
+
+mod attached_choice;
+mod attached_emitters;
+mod auto;
+mod bump_maps;
+mod cancellation;
+mod caustics;
+mod check;
+mod compile_fail;
+mod convolved;
+mod determinism;
+mod documents;
+mod estimator_matrix;
+mod estimators;
+mod glints;
+mod gradients;
+mod guide;
+mod hidden_lamps;
+mod house_rules;
+mod instancing;
+mod light;
+mod manifold;
+mod mitsuba;
+mod mitsuba_plugins;
+mod normal_maps;
+mod outlines;
+mod pixels;
+mod planes;
+mod schema;
+mod second_order;
+mod simple;
+mod sums;
+mod transport;
+mod waves;
