@@ -119,33 +119,6 @@ impl Plane {
         self.holds(other) || other.holds(self)
     }
 
-    /// What faces one way of flat triangles, as the rectangle around it; `None` if there is nothing.
-    fn around(&self, triangles: &[Self]) -> Option<Self> {
-        let first = triangles.first()?;
-        let side = sum(first.corners[2], -1.0, first.at);
-        let length = dot(side, side).sqrt();
-        let s = each(side, |x| x / length);
-        let t = cross(self.normal, s);
-        let (mut low, mut high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
-        for corner in triangles.iter().flat_map(|t| t.corners) {
-            let off = sum(corner, -1.0, first.at);
-            for (k, x) in [dot(off, s), dot(off, t)].into_iter().enumerate() {
-                (low[k], high[k]) = (low[k].min(x), high[k].max(x));
-            }
-        }
-        let corner = |x: f64, y: f64| sum(sum(first.at, x, s), y, t);
-        Some(Self::new(
-            first.at,
-            first.normal,
-            [
-                corner(low[0], low[1]),
-                corner(high[0], low[1]),
-                corner(low[0], high[1]),
-                corner(high[0], high[1]),
-            ],
-        ))
-    }
-
     /// Whether both are in each other's way, seen along the normal: by more than roundings.
     fn covers(&self, other: &Self) -> bool {
         let reach = |p: &Self| p.reach[0] + p.reach[1] + p.reach[2];
@@ -181,29 +154,45 @@ impl Plane {
     }
 }
 
-/// The flat pieces that primitives of one shape are: each by itself, but triangles only as the two sides of a mesh that
-/// is flat as a whole.
+/// The flat pieces that primitives of one shape are: each by itself, but triangles only where a mesh is flat as a whole,
+/// as the rectangles around what faces one way and the other.
 pub(crate) fn sheets(prims: &[Primitive]) -> Vec<Plane> {
     let is_triangle = |p: &Primitive| matches!(p, Primitive::Triangle { .. });
     let mut sheets: Vec<_> = (prims.iter().filter(|p| !is_triangle(p)))
         .filter_map(Plane::of)
         .collect();
-    let mut triangles = prims
-        .iter()
-        .filter(|p| is_triangle(p))
-        .filter_map(Plane::of);
+    let mut triangles = (prims.iter().filter(|p| is_triangle(p))).filter_map(Plane::of);
     let Some(first) = triangles.next() else {
         return sheets;
     };
-    let mut sides = [vec![first], Vec::new()];
-    for triangle in triangles {
+    let side = sum(first.corners[2], -1.0, first.at);
+    let length = dot(side, side).sqrt();
+    let s = each(side, |x| x / length);
+    let t = cross(first.normal, s);
+    let mut sides = [[[f64::INFINITY, f64::NEG_INFINITY]; 2]; 2];
+    for triangle in std::iter::once(first).chain(triangles) {
         if !first.is(&triangle) {
             return sheets;
         }
-        let behind = dot(first.normal, triangle.normal) < 0.0;
-        sides[usize::from(behind)].push(triangle);
+        let behind = usize::from(dot(first.normal, triangle.normal) < 0.0);
+        for corner in triangle.corners {
+            let off = sum(corner, -1.0, first.at);
+            for (range, x) in sides[behind].iter_mut().zip([dot(off, s), dot(off, t)]) {
+                *range = [range[0].min(x), range[1].max(x)];
+            }
+        }
     }
-    sheets.extend(sides.iter().filter_map(|side| first.around(side)));
+    let corner = |x: f64, y: f64| sum(sum(first.at, x, s), y, t);
+    let seen = sides.iter().filter(|[x, _]| x[0] <= x[1]);
+    sheets.extend(seen.map(|[x, y]| {
+        let corners = [
+            corner(x[0], y[0]),
+            corner(x[1], y[0]),
+            corner(x[0], y[1]),
+            corner(x[1], y[1]),
+        ];
+        Plane::new(first.at, first.normal, corners)
+    }));
     sheets
 }
 
