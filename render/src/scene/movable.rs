@@ -257,11 +257,11 @@ impl Scene {
         let reach = match movable.what {
             What::Shape(i, Freedom::Translation) | What::Vertices(i) => {
                 let own = Extent::of(&self.geometry.shapes[i as usize]).size();
-                own.min(self.nearest(self.camera.origin()))
+                own.min(self.room_around(self.camera.origin()))
             }
-            What::Camera(Freedom::Translation) => self.nearest(self.camera.origin()),
+            What::Camera(Freedom::Translation) => self.room_around(self.camera.origin()),
             What::Emitter(i) => match self.emitters[i as usize].mobility()? {
-                ("position", at) => self.nearest(at.map(f64::from)),
+                ("position", at) => self.room_around(at.map(f64::from)),
                 _ => return None,
             },
             _ => return None,
@@ -270,7 +270,7 @@ impl Scene {
     }
 
     /// How near the nearest shape is, or how large, if the point is in its box.
-    fn nearest(&self, to: [f64; 3]) -> f64 {
+    fn room_around(&self, to: [f64; 3]) -> f64 {
         let all = self.geometry.shapes.iter().map(|shape| {
             let extent = Extent::of(shape);
             let distance = extent.distance(to);
