@@ -10,6 +10,7 @@ use std::time::Instant;
 use clap::{ArgMatches, Args, Parser, ValueEnum};
 use optim::OptimError;
 use render::auto;
+use render::emitter::Emitter;
 use render::estimator::{Capabilities, Refusal};
 use render::glint::glinty_shapes;
 use render::instances::Estimator;
@@ -228,6 +229,18 @@ pub fn can(estimator: &str, like: impl Fn(Capabilities) -> bool) -> bool {
     Estimator::from_name(estimator).is_ok_and(|e| like(e.capabilities()))
 }
 
+/// Says how many emitters an estimator never meets, if any: those that are found only by sampling them.
+pub fn warn_of_unsampled(scene: &Scene, estimator: Estimator) {
+    let missed = scene.emitters().iter().filter(|e| e.is_delta()).count();
+    if missed > 0 && !estimator.capabilities().samples_emitters {
+        complain!(
+            "warning: {missed} of {} emitters bring nothing: no sampled direction meets a point, a spot, a projector or \
+             parallel light; `mis` samples them",
+            scene.emitters().len()
+        );
+    }
+}
+
 /// `-D` and its companions.
 #[derive(Args, Clone, Debug, Default)]
 pub struct LoadArgs {
@@ -274,6 +287,12 @@ impl LoadArgs {
         let (mut scene, warnings) = Scene::load(path, &self.options())?;
         for w in warnings {
             complain!("warning: {w}");
+        }
+        if scene.emitters().is_empty() {
+            complain!(
+                "warning: {}: there is no emitter: all is black",
+                path.display()
+            );
         }
         if !self.values.is_empty() {
             let keys: Vec<&String> = self.values.iter().map(|(key, _)| key).collect();

@@ -63,7 +63,7 @@ use crate::statistics::{Estimate, z_limit};
 pub const DIRECTIONS: u32 = 4;
 /// Ranges of more values than this are checked along random directions.
 const FEW: usize = 3;
-/// The largest step, over the size of a range's values.
+/// The largest step, over the size of a range's values, or over that of what lengths move.
 const LARGEST_STEP: f64 = 0.2;
 /// Less room than this up to a bound, over that size, is none.
 const ROOM: f64 = 0.02;
@@ -368,9 +368,10 @@ struct Line {
 }
 
 impl Line {
-    fn new(params: &Params, info: &ParamInfo, along: Along) -> Self {
+    /// `reach` is how far lengths may go ([`Scene::reach_of`]).
+    fn new(params: &Params, info: &ParamInfo, along: Along, reach: Option<f64>) -> Self {
         let (lo, hi) = info.valid;
-        let size = params.size(info);
+        let size = reach.unwrap_or_else(|| params.size(info));
         let values = params.values()[info.range()].iter().map(|&v| f64::from(v));
         let wanted = |i: usize| match along {
             Along::Value(k) => f64::from(u8::from(i == k as usize)),
@@ -402,6 +403,7 @@ impl Line {
             });
         }
         let moves = info.kind.is_motion();
+        let largest = all.iter().fold(size, |most, &(_, v)| most.max(v.abs()));
         Self {
             offset: info.offset,
             along: direction,
@@ -409,7 +411,7 @@ impl Line {
             most,
             moves,
             rounding: if moves {
-                f64::from(f32::EPSILON) * size
+                f64::from(f32::EPSILON) * largest
             } else {
                 0.0
             },
@@ -482,8 +484,9 @@ impl Run<'_> {
     ) -> Result<(Option<Vec<Comparison>>, f64), RenderError> {
         let repeats = u64::from(self.options.repeats);
         let limit = z_limit(tests.len(), repeats, self.options.significance);
+        let reaches: Vec<_> = infos.iter().map(|i| self.scene.reach_of(i)).collect();
         let lines: Vec<Line> = (tests.iter())
-            .map(|&(i, along)| Line::new(self.scene.params(), &infos[i], along))
+            .map(|&(i, along)| Line::new(self.scene.params(), &infos[i], along, reaches[i]))
             .collect();
         let Some(gradients) = self.gradients(tests, &lines, self.options.seed, repeats)? else {
             return Ok((None, limit));
@@ -771,7 +774,7 @@ mod tests {
                 channels: 1,
             };
             params.push("x", shape, values, (0.0, 1.0));
-            Line::new(&params, &params.infos()[0], along)
+            Line::new(&params, &params.infos()[0], along, None)
         };
         let inner = line(&[0.0, 0.5, 1.0, 0.9], Along::Random(0));
         assert!(!inner.one_sided);
@@ -794,6 +797,56 @@ mod tests {
         assert!(zeros.one_sided && zeros.most == LARGEST_STEP);
     }
 
+    /// Derivatives by lengths are those of the scene in other units, over the unit: steps that were too long or too short
+    /// for a scene would see another one, or no outline at all.
+    #[test]
+    fn steps_are_in_units_of_the_scene() {
+        let names = ["ball.translation", "lamp.position", "sensor.translation"];
+        let found = [1.0, 1.0 / 8192.0, 8192.0].map(|unit: f64| {
+            let text = format!(
+                r#"<scene version="3.0.0"><integrator type="path"><integer name="max_depth" value="2"/></integrator>
+                <sensor type="perspective"><float name="fov" value="50"/><transform name="to_world">
+                <lookat origin="0,2,4" target="0,0,0" up="0,1,0"/><scale value="{unit}"/></transform>
+                <film type="hdrfilm"><integer name="width" value="6"/><integer name="height" value="6"/>
+                <rfilter type="box"/></film></sensor>
+                <shape type="rectangle"><transform name="to_world"><scale value="3"/><rotate x="1" angle="-90"/>
+                <translate y="-1"/><scale value="{unit}"/></transform></shape>
+                <shape type="sphere" id="ball"><transform name="to_world"><scale value="{unit}"/></transform></shape>
+                <emitter type="point" id="lamp"><point name="position" x="{unit}" y="{}" z="{unit}"/>
+                <rgb name="intensity" value="{}"/></emitter></scene>"#,
+                3.0 * unit,
+                10.0 * unit * unit,
+            );
+            let loaded = Scene::from_xml(&text, ".".as_ref(), &Default::default());
+            let (mut scene, _) = loaded.expect("a scene");
+            scene.make_movable(&names).expect("things that move");
+            let settings = Settings {
+                spp: 16,
+                ..scene.settings
+            };
+            let mixture = Mixture::only(&scene, Estimator::Edges, &names);
+            let adjoint = vec![1.0; 108];
+            let options = Options {
+                repeats: 8,
+                ..Options::default()
+            };
+            let report = check(
+                &mut scene, &settings, &names, &mixture, &adjoint, &options, &(),
+            );
+            let report = report.expect("valid").expect("nobody stops it");
+            assert_ne!(report.verdict(), Verdict::Wrong, "{unit}: {report}");
+            let all = report.params.iter().flat_map(|p| &p.comparisons);
+            all.map(|c| [c.differences.mean * unit, c.differences.se * unit, c.step / unit])
+                .collect::<Vec<_>>()
+        });
+        for other in &found[1..] {
+            for ([a, a_se, a_step], [b, b_se, b_step]) in found[0].iter().zip(other) {
+                assert!((a_step / b_step - 1.0).abs() < 1e-5, "{a_step} {b_step}");
+                assert!((a - b).abs() < 0.5 * a_se.hypot(*b_se), "{a} {b}");
+            }
+        }
+    }
+
     /// A scene that follows its parameters shows what theta shows, up to rounding.
     #[test]
     fn moved_scenes_are_those_of_moved_parameters() {
@@ -806,7 +859,8 @@ mod tests {
         let mixture = Mixture::only(&scene, Estimator::Mis, &names);
         let info = scene.params().find(names[0]).expect("a roughness").clone();
         let values = scene.params().values().to_vec();
-        let mut line = Line::new(scene.params(), &info, Along::Value(0));
+        let reach = scene.reach_of(&info);
+        let mut line = Line::new(scene.params(), &info, Along::Value(0), reach);
         let adjoint = vec![1.0; 48];
         let options = Options::default();
         let mut run = Run {

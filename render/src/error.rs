@@ -400,7 +400,7 @@ impl fmt::Display for List<'_> {
 pub enum RenderError {
     /// No parameter has this name.
     #[error(
-        "no parameter {}; closest: {}; `--list` prints all",
+        "no parameter {}; closest: {}; `gradient SCENE --list` prints all",
         quoted(name),
         List(closest)
     )]
@@ -481,7 +481,7 @@ pub enum RenderError {
     /// The sampled direction is a Dirac delta in the parameter.
     #[error(
         "parameter {} moves a Dirac delta: detached sampling has no derivative there (it would \
-         silently be zero); use an attached estimator",
+         silently be zero); `attached-path` has one, where nothing is discontinuous",
         quoted(name)
     )]
     DeltaParameter {
@@ -489,7 +489,10 @@ pub enum RenderError {
         name: String,
     },
     /// A kind of parameter that an estimator does not see.
-    #[error("parameter {}: {what} are not differentiated: {why}", quoted(name))]
+    #[error(
+        "parameter {}: {what} are not differentiated: {why}; estimators with `motion` have one, such as `edges`",
+        quoted(name)
+    )]
     UnseenParameter {
         /// Its name.
         name: String,

@@ -39,9 +39,17 @@ pub fn shared_dir() -> Option<PathBuf> {
 /// # Panics
 /// If the text is not a valid scene: test data is written by hand.
 pub fn scene(body: &str) -> Scene {
+    with_warnings(body).0
+}
+
+/// The same, and what it warns of.
+///
+/// # Panics
+/// As [`scene`].
+pub fn with_warnings(body: &str) -> (Scene, Vec<String>) {
     let text = format!("<scene version=\"3.0.0\">{body}</scene>");
     match Scene::from_xml(&text, Path::new("."), &LoadOptions::default()) {
-        Ok((scene, _)) => scene,
+        Ok(loaded) => loaded,
         Err(e) => panic!("{e}\n{text}"),
     }
 }

@@ -9,8 +9,8 @@ use render::instances::{
 use render::integrator::gradient::Active;
 use render::params::{ParamKind, Theta};
 use render::{Scene, Settings};
-use tests::scene;
 use tests::stats::{Estimate, z_limit};
+use tests::{scene, with_warnings};
 
 const TECHNIQUES: [Estimator; 4] = [
     Estimator::Mis,
@@ -295,6 +295,57 @@ fn thin_slabs_have_two_faces() {
                 assert!((found - 1.0).abs() < 2e-3, "{what}: {found}");
             }
         }
+    }
+}
+
+/// Where single precision has no second face left, loading says so: slabs far from the origin, panes that touch, decals
+/// on walls; and nothing where panes are side by side, or lamps lie on something.
+#[test]
+fn faces_that_are_one_are_told() {
+    let glass = r#"<bsdf type="dielectric"/>"#;
+    let pane = |y: f32, x: f32, up: bool, inside: &str, far: f32| {
+        let turn = format!(r#"<translate x="{}" y="{far}" z="{far}"/>"#, x + far);
+        plate("rectangle", inside, 1.0, y, up, &turn)
+    };
+    let mask = format!(
+        r#"<bsdf type="mask"><float name="opacity" value="0.5"/>{}</bsdf>"#,
+        diffuse(0.5)
+    );
+    let cube = |half: f32, far: f32| {
+        format!(
+            r#"<shape type="cube"><transform name="to_world"><scale x="1" y="{half}" z="1"/>
+                <translate x="{far}" y="{far}" z="{far}"/></transform>{glass}</shape>"#
+        )
+    };
+    let pair = |a: String, b: String| [a, b].concat();
+    let slab = |thickness: f32, far: f32| {
+        pair(
+            pane(0.0, 0.0, true, glass, far),
+            pane(-thickness, 0.0, false, glass, far),
+        )
+    };
+    let on =
+        |a: &str, b: &str, x: f32| pair(pane(0.0, 0.0, true, a, 0.0), pane(0.0, x, true, b, 0.0));
+    let grey = diffuse(0.5);
+    let cases = [
+        ("slab", slab(1e-5, 0.0), false),
+        ("slab far away", slab(1e-5, 1000.0), true),
+        ("thicker slab far away", slab(1e-2, 1000.0), false),
+        ("cube", cube(5e-6, 0.0), false),
+        ("cube far away", cube(5e-5, 1000.0), true),
+        ("thicker cube far away", cube(1e-2, 1000.0), false),
+        ("panes", on(glass, glass, 1.5), true),
+        ("panes side by side", on(glass, glass, 2.0), false),
+        ("decal", on(&grey, &mask, 0.0), true),
+        ("walls", on(&grey, &grey, 0.0), false),
+        ("lamp on glass", on(glass, LAMP, 0.0), false),
+    ];
+    for (what, body, expected) in cases {
+        let (_, warnings) = with_warnings(&[&view(4.0, 4, ""), &*body].concat());
+        let told = warnings
+            .iter()
+            .any(|w| w.contains("lies on one plane with"));
+        assert_eq!(told, expected, "{what}: {warnings:?}");
     }
 }
 

@@ -232,6 +232,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
         args.samples.check_guided(e)?;
         e.check(&scene)?;
         e.active(&scene, &args.params)?;
+        cli::warn_of_unsampled(&scene, e);
     }
     let ranges = ranges(args, &scene)?;
     let objective = objective(args, &scene)?;

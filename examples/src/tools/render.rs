@@ -8,6 +8,7 @@ use std::time::Instant;
 use clap::{Parser, ValueEnum};
 use render::Job;
 use render::bsdf::kernel::{Rules, Symmetry};
+use render::bsdf::nesting::scatters_deltas;
 use render::instances::{Estimator, density_f32, particles_f32, render_f32};
 use render::integrator::coverage;
 use render::integrator::density::Convention;
@@ -20,7 +21,7 @@ use serde::Serialize;
 
 use crate::cli::{
     GlintReport, LoadArgs, ManifoldArgs, ManifoldReport, Outcome, SampleArgs, ThreadArgs,
-    ToolError, depth, manifold_planes, report_non_finite, sample_count,
+    ToolError, depth, manifold_planes, report_non_finite, sample_count, warn_of_unsampled,
 };
 use crate::output;
 use crate::progress::{Bar, Interrupt};
@@ -274,20 +275,15 @@ struct Report {
     seconds_render: f64,
 }
 
-/// Says which shape, if any, is dark because particles reach the camera from no Dirac delta.
-fn warn_of_deltas(method: Method, scene: &Scene) {
-    if matches!(method, Method::Density(..)) {
-        return;
-    }
+/// Says which shape, if any, particles do not show as it is: they reach the camera from no Dirac delta.
+fn warn_of_deltas(scene: &Scene) {
     let shapes = 0..scene.shapes().len() as u32;
-    let mut deltas = shapes
-        .map(|shape| scene.shape_info(shape))
-        .filter(|info| info.delta);
+    let mut deltas = shapes.filter(|&shape| scatters_deltas(scene.material(shape)));
     if let Some(first) = deltas.next() {
         complain!(
-            "warning: --integrator particle: what the camera sees by `{}`{} is dark, since no particle reaches it from a mirror \
-             or smooth glass; --integrator density shows it, slightly blurred",
-            first.name,
+            "warning: --integrator particle: what the camera sees by `{}`{} is dark where that mirrors, is smooth glass or has \
+             holes, since no particle reaches it from there; --integrator density shows it, slightly blurred",
+            scene.shape_info(first).name,
             match deltas.count() {
                 0 => String::new(),
                 n => format!(" and {n} more"),
@@ -331,9 +327,13 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     let method = args.method()?;
     let (mut scene, seconds_load) = args.load.load(file)?;
     interrupt.keep();
-    if !matches!(method, Method::Paths(_)) {
-        particle::check(&scene)?;
-        warn_of_deltas(method, &scene);
+    match method {
+        Method::Paths(estimator) => warn_of_unsampled(&scene, estimator),
+        Method::Particles(_) => {
+            particle::check(&scene)?;
+            warn_of_deltas(&scene);
+        }
+        Method::Density(..) => particle::check(&scene)?,
     }
     let mut settings = scene.settings;
     settings.spp = args.spp.unwrap_or(settings.spp);

@@ -453,3 +453,70 @@ fn refuses(dir: &Folder, args: &str, expected: &str) {
     );
     assert!(!dir.path("refused.exr").exists(), "{args}");
 }
+
+/// What a technique cannot show is said, where something is missing for that reason.
+#[test]
+fn what_is_missing_in_an_image_is_said() {
+    let dir = Folder::new();
+    let with = |name: &str, more: &str| {
+        std::fs::write(
+            dir.path(name),
+            SCENE.replace("</scene>", &format!("{more}</scene>")),
+        )
+        .unwrap();
+    };
+    with("point.xml", r#"<emitter type="point"/>"#);
+    with(
+        "holes.xml",
+        r#"<shape type="sphere" id="net"><bsdf type="mask"><bsdf type="diffuse"/></bsdf></shape>"#,
+    );
+    let dark = SCENE.replace(
+        r#"<emitter type="area"><rgb name="radiance" value="10,8,6"/></emitter>"#,
+        "",
+    );
+    std::fs::write(dir.path("dark.xml"), dark).unwrap();
+    let unmet = "1 of 2 emitters bring nothing";
+    let holes = "what the camera sees by `net` is dark";
+    let gradient = format!("--param {WALL} --estimator");
+    for (tool, args, warning, expected) in [
+        ("render", "point.xml", unmet, false),
+        ("render", "point.xml --strategy bsdf", unmet, true),
+        (
+            "render",
+            "scene.xml --strategy bsdf",
+            "bring nothing",
+            false,
+        ),
+        (
+            "gradient",
+            &*format!("point.xml {gradient} detached"),
+            unmet,
+            true,
+        ),
+        (
+            "gradient",
+            &*format!("point.xml {gradient} mis"),
+            unmet,
+            false,
+        ),
+        ("render", "holes.xml --integrator particle", holes, true),
+        ("render", "holes.xml", holes, false),
+        (
+            "render",
+            "scene.xml --integrator particle",
+            "is dark",
+            false,
+        ),
+        ("render", "dark.xml", "dark.xml: there is no emitter", true),
+        ("render", "scene.xml", "there is no emitter", false),
+    ] {
+        let out = dir.run(tool, &format!("{args} --spp 1"));
+        let stderr = String::from_utf8_lossy(&out.stderr);
+        assert!(out.status.success(), "{tool} {args}: {stderr}");
+        assert_eq!(
+            stderr.contains(warning),
+            expected,
+            "{tool} {args}: {stderr}"
+        );
+    }
+}

@@ -55,7 +55,8 @@ impl From<Error> for PyErr {
             Error::Render(RenderError::UnknownParameter { name, closest }) => {
                 let closest = closest.join(", ");
                 PyKeyError::new_err(format!(
-                    "no parameter `{name}`; closest: {closest}; `scene.keys()` lists all"
+                    "no parameter `{name}`; closest: {closest}; `scene.keys()` lists all, and `scene.movables()` what is one after \
+                     `scene.make_movable`"
                 ))
             }
             Error::Render(e) => PyValueError::new_err(e.to_string()),

@@ -47,6 +47,8 @@ def test_parameters_are_arrays_by_name(room: rg.Scene) -> None:
 def test_mistakes_about_parameters_are_named(room: rg.Scene) -> None:
     with pytest.raises(KeyError, match="no parameter `lift.reflectance`; closest: left.reflectance.value"):
         room["lift.reflectance"]
+    with pytest.raises(KeyError, match="`scene.movables\\(\\)` what is one after `scene.make_movable`"):
+        room["sphere.translation"]
     with pytest.raises(KeyError, match="closest: sphere.alpha.value"):
         room["spere.alpha.value"] = 0.1
     before = room[WALL]

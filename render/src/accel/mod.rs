@@ -29,7 +29,7 @@ use curved::{Curved, Line};
 pub use instances::Instance;
 use instances::Instances;
 pub use plane::surfaces;
-pub(crate) use plane::{Flats, Plane, scale};
+pub(crate) use plane::{Flats, Plane, layers, scale, sheets};
 use ray_packet::Few;
 pub use ray_packet::{PACKET_SIZE, RayPacket};
 use thiserror::Error;

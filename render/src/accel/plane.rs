@@ -34,6 +34,14 @@ fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
+fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    [
+        a[1] * b[2] - a[2] * b[1],
+        a[2] * b[0] - a[0] * b[2],
+        a[0] * b[1] - a[1] * b[0],
+    ]
+}
+
 fn sum(a: [f64; 3], s: f64, b: [f64; 3]) -> [f64; 3] {
     each([0, 1, 2], |k: usize| a[k] + s * b[k])
 }
@@ -54,11 +62,7 @@ impl Plane {
             Primitive::Sphere { .. } | Primitive::Cylinder { .. } => return None,
         };
         let [at, a, b] = each([at, e1, e2], |x| each(x, f64::from));
-        let normal = [
-            a[1] * b[2] - a[2] * b[1],
-            a[2] * b[0] - a[0] * b[2],
-            a[0] * b[1] - a[1] * b[0],
-        ];
+        let normal = cross(a, b);
         let length = dot(normal, normal).sqrt();
         if !(length > 0.0 && length.is_finite()) {
             return None;
@@ -76,18 +80,28 @@ impl Plane {
                 [at, far, sum(at, 1.0, b), sum(far, 1.0, b)]
             }
         };
+        Some(Self::new(at, each(normal, |x| x / length), corners))
+    }
+
+    /// Through a point.
+    fn new(at: [f64; 3], normal: [f64; 3], corners: [[f64; 3]; 4]) -> Self {
         let reach = |k: usize| corners.iter().fold(0.0, |m: f64, c| m.max(c[k].abs()));
-        Some(Self {
+        Self {
             at,
-            normal: each(normal, |x| x / length),
+            normal,
             corners,
             reach: [reach(0), reach(1), reach(2)],
-        })
+        }
     }
 
     /// How far rays start off: beyond the rounding of points on it.
     pub fn offset(&self) -> f32 {
-        (ROUNDINGS * scale(self.normal, self.reach)) as f32
+        self.apart() as f32
+    }
+
+    /// How far apart planes may be that are one to rays, up to what double precision makes of right angles.
+    pub fn apart(&self) -> f64 {
+        ROUNDINGS * scale(self.normal, self.reach)
     }
 
     /// Whether all of `other` lies on this plane up to rounding.
@@ -104,6 +118,106 @@ impl Plane {
     fn is(&self, other: &Self) -> bool {
         self.holds(other) || other.holds(self)
     }
+
+    /// Whether both are in each other's way, seen along the normal: by more than roundings.
+    fn covers(&self, other: &Self) -> bool {
+        let reach = |p: &Self| p.reach[0] + p.reach[1] + p.reach[2];
+        let least = ROUNDINGS * f64::from(f32::EPSILON) * reach(self).max(reach(other));
+        let sides = |p: &Self| [1, 2].map(|k: usize| sum(p.corners[k], -1.0, p.corners[0]));
+        sides(self).into_iter().chain(sides(other)).all(|side| {
+            let axis = cross(self.normal, side);
+            let length = dot(axis, axis).sqrt();
+            let range = |p: &Self| {
+                let along = p.corners.map(|c| dot(sum(c, -1.0, self.at), axis));
+                along
+                    .into_iter()
+                    .fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], x| {
+                        [low.min(x), high.max(x)]
+                    })
+            };
+            let ([a, b], [c, d]) = (range(self), range(other));
+            b.min(d) - a.max(c) > least * length
+        })
+    }
+
+    /// A box around it and what touches it.
+    fn bounds(&self) -> Bounds {
+        let end = |k: usize, sign: f64| {
+            let ends = self.corners.iter().map(|c| sign * c[k]);
+            let end = ends.fold(f64::NEG_INFINITY, f64::max);
+            (sign * (end + 4.0 * f64::from(f32::EPSILON) * self.reach[k])) as f32
+        };
+        [
+            each([0, 1, 2], |k: usize| end(k, -1.0)),
+            each([0, 1, 2], |k: usize| end(k, 1.0)),
+        ]
+    }
+}
+
+/// The flat pieces that primitives of one shape are: each by itself, but triangles only where a mesh is flat as a whole,
+/// as the rectangles around what faces one way and the other.
+pub(crate) fn sheets(prims: &[Primitive]) -> Vec<Plane> {
+    let is_triangle = |p: &Primitive| matches!(p, Primitive::Triangle { .. });
+    let mut sheets: Vec<_> = (prims.iter().filter(|p| !is_triangle(p)))
+        .filter_map(Plane::of)
+        .collect();
+    let mut triangles = (prims.iter().filter(|p| is_triangle(p))).filter_map(Plane::of);
+    let Some(first) = triangles.next() else {
+        return sheets;
+    };
+    let side = sum(first.corners[2], -1.0, first.at);
+    let length = dot(side, side).sqrt();
+    let s = each(side, |x| x / length);
+    let t = cross(first.normal, s);
+    let mut sides = [[[f64::INFINITY, f64::NEG_INFINITY]; 2]; 2];
+    for triangle in std::iter::once(first).chain(triangles) {
+        if !first.is(&triangle) {
+            return sheets;
+        }
+        let behind = usize::from(dot(first.normal, triangle.normal) < 0.0);
+        for corner in triangle.corners {
+            let off = sum(corner, -1.0, first.at);
+            for (range, x) in sides[behind].iter_mut().zip([dot(off, s), dot(off, t)]) {
+                *range = [range[0].min(x), range[1].max(x)];
+            }
+        }
+    }
+    let corner = |x: f64, y: f64| sum(sum(first.at, x, s), y, t);
+    let seen = sides.iter().filter(|[x, _]| x[0] <= x[1]);
+    sheets.extend(seen.map(|[x, y]| {
+        let corners = [
+            corner(x[0], y[0]),
+            corner(x[1], y[0]),
+            corner(x[0], y[1]),
+            corner(x[1], y[1]),
+        ];
+        Plane::new(first.at, first.normal, corners)
+    }));
+    sheets
+}
+
+/// The first two of these sheets that single precision cannot tell apart where one covers the other, and of which
+/// `matters` says that this matters.
+pub(crate) fn layers(
+    sheets: &[Plane],
+    matters: impl Fn(usize, usize) -> bool,
+) -> Option<[usize; 2]> {
+    let boxes: Vec<_> = sheets.iter().map(Plane::bounds).collect();
+    let all = Boxes::new((0..).zip(boxes.iter().copied()).collect());
+    let mut found = Vec::new();
+    for (i, sheet) in sheets.iter().enumerate() {
+        found.clear();
+        all.meeting(&boxes[i], &mut found);
+        let among = found
+            .iter()
+            .map(|&k| k as usize)
+            .filter(|&k| k > i && matters(i, k));
+        let same = |k: &usize| sheet.is(&sheets[*k]) && sheet.covers(&sheets[*k]);
+        if let Some(k) = among.filter(same).min() {
+            return Some([i, k]);
+        }
+    }
+    None
 }
 
 type Bounds = [[f32; 3]; 2];

@@ -155,6 +155,21 @@ pub fn is_glossy(material: &Material) -> bool {
     }
 }
 
+/// Whether some light goes on behind it.
+pub fn lets_light_through(material: &Material) -> bool {
+    match material {
+        Material::Dielectric(_)
+        | Material::ThinDielectric(_)
+        | Material::RoughDielectric(_)
+        | Material::AnisotropicDielectric(_)
+        | Material::Null(_)
+        | Material::Mask(_) => true,
+        Material::Principled(m) => m.transmission.is_some(),
+        Material::AnisotropicPrincipled(m) => m.transmission.is_some(),
+        _ => children(material).iter().any(|m| lets_light_through(m)),
+    }
+}
+
 /// The share of a material that is there, seen along `wo` in the local frame: less than one where light passes straight
 /// through holes.
 pub fn opacity<P: Float>(material: &Material, at: &Shading<P>, wo: Vec3<P>) -> P {

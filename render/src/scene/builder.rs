@@ -177,6 +177,16 @@ impl Builder {
         &self.shapes
     }
 
+    /// The material of one of them.
+    pub(super) fn material_of(&self, shape: usize) -> &Material {
+        &self.materials[self.infos[shape].material as usize]
+    }
+
+    /// The emitter of one of them, if it emits.
+    pub(super) fn emitter_of(&self, shape: usize) -> Option<u32> {
+        self.infos[shape].emitter
+    }
+
     /// How many emitters there are so far.
     pub(super) fn emitters(&self) -> usize {
         self.emitters.len()

@@ -6,6 +6,7 @@ use std::sync::Arc;
 
 use super::builder::{Builder, MaterialId, out_of_reach};
 use super::clip::Clip;
+use super::precision;
 use super::save::{Place, Places, Source};
 use super::sensor::sensor_called;
 use super::{
@@ -16,7 +17,7 @@ use crate::accel::{Accel, MAX_COORDINATE};
 use crate::bsdf::{Diffuse, Material};
 use crate::camera::Camera;
 use crate::emitter::{AnyEmitter, DirectionalArea};
-use crate::error::{SceneError, quoted};
+use crate::error::SceneError;
 use crate::film::{Film, Lobed, MOST_LOBES, PixelFilter};
 use crate::inputs;
 use crate::math::Transform;
@@ -295,7 +296,8 @@ impl Reading {
             self.note(group.finish())?;
         }
         if self.faults.as_ref().is_none_or(Vec::is_empty) {
-            warn_of_coordinates(&drawn, &self.build);
+            precision::warn_of_coordinates(&drawn, &self.build);
+            precision::warn_of_layers(&drawn, &self.build);
         }
         for node in root.children_with_tag("emitter") {
             // An area light out here is a declaration that shapes refer to.
@@ -930,65 +932,6 @@ fn filter_from_node(node: &Node) -> Result<PixelFilter, SceneError> {
     };
     node.finish()?;
     Ok(filter)
-}
-
-/// Shapes smaller than so many roundings of their coordinates are not seen as they are: rays that leave a surface
-/// start some way off it, and what is near is lit by a few percent too much or too little.
-const FEWEST_ROUNDINGS: f64 = 1024.0;
-/// Triangles smaller than so many have normals of their own making.
-const FEWEST_ROUNDINGS_OF_TRIANGLES: f64 = 16.0;
-
-/// Warns of shapes far from the origin that are too small for single precision there: of the worst one, with the number
-/// of the others. `nodes` are those of the builder's shapes.
-fn warn_of_coordinates(nodes: &[&Arc<Node>], build: &Builder) {
-    let mut worst: Option<(f64, &AnyShape, &Node)> = None;
-    let mut count = 0;
-    for (shape, &node) in build.shapes().iter().zip(nodes) {
-        let rounding = rounding(shape);
-        let mut roundings = shape.area().sqrt() / rounding / FEWEST_ROUNDINGS;
-        if let Some(size) = size_of_triangles(shape) {
-            roundings = roundings.min(size / rounding / FEWEST_ROUNDINGS_OF_TRIANGLES);
-        }
-        if roundings < 1.0 {
-            count += 1;
-            if worst.is_none_or(|(least, ..)| roundings < least) {
-                worst = Some((roundings, shape, node));
-            }
-        }
-    }
-    let Some((_, shape, node)) = worst else {
-        return;
-    };
-    let name = node.id.as_deref().map(|id| format!("{} ", quoted(id)));
-    let triangles = size_of_triangles(shape).map(|s| format!(", with triangles of {s:.1e}"));
-    let others = match count - 1 {
-        0 => String::new(),
-        more => format!("; so it is with {more} more shapes"),
-    };
-    node.warn(format!(
-        "{}about {:.1e} large{} is too small for coordinates of {:.1e}, which single precision resolves to {:.1e}: \
-         its light will be wrong by percents{others}. Move the scene to the origin",
-        name.unwrap_or_default(),
-        shape.area().sqrt(),
-        triangles.unwrap_or_default(),
-        shape.extent(),
-        2.0 * rounding(shape),
-    ));
-}
-
-/// Largest rounding of a shape's coordinates.
-fn rounding(shape: &AnyShape) -> f64 {
-    f64::from(shape.extent()) * f64::from(f32::EPSILON) / 2.0
-}
-
-/// About as long as the sides of the triangles of a mesh.
-fn size_of_triangles(shape: &AnyShape) -> Option<f64> {
-    let mesh = match shape {
-        AnyShape::Mesh(mesh) => mesh,
-        AnyShape::Instance(instance) => instance.mesh(),
-        _ => return None,
-    };
-    Some((2.0 * shape.area() / mesh.data().triangles.len() as f64).sqrt())
 }
 
 /// What a shape or an emitter is to manifold connections.

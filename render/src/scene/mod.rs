@@ -9,6 +9,7 @@ mod glints;
 mod load;
 mod movable;
 mod pixels;
+mod precision;
 mod room;
 mod save;
 mod schema;

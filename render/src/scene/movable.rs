@@ -11,7 +11,7 @@ use crate::estimator::{Follows, Strategy};
 use crate::film::PixelFilter;
 use crate::motion::Placement;
 use crate::params::{ParamInfo, ParamKind, ParamRef, ParamShape, fits};
-use crate::shape::{AnyShape, Mesh};
+use crate::shape::{AnyShape, Mesh, Shape};
 
 /// Displacements: from one end of what is in reach to the other.
 const WAYS: (f64, f64) = (
@@ -114,6 +114,28 @@ fn name_of_light(radiance: &str) -> (&str, &str) {
     let keys = [".intensity.value", ".radiance.value", ".data"];
     let stem = keys.iter().find_map(|key| name.strip_suffix(key));
     stem.map_or((radiance, ""), |stem| (stem, suffix))
+}
+
+/// A box around a shape.
+struct Extent([[f64; 3]; 2]);
+
+impl Extent {
+    fn of(shape: &AnyShape) -> Self {
+        Self(shape.bounds().map(|corner| corner.map(f64::from)))
+    }
+
+    /// Half its longest side.
+    fn size(&self) -> f64 {
+        let [low, high] = self.0;
+        (0..3).fold(0.0, |most: f64, k| most.max(0.5 * (high[k] - low[k])))
+    }
+
+    /// How far a point is from it.
+    fn distance(&self, to: [f64; 3]) -> f64 {
+        let [low, high] = self.0;
+        let off = |k: usize| (low[k] - to[k]).max(to[k] - high[k]).max(0.0);
+        off(0).hypot(off(1)).hypot(off(2))
+    }
 }
 
 impl Scene {
@@ -223,6 +245,42 @@ impl Scene {
             kind: ParamKind::LightPosition,
             what: What::Emitter(index),
         })
+    }
+
+    /// How far a range of lengths may go before the scene is another one: as far as what it moves is large, or as near as
+    /// other things are. `None` if it holds no lengths.
+    pub(crate) fn reach_of(&self, info: &ParamInfo) -> Option<f64> {
+        if !info.kind.is_motion() {
+            return None;
+        }
+        let movable = self.movables().into_iter().find(|m| m.name == info.name)?;
+        let reach = match movable.what {
+            What::Shape(i, Freedom::Translation) | What::Vertices(i) => {
+                let own = Extent::of(&self.geometry.shapes[i as usize]).size();
+                own.min(self.room_around(self.camera.origin()))
+            }
+            What::Camera(Freedom::Translation) => self.room_around(self.camera.origin()),
+            What::Emitter(i) => match self.emitters[i as usize].mobility()? {
+                ("position", at) => self.room_around(at.map(f64::from)),
+                _ => return None,
+            },
+            _ => return None,
+        };
+        (reach > 0.0 && reach.is_finite()).then_some(reach)
+    }
+
+    /// How near the nearest shape is, or how large, if the point is in its box.
+    fn room_around(&self, to: [f64; 3]) -> f64 {
+        let all = self.geometry.shapes.iter().map(|shape| {
+            let extent = Extent::of(shape);
+            let distance = extent.distance(to);
+            if distance > 0.0 {
+                distance
+            } else {
+                extent.size()
+            }
+        });
+        all.fold(f64::INFINITY, f64::min)
     }
 
     /// Makes what is called so a parameter, behind all others, with the value that it has. Names of parameters stay what
