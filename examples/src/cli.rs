@@ -309,20 +309,12 @@ impl LoadArgs {
     }
 }
 
-/// The names of all parameters that fit these, which may be patterns, each once. What moves becomes a parameter, with
-/// a warning of lines that samples of edges do not find.
+/// The names of all parameters that fit these, which may be patterns, each once. What moves becomes a parameter.
 ///
 /// # Errors
 /// One that nothing fits, with those that resemble it.
 pub fn names_of(scene: &mut Scene, keys: &[String]) -> Result<Vec<String>, RenderError> {
     scene.make_movable(keys)?;
-    if scene.params().infos().iter().any(|i| i.kind.is_motion())
-        && let Some([a, b]) = scene.crossing()
-    {
-        complain!(
-            "warning: `{a}` and `{b}` cross each other: samples of edges miss the line along which they do, as it moves"
-        );
-    }
     let mut names: Vec<String> = Vec::new();
     for key in keys {
         for info in scene.params().matching(key)? {

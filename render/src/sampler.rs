@@ -30,6 +30,8 @@ pub enum Purpose {
     AuxiliaryRays(u32),
     /// Edges that hide light from a vertex, so many candidates of 2 each, and which of them is taken.
     Edges(u32),
+    /// Lines along which surfaces cross, so many candidates of 2 each, which of them is taken, and which of the surfaces.
+    Crossings(u32),
     /// Where on the horizon of a vertex light is lost, 1.
     Horizon,
     /// The start of a particle: its emitter if there is a choice, position 2, direction 2; the depth is 1.
@@ -47,6 +49,7 @@ impl Purpose {
         const AUXILIARY: u32 = 1 << 20;
         const EDGES: u32 = 1 << 22;
         const HORIZON: u32 = 1 << 23;
+        const CROSSINGS: u32 = 3 << 22;
         const RAYS: u32 = 1 << 24;
         match self {
             Self::Pixel | Self::Emission => 0,
@@ -55,6 +58,7 @@ impl Purpose {
             Self::NormalsPair => AUXILIARY + depth * 8,
             Self::AuxiliaryRays(rays) => RAYS + depth * 2 * rays,
             Self::Edges(candidates) => EDGES + depth * (2 * candidates + 1),
+            Self::Crossings(candidates) => CROSSINGS + depth * (2 * candidates + 2),
             Self::Horizon => HORIZON + depth,
             Self::ParticleScattering => 5 + (depth - 1) * 4,
             Self::ParticleNormalsPair => AUXILIARY + depth * 4,
@@ -70,6 +74,7 @@ impl Purpose {
             Self::Scattering | Self::ParticleScattering => 4,
             Self::AuxiliaryRays(rays) => 2 * rays,
             Self::Edges(candidates) => 2 * candidates + 1,
+            Self::Crossings(candidates) => 2 * candidates + 2,
             Self::Emission => 5,
         }
     }
@@ -452,6 +457,7 @@ mod tests {
             Purpose::NormalsPair,
             Purpose::AuxiliaryRays(16),
             Purpose::Edges(4),
+            Purpose::Crossings(4),
             Purpose::Horizon,
         ];
         let particle = [Purpose::ParticleScattering, Purpose::ParticleNormalsPair];

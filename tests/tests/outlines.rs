@@ -260,28 +260,6 @@ fn shadows_of_points_are_refused() {
     assert_eq!(refused.expect_err("refused").to_string(), message);
 }
 
-/// Shapes that cross are found, those that touch are not.
-#[test]
-fn crossing_shapes_are_named() {
-    let at = |y: f64, what: &str| {
-        format!(
-            r#"{FLOOR}<shape type="{what}" id="it"><transform name="to_world"><rotate y="1" angle="20"/>
-            <translate y="{y}"/></transform><ref id="grey"/></shape>"#
-        )
-    };
-    for what in ["cube", "sphere"] {
-        assert_eq!(scene(&at(1.5, what), 2).crossing(), None, "{what}");
-        assert_eq!(scene(&at(1.0, what), 2).crossing(), None, "{what}");
-        let crossing = scene(&at(0.8, what), 2);
-        let mut names = crossing.crossing().expect("they cross");
-        names.sort_unstable();
-        assert_eq!(names, ["floor", "it"], "{what}");
-    }
-    let disk = r#"<shape type="disk" id="it"><transform name="to_world"><rotate y="1" angle="20"/>
-        <translate y="0.5"/></transform><ref id="grey"/></shape>"#;
-    assert!(scene(&format!("{FLOOR}{disk}"), 2).crossing().is_some());
-}
-
 /// Turns, sizes and angles of view.
 #[test]
 #[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]

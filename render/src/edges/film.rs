@@ -4,6 +4,7 @@ use std::ops::Range;
 
 use ad_core::{Float, Vec3};
 
+use super::crossing::{Crossings, Part, Path};
 use super::{Curve, CurveKind, EdgePoint, Edges, INSIDE, Rim, Spot, Surfaces, View};
 use crate::camera::Camera;
 use crate::film::Film;
@@ -38,6 +39,21 @@ pub(crate) enum Sides {
     /// The same surface on both sides of where its normals turn away, the second one where the normal of the curve points
     /// to. The cosine between the view and the unit shading normal has this slope along that, per radian.
     Turn([Inside; 2], f64, Vec3<f64>),
+    /// Surfaces that cross there.
+    Crossing([Part; 2]),
+}
+
+impl Sides {
+    /// Primitives of the shape that have a crease in common.
+    pub fn faces(&self) -> Option<[u32; 2]> {
+        let Self::Crease(near, far) = self else {
+            return None;
+        };
+        match [near.spot, far.spot] {
+            [Spot::At(a, _), Spot::At(b, _)] => Some([a, b]),
+            _ => None,
+        }
+    }
 }
 
 /// A point of a surface just inside of an edge.
@@ -61,7 +77,8 @@ pub(crate) struct FilmPoint {
 
 /// A piece of a curve on the film, in a range of its parameter.
 struct Piece {
-    /// Straight edges, then curves, then two for each face where normals may turn away.
+    /// Straight edges, then curves, then two for each face where normals may turn away, then lines along which surfaces
+    /// cross.
     item: u32,
     span: [f64; 2],
 }
@@ -104,12 +121,15 @@ impl Projection {
 }
 
 impl Edges {
-    /// The curves on a film that edges of `moving` shapes draw. `camera`: whether the camera moves, so that all do.
+    /// The curves on a film that edges of `moving` shapes draw, and lines along which pairs of shapes cross of which
+    /// `moving_pair` holds.
     pub fn on_film(
         &self,
         camera: &Camera,
         film: &Film,
         moving: &dyn Fn(Range<u32>) -> bool,
+        crossings: &Crossings,
+        moving_pair: &dyn Fn([u32; 2]) -> bool,
     ) -> FilmCurves {
         let projection = Projection::of(camera);
         let mut curves = FilmCurves {
@@ -129,13 +149,7 @@ impl Edges {
                 View::Outline(_) => 1.0,
                 View::Crease => f64::from(edge.jump),
             };
-            let start = edge.start() - projection.origin;
-            let [a, b] = [start, start + edge.along()].map(|p| projection.homogeneous(p));
-            let Some(span) = clip(a, b, reach) else {
-                continue;
-            };
-            let [p, q] = span.map(|t| flat(between(a, b, t)));
-            curves.push(i as u32, span, (q[0] - p[0]).hypot(q[1] - p[1]) * share);
+            curves.straight(i as u32, edge.start(), edge.along(), reach, share);
         }
         for (curve, i) in self.curves.iter().zip(0..) {
             if !moving(curve.shape..curve.shape + 1) {
@@ -167,10 +181,57 @@ impl Edges {
                 }
             }
         }
+        for (line, i) in crossings.lines.iter().zip(0..) {
+            if !moving_pair(line.shapes()) {
+                continue;
+            }
+            let item = (self.before_crossings() + i) as u32;
+            match line.path {
+                Path::Straight { start, along } => {
+                    curves.straight(item, start, along, reach, 1.0);
+                }
+                path => {
+                    let at =
+                        |s: f64| Some(projection.homogeneous(path.at(s).0 - projection.origin));
+                    for k in 0..16 {
+                        let span = [k, k + 1].map(|k| f64::from(k) / 16.0);
+                        curves.split(item, span, &at, reach, 0);
+                    }
+                }
+            }
+        }
         curves
     }
 
-    fn film_rim(&self, item: usize, s: f64, x: Vec3<f64>) -> Option<(Rim, u32, Sides)> {
+    /// Start and direction of an item, if it is straight.
+    fn segment(&self, crossings: &Crossings, item: usize) -> Option<[Vec3<f64>; 2]> {
+        if let Some(edge) = self.straight.get(item) {
+            return Some([edge.start(), edge.along()]);
+        }
+        let i = item.checked_sub(self.before_crossings())?;
+        match crossings.lines[i].path {
+            Path::Straight { start, along } => Some([start, along]),
+            Path::Arc(..) | Path::Pierced(..) => None,
+        }
+    }
+
+    /// How many items come before those.
+    fn before_crossings(&self) -> usize {
+        self.straight.len() + self.curves.len() + 2 * self.turns.len()
+    }
+
+    fn film_rim(
+        &self,
+        crossings: &Crossings,
+        item: usize,
+        s: f64,
+        x: Vec3<f64>,
+    ) -> Option<(Rim, u32, Sides)> {
+        if let Some(i) = item.checked_sub(self.before_crossings()) {
+            let line = &crossings.lines[i];
+            let [first, _] = line.shapes();
+            return Some((line.rim(s), first, Sides::Crossing(line.sides)));
+        }
         let Some(edge) = self.straight.get(item) else {
             let i = item - self.straight.len();
             let Some(curve) = self.curves.get(i) else {
@@ -221,6 +282,7 @@ impl Curve {
                 Spot::At(local, [u, v].map(|x| x * (1.0 - INSIDE)))
             }
             Spot::At(local, [u, v]) => Spot::At(local, [u, v + INSIDE * (0.5 - v)]),
+            Spot::Near(_) => spot,
             Spot::Normal(out) => {
                 let axis = self.axes[0].normalize();
                 let d = (p - x).normalize();
@@ -281,6 +343,23 @@ impl FilmCurves {
         }
     }
 
+    fn straight(
+        &mut self,
+        item: u32,
+        start: Vec3<f64>,
+        along: Vec3<f64>,
+        reach: [[f64; 2]; 2],
+        share: f64,
+    ) {
+        let start = start - self.projection.origin;
+        let [a, b] = [start, start + along].map(|p| self.projection.homogeneous(p));
+        let Some(span) = clip(a, b, reach) else {
+            return;
+        };
+        let [p, q] = span.map(|t| flat(between(a, b, t)));
+        self.push(item, span, (q[0] - p[0]).hypot(q[1] - p[1]) * share);
+    }
+
     fn split(
         &mut self,
         item: u32,
@@ -333,7 +412,7 @@ impl FilmCurves {
 
     /// A point in proportion to length on the film, exactly on straight edges and nearly on curves, with the weight of its
     /// exact density. `None` where a curve is seen end on.
-    pub fn point(&self, edges: &Edges, u: f64) -> Option<FilmPoint> {
+    pub fn point(&self, edges: &Edges, crossings: &Crossings, u: f64) -> Option<FilmPoint> {
         let total = self.length();
         let along = u * total;
         let i = self
@@ -345,19 +424,19 @@ impl FilmCurves {
         let part = ((along - before) / length).clamp(0.0, 1.0);
         let Piece { item, span } = self.pieces[i];
         let x = self.projection.origin;
-        let straight = edges.straight.get(item as usize);
+        let straight = edges.segment(crossings, item as usize);
         let s = match straight {
-            Some(edge) => {
+            Some([start, along]) => {
                 // Uniform on the film, where depth shortens.
-                let start = edge.start() - x;
-                let depth = |t: f64| self.projection.rows[2].dot(start + edge.along() * t);
+                let start = start - x;
+                let depth = |t: f64| self.projection.rows[2].dot(start + along * t);
                 let [near, far] = span.map(depth);
                 let t = part * near / (part * near + (1.0 - part) * far);
                 span[0] + t * (span[1] - span[0])
             }
             None => span[0] + part * (span[1] - span[0]),
         };
-        let (rim, shape, sides) = edges.film_rim(item as usize, s, x)?;
+        let (rim, shape, sides) = edges.film_rim(crossings, item as usize, s, x)?;
         let tangent = rim.tangent;
         let (mut edge, speed) = rim.seen(x, shape)?;
         let p = self.projection.homogeneous(edge.p - x);
@@ -365,9 +444,9 @@ impl FilmCurves {
         let d = self.projection.homogeneous(tangent);
         let on_film = [0, 1].map(|k| (d[k] - at[k] * d[2]) / p[2]);
         let density = match straight {
-            Some(edge) => {
+            Some(_) => {
                 let share = match sides {
-                    Sides::Crease(..) => f64::from(edge.jump),
+                    Sides::Crease(..) => f64::from(edges.straight[item as usize].jump),
                     _ => 1.0,
                 };
                 on_film[0].hypot(on_film[1]) / total * share

@@ -9,6 +9,7 @@
 //! An [`EdgePoint`] is a point on an outline as seen from somewhere. Outlines on the film are in [`film`]; for all other
 //! points of view, [`Edges::draw`] chooses in a tree over all edges.
 
+pub(crate) mod crossing;
 pub(crate) mod film;
 mod topology;
 mod tree;
@@ -102,6 +103,8 @@ enum Spot {
     At(u32, [f64; 2]),
     /// Where a curved surface has this outward normal.
     Normal(Vec3<f64>),
+    /// Where a primitive is next to the point.
+    Near(u32),
 }
 
 /// A point of a curve as seen from somewhere.
@@ -170,6 +173,7 @@ impl Surfaces<'_> {
     fn resolve(&self, shape: u32, spot: Spot, p: Vec3<f64>) -> (u32, [f64; 2]) {
         let normal = match spot {
             Spot::At(local, at) => return (local, at),
+            Spot::Near(local) => return (local, self.nearest(shape, local, p)),
             Spot::Normal(normal) => normal,
         };
         // Seen from close above, whatever its axes are.
@@ -302,50 +306,6 @@ impl Curve {
     }
 }
 
-impl Curve {
-    /// Chords of a sphere or disk, and lines along a tube.
-    fn probes(&self) -> Vec<[Vec3<f64>; 2]> {
-        let round =
-            |k: u32, n: u32| (std::f64::consts::TAU * f64::from(k) / f64::from(n)).sin_cos();
-        let [e1, e2] = self.axes;
-        match self.kind {
-            CurveKind::Ball => {
-                let n = 24;
-                let point = |i: u32, j: u32| {
-                    let ((sin, cos), (s, c)) = (round(i, n), round(j, n));
-                    self.origin + Vec3::new(cos * s, c, sin * s) * self.radius
-                };
-                let around = |(i, j): (u32, u32)| {
-                    let p = point(i, j);
-                    [[p, point(i + 1, j)], [p, point(i, j + 1)]]
-                };
-                (0..n)
-                    .flat_map(|i| (0..n / 2).map(move |j| (i, j)))
-                    .flat_map(around)
-                    .collect()
-            }
-            CurveKind::Disk => (0..12)
-                .map(|k| {
-                    let (sin, cos) = round(k, 24);
-                    let out = e1 * cos + e2 * sin;
-                    [self.origin - out, self.origin + out]
-                })
-                .collect(),
-            CurveKind::Tube(0) => {
-                let frame = Frame::from_normal(e1.normalize());
-                (0..24)
-                    .map(|k| {
-                        let (sin, cos) = round(k, 24);
-                        let p = self.origin + (frame.s * cos + frame.t * sin) * self.radius;
-                        [p, p + e1]
-                    })
-                    .collect()
-            }
-            CurveKind::Tube(_) | CurveKind::End(_) => Vec::new(),
-        }
-    }
-}
-
 impl Rim {
     /// As seen from `x`, with the derivative of the direction by the parameter. `None` where it is seen end on.
     fn seen(&self, x: Vec3<f64>, shape: u32) -> Option<(EdgePoint, f64)> {
@@ -442,19 +402,5 @@ impl Edges {
     pub fn balls(&self) -> impl Iterator<Item = (u32, Vec3<f64>, f64)> {
         let balls = self.curves.iter().filter(|c| c.kind == CurveKind::Ball);
         balls.map(|c| (c.shape, c.origin, c.radius))
-    }
-
-    /// Segments on the surfaces of shapes, with the shape that each belongs to: where shapes cross each other, some of
-    /// them do, unless what sticks out is small and round or lies within one face. At most about `most` of them.
-    pub fn probes(&self, most: usize) -> Vec<(u32, [Vec3<f64>; 2])> {
-        let step = self.straight.len().div_ceil(most.max(1)).max(1);
-        let straight = self.straight.iter().step_by(step);
-        let mut all: Vec<_> = straight
-            .map(|e| (e.shape, [e.start(), e.start() + e.along()]))
-            .collect();
-        for c in &self.curves {
-            all.extend(c.probes().into_iter().map(|ends| (c.shape, ends)));
-        }
-        all
     }
 }

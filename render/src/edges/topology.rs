@@ -99,10 +99,8 @@ impl Topology {
     }
 
     fn cylinder(&mut self, index: u32, shape: &AnyShape) {
-        let foot = [0.0, 0.25, 0.5].map(|turn| place(shape, turn, 0.0));
-        let origin = (foot[0] + foot[2]) * 0.5;
-        let axis = place(shape, 0.0, 1.0) - foot[0];
-        let across = [foot[0] - origin, foot[1] - origin];
+        let [origin, axis, first] = tube(shape);
+        let across = [first, place(shape, 0.25, 0.0) - origin];
         let radius = across[0].length();
         let tube = |kind| Curve {
             shape: index,
@@ -314,8 +312,15 @@ fn normal(corners: &[Corner]) -> Vec3<f64> {
     (b - a).cross(c - a)
 }
 
+/// Foot and axis of a tube, and from the foot to its rim.
+pub(super) fn tube(shape: &AnyShape) -> [Vec3<f64>; 3] {
+    let [a, b] = [0.0, 0.5].map(|turn| place(shape, turn, 0.0));
+    let origin = (a + b) * 0.5;
+    [origin, place(shape, 0.0, 1.0) - a, a - origin]
+}
+
 /// A point of a shape with one primitive.
-fn place(shape: &AnyShape, u: f64, v: f64) -> Vec3<f64> {
+pub(super) fn place(shape: &AnyShape, u: f64, v: f64) -> Vec3<f64> {
     let at = SurfaceCoordinates(ad_core::Vec2::new(u, v));
     let si: SurfaceInteraction<f64> = shape.point_at(&Theta::still(), 0, at);
     si.p

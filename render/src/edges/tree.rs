@@ -39,20 +39,21 @@ struct Node {
 }
 
 /// Edges as they are sorted.
-struct Item {
-    edge: u32,
-    shape: u32,
-    low: Vec3<f64>,
-    high: Vec3<f64>,
-    length: f64,
+pub(super) struct Item {
+    pub edge: u32,
+    /// The first and the last shape that it belongs to.
+    pub shapes: [u32; 2],
+    pub low: Vec3<f64>,
+    pub high: Vec3<f64>,
+    pub length: f64,
     /// Normals of the faces, if they are flat.
-    normals: Option<[Vec3<f64>; 2]>,
+    pub normals: Option<[Vec3<f64>; 2]>,
 }
 
 #[derive(Debug, Default)]
 pub(super) struct Tree {
     nodes: Vec<Node>,
-    /// Straight edges, then curves.
+    /// Numbers of edges: straight ones, then curves.
     items: Vec<u32>,
 }
 
@@ -111,7 +112,7 @@ impl Tree {
             ];
             Item {
                 edge,
-                shape: e.shape,
+                shapes: [e.shape; 2],
                 low: a.min(b),
                 high: a.max(b),
                 length: along.length(),
@@ -130,16 +131,21 @@ impl Tree {
             };
             Item {
                 edge: (straight.len() + i) as u32,
-                shape: c.shape,
+                shapes: [c.shape; 2],
                 low: c.origin.min(end) - reach,
                 high: c.origin.max(end) + reach,
                 length: c.length(),
                 normals: None,
             }
         };
-        let mut items: Vec<Item> = (straight.iter().zip(0..).map(of_edge))
-            .chain(curves.iter().zip(0..).map(of_curve))
-            .collect();
+        Self::over(
+            (straight.iter().zip(0..).map(of_edge))
+                .chain(curves.iter().zip(0..).map(of_curve))
+                .collect(),
+        )
+    }
+
+    pub fn over(mut items: Vec<Item>) -> Self {
         let mut tree = Self::default();
         if !items.is_empty() {
             tree.nodes.reserve(items.len());
@@ -156,7 +162,8 @@ impl Tree {
         let high = own.iter().fold(own[0].high, |h, i| h.max(i.high));
         let centre = (low + high) * 0.5;
         let (axis, angle) = cone_of(own);
-        let shapes = own.iter().map(|i| i.shape);
+        let first = own.iter().map(|i| i.shapes[0]).min();
+        let last = own.iter().map(|i| i.shapes[1]).max();
         let place = self.nodes.len();
         self.nodes.push(Node {
             centre: centre.to_array().map(|x| x as f32),
@@ -167,7 +174,7 @@ impl Tree {
             angle: angle as f32,
             items: range.start as u32..range.end as u32,
             second: 0,
-            shapes: [shapes.clone().min().unwrap_or(0), shapes.max().unwrap_or(0)],
+            shapes: [first.unwrap_or(0), last.unwrap_or(0)],
         });
         if range.len() <= LEAF {
             return;
@@ -258,9 +265,13 @@ impl Node {
 }
 
 /// A random number that decides more than once.
-struct Dice(f64);
+pub(super) struct Dice(f64);
 
 impl Dice {
+    pub fn new(u: f64) -> Self {
+        Self(u)
+    }
+
     /// Which of these weights is chosen, and its probability; `None` if all are zero.
     fn choose(&mut self, weights: &[f64]) -> Option<(usize, f64)> {
         let total: f64 = weights.iter().sum();
@@ -285,16 +296,19 @@ impl Dice {
     }
 }
 
-impl Edges {
-    /// Draws a point on an outline that `seeker` sees, if nothing hides it. `None` where it draws none: there may be others.
-    ///
-    /// # Reference
-    /// The tree is that of [Li et al. 2018, section 5], in three dimensions.
-    pub fn draw(&self, seeker: &Seeker, lamps: &[Cone], u: [f64; 2]) -> Option<EdgePoint> {
-        let mut dice = Dice(u[0]);
+impl Tree {
+    /// Chooses one of its items in proportion to what it may bring, about, and says with what probability. `strip`: the solid
+    /// angle of a strip along an item, zero if that brings nothing.
+    pub fn choose(
+        &self,
+        seeker: &Seeker,
+        lamps: &[Cone],
+        dice: &mut Dice,
+        strip: impl Fn(u32) -> f64,
+    ) -> Option<(u32, f64)> {
         let mut node = 0;
         let mut p = 1.0;
-        let nodes = &self.tree.nodes;
+        let nodes = &self.nodes;
         if nodes.is_empty() || nodes[0].importance(seeker, lamps) == 0.0 {
             return None;
         }
@@ -306,14 +320,26 @@ impl Edges {
             node = children[k];
         }
         let range = nodes[node].items.clone();
-        let items = &self.tree.items[range.start as usize..range.end as usize];
+        let items = &self.items[range.start as usize..range.end as usize];
         let mut weights = [0.0; LEAF];
         for (w, &item) in weights.iter_mut().zip(items) {
-            *w = self.strip(item as usize, seeker);
+            *w = strip(item);
         }
         let (k, q) = dice.choose(&weights[..items.len()])?;
-        p *= q;
-        let item = items[k] as usize;
+        Some((items[k], p * q))
+    }
+}
+
+impl Edges {
+    /// Draws a point on an outline that `seeker` sees, if nothing hides it. `None` where it draws none: there may be others.
+    ///
+    /// # Reference
+    /// The tree is that of [Li et al. 2018, section 5], in three dimensions.
+    pub fn draw(&self, seeker: &Seeker, lamps: &[Cone], u: [f64; 2]) -> Option<EdgePoint> {
+        let mut dice = Dice::new(u[0]);
+        let strip = |item: u32| self.strip(item as usize, seeker);
+        let (item, p) = self.tree.choose(seeker, lamps, &mut dice, strip)?;
+        let item = item as usize;
         let mut point = match self.straight.get(item) {
             Some(_) => self.draw_straight(item, seeker, lamps, [dice.0, u[1]])?,
             None => self.draw_curve(item - self.straight.len(), seeker, u[1])?,

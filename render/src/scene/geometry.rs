@@ -9,6 +9,7 @@ use super::ShapeInfo;
 use crate::accel::{self, Accel, AccelError, Flats, Hit, MAX_PRIMITIVES, Plane, Primitive};
 use crate::camera::Camera;
 use crate::edges::Edges;
+use crate::edges::crossing::Crossings;
 use crate::emitter::Ball;
 use crate::math::{NOWHERE, Ray, Transform};
 use crate::motion::{Drift, Placement};
@@ -61,6 +62,7 @@ pub(super) struct Geometry {
     wanted: Wanted,
     /// Once somebody asks.
     edges: OnceLock<Edges>,
+    crossings: OnceLock<Crossings>,
     /// `accel` without what emits, once somebody asks.
     without_lamps: OnceLock<Accel>,
     /// Per shape, how it moves as a whole; empty as long as none does.
@@ -317,6 +319,7 @@ impl Geometry {
             casters,
             wanted,
             edges: OnceLock::new(),
+            crossings: OnceLock::new(),
             without_lamps: OnceLock::new(),
             placed: Vec::new(),
             reads,
@@ -449,6 +452,13 @@ impl Geometry {
         self.edges.get_or_init(|| Edges::of(&self.shapes))
     }
 
+    /// The lines along which surfaces cross.
+    pub fn crossings(&self) -> &Crossings {
+        // Whoever makes it takes no other work in between, which might ask, too.
+        let make = || parallel::alone(|| Crossings::of(&self.shapes));
+        self.crossings.get_or_init(make)
+    }
+
     /// What rays meet where there are no lamps. Primitives, surfaces and hits are those of `accel`.
     pub fn without_lamps(&self, infos: &[ShapeInfo], camera: &Camera) -> &Accel {
         // Those who ask are threads at work: whoever makes it takes no other work in between, which might ask, too.
@@ -539,6 +549,7 @@ impl Geometry {
         (self.lamps, self.casters) = self.wanted.balls(&shapes, infos);
         self.shapes = shapes;
         self.edges = OnceLock::new();
+        self.crossings = OnceLock::new();
         self.without_lamps = OnceLock::new();
         self.prims = layout.prims;
         self.spots = layout.spots;

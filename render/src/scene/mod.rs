@@ -36,6 +36,7 @@ use ad_core::{Dual, Float, Real, Vec2, Vec3};
 use crate::accel::{Hit, PACKET_SIZE, RayPacket};
 use crate::bsdf::{Bsdf, Material, Shading, TextureRef, TransportMode};
 use crate::camera::Camera;
+use crate::edges::crossing::Crossings;
 use crate::edges::{Edges, Surfaces};
 use crate::emitter::{AnyEmitter, Ball, Emitter, Lights};
 use crate::error::RenderError;
@@ -722,37 +723,9 @@ impl Scene {
         self.geometry.edges()
     }
 
-    /// Names of two shapes that cross each other, if such are found: the line along which they do is no edge of either, and
-    /// estimators that sample edges miss what it does to an image as they move. Shapes that only touch are none.
-    ///
-    /// Edges of flat faces, chords of spheres and disks and lines along tubes are followed: what sticks out of a face
-    /// without any of these is not found.
-    pub fn crossing(&self) -> Option<[&str; 2]> {
-        const MOST: usize = 100_000;
-        // Part of a segment, at its ends, where it may touch; and the least sine at which it may cross.
-        const TOUCHING: f64 = 1e-3;
-        for (own, [a, b]) in self.edges().probes(MOST) {
-            let along = b - a;
-            let length = along.length();
-            let d = along.normalize();
-            let mut start = TOUCHING * length;
-            for _ in 0..4 {
-                let ray = Ray::new(a + d * start, d);
-                let Some(hit) = self.intersect(&ray) else {
-                    break;
-                };
-                start += hit.si.t;
-                if start > (1.0 - TOUCHING) * length {
-                    break;
-                }
-                if hit.shape != own && hit.si.n_geo.dot(d).abs() > TOUCHING {
-                    let name = |shape: u32| self.infos[shape as usize].name.as_str();
-                    return Some([name(own), name(hit.shape)]);
-                }
-                start += TOUCHING * length;
-            }
-        }
-        None
+    /// Lines along which surfaces cross, likewise.
+    pub(crate) fn crossings(&self) -> &Crossings {
+        self.geometry.crossings()
     }
 
     /// What edges need to know.

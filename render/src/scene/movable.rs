@@ -585,7 +585,11 @@ impl Scene {
                 return Some(format!("`{}` does not move as a whole", own.name));
             }
         }
-        None
+        let mut pairs = self.crossings().shapes();
+        let [a, b] = (pairs.find(|[a, b]| a != b)?).map(|i| &self.infos[i as usize].name);
+        Some(format!(
+            "`{a}` and `{b}` cross each other along a line that directions do not follow"
+        ))
     }
 
     /// Whether a texture of a shape does: between texels, or where its coordinates begin again.

@@ -51,6 +51,11 @@ impl Moving {
         self.counts[shapes.start as usize] < self.counts[shapes.end as usize]
     }
 
+    /// Whether any of two does.
+    pub fn parts(&self, pair: [u32; 2]) -> bool {
+        pair.iter().any(|&shape| self.shapes[shape as usize])
+    }
+
     pub fn anything(&self) -> bool {
         self.camera || !self.lights.is_empty() || self.counts.last().is_some_and(|&n| n > 0)
     }

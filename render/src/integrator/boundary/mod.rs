@@ -18,6 +18,7 @@
 //! [Li et al. 2018] for derivatives by samples of edges, and for the tree over them; the form that follows the material
 //! beyond the first vertex is that of [Zhang et al. 2020], in directions.
 
+mod crossings;
 mod form;
 mod shadows;
 
@@ -40,6 +41,7 @@ use super::tile::{Paths, Sample, place, spot};
 use super::vertex::MODE;
 use crate::bsdf::{Bsdf, Shading};
 use crate::camera::Pinhole;
+use crate::edges::crossing::Crossings;
 use crate::edges::film::{FilmCurves, FilmPoint, Inside, Sides};
 use crate::edges::{EdgePoint, Edges, Seeker, Surfaces};
 use crate::estimator::{Still, Strategy};
@@ -89,6 +91,9 @@ impl<P: Float> Observer<P> for Vertices<P> {
 struct Boundary<'a, P: Float> {
     context: Context<'a, P>,
     edges: &'a Edges,
+    crossings: &'a Crossings,
+    /// Whether paths look for lines along which surfaces cross, and whether any of those is on a lamp.
+    crossed: [bool; 2],
     surfaces: Surfaces<'a>,
     curves: FilmCurves,
     shadows: Shadows,
@@ -120,13 +125,27 @@ impl<'a, P: Float> Boundary<'a, P> {
             let shown = !hidden || shapes.clone().any(|shape| !scene.is_lamp(shape));
             shown && (moving.camera || moving.any(shapes))
         };
-        let curves = edges.on_film(&scene.camera, &scene.film, &of_film);
+        let crossings = scene.crossings();
+        // A lamp that nobody sees ends nothing else.
+        let of_pair = |pair: [u32; 2]| {
+            let shown = !hidden || !pair.iter().any(|&shape| scene.is_lamp(shape));
+            shown && (moving.camera || moving.parts(pair))
+        };
+        let curves = edges.on_film(&scene.camera, &scene.film, &of_film, crossings, &of_pair);
+        let apart = |pair: &[u32; 2]| moving.parts(*pair);
+        let lamp = |pair: [u32; 2]| pair.iter().any(|&shape| scene.is_lamp(shape));
+        let crossed = [
+            crossings.shapes().any(|pair| apart(&pair)),
+            crossings.shapes().filter(apart).any(lamp),
+        ];
         Self {
             context: Context {
                 caustics: Caustics::Paths,
                 ..context
             },
             edges,
+            crossings,
+            crossed,
             surfaces: scene.surfaces(),
             curves,
             shadows: Shadows::of(scene, context.settings.max_depth),
@@ -168,7 +187,7 @@ impl<'a, P: Float> Boundary<'a, P> {
     /// Whether paths look for edges, or for horizons of their own vertices.
     fn at_vertices(&self) -> bool {
         let horizons = self.edges.has_turns() && self.context.settings.max_depth > 1;
-        horizons || self.edges_at_vertices()
+        horizons || self.crossings_at(1) || self.edges_at_vertices()
     }
 
     fn edges_at_vertices(&self) -> bool {
@@ -266,9 +285,11 @@ impl<'a, P: Float> Boundary<'a, P> {
         let points = self.context.settings.points;
         let mut sampler = X::spread(points, Family::EdgesOnFilm.seed(self.seed), index, sample);
         let u: f64 = sampler.next_1d();
-        let point = self
-            .curves
-            .point(self.edges, (index as f64 + u) / count as f64)?;
+        let point = self.curves.point(
+            self.edges,
+            self.crossings,
+            (index as f64 + u) / count as f64,
+        )?;
         let FilmPoint { at, edge, sides } = point;
         let origin = scene.camera.origin().map(P::of).into();
         let ray = Ray::new(origin, edge.direction.map(P::of).normalize());
@@ -301,7 +322,17 @@ impl<'a, P: Float> Boundary<'a, P> {
                 if scene.out_of_sight(&segment, self.context.settings.hides(1)) {
                     return None;
                 }
+                // Where that lies on a surface, one of them is behind it.
+                if let Some(faces) = sides.faces()
+                    && self.crossings.hold(edge.shape, faces, edge.p)
+                {
+                    return None;
+                }
                 inside(near) - inside(far)
+            }
+            Sides::Crossing(parts) => {
+                let c = self.crossing_on_film::<S, X>((at, &edge, *parts), count, sampler)?;
+                return Some((at, c));
             }
         };
         if jump.is_black() {
@@ -570,6 +601,11 @@ impl<'a, P: Float> Boundary<'a, P> {
         let edges = self.edges_at_vertices();
         for ((beta, here), depth) in vertices.0.iter().zip(1..) {
             if edges && let Some(c) = self.at_vertex::<S, X>(*beta, here, depth, [x, y], sampler) {
+                each(c);
+            }
+            if self.crossings_at(depth)
+                && let Some(c) = self.crossing_at_vertex::<S, X>(*beta, here, depth, sampler)
+            {
                 each(c);
             }
             if here.si.n_geo != here.si.frame.n {

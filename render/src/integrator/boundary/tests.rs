@@ -284,7 +284,112 @@ fn outlines_are_those_of_areas_on_the_film() {
     );
 }
 
-/// A room with a lamp, a cube, a ball and a tube, and a glossy mesh, all of which may move.
+/// Two planes of constant radiance that fill the film and cross: where the one ends and the other begins is known, whatever
+/// moves, one of the planes or the camera. As parallelograms, and one of them as a disk. 8 runs of 5760 samples.
+#[test]
+#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
+fn planes_that_cross_end_at_a_line() {
+    let centres = [[0.5, 0.2, 5.0], [-0.3, -0.1, 5.5]].map(Vec3::from);
+    let turns = [[0.1, -0.5, 0.0], [0.05, 0.4, 0.0]];
+    let turn = |[x, y, _]: [f64; 3]| {
+        rotation(Vec3::new(0.0f64, y, 0.0)) * rotation(Vec3::new(x, 0.0f64, 0.0))
+    };
+    let normals = turns.map(|t| turn(t) * Vec3::new(0.0, 0.0, 1.0));
+    for kinds in [["rectangle", "rectangle"], ["disk", "rectangle"]] {
+        let plane = |k: usize, id: &str| {
+            let [x, y, z] = centres[k].to_array();
+            let [ax, ay, _] = turns[k].map(f64::to_degrees);
+            let bright = ["2, 1, 0", "1, 4, 7"][k];
+            let kind = kinds[k];
+            format!(
+                r#"<shape type="{kind}" id="{id}"><boolean name="flip_normals" value="true"/>
+                <transform name="to_world"><scale value="6"/><rotate x="1" angle="{ax}"/><rotate y="1" angle="{ay}"/>
+                <translate x="{x}" y="{y}" z="{z}"/></transform>
+                <emitter type="area"><rgb name="radiance" value="{bright}"/></emitter></shape>"#
+            )
+        };
+        // The mean of the film where the plane `it` moves and the other one does not, over its part of the first.
+        let mean = |it: usize, f: Move, camera: Move| {
+            let at = |k: usize, p: Vec3<f64>| camera(if k == it { f(p) } else { p });
+            let planes = [0, 1].map(|k| {
+                let c = at(k, centres[k]);
+                // From three points, since moves are of points.
+                let frame = Frame::from_normal(normals[k]);
+                let [a, b] = [frame.s, frame.t].map(|e| at(k, centres[k] + e) - c);
+                let n = a.cross(b);
+                n * n.dot(c).recip()
+            });
+            // One over the depth is linear on the film.
+            let d = planes[0] - planes[1];
+            let half = (0.5 * FOV.to_radians()).tan();
+            let rows = 400;
+            let part: f64 = (0..rows)
+                .map(|i| {
+                    let v = ((f64::from(i) + 0.5) / f64::from(rows) * 2.0 - 1.0) * half;
+                    let u = -(d.z + d.y * v) / d.x;
+                    assert!(u.abs() < half, "{u}");
+                    u / (2.0 * half) / f64::from(rows)
+                })
+                .sum();
+            // Of the first plane, 1; of the second one, 4; the first one is in front to the right or to the left.
+            3.0 * part * d.x.signum()
+        };
+        for it in [0, 1] {
+            let names = ["it", "other"];
+            let body = format!("{}{}", plane(0, names[it]), plane(1, names[1 - it]));
+            let mut s = scene(&body, 1);
+            s.make_movable(&ALL).expect("known");
+            let found = gradient_of::<f64>(&s, &ALL, 20);
+            let h = 1e-5;
+            let unit = |k: usize, h: f64| {
+                let mut v = [0.0; 3];
+                v[k] = h;
+                Vec3::from(v)
+            };
+            let still = |p: Vec3<f64>| p;
+            let slope = |of: &dyn Fn(f64) -> f64| (of(h) - of(-h)) / (2.0 * h);
+            let centre = centres[it];
+            let mut expected = Vec::new();
+            for k in 0..3 {
+                expected.push(slope(&|h| mean(it, &|p| p + unit(k, h), &still)));
+            }
+            for k in 0..3 {
+                expected.push(slope(&|h| {
+                    mean(
+                        it,
+                        &|p| centre + rotation(unit(k, h)) * (p - centre),
+                        &still,
+                    )
+                }));
+            }
+            expected.push(0.0);
+            for k in 0..3 {
+                expected.push(slope(&|h| mean(it, &still, &|p| p - unit(k, h))));
+            }
+            for k in 0..3 {
+                expected.push(slope(&|h| mean(it, &still, &|p| rotation(unit(k, -h)) * p)));
+            }
+            let angle =
+                |h: f64| ((FOV + h) / 2.0).to_radians().tan() / (FOV / 2.0).to_radians().tan();
+            expected.push(slope(&|h| {
+                mean(it, &still, &|p| {
+                    Vec3::new(p.x / angle(h), p.y / angle(h), p.z)
+                })
+            }));
+            let scale = expected.iter().fold(0.0, |m: f64, x| m.max(x.abs()));
+            for (i, (e, &x)) in found.iter().zip(&expected).enumerate() {
+                let z = (e.mean - x) / (e.se + 3e-5 * scale);
+                assert!(
+                    z.abs() < z_limit(28, RUNS, 1e-3),
+                    "{kinds:?} {it} {i}: {e:?}, not {x}"
+                );
+                assert!(e.se < 0.02 * scale, "{kinds:?} {it} {i}: {e:?}");
+            }
+        }
+    }
+}
+
+/// A room with a lamp, a cube that cuts a glossy plate, a ball that a tube goes through, all of which may move.
 const ROOM: &str = r#"
     <bsdf type="diffuse" id="grey"><rgb name="reflectance" value="0.5, 0.4, 0.6"/></bsdf>
     <bsdf type="roughconductor" id="metal"><float name="alpha" value="0.4"/></bsdf>
@@ -294,10 +399,10 @@ const ROOM: &str = r#"
         <translate x="0.8" y="-1" z="3"/></transform><ref id="grey"/></shape>
     <shape type="sphere" id="ball"><point name="center" x="-0.7" y="-0.5" z="3"/>
         <float name="radius" value="0.6"/><ref id="grey"/></shape>
-    <shape type="cylinder" id="tube"><point name="p0" x="-1" y="0.6" z="3"/><point name="p1" x="1" y="0.8" z="3.2"/>
+    <shape type="cylinder" id="tube"><point name="p0" x="-1.4" y="-0.4" z="2.9"/><point name="p1" x="0.5" y="0.1" z="3.2"/>
         <float name="radius" value="0.2"/><bsdf type="twosided"><ref id="grey"/></bsdf></shape>
     <shape type="disk" id="plate"><transform name="to_world"><scale value="0.5"/><rotate x="1" angle="70"/>
-        <translate x="0.3" y="0.1" z="2.5"/></transform><bsdf type="twosided"><ref id="metal"/></bsdf></shape>
+        <translate x="0.7" y="-0.7" z="2.8"/></transform><bsdf type="twosided"><ref id="metal"/></bsdf></shape>
     <shape type="rectangle" id="lamp"><transform name="to_world"><scale value="0.7"/><rotate x="1" angle="90"/>
         <translate y="2.5" z="2.5"/></transform>
         <emitter type="area"><rgb name="radiance" value="3, 4, 5"/></emitter></shape>"#;
