@@ -15,6 +15,7 @@ mod derivatives;
 mod kinds;
 mod lanes;
 mod lights;
+mod lookups;
 mod record;
 
 use ad_core::{Const, Float, Vec2, Vec3};
@@ -24,6 +25,7 @@ use kinds::{Kinds, has_two_sides, seen_from, side};
 pub(super) use lanes::WAVE_SIZE;
 use lanes::{Field, Lane, Lanes, lanes, whole};
 use lights::{Group, Leaving, MOST_TOGETHER, together};
+use lookups::{Lookups, image};
 pub(super) use record::Record;
 use smallvec::SmallVec;
 
@@ -374,6 +376,8 @@ pub(super) struct Wave<P, X> {
     leaving: Leaving<P>,
     /// Paths that sample the same emitter.
     group: Group<P>,
+    /// Of one image at a time.
+    lookups: Lookups<P>,
     /// Direction the paths came from, local frame.
     wo: Lanes<P>,
     /// Random bits that choose an emitter.
@@ -412,6 +416,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             kinds: Kinds::new(),
             leaving: Leaving::new(),
             group: Group::new(),
+            lookups: Lookups::new(),
             wo: Lanes::zero(),
             choice: Lane::zero(),
             numbers: [Lane::zero(); 6],
@@ -846,7 +851,8 @@ impl<P: Float, X: Sampler> Wave<P, X> {
                 && e.is_known()
             {
                 let put = |i, light, le| found(i, emitter, light, le);
-                (self.leaving).meet::<S>(e, theta, (&d, &pdf), (rivals, share), put);
+                let (of, light) = ((&d, &pdf), (rivals, share));
+                (self.leaving).meet::<S>(e, theta, &mut self.lookups, of, light, put);
                 continue;
             }
             for &i in &self.leaving.paths {
@@ -868,16 +874,40 @@ impl<P: Float, X: Sampler> Wave<P, X> {
     /// Looks up the albedos that are not the same everywhere.
     #[inline(never)]
     fn find_albedos(&mut self, scene: &Scene, theta: &Theta<P>) {
-        let at = &mut self.at;
-        let textured = self.textured.iter().filter_map(|&i| {
-            albedo(scene, at.material[i], at.back[i] != 0).map(|albedo| (i, albedo))
-        });
-        for (i, albedo) in textured.clone() {
-            albedo.expect(theta, at.uv(i));
-        }
-        for (i, albedo) in textured {
-            at.albedo
-                .put_rgb(i, albedo.eval_in_line(theta, at.uv(i)).into());
+        let (at, lookups) = (&mut self.at, &mut self.lookups);
+        let of = |at: &Vertices<P>, i: usize| albedo(scene, at.material[i], at.back[i] != 0);
+        // One image after the other.
+        while let Some(&first) = self.textured.first() {
+            let Some(texture) = of(at, first) else {
+                break;
+            };
+            let (mut u, mut v) = (Lane::<P>::zero(), Lane::<P>::zero());
+            let mut alike = [0; WAVE_SIZE];
+            let mut n = 0;
+            self.textured.retain(|&i| {
+                let same = of(at, i).is_some_and(|t| std::ptr::eq(t, texture));
+                if same {
+                    (u[n], v[n], alike[n]) = (at.u[i], at.v[i], i);
+                    n += 1;
+                }
+                !same
+            });
+            let alike = &alike[..n];
+            if let Some(image) = image(texture) {
+                lookups.find(image, n, &u, &v);
+                lookups.expect(theta, image, n);
+                for (k, &i) in alike.iter().enumerate() {
+                    at.albedo.put_rgb(i, lookups.value(theta, image, k));
+                }
+                continue;
+            }
+            for &i in alike {
+                texture.expect(theta, at.uv(i));
+            }
+            for &i in alike {
+                let albedo = texture.eval_in_line(theta, at.uv(i));
+                at.albedo.put_rgb(i, albedo.into());
+            }
         }
     }
 
@@ -1107,10 +1137,26 @@ impl<P: Float, X: Sampler> Wave<P, X> {
                 }
             }
             _ => {
+                // The first image around everything, of all others at once.
+                let around = scene.infinite_emitters().iter().find_map(|&index| {
+                    let e = &emitters[index as usize];
+                    Some((index, e, image(e.radiance())?))
+                });
+                if let Some((.., image)) = around {
+                    self.lookups.find(image, self.n, &lights.u, &lights.v);
+                }
                 // Where there is no sample, any radiance is right.
                 for i in (0..self.n).filter(|&i| lights.pdf[i] > P::zero()) {
-                    let e = &emitters[lights.emitter[i] as usize];
-                    let le = e.eval_in_line(theta, &lights.emission(i));
+                    let le = match around {
+                        Some((index, e, image)) if index == lights.emitter[i] => {
+                            let radiance = self.lookups.value(theta, image, i);
+                            e.scaled(theta, radiance * lights.falloff[i])
+                        }
+                        _ => {
+                            let e = &emitters[lights.emitter[i] as usize];
+                            e.eval_in_line(theta, &lights.emission(i))
+                        }
+                    };
                     lights.le.put_rgb(i, le);
                 }
             }
