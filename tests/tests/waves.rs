@@ -182,9 +182,16 @@ fn court() -> (Case, Scene) {
             r#"<shape type="sphere"><point name="center" value="{x}, -0.2, 0.4"/><float name="radius" value="0.3"/>{bsdf}</shape>"#
         )
     };
-    let floor = format!(
-        r#"<bsdf type="diffuse"><texture type="bitmap" name="reflectance"><string name="filename" value="{tiles}"/></texture></bsdf>"#
-    );
+    // Within the image and beyond it, and images of which lookups are found one by one.
+    let tiled = |more: &str| {
+        format!(
+            r#"<bsdf type="diffuse"><texture type="bitmap" name="reflectance"><string name="filename" value="{tiles}"/>
+               <transform name="to_uv"><scale value="1.7"/></transform>{more}</texture></bsdf>"#
+        )
+    };
+    let floor = tiled("");
+    let turned = tiled(r#"<string name="wrap_mode" value="mirror"/>"#);
+    let squares = tiled(r#"<string name="filter_type" value="nearest"/>"#);
     let lamp = |at: &str, radiance: &str| {
         format!(
             r#"<shape type="rectangle"><transform name="to_world"><scale value="0.3"/><rotate x="1" angle="90"/>{at}</transform>
@@ -213,6 +220,8 @@ fn court() -> (Case, Scene) {
         ball(-0.8, &metal("ggx", 0.6, "none")),
         ball(0.0, &metal("beckmann", 0.1, "Al")),
         ball(0.8, &mirror("none")),
+        ball(-1.6, &turned),
+        ball(1.6, &squares),
         lamp(r#"<translate x="-0.7" y="1.2"/>"#, "7, 6, 5"),
         lamp(r#"<translate x="0.7" y="1.4"/>"#, "3, 4, 5"),
         format!(

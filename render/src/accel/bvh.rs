@@ -738,6 +738,13 @@ impl Search {
         deep: Vec::new(),
     };
 
+    /// Forgets all.
+    #[inline(always)]
+    pub fn clear(&mut self) {
+        self.count = 0;
+        self.deep.clear();
+    }
+
     /// Adds a child.
     #[inline(always)]
     pub fn push(&mut self, near: f32, child: Child) {

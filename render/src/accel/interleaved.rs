@@ -11,6 +11,7 @@ use super::triangle_block::RayLanes;
 use super::{Best, Hit, Ray};
 use crate::math::each;
 use smallvec::SmallVec;
+use std::cell::Cell;
 use wide::f32x16;
 
 /// Up to this number of rays are faster one by one. Measured.
@@ -105,13 +106,21 @@ struct Single {
     slabs: Slabs,
 }
 
+/// Per lane: what a ray that goes on alone has still to visit.
+type Searches = [Search; PACKET_SIZE];
+
+thread_local! {
+    /// Those of the last packet: some kilobytes, which would take as long to make anew as a ray to follow.
+    static SEARCHES: Cell<Option<Box<Searches>>> = const { Cell::new(None) };
+}
+
 /// Rays that go on alone, and all that each of them has still to visit.
 struct Alone {
     rays: SmallVec<[Single; PACKET_SIZE]>,
     /// Per lane: whether it is among the rays.
     started: u32,
-    /// Per lane, once there are any.
-    searches: Option<[Search; PACKET_SIZE]>,
+    /// Once there are any.
+    searches: Option<Box<Searches>>,
 }
 
 impl Alone {
@@ -126,18 +135,21 @@ impl Alone {
 
     /// A ray of a packet visits a child by itself, after those that it did not yet.
     #[inline(always)]
-    // They are some kilobytes, which most packets do not need.
-    #[allow(clippy::unnecessary_lazy_evaluations)]
     fn visit(&mut self, tree: &Tree, packet: &Interleaved, lane: usize, near: f32, child: Child) {
+        let searches = self.searches.get_or_insert_with(|| {
+            let made = || Box::new([const { Search::NONE }; PACKET_SIZE]);
+            SEARCHES.take().unwrap_or_else(made)
+        });
+        let search = &mut searches[lane % PACKET_SIZE];
         if self.started >> lane & 1 == 0 {
             self.started |= 1 << lane;
+            search.clear();
             if let Some(ray) = packet.ray(lane) {
                 let slabs = Slabs::new(tree, &ray);
                 self.rays.push(Single { lane, ray, slabs });
             }
         }
-        let searches = (self.searches).get_or_insert_with(|| [const { Search::NONE }; PACKET_SIZE]);
-        searches[lane % PACKET_SIZE].push(near, child);
+        search.push(near, child);
     }
 
     /// Follows the rays step by step, in turns. `step` visits a ray's child, if there is one yet, and tells its next.
@@ -147,7 +159,7 @@ impl Alone {
         tree: &Tree,
         mut step: impl FnMut(&Single, &mut Search, Option<Child>) -> Option<Child>,
     ) {
-        let Some(searches) = &mut self.searches else {
+        let Some(mut searches) = self.searches.take() else {
             return;
         };
         // Those that are still on their way, and what they visit next.
@@ -175,6 +187,7 @@ impl Alone {
                 count += usize::from(next.is_some());
             }
         }
+        SEARCHES.set(Some(searches));
     }
 }
 

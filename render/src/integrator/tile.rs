@@ -9,6 +9,7 @@ use super::path::{Context, Walk};
 use super::record::Observer;
 use super::wave::{Log, WAVE_SIZE, Wave};
 use crate::estimator::{Geometry, Sampling, Strategy};
+use crate::film::Film;
 use crate::math::{Ray, Rgb};
 use crate::sampler::{Points, Sampler};
 use crate::scene::Scene;
@@ -96,22 +97,41 @@ pub(super) fn spot<P: Float, X: Sampler>(
     scene: &Scene,
     points: Points,
     seed: u64,
-    [x, y]: [u32; 2],
+    pixel: [u32; 2],
     index: u64,
 ) -> ([P; 4], X) {
-    let film = &scene.film;
-    // Counted on the full film, so that a crop shows the same samples.
-    let [px, py] = [x + film.crop_offset[0], y + film.crop_offset[1]];
-    let pixel = u64::from(py) * u64::from(film.size[0]) + u64::from(px);
-    let mut sampler = X::spread(points, seed, pixel, index);
-    let [dx, dy] = film.filter.sample(sampler.next_2d::<P>());
-    let centre = |p: u32| P::of(f64::from(p) + 0.5);
+    let (pixel, mut sampler): (_, X) = stream(scene, points, seed, pixel, index);
+    let [x, y] = image_point(&scene.film, pixel, sampler.next_2d::<P>());
     let [u, v] = if scene.camera.has_lens() {
         sampler.next_2d::<P>()
     } else {
         [P::zero(); 2]
     };
-    ([centre(px) + dx, centre(py) + dy, u, v], sampler)
+    ([x, y, u, v], sampler)
+}
+
+/// The pixel on the full film, on which pixels are counted so that a crop shows the same samples, and all numbers of a
+/// sample of it.
+#[inline(always)]
+fn stream<X: Sampler>(
+    scene: &Scene,
+    points: Points,
+    seed: u64,
+    [x, y]: [u32; 2],
+    index: u64,
+) -> ([u32; 2], X) {
+    let film = &scene.film;
+    let [px, py] = [x + film.crop_offset[0], y + film.crop_offset[1]];
+    let pixel = u64::from(py) * u64::from(film.size[0]) + u64::from(px);
+    ([px, py], X::spread(points, seed, pixel, index))
+}
+
+/// The point of the image that two numbers stand for in a pixel of the full film.
+#[inline(always)]
+pub(super) fn image_point<P: Float>(film: &Film, [px, py]: [u32; 2], u: [P; 2]) -> [P; 2] {
+    let [dx, dy] = film.filter.sample(u);
+    let centre = |p: u32| P::of(f64::from(p) + 0.5);
+    [centre(px) + dx, centre(py) + dy]
 }
 
 /// The point of the image that a sample of a pass sees.
@@ -130,15 +150,12 @@ fn weight<P: Float, X: Sampler>(
     scene: &Scene,
     points: Points,
     seed: u64,
-    [x, y]: [u32; 2],
+    pixel: [u32; 2],
     index: u64,
 ) -> f64 {
-    let film = &scene.film;
-    let [px, py] = [x + film.crop_offset[0], y + film.crop_offset[1]];
-    let pixel = u64::from(py) * u64::from(film.size[0]) + u64::from(px);
-    let mut sampler = X::spread(points, seed, pixel, index);
-    film.filter
-        .weight(film.filter.sample(sampler.next_2d::<P>()))
+    let filter = &scene.film.filter;
+    let (_, mut sampler): (_, X) = stream(scene, points, seed, pixel, index);
+    filter.weight(filter.sample(sampler.next_2d::<P>()))
 }
 
 impl Tile {
@@ -251,11 +268,11 @@ impl Tile {
                 break;
             }
             begin(log, &which);
-            let spot = |i: usize| {
+            let begin = |i: usize| {
                 let (_, sample) = &which[i];
-                spot::<P, X>(scene, points, seed, sample.pixel, sample.index)
+                stream(scene, points, seed, sample.pixel, sample.index)
             };
-            wave.trace::<S, L>(context, which.len(), spot, log);
+            wave.trace::<S, L>(context, which.len(), begin, log);
             if context.progress.cancelled() {
                 break;
             }

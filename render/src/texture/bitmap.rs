@@ -78,7 +78,30 @@ impl Bitmap {
                 weight,
             };
         }
-        let (texel, [fx, fy]) = self.corners(uv);
+        self.between(self.corners(uv))
+    }
+
+    /// Whether [`Bitmap::footprint_in_line`] is ever right.
+    #[inline(always)]
+    pub(crate) fn is_found_in_line(&self) -> bool {
+        !self.nearest && self.wrap == Wrap::Repeat
+    }
+
+    /// [`Bitmap::footprint`] of an interpolated image that repeats, without a branch, and whether that is right: if the
+    /// place lies within the image.
+    #[inline(always)]
+    pub(crate) fn footprint_in_line<P: Float>(&self, uv: Vec2<P>) -> (Footprint<P>, bool) {
+        let at = self.to_uv.apply(uv);
+        let right = within(at.x) & within(at.y);
+        let inside = |x: P| P::select(right, x, P::zero());
+        let cell = |x: P, n: u32| reduced_cell(inside(x), n, Wrap::Repeat);
+        let corners = self.corners_of(cell(at.x, self.width), cell(at.y, self.height));
+        (self.between(corners), right)
+    }
+
+    /// The interpolation of four texels.
+    #[inline(always)]
+    fn between<R: Real>(&self, (texel, [fx, fy]): ([u32; 4], [R; 2])) -> Footprint<R> {
         let (gx, gy) = (R::one() - fx, R::one() - fy);
         Footprint {
             param: self.param,
@@ -90,8 +113,16 @@ impl Bitmap {
     /// The texels around a place of the image, x first, and how far it is from the first to the last.
     #[inline(always)]
     fn corners<R: Real>(&self, at: Vec2<R>) -> ([u32; 4], [R; 2]) {
-        let (x0, x1, fx) = cell(at.x, self.width, self.wrap);
-        let (y0, y1, fy) = cell(at.y, self.height, self.wrap);
+        let x = cell(at.x, self.width, self.wrap);
+        self.corners_of(x, cell(at.y, self.height, self.wrap))
+    }
+
+    #[inline(always)]
+    fn corners_of<R: Real>(
+        &self,
+        (x0, x1, fx): (u32, u32, R),
+        (y0, y1, fy): (u32, u32, R),
+    ) -> ([u32; 4], [R; 2]) {
         let texel = [
             y0 * self.width + x0,
             y0 * self.width + x1,
@@ -126,11 +157,17 @@ impl Bitmap {
     }
 }
 
+/// Whether a coordinate lies in the first period.
+#[inline(always)]
+fn within<P: Float>(x: P) -> bool {
+    (x >= P::zero()) & (x < P::one())
+}
+
 /// Reduces a coordinate to about one period, so that its integer part fits an `i32` whatever the input.
 #[inline]
 fn reduce<P: Float>(x: P, wrap: Wrap) -> P {
     // Nearly always; a division with remainder costs more than the rest of the lookup.
-    if x >= P::zero() && x < P::one() {
+    if within(x) {
         return x;
     }
     let x = if x.is_finite() { x } else { P::zero() };
@@ -190,6 +227,12 @@ fn cell<R: Real>(x: R, n: u32, wrap: Wrap) -> (u32, u32, R) {
     } else {
         x + ad_core::Const(reduced - p)
     };
+    reduced_cell(x, n, wrap)
+}
+
+/// The same for a coordinate that is [`reduce`]d.
+#[inline(always)]
+fn reduced_cell<R: Real>(x: R, n: u32, wrap: Wrap) -> (u32, u32, R) {
     let pos = x * R::c(f64::from(n)) - R::c(0.5);
     let floor = pos.primal().to_f64().floor();
     let i = whole(floor);

@@ -33,6 +33,12 @@ pub struct Footprint<R> {
 }
 
 impl<P: Float> Footprint<P> {
+    /// The value there, all channels.
+    #[inline(always)]
+    pub(crate) fn value<const C: usize>(&self, theta: &Theta<P>) -> [P; C] {
+        gather(theta, self, |texel| texel, |texel, w| texel * Const(w))
+    }
+
     /// Adds `d`, the adjoint of one of three channels of the lookup, to its texels.
     pub(crate) fn scatter_channel(&self, channel: u32, d: P, grad: &mut impl GradSink<P>) {
         for (texel, weight) in self.texel.into_iter().zip(self.weight) {
@@ -91,10 +97,7 @@ impl<const C: usize> Texture<C> {
     #[inline(always)]
     pub(crate) fn eval_in_line<P: Float>(&self, theta: &Theta<P>, uv: Vec2<P>) -> [P; C] {
         match self {
-            Self::Bitmap(t) => {
-                let f = t.footprint(uv);
-                gather(theta, &f, |texel| texel, |texel, w| texel * Const(w))
-            }
+            Self::Bitmap(t) => t.footprint(uv).value(theta),
             _ => self.eval(theta, uv),
         }
     }

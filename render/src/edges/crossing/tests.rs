@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::math::Transform;
-use crate::shape::{Cube, Cylinder, Disk, Mesh, MeshData, Rectangle, Sphere};
+use crate::shape::{Cube, Cylinder, Disk, Mesh, MeshData, Patch, Rectangle, Sphere};
 
 fn cube(scale: f64, at: [f64; 3]) -> AnyShape {
     let to_world = Transform::scale([scale; 3]).then(&Transform::translate(at));
@@ -10,8 +10,8 @@ fn cube(scale: f64, at: [f64; 3]) -> AnyShape {
 }
 
 fn floor() -> AnyShape {
-    let to_world = Transform::scale([5.0; 3]);
-    Rectangle::new(&to_world, false).expect("a floor").into()
+    let patch = Patch::new([-5.0, -5.0, 0.0], [10.0, 0.0, 0.0], [0.0, 10.0, 0.0], false);
+    Rectangle(patch.expect("a floor")).into()
 }
 
 fn ball(at: [f64; 3], radius: f64) -> AnyShape {

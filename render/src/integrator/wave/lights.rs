@@ -3,6 +3,7 @@
 use ad_core::{Const, Float, Vec2, Vec3};
 
 use super::lanes::{Field, Lane, Lanes, WAVE_SIZE, lanes, whole};
+use super::lookups::{Lookups, image};
 use crate::emitter::{
     AnyEmitter, Area, Emission, Emitter, EmitterSample, Envmap, LocalSums, MapPoint,
 };
@@ -281,6 +282,7 @@ impl<P: Float> Leaving<P> {
         &mut self,
         e: &Envmap,
         theta: &Theta<P>,
+        lookups: &mut Lookups<P>,
         (d, pdf): (&Lanes<P>, &Lane<P>),
         (rivals, share): (bool, P),
         mut put: impl FnMut(usize, Met<P>, Rgb<P>),
@@ -297,6 +299,10 @@ impl<P: Float> Leaving<P> {
         } else {
             at.weight = [P::one(); WAVE_SIZE];
         }
+        let image = image(e.radiance());
+        if let Some(image) = image {
+            lookups.find(image, paths.len(), &at.u, &at.v);
+        }
         for (k, &i) in paths.iter().enumerate() {
             let k = k % WAVE_SIZE;
             if rivals && !S::COUNTS_HITS && at.pdf_bsdf[k] > P::zero() {
@@ -304,7 +310,13 @@ impl<P: Float> Leaving<P> {
             }
             let emission = e.emission(Vec2::new(at.u[k], at.v[k]));
             let weight = at.weight[k];
-            let le = e.eval_in_line(theta, &emission);
+            let le = match image {
+                Some(image) => {
+                    let radiance = lookups.value(theta, image, k);
+                    e.scaled(theta, radiance * emission.falloff)
+                }
+                None => e.eval_in_line(theta, &emission),
+            };
             put(i, Met { emission, weight }, le);
         }
     }

@@ -15,6 +15,7 @@ mod derivatives;
 mod kinds;
 mod lanes;
 mod lights;
+mod lookups;
 mod record;
 
 use ad_core::{Const, Float, Vec2, Vec3};
@@ -24,12 +25,14 @@ use kinds::{Kinds, has_two_sides, seen_from, side};
 pub(super) use lanes::WAVE_SIZE;
 use lanes::{Field, Lane, Lanes, lanes, whole};
 use lights::{Group, Leaving, MOST_TOGETHER, together};
+use lookups::{Lookups, image};
 pub(super) use record::Record;
 use smallvec::SmallVec;
 
 use super::direct::{Departure, FoundEdge};
 use super::lockstep;
 use super::path::Context;
+use super::tile::image_point;
 use super::vertex::interest::{Interest, PathInterest, splits};
 use super::vertex::light::{
     Met, Rival, Seen, choose, counts_hits, find_light, guided, has_rival, matters, mis_weight,
@@ -373,6 +376,8 @@ pub(super) struct Wave<P, X> {
     leaving: Leaving<P>,
     /// Paths that sample the same emitter.
     group: Group<P>,
+    /// Of one image at a time.
+    lookups: Lookups<P>,
     /// Direction the paths came from, local frame.
     wo: Lanes<P>,
     /// Random bits that choose an emitter.
@@ -411,6 +416,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             kinds: Kinds::new(),
             leaving: Leaving::new(),
             group: Group::new(),
+            lookups: Lookups::new(),
             wo: Lanes::zero(),
             choice: Lane::zero(),
             numbers: [Lane::zero(); 6],
@@ -426,34 +432,26 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         })
     }
 
-    /// Follows the paths of the camera rays through `n` spots of the image to their ends, at most [`WAVE_SIZE`].
+    /// Follows the paths of `n` camera rays to their ends, at most [`WAVE_SIZE`]. `begin` tells the pixel of each on the
+    /// full film, and its numbers.
     pub fn trace<S: Strategy, L: Log<P>>(
         &mut self,
         context: &Context<P>,
         n: usize,
-        spot: impl Fn(usize) -> ([P; 4], X),
+        begin: impl Fn(usize) -> ([u32; 2], X),
         log: &mut L,
     ) {
         self.samplers.clear();
         self.branches.clear();
-        let (mut x, mut y) = (Lane::zero(), Lane::zero());
-        let (mut u, mut v) = (Lane::zero(), Lane::zero());
+        let mut pixels = [[0; 2]; WAVE_SIZE];
         for i in 0..n.min(WAVE_SIZE) {
             let sampler;
-            ([x[i], y[i], u[i], v[i]], sampler) = spot(i);
+            (pixels[i], sampler) = begin(i);
             self.start(i, i, &sampler);
             self.samplers.push(sampler);
         }
         self.n = self.samplers.len();
-        let camera = &context.scene.camera;
-        self.look(camera, &x, &y);
-        if !camera.is_pinhole() {
-            for i in 0..self.n {
-                let ray = camera.ray_through(x[i], y[i], [u[i], v[i]]);
-                self.paths.o.put_vec(i, ray.o);
-                self.paths.d.put_vec(i, ray.d);
-            }
-        }
+        self.look_from(context.scene, &pixels);
         for depth in 1.. {
             if self.n == 0 || context.progress.cancelled() {
                 break;
@@ -486,7 +484,33 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         }
     }
 
-    /// Camera rays through these spots of the image.
+    /// Camera rays through these pixels, by the numbers of [`Purpose::Pixel`], as single paths start.
+    #[inline(never)]
+    fn look_from(&mut self, scene: &Scene, pixels: &[[u32; 2]; WAVE_SIZE]) {
+        let camera = &scene.camera;
+        let [mut x, mut y, mut u, mut v] = [Lane::<P>::zero(); 4];
+        let (n, first) = (whole(self.n), Purpose::Pixel.at(1));
+        draw_units(
+            self.points,
+            n,
+            &self.paths,
+            first,
+            [&mut x, &mut y, &mut u, &mut v],
+        );
+        for i in 0..self.n {
+            [x[i], y[i]] = image_point(&scene.film, pixels[i], [x[i], y[i]]);
+        }
+        self.look(camera, &x, &y);
+        if !camera.is_pinhole() {
+            for i in 0..self.n {
+                let ray = camera.ray_through(x[i], y[i], [u[i], v[i]]);
+                self.paths.o.put_vec(i, ray.o);
+                self.paths.d.put_vec(i, ray.d);
+            }
+        }
+    }
+
+    /// Camera rays through these points of the image.
     #[inline(never)]
     fn look(&mut self, camera: &Camera, x: &Lane<P>, y: &Lane<P>) {
         let paths = &mut self.paths;
@@ -827,7 +851,8 @@ impl<P: Float, X: Sampler> Wave<P, X> {
                 && e.is_known()
             {
                 let put = |i, light, le| found(i, emitter, light, le);
-                (self.leaving).meet::<S>(e, theta, (&d, &pdf), (rivals, share), put);
+                let (of, light) = ((&d, &pdf), (rivals, share));
+                (self.leaving).meet::<S>(e, theta, &mut self.lookups, of, light, put);
                 continue;
             }
             for &i in &self.leaving.paths {
@@ -849,16 +874,40 @@ impl<P: Float, X: Sampler> Wave<P, X> {
     /// Looks up the albedos that are not the same everywhere.
     #[inline(never)]
     fn find_albedos(&mut self, scene: &Scene, theta: &Theta<P>) {
-        let at = &mut self.at;
-        let textured = self.textured.iter().filter_map(|&i| {
-            albedo(scene, at.material[i], at.back[i] != 0).map(|albedo| (i, albedo))
-        });
-        for (i, albedo) in textured.clone() {
-            albedo.expect(theta, at.uv(i));
-        }
-        for (i, albedo) in textured {
-            at.albedo
-                .put_rgb(i, albedo.eval_in_line(theta, at.uv(i)).into());
+        let (at, lookups) = (&mut self.at, &mut self.lookups);
+        let of = |at: &Vertices<P>, i: usize| albedo(scene, at.material[i], at.back[i] != 0);
+        // One image after the other.
+        while let Some(&first) = self.textured.first() {
+            let Some(texture) = of(at, first) else {
+                break;
+            };
+            let (mut u, mut v) = (Lane::<P>::zero(), Lane::<P>::zero());
+            let mut alike = [0; WAVE_SIZE];
+            let mut n = 0;
+            self.textured.retain(|&i| {
+                let same = of(at, i).is_some_and(|t| std::ptr::eq(t, texture));
+                if same {
+                    (u[n], v[n], alike[n]) = (at.u[i], at.v[i], i);
+                    n += 1;
+                }
+                !same
+            });
+            let alike = &alike[..n];
+            if let Some(image) = image(texture) {
+                lookups.find(image, n, &u, &v);
+                lookups.expect(theta, image, n);
+                for (k, &i) in alike.iter().enumerate() {
+                    at.albedo.put_rgb(i, lookups.value(theta, image, k));
+                }
+                continue;
+            }
+            for &i in alike {
+                texture.expect(theta, at.uv(i));
+            }
+            for &i in alike {
+                let albedo = texture.eval_in_line(theta, at.uv(i));
+                at.albedo.put_rgb(i, albedo.into());
+            }
         }
     }
 
@@ -878,34 +927,14 @@ impl<P: Float, X: Sampler> Wave<P, X> {
                     lane[i] = P::from_bits_unit(sobol_bits(x[i]));
                 }
             }
-            let [x, y, z, w] = sobol(n, paths, scattering);
-            for (lane, x) in [(c, &x), (d, &y), (e, &z), (f, &w)] {
-                for i in 0..n {
-                    lane[i] = P::from_bits_unit(sobol_bits(x[i]));
-                }
-            }
-            return;
-        }
-        // The odd one of an antithetic pair has all bits turned.
-        let pairs = u32::from(self.points == Points::Antithetic);
-        let bits = |i: usize, dim: u32| {
-            let turned = u64::from(paths.index[i] & pairs).wrapping_neg();
-            independent_bits(paths.key[i], dim) ^ turned
-        };
-        // Counted from one.
-        for i in 0..n {
-            self.choice[i] = bits(i, light + 1);
-        }
-        for (lane, dim) in [a, b].into_iter().zip(light + 2..) {
+        } else {
+            // Counted from one.
             for i in 0..n {
-                lane[i] = P::from_bits_unit(bits(i, dim));
+                self.choice[i] = bits(self.points, paths, i, light + 1);
             }
+            draw_units(self.points, n, paths, light + 1, [a, b]);
         }
-        for (lane, dim) in [c, d, e, f].into_iter().zip(scattering + 1..) {
-            for i in 0..n {
-                lane[i] = P::from_bits_unit(bits(i, dim));
-            }
-        }
+        draw_units(self.points, n, paths, scattering, [c, d, e, f]);
     }
 
     /// Where the paths came from.
@@ -1108,10 +1137,26 @@ impl<P: Float, X: Sampler> Wave<P, X> {
                 }
             }
             _ => {
+                // The first image around everything, of all others at once.
+                let around = scene.infinite_emitters().iter().find_map(|&index| {
+                    let e = &emitters[index as usize];
+                    Some((index, e, image(e.radiance())?))
+                });
+                if let Some((.., image)) = around {
+                    self.lookups.find(image, self.n, &lights.u, &lights.v);
+                }
                 // Where there is no sample, any radiance is right.
                 for i in (0..self.n).filter(|&i| lights.pdf[i] > P::zero()) {
-                    let e = &emitters[lights.emitter[i] as usize];
-                    let le = e.eval_in_line(theta, &lights.emission(i));
+                    let le = match around {
+                        Some((index, e, image)) if index == lights.emitter[i] => {
+                            let radiance = self.lookups.value(theta, image, i);
+                            e.scaled(theta, radiance * lights.falloff[i])
+                        }
+                        _ => {
+                            let e = &emitters[lights.emitter[i] as usize];
+                            e.eval_in_line(theta, &lights.emission(i))
+                        }
+                    };
                     lights.le.put_rgb(i, le);
                 }
             }
@@ -1411,6 +1456,41 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         for i in 0..whole(self.n) {
             let counts = counts_hits::<S, P>(paths.pdf[i]);
             self.bounces.continues[i] &= u32::from(counts) & meets[i];
+        }
+    }
+}
+
+/// Random bits of a path in a dimension, counted from one, where points are no sequence.
+#[inline(always)]
+fn bits<P: Float>(points: Points, paths: &Paths<P>, i: usize, dim: u32) -> u64 {
+    // The odd one of an antithetic pair has all bits turned.
+    let pairs = u32::from(points == Points::Antithetic);
+    let turned = u64::from(paths.index[i] & pairs).wrapping_neg();
+    independent_bits(paths.key[i], dim) ^ turned
+}
+
+/// Random numbers of the first dimensions from `dim` on, up to four.
+#[inline(always)]
+fn draw_units<P: Float, const N: usize>(
+    points: Points,
+    n: usize,
+    paths: &Paths<P>,
+    dim: u32,
+    lanes: [&mut Lane<P>; N],
+) {
+    if points == Points::Sobol {
+        let all = sobol(n, paths, dim);
+        for (lane, x) in lanes.into_iter().zip(&all) {
+            for i in 0..n {
+                lane[i] = P::from_bits_unit(sobol_bits(x[i]));
+            }
+        }
+        return;
+    }
+    // Counted from one.
+    for (lane, dim) in lanes.into_iter().zip(dim + 1..) {
+        for i in 0..n {
+            lane[i] = P::from_bits_unit(bits(points, paths, i, dim));
         }
     }
 }

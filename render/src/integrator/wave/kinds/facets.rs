@@ -1,6 +1,6 @@
 //! Normals of many rough surfaces: as if all were GGX, then one by one those that are not.
 
-use ad_core::Float;
+use ad_core::{Float, Vec3};
 
 use super::super::lanes::{Field, Lane, Lanes, lanes, whole};
 use super::{Among, Scattering};
@@ -35,16 +35,32 @@ impl<P: Float> FacetLanes<P> {
         [self.sigma_o[k], self.sigma_i[k]] = facets.sigma;
     }
 
-    /// Those that reflect `wi` to `wo`, and whether they are right.
+    /// Those of a GGX surface that reflect `wi` to `wo`, and whether they are right.
+    #[inline(always)]
+    pub fn between(&self, k: usize, of: &Scattering<P>) -> (Facets<P>, bool) {
+        let (wo, wi) = (of.wo.vec(k), of.wi.vec(k));
+        let (m, right) = (wo + wi).unit();
+        // Below the horizon there is no normal.
+        let below = (wo.z <= P::zero()) | (wi.z <= P::zero());
+        (Facets::ggx(self.alpha[k], m, [wo, wi]), right | below)
+    }
+
+    /// A normal on the upper side of a GGX surface, made of random numbers, and whether it is right. `through`: whether
+    /// it is wanted where `wo` is below.
+    #[inline(always)]
+    pub fn drawn(&self, k: usize, of: &Scattering<P>, through: bool) -> (Vec3<P>, bool) {
+        let (wo, u) = (of.wo.vec(k), of.u.vec(k));
+        let (m, right) = ggx_sample_visible(self.alpha[k], upwards(wo), [u.y, u.z]);
+        (m, right | !(through | (wo.z > P::zero())))
+    }
+
+    /// [`FacetLanes::between`] of all.
     #[inline(never)]
     pub fn reflecting(&mut self, among: Among, of: &mut Scattering<P>) {
         for k in 0..whole(among.n) {
-            let (wo, wi) = (of.wo.vec(k), of.wi.vec(k));
-            let (m, right) = (wo + wi).unit();
-            self.put(k, &Facets::ggx(self.alpha[k], m, [wo, wi]));
-            // Below the horizon there is no normal.
-            let below = (wo.z <= P::zero()) | (wi.z <= P::zero());
-            of.right[k] = u32::from(right | below);
+            let (facets, right) = self.between(k, of);
+            self.put(k, &facets);
+            of.right[k] = u32::from(right);
         }
         for &k in among.one_by_one {
             let (wo, wi) = (of.wo.vec(k), of.wi.vec(k));
@@ -55,15 +71,13 @@ impl<P: Float> FacetLanes<P> {
         }
     }
 
-    /// Samples normals on the upper side of surfaces, and says whether they are right. `through`: whether they are wanted
-    /// where `wo` is below.
+    /// [`FacetLanes::drawn`] for all.
     #[inline(never)]
     pub fn sample(&mut self, among: Among, of: &mut Scattering<P>, through: bool) {
         for k in 0..whole(among.n) {
-            let (wo, u) = (of.wo.vec(k), of.u.vec(k));
-            let (m, right) = ggx_sample_visible(self.alpha[k], upwards(wo), [u.y, u.z]);
+            let (m, right) = self.drawn(k, of, through);
             self.m.put_vec(k, m);
-            of.sampled[k] = u32::from(right | !(through | (wo.z > P::zero())));
+            of.sampled[k] = u32::from(right);
         }
         for &k in among.one_by_one {
             let (wo, u) = (of.wo.vec(k), of.u.vec(k));

@@ -6,7 +6,7 @@ use super::super::lanes::{Field, Lane, Lanes, lanes, whole};
 use super::facets::FacetLanes;
 use super::{Among, CONTINUOUS, Members, REFLECTED, Scattering};
 use crate::bsdf::microfacet::Ndf;
-use crate::bsdf::{Material, Metal, Shading, reflect};
+use crate::bsdf::{Facets, Material, Metal, Shading, reflect};
 use crate::math::Rgb;
 
 lanes! {
@@ -33,21 +33,44 @@ impl<P: Float> Metals<P> {
         }
     }
 
+    /// Where all normals have steps in vectors: theirs, and what they reflect, in one loop.
     #[inline(never)]
-    fn value(&mut self, n: usize, of: &mut Scattering<P>) {
+    fn value_at_once(&self, n: usize, of: &mut Scattering<P>) {
         for k in 0..whole(n) {
-            let (wo, wi) = (of.wo.vec(k), of.wi.vec(k));
-            let (f, pdf) = self.metal(k).eval_pdf(wo, wi, &self.facets.at(k));
-            // Nothing comes from a light to a mirror.
-            let rough = self.smooth[k] == 0;
-            of.f.put_rgb(k, Rgb::select(rough, f, Rgb::black()));
-            of.pdf[k] = P::select(rough, pdf, P::zero());
-            of.right[k] |= self.smooth[k];
+            let (facets, right) = self.facets.between(k, of);
+            self.put_value(k, &facets, right, of);
         }
     }
 
     #[inline(never)]
-    fn turn(&mut self, n: usize, of: &mut Scattering<P>) {
+    fn value(&self, n: usize, of: &mut Scattering<P>) {
+        for k in 0..whole(n) {
+            self.put_value(k, &self.facets.at(k), of.right[k] != 0, of);
+        }
+    }
+
+    #[inline(always)]
+    fn put_value(&self, k: usize, facets: &Facets<P>, right: bool, of: &mut Scattering<P>) {
+        let (f, pdf) = self.metal(k).eval_pdf(of.wo.vec(k), of.wi.vec(k), facets);
+        // Nothing comes from a light to a mirror.
+        let rough = self.smooth[k] == 0;
+        of.f.put_rgb(k, Rgb::select(rough, f, Rgb::black()));
+        of.pdf[k] = P::select(rough, pdf, P::zero());
+        of.right[k] = u32::from(right | !rough);
+    }
+
+    /// Where all normals have steps in vectors: they, and where they lead, in one loop.
+    #[inline(never)]
+    fn turn_at_once(&self, n: usize, of: &mut Scattering<P>) {
+        for k in 0..whole(n) {
+            let (m, right) = self.facets.drawn(k, of, false);
+            of.sampled[k] = u32::from(right);
+            of.wi.put_vec(k, reflect(of.wo.vec(k), m));
+        }
+    }
+
+    #[inline(never)]
+    fn turn(&self, n: usize, of: &mut Scattering<P>) {
         for k in 0..whole(n) {
             let wo = of.wo.vec(k);
             of.wi.put_vec(k, reflect(wo, self.facets.m.vec(k)));
@@ -56,7 +79,7 @@ impl<P: Float> Metals<P> {
 
     /// Mirrors, whose directions are not drawn.
     #[inline(never)]
-    fn reflect(&mut self, n: usize, of: &mut Scattering<P>) {
+    fn reflect(&self, n: usize, of: &mut Scattering<P>) {
         for k in 0..whole(n) {
             let wo = of.wo.vec(k);
             let (smooth, above) = (self.smooth[k] != 0, wo.z > P::zero());
@@ -67,7 +90,6 @@ impl<P: Float> Metals<P> {
             of.wi.put_vec(k, wi);
             of.f.put_rgb(k, Rgb::select(smooth, f, of.f.rgb(k)));
             of.pdf[k] = P::select(smooth, pdf, of.pdf[k]);
-            of.eta[k] = P::one();
             of.component[k] = if smooth { REFLECTED } else { CONTINUOUS };
             of.sampled[k] |= self.smooth[k];
         }
@@ -103,15 +125,28 @@ impl<P: Float> Members<P> for Metals<P> {
 
     #[inline(always)]
     fn eval_pdf(&mut self, among: Among, of: &mut Scattering<P>) {
-        self.facets.reflecting(among, of);
-        self.value(among.n, of);
+        if among.one_by_one.is_empty() {
+            self.value_at_once(among.n, of);
+        } else {
+            self.facets.reflecting(among, of);
+            self.value(among.n, of);
+        }
     }
 
     #[inline(always)]
     fn sample(&mut self, among: Among, of: &mut Scattering<P>) {
-        self.facets.sample(among, of, false);
-        self.turn(among.n, of);
+        if among.one_by_one.is_empty() {
+            self.turn_at_once(among.n, of);
+        } else {
+            self.facets.sample(among, of, false);
+            self.turn(among.n, of);
+        }
         self.eval_pdf(among, of);
-        self.reflect(among.n, of);
+        let n = whole(among.n);
+        of.eta[..n].fill(P::one());
+        of.component[..n].fill(CONTINUOUS);
+        if self.smooth[..among.n].contains(&1) {
+            self.reflect(among.n, of);
+        }
     }
 }

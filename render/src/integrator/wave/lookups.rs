@@ -1,0 +1,93 @@
+//! Many lookups of one interpolated image, at once.
+
+use ad_core::{Float, Vec2};
+
+use super::lanes::{Field, Lane, WAVE_SIZE, lanes, whole};
+use crate::math::Rgb;
+use crate::params::Theta;
+use crate::texture::{Bitmap, Footprint, RgbTexture, Texture};
+
+lanes! {
+    /// The texels and weights of lookups.
+    Corners {
+        texel_a: Lane<u32>,
+        texel_b: Lane<u32>,
+        texel_c: Lane<u32>,
+        texel_d: Lane<u32>,
+        weight_a: Lane<P>,
+        weight_b: Lane<P>,
+        weight_c: Lane<P>,
+        weight_d: Lane<P>,
+        /// Whether they are right.
+        right: Lane<u32>,
+    }
+}
+
+/// Lookups of an image.
+pub struct Lookups<P>(Box<Corners<P>>);
+
+/// The image that a texture is, if lookups of it can be found in vectors.
+#[inline(always)]
+pub fn image(texture: &RgbTexture) -> Option<&Bitmap> {
+    match texture {
+        Texture::Bitmap(bitmap) if bitmap.is_found_in_line() => Some(bitmap),
+        _ => None,
+    }
+}
+
+impl<P: Float> Lookups<P> {
+    /// None.
+    pub fn new() -> Self {
+        Self(Box::new(Corners::zero()))
+    }
+
+    /// Finds the texels of the first `n` lookups.
+    #[inline(never)]
+    pub fn find(&mut self, bitmap: &Bitmap, n: usize, u: &Lane<P>, v: &Lane<P>) {
+        let corners = &mut *self.0;
+        for k in 0..whole(n) {
+            let (footprint, right) = bitmap.footprint_in_line(Vec2::new(u[k], v[k]));
+            corners.put(k, &footprint);
+            corners.right[k] = u32::from(right);
+        }
+        for k in 0..n.min(WAVE_SIZE) {
+            if corners.right[k] == 0 {
+                corners.put(k, &bitmap.footprint(Vec2::new(u[k], v[k])));
+            }
+        }
+    }
+
+    /// The value of lookup `k`.
+    #[inline(always)]
+    pub fn value(&self, theta: &Theta<P>, bitmap: &Bitmap, k: usize) -> Rgb<P> {
+        let c = &*self.0;
+        let footprint = Footprint {
+            param: bitmap.param,
+            texel: [c.texel_a[k], c.texel_b[k], c.texel_c[k], c.texel_d[k]],
+            weight: [c.weight_a[k], c.weight_b[k], c.weight_c[k], c.weight_d[k]],
+        };
+        footprint.value(theta).into()
+    }
+
+    /// Says that the values of the first `n` will soon be asked for: neighbours are mostly in one line of the cache.
+    #[inline(always)]
+    pub fn expect(&self, theta: &Theta<P>, bitmap: &Bitmap, n: usize) {
+        for k in 0..n.min(WAVE_SIZE) {
+            for texel in [self.0.texel_a[k], self.0.texel_c[k]] {
+                theta.expect(bitmap.param, texel as usize * 3);
+            }
+        }
+    }
+}
+
+impl<P: Float> Corners<P> {
+    #[inline(always)]
+    fn put(&mut self, k: usize, footprint: &Footprint<P>) {
+        let [a, b, c, d] = footprint.texel;
+        (self.texel_a[k], self.texel_b[k]) = (a, b);
+        (self.texel_c[k], self.texel_d[k]) = (c, d);
+        let [a, b, c, d] = footprint.weight;
+        (self.weight_a[k], self.weight_b[k]) = (a, b);
+        (self.weight_c[k], self.weight_d[k]) = (c, d);
+    }
+}
