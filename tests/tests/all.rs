@@ -9,6 +9,7 @@ mod caustics;
 mod check;
 mod compile_fail;
 mod convolved;
+mod crossings;
 mod determinism;
 mod documents;
 mod estimator_matrix;

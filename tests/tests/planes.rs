@@ -305,7 +305,7 @@ fn faces_that_are_one_are_told() {
     let glass = r#"<bsdf type="dielectric"/>"#;
     let pane = |y: f32, x: f32, up: bool, inside: &str, far: f32| {
         let turn = format!(r#"<translate x="{}" y="{far}" z="{far}"/>"#, x + far);
-        plate("rectangle", inside, 1.0, y, up, &turn)
+        plate("rectangle", inside, 1.0, y.into(), up, &turn)
     };
     let mask = format!(
         r#"<bsdf type="mask"><float name="opacity" value="0.5"/>{}</bsdf>"#,
