@@ -184,6 +184,14 @@ impl Film {
         }
     }
 
+    /// The point of the image that two uniform numbers stand for in a pixel of the full film, by the filter.
+    #[inline(always)]
+    pub fn point_in<P: Float>(&self, [px, py]: [u32; 2], u: [P; 2]) -> [P; 2] {
+        let [dx, dy] = self.filter.sample(u);
+        let centre = |p: u32| P::of(f64::from(p) + 0.5);
+        [centre(px) + dx, centre(py) + dy]
+    }
+
     /// Least and largest x, then y, of the full film where a splat reaches the rendered part.
     pub fn reach(&self) -> [[f64; 2]; 2] {
         let margin = self.filter.radius() - 0.5;

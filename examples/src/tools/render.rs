@@ -275,6 +275,19 @@ struct Report {
     seconds_render: f64,
 }
 
+/// Refuses what a method cannot do, and says what it does not show.
+fn check_method(method: Method, scene: &Scene) -> Result<(), ToolError> {
+    match method {
+        Method::Paths(estimator) => warn_of_unsampled(scene, estimator),
+        Method::Particles(_) => {
+            particle::check(scene)?;
+            warn_of_deltas(scene);
+        }
+        Method::Density(..) => particle::check(scene)?,
+    }
+    Ok(())
+}
+
 /// Says which shape, if any, particles do not show as it is: they reach the camera from no Dirac delta.
 fn warn_of_deltas(scene: &Scene) {
     let shapes = 0..scene.shapes().len() as u32;
@@ -327,14 +340,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     let method = args.method()?;
     let (mut scene, seconds_load) = args.load.load(file)?;
     interrupt.keep();
-    match method {
-        Method::Paths(estimator) => warn_of_unsampled(&scene, estimator),
-        Method::Particles(_) => {
-            particle::check(&scene)?;
-            warn_of_deltas(&scene);
-        }
-        Method::Density(..) => particle::check(&scene)?,
-    }
+    check_method(method, &scene)?;
     let mut settings = scene.settings;
     settings.spp = args.spp.unwrap_or(settings.spp);
     args.samples.apply(&scene, &mut settings)?;

@@ -5,7 +5,7 @@ use std::ops::Range;
 use ad_core::{Float, Vec3};
 
 use super::crossing::{Crossings, Part, Path};
-use super::{Curve, CurveKind, EdgePoint, Edges, INSIDE, Rim, Spot, Surfaces, View};
+use super::{Curve, CurveKind, EdgePoint, Edges, INSIDE, Inside, Rim, Spot, Surfaces, View};
 use crate::camera::Camera;
 use crate::film::Film;
 use crate::shape::{SurfaceCoordinates, lift3};
@@ -54,14 +54,6 @@ impl Sides {
             _ => None,
         }
     }
-}
-
-/// A point of a surface just inside of an edge.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Inside {
-    pub(super) spot: Spot,
-    /// World space, where that is not part of the spot.
-    pub(super) p: Vec3<f64>,
 }
 
 /// A point of a curve on the film.

@@ -107,6 +107,14 @@ enum Spot {
     Near(u32),
 }
 
+/// A point of a surface just inside of an edge.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Inside {
+    spot: Spot,
+    /// World space, where that is not part of the spot.
+    p: Vec3<f64>,
+}
+
 /// A point of a curve as seen from somewhere.
 struct Rim {
     p: Vec3<f64>,

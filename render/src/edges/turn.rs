@@ -6,8 +6,7 @@
 
 use ad_core::Vec3;
 
-use super::film::Inside;
-use super::{Rim, Spot};
+use super::{Inside, Rim, Spot};
 use crate::shape::lift3;
 
 /// How far beside the curve a surface is looked at, as a part of the line through the corner.

@@ -9,7 +9,6 @@ use super::path::{Context, Walk};
 use super::record::Observer;
 use super::wave::{Log, WAVE_SIZE, Wave};
 use crate::estimator::{Geometry, Sampling, Strategy};
-use crate::film::Film;
 use crate::math::{Ray, Rgb};
 use crate::sampler::{Points, Sampler};
 use crate::scene::Scene;
@@ -101,7 +100,7 @@ pub(super) fn spot<P: Float, X: Sampler>(
     index: u64,
 ) -> ([P; 4], X) {
     let (pixel, mut sampler): (_, X) = stream(scene, points, seed, pixel, index);
-    let [x, y] = image_point(&scene.film, pixel, sampler.next_2d::<P>());
+    let [x, y] = scene.film.point_in(pixel, sampler.next_2d::<P>());
     let [u, v] = if scene.camera.has_lens() {
         sampler.next_2d::<P>()
     } else {
@@ -124,14 +123,6 @@ fn stream<X: Sampler>(
     let [px, py] = [x + film.crop_offset[0], y + film.crop_offset[1]];
     let pixel = u64::from(py) * u64::from(film.size[0]) + u64::from(px);
     ([px, py], X::spread(points, seed, pixel, index))
-}
-
-/// The point of the image that two numbers stand for in a pixel of the full film.
-#[inline(always)]
-pub(super) fn image_point<P: Float>(film: &Film, [px, py]: [u32; 2], u: [P; 2]) -> [P; 2] {
-    let [dx, dy] = film.filter.sample(u);
-    let centre = |p: u32| P::of(f64::from(p) + 0.5);
-    [centre(px) + dx, centre(py) + dy]
 }
 
 /// The point of the image that a sample of a pass sees.

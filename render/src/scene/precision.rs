@@ -96,7 +96,7 @@ pub(super) fn warn_of_layers(nodes: &[&Arc<Node>], build: &Builder) {
     };
     nodes[second].warn(format!(
         "lies on one plane with {with}, as far as single precision tells at coordinates of {:.1e}, and light that passes \
-         one of the two does not meet the other: expected {:.1e} between them",
+         one of the two does not meet the other: expected more than {:.1e} between them",
         build.shapes()[second].extent(),
         2.0 * all[found[1]].apart(),
     ));

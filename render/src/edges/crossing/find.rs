@@ -10,7 +10,7 @@ use ad_core::Vec3;
 use smallvec::{SmallVec, smallvec};
 
 use super::boxes::{self, Box3};
-use super::flat::{Chord, Flat, FlatKind};
+use super::flat::{Chord, Flat, FlatKind, LEAST_SINE};
 use super::round::Round;
 use super::{Line, Part, Path, normal};
 use crate::shape::{AnyShape, Mesh, Patch, Shape, lift3};
@@ -18,8 +18,6 @@ use crate::shape::{AnyShape, Mesh, Patch, Shape, lift3};
 /// How near surfaces touch without crossing: relative to the largest coordinate of the smaller shape, and of the larger
 /// one.
 const TOUCHING: [f64; 2] = [4e-6, 4e-7];
-/// The least sine of the angle at which surfaces cross.
-pub(super) const LEAST_SINE: f64 = 1e-3;
 
 /// All surfaces, one by one.
 struct Sheets<'a> {

@@ -3,7 +3,8 @@
 use ad_core::Vec3;
 use smallvec::SmallVec;
 
-use super::round::Ellipse;
+/// The least sine of the angle at which surfaces cross.
+pub(super) const LEAST_SINE: f64 = 1e-3;
 
 /// A flat surface.
 pub(super) struct Flat {
@@ -101,16 +102,17 @@ impl Flat {
         }
     }
 
-    /// Conditions `a + b cos + c sin >= 0` for an ellipse in its plane to be between its corners.
-    pub fn conditions(&self, ellipse: &Ellipse) -> SmallVec<[[f64; 3]; 6]> {
+    /// Conditions `a + b cos + c sin >= 0` for an ellipse in its plane, by its centre and half axes, to be between its
+    /// corners.
+    pub fn conditions(&self, origin: Vec3<f64>, axes: [Vec3<f64>; 2]) -> SmallVec<[[f64; 3]; 6]> {
         let FlatKind::Polygon(corners) = &self.kind else {
             return SmallVec::new();
         };
         let n = corners.len();
         let side = |k: usize| {
             let inwards = self.normal.cross(corners[(k + 1) % n] - corners[k]);
-            let [e1, e2] = ellipse.axes.map(|e| inwards.dot(e));
-            [inwards.dot(ellipse.origin - corners[k]), e1, e2]
+            let [e1, e2] = axes.map(|e| inwards.dot(e));
+            [inwards.dot(origin - corners[k]), e1, e2]
         };
         (0..n).map(side).collect()
     }

@@ -16,9 +16,8 @@ use std::f64::consts::TAU;
 use ad_core::Vec3;
 
 use self::round::{Ellipse, Pierced};
-use super::film::Inside;
 use super::tree::{Dice, Item, Tree};
-use super::{EdgePoint, INSIDE, Rim, Seeker, Spot, Surfaces};
+use super::{EdgePoint, INSIDE, Inside, Rim, Seeker, Spot, Surfaces};
 use crate::params::Theta;
 use crate::shape::{AnyShape, Shape, SurfaceCoordinates, SurfaceInteraction};
 

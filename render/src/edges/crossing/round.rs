@@ -6,8 +6,7 @@ use ad_core::Vec3;
 use smallvec::{SmallVec, smallvec};
 
 use super::Path;
-use super::find::LEAST_SINE;
-use super::flat::{Flat, FlatKind};
+use super::flat::{Flat, FlatKind, LEAST_SINE};
 use crate::math::Frame;
 
 /// A plane whose normal has a smaller cosine to the axis of a tube is parallel to it; and two tubes whose axes have a smaller
@@ -152,7 +151,7 @@ impl Round {
         let Some(axis) = self.axis else {
             let circle = self.circle(n, height, near);
             return circle.map_or_else(SmallVec::new, |circle| {
-                circle.arcs(&flat.conditions(&circle), oval)
+                circle.arcs(&flat.conditions(circle.origin, circle.axes), oval)
             });
         };
         let slope = n.dot(axis);
@@ -171,7 +170,7 @@ impl Round {
             origin: self.origin + axis * (height / slope),
             axes: [0, 1].map(|k| foot.axes[k] + axis * climbs[k]),
         };
-        let mut conditions = flat.conditions(&ellipse);
+        let mut conditions = flat.conditions(ellipse.origin, ellipse.axes);
         conditions.push([height / slope, climbs[0], climbs[1]]);
         conditions.push([1.0 - height / slope, -climbs[0], -climbs[1]]);
         ellipse.arcs(&conditions, oval)

@@ -32,7 +32,6 @@ use smallvec::SmallVec;
 use super::direct::{Departure, FoundEdge};
 use super::lockstep;
 use super::path::Context;
-use super::tile::image_point;
 use super::vertex::interest::{Interest, PathInterest, splits};
 use super::vertex::light::{
     Met, Rival, Seen, choose, counts_hits, find_light, guided, has_rival, matters, mis_weight,
@@ -498,7 +497,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             [&mut x, &mut y, &mut u, &mut v],
         );
         for i in 0..self.n {
-            [x[i], y[i]] = image_point(&scene.film, pixels[i], [x[i], y[i]]);
+            [x[i], y[i]] = scene.film.point_in(pixels[i], [x[i], y[i]]);
         }
         self.look(camera, &x, &y);
         if !camera.is_pinhole() {
