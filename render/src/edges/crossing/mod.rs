@@ -74,13 +74,16 @@ pub(crate) struct Meeting {
     pub sheets: [Sheet; 2],
 }
 
+/// Start and direction of a side.
+type Side = [Vec3<f64>; 2];
+
 /// All lines of a scene.
 #[derive(Debug, Default)]
 pub(crate) struct Crossings {
     pub(super) lines: Vec<Line>,
     tree: Tree,
-    /// Starts and directions of those that are sides of two faces, by shape and faces.
-    bent: HashMap<(u32, [u32; 2]), Vec<[Vec3<f64>; 2]>>,
+    /// Those that are sides of two faces, by shape and faces.
+    bent: HashMap<(u32, [u32; 2]), Vec<Side>>,
 }
 
 fn ordered([a, b]: [u32; 2]) -> [u32; 2] {
