@@ -591,9 +591,14 @@ fn assert_same_gradients(what: &str, s: &Scene, settings: &Settings, name: &str)
         assert_eq!(g.non_finite.count, 0);
         g.values
     };
-    // Waves add in another order, and samples of both signs cancel: of glass of roughness 0.01
-    // roundings of 2e-5 are left.
-    let tolerance = 1e-4;
+    // Waves add in another order. In samples of both signs by the index of glass of roughness 0.01, 2e-5 is left of that.
+    let tolerance = |param: &str| {
+        if param.ends_with(".eta.value") {
+            1e-4
+        } else {
+            1e-5
+        }
+    };
     // All together, and each alone: what no derivative needs is left out.
     let names: Vec<String> = smooth_params(s).into_iter().map(|p| p.name).collect();
     let sets = [names.clone()].into_iter();
@@ -604,7 +609,7 @@ fn assert_same_gradients(what: &str, s: &Scene, settings: &Settings, name: &str)
         for ((param, a), b) in names.iter().zip(&waves).zip(&single) {
             let largest = b.iter().fold(0.0, |m: f64, x| m.max(x.abs()));
             for (a, b) in a.iter().zip(b) {
-                let same = (a - b).abs() <= tolerance * largest;
+                let same = (a - b).abs() <= tolerance(param) * largest;
                 assert!(same, "{what} {name} {param} {settings:?}: {a} {b}");
             }
         }

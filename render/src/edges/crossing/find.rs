@@ -13,6 +13,7 @@ use super::boxes::{self, Box3};
 use super::flat::{Chord, Flat, FlatKind, LEAST_SINE};
 use super::round::Round;
 use super::{Line, Part, Path, normal};
+use crate::edges::topology::{place, tube};
 use crate::shape::{AnyShape, Mesh, Patch, Shape, lift3};
 
 /// How near surfaces touch without crossing: relative to the largest coordinate of the smaller shape, and of the larger
@@ -108,7 +109,7 @@ impl<'a> Sheets<'a> {
                 radius: f64::from(s.radius()),
             }),
             AnyShape::Cylinder(_) => {
-                let [origin, axis, across] = super::super::topology::tube(of);
+                let [origin, axis, across] = tube(of);
                 Sheet::Round(Round {
                     origin,
                     axis: Some(axis),
@@ -116,7 +117,7 @@ impl<'a> Sheets<'a> {
                 })
             }
             AnyShape::Disk(_) => {
-                let at = |u, v| super::super::topology::place(of, u, v);
+                let at = |u, v| place(of, u, v);
                 let centre = at(0.0, 0.0);
                 let [a, b] = [at(1.0, 0.0) - centre, at(0.0, 1.0) - centre];
                 Sheet::Flat(Flat {

@@ -13,7 +13,7 @@
 use ad_core::{Float, Vec3};
 
 use super::form::{Contribution, Form, Mover, Term};
-use super::{BEFORE, Boundary, CANDIDATES, IN_PLANE, MODE, SAME_DEPTH, wide};
+use super::{BEFORE, Boundary, CANDIDATES, Candidates, IN_PLANE, MODE, SAME_DEPTH, wide};
 use crate::bsdf::{Bsdf, Shading};
 use crate::edges::crossing::{Meeting, Part, Sheet};
 use crate::edges::{EdgePoint, Inside, Seeker};
@@ -157,10 +157,8 @@ impl<P: Float> Boundary<'_, P> {
         // ---- One of a few candidates ----
         sampler.seek(Purpose::Crossings(CANDIDATES).at(depth));
         let draws: [[f64; 2]; CANDIDATES as usize] = std::array::from_fn(|_| sampler.next_2d());
-        let mut choice: f64 = sampler.next_1d();
+        let mut candidates = Candidates::new(sampler.next_1d());
         let which: f64 = sampler.next_1d();
-        let mut kept: Option<(EdgePoint, Meeting, Rgb<P>, f64)> = None;
-        let mut total = 0.0;
         for u in draws {
             let Some((point, parts)) = self.crossings.draw(&seeker, u) else {
                 continue;
@@ -180,21 +178,9 @@ impl<P: Float> Boundary<'_, P> {
             let f = material.eval(&shading, *wo, wi, MODE);
             let shares = meeting.sheets.iter().map(|sheet| sheet.share.length());
             let target = f.max_component().to_f64() * shares.sum::<f64>() / point.distance;
-            let weight = target * point.weight;
-            if !(weight > 0.0 && weight.is_finite()) {
-                continue;
-            }
-            total += weight;
-            let p = weight / total;
-            if choice < p {
-                choice /= p;
-                kept = Some((point, meeting, f, target));
-            } else {
-                choice = (choice - p) / (1.0 - p);
-            }
+            candidates.add((point, meeting, f), target, point.weight);
         }
-        let (point, Meeting { sheets, .. }, f, target) = kept?;
-        let weight = total / f64::from(CANDIDATES) / target;
+        let ((point, Meeting { sheets, .. }, f), weight) = candidates.kept()?;
 
         // ---- One of the two, which the other one hides or shows ----
         let speeds = [0, 1].map(|k: usize| {

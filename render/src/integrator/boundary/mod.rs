@@ -88,6 +88,47 @@ impl<P: Float> Observer<P> for Vertices<P> {
     }
 }
 
+/// One of [`CANDIDATES`] is kept, in proportion to what it may bring over the density that it was drawn with.
+struct Candidates<T> {
+    /// A uniform number, used again for each choice.
+    choice: f64,
+    total: f64,
+    /// With its target.
+    one: Option<(T, f64)>,
+}
+
+impl<T> Candidates<T> {
+    fn new(choice: f64) -> Self {
+        Self {
+            choice,
+            total: 0.0,
+            one: None,
+        }
+    }
+
+    /// `target` is what it may bring, `weight` is one over its density.
+    fn add(&mut self, one: T, target: f64, weight: f64) {
+        let weight = target * weight;
+        if !(weight > 0.0 && weight.is_finite()) {
+            return;
+        }
+        self.total += weight;
+        let p = weight / self.total;
+        if self.choice < p {
+            self.choice /= p;
+            self.one = Some((one, target));
+        } else {
+            self.choice = (self.choice - p) / (1.0 - p);
+        }
+    }
+
+    /// The one that is kept, and its weight.
+    fn kept(self) -> Option<(T, f64)> {
+        let (one, target) = self.one?;
+        Some((one, self.total / f64::from(CANDIDATES) / target))
+    }
+}
+
 /// What all samples have in common.
 struct Boundary<'a, P: Float> {
     context: Context<'a, P>,
@@ -445,10 +486,8 @@ impl<'a, P: Float> Boundary<'a, P> {
 
         // ---- One of a few candidates ----
         sampler.seek(Purpose::Edges(CANDIDATES).at(depth));
-        let mut kept: Option<(EdgePoint, Rgb<P>, f64)> = None;
-        let mut total = 0.0;
         let draws: [[f64; 2]; CANDIDATES as usize] = std::array::from_fn(|_| sampler.next_2d());
-        let mut choice: f64 = sampler.next_1d();
+        let mut candidates = Candidates::new(sampler.next_1d());
         for u in draws {
             let Some(edge) = self.edges.draw(&seeker, &lamps, u) else {
                 continue;
@@ -469,21 +508,9 @@ impl<'a, P: Float> Boundary<'a, P> {
             };
             let speed = interest(edge.shape..edge.shape + 1) / edge.distance;
             let target = f.max_component().to_f64() * lit * speed;
-            let weight = target * edge.weight;
-            if !(weight > 0.0 && weight.is_finite()) {
-                continue;
-            }
-            total += weight;
-            let p = weight / total;
-            if choice < p {
-                choice /= p;
-                kept = Some((edge, f, target));
-            } else {
-                choice = (choice - p) / (1.0 - p);
-            }
+            candidates.add((edge, f), target, edge.weight);
         }
-        let (edge, f, target) = kept?;
-        let weight = total / f64::from(CANDIDATES) / target;
+        let ((edge, f), weight) = candidates.kept()?;
 
         // ---- What is behind it ----
         let from = si.spawn_ray(edge.direction.map(P::of).normalize(), scene.exit(here.prim));
