@@ -31,11 +31,12 @@ import time
 
 ROOT = os.path.join(os.path.dirname(os.path.abspath(__file__)), "..")
 CORNELL = ("examples/scenes/cornell.xml", ["red.reflectance.value", "green.reflectance.value", "white.reflectance.value"])
+# Names of parameters in both, or that of Mitsuba and ours.
 SCENES = {
     "glass": ["frosted.alpha.value"],
-    "plastics": ["green.alpha.value", "lacquer.diffuse_reflectance.value"],
+    "plastics": ["green.alpha=green.alpha.value", "both.brdf_0.alpha=lacquer.alpha.value"],
     "cards": ["red.reflectance.value", "copper.alpha.value"],
-    "relief": ["gold.alpha.value", "blue.diffuse_reflectance.value"],
+    "relief": ["gold_relief.nested_bsdf.alpha.value=gold.alpha.value", "red_relief.nested_bsdf.diffuse_reflectance.value=red.diffuse_reflectance.value"],
     "principled": ["lacquer.base_color.value", "soft.base_color.value"],
     "brushed": ["gold.alpha.value"],
     "lamps": ["grey.reflectance.value"],
@@ -230,7 +231,8 @@ def mitsuba(args):
     ]
     for scene, params in SCENES.items():
         path = f"examples/scenes/{scene}.xml"
-        jobs += [(f"{scene}, image", path, [], [""]), (f"{scene}, {', '.join(params)}", path, params, [""])]
+        names = ", ".join(key.split("=")[-1] for key in params)
+        jobs += [(f"{scene}, image", path, [], [""]), (f"{scene}, {names}", path, params, [""])]
     rows = []
     for name, scene, params, ours in jobs:
         with tempfile.TemporaryDirectory() as folder:

@@ -37,7 +37,7 @@ from xml.etree import ElementTree
 def parse():
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("scene", help="scene file that both read")
-    p.add_argument("--param", action="append", default=[], metavar="KEY", help="its name is the same in both")
+    p.add_argument("--param", action="append", default=[], metavar="KEY", help="its name in both, or MITSUBAS=OURS")
     p.add_argument("--ours", action="append", metavar="ARGS", help="arguments of `gradient` or `render` [default: none]")
     p.add_argument("-D", "--define", action="append", default=[], metavar="NAME=VALUE")
     p.add_argument("--spp", type=int, default=64, help="samples per pixel and pass [default: 64]")
@@ -54,6 +54,9 @@ def parse():
     for path in (args.scene, args.binary):
         if not os.path.exists(path):
             p.error(f"{path}: expected a file, found none")
+    names = [key.partition("=") for key in args.param]
+    args.theirs = [theirs for theirs, _, _ in names]
+    args.param = [ours or theirs for theirs, _, ours in names]
     for define in args.define:
         if "=" not in define:
             p.error(f"--define: expected NAME=VALUE, found {define!r}")
@@ -87,8 +90,11 @@ class Mitsuba:
             sys.exit(f"{error}; expected: pip install mitsuba numpy")
         mitsuba.set_variant(args.variant)
         mitsuba.set_log_level(mitsuba.LogLevel.Error)
+        if hasattr(os, "sched_getaffinity"):
+            # Both sides use the processors that this process may use, and no others.
+            drjit.set_thread_count(len(os.sched_getaffinity(0)))
         self.mi, self.dr, self.np = mitsuba, drjit, numpy
-        self.spp, self.keys = args.spp, args.param
+        self.spp, self.keys = args.spp, args.theirs
         self.scene = mitsuba.load_file(args.scene, **dict(d.split("=", 1) for d in args.define))
         self.primal = self.scene.integrator()
         self.prb = mitsuba.load_dict({"type": args.integrator, **depths(args)})

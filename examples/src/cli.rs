@@ -82,12 +82,20 @@ pub enum Outcome {
 /// files are; that its reader has gone is none.
 pub fn main<A: Parser>(run: fn(&A, &Interrupt) -> Result<Outcome, ToolError>) -> ExitCode {
     let asked = |args: &A| check_threads().and_then(|()| run(args, &Interrupt::on_signal()));
-    let parsed = A::command().try_get_matches().and_then(|matches| {
-        if ListArgs::asked(&matches) {
-            return Ok(None);
-        }
-        A::from_arg_matches(&matches).map(Some)
-    });
+    // A negative number is a value that is wrong, not an option that nobody knows.
+    let takes = |arg: clap::Arg| match arg.get_action() {
+        clap::ArgAction::Set | clap::ArgAction::Append => arg.allow_negative_numbers(true),
+        _ => arg,
+    };
+    let parsed = A::command()
+        .mut_args(takes)
+        .try_get_matches()
+        .and_then(|matches| {
+            if ListArgs::asked(&matches) {
+                return Ok(None);
+            }
+            A::from_arg_matches(&matches).map(Some)
+        });
     let done = match parsed {
         Ok(Some(args)) => asked(&args),
         Ok(None) => {

@@ -169,6 +169,24 @@ fn checkerboards_have_two_colours() {
     assert_near(albedo(&scene, [0.3, 0.4]), [0.4; 3]);
 }
 
+/// As Mitsuba 3 has it.
+#[test]
+fn numbers_of_a_checkerboard_are_on_the_other_squares() {
+    let blend = r#"<shape type="rectangle" id="s"><bsdf type="blendbsdf">
+        <texture name="weight" type="checkerboard"><float name="color0" value="0.1"/><float name="color1" value="0.8"/></texture>
+        <bsdf type="diffuse"><rgb name="reflectance" value="0"/></bsdf>
+        <bsdf type="diffuse"><rgb name="reflectance" value="1"/></bsdf></bsdf></shape>"#;
+    let scene = load(blend).unwrap();
+    let names: Vec<_> = scene.params().infos().iter().map(|i| &i.name[..]).collect();
+    assert_eq!(
+        names[..2],
+        ["s.bsdf.weight.color0.value", "s.bsdf.weight.color1.value"]
+    );
+    assert_near(albedo(&scene, [0.2, 0.2]), [0.8; 3]);
+    assert_near(albedo(&scene, [0.7, 0.7]), [0.8; 3]);
+    assert_near(albedo(&scene, [0.7, 0.2]), [0.1; 3]);
+}
+
 #[test]
 fn a_shared_texture_has_its_parameters_once() {
     let shapes = format!(

@@ -73,7 +73,7 @@ pub struct Args {
     #[command(flatten)]
     pub manifold: ManifoldArgs,
     /// Largest number of path edges; -1 for no limit [default: the scene's]
-    #[arg(long, value_name = "N", value_parser = depth, allow_hyphen_values = true)]
+    #[arg(long, value_name = "N", value_parser = depth)]
     pub max_depth: Option<u32>,
     /// Independent repeats of each estimator; the reference has four times as many
     #[arg(long, value_name = "K", default_value_t = 16,

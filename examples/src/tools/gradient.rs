@@ -90,7 +90,7 @@ pub struct Args {
     #[arg(long)]
     pub measure_pixels: bool,
     /// Largest number of path edges; -1 for no limit [default: the scene's]
-    #[arg(long, value_name = "N", value_parser = depth, allow_hyphen_values = true)]
+    #[arg(long, value_name = "N", value_parser = depth)]
     pub max_depth: Option<u32>,
     /// Seed of the first repeat; the others follow
     #[arg(long, value_name = "N", default_value_t = 0)]

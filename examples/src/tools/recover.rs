@@ -93,13 +93,13 @@ pub struct Args {
     /// Learning rate at the beginning; it falls along a cosine [default: the optimizer's, such as 0.03 for
     /// adam and 1 for sgd]. For gauss-newton the fraction of a step; it falls as one over the number of
     /// steps after the first five [default: 1]
-    #[arg(long, value_name = "RATE", allow_negative_numbers = true)]
+    #[arg(long, value_name = "RATE")]
     pub lr: Option<f64>,
     /// Samples per pixel of each of the two renders of an iteration [default: 12; 48 for gauss-newton]
     #[arg(long, value_name = "N", value_parser = sample_count())]
     pub spp: Option<u32>,
     /// Largest number of path edges; -1 for no limit [default: the scene's]
-    #[arg(long, value_name = "N", value_parser = depth, allow_hyphen_values = true)]
+    #[arg(long, value_name = "N", value_parser = depth)]
     pub max_depth: Option<u32>,
     /// How samples are made
     #[command(flatten)]

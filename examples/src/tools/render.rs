@@ -67,7 +67,7 @@ pub struct Args {
     #[command(flatten)]
     pub manifold: ManifoldArgs,
     /// Largest number of path edges: 1 is emission, 2 direct light; -1 for no limit [default: the scene's]
-    #[arg(long, value_name = "N", value_parser = depth, allow_hyphen_values = true)]
+    #[arg(long, value_name = "N", value_parser = depth)]
     pub max_depth: Option<u32>,
     /// Seed of the random numbers
     #[arg(long, value_name = "N", default_value_t = 0)]

@@ -85,6 +85,7 @@ fn mistakes_of_render_end_with_a_message_and_without_a_file() {
             ),
             ("scene.xml --spp 0".into(), 2, "--spp"),
             ("scene.xml --spp many".into(), 2, "--spp"),
+            ("scene.xml --spp -4".into(), 2, "'-4' for '--spp"),
             ("scene.xml --threads 0".into(), 2, "--threads"),
             ("scene.xml --max-depth -2".into(), 2, "--max-depth"),
             ("scene.xml --seed 1.5".into(), 2, "--seed"),

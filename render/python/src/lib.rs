@@ -9,6 +9,7 @@ mod arrays;
 mod check;
 mod error;
 mod estimators;
+mod instructions;
 mod loss;
 mod optimizer;
 mod scene;
@@ -26,6 +27,8 @@ mod _native {
     use crate::check::Check;
     #[pymodule_export]
     use crate::estimators::{EstimatorInfo, estimators};
+    #[pymodule_export]
+    use crate::instructions::has_x86_64_v3;
     #[pymodule_export]
     use crate::loss::{loss, z_limit};
     #[pymodule_export]

@@ -4,9 +4,10 @@ import ast
 import inspect
 from pathlib import Path
 
+import render_gradients
 from render_gradients import _native
 
-STUBS = ast.parse((Path(_native.__file__).parent / "_native.pyi").read_text())
+STUBS = ast.parse((Path(render_gradients.__file__).parent / "_native.pyi").read_text())
 
 
 def signature_of(function: ast.FunctionDef) -> list[tuple[str, str, str]]:

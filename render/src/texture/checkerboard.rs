@@ -5,10 +5,10 @@ use ad_core::{Float, Vec2};
 use super::bitmap::UvTransform;
 use crate::params::ParamRef;
 
-/// A checkerboard with period one in `uv`, as Mitsuba 3 draws it: `color0` where both halves agree.
+/// A checkerboard with period one in `uv`.
 #[derive(Clone, Debug)]
 pub struct Checkerboard {
-    /// `color0` and `color1`.
+    /// Where `u` and `v` are in the same halves of their periods, and where they are not.
     pub colors: [ParamRef; 2],
     /// Applied to `uv` first.
     pub to_uv: UvTransform,

@@ -383,8 +383,13 @@ fn checkerboard<const C: usize>(
         registry.origins.of_value(node, key, param);
         Ok(param)
     };
+    let mut colors = [color("color0", 0.4)?, color("color1", 0.2)?];
+    // As Mitsuba 3 draws it, where numbers have the other squares than colours.
+    if C == 1 {
+        colors.swap(0, 1);
+    }
     Ok(Texture::Checkerboard(Checkerboard {
-        colors: [color("color0", 0.4)?, color("color1", 0.2)?],
+        colors,
         to_uv: to_uv(node)?,
     }))
 }

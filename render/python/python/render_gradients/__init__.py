@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from . import _native
+from ._instructions import native as _native
 from ._native import (
     Check,
     EstimatorInfo,

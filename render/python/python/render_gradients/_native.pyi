@@ -149,6 +149,7 @@ class Scene:
         progress: _Progress | None = None,
     ) -> Check: ...
 
+def has_x86_64_v3() -> bool: ...
 def load(
     path: str | PathLike[str],
     *,

@@ -407,6 +407,17 @@ impl Parser {
         Ok(())
     }
 
+    fn warn_of_length(&mut self, rotation: &Element, axis: [f64; 3]) {
+        let length = axis.iter().map(|x| x * x).sum::<f64>().sqrt();
+        if (length - 1.0).abs() > 1e-3 {
+            let message = format!(
+                "<rotate>: an axis of length {length:.4}, where only its direction counts; Mitsuba 3 shears and scales then"
+            );
+            let location = rotation.location.clone();
+            self.warnings.push((location, message));
+        }
+    }
+
     fn transform(
         &mut self,
         owner: &Element,
@@ -424,6 +435,7 @@ impl Parser {
                 "rotate" => {
                     let axis = element.coordinates(0.0, value::triple)?;
                     let angle = element.parse("angle", value::float)?;
+                    self.warn_of_length(&element, axis);
                     Transform::rotate(axis, angle)
                         .ok_or_else(|| element.value_error("an axis", "the zero vector"))?
                 }
