@@ -76,7 +76,7 @@ pub(super) fn common(along: Vec3<f64>, a: &Chord, b: &Chord, near: f64) -> Optio
     (to - from > near).then(|| [start + along * from, along * (to - from)])
 }
 
-/// What is not told of two surfaces in planes that are nearly one.
+/// What is not told of two surfaces in planes that are nearly one, if they look the same way.
 pub(super) fn doubt(of: [&Flat; 2], near: f64) -> Option<Doubt> {
     let [x, y] = of;
     if let (Some(a), Some(b)) = (x.chord(y, near), y.chord(x, near)) {
@@ -91,7 +91,7 @@ pub(super) fn doubt(of: [&Flat; 2], near: f64) -> Option<Doubt> {
         let height = |p: &Vec3<f64>| flat.normal.dot(*p - flat.point()).abs();
         corners.iter().all(|p| height(p) <= near)
     };
-    let one = x.normal.dot(y.normal) > 0.0 && on(x, b) && on(y, a);
+    let one = on(x, b) && on(y, a);
     (one && overlap(x.normal, a, b, near)).then_some(Doubt::Twice)
 }
 

@@ -52,7 +52,7 @@ enum Found {
     Line(Line),
     Half(Half),
     Touch(Touch),
-    Doubt(Doubt, [u32; 2]),
+    Doubt(Doubt, [Part; 2]),
 }
 
 /// What is found of all.
@@ -198,7 +198,7 @@ fn flats(of: [&Flat; 2], parts: [Part; 2], near: f64, found: &mut Vec<Found>) {
     let along = of[0].normal.cross(of[1].normal);
     if along.length() < LEAST_SINE {
         if apart && let Some(doubt) = contact::doubt(of, near) {
-            found.push(Found::Doubt(doubt, parts.map(|part| part.shape)));
+            found.push(Found::Doubt(doubt, parts));
         }
         return;
     }
@@ -282,7 +282,15 @@ pub(super) fn all(shapes: &[AnyShape]) -> All {
             Found::Line(line) => lines.push(line),
             Found::Half(half) => halves.push(half),
             Found::Touch(touch) => touches.push(touch),
-            Found::Doubt(doubt, pair) => doubts.push((doubt, pair)),
+            Found::Doubt(doubt, parts) => {
+                let [a, b] = parts.map(|Part { shape, locals }| {
+                    normal(&shapes[shape as usize], locals[0], Vec3::zero())
+                });
+                // The bottom of what stands on something looks the other way.
+                if doubt != Doubt::Twice || a.dot(b) > 0.0 {
+                    doubts.push((doubt, parts.map(|part| part.shape)));
+                }
+            }
         }
     }
     halves.sort_by_key(Half::key);
