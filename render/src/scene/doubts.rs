@@ -15,7 +15,7 @@ impl Scene {
             return Vec::new();
         }
         let moves = |p: ParamRef| moving.contains(&p);
-        let camera = self.camera.depends_on(&moves);
+        let camera = self.camera.depends_on(moves);
         let matters = |doubt: Doubt, pair: [u32; 2]| {
             let reads = |&(shape, p): &(u32, ParamRef)| pair.contains(&shape) && moves(p);
             let lamp = doubt == Doubt::Twice && pair.iter().any(|&shape| self.is_lamp(shape));
