@@ -249,6 +249,20 @@ pub fn warn_of_unsampled(scene: &Scene, estimator: Estimator) {
     }
 }
 
+/// Warns of shapes of which samples of edges do not tell how they cross, if these parameters are differentiated by any.
+pub fn warn_of_crossings(scene: &Scene, estimator: Estimator, names: &[String]) {
+    if !estimator.capabilities().moves_vertices {
+        return;
+    }
+    let moving: Vec<_> = names
+        .iter()
+        .filter_map(|name| scene.params().find(name).ok())
+        .collect();
+    for doubt in scene.doubts_of_crossings(&moving) {
+        complain!("warning: {doubt}");
+    }
+}
+
 /// `-D` and its companions.
 #[derive(Args, Clone, Debug, Default)]
 pub struct LoadArgs {

@@ -233,6 +233,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
         e.check(&scene)?;
         e.active(&scene, &args.params)?;
         cli::warn_of_unsampled(&scene, e);
+        cli::warn_of_crossings(&scene, e, &args.params);
     }
     let ranges = ranges(args, &scene)?;
     let objective = objective(args, &scene)?;

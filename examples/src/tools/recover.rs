@@ -38,7 +38,7 @@ use super::render::{Method, in_passes, passes};
 use crate::builtin_scene;
 use crate::cli::{
     ListArgs, LoadArgs, Outcome, SampleArgs, ThreadArgs, ToolError, depth, names_of,
-    report_non_finite, sample_count,
+    report_non_finite, sample_count, warn_of_crossings,
 };
 use crate::complain;
 use crate::optimise::{Algorithm, Problem, Target};
@@ -513,6 +513,7 @@ fn load(job: &Job, estimator: Estimator) -> Result<Loaded, ToolError> {
     let (mut scene, _) = load.load(&path.0)?;
     let names = names_of(&mut scene, &job.keys()?)?;
     let active = estimator.active(&scene, &names)?;
+    warn_of_crossings(&scene, estimator, &names);
     let mut start = Vec::new();
     for info in active.ranges() {
         start.extend_from_slice(&scene.params().values()[info.range()]);

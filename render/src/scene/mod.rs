@@ -4,6 +4,7 @@ mod builder;
 mod check;
 mod clip;
 mod connections;
+mod doubts;
 mod geometry;
 mod glints;
 mod load;

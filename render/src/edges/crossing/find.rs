@@ -2,7 +2,8 @@
 //!
 //! Which side of a plane a corner is on is decided once for every corner and plane, so that the lines of neighbours meet: a
 //! corner nearer than rounding may be off is on the plane. A side of a face that lies on a plane is a line if the faces that
-//! it belongs to are on different sides of that; if they are on one side, one surface only stands on the other.
+//! it belongs to are on different sides of that; if they are on one side, one surface only stands on the other. Two sides in
+//! one place are no line, whatever is around them.
 
 use std::collections::HashMap;
 
@@ -10,6 +11,7 @@ use ad_core::Vec3;
 use smallvec::{SmallVec, smallvec};
 
 use super::boxes::{self, Box3};
+use super::contact::{self, Doubt, Touch};
 use super::flat::{Chord, Flat, FlatKind, LEAST_SINE};
 use super::round::Round;
 use super::{Line, Part, Path, normal};
@@ -49,6 +51,16 @@ struct Half {
 enum Found {
     Line(Line),
     Half(Half),
+    Touch(Touch),
+    Doubt(Doubt, [Part; 2]),
+}
+
+/// What is found of all.
+pub(super) struct All {
+    pub lines: Vec<Line>,
+    pub touches: Vec<Touch>,
+    /// Pairs of shapes, sorted.
+    pub doubts: Vec<(Doubt, [u32; 2])>,
 }
 
 impl<'a> Sheets<'a> {
@@ -182,8 +194,12 @@ fn polygon(corners: SmallVec<[Vec3<f64>; 4]>) -> Sheet {
 
 /// Lines along which flat surfaces cross.
 fn flats(of: [&Flat; 2], parts: [Part; 2], near: f64, found: &mut Vec<Found>) {
+    let apart = parts[0].shape != parts[1].shape;
     let along = of[0].normal.cross(of[1].normal);
     if along.length() < LEAST_SINE {
+        if apart && let Some(doubt) = contact::doubt(of, near) {
+            found.push(Found::Doubt(doubt, parts));
+        }
         return;
     }
     let along = along.normalize();
@@ -193,22 +209,13 @@ fn flats(of: [&Flat; 2], parts: [Part; 2], near: f64, found: &mut Vec<Found>) {
     let Some(b) = of[1].chord(of[0], near) else {
         return;
     };
-    let start = a.ends[0];
-    let span = |chord: &Chord| {
-        let [x, y] = chord.ends.map(|p| along.dot(p - start));
-        [x.min(y), x.max(y)]
-    };
-    let (x, y) = (span(&a), span(&b));
-    let [from, to] = [x[0].max(y[0]), x[1].min(y[1])];
-    if to - from <= near {
+    let Some(common) = contact::common(along, &a, &b, near) else {
         return;
-    }
+    };
+    let [start, along] = common;
     let line = Line {
         sides: parts,
-        path: Path::Straight {
-            start: start + along * from,
-            along: along * (to - from),
-        },
+        path: Path::Straight { start, along },
     };
     let through = [&a, &b].map(|chord| chord.sides == [true; 2]);
     match through {
@@ -219,7 +226,16 @@ fn flats(of: [&Flat; 2], parts: [Part; 2], near: f64, found: &mut Vec<Found>) {
             let sides = [second, first];
             found.push(Found::Half(Half::of(Line { sides, ..line }, of[1], &b)));
         }
-        // A side on a side: of two surfaces that end there, or of four that meet.
+        [false, false] if apart => found.push(Found::Touch(Touch {
+            parts,
+            sides: [a.ends, b.ends],
+            into: of.map(|face| {
+                let to = face.middle() - start;
+                (to - along * (along.dot(to) / along.length_squared())).normalize()
+            }),
+            common,
+            near,
+        })),
         [false, false] => {}
     }
 }
@@ -253,18 +269,28 @@ impl Half {
     }
 }
 
-/// All lines along which surfaces of these shapes cross.
-pub(super) fn lines(shapes: &[AnyShape]) -> Vec<Line> {
+/// All lines along which surfaces of these shapes cross, and what they do besides.
+pub(super) fn all(shapes: &[AnyShape]) -> All {
     let (sheets, boxes) = Sheets::of(shapes);
     let found = boxes::pairs(&boxes, |i, j, found| {
         sheets.cross(sheets.all[i], sheets.all[j], found);
     });
-    let mut lines = Vec::new();
+    let (mut lines, mut touches, mut doubts) = (Vec::new(), Vec::new(), Vec::new());
     let mut halves = Vec::new();
     for found in found {
         match found {
             Found::Line(line) => lines.push(line),
             Found::Half(half) => halves.push(half),
+            Found::Touch(touch) => touches.push(touch),
+            Found::Doubt(doubt, parts) => {
+                let [a, b] = parts.map(|Part { shape, locals }| {
+                    normal(&shapes[shape as usize], locals[0], Vec3::zero())
+                });
+                // The bottom of what stands on something looks the other way.
+                if doubt != Doubt::Twice || a.dot(b) > 0.0 {
+                    doubts.push((doubt, parts.map(|part| part.shape)));
+                }
+            }
         }
     }
     halves.sort_by_key(Half::key);
@@ -276,5 +302,13 @@ pub(super) fn lines(shapes: &[AnyShape]) -> Vec<Line> {
             lines.push(line);
         }
     }
-    lines
+    let crossing = contact::four_sides(&mut touches).into_iter();
+    doubts.extend(crossing.map(|pair| (Doubt::FourSides, pair)));
+    doubts.sort_unstable();
+    doubts.dedup();
+    All {
+        lines,
+        touches,
+        doubts,
+    }
 }

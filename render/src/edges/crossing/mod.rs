@@ -6,6 +6,7 @@
 //! moves by `s a . v_a + t b . v_b`.
 
 mod boxes;
+mod contact;
 mod find;
 mod flat;
 mod round;
@@ -15,6 +16,8 @@ use std::f64::consts::TAU;
 
 use ad_core::Vec3;
 
+pub(crate) use self::contact::Doubt;
+use self::contact::{Guests, Side};
 use self::round::{Ellipse, Pierced};
 use super::tree::{Dice, Item, Tree};
 use super::{EdgePoint, INSIDE, Inside, Rim, Seeker, Spot, Surfaces};
@@ -74,9 +77,6 @@ pub(crate) struct Meeting {
     pub sheets: [Sheet; 2],
 }
 
-/// Start and direction of a side.
-type Side = [Vec3<f64>; 2];
-
 /// All lines of a scene.
 #[derive(Debug, Default)]
 pub(crate) struct Crossings {
@@ -84,6 +84,8 @@ pub(crate) struct Crossings {
     tree: Tree,
     /// Those that are sides of two faces, by shape and faces.
     bent: HashMap<(u32, [u32; 2]), Vec<Side>>,
+    guests: Guests,
+    doubts: Vec<(Doubt, [u32; 2])>,
 }
 
 fn ordered([a, b]: [u32; 2]) -> [u32; 2] {
@@ -154,7 +156,11 @@ impl Line {
 impl Crossings {
     /// Those of shapes as they are.
     pub fn of(shapes: &[AnyShape]) -> Self {
-        let lines = find::lines(shapes);
+        let find::All {
+            lines,
+            touches,
+            doubts,
+        } = find::all(shapes);
         let item = |(line, i): (&Line, u32)| line.path.item(i, ordered(line.shapes()));
         let tree = Tree::over(lines.iter().zip(0..).map(item).collect());
         let mut bent: HashMap<_, Vec<_>> = HashMap::new();
@@ -167,7 +173,18 @@ impl Crossings {
                 bent.entry(faces).or_default().push([start, along]);
             }
         }
-        Self { lines, tree, bent }
+        Self {
+            lines,
+            tree,
+            bent,
+            guests: Guests::of(&touches),
+            doubts,
+        }
+    }
+
+    /// Pairs of shapes of which it is not told how they cross, sorted by why.
+    pub fn doubts(&self) -> &[(Doubt, [u32; 2])] {
+        &self.doubts
     }
 
     /// The shapes of all lines.
@@ -175,16 +192,25 @@ impl Crossings {
         self.lines.iter().map(Line::shapes)
     }
 
-    /// Whether a point of the side that two faces of a shape have in common is on such a line, so that one face is behind
-    /// another surface there.
-    pub fn hold(&self, shape: u32, faces: [u32; 2], p: Vec3<f64>) -> bool {
-        let lines = self.bent.get(&(shape, ordered(faces)));
-        lines.is_some_and(|lines| {
+    /// Whether one of two faces, at a point of the side that they have in common, is behind another surface: one that the
+    /// side lies on, or one that ends there, too.
+    pub fn hold(&self, faces: [u32; 2], point: &EdgePoint) -> bool {
+        let lines = self.bent.get(&(point.shape, ordered(faces)));
+        let bent = lines.is_some_and(|lines| {
             lines.iter().any(|&[start, along]| {
-                let part = (p - start).dot(along) / along.length_squared();
+                let part = (point.p - start).dot(along) / along.length_squared();
                 (0.0..=1.0).contains(&part)
             })
-        })
+        });
+        bent || self.guests.cover(faces, point)
+    }
+
+    /// Whether another shape, which is seen beside a point of an outline, goes on behind that: it is no outline of that shape.
+    pub fn go_on(&self, point: &EdgePoint, shape: u32) -> bool {
+        match point.spot {
+            Spot::At(local, _) => self.guests.behind(local, point, shape),
+            Spot::Normal(_) | Spot::Near(_) => false,
+        }
     }
 
     /// Draws a point of a line, as `seeker` sees it if nothing hides it, and the surfaces that cross there. `None` where it

@@ -166,6 +166,12 @@ impl Round {
         }
         let foot = self.foot(axis);
         let climbs = foot.axes.map(|e| -n.dot(e) / slope);
+        // A rim that lies in the plane only stands there.
+        let steep = foot.axes.map(|e| n.dot(e));
+        let stands = |h: f64| h.abs() + steep[0].hypot(steep[1]) <= near;
+        if stands(height) || stands(height - slope) {
+            return SmallVec::new();
+        }
         let ellipse = Ellipse {
             origin: self.origin + axis * (height / slope),
             axes: [0, 1].map(|k| foot.axes[k] + axis * climbs[k]),

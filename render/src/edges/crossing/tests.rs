@@ -133,8 +133,14 @@ fn sides_that_lie_on_a_surface_are_lines() {
     let crossings = Crossings::of(&all);
     assert_eq!(crossings.lines.len(), 4);
     assert_eq!(crossings.bent.len(), 4);
-    assert!(crossings.hold(1, [0, 1], Vec3::new(0.5, 0.5, 0.0)));
-    assert!(!crossings.hold(1, [0, 1], Vec3::new(2.0, -1.0, 0.0)));
+    let (mut point, _) = crossings.lines[0]
+        .rim(0.5)
+        .seen(Vec3::splat(3.0), 1)
+        .expect("seen");
+    for (p, held) in [([0.5, 0.5, 0.0], true), ([2.0, -1.0, 0.0], false)] {
+        point.p = p.into();
+        assert_eq!(crossings.hold([0, 1], &point), held);
+    }
 }
 
 /// What stands on something, lies on it, shares sides or corners with it, or is away, crosses nothing.
@@ -179,4 +185,39 @@ fn what_touches_crosses_nothing() {
         vec![[0, 1, 2], [0, 1, 4], [0, 0, 1], [2, 3, 1]],
     );
     none("slivers and folds", &[folded.clone(), folded, floor()]);
+}
+
+/// Whether pairs of shapes meet in a way that is not told apart, and in which one.
+#[test]
+fn what_is_not_told_apart_is_named() {
+    let doubts = |shapes: &[AnyShape]| Crossings::of(shapes).doubts;
+    let tilted = |angle: f64, shift: f64| -> AnyShape {
+        let (sin, cos) = angle.sin_cos();
+        let corner = [-1.0, -cos, shift - sin];
+        let patch = Patch::new(corner, [2.0, 0.0, 0.0], [0.0, 2.0 * cos, 2.0 * sin], false);
+        Rectangle(patch.expect("a rectangle")).into()
+    };
+    let pair = |doubt| vec![(doubt, [0, 1])];
+    assert_eq!(doubts(&[floor(), tilted(5e-4, 0.0)]), pair(Doubt::Grazing));
+    assert_eq!(doubts(&[floor(), tilted(2e-3, 0.0)]), []);
+    assert_eq!(doubts(&[floor(), tilted(5e-4, 0.1)]), []);
+    assert_eq!(doubts(&[floor(), floor()]), pair(Doubt::Twice));
+    assert_eq!(doubts(&[floor(), cube(0.5, [0.0, 0.0, 0.5])]), []);
+    // Roofs whose ridges are one line: side by side, and one through the other.
+    let roof = |a: [f32; 2], b: [f32; 2]| {
+        let at = |x: f32, [y, z]: [f32; 2]| [x, y, z];
+        let corners = vec![
+            [0.0; 3],
+            [1.0, 0.0, 0.0],
+            at(1.0, a),
+            at(0.0, a),
+            at(1.0, b),
+            at(0.0, b),
+        ];
+        mesh(corners, vec![[0, 1, 2], [0, 2, 3], [0, 4, 1], [0, 5, 4]])
+    };
+    let upright = || roof([1.0, 0.5], [-1.0, 0.5]);
+    assert_eq!(doubts(&[upright(), roof([1.0, -0.5], [-1.0, -0.5])]), []);
+    let across = roof([0.5, 1.0], [0.5, -1.0]);
+    assert_eq!(doubts(&[upright(), across]), pair(Doubt::FourSides));
 }

@@ -254,9 +254,10 @@ impl<'a, P: Float> Boundary<'a, P> {
         Walk::<P, Still<S>, X>::behind(ray, sampler, depth, !found).finish_at(&self.context, hit)
     }
 
-    fn clearance(&self, edge: &EdgePoint) -> f64 {
-        let extent = f64::from(self.surfaces.shapes[edge.shape as usize].extent());
-        (CLEARANCE[0] * edge.distance).max(CLEARANCE[1] * extent)
+    /// How far beside an edge of a shape rays pass that see it at a distance.
+    fn clearance(&self, shape: u32, distance: f64) -> f64 {
+        let extent = f64::from(self.surfaces.shapes[shape as usize].extent());
+        (CLEARANCE[0] * distance).max(CLEARANCE[1] * extent)
     }
 
     /// The ray that passes an edge, from an origin, and what it meets as the edge number `depth` of a path, if it is one
@@ -269,7 +270,7 @@ impl<'a, P: Float> Boundary<'a, P> {
     ) -> Option<(Ray<P>, Option<Intersection<P>>)> {
         let scene = self.context.scene;
         let hidden = self.context.settings.hides(depth);
-        let beside = edge.p + edge.normal * self.clearance(edge);
+        let beside = edge.p + edge.normal * self.clearance(edge.shape, edge.distance);
         let d = (beside - wide(from.o)).normalize();
         let ray = Ray {
             d: d.map(P::of).normalize(),
@@ -364,9 +365,9 @@ impl<'a, P: Float> Boundary<'a, P> {
                 if scene.out_of_sight(&segment, self.context.settings.hides(1)) {
                     return None;
                 }
-                // Where that lies on a surface, one of them is behind it.
+                // Where that lies on another surface, one of them may be behind it.
                 if let Some(faces) = sides.faces()
-                    && self.crossings.hold(edge.shape, faces, edge.p)
+                    && self.crossings.hold(faces, &edge)
                 {
                     return None;
                 }
@@ -437,11 +438,10 @@ impl<'a, P: Float> Boundary<'a, P> {
             return 1.0;
         }
         let from_border = scene.border(past, &hit_at(hit.prim, t)).to_f64();
-        if from_border.abs() * edge.distance < 10.0 * self.clearance(edge) {
-            0.5
-        } else {
-            1.0
-        }
+        let both = from_border.abs() * edge.distance
+            < 10.0 * self.clearance(edge.shape, edge.distance)
+            && !self.crossings.go_on(edge, hit.shape);
+        if both { 0.5 } else { 1.0 }
     }
 
     /// An edge that hides light from the vertex number `depth` of a path, which stays at the point `film`.

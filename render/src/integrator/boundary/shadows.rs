@@ -188,6 +188,11 @@ impl<P: Float> Boundary<'_, P> {
         let d = wide(ray.d);
         let n_x = wide(si.n_geo);
         let x = wide(si.p);
+        // Where it stands on that, it shades nothing that it does not hide on the film, with rays as near as these.
+        let beside = self.clearance(edge.shape, distance.to_f64());
+        if n_x.dot(edge.p - x).abs() <= beside {
+            return None;
+        }
         let [to_edge, to_light] = [edge.p, y].map(|p| (p - x).length());
         let cos_light = n_geo.map_or(1.0, |n| n.dot(d).abs());
         let measure = edge.weight * cos_light / (edge.distance * n_x.dot(d).abs());

@@ -618,3 +618,83 @@ fn a_half_plane_before_a_point() {
         );
     }
 }
+
+/// Black pyramids in a floor before the camera, below a bulb beside it, that sees all of their upper faces: what is not lit or
+/// not seen is the square in the floor, whose place moves with them. They stand there, with a bottom and without, or have
+/// their sides there and go on below, narrower or wider. The derivative of the mean image is an integral over the sides of that
+/// square. 8 runs of 28800 samples of edges.
+#[test]
+#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
+fn what_stands_on_a_floor_is_no_shadow_on_it() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let bulb = Vec3::new(0.2, 0.1, 1.0);
+    // Half the side of the square, the depth of the floor, the middle of the square.
+    let (half, depth, middle) = (0.5, 5.0, [0.8, -0.4]);
+    // The radiance of a point of the floor over the depth, as a mean over the film.
+    let bright = |x: f64, y: f64| {
+        let to = bulb - Vec3::new(x, y, depth);
+        let lit = 0.5 / std::f64::consts::PI * 100.0 * -to.z / to.length().powi(3);
+        let pixels = 0.5 / (0.5 * FOV.to_radians()).tan() / depth;
+        lit * pixels * pixels
+    };
+    let n = 1000;
+    // Over the side that looks along an axis, up or down.
+    let side = |axis: usize, sign: f64| {
+        let at = |i: i32| (f64::from(i) + 0.5) / f64::from(n) * 2.0 * half - half;
+        let points = (0..n).map(|i| {
+            let mut p = middle;
+            p[axis] += sign * half;
+            p[1 - axis] += at(i);
+            bright(p[0], p[1])
+        });
+        points.sum::<f64>() * 2.0 * half / f64::from(n)
+    };
+    let expected = [0, 1].map(|axis| side(axis, -1.0) - side(axis, 1.0));
+    let size = expected[0].hypot(expected[1]);
+    let square = [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]];
+    let corners = |scale: f64, z: f64| -> String {
+        let corner = |[x, y]: [f64; 2]| {
+            let [x, y] = [middle[0] + scale * half * x, middle[1] + scale * half * y];
+            format!("v {x} {y} {z}\n")
+        };
+        square.map(corner).concat()
+    };
+    let top = format!("{}v {} {} 4.9\n", corners(1.0, depth), middle[0], middle[1]);
+    let upper = "f 1 2 5\nf 2 3 5\nf 3 4 5\nf 4 1 5\n";
+    let below = "f 1 6 7\nf 1 7 2\nf 2 7 8\nf 2 8 3\nf 3 8 9\nf 3 9 4\nf 4 9 6\nf 4 6 1\n";
+    for (what, text) in [
+        ("stands", format!("{top}{upper}f 1 3 2\nf 1 4 3\n")),
+        ("is open", format!("{top}{upper}")),
+        (
+            "goes on",
+            format!("{top}{}{upper}{below}", corners(0.8, depth + 0.4)),
+        ),
+        (
+            "widens",
+            format!("{top}{}{upper}{below}", corners(1.4, depth + 0.4)),
+        ),
+    ] {
+        let path = folder.path().join("it.obj");
+        std::fs::write(&path, text).expect("a file");
+        let body = format!(
+            r#"<bsdf type="diffuse" id="white"><rgb name="reflectance" value="0.5"/></bsdf>
+            <shape type="rectangle" id="floor"><boolean name="flip_normals" value="true"/><transform name="to_world">
+            <scale value="5"/><translate z="{depth}"/></transform><ref id="white"/></shape>
+            <emitter type="point" id="bulb"><point name="position" x="0.2" y="0.1" z="1"/>
+            <rgb name="intensity" value="100"/></emitter>
+            <shape type="obj" id="it"><string name="filename" value="{}"/><boolean name="face_normals" value="true"/>
+            <bsdf type="diffuse"><rgb name="reflectance" value="0"/></bsdf></shape>"#,
+            path.display()
+        );
+        let mut s = scene(&body, 2);
+        s.make_movable(&["it.translation"]).expect("known");
+        let found = gradient_of::<f64>(&s, &["it.translation"], 100);
+        for (e, x) in found.iter().zip(expected) {
+            let se = e.se + 2e-3 * size;
+            let z = (e.mean - x) / se;
+            println!("{what}: {} +- {}, expected {x}", e.mean, e.se);
+            assert!(z.abs() < z_limit(8, RUNS, 1e-3), "{what}: {e:?}, not {x}");
+            assert!(e.se < 0.02 * size, "{what}: {e:?}");
+        }
+    }
+}
