@@ -346,7 +346,7 @@ const SQUARES: &str =
     r#"type="checkerboard"><transform name="to_uv"><scale value="5"/></transform>"#;
 
 /// Every kind of glass and plastic: denser and thinner inside, smooth, nearly smooth and rough, the same everywhere and
-/// textured, from the front, from behind, and with another side.
+/// textured, from the front, from behind, and with another side. Brushed metal and glass besides.
 fn cabinet(smoothest: f64) -> Case {
     let colours = |name: &str| {
         format!(
@@ -364,6 +364,7 @@ fn cabinet(smoothest: f64) -> Case {
         )
     };
     let alpha = |alpha: f64| format!(r#"<float name="alpha" value="{alpha}"/>"#);
+    let brushed = r#"<float name="alpha_u" value="0.4"/><float name="alpha_v" value="0.1"/>"#;
     let denser = r#"<float name="int_ior" value="1.6"/>"#;
     let thinner = r#"<float name="int_ior" value="1"/><float name="ext_ior" value="1.5"/>"#;
     let both = |a: &str, b: &str| format!(r#"<bsdf type="twosided">{a}{b}</bsdf>"#);
@@ -404,6 +405,10 @@ fn cabinet(smoothest: f64) -> Case {
         both(red, &tiles),
         both(r#"<bsdf type="conductor"/>"#, &tiles),
         rough("beckmann", "roughdielectric", &format!("{denser}{}", alpha(0.02))),
+        both(&rough("ggx", "roughconductor", brushed), ""),
+        rough("beckmann", "roughconductor", brushed),
+        rough("ggx", "roughdielectric", brushed),
+        rough("beckmann", "roughdielectric", brushed),
     ];
     rows("cabinet", &balls, &plates)
 }

@@ -16,8 +16,9 @@
 use std::f64::consts::PI;
 
 use ad_core::{Const, Float, Real, Vec3};
-use statrs::function::erf::erfc_inv;
 
+use super::slopes;
+use crate::math::gauss::{exp_minus, largest};
 use crate::math::warp;
 
 /// Valid values of a roughness.
@@ -48,6 +49,8 @@ pub trait Alpha: Copy {
     fn isotropic(self) -> Option<Self::Scalar>;
     /// Roughness along the first and the second axis of the surface.
     fn axes(self) -> [Self::Scalar; 2];
+    /// What has that roughness along them; the first, where it is the same along both.
+    fn along(axes: [Self::Scalar; 2]) -> Self;
     /// [`Microfacet::d`] of GGX surfaces.
     fn ggx_d(self, m: Vec3<Self::Scalar>) -> Self::Scalar;
     /// [`Microfacet::sigma`] of GGX surfaces.
@@ -71,6 +74,10 @@ impl<R: Real> Alpha for R {
     #[inline(always)]
     fn axes(self) -> [R; 2] {
         [self; 2]
+    }
+    #[inline(always)]
+    fn along([alpha, _]: [R; 2]) -> R {
+        alpha
     }
     #[inline(always)]
     fn ggx_d(self, m: Vec3<R>) -> R {
@@ -106,30 +113,30 @@ impl<R: Real> Alpha for Axes<R> {
     fn axes(self) -> [R; 2] {
         self.0
     }
-    #[inline]
+    #[inline(always)]
+    fn along(axes: [R; 2]) -> Self {
+        Self(axes)
+    }
+    #[inline(always)]
     fn ggx_d(self, m: Vec3<R>) -> R {
-        if m.z.primal() <= R::Primal::zero() {
-            return R::zero();
-        }
         let Self([u, v]) = self;
         let (x, y) = (m.x / u, m.y / v);
-        (u * v * R::c(PI) * (x.square() + y.square() + m.z.square()).square()).recip()
+        let d = (u * v * R::c(PI) * (x.square() + y.square() + m.z.square()).square()).recip();
+        R::select(m.z.primal() > R::Primal::zero(), d, R::zero())
     }
-    #[inline]
+    #[inline(always)]
     fn ggx_sigma(self, w: Vec3<R>) -> R {
         let Self([u, v]) = self;
         let spread = (u * w.x).square() + (v * w.y).square();
         (w.z.abs() + (w.z.square() + spread).sqrt()) * R::c(0.5)
     }
-    #[inline]
+    #[inline(always)]
     fn spread(self, w: Vec3<R>) -> R {
         let Self([u, v]) = self;
         let squared = (u * w.x).square() + (v * w.y).square();
         // A root has no slope at zero, nor has what is made of this one.
-        if squared.primal() <= R::Primal::MIN_POSITIVE {
-            return R::zero();
-        }
-        squared.sqrt()
+        let none = squared.primal() <= R::Primal::MIN_POSITIVE;
+        R::select(none, R::zero(), squared.sqrt())
     }
 }
 
@@ -171,20 +178,24 @@ impl<R: Real, A: Alpha<Scalar = R>> Microfacet<A> {
     /// horizon. Integrates to one over projected solid angle.
     #[inline]
     pub fn d(&self, m: Vec3<R>) -> R {
+        self.d_in_line(m)
+    }
+
+    /// [`Microfacet::d`] where loops over many go through it.
+    #[inline(always)]
+    pub(crate) fn d_in_line(&self, m: Vec3<R>) -> R {
         match self.kind {
             Ndf::Ggx => self.alpha.ggx_d(m),
             Ndf::Beckmann => {
-                if m.z.primal() <= R::Primal::zero() {
-                    return R::zero();
-                }
                 let [u, v] = self.alpha.axes();
                 let area = u * v * R::c(PI);
                 let steepness = (m.x / (u * m.z)).square() + (m.y / (v * m.z)).square();
-                // The far tail, where the exponential is no normal number: 0 * inf below.
-                if steepness.primal() > -R::Primal::MIN_POSITIVE.ln() {
-                    return R::zero();
-                }
-                (-steepness).exp() / (area * m.z.square().square())
+                // In the far tail the exponential is no normal number: 0 * inf.
+                let far = steepness.primal() > largest();
+                let near = R::select(far, R::zero(), steepness);
+                let d = exp_minus(near) / (area * m.z.square().square());
+                let above = m.z.primal() > R::Primal::zero();
+                R::select(above & !far, d, R::zero())
             }
         }
     }
@@ -194,7 +205,7 @@ impl<R: Real, A: Alpha<Scalar = R>> Microfacet<A> {
     pub fn sigma(&self, w: Vec3<R>) -> R {
         match self.kind {
             Ndf::Ggx => self.alpha.ggx_sigma(w),
-            Ndf::Beckmann => beckmann_sigma(w.z.abs(), self.alpha.spread(w)),
+            Ndf::Beckmann => slopes::sigma(w.z.abs(), self.alpha.spread(w)),
         }
     }
 
@@ -291,7 +302,10 @@ impl<R: Real, A: Alpha<Scalar = R>> Microfacet<A> {
         let stretched = Vec3::new(along * w.x, across * w.y, w.z).normalize();
         let m = match self.kind {
             Ndf::Ggx => ggx_visible(stretched, u),
-            Ndf::Beckmann => beckmann_visible(stretched, u),
+            Ndf::Beckmann => {
+                let side = Side::of(stretched);
+                side.normal(slopes::visible([stretched.z, side.sine], u))
+            }
         };
         Vec3::new(along * m.x, across * m.y, m.z).normalize()
     }
@@ -307,9 +321,37 @@ impl<R: Real, A: Alpha<Scalar = R>> Microfacet<A> {
     }
 }
 
+impl<P: Float, A: Alpha<Scalar = P>> Microfacet<A> {
+    /// [`Microfacet::sigma`] where loops over many go through it.
+    #[inline(always)]
+    pub(crate) fn sigma_in_line(&self, w: Vec3<P>) -> P {
+        match self.kind {
+            Ndf::Ggx => self.alpha.ggx_sigma(w),
+            Ndf::Beckmann => slopes::sigma_in_line(w.z.abs(), self.alpha.spread(w)),
+        }
+    }
+
+    /// [`Microfacet::sample_visible`], and whether that is right: without branches, as [`Vec3::unit`].
+    #[inline(always)]
+    pub(crate) fn sample_visible_in_line(&self, w: Vec3<P>, u: [P; 2]) -> (Vec3<P>, bool) {
+        let [along, across] = self.alpha.axes();
+        let (stretched, sane) = Vec3::new(along * w.x, across * w.y, w.z).unit();
+        let (m, found) = match self.kind {
+            Ndf::Ggx => (ggx_visible(stretched, u), true),
+            Ndf::Beckmann => {
+                let side = Side::of(stretched);
+                let (slopes, right) = slopes::visible_in_line([stretched.z, side.sine], u);
+                (side.normal(slopes), right)
+            }
+        };
+        let (m, right) = Vec3::new(along * m.x, across * m.y, m.z).unit();
+        (m, sane & right & found)
+    }
+}
+
 /// [`Microfacet::d`] of GGX surfaces.
 #[inline(always)]
-pub(super) fn ggx_d<R: Real>(alpha: R, m: Vec3<R>) -> R {
+fn ggx_d<R: Real>(alpha: R, m: Vec3<R>) -> R {
     let area = alpha.square() * R::c(PI);
     let (x, y) = (m.x / alpha, m.y / alpha);
     let d = (area * (x.square() + y.square() + m.z.square()).square()).recip();
@@ -318,19 +360,10 @@ pub(super) fn ggx_d<R: Real>(alpha: R, m: Vec3<R>) -> R {
 
 /// [`Microfacet::sigma`] of GGX surfaces.
 #[inline(always)]
-pub(super) fn ggx_sigma<R: Real>(alpha: R, w: Vec3<R>) -> R {
+fn ggx_sigma<R: Real>(alpha: R, w: Vec3<R>) -> R {
     let c = w.z.abs();
     let s2 = w.x.square() + w.y.square();
     (c + (c.square() + alpha.square() * s2).sqrt()) * R::c(0.5)
-}
-
-/// [`Microfacet::sample_visible`] of GGX surfaces, and whether that is right: without branches, as [`Vec3::unit`].
-#[inline(always)]
-pub(crate) fn ggx_sample_visible<P: Float>(alpha: P, w: Vec3<P>, u: [P; 2]) -> (Vec3<P>, bool) {
-    let (stretched, sane) = Vec3::new(alpha * w.x, alpha * w.y, w.z).unit();
-    let m = ggx_visible(stretched, u);
-    let (m, right) = Vec3::new(alpha * m.x, alpha * m.y, m.z).unit();
-    (m, sane & right)
 }
 
 /// A visible normal of the GGX surface of roughness 1, not normalised: the half-vector of `w` and a
@@ -351,128 +384,37 @@ fn ggx_visible<R: Real>(w: Vec3<R>, u: [R::Primal; 2]) -> Vec3<R> {
     )
 }
 
-/// A visible normal of the Beckmann surface of roughness 1, not normalised.
-#[inline]
-fn beckmann_visible<R: Real>(w: Vec3<R>, u: [R::Primal; 2]) -> Vec3<R> {
-    let s2 = w.x.square() + w.y.square();
-    let at_pole = s2.primal() <= R::Primal::MIN_POSITIVE / R::Primal::EPSILON;
-    let (s, cos_phi, sin_phi) = if at_pole {
-        (R::zero(), R::one(), R::zero())
-    } else {
+/// Where a direction points along the surface.
+#[derive(Clone, Copy)]
+struct Side<R> {
+    sine: R,
+    cos_phi: R,
+    sin_phi: R,
+}
+
+impl<R: Real> Side<R> {
+    #[inline(always)]
+    fn of(w: Vec3<R>) -> Self {
+        let s2 = w.x.square() + w.y.square();
+        let at_pole = s2.primal() <= R::Primal::MIN_POSITIVE / R::Primal::EPSILON;
         let s = s2.sqrt();
-        (s, w.x / s, w.y / s)
-    };
-    // Along w the slope must be visible; across it, all are.
-    let along = visible_slope(w.z, s, u[0]);
-    let across = Const(R::Primal::of(gauss_quantile(within_cell(u[1]))));
-    Vec3::new(
-        sin_phi * across - cos_phi * along,
-        -(cos_phi * across) - sin_phi * along,
-        R::one(),
-    )
-}
-
-/// `sigma` of a Beckmann surface of roughness 1 for the (not necessarily unit) direction `(s, c)`.
-#[inline]
-fn beckmann_sigma<R: Real>(c: R, s: R) -> R {
-    // Beyond this, masking is less than a rounding error, and below it s is not zero.
-    if c.primal() >= s.primal() * R::Primal::of(6.0) {
-        return c;
-    }
-    slope_cdf(c / s, c, s)
-}
-
-/// Projected area, seen from `(s, c)`, of the facets whose slope along it is below `x`:
-/// `integral of (c - t s) exp(-t^2) / sqrt(pi) dt` up to `x`.
-#[inline]
-fn slope_cdf<R: Real>(x: R, c: R, s: R) -> R {
-    slope_cdf_where(x, c, s, gauss(x))
-}
-
-/// The same where the density of slopes at `x` is known.
-#[inline]
-fn slope_cdf_where<R: Real>(x: R, c: R, s: R, gauss: R) -> R {
-    (c * (x.erf() + R::c(1.0)) + s * gauss) * R::c(0.5)
-}
-
-/// Density of slopes of a Beckmann surface of roughness 1.
-#[inline]
-fn gauss<R: Real>(x: R) -> R {
-    (-x.square()).exp() * R::c(1.0 / PI.sqrt())
-}
-
-/// The slope below which the fraction `u` of the area visible from the unit vector `(s, c)` lies.
-#[inline]
-fn visible_slope<R: Real>(c: R, s: R, u: R::Primal) -> R {
-    let u = within_cell(u);
-    // A fifth of the third root of a rounding.
-    let last = if R::Primal::EPSILON > R::Primal::of(1e-10) {
-        9.8e-4
-    } else {
-        1.2e-6
-    };
-    let root = visible_slope_f64(c.primal().to_f64(), s.primal().to_f64(), u, last);
-    let mut x = R::lift(R::Primal::of(root));
-    if R::IS_PRIMAL {
-        return x;
-    }
-    // Newton steps that move tangents only (implicit function theorem): each raises the order that
-    // is right by one, and the value stays.
-    let target = beckmann_sigma(c, s) * Const(R::Primal::of(u));
-    for _ in 0..2 {
-        let gauss = gauss(x);
-        let residual = slope_cdf_where(x, c, s, gauss) - target;
-        let slope = (c - x * s) * gauss;
-        x -= (residual - Const(residual.primal())) / slope;
-    }
-    x
-}
-
-/// [`visible_slope`] for constants: Halley's method between brackets, from the quantile that is right to
-/// first order in `s / c`, until a step is smaller than `last`. What is left is of its third order.
-fn visible_slope_f64(c: f64, s: f64, u: f64, last: f64) -> f64 {
-    let target = beckmann_sigma(c, s) * u;
-    // Facets with a larger slope face away. Beyond 10, nothing is left of a Gaussian.
-    let (mut low, mut high) = (-10.0, if c < 10.0 * s { c / s } else { 10.0 });
-    let mut x = gauss_quantile(u);
-    if s > 0.0 {
-        x = (x - 0.5 * s / c).clamp(low, high - 0.1 * (high - low));
-    }
-    // Bisection alone would take 50.
-    for _ in 0..60 {
-        let facing = c - x * s;
-        let gauss = gauss(x);
-        let slope = facing * gauss;
-        let residual = target - slope_cdf_where(x, c, s, gauss);
-        if residual > 0.0 {
-            low = x;
-        } else {
-            high = x;
-        }
-        let newton = residual / slope;
-        let step = newton / (1.0 - newton * (x + 0.5 * s / facing));
-        let next = x + step;
-        if !(low..=high).contains(&next) {
-            x = 0.5 * (low + high);
-            continue;
-        }
-        x = next;
-        if step.abs() < last {
-            break;
+        Self {
+            sine: R::select(at_pole, R::zero(), s),
+            cos_phi: R::select(at_pole, R::one(), w.x / s),
+            sin_phi: R::select(at_pole, R::zero(), w.y / s),
         }
     }
-    x
-}
 
-/// The `u`-quantile of a Gaussian with standard deviation `1 / sqrt(2)`.
-#[inline]
-fn gauss_quantile(u: f64) -> f64 {
-    -erfc_inv(2.0 * u)
-}
-
-/// A random number stands for the numbers that were rounded to it: for 0, whose quantile is
-/// infinite, the middle of them is taken.
-#[inline]
-fn within_cell<P: Float>(u: P) -> f64 {
-    u.to_f64().max(P::EPSILON.to_f64() * 0.25)
+    /// A normal, not normalised, of slopes along the direction and across.
+    #[inline(always)]
+    fn normal(&self, [along, across]: [R; 2]) -> Vec3<R> {
+        let &Self {
+            cos_phi, sin_phi, ..
+        } = self;
+        Vec3::new(
+            sin_phi * across - cos_phi * along,
+            -(cos_phi * across) - sin_phi * along,
+            R::one(),
+        )
+    }
 }

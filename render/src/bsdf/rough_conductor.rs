@@ -2,9 +2,9 @@
 
 use ad_core::{Const, Float, Real, Vec2, Vec3};
 
-use super::microfacet::{ALPHA_RANGE, Alpha, Axes, Microfacet, Ndf, ggx_d, ggx_sigma};
+use super::microfacet::{ALPHA_RANGE, Alpha, Axes, Microfacet, Ndf};
 use super::{
-    BsdfSample, Component, Conductor, ConductorLobe, Leaf, Lobe, Part, Reader, Scattered, Shading,
+    BsdfSample, Component, Conductor, ConductorLobe, Leaf, Lobe, Part, Reader, Scattered,
     TransportMode,
 };
 use crate::error::SceneError;
@@ -278,8 +278,6 @@ impl<R: Real, A: Alpha<Scalar = R>> RoughConductorLobe<R, A> {
 /// without branches, so that loops over many become vector instructions.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Metal<P> {
-    /// Roughness; zero of mirrors.
-    pub alpha: P,
     /// Factor on the reflectance.
     pub specular_reflectance: Rgb<P>,
     /// Real and imaginary part of the index, if it has one.
@@ -299,36 +297,18 @@ pub(crate) struct Facets<P> {
     pub sigma: [P; 2],
 }
 
-/// The microsurface of Beckmann's, of which visible normals are sampled.
-#[inline(always)]
-pub(crate) fn beckmann<P: Float>(alpha: P) -> Microfacet<P> {
-    Microfacet {
-        kind: Ndf::Beckmann,
-        alpha,
-        visible: true,
-    }
-}
-
 impl<P: Float> Facets<P> {
-    /// Those of a GGX surface of this roughness with the normal `m`, for two directions.
+    /// Those of a surface with the normal `m`, for two directions.
     #[inline(always)]
-    pub fn ggx(alpha: P, m: Vec3<P>, directions: [Vec3<P>; 2]) -> Self {
-        let sigma = both(directions, |w| ggx_sigma(alpha, w));
-        let d = ggx_d(alpha, m);
-        Self { m, d, sigma }
-    }
-
-    /// The same of one of Beckmann's; `asked`: whether anything depends on it.
-    #[inline(always)]
-    pub fn beckmann(alpha: P, m: Vec3<P>, directions: [Vec3<P>; 2], asked: bool) -> Self {
-        let surface = beckmann(alpha);
-        let d = surface.d(m);
-        // Far off a narrow lobe, as most lights are.
-        let sigma = if asked && d > P::zero() {
-            both(directions, |w| surface.sigma(w))
-        } else {
-            [P::one(); 2]
-        };
+    pub fn of<A: Alpha<Scalar = P>>(
+        surface: &Microfacet<A>,
+        m: Vec3<P>,
+        directions: [Vec3<P>; 2],
+    ) -> Self {
+        let [wo, wi] = directions;
+        // Closures become calls.
+        let sigma = [surface.sigma_in_line(wo), surface.sigma_in_line(wi)];
+        let d = surface.d_in_line(m);
         Self { m, d, sigma }
     }
 
@@ -347,24 +327,10 @@ impl<P: Float> Facets<P> {
 }
 
 impl<P: Float> Metal<P> {
-    /// What a rough material is at a point, and the shape of its normals.
+    /// Metal with such facets.
     #[inline(always)]
-    pub fn rough(material: &RoughConductor, at: &Shading<P>) -> (Ndf, Self) {
-        let lobe = material.lobe(&mut { *at });
-        let microfacet = lobe.microfacet;
-        (microfacet.kind, Self::of(microfacet.alpha, &lobe.facet))
-    }
-
-    /// What a mirror is at a point.
-    #[inline(always)]
-    pub fn mirror(material: &Conductor, at: &Shading<P>) -> Self {
-        Self::of(P::zero(), &material.lobe(&mut { *at }))
-    }
-
-    #[inline(always)]
-    fn of(alpha: P, facet: &ConductorLobe<P>) -> Self {
+    pub fn of(facet: &ConductorLobe<P>) -> Self {
         Self {
-            alpha,
             specular_reflectance: facet.specular_reflectance,
             index: facet.index.unwrap_or([Rgb::black(); 2]),
             has_index: facet.index.is_some(),

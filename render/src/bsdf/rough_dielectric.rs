@@ -201,7 +201,7 @@ fn refract<R: Real>(w: Vec3<R>, m: Vec3<R>, cos_i: R, cos_t: R, eta: R) -> Vec3<
     m * (cos_i * inverse - cos_t) - w * inverse
 }
 
-impl<P: Float> RoughDielectricLobe<P> {
+impl<P: Float, A> RoughDielectricLobe<P, A> {
     /// [`Lobe::eval_pdf`] of radiance where the facets are known and visible normals are sampled: without a branch, for
     /// loops over many. `facets.m` is of unit length.
     #[inline(always)]

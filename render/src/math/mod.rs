@@ -2,6 +2,7 @@
 
 pub mod angle;
 mod frame;
+pub(crate) mod gauss;
 mod ray;
 mod rgb;
 mod transform;

@@ -53,12 +53,18 @@ fn sin_cos_octant<P: Float>(x: P) -> (P, P) {
     // Terms below half a rounding of the result are left out.
     let terms = if P::EPSILON > P::of(1e-10) { 5 } else { 9 };
     let x2 = x * x;
-    let horner = |c: &[f64; 9]| {
-        (0..terms)
-            .rev()
-            .fold(P::zero(), |sum, i| sum.mul_add(x2, P::of(c[i])))
-    };
-    (horner(&SIN) * x, horner(&COS))
+    (horner(&SIN, terms, x2) * x, horner(&COS, terms, x2))
+}
+
+/// The first terms of a series. By a plain loop: folds over iterators become calls.
+#[inline(always)]
+fn horner<P: Float, const N: usize>(c: &[f64; N], terms: usize, x: P) -> P {
+    let (mut sum, mut k) = (P::zero(), terms);
+    while k > 0 {
+        k -= 1;
+        sum = sum.mul_add(x, P::of(c[k]));
+    }
+    sum
 }
 
 /// Sine and cosine of `u` turns, `u` in [0, 1]: to rounding, without a call or a branch.

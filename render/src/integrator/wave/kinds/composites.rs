@@ -368,7 +368,7 @@ impl<P: Float> Composites<P> {
         {
             let numbers = [&lanes.first, &lanes.b, &lanes.c];
             let chosen = |k: usize| lanes.chosen[k] == number;
-            part.sample(&lanes.o, side, numbers, chosen, &mut |k, found| {
+            part.sample(&lanes.o, side, numbers, &mut |k, found| {
                 if chosen(k) {
                     self.drawn[k] = found;
                 }

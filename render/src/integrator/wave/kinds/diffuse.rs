@@ -3,8 +3,7 @@
 use ad_core::{Float, Vec3};
 
 use super::super::lanes::{Field, Lanes, lanes, whole};
-use super::{Among, CONTINUOUS, Members, Scattering};
-use crate::bsdf::microfacet::Ndf;
+use super::{CONTINUOUS, Members, Scattering};
 use crate::bsdf::{DiffuseLobe, Leaf, Lobe, Material, Shading};
 use crate::integrator::vertex::MODE;
 
@@ -23,18 +22,18 @@ impl<P: Float> Members<P> for Matt<P> {
     }
 
     #[inline(always)]
-    fn gather(&mut self, k: usize, material: &Material, at: &Shading<P>) -> Option<Ndf> {
+    fn gather(&mut self, k: usize, material: &Material, at: &Shading<P>) -> bool {
         let Material::Diffuse(m) = material else {
-            return None;
+            return false;
         };
         let lobe = m.lobe(&mut { *at });
         self.reflectance.put_rgb(k, lobe.reflectance);
-        Some(Ndf::Ggx)
+        true
     }
 
     #[inline(never)]
-    fn eval_pdf(&mut self, among: Among, of: &mut Scattering<P>) {
-        for k in 0..whole(among.n) {
+    fn eval_pdf(&mut self, n: usize, of: &mut Scattering<P>) {
+        for k in 0..whole(n) {
             let (wo, wi) = (of.wo.vec(k), of.wi.vec(k));
             let lobe = DiffuseLobe {
                 reflectance: self.reflectance.rgb(k),
@@ -46,9 +45,9 @@ impl<P: Float> Members<P> for Matt<P> {
     }
 
     #[inline(always)]
-    fn sample(&mut self, among: Among, of: &mut Scattering<P>) {
-        self.draw(among.n, of);
-        self.eval_pdf(among, of);
+    fn sample(&mut self, n: usize, of: &mut Scattering<P>) {
+        self.draw(n, of);
+        self.eval_pdf(n, of);
     }
 }
 

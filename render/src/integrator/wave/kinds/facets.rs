@@ -1,16 +1,37 @@
-//! Normals of many rough surfaces: as if all were GGX, then one by one those that are not.
+//! Normals of many rough surfaces, all of one shape.
+
+use std::marker::PhantomData;
 
 use ad_core::{Float, Vec3};
 
 use super::super::lanes::{Field, Lane, Lanes, lanes, whole};
-use super::{Among, Scattering};
-use crate::bsdf::microfacet::ggx_sample_visible;
-use crate::bsdf::{Facets, beckmann, upwards};
+use super::Scattering;
+use crate::bsdf::microfacet::{Alpha, Microfacet, Ndf};
+use crate::bsdf::{Facets, upwards};
+
+/// The shape of all normals of a kind: what differs there would not be one loop.
+pub trait Shape {
+    /// Which it is.
+    const NDF: Ndf;
+}
+
+/// GGX.
+pub struct Ggx;
+/// Beckmann's.
+pub struct Beckmann;
+
+impl Shape for Ggx {
+    const NDF: Ndf = Ndf::Ggx;
+}
+impl Shape for Beckmann {
+    const NDF: Ndf = Ndf::Beckmann;
+}
 
 lanes! {
-    /// [`Facets`], and the roughness of their surfaces.
+    /// [`Facets`], and the roughness of their surfaces along both axes.
     FacetLanes {
-        alpha: Lane<P>,
+        along: Lane<P>,
+        across: Lane<P>,
         m: Lanes<P>,
         d: Lane<P>,
         sigma_o: Lane<P>,
@@ -18,75 +39,96 @@ lanes! {
     }
 }
 
-impl<P: Float> FacetLanes<P> {
-    #[inline(always)]
-    pub fn at(&self, k: usize) -> Facets<P> {
-        Facets {
-            m: self.m.vec(k),
-            d: self.d[k],
-            sigma: [self.sigma_o[k], self.sigma_i[k]],
+/// Surfaces of which visible normals are sampled, and their facets.
+pub struct Surfaces<P, A, N> {
+    lanes: FacetLanes<P>,
+    shape: PhantomData<(A, N)>,
+}
+
+impl<P: Float, A: Alpha<Scalar = P>, N: Shape> Surfaces<P, A, N> {
+    pub fn new() -> Self {
+        Self {
+            lanes: FacetLanes::zero(),
+            shape: PhantomData,
         }
     }
 
+    /// Makes the `k`-th as rough as that.
     #[inline(always)]
-    pub fn put(&mut self, k: usize, facets: &Facets<P>) {
-        self.m.put_vec(k, facets.m);
-        self.d[k] = facets.d;
-        [self.sigma_o[k], self.sigma_i[k]] = facets.sigma;
+    pub fn put(&mut self, k: usize, alpha: impl Alpha<Scalar = P>) {
+        [self.lanes.along[k], self.lanes.across[k]] = alpha.axes();
     }
 
-    /// Those of a GGX surface that reflect `wi` to `wo`, and whether they are right.
     #[inline(always)]
-    pub fn between(&self, k: usize, of: &Scattering<P>) -> (Facets<P>, bool) {
-        let (wo, wi) = (of.wo.vec(k), of.wi.vec(k));
+    pub fn surface(&self, k: usize) -> Microfacet<A> {
+        Microfacet {
+            kind: N::NDF,
+            alpha: A::along([self.lanes.along[k], self.lanes.across[k]]),
+            visible: true,
+        }
+    }
+
+    /// The normal of the `k`-th.
+    #[inline(always)]
+    pub fn normal(&self, k: usize) -> Vec3<P> {
+        self.lanes.m.vec(k)
+    }
+
+    #[inline(always)]
+    pub fn facets(&self, k: usize) -> Facets<P> {
+        Facets {
+            m: self.normal(k),
+            d: self.lanes.d[k],
+            sigma: [self.lanes.sigma_o[k], self.lanes.sigma_i[k]],
+        }
+    }
+
+    /// Keeps what facets with the normal `m` do between two directions.
+    #[inline(always)]
+    pub fn keep(&mut self, k: usize, m: Vec3<P>, directions: [Vec3<P>; 2]) {
+        let facets = Facets::of(&self.surface(k), m, directions);
+        self.lanes.m.put_vec(k, facets.m);
+        self.lanes.d[k] = facets.d;
+        [self.lanes.sigma_o[k], self.lanes.sigma_i[k]] = facets.sigma;
+    }
+
+    /// The normal that reflects `wi` to `wo`, and whether it is right.
+    #[inline(always)]
+    pub fn between(wo: Vec3<P>, wi: Vec3<P>) -> (Vec3<P>, bool) {
         let (m, right) = (wo + wi).unit();
         // Below the horizon there is no normal.
         let below = (wo.z <= P::zero()) | (wi.z <= P::zero());
-        (Facets::ggx(self.alpha[k], m, [wo, wi]), right | below)
+        (m, right | below)
     }
 
-    /// A normal on the upper side of a GGX surface, made of random numbers, and whether it is right. `through`: whether
-    /// it is wanted where `wo` is below.
+    /// A normal on the upper side, made of random numbers, and whether it is right. `through`: whether it is wanted where
+    /// `wo` is below.
     #[inline(always)]
     pub fn drawn(&self, k: usize, of: &Scattering<P>, through: bool) -> (Vec3<P>, bool) {
         let (wo, u) = (of.wo.vec(k), of.u.vec(k));
-        let (m, right) = ggx_sample_visible(self.alpha[k], upwards(wo), [u.y, u.z]);
+        let surface = self.surface(k);
+        let (m, right) = surface.sample_visible_in_line(upwards(wo), [u.y, u.z]);
         (m, right | !(through | (wo.z > P::zero())))
     }
 
-    /// [`FacetLanes::between`] of all.
+    /// [`Surfaces::between`] of the first `n`, and what such facets do.
     #[inline(never)]
-    pub fn reflecting(&mut self, among: Among, of: &mut Scattering<P>) {
-        for k in 0..whole(among.n) {
-            let (facets, right) = self.between(k, of);
-            self.put(k, &facets);
-            of.right[k] = u32::from(right);
-        }
-        for &k in among.one_by_one {
+    pub fn reflecting(&mut self, n: usize, of: &mut Scattering<P>) {
+        for k in 0..whole(n) {
             let (wo, wi) = (of.wo.vec(k), of.wi.vec(k));
-            let above = (wo.z > P::zero()) & (wi.z > P::zero());
-            let asked = above & (of.asked[k] != 0);
-            let facets = Facets::beckmann(self.alpha[k], self.m.vec(k), [wo, wi], asked);
-            self.put(k, &facets);
+            let (m, right) = Self::between(wo, wi);
+            self.keep(k, m, [wo, wi]);
+            of.right[k] = u32::from(right);
         }
     }
 
-    /// [`FacetLanes::drawn`] for all.
+    /// [`Surfaces::drawn`] for the first `n`.
     #[inline(never)]
-    pub fn sample(&mut self, among: Among, of: &mut Scattering<P>, through: bool) {
-        for k in 0..whole(among.n) {
+    pub fn sample(&mut self, n: usize, of: &mut Scattering<P>, through: bool) {
+        for k in 0..whole(n) {
             let (m, right) = self.drawn(k, of, through);
-            self.m.put_vec(k, m);
+            self.lanes.m.put_vec(k, m);
             of.sampled[k] = u32::from(right);
-        }
-        for &k in among.one_by_one {
-            let (wo, u) = (of.wo.vec(k), of.u.vec(k));
-            let asked = (wo.z > P::zero()) | (through & (wo.z < P::zero()));
-            if asked & (of.asked[k] != 0) {
-                let m = beckmann(self.alpha[k]).sample_visible(upwards(wo), [u.y, u.z]);
-                self.m.put_vec(k, m);
-                of.sampled[k] = 1;
-            }
         }
     }
 }

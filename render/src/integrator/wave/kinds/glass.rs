@@ -3,8 +3,7 @@
 use ad_core::Float;
 
 use super::super::lanes::{Field, Lane, Lanes, lanes, whole};
-use super::{Among, Members, REFLECTED, Scattering, TRANSMITTED};
-use crate::bsdf::microfacet::Ndf;
+use super::{Members, REFLECTED, Scattering, TRANSMITTED};
 use crate::bsdf::{DielectricLobe, Leaf, Material, Passage, Shading, ThinDielectricLobe};
 use crate::integrator::vertex::MODE;
 
@@ -27,7 +26,7 @@ impl<P: Float> Members<P> for Glass<P> {
     }
 
     #[inline(always)]
-    fn gather(&mut self, k: usize, material: &Material, at: &Shading<P>) -> Option<Ndf> {
+    fn gather(&mut self, k: usize, material: &Material, at: &Shading<P>) -> bool {
         let read = &mut { *at };
         let (eta, reflectance, transmittance, thin) = match material {
             Material::Dielectric(m) => {
@@ -48,20 +47,20 @@ impl<P: Float> Members<P> for Glass<P> {
                     true,
                 )
             }
-            _ => return None,
+            _ => return false,
         };
         self.eta[k] = eta;
         self.specular_reflectance.put_rgb(k, reflectance);
         self.specular_transmittance.put_rgb(k, transmittance);
         self.thin[k] = u32::from(thin);
-        Some(Ndf::Ggx)
+        true
     }
 
-    fn eval_pdf(&mut self, _among: Among, _of: &mut Scattering<P>) {}
+    fn eval_pdf(&mut self, _n: usize, _of: &mut Scattering<P>) {}
 
     #[inline(never)]
-    fn sample(&mut self, among: Among, of: &mut Scattering<P>) {
-        for k in 0..whole(among.n) {
+    fn sample(&mut self, n: usize, of: &mut Scattering<P>) {
+        for k in 0..whole(n) {
             let (wo, u) = (of.wo.vec(k), of.u.vec(k).x);
             let glass = DielectricLobe {
                 eta: self.eta[k],

@@ -3,16 +3,15 @@
 use ad_core::{Float, Vec3};
 
 use super::super::lanes::{Field, Lane, Lanes, lanes, whole};
-use super::facets::FacetLanes;
-use super::{Among, CONTINUOUS, Members, REFLECTED, Scattering};
-use crate::bsdf::microfacet::Ndf;
-use crate::bsdf::{Facets, Material, Metal, Shading, reflect};
+use super::facets::{Shape, Surfaces};
+use super::{CONTINUOUS, Members, REFLECTED, Scattering};
+use crate::bsdf::microfacet::Alpha;
+use crate::bsdf::{ConductorLobe, Facets, Leaf, Material, Metal, Shading, reflect};
 use crate::math::Rgb;
 
 lanes! {
-    /// Metals.
-    Metals {
-        facets: FacetLanes<P>,
+    /// Metals, but for their normals.
+    MetalLanes {
         specular_reflectance: Lanes<P>,
         eta: Lanes<P>,
         k: Lanes<P>,
@@ -22,59 +21,31 @@ lanes! {
     }
 }
 
-impl<P: Float> Metals<P> {
+/// Metals whose normals are of one shape; mirrors may be among them.
+pub struct Metals<P, A, N> {
+    lanes: MetalLanes<P>,
+    facets: Surfaces<P, A, N>,
+}
+
+impl<P: Float> MetalLanes<P> {
     #[inline(always)]
     fn metal(&self, k: usize) -> Metal<P> {
         Metal {
-            alpha: self.facets.alpha[k],
             specular_reflectance: self.specular_reflectance.rgb(k),
             index: [self.eta.rgb(k), self.k.rgb(k)],
             has_index: self.has_index[k] != 0,
         }
     }
 
-    /// Where all normals have steps in vectors: theirs, and what they reflect, in one loop.
-    #[inline(never)]
-    fn value_at_once(&self, n: usize, of: &mut Scattering<P>) {
-        for k in 0..whole(n) {
-            let (facets, right) = self.facets.between(k, of);
-            self.put_value(k, &facets, right, of);
-        }
-    }
-
-    #[inline(never)]
-    fn value(&self, n: usize, of: &mut Scattering<P>) {
-        for k in 0..whole(n) {
-            self.put_value(k, &self.facets.at(k), of.right[k] != 0, of);
-        }
-    }
-
     #[inline(always)]
-    fn put_value(&self, k: usize, facets: &Facets<P>, right: bool, of: &mut Scattering<P>) {
-        let (f, pdf) = self.metal(k).eval_pdf(of.wo.vec(k), of.wi.vec(k), facets);
-        // Nothing comes from a light to a mirror.
-        let rough = self.smooth[k] == 0;
-        of.f.put_rgb(k, Rgb::select(rough, f, Rgb::black()));
-        of.pdf[k] = P::select(rough, pdf, P::zero());
-        of.right[k] = u32::from(right | !rough);
-    }
-
-    /// Where all normals have steps in vectors: they, and where they lead, in one loop.
-    #[inline(never)]
-    fn turn_at_once(&self, n: usize, of: &mut Scattering<P>) {
-        for k in 0..whole(n) {
-            let (m, right) = self.facets.drawn(k, of, false);
-            of.sampled[k] = u32::from(right);
-            of.wi.put_vec(k, reflect(of.wo.vec(k), m));
-        }
-    }
-
-    #[inline(never)]
-    fn turn(&self, n: usize, of: &mut Scattering<P>) {
-        for k in 0..whole(n) {
-            let wo = of.wo.vec(k);
-            of.wi.put_vec(k, reflect(wo, self.facets.m.vec(k)));
-        }
+    fn put(&mut self, k: usize, facet: &ConductorLobe<P>, smooth: bool) {
+        let metal = Metal::of(facet);
+        self.specular_reflectance
+            .put_rgb(k, metal.specular_reflectance);
+        self.eta.put_rgb(k, metal.index[0]);
+        self.k.put_rgb(k, metal.index[1]);
+        self.has_index[k] = u32::from(metal.has_index);
+        self.smooth[k] = u32::from(smooth);
     }
 
     /// Mirrors, whose directions are not drawn.
@@ -96,57 +67,80 @@ impl<P: Float> Metals<P> {
     }
 }
 
-impl<P: Float> Members<P> for Metals<P> {
+impl<P: Float, A: Alpha<Scalar = P>, N: Shape> Metals<P, A, N> {
+    /// Normals, and what they reflect.
+    #[inline(never)]
+    fn value(&self, n: usize, of: &mut Scattering<P>) {
+        for k in 0..whole(n) {
+            let (wo, wi) = (of.wo.vec(k), of.wi.vec(k));
+            let (m, right) = Surfaces::<P, A, N>::between(wo, wi);
+            let facets = Facets::of(&self.facets.surface(k), m, [wo, wi]);
+            let (f, pdf) = self.lanes.metal(k).eval_pdf(wo, wi, &facets);
+            // Nothing comes from a light to a mirror.
+            let rough = self.lanes.smooth[k] == 0;
+            of.f.put_rgb(k, Rgb::select(rough, f, Rgb::black()));
+            of.pdf[k] = P::select(rough, pdf, P::zero());
+            of.right[k] = u32::from(right | !rough);
+        }
+    }
+
+    /// Normals, and where they lead.
+    #[inline(never)]
+    fn turn(&self, n: usize, of: &mut Scattering<P>) {
+        for k in 0..whole(n) {
+            let (m, right) = self.facets.drawn(k, of, false);
+            of.sampled[k] = u32::from(right);
+            of.wi.put_vec(k, reflect(of.wo.vec(k), m));
+        }
+    }
+}
+
+impl<P: Float, A: Alpha<Scalar = P>, N: Shape> Members<P> for Metals<P, A, N> {
     const CONNECTS: bool = true;
 
     fn new() -> Self {
-        Self::zero()
+        Self {
+            lanes: MetalLanes::zero(),
+            facets: Surfaces::new(),
+        }
     }
 
     #[inline(always)]
-    fn gather(&mut self, k: usize, material: &Material, at: &Shading<P>) -> Option<Ndf> {
-        let (normals, metal, smooth) = match material {
+    fn gather(&mut self, k: usize, material: &Material, at: &Shading<P>) -> bool {
+        match material {
             Material::RoughConductor(m) => {
-                let (normals, metal) = Metal::rough(m, at);
-                (normals, metal, false)
+                let lobe = m.lobe(&mut { *at });
+                self.facets.put(k, lobe.microfacet.alpha);
+                self.lanes.put(k, &lobe.facet, false);
             }
-            Material::Conductor(m) => (Ndf::Ggx, Metal::mirror(m, at), true),
-            _ => return None,
-        };
-        self.facets.alpha[k] = metal.alpha;
-        self.specular_reflectance
-            .put_rgb(k, metal.specular_reflectance);
-        self.eta.put_rgb(k, metal.index[0]);
-        self.k.put_rgb(k, metal.index[1]);
-        self.has_index[k] = u32::from(metal.has_index);
-        self.smooth[k] = u32::from(smooth);
-        Some(normals)
+            Material::AnisotropicConductor(m) => {
+                let lobe = m.lobe(&mut { *at });
+                self.facets.put(k, lobe.microfacet.alpha);
+                self.lanes.put(k, &lobe.facet, false);
+            }
+            Material::Conductor(m) => {
+                self.facets.put(k, P::one());
+                self.lanes.put(k, &m.lobe(&mut { *at }), true);
+            }
+            _ => return false,
+        }
+        true
     }
 
     #[inline(always)]
-    fn eval_pdf(&mut self, among: Among, of: &mut Scattering<P>) {
-        if among.one_by_one.is_empty() {
-            self.value_at_once(among.n, of);
-        } else {
-            self.facets.reflecting(among, of);
-            self.value(among.n, of);
-        }
+    fn eval_pdf(&mut self, n: usize, of: &mut Scattering<P>) {
+        self.value(n, of);
     }
 
     #[inline(always)]
-    fn sample(&mut self, among: Among, of: &mut Scattering<P>) {
-        if among.one_by_one.is_empty() {
-            self.turn_at_once(among.n, of);
-        } else {
-            self.facets.sample(among, of, false);
-            self.turn(among.n, of);
-        }
-        self.eval_pdf(among, of);
-        let n = whole(among.n);
-        of.eta[..n].fill(P::one());
-        of.component[..n].fill(CONTINUOUS);
-        if self.smooth[..among.n].contains(&1) {
-            self.reflect(among.n, of);
+    fn sample(&mut self, n: usize, of: &mut Scattering<P>) {
+        self.turn(n, of);
+        self.value(n, of);
+        let lanes = whole(n);
+        of.eta[..lanes].fill(P::one());
+        of.component[..lanes].fill(CONTINUOUS);
+        if self.lanes.smooth[..n].contains(&1) {
+            self.lanes.reflect(n, of);
         }
     }
 }

@@ -17,6 +17,7 @@ mod rough_plastics;
 use ad_core::{Float, Vec3};
 use composites::Composites;
 use diffuse::Matt;
+use facets::{Beckmann, Ggx};
 use glass::Glass;
 use metals::Metals;
 use plastics::Plastics;
@@ -24,8 +25,8 @@ use rough_glass::RoughGlass;
 use rough_plastics::RoughPlastics;
 
 use super::lanes::{Field, Lane, Lanes, WAVE_SIZE, lanes};
-use crate::bsdf::microfacet::Ndf;
-use crate::bsdf::{Component, DeltaKind, Material, Shading};
+use crate::bsdf::microfacet::{Axes, Ndf};
+use crate::bsdf::{Component, DeltaKind, Material, Roughness, Shading};
 use crate::math::Rgb;
 
 /// What is seen of a material: one side of it, and whether directions have to be turned to its front where they are
@@ -82,22 +83,11 @@ lanes! {
         eta: Lane<P>,
         /// What the direction belongs to: [`component`].
         component: Lane<u32>,
-        /// Whether anything depends on the answer.
-        asked: Lane<u32>,
         /// Whether the direction is right.
         sampled: Lane<u32>,
         /// Whether all is right; otherwise, the functions of the vertex have to be called.
         right: Lane<u32>,
     }
-}
-
-/// The members of a kind that a loop goes over.
-#[derive(Clone, Copy, Debug)]
-struct Among<'a> {
-    /// How many there are.
-    n: usize,
-    /// Those whose normals have no step in vectors: they are found one by one.
-    one_by_one: &'a [usize],
 }
 
 /// What vertices of one kind of material are made of, and what they make of light.
@@ -106,21 +96,18 @@ trait Members<P: Float> {
     const CONNECTS: bool;
     /// None.
     fn new() -> Self;
-    /// Takes in a material at a point as the `k`-th. The distribution of its normals; without normals, that of those that
-    /// have steps in vectors. `None` if it is none of these there.
-    fn gather(&mut self, k: usize, material: &Material, at: &Shading<P>) -> Option<Ndf>;
-    /// Value, density, and whether they are right, of the directions `wi`.
-    fn eval_pdf(&mut self, among: Among, of: &mut Scattering<P>);
+    /// Takes in a material at a point as the `k`-th, if it is one of these there.
+    fn gather(&mut self, k: usize, material: &Material, at: &Shading<P>) -> bool;
+    /// Value, density, and whether they are right, of the first `n` directions `wi`.
+    fn eval_pdf(&mut self, n: usize, of: &mut Scattering<P>);
     /// The same of directions that are made of the random numbers.
-    fn sample(&mut self, among: Among, of: &mut Scattering<P>);
+    fn sample(&mut self, n: usize, of: &mut Scattering<P>);
 }
 
 /// The vertices of a wave that are of one kind.
 struct Sorted<M> {
     /// Which paths stand there.
     paths: Vec<usize>,
-    /// Those of [`Among::one_by_one`], by their places among these.
-    one_by_one: Vec<usize>,
     /// Made when there are any.
     members: Option<Box<M>>,
 }
@@ -131,15 +118,9 @@ pub type Found<P> = (Vec3<P>, Rgb<P>, P, Component, P);
 impl<M> Sorted<M> {
     fn new() -> Self {
         Self {
-            paths: Vec::with_capacity(WAVE_SIZE),
-            one_by_one: Vec::with_capacity(WAVE_SIZE),
+            paths: Vec::new(),
             members: None,
         }
-    }
-
-    fn clear(&mut self) {
-        self.paths.clear();
-        self.one_by_one.clear();
     }
 
     /// Takes path `i` in, if the material is one of these there.
@@ -150,13 +131,11 @@ impl<M> Sorted<M> {
     {
         let k = self.paths.len() % WAVE_SIZE;
         let members = self.members.get_or_insert_with(|| Box::new(M::new()));
-        match members.gather(k, material, at) {
-            None => return false,
-            Some(Ndf::Ggx) => {}
-            Some(Ndf::Beckmann) => self.one_by_one.push(k),
+        let gathered = members.gather(k, material, at);
+        if gathered {
+            self.paths.push(i);
         }
-        self.paths.push(i);
-        true
+        gathered
     }
 
     /// See [`Kinds::eval_pdf`].
@@ -182,10 +161,8 @@ impl<M> Sorted<M> {
             let k = k % WAVE_SIZE;
             of.wo.put_vec(k, seen_from(side[i], wo.vec(i)));
             of.wi.put_vec(k, seen_from(side[i], wi.vec(i)));
-            of.asked[k] = 1;
         }
-        let (n, one_by_one) = (self.paths.len(), &self.one_by_one[..]);
-        members.eval_pdf(Among { n, one_by_one }, of);
+        members.eval_pdf(self.paths.len(), of);
         for (k, &i) in self.paths.iter().enumerate() {
             let k = k % WAVE_SIZE;
             put(i, (of.right[k] != 0).then(|| (of.f.rgb(k), of.pdf[k])));
@@ -198,7 +175,6 @@ impl<M> Sorted<M> {
         &mut self,
         of: &mut Scattering<P>,
         (wo, side, [a, b, c]): (&Lanes<P>, &Lane<P>, [&Lane<P>; 3]),
-        asked: &impl Fn(usize) -> bool,
         put: &mut impl FnMut(usize, Option<Found<P>>),
     ) where
         M: Members<P>,
@@ -210,10 +186,8 @@ impl<M> Sorted<M> {
             let k = k % WAVE_SIZE;
             of.wo.put_vec(k, seen_from(side[i], wo.vec(i)));
             of.u.put_vec(k, Vec3::new(a[i], b[i], c[i]));
-            of.asked[k] = u32::from(asked(i));
         }
-        let (n, one_by_one) = (self.paths.len(), &self.one_by_one[..]);
-        members.sample(Among { n, one_by_one }, of);
+        members.sample(self.paths.len(), of);
         for (k, &i) in self.paths.iter().enumerate() {
             let k = k % WAVE_SIZE;
             let wi = seen_from(side[i], of.wi.vec(k));
@@ -224,15 +198,94 @@ impl<M> Sorted<M> {
     }
 }
 
-/// The kinds of materials that are made of nothing else.
-#[derive(Clone, Copy, Debug)]
-enum Sort {
-    Diffuse,
-    Metal,
-    Glass,
-    RoughGlass,
-    Plastic,
-    RoughPlastic,
+/// The kinds of materials that are made of nothing else, and their members.
+macro_rules! kinds {
+    ($($kind:ident $field:ident: $members:ty,)*) => {
+        /// The kinds of materials that are made of nothing else.
+        #[derive(Clone, Copy, Debug)]
+        enum Sort {
+            $($kind,)*
+        }
+
+        /// Vertices by the kinds of their materials, which are made of nothing else.
+        struct Leaves<P> {
+            of: Box<Scattering<P>>,
+            $($field: Sorted<$members>,)*
+        }
+
+        impl<P: Float> Leaves<P> {
+            fn new() -> Self {
+                Self {
+                    of: Box::new(Scattering::zero()),
+                    $($field: Sorted::new(),)*
+                }
+            }
+
+            fn clear(&mut self) {
+                $(self.$field.paths.clear();)*
+            }
+
+            /// Takes number `i` in, if its material is one of these there.
+            #[inline(always)]
+            fn take(&mut self, i: usize, material: &Material, at: &Shading<P>) -> bool {
+                match sort(material) {
+                    $(Some(Sort::$kind) => self.$field.take(i, material, at),)*
+                    None => false,
+                }
+            }
+
+            /// As [`Kinds::eval_pdf`].
+            #[inline(always)]
+            fn eval_pdf(
+                &mut self,
+                wo: &Lanes<P>,
+                side: &Lane<P>,
+                wi: &Lanes<P>,
+                put: &mut impl FnMut(usize, Option<(Rgb<P>, P)>),
+            ) {
+                let (of, directions) = (&mut *self.of, (wo, side, wi));
+                $(self.$field.eval_pdf(of, directions, put);)*
+            }
+
+            /// As [`Kinds::sample`].
+            #[inline(always)]
+            fn sample(
+                &mut self,
+                wo: &Lanes<P>,
+                side: &Lane<P>,
+                numbers: [&Lane<P>; 3],
+                put: &mut impl FnMut(usize, Option<Found<P>>),
+            ) {
+                let (of, from) = (&mut *self.of, (wo, side, numbers));
+                $(self.$field.sample(of, from, put);)*
+            }
+        }
+    };
+}
+
+kinds! {
+    Diffuse diffuse: Matt<P>,
+    Metal metals: Metals<P, P, Ggx>,
+    BeckmannMetal beckmann_metals: Metals<P, P, Beckmann>,
+    BrushedMetal brushed_metals: Metals<P, Axes<P>, Ggx>,
+    BrushedBeckmannMetal brushed_beckmann_metals: Metals<P, Axes<P>, Beckmann>,
+    Glass glass: Glass<P>,
+    RoughGlass rough_glass: RoughGlass<P, P, Ggx>,
+    BeckmannGlass beckmann_glass: RoughGlass<P, P, Beckmann>,
+    BrushedGlass brushed_glass: RoughGlass<P, Axes<P>, Ggx>,
+    BrushedBeckmannGlass brushed_beckmann_glass: RoughGlass<P, Axes<P>, Beckmann>,
+    Plastic plastics: Plastics<P>,
+    RoughPlastic rough_plastics: RoughPlastics<P, Ggx>,
+    BeckmannPlastic beckmann_plastics: RoughPlastics<P, Beckmann>,
+}
+
+/// The one of these for the shape of the normals.
+#[inline(always)]
+fn shaped<T>(roughness: &Roughness<T>, ggx: Sort, beckmann: Sort) -> Option<Sort> {
+    roughness.visible.then_some(match roughness.kind {
+        Ndf::Ggx => ggx,
+        Ndf::Beckmann => beckmann,
+    })
 }
 
 /// Which of them a material is, if it is one. Where not only visible normals are sampled, it is none.
@@ -240,98 +293,21 @@ enum Sort {
 fn sort(material: &Material) -> Option<Sort> {
     match material {
         Material::Diffuse(_) => Some(Sort::Diffuse),
-        Material::RoughConductor(m) if m.roughness.visible => Some(Sort::Metal),
+        Material::RoughConductor(m) => shaped(&m.roughness, Sort::Metal, Sort::BeckmannMetal),
+        Material::AnisotropicConductor(m) => {
+            shaped(&m.roughness, Sort::BrushedMetal, Sort::BrushedBeckmannMetal)
+        }
         Material::Conductor(_) => Some(Sort::Metal),
         Material::Dielectric(_) | Material::ThinDielectric(_) => Some(Sort::Glass),
-        Material::RoughDielectric(m) if m.roughness.visible => Some(Sort::RoughGlass),
+        Material::RoughDielectric(m) => shaped(&m.roughness, Sort::RoughGlass, Sort::BeckmannGlass),
+        Material::AnisotropicDielectric(m) => {
+            shaped(&m.roughness, Sort::BrushedGlass, Sort::BrushedBeckmannGlass)
+        }
         Material::Plastic(_) => Some(Sort::Plastic),
-        Material::RoughPlastic(m) if m.roughness.visible => Some(Sort::RoughPlastic),
+        Material::RoughPlastic(m) => {
+            shaped(&m.roughness, Sort::RoughPlastic, Sort::BeckmannPlastic)
+        }
         _ => None,
-    }
-}
-
-/// Vertices by the kinds of their materials, which are made of nothing else.
-struct Leaves<P> {
-    of: Box<Scattering<P>>,
-    diffuse: Sorted<Matt<P>>,
-    metals: Sorted<Metals<P>>,
-    glass: Sorted<Glass<P>>,
-    rough_glass: Sorted<RoughGlass<P>>,
-    plastics: Sorted<Plastics<P>>,
-    rough_plastics: Sorted<RoughPlastics<P>>,
-}
-
-impl<P: Float> Leaves<P> {
-    fn new() -> Self {
-        Self {
-            of: Box::new(Scattering::zero()),
-            diffuse: Sorted::new(),
-            metals: Sorted::new(),
-            glass: Sorted::new(),
-            rough_glass: Sorted::new(),
-            plastics: Sorted::new(),
-            rough_plastics: Sorted::new(),
-        }
-    }
-
-    fn clear(&mut self) {
-        self.diffuse.clear();
-        self.metals.clear();
-        self.glass.clear();
-        self.rough_glass.clear();
-        self.plastics.clear();
-        self.rough_plastics.clear();
-    }
-
-    /// Takes number `i` in, if its material is one of these there.
-    #[inline(always)]
-    fn take(&mut self, i: usize, material: &Material, at: &Shading<P>) -> bool {
-        match sort(material) {
-            Some(Sort::Diffuse) => self.diffuse.take(i, material, at),
-            Some(Sort::Metal) => self.metals.take(i, material, at),
-            Some(Sort::Glass) => self.glass.take(i, material, at),
-            Some(Sort::RoughGlass) => self.rough_glass.take(i, material, at),
-            Some(Sort::Plastic) => self.plastics.take(i, material, at),
-            Some(Sort::RoughPlastic) => self.rough_plastics.take(i, material, at),
-            None => false,
-        }
-    }
-
-    /// As [`Kinds::eval_pdf`].
-    #[inline(always)]
-    fn eval_pdf(
-        &mut self,
-        wo: &Lanes<P>,
-        side: &Lane<P>,
-        wi: &Lanes<P>,
-        put: &mut impl FnMut(usize, Option<(Rgb<P>, P)>),
-    ) {
-        let (of, directions) = (&mut *self.of, (wo, side, wi));
-        self.diffuse.eval_pdf(of, directions, put);
-        self.metals.eval_pdf(of, directions, put);
-        self.glass.eval_pdf(of, directions, put);
-        self.rough_glass.eval_pdf(of, directions, put);
-        self.plastics.eval_pdf(of, directions, put);
-        self.rough_plastics.eval_pdf(of, directions, put);
-    }
-
-    /// As [`Kinds::sample`]; answers are right where `asked` holds.
-    #[inline(always)]
-    fn sample(
-        &mut self,
-        wo: &Lanes<P>,
-        side: &Lane<P>,
-        numbers: [&Lane<P>; 3],
-        asked: impl Fn(usize) -> bool,
-        put: &mut impl FnMut(usize, Option<Found<P>>),
-    ) {
-        let (of, from) = (&mut *self.of, (wo, side, numbers));
-        self.diffuse.sample(of, from, &asked, put);
-        self.metals.sample(of, from, &asked, put);
-        self.glass.sample(of, from, &asked, put);
-        self.rough_glass.sample(of, from, &asked, put);
-        self.plastics.sample(of, from, &asked, put);
-        self.rough_plastics.sample(of, from, &asked, put);
     }
 }
 
@@ -401,7 +377,7 @@ impl<P: Float> Kinds<P> {
         numbers: [&Lane<P>; 3],
         mut put: impl FnMut(usize, Option<Found<P>>),
     ) {
-        self.leaves.sample(wo, side, numbers, |_| true, &mut put);
+        self.leaves.sample(wo, side, numbers, &mut put);
         if let Some(composites) = &mut self.composites {
             composites.sample((wo, side, numbers), &mut put);
         }

@@ -3,8 +3,7 @@
 use ad_core::Float;
 
 use super::super::lanes::{Field, Lane, Lanes, lanes, whole};
-use super::{Among, CONTINUOUS, Members, REFLECTED, Scattering};
-use crate::bsdf::microfacet::Ndf;
+use super::{CONTINUOUS, Members, REFLECTED, Scattering};
 use crate::bsdf::{CoatedLobe, Leaf, Material, PlasticLobe, Shading};
 use crate::math::Rgb;
 
@@ -66,19 +65,19 @@ impl<P: Float> Members<P> for Plastics<P> {
     }
 
     #[inline(always)]
-    fn gather(&mut self, k: usize, material: &Material, at: &Shading<P>) -> Option<Ndf> {
+    fn gather(&mut self, k: usize, material: &Material, at: &Shading<P>) -> bool {
         let Material::Plastic(m) = material else {
-            return None;
+            return false;
         };
         let lobe = m.lobe(&mut { *at });
         self.coated.put(k, &lobe.coated);
         self.inside[k] = lobe.inside;
-        Some(Ndf::Ggx)
+        true
     }
 
     #[inline(never)]
-    fn eval_pdf(&mut self, among: Among, of: &mut Scattering<P>) {
-        for k in 0..whole(among.n) {
+    fn eval_pdf(&mut self, n: usize, of: &mut Scattering<P>) {
+        for k in 0..whole(n) {
             let (f, pdf) = self.at(k).eval_pdf_in_line(of.wo.vec(k), of.wi.vec(k));
             of.f.put_rgb(k, f);
             of.pdf[k] = pdf;
@@ -87,8 +86,8 @@ impl<P: Float> Members<P> for Plastics<P> {
     }
 
     #[inline(never)]
-    fn sample(&mut self, among: Among, of: &mut Scattering<P>) {
-        for k in 0..whole(among.n) {
+    fn sample(&mut self, n: usize, of: &mut Scattering<P>) {
+        for k in 0..whole(n) {
             let (lobe, wo) = (self.at(k), of.wo.vec(k));
             let (wi, coat, value) = lobe.choose(wo, of.u.vec(k).to_array());
             let (f, pdf) = lobe.eval_pdf_in_line(wo, wi);

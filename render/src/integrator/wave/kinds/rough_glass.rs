@@ -3,52 +3,59 @@
 use ad_core::{Float, Vec3};
 
 use super::super::lanes::{Field, Lane, Lanes, lanes, whole};
-use super::facets::FacetLanes;
-use super::{Among, CONTINUOUS, Members, Scattering};
-use crate::bsdf::microfacet::{Microfacet, Ndf};
-use crate::bsdf::{Facet, Facets, Leaf, Material, RoughDielectricLobe, Shading, upwards};
+use super::facets::{Shape, Surfaces};
+use super::{CONTINUOUS, Members, Scattering};
+use crate::bsdf::microfacet::Alpha;
+use crate::bsdf::{Facet, Leaf, Material, RoughDielectricLobe, Shading, upwards};
 
 lanes! {
-    /// Rough glass.
-    RoughGlass {
-        facets: FacetLanes<P>,
+    /// Rough glass, but for its normals.
+    GlassLanes {
         eta: Lane<P>,
         specular_reflectance: Lanes<P>,
         specular_transmittance: Lanes<P>,
     }
 }
 
-impl<P: Float> RoughGlass<P> {
+/// Rough glass whose normals are of one shape.
+pub struct RoughGlass<P, A, N> {
+    lanes: GlassLanes<P>,
+    facets: Surfaces<P, A, N>,
+}
+
+impl<P: Float, A: Alpha<Scalar = P>, N: Shape> RoughGlass<P, A, N> {
     #[inline(always)]
-    fn at(&self, k: usize) -> RoughDielectricLobe<P> {
+    fn at(&self, k: usize) -> RoughDielectricLobe<P, A> {
         RoughDielectricLobe {
-            microfacet: Microfacet {
-                kind: Ndf::Ggx,
-                alpha: self.facets.alpha[k],
-                visible: true,
-            },
-            eta: self.eta[k],
-            specular_reflectance: self.specular_reflectance.rgb(k),
-            specular_transmittance: self.specular_transmittance.rgb(k),
+            microfacet: self.facets.surface(k),
+            eta: self.lanes.eta[k],
+            specular_reflectance: self.lanes.specular_reflectance.rgb(k),
+            specular_transmittance: self.lanes.specular_transmittance.rgb(k),
         }
+    }
+
+    #[inline(always)]
+    fn put<B: Alpha<Scalar = P>>(&mut self, k: usize, lobe: &RoughDielectricLobe<P, B>) {
+        self.facets.put(k, lobe.microfacet.alpha);
+        let lanes = &mut self.lanes;
+        lanes.eta[k] = lobe.eta;
+        lanes
+            .specular_reflectance
+            .put_rgb(k, lobe.specular_reflectance);
+        lanes
+            .specular_transmittance
+            .put_rgb(k, lobe.specular_transmittance);
     }
 
     /// The facets that connect both directions.
     #[inline(never)]
-    fn connect(&mut self, among: Among, of: &mut Scattering<P>) {
-        for k in 0..whole(among.n) {
+    fn connect(&mut self, n: usize, of: &mut Scattering<P>) {
+        for k in 0..whole(n) {
             let (wo, wi) = (of.wo.vec(k), of.wi.vec(k));
-            let (m, right) = Facet::along(wo, wi, self.eta[k]).unit();
-            let facets = Facets::ggx(self.facets.alpha[k], upwards(m), [wo, wi]);
-            self.facets.put(k, &facets);
+            let (m, right) = Facet::along(wo, wi, self.lanes.eta[k]).unit();
+            self.facets.keep(k, upwards(m), [wo, wi]);
             let none = (wo.z == P::zero()) | (wi.z == P::zero());
             of.right[k] = u32::from(right | none);
-        }
-        for &k in among.one_by_one {
-            let (m, directions) = (self.facets.m.vec(k), [of.wo.vec(k), of.wi.vec(k)]);
-            let asked = of.asked[k] != 0;
-            let facets = Facets::beckmann(self.facets.alpha[k], m, directions, asked);
-            self.facets.put(k, &facets);
         }
     }
 
@@ -56,7 +63,7 @@ impl<P: Float> RoughGlass<P> {
     fn value(&mut self, n: usize, of: &mut Scattering<P>) {
         for k in 0..whole(n) {
             let (wo, wi) = (of.wo.vec(k), of.wi.vec(k));
-            let (f, pdf) = self.at(k).eval_pdf_where(&self.facets.at(k), wo, wi);
+            let (f, pdf) = self.at(k).eval_pdf_where(&self.facets.facets(k), wo, wi);
             of.f.put_rgb(k, f);
             of.pdf[k] = pdf;
         }
@@ -66,7 +73,7 @@ impl<P: Float> RoughGlass<P> {
     #[inline(never)]
     fn scatter(&mut self, n: usize, of: &mut Scattering<P>) {
         for k in 0..whole(n) {
-            let (wo, m, u) = (of.wo.vec(k), self.facets.m.vec(k), of.u.vec(k).x);
+            let (wo, m, u) = (of.wo.vec(k), self.facets.normal(k), of.u.vec(k).x);
             let (wi, eta, goes) = self.at(k).scatter(wo, m, u);
             // Where nothing goes, nothing is found.
             of.wi.put_vec(k, Vec3::select(goes, wi, Vec3::zero()));
@@ -76,38 +83,36 @@ impl<P: Float> RoughGlass<P> {
     }
 }
 
-impl<P: Float> Members<P> for RoughGlass<P> {
+impl<P: Float, A: Alpha<Scalar = P>, N: Shape> Members<P> for RoughGlass<P, A, N> {
     const CONNECTS: bool = true;
 
     fn new() -> Self {
-        Self::zero()
+        Self {
+            lanes: GlassLanes::zero(),
+            facets: Surfaces::new(),
+        }
     }
 
     #[inline(always)]
-    fn gather(&mut self, k: usize, material: &Material, at: &Shading<P>) -> Option<Ndf> {
-        let Material::RoughDielectric(m) = material else {
-            return None;
-        };
-        let lobe = m.lobe(&mut { *at });
-        self.facets.alpha[k] = lobe.microfacet.alpha;
-        self.eta[k] = lobe.eta;
-        self.specular_reflectance
-            .put_rgb(k, lobe.specular_reflectance);
-        self.specular_transmittance
-            .put_rgb(k, lobe.specular_transmittance);
-        Some(lobe.microfacet.kind)
+    fn gather(&mut self, k: usize, material: &Material, at: &Shading<P>) -> bool {
+        match material {
+            Material::RoughDielectric(m) => self.put(k, &m.lobe(&mut { *at })),
+            Material::AnisotropicDielectric(m) => self.put(k, &m.lobe(&mut { *at })),
+            _ => return false,
+        }
+        true
     }
 
     #[inline(always)]
-    fn eval_pdf(&mut self, among: Among, of: &mut Scattering<P>) {
-        self.connect(among, of);
-        self.value(among.n, of);
+    fn eval_pdf(&mut self, n: usize, of: &mut Scattering<P>) {
+        self.connect(n, of);
+        self.value(n, of);
     }
 
     #[inline(always)]
-    fn sample(&mut self, among: Among, of: &mut Scattering<P>) {
-        self.facets.sample(among, of, true);
-        self.scatter(among.n, of);
-        self.eval_pdf(among, of);
+    fn sample(&mut self, n: usize, of: &mut Scattering<P>) {
+        self.facets.sample(n, of, true);
+        self.scatter(n, of);
+        self.eval_pdf(n, of);
     }
 }

@@ -3,16 +3,14 @@
 use ad_core::Float;
 
 use super::super::lanes::{Field, Lane, WAVE_SIZE, lanes, whole};
-use super::facets::FacetLanes;
+use super::facets::{Shape, Surfaces};
 use super::plastics::Coatings;
-use super::{Among, CONTINUOUS, Members, Scattering};
-use crate::bsdf::microfacet::Ndf;
+use super::{CONTINUOUS, Members, Scattering};
 use crate::bsdf::{Leaf, Material, Passes, Shading};
 
 lanes! {
-    /// Rough plastic, but for its tables.
+    /// Rough plastic, but for its normals and tables.
     RoughCoatings {
-        facets: FacetLanes<P>,
         coated: Coatings<P>,
         /// What passes of light along `wo`; negative where that is not known.
         t_o: Lane<P>,
@@ -23,14 +21,15 @@ lanes! {
     }
 }
 
-/// Rough plastic.
-pub struct RoughPlastics<P> {
+/// Rough plastic whose normals are of one shape.
+pub struct RoughPlastics<P, N> {
     lanes: RoughCoatings<P>,
+    facets: Surfaces<P, P, N>,
     /// In the order of their places.
     passes: Vec<Passes<'static, P>>,
 }
 
-impl<P: Float> RoughPlastics<P> {
+impl<P: Float, N: Shape> RoughPlastics<P, N> {
     /// Looked up one by one: what passes along `wo` once, for all that is asked.
     #[inline(never)]
     fn look_out(&mut self, of: &Scattering<P>) {
@@ -51,16 +50,14 @@ impl<P: Float> RoughPlastics<P> {
             }
         }
     }
-}
 
-impl<P: Float> RoughCoatings<P> {
     #[inline(never)]
     fn value(&mut self, n: usize, of: &mut Scattering<P>) {
         for k in 0..whole(n) {
             let directions = [of.wo.vec(k), of.wi.vec(k)];
-            let passes = [self.t_o[k], self.t_i[k], self.inside[k]];
-            let coated = self.coated.at(k);
-            let (f, pdf) = coated.rough_eval_pdf(&self.facets.at(k), directions, passes);
+            let passes = [self.lanes.t_o[k], self.lanes.t_i[k], self.lanes.inside[k]];
+            let coated = self.lanes.coated.at(k);
+            let (f, pdf) = coated.rough_eval_pdf(&self.facets.facets(k), directions, passes);
             of.f.put_rgb(k, f);
             of.pdf[k] = pdf;
         }
@@ -70,8 +67,8 @@ impl<P: Float> RoughCoatings<P> {
     fn turn(&mut self, n: usize, of: &mut Scattering<P>) {
         for k in 0..whole(n) {
             let (wo, u) = (of.wo.vec(k), of.u.vec(k).to_array());
-            let coated = self.coated.at(k);
-            let wi = coated.rough_sample(wo, self.facets.m.vec(k), u, self.t_o[k]);
+            let coated = self.lanes.coated.at(k);
+            let wi = coated.rough_sample(wo, self.facets.normal(k), u, self.lanes.t_o[k]);
             of.wi.put_vec(k, wi);
             of.eta[k] = P::one();
             of.component[k] = CONTINUOUS;
@@ -79,46 +76,47 @@ impl<P: Float> RoughCoatings<P> {
     }
 }
 
-impl<P: Float> Members<P> for RoughPlastics<P> {
+impl<P: Float, N: Shape> Members<P> for RoughPlastics<P, N> {
     const CONNECTS: bool = true;
 
     fn new() -> Self {
         Self {
             lanes: RoughCoatings::zero(),
+            facets: Surfaces::new(),
             passes: Vec::with_capacity(WAVE_SIZE),
         }
     }
 
     #[inline(always)]
-    fn gather(&mut self, k: usize, material: &Material, at: &Shading<P>) -> Option<Ndf> {
+    fn gather(&mut self, k: usize, material: &Material, at: &Shading<P>) -> bool {
         let Material::RoughPlastic(m) = material else {
-            return None;
+            return false;
         };
         let lobe = m.lobe(&mut { *at });
         let (lanes, alpha) = (&mut self.lanes, lobe.microfacet.alpha);
         let passes = lobe.table.passes(alpha);
-        lanes.facets.alpha[k] = alpha;
+        self.facets.put(k, alpha);
         lanes.coated.put(k, &lobe.coated);
         lanes.inside[k] = passes.inside();
         lanes.t_o[k] = -P::one();
         self.passes.truncate(k);
         self.passes.push(passes);
-        Some(lobe.microfacet.kind)
+        true
     }
 
     #[inline(always)]
-    fn eval_pdf(&mut self, among: Among, of: &mut Scattering<P>) {
+    fn eval_pdf(&mut self, n: usize, of: &mut Scattering<P>) {
         self.look_out(of);
         self.look_in(of);
-        self.lanes.facets.reflecting(among, of);
-        self.lanes.value(among.n, of);
+        self.facets.reflecting(n, of);
+        self.value(n, of);
     }
 
     #[inline(always)]
-    fn sample(&mut self, among: Among, of: &mut Scattering<P>) {
+    fn sample(&mut self, n: usize, of: &mut Scattering<P>) {
         self.look_out(of);
-        self.lanes.facets.sample(among, of, false);
-        self.lanes.turn(among.n, of);
-        self.eval_pdf(among, of);
+        self.facets.sample(n, of, false);
+        self.turn(n, of);
+        self.eval_pdf(n, of);
     }
 }
