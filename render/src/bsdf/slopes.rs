@@ -151,7 +151,7 @@ impl Quantile {
         (step, residual > 0.0)
     }
 
-    /// After some steps of Halley's method, and whether the last of them was smaller than `last`: what is left is of its
+    /// After up to three steps of Halley's method, and whether the last of them was smaller than `last`: what is left is of its
     /// third order.
     #[inline(always)]
     fn refined<const E: usize, const C: usize>(
@@ -159,8 +159,14 @@ impl Quantile {
         precision: &Precision<E, C>,
         (steps, last): (usize, f64),
     ) -> (f64, bool) {
-        let (mut x, mut step) = (self.x, 0.0);
-        for _ in 0..steps {
+        let (mut step, _) = self.step(precision, self.x);
+        let mut x = self.x + step;
+        // No loop: it would be too long to be unrolled before those around it become vectors.
+        if steps > 1 {
+            (step, _) = self.step(precision, x);
+            x += step;
+        }
+        if steps > 2 {
             (step, _) = self.step(precision, x);
             x += step;
         }
