@@ -221,3 +221,23 @@ fn forward_is_reverse_where_shapes_cross() {
         "{forward} {reverse}"
     );
 }
+
+/// A cube on another one, whose sides lie in its sides, as the camera moves: the crease of neither is seen between them, and
+/// what goes on behind an outline has none there. 8 runs of 256 samples of 256 pixels, and differences of 8 runs of 512.
+#[test]
+#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
+fn sides_that_lie_in_sides_agree_with_differences() {
+    let cube = |id: &str, y: f64, radiance: f64| {
+        format!(
+            r#"<shape type="cube" id="{id}"><transform name="to_world"><scale value="0.5"/><rotate y="1" angle="25"/>
+            <translate y="{y}"/></transform><emitter type="area"><rgb name="radiance" value="{radiance}"/></emitter></shape>"#
+        )
+    };
+    let stack = format!("{}{}", cube("low", 0.5, 1.0), cube("it", 1.5, 3.0));
+    let mut s = scene(&stack, 1);
+    let names = ["sensor.translation"];
+    s.make_movable(&names).expect("known");
+    let found = gradient(&s, &names, 256);
+    let expected = differences(&mut s, &names, 1.0 / 32.0, 8, 512);
+    agrees("stack", &found, &expected, 1e-2, 8);
+}
