@@ -387,7 +387,7 @@ fn file(plugin: &str, own: &str, more: &str, sensor: &str, lights: &str) -> Stri
                 <film type="hdrfilm"><integer name="width" value="24"/><integer name="height" value="24"/>
                 <rfilter type="box"/></film></sensor>
             <shape type="{plugin}" id="it">{own}<transform name="to_world">
-                <scale x="1.25" y="1.25" z="1.25"/><rotate x="1" y="0.5" angle="25"/>
+                <scale x="1.25" y="1.25" z="1.25"/><rotate x="0.894427" y="0.447214" angle="25"/>
                 <translate x="0.25" y="-0.5"/>{more}</transform>
                 <bsdf type="twosided"><bsdf type="diffuse"/></bsdf></shape>
             <shape type="rectangle" id="floor"><transform name="to_world">

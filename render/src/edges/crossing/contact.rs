@@ -123,9 +123,9 @@ impl Touch {
         (self.parts.map(|part| part.shape), self.sides.map(side))
     }
 
-    /// The angles between a face of the first shape and both of this pair, around the side.
-    fn turns(&self, first: Vec3<f64>) -> [f64; 2] {
-        let second = self.common[1].normalize().cross(first);
+    /// The angles between a face of the first shape and both of this pair, around an axis along the side.
+    fn turns(&self, axis: Vec3<f64>, first: Vec3<f64>) -> [f64; 2] {
+        let second = axis.cross(first);
         let turn = |m: Vec3<f64>| second.dot(m).atan2(first.dot(m)).rem_euclid(TAU);
         self.into.map(turn)
     }
@@ -135,8 +135,10 @@ impl Touch {
 pub(super) fn four_sides(touches: &mut [Touch]) -> Vec<[u32; 2]> {
     touches.sort_by_cached_key(Touch::key);
     let crosses = |group: &[Touch]| {
-        let first = group[0].into[0];
-        let turns: Vec<[f64; 2]> = group.iter().map(|touch| touch.turns(first)).collect();
+        // Pairs have the side in either direction.
+        let (axis, first) = (group[0].common[1].normalize(), group[0].into[0]);
+        let turns = group.iter().map(|touch| touch.turns(axis, first));
+        let turns: Vec<[f64; 2]> = turns.collect();
         let within = |x: f64, [from, to]: [f64; 2]| from + LEAST_SINE < x && x < to - LEAST_SINE;
         turns.iter().any(|&[own, _]| {
             let other = |range| turns.iter().any(|&[_, other]| within(other, range));
