@@ -249,9 +249,10 @@ pub fn warn_of_unsampled(scene: &Scene, estimator: Estimator) {
     }
 }
 
-/// Warns of shapes of which samples of edges do not tell how they cross, if these parameters are differentiated by any.
+/// Warns of shapes of which samples of edges do not tell how they cross, if these parameters are differentiated by any. Others
+/// pay nothing for finding where shapes cross.
 pub fn warn_of_crossings(scene: &Scene, estimator: Estimator, names: &[String]) {
-    if !estimator.capabilities().moves_vertices {
+    if !estimator.capabilities().samples_edges {
         return;
     }
     let moving: Vec<_> = names

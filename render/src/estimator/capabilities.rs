@@ -19,6 +19,8 @@ pub struct Capabilities {
     pub follows_texels: bool,
     /// Whether vertices of its paths move with shapes, cameras and lights.
     pub moves_vertices: bool,
+    /// Whether edges have samples of their own, as they move: [`Outlines`](super::Outlines).
+    pub samples_edges: bool,
     /// Whether it is right for what moves in a limit only, that of a narrow kernel: [`Convolved`](super::Convolved).
     pub in_the_limit: bool,
     /// Where it is right.
@@ -214,6 +216,7 @@ impl Capabilities {
             samples_emitters: S::SAMPLES_EMITTERS,
             follows_texels: S::EmitterMotion::KEEPS,
             moves_vertices: S::INTERIOR || S::FOLLOWS.any(),
+            samples_edges: S::OUTLINES,
             in_the_limit: S::FOLLOWS.rays() > 0,
             scenes,
             guided: is_guided::<S>(),

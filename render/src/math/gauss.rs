@@ -53,20 +53,7 @@ pub const SINGLE: Precision<2, 3> = Precision {
 
 /// Relative errors of 6e-11 and, up to `x = 8`, 1e-12: what is rounded to single precision later.
 pub const BETWEEN: Precision<2, 4> = Precision {
-    exp: [
-        [
-            0.999_999_999_959_529_4,
-            0.999_999_999_995_505_5,
-            0.500_000_010_779_387_6,
-            0.166_666_667_863_804_4,
-        ],
-        [
-            0.041_666_218_139_710_595,
-            0.008_333_283_518_768_105,
-            0.001_394_859_028_686_338_3,
-            0.000_199_075_825_913_251_34,
-        ],
-    ],
+    exp: SINGLE.exp,
     erfcx: [
         [
             1.021_582_705_242_405_8,
