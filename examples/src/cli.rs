@@ -249,17 +249,9 @@ pub fn warn_of_unsampled(scene: &Scene, estimator: Estimator) {
     }
 }
 
-/// Warns of shapes of which samples of edges do not tell how they cross, if these parameters are differentiated by any. Others
-/// pay nothing for finding where shapes cross.
+/// Warns of shapes of which samples of edges do not tell how they cross, if these parameters are differentiated by any.
 pub fn warn_of_crossings(scene: &Scene, estimator: Estimator, names: &[String]) {
-    if !estimator.capabilities().samples_edges {
-        return;
-    }
-    let moving: Vec<_> = names
-        .iter()
-        .filter_map(|name| scene.params().find(name).ok())
-        .collect();
-    for doubt in scene.doubts_of_crossings(&moving) {
+    for doubt in estimator.doubts(scene, names) {
         complain!("warning: {doubt}");
     }
 }
@@ -462,7 +454,8 @@ pub struct ManifoldArgs {
     #[arg(long, value_name = "X", requires = "manifold", value_parser = threshold)]
     pub uniqueness_threshold: Option<f64>,
     /// Where walks start: at random points (uniform), after a walk over the surfaces without their normal maps (two-stage), or
-    /// where particles passed that landed nearby, and else in two stages (particles) [default: particles]
+    /// where particles passed that landed nearby, whose solutions count without trials, and else in two stages (particles)
+    /// [default: particles]
     #[arg(long, value_name = "NAME", value_enum, requires = "manifold")]
     pub starts: Option<StartsArg>,
     /// Metal and glass that is no rougher than this throws light over chains, too [default: 0.02]
@@ -727,7 +720,7 @@ pub struct WalkReport {
     pub success_rate: f64,
     /// Steps per walk.
     pub steps_per_walk: f64,
-    /// Trials per reciprocal that was estimated.
+    /// Trials per solution that counts.
     pub trials_per_solution: f64,
     /// Reciprocals that ran out of trials.
     pub exhausted: u64,
@@ -741,7 +734,7 @@ impl WalkReport {
             walks: s.walks,
             success_rate: per(s.converged, s.walks),
             steps_per_walk: per(s.steps, s.walks),
-            trials_per_solution: per(s.trials, s.reciprocals),
+            trials_per_solution: per(s.trials, s.solutions),
             exhausted: s.exhausted,
         }
     }
@@ -797,7 +790,7 @@ pub fn manifold_planes(rendering: &Rendering) -> Vec<(&'static str, Vec<f32>)> {
         ),
         (
             "trials",
-            plane(|p, _| per(p.statistics.trials, p.statistics.reciprocals)),
+            plane(|p, _| per(p.statistics.trials, p.statistics.solutions)),
         ),
     ]
 }

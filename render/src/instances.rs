@@ -582,6 +582,18 @@ impl Estimator {
     /// The one of [`forward_f64`] and [`backward_f64`].
     pub const DOUBLE: Self = Self::Mis;
 
+    /// What its derivatives in these parameters of a scene may be wrong about, sentence by sentence:
+    /// [`Scene::doubts_of_crossings`], where it samples edges. Others pay nothing for finding where shapes cross. Of names that the
+    /// scene does not have nothing is said.
+    pub fn doubts<N: AsRef<str>>(self, scene: &Scene, names: &[N]) -> Vec<String> {
+        if !self.capabilities().samples_edges {
+            return Vec::new();
+        }
+        let known = names.iter().map(|name| scene.params().find(name.as_ref()));
+        let moving: Vec<&ParamInfo> = known.filter_map(Result::ok).collect();
+        scene.doubts_of_crossings(&moving)
+    }
+
     /// The estimator called `name`.
     ///
     /// # Errors

@@ -506,7 +506,7 @@ fn results_depend_on_the_seed_alone() {
     });
     assert!(sums[0].iter().any(|x| *x > 0.0) && gradient[0].iter().any(|x| *x > 0.0));
     assert!(
-        statistics.found > 0 && statistics.trials >= statistics.reciprocals,
+        statistics.found > 0 && statistics.trials >= statistics.solutions,
         "{statistics:?}"
     );
 }

@@ -81,6 +81,11 @@ fn ball_of_glass() -> String {
     format!("{}{FLOOR}{ball}{lamp}", camera("0, 3, 4", "0, 0.2, 0", 6))
 }
 
+/// The same ball half in the floor. Over a rough one above it, a few light samples in a million carry the light.
+fn half_a_ball_of_glass() -> String {
+    ball_of_glass().replace(r#"value="0, 0.9, 0""#, r#"value="0, 0, 0""#)
+}
+
 /// A pool: the floor under water that is bumpy by its normals, camera and lamp above.
 fn pool() -> String {
     let water = r#"<shape type="rectangle"><transform name="to_world"><scale value="4"/><rotate x="1" angle="-90"/>
@@ -428,9 +433,7 @@ fn depend_on_the_seed_alone(method: Method) {
         statistics.found > 0 && statistics.walks >= statistics.attempts,
         "{statistics:?}"
     );
-    assert!(
-        statistics.converged <= statistics.walks && statistics.trials >= statistics.reciprocals
-    );
+    assert!(statistics.converged <= statistics.walks && statistics.trials >= statistics.solutions);
     assert_eq!(statistics.met > 0, method == Method::MneeUnbiased);
 }
 
@@ -893,7 +896,7 @@ fn starts_bring_the_same_light() {
     }
 }
 
-/// [`mirror`], [`ball_of_glass`] and [`pool`] of this roughness.
+/// [`mirror`], [`half_a_ball_of_glass`] and [`pool`] of this roughness.
 fn rough_scenes(alpha: [f64; 3]) -> [(&'static str, String, u32); 3] {
     let rough = |body: String, smooth: &str, alpha: f64| {
         let with = format!(r#"<bsdf type="rough{smooth}><float name="alpha" value="{alpha}"/>"#);
@@ -907,7 +910,7 @@ fn rough_scenes(alpha: [f64; 3]) -> [(&'static str, String, u32); 3] {
         ("mirror", rough(mirror(), r#"conductor" id="metal""#, a), 1),
         (
             "glass",
-            rough(ball_of_glass(), r#"dielectric" id="glass""#, b),
+            rough(half_a_ball_of_glass(), r#"dielectric" id="glass""#, b),
             2,
         ),
         ("pool", rough(pool(), r#"dielectric" id="water""#, c), 1),
@@ -1057,10 +1060,10 @@ fn particles_halve_the_trials_on_the_authors_plane() {
         let theta = Theta::constant(s.params().values());
         let job = Job::new(&s, &settings, 1, 0..4, &());
         let found = render_f32(&job, &theta, Estimator::Mis).connections;
-        assert!(found.reciprocals > 50, "{starts:?}: {found:?}");
+        assert!(found.solutions > 50, "{starts:?}: {found:?}");
         let per = |a: u64, b: u64| a as f64 / b as f64;
         let rates = (
-            per(found.trials, found.reciprocals),
+            per(found.trials, found.solutions),
             per(found.converged, found.walks),
         );
         println!("{starts:?}: {:.1} trials, {:.3} of walks", rates.0, rates.1);

@@ -170,6 +170,20 @@ fn warn_of(py: Python<'_>, bad: &NonFinite, width: usize, seed: u64) -> PyResult
     PyErr::warn(py, category.as_any(), &CString::new(message)?, 1)
 }
 
+/// Warns of shapes of which samples of edges do not tell how they cross.
+fn warn_of_doubts<N: AsRef<str>>(
+    py: Python<'_>,
+    scene: &render::Scene,
+    estimator: Estimator,
+    keys: &[N],
+) -> PyResult<()> {
+    let category = py.get_type::<PyRuntimeWarning>();
+    for doubt in estimator.doubts(scene, keys) {
+        PyErr::warn(py, category.as_any(), &CString::new(doubt)?, 1)?;
+    }
+    Ok(())
+}
+
 impl Scene {
     /// Its samples are spread as tools spread them.
     fn made((mut inner, warnings): (render::Scene, Vec<String>)) -> PyResult<Self> {
@@ -574,6 +588,9 @@ impl Scene {
             Ok(chosen.backward_f32(&job, &theta, &keys, &adjoint)?)
         })?;
         warn_of(py, &found.non_finite, size(scene)[0], seed)?;
+        if let Some(estimator) = estimator {
+            warn_of_doubts(py, scene, estimator, &keys)?;
+        }
         let out = PyDict::new(py);
         for (info, values) in infos.iter().zip(found.values) {
             out.set_item(&info.name, array(py, values, &shape(info))?)?;
@@ -603,6 +620,7 @@ impl Scene {
         let names: Vec<&str> = along.iter().map(|(name, _)| name.as_str()).collect();
         e.check(scene).map_err(Error::from)?;
         e.active(scene, &names).map_err(Error::from)?;
+        warn_of_doubts(py, scene, e, &names)?;
         let along: Vec<Direction> = along.into_iter().map(|(_, d)| d).collect();
         let total = scene.film.pixels() as u64;
         let found = work(py, total, progress.as_ref(), |progress| {

@@ -356,7 +356,7 @@ impl<'a, P: Float> Finder<'a, P> {
                 if let Some(((si, wo, wi, weight), root)) = worth {
                     let again = || walk(s).is_some_and(|found| root.is(&found, threshold));
                     let (n, exhausted) = trials(again, budget);
-                    s.reciprocals += 1;
+                    s.solutions += 1;
                     s.trials += u64::from(n);
                     s.exhausted += u64::from(exhausted);
                     put(si, wo, wi, weight * f64::from(n));

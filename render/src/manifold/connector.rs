@@ -38,9 +38,9 @@ pub struct Statistics {
     pub converged: u64,
     /// Steps of walks, those that were halved included.
     pub steps: u64,
-    /// Reciprocals that were estimated.
-    pub reciprocals: u64,
-    /// Trials that took.
+    /// Solutions that count, by an estimate of one over their probability or as they are.
+    pub solutions: u64,
+    /// Walks that it took to know how much they count.
     pub trials: u64,
     /// Reciprocals that ran out of trials: where there is one, the image is biased.
     pub exhausted: u64,
@@ -58,7 +58,7 @@ impl Statistics {
         self.walks += other.walks;
         self.converged += other.converged;
         self.steps += other.steps;
-        self.reciprocals += other.reciprocals;
+        self.solutions += other.solutions;
         self.trials += other.trials;
         self.exhausted += other.exhausted;
         self.met += other.met;
@@ -257,21 +257,13 @@ impl<'a> Connector<'a> {
         let estimate = self.estimate(start, &light.target, most, rng);
         match self.options.method {
             Method::Sms => {
-                let first = self.anywhere(&estimate, rng, &mut s);
-                let first = first.and_then(|end| self.polish(&estimate, &end, &mut s));
-                let worth = first.and_then(|f| Some((self.worth(&f, &light)?, f)));
-                if let Some((mut connection, solution)) = worth {
-                    let again = || {
-                        let end = self.anywhere(&estimate, rng, &mut s);
-                        end.is_some_and(|end| self.is_near(&estimate, &end, &solution, &mut s))
-                    };
-                    let (n, exhausted) = trials(again, self.options.budget);
-                    s.reciprocals += 1;
-                    s.trials += u64::from(n);
-                    s.exhausted += u64::from(exhausted);
-                    connection.weight *= f64::from(n);
-                    out.push(connection);
+                let shown = self.shown(&estimate, &mut s);
+                out.extend(shown.iter().filter_map(|f| self.worth(f, &light)));
+                if out.len() > before {
+                    s.solutions += (out.len() - before) as u64;
+                    s.trials += s.walks;
                 }
+                out.extend(self.rest(&estimate, &shown, &light, rng, &mut s));
             }
             Method::SmsBiased(walks) => {
                 let walk = || self.random(&estimate, rng, &mut s);
@@ -293,6 +285,61 @@ impl<'a> Connector<'a> {
         }
         s.found += u64::from(out.len() > before);
         s
+    }
+
+    /// Distinct solutions that landings around the start lead to, one after the other until one leads to nothing new; with
+    /// those that bring nothing. A function of start, target, facets and landings: no random numbers are drawn.
+    fn shown(&self, estimate: &Estimate, s: &mut Statistics) -> SmallVec<[Solution; 1]> {
+        let mut shown: SmallVec<[Solution; 1]> = SmallVec::new();
+        for landing in estimate.around {
+            let Some(another) = self.another(estimate, landing, &shown, s) else {
+                break;
+            };
+            shown.push(another);
+        }
+        shown
+    }
+
+    /// The solution that a landing leads to, if it is none of these.
+    fn another(
+        &self,
+        estimate: &Estimate,
+        landing: &Landing,
+        known: &[Solution],
+        s: &mut Statistics,
+    ) -> Option<Solution> {
+        let seed = self.landed(estimate, landing)?;
+        s.walks += 1;
+        let end = self.approach(estimate, seed, s)?;
+        let is_new = !known.iter().any(|f| self.is_near(estimate, &end, f, s));
+        is_new.then(|| self.polish(estimate, &end, s)).flatten()
+    }
+
+    /// One of the other solutions, at random, over an estimate of its probability.
+    fn rest(
+        &self,
+        estimate: &Estimate,
+        shown: &[Solution],
+        light: &Light,
+        rng: &mut Independent,
+        s: &mut Statistics,
+    ) -> Option<Connection> {
+        let first = self.anywhere(estimate, rng, s)?;
+        if shown.iter().any(|f| self.is_near(estimate, &first, f, s)) {
+            return None;
+        }
+        let solution = self.polish(estimate, &first, s)?;
+        let mut connection = self.worth(&solution, light)?;
+        let again = || {
+            let end = self.anywhere(estimate, rng, s);
+            end.is_some_and(|end| self.is_near(estimate, &end, &solution, s))
+        };
+        let (n, exhausted) = trials(again, self.options.budget);
+        s.solutions += 1;
+        s.trials += u64::from(n);
+        s.exhausted += u64::from(exhausted);
+        connection.weight *= f64::from(n);
+        Some(connection)
     }
 
     /// Any of the emitters.

@@ -69,7 +69,8 @@ pub enum Starts {
     /// There, after a walk over the surfaces without their normal maps, turned by a normal from the Gaussian of the map's
     /// slopes [Zeltner 2021, section 3.3.2].
     TwoStage,
-    /// Where particles from the lights passed that landed nearby, and in two stages every other time.
+    /// Where particles from the lights passed that landed nearby, and in two stages every other time. Of unbiased sampling,
+    /// the solutions that these particles lead to count as they are, and others by random walks.
     #[default]
     Particles,
 }

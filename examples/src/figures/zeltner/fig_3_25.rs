@@ -1,7 +1,7 @@
 //! [Zeltner 2021, figure 3.25]: a wall of bumpy metal and a half-buried ball of bumpy glass, by paths, by one walk towards the
 //! light, by unbiased estimates and by trial sets.
 
-use render::scene::{Connections, Method};
+use render::scene::{Connections, Method, Starts};
 
 use super::manifold_comparison::compare;
 use super::manifold_methods::{Effort, correlation, measure};
@@ -47,6 +47,7 @@ pub fn figure(fig: &mut Figure) -> Result {
     let again = |k: u64, method: Method| {
         let connections = Connections {
             bounces: 1,
+            starts: Starts::TwoStage,
             ..Connections::new(method)
         };
         measure(&plane, connections, false, effort.other(k))

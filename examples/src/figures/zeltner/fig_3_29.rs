@@ -61,7 +61,7 @@ pub fn figure(fig: &mut Figure) -> Result {
         found.sms.found.exhausted == 0 && all.found.exhausted == 0,
         format!(
             "of {} and {}",
-            found.sms.found.reciprocals, all.found.reciprocals
+            found.sms.found.solutions, all.found.solutions
         ),
     );
     Ok(())

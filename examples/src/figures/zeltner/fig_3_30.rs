@@ -198,7 +198,7 @@ pub fn figure(fig: &mut Figure) -> Result {
         let ours = measure(&scene, Some(unbiased), seed, runs, 4 * spp);
         let trial_set = measure(&scene, Some(sets), 2 * seed, runs, spp);
         let old = measure(&scene, Some(published), 3 * seed, runs, spp);
-        let per = |s: &Statistics| s.trials as f64 / s.reciprocals.max(1) as f64;
+        let per = |s: &Statistics| s.trials as f64 / s.solutions.max(1) as f64;
         rows.push([
             texels_per_pixel,
             ours.mean.mean,

@@ -1,7 +1,8 @@
 //! Paths, one walk towards the light with paths for what it misses and without, unbiased estimates and trial sets, compared in one scene.
+//! Walks start in two stages, as published: solutions that particles show would make unbiased estimates less noisy than trial sets.
 
 use render::Scene;
-use render::scene::{Connections, Method};
+use render::scene::{Connections, Method, Starts};
 
 use super::manifold_methods::{Effort, Measured, measure};
 use crate::chart::LineChart;
@@ -41,6 +42,7 @@ pub fn compare(
     let measured = |k: u64, method: Method, by_paths: bool, spp: u64| {
         let connections = Connections {
             bounces,
+            starts: Starts::TwoStage,
             ..Connections::new(method)
         };
         let effort = Effort {

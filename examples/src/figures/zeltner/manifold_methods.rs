@@ -41,9 +41,9 @@ impl Measured {
         self.found.found as f64 / self.found.attempts.max(1) as f64
     }
 
-    /// Trials per reciprocal that was estimated.
+    /// Walks that it took to know what a solution counts, per solution.
     pub fn trials(&self) -> f64 {
-        self.found.trials as f64 / self.found.reciprocals.max(1) as f64
+        self.found.trials as f64 / self.found.solutions.max(1) as f64
     }
 
     /// Mean over the pixels.
