@@ -11,6 +11,7 @@ mod facets;
 mod glass;
 mod metals;
 mod plastics;
+mod principled;
 mod rough_glass;
 mod rough_plastics;
 
@@ -21,6 +22,7 @@ use facets::{Beckmann, Ggx};
 use glass::Glass;
 use metals::Metals;
 use plastics::Plastics;
+use principled::PrincipledSurfaces;
 use rough_glass::RoughGlass;
 use rough_plastics::RoughPlastics;
 
@@ -277,6 +279,8 @@ kinds! {
     Plastic plastics: Plastics<P>,
     RoughPlastic rough_plastics: RoughPlastics<P, Ggx>,
     BeckmannPlastic beckmann_plastics: RoughPlastics<P, Beckmann>,
+    Principled principled: PrincipledSurfaces<P, P>,
+    BrushedPrincipled brushed_principled: PrincipledSurfaces<P, Axes<P>>,
 }
 
 /// The one of these for the shape of the normals.
@@ -307,6 +311,8 @@ fn sort(material: &Material) -> Option<Sort> {
         Material::RoughPlastic(m) => {
             shaped(&m.roughness, Sort::RoughPlastic, Sort::BeckmannPlastic)
         }
+        Material::Principled(_) => Some(Sort::Principled),
+        Material::AnisotropicPrincipled(_) => Some(Sort::BrushedPrincipled),
         _ => None,
     }
 }
