@@ -414,7 +414,7 @@ fn cabinet(smoothest: f64) -> Case {
 }
 
 /// Principled materials with none, some and all of their parts: the same everywhere and textured, from the front, from
-/// behind, with another side, and in mixtures.
+/// behind, with another side, and in mixtures. Blinn-Phong ones, and what is not there, besides.
 fn principles() -> Case {
     let principled = |content: &str| format!(r#"<bsdf type="principled">{content}</bsdf>"#);
     let number = |name: &str, x: f64| format!(r#"<float name="{name}" value="{x}"/>"#);
@@ -461,6 +461,13 @@ fn principles() -> Case {
     let tilt = format!(
         r#"<texture name="normalmap" {SQUARES}<rgb name="color0" value="0.9, 0.4, 0.7"/><rgb name="color1" value="0.42, 0.55, 0.9"/></texture>"#
     );
+    let phong = format!(
+        r#"<bsdf type="blinnphong">{}</bsdf>"#,
+        squares("exponent", [0.0, 2e3])
+    );
+    let cosine =
+        r#"<bsdf type="blinnphong"><boolean name="importance_sampling" value="false"/></bsdf>"#;
+    let nothing = r#"<bsdf type="null"/>"#;
     let plates = [
         both(&plain, ""),
         both(&lacquer, &plain),
@@ -476,6 +483,10 @@ fn principles() -> Case {
             &format!(r#"<bsdf type="normalmap">{tilt}{lacquer}</bsdf>"#),
             "",
         ),
+        both(&phong, cosine),
+        phong.clone(),
+        nothing.to_string(),
+        format!(r#"<bsdf type="blendbsdf">{weight}{nothing}{phong}</bsdf>"#),
     ];
     rows("principles", &balls, &plates)
 }

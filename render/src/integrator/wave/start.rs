@@ -5,7 +5,7 @@ use ad_core::Float;
 use super::Wave;
 use super::lanes::{Field, Lane, WAVE_SIZE, whole};
 use super::numbers::draw_units;
-use crate::camera::Camera;
+use crate::camera::{Camera, ThinLens};
 use crate::math::{NOWHERE, Rgb};
 use crate::sampler::{Purpose, Sampler, Stream};
 use crate::scene::Scene;
@@ -27,12 +27,37 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         for i in 0..self.n {
             [x[i], y[i]] = scene.film.point_in(pixels[i], [x[i], y[i]]);
         }
+        if let Some(lens) = camera.thin_lens() {
+            self.look_through(camera, lens, [&x, &y, &u, &v]);
+            return;
+        }
         self.look(camera, &x, &y);
         if !camera.is_pinhole() {
             for i in 0..self.n {
-                let ray = camera.ray_through(x[i], y[i], [u[i], v[i]]);
+                let ray = camera.ray(x[i], y[i]);
                 self.paths.o.put_vec(i, ray.o);
                 self.paths.d.put_vec(i, ray.d);
+            }
+        }
+    }
+
+    /// Camera rays through these points of the image and these places of the lens.
+    #[inline(never)]
+    fn look_through(&mut self, camera: &Camera, lens: &ThinLens, [x, y, u, v]: [&Lane<P>; 4]) {
+        let paths = &mut self.paths;
+        let mut right = Lane::<u32>::zero();
+        for i in 0..whole(self.n) {
+            let (o, to) = camera.through(lens, x[i], y[i], [u[i], v[i]]);
+            let (d, is_right) = to.unit();
+            paths.o.put_vec(i, o);
+            paths.d.put_vec(i, d);
+            paths.surface[i] = NOWHERE;
+            right[i] = u32::from(is_right);
+        }
+        for i in 0..self.n {
+            if right[i] == 0 {
+                let ray = camera.ray_through(x[i], y[i], [u[i], v[i]]);
+                paths.d.put_vec(i, ray.d);
             }
         }
     }
