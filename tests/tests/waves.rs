@@ -434,7 +434,7 @@ fn principles() -> Case {
     let everything = format!(
         "{colours}{}{}{}{}{}",
         squares("roughness", [0.0, 0.9]),
-        squares("specular", [0.1, 1.0]),
+        number("specular", 0.6),
         all(&["metallic", "spec_trans", "spec_tint"]),
         all(&soft),
         all(&coat)
