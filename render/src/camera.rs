@@ -13,6 +13,7 @@ use crate::math::{Ray, RayAdjoint, Transform, each};
 use crate::motion::Placement;
 use crate::params::{GradSink, ParamRef, Params, Theta};
 pub use differential::PerPixel;
+pub(crate) use lens::ThinLens;
 use lens::{Lens, bad};
 
 /// What the angle of view refers to.

@@ -413,6 +413,84 @@ fn cabinet(smoothest: f64) -> Case {
     rows("cabinet", &balls, &plates)
 }
 
+/// Principled materials with none, some and all of their parts: the same everywhere and textured, from the front, from
+/// behind, with another side, and in mixtures. Blinn-Phong ones, and what is not there, besides.
+fn principles() -> Case {
+    let principled = |content: &str| format!(r#"<bsdf type="principled">{content}</bsdf>"#);
+    let number = |name: &str, x: f64| format!(r#"<float name="{name}" value="{x}"/>"#);
+    let squares = |name: &str, [a, b]: [f64; 2]| {
+        format!(
+            r#"<texture name="{name}" {SQUARES}<float name="color0" value="{a}"/><float name="color1" value="{b}"/></texture>"#
+        )
+    };
+    let colours = format!(
+        r#"<texture name="base_color" {SQUARES}<rgb name="color0" value="0.7, 0.3, 0.2"/><rgb name="color1" value="0, 0, 0"/></texture>"#
+    );
+    let all = |names: &[&str]| -> String { names.iter().map(|n| squares(n, [0.0, 0.8])).collect() };
+    let (metal, glass) = (number("metallic", 0.8), number("spec_trans", 0.9));
+    let index = number("eta", 1.6);
+    let soft = ["flatness", "sheen", "sheen_tint"];
+    let coat = ["clearcoat", "clearcoat_gloss"];
+    let everything = format!(
+        "{colours}{}{}{}{}{}",
+        squares("roughness", [0.0, 0.9]),
+        number("specular", 0.6),
+        all(&["metallic", "spec_trans", "spec_tint"]),
+        all(&soft),
+        all(&coat)
+    );
+    let brushed = number("anisotropic", 0.8);
+    let balls = [
+        principled(&metal),
+        principled(&format!("{metal}{}", number("specular", 0.0))),
+        principled(&format!("{index}{}", all(&coat))),
+        principled(&format!("{colours}{}", all(&soft))),
+        principled(&format!("{glass}{index}")),
+        principled(&everything),
+        principled(&format!("{everything}{brushed}")),
+        principled(&format!("{metal}{}", squares("anisotropic", [0.0, 1.0]))),
+    ];
+    let both = |a: &str, b: &str| format!(r#"<bsdf type="twosided">{a}{b}</bsdf>"#);
+    let [plain, lacquer, frosted] = [
+        principled(&colours),
+        principled(&all(&coat)),
+        principled(&format!("{glass}{brushed}")),
+    ];
+    let weight = squares("weight", [0.3, 1.0]);
+    let opacity = squares("opacity", [0.1, 0.7]);
+    let tilt = format!(
+        r#"<texture name="normalmap" {SQUARES}<rgb name="color0" value="0.9, 0.4, 0.7"/><rgb name="color1" value="0.42, 0.55, 0.9"/></texture>"#
+    );
+    let phong = format!(
+        r#"<bsdf type="blinnphong">{}</bsdf>"#,
+        squares("exponent", [0.0, 2e3])
+    );
+    let cosine =
+        r#"<bsdf type="blinnphong"><boolean name="importance_sampling" value="false"/></bsdf>"#;
+    let nothing = r#"<bsdf type="null"/>"#;
+    let plates = [
+        both(&plain, ""),
+        both(&lacquer, &plain),
+        frosted.clone(),
+        format!(r#"<bsdf type="mask">{opacity}{frosted}</bsdf>"#),
+        format!(
+            r#"<bsdf type="mask">{opacity}{}</bsdf>"#,
+            both(&lacquer, "")
+        ),
+        format!(r#"<bsdf type="blendbsdf">{weight}{plain}{lacquer}</bsdf>"#),
+        format!(r#"<bsdf type="normalmap">{tilt}{frosted}</bsdf>"#),
+        both(
+            &format!(r#"<bsdf type="normalmap">{tilt}{lacquer}</bsdf>"#),
+            "",
+        ),
+        both(&phong, cosine),
+        phong.clone(),
+        nothing.to_string(),
+        format!(r#"<bsdf type="blendbsdf">{weight}{nothing}{phong}</bsdf>"#),
+    ];
+    rows("principles", &balls, &plates)
+}
+
 /// Masks, blends and tilted surfaces of most kinds, and some of what has no kind.
 fn composites() -> Case {
     let metal = r#"<bsdf type="roughconductor"><string name="distribution" value="ggx"/><float name="alpha" value="0.2"/></bsdf>"#;
@@ -501,8 +579,11 @@ fn images_are_those_of_single_paths_bit_by_bit() {
     use Estimator::{Detached, Emitter, Mis};
     // So smooth that derivatives in roughness are rounding, but images are not.
     let smooth = cabinet(1e-4);
-    let read = scene(&smooth.body);
-    for (case, mut s) in all().chain([(smooth, read)]) {
+    let more = [smooth, principles()].map(|case| {
+        let scene = scene(&case.body);
+        (case, scene)
+    });
+    for (case, mut s) in all().chain(more) {
         let plain = s.settings;
         assert_same(case.name, &s, &plain, &[Mis, Detached, Emitter]);
         for points in [Points::Sobol, Points::Antithetic] {

@@ -6,6 +6,7 @@ use ad_core::{Const, Float, Real, Vec3};
 
 use super::{BsdfSample, Component, Leaf, Lobe, Reader, TransportMode, constant};
 use crate::error::SceneError;
+use crate::math::gauss::{exp_m1, exp_minus, largest, ln_1p};
 use crate::math::{Rgb, warp};
 use crate::plugin::{FromNode, Node, Registry};
 use crate::texture::{RgbTexture, ScalarTexture};
@@ -55,7 +56,7 @@ pub struct BlinnPhongLobe<R: Real> {
     /// Exponent.
     pub exponent: R,
     /// Probability of sampling the microfacets: primal, as every discrete decision.
-    share: R::Primal,
+    pub(crate) share: R::Primal,
 }
 
 /// Probability of sampling the microfacets, in proportion to the albedos.
@@ -100,43 +101,48 @@ impl<R: Real> BlinnPhongLobe<R> {
     ///
     /// Source: [Stam 2020, appendix C] with errata S-C1; `ln cos_m` by the tangent, because `cos_m^e`
     /// from a rounded cosine has a relative error of `e` roundings.
-    #[inline]
+    #[inline(always)]
     pub fn microfacet_pdf(&self, wo: Vec3<R>, wi: Vec3<R>) -> R {
         let h = wo + wi;
         let tan2 = (h.x * h.x + h.y * h.y) / (h.z * h.z);
-        let ln_cos = tan2.ln_1p() * R::c(-0.5);
-        let cos_mo = h.length() * R::c(0.5);
+        // Above the horizon, lengths are normal numbers.
+        let cos_mo = h.length_squared().sqrt() * R::c(0.5);
         let e = self.exponent;
-        (e + R::of(2.0)) * ((e + R::one()) * ln_cos).exp() / (cos_mo * R::c(8.0 * PI))
+        let steepness = (e + R::one()) * (ln_1p(tan2) * R::c(0.5));
+        // In the far tail the exponential is no normal number.
+        let far = steepness.primal() > largest();
+        let near = exp_minus(R::select(far, R::zero(), steepness));
+        let tail = R::select(far, R::zero(), near);
+        (e + R::of(2.0)) * tail / (cos_mo * R::c(8.0 * PI))
     }
 
     /// A microfacet normal with density `(e + 2) / (2 pi) cos_m^(e + 1)` per solid angle
     /// [Stam 2020, appendix B with errata S-B2].
-    #[inline]
+    #[inline(always)]
     pub fn sample_normal(&self, u: [R::Primal; 2]) -> Vec3<R> {
         // ln cos^2, then sin^2 without cancellation.
         let ln_cos2 =
-            (self.exponent + R::of(2.0)).recip() * Const(R::Primal::of(2.0) * (-u[0]).ln_1p());
-        let cos = (ln_cos2 * R::c(0.5)).exp();
-        let sin = (-ln_cos2.exp_m1()).sqrt();
+            (self.exponent + R::of(2.0)).recip() * Const(R::Primal::of(2.0) * ln_1p(-u[0]));
+        let cos = exp_minus(ln_cos2 * R::c(-0.5));
+        let sin = (-exp_m1(ln_cos2)).sqrt();
         let (sin_phi, cos_phi) = warp::sin_cos_of_turns(u[1]);
         Vec3::new(sin * Const(cos_phi), sin * Const(sin_phi), cos)
     }
 
     /// Whether a direction is above the horizon by more than the rounding of its components. Closer
     /// to it, the densities below are larger than any number.
-    #[inline]
+    #[inline(always)]
     fn above(w: Vec3<R>) -> bool {
         w.z.primal() > R::Primal::EPSILON
     }
 
-    #[inline]
+    #[inline(always)]
     fn mixture(&self, wi: Vec3<R>, microfacets: R) -> R {
         let base = warp::cosine_hemisphere_pdf(wi.z);
         base * Const(R::Primal::one() - self.share) + microfacets * Const(self.share)
     }
 
-    #[inline]
+    #[inline(always)]
     fn value(&self, wo: Vec3<R>, wi: Vec3<R>, microfacets: R, mode: TransportMode) -> Rgb<R> {
         let specular = match mode {
             TransportMode::Radiance => microfacets,
@@ -144,6 +150,48 @@ impl<R: Real> BlinnPhongLobe<R> {
             TransportMode::Importance => microfacets * wi.z / wo.z,
         };
         self.diffuse * (wi.z * R::c(1.0 / PI)) + self.specular * specular
+    }
+
+    /// [`Lobe::eval_pdf`], and whether anything is scattered: without a branch, for loops over many.
+    #[inline(always)]
+    fn eval_pdf_where(&self, wo: Vec3<R>, wi: Vec3<R>, mode: TransportMode) -> (Rgb<R>, R, bool) {
+        let microfacets = self.microfacet_pdf(wo, wi);
+        (
+            self.value(wo, wi, microfacets, mode),
+            self.mixture(wi, microfacets),
+            Self::above(wo) & Self::above(wi),
+        )
+    }
+
+    /// Where a normal leads, and whether it is seen from its front. A facet seen from behind reflects nothing; mirroring
+    /// it would change the density (errata S-D2).
+    #[inline(always)]
+    fn mirrored(&self, wo: Vec3<R>, u: [R::Primal; 2]) -> (Vec3<R>, bool) {
+        let m = self.sample_normal(u);
+        let cos_mo = m.dot(wo);
+        // As long as one but for rounding: no branch.
+        let (wi, _) = (m * (cos_mo * R::c(2.0)) - wo).unit();
+        (wi, cos_mo.primal() > R::Primal::zero())
+    }
+}
+
+impl<P: Float> BlinnPhongLobe<P> {
+    /// [`Lobe::eval_pdf`] of radiance without a branch, for loops over many.
+    #[inline(always)]
+    pub(crate) fn eval_pdf_in_line(&self, wo: Vec3<P>, wi: Vec3<P>) -> (Rgb<P>, P) {
+        let (f, pdf, above) = self.eval_pdf_where(wo, wi, TransportMode::Radiance);
+        let f = Rgb::select(above, f, Rgb::black());
+        (f, P::select(above, pdf, P::zero()))
+    }
+
+    /// The direction of [`Lobe::sample`], and whether there is one: without a branch, for loops over many.
+    #[inline(always)]
+    pub(crate) fn scatter(&self, wo: Vec3<P>, u: [P; 3]) -> (Vec3<P>, bool) {
+        let (mirrored, faces) = self.mirrored(wo, [u[1], u[2]]);
+        let of_facets = u[0] < self.share;
+        let cosine = warp::square_to_cosine_hemisphere([u[1], u[2]]);
+        let wi = Vec3::select(of_facets, mirrored, cosine);
+        (wi, Self::above(wo) & (faces | !of_facets))
     }
 }
 
@@ -183,11 +231,8 @@ impl<R: Real> Lobe<R> for BlinnPhongLobe<R> {
         if !Self::above(wo) || !Self::above(wi) {
             return (Rgb::black(), R::zero());
         }
-        let microfacets = self.microfacet_pdf(wo, wi);
-        (
-            self.value(wo, wi, microfacets, mode),
-            self.mixture(wi, microfacets),
-        )
+        let (f, pdf, _) = self.eval_pdf_where(wo, wi, mode);
+        (f, pdf)
     }
 
     #[inline]
@@ -196,14 +241,11 @@ impl<R: Real> Lobe<R> for BlinnPhongLobe<R> {
             return None;
         }
         let wi = if u[0] < self.share {
-            let m = self.sample_normal([u[1], u[2]]);
-            // A facet seen from behind reflects nothing; mirroring it would change the density
-            // (errata S-D2).
-            let cos_mo = m.dot(wo);
-            if cos_mo.primal() <= R::Primal::zero() {
+            let (wi, faces) = self.mirrored(wo, [u[1], u[2]]);
+            if !faces {
                 return None;
             }
-            (m * (cos_mo * R::c(2.0)) - wo).normalize()
+            wi
         } else {
             Vec3::lift(warp::square_to_cosine_hemisphere([u[1], u[2]]))
         };

@@ -24,6 +24,19 @@ pub struct Dielectric<R> {
     pub cos_t: R,
 }
 
+impl<R: Real> Dielectric<R> {
+    /// The same without tangents.
+    #[inline(always)]
+    pub fn primal(&self) -> Dielectric<R::Primal> {
+        Dielectric {
+            reflect: self.reflect.primal(),
+            polarised: [self.polarised[0].primal(), self.polarised[1].primal()],
+            transmit: self.transmit.primal(),
+            cos_t: self.cos_t.primal(),
+        }
+    }
+}
+
 impl<P: Float> Dielectric<P> {
     /// Without tangents.
     #[inline]

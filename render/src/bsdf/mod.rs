@@ -133,6 +133,7 @@ pub use normal_map::{EncodedNormals, Interpolation, NormalMap};
 pub use null::{Null, NullLobe};
 pub use plastic::{Coated, CoatedLobe, Plastic, PlasticLobe};
 pub use principled::{AnisotropicPrincipled, Principled, PrincipledLobe, Reflectivity};
+pub(crate) use principled::{Choices, ClearCoat, Tints};
 pub use rough_conductor::{AnisotropicConductor, RoughConductor, RoughConductorLobe, Roughness};
 pub(crate) use rough_conductor::{Facets, Metal, reflect};
 pub use rough_dielectric::{AnisotropicDielectric, RoughDielectric, RoughDielectricLobe};

@@ -6,10 +6,13 @@ use ad_core::{Const, Float, Real, Vec3};
 
 use super::microfacet::{Alpha, Axes, Microfacet, Ndf};
 use super::nesting::attached_choice;
-use super::rough_conductor::{half_vector, reflect, reflection};
-use super::rough_dielectric::{Facet, scatter, upwards};
-use super::{BsdfSample, Component, Leaf, Lobe, Reader, TransportMode, constant, fresnel};
+use super::rough_conductor::{Facets, reflect};
+use super::rough_dielectric::{Facet, scatter, scatter_in_line, upwards};
+use super::{
+    BsdfSample, Component, Leaf, Lobe, Reader, Scattered, TransportMode, constant, fresnel,
+};
 use crate::error::SceneError;
+use crate::math::gauss::exp_m1;
 use crate::math::{Rgb, warp};
 use crate::plugin::{FromNode, Node, Registry};
 use crate::texture::{RgbTexture, ScalarTexture};
@@ -86,18 +89,97 @@ const GRAZING: f64 = 1e-4;
 /// is zero, where the root has no slope, nor in the hue of black. A hue mixes colour channels.
 #[derive(Clone, Copy, Debug)]
 pub struct PrincipledLobe<R, A = R> {
-    base_color: Rgb<R>,
-    roughness: R,
-    microfacet: Microfacet<A>,
-    metallic: R,
-    /// Index of the dielectric.
-    eta: Option<R>,
-    flatness: Option<R>,
-    sheen: Option<R>,
-    /// Strength and roughness.
-    clearcoat: Option<[R; 2]>,
-    transmission: Option<R>,
-    tints: [Option<R>; 2],
+    pub(crate) base_color: Rgb<R>,
+    pub(crate) roughness: R,
+    pub(crate) microfacet: Microfacet<A>,
+    pub(crate) metallic: R,
+    /// Index of the dielectric; one where there is none.
+    pub(crate) eta: R,
+    pub(crate) flatness: Option<R>,
+    pub(crate) sheen: Option<R>,
+    pub(crate) clearcoat: Option<ClearCoat<R>>,
+    pub(crate) transmission: Option<R>,
+    pub(crate) tints: Option<Tints<R>>,
+}
+
+/// A second, colourless reflection.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct ClearCoat<R> {
+    pub strength: R,
+    /// Its roughness.
+    pub alpha: R,
+    /// Logarithm of the square of that.
+    pub ln: R,
+}
+
+/// What has the hue of the base.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Tints<R> {
+    pub hue: Rgb<R>,
+    /// How much of the reflection of the dielectric has.
+    pub dielectric: R,
+    /// How much of the sheen has.
+    pub sheen: R,
+}
+
+/// How directions are chosen: shares of facets, the base and the clear coat among samples from above, and how often light
+/// that a facet transmits is taken for that of glass. What there is none of is zero.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Choices<S> {
+    pub main: S,
+    pub base: S,
+    pub coat: S,
+    pub glass: S,
+}
+
+impl<S: Real> Choices<S> {
+    /// Not zero without glass that could be, which has a derivative (errata F7).
+    #[inline]
+    fn of(metallic: S, clearcoat: Option<S>, transmission: Option<S>) -> Self {
+        let least = S::of(LEAST_SHARE);
+        let base = opaque(metallic, transmission) + least;
+        let coat = clearcoat.map_or(S::zero(), |c| c * S::c(0.25) + least);
+        let main = S::one();
+        let whole = (main + base + coat).recip();
+        let glass = transmission.map_or(S::zero(), |t| attached_choice(glass(metallic, t)));
+        Self {
+            main: main * whole,
+            base: base * whole,
+            coat: coat * whole,
+            glass,
+        }
+    }
+
+    /// Shares of those that are reflected, where `transmit` is the transmittance of the facet.
+    #[inline(always)]
+    fn reflecting(&self, transmit: S) -> [S; 3] {
+        let main = self.main * (-self.refracts(transmit) + S::c(1.0));
+        [main, self.base, self.coat]
+    }
+
+    /// Probability that a sampled facet refracts.
+    #[inline(always)]
+    fn refracts(&self, transmit: S) -> S {
+        self.glass * transmit
+    }
+
+    /// Probability that a facet, seen from above or not, is taken for one that reflects or not, where that is not above the
+    /// surface.
+    #[inline(always)]
+    fn beyond(&self, above: bool, reflects: bool, fresnel: &fresnel::Dielectric<S>) -> S {
+        let from_above = self.main * self.refracts(fresnel.transmit);
+        let refracts = S::select(above, from_above, fresnel.transmit);
+        S::select(reflects, fresnel.reflect, refracts)
+    }
+}
+
+impl<P: Float> Choices<P> {
+    /// Whether a sampled facet, seen from above or not, reflects.
+    #[inline(always)]
+    fn reflects(&self, fresnel: &fresnel::Dielectric<P>, above: bool, u: P) -> bool {
+        let from_above = u >= self.main * self.refracts(fresnel.transmit);
+        (above & from_above) | (!above & (u < fresnel.reflect))
+    }
 }
 
 impl Leaf for Principled {
@@ -132,7 +214,8 @@ impl<T> Principled<T> {
         read: &mut X,
         alpha: impl FnOnce(&mut X, R) -> A,
     ) -> PrincipledLobe<R, A> {
-        let base_color = if self.is_tinted() {
+        let is_tinted = self.tints.iter().any(Option::is_some);
+        let base_color = if is_tinted {
             read.mixed(&self.base_color)
         } else {
             read.rgb(&self.base_color)
@@ -142,21 +225,24 @@ impl<T> Principled<T> {
         let mut number = |t: &Option<ScalarTexture>| t.as_ref().map(|t| read.scalar(t));
         let metallic = number(&self.metallic).unwrap_or(R::zero());
         let (flatness, sheen) = (number(&self.flatness), number(&self.sheen));
-        let eta = self.dielectric.as_ref().map(|d| match d {
-            Reflectivity::Index(eta) => read.scalar(eta),
-            Reflectivity::Specular(s) => {
-                let root = (read.scalar(s) * R::c(0.08)).sqrt();
-                (root + R::c(1.0)) / (-root + R::c(1.0))
-            }
-        });
+        let eta = self.dielectric.as_ref().map_or(R::one(), |d| d.index(read));
         let clearcoat = self.clearcoat.as_ref().map(|[strength, gloss]| {
             let (strength, gloss) = (read.scalar(strength), read.scalar(gloss));
-            [strength, gloss * R::c(COAT[1] - COAT[0]) + R::c(COAT[0])]
+            let alpha = gloss * R::c(COAT[1] - COAT[0]) + R::c(COAT[0]);
+            let ln = alpha.square().ln();
+            ClearCoat {
+                strength,
+                alpha,
+                ln,
+            }
         });
         let transmission = self.transmission.as_ref().map(|t| read.scalar(t));
-        let [spec, sheen_tint] = &self.tints;
-        let mut tint = |t: &Option<ScalarTexture>| t.as_ref().map(|t| read.scalar(t));
-        let tints = [tint(spec), tint(sheen_tint)];
+        let [dielectric, of_sheen] = &self.tints;
+        let mut tint = |t: &Option<ScalarTexture>| match t {
+            Some(t) => read.scalar(t),
+            None => R::zero(),
+        };
+        let (dielectric, of_sheen) = (tint(dielectric), tint(of_sheen));
         PrincipledLobe {
             base_color,
             roughness,
@@ -171,184 +257,171 @@ impl<T> Principled<T> {
             sheen,
             clearcoat,
             transmission,
-            tints,
+            tints: is_tinted.then(|| Tints {
+                hue: hue(base_color),
+                dielectric,
+                sheen: of_sheen,
+            }),
         }
     }
+}
 
-    /// Whether something has the hue of the base.
+impl Reflectivity {
+    /// The index.
     #[inline]
-    fn is_tinted(&self) -> bool {
-        self.tints.iter().any(Option::is_some)
+    fn index<R: Real>(&self, read: &mut impl Reader<R>) -> R {
+        match self {
+            Self::Index(eta) => read.scalar(eta),
+            Self::Specular(s) => {
+                let root = (read.scalar(s) * R::c(0.08)).sqrt();
+                (root + R::c(1.0)) / (-root + R::c(1.0))
+            }
+        }
+    }
+}
+
+/// A colour over its luminance, white where that is zero.
+#[inline]
+fn hue<R: Real>(colour: Rgb<R>) -> Rgb<R> {
+    let luminance = colour.luminance();
+    if luminance.primal() > R::Primal::zero() {
+        colour.map(|c| c / luminance)
+    } else {
+        Rgb::splat(R::one())
     }
 }
 
 /// `(1 - cos)^5`.
-#[inline]
+#[inline(always)]
 fn schlick<R: Real>(cos: R) -> R {
-    let m = (-cos + R::c(1.0)).clamp(R::zero(), R::one());
+    let m = (-cos + R::c(1.0)).max(R::zero()).min(R::one());
     m.square().square() * m
 }
 
-/// Density of normals with the long tail of [Burley 2012, Eq. 4], exponent one.
-#[inline]
-fn coat_d<R: Real>(alpha: R, m: Vec3<R>) -> R {
-    let a2 = alpha.square();
-    let below = -a2 + R::c(1.0);
-    // 1 + (a^2 - 1) cos^2 without cancellation.
-    let spread = a2 * m.z.square() + m.x.square() + m.y.square();
-    -below / (a2.ln() * spread * R::c(PI))
-}
+impl<R: Real> ClearCoat<R> {
+    /// Density of normals with the long tail of [Burley 2012, Eq. 4], exponent one.
+    #[inline(always)]
+    fn d(&self, m: Vec3<R>) -> R {
+        let a2 = self.alpha.square();
+        let below = -a2 + R::c(1.0);
+        // 1 + (a^2 - 1) cos^2 without cancellation.
+        let spread = a2 * m.z.square() + m.x.square() + m.y.square();
+        -below / (self.ln * spread * R::c(PI))
+    }
 
-/// A normal with the density [`coat_d`] times its cosine.
-#[inline]
-fn coat_normal<R: Real>(alpha: R, u: [R::Primal; 2]) -> Vec3<R> {
-    let a2 = alpha.square();
-    let least = R::Primal::EPSILON * R::Primal::of(0.25);
-    let u0 = Const(u[0].max(least));
-    let sin2 = a2 * (-(a2.ln() * u0)).exp_m1() / (-a2 + R::c(1.0));
-    let sin2 = sin2.min(R::one());
-    let (sin_phi, cos_phi) = warp::sin_cos_of_turns(u[1]);
-    let sin = sin2.max(R::of(1e-30)).sqrt();
-    let cos = (-sin2 + R::c(1.0)).max(R::of(1e-12)).sqrt();
-    Vec3::new(sin * Const(cos_phi), sin * Const(sin_phi), cos).normalize()
+    /// A normal with the density [`ClearCoat::d`] times its cosine.
+    #[inline(always)]
+    fn normal(&self, u: [R::Primal; 2]) -> Vec3<R> {
+        let a2 = self.alpha.square();
+        let least = R::Primal::EPSILON * R::Primal::of(0.25);
+        let u0 = Const(u[0].max(least));
+        let sin2 = a2 * exp_m1(-(self.ln * u0)) / (-a2 + R::c(1.0));
+        let sin2 = sin2.min(R::one());
+        let (sin_phi, cos_phi) = warp::sin_cos_of_turns(u[1]);
+        let sin = sin2.max(R::of(1e-30)).sqrt();
+        let cos = (-sin2 + R::c(1.0)).max(R::of(1e-12)).sqrt();
+        // As long as one but for rounding: no branch.
+        let (m, _) = Vec3::new(sin * Const(cos_phi), sin * Const(sin_phi), cos).unit();
+        m
+    }
+
+    /// What it reflects, cosine included.
+    #[inline(always)]
+    fn reflection(&self, m: Vec3<R>, [wo, wi]: [Vec3<R>; 2], grazing: R) -> R {
+        let f = grazing * R::c(0.96) + R::c(0.04);
+        let masking = Self::masking(wo) * Self::masking(wi);
+        self.strength * f * self.d(m) * masking * wi.z * R::c(0.25)
+    }
+
+    #[inline(always)]
+    fn masking(w: Vec3<R>) -> R {
+        let (c, s2) = (w.z.abs(), w.x.square() + w.y.square());
+        let root = (c.square() + s2 * R::c(COAT_MASKING * COAT_MASKING)).sqrt();
+        c * R::c(2.0) / (c + root)
+    }
+
+    /// Density of directions that are reflected by its normals, of which this is one, under an angle with that cosine.
+    #[inline(always)]
+    fn density(&self, m: Vec3<R>, cos: R) -> R {
+        // As in `Microfacet::pdf_reflected`.
+        let faces = cos.primal() >= R::Primal::of(1e-8);
+        R::select(faces, self.d(m) * m.z / (cos * R::c(4.0)), R::zero())
+    }
 }
 
 /// What is neither metal nor glass.
-#[inline]
+#[inline(always)]
 fn opaque<S: Real>(metallic: S, transmission: Option<S>) -> S {
     let matt = -metallic + S::c(1.0);
     transmission.map_or(matt, |t| matt * (-t + S::c(1.0)))
 }
 
-/// Shares of facets, the base and the clear coat among samples from above.
-#[inline]
-fn shares<S: Real>(metallic: S, clearcoat: Option<S>, transmission: Option<S>) -> [S; 3] {
-    let least = S::of(LEAST_SHARE);
-    let base = opaque(metallic, transmission) + least;
-    let coat = clearcoat.map_or(S::zero(), |c| c * S::c(0.25) + least);
-    let main = S::one();
-    let whole = (main + base + coat).recip();
-    [main * whole, base * whole, coat * whole]
+/// What is glass.
+#[inline(always)]
+fn glass<S: Real>(metallic: S, transmission: S) -> S {
+    (-metallic + S::c(1.0)) * transmission
 }
 
 impl<R: Real, A: Alpha<Scalar = R>> PrincipledLobe<R, A> {
     #[inline]
-    fn shares(&self) -> [R; 3] {
-        let strength = self.clearcoat.map(|[strength, _]| strength);
-        shares(self.metallic, strength, self.transmission)
+    fn choices(&self) -> Choices<R> {
+        let strength = self.clearcoat.map(|coat| coat.strength);
+        Choices::of(self.metallic, strength, self.transmission)
     }
 
     #[inline]
-    fn primal_shares(&self) -> [R::Primal; 3] {
-        let strength = self.clearcoat.map(|[strength, _]| strength.primal());
+    pub(crate) fn primal_choices(&self) -> Choices<R::Primal> {
+        let strength = self.clearcoat.map(|coat| coat.strength.primal());
         let transmission = self.transmission.map(Real::primal);
-        shares(self.metallic.primal(), strength, transmission)
+        Choices::of(self.metallic.primal(), strength, transmission)
     }
 
-    /// `shares` of what is reflected, given the probability that a facet refracts.
+    /// The facet that connects two directions, if anything is seen of it, and what such facets do.
     #[inline]
-    fn reflecting<S: Real>(mut shares: [S; 3], refracts: Option<S>) -> [S; 3] {
-        if let Some(refracts) = refracts {
-            shares[0] *= -refracts + S::c(1.0);
-        }
-        shares
-    }
-
-    /// Probability that a sampled facet, seen from above under `cos`, refracts. Not zero without glass, which
-    /// has a derivative (errata F7).
-    #[inline]
-    fn refracts(&self, cos: R) -> Option<R> {
-        let (transmission, eta) = (self.transmission?, self.eta?);
-        let glass = (-self.metallic + R::c(1.0)) * transmission;
-        Some(attached_choice(glass) * fresnel::dielectric(cos, eta).transmit)
-    }
-
-    /// Light that glass refracts, or reflects from below.
-    #[inline]
-    fn glass(&self, wo: Vec3<R>, wi: Vec3<R>, mode: TransportMode) -> Rgb<R> {
-        let (Some(transmission), Some(eta)) = (self.transmission, self.eta) else {
-            return Rgb::black();
-        };
-        let Some(f) = Facet::between(wo, wi, eta) else {
-            return Rgb::black();
-        };
-        let glass = (-self.metallic + R::c(1.0)) * transmission;
-        if f.reflects {
-            let value = reflection(&self.microfacet, wo, wi, f.m);
-            return Rgb::splat(glass * f.fresnel.reflect * value);
-        }
-        let value = f.refraction(&self.microfacet, [wo, wi], mode) * glass;
-        self.base_color.map(|colour| colour.sqrt() * value)
-    }
-
-    /// Density of such directions where facets do that, and the probability that they are chosen to.
-    #[inline]
-    fn glass_density(&self, wo: Vec3<R>, wi: Vec3<R>) -> Option<[R; 2]> {
-        self.transmission?;
-        let f = Facet::between(wo, wi, self.eta?)?;
-        if f.reflects {
-            let density = self.microfacet.pdf_reflected(upwards(wo), f.m);
-            return Some([density, f.fresnel.reflect]);
-        }
-        let density = f.pdf_refracted(&self.microfacet, wo);
-        let chosen = if wo.z.primal() > R::Primal::zero() {
-            self.shares()[0] * self.refracts(wo.dot(f.m))?
-        } else {
-            f.fresnel.transmit
-        };
-        Some([density, chosen])
-    }
-
-    /// [`Lobe::sample`] from below: a facet reflects or refracts.
-    #[inline]
-    fn sample_below(
-        &self,
-        wo: Vec3<R>,
-        u: [R::Primal; 3],
-        mode: TransportMode,
-    ) -> Option<BsdfSample<R>> {
-        let zero = R::Primal::zero();
-        if self.transmission.is_none() || wo.z.primal() == zero {
+    fn facets(&self, wo: Vec3<R>, wi: Vec3<R>) -> Option<(Facet<R>, Facets<R>)> {
+        if self.transmission.is_none() && !is_above(wo, wi) {
             return None;
         }
-        let m = self.microfacet.sample(upwards(wo), [u[1], u[2]]);
-        let reflects = |f: &fresnel::Dielectric<R>| u[0] < f.reflect.primal();
-        let (wi, eta) = scatter(wo, m, self.eta?, reflects)?;
-        self.sampled(wo, wi, eta, mode)
+        let f = Facet::between(wo, wi, self.eta)?;
+        Some((f, Facets::at(&self.microfacet, f.m, [wo, wi])))
     }
+}
 
-    /// A sampled direction, with its density.
-    #[inline]
-    fn sampled(
-        &self,
-        wo: Vec3<R>,
-        wi: Vec3<R>,
-        eta: R::Primal,
-        mode: TransportMode,
-    ) -> Option<BsdfSample<R>> {
-        let sample = BsdfSample::reflected(wi, self.pdf(wo, wi, mode))?;
-        Some(BsdfSample { eta, ..sample })
-    }
+/// Whether both directions are above the surface.
+#[inline(always)]
+fn is_above<R: Real>(wo: Vec3<R>, wi: Vec3<R>) -> bool {
+    let zero = R::Primal::zero();
+    (wo.z.primal() > zero) & (wi.z.primal() > zero)
+}
 
-    /// Densities of `wi` in each of those, given the half vector.
-    #[inline]
-    fn densities(&self, wo: Vec3<R>, wi: Vec3<R>, m: Vec3<R>) -> [R; 3] {
-        let main = self.microfacet.pdf_reflected(wo, m);
-        let base = warp::cosine_hemisphere_pdf(wi.z);
-        let coat = self.clearcoat.map_or(R::zero(), |[_, alpha]| {
-            let cos = wo.dot(m).abs();
-            // As in `Microfacet::pdf_reflected`.
-            if cos.primal() < R::Primal::of(1e-8) {
-                R::zero()
-            } else {
-                coat_d(alpha, m) * m.z / (cos * R::c(4.0))
-            }
-        });
-        [main, base, coat]
+/// What the parts are worth, without branches but for those that the material has none of: for loops over many, too.
+impl<R: Real, A> PrincipledLobe<R, A> {
+    /// Light that is reflected above the surface by such facets.
+    #[inline(always)]
+    fn reflected(&self, f: &Facet<R>, facets: &Facets<R>, [wo, wi]: [Vec3<R>; 2]) -> Rgb<R> {
+        let (grazing, matt) = (schlick(f.cos_o), -self.metallic + R::c(1.0));
+        let dielectric = f.fresnel.reflect * matt;
+        let main = facets.reflection(wi);
+        let base = self.base(wo, wi, f.cos_o) * opaque(self.metallic, self.transmission);
+        let mut white = R::zero();
+        if let Some(sheen) = self.sheen {
+            white += sheen * matt * grazing * wi.z;
+        }
+        if let Some(coat) = self.clearcoat {
+            white += coat.reflection(facets.m, [wo, wi], grazing);
+        }
+        let colour = self.base_color;
+        let metal = colour + (Rgb::splat(R::one()) - colour) * grazing;
+        let reflectance = metal * self.metallic + Rgb::splat(dielectric);
+        let value = reflectance * main + colour * base + Rgb::splat(white);
+        match &self.tints {
+            Some(tints) => value + self.tinted(tints, [grazing, dielectric, main, wi.z]),
+            None => value,
+        }
     }
 
     /// Diffuse and retro-reflection and their like, cosine included, for a white base without metal.
-    #[inline]
+    #[inline(always)]
     fn base(&self, wo: Vec3<R>, wi: Vec3<R>, cos_d: R) -> R {
         let (one, (f_o, f_i)) = (R::one(), (schlick(wo.z), schlick(wi.z)));
         let half = R::c(0.5);
@@ -360,9 +433,10 @@ impl<R: Real, A: Alpha<Scalar = R>> PrincipledLobe<R, A> {
             None => surface,
             Some(flatness) => {
                 // One, and the value at grazing angles, by Schlick's weight.
-                let mix = |f: R| (rr * half - one) * f + one;
+                let grazing = rr * half - one;
+                let mixed = (grazing * f_o + one) * (grazing * f_i + one);
                 let cosines = (wo.z + wi.z).max(R::of(GRAZING));
-                let below = mix(f_o) * mix(f_i) * (cosines.recip() - R::of(0.5)) + R::of(0.5);
+                let below = mixed * (cosines.recip() - R::of(0.5)) + R::of(0.5);
                 let below = below * R::c(1.25);
                 surface + (below - surface) * flatness
             }
@@ -371,116 +445,231 @@ impl<R: Real, A: Alpha<Scalar = R>> PrincipledLobe<R, A> {
     }
 
     /// What tints change: `dielectric` is the reflectance without, `main` what it is multiplied with.
-    #[inline]
-    fn tinted(&self, grazing: R, dielectric: R, main: R, cos: R) -> Rgb<R> {
+    #[inline(always)]
+    fn tinted(&self, tints: &Tints<R>, [grazing, dielectric, main, cos]: [R; 4]) -> Rgb<R> {
         let matt = -self.metallic + R::c(1.0);
-        let luminance = self.base_color.luminance();
-        let hue = if luminance.primal() > R::Primal::zero() {
-            self.base_color.map(|c| c / luminance)
-        } else {
-            Rgb::splat(R::one())
+        let root = (self.eta - R::one()) / (self.eta + R::one());
+        let (white, hue) = (Rgb::splat(R::one()), tints.hue);
+        let normal = hue * root.square();
+        let coloured = (normal + (white - normal) * grazing) * matt;
+        let reflection = (coloured - Rgb::splat(dielectric)) * tints.dielectric * main;
+        let Some(sheen) = self.sheen else {
+            return reflection;
         };
-        let [spec, sheen] = self.tints;
-        let normal = self.eta.map(|eta| {
-            let root = (eta - R::one()) / (eta + R::one());
-            root.square()
-        });
-        hue.map(|hue| {
-            let mut change = R::zero();
-            if let (Some(tint), Some(normal)) = (spec, normal) {
-                let normal = hue * normal;
-                let coloured = normal + (R::one() - normal) * grazing;
-                change += (coloured * matt - dielectric) * tint * main;
-            }
-            if let (Some(tint), Some(sheen)) = (sheen, self.sheen) {
-                change += (hue - R::one()) * tint * sheen * matt * grazing * cos;
-            }
-            change
-        })
+        reflection + (hue - white) * tints.sheen * sheen * matt * grazing * cos
     }
 
-    /// Masking of the clear coat.
+    /// Densities of `wi` above the surface among samples of facets, the base and the clear coat.
+    #[inline(always)]
+    fn densities(&self, f: &Facet<R>, facets: &Facets<R>, wi: Vec3<R>) -> [R; 3] {
+        let main = facets.pdf_reflected();
+        let base = warp::cosine_hemisphere_pdf(wi.z);
+        let coat = match &self.clearcoat {
+            Some(coat) => coat.density(facets.m, f.cos_o),
+            None => R::zero(),
+        };
+        [main, base, coat]
+    }
+
+    /// Radiance that glass reflects from below, and that it refracts.
+    #[inline(always)]
+    fn glass(&self, f: &Facet<R>, facets: &Facets<R>, wi: Vec3<R>) -> (R, Rgb<R>) {
+        let glass = match self.transmission {
+            Some(t) => glass(self.metallic, t),
+            None => R::zero(),
+        };
+        let reflected = glass * f.fresnel.reflect * facets.reflection(wi);
+        let [refracted, _] = f.refracted(facets.d, facets.sigma, wi);
+        let Rgb { r, g, b } = self.base_color;
+        let colour = Rgb::new(r.sqrt(), g.sqrt(), b.sqrt());
+        (reflected, colour * (refracted * glass))
+    }
+}
+
+/// Density of a direction that is not reflected above the surface, where facets do that.
+#[inline(always)]
+fn glass_density<R: Real>(f: &Facet<R>, facets: &Facets<R>, wi: Vec3<R>) -> R {
+    let [_, refracted] = f.refracted(facets.d, facets.sigma, wi);
+    R::select(f.reflects, facets.pdf_reflected(), refracted)
+}
+
+impl<P: Float, A> PrincipledLobe<P, A> {
+    /// [`Lobe::eval_pdf`] of radiance where the facets are known: without a branch, for loops over many. `facets.m` is of unit
+    /// length. Of a part that some others have, there may be none: then its share is zero.
+    #[inline(always)]
+    pub(crate) fn eval_pdf_where(
+        &self,
+        choices: &Choices<P>,
+        facets: &Facets<P>,
+        directions: [Vec3<P>; 2],
+    ) -> (Rgb<P>, P) {
+        let ([wo, wi], zero) = (directions, P::zero());
+        let (f, faces) = Facet::with(facets.m, directions, self.eta);
+        let above = is_above(wo, wi);
+        let mut value = self.reflected(&f, facets, directions);
+        let [main, base, coat] = self.densities(&f, facets, wi);
+        let shares = choices.reflecting(f.fresnel.transmit);
+        let mut pdf = main * shares[0] + base * shares[1] + coat * shares[2];
+        let mut seen = above;
+        if self.transmission.is_some() {
+            let (reflected, refracted) = self.glass(&f, facets, wi);
+            let glass = Rgb::select(f.reflects, Rgb::splat(reflected), refracted);
+            value = Rgb::select(above, value, glass);
+            let chosen = choices.beyond(wo.z > zero, f.reflects, &f.fresnel);
+            pdf = P::select(above, pdf, glass_density(&f, facets, wi) * chosen);
+            let somewhere = (wo.z != zero) & (wi.z != zero);
+            seen |= (choices.glass > zero) & somewhere;
+        }
+        let seen = seen & faces;
+        let value = Rgb::select(seen, value, Rgb::black());
+        (value, P::select(seen, pdf, zero))
+    }
+
+    /// What [`Lobe::sample`] makes of a sampled normal in the upper hemisphere: direction and relative index, and whether there
+    /// is one. Without a branch, for loops over many.
+    #[inline(always)]
+    pub(crate) fn scatter(
+        &self,
+        choices: &Choices<P>,
+        wo: Vec3<P>,
+        m: Vec3<P>,
+        u: [P; 3],
+    ) -> (Vec3<P>, P, bool) {
+        let (zero, one) = (P::zero(), P::one());
+        let (above, of_facets) = (wo.z > zero, u[0] < choices.main);
+        let mut turned = warp::square_to_cosine_hemisphere([u[1], u[2]]);
+        if let Some(coat) = &self.clearcoat {
+            let chosen = (choices.coat > zero) & (u[0] >= choices.main + choices.base);
+            let reflected = reflect(wo, coat.normal([u[1], u[2]]));
+            turned = Vec3::select(chosen, reflected, turned);
+        }
+        if self.transmission.is_none() {
+            let faces = !of_facets | (wo.dot(m) > zero);
+            let wi = Vec3::select(of_facets, reflect(wo, m), turned);
+            return (wi, one, above & faces & (wi.z > zero));
+        }
+        let reflects = |f: &fresnel::Dielectric<P>| choices.reflects(f, above, u[0]);
+        let (wi, eta, goes) = scatter_in_line(wo, m, self.eta, reflects);
+        let of_facets = of_facets | !above;
+        let seen = above | ((choices.glass > zero) & (wo.z < zero));
+        let goes = (of_facets & goes) | (!of_facets & (turned.z > zero));
+        (
+            Vec3::select(of_facets, wi, turned),
+            P::select(of_facets, eta, one),
+            seen & goes,
+        )
+    }
+}
+
+impl<R: Real, A: Alpha<Scalar = R>> PrincipledLobe<R, A> {
+    /// A sampled direction, and the relative index there.
     #[inline]
-    fn coat_masking(w: Vec3<R>) -> R {
-        let (c, s2) = (w.z.abs(), w.x.square() + w.y.square());
-        let root = (c.square() + s2 * R::c(COAT_MASKING * COAT_MASKING)).sqrt();
-        c * R::c(2.0) / (c + root)
+    fn direction(&self, wo: Vec3<R>, u: [R::Primal; 3]) -> Option<(Vec3<R>, R::Primal)> {
+        let (zero, choices) = (R::Primal::zero(), self.primal_choices());
+        let (above, below) = (wo.z.primal() > zero, wo.z.primal() < zero);
+        if !above && !(below && self.transmission.is_some()) {
+            return None;
+        }
+        let wi = if below || u[0] < choices.main {
+            let m = self.microfacet.sample(upwards(wo), [u[1], u[2]]);
+            if self.transmission.is_some() {
+                let reflects =
+                    |f: &fresnel::Dielectric<R>| choices.reflects(&f.primal(), above, u[0]);
+                return scatter(wo, m, self.eta, reflects);
+            }
+            if wo.dot(m).primal() <= zero {
+                return None;
+            }
+            reflect(wo, m)
+        } else {
+            match &self.clearcoat {
+                Some(coat) if u[0] >= choices.main + choices.base => {
+                    reflect(wo, coat.normal([u[1], u[2]]))
+                }
+                _ => Vec3::lift(warp::square_to_cosine_hemisphere([u[1], u[2]])),
+            }
+        };
+        // Below the horizon there is glass, but it was not asked for.
+        (wi.z.primal() > zero).then_some((wi, R::Primal::one()))
+    }
+
+    #[inline]
+    fn value(
+        &self,
+        f: &Facet<R>,
+        facets: &Facets<R>,
+        [wo, wi]: [Vec3<R>; 2],
+        mode: TransportMode,
+    ) -> Rgb<R> {
+        if is_above(wo, wi) {
+            return self.reflected(f, facets, [wo, wi]);
+        }
+        let (reflected, refracted) = self.glass(f, facets, wi);
+        if f.reflects {
+            return Rgb::splat(reflected);
+        }
+        refracted.map(|c| f.transported(c, mode))
+    }
+
+    #[inline]
+    fn density(&self, f: &Facet<R>, facets: &Facets<R>, [wo, wi]: [Vec3<R>; 2]) -> R {
+        let choices = self.primal_choices();
+        if !is_above(wo, wi) {
+            let above = wo.z.primal() > R::Primal::zero();
+            let chosen = choices.beyond(above, f.reflects, &f.fresnel.primal());
+            return glass_density(f, facets, wi) * Const(chosen);
+        }
+        let [main, base, coat] = self.densities(f, facets, wi);
+        let shares = choices.reflecting(f.fresnel.transmit.primal());
+        main * Const(shares[0]) + base * Const(shares[1]) + coat * Const(shares[2])
     }
 }
 
 impl<R: Real, A: Alpha<Scalar = R>> Lobe<R> for PrincipledLobe<R, A> {
     #[inline]
     fn eval(&self, wo: Vec3<R>, wi: Vec3<R>, mode: TransportMode) -> Rgb<R> {
-        let Some(m) = half_vector(wo, wi) else {
-            return self.glass(wo, wi, mode);
-        };
-        let cos_d = wo.dot(m);
-        let (grazing, matt) = (schlick(cos_d), -self.metallic + R::c(1.0));
-        let dielectric = match self.eta {
-            Some(eta) => fresnel::dielectric(cos_d, eta).reflect * matt,
-            None => R::zero(),
-        };
-        let main = reflection(&self.microfacet, wo, wi, m);
-        let base = self.base(wo, wi, cos_d) * opaque(self.metallic, self.transmission);
-        let mut white = R::zero();
-        if let Some(sheen) = self.sheen {
-            white += sheen * matt * grazing * wi.z;
+        match self.facets(wo, wi) {
+            Some((f, facets)) => self.value(&f, &facets, [wo, wi], mode),
+            None => Rgb::black(),
         }
-        if let Some([strength, alpha]) = self.clearcoat {
-            let f = grazing * R::c(0.96) + R::c(0.04);
-            let masking = Self::coat_masking(wo) * Self::coat_masking(wi);
-            white += strength * f * coat_d(alpha, m) * masking * wi.z * R::c(0.25);
-        }
-        let value = self.base_color.map(|colour| {
-            let metal = colour + (R::one() - colour) * grazing;
-            (metal * self.metallic + dielectric) * main + colour * base + white
-        });
-        if let [None, None] = self.tints {
-            return value;
-        }
-        value + self.tinted(grazing, dielectric, main, wi.z)
     }
 
     #[inline]
     fn pdf(&self, wo: Vec3<R>, wi: Vec3<R>, _mode: TransportMode) -> R {
-        let Some(m) = half_vector(wo, wi) else {
-            let glass = self.glass_density(wo, wi);
-            return glass.map_or(R::zero(), |[pdf, chosen]| pdf * Const(chosen.primal()));
+        match self.facets(wo, wi) {
+            Some((f, facets)) => self.density(&f, &facets, [wo, wi]),
+            None => R::zero(),
+        }
+    }
+
+    #[inline]
+    fn eval_pdf(&self, wo: Vec3<R>, wi: Vec3<R>, mode: TransportMode) -> (Rgb<R>, R) {
+        let Some((f, facets)) = self.facets(wo, wi) else {
+            return (Rgb::black(), R::zero());
         };
-        let refracts = self.refracts(wo.dot(m)).map(Real::primal);
-        let shares = Self::reflecting(self.primal_shares(), refracts);
-        let parts = self.densities(wo, wi, m).into_iter().zip(shares);
-        parts.fold(R::zero(), |sum, (pdf, share)| sum + pdf * Const(share))
+        let value = self.value(&f, &facets, [wo, wi], mode);
+        (value, self.density(&f, &facets, [wo, wi]))
     }
 
     /// Chooses a part by the (primal) shares, and between reflection and refraction by the reflectance of a facet.
     #[inline]
     fn sample(&self, wo: Vec3<R>, u: [R::Primal; 3], mode: TransportMode) -> Option<BsdfSample<R>> {
-        if wo.z.primal() <= R::Primal::zero() {
-            return self.sample_below(wo, u, mode);
-        }
-        let [main, base, _] = self.primal_shares();
-        let wi = match self.clearcoat {
-            _ if u[0] < main => {
-                let m = self.microfacet.sample(wo, [u[1], u[2]]);
-                if let (Some(refracts), Some(eta)) = (self.refracts(wo.dot(m)), self.eta) {
-                    let reflects = u[0] >= main * refracts.primal();
-                    let (wi, eta) = scatter(wo, m, eta, |_| reflects)?;
-                    return self.sampled(wo, wi, eta, mode);
-                }
-                reflect(wo, m)
-            }
-            Some([_, alpha]) if u[0] >= main + base => {
-                reflect(wo, coat_normal(alpha, [u[1], u[2]]))
-            }
-            _ => Vec3::lift(warp::square_to_cosine_hemisphere([u[1], u[2]])),
-        };
-        // Below the horizon there is glass, but it was not asked for.
-        if wi.z.primal() <= R::Primal::zero() {
-            return None;
-        }
-        let pdf = self.pdf(wo, wi, mode);
-        BsdfSample::reflected(wi, pdf)
+        let (wi, eta) = self.direction(wo, u)?;
+        let sample = BsdfSample::reflected(wi, self.pdf(wo, wi, mode))?;
+        Some(BsdfSample { eta, ..sample })
+    }
+
+    #[inline]
+    fn sample_eval(
+        &self,
+        wo: Vec3<R>,
+        u: [R::Primal; 3],
+        mode: TransportMode,
+    ) -> Option<Scattered<R, R>> {
+        let (wi, eta) = self.direction(wo, u)?;
+        let (f, pdf) = self.eval_pdf(wo, wi, mode);
+        let sample = BsdfSample::reflected(wi, pdf)?;
+        Some((BsdfSample { eta, ..sample }, f))
     }
 
     #[inline]
@@ -491,13 +680,18 @@ impl<R: Real, A: Alpha<Scalar = R>> Lobe<R> for PrincipledLobe<R, A> {
         _component: Component,
         _mode: TransportMode,
     ) -> R {
-        let Some(m) = half_vector(wo, wi) else {
-            let glass = self.glass_density(wo, wi);
-            return glass.map_or(R::zero(), |[pdf, chosen]| constant(pdf) * chosen);
+        let Some((f, facets)) = self.facets(wo, wi) else {
+            return R::zero();
         };
-        let shares = Self::reflecting(self.shares(), self.refracts(wo.dot(m)));
-        let parts = self.densities(wo, wi, m).into_iter().zip(shares);
-        parts.fold(R::zero(), |sum, (pdf, share)| sum + constant(pdf) * share)
+        let choices = self.choices();
+        if !is_above(wo, wi) {
+            let above = wo.z.primal() > R::Primal::zero();
+            let chosen = choices.beyond(above, f.reflects, &f.fresnel);
+            return constant(glass_density(&f, &facets, wi)) * chosen;
+        }
+        let parts = self.densities(&f, &facets, wi).map(constant);
+        let shares = choices.reflecting(f.fresnel.transmit);
+        parts[0] * shares[0] + parts[1] * shares[1] + parts[2] * shares[2]
     }
 }
 

@@ -311,18 +311,34 @@ impl<P: Float> Facets<P> {
         let d = surface.d_in_line(m);
         Self { m, d, sigma }
     }
+}
+
+impl<R: Real> Facets<R> {
+    /// [`Facets::of`] where nothing is in line.
+    #[inline]
+    pub(super) fn at<A: Alpha<Scalar = R>>(
+        surface: &Microfacet<A>,
+        m: Vec3<R>,
+        [wo, wi]: [Vec3<R>; 2],
+    ) -> Self {
+        Self {
+            m,
+            d: surface.d(m),
+            sigma: [surface.sigma(wo), surface.sigma(wi)],
+        }
+    }
 
     /// [`reflection`] of these facets.
     #[inline(always)]
-    pub fn reflection(&self, wi: Vec3<P>) -> P {
+    pub fn reflection(&self, wi: Vec3<R>) -> R {
         let [o, i] = self.sigma;
-        self.d * (wi.z.abs() / (o * i * P::of(4.0)))
+        self.d * (wi.z.abs() / (o * i * R::c(4.0)))
     }
 
     /// [`Microfacet::pdf_reflected`] where visible normals are sampled.
     #[inline(always)]
-    pub fn pdf_reflected(&self) -> P {
-        self.d / (self.sigma[0] * P::of(4.0))
+    pub fn pdf_reflected(&self) -> R {
+        self.d / (self.sigma[0] * R::c(4.0))
     }
 }
 

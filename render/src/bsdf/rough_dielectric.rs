@@ -57,7 +57,7 @@ pub(crate) struct Facet<R> {
     /// Its normal, in the upper hemisphere.
     pub(super) m: Vec3<R>,
     /// Cosine between facet and `wo`, positive.
-    cos_o: R,
+    pub(super) cos_o: R,
     /// Cosine between facet and `wi`, positive.
     cos_i: R,
     /// Index on the far side over that on the side of `wo`.
@@ -113,7 +113,7 @@ impl<R: Real> Facet<R> {
     /// Of [`Facet::refraction`] all but the factor of importance, and the density [`Facet::pdf_refracted`] where visible
     /// normals are sampled.
     #[inline(always)]
-    fn refracted(&self, d: R, sigma: [R; 2], wi: Vec3<R>) -> [R; 2] {
+    pub(super) fn refracted(&self, d: R, sigma: [R; 2], wi: Vec3<R>) -> [R; 2] {
         let stretch = self.stretch();
         let value = self.fresnel.transmit
             * d
@@ -132,9 +132,18 @@ impl<R: Real> Facet<R> {
         (self.eta * self.cos_i - self.cos_o).square()
     }
 
+    /// What is refracted, if `value` is that of radiance.
+    #[inline(always)]
+    pub(super) fn transported(&self, value: R, mode: TransportMode) -> R {
+        match mode {
+            TransportMode::Radiance => value,
+            TransportMode::Importance => value * self.eta.square(),
+        }
+    }
+
     /// What a surface of such facets refracts from `wi` to `wo`, cosine included.
     #[inline]
-    pub(super) fn refraction<A: Alpha<Scalar = R>>(
+    fn refraction<A: Alpha<Scalar = R>>(
         &self,
         microfacet: &Microfacet<A>,
         [wo, wi]: [Vec3<R>; 2],
@@ -142,19 +151,12 @@ impl<R: Real> Facet<R> {
     ) -> R {
         let sigma = both([wo, wi], |w| microfacet.sigma(w));
         let [value, _] = self.refracted(microfacet.d(self.m), sigma, wi);
-        match mode {
-            TransportMode::Radiance => value,
-            TransportMode::Importance => value * self.eta.square(),
-        }
+        self.transported(value, mode)
     }
 
     /// Density of `wi` where `wo` is refracted at a sampled facet.
     #[inline]
-    pub(super) fn pdf_refracted<A: Alpha<Scalar = R>>(
-        &self,
-        microfacet: &Microfacet<A>,
-        wo: Vec3<R>,
-    ) -> R {
+    fn pdf_refracted<A: Alpha<Scalar = R>>(&self, microfacet: &Microfacet<A>, wo: Vec3<R>) -> R {
         let stretch = self.stretch();
         if stretch.primal() <= R::Primal::zero() {
             return R::zero();
@@ -372,7 +374,7 @@ pub(super) fn scatter<R: Real>(
 
 /// [`scatter`], and whether it is there, without a branch.
 #[inline(always)]
-fn scatter_in_line<R: Real>(
+pub(super) fn scatter_in_line<R: Real>(
     wo: Vec3<R>,
     m: Vec3<R>,
     eta: R,

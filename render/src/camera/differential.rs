@@ -25,16 +25,13 @@ impl Camera {
                 origin + d - vector(*forward),
                 vector(*direction).normalize(),
             ),
-            Some(Lens::Thin {
-                axes: [right, up],
-                forward,
-                focus,
-            }) => {
+            Some(Lens::Thin(lens)) => {
                 let disk = warp::square_to_disk(u);
-                let off = Vec3::from(*right) * disk.x + Vec3::from(*up) * disk.y;
+                let [right, up] = lens.axes.map(Vec3::from);
+                let off = right * disk.x + up * disk.y;
                 let off = vector(off.to_array());
-                let depth = d.dot(vector(*forward));
-                let to = d * (PerPixel::constant(*focus) / depth) - off;
+                let depth = d.dot(vector(lens.forward));
+                let to = d * (PerPixel::constant(lens.focus) / depth) - off;
                 Ray::new(origin + off, to.normalize())
             }
         }

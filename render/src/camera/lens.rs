@@ -4,24 +4,28 @@ use ad_core::{Float, Vec3};
 
 use super::{Camera, FovAxis};
 use crate::error::SceneError;
-use crate::math::{Ray, Transform, each, warp};
+use crate::math::{Ray, Transform, both, each, warp};
 
 /// Where rays of a camera start that all leave its origin otherwise.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Lens {
-    /// On a disk around the origin, given by two half axes. They meet the pinhole's ray at a depth, the distance of the
-    /// plane that is in focus: the `forward` component of a direction to there, of any length, is `focus`.
-    Thin {
-        axes: [[f64; 3]; 2],
-        forward: [f64; 3],
-        focus: f64,
-    },
+    /// On a disk around the origin.
+    Thin(ThinLens),
     /// On a plane through the origin; all are parallel to this unit vector. The other is what [`Camera::direction`] has
     /// in all places.
     Parallel {
         direction: [f64; 3],
         forward: [f64; 3],
     },
+}
+
+/// A disk around the origin, given by two half axes. Rays meet the pinhole's ray at a depth, the distance of the plane
+/// that is in focus: the `forward` component of a direction to there, of any length, is `focus`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct ThinLens {
+    pub(super) axes: [[f64; 3]; 2],
+    pub(super) forward: [f64; 3],
+    pub(super) focus: f64,
 }
 
 /// What else is known of a camera that is none.
@@ -66,11 +70,11 @@ impl Camera {
                 format!("{:?}", to_world.matrix()),
             ));
         }
-        self.lens = Some(Lens::Thin {
+        self.lens = Some(Lens::Thin(ThinLens {
             axes: [right, up].map(|a| (a * radius).to_array()),
             forward: forward.normalize().to_array(),
             focus,
-        });
+        }));
         Ok(self)
     }
 
@@ -111,27 +115,44 @@ impl Camera {
     /// Whether rays depend on where they pass the lens.
     #[inline(always)]
     pub fn has_lens(&self) -> bool {
-        matches!(self.lens, Some(Lens::Thin { .. }))
+        self.thin_lens().is_some()
+    }
+
+    /// That lens.
+    #[inline(always)]
+    pub(crate) fn thin_lens(&self) -> Option<&ThinLens> {
+        match &self.lens {
+            Some(Lens::Thin(lens)) => Some(lens),
+            _ => None,
+        }
     }
 
     /// [`Camera::ray`] through a place of the lens: `u` in the unit square, which only a lens looks at.
     #[inline]
     pub fn ray_through<P: Float>(&self, x: P, y: P, u: [P; 2]) -> Ray<P> {
-        let Some(Lens::Thin {
-            axes,
-            forward,
-            focus,
-        }) = &self.lens
-        else {
+        let Some(lens) = self.thin_lens() else {
             return self.ray(x, y);
         };
-        let [right, up] = axes.map(|a| Vec3::from(each(a, P::of)));
+        let (o, to) = self.through(lens, x, y, u);
+        Ray::new(o, to.normalize())
+    }
+
+    /// Where that ray leaves the lens, and where to, not normalised: without a branch, for loops over many.
+    #[inline(always)]
+    pub(crate) fn through<P: Float>(
+        &self,
+        lens: &ThinLens,
+        x: P,
+        y: P,
+        u: [P; 2],
+    ) -> (Vec3<P>, Vec3<P>) {
+        let [right, up] = both(lens.axes, |a| Vec3::from(each(a, P::of)));
         let disk = warp::square_to_disk(u);
         let off = right * disk.x + up * disk.y;
         let d = self.direction(x, y);
-        let depth = d.dot(Vec3::from(each(*forward, P::of)));
-        let to = d * (P::of(*focus) / depth) - off;
-        Ray::new(Vec3::from(each(self.origin, P::of)) + off, to.normalize())
+        let depth = d.dot(Vec3::from(each(lens.forward, P::of)));
+        let to = d * (P::of(lens.focus) / depth) - off;
+        (Vec3::from(each(self.origin, P::of)) + off, to)
     }
 
     /// The ray of a camera whose rays are parallel.

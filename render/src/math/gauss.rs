@@ -1,4 +1,4 @@
-//! The exponential, the error function and the quantile of Gaussians without a call or a branch, for loops over many.
+//! Exponentials, logarithms, the error function and the quantile of Gaussians without a call or a branch, for loops over many.
 //!
 //! All is written in the tail `exp(-x^2)` and in what is left of `erfc(x)` without it, `exp(x^2) erfc(x)`, so that
 //! nothing cancels however far out `x` is.
@@ -172,22 +172,8 @@ impl<const E: usize, const C: usize> Precision<E, C> {
     /// `exp(-x)`, for `x` from zero to [`largest`].
     #[inline(always)]
     fn exp_minus<P: Float>(&self, x: P) -> P {
-        const LOG2_E: f64 = std::f64::consts::LOG2_E;
-        // Added to a small number, this rounds it to a whole one, which is then in the last bits.
-        let (rounds, high, low) = if is_single::<P>() {
-            (12_582_912.0, 0.693_359_375, -2.121_944_4e-4)
-        } else {
-            (
-                6_755_399_441_055_744.0,
-                0.693_147_180_369_123_8,
-                1.908_214_929_270_587_7e-10,
-            )
-        };
-        let rounds = P::of(rounds);
-        let shifted = rounds - x * P::of(LOG2_E);
-        let whole = shifted - rounds;
-        let rest = (-x - whole * P::of(high)) - whole * P::of(low);
-        polynomial(&self.exp, rest) * two_to(shifted)
+        let (rest, power) = in_octave(-x);
+        polynomial(&self.exp, rest) * power
     }
 
     /// `exp(-x^2)` and `exp(x^2) erfc(x)` of a number that is not negative.
@@ -198,6 +184,28 @@ impl<const E: usize, const C: usize> Precision<E, C> {
         let y = P::one() - inverse * P::of(4.0);
         [tail, polynomial(&self.erfcx, y) * inverse]
     }
+}
+
+/// `x` without whole multiples of the logarithm of two, and two to the power of their number: two numbers with the
+/// exponential of `x`, up to [`largest`] on both sides.
+#[inline(always)]
+fn in_octave<P: Float>(x: P) -> (P, P) {
+    const LOG2_E: f64 = std::f64::consts::LOG2_E;
+    // Added to a small number, this rounds it to a whole one, which is then in the last bits.
+    let (rounds, high, low) = if is_single::<P>() {
+        (12_582_912.0, 0.693_359_375, -2.121_944_4e-4)
+    } else {
+        (
+            6_755_399_441_055_744.0,
+            0.693_147_180_369_123_8,
+            1.908_214_929_270_587_7e-10,
+        )
+    };
+    let rounds = P::of(rounds);
+    let shifted = rounds + x * P::of(LOG2_E);
+    let whole = shifted - rounds;
+    let rest = (x - whole * P::of(high)) - whole * P::of(low);
+    (rest, two_to(shifted))
 }
 
 /// Two to the power that is in the last bits of a number that was rounded by being added to a large one.
@@ -228,6 +236,102 @@ pub fn exp_minus<R: Real>(x: R) -> R {
         return R::lift(value);
     }
     (Const(at) - x).exp() * Const(value)
+}
+
+/// `exp(x) - 1` without cancellation, up to [`largest`] on both sides.
+///
+/// # Derivatives
+/// In `x`.
+#[inline(always)]
+pub fn exp_m1<R: Real>(x: R) -> R {
+    let at = x.primal();
+    let value = if is_single::<R::Primal>() {
+        grown::<R::Primal, 2>(at)
+    } else {
+        grown::<R::Primal, 4>(at)
+    };
+    if R::IS_PRIMAL {
+        return R::lift(value);
+    }
+    (x - Const(at)).exp_m1() * Const(value + R::Primal::one()) + Const(value)
+}
+
+/// [`exp_m1`] by so many fours of terms of a series.
+#[inline(always)]
+fn grown<P: Float, const N: usize>(x: P) -> P {
+    let (rest, power) = in_octave(x);
+    rest * polynomial(&const { growth::<N>() }, rest) * power + (power - P::one())
+}
+
+/// That of `(exp(x) - 1) / x`.
+const fn growth<const N: usize>() -> [[f64; 4]; N] {
+    let mut series = [[0.0; 4]; N];
+    let (mut term, mut k) = (1.0, 0);
+    while k < 4 * N {
+        term /= (k + 1) as f64;
+        series[k / 4][k % 4] = term;
+        k += 1;
+    }
+    series
+}
+
+/// `ln(1 + x)` without cancellation, where `1 + x` is a positive normal number.
+///
+/// # Derivatives
+/// In `x`.
+#[inline(always)]
+pub fn ln_1p<R: Real>(x: R) -> R {
+    let at = x.primal();
+    let value = if is_single::<R::Primal>() {
+        logarithm::<R::Primal, 2>(at)
+    } else {
+        logarithm::<R::Primal, 3>(at)
+    };
+    if R::IS_PRIMAL {
+        return R::lift(value);
+    }
+    let change = (x - Const(at)) / Const(at + R::Primal::one());
+    change.ln_1p() + Const(value)
+}
+
+/// [`ln_1p`] by so many fours of terms of a series.
+#[inline(always)]
+fn logarithm<P: Float, const N: usize>(x: P) -> P {
+    let one = P::one();
+    let (number, power, inverse) = octave_of(x + one);
+    // The mantissa less one, between -1/3 and 1/3.
+    let rest = (x - (power - one)) * inverse;
+    let z = rest / (rest + P::of(2.0));
+    let series = polynomial(&const { area_tangent::<N>() }, z * z);
+    number * P::of(std::f64::consts::LN_2) + series * z
+}
+
+/// That of `ln((1 + z) / (1 - z)) / z` in squares.
+const fn area_tangent<const N: usize>() -> [[f64; 4]; N] {
+    let mut series = [[0.0; 4]; N];
+    let mut k = 0;
+    while k < 4 * N {
+        series[k / 4][k % 4] = 2.0 / (2 * k + 1) as f64;
+        k += 1;
+    }
+    series
+}
+
+/// The power of two that leaves of `x` a number between 2/3 and 4/3: its number, itself, and its inverse.
+#[inline(always)]
+fn octave_of<P: Float>(x: P) -> (P, P, P) {
+    if is_single::<P>() {
+        let bits = x.to_f32().to_bits().wrapping_sub(0x3f2a_aaab) & 0xff80_0000;
+        let power = |bits: u32| P::from_f32(f32::from_bits(bits.wrapping_add(127 << 23)));
+        let number = P::from_f32((bits.cast_signed() >> 23) as f32);
+        (number, power(bits), power(bits.wrapping_neg()))
+    } else {
+        let two_thirds = 0x3fe5_5555_5555_5555;
+        let bits = x.to_f64().to_bits().wrapping_sub(two_thirds) & 0xfff0_0000_0000_0000;
+        let power = |bits: u64| P::from_f64(f64::from_bits(bits.wrapping_add(1023 << 52)));
+        let number = P::from_f64((bits.cast_signed() >> 52) as f64);
+        (number, power(bits), power(bits.wrapping_neg()))
+    }
 }
 
 /// Natural logarithm of a positive normal number, to 1e-6 of it or of one, whichever is more.
@@ -295,6 +399,53 @@ mod tests {
         let (found, right) = (exp_minus(x), (-x).exp());
         assert!((found.eps[0] - right.eps[0]).abs() < 1e-15);
         assert_eq!(found.re, exp_minus(0.7));
+    }
+
+    #[test]
+    fn what_exponentials_grow_by_is_right_to_a_few_roundings() {
+        for k in -9000..=9000 {
+            let x = f64::from(k) / 9000.0;
+            // Everywhere, and near zero.
+            for x in [x * 80.0, x, x * 1e-3, x * 1e-9] {
+                let right = x.exp_m1();
+                assert!((exp_m1(x) - right).abs() <= 5e-16 * right.abs(), "{x}");
+                let rounded = x as f32;
+                let right = f64::from(rounded).exp_m1();
+                let found = f64::from(exp_m1(rounded));
+                assert!((found - right).abs() <= 2.5e-7 * right.abs(), "{x}");
+            }
+        }
+        let x = Dual::<f64, 1>::var(-0.7, 0);
+        let (found, right) = (exp_m1(x), x.exp_m1());
+        assert!((found.eps[0] - right.eps[0]).abs() < 1e-15);
+    }
+
+    #[test]
+    fn logarithms_are_right_to_a_few_roundings() {
+        for k in 0..=9000 {
+            let x = f64::from(k) / 9000.0;
+            for x in [
+                x,
+                x * 1e-3,
+                x * 1e-9,
+                x * 30.0,
+                x * 1e13,
+                -0.999 * x,
+                1e-7 - x,
+            ] {
+                let right = x.ln_1p();
+                assert!((ln_1p(x) - right).abs() <= 7e-16 * right.abs(), "{x}");
+                let rounded = x as f32;
+                if rounded > -1.0 {
+                    let right = f64::from(rounded).ln_1p();
+                    let found = f64::from(ln_1p(rounded));
+                    assert!((found - right).abs() <= 4e-7 * right.abs(), "{x}");
+                }
+            }
+        }
+        let x = Dual::<f64, 1>::var(-0.3, 0);
+        let (found, right) = (ln_1p(x), x.ln_1p());
+        assert!((found.eps[0] - right.eps[0]).abs() < 1e-15);
     }
 
     /// `exp(x^2) erfc(x)` by Simpson's rule for the integral of `exp(-t^2 - 2 x t)`.

@@ -16,7 +16,9 @@ mod kinds;
 mod lanes;
 mod lights;
 mod lookups;
+mod numbers;
 mod record;
+mod start;
 
 use ad_core::{Const, Float, Vec2, Vec3};
 pub(super) use derivatives::LayerAdjoints;
@@ -26,6 +28,7 @@ pub(super) use lanes::WAVE_SIZE;
 use lanes::{Field, Lane, Lanes, lanes, whole};
 use lights::{Group, Leaving, MOST_TOGETHER, together};
 use lookups::{Lookups, image};
+use numbers::{bits, draw_units, sobol};
 pub(super) use record::Record;
 use smallvec::SmallVec;
 
@@ -41,17 +44,13 @@ use super::vertex::roulette::{play, probability, roulette_weight};
 use super::vertex::{MODE, assert_finite};
 use crate::accel::{Hit, PACKET_SIZE, RayPacket};
 use crate::bsdf::{Bsdf, Component, DiffuseLobe, Lobe, Material, Shading};
-use crate::camera::Camera;
 use crate::emitter::{AnyEmitter, Area, Emission, Emitter, EmitterSample};
 use crate::estimator::{Detached, Sampling, Still, Strategy, differentiates_edges, is_guided};
 use crate::guide::{Directions, Guide};
 use crate::manifold::{Run, Split};
 use crate::math::{Frame, NOWHERE, Ray, Rgb, Segment};
 use crate::params::Theta;
-use crate::sampler::{
-    Points, Purpose, Sampler, Stream, first_four, independent_bits, scrambled, sobol_bits,
-    sobol_points, sobol_set,
-};
+use crate::sampler::{Points, Purpose, Sampler, sobol_bits};
 use crate::scene::Scene;
 use crate::shape::{AnyShape, Exit, Shape, SurfaceInteraction, sample_cone};
 use crate::texture::Texture;
@@ -481,71 +480,6 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             self.edge::<Of, S, ()>(context, self.next, &mut ());
             self.next += 1;
         }
-    }
-
-    /// Camera rays through these pixels, by the numbers of [`Purpose::Pixel`], as single paths start.
-    #[inline(never)]
-    fn look_from(&mut self, scene: &Scene, pixels: &[[u32; 2]; WAVE_SIZE]) {
-        let camera = &scene.camera;
-        let [mut x, mut y, mut u, mut v] = [Lane::<P>::zero(); 4];
-        let (n, first) = (whole(self.n), Purpose::Pixel.at(1));
-        draw_units(
-            self.points,
-            n,
-            &self.paths,
-            first,
-            [&mut x, &mut y, &mut u, &mut v],
-        );
-        for i in 0..self.n {
-            [x[i], y[i]] = scene.film.point_in(pixels[i], [x[i], y[i]]);
-        }
-        self.look(camera, &x, &y);
-        if !camera.is_pinhole() {
-            for i in 0..self.n {
-                let ray = camera.ray_through(x[i], y[i], [u[i], v[i]]);
-                self.paths.o.put_vec(i, ray.o);
-                self.paths.d.put_vec(i, ray.d);
-            }
-        }
-    }
-
-    /// Camera rays through these points of the image.
-    #[inline(never)]
-    fn look(&mut self, camera: &Camera, x: &Lane<P>, y: &Lane<P>) {
-        let paths = &mut self.paths;
-        let origin = camera.origin().map(P::of).into();
-        let mut right = Lane::<u32>::zero();
-        for i in 0..whole(self.n) {
-            let (d, is_right) = camera.direction(x[i], y[i]).unit();
-            paths.o.put_vec(i, origin);
-            paths.d.put_vec(i, d);
-            paths.surface[i] = NOWHERE;
-            right[i] = u32::from(is_right);
-        }
-        for i in 0..self.n {
-            if right[i] == 0 {
-                paths.d.put_vec(i, camera.ray(x[i], y[i]).d);
-            }
-        }
-    }
-
-    /// Path number `id` starts somewhere, as the `i`-th.
-    #[inline(always)]
-    fn start(&mut self, i: usize, id: usize, sampler: &X) {
-        let paths = &mut self.paths;
-        (paths.id[i], paths.slot[i]) = (id as u32, i as u32);
-        let Stream { points, key, index } = sampler.stream();
-        self.points = points;
-        (paths.key[i], paths.index[i]) = (key, index);
-        paths.beta.put_rgb(i, Rgb::splat(P::one()));
-        paths.l.put_rgb(i, Rgb::black());
-        (paths.eta[i], paths.roulette_weight[i]) = (P::one(), P::one());
-        paths.pdf[i] = P::zero();
-        (
-            paths.active[i],
-            paths.caustics_excluded[i],
-            paths.caustic[i],
-        ) = (0, 0, 0);
     }
 
     /// `S` is `Of` where nothing moves.
@@ -1457,60 +1391,6 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             self.bounces.continues[i] &= u32::from(counts) & meets[i];
         }
     }
-}
-
-/// Random bits of a path in a dimension, counted from one, where points are no sequence.
-#[inline(always)]
-fn bits<P: Float>(points: Points, paths: &Paths<P>, i: usize, dim: u32) -> u64 {
-    // The odd one of an antithetic pair has all bits turned.
-    let pairs = u32::from(points == Points::Antithetic);
-    let turned = u64::from(paths.index[i] & pairs).wrapping_neg();
-    independent_bits(paths.key[i], dim) ^ turned
-}
-
-/// Random numbers of the first dimensions from `dim` on, up to four.
-#[inline(always)]
-fn draw_units<P: Float, const N: usize>(
-    points: Points,
-    n: usize,
-    paths: &Paths<P>,
-    dim: u32,
-    lanes: [&mut Lane<P>; N],
-) {
-    if points == Points::Sobol {
-        let all = sobol(n, paths, dim);
-        for (lane, x) in lanes.into_iter().zip(&all) {
-            for i in 0..n {
-                lane[i] = P::from_bits_unit(sobol_bits(x[i]));
-            }
-        }
-        return;
-    }
-    // Counted from one.
-    for (lane, dim) in lanes.into_iter().zip(dim + 1..) {
-        for i in 0..n {
-            lane[i] = P::from_bits_unit(bits(points, paths, i, dim));
-        }
-    }
-}
-
-/// The first four dimensions from `dim` on of Sobol points.
-#[inline(always)]
-fn sobol<P: Float>(n: usize, paths: &Paths<P>, dim: u32) -> [Lane<u32>; 4] {
-    let (mut sets, mut shuffled) = (Lane::<u64>::zero(), Lane::<u32>::zero());
-    for i in 0..n {
-        (sets[i], shuffled[i]) = sobol_set(paths.key[i], paths.index[i], dim);
-    }
-    // Looked up one by one, between what is done in vectors.
-    let table = first_four();
-    let [mut x, mut y, mut z, mut w] = [Lane::<u32>::zero(); 4];
-    for i in 0..n {
-        [x[i], y[i], z[i], w[i]] = sobol_points(table, shuffled[i]);
-    }
-    for i in 0..n {
-        [x[i], y[i], z[i], w[i]] = scrambled(sets[i], 0, [x[i], y[i], z[i], w[i]]);
-    }
-    [x, y, z, w]
 }
 
 /// The densities that lead directions, if there are any.

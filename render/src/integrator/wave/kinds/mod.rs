@@ -5,22 +5,28 @@
 //! [`Leaves`] have all kinds. A kind is a file with its `Members`, a field of `Leaves`, and a line where these sort. What is
 //! made of others is [`Composites`], over the kinds of its parts.
 
+mod blinn_phong;
 mod composites;
 mod diffuse;
 mod facets;
 mod glass;
 mod metals;
+mod nothing;
 mod plastics;
+mod principled;
 mod rough_glass;
 mod rough_plastics;
 
 use ad_core::{Float, Vec3};
+use blinn_phong::Phong;
 use composites::Composites;
 use diffuse::Matt;
 use facets::{Beckmann, Ggx};
 use glass::Glass;
 use metals::Metals;
+use nothing::Nothing;
 use plastics::Plastics;
+use principled::PrincipledSurfaces;
 use rough_glass::RoughGlass;
 use rough_plastics::RoughPlastics;
 
@@ -55,6 +61,7 @@ pub fn seen_from<P: Float>(side: P, w: Vec3<P>) -> Vec3<P> {
 const CONTINUOUS: u32 = 0;
 const REFLECTED: u32 = 1;
 const TRANSMITTED: u32 = 2;
+const PASSED: u32 = 3;
 
 #[inline(always)]
 fn component(number: u32) -> Component {
@@ -62,6 +69,7 @@ fn component(number: u32) -> Component {
     match number {
         REFLECTED => delta(DeltaKind::Reflection),
         TRANSMITTED => delta(DeltaKind::Transmission),
+        PASSED => delta(DeltaKind::Passthrough),
         _ => Component::Continuous,
     }
 }
@@ -277,6 +285,10 @@ kinds! {
     Plastic plastics: Plastics<P>,
     RoughPlastic rough_plastics: RoughPlastics<P, Ggx>,
     BeckmannPlastic beckmann_plastics: RoughPlastics<P, Beckmann>,
+    BlinnPhong phong: Phong<P>,
+    Null nothing: Nothing,
+    Principled principled: PrincipledSurfaces<P, P>,
+    BrushedPrincipled brushed_principled: PrincipledSurfaces<P, Axes<P>>,
 }
 
 /// The one of these for the shape of the normals.
@@ -307,6 +319,10 @@ fn sort(material: &Material) -> Option<Sort> {
         Material::RoughPlastic(m) => {
             shaped(&m.roughness, Sort::RoughPlastic, Sort::BeckmannPlastic)
         }
+        Material::BlinnPhong(_) => Some(Sort::BlinnPhong),
+        Material::Null(_) => Some(Sort::Null),
+        Material::Principled(_) => Some(Sort::Principled),
+        Material::AnisotropicPrincipled(_) => Some(Sort::BrushedPrincipled),
         _ => None,
     }
 }
