@@ -567,7 +567,8 @@ impl<R: Real, A: Alpha<Scalar = R>> PrincipledLobe<R, A> {
     fn direction(&self, wo: Vec3<R>, u: [R::Primal; 3]) -> Option<(Vec3<R>, R::Primal)> {
         let (zero, choices) = (R::Primal::zero(), self.primal_choices());
         let (above, below) = (wo.z.primal() > zero, wo.z.primal() < zero);
-        if !above && !(below && self.transmission.is_some()) {
+        let seen = above || (below && self.transmission.is_some());
+        if !seen {
             return None;
         }
         let wi = if below || u[0] < choices.main {
