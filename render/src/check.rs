@@ -18,6 +18,8 @@
 //! * **Noise.** Where paths jump from one place to another as the parameter moves, common random numbers do not cancel, and
 //!   the noise of the difference grows as the step shrinks. Short pilots of other seeds therefore choose the largest step
 //!   whose error is well below the noise that is expected; if there is none, the one for which both together are least.
+//!   A step that is too large all the same shows at the second look, which takes a quarter of it: what that changes
+//!   beyond noise counts as an error as well.
 //! * **Rare events.** If a jump is so rare that no repeat meets it, mean and error are both wrong. What differs is looked at
 //!   again, with four times the repeats and seeds of its own, before it is called wrong.
 //! * **Bounds.** Values near an end of their valid interval have no room on both sides. They move inwards, and a one-sided
@@ -75,7 +77,9 @@ const PLACES: u64 = 3;
 const PILOTS: u64 = 4;
 /// Repeats of a second look, for one of the first.
 const SECOND_LOOK: u64 = 4;
-/// What single precision may do to a gradient, relative to it.
+/// Its step, over that of the first: where paths jump as the parameter moves, so many repeats see as much noise.
+const SECOND_STEP: f64 = 0.25;
+/// What single precision may do to a derivative, relative to those of its range.
 const ROUNDING: f64 = 1e-5;
 /// Keep random numbers of the passes apart.
 const DIFFERENCES: u64 = 0x6469_6666;
@@ -114,7 +118,7 @@ pub enum Verdict {
     /// Both agree, or disagreed once and not again, but the noise is such that an error could hide in it; or nothing was
     /// seen of the parameter at all.
     CannotTell,
-    /// Both differ beyond chance, and do so again with four times the repeats.
+    /// Both differ beyond chance, and do so again with four times the repeats and a quarter of the step.
     Wrong,
 }
 
@@ -159,7 +163,7 @@ pub struct Comparison {
     pub differences: Estimate,
     /// The larger of both steps, in units of the parameter.
     pub step: f64,
-    /// What extrapolation changes: the error that the step may have left.
+    /// What extrapolation changes, and at a second look a smaller step: the error that the step may have left.
     pub step_error: f64,
     /// Difference of the two, over all of these errors; of the second look, if there was one.
     pub z: f64,
@@ -252,7 +256,7 @@ pub fn most_passes<N: AsRef<str>>(scene: &Scene, names: &[N], options: &Options)
     let repeats = u64::from(options.repeats);
     let pilots = PILOTS * PLACES * u64::from(HALVINGS + 1);
     let each = pilots + 2 * PLACES * repeats * (1 + SECOND_LOOK);
-    repeats * (1 + SECOND_LOOK) + names.iter().map(directions).sum::<u64>() * each
+    1 + repeats * (1 + SECOND_LOOK) + names.iter().map(directions).sum::<u64>() * each
 }
 
 /// Compares the derivatives of `<adjoint, image>` in the named parameters, each once, with differences, `adjoint` as for
@@ -299,6 +303,7 @@ pub fn check<N: AsRef<str>>(
         options,
         progress,
         non_finite: 0,
+        size: 0.0,
     };
     let found = run.all(&infos, &tests);
     // It may have been left while shapes had moved.
@@ -455,6 +460,15 @@ impl Pair {
         }
     }
 
+    /// Of a second look: what has changed since the first one, by more than noise, is an error of the step, too.
+    fn after(mut self, first: &Self) -> Self {
+        let [a, b] = [first, &self].map(|pair| pair.extrapolated);
+        let noise = a.se.powi(2) + b.se.powi(2);
+        let beyond = ((a.mean - b.mean).powi(2) - noise).max(0.0);
+        self.step_error = self.step_error.hypot(beyond.sqrt());
+        self
+    }
+
     /// The noise of so many repeats.
     fn expected(&self, repeats: u64) -> f64 {
         self.extrapolated.se * (self.repeats as f64 / repeats as f64).sqrt()
@@ -473,6 +487,8 @@ struct Run<'a> {
     options: &'a Options,
     progress: &'a dyn Progress,
     non_finite: u64,
+    /// Sum of the sizes of what pixels add to the objective.
+    size: f64,
 }
 
 impl Run<'_> {
@@ -491,6 +507,10 @@ impl Run<'_> {
         let Some(gradients) = self.gradients(tests, &lines, self.options.seed, repeats)? else {
             return Ok((None, limit));
         };
+        let Some(size) = self.objective(self.values_wide(), self.options.seed, f64::abs) else {
+            return Ok((None, limit));
+        };
+        self.size = size;
         let mut pairs = Vec::with_capacity(tests.len());
         for (t, line) in lines.iter().enumerate() {
             let Some(step) = self.step(line, t as u64)? else {
@@ -528,10 +548,11 @@ impl Run<'_> {
         };
         for t in suspects {
             let seed = seed ^ DIFFERENCES ^ ((t as u64) << 40);
-            let step = pairs[t].step;
+            let step = pairs[t].step * SECOND_STEP;
             let Some(pair) = self.pair(&lines[t], step, seed, SECOND_LOOK * repeats)? else {
                 return Ok((None, limit));
             };
+            let pair = pair.after(&pairs[t]);
             let (i, along) = tests[t];
             let what = (infos[i].name.as_str(), along);
             let mut again = self.compare(what, &lines[t], gradients[t], &pair, scales[i], limit)?;
@@ -643,7 +664,7 @@ impl Run<'_> {
 
     /// `<adjoint, image>` at this place of the line. `None` if cancelled.
     fn value(&mut self, line: &Line, at: f64, seed: u64) -> Result<Option<f64>, RenderError> {
-        let mut values: Vec<f64> = self.values.iter().map(|&v| v.into()).collect();
+        let mut values = self.values_wide();
         for (v, d) in values[line.offset..].iter_mut().zip(&line.along) {
             *v += at * d;
         }
@@ -652,17 +673,26 @@ impl Run<'_> {
             self.scene.set_params(&single)?;
             values = single.into_iter().map(f64::from).collect();
         }
+        Ok(self.objective(values, seed, |x| x))
+    }
+
+    fn values_wide(&self) -> Vec<f64> {
+        self.values.iter().map(|&v| v.into()).collect()
+    }
+
+    /// The sum of what pixels add to the objective at these parameters, `of` each. `None` if cancelled.
+    fn objective(&mut self, values: Vec<f64>, seed: u64, of: fn(f64) -> f64) -> Option<f64> {
         let theta = Theta::constant(&values);
         let spp = u64::from(self.settings.spp);
         let job = Job::new(self.scene, self.settings, seed, 0..spp, self.progress);
         let image = render_f64(&job, &theta, Estimator::Mis);
         if image.cancelled || self.progress.cancelled() {
-            return Ok(None);
+            return None;
         }
         self.non_finite += image.non_finite.count;
         let products = image.sums[0].iter().zip(self.adjoint);
-        let sum: f64 = products.map(|(x, &a)| x * f64::from(a)).sum();
-        Ok(Some(sum / image.samples.max(1) as f64))
+        let sum: f64 = products.map(|(x, &a)| of(x * f64::from(a))).sum();
+        Some(sum / image.samples.max(1) as f64)
     }
 
     /// What the two say; `scale` is the size of the derivatives of the range.
@@ -679,7 +709,10 @@ impl Run<'_> {
         let size = gradient.mean.abs().max(differences.mean.abs());
         let step_error = pair.step_error.hypot(size * (line.rounding / pair.step));
         let noise = gradient.se.hypot(differences.se);
-        let error = noise.hypot(step_error).hypot(ROUNDING * size);
+        // Terms that cancel leave what single precision loses of them.
+        let lost = f64::from(f32::EPSILON) * self.size / line.most;
+        let rounding = (ROUNDING * size.max(scale)).hypot(lost);
+        let error = noise.hypot(step_error).hypot(rounding);
         if !error.is_finite() {
             return Err(RenderError::NonFiniteDerivative { name: name.into() });
         }
@@ -749,6 +782,55 @@ mod tests {
             let slope: f64 = stencil.map(|(at, weight)| weight * parabola(at)).sum();
             assert!((slope + 3.0).abs() < 1e-12, "{slope}");
         }
+    }
+
+    /// What two looks differ by, beyond their noise, is an error of the step.
+    #[test]
+    fn a_second_look_doubts_steps_that_change_something() {
+        let of = |mean: f64| {
+            let spread = [mean - 0.1, mean + 0.1];
+            Pair::new(1.0, &spread, &spread)
+        };
+        let noise = 2.0 * of(0.0).extrapolated.se.powi(2);
+        assert_eq!(of(1.05).after(&of(1.0)).step_error, 0.0);
+        let found = of(2.0).after(&of(1.0)).step_error;
+        assert!((found - (1.0 - noise).sqrt()).abs() < 1e-12, "{found}");
+    }
+
+    /// The size of a floor that reaches over the film changes nothing: what is left of terms that cancel is not wrong.
+    #[test]
+    fn rounding_is_not_wrong() {
+        let text = r#"<scene version="3.0.0"><integrator type="path"><integer name="max_depth" value="2"/></integrator>
+            <sensor type="perspective"><transform name="to_world"><lookat origin="0,3,1" target="0.2,0,0.1" up="0,0,1"/>
+            </transform><film type="hdrfilm"><integer name="width" value="6"/><integer name="height" value="6"/>
+            <rfilter type="box"/></film></sensor>
+            <shape type="rectangle" id="floor"><transform name="to_world"><scale value="9"/><rotate x="1" angle="-90"/>
+            </transform></shape><emitter type="constant"/></scene>"#;
+        let loaded = Scene::from_xml(text, ".".as_ref(), &Default::default());
+        let (mut scene, _) = loaded.expect("a scene");
+        let names = ["floor.scale", "floor.translation"];
+        scene.make_movable(&names).expect("things that move");
+        let settings = Settings {
+            spp: 16,
+            ..scene.settings
+        };
+        let mixture = Mixture::only(&scene, Estimator::Edges, &names);
+        let adjoint = vec![1.0 / 108.0; 108];
+        let options = Options {
+            repeats: 8,
+            ..Options::default()
+        };
+        let report = check(
+            &mut scene,
+            &settings,
+            &names,
+            &mixture,
+            &adjoint,
+            &options,
+            &(),
+        );
+        let report = report.expect("valid").expect("nobody stops it");
+        assert_ne!(report.verdict(), Verdict::Wrong, "{report}");
     }
 
     /// What extrapolation changes is a third of what halving the step does: x + h^2 becomes x.
@@ -873,6 +955,7 @@ mod tests {
             options: &options,
             progress: &(),
             non_finite: 0,
+            size: 0.0,
         };
         let mut at = |moves: bool, t: f64| {
             line.moves = moves;

@@ -98,6 +98,8 @@ pub(crate) enum Family {
     EdgesOnFilm,
     /// Edges before lights.
     EdgesBeforeLights,
+    /// Where the normals of lights turn away.
+    TurnsOfLights,
     /// Auxiliary rays around scattered directions, and around rays of the camera.
     FieldsOfScattering,
     /// Auxiliary rays around directions to sampled lights.
@@ -111,7 +113,7 @@ pub(crate) enum Family {
 impl Family {
     /// All of them.
     #[cfg(test)]
-    const ALL: [Self; 11] = [
+    const ALL: [Self; 12] = [
         Self::Particles,
         Self::Connections,
         Self::Landings,
@@ -119,6 +121,7 @@ impl Family {
         Self::EdgesAtVertices,
         Self::EdgesOnFilm,
         Self::EdgesBeforeLights,
+        Self::TurnsOfLights,
         Self::FieldsOfScattering,
         Self::FieldsOfLights,
         Self::PixelBorders,
@@ -135,6 +138,7 @@ impl Family {
             Self::EdgesAtVertices => 0x6a09_e667_f3bc_c908,
             Self::EdgesOnFilm => 0xbb67_ae85_84ca_a73b,
             Self::EdgesBeforeLights => 0x3c6e_f372_fe94_f82b,
+            Self::TurnsOfLights => 0x1f83_d9ab_fb41_bd6b,
             Self::FieldsOfScattering => 0xa54f_f53a_5f1d_36f1,
             Self::FieldsOfLights => 0x510e_527f_ade6_82d1,
             Self::PixelBorders => 0x9b05_688c_2b3e_6c1f,

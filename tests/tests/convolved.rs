@@ -294,6 +294,21 @@ fn what_is_not_covered_is_refused() {
     refused(mirror, plain, &["it.translation", "Dirac delta"]);
     let tent = PixelFilter::Tent { radius: 1.0 };
     refused("", tent, &["it.translation", "box or a Gaussian"]);
+    let squares = r#"<shape type="rectangle" id="squares"><bsdf type="diffuse"><texture type="checkerboard"
+        name="reflectance"/></bsdf></shape>"#;
+    refused(
+        squares,
+        plain,
+        &["it.translation", "`squares` has a texture that jumps"],
+    );
+    let lamp =
+        octahedron("lamp", false).replace(r#"<ref id="grey"/>"#, r#"<emitter type="area"/>"#);
+    let lamp = lamp.replace(r#"id="it""#, r#"id="coarse""#);
+    refused(
+        &lamp,
+        plain,
+        &["it.translation", "interpolated normals of `coarse`"],
+    );
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("face.obj");
     let face = "v 0 1 0\nv 1 1 0\nv 0 1 1\nvn 0 1 0.2\nf 1//1 2//1 3//1\n";

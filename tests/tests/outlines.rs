@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use render::estimator::{AllowBias, DetachedMis, Interior, Outlines};
-use render::instances::Estimator;
+use render::instances::{Direction, Estimator};
 use render::integrator::gradient::Active;
 use render::params::Theta;
 use render::scene::LoadOptions;
@@ -132,26 +132,8 @@ fn corners_and_turns_change_nothing() {
 #[test]
 #[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
 fn coarse_faces_with_smooth_normals_agree_with_differences() {
-    let folder = std::env::temp_dir().join(format!("coarse-{}", std::process::id()));
-    std::fs::create_dir_all(&folder).expect("a folder");
-    let path = folder.join("octahedron.obj");
-    let mut text = String::new();
-    for k in 0..3 {
-        for sign in [1, -1] {
-            let [x, y, z] = [0, 1, 2].map(|i| if i == k { sign } else { 0 });
-            text += &format!("v {x} {y} {z}\nvn {x} {y} {z}\n");
-        }
-    }
-    for octant in 0..8 {
-        let [x, y, z] = [0, 1, 2].map(|k| 2 * k + 1 + (octant >> k & 1));
-        let (y, z) = if i32::count_ones(octant) % 2 == 1 {
-            (z, y)
-        } else {
-            (y, z)
-        };
-        text += &format!("f {x}//{x} {y}//{y} {z}//{z}\n");
-    }
-    std::fs::write(&path, text).expect("a file");
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = octahedron(&folder);
     let shape = format!(
         r#"<shape type="obj" id="it"><string name="filename" value="{}"/><transform name="to_world">
         <scale value="0.8"/><rotate y="1" angle="25"/><rotate x="1" angle="20"/><translate y="1.1"/></transform>
@@ -170,7 +152,72 @@ fn coarse_faces_with_smooth_normals_agree_with_differences() {
     let found = gradient(&s, &["it.vertex_normals"], 8, 128);
     let expected = differences(&mut s, &["it.vertex_normals"], 1.0 / 32.0, 8, 256);
     agrees("normals", &found, &expected, 1e-2, 8);
-    std::fs::remove_dir_all(&folder).expect("the folder goes");
+}
+
+/// A lamp of a few faces with interpolated normals is dark where those turn away, and so is what it lights from there:
+/// whatever moves, normals among it. 8 runs of 256 samples of 256 pixels, and differences of 8 runs of 1024.
+#[test]
+#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
+fn coarse_lamps_with_smooth_normals_agree_with_differences() {
+    let folder = tempfile::tempdir().expect("a folder");
+    // Above the film, and lower on one side.
+    let lamp = format!(
+        r#"<shape type="obj" id="coarse"><string name="filename" value="{}"/><transform name="to_world">
+        <scale x="0.9" y="0.4" z="0.7"/><rotate x="1" z="1" angle="30"/><translate x="0.4" y="2.6" z="0.6"/></transform>
+        <emitter type="area"><rgb name="radiance" value="6, 7, 8"/></emitter></shape>"#,
+        octahedron(&folder).display()
+    );
+    let mut s = scene(&format!("{FLOOR}{lamp}"), 2);
+    for (name, step) in [
+        ("floor.translation", 64.0),
+        ("coarse.translation", 64.0),
+        ("coarse.rotation", 64.0),
+        ("coarse.vertex_normals", 32.0),
+    ] {
+        s.make_movable(&[name]).expect("known");
+        let found = gradient(&s, &[name], 8, 256);
+        let expected = differences(&mut s, &[name], 1.0 / step, 8, 1024);
+        agrees(name, &found, &expected, 1e-2, 8);
+    }
+    let name = "coarse.vertex_normals";
+    let all = values::<f32>(&s);
+    let job = Job::new(&s, &s.settings, 0, 0..4, &());
+    let active = Estimator::Edges.active(&s, &[name]).expect("seen");
+    let adjoint = mean_adjoint(&s);
+    let reverse = Estimator::Edges.backward_f32(&job, &Theta::constant(&all), &active, &adjoint);
+    let reverse: f64 = reverse.expect("admitted").values.concat().iter().sum();
+    let along = [Direction::uniform(s.params(), name).expect("known")];
+    let forward = Estimator::Edges.forward_f32(&job, s.params().values(), &along);
+    let image = forward.expect("admitted").image(1);
+    let forward = image.data.iter().zip(&adjoint);
+    let forward: f64 = forward.map(|(x, a)| f64::from(x * a)).sum();
+    assert!(
+        (forward - reverse).abs() < 1e-4 * reverse.abs(),
+        "{forward} {reverse}"
+    );
+}
+
+/// The file of an octahedron with normals as at the points of a ball.
+fn octahedron(folder: &tempfile::TempDir) -> std::path::PathBuf {
+    let path = folder.path().join("octahedron.obj");
+    let mut text = String::new();
+    for k in 0..3 {
+        for sign in [1, -1] {
+            let [x, y, z] = [0, 1, 2].map(|i| if i == k { sign } else { 0 });
+            text += &format!("v {x} {y} {z}\nvn {x} {y} {z}\n");
+        }
+    }
+    for octant in 0..8 {
+        let [x, y, z] = [0, 1, 2].map(|k| 2 * k + 1 + (octant >> k & 1));
+        let (y, z) = if i32::count_ones(octant) % 2 == 1 {
+            (z, y)
+        } else {
+            (y, z)
+        };
+        text += &format!("f {x}//{x} {y}//{y} {z}//{z}\n");
+    }
+    std::fs::write(&path, text).expect("a file");
+    path
 }
 
 /// Tubes of long, thin, smooth faces. What is seen just inside of a side is not hidden by the neighbour, and rays that pass
@@ -254,7 +301,7 @@ fn shadows_of_points_are_refused() {
         message.contains("it.translation") && message.contains("point and spot lights"),
         "{message}"
     );
-    let direction = render::instances::Direction::uniform(s.params(), "it.translation");
+    let direction = Direction::uniform(s.params(), "it.translation");
     let along = [direction.expect("known")];
     let refused = Estimator::Edges.forward_f32(&job, s.params().values(), &along);
     assert_eq!(refused.expect_err("refused").to_string(), message);

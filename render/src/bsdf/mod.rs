@@ -543,10 +543,10 @@ impl TextureRef<'_> {
     }
 
     /// See [`RgbTexture::closes`].
-    pub(crate) fn closes(&self) -> bool {
+    pub(crate) fn closes(&self, around: usize) -> bool {
         match self {
-            Self::Rgb(t) | Self::Mixed(t) | Self::Vector(t) | Self::Encoded(t) => t.closes(),
-            Self::Scalar(t) | Self::Alpha(t) | Self::Exponent(t) => t.closes(),
+            Self::Rgb(t) | Self::Mixed(t) | Self::Vector(t) | Self::Encoded(t) => t.closes(around),
+            Self::Scalar(t) | Self::Alpha(t) | Self::Exponent(t) => t.closes(around),
             Self::Height(_) => self.is_constant(),
         }
     }

@@ -837,7 +837,7 @@ impl Scene {
             ([info], [AnyShape::Sphere(_)]) if paths_move => {
                 let mut jumps = false;
                 self.materials[info.material as usize]
-                    .visit_textures(&mut |t| jumps |= !t.closes());
+                    .visit_textures(&mut |t| jumps |= !t.closes(0));
                 jumps.then(|| {
                     format!(
                         "a texture of `{}` that jumps where paths move over it",

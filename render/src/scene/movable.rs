@@ -507,7 +507,7 @@ impl Scene {
     }
 
     /// Whether the estimator has terms for all outlines that move with this parameter, where paths have up to `max_depth`
-    /// edges, if it has any. Shadows of lights that no scattered light meets are drawn from the light, if it is a point or a
+    /// edges, if it has any. Where directions follow outlines, they slide over everything: no texture may jump then. Shadows of lights that no scattered light meets are drawn from the light, if it is a point or a
     /// spot, for samples of edges alone and only as the camera sees them. Directions that follow points of the film need a
     /// pixel filter whose derivative has samples: a box or a Gaussian.
     ///
@@ -531,6 +531,23 @@ impl Scene {
         let filter = &self.film.filter;
         if follows && info.kind == ParamKind::VertexNormals {
             return refuse("directions do not follow curves where normals turn away");
+        }
+        let mut all = self.infos.iter().zip(self.shapes());
+        if follows && let Some((own, _)) = all.find(|(own, shape)| self.jumps(own, shape)) {
+            return refuse(&format!(
+                "`{}` has a texture that jumps where directions that follow outlines slide over it",
+                own.name
+            ));
+        }
+        let turns = |info: &&ShapeInfo| {
+            let emitter = info.emitter.map(|e| &self.emitters[e as usize]);
+            emitter.is_some_and(|e| self.turns_away(e))
+        };
+        if follows && let Some(lamp) = self.infos.iter().find(turns) {
+            return refuse(&format!(
+                "directions do not follow curves where the interpolated normals of `{}` turn away, which it is dark beyond",
+                lamp.name
+            ));
         }
         if follows && !matches!(filter, PixelFilter::Box | PixelFilter::Gaussian { .. }) {
             return refuse(
@@ -592,13 +609,26 @@ impl Scene {
         ))
     }
 
+    /// Whether what an emitter sends jumps where its normals turn away, and they do so within faces: they are interpolated.
+    pub(crate) fn turns_away(&self, emitter: &AnyEmitter) -> bool {
+        let AnyEmitter::Area(area) = emitter else {
+            return false;
+        };
+        match &self.shapes()[area.shape as usize] {
+            AnyShape::Mesh(mesh) => area.exponent == 0.0 && !mesh.data().normals.is_empty(),
+            _ => false,
+        }
+    }
+
     /// Whether a texture of a shape does: between texels, or where its coordinates begin again.
     fn jumps(&self, info: &ShapeInfo, shape: &AnyShape) -> bool {
-        let round = matches!(
-            shape,
-            AnyShape::Sphere(_) | AnyShape::Cylinder(_) | AnyShape::Disk(_)
-        );
-        let jumps = |t: TextureRef| t.jumps() || (round && !t.closes());
+        let around = match shape {
+            AnyShape::Sphere(_) | AnyShape::Cylinder(_) => Some(0),
+            AnyShape::Disk(_) => Some(1),
+            _ => None,
+        };
+        let opens = |t: &TextureRef| around.is_some_and(|k| !t.closes(k));
+        let jumps = |t: TextureRef| t.jumps() || opens(&t);
         let mut any = false;
         self.materials[info.material as usize].visit_textures(&mut |t| any |= jumps(t));
         let emitted = info.emitter.map(|e| self.emitters[e as usize].radiance());

@@ -192,13 +192,13 @@ impl<const C: usize> Texture<C> {
         }
     }
 
-    /// Whether its values are continuous on a surface around which u runs from 0 to 1.
-    pub(crate) fn closes(&self) -> bool {
+    /// Whether its values are continuous on a surface around which this coordinate runs from 0 to 1.
+    pub(crate) fn closes(&self, around: usize) -> bool {
         match self {
             Self::Constant(_) => true,
             Self::Bitmap(t) => {
-                let [[a, ..], [d, ..]] = t.to_uv.rows;
-                !t.nearest && t.wrap == Wrap::Repeat && a.fract() == 0.0 && d.fract() == 0.0
+                let whole = |row: &[f32; 3]| row[around].fract() == 0.0;
+                !t.nearest && t.wrap == Wrap::Repeat && t.to_uv.rows.iter().all(whole)
             }
             Self::Checkerboard(_) | Self::Attribute(_) => false,
         }

@@ -74,8 +74,8 @@ pub(super) enum Mover<P> {
     Light(ParamRef),
 }
 
-/// A multiple of a velocity: of a point along `o`; along `d` besides, of the direction of a ray, or of the shading normal of
-/// what a ray meets.
+/// A multiple of a velocity: of a point along `o`; along `d` besides, of the direction of a ray, or of the shading normal at
+/// that point.
 #[derive(Clone, Copy)]
 pub(super) struct Term<P> {
     pub mover: Mover<P>,
@@ -114,7 +114,8 @@ impl<P: Float> Term<P> {
             Mover::Material(prim, si) => {
                 let at = scene.coordinates(prim, &si);
                 let at = crate::shape::SurfaceCoordinates::<R>::lift(at);
-                form(scene.point_at(theta, prim, at).p, self.along.o)
+                let here = scene.point_at(theta, prim, at);
+                form(here.p, self.along.o) + form(here.frame.n, self.along.d)
             }
             Mover::Seen(prim, [x, y], si) => {
                 let ray = scene.camera.ray_moving(theta, x, y);
@@ -137,12 +138,12 @@ impl<P: Float> Term<P> {
             p: o * adjoint,
             ..SurfaceAdjoint::zero()
         };
+        surface.frame.n = d * adjoint;
         match self.mover {
             Mover::Material(prim, si) => {
                 scene.scatter_point(theta, prim, &si, &surface, P::zero(), sink);
             }
             Mover::Seen(prim, at, si) => {
-                surface.frame.n = d * adjoint;
                 let ray = scene.camera.ray(at[0], at[1]);
                 let back = scene.scatter_interaction(theta, prim, &ray, &si, &surface, sink);
                 scene.camera.scatter_ray(theta, at, &back, sink);

@@ -21,6 +21,7 @@
 mod crossings;
 mod form;
 mod shadows;
+mod turning;
 
 use std::f64::consts::TAU;
 use std::ops::Range;
@@ -28,7 +29,7 @@ use std::ops::Range;
 use ad_core::{Const, Float, Vec3};
 
 use self::form::{Contribution, Form, Mover, Moving, Term, hit_at};
-use self::shadows::Shadows;
+use self::shadows::Lights;
 use super::active::Active;
 use super::exact::ExactBuffer;
 use super::pass::Pass;
@@ -45,6 +46,7 @@ use crate::edges::Inside;
 use crate::edges::crossing::Crossings;
 use crate::edges::film::{FilmCurves, FilmPoint, Sides};
 use crate::edges::{EdgePoint, Edges, Seeker, Surfaces};
+use crate::emitter::AnyEmitter;
 use crate::estimator::{Still, Strategy};
 use crate::math::{Frame, NOWHERE, Ray, RayAdjoint, Rgb, Segment};
 use crate::parallel;
@@ -138,7 +140,8 @@ struct Boundary<'a, P: Float> {
     crossed: [bool; 2],
     surfaces: Surfaces<'a>,
     curves: FilmCurves,
-    shadows: Shadows,
+    shadows: Lights,
+    turning: Lights,
     pinhole: Pinhole<P>,
     moving: Moving,
     seed: u64,
@@ -151,6 +154,12 @@ enum Source {
     Film,
     /// Edges before lights.
     Shadows,
+    /// Where lamps turn away.
+    Turns,
+}
+
+impl Source {
+    const ALL: [Self; 3] = [Self::Film, Self::Shadows, Self::Turns];
 }
 
 fn wide<P: Float>(v: Vec3<P>) -> Vec3<f64> {
@@ -174,6 +183,7 @@ impl<'a, P: Float> Boundary<'a, P> {
             shown && (moving.camera || moving.parts(pair))
         };
         let curves = edges.on_film(&scene.camera, &scene.film, &of_film, crossings, &of_pair);
+        let max_depth = context.settings.max_depth;
         let apart = |pair: &[u32; 2]| moving.parts(*pair);
         let lamp = |pair: [u32; 2]| pair.iter().any(|&shape| scene.is_lamp(shape));
         let crossed = [
@@ -190,7 +200,8 @@ impl<'a, P: Float> Boundary<'a, P> {
             crossed,
             surfaces: scene.surfaces(),
             curves,
-            shadows: Shadows::of(scene, context.settings.max_depth),
+            shadows: Lights::of(scene, max_depth, AnyEmitter::draws_shadows),
+            turning: Lights::of(scene, max_depth, |e| scene.turns_away(e)),
             pinhole: scene.camera.pinhole(&scene.film),
             moving,
             seed,
@@ -202,6 +213,7 @@ impl<'a, P: Float> Boundary<'a, P> {
         let any = match source {
             Source::Film => self.curves.length() > 0.0,
             Source::Shadows => self.shadows.any(),
+            Source::Turns => self.turning.any(),
         };
         let pixels = self.context.scene.film.pixels() as u64;
         if any {
@@ -223,6 +235,7 @@ impl<'a, P: Float> Boundary<'a, P> {
                 self.on_film::<S, X>([i % count, count], i / count)
             }
             Source::Shadows => self.before_light(i),
+            Source::Turns => self.at_turn(i),
         }
     }
 
@@ -712,7 +725,7 @@ pub(super) fn image<R: Components, S: Strategy, X: Sampler>(pass: &Pass<R>) -> R
         c.value.map(|v| speed * Const(v))
     };
 
-    for source in [Source::Film, Source::Shadows] {
+    for source in Source::ALL {
         if !splat::<R, S, X>(pass, &boundary, source, &color, &mut out) {
             out.cancelled = true;
             return out;
@@ -781,7 +794,7 @@ pub(super) fn gradient<P: Float, S: Strategy, X: Sampler>(
     };
 
     // ---- Samples with places of their own on the film ----
-    for source in [Source::Film, Source::Shadows] {
+    for source in Source::ALL {
         let per_sample = boundary.per_sample(source);
         let first = pass.samples.start * per_sample;
         let total = samples * per_sample;

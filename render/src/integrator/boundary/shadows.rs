@@ -25,26 +25,26 @@ use crate::emitter::{AnyEmitter, Emission, Emitter};
 use crate::math::{Frame, NOWHERE, Ray, Rgb};
 use crate::params::Theta;
 use crate::sampler::{Family, Points, Sampler, Spread};
-use crate::scene::Scene;
+use crate::scene::{Intersection, Scene};
 use crate::shape::{Shape, SurfaceInteraction, lift3};
 
 /// What edges that do not move count beside others, where the light does not either: what they shade may.
 const STILL: f64 = 0.1;
 
-/// The lights that shadows are drawn from.
-pub(super) struct Shadows {
+/// Lights that samples start from.
+pub(super) struct Lights {
     /// Indices of emitters, and running sums of how often they are chosen.
     lights: Vec<(u32, f64)>,
 }
 
-impl Shadows {
-    /// Those of a scene, for paths of so many edges.
-    pub fn of(scene: &Scene, max_depth: u32) -> Self {
+impl Lights {
+    /// Those of a scene that are `wanted`, for paths of so many edges.
+    pub fn of(scene: &Scene, max_depth: u32, wanted: impl Fn(&AnyEmitter) -> bool) -> Self {
         let mut lights = Vec::new();
         let mut sum = 0.0;
         if max_depth >= 2 {
             for (e, i) in scene.emitters().iter().zip(0..) {
-                if e.draws_shadows() {
+                if wanted(e) {
                     sum += scene.shares().of(i as usize);
                     lights.push((i, sum));
                 }
@@ -59,7 +59,7 @@ impl Shadows {
     }
 
     /// A light, and one over the probability that it is this one.
-    fn choose(&self, u: f64) -> Option<(u32, f64)> {
+    pub fn choose(&self, u: f64) -> Option<(u32, f64)> {
         let total = self.lights.last()?.1;
         let i = self.lights.partition_point(|l| l.1 <= u * total);
         let i = i.min(self.lights.len() - 1);
@@ -70,17 +70,40 @@ impl Shadows {
 }
 
 /// A point on a light.
-struct Start<P> {
+pub(super) struct Start<P> {
     /// From which rays start, whatever their direction is.
     p: Vec3<P>,
-    /// Primitive of the scene and surface, of areas.
-    surface: Option<(u32, u32, SurfaceInteraction<P>)>,
+    /// Primitive of the scene, shape and surface, of areas.
+    pub surface: Option<(u32, u32, SurfaceInteraction<P>)>,
     /// One over the density per area; of points one.
-    weight: f64,
+    pub weight: f64,
+}
+
+/// What a ray from a light meets, as the camera sees it.
+pub(super) struct Receiver<P> {
+    /// Of [`Mover::Seen`]: primitive, place on the film, surface.
+    seen: (u32, [P; 2], SurfaceInteraction<P>),
+    /// Of the scene.
+    shape: u32,
+    /// What it scatters towards the camera, with the cosine of the ray.
+    pub f: Rgb<P>,
+    /// Area on the film that an area across the ray takes there.
+    pub area: f64,
+}
+
+impl<P: Float> Receiver<P> {
+    /// Where on the film.
+    pub fn at(&self) -> [f64; 2] {
+        self.seen.1.map(P::to_f64)
+    }
+
+    fn surface(&self) -> &SurfaceInteraction<P> {
+        &self.seen.2
+    }
 }
 
 impl<P: Float> Boundary<'_, P> {
-    fn start(&self, emitter: &AnyEmitter, u: [P; 2]) -> Option<Start<P>> {
+    pub(super) fn start(&self, emitter: &AnyEmitter, u: [P; 2]) -> Option<Start<P>> {
         let point = |p: [f32; 3]| Start {
             p: lift3(p),
             surface: None,
@@ -150,6 +173,11 @@ impl<P: Float> Boundary<'_, P> {
             interest: &interest,
         };
         let edge = self.edges.draw(&seeker, &[], u)?;
+        // No light leaves in the plane of its own face, which the sides of that are in.
+        let level = self.clearance(edge.shape, edge.distance);
+        if n_geo.is_some_and(|n| n.dot(edge.p - y).abs() <= level) {
+            return None;
+        }
         let surface = start.surface.as_ref().map(|(_, _, si)| si);
         let leaving = edge.direction.map(P::of).normalize();
         let (emission, _): (Emission<P>, P) = emitter.leaves(leaving, surface)?;
@@ -164,7 +192,41 @@ impl<P: Float> Boundary<'_, P> {
 
         // ---- What it shades, as the camera sees that ----
         let (ray, hit) = self.past(&edge, from, 2)?;
-        let hit = hit?;
+        let receiver = self.receiver(&ray, hit?)?;
+        let si = receiver.surface();
+        let x = wide(si.p);
+        // Where it stands on that, it shades nothing that it does not hide on the film, with rays as near as these.
+        let beside = self.clearance(edge.shape, si.t.to_f64());
+        if wide(si.n_geo).dot(edge.p - x).abs() <= beside {
+            return None;
+        }
+        let [to_edge, to_light] = [edge.p, y].map(|p| (p - x).length());
+        let cos_light = n_geo.map_or(1.0, |n| n.dot(wide(ray.d)).abs());
+        let measure = edge.weight * cos_light / edge.distance;
+        let weight = weight * start.weight * measure * receiver.area / count;
+
+        // ---- How fast, times the distance of the edge, which may be small ----
+        let n = edge.normal;
+        let part = to_edge / to_light;
+        let mut form: Form<P> = self.of_edge(&edge, n).into_iter().collect();
+        match &start.surface {
+            Some((prim, shape, si)) => {
+                form.extend(self.material(*prim, *shape, || *si, n * -part));
+            }
+            None if moves => {
+                let mover = emitter.moved_by().map(Mover::Light);
+                form.extend(mover.map(|mover| Term::point(mover, n * -part)));
+            }
+            None => {}
+        }
+        form.extend(self.of_receiver(&receiver, n * (part - 1.0)));
+        let value = -(receiver.f * le).scale(P::of(weight));
+        (!form.is_empty()).then_some((receiver.at(), Contribution { value, form }))
+    }
+
+    /// What a ray from a light meets, if the camera sees that and it scatters light to it.
+    pub(super) fn receiver(&self, ray: &Ray<P>, hit: Intersection<P>) -> Option<Receiver<P>> {
+        let scene = self.context.scene;
         let info = scene.shape_info(hit.shape);
         let hidden = self.context.settings.hides(1);
         if info.delta || (hidden && info.emitter.is_some()) {
@@ -185,41 +247,20 @@ impl<P: Float> Boundary<'_, P> {
         if scene.out_of_sight(&si.shadow_ray(towards, distance, exit, NOWHERE), hidden) {
             return None;
         }
-        let d = wide(ray.d);
-        let n_x = wide(si.n_geo);
-        let x = wide(si.p);
-        // Where it stands on that, it shades nothing that it does not hide on the film, with rays as near as these.
-        let beside = self.clearance(edge.shape, distance.to_f64());
-        if n_x.dot(edge.p - x).abs() <= beside {
-            return None;
-        }
-        let [to_edge, to_light] = [edge.p, y].map(|p| (p - x).length());
-        let cos_light = n_geo.map_or(1.0, |n| n.dot(d).abs());
-        let measure = edge.weight * cos_light / (edge.distance * n_x.dot(d).abs());
-        let seen = area.to_f64() * n_x.dot(wide(towards)).abs();
-        let weight = weight * start.weight * measure * seen / count;
+        let [across, along] = [towards, ray.d].map(|d| wide(si.n_geo).dot(wide(d)).abs());
+        let surface = SurfaceInteraction { t: distance, ..*si };
+        Some(Receiver {
+            seen: (hit.prim, at, surface),
+            shape: hit.shape,
+            f,
+            area: area.to_f64() * across / along,
+        })
+    }
 
-        // ---- How fast, times the distance of the edge, which may be small ----
-        let n = edge.normal;
-        let part = to_edge / to_light;
-        let mut form: Form<P> = self.of_edge(&edge, n).into_iter().collect();
-        match &start.surface {
-            Some((prim, shape, si)) => {
-                form.extend(self.material(*prim, *shape, || *si, n * -part));
-            }
-            None if moves => {
-                let mover = emitter.moved_by().map(Mover::Light);
-                form.extend(mover.map(|mover| Term::point(mover, n * -part)));
-            }
-            None => {}
-        }
-        if self.moving.camera || self.moving.shapes[hit.shape as usize] {
-            let seen = SurfaceInteraction { t: distance, ..*si };
-            let mover = Mover::Seen(hit.prim, at, seen);
-            form.push(Term::point(mover, n * (part - 1.0)));
-        }
-        let value = -(f * le).scale(P::of(weight));
-        let at = at.map(P::to_f64);
-        (!form.is_empty()).then_some((at, Contribution { value, form }))
+    /// The term of a receiver, whose point of the film stays, if it moves.
+    pub(super) fn of_receiver(&self, receiver: &Receiver<P>, along: Vec3<f64>) -> Option<Term<P>> {
+        let (prim, at, si) = receiver.seen;
+        let moves = self.moving.camera || self.moving.shapes[receiver.shape as usize];
+        moves.then(|| Term::point(Mover::Seen(prim, at, si), along))
     }
 }

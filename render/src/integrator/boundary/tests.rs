@@ -435,6 +435,27 @@ fn nothing_changes_where_all_move_alike() {
     }
 }
 
+/// A box that emits inwards lights nothing outside: no light passes its sides in their own planes.
+#[test]
+fn what_a_closed_box_holds_stays_there() {
+    let names = ["floor.translation", "box.translation", "sensor.translation"];
+    let mut s = scene(
+        r#"<shape type="rectangle" id="floor"><transform name="to_world"><scale value="4"/><rotate x="1" angle="-90"/>
+            <translate y="-1.5" z="3"/></transform></shape>
+        <shape type="cube" id="box"><boolean name="flip_normals" value="true"/><transform name="to_world">
+            <scale value="0.5"/><rotate x="1" y="2" angle="35"/><translate z="3"/></transform>
+            <emitter type="area"/></shape>"#,
+        2,
+    );
+    s.make_movable(&names).expect("known");
+    for found in [
+        gradient_of::<f64>(&s, &names, 16),
+        gradient_of::<f32>(&s, &names, 16),
+    ] {
+        assert!(found.iter().all(|e| e.mean == 0.0), "{found:?}");
+    }
+}
+
 /// Forward and reverse mode are one linear map.
 #[test]
 fn forward_is_reverse() {
