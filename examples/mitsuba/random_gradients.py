@@ -248,7 +248,7 @@ def check(args, seed, folder, counts):
         if code == 0:
             admitted.append(name)
         elif code == 1:
-            counts["refused"] += 1
+            counts["parameters refused"] += 1
             lines += [f"refused: {message}"] if args.verbose else []
         else:
             return "FAILS", [f"{name}: {message}"]
