@@ -44,9 +44,10 @@ With --check, every derivative is compared with central differences of the image
 value, or along four random directions for textures. Differences use common random numbers and a step that
 pilots choose; two steps are extrapolated, and what that changes counts as an error. Right: both agree, and an
 error of --tolerance would have been noticed (exit code 0). Wrong: they differ beyond chance (significance 1e-3
-over all derivatives), and again with four times the repeats and a quarter of the step (exit code 3). Cannot tell: the
-noise of --spp and --repeats, or what the step changes, is too large for either (exit code 4). Without --param: all parameters that the estimator sees. With
---loss the adjoint image is held fixed: what noise does to a loss is not judged.";
+over all derivatives), and again with four times the repeats and a quarter of the step (exit code 3). Cannot
+tell: the noise of --spp and --repeats, or what the step changes, is too large for either (exit code 4). Without
+--param: all parameters that the estimator sees. With --loss the adjoint image is held fixed: what noise does to
+a loss is not judged.";
 
 /// Differentiates an image of a scene, in reverse mode
 #[derive(Parser, Clone, Debug)]

@@ -507,9 +507,10 @@ impl Scene {
     }
 
     /// Whether the estimator has terms for all outlines that move with this parameter, where paths have up to `max_depth`
-    /// edges, if it has any. Where directions follow outlines, they slide over everything: no texture may jump then. Shadows of lights that no scattered light meets are drawn from the light, if it is a point or a
-    /// spot, for samples of edges alone and only as the camera sees them. Directions that follow points of the film need a
-    /// pixel filter whose derivative has samples: a box or a Gaussian.
+    /// edges, if it has any. Where directions follow outlines, they slide over everything: no texture may jump then. Shadows of
+    /// lights that no scattered light meets are drawn from the light, if it is a point or a spot, for samples of edges alone
+    /// and only as the camera sees them. Directions that follow points of the film need a pixel filter whose derivative has
+    /// samples: a box or a Gaussian.
     ///
     /// # Errors
     /// Names the parameter, and what is in the way. None for parameters that move nothing.

@@ -47,7 +47,7 @@ pub fn figure(fig: &mut Figure) -> Result {
     let again = |k: u64, method: Method| {
         let connections = Connections {
             bounces: 1,
-            starts: Starts::TwoStage,
+            starts: Starts::Uniform,
             ..Connections::new(method)
         };
         measure(&plane, connections, false, effort.other(k))

@@ -1,5 +1,5 @@
 //! Paths, one walk towards the light with paths for what it misses and without, unbiased estimates and trial sets, compared in one scene.
-//! Walks start in two stages, as published: solutions that particles show would make unbiased estimates less noisy than trial sets.
+//! Walks start anywhere, as published: solutions that particles show make unbiased estimates less noisy than trial sets.
 
 use render::Scene;
 use render::scene::{Connections, Method, Starts};
@@ -42,7 +42,7 @@ pub fn compare(
     let measured = |k: u64, method: Method, by_paths: bool, spp: u64| {
         let connections = Connections {
             bounces,
-            starts: Starts::TwoStage,
+            starts: Starts::Uniform,
             ..Connections::new(method)
         };
         let effort = Effort {
