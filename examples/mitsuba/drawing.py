@@ -1,8 +1,10 @@
 """Scenes drawn from a seed: a floor and one or two shapes of random materials, textures and places, under one or two lights, seen
 by a random camera; and the files that they refer to. Nothing but the standard library is needed."""
+import argparse
 import math
 import os
 import random
+import shutil
 import struct
 import zlib
 
@@ -265,3 +267,29 @@ def write_assets(folder):
     write_exr(at("rgb.exr"), 32, [values.random() for _ in range(3 * 32 * 16)])
     for name in ("waves.obj", "waves.ply"):
         write_mesh(at(name), *waves(12))
+
+
+def parser(doc, tool):
+    """Arguments of a script that tries scenes with one of the tools."""
+    p = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
+    p.add_argument("--seeds", type=int, nargs=2, default=[0, 20], metavar=("FROM", "TO"), help="[default: 0 20]")
+    p.add_argument("--spp", type=int, default=128, help="samples per pixel of each run [default: 128]")
+    p.add_argument("--binaries", default="target/release", help=f"folder of `{tool}` [default: target/release]")
+    p.add_argument("--keep", metavar="FOLDER", help="for the files of scenes that are reported")
+    return p
+
+
+def find(p, args, tool):
+    """Where the tool is."""
+    path = os.path.abspath(os.path.join(args.binaries, tool))
+    if not os.path.exists(path):
+        p.error(f"{path}: expected a file, found none")
+    return path
+
+
+def keep(args, folder, names):
+    """Copies files of a scene to where they are to be kept, if anywhere."""
+    if args.keep:
+        os.makedirs(args.keep, exist_ok=True)
+        for name in names:
+            shutil.copy(os.path.join(folder, name), args.keep)

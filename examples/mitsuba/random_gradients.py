@@ -13,18 +13,16 @@ files of these scenes, with what they refer to, are kept in the folder that is n
 A derivative may be wrong by chance (one scene in a thousand), or by differences whose step is too large: look again with
 another `--seed`, more `--spp`, and a smaller scene.
 """
-import argparse
 import math
 import os
 import random
 import re
-import shutil
 import subprocess
 import sys
 import tempfile
 from collections import Counter
 
-from drawing import PLAIN, Draw, waves, write_assets, write_exr, write_mesh
+from drawing import PLAIN, Draw, find, keep, parser, waves, write_assets, write_exr, write_mesh
 
 SIZE = (24, 18)
 METAL_FLOOR = '<bsdf type="twosided"><bsdf type="roughconductor"><float name="alpha" value="0.3"/></bsdf></bsdf>'
@@ -45,20 +43,14 @@ LONGEST = 600
 
 
 def parse():
-    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    p.add_argument("--seeds", type=int, nargs=2, default=[0, 20], metavar=("FROM", "TO"), help="[default: 0 20]")
+    p = parser(__doc__, "gradient")
     p.add_argument("--still", action="store_true", help="parameters of materials, textures and lights, and nothing that moves")
-    p.add_argument("--spp", type=int, default=128, help="samples per pixel and repeat [default: 128]")
     p.add_argument("--repeats", type=int, default=16, help="of gradients and differences [default: 16]")
     p.add_argument("--seed", type=int, default=0, help="of the samples [default: 0]")
     p.add_argument("--threads", type=int, default=0, help="[default: one per processor]")
-    p.add_argument("--binaries", default="target/release", help="folder of `gradient` [default: target/release]")
-    p.add_argument("--keep", metavar="FOLDER", help="for the files of scenes with wrong derivatives")
     p.add_argument("--verbose", action="store_true", help="print what was refused, and every derivative")
     args = p.parse_args()
-    args.gradient = os.path.abspath(os.path.join(args.binaries, "gradient"))
-    if not os.path.exists(args.gradient):
-        p.error(f"{args.gradient}: expected a file, found none")
+    args.gradient = find(p, args, "gradient")
     return args
 
 
@@ -276,10 +268,8 @@ def main():
             what, lines = check(args, seed, folder, counts)
             counts[what] += 1
             print(f"{seed}: {what}; " + "\n    ".join(lines), flush=True)
-            if what in ("WRONG", "FAILS") and args.keep:
-                os.makedirs(args.keep, exist_ok=True)
-                for name in [*assets, f"{seed}.xml"]:
-                    shutil.copy(os.path.join(folder, name), args.keep)
+            if what in ("WRONG", "FAILS"):
+                keep(args, folder, [*assets, f"{seed}.xml"])
     print(", ".join(f"{n} {what}" for what, n in sorted(counts.items())))
     sys.exit(counts["WRONG"] + counts["FAILS"] > 0)
 

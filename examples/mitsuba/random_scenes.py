@@ -12,31 +12,23 @@ scene; files of those that differ, with what they refer to, are kept in the fold
 What is known to differ is not drawn (see `Scene files` in CONVENTIONS.md): `roughplastic`, `mask` and `blendbsdf`, numbers on
 images of `principled` that only Mitsuba reads, filters that reach over the border, and `hide_emitters`.
 """
-import argparse
 import os
-import shutil
 import subprocess
 import sys
 import tempfile
 
-from drawing import Draw, write_assets
+from drawing import Draw, find, keep, parser, write_assets
 
 BLOCK = (6, 8)
 
 
 def parse():
-    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    p.add_argument("--seeds", type=int, nargs=2, default=[0, 20], metavar=("FROM", "TO"), help="[default: 0 20]")
+    p = parser(__doc__, "render")
     p.add_argument("--runs", type=int, default=8, help="images of each renderer and scene [default: 8]")
-    p.add_argument("--spp", type=int, default=128, help="samples per pixel of each [default: 128]")
     p.add_argument("--limit", type=float, default=9.0, help="standard errors that blocks may differ by [default: 9]")
-    p.add_argument("--binaries", default="target/release", help="folder of `render` [default: target/release]")
     p.add_argument("--variant", default="llvm_ad_rgb", help="of Mitsuba 3 [default: llvm_ad_rgb]")
-    p.add_argument("--keep", metavar="FOLDER", help="for the files of scenes that differ")
     args = p.parse_args()
-    args.render = os.path.abspath(os.path.join(args.binaries, "render"))
-    if not os.path.exists(args.render):
-        p.error(f"{args.render}: expected a file, found none")
+    args.render = find(p, args, "render")
     if args.runs < 2:
         p.error("--runs: expected at least two")
     return args
@@ -103,10 +95,7 @@ def main():
             print(f"{seed}: {what}; {found}", flush=True)
             if what == "DIFFERS":
                 different += 1
-                if args.keep:
-                    os.makedirs(args.keep, exist_ok=True)
-                    for name in [*assets, f"{seed}.xml"]:
-                        shutil.copy(os.path.join(folder, name), args.keep)
+                keep(args, folder, [*assets, f"{seed}.xml"])
     print(f"{different} of {args.seeds[1] - args.seeds[0]} differ")
     sys.exit(different > 0)
 

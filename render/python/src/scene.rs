@@ -156,6 +156,12 @@ fn sample_count(spp: u32) -> PyResult<u32> {
     )))
 }
 
+/// A `RuntimeWarning`.
+fn warn(py: Python<'_>, message: String) -> PyResult<()> {
+    let category = py.get_type::<PyRuntimeWarning>();
+    PyErr::warn(py, category.as_any(), &CString::new(message)?, 1)
+}
+
 /// Warns of samples that were left out.
 fn warn_of(py: Python<'_>, bad: &NonFinite, width: usize, seed: u64) -> PyResult<()> {
     let Some((pixel, sample)) = bad.first else {
@@ -166,8 +172,7 @@ fn warn_of(py: Python<'_>, bad: &NonFinite, width: usize, seed: u64) -> PyResult
         "{} samples were not finite and are left out; the first is sample {sample} of pixel ({x}, {y}) with seed {seed}",
         bad.count
     );
-    let category = py.get_type::<PyRuntimeWarning>();
-    PyErr::warn(py, category.as_any(), &CString::new(message)?, 1)
+    warn(py, message)
 }
 
 /// Warns of shapes of which samples of edges do not tell how they cross.
@@ -177,11 +182,8 @@ fn warn_of_doubts<N: AsRef<str>>(
     estimator: Estimator,
     keys: &[N],
 ) -> PyResult<()> {
-    let category = py.get_type::<PyRuntimeWarning>();
-    for doubt in estimator.doubts(scene, keys) {
-        PyErr::warn(py, category.as_any(), &CString::new(doubt)?, 1)?;
-    }
-    Ok(())
+    let mut doubts = estimator.doubts(scene, keys).into_iter();
+    doubts.try_for_each(|doubt| warn(py, doubt))
 }
 
 impl Scene {
@@ -580,6 +582,9 @@ impl Scene {
             .map(|i| i.cloned())
             .collect::<Result<_, _>>()
             .map_err(Error::from)?;
+        if let Some(estimator) = estimator {
+            warn_of_doubts(py, scene, estimator, &keys)?;
+        }
         let total = scene.film.pixels() as u64;
         let found = work(py, total, progress.as_ref(), |progress| {
             let job = Job::new(scene, &settings, seed, 0..settings.spp.into(), progress);
@@ -588,9 +593,6 @@ impl Scene {
             Ok(chosen.backward_f32(&job, &theta, &keys, &adjoint)?)
         })?;
         warn_of(py, &found.non_finite, size(scene)[0], seed)?;
-        if let Some(estimator) = estimator {
-            warn_of_doubts(py, scene, estimator, &keys)?;
-        }
         let out = PyDict::new(py);
         for (info, values) in infos.iter().zip(found.values) {
             out.set_item(&info.name, array(py, values, &shape(info))?)?;

@@ -1,5 +1,6 @@
 """Scenes, parameters and images."""
 
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -165,6 +166,32 @@ def test_what_may_move_becomes_a_parameter(room: rg.Scene) -> None:
     assert found["sphere.translation"].shape == (3,) and found["sphere.translation"].any()
     with pytest.raises(KeyError, match="spere.translation"):
         room.make_movable("spere.translation")
+
+
+TWICE = """<scene version="3.0.0">
+  <sensor type="perspective"><transform name="to_world"><lookat origin="0,0,4" target="0,0,0" up="0,1,0"/></transform>
+    <film type="hdrfilm"><integer name="width" value="4"/><integer name="height" value="3"/></film></sensor>
+  <shape type="rectangle" id="one"/><shape type="rectangle" id="other"/>
+  <emitter type="constant" id="sky"/>
+</scene>"""
+
+
+def test_shapes_that_may_cross_are_warned_of_where_edges_are_sampled(tmp_path: Path) -> None:
+    path = tmp_path / "twice.xml"
+    path.write_text(TWICE)
+    scene = rg.load(path)
+    scene.make_movable("one.translation")
+    adjoint = np.ones((*scene.size, 3))
+    expected = "`one` and `other` have faces in the same place"
+    with pytest.warns(RuntimeWarning, match=expected):
+        scene.backward(adjoint, "one.translation", "edges", spp=1)
+    with pytest.warns(RuntimeWarning, match=expected):
+        scene.forward("one.translation", "edges", spp=1)
+    # Nothing moves, or no edges are sampled.
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        scene.backward(adjoint, "sky.radiance.value", "edges", spp=1)
+        scene.backward(adjoint, "one.translation", "interior", spp=1)
 
 
 VIEWS = """<scene version="3.0.0">

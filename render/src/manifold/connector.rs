@@ -30,7 +30,7 @@ const PART_LANDED: f64 = 0.5;
 pub struct Statistics {
     /// Vertices and light samples that were to be connected.
     pub attempts: u64,
-    /// Those whose first walk, or any of a trial set, found light.
+    /// Those for which any walk found light that counts.
     pub found: u64,
     /// Walks.
     pub walks: u64,

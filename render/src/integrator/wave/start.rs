@@ -1,6 +1,6 @@
 //! Where paths start.
 
-use ad_core::Float;
+use ad_core::{Float, Vec3};
 
 use super::Wave;
 use super::lanes::{Field, Lane, WAVE_SIZE, whole};
@@ -44,10 +44,34 @@ impl<P: Float, X: Sampler> Wave<P, X> {
     /// Camera rays through these points of the image and these places of the lens.
     #[inline(never)]
     fn look_through(&mut self, camera: &Camera, lens: &ThinLens, [x, y, u, v]: [&Lane<P>; 4]) {
+        self.aim(
+            |i| camera.through(lens, x[i], y[i], [u[i], v[i]]),
+            |i| camera.ray_through(x[i], y[i], [u[i], v[i]]).d,
+        );
+    }
+
+    /// Camera rays through these points of the image.
+    #[inline(never)]
+    fn look(&mut self, camera: &Camera, x: &Lane<P>, y: &Lane<P>) {
+        let origin = camera.origin().map(P::of).into();
+        self.aim(
+            |i| (origin, camera.direction(x[i], y[i])),
+            |i| camera.ray(x[i], y[i]).d,
+        );
+    }
+
+    /// Paths from a point in a direction of any length; in the other one, of unit length, where that cannot be normalised
+    /// without a branch.
+    #[inline(always)]
+    fn aim(
+        &mut self,
+        from: impl Fn(usize) -> (Vec3<P>, Vec3<P>),
+        otherwise: impl Fn(usize) -> Vec3<P>,
+    ) {
         let paths = &mut self.paths;
         let mut right = Lane::<u32>::zero();
         for i in 0..whole(self.n) {
-            let (o, to) = camera.through(lens, x[i], y[i], [u[i], v[i]]);
+            let (o, to) = from(i);
             let (d, is_right) = to.unit();
             paths.o.put_vec(i, o);
             paths.d.put_vec(i, d);
@@ -56,28 +80,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         }
         for i in 0..self.n {
             if right[i] == 0 {
-                let ray = camera.ray_through(x[i], y[i], [u[i], v[i]]);
-                paths.d.put_vec(i, ray.d);
-            }
-        }
-    }
-
-    /// Camera rays through these points of the image.
-    #[inline(never)]
-    fn look(&mut self, camera: &Camera, x: &Lane<P>, y: &Lane<P>) {
-        let paths = &mut self.paths;
-        let origin = camera.origin().map(P::of).into();
-        let mut right = Lane::<u32>::zero();
-        for i in 0..whole(self.n) {
-            let (d, is_right) = camera.direction(x[i], y[i]).unit();
-            paths.o.put_vec(i, origin);
-            paths.d.put_vec(i, d);
-            paths.surface[i] = NOWHERE;
-            right[i] = u32::from(is_right);
-        }
-        for i in 0..self.n {
-            if right[i] == 0 {
-                paths.d.put_vec(i, camera.ray(x[i], y[i]).d);
+                paths.d.put_vec(i, otherwise(i));
             }
         }
     }
