@@ -96,6 +96,14 @@ class Draw:
         index = lambda: self.one(f'<float name="eta" value="{self.number(1.2, 1.8)}"/>', f'<float name="specular" value="{self.number(0.1, 0.9)}"/>')
         return body + self.perhaps(0.4, index)
 
+    def hair(self):
+        pigments = lambda: "".join(f'<float name="{name}" value="{self.number(0.05, 1)}"/>' for name in ("eumelanin", "pheomelanin"))
+        dye = lambda: self.value("sigma_a") + self.perhaps(0.5, lambda: f'<float name="scale" value="{self.number(0.2, 2)}"/>')
+        body = self.perhaps(0.8, pigments if self.chance(0.5) else dye)
+        for name, low, high in (("longitudinal_roughness", 0.2, 0.9), ("azimuthal_roughness", 0.2, 0.9), ("scale_tilt", -8, 8), ("int_ior", 1.3, 1.7)):
+            body += self.perhaps(0.5, lambda: f'<float name="{name}" value="{self.number(low, high)}"/>')
+        return body
+
     def leaf(self, kinds):
         kind = self.one(*kinds)
         reflects = lambda part, name="specular_reflectance": self.perhaps(part, lambda: self.value(name))
@@ -109,13 +117,14 @@ class Draw:
             "roughdielectric": lambda: index + self.roughness(False) + reflects(0.3) + reflects(0.4, "specular_transmittance"),
             "plastic": lambda: index + self.value("diffuse_reflectance") + self.perhaps(0.5, lambda: '<boolean name="nonlinear" value="true"/>'),
             "principled": self.principled,
+            "hair": self.hair,
             "null": lambda: "",
         }[kind]()
         return f'<bsdf type="{kind}">{body}</bsdf>'
 
     def material(self):
         opaque = ("diffuse", "conductor", "roughconductor", "plastic")
-        every = (*opaque, "diffuse", "roughconductor", "dielectric", "thindielectric", "roughdielectric", "principled", "null")
+        every = (*opaque, "diffuse", "roughconductor", "dielectric", "thindielectric", "roughdielectric", "principled", "hair", "null")
         raw = '<boolean name="raw" value="true"/>'
         kind = self.random.random()
         if kind < 0.2:

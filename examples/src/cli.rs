@@ -13,6 +13,7 @@ use render::auto;
 use render::emitter::Emitter;
 use render::estimator::{Capabilities, Refusal};
 use render::glint::glinty_shapes;
+use render::image_io::Encoding;
 use render::instances::Estimator;
 use render::integrator::particle;
 use render::integrator::render::{NonFinite, Progress};
@@ -21,8 +22,8 @@ use render::manifold::{Split, Statistics};
 use render::params::{ParamInfo, ParamShape};
 use render::sampler::Points;
 use render::scene::{
-    Caustics, Connections, Constraint, GlintMethod, GlintRegion, GlintWeights, Glints, LightChoice,
-    LoadOptions, Method, Starts, Uniqueness,
+    CasterLight, Caustics, Connections, Constraint, GlintMethod, GlintRegion, GlintWeights, Glints,
+    LightChoice, LoadOptions, Method, Starts, Uniqueness,
 };
 use render::{RenderError, Scene, SceneError, Settings, image_io};
 use serde::de::Error as _;
@@ -237,6 +238,18 @@ pub fn can(estimator: &str, like: impl Fn(Capabilities) -> bool) -> bool {
     Estimator::from_name(estimator).is_ok_and(|e| like(e.capabilities()))
 }
 
+/// Says why an estimator is biased, if it is.
+pub fn warn_of_failures(estimator: Estimator) {
+    for failure in estimator.capabilities().failures.iter() {
+        complain!(
+            "warning: `{}` is biased on purpose: {} ({})",
+            estimator.name(),
+            failure.name(),
+            failure.number()
+        );
+    }
+}
+
 /// Says how many emitters an estimator never meets, if any: those that are found only by sampling them.
 pub fn warn_of_unsampled(scene: &Scene, estimator: Estimator) {
     let missed = scene.emitters().iter().filter(|e| e.is_delta()).count();
@@ -269,8 +282,9 @@ pub struct LoadArgs {
     /// The sensor to look through, by its id or number [default: the first]
     #[arg(long, value_name = "ID", requires = "scene")]
     pub sensor: Option<String>,
-    /// Value of a parameter: a number, three for a colour, or an image of its size for texels. The key may be that of
-    /// Mitsuba, and `*` stands for any text in it
+    /// Value of a parameter: a number, three for a colour, or an image of its size for texels, decoded as the scene's own is;
+    /// FILE.EXR:LAYER names a layer. 16 numbers, row by row, for the matrix `ball.to_world` of a shape or `sensor.to_world`,
+    /// where they turn, move and scale evenly. The key may be that of Mitsuba, and `*` stands for any text in it
     #[arg(short = 'P', long = "set", value_name = "KEY=VALUE", value_parser = define,
           requires = "scene")]
     pub values: Vec<(String, String)>,
@@ -309,18 +323,41 @@ impl LoadArgs {
                 path.display()
             );
         }
-        if !self.values.is_empty() {
-            let keys: Vec<&String> = self.values.iter().map(|(key, _)| key).collect();
-            scene.make_movable(&keys)?;
-            let mut values = scene.params().values().to_vec();
-            for (key, text) in &self.values {
-                for info in scene.params().matching(key)? {
-                    assign(info, text, &mut values[info.range()])?;
-                }
-            }
-            scene.set_params(&values)?;
-        }
+        self.set(&mut scene)?;
         Ok((scene, start.elapsed().as_secs_f64()))
+    }
+
+    /// Gives parameters the values of `-P`.
+    ///
+    /// # Errors
+    /// A key that nothing has, or a value that it cannot have.
+    pub fn set(&self, scene: &mut Scene) -> Result<(), ToolError> {
+        if self.values.is_empty() {
+            return Ok(());
+        }
+        let (matrices, others): (Vec<_>, Vec<_>) = self
+            .values
+            .iter()
+            .partition(|(key, _)| Scene::is_matrix(key));
+        for (key, text) in matrices {
+            let matrix = numbers(text).ok_or_else(|| {
+                ToolError::Usage(format!(
+                    "-P {key}: expected 16 numbers, row by row, found `{text}`"
+                ))
+            })?;
+            scene.set([(key, &matrix[..])])?;
+        }
+        let keys: Vec<&String> = others.iter().map(|(key, _)| key).collect();
+        scene.make_movable(&keys)?;
+        let mut values = scene.params().values().to_vec();
+        for (key, text) in others {
+            for info in scene.params().matching(key)? {
+                let encoding = scene.params().encoding(info);
+                assign(info, text, encoding, &mut values[info.range()])?;
+            }
+        }
+        scene.set_params(&values)?;
+        Ok(())
     }
 }
 
@@ -341,17 +378,26 @@ pub fn names_of(scene: &mut Scene, keys: &[String]) -> Result<Vec<String>, Rende
     Ok(names)
 }
 
-/// Reads the value of a parameter from a text: numbers, or the name of an image.
-fn assign(info: &ParamInfo, text: &str, values: &mut [f32]) -> Result<(), ToolError> {
-    let numbers = (text.split([',', ' ']).filter(|t| !t.is_empty()))
+/// Numbers separated by commas or spaces.
+fn numbers(text: &str) -> Option<Vec<f32>> {
+    (text.split([',', ' ']).filter(|t| !t.is_empty()))
         .map(|t| t.parse().ok().filter(|x: &f32| x.is_finite()))
-        .collect::<Option<Vec<f32>>>();
+        .collect()
+}
+
+/// Reads the value of a parameter from a text: numbers, or the name of an image.
+fn assign(
+    info: &ParamInfo,
+    text: &str,
+    encoding: Encoding,
+    values: &mut [f32],
+) -> Result<(), ToolError> {
     let channels = match info.shape {
         ParamShape::Scalar => 1,
         ParamShape::Rgb | ParamShape::Vector | ParamShape::Points { .. } => 3,
         ParamShape::Texture { channels, .. } => channels,
     };
-    if let Some(numbers) = numbers.filter(|n| n.len() == 1 || n.len() == channels) {
+    if let Some(numbers) = numbers(text).filter(|n| n.len() == 1 || n.len() == channels) {
         for (value, x) in values.iter_mut().zip(numbers.iter().cycle()) {
             *value = *x;
         }
@@ -363,21 +409,29 @@ fn assign(info: &ParamInfo, text: &str, values: &mut [f32]) -> Result<(), ToolEr
             info.name
         ))
     };
+    let (file, layer) = image_io::split_layer(Path::new(text));
     let ParamShape::Texture { width, height, .. } = info.shape else {
-        return Err(wrong(match channels {
+        let numbers = match channels {
             1 => "a number",
             _ => "one or three numbers",
-        }));
+        };
+        let constant = matches!(info.shape, ParamShape::Scalar | ParamShape::Rgb);
+        return Err(match info.name.strip_suffix(".value") {
+            Some(texture) if constant && file.is_file() => {
+                let key = texture.rsplit('.').next().unwrap_or(texture);
+                wrong(&format!(
+                    "{numbers}, since it is the same everywhere (an image in its place is said in the scene file: \
+                     <texture type=\"bitmap\" name=\"{key}\"><string name=\"filename\" value=\"{}\"/></texture>)",
+                    file.display()
+                ))
+            }
+            _ => wrong(numbers),
+        });
     };
-    if !Path::new(text).is_file() {
+    if !file.is_file() {
         return Err(wrong("a number, or the name of an image"));
     }
-    let encoding = if channels == 1 {
-        image_io::Encoding::Raw
-    } else {
-        image_io::Encoding::Srgb
-    };
-    let image = image_io::read_layer(Path::new(text), encoding, None)?;
+    let image = image_io::read_layer(&file, encoding, layer.as_deref())?;
     let found = (image.width, image.height);
     let image = match channels {
         1 => image.into_grey(),
@@ -386,7 +440,8 @@ fn assign(info: &ParamInfo, text: &str, values: &mut [f32]) -> Result<(), ToolEr
     if found != (width, height) || image.data.len() != values.len() {
         let (w, h) = found;
         return Err(ToolError::Usage(format!(
-            "-P {}: expected an image of {width} x {height}, found one of {w} x {h} in `{text}`",
+            "-P {}: expected an image of {width} x {height}, as the scene has it, found one of {w} x {h} in `{text}`; one of \
+             another size is named in the scene file, or by -D where that has a `$name` for it",
             info.name
         )));
     }
@@ -439,8 +494,9 @@ pub struct ManifoldArgs {
     #[arg(long, value_name = "NAME", value_enum)]
     pub manifold: Option<ManifoldArg>,
     /// Walks of a trial set of --manifold sms-biased [default: 16]; of --manifold sms, most trials of an estimate, which
-    /// bias it where they are used up [default: 1048576]
-    #[arg(long, value_name = "M", value_parser = clap::value_parser!(u32).range(1..), requires = "manifold")]
+    /// bias it where they are used up [default: 65536]
+    #[arg(long, value_name = "M", requires = "manifold",
+          value_parser = clap::value_parser!(u32).range(1..=i64::from(Connections::MOST_WALKS)))]
     pub trials: Option<u32>,
     /// Most specular vertices of a chain [default: 2]
     #[arg(long, value_name = "K", requires = "manifold",
@@ -633,9 +689,6 @@ fn roughness(text: &str) -> Result<f64, String> {
     }
 }
 
-/// Size of a trial set [Zeltner 2021, figure 3.13].
-const TRIALS: u32 = 16;
-
 impl ManifoldArgs {
     /// Says so in `settings`.
     ///
@@ -645,7 +698,7 @@ impl ManifoldArgs {
         self.glints.apply(scene, settings)?;
         let usage = |message: &str| Err(ToolError::Usage(message.into()));
         let method = match self.manifold {
-            None => return Ok(()),
+            None => return admits(scene, settings),
             Some(ManifoldArg::Off) => {
                 let others = self.trials.is_some()
                     || self.constraint.is_some()
@@ -662,7 +715,9 @@ impl ManifoldArgs {
                 Method::LeftOut
             }
             Some(ManifoldArg::Sms) => Method::Sms,
-            Some(ManifoldArg::SmsBiased) => Method::SmsBiased(self.trials.unwrap_or(TRIALS)),
+            Some(ManifoldArg::SmsBiased) => {
+                Method::SmsBiased(self.trials.unwrap_or(Connections::TRIALS))
+            }
             Some(ManifoldArg::Mnee) => Method::Mnee,
             Some(ManifoldArg::MneeUnbiased) => Method::MneeUnbiased,
         };
@@ -696,15 +751,24 @@ impl ManifoldArgs {
         if let Some(threshold) = self.uniqueness_threshold {
             connections.uniqueness = Uniqueness::Threshold(threshold);
         }
-        match Split::of(scene, &connections) {
-            None => complain!(
+        if Split::of(scene, &connections).is_none() {
+            complain!(
                 "warning: --manifold: nothing smooth to connect lights over; paths find all light"
-            ),
-            Some(split) => split.admits(scene, method)?,
+            );
         }
         settings.connections = Some(connections);
-        Ok(())
+        admits(scene, settings)
     }
+}
+
+/// Whether the method finds all light that it takes from paths.
+fn admits(scene: &Scene, settings: &Settings) -> Result<(), ToolError> {
+    if let Some(connections) = &settings.connections
+        && let Some(split) = Split::of(scene, connections)
+    {
+        split.admits(scene, connections.method)?;
+    }
+    Ok(())
 }
 
 /// What walks to solutions came to, for reports.
@@ -749,6 +813,8 @@ pub struct ManifoldReport {
     pub unbiased: bool,
     /// Most vertices of a chain.
     pub bounces: u32,
+    /// Whether light over casters is there that is not of such chains.
+    pub other_light: bool,
     /// What walks came to, of vertices and light samples.
     #[serde(flatten)]
     pub walks: WalkReport,
@@ -806,6 +872,7 @@ impl ManifoldReport {
             Method::Mnee => ("mnee".to_owned(), false),
             Method::MneeUnbiased => ("mnee-unbiased".to_owned(), true),
             Method::LeftOut => ("left out".to_owned(), false),
+            Method::Paths => ("paths".to_owned(), true),
         };
         let light: f64 = rendering.sums[0].iter().sum::<f64>() / 3.0;
         let with_paths = connections.method == Method::MneeUnbiased;
@@ -815,6 +882,7 @@ impl ManifoldReport {
                 && s.exhausted == 0
                 && connections.uniqueness == Uniqueness::ErrorBounds,
             bounces: connections.bounces,
+            other_light: connections.light == CasterLight::All,
             walks: WalkReport::of(s),
             share_of_light: if light > 0.0 {
                 rendering.light_of_connections / light
@@ -1007,8 +1075,8 @@ pub fn sample_count() -> clap::builder::RangedI64ValueParser<u32> {
 pub fn depth(text: &str) -> Result<u32, String> {
     match text.parse::<i64>() {
         Ok(-1) => Ok(u32::MAX),
-        Ok(d) if (0..=i64::from(u32::MAX)).contains(&d) => Ok(d as u32),
-        _ => Err("expected -1 for no limit, or a non-negative number of path edges".into()),
+        Ok(d) if (1..=i64::from(u32::MAX)).contains(&d) => Ok(d as u32),
+        _ => Err("expected -1 for no limit, or at least one path edge".into()),
     }
 }
 

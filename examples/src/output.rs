@@ -5,7 +5,7 @@ use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use render::Image;
-use render::image_io::{self, Pixels};
+use render::image_io::{self, Encoding, Pixels};
 use serde::Serialize;
 
 use crate::chart::{self, LineChart, Panel};
@@ -21,7 +21,8 @@ pub fn prepare(written: &[PathBuf], read: &[&Path]) -> Result<(), ToolError> {
     let mut uses: HashMap<PathBuf, &str> = HashMap::new();
     for path in read {
         // One that cannot be found has been complained about, or will be.
-        if let Ok(place) = image_io::target(path) {
+        let (file, _) = image_io::split_layer(path);
+        if let Ok(place) = image_io::target(&file) {
             uses.insert(place, "is read");
         }
     }
@@ -160,12 +161,13 @@ pub fn signed_panel(label: &str, image: &Image) -> Panel {
     readable(Panel::signed(label, image.width, &values, None))
 }
 
-/// Reads an image that must have this size, `[width, height]`.
+/// Reads an image that must have this size, `[width, height]`; `FILE.EXR:LAYER` is a layer of one.
 ///
 /// # Errors
 /// No image, one with a pixel that is not finite, or another size.
 pub fn read_image(path: &Path, [width, height]: [usize; 2]) -> Result<Image, ToolError> {
-    let image = image_io::read_rgb(path)?;
+    let (file, layer) = image_io::split_layer(path);
+    let image = image_io::read_layer(&file, Encoding::Srgb, layer.as_deref()).map(Image::from)?;
     if (image.width, image.height) != (width, height) {
         return Err(ToolError::file(
             path,

@@ -88,9 +88,14 @@ pub const OTHERS: &str = r#"<scene version="2.1.0">
     <bsdf type="twosided" id="b"><bsdf type="roughconductor"><float name="alphaU" value="0.3"/><float name="alphaV" value="0.1"/></bsdf></bsdf>
     <bsdf type="roughdielectric" id="d"><float name="alphaU" value="0.3"/><float name="alphaV" value="0.1"/></bsdf>
     <bsdf type="principled" id="q"><float name="anisotropic" value="0.5"/><float name="spec_trans" value="0.4"/></bsdf>
+    <bsdf type="principledthin" id="thin"><float name="diff_trans" value="0.5"/><float name="spec_trans" value="0.4"/>
+        <float name="spec_tint" value="0.5"/></bsdf>
+    <bsdf type="hair" id="h"><rgb name="sigma_a" value="0.5"/><float name="scale" value="2"/></bsdf>
     <shape type="sphere"><ref id="b"/></shape>
+    <shape type="sphere"><ref id="h"/></shape>
     <shape type="sphere"><ref id="d"/></shape>
     <shape type="sphere"><ref id="q"/></shape>
+    <shape type="sphere"><ref id="thin"/></shape>
     <shape type="shapegroup" id="g"><shape type="Sphere"><ref id="p"/></shape><shape type="cube"><ref id="t"/></shape></shape>
     <shape type="instance"><ref id="g"/><transform name="toWorld"><translate x="1"/></transform></shape>
     <shape type="ply"><string name="filename" value="a.ply"/><bsdf type="blendbsdf">
@@ -162,6 +167,10 @@ pub const LATEST: &str = r##"<scene version="3.0.0">
         <transform name="to_world"><rotate y="1" angle="30"/></transform></emitter>
 </scene>
 "##;
+
+/// Two curves.
+pub const CURVES: &str = "-1.0 0.1 0.1 0.5\n-0.3 1.2 1.0 0.5\n0.3 0.3 1.1 0.5\n1.0 1.4 1.2 0.4\n\n\
+    -1.0 5.0 2.2 1\n-2.3 4.0 2.3 2\n3.3 3.0 2.2 3\n4.0 2.0 2.3 4\n4.0 1.0 2.2 0\n";
 
 /// A mesh with some of everything.
 pub const MESH: &str = "# comment\nmtllib a.mtl\no thing\n\

@@ -8,9 +8,10 @@ use fuzz::{apply, check_message, config, corpus, mutations};
 use proptest::prelude::*;
 use render::Scene;
 use render::image_io::{Encoding, read};
+use render::math::Transform;
 use render::plugin::xml::{Document, Node};
 use render::scene::LoadOptions;
-use render::shape::{Mesh, ObjOptions};
+use render::shape::{CurveKind, Curves, Mesh, ObjOptions, Shape};
 
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
@@ -67,6 +68,22 @@ const OBJ: [&[u8]; 16] = [
     b"1e38",
     b"1e-45",
     b"g\n",
+    "\u{feff}".as_bytes(),
+];
+
+/// Pieces that mean something to the reader of curves.
+const CURVES: [&[u8]; 12] = [
+    b"\n",
+    b"\n\n",
+    b"\r",
+    b" ",
+    b"nan",
+    b"inf",
+    b"-1",
+    b"1e39",
+    b"1e12",
+    b"1e-45",
+    b"0 0 0 0\n",
     "\u{feff}".as_bytes(),
 ];
 
@@ -209,13 +226,30 @@ proptest! {
     }
 
     #[test]
+    fn damaged_curves_do_not_panic(changes in mutations(CURVES.len()), linear in any::<bool>()) {
+        let text = apply(corpus::CURVES.as_bytes(), &changes, &CURVES);
+        let kind = if linear { CurveKind::Linear } else { CurveKind::Spline };
+        let read = || Curves::from_text(&text, Path::new("a.txt"), kind, &Transform::IDENTITY);
+        let (read, memory) = peak(read);
+        prop_assert!(memory < MOST_MEMORY_OF_TEXT, "{} bytes", memory);
+        match read {
+            Ok((curves, _)) => {
+                prop_assert!(curves.points().as_flattened().iter().all(|x| x.is_finite()));
+                prop_assert!(curves.bounds().as_flattened().iter().all(|x| x.is_finite()));
+                prop_assert!(curves.area().is_finite() && curves.area() > 0.0);
+            }
+            Err(error) => check_message(&error),
+        }
+    }
+
+    #[test]
     fn damaged_meshes_do_not_panic(changes in mutations(OBJ.len())) {
         let text = apply(corpus::MESH.as_bytes(), &changes, &OBJ);
         let read = || Mesh::from_obj_text(&text, Path::new("a.obj"), &ObjOptions::default());
         let (read, memory) = peak(read);
         prop_assert!(memory < MOST_MEMORY_OF_TEXT, "{} bytes", memory);
         match read {
-            Ok(mesh) => {
+            Ok((mesh, _)) => {
                 let data = mesh.data();
                 prop_assert!(data.positions.as_flattened().iter().all(|x| x.is_finite()));
                 prop_assert!(data.normals.as_flattened().iter().all(|x| x.is_finite()));
@@ -263,7 +297,13 @@ fn undamaged_files_are_read() {
     let folder = folder();
     let (scene, warnings) =
         Scene::from_xml(corpus::SCENE, folder.path(), &LoadOptions::default()).unwrap();
-    assert!(warnings.is_empty(), "{warnings:?}");
+    // Of lines and points of the mesh.
+    let of_mesh = |w: &str| w.contains("a.obj:") && w.ends_with("has no effect");
+    let told: Vec<String> = warnings.iter().map(ToString::to_string).collect();
+    assert!(
+        told.len() == 2 && told.iter().all(|w| of_mesh(w)),
+        "{told:?}"
+    );
     assert!(!scene.params().values().is_empty());
     let (scene, _) =
         Scene::from_xml(corpus::OTHERS, folder.path(), &LoadOptions::default()).unwrap();

@@ -1,7 +1,20 @@
 //! Cameras: the perspective pinhole, and what differs from it.
+//!
+//! ```
+//! let room = render::scene::room(64, 32)?;
+//! let ray = room.camera.ray(40.0f64, 10.0); // from the top left, in pixels
+//! let point = ray.at(2.5);
+//!
+//! // Particles ask the other way round: where is a point seen?
+//! let pinhole = room.camera.pinhole::<f64>(&room.film);
+//! let ([x, y], _pixels_per_steradian) = pinhole.project(point - pinhole.origin).expect("seen");
+//! assert!((x - 40.0).abs() < 1e-9 && (y - 10.0).abs() < 1e-9);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 mod differential;
 mod lens;
+mod viewer;
 
 use std::f64::consts::PI;
 
@@ -9,12 +22,13 @@ use ad_core::{Const, Float, Real, Vec3};
 
 use crate::error::SceneError;
 use crate::film::Film;
-use crate::math::{Ray, RayAdjoint, Transform, each};
+use crate::math::{Ray, RayAdjoint, Transform, both, each};
 use crate::motion::Placement;
 use crate::params::{GradSink, ParamRef, Params, Theta};
 pub use differential::PerPixel;
 pub(crate) use lens::ThinLens;
 use lens::{Lens, bad};
+pub(crate) use viewer::{SightLine, Viewer};
 
 /// What the angle of view refers to.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -70,19 +84,51 @@ struct Rest {
     shift: [f64; 2],
 }
 
-/// A pinhole camera with Mitsuba's conventions: it looks along its local +z, +x of the world is on
-/// the right when it looks along -z with y up, and row 0 of the image is the top.
+/// What a camera's ray belongs to, beside its parameters.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CameraSample<P> {
+    /// The point of the image: x in [0, width], y in [0, height], from the top left.
+    pub film: [P; 2],
+    /// The place on the lens in the unit square, which only a lens looks at.
+    pub lens: [P; 2],
+}
+
+/// A number of a camera's optics that may be a parameter.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Optic {
+    /// Full angle of view in degrees.
+    Fov,
+    /// Radius of a thin lens.
+    Aperture,
+    /// Distance of what it sees sharply.
+    Focus,
+}
+
+impl Optic {
+    /// Its name.
+    pub const fn key(self) -> &'static str {
+        match self {
+            Self::Fov => "fov",
+            Self::Aperture => "aperture_radius",
+            Self::Focus => "focus_distance",
+        }
+    }
+}
+
+/// A camera with Mitsuba's conventions: it looks along its local +z, +x of the world is on
+/// the right when it looks along -z with y up, and row 0 of the image is the top. A pinhole, unless it is given a lens
+/// ([`Camera::with_lens`]) or parallel rays ([`Camera::orthographic`]).
 ///
 /// # Parameters
 /// None, unless the scene is told that the camera moves ([`crate::Scene::make_movable`]): a translation, a rotation about
-/// the pinhole and the angle of view. A camera inside of a shape sees its inside.
+/// its origin, the angle of view, and radius and distance of focus of a lens. A camera inside of a shape sees its inside.
 #[derive(Clone, Debug)]
 pub struct Camera {
     /// What it was made of.
     rest: Rest,
     placement: Placement,
-    /// Full angle in degrees.
-    fov: Option<ParamRef>,
+    /// By [`Optic`].
+    optics: [Option<ParamRef>; 3],
     origin: [f64; 3],
     /// Where it looks, as long as the camera's own z axis.
     forward: [f64; 3],
@@ -131,7 +177,7 @@ impl Camera {
                 shift: [0.0; 2],
             },
             placement: Placement::about(origin),
-            fov: None,
+            optics: [None; 3],
             origin,
             forward: to_world.vector([0.0, 0.0, 1.0]),
             dx,
@@ -173,19 +219,41 @@ impl Camera {
         self.placement.transform(params)
     }
 
+    /// Where it was made.
+    pub(crate) fn loaded(&self) -> Transform {
+        self.rest.to_world
+    }
+
     /// What moves it.
     pub(crate) fn placement(&mut self) -> &mut Placement {
         &mut self.placement
     }
 
-    /// Whether this parameter is its angle of view.
-    pub(crate) fn zooms(&self, p: ParamRef) -> bool {
-        self.fov == Some(p)
+    /// What of its optics this parameter is.
+    pub(crate) fn optic_of(&self, p: ParamRef) -> Option<Optic> {
+        [Optic::Fov, Optic::Aperture, Optic::Focus]
+            .into_iter()
+            .find(|&optic| self.optic(optic) == Some(p))
     }
 
-    /// Says that this parameter is its angle of view, in degrees.
-    pub(crate) fn set_fov(&mut self, p: ParamRef) {
-        self.fov = Some(p);
+    #[inline(always)]
+    fn optic(&self, optic: Optic) -> Option<ParamRef> {
+        self.optics[optic as usize]
+    }
+
+    /// Its value, if it has it.
+    pub(crate) fn value_of(&self, optic: Optic) -> Option<f64> {
+        match (optic, &self.lens) {
+            (Optic::Fov, Some(Lens::Parallel { .. })) => None,
+            (Optic::Fov, _) => Some(self.rest.fov),
+            (Optic::Aperture, _) => self.thin_lens().map(|lens| lens.radius),
+            (Optic::Focus, _) => self.thin_lens().map(|lens| lens.focus),
+        }
+    }
+
+    /// Says that this parameter is that.
+    pub(crate) fn set_optic(&mut self, optic: Optic, p: ParamRef) {
+        self.optics[optic as usize] = Some(p);
     }
 
     /// Whether a parameter moves it.
@@ -195,13 +263,14 @@ impl Camera {
 
     /// Whether it depends on a parameter for which `changed` holds.
     pub(crate) fn depends_on(&self, changed: impl Fn(ParamRef) -> bool) -> bool {
-        self.placement.params().chain(self.fov).any(changed)
+        let optics = self.optics.iter().copied().flatten();
+        self.placement.params().chain(optics).any(changed)
     }
 
     /// The same at these parameters.
     ///
     /// # Errors
-    /// As [`Camera::new`].
+    /// As [`Camera::new`] and [`Camera::with_lens`].
     pub(crate) fn at(&self, params: &Params) -> Result<Self, SceneError> {
         let Rest {
             to_world,
@@ -209,33 +278,61 @@ impl Camera {
             axis,
             shift,
         } = self.rest;
-        let now = (self.fov).map_or(fov, |p| f64::from(params.values()[p.offset as usize]));
-        let placed = to_world.then(&self.placement.transform(params));
-        let placed = Self::new(placed, now, axis, self.resolution)?.with_principal_point(shift);
+        let now = |optic: Optic, rest: f64| {
+            let p = self.optic(optic);
+            p.map_or(rest, |p| f64::from(params.values()[p.offset as usize]))
+        };
+        let to_world = to_world.then(&self.placement.transform(params));
+        let placed = Self::new(to_world, now(Optic::Fov, fov), axis, self.resolution)?;
+        let mut placed = placed.with_principal_point(shift);
+        match &self.lens {
+            None => {}
+            Some(Lens::Thin(lens)) => {
+                let radius = now(Optic::Aperture, lens.radius);
+                placed = placed.with_lens(&to_world, radius, now(Optic::Focus, lens.focus))?;
+            }
+            Some(Lens::Parallel { .. }) => placed = placed.with_parallel_rays(),
+        }
         Ok(Self {
             rest: self.rest,
             placement: self.placement,
-            fov: self.fov,
-            lens: self.lens,
+            optics: self.optics,
             ..placed
         })
     }
 
-    /// The ray through a point of the image that stays: [`Camera::ray`].
+    /// The ray through a point of the image and a place of the lens that stay: [`Camera::ray_of`].
     ///
     /// # Derivatives
     /// In `theta`.
-    pub fn ray_moving<R: Real>(&self, theta: &Theta<R>, x: R::Primal, y: R::Primal) -> Ray<R> {
-        let mut d = Vec3::<R>::lift(self.direction(x, y));
-        let mut o = Vec3::<R>::lift(each(self.origin, R::Primal::of).into());
-        if let Some(p) = self.fov
-            && theta.moves(p)
-        {
+    pub fn ray_moving<R: Real>(&self, theta: &Theta<R>, at: &CameraSample<R::Primal>) -> Ray<R> {
+        let lift = |v: [f64; 3]| Vec3::<R>::lift(each(v, R::Primal::of).into());
+        let moving = |optic: Optic| self.optic(optic).filter(|&p| theta.moves(p));
+        let [x, y] = at.film;
+        let mut v = Vec3::<R>::lift(self.direction(x, y));
+        if let Some(p) = moving(Optic::Fov) {
             let widens = (theta.get(p, 0) * R::c(PI / 360.0)).tan();
             let widens = (widens - Const(widens.primal())) * Const(widens.primal().recip());
-            let forward = Vec3::<R>::lift(each(self.forward, R::Primal::of).into());
-            d += (d - forward) * widens;
+            v += (v - lift(self.forward)) * widens;
         }
+        let (mut o, mut d) = match &self.lens {
+            None => (lift(self.origin), v),
+            Some(Lens::Thin(lens)) => {
+                let tangent = |optic: Optic| {
+                    let x = moving(optic).map(|p| theta.get(p, 0));
+                    x.map_or(R::zero(), |x| x - Const(x.primal()))
+                };
+                let grows = tangent(Optic::Aperture) * R::c(lens.radius.recip());
+                let off = Vec3::<R>::lift(lens.off(at.lens)) * (grows + R::one());
+                let focus = tangent(Optic::Focus) + R::c(lens.focus);
+                let to = v * (focus / v.dot(lift(lens.forward))) - off;
+                (lift(self.origin) + off, to)
+            }
+            Some(Lens::Parallel { direction }) => {
+                let off = v - lift(self.forward);
+                (lift(self.origin) + off, lift(*direction))
+            }
+        };
         if let Some(drift) = self.placement.drift(theta) {
             o = drift.point(o);
             d = drift.direction(d);
@@ -243,30 +340,56 @@ impl Camera {
         Ray::new(o, d.normalize())
     }
 
-    /// Adds the adjoints of its parameters, given those of the ray through a point of the image: the transpose of
-    /// [`Camera::ray_moving`].
+    /// Adds the adjoints of its parameters, given those of the ray through a point of the image and a place of the lens:
+    /// the transpose of [`Camera::ray_moving`].
     pub fn scatter_ray<P: Float>(
         &self,
         theta: &Theta<P>,
-        [x, y]: [P; 2],
+        at: &CameraSample<P>,
         adjoint: &RayAdjoint<P>,
         grad: &mut impl GradSink<P>,
     ) {
+        let vector = |v: [f64; 3]| Vec3::from(each(v, P::of));
+        let [x, y] = at.film;
         let v = self.direction(x, y);
-        let n = v.normalize();
-        let d_v = (adjoint.d - n * n.dot(adjoint.d)) * v.length().recip();
-        if let Some(p) = self.fov
+        let (o, to) = match &self.lens {
+            None => (vector(self.origin), v),
+            Some(Lens::Thin(lens)) => self.through(lens, x, y, at.lens),
+            Some(Lens::Parallel { direction }) => (
+                vector(self.origin) + (v - vector(self.forward)),
+                vector(*direction),
+            ),
+        };
+        let n = to.normalize();
+        let d_to = (adjoint.d - n * n.dot(adjoint.d)) * to.length().recip();
+        // The adjoint of the pinhole's direction.
+        let mut d_v = d_to;
+        if let Some(lens) = self.thin_lens() {
+            let forward = vector(lens.forward);
+            let per_depth = v.dot(forward).recip();
+            let along = d_to.dot(v) * per_depth;
+            d_v = (d_to - forward * along) * (P::of(lens.focus) * per_depth);
+            let optics = both([Optic::Aperture, Optic::Focus], |optic| self.optic(optic));
+            let [aperture, focus] = optics.map(|p| p.filter(|&p| grad.active(p)));
+            if let Some(p) = aperture {
+                let off = lens.off(at.lens);
+                grad.add(p, 0, off.dot(adjoint.o - d_to) * P::of(lens.radius.recip()));
+            }
+            if let Some(p) = focus {
+                grad.add(p, 0, along);
+            }
+        }
+        if let Some(p) = self.optic(Optic::Fov)
             && grad.active(p)
         {
-            let forward = Vec3::from(each(self.forward, P::of));
             let angle = theta.get(p, 0) * P::of(PI / 180.0);
             let widens = P::of(PI / 180.0) / angle.sin();
-            grad.add(p, 0, (v - forward).dot(d_v) * widens);
+            grad.add(p, 0, (v - vector(self.forward)).dot(d_v) * widens);
         }
         if self.placement.params().any(|p| grad.active(p)) {
             let mut wrench = self.placement.wrench(theta);
-            wrench.point(each(self.origin, P::of).into(), adjoint.o);
-            wrench.direction(v, d_v);
+            wrench.point(o, adjoint.o);
+            wrench.direction(to, d_to);
             self.placement.scatter(theta, &wrench, grad);
         }
     }
@@ -285,8 +408,8 @@ impl Camera {
     /// lens, through its middle.
     #[inline]
     pub fn ray<P: Float>(&self, x: P, y: P) -> Ray<P> {
-        if let Some(Lens::Parallel { direction, forward }) = &self.lens {
-            return self.parallel(x, y, direction, forward);
+        if let Some(Lens::Parallel { direction }) = &self.lens {
+            return self.parallel(x, y, direction);
         }
         Ray::new(
             each(self.origin, P::of).into(),
@@ -302,16 +425,16 @@ impl Camera {
         Vec3::new(component(0), component(1), component(2))
     }
 
-    /// Where on the image a unit direction is seen, on the film or not, and how that changes with it. `None` behind the
-    /// camera.
-    pub(crate) fn seen(&self, d: Vec3<f64>) -> Option<Seen> {
-        let [x, y, depth] = self.inverse.map(Vec3::<f64>::from);
+    /// Where on the image a unit direction is seen through a place of the lens, on the film or not, and how that changes
+    /// with it. `None` behind the camera. Not for parallel rays, which have one direction.
+    pub(crate) fn seen(&self, d: Vec3<f64>, lens: [f64; 2]) -> Option<FilmPoint> {
+        let [x, y, depth] = self.rows_through(lens);
         let z = depth.dot(d);
         if z <= 0.0 {
             return None;
         }
         let at = [x, y].map(|row| row.dot(d) / z);
-        Some(Seen {
+        Some(FilmPoint {
             at,
             slopes: [x - depth * at[0], y - depth * at[1]].map(|slope| slope * z.recip()),
             log_area: depth * (-3.0 / z),
@@ -331,7 +454,7 @@ impl Camera {
 
 /// Where on the image a direction is seen.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Seen {
+pub(crate) struct FilmPoint {
     /// The point, as in [`Camera::ray`].
     pub at: [f64; 2],
     /// How its coordinates change with a unit direction, pixels per radian.

@@ -69,12 +69,12 @@ const FEW: usize = 3;
 const LARGEST_STEP: f64 = 0.2;
 /// Less room than this up to a bound, over that size, is none.
 const ROOM: f64 = 0.02;
-/// How often the step is halved at most.
+/// How many steps are tried at most.
 const HALVINGS: u32 = 10;
 /// Images that a difference takes at most.
 const PLACES: u64 = 3;
-/// Repeats of a pilot.
-const PILOTS: u64 = 4;
+/// Repeats of a pilot that a step is chosen by.
+pub const PILOTS: u64 = 4;
 /// Repeats of a second look, for one of the first.
 const SECOND_LOOK: u64 = 4;
 /// Its step, over that of the first: where paths jump as the parameter moves, so many repeats see as much noise.
@@ -357,6 +357,69 @@ fn directions(info: &ParamInfo) -> Vec<Along> {
     }
 }
 
+/// How far the values of a range may be moved for differences, and what single precision leaves of that.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Span {
+    /// As large as what moves, or as the values are.
+    size: f64,
+    /// The largest step up and down that all values can take together, in units of the parameter; zero where one is at an
+    /// end of its valid interval.
+    pub most: f64,
+    /// What rounding to single precision does to a step, where the scene has to follow.
+    pub rounding: f64,
+}
+
+impl Span {
+    /// Of a range of this scene.
+    pub fn of(scene: &Scene, info: &ParamInfo) -> Self {
+        let (lo, hi) = info.valid;
+        let size = (scene.reach_of(info)).unwrap_or_else(|| scene.params().size(info));
+        let values = scene.params().values()[info.range()].iter();
+        let (mut most, mut largest) = (LARGEST_STEP * size, size);
+        for v in values.map(|&v| f64::from(v)) {
+            most = most.min((v - lo).min(hi - v));
+            largest = largest.max(v.abs());
+        }
+        let moves = info.kind.is_motion();
+        Self {
+            size,
+            most,
+            rounding: if moves {
+                f64::from(f32::EPSILON) * largest
+            } else {
+                0.0
+            },
+        }
+    }
+}
+
+/// Of steps from `most` on, each half of the one before, the first one whose own error is well below the noise; if there is
+/// none, the one with the least error in all. `errors` of a step are these two; `None` if it was cancelled.
+///
+/// # Errors
+/// Those of `errors`.
+pub fn widest_step<E>(
+    most: f64,
+    mut errors: impl FnMut(f64) -> Result<Option<[f64; 2]>, E>,
+) -> Result<Option<f64>, E> {
+    let mut best = (f64::INFINITY, most);
+    let mut step = most;
+    for _ in 0..HALVINGS {
+        let Some([own, noise]) = errors(step)? else {
+            return Ok(None);
+        };
+        let error = own.hypot(noise);
+        if error < best.0 {
+            best = (error, step);
+        }
+        if own <= 0.5 * noise {
+            break;
+        }
+        step *= 0.5;
+    }
+    Ok(Some(best.1))
+}
+
 /// A direction, and how far it may be followed.
 struct Line {
     /// First value in the parameter vector, and what is added there per unit of the step.
@@ -373,10 +436,9 @@ struct Line {
 }
 
 impl Line {
-    /// `reach` is how far lengths may go ([`Scene::reach_of`]).
-    fn new(params: &Params, info: &ParamInfo, along: Along, reach: Option<f64>) -> Self {
+    fn new(params: &Params, info: &ParamInfo, along: Along, span: &Span) -> Self {
         let (lo, hi) = info.valid;
-        let size = reach.unwrap_or_else(|| params.size(info));
+        let size = span.size;
         let values = params.values()[info.range()].iter().map(|&v| f64::from(v));
         let wanted = |i: usize| match along {
             Along::Value(k) => f64::from(u8::from(i == k as usize)),
@@ -407,19 +469,13 @@ impl Line {
                 0.0
             });
         }
-        let moves = info.kind.is_motion();
-        let largest = all.iter().fold(size, |most, &(_, v)| most.max(v.abs()));
         Self {
             offset: info.offset,
             along: direction,
             one_sided,
             most,
-            moves,
-            rounding: if moves {
-                f64::from(f32::EPSILON) * largest
-            } else {
-                0.0
-            },
+            moves: info.kind.is_motion(),
+            rounding: span.rounding,
         }
     }
 
@@ -500,9 +556,9 @@ impl Run<'_> {
     ) -> Result<(Option<Vec<Comparison>>, f64), RenderError> {
         let repeats = u64::from(self.options.repeats);
         let limit = z_limit(tests.len(), repeats, self.options.significance);
-        let reaches: Vec<_> = infos.iter().map(|i| self.scene.reach_of(i)).collect();
+        let spans: Vec<_> = infos.iter().map(|i| Span::of(self.scene, i)).collect();
         let lines: Vec<Line> = (tests.iter())
-            .map(|&(i, along)| Line::new(self.scene.params(), &infos[i], along, reaches[i]))
+            .map(|&(i, along)| Line::new(self.scene.params(), &infos[i], along, &spans[i]))
             .collect();
         let Some(gradients) = self.gradients(tests, &lines, self.options.seed, repeats)? else {
             return Ok((None, limit));
@@ -592,33 +648,21 @@ impl Run<'_> {
         Ok(Some(found_along.iter().map(|f| Estimate::of(f)).collect()))
     }
 
-    /// The largest step whose own error is well below the noise to be expected; if there is none, the one with the least
-    /// error in all. `None` if cancelled.
+    /// By [`widest_step`]. `None` if cancelled.
     fn step(&mut self, line: &Line, test: u64) -> Result<Option<f64>, RenderError> {
         let repeats = u64::from(self.options.repeats);
         let seed = self.options.seed ^ PILOT ^ (test << 40);
-        let mut best = (f64::INFINITY, line.most);
-        let mut step = line.most;
-        let Some(mut wide) = self.differences(line, step, seed, PILOTS)? else {
+        let Some(mut wide) = self.differences(line, line.most, seed, PILOTS)? else {
             return Ok(None);
         };
-        for _ in 0..HALVINGS {
+        widest_step(line.most, |step| {
             let Some(near) = self.differences(line, 0.5 * step, seed, PILOTS)? else {
                 return Ok(None);
             };
             let pair = Pair::new(step, &wide, &near);
-            let noise = pair.expected(repeats);
-            let error = noise.hypot(pair.step_error);
-            if error < best.0 {
-                best = (error, step);
-            }
-            if pair.step_error <= 0.5 * noise {
-                break;
-            }
-            step *= 0.5;
             wide = near;
-        }
-        Ok(Some(best.1))
+            Ok(Some([pair.step_error, pair.expected(repeats)]))
+        })
     }
 
     /// Differences of two steps, from so many seeds. `None` if cancelled.
@@ -856,7 +900,13 @@ mod tests {
                 channels: 1,
             };
             params.push("x", shape, values, (0.0, 1.0));
-            Line::new(&params, &params.infos()[0], along, None)
+            let info = &params.infos()[0];
+            let span = Span {
+                size: params.size(info),
+                most: 0.0,
+                rounding: 0.0,
+            };
+            Line::new(&params, info, along, &span)
         };
         let inner = line(&[0.0, 0.5, 1.0, 0.9], Along::Random(0));
         assert!(!inner.one_sided);
@@ -941,8 +991,8 @@ mod tests {
         let mixture = Mixture::only(&scene, Estimator::Mis, &names);
         let info = scene.params().find(names[0]).expect("a roughness").clone();
         let values = scene.params().values().to_vec();
-        let reach = scene.reach_of(&info);
-        let mut line = Line::new(scene.params(), &info, Along::Value(0), reach);
+        let span = Span::of(&scene, &info);
+        let mut line = Line::new(scene.params(), &info, Along::Value(0), &span);
         let adjoint = vec![1.0; 48];
         let options = Options::default();
         let mut run = Run {

@@ -5,13 +5,15 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// A line of a file, as `file:line`.
+/// A line of a file, as `file:line`, and what of it is meant: elements of one line are at different locations.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub struct Location {
     /// The file that holds the line, as it was named when it was opened.
     pub file: Arc<Path>,
     /// Line number, counted from one.
     pub line: u32,
+    /// Where in the file that begins, in bytes; none for a whole line.
+    byte: Option<usize>,
 }
 
 impl Location {
@@ -20,6 +22,15 @@ impl Location {
         Self {
             file: file.into(),
             line,
+            byte: None,
+        }
+    }
+
+    /// The same line, and what begins at this byte of the file.
+    pub(crate) fn at_byte(self, byte: usize) -> Self {
+        Self {
+            byte: Some(byte),
+            ..self
         }
     }
 }
@@ -285,6 +296,14 @@ impl SceneError {
         }
     }
 
+    /// The file that is wrong, if it is none of the scene's text.
+    pub(crate) fn file(&self) -> Option<&Path> {
+        match self {
+            Self::Io { path, .. } | Self::Asset { path, .. } => Some(path),
+            _ => None,
+        }
+    }
+
     /// The message without that line.
     pub fn message(&self) -> String {
         let all = self.to_string();
@@ -511,6 +530,14 @@ pub enum RenderError {
         name: String,
         /// What stands in the way.
         culprit: String,
+    },
+    /// A matrix that cannot be set, or differentiated.
+    #[error("parameter {}: {reason}", quoted(name))]
+    Matrix {
+        /// Its name.
+        name: String,
+        /// Why.
+        reason: String,
     },
     /// A name that no estimator has.
     #[error("unknown estimator {}; known: {known}", quoted(name))]

@@ -11,6 +11,17 @@ mod lobed;
 
 pub use lobed::{Lobed, MOST_LOBES};
 
+/// What pixels of films are made of in scene files: whether there is a fourth channel, and whether it is what is written.
+pub(crate) const PIXELS: &[(&str, (bool, bool))] = &[
+    ("rgb", (false, true)),
+    ("rgba", (true, true)),
+    ("luminance", (false, false)),
+    ("luminance_alpha", (true, false)),
+    ("luminanceAlpha", (true, false)),
+    ("xyz", (false, false)),
+    ("xyza", (true, false)),
+];
+
 /// A linear RGB image, row-major, row 0 at the top.
 ///
 /// ```

@@ -20,7 +20,7 @@
 
 use std::io::Cursor;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use exr::WritableImage;
 use exr::prelude as exr;
@@ -61,12 +61,14 @@ pub struct Pixels {
 }
 
 /// What the samples of 8- and 16-bit files mean. EXR, Radiance and PFM files are linear in any case.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Encoding {
     /// Colours on the sRGB curve; read as linear values.
     Srgb,
     /// Numbers in [0, 1] that are no colours: value over largest value.
     Raw,
+    /// Values to this power.
+    Gamma(f64),
 }
 
 impl Encoding {
@@ -75,6 +77,7 @@ impl Encoding {
         match self {
             Self::Srgb => srgb_to_linear(x) as f32,
             Self::Raw => x as f32,
+            Self::Gamma(gamma) => x.powf(gamma) as f32,
         }
     }
 }
@@ -149,7 +152,9 @@ pub fn read_layer(
     // The decoders promise errors, not panics, but they are large and their input is anybody's. They run
     // on this thread only, so that a panic can be turned into the error it should have been.
     let decoded = catch_unwind(AssertUnwindSafe(|| {
-        if bytes.starts_with(&EXR_MAGIC) {
+        if bytes.starts_with(&EXR_MAGIC) && matches!(encoding, Encoding::Gamma(_)) {
+            Err(has_no_gamma())
+        } else if bytes.starts_with(&EXR_MAGIC) {
             layers::decode(&bytes, layer)
         } else if let Some(name) = layer {
             let expected = format!(
@@ -179,6 +184,20 @@ pub fn read_layer(
         return Err(asset(path, "finite pixels", found));
     }
     Ok(pixels)
+}
+
+/// The file and the layer that `FILE.EXR:LAYER` names: what stands before the first `:` behind which there is a file. A name
+/// that is one of a file itself has no layer.
+pub fn split_layer(name: &Path) -> (PathBuf, Option<String>) {
+    let whole = (name.to_owned(), None);
+    let Some(text) = name.to_str().filter(|_| !name.exists()) else {
+        return whole;
+    };
+    let mut parts = text
+        .match_indices(':')
+        .map(|(i, _)| (&text[..i], &text[i + 1..]));
+    let found = parts.find(|(file, layer)| !layer.is_empty() && Path::new(file).is_file());
+    found.map_or(whole, |(file, layer)| (file.into(), Some(layer.to_owned())))
 }
 
 /// [`read`] as a linear RGB image.
@@ -232,8 +251,24 @@ fn check_samples(samples: usize) -> Result<(), Mismatch> {
     Err(mismatch(expected, samples))
 }
 
+fn has_no_gamma() -> Mismatch {
+    mismatch(
+        "an image of 8 or 16 bits, which has a gamma",
+        "one of linear numbers",
+    )
+}
+
+/// Whether the picture of a file, without the name of a layer, is read from channels `X`, `Y` and `Z`.
+pub(crate) fn is_in_xyz(path: &Path) -> bool {
+    files::read(path, MAX_BYTES).is_ok_and(|bytes| layers::is_in_xyz(&bytes))
+}
+
 /// Anything but OpenEXR.
 fn decode(bytes: &[u8], encoding: Encoding) -> Result<Pixels, Mismatch> {
+    let of_floats = floats::is_radiance(bytes) || floats::is_pfm(bytes);
+    if of_floats && matches!(encoding, Encoding::Gamma(_)) {
+        return Err(has_no_gamma());
+    }
     if floats::is_radiance(bytes) {
         floats::decode_radiance(bytes)
     } else if floats::is_pfm(bytes) {

@@ -583,15 +583,16 @@ impl Estimator {
     pub const DOUBLE: Self = Self::Mis;
 
     /// What its derivatives in these parameters of a scene may be wrong about, sentence by sentence:
-    /// [`Scene::doubts_of_crossings`], where it samples edges. Others pay nothing for finding where shapes cross. Of names that the
-    /// scene does not have nothing is said.
+    /// [`Scene::doubts_of_tilts`], and [`Scene::doubts_of_crossings`] where it samples edges. Others pay nothing for finding where
+    /// shapes cross. Of names that the scene does not have nothing is said.
     pub fn doubts<N: AsRef<str>>(self, scene: &Scene, names: &[N]) -> Vec<String> {
-        if !self.capabilities().samples_edges {
-            return Vec::new();
-        }
         let known = names.iter().map(|name| scene.params().find(name.as_ref()));
-        let moving: Vec<&ParamInfo> = known.filter_map(Result::ok).collect();
-        scene.doubts_of_crossings(&moving)
+        let infos: Vec<&ParamInfo> = known.filter_map(Result::ok).collect();
+        let mut doubts = Scene::doubts_of_tilts(&infos);
+        if self.capabilities().samples_edges {
+            doubts.extend(scene.doubts_of_crossings(&infos));
+        }
+        doubts
     }
 
     /// The estimator called `name`.
@@ -665,9 +666,9 @@ estimators! {
     MisBalance "mis-balance" Mis<Detached, Detached, DetachedWeights, Balance>,
         "`mis` with the balance heuristic.";
     MisTrustLights "mis-trust-lights" Mis<Detached, Detached, DetachedWeights, TrustLights>,
-        "`mis` with weights that trust sampled lights eight times as much.";
+        "For study: `mis` with weights that trust sampled lights eight times as much.";
     MisTrustBsdf "mis-trust-bsdf" Mis<Detached, Detached, DetachedWeights, TrustBsdf>,
-        "`mis` with weights that trust BSDF samples eight times as much.";
+        "For study: `mis` with weights that trust BSDF samples eight times as much.";
     MisAttachedWeights "mis-attached-weights" Mis<Detached, Detached, AttachedWeights>,
         "`mis` with differentiated weights.";
     DifferentialMis "differential-mis" Mis<Differential, Detached, DetachedWeights>,

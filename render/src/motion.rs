@@ -4,6 +4,17 @@
 //! where the thing is ([`Placement::transform`]); its tangents, how it moves from there ([`Drift`]); and the adjoints of
 //! all that moves with it add up to one [`Wrench`], which is pulled back to the parameters once. A drift is the identity
 //! but for tangents, so that values are those of the thing where it is.
+//!
+//! ```
+//! use ad_core::{Dual, Vec3};
+//! use render::motion::rotation;
+//!
+//! // A point that turns about the vertical axis begins to move at right angles to it.
+//! type R = Dual<f64, 1>;
+//! let zero = R::constant(0.0);
+//! let turned = rotation(Vec3::new(zero, R::var(0.0, 0), zero)) * Vec3::new(R::constant(1.0), zero, zero);
+//! assert_eq!(turned.map(|x| x.eps[0]), Vec3::new(0.0, 0.0, -1.0));
+//! ```
 
 use ad_core::{Const, Float, Mat3, Real, Vec3};
 
@@ -81,6 +92,50 @@ pub fn rotation<R: Real>(w: Vec3<R>) -> Mat3<R> {
     let [a, b, _] = coefficients(w.length_squared());
     let k = cross_matrix(w);
     Mat3::identity() + k * a + (k * k) * b
+}
+
+/// The rotation vector of a rotation, of length pi at most: the inverse of [`rotation`], by way of a quaternion whose largest
+/// component is found first [Shepperd 1978].
+pub fn rotation_vector(m: [[f64; 3]; 3]) -> [f64; 3] {
+    let [xx, yy, zz] = [0, 1, 2].map(|i: usize| m[i][i]);
+    let odd = [m[2][1] - m[1][2], m[0][2] - m[2][0], m[1][0] - m[0][1]];
+    // Four times the products of its largest component with all of them.
+    let products = [
+        [1.0 + xx + yy + zz, odd[0], odd[1], odd[2]],
+        [
+            odd[0],
+            1.0 + xx - yy - zz,
+            m[0][1] + m[1][0],
+            m[0][2] + m[2][0],
+        ],
+        [
+            odd[1],
+            m[0][1] + m[1][0],
+            1.0 - xx + yy - zz,
+            m[1][2] + m[2][1],
+        ],
+        [
+            odd[2],
+            m[0][2] + m[2][0],
+            m[1][2] + m[2][1],
+            1.0 - xx - yy + zz,
+        ],
+    ];
+    let largest = (1..4).fold(0, |k, i| {
+        if products[i][i] > products[k][k] {
+            i
+        } else {
+            k
+        }
+    });
+    let [w, x, y, z] = products[largest];
+    let sign = if w < 0.0 { -1.0 } else { 1.0 };
+    let axis = Vec3::new(x, y, z) * sign;
+    let sine = axis.length();
+    if sine == 0.0 {
+        return [0.0; 3];
+    }
+    (axis * (2.0 * sine.atan2(w.abs()) / sine)).to_array()
 }
 
 /// What `x` is more than it is without tangents.
@@ -349,6 +404,25 @@ mod tests {
             let expected = Transform::rotate(axis.to_array(), f64::to_degrees(angle)).unwrap();
             for (a, b) in found.iter().flatten().zip(expected.linear.iter().flatten()) {
                 assert!((a - b).abs() < 1e-14, "{angle}: {a} {b}");
+            }
+        }
+    }
+
+    /// There and back again, near no turn, a half turn and where each component of the quaternion is the largest.
+    #[test]
+    fn rotation_vectors_are_found_again() {
+        for axis in [
+            [0.36, 0.48, -0.8],
+            [1.0, 0.0, 0.0],
+            [0.0, -1.0, 0.0],
+            [0.6, 0.0, 0.8],
+        ] {
+            for angle in [0.0, 1e-12, 1e-3, 1.0, 3.0, std::f64::consts::PI - 1e-7] {
+                let w = Vec3::from(axis) * angle;
+                let found = rotation_vector(rotation(w).rows);
+                for (a, b) in found.into_iter().zip(w.to_array()) {
+                    assert!((a - b).abs() < 1e-13, "{axis:?} {angle}: {a} {b}");
+                }
             }
         }
     }

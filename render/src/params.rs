@@ -6,14 +6,42 @@
 //! of the directions asked for; and in reverse mode the adjoint goes back through the same handle
 //! into a [`GradSink`]. A range that nobody asked for costs nothing but its value.
 //!
-//! All models are separable in colour: channel c of a result depends on channel c of an RGB
-//! parameter only. One tangent slot per RGB parameter therefore holds three derivatives.
+//! Models are separable in colour, but for normal maps, heights and tinted base colours: channel c of a result depends on
+//! channel c of an RGB parameter only. One tangent slot per RGB parameter therefore holds three derivatives.
+//!
+//! ```
+//! use ad_core::Dual;
+//! use render::params::{Tangent, Theta};
+//!
+//! let mut room = render::scene::room(8, 8)?;
+//! let walls = room.params().matching("*.reflectance.value")?; // a pattern, or one name
+//! assert_eq!(walls.len(), 4);
+//!
+//! // All values are one vector. A new one is checked, and what depends on it follows.
+//! let mut values = room.params().values().to_vec();
+//! let alpha = room.params().find("sphere.alpha")?.clone();
+//! values[alpha.offset] = 0.3;
+//! room.set_params(&values)?;
+//! values[alpha.offset] = -1.0;
+//! assert!(room.set_params(&values).is_err());
+//! assert_eq!(room.params().get("sphere.alpha.value")?, [0.3]);
+//!
+//! // Over dual numbers a range has a tangent, or is a constant.
+//! type R = Dual<f32, 1>;
+//! let handle = room.params().handle(&alpha);
+//! let mut tangents = vec![Tangent::None; room.params().infos().len()];
+//! tangents[handle.id as usize] = Tangent::Uniform(R::new(0.0, [1.0]));
+//! let theta = Theta::<R>::with_tangents(room.params().values(), &tangents);
+//! assert_eq!(theta.get(handle, 0), R::new(0.3, [1.0]));
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 use std::collections::HashMap;
 
 use ad_core::{Float, Real, array};
 
 use crate::error::RenderError;
+use crate::image_io::Encoding;
 use crate::math::Rgb;
 use crate::prefetch::prefetch;
 
@@ -169,6 +197,8 @@ pub struct Params {
     aliases: HashMap<String, String>,
     /// The first other beginning of a name.
     others: HashMap<String, String>,
+    /// How the images that texels were read from are encoded.
+    encodings: HashMap<u32, Encoding>,
 }
 
 /// What names of values may end in, or not.
@@ -218,6 +248,29 @@ impl Params {
         self.by_name.entry(name).or_insert(p.id);
     }
 
+    /// Says how the image of a range is encoded.
+    pub(crate) fn encode(&mut self, p: ParamRef, encoding: Encoding) {
+        self.encodings.insert(p.id, encoding);
+    }
+
+    /// How an image that replaces the texels of a range is to be read: as the one in the scene was; without one, colours
+    /// as sRGB and numbers as they are.
+    pub fn encoding(&self, info: &ParamInfo) -> Encoding {
+        let given = self.by_name.get(&info.name);
+        let given = given.and_then(|id| self.encodings.get(id));
+        given.copied().unwrap_or(match info.shape {
+            ParamShape::Texture { channels: 3, .. } if info.kind != ParamKind::Normals => {
+                Encoding::Srgb
+            }
+            _ => Encoding::Raw,
+        })
+    }
+
+    /// Sets the interval in which the values of a range are valid.
+    pub(crate) fn bound(&mut self, p: ParamRef, valid: (f64, f64)) {
+        self.infos[p.id as usize].valid = valid;
+    }
+
     /// Says that this range is of a kind, unless it is of a later one already.
     pub(crate) fn mark(&mut self, p: ParamRef, kind: ParamKind) {
         let own = &mut self.infos[p.id as usize].kind;
@@ -247,6 +300,11 @@ impl Params {
         }
         (self.others.entry(own.to_owned())).or_insert_with(|| other.clone());
         self.aliases.entry(other).or_insert_with(|| own.to_owned());
+    }
+
+    /// What a name of a thing stands for, if it is another one.
+    pub(crate) fn stands_for<'a>(&'a self, other: &'a str) -> &'a str {
+        self.aliases.get(other).map_or(other, String::as_str)
     }
 
     /// The range called `name`: by its own name or by the way to it, as Mitsuba has it (`floor.bsdf.brdf_0.alpha.value`
@@ -279,7 +337,8 @@ impl Params {
     }
 
     /// All ranges whose own name, or the [other](Params::other_name) one, fits a pattern: `*` stands for any text, `?` for
-    /// any character. A pattern without those is a name, as in [`Params::find`].
+    /// any character. The pattern may leave out the `.value` or `.data` at the end. One without stars and question marks is
+    /// a name, as in [`Params::find`].
     ///
     /// # Errors
     /// [`RenderError::UnknownParameter`] where nothing does.
@@ -287,9 +346,13 @@ impl Params {
         if !pattern.contains(['*', '?']) {
             return self.find(pattern).map(|info| vec![info]);
         }
+        // With or without the ending, as for names.
+        let any = |name: &str| {
+            let bare = ENDINGS.iter().find_map(|end| name.strip_suffix(end));
+            fits(pattern, name) || bare.is_some_and(|bare| fits(pattern, bare))
+        };
         let fits = |info: &&ParamInfo| {
-            let other = || self.other_name(info);
-            fits(pattern, &info.name) || other().is_some_and(|other| fits(pattern, &other))
+            any(&info.name) || self.other_name(info).is_some_and(|other| any(&other))
         };
         let found: Vec<_> = self.infos.iter().filter(fits).collect();
         if found.is_empty() {

@@ -1,6 +1,22 @@
 //! Counter-based random numbers: a sample is a pure function of (seed, pixel, sample index,
 //! dimension), so results do not depend on threads or tile order, and paired passes (common random
 //! numbers, antithetic lobes) are a matter of asking for the same counter again.
+//!
+//! ```
+//! use render::sampler::{Independent, Points, Sampler, Spread};
+//!
+//! let sampler = Independent::new(7, 3, 0); // seed, pixel, sample
+//! let first: [f64; 2] = { sampler }.next_2d();
+//! assert_eq!(first, { sampler }.next_2d::<f64>()); // a copy starts again
+//!
+//! // Sixteen Sobol points of one pixel: one in each sixteenth.
+//! let mut cells = [0; 16];
+//! for index in 0..16 {
+//!     let u: f64 = Spread::spread(Points::Sobol, 7, 3, index).next_1d();
+//!     cells[(16.0 * u) as usize] += 1;
+//! }
+//! assert_eq!(cells, [1; 16]);
+//! ```
 
 use std::sync::LazyLock;
 
@@ -18,6 +34,8 @@ use crate::math::each;
 pub enum Purpose {
     /// Where in its pixel a path starts, 2; the depth is 1.
     Pixel,
+    /// The same where there is a lens, and where on that, 4 instead.
+    Lens,
     /// Which light is sampled, and where on it, 2.
     Light,
     /// A scattered direction, 3, and roulette.
@@ -50,9 +68,11 @@ impl Purpose {
         const EDGES: u32 = 1 << 22;
         const HORIZON: u32 = 1 << 23;
         const CROSSINGS: u32 = 3 << 22;
+        const LENS: u32 = 7 << 21;
         const RAYS: u32 = 1 << 24;
         match self {
             Self::Pixel | Self::Emission => 0,
+            Self::Lens => LENS,
             Self::Light | Self::Viewing => 2 + (depth - 1) * 8,
             Self::Scattering => 5 + (depth - 1) * 8,
             Self::NormalsPair => AUXILIARY + depth * 8,
@@ -71,7 +91,7 @@ impl Purpose {
             Self::Horizon => 1,
             Self::Pixel => 2,
             Self::Light | Self::Viewing | Self::NormalsPair | Self::ParticleNormalsPair => 3,
-            Self::Scattering | Self::ParticleScattering => 4,
+            Self::Scattering | Self::ParticleScattering | Self::Lens => 4,
             Self::AuxiliaryRays(rays) => 2 * rays,
             Self::Edges(candidates) => 2 * candidates + 1,
             Self::Crossings(candidates) => 2 * candidates + 2,
@@ -465,7 +485,11 @@ mod tests {
             Purpose::Horizon,
         ];
         let particle = [Purpose::ParticleScattering, Purpose::ParticleNormalsPair];
-        for (start, purposes) in [(Purpose::Pixel, &path[..]), (Purpose::Emission, &particle)] {
+        for (start, purposes) in [
+            (Purpose::Pixel, &path[..]),
+            (Purpose::Lens, &path[..]),
+            (Purpose::Emission, &particle),
+        ] {
             let mut taken = vec![(start.at(1), start.count())];
             for depth in (1..2000).chain(130_000..131_000) {
                 taken.extend(purposes.iter().map(|p| (p.at(depth), p.count())));

@@ -6,8 +6,8 @@ use ex::WritableImage;
 use exr::prelude as ex;
 use image::DynamicImage;
 use render::image_io::{
-    Encoding, MAX_SIDE, Pixels, linear_to_srgb, read, read_layer, read_rgb, srgb_to_linear,
-    write_atomically, write_exr, write_exr_pixels, write_png,
+    Encoding, MAX_SIDE, Pixels, linear_to_srgb, read, read_layer, read_rgb, split_layer,
+    srgb_to_linear, write_atomically, write_exr, write_exr_pixels, write_exr_planes, write_png,
 };
 use render::{Image, SceneError};
 use tempfile::TempDir;
@@ -190,8 +190,8 @@ fn the_picture_of_an_exr_file_is_found_or_asked_for() {
     }
     let refused = |channels: &[&[&'static str]]| one(channels).unwrap_err().to_string();
     let two = refused(&[AO, &["V.Mist.R", "V.Mist.G", "V.Mist.B"]]);
-    let expected = "a.exr: expected the name of a layer (`layer`), since there are several, found the layers \
-        `V.AO` (B, G, R), `V.Mist` (B, G, R)";
+    let expected = "a.exr: expected the name of a layer, since there are several (`layer` in a scene file, FILE.EXR:LAYER on a command line), \
+        found the layers `V.AO` (B, G, R), `V.Mist` (B, G, R)";
     assert!(two.ends_with(expected), "{two}");
     for (channels, listed) in [
         (NORMAL, "`N` (X, Y, Z)"),
@@ -672,4 +672,63 @@ fn bombs_are_refused_before_they_are_decoded() {
         let found = message(read(&jpg, Encoding::Raw));
         assert!(found.contains(expected), "{found}");
     }
+}
+
+/// A name with a colon is a file with a layer where only what stands before the colon is a file.
+#[test]
+fn names_of_files_may_have_a_layer() {
+    let dir = tempfile::tempdir().unwrap();
+    let at = |name: &str| dir.path().join(name);
+    std::fs::write(at("a.exr"), "").unwrap();
+    let layer = |name: &str| {
+        let (file, layer) = split_layer(&at(name));
+        (
+            file.file_name().unwrap().to_str().unwrap().to_owned(),
+            layer,
+        )
+    };
+    assert_eq!(layer("a.exr"), ("a.exr".into(), None));
+    assert_eq!(
+        layer("a.exr:View.AO"),
+        ("a.exr".into(), Some("View.AO".into()))
+    );
+    assert_eq!(
+        layer("a.exr:one:two"),
+        ("a.exr".into(), Some("one:two".into()))
+    );
+    for name in ["b.exr:AO", "a.exr:"] {
+        assert_eq!(layer(name), (name.to_owned(), None));
+    }
+    #[cfg(unix)]
+    {
+        std::fs::write(at("a.exr:AO"), "").unwrap();
+        assert_eq!(layer("a.exr:AO"), ("a.exr:AO".into(), None));
+    }
+}
+
+/// Texels that are none in red, green and blue, from a file in CIE XYZ: the message says where they come from.
+#[test]
+fn colours_beyond_rgb_name_the_conversion() {
+    let dir = tempfile::tempdir().unwrap();
+    // Light of about 500 nm: red is negative.
+    let planes = [("X", 0.005), ("Y", 0.32), ("Z", 0.27)].map(|(name, x)| (name, vec![x; 4]));
+    write_exr_planes(&dir.path().join("xyz.exr"), 2, 2, planes.to_vec()).unwrap();
+    let red = [("R", -0.5), ("G", 0.5), ("B", 0.3)].map(|(name, x)| (name, vec![x; 4]));
+    write_exr_planes(&dir.path().join("rgb.exr"), 2, 2, red.to_vec()).unwrap();
+    let error = |image: &str| {
+        let text = format!(
+            "<scene version=\"3.0.0\"><sensor type=\"perspective\"/><shape type=\"sphere\"><bsdf type=\"diffuse\">
+            <texture type=\"bitmap\" name=\"reflectance\"><string name=\"filename\" value=\"{image}\"/></texture></bsdf>
+            </shape></scene>"
+        );
+        let loaded = render::Scene::from_xml(&text, dir.path(), &Default::default());
+        loaded.unwrap_err().to_string()
+    };
+    let said = "at column 0, row 0, in red, green and blue from its channels X, Y and Z";
+    let found = error("xyz.exr");
+    assert!(
+        found.ends_with(said) && found.contains("found -"),
+        "{found}"
+    );
+    assert!(error("rgb.exr").ends_with("found -0.5 at column 0, row 0"));
 }

@@ -2,7 +2,7 @@
 
 use ad_core::{Dual, Real, Vec3};
 use render::bsdf::Diffuse;
-use render::camera::{Camera, FovAxis};
+use render::camera::{Camera, CameraSample, FovAxis};
 use render::emitter::{Constant, Emitter, Spot};
 use render::instances::{Estimator, render_f32};
 use render::math::{Ray, RayAdjoint, Transform};
@@ -320,8 +320,11 @@ fn adjoints_are_the_transpose() {
         for _ in 0..160 {
             let d = adjoint(&mut s);
             let d_log_area = s.next_1d::<f64>();
-            let [x, y] = [16.0 * s.next_1d::<f64>(), 16.0 * s.next_1d::<f64>()];
-            let ray = scene.camera.ray(x, y);
+            let at_camera = CameraSample {
+                film: [16.0 * s.next_1d::<f64>(), 16.0 * s.next_1d::<f64>()],
+                lens: [0.0; 2],
+            };
+            let ray = scene.camera.ray_of(&at_camera);
             let Some(hit) = scene.intersect(&ray) else {
                 continue;
             };
@@ -331,7 +334,9 @@ fn adjoints_are_the_transpose() {
             let mut seen = Sum(vec![0.0; values.len()]);
             let back: RayAdjoint<f64> =
                 scene.scatter_interaction(&still, hit.prim, &ray, &hit.si, &d, &mut seen);
-            scene.camera.scatter_ray(&still, [x, y], &back, &mut seen);
+            scene
+                .camera
+                .scatter_ray(&still, &at_camera, &back, &mut seen);
             for param in
                 names
                     .iter()
@@ -342,7 +347,7 @@ fn adjoints_are_the_transpose() {
                 for k in 0..info.shape.len() {
                     let all = tangents(&scene, param, k);
                     let theta = Theta::with_tangents(&values, &all);
-                    let ray = scene.camera.ray_moving(&theta, x, y);
+                    let ray = scene.camera.ray_moving(&theta, &at_camera);
                     let found = scene.intersect_moving(&theta, &ray).unwrap();
                     let stays = scene.point_at(&theta, hit.prim, SurfaceCoordinates::lift(at));
                     let area = scene.area_element(&theta, hit.prim);
@@ -363,6 +368,98 @@ fn adjoints_are_the_transpose() {
             }
         }
         assert!(tested > 60, "{name}: {tested}");
+    }
+}
+
+/// Rays of all kinds of cameras, with all that moves them: what carries tangents has the derivatives of differences, what adds
+/// adjoints is its transpose, and neither changes the ray.
+#[test]
+fn rays_of_cameras_move_as_differences_say() {
+    let view = r#"<transform name="to_world"><lookat origin="1, 2, 3" target="0.3, -0.2, 0.1" up="0.1, 1, 0"/></transform>
+        <film type="hdrfilm"><integer name="width" value="40"/><integer name="height" value="30"/></film>"#;
+    let angle =
+        r#"<float name="fov" value="50"/><float name="principal_point_offset_x" value="0.1"/>"#;
+    let lens = r#"<float name="aperture_radius" value="0.375"/><float name="focus_distance" value="2.5"/>"#;
+    for (plugin, own, keys) in [
+        ("perspective", angle.to_string(), &["fov"][..]),
+        ("orthographic", String::new(), &[][..]),
+        (
+            "thinlens",
+            format!("{angle}{lens}"),
+            &["fov", "aperture_radius", "focus_distance"],
+        ),
+    ] {
+        let mut scene = load(&format!(
+            r#"<scene version="3.0.0"><sensor type="{plugin}">{own}{view}</sensor><shape type="sphere"/></scene>"#
+        ));
+        let names: Vec<String> = (scene.movables().into_iter())
+            .map(|m| m.name)
+            .filter(|name| name.starts_with("sensor."))
+            .collect();
+        let expected = ["translation", "rotation"].iter().chain(keys);
+        assert!(
+            names.iter().eq(expected
+                .map(|key| format!("sensor.{key}"))
+                .collect::<Vec<_>>()
+                .iter())
+        );
+        scene.make_movable(&names).unwrap();
+        // At rest, nothing has changed.
+        let at = CameraSample {
+            film: [13.25, 7.5],
+            lens: [0.3, 0.8],
+        };
+        let start: Ray<f64> = scene.camera.ray_of(&at);
+        for (i, by) in [0.25, -0.5, 0.125].into_iter().enumerate() {
+            set(&mut scene, "sensor.translation", i, |_| by);
+            set(&mut scene, "sensor.rotation", i, |_| 2.0 * by);
+        }
+        for key in keys {
+            set(&mut scene, &format!("sensor.{key}"), 0, |x| 1.125 * x);
+        }
+        let values = wide(scene.params());
+        let still = Theta::<f64>::constant(&values);
+        let here: Ray<f64> = scene.camera.ray_of(&at);
+        assert!((here.o - start.o).length() > 0.1 && (here.d - start.d).length() > 0.1);
+        let d = RayAdjoint {
+            o: Vec3::new(0.3, -0.7, 1.1),
+            d: Vec3::new(-0.2, 0.9, 0.4),
+        };
+        let mut pulled = Sum(vec![0.0; values.len()]);
+        scene.camera.scatter_ray(&still, &at, &d, &mut pulled);
+        for name in &names {
+            let info = scene.params().find(name).unwrap().clone();
+            for k in 0..info.shape.len() {
+                let all = tangents(&scene, name, k);
+                let moving = scene
+                    .camera
+                    .ray_moving(&Theta::with_tangents(&values, &all), &at);
+                let primal = moving.primal();
+                assert!(
+                    (primal.o - here.o).length() < 1e-12 && (primal.d - here.d).length() < 1e-12
+                );
+                let slope = |v: Vec3<D1>| v.map(|x| x.eps[0]);
+                let pushed = slope(moving.o).dot(d.o) + slope(moving.d).dot(d.d);
+                let back = pulled.0[info.offset + k];
+                assert!((pushed - back).abs() < 1e-12, "{name} {k}: {pushed} {back}");
+
+                let h = 1.0 / 512.0;
+                let mut by = |h: f32| -> Ray<f64> {
+                    set(&mut scene, name, k, |x| x + h);
+                    let ray = scene.camera.ray_of(&at);
+                    set(&mut scene, name, k, |x| x - h);
+                    ray
+                };
+                let (a, b) = (by(h), by(-h));
+                let scale = f64::from(0.5 / h);
+                let o = (a.o - b.o) * scale - slope(moving.o);
+                let d = (a.d - b.d) * scale - slope(moving.d);
+                assert!(
+                    o.length() < 2e-5 && d.length() < 2e-5,
+                    "{plugin} {name} {k}: {o:?} {d:?}"
+                );
+            }
+        }
     }
 }
 
@@ -575,6 +672,162 @@ fn moved_cameras_and_lights_are_those_that_are_loaded_there() {
     set(&mut scene, "bulb.position", 2, |_| 4.5);
     let there = load(&file("cube", "", "", sensor, spot));
     assert_alike("camera", &render(&scene), &render(&there));
+}
+
+/// Matrices of shapes and sensors are those of Mitsuba, and a scene in which they are set is one that was loaded with them.
+#[test]
+#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
+fn scenes_with_matrices_are_those_that_are_loaded_with_them() {
+    let dir = tempfile::tempdir().unwrap();
+    let obj = dir.path().join("roof.obj");
+    std::fs::write(
+        &obj,
+        "v -1 -1 0\nv 1 -1 0.5\nv 1 1 0\nv -1 1 0.5\nf 1 2 3\nf 1 3 4\n",
+    )
+    .unwrap();
+    let obj = format!(r#"<string name="filename" value="{}"/>"#, obj.display());
+    let ball =
+        r#"<point name="center" x="0.5" y="-0.25" z="1"/><float name="radius" value="0.75"/>"#;
+    let pipe = r#"<point name="p0" x="0.1" y="-0.8" z="0.2"/><point name="p1" x="0.3" y="0.7" z="-0.1"/>
+        <float name="radius" value="0.6"/>"#;
+    let more = r#"<rotate x="0.6" y="0.8" angle="160"/><scale value="0.75"/><translate x="0.5" y="0.25" z="-0.5"/>"#;
+    let sensor = r#"<float name="fov" value="40"/><transform name="to_world">
+        <lookat origin="-1, 1.5, 6.5" target="0.25, 0, 0" up="0.1, 1, 0"/></transform>"#;
+    let shapes = [
+        ("sphere", ball),
+        ("disk", ""),
+        ("rectangle", ""),
+        ("cube", ""),
+        ("cylinder", pipe),
+        ("obj", &obj[..]),
+    ];
+    for (plugin, own) in shapes {
+        let there = load(&file(plugin, own, more, sensor, LIGHTS));
+        let mut scene = load(&file(plugin, own, "", SENSOR, LIGHTS));
+        let start = render(&scene);
+        let names = ["it.to_world", "sensor.to_world"];
+        let matrices = names.map(|name| there.to_world(name).unwrap().to_f32());
+        let given = names.iter().zip(matrices.iter().map(|m| m.as_flattened()));
+        scene.set(given).unwrap();
+        for (name, matrix) in names.iter().zip(&matrices) {
+            let found = scene.to_world(name).unwrap().matrix();
+            for (a, b) in found.iter().flatten().zip(matrix.iter().flatten()) {
+                assert!((a - f64::from(*b)).abs() < 2e-6, "{plugin} {name}: {a} {b}");
+            }
+        }
+        let centroids = [&scene, &there].map(|s| s.shapes()[0].centroid());
+        let off = (0..3).map(|k| (centroids[0][k] - centroids[1][k]).abs());
+        assert!(off.fold(0.0, f64::max) < 2e-6, "{plugin}: {centroids:?}");
+        let moved = render(&scene);
+        assert!(moved != start);
+        assert_alike(plugin, &moved, &render(&there));
+        // And back again, to where nothing is left of it; only what moves is a parameter.
+        let loaded = load(&file(plugin, own, "", SENSOR, LIGHTS));
+        let matrices = names.map(|name| loaded.to_world(name).unwrap().to_f32());
+        let given = names.iter().zip(matrices.iter().map(|m| m.as_flattened()));
+        scene.set(given).unwrap();
+        assert_eq!(start, render(&scene), "{plugin}");
+        assert!(scene.params().find("floor.translation").is_err());
+    }
+}
+
+/// What Mitsuba 3.9.1 has for these: matrices hold centre and radius of a sphere, and the axis of a cylinder.
+#[test]
+fn matrices_are_those_of_mitsuba() {
+    let scene = load(
+        r#"<scene version="3.0.0"><sensor type="perspective" id="eye"/>
+        <shape type="sphere" id="ball"><point name="center" x="1" y="2" z="3"/><float name="radius" value="0.25"/>
+            <transform name="to_world"><rotate y="1" angle="30"/><scale value="2"/></transform></shape>
+        <shape type="cylinder"><point name="p0" x="1" y="0" z="0"/><point name="p1" x="1" y="2" z="1"/>
+            <float name="radius" value="0.3"/></shape>
+        <emitter type="constant"/></scene>"#,
+    );
+    let ball = [
+        0.4330127, 0.0, 0.25, 4.7320508, 0.0, 0.5, 0.0, 4.0, -0.25, 0.0, 0.4330127, 4.1961524,
+    ];
+    let pipe = [
+        0.3, 0.0, 0.0, 1.0, 0.0, 0.1341641, 2.0, 0.0, 0.0, -0.2683282, 1.0, 0.0,
+    ];
+    for (name, expected) in [("ball.to_world", ball), ("Cylinder.to_world", pipe)] {
+        let found = scene.to_world(name).unwrap().matrix();
+        for (a, b) in found.iter().flatten().zip(expected) {
+            assert!((a - b).abs() < 1e-6, "{name}: {found:?}");
+        }
+    }
+    for name in [
+        "sensor.to_world",
+        "eye.to_world",
+        "PerspectiveCamera.to_world",
+    ] {
+        assert_eq!(scene.to_world(name).unwrap(), Transform::IDENTITY);
+    }
+    let names: Vec<String> = scene.matrices().into_iter().map(|(name, _)| name).collect();
+    assert_eq!(
+        names,
+        ["ball.to_world", "shape1.to_world", "sensor.to_world"]
+    );
+}
+
+/// What is no rotation, even scale and translation of the matrix in the file is refused by name, and changes nothing.
+#[test]
+fn matrices_that_nothing_of_ours_means_are_refused() {
+    let mut scene = load(&file("cube", "", "", SENSOR, LIGHTS));
+    let before = scene.params().clone();
+    let own = scene.to_world("it.to_world").unwrap();
+    let by = |first: &Transform| first.then(&own).to_f32().as_flattened().to_vec();
+    let stretched = by(&Transform::scale([1.0, 1.0, 1.001]));
+    let mirrored = by(&Transform::scale([1.0, -1.0, 1.0]));
+    let flat = by(&Transform::scale([1.0, 1.0, 0.0]));
+    let sheared = by(&Transform::from_linear(&[
+        1.0, 0.1, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0,
+    ]));
+    let mut projective = by(&Transform::IDENTITY);
+    projective[14] = 0.5;
+    let mut nothing = by(&Transform::IDENTITY);
+    nothing[5] = f32::NAN;
+    let few = vec![1.0; 15];
+    let view = scene.to_world("sensor.to_world").unwrap();
+    let larger = Transform::scale([2.0; 3])
+        .then(&view)
+        .to_f32()
+        .as_flattened()
+        .to_vec();
+    for (name, matrix, words) in [
+        ("it.to_world", &stretched, "scales axes unequally"),
+        ("it.to_world", &mirrored, "mirrors"),
+        ("it.to_world", &flat, "singular"),
+        ("it.to_world", &sheared, "shears"),
+        ("it.to_world", &projective, "0, 0, 0.5, 1"),
+        ("it.to_world", &nothing, "`it.to_world`"),
+        ("it.to_world", &few, "15"),
+        ("sensor.to_world", &larger, "scale by 2"),
+        ("its.to_world", &mirrored, " it.to_world"),
+        ("bulb.to_world", &mirrored, "`bulb.position` moves"),
+    ] {
+        let error = scene.set([(name, &matrix[..])]).unwrap_err().to_string();
+        assert!(error.contains(name) && error.contains(words), "{error}");
+        assert_eq!(scene.params().values(), before.values());
+    }
+    // It has no derivative of its own, but what it means has.
+    let error = scene
+        .make_movable(&["it.to_world"])
+        .unwrap_err()
+        .to_string();
+    for part in [
+        "`it.to_world`",
+        "`it.translation`",
+        "`it.rotation`",
+        "`it.scale`",
+    ] {
+        assert!(error.contains(part), "{error}");
+    }
+    // A scene from code has none; one that is turned by nothing but rounding gets no parameters.
+    let made = self::scene(Sphere::new([0.0; 3], 1.0, false).unwrap().into());
+    let error = made.to_world("it.to_world").unwrap_err().to_string();
+    assert!(error.contains("not read from a file"), "{error}");
+    let same = by(&Transform::IDENTITY);
+    scene.set([("it.to_world", &same[..])]).unwrap();
+    assert_eq!(scene.params().infos().len(), before.infos().len());
 }
 
 /// Names, once per shape; what has no name; and values that nothing can have.

@@ -7,6 +7,7 @@ use ad_core::{Dual, Vec2, Vec3};
 use render::Scene;
 use render::camera::{Camera, FovAxis};
 use render::emitter::{AnyEmitter, Ball, Emitter};
+use render::estimator::DetachedMis;
 use render::math::Transform;
 use render::params::Theta;
 use render::sampler::{Independent, Sampler};
@@ -366,6 +367,9 @@ fn beams_have_the_form_of_their_lamp() {
         .find("lamp.translation")
         .expect("a parameter")
         .clone();
-    let error = scene.admits_motion(&info).expect_err("an edge").to_string();
+    let error = scene
+        .admits_motion::<DetachedMis>(&info)
+        .expect_err("an edge")
+        .to_string();
     assert!(error.contains("sends a beam"), "{error}");
 }

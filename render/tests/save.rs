@@ -260,6 +260,57 @@ fn what_has_moved_is_written_where_it_is() {
     assert_eq!(still(&again), still(&scene));
 }
 
+/// Lenses are written as they are now, and so is where they and parallel rays have moved.
+#[test]
+fn lenses_are_written() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let lens = r#"<float name="fov" value="40"/><float name="aperture_radius" value="0.25"/>
+        <float name="focus_distance" value="5"/>"#;
+    for (plugin, own, keys) in [
+        ("thinlens", lens, &["aperture_radius", "focus_distance"][..]),
+        ("orthographic", "", &[][..]),
+    ] {
+        let text = format!(
+            r#"<scene version="3.0.0"><sensor type="{plugin}">{own}<transform name="to_world">
+            <lookat origin="0, 1, 5" target="0, 0, 0" up="0, 1, 0"/></transform>
+            <film type="hdrfilm"><integer name="width" value="16"/><integer name="height" value="16"/></film></sensor>
+            <shape type="sphere" id="ball"/><emitter type="constant"/></scene>"#
+        );
+        let path = dir.path().join(format!("{plugin}.xml"));
+        std::fs::write(&path, text).expect("a scene");
+        let mut scene = Scene::load(&path, &LoadOptions::default())
+            .expect("a scene")
+            .0;
+        let names = keys.iter().copied().chain(["translation", "rotation"]);
+        let names: Vec<String> = names.map(|key| format!("sensor.{key}")).collect();
+        scene.make_movable(&names).expect("they may move");
+        let mut values = scene.params().values().to_vec();
+        for name in &names {
+            values[scene.params().find(name).expect("known").offset] += 0.125;
+        }
+        scene.set_params(&values).expect("valid");
+        let to = dir.path().join(format!("new/{plugin}.xml"));
+        scene.save(&to).expect("files");
+        let mut again = Scene::load(&to, &LoadOptions::default())
+            .expect("a scene")
+            .0;
+        again.make_movable(&names).expect("they may move");
+        for key in keys {
+            let name = format!("sensor.{key}");
+            let of = |s: &Scene| s.params().get(&name).expect("known").to_vec();
+            assert_eq!(of(&again), of(&scene), "{name}");
+        }
+        for at in [[3.0, 4.0], [12.0, 9.0]] {
+            let of = |s: &Scene| s.camera.ray_through::<f64>(at[0], at[1], [0.3, 0.9]);
+            let (a, b) = (of(&scene), of(&again));
+            assert!(
+                (a.o - b.o).length() < 1e-5 && (a.d - b.d).length() < 1e-5,
+                "{a:?} {b:?}"
+            );
+        }
+    }
+}
+
 /// Parts of instances, and points of meshes whose files have attributes, stand nowhere by themselves.
 #[test]
 fn what_stands_nowhere_in_the_file_cannot_be_written_elsewhere() {

@@ -1167,6 +1167,29 @@ fn versions_before_2_are_upgraded() {
     close(emitter.rgb("radiance").unwrap().unwrap(), [2.0; 3]);
 }
 
+/// Of lamps, a number at all wavelengths is grey as the plugin `uniform`, and of equal energy as the value of a spectrum,
+/// as Mitsuba 3.9 shows them.
+#[test]
+fn lamps_of_one_number() {
+    let lamp = |inner: &str| {
+        let document = load(&format!("<emitter type=\"constant\">{inner}</emitter>"));
+        let emitter = document.root().child_with_tag("emitter").unwrap().unwrap();
+        emitter.rgb("radiance").unwrap().unwrap()
+    };
+    for tag in ["spectrum", "texture"] {
+        let uniform = format!(
+            "<{tag} type=\"uniform\" name=\"radiance\"><float name=\"value\" value=\"2\"/></{tag}>"
+        );
+        close(lamp(&uniform), [2.0; 3]);
+    }
+    close(lamp("<float name=\"radiance\" value=\"2\"/>"), [2.0; 3]);
+    let energy = lamp("<spectrum name=\"radiance\" value=\"2\"/>");
+    // IEC 61966-2-1.
+    for (found, expected) in energy.iter().zip([1.2048, 0.9483, 0.9089]) {
+        assert!((found - 2.0 * expected).abs() < 1e-3, "{energy:?}");
+    }
+}
+
 #[test]
 fn paths_are_looked_in_from_where_they_stand() {
     let dir = folder(&[

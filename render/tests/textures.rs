@@ -287,8 +287,8 @@ fn faulty_textures_are_named() {
             "true or false",
         ),
         (
-            reflectance("rgb.png", r#"<float name="gamma" value="1"/>"#),
-            "unknown attribute `gamma`",
+            reflectance("rgb.png", r#"<float name="gamma" value="0"/>"#),
+            "`gamma`: expected a positive number",
         ),
         (
             wall(r#"<texture name="reflectance" type="bitmap"/>"#),

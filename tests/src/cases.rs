@@ -148,6 +148,18 @@ pub fn all() -> Vec<Case> {
             "principled glass",
             r#"<bsdf type="principled"><rgb name="base_color" value="0.7, 0.5, 0.4"/><float name="roughness" value="0.6"/><float name="metallic" value="0.2"/><float name="eta" value="1.5"/><float name="spec_trans" value="0.6"/></bsdf>"#,
         ),
+        material(
+            "principled thin",
+            r#"<bsdf type="principledthin"><rgb name="base_color" value="0.7, 0.5, 0.4"/><float name="roughness" value="0.6"/><float name="spec_trans" value="0.4"/><float name="eta" value="1.5"/><float name="spec_tint" value="0.3"/><float name="diff_trans" value="0.8"/><float name="flatness" value="0.3"/><float name="sheen" value="0.6"/><float name="sheen_tint" value="0.5"/></bsdf>"#,
+        ),
+        material(
+            "hair",
+            r#"<bsdf type="hair"><float name="eumelanin" value="0.4"/></bsdf>"#,
+        ),
+        material(
+            "white hair",
+            r#"<bsdf type="hair"><rgb name="sigma_a" value="0.1, 0.2, 0.4"/><float name="scale" value="0.7"/><float name="longitudinal_roughness" value="0.4"/><float name="azimuthal_roughness" value="0.5"/><float name="scale_tilt" value="4"/></bsdf>"#,
+        ),
         material("nothing", r#"<bsdf type="null"/>"#),
         material(
             "checkerboard",
@@ -211,6 +223,10 @@ pub fn all() -> Vec<Case> {
         material(
             "brushed principled",
             r#"<bsdf type="principled"><rgb name="base_color" value="0.7, 0.3, 0.2"/><float name="roughness" value="0.6"/><float name="metallic" value="0.5"/><float name="anisotropic" value="0.7"/></bsdf>"#,
+        ),
+        material(
+            "brushed pane",
+            r#"<bsdf type="principledthin"><rgb name="base_color" value="0.7, 0.5, 0.4"/><float name="roughness" value="0.6"/><float name="spec_trans" value="0.7"/><float name="anisotropic" value="0.7"/></bsdf>"#,
         ),
         material(
             "brushed glass",

@@ -1,9 +1,11 @@
 //! Things that move above a floor, below a lamp: scenes, gradients in double precision, differences.
 
+use ad_core::Dual;
 use render::estimator::Unbiased;
 use render::instances::{Estimator, render_f64};
 use render::integrator::gradient::{Active, backward};
-use render::params::Theta;
+use render::integrator::render::render;
+use render::params::{Tangent, Theta};
 use render::sampler::Independent;
 use render::statistics::{Estimate, z_limit};
 use render::{Job, Scene, Settings};
@@ -81,13 +83,80 @@ pub fn agrees(what: &str, found: &[Estimate], expected: &[Estimate], bias: f64, 
     for (i, (a, b)) in found.iter().zip(expected).enumerate() {
         let off = (a.mean - b.mean).abs() - bias * size;
         assert!(
-            off < limit * a.se.hypot(b.se),
+            off <= limit * a.se.hypot(b.se),
             "{what} {i}: {a:?}, not {b:?}"
         );
         assert!(
             a.se.hypot(b.se) < 0.15 * size,
             "{what} {i}: {a:?} {b:?} say nothing"
         );
+    }
+}
+
+/// A derivative by both modes.
+pub struct BothModes {
+    /// The parameter, and which of its numbers.
+    pub what: String,
+    /// By forward mode.
+    pub pushed: f64,
+    /// By reverse mode.
+    pub pulled: f64,
+    /// The sum of all absolute values that it is the sum of in forward mode: rounding is a part of that.
+    pub size: f64,
+}
+
+/// The derivatives of `<adjoint, image>` in all numbers of these parameters, by forward and by reverse mode at one seed, in
+/// double precision: 2 samples per pixel, an adjoint of both signs.
+pub fn both_modes<E: Unbiased>(s: &Scene, names: &[&str]) -> Vec<BothModes> {
+    type R = Dual<f64, 1>;
+    let all = values::<f64>(s);
+    let job = Job::new(s, &s.settings, 3, 0..2, &());
+    let n = s.film.pixels() * 3;
+    let adjoint: Vec<f32> = (0..n).map(|i| (1.3 * i as f32).sin()).collect();
+    let active = Active::seen_by::<E, _>(s, names).expect("seen");
+    let pulled = backward::<f64, E, Independent>(&job, &Theta::constant(&all), &active, &adjoint);
+    let pulled = pulled.expect("admitted");
+    let mut out = Vec::new();
+    for (info, values) in active.ranges().iter().zip(&pulled.values) {
+        for (i, &pulled) in values.iter().enumerate() {
+            // All of them move, as in reverse mode: fields follow what is asked for.
+            let mut tangents = vec![Tangent::None; s.params().infos().len()];
+            for other in active.ranges() {
+                let own = other.name == info.name;
+                let unit = |k| R::new(0.0, [f64::from(u8::from(own && k == i))]);
+                let id = s.params().handle(other).id as usize;
+                tangents[id] = Tangent::Dense((0..other.range().len()).map(unit).collect());
+            }
+            let theta = Theta::<R>::with_tangents(&all, &tangents);
+            let r = render::<R, E, Independent>(&job, &theta).expect("admitted");
+            let products = r.sums[1].iter().zip(&adjoint);
+            let products = products.map(|(s, &a)| s * f64::from(a) / 2.0);
+            out.push(BothModes {
+                what: format!("{} {i}", info.name),
+                size: products.clone().map(f64::abs).sum(),
+                pushed: products.sum(),
+                pulled,
+            });
+        }
+    }
+    out
+}
+
+/// Asserts that both modes are the same linear map, to rounding, in all numbers of these parameters, and that none is zero.
+///
+/// # Panics
+/// If they are not.
+pub fn modes_are_one_map<E: Unbiased>(what: &str, s: &Scene, names: &[&str]) {
+    for d in both_modes::<E>(s, names) {
+        let what = format!("{what} {}", d.what);
+        assert!(
+            (d.pushed - d.pulled).abs() <= 1e-8 * d.size,
+            "{what}: {} {} of {}",
+            d.pushed,
+            d.pulled,
+            d.size
+        );
+        assert!(d.pulled.abs() > 1e-9, "{what} says nothing");
     }
 }
 

@@ -169,7 +169,16 @@ fn nothing_changes_but_derivatives_in_what_choices_depend_on() {
         "principled glass: ball.bsdf.metallic.value",
         "principled glass: ball.bsdf.spec_trans.value",
         "principled glass: ball.bsdf.eta.value",
+        "principled thin: ball.bsdf.spec_trans.value",
+        "principled thin: ball.bsdf.diff_trans.value",
+        "hair: ball.bsdf.eta.value",
+        "hair: ball.bsdf.eumelanin.value",
+        "hair: ball.bsdf.pheomelanin.value",
+        "white hair: ball.bsdf.eta.value",
+        "white hair: ball.bsdf.sigma_a.value",
+        "white hair: ball.bsdf.scale.value",
         "brushed principled: ball.bsdf.metallic.value",
+        "brushed pane: ball.bsdf.spec_trans.value",
         "brushed glass: ball.bsdf.eta.value",
     ];
     let mut changed = Vec::new();

@@ -2,6 +2,7 @@
 
 use ad_core::Vec3;
 use render::bsdf::{Bsdf, Material, Shading, TransportMode};
+use render::estimator::DetachedMis;
 use render::image_io::{Pixels, write_exr_pixels};
 use render::integrator::gradient::Active;
 use render::integrator::second_order::hessian_vector;
@@ -373,7 +374,10 @@ fn what_is_not_covered_is_refused() {
         .expect("parameters");
     for key in ["it.translation", "sensor.rotation"] {
         let info = s.params().find(key).expect("a parameter").clone();
-        let error = s.admits_motion(&info).expect_err("jumps").to_string();
+        let error = s
+            .admits_motion::<DetachedMis>(&info)
+            .expect_err("jumps")
+            .to_string();
         assert!(error.contains("jumps where it slides"), "{error}");
     }
     let lamp = r#"<emitter type="area"><texture name="radiance" type="bitmap"><string name="filename" value="tiles.exr"/></texture></emitter>"#;

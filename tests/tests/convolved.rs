@@ -4,7 +4,7 @@
 
 use std::f64::consts::PI;
 
-use ad_core::{Dual, Vec3};
+use ad_core::Vec3;
 use render::estimator::{
     AttachedWeights, BsdfOnly, Convolved, Detached, DetachedMis, Followed, Interior, Mis, Outlines,
     Reparameterised, Unbiased,
@@ -12,10 +12,9 @@ use render::estimator::{
 use render::film::PixelFilter;
 use render::instances::{Direction, Estimator};
 use render::integrator::convolved::field::{LARGEST, Neighbour, boundary_test, convolve};
-use render::integrator::gradient::{Active, backward};
-use render::integrator::render::render;
+use render::integrator::gradient::Active;
 use render::math::Frame;
-use render::params::{Tangent, Theta};
+use render::params::Theta;
 use render::sampler::{Independent, Points, Sampler};
 use render::statistics::{Estimate, z_limit};
 use render::{Job, Scene};
@@ -185,7 +184,6 @@ fn both_modes_are_one_linear_map() {
 }
 
 fn modes_are_one_map<E: Unbiased>(names: &[&str]) {
-    type R = Dual<f64, 1>;
     for (filter, depth) in [
         (PixelFilter::Box, 3),
         (PixelFilter::Gaussian { stddev: 0.5 }, 4),
@@ -193,39 +191,7 @@ fn modes_are_one_map<E: Unbiased>(names: &[&str]) {
         let mut s = scene(&format!("{FLOOR}{BALL}"), depth);
         s.film.filter = filter;
         s.make_movable(names).expect("known");
-        let all = values::<f64>(&s);
-        let job = Job::new(&s, &s.settings, 3, 0..2, &());
-        let n = s.film.pixels() * 3;
-        let adjoint: Vec<f32> = (0..n).map(|i| (1.3 * i as f32).sin()).collect();
-        let active = Active::seen_by::<E, _>(&s, names).expect("seen");
-        let theta = Theta::constant(&all);
-        let pulled = backward::<f64, E, Independent>(&job, &theta, &active, &adjoint);
-        let pulled = pulled.expect("admitted");
-        for (info, values) in active.ranges().iter().zip(&pulled.values) {
-            for (i, pulled) in values.iter().enumerate() {
-                // All of them move, as in reverse mode: fields follow what is asked for.
-                let mut tangents = vec![Tangent::None; s.params().infos().len()];
-                for other in active.ranges() {
-                    let own = other.name == info.name;
-                    let unit = |k| R::new(0.0, [f64::from(u8::from(own && k == i))]);
-                    let id = s.params().handle(other).id as usize;
-                    tangents[id] = Tangent::Dense((0..other.range().len()).map(unit).collect());
-                }
-                let theta = Theta::<R>::with_tangents(&all, &tangents);
-                let r = render::<R, E, Independent>(&job, &theta).expect("admitted");
-                let products = r.sums[1].iter().zip(&adjoint);
-                let products = products.map(|(s, &a)| s * f64::from(a) / 2.0);
-                // Rounding is that of the largest terms, of which most cancels.
-                let size: f64 = products.clone().map(f64::abs).sum();
-                let pushed: f64 = products.sum();
-                assert!(
-                    (pushed - pulled).abs() <= 1e-8 * size,
-                    "{depth} {} {i}: {pushed} {pulled} of {size}",
-                    info.name
-                );
-                assert!(pulled.abs() > 1e-9, "{} {i} says nothing", info.name);
-            }
-        }
+        moving::modes_are_one_map::<E>(&format!("depth {depth}"), &s, names);
     }
 }
 
@@ -287,11 +253,8 @@ fn what_is_not_covered_is_refused() {
         refuses(&s, Estimator::ReparameterisedMis, "it.translation", words);
     };
     let point = r#"<emitter type="point"><point name="position" x="0" y="4" z="0"/></emitter>"#;
-    let mirror = r#"<shape type="sphere"><point name="center" x="2" y="1" z="0"/><float name="radius" value="0.5"/>
-        <bsdf type="conductor"/></shape>"#;
     let plain = PixelFilter::Box;
     refused(point, plain, &["it.translation", "point and spot lights"]);
-    refused(mirror, plain, &["it.translation", "Dirac delta"]);
     let tent = PixelFilter::Tent { radius: 1.0 };
     refused("", tent, &["it.translation", "box or a Gaussian"]);
     let squares = r#"<shape type="rectangle" id="squares"><bsdf type="diffuse"><texture type="checkerboard"

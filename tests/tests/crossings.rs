@@ -77,7 +77,7 @@ fn against_differences(what: &str, body: &str, depth: u32, names: &[&str], spp: 
 }
 
 /// Shapes that are sunk in the floor, and two that cross each other: whatever of them moves, the camera, too, directly and
-/// through bounces. 8 runs of 256 samples of 256 pixels, and differences of 8 runs of 512.
+/// through bounces. 8 runs of 128 samples of 256 pixels, and differences of 8 runs of 256.
 #[test]
 #[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
 fn shapes_that_cross_agree_with_differences() {
@@ -91,7 +91,7 @@ fn shapes_that_cross_agree_with_differences() {
         ("ball through bounces", BALL, 4),
     ] {
         let names = ["it.translation", "floor.translation", "sensor.translation"];
-        against_differences(what, body, depth, &names, [256, 512], 1.0 / 32.0);
+        against_differences(what, body, depth, &names, [128, 256], 1.0 / 32.0);
     }
 }
 

@@ -162,6 +162,7 @@ const TRANSPORT: &[&str] = &[
     "density",
     "paths",
     "motion",
+    "delta",
     "convolved",
     "chain_trail",
     "connections",

@@ -454,6 +454,37 @@ fn mirrored_instances_keep_their_outside() {
     }
 }
 
+/// A mirror of an instance turns no ball inside out, unlike one of the ball's own; a flag does.
+#[test]
+fn mirrored_instances_keep_the_outside_of_balls() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let load = |flags: &str, own: &str, place: &str| {
+        let text = format!(
+            r#"<scene version="3.0.0">{VIEW}<shape type="shapegroup" id="group"><shape type="sphere">{flags}
+            <transform name="to_world">{own}</transform></shape></shape>
+            <shape type="instance" id="it"><ref id="group"/><transform name="to_world">{place}</transform></shape></scene>"#
+        );
+        let loaded = Scene::from_xml(&text, folder.path(), &LoadOptions::default());
+        let (scene, _) = loaded.expect("valid");
+        let Some(AnyShape::Sphere(ball)) = scene.shapes().get(2) else {
+            panic!("no ball");
+        };
+        let at = render::shape::SurfaceCoordinates([0.3, 0.4].into());
+        let si = ball.point_at::<f64>(&Theta::still(), 0, at);
+        si.n_geo.dot(si.p) > 0.0
+    };
+    let (mirror, flip) = (
+        r#"<scale x="-1"/>"#,
+        r#"<boolean name="flip_normals" value="true"/>"#,
+    );
+    for place in ["", mirror, r#"<scale value="-2"/>"#] {
+        assert!(load("", "", place), "{place}");
+        assert!(!load(flip, "", place), "{place}");
+        assert!(!load("", mirror, place), "{place}");
+        assert!(load(flip, mirror, place), "{place}");
+    }
+}
+
 /// What instances cannot be is refused, with the line and a reason; what they are is loaded without a warning.
 #[test]
 fn what_cannot_be_placed_is_refused() {

@@ -14,15 +14,12 @@ use render::integrator::render::render;
 use render::math::Transform;
 use render::params::{ParamKind, Theta};
 use render::sampler::Independent;
-use render::scene::{
-    Builder, Caustics, Connections, Constraint, LoadOptions, Method, Starts, Uniqueness,
-};
+use render::scene::{Builder, Caustics, Connections, Constraint, Method, Starts, Uniqueness};
 use render::shape::{Mesh, MeshData, Patch, Rectangle, smooth_normals};
 use render::{Film, Scene, Settings};
 use tests::stats::{Estimate, z_limit};
 use tests::{
-    forward_by, mean_adjoint, on_any_threads, picture, reverse_by, scene, shared_dir,
-    smooth_params, values,
+    forward_by, mean_adjoint, on_any_threads, picture, reverse_by, scene, smooth_params, values,
 };
 
 const ALPHA: f64 = 1e-3;
@@ -193,20 +190,6 @@ fn sms(bounces: u32) -> Connections {
         bounces,
         ..Connections::new(Method::Sms)
     }
-}
-
-/// The mean of an image, over runs.
-fn mean(s: &Scene, settings: &Settings, seed: u64, runs: u64, spp: u64) -> Estimate {
-    let theta = Theta::constant(s.params().values());
-    let means: Vec<f64> = (0..runs)
-        .map(|r| {
-            let job = Job::new(s, settings, seed + r, 0..spp, &());
-            let rendering = render_f32(&job, &theta, Estimator::Mis);
-            assert_eq!(rendering.non_finite.count, 0);
-            rendering.mean(0).iter().sum::<f64>() / 3.0
-        })
-        .collect();
-    Estimate::of(&means)
 }
 
 /// A point light over a ball of glass, and a spot light before a mirror: paths cannot meet them at all, particles can. 32 runs
@@ -623,107 +606,6 @@ fn what_is_not_covered_is_refused() {
     }
 }
 
-/// The integrators of the authors' files say how connections are made, or what is left out; options that are not known are
-/// errors, and those that change no expectation are warned of.
-#[test]
-fn integrators_of_scene_files_mean_what_they_say() {
-    let load = |integrator: &str| {
-        let text = format!(
-            r#"<scene version="2.0.0">{integrator}<sensor type="perspective"><float name="fov" value="40"/></sensor></scene>"#
-        );
-        Scene::from_xml(&text, std::path::Path::new("."), &LoadOptions::default())
-            .map(|(s, warnings)| (s.settings.connections, warnings))
-            .map_err(|e| e.to_string())
-    };
-    let (found, _) = load(r#"<integrator type="path_sms_ss"/>"#).expect("valid");
-    let found = found.expect("connections");
-    assert_eq!((found.method, found.bounces), (Method::Sms, 1));
-    let (found, warnings) = load(
-        r#"<integrator type="path_sms_ms"><integer name="bounces" value="3"/><boolean name="biased" value="true"/>
-        <integer name="max_trials" value="8"/><boolean name="halfvector_constraints" value="true"/>
-        <float name="uniqueness_threshold" value="0.0001"/></integrator>"#,
-    )
-    .expect("valid");
-    let found = found.expect("connections");
-    assert_eq!((found.method, found.bounces), (Method::SmsBiased(8), 3));
-    assert_eq!(found.constraint, Constraint::HalfVector);
-    assert!(
-        warnings.iter().any(|w| w.contains("uniqueness_threshold")),
-        "{warnings:?}"
-    );
-    let (found, _) = load(r#"<integrator type="path_filtered_ms"/>"#).expect("valid");
-    assert_eq!(found.map(|c| c.method), Some(Method::LeftOut));
-    assert_eq!(load(r#"<integrator type="path"/>"#).expect("valid").0, None);
-    let error =
-        load(r#"<integrator type="path_sms_ms"><integer name="bounces" value="0"/></integrator>"#)
-            .unwrap_err();
-    assert!(
-        error.contains("bounces") && error.contains("from 1 to 8"),
-        "{error}"
-    );
-    let error = load(r#"<integrator type="path_sms_teaser"/>"#).unwrap_err();
-    assert!(error.contains("path_sms_teaser"), "{error}");
-}
-
-/// The middle of a scene of the authors, where they are.
-fn authors(file: &str) -> Option<Scene> {
-    let path = shared_dir()?.join("scenes/sms").join(file);
-    if !path.is_file() {
-        println!("skipped: no {}", path.display());
-        return None;
-    }
-    let options = LoadOptions {
-        allow_missing: true,
-        ..Default::default()
-    };
-    let (mut s, _) = Scene::load(&path, &options).expect("a valid scene");
-    let [w, h] = s.film.size;
-    s.film.crop_size = [16, 16];
-    s.film.crop_offset = [w / 2 - 8, h / 2 + 40];
-    Some(s)
-}
-
-/// The authors' ring and half-buried sphere at a small size: their caustics, on average, within 2 % of paths or within chance,
-/// whichever is more; skipped where the scenes are not there.
-#[test]
-#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
-fn the_authors_scenes_keep_their_energy() {
-    for (file, spp) in [
-        ("Figure_4_5_RingSolutions/ring.xml", 40_000),
-        ("Figure_8_Constraints/sphere.xml", 40_000),
-    ] {
-        let Some(s) = authors(file) else {
-            continue;
-        };
-        let connections = s.settings.connections.expect("the file asks for them");
-        let ours = mean(&s, &with(&s, Some(connections)), 1, 16, 32);
-        let without = mean(
-            &s,
-            &with(
-                &s,
-                Some(Connections {
-                    method: Method::LeftOut,
-                    ..connections
-                }),
-            ),
-            1,
-            16,
-            32,
-        );
-        let paths = mean(&s, &with(&s, None), 100, 16, spp / 16);
-        println!("{file}: {ours:?} of {paths:?}, of which {without:?} without chains");
-        let chance = z_limit(1, 16, ALPHA) * ours.se.hypot(paths.se);
-        assert!(
-            (ours.mean - paths.mean).abs() < (0.02 * paths.mean).max(chance),
-            "{file}: {ours:?} {paths:?}"
-        );
-        assert!(
-            without.mean < 0.98 * ours.mean,
-            "{file}: {without:?} {ours:?}"
-        );
-    }
-}
-
 /// Water over a floor: `waves` is a mesh with interpolated normals, or else the normals of a plane are mapped. Lit by a narrow
 /// lobe of the sky or by a lamp.
 fn bumpy_pool(waves: bool, sky: bool) -> Scene {
@@ -1039,31 +921,4 @@ fn derivatives_of_rough_casters_are_right() {
             assert!(ours.se < 0.3 * ours.mean.abs(), "{name} {key}: {ours:?}");
         }
     }
-}
-
-/// On the authors' plane with its normal map, where uniform starts take 41 to 169 trials per solution at their thresholds, particles
-/// take less than half of the trials of uniform starts; a crop of 16 x 16 pixels, 4 samples. Skipped where the scene is
-/// not there.
-#[test]
-#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
-fn particles_halve_the_trials_on_the_authors_plane() {
-    let Some(s) = authors("Figure_9_Twostage/plane.xml") else {
-        return;
-    };
-    let [uniform, landed] = [Starts::Uniform, Starts::Particles].map(|starts| {
-        let connections = Connections { starts, ..sms(1) };
-        let settings = with(&s, Some(connections));
-        let theta = Theta::constant(s.params().values());
-        let job = Job::new(&s, &settings, 1, 0..4, &());
-        let found = render_f32(&job, &theta, Estimator::Mis).connections;
-        assert!(found.solutions > 50, "{starts:?}: {found:?}");
-        let per = |a: u64, b: u64| a as f64 / b as f64;
-        let rates = (
-            per(found.trials, found.solutions),
-            per(found.converged, found.walks),
-        );
-        println!("{starts:?}: {:.1} trials, {:.3} of walks", rates.0, rates.1);
-        rates.0
-    });
-    assert!(landed < 0.5 * uniform, "{landed} {uniform}");
 }

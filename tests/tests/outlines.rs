@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use ad_core::Vec3;
 use render::estimator::{AllowBias, DetachedMis, Interior, Outlines};
 use render::instances::{Direction, Estimator};
 use render::integrator::gradient::Active;
@@ -259,6 +260,216 @@ fn smooth_tube(count: u32) {
     agrees(&format!("{count} faces"), &found, &expected, 1e-2, 16);
 }
 
+/// Light that reaches the camera after up to five bounces, between walls that scatter most of it and a cube of rough metal, as
+/// that cube moves: with one bounce it is another derivative. 8 runs of 256 samples of 256 pixels, and differences of 8 runs
+/// of 1024.
+#[test]
+#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
+fn edges_agree_with_differences_through_five_bounces() {
+    let walls = r#"<shape type="rectangle"><transform name="to_world"><scale value="4"/><translate y="3" z="-1.6"/></transform>
+        <ref id="grey"/></shape><shape type="rectangle"><transform name="to_world"><scale value="4"/>
+        <rotate y="1" angle="90"/><translate x="-1.8" y="3"/></transform><ref id="grey"/></shape>"#;
+    let body = format!("{FLOOR}{walls}{}", CUBE.replace("grey", "metal"));
+    let body = body.replace("0.6, 0.5, 0.4", "0.9, 0.8, 0.8");
+    let names = ["it.translation"];
+    let of = |depth: u32| {
+        let mut s = scene(&body, depth);
+        s.make_movable(&names).expect("known");
+        let found = gradient(&s, &names, 8, 256);
+        (s, found)
+    };
+    let (mut s, found) = of(6);
+    let expected = differences(&mut s, &names, 1.0 / 16.0, 8, 1024);
+    agrees("five bounces", &found, &expected, 1e-2, 8);
+    let (_, direct) = of(2);
+    let off = found.iter().zip(&direct).map(|(a, b)| a.z(b).abs());
+    assert!(off.fold(0.0, f64::max) > 10.0, "{found:?} {direct:?}");
+}
+
+/// Without what becomes visible or hidden, derivatives of a ball and its shadow have other signs, as those of Mitsuba 3 without
+/// its projective samples have; with edges they are those of differences of its images [`shared/peer`, failure 9]. 8 runs of 128
+/// samples of 1024 pixels.
+#[test]
+#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
+fn a_ball_and_its_shadow_are_those_of_mitsuba() {
+    let mut s = tests::scene(
+        r#"<integrator type="path"><integer name="max_depth" value="2"/></integrator>
+        <sensor type="perspective"><string name="fov_axis" value="x"/><float name="fov" value="42"/>
+            <transform name="to_world"><lookat origin="-0.6, 3.2, 4.2" target="-0.2, 0.4, 0" up="0, 1, 0"/></transform>
+            <film type="hdrfilm"><integer name="width" value="32"/><integer name="height" value="32"/>
+            <rfilter type="box"/></film></sensor>
+        <shape type="rectangle"><transform name="to_world"><scale value="3"/><rotate x="1" angle="-90"/></transform>
+            <bsdf type="diffuse"><rgb name="reflectance" value="0.6"/></bsdf></shape>
+        <shape type="sphere" id="it"><transform name="to_world"><scale value="0.45"/><translate y="1"/></transform>
+            <bsdf type="diffuse"><rgb name="reflectance" value="0.5, 0.3, 0.2"/></bsdf></shape>
+        <shape type="rectangle"><transform name="to_world"><scale value="0.4"/><rotate x="1" angle="90"/>
+            <translate x="0.8" y="3"/></transform><emitter type="area"><rgb name="radiance" value="12"/></emitter></shape>"#,
+    );
+    let names = ["it.translation"];
+    s.make_movable(&names).expect("known");
+    let exact = |known: [f64; 3]| known.map(|mean| Estimate { mean, se: 0.0 });
+    let found = gradient(&s, &names, 8, 128);
+    let differences = exact([-0.00214, 0.00177, -0.01032]);
+    agrees("edges", &found, &differences, 1e-2, 8);
+    let interior = moving::gradient::<AllowBias<Interior<DetachedMis>>>(&s, &names, 8, 128);
+    let known = exact([-0.00326, -0.00723, 0.00210]);
+    agrees("interior", &interior, &known, 1e-2, 8);
+}
+
+/// The irradiance at `p`, with the unit normal `n`, of a rectangle across x that sends a unit of radiance there, and that `n`
+/// sees all of [Lambert].
+fn irradiance(p: Vec3<f64>, n: Vec3<f64>, x: f64, y: [f64; 2], z: [f64; 2]) -> f64 {
+    let corners = [[0, 0], [1, 0], [1, 1], [0, 1]]
+        .map(|[i, k]: [usize; 2]| (Vec3::new(x, y[i], z[k]) - p).normalize());
+    let sides = (0..4).map(|k| {
+        let [a, b] = [corners[k], corners[(k + 1) % 4]];
+        a.cross(b).normalize().dot(n) * a.dot(b).acos()
+    });
+    0.5 * sides.sum::<f64>().abs()
+}
+
+/// A camera at the origin that looks along z, with this angle of view.
+const LOOKS_ALONG_Z: &str = r#"<integrator type="path"><integer name="max_depth" value="2"/></integrator>
+    <sensor type="perspective"><float name="fov" value="50"/><film type="hdrfilm"><integer name="width" value="24"/>
+    <integer name="height" value="24"/><rfilter type="box"/></film></sensor>"#;
+
+/// Two faces with one tilted normal everywhere, under a lamp that is half below the plane of one of them: what is seen jumps
+/// at the side that they share, by light that grazes one of them and passes close over the other, and changes in one of them
+/// as its plane passes over the lamp. The image is known, and so is how it changes. 8 runs of 256 samples of 576 pixels.
+#[test]
+#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
+fn faces_with_one_normal_hide_light_by_their_planes() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("it.obj");
+    let bend = 0.5f64;
+    let (sin, cos) = bend.sin_cos();
+    let shading = Vec3::new((0.5 * bend).sin(), 0.0, -(0.5 * bend).cos());
+    let side = Vec3::new(0.1, 0.0, 5.0);
+    let mut text = String::new();
+    for [x, z] in [[0.0, 0.0], [-10.0, 0.0], [10.0 * cos, 10.0 * sin]] {
+        for y in [-10, 10] {
+            text += &format!("v {} {y} {}\n", side.x + x, side.z + z);
+        }
+    }
+    text += &format!("vn {} {} {}\n", shading.x, shading.y, shading.z);
+    for f in [[3, 4, 2], [3, 2, 1], [1, 2, 6], [1, 6, 5]] {
+        text += &format!("f {0}//1 {1}//1 {2}//1\n", f[0], f[1], f[2]);
+    }
+    std::fs::write(&path, text).expect("a file");
+    let centre = Vec3::new(-2.9, 0.3, 3.36);
+    let mut s = tests::scene(&format!(
+        r#"{LOOKS_ALONG_Z}<shape type="obj" id="it"><string name="filename" value="{}"/>
+            <bsdf type="diffuse"><rgb name="reflectance" value="0.5"/></bsdf></shape>
+        <shape type="rectangle" id="lamp"><transform name="to_world"><scale x="0.4" y="0.5"/><rotate y="1" angle="90"/>
+            <translate x="{}" y="{}" z="{}"/></transform>
+            <emitter type="area"><rgb name="radiance" value="10, 20, 30"/></emitter></shape>"#,
+        path.display(),
+        centre.x,
+        centre.y,
+        centre.z
+    ));
+    let names = ["it.translation", "lamp.translation", "sensor.translation"];
+    s.make_movable(&names).expect("known");
+    let found = gradient(&s, &names, 8, 256);
+
+    // The mean of the image where the faces and the lamp are moved and the camera stays.
+    let half = 25f64.to_radians().tan();
+    let mean = |faces: Vec3<f64>, lamp: Vec3<f64>| {
+        let (side, lamp) = (side + faces, centre + lamp);
+        let (y, z) = ([lamp.y - 0.5, lamp.y + 0.5], [lamp.z - 0.4, lamp.z + 0.4]);
+        // Where the plane of the second face meets the lamp.
+        let cut = side.z - (side.x - lamp.x) * sin / cos;
+        assert!(z[0] < cut && cut < z[1]);
+        let at = side.x / side.z;
+        let n = 200;
+        let part = |i: i32, [low, high]: [f64; 2]| {
+            low + (f64::from(i) + 0.5) / f64::from(n) * (high - low)
+        };
+        let sum = |x: [f64; 2], lit: [f64; 2], of: &dyn Fn(Vec3<f64>) -> Vec3<f64>| {
+            let points = (0..n).flat_map(|i| (0..n).map(move |k| (i, k)));
+            let points =
+                points.map(|(i, k)| of(Vec3::new(part(i, x), part(k, [-half, half]), 1.0)));
+            let sum: f64 = points.map(|p| irradiance(p, shading, lamp.x, y, lit)).sum();
+            sum / f64::from(n * n) * (x[1] - x[0]) / (2.0 * half)
+        };
+        let first = sum([-half, at], z, &|d| d * side.z);
+        let second = sum([at, half], [z[0], cut], &|d| {
+            d * ((sin * side.x - cos * side.z) / (sin * d.x - cos))
+        });
+        20.0 * 0.5 / std::f64::consts::PI * (first + second)
+    };
+    let expected = [[1.0, 0.0], [0.0, 1.0], [-1.0, -1.0]].map(|[faces, lamp]: [f64; 2]| {
+        [0, 1, 2].map(|axis: usize| {
+            let along = |h: f64| {
+                let mut v = [0.0; 3];
+                v[axis] = h;
+                mean(Vec3::from(v) * faces, Vec3::from(v) * lamp)
+            };
+            let mean = (along(1e-4) - along(-1e-4)) / 2e-4;
+            Estimate { mean, se: 0.0 }
+        })
+    });
+    let expected = expected.concat();
+    agrees("two faces", &found, &expected, 2e-3, 8);
+    let size = expected.iter().fold(0.0, |m: f64, e| m.max(e.mean.abs()));
+    assert!(found.iter().all(|e| e.se < 5e-3 * size), "{found:?}");
+}
+
+/// A half-plane between a floor and a lamp. The lamp moves and the half-plane does not: the lamp's light passes the edge
+/// as fast as the lamp does behind it, seen from the floor. That is what edges add to the interior. The camera is below and
+/// sees the floor alone. 8 runs of 256 samples of 576 pixels.
+#[test]
+#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
+fn a_lamp_moves_behind_an_edge_at_rest() {
+    let mut s = tests::scene(&format!(
+        r#"{LOOKS_ALONG_Z}
+        <shape type="rectangle" id="lamp"><transform name="to_world"><scale value="3"/><translate x="2" z="-3"/></transform>
+            <emitter type="area"><rgb name="radiance" value="1, 2, 3"/></emitter></shape>
+        <shape type="rectangle" id="floor"><transform name="to_world"><scale value="100"/>
+            <rotate y="1" angle="180"/><translate z="2"/></transform>
+            <bsdf type="diffuse"><rgb name="reflectance" value="0.5"/></bsdf></shape>
+        <shape type="rectangle" id="it"><transform name="to_world"><scale x="100" y="400"/>
+            <translate x="-99.7" z="-1"/></transform>
+            <bsdf type="twosided"><bsdf type="diffuse"><rgb name="reflectance" value="0"/></bsdf></bsdf></shape>"#
+    ));
+    let names = ["lamp.translation"];
+    s.make_movable(&names).expect("known");
+    let all = gradient(&s, &names, 8, 256);
+    let interior = moving::gradient::<AllowBias<Interior<DetachedMis>>>(&s, &names, 8, 256);
+    let pairs = all.iter().zip(&interior);
+    let found: Vec<Estimate> = pairs
+        .map(|(a, b)| Estimate {
+            mean: a.mean - b.mean,
+            se: a.se.hypot(b.se),
+        })
+        .collect();
+    let (edge, to_edge, to_lamp) = (0.3, 3.0, 5.0);
+    let half = 2.0 * 25f64.to_radians().tan();
+    let n = 500;
+    let at = |i: i32| ((f64::from(i) + 0.5) / f64::from(n) * 2.0 - 1.0) * half;
+    // Along x and z, a mean over the film.
+    let mut known = [0.0; 3];
+    for (i, k) in (0..n).flat_map(|i| (0..n).map(move |k| (i, k))) {
+        let (x, y) = (at(i), at(k));
+        let (sin, cos) = f64::atan((edge - x) / to_edge).sin_cos();
+        // With the angle a from the plane across the edge, a point behind it is `to_lamp / (cos cos a)` away, and what it
+        // sends counts cos cos a.
+        let whole = |a: f64| 0.5 * a + 0.25 * (2.0 * a).sin();
+        let [first, last] = [-3.0, 3.0].map(|end: f64| whole(((end - y) * cos / to_lamp).atan()));
+        let scale = 2.0 * 0.5 / std::f64::consts::PI / f64::from(n * n);
+        let passes = scale * cos * cos / to_lamp * (last - first);
+        known[0] += passes * cos;
+        // Away from the floor is towards negative z.
+        known[2] += passes * sin;
+    }
+    let known = known.map(|mean| Estimate { mean, se: 0.0 });
+    agrees("a lamp behind an edge", &found, &known, 2e-3, 8);
+    assert!(
+        found.iter().all(|e| e.se < 0.02 * known[0].mean),
+        "{found:?}"
+    );
+}
+
 /// Without edges, the same test notices that visibility is missing.
 #[test]
 #[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
@@ -305,6 +516,31 @@ fn shadows_of_points_are_refused() {
     let along = [direction.expect("known")];
     let refused = Estimator::Edges.forward_f32(&job, s.params().values(), &along);
     assert_eq!(refused.expect_err("refused").to_string(), message);
+}
+
+/// A convex body under a sky hides no light from itself: all that there is are its outlines on the film, at any depth. 32 x 32
+/// pixels of 256 samples, with seeds of which one took an edge of the face that a vertex lies on for one of something else.
+#[test]
+#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
+fn faces_do_not_hide_light_from_themselves() {
+    let text = r#"<scene version="3.0.0"><integrator type="path"><integer name="max_depth" value="3"/></integrator>
+        <sensor type="perspective"><float name="fov" value="40"/>
+        <transform name="to_world"><lookat origin="0,1.5,5" target="0,0.3,0" up="0,1,0"/></transform>
+        <film type="hdrfilm"><integer name="width" value="32"/><integer name="height" value="32"/><rfilter type="box"/></film></sensor>
+        <emitter type="constant"><rgb name="radiance" value="0.3,0.4,0.5"/></emitter>
+        <shape type="cube" id="it"><transform name="to_world"><scale value="0.6"/><rotate y="1" angle="30"/></transform>
+            <bsdf type="diffuse"><rgb name="reflectance" value="0.7,0.3,0.2"/></bsdf></shape></scene>"#;
+    let loaded = Scene::from_xml(text, Path::new("."), &LoadOptions::default());
+    let (mut s, _) = loaded.expect("valid");
+    s.make_movable(&["it.translation"]).expect("known");
+    let along = [Direction::uniform(s.params(), "it.translation").expect("known")];
+    for seed in 34..38 {
+        let job = Job::new(&s, &s.settings, seed, 0..256, &());
+        let image = Estimator::Edges.forward_f32(&job, s.params().values(), &along);
+        let image = image.expect("admitted").image(1);
+        let largest = image.data.iter().fold(0.0f32, |m, x| m.max(x.abs()));
+        assert!((1.0..10.0).contains(&largest), "{seed}: {largest}");
+    }
 }
 
 /// Turns, sizes and angles of view.

@@ -99,6 +99,11 @@ fn the_schema_knows_what_scenes_have() {
         ("bsdf", "principled", "spec_tint"),
         ("bsdf", "principled", "clearcoat_gloss"),
         ("bsdf", "principled", "spec_trans"),
+        ("bsdf", "principledthin", "diff_trans"),
+        ("bsdf", "hair", "eumelanin"),
+        ("bsdf", "hair", "sigma_a"),
+        ("bsdf", "hair", "scale"),
+        ("bsdf", "hair", "scale_tilt"),
         ("emitter", "envmap", "filename"),
         ("film", "hdrfilm", "pixel_format"),
         ("integrator", "path", "hide_emitters"),
@@ -107,9 +112,78 @@ fn the_schema_knows_what_scenes_have() {
         ("shape", "obj", "face_normals"),
         ("texture", "bitmap", "wrap_mode"),
         ("texture", "mesh_attribute", "scale"),
+        // As files from before version 2 spell them, and with what they have besides.
+        ("bsdf", "dielectric", "intIOR"),
+        ("bsdf", "diffuse", "diffuseReflectance"),
+        ("integrator", "path", "strictNormals"),
+        ("integrator", "path", "maxDepth"),
+        ("sensor", "perspective", "toWorld"),
+        ("shape", "obj", "collapse"),
+        ("texture", "bitmap", "uscale"),
+        ("texture", "bitmap", "wrapModeU"),
+        ("integrator", "aov", "aovs"),
+        ("integrator", "path_sms_glints", "max_trials"),
     ] {
         let (names, _) = &patterns[&(tag.to_owned(), plugin.to_owned())];
         assert!(names.contains(name), "{plugin}: {names:?}");
         assert!(!names.contains("banana"), "{plugin}");
     }
+}
+
+/// What stands for an attribute, and for plugins of old, or inside of what others stand in for, is there as well.
+#[test]
+fn the_schema_knows_all_that_may_stand_somewhere() {
+    let text = Scene::schema();
+    let schema = Document::parse(&text).unwrap();
+    let elements = |plugin: &str, name: &str| -> BTreeSet<String> {
+        let define = schema
+            .descendants()
+            .find(|n| n.has_tag_name("define") && n.attribute("name") == Some(plugin));
+        let define = define.unwrap_or_else(|| panic!("{plugin}"));
+        let all = define.descendants().filter(|n| n.has_tag_name("element"));
+        let named = all.filter(|e| {
+            e.descendants()
+                .any(|n| n.has_tag_name("value") && n.text() == Some(name))
+        });
+        named
+            .filter_map(|e| e.attribute("name").map(str::to_owned))
+            .collect()
+    };
+    let index = elements("bsdf.dielectric", "int_ior");
+    assert!(
+        index.contains("string") && index.contains("float"),
+        "{index:?}"
+    );
+    let colour = elements("emitter.constant", "radiance");
+    for element in ["blackbody", "float", "rgb", "spectrum", "srgb"] {
+        assert!(colour.contains(element), "{element}: {colour:?}");
+    }
+    for plugin in [
+        "sampler.halton",
+        "film.ldrfilm",
+        "integrator.bdpt",
+        "integrator.aov",
+        "bsdf.mixturebsdf",
+    ] {
+        let define = schema
+            .descendants()
+            .find(|n| n.has_tag_name("define") && n.attribute("name") == Some(plugin));
+        let define = define.unwrap_or_else(|| panic!("{plugin}"));
+        assert!(
+            define
+                .descendants()
+                .any(|n| n.attribute("name") == Some("anything")),
+            "{plugin}"
+        );
+    }
+    // Others are strict.
+    let define = schema
+        .descendants()
+        .find(|n| n.attribute("name") == Some("integrator.path"));
+    assert!(
+        !define
+            .unwrap()
+            .descendants()
+            .any(|n| n.attribute("name") == Some("anything"))
+    );
 }

@@ -15,7 +15,7 @@ use render::integrator::gradient::Active;
 use render::integrator::path;
 use render::integrator::render::Components;
 use render::params::{Tangent, Theta};
-use render::sampler::{Points, Sampler, Spread};
+use render::sampler::{Points, Purpose, Sampler, Spread};
 use render::scene::{Caustics, LightChoice, LoadOptions, Settings};
 use render::{Scene, auto};
 use tests::cases::{self, Case};
@@ -36,6 +36,9 @@ fn single<R: Components<Primal = f32>, S: Strategy<Bsdf: Sampling<Geometry<R> = 
         for index in 0..spp {
             let pixel = u64::from(y) * u64::from(width) + u64::from(x);
             let mut sampler = Spread::spread(settings.points, seed, pixel, index);
+            if s.camera.has_lens() {
+                sampler.seek(Purpose::Lens.at(1));
+            }
             let [dx, dy] = s.film.filter.sample(sampler.next_2d::<f32>());
             let place = if s.camera.has_lens() {
                 sampler.next_2d::<f32>()

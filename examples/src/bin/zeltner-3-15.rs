@@ -1,4 +1,4 @@
-//! `zeltner-3-15`: the Newton fractal of z^3 = 1 [Zeltner 2021].
+//! `zeltner-3-15`: the Newton fractal of z^3 = 1, and basins in a bumpy ring [Zeltner 2021].
 
 use std::process::ExitCode;
 

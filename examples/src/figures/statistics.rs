@@ -60,6 +60,8 @@ pub struct Series {
     pub pixels: Vec<Estimate>,
     /// Per block, row by row.
     pub blocks: Vec<Estimate>,
+    /// Of the mean over all pixels.
+    pub whole: Estimate,
 }
 
 impl Series {
@@ -78,6 +80,11 @@ impl Series {
         Ok(Self {
             pixels: per_pixel(&images),
             blocks: per_pixel(&averaged),
+            whole: Estimate::of(
+                images
+                    .iter()
+                    .map(|i| i.iter().sum::<f64>() / i.len() as f64),
+            ),
         })
     }
 

@@ -67,7 +67,13 @@ pub fn run(path: &Path, load: &LoadArgs, json: Option<&Path>) -> Result<Outcome,
         output::write_json(json, &report)?;
     }
     match outcome {
-        scene::Outcome::Renders => Ok(Outcome::Done),
+        scene::Outcome::Renders => {
+            if !load.values.is_empty() {
+                let (mut scene, _) = Scene::load(path, &load.options())?;
+                load.set(&mut scene)?;
+            }
+            Ok(Outcome::Done)
+        }
         scene::Outcome::Incomplete => Err(ToolError::file(
             path,
             "would not render as it is: files or values are missing",

@@ -1,12 +1,12 @@
 //! `compare`: all estimators of a derivative against each other, speed against accuracy.
 
-use std::cell::RefCell;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use clap::Parser;
 use render::Job;
 use render::auto::{self, Mixture};
+use render::check::{self, Span};
 use render::instances::{Direction, Estimator, Mode, forward_f64, render_f64};
 use render::integrator::render::{NonFinite, Progress, Rendering};
 use render::params::{ParamInfo, Theta};
@@ -33,9 +33,11 @@ One number is added to all elements of each parameter; its derivative image is e
 that is right in the scene, and by those that are wrong on purpose; mis-f64 is mis in double precision, auto
 is chosen by pilots. One that differs from the reference beyond chance in any block of the image, out of
 4 x 4 (significance 1e-3 over all blocks and estimators), is called biased if it is wrong on purpose. Any
-other gets a second look with four times the samples: biased if it differs again in that block, unresolved
-if not, or if it sees nothing there: it hardly ever samples what matters. `fd` extrapolates differences of two steps, and
-counts what that changes as an error. Efficiency is 1 / (variance x time). The folder receives table.csv, ladder.csv, report.json, verdict.txt, a chart and standard-deviation images per
+other gets a second look with four times the samples: biased if it differs again in that block, and by more
+than the noise of all blocks explains; unresolved if not, or if it sees nothing there: it hardly ever samples
+what matters. `fd` extrapolates differences of two steps, and counts what that changes as an error; where
+shapes, cameras or lights move, pilots choose the steps. Efficiency is 1 / (variance x time). The folder
+receives table.csv, ladder.csv, report.json, verdict.txt, a chart and standard-deviation images per
 parameter. What auto chooses, and everything else but times, depends on the seed alone. Ctrl-C keeps the
 estimators so far (exit code 130).";
 
@@ -60,9 +62,10 @@ pub struct Args {
         value_delimiter = ','
     )]
     pub estimators: Vec<String>,
-    /// An estimator's name, or `fd` for finite differences in double precision
-    #[arg(long, value_name = "NAME", default_value = "mis")]
-    pub reference: String,
+    /// An estimator's name, or `fd` for finite differences in double precision [default: mis; where it does not see the
+    /// parameters, edges or reparameterised-mis]
+    #[arg(long, value_name = "NAME")]
+    pub reference: Option<String>,
     /// Samples per pixel and repeat [default: the scene's]
     #[arg(long, value_name = "N", value_parser = sample_count())]
     pub spp: Option<u32>,
@@ -104,6 +107,8 @@ const SIGNIFICANCE: f64 = 1e-3;
 const MORE_REPEATS: u64 = 4;
 /// Seeds of a second look start so many streams later.
 const SECOND_LOOK: u64 = 1 << 16;
+/// Those of pilots that choose a step, here.
+const PILOT: u64 = 1 << 17;
 
 /// What takes part.
 #[derive(Clone, Copy, Debug)]
@@ -195,6 +200,8 @@ struct Report {
     threads: usize,
     seed: u64,
     z_limit: f64,
+    /// Parameters and the larger step of their differences, where those are the reference.
+    steps: Vec<(String, f64)>,
     rows: Vec<Row>,
     refused: Vec<Refused>,
 }
@@ -302,6 +309,30 @@ impl Series {
             )
     }
 
+    /// What extrapolation changes, and the noise of so many repeats: root mean squares over the blocks.
+    fn errors(&self, repeats: u64) -> [f64; 2] {
+        let rms = |of: &dyn Fn(usize) -> f64| {
+            let squares = (0..BLOCKS * BLOCKS).map(|b| of(b).powi(2));
+            (squares.sum::<f64>() / (BLOCKS * BLOCKS) as f64).sqrt()
+        };
+        let noise = |b: usize| {
+            let values: Vec<f64> = self.blocks.iter().map(|r| r[b]).collect();
+            mean_and_error(&values)[1]
+        };
+        let fewer = (self.n as f64 / repeats as f64).sqrt();
+        [rms(&|b| self.systematic.0[b]), rms(&noise) * fewer]
+    }
+
+    /// All means may be wrong by this part of themselves.
+    fn doubt(&mut self, relative: f64) {
+        for b in 0..BLOCKS * BLOCKS {
+            let [mean, _] = self.block(b);
+            self.systematic.0[b] = self.systematic.0[b].hypot(relative * mean);
+        }
+        let [mean, _] = self.mean();
+        self.systematic.1 = self.systematic.1.hypot(relative * mean);
+    }
+
     fn image(&self) -> Vec<f64> {
         self.sum.iter().map(|s| s / self.n as f64).collect()
     }
@@ -335,7 +366,8 @@ fn deviation(series: &Series, spp: f64) -> Vec<f64> {
 }
 
 struct Run<'a> {
-    scene: &'a Scene,
+    /// Moves while it is differentiated by differences.
+    scene: &'a mut Scene,
     settings: Settings,
     seed: u64,
     interrupt: &'a Interrupt,
@@ -345,12 +377,16 @@ impl Run<'_> {
     /// `repeats` derivative images made by `make`, which gets a seed and renders `passes` images. `None` if
     /// interrupted.
     fn series(
-        &self,
+        &mut self,
         what: &str,
         stream: u64,
         repeats: u64,
         passes: u64,
-        make: impl Fn(u64, &dyn Progress) -> Result<(Rendering, Vec<f64>), RenderError>,
+        mut make: impl FnMut(
+            &mut Scene,
+            u64,
+            &dyn Progress,
+        ) -> Result<(Rendering, Vec<f64>), RenderError>,
     ) -> Result<Option<Series>, ToolError> {
         let pixels = self.scene.film.pixels() as u64;
         let bar = Bar::new(what, repeats * passes * pixels, self.interrupt);
@@ -358,7 +394,7 @@ impl Run<'_> {
         for k in 0..repeats {
             let seed = self.seed.wrapping_add((stream << 32) + k);
             let start = Instant::now();
-            let (rendering, derivative) = make(seed, &bar)?;
+            let (rendering, derivative) = make(self.scene, seed, &bar)?;
             if rendering.cancelled || self.interrupt.is_set() {
                 bar.finish();
                 return Ok(None);
@@ -372,13 +408,14 @@ impl Run<'_> {
     }
 
     fn estimate(
-        &self,
+        &mut self,
         e: Contestant,
         param: &str,
         stream: u64,
         repeats: u64,
     ) -> Result<Option<Series>, ToolError> {
-        let spp = u64::from(self.settings.spp);
+        let settings = self.settings;
+        let spp = u64::from(settings.spp);
         let start = Instant::now();
         if e.double {
             return self.double(param, stream, repeats);
@@ -391,7 +428,7 @@ impl Run<'_> {
                 let found = auto::choose(
                     &Job::new(
                         self.scene,
-                        &self.settings,
+                        &settings,
                         seed,
                         0..spp * repeats,
                         self.interrupt,
@@ -409,11 +446,8 @@ impl Run<'_> {
             }
         };
         let pilots = start.elapsed().as_secs_f64() / repeats as f64;
-        let series = self.series(e.name(), stream, repeats, 1, |seed, bar| {
-            let r = mixture.forward_f32(
-                &Job::new(self.scene, &self.settings, seed, 0..spp, bar),
-                param,
-            )?;
+        let series = self.series(e.name(), stream, repeats, 1, |scene, seed, bar| {
+            let r = mixture.forward_f32(&Job::new(scene, &settings, seed, 0..spp, bar), param)?;
             let n = r.samples as f64;
             let image = r.sums[1].iter().map(|s| s / n).collect();
             Ok((r, image))
@@ -425,77 +459,123 @@ impl Run<'_> {
     }
 
     /// What single precision costs: the default estimator in double precision.
-    fn double(&self, param: &str, stream: u64, repeats: u64) -> Result<Option<Series>, ToolError> {
+    fn double(
+        &mut self,
+        param: &str,
+        stream: u64,
+        repeats: u64,
+    ) -> Result<Option<Series>, ToolError> {
         let along = Direction::uniform(self.scene.params(), param)?;
-        let spp = u64::from(self.settings.spp);
+        let settings = self.settings;
+        let spp = u64::from(settings.spp);
         let what = Contestant::DOUBLE.name();
-        self.series(what, stream, repeats, 1, |seed, bar| {
-            let r = forward_f64(
-                &Job::new(self.scene, &self.settings, seed, 0..spp, bar),
-                &along,
-            )?;
+        self.series(what, stream, repeats, 1, |scene, seed, bar| {
+            let r = forward_f64(&Job::new(scene, &settings, seed, 0..spp, bar), &along)?;
             let n = r.samples as f64;
             let image = r.sums[1].iter().map(|s| s / n).collect();
             Ok((r, image))
         })
     }
 
-    /// Central differences in f64 with common random numbers. Light sampling is smooth in all parameters
-    /// of materials where light takes one bounce; longer paths jump, and need a wider step. Two steps are
-    /// extrapolated to none (Richardson); what that changes is an error of the result.
-    fn differences(&self, param: &str, repeats: u64) -> Result<Option<Series>, ToolError> {
-        let params = self.scene.params();
-        let range = params.find(param)?.range();
-        let (technique, relative) = match self.settings.max_depth {
-            0..=2 => (Estimator::Emitter, 1e-4),
-            _ => (Estimator::Mis, 1e-2),
+    /// Central differences in f64 with common random numbers, and the larger one of their two steps. Light sampling is
+    /// smooth in all parameters of materials where light takes one bounce; longer paths jump, and need a wider step. Where
+    /// something moves, images jump at outlines, and pilots choose the step ([`check::widest_step`]).
+    fn reference_differences(
+        &mut self,
+        info: &ParamInfo,
+        repeats: u64,
+    ) -> Result<Option<(Series, f64)>, ToolError> {
+        let span = Span::of(self.scene, info);
+        let (technique, step) = if info.kind.is_motion() {
+            if span.most <= 0.0 {
+                return Err(ToolError::Usage(format!(
+                    "--reference fd: a value of `{}` is at an end of its interval, and cannot move both ways",
+                    info.name
+                )));
+            }
+            let step = check::widest_step(span.most, |step| {
+                let pilot = self.differences(
+                    ("choosing a step", PILOT),
+                    info,
+                    (Estimator::Mis, step),
+                    check::PILOTS,
+                )?;
+                Ok::<_, ToolError>(pilot.map(|pilot| pilot.errors(repeats)))
+            })?;
+            let Some(step) = step else { return Ok(None) };
+            (Estimator::Mis, step)
+        } else {
+            let values = &self.scene.params().values()[info.range()];
+            let largest = values.iter().fold(0.0f32, |m, v| m.max(v.abs()));
+            let size = if largest > 0.0 { largest.into() } else { 1.0 };
+            match self.settings.max_depth {
+                0..=2 => (Estimator::Emitter, 2e-4 * size),
+                _ => (Estimator::Mis, 2e-2 * size),
+            }
         };
-        let values: Vec<f64> = params.values().iter().map(|&v| f64::from(v)).collect();
-        let size = range.clone().fold(0.0f64, |m, i| m.max(values[i].abs()));
-        let h = relative * if size > 0.0 { size } else { 1.0 };
-        let spp = u64::from(self.settings.spp);
-        let doubts = RefCell::new(vec![0.0; self.scene.film.pixels() * 3]);
-        let series = self.series("finite differences", 1, repeats, 4, |seed, bar| {
-            let at = |step: f64| {
-                let mut moved = values.clone();
-                range.clone().for_each(|i| moved[i] += step);
+        let what = ("finite differences", 1);
+        let found = self.differences(what, info, (technique, step), repeats)?;
+        Ok(found.map(|mut series| {
+            series.doubt(span.rounding / step);
+            (series, step)
+        }))
+    }
+
+    /// Differences of this step and of half of it, extrapolated to none (Richardson); what that changes is an error of the
+    /// result. The scene is where it was.
+    fn differences(
+        &mut self,
+        (what, stream): (&str, u64),
+        info: &ParamInfo,
+        (technique, step): (Estimator, f64),
+        repeats: u64,
+    ) -> Result<Option<Series>, ToolError> {
+        let single = self.scene.params().values().to_vec();
+        let settings = self.settings;
+        let spp = u64::from(settings.spp);
+        let mut doubts = vec![0.0; self.scene.film.pixels() * 3];
+        let series = self.series(what, stream, repeats, 4, |scene, seed, bar| {
+            let mut at = |step: f64| {
+                let mut moved: Vec<f64> = single.iter().map(|&v| v.into()).collect();
+                moved[info.range()].iter_mut().for_each(|v| *v += step);
+                if info.kind.is_motion() {
+                    let rounded: Vec<f32> = moved.iter().map(|&v| v as f32).collect();
+                    scene.set_params(&rounded)?;
+                    moved = rounded.into_iter().map(f64::from).collect();
+                }
                 let theta = Theta::constant(&moved);
-                let s = &self.settings;
-                render_f64(
-                    &Job::new(self.scene, s, seed, 0..spp, bar),
-                    &theta,
-                    technique,
-                )
+                let job = Job::new(scene, &settings, seed, 0..spp, bar);
+                Ok::<_, RenderError>(render_f64(&job, &theta, technique))
             };
-            let difference = |h: f64| {
-                let (up, down) = (at(h), at(-h));
+            let mut difference = |h: f64| {
+                let (up, down) = (at(h)?, at(-h)?);
                 let scale = 1.0 / (2.0 * h * up.samples as f64);
                 let pairs = up.sums[0].iter().zip(&down.sums[0]);
                 let image: Vec<f64> = pairs.map(|(a, b)| (a - b) * scale).collect();
-                (up, image)
+                Ok::<_, RenderError>((up, image))
             };
-            let ((last, near), (_, wide)) = (difference(h), difference(2.0 * h));
+            let ((last, near), (_, wide)) = (difference(0.5 * step)?, difference(step)?);
             let corrections = near.iter().zip(&wide).map(|(n, w)| (n - w) / 3.0);
             let mut image = near.clone();
-            for ((x, doubt), c) in image
-                .iter_mut()
-                .zip(&mut *doubts.borrow_mut())
-                .zip(corrections)
-            {
+            for ((x, doubt), c) in image.iter_mut().zip(&mut doubts).zip(corrections) {
                 *x += c;
                 *doubt += c / repeats as f64;
             }
             Ok((last, image))
-        })?;
+        });
+        // It may have been left while something had moved.
+        let restored = self.scene.set_params(&single);
+        let series = series?;
+        restored?;
         Ok(series.map(|mut series| {
-            series.systematic = series.averages(&doubts.into_inner());
+            series.systematic = series.averages(&doubts);
             series
         }))
     }
 
     /// What an estimator's difference from the truth in one block says. `None` if interrupted.
     fn finding(
-        &self,
+        &mut self,
         contestant: Contestant,
         param: &str,
         stream: u64,
@@ -514,9 +594,15 @@ impl Run<'_> {
         let again = self.estimate(contestant, param, stream, repeats)?;
         Ok(again.map(|again| {
             let found = again.block(block);
-            let z = z(found, truth.block(block));
+            let truth = truth.block(block);
+            let z = z(found, truth);
+            let again_so = z.abs() > z_limit && z * z_block > 0.0;
+            // Where rare samples carry the variance, a block that has met none of them has an error that is too small;
+            // those of all blocks know of them.
+            let [_, noise] = again.errors(again.n);
+            let beyond_noise = (found[0] - truth[0]).abs() > z_limit * noise;
             // Without any spread it has seen nothing there.
-            if z.abs() > z_limit && z * z_block > 0.0 && found[1] > 0.0 {
+            if again_so && beyond_noise && found[1] > 0.0 {
                 Finding::Biased
             } else {
                 Finding::Unresolved
@@ -554,10 +640,6 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
             found?
         }
     };
-    let reference = match args.reference.as_str() {
-        "fd" => None,
-        name => Some(Contestant::single(Choice::One(Estimator::from_name(name)?))),
-    };
     // Wrong names are noticed before the first minute of work.
     let infos = args.params.iter().map(|p| scene.params().find(p).cloned());
     let infos = infos.collect::<Result<Vec<_>, _>>()?;
@@ -568,6 +650,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
             first?;
         }
     }
+    let reference = reference(args.reference.as_deref(), &scene, &infos)?;
     let reports = [args.out.join("report.json")]
         .into_iter()
         .chain(args.json.clone());
@@ -578,21 +661,22 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     let z_limit = statistics::z_limit(tests, repeats, SIGNIFICANCE);
     args.threads.run(|threads| {
         (args.samples).learn(&mut scene, &settings, args.seed, interrupt);
-        let run = Run {
-            scene: &scene,
+        let mut run = Run {
+            scene: &mut scene,
             settings,
             seed: args.seed,
             interrupt,
         };
         let mut report = Report {
             scene: args.scene.display().to_string(),
-            reference: args.reference.clone(),
+            reference: reference.map_or("fd", Contestant::name).into(),
             spp: settings.spp,
             samples: args.samples.filled(),
             repeats: args.repeats,
             threads,
             seed: args.seed,
             z_limit,
+            steps: Vec::new(),
             rows: Vec::new(),
             refused: Vec::new(),
         };
@@ -600,14 +684,17 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
             let many = MORE_REPEATS * repeats;
             let truth = match reference {
                 Some(e) => run.estimate(e, param, 1, many)?,
-                None => run.differences(param, many)?,
+                None => run.reference_differences(info, many)?.map(|(truth, step)| {
+                    report.steps.push((param.clone(), step));
+                    truth
+                }),
             };
             let Some(truth) = truth else {
                 break;
             };
             let mut panels = Vec::new();
             for &e in &estimators {
-                if let Err(reason) = e.able(&scene, info) {
+                if let Err(reason) = e.able(run.scene, info) {
                     report.refused.push(Refused {
                         param: param.clone(),
                         estimator: e.name(),
@@ -632,7 +719,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
                 say!("{}", line(&row));
                 report.rows.push(row);
             }
-            write_images(&args.out, param, &scene, &truth, &panels)?;
+            write_images(&args.out, param, run.scene, &truth, &panels)?;
             write_chart(&args.out, param, &report.rows)?;
             if interrupt.is_set() {
                 break;
@@ -648,6 +735,42 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
         return Ok(Outcome::Interrupted);
     }
     Ok(Outcome::Done)
+}
+
+/// The estimator that is the reference, if differences are not; by default the first one that sees the parameters.
+fn reference(
+    name: Option<&str>,
+    scene: &Scene,
+    infos: &[ParamInfo],
+) -> Result<Option<Contestant>, ToolError> {
+    let sees = |e: Contestant| infos.iter().try_for_each(|info| e.able(scene, info));
+    let one = |e| Contestant::single(Choice::One(e));
+    match name {
+        Some("fd") => Ok(None),
+        Some(name) => {
+            let e = one(Estimator::from_name(name)?);
+            match sees(e) {
+                Ok(()) => Ok(Some(e)),
+                Err(error) => Err(ToolError::Usage(format!("--reference {name}: {error}"))),
+            }
+        }
+        None => {
+            let [mis, edges, follows] = [
+                Estimator::Mis,
+                Estimator::Edges,
+                Estimator::ReparameterisedMis,
+            ]
+            .map(one);
+            match sees(mis) {
+                Ok(()) => Ok(Some(mis)),
+                // What it says of others names those that see them.
+                Err(error) => match [edges, follows].into_iter().find(|e| sees(*e).is_ok()) {
+                    Some(e) => Ok(Some(e)),
+                    None => Err(sees(edges).err().unwrap_or(error).into()),
+                },
+            }
+        }
+    }
 }
 
 fn row(
@@ -717,6 +840,12 @@ fn verdict(report: &Report) -> String {
     for param in params {
         let rows = || report.rows.iter().filter(|r| r.param == param);
         text += &format!("{param}:\n");
+        if let Some((_, step)) = report.steps.iter().find(|(name, _)| name == param) {
+            text += &format!(
+                "  reference: differences of steps {step:.2e} and {:.2e}\n",
+                0.5 * step
+            );
+        }
         let right = |r: &&Row| r.finding == Finding::Right && r.efficiency > 0.0;
         let sound = rows().filter(right);
         if let Some(best) = sound.max_by(|a, b| a.efficiency.total_cmp(&b.efficiency)) {

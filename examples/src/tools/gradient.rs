@@ -106,8 +106,8 @@ pub struct Args {
     /// Loss between image and target: l1, l2 (mse), relative-l1, relative-l2, log-l2
     #[arg(long, value_name = "NAME", requires = "target")]
     pub loss: Option<LossKind>,
-    /// Target image of the loss
-    #[arg(long, value_name = "IMG.EXR", requires = "loss")]
+    /// Target image of the loss, or a layer of one
+    #[arg(long, value_name = "IMG.EXR[:LAYER]", requires = "loss")]
     pub target: Option<PathBuf>,
     /// Write values, gradients, errors and times to this file
     #[arg(long, value_name = "OUT.JSON")]
@@ -233,6 +233,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
         args.samples.check_guided(e)?;
         e.check(&scene)?;
         e.active(&scene, &args.params)?;
+        cli::warn_of_failures(e);
         cli::warn_of_unsampled(&scene, e);
         cli::warn_of_crossings(&scene, e, &args.params);
     }
@@ -542,7 +543,9 @@ fn listing(scene: &Scene) -> String {
     let infos = scene.params().infos();
     let movables = scene.movables();
     let names = infos.iter().map(|i| &i.name);
+    let matrices = scene.matrices();
     let names = names.chain(movables.iter().map(|m| &m.name));
+    let names = names.chain(matrices.iter().map(|(name, _)| name));
     let wide = names.map(String::len).max().unwrap_or(0);
     let other = |info| scene.params().other_name(info);
     let mut text = String::new();
@@ -576,6 +579,17 @@ fn listing(scene: &Scene) -> String {
             arrangement(movable.shape)
         );
         text.push_str(&line);
+    }
+    for (name, matrix) in matrices {
+        let matrix = matrix.to_f32();
+        let values: Vec<String> = (matrix.as_flattened().iter())
+            .map(|x| (x + 0.0).to_string())
+            .collect();
+        let values = values.join(",");
+        text.push_str(&format!(
+            "{name:wide$}  {:16}  {values}  (is set and read; has no derivative)\n",
+            "4 x 4"
+        ));
     }
     text
 }

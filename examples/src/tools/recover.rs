@@ -71,8 +71,8 @@ pictures are then left for --resume to complete.";
 pub struct Args {
     /// Scene file, Mitsuba XML [default: a built-in room]
     pub scene: Option<PathBuf>,
-    /// Image of the scene, or of one of its sensors; may be given several times
-    #[arg(long = "target", value_name = "[SENSOR=]IMG.EXR", requires = "scene", value_parser = target_argument())]
+    /// Image of the scene, or of one of its sensors, or a layer of one; may be given several times
+    #[arg(long = "target", value_name = "[SENSOR=]IMG.EXR[:LAYER]", requires = "scene", value_parser = target_argument())]
     pub targets: Vec<TargetArg>,
     /// Unknown parameter; may be given several times. Behind a colon, how it moves: `lr=RATE` for a rate of its own;
     /// `smooth=LAMBDA` for points of a mesh that move with their neighbours, over a width of about the root of LAMBDA

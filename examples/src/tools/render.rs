@@ -15,7 +15,7 @@ use render::integrator::density::Convention;
 use render::integrator::particle;
 use render::integrator::render::{Progress, Rendering};
 use render::params::Theta;
-use render::scene::{Caustics, LightChoice, Method as Finding};
+use render::scene::{Caustics, LightChoice};
 use render::{RenderError, Scene, Settings, image_io};
 use serde::Serialize;
 
@@ -100,7 +100,7 @@ pub struct Args {
     pub heuristic: HeuristicArg,
     /// Read everything, files that are missing or not, say what is understood, substituted, ignored or refused, with its
     /// line, and do nothing else; the exit code says whether the scene would render
-    #[arg(long, conflicts_with_all = ["output", "spp", "max_depth", "radius", "ignore_non_symmetry", "values", "SampleArgs", "ThreadArgs"])]
+    #[arg(long, conflicts_with_all = ["output", "spp", "max_depth", "radius", "ignore_non_symmetry", "SampleArgs", "ThreadArgs"])]
     pub check: bool,
     /// Write the scene with its parameters as they are, for this renderer and Mitsuba 3, with its textures and meshes in
     /// folders beside it, and do nothing else
@@ -350,7 +350,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
         settings.connections = None;
         settings.glints = None;
     }
-    let connects = (settings.connections).is_some_and(|c| c.method != Finding::LeftOut);
+    let connects = (settings.connections).is_some_and(|c| c.method.walks());
     if args.manifold_check && !connects {
         let message = "--manifold-check: no connections to check; expected --manifold, or a scene that asks for them";
         return Err(ToolError::Usage(message.into()));

@@ -5,7 +5,7 @@ use std::process::Command;
 
 use render::Image;
 use render::image_io::read_rgb as read_exr;
-use render::image_io::write_exr;
+use render::image_io::{write_exr, write_exr_planes, write_png};
 use serde_json::Value;
 
 use crate::{Folder, GLASS, SCENE, WALL, bytes, keys, samples};
@@ -125,6 +125,23 @@ fn manifold_connections_are_rendered_reported_and_checked() {
     let rest = mean("ball.xml --manifold off --bounces 2 --spp 32 -o x.exr --json rest.json");
     assert_eq!(dir.json("rest.json")["manifold"]["method"], "left out");
     assert!(rest < off, "{rest} {off}");
+    // Integrators of scene files that keep some of the light over casters say so.
+    let with = |name: &str, of: &str, integrator: &str| {
+        let text = std::fs::read_to_string(dir.path(of)).unwrap();
+        let text = text.replace(r#"<integrator type="path">"#, integrator);
+        std::fs::write(dir.path(name), text).unwrap();
+    };
+    let filtered = r#"<integrator type="path_filtered_ss">"#;
+    with("filtered.xml", "ball.xml", filtered);
+    let filtered = mean("filtered.xml --spp 32 -o x.exr --json filtered.json");
+    let report = &dir.json("filtered.json")["manifold"];
+    assert_eq!(
+        (&report["method"], &report["other_light"]),
+        (&"paths".into(), &false.into())
+    );
+    assert!(filtered < off, "{filtered} {off}");
+    let aimed = r#"<integrator type="path_sms_ss"><boolean name="mnee_init" value="true"/>"#;
+    with("aimed.xml", "bulb.xml", aimed);
     for (args, expected) in [
         ("ball.xml --trials 4", "--manifold"),
         (
@@ -134,6 +151,8 @@ fn manifold_connections_are_rendered_reported_and_checked() {
         ("ball.xml --manifold mnee --trials 4", "sms-biased"),
         ("ball.xml --manifold mnee-unbiased --trials 4", "sms-biased"),
         ("bulb.xml --manifold mnee-unbiased", "bulb.intensity.value"),
+        ("aimed.xml", "bulb.intensity.value"),
+        ("filtered.xml --manifold-check", "no connections to check"),
         (
             "ball.xml --manifold sms --caustics particles",
             "one of them",
@@ -331,9 +350,55 @@ fn a_check_says_what_is_understood() {
     );
     let said = "missing         13  `filename`: expected an existing file";
     expect(&wall, 1, "incomplete", said);
+    let wall_without_image = wall;
     expect(&SCENE.replace("fov", "fow"), 1, "wrong", "");
     // Nothing else is done.
     assert!(!Path::new("checked.exr").exists());
+    // What is understood is said however the file is written, and beside what is refused before any plugin is made.
+    let smoke = "<medium type=\"homogeneous\" id=\"smoke\"/>";
+    let foggy = SCENE.replace("<bsdf type", &format!("{smoke}<bsdf type"));
+    let foggy = foggy.replace(
+        "<shape type=\"rectangle\">\n",
+        "<shape type=\"rectangle\"><ref name=\"interior\" id=\"smoke\"/>\n",
+    );
+    for scene in [foggy.clone(), foggy.replace('\n', " ")] {
+        let (text, _) = expect(
+            &scene,
+            1,
+            "refused",
+            "medium `homogeneous`: participating media are not there",
+        );
+        for part in [
+            "film `hdrfilm`",
+            "rfilter `box`",
+            "sampler `independent`",
+            "sensor `perspective`",
+            "emitter `area`",
+            "bsdf `diffuse`",
+            "shape `rectangle`",
+        ] {
+            let said = text
+                .lines()
+                .any(|l| l.starts_with("understood") && l.contains(part));
+            assert!(said, "{part}: {text}");
+        }
+    }
+    // Textures that may be missing are as good as others, as where the scene is rendered; values of parameters are tried.
+    std::fs::write(dir.path("scene.xml"), &wall_without_image).unwrap();
+    for (args, code) in [
+        ("scene.xml --check", 1),
+        ("scene.xml --check --allow-missing", 0),
+        ("scene.xml --spp 1 --allow-missing", 0),
+        (
+            "scene.xml --check --allow-missing -P wall.reflectance=0.2",
+            0,
+        ),
+        ("scene.xml --check --allow-missing -P wall.reflectance=2", 1),
+    ] {
+        let output = dir.run("render", args);
+        let error = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(code), "{args}: {error}");
+    }
 }
 
 /// Any parameter may be set, by its own name, by that of Mitsuba 3 or by a pattern, to numbers or to an image.
@@ -394,6 +459,30 @@ fn parameters_are_set_on_the_command_line() {
             "{argument}: {error}"
         );
     }
+    // Matrices are read and set, row by row.
+    let lamp = value(&[], "lamp.to_world");
+    assert!(
+        lamp.contains("4 x 4") && lamp.contains("0.3,0,0,0.5,0,-0.3,0,0,0,0,-0.3,1.5,0,0,0,1"),
+        "{lamp}"
+    );
+    let moved = "0.3,0,0,0.25,0,-0.3,0,0,0,0,-0.3,1.5,0,0,0,1";
+    let argument = format!("lamp.to_world={moved}");
+    assert!(value(&["-P", &argument], "lamp.to_world").contains(moved));
+    assert!(value(&["-P", &argument], "lamp.translation").contains("[-0.25, 0.0, 0.0]"));
+    for (argument, expected) in [
+        ("lamp.to_world=1,2", "16"),
+        ("lamp.to_world=a.exr", "expected 16 numbers"),
+        (
+            "lamp.to_world=1,0,0,0,0,1,0,0,0,0,2,0,0,0,0,1",
+            "scales axes unequally",
+        ),
+    ] {
+        let (code, _, error) = list(&["-P", argument]);
+        assert!(
+            code == Some(1) && error.contains(expected) && error.contains("lamp.to_world"),
+            "{argument}: {error}"
+        );
+    }
     // Texels take an image of their size.
     let image = |width: usize, value: f32| Image {
         width,
@@ -415,9 +504,141 @@ fn parameters_are_set_on_the_command_line() {
     assert!(value(&["-P", "wall.reflectance=0.1"], texels).contains("mean 0.100000"));
     let (code, _, error) = list(&["-P", "wall.reflectance=wide.exr"]);
     assert!(
-        code == Some(1) && error.contains("an image of 2 x 1, found one of 3 x 1"),
+        code == Some(1)
+            && error.contains("an image of 2 x 1, as the scene has it, found one of 3 x 1"),
         "{error}"
     );
+    // With or without the ending of names.
+    assert!(value(&["-P", "*.reflectance=0.2"], texels).contains("mean 0.200000"));
+    // A colour is replaced by an image in the scene file only, and the answer says how.
+    let (code, _, error) = list(&["-P", "lamp.emitter.radiance=new.exr"]);
+    let how = "<texture type=\"bitmap\" name=\"radiance\"><string name=\"filename\" value=\"new.exr\"/></texture>";
+    assert!(code == Some(1) && error.contains(how), "{error}");
+    // Mitsuba's name of the angle of view is of the sensor's id or class.
+    for key in ["sensor.x_fov", "PerspectiveCamera.x_fov", "sensor0.x_fov"] {
+        assert!(
+            value(&["-P", &format!("{key}=50")], "sensor.fov").contains("[50"),
+            "{key}"
+        );
+    }
+}
+
+/// Images for parameters are decoded as the scene's own are, and may be layers.
+#[test]
+fn images_of_parameters_are_decoded_as_the_scene_says() {
+    let dir = Folder::new();
+    let grey = |value: f32| Image {
+        width: 2,
+        height: 2,
+        data: vec![value; 12],
+    };
+    // 0.5 linear is 188 of 255 on the curve.
+    write_png(&dir.path("grey.png"), &grey(0.5), 0.0).unwrap();
+    let layered: Vec<(String, Vec<f32>)> = ["AO", "Diffuse"]
+        .iter()
+        .zip([0.25, 0.75])
+        .flat_map(|(layer, x)| ["R", "G", "B"].map(|c| (format!("{layer}.{c}"), vec![x; 4])))
+        .collect();
+    let layered = layered
+        .iter()
+        .map(|(name, data)| (name.as_str(), data.clone()))
+        .collect();
+    write_exr_planes(&dir.path("layers.exr"), 2, 2, layered).unwrap();
+    let texture = |name: &str, raw: bool| {
+        format!(
+            "<texture type=\"bitmap\" name=\"{name}\"><string name=\"filename\" value=\"grey.png\"/>\
+             <boolean name=\"raw\" value=\"{raw}\"/></texture>"
+        )
+    };
+    let mean = |scene: &str, key: &str, image: &str| {
+        std::fs::write(dir.path("scene.xml"), scene).unwrap();
+        let argument = format!("{key}={image}");
+        let output = Command::new(env!("CARGO_BIN_EXE_gradient"))
+            .arg(dir.path("scene.xml"))
+            .args(["--list", "-P", &argument])
+            .current_dir(&dir.0)
+            .output()
+            .unwrap();
+        let text = String::from_utf8(output.stdout).unwrap();
+        let line = text.lines().find(|l| l.starts_with(key)).map(str::to_owned);
+        let error = String::from_utf8_lossy(&output.stderr);
+        let line = line.unwrap_or_else(|| panic!("{key}: {error}"));
+        let (_, number) = line.split_once("mean ").unwrap_or_else(|| panic!("{line}"));
+        number
+            .split_whitespace()
+            .next()
+            .unwrap()
+            .parse::<f64>()
+            .unwrap()
+    };
+    let constant = "<rgb name=\"reflectance\" value=\"$red,0.4,0.2\"/>";
+    let coloured = |raw: bool| SCENE.replace(constant, &texture("reflectance", raw));
+    let rough = |raw: bool| {
+        let alpha = texture("alpha", raw);
+        SCENE
+            .replace(
+                "<bsdf type=\"diffuse\" id=\"wall\">",
+                "<bsdf type=\"roughconductor\" id=\"wall\">",
+            )
+            .replace(constant, &alpha)
+    };
+    let bumped = format!(
+        "<bsdf type=\"normalmap\" id=\"wall\">{}<bsdf type=\"diffuse\"/></bsdf>",
+        texture("normalmap", true)
+    );
+    let mapped = SCENE.replace(
+        &format!("<bsdf type=\"diffuse\" id=\"wall\">{constant}</bsdf>"),
+        &bumped,
+    );
+    let (linear, encoded) = (0.5, 188.0 / 255.0);
+    for (scene, key, expected) in [
+        (coloured(false), "wall.reflectance.data", linear),
+        (coloured(true), "wall.reflectance.data", encoded),
+        (rough(false), "wall.alpha.data", linear),
+        (rough(true), "wall.alpha.data", encoded),
+        (mapped, "wall.normalmap.data", encoded),
+    ] {
+        let found = mean(&scene, key, "grey.png");
+        assert!((found - expected).abs() < 5e-3, "{key}: {found} {expected}");
+    }
+    for (layer, expected) in [("AO", 0.25), ("Diffuse", 0.75)] {
+        let found = mean(
+            &coloured(false),
+            "wall.reflectance.data",
+            &format!("layers.exr:{layer}"),
+        );
+        assert!((found - expected).abs() < 1e-5, "{layer}: {found}");
+    }
+    // So are targets.
+    std::fs::write(
+        dir.path("scene.xml"),
+        SCENE
+            .replace("value=\"36\"", "value=\"2\"")
+            .replace("value=\"24\"", "value=\"2\""),
+    )
+    .unwrap();
+    let target = |layer: &str| {
+        let args = format!(
+            "scene.xml --param {WALL} --loss l2 --target layers.exr{layer} --spp 1 --json out.json"
+        );
+        dir.run("gradient", &args)
+    };
+    let refused = target("");
+    let error = String::from_utf8_lossy(&refused.stderr);
+    assert!(
+        !refused.status.success() && error.contains("FILE.EXR:LAYER"),
+        "{error}"
+    );
+    let [dark, light] = [":AO", ":Diffuse"].map(|layer| {
+        let output = target(layer);
+        assert!(
+            output.status.success(),
+            "{}",
+            String::from_utf8_lossy(&output.stderr)
+        );
+        dir.json("out.json")["loss"].to_string()
+    });
+    assert_ne!(dark, light);
 }
 
 /// What particles cannot show is said, and is there by density estimation.

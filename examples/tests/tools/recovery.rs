@@ -236,6 +236,54 @@ const TENT: &str = r#"<scene version="3.0.0">
   <emitter type="constant"><rgb name="radiance" value="1"/></emitter>
 </scene>"#;
 
+/// A ball and a post before a sky, seen through a lens that is focused on the ball.
+const BLURRED: &str = r#"<scene version="3.0.0">
+  <integrator type="path"><integer name="max_depth" value="2"/></integrator>
+  <sensor type="thinlens"><float name="fov" value="40"/><float name="aperture_radius" value="0.4"/>
+    <float name="focus_distance" value="4"/>
+    <transform name="to_world"><lookat origin="0,0,5" target="0,0,0" up="0,1,0"/></transform>
+    <film type="hdrfilm"><integer name="width" value="24"/><integer name="height" value="24"/><rfilter type="box"/></film>
+  </sensor>
+  <shape type="sphere" id="ball"><transform name="to_world"><scale value="0.6"/><translate x="0.3" z="1"/></transform>
+    <bsdf type="diffuse"><rgb name="reflectance" value="0.8, 0.3, 0.2"/></bsdf></shape>
+  <shape type="cube" id="post"><transform name="to_world"><scale x="0.2" y="3" z="0.2"/><translate x="-1" z="-2"/></transform>
+    <bsdf type="diffuse"><rgb name="reflectance" value="0.1, 0.5, 0.2"/></bsdf></shape>
+  <emitter type="constant"><rgb name="radiance" value="1"/></emitter>
+</scene>"#;
+
+/// From one blurred picture: how far away a lens is focused, how wide it is, and where the camera stands, each from a start that
+/// is off; and the scene that is written has them.
+#[test]
+#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
+fn lenses_are_recovered_from_a_blurred_picture() {
+    let dir = Folder::new();
+    std::fs::write(dir.path("blurred.xml"), BLURRED).unwrap();
+    dir.ok("render", "blurred.xml --spp 1024 -o t.exr");
+    let common = "blurred.xml --target t.exr --estimator edges --optimizer gauss-newton --spp 32 --iterations 12";
+    let params =
+        "--param sensor.focus_distance --param sensor.aperture_radius --param sensor.translation";
+    let start = "-P sensor.focus_distance=5 -P sensor.aperture_radius=0.3 -P sensor.translation=0.15,-0.1,0.2";
+    dir.ok("recover", &format!("{common} {params} {start} --out lens"));
+    let found = dir.json("lens/result.json");
+    let value = |name: &str| found["params"][name]["value"].as_f64().unwrap();
+    for (name, expected, error) in [
+        ("sensor.focus_distance", 4.0, 0.15),
+        ("sensor.aperture_radius", 0.4, 0.02),
+        ("sensor.translation[0]", 0.0, 0.02),
+        ("sensor.translation[1]", 0.0, 0.02),
+        ("sensor.translation[2]", 0.0, 0.06),
+    ] {
+        let found = value(name);
+        assert!((found - expected).abs() < error, "{name}: {found}");
+    }
+    let written = std::fs::read_to_string(dir.path("lens/scene/scene.xml")).unwrap();
+    let focus = format!(
+        "name=\"focus_distance\" value=\"{}\"",
+        value("sensor.focus_distance") as f32
+    );
+    assert!(written.contains(&focus), "{written}");
+}
+
 /// Points of a mesh and texels are recovered together, with options behind their keys, and written as a scene that renders:
 /// its mesh beside it. Cameras are, by Gauss-Newton steps.
 #[test]

@@ -10,7 +10,7 @@ use render::params::ParamInfo;
 
 use crate::arrays::{Like, range};
 use crate::error::Error;
-use crate::scene::{Scene, several};
+use crate::scene::{Scene, all_named, several};
 
 /// Moves parameters of a scene against gradients. They stay within their valid intervals; positive ones of unknown
 /// magnitude, such as roughness and radiance, move by factors.
@@ -41,12 +41,10 @@ impl Optimizer {
         let mut values = Vec::new();
         {
             let inside = scene.get().read()?;
-            for key in &keys {
-                let info = inside.params().find(key).map_err(Error::from)?;
-                if !infos.contains(info) {
-                    infos.push(info.clone());
-                    values.extend_from_slice(&inside.params().values()[info.range()]);
-                }
+            for key in all_named(&inside, &keys)? {
+                let info = inside.params().find(&key).map_err(Error::from)?;
+                infos.push(info.clone());
+                values.extend_from_slice(&inside.params().values()[info.range()]);
             }
         }
         let inner = of(&infos, &values, rate, method, rates.unwrap_or_default());

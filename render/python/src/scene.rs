@@ -2,11 +2,12 @@
 
 use std::collections::{HashMap, HashSet};
 use std::ffi::CString;
+use std::ops::{Deref, DerefMut};
 use std::path::{Path, PathBuf};
 use std::sync::{RwLock, RwLockReadGuard, RwLockWriteGuard, TryLockError};
 
 use numpy::{PyArray3, PyArrayDyn};
-use pyo3::exceptions::{PyKeyError, PyRuntimeError, PyRuntimeWarning, PyValueError};
+use pyo3::exceptions::{PyKeyError, PyRuntimeError, PyRuntimeWarning, PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList, PyMapping, PyString};
 use render::auto::{self, Mixture};
@@ -19,7 +20,7 @@ use render::sampler::Points;
 use render::scene::{LightChoice, LoadOptions};
 use render::{Job, Settings};
 
-use crate::arrays::{Like, array, image, pixels, range, shape};
+use crate::arrays::{self, Like, array, image, pixels, range, shape};
 use crate::check::Check;
 use crate::error::Error;
 use crate::estimators::or_auto;
@@ -28,7 +29,8 @@ use crate::work::work;
 /// A scene: what is in it, how it is rendered, and all its parameters by name.
 ///
 /// `scene[key]` is a copy of a parameter as an array, and `scene[key] = value` replaces it, by an array of the same shape
-/// or by one number for all of it. Keys are those of Mitsuba.
+/// or by one number for all of it. Keys are those of Mitsuba; matrices of shapes and of the sensor (`scene["ball.to_world"]`) are
+/// arrays of 4 x 4, and may turn, move and scale evenly what was loaded.
 #[pyclass(frozen, mapping, module = "render_gradients")]
 pub struct Scene {
     inner: RwLock<render::Scene>,
@@ -75,17 +77,22 @@ pub fn load_string(
 /// metal (`sphere.alpha.value`).
 #[pyfunction]
 #[pyo3(signature = (width = 128, height = 128))]
-pub fn room(py: Python<'_>, width: u32, height: u32) -> PyResult<Scene> {
+pub fn room(
+    py: Python<'_>,
+    #[pyo3(from_py_with = pixels_across)] width: u32,
+    #[pyo3(from_py_with = pixels_across)] height: u32,
+) -> PyResult<Scene> {
     let made = work(py, 1, None, |_| Ok(render::scene::room(width, height)?))?;
     Scene::made((made, Vec::new()))
 }
 
 /// The name or the number of a sensor.
 fn sensor_name(sensor: &Bound<'_, PyAny>) -> PyResult<String> {
-    match sensor.extract::<usize>() {
-        Ok(number) => Ok(number.to_string()),
-        Err(_) => sensor.extract(),
+    if let Ok(name) = sensor.cast::<PyString>() {
+        return Ok(name.to_string());
     }
+    let number: u64 = integer("sensor", [0, u64::MAX], ", or an id", sensor)?;
+    Ok(number.to_string())
 }
 
 fn options(
@@ -145,15 +152,46 @@ fn named<T: Copy>(what: &str, names: &[(&'static str, T)], name: &str) -> PyResu
 }
 
 /// Most samples per pixel.
-const MOST_SAMPLES: u32 = 1 << 30;
+const MOST_SAMPLES: u64 = 1 << 30;
 
-fn sample_count(spp: u32) -> PyResult<u32> {
-    if (1..=MOST_SAMPLES).contains(&spp) {
-        return Ok(spp);
-    }
-    Err(PyValueError::new_err(format!(
-        "spp: expected 1 to {MOST_SAMPLES} samples per pixel, found {spp}"
-    )))
+/// An integer within bounds, named and shown where it is not: conversions by themselves say neither.
+fn integer<T: TryFrom<u64>>(
+    name: &str,
+    bounds: [u64; 2],
+    of: &str,
+    value: &Bound<'_, PyAny>,
+) -> PyResult<T> {
+    let found = match value.extract::<u64>() {
+        Err(e) if e.is_instance_of::<PyTypeError>(value.py()) => return Err(e),
+        found => found.ok().filter(|n| (bounds[0]..=bounds[1]).contains(n)),
+    };
+    found.and_then(|n| T::try_from(n).ok()).ok_or_else(|| {
+        let [low, high] = bounds;
+        PyValueError::new_err(format!(
+            "{name}: expected {low} to {high}{of}, found {value}"
+        ))
+    })
+}
+
+fn sample_count(spp: &Bound<'_, PyAny>) -> PyResult<u32> {
+    integer("spp", [1, MOST_SAMPLES], " samples per pixel", spp)
+}
+
+/// The samples per pixel that were asked for, if any were.
+fn some_samples(spp: &Bound<'_, PyAny>) -> PyResult<Option<u32>> {
+    (!spp.is_none()).then(|| sample_count(spp)).transpose()
+}
+
+fn pixels_across(pixels: &Bound<'_, PyAny>) -> PyResult<u32> {
+    integer("width and height", [0, u32::MAX.into()], " pixels", pixels)
+}
+
+fn seed_from(seed: &Bound<'_, PyAny>) -> PyResult<u64> {
+    integer("seed", [0, u64::MAX], "", seed)
+}
+
+fn repeats_from(repeats: &Bound<'_, PyAny>) -> PyResult<u32> {
+    integer("repeats", [0, u32::MAX.into()], "", repeats)
 }
 
 /// A `RuntimeWarning`.
@@ -225,13 +263,122 @@ impl Scene {
     }
 }
 
+/// Whether a key is that of a matrix.
+fn is_matrix(key: &str) -> bool {
+    render::Scene::is_matrix(key)
+}
+
+/// A scene that nobody else looks at, through one of its sensors; through its own again afterwards.
+pub struct Alone<'a> {
+    scene: RwLockWriteGuard<'a, render::Scene>,
+    /// The own sensor and its settings, where it is another.
+    own: Option<(usize, Settings)>,
+}
+
+impl Deref for Alone<'_> {
+    type Target = render::Scene;
+    fn deref(&self) -> &render::Scene {
+        &self.scene
+    }
+}
+
+impl DerefMut for Alone<'_> {
+    fn deref_mut(&mut self) -> &mut render::Scene {
+        &mut self.scene
+    }
+}
+
+impl Drop for Alone<'_> {
+    fn drop(&mut self) {
+        if let Some((own, settings)) = self.own {
+            // It did look through that before.
+            if self.scene.look_through(own).is_ok() {
+                self.scene.settings = settings;
+            }
+        }
+    }
+}
+
+/// A scene as one of its sensors sees it: others may look as well where that is its own.
+pub enum Seen<'a> {
+    Shared(RwLockReadGuard<'a, render::Scene>),
+    Alone(Alone<'a>),
+}
+
+impl Deref for Seen<'_> {
+    type Target = render::Scene;
+    fn deref(&self) -> &render::Scene {
+        match self {
+            Self::Shared(scene) => scene,
+            Self::Alone(scene) => scene,
+        }
+    }
+}
+
+impl Scene {
+    /// The scene through a sensor; its own, if none is named.
+    ///
+    /// # Errors
+    /// There is no such sensor, or somebody is working with the scene.
+    fn through(&self, sensor: Option<&Bound<'_, PyAny>>) -> PyResult<Seen<'_>> {
+        let scene = self.read()?;
+        match number_of(&scene, sensor)? {
+            Some(number) if number != scene.sensor_number() => {
+                drop(scene);
+                Ok(Seen::Alone(self.alone(sensor)?))
+            }
+            _ => Ok(Seen::Shared(scene)),
+        }
+    }
+
+    /// The same, to be changed meanwhile.
+    fn alone(&self, sensor: Option<&Bound<'_, PyAny>>) -> PyResult<Alone<'_>> {
+        let mut scene = self.write()?;
+        let number = number_of(&scene, sensor)?;
+        let own = (scene.sensor_number(), scene.settings);
+        let other = number.filter(|number| *number != own.0);
+        if let Some(number) = other {
+            scene.look_through(number).map_err(Error::from)?;
+        }
+        Ok(Alone {
+            scene,
+            own: other.map(|_| own),
+        })
+    }
+}
+
+/// The number of a sensor, if one is named.
+fn number_of(scene: &render::Scene, sensor: Option<&Bound<'_, PyAny>>) -> PyResult<Option<usize>> {
+    let number = |sensor| {
+        let name = sensor_name(sensor)?;
+        PyResult::Ok(scene.sensor_called(&name).map_err(Error::from)?)
+    };
+    sensor.map(number).transpose()
+}
+
+/// The names of all parameters that fit these, which may be patterns, each once.
+///
+/// # Errors
+/// One that nothing fits.
+pub fn all_named(scene: &render::Scene, keys: &[String]) -> PyResult<Vec<String>> {
+    let mut names: Vec<String> = Vec::new();
+    for key in keys {
+        scene.refuse_matrix(key).map_err(Error::from)?;
+        for info in scene.params().matching(key).map_err(Error::from)? {
+            if !names.contains(&info.name) {
+                names.push(info.name.clone());
+            }
+        }
+    }
+    Ok(names)
+}
+
 /// Its settings with so many samples per pixel.
-fn settings(scene: &render::Scene, spp: Option<u32>) -> PyResult<Settings> {
-    let spp = sample_count(spp.unwrap_or(scene.settings.spp))?;
-    Ok(Settings {
-        spp,
+fn settings(scene: &render::Scene, spp: Option<u32>) -> Settings {
+    Settings {
+        spp: spp.unwrap_or(scene.settings.spp),
         ..scene.settings
-    })
+    }
 }
 
 fn size(scene: &render::Scene) -> [usize; 2] {
@@ -295,7 +442,8 @@ impl Scene {
     }
 
     fn __contains__(&self, key: &str) -> PyResult<bool> {
-        Ok(self.read()?.params().find(key).is_ok())
+        let scene = self.read()?;
+        Ok(scene.params().find(key).is_ok() || is_matrix(key) && scene.to_world(key).is_ok())
     }
 
     fn __getitem__<'py>(
@@ -304,6 +452,10 @@ impl Scene {
         key: &str,
     ) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
         let scene = self.read()?;
+        if is_matrix(key) {
+            let matrix = scene.to_world(key).map_err(Error::from)?.to_f32();
+            return array(py, matrix.as_flattened().to_vec(), &[4, 4]);
+        }
         let info = scene.params().find(key).map_err(Error::from)?;
         array(
             py,
@@ -326,12 +478,17 @@ impl Scene {
     fn update(&self, values: HashMap<String, Like<'_>>) -> PyResult<()> {
         let mut scene = self.write()?;
         let mut all = Vec::new();
-        for (key, value) in values {
-            let info = scene.params().find(&key).map_err(Error::from)?;
-            let value = range(info, &value)?;
+        for (key, array) in values {
+            let value = if is_matrix(&key) {
+                arrays::values(&format!("parameter `{key}`"), &array, &[4, 4])?
+            } else {
+                let info = scene.params().find(&key).map_err(Error::from)?;
+                range(info, &array)?
+            };
             all.push((key, value));
         }
-        all.sort_by(|a, b| a.0.cmp(&b.0));
+        // Matrices first: what else moves the same thing has the last word.
+        all.sort_by(|a, b| (!is_matrix(&a.0), &a.0).cmp(&(!is_matrix(&b.0), &b.0)));
         let ranges = all.iter().map(|(key, value)| (key, &value[..]));
         Ok(scene.set(ranges).map_err(Error::from)?)
     }
@@ -367,9 +524,7 @@ impl Scene {
             return Ok(Some(reason.to_string()));
         }
         let keys = keys.map_or(Ok(Vec::new()), several)?;
-        for key in &keys {
-            scene.params().find(key).map_err(Error::from)?;
-        }
+        let keys = all_named(&scene, &keys)?;
         Ok(e.active(&scene, &keys).err().map(|e| e.to_string()))
     }
 
@@ -387,20 +542,12 @@ impl Scene {
         Ok(self.write()?.make_movable(&keys).map_err(Error::from)?)
     }
 
-    /// The names of all that the scene can be looked at through.
+    /// The names of all that the scene can be looked at through. Images and gradients are seen through the one that was
+    /// named where it was loaded, or the first, unless they name another, by its name or its number.
     #[getter]
     fn sensors(&self) -> PyResult<Vec<String>> {
         let scene = self.read()?;
         Ok(scene.sensors().iter().map(|s| s.name.clone()).collect())
-    }
-
-    /// Looks through another sensor from now on, by its name or its number: at its resolution, with its samples per pixel.
-    fn look_through(&self, sensor: &Bound<'_, PyAny>) -> PyResult<()> {
-        let mut scene = self.write()?;
-        let index = scene
-            .sensor_called(&sensor_name(sensor)?)
-            .map_err(Error::from)?;
-        Ok(scene.look_through(index).map_err(Error::from)?)
     }
 
     /// Writes the scene with its parameters as they are into an XML file for this renderer and Mitsuba 3, with its textures
@@ -437,8 +584,8 @@ impl Scene {
     }
 
     #[setter]
-    fn set_spp(&self, spp: u32) -> PyResult<()> {
-        self.write()?.settings.spp = sample_count(spp)?;
+    fn set_spp(&self, #[pyo3(from_py_with = sample_count)] spp: u32) -> PyResult<()> {
+        self.write()?.settings.spp = spp;
         Ok(())
     }
 
@@ -453,11 +600,14 @@ impl Scene {
     fn set_max_depth(&self, depth: i64) -> PyResult<()> {
         let depth = match depth {
             -1 => u32::MAX,
-            _ => u32::try_from(depth).map_err(|_| {
-                PyValueError::new_err(format!(
-                    "max_depth: expected -1 for no limit, or a number of edges, found {depth}"
-                ))
-            })?,
+            _ => u32::try_from(depth)
+                .ok()
+                .filter(|edges| *edges > 0)
+                .ok_or_else(|| {
+                    PyValueError::new_err(format!(
+                        "max_depth: expected -1 for no limit, or at least one edge, found {depth}"
+                    ))
+                })?,
         };
         self.write()?.settings.max_depth = depth;
         Ok(())
@@ -500,20 +650,23 @@ impl Scene {
     }
 
     /// The image, height x width x 3, linear RGB, row 0 at the top; in single precision unless `double` is set. The same
-    /// seed gives the same bits. `estimator` chooses the techniques. `progress` is called with the part that is done.
-    #[pyo3(signature = (spp = None, seed = 0, *, estimator = "mis", double = false, progress = None))]
+    /// seed gives the same bits. `sensor` is what it is seen through, at its resolution and with its samples per pixel;
+    /// nobody else can use the scene meanwhile where it is not the scene's own. `estimator` chooses the techniques.
+    /// `progress` is called with the part that is done.
+    #[pyo3(signature = (spp = None, seed = 0, sensor = None, *, estimator = "mis", double = false, progress = None))]
     fn render<'py>(
         &self,
         py: Python<'py>,
-        spp: Option<u32>,
-        seed: u64,
+        #[pyo3(from_py_with = some_samples)] spp: Option<u32>,
+        #[pyo3(from_py_with = seed_from)] seed: u64,
+        sensor: Option<&Bound<'py, PyAny>>,
         estimator: &str,
         double: bool,
         progress: Option<Py<PyAny>>,
     ) -> PyResult<Bound<'py, PyAny>> {
-        let guard = self.read()?;
+        let guard = self.through(sensor)?;
         let scene: &render::Scene = &guard;
-        let settings = settings(scene, spp)?;
+        let settings = settings(scene, spp);
         let technique = Estimator::from_name(estimator).map_err(Error::from)?;
         let total = scene.film.pixels() as u64;
         let found = work(py, total, progress.as_ref(), |progress| {
@@ -537,16 +690,17 @@ impl Scene {
 
     /// How much of each pixel is covered, height x width: the fourth channel of the image with the same samples and seed.
     /// Everything is where the sky is seen, unless `hide_emitters` is set.
-    #[pyo3(signature = (spp = None, seed = 0))]
+    #[pyo3(signature = (spp = None, seed = 0, sensor = None))]
     fn alpha<'py>(
         &self,
         py: Python<'py>,
-        spp: Option<u32>,
-        seed: u64,
+        #[pyo3(from_py_with = some_samples)] spp: Option<u32>,
+        #[pyo3(from_py_with = seed_from)] seed: u64,
+        sensor: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
-        let guard = self.read()?;
+        let guard = self.through(sensor)?;
         let scene: &render::Scene = &guard;
-        let settings = settings(scene, spp)?;
+        let settings = settings(scene, spp);
         let found = work(py, 1, None, |progress| {
             let job = Job::new(scene, &settings, seed, 0..settings.spp.into(), progress);
             Ok(coverage(&job).unwrap_or_default())
@@ -559,24 +713,28 @@ impl Scene {
     ///
     /// `adjoint` is the derivative of an objective in every entry of the image, as `loss` gives it. It has to come from an
     /// image with another seed than this one; the defaults of `render` and of this differ. Without keys: all parameters
-    /// that the estimator sees.
-    #[pyo3(signature = (adjoint, keys = None, estimator = "mis", spp = None, seed = 1, *, progress = None))]
+    /// that the estimator sees. `*` and `?` in a key stand for any text and any character. `sensor` as in `render`.
+    #[pyo3(signature = (adjoint, keys = None, estimator = "mis", spp = None, seed = 1, sensor = None, *, progress = None))]
     fn backward<'py>(
         &self,
         py: Python<'py>,
         adjoint: Like<'py>,
         keys: Option<&Bound<'py, PyAny>>,
         estimator: &str,
-        spp: Option<u32>,
-        seed: u64,
+        #[pyo3(from_py_with = some_samples)] spp: Option<u32>,
+        #[pyo3(from_py_with = seed_from)] seed: u64,
+        sensor: Option<&Bound<'py, PyAny>>,
         progress: Option<Py<PyAny>>,
     ) -> PyResult<Bound<'py, PyDict>> {
-        let guard = self.read()?;
+        let guard = self.through(sensor)?;
         let scene: &render::Scene = &guard;
-        let settings = settings(scene, spp)?;
+        let settings = settings(scene, spp);
         let adjoint = pixels("adjoint", &adjoint, size(scene))?;
         let estimator = or_auto(estimator).map_err(Error::from)?;
-        let keys = keys.map_or_else(|| Ok(seen(scene, estimator)), several)?;
+        let keys = keys.map_or_else(
+            || Ok(seen(scene, estimator)),
+            |keys| all_named(scene, &several(keys)?),
+        )?;
         let infos = keys.iter().map(|k| scene.params().find(k));
         let infos: Vec<ParamInfo> = infos
             .map(|i| i.cloned())
@@ -604,19 +762,21 @@ impl Scene {
     /// along `directions`, a dict of arrays in the shapes of the parameters (or of one number each), whose sum it is.
     ///
     /// Colours do not mix: moving all channels of a colour gives, in channel c, the derivative in channel c.
-    #[pyo3(signature = (directions, estimator = "mis", spp = None, seed = 1, *, progress = None))]
+    /// Names may be patterns, as in `backward`. `sensor` as in `render`.
+    #[pyo3(signature = (directions, estimator = "mis", spp = None, seed = 1, sensor = None, *, progress = None))]
     fn forward<'py>(
         &self,
         py: Python<'py>,
         directions: &Bound<'py, PyAny>,
         estimator: &str,
-        spp: Option<u32>,
-        seed: u64,
+        #[pyo3(from_py_with = some_samples)] spp: Option<u32>,
+        #[pyo3(from_py_with = seed_from)] seed: u64,
+        sensor: Option<&Bound<'py, PyAny>>,
         progress: Option<Py<PyAny>>,
     ) -> PyResult<Bound<'py, PyArray3<f32>>> {
-        let guard = self.read()?;
+        let guard = self.through(sensor)?;
         let scene: &render::Scene = &guard;
-        let settings = settings(scene, spp)?;
+        let settings = settings(scene, spp);
         let along = self::directions(scene, directions)?;
         let e = Estimator::from_name(estimator).map_err(Error::from)?;
         let names: Vec<&str> = along.iter().map(|(name, _)| name.as_str()).collect();
@@ -638,23 +798,24 @@ impl Scene {
     /// and channels, unless an `adjoint` is given. A derivative is right if an error of `tolerance`, relative to the others
     /// of its parameter, would have been noticed. The scene cannot be used by others meanwhile.
     #[pyo3(signature = (keys = None, estimator = "mis", *, adjoint = None, spp = None, repeats = 32, tolerance = 0.1,
-                        significance = 1e-3, seed = 0, progress = None))]
+                        significance = 1e-3, seed = 0, sensor = None, progress = None))]
     fn check<'py>(
         &self,
         py: Python<'py>,
         keys: Option<&Bound<'py, PyAny>>,
         estimator: &str,
         adjoint: Option<Like<'py>>,
-        spp: Option<u32>,
-        repeats: u32,
+        #[pyo3(from_py_with = some_samples)] spp: Option<u32>,
+        #[pyo3(from_py_with = repeats_from)] repeats: u32,
         tolerance: f64,
         significance: f64,
-        seed: u64,
+        #[pyo3(from_py_with = seed_from)] seed: u64,
+        sensor: Option<&Bound<'py, PyAny>>,
         progress: Option<Py<PyAny>>,
     ) -> PyResult<Check> {
-        let mut guard = self.write()?;
+        let mut guard = self.alone(sensor)?;
         let scene: &mut render::Scene = &mut guard;
-        let settings = settings(scene, spp)?;
+        let settings = settings(scene, spp);
         let adjoint = match adjoint {
             Some(adjoint) => pixels("adjoint", &adjoint, size(scene))?,
             None => {
@@ -663,7 +824,10 @@ impl Scene {
             }
         };
         let estimator = or_auto(estimator).map_err(Error::from)?;
-        let keys = keys.map_or_else(|| Ok(seen(scene, estimator)), several)?;
+        let keys = keys.map_or_else(
+            || Ok(seen(scene, estimator)),
+            |keys| all_named(scene, &several(keys)?),
+        )?;
         let options = Options {
             repeats,
             tolerance,
@@ -699,7 +863,7 @@ fn directions(
     along: &Bound<'_, PyAny>,
 ) -> PyResult<Vec<(String, Direction)>> {
     let Ok(mapping) = along.cast::<PyMapping>() else {
-        let named = several(along)?.into_iter().map(|name| {
+        let named = all_named(scene, &several(along)?)?.into_iter().map(|name| {
             let uniform = Direction::uniform(scene.params(), &name).map_err(Error::from)?;
             Ok((name, uniform))
         });

@@ -166,7 +166,7 @@ def test_estimators_are_compared() -> None:
     assert [len(r.ladder) for r in rows] == [4, 0, 4]
     assert parts == sorted(parts) and parts[-1] == pytest.approx(1.0)
     # What is found depends on the seed alone, not on the company.
-    alone = rg.compare(plate, METAL, ["attached-naive"], spp=32, repeats=8)[0]
+    alone = rg.compare(plate, METAL, "attached-naive", spp=32, repeats=8)[0]
     assert alone.mean == rows[2].mean
     with pytest.raises(ValueError, match="repeats: expected at least 4"):
         rg.compare(plate, METAL, repeats=3)

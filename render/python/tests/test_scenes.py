@@ -94,13 +94,19 @@ def test_settings_are_attributes(room: rg.Scene) -> None:
         room.sampler = "halton"
     with pytest.raises(ValueError, match="max_depth: expected -1"):
         room.max_depth = -2
-    for wrong in (0, 2**31):
+    for wrong in (0, -1, 2**31, 2**70):
         with pytest.raises(ValueError, match="spp: expected 1 to"):
             room.spp = wrong
         with pytest.raises(ValueError, match="spp: expected 1 to"):
             room.render(spp=wrong)
-    with pytest.raises(OverflowError):
+    with pytest.raises(ValueError, match="seed: expected 0 to 18446744073709551615, found -1"):
         room.render(seed=-1)
+    with pytest.raises(ValueError, match="sensor: expected 0 to 18446744073709551615, or an id, found -1"):
+        room.render(sensor=-1)
+    with pytest.raises(ValueError, match="width and height: expected 0 to 4294967295 pixels, found -1"):
+        rg.room(-1, 4)
+    with pytest.raises(ValueError, match="max_depth: expected -1 for no limit, or at least one edge, found 0"):
+        room.max_depth = 0
     with pytest.raises(TypeError):
         room.render(spp="many")
     with pytest.raises(ValueError, match="unknown estimator `miss`; known: emitter, "):
@@ -168,6 +174,36 @@ def test_what_may_move_becomes_a_parameter(room: rg.Scene) -> None:
         room.make_movable("spere.translation")
 
 
+def test_matrices_are_read_and_set(room: rg.Scene) -> None:
+    scene = rg.load_string(TWICE)
+    key = "one.to_world"
+    assert key in scene and key not in scene.keys() and "env.to_world" not in scene
+    np.testing.assert_array_equal(scene[key], np.eye(4))
+    before = scene.render()
+    c, s = np.cos(0.5), np.sin(0.5)
+    turned = np.array([[1.5 * c, -1.5 * s, 0, 0.5], [1.5 * s, 1.5 * c, 0, 0], [0, 0, 1.5, -0.25], [0, 0, 0, 1]])
+    scene[key] = turned
+    np.testing.assert_allclose(scene["one.rotation"], [0, 0, 0.5], atol=1e-6)
+    np.testing.assert_allclose(scene["one.scale"], 1.5, rtol=1e-6)
+    np.testing.assert_allclose(scene[key], turned, atol=1e-6)
+    assert (scene.render() != before).any()
+    with pytest.raises(ValueError, match=r"`one.to_world`: expected .* mirrors"):
+        scene[key] = np.diag([1, -1, 1, 1])
+    with pytest.raises(ValueError, match=r"\(4, 4\)"):
+        scene[key] = np.ones(16)
+    with pytest.raises(ValueError, match="`one.translation`"):
+        scene.backward(np.ones((*scene.size, 3)), key, "edges")
+    with pytest.raises(KeyError, match="closest: one.to_world"):
+        scene["ones.to_world"]
+    view = scene["sensor.to_world"]
+    view[0, 3] += 0.25
+    scene.update({"sensor.to_world": view, "sky.radiance.value": 0.5})
+    np.testing.assert_allclose(scene["sensor.translation"], [0.25, 0, 0], atol=1e-6)
+    assert "sensor.to_world" in room
+    with pytest.raises(ValueError, match="not read from a file"):
+        room["sphere.to_world"]
+
+
 TWICE = """<scene version="3.0.0">
   <sensor type="perspective"><transform name="to_world"><lookat origin="0,0,4" target="0,0,0" up="0,1,0"/></transform>
     <film type="hdrfilm"><integer name="width" value="4"/><integer name="height" value="3"/></film></sensor>
@@ -209,12 +245,44 @@ def test_sensors_have_names_and_numbers() -> None:
     assert scene.sensors == ["front", "side"] and scene.size == (4, 6)
     for sensor in ("side", 1):
         assert rg.load_string(VIEWS, sensor=sensor).size == (3, 2)
-    scene.look_through(1)
-    assert scene.size == (3, 2) and scene.render(4).shape == (3, 2, 3)
-    scene.look_through("front")
-    assert scene.size == (4, 6)
+    scene.spp = 5
+    own = scene.render(4)
+    for sensor in ("side", 1):
+        # As the scene that is loaded with that sensor sees it, at its size.
+        other = rg.load_string(VIEWS, sensor=sensor)
+        assert scene.render(4, 3, sensor).shape == (3, 2, 3)
+        np.testing.assert_array_equal(scene.render(4, 3, sensor), other.render(4, 3))
+        np.testing.assert_array_equal(scene.alpha(4, 3, sensor), other.alpha(4, 3))
+        key, adjoint = "emitter.radiance.value", np.ones((3, 2, 3))
+        found = scene.backward(adjoint, key, spp=4, seed=3, sensor=sensor)
+        np.testing.assert_array_equal(found[key], other.backward(adjoint, key, spp=4, seed=3)[key])
+        moved = scene.forward(key, spp=4, seed=3, sensor=sensor)
+        np.testing.assert_array_equal(moved, other.forward(key, spp=4, seed=3))
+        assert scene.check(key, spp=1, repeats=4, sensor=sensor).verdict != "wrong"
+        # Of a number of samples of its own, and only for once.
+        assert scene.spp == 5 and scene.size == (4, 6)
+    np.testing.assert_array_equal(scene.render(4, 0, "front"), own)
+    np.testing.assert_array_equal(scene.render(4), own)
+    value, gradient = rg.value_and_gradient(scene, np.zeros((3, 2, 3)), key, spp=4, sensor="side")
+    assert value > 0.0 and gradient[key].any()
     with pytest.raises(ValueError, match="one of `front`, `side`, found `top`"):
-        scene.look_through("top")
+        scene.render(4, 0, "top")
+    assert scene.size == (4, 6)
+
+
+def test_keys_may_be_patterns(room: rg.Scene) -> None:
+    adjoint = np.ones((*room.size, 3))
+    walls = ["left.reflectance.value", "right.reflectance.value"]
+    some = room.backward(adjoint, walls, spp=2)
+    for pattern in ("*t.reflectance.value", "*t.reflectance", ["left.*", "righ?.reflectance"]):
+        found = room.backward(adjoint, pattern, spp=2)
+        assert sorted(found) == walls, pattern
+        np.testing.assert_array_equal(found[walls[0]], some[walls[0]])
+    np.testing.assert_array_equal(room.forward("*t.reflectance", spp=2), room.forward(walls, spp=2))
+    assert room.refusal("mis", "*.reflectance") is None
+    assert sorted(rg.Optimizer(room, "*t.reflectance").keys) == walls
+    with pytest.raises(KeyError, match="banana"):
+        room.backward(adjoint, "banana*", spp=2)
 
 
 def test_what_is_covered() -> None:

@@ -56,7 +56,7 @@ impl Child {
     /// The root.
     pub const ROOT: Self = Self(0);
 
-    /// Wrong where there are too many, see [`Part::count`].
+    /// Wrong where there are too many, see [`Subtree::count`].
     fn leaf(tag: u32, index: usize) -> Self {
         Self(Self::LEAF | tag | (index as u32 & Self::INDEX))
     }
@@ -135,7 +135,7 @@ impl Boundable for Item {
 
 impl Tree {
     /// `None` if there are too many leaves.
-    pub(super) fn new(items: &[Item]) -> Option<Tree> {
+    pub(super) fn new(items: &[Item], points: &[[f32; 4]]) -> Option<Tree> {
         let boxes = parallel::fill(items.len(), &|i| items[i].aabb());
         let binary = hierarchy(&boxes);
         let all = boxes.iter().fold(Aabb::empty(), |sum, b| sum.union(b));
@@ -151,7 +151,7 @@ impl Tree {
         };
         if !items.is_empty() {
             tree.lie_within(all);
-            tree.widen(&Binary::new(&binary, items))?;
+            tree.widen(&Binary::new(&binary, items), points)?;
             tree.built = tree.visits();
         }
         Some(tree)
@@ -186,7 +186,7 @@ impl Tree {
     /// The same hierarchy around primitives that have moved: how many times as many boxes a ray visits as when it was
     /// made. `None` if there are primitives that it does not have, or curved ones that it does not need any more: then
     /// it is left as it was.
-    pub(super) fn refit(&mut self, items: &[Item]) -> Option<f64> {
+    pub(super) fn refit(&mut self, items: &[Item], points: &[[f32; 4]]) -> Option<f64> {
         // Where each primitive stands.
         let last = items.iter().map(|i| i.tag.prim() + 1).max();
         let mut found = vec![None; last.unwrap_or(0)];
@@ -198,7 +198,7 @@ impl Tree {
         let flat = flat.filter(|i| !i.is_curved()).count();
         let mut curved = Vec::with_capacity(self.curved.len());
         for (_, tag) in &self.curved {
-            match find(tag).and_then(|item| Some((item.shape()?, item.tag))) {
+            match find(tag).and_then(|item| Some((item.shape(points)?, item.tag))) {
                 Some((Shape::Curved(c), tag)) => curved.push((c, tag)),
                 _ => return None,
             }
@@ -211,7 +211,7 @@ impl Tree {
             *packet = Flat::EMPTY.splat_array();
             for (k, tag) in tags.iter_mut().enumerate() {
                 if let Some(item) = find(tag)
-                    && let Some(Shape::Flat(flat)) = item.shape()
+                    && let Some(Shape::Flat(flat)) = item.shape(points)
                 {
                     packet.set(k, &flat);
                     *tag = item.tag;
@@ -262,9 +262,9 @@ impl Tree {
 
     /// Makes nodes of eight children from nodes of two: the top of the tree, what is below on all threads, and then all
     /// leaves, whose packets are most of the memory.
-    fn widen(&mut self, binary: &Binary) -> Option<()> {
+    fn widen(&mut self, binary: &Binary, points: &[[f32; 4]]) -> Option<()> {
         let center = self.center;
-        let mut all = Part::new();
+        let mut all = Subtree::new();
         let mut open = VecDeque::from([(0, 0)]);
         let most = match binary.items.len() {
             0..MANY_ITEMS => 1,
@@ -276,7 +276,7 @@ impl Tree {
             all.open(at, from, binary, center, |child| open.push_back(child));
         }
         let parts = parallel::map(open.len(), |k| {
-            let mut part = Part::new();
+            let mut part = Subtree::new();
             let mut below = vec![(0, open[k].1)];
             while let Some((at, from)) = below.pop() {
                 part.open(at, from, binary, center, |child| below.push(child));
@@ -287,7 +287,7 @@ impl Tree {
             all.append(at, part)?;
         }
         all.count()?;
-        let Part {
+        let Subtree {
             nodes,
             leaves,
             curved,
@@ -296,7 +296,7 @@ impl Tree {
         let items = binary.items;
         let curved = curved.iter().map(|&i| &items[i as usize]);
         self.curved = curved
-            .filter_map(|item| match item.shape() {
+            .filter_map(|item| match item.shape(points) {
                 Some(Shape::Curved(c)) => Some((c, item.tag)),
                 _ => None,
             })
@@ -305,7 +305,7 @@ impl Tree {
         self.packets = parallel::fill(leaves.len(), &|leaf| {
             let mut packet = Flat::EMPTY.splat_array();
             for (k, &i) in leaves[leaf].iter().enumerate() {
-                if let Some(Shape::Flat(flat)) = item(i).and_then(Item::shape) {
+                if let Some(Shape::Flat(flat)) = item(i).and_then(|item| item.shape(points)) {
                     packet.set(k, &flat);
                 }
             }
@@ -458,14 +458,14 @@ const MANY_ITEMS: usize = 1 << 13;
 const PARTS: usize = 64;
 
 /// A part of a tree: nodes whose children are in it, and items by their indices.
-struct Part {
+struct Subtree {
     nodes: Vec<Node>,
     /// Those of each packet; beyond the last there is none.
     leaves: Vec<[u32; LANES]>,
     curved: Vec<u32>,
 }
 
-impl Part {
+impl Subtree {
     fn new() -> Self {
         Self {
             nodes: vec![Node::EMPTY],
@@ -867,8 +867,8 @@ mod tests {
             center: [0.0; 3],
             radius: 1.0,
         };
-        let items = super::super::prepare(&[unit], &[0]).expect("a primitive");
-        let tree = Tree::new(&items).expect("a tree");
+        let items = super::super::prepare(&[unit], &[0], &[]).expect("a primitive");
+        let tree = Tree::new(&items, &[]).expect("a tree");
         let ray = Ray::new([-2.0, 0.0, 0.0], [1.0, 0.0, 0.0], [u32::MAX; 2]).expect("a ray");
         let slabs = Slabs::new(&tree, &ray);
         for turn in 0..NODE_WIDTH {

@@ -1,6 +1,7 @@
-//! Spheres, discs and tubes. Their quadratics cancel badly in f32, so they are solved in f64,
+//! Spheres, discs and cylinders, and the tubes around curves. Their quadratics cancel badly in f32, so they are solved in f64,
 //! which costs the same and needs no rearrangement for far-away small ones.
 
+use super::tube::{Cone, Entry, Span};
 use super::{MIN_THICKNESS, Ray};
 use crate::math::each;
 use std::ops::{Add, Div, Mul, Sub};
@@ -20,6 +21,9 @@ pub(super) trait Double:
     fn reaches_zero(self) -> bool;
     /// `self` where `lo <= x <= hi`, NaN elsewhere.
     fn where_within(self, x: Self, lo: f64, hi: f64) -> Self;
+    /// What of a line is a function of that line alone, one by one.
+    fn one_by_one(o: [Self; 3], d: [Self; 3], f: impl Fn([f64; 3], [f64; 3]) -> Entry)
+    -> [Self; 4];
 }
 
 impl Double for f64 {
@@ -38,6 +42,10 @@ impl Double for f64 {
     #[inline(always)]
     fn where_within(self, x: f64, lo: f64, hi: f64) -> f64 {
         if x >= lo && x <= hi { self } else { f64::NAN }
+    }
+    #[inline(always)]
+    fn one_by_one(o: [f64; 3], d: [f64; 3], f: impl Fn([f64; 3], [f64; 3]) -> Entry) -> [f64; 4] {
+        f(o, d)
     }
 }
 
@@ -58,6 +66,22 @@ impl Double for f64x8 {
     fn where_within(self, x: f64x8, lo: f64, hi: f64) -> f64x8 {
         let inside = x.simd_ge(f64x8::splat(lo)) & x.simd_le(f64x8::splat(hi));
         inside.select(self, f64x8::splat(f64::NAN))
+    }
+    #[inline(never)]
+    fn one_by_one(
+        o: [f64x8; 3],
+        d: [f64x8; 3],
+        f: impl Fn([f64; 3], [f64; 3]) -> Entry,
+    ) -> [f64x8; 4] {
+        let (o, d) = (o.map(|x| x.to_array()), d.map(|x| x.to_array()));
+        let mut out = [[0.0; LANES_F64]; 4];
+        for i in 0..LANES_F64 {
+            let found = f(o.map(|x| x[i]), d.map(|x| x[i]));
+            for (out, x) in out.iter_mut().zip(found) {
+                out[i] = x;
+            }
+        }
+        out.map(f64x8::from)
     }
 }
 
@@ -82,6 +106,8 @@ pub(super) enum Curved {
         length: f64,
         squared_radius: f64,
     },
+    Cone(Cone),
+    Span(Span),
 }
 
 /// A line, or eight, and what all spheres need of it.
@@ -233,6 +259,8 @@ impl Curved {
                 let on = |t: N| t.where_within(t * along_d - along_to, 0.0, length);
                 Some([on(near), on(far), none, none])
             }
+            Curved::Cone(cone) => Some(N::one_by_one(o, d, |o, d| cone.entry(o, d))),
+            Curved::Span(span) => Some(N::one_by_one(o, d, |o, d| span.entry(o, d))),
         }
     }
 

@@ -215,7 +215,7 @@ impl Tree {
         }
         let rays_in_flight = Interleaved::new(packet, self);
         let mut alone = Alone::new();
-        self.follow(
+        self.descend(
             &rays_in_flight,
             &mut nearest,
             &mut alone,
@@ -252,7 +252,7 @@ impl Tree {
         let rays_in_flight = Interleaved::new(packet, self);
         let mut occluded = 0;
         let mut alone = Alone::new();
-        self.follow(
+        self.descend(
             &rays_in_flight,
             &mut occluded,
             &mut alone,
@@ -368,7 +368,7 @@ impl Tree {
     /// go to `alone`. `limit` tells the distances up to which the rays look and which of them still do, `leaf` tests a
     /// leaf for some rays.
     #[inline(always)]
-    fn follow<T>(
+    fn descend<T>(
         &self,
         rays_in_flight: &Interleaved,
         state: &mut T,

@@ -7,6 +7,17 @@
 //! through a compressed eight-wide hierarchy (`bvh`). Both run the same arithmetic on the same
 //! numbers and break ties towards the lowest primitive, so they return the same bits. Sets of primitives that are placed
 //! many times are there once (`instances`), and found after the others.
+//!
+//! ```
+//! use render::accel::{Accel, Primitive};
+//!
+//! let triangle = Primitive::Triangle { v0: [0.0; 3], e1: [1.0, 0.0, 0.0], e2: [0.0, 1.0, 0.0] };
+//! let accel = Accel::build(&[triangle])?;
+//! let hit = accel.intersect([0.2, 0.2, 1.0], [0.0, 0.0, -1.0], f32::INFINITY, u32::MAX).expect("above it");
+//! assert_eq!((hit.prim, hit.t), (0, 1.0));
+//! assert!(!accel.occluded([0.2, 0.2, 1.0], [0.0, 0.0, -1.0], 0.5, [u32::MAX; 2])); // not within half a unit
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 mod bvh;
 mod cluster;
@@ -16,8 +27,10 @@ mod interleaved;
 mod plane;
 mod ray_packet;
 mod triangle_block;
+mod tube;
 
 pub(crate) use triangle_block::SEAM;
+pub(crate) use tube::{Along, Cubic, range, rounded};
 
 #[cfg(test)]
 mod tests;
@@ -34,6 +47,7 @@ use ray_packet::Few;
 pub use ray_packet::{PACKET_SIZE, RayPacket};
 use thiserror::Error;
 use triangle_block::{Flat, TriangleBlocks};
+use tube::{Cone, Span};
 
 /// Largest coordinate magnitude: squares and cubes of it, divided by [`MIN_THICKNESS`], stay finite.
 pub const MAX_COORDINATE: f32 = 1e12;
@@ -96,6 +110,29 @@ pub enum Primitive {
         axis: [f32; 3],
         /// Radius.
         radius: f32,
+    },
+    /// The surface of all balls around points `p0 + s axis` with `0 <= s <= 1`, whose radius is linear in `s`, from outside
+    /// alone: what starts within passes. Hits leave `u = s` of the ball that they lie on.
+    Cone {
+        /// Centre of the first ball.
+        p0: [f32; 3],
+        /// Centre of the last one minus that.
+        axis: [f32; 3],
+        /// The radii of both.
+        radii: [f32; 2],
+    },
+    /// A part of a tube around a uniform cubic B-spline, from outside alone: circles across the curve, whose radius is
+    /// that spline, too; there is nothing over its ends. Hits leave the parameter between the four control points as `u`,
+    /// in [0, 1] whatever the part.
+    Span {
+        /// Ends of the axis of a capsule around it.
+        ends: [[f32; 3]; 2],
+        /// Radius of that.
+        radius: f32,
+        /// The first of four control points, among those that the structure is given, see [`Accel::with_curves`].
+        first: u32,
+        /// Which of how many equal parts of the parameter.
+        part: [u8; 2],
     },
 }
 
@@ -187,14 +224,27 @@ impl Accel {
     /// # Errors
     /// As [`Accel::build`].
     pub fn with_surfaces(prims: &[Primitive], surfaces: &[u32]) -> Result<Accel, AccelError> {
-        let items = prepare(prims, surfaces)?;
+        Self::with_curves(prims, surfaces, &[])
+    }
+
+    /// The same with curves: `points` are control points, three coordinates and a radius. A [`Primitive::Span`] whose
+    /// points are not there is never hit.
+    ///
+    /// # Errors
+    /// As [`Accel::build`].
+    pub fn with_curves(
+        prims: &[Primitive],
+        surfaces: &[u32],
+        points: &[[f32; 4]],
+    ) -> Result<Accel, AccelError> {
+        let items = prepare(prims, surfaces, points)?;
         let curved = items.iter().filter(|i| i.is_curved()).count();
         let flat = items.len() - curved;
         let cost = flat.div_ceil(triangle_block::LANES) + CURVED_COST * curved;
         Ok(if cost <= MAX_LINEAR_COST {
-            Self::linear(&items)
+            Self::linear(&items, points)
         } else {
-            Self::tree(&items).unwrap_or_else(|| Self::linear(&items))
+            Self::tree(&items, points).unwrap_or_else(|| Self::linear(&items, points))
         })
     }
 
@@ -210,23 +260,28 @@ impl Accel {
     ///
     /// # Errors
     /// As [`Accel::build`]; nothing has changed then.
-    pub fn refit(&mut self, prims: &[Primitive], surfaces: &[u32]) -> Result<Refit, AccelError> {
+    pub fn refit(
+        &mut self,
+        prims: &[Primitive],
+        surfaces: &[u32],
+        points: &[[f32; 4]],
+    ) -> Result<Refit, AccelError> {
         if let Layout::Tree(tree) = &mut self.layout {
-            let items = prepare(prims, surfaces)?;
-            if let Some(looseness) = tree.refit(&items)
+            let items = prepare(prims, surfaces, points)?;
+            if let Some(looseness) = tree.refit(&items, points)
                 && looseness <= MAX_LOOSENESS
             {
                 return Ok(Refit::Kept { looseness });
             }
         }
-        *self = Self::with_surfaces(prims, surfaces)?;
+        *self = Self::with_curves(prims, surfaces, points)?;
         Ok(Refit::Rebuilt)
     }
 
-    fn linear(items: &[Item]) -> Accel {
+    fn linear(items: &[Item], points: &[[f32; 4]]) -> Accel {
         let mut flat = Vec::new();
         let mut curved = Vec::new();
-        let shapes = || (items.iter()).filter_map(|i| Some((i.shape()?, i.tag)));
+        let shapes = || (items.iter()).filter_map(|i| Some((i.shape(points)?, i.tag)));
         for (shape, tag) in shapes() {
             match shape {
                 Shape::Flat(f) => flat.push((f, tag)),
@@ -240,8 +295,8 @@ impl Accel {
     }
 
     /// `None` if there are too many leaves.
-    fn tree(items: &[Item]) -> Option<Accel> {
-        Tree::new(items).map(|t| Accel {
+    fn tree(items: &[Item], points: &[[f32; 4]]) -> Option<Accel> {
+        Tree::new(items, points).map(|t| Accel {
             layout: Layout::Tree(Box::new(t)),
             instances: None,
         })
@@ -512,8 +567,8 @@ struct Item {
 impl Item {
     /// What its intersection test wants: computed where it is needed, because it takes more memory than all else. There
     /// is always one.
-    fn shape(&self) -> Option<Shape> {
-        shape(&self.primitive)
+    fn shape(&self, points: &[[f32; 4]]) -> Option<Shape> {
+        shape(&self.primitive, points)
     }
 
     fn is_curved(&self) -> bool {
@@ -526,7 +581,7 @@ impl Item {
 
 /// `None` if it can never be hit.
 #[inline(always)]
-fn shape(p: &Primitive) -> Option<Shape> {
+fn shape(p: &Primitive, points: &[[f32; 4]]) -> Option<Shape> {
     match *p {
         Primitive::Triangle { v0, e1, e2 } => Flat::new(v0, e1, e2, true).map(Shape::Flat),
         Primitive::Parallelogram { v0, e1, e2 } => Flat::new(v0, e1, e2, false).map(Shape::Flat),
@@ -535,6 +590,13 @@ fn shape(p: &Primitive) -> Option<Shape> {
         Primitive::Cylinder { p0, axis, radius } => {
             Curved::cylinder(p0, axis, radius).map(Shape::Curved)
         }
+        Primitive::Cone { p0, axis, radii } => {
+            Cone::new(p0, axis, radii).map(|cone| Shape::Curved(Curved::Cone(cone)))
+        }
+        Primitive::Span { first, part, .. } => {
+            let four = points.get(first as usize..)?.first_chunk::<4>()?;
+            Span::new(*four, part).map(|span| Shape::Curved(Curved::Span(span)))
+        }
     }
 }
 
@@ -542,7 +604,11 @@ fn shape(p: &Primitive) -> Option<Shape> {
 const PREPARED_TOGETHER: usize = 1 << 14;
 
 /// Checks the input, and drops what can never be hit.
-fn prepare(prims: &[Primitive], surfaces: &[u32]) -> Result<Vec<Item>, AccelError> {
+fn prepare(
+    prims: &[Primitive],
+    surfaces: &[u32],
+    points: &[[f32; 4]],
+) -> Result<Vec<Item>, AccelError> {
     if prims.len() > MAX_PRIMITIVES {
         return Err(AccelError::TooMany { found: prims.len() });
     }
@@ -557,6 +623,14 @@ fn prepare(prims: &[Primitive], surfaces: &[u32]) -> Result<Vec<Item>, AccelErro
                 Primitive::Disk { center, e1, e2 } => ([center, e1, e2], 0.0),
                 Primitive::Sphere { center, radius } => ([center, [0.0; 3], [0.0; 3]], radius),
                 Primitive::Cylinder { p0, axis, radius } => ([p0, axis, [0.0; 3]], radius),
+                Primitive::Cone { p0, axis, radii } => {
+                    ([p0, axis, [0.0; 3]], radii[0].max(radii[1]))
+                }
+                Primitive::Span {
+                    ends: [a, b],
+                    radius,
+                    ..
+                } => ([a, b, [0.0; 3]], radius),
             };
             let numbers = vectors.iter().flatten().chain([&radius]);
             if let Some(&found) = numbers
@@ -569,7 +643,7 @@ fn prepare(prims: &[Primitive], surfaces: &[u32]) -> Result<Vec<Item>, AccelErro
                 });
             }
             let (primitive, turn) = turned(&p);
-            if shape(&primitive).is_some() {
+            if shape(&primitive, points).is_some() {
                 items.push(Item {
                     primitive,
                     tag: Tag {
@@ -618,6 +692,19 @@ pub(crate) fn bounds(p: &Primitive) -> [[f32; 3]; 2] {
                     at(p0) + at(axis).min(0.0) - half,
                     at(p0) + at(axis).max(0.0) + half,
                 )
+            }
+            Primitive::Cone { p0, axis, radii } => {
+                let [a, b] = radii.map(f64::from);
+                let (p, q) = (at(p0), at(p0) + at(axis));
+                ((p - a).min(q - b), (p + a).max(q + b))
+            }
+            Primitive::Span {
+                ends: [a, b],
+                radius,
+                ..
+            } => {
+                let radius = f64::from(radius);
+                (at(a).min(at(b)) - radius, at(a).max(at(b)) + radius)
             }
         }
     };

@@ -59,7 +59,10 @@ impl Plane {
                 (v0, e1, e2)
             }
             Primitive::Disk { center, e1, e2 } => (center, e1, e2),
-            Primitive::Sphere { .. } | Primitive::Cylinder { .. } => return None,
+            Primitive::Sphere { .. }
+            | Primitive::Cylinder { .. }
+            | Primitive::Cone { .. }
+            | Primitive::Span { .. } => return None,
         };
         let [at, a, b] = each([at, e1, e2], |x| each(x, f64::from));
         let normal = cross(a, b);
@@ -364,7 +367,10 @@ pub fn surfaces(prims: &[Primitive], emits: impl Fn(usize) -> bool) -> Vec<u32> 
     let compared = |i: usize| match prims[i] {
         Primitive::Triangle { .. } => emits(i),
         Primitive::Parallelogram { .. } | Primitive::Disk { .. } => true,
-        Primitive::Sphere { .. } | Primitive::Cylinder { .. } => false,
+        Primitive::Sphere { .. }
+        | Primitive::Cylinder { .. }
+        | Primitive::Cone { .. }
+        | Primitive::Span { .. } => false,
     };
     let few: Vec<_> = (0..prims.len())
         .filter(|&i| compared(i) && Plane::of(&prims[i]).is_some())

@@ -188,7 +188,7 @@ impl Few {
         hits: &mut [Option<Hit>; PACKET_SIZE],
     ) -> Option<()> {
         let start = f32x16::from(packet.limits()?);
-        let lanes = Lanes::new(packet, self.curved);
+        let lanes = PacketLanes::new(packet, self.curved);
         let zero = f32x16::splat(0.0);
         let mut best = Nearest {
             t: start,
@@ -252,7 +252,7 @@ impl Few {
     #[inline(always)]
     fn blocked<const ALIKE: bool>(&self, packet: &RayPacket) -> Option<u32> {
         let t_max = f32x16::from(packet.limits()?);
-        let lanes = Lanes::new(packet, self.curved);
+        let lanes = PacketLanes::new(packet, self.curved);
         let mut any = f32x16::splat(0.0);
         let (from, to) = (packet.marks(0), packet.marks(1));
         for (one, tag) in &self.items {
@@ -271,15 +271,15 @@ impl Few {
 }
 
 /// A packet in registers.
-struct Lanes {
+struct PacketLanes {
     single: RayLanes<f32x16>,
     /// Halves of it, if there is anything curved.
     double: Option<[Line<f64x8>; 2]>,
 }
 
-impl Lanes {
+impl PacketLanes {
     #[inline(always)]
-    fn new(packet: &RayPacket, double: bool) -> Lanes {
+    fn new(packet: &RayPacket, double: bool) -> PacketLanes {
         let wide = |x: &[[f32; PACKET_SIZE]; 3], first: usize| {
             let mut lanes = [[0.0; LANES_F64]; 3];
             for k in 0..3 {
@@ -291,7 +291,7 @@ impl Lanes {
         };
         let half = |first| Line::new(wide(&packet.o, first), wide(&packet.d, first));
         let (o, d) = packet.lanes();
-        Lanes {
+        PacketLanes {
             single: RayLanes::of(o, d),
             double: double.then(|| [half(0), half(LANES_F64)]),
         }

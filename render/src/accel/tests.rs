@@ -145,6 +145,9 @@ fn reference(p: &Primitive, o: [f32; 3], d: [f32; 3]) -> Vec<(f64, f64)> {
                 })
                 .collect()
         }
+        Primitive::Cone { .. } | Primitive::Span { .. } => {
+            unreachable!("curves are compared with roots of their own in render/tests/curves.rs")
+        }
     }
 }
 
@@ -170,8 +173,11 @@ fn nearest(prims: &[Primitive], o: [f32; 3], d: [f32; 3]) -> Option<Option<(f64,
 }
 
 fn both(prims: &[Primitive]) -> [Accel; 2] {
-    let items = prepare(prims, &surfaces(prims, |_| false)).unwrap();
-    [Accel::linear(&items), Accel::tree(&items).unwrap()]
+    let items = prepare(prims, &surfaces(prims, |_| false), &[]).unwrap();
+    [
+        Accel::linear(&items, &[]),
+        Accel::tree(&items, &[]).unwrap(),
+    ]
 }
 
 #[test]
@@ -268,15 +274,18 @@ fn surfaces_that_are_left_out_are_not_met() {
     prims.extend_from_within(..10);
     let surfaces = surfaces(&prims, |_| true);
     assert!((20..30).any(|i| surfaces[i] == i as u32 - 20));
-    let items = prepare(&prims, &surfaces).unwrap();
+    let items = prepare(&prims, &surfaces, &[]).unwrap();
     let without = |skip: [u32; 2]| {
         let left = items.iter().filter(|i| !skip.contains(&i.tag.surface));
-        Accel::linear(&left.copied().collect::<Vec<_>>())
+        Accel::linear(&left.copied().collect::<Vec<_>>(), &[])
     };
     let without: Vec<Vec<_>> = (0..20)
         .map(|i| (0..20).map(|j| without([i, j])).collect())
         .collect();
-    for accel in [Accel::linear(&items), Accel::tree(&items).unwrap()] {
+    for accel in [
+        Accel::linear(&items, &[]),
+        Accel::tree(&items, &[]).unwrap(),
+    ] {
         let mut changed = 0;
         for round in 0..500 {
             let goal = random.bits() as u32 % 20;
@@ -808,8 +817,11 @@ fn lopsided_scenes_build() {
         })
         .collect();
     for prims in [same, shrinking] {
-        let accel = Accel::tree(&prepare(&prims, &surfaces(&prims, |_| false)).unwrap())
-            .expect("shallow enough");
+        let accel = Accel::tree(
+            &prepare(&prims, &surfaces(&prims, |_| false), &[]).unwrap(),
+            &[],
+        )
+        .expect("shallow enough");
         let h = accel
             .intersect([-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], f32::INFINITY, NOWHERE)
             .unwrap();
@@ -948,11 +960,13 @@ fn refitted_hierarchies_give_the_hits_of_new_ones() {
     let surfaces = |prims: &[Primitive]| surfaces(prims, |_| false);
 
     // At rest nothing changes.
-    let at_rest = moving.refit(&start, &surfaces(&start));
+    let at_rest = moving.refit(&start, &surfaces(&start), &[]);
     assert_eq!(at_rest, Ok(Refit::Kept { looseness: 1.0 }));
     for time in [0.1, 0.4, 0.3] {
         let prims = sheet(time, &[]);
-        let refit = moving.refit(&prims, &surfaces(&prims)).expect("in reach");
+        let refit = moving
+            .refit(&prims, &surfaces(&prims), &[])
+            .expect("in reach");
         let Refit::Kept { looseness } = refit else {
             panic!("rebuilt at {time}");
         };
@@ -967,7 +981,9 @@ fn refitted_hierarchies_give_the_hits_of_new_ones() {
     // Triangles may vanish and come back.
     for gone in [&[3, 4, 5, 6, 7, 8, 100][..], &[]] {
         let prims = sheet(0.3, gone);
-        let refit = moving.refit(&prims, &surfaces(&prims)).expect("in reach");
+        let refit = moving
+            .refit(&prims, &surfaces(&prims), &[])
+            .expect("in reach");
         assert!(matches!(refit, Refit::Kept { .. }));
         assert_equal_hits(
             &moving,
@@ -980,7 +996,7 @@ fn refitted_hierarchies_give_the_hits_of_new_ones() {
     let ball = start.len() - 2;
     for gone in [&[ball][..], &[]] {
         let prims = sheet(0.3, gone);
-        let refit = moving.refit(&prims, &surfaces(&prims));
+        let refit = moving.refit(&prims, &surfaces(&prims), &[]);
         assert_eq!(refit, Ok(Refit::Rebuilt));
         assert_equal_hits(
             &moving,
@@ -995,7 +1011,7 @@ fn refitted_hierarchies_give_the_hits_of_new_ones() {
         let j = i + random.bits() as usize % (mixed.len() - i);
         mixed.swap(i, j);
     }
-    let refit = moving.refit(&mixed, &surfaces(&mixed));
+    let refit = moving.refit(&mixed, &surfaces(&mixed), &[]);
     assert_eq!(refit, Ok(Refit::Rebuilt));
     assert_equal_hits(
         &moving,
@@ -1006,7 +1022,7 @@ fn refitted_hierarchies_give_the_hits_of_new_ones() {
         Layout::Tree(tree) => tree.clone(),
         Layout::Linear(..) => panic!("no hierarchy"),
     };
-    let items = prepare(&sheet(0.3, &[]), &surfaces(&mixed)).expect("in reach");
+    let items = prepare(&sheet(0.3, &[]), &surfaces(&mixed), &[]).expect("in reach");
     let mut scattered: Vec<Item> = items.clone();
     let n = 2 * 24 * 24;
     for (i, item) in scattered.iter_mut().enumerate().take(n) {
@@ -1015,7 +1031,7 @@ fn refitted_hierarchies_give_the_hits_of_new_ones() {
     }
     let sorted = Accel::build(&sheet(0.3, &[])).expect("in reach");
     let looseness = tree(&sorted)
-        .refit(&scattered)
+        .refit(&scattered, &[])
         .expect("the same primitives");
     assert!(looseness > 10.0, "{looseness}");
 
@@ -1029,7 +1045,7 @@ fn refitted_hierarchies_give_the_hits_of_new_ones() {
     if let Primitive::Triangle { v0, .. } = &mut far[ball] {
         v0[0] = f32::NAN;
     }
-    assert!(moving.refit(&far, &surfaces(&mixed)).is_err());
+    assert!(moving.refit(&far, &surfaces(&mixed), &[]).is_err());
     assert_equal_hits(
         &moving,
         &Accel::build(&mixed).expect("in reach"),
@@ -1046,7 +1062,7 @@ fn lists_follow_what_moves() {
     };
     let mut moving = Accel::build(&some(&mut random)).expect("in reach");
     let prims = some(&mut random);
-    let refit = moving.refit(&prims, &surfaces(&prims, |_| false));
+    let refit = moving.refit(&prims, &surfaces(&prims, |_| false), &[]);
     assert_eq!(refit, Ok(Refit::Rebuilt));
     for _ in 0..1000 {
         let (o, d) = (random.vector(1.0), random.direction());

@@ -125,9 +125,13 @@ pub fn candidates(scene: &Scene) -> Vec<Estimator> {
             out.push(Estimator::Reparameterised);
         }
     }
-    // Nobody else sees what moves.
+    // Nobody else sees what moves, and edges are not seen over mirrors and glass.
     if scene.params().infos().iter().any(|i| i.kind.is_motion()) {
-        out.push(Estimator::Edges);
+        out.push(if scene.scatters_deltas() {
+            Estimator::ReparameterisedMis
+        } else {
+            Estimator::Edges
+        });
     }
     out.retain(|e| e.check(scene).is_ok());
     out

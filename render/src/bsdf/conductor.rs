@@ -2,7 +2,8 @@
 
 use ad_core::{Float, Real, Vec3};
 
-use super::metals::METALS;
+use super::dielectric::index;
+use super::metals::{self, METALS};
 use super::{BsdfSample, Component, DeltaKind, Leaf, Lobe, Reader, TransportMode, fresnel};
 use crate::error::SceneError;
 use crate::math::Rgb;
@@ -25,6 +26,24 @@ pub struct ConductorIndex {
     pub eta: RgbTexture,
     /// Imaginary part, not negative.
     pub k: RgbTexture,
+}
+
+impl ConductorIndex {
+    /// Makes an index that is one against vacuum one against something else: the same everywhere, as others may read the
+    /// texels of an image.
+    fn divide(&self, outside: f64, registry: &mut Registry) -> Result<(), &'static str> {
+        for texture in [&self.eta, &self.k] {
+            let RgbTexture::Constant(p) = texture else {
+                return Err("none beside textures of `eta` or `k`");
+            };
+            let params = registry.params_mut();
+            let range = params.infos()[p.id as usize].range();
+            for value in &mut params.values_mut()[range] {
+                *value = (f64::from(*value) / outside) as f32;
+            }
+        }
+        Ok(())
+    }
 }
 
 /// A mirror; also the reflectance of a microfacet of a rough conductor.
@@ -138,15 +157,20 @@ impl FromNode for Conductor {
     const PLUGINS: &'static [&'static str] = &["conductor"];
 
     /// `specular_reflectance` (1), and either `material` (a metal's name, or `none`: the default)
-    /// or `eta` (0) and `k` (1).
+    /// or `eta` (0) and `k` (1), all relative to the index outside, `ext_eta` (1).
     fn from_node(node: &Node, registry: &mut Registry) -> Result<Self, SceneError> {
         let specular_reflectance =
             registry.rgb_texture(node, "specular_reflectance", [1.0; 3], (0.0, 1.0))?;
-        let named = node.choice("material", METALS)?;
+        let named = match node.string("material")?.and_then(metals::named) {
+            Some(metal) => Some(metal),
+            None => node.choice("material", METALS)?,
+        };
         let explicit = node.has("eta") || node.has("k");
         if explicit && node.has("material") {
             return Err(node.invalid("material", "either `material`, or `eta` and `k`"));
         }
+        let given = node.has("ext_eta");
+        let outside = given.then(|| index(node, "ext_eta", "air")).transpose()?;
         let default = match named.flatten() {
             None if !explicit => {
                 return Ok(Self {
@@ -158,12 +182,17 @@ impl FromNode for Conductor {
             Some(index) => index,
         };
         let valid = (0.0, f64::INFINITY);
+        let of = ConductorIndex {
+            eta: registry.rgb_texture(node, "eta", default[0], valid)?,
+            k: registry.rgb_texture(node, "k", default[1], valid)?,
+        };
+        if let Some(outside) = outside {
+            of.divide(outside, registry)
+                .map_err(|expected| node.invalid("ext_eta", expected))?;
+        }
         Ok(Self {
             specular_reflectance,
-            index: Some(ConductorIndex {
-                eta: registry.rgb_texture(node, "eta", default[0], valid)?,
-                k: registry.rgb_texture(node, "k", default[1], valid)?,
-            }),
+            index: Some(of),
         })
     }
 }

@@ -185,29 +185,35 @@ impl FromNode for Dielectric {
 /// Valid relative indices of refraction.
 pub(super) const INDEX_RANGE: (f64, f64) = (0.1, 10.0);
 
+/// An index of refraction of a scene file, a number or a name; `absent` by name, if there is none.
+pub(super) fn index(node: &Node, key: &str, absent: &str) -> Result<f64, SceneError> {
+    // A word, if it is not a number.
+    let value = match node.float(key) {
+        Ok(Some(value)) => Some(value),
+        _ => node.choice(key, INDICES)?,
+    };
+    let value = value.or_else(|| INDICES.iter().find(|(n, _)| *n == absent).map(|i| i.1));
+    match value {
+        Some(x) if x > 0.0 => Ok(x),
+        _ => Err(node.invalid(key, "a positive index of refraction")),
+    }
+}
+
+/// The error for an index inside that is wrong beside that outside: where one of both is given.
+pub(super) fn wrong_index(node: &Node, expected: &str) -> SceneError {
+    let outside = node.has("ext_ior") && !node.has("int_ior");
+    node.invalid(if outside { "ext_ior" } else { "int_ior" }, expected)
+}
+
 /// `int_ior / ext_ior` of a scene file.
 pub(super) fn relative_index(node: &Node, default_inside: &str) -> Result<f64, SceneError> {
-    let index = |key: &str, default: &str| -> Result<f64, SceneError> {
-        // A word, if it is not a number.
-        let value = match node.float(key) {
-            Ok(value) => value,
-            Err(_) => node.choice(key, INDICES)?,
-        };
-        let value = value.or_else(|| INDICES.iter().find(|(n, _)| *n == default).map(|i| i.1));
-        match value {
-            Some(x) if x > 0.0 => Ok(x),
-            _ => Err(node.invalid(key, "a positive index of refraction")),
-        }
-    };
-    let eta = index("int_ior", default_inside)? / index("ext_ior", "air")?;
+    let eta = index(node, "int_ior", default_inside)? / index(node, "ext_ior", "air")?;
     let (lo, hi) = INDEX_RANGE;
     if (lo..=hi).contains(&eta) {
         return Ok(eta);
     }
-    Err(node.invalid(
-        "int_ior",
-        &format!("an index between {lo} and {hi} times that outside"),
-    ))
+    let expected = format!("an index inside between {lo} and {hi} times that outside");
+    Err(wrong_index(node, &expected))
 }
 
 /// Indices of refraction by name.

@@ -2,6 +2,15 @@
 
 use super::conductor::Index;
 
+/// One of a table of its own in Mitsuba, whose numbers are those of the metal without it.
+const TABLE: &str = "_palik";
+
+/// The metal of this name.
+pub(super) fn named(name: &str) -> Option<Option<Index>> {
+    let find = |name: &str| METALS.iter().find(|(n, _)| *n == name).map(|(_, i)| *i);
+    find(name).or_else(|| find(name.strip_suffix(TABLE)?).filter(Option::is_some))
+}
+
 /// Measured indices, weighted with the responses of linear RGB: the values that Tungsten publishes. Names are those of
 /// Mitsuba; what is transparent at some wavelengths has none of the small negative numbers that weighting leaves.
 pub(super) const METALS: &[(&str, Option<Index>)] = &[

@@ -103,6 +103,7 @@ mod dielectric;
 pub mod differential;
 mod diffuse;
 pub mod fresnel;
+mod hair;
 pub mod kernel;
 mod mask;
 mod metals;
@@ -112,6 +113,7 @@ mod normal_map;
 mod null;
 mod plastic;
 mod principled;
+mod principled_thin;
 mod rough_conductor;
 mod rough_dielectric;
 mod rough_plastic;
@@ -128,12 +130,14 @@ pub use conductor::{Conductor, ConductorIndex, ConductorLobe};
 pub use dielectric::{Dielectric, DielectricLobe};
 pub use differential::{DiffLobe, Part};
 pub use diffuse::{Diffuse, DiffuseLobe};
+pub use hair::{Absorption, Hair, HairLobe};
 pub use mask::Mask;
 pub use normal_map::{EncodedNormals, Interpolation, NormalMap};
 pub use null::{Null, NullLobe};
 pub use plastic::{Coated, CoatedLobe, Plastic, PlasticLobe};
 pub use principled::{AnisotropicPrincipled, Principled, PrincipledLobe, Reflectivity};
 pub(crate) use principled::{Choices, ClearCoat, Tints};
+pub use principled_thin::{AnisotropicThin, PrincipledThin, PrincipledThinLobe};
 pub use rough_conductor::{AnisotropicConductor, RoughConductor, RoughConductorLobe, Roughness};
 pub(crate) use rough_conductor::{Facets, Metal, reflect};
 pub use rough_dielectric::{AnisotropicDielectric, RoughDielectric, RoughDielectricLobe};
@@ -733,6 +737,11 @@ pub trait Bsdf: Send + Sync {
     /// Calls `f` with every texture the material reads.
     fn visit_textures(&self, f: &mut dyn FnMut(TextureRef));
 
+    /// How many textures it may read, as [`Leaf::MANY`] says; of no meaning for materials with children.
+    fn most_textures(&self) -> usize {
+        MAX_SLOTS
+    }
+
     /// Calls `f` with every parameter range the material reads.
     fn visit_params(&self, f: &mut dyn FnMut(ParamRef)) {
         self.visit_textures(&mut |t| t.visit_params(f));
@@ -954,6 +963,10 @@ impl<L: Leaf> Bsdf for L {
 
     fn visit_textures(&self, f: &mut dyn FnMut(TextureRef)) {
         self.lobe::<f32>(&mut List(f));
+    }
+
+    fn most_textures(&self) -> usize {
+        if L::MANY { MOST_SLOTS } else { MAX_SLOTS }
     }
 
     #[inline]
@@ -1355,6 +1368,9 @@ macro_rules! materials {
             fn visit_textures(&self, f: &mut dyn FnMut(TextureRef)) {
                 match self { $(Self::$hot(m) => m.visit_textures(f),)* $(Self::$name(m) => m.visit_textures(f),)* }
             }
+            fn most_textures(&self) -> usize {
+                match self { $(Self::$hot(m) => m.most_textures(),)* $(Self::$name(m) => m.most_textures(),)* }
+            }
             #[inline(always)]
             fn is_delta(&self) -> bool {
                 $crate::dispatch::dispatch!(self, [$($hot),*] [$($name),*], m => m.is_delta())
@@ -1406,4 +1422,7 @@ materials! {
     Null,
     AnisotropicPrincipled,
     Principled,
+    AnisotropicThin,
+    PrincipledThin,
+    Hair,
 }

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use ad_core::{Float, Real, Vec3};
 
 use super::tilted::Tilt;
-use super::{Bsdf, MAX_SLOTS, MOST_SLOTS, Material, Roughness, Shading, TextureRef};
+use super::{Bsdf, Material, Roughness, Shading, TextureRef};
 use crate::error::SceneError;
 use crate::params::{ParamRef, Params};
 use crate::plugin::Node;
@@ -83,27 +83,33 @@ pub fn scatters_deltas(material: &Material) -> bool {
         }
 }
 
+/// The part of a material that a delta belongs to, seen from behind or not, by the `route` of its
+/// [`Component`](super::Component); that of the hole of a mask is what is around it.
+pub(crate) fn delta_leaf(material: &Material, behind: bool, route: u8) -> &Material {
+    match material {
+        Material::TwoSided(m) => delta_leaf(&m.sides()[usize::from(behind)], false, route),
+        Material::Blend(m) => delta_leaf(&m.parts()[usize::from(route & 1)], behind, route >> 1),
+        Material::Mask(m) => delta_leaf(m.nested(), behind, route >> 1),
+        _ => match children(material) {
+            [nested] => delta_leaf(nested, behind, route),
+            _ => material,
+        },
+    }
+}
+
 /// Checks that the derivatives of all textures of a material have room.
 ///
 /// # Errors
 /// A leaf that reads more than it may, with the name of its first parameter.
 pub fn check_textures(material: &Material, params: &Params) -> Result<(), SceneError> {
     match children(material) {
-        [] => {
-            let many = matches!(
-                material,
-                Material::Principled(_)
-                    | Material::AnisotropicPrincipled(_)
-                    | Material::AnisotropicConductor(_)
-                    | Material::AnisotropicDielectric(_)
-            );
-            check_leaf(material, if many { MOST_SLOTS } else { MAX_SLOTS }, params)
-        }
+        [] => check_leaf(material, params),
         parts => parts.iter().try_for_each(|m| check_textures(m, params)),
     }
 }
 
-fn check_leaf(leaf: &impl Bsdf, most: usize, params: &Params) -> Result<(), SceneError> {
+fn check_leaf(leaf: &impl Bsdf, params: &Params) -> Result<(), SceneError> {
+    let most = leaf.most_textures();
     let mut found = 0;
     let mut first = None;
     leaf.visit_textures(&mut |t| {
@@ -155,6 +161,22 @@ pub fn is_glossy(material: &Material) -> bool {
     }
 }
 
+/// Whether it matters how the axes of a surface lie around its normal: to what is brushed, to fibres, and to normals that
+/// are mapped.
+pub fn reads_axes(material: &Material) -> bool {
+    let itself = matches!(
+        material,
+        Material::AnisotropicConductor(_)
+            | Material::AnisotropicDielectric(_)
+            | Material::AnisotropicPrincipled(_)
+            | Material::AnisotropicThin(_)
+            | Material::Hair(_)
+            | Material::NormalMap(_)
+            | Material::BumpMap(_)
+    );
+    itself || children(material).iter().any(|m| reads_axes(m))
+}
+
 /// Whether some light goes on behind it.
 pub fn lets_light_through(material: &Material) -> bool {
     match material {
@@ -162,10 +184,13 @@ pub fn lets_light_through(material: &Material) -> bool {
         | Material::ThinDielectric(_)
         | Material::RoughDielectric(_)
         | Material::AnisotropicDielectric(_)
+        | Material::Hair(_)
         | Material::Null(_)
         | Material::Mask(_) => true,
         Material::Principled(m) => m.transmission.is_some(),
         Material::AnisotropicPrincipled(m) => m.transmission.is_some(),
+        Material::PrincipledThin(m) => m.lets_light_through(),
+        Material::AnisotropicThin(m) => m.lets_light_through(),
         _ => children(material).iter().any(|m| lets_light_through(m)),
     }
 }
@@ -328,7 +353,7 @@ pub(super) fn nested_nodes(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::bsdf::{DiffuseLobe, Leaf, Reader};
+    use crate::bsdf::{DiffuseLobe, Leaf, MAX_SLOTS, Reader};
     use crate::math::Rgb;
     use crate::plugin::Registry;
     use crate::texture::RgbTexture;
@@ -354,7 +379,7 @@ mod tests {
             let mut build = Registry::default();
             let layer = |i| build.rgb(&format!("coat.layer{i}.value"), [0.5; 3], (0.0, 1.0));
             let layers = (0..n).map(layer).collect::<Result<_, _>>().unwrap();
-            let found = check_leaf(&Layers(layers), MAX_SLOTS, build.params());
+            let found = check_leaf(&Layers(layers), build.params());
             if n == MAX_SLOTS {
                 assert!(found.is_ok());
             } else {

@@ -4,7 +4,7 @@ use std::f64::consts::FRAC_1_PI;
 
 use ad_core::{Const, Real, Vec3};
 
-use super::dielectric::relative_index;
+use super::dielectric::{relative_index, wrong_index};
 use super::{
     BsdfSample, Component, DeltaKind, Leaf, Lobe, Reader, TransportMode, constant, fresnel,
 };
@@ -35,7 +35,7 @@ impl Coated {
     pub fn from_node(node: &Node, registry: &mut Registry) -> Result<Self, SceneError> {
         let eta = relative_index(node, "polypropylene")?;
         if eta < 1.0 {
-            return Err(node.invalid("int_ior", "a coat denser than what is above it"));
+            return Err(wrong_index(node, "a coat denser than what is above it"));
         }
         Ok(Self {
             diffuse_reflectance: registry.rgb_texture(

@@ -60,7 +60,7 @@ pub enum Reflectivity {
 /// The square of width over length of a highlight is one minus this times `anisotropic` [Burley 2012].
 const ELONGATION: f64 = 0.9;
 /// Smallest roughness of the microsurface.
-const LEAST_ALPHA: f64 = 1e-3;
+pub(super) const LEAST_ALPHA: f64 = 1e-3;
 /// A dielectric of less `specular` reflects nothing.
 const LEAST_SPECULAR: f64 = 1e-4;
 /// The least `specular` of glass: with less, refraction degenerates to a Dirac delta.
@@ -70,7 +70,7 @@ const COAT: [f64; 2] = [0.1, 1e-3];
 /// Roughness in the masking of the clear coat.
 const COAT_MASKING: f64 = 0.25;
 /// Least share of samples of each part that is there: what has no weight has a derivative (errata F7).
-const LEAST_SHARE: f64 = 0.05;
+pub(super) const LEAST_SHARE: f64 = 0.05;
 /// Closer to grazing on both sides, what is translucent stays as it is.
 const GRAZING: f64 = 1e-4;
 
@@ -182,13 +182,26 @@ impl<P: Float> Choices<P> {
     }
 }
 
+/// Roughness along all tangents, of that of the model, squared.
+#[inline]
+pub(super) fn even<R: Real>(squared: R) -> R {
+    squared.max(R::of(LEAST_ALPHA))
+}
+
+/// Roughness along both tangents, of highlights that are longer along the first one.
+#[inline]
+pub(super) fn brushed<R: Real>(squared: R, anisotropic: R) -> Axes<R> {
+    let aspect = (-(anisotropic * R::c(ELONGATION)) + R::c(1.0)).sqrt();
+    Axes([squared / aspect, squared * aspect].map(even))
+}
+
 impl Leaf for Principled {
     type Lobe<R: Real> = PrincipledLobe<R>;
     const MANY: bool = true;
 
     #[inline]
     fn lobe<R: Real>(&self, read: &mut impl Reader<R>) -> PrincipledLobe<R> {
-        self.read(read, |_, squared| squared.max(R::of(LEAST_ALPHA)))
+        self.read(read, |_, squared| even(squared))
     }
 }
 
@@ -200,8 +213,7 @@ impl Leaf for AnisotropicPrincipled {
     fn lobe<R: Real>(&self, read: &mut impl Reader<R>) -> PrincipledLobe<R, Axes<R>> {
         self.read(read, |read, squared| {
             let anisotropic = read.scalar(&self.anisotropic);
-            let aspect = (-(anisotropic * R::c(ELONGATION)) + R::c(1.0)).sqrt();
-            Axes([squared / aspect, squared * aspect].map(|a| a.max(R::of(LEAST_ALPHA))))
+            brushed(squared, anisotropic)
         })
     }
 }
@@ -282,7 +294,7 @@ impl Reflectivity {
 
 /// A colour over its luminance, white where that is zero.
 #[inline]
-fn hue<R: Real>(colour: Rgb<R>) -> Rgb<R> {
+pub(super) fn hue<R: Real>(colour: Rgb<R>) -> Rgb<R> {
     let luminance = colour.luminance();
     if luminance.primal() > R::Primal::zero() {
         colour.map(|c| c / luminance)
@@ -293,9 +305,39 @@ fn hue<R: Real>(colour: Rgb<R>) -> Rgb<R> {
 
 /// `(1 - cos)^5`.
 #[inline(always)]
-fn schlick<R: Real>(cos: R) -> R {
+pub(super) fn schlick<R: Real>(cos: R) -> R {
     let m = (-cos + R::c(1.0)).max(R::zero()).min(R::one());
     m.square().square() * m
+}
+
+/// Diffuse and retro-reflection of a white surface, cosine included: of a roughness before it is squared, and as translucent
+/// as `flatness` says, if it is. `cos_d` is the cosine to the normal of a facet between the directions.
+#[inline(always)]
+pub(super) fn matt<R: Real>(
+    roughness: R,
+    flatness: Option<R>,
+    [wo, wi]: [Vec3<R>; 2],
+    cos_d: R,
+) -> R {
+    let (one, (f_o, f_i)) = (R::one(), (schlick(wo.z), schlick(wi.z)));
+    let half = R::c(0.5);
+    let diffuse = (-(f_i * half) + R::c(1.0)) * (-(f_o * half) + R::c(1.0));
+    let rr = roughness * cos_d.square() * R::c(2.0);
+    let retro = rr * (f_o + f_i + f_o * f_i * (rr - one));
+    let surface = diffuse + retro;
+    let value = match flatness {
+        None => surface,
+        Some(flatness) => {
+            // One, and the value at grazing angles, by Schlick's weight.
+            let grazing = rr * half - one;
+            let mixed = (grazing * f_o + one) * (grazing * f_i + one);
+            let cosines = (wo.z + wi.z).max(R::of(GRAZING));
+            let below = mixed * (cosines.recip() - R::of(0.5)) + R::of(0.5);
+            let below = below * R::c(1.25);
+            surface + (below - surface) * flatness
+        }
+    };
+    value * wi.z * R::c(FRAC_1_PI)
 }
 
 impl<R: Real> ClearCoat<R> {
@@ -420,28 +462,10 @@ impl<R: Real, A> PrincipledLobe<R, A> {
         }
     }
 
-    /// Diffuse and retro-reflection and their like, cosine included, for a white base without metal.
+    /// [`matt`] of a white base without metal.
     #[inline(always)]
     fn base(&self, wo: Vec3<R>, wi: Vec3<R>, cos_d: R) -> R {
-        let (one, (f_o, f_i)) = (R::one(), (schlick(wo.z), schlick(wi.z)));
-        let half = R::c(0.5);
-        let diffuse = (-(f_i * half) + R::c(1.0)) * (-(f_o * half) + R::c(1.0));
-        let rr = self.roughness * cos_d.square() * R::c(2.0);
-        let retro = rr * (f_o + f_i + f_o * f_i * (rr - one));
-        let surface = diffuse + retro;
-        let value = match self.flatness {
-            None => surface,
-            Some(flatness) => {
-                // One, and the value at grazing angles, by Schlick's weight.
-                let grazing = rr * half - one;
-                let mixed = (grazing * f_o + one) * (grazing * f_i + one);
-                let cosines = (wo.z + wi.z).max(R::of(GRAZING));
-                let below = mixed * (cosines.recip() - R::of(0.5)) + R::of(0.5);
-                let below = below * R::c(1.25);
-                surface + (below - surface) * flatness
-            }
-        };
-        value * wi.z * R::c(FRAC_1_PI)
+        matt(self.roughness, self.flatness, [wo, wi], cos_d)
     }
 
     /// What tints change: `dielectric` is the reflectance without, `main` what it is multiplied with.
@@ -712,8 +736,7 @@ impl FromNode for AnisotropicPrincipled {
     const PLUGINS: &'static [&'static str] = Principled::<()>::PLUGINS;
 
     fn takes(node: &Node) -> bool {
-        let is_zero = matches!(node.grey(ANISOTROPIC), Ok(Some(x)) if x == 0.0);
-        Self::PLUGINS.contains(&node.plugin.as_str()) && node.has(ANISOTROPIC) && !is_zero
+        asks_for(node, Self::PLUGINS, ANISOTROPIC)
     }
 
     /// As that, and `anisotropic`.
@@ -724,13 +747,18 @@ impl FromNode for AnisotropicPrincipled {
 }
 
 /// The attributes.
-const ANISOTROPIC: &str = "anisotropic";
+pub(super) const ANISOTROPIC: &str = "anisotropic";
 const TRANSMISSION: &str = "spec_trans";
 
 /// Whether a node is such a material that transmits. Zero is the opaque one, which is seen from one side.
 pub(super) fn transmits(node: &Node) -> bool {
-    let is_zero = matches!(node.grey(TRANSMISSION), Ok(Some(x)) if x == 0.0);
-    Principled::<()>::PLUGINS.contains(&node.plugin.as_str()) && node.has(TRANSMISSION) && !is_zero
+    asks_for(node, Principled::<()>::PLUGINS, TRANSMISSION)
+}
+
+/// Whether a node is one of these plugins and has this attribute, which is not zero.
+pub(super) fn asks_for(node: &Node, plugins: &[&str], attribute: &str) -> bool {
+    let is_zero = matches!(node.grey(attribute), Ok(Some(x)) if x == 0.0);
+    plugins.contains(&node.plugin.as_str()) && node.has(attribute) && !is_zero
 }
 
 impl<T> Principled<T> {
@@ -759,7 +787,7 @@ impl<T> Principled<T> {
         let mut tint = |key: &str, of: bool| match node.grey(key) {
             Ok(Some(0.0)) => Ok(None),
             _ if of => given(key),
-            value => value.map(|_| None),
+            _ => node.ignore_texture(key).map(|()| None),
         };
         let tints = [
             tint("spec_tint", true)?,
@@ -772,7 +800,7 @@ impl<T> Principled<T> {
         };
         let clearcoat = match coat {
             None => {
-                node.grey("clearcoat_gloss")?;
+                node.ignore_texture("clearcoat_gloss")?;
                 None
             }
             Some(strength) => {

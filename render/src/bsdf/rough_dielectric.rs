@@ -2,7 +2,7 @@
 
 use ad_core::{Const, Float, Real, Vec3};
 
-use super::dielectric::{eta_across, relative_index};
+use super::dielectric::{eta_across, relative_index, wrong_index};
 use super::fresnel;
 use super::microfacet::{Alpha, Axes, Microfacet};
 use super::rough_conductor::{Facets, Roughness, is_anisotropic, reflect, reflection};
@@ -437,7 +437,8 @@ impl<T> RoughDielectric<T> {
         let eta = relative_index(node, "bk7")?;
         let valid = if eta > 1.0 { DENSER } else { THINNER };
         if !(valid.0..=valid.1).contains(&eta) {
-            return Err(node.invalid("int_ior", "an index at least 0.1 % from that outside"));
+            let expected = "an index inside at least 0.1 % from that outside";
+            return Err(wrong_index(node, expected));
         }
         let name = format!("{}.eta.value", registry.prefix());
         let eta = registry.scalar(&name, eta, valid)?;

@@ -40,9 +40,9 @@ fn area<P: Float>(c: P, s: P) -> P {
 #[inline(always)]
 pub(super) fn sigma_in_line<P: Float>(c: P, s: P) -> P {
     if is_single::<P>() {
-        Seen::by(&SINGLE, c, s).area
+        VisibleSlopes::by(&SINGLE, c, s).area
     } else {
-        Seen::by(&DOUBLE, c, s).area
+        VisibleSlopes::by(&DOUBLE, c, s).area
     }
 }
 
@@ -61,7 +61,7 @@ fn gauss<R: Real>(x: R) -> R {
 
 /// What a direction sees.
 #[derive(Clone, Copy)]
-struct Seen<P> {
+struct VisibleSlopes<P> {
     /// The largest slope that faces it, or what is as good.
     steepest: P,
     /// Projected area of all that does.
@@ -70,7 +70,7 @@ struct Seen<P> {
     beyond: P,
 }
 
-impl<P: Float> Seen<P> {
+impl<P: Float> VisibleSlopes<P> {
     #[inline(always)]
     fn by<const E: usize, const C: usize>(precision: &Precision<E, C>, c: P, s: P) -> Self {
         let half = P::of(0.5);
@@ -114,7 +114,7 @@ impl Quantile {
     ) -> Self {
         const FIRST: [f32; 4] = [-0.967_035_5, 3.187_807_6, -17.123_198, 14.951_41];
         const SECOND: [f32; 4] = [-0.451_821_64, -7.413_094_7, 31.319_506, -34.944_056];
-        let seen = Seen::by(precision, c, s);
+        let seen = VisibleSlopes::by(precision, c, s);
         let cos = c as f32;
         let root = ((1.0 - below) as f32).sqrt();
         let bend = 1.0 + fitted(FIRST, cos) + fitted(SECOND, cos) * root;

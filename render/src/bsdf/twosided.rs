@@ -263,7 +263,14 @@ impl Bsdf for TwoSided {
 }
 
 /// Plugins that let light through.
-const TRANSMITTING: &[&str] = &["dielectric", "thindielectric", "roughdielectric", "mask"];
+const TRANSMITTING: &[&str] = &[
+    "dielectric",
+    "hair",
+    "mask",
+    "principledthin",
+    "roughdielectric",
+    "thindielectric",
+];
 
 fn check_opaque(node: &Node) -> Result<(), SceneError> {
     if TRANSMITTING.contains(&node.plugin.as_str()) || principled::transmits(node) {

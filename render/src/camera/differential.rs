@@ -4,7 +4,7 @@ use ad_core::{Dual, Vec3};
 
 use super::Camera;
 use super::lens::Lens;
-use crate::math::{Ray, warp};
+use crate::math::Ray;
 
 /// A number with its derivatives in x and y of the image, per pixel.
 pub type PerPixel = Dual<f64, 2>;
@@ -21,15 +21,12 @@ impl Camera {
         let d = vector(self.dx) * x + vector(self.dy) * y + vector(self.corner);
         match &self.lens {
             None => Ray::new(origin, d.normalize()),
-            Some(Lens::Parallel { direction, forward }) => Ray::new(
-                origin + d - vector(*forward),
+            Some(Lens::Parallel { direction }) => Ray::new(
+                origin + d - vector(self.forward),
                 vector(*direction).normalize(),
             ),
             Some(Lens::Thin(lens)) => {
-                let disk = warp::square_to_disk(u);
-                let [right, up] = lens.axes.map(Vec3::from);
-                let off = right * disk.x + up * disk.y;
-                let off = vector(off.to_array());
+                let off = vector(lens.off(u).to_array());
                 let depth = d.dot(vector(lens.forward));
                 let to = d * (PerPixel::constant(lens.focus) / depth) - off;
                 Ray::new(origin + off, to.normalize())

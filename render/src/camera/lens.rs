@@ -2,7 +2,7 @@
 
 use ad_core::{Float, Vec3};
 
-use super::{Camera, FovAxis};
+use super::{Camera, CameraSample, FovAxis};
 use crate::error::SceneError;
 use crate::math::{Ray, Transform, both, each, warp};
 
@@ -11,12 +11,8 @@ use crate::math::{Ray, Transform, both, each, warp};
 pub(super) enum Lens {
     /// On a disk around the origin.
     Thin(ThinLens),
-    /// On a plane through the origin; all are parallel to this unit vector. The other is what [`Camera::direction`] has
-    /// in all places.
-    Parallel {
-        direction: [f64; 3],
-        forward: [f64; 3],
-    },
+    /// On a plane through the origin; all are parallel to this unit vector.
+    Parallel { direction: [f64; 3] },
 }
 
 /// A disk around the origin, given by two half axes. Rays meet the pinhole's ray at a depth, the distance of the plane
@@ -25,7 +21,35 @@ pub(super) enum Lens {
 pub(crate) struct ThinLens {
     pub(super) axes: [[f64; 3]; 2],
     pub(super) forward: [f64; 3],
+    pub(super) radius: f64,
     pub(super) focus: f64,
+}
+
+impl ThinLens {
+    /// From its middle to a place of it.
+    #[inline(always)]
+    pub fn off<P: Float>(&self, u: [P; 2]) -> Vec3<P> {
+        let [right, up] = both(self.axes, |a| Vec3::from(each(a, P::of)));
+        let disk = warp::square_to_disk(u);
+        right * disk.x + up * disk.y
+    }
+
+    /// How many times as far as the plane in focus something is, seen by pinholes at all of its places: what a pinhole in
+    /// its middle sees at `v` is seen from the place that is `off` from there at `v` plus this less one times `off`.
+    pub fn depth(&self, v: Vec3<f64>) -> f64 {
+        v.dot(Vec3::from(self.forward)) / self.focus
+    }
+
+    /// The corners of a square around it, from its middle.
+    pub fn corners(&self) -> [Vec3<f64>; 4] {
+        let [right, up] = self.axes.map(Vec3::from);
+        [right + up, right - up, -right - up, up - right]
+    }
+
+    /// Its radius, in units of the scene.
+    pub fn radius(&self) -> f64 {
+        self.radius
+    }
 }
 
 /// What else is known of a camera that is none.
@@ -73,6 +97,7 @@ impl Camera {
         self.lens = Some(Lens::Thin(ThinLens {
             axes: [right, up].map(|a| (a * radius).to_array()),
             forward: forward.normalize().to_array(),
+            radius,
             focus,
         }));
         Ok(self)
@@ -85,13 +110,22 @@ impl Camera {
     /// A transform without inverse.
     pub fn orthographic(to_world: Transform, resolution: [u32; 2]) -> Result<Self, SceneError> {
         // At unit distance, half a width of one.
-        let mut camera = Self::new(to_world, 90.0, FovAxis::X, resolution)?;
-        let forward = to_world.vector([0.0, 0.0, 1.0]);
-        camera.lens = Some(Lens::Parallel {
-            direction: Vec3::from(forward).normalize().to_array(),
-            forward,
+        Ok(Self::new(to_world, 90.0, FovAxis::X, resolution)?.with_parallel_rays())
+    }
+
+    pub(super) fn with_parallel_rays(mut self) -> Self {
+        self.lens = Some(Lens::Parallel {
+            direction: Vec3::from(self.forward).normalize().to_array(),
         });
-        Ok(camera)
+        self
+    }
+
+    /// The direction of all rays, where they are parallel.
+    pub fn parallel_direction(&self) -> Option<Vec3<f64>> {
+        match &self.lens {
+            Some(Lens::Parallel { direction }) => Some((*direction).into()),
+            _ => None,
+        }
     }
 
     /// The same camera with its principal point beside the middle of the image, by these parts of its width and height,
@@ -137,6 +171,13 @@ impl Camera {
         Ray::new(o, to.normalize())
     }
 
+    /// The ray of a sample.
+    #[inline(always)]
+    pub fn ray_of<P: Float>(&self, at: &CameraSample<P>) -> Ray<P> {
+        let [x, y] = at.film;
+        self.ray_through(x, y, at.lens)
+    }
+
     /// Where that ray leaves the lens, and where to, not normalised: without a branch, for loops over many.
     #[inline(always)]
     pub(crate) fn through<P: Float>(
@@ -146,9 +187,7 @@ impl Camera {
         y: P,
         u: [P; 2],
     ) -> (Vec3<P>, Vec3<P>) {
-        let [right, up] = both(lens.axes, |a| Vec3::from(each(a, P::of)));
-        let disk = warp::square_to_disk(u);
-        let off = right * disk.x + up * disk.y;
+        let off = lens.off(u);
         let d = self.direction(x, y);
         let depth = d.dot(Vec3::from(each(lens.forward, P::of)));
         let to = d * (P::of(lens.focus) / depth) - off;
@@ -157,15 +196,9 @@ impl Camera {
 
     /// The ray of a camera whose rays are parallel.
     #[inline]
-    pub(super) fn parallel<P: Float>(
-        &self,
-        x: P,
-        y: P,
-        direction: &[f64; 3],
-        forward: &[f64; 3],
-    ) -> Ray<P> {
+    pub(super) fn parallel<P: Float>(&self, x: P, y: P, direction: &[f64; 3]) -> Ray<P> {
         let vector = |v: [f64; 3]| Vec3::from(each(v, P::of));
-        let off = self.direction(x, y) - vector(*forward);
+        let off = self.direction(x, y) - vector(self.forward);
         Ray::new(vector(self.origin) + off, vector(*direction).normalize())
     }
 }

@@ -10,7 +10,9 @@
 //! points of view, [`Edges::draw`] chooses in a tree over all edges.
 
 pub(crate) mod crossing;
+mod eye;
 pub(crate) mod film;
+mod projection;
 mod topology;
 mod tree;
 mod turn;
@@ -19,10 +21,11 @@ use std::collections::HashMap;
 
 use ad_core::{Float, Vec2, Vec3};
 
+pub(crate) use eye::Eye;
 pub(crate) use tree::Seeker;
 
 use crate::accel::{Hit, SEAM};
-use crate::math::{Frame, Ray};
+use crate::math::Ray;
 use crate::params::Theta;
 use crate::shape::{AnyShape, Shape, SurfaceCoordinates, lift3};
 use topology::Topology;
@@ -113,6 +116,27 @@ pub(crate) struct Inside {
     spot: Spot,
     /// World space, where that is not part of the spot.
     p: Vec3<f64>,
+    /// What meets it at a straight edge.
+    pub beside: Option<Beside>,
+}
+
+/// The face on the other side of a straight edge. Points inside of the edge are so near to it that the seam by which it is
+/// met beyond its sides would hide light from them that only grazes their own face.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Beside {
+    /// Primitive of the shape.
+    pub local: u32,
+    /// Unit vectors at right angles to the edge: into the own face, and into this one.
+    into: [Vec3<f64>; 2],
+}
+
+impl Beside {
+    /// Whether a ray from the own face meets this one in the limit of a point on the edge.
+    pub fn is_met(&self, d: Vec3<f64>) -> bool {
+        let [own, other] = self.into;
+        let around = own.cross(other);
+        own.cross(d).dot(around) > 0.0 && other.cross(d).dot(around) > 0.0
+    }
 }
 
 /// A point of a curve as seen from somewhere.
@@ -139,13 +163,13 @@ enum View {
 pub(crate) struct EdgePoint {
     /// World space.
     pub p: Vec3<f64>,
-    /// Unit direction from the point of view.
+    /// Unit direction from where it is seen.
     pub direction: Vec3<f64>,
     /// Distance from there.
     pub distance: f64,
     /// Unit vector at right angles to the direction and the edge, out of the occluder.
     pub normal: Vec3<f64>,
-    /// The length of the outline, in radians, over the density.
+    /// The length of the outline over the distance, in radians if it is seen from a point, over the density.
     pub weight: f64,
     /// Shape and its primitive that the point belongs to.
     pub shape: u32,
@@ -159,6 +183,13 @@ pub(crate) struct Surfaces<'a> {
     pub shapes: &'a [AnyShape],
     /// The first primitive of each.
     pub firsts: &'a [u32],
+}
+
+impl Inside {
+    /// World space, of points beside lines.
+    pub fn p(&self) -> Vec3<f64> {
+        self.p
+    }
 }
 
 impl Surfaces<'_> {
@@ -221,10 +252,10 @@ impl Edge {
         lift3::<f64>(self.ends[1]) - self.start()
     }
 
-    /// What the faces look like from `x`, and the unit vector at right angles to what sees the edge: out of the first
+    /// What the faces look like to an eye, and the unit vector at right angles to what sees the edge: out of the first
     /// face. `None` if nothing jumps, or the edge is seen as a point.
-    fn view(&self, x: Vec3<f64>, more: &[[f32; 3]]) -> Option<(View, Vec3<f64>)> {
-        let to = self.start() - x;
+    fn view(&self, eye: &Eye, more: &[[f32; 3]]) -> Option<(View, Vec3<f64>)> {
+        let to = eye.to(self.start());
         let plane = to.cross(self.along());
         let plane = (plane.length_squared() > 0.0).then(|| plane.normalize())?;
         let [m, m2] = self.into.map(lift3::<f64>);
@@ -240,7 +271,7 @@ impl Edge {
             return (self.jump > 0.0).then_some((View::Crease, normal));
         }
         // The face in front rises less behind the edge.
-        let d = (to + self.along() * 0.5).normalize();
+        let d = (to + eye.change(self.along() * 0.5)).normalize();
         let slope = |m: Vec3<f64>, side: f64| m.dot(d) / side.abs();
         let front = usize::from(slope(m2, side2) < slope(m, side));
         Some((View::Outline(front), normal))
@@ -248,8 +279,8 @@ impl Edge {
 }
 
 impl Curve {
-    /// The point with parameter `s`, as far as `x` sees it as an outline.
-    fn rim(&self, s: f64, x: Vec3<f64>) -> Option<Rim> {
+    /// The point with parameter `s`, as far as an eye sees it as an outline.
+    fn rim(&self, s: f64, eye: &Eye) -> Option<Rim> {
         let (sin, cos) = (std::f64::consts::TAU * s).sin_cos();
         let [e1, e2] = self.axes;
         let turn = std::f64::consts::TAU;
@@ -270,8 +301,8 @@ impl Curve {
                 spot: Spot::At(0, [s, if top { 1.0 } else { 0.0 }]),
             }),
             CurveKind::Ball => {
-                let (axis, sine) = self.outside(x - self.origin)?;
-                let frame = Frame::from_normal(axis);
+                let (axis, sine) = self.outside(eye, -eye.to(self.origin))?;
+                let frame = eye.frame(axis, self.origin);
                 let cosine = (1.0 - sine * sine).sqrt();
                 let out = axis * sine + (frame.s * cos + frame.t * sin) * cosine;
                 Some(Rim {
@@ -283,8 +314,8 @@ impl Curve {
             }
             CurveKind::Tube(side) => {
                 let axis = e1.normalize();
-                let to = x - self.origin;
-                let (across, sine) = self.outside(to - axis * axis.dot(to))?;
+                let to = -eye.to(self.origin);
+                let (across, sine) = self.outside(eye, to - axis * axis.dot(to))?;
                 let cosine = (1.0 - sine * sine).sqrt();
                 let sign = if side == 0 { 1.0 } else { -1.0 };
                 let out = across * sine + axis.cross(across) * (cosine * sign);
@@ -298,11 +329,11 @@ impl Curve {
         }
     }
 
-    /// Unit vector and radius over distance; `None` inside, where rounding counts as such.
-    fn outside(&self, to: Vec3<f64>) -> Option<(Vec3<f64>, f64)> {
-        let distance = to.length();
-        let sine = self.radius / distance;
-        (sine < 1.0 - 1e-5).then(|| (to.normalize(), sine))
+    /// Unit vector and radius over distance; `None` inside, where rounding counts as such, and along the axis of a tube.
+    fn outside(&self, eye: &Eye, to: Vec3<f64>) -> Option<(Vec3<f64>, f64)> {
+        let sine = eye.sine(self.radius, to);
+        let across = to.length() > 1e-9;
+        (sine < 1.0 - 1e-5 && across).then(|| (to.normalize(), sine))
     }
 
     /// A length.
@@ -315,11 +346,10 @@ impl Curve {
 }
 
 impl Rim {
-    /// As seen from `x`, with the derivative of the direction by the parameter. `None` where it is seen end on.
-    fn seen(&self, x: Vec3<f64>, shape: u32) -> Option<(EdgePoint, f64)> {
-        let to = self.p - x;
-        let distance = to.length();
-        let direction = to * distance.recip();
+    /// As an eye sees it, with the derivative of the direction by the parameter: across parallel rays, how far it moves over
+    /// the distance. `None` where it is seen end on.
+    fn seen(&self, eye: &Eye, shape: u32) -> Option<(EdgePoint, f64)> {
+        let (direction, distance) = eye.sight(self.p);
         let across = direction.cross(self.tangent);
         let speed = across.length() / distance;
         if !(speed > 0.0 && speed.is_finite()) {
@@ -373,7 +403,7 @@ impl Edges {
         }
     }
 
-    /// Whether any normals are interpolated.
+    /// Whether any faces have other normals than their own.
     pub fn has_turns(&self) -> bool {
         !self.turns.is_empty()
     }
@@ -383,21 +413,21 @@ impl Edges {
     }
 
     /// What faces of a straight edge look like.
-    fn view(&self, edge: usize, x: Vec3<f64>) -> Option<(View, Vec3<f64>)> {
+    fn view(&self, edge: usize, eye: &Eye) -> Option<(View, Vec3<f64>)> {
         let more = if self.more.is_empty() {
             &[]
         } else {
             self.more(edge)
         };
-        self.straight[edge].view(x, more)
+        self.straight[edge].view(eye, more)
     }
 
     /// Straight edges across which what `x` sees may jump, outlines and creases, hidden or not: shape, primitive of the shape,
     /// ends.
     pub fn straight_jumps(&self, x: Vec3<f64>) -> impl Iterator<Item = (u32, u32, [Vec3<f64>; 2])> {
-        let sides = self.straight.iter().enumerate();
+        let (sides, eye) = (self.straight.iter().enumerate(), Eye::point(x));
         sides.filter_map(move |(i, e)| {
-            let front = match self.view(i, x)?.0 {
+            let front = match self.view(i, &eye)?.0 {
                 View::Outline(front) => front,
                 View::Crease => 0,
             };

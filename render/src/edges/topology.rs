@@ -40,7 +40,7 @@ pub(super) struct Topology {
     /// Directions into the third and further faces of an edge.
     pub more: HashMap<u32, Vec<[f32; 3]>>,
     pub curves: Vec<Curve>,
-    /// Faces whose normals are interpolated.
+    /// Faces whose normals are not theirs.
     pub turns: Vec<Turn>,
 }
 
@@ -93,6 +93,8 @@ impl Topology {
                     });
                 }
                 AnyShape::Cylinder(_) => all.cylinder(i, shape),
+                // Who asks for edges is refused where there are curves.
+                AnyShape::Curves(_) => {}
             }
         }
         all
@@ -162,8 +164,13 @@ impl Topology {
             let corners = t.map(|v| data.positions[v as usize]);
             let normals = t.map(|v| data.normals[v as usize]);
             let [a, b, c] = corners.map(lift3::<f64>);
-            let area = (b - a).cross(c - a).length_squared();
-            if area > 0.0 && normals.iter().any(|n| *n != normals[0]) {
+            let across = (b - a).cross(c - a);
+            let tilted = |n: &[f32; 3]| {
+                let n = lift3::<f64>(*n);
+                n.cross(across).length_squared()
+                    > f64::from(SAME * SAME) * n.length_squared() * across.length_squared()
+            };
+            if across.length_squared() > 0.0 && normals.iter().any(tilted) {
                 self.turns.push(Turn {
                     shape: index,
                     local,

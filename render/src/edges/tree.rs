@@ -7,7 +7,7 @@ use std::ops::Range;
 use ad_core::Vec3;
 use smallvec::SmallVec;
 
-use super::{Curve, CurveKind, Edge, EdgePoint, Edges, Spot, View};
+use super::{Curve, CurveKind, Edge, EdgePoint, Edges, Eye, Spot, View};
 use crate::emitter::Ball;
 use crate::shape::lift3;
 
@@ -352,7 +352,10 @@ impl Edges {
     fn strip(&self, item: usize, seeker: &Seeker) -> f64 {
         let (length, middle, shape) = match self.straight.get(item) {
             Some(edge) => {
-                if !matches!(self.view(item, seeker.from), Some((View::Outline(_), _))) {
+                if !matches!(
+                    self.view(item, &Eye::point(seeker.from)),
+                    Some((View::Outline(_), _))
+                ) {
                     return 0.0;
                 }
                 let along = edge.along();
@@ -369,8 +372,9 @@ impl Edges {
 
     fn draw_curve(&self, curve: usize, seeker: &Seeker, u: f64) -> Option<EdgePoint> {
         let curve = &self.curves[curve];
-        let rim = curve.rim(u, seeker.from)?;
-        let (mut point, speed) = rim.seen(seeker.from, curve.shape)?;
+        let eye = Eye::point(seeker.from);
+        let rim = curve.rim(u, &eye)?;
+        let (mut point, speed) = rim.seen(&eye, curve.shape)?;
         point.weight = speed;
         Some(point)
     }
@@ -383,7 +387,7 @@ impl Edges {
         [choice, u]: [f64; 2],
     ) -> Option<EdgePoint> {
         let edge = &self.straight[item];
-        let Some((View::Outline(front), normal)) = self.view(item, seeker.from) else {
+        let Some((View::Outline(front), normal)) = self.view(item, &Eye::point(seeker.from)) else {
             return None;
         };
         let [a, b] = [edge.start(), edge.start() + edge.along()].map(|p| p - seeker.from);

@@ -6,13 +6,13 @@
 
 use ad_core::Vec3;
 
-use super::{Inside, Rim, Spot};
+use super::{EdgePoint, Eye, Inside, Rim, Spot};
 use crate::shape::lift3;
 
 /// How far beside the curve a surface is looked at, as a part of the line through the corner.
 const BESIDE: f64 = 1e-3;
 
-/// A face whose normals are interpolated.
+/// A face with other normals than its own.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Turn {
     pub shape: u32,
@@ -29,30 +29,36 @@ impl Turn {
         (of.iter().zip(weights)).fold(Vec3::zero(), |sum, (v, w)| sum + lift3::<f64>(*v) * w)
     }
 
-    fn facing(&self, weights: Weights, x: Vec3<f64>) -> f64 {
-        Self::sum(&self.normals, weights).dot(x - Self::sum(&self.corners, weights))
+    fn facing(&self, weights: Weights, eye: &Eye) -> f64 {
+        Self::sum(&self.normals, weights).dot(-eye.to(Self::sum(&self.corners, weights)))
     }
 
     /// The change of [`Turn::facing`] with the weights.
-    fn facing_along(&self, weights: Weights, change: Weights, x: Vec3<f64>) -> f64 {
-        Self::sum(&self.normals, change).dot(x - Self::sum(&self.corners, weights))
-            - Self::sum(&self.normals, weights).dot(Self::sum(&self.corners, change))
+    fn facing_along(&self, weights: Weights, change: Weights, eye: &Eye) -> f64 {
+        Self::sum(&self.normals, change).dot(-eye.to(Self::sum(&self.corners, weights)))
+            - Self::sum(&self.normals, weights).dot(eye.change(Self::sum(&self.corners, change)))
     }
 
-    /// Whether normals may turn away from `x`: not if all coefficients of Bernstein have one sign.
-    pub fn may_turn(&self, x: Vec3<f64>) -> bool {
-        let corner = [0, 1, 2].map(|k| self.facing(unit(k), x));
+    /// Whether normals may turn away from an eye, or from a point that is no farther than `radius` from it: not if all
+    /// coefficients of Bernstein have one sign there.
+    pub fn may_turn(&self, eye: &Eye, radius: f64) -> bool {
+        let corner = [0, 1, 2].map(|k| self.facing(unit(k), eye));
+        let normal = self.normals.map(lift3::<f64>);
         let all = [0, 1, 2].map(|k| {
             let [a, b] = [k, (k + 1) % 3];
             let middle = self.facing(
                 [0, 1, 2].map(|i| if i == a || i == b { 0.5 } else { 0.0 }),
-                x,
+                eye,
             );
-            2.0 * middle - 0.5 * (corner[a] + corner[b])
+            let of_two = 2.0 * middle - 0.5 * (corner[a] + corner[b]);
+            [
+                (corner[k], normal[k].length()),
+                (of_two, 0.5 * (normal[a] + normal[b]).length()),
+            ]
         });
-        let mut all = corner.iter().chain(&all);
+        let mut all = all.iter().flatten();
         let first = corner[0] > 0.0;
-        all.any(|g| (*g > 0.0) != first)
+        all.any(|(g, by)| (*g > 0.0) != first || g.abs() < by * radius)
     }
 
     /// Weights on the line with parameter `s` through the corner `apex`, at a part of it, and their changes with `s` and
@@ -66,23 +72,24 @@ impl Turn {
         all
     }
 
-    /// The point with parameter `s` on the first or second part of the curve, as `x` sees it, and what is on both sides:
+    /// The point with parameter `s` on the first or second part of the curve, as an eye sees it, and what is on both sides:
     /// first towards the corner.
-    pub fn rim(&self, s: f64, root: usize, x: Vec3<f64>) -> Option<(Rim, [Inside; 2])> {
-        let corner = [0, 1, 2].map(|k| self.facing(unit(k), x) > 0.0);
+    pub fn rim(&self, s: f64, root: usize, eye: &Eye) -> Option<(Rim, [Inside; 2])> {
+        let corner = [0, 1, 2].map(|k| self.facing(unit(k), eye) > 0.0);
         let alone =
             |k: &usize| corner[*k] != corner[(k + 1) % 3] && corner[*k] != corner[(k + 2) % 3];
         let apex = (0..3).find(alone).unwrap_or(0);
-        let g = [0.0, 0.5, 1.0].map(|part| self.facing(Self::line(apex, s, part)[0], x));
+        let g = [0.0, 0.5, 1.0].map(|part| self.facing(Self::line(apex, s, part)[0], eye));
         let part = *roots(g).get(root)?;
         let [at, by_s, by_part] = Self::line(apex, s, part);
-        let slope = self.facing_along(at, by_part, x);
-        let turn = -self.facing_along(at, by_s, x) / slope;
+        let slope = self.facing_along(at, by_part, eye);
+        let turn = -self.facing_along(at, by_s, eye) / slope;
         let across = Self::sum(&self.corners, by_part);
         let spot = |weights: Weights| Spot::At(self.local, [weights[1], weights[2]]);
         let beside = |by: f64| Inside {
             spot: spot([0, 1, 2].map(|i| at[i] + by * by_part[i])),
             p: Vec3::zero(),
+            beside: None,
         };
         let rim = Rim {
             p: Self::sum(&self.corners, at),
@@ -93,15 +100,16 @@ impl Turn {
         Some((rim, [beside(-BESIDE), beside(BESIDE)]))
     }
 
-    /// The slope of the cosine between the view `d` and the unit shading normal, per radian that the view turns towards
-    /// the unit vector `normal`, and that normal. The face is seen at this distance, at these coordinates.
-    pub fn slope(
-        &self,
-        [u, v]: [f64; 2],
-        d: Vec3<f64>,
-        normal: Vec3<f64>,
-        distance: f64,
-    ) -> (f64, Vec3<f64>) {
+    /// The slope of the cosine between the view and the unit shading normal, per radian that the view turns towards the
+    /// normal of a point that an eye sees, and that shading normal. Parallel rays do not turn: they move as far as that.
+    /// The face has these coordinates there.
+    pub fn slope(&self, [u, v]: [f64; 2], eye: &Eye, point: &EdgePoint) -> (f64, Vec3<f64>) {
+        let EdgePoint {
+            direction: d,
+            normal,
+            distance,
+            ..
+        } = *point;
         let [a, b, c] = self.corners.map(lift3::<f64>);
         let (e1, e2) = (b - a, c - a);
         let n = e1.cross(e2);
@@ -113,7 +121,8 @@ impl Turn {
         let change = Self::sum(&self.normals, [-du - dv, du, dv]);
         let length = shading.length();
         let shading = shading * length.recip();
-        (change.dot(d) / length + shading.dot(normal), shading)
+        let turns = shading.dot(eye.change(normal));
+        (change.dot(d) / length + turns, shading)
     }
 }
 
@@ -174,17 +183,18 @@ mod tests {
             normals: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
         };
         let x = Vec3::new(4.0, 0.5, 0.2);
-        assert!(turn.may_turn(x));
-        let (rim, _) = turn.rim(0.3, 0, x).expect("a curve");
-        let later = turn.rim(0.3 + 1e-6, 0, x).expect("a curve").0;
+        let eye = Eye::point(x);
+        assert!(turn.may_turn(&eye, 0.0));
+        let (rim, _) = turn.rim(0.3, 0, &eye).expect("a curve");
+        let later = turn.rim(0.3 + 1e-6, 0, &eye).expect("a curve").0;
         assert!(((later.p - rim.p) * 1e6 - rim.tangent).length() < 1e-4);
         // Normals are where points are.
         assert!(rim.p.dot(x - rim.p).abs() < 1e-12);
-        let (point, _) = rim.seen(x, 0).expect("seen");
+        let (point, _) = rim.seen(&eye, 0).expect("seen");
         let Spot::At(_, at) = rim.spot else {
             panic!("{:?}", rim.spot)
         };
-        let (slope, n) = turn.slope(at, point.direction, point.normal, point.distance);
+        let (slope, n) = turn.slope(at, &eye, &point);
         assert!((n - rim.p.normalize()).length() < 1e-12);
         let step = 1e-6;
         let d = (point.direction + point.normal * step).normalize();

@@ -4,6 +4,26 @@
 //! the texture there times a scalar [`Emission::falloff`], and times one number that is a parameter, if it has such
 //! a [`Emitter::scale`]. Evaluation and adjoint share that form.
 //!
+//! Direct light at the point that a pixel sees, by one sample of a lamp:
+//!
+//! ```
+//! use render::emitter::Emitter;
+//! use render::params::Theta;
+//!
+//! let room = render::scene::room(64, 64)?;
+//! let theta = Theta::constant(room.params().values());
+//! let seen = room.intersect(&room.camera.ray(32.5f32, 50.5)).expect("the room is closed");
+//! let lamp = &room.emitters()[0];
+//! let sample = lamp.sample(room.lights(), seen.si.p, [0.3, 0.6]).expect("the lamp faces it");
+//! let way = seen.si.shadow_ray(sample.d, sample.distance, room.exit(seen.prim), sample.surface);
+//! if !room.occluded(&way) {
+//!     let radiance = lamp.eval(&theta, &sample.emission);
+//!     let irradiance = radiance * (sample.d.dot(seen.si.frame.n).max(0.0) / sample.pdf);
+//!     assert!(irradiance.is_finite());
+//! }
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
 //! To add an emitter: one file here, one line in `emitters!` below.
 
 mod area;

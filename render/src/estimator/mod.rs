@@ -13,6 +13,27 @@
 //! do not compile unless wrapped in [`AllowBias`].
 //!
 //! What a strategy sees, where it is right and what it refuses is read from its constants: [`Capabilities`].
+//!
+//! ```
+//! use render::estimator::{AllowBias, AttachedWeights, Capabilities, Detached, Mis, Reparameterised, Unbiased};
+//! use render::instances::Estimator;
+//!
+//! // A technique, how scattered directions follow the parameters, and how weights do.
+//! type Follows = Mis<Reparameterised, Detached, AttachedWeights>;
+//! fn right<S: Unbiased>() -> Capabilities {
+//!     Capabilities::of::<S>()
+//! }
+//! assert!(right::<Follows>().samples_emitters);
+//! // What is said of no combination does not compile, unless the bias is asked for.
+//! # type Wrong = Mis<Reparameterised, Detached, render::estimator::DetachedWeights>;
+//! let wrong = right::<AllowBias<Wrong>>(); // the same with weights that stay
+//! assert!(wrong.study && wrong.failures.iter().count() > 0);
+//!
+//! // The combinations that have names say the same of themselves.
+//! for estimator in Estimator::ALL {
+//!     println!("{}: {}", estimator.name(), estimator.capabilities());
+//! }
+//! ```
 
 mod capabilities;
 pub mod memory;

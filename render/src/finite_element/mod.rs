@@ -19,6 +19,39 @@
 //! [`FiniteElements::interpolated`]) take the last reflection, to the eye, by the BRDF itself instead of through
 //! the basis; the cost and its derivatives do not.
 //!
+//! A lamp over a floor: the mean of what the camera sees, and its derivatives from one solution for importance.
+//!
+//! ```
+//! use render::Scene;
+//! use render::finite_element::{FiniteElements, Options};
+//! use render::scene::LoadOptions;
+//!
+//! let file = r#"<scene version="3.0.0">
+//!     <sensor type="perspective">
+//!         <transform name="to_world"><lookat origin="0, 2, 4" target="0, 0, 0" up="0, 1, 0"/></transform>
+//!         <film type="hdrfilm"><integer name="width" value="8"/><integer name="height" value="8"/></film>
+//!     </sensor>
+//!     <shape type="rectangle"><transform name="to_world"><rotate x="1" angle="-90"/></transform>
+//!         <bsdf type="diffuse" id="floor"/></shape>
+//!     <shape type="rectangle" id="lamp">
+//!         <transform name="to_world"><scale value="0.5"/><rotate x="1" angle="90"/><translate y="1"/></transform>
+//!         <bsdf type="diffuse"><rgb name="reflectance" value="0"/></bsdf>
+//!         <emitter type="area"><rgb name="radiance" value="3"/></emitter></shape>
+//! </scene>"#;
+//! let (scene, _warnings) = Scene::from_xml(file, ".".as_ref(), &LoadOptions::default())?;
+//! let mut elements = FiniteElements::new(&scene, Options::default())?;
+//! for tolerance in [4e-3, 2e-3, 1e-3] {
+//!     elements.solve()?;
+//!     elements.refine(tolerance);
+//! }
+//! elements.solve()?;
+//! let gradient = elements.gradient(&["lamp.emitter.radiance.value"])?;
+//! // Light is linear in emission.
+//! let by_emission: f64 = gradient[0].values.iter().map(|d| 3.0 * d).sum();
+//! assert!((by_emission / elements.cost() - 1.0).abs() < 1e-3);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
 //! # Does not handle
 //! Shapes other than rectangles and cubes, lights other than area lights, textures, and materials
 //! other than diffuse and rough conductor: errors that name them. A shape is first seen by 16 pairs of

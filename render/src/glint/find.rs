@@ -9,7 +9,7 @@ use super::search::Pick;
 use super::walk::{Root, over_footprint};
 use crate::bsdf::{Bsdf, Shading, TransportMode};
 use crate::emitter::{Emission, Emitter, EmitterSample};
-use crate::manifold::{Statistics, Target, cast, distinct, trials};
+use crate::manifold::{Asking, Statistics, Target, cast, distinct, trials};
 use crate::params::Theta;
 use crate::sampler::{Independent, Sampler};
 use crate::scene::{
@@ -96,12 +96,13 @@ impl<'a, P: Float> Finder<'a, P> {
 
     /// Adds what a sample finds whose filter weighs it by `sample`: estimates whose mean over samples is the pixel's light from
     /// this surface over one reflection.
-    /// What walks came to is added to `came_to`.
+    /// What walks came to is added to `came_to`. Once `cancelled` says so, which is asked now and then, nothing of it counts.
     pub fn find(
         &self,
         foot: &Footprint,
         sample: f64,
         rng: &mut Independent,
+        cancelled: &dyn Fn() -> bool,
         came_to: &mut Statistics,
         out: &mut Vec<Glint>,
     ) {
@@ -109,7 +110,7 @@ impl<'a, P: Float> Finder<'a, P> {
             self.scatter(foot, sample, out);
         }
         if self.options.techniques != GlintTechniques::Scattering {
-            self.walk(foot, rng, came_to, out);
+            self.walk(foot, rng, (&Asking::new(cancelled), came_to), out);
         }
     }
 
@@ -249,7 +250,7 @@ impl<'a, P: Float> Finder<'a, P> {
         &self,
         foot: &Footprint,
         rng: &mut Independent,
-        came_to: &mut Statistics,
+        (stops, came_to): (&Asking, &mut Statistics),
         out: &mut Vec<Glint>,
     ) {
         let Some((map, behind)) = self.slopes(foot) else {
@@ -287,7 +288,7 @@ impl<'a, P: Float> Finder<'a, P> {
         };
         came_to.attempts += 1;
         let before = out.len();
-        self.solve(&lit, pdf, rng, came_to, |si, wo, wi, weight| {
+        self.solve(&lit, pdf, rng, (stops, came_to), |si, wo, wi, weight| {
             out.push(Glint {
                 si,
                 wo,
@@ -317,7 +318,7 @@ impl<'a, P: Float> Finder<'a, P> {
         lit: &Lit,
         pdf: f64,
         rng: &mut Independent,
-        s: &mut Statistics,
+        (stops, s): (&Asking, &mut Statistics),
         mut put: impl FnMut(SurfaceInteraction<f64>, Vec3<f64>, Vec3<f64>, f64),
     ) {
         let Glints {
@@ -339,6 +340,9 @@ impl<'a, P: Float> Finder<'a, P> {
             },
         };
         let mut walk = |s: &mut Statistics| {
+            if stops.now() {
+                return None;
+            }
             let u = rng.next_2d::<f64>();
             let (root, n) = match &cell {
                 Some((cell, patch)) => patch.walk(&aim, *cell, u, most),
@@ -354,7 +358,10 @@ impl<'a, P: Float> Finder<'a, P> {
                 let first = walk(s);
                 let worth = first.and_then(|root| Some((self.worth(lit, pdf, q, &root)?, root)));
                 if let Some(((si, wo, wi, weight), root)) = worth {
-                    let again = || walk(s).is_some_and(|found| root.is(&found, threshold));
+                    let again = || {
+                        let found = walk(s);
+                        stops.stopped() || found.is_some_and(|found| root.is(&found, threshold))
+                    };
                     let (n, exhausted) = trials(again, budget);
                     s.solutions += 1;
                     s.trials += u64::from(n);

@@ -45,6 +45,7 @@ pub use map::{Moments, SlopeMap};
 use crate::bsdf::nesting::{Microfacets, Specular, facets};
 use crate::bsdf::{Material, NormalMap};
 use crate::scene::Scene;
+use crate::shape::AnyShape;
 
 #[cfg(test)]
 mod tests;
@@ -72,13 +73,14 @@ pub fn mapped_metal(material: &Material, behind: bool) -> Option<&NormalMap> {
 }
 
 /// Which shapes glints are looked for on, by index: those of smooth metal under a normal map, or, where the scene file flags any
-/// of them as `glinty`, these alone. `None` if there is none.
+/// of them as `glinty`, these alone. Not on curves, whose glints are found by paths. `None` if there is none.
 pub fn glinty_shapes(scene: &Scene) -> Option<Vec<bool>> {
     let shapes = 0..scene.shapes().len() as u32;
     let able = |shape: u32| {
         let material = scene.material(shape);
         let sides = [false, true].map(|behind| mapped_metal(material, behind));
-        sides[0].is_some() && is_smooth_metal(material)
+        let is_curve = matches!(scene.shapes()[shape as usize], AnyShape::Curves(_));
+        sides[0].is_some() && is_smooth_metal(material) && !is_curve
     };
     let able: Vec<bool> = shapes.map(able).collect();
     let flagged = |i: usize| able[i] && scene.shape_info(i as u32).hints.glinty;

@@ -123,6 +123,16 @@ pub(super) fn decode(bytes: &[u8], layer: Option<&str>) -> Result<Pixels, Mismat
     Ok(group.pixels(&colours))
 }
 
+/// Whether all that a file has are channels `X`, `Y` and `Z`, with or without alpha.
+pub(super) fn is_in_xyz(bytes: &[u8]) -> bool {
+    let meta = exr::MetaData::read_from_buffered(Cursor::new(bytes), false);
+    meta.is_ok_and(|meta| {
+        let names = meta.headers.iter().flat_map(|h| &h.channels.list);
+        let names = names.map(|c| c.name.to_string()).filter(|c| c != "A");
+        names.eq(XYZ)
+    })
+}
+
 /// The layers of a file, in its order.
 fn groups(parts: &[exr::Layer<exr::AnyChannels<exr::FlatSamples>>]) -> Vec<Group<'_>> {
     let mut groups: Vec<Group> = Vec::new();
@@ -203,7 +213,7 @@ fn choose<'g, 'a>(
         .or_else(|| only(&|_| true))
         .ok_or_else(|| {
             mismatch(
-                "the name of a layer (`layer`), since there are several",
+                "the name of a layer, since there are several (`layer` in a scene file, FILE.EXR:LAYER on a command line)",
                 all(),
             )
         })

@@ -80,7 +80,7 @@ impl Active {
         let found = names.iter().map(|name| {
             let info = scene.params().find(name.as_ref())?;
             estimator::check_parameter::<S>(info)?;
-            scene.admits_motion(info)?;
+            scene.admits_motion::<S>(info)?;
             Ok(info)
         });
         Ok(Self::of(scene, &found.collect::<Result<Vec<_>, _>>()?))

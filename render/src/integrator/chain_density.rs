@@ -46,9 +46,12 @@ pub struct ChainLight {
 /// Follows a particle over casters to a receiver.
 #[derive(Clone, Debug)]
 struct ChainKeeper<'a, P: Float> {
+    scene: &'a Scene,
     split: &'a Split,
     /// Casters so far, as long as it is on a chain.
     casters: Option<u32>,
+    /// The last of them: its index, its material, and the side that the particle came from.
+    last: (u32, u32, P),
     landed: Vec<Landed<P>>,
 }
 
@@ -60,14 +63,21 @@ impl<P: Float> Observer<P> for ChainKeeper<'_, P> {
             return;
         };
         self.casters = self.split.next_of_particle(casters, place.shape);
-        if casters > 0 && self.split.is_receiver(place.shape) {
+        if casters > 0 && self.split.lands(casters, self.last.0, place.shape) {
             self.landed.push(Landed::at(place, beta, casters + 1));
         }
+        let material = self.scene.shape_info(place.shape).material;
+        self.last = (place.shape, material, place.wo.z);
     }
 
     fn contribution(&mut self, contribution: Contribution<P>) {
         if let Contribution::Emitted(light) = contribution {
             self.casters = self.split.is_connected(light.emitter).then_some(0);
+        }
+        if let (Contribution::Scattered(bounce), Some(1..)) = (&contribution, self.casters) {
+            let (_, material, wo_z) = self.last;
+            let reflects = wo_z * bounce.wi.z > P::zero();
+            self.casters = (self.casters).filter(|_| self.split.keeps_particle(material, reflects));
         }
     }
 }
@@ -199,8 +209,10 @@ pub fn image<P: Float + Components, X: Sampler>(
         ..Context::caustics(scene, theta, &shallow)
     };
     let keeper = ChainKeeper {
+        scene,
         split,
         casters: None,
+        last: (0, 0, P::zero()),
         landed: Vec::new(),
     };
     let (landed, non_finite) = land::<P, X, _>(&context, &keeper, seed, 0..particles);

@@ -14,6 +14,9 @@ pub(super) struct ChainTrail {
     run: Run,
     /// Whether the path left its last vertex, or the camera, along a delta.
     along_delta: bool,
+    /// The material of the last vertex, and the side that the path came from.
+    material: u32,
+    wo_z: f64,
     /// The last receiver, and most vertices of a chain from there.
     start: Option<(Start, u32)>,
     /// Casters since then.
@@ -27,6 +30,8 @@ impl Default for ChainTrail {
         Self {
             run: Run::default(),
             along_delta: true,
+            material: 0,
+            wo_z: 0.0,
             start: None,
             links: SmallVec::new(),
             end: None,
@@ -46,8 +51,15 @@ impl ChainTrail {
         self.end = None;
     }
 
-    /// The path arrives at a vertex, from which chains of at most `most` vertices may start.
-    pub fn vertex<R: Real>(&mut self, split: &Split, place: &Place<R>, start: Start, most: u32) {
+    /// The path arrives at a vertex of a material, from which chains of at most `most` vertices may start.
+    pub fn vertex<R: Real>(
+        &mut self,
+        split: &Split,
+        (place, material): (&Place<R>, u32),
+        start: Start,
+        most: u32,
+    ) {
+        (self.material, self.wo_z) = (material, place.wo.z.primal().to_f64());
         self.run = split.next(self.run, place.shape, self.along_delta);
         match self.run.behind() {
             Some(0) => {
@@ -69,9 +81,11 @@ impl ChainTrail {
     }
 
     /// The path leaves its last vertex.
-    pub fn leaves<R: Real>(&mut self, bounce: &Bounce<R>) {
+    pub fn leaves<R: Real>(&mut self, split: &Split, bounce: &Bounce<R>) {
         self.end = None;
         self.along_delta = matches!(bounce.component, Component::Delta { .. });
+        let reflects = self.wo_z * bounce.wi.z.primal().to_f64() > 0.0;
+        self.run = split.leaves(self.run, self.material, self.along_delta, reflects);
         if let Some(link) = self.links.last_mut() {
             link.wi = double(bounce.wi);
             link.kind = match bounce.component {
@@ -89,8 +103,8 @@ impl ChainTrail {
 
     /// The chain that ends at this emitter, where manifold connections find such light.
     pub fn met(&self, split: &Split, emitter: u32) -> Option<Met<'_>> {
-        let on_chain = self.run.behind()? > 0 && split.finds(self.run, emitter);
-        let (start, most) = self.start.as_ref().filter(|_| on_chain)?;
+        let whole = split.finds(self.run, emitter);
+        let (start, most) = self.start.as_ref().filter(|_| whole)?;
         Some(Met {
             start,
             links: &self.links,

@@ -15,6 +15,7 @@ use super::exact::ExactBuffer;
 use super::pass::Pass;
 use super::path::Context;
 use super::paths::{TileSums, assemble, deposit};
+use super::progress::Progress;
 use super::record::{
     Bounce, Contribution, Interest, MetLight, Observer, PathRecord, Place, Recorder,
 };
@@ -157,6 +158,7 @@ struct Connecting<'a> {
     scene: &'a Scene,
     connector: &'a Connector<'a>,
     split: &'a Split,
+    progress: &'a dyn Progress,
     max_depth: u32,
     /// Edges of the path so far.
     depth: u32,
@@ -174,6 +176,7 @@ impl<'a> Connecting<'a> {
             scene: pass.scene,
             connector,
             split,
+            progress: pass.progress,
             max_depth: pass.settings.max_depth,
             depth: 0,
             rng: Independent::new(0, 0, 0),
@@ -208,12 +211,15 @@ impl<'a> Connecting<'a> {
             exit: self.scene.exit(place.prim),
         };
         if let Some(trail) = &mut self.trail {
-            trail.vertex(self.split, place, start(), most);
+            let material = self.scene.shape_info(place.shape).material;
+            trail.vertex(self.split, (place, material), start(), most);
         }
         if most > 0 && self.split.is_receiver(place.shape) {
             let start = start();
             let found = &mut self.found;
-            let came_to = (self.connector).connect(&start, most, &mut self.rng, found);
+            let (progress, rng) = (self.progress, &mut self.rng);
+            let cancelled = || progress.cancelled();
+            let came_to = (self.connector).connect(&start, most, rng, &cancelled, found);
             self.came_to.merge(&came_to);
         }
         &self.found
@@ -227,12 +233,12 @@ impl<'a> Connecting<'a> {
     /// The path goes on from its last vertex.
     fn leaves<R: Real>(&mut self, bounce: &Bounce<R>) {
         if let Some(trail) = &mut self.trail {
-            trail.leaves(bounce);
+            trail.leaves(self.split, bounce);
         }
     }
 
     /// Its edge ends at a surface.
-    fn ends<R: Real>(&mut self, prim: u32, si: &SurfaceInteraction<R>) {
+    fn arrives<R: Real>(&mut self, prim: u32, si: &SurfaceInteraction<R>) {
         if let Some(trail) = &mut self.trail {
             trail.arrives(prim, si);
         }
@@ -315,7 +321,7 @@ impl<R: Real> Observer<R> for Value<'_, R> {
     }
 
     fn arrives(&mut self, prim: u32, si: &SurfaceInteraction<R>) {
-        self.connecting.ends(prim, si);
+        self.connecting.arrives(prim, si);
     }
 
     fn contribution(&mut self, contribution: Contribution<R>) {
@@ -534,7 +540,7 @@ impl<P: Float> Observer<P> for Recording<'_, P> {
     }
 
     fn arrives(&mut self, prim: u32, si: &SurfaceInteraction<P>) {
-        self.connecting.ends(prim, si);
+        self.connecting.arrives(prim, si);
     }
 
     fn contribution(&mut self, contribution: Contribution<P>) {

@@ -58,9 +58,9 @@ fn of_tile(job: &Job, tile: &Tile) -> Vec<f64> {
         let covered = if sky {
             1.0
         } else {
-            let ([x, y, u, v], _) =
+            let (seen, _) =
                 spot::<f32, Spread>(scene, settings.points, seed, sample.pixel, sample.index);
-            let ray = scene.camera.ray_through(x, y, [u, v]);
+            let ray = scene.camera.ray_of(&seen);
             f64::from(along(scene, &theta, settings.hides(1), ray))
         };
         sums[at] += covered * sample.scale();

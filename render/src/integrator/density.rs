@@ -5,6 +5,26 @@
 //! follow deltas to the first surface that is none, where they collect the particles within a radius. The
 //! estimate is biased: it is the light convolved with a kernel, and the bias shrinks with the square
 //! of the radius while the variance grows with one over it.
+//!
+//! ```
+//! use render::Job;
+//! use render::bsdf::kernel::Rules;
+//! use render::instances::{density_f32, particle_map_f32};
+//! use render::integrator::density::Convention;
+//! use render::params::Theta;
+//!
+//! let room = render::scene::room(16, 16)?;
+//! let theta = Theta::constant(room.params().values());
+//! let job = Job::new(&room, &room.settings, 1, 0..16, &());
+//! let image = density_f32(&job, &theta, Rules::default(), Convention::default(), 0.2)?.image(0);
+//! assert!(image.data.iter().all(|v| v.is_finite()));
+//!
+//! // The particles themselves, gathered on the floor.
+//! let map = particle_map_f32(&job, &theta, 0.2)?;
+//! let floor = map.irradiance([0.0, -1.0, 0.0].into(), [0.0, 1.0, 0.0].into());
+//! assert!(floor.count > 0 && floor.value.mean() > 0.0);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 use std::f64::consts::PI;
 use std::ops::Range;

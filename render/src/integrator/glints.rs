@@ -10,6 +10,7 @@ use super::connections::{Solved, emission, vector};
 use super::exact::ExactBuffer;
 use super::pass::Pass;
 use super::paths::{TileSums, assemble, deposit};
+use super::progress::Progress;
 use super::record::{Bounce, Contribution, MetLight, Observer, PathRecord, Place, Recorder};
 use super::rendering::{Components, NonFinite, Rendering};
 use super::sink::{GradientSums, Sink};
@@ -62,6 +63,7 @@ const JOBS: usize = 128;
 /// Finds the glints of a pass, sample by sample.
 struct Seeking<'a, P: Float> {
     scene: &'a Scene,
+    progress: &'a dyn Progress,
     finder: &'a Finder<'a, P>,
     /// Which shapes have any, by index.
     glinty: &'a [bool],
@@ -90,6 +92,7 @@ impl<'a, P: Float> Seeking<'a, P> {
     ) -> Self {
         Self {
             scene: pass.scene,
+            progress: pass.progress,
             finder,
             glinty,
             hidden: pass.settings.hides(1),
@@ -104,13 +107,12 @@ impl<'a, P: Float> Seeking<'a, P> {
     fn seek<X: Sampler>(&mut self, sample: &Sample) -> Option<(u32, u32)> {
         let (scene, seed) = (self.scene, Family::Glints.seed(self.seed));
         self.found.clear();
-        let ([x, y, u, v], _) = spot::<P, X>(scene, self.points, seed, sample.pixel, sample.index);
+        let (seen, _) = spot::<P, X>(scene, self.points, seed, sample.pixel, sample.index);
         // Counted on the full film, so that a crop shows the same samples.
         let film = &scene.film;
         let [px, py] = [0, 1].map(|k: usize| sample.pixel[k] + film.crop_offset[k]);
-        let at = [x, y].map(|x| x.to_f64());
+        let [at, lens] = [seen.film, seen.lens].map(|x| x.map(P::to_f64));
         let middle = [px, py].map(|p| f64::from(p) + 0.5);
-        let lens = [u, v].map(|u| u.to_f64());
         let foot = Footprint::new(scene, at, lens, middle, self.hidden)?;
         if !self.glinty[foot.shape as usize] {
             return None;
@@ -120,7 +122,10 @@ impl<'a, P: Float> Seeking<'a, P> {
         // A weight of its own: the point is not that of the paths.
         let offset = [0, 1].map(|k: usize| at[k] - middle[k]);
         let weight = film.filter.weight(offset);
-        (self.finder).find(&foot, weight, &mut rng, &mut self.came_to, &mut self.found);
+        let progress = self.progress;
+        let cancelled = || progress.cancelled();
+        let (came_to, found) = (&mut self.came_to, &mut self.found);
+        (self.finder).find(&foot, weight, &mut rng, &cancelled, came_to, found);
         Some((foot.shape, foot.prim))
     }
 }

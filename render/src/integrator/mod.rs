@@ -12,6 +12,7 @@ mod chain_trail;
 mod connections;
 pub mod convolved;
 pub mod coverage;
+mod delta;
 pub mod density;
 pub mod direct;
 mod exact;

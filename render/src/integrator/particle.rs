@@ -1,4 +1,20 @@
 //! The light tracer: particles from the emitters, connected to the pinhole at every vertex.
+//!
+//! ```
+//! use render::Job;
+//! use render::bsdf::kernel::Rules;
+//! use render::instances::{Estimator, particles_f32, render_f32};
+//! use render::params::Theta;
+//!
+//! let room = render::scene::room(16, 16)?;
+//! let theta = Theta::constant(room.params().values());
+//! let job = Job::new(&room, &room.settings, 1, 0..64, &());
+//! let particles = particles_f32(&job, &theta, Rules::default())?.image(0);
+//! let paths = render_f32(&job, &theta, Estimator::Mis).image(0);
+//! let mean = |data: &[f32]| data.iter().sum::<f32>() / data.len() as f32;
+//! assert!((mean(&particles.data) / mean(&paths.data) - 1.0).abs() < 0.1); // within their noise
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 use std::ops::Range;
 

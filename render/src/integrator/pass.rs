@@ -22,7 +22,7 @@ use crate::glint::glinty_shapes;
 use crate::manifold::Split;
 use crate::params::Theta;
 use crate::sampler::Sampler;
-use crate::scene::{Caustics, Method, Scene, Settings};
+use crate::scene::{CasterLight, Caustics, Connections, Scene, Settings};
 
 /// The samples of an image.
 pub(super) struct Pass<'a, R: Real> {
@@ -45,7 +45,13 @@ impl<'a, R: Real> Pass<'a, R> {
             scene, settings, ..
         } = job;
         let deep = |edges: u32| S::Bsdf::DETACHED_PATH && settings.max_depth >= edges;
-        let connections = settings.connections.as_ref().filter(|_| deep(3));
+        let connections = settings.connections.as_ref();
+        // Fewest edges over a chain, or of a light that the camera sees in a caster.
+        let fewest = |c: &Connections| match c.light {
+            CasterLight::All => 3,
+            CasterLight::Published(_) => 2,
+        };
+        let connections = connections.filter(|c| deep(fewest(c)));
         let split = connections.and_then(|c| Split::of(scene, c));
         let glints = settings.glints.filter(|_| deep(2));
         let glinty = glints.and_then(|_| glinty_shapes(scene));
@@ -84,7 +90,7 @@ impl<'a, R: Real> Pass<'a, R> {
         Finders {
             particles: self.caustics == Caustics::Particles,
             connections: self.split.as_ref().is_some_and(|s| s.connects())
-                && (self.settings.connections).is_some_and(|c| c.method != Method::LeftOut),
+                && (self.settings.connections).is_some_and(|c| c.method.walks()),
             glints: (self.split.as_ref()).is_some_and(|s| !s.glinty().is_empty()),
         }
     }

@@ -12,7 +12,7 @@ use super::progress::Progress;
 use super::record::{Bounce, Contribution, MetLight, NormalsLight, Observer, Place, SampledLight};
 use super::vertex::interest::{PathInterest, splits};
 use super::vertex::light::{
-    Rival, Seen, choose, counts_hits, find_light, frozen_pdf, guided, has_rival, has_tangent,
+    LitVertex, Rival, choose, counts_hits, find_light, frozen_pdf, guided, has_rival, has_tangent,
     matters, mis_weight, mixed,
 };
 use super::vertex::roulette::{MAX_SURVIVAL, play, probability, roulette_weight};
@@ -361,17 +361,13 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
         let bits = sampler.next_bits();
         let u = sampler.next_2d();
         let p = si.p.primal();
-        let seen = || Seen {
+        let seen = || LitVertex {
             material,
             at: at.primal(),
             frame: si.primal().frame,
             wo: wo.primal(),
         };
         let (emitter, kept) = choose(scene, settings.lights, S::COUNTS_HITS, bits, u, p, seen);
-        // From a rough caster.
-        if self.interest.leaves(context.split, emitter) {
-            return;
-        }
         let e = &scene.emitters()[emitter as usize];
         let share = settings.lights.share(scene, emitter);
         let sample = e.sample(scene.lights(), p, u).map(|mut sample| {
@@ -385,6 +381,11 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
         let moved = (!Geometry::<S, R>::IS_PRIMAL).then(|| e.connect(&sample, si.p));
         let d = moved.map_or(Vec3::lift(sample.d), |s| s.d);
         let wi = si.frame.to_local(d);
+        let reflects = wo.z.primal() * wi.z.primal() > R::Primal::zero();
+        // From a rough caster.
+        if (self.interest).leaves_sampled(context.split, emitter, here.info.material, reflects) {
+            return;
+        }
         let (f, mut pdf) = material.eval_pdf(at, wo_r, S::Bsdf::embed3(wi), MODE);
         if let Some(guide) = here.guide {
             pdf = mixed(pdf, guide.pdf(sample.d));
@@ -503,6 +504,9 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
             // they find is alike, and its noise cancels.
             let d = si.frame.to_world(sample.wi);
             let ray = si.spawn_ray(d, here.exit);
+            let mut interest = self.interest;
+            let reflects = wo.z * sample.wi.z > R::Primal::zero();
+            interest.leave_by(context.split, here.info.material, false, reflects);
             let mut walk = Walk::<R::Primal, S, X> {
                 beta: self.beta.primal(),
                 pdf_bsdf: sample.pdf,
@@ -511,7 +515,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
                 eta: self.eta * sample.eta,
                 interest: PathInterest {
                     active: false,
-                    ..self.interest
+                    ..interest
                 },
                 ..Walk::new(Ray::lift(ray), *sampler)
             };
@@ -654,6 +658,9 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
             Component::Continuous => pdf,
             Component::Delta { .. } => R::zero(),
         };
+        let along_delta = self.pdf_bsdf.primal() == R::Primal::zero();
+        let reflects = wo.z.primal() * sample.wi.z.primal() > R::Primal::zero();
+        (self.interest).leave_by(context.split, info.material, along_delta, reflects);
         self.from = si.p;
         let ray = si.spawn_ray(si.frame.to_world(sample.wi), here.exit);
         // The last edge only looks for light, and only where light that is hit counts.

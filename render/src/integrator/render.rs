@@ -34,7 +34,7 @@ pub fn render<R: Components, S: Unbiased, X: Sampler>(
         let moving = scene.params().infos().iter().filter(moves);
         for info in moving.clone() {
             estimator::check_parameter::<S>(info)?;
-            scene.admits_motion(info)?;
+            scene.admits_motion::<S>(info)?;
             scene.admits_outlines::<S>(info, job.settings.max_depth)?;
         }
         connections::check::<S>(scene, job.settings, moving.clone())?;

@@ -26,6 +26,24 @@
 //!
 //! # Does not handle
 //! Geometry, deltas in the parameter, estimators other than detached MIS.
+//!
+//! ```
+//! use render::Job;
+//! use render::instances::{Estimator, gauss_newton_f32, render_f32};
+//! use render::params::Theta;
+//!
+//! let room = render::scene::room(16, 16)?;
+//! let theta = Theta::constant(room.params().values());
+//! let job = |seed| Job::new(&room, &room.settings, seed, 0..16, &());
+//! let image = render_f32(&job(0), &theta, Estimator::Mis).image(0);
+//! // Half the squared distance to a target that is black: its first derivative, and its second.
+//! let n = image.data.len();
+//! let active = Estimator::Mis.active(&room, &["left.reflectance.value"])?;
+//! let found = gauss_newton_f32(&job(1), &theta, &active, [&image.data, &vec![1.0; n]])?;
+//! assert_eq!((found.gradient.len(), found.matrix.len()), (3, 9));
+//! assert!(found.diagonal().iter().all(|d| *d > 0.0));
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 use ad_core::Float;
 

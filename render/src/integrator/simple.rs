@@ -6,6 +6,21 @@
 //! besides is the other strategies, roulette, guides, the choice of lights by what they would bring, caustics that are left
 //! to particles, many paths at a time, and that what no derivative needs is not computed. With the same random numbers
 //! the two agree to rounding (`tests/tests/simple.rs`).
+//!
+//! ```
+//! use render::integrator::simple;
+//! use render::params::Theta;
+//! use render::sampler::{Independent, Sampler};
+//!
+//! let room = render::scene::room(16, 16)?;
+//! let values: Vec<f64> = room.params().values().iter().map(|&v| v.into()).collect();
+//! let theta = Theta::constant(&values);
+//! let mut sampler = Independent::new(1, 0, 0);
+//! let path = simple::trace(&room, &theta, 6, room.camera.ray(8.5, 12.5), &mut sampler);
+//! let radiance = simple::radiance(&room, &theta, &path);
+//! assert!(radiance.is_finite());
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 use ad_core::{Float, Real, Vec2, Vec3};
 

@@ -7,10 +7,11 @@ use ad_core::{Float, Real, array};
 use super::lockstep::{self, GROUP};
 use super::path::{Context, Walk};
 use super::record::Observer;
-use super::wave::{Log, WAVE_SIZE, Wave};
+use super::wave::{Log, Wave};
+use crate::camera::CameraSample;
 use crate::estimator::{Geometry, Sampling, Strategy};
 use crate::math::{Ray, Rgb};
-use crate::sampler::{Points, Sampler};
+use crate::sampler::{Points, Purpose, Sampler};
 use crate::scene::Scene;
 
 /// Tiles are squares of this many pixels.
@@ -84,8 +85,8 @@ pub(super) fn start<R: Real, S: Strategy, X: Sampler>(
     pixel: [u32; 2],
     index: u64,
 ) -> Walk<R, S, X> {
-    let ([x, y, u, v], sampler) = spot(scene, points, seed, pixel, index);
-    let ray = scene.camera.ray_through(x, y, [u, v]);
+    let (at, sampler) = spot(scene, points, seed, pixel, index);
+    let ray = scene.camera.ray_of(&at);
     Walk::new(Ray::<Geometry<S, R>>::lift(ray), sampler)
 }
 
@@ -98,15 +99,15 @@ pub(super) fn spot<P: Float, X: Sampler>(
     seed: u64,
     pixel: [u32; 2],
     index: u64,
-) -> ([P; 4], X) {
+) -> (CameraSample<P>, X) {
     let (pixel, mut sampler): (_, X) = stream(scene, points, seed, pixel, index);
-    let [x, y] = scene.film.point_in(pixel, sampler.next_2d::<P>());
-    let [u, v] = if scene.camera.has_lens() {
+    let film = scene.film.point_in(pixel, sampler.next_2d::<P>());
+    let lens = if scene.camera.has_lens() {
         sampler.next_2d::<P>()
     } else {
         [P::zero(); 2]
     };
-    ([x, y, u, v], sampler)
+    (CameraSample { film, lens }, sampler)
 }
 
 /// The pixel on the full film, on which pixels are counted so that a crop shows the same samples, and all numbers of a
@@ -122,18 +123,21 @@ fn stream<X: Sampler>(
     let film = &scene.film;
     let [px, py] = [x + film.crop_offset[0], y + film.crop_offset[1]];
     let pixel = u64::from(py) * u64::from(film.size[0]) + u64::from(px);
-    ([px, py], X::spread(points, seed, pixel, index))
+    let mut sampler = X::spread(points, seed, pixel, index);
+    if scene.camera.has_lens() {
+        sampler.seek(Purpose::Lens.at(1));
+    }
+    ([px, py], sampler)
 }
 
-/// The point of the image that a sample of a pass sees.
-pub(super) fn film_point<P: Float, X: Sampler>(
+/// The point of the image that a sample of a pass sees, and the place on the lens.
+pub(super) fn camera_sample<P: Float, X: Sampler>(
     scene: &Scene,
     points: Points,
     seed: u64,
     at: &Sample,
-) -> [P; 2] {
-    let [x, y, ..] = spot::<P, X>(scene, points, seed, at.pixel, at.index).0;
-    [x, y]
+) -> CameraSample<P> {
+    spot::<P, X>(scene, points, seed, at.pixel, at.index).0
 }
 
 /// What a filter that is negative in places makes of the sample that [`spot`] places.
@@ -237,7 +241,7 @@ impl Tile {
         }
     }
 
-    /// The same by waves, for strategies and contexts that these take. `begin` is called before each wave with its
+    /// The same by waves, for strategies and contexts that these take. `begin` is called before each crowd of paths with its
     /// samples, `done` after it with the radiance of each.
     pub(super) fn trace_waves<P: Float, S: Strategy, X: Sampler, L: Log<P>>(
         &self,
@@ -251,10 +255,10 @@ impl Tile {
     ) {
         let (scene, points) = (context.scene, context.settings.points);
         let mut all = self.samples::<P, X>(scene, points, seed, samples);
-        let mut which = Vec::with_capacity(WAVE_SIZE);
+        let mut which = Vec::with_capacity(L::CROWD);
         loop {
             which.clear();
-            which.extend(all.by_ref().take(WAVE_SIZE));
+            which.extend(all.by_ref().take(L::CROWD));
             if which.is_empty() {
                 break;
             }

@@ -4,14 +4,14 @@ use ad_core::{Float, Vec3};
 use smallvec::SmallVec;
 
 use super::chain::{Event, Events, Space, Start, Surface, Target, Vertex, towards};
-use super::estimate::{distinct, trials};
+use super::estimate::{Asking, distinct, trials};
 use super::landing::{Landing, Landings};
 use super::normal::{Normal, Slopes, facet};
-use super::split::Split;
+use super::split::{Split, refracts};
 use super::walk::{End, Seed, Solution};
 use crate::accel::Hit;
 use crate::bsdf::nesting::{Specular, facets};
-use crate::bsdf::{Bsdf, DeltaKind, Material, Shading, TransportMode, fresnel};
+use crate::bsdf::{Bsdf, DeltaKind, Shading, TransportMode, fresnel};
 use crate::emitter::{Ball, Emission, Emitter};
 use crate::math::{NOWHERE, Ray, Rgb};
 use crate::sampler::{Independent, Sampler};
@@ -236,18 +236,20 @@ impl<'a> Connector<'a> {
 
     /// Adds to `out` connections from a vertex to one sampled point of a light, over chains of at most `most` vertices. What
     /// they bring, added up, is an estimate of the light that belongs to them, as the method says. Takes as many random
-    /// numbers as it needs. Returns what it came to.
+    /// numbers as it needs. Returns what it came to. Once `cancelled` says so, which is asked now and then, nothing of it counts.
     pub fn connect(
         &self,
         start: &Start,
         most: u32,
         rng: &mut Independent,
+        cancelled: &dyn Fn() -> bool,
         out: &mut Vec<Connection>,
     ) -> Statistics {
         let mut s = Statistics::default();
-        if most == 0 || self.options.method == Method::LeftOut {
+        if most < self.split.fewest() || !self.options.method.walks() {
             return s;
         }
+        let stops = Asking::new(cancelled);
         let Some(light) = self.light(rng) else {
             return s;
         };
@@ -263,10 +265,13 @@ impl<'a> Connector<'a> {
                     s.solutions += (out.len() - before) as u64;
                     s.trials += s.walks;
                 }
-                out.extend(self.rest(&estimate, &shown, &light, rng, &mut s));
+                out.extend(self.rest(&estimate, &shown, &light, rng, &stops, &mut s));
             }
             Method::SmsBiased(walks) => {
-                let walk = || self.random(&estimate, rng, &mut s);
+                let walk = || {
+                    let goes_on = !stops.now();
+                    goes_on.then(|| self.random(&estimate, rng, &mut s))?
+                };
                 let found = distinct(walks, walk, |a, b| a.is(b, uniqueness));
                 out.extend(found.iter().filter_map(|f| self.worth(f, &light)));
             }
@@ -281,7 +286,7 @@ impl<'a> Connector<'a> {
                 let found = distinct(n, walk, |a, b| a.is(b, uniqueness));
                 out.extend(found.iter().filter_map(|f| self.worth(f, &light)));
             }
-            Method::LeftOut => {}
+            Method::LeftOut | Method::Paths => {}
         }
         s.found += u64::from(out.len() > before);
         s
@@ -322,6 +327,7 @@ impl<'a> Connector<'a> {
         shown: &[Solution],
         light: &Light,
         rng: &mut Independent,
+        stops: &Asking,
         s: &mut Statistics,
     ) -> Option<Connection> {
         let first = self.anywhere(estimate, rng, s)?;
@@ -331,6 +337,9 @@ impl<'a> Connector<'a> {
         let solution = self.polish(estimate, &first, s)?;
         let mut connection = self.worth(&solution, light)?;
         let again = || {
+            if stops.now() {
+                return true;
+            }
             let end = self.anywhere(estimate, rng, s);
             end.is_some_and(|end| self.is_near(estimate, &end, &solution, s))
         };
@@ -465,6 +474,13 @@ impl<'a> Connector<'a> {
         })
     }
 
+    /// Whether chains of these shapes and events are looked for.
+    pub(super) fn takes(&self, like: impl ExactSizeIterator<Item = (u32, DeltaKind)>) -> bool {
+        let material = |shape: u32| self.space.scene.shape_info(shape).material;
+        self.split
+            .takes(like.map(|(shape, kind)| (shape, material(shape), kind)))
+    }
+
     /// From the end of a walk over surfaces without their normal maps, turned by normals of those.
     fn staged(
         &self,
@@ -560,7 +576,10 @@ impl<'a> Connector<'a> {
                 Some((onward, next, shape)) if self.split.is_caster(shape) && !ends => {
                     (d, hit, met) = (onward, next, shape);
                 }
-                _ => return Some(Seed { d: seed, like }),
+                _ => {
+                    let takes = self.takes(like.iter().map(|e| (e.shape, e.kind)));
+                    return takes.then_some(Seed { d: seed, like });
+                }
             }
         }
     }
@@ -581,9 +600,13 @@ impl<'a> Connector<'a> {
         let (cos, eta) = (-here.facet.n.dot(d), here.facet.eta);
         let across = if cos < 0.0 { eta.recip() } else { eta };
         let light = fresnel::dielectric(cos.abs(), across);
-        let reflects = light
-            .reflect
-            .clamp(LEAST_PROBABILITY, 1.0 - LEAST_PROBABILITY);
+        let reflects = if self.split.selects() {
+            0.0
+        } else {
+            light
+                .reflect
+                .clamp(LEAST_PROBABILITY, 1.0 - LEAST_PROBABILITY)
+        };
         let kind = if light.transmit <= 0.0 || u < reflects {
             DeltaKind::Reflection
         } else {
@@ -603,7 +626,9 @@ impl<'a> Connector<'a> {
         let scene = self.space.scene;
         let mut seeds = Vec::new();
         let mut start_in = |d: Vec3<f64>, like: Events| {
-            if self.space.trace(start, d, &like).is_some() {
+            if self.takes(like.iter().map(|e| (e.shape, e.kind)))
+                && self.space.trace(start, d, &like).is_some()
+            {
                 seeds.push(Seed { d, like });
             }
         };
@@ -786,14 +811,6 @@ impl<'a> Connector<'a> {
         let density = roughness.everywhere(&self.space.theta).pdf_all(m) * stretch;
         (density > 0.0 && density.is_finite()).then_some(density)
     }
-}
-
-/// Whether a caster is glass.
-fn refracts(material: &Material) -> bool {
-    matches!(
-        facets(material).map(|f| f.specular),
-        Some(Specular::Interface(_))
-    )
 }
 
 /// The same point in another precision.

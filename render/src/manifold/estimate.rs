@@ -1,5 +1,7 @@
 //! The estimators, over whatever walks find.
 
+use std::cell::Cell;
+
 /// How many trials it takes to find a solution again: an unbiased estimate of the reciprocal of the probability to find it, from
 /// a geometric distribution [Zeltner 2021, Eq. 3.17]. `again` makes one trial; one that finds nothing counts like one that
 /// finds something else. At most `budget`, which biases the estimate (F13); the second value says whether it did.
@@ -37,6 +39,40 @@ pub fn distinct<T>(
         }
     }
     found
+}
+
+/// Asks now and then whether to go on.
+pub(crate) struct Asking<'c> {
+    cancelled: &'c dyn Fn() -> bool,
+    walks: Cell<u32>,
+    stopped: Cell<bool>,
+}
+
+impl<'c> Asking<'c> {
+    /// A question in so many walks.
+    const EVERY: u32 = 256;
+
+    pub(crate) fn new(cancelled: &'c dyn Fn() -> bool) -> Self {
+        Self {
+            cancelled,
+            walks: Cell::new(0),
+            stopped: Cell::new(false),
+        }
+    }
+
+    /// Before a walk: whether it is not wanted any more.
+    pub(crate) fn now(&self) -> bool {
+        self.walks.set(self.walks.get().wrapping_add(1));
+        if self.walks.get().is_multiple_of(Self::EVERY) && (self.cancelled)() {
+            self.stopped.set(true);
+        }
+        self.stopped()
+    }
+
+    /// Whether none are.
+    pub(crate) fn stopped(&self) -> bool {
+        self.stopped.get()
+    }
 }
 
 #[cfg(test)]

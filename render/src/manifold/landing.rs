@@ -163,6 +163,9 @@ impl Connector<'_> {
             return None;
         }
         like.reverse();
+        if !self.takes(like.iter().copied()) {
+            return None;
+        }
         Some(Landing {
             at: (from + d * f64::from(hit.t)).to_array(),
             through: from,

@@ -19,6 +19,23 @@
 //! The unbiased form of manifold next event estimation: paths that scatter over a chain onto a light count where the walks
 //! between the same two ends do not find it ([`Connector::finds`]).
 //!
+//! ```
+//! use render::instances::{Estimator, render_f32};
+//! use render::params::Theta;
+//! use render::scene::{Connections, LoadOptions, Method};
+//! use render::{Job, Scene, Settings};
+//!
+//! let file = "../examples/scenes/glass.xml".as_ref();
+//! let small = LoadOptions { defines: vec![("res".into(), "16".into())], ..Default::default() };
+//! let (scene, _warnings) = Scene::load(file, &small)?;
+//! let theta = Theta::constant(scene.params().values());
+//! let connected = Settings { connections: Some(Connections::new(Method::Sms)), ..scene.settings };
+//! let found = render_f32(&Job::new(&scene, &connected, 0, 0..4, &()), &theta, Estimator::Mis);
+//! let walks = found.connections;
+//! assert!(walks.walks > 0 && found.image(0).data.iter().all(|v| v.is_finite()));
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
 //! # Does not handle
 //! Roughness that changes over a shape, or is not the same along all tangents. Continua of solutions, as on the axis
 //! of a mirrored cylinder (F21): walks end there somewhere or nowhere, in bounded time, and the estimate is of no use.
@@ -39,6 +56,7 @@ mod walk;
 pub use chain::{Chain, Derivative, Event, Row, Space, Start, Target, Vertex};
 pub(crate) use connector::cast;
 pub use connector::{Connection, Connector, Link, Statistics};
+pub(crate) use estimate::Asking;
 pub use estimate::{distinct, trials};
 pub use met::Met;
 pub use normal::{Normal, Slopes};

@@ -1,10 +1,12 @@
 //! Which paths belong to manifold connections.
 
-use crate::bsdf::nesting::facets;
+use crate::bsdf::nesting::{Specular, facets};
+use crate::bsdf::{DeltaKind, Material};
 use crate::emitter::Emitter;
 use crate::error::RenderError;
 use crate::params::Theta;
-use crate::scene::{Connections, Hints, Method, Scene};
+use crate::scene::{CasterLight, Connections, Hints, Method, Scene, Seen};
+use crate::shape::AnyShape;
 
 /// Where a path is on its way over a chain: how many of its last vertices are casters, since it left a receiver. The default
 /// is its start at the camera.
@@ -18,15 +20,21 @@ impl Run {
     const NONE: Self = Self(1);
     /// At a first vertex whose glints others find ([`crate::glint`]).
     const GLINT: Self = Self(2);
+    /// Where the camera sees lights in casters that others are left out of.
+    const SEEN: Self = Self(3);
+    /// At a caster whose light is left out, whatever lies behind.
+    const DARK: Self = Self(4);
+    /// At no caster, along deltas alone since the camera, where such paths see lights in casters.
+    const ALONG: Self = Self(5);
 
     /// At a receiver, or behind so many casters.
     fn casters(n: u32) -> Self {
-        Self(n + 3)
+        Self(n + 6)
     }
 
     /// Behind how many casters, since it left a receiver. `None` on no chain.
     pub fn behind(self) -> Option<u32> {
-        self.0.checked_sub(3)
+        self.0.checked_sub(6)
     }
 
     /// As a number, for arrays of them.
@@ -45,12 +53,21 @@ impl Run {
 /// *Casters* are shapes of metal or glass that are smooth or no rougher than [`Connections::roughness`], *receivers* all others
 /// that scatter along more than deltas; the *emitters* are all but those so wide that scattered directions find them better
 /// ([`Emitter::is_wide`]). Where the flags of a scene file name any of a kind, only these are ([`Hints`]), and casters may
-/// then be as rough as they like. Roughness is that of the scene as it is now, whatever derivatives are taken in.
+/// then be as rough as they like. Curves are no casters: the light that they throw is found by paths. Roughness is that of the scene as it is now, whatever derivatives are taken in.
 #[derive(Clone, Debug)]
 pub struct Split {
     casters: Vec<bool>,
     receivers: Vec<bool>,
     emitters: Vec<bool>,
+    /// Emitters whose light over chains there is: those, and wide ones, which paths find.
+    shining: Vec<bool>,
+    /// Casters that chains begin with, where others are left out.
+    begin: Vec<bool>,
+    /// Materials that light is refracted by, and not reflected, where others are left out.
+    glass: Vec<bool>,
+    light: CasterLight,
+    /// Whether chains are found by paths.
+    by_paths: bool,
     /// Whose glints others find.
     glinty: Vec<bool>,
     /// The casters, by index.
@@ -97,22 +114,32 @@ impl Split {
             Some(roughness.map_or(0.0, |r| r.everywhere(&theta).alpha))
         };
         let flagged = |i: u32| takes_part(info(i).hints);
+        let is_curve = |i: u32| matches!(scene.shapes()[i as usize], AnyShape::Curves(_));
         let casts = shapes
             .clone()
-            .map(|i| alpha(i).is_some_and(|alpha| alpha <= most || flagged(i)));
+            .map(|i| alpha(i).is_some_and(|alpha| alpha <= most || flagged(i)) && !is_curve(i));
         let casters = chosen(casts.collect(), |i| flagged(i as u32));
         let rough = (shapes.clone().zip(&casters))
             .any(|(i, casts)| *casts && alpha(i).is_some_and(|alpha| alpha > 0.0));
         let scatters = (shapes.zip(&casters)).map(|(i, casts)| !casts && !info(i).delta);
         let receivers = chosen(scatters.collect(), |i| info(i as u32).hints.receiver);
         let narrow = (scene.emitters().iter()).map(|e| !e.is_wide() && !e.is_beam());
-        let emitters = chosen(narrow.collect(), |i| takes_part(scene.emitter_hints()[i]));
+        let named = |i: usize| takes_part(scene.emitter_hints()[i]);
+        let emitters = chosen(narrow.collect(), named);
+        let shining = chosen(vec![true; emitters.len()], named);
         let (caster_list, emitter_list) = (list(&casters), list(&emitters));
-        let any = !caster_list.is_empty() && !emitter_list.is_empty() && receivers.contains(&true);
-        any.then_some(Self {
+        let chains = !emitter_list.is_empty() && receivers.contains(&true);
+        let any = chains || connections.light != CasterLight::All;
+        let begins = (casters.iter().zip(0..)).map(|(&casts, i)| casts && !info(i).hints.bouncer);
+        (any && !caster_list.is_empty()).then_some(Self {
+            begin: begins.collect(),
             casters,
             receivers,
             emitters,
+            shining,
+            glass: scene.materials().iter().map(|m| refracts(m)).collect(),
+            light: connections.light,
+            by_paths: connections.method == Method::Paths,
             glinty: Vec::new(),
             caster_list,
             emitter_list,
@@ -130,6 +157,11 @@ impl Split {
             casters: vec![false; glinty.len()],
             receivers: vec![false; glinty.len()],
             emitters: Vec::new(),
+            shining: Vec::new(),
+            begin: Vec::new(),
+            glass: Vec::new(),
+            light: CasterLight::All,
+            by_paths: false,
             glinty: Vec::new(),
             caster_list: Vec::new(),
             emitter_list: Vec::new(),
@@ -177,21 +209,94 @@ impl Split {
         }
         if self.is_caster(shape) {
             match run.behind() {
-                Some(0) if along_delta => Run::NONE,
+                Some(0) if along_delta || !self.begins(shape) => self.off(run, along_delta),
                 Some(n) if n < self.bounces => Run::casters(n + 1),
-                _ => Run::NONE,
+                _ => self.off(run, along_delta),
             }
         } else if self.is_receiver(shape) {
             Run::casters(0)
+        } else if self.sees(run, along_delta) {
+            Run::ALONG
         } else {
             Run::NONE
         }
+    }
+
+    /// At a caster, off all chains.
+    fn off(&self, run: Run, along_delta: bool) -> Run {
+        match self.light {
+            CasterLight::All => Run::NONE,
+            CasterLight::Published(Seen::Directly) if run == Run::CAMERA => Run::SEEN,
+            CasterLight::Published(_) if self.sees(run, along_delta) => Run::SEEN,
+            CasterLight::Published(_) => Run::DARK,
+        }
+    }
+
+    /// Whether a path comes from the camera along deltas alone, where that matters.
+    fn sees(&self, run: Run, along_delta: bool) -> bool {
+        self.light == CasterLight::Published(Seen::AlongDeltas)
+            && along_delta
+            && [Run::CAMERA, Run::SEEN, Run::ALONG].contains(&run)
+    }
+
+    /// Whether [`Split::leaves`] has anything to say.
+    #[inline(always)]
+    pub fn selects(&self) -> bool {
+        self.light != CasterLight::All
+    }
+
+    /// A path leaves a vertex of a material, by reflection or not: light behind it may be left out for that.
+    #[inline]
+    pub fn leaves(&self, run: Run, material: u32, along_delta: bool, reflects: bool) -> Run {
+        let CasterLight::Published(seen) = self.light else {
+            return run;
+        };
+        let dark = match run.behind() {
+            Some(0) => false,
+            Some(_) => reflects == self.glass[material as usize],
+            None => run == Run::SEEN && seen == Seen::AlongDeltas && !along_delta,
+        };
+        if dark { Run::DARK } else { run }
+    }
+
+    /// Whether a chain may begin with this caster.
+    #[inline]
+    fn begins(&self, shape: u32) -> bool {
+        !self.selects() || self.begin[shape as usize]
+    }
+
+    /// Fewest vertices of a chain.
+    pub fn fewest(&self) -> u32 {
+        if self.selects() { self.bounces } else { 1 }
+    }
+
+    /// Whether connections look for chains of these vertices, shapes and materials with what happens there, from the receiver on.
+    pub(super) fn takes(&self, like: impl ExactSizeIterator<Item = (u32, u32, DeltaKind)>) -> bool {
+        if !self.selects() {
+            return true;
+        }
+        let whole = like.len() as u32 == self.bounces;
+        let right = |(i, (shape, material, kind)): (usize, (u32, u32, DeltaKind))| {
+            let reflects = kind == DeltaKind::Reflection;
+            (i > 0 || self.begins(shape)) && reflects != self.glass[material as usize]
+        };
+        whole && like.enumerate().all(right)
     }
 
     /// Where a particle is on its way from an emitter over casters to a receiver, [`Split::next`] from the other end: on to a
     /// shape behind so many casters. `None` where it is on no chain, or at its end.
     pub fn next_of_particle(&self, casters: u32, shape: u32) -> Option<u32> {
         (self.is_caster(shape) && casters < self.bounces).then_some(casters + 1)
+    }
+
+    /// [`Split::leaves`] for a particle: whether it stays on a chain.
+    pub fn keeps_particle(&self, material: u32, reflects: bool) -> bool {
+        !self.selects() || reflects != self.glass[material as usize]
+    }
+
+    /// Whether a particle ends a chain that lands on a receiver behind so many casters, the last of which is `last`.
+    pub fn lands(&self, casters: u32, last: u32, shape: u32) -> bool {
+        casters >= self.fewest() && self.begins(last) && self.is_receiver(shape)
     }
 
     /// Whether light of this emitter is found over chains.
@@ -226,13 +331,31 @@ impl Split {
         self.rough
     }
 
-    /// Whether light that a path meets there, or samples from there, belongs to connections, or is a glint.
+    /// Whether light that a path meets there, or samples from there, is that of a whole chain, which connections find.
     #[inline]
     pub fn finds(&self, run: Run, emitter: u32) -> bool {
+        let whole = run.behind().is_some_and(|n| n >= self.fewest());
+        whole && self.emitters[emitter as usize] && !self.by_paths
+    }
+
+    /// Whether others find such light, or nobody does: that of chains, glints, and what is left out.
+    #[inline]
+    pub fn excludes(&self, run: Run, emitter: u32) -> bool {
         match run.behind() {
             Some(0) => false,
-            Some(_) => self.emitters[emitter as usize],
-            None => run == Run::GLINT,
+            Some(_) if !self.selects() => self.finds(run, emitter),
+            Some(n) => {
+                n < self.bounces || !self.shining[emitter as usize] || self.finds(run, emitter)
+            }
+            None => run == Run::GLINT || run == Run::DARK,
         }
     }
+}
+
+/// Whether a material is glass.
+pub(super) fn refracts(material: &Material) -> bool {
+    matches!(
+        facets(material).map(|f| f.specular),
+        Some(Specular::Interface(_))
+    )
 }

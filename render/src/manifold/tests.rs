@@ -2,11 +2,11 @@
 
 use std::path::Path;
 
-use ad_core::{Mat2, Vec2, Vec3, block_tridiagonal_solve};
+use ad_core::{Dual, Mat2, Vec2, Vec3, block_tridiagonal_solve};
 
 use super::connector::Connector;
-use super::constraint::equator;
-use super::{Space, Split, Start, Target, distinct};
+use super::constraint::{self, Facet, equator};
+use super::{Solution, Space, Split, Start, Target, Vertex, distinct};
 use crate::bsdf::DeltaKind;
 use crate::math::{Frame, Ray};
 use crate::params::Theta;
@@ -370,6 +370,168 @@ fn a_continuum_of_solutions_ends() {
             if let Some(s) = walked.solution {
                 assert!(s.error.is_finite() && s.angle_per_target().is_finite());
             }
+        }
+    }
+}
+
+/// How the vertices of a chain move with a parameter, which changes its constraints by `changes`: the implicit function theorem over the
+/// block-tridiagonal Jacobian.
+fn sensitivity(
+    setting: &Setting,
+    start: &Start,
+    found: &Solution,
+    target: Vec3<f64>,
+    changes: &[Vec2<f64>],
+) -> Vec<Vec2<f64>> {
+    let (at, frame) = (Target::Point(target), equator(target - start.si.p));
+    let space = setting.space(Constraint::Angle);
+    let row = |i: usize| {
+        let row = space.row(start.si.p, &found.chain, i, &at, &frame);
+        row.expect("a value").1
+    };
+    let rows: Vec<_> = (0..found.chain.len()).map(row).collect();
+    let block = |k: usize| rows.iter().map(|r| r[k]).collect::<Vec<_>>();
+    let mut moves: Vec<_> = changes.iter().map(|c| Vec2::zero() - *c).collect();
+    let (lower, mut diag, upper) = (block(0), block(1), block(2));
+    assert!(block_tridiagonal_solve(
+        &lower, &mut diag, &upper, &mut moves
+    ));
+    moves
+}
+
+/// A number that changes with a parameter.
+type Along = Dual<f64, 1>;
+
+/// The change of the constraint of vertex `i`, if its position changes by `by`, with all its surface, and its index by `eta`.
+fn change(
+    start: &Start,
+    found: &Solution,
+    target: Vec3<f64>,
+    i: usize,
+    (by, eta): (Vec3<f64>, f64),
+) -> Vec2<f64> {
+    let chain = &found.chain;
+    let still = |v: Vec3<f64>| v.map(Along::constant);
+    let moving = |v: &Vertex| {
+        let p = [0, 1, 2].map(|k: usize| Along::new(v.si.p[k], [by[k]]));
+        Vec3::from(p)
+    };
+    let before = (i.checked_sub(1)).map_or(still(start.si.p), |k| moving(&chain[k]));
+    let after = chain.get(i + 1).map_or(still(target), moving);
+    let p = moving(&chain[i]);
+    let facet = Facet {
+        n: still(chain[i].normal()),
+        eta: Along::new(chain[i].eta(), [eta]),
+    };
+    let (w, next) = ((before - p).normalize(), (after - p).normalize());
+    let frame = equator(target - start.si.p);
+    let c = constraint::value(Constraint::Angle, chain[i].kind, w, next, &facet, &frame);
+    let [a, b] = c.expect("a value");
+    Vec2::new(a.eps[0], b.eps[0])
+}
+
+/// The derivative of a chain with a parameter that moves it, by the implicit function theorem over its constraints, is that of the walk's
+/// solution: for one reflection off a ball of metal that is moved, and for the index of glass at one refraction and at two. Central
+/// differences of steps 2^-8 and 2^-9, extrapolated; within 1e-6 of the length of the derivative.
+#[test]
+fn chains_move_as_the_implicit_function_theorem_says() {
+    let ball = |x: f64, glass: &str| {
+        format!(
+            r#"<shape type="sphere"><point name="center" value="{}, {}, {}"/><float name="radius" value="2"/>{glass}</shape>"#,
+            x,
+            3.0 + 0.5 * x,
+            -0.25 * x
+        )
+    };
+    let by = Vec3::new(1.0, 0.5, -0.25);
+    let metal = r#"<bsdf type="conductor"/>"#;
+    let outside = Vec3::new(-0.2, 9.0, -0.3);
+    let inside = Vec3::new(0.3, 3.2, -0.2);
+    let cases = [
+        (
+            "moved metal",
+            true,
+            [3.0, 0.5],
+            Vec3::new(9.0, 8.0, 1.0),
+            vec![DeltaKind::Reflection],
+        ),
+        (
+            "index, one vertex",
+            false,
+            [0.3, 0.2],
+            inside,
+            vec![DeltaKind::Transmission],
+        ),
+        (
+            "index, two vertices",
+            false,
+            [0.3, 0.2],
+            outside,
+            vec![DeltaKind::Transmission; 2],
+        ),
+        (
+            "moved glass, two vertices",
+            true,
+            [0.3, 0.2],
+            outside,
+            vec![DeltaKind::Transmission; 2],
+        ),
+    ];
+    for (name, moves, [x, z], target, kinds) in cases {
+        let like: Vec<_> = kinds.iter().map(|kind| (1u32, *kind)).collect();
+        let reflects = kinds[0] == DeltaKind::Reflection;
+        let material = if reflects { metal } else { GLASS };
+        // The chain where the parameter is off by `t`, and who found it.
+        let solve = |t: f64| {
+            let mut setting =
+                Setting::new(over_floor(&ball(if moves { t } else { 0.0 }, material)));
+            if !moves {
+                let info = setting
+                    .scene
+                    .params()
+                    .infos()
+                    .iter()
+                    .find(|p| p.name.ends_with(".eta.value"));
+                let at = info.expect("an index").range().start;
+                setting.values[at] += t;
+            }
+            let start = setting.floor(x, z);
+            let aim = if reflects {
+                Vec3::new(1.6, 3.4, 0.2)
+            } else {
+                Vec3::new(0.0, 3.0, 0.0)
+            };
+            let space = setting.space(Constraint::Angle);
+            let chain = space.follow(&start, (aim - start.si.p).normalize(), &like);
+            let walked = space.walk(&start, chain.expect("a chain"), &Target::Point(target));
+            let solution = walked.solution.expect("a solution");
+            (setting, start, solution)
+        };
+        let (setting, start, found) = solve(0.0);
+        let parameter = if moves {
+            (by, 0.0)
+        } else {
+            (Vec3::zero(), 1.0)
+        };
+        let changes: Vec<_> = (0..like.len())
+            .map(|i| change(&start, &found, target, i, parameter))
+            .collect();
+        let moved = sensitivity(&setting, &start, &found, target, &changes);
+        let position = |t: f64, i: usize| solve(t).2.chain[i].si.p;
+        for (i, along) in moved.iter().enumerate() {
+            // Per length along the tangents that rows are in.
+            let Frame { s, t, .. } = Frame::from_normal(found.chain[i].si.n_geo);
+            let derivative = parameter.0 + s * along.x + t * along.y;
+            let central = |h: f64| (position(h, i) - position(-h, i)) * (0.5 / h);
+            let (h, half) = (central(1.0 / 256.0), central(1.0 / 512.0));
+            let difference = (half * 4.0 - h) * (1.0 / 3.0);
+            let error = (derivative - difference).length();
+            println!("{name}, vertex {i}: {derivative:?}, off by {error:.1e}");
+            assert!(
+                error < 1e-6 * derivative.length(),
+                "{name}: {derivative:?} {difference:?}"
+            );
+            assert!(derivative.length() > 0.05, "{name}: {derivative:?}");
         }
     }
 }

@@ -7,10 +7,8 @@ use super::chain::{Chain, Derivative, Event, Events, Space, Start, Target, Verte
 use super::constraint::{self, equator};
 use crate::accel::Hit;
 use crate::math::{Frame, Ray, both};
-use crate::scene::Uniqueness;
+use crate::scene::{Connections, Uniqueness};
 
-/// Most steps of a walk.
-const MOST_STEPS: u32 = 20;
 /// A walk has ended when no component of the last constraint exceeds this, radians.
 const TOLERANCE: f64 = 1e-9;
 /// It has ended before, with no more than this, if the last step was a whole one and left so small a part: of Newton's
@@ -273,7 +271,7 @@ impl<'w> Way<'w> {
     ) -> Option<(Point, Mat2<f64>, Vec2<f64>, bool)> {
         let mut here = self.point(d, &mut Hits::new())?;
         let (mut part, mut certain) = (1.0, false);
-        for _ in 0..MOST_STEPS {
+        for _ in 0..Connections::MOST_STEPS {
             let inverse = here.jacobian.inverse()?;
             let step = inverse * here.value;
             if size(here.value) <= TOLERANCE || certain {

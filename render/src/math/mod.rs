@@ -1,6 +1,18 @@
 //! Geometry and colour over any scalar: one type per file.
+//!
+//! ```
+//! use ad_core::Vec3;
+//! use render::math::{Frame, Transform, warp};
+//!
+//! let up = Transform::rotate([1.0, 0.0, 0.0], -90.0).expect("an axis");
+//! let n = up.vector([0.0, 0.0, 1.0]);
+//! let frame = Frame::from_normal(Vec3::from(n));
+//! let d = frame.to_world(warp::square_to_cosine_hemisphere([0.3, 0.8]));
+//! assert!(d.y > 0.0 && (d.length() - 1.0).abs() < 1e-12);
+//! ```
 
 pub mod angle;
+pub(crate) mod bessel;
 mod frame;
 pub(crate) mod gauss;
 mod ray;

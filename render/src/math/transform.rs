@@ -3,6 +3,9 @@
 
 use super::each;
 
+/// How far axes may be from those of a similar transform, over their length: what single precision leaves of products.
+const SIMILAR: f64 = 1e-5;
+
 /// An affine map of space, x -> L x + t, acting on column vectors.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Transform {
@@ -138,6 +141,49 @@ impl Transform {
             ..inverse
         };
         inverse.is_finite().then_some(inverse)
+    }
+
+    /// The rotation and the factor by which this map would have to be followed so that its axes become those of `other`, by
+    /// least squares over the directions of its axes: an orthogonal Procrustes problem [Schonemann 1966], whose rotation
+    /// is a polar factor [Higham 1986].
+    ///
+    /// # Errors
+    /// What else `other` is, in words: axes that end elsewhere by more than a hundred-thousandth of their length.
+    pub fn similarity(&self, other: &Self) -> Result<(Self, f64), &'static str> {
+        // Axes of very different lengths count alike.
+        let lengths = [0, 1, 2].map(|j| length([0, 1, 2].map(|i: usize| self.linear[i][j])));
+        let [from, to] = [self, other].map(|t| from_fn(|i, j| t.linear[i][j] / lengths[j]));
+        let product = Self {
+            linear: from_fn(|i, j| dot(to[i], from[j])),
+            translation: [0.0; 3],
+        };
+        let mut turn = product;
+        for _ in 0..60 {
+            let inverse = turn.inverse().ok_or("one that is singular")?;
+            let norm = |t: &Self| length(t.linear.map(length));
+            let balance = (norm(&inverse) / norm(&turn)).sqrt();
+            let next = from_fn(|i, j| {
+                0.5 * (balance * turn.linear[i][j] + inverse.linear[j][i] / balance)
+            });
+            let change = length([0, 1, 2].map(|i| length(sub(next[i], turn.linear[i]))));
+            turn.linear = next;
+            if change < 1e-15 {
+                break;
+            }
+        }
+        if turn.determinant() < 0.0 {
+            return Err("one that mirrors");
+        }
+        let trace =
+            |a: &[[f64; 3]; 3], b: &[[f64; 3]; 3]| (0..3).map(|i| dot(a[i], b[i])).sum::<f64>();
+        let scale = trace(&turn.linear, &product.linear) / trace(&from, &from);
+        let turned = from_fn(|i, j| (0..3).map(|k| turn.linear[i][k] * from[k][j]).sum::<f64>());
+        let is_near =
+            |i: usize| (0..3).all(|j| (scale * turned[i][j] - to[i][j]).abs() <= SIMILAR * scale);
+        if !(0..3).all(is_near) {
+            return Err("one that scales axes unequally, or shears");
+        }
+        Ok((turn, scale))
     }
 
     /// L p + t.

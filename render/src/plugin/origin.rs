@@ -43,6 +43,13 @@ impl Origins {
         self.0.remove(&address(node));
     }
 
+    /// What was read from a node belongs to another one, around it.
+    pub fn hand_on(&mut self, from: &Node, to: &Node) {
+        if let Some(origin) = self.0.remove(&address(from)) {
+            self.0.insert(address(to), origin);
+        }
+    }
+
     fn at(&mut self, node: &Node) -> &mut Origin {
         self.0.entry(address(node)).or_default()
     }

@@ -19,13 +19,8 @@ const REFUSED: &[(&str, &[&str], &str)] = &[
         "layers over other materials are",
     ),
     ("bsdf", &["difftrans"], "diffuse transmission is"),
-    ("bsdf", &["hair", "irawan"], "scattering by fibres is"),
+    ("bsdf", &["irawan"], "scattering by the threads of cloth is"),
     ("bsdf", &["hk"], MEDIA),
-    (
-        "bsdf",
-        &["principledthin"],
-        "the model of Disney for thin surfaces is",
-    ),
     ("bsdf", &["measured", "bsdf_merl"], "measured materials are"),
     (
         "bsdf",
@@ -49,13 +44,7 @@ const REFUSED: &[(&str, &[&str], &str)] = &[
         &["sky", "sun", "sunsky", "timed_sunsky"],
         "models of the sky are",
     ),
-    (
-        "film",
-        &["ldrfilm", "mfilm"],
-        "an image of another kind than OpenEXR is",
-    ),
     ("film", &["specfilm"], "light by wavelength is"),
-    ("film", &["streakhdrfilm", "transient_hdr_film"], TIME),
     (
         "integrator",
         &["ao", "depth", "field", "motion"],
@@ -67,7 +56,11 @@ const REFUSED: &[(&str, &[&str], &str)] = &[
         "several pictures in one image are",
     ),
     ("integrator", &["stokes"], POLARISATION),
-    ("integrator", &["transient_path", "transientpath"], TIME),
+    (
+        "integrator",
+        &["volprim_rf_basic"],
+        "fields of radiance in clouds of primitives are",
+    ),
     ("integrator", &["transientstokes"], POLARISATION),
     ("sensor", &["batch"], "several views in one image are"),
     (
@@ -86,10 +79,11 @@ const REFUSED: &[(&str, &[&str], &str)] = &[
         &["perspective_rdist", "spherical", "telecentric"],
         "projections by other lenses than thin ones are",
     ),
+    ("shape", &["animatedinstance", "deformable"], SHUTTER),
     (
         "shape",
-        &["bsplinecurve", "curve", "hair", "linearcurve"],
-        "curves are",
+        &["curve", "hair"],
+        "curves of other files than lists of control points are",
     ),
     (
         "shape",
@@ -105,21 +99,45 @@ const REFUSED: &[(&str, &[&str], &str)] = &[
     ),
     (
         "texture",
-        &["scale", "vertexcolors"],
+        &["vertexcolors"],
         "a texture that Mitsuba 3 has no more is",
     ),
     ("texture", &["volume"], "textures of space are"),
 ];
 
+/// Attributes of others that stand for something which is left out: the element, and what they would need.
+const ATTRIBUTES: &[(&str, &[&str], &str)] = &[
+    (
+        "shape",
+        &["max_smooth_angle"],
+        "normals that break where faces meet at an angle are",
+    ),
+    ("texture", &["channel"], "a single channel of an image is"),
+    (
+        "texture",
+        &["wrap_mode_u", "wrap_mode_v"],
+        "an image that goes on in another way along u than along v is",
+    ),
+];
+
 const MEDIA: &str = "participating media are";
 const POLARISATION: &str = "polarisation is";
-const TIME: &str = "the time that light takes is";
+const SHUTTER: &str = "motion while the shutter is open is";
 
 /// What the plugin would need, if it is known to be left out: participating media whatever they are called.
 pub(in crate::plugin) fn reason(tag: &str, plugin: &str) -> Option<&'static str> {
-    if matches!(tag, "medium" | "phase" | "volume") {
-        return Some(MEDIA);
+    match tag {
+        "medium" | "phase" | "volume" => return Some(MEDIA),
+        "subsurface" => return Some("scattering below surfaces is"),
+        "animation" => return Some(SHUTTER),
+        _ => {}
     }
     let found = (REFUSED.iter()).find(|(t, plugins, _)| *t == tag && plugins.contains(&plugin));
+    found.map(|(.., what)| *what)
+}
+
+/// What an attribute that nobody asked for would need, if it is known to be left out.
+pub(in crate::plugin) fn attribute(tag: &str, name: &str) -> Option<&'static str> {
+    let found = (ATTRIBUTES.iter()).find(|(t, names, _)| *t == tag && names.contains(&name));
     found.map(|(.., what)| *what)
 }

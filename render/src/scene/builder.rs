@@ -258,6 +258,13 @@ impl Builder {
                     found: "another shape".into(),
                 });
             }
+            if info.emitter.is_some() && matches!(shape, AnyShape::Curves(_)) {
+                return Err(SceneError::Parameter {
+                    key: info.name.clone(),
+                    expected: "a surface that is sampled by its area".into(),
+                    found: "curves, which do not emit".into(),
+                });
+            }
         }
         Ok(())
     }

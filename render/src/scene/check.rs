@@ -1,6 +1,6 @@
 //! What of a scene file is understood.
 
-use std::collections::HashSet;
+use std::collections::{HashMap, HashSet};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -98,13 +98,18 @@ impl Check {
 
 impl Scene {
     /// Reads a scene file to its end, whatever is wrong with it and whether the files that it names are there, and says
-    /// what of it is understood. What is wrong with the XML itself, or with what it includes, ends it early.
+    /// what of it is understood. What is wrong with the XML itself, or with an include, ends it early. Textures that are not there are substituted
+    /// where `options` allow it, and missing otherwise.
     pub fn check(path: &Path, options: &LoadOptions) -> Check {
         let mut found = Vec::new();
         let mut defines = options.defines.clone();
         loop {
-            match Document::load(path, &defines) {
-                Ok(document) => read(&document, options, &mut found),
+            match Document::load_to_its_end(path, &defines) {
+                Ok((document, faults)) => {
+                    found.extend(faults.iter().map(|f| fault(&f.error)));
+                    let owners = faults.into_iter().filter_map(|f| f.owner);
+                    read(&document, options, owners.collect(), &mut found);
+                }
                 // One number is as good as another, to read on.
                 Err(e @ SceneError::UndefinedParameter { .. }) if defines.len() < MOST_DEFINED => {
                     if let SceneError::UndefinedParameter { name, .. } = &e {
@@ -126,20 +131,33 @@ impl Scene {
     }
 }
 
-fn read(document: &Document, options: &LoadOptions, found: &mut Vec<Finding>) {
-    let options = LoadOptions {
+/// Adds what becomes of a document; `incomplete` are plugins of which something is left out.
+fn read(
+    document: &Document,
+    options: &LoadOptions,
+    incomplete: Vec<Location>,
+    found: &mut Vec<Finding>,
+) {
+    let to_its_end = LoadOptions {
         allow_missing: true,
         ..options.clone()
     };
-    let mut reading = Reading::new(&options, Some(Vec::new()));
-    if let Err(e) = reading.scene(document.root(), &options) {
-        found.push(fault(&e));
-    }
-    found.extend(reading.faults.iter().flatten().map(fault));
+    let mut reading = Reading::new(&to_its_end, Some(Vec::new()));
+    let read = reading.scene(document.root(), &to_its_end);
+    let errors = reading.faults.iter().flatten().chain(read.as_ref().err());
+    found.extend(errors.map(|e| {
+        let mut finding = fault(e);
+        // What is wrong with a file concerns those who name it.
+        if let (None, Some(file)) = (&finding.location, e.file()) {
+            finding.location = naming(document.root(), file).cloned();
+        }
+        finding
+    }));
     found.extend(document.warnings().into_iter().map(|w| Finding {
         verdict: match w.notice {
             Notice::Ignored => Verdict::Ignored,
             Notice::Replaced => Verdict::Replaced,
+            Notice::Absent if options.allow_missing => Verdict::Replaced,
             Notice::Absent => Verdict::Missing,
         },
         location: Some(w.location),
@@ -150,10 +168,17 @@ fn read(document: &Document, options: &LoadOptions, found: &mut Vec<Finding>) {
         location: None,
         message,
     }));
-    let lines: HashSet<_> = found.iter().filter_map(|f| f.location.clone()).collect();
+    let incomplete = incomplete.into_iter().map(|at| (at, Verdict::Wrong));
+    let mut worst: HashMap<Location, Verdict> = incomplete.collect();
+    for f in found.iter() {
+        if let Some(at) = &f.location {
+            let here = worst.entry(at.clone()).or_insert(f.verdict);
+            *here = f.verdict.max(*here);
+        }
+    }
     let mut seen = HashSet::new();
-    understood(document.root(), &mut seen, &mut |node| {
-        if !lines.contains(&node.location) {
+    visit(document.root(), &mut seen, &mut |node| {
+        if !is_concerned(node, &worst) {
             found.push(Finding {
                 verdict: Verdict::Understood,
                 location: Some(node.location.clone()),
@@ -163,12 +188,28 @@ fn read(document: &Document, options: &LoadOptions, found: &mut Vec<Finding>) {
     });
 }
 
+/// Whether something was found about a plugin as a whole, or about one of its attributes or references. One that has no
+/// effect leaves the rest as it is.
+fn is_concerned(node: &Node, worst: &HashMap<Location, Verdict>) -> bool {
+    let is_more = |at: &Location| worst.get(at).is_some_and(|v| *v > Verdict::Ignored);
+    worst.contains_key(&node.location) || node.places().any(is_more)
+}
+
+/// The attribute that names a file.
+fn naming<'a>(root: &'a Node, file: &Path) -> Option<&'a Location> {
+    let mut found = None;
+    visit(root, &mut HashSet::new(), &mut |node| {
+        found = found.or_else(|| node.names_file(file));
+    });
+    found
+}
+
 /// Calls `f` with every plugin below a node, once.
-fn understood(node: &Node, seen: &mut HashSet<*const Node>, f: &mut dyn FnMut(&Node)) {
+fn visit<'a>(node: &'a Node, seen: &mut HashSet<*const Node>, f: &mut dyn FnMut(&'a Node)) {
     for child in node.parts() {
         if seen.insert(Arc::as_ptr(child)) {
             f(child);
-            understood(child, seen, f);
+            visit(child, seen, f);
         }
     }
 }

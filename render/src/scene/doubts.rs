@@ -1,10 +1,28 @@
-//! Where it is not told how shapes cross, by name.
+//! What derivatives miss, by name: where it is not told how shapes cross, and where tilted normals turn away.
 
 use super::Scene;
 use crate::edges::crossing::Doubt;
-use crate::params::{ParamInfo, ParamRef};
+use crate::params::{ParamInfo, ParamKind, ParamRef};
 
 impl Scene {
+    /// What no estimator sees of parameters that tilt normals, in a sentence about the first of them: where a normal turns from
+    /// its viewer light is cut off, or the normal is flipped, and that line moves ([`crate::bsdf::Tilted`]).
+    pub fn doubts_of_tilts(wanted: &[&ParamInfo]) -> Vec<String> {
+        let mut tilts = wanted.iter().filter(|i| i.kind == ParamKind::Normals);
+        let Some(first) = tilts.next() else {
+            return Vec::new();
+        };
+        let others = match tilts.count() {
+            0 => String::new(),
+            more => format!("; so it is with {more} more"),
+        };
+        vec![format!(
+            "`{}` tilts normals: what changes where one turns from its viewer is missing in its derivatives, which \
+             steep normals make wrong (`check` tells){others}",
+            first.name
+        )]
+    }
+
     /// Where samples of edges may be wrong, as these parameters move shapes or the camera: pairs of shapes that meet in a way
     /// in which it is not told how they cross. A sentence for each of these ways, about the first pair. Lamps stand out from
     /// what they lie on. All pairs of shapes are looked at, as edges do.

@@ -185,13 +185,15 @@ struct Layout {
     patches: Vec<Patch>,
     primitives: Vec<Primitive>,
     surfaces: Vec<u32>,
+    /// What curves are of.
+    points: Vec<[f32; 4]>,
     spots: Vec<Spot>,
 }
 
 impl Layout {
     fn new(shapes: &[AnyShape], infos: &[ShapeInfo], camera: &Camera) -> Result<Self, OutOfReach> {
         let (mut prims, mut patches) = (Vec::new(), Vec::new());
-        let mut primitives = Vec::new();
+        let (mut primitives, mut points) = (Vec::new(), Vec::new());
         let mut firsts = Vec::with_capacity(shapes.len());
         let mut placed: Vec<(u32, &Instance)> = Vec::new();
         for (i, shape) in shapes.iter().enumerate() {
@@ -204,7 +206,12 @@ impl Layout {
                 offset: (shape.extent() * RELATIVE_OFFSET).max(f32::MIN_POSITIVE),
                 ..Exit::default()
             };
-            for (local, primitive) in shape.primitives().into_iter().enumerate() {
+            let before = points.len() as u32;
+            points.extend_from_slice(shape.control_points());
+            for (local, mut primitive) in shape.primitives().into_iter().enumerate() {
+                if let Primitive::Span { first, .. } = &mut primitive {
+                    *first += before;
+                }
                 let patch = shape.patch(local as u32);
                 prims.push(Prim {
                     shape: i as u32,
@@ -256,8 +263,13 @@ impl Layout {
             patches,
             primitives,
             surfaces,
+            points,
             spots,
         })
+    }
+
+    fn accel(&self) -> Result<Accel, AccelError> {
+        Accel::with_curves(&self.primitives, &self.surfaces, &self.points)
     }
 
     fn out_of_reach(&self, error: AccelError) -> OutOfReach {
@@ -298,8 +310,7 @@ impl Geometry {
     ) -> Result<Self, OutOfReach> {
         copy_beside_lights(&mut shapes, infos);
         let layout = Layout::new(&shapes, infos, camera)?;
-        let mut accel = Accel::with_surfaces(&layout.primitives, &layout.surfaces)
-            .map_err(|e| layout.out_of_reach(e))?;
+        let mut accel = layout.accel().map_err(|e| layout.out_of_reach(e))?;
         let mut groups = Groups::default();
         accel.set_instances(groups.place(&shapes, &layout.spots)?);
         let (lamps, casters) = wanted.balls(&shapes, infos);
@@ -394,7 +405,7 @@ impl Geometry {
             }
         };
         own(&mut shapes[shape as usize]);
-        self.follow(shapes, infos, camera)?;
+        self.derive(shapes, infos, camera)?;
         if let Some(Some(placed)) = self.placed.get_mut(shape as usize) {
             own(&mut placed.rest);
         }
@@ -483,8 +494,7 @@ impl Geometry {
             }
         }
         layout.spots.retain(|spot| !emits(spot.shape));
-        let mut others = Accel::with_surfaces(&layout.primitives, &layout.surfaces)
-            .map_err(|e| layout.out_of_reach(e))?;
+        let mut others = layout.accel().map_err(|e| layout.out_of_reach(e))?;
         let mut groups = self.groups.clone();
         others.set_instances(groups.place(&self.shapes, &layout.spots)?);
         Ok(others)
@@ -529,12 +539,12 @@ impl Geometry {
                 reason,
             })?;
         }
-        self.follow(shapes, infos, camera)?;
+        self.derive(shapes, infos, camera)?;
         Ok(())
     }
 
     /// Derives everything from these shapes.
-    fn follow(
+    fn derive(
         &mut self,
         mut shapes: Vec<AnyShape>,
         infos: &[ShapeInfo],
@@ -543,8 +553,10 @@ impl Geometry {
         copy_beside_lights(&mut shapes, infos);
         let layout = Layout::new(&shapes, infos, camera)?;
         let instances = self.groups.place(&shapes, &layout.spots)?;
-        (self.accel.refit(&layout.primitives, &layout.surfaces))
-            .map_err(|e| layout.out_of_reach(e))?;
+        (self
+            .accel
+            .refit(&layout.primitives, &layout.surfaces, &layout.points))
+        .map_err(|e| layout.out_of_reach(e))?;
         self.accel.set_instances(instances);
         (self.lamps, self.casters) = self.wanted.balls(&shapes, infos);
         self.shapes = shapes;

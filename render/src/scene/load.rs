@@ -7,23 +7,22 @@ use std::sync::Arc;
 use super::builder::{Builder, MaterialId, out_of_reach};
 use super::clip::Clip;
 use super::precision;
+use super::published::{self, CONNECTED, FILTERED, GLINTY};
 use super::save::{Place, Places, Source};
 use super::sensor::sensor_called;
-use super::{
-    Connections, Constraint, GlintMethod, GlintTechniques, Glints, Hints, Method, Scene, Sensor,
-    Settings, Starts,
-};
+use super::stand_ins::{OTHERS, WRAPPERS};
+use super::{Hints, Scene, Sensor, Settings};
 use crate::accel::{Accel, MAX_COORDINATE};
 use crate::bsdf::{Diffuse, Material};
 use crate::camera::Camera;
 use crate::emitter::{AnyEmitter, DirectionalArea};
 use crate::error::SceneError;
-use crate::film::{Film, Lobed, MOST_LOBES, PixelFilter};
+use crate::film::{Film, Lobed, MOST_LOBES, PIXELS, PixelFilter};
 use crate::inputs;
 use crate::math::Transform;
 use crate::plugin::xml::{Document, SPECTRA, check_limit};
 use crate::plugin::{Attributes, FromNode, Node, Origins, address};
-use crate::shape::{AnyShape, Cube, Instance, MERGED, Mesh, Shape};
+use crate::shape::{AnyShape, Cube, Curves, Instance, MERGED, Mesh, Shape, Sphere};
 use crate::texture;
 
 /// How a scene file is loaded.
@@ -37,46 +36,35 @@ pub struct LoadOptions {
     pub sensor: Option<String>,
 }
 
-/// Size of a trial set that a file does not give [Zeltner 2021, figure 3.13].
-const DEFAULT_TRIALS: u32 = 16;
-
 /// Sums of so many pixels take three gigabytes.
 pub(super) const MAX_PIXELS: usize = 1 << 27;
 
 /// Integrators that the path tracer is.
 const INTEGRATORS: &[&str] = &["path", "direct", "prb"];
-/// Those of [Zeltner et al. 2020] that leave out the light that manifold connections would find.
-const FILTERED: &[&str] = &["path_filtered_ss", "path_filtered_ms"];
-/// Those that find it.
-const CONNECTED: &[&str] = &["path_sms_ss", "path_sms_ms"];
-/// The one of them that finds glints.
-const GLINTY: &[&str] = &["path_sms_glints"];
-/// Other ways to the same image, or to its derivatives: the path tracer takes their place.
-const OTHERS: &[&str] = &[
-    "bdpt",
-    "direct_projective",
-    "direct_reparam",
-    "erpt",
-    "manifold_path_guiding",
-    "mlt",
-    "photonmapper",
-    "ppm",
-    "prb_basic",
-    "prb_projective",
-    "prb_reparam",
-    "prbvolpath",
-    "pssmlt",
-    "ptracer",
-    "sppm",
-    "volpath",
-    "volpath_simple",
-    "volpathmis",
-    "vpl",
+/// Films that tell apart when light arrives.
+const OVER_TIME: &[&str] = &["streakhdrfilm", "transient_hdr_film"];
+/// Of all of them only the number of samples is read, and of those of other names, too.
+const SAMPLERS: &[&str] = &[
+    "halton",
+    "hammersley",
+    "independent",
+    "ldsampler",
+    "multijitter",
+    "orthogonal",
+    "sobol",
+    "stratified",
 ];
-/// Those that add something to the image of the integrator inside.
-const WRAPPERS: &[&str] = &["adaptive", "aov", "irrcache", "moment"];
 const SENSORS: &[&str] = &["perspective", "thinlens", "orthographic"];
-const FILMS: &[&str] = &["hdrfilm", "tiledhdrfilm"];
+const FILMS: &[&str] = &[
+    "exrfilm",
+    "hdrfilm",
+    "ldrfilm",
+    "mfilm",
+    "pngfilm",
+    "streakhdrfilm",
+    "tiledhdrfilm",
+    "transient_hdr_film",
+];
 const FILTERS: &[&str] = &[
     "box",
     "gaussian",
@@ -91,17 +79,16 @@ const DECLARED: &[&str] = &["bsdf", "texture", "film", "sampler", "rfilter"];
 const GLINTY_SHAPE: &[&str] = &["glinty"];
 const RECEIVER: &[&str] = &["caustic_receiver"];
 const SINGLE: &[&str] = &["caustic_caster_single", "caustic_emitter_single"];
-const MULTI: &[&str] = &[
-    "caustic_caster_multi",
-    "caustic_bouncer",
-    "caustic_emitter_multi",
-];
+const MULTI: &[&str] = &["caustic_caster_multi", "caustic_emitter_multi"];
+const BOUNCER: &[&str] = &["caustic_bouncer"];
 
 /// Classes of Mitsuba, by plugin.
 const SHAPE_NAMES: &[(&str, &str)] = &[
+    ("bsplinecurve", "BSplineCurve"),
     ("cube", "Cube"),
     ("cylinder", "Cylinder"),
     ("disk", "Disk"),
+    ("linearcurve", "LinearCurve"),
     ("obj", "OBJMesh"),
     ("ply", "PLYMesh"),
     ("rectangle", "Rectangle"),
@@ -125,10 +112,10 @@ pub(super) fn plugins() -> Vec<(&'static str, Vec<&'static str>)> {
         ("film", FILMS.to_vec()),
         (
             "integrator",
-            [INTEGRATORS, FILTERED, CONNECTED, OTHERS, WRAPPERS].concat(),
+            [INTEGRATORS, FILTERED, CONNECTED, GLINTY, OTHERS, WRAPPERS].concat(),
         ),
         ("rfilter", FILTERS.to_vec()),
-        ("sampler", vec!["independent"]),
+        ("sampler", SAMPLERS.to_vec()),
         ("sensor", SENSORS.to_vec()),
         ("shape", AnyShape::names()),
         ("texture", [texture::PLUGINS, SPECTRA].concat()),
@@ -421,6 +408,14 @@ impl Reading {
                             what: "parallel light from other surfaces than rectangles and disks is",
                         });
                     }
+                    if whole && matches!(geometry, AnyShape::Curves(_)) {
+                        return Err(SceneError::Refused {
+                            location: e.location.clone(),
+                            tag: e.tag.clone(),
+                            plugin: e.plugin.clone(),
+                            what: "curves that emit are",
+                        });
+                    }
                     Ok(read)
                 });
                 self.note(read)?
@@ -483,6 +478,14 @@ impl Reading {
             if matches!(part.plugin.as_str(), "instance" | "shapegroup") {
                 return Err(part.invalid("type", "a shape that is none of others, in a group"));
             }
+            if Curves::PLUGINS.contains(&part.plugin.as_str()) {
+                return Err(SceneError::Refused {
+                    location: part.location.clone(),
+                    tag: part.tag.clone(),
+                    plugin: part.plugin.clone(),
+                    what: "curves in groups are",
+                });
+            }
             if part.child_with_tag("emitter")?.is_some() {
                 return Err(part.invalid("emitter", "none: instances do not emit"));
             }
@@ -516,7 +519,7 @@ impl Reading {
                 self.build.registry().params_mut().alias(own, id);
             }
             if self.build.is_bumped(material) {
-                node.warn(COPIED);
+                part.warn(COPIED);
             }
             self.build.add_shape(&name, placed, material);
             self.build.hint_shape(hints);
@@ -525,10 +528,14 @@ impl Reading {
         let is_mesh = Mesh::PLUGINS.contains(&part.plugin.as_str());
         let is_displaced = is_mesh && part.child("displacement").is_some();
         if is_displaced {
-            node.warn(COPIED);
+            part.warn(COPIED);
         }
         if !is_mesh || is_displaced {
-            let copy = part.moved(name, to_world)?;
+            let mut copy = part.moved(name, to_world)?;
+            // A ball is turned inside out by mirrors of its own, and carried by those of instances.
+            if Sphere::PLUGINS.contains(&part.plugin.as_str()) && to_world.determinant() < 0.0 {
+                copy.turn_over("flip_normals")?;
+            }
             return self.shape(&Arc::new(copy), index);
         }
         let before = self.build.shapes().len();
@@ -540,7 +547,7 @@ impl Reading {
             let placed = place(&mesh)?;
             let (material, hints) = self.build.replace_last(placed);
             if self.build.is_bumped(material) {
-                node.warn(COPIED);
+                part.warn(COPIED);
             }
             let bsdf = part.child_with_tag("bsdf")?;
             let member = Member {
@@ -582,6 +589,8 @@ fn attributes_of(shape: &Node) -> Result<Vec<String>, SceneError> {
                         names.extend(part.string("name").ok().flatten().map(str::to_owned))
                     }
                     _ if part.is_constant() => {}
+                    // What it has inside is another.
+                    "scale" => {}
                     _ => *other = Some(part),
                 }
             }
@@ -635,12 +644,12 @@ fn known_plugins(node: &Node) -> Result<(), SceneError> {
 
 fn integrator(mut node: &Node, settings: &mut Settings) -> Result<(), SceneError> {
     while WRAPPERS.contains(&node.plugin.as_str()) {
-        let Some(inside) = node.child_with_tag("integrator")? else {
-            return Err(node.missing("integrator", "one inside, whose image it is"));
-        };
+        let inside = node.child_with_tag("integrator")?;
         node.warn("only the image of the integrator inside is made");
+        node.ignore(&["aovs"], Node::string)?;
         node.ignore_rest();
-        node = inside;
+        let expected = "one inside, whose image it is";
+        node = inside.ok_or_else(|| node.missing("integrator", expected))?;
     }
     let plugin = node.plugin.as_str();
     let replaced = OTHERS.contains(&plugin);
@@ -660,19 +669,27 @@ fn integrator(mut node: &Node, settings: &mut Settings) -> Result<(), SceneError
     // The defaults of Mitsuba 3.
     let deepest = if plugin.starts_with("direct") {
         2
+    } else if plugin.starts_with("emission") {
+        1
     } else if plugin.starts_with("prb") {
         6
     } else {
         -1
     };
     settings.max_depth = depth("max_depth", deepest)?;
+    if settings.max_depth == 0 {
+        return Err(node.invalid(
+            "max_depth",
+            "-1 for no limit, or at least 1, which is emission",
+        ));
+    }
     settings.rr_depth = depth("rr_depth", 5)?;
     settings.hide_emitters = node.boolean_or("hide_emitters", false)?;
     if of_manifolds {
-        settings.connections = Some(connections(node)?);
+        settings.connections = Some(published::connections(node)?);
     }
     if glinty {
-        settings.glints = Some(glints(node)?);
+        settings.glints = Some(published::glints(node)?);
     }
     if replaced {
         node.warn("traced like `path` instead: the same image, but for its noise");
@@ -683,110 +700,6 @@ fn integrator(mut node: &Node, settings: &mut Settings) -> Result<(), SceneError
     node.ignore(&samples, Node::integer)?;
     node.ignore(&["timeout"], Node::float)?;
     node.finish()
-}
-
-/// How manifold connections are made, or left out.
-fn connections(node: &Node) -> Result<Connections, SceneError> {
-    let plugin = node.plugin.as_str();
-    let most = i64::from(Connections::MOST_BOUNCES);
-    let bounces = if plugin.ends_with("_ms") {
-        node.integer_in("bounces", 2, 1..=most)? as u32
-    } else {
-        1
-    };
-    node.boolean("disable_reflected_emitters")?;
-    if FILTERED.contains(&plugin) {
-        return Ok(Connections {
-            bounces,
-            ..Connections::new(Method::LeftOut)
-        });
-    }
-    let trials = trials(node)?;
-    let biased = node.boolean_or("biased", false)?;
-    // With a fallback to paths or without: here chains are never left to those.
-    let alone = node.boolean_or("biased_mnee", false)?;
-    let aimed = node.boolean_or("mnee_init", false)? || alone;
-    let method = match (biased, aimed) {
-        (_, true) => Method::Mnee,
-        (true, false) => Method::SmsBiased(trials.unwrap_or(DEFAULT_TRIALS)),
-        (false, false) => Method::Sms,
-    };
-    let starts = match node.boolean("twostage")? {
-        Some(true) => Starts::TwoStage,
-        Some(false) | None => Starts::default(),
-    };
-    let constraint = if node.boolean_or("halfvector_constraints", false)? {
-        Constraint::HalfVector
-    } else {
-        Constraint::Angle
-    };
-    if node.float("uniqueness_threshold")?.is_some() {
-        node.warn("`uniqueness_threshold`: solutions are told apart by bounds of their errors");
-    }
-    node.ignore(&["max_iterations"], Node::integer)?;
-    node.ignore(&["solver_threshold"], Node::float)?;
-    Ok(Connections {
-        bounces,
-        constraint,
-        starts,
-        budget: trials.unwrap_or(u32::MAX),
-        ..Connections::new(method)
-    })
-}
-
-/// `max_trials`: of an estimate, or of a trial set.
-fn trials(node: &Node) -> Result<Option<u32>, SceneError> {
-    match node.integer("max_trials")? {
-        None | Some(-1) => Ok(None),
-        Some(n @ 1..=0xffff_ffff) => Ok(Some(n as u32)),
-        Some(_) => Err(node.invalid("max_trials", "-1 for no limit, or a positive number")),
-    }
-}
-
-/// How glints are found: as published, with the options of the file.
-fn glints(node: &Node) -> Result<Glints, SceneError> {
-    let trials = trials(node)?;
-    let method = if node.boolean_or("biased", false)? {
-        GlintMethod::Biased(trials.unwrap_or(Glints::TRIALS))
-    } else {
-        GlintMethod::Unbiased
-    };
-    let techniques = match (
-        node.boolean_or("bsdf_strategy_only", false)?,
-        node.boolean_or("sms_strategy_only", false)?,
-    ) {
-        (false, false) => GlintTechniques::Both,
-        (true, false) => GlintTechniques::Scattering,
-        (false, true) => GlintTechniques::Walks,
-        (true, true) => {
-            return Err(node.invalid("sms_strategy_only", "false: `bsdf_strategy_only` is true"));
-        }
-    };
-    let threshold = match node.float("uniqueness_threshold")? {
-        Some(x) if x > 0.0 && x.is_finite() => Some(x),
-        None => None,
-        Some(_) => return Err(node.invalid("uniqueness_threshold", "a positive number")),
-    };
-    let published = Glints::published(method);
-    let steps = node.integer_in("max_iterations", i64::from(published.steps), 1..=1000)? as u32;
-    if node.float_or("step_scale", 1.0)? != 1.0 {
-        node.warn("`step_scale`: steps are Newton's, halved where they leave the footprint");
-    }
-    if node.float_or("glint_diff_scale_factor_clamp", 1.0)? != 1.0 {
-        node.warn("`glint_diff_scale_factor_clamp`: footprints are those of the pixel's filter");
-    }
-    node.ignore(&["solver_threshold"], Node::float)?;
-    node.ignore(&["glints_vectorized"], Node::boolean)?;
-    Ok(Glints {
-        techniques,
-        threshold,
-        steps,
-        budget: match method {
-            GlintMethod::Unbiased => trials.unwrap_or(published.budget),
-            GlintMethod::Biased(_) => published.budget,
-        },
-        ..published
-    })
 }
 
 /// The sensor number `index`.
@@ -852,8 +765,14 @@ fn film_from_node(node: &Node) -> Result<Film, SceneError> {
     if !FILMS.contains(&node.plugin.as_str()) {
         return Err(node.unknown_plugin(FILMS));
     }
-    if node.plugin == "tiledhdrfilm" {
-        node.warn("written as one image, without tiles");
+    match node.plugin.as_str() {
+        "hdrfilm" => {}
+        "tiledhdrfilm" => node.warn("written as one image, without tiles"),
+        film if OVER_TIME.contains(&film) => {
+            node.warn("light is summed over the times when it arrives, in one image");
+        }
+        _ => node
+            .warn("written as OpenEXR, linear, and as a PNG beside it; tone mapping has no effect"),
     }
     let size = |key, default| node.integer_in(key, default, 1..=1 << 16).map(|x| x as u32);
     let (width, height) = (size("width", 768)?, size("height", 576)?);
@@ -875,11 +794,25 @@ fn film_from_node(node: &Node) -> Result<Film, SceneError> {
     ];
     let [w, h] = crop_size.map(|n| n as usize);
     check_limit(w * h, MAX_PIXELS, "pixels", &node.location)?;
-    let filter = match node.child_with_tag("rfilter")? {
+    let filter = if OVER_TIME.contains(&node.plugin.as_str()) {
+        // That over time is another one.
+        let in_space = |(name, child): &(Option<&str>, &Arc<Node>)| {
+            child.tag == "rfilter" && *name != Some("tfilter")
+        };
+        node.children().find(in_space).map(|(_, child)| child)
+    } else {
+        node.child_with_tag("rfilter")?
+    };
+    let filter = match filter {
         None => PixelFilter::Gaussian { stddev: 0.5 },
         Some(filter) => filter_from_node(filter)?,
     };
-    let alpha = node.choice("pixel_format", &[("rgb", false), ("rgba", true)])?;
+    let (alpha, as_asked) = node
+        .choice("pixel_format", PIXELS)?
+        .unwrap_or((false, true));
+    if !as_asked {
+        node.warn("`pixel_format`: written in red, green and blue instead");
+    }
     node.ignore(&["component_format", "file_format"], Node::string)?;
     let flags = [
         "attach_log",
@@ -889,13 +822,16 @@ fn film_from_node(node: &Node) -> Result<Film, SceneError> {
         "sample_border",
     ];
     node.ignore(&flags, Node::boolean)?;
+    if node.plugin != "hdrfilm" {
+        node.ignore_rest();
+    }
     node.finish()?;
     Ok(Film {
         size: [width, height],
         crop_offset: [x, y],
         crop_size,
         filter,
-        alpha: alpha.unwrap_or(false),
+        alpha,
     })
 }
 
@@ -943,10 +879,12 @@ fn hints(node: &Node) -> Result<Hints, SceneError> {
         }
         Ok::<bool, SceneError>(any)
     };
+    let (begins, bounces) = (any(MULTI)?, any(BOUNCER)?);
     Ok(Hints {
         receiver: any(RECEIVER)?,
         single: any(SINGLE)?,
-        multi: any(MULTI)?,
+        multi: begins || bounces,
+        bouncer: bounces && !begins,
         glinty: any(GLINTY_SHAPE)?,
     })
 }

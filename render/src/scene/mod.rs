@@ -8,27 +8,33 @@ mod doubts;
 mod geometry;
 mod glints;
 mod load;
+mod matrix;
 mod movable;
 mod pixels;
 mod precision;
+mod published;
 mod room;
 mod save;
 mod schema;
 mod sensor;
 mod shares;
 mod sight;
+mod stand_ins;
 
 use geometry::Geometry;
 
 pub use builder::Builder;
 pub use check::{Check, Finding, Outcome, Verdict};
-pub use connections::{Connections, Constraint, Hints, Method, Starts, Uniqueness};
+pub use connections::{
+    CasterLight, Connections, Constraint, Hints, Method, Seen, Starts, Uniqueness,
+};
 pub use glints::{GlintMethod, GlintRegion, GlintTechniques, GlintWeights, Glints};
 pub use load::LoadOptions;
 pub use movable::Movable;
 pub use room::room;
 pub use sensor::Sensor;
 
+use std::borrow::Cow;
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -41,7 +47,7 @@ use crate::edges::crossing::Crossings;
 use crate::edges::{Edges, Surfaces};
 use crate::emitter::{AnyEmitter, Ball, Emitter, Lights};
 use crate::error::RenderError;
-use crate::estimator::{Sampling, Strategy};
+use crate::estimator::{Direct, Sampling, Strategy};
 use crate::film::Film;
 use crate::guide::Guide;
 use crate::math::{Frame, Ray, RayAdjoint, Segment};
@@ -320,11 +326,12 @@ impl Scene {
         Ok(())
     }
 
-    /// Replaces the values of some ranges and keeps the others; [`Params::get`] reads them.
+    /// Replaces the values of some ranges and keeps the others; [`Params::get`] reads them. Matrices may be among them
+    /// ([`Scene::to_world`]), before what moves the same thing in another way.
     ///
     /// # Errors
     /// An unknown name, with the closest ones; a wrong number of values; and as [`Scene::set_params`]. The scene is
-    /// unchanged then.
+    /// unchanged then, but for parameters at rest that matrices stand for.
     ///
     /// ```
     /// let mut scene = render::scene::room(8, 8)?;
@@ -339,9 +346,24 @@ impl Scene {
         &mut self,
         ranges: impl IntoIterator<Item = (N, &'a [f32])>,
     ) -> Result<(), RenderError> {
-        let mut values = self.params.values().to_vec();
+        let mut all = Vec::new();
         for (name, own) in ranges {
-            let info = self.params.find(name.as_ref())?;
+            let name = name.as_ref();
+            if Self::is_matrix(name) {
+                let parts = self.placed_by(name, own)?;
+                all.extend(parts.into_iter().map(|(name, own)| (name, Cow::Owned(own))));
+            } else {
+                all.push((name.to_owned(), Cow::Borrowed(own)));
+            }
+        }
+        for (name, own) in &all {
+            if matches!(own, Cow::Owned(_)) {
+                self.make_movable(&[name])?;
+            }
+        }
+        let mut values = self.params.values().to_vec();
+        for (name, own) in &all {
+            let info = self.params.find(name)?;
             if own.len() != info.shape.len() {
                 return Err(RenderError::ParameterLength {
                     name: info.name.clone(),
@@ -788,7 +810,22 @@ impl Scene {
         {
             return Err(RenderError::Discontinuous { culprit });
         }
+        if matches!(S::Bsdf::DIRECT, Direct::Reparameterised { .. })
+            && let Some(shape) = self.curves()
+        {
+            let culprit = format!(
+                "the outlines of the curves `{}`, which are not known",
+                shape.name
+            );
+            return Err(RenderError::Discontinuous { culprit });
+        }
         Ok(())
+    }
+
+    /// A shape that is made of curves, whose outlines nobody knows.
+    pub(crate) fn curves(&self) -> Option<&ShapeInfo> {
+        let mut all = self.infos.iter().zip(&self.geometry.shapes);
+        all.find_map(|(info, shape)| matches!(shape, AnyShape::Curves(_)).then_some(info))
     }
 
     /// Something that makes the integrand at a surface discontinuous in direction: an [`Scene::outline`] or a
@@ -825,8 +862,8 @@ impl Scene {
             return Some(format!("the outline of the light `{}`", info.name));
         }
         let convex = |s: &AnyShape| {
-            use AnyShape::{Cylinder, Instance, Mesh};
-            !matches!(s, Mesh(_) | Instance(_) | Cylinder(_))
+            use AnyShape::{Curves, Cylinder, Instance, Mesh};
+            !matches!(s, Mesh(_) | Instance(_) | Cylinder(_) | Curves(_))
         };
         match (&self.infos[..], &self.geometry.shapes[..]) {
             ([], _) => None,

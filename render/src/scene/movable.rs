@@ -2,9 +2,9 @@
 
 use super::{Scene, ShapeInfo, sensor};
 use crate::accel::MAX_COORDINATE;
-use crate::bsdf::nesting::scatters_deltas;
+use crate::bsdf::nesting::{reads_axes, scatters_deltas};
 use crate::bsdf::{Bsdf, Material, TextureRef};
-use crate::camera::FovAxis;
+use crate::camera::{FovAxis, Optic};
 use crate::emitter::{AnyEmitter, Emitter};
 use crate::error::RenderError;
 use crate::estimator::{Follows, Strategy};
@@ -29,6 +29,8 @@ const SCALES: (f64, f64) = (1e-6, 1e6);
 const NORMALS: (f64, f64) = (-1e6, 1e6);
 /// Angles of view in degrees.
 const ANGLES: (f64, f64) = (1e-3, 179.0);
+/// Radii of lenses, and distances of focus.
+const LENGTHS: (f64, f64) = (1e-6, MAX_COORDINATE as f64);
 
 /// Something that may move: a parameter to be ([`Scene::make_movable`]).
 #[derive(Clone, Debug, PartialEq)]
@@ -41,7 +43,7 @@ pub struct Movable {
     pub valid: (f64, f64),
     /// What it does to light.
     pub kind: ParamKind,
-    what: What,
+    pub(super) what: What,
 }
 
 /// What a parameter moves.
@@ -51,7 +53,7 @@ pub(super) enum What {
     Vertices(u32),
     Normals(u32),
     Camera(Freedom),
-    Fov,
+    Optic(Optic),
     Emitter(u32),
 }
 
@@ -64,6 +66,8 @@ pub(super) enum Freedom {
 }
 
 impl Freedom {
+    pub const ALL: [Self; 3] = [Self::Translation, Self::Rotation, Self::Scale];
+
     fn key(self) -> &'static str {
         match self {
             Self::Translation => "translation",
@@ -88,7 +92,7 @@ impl Freedom {
     }
 
     /// Its values at rest.
-    fn rest(self) -> &'static [f32] {
+    pub fn rest(self) -> &'static [f32] {
         match self {
             Self::Scale => &[1.0],
             _ => &[0.0; 3],
@@ -151,10 +155,12 @@ impl Scene {
     ///   Neither they nor the scale are there under a bump map, whose heights are in units of the scene.
     /// * `NAME.vertex_normals` of a mesh whose file gives normals: their directions at all vertices, before it moves as a
     ///   whole. They may have any length but zero. Under a bump map they are not there.
-    /// * `sensor.translation`, `sensor.rotation` (about the pinhole), and `sensor.fov` in degrees, of pinholes.
+    /// * `sensor.translation`, `sensor.rotation` (about its origin: the pinhole, the middle of the lens or of the film), and
+    ///   `sensor.fov` in degrees, unless rays are parallel; `sensor.aperture_radius` and `sensor.focus_distance` of a thin lens.
     /// * `NAME.position` of point and spot lights, world space; `NAME.rotation` of environment maps and lobes.
     ///
-    /// Mitsuba's keys stand for these where they mean the same: `positions`, and `x_fov` where that is the angle.
+    /// Mitsuba's keys stand for these where they mean the same: `positions`, and `x_fov`, of the
+    /// sensor or its class, where that is the angle. Matrices are set and read ([`Scene::to_world`]).
     pub fn movables(&self) -> Vec<Movable> {
         let mut all = Vec::new();
         let part = |name: &str, part: Freedom, kind, what| Movable {
@@ -164,14 +170,18 @@ impl Scene {
             kind,
             what,
         };
-        let parts = [Freedom::Translation, Freedom::Rotation, Freedom::Scale];
         for ((i, info), shape) in (0..).zip(&self.infos).zip(&self.geometry.shapes) {
             let bumped = matches!(
                 *self.materials[info.material as usize],
                 Material::Charted(_)
             );
-            let fits = |p: &Freedom| !(bumped && *p == Freedom::Scale);
-            for p in parts.into_iter().filter(fits) {
+            let is_curve = matches!(shape, AnyShape::Curves(_));
+            let fits = |p: &Freedom| match p {
+                Freedom::Translation => true,
+                Freedom::Rotation => !is_curve,
+                Freedom::Scale => !(bumped || is_curve),
+            };
+            for p in Freedom::ALL.into_iter().filter(fits) {
                 let what = What::Shape(i, p);
                 all.push(part(&info.name, p, ParamKind::Position, what));
             }
@@ -204,16 +214,22 @@ impl Scene {
                 });
             }
         }
-        if self.camera.is_pinhole() {
-            for p in [Freedom::Translation, Freedom::Rotation] {
-                all.push(part("sensor", p, ParamKind::Camera, What::Camera(p)));
-            }
+        for p in [Freedom::Translation, Freedom::Rotation] {
+            all.push(part("sensor", p, ParamKind::Camera, What::Camera(p)));
+        }
+        let optics = [
+            (Optic::Fov, ANGLES),
+            (Optic::Aperture, LENGTHS),
+            (Optic::Focus, LENGTHS),
+        ];
+        let there = |(optic, _): &(Optic, _)| self.camera.value_of(*optic).is_some();
+        for (optic, valid) in optics.into_iter().filter(there) {
             all.push(Movable {
-                name: "sensor.fov".into(),
+                name: format!("sensor.{}", optic.key()),
                 shape: ParamShape::Scalar,
-                valid: ANGLES,
+                valid,
                 kind: ParamKind::Camera,
-                what: What::Fov,
+                what: What::Optic(optic),
             });
         }
         for (i, e) in (0..).zip(&self.emitters) {
@@ -287,7 +303,8 @@ impl Scene {
     /// they are: a list may hold those of any. Until then, what may move takes no room and no time.
     ///
     /// # Errors
-    /// A name that nothing has, or an angle of view that no parameter may have. The names before it are parameters then.
+    /// A name that nothing has, a matrix, or an angle of view that no parameter may have. The names before it are parameters
+    /// then.
     ///
     /// ```
     /// use render::Scene;
@@ -313,6 +330,7 @@ impl Scene {
             if self.params.matching(given).is_ok() {
                 continue;
             }
+            self.refuse_matrix(given)?;
             let name = self.canonical(given);
             let all = movables.get_or_insert_with(|| self.movables());
             let found: Vec<_> = all
@@ -322,7 +340,10 @@ impl Scene {
                 .collect();
             if found.is_empty() {
                 let known = self.params.infos().iter().map(|i| &i.name);
-                let known = known.chain(all.iter().map(|m| &m.name));
+                // Of another axis, `sensor.fov` is that angle.
+                let close = |m: &&Movable| !self.is_x_fov(&name) || m.name == "sensor.fov";
+                let known = known.filter(|_| !self.is_x_fov(&name));
+                let known = known.chain(all.iter().filter(close).map(|m| &m.name));
                 return Err(RenderError::unknown_parameter(&name, known));
             }
             for found in found {
@@ -373,16 +394,30 @@ impl Scene {
         if let Some(shape) = name.strip_suffix(".positions") {
             return format!("{shape}.vertex_positions");
         }
-        if name == "sensor.x_fov" && self.camera.fov().1 == FovAxis::X {
+        if self.is_x_fov(name) && self.camera.fov().1 == FovAxis::X {
             return "sensor.fov".into();
         }
         name.into()
     }
 
+    /// Whether this is Mitsuba's name of the angle of view along x: of a sensor with its id, or its class.
+    fn is_x_fov(&self, name: &str) -> bool {
+        (name.strip_suffix(".x_fov")).is_some_and(|of| self.is_sensor(of))
+    }
+
+    /// Whether this is the sensor that is looked through: so called, by its id, or by Mitsuba's name of its class.
+    pub(super) fn is_sensor(&self, name: &str) -> bool {
+        let own = self.sensors.get(self.through).map(|s| s.name.as_str());
+        let classes = ["PerspectiveCamera", "ThinLensCamera", "OrthographicCamera"];
+        name == "sensor" || classes.contains(&name) || Some(name) == own
+    }
+
     fn materialise(&mut self, movable: &Movable) -> Result<ParamRef, RenderError> {
         let values = match movable.what {
             What::Shape(_, part) | What::Camera(part) => part.rest().to_vec(),
-            What::Fov => vec![self.camera.fov().0 as f32],
+            What::Optic(optic) => {
+                (self.camera.value_of(optic)).map_or(Vec::new(), |value| vec![value as f32])
+            }
             What::Vertices(shape) => match self.geometry.at_rest(shape) {
                 AnyShape::Mesh(mesh) => mesh.point_positions(),
                 AnyShape::Instance(instance) if instance.has_foreign_normals() => {
@@ -459,34 +494,58 @@ impl Scene {
             What::Vertices(shape) => self.geometry.free_vertices(shape, p),
             What::Normals(shape) => self.geometry.free_normals(shape, p),
             What::Camera(part) => *part.of(self.camera.placement()) = Some(p),
-            What::Fov => self.camera.set_fov(p),
+            What::Optic(optic) => self.camera.set_optic(optic, p),
             What::Emitter(e) => self.emitters[e as usize].make_movable(p),
         }
         Ok(p)
     }
 
-    /// Whether paths whose vertices move with this parameter have a derivative in it: nothing may scatter along Dirac
-    /// deltas, textures may not jump where they slide, and the camera has to be a pinhole.
+    /// Whether something scatters along Dirac deltas: mirrors, smooth glass, holes.
+    pub(crate) fn scatters_deltas(&self) -> bool {
+        self.delta_scatterer().is_some()
+    }
+
+    fn delta_scatterer(&self) -> Option<&ShapeInfo> {
+        let smooth = |i: &&ShapeInfo| scatters_deltas(&self.materials[i.material as usize]);
+        self.infos.iter().find(smooth)
+    }
+
+    /// Whether paths whose vertices move with this parameter have a derivative in it: textures may not jump where they slide,
+    /// and nothing may scatter along Dirac deltas but where directions follow outlines that auxiliary rays find.
     ///
     /// # Errors
     /// Names the parameter, and the shape. None for parameters that move nothing.
-    pub fn admits_motion(&self, info: &ParamInfo) -> Result<(), RenderError> {
+    pub fn admits_motion<S: Strategy>(&self, info: &ParamInfo) -> Result<(), RenderError> {
         if !info.kind.is_motion() {
             return Ok(());
-        }
-        if !self.camera.is_pinhole() {
-            return Err(RenderError::Motion {
-                name: info.name.clone(),
-                culprit: "the camera is no pinhole".into(),
-            });
         }
         let refuse = |shape: &ShapeInfo, why: &str| RenderError::Motion {
             name: info.name.clone(),
             culprit: format!("`{}` {why}", shape.name),
         };
-        let smooth = |i: &&ShapeInfo| scatters_deltas(&self.materials[i.material as usize]);
-        if let Some(shape) = self.infos.iter().find(smooth) {
+        if let Some(shape) = self.curves() {
+            let why =
+                "is made of curves, whose outlines are not known: nothing moves in their sight";
+            return Err(refuse(shape, why));
+        }
+        if S::FOLLOWS.rays() == 0
+            && let Some(shape) = self.delta_scatterer()
+        {
             let why = "scatters along a Dirac delta, between vertices of which one moves";
+            return Err(refuse(shape, why));
+        }
+        let mut all = self.infos.iter().zip(self.shapes());
+        let axes_jump = |(own, shape): &(&ShapeInfo, &AnyShape)| {
+            reads_axes(&self.materials[own.material as usize])
+                && match shape {
+                    AnyShape::Mesh(mesh) => mesh.axes_jump(),
+                    AnyShape::Instance(instance) => instance.copied().axes_jump(),
+                    _ => false,
+                }
+        };
+        if let Some((shape, _)) = all.find(axes_jump) {
+            let why = "has a brushed material or mapped normals, and smooth normals that cross the plane of x and y where no \
+                       texture coordinates say how axes lie around them";
             return Err(refuse(shape, why));
         }
         let p = self.params.handle(info);
@@ -510,7 +569,7 @@ impl Scene {
     /// edges, if it has any. Where directions follow outlines, they slide over everything: no texture may jump then. Shadows of
     /// lights that no scattered light meets are drawn from the light, if it is a point or a spot, for samples of edges alone
     /// and only as the camera sees them. Directions that follow points of the film need a pixel filter whose derivative has
-    /// samples: a box or a Gaussian.
+    /// samples, a box or a Gaussian, and rays that leave one point of the camera's lens.
     ///
     /// # Errors
     /// Names the parameter, and what is in the way. None for parameters that move nothing.
@@ -532,6 +591,9 @@ impl Scene {
         let filter = &self.film.filter;
         if follows && info.kind == ParamKind::VertexNormals {
             return refuse("directions do not follow curves where normals turn away");
+        }
+        if follows && self.camera.parallel_direction().is_some() {
+            return refuse("directions do not follow curves where the camera's rays are parallel");
         }
         let mut all = self.infos.iter().zip(self.shapes());
         if follows && let Some((own, _)) = all.find(|(own, shape)| self.jumps(own, shape)) {
@@ -582,13 +644,24 @@ impl Scene {
     /// What has outlines that are not known in closed form where this parameter moves, if anything has.
     fn without_closed_outlines(&self, info: &ParamInfo) -> Option<String> {
         let p = self.params.handle(info);
-        if self.camera.zooms(p) {
-            return Some("the angle of view spreads directions, which has no closed form".into());
+        match self.camera.optic_of(p) {
+            None => {}
+            Some(Optic::Fov) => {
+                return Some(
+                    "the angle of view spreads directions, which has no closed form".into(),
+                );
+            }
+            Some(Optic::Aperture | Optic::Focus) => {
+                return Some("lenses bend directions, which has no closed form".into());
+            }
         }
         let round = |shape: &AnyShape| match shape {
             AnyShape::Rectangle(_) | AnyShape::Cube(_) | AnyShape::Sphere(_) => false,
             AnyShape::Mesh(mesh) => !mesh.data().normals.is_empty(),
-            AnyShape::Disk(_) | AnyShape::Cylinder(_) | AnyShape::Instance(_) => true,
+            AnyShape::Disk(_)
+            | AnyShape::Cylinder(_)
+            | AnyShape::Instance(_)
+            | AnyShape::Curves(_) => true,
         };
         for ((i, own), shape) in (0..).zip(&self.infos).zip(self.shapes()) {
             if round(shape) {
@@ -624,7 +697,7 @@ impl Scene {
     /// Whether a texture of a shape does: between texels, or where its coordinates begin again.
     fn jumps(&self, info: &ShapeInfo, shape: &AnyShape) -> bool {
         let around = match shape {
-            AnyShape::Sphere(_) | AnyShape::Cylinder(_) => Some(0),
+            AnyShape::Sphere(_) | AnyShape::Cylinder(_) | AnyShape::Curves(_) => Some(0),
             AnyShape::Disk(_) => Some(1),
             _ => None,
         };

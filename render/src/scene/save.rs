@@ -6,17 +6,18 @@ use std::sync::Arc;
 
 use super::Scene;
 use super::movable::What;
-use crate::camera::FovAxis;
+use super::stand_ins::{WRAPPERS, stand_in};
+use crate::camera::{FovAxis, Optic};
 use crate::emitter::Emitter;
 use crate::error::SceneError;
 use crate::files;
-use crate::film::Image;
+use crate::film::{Image, PIXELS};
 use crate::image_io;
 use crate::math::{Transform, each};
 use crate::params::{ParamInfo, ParamRef, ParamShape, Params};
 use crate::plugin::xml::{Content, Rewrite, written};
 use crate::plugin::{Node, Origins, address};
-use crate::shape::{AnyShape, MERGED};
+use crate::shape::{AnyShape, MERGED, plain_obj};
 
 /// What a scene was read from.
 #[derive(Debug)]
@@ -27,7 +28,7 @@ pub(super) struct Source {
     fixed: Vec<(u32, Vec<f32>)>,
     /// Parameters that move something, with the values at which it is where the file has it.
     moving: Vec<(ParamRef, What, Vec<f32>)>,
-    places: Places,
+    pub places: Places,
 }
 
 /// Where in the file things are that may move.
@@ -57,6 +58,8 @@ struct Change {
     placed: Option<Transform>,
     /// Degrees, and what they refer to.
     fov: Option<(f32, FovAxis)>,
+    /// What else changes of a sensor's optics.
+    optics: Vec<(Optic, f32)>,
     position: Option<[f32; 3]>,
     direction: Option<[f64; 3]>,
     /// The shape whose mesh it names from now on.
@@ -91,7 +94,7 @@ impl Source {
     }
 
     /// The only node at this address. One that several things were made of, as they refer to it, cannot be changed.
-    fn node(&self, at: usize) -> Option<&Node> {
+    pub fn node(&self, at: usize) -> Option<&Node> {
         let mut standing = Vec::new();
         stand(&self.root, &mut standing);
         let mut found = standing.into_iter().filter(|n| address(n) == at);
@@ -111,8 +114,10 @@ fn stand<'n>(node: &'n Node, out: &mut Vec<&'n Node>) {
 
 impl Scene {
     /// Writes the scene, with the parameters that it has now, as a file that this renderer and Mitsuba 3 read: images of
-    /// texels as OpenEXR in the folder `textures` beside it, meshes copied into `meshes`. What has moved as a whole has
-    /// another `to_world` (lights at a point another `position`), and sensors another `fov`. Meshes whose points have moved
+    /// texels as OpenEXR in the folder `textures` beside it, meshes copied into `meshes` (OBJ files that Mitsuba does not read,
+    /// with lines that go on, indices from the end or line ends of old, are written anew). What stands in for another
+    /// plugin is written itself: `path`, `independent`, `hdrfilm`. What has moved as a whole has another `to_world` (lights at a
+    /// point another `position`), and sensors another `fov` or another lens. Meshes whose points have moved
     /// or are displaced, which Mitsuba does not know, are written as PLY files, world space, with the normals and texture
     /// coordinates that they have. What has no effect here is written as it was read. Returns all files, the scene last.
     ///
@@ -195,7 +200,11 @@ impl Scene {
         for (from, to) in copies {
             make(&to)?;
             let bytes = files::read(&from, u64::MAX)?;
-            image_io::write_atomically(&to, &bytes)?;
+            let plain = match from.extension() {
+                Some(ending) if ending.eq_ignore_ascii_case("obj") => plain_obj(&bytes),
+                _ => None,
+            };
+            image_io::write_atomically(&to, plain.as_deref().unwrap_or(&bytes))?;
             all.push(to);
         }
         make(path)?;
@@ -225,7 +234,9 @@ impl Scene {
                         .filter(|p| !p.has_attributes || matches!(what, What::Shape(..)))
                         .map(|p| p.node)
                 }
-                What::Camera(_) | What::Fov => source.places.sensors.get(self.through).copied(),
+                What::Camera(_) | What::Optic(_) => {
+                    source.places.sensors.get(self.through).copied()
+                }
                 What::Emitter(e) => emitters.iter().find(|(i, _)| *i == e).map(|(_, at)| *at),
             };
             let node = at.and_then(|at| source.node(at));
@@ -239,7 +250,8 @@ impl Scene {
                 }
                 What::Vertices(shape) | What::Normals(shape) => change.mesh = Some(shape),
                 What::Camera(_) => change.placed = Some(self.camera.displacement(&self.params)),
-                What::Fov => change.fov = Some((values[0], self.camera.fov().1)),
+                What::Optic(Optic::Fov) => change.fov = Some((values[0], self.camera.fov().1)),
+                What::Optic(optic) => change.optics.push((optic, values[0])),
                 What::Emitter(e) => {
                     let emitter = &self.emitters[e as usize];
                     let key = emitter.mobility().map_or("", |(key, _)| key);
@@ -328,6 +340,9 @@ impl Writing<'_> {
             out.push(("fov", Content::Scalar(degrees)));
             out.push(("fov_axis", Content::Text(axis.name())));
         }
+        for (optic, value) in &change.optics {
+            out.push((optic.key(), Content::Scalar(*value)));
+        }
         if let Some(position) = change.position {
             out.push(("position", Content::Point(position)));
         }
@@ -360,9 +375,33 @@ impl Writing<'_> {
     }
 }
 
+impl Writing<'_> {
+    /// Attributes of what stands in for another plugin, where they are not its defaults.
+    fn substituted(&self, node: &Node) -> Vec<(&'static str, Content)> {
+        let settings = &self.scene.settings;
+        match (node.tag.as_str(), stand_in(node)) {
+            ("integrator", Some(_)) => {
+                let depth = i32::try_from(settings.max_depth).map_or(-1, i64::from);
+                vec![("max_depth", Content::Integer(depth))]
+            }
+            ("film", Some(_)) if node.has("pixel_format") => {
+                let asked = node.choice("pixel_format", PIXELS).ok().flatten();
+                let alpha = asked.is_some_and(|(alpha, _)| alpha);
+                vec![(
+                    "pixel_format",
+                    Content::Text(if alpha { "rgba" } else { "rgb" }),
+                )]
+            }
+            _ => Vec::new(),
+        }
+    }
+}
+
 impl Rewrite for Writing<'_> {
     fn values(&mut self, node: &Node) -> Vec<(String, Content)> {
         let mut out = self.moved(node);
+        let substituted = self.substituted(self.inside(node));
+        out.extend(substituted.into_iter().map(|(key, x)| (key.to_owned(), x)));
         let Some(origin) = self.origins.of(node) else {
             return out;
         };
@@ -390,17 +429,41 @@ impl Rewrite for Writing<'_> {
             "focal_length" => change.fov.is_some(),
             _ => false,
         });
+        let inside = self.inside(node);
+        let idle = stand_in(inside)
+            .is_some_and(|(_, kept)| !kept.contains(&name) && inside.child(name).is_none());
         moved
+            || idle
+            // Indices are those against it.
+            || name == "ext_eta"
             || self.origins.of(node).is_some_and(|origin| match name {
-                "layer" => origin.image.is_some(),
+                "layer" | "gamma" => origin.image.is_some(),
                 // Its indices are written themselves.
                 "material" => origin.values.contains_key("eta"),
                 _ => false,
             })
     }
 
+    fn inside<'n>(&self, mut node: &'n Node) -> &'n Node {
+        let tag = node.tag.as_str();
+        // Factors on textures are in their texels; only the image of the integrator inside is made.
+        let wrapper = |node: &Node| match tag {
+            "integrator" => WRAPPERS.contains(&node.plugin.as_str()),
+            "texture" => node.plugin == "scale",
+            _ => false,
+        };
+        while wrapper(node) {
+            match node.parts().find(|part| part.tag == tag) {
+                Some(part) => node = part,
+                None => break,
+            }
+        }
+        node
+    }
+
     fn plugin(&self, node: &Node) -> Option<&'static str> {
-        self.mesh(node).map(|_| "ply")
+        let mesh = self.mesh(node).map(|_| "ply");
+        mesh.or(stand_in(node).map(|(plugin, _)| plugin))
     }
 
     fn file(&mut self, node: &Node, path: Option<PathBuf>, name: &str) -> String {

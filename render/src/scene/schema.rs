@@ -8,7 +8,7 @@ use super::load::{Reading, plugins};
 use super::{LoadOptions, Scene};
 use crate::error::SceneError;
 use crate::plugin::Node;
-use crate::plugin::xml::{Document, Kind};
+use crate::plugin::xml::{ANYTHING, Document, Kind, old_attributes};
 
 /// What a plugin asks for: names, and what may stand there.
 type Asked = BTreeMap<String, BTreeSet<Kind>>;
@@ -16,20 +16,26 @@ type Asked = BTreeMap<String, BTreeSet<Kind>>;
 /// So many attributes that a plugin cannot do without are found out one after another.
 const MOST_NEEDED: usize = 8;
 
+/// Plugins of before version 2 that become others.
+const OLD: &[(&str, &str)] = &[("bsdf", "mixturebsdf")];
+
 /// Elements that any plugin may have besides its own, and what all of them consist of.
 const COMMON: &str = r#"<define name="value"><attribute name="value"/></define>
 <define name="name"><optional><attribute name="name"/></optional></define>
 <define name="id"><optional><attribute name="id"/></optional></define>
 <define name="coordinates"><choice><ref name="value"/><group><attribute name="x"/><attribute name="y"/>
 <attribute name="z"/></group></choice></define>
-<define name="spectrum"><choice><ref name="value"/><attribute name="filename"/><group><attribute name="type"/>
+<define name="spectrum"><choice><ref name="colour"/><attribute name="filename"/><group><attribute name="type"/>
 <ref name="inside"/></group></choice></define>
-<define name="operations"><zeroOrMore><element><choice><name>lookat</name><name>matrix</name><name>rotate</name>
+<define name="colour"><ref name="value"/><optional><attribute name="intent"/></optional></define>
+<define name="blackbody"><attribute name="temperature"/><optional><attribute name="scale"/></optional></define>
+<define name="operations"><zeroOrMore><element><choice><name>lookat</name><name>lookAt</name><name>matrix</name><name>rotate</name>
 <name>scale</name><name>translate</name></choice><zeroOrMore><attribute><anyName/></attribute></zeroOrMore></element>
 </zeroOrMore></define>
 <define name="reference"><element name="ref"><attribute name="id"/><ref name="name"/></element></define>
-<define name="inside"><zeroOrMore><element><anyName/><zeroOrMore><attribute><anyName/></attribute></zeroOrMore>
-<ref name="inside"/></element></zeroOrMore></define>
+<define name="inside"><zeroOrMore><ref name="anything"/></zeroOrMore></define>
+<define name="anything"><element><anyName/><zeroOrMore><attribute><anyName/></attribute></zeroOrMore><ref name="inside"/>
+</element></define>
 <define name="directives"><choice><ref name="reference"/>
 <element name="include"><attribute name="filename"/></element>
 <element name="path"><ref name="value"/></element>
@@ -38,9 +44,10 @@ const COMMON: &str = r#"<define name="value"><attribute name="value"/></define>
 "#;
 
 impl Scene {
-    /// A schema of scene files of version 2 and 3, RELAX NG in its XML syntax: every plugin with its attributes and what
-    /// may stand there. It is made by asking: each plugin is built, and what it asks for is written down. Names from
-    /// before version 2, which are upgraded, and plugins that others stand in for are not in it.
+    /// A schema of scene files, RELAX NG in its XML syntax: every plugin with its attributes and what may stand there. It is
+    /// made by asking: each plugin is built, and what it asks for is written down. Names from before version 2, which are
+    /// upgraded, are in it in their own case and with the attributes that they are given; where another plugin stands in,
+    /// anything may stand inside.
     ///
     /// # Does not handle
     /// Which attributes a plugin cannot do without, or not have together, and what values mean: [`Scene::check`] does.
@@ -57,12 +64,20 @@ impl Scene {
         out.push_str(COMMON);
         for (tag, plugins) in &all {
             let _ = writeln!(out, "<define name=\"{tag}\"><choice>");
-            for plugin in plugins {
+            let old = OLD
+                .iter()
+                .filter(|(of, _)| of == tag)
+                .map(|(_, plugin)| plugin);
+            for plugin in plugins.iter().chain(old.clone()) {
                 let _ = writeln!(out, "<ref name=\"{tag}.{plugin}\"/>");
             }
             out.push_str("</choice></define>\n");
             for plugin in plugins {
                 define(&mut out, tag, plugin, &asked_by(tag, plugin));
+            }
+            for plugin in old {
+                let anything = (ANYTHING.to_owned(), BTreeSet::from([Kind::Either]));
+                define(&mut out, tag, plugin, &Asked::from([anything]));
             }
         }
         out.push_str("</grammar>\n");
@@ -85,19 +100,53 @@ fn define(out: &mut String, tag: &str, plugin: &str, asked: &Asked) {
     if asked.iter().any(nested) && !asked.contains_key("<texture>") {
         out.push_str("<ref name=\"texture\"/>\n");
     }
-    for (name, kinds) in asked {
+    let old = old_attributes(tag, plugin, asked);
+    let all = (asked.iter().map(|(name, kinds)| (name.as_str(), kinds)))
+        .chain(old.iter().map(|(name, kinds)| (*name, kinds)));
+    for (name, kinds) in all {
+        if name == ANYTHING {
+            out.push_str("<ref name=\"anything\"/>\n");
+            continue;
+        }
         if let Some(tag) = name.strip_prefix('<') {
             let _ = writeln!(out, "<ref name=\"{}\"/>", tag.trim_end_matches('>'));
             continue;
         }
+        let values: String = (spellings(name).iter())
+            .map(|name| format!("<value>{name}</value>"))
+            .collect();
         for (element, content) in elements(kinds) {
             let _ = writeln!(
                 out,
-                "<element name=\"{element}\"><attribute name=\"name\"><value>{name}</value></attribute>{content}</element>"
+                "<element name=\"{element}\"><attribute name=\"name\"><choice>{values}</choice></attribute>{content}</element>"
             );
         }
     }
     out.push_str("</choice></zeroOrMore></element></define>\n");
+}
+
+/// A name, and how files of before version 2 spell it: `int_ior`, `intIor`, `intIOR`.
+fn spellings(name: &str) -> Vec<String> {
+    let mut all = vec![name.to_owned()];
+    let words: Vec<&str> = name.split('_').collect();
+    let plain = |word: &&str| word.starts_with(|c: char| c.is_ascii_lowercase());
+    if words.len() < 2 || !words.iter().all(plain) {
+        return all;
+    }
+    let capital = |word: &str| format!("{}{}", word[..1].to_ascii_uppercase(), &word[1..]);
+    let first = words[..words.len() - 1].iter().enumerate();
+    let first: String = first
+        .map(|(i, word)| match i {
+            0 => (*word).to_owned(),
+            _ => capital(word),
+        })
+        .collect();
+    let last = words[words.len() - 1];
+    all.push(format!("{first}{}", capital(last)));
+    if (2..=3).contains(&last.len()) {
+        all.push(format!("{first}{}", last.to_ascii_uppercase()));
+    }
+    all
 }
 
 /// The elements that may stand for what is asked for, and what they consist of besides their name.
@@ -105,10 +154,12 @@ fn elements(kinds: &BTreeSet<Kind>) -> Vec<(&'static str, &'static str)> {
     const VALUE: &str = "<ref name=\"value\"/>";
     const COORDINATES: &str = "<ref name=\"coordinates\"/>";
     const NUMBERS: [(&str, &str); 2] = [("float", VALUE), ("integer", VALUE)];
-    const COLOURS: [(&str, &str); 3] = [
-        ("rgb", VALUE),
+    const COLOUR: &str = "<ref name=\"colour\"/>";
+    const COLOURS: [(&str, &str); 4] = [
+        ("blackbody", "<ref name=\"blackbody\"/>"),
+        ("rgb", COLOUR),
         ("spectrum", "<ref name=\"spectrum\"/>"),
-        ("srgb", VALUE),
+        ("srgb", COLOUR),
     ];
     let mut all = BTreeSet::new();
     for kind in kinds {

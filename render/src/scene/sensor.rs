@@ -67,6 +67,11 @@ impl Scene {
         sensor_called(&self.sensors, name)
     }
 
+    /// The number of the sensor that is looked through.
+    pub fn sensor_number(&self) -> usize {
+        self.through
+    }
+
     /// Looks through the sensor of this number from now on: at its resolution, with its samples per pixel, and all
     /// pixels sampled alike.
     ///

@@ -29,6 +29,7 @@ pub(crate) fn charted(shape: &AnyShape) -> Result<(AnyShape, Chart), &'static st
         AnyShape::Cube(cube) => charted_mesh(&of_cube(cube).ok_or(DEGENERATE)?),
         AnyShape::Mesh(mesh) => charted_mesh(mesh),
         AnyShape::Instance(instance) => charted_mesh(&instance.copied()),
+        AnyShape::Curves(_) => Err("a surface that is no curve"),
     }
 }
 

@@ -302,6 +302,23 @@ impl Shape for Cylinder {
     }
 }
 
+impl Cylinder {
+    /// What takes the cylinder of radius one along the z axis, from zero to one, to the one that a node describes, without its
+    /// `to_world`.
+    pub(super) fn local(node: &Node) -> Result<Transform, SceneError> {
+        let p0 = node.point("p0")?.unwrap_or([0.0; 3]);
+        let p1 = node.point("p1")?.unwrap_or([0.0, 0.0, 1.0]);
+        let radius = node.float_or("radius", 1.0)?;
+        let axis = Vec3::from(p1) - Vec3::from(p0);
+        let frame = Frame::from_normal(axis.normalize());
+        let columns = [frame.s * radius, frame.t * radius, axis];
+        Ok(Transform {
+            linear: [0, 1, 2].map(|i: usize| columns.map(|c| c[i])),
+            translation: p0,
+        })
+    }
+}
+
 impl FromNode for Cylinder {
     const PLUGINS: &'static [&'static str] = &["cylinder"];
 

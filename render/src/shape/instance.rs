@@ -39,7 +39,8 @@ struct Placed {
     bounds: [[f32; 3]; 2],
     /// Largest coordinate, here or, carried, before.
     extent: f32,
-    area: f64,
+    /// Once somebody asks for it: a scene may have many instances.
+    area: OnceLock<f64>,
     /// Running sums of the triangles' areas, once somebody samples them.
     cdf: OnceLock<Vec<f64>>,
 }
@@ -68,7 +69,7 @@ impl Instance {
             to_world,
             bounds: [[f32::INFINITY; 3], [f32::NEG_INFINITY; 3]],
             extent: 0.0,
-            area: 0.0,
+            area: OnceLock::new(),
             cdf: OnceLock::new(),
         };
         let data = placed.mesh.data();
@@ -90,11 +91,9 @@ impl Instance {
         if placed.extent.is_nan() || placed.extent > MAX_COORDINATE {
             return Err(misplaced());
         }
-        let count = placed.mesh.data().triangles.len();
-        placed.area = (0..count)
-            .map(|i| placed.triangle(i).double_area() * 0.5)
-            .sum();
-        if placed.area.is_nan() || placed.area <= 0.0 {
+        // One with an area is enough, and most have one.
+        let mut areas = (0..placed.mesh.data().triangles.len()).map(|i| placed.area_of(i));
+        if !areas.any(|area| area > 0.0) {
             return Err(misplaced());
         }
         Ok(Self(Arc::new(placed)))
@@ -156,6 +155,20 @@ impl Placed {
     #[inline(always)]
     fn point(&self, p: [f32; 3]) -> [f32; 3] {
         each(self.to_world.point(each(p, f64::from)), |x| x as f32)
+    }
+
+    /// That of a triangle in the world.
+    fn area_of(&self, i: usize) -> f64 {
+        let data = self.mesh.data();
+        let at = corners(&data.positions, data.triangles[i]).map(|p| self.point(p));
+        0.5 * Triangle::new(at, false).double_area()
+    }
+
+    fn area(&self) -> f64 {
+        *self.area.get_or_init(|| {
+            let all = 0..self.mesh.data().triangles.len();
+            all.map(|i| self.area_of(i)).sum()
+        })
     }
 
     /// A triangle in the world. Reflections turn it around, and so it is turned around once more.
@@ -275,7 +288,7 @@ impl Shape for Instance {
             let third = triangle.point::<f64>(1.0 / 3.0, 1.0 / 3.0, None).p;
             sum += third * (0.5 * triangle.double_area());
         }
-        (sum * self.0.area.recip()).to_array()
+        (sum * self.0.area().recip()).to_array()
     }
 
     fn placed(&self, by: &Transform) -> Result<Self, String> {
@@ -292,7 +305,7 @@ impl Shape for Instance {
     }
 
     fn area(&self) -> f64 {
-        self.0.area
+        self.0.area()
     }
 
     /// The normal returned is the shading normal.
@@ -302,7 +315,7 @@ impl Shape for Instance {
             running_areas((0..count).map(|i| self.triangle(i)))
         });
         let (i, at) = choose(cdf, u);
-        (self.triangle(i as u32)).sampled(i as u32, at, self.0.area, None)
+        (self.triangle(i as u32)).sampled(i as u32, at, self.0.area(), None)
     }
 
     fn sample_surface<R: Real>(

@@ -77,6 +77,19 @@ impl Mesh {
         Self::with_normals(mesh, flip_normals, false)
     }
 
+    /// Whether the axes of the shading frame jump within a face, as normals do there that cross the plane of x and y where no
+    /// texture coordinates say how axes lie around them ([`Frame::from_normal`](crate::math::Frame::from_normal)).
+    pub(crate) fn axes_jump(&self) -> bool {
+        let mesh = &self.data.mesh;
+        let crosses = |t: &[u32; 3]| {
+            let below = t.map(|i| mesh.normals[i as usize][2].is_sign_negative());
+            below[1] != below[0] || below[2] != below[0]
+        };
+        let mut faces = mesh.triangles.iter().enumerate();
+        !mesh.normals.is_empty()
+            && faces.any(|(i, t)| crosses(t) && self.data.triangle(i).slopes() == [0.0; 2])
+    }
+
     /// The same of a mesh without normals, with those of [`smooth_normals`]: they follow the positions.
     ///
     /// # Errors
@@ -162,12 +175,13 @@ impl Mesh {
     }
 
     /// Reads a Wavefront OBJ file: positions, normals, texture coordinates and faces; polygons become
-    /// fans of triangles. Groups, materials, lines and points are ignored. As in Mitsuba 3, a file
-    /// without any normals gets smooth ones ([`smooth_normals`]), and `flip_v` turns v into 1 - v.
+    /// fans of triangles. Groups and materials are ignored. As in Mitsuba 3, a file
+    /// without any normals gets smooth ones ([`smooth_normals`]), and `flip_v` turns v into 1 - v. The second value says what
+    /// is no face and has no effect, such as lines and points, with the first line of each kind.
     ///
     /// # Errors
     /// Whatever is wrong, with the line where there is one.
-    pub fn from_obj(path: &Path, options: &ObjOptions) -> Result<Self, SceneError> {
+    pub fn from_obj(path: &Path, options: &ObjOptions) -> Result<(Self, Vec<String>), SceneError> {
         let text = files::read(path, MAX_BYTES)?;
         Self::from_obj_text(&text, path, options)
     }
@@ -180,13 +194,16 @@ impl Mesh {
         text: &[u8],
         path: &Path,
         options: &ObjOptions,
-    ) -> Result<Self, SceneError> {
+    ) -> Result<(Self, Vec<String>), SceneError> {
         let asset = |line: Option<u32>, expected: &str, found: &str| SceneError::Asset {
             path: path.into(),
             line,
             expected: expected.into(),
             found: found.into(),
         };
+        if text.starts_with(&[0xff, 0xfe]) || text.starts_with(&[0xfe, 0xff]) {
+            return Err(asset(Some(1), "text in UTF-8", "UTF-16"));
+        }
         let mut reader = ObjLines::new(text);
         // Points and lines have no surface; `ObjLines` does not let them through.
         let load = tobj::LoadOptions {
@@ -209,19 +226,29 @@ impl Mesh {
             append(&mut mesh, &model.mesh, options)
                 .map_err(|found| asset(None, "matching arrays in the file", found))?;
         }
+        let skipped: Vec<String> = (reader.skipped.iter())
+            .map(|(word, line)| {
+                format!("{}:{line}: {} has no effect", path.display(), quoted(word))
+            })
+            .collect();
         if mesh.triangles.is_empty() {
-            return Err(asset(None, "at least one face", "none"));
+            let found = match reader.skipped.first() {
+                Some((word, line)) => format!("none, but {} in line {line}", quoted(word)),
+                None => "none".to_owned(),
+            };
+            return Err(asset(None, "at least one face", &found));
         }
         if options.face_normals {
             mesh.normals = Vec::new();
         }
         let smooth = !options.face_normals && reader.counts[2] == 0;
-        Self::with_normals(mesh, options.flip_normals, smooth).map_err(|e| match e {
+        let mesh = Self::with_normals(mesh, options.flip_normals, smooth).map_err(|e| match e {
             SceneError::Parameter {
                 expected, found, ..
             } => asset(None, &expected, &found),
             other => other,
-        })
+        })?;
+        Ok((mesh, skipped))
     }
 
     /// The arrays.
@@ -643,7 +670,7 @@ impl Shape for Mesh {
     /// # Errors
     /// As [`Mesh::new`].
     fn update(&mut self, params: &Params) -> Result<(), String> {
-        self.follow(params)
+        self.update_vertices(params)
     }
 
     fn carries_frame(&self, prim: u32) -> bool {
@@ -853,7 +880,16 @@ struct ObjLines<'a> {
     layout: Option<[bool; 2]>,
     /// Why the current line was refused: expected, found.
     complaint: Option<(&'static str, String)>,
+    /// What lines begin with that make no geometry, of each kind the first.
+    skipped: Vec<(String, u32)>,
 }
+
+/// What says how faces belong together and are drawn.
+const OF_GROUPS: &[&str] = &[
+    "bevel", "c_interp", "d_interp", "g", "lod", "mg", "mtllib", "o", "s", "usemtl",
+];
+/// So many kinds of lines without effect are named at most.
+const MOST_SKIPPED: usize = 16;
 
 impl<'a> ObjLines<'a> {
     fn new(text: &'a [u8]) -> Self {
@@ -867,6 +903,7 @@ impl<'a> ObjLines<'a> {
             counts: [0; 3],
             layout: None,
             complaint: None,
+            skipped: Vec::new(),
         }
     }
 
@@ -927,6 +964,7 @@ impl<'a> ObjLines<'a> {
         while let Some(line) = self.logical_line() {
             let mut words = words(&line);
             let (kind, expected, kept) = match words.next().unwrap_or_default() {
+                b"" => continue,
                 b"f" => {
                     let layout = self.check_face(words)?;
                     if self.layout.replace(layout).is_some_and(|old| old != layout) {
@@ -943,7 +981,10 @@ impl<'a> ObjLines<'a> {
                 ),
                 b"vt" => (1, "`vt` with two or three numbers", 2),
                 b"vn" => (2, "`vn` with three numbers", 3),
-                _ => continue,
+                other => {
+                    self.skip(other);
+                    continue;
+                }
             };
             let name = ["v", "vt", "vn"][kind];
             self.current.extend(name.as_bytes());
@@ -977,6 +1018,15 @@ impl<'a> ObjLines<'a> {
             return Ok(());
         }
         Ok(())
+    }
+
+    /// Notes a line that makes no geometry.
+    fn skip(&mut self, word: &[u8]) {
+        let word = String::from_utf8_lossy(&word[..word.len().min(64)]);
+        let known = OF_GROUPS.contains(&&*word) || self.skipped.iter().any(|(w, _)| *w == word);
+        if !known && self.skipped.len() < MOST_SKIPPED {
+            self.skipped.push((word.into_owned(), self.line));
+        }
     }
 
     /// Whether the face has texture coordinates and normals. All its indices are in range.
@@ -1016,6 +1066,51 @@ impl<'a> ObjLines<'a> {
     }
 }
 
+/// An OBJ file in the form that other readers know, if it is in another one: with lines that go on behind a `\`, with
+/// indices that count from the end, or with line ends of old Macintoshes. Only its geometry is left then.
+pub(crate) fn plain_obj(text: &[u8]) -> Option<Vec<u8>> {
+    let ends = |pair: &[u8]| pair[0] == b'\r' && pair[1] != b'\n';
+    let mut odd = text.windows(2).any(ends) || text.ends_with(b"\r");
+    for line in text.split(|b| matches!(b, b'\n' | b'\r')) {
+        let mut words = words(line);
+        odd |= line.trim_ascii_end().ends_with(b"\\");
+        odd |= words.next() == Some(b"f") && words.any(|w| w.contains(&b'-'));
+    }
+    if !odd {
+        return None;
+    }
+    let mut lines = ObjLines::new(text);
+    let mut out = Vec::with_capacity(text.len());
+    loop {
+        // What is wrong was refused when the scene was read.
+        let line = lines.fill_buf().ok()?;
+        let n = line.len();
+        if n == 0 {
+            return Some(out);
+        }
+        let line = line.to_vec();
+        lines.consume(n);
+        if !line.starts_with(b"f") && !line.starts_with(b"g\nf") {
+            out.extend(line);
+            continue;
+        }
+        out.push(b'f');
+        for corner in words(&line).filter(|word| !matches!(*word, b"f" | b"g")) {
+            let indices = corner.split(|&b| b == b'/').enumerate().map(|(k, index)| {
+                let number = std::str::from_utf8(index).ok();
+                match number.and_then(|s| s.parse::<i64>().ok()) {
+                    Some(i) if i < 0 => (lines.counts[k] as i64 + i + 1).to_string(),
+                    Some(i) => i.to_string(),
+                    None => String::new(),
+                }
+            });
+            out.push(b' ');
+            out.extend(indices.collect::<Vec<_>>().join("/").bytes());
+        }
+        out.push(b'\n');
+    }
+}
+
 fn words(line: &[u8]) -> impl Iterator<Item = &[u8]> {
     line.split(u8::is_ascii_whitespace)
         .filter(|w| !w.is_empty())
@@ -1051,7 +1146,7 @@ impl FromNode for Mesh {
         let mesh = match node.plugin.as_str() {
             "ply" => super::ply::from_node(node, registry),
             "serialized" => super::serialized::from_node(node, registry),
-            _ => Self::from_obj_node(node),
+            _ => Self::from_obj_node(node, registry),
         }?;
         if node.child("displacement").is_none() {
             return Ok(mesh);
@@ -1066,7 +1161,7 @@ impl FromNode for Mesh {
 }
 
 impl Mesh {
-    fn from_obj_node(node: &Node) -> Result<Self, SceneError> {
+    fn from_obj_node(node: &Node, registry: &mut Registry) -> Result<Self, SceneError> {
         let to_world = node.transform("to_world")?.unwrap_or_default();
         let options = ObjOptions {
             to_world,
@@ -1077,6 +1172,8 @@ impl Mesh {
         let path = node
             .path("filename")?
             .ok_or_else(|| node.missing("filename", "an OBJ file"))?;
-        Self::from_obj(&path, &options)
+        let (mesh, skipped) = Self::from_obj(&path, &options)?;
+        registry.warnings.extend(skipped);
+        Ok(mesh)
     }
 }

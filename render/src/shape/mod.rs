@@ -12,9 +12,32 @@
 //! traced against ([`Shape::update`]). Of `theta`, functions over a scalar with tangents take the tangents.
 //!
 //! To add a shape: one file here, one line in `shapes!` below.
+//!
+//! What a pixel sees, and how that point moves as the ray turns:
+//!
+//! ```
+//! use ad_core::{Dual, Real, Vec3};
+//! use render::math::Ray;
+//! use render::params::Theta;
+//!
+//! let room = render::scene::room(64, 64)?;
+//! let ray = room.camera.ray(32.5f64, 40.5);
+//! let seen = room.intersect(&ray).expect("the room is closed");
+//! assert_eq!(seen.si.frame.n.dot(seen.si.n_geo).signum(), 1.0);
+//!
+//! // The same hit over dual numbers: how the point moves as the ray turns.
+//! type R = Dual<f64, 1>;
+//! let sideways = Vec3::new(R::var(0.0, 0), R::zero(), R::zero());
+//! let turning = Ray::new(Vec3::lift(ray.o), (Vec3::lift(ray.d) + sideways).normalize());
+//! let moving = room.intersect_moving(&Theta::<R>::still(), &turning).expect("the same");
+//! let velocity = moving.si.p.map(|x| x.eps[0]);
+//! assert!(velocity.dot(seen.si.n_geo).abs() < 1e-12 * velocity.length()); // it stays on the surface
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 mod chart;
 mod cube;
+mod curve;
 mod cylinder;
 mod disk;
 mod displacement;
@@ -29,10 +52,12 @@ mod vertices;
 
 pub(crate) use chart::charted;
 pub use cube::Cube;
+pub use curve::{CurveKind, Curves};
 pub use cylinder::Cylinder;
 pub use disk::Disk;
 pub use displacement::HEIGHTS;
 pub use instance::Instance;
+pub(crate) use mesh::plain_obj;
 pub use mesh::{Mesh, MeshData, ObjOptions, smooth_normals};
 pub use partials::Partials;
 pub use patch::{Patch, Rectangle};
@@ -94,6 +119,7 @@ pub(crate) struct Prim {
 /// * Spheres: the octahedral map of the outward normal in the sphere's own axes, in `[-1, 1]^2` [Cigolle et al. 2014].
 ///   Unlike angles, it has no poles.
 /// * Cylinders: the angle in turns, as `u`, and the height over the length.
+/// * Curves: the angle in turns, and where along the segment, see [`Curves`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SurfaceCoordinates<R>(pub Vec2<R>);
 
@@ -356,6 +382,11 @@ pub trait Shape: Send + Sync {
     /// What the acceleration structure intersects; their order defines `prim` below.
     fn primitives(&self) -> Vec<Primitive>;
 
+    /// The control points that [`Primitive::Span`]s are of.
+    fn control_points(&self) -> &[[f32; 4]] {
+        &[]
+    }
+
     /// The interaction at `hit`, which lies on primitive `prim` of this shape.
     ///
     /// # Derivatives
@@ -615,6 +646,20 @@ pub fn lift3<R: Real>(v: [f32; 3]) -> Vec3<R> {
 /// The plugin that stands for the shapes inside, which Mitsuba traces as one.
 pub(crate) const MERGED: &str = "merge";
 
+/// The matrix of the shape that a node describes, as Mitsuba has it: from local coordinates to the world. That of a sphere takes
+/// the unit sphere to it, that of a cylinder one of radius one along the z axis, from zero to one.
+///
+/// # Errors
+/// A value that is none.
+pub(crate) fn to_world(node: &Node) -> Result<Transform, SceneError> {
+    let local = match node.plugin.as_str() {
+        "sphere" => Sphere::local(node)?,
+        "cylinder" => Cylinder::local(node)?,
+        _ => Transform::IDENTITY,
+    };
+    Ok(local.then(&node.transform("to_world")?.unwrap_or_default()))
+}
+
 macro_rules! shapes {
     (inline { $($hot:ident),* $(,)? } $($name:ident),* $(,)?) => {
         /// Any shape.
@@ -666,6 +711,9 @@ macro_rules! shapes {
         impl Shape for AnyShape {
             fn primitives(&self) -> Vec<Primitive> {
                 match self { $(Self::$hot(s) => s.primitives(),)* $(Self::$name(s) => s.primitives(),)* }
+            }
+            fn control_points(&self) -> &[[f32; 4]] {
+                match self { $(Self::$hot(s) => s.control_points(),)* $(Self::$name(s) => s.control_points(),)* }
             }
             #[inline(always)]
             fn interaction<R: Real>(
@@ -772,4 +820,5 @@ shapes! {
     Cylinder,
     Mesh,
     Instance,
+    Curves,
 }

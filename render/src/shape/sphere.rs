@@ -447,6 +447,15 @@ fn cone_pdf<R: Real>(one_minus_cos_max: R) -> R {
     one_minus_cos_max.recip() * R::c(0.5 * FRAC_1_PI)
 }
 
+impl Sphere {
+    /// What takes the unit sphere to the one that a node describes, without its `to_world`.
+    pub(super) fn local(node: &Node) -> Result<Transform, SceneError> {
+        let center = node.point("center")?.unwrap_or_default();
+        let size = Transform::scale([node.float_or("radius", 1.0)?; 3]);
+        Ok(size.then(&Transform::translate(center)))
+    }
+}
+
 impl FromNode for Sphere {
     const PLUGINS: &'static [&'static str] = &["sphere"];
 
@@ -458,9 +467,7 @@ impl FromNode for Sphere {
         if radius <= 0.0 {
             return Err(node.invalid("radius", "a positive number"));
         }
-        let local =
-            Transform::sequence([Transform::scale([radius; 3]), Transform::translate(center)]);
-        Self::transformed(&local.then(&to_world), flip).ok_or_else(|| {
+        Self::transformed(&Self::local(node)?.then(&to_world), flip).ok_or_else(|| {
             if Self::new([0.0; 3], radius, flip).is_none() {
                 let expected = format!("a length from {MIN_THICKNESS:e} to {MAX_COORDINATE:e}");
                 return node.invalid("radius", &expected);

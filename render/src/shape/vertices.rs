@@ -387,7 +387,7 @@ impl Mesh {
         let param = displacement.param;
         let mut moved = still.moved_by(param, welding, Some(Arc::new(displacement)));
         moved
-            .follow(params)
+            .update_vertices(params)
             .map_err(|found| error("a mesh that can be displaced", &found))?;
         Ok(moved)
     }
@@ -403,7 +403,7 @@ impl Mesh {
     }
 
     /// Brings vertices that move to where these parameters have them, and their normals.
-    pub(super) fn follow(&mut self, params: &Params) -> Result<(), String> {
+    pub(super) fn update_vertices(&mut self, params: &Params) -> Result<(), String> {
         if self.vertices.is_none() && self.normals.is_none() {
             return Ok(());
         }

@@ -10,7 +10,7 @@ use crate::params::{ParamRef, ParamShape};
 use crate::plugin::{Node, Registry, range_text};
 
 /// Texture plugins of scene files.
-pub(crate) const PLUGINS: &[&str] = &["bitmap", "checkerboard", "mesh_attribute"];
+pub(crate) const PLUGINS: &[&str] = &["bitmap", "checkerboard", "mesh_attribute", "scale"];
 
 /// What stands in for a missing file.
 const GREY: f64 = 0.5;
@@ -157,6 +157,9 @@ pub(crate) fn from_node<const C: usize>(
     let name = format!("{}.{key}", registry.prefix());
     let texture = node.child(key).filter(|t| !t.is_constant());
     if let Some(texture) = texture {
+        if texture.tag != "texture" {
+            return Err(node.invalid(key, "a texture, a colour or a number"));
+        }
         let usage = Use {
             name: &name,
             valid,
@@ -166,7 +169,8 @@ pub(crate) fn from_node<const C: usize>(
     }
     let value = constant_of::<C>(node, key)?.unwrap_or_else(|| default.to_vec());
     let name = format!("{name}.value");
-    let texture = registry.constant(&name, &value, valid)?;
+    let texture = registry.constant(&name, &value, valid);
+    let texture = texture.map_err(|e| e.at(node.place(key)))?;
     texture.visit_params(&mut |p| registry.origins.of_value(node, key, p));
     Ok(texture)
 }
@@ -235,6 +239,7 @@ fn described<const C: usize>(
         "bitmap" => bitmap(registry, node, usage)?,
         "checkerboard" => checkerboard(registry, node, usage)?,
         "mesh_attribute" => attribute(registry, node, usage)?,
+        "scale" => scaled(registry, node, usage)?,
         _ => return Err(node.unknown_plugin(PLUGINS)),
     };
     node.finish()?;
@@ -246,11 +251,7 @@ fn bitmap<const C: usize>(
     node: &Node,
     usage: &Use,
 ) -> Result<Texture<C>, SceneError> {
-    let encoding = if node.boolean_or("raw", false)? {
-        Encoding::Raw
-    } else {
-        Encoding::Srgb
-    };
+    let encoding = encoding(node)?;
     let filters = [("bilinear", false), ("nearest", true)];
     let nearest = node.choice("filter_type", &filters)?.unwrap_or(false);
     let wraps = [
@@ -278,6 +279,57 @@ fn bitmap<const C: usize>(
         nearest,
         to_uv,
     }))
+}
+
+/// What the samples of an image of 8 or 16 bits mean: `raw` (false), or the `gamma` of old files.
+pub(crate) fn encoding(node: &Node) -> Result<Encoding, SceneError> {
+    let raw = node.boolean_or("raw", false)?;
+    match node.float("gamma")? {
+        Some(_) if raw => Err(node.invalid("gamma", "none beside `raw`")),
+        Some(gamma) if gamma > 0.0 => Ok(Encoding::Gamma(gamma)),
+        Some(_) => Err(node.invalid("gamma", "a positive number")),
+        None if raw => Ok(Encoding::Raw),
+        None => Ok(Encoding::Srgb),
+    }
+}
+
+/// The texture inside times a number or a colour, `scale` (1), with parameters of its own: one of versions before 2.
+fn scaled<const C: usize>(
+    registry: &mut Registry,
+    node: &Node,
+    usage: &Use,
+) -> Result<Texture<C>, SceneError> {
+    let nested = node.child_with_tag("texture")?;
+    let nested = nested.ok_or_else(|| node.missing("texture", "one nested <texture>"))?;
+    let by = constant_of::<C>(node, "scale")?.unwrap_or_else(|| vec![1.0; C]);
+    // Only the product has to be valid.
+    let free = Use {
+        valid: (f64::NEG_INFINITY, f64::INFINITY),
+        ..*usage
+    };
+    let texture: Texture<C> = described(registry, nested, &free)?;
+    let (lo, hi) = usage.valid;
+    let params = registry.params_mut();
+    let mut bad = None;
+    texture.visit_params(&mut |p| {
+        let range = params.infos()[p.id as usize].range();
+        for (value, by) in params.values_mut()[range].iter_mut().zip(by.iter().cycle()) {
+            *value = (f64::from(*value) * by) as f32;
+            let valid = value.is_finite() && (lo as f32..=hi as f32).contains(value);
+            bad = bad.or((!valid).then_some(*value));
+        }
+        params.bound(p, usage.valid);
+    });
+    if let Some(bad) = bad {
+        let expected = format!(
+            "a factor that leaves {}, none of them {bad}",
+            range_text(usage.valid)
+        );
+        return Err(node.invalid("scale", &expected));
+    }
+    // What is written in its place is the texture inside with these values.
+    registry.origins.hand_on(nested, node);
+    Ok(texture)
 }
 
 /// The existing file that the attribute `filename` names; `None`, with a warning, if it is missing and
@@ -347,9 +399,15 @@ pub(crate) fn texels<const C: usize>(
     let valid = |v: &f32| v.is_finite() && (lo..=hi).contains(v);
     if let Some(i) = pixels.data.iter().position(|v| !valid(v)) {
         let (x, y) = (i / C % pixels.width, i / C / pixels.width);
+        let converted = match layer {
+            None if image_io::is_in_xyz(path) => {
+                ", in red, green and blue from its channels X, Y and Z"
+            }
+            _ => "",
+        };
         return Err(asset(
             format!("texels from {lo} to {hi} for {}", quoted(usage.name)),
-            format!("{} at column {x}, row {y}", pixels.data[i]),
+            format!("{} at column {x}, row {y}{converted}", pixels.data[i]),
         ));
     }
     let shape = ParamShape::Texture {
@@ -360,6 +418,7 @@ pub(crate) fn texels<const C: usize>(
     let name = format!("{}.data", usage.name);
     let param = registry
         .push_texels(&name, shape, &pixels.data, usage.valid)
+        .inspect(|p| registry.params_mut().encode(*p, encoding))
         .ok_or_else(|| {
             let found = "more with this image".to_owned();
             asset(format!("at most {} parameters", u32::MAX), found)

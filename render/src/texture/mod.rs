@@ -3,6 +3,19 @@
 //! Every texture is *linear* in its texels. A lookup is a [`Footprint`], a few texels with weights;
 //! evaluation is the weighted sum and the adjoint is scattered through the same weights, so there is
 //! one definition of a texture for both directions.
+//!
+//! ```
+//! use ad_core::Vec2;
+//! use render::params::{ParamShape, Params, Theta};
+//! use render::texture::{RgbTexture, Texture};
+//!
+//! let mut params = Params::default();
+//! let red = params.push("wall.reflectance.value", ParamShape::Rgb, &[0.7, 0.1, 0.1], (0.0, 1.0));
+//! let wall: RgbTexture = Texture::Constant(red);
+//! let theta = Theta::<f32>::constant(params.values());
+//! assert_eq!(wall.eval(&theta, Vec2::new(0.2, 0.9)), [0.7, 0.1, 0.1]);
+//! assert!(wall.any_param(|p| p == red));
+//! ```
 
 mod attribute;
 mod bitmap;
@@ -13,7 +26,7 @@ pub use attribute::Attribute;
 pub(crate) use attribute::{CELL_BEGIN, CELL_FILLED, columns, place};
 pub use bitmap::{Bitmap, UvTransform, Wrap};
 pub use checkerboard::Checkerboard;
-pub(crate) use load::{PLUGINS, Use, file, from_plugin, texels, times};
+pub(crate) use load::{PLUGINS, Use, encoding, file, from_plugin, texels, times};
 
 use ad_core::{Const, Float, Real, Vec2, array};
 

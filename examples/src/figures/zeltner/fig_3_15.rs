@@ -1,11 +1,19 @@
-//! [Zeltner 2021, figure 3.15 a]: where Newton's method ends for `z^3 = 1`, by the start.
+//! [Zeltner 2021, figure 3.15]: where Newton's method ends by the start, for `z^3 = 1`, and in a bumpy ring of metal.
 
 use std::f64::consts::TAU;
 
-use ad_core::{NewtonOptions, diff_fn, newton};
+use ad_core::{NewtonOptions, Vec3, diff_fn, newton};
 use rayon::prelude::*;
+use render::Scene;
+use render::bsdf::DeltaKind;
+use render::manifold::{Solution, Target};
 use render::sampler::{Independent, Sampler};
+use render::scene::{Constraint, Uniqueness};
+use render::shape::Shape;
 
+use super::authors::Authors;
+use super::manifold_scenes::{RING_SHAPE, bumpy_ring};
+use super::specular_scenes::Laboratory;
 use crate::chart::Panel;
 use crate::figure::{Figure, Result};
 
@@ -43,8 +51,23 @@ fn deviates(counts: [u64; 3], n: u64, expected: [f64; 3]) -> [f64; 3] {
     })
 }
 
-/// `zeltner-3-15`, part (a).
+/// `zeltner-3-15`.
+///
+/// # Errors
+/// None that the built-in scene can cause.
 pub fn figure(fig: &mut Figure) -> Result {
+    fractal(fig);
+    ring(fig, ["", "ring"], bumpy_ring(0.2, BUMPS)?)?;
+    let Some(authors) = Authors::find() else {
+        return Ok(());
+    };
+    let file = "Figure_4_5_RingSolutions/ring_notebook_normalmapped.xml";
+    let of = authors.scene(fig, "authors' ring", file, 16, &[])?;
+    ring(fig, ["authors' ring: ", "authors-ring"], of.scene)
+}
+
+/// Part (a).
+fn fractal(fig: &mut Figure) {
     let (n, size, seed) = (fig.pick(40_000, 4_000_000), fig.pick(256, 768), 1);
     fig.note("starts", n);
     fig.note("resolution", size);
@@ -150,5 +173,92 @@ pub fn figure(fig: &mut Figure) -> Result {
     });
     let rows: Vec<_> = rows.collect();
     fig.csv("fractal", &["re", "im", "root", "steps"], rows);
+}
+
+/// Seed of the bumps.
+const BUMPS: u64 = 315;
+/// A point of the floor in the ring, and the middle of the light.
+const FLOOR: [f64; 2] = [4.218, -3.074];
+const LIGHT: [f64; 3] = [-12.0, 10.0, 8.0];
+
+/// Part (b): basins on the ring of figure 3.14 under a normal map. `name` is said before each statement.
+fn ring(fig: &mut Figure, [name, picture]: [&str; 2], scene: Scene) -> Result {
+    let lab = Laboratory::new(scene);
+    let space = lab.space(Constraint::Angle);
+    let start = lab.floor(FLOOR[0], FLOOR[1]).ok_or("no floor")?;
+    let target = Target::Point(Vec3::from(LIGHT));
+    let size = fig.pick(96usize, 384);
+    fig.note("basins", size);
+    let shape = &lab.scene.shapes()[RING_SHAPE as usize];
+    let like = [(RING_SHAPE, DeltaKind::Reflection)];
+    let ends: Vec<Option<Solution>> = (0..size * size)
+        .into_par_iter()
+        .map(|i| {
+            let at = |k: usize| (k as f64 + 0.5) / size as f64;
+            let d = shape
+                .sample(start.si.p, [at(i % size), 1.0 - at(i / size)])?
+                .d;
+            let chain = space.follow(&start, d, &like)?;
+            let found = space.walk(&start, chain, &target).solution?;
+            // In front of the bumps, too.
+            let vertex = &found.chain[0];
+            let seen = |p: Vec3<f64>| (p - vertex.si.p).dot(vertex.normal());
+            (seen(start.si.p) * seen(Vec3::from(LIGHT)) > 0.0).then_some(found)
+        })
+        .collect();
+    let mut solutions: Vec<Solution> = Vec::new();
+    let mut basins: Vec<Option<usize>> = Vec::new();
+    for end in &ends {
+        basins.push(end.as_ref().map(|end| {
+            let known = solutions
+                .iter()
+                .position(|s| s.is(end, Uniqueness::ErrorBounds));
+            known.unwrap_or_else(|| {
+                solutions.push(end.clone());
+                solutions.len() - 1
+            })
+        }));
+    }
+    let covered = basins.iter().flatten().count() as f64 / basins.len() as f64;
+    fig.check(
+        format!("{name}a point in a bumpy ring has more than three solutions, whose basins do not cover all"),
+        solutions.len() > 3 && covered < 1.0,
+        format!("{} solutions, {covered:.3} of the square", solutions.len()),
+    );
+    let parts: Vec<usize> = (0..solutions.len())
+        .map(|k| parts_of(&basins, size, k))
+        .collect();
+    fig.check(
+        format!("{name}basins are scattered: some are of several parts"),
+        parts.iter().filter(|&&n| n > 1).count() > 1,
+        format!("{parts:?} parts of more than three starts"),
+    );
+    let colours: Vec<f64> = (basins.iter())
+        .map(|k| k.map_or(0.0, |k| 2.0 + (k % 9) as f64))
+        .collect();
+    let panel = Panel::false_colour("basins in a bumpy ring", size, &colours, 0.0, 10.0);
+    fig.image(picture, &panel.enlarged(fig.pick(4, 2)));
     Ok(())
+}
+
+/// Parts of more than three starts of the basin of solution `k` that are not joined along sides of the square's cells.
+fn parts_of(basins: &[Option<usize>], size: usize, k: usize) -> usize {
+    let mut left: Vec<bool> = basins.iter().map(|b| *b == Some(k)).collect();
+    let mut parts = 0;
+    for first in 0..left.len() {
+        let (mut open, mut n) = (vec![first], 0);
+        while let Some(i) = open.pop() {
+            if !std::mem::take(&mut left[i]) {
+                continue;
+            }
+            n += 1;
+            let (x, y) = (i % size, i / size);
+            open.extend((x > 0).then(|| i - 1));
+            open.extend((x + 1 < size).then(|| i + 1));
+            open.extend((y > 0).then(|| i - size));
+            open.extend((y + 1 < size).then(|| i + size));
+        }
+        parts += usize::from(n > 3);
+    }
+    parts
 }

@@ -3,6 +3,7 @@
 
 use render::scene::{Connections, Method, Starts};
 
+use super::authors::{Authors, compare};
 use super::manifold_methods::{Effort, Measured, measure};
 use super::manifold_scenes::{bumpy, metal, mirrored};
 use crate::figure::{Figure, Result};
@@ -68,5 +69,48 @@ pub fn figure(fig: &mut Figure) -> Result {
     fig.csv("rates", &columns, rows);
     let panels = all.map(|(label, m)| m.panel(label, &uniform, fig.pick(10, 4)));
     fig.images("starts", 3, &panels);
+    published(fig)
+}
+
+/// The plane and the ball of the authors, where they are.
+fn published(fig: &mut Figure) -> Result {
+    let Some(authors) = Authors::find() else {
+        return Ok(());
+    };
+    let effort = Effort {
+        runs: fig.pick(8, 16),
+        spp: fig.pick(1, 4),
+        seed: 2 * SEED,
+    };
+    let accuracy = fig.pick((1 << 14, 0.4), (1 << 17, 0.1));
+    for (name, file) in [
+        ("authors' plane", "Figure_9_Twostage/plane.xml"),
+        ("authors' ball", "Figure_9_Twostage/sphere.xml"),
+    ] {
+        let of = authors.scene(fig, name, file, fig.pick(16, 32), &[])?;
+        let way = |starts: Starts| Connections {
+            bounces: 1,
+            starts,
+            ..Connections::new(Method::Sms)
+        };
+        let ways = [
+            ("uniform", way(Starts::Uniform)),
+            ("two stages", way(Starts::TwoStage)),
+            ("from particles", way(Starts::Particles)),
+        ];
+        let found = compare(fig, &of, &ways, effort, accuracy)?;
+        let rates = [0, 1, 2].map(|k: usize| found.ways[k].success());
+        let trials = [0, 1, 2].map(|k: usize| found.ways[k].trials());
+        fig.check(
+            format!("{name}: more walks converge after a first stage, and where particles passed"),
+            rates[1] > rates[0] && rates[2] > rates[0],
+            format!("{:.1?} %", rates.map(|r| 100.0 * r)),
+        );
+        fig.check(
+            format!("{name}: both take fewer trials per solution"),
+            trials[1] < trials[0] && trials[2] < trials[0],
+            format!("{trials:.1?}"),
+        );
+    }
     Ok(())
 }

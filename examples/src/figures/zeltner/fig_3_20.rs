@@ -3,11 +3,13 @@
 
 use ad_core::Vec3;
 use rayon::prelude::*;
+use render::Scene;
 use render::bsdf::DeltaKind;
 use render::manifold::{Event, Normal, Slopes, Solution, Start, Target};
 use render::sampler::{Independent, Sampler};
 use render::scene::{Constraint, Uniqueness};
 
+use super::authors::Authors;
 use super::manifold_scenes::{WALL, Waves, mapped_quad, metal, mirrored};
 use super::specular_scenes::Laboratory;
 use crate::chart::Panel;
@@ -20,9 +22,41 @@ const SLOPE: f64 = 0.08;
 const WAVELENGTH: f64 = 0.8;
 /// The wall among the shapes.
 const SHAPE: u32 = 1;
-/// A point of the floor, x and z, and the middle of the lamp.
-const FLOOR: [f64; 2] = [0.5, 1.0];
-const LAMP: [f64; 3] = [0.0, 9.0, 10.0];
+
+/// What is looked at.
+struct Place {
+    /// Corner and sides of the wall.
+    wall: [[f64; 3]; 3],
+    /// A point of the floor, x and z.
+    floor: [f64; 2],
+    /// The middle of the lamp.
+    lamp: [f64; 3],
+}
+
+const OURS: Place = Place {
+    wall: WALL,
+    floor: [0.5, 1.0],
+    lamp: [0.0, 9.0, 10.0],
+};
+
+/// In the plane of the authors, which is turned by 30 degrees about the vertical axis, as its lamp is by 40 after a fall by 60.
+fn published() -> Place {
+    let (sin, cos) = (30f64).to_radians().sin_cos();
+    let (away, up) = (
+        50.0 * (60f64).to_radians().sin(),
+        50.0 * (60f64).to_radians().cos(),
+    );
+    let (across, towards) = (40f64).to_radians().sin_cos();
+    Place {
+        wall: [
+            [-8.0 * cos, 0.0, -8.0 * sin],
+            [16.0 * cos, 0.0, 16.0 * sin],
+            [0.0, 16.0, 0.0],
+        ],
+        floor: [-2.0, 5.5],
+        lamp: [-away * across, up, away * towards],
+    }
+}
 
 /// `zeltner-3-20`.
 ///
@@ -35,11 +69,25 @@ pub fn figure(fig: &mut Figure) -> Result {
         let smooth = metal(b)?;
         mapped_quad(b, WALL, &waves, 128, smooth)
     })?;
+    basins(fig, ["", ""], scene, &OURS)?;
+    let Some(authors) = Authors::find() else {
+        return Ok(());
+    };
+    let file = "Figure_10_TwostageSolutions/plane_notebook.xml";
+    let of = authors.scene(fig, "authors' plane", file, 16, &[])?;
+    let names = ["authors' plane: ", "authors-"];
+    basins(fig, names, of.scene, &published())
+}
+
+/// Where walks on a wall end, and where their first stages do. `name` is said before each statement, `files` before names of files.
+fn basins(fig: &mut Figure, [name, files]: [&str; 2], scene: Scene, place: &Place) -> Result {
     let lab = Laboratory::new(scene);
     let space = lab.space(Constraint::Angle);
-    let start = lab.floor(FLOOR[0], FLOOR[1]).ok_or("no floor")?;
-    let target = Target::Point(Vec3::from(LAMP));
-    let [corner, e1, e2] = WALL.map(Vec3::from);
+    let start = lab
+        .floor(place.floor[0], place.floor[1])
+        .ok_or("no floor")?;
+    let target = Target::Point(Vec3::from(place.lamp));
+    let [corner, e1, e2] = place.wall.map(Vec3::from);
     let towards = |[u, v]: [f64; 2]| (corner + e1 * u + e2 * v - start.si.p).normalize();
     let second = |u: [f64; 2]| {
         let event = Event {
@@ -81,7 +129,9 @@ pub fn figure(fig: &mut Figure) -> Result {
         area[*k] += 1;
     }
     fig.check(
-        "basins cover less than 30 % of the wall, each of many solutions a small part",
+        format!(
+            "{name}basins cover less than 30 % of the wall, each of many solutions a small part"
+        ),
         uniform < 0.3 && solutions.len() >= 3,
         format!(
             "{:.1} % for {} solutions, the largest {:.1} %",
@@ -126,7 +176,7 @@ pub fn figure(fig: &mut Figure) -> Result {
     let ended: Vec<[f64; 2]> = first.iter().flatten().copied().collect();
     let within = ended.iter().filter(|u| inside(**u)).count() as f64 / ended.len().max(1) as f64;
     fig.check(
-        "nearly all first stages converge, and more than 80 % of their ends are in the box around the basins",
+        format!("{name}nearly all first stages converge, and more than 80 % of their ends are in the box around the basins"),
         ended.len() as f64 > 0.9 * n as f64 && within > 0.8,
         format!(
             "{} of {n} converge, {:.1} % into the box, which has {:.1} % of the wall",
@@ -137,7 +187,7 @@ pub fn figure(fig: &mut Figure) -> Result {
     );
     let staged = ended.par_iter().filter(|u| second(**u).is_some()).count() as f64 / n as f64;
     fig.check(
-        "a walk from there finds a solution twice as often as one from anywhere",
+        format!("{name}a walk from there finds a solution twice as often as one from anywhere"),
         staged > 2.0 * uniform,
         format!("{:.1} % and {:.1} %", 100.0 * staged, 100.0 * uniform),
     );
@@ -153,13 +203,21 @@ pub fn figure(fig: &mut Figure) -> Result {
     for u in ended.iter().take(fig.pick(300, 1500)) {
         dotted.dot([u[0] * scale, (1.0 - u[1]) * scale], 1.5, [220, 40, 40]);
     }
-    fig.images("basins", 2, &[picture("basins of solutions"), dotted]);
+    fig.images(
+        &format!("{files}basins"),
+        2,
+        &[picture("basins of solutions"), dotted],
+    );
     let rows = solutions.iter().zip(&area).map(|(s, area)| {
         let uv = s.chain[0].si.uv;
         let part = *area as f64 / basin.len() as f64;
         [uv.x, uv.y, part, s.angle_per_target()]
     });
-    fig.csv("solutions", &["u", "v", "basin", "angle_per_area"], rows);
+    fig.csv(
+        &format!("{files}solutions"),
+        &["u", "v", "basin", "angle_per_area"],
+        rows,
+    );
     Ok(())
 }
 

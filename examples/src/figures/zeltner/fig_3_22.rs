@@ -86,7 +86,8 @@ fn samples(
             return found;
         };
         let mut all = Vec::new();
-        finder.find(&foot, 1.0, &mut rng, &mut Statistics::default(), &mut all);
+        let mut came_to = Statistics::default();
+        finder.find(&foot, 1.0, &mut rng, &|| false, &mut came_to, &mut all);
         for glint in all {
             let at = Shading::new(theta, glint.si.uv);
             let material = scene.material(foot.shape);

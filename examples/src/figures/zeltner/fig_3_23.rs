@@ -5,18 +5,22 @@
 
 use std::sync::Arc;
 
-use render::Scene;
+use rayon::prelude::*;
 use render::bsdf::microfacet::Ndf;
 use render::bsdf::{
     Conductor, Dielectric, Material, RoughConductor, RoughDielectric, Roughness, ThinDielectric,
 };
 use render::emitter::{Point, Spot};
+use render::instances::{Estimator, render_f32};
+use render::params::Theta;
 use render::scene::{Connections, Method};
 use render::shape::{Cylinder, Sphere};
+use render::{Job, Scene, Settings};
 
 use super::manifold_methods::{Effort, measure};
 use super::manifold_scenes::bumpy;
 use crate::figure::{Figure, Result};
+use crate::figures::statistics::{grey, limit, variance};
 use crate::scene_builder::{POSITIVE, SceneBuilder, View};
 
 const SEED: u64 = 323;
@@ -118,6 +122,22 @@ fn shop(size: u32, alpha: Option<f64>, depth: u32) -> Result<Scene> {
     b.finish(&view, depth)
 }
 
+/// Variance of the whole image with connections by this method, of one run, summed over its pixels.
+fn whole(scene: &Scene, method: Method, effort: Effort) -> f64 {
+    let theta = Theta::constant(scene.params().values());
+    let settings = Settings {
+        connections: Some(Connections::new(method)),
+        ..scene.settings
+    };
+    let run = |run: u64| {
+        let job = Job::new(scene, &settings, effort.seed + run, 0..effort.spp, &());
+        let image = render_f32(&job, &theta, Estimator::Mis);
+        grey(&image.sums[0], 1.0 / effort.spp as f64)
+    };
+    let images: Vec<Vec<f64>> = (0..effort.runs).into_par_iter().map(run).collect();
+    variance(&images)
+}
+
 /// `zeltner-3-23`.
 ///
 /// # Errors
@@ -161,13 +181,21 @@ pub fn figure(fig: &mut Figure) -> Result {
     let further = of(4, &shop(size, None, 7)?, false, spp)?;
     let light = 1.0 - direct.mean() / further.mean();
     let noise = 1.0 - direct.variance() / further.variance();
+    let of_image = |method: Method, depth: u32| -> Result<f64> {
+        Ok(whole(&shop(size, None, depth)?, method, effort))
+    };
+    let (lit, all) = (of_image(Method::Sms, 5)?, of_image(Method::Sms, 7)?);
+    let others = of_image(Method::LeftOut, 7)?;
     fig.check(
-        "what these caustics light in turn has a larger share in the noise than in the light",
-        noise > light,
+        "most noise of caustics is in what they light in turn, which is little of their light",
+        noise > 0.5 && light < 0.5,
         format!(
-            "{:.1} % of the variance, {:.1} % of the light",
+            "{:.1} % of the variance, {:.1} % of the light; of the whole image, longer paths are {:.1} % of the variance, and without \
+             any light of caustics {:.1} % of it is left",
             100.0 * noise,
-            100.0 * light
+            100.0 * light,
+            100.0 * (1.0 - lit / all),
+            100.0 * others / all
         ),
     );
 
@@ -182,6 +210,17 @@ pub fn figure(fig: &mut Figure) -> Result {
         "on slightly rough ones their error is five times as large in the same time",
         gain > 5.0,
         format!("{gain:.1} times"),
+    );
+    let (a, b) = (few.series.whole, many.series.whole);
+    let (z, bound) = (a.z(&b), limit(1, effort.runs, 1e-3));
+    // In few samples paths hardly meet it.
+    fig.check(
+        "and both bring the same light",
+        z.abs() < bound && b.error < fig.pick(1.0, 0.25) * a.mean,
+        format!(
+            "{:.4} ± {:.4} by connections, {:.4} ± {:.4} by paths, deviate {z:.2}, limit {bound:.2}",
+            a.mean, a.error, b.mean, b.error
+        ),
     );
     let rough = shop(size, Some(ROUGH), 6)?;
     let (a, b) = (

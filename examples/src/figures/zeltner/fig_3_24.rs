@@ -5,6 +5,7 @@
 
 use render::scene::{Connections, Method};
 
+use super::authors::{Authors, compare as compare_ways, compare_methods};
 use super::manifold_comparison::compare;
 use super::manifold_methods::{Effort, measure};
 use super::manifold_scenes::{Waves, pool};
@@ -69,6 +70,42 @@ pub fn figure(fig: &mut Figure) -> Result {
         format!(
             "{ratio:.4} ± {error:.4}; without it, or with it twice, the ratio would be 1.77 off"
         ),
+    );
+    published(fig)
+}
+
+/// The pool of the authors, where it is.
+fn published(fig: &mut Figure) -> Result {
+    let Some(authors) = Authors::find() else {
+        return Ok(());
+    };
+    let file = "Figure_14_15_MainComparison/pool_sms.xml";
+    let of = authors.scene(fig, "authors' pool", file, fig.pick(16, 48), &[])?;
+    let effort = Effort {
+        runs: fig.pick(8, 16),
+        spp: fig.pick(1, 4),
+        seed: 4 * SEED,
+    };
+    let accuracy = fig.pick((1 << 14, 0.3), (1 << 18, 0.1));
+    if fig.pick(false, true) {
+        compare_methods(fig, &of, 1, effort, accuracy)?;
+        return Ok(());
+    }
+    // Its textures make every image long, whatever is in it.
+    let way = |method: Method| Connections {
+        bounces: 1,
+        ..Connections::new(method)
+    };
+    let ways = [
+        ("one walk", way(Method::Mnee)),
+        ("from particles", way(Method::Sms)),
+    ];
+    let found = compare_ways(fig, &of, &ways, effort, accuracy)?;
+    let [share, error] = found.share(0);
+    fig.check(
+        "authors' pool: one walk brings no more than there is",
+        share < 1.0 + 4.0 * error,
+        format!("{share:.3} ± {error:.3} of it"),
     );
     Ok(())
 }

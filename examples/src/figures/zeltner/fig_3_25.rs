@@ -3,6 +3,7 @@
 
 use render::scene::{Connections, Method, Starts};
 
+use super::authors::{Authors, compare_methods};
 use super::manifold_comparison::compare;
 use super::manifold_methods::{Effort, correlation, measure};
 use super::manifold_scenes::{Waves, bumpy, glass, half_ball, mapped_ball, metal, mirrored};
@@ -63,5 +64,40 @@ pub fn figure(fig: &mut Figure) -> Result {
         format!("correlation of blocks {alike:.3}"),
     );
     compare(fig, "ball", &sphere, 1, effort)?;
+    published(fig)
+}
+
+/// The plane and the ball of the authors, where they are.
+fn published(fig: &mut Figure) -> Result {
+    let Some(authors) = Authors::find() else {
+        return Ok(());
+    };
+    let effort = Effort {
+        runs: fig.pick(8, 16),
+        spp: fig.pick(1, 4),
+        seed: 2 * SEED,
+    };
+    let accuracy = fig.pick((1 << 14, 0.4), (1 << 18, 0.1));
+    for (name, file) in [
+        (
+            "authors' plane",
+            "Figure_14_15_MainComparison/plane_sms.xml",
+        ),
+        (
+            "authors' ball",
+            "Figure_14_15_MainComparison/sphere_sms.xml",
+        ),
+    ] {
+        let of = authors.scene(fig, name, file, fig.pick(16, 48), &[])?;
+        let found = compare_methods(fig, &of, 1, effort, accuracy)?;
+        if name == "authors' plane" {
+            let [share, error] = found.share(0);
+            fig.check(
+                "authors' plane: one walk to the middle of the metal finds less than half of the light",
+                share < 0.5,
+                format!("{share:.3} ± {error:.3} of it"),
+            );
+        }
+    }
     Ok(())
 }

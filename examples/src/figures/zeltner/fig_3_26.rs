@@ -16,7 +16,7 @@ use crate::figures::statistics::Estimate;
 const FLOOR: [f64; 2] = [4.218, -3.074];
 const LIGHT: [f64; 3] = [-12.0, 10.0, 8.0];
 /// Sizes of trial sets.
-const WALKS: [u32; 4] = [1, 4, 16, 64];
+const WALKS: [u32; 5] = [1, 4, 16, 64, 256];
 const SEED: u64 = 326;
 
 fn same(a: &Solution, b: &Solution) -> bool {
@@ -139,9 +139,9 @@ fn probe(fig: &mut Figure, ring: &Laboratory) -> Result {
     let worst = worst.fold(0.0, f64::max);
     fig.check(
         "at a point with three solutions, trial sets of M walks find the sum of f (1 - (1 - P)^M)",
-        solutions.len() == 3 && worst < 4.5,
+        solutions.len() == 3 && worst < 3.0,
         format!(
-            "{:.4?} of {:.4?}, largest deviate {worst:.2}, at most 4.5",
+            "{:.4?} of {:.4?}, largest deviate {worst:.2}, at most 3",
             rows.iter().map(|r| r[1]).collect::<Vec<_>>(),
             rows.iter().map(|r| r[3]).collect::<Vec<_>>()
         ),

@@ -4,8 +4,11 @@
 
 use render::scene::{Connections, Method, Starts};
 
+use super::authors::{Authors, Found, attribute, compare};
+use super::integrated_normals::displaced_sphere;
 use super::manifold_methods::{Effort, measure};
 use super::manifold_scenes::{Waves, displaced_ball, glass, half_ball, mapped_ball};
+use super::specular_scenes::Laboratory;
 use crate::chart::LineChart;
 use crate::figure::{Figure, Result};
 
@@ -107,5 +110,79 @@ pub fn figure(fig: &mut Figure) -> Result {
         "seconds",
     ];
     fig.csv("rates", &columns, table);
+    published(fig)
+}
+
+/// The balls of the authors, where they are; those that are displaced are not there, and come from what the normal maps say.
+fn published(fig: &mut Figure) -> Result {
+    let Some(authors) = Authors::find() else {
+        return Ok(());
+    };
+    let connections = Connections {
+        bounces: 1,
+        starts: Starts::Uniform,
+        ..Connections::new(Method::Sms)
+    };
+    let effort = Effort {
+        runs: fig.pick(8, 16),
+        spp: 4,
+        seed: 2 * SEED,
+    };
+    let accuracy = fig.pick((1 << 14, 0.8), (1 << 17, 0.1));
+    let (columns, rows) = (fig.pick(16, 32), fig.pick(192, 512));
+    let landed = Connections {
+        starts: Starts::Particles,
+        ..connections
+    };
+    let ways = [("unbiased", connections), ("from particles", landed)];
+    let mut rates = [Vec::new(), Vec::new()];
+    for (k, [mapped, displaced]) in [
+        ["authors' map 1", "authors' shape 1"],
+        ["authors' map 2", "authors' shape 2"],
+        ["authors' map 3", "authors' shape 3"],
+    ]
+    .into_iter()
+    .enumerate()
+    {
+        let n = k + 1;
+        let file = |kind: &str| format!("Figure_16_Displacement/sphere_{n}_{kind}.xml");
+        let lit = |found: &Found| found.ways[0].lit();
+        let of = authors.scene(fig, mapped, &file("nrm"), columns, &[])?;
+        rates[0].push(lit(&compare(
+            fig,
+            &of,
+            &ways,
+            effort.other(n as u64),
+            accuracy,
+        )?));
+        let missing = format!("sphere_d_{n}.obj");
+        let mesh = displaced_sphere(&Laboratory::new(of.scene), rows)?;
+        fig.write(&missing, mesh.as_bytes());
+        let path = attribute(&std::path::absolute(fig.path(&missing))?);
+        let changes = [(&*format!("meshes/{missing}"), path.as_str())];
+        let of = authors.scene(fig, displaced, &file("disp"), columns, &changes)?;
+        rates[1].push(lit(&compare(
+            fig,
+            &of,
+            &ways,
+            effort.other(10 + n as u64),
+            accuracy,
+        )?));
+    }
+    let [mapped, displaced] = &rates;
+    let found = format!("{mapped:.3?} with normal maps, {displaced:.3?} displaced");
+    let falls = |r: &[f64]| r.windows(2).all(|w| w[1] < w[0]);
+    fig.check(
+        "authors' balls: fewer walks find light the larger the bumps, on either",
+        falls(mapped) && falls(displaced),
+        &found,
+    );
+    let apart = mapped.iter().zip(displaced);
+    let apart = apart.map(|(a, b)| (b / a - 1.0).abs()).fold(0.0, f64::max);
+    fig.check(
+        "authors' balls: displaced or mapped, success rates are within 30 %",
+        apart < 0.3,
+        format!("{:.1} % apart at most: {found}", 100.0 * apart),
+    );
     Ok(())
 }

@@ -25,14 +25,23 @@ fn number(seed: u64, i: u64) -> f64 {
 impl Slopes {
     /// Of a Gaussian height field with this deviation of slopes: white noise, smoothed over five texels, which repeats.
     pub fn gaussian(n: usize, deviation: f64, seed: u64) -> Self {
+        Self::of_noise(n, deviation, seed, [1, 1])
+    }
+
+    /// Of brushed metal: the same, smoothed over many more texels along a row than along a column.
+    pub fn brushed(n: usize, deviation: f64, seed: u64) -> Self {
+        Self::of_noise(n, deviation, seed, [64, 1])
+    }
+
+    /// Of white noise, smoothed so often over five texels along a row and along a column.
+    fn of_noise(n: usize, deviation: f64, seed: u64, [along, across]: [usize; 2]) -> Self {
         let height: Vec<f64> = (0..(n * n) as u64).map(|i| number(seed, i) - 0.5).collect();
-        let smooth = |h: &[f64], step: usize| -> Vec<f64> {
+        let smooth = |h: &[f64], row: bool| -> Vec<f64> {
             let weights = [1.0, 4.0, 6.0, 4.0, 1.0];
             let at = |i: usize, k: usize| {
-                // Along a row or along a column.
                 let (x, y) = (i % n, i / n);
                 let moved = |c: usize| (c + n + k - 2) % n;
-                if step == 1 {
+                if row {
                     y * n + moved(x)
                 } else {
                     moved(y) * n + x
@@ -42,7 +51,8 @@ impl Slopes {
                 .map(|i| (0..5).map(|k| weights[k] * h[at(i, k)]).sum::<f64>() / 16.0)
                 .collect()
         };
-        let height = smooth(&smooth(&height, 1), n);
+        let rows = (0..along).fold(height, |h, _| smooth(&h, true));
+        let height = (0..across).fold(rows, |h, _| smooth(&h, false));
         let at = |x: usize, y: usize| height[(y % n) * n + x % n];
         let slope = |i: usize| {
             let (x, y) = (i % n, i / n);
@@ -93,6 +103,15 @@ impl Slopes {
     /// # Errors
     /// None that a map of the above can cause.
     pub fn metal(&self, build: &mut Builder, tiles: f32) -> Result<NormalMap> {
+        let metal = Material::from(smooth_metal(build)?);
+        self.over(build, tiles, metal)
+    }
+
+    /// A material under this map, repeated so many times.
+    ///
+    /// # Errors
+    /// None that a map of the above can cause.
+    pub fn over(&self, build: &mut Builder, tiles: f32, nested: Material) -> Result<NormalMap> {
         let encode = |&[x, y]: &[f64; 2]| {
             let z = (1.0 + x * x + y * y).sqrt().recip();
             [-x * z, -y * z, z].map(|c| (0.5 * c + 0.5) as f32)
@@ -104,12 +123,25 @@ impl Slopes {
             b.to_uv.rows[0][0] = tiles;
             b.to_uv.rows[1][1] = tiles;
         }
-        let reflectance = build.rgb("metal.specular_reflectance.value", [0.9; 3], (0.0, 1.0))?;
-        let metal: Material = Conductor {
-            specular_reflectance: reflectance,
-            index: None,
-        }
-        .into();
-        Ok(NormalMap::new(map, Interpolation::Slopes, Arc::new(metal))?)
+        Ok(NormalMap::new(
+            map,
+            Interpolation::Slopes,
+            Arc::new(nested),
+        )?)
     }
+}
+
+/// Smooth metal.
+///
+/// # Errors
+/// None that the constants here can cause.
+pub fn smooth_metal(build: &mut Builder) -> Result<Conductor> {
+    Ok(Conductor {
+        specular_reflectance: build.rgb(
+            "metal.specular_reflectance.value",
+            [0.9; 3],
+            (0.0, 1.0),
+        )?,
+        index: None,
+    })
 }

@@ -3,7 +3,7 @@
 use std::time::Instant;
 
 use rayon::prelude::*;
-use render::instances::{Estimator, render_f32};
+use render::instances::{Estimator, chains_by_particles_f32, render_f32};
 use render::integrator::render::Rendering;
 use render::manifold::Statistics;
 use render::params::Theta;
@@ -129,8 +129,22 @@ pub fn measure(
     by_paths: bool,
     effort: Effort,
 ) -> Result<Measured> {
+    measure_in(BLOCK, scene, connections, by_paths, effort)
+}
+
+/// [`measure`] with blocks of `side` by `side` pixels.
+///
+/// # Errors
+/// Those of rendering.
+pub fn measure_in(
+    side: usize,
+    scene: &Scene,
+    connections: Connections,
+    by_paths: bool,
+    effort: Effort,
+) -> Result<Measured> {
     let theta = Theta::constant(scene.params().values());
-    let width = scene.film.size[0] as usize;
+    let width = scene.film.crop_size[0] as usize;
     let of = |connections: Option<Connections>| -> Vec<Rendering> {
         let settings = Settings {
             connections,
@@ -154,7 +168,7 @@ pub fn measure(
         found.merge(&image.connections);
     }
     let scale = 1.0 / effort.spp as f64;
-    let series = Series::of(effort.runs, [width, BLOCK], |run| {
+    let series = Series::of(effort.runs, [width, side], |run| {
         let [with, without] = [&with, &without].map(|images| &images[run as usize].sums[0]);
         let difference: Vec<f64> = with.iter().zip(without).map(|(a, b)| a - b).collect();
         Ok::<_, RenderError>(grey(&difference, scale))
@@ -163,6 +177,38 @@ pub fn measure(
         series,
         found,
         seconds,
+        spp: effort.spp,
+        width,
+    })
+}
+
+/// The light of chains by so many particles in each run, which land, in blocks of `side` by `side` pixels.
+///
+/// # Errors
+/// Those of rendering.
+pub fn by_particles(
+    side: usize,
+    scene: &Scene,
+    connections: Connections,
+    effort: Effort,
+    particles: u64,
+) -> Result<Measured> {
+    let theta = Theta::constant(scene.params().values());
+    let width = scene.film.crop_size[0] as usize;
+    let settings = Settings {
+        connections: Some(connections),
+        ..scene.settings
+    };
+    let start = Instant::now();
+    let series = Series::of(effort.runs, [width, side], |run| {
+        let job = Job::new(scene, &settings, effort.seed + run, 0..effort.spp, &());
+        let found = chains_by_particles_f32(&job, &theta, particles)?;
+        Ok::<_, RenderError>(grey(&found.image.sums[0], 1.0 / effort.spp as f64))
+    })?;
+    Ok(Measured {
+        series,
+        found: Statistics::default(),
+        seconds: start.elapsed().as_secs_f64(),
         spp: effort.spp,
         width,
     })

@@ -8,7 +8,7 @@ use render::Scene;
 use render::bsdf::{Conductor, Dielectric, Interpolation, Material, NormalMap};
 use render::math::warp;
 use render::sampler::{Independent, Sampler};
-use render::shape::{Mesh, MeshData};
+use render::shape::{Cylinder, Mesh, MeshData};
 
 use crate::figure::Result;
 use crate::scene_builder::{SceneBuilder, View};
@@ -316,6 +316,36 @@ pub fn half_ball(
         target: [0.0, 0.5, 0.0],
         fov: 45.0,
         size: [size; 2],
+    };
+    b.finish(&view, 4)
+}
+
+/// The ring among the shapes of [`bumpy_ring`].
+pub const RING_SHAPE: u32 = 1;
+
+/// The ring of metal of [`super::specular_scenes::RING`] under a normal map of bumps with slopes of this deviation.
+///
+/// # Errors
+/// None that the constants of figures can cause.
+pub fn bumpy_ring(slope: f64, seed: u64) -> Result<Scene> {
+    let mut b = SceneBuilder::default();
+    let matt = b.matt("floor", [0.6; 3])?;
+    let floor = [[-20.0, 0.0, -20.0], [0.0, 0.0, 40.0], [40.0, 0.0, 0.0]];
+    b.quad("floor", floor, &matt)?;
+    let smooth = metal(&mut b)?;
+    let material = bumpy(&mut b, smooth, slope, seed)?;
+    // Its inside, turned to the floor within.
+    let wall = Cylinder::new([0.0; 3], [0.0, 4.0, 0.0], 10.0, true).ok_or("no radius")?;
+    b.shape("ring", wall, &material);
+    let black = b.matt("lamp", [0.0; 3])?;
+    let lamp = [[-12.1, 10.0, 7.9], [0.2, 0.0, 0.0], [0.0, 0.0, 0.2]];
+    let shape = b.quad("lamp", lamp, &black)?;
+    b.lamp("lamp", shape, [70_000.0; 3])?;
+    let view = View {
+        eye: [0.0, 40.0, 40.0],
+        target: [0.0; 3],
+        fov: 28.0,
+        size: [16; 2],
     };
     b.finish(&view, 4)
 }

@@ -9,7 +9,7 @@ use std::io::{self, BufReader, BufWriter, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 use optim::exact::beside;
-use render::Scene;
+use render::{Scene, image_io};
 use serde::{Deserialize, Serialize};
 
 use super::Checkpoint;
@@ -103,7 +103,8 @@ impl Inputs {
         targets: &[Target],
     ) -> Result<Self, ToolError> {
         let scene_files = scene.files().iter().map(|path| Input::of(path));
-        let target_files = files.iter().map(|target| Input::of(&target.image.0));
+        let file = |target: &TargetArg| image_io::split_layer(&target.image.0).0;
+        let target_files = files.iter().map(|target| Input::of(&file(target)));
         Ok(Self {
             scene: scene_files.collect::<Result<_, _>>()?,
             values: [scene.params().values(), start].map(Digest::of_numbers),

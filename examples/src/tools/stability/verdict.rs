@@ -931,25 +931,24 @@ fn depth(out: &mut Text, report: &Report) {
             )
         })
         .collect();
+    let mut parts = Vec::new();
+    if !lost.is_empty() {
+        let lost = lost.join(", ");
+        parts.push(format!("a limit of length loses of the derivative: {lost}"));
+    }
     let detached: Vec<_> = (report.probes.roulette.iter())
         .filter(|(name, _)| !plays_attached(name))
         .copied()
         .collect();
-    let roulette = extreme(&detached)
-        .map(|(name, c)| {
-            format!(
-                "; roulette loses nothing (largest |z| {:.1}, {name})",
-                c.z().abs()
-            )
-        })
-        .unwrap_or_default();
-    out.say(
-        "F40",
-        format!(
-            "a limit of length loses of the derivative: {}{roulette}.",
-            lost.join(", ")
-        ),
-    );
+    if let Some((name, c)) = extreme(&detached) {
+        parts.push(format!(
+            "roulette loses nothing (largest |z| {:.1}, {name})",
+            c.z().abs()
+        ));
+    }
+    if !parts.is_empty() {
+        out.say("F40", format!("{}.", parts.join("; ")));
+    }
 }
 
 fn unresolved(out: &mut Text, report: &Report) {

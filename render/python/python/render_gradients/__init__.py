@@ -63,13 +63,14 @@ def value_and_gradient(
     estimator: str = "mis",
     spp: int | None = None,
     seed: int = 0,
+    sensor: str | int | None = None,
 ) -> tuple[float, dict[str, NDArray[np.float64]]]:
     """The loss between the image and a target, and its gradient in the parameters `keys`.
 
     One step of inverse rendering: the image is rendered with the seed `2 * seed`, and the gradient with `2 * seed + 1`, so
-    that steps with different seeds are independent.
+    that steps with different seeds are independent. The target is what `sensor` sees, if one is named.
     """
-    image = scene.render(spp, 2 * seed)
+    image = scene.render(spp, 2 * seed, sensor)
     value, adjoint = _native.loss(image, target, loss)
-    return value, scene.backward(adjoint, keys, estimator, spp, 2 * seed + 1)
+    return value, scene.backward(adjoint, keys, estimator, spp, 2 * seed + 1, sensor)
 

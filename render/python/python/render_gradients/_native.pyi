@@ -67,7 +67,6 @@ class Scene:
     def make_movable(self, keys: str | Sequence[str]) -> None: ...
     @property
     def sensors(self) -> list[str]: ...
-    def look_through(self, sensor: str | int) -> None: ...
     def save(self, path: str | PathLike[str]) -> list[Any]: ...
     @property
     def warnings(self) -> list[str]: ...
@@ -100,6 +99,7 @@ class Scene:
         self,
         spp: int | None = None,
         seed: int = 0,
+        sensor: str | int | None = None,
         *,
         estimator: str = "mis",
         double: Literal[False] = False,
@@ -110,12 +110,15 @@ class Scene:
         self,
         spp: int | None = None,
         seed: int = 0,
+        sensor: str | int | None = None,
         *,
         estimator: str = "mis",
         double: Literal[True],
         progress: _Progress | None = None,
     ) -> NDArray[np.float64]: ...
-    def alpha(self, spp: int | None = None, seed: int = 0) -> NDArray[np.float32]: ...
+    def alpha(
+        self, spp: int | None = None, seed: int = 0, sensor: str | int | None = None
+    ) -> NDArray[np.float32]: ...
     def backward(
         self,
         adjoint: ArrayLike,
@@ -123,6 +126,7 @@ class Scene:
         estimator: str = "mis",
         spp: int | None = None,
         seed: int = 1,
+        sensor: str | int | None = None,
         *,
         progress: _Progress | None = None,
     ) -> dict[str, NDArray[np.float64]]: ...
@@ -132,6 +136,7 @@ class Scene:
         estimator: str = "mis",
         spp: int | None = None,
         seed: int = 1,
+        sensor: str | int | None = None,
         *,
         progress: _Progress | None = None,
     ) -> NDArray[np.float32]: ...
@@ -146,6 +151,7 @@ class Scene:
         tolerance: float = 0.1,
         significance: float = 0.001,
         seed: int = 0,
+        sensor: str | int | None = None,
         progress: _Progress | None = None,
     ) -> Check: ...
 

@@ -85,7 +85,7 @@ class _Series:
 def compare(
     scene: Scene,
     directions: str | Sequence[str] | Mapping[str, ArrayLike],
-    estimators: Sequence[str] | None = None,
+    estimators: str | Sequence[str] | None = None,
     *,
     reference: str = "mis",
     spp: int | None = None,
@@ -102,7 +102,9 @@ def compare(
     """
     if repeats < 4:
         raise ValueError(f"repeats: expected at least 4, found {repeats}")
-    names = [e.name for e in all_estimators()] if estimators is None else list(estimators)
+    if estimators is None:
+        estimators = [e.name for e in all_estimators()]
+    names = [estimators] if isinstance(estimators, str) else list(estimators)
     keys = list(directions) if not isinstance(directions, str) else [directions]
     refusals = {name: scene.refusal(name, keys) for name in [reference, *names]}
     if refusals[reference] is not None:

@@ -28,12 +28,14 @@ class _Render(torch.autograd.Function):
         spp: int | None,
         seed: int,
         estimator: str,
+        sensor: str | int | None,
         *values: torch.Tensor,
     ) -> torch.Tensor:
-        ctx.scene, ctx.keys, ctx.spp, ctx.seed, ctx.estimator = scene, keys, spp, seed, estimator
+        ctx.scene, ctx.keys, ctx.spp, ctx.seed = scene, keys, spp, seed
+        ctx.estimator, ctx.sensor = estimator, sensor
         ctx.save_for_backward(*values)
         _set(scene, keys, values)
-        image = scene.render(spp, 2 * seed)
+        image = scene.render(spp, 2 * seed, sensor)
         return torch.from_numpy(image).to(values[0].device)
 
     @staticmethod
@@ -42,14 +44,17 @@ class _Render(torch.autograd.Function):
         values = ctx.saved_tensors
         # Others may have moved the scene since.
         _set(ctx.scene, ctx.keys, values)
-        wanted = [key for key, needed in zip(ctx.keys, ctx.needs_input_grad[5:]) if needed]
+        wanted = [key for key, needed in zip(ctx.keys, ctx.needs_input_grad[6:]) if needed]
         adjoint = adjoint.detach().cpu().numpy()
-        found = ctx.scene.backward(adjoint, wanted, ctx.estimator, ctx.spp, 2 * ctx.seed + 1)
+        seed = 2 * ctx.seed + 1
+        found = ctx.scene.backward(adjoint, wanted, ctx.estimator, ctx.spp, seed, ctx.sensor)
+        # In the order of the names, which may be Mitsuba's.
+        found = dict(zip(wanted, found.values()))
         gradients = [
             torch.from_numpy(found[key]).reshape(value.shape).to(value) if key in found else None
             for key, value in zip(ctx.keys, values)
         ]
-        return None, None, None, None, None, *gradients
+        return None, None, None, None, None, None, *gradients
 
 
 def _set(scene: Scene, keys: Sequence[str], values: Sequence[torch.Tensor]) -> None:
@@ -64,13 +69,14 @@ def render(
     spp: int | None = None,
     seed: int = 0,
     estimator: str = "mis",
+    sensor: str | int | None = None,
 ) -> torch.Tensor:
     """The image of the scene with these parameters, height x width x 3, which gradients flow back from.
 
     The image takes the seed `2 * seed` and the gradient `2 * seed + 1`: they are independent, or it would not be the
     gradient of the expected loss. Every step should take a seed of its own. The parameters of the scene are replaced by
-    the tensors.
+    the tensors. `sensor` is what it is seen through, if not the scene's own.
     """
     if not params:
         raise ValueError("params: expected at least one parameter, found none")
-    return _Render.apply(scene, tuple(params), spp, seed, estimator, *params.values())
+    return _Render.apply(scene, tuple(params), spp, seed, estimator, sensor, *params.values())

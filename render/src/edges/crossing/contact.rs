@@ -6,7 +6,7 @@ use std::f64::consts::TAU;
 
 use ad_core::Vec3;
 
-use super::Part;
+use super::LineSide;
 use super::flat::{Chord, Flat, FlatKind, LEAST_SINE};
 use crate::edges::EdgePoint;
 
@@ -39,7 +39,7 @@ impl Doubt {
 
 /// Sides of two faces of different shapes that lie on each other.
 pub(super) struct Touch {
-    pub parts: [Part; 2],
+    pub parts: [LineSide; 2],
     /// Both sides.
     pub sides: [[Vec3<f64>; 2]; 2],
     /// Unit vectors from there into the faces.
@@ -155,7 +155,7 @@ impl Guests {
         let mut all = Self::default();
         for touch in touches {
             for k in [0, 1] {
-                let Part { shape, locals } = touch.parts[k];
+                let LineSide { shape, locals } = touch.parts[k];
                 let guest = Guest {
                     shape: touch.parts[1 - k].shape,
                     common: touch.common,

@@ -14,7 +14,7 @@ use super::boxes::{self, Box3};
 use super::contact::{self, Doubt, Touch};
 use super::flat::{Chord, Flat, FlatKind, LEAST_SINE};
 use super::round::Round;
-use super::{Line, Part, Path, normal};
+use super::{Line, LineSide, Path, normal};
 use crate::edges::topology::{place, tube};
 use crate::shape::{AnyShape, Mesh, Patch, Shape, lift3};
 
@@ -52,7 +52,7 @@ enum Found {
     Line(Line),
     Half(Half),
     Touch(Touch),
-    Doubt(Doubt, [Part; 2]),
+    Doubt(Doubt, [LineSide; 2]),
 }
 
 /// What is found of all.
@@ -137,7 +137,7 @@ impl<'a> Sheets<'a> {
                     kind: FlatKind::Oval([centre, a, b]),
                 })
             }
-            AnyShape::Mesh(_) | AnyShape::Instance(_) => Sheet::Nothing,
+            AnyShape::Mesh(_) | AnyShape::Instance(_) | AnyShape::Curves(_) => Sheet::Nothing,
         }
     }
 
@@ -160,7 +160,7 @@ impl<'a> Sheets<'a> {
             return;
         }
         let near = self.touching(a.0, b.0);
-        let parts = [a, b].map(|(shape, local)| Part {
+        let parts = [a, b].map(|(shape, local)| LineSide {
             shape,
             locals: [local; 2],
         });
@@ -193,7 +193,7 @@ fn polygon(corners: SmallVec<[Vec3<f64>; 4]>) -> Sheet {
 }
 
 /// Lines along which flat surfaces cross.
-fn flats(of: [&Flat; 2], parts: [Part; 2], near: f64, found: &mut Vec<Found>) {
+fn flats(of: [&Flat; 2], parts: [LineSide; 2], near: f64, found: &mut Vec<Found>) {
     let apart = parts[0].shape != parts[1].shape;
     let along = of[0].normal.cross(of[1].normal);
     if along.length() < LEAST_SINE {
@@ -252,7 +252,7 @@ impl Half {
 
     /// Whether the face is in front of the other surface, as the normal of that says.
     fn above(&self, shapes: &[AnyShape]) -> bool {
-        let Part { shape, locals } = self.line.sides[1];
+        let LineSide { shape, locals } = self.line.sides[1];
         let normal = normal(&shapes[shape as usize], locals[0], self.ends[0]);
         normal.dot(self.inner - self.ends[0]) > 0.0
     }
@@ -283,7 +283,7 @@ pub(super) fn all(shapes: &[AnyShape]) -> All {
             Found::Half(half) => halves.push(half),
             Found::Touch(touch) => touches.push(touch),
             Found::Doubt(doubt, parts) => {
-                let [a, b] = parts.map(|Part { shape, locals }| {
+                let [a, b] = parts.map(|LineSide { shape, locals }| {
                     normal(&shapes[shape as usize], locals[0], Vec3::zero())
                 });
                 // The bottom of what stands on something looks the other way.

@@ -20,7 +20,7 @@ pub(crate) use self::contact::Doubt;
 use self::contact::{Guests, Side};
 use self::round::{Ellipse, Pierced};
 use super::tree::{Dice, Item, Tree};
-use super::{EdgePoint, INSIDE, Inside, Rim, Seeker, Spot, Surfaces};
+use super::{EdgePoint, Eye, INSIDE, Inside, Rim, Seeker, Spot, Surfaces};
 use crate::params::Theta;
 use crate::shape::{AnyShape, Shape, SurfaceCoordinates, SurfaceInteraction};
 
@@ -30,7 +30,7 @@ const BESIDE: [f64; 2] = [3e-5, 4e-6];
 
 /// A surface at a line.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Part {
+pub(crate) struct LineSide {
     pub shape: u32,
     /// Primitives of the shape, behind and in front of the other surface as its normal says: one, unless the line is a side
     /// of both.
@@ -53,7 +53,7 @@ pub(super) enum Path {
 /// Where two surfaces cross.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Line {
-    pub sides: [Part; 2],
+    pub sides: [LineSide; 2],
     pub path: Path,
 }
 
@@ -165,7 +165,7 @@ impl Crossings {
         let tree = Tree::over(lines.iter().zip(0..).map(item).collect());
         let mut bent: HashMap<_, Vec<_>> = HashMap::new();
         for line in &lines {
-            let Part { shape, locals } = line.sides[0];
+            let LineSide { shape, locals } = line.sides[0];
             if let Path::Straight { start, along } = line.path
                 && locals[0] != locals[1]
             {
@@ -215,7 +215,7 @@ impl Crossings {
 
     /// Draws a point of a line, as `seeker` sees it if nothing hides it, and the surfaces that cross there. `None` where it
     /// draws none: there may be others.
-    pub fn draw(&self, seeker: &Seeker, u: [f64; 2]) -> Option<(EdgePoint, [Part; 2])> {
+    pub fn draw(&self, seeker: &Seeker, u: [f64; 2]) -> Option<(EdgePoint, [LineSide; 2])> {
         let mut dice = Dice::new(u[0]);
         let strip = |item: u32| {
             let line = &self.lines[item as usize];
@@ -227,7 +227,9 @@ impl Crossings {
         };
         let (item, p) = self.tree.choose(seeker, &[], &mut dice, strip)?;
         let line = &self.lines[item as usize];
-        let (mut point, speed) = line.rim(u[1]).seen(seeker.from, line.sides[0].shape)?;
+        let (mut point, speed) = line
+            .rim(u[1])
+            .seen(&Eye::point(seeker.from), line.sides[0].shape)?;
         point.weight = speed / p;
         point.weight.is_finite().then_some((point, line.sides))
     }
@@ -247,7 +249,7 @@ impl Surfaces<'_> {
 
     /// The surfaces at a point of a line. `None` if the line is seen as a point, one of the surfaces edge on, or the line is a
     /// side of faces that are all on one side of it, which is an outline.
-    pub fn meeting(&self, point: &EdgePoint, parts: [Part; 2]) -> Option<Meeting> {
+    pub fn meeting(&self, point: &EdgePoint, parts: [LineSide; 2]) -> Option<Meeting> {
         let EdgePoint { p, direction, .. } = *point;
         let [first, second] = parts;
         // The side of the second surface that it is seen from.
@@ -279,7 +281,7 @@ impl Surfaces<'_> {
         }
         let (na, nb, c) = (normal.dot(a), normal.dot(b), a.dot(b));
         let shares = [a * ((na - c * nb) / squared), b * ((nb - c * na) / squared)];
-        let extent = |part: Part| f64::from(self.shapes[part.shape as usize].extent());
+        let extent = |part: LineSide| f64::from(self.shapes[part.shape as usize].extent());
         let scale = extent(first).max(extent(second));
         let clearance = (BESIDE[0] * point.distance).max(BESIDE[1] * scale) / squared.sqrt();
         let locals = [first.locals[above], second.locals[0]];
@@ -288,10 +290,12 @@ impl Surfaces<'_> {
             on: Inside {
                 spot: Spot::Near(locals[k]),
                 p,
+                beside: None,
             },
             inside: Inside {
                 spot: Spot::Near(locals[k]),
                 p: p + m[k] * clearance,
+                beside: None,
             },
             share: shares[k],
         };
@@ -318,7 +322,7 @@ impl Surfaces<'_> {
                 [u * scale, v * scale]
             }
             AnyShape::Cylinder(_) => [u, v.clamp(0.0, 1.0)],
-            AnyShape::Sphere(_) => [u, v],
+            AnyShape::Sphere(_) | AnyShape::Curves(_) => [u, v],
         }
     }
 }

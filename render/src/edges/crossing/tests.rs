@@ -135,7 +135,7 @@ fn sides_that_lie_on_a_surface_are_lines() {
     assert_eq!(crossings.bent.len(), 4);
     let (mut point, _) = crossings.lines[0]
         .rim(0.5)
-        .seen(Vec3::splat(3.0), 1)
+        .seen(&Eye::point(Vec3::splat(3.0)), 1)
         .expect("seen");
     for (p, held) in [([0.5, 0.5, 0.0], true), ([2.0, -1.0, 0.0], false)] {
         point.p = p.into();

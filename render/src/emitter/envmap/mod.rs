@@ -14,7 +14,6 @@ use self::table::Table;
 use super::{Emission, Emitter, EmitterSample, Lights, SCALES, scale_given, scale_of};
 use crate::error::SceneError;
 use crate::film::Image;
-use crate::image_io::Encoding;
 use crate::math::{Rgb, Transform, angle, each};
 use crate::motion::Placement;
 use crate::params::{GradSink, ParamRef, ParamShape, Params, Theta};
@@ -308,6 +307,9 @@ fn angle_again<R: Real>(y: R, x: R) -> R {
     (across - Const(across.primal())) * Const(squared.recip())
 }
 
+/// A transform whose axes differ from one in length by more than this scales.
+const STRETCHED: f64 = 1e-3;
+
 /// Directions of the images of the axes, exactly orthonormal; `None` unless they nearly are.
 fn orthonormal(to_world: &Transform) -> Option<[[f32; 3]; 3]> {
     let column = |j: usize| Vec3::from([0, 1, 2].map(|i: usize| to_world.linear[i][j])).normalize();
@@ -442,6 +444,13 @@ impl FromNode for Envmap {
         let axes = orthonormal(&to_world).ok_or_else(|| {
             node.invalid("to_world", "a transform that keeps the axes orthogonal")
         })?;
+        let length =
+            |j: usize| Vec3::from([0, 1, 2].map(|i: usize| to_world.linear[i][j])).length();
+        if (0..3).any(|j| (length(j) - 1.0).abs() > STRETCHED) {
+            node.warn(
+                "`to_world` turns the image and does not scale it; Mitsuba 3 distorts it then",
+            );
+        }
         // What is wrong with it is said before a file is read.
         scale_given(node)?;
         node.ignore(&["mis_compensation"], Node::boolean)?;
@@ -451,7 +460,7 @@ impl FromNode for Envmap {
             valid: VALID,
             substitute: &[0.5; 3],
         };
-        let layer = node.string("layer")?;
+        let (layer, encoding) = (node.string("layer")?, texture::encoding(node)?);
         let Some(path) = texture::file(registry, node, &usage)? else {
             let grey = Image {
                 width: 1,
@@ -460,7 +469,7 @@ impl FromNode for Envmap {
             };
             return Self::of_image(registry, &name, &grey, &to_world, |r| scale_of(node, r));
         };
-        let (param, size) = texture::texels::<3>(registry, &path, Encoding::Srgb, layer, &usage)?;
+        let (param, size) = texture::texels::<3>(registry, &path, encoding, layer, &usage)?;
         registry.origins.of_image(node, param);
         Ok(Self::over(param, size, axes, scale_of(node, registry)?))
     }

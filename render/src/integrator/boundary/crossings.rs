@@ -15,8 +15,9 @@ use ad_core::{Float, Vec3};
 use super::form::{Contribution, Form, Mover, Term};
 use super::{BEFORE, Boundary, CANDIDATES, Candidates, IN_PLANE, MODE, SAME_DEPTH, wide};
 use crate::bsdf::{Bsdf, Shading};
-use crate::edges::crossing::{Meeting, Part, Sheet};
-use crate::edges::{EdgePoint, Inside, Seeker};
+use crate::camera::CameraSample;
+use crate::edges::crossing::{LineSide, Meeting, Sheet};
+use crate::edges::{EdgePoint, Eye, Inside, Seeker};
 use crate::estimator::{Still, Strategy};
 use crate::integrator::path::Walk;
 use crate::integrator::record::Place;
@@ -81,19 +82,20 @@ impl<P: Float> Boundary<'_, P> {
     /// What a point of a line on the film brings: both surfaces, one on each side.
     pub(super) fn crossing_on_film<S: Strategy, X: Sampler>(
         &self,
-        (at, point, parts): ([f64; 2], &EdgePoint, [Part; 2]),
+        (at, eye, point, parts): (CameraSample<P>, &Eye, &EdgePoint, [LineSide; 2]),
         count: u64,
         sampler: X,
     ) -> Option<Contribution<P>> {
-        let scene = self.context.scene;
         let Meeting { normal, sheets } = self.surfaces.meeting(point, parts)?;
         let hidden = self.context.settings.hides(1);
-        let origin = scene.camera.origin().map(P::of).into();
-        let from = Ray::new(origin, point.direction.map(P::of).normalize());
+        let from = |sheet: &Sheet| {
+            let origin = eye.origin(sheet.inside.p()).map(P::of);
+            Ray::new(origin, point.direction.map(P::of).normalize())
+        };
         let [a, b] = &sheets;
         let [near, far] = [
-            self.towards(from, a, hidden)?,
-            self.towards(from, b, hidden)?,
+            self.towards(from(a), a, hidden)?,
+            self.towards(from(b), b, hidden)?,
         ]
         .map(|(ray, hit)| self.radiance::<S, X>(ray, Some(hit), 1, sampler));
         let jump = near - far;
@@ -108,7 +110,7 @@ impl<P: Float> Boundary<'_, P> {
         let mut form: Form<P> = shares.flatten().collect();
         if self.moving.camera {
             form.push(Term {
-                mover: Mover::Camera(at.map(P::of)),
+                mover: Mover::Camera(at),
                 along: RayAdjoint {
                     o: (normal * -per).map(P::of),
                     d: (-normal).map(P::of),
@@ -163,7 +165,7 @@ impl<P: Float> Boundary<'_, P> {
             let Some((point, parts)) = self.crossings.draw(&seeker, u) else {
                 continue;
             };
-            let lit = |part: &Part| !lamps_only || scene.is_lamp(part.shape);
+            let lit = |part: &LineSide| !lamps_only || scene.is_lamp(part.shape);
             if !parts.iter().any(lit) {
                 continue;
             }

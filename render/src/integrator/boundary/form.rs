@@ -6,6 +6,7 @@ use ad_core::{Const, Float, Real, Vec3, array};
 use smallvec::SmallVec;
 
 use crate::accel::Hit;
+use crate::camera::CameraSample;
 use crate::emitter::Emitter;
 use crate::integrator::sink::Sink;
 use crate::math::{RayAdjoint, Rgb};
@@ -66,10 +67,10 @@ impl Moving {
 pub(super) enum Mover<P> {
     /// A point that stays on the material.
     Material(u32, SurfaceInteraction<P>),
-    /// What the ray through a point of the film meets, which stays.
-    Seen(u32, [P; 2], SurfaceInteraction<P>),
+    /// What the ray through a point of the film and a place of the lens meets, which stay.
+    Seen(u32, CameraSample<P>, SurfaceInteraction<P>),
     /// That ray.
-    Camera([P; 2]),
+    Camera(CameraSample<P>),
     /// A light that is a point, whose position is this parameter.
     Light(ParamRef),
 }
@@ -117,13 +118,13 @@ impl<P: Float> Term<P> {
                 let here = scene.point_at(theta, prim, at);
                 form(here.p, self.along.o) + form(here.frame.n, self.along.d)
             }
-            Mover::Seen(prim, [x, y], si) => {
-                let ray = scene.camera.ray_moving(theta, x, y);
+            Mover::Seen(prim, at, si) => {
+                let ray = scene.camera.ray_moving(theta, &at);
                 let seen = scene.interaction(theta, &ray, &hit_at(prim, si.t));
                 form(seen.si.p, self.along.o) + form(seen.si.frame.n, self.along.d)
             }
-            Mover::Camera([x, y]) => {
-                let ray = scene.camera.ray_moving(theta, x, y);
+            Mover::Camera(at) => {
+                let ray = scene.camera.ray_moving(theta, &at);
                 form(ray.o, self.along.o) + form(ray.d, self.along.d)
             }
             Mover::Light(p) => form(array(|k| theta.get(p, k)).into(), self.along.o),
@@ -144,16 +145,16 @@ impl<P: Float> Term<P> {
                 scene.scatter_point(theta, prim, &si, &surface, P::zero(), sink);
             }
             Mover::Seen(prim, at, si) => {
-                let ray = scene.camera.ray(at[0], at[1]);
+                let ray = scene.camera.ray_of(&at);
                 let back = scene.scatter_interaction(theta, prim, &ray, &si, &surface, sink);
-                scene.camera.scatter_ray(theta, at, &back, sink);
+                scene.camera.scatter_ray(theta, &at, &back, sink);
             }
             Mover::Camera(at) => {
                 let back = RayAdjoint {
                     o: o * adjoint,
                     d: d * adjoint,
                 };
-                scene.camera.scatter_ray(theta, at, &back, sink);
+                scene.camera.scatter_ray(theta, &at, &back, sink);
             }
             Mover::Light(p) => {
                 for (k, d) in o.to_array().into_iter().enumerate() {

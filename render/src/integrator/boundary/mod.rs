@@ -11,6 +11,10 @@
 //! there is nothing behind. Faces that meet at an angle are no outline there. Where it is a lamp that is behind an edge, and
 //! the first vertex that sees it, such samples are drawn from the lamp instead ([`shadows`]).
 //!
+//! A camera with a lens is a pinhole beside its axis for every point of the lens: samples on the film take such a point, and
+//! are the derivative of what that pinhole sees. By parallel rays, curves move across the rays, and lengths and areas are those
+//! of a film in the scene; divided by the distance from it and by its square, they are what angles are otherwise.
+//!
 //! Everything but the velocities is a constant. A sample is therefore a colour times a [linear form](Form) in the
 //! velocities of a few points: forward mode evaluates it, reverse mode adds its transpose to adjoints.
 //!
@@ -41,11 +45,11 @@ use super::sink::{GradientSums, Sink};
 use super::tile::{Paths, Sample, place, spot};
 use super::vertex::MODE;
 use crate::bsdf::{Bsdf, Shading};
-use crate::camera::Pinhole;
+use crate::camera::{CameraSample, Viewer};
 use crate::edges::Inside;
 use crate::edges::crossing::Crossings;
 use crate::edges::film::{FilmCurves, FilmPoint, Sides};
-use crate::edges::{EdgePoint, Edges, Seeker, Surfaces};
+use crate::edges::{EdgePoint, Edges, Eye, Seeker, Surfaces};
 use crate::emitter::AnyEmitter;
 use crate::estimator::{Still, Strategy};
 use crate::math::{Frame, NOWHERE, Ray, RayAdjoint, Rgb, Segment};
@@ -62,6 +66,8 @@ const CLEARANCE: [f64; 2] = [3e-5, 1e-6];
 const SAME_DEPTH: f64 = 1.0 - 1e-3;
 /// What is met nearer than this part of the distance of the point itself, and is none of its faces, hides it.
 const BEFORE: f64 = 1.0 - 1e-5;
+/// Rays in the plane of a face are so far beside it, relative to its size, that they pass the seams of its neighbours.
+const OFF_PLANE: f64 = 2e-5;
 /// The normal of an edge and that of a face whose plane it lies in have a cosine above this.
 const IN_PLANE: f64 = 1.0 - 1e-8;
 /// Edges that a vertex chooses among.
@@ -142,7 +148,8 @@ struct Boundary<'a, P: Float> {
     curves: FilmCurves,
     shadows: Lights,
     turning: Lights,
-    pinhole: Pinhole<P>,
+    /// From the middle of its lens, if the camera has one.
+    viewer: Viewer<P>,
     moving: Moving,
     seed: u64,
 }
@@ -202,7 +209,7 @@ impl<'a, P: Float> Boundary<'a, P> {
             curves,
             shadows: Lights::of(scene, max_depth, AnyEmitter::draws_shadows),
             turning: Lights::of(scene, max_depth, |e| scene.turns_away(e)),
-            pinhole: scene.camera.pinhole(&scene.film),
+            viewer: scene.camera.viewer(&scene.film, [P::of(0.5); 2]),
             moving,
             seed,
         }
@@ -267,25 +274,51 @@ impl<'a, P: Float> Boundary<'a, P> {
         Walk::<P, Still<S>, X>::behind(ray, sampler, depth, !found).finish_at(&self.context, hit)
     }
 
+    /// A place on the lens, if there is one, by numbers that nothing else in a stream is made of.
+    fn on_lens<X: Sampler>(&self, mut sampler: X) -> [P; 2] {
+        if !self.context.scene.camera.has_lens() {
+            return [P::of(0.5); 2];
+        }
+        sampler.seek(Purpose::Lens.at(1));
+        sampler.next_2d()
+    }
+
     /// How far beside an edge of a shape rays pass that see it at a distance.
     fn clearance(&self, shape: u32, distance: f64) -> f64 {
         let extent = f64::from(self.surfaces.shapes[shape as usize].extent());
         (CLEARANCE[0] * distance).max(CLEARANCE[1] * extent)
     }
 
-    /// The ray that passes an edge, from an origin, and what it meets as the edge number `depth` of a path, if it is one
-    /// that the camera may see; `None` if something hides the edge.
+    /// Whether a vertex with this normal, on that shape, cannot tell on which side of an edge it is: it is as near to it as
+    /// roundings are, or sees it along its own surface, where nothing is scattered. What is behind such an edge would be
+    /// chance, and count the inverse of its distance.
+    fn is_touched(
+        &self,
+        edge: &EdgePoint,
+        (x, shape): (Vec3<f64>, u32),
+        normal: Vec3<f64>,
+    ) -> bool {
+        let rounding = [edge.shape, shape].map(|shape| self.clearance(shape, edge.distance));
+        let rounding = rounding[0].max(rounding[1]);
+        let height = (edge.p - x).dot(normal);
+        height.abs() <= rounding || edge.distance <= rounding
+    }
+
+    /// The ray that passes an edge, by an eye that sees that along another ray, and what it meets as the edge number `depth` of
+    /// a path, if it is one that the camera may see; `None` if something hides the edge.
     fn past(
         &self,
         edge: &EdgePoint,
-        from: Ray<P>,
+        (eye, from): (&Eye, Ray<P>),
         depth: u32,
     ) -> Option<(Ray<P>, Option<Intersection<P>>)> {
         let scene = self.context.scene;
         let hidden = self.context.settings.hides(depth);
         let beside = edge.p + edge.normal * self.clearance(edge.shape, edge.distance);
-        let d = (beside - wide(from.o)).normalize();
+        let o = eye.origin(beside).map(P::of);
+        let d = (beside - wide(o)).normalize();
         let ray = Ray {
+            o,
             d: d.map(P::of).normalize(),
             ..from
         };
@@ -341,13 +374,25 @@ impl<'a, P: Float> Boundary<'a, P> {
         let points = self.context.settings.points;
         let mut sampler = X::spread(points, Family::EdgesOnFilm.seed(self.seed), index, sample);
         let u: f64 = sampler.next_1d();
+        let lens = self.on_lens(sampler);
+        let beside = (scene.camera.thin_lens()).map(|thin| {
+            let off = thin.off(lens.map(P::to_f64));
+            self.curves.middle().beside(&scene.camera, off)
+        });
         let point = self.curves.point(
-            self.edges,
-            self.crossings,
+            (self.edges, self.crossings),
+            beside.as_ref().unwrap_or(self.curves.middle()),
             (index as f64 + u) / count as f64,
         )?;
-        let FilmPoint { at, edge, sides } = point;
-        let origin = scene.camera.origin().map(P::of).into();
+        let FilmPoint {
+            at,
+            eye,
+            edge,
+            sides,
+        } = point;
+        let film = at.map(P::of);
+        let seen = CameraSample { film, lens };
+        let origin = eye.origin(edge.p).map(P::of);
         let ray = Ray::new(origin, edge.direction.map(P::of).normalize());
         let inside = |inside: &Inside| {
             let (prim, at) = self.surfaces.inside::<P>(edge.shape, inside);
@@ -355,12 +400,24 @@ impl<'a, P: Float> Boundary<'a, P> {
             si.t = P::of(edge.distance);
             let shape = edge.shape;
             let hit = Intersection { shape, prim, si };
-            self.radiance::<S, X>(ray, Some(hit), 1, sampler)
+            let mut walk = Walk::<P, Still<S>, X>::behind(ray, sampler, 1, true);
+            walk.step(&self.context, Some(hit), false, &mut ());
+            if let Some(beside) = inside.beside {
+                let other = self.surfaces.firsts[shape as usize] + beside.local;
+                let surface = scene.exit(other).surface;
+                let shadow = walk.shadow.iter_mut().map(|s| &mut s.ray);
+                for ray in walk.ray.iter_mut().chain(shadow) {
+                    if !beside.is_met(wide(ray.d)) {
+                        ray.from = surface;
+                    }
+                }
+            }
+            walk.finish(&self.context, &mut ())
         };
         let mut weight = edge.weight / count as f64;
         let jump = match &sides {
             Sides::Outline(front) => {
-                let (past, hit) = self.past(&edge, ray, 1)?;
+                let (past, hit) = self.past(&edge, (&eye, ray), 1)?;
                 weight *= hit.map_or(1.0, |hit| self.share_of_contact(&edge, &past, &hit));
                 inside(front) - self.radiance::<S, X>(past, hit, 1, sampler)
             }
@@ -387,7 +444,8 @@ impl<'a, P: Float> Boundary<'a, P> {
                 inside(near) - inside(far)
             }
             Sides::Crossing(parts) => {
-                let c = self.crossing_on_film::<S, X>((at, &edge, *parts), count, sampler)?;
+                let c =
+                    self.crossing_on_film::<S, X>((seen, &eye, &edge, *parts), count, sampler)?;
                 return Some((at, c));
             }
         };
@@ -396,14 +454,14 @@ impl<'a, P: Float> Boundary<'a, P> {
         }
         let value = jump.scale(P::of(weight));
         if let Sides::Turn(_, slope, shading) = sides {
-            let form = self.of_turn(&edge, slope, shading, at);
+            let form = self.of_turn(&edge, slope, shading, seen);
             return Some((at, Contribution { value, form }));
         }
         let n = edge.normal * edge.distance.recip();
         let mut form: Form<P> = self.of_edge(&edge, n).into_iter().collect();
         if self.moving.camera {
             form.push(Term {
-                mover: Mover::Camera(at.map(P::of)),
+                mover: Mover::Camera(seen),
                 along: RayAdjoint {
                     o: (-n).map(P::of),
                     d: (-edge.normal).map(P::of),
@@ -415,14 +473,19 @@ impl<'a, P: Float> Boundary<'a, P> {
 
     /// The speed on the film of a curve where normals turn away: it slides over the material, so that the cosine between
     /// view and normal stays zero.
-    fn of_turn(&self, edge: &EdgePoint, slope: f64, shading: Vec3<f64>, at: [f64; 2]) -> Form<P> {
+    fn of_turn(
+        &self,
+        edge: &EdgePoint,
+        slope: f64,
+        shading: Vec3<f64>,
+        at: CameraSample<P>,
+    ) -> Form<P> {
         let scene = self.context.scene;
         let (prim, spot) = self.surfaces.material::<P>(edge);
         let mut si = scene.point_at(&Theta::still(), prim, spot);
         si.t = P::of(edge.distance);
         // Meshes may be turned inside out.
         let slope = slope * wide(si.frame.n).dot(shading).signum();
-        let at = at.map(P::of);
         let term = |mover: Mover<P>, along: Vec3<f64>| Term {
             mover,
             along: RayAdjoint {
@@ -457,13 +520,13 @@ impl<'a, P: Float> Boundary<'a, P> {
         if both { 0.5 } else { 1.0 }
     }
 
-    /// An edge that hides light from the vertex number `depth` of a path, which stays at the point `film`.
+    /// An edge that hides light from the vertex number `depth` of a path, of which the camera's side stays.
     fn at_vertex<S: Strategy, X: Sampler>(
         &self,
         beta: Rgb<P>,
         here: &Place<P>,
         depth: u32,
-        film: [P; 2],
+        at: CameraSample<P>,
         mut sampler: X,
     ) -> Option<Contribution<P>> {
         let scene = self.context.scene;
@@ -505,6 +568,9 @@ impl<'a, P: Float> Boundary<'a, P> {
             let Some(edge) = self.edges.draw(&seeker, &lamps, u) else {
                 continue;
             };
+            if self.is_touched(&edge, (x, here.shape), normal) {
+                continue;
+            }
             // The sides of its own face are its horizon.
             if si.n_geo != si.frame.n && edge.normal.dot(normal).abs() > IN_PLANE {
                 continue;
@@ -527,7 +593,8 @@ impl<'a, P: Float> Boundary<'a, P> {
 
         // ---- What is behind it ----
         let from = si.spawn_ray(edge.direction.map(P::of).normalize(), scene.exit(here.prim));
-        let (ray, hit) = self.past(&edge, from, depth + 1)?;
+        let eye = Eye::point(wide(from.o));
+        let (ray, hit) = self.past(&edge, (&eye, from), depth + 1)?;
         let light = self.radiance::<S, X>(ray, hit, depth + 1, sampler);
         if light.is_black() {
             return None;
@@ -535,17 +602,17 @@ impl<'a, P: Float> Boundary<'a, P> {
         let n = edge.normal;
         let near = edge.distance.recip();
         let mut form: Form<P> = self.of_edge(&edge, n * near).into_iter().collect();
-        self.add_sight(&mut form, (here, depth, film), hit, (n, near));
+        self.add_sight(&mut form, (here, depth, at), hit, (n, near));
         let value = -(beta * f * light).scale(P::of(weight));
         (!form.is_empty()).then_some(Contribution { value, form })
     }
 
     /// Adds to the motion of an edge, seen at the inverse distance `near` across the plane with the normal `n`, those of what
-    /// is behind it and of the vertex that looks past it, which the film sees at `film` if it is the first one.
+    /// is behind it and of the vertex that looks past it, which the camera sees `at` a point if it is the first one.
     fn add_sight(
         &self,
         form: &mut Form<P>,
-        (here, depth, film): (&Place<P>, u32, [P; 2]),
+        (here, depth, at): (&Place<P>, u32, CameraSample<P>),
         hit: Option<Intersection<P>>,
         (n, near): (Vec3<f64>, f64),
     ) {
@@ -558,7 +625,7 @@ impl<'a, P: Float> Boundary<'a, P> {
         if depth > 1 {
             form.extend(self.material(here.prim, here.shape, || here.si, along));
         } else if self.moving.shapes[here.shape as usize] || self.moving.camera {
-            form.push(Term::point(Mover::Seen(here.prim, film, here.si), along));
+            form.push(Term::point(Mover::Seen(here.prim, at, here.si), along));
         }
     }
 
@@ -569,7 +636,7 @@ impl<'a, P: Float> Boundary<'a, P> {
         beta: Rgb<P>,
         here: &Place<P>,
         depth: u32,
-        film: [P; 2],
+        at: CameraSample<P>,
         mut sampler: X,
         each: &mut impl FnMut(Contribution<P>),
     ) {
@@ -596,16 +663,19 @@ impl<'a, P: Float> Boundary<'a, P> {
         let shape = &self.surfaces.shapes[here.shape as usize];
         let reach = f64::from(shape.extent());
         let x = wide(si.p);
+        let local = here.prim - self.surfaces.firsts[here.shape as usize];
+        let area = shape.area_element(self.context.theta, local).to_f64();
+        let beside = OFF_PLANE * area.sqrt();
         let edge = {
             let p = (x + direction * reach).map(P::of);
-            let local = here.prim - self.surfaces.firsts[here.shape as usize];
             let uv = shape.locate(local, p).0;
             SurfaceInteraction { p, uv, ..*si }
         };
         for side in [1.0, -1.0] {
             let n = normal * side;
             let d = (direction + n * CLEARANCE[0]).map(P::of).normalize();
-            let ray = si.spawn_ray(d, scene.exit(here.prim));
+            let mut ray = si.spawn_ray(d, scene.exit(here.prim));
+            ray.o += (n * beside).map(P::of);
             let hit =
                 (scene.nearest(&ray)).map(|hit| scene.interaction(&Theta::still(), &ray, &hit));
             let light = Walk::<P, Still<S>, X>::behind(ray, sampler, depth + 1, true)
@@ -616,7 +686,7 @@ impl<'a, P: Float> Boundary<'a, P> {
             let near = reach.recip();
             let mut form: Form<P> = Form::new();
             form.extend(self.material(here.prim, here.shape, || edge, n * near));
-            self.add_sight(&mut form, (here, depth, film), hit, (n, near));
+            self.add_sight(&mut form, (here, depth, at), hit, (n, near));
             if !form.is_empty() {
                 let value = -(beta * f * light).scale(P::of(TAU));
                 each(Contribution { value, form });
@@ -632,7 +702,7 @@ impl<'a, P: Float> Boundary<'a, P> {
         mut each: impl FnMut(Contribution<P>),
     ) {
         let points = self.context.settings.points;
-        let ([x, y, ..], sampler) = spot::<P, X>(
+        let (at, sampler) = spot::<P, X>(
             self.context.scene,
             points,
             Family::EdgesAtVertices.seed(self.seed),
@@ -641,7 +711,7 @@ impl<'a, P: Float> Boundary<'a, P> {
         );
         let edges = self.edges_at_vertices();
         for ((beta, here), depth) in vertices.0.iter().zip(1..) {
-            if edges && let Some(c) = self.at_vertex::<S, X>(*beta, here, depth, [x, y], sampler) {
+            if edges && let Some(c) = self.at_vertex::<S, X>(*beta, here, depth, at, sampler) {
                 each(c);
             }
             if self.crossings_at(depth)
@@ -650,7 +720,7 @@ impl<'a, P: Float> Boundary<'a, P> {
                 each(c);
             }
             if here.si.n_geo != here.si.frame.n {
-                self.at_horizon::<S, X>(*beta, here, depth, [x, y], sampler, &mut each);
+                self.at_horizon::<S, X>(*beta, here, depth, at, sampler, &mut each);
             }
         }
     }

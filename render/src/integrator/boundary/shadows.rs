@@ -20,7 +20,8 @@ use ad_core::{Float, Vec3};
 use super::form::{Contribution, Form, Mover, Term};
 use super::{Boundary, MODE, Source, wide};
 use crate::bsdf::{Bsdf, Shading};
-use crate::edges::Seeker;
+use crate::camera::{CameraSample, SightLine};
+use crate::edges::{Eye, Seeker};
 use crate::emitter::{AnyEmitter, Emission, Emitter};
 use crate::math::{Frame, NOWHERE, Ray, Rgb};
 use crate::params::Theta;
@@ -82,7 +83,7 @@ pub(super) struct Start<P> {
 /// What a ray from a light meets, as the camera sees it.
 pub(super) struct Receiver<P> {
     /// Of [`Mover::Seen`]: primitive, place on the film, surface.
-    seen: (u32, [P; 2], SurfaceInteraction<P>),
+    seen: (u32, CameraSample<P>, SurfaceInteraction<P>),
     /// Of the scene.
     shape: u32,
     /// What it scatters towards the camera, with the cosine of the ray.
@@ -94,7 +95,7 @@ pub(super) struct Receiver<P> {
 impl<P: Float> Receiver<P> {
     /// Where on the film.
     pub fn at(&self) -> [f64; 2] {
-        self.seen.1.map(P::to_f64)
+        self.seen.1.film.map(P::to_f64)
     }
 
     fn surface(&self) -> &SurfaceInteraction<P> {
@@ -146,6 +147,7 @@ impl<P: Float> Boundary<'_, P> {
         let u: [f64; 2] = sampler.next_2d();
         let on_light: [P; 2] = sampler.next_2d();
         let (light, weight) = self.shadows.choose(sampler.next_1d())?;
+        let lens = self.on_lens(sampler);
         let emitter = &scene.emitters()[light as usize];
         let start = self.start(emitter, on_light)?;
 
@@ -191,8 +193,9 @@ impl<P: Float> Boundary<'_, P> {
         };
 
         // ---- What it shades, as the camera sees that ----
-        let (ray, hit) = self.past(&edge, from, 2)?;
-        let receiver = self.receiver(&ray, hit?)?;
+        let eye = Eye::point(wide(from.o));
+        let (ray, hit) = self.past(&edge, (&eye, from), 2)?;
+        let receiver = self.receiver(&ray, hit?, lens)?;
         let si = receiver.surface();
         let x = wide(si.p);
         // Where it stands on that, it shades nothing that it does not hide on the film, with rays as near as these.
@@ -224,8 +227,13 @@ impl<P: Float> Boundary<'_, P> {
         (!form.is_empty()).then_some((receiver.at(), Contribution { value, form }))
     }
 
-    /// What a ray from a light meets, if the camera sees that and it scatters light to it.
-    pub(super) fn receiver(&self, ray: &Ray<P>, hit: Intersection<P>) -> Option<Receiver<P>> {
+    /// What a ray from a light meets, if the camera sees that through a place of its lens and it scatters light to it.
+    pub(super) fn receiver(
+        &self,
+        ray: &Ray<P>,
+        hit: Intersection<P>,
+        lens: [P; 2],
+    ) -> Option<Receiver<P>> {
         let scene = self.context.scene;
         let info = scene.shape_info(hit.shape);
         let hidden = self.context.settings.hides(1);
@@ -233,10 +241,16 @@ impl<P: Float> Boundary<'_, P> {
             return None;
         }
         let si = &hit.si;
-        let v = si.p - self.pinhole.origin;
-        let (at, area) = self.pinhole.project_point(v)?;
-        let distance = v.length();
-        let towards = -v * distance.recip();
+        let SightLine {
+            film,
+            towards,
+            distance,
+            area,
+        } = if scene.camera.has_lens() {
+            scene.camera.viewer(&scene.film, lens).sees(si.p)?
+        } else {
+            self.viewer.sees(si.p)?
+        };
         let [wo, wi] = [towards, -ray.d].map(|d| si.frame.to_local(d));
         let shading = Shading::new(*self.context.theta, si.uv);
         let f: Rgb<P> = scene.material(hit.shape).eval(&shading, wo, wi, MODE);
@@ -250,7 +264,7 @@ impl<P: Float> Boundary<'_, P> {
         let [across, along] = [towards, ray.d].map(|d| wide(si.n_geo).dot(wide(d)).abs());
         let surface = SurfaceInteraction { t: distance, ..*si };
         Some(Receiver {
-            seen: (hit.prim, at, surface),
+            seen: (hit.prim, CameraSample { film, lens }, surface),
             shape: hit.shape,
             f,
             area: area.to_f64() * across / along,

@@ -37,6 +37,7 @@ impl<P: Float> Boundary<'_, P> {
         let on_light: [P; 2] = sampler.next_2d();
         let turn: f64 = sampler.next_1d();
         let (light, weight) = self.turning.choose(sampler.next_1d())?;
+        let lens = self.on_lens(sampler);
         let emitter = &scene.emitters()[light as usize];
         let start = self.start(emitter, on_light)?;
         let (prim, shape, si) = start.surface?;
@@ -59,7 +60,7 @@ impl<P: Float> Boundary<'_, P> {
         let hit = scene.seen(&ray, self.context.settings.hides(2))?;
         let hit = scene.interaction(&Theta::still(), &ray, &hit);
         let far = (wide(hit.si.p) - wide(si.p)).length().recip();
-        let receiver = self.receiver(&ray, hit)?;
+        let receiver = self.receiver(&ray, hit, lens)?;
         let cos_light = wide(si.n_geo).dot(direction).abs();
         let weight = weight * start.weight * TAU * cos_light * receiver.area / count;
 

@@ -3,15 +3,17 @@
 use ad_core::{Dual, Float, Vec2, Vec3};
 use smallvec::SmallVec;
 
+use super::chain::{self, Sight};
 use super::closed::{self, Anchor};
 use super::field::{Influence, KAPPA, LARGEST, Neighbour, convolve};
 use super::outlines::Outlines;
-use crate::bsdf::Component;
-use crate::camera::Seen;
+use crate::bsdf::{Component, Shading};
+use crate::camera::{CameraSample, FilmPoint};
 use crate::edges::Edges;
 use crate::emitter::{Emitter, EmitterSample};
 use crate::estimator::{Follows, Strategy};
 use crate::integrator::active::Active;
+use crate::integrator::delta::{self, Delta};
 use crate::integrator::motion::slopes::{across, slope, slopes, varied};
 use crate::integrator::motion::trail::{Edge, Trail, met, sampled_point};
 use crate::integrator::path::Context;
@@ -45,8 +47,9 @@ impl<'a> Known<'a> {
 
 /// Where a ray starts.
 #[derive(Clone, Copy)]
-enum Start {
-    Camera,
+enum Start<P> {
+    /// At this place of its lens.
+    Camera([P; 2]),
     /// On a surface with this normal.
     Surface(Vec3<f64>),
 }
@@ -59,8 +62,10 @@ struct Follower<P> {
     near: f64,
     /// What it met, or the point, if that moves.
     met: Option<(u32, SurfaceInteraction<P>)>,
-    /// Where on the image it is seen, if it leaves a camera that moves.
-    film: Option<[P; 2]>,
+    /// What of the camera sees it, if it leaves one that moves.
+    at_camera: Option<CameraSample<P>>,
+    /// Over which mirrors and glass it is seen, which have a velocity of their own to add; `near` and `met` say nothing then.
+    sight: Option<Box<Sight<P>>>,
     influence: Influence,
 }
 
@@ -96,7 +101,7 @@ struct Bend<P> {
 
 /// A path with the fields around its directions.
 pub(super) struct Course<P> {
-    film: [P; 2],
+    at: CameraSample<P>,
     camera: Ray<P>,
     /// Radiance.
     l: Rgb<P>,
@@ -158,18 +163,25 @@ impl<'a, P: Float> Follow<'a, P> {
         }
     }
 
-    /// The field around the direction of a ray, which starts at a point that may move. `None` if nothing moves there.
+    /// The field around the direction of a ray, which starts at a point that may move and goes on along these deltas. `None`
+    /// if nothing moves there.
     fn field<X: Sampler>(
         &mut self,
-        ray: Ray<P>,
+        (ray, deltas): (Ray<P>, &[Delta]),
         origin_moves: bool,
-        start: Start,
+        start: Start<P>,
         (numbers, family, depth): (Numbers, Family, u32),
     ) -> Option<Field<P>> {
         match self.known {
             Known::Sampled(outlines, rays) => {
                 let sampler = sampler::<X>(numbers, family, *rays, depth);
-                self.sampled_field(ray, origin_moves, start, (outlines, *rays), sampler)
+                self.sampled_field(
+                    (ray, deltas),
+                    origin_moves,
+                    start,
+                    (outlines, *rays),
+                    sampler,
+                )
             }
             Known::Closed(edges) => self.closed_field(ray, origin_moves, start, edges),
         }
@@ -180,18 +192,18 @@ impl<'a, P: Float> Follow<'a, P> {
         &self,
         ray: Ray<P>,
         origin_moves: bool,
-        start: Start,
+        start: Start<P>,
         edges: &Edges,
     ) -> Option<Field<P>> {
         let scene = self.scene;
         let w = wide(ray.d).normalize();
         let (frame, o) = (Frame::from_normal(w), wide(ray.o));
         let reach = match start {
-            Start::Camera => (closed::REACH.min(scene.camera.half_angle()), None),
+            Start::Camera(_) => (closed::REACH.min(scene.camera.half_angle()), None),
             Start::Surface(normal) => (closed::REACH, Some(normal)),
         };
         let anchors = Anchor::of_outlines(edges, &frame, o, reach);
-        let through = matches!(start, Start::Camera) && self.hidden;
+        let through = matches!(start, Start::Camera(_)) && self.hidden;
         let met = scene.seen(&ray, through).map(|hit| {
             let met = scene.interaction(&Theta::still(), &ray, &hit);
             let (shape, si) = (scene.shape_of(hit.prim), met.si);
@@ -217,21 +229,23 @@ impl<'a, P: Float> Follow<'a, P> {
                     near: 1.0,
                     // A shape that moves as a whole moves points that are not on it alike.
                     met: at.map(|si| (prim, SurfaceInteraction { p, ..si })),
-                    film: None,
+                    at_camera: None,
+                    sight: None,
                     influence,
                 });
             });
         }
-        if let Start::Camera = start
+        if let Start::Camera(lens) = start
             && origin_moves
-            && let Some(seen) = scene.camera.seen(w)
+            && let Some(at) = self.seen(w, lens)
         {
             // A turn of all directions has no divergence.
             followers.push(Follower {
                 d: w,
                 near: 0.0,
                 met: None,
-                film: Some(seen.at.map(P::of)),
+                at_camera: Some(at),
+                sight: None,
                 influence: Influence {
                     share: 1.0,
                     divergence: Vec3::zero(),
@@ -241,16 +255,16 @@ impl<'a, P: Float> Follow<'a, P> {
         Some(Field { w, followers })
     }
 
-    /// By auxiliary rays: [`convolve`].
+    /// By auxiliary rays: [`convolve`]. They go over mirrors and glass as the path does.
     fn sampled_field<X: Sampler>(
         &mut self,
-        ray: Ray<P>,
+        (ray, deltas): (Ray<P>, &[Delta]),
         origin_moves: bool,
-        start: Start,
+        start: Start<P>,
         (outlines, rays): (&Outlines, u32),
         mut sampler: X,
     ) -> Option<Field<P>> {
-        let from_camera = matches!(start, Start::Camera);
+        let from_camera = matches!(start, Start::Camera(_));
         let scene = self.scene;
         let w = wide(ray.d).normalize();
         let frame = Frame::from_normal(w);
@@ -267,18 +281,21 @@ impl<'a, P: Float> Follow<'a, P> {
                 d: neighbour.d,
                 near: 0.0,
                 met: None,
-                film: None,
+                at_camera: None,
+                sight: None,
                 influence: Influence::default(),
             };
-            if from_camera && origin_moves {
-                let seen = scene.camera.seen(neighbour.d);
-                follower.film = seen.map(|seen| seen.at.map(P::of));
-                moves |= seen.is_some();
+            if let Start::Camera(lens) = start
+                && origin_moves
+            {
+                follower.at_camera = self.seen(neighbour.d, lens);
+                moves |= follower.at_camera.is_some();
             }
             // Beyond everything there is no outline.
             let mut test = LARGEST;
-            if let Some(hit) = scene.seen(&around, from_camera && self.hidden) {
-                test = outlines.test(KAPPA, &around, &hit);
+            let hit = scene.seen(&around, from_camera && self.hidden);
+            if let Some(hit) = hit {
+                test = outlines.test(KAPPA, &around, &hit, false);
                 follower.near = f64::from(hit.t).recip();
                 if self.active.moves_shape(scene.shape_of(hit.prim)) {
                     let met = scene.interaction(&Theta::still(), &around, &hit);
@@ -287,8 +304,31 @@ impl<'a, P: Float> Follow<'a, P> {
                 }
                 moves |= origin_moves || follower.met.is_some();
             }
+            let at_camera = follower.at_camera;
             self.neighbours.push((neighbour, test));
             followers.push(follower);
+            let Some(hit) = hit.filter(|_| !deltas.is_empty()) else {
+                continue;
+            };
+            let which = (scene, self.theta, self.active);
+            let Some(seen) = chain::look(which, outlines, (around, hit), deltas) else {
+                continue;
+            };
+            if let Some((_, test)) = self.neighbours.last_mut() {
+                *test = chain::aside(*test);
+            }
+            for (test, sight) in seen {
+                moves |= origin_moves || sight.moves;
+                self.neighbours.push((neighbour, test));
+                followers.push(Follower {
+                    d: neighbour.d,
+                    near: 0.0,
+                    met: None,
+                    at_camera,
+                    sight: Some(Box::new(sight)),
+                    influence: Influence::default(),
+                });
+            }
         }
         if !moves {
             return None;
@@ -299,25 +339,34 @@ impl<'a, P: Float> Follow<'a, P> {
         Some(Field { w, followers })
     }
 
-    /// That around a ray of the camera.
+    /// What of the camera sees a direction, through a place of its lens.
+    fn seen(&self, d: Vec3<f64>, lens: [P; 2]) -> Option<CameraSample<P>> {
+        let seen = self.scene.camera.seen(d, lens.map(P::to_f64))?;
+        let film = seen.at.map(P::of);
+        Some(CameraSample { film, lens })
+    }
+
+    /// That around a ray of the camera, through a place of its lens, for light that comes along these deltas.
     pub fn camera_field<X: Sampler>(
         &mut self,
-        ray: Ray<P>,
+        (ray, lens): (Ray<P>, [P; 2]),
+        deltas: &[Delta],
         numbers: Numbers,
         family: Family,
     ) -> Option<Field<P>> {
         let moves = self.active.moves_camera();
-        self.field::<X>(ray, moves, Start::Camera, (numbers, family, 0))
+        let start = Start::Camera(lens);
+        self.field::<X>((ray, deltas), moves, start, (numbers, family, 0))
     }
 
-    /// The fields of a path through the point `film` of the image.
+    /// The fields of a path that the camera sees `at` a point of the image.
     pub fn course<X: Sampler>(
         &mut self,
         trail: &Trail<P>,
-        film: [P; 2],
+        at: CameraSample<P>,
         numbers: Numbers,
     ) -> Course<P> {
-        let camera: Ray<P> = self.scene.camera.ray(film[0], film[1]);
+        let camera: Ray<P> = self.scene.camera.ray_of(&at);
         // ---- Radiance ----
         let mut bends: Vec<Bend<P>> = Vec::with_capacity(trail.stops.len());
         let mut next = Rgb::black();
@@ -344,7 +393,9 @@ impl<'a, P: Float> Follow<'a, P> {
         // ---- Fields ----
         let mut first = None;
         if !l.is_black() {
-            first = self.camera_field::<X>(camera, numbers, Family::FieldsOfScattering);
+            let deltas = chain::ahead(&trail.stops);
+            let family = Family::FieldsOfScattering;
+            first = self.camera_field::<X>((camera, at.lens), &deltas, numbers, family);
         }
         let mut moves = self.active.moves_camera() || first.is_some();
         for (k, (stop, bend)) in trail.stops.iter().zip(&mut bends).enumerate() {
@@ -358,16 +409,19 @@ impl<'a, P: Float> Follow<'a, P> {
             if let Some((s, aim)) = &stop.sampled
                 && !self.scene.emitters()[s.emitter as usize].is_delta()
             {
-                let ray = si.spawn_ray(aim.d, exit);
+                let ray = (si.spawn_ray(aim.d, exit), &[][..]);
                 bend.sampled =
                     self.field::<X>(ray, moves, start, (numbers, Family::FieldsOfLights, depth));
             }
+            // Deltas are followed by the field before them.
             if let Some(b) = &stop.bounce
+                && b.component == Component::Continuous
                 && !bend.arriving.is_black()
             {
                 let ray = si.spawn_ray(si.frame.to_world(b.wi), exit);
+                let deltas = chain::ahead(&trail.stops[k + 1..]);
                 bend.scattered = self.field::<X>(
-                    ray,
+                    (ray, &deltas),
                     moves,
                     start,
                     (numbers, Family::FieldsOfScattering, depth),
@@ -376,7 +430,7 @@ impl<'a, P: Float> Follow<'a, P> {
             }
         }
         Course {
-            film,
+            at,
             camera,
             l,
             first,
@@ -403,9 +457,9 @@ impl<'a, P: Float> Follow<'a, P> {
         self.emissions(edge, ray.d, end, d_l, &mut behind, grad);
         let mut back = self.ends_at(*ray, end, &behind, grad);
         if let Some(field) = &course.first
-            && let Some(seen) = self.scene.camera.seen(field.w)
+            && let Some(seen) = (self.scene.camera).seen(field.w, course.at.lens.map(P::to_f64))
         {
-            let Seen {
+            let FilmPoint {
                 slopes, log_area, ..
             } = seen;
             let total = (d_l * course.l).sum().to_f64();
@@ -416,7 +470,7 @@ impl<'a, P: Float> Follow<'a, P> {
         if self.active.moves_camera() {
             self.scene
                 .camera
-                .scatter_ray(self.theta, course.film, &back, grad);
+                .scatter_ray(self.theta, &course.at, &back, grad);
         }
     }
 
@@ -425,17 +479,18 @@ impl<'a, P: Float> Follow<'a, P> {
         &self,
         field: &Field<P>,
         axis: usize,
-        film: [P; 2],
+        at: &CameraSample<P>,
         d: f64,
         grad: &mut impl GradSink<P>,
     ) {
-        let Some(seen) = self.scene.camera.seen(field.w) else {
+        let lens = at.lens.map(P::to_f64);
+        let Some(seen) = self.scene.camera.seen(field.w, lens) else {
             return;
         };
         let o = self.velocity(field, seen.slopes[axis] * d, 0.0, grad);
         if self.active.moves_camera() {
             let back = RayAdjoint { o, d: Vec3::zero() };
-            self.scene.camera.scatter_ray(self.theta, film, &back, grad);
+            self.scene.camera.scatter_ray(self.theta, at, &back, grad);
         }
     }
 
@@ -453,6 +508,9 @@ impl<'a, P: Float> Follow<'a, P> {
         for f in &field.followers {
             let d = d * f.influence.share + f.influence.divergence * d_divergence;
             let d = d - f.d * f.d.dot(d);
+            if let Some(sight) = &f.sight {
+                origin += wide(self.along_sight(sight, d, grad));
+            }
             let d_p = (d * f.near).map(P::of);
             origin -= d * f.near;
             if let Some((prim, si)) = &f.met {
@@ -463,15 +521,83 @@ impl<'a, P: Float> Follow<'a, P> {
                 self.scene
                     .scatter_point(self.theta, *prim, si, &surface, P::zero(), grad);
             }
-            if let Some(film) = f.film {
+            if let Some(at) = &f.at_camera {
                 let back = RayAdjoint {
                     o: Vec3::zero(),
                     d: (-d).map(P::of),
                 };
-                self.scene.camera.scatter_ray(self.theta, film, &back, grad);
+                self.scene.camera.scatter_ray(self.theta, at, &back, grad);
             }
         }
         origin.map(P::of)
+    }
+
+    /// Adds the derivatives of the direction in which a point is seen over mirrors and glass, given its adjoint. The adjoint of
+    /// the point that the rays leave.
+    ///
+    /// Where the ray of a constant direction ends slides over the surface there, as everything moves; the direction turns so
+    /// that it stays on the material.
+    fn along_sight(&self, sight: &Sight<P>, d: Vec3<f64>, grad: &mut impl GradSink<P>) -> Vec3<P> {
+        let Sight { legs, ray, end, .. } = sight;
+        let slides = sight.slides(d).map(P::of);
+        let surface = |p| SurfaceAdjoint {
+            p,
+            ..SurfaceAdjoint::zero()
+        };
+        if self.active.moves_shape(self.scene.shape_of(end.0)) {
+            let stays = surface(-slides);
+            self.scene
+                .scatter_point(self.theta, end.0, &end.1, &stays, P::zero(), grad);
+        }
+        let behind = EdgeAdjoint {
+            end: surface(slides),
+            d: Vec3::zero(),
+        };
+        let mut back = self.ends_at(*ray, Some(*end), &behind, grad);
+        for leg in legs.iter().rev() {
+            let mut own = EdgeAdjoint::zero();
+            own.end.p += back.o;
+            let black = Rgb::black();
+            self.turns(&leg.place, leg.ray.d, leg.delta, (black, back.d), &mut own);
+            let end = (leg.place.prim, leg.place.si);
+            back = self.ends_at(leg.ray, Some(end), &own, grad);
+        }
+        back.o
+    }
+
+    /// A delta of a material with the adjoint `a` of its weight and `d_w` of the direction that it goes on in, in the world,
+    /// for a path that arrives in direction `before`.
+    fn turns(
+        &self,
+        place: &Place<P>,
+        before: Vec3<P>,
+        which: Delta,
+        (a, d_w): (Rgb<P>, Vec3<P>),
+        own: &mut EdgeAdjoint<P>,
+    ) {
+        type D<P> = Dual<P, 4>;
+        let material = self.scene.material(place.shape);
+        let uv = place.si.uv;
+        let uv = Vec2::new(D::var(uv.x, 2), D::var(uv.y, 3));
+        let at = Shading::new(self.theta.lift::<D<P>>(), uv);
+        let Some((wi, weight)) = delta::follow(material, &at, varied(place.wo, 0), which) else {
+            return;
+        };
+        let frame = &place.si.frame;
+        let local = frame.to_local(d_w);
+        let slope = |k: usize| {
+            let turned = wi.x.eps[k] * local.x + wi.y.eps[k] * local.y + wi.z.eps[k] * local.z;
+            slope(&weight, a, k) + turned
+        };
+        let [s, t] = across(place.wo);
+        let d_o = s * slope(0) + t * slope(1);
+        own.end.uv += Vec2::new(slope(2), slope(3));
+        let wi = wi.map(|x| x.re);
+        let of_frame = &mut own.end.frame;
+        of_frame.s += d_w * wi.x - before * d_o.x;
+        of_frame.t += d_w * wi.y - before * d_o.y;
+        of_frame.n += d_w * wi.z - before * d_o.z;
+        own.d -= frame.to_world(d_o);
     }
 
     /// The adjoints of a ray, given those of what it ends at and of its direction.
@@ -524,28 +650,23 @@ impl<'a, P: Float> Follow<'a, P> {
                 None => place.si.frame.to_world(b.wi),
             };
             let a = beta * bend.arriving;
-            self.scatters(
-                place,
-                [before, w],
-                b.wi,
-                b.component,
-                a,
-                &mut own,
-                &mut behind.d,
-            );
             let met = beta * b.f.scale(b.weight);
             self.emissions(&stop.edge, w, end, met, &mut behind, grad);
             let ray = Ray::new(from, w);
-            let total = (a * b.f).sum();
-            self.leaves(
-                ray,
-                end,
-                &behind,
-                bend.scattered.as_ref(),
-                total,
-                &mut own,
-                grad,
-            );
+            match b.component {
+                Component::Delta { kind, route } => {
+                    let back = self.ends_at(ray, end, &behind, grad);
+                    own.end.p += back.o;
+                    self.turns(place, before, (kind, route), (a, back.d), &mut own);
+                }
+                Component::Continuous => {
+                    let d_w = &mut behind.d;
+                    self.scatters(place, [before, w], b.wi, a, &mut own, d_w);
+                    let total = (a * b.f).sum();
+                    let field = bend.scattered.as_ref();
+                    self.leaves(ray, end, &behind, field, total, &mut own, grad);
+                }
+            }
         }
         if let Some((s, aim)) = &stop.sampled {
             let e = &self.scene.emitters()[s.emitter as usize];
@@ -557,17 +678,7 @@ impl<'a, P: Float> Follow<'a, P> {
                 let w = end.map_or(aim.d, |(_, si)| (si.p - from).normalize());
                 let mut adjoint = EdgeAdjoint::zero();
                 let a = beta * s.le.scale(s.weight);
-                let continuous = Component::Continuous;
-                let directions = [before, w];
-                self.scatters(
-                    place,
-                    directions,
-                    s.wi,
-                    continuous,
-                    a,
-                    &mut own,
-                    &mut adjoint.d,
-                );
+                self.scatters(place, [before, w], s.wi, a, &mut own, &mut adjoint.d);
                 let a_le = beta * s.f.scale(s.weight);
                 self.emission(s.emitter, w, end, a_le, &mut adjoint, grad);
                 let ray = Ray::new(from, w);
@@ -605,20 +716,19 @@ impl<'a, P: Float> Follow<'a, P> {
         }
     }
 
-    /// A material's value with the adjoint `a`, for a path that arrives in direction `before`, goes on in direction `w`, both
-    /// in the world, and leaves in the local direction `wi`.
+    /// A material's value without deltas with the adjoint `a`, for a path that arrives in direction `before`, goes on in
+    /// direction `w`, both in the world, and leaves in the local direction `wi`.
     fn scatters(
         &self,
         place: &Place<P>,
         [before, w]: [Vec3<P>; 2],
         wi: Vec3<P>,
-        component: Component,
         a: Rgb<P>,
         own: &mut EdgeAdjoint<P>,
         d_w: &mut Vec3<P>,
     ) {
         let material = self.scene.material(place.shape);
-        let s = slopes::<P, 6>(material, self.theta, place, wi, component, a);
+        let s = slopes::<P, 6>(material, self.theta, place, wi, Component::Continuous, a);
         let frame = &place.si.frame;
         for (world, local) in [(-before, s.wo), (w, s.wi)] {
             own.end.frame.s += world * local.x;
@@ -700,16 +810,7 @@ impl<'a, P: Float> Follow<'a, P> {
         let from = place.si.p;
         let mut d_w = Vec3::zero();
         let a = beta * s.le.scale(s.weight);
-        let directions = [before, aim.d];
-        self.scatters(
-            place,
-            directions,
-            s.wi,
-            Component::Continuous,
-            a,
-            own,
-            &mut d_w,
-        );
+        self.scatters(place, [before, aim.d], s.wi, a, own, &mut d_w);
         // As the adjoint of the light.
         let mut d = (d_w - aim.d * aim.d.dot(d_w)) * aim.distance.recip();
         let var = |x: P, i: usize| Dual::<P, 3>::var(x, i);

@@ -77,7 +77,8 @@ pub struct Influence {
 }
 
 /// The field at the unit direction `w` from at least two neighbours and their boundary tests. It is the sum of velocities
-/// times shares, as far as that is at right angles to `w`; the divergence is that on the sphere (errata Z-4.22).
+/// times shares, as far as that is at right angles to `w`; the divergence is that on the sphere (errata Z-4.22). A neighbour
+/// that stands several times in a row has as many velocities, each with a test of its own.
 pub fn convolve(
     w: Vec3<f64>,
     kappa: f64,
@@ -102,15 +103,19 @@ pub fn convolve(
     for influence in influences.iter_mut() {
         influence.divergence -= (slopes + w * 2.0) * influence.share;
     }
-    for i in 0..neighbours.len() {
-        let share = influences[i].share;
-        let score = neighbours[i].0.across * (kappa * share * share);
-        let others = || counts.iter().enumerate().filter(|(j, _)| *j != i);
+    let mut own = 0..0;
+    for alike in neighbours.chunk_by(|a, b| a.0.d == b.0.d) {
+        own = own.end..own.end + alike.len();
+        let share: f64 = influences[own.clone()].iter().map(|i| i.share).sum();
+        let score = alike[0].0.across * (kappa * share);
+        let others = || (counts.iter().enumerate()).filter(|(j, _)| !own.contains(j));
         let rest: f64 = others().map(|(_, c)| c).sum();
-        influences[i].divergence += score;
+        for influence in &mut influences[own.clone()] {
+            influence.divergence += score * influence.share;
+        }
         if rest > 0.0 {
             for (j, count) in others() {
-                influences[j].divergence -= score * (count / rest);
+                influences[j].divergence -= score * (share * count / rest);
             }
         }
     }

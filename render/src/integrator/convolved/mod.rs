@@ -13,14 +13,18 @@
 //! Where all outlines are those of spheres and of flat faces, a field that has their velocities is known in closed form, and
 //! takes the place of the convolution: nothing is traced but the path, and no limit is left.
 //!
+//! Mirrors and glass turn directions on; what is seen over them has outlines that directions before them follow (`chain`).
+//!
 //! # Does not handle
 //! By auxiliary rays it is right in the limit of a narrow kernel only ([`field::KAPPA`]): what is smaller than that is
-//! blurred. Dirac deltas, textures that jump and shadows of point and spot lights are refused, as other estimators of motion
-//! do, and pixel filters other than a box or a Gaussian ([`Scene::admits_outlines`](crate::Scene::admits_outlines)).
+//! blurred. Textures that jump and shadows of point and spot lights are refused, as other estimators of motion do, Dirac deltas
+//! where outlines are to be known in closed form, parallel rays of a camera, and pixel filters other than a box or a Gaussian
+//! ([`Scene::admits_outlines`](crate::Scene::admits_outlines)).
 //!
 //! # Reference
 //! [Zeltner 2021, section 4.4] after [Bangaru et al. 2020].
 
+mod chain;
 mod closed;
 mod course;
 pub mod field;
@@ -38,12 +42,13 @@ use super::path::{Context, Walk};
 use super::paths::{JOBS, collect_parts};
 use super::rendering::{Components, NonFinite, Rendering};
 use super::sink::{GradientSums, Sink};
-use super::tile::{Paths, Sample, Tile, film_point, place};
+use super::tile::{Paths, Sample, Tile, camera_sample, place};
+use crate::camera::CameraSample;
 use crate::estimator::{Still, Strategy};
 use crate::film::PixelFilter;
 use crate::math::Rgb;
 use crate::parallel;
-use crate::sampler::{Family, Sampler};
+use crate::sampler::{Family, Purpose, Sampler};
 use crate::scene::Scene;
 
 /// Who the random numbers of a sample belong to.
@@ -128,6 +133,8 @@ struct Worker<'a, P: Float, S: Strategy, X: Sampler> {
     follow: Follow<'a, P>,
     context: &'a Context<'a, P>,
     seed: u64,
+    /// The path from a border of a pixel, where that may go along Dirac deltas.
+    trail: Option<Trail<P>>,
     strategy: std::marker::PhantomData<(S, X)>,
 }
 
@@ -147,20 +154,34 @@ impl<P: Float, S: Strategy, X: Sampler> Worker<'_, P, S, X> {
         let numbers = numbers(scene, self.seed, sample);
         let (border, sampler) = border::<X>(points, scene, sample, numbers);
         let film = border.at.map(P::of);
-        let ray = scene.camera.ray(film[0], film[1]);
-        let Some(field) = self
-            .follow
-            .camera_field::<X>(ray, numbers, Family::PixelBorders)
+        let mut lens = [P::zero(); 2];
+        if scene.camera.has_lens() {
+            let mut sampler = sampler;
+            sampler.seek(Purpose::Lens.at(1));
+            lens = sampler.next_2d();
+        }
+        let at = CameraSample { film, lens };
+        let ray = scene.camera.ray_of(&at);
+        let walk = || Walk::<P, Still<S>, X>::new(ray, sampler);
+        let along = self.trail.as_mut().map(|trail| {
+            trail.clear();
+            let l = walk().finish(self.context, trail);
+            (l, chain::ahead(&trail.stops))
+        });
+        let deltas = along.as_ref().map_or(&[][..], |(_, deltas)| deltas);
+        let family = Family::PixelBorders;
+        let of_camera = (ray, lens);
+        let Some(field) = (self.follow).camera_field::<X>(of_camera, deltas, numbers, family)
         else {
             return;
         };
-        let l = Walk::<P, Still<S>, X>::new(ray, sampler).finish(self.context, &mut ());
+        let l = along.map_or_else(|| walk().finish(self.context, &mut ()), |(l, _)| l);
         if l.is_black() {
             return;
         }
         let follow = &self.follow;
         each(&border, l, &|d, held| {
-            follow.add_border(&field, border.axis, film, d, held);
+            follow.add_border(&field, border.axis, &at, d, held);
         });
     }
 }
@@ -216,6 +237,7 @@ pub(super) fn image<R: Components, S: Strategy, X: Sampler>(pass: &Pass<R>) -> R
     let active = Active::of(scene, &moving);
     let context = context(pass, &theta);
     let known = Known::of::<S>(scene);
+    let deltas = scene.scatters_deltas();
     let spp = pass.samples.end.saturating_sub(pass.samples.start) as f64;
     let tiles = pass.tiles();
     let parts = parallel::map(tiles.len(), |i| {
@@ -230,14 +252,15 @@ pub(super) fn image<R: Components, S: Strategy, X: Sampler>(pass: &Pass<R>) -> R
             follow: Follow::new(&context, &active, &known),
             context: &context,
             seed: pass.seed,
+            trail: deltas.then(Trail::default),
             strategy: std::marker::PhantomData,
         };
         let mut held = Held::new(&active);
         let done = |_: usize, sample: Sample, l: Rgb<R::Primal>, trail: &mut Trail<R::Primal>| {
-            let film = film_point::<R::Primal, X>(scene, pass.settings.points, pass.seed, &sample);
+            let at = camera_sample::<R::Primal, X>(scene, pass.settings.points, pass.seed, &sample);
             let numbers = numbers(scene, pass.seed, &sample);
-            let course = worker.follow.course::<X>(trail, film, numbers);
-            let filter = filter_slopes(scene, &sample, film);
+            let course = worker.follow.course::<X>(trail, at, numbers);
+            let filter = filter_slopes(scene, &sample, at.film);
             let mut tangents = [R::zero(); 3];
             let mut finite = l.is_finite();
             for (c, sum) in tangents.iter_mut().enumerate() {
@@ -295,6 +318,7 @@ pub(super) fn gradient<P: Float, S: Strategy, X: Sampler>(
     let (scene, theta) = (pass.scene, pass.theta);
     let context = context(pass, theta);
     let known = Known::of::<S>(scene);
+    let deltas = scene.scatters_deltas();
     let tiles = pass.tiles();
     let jobs = JOBS.min(tiles.len());
     let parts = parallel::map(jobs, |job| {
@@ -305,6 +329,7 @@ pub(super) fn gradient<P: Float, S: Strategy, X: Sampler>(
             follow: Follow::new(&context, active, &known),
             context: &context,
             seed: pass.seed,
+            trail: deltas.then(Trail::default),
             strategy: std::marker::PhantomData,
         };
         let mut held = Held::new(active);
@@ -313,15 +338,15 @@ pub(super) fn gradient<P: Float, S: Strategy, X: Sampler>(
                 break;
             }
             let done = |_, sample: Sample, l: Rgb<P>, trail: &mut Trail<P>| {
-                let film = film_point::<P, X>(scene, pass.settings.points, pass.seed, &sample);
+                let at = camera_sample::<P, X>(scene, pass.settings.points, pass.seed, &sample);
                 let scale = P::of(sample.scale());
                 let of = |pixel| Sample { pixel, ..sample }.of_image::<P>(adjoint, scene) * scale;
                 let d = of(sample.pixel);
                 held.found.clear();
                 if !d.is_black() {
                     let numbers = numbers(scene, pass.seed, &sample);
-                    let course = worker.follow.course::<X>(trail, film, numbers);
-                    let filter = filter_slopes(scene, &sample, film);
+                    let course = worker.follow.course::<X>(trail, at, numbers);
+                    let filter = filter_slopes(scene, &sample, at.film);
                     worker.follow.add(trail, &course, filter, d, &mut held);
                 }
                 worker.borders(&sample, |border, l, speed| {

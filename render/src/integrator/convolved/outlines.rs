@@ -13,26 +13,35 @@ use crate::shape::{AnyShape, FAR, Mesh, lift3};
 /// Surfaces of small triangles that are seen at this cosine count as far from an outline.
 const FACING: f64 = 0.5;
 
+/// Sine of the angle between triangles below which they are one surface.
+const FLAT: f64 = 1e-5;
+
 /// Triangles whose sides are below so many times the angle of a kernel are small.
 const SMALL: f64 = 3.0;
 
-/// The neighbours of a triangle: per side, the vertex of another one that is opposite to it.
-type Opposite = [Option<[f32; 3]>; 3];
+/// What is beyond a side of a triangle: the vertex that is opposite to it there, if there is one triangle, and whether the
+/// surface has another normal on that side.
+#[derive(Clone, Copy)]
+struct Beyond {
+    vertex: Option<[f32; 3]>,
+    creased: bool,
+}
 
 /// What meshes add to [`Scene::border`], which does not know which sides of a triangle are outlines: those beyond which
 /// there is no neighbour, or one on the same side of the plane through the point of view.
 pub(super) struct Outlines<'a> {
     scene: &'a Scene,
-    /// Per shape, if it is a mesh, and what is opposite to the sides of each triangle.
-    meshes: Vec<Option<(Mesh, Vec<Opposite>)>>,
+    /// Per shape, if it is a mesh, and what is beyond the sides of each triangle.
+    meshes: Vec<Option<(Mesh, Vec<[Beyond; 3]>)>>,
 }
 
 /// Neighbours share two welded points. A side with more than two triangles counts as one without a neighbour.
-fn opposite(mesh: &Mesh) -> Vec<Opposite> {
+fn beyond(mesh: &Mesh) -> Vec<[Beyond; 3]> {
     let data = mesh.data();
-    let welding = mesh.welding();
+    let point = |v: u32| mesh.welding().points[v as usize];
+    let ends = |t: &[u32; 3], k: usize| [t[k], t[(k + 1) % 3]];
     let side = |t: &[u32; 3], k: usize| {
-        let [a, b] = [t[k], t[(k + 1) % 3]].map(|v| welding.points[v as usize]);
+        let [a, b] = ends(t, k).map(point);
         (a.min(b), a.max(b))
     };
     let mut sides: HashMap<(u32, u32), Vec<(u32, u32)>> = HashMap::new();
@@ -44,13 +53,33 @@ fn opposite(mesh: &Mesh) -> Vec<Opposite> {
                 .push((i, t[(k + 2) % 3]));
         }
     }
+    let normal = |v: u32| data.normals[v as usize];
+    let at = |v: u32| lift3::<f64>(data.positions[v as usize]);
+    let creased = |t: &[u32; 3], k: usize, other: u32, opposite: u32| {
+        if !data.normals.is_empty() {
+            let other = data.triangles[other as usize];
+            return !ends(t, k).iter().all(|&v| {
+                let same = other.iter().find(|&&w| point(w) == point(v));
+                same.is_some_and(|&w| normal(w) == normal(v))
+            });
+        }
+        let [a, b, c, d] = [t[k], t[(k + 1) % 3], t[(k + 2) % 3], opposite].map(at);
+        let plane = (b - a).cross(c - a);
+        plane.dot(d - a).abs() > FLAT * plane.length() * (d - a).length()
+    };
     let of = |(t, i): (&[u32; 3], u32)| {
         std::array::from_fn(|k| match sides[&side(t, k)].as_slice() {
-            [(a, va), (b, vb)] => {
-                let other = if *a == i { *vb } else { *va };
-                (a != b).then(|| data.positions[other as usize])
+            [one, two] if one.0 != two.0 => {
+                let (other, opposite) = if one.0 == i { *two } else { *one };
+                Beyond {
+                    vertex: Some(data.positions[opposite as usize]),
+                    creased: creased(t, k, other, opposite),
+                }
             }
-            _ => None,
+            _ => Beyond {
+                vertex: None,
+                creased: true,
+            },
         })
     };
     data.triangles.iter().zip(0..).map(of).collect()
@@ -58,7 +87,7 @@ fn opposite(mesh: &Mesh) -> Vec<Opposite> {
 
 impl<'a> Outlines<'a> {
     pub fn of(scene: &'a Scene) -> Self {
-        let with = |mesh: Mesh| Some((mesh.clone(), opposite(&mesh)));
+        let with = |mesh: Mesh| Some((mesh.clone(), beyond(&mesh)));
         let each = |shape: &AnyShape| match shape {
             AnyShape::Mesh(mesh) => with(mesh.clone()),
             AnyShape::Instance(instance) => with(instance.copied()),
@@ -71,8 +100,9 @@ impl<'a> Outlines<'a> {
     }
 
     /// The boundary test at what a ray hit: zero on its outline. Of triangles smaller than a kernel, whose outlines are far
-    /// from most of them, the cosine to the normal is asked, too [Zeltner 2021, section 4.1.3].
-    pub fn test<P: Float>(&self, kappa: f64, ray: &Ray<P>, hit: &Hit) -> f64 {
+    /// from most of them, the cosine to the normal is asked, too [Zeltner 2021, section 4.1.3]. `creases`: whether sides at which
+    /// a surface has two normals are outlines, too.
+    pub fn test<P: Float>(&self, kappa: f64, ray: &Ray<P>, hit: &Hit, creases: bool) -> f64 {
         let shape = self.scene.shape_of(hit.prim);
         let Some((mesh, triangles)) = &self.meshes[shape as usize] else {
             return boundary_test(kappa, self.scene.border(ray, hit).to_f64());
@@ -81,7 +111,7 @@ impl<'a> Outlines<'a> {
         let data = mesh.data();
         let (o, d) = (ray.o.map(P::to_f64), ray.d.map(P::to_f64));
         let corners = data.triangles[local].map(|v| lift3::<f64>(data.positions[v as usize]) - o);
-        let mut least = FAR;
+        let (mut least, mut crease) = (FAR, FAR);
         let mut size: f64 = 0.0;
         for k in 0..3 {
             let [a, b, c] = [0, 1, 2].map(|j| corners[(k + j) % 3]);
@@ -92,15 +122,18 @@ impl<'a> Outlines<'a> {
                 continue;
             }
             let side = |p: Vec3<f64>| plane.dot(p) > 0.0;
-            let beyond = triangles[local][k].map(|v| side(lift3::<f64>(v) - o));
-            if beyond.is_none_or(|beyond| beyond == side(c)) {
-                least = least.min(plane.dot(d).abs() / length);
+            let angle = plane.dot(d).abs() / length;
+            let Beyond { vertex, creased } = triangles[local][k];
+            if vertex.is_none_or(|v| side(lift3::<f64>(v) - o) == side(c)) {
+                least = least.min(angle);
+            } else if creased && creases {
+                crease = crease.min(angle);
             }
         }
-        let test = boundary_test(kappa, least);
         if size * kappa.sqrt() > SMALL * f64::from(hit.t) {
-            return test;
+            return boundary_test(kappa, least.min(crease));
         }
+        let test = boundary_test(kappa, least);
         let [a, b, c] = corners;
         let normal: Vec3<f64> = (b - a).cross(c - a);
         let cosine = normal.dot(d).abs() / normal.length();

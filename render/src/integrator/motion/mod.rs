@@ -27,7 +27,7 @@ use super::path::Context;
 use super::paths::{JOBS, TileSums, assemble, collect_parts, deposit};
 use super::rendering::{Components, NonFinite, Rendering};
 use super::sink::{GradientSums, Sink};
-use super::tile::{Paths, Sample, film_point, place};
+use super::tile::{Paths, Sample, camera_sample, place};
 use crate::estimator::Strategy;
 use crate::math::Rgb;
 use crate::parallel;
@@ -135,13 +135,14 @@ pub(super) fn image<R: Components, S: Strategy, X: Sampler>(pass: &Pass<R>) -> R
         let mut pull_back = PullBack::new::<S>(scene, &theta, &active);
         let mut held = Held::new(&active);
         let done = |at: usize, sample: Sample, l: Rgb<R::Primal>, trail: &mut Trail<R::Primal>| {
-            let film = film_point::<R::Primal, X>(scene, pass.settings.points, pass.seed, &sample);
+            let at_camera =
+                camera_sample::<R::Primal, X>(scene, pass.settings.points, pass.seed, &sample);
             let mut tangents = [R::zero(); 3];
             let mut finite = l.is_finite();
             for (c, tangent) in tangents.iter_mut().enumerate() {
                 held.found.clear();
                 let unit = |i| R::Primal::select(i == c, R::Primal::one(), R::Primal::zero());
-                pull_back.add(trail, film, array(unit).into(), &mut held);
+                pull_back.add(trail, &at_camera, array(unit).into(), &mut held);
                 finite &= held.is_finite();
                 *tangent = held.tangent(pass.theta);
             }
@@ -185,10 +186,11 @@ pub(super) fn gradient<P: Float, S: Strategy, X: Sampler>(
                 break;
             }
             let done = |_, sample: Sample, l: Rgb<P>, trail: &mut Trail<P>| {
-                let film = film_point::<P, X>(scene, pass.settings.points, pass.seed, &sample);
+                let at_camera =
+                    camera_sample::<P, X>(scene, pass.settings.points, pass.seed, &sample);
                 let d = sample.of_image::<P>(adjoint, scene) * P::of(sample.scale());
                 held.found.clear();
-                pull_back.add(trail, film, d, &mut held);
+                pull_back.add(trail, &at_camera, d, &mut held);
                 let edges = trail.stops.len() as u32 + 1;
                 let which = (scene, sample);
                 held.settle(which, l.is_finite(), edges, &mut sink, &mut non_finite);

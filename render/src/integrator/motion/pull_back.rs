@@ -5,6 +5,7 @@ use ad_core::{Dual, Float, Vec2, Vec3};
 use super::slopes::{across, slope, slopes, varied};
 use super::trail::{Stop, Trail, met, sampled_point};
 use crate::bsdf::Component;
+use crate::camera::CameraSample;
 use crate::emitter::{Emitter, EmitterSample};
 use crate::estimator::Strategy;
 use crate::integrator::active::Active;
@@ -74,11 +75,11 @@ impl<'a, P: Float> PullBack<'a, P> {
         }
     }
 
-    /// Adds the derivative of `d_l . L`, where `L` is the radiance of the path through the point `film` of the image.
+    /// Adds the derivative of `d_l . L`, where `L` is the radiance of the path that the camera sees `at` a point of the image.
     pub fn add(
         &mut self,
         trail: &Trail<P>,
-        film: [P; 2],
+        at: &CameraSample<P>,
         d_l: Rgb<P>,
         grad: &mut impl GradSink<P>,
     ) {
@@ -92,7 +93,7 @@ impl<'a, P: Float> PullBack<'a, P> {
         if let Some((prim, si)) = last.end {
             self.push(trail.stops.len().checked_sub(1), prim, si);
         }
-        let ray: Ray<P> = self.scene.camera.ray(film[0], film[1]);
+        let ray: Ray<P> = self.scene.camera.ray_of(at);
         self.camera = ray.d;
         let mut next = Rgb::black();
         for (k, stop) in trail.stops.iter().enumerate().rev() {
@@ -102,7 +103,7 @@ impl<'a, P: Float> PullBack<'a, P> {
             let end = trail.first.end.map(|_| 0);
             self.emission(None, end, met.emitter, ray.d, d_l * met.weight, grad);
         }
-        self.scatter(&ray, film, grad);
+        self.scatter(&ray, at, grad);
     }
 
     fn push(&mut self, from: Option<usize>, prim: u32, si: SurfaceInteraction<P>) -> usize {
@@ -376,7 +377,7 @@ impl<'a, P: Float> PullBack<'a, P> {
     }
 
     /// Adds the adjoints of all points.
-    fn scatter(&mut self, ray: &Ray<P>, film: [P; 2], grad: &mut impl GradSink<P>) {
+    fn scatter(&mut self, ray: &Ray<P>, at: &CameraSample<P>, grad: &mut impl GradSink<P>) {
         let (scene, theta) = (self.scene, self.theta);
         let mut back = RayAdjoint {
             o: Vec3::zero(),
@@ -404,7 +405,7 @@ impl<'a, P: Float> PullBack<'a, P> {
             }
         }
         if self.active.moves_camera() {
-            scene.camera.scatter_ray(theta, film, &back, grad);
+            scene.camera.scatter_ray(theta, at, &back, grad);
         }
     }
 }

@@ -75,10 +75,37 @@ impl PathInterest {
         }
     }
 
-    /// Whether manifold connections find light of this emitter on the edge.
+    /// The path leaves a vertex of a material; see [`PathInterest::arrive_on`].
+    #[inline(always)]
+    pub fn leave_by(
+        &mut self,
+        split: Option<&Split>,
+        material: u32,
+        along_delta: bool,
+        reflects: bool,
+    ) {
+        if let Some(split) = split {
+            self.run = split.leaves(self.run, material, along_delta, reflects);
+        }
+    }
+
+    /// Whether light of this emitter on the edge is left to others, or out.
     #[inline(always)]
     pub fn leaves(&self, split: Option<&Split>, emitter: u32) -> bool {
-        split.is_some_and(|split| split.finds(self.run, emitter))
+        split.is_some_and(|split| split.excludes(self.run, emitter))
+    }
+
+    /// The same of light that is sampled from a vertex of a material.
+    #[inline(always)]
+    pub fn leaves_sampled(
+        mut self,
+        split: Option<&Split>,
+        emitter: u32,
+        material: u32,
+        reflects: bool,
+    ) -> bool {
+        self.leave_by(split, material, false, reflects);
+        self.leaves(split, emitter)
     }
 }
 

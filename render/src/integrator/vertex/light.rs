@@ -82,7 +82,7 @@ pub fn find_light<R: Real, S: Strategy>(
 }
 
 /// A vertex as lights see it.
-pub struct Seen<'a, P: Float> {
+pub struct LitVertex<'a, P: Float> {
     /// The material there.
     pub material: &'a Material,
     /// Its parameters, and where.
@@ -103,7 +103,7 @@ pub fn choose<'a, P: Float>(
     bits: u64,
     u: [P; 2],
     p: Vec3<P>,
-    seen: impl FnOnce() -> Seen<'a, P>,
+    seen: impl FnOnce() -> LitVertex<'a, P>,
 ) -> (u32, P) {
     match lights {
         // The only light needs no number; the branch is always predicted.
@@ -126,7 +126,7 @@ pub fn choose<'a, P: Float>(
 fn weigh_lights<P: Float>(
     scene: &Scene,
     from: Vec3<P>,
-    seen: &Seen<P>,
+    seen: &LitVertex<P>,
     counts_hits: bool,
     choice: u64,
     u: [P; 2],

@@ -105,6 +105,8 @@ pub trait Field {
     fn zero() -> Self;
     /// Path `to` gets the value of path `from`.
     fn relocate(&mut self, to: usize, from: usize);
+    /// Path `to` gets the value that path `from` has in another one.
+    fn copy(&mut self, to: usize, other: &Self, from: usize);
 }
 
 impl<T: Copy + Default> Field for Lane<T> {
@@ -114,6 +116,10 @@ impl<T: Copy + Default> Field for Lane<T> {
     #[inline(always)]
     fn relocate(&mut self, to: usize, from: usize) {
         self[to] = self[from];
+    }
+    #[inline(always)]
+    fn copy(&mut self, to: usize, other: &Self, from: usize) {
+        self[to] = other[from];
     }
 }
 
@@ -125,6 +131,12 @@ impl<P: Float> Field for Lanes<P> {
     fn relocate(&mut self, to: usize, from: usize) {
         for lane in &mut self.0 {
             lane.relocate(to, from);
+        }
+    }
+    #[inline(always)]
+    fn copy(&mut self, to: usize, other: &Self, from: usize) {
+        for (lane, other) in self.0.iter_mut().zip(&other.0) {
+            lane.copy(to, other, from);
         }
     }
 }
@@ -146,6 +158,11 @@ macro_rules! lanes {
             #[inline(always)]
             fn relocate(&mut self, to: usize, from: usize) {
                 $(self.$field.relocate(to, from);)*
+            }
+
+            #[inline(always)]
+            fn copy(&mut self, to: usize, other: &Self, from: usize) {
+                $(self.$field.copy(to, &other.$field, from);)*
             }
         }
     };

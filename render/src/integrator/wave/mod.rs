@@ -19,6 +19,7 @@ mod lookups;
 mod numbers;
 mod record;
 mod start;
+mod waiting;
 
 use ad_core::{Const, Float, Vec2, Vec3};
 pub(super) use derivatives::LayerAdjoints;
@@ -31,13 +32,14 @@ use lookups::{Lookups, image};
 use numbers::{bits, draw_units, sobol};
 pub(super) use record::Record;
 use smallvec::SmallVec;
+use waiting::Waiting;
 
 use super::direct::{Departure, FoundEdge};
 use super::lockstep;
 use super::path::Context;
 use super::vertex::interest::{Interest, PathInterest, splits};
 use super::vertex::light::{
-    Met, Rival, Seen, choose, counts_hits, find_light, guided, has_rival, matters, mis_weight,
+    LitVertex, Met, Rival, choose, counts_hits, find_light, guided, has_rival, matters, mis_weight,
     mixed,
 };
 use super::vertex::roulette::{play, probability, roulette_weight};
@@ -57,6 +59,9 @@ use crate::texture::Texture;
 
 /// Keeps what happens to the paths of a wave.
 pub(super) trait Log<P: Float>: Interest {
+    /// Most paths that it is told of from start to end. Where those are more than a wave holds, it does not mind which
+    /// of them are in one wave.
+    const CROWD: usize = WAVE_SIZE;
     /// The vertex that the edge of path `i` left, if light on that edge is differentiated by itself.
     fn departure(&self, _paths: &Paths<P>, _i: usize) -> Option<&Departure<P>> {
         None
@@ -82,6 +87,8 @@ pub(super) trait Log<P: Float>: Interest {
 
 /// Nothing is kept.
 impl<P: Float> Log<P> for () {
+    /// So many that few edges are left for waves that nobody else fills up.
+    const CROWD: usize = 16 * WAVE_SIZE;
     fn hit(
         &mut self,
         _paths: &Paths<P>,
@@ -364,6 +371,8 @@ pub(super) struct Wave<P, X> {
     points: Points,
     samplers: Vec<X>,
     paths: Paths<P>,
+    /// Paths that wait for others.
+    waiting: Waiting<P>,
     hits: [Option<Hit>; WAVE_SIZE],
     at: Vertices<P>,
     /// Plain vertices whose albedo has to be looked up.
@@ -408,6 +417,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             points: Points::Independent,
             samplers: Vec::with_capacity(WAVE_SIZE),
             paths: Paths::zero(),
+            waiting: Waiting::new(),
             hits: [None; WAVE_SIZE],
             at: Vertices::zero(),
             textured: Vec::with_capacity(WAVE_SIZE),
@@ -426,11 +436,11 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             before: 0,
             aside: None,
             next: 1,
-            l: vec![Rgb::black(); WAVE_SIZE],
+            l: Vec::new(),
         })
     }
 
-    /// Follows the paths of `n` camera rays to their ends, at most [`WAVE_SIZE`]. `begin` tells the pixel of each on the
+    /// Follows the paths of `n` camera rays to their ends, at most [`Log::CROWD`]. `begin` tells the pixel of each on the
     /// full film, and its numbers.
     pub fn trace<S: Strategy, L: Log<P>>(
         &mut self,
@@ -439,22 +449,26 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         begin: impl Fn(usize) -> ([u32; 2], X),
         log: &mut L,
     ) {
-        self.samplers.clear();
         self.branches.clear();
-        let mut pixels = [[0; 2]; WAVE_SIZE];
-        for i in 0..n.min(WAVE_SIZE) {
-            let sampler;
-            (pixels[i], sampler) = begin(i);
-            self.start(i, i, &sampler);
-            self.samplers.push(sampler);
-        }
-        self.n = self.samplers.len();
-        self.look_from(context.scene, &pixels);
-        for depth in 1.. {
-            if self.n == 0 || context.progress.cancelled() {
-                break;
+        self.l.clear();
+        self.l.resize(n, Rgb::black());
+        for first in (0..n).step_by(WAVE_SIZE) {
+            self.samplers.clear();
+            let mut pixels = [[0; 2]; WAVE_SIZE];
+            for i in 0..(n - first).min(WAVE_SIZE) {
+                let sampler;
+                (pixels[i], sampler) = begin(first + i);
+                self.start(i, first + i, &sampler);
+                self.samplers.push(sampler);
             }
-            self.edge::<S, Still<S>, L>(context, depth, log);
+            self.n = self.samplers.len();
+            self.look_from(context.scene, &pixels);
+            self.advance_all::<S, L>(context, 1, log);
+        }
+        // Some of these wait once more, before later edges.
+        while let Some(depth) = self.waiting.shortest() {
+            self.n = self.waiting.join(depth, &mut self.paths, 0);
+            self.advance_all::<S, L>(context, depth, log);
         }
         if const { S::Bsdf::DIFFERENTIAL && L::ENABLED }
             && let Some(aside) = &mut self.aside
@@ -462,6 +476,28 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             aside.advance::<S, Still<S>>(context, u32::MAX);
             let samples = self.branches.iter().zip(&aside.l);
             log.normals(samples.map(|(b, l)| (b.wi, l.scale(b.pdf.recip()))));
+        }
+    }
+
+    /// Follows the paths, whose next edge is the `next`-th, until they end, or wait for others.
+    fn advance_all<S: Strategy, L: Log<P>>(
+        &mut self,
+        context: &Context<P>,
+        next: u32,
+        log: &mut L,
+    ) {
+        for depth in next.. {
+            if context.progress.cancelled() {
+                self.waiting.clear();
+                break;
+            }
+            self.edge::<S, Still<S>, L>(context, depth, log);
+            if const { L::CROWD > WAVE_SIZE } {
+                self.n = self.waiting.fill_up(depth + 1, &mut self.paths, self.n);
+            }
+            if self.n == 0 {
+                break;
+            }
         }
     }
 
@@ -522,6 +558,9 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             self.split::<Of, S, L>(context, depth, log);
         }
         self.scatter::<S>(context, guide, more);
+        if let Some(split) = context.split.filter(|split| split.selects()) {
+            self.leave_casters(split);
+        }
         if cfg!(debug_assertions) {
             self.assert_finite();
         }
@@ -921,7 +960,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
                 continue;
             }
             let (p, u) = (at.p.vec(i), [a[i], b[i]]);
-            let seen = || Seen {
+            let seen = || LitVertex {
                 material: &scene.materials()[at.material[i] as usize],
                 at: Shading::new(*theta, at.uv(i)),
                 frame: at.frame(i),
@@ -995,9 +1034,24 @@ impl<P: Float, X: Sampler> Wave<P, X> {
     fn leave_lights(&mut self, split: &Split) {
         for i in 0..self.n {
             let emitter = self.lights.emitter[i];
-            if self.paths.interest(i).leaves(Some(split), emitter) {
+            let cos = self.at.frame(i).n.dot(self.lights.d.vec(i));
+            let reflects = self.wo.vec(i).z * cos > P::zero();
+            let (interest, material) = (self.paths.interest(i), self.at.material[i]);
+            if interest.leaves_sampled(Some(split), emitter, material, reflects) {
                 self.lights.pdf[i] = P::zero();
             }
+        }
+    }
+
+    /// Tells where paths are on chains how they leave their casters.
+    #[inline(never)]
+    fn leave_casters(&mut self, split: &Split) {
+        for i in 0..self.n {
+            let mut interest = self.paths.interest(i);
+            let reflects = self.wo.vec(i).z * self.bounces.wi.vec(i).z > P::zero();
+            let along_delta = self.paths.pdf[i] == P::zero();
+            interest.leave_by(Some(split), self.at.material[i], along_delta, reflects);
+            self.paths.put_interest(i, interest);
         }
     }
 
@@ -1226,6 +1280,12 @@ impl<P: Float, X: Sampler> Wave<P, X> {
                 aside.paths.eta[k] = paths.eta[i] * sample.eta;
                 aside.paths.caustics_excluded[k] = paths.caustics_excluded[i];
                 aside.paths.caustic[k] = paths.caustic[i];
+                if let Some(split) = context.split.filter(|split| split.selects()) {
+                    let mut interest = aside.paths.interest(k);
+                    let reflects = wo.z * sample.wi.z > P::zero();
+                    interest.leave_by(Some(split), index, false, reflects);
+                    aside.paths.put_interest(k, interest);
+                }
                 self.branches.push(Branch {
                     at: i,
                     wi: sample.wi,

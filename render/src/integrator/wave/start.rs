@@ -11,12 +11,16 @@ use crate::sampler::{Purpose, Sampler, Stream};
 use crate::scene::Scene;
 
 impl<P: Float, X: Sampler> Wave<P, X> {
-    /// Camera rays through these pixels, by the numbers of [`Purpose::Pixel`], as single paths start.
+    /// Camera rays through these pixels, by the numbers of [`Purpose::Pixel`] or [`Purpose::Lens`], as single paths start.
     #[inline(never)]
     pub(super) fn look_from(&mut self, scene: &Scene, pixels: &[[u32; 2]; WAVE_SIZE]) {
         let camera = &scene.camera;
         let [mut x, mut y, mut u, mut v] = [Lane::<P>::zero(); 4];
-        let (n, first) = (whole(self.n), Purpose::Pixel.at(1));
+        let n = whole(self.n);
+        let first = match camera.thin_lens() {
+            Some(_) => Purpose::Lens.at(1),
+            None => Purpose::Pixel.at(1),
+        };
         draw_units(
             self.points,
             n,

@@ -23,10 +23,13 @@
 
 mod element;
 mod node;
+mod observer;
 mod parse;
+mod raw;
 mod resolve;
 mod source;
 mod spectrum;
+mod upgrade;
 mod value;
 mod write;
 
@@ -37,10 +40,11 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 pub use crate::error::Location;
 use crate::error::SceneError;
-pub(crate) use node::Kind;
 pub use node::Node;
+pub(crate) use node::{ANYTHING, Kind};
 use parse::Parser;
 pub(crate) use spectrum::PLUGINS as SPECTRA;
+pub(crate) use upgrade::old_attributes;
 pub(crate) use write::{Content, Rewrite, scene as written};
 
 /// Deepest nesting of elements, includes and references together: far above any real scene, far
@@ -76,6 +80,17 @@ impl Document {
     pub fn load(path: &Path, defines: &[(String, String)]) -> Result<Self, SceneError> {
         let mut parser = Parser::new(defines);
         parser.file(path)?;
+        Ok(Self::resolve(parser, path)?.0)
+    }
+
+    /// The same, which goes on without elements that are wrong or left out on purpose, and what it found of these.
+    pub(crate) fn load_to_its_end(
+        path: &Path,
+        defines: &[(String, String)],
+    ) -> Result<(Self, Vec<Fault>), SceneError> {
+        let mut parser = Parser::new(defines);
+        parser.faults = Some(Vec::new());
+        parser.file(path)?;
         Self::resolve(parser, path)
     }
 
@@ -88,7 +103,7 @@ impl Document {
         let name = Path::new("<text>");
         let mut parser = Parser::new(defines);
         parser.text(text, name, base_dir)?;
-        Self::resolve(parser, name)
+        Ok(Self::resolve(parser, name)?.0)
     }
 
     /// The `<scene>`.
@@ -110,15 +125,25 @@ impl Document {
         all.iter().filter(|w| seen.insert(*w)).cloned().collect()
     }
 
-    fn resolve(mut parser: Parser, file: &Path) -> Result<Self, SceneError> {
-        parser.check_defines(file)?;
-        let warnings = Warnings::default();
-        for (location, message) in std::mem::take(&mut parser.warnings) {
-            warnings.push(location, Notice::Replaced, message);
+    fn resolve(mut parser: Parser, file: &Path) -> Result<(Self, Vec<Fault>), SceneError> {
+        if let Err(e) = parser.check_defines(file) {
+            parser.note(e, None)?;
         }
-        let root = resolve::resolve(parser, &warnings)?;
-        Ok(Self { root, warnings })
+        let warnings = Warnings::default();
+        for (location, notice, message) in std::mem::take(&mut parser.warnings) {
+            warnings.push(location, notice, message);
+        }
+        let (root, faults) = resolve::resolve(parser, &warnings)?;
+        Ok((Self { root, warnings }, faults))
     }
+}
+
+/// What is wrong with an element, and which plugin it is part of.
+#[derive(Debug)]
+pub(crate) struct Fault {
+    pub error: SceneError,
+    /// Where that begins; none where it is complete without the element.
+    pub owner: Option<Location>,
 }
 
 /// What a warning is about.

@@ -36,6 +36,9 @@ pub struct Node {
     pub(super) warnings: Warnings,
 }
 
+/// What a plugin notes that it asks for, where anything may stand in it.
+pub(crate) const ANYTHING: &str = "*";
+
 /// What an attribute or a child is asked for as.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Kind {
@@ -242,6 +245,7 @@ impl Node {
 
     /// `<float>` or `<integer>`, or the luminance of a colour where one stands in its place, as in Mitsuba.
     pub fn grey(&self, name: &str) -> Result<Option<f64>, SceneError> {
+        self.note(name.to_owned(), Kind::Colour);
         let colour = match self.properties.get(name) {
             Some(property) => matches!(property.value, Value::Color(_)),
             None => (self.child_quietly(name)).is_some_and(|c| c.node.is_constant()),
@@ -270,7 +274,8 @@ impl Node {
     fn constant_colour(&self, emits: bool) -> Result<[f64; 3], SceneError> {
         let role = if emits { Role::Emission } else { Role::Other };
         let colour = match self.plugin.as_str() {
-            "uniform" => spectrum::flat(self.float_or("value", 1.0)?, role),
+            // One number at all wavelengths is one in all channels, for light too: what is flat as a list is not.
+            "uniform" => [self.float_or("value", 1.0)?; 3],
             // As it is, whatever it is for.
             "rawconstant" => {
                 let colour = self.rgb("value")?;
@@ -401,6 +406,29 @@ impl Node {
         self.children.iter().map(|child| &child.node)
     }
 
+    /// Where its attributes and its references to others stand; counts as asking for none.
+    pub(crate) fn places(&self) -> impl Iterator<Item = &Location> {
+        let references = self.children.iter().map(|c| (&c.location, &c.node));
+        let references = references.filter(|(at, node)| **at != node.location);
+        (self.properties.values().map(|p| &p.location)).chain(references.map(|(at, _)| at))
+    }
+
+    /// Where an attribute stands, or else the plugin.
+    pub(crate) fn place(&self, name: &str) -> &Location {
+        let child = || self.child_quietly(name).map(|c| &c.location);
+        let own = self.properties.get(name).map(|p| &p.location);
+        own.or_else(child).unwrap_or(&self.location)
+    }
+
+    /// Where the attribute stands that names this file, if one does; counts as asking for none.
+    pub(crate) fn names_file(&self, file: &Path) -> Option<&Location> {
+        let names = |p: &&Property| match &p.value {
+            Value::String(name) => p.directories.find(Path::new(name)).as_deref() == Some(file),
+            _ => false,
+        };
+        self.properties.values().find(names).map(|p| &p.location)
+    }
+
     /// The same shape elsewhere, under another name: moved by a transform after its own.
     ///
     /// # Errors
@@ -414,14 +442,7 @@ impl Node {
             .map(|(name, p)| (name.clone(), p.fresh()))
             .collect();
         let own = properties.remove("to_world");
-        let to_world = own.unwrap_or_else(|| Property {
-            value: Value::Transform(moved),
-            tag: "transform",
-            text: String::new(),
-            location: self.location.clone(),
-            directories: Directories::new(Path::new(""), None),
-            used: AtomicBool::new(false),
-        });
+        let to_world = own.unwrap_or_else(|| self.added("transform"));
         let value = Value::Transform(moved);
         properties.insert("to_world".to_owned(), Property { value, ..to_world });
         Ok(Node {
@@ -441,6 +462,32 @@ impl Node {
             asked: Mutex::default(),
             warnings: self.warnings.clone(),
         })
+    }
+
+    /// Gives a boolean, false where there is none, the other value.
+    ///
+    /// # Errors
+    /// A property of that name and another type.
+    pub(crate) fn turn_over(&mut self, name: &str) -> Result<(), SceneError> {
+        let value = Value::Boolean(!self.boolean_or(name, false)?);
+        let own = self.properties.remove(name);
+        let own = own.unwrap_or_else(|| self.added("boolean"));
+        let used = AtomicBool::new(false);
+        let turned = Property { value, used, ..own };
+        self.properties.insert(name.to_owned(), turned);
+        Ok(())
+    }
+
+    /// A property that the file does not have, yet without its value.
+    fn added(&self, tag: &'static str) -> Property {
+        Property {
+            value: Value::Boolean(false),
+            tag,
+            text: String::new(),
+            location: self.location.clone(),
+            directories: Directories::new(Path::new(""), None),
+            used: AtomicBool::new(false),
+        }
     }
 
     /// All nested or referenced plugins of one kind, such as `bsdf`, in the order of the file.
@@ -482,18 +529,26 @@ impl Node {
         read: impl Fn(&'a Self, &str) -> Result<Option<T>, SceneError>,
     ) -> Result<(), SceneError> {
         for &name in names {
-            if read(self, name)?.is_some()
-                && let Some(property) = self.properties.get(name)
-            {
-                self.warn_at(&property.location, format!("`{name}` has no effect"));
+            if read(self, name)?.is_some() {
+                self.warn_at(self.place(name), format!("`{name}` has no effect"));
             }
         }
+        Ok(())
+    }
+
+    /// [`ignore`](Self::ignore) of a number, a colour or a texture.
+    pub(crate) fn ignore_texture(&self, name: &str) -> Result<(), SceneError> {
+        if self.child(name).is_none_or(|child| child.is_constant()) {
+            return self.ignore(&[name], Self::grey);
+        }
+        self.warn_at(self.place(name), format!("`{name}` has no effect"));
         Ok(())
     }
 
     /// Accepts all attributes and children that nobody asked for, with a warning for each: those of a plugin that another
     /// stands in for.
     pub fn ignore_rest(&self) {
+        self.note(ANYTHING.to_owned(), Kind::Either);
         for (name, property) in &self.properties {
             if !property.used.swap(true, Ordering::Relaxed) {
                 self.warn_at(&property.location, format!("`{name}` has no effect"));
@@ -512,32 +567,59 @@ impl Node {
     /// At the root, elements with an id are declarations and need not be asked for.
     pub fn finish(&self) -> Result<(), SceneError> {
         let unused = |flag: &AtomicBool| !flag.load(Ordering::Relaxed);
-        let properties = self
-            .properties
-            .iter()
-            .filter(|(_, p)| unused(&p.used))
-            .map(|(name, p)| (&p.location, format!("attribute {}", quoted(name))));
+        let known = || -> Vec<String> {
+            (self.lock_asked().iter())
+                .filter(|(_, kinds)| kinds.iter().any(|k| *k != Kind::Either))
+                .map(|(name, _)| name.clone())
+                .collect()
+        };
+        let unknown = |location: &Location, what: String| SceneError::Unknown {
+            location: location.clone(),
+            what,
+            owner: self.describe(),
+            known: known(),
+        };
+        let refused = |location: &Location, tag: &str, plugin: String, what| SceneError::Refused {
+            location: location.clone(),
+            tag: tag.to_owned(),
+            plugin,
+            what,
+        };
+        let properties =
+            self.properties
+                .iter()
+                .filter(|(_, p)| unused(&p.used))
+                .map(|(name, p)| {
+                    let error = match refused::attribute(&self.tag, name) {
+                        Some(what) => refused(
+                            &p.location,
+                            &self.tag,
+                            format!("{} with {name}", self.plugin),
+                            what,
+                        ),
+                        None => unknown(&p.location, format!("attribute {}", quoted(name))),
+                    };
+                    (p.location.line, error)
+                });
         let declaration = |c: &Child| self.tag == "scene" && c.node.id.is_some();
         let children = self
             .children
             .iter()
             .filter(|&c| unused(&c.used) && !declaration(c))
             .map(|c| {
-                let name = c.name.as_ref().map(|n| format!(" named {}", quoted(n)));
-                let what = format!("child {}{}", c.node.describe(), name.unwrap_or_default());
-                (&c.location, what)
+                let error = match refused::reason(&c.node.tag, &c.node.plugin) {
+                    Some(what) => refused(&c.location, &c.node.tag, c.node.plugin.clone(), what),
+                    None => {
+                        let name = c.name.as_ref().map(|n| format!(" named {}", quoted(n)));
+                        let name = name.unwrap_or_default();
+                        unknown(&c.location, format!("child {}{name}", c.node.describe()))
+                    }
+                };
+                (c.location.line, error)
             });
-        match properties.chain(children).min_by_key(|(at, _)| at.line) {
+        match properties.chain(children).min_by_key(|(line, _)| *line) {
             None => Ok(()),
-            Some((location, what)) => Err(SceneError::Unknown {
-                location: location.clone(),
-                what,
-                owner: self.describe(),
-                known: (self.lock_asked().iter())
-                    .filter(|(_, kinds)| kinds.iter().any(|k| *k != Kind::Either))
-                    .map(|(name, _)| name.clone())
-                    .collect(),
-            }),
+            Some((_, error)) => Err(error),
         }
     }
 

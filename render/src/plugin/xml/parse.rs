@@ -9,12 +9,14 @@ use roxmltree as xml;
 
 use super::element::{Attribute, Element};
 use super::node::Property;
+use super::raw::{RawChild, RawNode, Target};
 use super::source::{self, Source, Version};
 use super::spectrum::{self, Role, Samples};
+use super::upgrade::upgrade;
 use super::value::{self, Value};
 use super::{
-    Directories, MAX_DEPTH, MAX_ELEMENTS, MAX_INCLUDES, MAX_PATHS, MAX_SUBSTITUTED, MAX_TEXT,
-    check_limit,
+    Directories, Fault, MAX_DEPTH, MAX_ELEMENTS, MAX_INCLUDES, MAX_PATHS, MAX_SUBSTITUTED,
+    MAX_TEXT, Notice, check_limit,
 };
 use crate::error::{Location, SceneError, quoted};
 use crate::image_io::srgb_to_linear;
@@ -49,34 +51,6 @@ const PROPERTIES: [&str; 11] = [
 const DIRECTIVES: [&str; 5] = ["alias", "default", "include", "path", "ref"];
 const OPERATIONS: [&str; 5] = ["lookat", "matrix", "rotate", "scale", "translate"];
 
-/// A plugin before its references are resolved.
-#[derive(Debug)]
-pub(super) struct RawNode {
-    pub tag: String,
-    pub plugin: String,
-    pub id: Option<String>,
-    pub location: Location,
-    /// Whether the scene itself is the parent.
-    pub at_root: bool,
-    pub properties: BTreeMap<String, Property>,
-    pub children: Vec<RawChild>,
-    /// The names of properties and children, which share one namespace.
-    names: BTreeMap<String, Location>,
-}
-
-#[derive(Debug)]
-pub(super) struct RawChild {
-    pub name: Option<String>,
-    pub location: Location,
-    pub target: Target,
-}
-
-#[derive(Debug)]
-pub(super) enum Target {
-    Node(usize),
-    Reference(String),
-}
-
 /// A `$name` and where it comes from.
 struct Parameter {
     value: String,
@@ -101,7 +75,9 @@ pub(super) struct Parser {
     /// Folders that were named to look in.
     paths: usize,
     /// What has no effect, or another one than was meant.
-    pub warnings: Vec<(Location, String)>,
+    pub warnings: Vec<(Location, Notice, String)>,
+    /// What is wrong, if reading goes on after that.
+    pub faults: Option<Vec<Fault>>,
 }
 
 impl Parser {
@@ -128,6 +104,7 @@ impl Parser {
             bytes: 0,
             paths: 0,
             warnings: Vec::new(),
+            faults: None,
         }
     }
 
@@ -181,9 +158,30 @@ impl Parser {
         depth: usize,
     ) -> Result<(), SceneError> {
         for child in source.elements(parent) {
-            self.member(child?, source, owner, depth)?;
+            // Without what is included, all else would be missed, too.
+            let is_include = (child.as_ref()).is_ok_and(|child| child.has_tag_name("include"));
+            match child.and_then(|child| self.member(child, source, owner, depth)) {
+                Err(e) if !is_include => {
+                    let owner = self.nodes[owner].location.clone();
+                    self.note(e, Some(owner))?;
+                }
+                read => read?,
+            }
         }
         Ok(())
+    }
+
+    /// Notes an error and leaves out what it is about, if reading goes on after that: not after one that protects memory, nor
+    /// where a value has to be found first.
+    pub fn note(&mut self, error: SceneError, owner: Option<Location>) -> Result<(), SceneError> {
+        use SceneError::{Limit, UndefinedParameter};
+        match &mut self.faults {
+            Some(faults) if !matches!(error, Limit { .. } | UndefinedParameter { .. }) => {
+                faults.push(Fault { error, owner });
+                Ok(())
+            }
+            _ => Err(error),
+        }
     }
 
     /// One element inside the plugin `owner`.
@@ -241,14 +239,20 @@ impl Parser {
                 self.path(&folder, source)
             }
             tag => {
-                let plugin = element.peek("type").unwrap_or_default();
-                if let Some(what) = refused::reason(tag, plugin) {
-                    return Err(SceneError::Refused {
-                        plugin: plugin.to_owned(),
+                let plugin = element.peek("type").unwrap_or_default().to_owned();
+                if let Some(what) = refused::reason(tag, &plugin) {
+                    let location = element.location.clone();
+                    let refused = SceneError::Refused {
+                        plugin: plugin.clone(),
                         tag: tag.to_owned(),
-                        location: element.location,
+                        location: location.clone(),
                         what,
-                    });
+                    };
+                    self.note(refused, None)?;
+                    // So that what refers to it finds it.
+                    let id = element.take("id").map(|a| a.text);
+                    self.add(tag.to_owned(), plugin, id, location, false)?;
+                    return Ok(());
                 }
                 let mut allowed = [&PLUGINS[..], &PROPERTIES, &DIRECTIVES].concat();
                 allowed.sort_unstable();
@@ -271,7 +275,7 @@ impl Parser {
         let plugin = name.text.to_lowercase();
         if plugin != name.text {
             let message = format!("{tag} {}: read as {}", quoted(&name.text), quoted(&plugin));
-            self.warnings.push((name.location, message));
+            self.warn(name.location, message);
         }
         let id = element.take("id").map(|a| a.text);
         let name = element.take("name");
@@ -287,7 +291,7 @@ impl Parser {
         self.child(owner, name, location, Target::Node(node))?;
         self.body(xml, source, node, depth + 1)?;
         if source.version.get() < (2, 0) {
-            upgrade(&mut self.nodes[node]);
+            upgrade(&mut self.nodes, &mut self.warnings, node);
         }
         Ok(())
     }
@@ -300,13 +304,13 @@ impl Parser {
         match directories.find_folder(Path::new(&folder.text)) {
             Some(path) => source.look_in(&path),
             // Whatever should lie there is missed by name later on.
-            None => self.warnings.push((
+            None => self.warn(
                 folder.location.clone(),
                 format!(
                     "<path>: there is no folder {} (looked in {directories})",
                     quoted(&folder.text)
                 ),
-            )),
+            ),
         }
         Ok(())
     }
@@ -347,7 +351,7 @@ impl Parser {
                 "{}: a spectrum whose colour RGB cannot show; the nearest is {colour:?}",
                 quoted(&element.key)
             );
-            self.warnings.push((element.location.clone(), message));
+            self.warn(element.location.clone(), message);
         }
         Ok(colour)
     }
@@ -364,6 +368,10 @@ impl Parser {
         let key = value::snake_case(&name.text);
         element.key = key.clone();
         let text = element.peek("value").unwrap_or_default().to_owned();
+        if source.version.get() < (2, 0) && matches!(tag, "rgb" | "srgb" | "spectrum") {
+            // What it stands for is known from its place.
+            element.take("intent");
+        }
         let value = match tag {
             "float" => Value::Float(element.parse("value", value::float)?),
             "integer" => Value::Integer(element.parse("value", value::integer)?),
@@ -387,11 +395,11 @@ impl Parser {
         if tag != "transform" {
             self.leaf(element, xml, source)?;
         }
-        let before = self.nodes[owner].properties.remove(&key);
-        if source.version.get() < (3, 0) && before.is_some() {
+        let twice = self.nodes[owner].properties.contains_key(&key);
+        if source.version.get() < (3, 0) && twice {
             // As in Mitsuba 2; Mitsuba 3 refuses it.
             let message = format!("{}: given twice; the last one counts", quoted(&key));
-            self.warnings.push((name.location.clone(), message));
+            self.warn(name.location.clone(), message);
             self.nodes[owner].names.remove(&key);
         }
         self.reserve(owner, &key, &name.location)?;
@@ -407,6 +415,11 @@ impl Parser {
         Ok(())
     }
 
+    /// Says that something stands in for what was asked for.
+    fn warn(&mut self, location: Location, message: String) {
+        self.warnings.push((location, Notice::Replaced, message));
+    }
+
     fn warn_of_length(&mut self, rotation: &Element, axis: [f64; 3]) {
         let length = axis.iter().map(|x| x * x).sum::<f64>().sqrt();
         if (length - 1.0).abs() > 1e-3 {
@@ -414,7 +427,7 @@ impl Parser {
                 "<rotate>: an axis of length {length:.4}, where only its direction counts; Mitsuba 3 shears and scales then"
             );
             let location = rotation.location.clone();
-            self.warnings.push((location, message));
+            self.warn(location, message);
         }
     }
 
@@ -507,14 +520,14 @@ impl Parser {
         let tree = inner.parse(&text)?;
         let root = tree.root_element();
         self.open.push(identity);
-        if root.has_tag_name("scene") {
-            scene_id(self.element(root, &inner)?, &inner)?;
-            self.body(root, &inner, owner, depth + 1)?;
+        let read = if root.has_tag_name("scene") {
+            let id = (self.element(root, &inner)).and_then(|scene| scene_id(scene, &inner));
+            id.and_then(|_| self.body(root, &inner, owner, depth + 1))
         } else {
-            self.member(root, &inner, owner, depth + 1)?;
-        }
+            self.member(root, &inner, owner, depth + 1)
+        };
         self.open.pop();
-        Ok(())
+        read
     }
 
     /// `<default>`: the first one wins, and a definition from outside comes before all.
@@ -548,14 +561,8 @@ impl Parser {
             self.add_id(id, index, &location)?;
         }
         self.nodes.push(RawNode {
-            tag,
-            plugin,
-            id,
-            location,
             at_root,
-            properties: BTreeMap::new(),
-            children: Vec::new(),
-            names: BTreeMap::new(),
+            ..RawNode::new(tag, plugin, id, location)
         });
         Ok(index)
     }
@@ -775,70 +782,6 @@ fn role(owner: &RawNode, key: &str) -> Role {
         "emitter" => Role::Emission,
         "bsdf" if key.contains("reflectance") || key.contains("transmittance") => Role::Reflectance,
         _ => Role::Other,
-    }
-}
-
-/// What versions before 2.0 called otherwise, as Mitsuba 3 reads it; names in another case are the parser's business.
-fn upgrade(node: &mut RawNode) {
-    if node.plugin == "diffuse" {
-        rename(node, "diffuse_reflectance", "reflectance");
-    }
-    let parts = [
-        ("uoffset", 0.0),
-        ("voffset", 0.0),
-        ("uscale", 1.0),
-        ("vscale", 1.0),
-    ];
-    if !parts
-        .iter()
-        .any(|(name, _)| node.properties.contains_key(*name))
-        || node.names.contains_key("to_uv")
-    {
-        return;
-    }
-    // Those that are no numbers stay, and are refused as unknown.
-    let mut first = None;
-    let [u, v, du, dv] = parts.map(|(name, absent)| match node.properties.get(name) {
-        Some(Property {
-            value: Value::Float(x),
-            ..
-        }) => {
-            let x = *x;
-            let property = node.properties.remove(name);
-            first = first.take().or(property);
-            x
-        }
-        _ => absent,
-    });
-    if let Some(property) = first {
-        let [offset, scale] = [[u, v, 0.0], [du, dv, 1.0]];
-        let value = Transform::translate(offset).then(&Transform::scale(scale));
-        let location = property.location.clone();
-        let to_uv = Property {
-            value: Value::Transform(value),
-            tag: "transform",
-            ..property
-        };
-        node.properties.insert("to_uv".to_owned(), to_uv);
-        node.names.insert("to_uv".to_owned(), location);
-    }
-}
-
-/// Gives a property or a child another name, if that is free.
-fn rename(node: &mut RawNode, from: &str, to: &str) {
-    if node.names.contains_key(to) {
-        return;
-    }
-    if let Some(property) = node.properties.remove(from) {
-        node.properties.insert(to.to_owned(), property);
-    }
-    for child in &mut node.children {
-        if child.name.as_deref() == Some(from) {
-            child.name = Some(to.to_owned());
-        }
-    }
-    if let Some(location) = node.names.remove(from) {
-        node.names.insert(to.to_owned(), location);
     }
 }
 

@@ -5,8 +5,9 @@ use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex};
 
 use super::node::{Child, Node};
-use super::parse::{Parser, RawChild, Target};
-use super::{MAX_DEPTH, MAX_ELEMENTS, Notice, Warnings, check_limit};
+use super::parse::Parser;
+use super::raw::{RawChild, Target};
+use super::{Fault, MAX_DEPTH, MAX_ELEMENTS, Notice, Warnings, check_limit};
 use crate::error::{Location, SceneError, quoted};
 
 /// A node that is being built, or is finished.
@@ -33,8 +34,11 @@ struct Resolver<'a> {
     warnings: &'a Warnings,
 }
 
-/// The tree below the scene.
-pub(super) fn resolve(parser: Parser, warnings: &Warnings) -> Result<Arc<Node>, SceneError> {
+/// The tree below the scene, and what was wrong with it, if reading goes on after that.
+pub(super) fn resolve(
+    parser: Parser,
+    warnings: &Warnings,
+) -> Result<(Arc<Node>, Vec<Fault>), SceneError> {
     let states = parser.nodes.iter().map(|_| State::Waiting).collect();
     let mut resolver = Resolver {
         parser,
@@ -45,7 +49,7 @@ pub(super) fn resolve(parser: Parser, warnings: &Warnings) -> Result<Arc<Node>, 
     let location = resolver.parser.nodes[0].location.clone();
     let scene = resolver.build(0, &location, 1)?.node;
     resolver.warn_about_unreferenced();
-    Ok(scene)
+    Ok((scene, resolver.parser.faults.unwrap_or_default()))
 }
 
 impl Resolver<'_> {
@@ -65,7 +69,14 @@ impl Resolver<'_> {
         let mut children = Vec::new();
         let (mut height, mut size) = (1, 1_usize);
         for raw in std::mem::take(&mut self.parser.nodes[index].children) {
-            let target = self.target(&raw)?;
+            let target = match self.target(&raw) {
+                Ok(target) => target,
+                Err(e) => {
+                    let owner = self.parser.nodes[index].location.clone();
+                    self.parser.note(e, Some(owner))?;
+                    continue;
+                }
+            };
             let built = self.build(target, &raw.location, depth + 1)?;
             height = height.max(1 + built.height);
             size = size.saturating_add(built.size);

@@ -50,7 +50,7 @@ impl Source {
 
     pub fn at(&self, byte: usize) -> Location {
         let line = 1 + self.line_ends.partition_point(|&end| end < byte);
-        Location::new(self.name.clone(), u32::try_from(line).unwrap_or(u32::MAX))
+        Location::new(self.name.clone(), u32::try_from(line).unwrap_or(u32::MAX)).at_byte(byte)
     }
 
     /// The elements of `text`, which is that given to [`new`](Self::new).

@@ -1,9 +1,10 @@
 //! Spectra as linear RGB, which is all that this renderer knows.
 //!
-//! A spectrum is seen by the standard observer (CIE 1931, by the fits of [Wyman et al. 2013]) and taken to
-//! linear sRGB, as in the RGB variants of Mitsuba 3: emission as it is, so that a flat spectrum is that of equal energy and
+//! A spectrum is seen by the standard observer ([CIE 1931], two degrees) and taken to linear sRGB,
+//! as in the RGB variants of Mitsuba 3: emission as it is, so that a flat spectrum is that of equal energy and
 //! somewhat pink; everything else under daylight (CIE D65), so that a flat one is grey.
 
+use super::observer::observer;
 use super::value::{self, Mismatch};
 use crate::math::rgb_of_xyz;
 
@@ -134,7 +135,7 @@ fn rgb_of(spectrum: impl Fn(f64) -> f64, role: Role) -> ([f64; 3], bool) {
             white[c] += observer[c] * light;
         }
     }
-    // Flat spectra come out exactly: of the fits' error only that of the shape is left.
+    // Flat spectra come out exactly.
     let rgb = if lit {
         let (rgb, white) = (rgb_of_xyz(sum), rgb_of_xyz(white));
         [0, 1, 2].map(|c| rgb[c] / white[c])
@@ -148,22 +149,6 @@ fn rgb_of(spectrum: impl Fn(f64) -> f64, role: Role) -> ([f64; 3], bool) {
     // Rounding of a white one is no colour beyond all.
     let outside = rgb.iter().any(|&x| x < -1e-9 || x > most + 1e-9);
     (rgb.map(|x| x.clamp(0.0, most)), outside)
-}
-
-/// The colour matching functions x, y, z.
-fn observer(wavelength: f64) -> [f64; 3] {
-    let lobe = |weight: f64, centre: f64, below: f64, above: f64| {
-        let x = wavelength - centre;
-        let x = x / if x < 0.0 { below } else { above };
-        weight * (-0.5 * x * x).exp()
-    };
-    [
-        lobe(1.056, 599.8, 37.9, 31.0)
-            + lobe(0.362, 442.0, 16.0, 26.7)
-            + lobe(-0.065, 501.1, 20.4, 26.2),
-        lobe(0.821, 568.8, 46.9, 40.5) + lobe(0.286, 530.9, 16.3, 31.1),
-        lobe(1.217, 437.0, 11.8, 36.0) + lobe(0.681, 459.0, 26.0, 13.8),
-    ]
 }
 
 /// D65, linear between its samples; beyond 780 nm, where the observer is blind, the last one.
@@ -205,8 +190,8 @@ mod tests {
             (0..3).for_each(|c| xyz[c] += o[c] * light);
         }
         let sum: f64 = xyz.iter().sum();
-        assert!((xyz[0] / sum - 0.3127).abs() < 2e-3 && (xyz[1] / sum - 0.3290).abs() < 2e-3);
-        close(rgb_of_xyz(xyz.map(|x| x / xyz[1])), [1.0; 3], 0.02);
+        assert!((xyz[0] / sum - 0.3127).abs() < 1e-4 && (xyz[1] / sum - 0.3290).abs() < 1e-4);
+        close(rgb_of_xyz(xyz.map(|x| x / xyz[1])), [1.0; 3], 1e-3);
     }
 
     /// The chromaticities of black bodies of 2856 K (illuminant A) and of 6504 K, which lies near daylight.
@@ -220,6 +205,14 @@ mod tests {
         let cool = blackbody(6504.0);
         close(cool.map(|x| x / cool[1]), [1.0; 3], 0.08);
         assert!(blackbody(1.0).iter().all(|x| x.is_finite()));
+    }
+
+    /// Against an integral in steps of 0.01 nm, by another program.
+    #[test]
+    fn colours_of_lists_are_those_of_the_standard() {
+        let lamp = Samples::parse("400:1, 500:3, 600:0.5, 700:2").unwrap();
+        let found = rgb(&lamp, Role::Emission).0;
+        close(found, [0.40372, 1.91115, 1.90798], 5e-4);
     }
 
     #[test]

@@ -15,6 +15,8 @@ pub(crate) trait Rewrite {
     fn values(&mut self, node: &Node) -> Vec<(String, Content)>;
     /// Whether an attribute or a nested plugin belongs to what a node named, and no longer to what stands in its place.
     fn is_gone(&self, node: &Node, name: &str) -> bool;
+    /// What stands in place of a plugin: itself, or one that it has inside.
+    fn inside<'n>(&self, node: &'n Node) -> &'n Node;
     /// The plugin that a node is now, if it is another.
     fn plugin(&self, node: &Node) -> Option<&'static str>;
     /// The name of a file, relative to the new scene.
@@ -25,6 +27,7 @@ pub(crate) trait Rewrite {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Content {
     Scalar(f32),
+    Integer(i64),
     Colour([f32; 3]),
     Point([f32; 3]),
     Vector([f64; 3]),
@@ -42,7 +45,7 @@ pub(crate) fn scene(root: &Node, with: &mut dyn Rewrite) -> String {
         with,
     };
     writer.count(root);
-    writer.body(root, 1);
+    writer.body(root, root, 1);
     writer.text.push_str("</scene>\n");
     writer.text
 }
@@ -76,23 +79,23 @@ impl Writer<'_> {
         let _ = writeln!(self.text, "{:1$}{line}", "", 4 * depth);
     }
 
-    /// Attributes and nested plugins.
-    fn body(&mut self, node: &Node, depth: usize) {
+    /// Attributes and nested plugins: those of `of`, with what has become of those of `node`.
+    fn body(&mut self, node: &Node, of: &Node, depth: usize) {
         let new = self.with.values(node);
-        let given = node.properties.keys().map(String::as_str);
+        let given = of.properties.keys().map(String::as_str);
         let names: BTreeSet<&str> = given
             .chain(new.iter().map(|(key, _)| key.as_str()))
             .collect();
         for name in names {
             let content = new.iter().find(|(key, _)| key == name);
-            match (content, node.properties.get(name)) {
+            match (content, of.properties.get(name)) {
                 _ if self.with.is_gone(node, name) => {}
                 (Some((_, content)), _) => self.content(name, *content, depth),
                 (None, Some(property)) => self.property(node, name, property, depth),
                 (None, None) => {}
             }
         }
-        for child in &node.children {
+        for child in &of.children {
             let name = child.name.as_deref();
             let replaced = |name| new.iter().any(|(key, _)| key == name);
             if name.is_some_and(|name| replaced(name) || self.with.is_gone(node, name)) {
@@ -119,15 +122,17 @@ impl Writer<'_> {
         } else {
             node.tag.as_str()
         };
-        let plugin = escaped(self.with.plugin(node).unwrap_or(&node.plugin));
+        let of = self.with.inside(node);
+        let plugin = escaped(self.with.plugin(of).unwrap_or(&of.plugin));
         self.line(depth, format_args!("<{tag} type=\"{plugin}\"{id}{name}>"));
-        self.body(node, depth + 1);
+        self.body(node, of, depth + 1);
         self.line(depth, format_args!("</{tag}>"));
     }
 
     fn content(&mut self, name: &str, content: Content, depth: usize) {
         let (tag, value) = match content {
             Content::Scalar(x) => ("float", x.to_string()),
+            Content::Integer(i) => ("integer", i.to_string()),
             Content::Colour([r, g, b]) => ("rgb", format!("{r}, {g}, {b}")),
             Content::Point([x, y, z]) => ("point", format!("{x}, {y}, {z}")),
             Content::Vector([x, y, z]) => ("vector", format!("{x}, {y}, {z}")),
