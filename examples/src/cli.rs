@@ -485,7 +485,8 @@ pub struct SampleArgs {
 const POINTS: Points = Points::Sobol;
 
 /// `--manifold` and its companions.
-#[derive(Args, Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Args, Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
 pub struct ManifoldArgs {
     /// How light over chains of mirrors and smooth glass is found that sampling cannot find: sms (unbiased), sms-biased
     /// (distinct solutions of --trials walks), mnee (one walk, towards the light), mnee-unbiased (that walk, and paths for the
@@ -508,6 +509,7 @@ pub struct ManifoldArgs {
     /// Tell solutions apart as published: by one minus the cosine between their directions, at least this; merges some of
     /// them [default: by bounds of their errors]
     #[arg(long, value_name = "X", requires = "manifold", value_parser = threshold)]
+    #[serde(with = "optim::exact::optional")]
     pub uniqueness_threshold: Option<f64>,
     /// Where walks start: at random points (uniform), after a walk over the surfaces without their normal maps (two-stage), or
     /// where particles passed that landed nearby, whose solutions count without trials, and else in two stages (particles)
@@ -516,25 +518,29 @@ pub struct ManifoldArgs {
     pub starts: Option<StartsArg>,
     /// Metal and glass that is no rougher than this throws light over chains, too [default: 0.02]
     #[arg(long, value_name = "ALPHA", requires = "manifold", value_parser = roughness)]
+    #[serde(with = "optim::exact::optional")]
     pub caster_roughness: Option<f64>,
     /// Those of glints.
     #[command(flatten)]
+    #[serde(flatten)]
     pub glints: GlintArgs,
 }
 
 /// `--starts`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum StartsArg {
     /// At random points of casters
     Uniform,
     /// After a walk over the surfaces without their normal maps
     TwoStage,
-    /// Mostly where particles passed
+    /// Where particles passed that landed nearby, and at random points
     Particles,
 }
 
 /// `--glints` and its companions.
-#[derive(Args, Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Args, Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
 pub struct GlintArgs {
     /// How glints are found, reflections of lights in smooth metal under a fine normal map: unbiased, biased (distinct
     /// solutions of --glint-trials walks), or off [default: the scene's integrator]
@@ -554,7 +560,8 @@ pub struct GlintArgs {
 }
 
 /// `--glints`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum GlintArg {
     /// Reciprocal probabilities from trials
     Unbiased,
@@ -565,7 +572,8 @@ pub enum GlintArg {
 }
 
 /// `--glint-region`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum GlintRegionArg {
     /// One cell between texels
     Texels,
@@ -574,7 +582,8 @@ pub enum GlintRegionArg {
 }
 
 /// `--glint-weights`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum GlintWeightsArg {
     /// Densities of paths
     Densities,
@@ -652,7 +661,8 @@ impl GlintArgs {
 }
 
 /// `--manifold`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum ManifoldArg {
     /// Unbiased specular manifold sampling
     Sms,
@@ -667,7 +677,8 @@ pub enum ManifoldArg {
 }
 
 /// `--constraint`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum ConstraintArg {
     /// Differences of angles
     Angle,
@@ -690,6 +701,17 @@ fn roughness(text: &str) -> Result<f64, String> {
 }
 
 impl ManifoldArgs {
+    /// The first option that is given here and is another one in `job`: its name, and what both say.
+    pub fn differs(&self, job: &Self) -> Option<(String, [String; 2])> {
+        let [given, job] = [self, job].map(|args| serde_json::json!(args));
+        let given = given.as_object()?.iter().filter(|(_, x)| !x.is_null());
+        let (key, x) = given
+            .into_iter()
+            .find(|(key, x)| job[key.as_str()] != **x)?;
+        let option = format!("--{}", key.replace('_', "-"));
+        Some((option, [&job[key.as_str()], x].map(|x| x.to_string())))
+    }
+
     /// Says so in `settings`.
     ///
     /// # Errors
@@ -698,7 +720,12 @@ impl ManifoldArgs {
         self.glints.apply(scene, settings)?;
         let usage = |message: &str| Err(ToolError::Usage(message.into()));
         let method = match self.manifold {
-            None => return admits(scene, settings),
+            None => {
+                if let Some(connections) = &settings.connections {
+                    complain_of_casters(scene, connections);
+                }
+                return admits(scene, settings);
+            }
             Some(ManifoldArg::Off) => {
                 let others = self.trials.is_some()
                     || self.constraint.is_some()
@@ -751,6 +778,7 @@ impl ManifoldArgs {
         if let Some(threshold) = self.uniqueness_threshold {
             connections.uniqueness = Uniqueness::Threshold(threshold);
         }
+        complain_of_casters(scene, &connections);
         if Split::of(scene, &connections).is_none() {
             complain!(
                 "warning: --manifold: nothing smooth to connect lights over; paths find all light"
@@ -758,6 +786,17 @@ impl ManifoldArgs {
         }
         settings.connections = Some(connections);
         admits(scene, settings)
+    }
+}
+
+/// Says which shapes are flagged as casters and can be none.
+fn complain_of_casters(scene: &Scene, connections: &Connections) {
+    for shape in Split::unheeded(scene, connections) {
+        complain!(
+            "warning: shape `{}`: flagged as a caster, but no metal or glass of one roughness without bump maps; paths find its \
+             light",
+            scene.shape_info(shape).name
+        );
     }
 }
 
@@ -834,7 +873,7 @@ fn per(a: u64, b: u64) -> f64 {
 }
 
 /// What manifold connections came to in each pixel, as channels of an image: `success_rate` of walks, `steps` per walk,
-/// `trials` per reciprocal, and `share` of the light.
+/// `trials` per solution that counts, and `share` of the light.
 pub fn manifold_planes(rendering: &Rendering) -> Vec<(&'static str, Vec<f32>)> {
     let pixels = || (rendering.connections_by_pixel.iter()).zip(rendering.sums[0].chunks_exact(3));
     let plane = |f: fn(&PixelConnections, f64) -> f64| {

@@ -2,8 +2,8 @@
 //!
 //! JSON readers may round the last digit of a number (serde_json does unless told otherwise), and
 //! one bit is enough for a resumed optimisation to leave the original's track. For use with
-//! `#[serde(with = "optim::exact::slice")]` and `#[serde(with = "optim::exact::number")]`, also in
-//! the checkpoints of callers.
+//! `#[serde(with = "optim::exact::slice")]`, `#[serde(with = "optim::exact::number")]` and
+//! `#[serde(with = "optim::exact::optional")]`, also in the checkpoints of callers.
 
 /// A `Vec` of f32 or f64 as one string of bit patterns: 8 or 16 hexadecimal digits per value.
 /// Not-a-numbers pass too. Long ones may go [`beside`] the text.
@@ -95,6 +95,28 @@ pub mod number {
                 .parse()
                 .map_err(|_| D::Error::custom(format!("expected a number, found `{text}`"))),
         }
+    }
+}
+
+/// [`number`](mod@number), or none; with `#[serde(default)]` also where it is left out.
+pub mod optional {
+    use super::number;
+    use serde::{Deserialize, Deserializer, Serializer};
+
+    #[derive(Deserialize)]
+    struct Number(#[serde(with = "number")] f64);
+
+    /// Writes the value.
+    pub fn serialize<S: Serializer>(value: &Option<f64>, to: S) -> Result<S::Ok, S::Error> {
+        match value {
+            Some(x) => number::serialize(x, to),
+            None => to.serialize_none(),
+        }
+    }
+
+    /// Reads what [`serialize`] wrote, or a number.
+    pub fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<Option<f64>, D::Error> {
+        Ok(Option::<Number>::deserialize(from)?.map(|Number(x)| x))
     }
 }
 

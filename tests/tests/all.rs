@@ -1,4 +1,5 @@
-//! One program of all tests across the crates: what they compile of generic code, they compile once.
+//! One program of all tests across the crates: what they compile of generic code, they compile once. Those of
+//! which all tests need a release are not compiled with debug assertions.
 
 mod attached_choice;
 mod attached_emitters;
@@ -12,6 +13,7 @@ mod convolved;
 mod crossings;
 mod determinism;
 mod documents;
+#[cfg(not(debug_assertions))]
 mod estimator_matrix;
 mod estimators;
 mod glints;
@@ -23,11 +25,15 @@ mod instancing;
 mod lenses;
 mod light;
 mod manifold;
+#[cfg(not(debug_assertions))]
 mod manifold_energy;
 mod mirrors;
+#[cfg(not(debug_assertions))]
 mod mitsuba;
 mod mitsuba_plugins;
+#[cfg(not(debug_assertions))]
 mod motion_matrix;
+#[cfg(not(debug_assertions))]
 mod normal_maps;
 mod outlines;
 mod pixels;

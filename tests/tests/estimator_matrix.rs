@@ -434,7 +434,6 @@ fn estimates(case: &Case, e: Estimator, seed: u64) -> Vec<Estimate> {
 }
 
 #[test]
-#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
 fn all_estimators_and_kinds_of_parameters() {
     let dir = tempfile::tempdir().expect("a folder");
     let mut failed = String::new();

@@ -136,6 +136,69 @@ fn two_mirrors() -> String {
     )
 }
 
+/// A lamp before some metal that stands on the floor.
+fn metal(shape: &str, inside: &str, to: &str) -> String {
+    let lamp = lamp(
+        0.6,
+        r#"<rotate x="1" angle="60"/><translate x="-0.5" y="2.6" z="-1.6"/>"#,
+    );
+    format!(
+        r#"{}{FLOOR}<shape type="{shape}">{inside}<transform name="to_world">{to}</transform></shape>{lamp}"#,
+        camera("0, 3, 5", "0, 0.3, 0", 5)
+    )
+}
+
+const METAL: &str = r#"<bsdf type="twosided"><bsdf type="conductor"><rgb name="specular_reflectance" value="0.9, 0.8, 0.6"/>
+    </bsdf></bsdf>"#;
+
+/// An upright tube, which is met from outside and, after its open end, from inside.
+fn tube() -> String {
+    let ends = r#"<point name="p1" value="0, 1.2, 0"/><float name="radius" value="0.7"/>"#;
+    metal(
+        "cylinder",
+        &format!("{ends}{METAL}"),
+        r#"<translate z="0.4"/>"#,
+    )
+}
+
+/// A round mirror that leans.
+fn round_mirror() -> String {
+    metal(
+        "disk",
+        METAL,
+        r#"<rotate x="1" angle="-10"/><translate y="1" z="0.6"/><scale value="1.2"/><rotate y="1" angle="180"/>"#,
+    )
+}
+
+/// A block of glass over the floor.
+fn block_of_glass() -> String {
+    metal(
+        "cube",
+        r#"<bsdf type="dielectric"/>"#,
+        r#"<scale x="0.8" y="0.3" z="0.6"/><rotate y="1" angle="30"/><translate y="0.7"/>"#,
+    )
+}
+
+/// Two instances of a ball of metal, one of them turned over and larger.
+fn instances() -> String {
+    let lamp = lamp(
+        0.6,
+        r#"<rotate x="1" angle="60"/><translate y="3" z="-2"/>"#,
+    );
+    let instance = |to: &str| {
+        format!(
+            r#"<shape type="instance"><ref id="group"/><transform name="to_world">{to}</transform></shape>"#
+        )
+    };
+    format!(
+        r#"{}{FLOOR}<shape type="shapegroup" id="group"><shape type="sphere"><point name="center" value="0, 1, 0"/>
+        <float name="radius" value="0.5"/><bsdf type="conductor"/></shape></shape>{}{}{lamp}"#,
+        camera("0, 3, 5", "0, 0.3, 0", 5),
+        instance(r#"<translate x="-0.8" y="-0.3"/>"#),
+        instance(r#"<rotate z="1" angle="180"/><scale value="1.3"/><translate x="0.8" y="2.1"/>"#),
+    )
+}
+
 fn with(s: &Scene, connections: Option<Connections>) -> Settings {
     Settings {
         connections,
@@ -143,8 +206,8 @@ fn with(s: &Scene, connections: Option<Connections>) -> Settings {
     }
 }
 
-/// Blocks of pixels agree with paths alone, in scenes whose lamps are large enough for these: reflection, refraction, chains of
-/// one and of two vertices, at depth limits that cut chains. 48 runs of 16 samples against 48 of 256; significance 1e-3 over all
+/// Blocks of pixels agree with paths alone, in scenes whose lamps are large enough for these: reflection, refraction, all kinds
+/// of shapes, chains of one and of two vertices, at depth limits that cut chains. 48 runs of 16 samples against 48 of 256; significance 1e-3 over all
 /// comparisons.
 #[test]
 #[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
@@ -158,6 +221,10 @@ fn connections_find_the_light_that_paths_leave_out() {
         ("pool", pool(), 1),
         ("buried ball", buried_ball(), 2),
         ("two mirrors", two_mirrors(), 2),
+        ("tube", tube(), 1),
+        ("round mirror", round_mirror(), 1),
+        ("block of glass", block_of_glass(), 2),
+        ("instances", instances(), 1),
     ];
     let limit = z_limit(scenes.len() * 4 * 3, 48, ALPHA);
     for (name, body, bounces) in scenes {
@@ -192,7 +259,7 @@ fn sms(bounces: u32) -> Connections {
     }
 }
 
-/// A point light over a ball of glass, and a spot light before a mirror: paths cannot meet them at all, particles can. 32 runs
+/// A point light and a sun over a ball of glass, and a spot light before a mirror: paths cannot meet them at all, particles can. 32 runs
 /// of 32 samples of connections against 32 runs of 128 of particles, one per pixel; significance 1e-3 over all blocks.
 #[test]
 #[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
@@ -201,6 +268,8 @@ fn connections_find_the_light_that_particles_find() {
         <rgb name="intensity" value="9, 8, 7"/></emitter>"#;
     let spot = r#"<emitter type="spot"><rgb name="intensity" value="9, 8, 7"/><float name="cutoff_angle" value="40"/>
         <transform name="to_world"><lookat origin="0.3, 2.5, 1" target="0, 0.5, -0.5" up="0, 0, 1"/></transform></emitter>"#;
+    let sun = r#"<emitter type="directional"><vector name="direction" value="-0.3, -1, -0.2"/>
+        <rgb name="irradiance" value="3, 2.5, 2"/></emitter>"#;
     let ball = r#"<shape type="sphere"><point name="center" value="0, 0.9, 0"/><float name="radius" value="0.7"/>
         <bsdf type="dielectric"/></shape>"#;
     let wall = r#"<shape type="rectangle"><bsdf type="twosided"><bsdf type="conductor"/></bsdf>
@@ -209,6 +278,7 @@ fn connections_find_the_light_that_particles_find() {
     let camera = |depth| camera("1, 3, 4", "0, 0.2, 0", depth);
     let scenes = [
         ("glass", format!("{}{FLOOR}{ball}{point}", camera(4))),
+        ("glass, sun", format!("{}{FLOOR}{ball}{sun}", camera(4))),
         ("mirror", format!("{}{FLOOR}{wall}{spot}", camera(3))),
     ];
     let limit = z_limit(scenes.len() * 4 * 3, 32, ALPHA);

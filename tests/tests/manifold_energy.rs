@@ -61,7 +61,6 @@ fn furnace() -> Scene {
 /// one walk with paths for the rest. 24 runs, significance 1e-3 over all blocks, of which half at least are known to 2.5 %: a chain that
 /// is hardly ever found leaves the block that it is found in uncertain. Chains bring part of the light.
 #[test]
-#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
 fn chains_add_no_energy_to_a_furnace() {
     let s = furnace();
     let connected = |method: Method, bounces: u32| {
@@ -202,7 +201,6 @@ fn light_under_water() -> Scene {
 /// have a size, chains bring part of it, 24 runs of 16 samples against 24 of 256 at a significance of 1e-3 over all; points of light in
 /// the very centre and focus bring what is finite and not negative, by any method.
 #[test]
-#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
 fn degenerate_chains_are_finite_and_count_once() {
     let scenes = [
         ("centre", light_in_the_centre(true), 2),
@@ -294,7 +292,6 @@ fn small(text: &str, size: u32) -> String {
 /// that land, 16 runs of either: quarters of the image within chance, the whole within 2 % or 3.5 standard errors, which are less than
 /// 2 % on the ring and the smooth sphere, and a seventh where bumps take many trials. Skipped where the scenes are not there.
 #[test]
-#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
 fn the_authors_scenes_keep_their_energy() {
     const SIZE: usize = 12;
     let scenes = [
@@ -376,7 +373,6 @@ fn the_authors_scenes_keep_their_energy() {
 /// take less than half of the trials of uniform starts; a crop of 16 x 16 pixels, 4 samples. Skipped where the scene is
 /// not there.
 #[test]
-#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
 fn particles_halve_the_trials_on_the_authors_plane() {
     let Some(mut s) = authors("Figure_9_Twostage/plane.xml", str::to_owned) else {
         return;

@@ -99,35 +99,30 @@ fn check_image(name: &str, spp: u64) {
 
 /// 32 x 16 samples per pixel at 128 x 128.
 #[test]
-#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
 fn cornell() {
     check_image("cornell", 16);
 }
 
 /// 32 x 16 samples per pixel at 128 x 128.
 #[test]
-#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
 fn cornell_texture() {
     check_image("cornell-texture", 16);
 }
 
 /// 32 x 16 samples per pixel at 128 x 128.
 #[test]
-#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
 fn veach_plates() {
     check_image("veach-plates", 16);
 }
 
 /// 32 x 64 samples per pixel at 64 x 64.
 #[test]
-#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
 fn pool_caustic() {
     check_image("pool-caustic", 64);
 }
 
 /// 32 x 16 samples per pixel at 128 x 128.
 #[test]
-#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
 fn shadow_translate() {
     check_image("shadow-translate", 16);
 }
@@ -171,7 +166,6 @@ fn check_gradient(scene: &str, key: &str, spp: u64) {
 
 /// 32 x 32 samples per pixel at 64 x 64 (the objective does not depend on the resolution).
 #[test]
-#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
 fn cornell_gradients() {
     check_gradient("cornell", "cornell/albedos-prb", 32);
     check_gradient("cornell", "cornell/light-prb", 32);
@@ -179,7 +173,6 @@ fn cornell_gradients() {
 
 /// As above.
 #[test]
-#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
 fn pool_gradients() {
     check_gradient("pool-caustic", "pool-caustic/floor_albedo-prb", 64);
     check_gradient("pool-caustic", "pool-caustic/light-prb", 64);
@@ -187,7 +180,6 @@ fn pool_gradients() {
 
 /// As above.
 #[test]
-#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
 fn plates_gradients() {
     check_gradient("veach-plates", "veach-plates/light-prb", 32);
     check_gradient("veach-plates", "veach-plates/alphas-prb", 64);

@@ -335,7 +335,6 @@ fn compare_all(cases: Vec<Case>) {
 }
 
 #[test]
-#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
 fn all_motions_of_all_shapes() {
     let dir = tempfile::tempdir().expect("a folder");
     let folder = dir.path();
@@ -433,7 +432,6 @@ fn all_motions_of_all_shapes() {
 /// Few faces with interpolated normals, straight and turned, so that the lamp is above the planes of all of their faces or
 /// below those of some: as the camera, the mesh and its points move, over a floor and alone.
 #[test]
-#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
 fn coarse_faces_with_smooth_normals_in_any_pose() {
     let dir = tempfile::tempdir().expect("a folder");
     let behind = LAMP

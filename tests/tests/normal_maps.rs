@@ -113,7 +113,6 @@ fn both(s: &Scene) -> [Vec<Estimate>; 2] {
 /// the viewer, and nothing elsewhere. Differences see that change and the edge move, derivatives see the change
 /// alone.
 #[test]
-#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
 fn the_edge_is_what_a_derivative_misses() {
     let diffuse = r#"<bsdf type="diffuse"><rgb name="reflectance" value="0.7"/></bsdf>"#;
     let sky = r#"<emitter type="constant"><rgb name="radiance" value="0.5"/></emitter>"#;
@@ -155,7 +154,6 @@ fn the_edge_is_what_a_derivative_misses() {
 /// Among lights that go behind the horizon of tilted normals, too: every pixel agrees where no normal turns from the
 /// viewer, and all others together do not.
 #[test]
-#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
 fn derivatives_are_right_away_from_the_edge() {
     let around = r#"<emitter type="constant"><rgb name="radiance" value="0.4, 0.5, 0.6"/></emitter>
         <shape type="rectangle">

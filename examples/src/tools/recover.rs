@@ -16,11 +16,11 @@ use optim::{
     AnyOptimizer, Coarse, Constrained, Diffusion, GaussNewton, Group, Groups, LossKind, Optimizer,
     Parameterisation, Rates, Schedule,
 };
-use render::instances::Estimator;
+use render::instances::{Estimator, hessian_vector_f32};
 use render::integrator::gradient::Active;
 use render::integrator::render::Rendering;
 use render::integrator::second_order::MAX_VALUES;
-use render::params::ParamShape;
+use render::params::{ParamShape, Theta};
 use render::sampler::mix64;
 use render::{Image, RenderError, Scene, Settings, image_io};
 use serde::{Deserialize, Serialize};
@@ -37,7 +37,7 @@ use self::store::{Inputs, Store};
 use super::render::{Method, in_passes, passes};
 use crate::builtin_scene;
 use crate::cli::{
-    ListArgs, LoadArgs, Outcome, SampleArgs, ThreadArgs, ToolError, depth, names_of,
+    ListArgs, LoadArgs, ManifoldArgs, Outcome, SampleArgs, ThreadArgs, ToolError, depth, names_of,
     report_non_finite, sample_count, warn_of_crossings,
 };
 use crate::complain;
@@ -104,6 +104,9 @@ pub struct Args {
     /// How samples are made
     #[command(flatten)]
     pub samples: SampleArgs,
+    /// How chains of smooth surfaces and glints are found, in images and derivatives
+    #[command(flatten)]
+    pub manifold: ManifoldArgs,
     /// Where derivatives flow: as in `gradient`, but not auto; mis, or edges for what moves, for gauss-newton [default: mis]
     #[arg(long, value_name = "NAME", value_parser = Estimator::from_name)]
     pub estimator: Option<Estimator>,
@@ -277,11 +280,7 @@ fn recover(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     let (mut scene, active, start, truth) = load(&job, estimator)?;
     interrupt.keep();
     estimator.check(&scene)?;
-    job.samples.check_guided(estimator)?;
-    let mut settings = scene.settings;
-    settings.spp = job.spp;
-    settings.max_depth = job.max_depth.unwrap_or(settings.max_depth);
-    job.samples.apply(&scene, &mut settings)?;
+    let settings = settings(&job, &scene, estimator, &active)?;
     let loss: LossKind = job.loss.parse()?;
     let panels_file = args.out.join(PANELS);
     let views = views(&job, &scene)?;
@@ -482,6 +481,35 @@ fn targets(
         });
     }
     Ok(Some(targets))
+}
+
+/// How its images and derivatives are made.
+///
+/// # Errors
+/// What these derivatives cannot be had with, before anything is made or written.
+fn settings(
+    job: &Job,
+    scene: &Scene,
+    estimator: Estimator,
+    active: &Active,
+) -> Result<Settings, ToolError> {
+    job.samples.check_guided(estimator)?;
+    let mut settings = scene.settings;
+    settings.spp = job.spp;
+    settings.max_depth = job.max_depth.unwrap_or(settings.max_depth);
+    job.samples.apply(scene, &mut settings)?;
+    job.manifold.apply(scene, &mut settings)?;
+    // Without samples they check what they are asked for, and do nothing else.
+    let none = render::Job::new(scene, &settings, 0, 0..0, &());
+    let theta = Theta::constant(scene.params().values());
+    let adjoint = vec![0.0; scene.film.pixels() * 3];
+    if job.optimizer == OptimizerArg::GaussNewton && estimator == Estimator::SECOND_ORDER {
+        let still = vec![0.0; active.len()];
+        hessian_vector_f32(&none, &theta, active, &still, [&adjoint, &adjoint])?;
+    } else {
+        estimator.backward_f32(&none, &theta, active, &adjoint)?;
+    }
+    Ok(settings)
 }
 
 /// A scene, its unknowns, their start values and, if known, the truth.

@@ -140,6 +140,20 @@ fn manifold_connections_are_rendered_reported_and_checked() {
         (&"paths".into(), &false.into())
     );
     assert!(filtered < off, "{filtered} {off}");
+    // What is flagged and cannot be a caster is named.
+    let flag = r#"<bsdf type="plastic"/><boolean name="caustic_caster_single" value="true"/>"#;
+    let plastic = text.replace(r#"<bsdf type="dielectric" id="glass"/>"#, flag);
+    std::fs::write(
+        dir.path("plastic.xml"),
+        plastic.replace("\"sphere\"", "\"sphere\" id=\"lump\""),
+    )
+    .unwrap();
+    let output = dir.run("render", "plastic.xml --manifold sms --spp 1");
+    let message = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(
+        output.status.success() && message.contains("`lump`: flagged as a caster"),
+        "{message}"
+    );
     let aimed = r#"<integrator type="path_sms_ss"><boolean name="mnee_init" value="true"/>"#;
     with("aimed.xml", "bulb.xml", aimed);
     for (args, expected) in [

@@ -134,6 +134,59 @@ fn a_colour_is_recovered_from_a_picture() {
     }
 }
 
+/// A floor that is lit through a ball of glass by a bulb alone: without connections nothing is seen of what it throws.
+#[test]
+#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
+fn a_floor_under_glass_is_recovered_by_connections() {
+    let dir = Folder::new();
+    let text = r#"<scene version="3.0.0"><integrator type="path"><integer name="max_depth" value="4"/></integrator>
+        <sensor type="perspective"><float name="fov" value="20"/>
+        <transform name="to_world"><lookat origin="0, 2, 4" target="0, 0, 0" up="0, 1, 0"/></transform>
+        <film type="hdrfilm"><integer name="width" value="12"/><integer name="height" value="12"/></film></sensor>
+        <shape type="rectangle"><bsdf type="diffuse" id="floor"><rgb name="reflectance" value="$floor"/></bsdf>
+        <transform name="to_world"><scale value="2"/><rotate x="1" angle="-90"/></transform></shape>
+        <shape type="sphere"><float name="radius" value="0.5"/><bsdf type="dielectric" id="glass"/></shape>
+        <emitter type="point"><point name="position" value="0.5, 3, -1"/></emitter></scene>"#;
+    std::fs::write(dir.path("floor.xml"), text).unwrap();
+    dir.ok(
+        "render",
+        "floor.xml -o photo.exr --spp 256 --manifold sms --seed 9 -D floor=0.6,0.4,0.2",
+    );
+    let args = "floor.xml --target photo.exr --param floor.reflectance.value -D floor=0.3 --iterations 40 --spp 4";
+    let half = dir.run(
+        "recover",
+        &format!("{args} --manifold sms --out found --stop-after 20"),
+    );
+    assert_eq!(half.status.code(), Some(130), "{half:?}");
+    let resumed = dir.run("recover", "--out found --resume --manifold mnee");
+    let message = String::from_utf8_lossy(&resumed.stderr).into_owned();
+    assert!(
+        message.contains("--manifold: expected \"sms\""),
+        "{message}"
+    );
+    dir.ok("recover", "--out found --resume");
+    let report = dir.json("found/result.json");
+    for (c, truth) in [0.6, 0.4, 0.2].into_iter().enumerate() {
+        let found = &report["params"][format!("floor.reflectance.value[{c}]")]["value"];
+        let found = found.as_f64().unwrap();
+        assert!((found / truth - 1.0).abs() < 0.03, "{c}: {found}");
+    }
+    // What moves chains, and second derivatives, are refused before anything is written.
+    for (more, expected) in [
+        ("--param glass.eta.value", "glass.eta.value"),
+        ("--optimizer gauss-newton", "second derivatives"),
+    ] {
+        let refused = dir.run(
+            "recover",
+            &format!("{args} --manifold sms --out none {more}"),
+        );
+        let message = String::from_utf8_lossy(&refused.stderr).into_owned();
+        assert_eq!(refused.status.code(), Some(1), "{more}: {message}");
+        assert!(message.contains(expected), "{more}: {message}");
+        assert!(!dir.path("none").exists(), "{more}");
+    }
+}
+
 /// Two walls behind each other's sensors, which see one of them each: only the sum over both views knows both colours.
 #[test]
 fn a_recovery_looks_through_several_sensors() {

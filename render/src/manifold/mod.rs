@@ -37,7 +37,7 @@
 //! ```
 //!
 //! # Does not handle
-//! Roughness that changes over a shape, or is not the same along all tangents. Continua of solutions, as on the axis
+//! Bump maps. Roughness that changes over a shape, or is not the same along all tangents. Continua of solutions, as on the axis
 //! of a mirrored cylinder (F21): walks end there somewhere or nowhere, in bounded time, and the estimate is of no use.
 //!
 //! # Source

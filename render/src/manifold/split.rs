@@ -53,7 +53,8 @@ impl Run {
 /// *Casters* are shapes of metal or glass that are smooth or no rougher than [`Connections::roughness`], *receivers* all others
 /// that scatter along more than deltas; the *emitters* are all but those so wide that scattered directions find them better
 /// ([`Emitter::is_wide`]). Where the flags of a scene file name any of a kind, only these are ([`Hints`]), and casters may
-/// then be as rough as they like. Curves are no casters: the light that they throw is found by paths. Roughness is that of the scene as it is now, whatever derivatives are taken in.
+/// then be as rough as they like. Curves and what is bump-mapped are no casters: the light that they throw is found by paths.
+/// Roughness is that of the scene as it is now, whatever derivatives are taken in.
 #[derive(Clone, Debug)]
 pub struct Split {
     casters: Vec<bool>,
@@ -87,6 +88,25 @@ fn chosen(able: Vec<bool>, flagged: impl Fn(usize) -> bool) -> Vec<bool> {
         .collect()
 }
 
+/// Whether hints name what takes part in connections like these.
+fn takes_part(connections: &Connections) -> impl Fn(Hints) -> bool + Copy + use<> {
+    let single = connections.bounces == 1;
+    move |hints| hints.single || (hints.multi && !single)
+}
+
+/// The roughness of each shape that can be a caster.
+fn alphas(scene: &Scene) -> Vec<Option<f32>> {
+    let theta = Theta::<f32>::constant(scene.params().values());
+    let alpha = |(i, shape): (u32, &AnyShape)| {
+        if matches!(shape, AnyShape::Curves(_)) {
+            return None;
+        }
+        let roughness = facets(scene.material(i))?.roughness;
+        Some(roughness.map_or(0.0, |r| r.everywhere(&theta).alpha))
+    };
+    (0..).zip(scene.shapes()).map(alpha).collect()
+}
+
 fn list(these: &[bool]) -> Vec<u32> {
     let all = these.iter().zip(0..);
     all.filter_map(|(&yes, i)| yes.then_some(i)).collect()
@@ -95,32 +115,19 @@ fn list(these: &[bool]) -> Vec<u32> {
 impl Split {
     /// The roles in a scene. `None` if there is nothing to connect: no caster, no receiver or no emitter.
     pub fn of(scene: &Scene, connections: &Connections) -> Option<Self> {
-        let single = connections.bounces == 1;
-        let takes_part = move |hints: Hints| {
-            if single {
-                hints.single
-            } else {
-                hints.single || hints.multi
-            }
-        };
+        let takes_part = takes_part(connections);
         let shapes = 0..scene.shapes().len() as u32;
         let info = |shape: u32| scene.shape_info(shape);
-        let theta = Theta::<f32>::constant(scene.params().values());
-        // In the precision of parameters, so that equal is no more than. Of smooth shapes zero, of those that can be no casters
-        // none.
-        let most = connections.roughness as f32;
-        let alpha = |i: u32| {
-            let roughness = facets(scene.material(i))?.roughness;
-            Some(roughness.map_or(0.0, |r| r.everywhere(&theta).alpha))
-        };
+        let alpha = alphas(scene);
         let flagged = |i: u32| takes_part(info(i).hints);
-        let is_curve = |i: u32| matches!(scene.shapes()[i as usize], AnyShape::Curves(_));
+        // In the precision of parameters, so that equal is no more than.
+        let most = connections.roughness as f32;
         let casts = shapes
             .clone()
-            .map(|i| alpha(i).is_some_and(|alpha| alpha <= most || flagged(i)) && !is_curve(i));
+            .map(|i| alpha[i as usize].is_some_and(|alpha| alpha <= most || flagged(i)));
         let casters = chosen(casts.collect(), |i| flagged(i as u32));
         let rough = (shapes.clone().zip(&casters))
-            .any(|(i, casts)| *casts && alpha(i).is_some_and(|alpha| alpha > 0.0));
+            .any(|(i, casts)| *casts && alpha[i as usize].is_some_and(|alpha| alpha > 0.0));
         let scatters = (shapes.zip(&casters)).map(|(i, casts)| !casts && !info(i).delta);
         let receivers = chosen(scatters.collect(), |i| info(i as u32).hints.receiver);
         let narrow = (scene.emitters().iter()).map(|e| !e.is_wide() && !e.is_beam());
@@ -146,6 +153,16 @@ impl Split {
             rough,
             bounces: connections.bounces.clamp(1, Connections::MOST_BOUNCES),
         })
+    }
+
+    /// The shapes that are flagged as casters and can be none, by index: their light is found by paths.
+    pub fn unheeded(scene: &Scene, connections: &Connections) -> Vec<u32> {
+        let takes_part = takes_part(connections);
+        let each = (0..).zip(alphas(scene));
+        let unheeded = |(i, alpha): (u32, Option<f32>)| {
+            (alpha.is_none() && takes_part(scene.shape_info(i).hints)).then_some(i)
+        };
+        each.filter_map(unheeded).collect()
     }
 
     /// The same, or one without casters, where glints on these shapes are found by others, too. `None` if there is neither.

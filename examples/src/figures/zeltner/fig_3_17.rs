@@ -13,6 +13,8 @@ use render::manifold::Statistics;
 use render::params::Theta;
 use render::scene::{Connections, Constraint, Method, Starts};
 
+use super::authors::{Authors, compare};
+use super::manifold_methods::Effort;
 use super::specular_scenes::{View, buried_ball, connected, load};
 use crate::chart::Panel;
 use crate::figure::{Figure, Result};
@@ -98,6 +100,50 @@ pub fn figure(fig: &mut Figure) -> Result {
         "rates",
         &["converged", "with_light", "seconds"],
         rows.map(|(r, u, s)| [r, u, s]),
+    );
+    published(fig)
+}
+
+/// The ball of the authors, where it is.
+fn published(fig: &mut Figure) -> Result {
+    let Some(authors) = Authors::find() else {
+        return Ok(());
+    };
+    let file = "Figure_8_Constraints/sphere.xml";
+    let of = authors.scene(fig, "authors' ball", file, fig.pick(16, 48), &[])?;
+    let way = |starts: Starts, constraint: Constraint| Connections {
+        bounces: 1,
+        starts,
+        constraint,
+        ..Connections::new(Method::Sms)
+    };
+    let ways = [
+        ("particles", way(Starts::Particles, Constraint::Angle)),
+        ("angles", way(Starts::Uniform, Constraint::Angle)),
+        ("half vectors", way(Starts::Uniform, Constraint::HalfVector)),
+    ];
+    let effort = Effort {
+        runs: 8,
+        spp: fig.pick(4, 16),
+        seed: 2 * SEED,
+    };
+    let accuracy = fig.pick((1 << 14, 0.3), (1 << 17, 0.1));
+    let found = compare(fig, &of, &ways, effort, accuracy)?;
+    let [angle, half] = [1, 2].map(|k| &found.ways[k]);
+    fig.check(
+        "authors' ball: three times as many first walks find light by angles",
+        angle.lit() > 3.0 * half.lit(),
+        format!(
+            "{:.2} % by angles, {:.2} % by half vectors, of all pixels",
+            100.0 * angle.lit(),
+            100.0 * half.lit()
+        ),
+    );
+    let gain = half.variance_after(angle.seconds) / angle.variance();
+    fig.check(
+        "authors' ball: less noise in the same time by angles",
+        gain > 1.0,
+        format!("variance times time is {gain:.1} times smaller"),
     );
     Ok(())
 }

@@ -55,6 +55,7 @@ pub fn figure(fig: &mut Figure) -> Result {
     let whole = all.whole();
     let mut rows = Vec::new();
     let mut panels = Vec::new();
+    let mut cost = Vec::new();
     let factor = fig.pick(10, 4);
     for (k, walks) in (1..).zip(WALKS).take(fig.pick(3, 4)) {
         let connections = single(Method::SmsBiased(walks));
@@ -63,6 +64,7 @@ pub fn figure(fig: &mut Figure) -> Result {
         let ratio = part.mean / whole.mean;
         let relative = (part.error / part.mean).hypot(whole.error / whole.mean);
         rows.push([f64::from(walks), ratio, ratio * relative]);
+        cost.push(found.found.walks as f64 / found.found.attempts.max(1) as f64);
         panels.push(found.panel(&format!("{walks} walks"), &all, factor));
     }
     panels.push(all.panel("unbiased", &all, factor));
@@ -70,6 +72,11 @@ pub fn figure(fig: &mut Figure) -> Result {
         "the energy grows with the trial set, towards that of unbiased estimates",
         rows.windows(2).all(|r| r[1][1] > r[0][1]) && rows.iter().all(|r| r[1] < 1.0 + 4.0 * r[2]),
         format!("{:.3?}", rows.iter().map(|r| r[1]).collect::<Vec<_>>()),
+    );
+    fig.check(
+        "samples in the same number of walks go down as one over the size of the trial set",
+        (cost.iter().zip(WALKS)).all(|(c, m)| (c / f64::from(m) - 1.0).abs() < 1e-12),
+        format!("{cost:?} walks for each"),
     );
     fig.csv("energy", &["walks", "ratio", "error"], rows);
     fig.images("trial-sets", 3, &panels);

@@ -13,7 +13,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use super::file_path::FilePath;
 use super::{Args, ITERATIONS, SIZES};
 use crate::builtin_scene;
-use crate::cli::{self, SAMPLE_COUNTS, SampleArgs, ToolError};
+use crate::cli::{self, ManifoldArgs, SAMPLE_COUNTS, SampleArgs, ToolError};
 
 /// `--target`.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -177,6 +177,8 @@ pub(super) struct Job {
     pub(super) spp: u32,
     pub(super) max_depth: Option<u32>,
     pub(super) samples: SampleArgs,
+    #[serde(default)]
+    pub(super) manifold: ManifoldArgs,
     pub(super) estimator: String,
     pub(super) loss: String,
     pub(super) seed: u64,
@@ -214,6 +216,7 @@ impl Job {
             spp,
             max_depth: args.max_depth,
             samples: args.samples.filled(),
+            manifold: args.manifold,
             estimator: estimator.name().to_owned(),
             loss,
             seed: args.seed.unwrap_or(0),
@@ -333,6 +336,11 @@ impl Job {
 
     /// An error if the arguments ask for another job than this one, which is being resumed.
     pub(super) fn require_same(&self, args: &Args) -> Result<(), ToolError> {
+        fn another(what: &str, job: &str, given: &str) -> ToolError {
+            ToolError::Usage(format!(
+                "{what}: expected {job} as in the checkpoint, found {given}; leave it out to resume"
+            ))
+        }
         fn same<T: PartialEq>(
             what: &str,
             given: Option<T>,
@@ -340,11 +348,7 @@ impl Job {
             show: impl Fn(&T) -> String,
         ) -> Result<(), ToolError> {
             match given {
-                Some(given) if given != job => Err(ToolError::Usage(format!(
-                    "{what}: expected {} as in the checkpoint, found {}; leave it out to resume",
-                    show(&job),
-                    show(&given)
-                ))),
+                Some(given) if given != job => Err(another(what, &show(&job), &show(&given))),
                 _ => Ok(()),
             }
         }
@@ -385,6 +389,9 @@ impl Job {
         let (shared, by) = (given.pixels_per_particle, job.pixels_per_particle);
         same("--pixels-per-particle", shared.map(Some), by, debug)?;
         same("--guide", given.guide.then_some(true), job.guide, text)?;
+        if let Some((option, [job, given])) = args.manifold.differs(&self.manifold) {
+            return Err(another(&option, &job, &given));
+        }
         let given = args.estimator.map(|e| e.name().to_owned());
         same("--estimator", given, self.estimator.clone(), text)?;
         same("--loss", args.loss.clone(), self.loss.clone(), text)?;
