@@ -344,7 +344,6 @@ fn circles_are_noticed() {
         ("ball", "use crate::things::rules::check;\n"),
         ("rules", "// use super::nothing;\nuse super::list::All;\n"),
         ("plate", "use crate::math::Vec3;\n"),
-        ("reader", "use super::list::All;\n"),
     ];
     for (name, text) in files {
         let path = folder.path().join(name).with_extension("rs");
