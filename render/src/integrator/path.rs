@@ -430,9 +430,9 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
                 .get(emitter as usize)
                 .and_then(Option::as_ref);
             if let (Some(map), Some(shift)) = (e.moving(), shift)
-                && let Some(aim) = map.moving_draw(u)
+                && let Some(drawn) = map.moving_draw(u)
             {
-                let moved = map.moved(&aim, theta, shift);
+                let moved = map.moved(&drawn, theta, shift);
                 let weighing = Weighing::of::<S>();
                 self.direct = beta
                     * moving_emitter_light(
@@ -453,7 +453,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
             self.direct += beta * change * le * (w - weight);
         }
         if O::ENABLED {
-            observer.aims(&sample);
+            observer.sampled(&sample);
             self.sampled = Some(SampledLight {
                 emitter,
                 emission,

@@ -146,21 +146,30 @@ impl<'a, P: Float> PullBack<'a, P> {
                 self.emission(Some(k), end, met.emitter, d, a, grad);
             }
         }
-        if let Some((s, aim)) = &stop.sampled {
+        if let Some((s, sample)) = &stop.sampled {
             leaves += s.f * s.le.scale(s.weight);
             let e = &self.scene.emitters()[s.emitter as usize];
             let a = d_l * stop.beta * s.le.scale(s.weight);
             let a_le = d_l * stop.beta * s.f.scale(s.weight);
             if e.is_delta() {
-                self.delta_light(k, &stop.place, s.wi, s.f, [a, a_le], s.emitter, aim, grad);
+                self.delta_light(
+                    k,
+                    &stop.place,
+                    s.wi,
+                    s.f,
+                    [a, a_le],
+                    s.emitter,
+                    sample,
+                    grad,
+                );
             } else {
-                let end = sampled_point(self.scene, e, &stop.place, aim)
+                let end = sampled_point(self.scene, e, &stop.place, sample)
                     .map(|(prim, si)| self.push(Some(k), prim, si));
                 let source = end.map_or(Source::Afar, Source::Point);
                 self.scattered(k, &stop.place, s.wi, Component::Continuous, s.f, a, source);
                 let d = match end {
                     Some(j) => self.direction(k, self.points[j].si.p),
-                    None => aim.d,
+                    None => sample.d,
                 };
                 self.emission(Some(k), end, s.emitter, d, a_le, grad);
             }
@@ -286,7 +295,7 @@ impl<'a, P: Float> PullBack<'a, P> {
         f: Rgb<P>,
         [a, a_le]: [Rgb<P>; 2],
         emitter: u32,
-        aim: &EmitterSample<P>,
+        sample: &EmitterSample<P>,
         grad: &mut impl GradSink<P>,
     ) {
         let e = &self.scene.emitters()[emitter as usize];
@@ -295,12 +304,12 @@ impl<'a, P: Float> PullBack<'a, P> {
         if !(moves || before || self.points[k].moves) {
             return;
         }
-        let at = place.si.p + aim.d * aim.distance;
+        let at = place.si.p + sample.d * sample.distance;
         let mut d = self.scattered(k, place, wi, Component::Continuous, f, a, Source::Light(at));
         let from = place.si.p;
         let var = |x: P, i: usize| Dual::<P, 3>::var(x, i);
         let from = Vec3::new(var(from.x, 0), var(from.y, 1), var(from.z, 2));
-        let connection = e.connect(aim, from);
+        let connection = e.connect(sample, from);
         let le = e.eval(&self.theta.lift(), &connection.emission);
         let d_from = Vec3::new(
             slope(&le, a_le, 0),

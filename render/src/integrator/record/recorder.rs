@@ -328,7 +328,7 @@ fn pull_back_motion<P: Float, S: Strategy>(
     let Some(map) = scene.emitters()[emitter as usize].moving() else {
         return;
     };
-    let Some(aim) = map.moving_draw(draw.u) else {
+    let Some(drawn) = map.moving_draw(draw.u) else {
         return;
     };
     let at = Shading::new(theta.lift(), Vec2::lift(place.si.uv));
@@ -339,13 +339,13 @@ fn pull_back_motion<P: Float, S: Strategy>(
         Vec3::lift(place.wo),
         draw,
         emitter,
-        &map.vary(&aim),
+        &map.vary(&drawn),
         &Weighing::of::<S>(),
     );
     let adjoint = each([0, 1, 2], |k: usize| {
         (Rgb::new(light.r.eps[k], light.g.eps[k], light.b.eps[k]) * d).sum()
     });
-    sink.moved(emitter, map, &aim, adjoint);
+    sink.moved(emitter, map, &drawn, adjoint);
 }
 
 /// Logarithm of one over [`Bsdf::choice_pdf`] of a bounce.
