@@ -50,12 +50,12 @@ use crate::integrator::density::{Convention, Map};
 use crate::integrator::gradient::{self, Active, Gradient};
 use crate::integrator::particle;
 use crate::integrator::particle_gradient::{self, Measurement};
-use crate::integrator::render::{self, Components, Progress, Rendering};
+use crate::integrator::render::{self, Components, Rendering};
 use crate::integrator::second_order::{self, NormalEquations};
 use crate::integrator::work::count_work;
 use crate::params::{ParamInfo, ParamRef, Params, Tangent, Theta};
 use crate::sampler::{Independent, Spread};
-use crate::scene::{Scene, Settings};
+use crate::scene::Scene;
 
 fn run<R: Components, S: Unbiased>(job: &Job, theta: &Theta<R>) -> Result<Rendering, RenderError> {
     render::render::<R, S, Spread>(job, theta)
@@ -524,20 +524,11 @@ macro_rules! estimators {
             }
 
             /// Work of a sample of derivatives in these parameters, in edges: see [`count_work`].
-            pub(crate) fn work(
-                self,
-                scene: &Scene,
-                active: &Active,
-                settings: &Settings,
-                mode: Mode,
-                seed: u64,
-                paths: u64,
-                progress: &dyn Progress,
-            ) -> f64 {
+            pub(crate) fn work(self, job: &Job, active: &Active, mode: Mode) -> f64 {
                 let count = match self {
                     $(Self::$variant => count_work::<$strategy, Spread>,)*
                 };
-                count(scene, active, settings, mode, seed, paths, progress).work()
+                count(job, active, mode).work()
             }
 
             fn primal<P: Components + Float>(self) -> Primal<P> {

@@ -357,6 +357,7 @@ impl Accel {
     }
 
     #[inline(never)]
+    #[expect(clippy::too_many_arguments, reason = "scalars travel in registers")]
     fn intersect_scalars(
         &self,
         ox: f32,
@@ -376,6 +377,7 @@ impl Accel {
     }
 
     #[inline(never)]
+    #[expect(clippy::too_many_arguments, reason = "scalars travel in registers")]
     fn occluded_scalars(
         &self,
         ox: f32,

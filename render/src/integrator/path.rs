@@ -420,6 +420,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
         self.direct = beta * f * le * weight;
         if S::EmitterMotion::KEEPS && const { O::ENABLED || !R::IS_PRIMAL } {
             let draw = EmitterDraw {
+                emitter,
                 u,
                 frame: si.frame.primal(),
                 share,
@@ -435,9 +436,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
                 let moved = map.moved(&drawn, theta, shift);
                 let weighing = Weighing::of::<S>();
                 self.direct = beta
-                    * moving_emitter_light(
-                        scene, material, at, wo_r, &draw, emitter, &moved, &weighing,
-                    );
+                    * moving_emitter_light(scene, material, at, wo_r, &draw, &moved, &weighing);
             }
             let moves = O::ENABLED && e.moving().is_some();
             self.draw.put(moves.then_some(draw));

@@ -664,14 +664,14 @@ impl<'a, P: Float> Follow<'a, P> {
                     self.scatters(place, [before, w], b.wi, a, &mut own, d_w);
                     let total = (a * b.f).sum();
                     let field = bend.scattered.as_ref();
-                    self.leaves(ray, end, &behind, field, total, &mut own, grad);
+                    self.leaves(ray, end, &behind, (field, total), &mut own, grad);
                 }
             }
         }
-        if let Some((s, sample)) = &stop.sampled {
+        if let Some(light @ (s, sample)) = &stop.sampled {
             let e = &self.scene.emitters()[s.emitter as usize];
             if e.is_delta() {
-                self.delta_light(place, before, s, sample, beta, &mut own, grad);
+                self.delta_light(place, before, light, beta, &mut own, grad);
             } else {
                 let end = sampled_point(self.scene, e, place, sample)
                     .map(|(prim, si)| seen_from(from, prim, si));
@@ -683,29 +683,21 @@ impl<'a, P: Float> Follow<'a, P> {
                 self.emission(s.emitter, w, end, a_le, &mut adjoint, grad);
                 let ray = Ray::new(from, w);
                 let total = (a * s.f).sum();
-                self.leaves(
-                    ray,
-                    end,
-                    &adjoint,
-                    bend.sampled.as_ref(),
-                    total,
-                    &mut own,
-                    grad,
-                );
+                let field = (bend.sampled.as_ref(), total);
+                self.leaves(ray, end, &adjoint, field, &mut own, grad);
             }
         }
         own
     }
 
     /// The adjoints of a ray that leaves a vertex, of the velocity of its direction and of its divergence, as those of the
-    /// vertex.
+    /// vertex; `total` is that of the logarithm of what arrives along it.
     fn leaves(
         &self,
         ray: Ray<P>,
         end: Option<(u32, SurfaceInteraction<P>)>,
         adjoint: &EdgeAdjoint<P>,
-        field: Option<&Field<P>>,
-        total: P,
+        (field, total): (Option<&Field<P>>, P),
         own: &mut EdgeAdjoint<P>,
         grad: &mut impl GradSink<P>,
     ) {
@@ -800,8 +792,7 @@ impl<'a, P: Float> Follow<'a, P> {
         &self,
         place: &Place<P>,
         before: Vec3<P>,
-        s: &SampledLight<P>,
-        sample: &EmitterSample<P>,
+        (s, sample): &(SampledLight<P>, EmitterSample<P>),
         beta: Rgb<P>,
         own: &mut EdgeAdjoint<P>,
         grad: &mut impl GradSink<P>,
