@@ -55,9 +55,7 @@ pub const MAX_COORDINATE: f32 = 1e12;
 /// Primitives thinner than this in some direction count as degenerate.
 pub const MIN_THICKNESS: f32 = 1e-18;
 
-/// Up to this cost (in packets of eight flat primitives) a linear scan is faster than the
-/// hierarchy. Measured on boxes and balls in a room: nearest hits break even at 13 packets or at 10
-/// balls, shadow rays later.
+/// Up to this cost (in blocks of eight flat primitives) a linear scan is faster than the hierarchy (decision 0032).
 const MAX_LINEAR_COST: usize = 12;
 
 /// Cost of one curved primitive.
