@@ -181,7 +181,7 @@ struct ParticlePass<'a, P: Float> {
 
 impl<'a, P: Float> ParticlePass<'a, P> {
     /// As the arguments of [`backward`].
-    pub(super) fn new(
+    fn new(
         context: &'a Context<'a, P>,
         adjoint: &'a [f32],
         seed: u64,
@@ -209,7 +209,7 @@ impl<'a, P: Float> ParticlePass<'a, P> {
     }
 
     /// Follows all particles. The large ranges are added to `large`. The second result is the measurement itself.
-    pub(super) fn sums<X: Sampler>(
+    fn sums<X: Sampler>(
         &self,
         active: &Active,
         large: &ExactBuffer,
