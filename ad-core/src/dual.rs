@@ -5,7 +5,7 @@ use std::iter::Sum;
 use std::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAssign};
 
 use crate::elementary;
-use crate::lanes::Lanes;
+use crate::lanes::TangentLanes;
 use crate::real::{Const, Real, array};
 
 /// A value and its derivatives along `N` directions: `re + sum_i eps[i] e_i` with `e_i e_j = 0`.
@@ -124,7 +124,7 @@ impl<P: Real, const N: usize> Add for Dual<P, N> {
     fn add(self, o: Self) -> Self {
         Self {
             re: self.re + o.re,
-            eps: <P as Lanes>::add(self.eps, o.eps),
+            eps: <P as TangentLanes>::add(self.eps, o.eps),
         }
     }
 }
@@ -135,7 +135,7 @@ impl<P: Real, const N: usize> Sub for Dual<P, N> {
     fn sub(self, o: Self) -> Self {
         Self {
             re: self.re - o.re,
-            eps: <P as Lanes>::sub(self.eps, o.eps),
+            eps: <P as TangentLanes>::sub(self.eps, o.eps),
         }
     }
 }
@@ -231,7 +231,7 @@ macro_rules! chain_rule {
     )*};
 }
 
-impl<P: Real, const M: usize> Lanes for Dual<P, M> {
+impl<P: Real, const M: usize> TangentLanes for Dual<P, M> {
     #[inline(always)]
     fn add<const N: usize>(a: [Self; N], b: [Self; N]) -> [Self; N] {
         array(|k| a[k] + b[k])

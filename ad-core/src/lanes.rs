@@ -8,7 +8,7 @@ use crate::real::{Const, Real, array};
 use wide::{f32x4, f32x8, f64x2, f64x4};
 
 /// Tangent arithmetic of a scalar type; an implementation detail of [`Real`](crate::Real).
-pub trait Lanes: Sized + Copy {
+pub trait TangentLanes: Sized + Copy {
     /// `a + b`
     fn add<const N: usize>(a: [Self; N], b: [Self; N]) -> [Self; N];
     /// `a - b`
@@ -79,7 +79,7 @@ fused!(f32 f32x4 f32x8 f64 f64x2 f64x4);
 
 macro_rules! lanes {
     ($t:ident, $($chunks:tt)*) => {
-        impl Lanes for $t {
+        impl TangentLanes for $t {
             #[inline(always)]
             fn add<const N: usize>(a: [$t; N], b: [$t; N]) -> [$t; N] {
                 map_lanes!($t, $($chunks)*, N; |a, b; | a + b)

@@ -1,7 +1,7 @@
 //! The scalar abstraction: [`Real`] for everything that can be differentiated, [`Float`] for the
 //! machine numbers underneath, [`Const`] for operands that carry no tangent.
 
-use crate::lanes::Lanes;
+use crate::lanes::TangentLanes;
 use std::fmt::{Debug, Display, LowerExp};
 use std::iter::Sum;
 use std::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAssign};
@@ -51,7 +51,7 @@ pub trait Real:
     + Mul<Const<Self::Primal>, Output = Self>
     + Div<Const<Self::Primal>, Output = Self>
     + Sum
-    + Lanes
+    + TangentLanes
 {
     /// The machine number at the bottom: `f32` or `f64`, also for nested duals.
     type Primal: Float;

@@ -300,7 +300,8 @@ impl Problem {
             let mut weights = vec![0.0; image.len()];
             self.loss.curvature(image, target, &mut weights)?;
             weights.iter_mut().for_each(|w| *w = w.max(0.0));
-            let derivatives = if self.estimator == Estimator::Edges {
+            let can = self.estimator.capabilities();
+            let derivatives = if can.samples_edges && !can.study {
                 self.forward_curved(seeds[1], [&adjoint, &weights], progress)?
             } else {
                 gauss_newton_f32(

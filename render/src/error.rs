@@ -1,5 +1,27 @@
 //! Errors of loaders and builders. Every message names the place (file and line, or the parameter's
 //! key), what was expected there and what was found.
+//!
+//! ```
+//! use render::{Scene, SceneError};
+//!
+//! let folder = tempfile::tempdir()?;
+//! let file = folder.path().join("wide.xml");
+//! let text = "<scene version=\"3.0.0\"><sensor type=\"perspective\">\n<float name=\"fov\" value=\"wide\"/></sensor></scene>";
+//! std::fs::write(&file, text)?;
+//! let error = Scene::load(&file, &Default::default()).unwrap_err();
+//! let message = error.to_string();
+//! assert!(message.contains("wide.xml:2") && message.contains("`wide`"), "{message}");
+//!
+//! // A program can ask which one it is.
+//! let missing = Scene::load("nowhere.xml".as_ref(), &Default::default());
+//! assert!(matches!(missing, Err(SceneError::Io { path, .. }) if path.ends_with("nowhere.xml")));
+//!
+//! // Names that are not there come with those that are like them.
+//! let room = render::scene::room(8, 8)?;
+//! let unknown = room.params().find("sphere.alfa.value").unwrap_err().to_string();
+//! assert!(unknown.contains("sphere.alpha.value"), "{unknown}");
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 use std::fmt;
 use std::path::{Path, PathBuf};

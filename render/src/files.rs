@@ -1,5 +1,20 @@
 //! Files as they are read and written: what is read is a file and no device, and what is written appears complete or
 //! not at all.
+//!
+//! ```
+//! use render::files;
+//!
+//! let folder = tempfile::tempdir()?;
+//! let path = folder.path().join("exposure.txt");
+//! files::write_atomically(&path, b"two stops")?;
+//! assert_eq!(files::read(&path, 1 << 10)?, b"two stops");
+//! // What is longer than expected, or no file, is refused, with its name.
+//! let long = files::read(&path, 4).unwrap_err().to_string();
+//! assert!(long.contains("exposure.txt") && long.contains("at most 4 bytes"), "{long}");
+//! let no_file = files::read(folder.path(), 1 << 10).unwrap_err().to_string();
+//! assert!(no_file.contains("a directory"), "{no_file}");
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 use std::fs::{self, File, FileType, TryLockError};
 use std::io::{self, ErrorKind, Read, Write};

@@ -5,6 +5,27 @@
 //! of light that paths before have met there; half of the directions that leave diffuse surfaces are then drawn from
 //! it. No expectation changes, whatever it has learned.
 //!
+//! ```
+//! use render::instances::{Estimator, render_f32};
+//! use render::params::Theta;
+//! use render::{Job, Settings, auto};
+//!
+//! let mut room = render::scene::room(8, 8)?;
+//! let settings = Settings { max_depth: 3, ..room.settings };
+//! let mean = |room: &render::Scene| {
+//!     let theta = Theta::constant(room.params().values());
+//!     let job = Job::new(room, &settings, 1, 0..64, &());
+//!     let image = render_f32(&job, &theta, Estimator::Mis).image(0);
+//!     image.data.iter().sum::<f32>() / image.data.len() as f32
+//! };
+//! let before = mean(&room);
+//! assert!(auto::guide(&mut room, &settings, 0, &())); // learned and set
+//! assert!((mean(&room) / before - 1.0).abs() < 0.1); // within noise
+//! room.set_guide(None); // the room as it was
+//! assert_eq!(mean(&room), before);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
 //! # Reference
 //! [Müller et al. 2017], with a target of least variance like that of [Rath et al. 2020]: the density of a cell goes by
 //! the root of the second moment of its light, not by the mean. Unlike there, space is cut at the mean of what

@@ -50,12 +50,12 @@ use crate::integrator::density::{Convention, Map};
 use crate::integrator::gradient::{self, Active, Gradient};
 use crate::integrator::particle;
 use crate::integrator::particle_gradient::{self, Measurement};
-use crate::integrator::render::{self, Components, Progress, Rendering};
+use crate::integrator::render::{self, Components, Rendering};
 use crate::integrator::second_order::{self, NormalEquations};
 use crate::integrator::work::count_work;
 use crate::params::{ParamInfo, ParamRef, Params, Tangent, Theta};
 use crate::sampler::{Independent, Spread};
-use crate::scene::{Scene, Settings};
+use crate::scene::Scene;
 
 fn run<R: Components, S: Unbiased>(job: &Job, theta: &Theta<R>) -> Result<Rendering, RenderError> {
     render::render::<R, S, Spread>(job, theta)
@@ -156,6 +156,25 @@ pub fn particle_map_f32(
 /// The gradient of `<adjoint, image>` by particles, in single precision: [`particle_gradient::backward`] with
 /// the points that `settings` asks for.
 ///
+/// ```
+/// use render::Job;
+/// use render::instances::{Estimator, backward_particles_f32};
+/// use render::params::Theta;
+///
+/// let room = render::scene::room(8, 8)?;
+/// let theta = Theta::constant(room.params().values());
+/// let lamp = "light.emitter.radiance.value";
+/// let active = Estimator::Mis.active(&room, &[lamp])?;
+/// let adjoint = vec![1.0 / 192.0; 192]; // of the mean of all pixels and channels
+/// let job = Job::new(&room, &room.settings, 1, 0..16, &());
+/// let found = backward_particles_f32(&job, &theta, &active, &adjoint)?;
+/// // The mean is linear in what the only lamp emits.
+/// let emitted = room.params().get(lamp)?.iter().map(|&e| f64::from(e));
+/// let mean: f64 = found.gradient.values[0].iter().zip(emitted).map(|(d, e)| d * e).sum();
+/// assert!((mean / found.value - 1.0).abs() < 1e-3, "{mean} {}", found.value);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
 /// # Errors
 /// An adjoint image of the wrong size; a scene that particles see otherwise than paths do.
 pub fn backward_particles_f32(
@@ -240,6 +259,27 @@ pub fn tangent_f32(
 
 /// The Hessian of an image loss times a direction, in single precision:
 /// [`second_order::hessian_vector`] with independent samples.
+///
+/// ```
+/// use render::Job;
+/// use render::instances::{Estimator, hessian_vector_f32, tangent_f32};
+/// use render::params::Theta;
+///
+/// let room = render::scene::room(8, 8)?;
+/// let values = room.params().values();
+/// let active = Estimator::SECOND_ORDER.active(&room, &["light.emitter.radiance.value"])?;
+/// let direction = vec![1.0; active.len()];
+/// // Of half the squared distance to black: the image is its first derivative, and what the image does along the
+/// // direction is the second one times that.
+/// let job = |seed| Job::new(&room, &room.settings, seed, 0..16, &());
+/// let along = tangent_f32(&job(0), values, &active, &direction)?;
+/// let (image, change) = (along.image(0), along.image(1));
+/// let adjoints = [&image.data[..], &change.data];
+/// let found = hessian_vector_f32(&job(1), &Theta::constant(values), &active, &direction, adjoints)?;
+/// // The loss is a square of what the lamp emits.
+/// assert!(found.values[0].iter().all(|h| *h > 0.0));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 ///
 /// # Errors
 /// Images or a direction of the wrong size.
@@ -524,20 +564,11 @@ macro_rules! estimators {
             }
 
             /// Work of a sample of derivatives in these parameters, in edges: see [`count_work`].
-            pub(crate) fn work(
-                self,
-                scene: &Scene,
-                active: &Active,
-                settings: &Settings,
-                mode: Mode,
-                seed: u64,
-                paths: u64,
-                progress: &dyn Progress,
-            ) -> f64 {
+            pub(crate) fn work(self, job: &Job, active: &Active, mode: Mode) -> f64 {
                 let count = match self {
                     $(Self::$variant => count_work::<$strategy, Spread>,)*
                 };
-                count(scene, active, settings, mode, seed, paths, progress).work()
+                count(job, active, mode).work()
             }
 
             fn primal<P: Components + Float>(self) -> Primal<P> {

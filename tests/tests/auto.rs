@@ -236,8 +236,10 @@ fn what_sees_nothing_is_not_chosen() {
     let mixture = chosen(&scene, &["plate.alpha.value"], &candidates(&scene), 4096);
     println!("{mixture}");
     let finds = |m: &Mixture| {
-        let blind = |e| matches!(e, Estimator::Detached | Estimator::Differential);
-        m.shares().iter().all(|(e, _)| !blind(*e))
+        let shares = m.shares();
+        shares
+            .iter()
+            .all(|(e, _)| e.capabilities().samples_emitters)
     };
     assert!(finds(&mixture));
     // Even if it would be the default.

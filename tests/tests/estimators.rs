@@ -9,7 +9,7 @@ use render::bsdf::{Conductor, Interpolation, NormalMap};
 use render::estimator::{AllowBias, Attached, AttachedRoulette, BsdfOnly, Detached, EmitterOnly};
 use render::instances::{Direction, Estimator, forward_f32, forward_f64, render_f32};
 use render::integrator::render::render;
-use render::params::{Tangent, Theta};
+use render::params::{ParamKind, Tangent, Theta};
 use render::sampler::Independent;
 use render::scene::{Builder, LightChoice};
 use render::{RenderError, Scene, Settings};
@@ -640,7 +640,7 @@ fn the_index_of_smooth_glass_has_a_derivative() {
     let s = &case.scene;
     let direction = Direction::uniform(s.params(), case.param).expect("a parameter");
     for &e in Estimator::ALL {
-        let moving = e == Estimator::AttachedPath;
+        let moving = e.capabilities().sees(ParamKind::Delta);
         assert_eq!(e.active(s, &[case.param]).is_ok(), moving, "{}", e.name());
         let forward = e.forward_f32(
             &Job::new(s, &s.settings, 1, 0..1, &()),

@@ -692,7 +692,7 @@ fn assert_same_gradients(what: &str, s: &Scene, settings: &Settings, name: &str)
     };
     // All together, and each alone: what no derivative needs is left out.
     let names: Vec<String> = smooth_params(s).into_iter().map(|p| p.name).collect();
-    if name == "mis" {
+    if estimator.capabilities().modes.double {
         assert_same_in_double_precision(what, s, settings, &names, &adjoint);
     }
     let sets = [names.clone()].into_iter();

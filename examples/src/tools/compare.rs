@@ -206,6 +206,16 @@ struct Report {
     refused: Vec<Refused>,
 }
 
+/// How an estimator differs from the truth where it does most.
+struct Difference<'a> {
+    truth: &'a Series,
+    block: usize,
+    /// In standard errors.
+    z: f64,
+    /// What is beyond chance.
+    z_limit: f64,
+}
+
 /// Sums over repeats of derivative images.
 struct Series {
     width: usize,
@@ -580,9 +590,12 @@ impl Run<'_> {
         param: &str,
         stream: u64,
         repeats: u64,
-        (block, z_block): (usize, f64),
-        truth: &Series,
-        z_limit: f64,
+        &Difference {
+            truth,
+            block,
+            z: z_block,
+            z_limit,
+        }: &Difference,
     ) -> Result<Option<Finding>, ToolError> {
         if z_block.abs() <= z_limit {
             return Ok(Some(Finding::Right));
@@ -709,8 +722,14 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
                 let Some(series) = run.estimate(e, param, stream, repeats)? else {
                     break;
                 };
-                let worst = series.worst_block(&truth);
-                let finding = run.finding(e, param, stream, repeats, worst, &truth, z_limit)?;
+                let (block, z) = series.worst_block(&truth);
+                let worst = Difference {
+                    truth: &truth,
+                    block,
+                    z,
+                    z_limit,
+                };
+                let finding = run.finding(e, param, stream, repeats, &worst)?;
                 let Some(finding) = finding else {
                     break;
                 };

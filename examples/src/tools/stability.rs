@@ -248,18 +248,24 @@ fn row(sweep: &Sweep, x: f64, setup: &Setup, e: Estimator, m: &Measured, z_limit
     let off = m.mean - truth.slope;
     let rounding = ROUNDING * unit;
     let z = off / m.error.hypot(truth.error).hypot(rounding);
-    let expected = truth.std.and_then(|[by_light, by_lobe]| match e {
-        Estimator::Emitter => Some(by_light),
-        Estimator::Detached => Some(by_lobe),
-        _ => None,
-    });
+    // Of constant samples by one technique alone.
+    let can = e.capabilities();
+    let expected = truth.std.filter(|_| can.is_constant());
+    let expected =
+        expected.and_then(
+            |[by_light, by_lobe]| match (can.samples_emitters, can.counts_hits) {
+                (true, false) => Some(by_light),
+                (false, true) => Some(by_lobe),
+                _ => None,
+            },
+        );
     // A lobe shows in the radiance whatever its width.
     let scale = match sweep.of {
         Of::Roughness(_) => truth.value,
         Of::Motion => unit,
     };
     // Without a term for outlines there is nothing to be seen.
-    let blind = (e.capabilities().failures).contains(Failure::Boundaries) && m.pixels == 0;
+    let blind = can.failures.contains(Failure::Boundaries) && m.pixels == 0;
     let unseen = !blind && m.pixels < PIXELS || expected.is_some_and(|s| m.std < SEEN * s);
     let finding = if m.non_finite > 0 {
         Finding::NonFinite

@@ -654,6 +654,7 @@ impl Scene {
     /// nobody else can use the scene meanwhile where it is not the scene's own. `estimator` chooses the techniques.
     /// `progress` is called with the part that is done.
     #[pyo3(signature = (spp = None, seed = 0, sensor = None, *, estimator = "mis", double = false, progress = None))]
+    #[expect(clippy::too_many_arguments, reason = "Python names them")]
     fn render<'py>(
         &self,
         py: Python<'py>,
@@ -715,6 +716,7 @@ impl Scene {
     /// image with another seed than this one; the defaults of `render` and of this differ. Without keys: all parameters
     /// that the estimator sees. `*` and `?` in a key stand for any text and any character. `sensor` as in `render`.
     #[pyo3(signature = (adjoint, keys = None, estimator = "mis", spp = None, seed = 1, sensor = None, *, progress = None))]
+    #[expect(clippy::too_many_arguments, reason = "Python names them")]
     fn backward<'py>(
         &self,
         py: Python<'py>,
@@ -764,6 +766,7 @@ impl Scene {
     /// Colours do not mix: moving all channels of a colour gives, in channel c, the derivative in channel c.
     /// Names may be patterns, as in `backward`. `sensor` as in `render`.
     #[pyo3(signature = (directions, estimator = "mis", spp = None, seed = 1, sensor = None, *, progress = None))]
+    #[expect(clippy::too_many_arguments, reason = "Python names them")]
     fn forward<'py>(
         &self,
         py: Python<'py>,
@@ -799,6 +802,7 @@ impl Scene {
     /// of its parameter, would have been noticed. The scene cannot be used by others meanwhile.
     #[pyo3(signature = (keys = None, estimator = "mis", *, adjoint = None, spp = None, repeats = 32, tolerance = 0.1,
                         significance = 1e-3, seed = 0, sensor = None, progress = None))]
+    #[expect(clippy::too_many_arguments, reason = "Python names them")]
     fn check<'py>(
         &self,
         py: Python<'py>,

@@ -1,7 +1,7 @@
 //! Eight-wide hierarchy: built as a binary one (`cluster`), widened and traversed here.
 //!
 //! Its planes are single precision numbers, not compressed ones: unpacking took a third of a node's test. A leaf is a
-//! packet of up to eight flat primitives, tested in the time of one, or a curved one. The slabs are wider than
+//! block of up to eight flat primitives, tested in the time of one, or a curved one. The slabs are wider than
 //! the rounding of any primitive test, so that a hit never depends on the shape of the tree.
 
 use super::cluster::{children, hierarchy, parts};
@@ -37,8 +37,8 @@ pub(super) struct Child(u32);
 pub(super) enum Kind {
     /// A node.
     Inner(usize),
-    /// A packet, and how many primitives it has.
-    Packet(usize, usize),
+    /// A block, and how many primitives it has.
+    Block(usize, usize),
     /// A curved primitive.
     Curved(usize),
     /// Nothing, which no ray enters.
@@ -66,7 +66,7 @@ impl Child {
         let Self(code) = self;
         let by = match self.kind() {
             Kind::Inner(_) => nodes,
-            Kind::Packet(..) => leaves,
+            Kind::Block(..) => leaves,
             Kind::Curved(_) => curved,
             Kind::Nothing => return self,
         };
@@ -92,7 +92,7 @@ impl Child {
             Kind::Curved(index)
         } else {
             let count = (code >> Self::COUNT_SHIFT & 7) as usize + 1;
-            Kind::Packet(index, count)
+            Kind::Block(index, count)
         }
     }
 }
@@ -117,8 +117,8 @@ impl Node {
 #[derive(Clone, Debug)]
 pub(super) struct Tree {
     pub nodes: Vec<Node>,
-    pub packets: Vec<Flat<[f32; LANES]>>,
-    /// The primitives of each packet.
+    pub blocks: Vec<Flat<[f32; LANES]>>,
+    /// The primitives of each block.
     pub tags: Vec<[Tag; LANES]>,
     pub curved: Vec<(Curved, Tag)>,
     pub center: [f32; 3],
@@ -142,7 +142,7 @@ impl Tree {
         drop(boxes);
         let mut tree = Tree {
             nodes: Vec::new(),
-            packets: Vec::new(),
+            blocks: Vec::new(),
             tags: Vec::new(),
             curved: Vec::new(),
             center: [0.0; 3],
@@ -207,13 +207,13 @@ impl Tree {
             return None;
         }
         self.curved = curved;
-        for (packet, tags) in self.packets.iter_mut().zip(&mut self.tags) {
-            *packet = Flat::EMPTY.splat_array();
+        for (block, tags) in self.blocks.iter_mut().zip(&mut self.tags) {
+            *block = Flat::EMPTY.splat_array();
             for (k, tag) in tags.iter_mut().enumerate() {
                 if let Some(item) = find(tag)
                     && let Some(Shape::Flat(flat)) = item.shape(points)
                 {
-                    packet.set(k, &flat);
+                    block.set(k, &flat);
                     *tag = item.tag;
                 }
             }
@@ -230,7 +230,7 @@ impl Tree {
                 let child = self.nodes[at].children[k];
                 let tags: &[Tag] = match child.kind() {
                     Kind::Inner(_) => &[],
-                    Kind::Packet(index, _) => &self.tags[index],
+                    Kind::Block(index, _) => &self.tags[index],
                     Kind::Curved(index) => std::slice::from_ref(&self.curved[index].1),
                     Kind::Nothing => continue,
                 };
@@ -261,7 +261,7 @@ impl Tree {
     }
 
     /// Makes nodes of eight children from nodes of two: the top of the tree, what is below on all threads, and then all
-    /// leaves, whose packets are most of the memory.
+    /// leaves, whose blocks are most of the memory.
     fn widen(&mut self, binary: &Binary, points: &[[f32; 4]]) -> Option<()> {
         let center = self.center;
         let mut all = Subtree::new();
@@ -302,14 +302,14 @@ impl Tree {
             })
             .collect();
         let item = |i: u32| items.get(i as usize);
-        self.packets = parallel::fill(leaves.len(), &|leaf| {
-            let mut packet = Flat::EMPTY.splat_array();
+        self.blocks = parallel::fill(leaves.len(), &|leaf| {
+            let mut block = Flat::EMPTY.splat_array();
             for (k, &i) in leaves[leaf].iter().enumerate() {
                 if let Some(Shape::Flat(flat)) = item(i).and_then(|item| item.shape(points)) {
-                    packet.set(k, &flat);
+                    block.set(k, &flat);
                 }
             }
-            packet
+            block
         });
         let tags = |leaf: &[u32; LANES]| leaf.map(|i| item(i).map_or(Tag::EMPTY, |item| item.tag));
         self.tags = leaves.iter().map(tags).collect();
@@ -330,8 +330,8 @@ impl Tree {
     #[inline(always)]
     pub(super) fn offer(&self, leaf: Child, ray: &Ray, lanes: &RayLanes<f32x8>, best: &mut Best) {
         match leaf.kind() {
-            Kind::Packet(k, _) => {
-                self.packets[k]
+            Kind::Block(k, _) => {
+                self.blocks[k]
                     .load()
                     .offer(ray.skip[0], lanes, &self.tags[k], best)
             }
@@ -355,8 +355,8 @@ impl Tree {
         t_max: f32,
     ) -> bool {
         match leaf.kind() {
-            Kind::Packet(k, _) => {
-                let c = self.packets[k].load().candidate(lanes);
+            Kind::Block(k, _) => {
+                let c = self.blocks[k].load().candidate(lanes);
                 let mut hits = c.within(f32x8::splat(t_max)).to_bitmask();
                 while hits != 0 {
                     let lane = hits.trailing_zeros() as usize % LANES;
@@ -415,7 +415,7 @@ impl Tree {
                 node.planes.iter().for_each(prefetch);
                 prefetch(&node.children);
             }
-            Kind::Packet(index, _) => self.packets[index].fetch(),
+            Kind::Block(index, _) => self.blocks[index].fetch(),
             Kind::Curved(_) | Kind::Nothing => {}
         }
     }
@@ -423,7 +423,7 @@ impl Tree {
     pub(super) fn memory_bytes(&self) -> usize {
         size_of::<Self>()
             + self.nodes.capacity() * size_of::<Node>()
-            + self.packets.capacity() * size_of::<Flat<[f32; LANES]>>()
+            + self.blocks.capacity() * size_of::<Flat<[f32; LANES]>>()
             + self.tags.capacity() * size_of::<[Tag; LANES]>()
             + self.curved.capacity() * size_of::<(Curved, Tag)>()
     }
@@ -460,7 +460,7 @@ const PARTS: usize = 64;
 /// A part of a tree: nodes whose children are in it, and items by their indices.
 struct Subtree {
     nodes: Vec<Node>,
-    /// Those of each packet; beyond the last there is none.
+    /// Those of each block; beyond the last there is none.
     leaves: Vec<[u32; LANES]>,
     curved: Vec<u32>,
 }

@@ -14,7 +14,7 @@ use smallvec::SmallVec;
 use std::cell::Cell;
 use wide::f32x16;
 
-/// Up to this number of rays are faster one by one. Measured.
+/// Up to this number of rays are faster one by one (decision 0031).
 const FEW: u32 = 6;
 
 /// A child that some rays of a packet still have to visit.
@@ -267,9 +267,9 @@ impl Tree {
                         *occluded |= u32::from(hit) << lane;
                     }
                 }
-                Kind::Packet(index, count) => {
+                Kind::Block(index, count) => {
                     for k in 0..count {
-                        let one = self.packets[index].splat::<f32x16>(k);
+                        let one = self.blocks[index].splat::<f32x16>(k);
                         let (hit, ..) = one.test(&rays_in_flight.lanes, t_max);
                         let hit = hit.to_bitmask() & rays & !*occluded;
                         let surface = self.tags[index][k].surface;
@@ -326,7 +326,7 @@ impl Tree {
                 }
                 nearest.t = f32x16::from(t);
             }
-            Kind::Packet(_, count) if (rays.count_ones() as usize) < count => {
+            Kind::Block(_, count) if (rays.count_ones() as usize) < count => {
                 let mut t = nearest.t.to_array();
                 for lane in lanes(rays) {
                     if let Some(ray) = rays_in_flight.ray(lane) {
@@ -337,11 +337,11 @@ impl Tree {
                 }
                 nearest.t = f32x16::from(t);
             }
-            Kind::Packet(index, count) => {
+            Kind::Block(index, count) => {
                 for k in 0..count {
                     // One rounding more, so that equal distances pass; the offer decides.
                     let reach = nearest.t * f32x16::splat(1.0 + f32::EPSILON);
-                    let one = self.packets[index].splat::<f32x16>(k);
+                    let one = self.blocks[index].splat::<f32x16>(k);
                     let (hit, t, u, v) = one.test(&rays_in_flight.lanes, reach);
                     let hit = hit.to_bitmask() & rays;
                     if hit == 0 {

@@ -3,7 +3,7 @@
 //! Everything here is primal and f32: the renderer takes the primitive that was hit and computes
 //! the point again in its own scalar, so nothing in this module is ever differentiated.
 //!
-//! Small scenes are tested linearly, eight flat primitives at a time (`packet`); large scenes go
+//! Small scenes are tested linearly, eight flat primitives at a time (`triangle_block`); large scenes go
 //! through a compressed eight-wide hierarchy (`bvh`). Both run the same arithmetic on the same
 //! numbers and break ties towards the lowest primitive, so they return the same bits. Sets of primitives that are placed
 //! many times are there once (`instances`), and found after the others.
@@ -55,9 +55,7 @@ pub const MAX_COORDINATE: f32 = 1e12;
 /// Primitives thinner than this in some direction count as degenerate.
 pub const MIN_THICKNESS: f32 = 1e-18;
 
-/// Up to this cost (in packets of eight flat primitives) a linear scan is faster than the
-/// hierarchy. Measured on boxes and balls in a room: nearest hits break even at 13 packets or at 10
-/// balls, shadow rays later.
+/// Up to this cost (in blocks of eight flat primitives) a linear scan is faster than the hierarchy (decision 0032).
 const MAX_LINEAR_COST: usize = 12;
 
 /// Cost of one curved primitive.
@@ -357,6 +355,7 @@ impl Accel {
     }
 
     #[inline(never)]
+    #[expect(clippy::too_many_arguments, reason = "scalars travel in registers")]
     fn intersect_scalars(
         &self,
         ox: f32,
@@ -376,6 +375,7 @@ impl Accel {
     }
 
     #[inline(never)]
+    #[expect(clippy::too_many_arguments, reason = "scalars travel in registers")]
     fn occluded_scalars(
         &self,
         ox: f32,
@@ -426,8 +426,8 @@ impl Accel {
     #[inline(always)]
     fn search(&self, ray: &Ray, best: &mut Best) {
         match &self.layout {
-            Layout::Linear(packets, curved, _) => {
-                packets.intersect(ray, best);
+            Layout::Linear(blocks, curved, _) => {
+                blocks.intersect(ray, best);
                 if !curved.is_empty() {
                     let line = Line::of(ray);
                     for (c, tag) in curved {
@@ -451,8 +451,8 @@ impl Accel {
     #[inline(always)]
     fn blocks(&self, ray: &Ray, t_max: f32) -> bool {
         match &self.layout {
-            Layout::Linear(packets, curved, _) => {
-                packets.occluded(ray, t_max)
+            Layout::Linear(blocks, curved, _) => {
+                blocks.occluded(ray, t_max)
                     || (!curved.is_empty() && {
                         let line = Line::of(ray);
                         (curved.iter())
@@ -474,8 +474,8 @@ impl Accel {
         size_of::<Self>()
             + self.instances.as_ref().map_or(0, |i| i.memory_bytes())
             + match &self.layout {
-                Layout::Linear(packets, curved, few) => {
-                    packets.memory_bytes()
+                Layout::Linear(blocks, curved, few) => {
+                    blocks.memory_bytes()
                         + curved.capacity() * size_of::<(Curved, Tag)>()
                         + few.memory_bytes()
                 }

@@ -6,7 +6,7 @@ use crate::prefetch::prefetch;
 use std::ops::{Add, Div, Mul, Sub};
 use wide::{f32x8, f32x16};
 
-/// Primitives per packet.
+/// Primitives per block.
 pub(super) const LANES: usize = 8;
 
 /// Relative size of the seam by which neighbours overlap, so that no ray slips between them.
@@ -260,7 +260,7 @@ impl Flat<f32> {
         }
     }
 
-    /// Cannot be hit; fills packets up and marks slots of other kinds.
+    /// Cannot be hit; fills blocks up and marks slots of other kinds.
     pub(super) const EMPTY: Flat<f32> = Flat {
         v0: [0.0; 3],
         n: [0.0; 3],
@@ -419,10 +419,10 @@ impl Flat<f32x16> {
     }
 }
 
-/// Flat primitives in packets of eight, tested one packet after the other.
+/// Flat primitives in blocks of eight, tested one block after the other.
 #[derive(Clone, Debug)]
 pub(super) struct TriangleBlocks {
-    packets: Vec<Flat<f32x8>>,
+    blocks: Vec<Flat<f32x8>>,
     /// [`Tag::id`] of every slot, ascending; the bits of integers, so that lanes can be selected.
     ids: Vec<f32x8>,
     /// Surface of every slot, as a [`mark`].
@@ -438,7 +438,7 @@ pub(super) fn mark(surface: u32) -> f32 {
 
 impl TriangleBlocks {
     pub(super) fn new(flat: &[(Flat<f32>, Tag)]) -> TriangleBlocks {
-        let mut packets = Vec::new();
+        let mut blocks = Vec::new();
         let (mut ids, mut surfaces) = (Vec::new(), Vec::new());
         for group in flat.chunks(LANES) {
             let slot = |i: usize| group.get(i).map_or(Flat::EMPTY, |g| g.0);
@@ -448,7 +448,7 @@ impl TriangleBlocks {
             let axes = |f: &dyn Fn(&Flat<f32>) -> [f32; 3]| {
                 std::array::from_fn::<f32x8, 3, _>(|k| lanes(&|g| f(g)[k]))
             };
-            packets.push(Flat {
+            blocks.push(Flat {
                 v0: axes(&|g| g.v0),
                 n: axes(&|g| g.n),
                 du: axes(&|g| g.du),
@@ -466,7 +466,7 @@ impl TriangleBlocks {
             })));
         }
         TriangleBlocks {
-            packets,
+            blocks,
             ids,
             surfaces,
         }
@@ -481,9 +481,9 @@ impl TriangleBlocks {
         let (mut t, mut u, mut v, mut id) = (start, zero, zero, zero);
         let from = f32x8::splat(mark(ray.skip[0]));
         let tags = self.ids.iter().zip(&self.surfaces);
-        for (packet, (&ids, &surfaces)) in self.packets.iter().zip(tags) {
-            let c = packet.candidate(&lanes);
-            // Strict, and packets ascend: every lane keeps its lowest primitive among equals.
+        for (block, (&ids, &surfaces)) in self.blocks.iter().zip(tags) {
+            let c = block.candidate(&lanes);
+            // Strict, and blocks ascend: every lane keeps its lowest primitive among equals.
             let hit = c.within(t) & surfaces.simd_ne(from);
             t = hit.select(c.t, t);
             u = hit.select(c.u, u);
@@ -519,14 +519,14 @@ impl TriangleBlocks {
         let lanes = RayLanes::<f32x8>::new(ray);
         let t_max = f32x8::splat(t_max);
         let [from, to] = ray.skip.map(|surface| f32x8::splat(mark(surface)));
-        (self.packets.iter().zip(&self.surfaces)).any(|(packet, surfaces)| {
+        (self.blocks.iter().zip(&self.surfaces)).any(|(block, surfaces)| {
             let counts = surfaces.simd_ne(from) & surfaces.simd_ne(to);
-            (packet.candidate(&lanes).within(t_max) & counts).any()
+            (block.candidate(&lanes).within(t_max) & counts).any()
         })
     }
 
     pub(super) fn memory_bytes(&self) -> usize {
-        self.packets.capacity() * size_of::<Flat<f32x8>>()
+        self.blocks.capacity() * size_of::<Flat<f32x8>>()
             + (self.ids.capacity() + self.surfaces.capacity()) * size_of::<f32x8>()
     }
 }

@@ -2,8 +2,8 @@
 
 use crate::error::RenderError;
 use crate::instances::{Estimator, Mode};
+use crate::integrator::Job;
 use crate::integrator::gradient::Active;
-use crate::integrator::render::Progress;
 use crate::params::ParamInfo;
 use crate::sampler::Family;
 use crate::scene::{Scene, Settings};
@@ -31,25 +31,8 @@ pub fn costs<N: AsRef<str>>(
     let infos = names.iter().map(|n| scene.params().find(n.as_ref()));
     let infos: Vec<&ParamInfo> = infos.collect::<Result<_, _>>()?;
     let active = Active::of(scene, &infos);
-    let works = |estimators: &[Estimator]| {
-        let seed = Family::Pilots.seed(seed);
-        works(scene, &active, estimators, mode, settings, seed, PATHS, &())
-    };
-    let unit = works(&[Estimator::Mis])[0];
-    Ok(works(estimators).iter().map(|w| w / unit).collect())
-}
-
-/// Work of a sample of each estimator by so many paths, in edges, which are the same in both modes.
-pub(super) fn works(
-    scene: &Scene,
-    active: &Active,
-    estimators: &[Estimator],
-    mode: Mode,
-    settings: &Settings,
-    seed: u64,
-    paths: u64,
-    progress: &dyn Progress,
-) -> Vec<f64> {
-    let work = |&e: &Estimator| e.work(scene, active, settings, mode, seed, paths, progress);
-    estimators.iter().map(work).collect()
+    let job = Job::new(scene, settings, Family::Pilots.seed(seed), 0..PATHS, &());
+    let unit = Estimator::Mis.work(&job, &active, mode);
+    let works = estimators.iter().map(|e| e.work(&job, &active, mode));
+    Ok(works.map(|w| w / unit).collect())
 }

@@ -11,25 +11,23 @@
 //! gives the same mixture. Pilots run in forward mode; what they find is for passes in the mode that is asked for,
 //! in which other estimators may be cheap.
 //!
-//! ```no_run
-//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! ```
 //! use render::Job;
-//! use render::auto::{self, Mixture};
+//! use render::auto;
 //! use render::instances::Mode;
 //! use render::params::Theta;
 //!
-//! let (scene, _) = render::Scene::load("scene.xml".as_ref(), &Default::default())?;
-//! let adjoint = vec![1.0; scene.film.pixels() * 3];
-//! let names = ["plate.alpha.value"];
-//! let candidates = auto::candidates(&scene);
-//! let mode = Mode::Reverse;
-//! let job = Job::new(&scene, &scene.settings, 0, 0..4096, &());
-//! let mixture = auto::choose(&job, &names, &adjoint, &candidates, mode)?;
-//! print!("{mixture}"); // what was chosen, and why
-//! let theta = Theta::constant(scene.params().values());
+//! let room = render::scene::room(8, 8)?;
+//! let names = ["sphere.alpha.value"];
+//! let adjoint = vec![1.0 / 192.0; 192]; // of the mean of all pixels and channels
+//! let candidates = auto::candidates(&room);
+//! let job = Job::new(&room, &room.settings, 0, 0..16, &());
+//! let mixture = auto::choose(&job, &names, &adjoint, &candidates, Mode::Reverse)?;
+//! println!("{mixture}"); // what was chosen, and why
+//! let theta = Theta::constant(room.params().values());
 //! let gradient = mixture.backward_f32(&job, &theta, &names, &adjoint)?;
-//! # Ok(())
-//! # }
+//! assert!(gradient.values[0].len() == 1 && gradient.values[0][0].is_finite());
+//! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
 mod costs;

@@ -1,6 +1,6 @@
 //! Pilots: short runs of the candidates in forward mode, in pairs whose differences are the variance.
 
-use super::costs::{self, PATHS};
+use super::costs::PATHS;
 use crate::error::RenderError;
 use crate::instances::{Direction, Estimator, Mode};
 use crate::integrator::Job;
@@ -192,12 +192,10 @@ impl<'a> Pilots<'a> {
         let works = |infos: &[&ParamInfo], mode| {
             if measured {
                 let active = Active::of(scene, infos);
-                let works = |estimators: &[Estimator]| {
-                    costs::works(
-                        scene, &active, estimators, mode, &settings, seed, paths, progress,
-                    )
-                };
-                (works(candidates), works(&[Estimator::Mis])[0])
+                let job = Job::new(scene, &settings, seed, 0..paths, progress);
+                let work = |e: &Estimator| e.work(&job, &active, mode);
+                let works = candidates.iter().map(work).collect();
+                (works, work(&Estimator::Mis))
             } else {
                 (vec![1.0; candidates.len()], 1.0)
             }

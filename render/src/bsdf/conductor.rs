@@ -196,6 +196,3 @@ impl FromNode for Conductor {
         })
     }
 }
-
-/// A metal's `[eta, k]`, each in linear RGB.
-pub(super) type Index = [[f64; 3]; 2];

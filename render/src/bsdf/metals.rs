@@ -1,6 +1,7 @@
 //! Complex indices of refraction of conductors by name.
 
-use super::conductor::Index;
+/// A metal's `[eta, k]`, each in linear RGB.
+type Index = [[f64; 3]; 2];
 
 /// One of a table of its own in Mitsuba, whose numbers are those of the metal without it.
 const TABLE: &str = "_palik";

@@ -4,7 +4,6 @@ use std::sync::Arc;
 
 use ad_core::{Float, Real, Vec3};
 
-use super::tilted::Tilt;
 use super::{Bsdf, Material, Roughness, Shading, TextureRef};
 use crate::error::SceneError;
 use crate::params::{ParamRef, Params};
@@ -139,10 +138,10 @@ pub fn visit_deltas(material: &Material, f: &mut dyn FnMut(ParamRef)) {
     match material {
         Material::Dielectric(m) => m.eta.visit_params(f),
         Material::NormalMap(m) if has_delta(material) => {
-            m.tilt.visit_textures(&mut |t| t.visit_params(f));
+            m.visit_tilt(&mut |t| t.visit_params(f));
         }
         Material::BumpMap(m) if has_delta(material) => {
-            m.tilt.visit_textures(&mut |t| t.visit_params(f));
+            m.visit_tilt(&mut |t| t.visit_params(f));
         }
         _ => {}
     }

@@ -15,6 +15,8 @@ pub struct Capabilities {
     pub differential: bool,
     /// Whether emitters are sampled.
     pub samples_emitters: bool,
+    /// Whether emitters that scattered directions hit count.
+    pub counts_hits: bool,
     /// Whether samples of environment maps move with the texels.
     pub follows_texels: bool,
     /// Whether vertices of its paths move with shapes, cameras and lights.
@@ -214,6 +216,7 @@ impl Capabilities {
             motion,
             differential: S::Bsdf::DIFFERENTIAL,
             samples_emitters: S::SAMPLES_EMITTERS,
+            counts_hits: S::COUNTS_HITS,
             follows_texels: S::EmitterMotion::KEEPS,
             moves_vertices: S::INTERIOR || S::FOLLOWS.any(),
             samples_edges: S::OUTLINES,
@@ -251,6 +254,24 @@ impl Capabilities {
         ("double", "derivatives in double precision are compiled"),
         ("biased", "wrong on purpose, by these failure modes"),
     ];
+
+    /// Whether all that it samples are constant directions, once each.
+    pub const fn is_constant(&self) -> bool {
+        let moves = self.moves_vertices || self.follows_texels;
+        matches!(self.motion, Motion::None) && !moves && !self.differential
+    }
+
+    /// Whether it is another one where that is refused, and nothing else: the same samples, which move across
+    /// discontinuities.
+    pub fn is_naive_form_of(&self, other: &Self) -> bool {
+        let refused = Self {
+            scenes: Scenes::Any,
+            study: true,
+            failures: Failures::of(&[Failure::Discontinuities]),
+            ..*other
+        };
+        other.scenes != Scenes::Any && *self == refused
+    }
 
     /// Whether it sees the derivative in a kind of parameter.
     pub const fn sees(&self, kind: ParamKind) -> bool {
@@ -378,6 +399,11 @@ mod tests {
         let bare = Capabilities::of::<Wrong>();
         assert_eq!(bare.failures, Failures::of(&both[..1]));
         assert!(wrapped.study && !bare.study && bare.scenes == Scenes::Continuous);
+        let naive = Capabilities::of::<AllowBias<BsdfOnly<AttachedDirect>>>();
+        let attached = Capabilities::of::<BsdfOnly<AttachedDirect>>();
+        assert!(naive.is_naive_form_of(&attached) && !attached.is_naive_form_of(&naive));
+        assert!(!wrapped.is_naive_form_of(&bare) && !naive.is_naive_form_of(&bare));
+        assert!(mis.is_constant() && !attached.is_constant());
         let roulette = Capabilities::of::<AllowBias<AttachedRoulette<DetachedMis>>>();
         assert_eq!(
             roulette.failures,

@@ -39,6 +39,7 @@ mod capabilities;
 pub mod memory;
 mod sampling;
 mod strategy;
+mod study;
 mod unbiased;
 mod weights;
 
@@ -49,14 +50,15 @@ pub use sampling::{
 };
 pub(crate) use strategy::Still;
 pub use strategy::{
-    AllowBias, AttachedChoice, AttachedRoulette, BsdfOnly, Convolved, Edges, EmitterOnly, Followed,
-    Follows, Geometry, Interior, Mis, Outlines, RaysAtRest, Strategy, differentiates_edges,
-    goes_in_waves, is_guided,
+    AllowBias, BsdfOnly, Convolved, Edges, EmitterOnly, Followed, Follows, Geometry, Interior, Mis,
+    Outlines, Strategy, differentiates_edges, goes_in_waves, is_guided,
+};
+pub use study::{
+    AttachedChoice, AttachedRoulette, MixedWeights, RaysAtRest, TrustBsdf, TrustLights,
 };
 pub use unbiased::Unbiased;
 pub use weights::{
-    AttachedWeights, Balance, DetachedWeights, FrozenWeights, Heuristic, MixedWeights, Power,
-    TrustBsdf, TrustLights, Weights,
+    AttachedWeights, Balance, DetachedWeights, FrozenWeights, Heuristic, Power, Weights,
 };
 
 use crate::error::RenderError;

@@ -222,10 +222,6 @@ impl<B: Sampling, E: EmitterSampling<B>> Strategy for EmitterOnly<B, E> {
 #[derive(Clone, Copy, Debug)]
 pub struct AllowBias<S>(PhantomData<S>);
 
-/// `S` with a roulette whose survival probability is differentiated (F5). Needs [`AllowBias`].
-#[derive(Clone, Copy, Debug)]
-pub struct AttachedRoulette<S>(PhantomData<S>);
-
 /// `S`, and what moves: derivatives in positions of shapes, cameras and lights, as far as nothing becomes visible or hidden
 /// (F10), by an integral with samples of its own. Needs [`AllowBias`].
 ///
@@ -233,15 +229,6 @@ pub struct AttachedRoulette<S>(PhantomData<S>);
 /// on their material, with constant densities, weights and roulette.
 #[derive(Clone, Copy, Debug)]
 pub struct Interior<S>(PhantomData<S>);
-
-/// `S`, which moves the vertices of paths, with constant rays beyond the first vertex: vertices are where a ray that stays
-/// meets what moves, and samples of lights are constant directions, although the vertices that they start from move (F44).
-/// Needs [`AllowBias`].
-///
-/// So do systems that hold directions and forget that the next vertex moves with the last one: what a shape that moves does
-/// to its own light, or to what is lit through it, is partly lost.
-#[derive(Clone, Copy, Debug)]
-pub struct RaysAtRest<S>(PhantomData<S>);
 
 /// `S`, which moves the vertices of paths, and what becomes visible or hidden as outlines move: by samples of edges, which
 /// are an integral of its own ([`crate::scene::Scene::admits_outlines`] says where).
@@ -271,18 +258,7 @@ pub struct Convolved<S, const RAYS: u32 = 16>(PhantomData<S>);
 #[derive(Clone, Copy, Debug)]
 pub struct Followed<S>(PhantomData<S>);
 
-/// `S` whose scattered directions are weighed by one over a density in which the probabilities of choosing between
-/// lobes are differentiated, although the choices do not move (F6) [Zeltner 2021, section 4.2.2]. Needs [`AllowBias`].
-///
-/// `I = pi A + (1 - pi) B` with `pi` as the probability of `A` has the derivative `A - B`, and zero here. In general,
-/// with the density `p = sum_i P_i p_i` of a direction (the probability of a delta is `P_i p_i`), what is missing is the
-/// mean of `f L / p` times the derivative of `ln p` through all `P_i` ([`crate::bsdf::Lobe::choice_pdf`]). Lobes without
-/// deltas are weighed by the density of their mixture, whichever was chosen: nothing is missing where they are alike.
-///
-/// Nothing else changes: `S` scatters constant directions and has MIS weights that are not differentiated.
-#[derive(Clone, Copy, Debug)]
-pub struct AttachedChoice<S>(PhantomData<S>);
-
+/// What a wrapped strategy says, but for these constants.
 macro_rules! wrapper {
     ($name:ident <$inner:path $(, const $number:ident: $of:ty)?> { $($item:item)* }) => {
         impl<S: $inner $(, const $number: $of)?> Strategy for $name<S $(, $number)?> {
@@ -307,6 +283,7 @@ macro_rules! wrapper {
         }
     };
 }
+pub(super) use wrapper;
 
 wrapper!(Interior<Strategy<Bsdf = Detached, Edge = Forget, EmitterMotion = Forget>> {
     type Runs = Self;
@@ -325,15 +302,6 @@ wrapper!(Outlines<Strategy<Bsdf = Detached, Edge = Forget, EmitterMotion = Forge
     const ATTACHED_ROULETTE: bool = S::ATTACHED_ROULETTE;
     const ATTACHED_CHOICE: bool = S::ATTACHED_CHOICE;
 });
-wrapper!(RaysAtRest<Strategy<Bsdf = Detached, Edge = Forget, EmitterMotion = Forget>> {
-    type Runs = Self;
-    const RAYS_AT_REST: bool = true;
-    const OUTLINES: bool = S::OUTLINES;
-    const INTERIOR: bool = S::INTERIOR;
-    const ALLOWS_BIAS: bool = S::ALLOWS_BIAS;
-    const ATTACHED_ROULETTE: bool = S::ATTACHED_ROULETTE;
-    const ATTACHED_CHOICE: bool = S::ATTACHED_CHOICE;
-});
 wrapper!(AllowBias<Strategy> {
     type Runs = S::Runs;
     const FOLLOWS: Follows = S::FOLLOWS;
@@ -344,26 +312,6 @@ wrapper!(AllowBias<Strategy> {
     const ATTACHED_ROULETTE: bool = S::ATTACHED_ROULETTE;
     const ATTACHED_CHOICE: bool = S::ATTACHED_CHOICE;
     const NEEDS_CONTINUITY: bool = false;
-});
-wrapper!(AttachedRoulette<Strategy> {
-    type Runs = Self;
-    const FOLLOWS: Follows = S::FOLLOWS;
-    const OUTLINES: bool = S::OUTLINES;
-    const INTERIOR: bool = S::INTERIOR;
-    const RAYS_AT_REST: bool = S::RAYS_AT_REST;
-    const ALLOWS_BIAS: bool = S::ALLOWS_BIAS;
-    const ATTACHED_ROULETTE: bool = true;
-    const ATTACHED_CHOICE: bool = S::ATTACHED_CHOICE;
-});
-wrapper!(AttachedChoice<Strategy<Bsdf = Detached, Edge = Forget>> {
-    type Runs = Self;
-    const FOLLOWS: Follows = S::FOLLOWS;
-    const OUTLINES: bool = S::OUTLINES;
-    const INTERIOR: bool = S::INTERIOR;
-    const RAYS_AT_REST: bool = S::RAYS_AT_REST;
-    const ALLOWS_BIAS: bool = S::ALLOWS_BIAS;
-    const ATTACHED_ROULETTE: bool = S::ATTACHED_ROULETTE;
-    const ATTACHED_CHOICE: bool = true;
 });
 
 wrapper!(Convolved<Strategy, const RAYS: u32> {

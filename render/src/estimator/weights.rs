@@ -51,34 +51,6 @@ impl Heuristic for Power {
     }
 }
 
-/// [`Power`] that trusts sampled lights eight times as much as their density deserves. Densities of primal
-/// samples say little about the spread of a derivative; a constant that is right for it is found by measuring, see
-/// [`crate::auto`].
-#[derive(Clone, Copy, Debug)]
-pub struct TrustLights;
-
-impl Heuristic for TrustLights {
-    type Primal = Power;
-    const LIGHTS: f64 = 8.0;
-    #[inline]
-    fn weight<R: Real>(a: R, b: R) -> R {
-        Power::weight(a, b)
-    }
-}
-
-/// [`Power`] that trusts scattered directions eight times as much, as [`TrustLights`].
-#[derive(Clone, Copy, Debug)]
-pub struct TrustBsdf;
-
-impl Heuristic for TrustBsdf {
-    type Primal = Power;
-    const LIGHTS: f64 = 0.125;
-    #[inline]
-    fn weight<R: Real>(a: R, b: R) -> R {
-        Power::weight(a, b)
-    }
-}
-
 /// The density of a sampled light as heuristic `H` sees it.
 #[inline(always)]
 pub(super) fn trusted<H: Heuristic, R: Real>(pdf: R) -> R {
@@ -109,12 +81,12 @@ pub trait Weights: Send + Sync + 'static {
 }
 
 #[inline(always)]
-fn constant<H: Heuristic, R: Real>(a: R, b: R) -> R {
+pub(super) fn constant<H: Heuristic, R: Real>(a: R, b: R) -> R {
     R::lift(varying::<H, R::Primal>(a.primal(), b.primal()))
 }
 
 #[inline(always)]
-fn varying<H: Heuristic, R: Real>(a: R, b: R) -> R {
+pub(super) fn varying<H: Heuristic, R: Real>(a: R, b: R) -> R {
     if a.primal() > R::Primal::zero() {
         H::weight(a, b)
     } else {
@@ -159,26 +131,6 @@ impl Weights for FrozenWeights {
     #[inline]
     fn hit<H: Heuristic, R: Real>(a: R, b: R) -> R {
         varying::<H, R>(a, b)
-    }
-}
-
-/// Attached weights for scattered directions, detached ones for sampled lights: derivatives of the
-/// weights no longer cancel. The caption of [Zeltner 2021, figure 4.13] allows it, errata
-/// Z-4.13f does not. For study.
-#[derive(Clone, Copy, Debug)]
-pub struct MixedWeights;
-
-impl Weights for MixedWeights {
-    type Edge = Keep;
-    const DIFFERENTIATED: bool = true;
-    const MIXED: bool = true;
-    #[inline]
-    fn hit<H: Heuristic, R: Real>(a: R, b: R) -> R {
-        varying::<H, R>(a, b)
-    }
-    #[inline]
-    fn sampled<H: Heuristic, R: Real>(a: R, b: R) -> R {
-        constant::<H, R>(a, b)
     }
 }
 

@@ -5,6 +5,38 @@
 //! the pixel's filter, by Newton's method on slopes ([`SlopeMap`]), with the estimators of [`crate::manifold`]: trial sets, or
 //! trials for the reciprocal of a probability [Zeltner 2021, section 3.3.3].
 //!
+//! ```
+//! use render::instances::{Estimator, render_f32};
+//! use render::params::Theta;
+//! use render::scene::{GlintMethod, Glints};
+//! use render::{Image, Job, Scene, Settings, image_io::write_exr};
+//!
+//! // A plate of metal whose normals differ from texel to texel, under a small lamp.
+//! let folder = tempfile::tempdir()?;
+//! let mut normals = Image::new(32, 32);
+//! for (i, n) in normals.data.chunks_exact_mut(3).enumerate() {
+//!     let turn = 2.4 * i as f32;
+//!     n.copy_from_slice(&[0.5 + 0.05 * turn.sin(), 0.5 + 0.05 * turn.cos(), 1.0]);
+//! }
+//! write_exr(&folder.path().join("normals.exr"), &normals)?;
+//! let text = r#"<scene version="3.0.0"><integrator type="path"><integer name="max_depth" value="2"/></integrator>
+//!     <sensor type="perspective"><float name="fov" value="40"/>
+//!     <transform name="to_world"><lookat origin="0, 0, 4" target="0, 0, 0" up="0, 1, 0"/></transform>
+//!     <film type="hdrfilm"><integer name="width" value="8"/><integer name="height" value="8"/></film></sensor>
+//!     <shape type="rectangle"><bsdf type="normalmap"><texture type="bitmap" name="normalmap">
+//!     <string name="filename" value="normals.exr"/><boolean name="raw" value="true"/></texture>
+//!     <bsdf type="conductor"/></bsdf></shape>
+//!     <shape type="sphere"><point name="center" value="0, 0, 5"/><float name="radius" value="0.3"/>
+//!     <emitter type="area"><rgb name="radiance" value="9"/></emitter></shape></scene>"#;
+//! let (scene, _warnings) = Scene::from_xml(text, folder.path(), &Default::default())?;
+//! let glints = Some(Glints::new(GlintMethod::Unbiased));
+//! let settings = Settings { glints, ..scene.settings };
+//! let theta = Theta::constant(scene.params().values());
+//! let found = render_f32(&Job::new(&scene, &settings, 0, 0..16, &()), &theta, Estimator::Mis);
+//! assert!(found.glints.walks > 0 && found.image(0).data.iter().all(|v| v.is_finite()));
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
 //! # The constraint
 //! Slopes of half vector and normal agree, `h(t) = n(t)` over texel coordinates `t`. The published method takes `h` for a
 //! constant. Here it is affine: ray differentials [Igehy 1999] say how view, light and the surface's own frame turn across the

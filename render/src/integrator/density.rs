@@ -36,6 +36,7 @@ use super::progress::Progress;
 use super::record::{Interest, Observer, Place};
 use super::rendering::{Components, NonFinite, Rendering};
 use super::tile::tiles;
+use super::vertex::roulette::{play, probability};
 use crate::bsdf::kernel::{Symmetry, eval_kernel};
 use crate::bsdf::{Bsdf, Component, DeltaKind, Shading, TransportMode};
 use crate::emitter::Emitter;
@@ -533,11 +534,12 @@ impl<P: Float> Map<P> {
             ray = si.spawn_ray(si.frame.to_world(sample.wi), scene.exit(prim));
             // Total reflection may go on for long; what is left behind is unbiased.
             if depth >= settings.rr_depth {
-                let q = beta.max_component().min(P::of(0.95));
-                if sampler.next_1d::<P>() >= q {
+                let q = probability(beta.max_component(), P::one());
+                let (survives, inv_q) = play(true, q, sampler.next_1d());
+                if !survives {
                     break;
                 }
-                beta = beta * q.recip();
+                beta = beta * inv_q;
             }
         }
         l

@@ -349,6 +349,8 @@ impl<P: Float, S: Strategy> LocalFn<P> for SeparateLight<'_, P, S> {
 /// A sample of an emitter that moves: all that is needed to make it again.
 #[derive(Clone, Copy, Debug)]
 pub struct EmitterDraw<P> {
+    /// Index of the emitter.
+    pub emitter: u32,
     /// Random numbers that the direction was made of.
     pub u: [P; 2],
     /// The surface's frame, world space.
@@ -375,13 +377,12 @@ pub fn moving_emitter_light<R: Real>(
     at: &Shading<R>,
     wo: Vec3<R>,
     draw: &EmitterDraw<R::Primal>,
-    emitter: u32,
     light: &Moved<R>,
     weighing: &Weighing<R>,
 ) -> Rgb<R> {
     let wi = Frame::lift(draw.frame).to_local(light.d);
     let (f, pdf) = material.eval_pdf(at, wo, wi, MODE);
-    let le = scene.emitters()[emitter as usize].eval(&at.theta, &light.emission);
+    let le = scene.emitters()[draw.emitter as usize].eval(&at.theta, &light.emission);
     let share = Const(draw.share);
     let mis = weighing.sampled.map_or(R::one(), |weight| {
         let pdf = if weighing.frozen {

@@ -83,7 +83,7 @@ pub(crate) fn arrivals<S: Strategy, X: Sampler>(
             progress,
         };
         let mut paths = Paths::<f32, S, X, _>::new(PathRecord::default());
-        tiles[i].trace(&context, seed, &samples, &mut paths, |_, _, _, path| {
+        tiles[i].trace(&context, (seed, &samples), &mut paths, |_, _, _, path| {
             let arrivals = &mut out;
             sweep(
                 path,

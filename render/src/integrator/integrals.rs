@@ -1,8 +1,8 @@
-//! The integrals that an image is the sum of: one line each in [`every`].
+//! The integrals that an image is the sum of, one line each.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use ad_core::{Float, Real};
+use ad_core::Float;
 
 use super::active::Active;
 use super::boundary;
@@ -11,14 +11,13 @@ use super::convolved;
 use super::exact::ExactBuffer;
 use super::glints;
 use super::motion;
-use super::particle;
-use super::particle_gradient::ParticlePass;
+use super::particle_gradient;
 use super::pass::{Finders, Integral, Pass, Question};
 use super::paths;
 use super::progress::Progress;
 use super::rendering::{Components, Rendering};
 use super::sink::GradientSums;
-use crate::estimator::{Sampling, Strategy};
+use crate::estimator::Strategy;
 use crate::sampler::Sampler;
 
 /// What of a pass somebody wants to know.
@@ -30,57 +29,6 @@ pub(super) struct Wanted {
     pub light: bool,
     /// What moves.
     pub motion: bool,
-}
-
-/// Asks every integral of a pass.
-pub(super) fn every<S: Strategy, X: Sampler>(
-    wanted: Wanted,
-    progress: &dyn Progress,
-    question: &mut impl Question<S, X>,
-) {
-    let by_particles = wanted.light && wanted.finders.particles;
-    let by_connections = wanted.light && wanted.finders.connections;
-    let by_glints = wanted.light && wanted.finders.glints;
-    let moves = S::INTERIOR && wanted.motion;
-    let outlines = S::OUTLINES && wanted.motion;
-    let follows = S::FOLLOWS.any() && wanted.motion;
-    let all = [
-        wanted.light,
-        by_particles,
-        by_connections,
-        by_glints,
-        moves,
-        outlines,
-        follows,
-    ];
-    let integrals: u64 = all.into_iter().map(u64::from).sum();
-    let share = Share {
-        progress,
-        integrals: integrals.max(1),
-        done: AtomicU64::new(0),
-    };
-    if wanted.light {
-        question.ask::<Paths>(&share);
-    }
-    if by_particles && !share.cancelled() {
-        question.ask::<Particles>(&share);
-    }
-    if by_connections && !share.cancelled() {
-        question.ask::<Connections>(&share);
-    }
-    if by_glints && !share.cancelled() {
-        question.ask::<Glints>(&share);
-    }
-    // A constant: it is not even compiled for strategies that do not move vertices.
-    if const { S::INTERIOR } && wanted.motion && !share.cancelled() {
-        question.ask::<Motion>(&share);
-    }
-    if const { S::OUTLINES } && wanted.motion && !share.cancelled() {
-        question.ask::<Boundaries>(&share);
-    }
-    if const { S::FOLLOWS.any() } && wanted.motion && !share.cancelled() {
-        question.ask::<Convolved>(&share);
-    }
 }
 
 /// The progress of several integrals, each of which counts all pixels.
@@ -100,71 +48,71 @@ impl Progress for Share<'_> {
     }
 }
 
-/// An integral whose image and gradient are functions of a module.
+/// The list: of each its name, the module whose functions are its image and its gradient, for which strategies it is
+/// compiled (a constant, if not for all), and when a pass asks it.
 macro_rules! integrals {
-    ($($(#[$doc:meta])* $name:ident: $module:ident::<$($by:ident),*>;)*) => {$(
-        $(#[$doc])*
-        struct $name;
+    (|$wanted:ident| $(
+        $(#[$doc:meta])*
+        $name:ident: $module:ident::<$($by:ident),*> $(if $of:expr)?, $asked:expr;
+    )*) => {
+        $(
+            $(#[$doc])*
+            struct $name;
 
-        impl<S: Strategy, X: Sampler> Integral<S, X> for $name {
-            fn image<R: Components>(pass: &Pass<R>) -> Rendering {
-                $module::image::<R, $($by),*>(pass)
+            impl<S: Strategy, X: Sampler> Integral<S, X> for $name {
+                fn image<R: Components>(pass: &Pass<R>) -> Rendering {
+                    $module::image::<R, $($by),*>(pass)
+                }
+                fn gradient<P: Float>(
+                    pass: &Pass<P>,
+                    active: &Active,
+                    adjoint: &[f32],
+                    large: &ExactBuffer,
+                ) -> GradientSums {
+                    $module::gradient::<P, $($by),*>(pass, active, adjoint, large)
+                }
             }
-            fn gradient<P: Float>(
-                pass: &Pass<P>,
-                active: &Active,
-                adjoint: &[f32],
-                large: &ExactBuffer,
-            ) -> GradientSums {
-                $module::gradient::<P, $($by),*>(pass, active, adjoint, large)
-            }
+        )*
+
+        /// Asks every integral of a pass, one after the other, until it is cancelled.
+        pub(super) fn every<S: Strategy, X: Sampler>(
+            $wanted: Wanted,
+            progress: &dyn Progress,
+            question: &mut impl Question<S, X>,
+        ) {
+            let asked = [$($(const { $of } &&)? $asked),*];
+            let integrals: u64 = asked.into_iter().map(u64::from).sum();
+            let share = Share {
+                progress,
+                integrals: integrals.max(1),
+                done: AtomicU64::new(0),
+            };
+            $(
+                if $(const { $of } &&)? $asked {
+                    question.ask::<$name>(&share);
+                    if share.cancelled() {
+                        return;
+                    }
+                }
+            )*
         }
-    )*};
+    };
 }
 
 integrals! {
-    /// Light along paths from the camera: all of it, or what particles leave.
-    Paths: paths::<S, X>;
-    /// What vertices of paths that move do to light.
-    Motion: motion::<S, X>;
-    /// What outlines that move hide and show.
-    Boundaries: boundary::<S, X>;
-    /// What moves, along directions that follow outlines.
-    Convolved: convolved::<S, X>;
+    |wanted|
+    /// Light along paths from the camera: all of it, or what others leave.
+    Paths: paths::<S, X>, wanted.light;
+    /// Caustics, along particles from the emitters.
+    Particles: particle_gradient::<S, X>, wanted.light && wanted.finders.particles;
     /// Light over specular chains, by manifold connections.
-    Connections: connections::<X>;
+    Connections: connections::<X>, wanted.light && wanted.finders.connections;
     /// Lights in glinty surfaces.
-    Glints: glints::<X>;
-}
-
-/// What particles of a pass have in common.
-fn caustics<'a, R: Real, S: Strategy>(pass: &'a Pass<'a, R>) -> particle::Context<'a, R> {
-    let context = particle::Context::caustics(pass.scene, pass.theta, pass.settings);
-    particle::Context {
-        differential: S::Bsdf::DIFFERENTIAL,
-        progress: pass.progress,
-        ..context
-    }
-}
-
-/// Caustics, along particles from the emitters.
-struct Particles;
-
-impl<S: Strategy, X: Sampler> Integral<S, X> for Particles {
-    fn image<R: Components>(pass: &Pass<R>) -> Rendering {
-        let context = caustics::<_, S>(pass);
-        particle::render::<R, X>(&context, pass.seed, pass.samples.clone(), pass.progress)
-    }
-    fn gradient<P: Float>(
-        pass: &Pass<P>,
-        active: &Active,
-        adjoint: &[f32],
-        large: &ExactBuffer,
-    ) -> GradientSums {
-        let context = caustics::<_, S>(pass);
-        let samples = pass.samples.clone();
-        let particles = ParticlePass::new(&context, adjoint, pass.seed, samples);
-        let (sums, _) = particles.sums::<X>(active, large, pass.progress);
-        sums
-    }
+    Glints: glints::<X>, wanted.light && wanted.finders.glints;
+    /// What vertices of paths that move do to light.
+    Motion: motion::<S, X> if S::INTERIOR, wanted.motion;
+    /// What outlines that move hide and show.
+    Boundaries: boundary::<S, X> if S::OUTLINES, wanted.motion;
+    /// What moves, along directions that follow outlines.
+    Convolved: convolved::<S, X> if S::FOLLOWS.any(), wanted.motion;
 }

@@ -7,17 +7,18 @@
 use std::cell::Cell;
 use std::ops::Range;
 
-use ad_core::Float;
+use ad_core::{Float, Real};
 
 use super::active::Active;
 use super::exact::ExactBuffer;
-use super::particle::{Context, ParticleObserver, pixels, trace_particles};
+use super::particle::{self, Context, ParticleObserver, pixels, trace_particles};
+use super::pass::Pass;
 use super::progress::Progress;
 use super::record::{Contribution, Interest, Observer, PathRecord, Place, Recorder};
-use super::rendering::NonFinite;
+use super::rendering::{Components, NonFinite, Rendering};
 use super::sink::{Gradient, GradientSums, Sink, check_size, collect, largest_of};
 use crate::error::RenderError;
-use crate::estimator::DetachedMis;
+use crate::estimator::{DetachedMis, Sampling, Strategy};
 use crate::film::Film;
 use crate::math::Rgb;
 use crate::parallel;
@@ -96,6 +97,35 @@ fn is_finite<P: Float>(path: &PathRecord<P>) -> bool {
     })
 }
 
+/// What the particles of a pass have in common: those that find caustics.
+fn caustics<'a, R: Real, S: Strategy>(pass: &'a Pass<'a, R>) -> Context<'a, R> {
+    let context = Context::caustics(pass.scene, pass.theta, pass.settings);
+    Context {
+        differential: S::Bsdf::DIFFERENTIAL,
+        progress: pass.progress,
+        ..context
+    }
+}
+
+/// Caustics: [`super::pass::Integral::image`].
+pub(super) fn image<R: Components, S: Strategy, X: Sampler>(pass: &Pass<R>) -> Rendering {
+    let context = caustics::<_, S>(pass);
+    particle::render::<R, X>(&context, pass.seed, pass.samples.clone(), pass.progress)
+}
+
+/// The derivative of caustics: [`super::pass::Integral::gradient`].
+pub(super) fn gradient<P: Float, S: Strategy, X: Sampler>(
+    pass: &Pass<P>,
+    active: &Active,
+    adjoint: &[f32],
+    large: &ExactBuffer,
+) -> GradientSums {
+    let context = caustics::<_, S>(pass);
+    let particles = ParticlePass::new(&context, adjoint, pass.seed, pass.samples.clone());
+    let (sums, _) = particles.sums::<X>(active, large, pass.progress);
+    sums
+}
+
 /// A measurement by particles: the inner product of an adjoint image and the image, and its gradient.
 #[derive(Clone, Debug)]
 pub struct Measurement {
@@ -142,7 +172,7 @@ pub fn backward<P: Float, X: Sampler>(
 }
 
 /// The recorded particles of an image.
-pub(super) struct ParticlePass<'a, P: Float> {
+struct ParticlePass<'a, P: Float> {
     context: &'a Context<'a, P>,
     sensor: Sensor<'a>,
     seed: u64,
@@ -151,7 +181,7 @@ pub(super) struct ParticlePass<'a, P: Float> {
 
 impl<'a, P: Float> ParticlePass<'a, P> {
     /// As the arguments of [`backward`].
-    pub(super) fn new(
+    fn new(
         context: &'a Context<'a, P>,
         adjoint: &'a [f32],
         seed: u64,
@@ -179,7 +209,7 @@ impl<'a, P: Float> ParticlePass<'a, P> {
     }
 
     /// Follows all particles. The large ranges are added to `large`. The second result is the measurement itself.
-    pub(super) fn sums<X: Sampler>(
+    fn sums<X: Sampler>(
         &self,
         active: &Active,
         large: &ExactBuffer,

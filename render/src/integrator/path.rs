@@ -12,15 +12,16 @@ use super::progress::Progress;
 use super::record::{Bounce, Contribution, MetLight, NormalsLight, Observer, Place, SampledLight};
 use super::vertex::interest::{PathInterest, splits};
 use super::vertex::light::{
-    LitVertex, Rival, choose, counts_hits, find_light, frozen_pdf, guided, has_rival, has_tangent,
-    matters, mis_weight, mixed,
+    LitVertex, Looking, choose, counts_hits, density, find_lights, frozen_pdf, guide_of, guided,
+    has_rival, has_tangent, is_along_delta, is_led, matters, mis_weight, mixed, normals_weight,
+    per_density, weighs,
 };
 use super::vertex::roulette::{MAX_SURVIVAL, play, probability, roulette_weight};
-use super::vertex::{MODE, assert_finite, part_of};
-use crate::bsdf::{Bsdf, Component, Material, Part, Shading, TextureRef};
+use super::vertex::{MODE, assert_finite, has_more, may_go_on, part_of};
+use crate::bsdf::{Bsdf, Material, Part, Shading, TextureRef};
 use crate::emitter::{AnyEmitter, Emission, Emitter, Shift};
 use crate::estimator::memory::{Memory, Store};
-use crate::estimator::{Edges, Geometry, Sampling, Strategy, differentiates_edges, is_guided};
+use crate::estimator::{Edges, Geometry, Sampling, Strategy, differentiates_edges};
 use crate::guide::Directions;
 use crate::manifold::Split;
 use crate::math::{Ray, Rgb, Segment};
@@ -308,17 +309,16 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
             observer.vertex(self.beta, &place);
         }
         (self.interest).arrive(observer, context.caustics, self.depth, info);
-        let along_delta = self.pdf_bsdf.primal() == R::Primal::zero();
+        let along_delta = is_along_delta(self.pdf_bsdf.primal());
         (self.interest).arrive_on(context.split, shape, along_delta);
         let lit = self.interest.lit(observer);
-        // With one edge more there may be light, or vertices to find it from.
-        let goes_on = lit || self.depth + 1 < context.settings.max_depth;
+        let goes_on = may_go_on(lit, has_more(self.depth, context.settings));
         let differentiates = const { O::ENABLED || !R::IS_PRIMAL };
         here.splits = differentiates
             && splits::<S, O>(observer, goes_on, info.material, here.material)
             && (R::IS_PRIMAL || roughness_moves(here.material, context.theta));
-        if const { is_guided::<S>() } && !info.glossy {
-            here.guide = (scene.guide()).and_then(|guide| guide.at(si.p.primal()));
+        if let Some(guide) = guide_of::<S>(scene).filter(|_| is_led(info)) {
+            here.guide = guide.at(si.p.primal());
         }
 
         if S::SAMPLES_EMITTERS && lit && !info.delta && !scene.emitters().is_empty() {
@@ -406,13 +406,13 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
             ),
         };
         let le = e.eval(theta, &emission);
-        let weighs = S::COUNTS_HITS && !e.is_delta();
+        let weighs = weighs(S::COUNTS_HITS, e);
         if weighs && S::FROZEN_WEIGHTS && !R::IS_PRIMAL {
             pdf = frozen_pdf(material, at, wo_r, S::Bsdf::embed3(wi));
         }
         let mis = mis_weight::<S, R>(weighs, pdf_light, pdf);
         let weight = if Geometry::<S, R>::IS_PRIMAL {
-            mis * Const(kept / sample.pdf)
+            per_density(mis, kept, sample.pdf)
         } else {
             mis / pdf_light * Const(kept)
         };
@@ -420,6 +420,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
         self.direct = beta * f * le * weight;
         if S::EmitterMotion::KEEPS && const { O::ENABLED || !R::IS_PRIMAL } {
             let draw = EmitterDraw {
+                emitter,
                 u,
                 frame: si.frame.primal(),
                 share,
@@ -430,33 +431,28 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
                 .get(emitter as usize)
                 .and_then(Option::as_ref);
             if let (Some(map), Some(shift)) = (e.moving(), shift)
-                && let Some(aim) = map.moving_draw(u)
+                && let Some(drawn) = map.moving_draw(u)
             {
-                let moved = map.moved(&aim, theta, shift);
+                let moved = map.moved(&drawn, theta, shift);
                 let weighing = Weighing::of::<S>();
                 self.direct = beta
-                    * moving_emitter_light(
-                        scene, material, at, wo_r, &draw, emitter, &moved, &weighing,
-                    );
+                    * moving_emitter_light(scene, material, at, wo_r, &draw, &moved, &weighing);
             }
             let moves = O::ENABLED && e.moving().is_some();
             self.draw.put(moves.then_some(draw));
         }
         let normals_weight = here.splits.then(|| {
-            let pair = if weighs {
-                material.pdf_differential(&at.primal(), wo.primal(), wi.primal())
-            } else {
-                R::Primal::zero()
-            };
-            let mis = mis_weight::<S, R::Primal>(weighs, sample.pdf, pair);
-            R::lift(mis * kept / sample.pdf)
+            let (at, directions) = (at.primal(), [wo.primal(), wi.primal()]);
+            let pdf = sample.pdf;
+            let weight = normals_weight::<S, _>(material, &at, directions, weighs, pdf, kept);
+            R::lift(weight)
         });
         if let (Some(w), false) = (normals_weight, R::IS_PRIMAL) {
             let change = material.eval_normals(at, wo.primal(), wi.primal(), MODE);
             self.direct += beta * change * le * (w - weight);
         }
         if O::ENABLED {
-            observer.aims(&sample);
+            observer.sampled(&sample);
             self.sampled = Some(SampledLight {
                 emitter,
                 emission,
@@ -651,14 +647,14 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
         if !O::ENABLED && next_beta.is_black() && !has_tangent(next_beta) {
             return;
         }
-        self.pdf_bsdf = match sample.component {
-            Component::Continuous if S::FROZEN_WEIGHTS && !R::IS_PRIMAL => {
+        self.pdf_bsdf = density(sample.component, || {
+            if S::FROZEN_WEIGHTS && !R::IS_PRIMAL {
                 frozen_pdf(material, at, wo_r, wi)
+            } else {
+                pdf
             }
-            Component::Continuous => pdf,
-            Component::Delta { .. } => R::zero(),
-        };
-        let along_delta = self.pdf_bsdf.primal() == R::Primal::zero();
+        });
+        let along_delta = is_along_delta(self.pdf_bsdf.primal());
         let reflects = wo.z.primal() * sample.wi.z.primal() > R::Primal::zero();
         (self.interest).leave_by(context.split, info.material, along_delta, reflects);
         self.from = si.p;
@@ -726,34 +722,28 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
         observer: &mut O,
     ) {
         let (depth, beta) = (self.depth, self.beta);
-        // How light here could have been sampled at the start of the edge.
-        let (pdf_bsdf, from) = (self.pdf_bsdf, self.from);
-        let sampled = has_rival::<S, R::Primal>(depth, pdf_bsdf.primal());
+        let sampled = has_rival::<S, R::Primal>(depth, self.pdf_bsdf.primal());
+        let edge = Looking {
+            emitters,
+            si: end.map(|(_, si)| si),
+            interest: self.interest,
+            split,
+            lights: settings.lights,
+            d,
+            sampled: sampled.then_some((self.pdf_bsdf, self.from)),
+        };
         // Whether the edge is not differentiated like the rest of the path.
-        let follows = const { differentiates_edges::<S>() } && self.departure.get().is_some();
+        let apart = const { differentiates_edges::<S>() } && self.departure.get().is_some();
         let mut lights = SmallVec::<[FoundLight<R::Primal>; 1]>::new();
-        let interest = self.interest;
-        let own = emitters.iter().filter(|&&e| !interest.leaves(split, e));
-        for &emitter in own {
-            let share = settings.lights.share(scene, emitter);
-            let rival = Rival {
-                pdf_bsdf,
-                from,
-                share,
-            };
-            let (si, rival) = (end.map(|(_, si)| si), sampled.then_some(rival));
-            let found = find_light::<R, S>(scene, theta, emitter, d, si, rival);
-            let Some((light, le)) = found else {
-                continue;
-            };
-            if follows {
+        find_lights::<R, S>(scene, theta, edge, |emitter, share, light, le| {
+            if apart {
                 lights.push(FoundLight {
                     emitter,
                     emission: light.emission.primal(),
                     share,
                 });
             }
-            if !follows || R::IS_PRIMAL {
+            if !apart || R::IS_PRIMAL {
                 self.l += beta * le * light.weight;
             }
             if O::ENABLED {
@@ -765,7 +755,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
                     share,
                 }));
             }
-        }
+        });
         if !lights.is_empty()
             && let Some((from, beta)) = self.departure.get()
         {

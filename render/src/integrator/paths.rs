@@ -104,7 +104,7 @@ fn tile_sums<R: Components, S: Strategy, X: Sampler>(pass: &Pass<R>) -> Vec<Tile
                 }
             };
             let log = &mut ();
-            tile.trace_waves::<_, S, X, _>(&still, seed, samples, &mut wave, log, begin, done);
+            tile.trace_waves::<_, S, X, _>(&still, (seed, samples), &mut wave, log, begin, done);
         } else if const { R::ORDER == 1 && is_single::<R::Primal>() && goes_in_waves::<S>() } {
             let mut wave = Wave::<R::Primal, X>::new();
             let mut record = Record::of::<S>(&active, scene, true);
@@ -126,10 +126,10 @@ fn tile_sums<R: Components, S: Strategy, X: Sampler>(pass: &Pass<R>) -> Vec<Tile
                     }
                 };
             let log = &mut record;
-            tile.trace_waves::<_, S, X, _>(&still, seed, samples, &mut wave, log, begin, done);
+            tile.trace_waves::<_, S, X, _>(&still, (seed, samples), &mut wave, log, begin, done);
         } else {
             let mut paths = Paths::<R, S, X, _>::new(());
-            tile.trace(&context, seed, samples, &mut paths, |at, sample, l, _| {
+            tile.trace(&context, (seed, samples), &mut paths, |at, sample, l, _| {
                 add(at, sample, l);
             });
         }
@@ -269,8 +269,7 @@ impl<P: Float> Pass<'_, P> {
                 };
                 tile.trace_waves::<P, S, X, _>(
                     &context,
-                    self.seed,
-                    &self.samples,
+                    (self.seed, &self.samples),
                     &mut wave,
                     &mut record,
                     begin,
@@ -310,7 +309,7 @@ impl<P: Float> Pass<'_, P> {
                     }
                     recorder.clear();
                 };
-                tile.trace(&context, self.seed, &self.samples, &mut paths, done);
+                tile.trace(&context, (self.seed, &self.samples), &mut paths, done);
                 self.progress.advance(tile.pixels() as u64);
             }
             (state, non_finite)

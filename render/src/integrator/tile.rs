@@ -196,14 +196,13 @@ impl Tile {
         })
     }
 
-    /// Follows the samples `samples` of all pixels, as the scene shares them, and calls `done` with the pixel's
+    /// Follows the samples of all pixels with this seed and these numbers, as the scene shares them, and calls `done` with the pixel's
     /// index within the tile, the sample, the radiance and the observer of each, in order. Samples that were cut short
     /// are left out, and those after them.
     pub(super) fn trace<R: Real, S: Strategy, X: Sampler, O: Observer<R>>(
         &self,
         context: &Context<R>,
-        seed: u64,
-        samples: &Range<u64>,
+        (seed, samples): (u64, &Range<u64>),
         paths: &mut Paths<R, S, X, O>,
         mut done: impl FnMut(usize, Sample, Rgb<R>, &mut O),
     ) {
@@ -246,8 +245,7 @@ impl Tile {
     pub(super) fn trace_waves<P: Float, S: Strategy, X: Sampler, L: Log<P>>(
         &self,
         context: &Context<P>,
-        seed: u64,
-        samples: &Range<u64>,
+        (seed, samples): (u64, &Range<u64>),
         wave: &mut Wave<P, X>,
         log: &mut L,
         mut begin: impl FnMut(&mut L, &[(usize, Sample)]),

@@ -1,9 +1,9 @@
 //! The work of samples, by counting what they are made of.
 
 use super::active::Active;
+use super::job::Job;
 use super::lockstep;
 use super::path::Context;
-use super::progress::Progress;
 use super::record::{Contribution, Interest, Observer, Place};
 use super::tile::start;
 use crate::emitter::AnyEmitter;
@@ -12,7 +12,7 @@ use crate::math::Rgb;
 use crate::parallel;
 use crate::params::Theta;
 use crate::sampler::{Independent, Sampler};
-use crate::scene::{Scene, Settings};
+use crate::scene::Scene;
 
 /// Paths are counted in so many shares, whatever the number of threads.
 const JOBS: usize = 64;
@@ -167,17 +167,17 @@ impl Observer<f32> for Counter<'_> {
     }
 }
 
-/// Counts what `paths` samples are made of, spread over the image, of the derivatives in `active`. Particles are not
-/// counted. Incomplete if cancelled.
-pub fn count_work<S: Strategy, X: Sampler>(
-    scene: &Scene,
-    active: &Active,
-    settings: &Settings,
-    mode: Mode,
-    seed: u64,
-    paths: u64,
-    progress: &dyn Progress,
-) -> WorkCount {
+/// Counts what samples of the derivatives in `active` are made of: as many paths as the job has samples of a pixel, spread
+/// over the image. Particles are not counted. Incomplete if cancelled.
+pub fn count_work<S: Strategy, X: Sampler>(job: &Job, active: &Active, mode: Mode) -> WorkCount {
+    let &Job {
+        scene,
+        settings,
+        seed,
+        progress,
+        ..
+    } = job;
+    let paths = job.count();
     let theta = Theta::constant(scene.params().values());
     let context = Context {
         scene,
@@ -190,14 +190,15 @@ pub fn count_work<S: Strategy, X: Sampler>(
     };
     let [width, height] = scene.film.crop_size.map(|n| u64::from(n).max(1));
     let pixels = width * height;
-    let part = |job| {
+    let part = |first| {
         let mut counter = Counter::of::<S>(scene, active, mode);
-        for path in (job as u64..paths).step_by(JOBS) {
+        for k in (first as u64..paths).step_by(JOBS) {
             if progress.cancelled() {
                 break;
             }
+            let path = job.samples.start + k;
             // One pixel from each of as many equal parts of the image.
-            let u = path as f64 + Independent::new(seed, path, 0).next_1d::<f64>();
+            let u = k as f64 + Independent::new(seed, path, 0).next_1d::<f64>();
             let pixel = ((u / paths as f64 * pixels as f64) as u64).min(pixels - 1);
             let pixel = [pixel % width, pixel / width].map(|p| p as u32);
             let mut walk = start::<f32, S, X>(scene, settings.points, seed, pixel, path);
@@ -253,7 +254,8 @@ mod tests {
 
     fn counted<S: Strategy>(scene: &Scene, name: &str, mode: Mode) -> [u64; PRICES.len()] {
         let active = Active::new(scene, &[name]).expect("a parameter");
-        let found = count_work::<S, Spread>(scene, &active, &scene.settings, mode, 1, PATHS, &());
+        let job = Job::new(scene, &scene.settings, 1, 0..PATHS, &());
+        let found = count_work::<S, Spread>(&job, &active, mode);
         assert_eq!(found.paths, PATHS);
         found.parts
     }

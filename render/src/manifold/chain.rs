@@ -5,47 +5,18 @@ use smallvec::SmallVec;
 
 use super::constraint::{self, Facet};
 use super::normal::{Normal, is_mapped};
+use super::space::{Space, Start, Target};
 use crate::accel::Hit;
 use crate::bsdf::nesting::{Specular, facets};
 use crate::bsdf::{Bsdf, DeltaKind, Shading, TransportMode};
 use crate::math::{Frame, Ray};
-use crate::params::Theta;
-use crate::scene::{Constraint, Intersection, Scene};
-use crate::shape::{Exit, SurfaceInteraction};
+use crate::scene::Intersection;
+use crate::shape::SurfaceInteraction;
 
 /// A number that changes with the position of one vertex.
 type Moving = Dual<f64, 2>;
 /// A number that changes with the positions of a vertex (2, 3) and its neighbours before (0, 1) and after (4, 5).
 type Local = Dual<f64, 6>;
-
-/// Where connections are sought.
-#[derive(Clone, Copy, Debug)]
-pub struct Space<'a> {
-    /// The scene.
-    pub scene: &'a Scene,
-    /// Its parameters.
-    pub theta: Theta<'a, f64>,
-    /// The function whose roots are chains.
-    pub constraint: Constraint,
-}
-
-/// The vertex that a chain starts at, which is not specular.
-#[derive(Clone, Copy, Debug)]
-pub struct Start {
-    /// The surface there.
-    pub si: SurfaceInteraction<f64>,
-    /// How rays leave it.
-    pub exit: Exit,
-}
-
-/// What a chain ends at.
-#[derive(Clone, Copy, Debug)]
-pub enum Target {
-    /// A point, world space.
-    Point(Vec3<f64>),
-    /// Infinitely far in this unit direction, world space.
-    Direction(Vec3<f64>),
-}
 
 /// A specular vertex.
 #[derive(Clone, Debug)]

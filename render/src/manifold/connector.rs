@@ -3,10 +3,11 @@
 use ad_core::{Float, Vec3};
 use smallvec::SmallVec;
 
-use super::chain::{Event, Events, Space, Start, Surface, Target, Vertex, towards};
+use super::chain::{Event, Events, Surface, Vertex, towards};
 use super::estimate::{Asking, distinct, trials};
 use super::landing::{Landing, Landings};
 use super::normal::{Normal, Slopes, facet};
+use super::space::{Space, Start, Target};
 use super::split::{Split, refracts};
 use super::walk::{End, Seed, Solution};
 use crate::accel::Hit;

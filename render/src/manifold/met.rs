@@ -2,9 +2,10 @@
 
 use ad_core::Vec3;
 
-use super::chain::{Event, Events, Start, Target};
+use super::chain::{Event, Events};
 use super::connector::{Connector, Facets, Light, Link, Statistics};
 use super::normal::Normal;
+use super::space::{Start, Target};
 use super::walk::Seed;
 use crate::bsdf::nesting::{Specular, facets};
 use crate::bsdf::{Bsdf, DeltaKind, Shading, TransportMode};

@@ -50,16 +50,19 @@ mod estimate;
 mod landing;
 mod met;
 mod normal;
+mod particles;
+mod space;
 mod split;
 mod walk;
 
-pub use chain::{Chain, Derivative, Event, Row, Space, Start, Target, Vertex};
+pub use chain::{Chain, Derivative, Event, Row, Vertex};
 pub(crate) use connector::cast;
 pub use connector::{Connection, Connector, Link, Statistics};
 pub(crate) use estimate::Asking;
 pub use estimate::{distinct, trials};
 pub use met::Met;
 pub use normal::{Normal, Slopes};
+pub use space::{Space, Start, Target};
 pub use split::{Run, Split};
 pub use walk::Solution;
 

@@ -2,7 +2,7 @@
 
 use ad_core::{Real, Vec3};
 
-use super::chain::Space;
+use super::space::Space;
 use crate::bsdf::nesting::facets;
 use crate::bsdf::{Bsdf, Material, Shading, TransportMode};
 use crate::math::{Frame, warp};

@@ -3,8 +3,9 @@
 use ad_core::{Dual, Mat2, Real, Vec2, Vec3};
 use smallvec::SmallVec;
 
-use super::chain::{Chain, Derivative, Event, Events, Space, Start, Target, Vertex};
+use super::chain::{Chain, Derivative, Event, Events, Vertex};
 use super::constraint::{self, equator};
+use super::space::{Space, Start, Target};
 use crate::accel::Hit;
 use crate::math::{Frame, Ray, both};
 use crate::scene::{Connections, Uniqueness};

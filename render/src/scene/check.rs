@@ -76,7 +76,26 @@ impl Outcome {
     ];
 }
 
-/// All parts of a scene file, and what becomes of them.
+/// All parts of a scene file, and what becomes of them: [`Scene::check`].
+///
+/// ```
+/// use render::Scene;
+/// use render::scene::{Outcome, Verdict};
+///
+/// let check = Scene::check("../examples/scenes/cornell.xml".as_ref(), &Default::default());
+/// assert_eq!(check.outcome(), Outcome::Renders);
+///
+/// // It reads on where loading ends at the first fault.
+/// let folder = tempfile::tempdir()?;
+/// let file = folder.path().join("two.xml");
+/// std::fs::write(&file, "<scene version=\"3.0.0\">\n<shape type=\"knot\"/>\n<bsdf type=\"velvet\"/>\n</scene>")?;
+/// let check = Scene::check(&file, &Default::default());
+/// assert_eq!(check.outcome(), Outcome::Wrong);
+/// let wrong = check.findings.iter().filter(|f| f.verdict == Verdict::Wrong);
+/// let lines: Vec<u32> = wrong.filter_map(|f| Some(f.location.as_ref()?.line)).collect();
+/// assert_eq!(lines, [2, 3]);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Clone, Debug)]
 pub struct Check {
     /// The worst first, then in the order of the file.

@@ -488,6 +488,24 @@ impl Scene {
             .is_none_or(|lamps| lamps.iter().any(|ball| ball.may_be_met(ray)))
     }
 
+    /// The same of many rays, one in `meets` for each that may: without branches.
+    #[inline(always)]
+    pub(crate) fn may_meet_light_each<P: Float>(
+        &self,
+        meets: &mut [u32],
+        ray: impl Fn(usize) -> Ray<P>,
+    ) {
+        let Some(lamps) = &self.geometry.lamps else {
+            meets.fill(1);
+            return;
+        };
+        for ball in lamps {
+            for (i, meets) in meets.iter_mut().enumerate() {
+                *meets |= u32::from(ball.may_be_met(&ray(i)));
+            }
+        }
+    }
+
     /// Shapes, by index.
     pub fn shapes(&self) -> &[AnyShape] {
         &self.geometry.shapes

@@ -2,7 +2,7 @@
 
 use ad_core::{Const, Float, Real, Vec2, Vec3};
 
-use super::vertices::Welding;
+use super::welding::Welding;
 use super::{MeshData, smooth_normals};
 use crate::math::each;
 use crate::params::{GradSink, ParamRef, Params, Theta};

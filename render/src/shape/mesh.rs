@@ -8,10 +8,10 @@ use std::sync::{Arc, OnceLock};
 use ad_core::{Const, Dual, Float, Real, Vec2, Vec3};
 use smallvec::SmallVec;
 
-use super::displacement::HEIGHTS;
 use super::partials::variables;
 use super::patch::intersect_plane;
-use super::vertices::{MovingNormals, MovingTriangle, MovingVertices, Welding};
+use super::vertices::{MovingNormals, MovingTriangle, MovingVertices};
+use super::welding::Welding;
 use super::{
     DirectionSample, Partials, Shape, ShapeSample, SurfaceAdjoint, SurfaceCoordinates,
     SurfaceInteraction, coordinates_in_plane, hit_is_exact, lift3,
@@ -21,7 +21,6 @@ use crate::error::{SceneError, quoted};
 use crate::files;
 use crate::math::{Frame, Ray, Transform, each, warp};
 use crate::params::{GradSink, ParamRef, Params, Theta};
-use crate::plugin::{FromNode, Node, Registry};
 use crate::prefetch::prefetch;
 
 /// Largest OBJ file in bytes.
@@ -1136,44 +1135,5 @@ impl BufRead for ObjLines<'_> {
 
     fn consume(&mut self, n: usize) {
         self.given = (self.given + n).min(self.current.len());
-    }
-}
-
-impl FromNode for Mesh {
-    const PLUGINS: &'static [&'static str] = &["obj", "ply", "serialized"];
-
-    fn from_node(node: &Node, registry: &mut Registry) -> Result<Self, SceneError> {
-        let mesh = match node.plugin.as_str() {
-            "ply" => super::ply::from_node(node, registry),
-            "serialized" => super::serialized::from_node(node, registry),
-            _ => Self::from_obj_node(node, registry),
-        }?;
-        if node.child("displacement").is_none() {
-            return Ok(mesh);
-        }
-        let texture = registry.scalar_texture(node, "displacement", 0.0, HEIGHTS)?;
-        mesh.displaced(&texture, registry.params())
-            .map_err(|e| match e {
-                SceneError::Parameter { key, expected, .. } => node.invalid(&key, &expected),
-                other => other,
-            })
-    }
-}
-
-impl Mesh {
-    fn from_obj_node(node: &Node, registry: &mut Registry) -> Result<Self, SceneError> {
-        let to_world = node.transform("to_world")?.unwrap_or_default();
-        let options = ObjOptions {
-            to_world,
-            face_normals: node.boolean_or("face_normals", false)?,
-            flip_normals: node.boolean_or("flip_normals", false)?,
-            flip_v: node.boolean_or("flip_tex_coords", true)?,
-        };
-        let path = node
-            .path("filename")?
-            .ok_or_else(|| node.missing("filename", "an OBJ file"))?;
-        let (mesh, skipped) = Self::from_obj(&path, &options)?;
-        registry.warnings.extend(skipped);
-        Ok(mesh)
     }
 }

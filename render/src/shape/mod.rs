@@ -43,12 +43,14 @@ mod disk;
 mod displacement;
 mod instance;
 mod mesh;
+mod mesh_plugins;
 mod partials;
 mod patch;
 mod ply;
 mod serialized;
 mod sphere;
 mod vertices;
+mod welding;
 
 pub(crate) use chart::charted;
 pub use cube::Cube;
@@ -63,7 +65,7 @@ pub use partials::Partials;
 pub use patch::{Patch, Rectangle};
 pub use sphere::Sphere;
 pub(crate) use sphere::{sample_cone, turn};
-pub use vertices::Welding;
+pub use welding::Welding;
 
 use ad_core::{Const, Dual, Float, Real, Vec2, Vec3};
 

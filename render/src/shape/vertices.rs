@@ -1,51 +1,16 @@
 //! Vertices of meshes as parameters, and how triangles move with them.
 
-use std::collections::HashMap;
 use std::sync::{Arc, OnceLock};
 
 use ad_core::{Const, Dual, Float, Real, Vec3, array};
 
 use super::displacement::Displacement;
+use super::welding::Welding;
 use super::{Mesh, MeshData, lift3, smooth_normals};
 use crate::error::SceneError;
 use crate::math::{Transform, each};
 use crate::params::{GradSink, ParamRef, Params, Theta};
 use crate::texture::ScalarTexture;
-
-/// Which vertices of a mesh are one point: those at equal positions, whatever their normals and texture coordinates are.
-/// Seams of texture coordinates are no borders, and do not tear.
-#[derive(Clone, Debug, Default)]
-pub struct Welding {
-    /// Per vertex, the number of its point; points are numbered in the order of their first vertices.
-    pub points: Vec<u32>,
-    /// Per point, its first vertex.
-    pub firsts: Vec<u32>,
-}
-
-impl Welding {
-    /// Of vertices at these positions.
-    pub fn new(positions: &[[f32; 3]]) -> Self {
-        let mut known = HashMap::with_capacity(positions.len());
-        let mut found = Self::default();
-        for (i, p) in (0..).zip(positions) {
-            // Zeros of both signs are one.
-            let key = each(*p, |x| (x + 0.0).to_bits());
-            let next = found.firsts.len() as u32;
-            let point = *known.entry(key).or_insert(next);
-            if point == next {
-                found.firsts.push(i);
-            }
-            found.points.push(point);
-        }
-        found
-    }
-
-    /// Triangles of a mesh by points.
-    pub fn triangles(&self, mesh: &MeshData) -> Vec<[u32; 3]> {
-        let points = |t: &[u32; 3]| each(*t, |i| self.points[i as usize]);
-        mesh.triangles.iter().map(points).collect()
-    }
-}
 
 /// Corners around each vertex of a mesh: the triangle, and which of its corners.
 #[derive(Debug)]

@@ -53,9 +53,9 @@ struct Room {
     target: render::Image,
 }
 
-/// How a gradient is estimated.
+/// What a gradient is estimated from.
 #[derive(Clone, Copy, Debug)]
-struct Pass {
+struct Samples {
     settings: Settings,
     seed: u64,
     spp: u64,
@@ -97,11 +97,11 @@ impl Room {
         })
     }
 
-    fn reverse_f64(&self, pass: Pass) -> Result<Vec<f64>> {
+    fn reverse_f64(&self, of: Samples) -> Result<Vec<f64>> {
         let values: Vec<f64> = self.values_f64();
         let theta = Theta::constant(&values);
         let gradient = backward_f64(
-            &Job::new(&self.scene, &pass.settings, pass.seed, 0..pass.spp, &()),
+            &Job::new(&self.scene, &of.settings, of.seed, 0..of.spp, &()),
             &theta,
             &self.active,
             &self.adjoint,
@@ -109,10 +109,10 @@ impl Room {
         Ok(gradient.values.concat())
     }
 
-    fn reverse_f32(&self, pass: Pass) -> std::result::Result<Vec<f64>, render::RenderError> {
+    fn reverse_f32(&self, of: Samples) -> std::result::Result<Vec<f64>, render::RenderError> {
         let theta = Theta::constant(self.scene.params().values());
         let gradient = backward_f32(
-            &Job::new(&self.scene, &pass.settings, pass.seed, 0..pass.spp, &()),
+            &Job::new(&self.scene, &of.settings, of.seed, 0..of.spp, &()),
             &theta,
             &self.active,
             &self.adjoint,
@@ -129,18 +129,18 @@ impl Room {
     }
 
     /// Ten derivative images, in double precision, against the adjoint.
-    fn forward_f64(&self, pass: Pass) -> Result<Vec<f64>> {
+    fn forward_f64(&self, of: Samples) -> Result<Vec<f64>> {
         self.axes()
             .map(|(info, axis)| {
-                let (s, name) = (&pass.settings, &info.name);
-                let r = push_f64(&self.scene, name, &axis, s, pass.seed, pass.spp)?;
-                Ok(self.against_adjoint(&r.sums[1], pass.spp))
+                let (s, name) = (&of.settings, &info.name);
+                let r = push_f64(&self.scene, name, &axis, s, of.seed, of.spp)?;
+                Ok(self.against_adjoint(&r.sums[1], of.spp))
             })
             .collect()
     }
 
     /// The same in single precision, all ten in one call.
-    fn forward_f32(&self, pass: Pass) -> Result<Vec<f64>> {
+    fn forward_f32(&self, of: Samples) -> Result<Vec<f64>> {
         let params = self.scene.params();
         let directions: Vec<_> = self
             .axes()
@@ -149,20 +149,20 @@ impl Room {
                 Direction::Dense(params.handle(info), axis)
             })
             .collect();
-        let (values, s) = (params.values(), &pass.settings);
-        let samples = 0..pass.spp;
+        let (values, s) = (params.values(), &of.settings);
+        let samples = 0..of.spp;
         let r = forward_f32(
-            &Job::new(&self.scene, s, pass.seed, samples, &()),
+            &Job::new(&self.scene, s, of.seed, samples, &()),
             values,
             &directions,
         )?;
         let sums = r.sums.iter().skip(1);
-        Ok(sums.map(|s| self.against_adjoint(s, pass.spp)).collect())
+        Ok(sums.map(|s| self.against_adjoint(s, of.spp)).collect())
     }
 
     /// Central differences of images with common random numbers, in double precision. Colours do not mix:
     /// three channels move at once.
-    fn differences(&self, pass: Pass) -> Vec<f64> {
+    fn differences(&self, of: Samples) -> Vec<f64> {
         let values = self.values_f64();
         let mut out = Vec::new();
         for info in &self.infos {
@@ -173,9 +173,9 @@ impl Room {
                 info.range().for_each(|i| moved[i] *= 1.0 + sign * step);
                 let theta = Theta::constant(&moved);
                 let technique = Estimator::Mis;
-                let (s, seed) = (&pass.settings, pass.seed);
+                let (s, seed) = (&of.settings, of.seed);
                 render_f64(
-                    &Job::new(&self.scene, s, seed, 0..pass.spp, &()),
+                    &Job::new(&self.scene, s, seed, 0..of.spp, &()),
                     &theta,
                     technique,
                 )
@@ -183,7 +183,7 @@ impl Room {
             let (up, down) = (shot(1.0), shot(-1.0));
             let pairs = up.sums[0].iter().zip(&down.sums[0]);
             let difference: Vec<f64> = pairs.map(|(a, b)| a - b).collect();
-            let scale = |i: usize| 1.0 / (2.0 * step * values[i] * pass.spp as f64);
+            let scale = |i: usize| 1.0 / (2.0 * step * values[i] * of.spp as f64);
             if info.shape.len() == 1 {
                 let sum = self.channel(&difference, None);
                 out.push(sum * scale(info.offset));
@@ -253,7 +253,7 @@ pub fn figure(fig: &mut Figure) -> Result {
     fig.note("samples per pixel and run", spp);
     fig.note("seed", SEED);
     let settings = room.scene.settings;
-    let at = |seed: u64| Pass {
+    let at = |seed: u64| Samples {
         settings,
         seed,
         spp,
@@ -297,7 +297,7 @@ pub fn figure(fig: &mut Figure) -> Result {
         ..settings
     };
     let shortened = many(&|k| {
-        room.reverse_f32(Pass {
+        room.reverse_f32(Samples {
             settings: roulette,
             ..at(SEED + 3000 + k)
         })
@@ -313,7 +313,7 @@ pub fn figure(fig: &mut Figure) -> Result {
     let small = Room::new(16)?;
     let ladder: &[u64] = fig.pick(&[256, 512, 1024], &[256, 1024, 4096]);
     let peaks = memory_stays(fig, ladder, |spp| {
-        let gradient = small.reverse_f32(Pass { spp, ..at(SEED) });
+        let gradient = small.reverse_f32(Samples { spp, ..at(SEED) });
         gradient.map(|_| ()).map_err(|e| e.to_string())
     })?;
     report(fig, &room, &reverse, &differences, &pulled);

@@ -5,7 +5,7 @@ use render::sampler::Sampler;
 use super::estimator_parts::{DETECTED, name};
 use super::integration_1d::Moments;
 use super::taxonomy::{
-    Falling, Part, Ramp, Rising, Sampling, Weight, combined, expectation, is_unbiased,
+    Differentiation, Falling, Ramp, Rising, Sampling, Weight, combined, expectation, is_unbiased,
 };
 use crate::chart::LineChart;
 use crate::figure::{Figure, Result};
@@ -68,7 +68,7 @@ pub fn figure(fig: &mut Figure) -> Result {
     ];
     let mut rows = Vec::new();
     for (label, parts, expected) in table {
-        let parts = parts.map(|(sampling, weight)| Part { sampling, weight });
+        let parts = parts.map(|(sampling, weight)| Differentiation { sampling, weight });
         let one = |u: [f64; 2]| combined(&Ramp, (&Rising, &Falling), parts, 1, 1.0, u).eps[0];
         let mean = expectation(|u| ad_core::Dual::new(one([u, u]), [0.0])).re;
         let m = Moments::of(n, seed, |s| one(s.next_2d()));

@@ -103,7 +103,7 @@ impl Weight {
 
 /// How one of two combined techniques is differentiated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Part {
+pub struct Differentiation {
     /// The technique.
     pub sampling: Sampling,
     /// Its weight.
@@ -116,9 +116,10 @@ pub struct Part {
 /// or none does. Then each technique may do as it likes, as long as its weight is taken where its
 /// sample is. (The caption of figure 4.13 leaves the weight's attachment to each technique too: errata
 /// Z-4.13f.)
-pub fn is_unbiased(parts: [Part; 2]) -> bool {
-    let follows = |p: Part| p.weight == Weight::Attached;
-    let in_place = |p: Part| p.weight != Weight::Detached || p.sampling == Sampling::Detached;
+pub fn is_unbiased(parts: [Differentiation; 2]) -> bool {
+    let follows = |p: Differentiation| p.weight == Weight::Attached;
+    let in_place =
+        |p: Differentiation| p.weight != Weight::Detached || p.sampling == Sampling::Detached;
     follows(parts[0]) == follows(parts[1]) && parts.into_iter().all(in_place)
 }
 
@@ -127,7 +128,7 @@ pub fn is_unbiased(parts: [Part; 2]) -> bool {
 pub fn combined(
     f: &impl Integrand,
     (a, b): (&impl Technique, &impl Technique),
-    parts: [Part; 2],
+    parts: [Differentiation; 2],
     exponent: i32,
     pi: f64,
     u: [f64; 2],
@@ -384,15 +385,15 @@ mod tests {
 
     /// Mean derivative of a combination on [`Ramp`], at parameter 1. The terms are independent, so that both
     /// may use the same number.
-    fn mean(second: &impl Technique, parts: [Part; 2], exponent: i32) -> f64 {
+    fn mean(second: &impl Technique, parts: [Differentiation; 2], exponent: i32) -> f64 {
         let one = |u| combined(&Ramp, (&Rising, second), parts, exponent, 1.0, [u, u]);
         expectation(one).eps[0]
     }
 
-    fn every_combination() -> impl Iterator<Item = [Part; 2]> {
+    fn every_combination() -> impl Iterator<Item = [Differentiation; 2]> {
         let parts = Sampling::ALL
             .iter()
-            .flat_map(|&sampling| Weight::ALL.map(|weight| Part { sampling, weight }));
+            .flat_map(|&sampling| Weight::ALL.map(|weight| Differentiation { sampling, weight }));
         let parts: Vec<_> = parts.collect();
         let second = parts.clone();
         parts
@@ -423,7 +424,7 @@ mod tests {
     fn known_biases() {
         use Sampling::{Attached as A, Detached as D};
         use Weight::{Attached as WA, Detached as WD, Frozen as WF};
-        let part = |(sampling, weight)| Part { sampling, weight };
+        let part = |(sampling, weight)| Differentiation { sampling, weight };
         for (parts, expected) in [
             ([(D, WD), (D, WD)], -0.347222),
             ([(A, WA), (A, WA)], -0.347222),

@@ -284,7 +284,7 @@ impl Job {
         if self.optimizer != OptimizerArg::GaussNewton {
             return Ok(());
         }
-        let edges = self.estimator == Estimator::Edges.name();
+        let edges = cli::can(&self.estimator, |c| c.samples_edges && !c.study);
         if !edges && !cli::can(&self.estimator, |c| c.modes.second_order) {
             let message = format!(
                 "expected {}, or {} for what moves, for gauss-newton, which has no other, found {}",

@@ -1,7 +1,10 @@
 //! The chart.
 
+use render::instances::Estimator;
+
 use super::sweeps::{Of, STRIPES, Sweep, lobe_width};
 use super::{Finding, Report, Row};
+use crate::cli::can;
 use crate::sheet::{Curve, Look, Mark, Plot, Sheet};
 
 /// How the curves of estimators look: a colour, and whether they are dashed.
@@ -32,12 +35,15 @@ const MOVING: &Looks = &[
     ("biased-rays", [60, 60, 60], true),
 ];
 
-/// `attached-naive` is `attached` where that is refused.
-fn alias(estimator: &str) -> &str {
-    match estimator {
-        "attached-naive" => "attached",
-        other => other,
-    }
+/// Whether an estimator is that called `name` where that is refused.
+fn is_naive(estimator: &str, name: &str) -> bool {
+    let of = Estimator::from_name(name).map(Estimator::capabilities);
+    of.is_ok_and(|of| can(estimator, |c| c.is_naive_form_of(&of)))
+}
+
+/// Whether an estimator has the look of that called `name`.
+fn shows(name: &str, estimator: &str) -> bool {
+    estimator == name || is_naive(estimator, name)
 }
 
 fn mark(finding: Finding) -> Option<Mark> {
@@ -88,9 +94,8 @@ fn plot(sweep: &Sweep, looks: &Looks, report: &Report, bias: bool) -> Plot {
     for &(name, colour, dashed) in looks {
         let own = || {
             let of_look = |r: &&Row| {
-                let naive_twin = r.estimator == "attached-naive"
-                    && rows().any(|o| o.estimator == "attached" && o.x == r.x);
-                alias(r.estimator) == name && !naive_twin
+                let is_admitted = || rows().any(|o| o.estimator == name && o.x == r.x);
+                shows(name, r.estimator) && (r.estimator == name || !is_admitted())
             };
             // A difference that means nothing is not shown.
             let says = |r: &&Row| !bias || r.finding != Finding::Unresolved;
@@ -180,7 +185,7 @@ fn samples(report: &Report) -> Plot {
     let probes = &report.probes;
     let mut curves: Vec<Curve> = Vec::new();
     for &(name, colour, dashed) in LOOKS {
-        let own = || probes.ladder.iter().filter(|l| alias(l.estimator) == name);
+        let own = || probes.ladder.iter().filter(|l| shows(name, l.estimator));
         curves.push(Curve {
             look: Look::measured(colour, dashed),
             points: own().map(|l| (l.samples, l.error)).collect(),
@@ -275,11 +280,9 @@ pub fn sheets(sweeps: &[Sweep], report: &Report) -> Vec<(&'static str, Sheet)> {
 
 fn sheet(of: &str, columns: usize, plots: Vec<Plot>, looks: &Looks) -> Sheet {
     let named = |&(name, colour, dashed): &(&'static str, [u8; 3], bool)| {
-        let text = match name {
-            "attached" => "attached (naive)",
-            other => other,
-        };
-        (text.to_owned(), Look::measured(colour, dashed))
+        let naive = Estimator::ALL.iter().any(|e| is_naive(e.name(), name));
+        let text = format!("{name}{}", if naive { " (naive)" } else { "" });
+        (text, Look::measured(colour, dashed))
     };
     Sheet {
         title: format!(

@@ -828,7 +828,7 @@ pub(super) fn image<R: Components, S: Strategy, X: Sampler>(pass: &Pass<R>) -> R
             });
             vertices.0.clear();
         };
-        tile.trace(&boundary.context, seed, &pass.samples, &mut paths, done);
+        tile.trace(&boundary.context, (seed, &pass.samples), &mut paths, done);
         if pass.progress.cancelled() {
             return (Vec::new(), NonFinite::default());
         }
@@ -926,7 +926,7 @@ pub(super) fn gradient<P: Float, S: Strategy, X: Sampler>(
                 });
                 vertices.0.clear();
             };
-            tile.trace(&boundary.context, seed, &pass.samples, &mut paths, done);
+            tile.trace(&boundary.context, (seed, &pass.samples), &mut paths, done);
             pass.progress.advance(tile.pixels() as u64);
         }
         (sink.into_small(), non_finite)

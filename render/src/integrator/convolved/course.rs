@@ -406,10 +406,10 @@ impl<'a, P: Float> Follow<'a, P> {
             let exit = self.scene.exit(*prim);
             let depth = k as u32 + 1;
             let start = Start::Surface(wide(si.n_geo));
-            if let Some((s, aim)) = &stop.sampled
+            if let Some((s, sample)) = &stop.sampled
                 && !self.scene.emitters()[s.emitter as usize].is_delta()
             {
-                let ray = (si.spawn_ray(aim.d, exit), &[][..]);
+                let ray = (si.spawn_ray(sample.d, exit), &[][..]);
                 bend.sampled =
                     self.field::<X>(ray, moves, start, (numbers, Family::FieldsOfLights, depth));
             }
@@ -664,18 +664,18 @@ impl<'a, P: Float> Follow<'a, P> {
                     self.scatters(place, [before, w], b.wi, a, &mut own, d_w);
                     let total = (a * b.f).sum();
                     let field = bend.scattered.as_ref();
-                    self.leaves(ray, end, &behind, field, total, &mut own, grad);
+                    self.leaves(ray, end, &behind, (field, total), &mut own, grad);
                 }
             }
         }
-        if let Some((s, aim)) = &stop.sampled {
+        if let Some(light @ (s, sample)) = &stop.sampled {
             let e = &self.scene.emitters()[s.emitter as usize];
             if e.is_delta() {
-                self.delta_light(place, before, s, aim, beta, &mut own, grad);
+                self.delta_light(place, before, light, beta, &mut own, grad);
             } else {
-                let end = sampled_point(self.scene, e, place, aim)
+                let end = sampled_point(self.scene, e, place, sample)
                     .map(|(prim, si)| seen_from(from, prim, si));
-                let w = end.map_or(aim.d, |(_, si)| (si.p - from).normalize());
+                let w = end.map_or(sample.d, |(_, si)| (si.p - from).normalize());
                 let mut adjoint = EdgeAdjoint::zero();
                 let a = beta * s.le.scale(s.weight);
                 self.scatters(place, [before, w], s.wi, a, &mut own, &mut adjoint.d);
@@ -683,29 +683,21 @@ impl<'a, P: Float> Follow<'a, P> {
                 self.emission(s.emitter, w, end, a_le, &mut adjoint, grad);
                 let ray = Ray::new(from, w);
                 let total = (a * s.f).sum();
-                self.leaves(
-                    ray,
-                    end,
-                    &adjoint,
-                    bend.sampled.as_ref(),
-                    total,
-                    &mut own,
-                    grad,
-                );
+                let field = (bend.sampled.as_ref(), total);
+                self.leaves(ray, end, &adjoint, field, &mut own, grad);
             }
         }
         own
     }
 
     /// The adjoints of a ray that leaves a vertex, of the velocity of its direction and of its divergence, as those of the
-    /// vertex.
+    /// vertex; `total` is that of the logarithm of what arrives along it.
     fn leaves(
         &self,
         ray: Ray<P>,
         end: Option<(u32, SurfaceInteraction<P>)>,
         adjoint: &EdgeAdjoint<P>,
-        field: Option<&Field<P>>,
-        total: P,
+        (field, total): (Option<&Field<P>>, P),
         own: &mut EdgeAdjoint<P>,
         grad: &mut impl GradSink<P>,
     ) {
@@ -800,8 +792,7 @@ impl<'a, P: Float> Follow<'a, P> {
         &self,
         place: &Place<P>,
         before: Vec3<P>,
-        s: &SampledLight<P>,
-        aim: &EmitterSample<P>,
+        (s, sample): &(SampledLight<P>, EmitterSample<P>),
         beta: Rgb<P>,
         own: &mut EdgeAdjoint<P>,
         grad: &mut impl GradSink<P>,
@@ -810,12 +801,12 @@ impl<'a, P: Float> Follow<'a, P> {
         let from = place.si.p;
         let mut d_w = Vec3::zero();
         let a = beta * s.le.scale(s.weight);
-        self.scatters(place, [before, aim.d], s.wi, a, own, &mut d_w);
+        self.scatters(place, [before, sample.d], s.wi, a, own, &mut d_w);
         // As the adjoint of the light.
-        let mut d = (d_w - aim.d * aim.d.dot(d_w)) * aim.distance.recip();
+        let mut d = (d_w - sample.d * sample.d.dot(d_w)) * sample.distance.recip();
         let var = |x: P, i: usize| Dual::<P, 3>::var(x, i);
         let moving = Vec3::new(var(from.x, 0), var(from.y, 1), var(from.z, 2));
-        let le = e.eval(&self.theta.lift(), &e.connect(aim, moving).emission);
+        let le = e.eval(&self.theta.lift(), &e.connect(sample, moving).emission);
         let a_le = beta * s.f.scale(s.weight);
         d -= Vec3::new(
             slope(&le, a_le, 0),

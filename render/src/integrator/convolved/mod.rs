@@ -295,7 +295,7 @@ pub(super) fn image<R: Components, S: Strategy, X: Sampler>(pass: &Pass<R>) -> R
                 }
             });
         };
-        tile.trace(&context, pass.seed, &pass.samples, &mut paths, done);
+        tile.trace(&context, (pass.seed, &pass.samples), &mut paths, done);
         pass.progress.advance(tile.pixels() as u64);
         (window, non_finite)
     });
@@ -361,7 +361,7 @@ pub(super) fn gradient<P: Float, S: Strategy, X: Sampler>(
                 held.settle(which, l.is_finite(), edges, &mut sink, &mut non_finite);
                 trail.clear();
             };
-            tile.trace(&context, pass.seed, &pass.samples, &mut paths, done);
+            tile.trace(&context, (pass.seed, &pass.samples), &mut paths, done);
             pass.progress.advance(tile.pixels() as u64);
         }
         (sink, non_finite)

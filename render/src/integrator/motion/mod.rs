@@ -154,7 +154,7 @@ pub(super) fn image<R: Components, S: Strategy, X: Sampler>(pass: &Pass<R>) -> R
             let weight = spp * sample.scale();
             deposit(&mut sums, at, Rgb::from(tangents), weight);
         };
-        tile.trace(&context, pass.seed, &pass.samples, &mut paths, done);
+        tile.trace(&context, (pass.seed, &pass.samples), &mut paths, done);
         if pass.progress.cancelled() {
             return (Vec::new(), NonFinite::default());
         }
@@ -196,7 +196,7 @@ pub(super) fn gradient<P: Float, S: Strategy, X: Sampler>(
                 held.settle(which, l.is_finite(), edges, &mut sink, &mut non_finite);
                 trail.clear();
             };
-            tile.trace(&context, pass.seed, &pass.samples, &mut paths, done);
+            tile.trace(&context, (pass.seed, &pass.samples), &mut paths, done);
             pass.progress.advance(tile.pixels() as u64);
         }
         (sink, non_finite)

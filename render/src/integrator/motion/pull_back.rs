@@ -9,7 +9,7 @@ use crate::camera::CameraSample;
 use crate::emitter::{Emitter, EmitterSample};
 use crate::estimator::Strategy;
 use crate::integrator::active::Active;
-use crate::integrator::record::Place;
+use crate::integrator::record::{Place, SampledLight};
 use crate::math::{Ray, RayAdjoint, Rgb};
 use crate::params::{GradSink, Theta};
 use crate::scene::Scene;
@@ -37,6 +37,28 @@ enum Source<P> {
     Afar,
     /// A point that is a light.
     Light(Vec3<P>),
+}
+
+/// A value of a material, and its adjoint.
+#[derive(Clone, Copy)]
+struct ScatteredValue<P> {
+    /// Direction that light comes from, local frame.
+    wi: Vec3<P>,
+    component: Component,
+    f: Rgb<P>,
+    a: Rgb<P>,
+}
+
+impl<P: Float> ScatteredValue<P> {
+    /// For a light that was sampled.
+    fn of_light(s: &SampledLight<P>, a: Rgb<P>) -> Self {
+        Self {
+            wi: s.wi,
+            component: Component::Continuous,
+            f: s.f,
+            a,
+        }
+    }
 }
 
 /// Adds the adjoint of a path's radiance to the parameters that move its vertices.
@@ -136,7 +158,13 @@ impl<'a, P: Float> PullBack<'a, P> {
             let a = d_l * stop.beta * arriving.scale(b.weight);
             let end = stop.edge.end.map(|_| k + 1);
             let source = end.map_or(Source::Afar, Source::Point);
-            self.scattered(k, &stop.place, b.wi, b.component, b.f, a, source);
+            let value = ScatteredValue {
+                wi: b.wi,
+                component: b.component,
+                f: b.f,
+                a,
+            };
+            self.scattered(k, &stop.place, value, source);
             let d = match end {
                 Some(j) => self.direction(k, self.points[j].si.p),
                 None => stop.place.si.frame.to_world(b.wi),
@@ -146,21 +174,21 @@ impl<'a, P: Float> PullBack<'a, P> {
                 self.emission(Some(k), end, met.emitter, d, a, grad);
             }
         }
-        if let Some((s, aim)) = &stop.sampled {
+        if let Some(light @ (s, sample)) = &stop.sampled {
             leaves += s.f * s.le.scale(s.weight);
             let e = &self.scene.emitters()[s.emitter as usize];
             let a = d_l * stop.beta * s.le.scale(s.weight);
             let a_le = d_l * stop.beta * s.f.scale(s.weight);
             if e.is_delta() {
-                self.delta_light(k, &stop.place, s.wi, s.f, [a, a_le], s.emitter, aim, grad);
+                self.delta_light(k, &stop.place, light, [a, a_le], grad);
             } else {
-                let end = sampled_point(self.scene, e, &stop.place, aim)
+                let end = sampled_point(self.scene, e, &stop.place, sample)
                     .map(|(prim, si)| self.push(Some(k), prim, si));
                 let source = end.map_or(Source::Afar, Source::Point);
-                self.scattered(k, &stop.place, s.wi, Component::Continuous, s.f, a, source);
+                self.scattered(k, &stop.place, ScatteredValue::of_light(s, a), source);
                 let d = match end {
                     Some(j) => self.direction(k, self.points[j].si.p),
-                    None => aim.d,
+                    None => sample.d,
                 };
                 self.emission(Some(k), end, s.emitter, d, a_le, grad);
             }
@@ -198,16 +226,17 @@ impl<'a, P: Float> PullBack<'a, P> {
         point.si.frame.to_world(local)
     }
 
-    /// A value `f` of the material of point `k` with the adjoint `a`, for light from `source`. The adjoint of the place of
-    /// a source that is a light.
+    /// A value of the material of point `k`, for light from `source`. The adjoint of the place of a source that is a light.
     fn scattered(
         &mut self,
         k: usize,
         place: &Place<P>,
-        wi: Vec3<P>,
-        component: Component,
-        f: Rgb<P>,
-        a: Rgb<P>,
+        ScatteredValue {
+            wi,
+            component,
+            f,
+            a,
+        }: ScatteredValue<P>,
         source: Source<P>,
     ) -> Vec3<P> {
         let before = match k {
@@ -282,25 +311,22 @@ impl<'a, P: Float> PullBack<'a, P> {
         &mut self,
         k: usize,
         place: &Place<P>,
-        wi: Vec3<P>,
-        f: Rgb<P>,
+        (s, sample): &(SampledLight<P>, EmitterSample<P>),
         [a, a_le]: [Rgb<P>; 2],
-        emitter: u32,
-        aim: &EmitterSample<P>,
         grad: &mut impl GradSink<P>,
     ) {
-        let e = &self.scene.emitters()[emitter as usize];
-        let moves = self.active.moves_emitter(emitter);
+        let e = &self.scene.emitters()[s.emitter as usize];
+        let moves = self.active.moves_emitter(s.emitter);
         let before = k == 0 && self.active.moves_camera() || k > 0 && self.points[k - 1].moves;
         if !(moves || before || self.points[k].moves) {
             return;
         }
-        let at = place.si.p + aim.d * aim.distance;
-        let mut d = self.scattered(k, place, wi, Component::Continuous, f, a, Source::Light(at));
+        let at = place.si.p + sample.d * sample.distance;
+        let mut d = self.scattered(k, place, ScatteredValue::of_light(s, a), Source::Light(at));
         let from = place.si.p;
         let var = |x: P, i: usize| Dual::<P, 3>::var(x, i);
         let from = Vec3::new(var(from.x, 0), var(from.y, 1), var(from.z, 2));
-        let connection = e.connect(aim, from);
+        let connection = e.connect(sample, from);
         let le = e.eval(&self.theta.lift(), &connection.emission);
         let d_from = Vec3::new(
             slope(&le, a_le, 0),

@@ -46,7 +46,7 @@ pub(in crate::integrator) struct Trail<P: Float> {
     pub first: Edge<P>,
     pub stops: Vec<Stop<P>>,
     /// The light that was sampled last, seen or not.
-    aim: Option<EmitterSample<P>>,
+    sampled: Option<EmitterSample<P>>,
 }
 
 impl<P: Float> Default for Trail<P> {
@@ -54,7 +54,7 @@ impl<P: Float> Default for Trail<P> {
         Self {
             first: Edge::default(),
             stops: Vec::new(),
-            aim: None,
+            sampled: None,
         }
     }
 }
@@ -64,7 +64,7 @@ impl<P: Float> Trail<P> {
     pub fn clear(&mut self) {
         self.first = Edge::default();
         self.stops.clear();
-        self.aim = None;
+        self.sampled = None;
     }
 
     fn edge(&mut self) -> &mut Edge<P> {
@@ -98,8 +98,8 @@ impl<P: Float> Observer<P> for Trail<P> {
                 }
             }
             Contribution::Sampled(light) => {
-                if let (Some(stop), Some(aim)) = (self.stops.last_mut(), self.aim) {
-                    stop.sampled = Some((light, aim));
+                if let (Some(stop), Some(sample)) = (self.stops.last_mut(), self.sampled) {
+                    stop.sampled = Some((light, sample));
                 }
             }
             // Of other strategies, and of particles.
@@ -111,8 +111,8 @@ impl<P: Float> Observer<P> for Trail<P> {
         self.edge().end = Some((prim, *si));
     }
 
-    fn aims(&mut self, sample: &EmitterSample<P>) {
-        self.aim = Some(*sample);
+    fn sampled(&mut self, sample: &EmitterSample<P>) {
+        self.sampled = Some(*sample);
     }
 }
 
@@ -134,13 +134,13 @@ pub(in crate::integrator) fn sampled_point<P: Float>(
     scene: &Scene,
     e: &AnyEmitter,
     place: &Place<P>,
-    aim: &EmitterSample<P>,
+    sample: &EmitterSample<P>,
 ) -> Option<(u32, SurfaceInteraction<P>)> {
     let AnyEmitter::Area(area) = e else {
         return None;
     };
-    let prim = scene.primitive(area.shape, aim.prim);
-    let at = place.si.p + aim.d * aim.distance;
-    let coordinates = scene.shapes()[area.shape as usize].locate(aim.prim, at);
+    let prim = scene.primitive(area.shape, sample.prim);
+    let at = place.si.p + sample.d * sample.distance;
+    let coordinates = scene.shapes()[area.shape as usize].locate(sample.prim, at);
     Some((prim, scene.point_at(&Theta::still(), prim, coordinates)))
 }

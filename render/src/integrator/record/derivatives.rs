@@ -84,8 +84,8 @@ impl<P: Float, G: GradSink<P> + SumSink> DerivativeSink<P> for Adjoints<'_, P, G
         pull_back(textures, self.theta, uv, light, d, self.grad);
     }
 
-    fn moved(&mut self, emitter: u32, map: &Envmap, aim: &MovingDraw, d: [P; 3]) {
-        map.pull_back(aim, d, self.grad, |grad, sum, d| {
+    fn moved(&mut self, emitter: u32, map: &Envmap, drawn: &MovingDraw, d: [P; 3]) {
+        map.pull_back(drawn, d, self.grad, |grad, sum, d| {
             grad.add_sum(emitter, sum, d)
         });
     }

@@ -180,7 +180,7 @@ pub trait Observer<R: Real>: Interest {
     /// The edge from the last vertex, or from the start, ended at this primitive, whether or not it becomes a vertex.
     fn arrives(&mut self, _prim: u32, _si: &SurfaceInteraction<R>) {}
     /// A light was sampled at the vertex reached last, visible or not.
-    fn aims(&mut self, _sample: &EmitterSample<R::Primal>) {}
+    fn sampled(&mut self, _sample: &EmitterSample<R::Primal>) {}
     /// A sample of the derivative of the distribution of normals took so many edges, whatever it met.
     fn branch(&mut self, _edges: u32) {}
 }

@@ -237,7 +237,7 @@ impl<P: Float, S: Strategy, E: DerivativeSink<P>> Visitor<P> for Backward<'_, P,
             && self.active.emitter_active(s.emitter)
             && let Some(draw) = &s.draw
         {
-            pull_back_motion::<P, S>(self.scene, self.theta, place, s.emitter, draw, d, self.sink);
+            pull_back_motion::<P, S>(self.scene, self.theta, place, draw, d, self.sink);
         }
         if S::DIFFERENTIATED_WEIGHTS && s.mis_pdf > P::zero() {
             self.connected = Some(Connected {
@@ -320,15 +320,14 @@ fn pull_back_motion<P: Float, S: Strategy>(
     scene: &Scene,
     theta: &Theta<P>,
     place: &Place<P>,
-    emitter: u32,
     draw: &EmitterDraw<P>,
     d: Rgb<P>,
     sink: &mut impl DerivativeSink<P>,
 ) {
-    let Some(map) = scene.emitters()[emitter as usize].moving() else {
+    let Some(map) = scene.emitters()[draw.emitter as usize].moving() else {
         return;
     };
-    let Some(aim) = map.moving_draw(draw.u) else {
+    let Some(drawn) = map.moving_draw(draw.u) else {
         return;
     };
     let at = Shading::new(theta.lift(), Vec2::lift(place.si.uv));
@@ -338,14 +337,13 @@ fn pull_back_motion<P: Float, S: Strategy>(
         &at,
         Vec3::lift(place.wo),
         draw,
-        emitter,
-        &map.vary(&aim),
+        &map.vary(&drawn),
         &Weighing::of::<S>(),
     );
     let adjoint = each([0, 1, 2], |k: usize| {
         (Rgb::new(light.r.eps[k], light.g.eps[k], light.b.eps[k]) * d).sum()
     });
-    sink.moved(emitter, map, &aim, adjoint);
+    sink.moved(draw.emitter, map, &drawn, adjoint);
 }
 
 /// Logarithm of one over [`Bsdf::choice_pdf`] of a bounce.

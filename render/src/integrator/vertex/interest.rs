@@ -33,7 +33,7 @@ impl Interest for () {
 /// Why light on the next edge of a path counts, or does not.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct PathInterest {
-    /// Whether a vertex so far is one that the observer follows.
+    /// Whether a vertex so far is one that the observer differentiates.
     pub active: bool,
     /// Whether others find caustics on the first vertex.
     pub caustics_excluded: bool,

@@ -3,13 +3,15 @@
 use ad_core::{Const, Float, Real, Vec2, Vec3};
 
 use super::MODE;
+use super::interest::PathInterest;
 use crate::bsdf::{Bsdf, BsdfSample, Component, Material, Scattered, Shading};
-use crate::emitter::{Emission, Emitter};
-use crate::estimator::{Geometry, Sampling, Strategy};
-use crate::guide::{Directions, PART_GUIDED};
+use crate::emitter::{AnyEmitter, Emission, Emitter};
+use crate::estimator::{Geometry, Sampling, Strategy, is_guided};
+use crate::guide::{Directions, Guide, PART_GUIDED};
+use crate::manifold::Split;
 use crate::math::{Frame, Rgb};
 use crate::params::Theta;
-use crate::scene::{LightChoice, Scene};
+use crate::scene::{LightChoice, Scene, ShapeInfo};
 use crate::shape::SurfaceInteraction;
 
 /// Probability of keeping any one of the emitters' samples, see [`LightChoice::All`].
@@ -35,17 +37,33 @@ pub struct Met<R> {
     pub weight: R,
 }
 
-/// Whether light at the end of the `depth`-th edge could have been sampled at its start; `pdf` is the density of its
-/// direction, zero along deltas.
+/// The density that light along a scattered direction is weighed with: `pdf` of continuous components, and zero along
+/// deltas, since no sample of an emitter finds what they lead to.
+#[inline(always)]
+pub fn density<R: Real>(component: Component, pdf: impl FnOnce() -> R) -> R {
+    match component {
+        Component::Continuous => pdf(),
+        Component::Delta { .. } => R::zero(),
+    }
+}
+
+/// Whether a direction with this [`density`] left its vertex along a delta.
+#[inline(always)]
+pub fn is_along_delta<P: Float>(pdf: P) -> bool {
+    pdf == P::zero()
+}
+
+/// Whether light at the end of the `depth`-th edge could have been sampled at its start; `pdf` is the [`density`] of its
+/// direction.
 #[inline(always)]
 pub fn has_rival<S: Strategy, P: Float>(depth: u32, pdf: P) -> bool {
     S::SAMPLES_EMITTERS && depth > 1 && pdf > P::zero()
 }
 
-/// Whether light that an edge with this density meets counts.
+/// Whether light that an edge with this [`density`] meets counts.
 #[inline(always)]
 pub fn counts_hits<S: Strategy, P: Float>(pdf: P) -> bool {
-    S::COUNTS_HITS | !S::SAMPLES_EMITTERS | (pdf == P::zero())
+    S::COUNTS_HITS | !S::SAMPLES_EMITTERS | is_along_delta(pdf)
 }
 
 /// What a ray in direction `d` receives from an emitter it hit at `si`, or missed everything towards:
@@ -79,6 +97,49 @@ pub fn find_light<R: Real, S: Strategy>(
         None => R::one(),
     };
     Some((Met { emission, weight }, e.eval(theta, &emission)))
+}
+
+/// An edge that looks for light, and what lies at its end.
+#[derive(Clone, Copy)]
+pub struct Looking<'a, R: Real, G> {
+    /// The emitters there.
+    pub emitters: &'a [u32],
+    /// The surface; none if the edge leaves the scene.
+    pub si: Option<SurfaceInteraction<G>>,
+    /// Why light on it counts, or does not.
+    pub interest: PathInterest,
+    /// Which light manifold connections find.
+    pub split: Option<&'a Split>,
+    /// How emitters were chosen at its start.
+    pub lights: LightChoice,
+    /// Its direction.
+    pub d: Vec3<G>,
+    /// Density of the direction and the vertex it left, if that also sampled emitters.
+    pub sampled: Option<(R, Vec3<G>)>,
+}
+
+/// [`find_light`] for each emitter at the end of an edge, but for light that others find. Calls `found` with the emitter,
+/// its share, where and with which weight it was met, and the radiance.
+#[inline(always)]
+pub fn find_lights<R: Real, S: Strategy>(
+    scene: &Scene,
+    theta: &Theta<R>,
+    edge: Looking<R, Geometry<S, R>>,
+    mut found: impl FnMut(u32, R::Primal, Met<R>, Rgb<R>),
+) {
+    let is_own = |e: &&u32| !edge.interest.leaves(edge.split, **e);
+    for &emitter in edge.emitters.iter().filter(is_own) {
+        let share = edge.lights.share(scene, emitter);
+        let rival = edge.sampled.map(|(pdf_bsdf, from)| Rival {
+            pdf_bsdf,
+            from,
+            share,
+        });
+        let met = find_light::<R, S>(scene, theta, emitter, edge.d, edge.si, rival);
+        if let Some((met, le)) = met {
+            found(emitter, share, met, le);
+        }
+    }
 }
 
 /// A vertex as lights see it.
@@ -147,7 +208,7 @@ fn weigh_lights<P: Float>(
         };
         let wi = seen.frame.to_local(sample.d);
         let (f, pdf) = (seen.material).eval_pdf(&seen.at, seen.wo, wi, MODE);
-        let density = if counts_hits && !e.is_delta() {
+        let density = if weighs(counts_hits, e) {
             sample.pdf + pdf
         } else {
             sample.pdf
@@ -191,17 +252,61 @@ pub fn matters<R: Real>(differentiates: bool, f: Rgb<R>, pdf: R) -> bool {
     !f.is_black() | (differentiates & (pdf.primal() > R::Primal::zero())) | has_tangent(f)
 }
 
-/// MIS weight of a sampled light with density `pdf` where scattered directions have the density `pdf_bsdf`. `weighs`:
-/// whether they could hit it; nothing hits a delta.
+/// Whether a sampled light is weighed against scattered directions, of strategies that count the lights which these hit:
+/// nothing hits a delta.
+#[inline(always)]
+pub fn weighs(counts_hits: bool, e: &AnyEmitter) -> bool {
+    counts_hits && !e.is_delta()
+}
+
+/// MIS weight of a sampled light with density `pdf` where scattered directions have the density `pdf_bsdf`; for `weighs`,
+/// see there.
 #[inline(always)]
 pub fn mis_weight<S: Strategy, R: Real>(weighs: bool, pdf: R, pdf_bsdf: R) -> R {
     R::select(weighs, S::weight_sampled(pdf, pdf_bsdf), R::one())
+}
+
+/// Weight of a sampled light whose sample stands still: MIS weight over density and the probability of being kept, whose
+/// inverse is `kept`.
+#[inline(always)]
+pub fn per_density<R: Real>(mis: R, kept: R::Primal, pdf: R::Primal) -> R {
+    mis * Const(kept / pdf)
+}
+
+/// The same for the change of normals: scattered directions compete with the density of its own samples.
+#[inline(always)]
+pub fn normals_weight<S: Strategy, P: Float>(
+    material: &Material,
+    at: &Shading<P>,
+    [wo, wi]: [Vec3<P>; 2],
+    weighs: bool,
+    pdf: P,
+    kept: P,
+) -> P {
+    let pair = if weighs {
+        material.pdf_differential(at, wo, wi)
+    } else {
+        P::zero()
+    };
+    mis_weight::<S, P>(weighs, pdf, pair) * kept / pdf
 }
 
 /// Whether a colour moves.
 #[inline(always)]
 pub fn has_tangent<R: Real>(c: Rgb<R>) -> bool {
     !R::IS_PRIMAL && (c.r.has_tangent() || c.g.has_tangent() || c.b.has_tangent())
+}
+
+/// The guide that leads paths of a strategy, if the scene has one.
+#[inline(always)]
+pub fn guide_of<S: Strategy>(scene: &Scene) -> Option<&Guide> {
+    scene.guide().filter(|_| const { is_guided::<S>() })
+}
+
+/// Whether a guide leads directions from a shape: what is glossy scatters better by itself.
+#[inline(always)]
+pub fn is_led(info: &ShapeInfo) -> bool {
+    !info.glossy
 }
 
 /// Density of a direction of which the guide draws its part and the material the rest.

@@ -12,9 +12,23 @@ use ad_core::Real;
 
 use crate::bsdf::{Component, Part, TransportMode};
 use crate::math::Rgb;
+use crate::scene::Settings;
 
 /// What paths from the camera carry.
 pub(super) const MODE: TransportMode = TransportMode::Radiance;
+
+/// Whether there may be vertices beyond the next one, for a path that has `depth` edges.
+#[inline(always)]
+pub(super) fn has_more(depth: u32, settings: &Settings) -> bool {
+    depth + 1 < settings.max_depth
+}
+
+/// Whether a path may go on from a vertex: to light, if that counts there, or to vertices that it may be found from, if
+/// there may be `more`.
+#[inline(always)]
+pub(super) fn may_go_on(lit: bool, more: bool) -> bool {
+    lit | more
+}
 
 /// What of the value of a sampled direction is differentiated. `splits`: whether the change of normals has samples of its
 /// own; deltas have no distribution of normals.

@@ -21,10 +21,10 @@ pub fn roulette_weight<P: Float>(differentiates: bool, before: P, step: Rgb<P>, 
     }
 }
 
-/// The probability of surviving; `eta` is the relative index along the path.
+/// The probability of surviving with this [`roulette_weight`]; `eta` is the relative index along the path.
 #[inline(always)]
-pub fn probability<P: Float>(survival: P, eta: P) -> P {
-    (survival * eta * eta).min(P::of(MAX_SURVIVAL))
+pub fn probability<P: Float>(weight: P, eta: P) -> P {
+    (weight * eta * eta).min(P::of(MAX_SURVIVAL))
 }
 
 /// Whether a path lives, and one over the probability of that. `u` decides, if it is played at all.

@@ -21,7 +21,7 @@ mod record;
 mod start;
 mod waiting;
 
-use ad_core::{Const, Float, Vec2, Vec3};
+use ad_core::{Float, Vec2, Vec3};
 pub(super) use derivatives::LayerAdjoints;
 use derivatives::albedo;
 use kinds::{Kinds, has_two_sides, seen_from, side};
@@ -39,15 +39,16 @@ use super::lockstep;
 use super::path::Context;
 use super::vertex::interest::{Interest, PathInterest, splits};
 use super::vertex::light::{
-    LitVertex, Met, Rival, choose, counts_hits, find_light, guided, has_rival, matters, mis_weight,
-    mixed,
+    LitVertex, Looking, Met, Rival, choose, counts_hits, density, find_light, find_lights,
+    guide_of, guided, has_rival, is_along_delta, is_led, matters, mis_weight, mixed,
+    normals_weight, per_density, weighs,
 };
 use super::vertex::roulette::{play, probability, roulette_weight};
-use super::vertex::{MODE, assert_finite};
+use super::vertex::{MODE, assert_finite, has_more, may_go_on};
 use crate::accel::{Hit, PACKET_SIZE, RayPacket};
 use crate::bsdf::{Bsdf, Component, DiffuseLobe, Lobe, Material, Shading};
 use crate::emitter::{AnyEmitter, Area, Emission, Emitter, EmitterSample};
-use crate::estimator::{Detached, Sampling, Still, Strategy, differentiates_edges, is_guided};
+use crate::estimator::{Detached, Sampling, Still, Strategy, differentiates_edges};
 use crate::guide::{Directions, Guide};
 use crate::manifold::{Run, Split};
 use crate::math::{Frame, NOWHERE, Ray, Rgb, Segment};
@@ -66,7 +67,7 @@ pub(super) trait Log<P: Float>: Interest {
     fn departure(&self, _paths: &Paths<P>, _i: usize) -> Option<&Departure<P>> {
         None
     }
-    /// Path `i` found light at the end of an edge; `follows`: the emitter's share, if it is differentiated by itself.
+    /// Path `i` found light at the end of an edge; `apart`: the emitter's share, if it is differentiated by itself.
     fn hit(
         &mut self,
         paths: &Paths<P>,
@@ -74,7 +75,7 @@ pub(super) trait Log<P: Float>: Interest {
         emitter: u32,
         light: &Met<P>,
         le: Rgb<P>,
-        follows: Option<P>,
+        apart: Option<P>,
     );
     /// The edge of all light that it found there, in that case: called after that.
     fn found(&mut self, _paths: &Paths<P>, _i: usize, _edge: FoundEdge<P>) {}
@@ -96,7 +97,7 @@ impl<P: Float> Log<P> for () {
         _emitter: u32,
         _light: &Met<P>,
         _le: Rgb<P>,
-        _follows: Option<P>,
+        _apart: Option<P>,
     ) {
     }
     fn layer<X>(&mut self, _wave: &mut Wave<P, X>) {}
@@ -131,7 +132,7 @@ lanes! {
         roulette_weight: Lane<P>,
         /// Density of the last direction; zero if it was a delta.
         pdf: Lane<P>,
-        /// Whether a vertex so far is one that the log follows.
+        /// Whether a vertex so far is one that the log differentiates.
         active: Lane<u32>,
         /// Whether others find caustics on the first vertex.
         caustics_excluded: Lane<u32>,
@@ -159,8 +160,8 @@ lanes! {
         side: Lane<P>,
         /// Whether it scatters along deltas only.
         delta: Lane<u32>,
-        /// Whether the log follows that.
-        follows: Lane<u32>,
+        /// Whether the log differentiates its material.
+        differentiated: Lane<u32>,
         /// Whether the change of its normals has samples of its own.
         splits: Lane<u32>,
         /// Whether light is looked for.
@@ -532,7 +533,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         if settings.hides(depth) {
             self.look_through_lamps(scene);
         }
-        let guide = scene.guide().filter(|_| const { is_guided::<Of>() });
+        let guide = guide_of::<Of>(scene);
         if !self.arrive::<Of, S, L>(context, guide, depth, log) {
             self.bounces.continues = Lane::zero();
             self.leave();
@@ -551,7 +552,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         } else {
             self.lights.shadow_t = Lane::zero();
         }
-        let more = depth + 1 < settings.max_depth;
+        let more = has_more(depth, settings);
         // The constant again: where nothing splits, this is not even compiled.
         self.splits = const { Of::Bsdf::DIFFERENTIAL && L::ENABLED };
         if const { Of::Bsdf::DIFFERENTIAL && L::ENABLED } {
@@ -678,27 +679,24 @@ impl<P: Float, X: Sampler> Wave<P, X> {
                             emitters: &[u32],
                             end: Option<(u32, SurfaceInteraction<P>)>| {
                 // The constant again: where no edge is differentiated by itself, this is not even compiled.
-                let follows = const { L::ENABLED && differentiates_edges::<Of>() }
+                let apart = const { L::ENABLED && differentiates_edges::<Of>() }
                     && log.departure(paths, i).is_some();
                 let mut any = false;
-                let own = emitters.iter().filter(|&&e| !interest.leaves(split, e));
-                for &emitter in own {
-                    let share = settings.lights.share(scene, emitter);
-                    let rival = Rival {
-                        pdf_bsdf: paths.pdf[i],
-                        from: paths.from.vec(i),
-                        share,
-                    };
-                    let (si, rival) = (end.map(|(_, si)| si), sampled.then_some(rival));
-                    let found = find_light::<P, S>(scene, theta, emitter, ray.d, si, rival);
-                    let Some((light, le)) = found else {
-                        continue;
-                    };
+                let edge = Looking {
+                    emitters,
+                    si: end.map(|(_, si)| si),
+                    interest,
+                    split,
+                    lights: settings.lights,
+                    d: ray.d,
+                    sampled: sampled.then_some((paths.pdf[i], paths.from.vec(i))),
+                };
+                find_lights::<P, S>(scene, theta, edge, |emitter, share, light, le| {
                     (paths.l).add_rgb(i, paths.beta.rgb(i) * le * light.weight);
-                    log.hit(paths, i, emitter, &light, le, follows.then_some(share));
+                    log.hit(paths, i, emitter, &light, le, apart.then_some(share));
                     any = true;
-                }
-                if follows
+                });
+                if apart
                     && any
                     && let Some(from) = log.departure(paths, i)
                 {
@@ -740,17 +738,17 @@ impl<P: Float, X: Sampler> Wave<P, X> {
                 continue;
             }
             interest.arrive(log, caustics, depth, info);
-            interest.arrive_on(split, shape, paths.pdf[i] == P::zero());
+            interest.arrive_on(split, shape, is_along_delta(paths.pdf[i]));
             paths.put_interest(i, interest);
-            let follows = !L::ENABLED || log.differentiates(info.material);
+            let differentiated = !L::ENABLED || log.differentiates(info.material);
             any = true;
             self.at.there[i] = 1;
             self.at.material[i] = info.material;
             self.at.delta[i] = u32::from(info.delta);
-            self.at.follows[i] = u32::from(follows);
+            self.at.differentiated[i] = u32::from(differentiated);
             self.at.lit[i] = u32::from(interest.lit(log));
             self.at.guide[i] = match guide {
-                Some(guide) if !info.glossy => guide.part_at(self.at.p.vec(i)) + 1,
+                Some(guide) if is_led(info) => guide.part_at(self.at.p.vec(i)) + 1,
                 _ => 0,
             };
             (self.at.offset[i], self.at.surface[i]) = (exit.offset, exit.surface);
@@ -1049,7 +1047,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         for i in 0..self.n {
             let mut interest = self.paths.interest(i);
             let reflects = self.wo.vec(i).z * self.bounces.wi.vec(i).z > P::zero();
-            let along_delta = self.paths.pdf[i] == P::zero();
+            let along_delta = is_along_delta(self.paths.pdf[i]);
             interest.leave_by(Some(split), self.at.material[i], along_delta, reflects);
             self.paths.put_interest(i, interest);
         }
@@ -1115,7 +1113,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
     fn connect<S: Strategy>(&mut self, &Context { scene, theta, .. }: &Context<P>) {
         let (at, lights) = (&self.at, &mut self.lights);
         let emitters = scene.emitters();
-        let mut delta = emitters[0].is_delta();
+        let mut weighed = weighs(S::COUNTS_HITS, &emitters[0]);
         match emitters {
             [e] if matches!(e.radiance(), Texture::Constant(_)) && e.scale().is_none() => {
                 let radiance: Rgb<P> = e.radiance().rgb(theta, Vec2::zero());
@@ -1149,18 +1147,17 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             }
         }
         if emitters.len() > 1 && S::COUNTS_HITS {
-            // Deltas are never hit: as if scattering had no density.
+            // All alike: what is not weighed as if scattering had no density.
             for i in 0..self.n {
-                if emitters[lights.emitter[i] as usize].is_delta() {
+                if !weighs(S::COUNTS_HITS, &emitters[lights.emitter[i] as usize]) {
                     lights.pdf_bsdf[i] = P::zero();
                 }
             }
-            delta = false;
+            weighed = true;
         }
-        let weighs = S::COUNTS_HITS && !delta;
         for i in 0..whole(self.n) {
-            let mis = mis_weight::<S, P>(weighs, lights.pdf[i], lights.pdf_bsdf[i]);
-            let weight = mis * Const(lights.kept[i] / lights.pdf[i]);
+            let mis = mis_weight::<S, P>(weighed, lights.pdf[i], lights.pdf_bsdf[i]);
+            let weight = per_density(mis, lights.kept[i], lights.pdf[i]);
             let f = lights.f.rgb(i);
             let direct = self.paths.beta.rgb(i) * f * lights.le.rgb(i) * weight;
             let (d, distance) = (lights.d.vec(i), lights.distance[i]);
@@ -1219,7 +1216,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             settings,
             ..
         } = context;
-        let more = depth + 1 < settings.max_depth;
+        let more = has_more(depth, settings);
         let first = Purpose::NormalsPair.at(depth);
         let mut aside = self.aside.take().unwrap_or_else(Self::new);
         if self.branches.is_empty() {
@@ -1233,7 +1230,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         for i in 0..self.n {
             let index = at.material[i];
             let material = &scene.materials()[index as usize];
-            let goes_on = at.there[i] != 0 && (more || at.lit[i] != 0);
+            let goes_on = at.there[i] != 0 && may_go_on(at.lit[i] != 0, more);
             at.splits[i] = u32::from(splits::<Of, L>(log, goes_on, index, material));
             if at.splits[i] == 0 {
                 continue;
@@ -1241,16 +1238,11 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             let shading = Shading::new(*theta, at.uv(i));
             let wo = self.wo.vec(i);
             if lights.shadow_t[i] > P::zero() {
-                let pdf = lights.pdf[i];
-                let delta = scene.emitters()[lights.emitter[i] as usize].is_delta();
-                let weighs = S::COUNTS_HITS && !delta;
-                let pair = if weighs {
-                    material.pdf_differential(&shading, wo, lights.wi.vec(i))
-                } else {
-                    P::zero()
-                };
-                let mis = mis_weight::<S, P>(weighs, pdf, pair);
-                lights.normals_weight[i] = mis * lights.kept[i] / pdf;
+                let e = &scene.emitters()[lights.emitter[i] as usize];
+                let (directions, weighs) = ([wo, lights.wi.vec(i)], weighs(S::COUNTS_HITS, e));
+                let (pdf, kept) = (lights.pdf[i], lights.kept[i]);
+                lights.normals_weight[i] =
+                    normals_weight::<S, P>(material, &shading, directions, weighs, pdf, kept);
             }
             if paths.beta.rgb(i).is_black() {
                 continue;
@@ -1337,7 +1329,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
                 others.push(i);
                 return;
             };
-            let goes_on = (pdf > P::zero()) & (more | (at.lit[i] != 0));
+            let goes_on = (pdf > P::zero()) & may_go_on(at.lit[i] != 0, more);
             bounces.continues[i] = u32::from(goes_on);
             if goes_on {
                 bounces.wi.put_vec(i, wi);
@@ -1345,15 +1337,12 @@ impl<P: Float, X: Sampler> Wave<P, X> {
                 bounces.weight[i] = pdf.recip();
                 components[i] = component;
                 paths.eta[i] *= eta;
-                paths.pdf[i] = match component {
-                    Component::Continuous => pdf,
-                    Component::Delta { .. } => P::zero(),
-                };
+                paths.pdf[i] = density(component, || pdf);
             }
         });
         for i in others {
             let directions = directions(guide, at.guide[i]);
-            if at.lit[i] == 0 && !more {
+            if !may_go_on(at.lit[i] != 0, more) {
                 bounces.continues[i] = 0;
                 continue;
             }
@@ -1376,10 +1365,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
                 bounces.weight[i] = sample.pdf.recip();
                 self.components[i] = sample.component;
                 paths.eta[i] *= sample.eta;
-                paths.pdf[i] = match sample.component {
-                    Component::Continuous => sample.pdf,
-                    Component::Delta { .. } => P::zero(),
-                };
+                paths.pdf[i] = density(sample.component, || sample.pdf);
             }
         }
     }
@@ -1405,7 +1391,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
                 roulette_weight(L::ENABLED, paths.roulette_weight[i], f * weight, beta);
             let q = probability(weight_here, paths.eta[i]);
             let (survives, inv_q) = play(plays, q, u[i]);
-            let goes_on = survives & (more | (self.at.lit[i] != 0));
+            let goes_on = survives & may_go_on(self.at.lit[i] != 0, more);
             paths.roulette_weight[i] = weight_here * inv_q;
             bounces.inverse_survival[i] = inv_q;
             bounces.continues[i] &= u32::from(goes_on);
@@ -1433,20 +1419,11 @@ impl<P: Float, X: Sampler> Wave<P, X> {
     /// The last edge only looks for light, and only where light that is hit counts.
     #[inline(never)]
     fn keep_last<S: Strategy>(&mut self, scene: &Scene) {
-        let paths = &self.paths;
+        let (n, paths) = (whole(self.n), &self.paths);
         let mut meets = Lane::<u32>::zero();
-        match scene.lamps() {
-            None => meets.fill(1),
-            Some(lamps) => {
-                for ball in lamps {
-                    for i in 0..whole(self.n) {
-                        let ray = Ray::new(paths.o.vec(i), paths.d.vec(i));
-                        meets[i] |= u32::from(ball.may_be_met(&ray));
-                    }
-                }
-            }
-        }
-        for i in 0..whole(self.n) {
+        let ray = |i: usize| Ray::new(paths.o.vec(i), paths.d.vec(i));
+        scene.may_meet_light_each(&mut meets[..n], ray);
+        for i in 0..n {
             let counts = counts_hits::<S, P>(paths.pdf[i]);
             self.bounces.continues[i] &= u32::from(counts) & meets[i];
         }

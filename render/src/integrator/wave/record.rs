@@ -5,7 +5,7 @@ use ad_core::{Float, Vec2, Vec3};
 use super::lanes::{Field, Lane, Lanes, WAVE_SIZE, whole};
 use super::{Log, Paths, Wave};
 use crate::bsdf::{Component, Part};
-use crate::emitter::{Emission, Emitter};
+use crate::emitter::Emission;
 use crate::estimator::{Edges, Strategy, differentiates_edges};
 use crate::integrator::active::Active;
 use crate::integrator::direct::{
@@ -15,7 +15,7 @@ use crate::integrator::record::derivatives::DerivativeSink;
 use crate::integrator::record::sweep::Uses;
 use crate::integrator::vertex::MODE;
 use crate::integrator::vertex::interest::Interest;
-use crate::integrator::vertex::light::Met;
+use crate::integrator::vertex::light::{Met, weighs};
 use crate::integrator::vertex::part_of;
 use crate::math::Rgb;
 use crate::scene::Scene;
@@ -41,7 +41,7 @@ pub struct Layer<P> {
     /// Whether it is the back of a material that is another one there.
     pub back: Lane<u32>,
     /// Whether that is differentiated.
-    follows: Lane<u32>,
+    differentiated: Lane<u32>,
     /// Whether there is a vertex that is not in `others`.
     plain: Lane<u32>,
     u: Lane<P>,
@@ -144,7 +144,7 @@ impl<P: Float> Layer<P> {
             parent: Lane::zero(),
             material: Lane::zero(),
             back: Lane::zero(),
-            follows: Lane::zero(),
+            differentiated: Lane::zero(),
             plain: Lane::zero(),
             u: Lane::zero(),
             v: Lane::zero(),
@@ -307,7 +307,7 @@ impl<'a, P: Float> Record<'a, P> {
                 }
                 leaves.put_rgb(i, l);
                 let id = layer.id[i] as usize % WAVE_SIZE;
-                if layer.follows[i] != 0 && counts[id] != 0 && !uses.0.is_empty() {
+                if layer.differentiated[i] != 0 && counts[id] != 0 && !uses.0.is_empty() {
                     let material = &scene.materials()[index as usize];
                     sink.vertex(id, material, layer.uv(i), other.wo, &uses.0, MODE);
                 }
@@ -316,7 +316,7 @@ impl<'a, P: Float> Record<'a, P> {
             for i in 0..whole(layer.n) {
                 wanted[i] = u32::from(i < layer.n)
                     & layer.plain[i]
-                    & layer.follows[i]
+                    & layer.differentiated[i]
                     & counts[layer.id[i] as usize % WAVE_SIZE];
             }
             sink.albedos(scene, layer, &wanted, &d);
@@ -366,11 +366,11 @@ impl<P: Float> Log<P> for Record<'_, P> {
         emitter: u32,
         light: &Met<P>,
         le: Rgb<P>,
-        follows: Option<P>,
+        apart: Option<P>,
     ) {
         let layer = &mut self.layers[self.used - 1];
         let hit = (paths.slot[i], le * light.weight);
-        match follows {
+        match apart {
             None => layer.hits.push(hit),
             Some(share) => {
                 layer.found_light.push(hit);
@@ -432,7 +432,7 @@ impl<P: Float> Log<P> for Record<'_, P> {
             paths.slot[i] = i as u32;
             layer.material[i] = at.material[i];
             layer.back[i] = at.back[i];
-            layer.follows[i] = at.follows[i];
+            layer.differentiated[i] = at.differentiated[i];
             layer.plain[i] = at.plain[i] & at.there[i];
             layer.u[i] = at.u[i];
             layer.v[i] = at.v[i];
@@ -464,10 +464,10 @@ impl<P: Float> Log<P> for Record<'_, P> {
                 let branches = if splits { &wave.branches[first..] } else { &[] };
                 let end = first + branches.iter().take_while(|b| b.at == i).count();
                 let wo = wave.wo.vec(i);
-                if self.edges != Edges::None && at.follows[i] != 0 {
-                    let delta = || self.scene.emitters()[lights.emitter[i] as usize].is_delta();
-                    let weighs = self.weighs && light.is_some() && !delta();
-                    let connected = weighs.then(|| Connected {
+                if self.edges != Edges::None && at.differentiated[i] != 0 {
+                    let e = || &self.scene.emitters()[lights.emitter[i] as usize];
+                    let weighed = light.is_some() && weighs(self.weighs, e());
+                    let connected = weighed.then(|| Connected {
                         wi: lights.wi.vec(i),
                         le: lights.le.rgb(i),
                         mis_pdf: lights.pdf[i],

@@ -48,7 +48,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
     /// Camera rays through these points of the image and these places of the lens.
     #[inline(never)]
     fn look_through(&mut self, camera: &Camera, lens: &ThinLens, [x, y, u, v]: [&Lane<P>; 4]) {
-        self.aim(
+        self.put_rays(
             |i| camera.through(lens, x[i], y[i], [u[i], v[i]]),
             |i| camera.ray_through(x[i], y[i], [u[i], v[i]]).d,
         );
@@ -58,7 +58,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
     #[inline(never)]
     fn look(&mut self, camera: &Camera, x: &Lane<P>, y: &Lane<P>) {
         let origin = camera.origin().map(P::of).into();
-        self.aim(
+        self.put_rays(
             |i| (origin, camera.direction(x[i], y[i])),
             |i| camera.ray(x[i], y[i]).d,
         );
@@ -67,7 +67,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
     /// Paths from a point in a direction of any length; in the other one, of unit length, where that cannot be normalised
     /// without a branch.
     #[inline(always)]
-    fn aim(
+    fn put_rays(
         &mut self,
         from: impl Fn(usize) -> (Vec3<P>, Vec3<P>),
         otherwise: impl Fn(usize) -> Vec3<P>,

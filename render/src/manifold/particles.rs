@@ -1,0 +1,81 @@
+//! Particles from the lights over casters to receivers: what landings are made of.
+
+use smallvec::SmallVec;
+
+use super::connector::Connector;
+use super::landing::{FEWEST, Landing, Landings};
+use super::normal::facet;
+use crate::emitter::Emitter;
+use crate::math::Ray;
+use crate::parallel;
+use crate::sampler::{Family, Independent, Sampler};
+use crate::shape::Shape;
+
+/// Particles are traced in this many jobs, whatever the number of threads.
+const JOBS: usize = 64;
+
+impl Connector<'_> {
+    /// Traces so many particles, and remembers where they landed: a function of the seed. They are aimed at casters.
+    pub fn learn(&mut self, seed: u64, particles: usize) {
+        let per_job = particles.div_ceil(JOBS);
+        let this = &*self;
+        let parts = parallel::map(JOBS, |job| {
+            let numbers = job * per_job..(job * per_job + per_job).min(particles);
+            let particle = |i: usize| {
+                let mut rng = Independent::new(Family::Landings.seed(seed), i as u64, 0);
+                this.particle(&mut rng)
+            };
+            numbers.filter_map(particle).collect::<Vec<_>>()
+        });
+        let all = parts.concat();
+        if all.len() >= FEWEST {
+            self.landings = Landings::new(all);
+        }
+    }
+
+    /// A particle from a light over casters to a receiver, if it gets there.
+    fn particle(&self, rng: &mut Independent) -> Option<Landing> {
+        let (space, split) = (&self.space, self.split);
+        let e = &space.scene.emitters()[self.any_emitter(rng) as usize];
+        let caster = self.any_caster(rng) as usize;
+        let aim = &space.scene.shapes()[caster];
+        let ([a, b], [c, d]) = (rng.next_2d::<f64>(), rng.next_2d::<f64>());
+        let around = self.around[caster];
+        let sent = e.sample_ray(&space.theta, space.scene.lights(), around, [a, b, c, d])?;
+        let ray = if e.is_infinite() {
+            // From beside the caster, whatever is before that.
+            sent.ray
+        } else {
+            let si = sent.surface.map(|(_, si)| si);
+            let o = si.map_or(sent.ray.o, |si| si.p);
+            let d = aim.sample(o, rng.next_2d::<f64>())?.d;
+            e.leaves(d, si.as_ref())?;
+            si.map_or(Ray::new(o, d), |si| si.spawn_ray(d, sent.exit))
+        };
+        let (mut from, mut d) = (ray.o, ray.d);
+        let (mut hit, mut met) = space.meet(&ray)?;
+        let mut like = SmallVec::new();
+        while split.is_caster(met) {
+            if like.len() as u32 == split.bounces() {
+                return None;
+            }
+            let normal = facet(space, met, rng.next_2d());
+            let (here, kind) = self.event(from, d, &hit, normal, rng.next_1d());
+            like.push((met, kind));
+            from = here.si.p;
+            (d, hit, met) = space.onward(&here, -d, kind)?;
+        }
+        if like.is_empty() || !split.is_receiver(met) {
+            return None;
+        }
+        like.reverse();
+        if !self.takes(like.iter().copied()) {
+            return None;
+        }
+        Some(Landing {
+            at: (from + d * f64::from(hit.t)).to_array(),
+            through: from,
+            like,
+        })
+    }
+}
