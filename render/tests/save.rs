@@ -8,6 +8,7 @@ use render::image_io::{Pixels, write_exr_pixels};
 use render::instances::{Estimator, render_f32};
 use render::params::Theta;
 use render::scene::LoadOptions;
+use render::shape::{AnyShape, Mesh, MeshData};
 
 const SCENE: &str = r#"<scene version="2.1.0">
 <default name="grey" value="0.25"/>
@@ -169,6 +170,8 @@ const MOVING: &str = r#"<scene version="3.0.0">
   <translate x="0.4" y="0.9"/></transform><ref id="grey"/></shape>
 <shape type="obj" id="flat"><string name="filename" value="tent.obj"/><boolean name="face_normals" value="true"/>
   <boolean name="flip_tex_coords" value="false"/><ref id="grey"/></shape>
+<shape type="ply" id="sheet"><string name="filename" value="sheet.ply"/><transform name="to_world">
+  <translate x="-0.4" y="1.5" z="-1"/></transform><ref id="grey"/></shape>
 <shape type="sphere" id="ball"><point name="center" x="1.5" y="-0.5"/><float name="radius" value="0.4"/><ref id="grey"/></shape>
 <shape type="cylinder" id="tube"><point name="p0" x="-2" y="-1"/><point name="p1" x="-1.5" y="0"/>
   <float name="radius" value="0.2"/><ref id="grey"/></shape>
@@ -193,6 +196,13 @@ fn moving() -> (tempfile::TempDir, Scene) {
     for (name, faces) in [("tent.obj", faces), ("given.obj", given)] {
         std::fs::write(dir.path().join(name), format!("{tent}{faces}")).expect("a mesh");
     }
+    let sheet = MeshData {
+        positions: vec![[0.0, 0.0, 0.0], [0.5, 0.0, 0.0], [0.0, 0.5, 0.1]],
+        triangles: vec![[0, 1, 2]],
+        ..Default::default()
+    };
+    let sheet = Mesh::smoothed(sheet, false).expect("a mesh").to_ply();
+    std::fs::write(dir.path().join("sheet.ply"), sheet).expect("a mesh");
     let path = dir.path().join("moving.xml");
     std::fs::write(&path, MOVING).expect("a scene");
     let options = LoadOptions {
@@ -203,8 +213,9 @@ fn moving() -> (tempfile::TempDir, Scene) {
     (dir, scene)
 }
 
-/// What has moved is written where it is: shapes, meshes with their normals and texture coordinates, the sensor that is
-/// looked through, lights. The image is the same up to roundings, which move outlines of few pixels.
+/// What has moved is written where it is: shapes, meshes with their normals and texture coordinates, in the format that they
+/// came in, to the last bit, the sensor that is looked through, lights. The image is the same up to roundings, which move
+/// outlines of few pixels.
 #[test]
 fn what_has_moved_is_written_where_it_is() {
     let (dir, mut scene) = moving();
@@ -232,10 +243,11 @@ fn what_has_moved_is_written_where_it_is() {
     scene.set_params(&values).expect("valid");
     let to = dir.path().join("out/new.xml");
     let files = scene.save(&to).expect("files");
-    let meshes = files
-        .iter()
-        .filter(|f| f.extension().is_some_and(|e| e == "ply"));
-    assert_eq!(meshes.count(), 3, "{files:?}");
+    let written = |ending: &str| {
+        let with = |f: &&std::path::PathBuf| f.extension().is_some_and(|e| e == ending);
+        files.iter().filter(with).count()
+    };
+    assert_eq!([written("obj"), written("ply")], [3, 1], "{files:?}");
     let options = LoadOptions {
         sensor: Some("eye".into()),
         ..Default::default()
@@ -245,6 +257,16 @@ fn what_has_moved_is_written_where_it_is() {
         warnings.iter().all(|w| w.contains("instance")),
         "{warnings:?}"
     );
+    let mut meshes = 0;
+    for (a, b) in scene.shapes().iter().zip(again.shapes()) {
+        if let (AnyShape::Mesh(a), AnyShape::Mesh(b)) = (a, b) {
+            let (a, b) = (a.data(), b.data());
+            assert_eq!((&a.positions, &a.uvs), (&b.positions, &b.uvs));
+            assert_eq!(a.triangles, b.triangles);
+            meshes += 1;
+        }
+    }
+    assert_eq!(meshes, 4);
     let (a, b) = (picture(&scene), picture(&again));
     let far = |a: &[f32], b: &[f32]| {
         let off = a

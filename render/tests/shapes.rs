@@ -1190,6 +1190,41 @@ fn devices_are_no_obj_files() {
     }
 }
 
+/// What is written is read as the same mesh, to the last bit: with and without normals and texture coordinates, where some
+/// faces are flat, turned around or not.
+#[test]
+fn obj_files_are_written_as_they_are_read() {
+    let corners = "v 1e-30 -1 0.1\nv 1 0.33333334 16777216\nv 0.7 1 -0\nv -1 1 3e9\n";
+    let more = "vt 0.25 0.1\nvt 1.7 -0.3\nvn 0 0.6 0.8\nvn 0 0 2\n";
+    for faces in [
+        "f 1 2 3 4\n",
+        "f 4/1 2/2 3/1\n",
+        "f 1//1 2//2 3//1\n",
+        "f 1/1/1 2/2/2 3/1/2\nf 1/2/2 3/2/2 4/1/2\nf 2/1 1/1 4/2\n",
+    ] {
+        for flip_v in [true, false] {
+            let options = ObjOptions {
+                flip_v,
+                ..Default::default()
+            };
+            let mesh = obj_with(&format!("{corners}{more}{faces}"), &options).unwrap();
+            let text = mesh.to_obj(flip_v);
+            let options = ObjOptions {
+                face_normals: mesh.data().normals.is_empty(),
+                ..options
+            };
+            let again = obj_with(&text, &options).unwrap_or_else(|e| panic!("{text}: {e}"));
+            let (a, b) = (mesh.data(), again.data());
+            assert_eq!((&a.positions, &a.uvs), (&b.positions, &b.uvs), "{text}");
+            assert_eq!((&a.normals, &a.triangles), (&b.normals, &b.triangles));
+            assert_eq!(again.to_obj(flip_v), text);
+        }
+    }
+    // Normals that nobody has given are those that whoever reads the file makes.
+    let smooth = obj(&format!("{corners}f 1 2 3\n")).unwrap();
+    assert!(!smooth.data().normals.is_empty() && !smooth.to_obj(true).contains("vn"));
+}
+
 #[test]
 fn obj_normals_and_coordinates_are_those_of_mitsuba() {
     let text = format!(

@@ -342,7 +342,7 @@ fn recover(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     }
     // As every run and every continuation of it starts.
     recovery.problem.set(&state.start)?;
-    recovery.folded = recovery.folds();
+    recovery.report_folds("a mesh without folds to start from");
     let seed = stream(job.seed, GUIDE_STREAM);
     (job.samples).learn(&mut recovery.problem.scene, &settings, seed, interrupt);
     if !args.resume {
@@ -865,7 +865,7 @@ impl Recovery {
         for (bad, seed) in step.non_finite.iter().zip(seeds) {
             report_non_finite(bad, width, seed);
         }
-        self.report_folds();
+        self.report_folds("a smaller lr, or a larger smooth or smaller coarse");
         let loss = step.loss;
         state.history.push(Row { loss, values });
         state.iteration += 1;
@@ -886,15 +886,15 @@ impl Recovery {
         folded.map(|(name, count, _)| (name, count)).collect()
     }
 
-    /// Says of meshes that fold over themselves by more triangles than was said before, twice as many at least.
-    fn report_folds(&mut self) {
+    /// Says of meshes that fold over themselves by more triangles than was said before, twice as many at least, what was
+    /// expected instead.
+    fn report_folds(&mut self, expected: &str) {
         for (name, folded, all) in self.problem.scene.folded() {
             let said = self.folded.entry(name.clone()).or_default();
             if folded >= (2 * *said).max(1) {
                 *said = folded;
                 complain!(
-                    "warning: `{name}` folds over itself: {folded} of {all} triangles are turned over; expected a smaller \
-                     lr, or a larger smooth or smaller coarse"
+                    "warning: `{name}` folds over itself: {folded} of {all} triangles are turned over; expected {expected}"
                 );
             }
         }

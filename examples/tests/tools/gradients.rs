@@ -4,7 +4,7 @@ use render::Image;
 use render::image_io::read_rgb as read_exr;
 use render::image_io::write_exr;
 
-use crate::{Folder, LAMP, SCENE, WALL, bytes, keys, numbers, samples};
+use crate::{Folder, LAMP, SCENE, WALL, back_to_back, bytes, keys, numbers, samples};
 
 #[test]
 fn the_number_of_threads_changes_no_bit() {
@@ -194,6 +194,36 @@ fn gradient_of_a_loss_is_unbiased() {
         // The t distribution with 63 degrees of freedom.
         assert!(z.abs() < 3.8, "channel {c}: {z} standard errors from zero");
     }
+}
+
+/// Two sensors that look away from each other: what one sees has no derivative through the other, be it a colour or, where no
+/// light is reflected, an outline.
+#[test]
+fn a_derivative_is_that_through_one_sensor() {
+    let dir = Folder::new();
+    let walls = back_to_back(0.8, ["0.2,0.4,0.6", "0.7,0.3,0.1"]);
+    let dark = walls.replace(r#""max_depth" value="2""#, r#""max_depth" value="1""#);
+    assert_ne!(walls, dark);
+    std::fs::write(dir.path("walls.xml"), walls).unwrap();
+    std::fs::write(dir.path("dark.xml"), dark).unwrap();
+    let gradient = |sensor: &str| {
+        let of = |(scene, key): (&str, &str)| {
+            let args = format!("{scene} --param {key} --estimator edges --spp 16 --json a.json");
+            dir.ok("gradient", &format!("{args} --sensor {sensor}"));
+            numbers(&dir.json("a.json")["params"][key]["gradient"])
+        };
+        [
+            ("walls.xml", "near.reflectance.value"),
+            ("dark.xml", "near_wall.scale"),
+        ]
+        .map(of)
+    };
+    let [colour, size] = gradient("front");
+    assert!(colour.iter().all(|&d| d > 0.1), "{colour:?}");
+    assert!(size[0] < -0.1, "{size:?}");
+    assert_eq!(gradient("back"), [vec![0.0; 3], vec![0.0]]);
+    // By number, too.
+    assert_eq!(gradient("0"), [colour, size]);
 }
 
 #[test]

@@ -59,6 +59,34 @@ const GLASS: &str = r#"<scene version="3.0.0">
   <emitter type="constant"><rgb name="radiance" value="1"/></emitter>
 </scene>"#;
 
+/// Two walls `near_wall` and `far_wall`, of this size, with paints `near` and `far` of these colours, behind each other's
+/// sensors `front` and `back`, which see one of them each, under a sky.
+fn back_to_back(size: f64, colours: [&str; 2]) -> String {
+    let sensor = |name: &str, z: i32, size: u32| {
+        format!(
+            r#"<sensor type="perspective" id="{name}"><float name="fov" value="40"/>
+            <transform name="to_world"><lookat origin="0,0,0" target="0,0,{z}" up="0,1,0"/></transform>
+            <film type="hdrfilm"><integer name="width" value="{size}"/><integer name="height" value="{size}"/>
+            </film></sensor>"#
+        )
+    };
+    let wall = |name: &str, z: i32, colour: &str| {
+        format!(
+            r#"<shape type="rectangle" id="{name}_wall"><transform name="to_world"><scale value="{size}"/>
+            <lookat origin="0,0,{z}" target="0,0,0" up="0,1,0"/></transform>
+            <bsdf type="diffuse" id="{name}"><rgb name="reflectance" value="{colour}"/></bsdf></shape>"#
+        )
+    };
+    format!(
+        r#"<scene version="3.0.0"><integrator type="path"><integer name="max_depth" value="2"/></integrator>
+        {}{}{}{}<emitter type="constant"/></scene>"#,
+        sensor("front", 1, 16),
+        sensor("back", -1, 12),
+        wall("near", 3, colours[0]),
+        wall("far", -3, colours[1]),
+    )
+}
+
 const WALL: &str = "wall.reflectance.value";
 
 const LAMP: &str = "lamp.emitter.radiance.value";

@@ -4,10 +4,11 @@ use clap::Parser;
 use examples::cli::Outcome;
 use examples::progress::Interrupt;
 use examples::tools::recover;
-use render::Image;
-use render::image_io::write_exr;
+use render::image_io::{read_rgb, write_exr};
+use render::scene::LoadOptions;
+use render::{Image, Scene};
 
-use crate::{Folder, GLASS, SCENE, WALL, bytes, fails};
+use crate::{Folder, GLASS, SCENE, WALL, back_to_back, bytes, fails};
 
 /// How bright a picture is does not decide whether Adam moves; where plain gradient descent does not, it says so.
 #[test]
@@ -191,33 +192,10 @@ fn a_floor_under_glass_is_recovered_by_connections() {
 #[test]
 fn a_recovery_looks_through_several_sensors() {
     let dir = Folder::new();
-    let sensor = |name: &str, z: i32, size: u32| {
-        format!(
-            r#"<sensor type="perspective" id="{name}"><float name="fov" value="40"/>
-            <transform name="to_world"><lookat origin="0,0,0" target="0,0,{z}" up="0,1,0"/></transform>
-            <film type="hdrfilm"><integer name="width" value="{size}"/><integer name="height" value="{size}"/>
-            </film></sensor>"#
-        )
-    };
-    let wall = |name: &str, z: i32, colour: &str| {
-        format!(
-            r#"<shape type="rectangle"><transform name="to_world"><scale value="5"/>
-            <lookat origin="0,0,{z}" target="0,0,0" up="0,1,0"/></transform>
-            <bsdf type="diffuse" id="{name}"><rgb name="reflectance" value="{colour}"/></bsdf></shape>"#
-        )
-    };
-    let scene = |near: &str, far: &str| {
-        format!(
-            r#"<scene version="3.0.0"><integrator type="path"><integer name="max_depth" value="2"/></integrator>
-            {}{}{}{}<emitter type="constant"/></scene>"#,
-            sensor("front", 1, 16),
-            sensor("back", -1, 12),
-            wall("near", 3, near),
-            wall("far", -3, far),
-        )
-    };
-    std::fs::write(dir.path("truth.xml"), scene("0.2,0.4,0.6", "0.7,0.3,0.1")).unwrap();
-    std::fs::write(dir.path("start.xml"), scene("0.5,0.5,0.5", "0.5,0.5,0.5")).unwrap();
+    let truth = back_to_back(5.0, ["0.2,0.4,0.6", "0.7,0.3,0.1"]);
+    std::fs::write(dir.path("truth.xml"), truth).unwrap();
+    let start = back_to_back(5.0, ["0.5,0.5,0.5"; 2]);
+    std::fs::write(dir.path("start.xml"), start).unwrap();
     dir.ok("render", "truth.xml -o front.exr --spp 256");
     dir.ok("render", "truth.xml -o back.exr --spp 256 --sensor back");
     let job = "start.xml --param near.reflectance.value --param far.reflectance.value --spp 4 --iterations 120";
@@ -337,18 +315,17 @@ fn lenses_are_recovered_from_a_blurred_picture() {
     assert!(written.contains(&focus), "{written}");
 }
 
-/// Points of a mesh and texels are recovered together, with options behind their keys, and written as a scene that renders:
-/// its mesh beside it. Cameras are, by Gauss-Newton steps.
-#[test]
-fn shapes_are_recovered_and_written() {
-    let dir = Folder::new();
+/// The scene [`TENT`] in a folder, whose mesh of 5 x 5 vertices has the middle one pulled by so much.
+fn pitch(dir: &Folder, pulled: [f64; 2]) {
     std::fs::write(dir.path("tent.xml"), TENT).unwrap();
     let mut tent = String::new();
     for j in 0..5 {
         for i in 0..5 {
-            let [x, y] = [i, j].map(|k| f64::from(k) / 4.0);
-            let z = 0.3 * (3.0 * x).sin();
-            tent += &format!("v {} {} {z}\nvt {x} {y}\n", 2.0 * x - 1.0, 2.0 * y - 1.0);
+            let [u, v] = [i, j].map(|k| f64::from(k) / 4.0);
+            let by = if i == 2 && j == 2 { pulled } else { [0.0; 2] };
+            let [x, y] = [2.0 * u - 1.0 + by[0], 2.0 * v - 1.0 + by[1]];
+            let z = 0.3 * (3.0 * u).sin();
+            tent += &format!("v {x} {y} {z}\nvt {u} {v}\n");
         }
     }
     for a in (0..20).filter(|a| a % 5 < 4).map(|a| a + 1) {
@@ -364,6 +341,14 @@ fn shapes_are_recovered_and_written() {
         .for_each(|(i, x)| *x = 0.3 + 0.05 * (i % 7) as f32);
     write_exr(&dir.path("weave.exr"), &weave).unwrap();
     dir.ok("render", "tent.xml --spp 64 -o t.exr");
+}
+
+/// Points of a mesh and texels are recovered together, with options behind their keys, and written as a scene that has them
+/// when it is read again: its mesh beside it. Cameras are, by Gauss-Newton steps.
+#[test]
+fn shapes_are_recovered_and_written() {
+    let dir = Folder::new();
+    pitch(&dir, [0.0; 2]);
 
     let common = "tent.xml --target t.exr --estimator edges --spp 2 --iterations 6";
     let points = "--param it.vertex_positions:smooth=4,lr=0.01";
@@ -372,7 +357,24 @@ fn shapes_are_recovered_and_written() {
         "recover",
         &format!("{common} {points} {texels} -P cloth.reflectance.data=0.5 --out d"),
     );
-    assert!(dir.path("d/scene/scene.xml").exists() && dir.path("d/scene/meshes/it.ply").exists());
+    assert!(dir.path("d/scene/meshes/it.obj").exists());
+    let load = |name: &str| Scene::load(&dir.path(name), &LoadOptions::default()).unwrap();
+    let [points, texels] = ["it.vertex_positions", "cloth.reflectance.data"];
+    let [(again, warnings), (before, _)] = ["d/scene/scene.xml", "tent.xml"].map(load);
+    assert!(warnings.is_empty(), "{warnings:?}");
+    let positions = |mut scene: Scene| {
+        scene.make_movable(&[points]).unwrap();
+        scene.params().get(points).unwrap().to_vec()
+    };
+    let found = read_rgb(&dir.path(&format!("d/{texels}.exr"))).unwrap();
+    assert_eq!(again.params().get(texels).unwrap(), found.data);
+    let (found, start) = (positions(again), positions(before));
+    assert!(found.len() == 75 && found != start);
+    let mean = found.iter().map(|&x| f64::from(x)).sum::<f64>() / 75.0;
+    let report = dir.json("d/result.json");
+    let known = report["params"][format!("mean of {points}")]["value"].as_f64();
+    assert!((mean - known.unwrap()).abs() < 1e-12, "{mean} {known:?}");
+    assert!(report.get("folded").is_none());
     dir.ok("render", "d/scene/scene.xml --spp 4 -o again.exr");
     // Six steps of two texels along each side, then four, then eight: the checkpoint knows.
     dir.ok(
@@ -417,4 +419,40 @@ fn shapes_are_recovered_and_written() {
         .as_f64()
         .unwrap();
     assert!(x.abs() < 0.2, "{x}");
+}
+
+/// Meshes that fold over themselves are reported, as they start and as they come to: on the way, and with the number of
+/// triangles in the result, which is that of the mesh that is written.
+#[test]
+fn folds_are_reported() {
+    let dir = Folder::new();
+    let job = "tent.xml --target t.exr --estimator edges --spp 2 --iterations 1";
+    let run = |lr: &str, out: &str| {
+        let param = format!("--param it.vertex_positions:lr={lr}");
+        let done = dir.run("recover", &format!("{job} {param} --out {out}"));
+        let stderr = String::from_utf8_lossy(&done.stderr).into_owned();
+        assert!(done.status.success(), "{stderr}");
+        let path = dir.path(&format!("{out}/scene/scene.xml"));
+        let (mut scene, _) = Scene::load(&path, &LoadOptions::default()).unwrap();
+        scene.make_movable(&["it.vertex_positions"]).unwrap();
+        let folded = scene.folded().first().map_or(0, |(_, count, _)| *count);
+        let report = dir.json(&format!("{out}/result.json"));
+        let said = report["folded"]["it"].as_u64();
+        assert_eq!(said, (folded > 0).then_some(folded as u64), "{report}");
+        let warnings = stderr.matches("`it` folds over itself");
+        (folded, warnings.count(), stderr)
+    };
+    // Over its neighbour, half a unit away.
+    pitch(&dir, [0.8, 0.1]);
+    let (folded, warnings, stderr) = run("1e-4", "a");
+    let message = format!("{folded} of 32 triangles are turned over; expected a mesh without");
+    assert!((1..8).contains(&folded) && warnings == 1, "{stderr}");
+    assert!(stderr.contains(&message), "{stderr}");
+    pitch(&dir, [0.0; 2]);
+    let (folded, warnings, stderr) = run("1e-4", "b");
+    assert_eq!((folded, warnings), (0, 0), "{stderr}");
+    // In one step.
+    let (folded, warnings, stderr) = run("0.6", "c");
+    assert!(folded > 0 && warnings == 1, "{stderr}");
+    assert!(stderr.contains("expected a smaller lr"), "{stderr}");
 }

@@ -118,8 +118,8 @@ impl Scene {
     /// with lines that go on, indices from the end or line ends of old, are written anew). What stands in for another
     /// plugin is written itself: `path`, `independent`, `hdrfilm`. What has moved as a whole has another `to_world` (lights at a
     /// point another `position`), and sensors another `fov` or another lens. Meshes whose points have moved
-    /// or are displaced, which Mitsuba does not know, are written as PLY files, world space, with the normals and texture
-    /// coordinates that they have. What has no effect here is written as it was read. Returns all files, the scene last.
+    /// or are displaced, which Mitsuba does not know, are written anew, as OBJ files if they were read from such ones and as PLY
+    /// files otherwise: world space, with the normals and texture coordinates that they have. What has no effect here is written as it was read. Returns all files, the scene last.
     ///
     /// # Errors
     /// A scene that was not read from a file; a folder in which one of its own files would be replaced; a parameter that
@@ -291,6 +291,14 @@ impl Scene {
     }
 }
 
+/// In which format a mesh is written: OBJ stays OBJ, all others are PLY.
+fn mesh_format(node: &Node) -> &'static str {
+    match node.plugin.as_str() {
+        "obj" => "obj",
+        _ => "ply",
+    }
+}
+
 /// What becomes of values and files while a scene is written.
 struct Writing<'a> {
     params: &'a Params,
@@ -425,7 +433,8 @@ impl Rewrite for Writing<'_> {
     fn is_gone(&self, node: &Node, name: &str) -> bool {
         let moved = self.change(node).is_some_and(|change| match name {
             "to_world" => change.mesh.is_some() || change.position.is_some(),
-            "flip_tex_coords" | "shape_index" | "displacement" => change.mesh.is_some(),
+            "shape_index" | "displacement" => change.mesh.is_some(),
+            "flip_tex_coords" => change.mesh.is_some() && mesh_format(node) == "ply",
             "focal_length" => change.fov.is_some(),
             _ => false,
         });
@@ -462,7 +471,7 @@ impl Rewrite for Writing<'_> {
     }
 
     fn plugin(&self, node: &Node) -> Option<&'static str> {
-        let mesh = self.mesh(node).map(|_| "ply");
+        let mesh = self.mesh(node).map(|_| mesh_format(node));
         mesh.or(stand_in(node).map(|(plugin, _)| plugin))
     }
 
@@ -496,8 +505,16 @@ impl Rewrite for Writing<'_> {
             && let AnyShape::Mesh(mesh) = &self.scene.shapes()[shape as usize]
         {
             let name = self.scene.shape_info(shape).name.clone();
-            let to = self.free("meshes", &name, "ply");
-            self.meshes.push((to.clone(), mesh.to_ply()));
+            let format = mesh_format(node);
+            let to = self.free("meshes", &name, format);
+            let bytes = match format {
+                "obj" => {
+                    let flip_v = node.boolean_or("flip_tex_coords", true).unwrap_or(true);
+                    mesh.to_obj(flip_v).into_bytes()
+                }
+                _ => mesh.to_ply(),
+            };
+            self.meshes.push((to.clone(), bytes));
             return to;
         }
         let Some(from) = path else {

@@ -250,6 +250,49 @@ impl Mesh {
         Ok((mesh, skipped))
     }
 
+    /// The mesh as the text of an OBJ file, in world space: positions, texture coordinates and normals where it has them, and
+    /// faces; no normals where they follow the positions, as whoever reads it makes the same ones. Numbers have as many digits
+    /// as tell them from their neighbours. `flip_v` is that of the [`ObjOptions`] to read it with: v is written as 1 - v, which
+    /// brings all that was read so back to the last bit.
+    pub fn to_obj(&self, flip_v: bool) -> String {
+        let mesh = self.data();
+        let normals: &[_] = if self.has_given_normals() {
+            &mesh.normals
+        } else {
+            &[]
+        };
+        let mut text = String::new();
+        for [x, y, z] in &mesh.positions {
+            text += &format!("v {x} {y} {z}\n");
+        }
+        for &[u, v] in &mesh.uvs {
+            let v = if flip_v { 1.0 - v } else { v };
+            text += &format!("vt {u} {v}\n");
+        }
+        for [x, y, z] in normals {
+            text += &format!("vn {x} {y} {z}\n");
+        }
+        let has_normal = |&i: &u32| normals.get(i as usize).is_some_and(|n| *n != [0.0; 3]);
+        for triangle in &mesh.triangles {
+            // Those whose normals are zero are flat.
+            let smooth = triangle.iter().any(has_normal);
+            text.push('f');
+            for i in each(*triangle, |i| u64::from(i) + 1) {
+                text += &format!(" {i}");
+                if !mesh.uvs.is_empty() {
+                    text += &format!("/{i}");
+                } else if smooth {
+                    text.push('/');
+                }
+                if smooth {
+                    text += &format!("/{i}");
+                }
+            }
+            text.push('\n');
+        }
+        text
+    }
+
     /// The arrays.
     pub fn data(&self) -> &MeshData {
         &self.data.mesh
