@@ -272,7 +272,7 @@ fn faulty_textures_are_named() {
         (reflectance("cut.exr", ""), "cut.exr: expected"),
         (
             reflectance("scene.xml", ""),
-            "an OpenEXR, Radiance, PFM, PNG, JPEG, BMP or TGA image",
+            "an OpenEXR, Radiance, PFM, PNG, JPEG, BMP, TGA, PBM, PGM or PPM image",
         ),
         (
             reflectance("rgb.png", r#"<string name="wrap_mode" value="x"/>"#),

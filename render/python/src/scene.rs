@@ -111,6 +111,7 @@ fn options(
         defines,
         allow_missing,
         sensor: sensor.map(|s| sensor_name(&s)).transpose()?,
+        several_sensors: false,
     })
 }
 
