@@ -72,6 +72,10 @@ impl Leaf for ThinDielectric {
     type Lobe<R: Real> = ThinDielectricLobe<R>;
     const DELTA: bool = true;
 
+    fn transmits(&self) -> bool {
+        true
+    }
+
     #[inline]
     fn lobe<R: Real>(&self, read: &mut impl Reader<R>) -> ThinDielectricLobe<R> {
         ThinDielectricLobe {
