@@ -279,6 +279,8 @@ impl Reading {
                 has_attributes: attributes_of(node).is_ok_and(|names| !names.is_empty()),
             });
             self.places.shapes.resize(drawn.len(), place);
+            let instance = (node.plugin == "instance").then(|| address(node));
+            self.places.instances.resize(drawn.len(), instance);
         }
         for group in groups {
             self.apart(group.children_with_tag("shape"))?;
