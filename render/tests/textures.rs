@@ -263,7 +263,7 @@ fn zero_roughness_is_the_least_and_said() {
     for (alpha, found) in [("1.5", "1.5"), ("-0.1", "-0.1")] {
         let error = load(&format!(r#"<float name="alpha" value="{alpha}"/>"#)).unwrap_err();
         let expected = format!(
-            "scene.xml:2: `s.bsdf.alpha.value`: expected a value in [0.0001, 1], found {found}"
+            "scene.xml:2: `s.bsdf.alpha.value`: expected a number in [0.0001, 1], found {found}"
         );
         assert!(error.to_string().ends_with(&expected), "{error}");
     }
