@@ -59,6 +59,12 @@ impl<R: Real> ThinDielectricLobe<R> {
         }
     }
 
+    /// The share of light that does not pass, on average over the channels.
+    pub(super) fn opacity(&self, wo: Vec3<R>) -> R {
+        let [_, passes] = self.shares(wo);
+        R::one() - passes * self.specular_transmittance.mean()
+    }
+
     /// The reflected share of light, and that which passes.
     #[inline(always)]
     fn shares(&self, wo: Vec3<R>) -> [R; 2] {
