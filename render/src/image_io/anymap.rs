@@ -92,6 +92,7 @@ pub(super) fn decode(bytes: &[u8], encoding: Encoding) -> Result<Pixels, Mismatc
         return Err(mismatch(expected, largest));
     }
     let across = width * channels;
+    let count = across * height;
     let complete = |raster: &[u8], row: usize| {
         let found = || {
             mismatch(
@@ -103,7 +104,17 @@ pub(super) fn decode(bytes: &[u8], encoding: Encoding) -> Result<Pixels, Mismatc
             .then_some(())
             .ok_or_else(found)
     };
-    let numbers: Vec<usize> = if is_text {
+    let table: Vec<f32> = (0..=largest)
+        .map(|i| encoding.decode(i as f64 / largest as f64))
+        .collect();
+    let value = |(i, number): (usize, usize)| {
+        table.get(number).copied().ok_or_else(|| {
+            let (x, y, channel) = (i / channels % width, i / across, i % channels);
+            let found = format!("{number} at column {x}, row {y}, channel {channel}");
+            mismatch(format!("values up to {largest}"), found)
+        })
+    };
+    let data: Result<Vec<f32>, Mismatch> = if is_text {
         // A digit each.
         complete(words.rest, across)?;
         let mut number = || {
@@ -113,44 +124,30 @@ pub(super) fn decode(bytes: &[u8], encoding: Encoding) -> Result<Pixels, Mismatc
                 words.number("value")
             }
         };
-        (0..across * height)
-            .map(|_| number())
-            .collect::<Result<_, _>>()?
+        (0..count).map(|i| value((i, number()?))).collect()
+    } else if is_bits {
+        let (raster, row) = (words.raster(), width.div_ceil(8));
+        complete(raster, row)?;
+        let bit = |x: usize, line: &[u8]| usize::from(line[x / 8] >> (7 - x % 8) & 1);
+        let lines = raster.chunks_exact(row).take(height);
+        let white = lines.flat_map(|line| (0..width).map(move |x| 1 - bit(x, line)));
+        white.enumerate().map(value).collect()
+    } else if largest < 256 {
+        let raster = words.raster();
+        complete(raster, across)?;
+        let bytes = raster[..count].iter().map(|&byte| byte.into());
+        bytes.enumerate().map(value).collect()
     } else {
         let raster = words.raster();
-        if is_bits {
-            let row = width.div_ceil(8);
-            complete(raster, row)?;
-            let bit = |line: &[u8], x: usize| usize::from(line[x / 8] >> (7 - x % 8) & 1);
-            let lines = raster.chunks_exact(row).take(height);
-            lines
-                .flat_map(|line| (0..width).map(move |x| 1 - bit(line, x)))
-                .collect()
-        } else if largest < 256 {
-            complete(raster, across)?;
-            raster[..across * height]
-                .iter()
-                .map(|&byte| byte.into())
-                .collect()
-        } else {
-            complete(raster, 2 * across)?;
-            let (pairs, _) = raster.as_chunks::<2>();
-            let pairs = pairs[..across * height].iter();
-            pairs.map(|&pair| u16::from_be_bytes(pair).into()).collect()
-        }
+        complete(raster, 2 * across)?;
+        let (pairs, _) = raster.as_chunks::<2>();
+        let pairs = (pairs[..count].iter()).map(|&pair| u16::from_be_bytes(pair).into());
+        pairs.enumerate().map(value).collect()
     };
-    if let Some(i) = numbers.iter().position(|n| *n > largest) {
-        let (x, y, channel) = (i / channels % width, i / across, i % channels);
-        let found = format!("{} at column {x}, row {y}, channel {channel}", numbers[i]);
-        return Err(mismatch(format!("values up to {largest}"), found));
-    }
-    let table: Vec<f32> = (0..=largest)
-        .map(|i| encoding.decode(i as f64 / largest as f64))
-        .collect();
     Ok(Pixels {
         width,
         height,
         channels,
-        data: numbers.into_iter().map(|n| table[n]).collect(),
+        data: data?,
     })
 }
