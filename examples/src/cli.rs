@@ -304,6 +304,7 @@ impl LoadArgs {
             defines: self.defines.clone(),
             allow_missing: self.allow_missing,
             sensor: self.sensor.clone(),
+            several_sensors: false,
         }
     }
 
@@ -312,8 +313,16 @@ impl LoadArgs {
     /// # Errors
     /// Anything wrong with the file.
     pub fn load(&self, path: &Path) -> Result<(Scene, f64), ToolError> {
+        self.load_with(path, &self.options())
+    }
+
+    /// The same, by options that are more than these.
+    ///
+    /// # Errors
+    /// As [`LoadArgs::load`].
+    pub fn load_with(&self, path: &Path, options: &LoadOptions) -> Result<(Scene, f64), ToolError> {
         let start = Instant::now();
-        let (mut scene, warnings) = Scene::load(path, &self.options())?;
+        let (mut scene, warnings) = Scene::load(path, options)?;
         for w in warnings {
             complain!("warning: {w}");
         }

@@ -214,6 +214,15 @@ fn pfm(pixels: &Pixels) -> Vec<u8> {
     bytes
 }
 
+/// A portable grey map in text, with a comment.
+fn in_text(values: &[u8]) -> Vec<u8> {
+    let mut text = "P2 # grey\n24 17\n255\n".to_owned();
+    for value in values {
+        text += &format!("{value} ");
+    }
+    text.into_bytes()
+}
+
 /// A compressed mesh of one triangle, as Mitsuba writes it.
 ///
 /// # Panics
@@ -289,5 +298,7 @@ pub fn images() -> Vec<(&'static str, Vec<u8>)> {
             encode(&DynamicImage::from(rgb.to_rgb32f()), ImageFormat::Hdr),
         ),
         ("pfm", pfm(&pixels)),
+        ("ppm", [b"P6\n24 17\n255\n", rgb.as_bytes()].concat()),
+        ("pgm", in_text(grey.as_bytes())),
     ]
 }

@@ -562,7 +562,11 @@ pub enum RenderError {
         reason: String,
     },
     /// A name that no estimator has.
-    #[error("unknown estimator {}; known: {known}", quoted(name))]
+    #[error(
+        "unknown estimator {}; {}known: {known}",
+        quoted(name),
+        near_misses(name, known)
+    )]
     UnknownEstimator {
         /// The name.
         name: String,
@@ -639,23 +643,59 @@ impl RenderError {
         name: &str,
         known: impl Iterator<Item = &'a String>,
     ) -> Self {
-        let shared = |a: &str| {
-            let pairs = |s: &str| {
-                s.as_bytes()
-                    .windows(2)
-                    .map(<[u8]>::to_vec)
-                    .collect::<Vec<_>>()
-            };
-            let b = pairs(name);
-            pairs(a).iter().filter(|p| b.contains(p)).count()
-        };
-        let mut ranked: Vec<(usize, &String)> = known.map(|k| (shared(k), k)).collect();
-        ranked.sort_by(|a, b| b.0.cmp(&a.0).then(a.1.cmp(b.1)));
+        Self::unknown_key(name, [known.collect(), Vec::new()])
+    }
+
+    /// The same, with up to two behind them of what may become a parameter. Where a thing has many names of that kind, they
+    /// would leave no place for those of its parameters.
+    pub(crate) fn unknown_key(name: &str, [known, movable]: [Vec<&String>; 2]) -> Self {
+        let mut groups = [(known, 3), (movable, 2)].map(|(names, most)| {
+            let mut ranked: Vec<_> = (names.into_iter())
+                .map(|k| (shared_pairs(name, k), k))
+                .collect();
+            ranked.sort_by(|a, b| b.0.cmp(&a.0).then(a.1.cmp(b.1)));
+            ranked.truncate(most);
+            ranked
+        });
+        let best = groups.iter().flatten().map(|(shared, _)| *shared).max();
+        for group in &mut groups {
+            group.retain(|(shared, _)| 2 * shared >= best.unwrap_or(0));
+        }
+        let closest = groups.iter().flatten().map(|(_, k)| (*k).clone()).collect();
         Self::UnknownParameter {
             name: name.into(),
-            closest: ranked.into_iter().take(3).map(|(_, k)| k.clone()).collect(),
+            closest,
         }
     }
+}
+
+/// Pairs of neighbouring bytes.
+fn pairs(text: &str) -> Vec<&[u8]> {
+    text.as_bytes().windows(2).collect()
+}
+
+/// How many pairs of neighbours of `of` are in `name`, too.
+fn shared_pairs(name: &str, of: &str) -> usize {
+    let own = pairs(name);
+    pairs(of).iter().filter(|p| own.contains(p)).count()
+}
+
+/// Those of a list of names that share at least half of their pairs with this one, closest first, as a clause.
+fn near_misses(name: &str, known: &str) -> String {
+    let alike = |k: &str| {
+        let all = pairs(name).len() + pairs(k).len();
+        2.0 * shared_pairs(name, k) as f64 / all.max(1) as f64
+    };
+    let mut near: Vec<_> = (known.split(", "))
+        .map(|k| (alike(k), k))
+        .filter(|(alike, _)| *alike >= 0.5)
+        .collect();
+    near.sort_by(|a, b| b.0.total_cmp(&a.0));
+    let near: Vec<&str> = near.iter().take(3).map(|(_, k)| *k).collect();
+    if near.is_empty() {
+        return String::new();
+    }
+    format!("closest: {}; ", near.join(", "))
 }
 
 #[cfg(test)]
@@ -667,6 +707,47 @@ mod tests {
         assert_eq!(quoted("ab"), "`ab`");
         let long = quoted(&"é".repeat(100));
         assert_eq!(long.chars().filter(|&c| c == 'é').count(), MOST_QUOTED);
+    }
+
+    #[test]
+    fn near_misses_of_estimators_are_proposed() {
+        let error = |name: &str| RenderError::UnknownEstimator {
+            name: name.into(),
+            known: "emitter, mis, mis-balance, reparameterised, edges".into(),
+        };
+        let message = error("miss").to_string();
+        assert!(message.starts_with("unknown estimator `miss`; closest: mis; known: emitter, "));
+        let message = error("reparametrized").to_string();
+        assert!(
+            message.contains("closest: reparameterised; known"),
+            "{message}"
+        );
+        assert!(!error("x").to_string().contains("closest"));
+        assert!(!error(&"é".repeat(1 << 10)).to_string().contains("closest"));
+    }
+
+    #[test]
+    fn parameters_are_proposed_before_what_may_become_one() {
+        let names = |all: &[&str]| all.iter().map(|s| (*s).to_owned()).collect::<Vec<_>>();
+        let known = names(&["sphere.alpha.value", "wall.reflectance.value"]);
+        let movable = names(&[
+            "sphere.rotation",
+            "sphere.scale",
+            "sphere.translation",
+            "sensor.fov",
+        ]);
+        let closest = |name: &str| {
+            let lists = [&known, &movable].map(|list| list.iter().collect());
+            match RenderError::unknown_key(name, lists) {
+                RenderError::UnknownParameter { closest, .. } => closest,
+                _ => Vec::new(),
+            }
+        };
+        assert_eq!(
+            closest("sphere.roughness"),
+            ["sphere.alpha.value", "sphere.rotation", "sphere.scale"]
+        );
+        assert_eq!(closest("sensor.fow"), ["sensor.fov"]);
     }
 
     #[test]

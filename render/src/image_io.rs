@@ -32,6 +32,7 @@ use crate::error::{SceneError, quoted};
 use crate::files;
 use crate::film::Image;
 
+mod anymap;
 mod floats;
 mod layers;
 
@@ -124,8 +125,8 @@ impl From<Pixels> for Image {
     }
 }
 
-/// Reads an EXR, Radiance (HDR), PFM, PNG, JPEG, BMP or TGA file. Alpha is dropped. Of an EXR file, the layer that [`read_layer`] finds without a
-/// name.
+/// Reads an EXR, Radiance (HDR), PFM, PNG, JPEG, BMP, TGA, PBM, PGM or PPM file. Alpha is dropped. Of an EXR file, the layer
+/// that [`read_layer`] finds without a name.
 ///
 /// # Errors
 /// As [`read_layer`].
@@ -273,6 +274,8 @@ fn decode(bytes: &[u8], encoding: Encoding) -> Result<Pixels, Mismatch> {
         floats::decode_radiance(bytes)
     } else if floats::is_pfm(bytes) {
         floats::decode_pfm(bytes)
+    } else if anymap::is_anymap(bytes) {
+        anymap::decode(bytes, encoding)
     } else {
         decode_8_or_16_bit(bytes, encoding)
     }
@@ -292,7 +295,7 @@ fn is_tga(bytes: &[u8]) -> bool {
 }
 
 fn decode_8_or_16_bit(bytes: &[u8], encoding: Encoding) -> Result<Pixels, Mismatch> {
-    let formats = "an OpenEXR, Radiance, PFM, PNG, JPEG, BMP or TGA image";
+    let formats = "an OpenEXR, Radiance, PFM, PNG, JPEG, BMP, TGA, PBM, PGM or PPM image";
     let mut reader = image::ImageReader::new(Cursor::new(bytes))
         .with_guessed_format()
         .map_err(|e| mismatch(formats, e))?;
@@ -308,6 +311,14 @@ fn decode_8_or_16_bit(bytes: &[u8], encoding: Encoding) -> Result<Pixels, Mismat
         };
         return Err(mismatch(formats, found));
     };
+    if !format.reading_enabled() {
+        // Of Netpbm's, those of any number of channels are left.
+        let name = match format {
+            image::ImageFormat::Pnm => "PAM".into(),
+            other => format!("{other:?}"),
+        };
+        return Err(mismatch(formats, format!("a {name} image")));
+    }
     if format == image::ImageFormat::Jpeg {
         return decode_jpeg(bytes, encoding);
     }

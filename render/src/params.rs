@@ -336,6 +336,11 @@ impl Params {
         Err(RenderError::unknown_parameter(name, names))
     }
 
+    /// Whether a key is a pattern ([`Params::matching`]).
+    pub fn is_pattern(key: &str) -> bool {
+        key.contains(['*', '?'])
+    }
+
     /// All ranges whose own name, or the [other](Params::other_name) one, fits a pattern: `*` stands for any text, `?` for
     /// any character. The pattern may leave out the `.value` or `.data` at the end. One without stars and question marks is
     /// a name, as in [`Params::find`].
@@ -343,7 +348,7 @@ impl Params {
     /// # Errors
     /// [`RenderError::UnknownParameter`] where nothing does.
     pub fn matching(&self, pattern: &str) -> Result<Vec<&ParamInfo>, RenderError> {
-        if !pattern.contains(['*', '?']) {
+        if !Self::is_pattern(pattern) {
             return self.find(pattern).map(|info| vec![info]);
         }
         // With or without the ending, as for names.

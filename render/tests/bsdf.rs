@@ -140,6 +140,13 @@ const MATERIALS: &[(&str, &str, &str, Sampled)] = &[
         Sampled::ByChoice,
     ),
     (
+        "plastic in water",
+        "plastic",
+        r#"<rgb name="diffuse_reflectance" value=".6 .3 .1"/><boolean name="nonlinear" value="true"/>
+           <float name="int_ior" value="1"/><float name="ext_ior" value="1.33"/>"#,
+        Sampled::ByChoice,
+    ),
+    (
         "rough plastic beckmann .3",
         "roughplastic",
         r#"<float name="alpha" value=".3"/><rgb name="diffuse_reflectance" value=".6 .3 .1"/>"#,
@@ -517,6 +524,28 @@ fn set_alpha<P: Float>(case: &Case, values: &mut [P], alpha: f64) {
     }
 }
 
+/// What says that nothing passes to the other side is right: `twosided` relies on it.
+#[test]
+fn opaque_materials_keep_light_on_their_side() {
+    let mut opaque = 0;
+    for case in cases() {
+        let values = case.values::<f64>();
+        let at = at(Theta::constant(&values));
+        let passes = (0..4000).any(|i| {
+            let [z, a, u, v, w]: [f64; 5] = {
+                let mut s = Independent::new(6, 0, i);
+                std::array::from_fn(|_| s.next_1d())
+            };
+            let wo = polar(2.0 * z - 1.0, 6.0 * a);
+            let sample = (case.material).sample(&at, wo, [u, v, w], TransportMode::Radiance);
+            sample.is_some_and(|s| s.wi.z * wo.z < 0.0)
+        });
+        assert_eq!(case.material.is_opaque(), !passes, "{}", case.name);
+        opaque += u32::from(!passes);
+    }
+    assert!(opaque > 10, "{opaque}");
+}
+
 // ---- Energy and symmetry ------------------------------------------------------------------------
 
 /// All light that arrives from one direction: `sum of f cos / pdf` over scattered directions, with
@@ -592,6 +621,24 @@ fn almost_smooth_surfaces_lose_nothing() {
         for z in [0.9, 0.3] {
             let (a, _) = albedo(&case, polar(z, 0.5), &values);
             assert!((a - 1.0).abs() < 1e-3, "{}: {a}", case.name);
+        }
+    }
+}
+
+/// What the coat of a white base sends back, the base sends up again, whichever side of the coat is denser; significance
+/// 1e-3 over 10 comparisons.
+#[test]
+#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
+fn white_plastic_loses_nothing() {
+    let plastic = |c: &Case| ["plastic", "plastic in water"].contains(&c.name);
+    let cases: Vec<_> = cases().filter(plastic).collect();
+    assert_eq!(cases.len(), 2);
+    for case in cases {
+        let values = vec![1.0; case.params.values().len()];
+        for z in [1.0, 0.7, 0.5, 0.2, 0.01] {
+            let (a, se) = albedo(&case, polar(z, 0.5), &values);
+            let limit = z_limit(10, 128 * 128, 1e-3) * se + 1e-5;
+            assert!((a - 1.0).abs() < limit, "{} {z}: {a} +- {se}", case.name);
         }
     }
 }

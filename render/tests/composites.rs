@@ -788,7 +788,15 @@ fn faulty_descriptions_are_named() {
         ),
         (
             two_sided(&blend(0.5, &format!("{d}{}", mask(0.5, &d)))),
-            "found bsdf `mask`",
+            "a nested <bsdf> that only reflects, found bsdf `blendbsdf`",
+        ),
+        (
+            two_sided(r#"<bsdf type="null"/>"#),
+            "a nested <bsdf> that only reflects, found bsdf `null`",
+        ),
+        (
+            two_sided(r#"<bsdf type="thindielectric"/>"#),
+            "a nested <bsdf> that only reflects, found bsdf `thindielectric`",
         ),
         (blend(0.5, &d), "two nested <bsdf>"),
         (weightless, "has no `weight`"),

@@ -349,7 +349,7 @@ fn unreadable_files_are_named() {
     std::fs::write(&path, "hello").unwrap();
     let found = read(&path);
     assert!(
-        found.contains("an OpenEXR, Radiance, PFM, PNG, JPEG, BMP or TGA image"),
+        found.contains("an OpenEXR, Radiance, PFM, PNG, JPEG, BMP, TGA, PBM, PGM or PPM image"),
         "{found}"
     );
     assert!(read(dir.path()).contains("expected a regular file, found a directory"));
@@ -548,41 +548,140 @@ fn tga_files_are_read_by_their_content() {
     assert!(error.contains("found 65535 x 65535"), "{error}");
 }
 
+/// Bits, grey and colours, in text and binary; values are parts of the largest, exactly.
+#[test]
+fn netpbm_images_are_read() {
+    let dir = TempDir::new().unwrap();
+    // Under any name.
+    let path = dir.path().join("a.png");
+    let read = |head: &str, raster: &[u8], encoding| {
+        std::fs::write(&path, [head.as_bytes(), raster].concat()).unwrap();
+        read(&path, encoding)
+    };
+    let colours = [1.0, 0.5, 0.0, 0.25, 0.75, 1.0];
+    let in_hundreds = [100, 50, 0, 25, 75, 100];
+    let in_thousands = [1000u16, 500, 0, 250, 750, 1000].map(u16::to_be_bytes);
+    for (head, raster) in [
+        ("P3 2 1 100 100 50 0 25 75 100", &[][..]),
+        (
+            "P3#c\n2 # of 9\n1\n100\n100 50\t0\r\n25 75 # 1\n0100\n",
+            &[],
+        ),
+        ("P6\n# c\n2 1\n100\n", &in_hundreds),
+        ("P6 2 1 100# c\n", &in_hundreds),
+        ("P6\n2 1\n1000\n", in_thousands.as_flattened()),
+    ] {
+        let found = read(head, raster, Encoding::Raw).unwrap();
+        assert_eq!((found.width, found.height, found.channels), (2, 1, 3));
+        assert_eq!(found.data, colours, "{head}");
+    }
+    for (head, raster) in [
+        ("P2 1 2 255 0 51", &[][..]),
+        ("P5 1 2 255\n", &[0, 51]),
+        // The first of several.
+        ("P5 1 2 255\n", &[0, 51, b'P', b'5']),
+    ] {
+        let found = read(head, raster, Encoding::Raw).unwrap();
+        assert_eq!((found.width, found.height, found.channels), (1, 2, 1));
+        assert_eq!(found.data, [0.0, 0.2], "{head}");
+    }
+    for (head, raster) in [
+        ("P1 9 2 100000001 0111\n 1 1 1 1 0", &[][..]),
+        ("P4 9 2\n", &[0x80, 0x80, 0x7f, 0x00]),
+    ] {
+        let found = read(head, raster, Encoding::Srgb).unwrap();
+        let mut bits = [1.0; 18];
+        bits[0] = 0.0;
+        bits[8..17].fill(0.0);
+        bits[9] = 1.0;
+        assert_eq!(found.data, bits, "{head}");
+    }
+    let curve = read("P2 1 1 2 1", &[], Encoding::Srgb).unwrap().data[0];
+    assert!((curve - 0.21404).abs() < 1e-5, "{curve}");
+    for (head, raster, found) in [
+        ("P5", &[][..], "no width"),
+        ("P5 1 x 255\n", &[0], "the height `x`"),
+        ("P5 1 -1 255\n", &[0], "the height `-1`"),
+        ("P5 1 1 0\n", &[0], "largest value, found 0"),
+        ("P5 1 1 65536\n", &[0, 0], "largest value, found 65536"),
+        (
+            "P5 1 1 100\n",
+            &[101],
+            "values up to 100, found 101 at column 0, row 0, channel 0",
+        ),
+        (
+            "P6 1 1 300\n",
+            &[0, 0, 0, 0, 1, 45],
+            "found 301 at column 0, row 0, channel 2",
+        ),
+        (
+            "P3 1 1 9 1 2 10",
+            &[],
+            "found 10 at column 0, row 0, channel 2",
+        ),
+        ("P3 1 1 255 1", &[], "2 bytes for 1 x 1"),
+        ("P3 1 1 255 1  2     ", &[], "no value"),
+        ("P3 1 1 255 1 2 z", &[], "the value `z`"),
+        ("P1 3 1 012", &[], "the bit `2`"),
+        ("P6 1 1 255\n", &[1, 2], "2 bytes for 1 x 1"),
+        ("P4 8000 8000\n", &[0], "1 bytes for 8000 x 8000"),
+        ("P5 65536 65536 255\n", &[0], "65536 x 65536"),
+        ("P5 1234567890 1 255\n", &[0], "the width `1234567890`"),
+        (
+            "P7\nWIDTH 1\nHEIGHT 1\nDEPTH 1\nMAXVAL 1\nENDHDR\n",
+            &[1],
+            "a PAM image",
+        ),
+        ("GIF89a", &[0; 32], "a Gif image"),
+    ] {
+        let error = message(read(head, raster, Encoding::Raw));
+        assert!(
+            error.contains("a.png: expected ") && error.contains(found),
+            "{head}: {error}"
+        );
+    }
+}
+
 /// One small valid file of each kind, and the ending it is known by.
 fn samples() -> Vec<(&'static str, Vec<u8>)> {
     let dir = TempDir::new().unwrap();
     let image = ramp(9, 7);
     let bytes: Vec<u8> = image.data.iter().map(|x| (x * 255.0) as u8).collect();
     let eight = image::RgbImage::from_raw(9, 7, bytes).unwrap();
-    ["exr", "half.exr", "png", "jpg", "bmp", "tga", "hdr", "pfm"]
-        .into_iter()
-        .map(|ending| {
-            let path = dir.path().join(format!("a.{ending}"));
-            match ending {
-                "exr" => write_exr(&path, &image).unwrap(),
-                "half.exr" => {
-                    let plane = |c| {
-                        (0..63usize)
-                            .map(|i| ex::f16::from_f32(image.data[3 * i + c]))
-                            .collect()
-                    };
-                    let channel = |c| ex::FlatSamples::F16(plane(c));
-                    exr_file(
-                        &path,
-                        vec![(
-                            9,
-                            7,
-                            vec![("B", channel(2)), ("G", channel(1)), ("R", channel(0))],
-                        )],
-                    );
-                }
-                "hdr" => DynamicImage::from(float_image(&image)).save(&path).unwrap(),
-                "pfm" => std::fs::write(&path, pfm(&image, 3, -1.0)).unwrap(),
-                _ => eight.save(&path).unwrap(),
+    [
+        "exr", "half.exr", "png", "jpg", "bmp", "tga", "hdr", "pfm", "ppm",
+    ]
+    .into_iter()
+    .map(|ending| {
+        let path = dir.path().join(format!("a.{ending}"));
+        match ending {
+            "exr" => write_exr(&path, &image).unwrap(),
+            "half.exr" => {
+                let plane = |c| {
+                    (0..63usize)
+                        .map(|i| ex::f16::from_f32(image.data[3 * i + c]))
+                        .collect()
+                };
+                let channel = |c| ex::FlatSamples::F16(plane(c));
+                exr_file(
+                    &path,
+                    vec![(
+                        9,
+                        7,
+                        vec![("B", channel(2)), ("G", channel(1)), ("R", channel(0))],
+                    )],
+                );
             }
-            (ending, std::fs::read(path).unwrap())
-        })
-        .collect()
+            "hdr" => DynamicImage::from(float_image(&image)).save(&path).unwrap(),
+            "pfm" => std::fs::write(&path, pfm(&image, 3, -1.0)).unwrap(),
+            "ppm" => {
+                std::fs::write(&path, [b"P6 9 7 255\n", &eight.as_raw()[..]].concat()).unwrap()
+            }
+            _ => eight.save(&path).unwrap(),
+        }
+        (ending, std::fs::read(path).unwrap())
+    })
+    .collect()
 }
 
 #[test]

@@ -311,7 +311,15 @@ fn instances_are_copies_of_a_group() {
                 ),
                 at("")
             ),
-            "instances do not emit",
+            "emitter `area`: shapes of a group that emit, in its instances, are not there",
+        ),
+        (
+            format!(
+                "{}{}",
+                group.replace("type=\"sphere\"", "type=\"instance\""),
+                at("")
+            ),
+            "shape `instance`: groups of groups and of instances are not there",
         ),
         (
             format!(

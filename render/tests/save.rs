@@ -8,7 +8,7 @@ use render::image_io::{Pixels, write_exr_pixels};
 use render::instances::{Estimator, render_f32};
 use render::params::Theta;
 use render::scene::LoadOptions;
-use render::shape::{AnyShape, Mesh, MeshData};
+use render::shape::{AnyShape, Mesh, MeshData, Shape};
 
 const SCENE: &str = r#"<scene version="2.1.0">
 <default name="grey" value="0.25"/>
@@ -222,11 +222,10 @@ fn what_has_moved_is_written_where_it_is() {
     let start = picture(&scene);
     let movables = scene.movables();
     let names: Vec<&str> = movables.iter().map(|m| m.name.as_str()).collect();
-    let names: Vec<&str> = names
-        .into_iter()
-        .filter(|n| !n.starts_with("copy."))
-        .collect();
-    assert!(names.len() >= 30, "{names:?}");
+    assert!(
+        names.len() >= 33 && names.contains(&"copy.plate.scale"),
+        "{names:?}"
+    );
     scene.make_movable(&names).expect("they may move");
     let mut values = scene.params().values().to_vec();
     for name in names {
@@ -333,18 +332,70 @@ fn lenses_are_written() {
     }
 }
 
-/// Parts of instances, and points of meshes whose files have attributes, stand nowhere by themselves.
+/// The parts of an instance have one transform in the file.
+#[test]
+fn parts_of_instances_are_written_where_they_move_alike() {
+    let (dir, _) = moving();
+    let part = r#"<shape type="obj" id="tent"><string name="filename" value="tent.obj"/><ref id="grey"/></shape></shape>
+        <shape type="instance" id="still"><ref id="group"/></shape>"#;
+    let text = MOVING.replace(
+        "<ref id=\"grey\"/></shape></shape>\n<shape type=\"instance\"",
+        &format!("<ref id=\"grey\"/></shape>{part}\n<shape type=\"instance\""),
+    );
+    assert_ne!(text, MOVING);
+    std::fs::write(dir.path().join("two.xml"), text).expect("a scene");
+    let mut scene = load(&dir.path().join("two.xml"));
+    let names = ["copy.plate.translation", "copy.tent.translation"];
+    scene.make_movable(&names).expect("known");
+    scene
+        .save(&dir.path().join("a/new.xml"))
+        .expect("it has not moved");
+    let by = [0.5f32, 0.25, 0.0];
+    scene.set([(names[0], &by[..])]).expect("valid");
+    let error = scene
+        .save(&dir.path().join("b/new.xml"))
+        .expect_err("moved");
+    let error = error.to_string();
+    assert!(
+        error.contains("`copy.plate.translation`")
+            && error.contains("`copy.plate` and `copy.tent`"),
+        "{error}"
+    );
+    scene.set([(names[1], &by[..])]).expect("valid");
+    scene.save(&dir.path().join("c/new.xml")).expect("files");
+    let again = load(&dir.path().join("c/new.xml"));
+    let corners = |s: &Scene| -> Vec<_> { s.shapes().iter().map(|s| s.bounds()).collect() };
+    let before = corners(&load(&dir.path().join("two.xml")));
+    let mut moved = 0;
+    for ((now, read), old) in corners(&scene).iter().zip(&corners(&again)).zip(&before) {
+        for (a, b) in now.as_flattened().iter().zip(read.as_flattened()) {
+            assert!((a - b).abs() < 1e-5, "{now:?} {read:?}");
+        }
+        moved += usize::from((now[0][0] - old[0][0]).abs() > 0.4);
+    }
+    // Both parts of the one, and none of the other.
+    assert_eq!(moved, 2);
+}
+
+/// Points of meshes in instances stand nowhere by themselves.
 #[test]
 fn what_stands_nowhere_in_the_file_cannot_be_written_elsewhere() {
-    let (dir, mut scene) = moving();
-    let name = "copy.plate.translation";
+    let (dir, _) = moving();
+    let text = MOVING.replace(
+        "<shape type=\"disk\" id=\"plate\">",
+        "<shape type=\"obj\" id=\"plate\"><string name=\"filename\" value=\"tent.obj\"/>",
+    );
+    let path = dir.path().join("points.xml");
+    std::fs::write(&path, text).expect("a scene");
+    let mut scene = load(&path);
+    let name = "copy.plate.vertex_positions";
     scene.make_movable(&[name]).expect("known");
-    let to = dir.path().join("out/new.xml");
-    scene.save(&to).expect("it has not moved");
-    scene.set([(name, &[0.5, 0.0, 0.0][..])]).expect("valid");
+    let mut points = scene.params().get(name).expect("known").to_vec();
+    points[0] += 0.5;
+    scene.set([(name, &points[..])]).expect("valid");
     let error = scene
         .save(&dir.path().join("again/new.xml"))
         .expect_err("moved")
         .to_string();
-    assert!(error.contains("`copy.plate.translation`"), "{error}");
+    assert!(error.contains(&format!("`{name}`")), "{error}");
 }

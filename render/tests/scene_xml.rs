@@ -1080,6 +1080,10 @@ fn spectra_that_are_none_are_errors() {
         ("type=\"srgb\"/>", "`color`"),
         ("type=\"blackbody\"/>", "`temperature`"),
         (
+            "type=\"blackbody\"><float name=\"temperature\" value=\"3000\"/><float name=\"scale\" value=\"2\"/></spectrum>",
+            "unknown attribute `scale`",
+        ),
+        (
             "type=\"uniform\"><float name=\"x\" value=\"1\"/></spectrum>",
             "`x`",
         ),

@@ -38,6 +38,7 @@ fn folder() -> TempDir {
     exr("ringing.exr", 1, vec![9.0, -0.1, 5.0, -0.0]);
     exr("negative.exr", 1, vec![9.0, -0.4, 5.0, 0.0]);
     exr("infinite.exr", 1, vec![9.0, f32::INFINITY, -5.0, 0.0]);
+    exr("smooth.exr", 1, vec![0.0, 0.5, 0.00005, 0.25]);
     exr("nan.exr", 1, vec![0.1, f32::NAN, 0.5, 0.4]);
     std::fs::write(dir.path().join("cut.exr"), b"\x76\x2f\x31\x01").unwrap();
     dir
@@ -226,6 +227,51 @@ fn missing_files_are_errors_or_grey() {
     assert!(load_in(dir.path(), &shapes, true).is_err());
 }
 
+/// A roughness of zero is that of Mitsuba, the least there is; nothing else is changed.
+#[test]
+fn zero_roughness_is_the_least_and_said() {
+    let dir = folder();
+    let load = |alpha: &str| {
+        let metal = format!(
+            r#"<shape type="rectangle" id="s"><bsdf type="roughconductor">{alpha}</bsdf></shape>"#
+        );
+        load_in(dir.path(), &metal, false)
+    };
+    let (scene, warnings) = load(r#"<float name="alpha" value="0"/>"#).unwrap();
+    assert_eq!(scene.params().get("s.bsdf.alpha").unwrap(), [1e-4]);
+    let expected = "scene.xml:2: bsdf `roughconductor`: `alpha` is 0.0001 instead of 0, the least that it may be";
+    assert!(
+        warnings.len() == 1 && warnings[0].ends_with(expected),
+        "{warnings:?}"
+    );
+    let (scene, warnings) = load(&bitmap("alpha", "smooth.exr", RAW)).unwrap();
+    assert_eq!(
+        scene.params().get("s.bsdf.alpha").unwrap(),
+        [1e-4, 0.5, 1e-4, 0.25]
+    );
+    let expected =
+        "smooth.exr: 2 numbers for `s.bsdf.alpha` are less than 0.0001; they are that instead";
+    assert!(
+        warnings.len() == 1 && warnings[0].ends_with(expected),
+        "{warnings:?}"
+    );
+    let board =
+        r#"<texture type="checkerboard" name="alpha"><float name="color0" value="0"/></texture>"#;
+    let (scene, warnings) = load(board).unwrap();
+    assert_eq!(scene.params().get("s.bsdf.alpha.color0").unwrap(), [1e-4]);
+    assert_eq!(warnings.len(), 1);
+    for (alpha, found) in [("1.5", "1.5"), ("-0.1", "-0.1")] {
+        let error = load(&format!(r#"<float name="alpha" value="{alpha}"/>"#)).unwrap_err();
+        let expected = format!(
+            "scene.xml:2: `s.bsdf.alpha.value`: expected a number in [0.0001, 1], found {found}"
+        );
+        assert!(error.to_string().ends_with(&expected), "{error}");
+    }
+    // Zero means something where it is one of the values.
+    let (_, warnings) = load(r#"<rgb name="specular_reflectance" value="0"/>"#).unwrap();
+    assert!(warnings.is_empty(), "{warnings:?}");
+}
+
 /// Environment maps are negative beside the sun, once they have been resampled.
 #[test]
 fn slightly_negative_emission_is_zero_and_said() {
@@ -272,7 +318,7 @@ fn faulty_textures_are_named() {
         (reflectance("cut.exr", ""), "cut.exr: expected"),
         (
             reflectance("scene.xml", ""),
-            "an OpenEXR, Radiance, PFM, PNG, JPEG, BMP or TGA image",
+            "an OpenEXR, Radiance, PFM, PNG, JPEG, BMP, TGA, PBM, PGM or PPM image",
         ),
         (
             reflectance("rgb.png", r#"<string name="wrap_mode" value="x"/>"#),

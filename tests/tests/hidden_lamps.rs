@@ -211,6 +211,117 @@ fn the_floor_is_seen_through_the_ball_that_lights_it() {
     assert!(cover.iter().all(|a| *a == 1.0));
 }
 
+/// Behind holes, `null` and smooth panes the sky is hidden, and alpha says what of it is: in images of all estimators, in double
+/// precision, by particles that land, and in the gradient of the sky. Lamps are seen there, and the sky behind glass that
+/// refracts, and in mirrors. 16 runs of 64 samples of 16 x 16 pixels, in blocks of 4 x 4.
+#[test]
+#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
+fn the_sky_behind_holes_and_panes_is_hidden() {
+    const RUNS: u64 = 16;
+    let plate = |bsdf: &str| {
+        scene(&format!(
+            r#"{}<emitter type="constant" id="sky"/><shape type="rectangle"><transform name="to_world"><scale value="6"/>
+            </transform>{bsdf}</shape>"#,
+            above(4, 16)
+        ))
+    };
+    let grey = r#"<bsdf type="diffuse"><rgb name="reflectance" value="0.5"/></bsdf>"#;
+    let null = r#"<bsdf type="null"/>"#;
+    let thin = r#"<bsdf type="thindielectric"/>"#;
+    let part = r#"<float name="weight" value="0.7"/>"#;
+    for (bsdf, expected) in [
+        (null.to_owned(), Some([0.0, 0.0])),
+        (thin.to_owned(), None),
+        (
+            format!(r#"<bsdf type="mask"><float name="opacity" value="0.3"/>{grey}</bsdf>"#),
+            Some([0.15, 0.3]),
+        ),
+        (
+            format!(r#"<bsdf type="blendbsdf">{part}{grey}{null}</bsdf>"#),
+            Some([0.15, 0.3]),
+        ),
+        (
+            r#"<bsdf type="conductor"><string name="material" value="none"/></bsdf>"#.to_owned(),
+            Some([1.0, 1.0]),
+        ),
+        // Radiance from within is less by the square of the index.
+        (
+            r#"<bsdf type="dielectric"><float name="int_ior" value="1.0001"/><float name="ext_ior" value="1"/></bsdf>"#
+                .to_owned(),
+            Some([1.0 / 1.0001f64.powi(2), 1.0]),
+        ),
+    ] {
+        let s = plate(&bsdf);
+        let job = Job::new(&s, &s.settings, 1, 0..64, &());
+        let cover = coverage(&job).expect("nobody stops it");
+        let covered = cover.iter().map(|a| f64::from(*a)).sum::<f64>() / cover.len() as f64;
+        let [colour, alpha] = expected.unwrap_or([covered; 2]);
+        assert!((covered - alpha).abs() < 1e-5, "{bsdf}: {covered}");
+        let found = picture(&s, &s.settings, 1, RUNS, 64);
+        let limit = z_limit(found.len(), RUNS, 1e-3);
+        for (i, found) in found.iter().enumerate() {
+            let off = found.mean - colour;
+            let z = found.z(&Estimate::exact(colour));
+            assert!(off.abs() < 1e-5 || z.abs() < limit, "{bsdf} {i}: {found:?} {z}");
+        }
+    }
+    // Nothing covers nothing: bit by bit, whoever looks.
+    for (plates, lamps) in [(null.to_owned(), false), (null.to_owned(), true)] {
+        let lit = lamp(
+            r#"rectangle|<transform name="to_world"><scale value="6"/><translate z="-1"/></transform>"#,
+            "2",
+        );
+        let s = scene(&format!(
+            r#"{}<emitter type="constant" id="sky"/><shape type="rectangle"><transform name="to_world"><scale value="9"/>
+            </transform>{plates}</shape>{}"#,
+            above(2, 16),
+            if lamps { &lit } else { "" }
+        ));
+        let expected = if lamps { 2.0 } else { 0.0 };
+        let theta = Theta::constant(s.params().values());
+        let doubles = values::<f64>(&s);
+        let job = Job::new(&s, &s.settings, 3, 0..4, &());
+        let mut images = Vec::new();
+        for &estimator in Estimator::ALL {
+            if estimator.check(&s).is_ok() {
+                images.push((
+                    estimator.name(),
+                    render_f32(&job, &theta, estimator).image(0),
+                ));
+            }
+        }
+        let double = Theta::constant(&doubles);
+        let image = render::<f64, DetachedMis, Independent>(&job, &double).expect("an image");
+        images.push(("double precision", image.image(0)));
+        let density = density_f32(&job, &theta, Default::default(), Convention::Radiance, 0.2);
+        images.push(("density", density.expect("a radius").image(0)));
+        for (name, image) in images {
+            let right = |x: &f32| (*x - expected).abs() < 1e-5;
+            assert!(
+                image.data.iter().all(right),
+                "{name}: {:?}",
+                &image.data[..3]
+            );
+        }
+        let names = ["sky.radiance.value"];
+        let adjoint = vec![1.0; 16 * 16 * 3];
+        let gradient = |settings: &Settings| {
+            let job = Job::new(&s, settings, 3, 0..4, &());
+            let active = Active::new(&s, &names).expect("known");
+            let found = backward_f32(&job, &theta, &active, &adjoint).expect("admitted");
+            found.values.concat().iter().map(|x| x.abs()).sum::<f64>()
+        };
+        let shown = Settings {
+            hide_emitters: false,
+            ..s.settings
+        };
+        assert_eq!(gradient(&s.settings), 0.0);
+        assert_eq!(gradient(&shown) > 0.0, !lamps);
+        let cover = coverage(&job).expect("nobody stops it");
+        assert!(cover.iter().all(|a| *a == if lamps { 1.0 } else { 0.0 }));
+    }
+}
+
 /// A dark lamp before the whole camera that is sampled next to never.
 fn dark(z: f64) -> String {
     format!(

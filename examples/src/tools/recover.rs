@@ -22,6 +22,7 @@ use render::integrator::render::Rendering;
 use render::integrator::second_order::MAX_VALUES;
 use render::params::{ParamShape, Theta};
 use render::sampler::mix64;
+use render::scene::LoadOptions;
 use render::{Image, RenderError, Scene, Settings, image_io};
 use serde::{Deserialize, Serialize};
 
@@ -538,7 +539,11 @@ fn load(job: &Job, estimator: Estimator) -> Result<Loaded, ToolError> {
         sensor: job.sensor.clone(),
         values: job.values.clone(),
     };
-    let (mut scene, _) = load.load(&path.0)?;
+    let options = LoadOptions {
+        several_sensors: job.targets.iter().any(|t| t.sensor.is_some()),
+        ..load.options()
+    };
+    let (mut scene, _) = load.load_with(&path.0, &options)?;
     let names = names_of(&mut scene, &job.keys()?)?;
     let active = estimator.active(&scene, &names)?;
     warn_of_crossings(&scene, estimator, &names);

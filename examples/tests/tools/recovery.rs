@@ -200,7 +200,13 @@ fn a_recovery_looks_through_several_sensors() {
     dir.ok("render", "truth.xml -o back.exr --spp 256 --sensor back");
     let job = "start.xml --param near.reflectance.value --param far.reflectance.value --spp 4 --iterations 120";
     let views = "--target front=front.exr --target back=back.exr";
-    dir.ok("recover", &format!("{job} {views} --out both"));
+    let both = dir.run("recover", &format!("{job} {views} --out both"));
+    let said = String::from_utf8_lossy(&both.stderr);
+    // Neither is left out.
+    assert!(
+        both.status.success() && !said.contains("the first of"),
+        "{said}"
+    );
     let report = dir.json("both/result.json");
     for (wall, truth) in [("near", [0.2, 0.4, 0.6]), ("far", [0.7, 0.3, 0.1])] {
         for (c, truth) in truth.into_iter().enumerate() {

@@ -1,15 +1,70 @@
 //! Arrays of numpy: those of images and of parameters.
 
+use std::ops::Deref;
+
 use numpy::{
-    AllowTypeChange, Element, IntoPyArray, PyArray3, PyArrayDyn, PyArrayLikeDyn, PyArrayMethods,
-    PyUntypedArrayMethods,
+    AllowTypeChange, Element, IntoPyArray, PyArray3, PyArrayDescrMethods, PyArrayDyn,
+    PyArrayLikeDyn, PyArrayMethods, PyUntypedArray, PyUntypedArrayMethods,
 };
-use pyo3::exceptions::PyValueError;
+use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use render::params::{ParamInfo, ParamShape};
 
-/// Anything that numpy makes an array of.
-pub type Like<'py> = PyArrayLikeDyn<'py, f32, AllowTypeChange>;
+type Floats<'py> = PyArrayLikeDyn<'py, f32, AllowTypeChange>;
+
+/// Real numbers that numpy makes an array of. It would also make one of `None`, which is NaN there, and of the real parts of
+/// complex numbers.
+pub struct Like<'py>(Floats<'py>);
+
+impl<'py> Deref for Like<'py> {
+    type Target = Floats<'py>;
+    fn deref(&self) -> &Floats<'py> {
+        &self.0
+    }
+}
+
+impl<'py> FromPyObject<'_, 'py> for Like<'py> {
+    type Error = PyErr;
+
+    fn extract(value: Borrowed<'_, 'py, PyAny>) -> PyResult<Self> {
+        if value.cast::<PyArrayDyn<f32>>().is_ok() {
+            return value.extract().map(Self);
+        }
+        let given = value
+            .py()
+            .import("numpy")?
+            .call_method1("asarray", (value,))?;
+        let found = match given.cast::<PyUntypedArray>()?.dtype().kind() {
+            _ if value.is_none() => "None",
+            b'c' => "complex numbers",
+            b'O' => "objects",
+            b'S' | b'U' => "text",
+            b'M' | b'm' => "times",
+            _ => return given.extract().map(Self),
+        };
+        Err(PyTypeError::new_err(format!(
+            "expected real numbers, found {found}"
+        )))
+    }
+}
+
+/// The numbers in a value, in whose errors it has a name.
+///
+/// # Errors
+/// What is no number, or no array.
+pub fn like<'py>(what: &str, value: &Bound<'py, PyAny>) -> PyResult<Like<'py>> {
+    let py = value.py();
+    value.extract().map_err(|e: PyErr| {
+        let message = format!("{what}: {}", e.value(py));
+        if e.is_instance_of::<PyTypeError>(py) {
+            PyTypeError::new_err(message)
+        } else if e.is_instance_of::<PyValueError>(py) {
+            PyValueError::new_err(message)
+        } else {
+            e
+        }
+    })
+}
 
 /// The shape of a range as an array: `()`, `(3,)`, `(points, 3)` or `(height, width, channels)`.
 pub fn shape(info: &ParamInfo) -> Vec<usize> {

@@ -8,7 +8,7 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use render::params::ParamInfo;
 
-use crate::arrays::{Like, range};
+use crate::arrays::{like, range};
 use crate::error::Error;
 use crate::scene::{Scene, all_named, several};
 
@@ -58,8 +58,19 @@ impl Optimizer {
     }
 
     /// Moves the parameters by one step that reduces the objective, and tells the scene. `gradient` has an array for
-    /// every key, as `Scene.backward` gives it. Nothing has moved where this raises.
-    fn step(&self, gradient: HashMap<String, Like<'_>>) -> PyResult<()> {
+    /// every key, as `Scene.backward` gives it, and no other. Nothing has moved where this raises.
+    fn step(&self, gradient: HashMap<String, Bound<'_, PyAny>>) -> PyResult<()> {
+        let own = self.keys();
+        let mut strangers: Vec<&str> = gradient.keys().map(String::as_str).collect();
+        strangers.retain(|key| !own.contains(key));
+        strangers.sort_unstable();
+        if !strangers.is_empty() {
+            return Err(PyValueError::new_err(format!(
+                "gradient: expected arrays for {}, found some for {}, too",
+                own.join(", "),
+                strangers.join(", ")
+            )));
+        }
         let mut flat = Vec::new();
         for info in &self.infos {
             let own = gradient.get(&info.name).ok_or_else(|| {
@@ -68,7 +79,8 @@ impl Optimizer {
                     "gradient: expected an array for `{name}`, found none"
                 ))
             })?;
-            flat.extend(range(info, own)?);
+            let own = like(&format!("gradient of `{}`", info.name), own)?;
+            flat.extend(range(info, &own)?);
         }
         let mut scene = self.scene.get().write()?;
         let mut values = scene.params().values().to_vec();

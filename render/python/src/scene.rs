@@ -15,12 +15,12 @@ use render::check::{Options, check, most_passes};
 use render::instances::{Direction, Estimator, Mode, render_f32, render_f64};
 use render::integrator::coverage::coverage;
 use render::integrator::render::{NonFinite, Progress};
-use render::params::{ParamInfo, Theta};
+use render::params::{ParamInfo, Params, Theta};
 use render::sampler::Points;
 use render::scene::{LightChoice, LoadOptions};
 use render::{Job, Settings};
 
-use crate::arrays::{self, Like, array, image, pixels, range, shape};
+use crate::arrays::{self, Like, array, image, like, pixels, range, shape};
 use crate::check::Check;
 use crate::error::Error;
 use crate::estimators::or_auto;
@@ -29,7 +29,8 @@ use crate::work::work;
 /// A scene: what is in it, how it is rendered, and all its parameters by name.
 ///
 /// `scene[key]` is a copy of a parameter as an array, and `scene[key] = value` replaces it, by an array of the same shape
-/// or by one number for all of it. Keys are those of Mitsuba; matrices of shapes and of the sensor (`scene["ball.to_world"]`) are
+/// or by one number for all of it; `*` and `?` in that key stand for any text and any character, and all that fits is
+/// replaced. Keys are those of Mitsuba; matrices of shapes and of the sensor (`scene["ball.to_world"]`) are
 /// arrays of 4 x 4, and may turn, move and scale evenly what was loaded.
 #[pyclass(frozen, mapping, module = "render_gradients")]
 pub struct Scene {
@@ -110,6 +111,7 @@ fn options(
         defines,
         allow_missing,
         sensor: sensor.map(|s| sensor_name(&s)).transpose()?,
+        several_sensors: false,
     })
 }
 
@@ -373,6 +375,31 @@ pub fn all_named(scene: &render::Scene, keys: &[String]) -> PyResult<Vec<String>
     Ok(names)
 }
 
+/// How many names an error has at most.
+const MOST_NAMES: usize = 8;
+
+/// The parameter of this name.
+///
+/// # Errors
+/// An unknown name; a pattern, with what fits it.
+fn one<'a>(scene: &'a render::Scene, key: &str) -> PyResult<&'a ParamInfo> {
+    let params = scene.params();
+    if !Params::is_pattern(key) {
+        return Ok(params.find(key).map_err(Error::from)?);
+    }
+    let fitting = params.matching(key).map_err(Error::from)?;
+    let names: Vec<&str> = fitting.iter().map(|info| info.name.as_str()).collect();
+    let (some, more) = names.split_at(names.len().min(MOST_NAMES));
+    let more = match more.len() {
+        0 => String::new(),
+        n => format!(" and {n} more"),
+    };
+    Err(PyKeyError::new_err(format!(
+        "expected the name of one parameter, found the pattern `{key}` of {}{more}",
+        some.join(", ")
+    )))
+}
+
 /// Its settings with so many samples per pixel.
 fn settings(scene: &render::Scene, spp: Option<u32>) -> Settings {
     Settings {
@@ -456,7 +483,7 @@ impl Scene {
             let matrix = scene.to_world(key).map_err(Error::from)?.to_f32();
             return array(py, matrix.as_flattened().to_vec(), &[4, 4]);
         }
-        let info = scene.params().find(key).map_err(Error::from)?;
+        let info = one(&scene, key)?;
         array(
             py,
             scene.params().values()[info.range()].to_vec(),
@@ -464,7 +491,7 @@ impl Scene {
         )
     }
 
-    fn __setitem__(&self, key: &str, value: Like<'_>) -> PyResult<()> {
+    fn __setitem__(&self, key: &str, value: Bound<'_, PyAny>) -> PyResult<()> {
         self.update(HashMap::from([(key.to_owned(), value)]))
     }
 
@@ -474,21 +501,25 @@ impl Scene {
         )))
     }
 
-    /// Replaces several parameters at once. Nothing has changed where this raises.
-    fn update(&self, values: HashMap<String, Like<'_>>) -> PyResult<()> {
+    /// Replaces several parameters at once, which may be named by patterns. Nothing has changed where this raises.
+    fn update(&self, values: HashMap<String, Bound<'_, PyAny>>) -> PyResult<()> {
         let mut scene = self.write()?;
-        let mut all = Vec::new();
-        for (key, array) in values {
-            let value = if is_matrix(&key) {
-                arrays::values(&format!("parameter `{key}`"), &array, &[4, 4])?
-            } else {
-                let info = scene.params().find(&key).map_err(Error::from)?;
-                range(info, &array)?
-            };
-            all.push((key, value));
+        let mut values: Vec<_> = values.into_iter().collect();
+        // Matrices first, then patterns: who says it more exactly has the last word.
+        let order = |key: &str| (!is_matrix(key), !Params::is_pattern(key));
+        values.sort_by(|(a, _), (b, _)| (order(a), a).cmp(&(order(b), b)));
+        let mut all: Vec<(String, Vec<f32>)> = Vec::new();
+        for (key, value) in values {
+            let what = format!("parameter `{key}`");
+            let value = like(&what, &value)?;
+            if is_matrix(&key) {
+                all.push((key, arrays::values(&what, &value, &[4, 4])?));
+                continue;
+            }
+            for info in scene.params().matching(&key).map_err(Error::from)? {
+                all.push((info.name.clone(), range(info, &value)?));
+            }
         }
-        // Matrices first: what else moves the same thing has the last word.
-        all.sort_by(|a, b| (!is_matrix(&a.0), &a.0).cmp(&(!is_matrix(&b.0), &b.0)));
         let ranges = all.iter().map(|(key, value)| (key, &value[..]));
         Ok(scene.set(ranges).map_err(Error::from)?)
     }
@@ -497,7 +528,7 @@ impl Scene {
     /// its derivative.
     fn info<'py>(&self, py: Python<'py>, key: &str) -> PyResult<Bound<'py, PyDict>> {
         let scene = self.read()?;
-        let info = scene.params().find(key).map_err(Error::from)?;
+        let info = one(&scene, key)?;
         let out = PyDict::new(py);
         out.set_item(
             "shape",
@@ -881,8 +912,8 @@ fn directions(
     let mut out = Vec::new();
     for item in mapping.items()? {
         let (name, values): (String, Bound<'_, PyAny>) = item.extract()?;
-        let info = scene.params().find(&name).map_err(Error::from)?;
-        let values = range(info, &values.extract()?)?;
+        let info = one(scene, &name)?;
+        let values = range(info, &like(&format!("direction of `{name}`"), &values)?)?;
         if let Some(bad) = values.iter().find(|v| !v.is_finite()) {
             return Err(PyValueError::new_err(format!(
                 "direction of `{name}`: expected finite numbers, found {bad}"

@@ -56,7 +56,7 @@ def test_every_estimator_is_named_with_what_it_refuses(room: rg.Scene) -> None:
     with pytest.raises(ValueError, match="discontinuities"):
         room.forward(WALL, "attached")
     assert room.backward(adjoint, WALL, "auto")[WALL].shape == (3,)
-    with pytest.raises(ValueError, match="unknown estimator `miss`; known: auto, emitter"):
+    with pytest.raises(ValueError, match="unknown estimator `miss`; closest: mis; known: auto, emitter"):
         room.backward(adjoint, WALL, "miss")
     glass = rg.load_string(
         """<scene version="3.0.0"><sensor type="perspective"><float name="fov" value="40"/>
@@ -78,6 +78,14 @@ def test_adjoints_are_looked_at(room: rg.Scene) -> None:
     adjoint[2, 5, 1] = np.inf
     with pytest.raises(ValueError, match="found inf in row 2, column 5, channel 1"):
         room.backward(adjoint, WALL)
+    with pytest.raises(TypeError, match="expected real numbers, found complex numbers"):
+        room.backward(1j * np.ones((12, 16, 3)), WALL)
+    with pytest.raises(TypeError, match="expected real numbers, found None"):
+        rg.loss(None, None)
+    with pytest.raises(TypeError, match="direction of `left.reflectance.value`: expected real numbers, found text"):
+        room.forward({WALL: "red"})
+    with pytest.raises(KeyError, match="the pattern `l\\*` of left.reflectance.value, light"):
+        room.forward({"l*": 1.0})
     with pytest.raises(ValueError, match="keys: expected at least one"):
         room.backward(np.ones((12, 16, 3)), [])
     with pytest.raises(KeyError, match="closest"):
@@ -129,6 +137,10 @@ def test_optimizers_leave_things_alone_where_they_fail(room: rg.Scene) -> None:
         optimizer.step({})
     with pytest.raises(ValueError, match="expected a finite value, found NaN"):
         optimizer.step({WALL: np.full(3, np.nan)})
+    with pytest.raises(ValueError, match="expected arrays for left.reflectance.value, found some for sphere.alpha.value, typo, too"):
+        optimizer.step({WALL: np.ones(3), "typo": np.ones(3), BALL: 1.0})
+    with pytest.raises(TypeError, match="gradient of `left.reflectance.value`: expected real numbers, found None"):
+        optimizer.step({WALL: None})
     assert optimizer.steps == 0
     np.testing.assert_array_equal(room[WALL], before)
     # Far beyond the bounds, and back at them.

@@ -60,12 +60,34 @@ def test_mistakes_about_parameters_are_named(room: rg.Scene) -> None:
         room[WALL] = [0.0, 2.0, 0.0]
     with pytest.raises(ValueError, match="found NaN"):
         room.update({BALL: 0.3, WALL: np.nan})
-    with pytest.raises((TypeError, ValueError)):
-        room[WALL] = "red"
+    for wrong, found in ((None, "None"), ("red", "text"), (np.ones(3) + 1j, "complex numbers"), ([0.1, None, 0.2], "objects")):
+        with pytest.raises(TypeError, match=f"parameter `left.reflectance.value`: expected real numbers, found {found}"):
+            room[WALL] = wrong
+    with pytest.raises(ValueError, match="parameter `left.reflectance.value`: setting an array element"):
+        room[WALL] = [[0.1], [0.2, 0.3]]
     with pytest.raises(KeyError, match="cannot be removed"):
         del room[WALL]
     np.testing.assert_array_equal(room[WALL], before)
     assert float(room[BALL]) == pytest.approx(0.2)
+
+
+def test_patterns_set_all_that_fits(room: rg.Scene) -> None:
+    walls = [key for key in room if key.endswith(".reflectance.value")]
+    assert len(walls) > 2
+    room["*.reflectance.value"] = 0.25
+    assert all((room[key] == 0.25).all() for key in walls)
+    # The ending may be left out, and names have the last word over patterns.
+    room.update({WALL: 0.5, "*.reflectance": [0.1, 0.2, 0.3], "*.alpha": 0.3, LAMP: 7})
+    assert (room[WALL] == 0.5).all() and float(room[BALL]) == np.float32(0.3)
+    for key in set(walls) - {WALL}:
+        np.testing.assert_array_equal(room[key], np.float32([0.1, 0.2, 0.3]))
+    with pytest.raises(KeyError, match="no parameter `\\*.roughness`; closest"):
+        room["*.roughness"] = 0.2
+    with pytest.raises(ValueError, match=r"parameter `left.reflectance.value`\[0\]: expected a value in \[0, 1\], found 5"):
+        room["l*"] = 5.0
+    with pytest.raises(KeyError, match="expected the name of one parameter, found the pattern `l\\*` of left.reflectance.value, "):
+        room["l*"]
+    assert (room[WALL] == 0.5).all()
 
 
 def test_images_are_functions_of_the_seed(room: rg.Scene) -> None:
@@ -109,7 +131,7 @@ def test_settings_are_attributes(room: rg.Scene) -> None:
         room.max_depth = 0
     with pytest.raises(TypeError):
         room.render(spp="many")
-    with pytest.raises(ValueError, match="unknown estimator `miss`; known: emitter, "):
+    with pytest.raises(ValueError, match="unknown estimator `miss`; closest: mis; known: emitter, "):
         room.render(estimator="miss")
 
 

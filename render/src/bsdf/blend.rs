@@ -227,6 +227,10 @@ impl Bsdf for Blend {
         self.parts.iter().all(|m| m.is_delta())
     }
 
+    fn is_opaque(&self) -> bool {
+        self.parts.iter().all(|m| m.is_opaque())
+    }
+
     fn sample_differential<P: Float>(
         &self,
         at: &Shading<P>,

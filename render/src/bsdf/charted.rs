@@ -156,6 +156,10 @@ impl Bsdf for Charted {
         self.nested.is_delta()
     }
 
+    fn is_opaque(&self) -> bool {
+        self.nested.is_opaque()
+    }
+
     fn sample_differential<P: Float>(
         &self,
         at: &Shading<P>,

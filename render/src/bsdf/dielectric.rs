@@ -37,6 +37,10 @@ impl Leaf for Dielectric {
     type Lobe<R: Real> = DielectricLobe<R>;
     const DELTA: bool = true;
 
+    fn transmits(&self) -> bool {
+        true
+    }
+
     #[inline]
     fn lobe<R: Real>(&self, read: &mut impl Reader<R>) -> DielectricLobe<R> {
         DielectricLobe {

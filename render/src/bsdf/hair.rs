@@ -450,6 +450,10 @@ impl Leaf for Hair {
     type Lobe<R: Real> = HairLobe<R>;
     const MANY: bool = true;
 
+    fn transmits(&self) -> bool {
+        true
+    }
+
     fn lobe<R: Real>(&self, read: &mut impl Reader<R>) -> HairLobe<R> {
         let sigma_a = match &self.absorption {
             Absorption::Pigments(pigments) => {

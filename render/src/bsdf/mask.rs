@@ -210,6 +210,10 @@ impl Bsdf for Mask {
         self.nested.is_delta()
     }
 
+    fn is_opaque(&self) -> bool {
+        false
+    }
+
     /// The hole has no roughness, so the material is always chosen.
     fn sample_differential<P: Float>(
         &self,

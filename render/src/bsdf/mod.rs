@@ -595,6 +595,10 @@ pub trait Leaf: Send + Sync {
     fn lobe<R: Real>(&self, read: &mut impl Reader<R>) -> Self::Lobe<R>;
     /// Whether it scatters along deltas only, so that connecting it to a light is pointless.
     const DELTA: bool = false;
+    /// Whether light may pass to the other side, so that it has no place in [`TwoSided`].
+    fn transmits(&self) -> bool {
+        false
+    }
     /// Whether its lobe has [`Lobe::sample_differential`].
     const DIFFERENTIAL: bool = false;
     /// Whether it may have more than [`MAX_SLOTS`] textures, up to [`MOST_SLOTS`]: one that is [`Reader::mixed`] counts
@@ -749,6 +753,9 @@ pub trait Bsdf: Send + Sync {
 
     /// Whether it scatters along deltas only.
     fn is_delta(&self) -> bool;
+
+    /// Whether all light stays on the side that it came from.
+    fn is_opaque(&self) -> bool;
 
     /// [`Lobe::sample_differential`] at a point. Materials made of others choose among those that
     /// have it.
@@ -972,6 +979,10 @@ impl<L: Leaf> Bsdf for L {
     #[inline]
     fn is_delta(&self) -> bool {
         L::DELTA
+    }
+
+    fn is_opaque(&self) -> bool {
+        !self.transmits()
     }
 
     #[inline]
@@ -1374,6 +1385,9 @@ macro_rules! materials {
             #[inline(always)]
             fn is_delta(&self) -> bool {
                 $crate::dispatch::dispatch!(self, [$($hot),*] [$($name),*], m => m.is_delta())
+            }
+            fn is_opaque(&self) -> bool {
+                match self { $(Self::$hot(m) => m.is_opaque(),)* $(Self::$name(m) => m.is_opaque(),)* }
             }
             #[inline(always)]
             fn sample_differential<P: Float>(

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use ad_core::{Float, Real, Vec3};
 
-use super::{Bsdf, Material, Roughness, Shading, TextureRef};
+use super::{Bsdf, Leaf, Material, Roughness, Shading, TextureRef};
 use crate::error::SceneError;
 use crate::params::{ParamRef, Params};
 use crate::plugin::Node;
@@ -195,10 +195,11 @@ pub fn lets_light_through(material: &Material) -> bool {
 }
 
 /// The share of a material that is there, seen along `wo` in the local frame: less than one where light passes straight
-/// through holes.
+/// through holes or panes.
 pub fn opacity<P: Float>(material: &Material, at: &Shading<P>, wo: Vec3<P>) -> P {
     match material {
         Material::Null(_) => P::zero(),
+        Material::ThinDielectric(m) => m.lobe(&mut { *at }).opacity(wo),
         Material::Mask(m) => m.opacity(at) * opacity(m.nested(), at, wo),
         Material::Blend(m) => {
             let shares = m.shares(at);

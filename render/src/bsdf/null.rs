@@ -20,6 +20,10 @@ impl Leaf for Null {
     type Lobe<R: Real> = NullLobe;
     const DELTA: bool = true;
 
+    fn transmits(&self) -> bool {
+        true
+    }
+
     #[inline]
     fn lobe<R: Real>(&self, _: &mut impl Reader<R>) -> NullLobe {
         NullLobe

@@ -4,7 +4,7 @@ use std::f64::consts::FRAC_1_PI;
 
 use ad_core::{Const, Real, Vec3};
 
-use super::dielectric::{relative_index, wrong_index};
+use super::dielectric::relative_index;
 use super::{
     BsdfSample, Component, DeltaKind, Leaf, Lobe, Reader, TransportMode, constant, fresnel,
 };
@@ -34,9 +34,6 @@ impl Coated {
     /// Anything out of range.
     pub fn from_node(node: &Node, registry: &mut Registry) -> Result<Self, SceneError> {
         let eta = relative_index(node, "polypropylene")?;
-        if eta < 1.0 {
-            return Err(wrong_index(node, "a coat denser than what is above it"));
-        }
         Ok(Self {
             diffuse_reflectance: registry.rgb_texture(
                 node,
@@ -128,6 +125,9 @@ pub struct Plastic {
 
 /// Mirror reflection by the coat, and what comes back from below it: the model of Mitsuba's
 /// `plastic`.
+///
+/// Nothing is lost by a white base with [`Coated::nonlinear`]: of diffuse light from above the coat lets through the fraction
+/// `eta^2 (1 - inside)`, whichever side is denser. Where that above is, light that grazes the coat does not get in.
 #[derive(Clone, Copy, Debug)]
 pub struct PlasticLobe<R: Real> {
     /// Colours and index.

@@ -199,6 +199,10 @@ impl Leaf for Principled {
     type Lobe<R: Real> = PrincipledLobe<R>;
     const MANY: bool = true;
 
+    fn transmits(&self) -> bool {
+        self.transmission.is_some()
+    }
+
     #[inline]
     fn lobe<R: Real>(&self, read: &mut impl Reader<R>) -> PrincipledLobe<R> {
         self.read(read, |_, squared| even(squared))
@@ -208,6 +212,10 @@ impl Leaf for Principled {
 impl Leaf for AnisotropicPrincipled {
     type Lobe<R: Real> = PrincipledLobe<R, Axes<R>>;
     const MANY: bool = true;
+
+    fn transmits(&self) -> bool {
+        self.transmission.is_some()
+    }
 
     #[inline]
     fn lobe<R: Real>(&self, read: &mut impl Reader<R>) -> PrincipledLobe<R, Axes<R>> {
@@ -751,7 +759,7 @@ pub(super) const ANISOTROPIC: &str = "anisotropic";
 const TRANSMISSION: &str = "spec_trans";
 
 /// Whether a node is such a material that transmits. Zero is the opaque one, which is seen from one side.
-pub(super) fn transmits(node: &Node) -> bool {
+fn transmits(node: &Node) -> bool {
     asks_for(node, Principled::<()>::PLUGINS, TRANSMISSION)
 }
 

@@ -140,6 +140,10 @@ impl Leaf for PrincipledThin {
     type Lobe<R: Real> = PrincipledThinLobe<R>;
     const MANY: bool = true;
 
+    fn transmits(&self) -> bool {
+        true
+    }
+
     #[inline]
     fn lobe<R: Real>(&self, read: &mut impl Reader<R>) -> PrincipledThinLobe<R> {
         self.read(read, even)
@@ -149,6 +153,10 @@ impl Leaf for PrincipledThin {
 impl Leaf for AnisotropicThin {
     type Lobe<R: Real> = PrincipledThinLobe<R, Axes<R>>;
     const MANY: bool = true;
+
+    fn transmits(&self) -> bool {
+        true
+    }
 
     #[inline]
     fn lobe<R: Real>(&self, read: &mut impl Reader<R>) -> PrincipledThinLobe<R, Axes<R>> {

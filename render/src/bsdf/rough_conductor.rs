@@ -49,7 +49,7 @@ impl Roughness {
     ///
     /// # Errors
     /// Another roughness across than along, which is left out here. A roughness outside [`ALPHA_RANGE`]: it is not
-    /// clamped, since that would silently stop its derivative.
+    /// clamped, since that would silently stop its derivative; but zero, of a file, is the least there is, with a warning.
     pub fn from_node(node: &Node, registry: &mut Registry) -> Result<Self, SceneError> {
         if is_anisotropic(node) {
             return Err(SceneError::Refused {

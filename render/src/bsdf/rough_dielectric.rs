@@ -169,6 +169,10 @@ impl Leaf for RoughDielectric {
     type Lobe<R: Real> = RoughDielectricLobe<R>;
     const DIFFERENTIAL: bool = true;
 
+    fn transmits(&self) -> bool {
+        true
+    }
+
     #[inline]
     fn lobe<R: Real>(&self, read: &mut impl Reader<R>) -> RoughDielectricLobe<R> {
         RoughDielectricLobe {
@@ -183,6 +187,10 @@ impl Leaf for RoughDielectric {
 impl Leaf for AnisotropicDielectric {
     type Lobe<R: Real> = RoughDielectricLobe<R, Axes<R>>;
     const MANY: bool = true;
+
+    fn transmits(&self) -> bool {
+        true
+    }
 
     #[inline]
     fn lobe<R: Real>(&self, read: &mut impl Reader<R>) -> RoughDielectricLobe<R, Axes<R>> {

@@ -5,6 +5,7 @@ use std::sync::{LazyLock, Mutex, OnceLock, PoisonError};
 
 use ad_core::{Const, Float, Real, Vec3};
 
+use super::dielectric::wrong_index;
 use super::microfacet::{ALPHA_RANGE, Microfacet, Ndf};
 use super::plastic::{Coated, CoatedLobe};
 use super::rough_conductor::{
@@ -208,10 +209,16 @@ impl<R: Real> Lobe<R> for RoughPlasticLobe<R> {
 impl FromNode for RoughPlastic {
     const PLUGINS: &'static [&'static str] = &["roughplastic"];
 
-    /// As [`Roughness::from_node`] and [`Coated::from_node`].
+    /// As [`Roughness::from_node`] and [`Coated::from_node`], and with a coat denser than what is above it: where total
+    /// reflection begins, a [`Coat`] is not exact.
     fn from_node(node: &Node, registry: &mut Registry) -> Result<Self, SceneError> {
         let roughness = Roughness::from_node(node, registry)?;
-        Ok(Self::new(roughness, Coated::from_node(node, registry)?))
+        let coated = Coated::from_node(node, registry)?;
+        if coated.eta < 1.0 {
+            let expected = "a rough coat denser than what is above it (a smooth one, `plastic`, may be either)";
+            return Err(wrong_index(node, expected));
+        }
+        Ok(Self::new(roughness, coated))
     }
 }
 

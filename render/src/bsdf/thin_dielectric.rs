@@ -59,6 +59,12 @@ impl<R: Real> ThinDielectricLobe<R> {
         }
     }
 
+    /// The share of light that does not pass, on average over the channels.
+    pub(super) fn opacity(&self, wo: Vec3<R>) -> R {
+        let [_, passes] = self.shares(wo);
+        R::one() - passes * self.specular_transmittance.mean()
+    }
+
     /// The reflected share of light, and that which passes.
     #[inline(always)]
     fn shares(&self, wo: Vec3<R>) -> [R; 2] {
@@ -71,6 +77,10 @@ impl<R: Real> ThinDielectricLobe<R> {
 impl Leaf for ThinDielectric {
     type Lobe<R: Real> = ThinDielectricLobe<R>;
     const DELTA: bool = true;
+
+    fn transmits(&self) -> bool {
+        true
+    }
 
     #[inline]
     fn lobe<R: Real>(&self, read: &mut impl Reader<R>) -> ThinDielectricLobe<R> {

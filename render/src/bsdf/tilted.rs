@@ -384,6 +384,10 @@ impl<N: Tilt> Bsdf for Tilted<N> {
         self.nested.is_delta()
     }
 
+    fn is_opaque(&self) -> bool {
+        self.nested.is_opaque()
+    }
+
     fn sample_differential<P: Float>(
         &self,
         at: &Shading<P>,

@@ -7,7 +7,7 @@ use ad_core::{Float, Real, Vec3};
 use super::nesting::{check_levels, nested_nodes};
 use super::{
     Bsdf, BsdfSample, Component, DeltaKind, Material, Scattered, Shading, TextureRef,
-    TransportMode, Use, principled,
+    TransportMode, Use,
 };
 use crate::error::SceneError;
 use crate::math::{Frame, Rgb, both};
@@ -225,6 +225,10 @@ impl Bsdf for TwoSided {
         self.sides.iter().all(|m| m.is_delta())
     }
 
+    fn is_opaque(&self) -> bool {
+        self.sides.iter().all(|m| m.is_opaque())
+    }
+
     fn sample_differential<P: Float>(
         &self,
         at: &Shading<P>,
@@ -262,30 +266,6 @@ impl Bsdf for TwoSided {
     }
 }
 
-/// Plugins that let light through.
-const TRANSMITTING: &[&str] = &[
-    "dielectric",
-    "hair",
-    "mask",
-    "principledthin",
-    "roughdielectric",
-    "thindielectric",
-];
-
-fn check_opaque(node: &Node) -> Result<(), SceneError> {
-    if TRANSMITTING.contains(&node.plugin.as_str()) || principled::transmits(node) {
-        return Err(SceneError::Value {
-            location: node.location.clone(),
-            key: "twosided".into(),
-            expected: "a nested <bsdf> that only reflects".into(),
-            found: node.describe(),
-        });
-    }
-    node.children_with_tag("bsdf")
-        .into_iter()
-        .try_for_each(|child| check_opaque(child))
-}
-
 impl FromNode for TwoSided {
     const PLUGINS: &'static [&'static str] = &["twosided"];
 
@@ -293,8 +273,16 @@ impl FromNode for TwoSided {
         let nodes = nested_nodes(node, 1, 2)?;
         let mut sides = Vec::with_capacity(2);
         for (node, label) in nodes.into_iter().zip(["brdf_0", "brdf_1"]) {
-            check_opaque(node)?;
-            sides.push(registry.material_from_node(node, label)?);
+            let side = registry.material_from_node(node, label)?;
+            if !side.is_opaque() {
+                return Err(SceneError::Value {
+                    location: node.location.clone(),
+                    key: "twosided".into(),
+                    expected: "a nested <bsdf> that only reflects".into(),
+                    found: node.describe(),
+                });
+            }
+            sides.push(side);
         }
         let front = sides[0].clone();
         let back = sides.get(1).unwrap_or(&front).clone();

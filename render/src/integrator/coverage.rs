@@ -18,7 +18,8 @@ const MOST_PASSED: u32 = 256;
 
 /// The covered part of every pixel of the crop window, row by row: the mean over the image's own samples of what the
 /// camera's rays meet, one for a surface, zero for nothing, and in between for what has holes. Everything is covered
-/// where the sky is seen, unless [`crate::Settings::hide_emitters`] is set. Glass covers, and lamps do, if they are not
+/// where the sky is seen, unless [`crate::Settings::hide_emitters`] is set: then alpha and image agree on what is there. Smooth
+/// panes cover by what does not pass them, on average over the channels; other glass covers, and lamps do, if they are not
 /// hidden or if there is something to look through in front of them.
 ///
 /// It depends on the arguments only, not on the number of threads. `None` if it was cancelled.

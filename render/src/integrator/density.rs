@@ -36,6 +36,7 @@ use super::progress::Progress;
 use super::record::{Interest, Observer, Place};
 use super::rendering::{Components, NonFinite, Rendering};
 use super::tile::tiles;
+use super::vertex::interest::is_straight;
 use super::vertex::roulette::{play, probability};
 use crate::bsdf::kernel::{Symmetry, eval_kernel};
 use crate::bsdf::{Bsdf, Component, DeltaKind, Shading, TransportMode};
@@ -457,6 +458,7 @@ impl<P: Float> Map<P> {
         let mut beta = Rgb::splat(P::of(filter.weight(offset)));
         // Index of the medium around the ray over that around the camera.
         let mut eta = P::one();
+        let mut bent = false;
         for depth in 1..=settings.max_depth {
             if depth % 64 == 0 && context.progress.cancelled() {
                 break;
@@ -468,6 +470,7 @@ impl<P: Float> Map<P> {
             let si = hit.as_ref().map(|h| &h.si);
             let emitters = match &hit {
                 _ if settings.hides(depth) => Vec::new(),
+                None if settings.hides_sky(bent) => Vec::new(),
                 Some(h) => scene.shape_info(h.shape).emitter.into_iter().collect(),
                 None => scene.infinite_emitters().to_vec(),
             };
@@ -517,6 +520,7 @@ impl<P: Float> Map<P> {
             let Some(sample) = material.sample(&at, wo, sampler.next_3d(), mode) else {
                 break;
             };
+            bent |= !is_straight(sample.component, [P::one(), sample.eta]);
             let f = material.eval_component(&at, wo, sample.wi, sample.component, mode);
             beta = beta * f * sample.pdf.recip();
             if matches!(

@@ -200,6 +200,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
     pub(super) fn behind(ray: Ray<Geometry<S, R>>, sampler: X, depth: u32, lit: bool) -> Self {
         let interest = PathInterest {
             caustic: !lit,
+            bent: depth > 1,
             ..PathInterest::default()
         };
         Self {
@@ -272,8 +273,11 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
             Some(hit) => scene.shape_info(hit.shape).emitter.as_slice(),
             None => scene.infinite_emitters(),
         };
-        let shown = !emitters.is_empty() && !context.settings.hides(self.depth);
-        if shown && self.interest.lit(observer) {
+        let hidden = match &hit {
+            Some(_) => context.settings.hides(self.depth),
+            None => context.settings.hides_sky(self.interest.bent),
+        };
+        if !emitters.is_empty() && !hidden && self.interest.lit(observer) {
             let end = hit.map(|hit| (hit.prim, hit.si));
             self.find_lights(context, emitters, ray.d, end, observer);
         }
@@ -511,6 +515,7 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
                 eta: self.eta * sample.eta,
                 interest: PathInterest {
                     active: false,
+                    bent: true,
                     ..interest
                 },
                 ..Walk::new(Ray::lift(ray), *sampler)
@@ -574,7 +579,9 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
         } else {
             pdf.recip()
         };
+        let before = self.eta;
         self.eta *= sample.eta;
+        self.interest.bend(sample.component, [before, self.eta]);
         let beta = self.beta;
         let mut next_beta = beta * f * weight;
         assert_finite(next_beta, self.l);

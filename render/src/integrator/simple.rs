@@ -25,6 +25,7 @@
 use ad_core::{Float, Real, Vec2, Vec3};
 
 use super::vertex::MODE;
+use super::vertex::interest::is_straight;
 use super::vertex::light::mis_weight;
 use crate::bsdf::{Bsdf, Component, Part, Shading, Use};
 use crate::emitter::{Emission, Emitter};
@@ -81,6 +82,7 @@ pub fn trace<P: Float>(
     let mut path = Vec::new();
     // The point that the edge left, and the density of its direction: zero for the camera and for mirrors.
     let (mut from, mut pdf) = (ray.o, P::zero());
+    let mut bent = false;
     for depth in 1..=max_depth {
         // ---- Light that the edge meets ----
         let hit = (scene.seen(&ray, scene.settings.hides(depth)))
@@ -88,6 +90,7 @@ pub fn trace<P: Float>(
         let si = hit.as_ref().map(|hit| &hit.si);
         let emitters = match &hit {
             _ if scene.settings.hides(depth) => &[],
+            None if scene.settings.hides_sky(bent) => &[],
             Some(hit) => scene.shape_info(hit.shape).emitter.as_slice(),
             None => scene.infinite_emitters(),
         };
@@ -160,6 +163,7 @@ pub fn trace<P: Float>(
         let Some(sample) = bsdf.sample(&at, wo, sampler.next_3d(), MODE) else {
             break;
         };
+        bent |= !is_straight(sample.component, [P::one(), sample.eta]);
         here.uses.push((sample.wi, sample.component, None));
         here.weight = sample.pdf.recip();
         from = si.p;

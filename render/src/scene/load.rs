@@ -34,6 +34,8 @@ pub struct LoadOptions {
     pub allow_missing: bool,
     /// The sensor to look through, by its id or its number, instead of the first.
     pub sensor: Option<String>,
+    /// Whether others will be looked through as well: without it, a warning says that it is only the first.
+    pub several_sensors: bool,
 }
 
 /// Sums of so many pixels take three gigabytes.
@@ -277,6 +279,8 @@ impl Reading {
                 has_attributes: attributes_of(node).is_ok_and(|names| !names.is_empty()),
             });
             self.places.shapes.resize(drawn.len(), place);
+            let instance = (node.plugin == "instance").then(|| address(node));
+            self.places.instances.resize(drawn.len(), instance);
         }
         for group in groups {
             self.apart(group.children_with_tag("shape"))?;
@@ -321,7 +325,8 @@ impl Reading {
         let Some(chosen) = chosen else {
             return Ok(None);
         };
-        if options.sensor.is_none() && sensors.len() > 1 {
+        let is_only_first = options.sensor.is_none() && !options.several_sensors;
+        if is_only_first && sensors.len() > 1 {
             let count = sensors.len();
             nodes[0].warn(format!("the first of {count} sensors is looked through"));
         }
@@ -401,20 +406,12 @@ impl Reading {
                 let read = self.emitter(e, &format!("{name}.emitter"), Some(next));
                 let read = read.and_then(|read| {
                     if whole && read.0.is_beam() && !DirectionalArea::admits(&geometry) {
-                        return Err(SceneError::Refused {
-                            location: e.location.clone(),
-                            tag: e.tag.clone(),
-                            plugin: e.plugin.clone(),
-                            what: "parallel light from other surfaces than rectangles and disks is",
-                        });
+                        return Err(e.refused(
+                            "parallel light from other surfaces than rectangles and disks is",
+                        ));
                     }
                     if whole && matches!(geometry, AnyShape::Curves(_)) {
-                        return Err(SceneError::Refused {
-                            location: e.location.clone(),
-                            tag: e.tag.clone(),
-                            plugin: e.plugin.clone(),
-                            what: "curves that emit are",
-                        });
+                        return Err(e.refused("curves that emit are"));
                     }
                     Ok(read)
                 });
@@ -476,18 +473,13 @@ impl Reading {
         let parts = self.apart(group.children_with_tag("shape"))?;
         for (i, part) in parts.into_iter().enumerate() {
             if matches!(part.plugin.as_str(), "instance" | "shapegroup") {
-                return Err(part.invalid("type", "a shape that is none of others, in a group"));
+                return Err(part.refused("groups of groups and of instances are"));
             }
             if Curves::PLUGINS.contains(&part.plugin.as_str()) {
-                return Err(SceneError::Refused {
-                    location: part.location.clone(),
-                    tag: part.tag.clone(),
-                    plugin: part.plugin.clone(),
-                    what: "curves in groups are",
-                });
+                return Err(part.refused("curves in groups are"));
             }
-            if part.child_with_tag("emitter")?.is_some() {
-                return Err(part.invalid("emitter", "none: instances do not emit"));
+            if let Some(emitter) = part.child_with_tag("emitter")? {
+                return Err(emitter.refused("shapes of a group that emit, in its instances, are"));
             }
             let id = part.id.clone().unwrap_or_else(|| format!("shape{i}"));
             self.part(node, part, format!("{name}.{id}"), &to_world, index)?;

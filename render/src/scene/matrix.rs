@@ -6,7 +6,7 @@ use super::movable::{Freedom, Movable, What};
 use crate::error::RenderError;
 use crate::math::{Transform, each};
 use crate::motion::rotation_vector;
-use crate::params::ParamKind;
+use crate::params::{ParamKind, Params};
 use crate::shape::{Shape, to_world};
 
 /// What their names end in.
@@ -33,7 +33,7 @@ impl Whose {
 impl Scene {
     /// Whether a name is that of a matrix ([`Scene::to_world`]).
     pub fn is_matrix(name: &str) -> bool {
-        name.ends_with(ENDING) && !name.contains(['*', '?'])
+        name.ends_with(ENDING) && !Params::is_pattern(name)
     }
 
     /// The matrix of a shape or of the sensor, `ball.to_world` or `sensor.to_world` as Mitsuba has it, as things are now: from

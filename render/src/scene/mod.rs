@@ -82,7 +82,8 @@ pub struct Settings {
     /// How manifold connections are made, if they are; then they find caustics, and not particles.
     pub connections: Option<Connections>,
     /// Whether the camera sees no lights without a reflection in between: it looks through lamps, which light the scene all
-    /// the same, at what lies behind them, and the sky is not there ([`crate::integrator::coverage`]).
+    /// the same, at what lies behind them, and the sky is not there, neither by itself nor behind holes, `null` and smooth panes
+    /// ([`crate::integrator::coverage`]).
     pub hide_emitters: bool,
     /// How glints are found, if not by paths.
     pub glints: Option<Glints>,
@@ -142,6 +143,12 @@ impl Settings {
     #[inline(always)]
     pub(crate) fn hides(&self, depth: u32) -> bool {
         self.hide_emitters && depth == 1
+    }
+
+    /// Whether the sky is left out at the end of a path that something has reflected or refracted (`bent`) or not.
+    #[inline(always)]
+    pub(crate) fn hides_sky(&self, bent: bool) -> bool {
+        self.hide_emitters && !bent
     }
 
     /// Who finds caustics if these are made so: particles only where there is something for them to find.

@@ -342,9 +342,9 @@ impl Scene {
                 let known = self.params.infos().iter().map(|i| &i.name);
                 // Of another axis, `sensor.fov` is that angle.
                 let close = |m: &&Movable| !self.is_x_fov(&name) || m.name == "sensor.fov";
-                let known = known.filter(|_| !self.is_x_fov(&name));
-                let known = known.chain(all.iter().filter(close).map(|m| &m.name));
-                return Err(RenderError::unknown_parameter(&name, known));
+                let known = known.filter(|_| !self.is_x_fov(&name)).collect();
+                let movable = all.iter().filter(close).map(|m| &m.name).collect();
+                return Err(RenderError::unknown_key(&name, [known, movable]));
             }
             for found in found {
                 let p = match self.params.find(&found.name) {

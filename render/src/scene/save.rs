@@ -36,6 +36,8 @@ pub(super) struct Source {
 pub(super) struct Places {
     /// Per shape; none for parts of instances.
     pub shapes: Vec<Option<Place>>,
+    /// Where the node of the instance lies, per shape; none for others than parts.
+    pub instances: Vec<Option<usize>>,
     /// Of emitters that are no surfaces, with their numbers.
     pub emitters: Vec<(u32, usize)>,
     /// Per sensor.
@@ -117,14 +119,16 @@ impl Scene {
     /// texels as OpenEXR in the folder `textures` beside it, meshes copied into `meshes` (OBJ files that Mitsuba does not read,
     /// with lines that go on, indices from the end or line ends of old, are written anew). What stands in for another
     /// plugin is written itself: `path`, `independent`, `hdrfilm`. What has moved as a whole has another `to_world` (lights at a
-    /// point another `position`), and sensors another `fov` or another lens. Meshes whose points have moved
-    /// or are displaced, which Mitsuba does not know, are written anew, as OBJ files if they were read from such ones and as PLY
-    /// files otherwise: world space, with the normals and texture coordinates that they have. What has no effect here is written as it was read. Returns all files, the scene last.
+    /// point another `position`), and so have instances whose parts have all moved alike; sensors have another `fov` or another
+    /// lens. Meshes whose points have moved or are displaced, which Mitsuba does not know, are written anew, as OBJ files if they
+    /// were read from such ones and as PLY files otherwise: world space, with the normals and texture coordinates that they have.
+    /// What has no effect here is written as it was read. Returns all files, the scene last.
     ///
     /// # Errors
     /// A scene that was not read from a file; a folder in which one of its own files would be replaced; a parameter that
     /// has changed and that no attribute, image or mesh of the file holds, such as the colours of meshes, the images in
-    /// spot lights, parts of instances that move, and points of meshes with attributes; the operating system's.
+    /// spot lights, points of instances and of meshes with attributes, and parts of an instance that move apart; the operating
+    /// system's.
     pub fn save(&self, path: &Path) -> Result<Vec<PathBuf>, SceneError> {
         let bad = |key: &str, expected: &str, found: &str| SceneError::Parameter {
             key: key.to_owned(),
@@ -227,6 +231,14 @@ impl Scene {
                 found: found.to_owned(),
             };
             let emitters = &source.places.emitters;
+            if let What::Shape(shape, _) = *what
+                && let Some(at) = source.places.instances[shape as usize]
+            {
+                let node = source.node(at).ok_or_else(|| error("another"))?;
+                let by = self.parts_by(&source.places, at).map_err(|e| error(&e))?;
+                changes.entry(address(node)).or_default().placed = Some(by);
+                continue;
+            }
             let at = match *what {
                 What::Shape(shape, _) | What::Vertices(shape) | What::Normals(shape) => {
                     let place = source.places.shapes[shape as usize];
@@ -298,6 +310,42 @@ fn mesh_format(node: &Node) -> &'static str {
         _ => "ply",
     }
 }
+
+impl Scene {
+    /// How all parts of an instance have moved, whose node lies there.
+    ///
+    /// # Errors
+    /// Two that have not moved alike.
+    fn parts_by(&self, places: &Places, at: usize) -> Result<Transform, String> {
+        let parts = (0..).zip(&places.instances);
+        let parts = parts.filter(|(_, instance)| **instance == Some(at));
+        let mut parts = parts.map(|(i, _): (u32, _)| {
+            let placement = self.geometry.placement(i);
+            (
+                i,
+                placement.map_or(Transform::IDENTITY, |p| p.transform(&self.params)),
+            )
+        });
+        let (first, by) = parts.next().unwrap_or((0, Transform::IDENTITY));
+        match parts.find(|(_, other)| !alike(&by, other)) {
+            None => Ok(by),
+            Some((other, _)) => Err(format!(
+                "one by which `{}` and `{}`, parts of one instance, move apart",
+                self.infos[first as usize].name, self.infos[other as usize].name
+            )),
+        }
+    }
+}
+
+/// Whether two motions are the same but for roundings of their parameters.
+fn alike(a: &Transform, b: &Transform) -> bool {
+    let numbers = |t: &Transform| [t.linear.as_flattened(), &t.translation].concat();
+    let close = |(a, b): (&f64, &f64)| (a - b).abs() <= ROUNDING * (1.0 + a.abs().max(b.abs()));
+    numbers(a).iter().zip(&numbers(b)).all(close)
+}
+
+/// A few roundings of single precision.
+const ROUNDING: f64 = 4.0 * f32::EPSILON as f64;
 
 /// What becomes of values and files while a scene is written.
 struct Writing<'a> {

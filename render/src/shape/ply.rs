@@ -85,7 +85,7 @@ impl PropertyAccess for Element {
 }
 
 impl Element {
-    /// Attributes that are integers are colours in sRGB, of at most `most`, as in Mitsuba.
+    /// Attributes that are integers are colours in sRGB, of at most `most`.
     fn number(&mut self, name: &str, value: f64, most: f64) -> PropertyAccessResult {
         match VERTEX.iter().find(|(known, _)| *known == name) {
             Some(&(_, i)) => {

@@ -167,7 +167,8 @@ pub(crate) fn from_node<const C: usize>(
         };
         return from_plugin(registry, texture, &usage);
     }
-    let value = constant_of::<C>(node, key)?.unwrap_or_else(|| default.to_vec());
+    let mut value = constant_of::<C>(node, key)?.unwrap_or_else(|| default.to_vec());
+    raise(node, key, &mut value, valid);
     let name = format!("{name}.value");
     let texture = registry.constant(&name, &value, valid);
     let texture = texture.map_err(|e| e.at(node.place(key)))?;
@@ -181,6 +182,24 @@ fn constant_of<const C: usize>(node: &Node, key: &str) -> Result<Option<Vec<f64>
         1 => node.grey(key)?.map(|x| vec![x]),
         _ => node.rgb(key)?.map(|c| c.to_vec()),
     })
+}
+
+/// A smallest valid number, other than zero, that stands for zero and what is between, with a warning: roughness has one, as in
+/// Mitsuba. Not that of ranges whose smallest number means something else than next to nothing.
+fn next_to_zero((lo, _): (f64, f64)) -> Option<f64> {
+    (lo > 0.0 && lo < 1e-3).then_some(lo)
+}
+
+fn raise(node: &Node, key: &str, values: &mut [f64], valid: (f64, f64)) {
+    let Some(lo) = next_to_zero(valid) else {
+        return;
+    };
+    for value in values.iter_mut().filter(|v| (0.0..lo).contains(*v)) {
+        node.warn(format!(
+            "`{key}` is {lo} instead of {value}, the least that it may be"
+        ));
+        *value = lo;
+    }
 }
 
 /// The texture that `node` describes times a colour: one of its own, whatever else refers to the description.
@@ -389,6 +408,19 @@ pub(crate) fn texels<const C: usize>(
             }
         }
     }
+    if let Some(lo) = next_to_zero(usage.valid) {
+        let lo = lo as f32;
+        let few = (pixels.data.iter_mut()).filter(|v| (0.0..lo).contains(*v));
+        let count = few.map(|v| *v = lo).count();
+        if count > 0 {
+            let what = format!("{count} numbers for {}", quoted(usage.name));
+            let warning = format!(
+                "{}: {what} are less than {lo}; they are that instead",
+                path.display()
+            );
+            registry.warnings.push(warning);
+        }
+    }
     let (lo, hi) = (usage.valid.0 as f32, usage.valid.1 as f32);
     let asset = |expected: String, found: String| SceneError::Asset {
         path: path.to_owned(),
@@ -432,7 +464,8 @@ fn checkerboard<const C: usize>(
     usage: &Use,
 ) -> Result<Texture<C>, SceneError> {
     let mut color = |key: &str, default: f64| -> Result<ParamRef, SceneError> {
-        let value = constant_of::<C>(node, key)?.unwrap_or_else(|| vec![default; C]);
+        let mut value = constant_of::<C>(node, key)?.unwrap_or_else(|| vec![default; C]);
+        raise(node, key, &mut value, usage.valid);
         let shape = match C {
             1 => ParamShape::Scalar,
             _ => ParamShape::Rgb,

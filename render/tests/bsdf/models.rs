@@ -534,9 +534,9 @@ fn bad_descriptions_are_errors() {
             "`ext_ior`: expected an index inside between",
         ),
         (
-            "plastic",
+            "roughplastic",
             r#"<float name="ext_ior" value="2"/>"#,
-            "`ext_ior`: expected a coat denser",
+            "`ext_ior`: expected a rough coat denser",
         ),
         (
             "diffuse",

@@ -1,6 +1,8 @@
 //! What of a path anybody wants to know.
 
-use crate::bsdf::{Bsdf, Material};
+use ad_core::Float;
+
+use crate::bsdf::{Bsdf, Component, DeltaKind, Material};
 use crate::estimator::{Sampling, Strategy};
 use crate::manifold::{Run, Split};
 use crate::scene::{Caustics, ShapeInfo};
@@ -41,6 +43,8 @@ pub struct PathInterest {
     pub caustic: bool,
     /// Where it is on its way over a specular chain, where manifold connections find light.
     pub run: Run,
+    /// Whether anything so far did more to it than to let it pass straight: what is behind holes and panes is seen.
+    pub bent: bool,
 }
 
 impl PathInterest {
@@ -89,6 +93,12 @@ impl PathInterest {
         }
     }
 
+    /// The path goes on from a vertex by this part of its material, `eta`: its relative index before and behind.
+    #[inline(always)]
+    pub fn bend<P: Float>(&mut self, component: Component, eta: [P; 2]) {
+        self.bent |= !is_straight(component, eta);
+    }
+
     /// Whether light of this emitter on the edge is left to others, or out.
     #[inline(always)]
     pub fn leaves(&self, split: Option<&Split>, emitter: u32) -> bool {
@@ -106,6 +116,20 @@ impl PathInterest {
     ) -> bool {
         self.leave_by(split, material, false, reflects);
         self.leaves(split, emitter)
+    }
+}
+
+/// Whether a path goes on as if nothing were there: through holes, and through panes, which refract twice. `eta`: its relative
+/// index before and behind.
+#[inline(always)]
+pub fn is_straight<P: Float>(component: Component, eta: [P; 2]) -> bool {
+    match component {
+        Component::Continuous => false,
+        Component::Delta { kind, .. } => match kind {
+            DeltaKind::Reflection => false,
+            DeltaKind::Transmission => eta[0] == eta[1],
+            DeltaKind::Passthrough => true,
+        },
     }
 }
 

@@ -134,7 +134,7 @@ lanes! {
         pdf: Lane<P>,
         /// Whether a vertex so far is one that the log differentiates.
         active: Lane<u32>,
-        /// Whether others find caustics on the first vertex.
+        /// Whether others find caustics on the first vertex, in the lowest bit; [`BENT`], which is kept where emitters are hidden.
         caustics_excluded: Lane<u32>,
         /// Whether light on this edge would be one, in the lowest bit; above it, where the path is on a specular chain.
         caustic: Lane<u32>,
@@ -191,12 +191,16 @@ lanes! {
     }
 }
 
+/// The bit of [`PathInterest::bent`].
+const BENT: u32 = 2;
+
 impl<P: Float> Paths<P> {
     #[inline(always)]
     fn interest(&self, i: usize) -> PathInterest {
         PathInterest {
             active: self.active[i] != 0,
-            caustics_excluded: self.caustics_excluded[i] != 0,
+            caustics_excluded: self.caustics_excluded[i] & 1 != 0,
+            bent: self.caustics_excluded[i] & BENT != 0,
             caustic: self.caustic[i] & 1 != 0,
             run: Run::from_bits(self.caustic[i] >> 1),
         }
@@ -205,7 +209,8 @@ impl<P: Float> Paths<P> {
     #[inline(always)]
     fn put_interest(&mut self, i: usize, interest: PathInterest) {
         self.active[i] = u32::from(interest.active);
-        self.caustics_excluded[i] = u32::from(interest.caustics_excluded);
+        self.caustics_excluded[i] =
+            u32::from(interest.caustics_excluded) | u32::from(interest.bent) * BENT;
         self.caustic[i] = u32::from(interest.caustic) | interest.run.bits() << 1;
     }
 }
@@ -558,7 +563,11 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         if const { Of::Bsdf::DIFFERENTIAL && L::ENABLED } {
             self.split::<Of, S, L>(context, depth, log);
         }
+        let before = settings.hide_emitters.then_some(self.paths.eta);
         self.scatter::<S>(context, guide, more);
+        if let Some(before) = before {
+            self.bend(&before);
+        }
         if let Some(split) = context.split.filter(|split| split.selects()) {
             self.leave_casters(split);
         }
@@ -712,6 +721,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             (self.at.there[i], self.at.lit[i], self.at.plain[i]) = (0, 0, 1);
             (self.at.guide[i], self.at.sorted[i]) = (0, 0);
             let Some(hit) = &self.hits[i] else {
+                let lit = lit && !settings.hides_sky(interest.bent);
                 if lit && const { L::ENABLED && differentiates_edges::<Of>() } {
                     find(paths, scene.infinite_emitters(), None);
                 } else if lit {
@@ -1053,6 +1063,17 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         }
     }
 
+    /// Tells which paths have gone on otherwise than straight; relative indices `before` that.
+    #[cold]
+    #[inline(never)]
+    fn bend(&mut self, before: &Lane<P>) {
+        for i in 0..self.n {
+            let mut interest = self.paths.interest(i);
+            interest.bend(self.components[i], [before[i], self.paths.eta[i]]);
+            self.paths.put_interest(i, interest);
+        }
+    }
+
     /// What the materials make of light from there.
     #[inline(never)]
     fn face_lights<L: Log<P>>(
@@ -1270,7 +1291,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
                 aside.paths.from.put_vec(k, at.p.vec(i));
                 aside.paths.pdf[k] = sample.pdf;
                 aside.paths.eta[k] = paths.eta[i] * sample.eta;
-                aside.paths.caustics_excluded[k] = paths.caustics_excluded[i];
+                aside.paths.caustics_excluded[k] = paths.caustics_excluded[i] | BENT;
                 aside.paths.caustic[k] = paths.caustic[i];
                 if let Some(split) = context.split.filter(|split| split.selects()) {
                     let mut interest = aside.paths.interest(k);

@@ -297,8 +297,7 @@ impl Node {
                 if !(temperature > 0.0 && temperature <= 1e6) {
                     return Err(self.invalid("temperature", expected));
                 }
-                let scale = self.float_or("scale", 1.0)?;
-                spectrum::blackbody(temperature).map(|x| scale * x)
+                spectrum::blackbody(temperature)
             }
             _ => {
                 let (samples, cut) = spectrum::rgb(&self.samples()?, role);
@@ -650,15 +649,20 @@ impl Node {
         }
     }
 
+    /// The error for a plugin that is known, and stands here for something that is left out: what that is, with its verb.
+    pub fn refused(&self, what: &'static str) -> SceneError {
+        SceneError::Refused {
+            location: self.location.clone(),
+            tag: self.tag.clone(),
+            plugin: self.plugin.clone(),
+            what,
+        }
+    }
+
     /// The error for a `type` that nobody implements: what is left out on purpose, or the names that exist.
     pub fn unknown_plugin(&self, known: &[&str]) -> SceneError {
         if let Some(what) = refused::reason(&self.tag, &self.plugin) {
-            return SceneError::Refused {
-                location: self.location.clone(),
-                tag: self.tag.clone(),
-                plugin: self.plugin.clone(),
-                what,
-            };
+            return self.refused(what);
         }
         let mut known: Vec<String> = known.iter().map(|&name| name.to_owned()).collect();
         // Several implementations may share a name.
