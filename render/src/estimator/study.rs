@@ -58,12 +58,13 @@ impl Weights for MixedWeights {
     }
 }
 
-/// `S` with a roulette whose survival probability is differentiated (F5). Needs [`AllowBias`].
+/// `S` with a roulette whose survival probability is differentiated (F5). Needs [`AllowBias`](super::AllowBias).
 #[derive(Clone, Copy, Debug)]
 pub struct AttachedRoulette<S>(PhantomData<S>);
 
 /// `S` whose scattered directions are weighed by one over a density in which the probabilities of choosing between
-/// lobes are differentiated, although the choices do not move (F6) [Zeltner 2021, section 4.2.2]. Needs [`AllowBias`].
+/// lobes are differentiated, although the choices do not move (F6) [Zeltner 2021, section 4.2.2]. Needs
+/// [`AllowBias`](super::AllowBias).
 ///
 /// `I = pi A + (1 - pi) B` with `pi` as the probability of `A` has the derivative `A - B`, and zero here. In general,
 /// with the density `p = sum_i P_i p_i` of a direction (the probability of a delta is `P_i p_i`), what is missing is the
@@ -76,7 +77,7 @@ pub struct AttachedChoice<S>(PhantomData<S>);
 
 /// `S`, which moves the vertices of paths, with constant rays beyond the first vertex: vertices are where a ray that stays
 /// meets what moves, and samples of lights are constant directions, although the vertices that they start from move (F44).
-/// Needs [`AllowBias`].
+/// Needs [`AllowBias`](super::AllowBias).
 ///
 /// So do systems that hold directions and forget that the next vertex moves with the last one: what a shape that moves does
 /// to its own light, or to what is lit through it, is partly lost.

@@ -9,6 +9,7 @@ use super::progress::Progress;
 use super::record::sweep::{Arriving, Visitor, sweep};
 use super::record::{Bounce, PathRecord, Place, Vertex};
 use super::tile::{Paths, tiles};
+use super::vertex::light::is_led;
 use crate::bsdf::Component;
 use crate::emitter::{Emission, Emitter};
 use crate::estimator::Strategy;
@@ -46,8 +47,7 @@ impl Visitor<f32> for ArrivalCollector<'_> {
     ) {
         let x = f64::from(arriving.all().mean() * bounce.wi.z.abs());
         let energy = x * x * f64::from(bounce.weight);
-        let diffuse = !self.scene.shape_info(place.shape).glossy;
-        if diffuse && energy > 0.0 && energy.is_finite() {
+        if is_led(self.scene.shape_info(place.shape)) && energy > 0.0 && energy.is_finite() {
             self.arrivals.push(Arrival {
                 p: place.si.p.to_array(),
                 from: square(place.si.frame.to_world(bounce.wi)),

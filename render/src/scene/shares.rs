@@ -71,8 +71,9 @@ impl Shares {
 mod tests {
     use super::*;
     use crate::sampler::mix64;
+    use crate::statistics::z_limit;
 
-    /// Frequencies within 4 standard errors (9 emitters, significance 6e-5 each).
+    /// Frequencies of 1e5 draws (9 emitters, significance 1e-3 together).
     #[test]
     fn emitters_are_chosen_as_often_as_their_weights_say() {
         for weights in [vec![1.0; 3], vec![5.0, 1.0, 0.25, 20.0], vec![1e300, 3e300]] {
@@ -89,12 +90,13 @@ mod tests {
                 let ratio = weights[i] / weights[0];
                 assert!((p / shares.of(0) / ratio - 1.0).abs() < 1e-12);
                 let sd = (n as f64 * p * (1.0 - p)).sqrt();
-                assert!((c - n as f64 * p).abs() < 4.0 * sd, "{weights:?} {i}: {c}");
+                let z = (c - n as f64 * p) / sd;
+                assert!(z.abs() < z_limit(9, n, 1e-3), "{weights:?} {i}: {c}");
             }
         }
     }
 
-    /// Frequencies of all combinations, within 4 standard errors (8 cells, significance 6e-5 each).
+    /// Frequencies of all combinations in 1e5 draws (8 cells, significance 1e-3 together).
     #[test]
     fn other_things_are_chosen_evenly() {
         let shares = Shares::new(&[3.0, 1.0]);
@@ -108,7 +110,8 @@ mod tests {
             for c in row {
                 let p = shares.of(i) / 4.0;
                 let sd = (n as f64 * p * (1.0 - p)).sqrt();
-                assert!((c - n as f64 * p).abs() < 4.0 * sd, "{i}: {row:?}");
+                let z = (c - n as f64 * p) / sd;
+                assert!(z.abs() < z_limit(8, n, 1e-3), "{i}: {row:?}");
             }
         }
     }

@@ -303,7 +303,7 @@ pub fn guide_of<S: Strategy>(scene: &Scene) -> Option<&Guide> {
     scene.guide().filter(|_| const { is_guided::<S>() })
 }
 
-/// Whether a guide leads directions from a shape: what is glossy scatters better by itself.
+/// Whether a guide learns what arrives at a shape, and leads directions from there: only where it is diffuse.
 #[inline(always)]
 pub fn is_led(info: &ShapeInfo) -> bool {
     !info.glossy
