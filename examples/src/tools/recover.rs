@@ -232,6 +232,8 @@ const CHECKPOINT_SHARE: u32 = 20;
 const WATCHED: u32 = 10;
 const SLOW: f64 = 1e-3;
 const UNSEEN: f64 = 1e-2;
+/// What keeps meshes from folding on their way.
+const UNFOLDED: &str = "a smaller lr, or a larger smooth or smaller coarse";
 /// Samples per pixel of the built-in target.
 const TARGET_SPP: u32 = 2048;
 /// Samples per pixel of the pictures before and after.
@@ -870,7 +872,7 @@ impl Recovery {
         for (bad, seed) in step.non_finite.iter().zip(seeds) {
             report_non_finite(bad, width, seed);
         }
-        self.report_folds("a smaller lr, or a larger smooth or smaller coarse");
+        self.report_folds(UNFOLDED);
         let loss = step.loss;
         state.history.push(Row { loss, values });
         state.iteration += 1;

@@ -153,10 +153,10 @@ fn a_floor_under_glass_is_recovered_by_connections() {
         "render",
         "floor.xml -o photo.exr --spp 256 --manifold sms --seed 9 -D floor=0.6,0.4,0.2",
     );
-    let args = "floor.xml --target photo.exr --param floor.reflectance.value -D floor=0.3 --iterations 40 --spp 4";
+    let args = "floor.xml --target photo.exr --param floor.reflectance.value -D floor=0.3 --iterations 100 --spp 4";
     let half = dir.run(
         "recover",
-        &format!("{args} --manifold sms --out found --stop-after 20"),
+        &format!("{args} --manifold sms --out found --stop-after 50"),
     );
     assert_eq!(half.status.code(), Some(130), "{half:?}");
     let resumed = dir.run("recover", "--out found --resume --manifold mnee");
@@ -365,20 +365,20 @@ fn shapes_are_recovered_and_written() {
     );
     assert!(dir.path("d/scene/meshes/it.obj").exists());
     let load = |name: &str| Scene::load(&dir.path(name), &LoadOptions::default()).unwrap();
-    let [points, texels] = ["it.vertex_positions", "cloth.reflectance.data"];
+    let [corners, weave] = ["it.vertex_positions", "cloth.reflectance.data"];
     let [(again, warnings), (before, _)] = ["d/scene/scene.xml", "tent.xml"].map(load);
     assert!(warnings.is_empty(), "{warnings:?}");
     let positions = |mut scene: Scene| {
-        scene.make_movable(&[points]).unwrap();
-        scene.params().get(points).unwrap().to_vec()
+        scene.make_movable(&[corners]).unwrap();
+        scene.params().get(corners).unwrap().to_vec()
     };
-    let found = read_rgb(&dir.path(&format!("d/{texels}.exr"))).unwrap();
-    assert_eq!(again.params().get(texels).unwrap(), found.data);
+    let found = read_rgb(&dir.path(&format!("d/{weave}.exr"))).unwrap();
+    assert_eq!(again.params().get(weave).unwrap(), found.data);
     let (found, start) = (positions(again), positions(before));
     assert!(found.len() == 75 && found != start);
     let mean = found.iter().map(|&x| f64::from(x)).sum::<f64>() / 75.0;
     let report = dir.json("d/result.json");
-    let known = report["params"][format!("mean of {points}")]["value"].as_f64();
+    let known = report["params"][format!("mean of {corners}")]["value"].as_f64();
     assert!((mean - known.unwrap()).abs() < 1e-12, "{mean} {known:?}");
     assert!(report.get("folded").is_none());
     dir.ok("render", "d/scene/scene.xml --spp 4 -o again.exr");

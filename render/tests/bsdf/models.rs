@@ -604,8 +604,9 @@ fn bad_descriptions_are_errors() {
         ("roughconductor_heitz", "", "facets"),
     ];
     for (plugin, content, key) in bad {
-        let error = build(plugin, content).map(|_| ()).unwrap_err().to_string();
-        assert!(error.contains(key), "{plugin}: {error}");
+        let built = build(plugin, content).map(|_| ());
+        let error = built.expect_err(&format!("{plugin} {content}"));
+        assert!(error.to_string().contains(key), "{plugin}: {error}");
     }
     // Named indices.
     let (_, params) = build("dielectric", r#"<string name="int_ior" value="water"/>"#).unwrap();

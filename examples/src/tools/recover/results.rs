@@ -61,6 +61,8 @@ impl Recovery {
         {
             complain!("warning: the scene is not written: {e}");
         }
+        // The scene is that of the estimate by now, which is behind the last step.
+        self.report_folds(super::UNFOLDED);
         self.report(out, state, &estimate)?;
         Ok(fewest)
     }
