@@ -29,6 +29,7 @@ mod mitsuba;
 mod mitsuba_plugins;
 mod motion_matrix;
 mod normal_maps;
+mod odd_places;
 mod outlines;
 mod pixels;
 mod planes;
