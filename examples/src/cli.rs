@@ -220,7 +220,8 @@ fn list_estimators() -> String {
         }
     }
     text += "auto\n    What pilots choose: one of the above, or a sum with weights for each part of the image \
-             (compare, gradient).\n\n";
+             (compare, gradient). What moves is taken by edges, over mirrors and smooth glass by \
+             reparameterised-mis.\n\n";
     for line in Capabilities::LEGEND {
         let _ = writeln!(text, "{}: {}", line.0, line.1);
     }

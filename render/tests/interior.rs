@@ -736,3 +736,64 @@ fn deltas_and_jumps_are_refused_by_name() {
     let refused = Estimator::Mis.backward_f32(&job, &theta, &active, &weights());
     assert!(refused.unwrap_err().to_string().contains("`plate.scale`"));
 }
+
+/// What has no terms is refused by name, with what is in the way: brushed metal whose axes jump on smooth faces, lamps that send
+/// beams, shapes that cross each other where directions follow closed forms, and shadows of projectors.
+#[test]
+fn what_has_no_terms_is_refused_by_name() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut mesh = String::new();
+    for v in ["1 0 0", "-1 0 0", "0 1 0", "0 -1 0", "0 0 1", "0 0 -1"] {
+        mesh += &format!("v {v}\n");
+    }
+    mesh += "f 1 3 5\nf 3 2 5\nf 2 4 5\nf 4 1 5\nf 3 1 6\nf 2 3 6\nf 4 2 6\nf 1 4 6\n";
+    std::fs::write(folder.path().join("it.obj"), mesh).unwrap();
+    let brushed = r#"<shape type="obj" id="it"><string name="filename" value="it.obj"/><bsdf type="roughconductor">
+        <float name="alpha_u" value="0.1"/><float name="alpha_v" value="0.4"/></bsdf></shape>"#;
+    let cube = r#"<shape type="cube" id="it"/>"#;
+    let beam = r#"<shape type="rectangle" id="it"><emitter type="directionalarea"/></shape>"#;
+    let other = r#"<shape type="cube" id="other"><transform name="to_world"><rotate x="1" y="2" angle="30"/>
+        <translate x="1"/></transform></shape>"#;
+    let slide = r#"<emitter type="projector"><transform name="to_world"><lookat origin="0, 0, 9" target="0, 0, 0"
+        up="0, 1, 0"/></transform><float name="fov" value="40"/><rgb name="irradiance" value="1"/></emitter>"#;
+    let sky = r#"<emitter type="constant"/>"#;
+    for (e, body, culprit) in [
+        (
+            Estimator::Edges,
+            [brushed, sky],
+            "`it` has a brushed material or mapped normals, and smooth normals that cross the plane",
+        ),
+        (Estimator::Edges, [beam, ""], "`it` sends a beam"),
+        (
+            Estimator::ReparameterisedExact,
+            [cube, other],
+            "`it` and `other` cross each other along a line that directions do not follow",
+        ),
+        (
+            Estimator::Edges,
+            [cube, slide],
+            "shadows of directional lights and projectors have outlines without samples",
+        ),
+    ] {
+        let text = format!(
+            r#"<scene version="3.0.0"><integrator type="path"><integer name="max_depth" value="2"/></integrator>
+            <sensor type="perspective"><transform name="to_world"><lookat origin="0, 1, 8" target="0, 0, 0" up="0, 1, 0"/>
+            </transform><film type="hdrfilm"><integer name="width" value="4"/><integer name="height" value="4"/>
+            <rfilter type="box"/></film></sensor>{}{}</scene>"#,
+            body[0], body[1],
+        );
+        let (mut scene, _) = Scene::from_xml(&text, folder.path(), &Default::default())
+            .unwrap_or_else(|e| panic!("{e}"));
+        scene.make_movable(&["it.translation"]).unwrap();
+        let values = wide::<f32>(&scene);
+        let job = Job::new(&scene, &scene.settings, 1, 0..1, &());
+        let refused = e.active(&scene, &["it.translation"]).and_then(|active| {
+            e.backward_f32(&job, &Theta::constant(&values), &active, &weights())
+        });
+        let message = refused.expect_err("refused").to_string();
+        assert!(
+            message.contains("`it.translation`") && message.contains(culprit),
+            "{message}"
+        );
+    }
+}

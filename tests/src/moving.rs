@@ -46,22 +46,33 @@ pub fn mean(s: &Scene, settings: &Settings, seed: u64, spp: u64) -> f64 {
 
 /// Central differences in every element of the named ranges, from `runs` seeds.
 pub fn differences(s: &mut Scene, names: &[&str], h: f32, runs: u64, spp: u64) -> Vec<Estimate> {
+    let range = |name: &&str| s.params().find(name).expect("known").range();
+    let elements: Vec<usize> = names.iter().flat_map(range).collect();
+    differences_in(s, &elements, h, runs, spp)
+}
+
+/// The same in some elements of the vector of parameters.
+pub fn differences_in(
+    s: &mut Scene,
+    elements: &[usize],
+    h: f32,
+    runs: u64,
+    spp: u64,
+) -> Vec<Estimate> {
     let start = s.params().values().to_vec();
     let settings = s.settings;
     let mut out = Vec::new();
-    for name in names {
-        for i in s.params().find(name).expect("known").range() {
-            let mut at = |by: f32, seed: u64| {
-                let mut values = start.clone();
-                values[i] += by;
-                s.set_params(&values).expect("valid");
-                mean(s, &settings, 1000 + seed, spp)
-            };
-            let found: Vec<f64> = (0..runs)
-                .map(|seed| (at(h, seed) - at(-h, seed)) / (2.0 * f64::from(h)))
-                .collect();
-            out.push(Estimate::of(&found));
-        }
+    for &i in elements {
+        let mut at = |by: f32, seed: u64| {
+            let mut values = start.clone();
+            values[i] += by;
+            s.set_params(&values).expect("valid");
+            mean(s, &settings, 1000 + seed, spp)
+        };
+        let found: Vec<f64> = (0..runs)
+            .map(|seed| (at(h, seed) - at(-h, seed)) / (2.0 * f64::from(h)))
+            .collect();
+        out.push(Estimate::of(&found));
     }
     s.set_params(&start).expect("valid");
     out

@@ -7,6 +7,7 @@ use render::instances::{Estimator, Mode};
 use render::params::Theta;
 use render::sampler::Points;
 use render::{Image, RenderError, Scene};
+use tests::moving::{self, BALL, CUBE, FLOOR, agrees};
 use tests::stats::{Estimate, z_limit};
 use tests::{mean_adjoint, on_any_threads, scene};
 
@@ -527,5 +528,66 @@ fn measured_sampling_weights_make_less_noise() {
         vec![f64::INFINITY, 1.0],
     ] {
         assert!(s.set_sampling_weights(&bad).is_err(), "{bad:?}");
+    }
+}
+
+/// What moves and a roughness at once: edges take what moves, whoever takes the rest, and the sum is that of edges alone. 32
+/// repeats of 256 samples of 256 pixels, and of 64 by edges.
+#[test]
+#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
+fn what_moves_is_left_to_edges() {
+    let shiny = FLOOR.replace(
+        r#"</transform><ref id="grey"/>"#,
+        r#"</transform><ref id="metal"/>"#,
+    );
+    assert_ne!(shiny, FLOOR);
+    let mut scene = moving::scene(&format!("{shiny}{BALL}"), 2);
+    let names = ["it.translation", "metal.alpha.value"];
+    scene.make_movable(&names[..1]).expect("a ball");
+    let mixture = chosen(&scene, &names, &candidates(&scene), 8192);
+    println!("{mixture}");
+    let shares = mixture.shares();
+    assert!(shares.iter().any(|(e, _)| *e == Estimator::Edges));
+    let found = gradients(&scene, &mixture, &names, 256, 100);
+    let alone = Mixture::only(&scene, Estimator::Edges, &names);
+    let expected = gradients(&scene, &alone, &names, 64, 900);
+    for (what, range) in [("translation", 0..3), ("roughness", 3..4)] {
+        let (found, expected) = (&found[range.clone()], &expected[range]);
+        agrees(what, found, expected, 0.0, REPEATS);
+    }
+}
+
+/// Over a mirror edges are refused, and directions that follow outlines are chosen; what nobody has outlines of is refused by
+/// name, whatever the budget.
+#[test]
+fn what_moves_over_mirrors_follows_directions() {
+    let silver = r#"<shape type="sphere" id="silver"><transform name="to_world"><scale value="0.5"/>
+        <translate x="-1.2" y="0.5"/></transform><bsdf type="conductor"/></shape>"#;
+    let bulb = r#"<emitter type="point"><point name="position" x="0" y="4" z="0"/></emitter>"#;
+    let name = "it.translation";
+    let of = |more: &str| {
+        let mut scene = moving::scene(&format!("{FLOOR}{CUBE}{more}"), 3);
+        scene.make_movable(&[name]).expect("a cube");
+        scene
+    };
+    let mirror = of(silver);
+    for budget in [1, 512] {
+        let mixture = chosen(&mirror, &[name], &candidates(&mirror), budget);
+        let all = mixture.shares();
+        assert!(all.len() == 1 && all[0].0 == Estimator::ReparameterisedMis);
+    }
+    let lit = of(bulb);
+    let adjoint = mean_adjoint(&lit);
+    let theta = Theta::constant(lit.params().values());
+    for budget in [1, 512] {
+        let job = Job::new(&lit, &lit.settings, 5, 0..budget, &());
+        let all = candidates(&lit);
+        let mixture = auto::choose(&job, &[name], &adjoint, &all, Mode::Reverse);
+        let refused = mixture.and_then(|m| m.backward_f32(&job, &theta, &[name], &adjoint));
+        let message = refused.expect_err("refused").to_string();
+        assert!(
+            message.contains("`it.translation`") && message.contains("point and spot lights"),
+            "{message}"
+        );
     }
 }

@@ -7,6 +7,7 @@ use render::image_io::write_exr;
 use render::instances::Estimator;
 use render::integrator::render::Progress;
 use render::{Image, Scene, Settings};
+use tests::moving::{self, BALL, FLOOR};
 use tests::{mean_adjoint, scene};
 
 const OPTIONS: Options = Options {
@@ -55,13 +56,24 @@ fn run_with(
     spp: u32,
     options: &Options,
 ) -> Report {
+    let adjoint = mean_adjoint(scene);
+    run_along(scene, estimator, names, spp, options, &adjoint)
+}
+
+fn run_along(
+    scene: &mut Scene,
+    estimator: Estimator,
+    names: &[&str],
+    spp: u32,
+    options: &Options,
+    adjoint: &[f32],
+) -> Report {
     let settings = Settings {
         spp,
         ..scene.settings
     };
     let mixture = Mixture::only(scene, estimator, names);
-    let adjoint = mean_adjoint(scene);
-    let report = check(scene, &settings, names, &mixture, &adjoint, options, &());
+    let report = check(scene, &settings, names, &mixture, adjoint, options, &());
     let report = report
         .expect("parameters that are seen")
         .expect("nobody stops it");
@@ -168,6 +180,93 @@ fn textures_are_checked_along_random_directions() {
     assert_eq!(comparisons.len(), DIRECTIONS as usize);
     // The directions differ.
     assert!(comparisons[0].differences.mean != comparisons[1].differences.mean);
+}
+
+/// An octahedron `it` above a floor, lit by a `bulb` and by a `sky` of a few texels, in 8 x 8 pixels.
+fn octahedron(folder: &tempfile::TempDir) -> Scene {
+    let mut text = String::new();
+    for v in ["1 0 0", "-1 0 0", "0 1 0", "0 -1 0", "0 0 1", "0 0 -1"] {
+        text += &format!("v {v}\n");
+    }
+    for f in [
+        "1 3 5", "3 2 5", "2 4 5", "4 1 5", "3 1 6", "2 3 6", "4 2 6", "1 4 6",
+    ] {
+        text += &format!("f {f}\n");
+    }
+    let [mesh, sky] = ["it.obj", "sky.exr"].map(|name| folder.path().join(name));
+    std::fs::write(&mesh, text).expect("a file");
+    let mut texels = Image::new(8, 4);
+    for (i, x) in texels.data.iter_mut().enumerate() {
+        *x = (0.3 + 0.25 * (1.7 * (i / 3) as f64).sin()) as f32;
+    }
+    write_exr(&sky, &texels).expect("a folder to write to");
+    scene(&format!(
+        r#"<sensor type="perspective"><float name="fov" value="40"/>
+        <transform name="to_world"><lookat origin="0, 2.5, 4.5" target="0, 0.6, 0" up="0, 1, 0"/></transform>
+        <film type="hdrfilm"><integer name="width" value="8"/><integer name="height" value="8"/>
+        <rfilter type="box"/></film></sensor>
+        <integrator type="path"><integer name="max_depth" value="2"/></integrator>
+        <bsdf type="diffuse" id="grey"><rgb name="reflectance" value="0.6, 0.5, 0.4"/></bsdf>
+        <shape type="rectangle"><transform name="to_world"><scale value="3"/><rotate x="1" angle="-90"/></transform>
+        <ref id="grey"/></shape>
+        <shape type="obj" id="it"><string name="filename" value="{}"/><boolean name="face_normals" value="true"/>
+        <transform name="to_world"><scale value="0.8"/><rotate y="1" angle="25"/><rotate x="1" angle="20"/>
+        <translate y="1.1"/></transform><bsdf type="diffuse"><rgb name="reflectance" value="0.1, 0.2, 0.9"/></bsdf></shape>
+        <emitter type="point" id="bulb"><point name="position" x="-1" y="3" z="1.5"/>
+        <rgb name="intensity" value="12, 11, 10"/></emitter>
+        <emitter type="envmap" id="sky"><string name="filename" value="{}"/></emitter>"#,
+        mesh.display(),
+        sky.display()
+    ))
+}
+
+/// By edges: shapes as a whole and point by point, the camera, lights. An image that is weighed unevenly, so that what crosses
+/// it counts. 32 repeats of 48 samples of 64 pixels.
+#[test]
+#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
+fn what_moves_is_checked() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut s = octahedron(&folder);
+    let names = [
+        "it.translation",
+        "it.rotation",
+        "it.scale",
+        "it.vertex_positions",
+        "sensor.rotation",
+        "sensor.fov",
+        "bulb.position",
+        "sky.rotation",
+    ];
+    s.make_movable(&names).expect("things that move");
+    let before = s.params().values().to_vec();
+    let options = Options {
+        tolerance: 0.3,
+        ..OPTIONS
+    };
+    let weight = |i: usize| 1.0 + 2.0 * (i / 3 % 8) as f32 - 1.5 * (i / 24) as f32;
+    let uneven: Vec<f32> = (0..192).map(|i| weight(i) / 192.0).collect();
+    let edges = Estimator::Edges;
+    let report = run_along(&mut s, edges, &names, 48, &options, &uneven);
+    for param in &report.params {
+        assert_eq!(param.verdict(), Verdict::Right, "{}", param.name);
+        let along = [Along::Value(0), Along::Random(0)];
+        let whole = param.name != "it.vertex_positions";
+        assert_eq!(param.comparisons[0].along, along[usize::from(!whole)]);
+    }
+    assert_eq!((report.params.len(), report.non_finite), (names.len(), 0));
+    assert_eq!(s.params().values(), before);
+    // The same with hardly any samples.
+    let few = Options {
+        repeats: 4,
+        ..options
+    };
+    let report = run_along(&mut s, edges, &names[..1], 1, &few, &uneven);
+    assert_eq!(report.verdict(), Verdict::CannotTell);
+    // What becomes visible or hidden is most of the derivative of a ball.
+    let mut s = moving::scene(&format!("{FLOOR}{BALL}"), 2);
+    s.make_movable(&names[..1]).expect("a ball");
+    let report = run(&mut s, Estimator::Interior, &names[..1], 8);
+    assert_eq!(report.verdict(), Verdict::Wrong);
 }
 
 /// Answers after so many questions that nobody wants to know any more.

@@ -3,7 +3,10 @@
 use std::path::Path;
 
 use ad_core::Vec3;
-use render::estimator::{AllowBias, DetachedMis, Interior, Outlines};
+use render::estimator::{
+    AllowBias, AttachedWeights, Convolved, Detached, DetachedMis, Interior, Mis, Outlines,
+    Reparameterised,
+};
 use render::instances::{Direction, Estimator};
 use render::integrator::gradient::Active;
 use render::params::Theta;
@@ -14,6 +17,7 @@ use tests::moving::{self, BALL, CUBE, DISK, FLOOR, TUBE, agrees, differences, sc
 use tests::{mean_adjoint, shared_dir, values};
 
 type ByEdges = Outlines<Interior<DetachedMis>>;
+type Follows = Convolved<Mis<Reparameterised, Detached, AttachedWeights>>;
 
 /// Derivatives of the mean of all pixels and channels in double precision, from `runs` seeds.
 fn gradient(s: &Scene, names: &[&str], runs: u64, spp: u64) -> Vec<Estimate> {
@@ -260,17 +264,21 @@ fn smooth_tube(count: u32) {
     agrees(&format!("{count} faces"), &found, &expected, 1e-2, 16);
 }
 
-/// Light that reaches the camera after up to five bounces, between walls that scatter most of it and a cube of rough metal, as
-/// that cube moves: with one bounce it is another derivative. 8 runs of 256 samples of 256 pixels, and differences of 8 runs
-/// of 1024.
-#[test]
-#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
-fn edges_agree_with_differences_through_five_bounces() {
+/// Walls that scatter most of the light, and a cube of rough metal.
+fn between_walls() -> String {
     let walls = r#"<shape type="rectangle"><transform name="to_world"><scale value="4"/><translate y="3" z="-1.6"/></transform>
         <ref id="grey"/></shape><shape type="rectangle"><transform name="to_world"><scale value="4"/>
         <rotate y="1" angle="90"/><translate x="-1.8" y="3"/></transform><ref id="grey"/></shape>"#;
     let body = format!("{FLOOR}{walls}{}", CUBE.replace("grey", "metal"));
-    let body = body.replace("0.6, 0.5, 0.4", "0.9, 0.8, 0.8");
+    body.replace("0.6, 0.5, 0.4", "0.9, 0.8, 0.8")
+}
+
+/// Light that reaches the camera after up to five bounces, between walls, as a cube moves: with one bounce it is another
+/// derivative. 8 runs of 256 samples of 256 pixels, and differences of 8 runs of 1024.
+#[test]
+#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
+fn edges_agree_with_differences_through_five_bounces() {
+    let body = between_walls();
     let names = ["it.translation"];
     let of = |depth: u32| {
         let mut s = scene(&body, depth);
@@ -284,6 +292,28 @@ fn edges_agree_with_differences_through_five_bounces() {
     let (_, direct) = of(2);
     let off = found.iter().zip(&direct).map(|(a, b)| a.z(b).abs());
     assert!(off.fold(0.0, f64::max) > 10.0, "{found:?} {direct:?}");
+}
+
+/// Roulette ends paths, and what is behind edges, and adds noise alone: means of derivatives with and without it, by edges and
+/// by directions that follow them, between walls and of a ball. 8 runs of 256 samples of 256 pixels, with roulette 512.
+#[test]
+#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
+fn roulette_changes_no_derivative() {
+    let names = ["it.translation"];
+    for (what, body, depth) in [
+        ("between walls", between_walls(), 6),
+        ("a ball", format!("{FLOOR}{BALL}"), 5),
+    ] {
+        let mut s = scene(&body, depth);
+        s.make_movable(&names).expect("known");
+        assert!(s.settings.rr_depth > depth);
+        let without = gradient(&s, &names, 8, 256);
+        s.settings.rr_depth = 2;
+        let edges = gradient(&s, &names, 8, 512);
+        agrees(&format!("{what}, edges"), &edges, &without, 0.0, 8);
+        let follows = moving::gradient::<Follows>(&s, &names, 8, 256);
+        agrees(&format!("{what}, follows"), &follows, &without, 2e-2, 8);
+    }
 }
 
 /// Without what becomes visible or hidden, derivatives of a ball and its shadow have other signs, as those of Mitsuba 3 without

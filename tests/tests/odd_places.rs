@@ -1,0 +1,150 @@
+//! What stands in odd places, or folds over itself: derivatives in what moves are numbers, or refused by name, and right.
+
+use render::RenderError;
+use render::estimator::{
+    AttachedWeights, Convolved, Detached, DetachedMis, Interior, Mis, Outlines, Reparameterised,
+    Unbiased,
+};
+use render::instances::Estimator;
+use render::integrator::gradient::{Active, backward};
+use render::params::Theta;
+use render::sampler::Independent;
+use render::{Job, Scene};
+use tests::moving::{self, CUBE, FLOOR, agrees, differences, differences_in, scene};
+use tests::{mean_adjoint, values};
+
+type ByEdges = Outlines<Interior<DetachedMis>>;
+type Follows = Convolved<Mis<Reparameterised, Detached, AttachedWeights>>;
+
+const RUNS: u64 = 8;
+const SPP: u64 = 16;
+
+/// A light at a point.
+fn bulb(at: [f64; 3]) -> String {
+    let [x, y, z] = at;
+    format!(
+        r#"<emitter type="point" id="bulb"><point name="position" x="{x}" y="{y}" z="{z}"/>
+        <rgb name="intensity" value="9, 8, 7"/></emitter>"#
+    )
+}
+
+/// A closed cube `it` of this half width around the camera of [`scene`].
+fn closed(size: f64) -> String {
+    format!(
+        r#"<shape type="cube" id="it"><transform name="to_world"><scale value="{size}"/><rotate x="1" y="1" angle="20"/>
+        <translate y="3" z="5"/></transform><bsdf type="twosided"><ref id="grey"/></bsdf></shape>"#
+    )
+}
+
+/// The lamp of [`FLOOR`] goes through a cube `it`, in which most of it is hidden.
+const SUNK: &str = r#"<shape type="cube" id="it"><transform name="to_world"><scale value="0.4"/><rotate y="1" angle="25"/>
+    <translate x="0.7" y="3.1" z="-0.3"/></transform><ref id="grey"/></shape>"#;
+
+/// Four faces around a vertex, the first of the file, which is pulled over one side: the face there is turned over.
+fn folded(folder: &tempfile::TempDir) -> String {
+    let path = folder.path().join("folded.obj");
+    let text = "v 1.5 0.2 0.1\nv -0.8 0 -0.8\nv -0.8 0 0.8\nv 0.8 0 0.8\nv 0.8 0 -0.8\n\
+                f 1 2 3\nf 1 3 4\nf 1 4 5\nf 1 5 2\n";
+    std::fs::write(&path, text).expect("a file");
+    format!(
+        r#"<shape type="obj" id="it"><string name="filename" value="{}"/><boolean name="face_normals" value="true"/>
+        <transform name="to_world"><rotate x="1" angle="15"/><translate x="-0.2" y="1"/></transform>
+        <bsdf type="twosided"><ref id="grey"/></bsdf></shape>"#,
+        path.display()
+    )
+}
+
+/// In double precision.
+fn wide<E: Unbiased>(s: &Scene, names: &[&str]) -> Result<Vec<f64>, RenderError> {
+    let all = values::<f64>(s);
+    let active = Active::seen_by::<E, _>(s, names)?;
+    let job = Job::new(s, &s.settings, 3, 0..SPP, &());
+    let theta = Theta::constant(&all);
+    let g = backward::<f64, E, Independent>(&job, &theta, &active, &mean_adjoint(s))?;
+    assert_eq!(g.non_finite.count, 0);
+    Ok(g.values.concat())
+}
+
+/// In single precision.
+fn single(e: Estimator, s: &Scene, names: &[&str]) -> Result<Vec<f64>, RenderError> {
+    let active = e.active(s, names)?;
+    let job = Job::new(s, &s.settings, 3, 0..SPP, &());
+    let theta = Theta::constant(s.params().values());
+    let g = e.backward_f32(&job, &theta, &active, &mean_adjoint(s))?;
+    assert_eq!(g.non_finite.count, 0);
+    Ok(g.values.concat())
+}
+
+/// A bulb in a cube, on the floor and on a face, a lamp that is sunk in a cube, a camera in a closed cube, dark or with the lamp
+/// in it, and a mesh that folds, each by samples of edges and by directions that follow them, in both precisions.
+#[test]
+fn odd_places_are_finite_or_named() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let bulbs = [
+        ("bulb in a cube", [0.0, 1.1, 0.0]),
+        ("bulb on the floor", [0.5, 0.0, 0.5]),
+        ("bulb on the corner of the floor", [4.0, 0.0, -4.0]),
+    ];
+    let mut cases: Vec<(&str, String, u32, Vec<&str>)> = Vec::new();
+    for (what, at) in bulbs {
+        let names = vec!["it.translation", "bulb.position", "sensor.translation"];
+        cases.push((what, format!("{CUBE}{}", bulb(at)), 2, names));
+    }
+    let camera = vec!["it.translation", "it.rotation", "sensor.translation"];
+    let lamp = vec!["it.translation", "lamp.translation", "lamp.scale"];
+    let points = vec!["it.vertex_positions", "it.translation"];
+    cases.push(("sunk lamp", SUNK.into(), 4, lamp));
+    cases.push(("camera in a dark cube", closed(0.7), 4, camera.clone()));
+    cases.push(("camera in a cube with a lamp", closed(7.0), 4, camera));
+    cases.push(("folded mesh", folded(&folder), 4, points));
+    for (what, body, depth, names) in cases {
+        let mut s = scene(&format!("{FLOOR}{body}"), depth);
+        s.make_movable(&names).expect("known");
+        let follows = Estimator::ReparameterisedMis;
+        let found = [
+            wide::<ByEdges>(&s, &names),
+            single(Estimator::Edges, &s, &names),
+            wide::<Follows>(&s, &names),
+            single(follows, &s, &names),
+        ];
+        for (k, found) in found.into_iter().enumerate() {
+            match found {
+                Ok(all) => {
+                    assert!(all.iter().all(|d| d.is_finite()), "{what} {k}: {all:?}");
+                    let dark = what == "camera in a dark cube";
+                    assert_eq!(all.iter().all(|d| *d == 0.0), dark, "{what} {k}: {all:?}");
+                }
+                Err(e) => {
+                    let message = e.to_string();
+                    let named = "shadows of point and spot lights have outlines without samples";
+                    assert!(message.contains(named), "{what} {k}: {message}");
+                    assert!(k >= 2 && what.starts_with("bulb"), "{what} {k}: {message}");
+                }
+            }
+        }
+    }
+}
+
+/// Of a mesh that folds, as a whole and at the vertex that is pulled, and of a lamp that is sunk in a cube. 8 runs of 256
+/// samples of 256 pixels, and differences of 8 runs of 512.
+#[test]
+#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
+fn folds_and_sunk_lamps_agree_with_differences() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut s = scene(&format!("{FLOOR}{}", folded(&folder)), 2);
+    let names = ["it.translation", "it.vertex_positions"];
+    s.make_movable(&names).expect("known");
+    assert_eq!(s.folded(), [("it".to_owned(), 1, 4)]);
+    let found = moving::gradient::<ByEdges>(&s, &names, RUNS, 256);
+    let first = |name: &str| s.params().find(name).expect("known").offset;
+    let elements: Vec<usize> = (names.map(first).iter().flat_map(|&i| i..i + 3)).collect();
+    let expected = differences_in(&mut s, &elements, 1.0 / 64.0, RUNS, 512);
+    agrees("folded", &found[..6], &expected, 1e-2, RUNS);
+
+    let mut s = scene(&format!("{FLOOR}{SUNK}"), 2);
+    let names = ["it.translation", "lamp.translation"];
+    s.make_movable(&names).expect("known");
+    let found = moving::gradient::<ByEdges>(&s, &names, RUNS, 256);
+    let expected = differences(&mut s, &names, 1.0 / 64.0, RUNS, 512);
+    agrees("sunk", &found, &expected, 1e-2, RUNS);
+}
