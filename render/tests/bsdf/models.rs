@@ -406,7 +406,7 @@ fn bad_descriptions_are_errors() {
     let bad = [
         (
             "roughconductor",
-            r#"<float name="alpha" value="1e-5"/>"#,
+            r#"<float name="alpha" value="-1e-5"/>"#,
             "alpha",
         ),
         (
