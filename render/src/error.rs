@@ -6,7 +6,8 @@
 //!
 //! let folder = tempfile::tempdir()?;
 //! let file = folder.path().join("wide.xml");
-//! let text = "<scene version=\"3.0.0\"><sensor type=\"perspective\">\n<float name=\"fov\" value=\"wide\"/></sensor></scene>";
+//! let text = "<scene version='3.0.0'><sensor type='perspective'>
+//!     <float name='fov' value='wide'/></sensor></scene>";
 //! std::fs::write(&file, text)?;
 //! let error = Scene::load(&file, &Default::default()).unwrap_err();
 //! let message = error.to_string();

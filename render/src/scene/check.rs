@@ -88,7 +88,10 @@ impl Outcome {
 /// // It reads on where loading ends at the first fault.
 /// let folder = tempfile::tempdir()?;
 /// let file = folder.path().join("two.xml");
-/// std::fs::write(&file, "<scene version=\"3.0.0\">\n<shape type=\"knot\"/>\n<bsdf type=\"velvet\"/>\n</scene>")?;
+/// let text = "<scene version='3.0.0'><sensor type='perspective'/>
+///     <shape type='sphere'><bsdf type='roughconductor'><float name='alpha' value='abc'/></bsdf></shape>
+///     <shape type='disk' radius='2'/></scene>";
+/// std::fs::write(&file, text)?;
 /// let check = Scene::check(&file, &Default::default());
 /// assert_eq!(check.outcome(), Outcome::Wrong);
 /// let wrong = check.findings.iter().filter(|f| f.verdict == Verdict::Wrong);
