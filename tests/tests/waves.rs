@@ -494,6 +494,149 @@ fn principles() -> Case {
     rows("principles", &balls, &plates)
 }
 
+/// Thin principled materials with none, some and all of their parts: the same everywhere and textured, from the front, from
+/// behind, on both sides, and in mixtures, some of them with hair.
+fn leaves() -> Case {
+    let thin = |content: &str| format!(r#"<bsdf type="principledthin">{content}</bsdf>"#);
+    let number = |name: &str, x: f64| format!(r#"<float name="{name}" value="{x}"/>"#);
+    let squares = |name: &str, [a, b]: [f64; 2]| {
+        format!(
+            r#"<texture name="{name}" {SQUARES}<float name="color0" value="{a}"/><float name="color1" value="{b}"/></texture>"#
+        )
+    };
+    let colours = format!(
+        r#"<texture name="base_color" {SQUARES}<rgb name="color0" value="0.7, 0.3, 0.2"/><rgb name="color1" value="0, 0, 0"/></texture>"#
+    );
+    let all = |names: &[&str]| -> String { names.iter().map(|n| squares(n, [0.0, 0.8])).collect() };
+    let soft = all(&["flatness", "sheen", "sheen_tint"]);
+    let pane = |share: f64| format!("{}{}", number("spec_trans", share), number("eta", 1.4));
+    let paper = format!("{colours}{}", squares("diff_trans", [0.0, 1.7]));
+    let everything = format!(
+        "{paper}{soft}{}{}{}",
+        squares("roughness", [0.0, 0.9]),
+        squares("eta", [1.01, 2.0]),
+        all(&["spec_trans", "spec_tint"])
+    );
+    let brushed = number("anisotropic", 0.8);
+    let hair = format!(
+        r#"<bsdf type="hair">{}</bsdf>"#,
+        squares("eumelanin", [0.0, 2.0])
+    );
+    let balls = [
+        thin(""),
+        thin(&colours),
+        thin(&paper),
+        thin(&format!("{paper}{soft}")),
+        thin(&pane(1.0)),
+        thin(&format!("{}{}", pane(0.6), number("roughness", 0.0))),
+        thin(&everything),
+        thin(&format!("{everything}{brushed}")),
+    ];
+    let both = |a: &str| format!(r#"<bsdf type="twosided">{a}</bsdf>"#);
+    let [page, window, cloth, mat] = [
+        thin(&paper),
+        thin(&format!(
+            "{}{}",
+            pane(0.7),
+            squares("anisotropic", [0.0, 1.0])
+        )),
+        thin(&everything),
+        thin(&format!("{colours}{brushed}")),
+    ];
+    let weight = squares("weight", [0.3, 1.0]);
+    let opacity = squares("opacity", [0.1, 0.7]);
+    let tilt = format!(
+        r#"<texture name="normalmap" {SQUARES}<rgb name="color0" value="0.9, 0.4, 0.7"/><rgb name="color1" value="0.42, 0.55, 0.9"/></texture>"#
+    );
+    let plates = [
+        page.clone(),
+        window.clone(),
+        mat.clone(),
+        both(&mat),
+        both(&thin(&format!("{colours}{soft}"))),
+        format!(r#"<bsdf type="mask">{opacity}{cloth}</bsdf>"#),
+        format!(r#"<bsdf type="blendbsdf">{weight}{page}{window}</bsdf>"#),
+        format!(r#"<bsdf type="blendbsdf">{weight}{cloth}{hair}</bsdf>"#),
+        format!(r#"<bsdf type="normalmap">{tilt}{window}</bsdf>"#),
+    ];
+    rows("leaves", &balls, &plates)
+}
+
+/// Hair: the same everywhere and textured, of all roughness, with and without absorption, on balls, plates and curves, and in
+/// mixtures.
+fn strands() -> (Case, Scene) {
+    let hair = |content: &str| format!(r#"<bsdf type="hair">{content}</bsdf>"#);
+    let number = |name: &str, x: f64| format!(r#"<float name="{name}" value="{x}"/>"#);
+    let squares = |name: &str, [a, b]: [f64; 2]| {
+        format!(
+            r#"<texture name="{name}" {SQUARES}<float name="color0" value="{a}"/><float name="color1" value="{b}"/></texture>"#
+        )
+    };
+    let rough = |along: f64, around: f64| {
+        let along = number("longitudinal_roughness", along);
+        format!("{along}{}", number("azimuthal_roughness", around))
+    };
+    let dyed = format!(
+        r#"<texture name="sigma_a" {SQUARES}<rgb name="color0" value="0.1, 0.4, 0.8"/><rgb name="color1" value="0, 0, 300"/></texture>"#
+    );
+    let white = r#"<rgb name="sigma_a" value="0"/>"#;
+    let patterned = format!(
+        "{}{}{}{}",
+        squares("eumelanin", [0.0, 4.0]),
+        squares("pheomelanin", [0.0, 1.0]),
+        squares("longitudinal_roughness", [0.05, 0.7]),
+        squares("azimuthal_roughness", [0.08, 1.0])
+    );
+    let balls = [
+        hair(""),
+        hair(&rough(0.01, 0.01)),
+        hair(&rough(1.0, 1.0)),
+        hair(&format!("{white}{}", rough(0.5, 0.2))),
+        hair(&format!("{dyed}{}", number("scale_tilt", -60.0))),
+        hair(&patterned),
+    ];
+    let metal = r#"<bsdf type="roughconductor"><float name="alpha" value="0.2"/></bsdf>"#;
+    let tilt = format!(
+        r#"<texture name="normalmap" {SQUARES}<rgb name="color0" value="0.9, 0.4, 0.7"/><rgb name="color1" value="0.42, 0.55, 0.9"/></texture>"#
+    );
+    let (opacity, weight) = (
+        squares("opacity", [0.1, 0.7]),
+        squares("weight", [0.3, 1.0]),
+    );
+    let [furs, dark] = [hair(&patterned), hair(&number("eumelanin", 8.0))];
+    let plates = [
+        furs.clone(),
+        dark.clone(),
+        format!(r#"<bsdf type="mask">{opacity}{furs}</bsdf>"#),
+        format!(r#"<bsdf type="blendbsdf">{weight}{furs}{metal}</bsdf>"#),
+        format!(r#"<bsdf type="blendbsdf">{weight}{dark}{furs}</bsdf>"#),
+        format!(r#"<bsdf type="normalmap">{tilt}{furs}</bsdf>"#),
+    ];
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("tuft.txt");
+    let curve = |i: u32| -> String {
+        let point = |k: u32| {
+            let (i, k) = (f64::from(i), f64::from(k));
+            let (x, z) = (0.1 * i - 1.2 + 0.1 * (k + i).sin(), 1.5 - 0.1 * k);
+            format!("{x} {} {z} {}\n", 0.25 * k - 0.2, 0.03)
+        };
+        (0..6).map(point).collect::<String>() + "\n"
+    };
+    std::fs::write(&file, (0..25).map(curve).collect::<String>()).unwrap();
+    let tuft = |plugin: &str, x: f64, bsdf: &str| {
+        format!(
+            r#"<shape type="{plugin}"><string name="filename" value="{}"/>
+               <transform name="to_world"><translate x="{x}"/></transform>{bsdf}</shape>"#,
+            file.display()
+        )
+    };
+    let tufts = tuft("bsplinecurve", 0.0, &furs) + &tuft("linearcurve", 0.05, &dark);
+    let case = rows("strands", &balls, &plates);
+    let body = format!("{}{tufts}", case.body);
+    let scene = scene(&body);
+    (Case { body, ..case }, scene)
+}
+
 /// Masks, blends and tilted surfaces of most kinds, and some of what has no kind.
 fn composites() -> Case {
     let metal = r#"<bsdf type="roughconductor"><string name="distribution" value="ggx"/><float name="alpha" value="0.2"/></bsdf>"#;
@@ -582,11 +725,11 @@ fn images_are_those_of_single_paths_bit_by_bit() {
     use Estimator::{Detached, Emitter, Mis};
     // So smooth that derivatives in roughness are rounding, but images are not.
     let smooth = cabinet(1e-4);
-    let more = [smooth, principles()].map(|case| {
+    let more = [smooth, principles(), leaves()].map(|case| {
         let scene = scene(&case.body);
         (case, scene)
     });
-    for (case, mut s) in all().chain(more) {
+    for (case, mut s) in all().chain(more).chain([strands()]) {
         let plain = s.settings;
         assert_same(case.name, &s, &plain, &[Mis, Detached, Emitter]);
         for points in [Points::Sobol, Points::Antithetic] {

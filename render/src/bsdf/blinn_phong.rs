@@ -6,7 +6,7 @@ use ad_core::{Const, Float, Real, Vec3};
 
 use super::{BsdfSample, Component, Leaf, Lobe, Reader, TransportMode, constant};
 use crate::error::SceneError;
-use crate::math::gauss::{exp_m1, exp_minus, largest, ln_1p};
+use crate::math::gauss::{exp_m1, exp_minus, fading, ln_1p};
 use crate::math::{Rgb, warp};
 use crate::plugin::{FromNode, Node, Registry};
 use crate::texture::{RgbTexture, ScalarTexture};
@@ -109,11 +109,7 @@ impl<R: Real> BlinnPhongLobe<R> {
         let cos_mo = h.length_squared().sqrt() * R::c(0.5);
         let e = self.exponent;
         let steepness = (e + R::one()) * (ln_1p(tan2) * R::c(0.5));
-        // In the far tail the exponential is no normal number.
-        let far = steepness.primal() > largest();
-        let near = exp_minus(R::select(far, R::zero(), steepness));
-        let tail = R::select(far, R::zero(), near);
-        (e + R::of(2.0)) * tail / (cos_mo * R::c(8.0 * PI))
+        (e + R::of(2.0)) * fading(steepness) / (cos_mo * R::c(8.0 * PI))
     }
 
     /// A microfacet normal with density `(e + 2) / (2 pi) cos_m^(e + 1)` per solid angle

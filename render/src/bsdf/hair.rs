@@ -11,7 +11,8 @@ use super::{
 };
 use crate::error::SceneError;
 use crate::math::bessel::i0_scaled;
-use crate::math::{Rgb, warp};
+use crate::math::gauss::{faded, fading, ln};
+use crate::math::{Rgb, angle, warp};
 use crate::plugin::{FromNode, Node, Registry};
 use crate::texture::{RgbTexture, ScalarTexture};
 
@@ -65,6 +66,18 @@ const ROUGHNESS: (f64, f64) = (0.01, 1.0);
 /// Valid relative indices.
 const DENSER: (f64, f64) = (1.001, 10.0);
 
+/// Parameters of [`Hair`] at a point.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Fibre<R> {
+    /// Per radius.
+    pub sigma_a: Rgb<R>,
+    /// Along the fibre and around it.
+    pub roughness: [R; 2],
+    /// In degrees.
+    pub scale_tilt: R,
+    pub eta: R,
+}
+
 /// [`Hair`] at a point [Chiang et al. 2016]: for each order the attenuation of a smooth cylinder, which depends on the direction
 /// of the viewer, times densities of the angle along [d'Eon et al. 2011] and around the fibre of the direction to the light.
 /// Both are normalised, so that a viewer receives as much light as is not absorbed, however rough the fibre is: cosine
@@ -82,57 +95,66 @@ const DENSER: (f64, f64) = (1.001, 10.0);
 #[derive(Clone, Copy, Debug)]
 pub struct HairLobe<R> {
     /// Per radius.
-    sigma_a: Rgb<R>,
-    eta: R,
-    along: [Along<R>; LOBES],
-    around: Around<R>,
+    pub(crate) sigma_a: Rgb<R>,
+    pub(crate) eta: R,
+    pub(crate) along: [Along<R>; LOBES],
+    pub(crate) around: Around<R>,
     /// Sine and cosine of the angle by which scales turn the lobes.
-    tilts: [[R; 2]; LOBES],
+    pub(crate) tilts: [[R; 2]; LOBES],
 }
 
 /// A density of angles along the fibre.
 #[derive(Clone, Copy, Debug)]
-struct Along<R> {
-    variance: R,
-    norm: R,
+pub(crate) struct Along<R> {
+    pub variance: R,
+    pub norm: R,
 }
 
 /// A logistic density, trimmed to one turn around the fibre.
 #[derive(Clone, Copy, Debug)]
-struct Around<R> {
-    scale: R,
-    norm: R,
+pub(crate) struct Around<R> {
+    pub scale: R,
+    pub norm: R,
 }
 
 /// The side of the viewer.
 #[derive(Clone, Copy, Debug)]
-struct Seen<R> {
+pub(crate) struct Seen<R> {
     /// Sine and cosine of the angle to the plane across the fibre.
-    theta: [R; 2],
+    pub theta: [R; 2],
     /// Angle to the normal, in that plane.
-    gamma: R,
+    pub gamma: R,
     /// The same inside.
-    inside: R,
+    pub inside: R,
     /// How much light each order has.
-    attenuation: [Rgb<R>; ORDERS],
+    pub attenuation: [Rgb<R>; ORDERS],
+}
+
+/// How an order scatters.
+#[derive(Clone, Copy)]
+struct Order<R: Real> {
+    /// Zero for R, and so on.
+    number: R::Primal,
+    along: Along<R>,
+    tilt: [R; 2],
 }
 
 /// Sine and cosine of the angle to the plane across the fibre.
-#[inline]
+#[inline(always)]
 fn theta<R: Real>(w: Vec3<R>) -> [R; 2] {
     [w.y, (w.x.square() + w.z.square()).sqrt()]
 }
 
 /// Angle to the normal in the plane across the fibre.
-#[inline]
+#[inline(always)]
 fn gamma<R: Real>(w: Vec3<R>) -> R {
-    (-w.x).atan2(w.z)
+    angle::atan2(-w.x, w.z)
 }
 
 impl<R: Real> Along<R> {
-    #[inline]
+    #[inline(always)]
     fn new(variance: R) -> Self {
-        let whole = -(variance.div_into(R::c(-2.0))).exp_m1();
+        let whole = faded(variance.div_into(R::c(2.0)));
         Self {
             variance,
             norm: (variance * whole).recip(),
@@ -141,21 +163,21 @@ impl<R: Real> Along<R> {
 
     /// [d'Eon et al. 2011], per solid angle and turn. Nothing overflows or cancels in this form: the exponents of
     /// `exp(-b/v) I_0(a/v)` are a distance between both directions, and what the function of Bessel is scaled by.
-    #[inline]
+    #[inline(always)]
     fn density(&self, seen: [R; 2], wi: [R; 2]) -> R {
         let off = (seen[1] - wi[1]).square() + (seen[0] + wi[0]).square();
-        let narrow = (off * R::c(-0.5) / self.variance).exp();
+        let narrow = fading(off * R::c(0.5) / self.variance);
         i0_scaled(seen[1] * wi[1] / self.variance) * narrow * self.norm
     }
 
     /// Sine and cosine of an angle with that density [d'Eon et al. 2013].
-    #[inline]
+    #[inline(always)]
     fn sample(&self, [sin, cos]: [R; 2], u: [R::Primal; 2]) -> [R; 2] {
         let least = R::Primal::EPSILON * R::Primal::of(0.5);
         let (u0, one) = (u[0].max(least), R::Primal::one());
-        let far = self.variance.div_into(R::c(-2.0)).exp();
+        let far = fading(self.variance.div_into(R::c(2.0)));
         // One minus the cosine to the direction that a smooth fibre has.
-        let down = -(far * Const(one - u0) + Const(u0)).ln() * self.variance;
+        let down = -ln(far * Const(one - u0) + Const(u0)) * self.variance;
         let up = -down + R::c(1.0);
         let out = (down * (-down + R::c(2.0))).max(R::zero()).sqrt();
         let (sin_phi, cos_phi) = warp::sin_cos_of_turns(u[1]);
@@ -166,85 +188,100 @@ impl<R: Real> Along<R> {
 }
 
 impl<R: Real> Around<R> {
-    #[inline]
+    #[inline(always)]
     fn new(scale: R) -> Self {
-        let end = scale.div_into(R::c(-PI));
+        let end = scale.div_into(R::c(PI));
         Self {
             scale,
-            norm: (end.exp() + R::c(1.0)) / (-end.exp_m1() * scale),
+            norm: (fading(end) + R::c(1.0)) / (faded(end) * scale),
         }
     }
 
     /// Per angle, of one between minus and plus pi.
-    #[inline]
+    #[inline(always)]
     fn density(&self, x: R) -> R {
-        let tail = (-x.abs() / self.scale).exp();
+        let tail = fading(x.abs() / self.scale);
         tail * self.norm / (tail + R::c(1.0)).square()
     }
 
-    #[inline]
+    #[inline(always)]
     fn sample(&self, u: R::Primal) -> R {
         let (one, least) = (R::Primal::one(), R::Primal::EPSILON * R::Primal::of(0.5));
         let u = u.max(least).min(one - least);
-        let end = self.scale.div_into(R::c(-PI)).exp();
+        let end = fading(self.scale.div_into(R::c(PI)));
         let below = end * Const(one - u) + Const(u);
         let above = end * Const(u) + Const(one - u);
-        (below.ln() - above.ln()) * self.scale
+        (ln(below) - ln(above)) * self.scale
     }
 }
 
+/// `x^20`.
+#[inline(always)]
+fn twentieth<R: Real>(x: R) -> R {
+    let x4 = x.square().square();
+    x4.square().square() * x4
+}
+
 impl<R: Real> HairLobe<R> {
-    /// Of evaluated parameters, those of [`Hair`].
-    fn new(sigma_a: Rgb<R>, [longitudinal, azimuthal]: [R; 2], scale_tilt: R, eta: R) -> Self {
+    /// Of evaluated parameters.
+    fn new(fibre: &Fibre<R>) -> Self {
+        Self::new_in_line(fibre)
+    }
+
+    /// [`HairLobe::new`] where loops over many go through it: without a branch, as all that is in line here.
+    #[inline(always)]
+    pub(crate) fn new_in_line(fibre: &Fibre<R>) -> Self {
         // The fits of [Chiang et al. 2016].
-        let b = longitudinal;
-        let deviation = b * R::c(0.726) + b.square() * R::c(0.812) + b.powi(20) * R::c(3.7);
+        let [b, c] = fibre.roughness;
+        let deviation = b * R::c(0.726) + b.square() * R::c(0.812) + twentieth(b) * R::c(3.7);
         let variance = deviation.square();
-        let b = azimuthal;
-        let scale = b * R::c(0.265) + b.square() * R::c(1.194) + b.powi(22) * R::c(5.372);
-        let alpha = scale_tilt * R::c(PI / 180.0);
-        let tilt = |turns: f64| {
-            let (sin, cos) = (alpha * R::c(turns)).sin_cos();
-            [sin, cos]
-        };
+        let (c2, c22) = (c.square(), twentieth(c) * c.square());
+        let scale = c * R::c(0.265) + c2 * R::c(1.194) + c22 * R::c(5.372);
+        let alpha = fibre.scale_tilt * R::c(PI / 180.0);
+        // Functions, because closures that several places call are calls.
         Self {
-            sigma_a,
-            eta,
+            sigma_a: fibre.sigma_a,
+            eta: fibre.eta,
             along: [
                 Along::new(variance),
                 Along::new(variance * R::c(0.25)),
                 Along::new(variance * R::c(4.0)),
             ],
             around: Around::new(scale * R::c((PI / 8.0).sqrt())),
-            tilts: [tilt(-2.0), tilt(1.0), tilt(4.0)],
+            tilts: [
+                sine_and_cosine(alpha * R::c(-2.0)),
+                sine_and_cosine(alpha),
+                sine_and_cosine(alpha * R::c(4.0)),
+            ],
         }
     }
 
     /// What there is to know of the direction of a viewer.
     fn seen(&self, wo: Vec3<R>) -> Seen<R> {
+        self.seen_in_line(wo)
+    }
+
+    #[inline(always)]
+    pub(crate) fn seen_in_line(&self, wo: Vec3<R>) -> Seen<R> {
         // Index times cosine of what is refracted, in the plane along the fibre and the normal of that plane.
         let flat = (self.eta - R::c(1.0)) * (self.eta + R::c(1.0));
         let [sin, cos] = theta(wo);
         let square = flat + cos.square();
-        let inside = -wo.x / square.sqrt();
         let down = (flat + wo.z.square()).sqrt();
         // The way through the cylinder, in its radius.
         let length = self.eta * down * R::c(2.0) / square;
         let fresnel = fresnel::dielectric(wo.z.abs(), self.eta);
         let (reflect, transmit) = (fresnel.reflect, fresnel.transmit);
-        let mut attenuation = [Rgb::splat(reflect); ORDERS];
         // Behind some depth nothing is left, and what is infinite has no derivative.
-        let depth = self.sigma_a.map(|a| -(a * length).min(R::of(BLACK)));
-        let passes = depth.map(|x| x.exp());
+        let depth = self.sigma_a.map(|a| (a * length).min(R::of(BLACK)));
+        let passes = Rgb::new(fading(depth.r), fading(depth.g), fading(depth.b));
+        let stays = Rgb::new(faded(depth.r), faded(depth.g), faded(depth.b));
+        let mut attenuation = [Rgb::splat(reflect); ORDERS];
         attenuation[1] = passes * transmit.square();
         attenuation[2] = attenuation[1] * passes * reflect;
         // What is left of light that goes around once more: `1 - passes reflect`, without cancellation.
-        let left = depth.map(|x| transmit - x.exp_m1() * reflect);
+        let left = stays * reflect + Rgb::splat(transmit);
         let rest = attenuation[2] * passes * reflect;
-        let over = |rest: R, left: R| {
-            let some = left.primal() > R::Primal::zero();
-            R::select(some, rest / left, R::zero())
-        };
         attenuation[LOBES] = Rgb::new(
             over(rest.r, left.r),
             over(rest.g, left.g),
@@ -253,88 +290,211 @@ impl<R: Real> HairLobe<R> {
         Seen {
             theta: [sin, cos],
             gamma: gamma(wo),
-            inside: inside.asin(),
+            inside: angle::atan2(-wo.x, down),
             attenuation,
         }
     }
 
-    /// As seen by an order whose scales are tilted.
-    #[inline]
-    fn tilted(&self, order: usize, [sin, cos]: [R; 2]) -> [R; 2] {
-        match self.tilts.get(order) {
-            Some(&[s, c]) => [sin * c + cos * s, (cos * c - sin * s).abs()],
-            None => [sin, cos],
+    #[inline(always)]
+    fn order(&self, number: usize) -> Order<R> {
+        let tilt = match self.tilts.get(number) {
+            Some(&tilt) => tilt,
+            None => [R::zero(), R::one()],
+        };
+        Order {
+            number: R::Primal::of(number as f64),
+            along: self.along[number.min(LOBES - 1)],
+            tilt,
         }
     }
 
-    #[inline]
-    fn along(&self, order: usize) -> &Along<R> {
-        &self.along[order.min(LOBES - 1)]
+    /// Density of a direction in an order: `toward` is its [`theta`], `turned` the angle to the normal of both directions.
+    #[inline(always)]
+    fn density(&self, order: &Order<R>, seen: &Seen<R>, toward: [R; 2], turned: R) -> R {
+        let along = order.along.density(order.tilted(seen.theta), toward);
+        let off = angle::in_one_turn(turned - seen.smooth(order));
+        let around = R::select(
+            order.is_rest(),
+            R::of(TAU.recip()),
+            self.around.density(off),
+        );
+        along * around
     }
 
     /// Densities of a direction in each order.
     fn densities(&self, seen: &Seen<R>, wi: Vec3<R>) -> [R; ORDERS] {
+        self.densities_in_line(seen, wi)
+    }
+
+    #[inline(always)]
+    fn densities_in_line(&self, seen: &Seen<R>, wi: Vec3<R>) -> [R; ORDERS] {
         let (toward, turned) = (theta(wi), gamma(wi) + seen.gamma);
-        ad_core::array(|p| {
-            let along = (self.along(p)).density(self.tilted(p, seen.theta), toward);
-            if p == LOBES {
-                return along * R::c(TAU.recip());
-            }
-            let off = turned - seen.smooth(p) + R::c(PI);
-            along * self.around.density(off.rem_euclid(R::c(TAU)) - R::c(PI))
-        })
+        // A loop would not be unrolled within another one.
+        [
+            self.density(&self.order(0), seen, toward, turned),
+            self.density(&self.order(1), seen, toward, turned),
+            self.density(&self.order(2), seen, toward, turned),
+            self.density(&self.order(3), seen, toward, turned),
+        ]
+    }
+
+    /// Value and density of a direction, for viewers.
+    #[inline(always)]
+    pub(crate) fn eval_pdf_in_line(&self, seen: &Seen<R>, wi: Vec3<R>) -> (Rgb<R>, R) {
+        let densities = self.densities_in_line(seen, wi);
+        (seen.radiance(&densities), seen.sampled(&densities))
+    }
+
+    /// The order that `u` chooses, and `u` stretched over [0, 1) again. Numbers are selected, so that there is no branch.
+    #[inline(always)]
+    fn choose(&self, u: R::Primal, shares: &[R; ORDERS]) -> (Order<R>, R::Primal) {
+        let below_one = R::Primal::one() - R::Primal::EPSILON;
+        let (mut order, mut share) = (self.order(0), shares[0].primal());
+        let (mut rest, mut beyond) = (u, true);
+        let mut number = 1;
+        while number < ORDERS {
+            beyond &= rest >= share;
+            rest = R::Primal::select(beyond, rest - share, rest);
+            share = R::Primal::select(beyond, shares[number].primal(), share);
+            order = Order::select(beyond, &self.order(number), &order);
+            number += 1;
+        }
+        (order, (rest / share).min(below_one))
     }
 
     /// A direction of that order; `u` and `u_along` are used up.
+    #[inline(always)]
     fn direction(
         &self,
         seen: &Seen<R>,
-        order: usize,
+        order: &Order<R>,
         u: R::Primal,
         u_along: [R::Primal; 2],
     ) -> Vec3<R> {
-        let [sin, cos] = (self.along(order)).sample(self.tilted(order, seen.theta), u_along);
-        let turned = if order == LOBES {
-            R::lift(u * R::Primal::of(TAU))
-        } else {
-            self.around.sample(u) + seen.smooth(order)
-        };
-        let (sin_gamma, cos_gamma) = (turned - seen.gamma).sin_cos();
+        let [sin, cos] = order.along.sample(order.tilted(seen.theta), u_along);
+        let anywhere = R::lift(u * R::Primal::of(TAU));
+        let around = self.around.sample(u) + seen.smooth(order);
+        let turned = R::select(order.is_rest(), anywhere, around);
+        let (sin_gamma, cos_gamma) = angle::sin_cos_of(turned - seen.gamma);
         Vec3::new(-cos * sin_gamma, sin, cos * cos_gamma)
     }
 
-    /// What a viewer along `wo` sees of light from `wi`, cosine included.
-    fn radiance(&self, seen: &Seen<R>, densities: &[R; ORDERS]) -> Rgb<R> {
-        let all = seen.attenuation.iter().zip(densities);
-        all.fold(Rgb::black(), |sum, (a, d)| sum + *a * *d)
+    /// A direction of any order, chosen by the (primal) luminance of its attenuation.
+    fn scatter(&self, seen: &Seen<R>, u: [R::Primal; 3]) -> Vec3<R> {
+        self.scatter_in_line(seen, u)
     }
 
-    /// What particles that come from `wo` have along `wi`: the same, exchanged.
+    #[inline(always)]
+    pub(crate) fn scatter_in_line(&self, seen: &Seen<R>, u: [R::Primal; 3]) -> Vec3<R> {
+        let (order, stretched) = self.choose(u[0], &seen.shares());
+        self.direction(seen, &order, u[2], [u[1], stretched])
+    }
+
+    /// Value and density of a direction that is lit, or where particles go.
+    fn eval_pdf_where(
+        &self,
+        seen: &Seen<R>,
+        [wo, wi]: [Vec3<R>; 2],
+        mode: TransportMode,
+    ) -> (Rgb<R>, R) {
+        let densities = self.densities(seen, wi);
+        let value = match mode {
+            TransportMode::Radiance => seen.radiance(&densities),
+            TransportMode::Importance => self.importance(wo, wi),
+        };
+        (value, mixture(seen.sampled(&densities), wi, mode))
+    }
+
+    /// What particles that come from `wo` have along `wi`: what viewers have, exchanged.
     fn importance(&self, wo: Vec3<R>, wi: Vec3<R>) -> Rgb<R> {
         // No particle comes along the surface.
         if wo.z.primal().abs() <= R::Primal::EPSILON {
             return Rgb::black();
         }
         let seen = self.seen(wi);
-        let value = self.radiance(&seen, &self.densities(&seen, wo));
+        let value = seen.radiance(&self.densities(&seen, wo));
         value * (wi.z / wo.z).abs()
+    }
+}
+
+/// Of an angle in radians.
+#[inline(always)]
+fn sine_and_cosine<R: Real>(angle: R) -> [R; 2] {
+    let (sin, cos) = angle::sin_cos_of(angle);
+    [sin, cos]
+}
+
+/// A quotient, zero where there is none.
+#[inline(always)]
+fn over<R: Real>(rest: R, left: R) -> R {
+    let some = left.primal() > R::Primal::zero();
+    R::select(some, rest / left, R::zero())
+}
+
+impl<R: Real> Order<R> {
+    /// Whether it is all those that have no lobe of their own.
+    #[inline(always)]
+    fn is_rest(&self) -> bool {
+        self.number >= R::Primal::of(LOBES as f64)
+    }
+
+    /// A direction as scales that are tilted see it.
+    #[inline(always)]
+    fn tilted(&self, [sin, cos]: [R; 2]) -> [R; 2] {
+        let [s, c] = self.tilt;
+        [sin * c + cos * s, (cos * c - sin * s).abs()]
+    }
+
+    /// `a` if `cond` holds, else `b`: no branch.
+    #[inline(always)]
+    fn select(cond: bool, a: &Self, b: &Self) -> Self {
+        Self {
+            number: R::Primal::select(cond, a.number, b.number),
+            along: Along {
+                variance: R::select(cond, a.along.variance, b.along.variance),
+                norm: R::select(cond, a.along.norm, b.along.norm),
+            },
+            tilt: [
+                R::select(cond, a.tilt[0], b.tilt[0]),
+                R::select(cond, a.tilt[1], b.tilt[1]),
+            ],
+        }
     }
 }
 
 impl<R: Real> Seen<R> {
     /// Sum of the angles to the normal of both directions, where the fibre is smooth around.
-    #[inline]
-    fn smooth(&self, order: usize) -> R {
-        let p = order as f64;
-        self.inside * R::c(2.0 * p) + R::c(p * PI)
+    #[inline(always)]
+    fn smooth(&self, order: &Order<R>) -> R {
+        let p = order.number;
+        self.inside * Const(p + p) + Const(p * R::Primal::of(PI))
     }
 
     /// Probability of sampling each order.
+    #[inline(always)]
     fn shares(&self) -> [R; ORDERS] {
-        let sizes = self.attenuation.each_ref().map(|a| a.luminance());
-        let whole = sizes.into_iter().fold(R::zero(), |sum, x| sum + x);
+        let sizes: [R; ORDERS] = ad_core::array(|p| self.attenuation[p].luminance());
+        let whole = sizes[0] + sizes[1] + sizes[2] + sizes[3];
         let unit = (whole * R::c(1.0 + LEAST_SHARE * ORDERS as f64)).recip();
-        sizes.map(|x| (x + whole * R::c(LEAST_SHARE)) * unit)
+        ad_core::array(|p| (sizes[p] + whole * R::c(LEAST_SHARE)) * unit)
+    }
+
+    /// What a viewer sees of light from where the orders have these densities, cosine included.
+    #[inline(always)]
+    fn radiance(&self, densities: &[R; ORDERS]) -> Rgb<R> {
+        let parts = self.attenuation;
+        parts[0] * densities[0]
+            + parts[1] * densities[1]
+            + parts[2] * densities[2]
+            + parts[3] * densities[3]
+    }
+
+    /// The density there of samples of the orders, chosen by primal shares.
+    #[inline(always)]
+    fn sampled(&self, densities: &[R; ORDERS]) -> R {
+        let shares = self.shares();
+        let part = ad_core::array::<R, ORDERS>(|p| densities[p] * Const(shares[p].primal()));
+        part[0] + part[1] + part[2] + part[3]
     }
 }
 
@@ -354,24 +514,12 @@ fn mixture<R: Real>(sampled: R, wi: Vec3<R>, mode: TransportMode) -> R {
     }
 }
 
-/// The order that `u` chooses, and `u` stretched over [0, 1) again.
-#[inline]
-fn order_of<P: Float>(mut u: P, shares: &[P; ORDERS]) -> (usize, P) {
-    let mut order = 0;
-    while order < LOBES && u >= shares[order] {
-        u -= shares[order];
-        order += 1;
-    }
-    let below_one = P::one() - P::EPSILON;
-    (order, (u / shares[order]).min(below_one))
-}
-
 impl<R: Real> Lobe<R> for HairLobe<R> {
     fn eval(&self, wo: Vec3<R>, wi: Vec3<R>, mode: TransportMode) -> Rgb<R> {
         match mode {
             TransportMode::Radiance => {
                 let seen = self.seen(wo);
-                self.radiance(&seen, &self.densities(&seen, wi))
+                seen.radiance(&self.densities(&seen, wi))
             }
             TransportMode::Importance => self.importance(wo, wi),
         }
@@ -379,18 +527,12 @@ impl<R: Real> Lobe<R> for HairLobe<R> {
 
     fn pdf(&self, wo: Vec3<R>, wi: Vec3<R>, mode: TransportMode) -> R {
         let seen = self.seen(wo);
-        let sampled = sampled(&seen, &self.densities(&seen, wi));
+        let sampled = seen.sampled(&self.densities(&seen, wi));
         mixture(sampled, wi, mode)
     }
 
     fn eval_pdf(&self, wo: Vec3<R>, wi: Vec3<R>, mode: TransportMode) -> (Rgb<R>, R) {
-        let seen = self.seen(wo);
-        let densities = self.densities(&seen, wi);
-        let value = match mode {
-            TransportMode::Radiance => self.radiance(&seen, &densities),
-            TransportMode::Importance => self.importance(wo, wi),
-        };
-        (value, mixture(sampled(&seen, &densities), wi, mode))
+        self.eval_pdf_where(&self.seen(wo), [wo, wi], mode)
     }
 
     /// Chooses an order by the (primal) luminance of its attenuation; particles also go evenly to both sides.
@@ -404,21 +546,19 @@ impl<R: Real> Lobe<R> for HairLobe<R> {
         u: [R::Primal; 3],
         mode: TransportMode,
     ) -> Option<Scattered<R, R>> {
-        let share = match mode {
-            TransportMode::Radiance => 0.0,
-            TransportMode::Importance => EVENLY,
+        let (evenly, u0) = match mode {
+            TransportMode::Radiance => (false, u[0]),
+            TransportMode::Importance => choose(u[0], R::Primal::of(EVENLY)),
         };
-        let (evenly, u0) = choose(u[0], R::Primal::of(share));
+        let seen = self.seen(wo);
         let wi = if evenly {
             let w = warp::square_to_cosine_hemisphere([u[1], u[2]]);
             let below = u0 < R::Primal::of(0.5);
             Vec3::lift(Vec3::new(w.x, w.y, R::Primal::select(below, -w.z, w.z)))
         } else {
-            let seen = self.seen(wo);
-            let (order, u0) = order_of(u0, &seen.shares().map(Real::primal));
-            self.direction(&seen, order, u[2], [u[1], u0])
+            self.scatter(&seen, [u0, u[1], u[2]])
         };
-        let (f, pdf) = self.eval_pdf(wo, wi, mode);
+        let (f, pdf) = self.eval_pdf_where(&seen, [wo, wi], mode);
         Some((BsdfSample::reflected(wi, pdf)?, f))
     }
 
@@ -437,15 +577,6 @@ impl<R: Real> Lobe<R> for HairLobe<R> {
     }
 }
 
-/// The density of samples of the orders, chosen by primal shares.
-#[inline]
-fn sampled<R: Real>(seen: &Seen<R>, densities: &[R; ORDERS]) -> R {
-    let parts = seen.shares().into_iter().zip(densities);
-    parts.fold(R::zero(), |sum, (share, d)| {
-        sum + *d * Const(share.primal())
-    })
-}
-
 impl Leaf for Hair {
     type Lobe<R: Real> = HairLobe<R>;
     const MANY: bool = true;
@@ -455,6 +586,14 @@ impl Leaf for Hair {
     }
 
     fn lobe<R: Real>(&self, read: &mut impl Reader<R>) -> HairLobe<R> {
+        HairLobe::new(&self.fibre(read))
+    }
+}
+
+impl Hair {
+    /// Its parameters at a point.
+    #[inline]
+    pub(crate) fn fibre<R: Real>(&self, read: &mut impl Reader<R>) -> Fibre<R> {
         let sigma_a = match &self.absorption {
             Absorption::Pigments(pigments) => {
                 let each = pigments.iter().zip(MELANINS);
@@ -464,16 +603,15 @@ impl Leaf for Hair {
             }
             Absorption::Coefficient { sigma_a, scale } => read.rgb(sigma_a) * read.scalar(scale),
         };
-        let roughness = [
-            read.scalar(&self.longitudinal_roughness),
-            read.scalar(&self.azimuthal_roughness),
-        ];
-        HairLobe::new(
+        Fibre {
             sigma_a,
-            roughness,
-            read.scalar(&self.scale_tilt),
-            read.scalar(&self.eta),
-        )
+            roughness: [
+                read.scalar(&self.longitudinal_roughness),
+                read.scalar(&self.azimuthal_roughness),
+            ],
+            scale_tilt: read.scalar(&self.scale_tilt),
+            eta: read.scalar(&self.eta),
+        }
     }
 }
 
@@ -535,8 +673,13 @@ mod tests {
     const OF_DIRECTION: usize = 7;
 
     fn of<R: Real>(x: &[R; INPUTS]) -> (HairLobe<R>, Vec3<R>) {
-        let lobe = HairLobe::new(Rgb::new(x[0], x[1], x[2]), [x[3], x[4]], x[5], x[6]);
-        (lobe, Vec3::new(x[7], x[8], x[9]))
+        let fibre = Fibre {
+            sigma_a: Rgb::new(x[0], x[1], x[2]),
+            roughness: [x[3], x[4]],
+            scale_tilt: x[5],
+            eta: x[6],
+        };
+        (HairLobe::new(&fibre), Vec3::new(x[7], x[8], x[9]))
     }
 
     fn inputs(roughness: [f64; 2], wo: Vec3<f64>) -> [f64; INPUTS] {
@@ -564,11 +707,11 @@ mod tests {
             for order in 0..ORDERS {
                 let draw = |x: &[f64; INPUTS], axis: usize| {
                     let (lobe, wo) = of(x);
-                    let w = lobe.direction(&lobe.seen(wo), order, u[2], [u[0], u[1]]);
+                    let w = lobe.direction(&lobe.seen(wo), &lobe.order(order), u[2], [u[0], u[1]]);
                     w.to_array()[axis]
                 };
                 let (lobe, wo) = of(&seeded::<INPUTS>(&x, 0));
-                let w = lobe.direction(&lobe.seen(wo), order, u[2], [u[0], u[1]]);
+                let w = lobe.direction(&lobe.seen(wo), &lobe.order(order), u[2], [u[0], u[1]]);
                 assert!((w.primal().length() - 1.0).abs() < 1e-12);
                 for (axis, found) in w.to_array().into_iter().enumerate() {
                     for k in 0..INPUTS {
@@ -623,7 +766,7 @@ mod tests {
                 for k in 0..N * N * N {
                     let ((a, da), (b, db)) = (ended(k / N % N), ended(k % N));
                     let turn = middle(k / N / N, N);
-                    let wi = lobe.direction(&seen, order, b, [a, turn]);
+                    let wi = lobe.direction(&seen, &lobe.order(order), b, [a, turn]);
                     let (f, pdf) = seen_from_there(wi);
                     found += f / pdf * D::lift(share.re * da * db);
                 }

@@ -2,7 +2,7 @@
 
 use std::f64::consts::FRAC_1_PI;
 
-use ad_core::{Const, Real, Vec3};
+use ad_core::{Const, Float, Real, Vec3};
 
 use super::microfacet::{Alpha, Axes, Microfacet, Ndf};
 use super::principled::{
@@ -78,10 +78,23 @@ pub(crate) struct Pane<R, A> {
     pub transmitting: Microfacet<A>,
 }
 
+impl<R, A> Pane<R, A> {
+    /// The facets that let light pass, or those that reflect it.
+    #[inline]
+    fn surface(&self, passes: bool) -> &Microfacet<A> {
+        if passes {
+            &self.transmitting
+        } else {
+            &self.reflecting
+        }
+    }
+}
+
 /// Two directions as if both were above the surface, and whether the second is on the other side of it.
-struct Sides<R> {
-    directions: [Vec3<R>; 2],
-    passes: bool,
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Sides<R> {
+    pub directions: [Vec3<R>; 2],
+    pub passes: bool,
     /// Normal of the facet between the directions.
     m: Vec3<R>,
     /// Cosine of both to it.
@@ -91,33 +104,80 @@ struct Sides<R> {
 impl<R: Real> Sides<R> {
     #[inline]
     fn of(wo: Vec3<R>, wi: Vec3<R>) -> Option<Self> {
+        let m = Self::along(wo, wi).normalize();
+        let (sides, scatters) = Self::with(m, wo, wi);
+        scatters.then_some(sides)
+    }
+
+    /// A vector along the normal of the facet between the directions.
+    #[inline(always)]
+    pub fn along(wo: Vec3<R>, wi: Vec3<R>) -> Vec3<R> {
+        above(wo) + above(wi)
+    }
+
+    /// [`Sides`] where the normal, of unit length, is known, and whether anything is scattered there: without a branch, for
+    /// loops over many.
+    #[inline(always)]
+    pub fn with(m: Vec3<R>, wo: Vec3<R>, wi: Vec3<R>) -> (Self, bool) {
         let zero = R::Primal::zero();
-        if wo.z.primal() == zero || wi.z.primal() == zero {
-            return None;
-        }
-        let passes = (wo.z.primal() > zero) != (wi.z.primal() > zero);
-        let [wo, wi] = [wo, wi].map(above);
-        let m = (wo + wi).normalize();
-        Some(Self {
-            directions: [wo, wi],
-            passes,
+        let [o, i] = [above(wo), above(wi)];
+        let sides = Self {
+            directions: [o, i],
+            passes: (wo.z.primal() > zero) != (wi.z.primal() > zero),
             m,
-            cos: wo.dot(m),
-        })
+            cos: o.dot(m),
+        };
+        (sides, (wo.z.primal() != zero) & (wi.z.primal() != zero))
     }
 }
 
 /// The direction, or its image above the surface.
-#[inline]
-fn above<R: Real>(w: Vec3<R>) -> Vec3<R> {
+#[inline(always)]
+pub(crate) fn above<R: Real>(w: Vec3<R>) -> Vec3<R> {
     Vec3::new(w.x, w.y, w.z.abs())
 }
 
 /// Shares of samples: facets that reflect and that let pass, diffuse reflection and transmission. What there is none of is
 /// zero.
-struct Shares<S>([S; 4]);
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct ThinShares<S>(pub [S; 4]);
 
-impl<S: Real> Shares<S> {
+/// What a sample is of.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct ThinPart {
+    /// The pane; otherwise, what is diffuse.
+    pub of_facets: bool,
+    /// What goes to the other side.
+    pub passes: bool,
+}
+
+impl<P: Float> ThinShares<P> {
+    /// The part that a random number chooses.
+    #[inline(always)]
+    pub fn choose(&self, u: P) -> ThinPart {
+        let [reflects, passes, base, _] = self.0;
+        let of_facets = u < reflects + passes;
+        let through = of_facets & (u >= reflects);
+        ThinPart {
+            of_facets,
+            passes: through | (u >= reflects + passes + base),
+        }
+    }
+}
+
+impl ThinPart {
+    /// Where a direction that was chosen above the surface leads from `wo`, and whether anywhere.
+    #[inline(always)]
+    pub fn turned<R: Real>(&self, wo: Vec3<R>, on_side: Vec3<R>) -> (Vec3<R>, bool) {
+        let zero = R::Primal::zero();
+        let mirrored = Vec3::new(on_side.x, on_side.y, -on_side.z);
+        let behind = (wo.z.primal() < zero) != self.passes;
+        let goes = (wo.z.primal() != zero) & (on_side.z.primal() > zero);
+        (Vec3::select(behind, mirrored, on_side), goes)
+    }
+}
+
+impl<S: Real> ThinShares<S> {
     /// Not zero where it could be more, which has a derivative (errata F7).
     #[inline]
     fn of(pane: Option<S>, diff_trans: Option<S>) -> Self {
@@ -220,63 +280,55 @@ impl<T> PrincipledThin<T> {
     }
 }
 
-impl<R: Real, A: Alpha<Scalar = R>> PrincipledThinLobe<R, A> {
-    #[inline]
-    fn shares(&self) -> Shares<R> {
-        Shares::of(self.pane.map(|p| p.share), self.diff_trans)
-    }
-
-    #[inline]
-    fn primal_shares(&self) -> Shares<R::Primal> {
-        let pane = self.pane.map(|p| p.share.primal());
-        Shares::of(pane, self.diff_trans.map(Real::primal))
-    }
-
-    /// Facets of the side on which the second direction is.
-    #[inline]
-    fn facets(&self, s: &Sides<R>) -> Option<Facets<R>> {
-        self.pane.as_ref().map(|pane| {
-            let surface = if s.passes {
-                &pane.transmitting
-            } else {
-                &pane.reflecting
-            };
-            Facets::at(surface, s.m, s.directions)
-        })
-    }
-
-    /// What is seen of the second direction.
-    #[inline]
-    fn value(&self, s: &Sides<R>, facets: Option<&Facets<R>>) -> Rgb<R> {
-        let (one, [wo, wi]) = (R::one(), s.directions);
-        let rest = -self.pane.map_or(R::zero(), |p| p.share) + one;
-        let through = self.diff_trans.unwrap_or(R::zero());
-        let mut value = if s.passes {
-            self.base_color * (rest * through * wi.z * R::c(FRAC_1_PI))
-        } else {
-            let back = rest * (-through + one);
-            let mut value =
-                self.base_color * (matt(self.roughness, self.flatness, [wo, wi], s.cos) * back);
-            if let Some(sheen) = self.sheen {
-                let sheen = sheen * back * schlick(s.cos) * wi.z;
-                value += self.tinted(self.tints.map(|t| t.sheen)) * sheen;
-            }
-            value
-        };
+/// What the parts are worth, without branches but for those that the material has none of: for loops over many, too.
+impl<R: Real, A> PrincipledThinLobe<R, A> {
+    /// What is seen of the second direction, which is on the side of the first.
+    #[inline(always)]
+    fn reflected(&self, s: &Sides<R>, facets: Option<&Facets<R>>) -> Rgb<R> {
+        let [wo, wi] = s.directions;
+        let back = self.rest() * (-self.through() + R::one());
+        let base = matt(self.roughness, self.flatness, [wo, wi], s.cos) * back;
+        let mut value = self.base_color * base;
+        if let Some(sheen) = self.sheen {
+            let sheen = sheen * back * schlick(s.cos) * wi.z;
+            value += self.tinted(self.tints.map(|t| t.sheen)) * sheen;
+        }
         if let (Some(pane), Some(facets)) = (&self.pane, facets) {
             let fresnel = fresnel::dielectric(s.cos, pane.eta);
             let main = facets.reflection(wi) * pane.share;
-            value += if s.passes {
-                self.base_color * (fresnel.transmit * main)
-            } else {
-                self.reflectance(fresnel.reflect, pane.eta, s.cos) * main
-            };
+            value += self.reflectance(fresnel.reflect, pane.eta, s.cos) * main;
         }
         value
     }
 
+    /// The same where the second direction is on the other side.
+    #[inline(always)]
+    fn transmitted(&self, s: &Sides<R>, facets: Option<&Facets<R>>) -> Rgb<R> {
+        let [_, wi] = s.directions;
+        let through = self.rest() * self.through() * wi.z * R::c(FRAC_1_PI);
+        let mut value = self.base_color * through;
+        if let (Some(pane), Some(facets)) = (&self.pane, facets) {
+            let fresnel = fresnel::dielectric(s.cos, pane.eta);
+            let main = facets.reflection(wi) * pane.share;
+            value += self.base_color * (fresnel.transmit * main);
+        }
+        value
+    }
+
+    /// What is no pane.
+    #[inline(always)]
+    fn rest(&self) -> R {
+        -self.pane.as_ref().map_or(R::zero(), |p| p.share) + R::one()
+    }
+
+    /// The share of that which is transmitted.
+    #[inline(always)]
+    fn through(&self) -> R {
+        self.diff_trans.unwrap_or(R::zero())
+    }
+
     /// White, or as much of the hue as that.
-    #[inline]
+    #[inline(always)]
     fn tinted(&self, tint: Option<R>) -> Rgb<R> {
         let white = Rgb::splat(R::one());
         match (&self.tints, tint) {
@@ -286,7 +338,7 @@ impl<R: Real, A: Alpha<Scalar = R>> PrincipledThinLobe<R, A> {
     }
 
     /// What a facet of the pane reflects: where it is tinted, by Schlick's fit.
-    #[inline]
+    #[inline(always)]
     fn reflectance(&self, fresnel: R, eta: R, cos: R) -> Rgb<R> {
         let exact = Rgb::splat(fresnel);
         let Some(tints) = &self.tints else {
@@ -299,46 +351,93 @@ impl<R: Real, A: Alpha<Scalar = R>> PrincipledThinLobe<R, A> {
     }
 
     /// Densities of the second direction among samples of facets, and of all others.
-    #[inline]
+    #[inline(always)]
     fn densities(s: &Sides<R>, facets: Option<&Facets<R>>) -> [R; 2] {
-        let of_facets = facets.map_or(R::zero(), Facets::pdf_reflected);
+        let of_facets = match facets {
+            Some(facets) => facets.pdf_reflected(),
+            None => R::zero(),
+        };
         [of_facets, warp::cosine_hemisphere_pdf(s.directions[1].z)]
     }
 
-    #[inline]
-    fn density(&self, s: &Sides<R>, facets: Option<&Facets<R>>) -> R {
-        let Shares(shares) = self.primal_shares();
-        let side = usize::from(s.passes);
+    /// Density of the second direction among all samples.
+    #[inline(always)]
+    fn density(
+        s: &Sides<R>,
+        facets: Option<&Facets<R>>,
+        ThinShares(shares): &ThinShares<R::Primal>,
+    ) -> R {
         let [of_facets, other] = Self::densities(s, facets);
-        of_facets * Const(shares[side]) + other * Const(shares[2 + side])
+        let of_pane = R::Primal::select(s.passes, shares[1], shares[0]);
+        let of_rest = R::Primal::select(s.passes, shares[3], shares[2]);
+        of_facets * Const(of_pane) + other * Const(of_rest)
+    }
+}
+
+impl<P: Float, A> PrincipledThinLobe<P, A> {
+    /// [`Lobe::eval_pdf`] where the facets of a pane, if there may be one, are known: without a branch, for loops over many.
+    /// Of a part that some others have, there may be none: then its share is zero.
+    #[inline(always)]
+    pub(crate) fn eval_pdf_where(
+        &self,
+        shares: &ThinShares<P>,
+        (sides, scatters): (&Sides<P>, bool),
+        facets: Option<&Facets<P>>,
+    ) -> (Rgb<P>, P) {
+        let (back, through) = (
+            self.reflected(sides, facets),
+            self.transmitted(sides, facets),
+        );
+        let value = Rgb::select(sides.passes, through, back);
+        let pdf = Self::density(sides, facets, shares);
+        (
+            Rgb::select(scatters, value, Rgb::black()),
+            P::select(scatters, pdf, P::zero()),
+        )
+    }
+}
+
+impl<R: Real, A: Alpha<Scalar = R>> PrincipledThinLobe<R, A> {
+    #[inline]
+    fn shares(&self) -> ThinShares<R> {
+        ThinShares::of(self.pane.map(|p| p.share), self.diff_trans)
+    }
+
+    #[inline]
+    pub(crate) fn primal_shares(&self) -> ThinShares<R::Primal> {
+        let pane = self.pane.map(|p| p.share.primal());
+        ThinShares::of(pane, self.diff_trans.map(Real::primal))
+    }
+
+    /// Facets of the side on which the second direction is.
+    #[inline]
+    fn facets(&self, s: &Sides<R>) -> Option<Facets<R>> {
+        let surface = self.pane.as_ref()?.surface(s.passes);
+        Some(Facets::at(surface, s.m, s.directions))
+    }
+
+    /// What is seen of the second direction.
+    #[inline]
+    fn value(&self, s: &Sides<R>, facets: Option<&Facets<R>>) -> Rgb<R> {
+        if s.passes {
+            self.transmitted(s, facets)
+        } else {
+            self.reflected(s, facets)
+        }
     }
 
     #[inline]
     fn direction(&self, wo: Vec3<R>, u: [R::Primal; 3]) -> Option<Vec3<R>> {
-        let (zero, Shares([reflects, passes, base, _])) = (R::Primal::zero(), self.primal_shares());
-        if wo.z.primal() == zero {
-            return None;
-        }
-        let of_facets = reflects + passes;
-        let facets = match &self.pane {
-            Some(pane) if u[0] < reflects => Some(&pane.reflecting),
-            Some(pane) if u[0] < of_facets => Some(&pane.transmitting),
-            _ => None,
-        };
-        let on_side = match facets {
-            Some(facets) => {
+        let part = self.primal_shares().choose(u[0]);
+        let on_side = match &self.pane {
+            Some(pane) if part.of_facets => {
                 let seen = above(wo);
-                reflect(seen, facets.sample(seen, [u[1], u[2]]))
+                reflect(seen, pane.surface(part.passes).sample(seen, [u[1], u[2]]))
             }
-            None => Vec3::lift(warp::square_to_cosine_hemisphere([u[1], u[2]])),
+            _ => Vec3::lift(warp::square_to_cosine_hemisphere([u[1], u[2]])),
         };
-        if on_side.z.primal() <= zero {
-            return None;
-        }
-        let other = (u[0] >= reflects && u[0] < of_facets) || u[0] >= of_facets + base;
-        let turned = (wo.z.primal() < zero) != other;
-        let mirrored = Vec3::new(on_side.x, on_side.y, -on_side.z);
-        Some(Vec3::select(turned, mirrored, on_side))
+        let (wi, goes) = part.turned(wo, on_side);
+        goes.then_some(wi)
     }
 }
 
@@ -354,7 +453,7 @@ impl<R: Real, A: Alpha<Scalar = R>> Lobe<R> for PrincipledThinLobe<R, A> {
     #[inline]
     fn pdf(&self, wo: Vec3<R>, wi: Vec3<R>, _mode: TransportMode) -> R {
         match Sides::of(wo, wi) {
-            Some(s) => self.density(&s, self.facets(&s).as_ref()),
+            Some(s) => Self::density(&s, self.facets(&s).as_ref(), &self.primal_shares()),
             None => R::zero(),
         }
     }
@@ -367,7 +466,7 @@ impl<R: Real, A: Alpha<Scalar = R>> Lobe<R> for PrincipledThinLobe<R, A> {
         let facets = self.facets(&s);
         (
             self.value(&s, facets.as_ref()),
-            self.density(&s, facets.as_ref()),
+            Self::density(&s, facets.as_ref(), &self.primal_shares()),
         )
     }
 
@@ -401,7 +500,7 @@ impl<R: Real, A: Alpha<Scalar = R>> Lobe<R> for PrincipledThinLobe<R, A> {
         let Some(s) = Sides::of(wo, wi) else {
             return R::zero();
         };
-        let Shares(shares) = self.shares();
+        let ThinShares(shares) = self.shares();
         let side = usize::from(s.passes);
         let parts = Self::densities(&s, self.facets(&s).as_ref()).map(constant);
         parts[0] * shares[side] + parts[1] * shares[2 + side]

@@ -1,10 +1,10 @@
 //! Angles by polynomials: without a call or a branch, for loops over many of them.
 
-use std::f64::consts::{FRAC_PI_2, FRAC_PI_4, PI};
+use std::f64::consts::{FRAC_PI_2, FRAC_PI_4, PI, TAU};
 
 use ad_core::{Const, Float, Real};
 
-use super::warp::sin_cos_of_turns;
+use super::warp::{horner, sin_cos_of_turns};
 
 /// `tan(pi / 8)`: up to there the polynomials are good.
 const LARGEST: f64 = 0.414_213_562_373_095_05;
@@ -63,6 +63,35 @@ pub fn sin_cos<R: Real>(u: R) -> (R, R) {
     (revalued(s, sin), revalued(c, cos))
 }
 
+/// Sine and cosine of `x` radians, to a few roundings of `x`.
+///
+/// # Derivatives
+/// In `x`.
+#[inline(always)]
+pub fn sin_cos_of<R: Real>(x: R) -> (R, R) {
+    let half = R::Primal::of(0.5);
+    let turns = x.primal() * R::Primal::of(1.0 / TAU);
+    let turns = turns - (turns + half).floor();
+    let (sin, cos) = sin_cos_of_turns(turns.abs());
+    let sin = R::Primal::select(turns.sign_bit(), -sin, sin);
+    if R::IS_PRIMAL {
+        return (R::lift(sin), R::lift(cos));
+    }
+    let (s, c) = x.sin_cos();
+    (revalued(s, sin), revalued(c, cos))
+}
+
+/// The angle `x`, in radians, between minus and plus half a turn.
+///
+/// # Derivatives
+/// In `x`.
+#[inline(always)]
+pub fn in_one_turn<R: Real>(x: R) -> R {
+    let half = R::Primal::of(0.5);
+    let turns = (x.primal() * R::Primal::of(1.0 / TAU) + half).floor();
+    x - Const(turns * R::Primal::of(TAU))
+}
+
 /// `x` with another value.
 #[inline(always)]
 fn revalued<R: Real>(x: R, value: R::Primal) -> R {
@@ -81,11 +110,10 @@ fn primal_atan2<P: Float>(y: P, x: P) -> P {
     let below = P::select(steep, short + long, long);
     let q = P::select(below == P::zero(), P::zero(), above / below);
     let z = q * q;
-    let horner = |c: &[f64]| (c.iter().rev()).fold(P::zero(), |sum, &c| sum.mul_add(z, P::of(c)));
     let part = if P::EPSILON > P::of(1e-10) {
-        horner(&SINGLE)
+        horner(&SINGLE, SINGLE.len(), z)
     } else {
-        horner(&DOUBLE)
+        horner(&DOUBLE, DOUBLE.len(), z)
     };
     let a = part * q + P::select(steep, P::of(FRAC_PI_4), P::zero());
     let a = P::select(swapped, P::of(FRAC_PI_2) - a, a);
@@ -133,6 +161,31 @@ mod tests {
             assert_eq!(atan2::<f64>(-y, x), (-y).atan2(x), "{y} {x}");
         }
         assert!(atan2(f32::NAN, 1.0).is_nan());
+    }
+
+    #[test]
+    fn angles_of_several_turns_are_right_to_a_few_roundings() {
+        for k in -6000..=6000 {
+            let x = f64::from(k) / 300.0;
+            let (sin, cos) = sin_cos_of(x);
+            let bound = 6e-16 * x.abs().max(1.0);
+            assert!((sin - x.sin()).abs() < bound && (cos - x.cos()).abs() < bound);
+            let y = in_one_turn(x);
+            assert!(y.abs() < PI + 1e-14 && (y.sin() - x.sin()).abs() < 3.0 * bound);
+            let (sin, cos) = sin_cos_of(x as f32);
+            let x = f64::from(x as f32);
+            let bound = 3.6e-7 * x.abs().max(1.0);
+            let off = [f64::from(sin) - x.sin(), f64::from(cos) - x.cos()];
+            assert!(off.into_iter().all(|off| off.abs() < bound), "{x}: {off:?}");
+        }
+        // Small angles are their sines, on both sides.
+        for x in [1e-30f32, -1e-30, 1e-5, -1e-5] {
+            assert!((sin_cos_of(x).0 / x - 1.0).abs() < 1e-6);
+        }
+        let x = Dual::<f64, 1>::var(5.3, 0);
+        let (s, c) = sin_cos_of(x);
+        assert!((s.eps[0] - c.re).abs() < 1e-15 && (c.eps[0] + s.re).abs() < 1e-15);
+        assert_eq!(in_one_turn(x).eps, [1.0]);
     }
 
     #[test]

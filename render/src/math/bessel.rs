@@ -4,39 +4,84 @@ use std::f64::consts::PI;
 
 use ad_core::Real;
 
-use super::gauss::is_single;
+use super::gauss::{exp_minus, is_single};
 
 /// Up to here the power series is used, from here on that for large arguments.
 const LARGE: f64 = 12.0;
 
 /// `exp(-x) I_0(x)`, for `x` from zero: the modified Bessel function of the first kind and order zero without its growth. By
 /// its power series and, from 12 on, by its asymptotic one: to rounding in single precision, and to 1e-10 in double
-/// precision.
+/// precision. Without a branch where nothing is differentiated, for loops over many; elsewhere one of both series is summed.
 ///
 /// # Derivatives
 /// In `x`.
+#[inline(always)]
 pub(crate) fn i0_scaled<R: Real>(x: R) -> R {
-    let single = is_single::<R::Primal>();
-    if x.primal() < R::Primal::of(LARGE) {
-        // sum of (x^2 / 4)^k / (k!)^2
-        let terms = if single { 18 } else { 26 };
-        let series = nested(x.square() * R::c(0.25), terms, |k| (k * k).recip());
-        return series * (-x).exp();
+    let small = x.primal() < R::Primal::of(LARGE);
+    if R::IS_PRIMAL {
+        let large = R::of(LARGE);
+        return R::select(small, near(x.min(large)), far(x.max(large)));
     }
-    // 1 / sqrt(2 pi x) times the sum of ((2k - 1)!!)^2 / (k! (8 x)^k)
-    let terms = if single { 7 } else { 20 };
-    let ratio = |k: f64| (2.0 * k - 1.0) * (2.0 * k - 1.0) / (8.0 * k);
-    nested(x.recip(), terms, ratio) / (x * R::c(2.0 * PI)).sqrt()
+    one_of_both(small, x)
 }
 
-/// The series in `x` whose terms have these ratios, of each to the one before.
+/// Apart, because it is much for every number of tangents.
+fn one_of_both<R: Real>(small: bool, x: R) -> R {
+    if small { near(x) } else { far(x) }
+}
+
+/// The sum of `(x^2 / 4)^k / (k!)^2`, times `exp(-x)`.
 #[inline(always)]
-fn nested<R: Real>(x: R, terms: u32, ratio: impl Fn(f64) -> f64) -> R {
-    let mut sum = R::one();
-    for k in (1..=terms).rev() {
-        sum = sum * x * R::c(ratio(k.into())) + R::c(1.0);
+fn near<R: Real>(x: R) -> R {
+    let y = x.square() * R::c(0.25);
+    let series = if is_single::<R::Primal>() {
+        series(&const { powers::<19>() }, y)
+    } else {
+        series(&const { powers::<27>() }, y)
+    };
+    series * exp_minus(x)
+}
+
+/// The sum of `((2k - 1)!!)^2 / (k! (8 x)^k)`, over the root of `2 pi x`.
+#[inline(always)]
+fn far<R: Real>(x: R) -> R {
+    let y = x.recip();
+    let series = if is_single::<R::Primal>() {
+        series(&const { asymptotic::<8>() }, y)
+    } else {
+        series(&const { asymptotic::<21>() }, y)
+    };
+    series / (x * R::c(2.0 * PI)).sqrt()
+}
+
+/// By a plain loop: folds over iterators become calls.
+#[inline(always)]
+fn series<R: Real, const N: usize>(c: &[f64; N], x: R) -> R {
+    let (mut sum, mut k) = (R::of(c[N - 1]), N - 1);
+    while k > 0 {
+        k -= 1;
+        sum = sum * x + R::c(c[k]);
     }
     sum
+}
+
+const fn powers<const N: usize>() -> [f64; N] {
+    let (mut c, mut k) = ([1.0; N], 1);
+    while k < N {
+        c[k] = c[k - 1] / (k * k) as f64;
+        k += 1;
+    }
+    c
+}
+
+const fn asymptotic<const N: usize>() -> [f64; N] {
+    let (mut c, mut k) = ([1.0; N], 1);
+    while k < N {
+        let odd = (2 * k - 1) as f64;
+        c[k] = c[k - 1] * odd * odd / (8 * k) as f64;
+        k += 1;
+    }
+    c
 }
 
 #[cfg(test)]

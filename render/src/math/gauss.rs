@@ -238,6 +238,27 @@ pub fn exp_minus<R: Real>(x: R) -> R {
     (Const(at) - x).exp() * Const(value)
 }
 
+/// `exp(-x)`, for any `x` from zero: zero where that is no normal number.
+///
+/// # Derivatives
+/// In `x`; none where it is zero.
+#[inline(always)]
+pub fn fading<R: Real>(x: R) -> R {
+    let far = x.primal() > largest();
+    let near = exp_minus(R::select(far, R::zero(), x));
+    R::select(far, R::zero(), near)
+}
+
+/// `1 - exp(-x)` without cancellation, for any `x` from zero.
+///
+/// # Derivatives
+/// In `x`; none beyond [`largest`].
+#[inline(always)]
+pub fn faded<R: Real>(x: R) -> R {
+    let far = x.primal() > largest();
+    -exp_m1(R::select(far, R::lift(-largest::<R::Primal>()), -x))
+}
+
 /// `exp(x) - 1` without cancellation, up to [`largest`] on both sides.
 ///
 /// # Derivatives
@@ -281,28 +302,41 @@ const fn growth<const N: usize>() -> [[f64; 4]; N] {
 /// In `x`.
 #[inline(always)]
 pub fn ln_1p<R: Real>(x: R) -> R {
-    let at = x.primal();
-    let value = if is_single::<R::Primal>() {
-        logarithm::<R::Primal, 2>(at)
-    } else {
-        logarithm::<R::Primal, 3>(at)
-    };
+    let (at, one) = (x.primal(), R::Primal::one());
+    let (number, power, inverse) = octave_of(at + one);
+    let value = logarithm(number, (at - (power - one)) * inverse);
     if R::IS_PRIMAL {
         return R::lift(value);
     }
-    let change = (x - Const(at)) / Const(at + R::Primal::one());
+    let change = (x - Const(at)) / Const(at + one);
     change.ln_1p() + Const(value)
 }
 
-/// [`ln_1p`] by so many fours of terms of a series.
+/// `ln x` of a positive normal number.
+///
+/// # Derivatives
+/// In `x`.
 #[inline(always)]
-fn logarithm<P: Float, const N: usize>(x: P) -> P {
-    let one = P::one();
-    let (number, power, inverse) = octave_of(x + one);
-    // The mantissa less one, between -1/3 and 1/3.
-    let rest = (x - (power - one)) * inverse;
+pub fn ln<R: Real>(x: R) -> R {
+    let at = x.primal();
+    let (number, power, inverse) = octave_of(at);
+    let value = logarithm(number, (at - power) * inverse);
+    if R::IS_PRIMAL {
+        return R::lift(value);
+    }
+    let change = (x - Const(at)) / Const(at);
+    change.ln_1p() + Const(value)
+}
+
+/// The logarithm of two to the power of `number`, times one plus `rest`, which is between -1/3 and 1/3.
+#[inline(always)]
+fn logarithm<P: Float>(number: P, rest: P) -> P {
     let z = rest / (rest + P::of(2.0));
-    let series = polynomial(&const { area_tangent::<N>() }, z * z);
+    let series = if is_single::<P>() {
+        polynomial(&const { area_tangent::<2>() }, z * z)
+    } else {
+        polynomial(&const { area_tangent::<3>() }, z * z)
+    };
     number * P::of(std::f64::consts::LN_2) + series * z
 }
 
@@ -446,6 +480,46 @@ mod tests {
         let x = Dual::<f64, 1>::var(-0.3, 0);
         let (found, right) = (ln_1p(x), x.ln_1p());
         assert!((found.eps[0] - right.eps[0]).abs() < 1e-15);
+    }
+
+    #[test]
+    fn logarithms_of_small_and_large_numbers_are_right_to_a_few_roundings() {
+        for k in -2400..=2400 {
+            let x = (f64::from(k) / 30.0).exp();
+            let bound = |right: f64| 4e-16 * right.abs() + 2.5e-16;
+            assert!((ln(x) - x.ln()).abs() <= bound(x.ln()), "{x}");
+            let rounded = x as f32;
+            let right = f64::from(rounded).ln();
+            let off = (f64::from(ln(rounded)) - right).abs();
+            assert!(off <= 2.0f64.powi(29) * bound(right), "{x}");
+        }
+        // Near one, nothing cancels.
+        for k in 1..=1000 {
+            let x = f64::from(k) * 1e-9 + 1.0;
+            assert!((ln(x) / (x - 1.0).ln_1p() - 1.0).abs() < 1e-15, "{x}");
+        }
+        let x = Dual::<f64, 1>::var(0.3, 0);
+        let (found, right) = (ln(x), x.ln());
+        assert!((found.eps[0] - right.eps[0]).abs() < 1e-15);
+        assert_eq!(found.re, ln(0.3));
+    }
+
+    #[test]
+    fn what_fades_is_there_or_zero() {
+        for k in 0..=3000 {
+            let x = f64::from(k) / 10.0;
+            assert!((fading(x) - (-x).exp()).abs() <= 5e-16 * (-x).exp(), "{x}");
+            assert!((faded(x) + (-x).exp_m1()).abs() < 3e-16, "{x}");
+        }
+        assert_eq!((fading(1e30f32), faded(1e30f32)), (0.0, 1.0));
+        assert_eq!((fading(f64::INFINITY), faded(f64::INFINITY)), (0.0, 1.0));
+        assert!((faded(1e-20f32) / 1e-20 - 1.0).abs() < 1e-6);
+        let x = Dual::<f64, 1>::var(0.7, 0);
+        for slope in [-fading(x).eps[0], faded(x).eps[0]] {
+            assert!((slope - (-0.7f64).exp()).abs() < 1e-15);
+        }
+        let x = Dual::<f32, 1>::var(f32::MAX, 0);
+        assert_eq!([fading(x).eps, faded(x).eps], [[0.0]; 2]);
     }
 
     /// `exp(x^2) erfc(x)` by Simpson's rule for the integral of `exp(-t^2 - 2 x t)`.

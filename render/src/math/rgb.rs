@@ -4,6 +4,8 @@ use std::ops::{Add, AddAssign, Div, Index, Mul, Neg, Sub};
 
 use ad_core::{Const, Float, Real};
 
+use super::each;
+
 /// A linear RGB colour: reflectance, radiance or a weight, one scalar per channel.
 ///
 /// All arithmetic is channel by channel. That is what makes one tangent direction enough for an
@@ -115,7 +117,7 @@ impl<R: Real> Rgb<R> {
     /// Relative luminance ([`LUMINANCE`]).
     #[inline]
     pub fn luminance(self) -> R {
-        let [r, g, b] = LUMINANCE.map(R::c);
+        let [r, g, b] = each(LUMINANCE, R::c);
         self.r * r + self.g * g + self.b * b
     }
 

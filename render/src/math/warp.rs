@@ -58,7 +58,7 @@ fn sin_cos_octant<P: Float>(x: P) -> (P, P) {
 
 /// The first terms of a series. By a plain loop: folds over iterators become calls.
 #[inline(always)]
-fn horner<P: Float, const N: usize>(c: &[f64; N], terms: usize, x: P) -> P {
+pub(super) fn horner<P: Float, const N: usize>(c: &[f64; N], terms: usize, x: P) -> P {
     let (mut sum, mut k) = (P::zero(), terms);
     while k > 0 {
         k -= 1;

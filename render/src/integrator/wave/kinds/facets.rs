@@ -74,6 +74,12 @@ impl<P: Float, A: Alpha<Scalar = P>, N: Shape> Surfaces<P, A, N> {
         self.lanes.m.vec(k)
     }
 
+    /// Replaces it.
+    #[inline(always)]
+    pub fn put_normal(&mut self, k: usize, m: Vec3<P>) {
+        self.lanes.m.put_vec(k, m);
+    }
+
     #[inline(always)]
     pub fn facets(&self, k: usize) -> Facets<P> {
         Facets {
@@ -127,7 +133,7 @@ impl<P: Float, A: Alpha<Scalar = P>, N: Shape> Surfaces<P, A, N> {
     pub fn sample(&mut self, n: usize, of: &mut Scattering<P>, through: bool) {
         for k in 0..whole(n) {
             let (m, right) = self.drawn(k, of, through);
-            self.lanes.m.put_vec(k, m);
+            self.put_normal(k, m);
             of.sampled[k] = u32::from(right);
         }
     }

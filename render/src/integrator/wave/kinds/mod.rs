@@ -10,10 +10,12 @@ mod composites;
 mod diffuse;
 mod facets;
 mod glass;
+mod hair;
 mod metals;
 mod nothing;
 mod plastics;
 mod principled;
+mod principled_thin;
 mod rough_glass;
 mod rough_plastics;
 
@@ -23,10 +25,12 @@ use composites::Composites;
 use diffuse::Matt;
 use facets::{Beckmann, Ggx};
 use glass::Glass;
+use hair::Hairs;
 use metals::Metals;
 use nothing::Nothing;
 use plastics::Plastics;
 use principled::PrincipledSurfaces;
+use principled_thin::ThinSurfaces;
 use rough_glass::RoughGlass;
 use rough_plastics::RoughPlastics;
 
@@ -289,6 +293,9 @@ kinds! {
     Null nothing: Nothing,
     Principled principled: PrincipledSurfaces<P, P>,
     BrushedPrincipled brushed_principled: PrincipledSurfaces<P, Axes<P>>,
+    Thin thin: ThinSurfaces<P, P>,
+    BrushedThin brushed_thin: ThinSurfaces<P, Axes<P>>,
+    Hair hair: Hairs<P>,
 }
 
 /// The one of these for the shape of the normals.
@@ -323,6 +330,9 @@ fn sort(material: &Material) -> Option<Sort> {
         Material::Null(_) => Some(Sort::Null),
         Material::Principled(_) => Some(Sort::Principled),
         Material::AnisotropicPrincipled(_) => Some(Sort::BrushedPrincipled),
+        Material::PrincipledThin(_) => Some(Sort::Thin),
+        Material::AnisotropicThin(_) => Some(Sort::BrushedThin),
+        Material::Hair(_) => Some(Sort::Hair),
         _ => None,
     }
 }
