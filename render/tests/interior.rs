@@ -744,9 +744,20 @@ fn what_has_no_terms_is_refused_by_name() {
     let folder = tempfile::tempdir().unwrap();
     let mut mesh = String::new();
     for v in ["1 0 0", "-1 0 0", "0 1 0", "0 -1 0", "0 0 1", "0 0 -1"] {
-        mesh += &format!("v {v}\n");
+        mesh += &format!("v {v}\nvn {v}\n");
     }
-    mesh += "f 1 3 5\nf 3 2 5\nf 2 4 5\nf 4 1 5\nf 3 1 6\nf 2 3 6\nf 4 2 6\nf 1 4 6\n";
+    for [a, b, c] in [
+        [1, 3, 5],
+        [3, 2, 5],
+        [2, 4, 5],
+        [4, 1, 5],
+        [3, 1, 6],
+        [2, 3, 6],
+        [4, 2, 6],
+        [1, 4, 6],
+    ] {
+        mesh += &format!("f {a}//{a} {b}//{b} {c}//{c}\n");
+    }
     std::fs::write(folder.path().join("it.obj"), mesh).unwrap();
     let brushed = r#"<shape type="obj" id="it"><string name="filename" value="it.obj"/><bsdf type="roughconductor">
         <float name="alpha_u" value="0.1"/><float name="alpha_v" value="0.4"/></bsdf></shape>"#;
@@ -755,7 +766,8 @@ fn what_has_no_terms_is_refused_by_name() {
     let other = r#"<shape type="cube" id="other"><transform name="to_world"><rotate x="1" y="2" angle="30"/>
         <translate x="1"/></transform></shape>"#;
     let slide = r#"<emitter type="projector"><transform name="to_world"><lookat origin="0, 0, 9" target="0, 0, 0"
-        up="0, 1, 0"/></transform><float name="fov" value="40"/><rgb name="irradiance" value="1"/></emitter>"#;
+        up="0, 1, 0"/></transform><float name="fov" value="40"/><rgb name="irradiance" value="1"/></emitter>
+        <shape type="rectangle"><transform name="to_world"><translate z="-3"/></transform></shape>"#;
     let sky = r#"<emitter type="constant"/>"#;
     for (e, body, culprit) in [
         (

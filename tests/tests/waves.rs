@@ -532,7 +532,6 @@ fn leaves() -> Case {
         thin(&everything),
         thin(&format!("{everything}{brushed}")),
     ];
-    let both = |a: &str| format!(r#"<bsdf type="twosided">{a}</bsdf>"#);
     let [page, window, cloth, mat] = [
         thin(&paper),
         thin(&format!(
@@ -552,8 +551,7 @@ fn leaves() -> Case {
         page.clone(),
         window.clone(),
         mat.clone(),
-        both(&mat),
-        both(&thin(&format!("{colours}{soft}"))),
+        thin(&format!("{colours}{soft}")),
         format!(r#"<bsdf type="mask">{opacity}{cloth}</bsdf>"#),
         format!(r#"<bsdf type="blendbsdf">{weight}{page}{window}</bsdf>"#),
         format!(r#"<bsdf type="blendbsdf">{weight}{cloth}{hair}</bsdf>"#),

@@ -500,11 +500,6 @@ fn bad_descriptions_are_errors() {
         ),
         (
             "principled",
-            r#"<float name="spec_tint" value=".5"/><float name="specular" value="0"/>"#,
-            "specular",
-        ),
-        (
-            "principled",
             r#"<float name="eta" value="1.5"/><float name="specular" value=".1"/>"#,
             "specular",
         ),
