@@ -210,7 +210,7 @@ impl<P: Float> Paths<P> {
     fn put_interest(&mut self, i: usize, interest: PathInterest) {
         self.active[i] = u32::from(interest.active);
         self.caustics_excluded[i] =
-            u32::from(interest.caustics_excluded) | u32::from(interest.bent) * BENT;
+            u32::from(interest.caustics_excluded) | (u32::from(interest.bent) * BENT);
         self.caustic[i] = u32::from(interest.caustic) | interest.run.bits() << 1;
     }
 }
