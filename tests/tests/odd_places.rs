@@ -78,6 +78,7 @@ fn single(e: Estimator, s: &Scene, names: &[&str]) -> Result<Vec<f64>, RenderErr
 /// A bulb in a cube, on the floor and on a face, a lamp that is sunk in a cube, a camera in a closed cube, dark or with the lamp
 /// in it, and a mesh that folds, each by samples of edges and by directions that follow them, in both precisions.
 #[test]
+#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
 fn odd_places_are_finite_or_named() {
     let folder = tempfile::tempdir().expect("a folder");
     let bulbs = [
