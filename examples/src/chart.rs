@@ -98,13 +98,13 @@ impl LineChart {
         self
     }
 
-    /// With a fixed horizontal range instead of that of the points.
+    /// With a fixed horizontal range instead of that of the points, unless the axis has no place for it.
     pub fn x_range(mut self, low: f64, high: f64) -> Self {
         self.x_range = Some((low, high));
         self
     }
 
-    /// With a fixed vertical range instead of that of the points.
+    /// With a fixed vertical range instead of that of the points, unless the axis has no place for it.
     pub fn y_range(mut self, low: f64, high: f64) -> Self {
         self.y_range = Some((low, high));
         self
@@ -165,8 +165,6 @@ impl LineChart {
     }
 
     fn visible(&self, p: &(f64, f64)) -> bool {
-        // The axes of the drawing library do not end for numbers beyond these.
-        let fits = |v: f64, log: bool| v.abs() < 1e100 && if log { v > 1e-100 } else { true };
         fits(p.0, self.log.0) && fits(p.1, self.log.1)
     }
 
@@ -176,7 +174,7 @@ impl LineChart {
         log: bool,
         pick: impl Fn(&(f64, f64)) -> f64,
     ) -> Range<f64> {
-        if let Some((low, high)) = fixed {
+        if let Some((low, high)) = fixed.filter(|r| fits(r.0, log) && fits(r.1, log) && r.0 < r.1) {
             return if log {
                 with_power_of_ten(low..high)
             } else {
@@ -202,14 +200,21 @@ impl LineChart {
         }
     }
 
+    /// What is drawn, horizontally and vertically.
+    fn ranges(&self) -> [Range<f64>; 2] {
+        [
+            self.range(self.x_range, self.log.0, |p| p.0),
+            self.range(self.y_range, self.log.1, |p| p.1),
+        ]
+    }
+
     fn draw<DB: DrawingBackend>(&self, area: DrawingArea<DB, Shift>) -> Result<()>
     where
         DB::ErrorType: 'static,
     {
         register_font();
         area.fill(&WHITE)?;
-        let x = self.range(self.x_range, self.log.0, |p| p.0);
-        let y = self.range(self.y_range, self.log.1, |p| p.1);
+        let [x, y] = self.ranges();
         match self.log {
             (false, false) => self.draw_on(&area, x, y)?,
             (true, false) => self.draw_on(&area, logarithmic(x), y)?,
@@ -245,6 +250,7 @@ impl LineChart {
             .x_label_formatter(&|v| number(*v))
             .y_label_formatter(&|v| number(*v))
             .draw()?;
+        let [across, up] = self.ranges();
         for (i, s) in self.series.iter().enumerate() {
             let colour = COLOURS[i % COLOURS.len()];
             let points = || s.points.iter().copied().filter(|p| self.visible(p));
@@ -270,9 +276,8 @@ impl LineChart {
             if dotted {
                 // The drawing library moves what is outside to the edge.
                 let inside = |p: &(f64, f64)| {
-                    let within =
-                        |v: f64, r: Option<(f64, f64)>| r.is_none_or(|(l, h)| v >= l && v <= h);
-                    within(p.0, self.x_range) && within(p.1, self.y_range)
+                    let within = |v: f64, r: &Range<f64>| v >= r.start && v <= r.end;
+                    within(p.0, &across) && within(p.1, &up)
                 };
                 let dots = points().filter(inside).map(|p| Circle::new(p, 4, dot));
                 handle = Some(chart.draw_series(dots)?);
@@ -299,6 +304,11 @@ impl LineChart {
         }
         Ok(())
     }
+}
+
+/// Whether a number has a place on an axis. Those of the drawing library do not end for numbers beyond these.
+fn fits(v: f64, log: bool) -> bool {
+    v.abs() < 1e100 && if log { v > 1e-100 } else { true }
 }
 
 /// The range, widened to the nearest power of ten if it holds none, so that it has a number.
@@ -639,6 +649,20 @@ mod tests {
         let numbers: Vec<f64> = svg.lines().filter_map(text).collect();
         for number in [0.02, 0.05, 0.1, 1.0] {
             assert!(numbers.contains(&number), "{number} among {numbers:?}");
+        }
+    }
+
+    #[test]
+    fn a_logarithmic_axis_has_no_zero() {
+        let chart = LineChart::new("", "", "").log_x().log_y();
+        let chart = chart.measured("", [(1.0, 0.0), (2.0, 0.0), (3.0, 5.0)]);
+        for (low, high) in [(0.0, 1.0), (-1.0, 1.0), (f64::NAN, 1.0), (2.0, 1.0)] {
+            let chart = chart.clone().x_range(low, high).y_range(low, high);
+            assert_eq!(
+                chart.range(chart.y_range, true, |p| p.1),
+                chart.range(None, true, |p| p.1)
+            );
+            assert!(chart.svg().is_ok());
         }
     }
 

@@ -544,7 +544,7 @@ pub enum StartsArg {
     Uniform,
     /// After a walk over the surfaces without their normal maps
     TwoStage,
-    /// Where particles passed that landed nearby, and at random points
+    /// Where particles passed that landed nearby, and else in two stages
     Particles,
 }
 

@@ -28,7 +28,7 @@ use crate::params::{GradSink, ParamRef, Params, Theta};
 pub use differential::PerPixel;
 pub(crate) use lens::ThinLens;
 use lens::{Lens, bad};
-pub(crate) use viewer::{SightLine, Viewer};
+pub(crate) use viewer::{SightLine, Viewer, inverse};
 
 /// What the angle of view refers to.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -194,11 +194,9 @@ impl Camera {
 
     /// Finds the inverse of what leads to directions.
     fn invert(&mut self) {
-        let [a, b, c] = [self.dx, self.dy, self.corner].map(Vec3::<f64>::from);
-        let volume = a.dot(b.cross(c));
-        self.inverse =
-            [b.cross(c), c.cross(a), a.cross(b)].map(|v| (v * volume.recip()).to_array());
-        self.inverse_determinant = volume.abs().recip();
+        let (rows, volume) = inverse([self.dx, self.dy, self.corner].map(Vec3::from));
+        self.inverse = rows.map(|v| v.to_array());
+        self.inverse_determinant = volume.recip();
     }
 
     /// Full angle of view in degrees, as it was made.

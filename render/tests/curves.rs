@@ -10,7 +10,7 @@ use render::params::Theta;
 use render::sampler::{Independent, Sampler};
 use render::scene::LoadOptions;
 use render::shape::{AnyShape, CurveKind, Curves, Shape, SurfaceInteraction};
-use render::statistics::z_limit;
+use render::statistics::{Estimate, z_limit};
 use render::{Job, Scene};
 
 use crate::common;
@@ -663,28 +663,21 @@ fn white_curves_cannot_be_seen_under_a_white_sky() {
         let means: Vec<f64> = (0..RUNS)
             .map(|seed| mean(&common::image_of_seed(&scene, seed, 64).data))
             .collect();
-        let (mean, variance) = statistic(&means);
-        let z = (mean - 1.0).abs() / variance.sqrt();
-        println!("{plugin}: {mean}, {z:.2} standard errors from white");
+        let found = Estimate::of(&means);
+        let z = found.z(&Estimate::exact(1.0)).abs();
+        println!(
+            "{plugin}: {}, {z:.2} standard errors from white",
+            found.mean
+        );
         assert!(
-            variance.sqrt() < 2e-3 && z < z_limit(2, RUNS, 1e-3),
-            "{plugin}: {mean}"
+            found.se < 2e-3 && z < z_limit(2, RUNS, 1e-3),
+            "{plugin}: {found:?}"
         );
     }
 }
 
 fn mean(image: &[f32]) -> f64 {
     image.iter().map(|x| f64::from(*x)).sum::<f64>() / image.len() as f64
-}
-
-/// The mean, and the variance of that.
-fn statistic(x: &[f64]) -> (f64, f64) {
-    let n = x.len() as f64;
-    let m = x.iter().sum::<f64>() / n;
-    (
-        m,
-        x.iter().map(|x| (x - m).powi(2)).sum::<f64>() / (n * (n - 1.0)),
-    )
 }
 
 const GREY: &str = r#"<bsdf type="roughconductor"><float name="alpha" value="0.4"/>
@@ -707,7 +700,7 @@ fn materials_of_curves_have_derivatives() {
         ] {
             let values = scene.params().values().to_vec();
             let info = scene.params().find(name).unwrap();
-            let range = info.offset..info.offset + info.shape.len();
+            let range = info.range();
             let mut pictures = Vec::new();
             for step in [STEP, -STEP] {
                 let mut moved = values.clone();
@@ -730,11 +723,14 @@ fn materials_of_curves_have_derivatives() {
                     mean(&found.image(1).data)
                 })
                 .collect();
-            let ((a, va), (b, vb)) = (statistic(&differences), statistic(&derivatives));
-            let z = (a - b).abs() / (va + vb).sqrt();
-            println!("{plugin}, {name}: {a} and {b}, {z:.2} standard errors");
+            let [a, b] = [&differences, &derivatives].map(|x| Estimate::of(x));
+            let z = a.z(&b).abs();
+            println!(
+                "{plugin}, {name}: {} and {}, {z:.2} standard errors",
+                a.mean, b.mean
+            );
             // The roughness of linear curves hardly matters to the mean.
-            let says_something = a.abs() > 1e-3 || name.ends_with("alpha.value");
+            let says_something = a.mean.abs() > 1e-3 || name.ends_with("alpha.value");
             assert!(
                 says_something && z < z_limit(4, RUNS, 1e-3),
                 "{plugin}, {name}"

@@ -12,6 +12,35 @@ use render::{Job, Scene, Settings};
 
 use crate::{mean_adjoint, values};
 
+/// The corners of an octahedron.
+pub const CORNERS: [[i32; 3]; 6] = [
+    [1, 0, 0],
+    [-1, 0, 0],
+    [0, 1, 0],
+    [0, -1, 0],
+    [0, 0, 1],
+    [0, 0, -1],
+];
+
+/// Its faces, whose corners are counted from one.
+pub const FACES: [[usize; 3]; 8] = [
+    [1, 3, 5],
+    [3, 2, 5],
+    [2, 4, 5],
+    [4, 1, 5],
+    [3, 1, 6],
+    [2, 3, 6],
+    [4, 2, 6],
+    [1, 4, 6],
+];
+
+/// That as an OBJ file, with nothing else.
+pub fn octahedron() -> String {
+    let corners = CORNERS.map(|[x, y, z]| format!("v {x} {y} {z}\n"));
+    let faces = FACES.map(|[a, b, c]| format!("f {a} {b} {c}\n"));
+    corners.concat() + &faces.concat()
+}
+
 /// Derivatives of the mean of all pixels and channels in double precision, from `runs` seeds.
 pub fn gradient<E: Unbiased>(s: &Scene, names: &[&str], runs: u64, spp: u64) -> Vec<Estimate> {
     let all = values::<f64>(s);

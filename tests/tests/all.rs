@@ -35,6 +35,7 @@ mod mitsuba_plugins;
 mod motion_matrix;
 #[cfg(not(debug_assertions))]
 mod normal_maps;
+#[cfg(not(debug_assertions))]
 mod odd_places;
 mod outlines;
 mod pixels;

@@ -184,17 +184,8 @@ fn textures_are_checked_along_random_directions() {
 
 /// An octahedron `it` above a floor, lit by a `bulb` and by a `sky` of a few texels, in 8 x 8 pixels.
 fn octahedron(folder: &tempfile::TempDir) -> Scene {
-    let mut text = String::new();
-    for v in ["1 0 0", "-1 0 0", "0 1 0", "0 -1 0", "0 0 1", "0 0 -1"] {
-        text += &format!("v {v}\n");
-    }
-    for f in [
-        "1 3 5", "3 2 5", "2 4 5", "4 1 5", "3 1 6", "2 3 6", "4 2 6", "1 4 6",
-    ] {
-        text += &format!("f {f}\n");
-    }
     let [mesh, sky] = ["it.obj", "sky.exr"].map(|name| folder.path().join(name));
-    std::fs::write(&mesh, text).expect("a file");
+    std::fs::write(&mesh, moving::octahedron()).expect("a file");
     let mut texels = Image::new(8, 4);
     for (i, x) in texels.data.iter_mut().enumerate() {
         *x = (0.3 + 0.25 * (1.7 * (i / 3) as f64).sin()) as f32;
@@ -221,7 +212,8 @@ fn octahedron(folder: &tempfile::TempDir) -> Scene {
 }
 
 /// By edges: shapes as a whole and point by point, the camera, lights. An image that is weighed unevenly, so that what crosses
-/// it counts. 32 repeats of 96 samples of 64 pixels; how the octahedron turns and the camera nods is not told at that budget.
+/// it counts. 32 repeats of 96 samples of 64 pixels; how the octahedron and
+/// the camera turn and how its points move need not be told at that budget.
 #[test]
 #[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
 fn what_moves_is_checked() {

@@ -43,16 +43,7 @@ fn octahedron(name: &str, faces: bool) -> String {
     let folder = std::env::temp_dir().join(format!("convolved-{}", std::process::id()));
     std::fs::create_dir_all(&folder).expect("a folder");
     let path = folder.join(format!("{name}.obj"));
-    let mut text = String::new();
-    for v in ["1 0 0", "-1 0 0", "0 1 0", "0 -1 0", "0 0 1", "0 0 -1"] {
-        text += &format!("v {v}\n");
-    }
-    for f in [
-        "1 3 5", "3 2 5", "2 4 5", "4 1 5", "3 1 6", "2 3 6", "4 2 6", "1 4 6",
-    ] {
-        text += &format!("f {f}\n");
-    }
-    std::fs::write(&path, text).expect("a file");
+    std::fs::write(&path, moving::octahedron()).expect("a file");
     format!(
         r#"<shape type="obj" id="it"><string name="filename" value="{}"/><boolean name="face_normals" value="{faces}"/>
         <transform name="to_world"><scale value="0.8"/><rotate y="1" angle="25"/><translate x="0.1" y="1.3" z="0.2"/>

@@ -440,7 +440,7 @@ print(json.dumps(out))
 "#;
 
 /// Rays through a tuft of curves, some of which begin within one, meet what they meet in Mitsuba: distances to 2e-4,
-/// normals and axes to 5e-3, texture coordinates to 1e-3, where they are not close to grazing; of 4000 rays, 2 may miss in one
+/// normals to 5e-3, and axes of B-splines, texture coordinates to 1e-3 along and, of B-splines, 2e-3 around, where they are not close to grazing; of 4000 rays, 2 may miss in one
 /// of both, and 40 of those that begin within linear curves.
 #[test]
 fn curves_are_met_where_mitsuba_meets_them() {

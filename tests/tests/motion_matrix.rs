@@ -12,7 +12,7 @@ use render::instances::{Estimator, render_f64};
 use render::params::Theta;
 use render::statistics::{Estimate, z_limit};
 use render::{Image, Job, Scene};
-use tests::moving::{BALL, CUBE, DISK, TUBE, scene};
+use tests::moving::{BALL, CORNERS, CUBE, DISK, FACES, TUBE, scene};
 use tests::values;
 
 const RUNS: u64 = 32;
@@ -260,28 +260,12 @@ const CAMERA: [&str; 3] = ["sensor.translation", "sensor.rotation", "sensor.fov"
 fn octahedron(folder: &Path, smooth: bool, turn: &str, more: &str) -> String {
     let path = folder.join("octahedron.obj");
     let mut text = String::new();
-    for [x, y, z] in [
-        [1, 0, 0],
-        [-1, 0, 0],
-        [0, 1, 0],
-        [0, -1, 0],
-        [0, 0, 1],
-        [0, 0, -1],
-    ] {
+    for [x, y, z] in CORNERS {
         let u = 0.5 + 0.3 * f64::from(x) + 0.1 * f64::from(z);
         let v = 0.5 + 0.3 * f64::from(y) - 0.1 * f64::from(z);
         text += &format!("v {x} {y} {z}\nvt {u} {v}\n");
     }
-    for [a, b, c] in [
-        [1, 3, 5],
-        [3, 2, 5],
-        [2, 4, 5],
-        [4, 1, 5],
-        [3, 1, 6],
-        [2, 3, 6],
-        [4, 2, 6],
-        [1, 4, 6],
-    ] {
+    for [a, b, c] in FACES {
         text += &format!("f {a}/{a} {b}/{b} {c}/{c}\n");
     }
     std::fs::write(&path, text).expect("a file");
@@ -440,10 +424,6 @@ fn coarse_faces_with_smooth_normals_in_any_pose() {
     assert_ne!(behind, LAMP);
     let above = LAMP.replace("value=\"1.4\"", "value=\"0.6\"");
     let moves = [&POINTS[..], &CAMERA[..]].concat();
-    let asked = Asked {
-        noise: [0.12, 0.03],
-        ..EDGES
-    };
     let cases = [
         ("straight", "", "", &behind),
         ("straight over a floor", "", FLOOR, &above),
@@ -464,7 +444,7 @@ fn coarse_faces_with_smooth_normals_in_any_pose() {
     ];
     let of = |(what, turn, floor, lamp): (&'static str, &str, &str, &String)| {
         let mesh = octahedron(dir.path(), true, turn, r#"<ref id="grey"/>"#);
-        case(what, &format!("{floor}{lamp}{mesh}"), &moves, &[asked])
+        case(what, &format!("{floor}{lamp}{mesh}"), &moves, &[EDGES])
     };
     compare_all(cases.map(of).into());
 }

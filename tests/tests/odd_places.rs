@@ -75,10 +75,9 @@ fn single(e: Estimator, s: &Scene, names: &[&str]) -> Result<Vec<f64>, RenderErr
     Ok(g.values.concat())
 }
 
-/// A bulb in a cube, on the floor and on a face, a lamp that is sunk in a cube, a camera in a closed cube, dark or with the lamp
+/// A bulb in a cube, on the floor and on its corner, a lamp that is sunk in a cube, a camera in a closed cube, dark or with the lamp
 /// in it, and a mesh that folds, each by samples of edges and by directions that follow them, in both precisions.
 #[test]
-#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
 fn odd_places_are_finite_or_named() {
     let folder = tempfile::tempdir().expect("a folder");
     let bulbs = [
@@ -129,7 +128,6 @@ fn odd_places_are_finite_or_named() {
 /// Of a mesh that folds, as a whole and at the vertex that is pulled, and of a lamp that is sunk in a cube. 8 runs of 256
 /// samples of 256 pixels, and differences of 8 runs of 512.
 #[test]
-#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
 fn folds_and_sunk_lamps_agree_with_differences() {
     let folder = tempfile::tempdir().expect("a folder");
     let mut s = scene(&format!("{FLOOR}{}", folded(&folder)), 2);

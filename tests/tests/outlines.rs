@@ -295,7 +295,7 @@ fn edges_agree_with_differences_through_five_bounces() {
 }
 
 /// Roulette ends paths, and what is behind edges, and adds noise alone: means of derivatives with and without it, by edges and
-/// by directions that follow them, between walls and of a ball. 8 runs of 256 samples of 256 pixels, with roulette 512.
+/// by directions that follow them, between walls and of a ball. 8 runs of 256 samples of 256 pixels, by edges with roulette 512.
 #[test]
 #[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
 fn roulette_changes_no_derivative() {
@@ -337,7 +337,7 @@ fn a_ball_and_its_shadow_are_those_of_mitsuba() {
     );
     let names = ["it.translation"];
     s.make_movable(&names).expect("known");
-    let exact = |known: [f64; 3]| known.map(|mean| Estimate { mean, se: 0.0 });
+    let exact = |known: [f64; 3]| known.map(Estimate::exact);
     let found = gradient(&s, &names, 8, 128);
     let differences = exact([-0.00214, 0.00177, -0.01032]);
     agrees("edges", &found, &differences, 1e-2, 8);
@@ -436,7 +436,7 @@ fn faces_with_one_normal_hide_light_by_their_planes() {
                 mean(Vec3::from(v) * faces, Vec3::from(v) * lamp)
             };
             let mean = (along(1e-4) - along(-1e-4)) / 2e-4;
-            Estimate { mean, se: 0.0 }
+            Estimate::exact(mean)
         })
     });
     let expected = expected.concat();
@@ -492,7 +492,7 @@ fn a_lamp_moves_behind_an_edge_at_rest() {
         // Away from the floor is towards negative z.
         known[2] += passes * sin;
     }
-    let known = known.map(|mean| Estimate { mean, se: 0.0 });
+    let known = known.map(Estimate::exact);
     agrees("a lamp behind an edge", &found, &known, 2e-3, 8);
     assert!(
         found.iter().all(|e| e.se < 0.02 * known[0].mean),

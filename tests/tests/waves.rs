@@ -348,6 +348,18 @@ fn rows(name: &'static str, balls: &[String], plates: &[String]) -> Case {
 const SQUARES: &str =
     r#"type="checkerboard"><transform name="to_uv"><scale value="5"/></transform>"#;
 
+/// A number of a material.
+fn number(name: &str, x: f64) -> String {
+    format!(r#"<float name="{name}" value="{x}"/>"#)
+}
+
+/// One that changes over the surface, from square to square.
+fn squares(name: &str, [a, b]: [f64; 2]) -> String {
+    format!(
+        r#"<texture name="{name}" {SQUARES}<float name="color0" value="{a}"/><float name="color1" value="{b}"/></texture>"#
+    )
+}
+
 /// Every kind of glass and plastic: denser and thinner inside, smooth, nearly smooth and rough, the same everywhere and
 /// textured, from the front, from behind, and with another side. Brushed metal and glass besides.
 fn cabinet(smoothest: f64) -> Case {
@@ -420,12 +432,6 @@ fn cabinet(smoothest: f64) -> Case {
 /// behind, with another side, and in mixtures. Blinn-Phong ones, and what is not there, besides.
 fn principles() -> Case {
     let principled = |content: &str| format!(r#"<bsdf type="principled">{content}</bsdf>"#);
-    let number = |name: &str, x: f64| format!(r#"<float name="{name}" value="{x}"/>"#);
-    let squares = |name: &str, [a, b]: [f64; 2]| {
-        format!(
-            r#"<texture name="{name}" {SQUARES}<float name="color0" value="{a}"/><float name="color1" value="{b}"/></texture>"#
-        )
-    };
     let colours = format!(
         r#"<texture name="base_color" {SQUARES}<rgb name="color0" value="0.7, 0.3, 0.2"/><rgb name="color1" value="0, 0, 0"/></texture>"#
     );
@@ -498,12 +504,6 @@ fn principles() -> Case {
 /// behind, on both sides, and in mixtures, some of them with hair.
 fn leaves() -> Case {
     let thin = |content: &str| format!(r#"<bsdf type="principledthin">{content}</bsdf>"#);
-    let number = |name: &str, x: f64| format!(r#"<float name="{name}" value="{x}"/>"#);
-    let squares = |name: &str, [a, b]: [f64; 2]| {
-        format!(
-            r#"<texture name="{name}" {SQUARES}<float name="color0" value="{a}"/><float name="color1" value="{b}"/></texture>"#
-        )
-    };
     let colours = format!(
         r#"<texture name="base_color" {SQUARES}<rgb name="color0" value="0.7, 0.3, 0.2"/><rgb name="color1" value="0, 0, 0"/></texture>"#
     );
@@ -564,12 +564,6 @@ fn leaves() -> Case {
 /// mixtures.
 fn strands() -> (Case, Scene) {
     let hair = |content: &str| format!(r#"<bsdf type="hair">{content}</bsdf>"#);
-    let number = |name: &str, x: f64| format!(r#"<float name="{name}" value="{x}"/>"#);
-    let squares = |name: &str, [a, b]: [f64; 2]| {
-        format!(
-            r#"<texture name="{name}" {SQUARES}<float name="color0" value="{a}"/><float name="color1" value="{b}"/></texture>"#
-        )
-    };
     let rough = |along: f64, around: f64| {
         let along = number("longitudinal_roughness", along);
         format!("{along}{}", number("azimuthal_roughness", around))
@@ -646,11 +640,6 @@ fn composites() -> Case {
     let lacquer = r#"<bsdf type="roughplastic"><float name="alpha" value="0.1"/></bsdf>"#;
     let mirror = r#"<bsdf type="conductor"/>"#;
     let both = |a: &str, b: &str| format!(r#"<bsdf type="twosided">{a}{b}</bsdf>"#);
-    let squares = |name: &str, [a, b]: [f64; 2]| {
-        format!(
-            r#"<texture name="{name}" {SQUARES}<float name="color0" value="{a}"/><float name="color1" value="{b}"/></texture>"#
-        )
-    };
     let mask = |inner: &str| {
         let opacity = squares("opacity", [0.0, 0.7]);
         format!(r#"<bsdf type="mask">{opacity}{inner}</bsdf>"#)

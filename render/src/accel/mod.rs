@@ -4,7 +4,7 @@
 //! the point again in its own scalar, so nothing in this module is ever differentiated.
 //!
 //! Small scenes are tested linearly, eight flat primitives at a time (`triangle_block`); large scenes go
-//! through a compressed eight-wide hierarchy (`bvh`). Both run the same arithmetic on the same
+//! through an eight-wide hierarchy (`bvh`). Both run the same arithmetic on the same
 //! numbers and break ties towards the lowest primitive, so they return the same bits. Sets of primitives that are placed
 //! many times are there once (`instances`), and found after the others.
 //!

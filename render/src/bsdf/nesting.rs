@@ -178,19 +178,12 @@ pub fn reads_axes(material: &Material) -> bool {
 
 /// Whether some light goes on behind it.
 pub fn lets_light_through(material: &Material) -> bool {
-    match material {
-        Material::Dielectric(_)
-        | Material::ThinDielectric(_)
-        | Material::RoughDielectric(_)
-        | Material::AnisotropicDielectric(_)
-        | Material::Hair(_)
-        | Material::Null(_)
-        | Material::Mask(_) => true,
-        Material::Principled(m) => m.transmission.is_some(),
-        Material::AnisotropicPrincipled(m) => m.transmission.is_some(),
-        Material::PrincipledThin(m) => m.lets_light_through(),
-        Material::AnisotropicThin(m) => m.lets_light_through(),
-        _ => children(material).iter().any(|m| lets_light_through(m)),
+    match (material, children(material)) {
+        (Material::Mask(_), _) => true,
+        (Material::PrincipledThin(m), _) => m.lets_light_through(),
+        (Material::AnisotropicThin(m), _) => m.lets_light_through(),
+        (_, []) => !material.is_opaque(),
+        (_, parts) => parts.iter().any(|m| lets_light_through(m)),
     }
 }
 

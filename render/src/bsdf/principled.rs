@@ -122,6 +122,18 @@ pub(crate) struct Tints<R> {
     pub sheen: R,
 }
 
+impl<R: Real> Tints<R> {
+    /// Those that change nothing.
+    #[inline(always)]
+    pub fn none() -> Self {
+        Self {
+            hue: Rgb::splat(R::one()),
+            dielectric: R::zero(),
+            sheen: R::zero(),
+        }
+    }
+}
+
 /// How directions are chosen: shares of facets, the base and the clear coat among samples from above, and how often light
 /// that a facet transmits is taken for that of glass. What there is none of is zero.
 #[derive(Clone, Copy, Debug)]

@@ -37,18 +37,13 @@ pub(crate) struct SightLine<P> {
 }
 
 /// The inverse of a matrix of columns, by rows, and the magnitude of its determinant.
-fn inverse([a, b, c]: [Vec3<f64>; 3]) -> ([Vec3<f64>; 3], f64) {
+pub(crate) fn inverse([a, b, c]: [Vec3<f64>; 3]) -> ([Vec3<f64>; 3], f64) {
     let volume = a.dot(b.cross(c));
     let rows = [b.cross(c), c.cross(a), a.cross(b)];
     (rows.map(|v| v * volume.recip()), volume.abs())
 }
 
 impl Camera {
-    /// From its origin to a place of the lens.
-    fn off(&self, lens: [f64; 2]) -> Vec3<f64> {
-        (self.thin_lens()).map_or(Vec3::zero(), |thin| thin.off(lens))
-    }
-
     /// The rows of the inverse of the map from the image to directions, through a place of the lens.
     pub(super) fn rows_through(&self, lens: [f64; 2]) -> [Vec3<f64>; 3] {
         let rows = self.inverse.map(Vec3::<f64>::from);
@@ -65,12 +60,12 @@ impl Camera {
         let vector = |v: Vec3<f64>| v.map(P::of);
         let Some(direction) = self.parallel_direction() else {
             let middle = self.pinhole(film);
-            if !self.has_lens() {
+            let Some(thin) = self.thin_lens() else {
                 return Viewer::Pinhole(middle);
-            }
+            };
             let lens = lens.map(P::to_f64);
             return Viewer::Pinhole(Pinhole {
-                origin: vector(Vec3::from(self.origin) + self.off(lens)),
+                origin: vector(Vec3::from(self.origin) + thin.off(lens)),
                 rows: self.rows_through(lens).map(vector),
                 ..middle
             });

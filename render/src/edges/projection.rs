@@ -3,7 +3,7 @@
 use ad_core::Vec3;
 
 use super::Eye;
-use crate::camera::Camera;
+use crate::camera::{Camera, inverse};
 
 /// Homogeneous coordinates of a point as the film sees it: `(x w, y w, w)`, and how far in front of the camera it is.
 pub(super) type Projected = [f64; 4];
@@ -19,9 +19,8 @@ pub(crate) struct Projection {
     dy: Vec3<f64>,
     corner: Vec3<f64>,
     rows: [Vec3<f64>; 3],
-    /// Of the matrix of the three vectors.
+    /// The magnitude of that of the matrix of the three vectors.
     determinant: f64,
-    parallel: bool,
 }
 
 pub(super) fn flat([x, y, w, _]: Projected) -> [f64; 2] {
@@ -39,33 +38,26 @@ impl Projection {
             return Self::new(Eye::point(origin), origin, [dx, dy, corner]);
         };
         let origin = camera.ray(0.0, 0.0).o;
+        let columns = [dx, dy, direction];
+        let ([.., depth], _) = inverse(columns);
         let eye = Eye::Parallel {
             direction,
             origin,
-            depth: Vec3::zero(),
+            depth,
         };
-        let mut all = Self::new(eye, origin, [dx, dy, direction]);
-        all.eye = Eye::Parallel {
-            direction,
-            origin,
-            depth: all.rows[2],
-        };
-        all.parallel = true;
-        all
+        Self::new(eye, origin, columns)
     }
 
     fn new(eye: Eye, origin: Vec3<f64>, [dx, dy, corner]: [Vec3<f64>; 3]) -> Self {
-        let determinant: f64 = dx.dot(dy.cross(corner));
-        let scale = determinant.recip();
+        let (rows, determinant) = inverse([dx, dy, corner]);
         Self {
             eye,
             origin,
             dx,
             dy,
             corner,
-            rows: [dy.cross(corner), corner.cross(dx), dx.cross(dy)].map(|v| v * scale),
+            rows,
             determinant,
-            parallel: false,
         }
     }
 
@@ -92,7 +84,11 @@ impl Projection {
     /// The point at `v` from the origin.
     pub fn seen_from_origin(&self, v: Vec3<f64>) -> Projected {
         let [x, y, depth] = self.rows.map(|row| row.dot(v));
-        [x, y, if self.parallel { 1.0 } else { depth }, depth]
+        [x, y, if self.is_parallel() { 1.0 } else { depth }, depth]
+    }
+
+    fn is_parallel(&self) -> bool {
+        matches!(self.eye, Eye::Parallel { .. })
     }
 
     pub fn origin(&self) -> Vec3<f64> {
@@ -103,7 +99,7 @@ impl Projection {
     pub fn speed(&self, p: Projected, by: Vec3<f64>) -> f64 {
         let d = self.rows.map(|row| row.dot(by));
         let at = flat(p);
-        let w = if self.parallel { 0.0 } else { d[2] };
+        let w = if self.is_parallel() { 0.0 } else { d[2] };
         let [x, y] = [0, 1].map(|k: usize| (d[k] - at[k] * w) / p[2]);
         x.hypot(y)
     }
@@ -111,13 +107,13 @@ impl Projection {
     /// The area on the film, in pixels, of a unit of area across the ray at this point of it, times the square of the
     /// distance: of a unit of solid angle, if rays leave one point.
     pub fn pixels(&self, [x, y]: [f64; 2], distance: f64) -> f64 {
-        let cube = if self.parallel {
+        let cube = if self.is_parallel() {
             distance * distance
         } else {
             let d = self.dx * x + self.dy * y + self.corner;
             d.length().powi(3)
         };
-        cube / self.determinant.abs()
+        cube / self.determinant
     }
 
     /// How far along both axes of the film, for each unit of depth, the corners of a square around a lens see what the

@@ -76,6 +76,7 @@ pub use map::{Moments, SlopeMap};
 
 use crate::bsdf::nesting::{Microfacets, Specular, facets};
 use crate::bsdf::{Material, NormalMap};
+use crate::manifold::chosen;
 use crate::scene::Scene;
 use crate::shape::AnyShape;
 
@@ -110,14 +111,10 @@ pub fn glinty_shapes(scene: &Scene) -> Option<Vec<bool>> {
     let shapes = 0..scene.shapes().len() as u32;
     let able = |shape: u32| {
         let material = scene.material(shape);
-        let sides = [false, true].map(|behind| mapped_metal(material, behind));
         let is_curve = matches!(scene.shapes()[shape as usize], AnyShape::Curves(_));
-        sides[0].is_some() && is_smooth_metal(material) && !is_curve
+        mapped_metal(material, false).is_some() && is_smooth_metal(material) && !is_curve
     };
-    let able: Vec<bool> = shapes.map(able).collect();
-    let flagged = |i: usize| able[i] && scene.shape_info(i as u32).hints.glinty;
-    let any = (0..able.len()).any(flagged);
-    let chosen = (0..able.len()).map(|i| if any { flagged(i) } else { able[i] });
-    let chosen: Vec<bool> = chosen.collect();
+    let flagged = |i: usize| scene.shape_info(i as u32).hints.glinty;
+    let chosen = chosen(shapes.map(able).collect(), flagged);
     chosen.contains(&true).then_some(chosen)
 }

@@ -90,6 +90,15 @@ pub(super) fn start<R: Real, S: Strategy, X: Sampler>(
     Walk::new(Ray::<Geometry<S, R>>::lift(ray), sampler)
 }
 
+/// A place on the lens, if there is one, by numbers that nothing else in a stream is made of.
+pub(super) fn on_lens<P: Float, X: Sampler>(scene: &Scene, mut sampler: X) -> [P; 2] {
+    if !scene.camera.has_lens() {
+        return [P::zero(); 2];
+    }
+    sampler.seek(Purpose::Lens.at(1));
+    sampler.next_2d()
+}
+
 /// The point of the image that sample `index` of the pixel `(x, y)` of the crop window sees, with a place on the lens
 /// if there is one, and the numbers of the path to come.
 #[inline(always)]

@@ -63,6 +63,7 @@ pub use estimate::{distinct, trials};
 pub use met::Met;
 pub use normal::{Normal, Slopes};
 pub use space::{Space, Start, Target};
+pub(crate) use split::chosen;
 pub use split::{Run, Split};
 pub use walk::Solution;
 

@@ -81,7 +81,7 @@ pub struct Split {
 }
 
 /// Those of `able` that are flagged, or all if none is.
-fn chosen(able: Vec<bool>, flagged: impl Fn(usize) -> bool) -> Vec<bool> {
+pub(crate) fn chosen(able: Vec<bool>, flagged: impl Fn(usize) -> bool) -> Vec<bool> {
     let any = (0..able.len()).any(|i| able[i] && flagged(i));
     let each = able.iter().enumerate();
     each.map(|(i, &able)| able && (!any || flagged(i)))

@@ -90,8 +90,9 @@ impl Scene {
             return Ok(());
         }
         let whose = self.owner(name)?;
+        let all = self.movables();
         let parts: Vec<String> = (Freedom::ALL.iter())
-            .filter_map(|&freedom| self.name_of(whose.what(freedom)))
+            .filter_map(|&freedom| name_of(&all, whose.what(freedom)))
             .map(|name| format!("`{name}`"))
             .collect();
         Err(RenderError::Matrix {
@@ -166,12 +167,19 @@ impl Scene {
             ),
             (Freedom::Scale, vec![scale], (scale - 1.0).abs() > NOTHING),
         ];
+        let all = self.movables();
         let mut out = Vec::new();
         for (freedom, values, is_there) in values {
-            let Some(own) = self.name_of(whose.what(freedom)) else {
+            let Some(own) = name_of(&all, whose.what(freedom)) else {
                 if is_there {
+                    let how = match freedom {
+                        Freedom::Scale => format!("scale by {scale:.4}"),
+                        Freedom::Rotation => "turn".to_owned(),
+                        Freedom::Translation => "move".to_owned(),
+                    };
+                    let key = freedom.key();
                     return Err(refuse(format!(
-                        "it would scale by {scale:.4}, and there is no scale here"
+                        "it would {how}, and there is no {key} here"
                     )));
                 }
                 continue;
@@ -183,12 +191,6 @@ impl Scene {
             }
         }
         Ok(out)
-    }
-
-    /// What this is called where it may move.
-    fn name_of(&self, what: What) -> Option<String> {
-        let mut all = self.movables().into_iter();
-        all.find(|m| m.what == what).map(|m| m.name)
     }
 
     fn owner(&self, name: &str) -> Result<Whose, RenderError> {
@@ -238,4 +240,9 @@ impl Scene {
 
 fn length(v: [f64; 3]) -> f64 {
     v.iter().map(|x| x * x).sum::<f64>().sqrt()
+}
+
+/// What this is called among all that may move.
+fn name_of(all: &[Movable], what: What) -> Option<String> {
+    all.iter().find(|m| m.what == what).map(|m| m.name.clone())
 }

@@ -363,11 +363,9 @@ impl Scene {
                 all.push((name.to_owned(), Cow::Borrowed(own)));
             }
         }
-        for (name, own) in &all {
-            if matches!(own, Cow::Owned(_)) {
-                self.make_movable(&[name])?;
-            }
-        }
+        let parts = all.iter().filter(|(_, own)| matches!(own, Cow::Owned(_)));
+        let parts: Vec<&String> = parts.map(|(name, _)| name).collect();
+        self.make_movable(&parts)?;
         let mut values = self.params.values().to_vec();
         for (name, own) in &all {
             let info = self.params.find(name)?;

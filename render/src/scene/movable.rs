@@ -68,7 +68,8 @@ pub(super) enum Freedom {
 impl Freedom {
     pub const ALL: [Self; 3] = [Self::Translation, Self::Rotation, Self::Scale];
 
-    fn key(self) -> &'static str {
+    /// What follows the name of what moves.
+    pub fn key(self) -> &'static str {
         match self {
             Self::Translation => "translation",
             Self::Rotation => "rotation",

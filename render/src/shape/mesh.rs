@@ -330,14 +330,20 @@ impl Mesh {
     }
 }
 
-/// A triangle that is drawn from running sums of areas, and barycentric coordinates of its second and third vertex.
-pub(super) fn choose<P: Float>(cdf: &[f64], u: [P; 2]) -> (usize, Vec2<P>) {
+/// Which of running sums of areas a number chooses, how large that area is, and where in it the number is, from 0 to 1.
+pub(super) fn pick(cdf: &[f64], u: f64) -> (usize, f64, f64) {
     let total = cdf[cdf.len() - 1];
-    let x = (u[0].to_f64() * total).min(total.next_down());
+    let x = (u * total).min(total.next_down());
     // The first whose sum exceeds x: never one without an area.
     let i = cdf.partition_point(|&c| c <= x).min(cdf.len() - 1);
     let before = if i == 0 { 0.0 } else { cdf[i - 1] };
-    let reused = ((x - before) / (cdf[i] - before)).clamp(0.0, 1.0);
+    let share = cdf[i] - before;
+    (i, share, ((x - before) / share).clamp(0.0, 1.0))
+}
+
+/// A triangle that is drawn from running sums of areas, and barycentric coordinates of its second and third vertex.
+pub(super) fn choose<P: Float>(cdf: &[f64], u: [P; 2]) -> (usize, Vec2<P>) {
+    let (i, _, reused) = pick(cdf, u[0].to_f64());
     (i, warp::square_to_triangle([P::of(reused), u[1]]))
 }
 

@@ -128,7 +128,7 @@ pub fn figure(fig: &mut Figure) -> Result {
             in_time[ALPHA.len() - 1]
         ),
     );
-    same_light(fig, &rows, size);
+    same_light(fig, &rows, size, effort.runs);
     let chart = |title: &str, y: &str| LineChart::new(title, "alpha", y).log_x().log_y();
     let line = |k: usize| rows.iter().map(move |r| (r.alpha, noise(r)[k]));
     let samples = chart("noise of either at equal samples", "variance");
@@ -164,7 +164,7 @@ pub fn figure(fig: &mut Figure) -> Result {
 }
 
 /// Whether both bring the same light: all in all at every roughness, block by block where means of paths are nearly normal.
-fn same_light(fig: &mut Figure, rows: &[Row], size: u32) {
+fn same_light(fig: &mut Figure, rows: &[Row], size: u32, runs: u64) {
     const NEARLY: f64 = 0.05;
     let means = |r: &Row| [&r.chains, &r.paths].map(|m| m.series.whole);
     let z = rows.iter().map(|r| {
@@ -175,7 +175,7 @@ fn same_light(fig: &mut Figure, rows: &[Row], size: u32) {
     let errors = rows.iter().map(|r| means(r)[1].error / means(r)[0].mean);
     let errors: Vec<f64> = errors.collect();
     let most = fig.pick(0.25, 0.1);
-    let bound = limit(rows.len(), 16, 1e-3);
+    let bound = limit(rows.len(), runs, 1e-3);
     fig.check(
         "both bring the same light at every roughness",
         z.iter().all(|z| z.abs() < bound) && errors.iter().all(|e| *e < most),
@@ -183,7 +183,7 @@ fn same_light(fig: &mut Figure, rows: &[Row], size: u32) {
     );
     let blocks = (size as usize / 4).pow(2);
     let compared: Vec<&Row> = rows.iter().filter(|r| r.alpha >= NEARLY).collect();
-    let bound = limit(blocks * compared.len(), 16, 1e-3);
+    let bound = limit(blocks * compared.len(), runs, 1e-3);
     let worst = compared.iter().map(|r| {
         let blocks = r.chains.series.blocks.iter().zip(&r.paths.series.blocks);
         blocks.map(|(a, b)| a.z(b).abs()).fold(0.0, f64::max)

@@ -670,7 +670,10 @@ impl Costs {
 fn seconds_of_thread(start: Instant) -> f64 {
     let text = std::fs::read_to_string("/proc/thread-self/schedstat").unwrap_or_default();
     let nanoseconds = text.split(' ').next().and_then(|t| t.parse::<f64>().ok());
-    nanoseconds.map_or_else(|| start.elapsed().as_secs_f64(), |n| 1e-9 * n)
+    // Systems that have the file but do not count say zero.
+    nanoseconds
+        .filter(|&n| n > 0.0)
+        .map_or_else(|| start.elapsed().as_secs_f64(), |n| 1e-9 * n)
 }
 
 /// What a computation takes on a thread of its own: seconds and bytes.

@@ -42,7 +42,7 @@ use super::paths::{TileSums, assemble, deposit};
 use super::record::{Interest, Observer, Place};
 use super::rendering::{Components, NonFinite, Rendering};
 use super::sink::{GradientSums, Sink};
-use super::tile::{Paths, Sample, place, spot};
+use super::tile::{Paths, Sample, on_lens, place, spot};
 use super::vertex::MODE;
 use crate::bsdf::{Bsdf, Shading};
 use crate::camera::{CameraSample, Viewer};
@@ -274,15 +274,6 @@ impl<'a, P: Float> Boundary<'a, P> {
         Walk::<P, Still<S>, X>::behind(ray, sampler, depth, !found).finish_at(&self.context, hit)
     }
 
-    /// A place on the lens, if there is one, by numbers that nothing else in a stream is made of.
-    fn on_lens<X: Sampler>(&self, mut sampler: X) -> [P; 2] {
-        if !self.context.scene.camera.has_lens() {
-            return [P::of(0.5); 2];
-        }
-        sampler.seek(Purpose::Lens.at(1));
-        sampler.next_2d()
-    }
-
     /// How far beside an edge of a shape rays pass that see it at a distance.
     fn clearance(&self, shape: u32, distance: f64) -> f64 {
         let extent = f64::from(self.surfaces.shapes[shape as usize].extent());
@@ -374,7 +365,7 @@ impl<'a, P: Float> Boundary<'a, P> {
         let points = self.context.settings.points;
         let mut sampler = X::spread(points, Family::EdgesOnFilm.seed(self.seed), index, sample);
         let u: f64 = sampler.next_1d();
-        let lens = self.on_lens(sampler);
+        let lens = on_lens(scene, sampler);
         let beside = (scene.camera.thin_lens()).map(|thin| {
             let off = thin.off(lens.map(P::to_f64));
             self.curves.middle().beside(&scene.camera, off)

@@ -17,6 +17,7 @@ use std::ops::Range;
 
 use ad_core::{Float, Vec3};
 
+use super::super::tile::on_lens;
 use super::form::{Contribution, Form, Mover, Term};
 use super::{Boundary, MODE, Source, wide};
 use crate::bsdf::{Bsdf, Shading};
@@ -82,7 +83,7 @@ pub(super) struct Start<P> {
 
 /// What a ray from a light meets, as the camera sees it.
 pub(super) struct Receiver<P> {
-    /// Of [`Mover::Seen`]: primitive, place on the film, surface.
+    /// Of [`Mover::Seen`]: primitive, what of the camera sees it, surface.
     seen: (u32, CameraSample<P>, SurfaceInteraction<P>),
     /// Of the scene.
     shape: u32,
@@ -147,7 +148,7 @@ impl<P: Float> Boundary<'_, P> {
         let u: [f64; 2] = sampler.next_2d();
         let on_light: [P; 2] = sampler.next_2d();
         let (light, weight) = self.shadows.choose(sampler.next_1d())?;
-        let lens = self.on_lens(sampler);
+        let lens = on_lens(scene, sampler);
         let emitter = &scene.emitters()[light as usize];
         let start = self.start(emitter, on_light)?;
 

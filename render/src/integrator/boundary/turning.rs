@@ -16,6 +16,7 @@ use std::f64::consts::TAU;
 
 use ad_core::Float;
 
+use super::super::tile::on_lens;
 use super::form::{Contribution, Form, Mover, Term};
 use super::{Boundary, Source, wide};
 use crate::emitter::{Emission, Emitter};
@@ -37,7 +38,7 @@ impl<P: Float> Boundary<'_, P> {
         let on_light: [P; 2] = sampler.next_2d();
         let turn: f64 = sampler.next_1d();
         let (light, weight) = self.turning.choose(sampler.next_1d())?;
-        let lens = self.on_lens(sampler);
+        let lens = on_lens(scene, sampler);
         let emitter = &scene.emitters()[light as usize];
         let start = self.start(emitter, on_light)?;
         let (prim, shape, si) = start.surface?;

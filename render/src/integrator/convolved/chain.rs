@@ -106,9 +106,9 @@ pub(super) fn look<P: Float>(
     let mut seen = SmallVec::<[(f64, f64, Sight<P>); 1]>::new();
     let mut moves = false;
     let mut length = 0.0;
+    let mut met = scene.interaction(&still, &ray, &hit);
     for &delta in deltas {
         // ---- On over the surface ----
-        let met = scene.interaction(&still, &ray, &hit);
         let shape = met.shape;
         moves |= active.moves_shape(shape);
         length += met.si.t.re.to_f64();
@@ -141,7 +141,7 @@ pub(super) fn look<P: Float>(
         };
 
         // ---- What is there ----
-        let met = scene.interaction(&still, &ray, &hit);
+        met = scene.interaction(&still, &ray, &hit);
         let si = met.si.primal();
         let slides = [0, 1].map(|k| met.si.p.map(|x| x.eps[k].to_f64()));
         // The image across the ray: how much faster than the first direction it moves.

@@ -42,13 +42,13 @@ use super::path::{Context, Walk};
 use super::paths::{JOBS, collect_parts};
 use super::rendering::{Components, NonFinite, Rendering};
 use super::sink::{GradientSums, Sink};
-use super::tile::{Paths, Sample, Tile, camera_sample, place};
+use super::tile::{Paths, Sample, Tile, camera_sample, on_lens, place};
 use crate::camera::CameraSample;
 use crate::estimator::{Still, Strategy};
 use crate::film::PixelFilter;
 use crate::math::Rgb;
 use crate::parallel;
-use crate::sampler::{Family, Purpose, Sampler};
+use crate::sampler::{Family, Sampler};
 use crate::scene::Scene;
 
 /// Who the random numbers of a sample belong to.
@@ -154,12 +154,7 @@ impl<P: Float, S: Strategy, X: Sampler> Worker<'_, P, S, X> {
         let numbers = numbers(scene, self.seed, sample);
         let (border, sampler) = border::<X>(points, scene, sample, numbers);
         let film = border.at.map(P::of);
-        let mut lens = [P::zero(); 2];
-        if scene.camera.has_lens() {
-            let mut sampler = sampler;
-            sampler.seek(Purpose::Lens.at(1));
-            lens = sampler.next_2d();
-        }
+        let lens = on_lens(scene, sampler);
         let at = CameraSample { film, lens };
         let ray = scene.camera.ray_of(&at);
         let walk = || Walk::<P, Still<S>, X>::new(ray, sampler);
@@ -168,6 +163,9 @@ impl<P: Float, S: Strategy, X: Sampler> Worker<'_, P, S, X> {
             let l = walk().finish(self.context, trail);
             (l, chain::ahead(&trail.stops))
         });
+        if along.as_ref().is_some_and(|(l, _)| l.is_black()) {
+            return;
+        }
         let deltas = along.as_ref().map_or(&[][..], |(_, deltas)| deltas);
         let family = Family::PixelBorders;
         let of_camera = (ray, lens);

@@ -38,7 +38,8 @@ pub(super) struct Outlines<'a> {
 /// Neighbours share two welded points. A side with more than two triangles counts as one without a neighbour.
 fn beyond(mesh: &Mesh) -> Vec<[Beyond; 3]> {
     let data = mesh.data();
-    let point = |v: u32| mesh.welding().points[v as usize];
+    let welding = mesh.welding();
+    let point = |v: u32| welding.points[v as usize];
     let ends = |t: &[u32; 3], k: usize| [t[k], t[(k + 1) % 3]];
     let side = |t: &[u32; 3], k: usize| {
         let [a, b] = ends(t, k).map(point);

@@ -98,6 +98,18 @@ pub(super) struct Child {
 }
 
 impl Property {
+    /// One that no file gives.
+    pub fn made(tag: &'static str, text: &str, value: Value, location: &Location) -> Self {
+        Self {
+            value,
+            tag,
+            text: text.to_owned(),
+            location: location.clone(),
+            directories: Directories::new(Path::new(""), None),
+            used: AtomicBool::new(false),
+        }
+    }
+
     /// The same, not asked for yet.
     fn fresh(&self) -> Self {
         Self {
@@ -441,9 +453,12 @@ impl Node {
             .map(|(name, p)| (name.clone(), p.fresh()))
             .collect();
         let own = properties.remove("to_world");
-        let to_world = own.unwrap_or_else(|| self.added("transform"));
         let value = Value::Transform(moved);
-        properties.insert("to_world".to_owned(), Property { value, ..to_world });
+        let to_world = match own {
+            Some(own) => Property { value, ..own },
+            None => Property::made("transform", "", value, &self.location),
+        };
+        properties.insert("to_world".to_owned(), to_world);
         Ok(Node {
             tag: self.tag.clone(),
             plugin: self.plugin.clone(),
@@ -469,24 +484,13 @@ impl Node {
     /// A property of that name and another type.
     pub(crate) fn turn_over(&mut self, name: &str) -> Result<(), SceneError> {
         let value = Value::Boolean(!self.boolean_or(name, false)?);
-        let own = self.properties.remove(name);
-        let own = own.unwrap_or_else(|| self.added("boolean"));
         let used = AtomicBool::new(false);
-        let turned = Property { value, used, ..own };
+        let turned = match self.properties.remove(name) {
+            Some(own) => Property { value, used, ..own },
+            None => Property::made("boolean", "", value, &self.location),
+        };
         self.properties.insert(name.to_owned(), turned);
         Ok(())
-    }
-
-    /// A property that the file does not have, yet without its value.
-    fn added(&self, tag: &'static str) -> Property {
-        Property {
-            value: Value::Boolean(false),
-            tag,
-            text: String::new(),
-            location: self.location.clone(),
-            directories: Directories::new(Path::new(""), None),
-            used: AtomicBool::new(false),
-        }
     }
 
     /// All nested or referenced plugins of one kind, such as `bsdf`, in the order of the file.

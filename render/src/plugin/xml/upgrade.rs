@@ -4,13 +4,11 @@
 //! something is warned of. Names in another case are the parser's business.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::Path;
-use std::sync::atomic::AtomicBool;
 
+use super::Notice;
 use super::node::{Kind, Property};
 use super::raw::{RawChild, RawNode, Target};
 use super::value::{self, Value};
-use super::{Directories, Notice};
 use crate::error::{Location, quoted};
 use crate::math::Transform;
 
@@ -181,24 +179,12 @@ fn put(node: &mut RawNode, name: &str, property: Property) {
     node.properties.insert(name.to_owned(), property);
 }
 
-/// An attribute that no file gives.
-fn made(tag: &'static str, text: &str, value: Value, location: &Location) -> Property {
-    Property {
-        value,
-        tag,
-        text: text.to_owned(),
-        location: location.clone(),
-        directories: Directories::new(Path::new(""), None),
-        used: AtomicBool::new(false),
-    }
-}
-
 fn text(word: &str, location: &Location) -> Property {
-    made("string", word, Value::String(word.to_owned()), location)
+    Property::made("string", word, Value::String(word.to_owned()), location)
 }
 
 fn number(x: f64, location: &Location) -> Property {
-    made("float", &x.to_string(), Value::Float(x), location)
+    Property::made("float", &x.to_string(), Value::Float(x), location)
 }
 
 /// The text of an attribute, if it is one.
@@ -286,7 +272,7 @@ fn mixture(plugins: &mut Plugins, index: usize) {
     let rest = 1.0 - sum;
     if rest > 1e-6 || parts.len() == 1 {
         let black = plugins.add("diffuse", &location);
-        let none = made("rgb", "0", Value::Color([0.0; 3]), &location);
+        let none = Property::made("rgb", "0", Value::Color([0.0; 3]), &location);
         put(&mut plugins.nodes[black], "reflectance", none);
         parts.push(nested(black));
         weights.push(rest.max(0.0));
@@ -356,7 +342,7 @@ fn encoding(node: &mut RawNode) {
         && !node.names.contains_key("raw")
         && let Some(property) = take(node, "gamma")
     {
-        let raw = made("boolean", "true", Value::Boolean(true), &property.location);
+        let raw = Property::made("boolean", "true", Value::Boolean(true), &property.location);
         put(node, "raw", raw);
     }
 }

@@ -14,6 +14,7 @@ use std::sync::{Arc, OnceLock};
 
 use ad_core::{Dual, Float, Real, Vec2, Vec3};
 
+use super::mesh::pick;
 use super::partials::variables;
 use super::{
     FAR, Partials, Shape, ShapeSample, SurfaceCoordinates, SurfaceInteraction, double, lift3,
@@ -76,7 +77,6 @@ struct Data {
     /// second one on curves along the first.
     guides: [[f32; 3]; 2],
     bounds: [[f32; 3]; 2],
-    area: f64,
     /// Running sums of the areas of pieces, once somebody samples them.
     running: OnceLock<Vec<f64>>,
 }
@@ -130,7 +130,6 @@ impl Curves {
             pieces: Vec::new(),
             guides,
             bounds: [[f32::INFINITY; 3], [f32::NEG_INFINITY; 3]],
-            area: 0.0,
             running: OnceLock::new(),
         };
         for segment in 0..data.segments.len() as u32 {
@@ -144,17 +143,16 @@ impl Curves {
             });
             data.pieces.extend(pieces);
         }
-        let mut area = 0.0;
         for piece in &data.pieces {
-            area += data.area_of(piece);
             let [low, high] = accel::bounds(&data.primitive(piece));
             for k in 0..3 {
                 data.bounds[0][k] = data.bounds[0][k].min(low[k]);
                 data.bounds[1][k] = data.bounds[1][k].max(high[k]);
             }
         }
-        data.area = area;
-        if !(data.points.iter().any(|p| p[3] >= MIN_THICKNESS) && area > 0.0) {
+        // One with an area is enough, and most have one.
+        let has_area = || data.pieces.iter().any(|p| data.area_of(p) > 0.0);
+        if !(data.points.iter().any(|p| p[3] >= MIN_THICKNESS) && has_area()) {
             return Err("expected a radius that is not zero and a length, found none".into());
         }
         Ok(Self {
@@ -200,6 +198,18 @@ impl Data {
                 spline::primitive(&self.four(piece.segment), first, piece.part)
             }
         }
+    }
+
+    /// Running sums of the areas of pieces.
+    fn running(&self) -> &[f64] {
+        self.running.get_or_init(|| {
+            let mut sum = 0.0;
+            let areas = self.pieces.iter().map(|p| {
+                sum += self.area_of(p);
+                sum
+            });
+            areas.collect()
+        })
     }
 
     fn area_of(&self, piece: &Piece) -> f64 {
@@ -388,30 +398,17 @@ impl Shape for Curves {
 
     /// Both sides of what overlaps at joints, and the mean of circles across splines.
     fn area(&self) -> f64 {
-        self.data.area
+        let running = self.data.running();
+        running[running.len() - 1]
     }
 
     /// Uniform over the pieces by their areas, and over the coordinates of each: the density is that.
     fn sample_area<R: Real>(&self, _theta: &Theta<R>, u: [R::Primal; 2]) -> ShapeSample<R> {
         let data = &self.data;
-        let running = data.running.get_or_init(|| {
-            let mut sum = 0.0;
-            let areas = data.pieces.iter().map(|p| {
-                sum += data.area_of(p);
-                sum
-            });
-            areas.collect()
-        });
-        let total = running[running.len() - 1];
-        let x = (u[0].to_f64() * total).min(total.next_down());
-        let prim = running
-            .partition_point(|&sum| sum <= x)
-            .min(running.len() - 1);
-        let before = if prim == 0 { 0.0 } else { running[prim - 1] };
-        let share = running[prim] - before;
+        let (prim, share, along) = pick(data.running(), u[0].to_f64());
         let piece = data.pieces[prim];
         let [low, high] = self.range(&piece);
-        let y = low + (high - low) * ((x - before) / share).clamp(0.0, 1.0);
+        let y = low + (high - low) * along;
         let at = [u[1].to_f64(), y];
         let [x, y] = variables(at[0], at[1]);
         let moving = self.point(piece, SurfaceCoordinates(Vec2::<Dual<f64, 2>>::new(x, y)));
@@ -423,7 +420,7 @@ impl Shape for Curves {
             p: si.p,
             n: si.n_geo,
             uv: si.uv,
-            pdf: R::Primal::of((share / total / ((high - low) * element)).min(1e30)),
+            pdf: R::Primal::of((share / self.area() / ((high - low) * element)).min(1e30)),
             prim: prim as u32,
             coordinates,
         }

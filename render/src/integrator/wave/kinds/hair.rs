@@ -36,7 +36,7 @@ lanes! {
 /// Hair.
 pub struct Hairs<P> {
     lanes: Fibres<P>,
-    /// Whether [`Hairs::prepare`] has been called for these.
+    /// Whether [`Hairs::prepare`] and [`Hairs::see`] have been called for these.
     prepared: bool,
 }
 
@@ -147,14 +147,14 @@ impl<P: Float> Hairs<P> {
         }
     }
 
-    /// All there is to know before any direction to a light.
+    /// All there is to know before any direction to a light, once for those that were gathered: `wo` is the same in all calls.
     #[inline(always)]
     fn look(&mut self, n: usize, of: &Scattering<P>) {
         if !self.prepared {
             self.prepare(n);
+            self.see(n, of);
             self.prepared = true;
         }
-        self.see(n, of);
     }
 }
 

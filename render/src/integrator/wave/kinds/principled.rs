@@ -9,7 +9,6 @@ use crate::bsdf::microfacet::Alpha;
 use crate::bsdf::{
     Choices, ClearCoat, Facet, Leaf, Material, PrincipledLobe, Shading, Tints, upwards,
 };
-use crate::math::Rgb;
 
 lanes! {
     /// Principled materials, but for their normals. What there is none of is zero, or changes nothing.
@@ -92,11 +91,7 @@ impl<P: Float, A: Alpha<Scalar = P>> PrincipledSurfaces<P, A> {
             alpha: P::of(0.5),
             ln: -one,
         });
-        let tints = lobe.tints.unwrap_or(Tints {
-            hue: Rgb::splat(one),
-            dielectric: zero,
-            sheen: zero,
-        });
+        let tints = lobe.tints.unwrap_or(Tints::none());
         if k == 0 {
             (self.more, self.glass) = (false, false);
         }

@@ -9,7 +9,7 @@ use crate::bsdf::microfacet::{Alpha, Microfacet, Ndf};
 use crate::bsdf::{
     Leaf, Material, Pane, PrincipledThinLobe, Shading, Sides, ThinShares, Tints, above, reflect,
 };
-use crate::math::{Rgb, warp};
+use crate::math::warp;
 
 lanes! {
     /// Thin principled materials. What there is none of is zero, or changes nothing.
@@ -115,11 +115,7 @@ impl<P: Float, A: Alpha<Scalar = P>> ThinSurfaces<P, A> {
             ),
             None => (zero, one, half, half),
         };
-        let tints = lobe.tints.unwrap_or(Tints {
-            hue: Rgb::splat(one),
-            dielectric: zero,
-            sheen: zero,
-        });
+        let tints = lobe.tints.unwrap_or(Tints::none());
         if k == 0 {
             (self.more, self.panes) = (false, false);
         }
