@@ -841,42 +841,6 @@ mod tests {
         assert!((found - (1.0 - noise).sqrt()).abs() < 1e-12, "{found}");
     }
 
-    /// The size of a floor that reaches over the film changes nothing: what is left of terms that cancel is not wrong.
-    #[test]
-    fn rounding_is_not_wrong() {
-        let text = r#"<scene version="3.0.0"><integrator type="path"><integer name="max_depth" value="2"/></integrator>
-            <sensor type="perspective"><transform name="to_world"><lookat origin="0,3,1" target="0.2,0,0.1" up="0,0,1"/>
-            </transform><film type="hdrfilm"><integer name="width" value="6"/><integer name="height" value="6"/>
-            <rfilter type="box"/></film></sensor>
-            <shape type="rectangle" id="floor"><transform name="to_world"><scale value="9"/><rotate x="1" angle="-90"/>
-            </transform></shape><emitter type="constant"/></scene>"#;
-        let loaded = Scene::from_xml(text, ".".as_ref(), &Default::default());
-        let (mut scene, _) = loaded.expect("a scene");
-        let names = ["floor.scale", "floor.translation"];
-        scene.make_movable(&names).expect("things that move");
-        let settings = Settings {
-            spp: 16,
-            ..scene.settings
-        };
-        let mixture = Mixture::only(&scene, Estimator::Edges, &names);
-        let adjoint = vec![1.0 / 108.0; 108];
-        let options = Options {
-            repeats: 8,
-            ..Options::default()
-        };
-        let report = check(
-            &mut scene,
-            &settings,
-            &names,
-            &mixture,
-            &adjoint,
-            &options,
-            &(),
-        );
-        let report = report.expect("valid").expect("nobody stops it");
-        assert_ne!(report.verdict(), Verdict::Wrong, "{report}");
-    }
-
     /// What extrapolation changes is a third of what halving the step does: x + h^2 becomes x.
     #[test]
     fn extrapolation_removes_the_square_of_the_step() {
@@ -927,56 +891,6 @@ mod tests {
         );
         let zeros = line(&[0.0; 2], Along::Value(0));
         assert!(zeros.one_sided && zeros.most == LARGEST_STEP);
-    }
-
-    /// Derivatives by lengths are those of the scene in other units, over the unit: steps that were too long or too short
-    /// for a scene would see another one, or no outline at all.
-    #[test]
-    fn steps_are_in_units_of_the_scene() {
-        let names = ["ball.translation", "lamp.position", "sensor.translation"];
-        let found = [1.0, 1.0 / 8192.0, 8192.0].map(|unit: f64| {
-            let text = format!(
-                r#"<scene version="3.0.0"><integrator type="path"><integer name="max_depth" value="2"/></integrator>
-                <sensor type="perspective"><float name="fov" value="50"/><transform name="to_world">
-                <lookat origin="0,2,4" target="0,0,0" up="0,1,0"/><scale value="{unit}"/></transform>
-                <film type="hdrfilm"><integer name="width" value="6"/><integer name="height" value="6"/>
-                <rfilter type="box"/></film></sensor>
-                <shape type="rectangle"><transform name="to_world"><scale value="3"/><rotate x="1" angle="-90"/>
-                <translate y="-1"/><scale value="{unit}"/></transform></shape>
-                <shape type="sphere" id="ball"><transform name="to_world"><scale value="{unit}"/></transform></shape>
-                <emitter type="point" id="lamp"><point name="position" x="{unit}" y="{}" z="{unit}"/>
-                <rgb name="intensity" value="{}"/></emitter></scene>"#,
-                3.0 * unit,
-                10.0 * unit * unit,
-            );
-            let loaded = Scene::from_xml(&text, ".".as_ref(), &Default::default());
-            let (mut scene, _) = loaded.expect("a scene");
-            scene.make_movable(&names).expect("things that move");
-            let settings = Settings {
-                spp: 16,
-                ..scene.settings
-            };
-            let mixture = Mixture::only(&scene, Estimator::Edges, &names);
-            let adjoint = vec![1.0; 108];
-            let options = Options {
-                repeats: 8,
-                ..Options::default()
-            };
-            let report = check(
-                &mut scene, &settings, &names, &mixture, &adjoint, &options, &(),
-            );
-            let report = report.expect("valid").expect("nobody stops it");
-            assert_ne!(report.verdict(), Verdict::Wrong, "{unit}: {report}");
-            let all = report.params.iter().flat_map(|p| &p.comparisons);
-            all.map(|c| [c.differences.mean * unit, c.differences.se * unit, c.step / unit])
-                .collect::<Vec<_>>()
-        });
-        for other in &found[1..] {
-            for ([a, a_se, a_step], [b, b_se, b_step]) in found[0].iter().zip(other) {
-                assert!((a_step / b_step - 1.0).abs() < 1e-5, "{a_step} {b_step}");
-                assert!((a - b).abs() < 0.5 * a_se.hypot(*b_se), "{a} {b}");
-            }
-        }
     }
 
     /// A scene that follows its parameters shows what theta shows, up to rounding.

@@ -338,8 +338,7 @@ impl Direction {
 /// Derivative images along any number of directions, in single precision (forward mode): component 0 of the
 /// result is the image, component `k` the derivative along `directions[k - 1]`.
 ///
-/// Renders `Dual<f32, N>` with N in 8, 4, 2, 1, so eleven directions cost three passes over the same
-/// samples. Detached MIS.
+/// Renders `Dual<f32, N>` with N in 8, 4, 1, so eleven directions cost two passes over the same samples. Detached MIS.
 ///
 /// # Errors
 /// A dense direction of the wrong length; a parameter that moves a Dirac delta.
@@ -349,19 +348,17 @@ pub fn forward_f32(
     directions: &[Direction],
 ) -> Result<Rendering, RenderError> {
     check_directions(job.scene, directions)?;
-    let widest = |n: usize| [8, 4, 2].into_iter().find(|w| *w <= n).unwrap_or(1);
     let pass = |directions: &[Direction]| -> Result<Rendering, RenderError> {
         let run = match directions.len() {
-            8 => forward::<8>,
-            4 => forward::<4>,
-            2 => forward::<2>,
+            5.. => forward::<8>,
+            2.. => forward::<4>,
             _ => forward::<1>,
         };
         let mut part = run(job, values, directions)?;
         part.sums.truncate(1 + directions.len());
         Ok(part)
     };
-    in_passes(directions, widest, pass)
+    in_passes(directions, pass)
 }
 
 /// [`forward_f32`] by [`Estimator::Edges`], for what moves: eight directions at a time over the same samples.
@@ -381,19 +378,19 @@ pub fn forward_edges_f32(
         part.sums.truncate(1 + directions.len());
         Ok(part)
     };
-    in_passes(directions, |n| n.min(8), pass)
+    in_passes(directions, pass)
 }
 
-/// Components of several passes over the same samples, each with the next so many directions.
-fn in_passes(
-    directions: &[Direction],
-    widest: impl Fn(usize) -> usize,
+/// Components of several passes over the same samples, each with the next eight directions.
+fn in_passes<'a>(
+    directions: &'a [Direction],
     pass: impl Fn(&[Direction]) -> Result<Rendering, RenderError>,
 ) -> Result<Rendering, RenderError> {
-    let (now, mut rest) = directions.split_at(widest(directions.len()).min(directions.len()));
+    let next = |rest: &'a [Direction]| rest.split_at(rest.len().min(8));
+    let (now, mut rest) = next(directions);
     let mut out = pass(now)?;
     while !rest.is_empty() {
-        let (now, later) = rest.split_at(widest(rest.len()));
+        let (now, later) = next(rest);
         let part = pass(now)?;
         out.sums.extend(part.sums.into_iter().skip(1));
         out.cancelled |= part.cancelled;
@@ -566,7 +563,7 @@ macro_rules! estimators {
             /// Work of a sample of derivatives in these parameters, in edges: see [`count_work`].
             pub(crate) fn work(self, job: &Job, active: &Active, mode: Mode) -> f64 {
                 let count = match self {
-                    $(Self::$variant => count_work::<$strategy, Spread>,)*
+                    $(Self::$variant => count_work::<<$strategy as Strategy>::Paths, Spread>,)*
                 };
                 count(job, active, mode).work()
             }

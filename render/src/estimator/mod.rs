@@ -48,7 +48,6 @@ pub use sampling::{
     Attached, AttachedDirect, Detached, Differential, Direct, EmitterSampling, Reparameterised,
     Sampling, Unsplit,
 };
-pub(crate) use strategy::Still;
 pub use strategy::{
     AllowBias, BsdfOnly, Convolved, Edges, EmitterOnly, Followed, Follows, Geometry, Interior, Mis,
     Outlines, Strategy, differentiates_edges, goes_in_waves, is_guided,

@@ -15,6 +15,10 @@ use crate::bsdf::Component;
 pub trait Strategy: Send + Sync + 'static {
     /// What is compiled for it: itself, or what it wraps, if that differs only in where it is allowed.
     type Runs: Strategy;
+    /// What paths run of it: itself, or what it wraps, if that differs only in what other integrals do.
+    type Paths: Strategy;
+    /// Itself where nothing has tangents, so that nothing moves.
+    type Still: Strategy<Bsdf = Detached, Edge = Forget, EmitterMotion = Forget>;
     /// What makes its images, where nothing is differentiated: the same techniques with constant samples and weights.
     type Primal: Strategy;
     /// How scattered directions are drawn.
@@ -154,6 +158,8 @@ where
     H: Heuristic,
 {
     type Runs = Self;
+    type Paths = Self;
+    type Still = Mis<Detached, Detached, DetachedWeights, H>;
     type Primal = Mis<Detached, Detached, DetachedWeights, H::Primal>;
     type Bsdf = B;
     type Edge = <B::Edge as Memory>::Or<W::Edge>;
@@ -179,6 +185,8 @@ pub struct BsdfOnly<B>(PhantomData<B>);
 
 impl<B: Sampling> Strategy for BsdfOnly<B> {
     type Runs = Self;
+    type Paths = Self;
+    type Still = BsdfOnly<Detached>;
     type Primal = BsdfOnly<Detached>;
     type Bsdf = B;
     type Edge = B::Edge;
@@ -202,6 +210,8 @@ pub struct EmitterOnly<B, E = Detached>(PhantomData<(B, E)>);
 
 impl<B: Sampling, E: EmitterSampling<B>> Strategy for EmitterOnly<B, E> {
     type Runs = Self;
+    type Paths = Self;
+    type Still = EmitterOnly<Detached>;
     type Primal = EmitterOnly<Detached>;
     type Bsdf = B;
     type Edge = B::Edge;
@@ -262,6 +272,7 @@ pub struct Followed<S>(PhantomData<S>);
 macro_rules! wrapper {
     ($name:ident <$inner:path $(, const $number:ident: $of:ty)?> { $($item:item)* }) => {
         impl<S: $inner $(, const $number: $of)?> Strategy for $name<S $(, $number)?> {
+            type Still = S::Still;
             type Primal = S::Primal;
             type Bsdf = S::Bsdf;
             type Edge = S::Edge;
@@ -287,6 +298,7 @@ pub(super) use wrapper;
 
 wrapper!(Interior<Strategy<Bsdf = Detached, Edge = Forget, EmitterMotion = Forget>> {
     type Runs = Self;
+    type Paths = S::Paths;
     const INTERIOR: bool = true;
     const RAYS_AT_REST: bool = S::RAYS_AT_REST;
     const ALLOWS_BIAS: bool = S::ALLOWS_BIAS;
@@ -295,6 +307,7 @@ wrapper!(Interior<Strategy<Bsdf = Detached, Edge = Forget, EmitterMotion = Forge
 });
 wrapper!(Outlines<Strategy<Bsdf = Detached, Edge = Forget, EmitterMotion = Forget>> {
     type Runs = Self;
+    type Paths = S::Paths;
     const OUTLINES: bool = true;
     const INTERIOR: bool = S::INTERIOR;
     const RAYS_AT_REST: bool = S::RAYS_AT_REST;
@@ -304,6 +317,7 @@ wrapper!(Outlines<Strategy<Bsdf = Detached, Edge = Forget, EmitterMotion = Forge
 });
 wrapper!(AllowBias<Strategy> {
     type Runs = S::Runs;
+    type Paths = S::Paths;
     const FOLLOWS: Follows = S::FOLLOWS;
     const OUTLINES: bool = S::OUTLINES;
     const INTERIOR: bool = S::INTERIOR;
@@ -316,6 +330,7 @@ wrapper!(AllowBias<Strategy> {
 
 wrapper!(Convolved<Strategy, const RAYS: u32> {
     type Runs = Self;
+    type Paths = S::Paths;
     const ATTACHED_ROULETTE: bool = S::ATTACHED_ROULETTE;
     const ATTACHED_CHOICE: bool = S::ATTACHED_CHOICE;
     const ALLOWS_BIAS: bool = S::ALLOWS_BIAS;
@@ -327,31 +342,10 @@ wrapper!(Convolved<Strategy, const RAYS: u32> {
 });
 wrapper!(Followed<Strategy> {
     type Runs = Self;
+    type Paths = S::Paths;
     const ATTACHED_ROULETTE: bool = S::ATTACHED_ROULETTE;
     const ATTACHED_CHOICE: bool = S::ATTACHED_CHOICE;
     const ALLOWS_BIAS: bool = S::ALLOWS_BIAS;
     const NEEDS_CONTINUITY: bool = S::NEEDS_CONTINUITY;
     const FOLLOWS: Follows = Follows::Closed;
 });
-
-/// `S` where nothing has tangents, so that nothing moves.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Still<S>(PhantomData<S>);
-
-impl<S: Strategy> Strategy for Still<S> {
-    type Runs = Self;
-    type Primal = S::Primal;
-    type Bsdf = Detached;
-    type Edge = Forget;
-    type EmitterMotion = Forget;
-    const SAMPLES_EMITTERS: bool = S::SAMPLES_EMITTERS;
-    const COUNTS_HITS: bool = S::COUNTS_HITS;
-    #[inline(always)]
-    fn weight_hit<R: Real>(a: R, b: R) -> R {
-        S::weight_hit(a, b)
-    }
-    #[inline(always)]
-    fn weight_sampled<R: Real>(a: R, b: R) -> R {
-        S::weight_sampled(a, b)
-    }
-}

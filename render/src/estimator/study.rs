@@ -86,6 +86,7 @@ pub struct RaysAtRest<S>(PhantomData<S>);
 
 wrapper!(RaysAtRest<Strategy<Bsdf = Detached, Edge = Forget, EmitterMotion = Forget>> {
     type Runs = Self;
+    type Paths = S::Paths;
     const RAYS_AT_REST: bool = true;
     const OUTLINES: bool = S::OUTLINES;
     const INTERIOR: bool = S::INTERIOR;
@@ -95,6 +96,7 @@ wrapper!(RaysAtRest<Strategy<Bsdf = Detached, Edge = Forget, EmitterMotion = For
 });
 wrapper!(AttachedRoulette<Strategy> {
     type Runs = Self;
+    type Paths = Self;
     const FOLLOWS: Follows = S::FOLLOWS;
     const OUTLINES: bool = S::OUTLINES;
     const INTERIOR: bool = S::INTERIOR;
@@ -105,6 +107,7 @@ wrapper!(AttachedRoulette<Strategy> {
 });
 wrapper!(AttachedChoice<Strategy<Bsdf = Detached, Edge = Forget>> {
     type Runs = Self;
+    type Paths = Self;
     const FOLLOWS: Follows = S::FOLLOWS;
     const OUTLINES: bool = S::OUTLINES;
     const INTERIOR: bool = S::INTERIOR;

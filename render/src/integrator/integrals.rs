@@ -53,7 +53,7 @@ impl Progress for Share<'_> {
 macro_rules! integrals {
     (|$wanted:ident| $(
         $(#[$doc:meta])*
-        $name:ident: $module:ident::<$($by:ident),*> $(if $of:expr)?, $asked:expr;
+        $name:ident: $module:ident::<$($by:ty),*> $(if $of:expr)?, $asked:expr;
     )*) => {
         $(
             $(#[$doc])*
@@ -102,7 +102,7 @@ macro_rules! integrals {
 integrals! {
     |wanted|
     /// Light along paths from the camera: all of it, or what others leave.
-    Paths: paths::<S, X>, wanted.light;
+    Paths: paths::<S::Paths, X>, wanted.light;
     /// Caustics, along particles from the emitters.
     Particles: particle_gradient::<S, X>, wanted.light && wanted.finders.particles;
     /// Light over specular chains, by manifold connections.
@@ -112,7 +112,7 @@ integrals! {
     /// What vertices of paths that move do to light.
     Motion: motion::<S, X> if S::INTERIOR, wanted.motion;
     /// What outlines that move hide and show.
-    Boundaries: boundary::<S, X> if S::OUTLINES, wanted.motion;
+    Boundaries: boundary::<S::Still, X> if S::OUTLINES, wanted.motion;
     /// What moves, along directions that follow outlines.
     Convolved: convolved::<S, X> if S::FOLLOWS.any(), wanted.motion;
 }

@@ -18,7 +18,7 @@ use crate::bsdf::{Bsdf, Shading};
 use crate::camera::CameraSample;
 use crate::edges::crossing::{LineSide, Meeting, Sheet};
 use crate::edges::{EdgePoint, Eye, Inside, Seeker};
-use crate::estimator::{Still, Strategy};
+use crate::estimator::Strategy;
 use crate::integrator::path::Walk;
 use crate::integrator::record::Place;
 use crate::math::{NOWHERE, Ray, RayAdjoint, Rgb, Segment};
@@ -203,7 +203,7 @@ impl<P: Float> Boundary<'_, P> {
         let direction = point.direction.map(P::of).normalize();
         let from = si.spawn_ray(direction, scene.exit(here.prim));
         let (ray, hit) = self.towards(from, &sheets[k], hidden)?;
-        let light = Walk::<P, Still<S>, X>::behind(ray, sampler, depth + 1, true)
+        let light = Walk::<P, S::Still, X>::behind(ray, sampler, depth + 1, true)
             .finish_at(&self.context, Some(hit));
         if light.is_black() {
             return None;

@@ -51,7 +51,7 @@ use crate::edges::crossing::Crossings;
 use crate::edges::film::{FilmCurves, FilmPoint, Sides};
 use crate::edges::{EdgePoint, Edges, Eye, Seeker, Surfaces};
 use crate::emitter::AnyEmitter;
-use crate::estimator::{Still, Strategy};
+use crate::estimator::Strategy;
 use crate::math::{Frame, NOWHERE, Ray, RayAdjoint, Rgb, Segment};
 use crate::parallel;
 use crate::params::Theta;
@@ -271,7 +271,7 @@ impl<'a, P: Float> Boundary<'a, P> {
     ) -> Rgb<P> {
         // What is drawn from lights sees those of areas behind edges from the first vertex.
         let found = depth == 2 && hit.is_some() && self.shadows.any();
-        Walk::<P, Still<S>, X>::behind(ray, sampler, depth, !found).finish_at(&self.context, hit)
+        Walk::<P, S::Still, X>::behind(ray, sampler, depth, !found).finish_at(&self.context, hit)
     }
 
     /// How far beside an edge of a shape rays pass that see it at a distance.
@@ -391,7 +391,7 @@ impl<'a, P: Float> Boundary<'a, P> {
             si.t = P::of(edge.distance);
             let shape = edge.shape;
             let hit = Intersection { shape, prim, si };
-            let mut walk = Walk::<P, Still<S>, X>::behind(ray, sampler, 1, true);
+            let mut walk = Walk::<P, S::Still, X>::behind(ray, sampler, 1, true);
             walk.step(&self.context, Some(hit), false, &mut ());
             if let Some(beside) = inside.beside {
                 let other = self.surfaces.firsts[shape as usize] + beside.local;
@@ -669,7 +669,7 @@ impl<'a, P: Float> Boundary<'a, P> {
             ray.o += (n * beside).map(P::of);
             let hit =
                 (scene.nearest(&ray)).map(|hit| scene.interaction(&Theta::still(), &ray, &hit));
-            let light = Walk::<P, Still<S>, X>::behind(ray, sampler, depth + 1, true)
+            let light = Walk::<P, S::Still, X>::behind(ray, sampler, depth + 1, true)
                 .finish_at(&self.context, hit);
             if light.is_black() {
                 continue;
@@ -805,7 +805,7 @@ pub(super) fn image<R: Components, S: Strategy, X: Sampler>(pass: &Pass<R>) -> R
         let pixels = tile.pixels();
         let mut sums = vec![0.0f64; R::COUNT * pixels * 3];
         let mut non_finite = NonFinite::default();
-        let mut paths = Paths::<R::Primal, Still<S>, X, _>::new(Vertices(Vec::new()));
+        let mut paths = Paths::<R::Primal, S::Still, X, _>::new(Vertices(Vec::new()));
         let seed = Family::EdgesAtVertices.seed(boundary.seed);
         let done = |at: usize, sample: Sample, _, vertices: &mut Vertices<R::Primal>| {
             boundary.along_path::<S, X>(&sample, vertices, |c| {
@@ -900,7 +900,7 @@ pub(super) fn gradient<P: Float, S: Strategy, X: Sampler>(
     let parts = parallel::map(jobs, |job| {
         let mut sink = Sink::new(active, large);
         let mut non_finite = NonFinite::default();
-        let mut paths = Paths::<P, Still<S>, X, _>::new(Vertices(Vec::new()));
+        let mut paths = Paths::<P, S::Still, X, _>::new(Vertices(Vec::new()));
         let seed = Family::EdgesAtVertices.seed(boundary.seed);
         for tile in tiles.iter().skip(job).step_by(jobs) {
             if pass.progress.cancelled() {

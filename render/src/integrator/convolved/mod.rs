@@ -44,7 +44,7 @@ use super::rendering::{Components, NonFinite, Rendering};
 use super::sink::{GradientSums, Sink};
 use super::tile::{Paths, Sample, Tile, camera_sample, on_lens, place};
 use crate::camera::CameraSample;
-use crate::estimator::{Still, Strategy};
+use crate::estimator::Strategy;
 use crate::film::PixelFilter;
 use crate::math::Rgb;
 use crate::parallel;
@@ -157,7 +157,7 @@ impl<P: Float, S: Strategy, X: Sampler> Worker<'_, P, S, X> {
         let lens = on_lens(scene, sampler);
         let at = CameraSample { film, lens };
         let ray = scene.camera.ray_of(&at);
-        let walk = || Walk::<P, Still<S>, X>::new(ray, sampler);
+        let walk = || Walk::<P, S::Still, X>::new(ray, sampler);
         let along = self.trail.as_mut().map(|trail| {
             trail.clear();
             let l = walk().finish(self.context, trail);
@@ -245,7 +245,7 @@ pub(super) fn image<R: Components, S: Strategy, X: Sampler>(pass: &Pass<R>) -> R
         if pass.progress.cancelled() {
             return (window, non_finite);
         }
-        let mut paths = Paths::<R::Primal, Still<S>, X, _>::new(Trail::default());
+        let mut paths = Paths::<R::Primal, S::Still, X, _>::new(Trail::default());
         let mut worker = Worker::<R::Primal, S, X> {
             follow: Follow::new(&context, &active, &known),
             context: &context,
@@ -322,7 +322,7 @@ pub(super) fn gradient<P: Float, S: Strategy, X: Sampler>(
     let parts = parallel::map(jobs, |job| {
         let mut sink = Sink::of_samples(active, large);
         let mut non_finite = NonFinite::default();
-        let mut paths = Paths::<P, Still<S>, X, _>::new(Trail::default());
+        let mut paths = Paths::<P, S::Still, X, _>::new(Trail::default());
         let mut worker = Worker::<P, S, X> {
             follow: Follow::new(&context, active, &known),
             context: &context,

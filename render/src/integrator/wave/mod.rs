@@ -48,7 +48,7 @@ use super::vertex::{MODE, assert_finite, has_more, may_go_on};
 use crate::accel::{Hit, PACKET_SIZE, RayPacket};
 use crate::bsdf::{Bsdf, Component, DiffuseLobe, Lobe, Material, Shading};
 use crate::emitter::{AnyEmitter, Area, Emission, Emitter, EmitterSample};
-use crate::estimator::{Detached, Sampling, Still, Strategy, differentiates_edges};
+use crate::estimator::{Detached, Sampling, Strategy, differentiates_edges};
 use crate::guide::{Directions, Guide};
 use crate::manifold::{Run, Split};
 use crate::math::{Frame, NOWHERE, Ray, Rgb, Segment};
@@ -479,7 +479,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         if const { S::Bsdf::DIFFERENTIAL && L::ENABLED }
             && let Some(aside) = &mut self.aside
         {
-            aside.advance::<S, Still<S>>(context, u32::MAX);
+            aside.advance::<S, S::Still>(context, u32::MAX);
             let samples = self.branches.iter().zip(&aside.l);
             log.normals(samples.map(|(b, l)| (b.wi, l.scale(b.pdf.recip()))));
         }
@@ -497,7 +497,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
                 self.waiting.clear();
                 break;
             }
-            self.edge::<S, Still<S>, L>(context, depth, log);
+            self.edge::<S, S::Still, L>(context, depth, log);
             if const { L::CROWD > WAVE_SIZE } {
                 self.n = self.waiting.fill_up(depth + 1, &mut self.paths, self.n);
             }
@@ -785,7 +785,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
                         let behind = both & (wo.z < P::zero());
                         seen_from(P::select(behind, -P::one(), P::one()), wo)
                     };
-                    let taken = (self.kinds).take(i, material, &shading, wo);
+                    let taken = (self.kinds).take(i, material, &shading, &wo);
                     self.at.sorted[i] = u32::from(taken);
                 }
             }
@@ -1100,13 +1100,18 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             }
         }
         let (f, pdf_bsdf) = (&mut lights.f, &mut lights.pdf_bsdf);
-        (self.kinds).eval_pdf(&self.wo, &at.side, &lights.wi, |i, found| match found {
-            Some((value, pdf)) => {
-                f.put_rgb(i, value);
-                pdf_bsdf[i] = pdf;
-            }
-            None => others.push(i),
-        });
+        (self.kinds).eval_pdf(
+            &self.wo,
+            &at.side,
+            &lights.wi,
+            &mut |i, found| match found {
+                Some((value, pdf)) => {
+                    f.put_rgb(i, value);
+                    pdf_bsdf[i] = pdf;
+                }
+                None => others.push(i),
+            },
+        );
         for i in others {
             if lights.pdf[i] > P::zero() {
                 let shading = Shading::new(*theta, at.uv(i));
@@ -1342,7 +1347,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             }
         }
         let components = &mut self.components;
-        (self.kinds).sample(&self.wo, &at.side, [a, b, c], |i, found| {
+        (self.kinds).sample(&self.wo, &at.side, [a, b, c], &mut |i, found| {
             if directions(guide, at.guide[i]).is_some() {
                 return;
             }

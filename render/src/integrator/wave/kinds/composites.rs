@@ -304,7 +304,7 @@ impl<P: Float> Composites<P> {
     pub fn eval_pdf(
         &mut self,
         (wo, side, wi): (&Lanes<P>, &Lane<P>, &Lanes<P>),
-        mut put: impl FnMut(usize, Option<(Rgb<P>, P)>),
+        put: &mut dyn FnMut(usize, Option<(Rgb<P>, P)>),
     ) {
         if self.paths.is_empty() {
             return;
@@ -329,7 +329,7 @@ impl<P: Float> Composites<P> {
     pub fn sample(
         &mut self,
         (wo, side, [a, b, c]): (&Lanes<P>, &Lane<P>, [&Lane<P>; 3]),
-        mut put: impl FnMut(usize, Option<Found<P>>),
+        put: &mut dyn FnMut(usize, Option<Found<P>>),
     ) {
         let n = self.paths.len();
         if n == 0 {

@@ -156,7 +156,7 @@ impl<M> Sorted<M> {
         &mut self,
         of: &mut Scattering<P>,
         (wo, side, wi): (&Lanes<P>, &Lane<P>, &Lanes<P>),
-        put: &mut impl FnMut(usize, Option<(Rgb<P>, P)>),
+        put: &mut dyn FnMut(usize, Option<(Rgb<P>, P)>),
     ) where
         M: Members<P>,
     {
@@ -187,7 +187,7 @@ impl<M> Sorted<M> {
         &mut self,
         of: &mut Scattering<P>,
         (wo, side, [a, b, c]): (&Lanes<P>, &Lane<P>, [&Lane<P>; 3]),
-        put: &mut impl FnMut(usize, Option<Found<P>>),
+        put: &mut dyn FnMut(usize, Option<Found<P>>),
     ) where
         M: Members<P>,
     {
@@ -253,7 +253,7 @@ macro_rules! kinds {
                 wo: &Lanes<P>,
                 side: &Lane<P>,
                 wi: &Lanes<P>,
-                put: &mut impl FnMut(usize, Option<(Rgb<P>, P)>),
+                put: &mut dyn FnMut(usize, Option<(Rgb<P>, P)>),
             ) {
                 let (of, directions) = (&mut *self.of, (wo, side, wi));
                 $(self.$field.eval_pdf(of, directions, put);)*
@@ -266,7 +266,7 @@ macro_rules! kinds {
                 wo: &Lanes<P>,
                 side: &Lane<P>,
                 numbers: [&Lane<P>; 3],
-                put: &mut impl FnMut(usize, Option<Found<P>>),
+                put: &mut dyn FnMut(usize, Option<Found<P>>),
             ) {
                 let (of, from) = (&mut *self.of, (wo, side, numbers));
                 $(self.$field.sample(of, from, put);)*
@@ -338,6 +338,9 @@ fn sort(material: &Material) -> Option<Sort> {
 }
 
 /// The vertices of a wave, by the kinds of their materials: all but those that are diffuse.
+///
+/// What its functions call is not a type of theirs: with all loops of all kinds they are compiled once for a scalar, not for
+/// each estimator.
 pub struct Kinds<P> {
     leaves: Leaves<P>,
     /// Made when there are any.
@@ -369,7 +372,7 @@ impl<P: Float> Kinds<P> {
         i: usize,
         material: &Material,
         at: &Shading<P>,
-        wo: impl FnOnce() -> Vec3<P>,
+        wo: &dyn Fn() -> Vec3<P>,
     ) -> bool {
         if composites::may_be_one(material) {
             let composites = self.composites.get_or_insert_with(Default::default);
@@ -385,11 +388,11 @@ impl<P: Float> Kinds<P> {
         wo: &Lanes<P>,
         side: &Lane<P>,
         wi: &Lanes<P>,
-        mut put: impl FnMut(usize, Option<(Rgb<P>, P)>),
+        put: &mut dyn FnMut(usize, Option<(Rgb<P>, P)>),
     ) {
-        self.leaves.eval_pdf(wo, side, wi, &mut put);
+        self.leaves.eval_pdf(wo, side, wi, put);
         if let Some(composites) = &mut self.composites {
-            composites.eval_pdf((wo, side, wi), &mut put);
+            composites.eval_pdf((wo, side, wi), put);
         }
     }
 
@@ -401,11 +404,11 @@ impl<P: Float> Kinds<P> {
         wo: &Lanes<P>,
         side: &Lane<P>,
         numbers: [&Lane<P>; 3],
-        mut put: impl FnMut(usize, Option<Found<P>>),
+        put: &mut dyn FnMut(usize, Option<Found<P>>),
     ) {
-        self.leaves.sample(wo, side, numbers, &mut put);
+        self.leaves.sample(wo, side, numbers, put);
         if let Some(composites) = &mut self.composites {
-            composites.sample((wo, side, numbers), &mut put);
+            composites.sample((wo, side, numbers), put);
         }
     }
 }
