@@ -1,10 +1,9 @@
-//! Command-line tools and reproduced figures, and what they share.
+//! Command-line tools, and what they share with the figures.
 
 pub mod builtin_scene;
 pub mod chart;
 pub mod cli;
 pub mod figure;
-pub mod figures;
 pub mod memory;
 pub mod optimise;
 pub mod output;

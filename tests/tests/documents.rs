@@ -433,7 +433,7 @@ fn every_figure_is_listed() {
     let mut modules = BTreeSet::new();
     for path in files(&[".rs"]) {
         let folder = path.parent().expect("a folder");
-        if !folder.ends_with("examples/src/bin") {
+        if !folder.ends_with("examples/figures/src/bin") {
             continue;
         }
         let text = read(&path);
@@ -464,7 +464,7 @@ fn every_figure_is_listed() {
     figures.sort();
     assert!(figures.len() > 40, "found only {} figures", figures.len());
     assert_eq!(listed, figures);
-    let folder = root().join("examples/src/figures");
+    let folder = root().join("examples/figures/src");
     let mut made = BTreeSet::new();
     for path in files(&[".rs"]) {
         let Ok(below) = path.strip_prefix(&folder) else {

@@ -24,7 +24,8 @@ fn models_do_not_detach() {
 /// Tools and figures print through one layer, which never panics where output goes nowhere: `println!` does.
 #[test]
 fn tools_print_without_panics() {
-    let mut folders = vec![Path::new(env!("CARGO_MANIFEST_DIR")).join("../examples/src")];
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+    let mut folders = vec![root.join("examples/src"), root.join("examples/figures/src")];
     let mut read = 0;
     while let Some(folder) = folders.pop() {
         for entry in std::fs::read_dir(folder).expect("a folder of tools") {
@@ -48,7 +49,13 @@ fn tools_print_without_panics() {
 fn functions_are_short() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
     let mut found = 0;
-    for part in ["ad-core/src", "render/src", "optim/src", "examples/src"] {
+    for part in [
+        "ad-core/src",
+        "render/src",
+        "optim/src",
+        "examples/src",
+        "examples/figures/src",
+    ] {
         for file in sources(&root.join(part)) {
             let text = std::fs::read_to_string(root.join(part).join(&file)).expect("source text");
             let lines: Vec<&str> = text.lines().collect();
@@ -303,7 +310,8 @@ fn assert_layers(folder: &Path, prefix: &str, layers: &[&str]) {
 #[test]
 fn files_use_each_other_one_way() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
-    let mut folders = vec![(root.join("examples/src"), "crate::".to_owned())];
+    let crates = ["examples/src", "examples/figures/src"];
+    let mut folders = Vec::from(crates.map(|c| (root.join(c), "crate::".to_owned())));
     let render = root.join("render/src");
     let mut below = vec![render.clone()];
     while let Some(folder) = below.pop() {

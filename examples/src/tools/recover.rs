@@ -680,7 +680,7 @@ fn plan(algorithm: &Algorithm) -> (&'static str, u64, &Groups, &Rates) {
 ///
 /// # Errors
 /// None that a scene can cause.
-pub(crate) fn groups(active: &Active, values: &[f32]) -> Result<Groups, ToolError> {
+pub fn groups(active: &Active, values: &[f32]) -> Result<Groups, ToolError> {
     let mut groups = Groups::new(values.len());
     let mut at = 0;
     for info in active.ranges() {
@@ -697,7 +697,7 @@ pub(crate) fn groups(active: &Active, values: &[f32]) -> Result<Groups, ToolErro
 }
 
 /// Whole Gauss-Newton steps; those after them average.
-pub(crate) const WHOLE_STEPS: u64 = 5;
+pub const WHOLE_STEPS: u64 = 5;
 
 /// What a range cannot be asked for.
 fn unsuited(name: &str, expected: &str, option: &str) -> ToolError {

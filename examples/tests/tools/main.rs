@@ -116,7 +116,6 @@ impl Folder {
             "gradient" => env!("CARGO_BIN_EXE_gradient"),
             "compare" => env!("CARGO_BIN_EXE_compare"),
             "stability" => env!("CARGO_BIN_EXE_stability"),
-            "stam-alg-c" => env!("CARGO_BIN_EXE_stam-alg-c"),
             _ => env!("CARGO_BIN_EXE_recover"),
         };
         let mut command = Command::new(program);

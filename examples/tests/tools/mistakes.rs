@@ -276,7 +276,7 @@ fn mistakes_of_recover_end_with_a_message_and_without_a_file() {
 }
 
 /// Each tool, and the files of a short run.
-const SHORT_RUNS: [(&str, &str, &[&str]); 6] = [
+const SHORT_RUNS: [(&str, &str, &[&str]); 5] = [
     ("render", "scene.xml --spp 2 -o a.exr", &["a.exr", "a.png"]),
     (
         "gradient",
@@ -298,7 +298,6 @@ const SHORT_RUNS: [(&str, &str, &[&str]); 6] = [
         "--size 8 --iterations 1 --out r",
         &["r/result.json", "r/checkpoint.json"],
     ),
-    ("stam-alg-c", "--quick --out f", &["f/manifest.json"]),
 ];
 
 /// What cannot be printed costs no result.
@@ -312,8 +311,7 @@ fn output_with_nowhere_to_go_costs_no_file() {
             .unwrap()
     };
     for (tool, args, files) in SHORT_RUNS {
-        let failed = if tool.contains('-') { 2 } else { 1 };
-        for (what, code) in [("full", failed), ("closed", 0), ("deaf", 0)] {
+        for (what, code) in [("full", 1), ("closed", 0), ("deaf", 0)] {
             let dir = Folder::new();
             let mut command = dir.command(tool, args);
             match what {
@@ -485,15 +483,13 @@ fn what_never_ends_is_refused() {
         assert!(stderr.contains("expected a"), "{tool} {args}: {stderr}");
         assert_eq!(dir.names(), before, "{tool} {args}");
     }
-    for (tool, args) in [("render", "scene.xml"), ("stam-alg-c", "--quick")] {
-        let mut command = dir.command(tool, args);
-        let out = command.env("RAYON_NUM_THREADS", "100000").output().unwrap();
-        let stderr = String::from_utf8_lossy(&out.stderr);
-        assert!(!out.status.success(), "{tool}");
-        assert!(stderr.contains("at most 1024 threads"), "{tool}: {stderr}");
-        let out = dir.run(tool, &format!("{args} --threads 100000"));
-        assert_eq!(out.status.code(), Some(2), "{tool}");
-    }
+    let mut command = dir.command("render", "scene.xml");
+    let out = command.env("RAYON_NUM_THREADS", "100000").output().unwrap();
+    let stderr = String::from_utf8_lossy(&out.stderr);
+    assert!(!out.status.success());
+    assert!(stderr.contains("at most 1024 threads"), "{stderr}");
+    let out = dir.run("render", "scene.xml --threads 100000");
+    assert_eq!(out.status.code(), Some(2));
     assert_eq!(dir.names(), before);
 }
 
@@ -556,7 +552,6 @@ fn long_words_are_quoted_in_part() {
         ),
         ("stability", vec!["--estimators", long]),
         ("recover", vec!["--param", long, "--out", "r"]),
-        ("stam-alg-c", vec!["--out", "f", "--threads", long]),
     ];
     let names = dir.names();
     cases.extend(

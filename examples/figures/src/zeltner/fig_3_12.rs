@@ -1,0 +1,172 @@
+//! [Zeltner 2021, figure 3.12]: the slopes of a Gaussian normal map that footprints of growing size see.
+
+use ad_core::Vec2;
+use render::glint::{Moments, SlopeMap};
+use render::params::Theta;
+use render::scene::Builder;
+
+use super::glint_scenes::Slopes;
+use examples::chart::{LineChart, Panel};
+use examples::figure::{Figure, Result};
+
+const SEED: u64 = 312;
+const DEVIATION: f64 = 0.15;
+/// Bins of a side, over four deviations to either side.
+const BINS: usize = 40;
+const REACH: f64 = 4.0 * DEVIATION;
+
+/// Shares of the slopes in a square footprint by bins, from `n` by `n` points.
+fn histogram(map: &SlopeMap, theta: &Theta<f32>, at: Vec2<f64>, side: f64, n: usize) -> Vec<f64> {
+    let mut bins = vec![0.0; BINS * BINS];
+    for k in 0..n * n {
+        let of = |i: usize| side * ((i as f64 + 0.5) / n as f64 - 0.5);
+        let t = at + Vec2::new(of(k % n), of(k / n));
+        let Some((s, _)) = map.slope(theta, t) else {
+            continue;
+        };
+        let bin = |x: f64| ((x / REACH + 1.0) * 0.5 * BINS as f64).clamp(0.0, BINS as f64 - 1.0);
+        bins[bin(s.y) as usize * BINS + bin(s.x) as usize] += 1.0 / (n * n) as f64;
+    }
+    bins
+}
+
+/// Shares of bins of a normal distribution, by the midpoint rule.
+fn limit(moments: &Moments) -> Vec<f64> {
+    let width = 2.0 * REACH / BINS as f64;
+    let of = |k: usize| (k as f64 + 0.5) * width - REACH;
+    (0..BINS * BINS)
+        .map(|k| moments.density(Vec2::new(of(k % BINS), of(k / BINS))) * width * width)
+        .collect()
+}
+
+fn variation(a: &[f64], b: &[f64]) -> f64 {
+    0.5 * a.iter().zip(b).map(|(a, b)| (a - b).abs()).sum::<f64>()
+}
+
+/// Bins that are higher than twice the limit and than all around them.
+fn peaks(bins: &[f64], limit: &[f64]) -> usize {
+    let inner = 1..BINS - 1;
+    let all = inner
+        .clone()
+        .flat_map(|y| inner.clone().map(move |x| y * BINS + x));
+    all.filter(|&k| {
+        let around = [
+            k - BINS - 1,
+            k - BINS,
+            k - BINS + 1,
+            k - 1,
+            k + 1,
+            k + BINS - 1,
+            k + BINS,
+            k + BINS + 1,
+        ];
+        bins[k] > 2.0 * limit[k] && bins[k] > 1e-3 && around.iter().all(|&i| bins[i] < bins[k])
+    })
+    .count()
+}
+
+/// `zeltner-3-12`.
+///
+/// # Errors
+/// None that the built-in map can cause.
+pub fn figure(fig: &mut Figure) -> Result {
+    let (size, points, places) = (fig.pick(256, 1024), fig.pick(300, 1000), fig.pick(6, 12));
+    fig.note("size", size);
+    fig.note("points", points * points);
+    fig.note("places", places);
+    fig.note("seed", SEED);
+    let mut build = Builder::new();
+    let metal = Slopes::gaussian(size, DEVIATION, SEED).metal(&mut build, 1.0)?;
+    let theta = Theta::<f32>::constant(build.params().values());
+    let map = SlopeMap::new(&metal, &theta).ok_or("a map that is no image")?;
+    let whole = map.moments(&theta, Vec2::zero(), [size as f64; 2]);
+    let normal = limit(&whole);
+    let sides: Vec<f64> = (2..)
+        .map(|k| f64::from(1 << k))
+        .take_while(|&s| s <= size as f64)
+        .collect();
+    let mut rows = Vec::new();
+    let mut panels = Vec::new();
+    let (mut off, mut most): (f64, f64) = (0.0, 0.0);
+    for &side in &sides {
+        let (mut distance, mut count) = (0.0, 0.0);
+        for place in 0..places {
+            let place = f64::from(place);
+            let at = Vec2::new(17.3 + 41.7 * place, 29.1 + 77.3 * place);
+            let bins = histogram(&map, &theta, at, side, points);
+            distance += variation(&bins, &normal) / f64::from(places);
+            count += peaks(&bins, &normal) as f64 / f64::from(places);
+            // Moments of the pyramid against those of the points.
+            let width = 2.0 * REACH / BINS as f64;
+            let of = |k: usize| (k as f64 + 0.5) * width - REACH;
+            let mean: f64 = bins.iter().enumerate().map(|(k, b)| b * of(k % BINS)).sum();
+            let square: f64 = (bins.iter().enumerate())
+                .map(|(k, b)| b * of(k % BINS).powi(2))
+                .sum();
+            let found = map.moments(&theta, at, [0.5 * side; 2]);
+            let deviation = (square - mean * mean).max(0.0).sqrt();
+            off = off.max((found.mean.x - mean).abs());
+            most = most.max((found.covariance[0].sqrt() - deviation).abs());
+            if place == 0.0 {
+                let high = 4.0 * normal.iter().copied().fold(0.0, f64::max);
+                let label = format!("{side} texels");
+                panels.push(Panel::false_colour(&label, BINS, &bins, 0.0, high).enlarged(4));
+            }
+        }
+        rows.push([side * side, distance, count]);
+    }
+    let high = 4.0 * normal.iter().copied().fold(0.0, f64::max);
+    panels.push(Panel::false_colour("limit", BINS, &normal, 0.0, high).enlarged(4));
+    let texels: Vec<f64> = (0..size * size)
+        .map(|k| {
+            let t = Vec2::new((k % size) as f64, (k / size) as f64);
+            map.slope(&theta, t).map_or(0.0, |(s, _)| s.x)
+        })
+        .collect();
+    let decreasing = rows.windows(2).all(|w| w[1][1] < w[0][1]);
+    fig.check(
+        "the larger the footprint, the nearer to a normal distribution",
+        decreasing,
+        format!(
+            "total variation falls from {:.3} at {} texels to {:.3} at {}",
+            rows[0][1],
+            rows[0][0],
+            rows[rows.len() - 1][1],
+            rows[rows.len() - 1][0]
+        ),
+    );
+    fig.check(
+        "small footprints have many peaks, the whole map has none",
+        rows[0][2] > 3.0 && rows[rows.len() - 1][2] < 1.0,
+        format!(
+            "{:.1} on average, and {:.1}",
+            rows[0][2],
+            rows[rows.len() - 1][2]
+        ),
+    );
+    fig.check(
+        "the pyramid has the moments of footprints",
+        off < 0.35 * DEVIATION && most < 0.35 * DEVIATION,
+        format!("means are at most {off:.4} off, deviations {most:.4}, of {DEVIATION}"),
+    );
+    let bytes = map.bytes();
+    fig.check(
+        "moments take less than the map",
+        bytes < size * size * 12,
+        format!(
+            "{:.2} bytes a texel, of 12",
+            bytes as f64 / (size * size) as f64
+        ),
+    );
+    fig.image(
+        "map",
+        &Panel::signed("slopes along x", size, &texels, Some(3.0 * DEVIATION)),
+    );
+    fig.images("footprints", 4, &panels);
+    let chart = LineChart::new("slopes of footprints", "texels", "total variation")
+        .log_x()
+        .line("to the limit", rows.iter().map(|r| (r[0], r[1])));
+    fig.chart("variation", &chart);
+    fig.csv("variation", &["texels", "total_variation", "peaks"], rows);
+    Ok(())
+}

@@ -1,0 +1,238 @@
+//! [Zeltner 2021, figure 3.22]: walks find bright lights in scratches, scattered directions everything else.
+
+use std::sync::Arc;
+
+use rayon::prelude::*;
+use render::Scene;
+use render::bsdf::{Bsdf, DeltaKind, Shading, TransportMode};
+use render::emitter::Emitter;
+use render::glint::{Finder, Footprint, SlopeMap, glinty_shapes, mapped_metal};
+use render::manifold::Statistics;
+use render::params::Theta;
+use render::sampler::{Independent, Sampler};
+use render::scene::{GlintMethod, GlintRegion, GlintTechniques, GlintWeights, Glints};
+
+use super::glint_scenes::Slopes;
+use crate::statistics::Estimate;
+use examples::chart::Panel;
+use examples::figure::{Figure, Result};
+use examples::scene_builder::{SceneBuilder, View};
+
+const SEED: u64 = 322;
+/// Concentration of the bright lights, and how bright they are in the middle.
+const CONCENTRATION: f64 = 40_000.0;
+const BRIGHT: f64 = 1200.0;
+/// Slopes above this are scratches.
+const SCRATCH: f64 = 0.02;
+
+fn ball(size: u32) -> Result<(Scene, u32)> {
+    let mut scene = SceneBuilder::default();
+    let slopes = Slopes::scratched(256, 60, 2.0, 0.35, SEED);
+    let metal = slopes.metal(&mut scene.build, 3.0 * size as f32 / 32.0)?;
+    let metal = Arc::new(metal.into());
+    scene.ball("ball", [0.0; 3], 1.0, &metal)?;
+    let lights = [
+        [1.0, 0.5, 0.2],
+        [1.0, 0.2, -0.5],
+        [1.0, -0.1, 0.6],
+        [1.0, -0.6, -0.2],
+    ];
+    for (i, d) in lights.into_iter().enumerate() {
+        scene.lobe(&format!("light{i}"), [BRIGHT; 3], d, CONCENTRATION)?;
+    }
+    scene.ambient([0.3; 3])?;
+    let view = View {
+        eye: [6.0, 0.0, 0.0],
+        target: [0.0; 3],
+        fov: 10.0,
+        size: [size; 2],
+    };
+    Ok((scene.finish(&view, 2)?, lights.len() as u32))
+}
+
+/// What one technique found: in scratches and on flat parts, of bright lights and of the rest.
+#[derive(Clone, Copy, Default)]
+struct Found {
+    /// By whether in a scratch, whether by a walk.
+    light: [[f64; 2]; 2],
+    /// That of bright lights.
+    bright: [[f64; 2]; 2],
+}
+
+/// Samples of every pixel.
+fn samples(
+    scene: &Scene,
+    bright: u32,
+    glints: Glints,
+    seed: u64,
+    spp: u64,
+) -> Result<Vec<Vec<Found>>> {
+    let values: Vec<f64> = (scene.params().values().iter())
+        .map(|&x| f64::from(x))
+        .collect();
+    let theta = Theta::<f64>::constant(&values);
+    let glinty = glinty_shapes(scene).ok_or("nothing glitters")?;
+    let finder = Finder::new(scene, theta, &glinty, glints);
+    let metal = mapped_metal(scene.material(0), false).ok_or("no normal map")?;
+    let map = SlopeMap::new(metal, &theta).ok_or("a map that is no image")?;
+    let [width, height] = scene.film.size;
+    let sample = |pixel: u64, index: u64| {
+        let mut rng = Independent::new(seed, pixel, index);
+        let middle = [pixel % u64::from(width), pixel / u64::from(width)].map(|p| p as f64 + 0.5);
+        let [u, v] = rng.next_2d::<f64>();
+        let at = [middle[0] + u - 0.5, middle[1] + v - 0.5];
+        let mut found = Found::default();
+        let Some(foot) = Footprint::new(scene, at, [0.5; 2], middle, false) else {
+            return found;
+        };
+        let mut all = Vec::new();
+        let mut came_to = Statistics::default();
+        finder.find(&foot, 1.0, &mut rng, &|| false, &mut came_to, &mut all);
+        for glint in all {
+            let at = Shading::new(theta, glint.si.uv);
+            let material = scene.material(foot.shape);
+            let f = material.eval_delta(
+                &at,
+                glint.wo,
+                glint.wi,
+                DeltaKind::Reflection,
+                0,
+                TransportMode::Radiance,
+            );
+            let e = &scene.emitters()[glint.emitter as usize];
+            let light = (f * e.eval(&theta, &glint.emission)).mean() * glint.weight;
+            let slope = map.slope(&theta, map.texels(glint.si.uv));
+            let scratch = slope.is_some_and(|(s, _)| s.length() > SCRATCH);
+            found.light[usize::from(scratch)][usize::from(glint.by_walk)] += light;
+            if glint.emitter < bright {
+                found.bright[usize::from(scratch)][usize::from(glint.by_walk)] += light;
+            }
+        }
+        found
+    };
+    let pixels = u64::from(width) * u64::from(height);
+    Ok((0..pixels)
+        .into_par_iter()
+        .map(|p| (0..spp).map(|i| sample(p, i)).collect())
+        .collect())
+}
+
+/// Mean over pixels of the variance of a sample.
+fn variance(all: &[Vec<Found>], of: impl Fn(&Found) -> f64) -> f64 {
+    let one = |samples: &Vec<Found>| {
+        let n = samples.len() as f64;
+        let mean = samples.iter().map(&of).sum::<f64>() / n;
+        samples.iter().map(|f| (of(f) - mean).powi(2)).sum::<f64>() / (n - 1.0)
+    };
+    all.iter().map(one).sum::<f64>() / all.len() as f64
+}
+
+fn total(all: &[Vec<Found>], of: impl Fn(&Found) -> f64) -> f64 {
+    let n = all.first().map_or(1, Vec::len) * all.len();
+    all.iter().flatten().map(of).sum::<f64>() / n as f64
+}
+
+/// `zeltner-3-22`.
+///
+/// # Errors
+/// None that the built-in scene can cause.
+pub fn figure(fig: &mut Figure) -> Result {
+    let (size, spp) = (fig.pick(16, 64), fig.pick(64, 512));
+    fig.note("size", size);
+    fig.note("spp", spp);
+    fig.note("seed", SEED);
+    let (scene, bright) = ball(size)?;
+    let unbiased = Glints::new(GlintMethod::Unbiased);
+    let of =
+        |glints: Glints, seed: u64, spp: u64| samples(&scene, bright, glints, SEED + seed, spp);
+    let only = |techniques| Glints {
+        techniques,
+        ..unbiased
+    };
+    let both = of(unbiased, 0, spp)?;
+    let lobe = Glints {
+        weights: GlintWeights::Lobe,
+        region: GlintRegion::Texels,
+        ..unbiased
+    };
+    let by_lobe = of(lobe, 1, spp)?;
+    let walks = of(only(GlintTechniques::Walks), 2, spp)?;
+    let scattering = of(only(GlintTechniques::Scattering), 3, 16 * spp)?;
+    let all = |f: &Found| f.light.iter().flatten().sum::<f64>();
+    // ---- The same light ----
+    let estimate =
+        |found: &[Vec<Found>]| {
+            // Samples of equal index over all pixels are independent images.
+            let spp = found.first().map_or(0, Vec::len);
+            Estimate::of((0..spp).map(|i| {
+                found.iter().map(|pixel| all(&pixel[i])).sum::<f64>() / found.len() as f64
+            }))
+        };
+    let (brute, sum, sum_by_lobe) = (estimate(&scattering), estimate(&both), estimate(&by_lobe));
+    for (name, e) in [("densities", &sum), ("the lobe", &sum_by_lobe)] {
+        let ratio = e.mean / brute.mean;
+        let error = brute.error.hypot(e.error) / brute.mean;
+        fig.check(
+            format!("both techniques together find the light, weighed by {name}"),
+            (ratio - 1.0).abs() < f64::max(0.03, 4.0 * error) && error < fig.pick(0.1, 0.03),
+            format!("{ratio:.4} ± {error:.4} of what scattering alone finds"),
+        );
+    }
+    // ---- Who finds what ----
+    let share = |found: &[Vec<Found>], scratch: usize| {
+        let walks = total(found, |f| f.bright[scratch][1]);
+        walks / (walks + total(found, |f| f.bright[scratch][0]))
+    };
+    let flat = |found: &[Vec<Found>]| {
+        let scattered = total(found, |f| f.light[0][0]);
+        scattered / (scattered + total(found, |f| f.light[0][1]))
+    };
+    for (name, found) in [("densities", &both), ("the lobe", &by_lobe)] {
+        let (walked, scattered) = (share(found, 1), flat(found));
+        fig.check(
+            format!("walks find bright lights in scratches, scattering the light of flat parts, by {name}"),
+            walked > 0.5 && scattered > 0.5,
+            format!(
+                "{:.1} % of bright light in scratches is that of walks, {:.1} % of flat parts' light of scattering",
+                100.0 * walked,
+                100.0 * scattered
+            ),
+        );
+    }
+    // ---- Noise ----
+    let mut rows = Vec::new();
+    for (scratch, place) in [(1, "in scratches"), (0, "on flat parts")] {
+        let of = |f: &Found| f.light[scratch].iter().sum::<f64>();
+        let [a, b, c, d] = [&both, &by_lobe, &walks, &scattering].map(|found| variance(found, of));
+        fig.check(
+            format!("{place} both are hardly noisier than the better one"),
+            a < 1.5 * c.min(d),
+            format!(
+                "variance {a:.3e} by densities, {b:.3e} by the lobe; walks {c:.3e}, scattering {d:.3e}"
+            ),
+        );
+        rows.push([scratch as f64, a, b, c, d]);
+    }
+    let picture = |found: &[Vec<Found>], of: &dyn Fn(&Found) -> f64| -> Vec<f64> {
+        found
+            .iter()
+            .map(|p| p.iter().map(of).sum::<f64>() / p.len() as f64)
+            .collect()
+    };
+    let width = size as usize;
+    let by = |walk: usize| move |f: &Found| f.light[0][walk] + f.light[1][walk];
+    let panels = [
+        ("walks", picture(&both, &by(1))),
+        ("scattering", picture(&both, &by(0))),
+        ("both", picture(&both, &all)),
+        ("scattering alone", picture(&scattering, &all)),
+    ]
+    .map(|(label, values)| {
+        let values: Vec<f64> = values.into_iter().map(|x| x.max(0.0).powf(0.45)).collect();
+        Panel::false_colour(label, width, &values, 0.0, 2.0).enlarged(fig.pick(6, 3))
+    });
+    fig.images("techniques", 2, &panels);
+    let columns = ["scratches", "densities", "lobe", "walks", "scattering"];
+    fig.csv("variance", &columns, rows);
+    Ok(())
+}
