@@ -359,7 +359,7 @@ impl Setup {
 /// None that the built-in scene can cause.
 pub fn figure(fig: &mut Figure) -> Result {
     let effort = Effort {
-        pixels: fig.pick(24, 40),
+        pixels: fig.pick(24, 80),
         around: fig.pick(48, 128),
         colour_side: fig.pick(128, 1024),
         spp: fig.pick(2, 4),
@@ -453,7 +453,7 @@ fn show(fig: &mut Figure, setup: &mut Setup, fine: &Descent, single: &Descent) -
         &["one resolution", "step", "five views", "held out"],
         rows,
     );
-    let enlarge = fig.pick(6, 3);
+    let enlarge = fig.pick(6, 2);
     let mut panels = Vec::new();
     for view in [0, 2, 3, TRAINED] {
         for (step, values) in &fine.stages {
