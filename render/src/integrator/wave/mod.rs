@@ -1100,18 +1100,15 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             }
         }
         let (f, pdf_bsdf) = (&mut lights.f, &mut lights.pdf_bsdf);
-        (self.kinds).eval_pdf(
-            &self.wo,
-            &at.side,
-            &lights.wi,
-            &mut |i, found| match found {
+        for &(i, found) in self.kinds.eval_pdf(&self.wo, &at.side, &lights.wi) {
+            match found {
                 Some((value, pdf)) => {
                     f.put_rgb(i, value);
                     pdf_bsdf[i] = pdf;
                 }
                 None => others.push(i),
-            },
-        );
+            }
+        }
         for i in others {
             if lights.pdf[i] > P::zero() {
                 let shading = Shading::new(*theta, at.uv(i));
@@ -1347,13 +1344,13 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             }
         }
         let components = &mut self.components;
-        (self.kinds).sample(&self.wo, &at.side, [a, b, c], &mut |i, found| {
+        for &(i, found) in self.kinds.sample(&self.wo, &at.side, [a, b, c]) {
             if directions(guide, at.guide[i]).is_some() {
-                return;
+                continue;
             }
             let Some((wi, f, pdf, component, eta)) = found else {
                 others.push(i);
-                return;
+                continue;
             };
             let goes_on = (pdf > P::zero()) & may_go_on(at.lit[i] != 0, more);
             bounces.continues[i] = u32::from(goes_on);
@@ -1365,7 +1362,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
                 paths.eta[i] *= eta;
                 paths.pdf[i] = density(component, || pdf);
             }
-        });
+        }
         for i in others {
             let directions = directions(guide, at.guide[i]);
             if !may_go_on(at.lit[i] != 0, more) {

@@ -4,7 +4,7 @@
 use ad_core::{Float, Vec3};
 
 use super::super::lanes::{Field, Lane, Lanes, WAVE_SIZE, lanes, whole};
-use super::{Found, Leaves, seen_from, sort};
+use super::{Found, Leaves, Scattered, Valued, seen_from, sort};
 use crate::bsdf::nesting::{choice, choose};
 use crate::bsdf::{Component, DeltaKind, Material, Shading, shadowing};
 use crate::integrator::vertex::MODE;
@@ -288,13 +288,15 @@ impl<P: Float> Composites<P> {
         } = &mut *self.lanes;
         let answers = [(side_a, f_a, pdf_a), (side_b, f_b, pdf_b)];
         for (part, (side, f, pdf)) in self.parts.iter_mut().zip(answers) {
-            part.eval_pdf(o, side, i, &mut |k, found| match found {
-                Some((value, density)) => {
-                    f.put_rgb(k, value);
-                    pdf[k] = density;
+            for &mut (k, found) in part.eval_pdf(o, side, i) {
+                match found {
+                    Some((value, density)) => {
+                        f.put_rgb(k, value);
+                        pdf[k] = density;
+                    }
+                    None => right[k] = 0,
                 }
-                None => right[k] = 0,
-            });
+            }
         }
         self.lanes.mix(n);
     }
@@ -304,7 +306,7 @@ impl<P: Float> Composites<P> {
     pub fn eval_pdf(
         &mut self,
         (wo, side, wi): (&Lanes<P>, &Lane<P>, &Lanes<P>),
-        put: &mut dyn FnMut(usize, Option<(Rgb<P>, P)>),
+        out: &mut Vec<Valued<P>>,
     ) {
         if self.paths.is_empty() {
             return;
@@ -316,12 +318,10 @@ impl<P: Float> Composites<P> {
         }
         self.find();
         let lanes = &*self.lanes;
-        for (k, &i) in self.paths.iter().enumerate() {
-            put(
-                i,
-                (lanes.right[k] != 0).then(|| (lanes.f.rgb(k), lanes.pdf[k])),
-            );
-        }
+        out.extend(self.paths.iter().enumerate().map(|(k, &i)| {
+            let both = || (lanes.f.rgb(k), lanes.pdf[k]);
+            (i, (lanes.right[k] != 0).then(both))
+        }));
     }
 
     /// See [`super::Kinds::sample`].
@@ -329,7 +329,7 @@ impl<P: Float> Composites<P> {
     pub fn sample(
         &mut self,
         (wo, side, [a, b, c]): (&Lanes<P>, &Lane<P>, [&Lane<P>; 3]),
-        put: &mut dyn FnMut(usize, Option<Found<P>>),
+        out: &mut Vec<Scattered<P>>,
     ) {
         let n = self.paths.len();
         if n == 0 {
@@ -346,16 +346,13 @@ impl<P: Float> Composites<P> {
         self.draw();
         self.find();
         let lanes = &*self.lanes;
-        for (k, &i) in self.paths.iter().enumerate() {
+        out.extend(self.paths.iter().enumerate().map(|(k, &i)| {
             let found = self.drawn[k].and_then(|drawn| lanes.mixed(k, drawn));
             let side = side[i] * lanes.turn[k];
-            put(
-                i,
-                found.map(|(wi, f, pdf, component, eta)| {
-                    (seen_from(side, wi), f, pdf, component, eta)
-                }),
-            );
-        }
+            let turned =
+                |(wi, f, pdf, component, eta)| (seen_from(side, wi), f, pdf, component, eta);
+            (i, found.map(turned))
+        }));
     }
 
     /// What the chosen parts scatter, and where that is on the surface.
@@ -368,11 +365,11 @@ impl<P: Float> Composites<P> {
         {
             let numbers = [&lanes.first, &lanes.b, &lanes.c];
             let chosen = |k: usize| lanes.chosen[k] == number;
-            part.sample(&lanes.o, side, numbers, &mut |k, found| {
+            for &mut (k, found) in part.sample(&lanes.o, side, numbers) {
                 if chosen(k) {
                     self.drawn[k] = found;
                 }
-            });
+            }
         }
         for (k, drawn) in self.drawn.iter_mut().enumerate() {
             if (lanes.hole[k] != 0) & (lanes.chosen[k] == 0) {

@@ -127,6 +127,12 @@ struct Sorted<M> {
 /// What a vertex scatters: direction, value, density or probability, what it belongs to, and the relative index there.
 pub type Found<P> = (Vec3<P>, Rgb<P>, P, Component, P);
 
+/// A path, and value and density of a direction to a light at its vertex, where they are right.
+pub type Valued<P> = (usize, Option<(Rgb<P>, P)>);
+
+/// A path, and what its vertex scatters, where that is right.
+pub type Scattered<P> = (usize, Option<Found<P>>);
+
 impl<M> Sorted<M> {
     fn new() -> Self {
         Self {
@@ -156,7 +162,7 @@ impl<M> Sorted<M> {
         &mut self,
         of: &mut Scattering<P>,
         (wo, side, wi): (&Lanes<P>, &Lane<P>, &Lanes<P>),
-        put: &mut dyn FnMut(usize, Option<(Rgb<P>, P)>),
+        out: &mut Vec<Valued<P>>,
     ) where
         M: Members<P>,
     {
@@ -164,9 +170,8 @@ impl<M> Sorted<M> {
             return;
         };
         if !M::CONNECTS {
-            for &i in &self.paths {
-                put(i, Some((Rgb::black(), P::zero())));
-            }
+            let nothing = Some((Rgb::black(), P::zero()));
+            out.extend(self.paths.iter().map(|&i| (i, nothing)));
             return;
         }
         for (k, &i) in self.paths.iter().enumerate() {
@@ -175,10 +180,10 @@ impl<M> Sorted<M> {
             of.wi.put_vec(k, seen_from(side[i], wi.vec(i)));
         }
         members.eval_pdf(self.paths.len(), of);
-        for (k, &i) in self.paths.iter().enumerate() {
+        out.extend(self.paths.iter().enumerate().map(|(k, &i)| {
             let k = k % WAVE_SIZE;
-            put(i, (of.right[k] != 0).then(|| (of.f.rgb(k), of.pdf[k])));
-        }
+            (i, (of.right[k] != 0).then(|| (of.f.rgb(k), of.pdf[k])))
+        }));
     }
 
     /// See [`Kinds::sample`].
@@ -187,7 +192,7 @@ impl<M> Sorted<M> {
         &mut self,
         of: &mut Scattering<P>,
         (wo, side, [a, b, c]): (&Lanes<P>, &Lane<P>, [&Lane<P>; 3]),
-        put: &mut dyn FnMut(usize, Option<Found<P>>),
+        out: &mut Vec<Scattered<P>>,
     ) where
         M: Members<P>,
     {
@@ -200,13 +205,13 @@ impl<M> Sorted<M> {
             of.u.put_vec(k, Vec3::new(a[i], b[i], c[i]));
         }
         members.sample(self.paths.len(), of);
-        for (k, &i) in self.paths.iter().enumerate() {
+        out.extend(self.paths.iter().enumerate().map(|(k, &i)| {
             let k = k % WAVE_SIZE;
             let wi = seen_from(side[i], of.wi.vec(k));
             let component = component(of.component[k]);
             let all = || (wi, of.f.rgb(k), of.pdf[k], component, of.eta[k]);
-            put(i, (of.right[k] & of.sampled[k] != 0).then(all));
-        }
+            (i, (of.right[k] & of.sampled[k] != 0).then(all))
+        }));
     }
 }
 
@@ -222,6 +227,8 @@ macro_rules! kinds {
         /// Vertices by the kinds of their materials, which are made of nothing else.
         struct Leaves<P> {
             of: Box<Scattering<P>>,
+            values: Vec<Valued<P>>,
+            scattered: Vec<Scattered<P>>,
             $($field: Sorted<$members>,)*
         }
 
@@ -229,6 +236,8 @@ macro_rules! kinds {
             fn new() -> Self {
                 Self {
                     of: Box::new(Scattering::zero()),
+                    values: Vec::new(),
+                    scattered: Vec::new(),
                     $($field: Sorted::new(),)*
                 }
             }
@@ -253,10 +262,11 @@ macro_rules! kinds {
                 wo: &Lanes<P>,
                 side: &Lane<P>,
                 wi: &Lanes<P>,
-                put: &mut dyn FnMut(usize, Option<(Rgb<P>, P)>),
-            ) {
+            ) -> &mut Vec<Valued<P>> {
                 let (of, directions) = (&mut *self.of, (wo, side, wi));
-                $(self.$field.eval_pdf(of, directions, put);)*
+                self.values.clear();
+                $(self.$field.eval_pdf(of, directions, &mut self.values);)*
+                &mut self.values
             }
 
             /// As [`Kinds::sample`].
@@ -266,10 +276,11 @@ macro_rules! kinds {
                 wo: &Lanes<P>,
                 side: &Lane<P>,
                 numbers: [&Lane<P>; 3],
-                put: &mut dyn FnMut(usize, Option<Found<P>>),
-            ) {
+            ) -> &mut Vec<Scattered<P>> {
                 let (of, from) = (&mut *self.of, (wo, side, numbers));
-                $(self.$field.sample(of, from, put);)*
+                self.scattered.clear();
+                $(self.$field.sample(of, from, &mut self.scattered);)*
+                &mut self.scattered
             }
         }
     };
@@ -339,8 +350,8 @@ fn sort(material: &Material) -> Option<Sort> {
 
 /// The vertices of a wave, by the kinds of their materials: all but those that are diffuse.
 ///
-/// What its functions call is not a type of theirs: with all loops of all kinds they are compiled once for a scalar, not for
-/// each estimator.
+/// What it finds is written down: its functions, with all loops of all kinds, are compiled once for a scalar, and not for
+/// each estimator that they would call.
 pub struct Kinds<P> {
     leaves: Leaves<P>,
     /// Made when there are any.
@@ -381,34 +392,28 @@ impl<P: Float> Kinds<P> {
         self.leaves.take(i, material, at)
     }
 
-    /// Values and densities of directions to lights: calls `put` with each path, and with them where they are right.
+    /// Values and densities of directions to lights.
     #[inline(never)]
-    pub fn eval_pdf(
-        &mut self,
-        wo: &Lanes<P>,
-        side: &Lane<P>,
-        wi: &Lanes<P>,
-        put: &mut dyn FnMut(usize, Option<(Rgb<P>, P)>),
-    ) {
-        self.leaves.eval_pdf(wo, side, wi, put);
+    pub fn eval_pdf(&mut self, wo: &Lanes<P>, side: &Lane<P>, wi: &Lanes<P>) -> &[Valued<P>] {
+        let values = self.leaves.eval_pdf(wo, side, wi);
         if let Some(composites) = &mut self.composites {
-            composites.eval_pdf((wo, side, wi), put);
+            composites.eval_pdf((wo, side, wi), values);
         }
+        values
     }
 
-    /// Scattered directions, made of three lanes of random numbers: calls `put` with each path, and with what it finds
-    /// where that is right.
+    /// Scattered directions, made of three lanes of random numbers.
     #[inline(never)]
     pub fn sample(
         &mut self,
         wo: &Lanes<P>,
         side: &Lane<P>,
         numbers: [&Lane<P>; 3],
-        put: &mut dyn FnMut(usize, Option<Found<P>>),
-    ) {
-        self.leaves.sample(wo, side, numbers, put);
+    ) -> &[Scattered<P>] {
+        let scattered = self.leaves.sample(wo, side, numbers);
         if let Some(composites) = &mut self.composites {
-            composites.sample((wo, side, numbers), put);
+            composites.sample((wo, side, numbers), scattered);
         }
+        scattered
     }
 }
