@@ -8,10 +8,9 @@
 //! walked back. Where it would be larger than a budget, the samples are taken in several passes, each with a tape of its own;
 //! the adjoints of the pixels must be known before, so that the image is made once more, by as few rays as that takes.
 //!
-//! Times are those of one thread on its processor, where the system tells.
+//! Times are those of one thread on its processor, where the system has a clock for that.
 
 use std::f64::consts::FRAC_1_PI;
-use std::time::Instant;
 
 use ad_core::Vec3;
 use rayon::prelude::*;
@@ -666,23 +665,28 @@ impl Costs {
     }
 }
 
-/// Seconds that this thread has been on a processor; where the system does not tell, seconds.
-fn seconds_of_thread(start: Instant) -> f64 {
-    let text = std::fs::read_to_string("/proc/thread-self/schedstat").unwrap_or_default();
-    let nanoseconds = text.split(' ').next().and_then(|t| t.parse::<f64>().ok());
-    // Systems that have the file but do not count say zero.
-    nanoseconds
-        .filter(|&n| n > 0.0)
-        .map_or_else(|| start.elapsed().as_secs_f64(), |n| 1e-9 * n)
+/// Seconds that this thread has been on a processor.
+#[cfg(unix)]
+fn seconds_of_thread() -> f64 {
+    use rustix::time::{ClockId, clock_gettime};
+    let time = clock_gettime(ClockId::ThreadCPUTime);
+    time.tv_sec as f64 + 1e-9 * time.tv_nsec as f64
+}
+
+/// Seconds, where no clock of a thread is at hand.
+#[cfg(not(unix))]
+fn seconds_of_thread() -> f64 {
+    static START: std::sync::LazyLock<std::time::Instant> =
+        std::sync::LazyLock::new(std::time::Instant::now);
+    START.elapsed().as_secs_f64()
 }
 
 /// What a computation takes on a thread of its own: seconds and bytes.
 fn costs<T: Send>(alone: &rayon::ThreadPool, run: impl FnOnce() -> T + Send) -> (T, (f64, usize)) {
     alone.install(|| {
-        let began = Instant::now();
-        let start = seconds_of_thread(began);
+        let start = seconds_of_thread();
         let (found, bytes) = memory::peak(run);
-        (found, (seconds_of_thread(began) - start, bytes))
+        (found, (seconds_of_thread() - start, bytes))
     })
 }
 
