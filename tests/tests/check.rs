@@ -278,7 +278,7 @@ fn rounding_is_not_wrong() {
     );
     let names = ["floor.scale", "floor.translation"];
     scene.make_movable(&names).expect("things that move");
-    let report = short(&mut scene, &names, 1.0 / 108.0);
+    let report = short(&mut scene, &names);
     assert_ne!(report.verdict(), Verdict::Wrong, "{report}");
 }
 
@@ -303,7 +303,7 @@ fn steps_are_in_units_of_the_scene() {
             10.0 * unit * unit,
         ));
         scene.make_movable(&names).expect("things that move");
-        let report = short(&mut scene, &names, 1.0);
+        let report = short(&mut scene, &names);
         assert_ne!(report.verdict(), Verdict::Wrong, "{unit}: {report}");
         let all = report.params.iter().flat_map(|p| &p.comparisons);
         all.map(|c| [c.differences.mean * unit, c.differences.se * unit, c.step / unit])
@@ -317,14 +317,13 @@ fn steps_are_in_units_of_the_scene() {
     }
 }
 
-/// `edges` with few samples, a number of the adjoint for each pixel.
-fn short(scene: &mut Scene, names: &[&str], adjoint: f32) -> Report {
+/// `edges` with few samples.
+fn short(scene: &mut Scene, names: &[&str]) -> Report {
     let options = Options {
         repeats: 8,
         ..Options::default()
     };
-    let adjoint = vec![adjoint; scene.film.pixels() * 3];
-    run_along(scene, Estimator::Edges, names, 16, &options, &adjoint)
+    run_with(scene, Estimator::Edges, names, 16, &options)
 }
 
 /// Answers after so many questions that nobody wants to know any more.
