@@ -60,6 +60,18 @@ pub(crate) fn sort(numbers: &mut [(u64, u64)]) {
     }
 }
 
+/// Both, each on a thread of its own if one is free.
+pub(crate) fn both<A: Send, B: Send>(
+    a: impl FnOnce() -> A + Send,
+    b: impl FnOnce() -> B + Send,
+) -> (A, B) {
+    if ALONE.get() {
+        (a(), b())
+    } else {
+        rayon::join(a, b)
+    }
+}
+
 /// `f` of every item and its number, on all threads.
 pub(crate) fn over<T: Send>(items: impl Iterator<Item = T>, f: impl Fn(usize, T) + Sync) {
     let items: Vec<_> = items.map(|item| Mutex::new(Some(item))).collect();
@@ -105,6 +117,7 @@ mod tests {
                 numbers,
                 super::fill(5000, &|i| 3 * i),
                 super::map(50, |i| i * i),
+                super::both(|| 1, || 2),
             )
         };
         let here = std::thread::current().id();

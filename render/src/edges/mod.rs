@@ -374,6 +374,10 @@ impl Rim {
     }
 }
 
+fn single(v: Vec3<f64>) -> [f32; 3] {
+    v.to_array().map(|x| x as f32)
+}
+
 /// All edges of a scene.
 #[derive(Debug)]
 pub(crate) struct Edges {

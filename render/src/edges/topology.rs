@@ -6,9 +6,10 @@
 use std::collections::HashMap;
 
 use ad_core::Vec3;
+use smallvec::SmallVec;
 
 use super::turn::Turn;
-use super::{BEYOND_SEAM, Curve, CurveKind, Edge, Face, INSIDE, MIDDLE};
+use super::{BEYOND_SEAM, Curve, CurveKind, Edge, Face, INSIDE, MIDDLE, single};
 use crate::params::Theta;
 use crate::shape::{AnyShape, Mesh, Patch, Shape, SurfaceCoordinates, SurfaceInteraction, lift3};
 
@@ -21,7 +22,7 @@ const SAME: f32 = 1e-4;
 /// A face before its neighbours are known.
 struct Polygon {
     local: u32,
-    corners: Vec<Corner>,
+    corners: SmallVec<[Corner; 4]>,
 }
 
 #[derive(Clone, Copy)]
@@ -131,11 +132,13 @@ impl Topology {
         let welding = mesh.welding();
         let polygon = |(t, local): (&[u32; 3], u32)| Polygon {
             local,
-            corners: Vec::from(t.map(|vertex| Corner {
-                at: data.positions[vertex as usize],
-                welded: welding.points[vertex as usize],
-                vertex,
-            })),
+            corners: (t.iter())
+                .map(|&vertex| Corner {
+                    at: data.positions[vertex as usize],
+                    welded: welding.points[vertex as usize],
+                    vertex,
+                })
+                .collect(),
         };
         let polygons: Vec<Polygon> = data.triangles.iter().zip(0..).map(polygon).collect();
         let apart = |a: &[f32], b: &[f32]| a.iter().zip(b).any(|(a, b)| (a - b).abs() > SAME);
@@ -307,10 +310,6 @@ impl Topology {
             self.straight.push(edge);
         }
     }
-}
-
-fn single(v: Vec3<f64>) -> [f32; 3] {
-    v.to_array().map(|x| x as f32)
 }
 
 /// Along a normal of the face; zero if it has no area.

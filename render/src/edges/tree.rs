@@ -1,24 +1,82 @@
 //! A tree over edges, in which a point of view draws those that are outlines for it.
 
 use std::collections::HashMap;
-use std::f64::consts::{FRAC_PI_2, PI, TAU};
+use std::f64::consts::{PI, TAU};
 use std::ops::Range;
 
 use ad_core::Vec3;
 use smallvec::SmallVec;
 
-use super::{Curve, CurveKind, Edge, EdgePoint, Edges, Eye, Spot, View};
+use super::{Curve, CurveKind, Edge, EdgePoint, Edges, Eye, Spot, View, single};
 use crate::emitter::Ball;
+use crate::parallel;
 use crate::shape::lift3;
 
 /// Edges of a leaf, at most.
 const LEAF: usize = 4;
+/// So many edges are sorted by one thread.
+const TOGETHER: usize = 1 << 12;
 /// What a direction to edges counts at the horizon, beside one along the normal.
 const LEAST_COSINE: f64 = 0.05;
 /// What edges count in front of which no lamp can be, beside others.
 const WITHOUT_LAMPS: f64 = 0.1;
 /// How often a point of an edge is drawn where no lamp needs to be behind it.
 const ANYWHERE: f64 = 0.25;
+/// Cones of normals tell outlines as long as the cosine of their opening is more than this: roundings are less.
+const NARROW: f64 = 0.05;
+
+/// An angle of at most a half turn, whose sums and differences take no function of it.
+#[derive(Clone, Copy, Debug)]
+struct Angle {
+    cos: f64,
+    sin: f64,
+}
+
+impl Angle {
+    const HALF_TURN: Self = Self {
+        cos: -1.0,
+        sin: 0.0,
+    };
+
+    fn new(radians: f64) -> Self {
+        if radians >= PI {
+            return Self::HALF_TURN;
+        }
+        let (sin, cos) = radians.sin_cos();
+        Self { cos, sin }
+    }
+
+    /// Of at most a quarter turn.
+    fn of_sine(sin: f64) -> Self {
+        let cos = (1.0 - sin * sin).max(0.0).sqrt();
+        Self { cos, sin }
+    }
+
+    fn of_cosine(cos: f64) -> Self {
+        let sin = (1.0 - cos * cos).max(0.0).sqrt();
+        Self { cos, sin }
+    }
+
+    /// At most a half turn.
+    fn plus(self, other: Self) -> Self {
+        let sin = self.sin * other.cos + self.cos * other.sin;
+        if sin < 0.0 {
+            return Self::HALF_TURN;
+        }
+        let cos = self.cos * other.cos - self.sin * other.sin;
+        Self { cos, sin }
+    }
+
+    /// At least zero.
+    fn minus(self, other: Self) -> Self {
+        if self.cos >= other.cos {
+            return Self { cos: 1.0, sin: 0.0 };
+        }
+        let cos = self.cos * other.cos + self.sin * other.sin;
+        let sin = self.sin * other.cos - self.cos * other.sin;
+        Self { cos, sin }
+    }
+}
 
 /// Edges in a ball.
 #[derive(Clone, Debug)]
@@ -27,9 +85,10 @@ struct Node {
     radius: f32,
     /// Sum of their lengths.
     length: f32,
-    /// All normals of their faces are as near to this one as `angle` says: more than a quarter turn if that is not known.
+    /// All normals of their faces are as near to this one as the cosine and the sine of an angle say: more than a quarter
+    /// turn if that is not known.
     axis: [f32; 3],
-    angle: f32,
+    angle: [f32; 2],
     /// Their places among the items.
     items: Range<u32>,
     /// The second child; the first one is the next node. Zero for leaves.
@@ -43,11 +102,25 @@ pub(super) struct Item {
     pub edge: u32,
     /// The first and the last shape that it belongs to.
     pub shapes: [u32; 2],
-    pub low: Vec3<f64>,
-    pub high: Vec3<f64>,
-    pub length: f64,
+    low: [f32; 3],
+    high: [f32; 3],
+    length: f32,
     /// Normals of the faces, if they are flat.
-    pub normals: Option<[Vec3<f64>; 2]>,
+    normals: Option<[[f32; 3]; 2]>,
+}
+
+impl Item {
+    /// An edge of such a length in a box.
+    pub fn new(edge: u32, shapes: [u32; 2], [low, high]: [Vec3<f64>; 2], length: f64) -> Self {
+        Self {
+            edge,
+            shapes,
+            low: single(low),
+            high: single(high),
+            length: length as f32,
+            normals: None,
+        }
+    }
 }
 
 #[derive(Debug, Default)]
@@ -80,13 +153,13 @@ impl Seeker<'_> {
             if distance <= ball.radius * 1.001 {
                 return Cone {
                     axis: self.normal,
-                    angle: PI,
+                    angle: Angle::HALF_TURN,
                 };
             }
             Cone {
                 axis: to * distance.recip(),
                 // A little more, for rounding.
-                angle: (ball.radius / distance).min(1.0).asin() * 1.001,
+                angle: Angle::new((ball.radius / distance).min(1.0).asin() * 1.001 + 1e-6),
             }
         };
         self.lamps.unwrap_or(&[]).iter().map(cone).collect()
@@ -97,7 +170,7 @@ impl Seeker<'_> {
 pub(crate) struct Cone {
     axis: Vec3<f64>,
     /// Half its opening.
-    angle: f64,
+    angle: Angle,
 }
 
 impl Tree {
@@ -111,13 +184,9 @@ impl Tree {
                 along.cross(lift3(e.into[1])),
             ];
             Item {
-                edge,
-                shapes: [e.shape; 2],
-                low: a.min(b),
-                high: a.max(b),
-                length: along.length(),
                 normals: (!e.border && !more.contains_key(&edge))
-                    .then(|| pair.map(|n| n.normalize())),
+                    .then(|| pair.map(|n| single(n.normalize()))),
+                ..Item::new(edge, [e.shape; 2], [a.min(b), a.max(b)], along.length())
             }
         };
         let of_curve = |(c, i): (&Curve, usize)| {
@@ -129,14 +198,9 @@ impl Tree {
                 CurveKind::Tube(_) => c.origin + c.axes[0],
                 _ => c.origin,
             };
-            Item {
-                edge: (straight.len() + i) as u32,
-                shapes: [c.shape; 2],
-                low: c.origin.min(end) - reach,
-                high: c.origin.max(end) + reach,
-                length: c.length(),
-                normals: None,
-            }
+            let edge = (straight.len() + i) as u32;
+            let around = [c.origin.min(end) - reach, c.origin.max(end) + reach];
+            Item::new(edge, [c.shape; 2], around, c.length())
         };
         Self::over(
             (straight.iter().zip(0..).map(of_edge))
@@ -146,112 +210,137 @@ impl Tree {
     }
 
     pub fn over(mut items: Vec<Item>) -> Self {
-        let mut tree = Self::default();
+        let mut nodes = Vec::new();
         if !items.is_empty() {
-            tree.nodes.reserve(items.len());
-            let n = items.len();
-            tree.build(&mut items, 0..n);
+            nodes.reserve(items.len());
+            grow(&mut nodes, &mut items, 0);
         }
-        tree.items = items.iter().map(|i| i.edge).collect();
-        tree
+        let items = items.iter().map(|i| i.edge).collect();
+        Self { nodes, items }
     }
+}
 
-    fn build(&mut self, items: &mut [Item], range: Range<usize>) {
-        let own = &items[range.clone()];
-        let low = own.iter().fold(own[0].low, |l, i| l.min(i.low));
-        let high = own.iter().fold(own[0].high, |h, i| h.max(i.high));
-        let centre = (low + high) * 0.5;
-        let (axis, angle) = cone_of(own);
-        let first = own.iter().map(|i| i.shapes[0]).min();
-        let last = own.iter().map(|i| i.shapes[1]).max();
-        let place = self.nodes.len();
-        self.nodes.push(Node {
-            centre: centre.to_array().map(|x| x as f32),
-            // A little more, for rounding.
-            radius: ((high - low).length() * 0.5 * (1.0 + 1e-5) + 1e-6 * centre.max_abs()) as f32,
-            length: own.iter().map(|i| i.length).sum::<f64>() as f32,
-            axis: axis.to_array().map(|x| x as f32),
-            angle: angle as f32,
-            items: range.start as u32..range.end as u32,
-            second: 0,
-            shapes: [first.unwrap_or(0), last.unwrap_or(0)],
-        });
-        if range.len() <= LEAF {
-            return;
+/// Adds the tree over items of which the first has this place among all of them.
+fn grow(nodes: &mut Vec<Node>, items: &mut [Item], first: u32) {
+    let [low, high] = (items.iter()).fold(
+        [Vec3::splat(f64::INFINITY), Vec3::splat(f64::NEG_INFINITY)],
+        |[low, high], i| [low.min(lift3(i.low)), high.max(lift3(i.high))],
+    );
+    let place = nodes.len();
+    nodes.push(Node::around(items, [low, high], first));
+    if items.len() <= LEAF {
+        return;
+    }
+    let size = high - low;
+    let longest = if size.x >= size.y && size.x >= size.z {
+        0
+    } else if size.y >= size.z {
+        1
+    } else {
+        2
+    };
+    let middle = items.len() / 2;
+    let key = |i: &Item| i.low[longest] + i.high[longest];
+    let order = |a: &Item, b: &Item| key(a).total_cmp(&key(b)).then(a.edge.cmp(&b.edge));
+    items.select_nth_unstable_by(middle, order);
+    let (low, high) = items.split_at_mut(middle);
+    let after = first + middle as u32;
+    if low.len() <= TOGETHER {
+        grow(nodes, low, first);
+        nodes[place].second = nodes.len() as u32;
+        grow(nodes, high, after);
+        return;
+    }
+    let child = |items: &mut [Item], first: u32| {
+        let mut nodes = Vec::with_capacity(items.len());
+        grow(&mut nodes, items, first);
+        nodes
+    };
+    let children = parallel::both(|| child(low, first), || child(high, after));
+    for (second, child) in [children.0, children.1].into_iter().enumerate() {
+        let start = nodes.len() as u32;
+        if second == 1 {
+            nodes[place].second = start;
         }
-        let size = high - low;
-        let longest = if size.x >= size.y && size.x >= size.z {
-            0
-        } else if size.y >= size.z {
-            1
-        } else {
-            2
-        };
-        let middle = range.len() / 2;
-        let key = |i: &Item| i.low[longest] + i.high[longest];
-        let order = |a: &Item, b: &Item| key(a).total_cmp(&key(b)).then(a.edge.cmp(&b.edge));
-        items[range.clone()].select_nth_unstable_by(middle, order);
-        self.build(items, range.start..range.start + middle);
-        self.nodes[place].second = self.nodes.len() as u32;
-        self.build(items, range.start + middle..range.end);
+        nodes.extend(child.into_iter().map(|mut node| {
+            if node.second != 0 {
+                node.second += start;
+            }
+            node
+        }));
     }
 }
 
 /// A cone around the normals of edges: more than a quarter turn if there are edges without.
-fn cone_of(items: &[Item]) -> (Vec3<f64>, f64) {
-    let mut sum = Vec3::zero();
+fn cone_of(items: &[Item]) -> (Vec3<f64>, Angle) {
+    let mut sum = Vec3::<f64>::zero();
     for item in items {
-        let Some(normals) = item.normals else {
-            return (Vec3::zero(), PI);
+        let Some(normals) = item.normals.map(|n| n.map(lift3)) else {
+            return (Vec3::zero(), Angle::HALF_TURN);
         };
         // The sign of a pair is free.
         let both = normals[0] + normals[1];
         sum += if sum.dot(both) < 0.0 { -both } else { both };
     }
     if sum.length_squared() == 0.0 {
-        return (Vec3::zero(), PI);
+        return (Vec3::zero(), Angle::HALF_TURN);
     }
     let axis = sum.normalize();
-    let angle = |item: &Item| {
-        let normals = item.normals.unwrap_or([axis; 2]);
+    let cosine = |item: &Item| {
+        let normals = item.normals.map_or([axis; 2], |n| n.map(lift3));
         let sign = if axis.dot(normals[0] + normals[1]) < 0.0 {
             -1.0
         } else {
             1.0
         };
-        normals
-            .map(|n| (n.dot(axis) * sign).clamp(-1.0, 1.0).acos())
-            .into_iter()
-            .fold(0.0, f64::max)
+        let cosines = normals.map(|n| n.dot(axis) * sign);
+        cosines[0].min(cosines[1])
     };
-    let widest = items.iter().map(angle).fold(0.0, f64::max);
-    (axis, widest + 1e-5)
+    let least = items.iter().map(cosine).fold(1.0, f64::min);
+    (axis, Angle::new(least.max(-1.0).acos() + 1e-5))
 }
 
 impl Node {
+    /// Around items in a box, of which the first has this place among all of them.
+    fn around(items: &[Item], [low, high]: [Vec3<f64>; 2], first: u32) -> Self {
+        let centre = (low + high) * 0.5;
+        let (axis, angle) = cone_of(items);
+        let firsts = items.iter().map(|i| i.shapes[0]).min();
+        let lasts = items.iter().map(|i| i.shapes[1]).max();
+        Self {
+            centre: single(centre),
+            // A little more, for rounding.
+            radius: ((high - low).length() * 0.5 * (1.0 + 1e-5) + 1e-6 * centre.max_abs()) as f32,
+            length: items.iter().map(|i| f64::from(i.length)).sum::<f64>() as f32,
+            axis: single(axis),
+            angle: [angle.cos as f32, angle.sin as f32],
+            items: first..first + items.len() as u32,
+            second: 0,
+            shapes: [firsts.unwrap_or(0), lasts.unwrap_or(0)],
+        }
+    }
+
     /// How much it may bring; zero only if nothing.
     fn importance(&self, seeker: &Seeker, lamps: &[Cone]) -> f64 {
         let to = lift3::<f64>(self.centre) - seeker.from;
         let radius = f64::from(self.radius);
         let distance = to.length();
         let near = distance <= radius;
-        let spread = if near { PI } else { (radius / distance).asin() };
-        let d = if near {
-            seeker.normal
+        let (d, spread) = if near {
+            (seeker.normal, Angle::HALF_TURN)
         } else {
-            to * distance.recip()
+            let near = distance.recip();
+            (to * near, Angle::of_sine(radius * near))
         };
-        let angle = f64::from(self.angle);
-        if angle + spread < FRAC_PI_2 {
-            let facing = (-d.dot(lift3(self.axis))).clamp(-1.0, 1.0).acos();
-            let all = angle + spread;
-            if facing + all < FRAC_PI_2 || facing - all > FRAC_PI_2 {
-                return 0.0;
-            }
+        let [cos, sin] = self.angle.map(f64::from);
+        let around = Angle { cos, sin }.plus(spread);
+        // No face is seen from one side and another one from the other.
+        if around.cos > NARROW && d.dot(lift3(self.axis)).abs() > around.sin {
+            return 0.0;
         }
-        let above = (d.dot(seeker.normal).clamp(-1.0, 1.0).acos() - spread).max(0.0);
-        let cosine = above.cos().max(0.0) + LEAST_COSINE;
-        let lit = |l: &Cone| d.dot(l.axis) >= (l.angle + spread + 1e-6).min(PI).cos();
+        let above = Angle::of_cosine(d.dot(seeker.normal)).minus(spread);
+        let cosine = above.cos.max(0.0) + LEAST_COSINE;
+        let lit = |l: &Cone| d.dot(l.axis) >= l.angle.plus(spread).cos;
         let light = if seeker.lamps.is_none() || near || lamps.iter().any(lit) {
             1.0
         } else if seeker.lamps_only {
@@ -403,8 +492,8 @@ impl Edges {
         if seeker.lamps.is_some() {
             for lamp in lamps {
                 let [x, y] = [lamp.axis.dot(start), lamp.axis.dot(turned)];
-                let reach = lamp.angle.min(PI).cos() / x.hypot(y);
-                if lamp.angle >= FRAC_PI_2 || reach.is_nan() {
+                let reach = lamp.angle.cos / x.hypot(y);
+                if lamp.angle.cos <= 0.0 || reach.is_nan() {
                     parts.push([0.0, length]);
                     continue;
                 }

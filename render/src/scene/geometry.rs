@@ -460,14 +460,12 @@ impl Geometry {
 
     /// The edges of all shapes.
     pub fn edges(&self) -> &Edges {
-        self.edges.get_or_init(|| Edges::of(&self.shapes))
+        made_once(&self.edges, || Edges::of(&self.shapes))
     }
 
     /// The lines along which surfaces cross.
     pub fn crossings(&self) -> &Crossings {
-        // Whoever makes it takes no other work in between, which might ask, too.
-        let make = || parallel::alone(|| Crossings::of(&self.shapes));
-        self.crossings.get_or_init(make)
+        made_once(&self.crossings, || Crossings::of(&self.shapes))
     }
 
     /// What rays meet where there are no lamps. Primitives, surfaces and hits are those of `accel`.
@@ -667,6 +665,18 @@ fn balls(
     match found().count() {
         0..=MOST_BALLS => found().map(|s| Ball::around([s])).collect(),
         _ => Ball::around(found()).map(|b| vec![b]),
+    }
+}
+
+/// What a place holds, made on all threads if it holds nothing. The place is free in between: who makes it may take other
+/// work that asks as well, and would wait for itself.
+fn made_once<T>(place: &OnceLock<T>, make: impl FnOnce() -> T) -> &T {
+    match place.get() {
+        Some(made) => made,
+        None => {
+            let made = make();
+            place.get_or_init(|| made)
+        }
     }
 }
 

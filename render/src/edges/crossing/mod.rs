@@ -112,12 +112,13 @@ impl Path {
     fn item(&self, edge: u32, shapes: [u32; 2]) -> Item {
         let ball = |middle: Vec3<f64>, radius: f64, [from, to]: [f64; 2]| {
             let reach = Vec3::splat(radius);
-            (middle - reach, middle + reach, TAU * radius * (to - from))
+            let around = [middle - reach, middle + reach];
+            (around, TAU * radius * (to - from))
         };
-        let (low, high, length) = match *self {
+        let (around, length) = match *self {
             Self::Straight { start, along } => {
                 let end = start + along;
-                (start.min(end), start.max(end), along.length())
+                ([start.min(end), start.max(end)], along.length())
             }
             Self::Arc(ellipse, turns) => ball(ellipse.origin, ellipse.reach(), turns),
             Self::Pierced(curve, turns) => {
@@ -125,14 +126,7 @@ impl Path {
                 ball(middle, reach, turns)
             }
         };
-        Item {
-            edge,
-            shapes,
-            low,
-            high,
-            length,
-            normals: None,
-        }
+        Item::new(edge, shapes, around, length)
     }
 }
 
