@@ -50,6 +50,8 @@ pub enum Purpose {
     Edges(u32),
     /// Lines along which surfaces cross, so many candidates of 2 each, which of them is taken, and which of the surfaces.
     Crossings(u32),
+    /// The vertex of a path that looks for edges, 1; the depth is 1.
+    Vertex,
     /// Where on the horizon of a vertex light is lost, 1.
     Horizon,
     /// The start of a particle: its emitter if there is a choice, position 2, direction 2; the depth is 1.
@@ -79,6 +81,7 @@ impl Purpose {
             Self::AuxiliaryRays(rays) => RAYS + depth * 2 * rays,
             Self::Edges(candidates) => EDGES + depth * (2 * candidates + 1),
             Self::Crossings(candidates) => CROSSINGS + depth * (2 * candidates + 2),
+            Self::Vertex => HORIZON,
             Self::Horizon => HORIZON + depth,
             Self::ParticleScattering => 5 + (depth - 1) * 4,
             Self::ParticleNormalsPair => AUXILIARY + depth * 4,
@@ -88,7 +91,7 @@ impl Purpose {
     /// How many it takes.
     pub const fn count(self) -> u32 {
         match self {
-            Self::Horizon => 1,
+            Self::Vertex | Self::Horizon => 1,
             Self::Pixel => 2,
             Self::Light | Self::Viewing | Self::NormalsPair | Self::ParticleNormalsPair => 3,
             Self::Scattering | Self::ParticleScattering | Self::Lens => 4,
@@ -490,7 +493,9 @@ mod tests {
             (Purpose::Lens, &path[..]),
             (Purpose::Emission, &particle),
         ] {
-            let mut taken = vec![(start.at(1), start.count())];
+            let mut taken = [start, Purpose::Vertex]
+                .map(|p| (p.at(1), p.count()))
+                .to_vec();
             for depth in (1..2000).chain(130_000..131_000) {
                 taken.extend(purposes.iter().map(|p| (p.at(depth), p.count())));
             }

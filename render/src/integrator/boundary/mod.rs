@@ -76,6 +76,8 @@ const CANDIDATES: u32 = 4;
 const STILL: f64 = 0.1;
 /// What an edge counts that no lamp is behind, as far as that can be told.
 const UNLIT: f64 = 0.1;
+/// What the first vertex of a path counts among all that look for edges, where those before lights are drawn from these.
+const WITHOUT_LIGHTS: f64 = 0.25;
 /// Pixels per sample of an edge on the film.
 const PIXELS_PER_SAMPLE: u64 = 2;
 /// Jobs of a pass over the film at a time, and samples of each.
@@ -685,7 +687,8 @@ impl<'a, P: Float> Boundary<'a, P> {
         }
     }
 
-    /// Calls `each` with a contribution to the pixel of a sample for every vertex of its path.
+    /// Calls `each` with contributions to the pixel of a sample at one of the vertices of its path, which is drawn in
+    /// proportion to what they bring of what they see: an edge costs more than the path that leads to it.
     fn along_path<S: Strategy, X: Sampler>(
         &self,
         sample: &Sample,
@@ -700,20 +703,64 @@ impl<'a, P: Float> Boundary<'a, P> {
             sample.pixel,
             sample.index,
         );
-        let edges = self.edges_at_vertices();
-        for ((beta, here), depth) in vertices.0.iter().zip(1..) {
-            if edges && let Some(c) = self.at_vertex::<S, X>(*beta, here, depth, at, sampler) {
-                each(c);
-            }
-            if self.crossings_at(depth)
-                && let Some(c) = self.crossing_at_vertex::<S, X>(*beta, here, depth, sampler)
-            {
-                each(c);
-            }
-            if here.si.n_geo != here.si.frame.n {
-                self.at_horizon::<S, X>(*beta, here, depth, at, sampler, &mut each);
+        let Some((depth, weight)) = self.choose_vertex(vertices, sampler) else {
+            return;
+        };
+        let (beta, here) = &vertices.0[depth as usize - 1];
+        let beta = beta.scale(P::of(weight));
+        if self.edges_at_vertices()
+            && let Some(c) = self.at_vertex::<S, X>(beta, here, depth, at, sampler)
+        {
+            each(c);
+        }
+        if self.crossings_at(depth)
+            && let Some(c) = self.crossing_at_vertex::<S, X>(beta, here, depth, sampler)
+        {
+            each(c);
+        }
+        if here.si.n_geo != here.si.frame.n {
+            self.at_horizon::<S, X>(beta, here, depth, at, sampler, &mut each);
+        }
+    }
+
+    /// The number of a vertex that sees something, counted from one, and one over the probability that it is this one.
+    fn choose_vertex<X: Sampler>(
+        &self,
+        vertices: &Vertices<P>,
+        mut sampler: X,
+    ) -> Option<(u32, f64)> {
+        let scene = self.context.scene;
+        let found = self.shadows.any() && scene.infinite_emitters().is_empty();
+        let share = |(depth, (beta, here)): (u32, &(Rgb<P>, Place<P>))| {
+            let brings = if scene.shape_info(here.shape).delta {
+                0.0
+            } else if depth == 1 && found {
+                WITHOUT_LIGHTS
+            } else {
+                1.0
+            };
+            let beta = beta.to_array().map(|b| b.to_f64().abs());
+            brings * beta.into_iter().fold(0.0, f64::max)
+        };
+        let see = self.context.settings.max_depth.saturating_sub(1) as usize;
+        let shares = || {
+            (1..)
+                .zip(vertices.0.iter().take(see))
+                .map(|v| (v.0, share(v)))
+        };
+        let total: f64 = shares().map(|(_, share)| share).sum();
+        sampler.seek(Purpose::Vertex.at(1));
+        let mut rest = sampler.next_1d::<f64>() * total;
+        let mut chosen = None;
+        for (depth, share) in shares().filter(|(_, share)| *share > 0.0) {
+            // The last one, if rounding leaves a rest.
+            chosen = Some((depth, total / share));
+            rest -= share;
+            if rest < 0.0 {
+                break;
             }
         }
+        chosen
     }
 }
 
