@@ -20,8 +20,8 @@ const RUNS: u64 = 32;
 const REFERENCE: u64 = 32;
 /// Blocks of the image of [`scene`], times channels.
 const BLOCKS: usize = 48;
-/// Some 410 comparisons, with a significance of 1 % over all of them. Seeds are fixed.
-const COMPARISONS: usize = 420;
+/// At most so many in a test, with a significance of 1 % over all of them. Seeds are fixed.
+const COMPARISONS: usize = 440;
 const ALPHA: f64 = 0.01;
 
 /// What an estimator is asked for, and what is allowed.
@@ -53,6 +53,12 @@ const FOLLOWS_BSDF: Asked = Asked {
     spp: 8,
     bias: 0.03,
     noise: [0.6, 0.15],
+};
+/// Its outlines are known: nothing is left by a kernel.
+const FOLLOWS_EXACTLY: Asked = Asked {
+    estimator: Estimator::ReparameterisedExact,
+    bias: 0.01,
+    ..FOLLOWS
 };
 const INTERIOR: Asked = Asked {
     estimator: Estimator::Interior,
@@ -294,7 +300,17 @@ fn bitmap(folder: &Path, key: &str, size: [usize; 2], middle: f64, height: f64) 
 }
 
 fn case(what: &'static str, body: &str, moves: &[&'static str], asked: &[Asked]) -> Case {
-    let mut s = scene(&format!("{MATERIALS}{body}"), 2);
+    case_of_depth(2, what, body, moves, asked)
+}
+
+fn case_of_depth(
+    depth: u32,
+    what: &'static str,
+    body: &str,
+    moves: &[&'static str],
+    asked: &[Asked],
+) -> Case {
+    let mut s = scene(&format!("{MATERIALS}{body}"), depth);
     s.make_movable(moves).expect("known");
     Case {
         what,
@@ -377,6 +393,14 @@ fn all_motions_of_all_shapes() {
         &moves,
         &all,
     ));
+    let painted = BALL.replace(grey, &paint);
+    assert_ne!(painted, BALL);
+    cases.push(case(
+        "painted ball",
+        &format!("{room}{painted}"),
+        &BODY,
+        &all,
+    ));
     let painted = octahedron(folder, true, turn, &paint);
     cases.push(case(
         "painted faces",
@@ -445,6 +469,59 @@ fn coarse_faces_with_smooth_normals_in_any_pose() {
     let of = |(what, turn, floor, lamp): (&'static str, &str, &str, &String)| {
         let mesh = octahedron(dir.path(), true, turn, r#"<ref id="grey"/>"#);
         case(what, &format!("{floor}{lamp}{mesh}"), &moves, &[EDGES])
+    };
+    compare_all(cases.map(of).into());
+}
+
+/// Directions that follow outlines in closed form: spheres and flat faces that move as a whole, the camera and the lamp.
+#[test]
+fn outlines_that_are_followed_exactly() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let room = format!("{FLOOR}{LAMP}");
+    let turn = r#"<rotate y="1" angle="25"/><rotate x="1" angle="20"/>"#;
+    let faces = octahedron(dir.path(), false, turn, r#"<ref id="grey"/>"#);
+    let camera = ["sensor.translation", "sensor.rotation"];
+    let ball = [&["it.translation", "it.scale"], &camera[..]].concat();
+    let cube = [&BODY, &camera[..], &["lamp.translation", "lamp.scale"]].concat();
+    let cases = [
+        ("rectangle", PLATE, &BODY[..]),
+        ("sphere", BALL, &ball),
+        ("cube", CUBE, &cube),
+        ("faces", &faces, &BODY),
+    ];
+    let of = |(what, body, moves): (&'static str, &str, &[&'static str])| {
+        case(what, &format!("{room}{body}"), moves, &[FOLLOWS_EXACTLY])
+    };
+    compare_all(cases.map(of).into());
+}
+
+/// A glossy wall behind what moves, and a floor: five bounces between them, and the light of a lamp above.
+#[test]
+fn all_shapes_through_five_bounces() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let folder = dir.path();
+    let wall = r#"<shape type="rectangle"><transform name="to_world"><scale value="5"/><translate z="-1.6"/></transform>
+        <bsdf type="roughconductor"><float name="alpha" value="0.4"/></bsdf></shape>"#;
+    let room = format!("{FLOOR}{LAMP}{wall}");
+    let grey = r#"<ref id="grey"/>"#;
+    let turn = r#"<rotate y="1" angle="25"/><rotate x="1" angle="20"/>"#;
+    let faces = octahedron(folder, false, turn, grey);
+    let smooth = octahedron(folder, true, turn, grey);
+    let cases = [
+        ("rectangle", PLATE, &BODY[1..]),
+        ("disk", DISK, &BODY[..2]),
+        ("sphere", BALL, &["it.translation", "it.scale"]),
+        ("cylinder", TUBE, &BODY[1..]),
+        ("cube", CUBE, &["it.rotation", "lamp.translation"]),
+        ("faces", &faces, &POINTS[2..]),
+        (
+            "smooth faces",
+            &smooth,
+            &["it.rotation", "it.vertex_positions"],
+        ),
+    ];
+    let of = |(what, body, moves): (&'static str, &str, &[&'static str])| {
+        case_of_depth(6, what, &format!("{room}{body}"), moves, &[EDGES])
     };
     compare_all(cases.map(of).into());
 }
