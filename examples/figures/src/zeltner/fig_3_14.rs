@@ -5,11 +5,11 @@ use rayon::prelude::*;
 use render::bsdf::DeltaKind;
 use render::manifold::{Connector, Solution, Target, distinct, trials};
 use render::sampler::{Independent, Sampler};
-use render::scene::{Connections, Constraint, Method, Uniqueness};
+use render::scene::{Constraint, Method, Starts, Uniqueness};
 use render::shape::Shape;
 
 use super::authors::{Authors, compare};
-use super::manifold_methods::Effort;
+use super::manifold_methods::{Effort, single};
 use super::specular_scenes::{Laboratory, RING, View, load};
 use crate::statistics::Estimate;
 use examples::chart::Panel;
@@ -55,16 +55,8 @@ fn published(fig: &mut Figure) -> Result {
     };
     let file = "Figure_4_5_RingSolutions/ring.xml";
     let of = authors.scene(fig, "authors' ring", file, fig.pick(24, 96), &[])?;
-    let way = |method: Method| Connections {
-        bounces: 1,
-        ..Connections::new(method)
-    };
-    let ways = [("unbiased", way(Method::Sms))];
-    let effort = Effort {
-        runs: fig.pick(8, 16),
-        spp: fig.pick(8, 32),
-        seed: 2 * SEED,
-    };
+    let ways = [("unbiased", single(Method::Sms, Starts::Particles))];
+    let effort = Effort::of(fig, [8, 32], 2 * SEED);
     let accuracy = fig.pick((1 << 14, 0.1), (1 << 18, 0.02));
     let found = compare(fig, &of, &ways, effort, accuracy)?;
     if fig.pick(false, true) {
@@ -82,10 +74,7 @@ fn published(fig: &mut Figure) -> Result {
 
 /// The shown point, and the whole floor of a ring. `scene` is said before each statement; pictures have the other names.
 fn shown(fig: &mut Figure, [scene, basins, of_counts]: [&str; 3], ring: &Laboratory) -> Result {
-    let connections = Connections {
-        bounces: 1,
-        ..Connections::new(Method::Sms)
-    };
+    let connections = single(Method::Sms, Starts::Particles);
     let split = ring.split(&connections)?;
     let connector = Connector::new(ring.space(Constraint::Angle), &split, connections);
     let target = Target::Point(Vec3::from(LIGHT));
