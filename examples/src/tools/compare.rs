@@ -20,6 +20,7 @@ use crate::cli::{
 };
 use crate::output;
 use crate::progress::{Bar, Interrupt};
+use crate::ranks::median;
 use crate::tools::stability::Finding;
 use crate::{complain, print, say};
 
@@ -803,10 +804,8 @@ fn row(
     let mean = series.mean();
     let variance = series.variance();
     let variance = variance.iter().sum::<f64>() / variance.len() as f64 * f64::from(settings.spp);
-    let mut seconds = series.seconds.clone();
-    seconds.sort_by(f64::total_cmp);
     let pixels = series.sum.len() as f64 / 3.0;
-    let seconds_per_sample = seconds[seconds.len() / 2] / pixels / f64::from(settings.spp);
+    let seconds_per_sample = median(&series.seconds).unwrap_or(0.0) / pixels / f64::from(settings.spp);
     let exact = truth.image();
     let rms = |image: &[f64]| {
         let squares = image.iter().zip(&exact).map(|(a, b)| (a - b).powi(2));

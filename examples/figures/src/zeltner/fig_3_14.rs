@@ -14,6 +14,7 @@ use super::specular_scenes::{Laboratory, RING, View, load};
 use crate::statistics::Estimate;
 use examples::chart::Panel;
 use examples::figure::{Figure, Result};
+use examples::ranks::median;
 
 /// The point of the floor that the figure shows, x and z, and that of the light.
 const FLOOR: [f64; 2] = [4.218, -3.074];
@@ -274,15 +275,11 @@ fn vanishing(
             jumps[a.len().abs_diff(b.len()).min(4)] += 1;
         }
     }
-    let mut everywhere: Vec<f64> = (solved.iter().flatten())
+    let everywhere: Vec<f64> = (solved.iter().flatten())
         .filter(|points| points.len() > 1)
         .map(|points| nearest(points))
         .collect();
-    let median = |x: &mut Vec<f64>| {
-        x.sort_unstable_by(f64::total_cmp);
-        x.get(x.len() / 2).copied().unwrap_or(f64::NAN)
-    };
-    let (pairs, all) = (median(&mut closest), median(&mut everywhere));
+    let [pairs, all] = [&closest, &everywhere].map(|x| median(x).unwrap_or(f64::NAN));
     fig.check(
         format!("{scene}where two solutions vanish from one point of the floor to the next, two are next to each other"),
         jumps[2] > 10 && pairs < 0.5 * all,

@@ -20,6 +20,7 @@ use crate::common_scenes::{LAMP_RADII, Plates, textured_plates};
 use crate::statistics::grey;
 use examples::chart::Panel;
 use examples::figure::{Figure, Result};
+use examples::ranks::median;
 use examples::say;
 use examples::scene_builder::picture;
 
@@ -413,8 +414,7 @@ fn pictures(fig: &mut Figure, setup: &Plates, costs: [f64; COLUMNS.len()]) -> Re
         panels.push(Panel::signed(&label, width, &shown, Some(40.0)));
         let label = format!("std: {}", e.name());
         spreads.push(Panel::signed(&label, width, &std, Some(400.0)));
-        seconds.sort_by(f64::total_cmp);
-        times.push((e, count, seconds[seconds.len() / 2]));
+        times.push((e, count, median(&seconds).ok_or("no runs")?));
     }
     fig.images("derivatives", 3, &panels);
     fig.images("deviations", 3, &spreads);

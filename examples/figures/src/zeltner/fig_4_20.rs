@@ -11,6 +11,7 @@ use crate::common_scenes::{TRAY, TRAY_LAMPS, tray};
 use crate::statistics::{Series, grey, limit};
 use examples::chart::Panel;
 use examples::figure::{Figure, Result};
+use examples::ranks::{median, percentile};
 use examples::scene_builder::picture;
 
 const SEED: u64 = 420;
@@ -250,9 +251,8 @@ impl Trial {
         let pairs = self.found[a].pixels.iter().zip(&self.found[b].pixels);
         let chosen = pairs.zip(&self.map).filter(|(_, s)| of(s));
         let ratios = chosen.map(|((a, b), _)| a.error / b.error);
-        let mut ratios: Vec<f64> = ratios.filter(|r| r.is_finite()).collect();
-        ratios.sort_by(f64::total_cmp);
-        ratios.get(ratios.len() / 2).copied().unwrap_or(f64::NAN)
+        let ratios: Vec<f64> = ratios.filter(|r| r.is_finite()).collect();
+        median(&ratios).unwrap_or(f64::NAN)
     }
 
     fn noise(&self, fig: &mut Figure) {
@@ -366,9 +366,7 @@ impl Trial {
         let width = self.effort.size[0] as usize;
         let enlarge = (384 / width).max(1);
         let reference = self.reference.means();
-        let mut magnitudes: Vec<f64> = reference.iter().map(|x| x.abs()).collect();
-        magnitudes.sort_by(f64::total_cmp);
-        let scale = magnitudes[magnitudes.len() * 95 / 100];
+        let scale = percentile(&reference, 0.95);
         let samples = ((self.effort.runs * self.effort.spp) as f64).sqrt();
         let signed = |label: &str, values: &[f64], scale: f64| {
             Panel::signed(label, width, values, Some(scale)).enlarged(enlarge)
