@@ -805,7 +805,8 @@ fn row(
     let variance = series.variance();
     let variance = variance.iter().sum::<f64>() / variance.len() as f64 * f64::from(settings.spp);
     let pixels = series.sum.len() as f64 / 3.0;
-    let seconds_per_sample = median(&series.seconds).unwrap_or(0.0) / pixels / f64::from(settings.spp);
+    let seconds_per_sample =
+        median(&series.seconds).unwrap_or(0.0) / pixels / f64::from(settings.spp);
     let exact = truth.image();
     let rms = |image: &[f64]| {
         let squares = image.iter().zip(&exact).map(|(a, b)| (a - b).powi(2));

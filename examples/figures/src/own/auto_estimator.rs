@@ -206,8 +206,7 @@ impl Clock {
                     seconds.push(start.elapsed().as_secs_f64() / spp as f64);
                 }
             }
-            for ((_, of), (seconds, work)) in
-                samples.iter_mut().zip(seconds.into_iter().zip(works))
+            for ((_, of), (seconds, work)) in samples.iter_mut().zip(seconds.into_iter().zip(works))
             {
                 let seconds = median(&seconds).ok_or("no passes")?;
                 of.push(Sample { seconds, work });

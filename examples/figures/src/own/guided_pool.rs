@@ -101,9 +101,8 @@ pub fn figure(fig: &mut Figure) -> Result {
 fn same(fig: &mut Figure) -> Result {
     let (size, runs, spp) = (32, 64, fig.pick(64, 256));
     let mut scene = basin(size)?;
-    let of = |scene: &Scene, seed: u64| {
-        series(size, runs, spp, |run| images(scene, seed + run, spp))
-    };
+    let of =
+        |scene: &Scene, seed: u64| series(size, runs, spp, |run| images(scene, seed + run, spp));
     let plain = of(&scene, SEED)?;
     learn(&mut scene)?;
     let guided = of(&scene, 10 * SEED)?;

@@ -3,11 +3,11 @@
 
 use ad_core::Vec3;
 use render::Job;
-use render::instances::{Direction, Estimator, render_f64};
-use render::params::Theta;
+use render::instances::{Direction, Estimator};
 use render::{RenderError, Scene};
 
 use crate::common_scenes::{TRAY, TRAY_LAMPS, tray};
+use crate::differences::central;
 use crate::statistics::{Series, grey, limit};
 use examples::chart::Panel;
 use examples::figure::{Figure, Result};
@@ -69,29 +69,15 @@ fn series(
 /// the roughness: the step is wide, a tenth of the smallest one.
 fn differences(scene: &Scene, effort: Effort) -> Result<Series> {
     const STEP: f64 = 2e-3;
-    let values: Vec<f64> = scene.params().values().iter().map(|&v| v.into()).collect();
-    let mut offsets = Vec::new();
+    let mut steps = Vec::new();
     for (name, _) in TRAY {
         let info = scene.params().find(&format!("{name}.alpha.value"))?;
-        offsets.push(info.offset);
+        steps.push((info.offset, STEP));
     }
     let spp = 2 * effort.spp;
     series(effort, |run| {
-        let shot = |step: f64| {
-            let mut moved = values.clone();
-            offsets.iter().for_each(|&i| moved[i] += step);
-            let theta = Theta::constant(&moved);
-            let technique = Estimator::Mis;
-            let s = &scene.settings;
-            render_f64(
-                &Job::new(scene, s, SEED + run, 0..spp, &()),
-                &theta,
-                technique,
-            )
-        };
-        let (up, down) = (shot(STEP), shot(-STEP));
-        let pairs = up.sums[0].iter().zip(&down.sums[0]);
-        let difference: Vec<f64> = pairs.map(|(a, b)| a - b).collect();
+        let job = Job::new(scene, &scene.settings, SEED + run, 0..spp, &());
+        let difference = central(&job, Estimator::Mis, &steps);
         Ok(grey(&difference, 1.0 / (2.0 * STEP * spp as f64)))
     })
 }
