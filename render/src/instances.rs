@@ -740,7 +740,7 @@ mod tests {
     use super::*;
     use crate::estimator::{Failures, Scenes};
 
-    /// Whoever is for study says by what it is biased; whoever is not has no such reason.
+    /// Estimators for study say by what they are biased; all others have no such reason.
     #[test]
     fn only_what_is_for_study_is_biased() {
         for &e in Estimator::ALL {

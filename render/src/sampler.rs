@@ -100,7 +100,7 @@ impl Purpose {
     }
 }
 
-/// Who draws random numbers beside the paths of a pass, at the same seed. Each has numbers of its own, so that estimates
+/// What else draws random numbers beside the paths of a pass, at the same seed. Each has numbers of its own, so that estimates
 /// that are added, compared or decided by are independent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Family {

@@ -123,7 +123,7 @@ pub fn candidates(scene: &Scene) -> Vec<Estimator> {
             out.push(Estimator::Reparameterised);
         }
     }
-    // Nobody else sees what moves, and edges are not seen over mirrors and glass.
+    // No other estimator sees what moves, and edges are not seen over mirrors and glass.
     if scene.params().infos().iter().any(|i| i.kind.is_motion()) {
         out.push(if scene.scatters_deltas() {
             Estimator::ReparameterisedMis

@@ -35,7 +35,7 @@ use crate::sampler::{Family, Independent, Sampler};
 use crate::scene::{Connections, Scene, Settings, Starts};
 use crate::shape::SurfaceInteraction;
 
-/// What chains and glints say of parameters that move them and of whoever leaves them out.
+/// What chains and glints say of parameters that move them, and of passes that leave them out.
 pub(super) struct Solved {
     /// What is solved for.
     pub these: &'static str,
@@ -92,7 +92,7 @@ impl Solved {
         Ok(())
     }
 
-    /// That somebody leaves them out.
+    /// The error for what leaves them out.
     pub fn left_out(&self, whose: &str) -> RenderError {
         (self.error)(format!(
             "{whose} leave out their light; expected `{}`",

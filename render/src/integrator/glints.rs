@@ -77,7 +77,7 @@ struct Seeking<'a, P: Float> {
     came_to: Statistics,
 }
 
-/// Who finds the glints of a pass, and on which shapes. `None` if nobody does.
+/// What finds the glints of a pass, and on which shapes; `None` where glints are not looked for.
 fn finder<'a, R: Real>(pass: &'a Pass<'a, R>) -> Option<(Finder<'a, R::Primal>, &'a [bool])> {
     let (split, options) = (pass.split.as_deref()?, pass.settings.glints?);
     let glinty = split.glinty();

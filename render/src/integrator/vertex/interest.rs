@@ -1,4 +1,4 @@
-//! What of a path anybody wants to know.
+//! What of a path is wanted: by an observer, and of light on its next edge.
 
 use ad_core::Float;
 
