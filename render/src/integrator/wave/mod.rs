@@ -1,11 +1,12 @@
 //! Still paths, many at a time and field by field.
 //!
 //! This is the path tracer of [`super::path`], number by number, for what is rendered most: scalars without
-//! tangents, where no sample or weight moves. Derivatives of both modes are made of what a wave keeps ([`record`]). The vertices of a wave of paths do the same things at the same time, in
-//! loops over arrays that call what the path tracer calls for one vertex. Nothing in such a loop is decided by a
-//! branch, so the compiler makes vector instructions of it. What is not the same for all vertices is sorted: those of one
-//! kind of material ([`kinds`]) or at one emitter ([`lights`]) go through a loop of their own. Other materials and emitters
-//! are called vertex by vertex in between.
+//! tangents, where no sample or weight moves. Derivatives of both modes are made of what a wave keeps ([`record`]).
+//!
+//! The vertices of a wave of paths do the same things at the same time, in loops over arrays that call what the path
+//! tracer calls for one vertex. Nothing in such a loop is decided by a branch, so the compiler makes vector instructions
+//! of it. What is not the same for all vertices is sorted: those of one kind of material ([`kinds`]) or at one emitter
+//! ([`lights`]) go through a loop of their own. Other materials and emitters are called vertex by vertex in between.
 
 // Each loop is over many arrays at a time.
 #![allow(clippy::needless_range_loop)]
