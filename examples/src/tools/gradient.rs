@@ -192,12 +192,8 @@ impl Objective {
             Self::Loss(loss, target) => {
                 let theta = Theta::constant(scene.params().values());
                 let (seed, samples) = (seed_of_loss(args.seed), 0..u64::from(settings.spp));
-                let technique = Estimator::Mis;
-                let image = render_f32(
-                    &Job::new(scene, settings, seed, samples, progress),
-                    &theta,
-                    technique,
-                );
+                let job = Job::new(scene, settings, seed, samples, progress);
+                let image = render_f32(&job, &theta, Estimator::Mis);
                 let mut adjoint = vec![0.0; target.len()];
                 loss.gradient(&image.image(0).data, target, &mut adjoint)?;
                 Ok(adjoint)
@@ -811,12 +807,8 @@ fn repeat(
                 Objective::Loss(..) => seed_of_loss(seed),
             };
             let start = Instant::now();
-            let technique = Estimator::Mis;
-            let primal = render_f32(
-                &Job::new(scene, settings, seed, 0..spp, &bar),
-                &theta,
-                technique,
-            );
+            let job = Job::new(scene, settings, seed, 0..spp, &bar);
+            let primal = render_f32(&job, &theta, Estimator::Mis);
             let seconds = start.elapsed().as_secs_f64();
             if primal.cancelled {
                 break;

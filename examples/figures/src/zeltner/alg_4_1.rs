@@ -76,14 +76,8 @@ impl Room {
         places.zip(start).for_each(|(i, v)| other[i] = v);
         let shot = |values: &[f32], seed: u64| {
             let theta = Theta::constant(values);
-            let technique = Estimator::Mis;
-            let settings = &scene.settings;
-            render_f32(
-                &Job::new(&scene, settings, seed, 0..128, &()),
-                &theta,
-                technique,
-            )
-            .image(0)
+            let job = Job::new(&scene, &scene.settings, seed, 0..128, &());
+            render_f32(&job, &theta, Estimator::Mis).image(0)
         };
         let (image, target) = (shot(scene.params().values(), 1), shot(&other, 2));
         let mut adjoint = vec![0.0; image.data.len()];
