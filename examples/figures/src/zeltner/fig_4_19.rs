@@ -14,7 +14,6 @@ use render::instances::{Direction, Estimator, Mode};
 use render::statistics::z_limit;
 use render::{RenderError, Scene};
 
-use super::fig_2_27::corner;
 use crate::common_scenes::{LAMP_RADII, Plates, textured_plates};
 use crate::differences::central;
 use crate::statistics::grey;
@@ -112,7 +111,7 @@ fn cells(
     let mut out = Grid::default();
     for (i, row) in out.iter_mut().enumerate() {
         for (j, cell) in row.iter_mut().enumerate() {
-            let (offset, size) = corner(setup, width, i, j);
+            let [offset, size] = setup.window(width, i, j);
             setup.scene.film.crop_offset = offset;
             setup.scene.film.crop_size = size;
             let scene = &setup.scene;
