@@ -476,7 +476,7 @@ impl Scene {
         self.guide = guide;
     }
 
-    /// See [`Scene::casters`].
+    /// Balls around what throws caustics: particles that are to find them are sent towards one.
     pub(crate) fn casters(&self) -> &[Ball] {
         &self.geometry.casters
     }
