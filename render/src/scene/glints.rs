@@ -68,7 +68,7 @@ pub enum GlintTechniques {
 
 impl Glints {
     /// Size of a trial set by default [Zeltner 2021, figure 3.13].
-    pub const TRIALS: u32 = 16;
+    pub const TRIALS: u32 = super::Connections::TRIALS;
 
     /// In cells, weighed by densities.
     pub fn new(method: GlintMethod) -> Self {
