@@ -17,7 +17,7 @@ pub trait DiffFn<const I: usize, const O: usize> {
     fn eval<R: Real>(&self, x: [R; I]) -> [R; O];
 }
 
-/// Declares a function over any [`Real`](crate::Real) that the drivers of this crate can
+/// Declares a function over any scalar ([`crate::Real`]) that the drivers of this crate can
 /// differentiate.
 ///
 /// The name becomes a unit struct: within its scope, variables must be called otherwise.

@@ -11,6 +11,8 @@ use plotters::coord::ranged1d::{AsRangedCoord, Ranged, ValueFormatter};
 use plotters::prelude::*;
 use render::Image;
 
+use crate::ranks::percentile;
+
 type Result<T> = std::result::Result<T, Box<dyn Error>>;
 
 /// The font that is compiled in.
@@ -590,18 +592,6 @@ fn viridis(t: f64) -> [u8; 3] {
     let i = (t as usize).min(7);
     let f = t - i as f64;
     std::array::from_fn(|c| (STOPS[i][c] + f * (STOPS[i + 1][c] - STOPS[i][c])).round() as u8)
-}
-
-/// The value below which the share `q` of the magnitudes lies.
-fn percentile(values: &[f64], q: f64) -> f64 {
-    let mut sorted: Vec<f64> = values
-        .iter()
-        .map(|v| v.abs())
-        .filter(|v| v.is_finite())
-        .collect();
-    sorted.sort_by(f64::total_cmp);
-    let at = (q * sorted.len().saturating_sub(1) as f64).round() as usize;
-    sorted.get(at).copied().unwrap_or(0.0)
 }
 
 #[cfg(test)]

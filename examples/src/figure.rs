@@ -43,7 +43,7 @@ struct Arguments {
     /// Small images and few samples: every check in seconds, with wider error bars
     #[arg(long)]
     quick: bool,
-    /// Folder for images, tables and manifest.json [default: out/<figure>]
+    /// Folder for images, tables and manifest.json [default: out/ID]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// Number of threads; the result does not depend on it [default: all]

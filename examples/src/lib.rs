@@ -9,6 +9,7 @@ pub mod optimise;
 pub mod output;
 pub mod print;
 pub mod progress;
+pub mod ranks;
 pub mod scene_builder;
 pub mod sheet;
 pub mod tools;

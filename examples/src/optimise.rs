@@ -133,6 +133,28 @@ fn wrong_in(seen: &[Rendering]) -> NonFinite {
 }
 
 impl Problem {
+    /// A scene that is to look like `target`, with its own settings: the unknowns bear these names, and their gradient comes from
+    /// [`Estimator::Mis`].
+    ///
+    /// # Errors
+    /// An unknown name, or a parameter whose derivative that estimator does not see.
+    pub fn of(
+        scene: Scene,
+        names: &[&str],
+        loss: LossKind,
+        target: Image,
+    ) -> Result<Self, RenderError> {
+        Ok(Self {
+            settings: scene.settings,
+            image_spp: None,
+            active: Estimator::Mis.active(&scene, names)?,
+            estimator: Estimator::Mis,
+            loss,
+            targets: vec![Target::of(target)],
+            scene,
+        })
+    }
+
     /// Values of the unknowns, in the order of the active set.
     pub fn values(&self) -> Vec<f32> {
         let all = self.scene.params().values();

@@ -287,12 +287,8 @@ impl SceneBuilder {
 /// The image of a scene, by detached MIS.
 pub fn picture(scene: &Scene, seed: u64, spp: u64) -> Rendering {
     let theta = Theta::constant(scene.params().values());
-    let (technique, settings) = (Estimator::Mis, &scene.settings);
-    render_f32(
-        &Job::new(scene, settings, seed, 0..spp, &()),
-        &theta,
-        technique,
-    )
+    let job = Job::new(scene, &scene.settings, seed, 0..spp, &());
+    render_f32(&job, &theta, Estimator::Mis)
 }
 
 /// Light of a hall, as an environment map: dim walls, a floor and ceiling, and eight bright rectangles

@@ -105,7 +105,7 @@ pub(crate) enum Optic {
 }
 
 impl Optic {
-    /// Its name.
+    /// Its name in scene files.
     pub const fn key(self) -> &'static str {
         match self {
             Self::Fov => "fov",
@@ -222,7 +222,7 @@ impl Camera {
         self.rest.to_world
     }
 
-    /// What moves it.
+    /// Where it is placed, to be moved.
     pub(crate) fn placement(&mut self) -> &mut Placement {
         &mut self.placement
     }

@@ -57,7 +57,7 @@ use crate::integrator::Job;
 use crate::integrator::gradient::check_size;
 use crate::integrator::render::Progress;
 use crate::params::{ParamInfo, Params, Theta};
-use crate::sampler::mix64;
+use crate::sampler::{Family, mix64};
 use crate::scene::{Scene, Settings};
 use crate::statistics::{Estimate, z_limit};
 
@@ -81,10 +81,6 @@ const SECOND_LOOK: u64 = 4;
 const SECOND_STEP: f64 = 0.25;
 /// What single precision may do to a derivative, relative to those of its range.
 const ROUNDING: f64 = 1e-5;
-/// Keep random numbers of the passes apart.
-const DIFFERENCES: u64 = 0x6469_6666;
-const SECOND: u64 = 0x7365_636f;
-const PILOT: u64 = 0x7069_6c6f;
 
 /// How much is done, and how sure it has to be.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -123,7 +119,7 @@ pub enum Verdict {
 }
 
 impl Verdict {
-    /// In words.
+    /// The verdict in words.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Right => "right",
@@ -572,7 +568,7 @@ impl Run<'_> {
             let Some(step) = self.step(line, t as u64)? else {
                 return Ok((None, limit));
             };
-            let seed = self.options.seed ^ DIFFERENCES ^ ((t as u64) << 40);
+            let seed = Family::Differences.seed(self.options.seed) ^ ((t as u64) << 40);
             let Some(pair) = self.pair(line, step, seed, repeats)? else {
                 return Ok((None, limit));
             };
@@ -598,12 +594,12 @@ impl Run<'_> {
         if suspects.is_empty() {
             return Ok((Some(out), limit));
         }
-        let seed = self.options.seed ^ SECOND;
+        let seed = Family::SecondLooks.seed(self.options.seed);
         let Some(gradients) = self.gradients(tests, &lines, seed, SECOND_LOOK * repeats)? else {
             return Ok((None, limit));
         };
         for t in suspects {
-            let seed = seed ^ DIFFERENCES ^ ((t as u64) << 40);
+            let seed = Family::Differences.seed(seed) ^ ((t as u64) << 40);
             let step = pairs[t].step * SECOND_STEP;
             let Some(pair) = self.pair(&lines[t], step, seed, SECOND_LOOK * repeats)? else {
                 return Ok((None, limit));
@@ -651,7 +647,7 @@ impl Run<'_> {
     /// By [`widest_step`]. `None` if cancelled.
     fn step(&mut self, line: &Line, test: u64) -> Result<Option<f64>, RenderError> {
         let repeats = u64::from(self.options.repeats);
-        let seed = self.options.seed ^ PILOT ^ (test << 40);
+        let seed = Family::DifferencePilots.seed(self.options.seed) ^ (test << 40);
         let Some(mut wide) = self.differences(line, line.most, seed, PILOTS)? else {
             return Ok(None);
         };

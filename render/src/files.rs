@@ -27,8 +27,8 @@ use crate::inputs;
 /// How many symbolic links are followed one after another.
 const MOST_LINKS: usize = 40;
 
-/// What a path leads to is a regular file: devices, pipes and sockets may never end. One that is not there is for whoever
-/// opens it.
+/// What a path leads to is a regular file: devices, pipes and sockets may never end. A missing one is an error of opening
+/// it.
 ///
 /// # Errors
 /// It is something else.
@@ -179,9 +179,9 @@ fn temporary(target: &Path) -> io::Result<(PathBuf, File)> {
             Err(e) if e.kind() == ErrorKind::AlreadyExists => continue,
             file => file?,
         };
-        // Where a file system knows no locks, nobody can take one either, and nobody removes it.
+        // Where a file system knows no locks, no other process can take one, and none removes the file.
         let locked = file.lock();
-        // Somebody may have taken it for a stale one before it was locked.
+        // Another process may have removed it as a stale one before it was locked.
         if locked.is_err() || temporary.exists() {
             return Ok((temporary, file));
         }
@@ -241,7 +241,7 @@ mod tests {
         names
     }
 
-    /// Those of this name that nobody holds, and no others.
+    /// Those of this name without a lock are removed, and no others.
     #[test]
     fn what_killed_runs_left_is_removed() {
         let dir = tempfile::tempdir().unwrap();

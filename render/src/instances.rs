@@ -61,9 +61,9 @@ fn run<R: Components, S: Unbiased>(job: &Job, theta: &Theta<R>) -> Result<Render
     render::render::<R, S, Spread>(job, theta)
 }
 
-/// The image, in single precision: [`render::render`] with the points that `settings` asks for, by the techniques of an
-/// estimator ([`Strategy::Primal`]): sampled emitters, scattered directions, or both by either heuristic. Where nothing is
-/// differentiated many estimators are the same.
+/// The image, in single precision, `[height][width][3]`, linear RGB: [`render::render`] with the points that `settings` asks
+/// for, by the techniques of an estimator ([`Strategy::Primal`]): sampled emitters, scattered directions, or both by either
+/// heuristic. Where nothing is differentiated many estimators are the same.
 pub fn render_f32(job: &Job, theta: &Theta<f32>, estimator: Estimator) -> Rendering {
     estimator.primal()(job, theta)
 }
@@ -200,10 +200,10 @@ pub fn render_f64(job: &Job, theta: &Theta<f64>, estimator: Estimator) -> Render
 }
 
 /// The gradient of `<adjoint, image>`, in single precision: [`gradient::backward`] with detached MIS and
-/// the points that `settings` asks for.
+/// the points that `settings` asks for. `adjoint` is `[height][width][3]`.
 ///
 /// # Errors
-/// An adjoint image of the wrong size.
+/// An adjoint image of the wrong size; a parameter that moves something.
 pub fn backward_f32(
     job: &Job,
     theta: &Theta<f32>,
@@ -216,7 +216,7 @@ pub fn backward_f32(
 /// [`backward_f32`] in double precision.
 ///
 /// # Errors
-/// An adjoint image of the wrong size.
+/// Those of [`backward_f32`].
 pub fn backward_f64(
     job: &Job,
     theta: &Theta<f64>,
@@ -640,7 +640,8 @@ impl Estimator {
     }
 
     /// The image and its derivative along the sum of `directions`, such as one number added to every
-    /// roughness, in single precision (forward mode).
+    /// roughness, in single precision (forward mode): components 0 and 1 of the result, `[height][width][3]` each. `values` is
+    /// the whole parameter vector.
     ///
     /// # Errors
     /// A direction of the wrong length; an estimator that is wrong in this scene or for this parameter.
@@ -657,10 +658,12 @@ impl Estimator {
         self.forward()(job, &theta)
     }
 
-    /// The gradient of `<adjoint, image>` (reverse mode), in single precision.
+    /// The gradient of `<adjoint, image>` (reverse mode), in single precision: one slice for each range of `active`.
+    /// `adjoint` is `[height][width][3]`, the derivative of the loss in every pixel and channel of the crop window, from an image
+    /// with another seed (errata Z-4.4).
     ///
     /// # Errors
-    /// An adjoint image of the wrong size; an estimator that is wrong in this scene.
+    /// An adjoint image of the wrong size; an estimator that is wrong in this scene, or has no terms for what moves.
     pub fn backward_f32(
         self,
         job: &Job,
@@ -740,7 +743,7 @@ mod tests {
     use super::*;
     use crate::estimator::{Failures, Scenes};
 
-    /// Whoever is for study says by what it is biased; whoever is not has no such reason.
+    /// Estimators for study say by what they are biased; all others have no such reason.
     #[test]
     fn only_what_is_for_study_is_biased() {
         for &e in Estimator::ALL {

@@ -219,7 +219,7 @@ impl Placement {
         })
     }
 
-    /// Nothing that moves with it has an adjoint yet.
+    /// The adjoint of what moves with it, zero as long as nothing is added.
     pub fn wrench<P: Float>(&self, theta: &Theta<P>) -> Wrench<P> {
         Wrench {
             about: self.centre(theta),
@@ -309,7 +309,7 @@ impl<R: Real> Drift<R> {
         v + self.turn.transpose() * v
     }
 
-    /// A ray as somebody sees it who moves along: its direction is no unit vector where scales change, so that distances
+    /// A ray as seen from what moves: its direction is no unit vector where scales change, so that distances
     /// along both rays are the same number.
     #[inline]
     pub fn ray_back(&self, ray: &Ray<R>) -> Ray<R> {

@@ -4,7 +4,7 @@
 //! Materials and emitters hold [`ParamRef`] handles. What a handle reads depends on the context:
 //! with [`Theta`] over `f32` or `f64` it is the value; over a dual number it also carries the tangent
 //! of the directions asked for; and in reverse mode the adjoint goes back through the same handle
-//! into a [`GradSink`]. A range that nobody asked for costs nothing but its value.
+//! into a [`GradSink`]. A range that is not asked for costs nothing but its value.
 //!
 //! Models are separable in colour, but for normal maps, heights and tinted base colours: channel c of a result depends on
 //! channel c of an RGB parameter only. One tangent slot per RGB parameter therefore holds three derivatives.
@@ -480,7 +480,7 @@ impl Which {
     }
 }
 
-/// What moves.
+/// Which parameters move, and how.
 #[derive(Debug)]
 enum Tangents<'a, R> {
     /// One entry per range; missing ones do not move.
@@ -511,7 +511,7 @@ impl<R: Real> Clone for Theta<'_, R> {
 impl<R: Real> Copy for Theta<'_, R> {}
 
 impl<'a, R: Real> Theta<'a, R> {
-    /// Values only.
+    /// Without tangents.
     pub fn constant(values: &'a [R::Primal]) -> Self {
         Self {
             values,
@@ -616,7 +616,7 @@ impl<'a, P: Float> Theta<'a, P> {
 
 /// Where adjoints of parameters go.
 pub trait GradSink<P: Float> {
-    /// Whether anybody asked for this range.
+    /// Whether derivatives in this range are wanted.
     fn active(&self, p: ParamRef) -> bool;
     /// Adds `d`, the adjoint of element `i` of the range.
     fn add(&mut self, p: ParamRef, i: usize, d: P);

@@ -1,6 +1,6 @@
 //! Asking for memory before it is needed.
 
-/// Brings the line of the cache that `x` begins in near, and does not wait for it. A read whose result nobody needs would
+/// Brings the line of the cache that `x` begins in near, and does not wait for it. A read whose result is not needed would
 /// do nearly the same, but nothing that comes after it is finished before it.
 #[inline(always)]
 pub(crate) fn prefetch<T>(x: &T) {

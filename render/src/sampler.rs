@@ -103,7 +103,7 @@ impl Purpose {
     }
 }
 
-/// Who draws random numbers beside the paths of a pass, at the same seed. Each has numbers of its own, so that estimates
+/// What else draws random numbers beside the paths of a pass, at the same seed. Each has numbers of its own, so that estimates
 /// that are added, compared or decided by are independent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Family {
@@ -131,12 +131,18 @@ pub(crate) enum Family {
     PixelBorders,
     /// Short passes that decide on the ones that follow, whose seed may be the same.
     Pilots,
+    /// Differences that gradients are checked against.
+    Differences,
+    /// Short differences that decide on the steps of these.
+    DifferencePilots,
+    /// Second looks at what the first one of a check found wrong.
+    SecondLooks,
 }
 
 impl Family {
     /// All of them.
     #[cfg(test)]
-    const ALL: [Self; 12] = [
+    const ALL: [Self; 15] = [
         Self::Particles,
         Self::Connections,
         Self::Landings,
@@ -149,6 +155,9 @@ impl Family {
         Self::FieldsOfLights,
         Self::PixelBorders,
         Self::Pilots,
+        Self::Differences,
+        Self::DifferencePilots,
+        Self::SecondLooks,
     ];
 
     /// Its seed in a pass with this one.
@@ -166,6 +175,9 @@ impl Family {
             Self::FieldsOfLights => 0x510e_527f_ade6_82d1,
             Self::PixelBorders => 0x9b05_688c_2b3e_6c1f,
             Self::Pilots => 0x7069_6c6f_7473,
+            Self::Differences => 0x6469_6666,
+            Self::DifferencePilots => 0x7069_6c6f,
+            Self::SecondLooks => 0x7365_636f,
         }
     }
 }

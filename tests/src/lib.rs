@@ -94,11 +94,11 @@ pub fn picture(s: &Scene, settings: &Settings, seed: u64, runs: u64, spp: u64) -
     let theta = Theta::constant(s.params().values());
     let images: Vec<_> = (0..runs)
         .map(|r| {
-            let technique = Estimator::Mis;
+            let estimator = Estimator::Mis;
             let r = render_f32(
                 &Job::new(s, settings, seed + r, 0..spp, &()),
                 &theta,
-                technique,
+                estimator,
             );
             assert_eq!(r.non_finite.count, 0);
             r.image(0).data

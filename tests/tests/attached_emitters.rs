@@ -222,7 +222,7 @@ fn gradients_equal_central_differences() {
             let each = |r: u64| {
                 let at = |h: f64| {
                     let v: Vec<f64> = before.iter().zip(d).map(|(v, d)| v + h * d).collect();
-                    let (theta, technique) = (Theta::constant(&v), Estimator::Emitter);
+                    let (theta, estimator) = (Theta::constant(&v), Estimator::Emitter);
                     let settings = Settings {
                         lights: LightChoice::One,
                         ..s.settings
@@ -230,7 +230,7 @@ fn gradients_equal_central_differences() {
                     let image = render_f64(
                         &Job::new(&s, &settings, 9000 + r, 0..SPP, &()),
                         &theta,
-                        technique,
+                        estimator,
                     );
                     dot(&adjoint, &image, 0)
                 };

@@ -244,8 +244,8 @@ fn progress_counts_every_pixel_once() {
     let theta = Theta::constant(values);
     for caustics in [Caustics::Paths, Caustics::Particles] {
         let (settings, count) = (with(&s, caustics), Count(AtomicU64::new(0)));
-        let technique = Estimator::Mis;
-        render_f32(&Job::new(&s, &settings, 1, 0..2, &count), &theta, technique);
+        let estimator = Estimator::Mis;
+        render_f32(&Job::new(&s, &settings, 1, 0..2, &count), &theta, estimator);
         assert_eq!(count.0.load(Ordering::Relaxed), pixels);
         let active = Active::new(&s, &["metal.alpha.value"]).expect("a parameter");
         let adjoint = mean_adjoint(&s);

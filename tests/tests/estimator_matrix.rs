@@ -363,14 +363,14 @@ fn differences(case: &Case, m: &Move, seed: u64) -> Estimate {
             let at = |h: f64| {
                 let v = m.applied(s, h);
                 let theta = Theta::constant(&v);
-                let technique = if case.one_bounce {
+                let estimator = if case.one_bounce {
                     Estimator::Emitter
                 } else {
                     Estimator::Mis
                 };
                 let (seed, spp) = (seed + r, 0..case.spp());
                 let image =
-                    render_f64(&Job::new(s, &s.settings, seed, spp, &()), &theta, technique);
+                    render_f64(&Job::new(s, &s.settings, seed, spp, &()), &theta, estimator);
                 image.mean(0).iter().sum::<f64>() / 3.0
             };
             (at(m.step) - at(-m.step)) / (2.0 * m.step)

@@ -275,7 +275,7 @@ fn however_lights_are_chosen_the_picture_is_the_same() {
     let unevenly = unevenly(scene(&xml));
     let scene = scene(&xml);
     let limit = z_limit(2 * 2 * 64 * 3, 20, ALPHA);
-    for technique in [Estimator::Mis, Estimator::Emitter] {
+    for estimator in [Estimator::Mis, Estimator::Emitter] {
         let pictures = |scene: &Scene, lights, seed: u64| -> Vec<Vec<f64>> {
             let settings = Settings {
                 lights,
@@ -288,7 +288,7 @@ fn however_lights_are_chosen_the_picture_is_the_same() {
                     let image = render_f32(
                         &Job::new(scene, &settings, seed, 0..10_000, &()),
                         &theta,
-                        technique,
+                        estimator,
                     );
                     assert_eq!(image.non_finite.count, 0);
                     image.sums[0].clone()
@@ -304,7 +304,7 @@ fn however_lights_are_chosen_the_picture_is_the_same() {
                 let z = at(&other).z(&at(&one));
                 assert!(
                     z.abs() < limit,
-                    "{technique:?}, {how}, {i}: z = {z:.2} of {limit:.2}"
+                    "{estimator:?}, {how}, {i}: z = {z:.2} of {limit:.2}"
                 );
             }
         }

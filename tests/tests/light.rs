@@ -50,11 +50,11 @@ fn by_particles(scene: &Scene, settings: &Settings, rules: Rules, seed: u64, spp
 
 fn by_paths(scene: &Scene, settings: &Settings, seed: u64, spp: u64) -> Vec<f32> {
     let theta = Theta::constant(scene.params().values());
-    let technique = Estimator::Mis;
+    let estimator = Estimator::Mis;
     let r = render_f32(
         &Job::new(scene, settings, seed, 0..spp, &()),
         &theta,
-        technique,
+        estimator,
     );
     r.image(0).data
 }
@@ -505,11 +505,11 @@ fn gradients_from_either_side_agree() {
         .expect("an adjoint of the right size");
         assert_eq!(m.gradient.non_finite.count, 0);
         light.push([m.gradient.values.concat(), vec![m.value]].concat());
-        let technique = Estimator::Mis;
+        let estimator = Estimator::Mis;
         let image = render_f32(
             &Job::new(&s, &s.settings, 500 + seed, 0..64, &()),
             &theta,
-            technique,
+            estimator,
         );
         let g = tests::reverse::<f32>(&s, &params, &adjoint, &s.settings, 900 + seed, 64);
         camera.push([g.concat(), vec![tests::dot(&adjoint, &image, 0)]].concat());

@@ -71,13 +71,13 @@ fn crowd(turn: &str) -> String {
     (0..150).map(one).collect()
 }
 
-fn by(scene: &Scene, technique: Estimator, spp: u64) -> Vec<f32> {
+fn by(scene: &Scene, estimator: Estimator, spp: u64) -> Vec<f32> {
     let theta = Theta::constant(scene.params().values());
     let settings = &scene.settings;
     render_f32(
         &Job::new(scene, settings, 3, 0..spp, &()),
         &theta,
-        technique,
+        estimator,
     )
     .image(0)
     .data
@@ -142,11 +142,11 @@ fn what_is_covered_closely_is_dark() {
                     ]
                     .concat(),
                 );
-                for technique in TECHNIQUES {
+                for estimator in TECHNIQUES {
                     assert_eq!(
-                        mean(&by(&s, technique, 64)),
+                        mean(&by(&s, estimator, 64)),
                         0.0,
-                        "{technique:?} {lamp} {turn}"
+                        "{estimator:?} {lamp} {turn}"
                     );
                 }
                 assert_eq!(mean(&by_particles(&s, 64)), 0.0, "{lamp} {turn}");
@@ -185,9 +185,9 @@ fn a_lamp_in_a_ceiling_shines_as_without() {
                         assert!(close && *b > 0.1, "{what}: {a} instead of {b} {turn}");
                     }
                 };
-                for technique in TECHNIQUES {
-                    let (a, b) = (by(&s, technique, 256), by(&without, technique, 256));
-                    same(&a, &b, &format!("{technique:?}"));
+                for estimator in TECHNIQUES {
+                    let (a, b) = (by(&s, estimator, 256), by(&without, estimator, 256));
+                    same(&a, &b, &format!("{estimator:?}"));
                 }
                 same(
                     &by_particles(&s, 256),
@@ -243,8 +243,8 @@ fn elements_see_a_lamp_in_a_ceiling() {
             ..s.settings
         };
         let theta = Theta::constant(s.params().values());
-        let technique = Estimator::Mis;
-        let paths = render_f32(&Job::new(&s, &settings, 3, 0..4096, &()), &theta, technique);
+        let estimator = Estimator::Mis;
+        let paths = render_f32(&Job::new(&s, &settings, 3, 0..4096, &()), &theta, estimator);
         [mean(&elements.flat().data), mean(&paths.image(0).data)]
     });
     println!("{means:?}");
@@ -359,9 +359,9 @@ fn lamps_reflect_nothing_unless_they_say_so() {
     for (inside, expected) in [("", 0.5), (dark, 0.0), (&*both, 0.25)] {
         let floor = plate("rectangle", inside, 40.0, 0.0, true, "");
         let s = scene(&[&view(1.9, 6, ""), sky, &floor].concat());
-        for technique in TECHNIQUES {
-            let found = mean(&by(&s, technique, 256));
-            assert!((found - expected).abs() < 0.02, "{technique:?}: {found}");
+        for estimator in TECHNIQUES {
+            let found = mean(&by(&s, estimator, 256));
+            assert!((found - expected).abs() < 0.02, "{estimator:?}: {found}");
         }
     }
 }
@@ -381,12 +381,12 @@ fn curved_lights_hide_their_far_side() {
         );
         let s = scene(&body);
         let theta = Theta::constant(s.params().values());
-        let run = |technique, first: u64| {
+        let run = |estimator, first: u64| {
             let one = |seed| {
                 let r = render_f32(
                     &Job::new(&s, &s.settings, seed, 0..64, &()),
                     &theta,
-                    technique,
+                    estimator,
                 );
                 mean(&r.image(0).data)
             };

@@ -693,17 +693,17 @@ fn all() -> impl Iterator<Item = (Case, Scene)> {
 fn assert_same(what: &str, s: &Scene, settings: &Settings, techniques: &[Estimator]) {
     let theta = Theta::constant(s.params().values());
     let (seed, spp) = (3, 8);
-    for &technique in techniques {
-        let single = match technique {
+    for &estimator in techniques {
+        let single = match estimator {
             Estimator::Detached => single::<f32, BsdfOnly<Detached>>,
             Estimator::Emitter => single::<f32, EmitterOnly<Detached>>,
             _ => single::<f32, DetachedMis>,
         };
         let expected = single(s, &theta, settings, seed, spp).swap_remove(0);
-        assert!(expected.iter().any(|x| *x > 0.0) || technique != Estimator::Mis);
-        let r = render_f32(&Job::new(s, settings, seed, 0..spp, &()), &theta, technique);
+        assert!(expected.iter().any(|x| *x > 0.0) || estimator != Estimator::Mis);
+        let r = render_f32(&Job::new(s, settings, seed, 0..spp, &()), &theta, estimator);
         assert_eq!(r.non_finite.count, 0);
-        assert!(r.sums[0] == expected, "{what} {technique:?} {settings:?}");
+        assert!(r.sums[0] == expected, "{what} {estimator:?} {settings:?}");
     }
 }
 

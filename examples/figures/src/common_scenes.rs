@@ -102,6 +102,17 @@ pub struct Plates {
     pub cells: [[[f64; 2]; 4]; 4],
 }
 
+impl Plates {
+    /// Top left corner and size of a window around the mirror image of lamp j in plate i, pixels: 1/32 of the width of the
+    /// picture, half as high.
+    pub fn window(&self, width: u32, i: usize, j: usize) -> [[u32; 2]; 2] {
+        let (w, h) = ((width / 32).max(4), (width / 64).max(2));
+        let [x, y] = self.cells[i][j];
+        let low = |c: f64, n: u32| (c - 0.5 * f64::from(n)).round().max(0.0) as u32;
+        [[low(x, w), low(y, h)], [w, h]]
+    }
+}
+
 /// Positions of the lamps.
 const LAMPS: [[f64; 3]; 4] = [
     [-3.75, 4.0, 0.0],

@@ -5,6 +5,7 @@
 
 pub mod christensen;
 pub mod common_scenes;
+pub mod differences;
 pub mod own;
 pub mod stam;
 pub mod statistics;

@@ -20,6 +20,7 @@ use crate::cli::{
 };
 use crate::output;
 use crate::progress::{Bar, Interrupt};
+use crate::ranks::median;
 use crate::tools::stability::Finding;
 use crate::{complain, print, say};
 
@@ -496,7 +497,7 @@ impl Run<'_> {
         repeats: u64,
     ) -> Result<Option<(Series, f64)>, ToolError> {
         let span = Span::of(self.scene, info);
-        let (technique, step) = if info.kind.is_motion() {
+        let (estimator, step) = if info.kind.is_motion() {
             if span.most <= 0.0 {
                 return Err(ToolError::Usage(format!(
                     "--reference fd: a value of `{}` is at an end of its interval, and cannot move both ways",
@@ -524,7 +525,7 @@ impl Run<'_> {
             }
         };
         let what = ("finite differences", 1);
-        let found = self.differences(what, info, (technique, step), repeats)?;
+        let found = self.differences(what, info, (estimator, step), repeats)?;
         Ok(found.map(|mut series| {
             series.doubt(span.rounding / step);
             (series, step)
@@ -537,7 +538,7 @@ impl Run<'_> {
         &mut self,
         (what, stream): (&str, u64),
         info: &ParamInfo,
-        (technique, step): (Estimator, f64),
+        (estimator, step): (Estimator, f64),
         repeats: u64,
     ) -> Result<Option<Series>, ToolError> {
         let single = self.scene.params().values().to_vec();
@@ -555,7 +556,7 @@ impl Run<'_> {
                 }
                 let theta = Theta::constant(&moved);
                 let job = Job::new(scene, &settings, seed, 0..spp, bar);
-                Ok::<_, RenderError>(render_f64(&job, &theta, technique))
+                Ok::<_, RenderError>(render_f64(&job, &theta, estimator))
             };
             let mut difference = |h: f64| {
                 let (up, down) = (at(h)?, at(-h)?);
@@ -803,10 +804,9 @@ fn row(
     let mean = series.mean();
     let variance = series.variance();
     let variance = variance.iter().sum::<f64>() / variance.len() as f64 * f64::from(settings.spp);
-    let mut seconds = series.seconds.clone();
-    seconds.sort_by(f64::total_cmp);
     let pixels = series.sum.len() as f64 / 3.0;
-    let seconds_per_sample = seconds[seconds.len() / 2] / pixels / f64::from(settings.spp);
+    let seconds_per_sample =
+        median(&series.seconds).unwrap_or(0.0) / pixels / f64::from(settings.spp);
     let exact = truth.image();
     let rms = |image: &[f64]| {
         let squares = image.iter().zip(&exact).map(|(a, b)| (a - b).powi(2));

@@ -699,15 +699,15 @@ impl Scene {
         let guard = self.through(sensor)?;
         let scene: &render::Scene = &guard;
         let settings = settings(scene, spp);
-        let technique = Estimator::from_name(estimator).map_err(Error::from)?;
+        let estimator = Estimator::from_name(estimator).map_err(Error::from)?;
         let total = scene.film.pixels() as u64;
         let found = work(py, total, progress.as_ref(), |progress| {
             let job = Job::new(scene, &settings, seed, 0..settings.spp.into(), progress);
             Ok(if double {
                 let values: Vec<f64> = scene.params().values().iter().map(|&v| v.into()).collect();
-                render_f64(&job, &Theta::constant(&values), technique)
+                render_f64(&job, &Theta::constant(&values), estimator)
             } else {
-                render_f32(&job, &Theta::constant(scene.params().values()), technique)
+                render_f32(&job, &Theta::constant(scene.params().values()), estimator)
             })
         })?;
         warn_of(py, &found.non_finite, found.width, seed)?;

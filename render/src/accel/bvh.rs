@@ -41,7 +41,7 @@ pub(super) enum Kind {
     Block(usize, usize),
     /// A curved primitive.
     Curved(usize),
-    /// Nothing, which no ray enters.
+    /// An empty place, which no ray enters.
     Nothing,
 }
 

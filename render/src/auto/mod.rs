@@ -7,7 +7,7 @@
 //! importance sampling for integrands with a sign, where the densities of the primal samples (balance and
 //! power heuristic) say little about the spread of derivatives.
 //!
-//! Work is counted in samples of [`Estimator::Mis`] ([`costs`]), not by a clock: the same seed
+//! Work is counted in samples of [`Estimator::Mis`] ([`costs()`]), not by a clock: the same seed
 //! gives the same mixture. Pilots run in forward mode; what they find is for passes in the mode that is asked for,
 //! in which other estimators may be cheap.
 //!
@@ -123,7 +123,7 @@ pub fn candidates(scene: &Scene) -> Vec<Estimator> {
             out.push(Estimator::Reparameterised);
         }
     }
-    // Nobody else sees what moves, and edges are not seen over mirrors and glass.
+    // No other estimator sees what moves, and edges are not seen over mirrors and glass.
     if scene.params().infos().iter().any(|i| i.kind.is_motion()) {
         out.push(if scene.scatters_deltas() {
             Estimator::ReparameterisedMis
@@ -143,7 +143,7 @@ pub fn candidates(scene: &Scene) -> Vec<Estimator> {
 /// Every parameter is measured by itself if that leaves enough samples, otherwise all those of one
 /// material or emitter together, or all of them. The first candidate that sees the parameters is taken where not
 /// even that fits, and where few samples carry most of its variance: then nothing was measured. With a budget that does
-/// not even suffice for [`costs`], its samples count as those of `mis`.
+/// not even suffice for [`costs()`], its samples count as those of `mis`.
 ///
 /// # Errors
 /// An unknown name, an adjoint of the wrong size, a parameter that no candidate sees.

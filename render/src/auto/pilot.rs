@@ -127,7 +127,7 @@ impl Trials {
 /// since a sum of estimators has the biases of all of them.
 ///
 /// # Errors
-/// None of them does, with the last one's reason; or there are none.
+/// No candidate sees it, with the reason of the last one, or there are no candidates.
 pub fn able(
     scene: &Scene,
     info: &ParamInfo,

@@ -30,7 +30,7 @@ impl Charted {
         }
     }
 
-    /// Of the surface.
+    /// The chart of the surface.
     pub fn chart(&self) -> &Arc<Chart> {
         &self.chart
     }

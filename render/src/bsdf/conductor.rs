@@ -56,7 +56,7 @@ pub struct ConductorLobe<R> {
 }
 
 impl<R: Real> ConductorLobe<R> {
-    /// Without tangents.
+    /// The same values without tangents.
     #[inline]
     pub fn primal(&self) -> ConductorLobe<R::Primal> {
         ConductorLobe {

@@ -38,7 +38,7 @@ impl<R: Real> Dielectric<R> {
 }
 
 impl<P: Float> Dielectric<P> {
-    /// Without tangents.
+    /// The same values, with tangents that are zero.
     #[inline]
     fn lift<R: Real<Primal = P>>(&self) -> Dielectric<R> {
         Dielectric {

@@ -223,7 +223,7 @@ fn twentieth<R: Real>(x: R) -> R {
 }
 
 impl<R: Real> HairLobe<R> {
-    /// Of evaluated parameters.
+    /// From evaluated parameters.
     fn new(fibre: &Fibre<R>) -> Self {
         Self::new_in_line(fibre)
     }

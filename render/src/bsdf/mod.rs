@@ -260,7 +260,7 @@ impl<R: Real> Passage<R> {
         }
     }
 
-    /// As a sample.
+    /// The same as a sample.
     #[inline(always)]
     fn sample(&self) -> Option<BsdfSample<R>> {
         let kind = if self.reflects {

@@ -299,7 +299,7 @@ impl<T> Principled<T> {
 }
 
 impl Reflectivity {
-    /// The index.
+    /// The relative index of refraction.
     #[inline]
     fn index<R: Real>(&self, read: &mut impl Reader<R>) -> R {
         match self {
@@ -418,7 +418,7 @@ fn opaque<S: Real>(metallic: S, transmission: Option<S>) -> S {
     transmission.map_or(matt, |t| matt * (-t + S::c(1.0)))
 }
 
-/// What is glass.
+/// The share that is glass, of what is not metal.
 #[inline(always)]
 fn glass<S: Real>(metallic: S, transmission: S) -> S {
     (-metallic + S::c(1.0)) * transmission

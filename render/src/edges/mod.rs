@@ -336,7 +336,7 @@ impl Curve {
         (sine < 1.0 - 1e-5 && across).then(|| (to.normalize(), sine))
     }
 
-    /// A length.
+    /// How long it is.
     fn length(&self) -> f64 {
         match self.kind {
             CurveKind::Tube(_) => self.axes[0].length(),

@@ -62,7 +62,7 @@ impl Topology {
         for (shape, i) in shapes.iter().zip(0..) {
             match shape {
                 AnyShape::Mesh(mesh) => all.mesh(i, mesh),
-                // Who asks for edges wants them where they are.
+                // Edges are asked for where they are.
                 AnyShape::Instance(instance) => all.mesh(i, &instance.copied()),
                 AnyShape::Rectangle(_) | AnyShape::Cube(_) => all.patches(i, shape),
                 AnyShape::Sphere(sphere) => {

@@ -130,7 +130,7 @@ pub(super) struct Tree {
     items: Vec<u32>,
 }
 
-/// Who looks for outlines, and what matters there.
+/// The point from which outlines are looked for, and what matters there.
 pub(crate) struct Seeker<'a> {
     /// The point of view.
     pub from: Vec3<f64>,

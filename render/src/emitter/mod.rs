@@ -390,7 +390,7 @@ pub trait Emitter: Send + Sync {
     /// Says that this parameter is that.
     fn make_movable(&mut self, _p: ParamRef) {}
 
-    /// That parameter.
+    /// The parameter that moves it, if there is one.
     fn moved_by(&self) -> Option<ParamRef> {
         None
     }

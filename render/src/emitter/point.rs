@@ -32,7 +32,7 @@ impl Point {
         }
     }
 
-    /// World space.
+    /// Where it is, world space.
     pub fn position(&self) -> [f32; 3] {
         self.position
     }

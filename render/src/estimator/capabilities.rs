@@ -1,4 +1,5 @@
-//! What an estimator can do, and what it refuses: read from its type, once, by whoever lists or judges estimators.
+//! What an estimator can do, and what it refuses: read from its type, in one place, for all that list or judge
+//! estimators.
 
 use std::fmt;
 
@@ -107,7 +108,7 @@ impl Failure {
         Self::RaysAtRest,
     ];
 
-    /// Its number.
+    /// Its number in `docs/errata.md`.
     pub const fn number(self) -> &'static str {
         match self {
             Self::ConstantWeights => "F3",
@@ -120,7 +121,7 @@ impl Failure {
         }
     }
 
-    /// In words.
+    /// What goes wrong, in words.
     pub const fn name(self) -> &'static str {
         match self {
             Self::ConstantWeights => "attached samples with constant MIS weights",
@@ -139,7 +140,7 @@ impl Failure {
 pub struct Failures(u8);
 
 impl Failures {
-    /// These.
+    /// The set of these.
     pub const fn of(failures: &[Failure]) -> Self {
         let mut out = Self(0);
         let mut i = 0;
@@ -164,7 +165,7 @@ impl Failures {
         self.0 == 0
     }
 
-    /// Each of them.
+    /// Those that are in the set.
     pub fn iter(self) -> impl Iterator<Item = Failure> {
         Failure::ALL.into_iter().filter(move |f| self.contains(*f))
     }

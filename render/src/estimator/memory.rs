@@ -20,11 +20,11 @@ pub trait Store<T>: Copy + Debug + Default {
     fn get(&self) -> Option<T>;
 }
 
-/// It is remembered.
+/// What is to be kept is kept.
 #[derive(Clone, Copy, Debug)]
 pub struct Keep;
 
-/// It is not.
+/// What is to be kept is dropped, and takes no room.
 #[derive(Clone, Copy, Debug)]
 pub struct Forget;
 

@@ -71,7 +71,7 @@ pub enum Follows {
 }
 
 impl Follows {
-    /// Whether they do.
+    /// Whether they follow any.
     pub const fn any(self) -> bool {
         !matches!(self, Self::Nothing)
     }
@@ -93,14 +93,14 @@ pub type Geometry<S, R> = <<S as Strategy>::Bsdf as Sampling>::Geometry<R>;
 pub enum Edges {
     /// None: they are constants, or move as the whole path does.
     None,
-    /// Those along deltas are constants: only weights are differentiated, which they have not.
+    /// Only weights are differentiated. Edges along deltas have none, and are constants.
     Weighed,
     /// All of them move.
     All,
 }
 
 impl Edges {
-    /// Those of `S`.
+    /// Those that strategy `S` differentiates.
     pub const fn of<S: Strategy>() -> Self {
         match S::Bsdf::DIRECT {
             Direct::AsPath if S::Bsdf::DETACHED_PATH && S::DIFFERENTIATED_WEIGHTS => Self::Weighed,

@@ -43,7 +43,7 @@ impl Heuristic for Power {
     type Primal = Self;
     #[inline]
     fn weight<R: Real>(a: R, b: R) -> R {
-        // The larger one is anybody's guess: nothing to branch on.
+        // Which one is larger cannot be predicted: no branch.
         let wins = a.primal() >= b.primal();
         let r = R::select(wins, b, a) / R::select(wins, a, b);
         let r2 = r * r;

@@ -116,7 +116,7 @@ impl Lobed {
         }
     }
 
-    /// Largest offset.
+    /// The largest offset, pixels.
     pub fn radius(&self) -> f64 {
         self.radius
     }

@@ -9,7 +9,7 @@
 //!
 //! `radiance sent along it x importance of its receiver towards it x variation of its kernel`
 //!
-//! is above a tolerance: directions that matter to nobody and parts of the scene that send nothing to
+//! is above a tolerance: directions that do not matter and parts of the scene that send nothing to
 //! the camera stay coarse. Without importance every surface counts as what it reflects.
 //!
 //! With `G` the links, `R` reflection and `P` the sum over levels, `S = P R` is symmetric and

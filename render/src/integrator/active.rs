@@ -168,7 +168,7 @@ impl Active {
         self
     }
 
-    /// Who watches the noise of these, if somebody wants to know.
+    /// Sums for the noise of derivatives in these, if that is asked for.
     pub(super) fn watch(&self) -> Option<Watch> {
         if self.scales.is_empty() {
             return None;

@@ -14,7 +14,7 @@ use super::chain_trail::ChainTrail;
 use super::exact::ExactBuffer;
 use super::pass::Pass;
 use super::path::Context;
-use super::paths::{TileSums, assemble, deposit};
+use super::paths::{JOBS, TileSums, assemble, deposit};
 use super::progress::Progress;
 use super::record::{
     Bounce, Contribution, Interest, MetLight, Observer, PathRecord, Place, Recorder,
@@ -35,17 +35,17 @@ use crate::sampler::{Family, Independent, Sampler};
 use crate::scene::{Connections, Scene, Settings, Starts};
 use crate::shape::SurfaceInteraction;
 
-/// What chains and glints say of parameters that move them and of whoever leaves them out.
+/// Paths that are found by solving equations, chains or glints, in errors: they have no derivatives in what moves them, and some
+/// passes leave them out.
 pub(super) struct Solved {
-    /// What is solved for.
+    /// What they are called.
     pub these: &'static str,
-    /// What they would have to be asked for with.
+    /// The option that leaves them out.
     pub option: &'static str,
-    /// The error for a reason.
+    /// Makes an error of a sentence.
     pub error: fn(String) -> RenderError,
 }
 
-/// Of chains.
 const CHAINS: Solved = Solved {
     these: "chains",
     option: "--manifold off",
@@ -53,10 +53,11 @@ const CHAINS: Solved = Solved {
 };
 
 impl Solved {
-    /// Whether there are the derivatives that are asked for: those that leave what is solved for where it is.
+    /// Refuses derivatives that they do not have: those by paths that move as a whole, and those in parameters that move
+    /// something.
     ///
     /// # Errors
-    /// Names the parameter that moves it, or the reason.
+    /// Names the parameter, or the reason.
     pub fn check<'a, S: Strategy>(
         &self,
         moving: impl IntoIterator<Item = &'a ParamInfo>,
@@ -92,7 +93,7 @@ impl Solved {
         Ok(())
     }
 
-    /// That somebody leaves them out.
+    /// The error for a pass that leaves their light out; `whose`: what it computes.
     pub fn left_out(&self, whose: &str) -> RenderError {
         (self.error)(format!(
             "{whose} leave out their light; expected `{}`",
@@ -116,10 +117,10 @@ pub(super) fn check<'a, S: Strategy>(
     CHAINS.check::<S>(moving)
 }
 
-/// That there are none, where something else has no part for them.
+/// Refuses connections in a pass that leaves their light out; `whose`: what it computes.
 ///
 /// # Errors
-/// That there are.
+/// The settings ask for connections.
 pub(super) fn refuse(settings: &Settings, whose: &str) -> Result<(), RenderError> {
     match settings.connections {
         Some(_) => Err(CHAINS.left_out(whose)),
@@ -129,9 +130,6 @@ pub(super) fn refuse(settings: &Settings, whose: &str) -> Result<(), RenderError
 
 /// How paths scatter on their way to where they are connected, whatever the estimator of the others.
 pub(super) type Scattering = BsdfOnly<Detached>;
-
-/// The sum is made of this many parts, whatever the number of threads.
-const JOBS: usize = 128;
 
 /// A number in another precision.
 fn number<R: Real>(x: f64) -> R {

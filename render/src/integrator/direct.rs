@@ -122,7 +122,7 @@ pub struct Weighing<R> {
 }
 
 impl<R: Real> Weighing<R> {
-    /// That of `S`.
+    /// How strategy `S` weighs.
     pub fn of<S: Strategy>() -> Self {
         Self {
             hit: S::SAMPLES_EMITTERS.then_some(S::weight_hit),

@@ -17,7 +17,7 @@ use crate::prefetch::prefetch;
 const FIRST: i32 = 14;
 /// One quantum is `2^STEP` of the next level's below.
 const STEP: i32 = 40;
-/// Where the number that somebody expects to be large has its leading bit. What adjoints are multiplied by on their
+/// Where the number that is expected to be large has its leading bit. What adjoints are multiplied by on their
 /// way is rarely more than `2^(FIRST + STEP - EXPECTED)`, and rarely less than `2^(FIRST - EXPECTED)`.
 const EXPECTED: i32 = 42;
 /// An integer of this size hands its upper bits to the next level. Hundreds of threads may add the largest number of a

@@ -9,7 +9,7 @@ use super::active::Active;
 use super::connections::{Solved, emission, vector};
 use super::exact::ExactBuffer;
 use super::pass::Pass;
-use super::paths::{TileSums, assemble, deposit};
+use super::paths::{JOBS, TileSums, assemble, deposit};
 use super::progress::Progress;
 use super::record::{Bounce, Contribution, MetLight, Observer, PathRecord, Place, Recorder};
 use super::rendering::{Components, NonFinite, Rendering};
@@ -28,7 +28,6 @@ use crate::params::ParamInfo;
 use crate::sampler::{Family, Independent, Points, Sampler};
 use crate::scene::{Scene, Settings};
 
-/// What is said of glints.
 const GLINTS: Solved = Solved {
     these: "glints",
     option: "--glints off",
@@ -46,19 +45,16 @@ pub(super) fn check<'a, S: Strategy>(
     }
 }
 
-/// That there are none, where something else has no part for them.
+/// Refuses glints in a pass that leaves their light out; `whose`: what it computes.
 ///
 /// # Errors
-/// That there are.
+/// The settings ask for glints.
 pub(super) fn refuse(settings: &Settings, whose: &str) -> Result<(), RenderError> {
     match settings.glints {
         Some(_) => Err(GLINTS.left_out(whose)),
         None => Ok(()),
     }
 }
-
-/// The sum is made of this many parts, whatever the number of threads.
-const JOBS: usize = 128;
 
 /// Finds the glints of a pass, sample by sample.
 struct Seeking<'a, P: Float> {
@@ -77,7 +73,7 @@ struct Seeking<'a, P: Float> {
     came_to: Statistics,
 }
 
-/// Who finds the glints of a pass, and on which shapes. `None` if nobody does.
+/// What finds the glints of a pass, and on which shapes; `None` where glints are not looked for.
 fn finder<'a, R: Real>(pass: &'a Pass<'a, R>) -> Option<(Finder<'a, R::Primal>, &'a [bool])> {
     let (split, options) = (pass.split.as_deref()?, pass.settings.glints?);
     let glinty = split.glinty();

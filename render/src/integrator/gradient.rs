@@ -33,7 +33,7 @@ use crate::sampler::Sampler;
 /// on the number of threads.
 ///
 /// # Does not handle
-/// Deltas in the parameter, and what becomes visible or hidden: detached sampling.
+/// What the [`Capabilities`](crate::estimator::Capabilities) of the strategy say that it does not see.
 ///
 /// # Errors
 /// An adjoint image of the wrong size; an estimator that the scene's discontinuities would bias

@@ -73,15 +73,8 @@ pub(crate) fn arrivals<S: Strategy, X: Sampler>(
         if progress.cancelled() {
             return out;
         }
-        let context = Context {
-            scene,
-            theta: &theta,
-            settings,
-            shifts: &[],
-            caustics: settings.caustics_of::<S>(scene),
-            split: None,
-            progress,
-        };
+        let caustics = settings.caustics_of::<S>(scene);
+        let context = Context::new(scene, &theta, settings, caustics, progress);
         let mut paths = Paths::<f32, S, X, _>::new(PathRecord::default());
         tiles[i].trace(&context, (seed, &samples), &mut paths, |_, _, _, path| {
             let arrivals = &mut out;

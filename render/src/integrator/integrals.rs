@@ -20,7 +20,7 @@ use super::sink::GradientSums;
 use crate::estimator::Strategy;
 use crate::sampler::Sampler;
 
-/// What of a pass somebody wants to know.
+/// What of a pass is asked for.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Wanted {
     /// Who finds light besides paths.

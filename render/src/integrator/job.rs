@@ -13,7 +13,7 @@ use crate::scene::{Scene, Settings};
 ///
 /// let text = r#"<scene version="3.0.0"><sensor type="perspective"><float name="fov" value="40"/></sensor></scene>"#;
 /// let (scene, _) = Scene::from_xml(text, "".as_ref(), &Default::default())?;
-/// // Sixteen samples of every pixel with seed 1, as the scene file wants them; nobody is told how far they are.
+/// // Sixteen samples of every pixel with seed 1, as the scene file wants them, without reports of progress.
 /// let job = Job::new(&scene, &scene.settings, 1, 0..16, &());
 /// assert_eq!(job.samples, 0..16);
 /// # Ok::<(), render::SceneError>(())
@@ -28,7 +28,7 @@ pub struct Job<'a> {
     pub seed: u64,
     /// Which samples of each pixel: ranges that do not overlap are independent, and their sums add up.
     pub samples: Range<u64>,
-    /// Who is told, and may stop it.
+    /// Is told how far it is, and may stop it.
     pub progress: &'a dyn Progress,
 }
 

@@ -27,6 +27,7 @@ use super::record::{
     Bounce, Contribution, EmittedLight, NormalsLight, Observer, Place, SeenVertex,
 };
 use super::rendering::{Components, NonFinite, Rendering};
+use super::vertex::interest::has_pair;
 use super::vertex::light::{has_tangent, matters};
 use super::vertex::roulette::{play, probability, roulette_weight};
 use super::vertex::{assert_finite, part_of};
@@ -423,8 +424,7 @@ impl<R: Real, X: Sampler> Particle<R, X> {
         }
         let splits = context.differential
             && const { O::ENABLED || !R::IS_PRIMAL }
-            && (!O::ENABLED || observer.differentiates_roughness(info.material))
-            && here.material.has_differential();
+            && has_pair(observer, info.material, here.material);
         if splits && !self.beta.is_black() {
             self.split(context, &hit, wo, observer, splat);
         }

@@ -75,7 +75,7 @@ impl<'a, R: Real> Pass<'a, R> {
         }
     }
 
-    /// The same pass, which reports to somebody else.
+    /// The same pass with another progress to report to.
     pub fn reporting<'b>(&'b self, progress: &'b dyn Progress) -> Pass<'b, R> {
         Pass {
             samples: self.samples.clone(),

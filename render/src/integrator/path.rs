@@ -59,6 +59,25 @@ pub struct Context<'a, R: Real> {
 }
 
 impl<'a, R: Real> Context<'a, R> {
+    /// For paths in a scene whose samples of emitters stand still, and that leave nothing to manifold connections.
+    pub(super) fn new(
+        scene: &'a Scene,
+        theta: &'a Theta<'a, R>,
+        settings: &'a Settings,
+        caustics: Caustics,
+        progress: &'a dyn Progress,
+    ) -> Self {
+        Self {
+            scene,
+            theta,
+            settings,
+            shifts: &[],
+            caustics,
+            split: None,
+            progress,
+        }
+    }
+
     /// The same where nothing moves: with the values of the parameters, `theta`.
     pub(super) fn still<'b>(&self, theta: &'b Theta<'b, R::Primal>) -> Context<'b, R::Primal>
     where
@@ -95,13 +114,8 @@ pub fn trace<R: Real, S: Strategy, X: Sampler, O: Observer<R>>(
     observer: &mut O,
 ) -> Rgb<R> {
     let context = Context {
-        scene,
-        theta,
-        settings,
         shifts: &shifts::<R, S>(scene, theta),
-        caustics: Caustics::Paths,
-        split: None,
-        progress: &(),
+        ..Context::new(scene, theta, settings, Caustics::Paths, &())
     };
     Walk::<R, S, X>::new(ray, sampler).finish(&context, observer)
 }

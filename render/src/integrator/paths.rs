@@ -338,15 +338,8 @@ impl<P: Float, S: Strategy, X: Sampler> LocalFn<P> for Again<'_, P, S, X> {
             seed,
             ..
         } = *self.pass;
-        let context = Context {
-            scene,
-            theta,
-            settings,
-            shifts: &[],
-            caustics: Caustics::Paths,
-            split: None,
-            progress: self.pass.progress,
-        };
+        let progress = self.pass.progress;
+        let context = Context::new(scene, theta, settings, Caustics::Paths, progress);
         start::<R, S, X>(scene, settings.points, seed, self.at.pixel, self.at.index)
             .finish(&context, &mut ())
     }

@@ -15,7 +15,7 @@ use crate::estimator::{self, Strategy, Unbiased};
 use crate::params::{ParamInfo, Theta};
 use crate::sampler::Sampler;
 
-/// Renders the samples `samples` of every pixel with seed `seed`.
+/// The image of a job: sums over its samples of every pixel of the crop window, `[height][width][3]`, linear RGB.
 ///
 /// Over a dual number, the result holds the derivative images of its tangents as well (forward mode).
 /// It depends on the arguments only, not on the number of threads.

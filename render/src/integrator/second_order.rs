@@ -13,7 +13,7 @@
 //! Samples, densities and weights are constants (detached), in the first and the second derivative:
 //! the estimate is the integrand's second derivative over a density that does not move, right for
 //! the same reasons. Paths are recorded with plain numbers and evaluated once more over
-//! `Dual<Dual<P, 1>, 4>`: the inner tangent along `v`, the outer ones in four texels at a time. No
+//! `Dual<Dual<P, 1>, 8>`: the inner tangent along `v`, the outer ones in eight texels at a time. No
 //! ray is traced for it.
 //!
 //! # Noise and bias

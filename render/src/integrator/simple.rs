@@ -26,7 +26,7 @@ use ad_core::{Float, Real, Vec2, Vec3};
 
 use super::vertex::MODE;
 use super::vertex::interest::is_straight;
-use super::vertex::light::mis_weight;
+use super::vertex::light::{density, mis_weight};
 use crate::bsdf::{Bsdf, Component, Part, Shading, Use};
 use crate::emitter::{Emission, Emitter};
 use crate::estimator::{DetachedMis, Strategy};
@@ -40,16 +40,19 @@ use crate::scene::Scene;
 pub struct Vertex<P> {
     /// Throughput from the camera.
     beta: Rgb<P>,
-    /// Material, surface coordinates, and the direction that the path came from (local frame).
-    surface: Option<(u32, Vec2<P>, Vec3<P>)>,
-    /// How the surface was used: a direction (local frame), what it belongs to, and the light that was sampled there; none
-    /// for the direction of the edge.
-    uses: Vec<(Vec3<P>, Component, Option<Light<P>>)>,
-    /// One over the density of the direction of the edge.
-    weight: P,
+    /// None at the camera.
+    surface: Option<Surface<P>>,
+    /// The light that was sampled, and the direction to it (local frame).
+    sampled: Option<(Vec3<P>, Light<P>)>,
+    /// Direction of the edge (local frame), what it belongs to, and one over its density; none at the camera, and where the
+    /// path ends.
+    edge: Option<(Vec3<P>, Component, P)>,
     /// Light that the edge met.
     met: Vec<Light<P>>,
 }
+
+/// Material, surface coordinates, and the direction that the path came from (local frame).
+type Surface<P> = (u32, Vec2<P>, Vec3<P>);
 
 /// Emitted light: an emitter, where on it, and what it is multiplied by (its MIS weight; if sampled, over its density).
 #[derive(Clone, Copy, Debug)]
@@ -59,7 +62,8 @@ pub struct Light<P> {
     weight: P,
 }
 
-/// Follows a path of at most `max_depth` edges from a camera ray; the scene says whether the first one meets lights. `theta` decides about directions only.
+/// Follows a path of at most `max_depth` edges from a camera ray; whether the first of them meets lights is a setting of the
+/// scene. `theta` decides about directions only.
 ///
 /// # Reference
 /// [Zeltner 2021, section 2.5.1].
@@ -73,23 +77,25 @@ pub fn trace<P: Float>(
     let vertex = |beta, surface| Vertex {
         beta,
         surface,
-        uses: Vec::new(),
-        weight: P::one(),
+        sampled: None,
+        edge: None,
         met: Vec::new(),
     };
     let share = |emitter: u32| P::of(scene.shares().of(emitter as usize));
-    let mut here = vertex(Rgb::splat(P::one()), None);
     let mut path = Vec::new();
-    // The point that the edge left, and the density of its direction: zero for the camera and for mirrors.
+    // The vertex that the edge leaves, and what it multiplies the throughput by: value over density.
+    let (mut here, mut step) = (vertex(Rgb::splat(P::one()), None), Rgb::splat(P::one()));
+    // The point there, and the density of the direction: zero for the camera and for mirrors.
     let (mut from, mut pdf) = (ray.o, P::zero());
     let mut bent = false;
     for depth in 1..=max_depth {
         // ---- Light that the edge meets ----
-        let hit = (scene.seen(&ray, scene.settings.hides(depth)))
-            .map(|hit| scene.interaction(&Theta::still(), &ray, &hit));
+        let hidden = scene.settings.hides(depth);
+        let hit = scene.seen(&ray, hidden);
+        let hit = hit.map(|hit| scene.interaction(&Theta::still(), &ray, &hit));
         let si = hit.as_ref().map(|hit| &hit.si);
         let emitters = match &hit {
-            _ if scene.settings.hides(depth) => &[],
+            _ if hidden => &[],
             None if scene.settings.hides_sky(bent) => &[],
             Some(hit) => scene.shape_info(hit.shape).emitter.as_slice(),
             None => scene.infinite_emitters(),
@@ -120,57 +126,39 @@ pub fn trace<P: Float>(
         let bsdf = &scene.materials()[material as usize];
         let at = Shading::new(*theta, si.uv);
         let wo = si.frame.to_local(-ray.d);
-        // Along the edge that led here.
-        let along = here.uses.iter().find(|(.., light)| light.is_none());
-        let beta = match (here.surface, along) {
-            (Some(surface), Some((wi, component, _))) => {
-                here.beta * value(scene, theta, surface, *wi, *component) * here.weight
-            }
-            _ => here.beta,
-        };
-        path.push(std::mem::replace(
-            &mut here,
-            vertex(beta, Some((material, si.uv, wo))),
-        ));
+        let next = vertex(here.beta * step, Some((material, si.uv, wo)));
+        path.push(std::mem::replace(&mut here, next));
         sampler.seek(Purpose::Light.at(depth));
         let (choice, u) = (sampler.next_bits(), sampler.next_2d());
         let emitter = scene.shares().choose(choice, 1).0 as u32;
-        if let Some(e) = scene
-            .emitters()
-            .get(emitter as usize)
-            .filter(|_| !bsdf.is_delta())
+        let e = scene.emitters().get(emitter as usize);
+        if let Some(e) = e.filter(|_| !bsdf.is_delta())
             && let Some(sample) = e.sample(scene.lights(), si.p, u)
         {
             let wi = si.frame.to_local(sample.d);
-            let (pdf, rival) = (
-                sample.pdf * share(emitter),
-                bsdf.eval_pdf(&at, wo, wi, MODE).1,
-            );
+            let pdf = sample.pdf * share(emitter);
+            let (_, rival) = bsdf.eval_pdf(&at, wo, wi, MODE);
             let segment = si.shadow_ray(sample.d, sample.distance, exit, sample.surface);
             if pdf > P::zero() && rival > P::zero() && !scene.occluded(&segment) {
-                let weight = mis_weight::<DetachedMis, P>(!e.is_delta(), pdf, rival) / pdf;
                 let light = Light {
                     emitter,
                     emission: sample.emission,
-                    weight,
+                    weight: mis_weight::<DetachedMis, P>(!e.is_delta(), pdf, rival) / pdf,
                 };
-                here.uses.push((wi, Component::Continuous, Some(light)));
+                here.sampled = Some((wi, light));
             }
         }
 
         // ---- The next edge ----
         sampler.seek(Purpose::Scattering.at(depth));
-        let Some(sample) = bsdf.sample(&at, wo, sampler.next_3d(), MODE) else {
+        let Some((sample, f)) = bsdf.sample_eval(&at, wo, sampler.next_3d(), MODE) else {
             break;
         };
+        let weight = sample.pdf.recip();
+        here.edge = Some((sample.wi, sample.component, weight));
+        step = f * weight;
         bent |= !is_straight(sample.component, [P::one(), sample.eta]);
-        here.uses.push((sample.wi, sample.component, None));
-        here.weight = sample.pdf.recip();
-        from = si.p;
-        pdf = match sample.component {
-            Component::Continuous => sample.pdf,
-            Component::Delta { .. } => P::zero(),
-        };
+        (from, pdf) = (si.p, density(sample.component, || sample.pdf));
         ray = si.spawn_ray(si.frame.to_world(sample.wi), exit);
     }
     path.push(here);
@@ -181,7 +169,7 @@ pub fn trace<P: Float>(
 fn value<P: Float, R: Real<Primal = P>>(
     scene: &Scene,
     theta: &Theta<R>,
-    (material, uv, wo): (u32, Vec2<P>, Vec3<P>),
+    (material, uv, wo): Surface<P>,
     wi: Vec3<P>,
     component: Component,
 ) -> Rgb<R> {
@@ -210,22 +198,20 @@ pub fn radiance<P: Float, R: Real<Primal = P>>(
     path: &[Vertex<P>],
 ) -> Rgb<R> {
     path.iter().rev().fold(Rgb::black(), |next, v| {
-        let arrives = v
-            .met
-            .iter()
-            .fold(next, |l, light| l + emitted(scene, theta, light));
+        let met = v.met.iter().map(|light| emitted(scene, theta, light));
+        let arrives = met.fold(next, |l, le| l + le);
         let Some(surface) = v.surface else {
             return arrives;
         };
-        v.uses
-            .iter()
-            .fold(Rgb::black(), |l, (wi, component, light)| {
-                let incident = match light {
-                    Some(light) => emitted(scene, theta, light),
-                    None => arrives.scale(v.weight),
-                };
-                l + value(scene, theta, surface, *wi, *component) * incident
-            })
+        let mut leaves = Rgb::black();
+        if let Some((wi, light)) = &v.sampled {
+            let f = value(scene, theta, surface, *wi, Component::Continuous);
+            leaves += f * emitted(scene, theta, light);
+        }
+        if let Some((wi, component, weight)) = v.edge {
+            leaves += value(scene, theta, surface, wi, component) * arrives.scale(weight);
+        }
+        leaves
     })
 }
 
@@ -249,33 +235,30 @@ pub fn backward<P: Float>(
             Some(surface) => value(scene, theta, surface, wi, component),
             None => Rgb::splat(P::one()),
         };
-        let along = v.uses.iter().find(|(.., light)| light.is_none());
-        let beta = v.beta * along.map_or(Rgb::splat(P::one()), |(wi, c, _)| f(*wi, *c) * v.weight);
-        let arrives = v
-            .met
-            .iter()
-            .fold(next, |l, light| l + emit(light, beta, grad));
-        next = arrives;
-        if let Some((material, uv, wo)) = v.surface {
-            next = Rgb::black();
-            let mut uses = Vec::new();
-            for (wi, component, light) in &v.uses {
-                let f = f(*wi, *component);
-                let incident = match light {
-                    Some(light) => emit(light, v.beta * f, grad),
-                    None => arrives * v.weight,
-                };
-                next += f * incident;
-                let (wi, component, d) = (*wi, *component, d * v.beta * incident);
-                uses.push(Use {
-                    wi,
-                    component,
-                    part: Part::All,
-                    d,
-                });
-            }
-            let at = Shading::new(*theta, uv);
-            scene.materials()[material as usize].backward(&at, wo, &uses, MODE, grad);
+        let along = (v.edge).map_or(Rgb::splat(P::one()), |(wi, c, weight)| f(wi, c) * weight);
+        let met = v.met.iter().map(|light| emit(light, v.beta * along, grad));
+        let arrives = met.fold(next, |l, le| l + le);
+        let Some((material, uv, wo)) = v.surface else {
+            continue;
+        };
+        // Directions that the material was asked for, and what arrives from there.
+        let mut uses = Vec::new();
+        if let Some((wi, light)) = &v.sampled {
+            let f = f(*wi, Component::Continuous);
+            uses.push((*wi, Component::Continuous, emit(light, v.beta * f, grad)));
         }
+        uses.extend((v.edge).map(|(wi, component, weight)| (wi, component, arrives * weight)));
+        let leaves = uses.iter().map(|&(wi, component, l)| f(wi, component) * l);
+        next = leaves.fold(Rgb::black(), |l, leaves| l + leaves);
+        let uses: Vec<_> = (uses.into_iter())
+            .map(|(wi, component, l)| Use {
+                wi,
+                component,
+                part: Part::All,
+                d: d * v.beta * l,
+            })
+            .collect();
+        let at = Shading::new(*theta, uv);
+        scene.materials()[material as usize].backward(&at, wo, &uses, MODE, grad);
     }
 }

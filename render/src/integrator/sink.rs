@@ -20,7 +20,7 @@ pub struct Gradient {
     pub values: Vec<Vec<f64>>,
     /// What went wrong.
     pub non_finite: NonFinite,
-    /// How noisy the derivatives are, if somebody wants to know ([`Active::with_noise`]).
+    /// How noisy the derivatives are, if that is asked for ([`Active::with_noise`]).
     pub noise: Option<Noise>,
     /// Whether it was stopped early; the sums are then incomplete.
     pub cancelled: bool,
@@ -31,7 +31,7 @@ pub(super) struct Sink<'a> {
     active: &'a Active,
     pub(super) small: Vec<f64>,
     large: &'a ExactBuffer,
-    /// Where somebody wants to know the noise of pixels.
+    /// Sums for the noise of pixels, if that is asked for.
     pub(super) watch: Option<Watch>,
 }
 
@@ -135,7 +135,7 @@ pub(super) struct GradientSums {
 }
 
 impl GradientSums {
-    /// Of nothing.
+    /// All sums zero.
     pub fn zero(active: &Active) -> Self {
         Self {
             small: vec![0.0; active.small_len],

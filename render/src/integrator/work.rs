@@ -179,15 +179,8 @@ pub fn count_work<S: Strategy, X: Sampler>(job: &Job, active: &Active, mode: Mod
     } = job;
     let paths = job.count();
     let theta = Theta::constant(scene.params().values());
-    let context = Context {
-        scene,
-        theta: &theta,
-        settings,
-        shifts: &[],
-        caustics: settings.caustics_of::<S>(scene),
-        split: None,
-        progress,
-    };
+    let caustics = settings.caustics_of::<S>(scene);
+    let context = Context::new(scene, &theta, settings, caustics, progress);
     let [width, height] = scene.film.crop_size.map(|n| u64::from(n).max(1));
     let pixels = width * height;
     let part = |first| {

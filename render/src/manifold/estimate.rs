@@ -69,7 +69,7 @@ impl<'c> Asking<'c> {
         self.stopped()
     }
 
-    /// Whether none are.
+    /// Whether walks are not wanted any more.
     pub(crate) fn stopped(&self) -> bool {
         self.stopped.get()
     }

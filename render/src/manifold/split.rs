@@ -355,7 +355,7 @@ impl Split {
         whole && self.emitters[emitter as usize] && !self.by_paths
     }
 
-    /// Whether others find such light, or nobody does: that of chains, glints, and what is left out.
+    /// Whether paths leave such light out: other integrals find that of chains and glints, and some is left out on purpose.
     #[inline]
     pub fn excludes(&self, run: Run, emitter: u32) -> bool {
         match run.behind() {

@@ -136,7 +136,7 @@ pub(in crate::plugin) fn reason(tag: &str, plugin: &str) -> Option<&'static str>
     found.map(|(.., what)| *what)
 }
 
-/// What an attribute that nobody asked for would need, if it is known to be left out.
+/// What an attribute that was not asked for would need, if it is known to be left out.
 pub(in crate::plugin) fn attribute(tag: &str, name: &str) -> Option<&'static str> {
     let found = (ATTRIBUTES.iter()).find(|(t, names, _)| *t == tag && names.contains(&name));
     found.map(|(.., what)| *what)

@@ -59,7 +59,7 @@ impl Method {
     }
 }
 
-/// Which of the light over casters an image has, whoever finds it.
+/// Which of the light over casters an image has, by whatever integral.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum CasterLight {
     /// All of it: what connections cannot represent is left to paths.
@@ -130,7 +130,7 @@ impl Connections {
     pub const MOST_STEPS: u32 = 20;
     /// Largest trial set.
     pub const MOST_WALKS: u32 = 1 << 20;
-    /// Size of a trial set unless somebody says otherwise [Zeltner 2021, figure 3.13].
+    /// Size of a trial set by default [Zeltner 2021, figure 3.13].
     pub const TRIALS: u32 = 16;
 
     /// Unbiased, with chains of at most two vertices.

@@ -60,10 +60,10 @@ pub(super) struct Geometry {
     /// that particles see otherwise than paths do.
     pub casters: Vec<Ball>,
     wanted: Wanted,
-    /// Once somebody asks.
+    /// Found by the first call that asks for them.
     edges: OnceLock<Edges>,
     crossings: OnceLock<Crossings>,
-    /// `accel` without what emits, once somebody asks.
+    /// `accel` without what emits, built by the first call that asks for it.
     without_lamps: OnceLock<Accel>,
     /// Per shape, how it moves as a whole; empty as long as none does.
     placed: Vec<Option<Box<Placed>>>,
@@ -470,7 +470,7 @@ impl Geometry {
 
     /// What rays meet where there are no lamps. Primitives, surfaces and hits are those of `accel`.
     pub fn without_lamps(&self, infos: &[ShapeInfo], camera: &Camera) -> &Accel {
-        // Those who ask are threads at work: whoever makes it takes no other work in between, which might ask, too.
+        // As for crossings: it is threads at work that ask.
         let make = || parallel::alone(|| self.others(infos, camera));
         // The same primitives have been accepted before.
         (self.without_lamps).get_or_init(|| make().unwrap_or_else(|_| self.accel.clone()))

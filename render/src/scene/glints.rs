@@ -67,8 +67,8 @@ pub enum GlintTechniques {
 }
 
 impl Glints {
-    /// Size of a trial set unless somebody says otherwise [Zeltner 2021, figure 3.13].
-    pub const TRIALS: u32 = 16;
+    /// Size of a trial set by default [Zeltner 2021, figure 3.13].
+    pub const TRIALS: u32 = super::Connections::TRIALS;
 
     /// In cells, weighed by densities.
     pub fn new(method: GlintMethod) -> Self {

@@ -476,7 +476,7 @@ impl Scene {
         self.guide = guide;
     }
 
-    /// See [`Scene::casters`].
+    /// Balls around what throws caustics: particles that are to find them are sent towards one.
     pub(crate) fn casters(&self) -> &[Ball] {
         &self.geometry.casters
     }
@@ -557,7 +557,7 @@ impl Scene {
         let own = &self.geometry.shapes[shape as usize];
         let si = match self.geometry.drift(shape, theta) {
             None => own.interaction(theta, local, ray, hit),
-            // Who moves along sees the ray move back.
+            // Seen from the shape that moves, it is the ray that moves, the other way.
             Some(drift) => {
                 let seen = own.interaction(theta, local, &drift.ray_back(ray), hit);
                 seen.carried(&drift, own.carries_frame(local))
@@ -764,7 +764,7 @@ impl Scene {
             .occluded(o, d, length.to_f32(), [ray.from, *to])
     }
 
-    /// Edges of all shapes as they are: found when somebody asks, after every change anew.
+    /// Edges of all shapes as they are: found by the first call after every change.
     pub(crate) fn edges(&self) -> &Edges {
         self.geometry.edges()
     }
@@ -845,7 +845,7 @@ impl Scene {
         Ok(())
     }
 
-    /// A shape that is made of curves, whose outlines nobody knows.
+    /// A shape that is made of curves, whose outlines have no edges yet.
     pub(crate) fn curves(&self) -> Option<&ShapeInfo> {
         let mut all = self.infos.iter().zip(&self.geometry.shapes);
         all.find_map(|(info, shape)| matches!(shape, AnyShape::Curves(_)).then_some(info))

@@ -1,4 +1,4 @@
-//! What may move, and becomes a parameter when somebody asks for it.
+//! What may move, and becomes a parameter when it is asked for.
 
 use super::{Scene, ShapeInfo, sensor};
 use crate::accel::MAX_COORDINATE;

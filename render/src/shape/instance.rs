@@ -39,9 +39,9 @@ struct Placed {
     bounds: [[f32; 3]; 2],
     /// Largest coordinate, here or, carried, before.
     extent: f32,
-    /// Once somebody asks for it: a scene may have many instances.
+    /// Made by the first call that asks for it: a scene may have many instances.
     area: OnceLock<f64>,
-    /// Running sums of the triangles' areas, once somebody samples them.
+    /// Running sums of the triangles' areas, made when the first of them is sampled.
     cdf: OnceLock<Vec<f64>>,
 }
 

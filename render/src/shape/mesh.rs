@@ -62,7 +62,7 @@ pub(super) struct Data {
     extent: f32,
     /// Running sums of the triangles' areas: only meshes that emit need them.
     cdf: OnceLock<Vec<f64>>,
-    /// See [`Mesh::welding`], once somebody asks for it.
+    /// See [`Mesh::welding`]; made by the first call.
     pub welding: OnceLock<Arc<Welding>>,
 }
 
@@ -251,7 +251,7 @@ impl Mesh {
     }
 
     /// The mesh as the text of an OBJ file, in world space: positions, texture coordinates and normals where it has them, and
-    /// faces; no normals where they follow the positions, as whoever reads it makes the same ones. Numbers have as many digits
+    /// faces. Normals that follow the positions are left out: readers make the same ones. Numbers have as many digits
     /// as tell them from their neighbours. `flip_v` is that of the [`ObjOptions`] to read it with: v is written as 1 - v, which
     /// brings all that was read so back to the last bit.
     pub fn to_obj(&self, flip_v: bool) -> String {

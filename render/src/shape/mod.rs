@@ -89,7 +89,7 @@ pub struct Exit {
 }
 
 impl Default for Exit {
-    /// From no surface.
+    /// Of a ray that leaves no surface.
     fn default() -> Self {
         Self {
             offset: 0.0,
@@ -253,7 +253,7 @@ pub struct SurfaceAdjoint<P> {
 }
 
 impl<P: Float> SurfaceAdjoint<P> {
-    /// None.
+    /// Without any change.
     pub fn zero() -> Self {
         Self {
             p: Vec3::zero(),
@@ -402,7 +402,7 @@ pub trait Shape: Send + Sync {
     ) -> SurfaceInteraction<R>;
 
     /// Where the point `si` of primitive `prim` is on the material. The inverse of [`Shape::point_at`] up to the
-    /// rounding of the position, computed when somebody asks: interactions do not carry it.
+    /// rounding of the position. Interactions do not carry it, as few callers need it.
     fn coordinates<P: Float>(&self, prim: u32, si: &SurfaceInteraction<P>)
     -> SurfaceCoordinates<P>;
 

@@ -206,7 +206,7 @@ impl Mesh {
 /// What a file holds: a mesh, names of what of it has no effect, and attributes.
 type Content = (MeshData, Vec<String>, BTreeMap<String, Attribute>);
 
-/// Attributes are kept if somebody wants some.
+/// `attributes`: whether those of vertices and faces are kept.
 fn read(bytes: &[u8], options: &ObjOptions, attributes: bool) -> Result<Content, Wrong> {
     if !bytes.starts_with(b"ply") {
         return Err(wrong(
@@ -452,7 +452,7 @@ pub(super) fn add_vertex(
 
 impl Mesh {
     /// The mesh as the content of a PLY file, binary, in little-endian order: positions in world space, texture coordinates
-    /// and normals where it has them; no normals where they follow the positions, as whoever reads it makes the same ones.
+    /// and normals where it has them. Normals that follow the positions are left out: readers make the same ones.
     pub fn to_ply(&self) -> Vec<u8> {
         let mesh = self.data();
         let normals: &[_] = if self.has_given_normals() {

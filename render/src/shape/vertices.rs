@@ -48,7 +48,7 @@ impl Rings {
 /// How the unit normal at a vertex changes with a value of a range of parameters: its number there, and the slope.
 type NormalSlope = (u32, [f64; 3]);
 
-/// Those of each vertex that somebody has asked for, as long as positions stay.
+/// Those of each vertex, made when they are asked for, and kept as long as positions stay.
 type NormalSlopes = Arc<OnceLock<Box<[OnceLock<Box<[NormalSlope]>>]>>>;
 
 /// Adjoints of single values of one range, each once.
@@ -258,7 +258,7 @@ impl Mesh {
 
     /// The same mesh, whose vertices are one point where those of another one are, with as many.
     pub(super) fn welded_like(self, other: &Mesh) -> Self {
-        // Nobody has asked a mesh that is new.
+        // A new mesh has none yet, so that this one is taken.
         let _ = self.data.welding.set(other.welding());
         self
     }

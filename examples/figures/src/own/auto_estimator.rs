@@ -20,6 +20,7 @@ use crate::zeltner::{fig_4_19, fig_4_20};
 use examples::builtin_scene;
 use examples::chart::LineChart;
 use examples::figure::{Figure, Result};
+use examples::ranks::median;
 
 const SEED: u64 = 77;
 /// Samples of `mis` per pixel for which `auto` plans.
@@ -205,11 +206,9 @@ impl Clock {
                     seconds.push(start.elapsed().as_secs_f64() / spp as f64);
                 }
             }
-            for ((_, of), (mut seconds, work)) in
-                samples.iter_mut().zip(seconds.into_iter().zip(works))
+            for ((_, of), (seconds, work)) in samples.iter_mut().zip(seconds.into_iter().zip(works))
             {
-                seconds.sort_by(f64::total_cmp);
-                let seconds = seconds[seconds.len() / 2];
+                let seconds = median(&seconds).ok_or("no passes")?;
                 of.push(Sample { seconds, work });
             }
         }

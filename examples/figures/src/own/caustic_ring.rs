@@ -8,8 +8,9 @@ use render::scene::Caustics;
 use render::shape::Cylinder;
 use render::{RenderError, Scene, Settings};
 
-use crate::statistics::{Estimate, Series, check_same, gradients, grey};
-use examples::chart::{LineChart, Panel};
+use super::two_ways::{noise_over_time, panels, series};
+use crate::statistics::{Estimate, check_same, gradients};
+use examples::chart::LineChart;
 use examples::figure::{Figure, Result};
 use examples::scene_builder::{SceneBuilder, View};
 
@@ -108,15 +109,13 @@ pub fn figure(fig: &mut Figure) -> Result {
 fn same(fig: &mut Figure) -> Result {
     let (size, runs, spp) = (32, 64, fig.pick(64, 128));
     let scene = ring(size, 0.1, FOV)?;
-    // Image above derivative.
-    let series = |caustics, seed: u64| {
-        Series::of(runs, [size as usize, 8], |run| {
-            let r = images(&scene, caustics, seed + run, spp)?;
-            Ok::<_, RenderError>([0, 1].map(|k| grey(&r.sums[k], 1.0 / spp as f64)).concat())
+    let by = |caustics, seed: u64| {
+        series(size, runs, spp, |run| {
+            images(&scene, caustics, seed + run, spp)
         })
     };
-    let paths = series(Caustics::Paths, SEED)?;
-    let particles = series(Caustics::Particles, 10 * SEED)?;
+    let paths = by(Caustics::Paths, SEED)?;
+    let particles = by(Caustics::Particles, 10 * SEED)?;
     let statements = [
         "(a) the same picture, whoever finds caustics",
         "(b) the same derivative in roughness, whoever finds caustics",
@@ -129,24 +128,15 @@ fn same(fig: &mut Figure) -> Result {
 fn pictures(fig: &mut Figure) -> Result {
     let (size, spp) = fig.pick((128, 16), (384, 64));
     let scene = ring(size, ALPHA, FOV)?;
-    let mut panels = Vec::new();
-    let mut scale = None;
+    let mut found = Vec::new();
     for (name, caustics) in Caustics::NAMES.into_iter().rev() {
-        let r = images(&scene, caustics, SEED, spp)?;
-        let change = grey(&r.sums[1], 1.0 / spp as f64);
-        let most = *scale.get_or_insert_with(|| {
-            let mut sizes: Vec<f64> = change.iter().map(|x| x.abs()).collect();
-            sizes.sort_by(f64::total_cmp);
-            sizes[sizes.len() * 98 / 100]
-        });
-        let enlarge = (384 / size).max(1) as usize;
-        panels.push(
-            Panel::tonemapped(&format!("caustics by {name}"), &r.image(0), 1.0).enlarged(enlarge),
-        );
-        let label = format!("change with roughness, by {name}");
-        panels.push(Panel::signed(&label, size as usize, &change, Some(most)).enlarged(enlarge));
+        let labels = [
+            format!("caustics by {name}"),
+            format!("change with roughness, by {name}"),
+        ];
+        found.push((labels, images(&scene, caustics, SEED, spp)?));
     }
-    fig.images("caustics", 2, &panels);
+    fig.images("caustics", 2, &panels(&found, spp));
     Ok(())
 }
 
@@ -159,17 +149,8 @@ fn clock(fig: &mut Figure) -> Result {
         ("differential-mis", Estimator::DifferentialMis),
     ];
     let ladder: Vec<u64> = (4..fig.pick(8, 9)).map(|k| 1 << k).collect();
-    let mut charts: Vec<LineChart> = PARAMS
-        .iter()
-        .map(|(_, what)| {
-            LineChart::new(
-                &format!("derivative in {what}"),
-                "seconds",
-                "standard deviation of a run",
-            )
-            .log_x()
-            .log_y()
-        })
+    let mut charts: Vec<LineChart> = (PARAMS.iter())
+        .map(|(_, what)| noise_over_time(what, "seconds"))
         .collect();
     let mut rows = Vec::new();
     for (name, e) in contestants {

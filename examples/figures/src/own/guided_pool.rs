@@ -10,9 +10,9 @@ use render::sampler::Points;
 use render::shape::Mesh;
 use render::{RenderError, Scene, Settings};
 
-use crate::statistics::{Series, check_same, gradients, grey, limit};
+use super::two_ways::{noise_over_time, panels, series};
+use crate::statistics::{check_same, gradients, limit};
 use crate::veach::pool::{water, waves};
-use examples::chart::{LineChart, Panel};
 use examples::figure::{Figure, Result};
 use examples::scene_builder::{SceneBuilder, View};
 
@@ -101,16 +101,11 @@ pub fn figure(fig: &mut Figure) -> Result {
 fn same(fig: &mut Figure) -> Result {
     let (size, runs, spp) = (32, 64, fig.pick(64, 256));
     let mut scene = basin(size)?;
-    // Image above derivative.
-    let series = |scene: &Scene, seed: u64| {
-        Series::of(runs, [size as usize, 8], |run| {
-            let r = images(scene, seed + run, spp)?;
-            Ok::<_, RenderError>([0, 1].map(|k| grey(&r.sums[k], 1.0 / spp as f64)).concat())
-        })
-    };
-    let plain = series(&scene, SEED)?;
+    let of =
+        |scene: &Scene, seed: u64| series(size, runs, spp, |run| images(scene, seed + run, spp));
+    let plain = of(&scene, SEED)?;
     learn(&mut scene)?;
-    let guided = series(&scene, 10 * SEED)?;
+    let guided = of(&scene, 10 * SEED)?;
     let statements = [
         "(a) the same picture, guided or not",
         "(b) the same derivative in the floor's albedo, guided or not",
@@ -126,21 +121,14 @@ fn pictures(fig: &mut Figure) -> Result {
     let plain = images(&scene, SEED, spp)?;
     learn(&mut scene)?;
     let guided = images(&scene, SEED, spp)?;
-    let change = |r: &Rendering| grey(&r.sums[1], 1.0 / spp as f64);
-    let mut sizes: Vec<f64> = change(&guided).iter().map(|x| x.abs()).collect();
-    sizes.sort_by(f64::total_cmp);
-    let most = sizes[sizes.len() * 98 / 100];
-    let enlarge = (384 / size).max(1) as usize;
-    let panels: Vec<Panel> = [(&guided, "guided"), (&plain, "by the material")]
-        .into_iter()
-        .flat_map(|(r, name)| {
-            let image = Panel::tonemapped(&format!("paths {name}"), &r.image(0), 1.0);
-            let label = format!("change with the floor's albedo, {name}");
-            let change = Panel::signed(&label, size as usize, &change(r), Some(most));
-            [image.enlarged(enlarge), change.enlarged(enlarge)]
-        })
-        .collect();
-    fig.images("pool", 2, &panels);
+    let found = [(guided, "guided"), (plain, "by the material")].map(|(r, name)| {
+        let labels = [
+            format!("paths {name}"),
+            format!("change with the floor's albedo, {name}"),
+        ];
+        (labels, r)
+    });
+    fig.images("pool", 2, &panels(&found, spp));
     Ok(())
 }
 
@@ -197,13 +185,7 @@ fn clock(fig: &mut Figure) -> Result {
                 ladder.last().copied().unwrap_or_default(),
             ),
         );
-        let mut chart = LineChart::new(
-            &format!("derivative in {what}"),
-            "seconds, learning included",
-            "standard deviation of a run",
-        )
-        .log_x()
-        .log_y();
+        let mut chart = noise_over_time(what, "seconds, learning included");
         for ((name, _), line) in WAYS.iter().zip(line) {
             chart = chart.measured(name, line);
         }

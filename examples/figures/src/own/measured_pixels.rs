@@ -12,6 +12,7 @@ use super::auto_estimator::{Subject, subjects};
 use crate::statistics::{Estimate, limit, per_pixel};
 use examples::chart::{LineChart, Panel};
 use examples::figure::{Figure, Result};
+use examples::ranks::median;
 
 const SEED: u64 = 2048;
 const ESTIMATORS: [Estimator; 2] = [Estimator::MisBalance, Estimator::DifferentialMis];
@@ -55,11 +56,10 @@ impl Passes {
             let all = g.values.iter().flatten().zip(&sizes);
             scaled.push(all.map(|(d, size)| d * size).collect());
         }
-        seconds.sort_by(f64::total_cmp);
         Ok(Self {
             scaled,
             lengths,
-            seconds: seconds[seconds.len() / 2],
+            seconds: median(&seconds).ok_or("no runs")?,
         })
     }
 

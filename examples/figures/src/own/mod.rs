@@ -7,3 +7,4 @@ pub mod measured_pixels;
 pub mod moving_outlines;
 pub mod second_order;
 pub mod spread_samples;
+mod two_ways;

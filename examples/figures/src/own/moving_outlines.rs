@@ -12,6 +12,7 @@ use crate::common_scenes::{below_lamp, lamp_above_floor};
 use crate::statistics::{Estimate, limit};
 use examples::chart::LineChart;
 use examples::figure::{Figure, Result};
+use examples::ranks::median;
 use examples::scene_builder::{SceneBuilder, picture};
 
 const SEED: u64 = 4801;
@@ -112,9 +113,8 @@ impl Point {
             values.push(run(SEED + 1000 * stream + k)?);
             seconds.push(start.elapsed().as_secs_f64());
         }
-        seconds.sort_by(f64::total_cmp);
         Ok(Self {
-            seconds: seconds[seconds.len() / 2],
+            seconds: median(&seconds).ok_or("no runs")?,
             found: Estimate::of(values.iter().copied()),
             values,
         })

@@ -3,15 +3,13 @@
 
 use std::time::{Duration, Instant};
 
-use optim::{Adam, AnyOptimizer, Constrained, GaussNewton, LossKind, Rates, Schedule};
-use render::instances::Estimator;
-use render::integrator::gradient::Active;
+use optim::{Adam, AnyOptimizer, Constrained, GaussNewton, Rates, Schedule};
 use render::sampler::mix64;
 
 use examples::builtin_scene;
 use examples::chart::LineChart;
 use examples::figure::{Figure, Result};
-use examples::optimise::{Algorithm, Problem, Target};
+use examples::optimise::{Algorithm, Problem};
 use examples::say;
 use examples::scene_builder::picture;
 use examples::tools::recover::{WHOLE_STEPS, groups};
@@ -32,18 +30,8 @@ fn setup(fig: &Figure) -> Result<Setup> {
     let scene = render::scene::room(size, size)?;
     let unknowns = builtin_scene::cornell_unknowns();
     let names: Vec<&str> = unknowns.iter().map(|u| u.name).collect();
-    let active = Active::new(&scene, &names)?;
-    let settings = scene.settings;
     let target = picture(&scene, 1, fig.pick(1024, 4096)).image(0);
-    let problem = Problem {
-        scene,
-        settings,
-        image_spp: None,
-        active,
-        estimator: Estimator::Mis,
-        loss: "relative-l2".parse::<LossKind>()?,
-        targets: vec![Target::of(target)],
-    };
+    let problem = Problem::of(scene, &names, "relative-l2".parse()?, target)?;
     let truth = problem.values();
     let start = unknowns.into_iter().flat_map(|u| u.start).collect();
     Ok(Setup {

@@ -11,9 +11,9 @@ use render::math::Transform;
 use render::params::Theta;
 use render::sampler::{Independent, Sampler};
 use render::scene::Builder;
-use render::shape::{Patch, Rectangle};
 use render::{Film, Scene, Settings};
 
+use super::cornell::faces;
 use examples::chart::LineChart;
 use examples::figure::{Figure, Result};
 
@@ -79,27 +79,8 @@ fn furnace() -> Result<Scene> {
     let reflectance = b.rgb("walls.reflectance.value", [ALBEDO; 3], (0.0, 1.0))?;
     let radiance = b.rgb("walls.radiance.value", [1.0; 3], (0.0, f64::INFINITY))?;
     let walls = b.add_material(Diffuse { reflectance });
-    for (axis, side) in [
-        (0, -1.0),
-        (0, 1.0),
-        (1, -1.0),
-        (1, 1.0),
-        (2, -1.0),
-        (2, 1.0),
-    ] {
-        let along = |i: usize| std::array::from_fn(|k| if k == i { 2.0 } else { 0.0 });
-        let corner = std::array::from_fn(|k| if k == axis { side } else { -1.0 });
-        let patch = Patch::new(
-            corner,
-            along((axis + 1) % 3),
-            along((axis + 2) % 3),
-            side > 0.0,
-        );
-        let shape = b.add_shape(
-            "wall",
-            Rectangle(patch.ok_or("a wall without area")?),
-            walls,
-        );
+    for wall in faces()? {
+        let shape = b.add_shape("wall", wall, walls);
         let light = Area {
             radiance: radiance.clone(),
             exponent: 0.0,

@@ -62,6 +62,22 @@ pub struct Cornell {
     pub max_depth: u32,
 }
 
+/// The faces of the cube from -1 to 1 in each coordinate, as seen from within.
+///
+/// # Errors
+/// None: no face is without area.
+pub fn faces() -> Result<Vec<Rectangle>> {
+    let face = |i: usize| {
+        let (axis, side) = (i / 2, [-1.0, 1.0][i % 2]);
+        let along = |i: usize| std::array::from_fn(|k| if k == i { 2.0 } else { 0.0 });
+        let corner = std::array::from_fn(|k| if k == axis { side } else { -1.0 });
+        let sides = [along((axis + 1) % 3), along((axis + 2) % 3)];
+        let patch = Patch::new(corner, sides[0], sides[1], side > 0.0);
+        Ok(Rectangle(patch.ok_or("a wall without area")?))
+    };
+    (0..6).map(face).collect()
+}
+
 impl Cornell {
     /// The scene. Roulette is off: a path ends at the light or at `max_depth`.
     ///
@@ -82,20 +98,8 @@ impl Cornell {
         let black = b.rgb("light.reflectance.value", [0.0; 3], unit)?;
 
         let walls = b.add_material(Diffuse { reflectance });
-        for (axis, side) in [
-            (0, -1.0),
-            (0, 1.0),
-            (1, -1.0),
-            (1, 1.0),
-            (2, -1.0),
-            (2, 1.0),
-        ] {
-            let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
-            let at = |i: usize, x: f64| std::array::from_fn(|k| if k == i { x } else { 0.0 });
-            let corner = std::array::from_fn(|k| if k == axis { side } else { -1.0 });
-            let patch = Patch::new(corner, at(u, 2.0), at(v, 2.0), side > 0.0);
-            let patch = patch.ok_or("a wall without area")?;
-            b.add_shape("wall", Rectangle(patch), walls);
+        for wall in faces()? {
+            b.add_shape("wall", wall, walls);
         }
         let sphere = b.add_material(BlinnPhong {
             diffuse,

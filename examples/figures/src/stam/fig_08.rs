@@ -21,6 +21,7 @@ use super::gradient_images::{
 use super::printed;
 use examples::chart::{LineChart, Panel};
 use examples::figure::{Figure, Result};
+use examples::ranks::percentile;
 
 /// Indices of the controls that the image depends on: all but the ambient terms.
 const USED: [usize; 5] = [0, 2, 3, 4, 6];
@@ -309,11 +310,7 @@ pub fn figure(fig: &mut Figure) -> Result {
         &panels(&b.mean, s.size, "image, importance sampling", s.factor),
     );
     let width = s.size as usize;
-    let scale = {
-        let mut m: Vec<f64> = reference[3].mean[0].iter().map(|x| x.abs()).collect();
-        m.sort_by(f64::total_cmp);
-        m[(m.len() - 1) * 99 / 100]
-    };
+    let scale = percentile(&reference[3].mean[0], 0.99);
     let exponent = |label: &str, values: &[f64]| {
         Panel::signed(label, width, values, Some(scale)).enlarged(s.factor)
     };

@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use render::Job;
 use render::film::PixelFilter;
 use render::instances::{
-    Direction, Estimator, backward_f32, backward_f64, forward_f32, render_f32, render_f64,
+    Direction, Estimator, backward_f32, backward_f64, forward_f32, render_f32,
 };
 use render::integrator::gradient::Active;
 use render::params::{ParamInfo, Theta};
@@ -17,6 +17,7 @@ use render::{Scene, Settings};
 
 use super::propagation::{memory_stays, push_f64};
 use crate::common_scenes::{Walls, cornell};
+use crate::differences::central;
 use crate::statistics::{Estimate, limit};
 use examples::chart::{LineChart, Panel};
 use examples::figure::{Figure, Result};
@@ -75,14 +76,8 @@ impl Room {
         places.zip(start).for_each(|(i, v)| other[i] = v);
         let shot = |values: &[f32], seed: u64| {
             let theta = Theta::constant(values);
-            let technique = Estimator::Mis;
-            let settings = &scene.settings;
-            render_f32(
-                &Job::new(&scene, settings, seed, 0..128, &()),
-                &theta,
-                technique,
-            )
-            .image(0)
+            let job = Job::new(&scene, &scene.settings, seed, 0..128, &());
+            render_f32(&job, &theta, Estimator::Mis).image(0)
         };
         let (image, target) = (shot(scene.params().values(), 1), shot(&other, 2));
         let mut adjoint = vec![0.0; image.data.len()];
@@ -168,21 +163,9 @@ impl Room {
         for info in &self.infos {
             // Sampled paths jump with the roughness: a wide step. In the others the image is a polynomial.
             let step = if info.shape.len() == 1 { 0.1 } else { 0.02 };
-            let shot = |sign: f64| {
-                let mut moved = values.clone();
-                info.range().for_each(|i| moved[i] *= 1.0 + sign * step);
-                let theta = Theta::constant(&moved);
-                let technique = Estimator::Mis;
-                let (s, seed) = (&of.settings, of.seed);
-                render_f64(
-                    &Job::new(&self.scene, s, seed, 0..of.spp, &()),
-                    &theta,
-                    technique,
-                )
-            };
-            let (up, down) = (shot(1.0), shot(-1.0));
-            let pairs = up.sums[0].iter().zip(&down.sums[0]);
-            let difference: Vec<f64> = pairs.map(|(a, b)| a - b).collect();
+            let steps: Vec<_> = info.range().map(|i| (i, step * values[i])).collect();
+            let job = Job::new(&self.scene, &of.settings, of.seed, 0..of.spp, &());
+            let difference = central(&job, Estimator::Mis, &steps);
             let scale = |i: usize| 1.0 / (2.0 * step * values[i] * of.spp as f64);
             if info.shape.len() == 1 {
                 let sum = self.channel(&difference, None);

@@ -225,18 +225,10 @@ pub fn figure(fig: &mut Figure) -> Result {
 
 /// Pixels around the mirror image of lamp j in plate i.
 fn window(setup: &Plates, width: u32, i: usize, j: usize) -> Vec<[u32; 2]> {
-    let ([x0, y0], [w, h]) = corner(setup, width, i, j);
+    let [[x0, y0], [w, h]] = setup.window(width, i, j);
     (0..h)
         .flat_map(|y| (0..w).map(move |x| [x0 + x, y0 + y]))
         .collect()
-}
-
-/// Top left corner and size of the window: 1/32 of the width, half as high.
-pub(super) fn corner(setup: &Plates, width: u32, i: usize, j: usize) -> ([u32; 2], [u32; 2]) {
-    let (w, h) = ((width / 32).max(4), (width / 64).max(2));
-    let [x, y] = setup.cells[i][j];
-    let low = |c: f64, n: u32| (c - 0.5 * f64::from(n)).round().max(0.0) as u32;
-    ([low(x, w), low(y, h)], [w, h])
 }
 
 /// Mean over a window, its standard error, and the root mean square over its pixels of the standard
@@ -246,7 +238,7 @@ fn cells(setup: &mut Plates, width: u32, runs: u64) -> [[[Cell; 3]; 4]; 4] {
     let film = setup.scene.film;
     for (i, row) in out.iter_mut().enumerate() {
         for (j, cell) in row.iter_mut().enumerate() {
-            let (offset, size) = corner(setup, width, i, j);
+            let [offset, size] = setup.window(width, i, j);
             setup.scene.film.crop_offset = offset;
             setup.scene.film.crop_size = size;
             let scene = &setup.scene;

@@ -7,7 +7,7 @@
 use render::scene::{Connections, Constraint, Method, Starts};
 
 use super::authors::{Authors, compare};
-use super::manifold_methods::{Effort, Measured, measure};
+use super::manifold_methods::{Effort, Measured, measure, single};
 use super::manifold_scenes::{bumpy, glass, half_ball};
 use crate::statistics::{Estimate, check_same};
 use examples::chart::Panel;
@@ -19,24 +19,22 @@ const SLOPE: f64 = 0.08;
 /// Walks of a trial set.
 const TRIALS: u32 = 16;
 
+/// Connections over chains of one vertex.
+fn way(method: Method, starts: Starts, constraint: Constraint) -> Connections {
+    Connections {
+        constraint,
+        ..single(method, starts)
+    }
+}
+
 /// `zeltner-3-13`.
 ///
 /// # Errors
 /// None that the built-in scene can cause.
 pub fn figure(fig: &mut Figure) -> Result {
     let size = fig.pick(16, 48);
-    let effort = Effort {
-        runs: fig.pick(8, 16),
-        spp: fig.pick(2, 8),
-        seed: SEED,
-    };
+    let effort = Effort::of(fig, [2, 8], SEED);
     effort.note(fig, size);
-    let single = |method: Method, starts: Starts, constraint: Constraint| Connections {
-        bounces: 1,
-        starts,
-        constraint,
-        ..Connections::new(method)
-    };
     let angle = Constraint::Angle;
 
     let scene = half_ball(size, 0.4, |b, radius| {
@@ -77,7 +75,7 @@ pub fn figure(fig: &mut Figure) -> Result {
     ];
     let mut measured = Vec::new();
     for (k, (label, method, starts, constraint)) in (0..).zip(methods) {
-        let connections = single(method, starts, constraint);
+        let connections = way(method, starts, constraint);
         let found = measure(&scene, connections, false, effort.other(k))?;
         measured.push((label, found));
     }
@@ -87,7 +85,7 @@ pub fn figure(fig: &mut Figure) -> Result {
         ..effort.other(20)
     };
     fig.note("spp of paths", many.spp);
-    let all = single(Method::Sms, Starts::Particles, angle);
+    let all = way(Method::Sms, Starts::Particles, angle);
     let paths = measure(&scene, all, true, many)?.whole();
     // Of all walks that converge, some by half vectors end behind the surface: what counts is light.
     let rates = measured
@@ -201,12 +199,6 @@ fn published(fig: &mut Figure) -> Result {
     };
     let file = "Figure_6_Sequence/sphere_sms.xml";
     let of = authors.scene(fig, "authors' ball", file, fig.pick(16, 48), &[])?;
-    let way = |method: Method, starts: Starts, constraint: Constraint| Connections {
-        bounces: 1,
-        starts,
-        constraint,
-        ..Connections::new(method)
-    };
     let (angle, set) = (Constraint::Angle, Method::SmsBiased(TRIALS));
     let half = Constraint::HalfVector;
     let ways = [
@@ -218,11 +210,7 @@ fn published(fig: &mut Figure) -> Result {
         ("biased, angles", way(set, Starts::Uniform, angle)),
         ("biased, particles", way(set, Starts::Particles, angle)),
     ];
-    let effort = Effort {
-        runs: fig.pick(8, 16),
-        spp: fig.pick(2, 4),
-        seed: 2 * SEED,
-    };
+    let effort = Effort::of(fig, [2, 4], 2 * SEED);
     let accuracy = fig.pick((1 << 14, 0.3), (1 << 17, 0.1));
     let found = compare(fig, &of, &ways, effort, accuracy)?;
     let lit = |k: usize| found.ways[k].lit();

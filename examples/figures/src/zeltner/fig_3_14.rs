@@ -5,15 +5,16 @@ use rayon::prelude::*;
 use render::bsdf::DeltaKind;
 use render::manifold::{Connector, Solution, Target, distinct, trials};
 use render::sampler::{Independent, Sampler};
-use render::scene::{Connections, Constraint, Method, Uniqueness};
+use render::scene::{Constraint, Method, Starts, Uniqueness};
 use render::shape::Shape;
 
 use super::authors::{Authors, compare};
-use super::manifold_methods::Effort;
+use super::manifold_methods::{Effort, single};
 use super::specular_scenes::{Laboratory, RING, View, load};
 use crate::statistics::Estimate;
 use examples::chart::Panel;
 use examples::figure::{Figure, Result};
+use examples::ranks::median;
 
 /// The point of the floor that the figure shows, x and z, and that of the light.
 const FLOOR: [f64; 2] = [4.218, -3.074];
@@ -55,16 +56,8 @@ fn published(fig: &mut Figure) -> Result {
     };
     let file = "Figure_4_5_RingSolutions/ring.xml";
     let of = authors.scene(fig, "authors' ring", file, fig.pick(24, 96), &[])?;
-    let way = |method: Method| Connections {
-        bounces: 1,
-        ..Connections::new(method)
-    };
-    let ways = [("unbiased", way(Method::Sms))];
-    let effort = Effort {
-        runs: fig.pick(8, 16),
-        spp: fig.pick(8, 32),
-        seed: 2 * SEED,
-    };
+    let ways = [("unbiased", single(Method::Sms, Starts::Particles))];
+    let effort = Effort::of(fig, [8, 32], 2 * SEED);
     let accuracy = fig.pick((1 << 14, 0.1), (1 << 18, 0.02));
     let found = compare(fig, &of, &ways, effort, accuracy)?;
     if fig.pick(false, true) {
@@ -82,10 +75,7 @@ fn published(fig: &mut Figure) -> Result {
 
 /// The shown point, and the whole floor of a ring. `scene` is said before each statement; pictures have the other names.
 fn shown(fig: &mut Figure, [scene, basins, of_counts]: [&str; 3], ring: &Laboratory) -> Result {
-    let connections = Connections {
-        bounces: 1,
-        ..Connections::new(Method::Sms)
-    };
+    let connections = single(Method::Sms, Starts::Particles);
     let split = ring.split(&connections)?;
     let connector = Connector::new(ring.space(Constraint::Angle), &split, connections);
     let target = Target::Point(Vec3::from(LIGHT));
@@ -285,15 +275,11 @@ fn vanishing(
             jumps[a.len().abs_diff(b.len()).min(4)] += 1;
         }
     }
-    let mut everywhere: Vec<f64> = (solved.iter().flatten())
+    let everywhere: Vec<f64> = (solved.iter().flatten())
         .filter(|points| points.len() > 1)
         .map(|points| nearest(points))
         .collect();
-    let median = |x: &mut Vec<f64>| {
-        x.sort_unstable_by(f64::total_cmp);
-        x.get(x.len() / 2).copied().unwrap_or(f64::NAN)
-    };
-    let (pairs, all) = (median(&mut closest), median(&mut everywhere));
+    let [pairs, all] = [&closest, &everywhere].map(|x| median(x).unwrap_or(f64::NAN));
     fig.check(
         format!("{scene}where two solutions vanish from one point of the floor to the next, two are next to each other"),
         jumps[2] > 10 && pairs < 0.5 * all,

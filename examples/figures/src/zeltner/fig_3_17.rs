@@ -14,13 +14,21 @@ use render::params::Theta;
 use render::scene::{Connections, Constraint, Method, Starts};
 
 use super::authors::{Authors, compare};
-use super::manifold_methods::Effort;
+use super::manifold_methods::{Effort, single};
 use super::specular_scenes::{View, buried_ball, connected, load};
 use crate::statistics::{Series, grey};
 use examples::chart::Panel;
 use examples::figure::{Figure, Result};
 
 const SEED: u64 = 17;
+
+/// Unbiased connections over chains of one vertex.
+fn way(starts: Starts, constraint: Constraint) -> Connections {
+    Connections {
+        constraint,
+        ..single(Method::Sms, starts)
+    }
+}
 
 /// `zeltner-3-17`.
 ///
@@ -40,12 +48,7 @@ pub fn figure(fig: &mut Figure) -> Result {
     let scene = load(&buried_ball(0.2, 30000.0), &view, 4)?;
     let theta = Theta::constant(scene.params().values());
     let measure = |constraint: Constraint, seed: u64| {
-        let connections = Connections {
-            bounces: 1,
-            constraint,
-            starts: Starts::Uniform,
-            ..Connections::new(Method::Sms)
-        };
+        let connections = way(Starts::Uniform, constraint);
         let settings = connected(&scene, Some(connections));
         let statistics = std::sync::Mutex::new(Statistics::default());
         let start = Instant::now();
@@ -111,12 +114,6 @@ fn published(fig: &mut Figure) -> Result {
     };
     let file = "Figure_8_Constraints/sphere.xml";
     let of = authors.scene(fig, "authors' ball", file, fig.pick(16, 48), &[])?;
-    let way = |starts: Starts, constraint: Constraint| Connections {
-        bounces: 1,
-        starts,
-        constraint,
-        ..Connections::new(Method::Sms)
-    };
     let ways = [
         ("particles", way(Starts::Particles, Constraint::Angle)),
         ("angles", way(Starts::Uniform, Constraint::Angle)),

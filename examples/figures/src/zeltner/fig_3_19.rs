@@ -1,10 +1,10 @@
 //! [Zeltner 2021, figure 3.19]: where walks start on metal with bumps: anywhere, after a first stage over the smooth surface, or
 //! where particles passed.
 
-use render::scene::{Connections, Method, Starts};
+use render::scene::{Method, Starts};
 
 use super::authors::{Authors, compare};
-use super::manifold_methods::{Effort, Measured, measure};
+use super::manifold_methods::{Effort, Measured, measure, single};
 use super::manifold_scenes::{bumpy, metal, mirrored};
 use crate::statistics::check_same;
 use examples::figure::{Figure, Result};
@@ -19,24 +19,14 @@ const SLOPE: f64 = 0.12;
 /// None that the built-in scene can cause.
 pub fn figure(fig: &mut Figure) -> Result {
     let size = fig.pick(16, 64);
-    let effort = Effort {
-        runs: fig.pick(8, 16),
-        spp: fig.pick(2, 8),
-        seed: SEED,
-    };
+    let effort = Effort::of(fig, [2, 8], SEED);
     effort.note(fig, size);
     let scene = mirrored(0.15, 3000.0, size, |b| {
         let smooth = metal(b)?;
         bumpy(b, smooth, SLOPE, SEED)
     })?;
-    let of = |starts: Starts, k: u64| {
-        let connections = Connections {
-            bounces: 1,
-            starts,
-            ..Connections::new(Method::Sms)
-        };
-        measure(&scene, connections, false, effort.other(k))
-    };
+    let way = |starts: Starts| single(Method::Sms, starts);
+    let of = |starts: Starts, k: u64| measure(&scene, way(starts), false, effort.other(k));
     let uniform = of(Starts::Uniform, 0)?;
     let staged = of(Starts::TwoStage, 1)?;
     let landed = of(Starts::Particles, 2)?;
@@ -84,22 +74,14 @@ fn published(fig: &mut Figure) -> Result {
     let Some(authors) = Authors::find() else {
         return Ok(());
     };
-    let effort = Effort {
-        runs: fig.pick(8, 16),
-        spp: fig.pick(1, 4),
-        seed: 2 * SEED,
-    };
+    let effort = Effort::of(fig, [1, 4], 2 * SEED);
     let accuracy = fig.pick((1 << 14, 0.4), (1 << 17, 0.1));
     for (name, file) in [
         ("authors' plane", "Figure_9_Twostage/plane.xml"),
         ("authors' ball", "Figure_9_Twostage/sphere.xml"),
     ] {
         let of = authors.scene(fig, name, file, fig.pick(16, 32), &[])?;
-        let way = |starts: Starts| Connections {
-            bounces: 1,
-            starts,
-            ..Connections::new(Method::Sms)
-        };
+        let way = |starts: Starts| single(Method::Sms, starts);
         let ways = [
             ("uniform", way(Starts::Uniform)),
             ("two stages", way(Starts::TwoStage)),

@@ -144,11 +144,7 @@ fn whole(scene: &Scene, method: Method, effort: Effort) -> f64 {
 /// None that the built-in scene can cause.
 pub fn figure(fig: &mut Figure) -> Result {
     let size = fig.pick(16, 64);
-    let effort = Effort {
-        runs: fig.pick(8, 16),
-        spp: fig.pick(6, 32),
-        seed: SEED,
-    };
+    let effort = Effort::of(fig, [6, 32], SEED);
     effort.note(fig, size);
     let of = |k: u64, scene: &Scene, by_paths: bool, spp: u64| {
         let connections = Connections {

@@ -3,11 +3,11 @@
 //!
 //! What one walk misses is found by paths, or left out, as where figure 3.9 discards outliers: those are what paths find of it.
 
-use render::scene::{Connections, Method};
+use render::scene::{Method, Starts};
 
 use super::authors::{Authors, compare as compare_ways, compare_methods};
 use super::manifold_comparison::compare;
-use super::manifold_methods::{Effort, measure};
+use super::manifold_methods::{Effort, measure, single};
 use super::manifold_scenes::{Waves, pool};
 use crate::statistics::check_same;
 use examples::figure::{Figure, Result};
@@ -22,11 +22,7 @@ const WAVES: [f64; 2] = [0.5, 0.25];
 /// None that the built-in scene can cause.
 pub fn figure(fig: &mut Figure) -> Result {
     let size = fig.pick(16, 48);
-    let effort = Effort {
-        runs: fig.pick(8, 16),
-        spp: fig.pick(2, 16),
-        seed: SEED,
-    };
+    let effort = Effort::of(fig, [2, 16], SEED);
     effort.note(fig, size);
     let [length, slope] = WAVES;
     let waves = Waves::new(length, slope, SEED);
@@ -43,10 +39,7 @@ pub fn figure(fig: &mut Figure) -> Result {
     // ---- Absolute brightness ----
     // Paths meet a wide lamp.
     let wide = pool(size, 0.8, &waves)?;
-    let connections = Connections {
-        bounces: 1,
-        ..Connections::new(Method::Sms)
-    };
+    let connections = single(Method::Sms, Starts::Particles);
     let effort = Effort {
         runs: 16,
         spp: fig.pick(4, 32),
@@ -81,25 +74,15 @@ fn published(fig: &mut Figure) -> Result {
     };
     let file = "Figure_14_15_MainComparison/pool_sms.xml";
     let of = authors.scene(fig, "authors' pool", file, fig.pick(16, 48), &[])?;
-    let effort = Effort {
-        runs: fig.pick(8, 16),
-        spp: fig.pick(1, 4),
-        seed: 4 * SEED,
-    };
+    let effort = Effort::of(fig, [1, 4], 4 * SEED);
     let accuracy = fig.pick((1 << 14, 0.3), (1 << 18, 0.1));
     if fig.pick(false, true) {
         compare_methods(fig, &of, 1, effort, accuracy)?;
         return Ok(());
     }
     // Its textures make every image long, whatever is in it.
-    let way = |method: Method| Connections {
-        bounces: 1,
-        ..Connections::new(method)
-    };
-    let ways = [
-        ("one walk", way(Method::Mnee)),
-        ("from particles", way(Method::Sms)),
-    ];
+    let ways = [Method::Mnee, Method::Sms].map(|m| single(m, Starts::Particles));
+    let ways = [("one walk", ways[0]), ("from particles", ways[1])];
     let found = compare_ways(fig, &of, &ways, effort, accuracy)?;
     let [share, error] = found.share(0);
     fig.check(

@@ -1,11 +1,11 @@
 //! [Zeltner 2021, figure 3.25]: a wall of bumpy metal and a half-buried ball of bumpy glass, by paths, by one walk towards the
 //! light, by unbiased estimates and by trial sets.
 
-use render::scene::{Connections, Method, Starts};
+use render::scene::{Method, Starts};
 
 use super::authors::{Authors, compare_methods};
 use super::manifold_comparison::compare;
-use super::manifold_methods::{Effort, correlation, measure};
+use super::manifold_methods::{Effort, correlation, measure, single};
 use super::manifold_scenes::{Waves, bumpy, glass, half_ball, mapped_ball, metal, mirrored};
 use examples::figure::{Figure, Result};
 
@@ -30,11 +30,7 @@ pub fn figure(fig: &mut Figure) -> Result {
         b.ball("ball", [0.0; 3], radius, &material)?;
         Ok(())
     })?;
-    let effort = Effort {
-        runs: fig.pick(8, 16),
-        spp: fig.pick(2, 16),
-        seed: SEED,
-    };
+    let effort = Effort::of(fig, [2, 16], SEED);
     effort.note(fig, size);
     let wall = compare(fig, "wall", &plane, 1, effort)?;
     let left = wall.share(&wall.mnee);
@@ -46,11 +42,7 @@ pub fn figure(fig: &mut Figure) -> Result {
     // What is missing is the same in independent images, of independent references.
     let (walks, set) = &wall.sets[0];
     let again = |k: u64, method: Method| {
-        let connections = Connections {
-            bounces: 1,
-            starts: Starts::Uniform,
-            ..Connections::new(method)
-        };
+        let connections = single(method, Starts::Uniform);
         measure(&plane, connections, false, effort.other(k))
     };
     let (few, all) = (
@@ -72,11 +64,7 @@ fn published(fig: &mut Figure) -> Result {
     let Some(authors) = Authors::find() else {
         return Ok(());
     };
-    let effort = Effort {
-        runs: fig.pick(8, 16),
-        spp: fig.pick(1, 4),
-        seed: 2 * SEED,
-    };
+    let effort = Effort::of(fig, [1, 4], 2 * SEED);
     let accuracy = fig.pick((1 << 14, 0.4), (1 << 18, 0.1));
     for (name, file) in [
         (

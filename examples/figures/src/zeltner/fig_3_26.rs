@@ -6,7 +6,7 @@ use render::manifold::{Connector, Solution, Target, distinct};
 use render::sampler::{Independent, Sampler};
 use render::scene::{Connections, Constraint, Method, Starts, Uniqueness};
 
-use super::manifold_methods::{Effort, measure};
+use super::manifold_methods::{Effort, measure, single};
 use super::specular_scenes::{Laboratory, RING, View, load};
 use crate::statistics::Estimate;
 use examples::chart::LineChart;
@@ -23,12 +23,9 @@ fn same(a: &Solution, b: &Solution) -> bool {
     a.is(b, Uniqueness::ErrorBounds)
 }
 
-fn single(method: Method) -> Connections {
-    Connections {
-        bounces: 1,
-        starts: Starts::Uniform,
-        ..Connections::new(method)
-    }
+/// Connections whose walks start anywhere.
+fn from_anywhere(method: Method) -> Connections {
+    single(method, Starts::Uniform)
 }
 
 /// `zeltner-3-26`.
@@ -45,20 +42,16 @@ pub fn figure(fig: &mut Figure) -> Result {
     probe(fig, &ring)?;
 
     // ---- The image ----
-    let effort = Effort {
-        runs: fig.pick(8, 16),
-        spp: fig.pick(2, 8),
-        seed: SEED,
-    };
+    let effort = Effort::of(fig, [2, 8], SEED);
     effort.note(fig, view.size);
-    let all = measure(&ring.scene, single(Method::Sms), false, effort)?;
+    let all = measure(&ring.scene, from_anywhere(Method::Sms), false, effort)?;
     let whole = all.whole();
     let mut rows = Vec::new();
     let mut panels = Vec::new();
     let mut cost = Vec::new();
     let factor = fig.pick(10, 4);
     for (k, walks) in (1..).zip(WALKS).take(fig.pick(3, 4)) {
-        let connections = single(Method::SmsBiased(walks));
+        let connections = from_anywhere(Method::SmsBiased(walks));
         let found = measure(&ring.scene, connections, false, effort.other(k))?;
         let part = found.whole();
         let ratio = part.mean / whole.mean;
@@ -85,7 +78,7 @@ pub fn figure(fig: &mut Figure) -> Result {
 
 /// At one point of the floor: `sum f (1 - (1 - P)^M)` over its solutions.
 fn probe(fig: &mut Figure, ring: &Laboratory) -> Result {
-    let connections = single(Method::Sms);
+    let connections = from_anywhere(Method::Sms);
     let split = ring.split(&connections)?;
     let connector = Connector::new(ring.space(Constraint::Angle), &split, connections);
     let target = Target::Point(Vec3::from(LIGHT));

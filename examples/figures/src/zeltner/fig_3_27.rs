@@ -2,11 +2,11 @@
 //!
 //! Both are made from the same waves. Walks start anywhere: two stages are off.
 
-use render::scene::{Connections, Method, Starts};
+use render::scene::{Method, Starts};
 
 use super::authors::{Authors, Found, attribute, compare};
 use super::integrated_normals::displaced_sphere;
-use super::manifold_methods::{Effort, measure};
+use super::manifold_methods::{Effort, measure, single};
 use super::manifold_scenes::{Waves, displaced_ball, glass, half_ball, mapped_ball};
 use super::specular_scenes::Laboratory;
 use examples::chart::LineChart;
@@ -48,11 +48,7 @@ pub fn figure(fig: &mut Figure) -> Result {
                 }
                 Ok(())
             })?;
-            let connections = Connections {
-                bounces: 1,
-                starts: Starts::Uniform,
-                ..Connections::new(Method::Sms)
-            };
+            let connections = single(Method::Sms, Starts::Uniform);
             let seed = effort.seed + 1000 * k + 500 * u64::from(displaced);
             let m = measure(&scene, connections, false, Effort { seed, ..effort })?;
             let label = if displaced { "displaced" } else { "normal map" };
@@ -118,11 +114,6 @@ fn published(fig: &mut Figure) -> Result {
     let Some(authors) = Authors::find() else {
         return Ok(());
     };
-    let connections = Connections {
-        bounces: 1,
-        starts: Starts::Uniform,
-        ..Connections::new(Method::Sms)
-    };
     let effort = Effort {
         runs: fig.pick(8, 16),
         spp: 4,
@@ -130,11 +121,10 @@ fn published(fig: &mut Figure) -> Result {
     };
     let accuracy = fig.pick((1 << 14, 0.8), (1 << 17, 0.1));
     let (columns, rows) = (fig.pick(16, 32), fig.pick(192, 512));
-    let landed = Connections {
-        starts: Starts::Particles,
-        ..connections
-    };
-    let ways = [("unbiased", connections), ("from particles", landed)];
+    let ways = [
+        ("unbiased", single(Method::Sms, Starts::Uniform)),
+        ("from particles", single(Method::Sms, Starts::Particles)),
+    ];
     let mut rates = [Vec::new(), Vec::new()];
     for (k, [mapped, displaced]) in [
         ["authors' map 1", "authors' shape 1"],

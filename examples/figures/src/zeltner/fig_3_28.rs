@@ -5,10 +5,10 @@ use std::sync::Arc;
 use render::Scene;
 use render::bsdf::microfacet::Ndf;
 use render::bsdf::{Conductor, Material, RoughConductor, Roughness};
-use render::scene::{Connections, Method};
+use render::scene::{Connections, Method, Starts};
 
 use super::authors::{Authors, compare};
-use super::manifold_methods::{Effort, Measured, measure};
+use super::manifold_methods::{Effort, Measured, measure, single};
 use super::manifold_scenes::mirrored;
 use crate::statistics::limit;
 use examples::chart::LineChart;
@@ -41,9 +41,8 @@ fn rough(size: u32, alpha: f64) -> Result<Scene> {
 /// Chains over surfaces of any roughness.
 fn chains() -> Connections {
     Connections {
-        bounces: 1,
         roughness: 1.0,
-        ..Connections::new(Method::Sms)
+        ..single(Method::Sms, Starts::Particles)
     }
 }
 
@@ -201,11 +200,7 @@ fn published(fig: &mut Figure) -> Result {
     let Some(authors) = Authors::find() else {
         return Ok(());
     };
-    let effort = Effort {
-        runs: fig.pick(8, 16),
-        spp: fig.pick(2, 8),
-        seed: 2 * SEED,
-    };
+    let effort = Effort::of(fig, [2, 8], 2 * SEED);
     let mut gains = Vec::new();
     for (name, alpha) in [
         ("authors' plane, 0.005", "0.005"),

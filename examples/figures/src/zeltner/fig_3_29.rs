@@ -5,11 +5,11 @@
 //! blocked by the frame of the slab, or end where there is no lamp.
 
 use ad_core::Vec3;
-use render::scene::{Connections, Method};
+use render::scene::{Method, Starts};
 
 use super::authors::{Authors, attribute, compare_methods};
 use super::manifold_comparison::compare;
-use super::manifold_methods::{Effort, measure};
+use super::manifold_methods::{Effort, measure, single};
 use super::manifold_scenes::{Waves, slab};
 use examples::figure::{Figure, Result};
 
@@ -23,11 +23,7 @@ const WAVES: [f64; 2] = [1.0, 0.16];
 /// None that the built-in scene can cause.
 pub fn figure(fig: &mut Figure) -> Result {
     let size = fig.pick(8, 48);
-    let effort = Effort {
-        runs: fig.pick(8, 16),
-        spp: fig.pick(2, 16),
-        seed: SEED,
-    };
+    let effort = Effort::of(fig, [2, 16], SEED);
     effort.note(fig, size);
     let [length, slope] = WAVES;
     let waves = Waves::new(length, slope, SEED);
@@ -39,15 +35,12 @@ pub fn figure(fig: &mut Figure) -> Result {
     // ---- One face ----
     let once = slab(size, lamp, &waves, true)?;
     let of = |k: u64, method: Method| {
-        let connections = Connections {
-            bounces: 1,
-            ..Connections::new(method)
-        };
+        let connections = single(method, Starts::Particles);
         measure(&once, connections, false, effort.other(k))
     };
     let (walks, set) = &found.sets[0];
-    let (all, single) = (of(50, Method::Sms)?, of(51, Method::SmsBiased(*walks))?);
-    let (both, one) = (found.share(set), single.mean() / all.mean());
+    let (all, part) = (of(50, Method::Sms)?, of(51, Method::SmsBiased(*walks))?);
+    let (both, one) = (found.share(set), part.mean() / all.mean());
     fig.check(
         format!("trial sets of {walks} lose more over two faces than over one"),
         both < one,
@@ -117,11 +110,7 @@ fn published(fig: &mut Figure) -> Result {
         "authors' slab: plane_1.obj",
         "plane_2.obj, mirrored and displaced by waves",
     );
-    let effort = Effort {
-        runs: fig.pick(8, 16),
-        spp: fig.pick(1, 4),
-        seed: 2 * SEED,
-    };
+    let effort = Effort::of(fig, [1, 4], 2 * SEED);
     let accuracy = fig.pick((1 << 14, 0.4), (1 << 18, 0.1));
     compare_methods(fig, &of, 2, effort, accuracy)?;
     Ok(())

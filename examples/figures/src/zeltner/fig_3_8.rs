@@ -1,10 +1,10 @@
 //! [Zeltner 2021, figure 3.8]: a half-buried ball of smooth glass, by one walk towards the lamp and by paths.
 
 use render::manifold::Statistics;
-use render::scene::{Connections, Method, Starts};
+use render::scene::{Method, Starts};
 
 use super::authors::{Authors, compare};
-use super::manifold_methods::{Effort, Measured, measure};
+use super::manifold_methods::{Effort, Measured, measure, single};
 use super::manifold_scenes::{glass, half_ball};
 use crate::statistics::{check_same, limit};
 use examples::figure::{Figure, Result};
@@ -29,11 +29,7 @@ pub fn figure(fig: &mut Figure) -> Result {
         Ok(())
     })?;
     let of = |k: u64, method: Method, by_paths: bool| {
-        let connections = Connections {
-            bounces: 1,
-            starts: Starts::Uniform,
-            ..Connections::new(method)
-        };
+        let connections = single(method, Starts::Uniform);
         // Paths are quick, and seldom meet the lamp.
         let spp = effort.spp * if by_paths { 64 } else { 1 };
         let effort = Effort {
@@ -55,10 +51,7 @@ pub fn figure(fig: &mut Figure) -> Result {
         spp: 16 * effort.spp,
         ..effort.other(4)
     };
-    let connections = Connections {
-        bounces: 1,
-        ..Connections::new(Method::MneeUnbiased)
-    };
+    let connections = single(Method::MneeUnbiased, Starts::Particles);
     let both = measure(&scene, connections, false, both)?;
     let Statistics { met, missed, .. } = both.found;
     fig.check(
@@ -113,13 +106,9 @@ fn published(fig: &mut Figure) -> Result {
     };
     let file = "Figure_8_Constraints/sphere.xml";
     let of = authors.scene(fig, "authors' ball", file, fig.pick(24, 64), &[])?;
-    let way = |method: Method| Connections {
-        bounces: 1,
-        ..Connections::new(method)
-    };
     let ways = [
-        ("one walk", way(Method::Mnee)),
-        ("unbiased", way(Method::Sms)),
+        ("one walk", single(Method::Mnee, Starts::Particles)),
+        ("unbiased", single(Method::Sms, Starts::Particles)),
     ];
     let effort = Effort {
         runs: 16,

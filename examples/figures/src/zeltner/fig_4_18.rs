@@ -12,6 +12,7 @@ use render::instances::{Direction, Estimator};
 use crate::statistics::{Estimate, Series, blocks, grey, limit};
 use examples::chart::Panel;
 use examples::figure::{Figure, Result};
+use examples::ranks::percentile;
 use examples::scene_builder::{SceneBuilder, UNIT, View, picture};
 
 const SEED: u64 = 418;
@@ -331,9 +332,7 @@ fn show(fig: &mut Figure, edge: Edge, scene: &Scene, found: &Found, effort: Effo
     let image = picture(scene, SEED, 256).image(0);
     let width = effort.width as usize;
     let enlarge = (384 / width).max(1);
-    let mut magnitudes: Vec<f64> = found.images[REFERENCE].iter().map(|x| x.abs()).collect();
-    magnitudes.sort_by(f64::total_cmp);
-    let scale = magnitudes[magnitudes.len() * 98 / 100];
+    let scale = percentile(&found.images[REFERENCE], 0.98);
     let signed = |label: &str, values: &[f64]| {
         Panel::signed(label, width, values, Some(scale)).enlarged(enlarge)
     };

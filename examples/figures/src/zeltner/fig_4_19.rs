@@ -10,16 +10,16 @@ use std::time::Instant;
 use rayon::prelude::*;
 use render::Job;
 use render::auto;
-use render::instances::{Direction, Estimator, Mode, render_f64};
-use render::params::Theta;
+use render::instances::{Direction, Estimator, Mode};
 use render::statistics::z_limit;
 use render::{RenderError, Scene};
 
-use super::fig_2_27::corner;
 use crate::common_scenes::{LAMP_RADII, Plates, textured_plates};
+use crate::differences::central;
 use crate::statistics::grey;
 use examples::chart::Panel;
 use examples::figure::{Figure, Result};
+use examples::ranks::median;
 use examples::say;
 use examples::scene_builder::picture;
 
@@ -111,7 +111,7 @@ fn cells(
     let mut out = Grid::default();
     for (i, row) in out.iter_mut().enumerate() {
         for (j, cell) in row.iter_mut().enumerate() {
-            let (offset, size) = corner(setup, width, i, j);
+            let [offset, size] = setup.window(width, i, j);
             setup.scene.film.crop_offset = offset;
             setup.scene.film.crop_size = size;
             let scene = &setup.scene;
@@ -134,28 +134,13 @@ fn differences(setup: &mut Plates, width: u32, runs: u64, spp: u64) -> Result<Gr
         width,
         runs,
         |scene, plate, run| {
-            let values: Vec<f64> = scene.params().values().iter().map(|&v| v.into()).collect();
-            let info = scene.params().find(&name(plate))?;
             let h = 1e-4 * ALPHAS[plate];
-            let at = |step: f64| {
-                let mut moved = values.clone();
-                moved[info.range()].iter_mut().for_each(|v| *v += step);
-                let theta = Theta::constant(&moved);
-                // Light sampling does not move with roughness: common random numbers are smooth.
-                let t = Estimator::Emitter;
-                let s = &scene.settings;
-                render_f64(
-                    &Job::new(scene, s, SEED ^ (run + 1) << 20, 0..4 * spp, &()),
-                    &theta,
-                    t,
-                )
-            };
-            let (up, down) = (at(h), at(-h));
-            let difference: Vec<f64> = up.sums[0]
-                .iter()
-                .zip(&down.sums[0])
-                .map(|(a, b)| a - b)
-                .collect();
+            let range = scene.params().find(&name(plate))?.range();
+            let steps: Vec<_> = range.map(|i| (i, h)).collect();
+            let seed = SEED ^ (run + 1) << 20;
+            let job = Job::new(scene, &scene.settings, seed, 0..4 * spp, &());
+            // Light sampling does not move with roughness: common random numbers are smooth.
+            let difference = central(&job, Estimator::Emitter, &steps);
             Ok(grey(&difference, 1.0 / (2.0 * h * 4.0 * spp as f64)))
         },
         (4 * spp) as f64,
@@ -413,8 +398,7 @@ fn pictures(fig: &mut Figure, setup: &Plates, costs: [f64; COLUMNS.len()]) -> Re
         panels.push(Panel::signed(&label, width, &shown, Some(40.0)));
         let label = format!("std: {}", e.name());
         spreads.push(Panel::signed(&label, width, &std, Some(400.0)));
-        seconds.sort_by(f64::total_cmp);
-        times.push((e, count, seconds[seconds.len() / 2]));
+        times.push((e, count, median(&seconds).ok_or("no runs")?));
     }
     fig.images("derivatives", 3, &panels);
     fig.images("deviations", 3, &spreads);

@@ -3,14 +3,15 @@
 
 use ad_core::Vec3;
 use render::Job;
-use render::instances::{Direction, Estimator, render_f64};
-use render::params::Theta;
+use render::instances::{Direction, Estimator};
 use render::{RenderError, Scene};
 
 use crate::common_scenes::{TRAY, TRAY_LAMPS, tray};
+use crate::differences::central;
 use crate::statistics::{Series, grey, limit};
 use examples::chart::Panel;
 use examples::figure::{Figure, Result};
+use examples::ranks::{median, percentile};
 use examples::scene_builder::picture;
 
 const SEED: u64 = 420;
@@ -68,29 +69,15 @@ fn series(
 /// the roughness: the step is wide, a tenth of the smallest one.
 fn differences(scene: &Scene, effort: Effort) -> Result<Series> {
     const STEP: f64 = 2e-3;
-    let values: Vec<f64> = scene.params().values().iter().map(|&v| v.into()).collect();
-    let mut offsets = Vec::new();
+    let mut steps = Vec::new();
     for (name, _) in TRAY {
         let info = scene.params().find(&format!("{name}.alpha.value"))?;
-        offsets.push(info.offset);
+        steps.push((info.offset, STEP));
     }
     let spp = 2 * effort.spp;
     series(effort, |run| {
-        let shot = |step: f64| {
-            let mut moved = values.clone();
-            offsets.iter().for_each(|&i| moved[i] += step);
-            let theta = Theta::constant(&moved);
-            let technique = Estimator::Mis;
-            let s = &scene.settings;
-            render_f64(
-                &Job::new(scene, s, SEED + run, 0..spp, &()),
-                &theta,
-                technique,
-            )
-        };
-        let (up, down) = (shot(STEP), shot(-STEP));
-        let pairs = up.sums[0].iter().zip(&down.sums[0]);
-        let difference: Vec<f64> = pairs.map(|(a, b)| a - b).collect();
+        let job = Job::new(scene, &scene.settings, SEED + run, 0..spp, &());
+        let difference = central(&job, Estimator::Mis, &steps);
         Ok(grey(&difference, 1.0 / (2.0 * STEP * spp as f64)))
     })
 }
@@ -250,9 +237,8 @@ impl Trial {
         let pairs = self.found[a].pixels.iter().zip(&self.found[b].pixels);
         let chosen = pairs.zip(&self.map).filter(|(_, s)| of(s));
         let ratios = chosen.map(|((a, b), _)| a.error / b.error);
-        let mut ratios: Vec<f64> = ratios.filter(|r| r.is_finite()).collect();
-        ratios.sort_by(f64::total_cmp);
-        ratios.get(ratios.len() / 2).copied().unwrap_or(f64::NAN)
+        let ratios: Vec<f64> = ratios.filter(|r| r.is_finite()).collect();
+        median(&ratios).unwrap_or(f64::NAN)
     }
 
     fn noise(&self, fig: &mut Figure) {
@@ -366,9 +352,7 @@ impl Trial {
         let width = self.effort.size[0] as usize;
         let enlarge = (384 / width).max(1);
         let reference = self.reference.means();
-        let mut magnitudes: Vec<f64> = reference.iter().map(|x| x.abs()).collect();
-        magnitudes.sort_by(f64::total_cmp);
-        let scale = magnitudes[magnitudes.len() * 95 / 100];
+        let scale = percentile(&reference, 0.95);
         let samples = ((self.effort.runs * self.effort.spp) as f64).sqrt();
         let signed = |label: &str, values: &[f64], scale: f64| {
             Panel::signed(label, width, values, Some(scale)).enlarged(enlarge)

@@ -1,7 +1,7 @@
 //! A texture of roughness found from a picture by gradient descent, with three estimators of the
 //! gradient [Zeltner 2021, figure 4.22].
 
-use optim::{Constrained, Groups, Loss, LossKind, Parameterisation, Sgd};
+use optim::{Constrained, Groups, Loss, Parameterisation, Sgd};
 use rayon::prelude::*;
 use render::Job;
 use render::bsdf::microfacet::Ndf;
@@ -13,7 +13,7 @@ use render::{Image, Scene};
 use crate::statistics::{Estimate, blocks, limit};
 use examples::chart::{LineChart, Panel};
 use examples::figure::{Figure, Result};
-use examples::optimise::{Problem, Target};
+use examples::optimise::Problem;
 use examples::scene_builder;
 use examples::scene_builder::{SceneBuilder, View};
 
@@ -150,18 +150,8 @@ impl Setup {
         let start = within(condition.range(), &noise(effort.side));
         let scene = condition.scene(effort.side as u32, &truth)?;
         let target = picture(&scene, effort.many);
-        let active = Estimator::Mis.active(&scene, &[NAME])?;
-        let mut settings = scene.settings;
-        settings.spp = effort.spp as u32;
-        let problem = Problem {
-            scene,
-            settings,
-            image_spp: None,
-            active,
-            estimator: Estimator::Mis,
-            loss: "l2".parse::<LossKind>()?,
-            targets: vec![Target::of(target)],
-        };
+        let mut problem = Problem::of(scene, &[NAME], "l2".parse()?, target)?;
+        problem.settings.spp = effort.spp as u32;
         Ok(Self {
             problem,
             start,

@@ -26,14 +26,9 @@ pub fn figure(fig: &mut Figure) -> Result {
             *v += sign * step * d as f32;
         }
         let theta = Theta::constant(&values);
-        let settings = &board.scene.settings;
-        let technique = Estimator::Mis;
-        let samples = 0..board.spp;
-        render_f32(
-            &Job::new(&board.scene, settings, SEED, samples, &()),
-            &theta,
-            technique,
-        )
+        let (scene, samples) = (&board.scene, 0..board.spp);
+        let job = Job::new(scene, &scene.settings, SEED, samples, &());
+        render_f32(&job, &theta, Estimator::Mis)
     };
     let (plus, minus) = (moved(1.0), moved(-1.0));
     let n = board.spp as f64;

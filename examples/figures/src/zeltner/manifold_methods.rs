@@ -7,7 +7,7 @@ use render::instances::{Estimator, chains_by_particles_f32, render_f32};
 use render::integrator::render::Rendering;
 use render::manifold::Statistics;
 use render::params::Theta;
-use render::scene::{Connections, Method};
+use render::scene::{Connections, Method, Starts};
 use render::{Job, RenderError, Scene, Settings};
 
 use crate::statistics::{Estimate, Series, grey};
@@ -104,6 +104,15 @@ pub struct Effort {
 }
 
 impl Effort {
+    /// Eight runs where a figure is quick, and sixteen otherwise, of so many samples per pixel in these two cases.
+    pub fn of(fig: &Figure, [quick, full]: [u64; 2], seed: u64) -> Self {
+        Self {
+            runs: fig.pick(8, 16),
+            spp: fig.pick(quick, full),
+            seed,
+        }
+    }
+
     /// Keeps it, and the size of images, beside the results.
     pub fn note(&self, fig: &mut Figure, size: u32) {
         fig.note("size", size);
@@ -116,6 +125,15 @@ impl Effort {
     pub fn other(&self, k: u64) -> Self {
         let seed = self.seed + 1000 * k;
         Self { seed, ..*self }
+    }
+}
+
+/// Connections over chains of one vertex.
+pub fn single(method: Method, starts: Starts) -> Connections {
+    Connections {
+        bounces: 1,
+        starts,
+        ..Connections::new(method)
     }
 }
 

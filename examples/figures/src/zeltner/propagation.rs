@@ -49,13 +49,8 @@ pub(super) fn board(fig: &mut Figure) -> Result<Board> {
     }
     let shot = |values: &[f32], seed| {
         let theta = Theta::constant(values);
-        let technique = Estimator::Mis;
-        render_f32(
-            &Job::new(&scene, &scene.settings, seed, 0..spp, &()),
-            &theta,
-            technique,
-        )
-        .image(0)
+        let job = Job::new(&scene, &scene.settings, seed, 0..spp, &());
+        render_f32(&job, &theta, Estimator::Mis).image(0)
     };
     let target = shot(&other, SEED + 1);
     let image = shot(scene.params().values(), SEED + 2);

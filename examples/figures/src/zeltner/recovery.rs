@@ -1,14 +1,12 @@
 //! The albedo of a wall, recovered from a picture [Zeltner 2021, figures 1.1 and 4.2].
 
-use optim::{Constrained, Groups, LossKind, Optimizer, Parameterisation};
-use render::instances::Estimator;
-use render::integrator::gradient::Active;
+use optim::{Constrained, Groups, Optimizer, Parameterisation};
 use render::{Image, Scene};
 
 use crate::common_scenes::{Walls, cornell};
 use examples::chart::LineChart;
 use examples::figure::{Figure, Result};
-use examples::optimise::{Problem, Target};
+use examples::optimise::Problem;
 use examples::scene_builder;
 
 /// The unknown.
@@ -27,20 +25,10 @@ pub(super) struct Setup {
 
 pub(super) fn setup(fig: &Figure) -> Result<Setup> {
     let scene = cornell(fig.pick(32, 64), Walls::Matt, 4)?;
-    let mut settings = scene.settings;
-    settings.spp = fig.pick(16, 32);
     let target_spp = fig.pick(512, 1024);
     let target = picture(&scene, target_spp, TARGET_SEED);
-    let active = Active::new(&scene, &[NAME])?;
-    let problem = Problem {
-        scene,
-        settings,
-        image_spp: None,
-        active,
-        estimator: Estimator::Mis,
-        loss: "l2".parse::<LossKind>()?,
-        targets: vec![Target::of(target)],
-    };
+    let mut problem = Problem::of(scene, &[NAME], "l2".parse()?, target)?;
+    problem.settings.spp = fig.pick(16, 32);
     let truth = problem.values();
     Ok(Setup {
         problem,

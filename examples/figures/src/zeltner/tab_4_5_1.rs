@@ -11,10 +11,10 @@ use render::estimator::{
     Detached, DetachedWeights, Differential, EmitterOnly, FrozenWeights, Mis, MixedWeights,
     Reparameterised, Unbiased,
 };
-use render::instances::{Direction, Estimator, render_f64};
-use render::params::Theta;
+use render::instances::{Direction, Estimator};
 use render::{Image, Scene};
 
+use crate::differences::central;
 use crate::statistics::{Estimate, blocks, grey, limit, per_pixel};
 use examples::chart::Panel;
 use examples::figure::{Figure, Result};
@@ -168,26 +168,12 @@ fn derivatives(e: Estimator, scene: &Scene, effort: Effort) -> Result<Vec<Vec<f6
 /// Central differences in double precision. Samples of lights do not move with roughness: with common
 /// random numbers, one bounce is smooth.
 fn differences(scene: &Scene, effort: Effort) -> Result<Vec<Vec<f64>>> {
-    let values: Vec<f64> = scene.params().values().iter().map(|&v| v.into()).collect();
     let at = scene.params().find(NAME)?.offset;
-    let h = 1e-4 * values[at];
+    let h = 1e-4 * f64::from(scene.params().values()[at]);
     let spp = effort.spp;
     let image = |run: u64| {
-        let shot = |step: f64| {
-            let mut moved = values.clone();
-            moved[at] += step;
-            let theta = Theta::constant(&moved);
-            let technique = Estimator::Emitter;
-            let settings = &scene.settings;
-            render_f64(
-                &Job::new(scene, settings, SEED + run, 0..spp, &()),
-                &theta,
-                technique,
-            )
-        };
-        let (up, down) = (shot(h), shot(-h));
-        let pairs = up.sums[0].iter().zip(&down.sums[0]);
-        let difference: Vec<f64> = pairs.map(|(a, b)| a - b).collect();
+        let job = Job::new(scene, &scene.settings, SEED + run, 0..spp, &());
+        let difference = central(&job, Estimator::Emitter, &[(at, h)]);
         grey(&difference, 1.0 / (2.0 * h * spp as f64))
     };
     Ok((0..effort.runs).into_par_iter().map(image).collect())

@@ -288,14 +288,14 @@ fn steps(probes: &mut Probes, setup: &Setup, quick: bool, seed: u64) -> Result<(
     let spp = if quick { 8 } else { 128 };
     let values: Vec<f64> = scene.params().values().iter().map(|&v| v.into()).collect();
     let alpha = values[at];
-    let image = |technique, h: f64| -> Vec<f64> {
+    let image = |estimator, h: f64| -> Vec<f64> {
         let mut moved = values.clone();
         moved[at] += h;
         let theta = Theta::constant(&moved);
         let r = render_f64(
             &Job::new(scene, &scene.settings, seed, 0..spp, &()),
             &theta,
-            technique,
+            estimator,
         );
         r.sums[0].iter().step_by(3).copied().collect()
     };
@@ -303,12 +303,8 @@ fn steps(probes: &mut Probes, setup: &Setup, quick: bool, seed: u64) -> Result<(
         let mut moved: Vec<f32> = scene.params().values().to_vec();
         moved[at] += h as f32;
         let theta = Theta::constant(&moved);
-        let technique = Estimator::Emitter;
-        let r = render_f32(
-            &Job::new(scene, &scene.settings, seed, 0..spp, &()),
-            &theta,
-            technique,
-        );
+        let job = Job::new(scene, &scene.settings, seed, 0..spp, &());
+        let r = render_f32(&job, &theta, Estimator::Emitter);
         r.sums[0].iter().step_by(3).copied().collect()
     };
     let difference = |up: Vec<f64>, down: Vec<f64>, h: f64| -> Vec<f64> {

@@ -65,7 +65,7 @@ impl Envmap {
         Self::of_image(registry, name, image, to_world, scale)
     }
 
-    /// [`Envmap::new`] whose scale somebody else makes a parameter, behind the texels.
+    /// [`Envmap::new`] whose scale the caller makes a parameter, behind the texels.
     fn of_image(
         registry: &mut Registry,
         name: &str,

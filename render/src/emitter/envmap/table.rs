@@ -91,7 +91,7 @@ fn part(u: f64, parts: usize) -> usize {
 /// The first of these places that is not `before`, or the last of them.
 #[inline(always)]
 fn first_not(mut first: usize, mut last: usize, before: impl Fn(usize) -> bool) -> usize {
-    // Mostly there are up to three of them, and nobody can tell how many: no branches as long as that will do.
+    // Mostly there are up to three of them, and how many cannot be predicted: no branches for the first three.
     for _ in 0..2 {
         let middle = (first + last) / 2;
         let (open, passed) = (first < last, before(middle));

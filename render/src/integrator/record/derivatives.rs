@@ -40,7 +40,7 @@ pub trait DerivativeSink<P: Float> {
 /// Where the adjoints of sums go that moving samples of an emitter are made of
 /// ([`crate::emitter::Envmap::fold`]).
 pub trait SumSink {
-    /// Adds `d`. Nobody calls it for strategies whose emitters stand still.
+    /// Adds `d`. It is not called for strategies whose samples of emitters stand still.
     fn add_sum(&mut self, _emitter: u32, _sum: usize, _d: f64) {}
 }
 

@@ -37,8 +37,8 @@ pub struct Place<R> {
 }
 
 impl<R: Real> Place<R> {
-    /// The numbers that stay when the surface moves. They follow from the point, and nobody pays for them who does not
-    /// ask: [`Scene::point_at`] is the way back.
+    /// The numbers that stay when the surface moves. They follow from the point and are found when they are asked for;
+    /// [`Scene::point_at`] is the way back.
     pub fn coordinates(&self, scene: &Scene) -> SurfaceCoordinates<R::Primal> {
         scene.coordinates(self.prim, &self.si.primal())
     }

@@ -1,4 +1,4 @@
-//! What of a path anybody wants to know.
+//! What of a path is wanted: by an observer, and of light on its next edge.
 
 use ad_core::Float;
 
@@ -142,8 +142,11 @@ pub fn splits<S: Strategy, W: Interest>(
     index: u32,
     material: &Material,
 ) -> bool {
-    S::Bsdf::DIFFERENTIAL
-        && goes_on
-        && (!W::ENABLED || interest.differentiates_roughness(index))
-        && material.has_differential()
+    S::Bsdf::DIFFERENTIAL && goes_on && has_pair(interest, index, material)
+}
+
+/// The same of a path that goes on, where its strategy has such samples.
+#[inline(always)]
+pub fn has_pair<W: Interest>(interest: &W, index: u32, material: &Material) -> bool {
+    (!W::ENABLED || interest.differentiates_roughness(index)) && material.has_differential()
 }

@@ -246,7 +246,7 @@ fn weigh_lights<P: Float>(
 }
 
 /// Whether a connection with this value and density is tested for visibility: also where the derivative may not vanish
-/// although the value does (zero albedo), if anybody wants derivatives.
+/// although the value does (zero albedo), if derivatives are wanted.
 #[inline(always)]
 pub fn matters<R: Real>(differentiates: bool, f: Rgb<R>, pdf: R) -> bool {
     !f.is_black() | (differentiates & (pdf.primal() > R::Primal::zero())) | has_tangent(f)

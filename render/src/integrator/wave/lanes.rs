@@ -65,7 +65,7 @@ impl<P: Float> Lanes<P> {
 pub struct LaneSums<P>([[P; STRIDE]; 3]);
 
 impl<P: Float> LaneSums<P> {
-    /// Of nothing.
+    /// All sums zero.
     pub fn zero() -> Self {
         Self([[P::zero(); STRIDE]; 3])
     }
@@ -91,7 +91,7 @@ impl<P: Float> LaneSums<P> {
         }
     }
 
-    /// All together.
+    /// The sum of all.
     pub fn total(&self) -> [P; 3] {
         each(self.0, |sums: [P; STRIDE]| {
             sums.iter().fold(P::zero(), |all, &sum| all + sum)

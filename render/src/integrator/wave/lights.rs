@@ -266,7 +266,7 @@ lanes! {
 }
 
 impl<P: Float> Leaving<P> {
-    /// None.
+    /// Without paths.
     pub fn new() -> Self {
         Self {
             paths: Vec::with_capacity(WAVE_SIZE),

@@ -36,7 +36,7 @@ pub fn image(texture: &RgbTexture) -> Option<&Bitmap> {
 }
 
 impl<P: Float> Lookups<P> {
-    /// None.
+    /// Without lookups.
     pub fn new() -> Self {
         Self(Box::new(Corners::zero()))
     }

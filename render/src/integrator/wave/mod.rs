@@ -1,12 +1,12 @@
 //! Still paths, many at a time and field by field.
 //!
 //! This is the path tracer of [`super::path`], number by number, for what is rendered most: scalars without
-//! tangents, where no sample or weight moves. Derivatives of both modes are made of what a wave keeps ([`record`]), where
-//! it is known which values change ([`ends`]). The vertices of a wave of paths do the same things at the same time, in
-//! loops over arrays that call what the path tracer calls for one vertex. Nothing in such a loop is decided by a
-//! branch, so the compiler makes vector instructions of it. What is not the same for all vertices is sorted: those of one
-//! kind of material ([`kinds`]) or at one emitter ([`lights`]) go through a loop of their own. Other materials and emitters
-//! are called vertex by vertex in between.
+//! tangents, where no sample or weight moves. Derivatives of both modes are made of what a wave keeps ([`record`]).
+//!
+//! The vertices of a wave of paths do the same things at the same time, in loops over arrays that call what the path
+//! tracer calls for one vertex. Nothing in such a loop is decided by a branch, so the compiler makes vector instructions
+//! of it. What is not the same for all vertices is sorted: those of one kind of material ([`kinds`]) or at one emitter
+//! ([`lights`]) go through a loop of their own. Other materials and emitters are called vertex by vertex in between.
 
 // Each loop is over many arrays at a time.
 #![allow(clippy::needless_range_loop)]
@@ -88,7 +88,7 @@ pub(super) trait Log<P: Float>: Interest {
 
 /// Nothing is kept.
 impl<P: Float> Log<P> for () {
-    /// So many that few edges are left for waves that nobody else fills up.
+    /// So many that few edges are left for waves that are not full.
     const CROWD: usize = 16 * WAVE_SIZE;
     fn hit(
         &mut self,
@@ -110,7 +110,7 @@ lanes! {
         id: Lane<u32>,
         /// Place among the vertices before.
         slot: Lane<u32>,
-        /// Of their random numbers, see [`Stream`].
+        /// Of their random numbers, see [`crate::sampler::Stream`].
         key: Lane<u64>,
         /// Likewise.
         index: Lane<u32>,
@@ -507,7 +507,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         }
     }
 
-    /// Follows the paths until their next edge is the `end`-th. Nobody wants to know what happens to them.
+    /// Follows the paths until their next edge is the `end`-th, without a log.
     fn advance<Of: Strategy, S: Strategy<Bsdf = Detached>>(
         &mut self,
         context: &Context<P>,
@@ -515,7 +515,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
     ) {
         while self.n > 0 && self.next < end {
             if context.progress.cancelled() {
-                // Others may start here before anybody asks again.
+                // Other paths may start here before this is asked again.
                 self.n = 0;
                 break;
             }
@@ -524,7 +524,8 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         }
     }
 
-    /// `S` is `Of` where nothing moves.
+    /// Follows all paths along one edge, their `depth`-th, and through what happens at its end. `S` is `Of` where nothing
+    /// moves.
     fn edge<Of: Strategy, S: Strategy<Bsdf = Detached>, L: Log<P>>(
         &mut self,
         context: &Context<P>,

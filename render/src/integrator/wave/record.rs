@@ -24,7 +24,7 @@ use crate::scene::Scene;
 pub trait LayerSink<P: Float>: DerivativeSink<P> {
     /// Albedos of the plain vertices of a layer, where `wanted` is not zero.
     fn albedos(&mut self, scene: &Scene, layer: &Layer<P>, wanted: &Lane<u32>, d: &Lanes<P>);
-    /// Nothing follows.
+    /// Called after the last layer.
     fn finish(&mut self) {}
 }
 

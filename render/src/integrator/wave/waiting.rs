@@ -21,12 +21,12 @@ struct Rest<P> {
 }
 
 impl<P: Float> Waiting<P> {
-    /// Nobody.
+    /// No path waits.
     pub fn new() -> Self {
         Self(Vec::new())
     }
 
-    /// Nobody waits any more.
+    /// Forgets all paths that wait.
     pub fn clear(&mut self) {
         for rest in &mut self.0 {
             rest.n = 0;

@@ -217,7 +217,7 @@ impl Directories {
         all.find(|p| p.is_dir())
     }
 
-    /// The first that exists under this name and is no directory. Whoever reads it refuses what is no file.
+    /// The first that exists under this name and is no directory. Reading it refuses what is no file.
     fn find(&self, name: &Path) -> Option<PathBuf> {
         let mut all = self.0.iter().map(|d| d.join(name));
         all.find(|p| std::fs::metadata(p).is_ok_and(|found| !found.is_dir()))

@@ -122,7 +122,7 @@ impl Property {
         }
     }
 
-    /// "<float> `0.5`"
+    /// As errors name it: `<float>` and its value.
     fn describe(&self) -> String {
         match self.value {
             Value::Transform(_) => "a <transform>".to_owned(),
@@ -548,7 +548,7 @@ impl Node {
         Ok(())
     }
 
-    /// Accepts all attributes and children that nobody asked for, with a warning for each: those of a plugin that another
+    /// Accepts all attributes and children that were not asked for, with a warning for each: those of a plugin that another
     /// stands in for.
     pub fn ignore_rest(&self) {
         self.note(ANYTHING.to_owned(), Kind::Either);
@@ -565,7 +565,7 @@ impl Node {
         }
     }
 
-    /// An error for the first attribute or child that nobody asked for.
+    /// An error for the first attribute or child that was not asked for.
     ///
     /// At the root, elements with an id are declarations and need not be asked for.
     pub fn finish(&self) -> Result<(), SceneError> {
@@ -663,7 +663,7 @@ impl Node {
         }
     }
 
-    /// The error for a `type` that nobody implements: what is left out on purpose, or the names that exist.
+    /// The error for a `type` without an implementation: what is left out on purpose, or the names that exist.
     pub fn unknown_plugin(&self, known: &[&str]) -> SceneError {
         if let Some(what) = refused::reason(&self.tag, &self.plugin) {
             return self.refused(what);

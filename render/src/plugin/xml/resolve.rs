@@ -20,7 +20,7 @@ enum State {
 #[derive(Clone)]
 struct Built {
     node: Arc<Node>,
-    /// Longest way down to a leaf, in nodes. Whoever walks or drops the tree recurses that far.
+    /// Longest way down to a leaf, in nodes: walking or dropping the tree recurses that far.
     height: usize,
     /// Nodes that a walk of the tree visits, shared ones once per use: sharing must not hide an
     /// exponential.

@@ -77,7 +77,7 @@ struct Data {
     /// second one on curves along the first.
     guides: [[f32; 3]; 2],
     bounds: [[f32; 3]; 2],
-    /// Running sums of the areas of pieces, once somebody samples them.
+    /// Running sums of the areas of pieces, made when the first of them is sampled.
     running: OnceLock<Vec<f64>>,
 }
 

@@ -74,7 +74,7 @@ impl<P: Float, A: Alpha<Scalar = P>, N: Shape> Surfaces<P, A, N> {
         self.lanes.m.vec(k)
     }
 
-    /// Replaces it.
+    /// Replaces the `k`-th normal.
     #[inline(always)]
     pub fn put_normal(&mut self, k: usize, m: Vec3<P>) {
         self.lanes.m.put_vec(k, m);

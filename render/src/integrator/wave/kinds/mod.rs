@@ -106,7 +106,7 @@ lanes! {
 trait Members<P: Float> {
     /// Whether light that is sampled means anything to them.
     const CONNECTS: bool;
-    /// None.
+    /// Without members.
     fn new() -> Self;
     /// Takes in a material at a point as the `k`-th, if it is one of these there.
     fn gather(&mut self, k: usize, material: &Material, at: &Shading<P>) -> bool;
