@@ -131,6 +131,10 @@ pub(crate) enum Family {
     PixelBorders,
     /// Short passes that decide on the ones that follow, whose seed may be the same.
     Pilots,
+    /// Along what parameters move in these.
+    Directions,
+    /// Pixels in which work is counted.
+    Places,
     /// Differences that gradients are checked against.
     Differences,
     /// Short differences that decide on the steps of these.
@@ -142,7 +146,7 @@ pub(crate) enum Family {
 impl Family {
     /// All of them.
     #[cfg(test)]
-    const ALL: [Self; 15] = [
+    const ALL: [Self; 17] = [
         Self::Particles,
         Self::Connections,
         Self::Landings,
@@ -155,6 +159,8 @@ impl Family {
         Self::FieldsOfLights,
         Self::PixelBorders,
         Self::Pilots,
+        Self::Directions,
+        Self::Places,
         Self::Differences,
         Self::DifferencePilots,
         Self::SecondLooks,
@@ -175,6 +181,8 @@ impl Family {
             Self::FieldsOfLights => 0x510e_527f_ade6_82d1,
             Self::PixelBorders => 0x9b05_688c_2b3e_6c1f,
             Self::Pilots => 0x7069_6c6f_7473,
+            Self::Directions => 0x6469_7265_6374_696f,
+            Self::Places => 0x706c_6163_6573_2121,
             Self::Differences => 0x6469_6666,
             Self::DifferencePilots => 0x7069_6c6f,
             Self::SecondLooks => 0x7365_636f,

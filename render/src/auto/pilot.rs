@@ -7,7 +7,7 @@ use crate::integrator::Job;
 use crate::integrator::gradient::Active;
 use crate::integrator::render::{Progress, TILE};
 use crate::params::{ParamInfo, ParamShape, Params};
-use crate::sampler::{Independent, Points, Sampler};
+use crate::sampler::{Family, Independent, Points, Sampler};
 use crate::scene::{Scene, Settings};
 
 /// Largest part of the budget that pilots cost.
@@ -400,6 +400,7 @@ pub(super) fn directions(
         } else {
             1.0
         };
+        let seed = Family::Directions.seed(seed);
         let mut random = Independent::new(seed, u64::from(handle.id), pair);
         let signs = values.iter().map(|_| {
             if random.next_1d::<f64>() < 0.5 {

@@ -11,7 +11,7 @@ use crate::estimator::{Direct, Mode, Sampling, Strategy, goes_in_waves};
 use crate::math::Rgb;
 use crate::parallel;
 use crate::params::Theta;
-use crate::sampler::{Independent, Sampler};
+use crate::sampler::{Family, Independent, Sampler};
 use crate::scene::Scene;
 
 /// Paths are counted in so many shares, whatever the number of threads.
@@ -191,7 +191,8 @@ pub fn count_work<S: Strategy, X: Sampler>(job: &Job, active: &Active, mode: Mod
             }
             let path = job.samples.start + k;
             // One pixel from each of as many equal parts of the image.
-            let u = k as f64 + Independent::new(seed, path, 0).next_1d::<f64>();
+            let mut random = Independent::new(Family::Places.seed(seed), path, 0);
+            let u = k as f64 + random.next_1d::<f64>();
             let pixel = ((u / paths as f64 * pixels as f64) as u64).min(pixels - 1);
             let pixel = [pixel % width, pixel / width].map(|p| p as u32);
             let mut walk = start::<f32, S, X>(scene, settings.points, seed, pixel, path);
